@@ -1,0 +1,41 @@
+"""mufly: coaxial micro helicopters, from blade geometry to autonomous flight.
+
+The rooms of the package stand in the order in which an engineer works; see ``docs/architecture.md``.
+They load on first use, so that ``import mufly`` is quick.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from mufly.errors import InputError, MuflyError
+
+if TYPE_CHECKING:
+    from mufly import control, drive, dynamics, flight, mission, sensors, vehicle, world
+    from mufly.vehicle import load_vehicle
+
+__version__ = "0.1.0"
+__all__ = [
+    "InputError",
+    "MuflyError",
+    "control",
+    "drive",
+    "dynamics",
+    "flight",
+    "load_vehicle",
+    "mission",
+    "sensors",
+    "vehicle",
+    "world",
+]
+
+_ROOMS = {"control", "drive", "dynamics", "flight", "mission", "sensors", "vehicle", "world"}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _ROOMS:
+        return importlib.import_module(f"mufly.{name}")
+    if name == "load_vehicle":
+        return importlib.import_module("mufly.vehicle").load_vehicle
+    raise AttributeError(f"module 'mufly' has no attribute '{name}'")

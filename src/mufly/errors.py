@@ -1,0 +1,30 @@
+"""Errors that a user reads: one clear line each."""
+
+from __future__ import annotations
+
+__all__ = ["InputError", "MuflyError"]
+
+
+class MuflyError(Exception):
+    """Something a user can act on. The message is one line; the command line prints it without a traceback."""
+
+
+class InputError(MuflyError):
+    """A file or an argument is wrong.
+
+    Parameters
+    ----------
+    where : str
+        File name or argument that holds the fault.
+    key : str
+        Dotted key inside it (``"body.mass"``), or ``""``.
+    problem : str
+        What is wrong, with the offending value.
+    remedy : str
+        What would be right.
+    """
+
+    def __init__(self, where: str, key: str, problem: str, remedy: str) -> None:
+        self.where, self.key, self.problem, self.remedy = where, key, problem, remedy
+        place = f"{where}: {key}" if key else where
+        super().__init__(f"{place}: {problem}; {remedy}")
