@@ -1,0 +1,256 @@
+"""Weighting schemes: what the H-infinity synthesis is asked for. GS/T with one and with two degrees of freedom.
+
+All signals are scaled first. With the output scale ``s_y`` (an error worth one) and the input scale ``s_u`` (an actuation
+worth one) the plant is ``G = diag(1/s_y) G_physical diag(s_u)``, and the controller found for it goes back as
+``K_physical = diag(s_u) K diag(1/s_y)``.
+
+Two degrees of freedom (thesis Fig. 6.4, eqs 6.3 and 6.4; Christen and Geering's dual scheme): the controller reads the
+references ``r`` and the errors ``e = W_d w_d - y``, and commands ``u~``; the plant gets ``u = u~ + W_dbar w_dbar``;
+``r = W_rbar w_rbar + W_r w_r``. Errors: ``z_u = W_u u~`` and ``z_y = y - W_M W_r w_r``, so that
+
+    w_dbar -> z_y  is  G S_u W_dbar           (disturbances at the plant's input)
+    w_rbar -> z_y  is  T_yr W_rbar            (roll-off of the response to references)
+    w_r    -> z_y  is  (T_yr - W_M) W_r       (distance from the reference model)
+    w_d    -> z_y  is  T_e W_d                (roll-off of the loop at the output)
+
+One degree of freedom (thesis Fig. 6.6, eq. 6.5): the controller reads ``e = W_r w_r - y``, the plant gets
+``u = u~ + W_v w_v``, and ``z_u = W_u u~``, ``z_y = W_y y``: G S_u W_v and T_e W_r.
+
+A measured output without a reference (a rate gyro) helps the feedback. It enters ``z_y`` only if its
+``weight`` is not zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import control
+import numpy as np
+from scipy import signal
+
+from mufly.control.linear import Array, connect, state_space
+from mufly.errors import MuflyError
+
+__all__ = [
+    "OneDegreeWeights",
+    "Scaling",
+    "TransferFunction",
+    "TwoDegreeWeights",
+    "one_degree_plant",
+    "scale_plant",
+    "two_degree_plant",
+    "unscale_controller",
+]
+
+
+@dataclass(frozen=True)
+class TransferFunction:
+    """A proper transfer function ``numerator / denominator``, coefficients of falling powers of s (rad/s)."""
+
+    numerator: tuple[float, ...]
+    denominator: tuple[float, ...] = (1.0,)
+
+    def block(self, name: str, source: str, sink: str) -> control.StateSpace:
+        """State space from signal ``source`` to ``sink``."""
+        order = len(self.denominator) - 1
+        if len(self.numerator) > order + 1:
+            raise MuflyError(f"weight {name}: its numerator has the higher degree; give a proper transfer function")
+        if order and np.roots(self.denominator).real.max() >= 0:
+            raise MuflyError(
+                f"weight {name}: a pole in the right half plane or on the axis; move it to the left, by 1e-4 rad/s say"
+            )
+        if order:
+            A, B, C, D = signal.tf2ss(self.numerator, self.denominator)
+        else:
+            A, B, C = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0))
+            D = np.array([[self.numerator[-1] / self.denominator[0]]])
+        labels = [f"{name}[{i}]" for i in range(order)]
+        return state_space(A, B, C, D, inputs=[source], outputs=[sink], states=labels)
+
+    def gain(self, frequency: float) -> float:
+        """Magnitude at ``frequency`` (rad/s)."""
+        s = 1j * frequency
+        return float(abs(np.polyval(self.numerator, s) / np.polyval(self.denominator, s)))
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """What one unit of each scaled signal is worth.
+
+    Attributes
+    ----------
+    outputs : tuple of float
+        By measured output, in its unit: an error that matters as much as one of another output.
+    inputs : tuple of float
+        By plant input: the actuation that may be spent on such an error.
+    """
+
+    outputs: tuple[float, ...]
+    inputs: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class TwoDegreeWeights:
+    """Weights of the two-degree-of-freedom scheme; the defaults are eq. 6.4, W_r without its factor 1e-4."""
+
+    control: TransferFunction = TransferFunction((0.001,))  # W_u~
+    output_noise: TransferFunction = TransferFunction((1.0, 10.0), (0.1, 20.0))  # W_d
+    input_disturbance: TransferFunction = TransferFunction((0.7, 1.0), (1.0, 0.007))  # W_dbar
+    reference_rolloff: TransferFunction = TransferFunction((1.0, 7.0), (0.01, 14.0))  # W_rbar
+    model_matching: TransferFunction = TransferFunction((1.0, 15.0, 14.0), (1.0, 14.0, 0.0014))  # W_r
+    reference_model: TransferFunction = TransferFunction((14.0,), (1.0, 14.0))  # W_M
+    auxiliary: float = 1.0  # weight of measured outputs that have no reference
+
+
+@dataclass(frozen=True)
+class OneDegreeWeights:
+    """Weights of the one-degree-of-freedom scheme."""
+
+    control: TransferFunction  # W_u~
+    output_noise: TransferFunction  # W_r of Fig. 6.6: it stands where the reference does, and bounds T_e
+    input_disturbance: TransferFunction  # W_v
+    output: TransferFunction = field(default_factory=lambda: TransferFunction((1.0,)))  # W_y
+    auxiliary: float = 1.0
+
+
+def scale_plant(plant: control.StateSpace, scaling: Scaling) -> control.StateSpace:
+    """``diag(1/s_y) plant diag(s_u)``, labels kept."""
+    sy, su = np.array(scaling.outputs), np.array(scaling.inputs)
+    if sy.shape != (plant.noutputs,) or su.shape != (plant.ninputs,):
+        raise MuflyError(
+            f"scaling: {sy.size} output and {su.size} input scales for a plant with outputs "
+            f"{', '.join(plant.output_labels)} and inputs {', '.join(plant.input_labels)}; give one for each"
+        )
+    if not (np.all(sy > 0) and np.all(su > 0)):
+        raise MuflyError("scaling: every scale must be positive")
+    return state_space(
+        plant.A,
+        plant.B * su,
+        plant.C / sy[:, None],
+        plant.D * su / sy[:, None],
+        inputs=plant.input_labels,
+        outputs=plant.output_labels,
+        states=plant.state_labels,
+    )
+
+
+def unscale_controller(controller: control.StateSpace, input_scale: Array, output_scale: Array) -> control.StateSpace:
+    """Controller in physical units: its inputs are divided by ``input_scale``, its outputs times ``output_scale``."""
+    return state_space(
+        controller.A,
+        controller.B / input_scale,
+        controller.C * output_scale[:, None],
+        controller.D * output_scale[:, None] / input_scale,
+        inputs=controller.input_labels,
+        outputs=controller.output_labels,
+        states=controller.state_labels,
+        dt=controller.dt or 0.0,
+    )
+
+
+def _inner_plant(plant: control.StateSpace) -> control.StateSpace:
+    return state_space(
+        plant.A,
+        plant.B,
+        plant.C,
+        plant.D,
+        inputs=[f"plant[{u}]" for u in plant.input_labels],
+        outputs=list(plant.output_labels),
+        states=plant.state_labels,
+    )
+
+
+def two_degree_plant(
+    plant: control.StateSpace, references: Sequence[str], weights: TwoDegreeWeights
+) -> control.StateSpace:
+    """Generalised plant of the dual two-degree-of-freedom GS/T scheme (thesis Fig. 6.4, eq. 6.3).
+
+    Parameters
+    ----------
+    plant : control.StateSpace
+        Scaled, labelled plant.
+    references : sequence of str
+        Outputs that follow a reference.
+    weights : TwoDegreeWeights
+
+    Returns
+    -------
+    control.StateSpace
+        Inputs ``w_dbar[u]``, ``w_rbar[y]``, ``w_r[y]``, ``w_d[y]``, then the controls ``u``; outputs ``z_u[u]``,
+        ``z_y[y]``, then the measurements ``reference[y]`` and ``error[y]``.
+    """
+    y, u, ref = list(plant.output_labels), list(plant.input_labels), list(references)
+    unknown = [name for name in ref if name not in y]
+    if unknown:
+        raise MuflyError(f"scheme: reference {unknown[0]!r} is no output of the plant ({', '.join(y)})")
+    w = weights
+    blocks = [_inner_plant(plant)]
+    blocks += [w.input_disturbance.block(f"W_dbar[{i}]", f"Wdbar_in[{i}]", f"dbar[{i}]") for i in u]
+    blocks += [w.reference_rolloff.block(f"W_rbar[{i}]", f"Wrbar_in[{i}]", f"rbar[{i}]") for i in ref]
+    blocks += [w.model_matching.block(f"W_r[{i}]", f"Wr_in[{i}]", f"r[{i}]") for i in ref]
+    blocks += [w.reference_model.block(f"W_M[{i}]", f"WM_in[{i}]", f"model[{i}]") for i in ref]
+    blocks += [w.output_noise.block(f"W_d[{i}]", f"Wd_in[{i}]", f"d[{i}]") for i in y]
+    blocks += [w.control.block(f"W_u[{i}]", f"Wu_in[{i}]", f"z_u[{i}]") for i in u]
+    wiring: dict[str, dict[str, float]] = {}
+    for i in u:
+        wiring |= {f"plant[{i}]": {i: 1.0, f"dbar[{i}]": 1.0}, f"Wdbar_in[{i}]": {f"w_dbar[{i}]": 1.0}}
+        wiring[f"Wu_in[{i}]"] = {i: 1.0}
+    for i in ref:
+        wiring |= {f"Wrbar_in[{i}]": {f"w_rbar[{i}]": 1.0}, f"Wr_in[{i}]": {f"w_r[{i}]": 1.0}}
+        wiring |= {f"WM_in[{i}]": {f"r[{i}]": 1.0}, f"z_y[{i}]": {i: 1.0, f"model[{i}]": -1.0}}
+        wiring[f"reference[{i}]"] = {f"rbar[{i}]": 1.0, f"r[{i}]": 1.0}
+    shown = [i for i in y if i in ref or w.auxiliary != 0.0]
+    for i in y:
+        wiring |= {f"Wd_in[{i}]": {f"w_d[{i}]": 1.0}, f"error[{i}]": {f"d[{i}]": 1.0, i: -1.0}}
+        if i not in ref and i in shown:
+            wiring[f"z_y[{i}]"] = {i: w.auxiliary}
+    inputs = [f"w_dbar[{i}]" for i in u] + [f"w_rbar[{i}]" for i in ref] + [f"w_r[{i}]" for i in ref]
+    outputs = [f"z_u[{i}]" for i in u] + [f"z_y[{i}]" for i in shown]
+    return connect(
+        blocks,
+        wiring,
+        [*inputs, *(f"w_d[{i}]" for i in y), *u],
+        [*outputs, *(f"reference[{i}]" for i in ref), *(f"error[{i}]" for i in y)],
+    )
+
+
+def one_degree_plant(
+    plant: control.StateSpace, references: Sequence[str], weights: OneDegreeWeights
+) -> control.StateSpace:
+    """Generalised plant of the dual one-degree-of-freedom GS/T scheme (thesis Fig. 6.6, eq. 6.5).
+
+    Parameters
+    ----------
+    plant : control.StateSpace
+        Scaled, labelled plant.
+    references : sequence of str
+        Outputs with a reference; the others are auxiliary measurements, weighted by ``weights.auxiliary``.
+    weights : OneDegreeWeights
+
+    Returns
+    -------
+    control.StateSpace
+        Inputs ``w_v[u]``, ``w_r[y]``, then the controls ``u``; outputs ``z_u[u]``, ``z_y[y]``, then ``error[y]``.
+    """
+    y, u, ref = list(plant.output_labels), list(plant.input_labels), list(references)
+    w = weights
+    shown = [i for i in y if i in ref or w.auxiliary != 0.0]
+    blocks = [_inner_plant(plant)]
+    blocks += [w.input_disturbance.block(f"W_v[{i}]", f"Wv_in[{i}]", f"v[{i}]") for i in u]
+    blocks += [w.output_noise.block(f"W_r[{i}]", f"Wr_in[{i}]", f"r[{i}]") for i in y]
+    blocks += [w.control.block(f"W_u[{i}]", f"Wu_in[{i}]", f"z_u[{i}]") for i in u]
+    blocks += [w.output.block(f"W_y[{i}]", f"Wy_in[{i}]", f"z_y[{i}]") for i in shown]
+    wiring: dict[str, dict[str, float]] = {}
+    for i in u:
+        wiring |= {f"plant[{i}]": {i: 1.0, f"v[{i}]": 1.0}, f"Wv_in[{i}]": {f"w_v[{i}]": 1.0}, f"Wu_in[{i}]": {i: 1.0}}
+    for i in y:
+        wiring |= {f"Wr_in[{i}]": {f"w_r[{i}]": 1.0}, f"error[{i}]": {f"r[{i}]": 1.0, i: -1.0}}
+    for i in shown:
+        wiring[f"Wy_in[{i}]"] = {i: 1.0 if i in ref else w.auxiliary}
+    return connect(
+        blocks,
+        wiring,
+        [*(f"w_v[{i}]" for i in u), *(f"w_r[{i}]" for i in y), *u],
+        [*(f"z_u[{i}]" for i in u), *(f"z_y[{i}]" for i in shown), *(f"error[{i}]" for i in y)],
+    )
