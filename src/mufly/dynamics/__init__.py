@@ -1,0 +1,43 @@
+"""How does it move? Equations of motion, trim, linearisation, simulation, wind and ground."""
+
+from mufly.dynamics.ground import lowest_point, standing_height
+from mufly.dynamics.linearise import Linearisation, linearise
+from mufly.dynamics.model import battery_state, derivative
+from mufly.dynamics.parameters import GRAVITY, PARAMETERS, model_parameters
+from mufly.dynamics.simulate import DEFAULT_STEP_S, advance, advance_batch, simulate, state_dataset
+from mufly.dynamics.state import (
+    INPUT_SIZE,
+    STATE_SIZE,
+    euler_from_quaternion,
+    initial_state,
+    quaternion_from_euler,
+    rotation,
+)
+from mufly.dynamics.trim import Trim, trim
+from mufly.dynamics.wind import DrydenWind
+
+__all__ = [
+    "DEFAULT_STEP_S",
+    "GRAVITY",
+    "INPUT_SIZE",
+    "PARAMETERS",
+    "STATE_SIZE",
+    "DrydenWind",
+    "Linearisation",
+    "Trim",
+    "advance",
+    "advance_batch",
+    "battery_state",
+    "derivative",
+    "euler_from_quaternion",
+    "initial_state",
+    "linearise",
+    "lowest_point",
+    "model_parameters",
+    "quaternion_from_euler",
+    "rotation",
+    "simulate",
+    "standing_height",
+    "state_dataset",
+    "trim",
+]

@@ -1,0 +1,209 @@
+"""Fixed-step Runge-Kutta integration of the flight model: one vehicle, or a batch of them on all cores.
+
+Both run the same compiled step on the same memory layout, so a vehicle in a batch moves exactly as it does alone.
+After every step the attitude quaternion and the bar's normal are made unit again; the fourth-order method keeps
+them unit to about 1e-12 by itself at the default step.
+
+The default step of 1 ms resolves the fastest mode (swash plate, -1000 rad/s) with a stability margin of 2.8.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+from numba import njit, prange
+from numpy.typing import ArrayLike, NDArray
+
+from mufly.dynamics.model import battery_state, derivative
+from mufly.dynamics.parameters import model_parameters
+from mufly.dynamics.state import INPUT_SIZE, STATE_SIZE, euler_from_quaternion
+from mufly.errors import InputError
+from mufly.vehicle import Vehicle
+
+__all__ = ["DEFAULT_STEP_S", "advance", "advance_batch", "simulate", "state_dataset"]
+
+DEFAULT_STEP_S = 1e-3
+
+
+@njit(cache=True)
+def advance(x, u, wind, p, dt, steps):  # type: ignore[no-untyped-def]
+    """Integrate the state ``x`` in place over ``steps`` steps of ``dt`` with input and wind held.
+
+    Parameters
+    ----------
+    x : (21,) array
+        State; overwritten.
+    u : (4,) array
+        Motor upper, motor lower, servo 1, servo 2.
+    wind : (3,) array
+        N-E-D (m/s).
+    p : record of type ``PARAMETERS``
+    dt : float
+        Step (s).
+    steps : int
+    """
+    work = np.empty((5, x.shape[0]))
+    k1, k2, k3, k4, y = work[0], work[1], work[2], work[3], work[4]
+    for _ in range(steps):
+        derivative(x, u, wind, p, k1)
+        for i in range(x.shape[0]):
+            y[i] = x[i] + 0.5 * dt * k1[i]
+        derivative(y, u, wind, p, k2)
+        for i in range(x.shape[0]):
+            y[i] = x[i] + 0.5 * dt * k2[i]
+        derivative(y, u, wind, p, k3)
+        for i in range(x.shape[0]):
+            y[i] = x[i] + dt * k3[i]
+        derivative(y, u, wind, p, k4)
+        for i in range(x.shape[0]):
+            x[i] += dt / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
+        q = 1.0 / math.sqrt(x[6] * x[6] + x[7] * x[7] + x[8] * x[8] + x[9] * x[9])
+        for i in range(6, 10):
+            x[i] *= q
+        s = 1.0 / math.sqrt(x[15] * x[15] + x[16] * x[16] + x[17] * x[17])
+        for i in range(15, 18):
+            x[i] *= s
+        x[20] = max(x[20], 0.0)
+
+
+@njit(cache=True, parallel=True)
+def advance_batch(x, u, wind, p, dt, steps):  # type: ignore[no-untyped-def]
+    """Integrate ``n`` vehicles in place, on all cores; see :func:`advance`.
+
+    Parameters
+    ----------
+    x : (n, 21) array
+        States; overwritten.
+    u : (n, 4) array
+    wind : (n, 3) array
+    p : (n,) structured array of type ``PARAMETERS``
+        One record a vehicle.
+    dt : float
+        Step (s).
+    steps : int
+    """
+    for k in prange(x.shape[0]):
+        advance(x[k], u[k], wind[k], p[k], dt, steps)
+
+
+def simulate(
+    vehicle: Vehicle,
+    state: ArrayLike,
+    inputs: ArrayLike,
+    *,
+    duration_s: float,
+    sample_s: float = 0.01,
+    step_s: float = DEFAULT_STEP_S,
+    wind: ArrayLike = (0.0, 0.0, 0.0),
+    voltage: float | None = None,
+) -> xr.Dataset:
+    """Fly the model open loop.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    state : (21,) array_like
+        Where it starts; see :func:`mufly.dynamics.initial_state`.
+    inputs : (4,) or (n, 4) array_like
+        Motor upper, motor lower (0..1), servo 1, servo 2 (-1..1): one row for all the time, or a row for each
+        sample (the last one is held).
+    duration_s, sample_s, step_s : float
+        Length of the flight, time between samples, integration step (s).
+    wind : (3,) or (n, 3) array_like
+        Velocity of the air, N-E-D (m/s), likewise.
+    voltage : float, optional
+        Hold the battery at this voltage (V).
+
+    Returns
+    -------
+    xarray.Dataset
+        Over ``time``: ``truth_position``, ``truth_velocity``, ``truth_attitude``, ``truth_rates``,
+        ``truth_rotor_speed``, ``motor_input``, ``servo_input``, ``battery_voltage``, ``battery_charge``.
+
+    Raises
+    ------
+    InputError
+        If a time is not positive or an array has the wrong shape.
+    """
+    for name, value in (("duration_s", duration_s), ("sample_s", sample_s), ("step_s", step_s)):
+        if not (math.isfinite(value) and value > 0):
+            raise InputError("simulate", name, f"{value} s is not possible", "give a positive time")
+    p = model_parameters(vehicle, voltage)
+    x = _checked(state, (STATE_SIZE,), "state").copy()
+    samples = max(1, round(duration_s / sample_s))
+    steps = max(1, math.ceil(sample_s / step_s - 1e-9))
+    u = _per_sample(inputs, INPUT_SIZE, samples, "inputs")
+    w = _per_sample(wind, 3, samples, "wind")
+    states = np.empty((samples + 1, STATE_SIZE))
+    states[0] = x
+    for k in range(samples):
+        advance(x, u[k], w[k], p, sample_s / steps, steps)
+        states[k + 1] = x
+    return state_dataset(
+        np.arange(samples + 1, dtype=np.float64) * sample_s, states, np.vstack([u, u[-1:]]), p
+    )
+
+
+def _checked(array: ArrayLike, shape: Sequence[int], name: str) -> NDArray[np.float64]:
+    a = np.ascontiguousarray(array, dtype=np.float64)
+    if a.shape != tuple(shape):
+        raise InputError("simulate", name, f"has shape {a.shape}", f"give shape {tuple(shape)}")
+    if not np.all(np.isfinite(a)):
+        raise InputError("simulate", name, "holds NaN or infinity", "give finite numbers")
+    return a
+
+
+def _per_sample(array: ArrayLike, width: int, samples: int, name: str) -> NDArray[np.float64]:
+    a = np.atleast_2d(np.asarray(array, dtype=np.float64))
+    rows = a[np.minimum(np.arange(samples), len(a) - 1)]
+    return _checked(rows, (samples, width), name)
+
+
+def state_dataset(
+    time_s: NDArray[np.float64], states: NDArray[np.float64], inputs: NDArray[np.float64], p: np.void
+) -> xr.Dataset:
+    """Label a history of states: the names and units that every recording uses.
+
+    Parameters
+    ----------
+    time_s : (n,) array
+    states : (n, 21) array
+    inputs : (n, 4) array
+    p : record of type ``PARAMETERS``
+
+    Returns
+    -------
+    xarray.Dataset
+        Yaw is continuous over time.
+    """
+    attitude = euler_from_quaternion(states[:, 6:10])
+    attitude[:, 2] = np.unwrap(attitude[:, 2])
+    voltage = np.array([battery_state(s, u[0], u[1], p)[0] for s, u in zip(states, inputs, strict=True)])
+
+    def table(dim: str, values: NDArray[np.float64], unit: str, name: str) -> tuple[object, ...]:
+        return ("time", dim), values, {"units": unit, "long_name": name}
+
+    return xr.Dataset(
+        {
+            "truth_position": table("axis", states[:, 0:3], "m", "position"),
+            "truth_velocity": table("axis", states[:, 3:6], "m/s", "velocity"),
+            "truth_attitude": table("angle", attitude, "rad", "attitude"),
+            "truth_rates": table("rate", states[:, 10:13], "rad/s", "body rates"),
+            "truth_rotor_speed": table("rotor", states[:, 18:20], "rad/s", "rotor speed"),
+            "motor_input": table("rotor", inputs[:, 0:2], "1", "motor input"),
+            "servo_input": table("servo", inputs[:, 2:4], "1", "servo input"),
+            "battery_voltage": ("time", voltage, {"units": "V", "long_name": "battery voltage"}),
+            "battery_charge": ("time", states[:, 20], {"units": "1", "long_name": "battery charge"}),
+        },
+        coords={
+            "time": ("time", time_s, {"units": "s", "long_name": "time"}),
+            "axis": ["N", "E", "D"],
+            "angle": ["roll", "pitch", "yaw"],
+            "rate": ["p", "q", "r"],
+            "rotor": ["upper", "lower"],
+            "servo": [1, 2],
+        },
+    )

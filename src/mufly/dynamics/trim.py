@@ -1,0 +1,185 @@
+"""Trim: inputs, rotor speeds and attitude at which nothing accelerates.
+
+Unknowns: both rotor speeds, both motor inputs, both tilts of the lower rotor (through the servos), roll and pitch.
+Equations: the six accelerations and the two rotor accelerations of :func:`mufly.dynamics.model.derivative` vanish.
+In steady flight the stabiliser bar is square to the mast. Hover in closed form starts the search::
+
+    cT_up k_T Wu^2 + cT_dw k_T Wd^2 = m g + W_hub        cQ_up Wu^2 = cQ_dw Wd^2        (eq. 5.1)
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import root
+
+from mufly.dynamics.model import battery_state, derivative
+from mufly.dynamics.parameters import GRAVITY, model_parameters
+from mufly.dynamics.state import STATE_SIZE, initial_state
+from mufly.errors import InputError, MuflyError
+from mufly.vehicle import Vehicle
+
+__all__ = ["Trim", "trim"]
+
+
+@dataclass(frozen=True)
+class Trim:
+    """A steady flight condition.
+
+    Attributes
+    ----------
+    state : (21,) array
+        See :mod:`mufly.dynamics.state`; at the origin of N-E-D.
+    input : (4,) array
+        Motor upper, motor lower, servo 1, servo 2.
+    wind : (3,) array
+        N-E-D (m/s).
+    thrust_N, torque_Nm : (2,) array
+        Upper, lower rotor.
+    voltage_V, current_A, power_W : float
+        At the battery's terminals.
+    constant_voltage_V : float or None
+        The voltage held by the model, None if the vehicle's own battery model was used.
+    """
+
+    state: NDArray[np.float64]
+    input: NDArray[np.float64]
+    wind: NDArray[np.float64]
+    thrust_N: NDArray[np.float64]
+    torque_Nm: NDArray[np.float64]
+    voltage_V: float
+    current_A: float
+    power_W: float
+    constant_voltage_V: float | None
+
+    @property
+    def motor_input(self) -> NDArray[np.float64]:
+        """Upper, lower (0..1)."""
+        return self.input[0:2]
+
+    @property
+    def servo_input(self) -> NDArray[np.float64]:
+        """Servo 1, servo 2 (-1..1)."""
+        return self.input[2:4]
+
+    @property
+    def rotor_speed(self) -> NDArray[np.float64]:
+        """Upper, lower (rad/s)."""
+        return self.state[18:20]
+
+
+def trim(
+    vehicle: Vehicle,
+    *,
+    velocity: ArrayLike = (0.0, 0.0, 0.0),
+    wind: ArrayLike = (0.0, 0.0, 0.0),
+    heading: float = 0.0,
+    voltage: float | None = None,
+    charge: float | None = None,
+) -> Trim:
+    """Find the steady flight condition for a velocity: hover by default, or steady climb or translation.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    velocity, wind : (3,) array_like
+        N-E-D (m/s).
+    heading : float
+        Yaw angle (rad).
+    voltage : float, optional
+        Battery voltage held constant (V); the nominal voltage by default.
+    charge : float, optional
+        Use the vehicle's own battery model at this fraction of its charge instead.
+
+    Returns
+    -------
+    Trim
+
+    Raises
+    ------
+    MuflyError
+        If the vehicle is too heavy to hover, or no trim exists at this velocity.
+    """
+    velocity_, wind_ = np.asarray(velocity, np.float64), np.asarray(wind, np.float64)
+    if charge is not None and voltage is not None:
+        raise InputError("trim", "voltage", "given together with charge", "give one of them")
+    constant = None
+    if charge is None:
+        constant = float(vehicle.battery.nominal_voltage) if voltage is None else voltage
+    p = model_parameters(vehicle, constant)
+    charge_ = 1.0 if charge is None else charge
+
+    speed, duty, volts = _hover_estimate(p, charge_)
+    if np.any(duty > 1.0):
+        raise MuflyError(
+            f"{vehicle.name}: too heavy to hover: {p['mass'] * 1e3:.0f} g need motor inputs of "
+            f"{duty[0]:.2f} (upper) and {duty[1]:.2f} (lower) at {volts:.2f} V, at most 1 is possible; "
+            "lower body.mass, raise the battery voltage, or change rotors, gear or motors"
+        )
+
+    def build(unknown: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        upper, lower, motor_up, motor_dw, servo_1, servo_2, roll, pitch = unknown
+        x = initial_state(
+            position=(0.0, 0.0, -1e3),  # out of the floor's reach
+            velocity=velocity_,
+            attitude=(roll, pitch, heading),
+            rotor_speed=np.array([upper, lower]) * speed,
+            charge=charge_,
+        )
+        x[13], x[14] = p["swash_gain"] * servo_2, -p["swash_gain"] * servo_1
+        return x, np.array([motor_up, motor_dw, servo_1, servo_2])
+
+    rates = np.empty(STATE_SIZE)
+
+    def residual(unknown: NDArray[np.float64]) -> NDArray[np.float64]:
+        x, u = build(unknown)
+        derivative(x, u, wind_, p, rates)
+        return np.concatenate([rates[3:6] / GRAVITY, rates[10:13] / 100.0, rates[18:20] / 1000.0])
+
+    start = np.array([1.0, 1.0, duty[0], duty[1], 0.0, 0.0, 0.0, 0.0])
+    found = root(residual, start, method="hybr", options={"xtol": 1e-13})
+    x, u = build(found.x)
+    worst = float(np.max(np.abs(residual(found.x))))
+    if not worst < 1e-9 or np.any(u[:2] >= 1.0) or np.any(np.abs(u[2:]) > 1.0):
+        raise MuflyError(
+            f"{vehicle.name}: no steady flight at velocity {velocity_.tolist()} m/s in wind {wind_.tolist()} m/s "
+            f"within the inputs' range (motors {u[0]:.2f}, {u[1]:.2f}); ask for a lower speed or less wind"
+        )
+    x[2] = 0.0
+    volts, current = battery_state(x, u[0], u[1], p)
+    squares = x[18:20] ** 2
+    return Trim(
+        state=x,
+        input=u,
+        wind=wind_,
+        thrust_N=np.array([p["thrust_up"], p["thrust_dw"]]) * squares,
+        torque_Nm=np.array([p["torque_up"], p["torque_dw"]]) * squares,
+        voltage_V=float(volts),
+        current_A=float(current),
+        power_W=float(volts * current),
+        constant_voltage_V=constant,
+    )
+
+
+def _hover_estimate(
+    p: np.void, charge: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:  # fmt: skip
+    """Return rotor speeds, motor inputs (not limited to 1) and voltage in hover."""
+    ratio = p["torque_up"] / p["torque_dw"]  # (lower speed / upper speed)^2
+    load = p["mass"] * GRAVITY + p["downwash"]
+    upper = math.sqrt(load / (p["thrust_up"] + p["thrust_dw"] * ratio))
+    speed = np.array([upper, upper * math.sqrt(ratio)])
+    torque = np.array([p["torque_up"], p["torque_dw"]]) * speed**2
+    i = p["gear_ratio"]
+    current = (p["dR"] * speed + torque / (i * i * p["gear_efficiency"])) * i / p["kM"]
+    armature_voltage = current * p["R_ohm"] + p["kE"] * i * speed
+    # Motors draw armature_voltage * current of power; solve U (U_oc - U) / R_bat = power + U I_el for U.
+    open_circuit = float(np.interp(charge, np.linspace(0, 1, len(p["battery_curve"])), p["battery_curve"]))
+    r = p["battery_resistance"]
+    drive_power = float(np.sum(armature_voltage * current))
+    source = open_circuit - r * p["electronics_current"]
+    voltage = source / 2 + math.sqrt(max(source * source / 4 - r * drive_power, 0.0))
+    return speed, armature_voltage / voltage, voltage
