@@ -27,7 +27,8 @@ from mufly.vehicle import Vehicle
 
 __all__ = ["Linearisation", "linearise"]
 
-STATES = ["x", "y", "z", "u", "v", "w", "phi", "theta", "psi", "p", "q", "r", "a_dw", "b_dw", "bar_roll", "bar_pitch", "Omega_dw", "Omega_up", "charge"]
+STATES = ["x", "y", "z", "u", "v", "w", "phi", "theta", "psi", "p", "q", "r", "a_dw", "b_dw"]
+STATES += ["bar_roll", "bar_pitch", "Omega_dw", "Omega_up", "charge"]
 INPUTS = ["motor_lower", "motor_upper", "servo_1", "servo_2"]
 _SCALE = np.array([1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 400, 400, 1], dtype=np.float64)
 _RELATIVE_STEP = 1e-5

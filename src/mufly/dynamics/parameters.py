@@ -6,7 +6,7 @@ batch of different vehicles.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -164,5 +164,4 @@ def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
     record = np.zeros((), dtype=PARAMETERS)
     for name, value in values.items():
         record[name] = value
-    result: np.void = record[()]
-    return result
+    return cast(np.void, record[()])
