@@ -16,8 +16,9 @@ import orjson
 from numpy.typing import NDArray
 
 from mufly.flight import scene
+from mufly.flight.layout import Event, Layout
 from mufly.flight.mcap_file import McapFile
-from mufly.flight.recording import CLOCK_TOPIC, EVENT_TOPIC, LEVELS, Event, Layout
+from mufly.flight.recording import CLOCK_TOPIC, EVENT_TOPIC, LEVELS
 
 __all__ = ["Encoder"]
 
@@ -80,7 +81,8 @@ class Encoder:
             for time_ns, row, state in zip(times, numbers, states, strict=True):
                 line = join((b'{"time":', row[0], b',"state":', names[state], b"}"))
                 out.append((self._clock, time_ns, line))
-            self._poses(out, rows, times)
+            with np.errstate(over="ignore", invalid="ignore"):  # absurd numbers are recorded, not drawn
+                self._poses(out, rows, times)
         for event in events:
             time_ns = self._start + round(event.time_s * 1e9)
             content = {

@@ -29,6 +29,7 @@ from mufly.flight.recording import (
     METADATA_OUTCOME,
     Event,
     Layout,
+    seal,
     standard_layout,
     to_dataset,
 )
@@ -112,8 +113,8 @@ class Recorder:
             raise InputError(str(path), "", problem, "choose another folder") from error
         self._file = McapFile(self._stream, f"mufly {self._attributes.get('version', '')}".strip())
         self._encoder = Encoder(self._file, self.layout, self.start_time_ns)
-        self._file.write_metadata(METADATA_FLIGHT, values)
-        self._file.write_metadata(METADATA_LAYOUT, {"layout": self.layout.to_json()})
+        self._file.write_metadata(METADATA_FLIGHT, seal(values))
+        self._file.write_metadata(METADATA_LAYOUT, seal({"layout": self.layout.to_json()}))
         for name, content in attachments.items():
             data = content.encode() if isinstance(content, str) else bytes(content)
             self._file.write_attachment(name, "text/plain", data, self.start_time_ns)
@@ -153,7 +154,8 @@ class Recorder:
             return
         try:
             self._roll(np.inf)
-            self._file.write_metadata(METADATA_OUTCOME, _json_values(str(self._path), self._outcome))
+            outcome = _json_values(str(self._path), self._outcome)
+            self._file.write_metadata(METADATA_OUTCOME, seal(outcome))
             self._file.finish()
         except OSError as error:
             raise self._write_error(error) from error

@@ -1,25 +1,17 @@
 """A recording: a labelled table on a clock, in memory, on disk and as CSV.
 
-One table (:data:`QUANTITIES`) says which quantities a flight has, in which unit, over which labels, and in
-which topic of the file they travel. The writer (:mod:`mufly.flight.recorder`), the schemas inside the file,
-the reader and the column headers of the CSV all derive from it, and the file carries its own copy, so that a
-recording stays readable when the table grows.
-
-In memory a flight is a row of float64 values every sampling instant: column 0 is the time (s), the others are
-the quantities in the order of the table. :func:`to_dataset` gives those columns their names, and
-:func:`read_recording` returns the same :class:`xarray.Dataset` from a file, equal to the last bit.
-JSON has no NaN and no infinity: both are written ``null`` and come back as NaN.
+:mod:`mufly.flight.layout` says what the columns of a flight are. :func:`to_dataset` gives them their names, and
+:func:`read_recording` returns the same :class:`xarray.Dataset` from a file, equal to the last bit. JSON has no NaN
+and no infinity: both are written ``null`` and come back as NaN.
 """
 
 from __future__ import annotations
 
 import csv
+import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from functools import cached_property
-from itertools import groupby
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import orjson
@@ -27,6 +19,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
+from mufly.flight.layout import QUANTITIES, Event, Layout, Quantity, standard_layout
 from mufly.flight.mcap_file import McapContents, read_mcap
 
 __all__ = [
@@ -49,137 +42,6 @@ METADATA_FLIGHT = "mufly.flight"
 METADATA_LAYOUT = "mufly.layout"
 METADATA_OUTCOME = "mufly.outcome"
 LEVELS = {"info": 2, "warning": 3, "error": 4}  # of foxglove.Log
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """One quantity of a recording.
-
-    Attributes
-    ----------
-    name : str
-        Variable of the dataset (``truth_position``).
-    topic, field : str
-        Where it travels in the file (``/truth``, ``position``).
-    dim : str or None
-        Its labelled dimension besides time (see :data:`LABELS`), None for a scalar.
-    units, long_name : str
-        Written to the variable's attributes, the schema and the CSV header; ``"1"`` is a pure number.
-    """
-
-    name: str
-    topic: str
-    field: str
-    dim: str | None
-    units: str
-    long_name: str
-
-
-LABELS: dict[str, tuple[str, ...] | tuple[int, ...]] = {
-    "axis": ("N", "E", "D"),
-    "angle": ("roll", "pitch", "yaw"),
-    "rate": ("p", "q", "r"),
-    "rotor": ("upper", "lower"),
-    "servo": (1, 2),
-}
-"""Labels of every dimension but ``beam``, which counts from 0."""
-
-_cg = "of the centre of gravity"
-QUANTITIES: tuple[Quantity, ...] = (
-    Quantity("truth_position", "/truth", "position", "axis", "m", f"true position {_cg}"),
-    Quantity("truth_velocity", "/truth", "velocity", "axis", "m/s", f"true velocity {_cg}"),
-    Quantity("truth_attitude", "/truth", "attitude", "angle", "rad", "true attitude"),
-    Quantity("truth_rates", "/truth", "rates", "rate", "rad/s", "true body rates"),
-    Quantity("truth_rotor_speed", "/truth", "rotor_speed", "rotor", "rad/s", "true rotor speed"),
-    Quantity("wind", "/truth", "wind", "axis", "m/s", "velocity of the air"),
-    Quantity("measured_position", "/measured", "position", "axis", "m", f"measured position {_cg}"),
-    Quantity("measured_velocity", "/measured", "velocity", "axis", "m/s", f"measured velocity {_cg}"),
-    Quantity("measured_attitude", "/measured", "attitude", "angle", "rad", "measured attitude"),
-    Quantity("measured_rates", "/measured", "rates", "rate", "rad/s", "measured body rates"),
-    Quantity("reference_position", "/reference", "position", "axis", "m", "reference position"),
-    Quantity("reference_velocity", "/reference", "velocity", "axis", "m/s", "reference velocity"),
-    Quantity("reference_attitude", "/reference", "attitude", "angle", "rad", "commanded attitude"),
-    Quantity("motor_input", "/actuators", "motor_input", "rotor", "1", "motor input, 0 to 1"),
-    Quantity("servo_input", "/actuators", "servo_input", "servo", "1", "servo input, -1 to 1"),
-    Quantity("battery_voltage", "/battery", "voltage", None, "V", "battery terminal voltage"),
-    Quantity("battery_current", "/battery", "current", None, "A", "battery current"),
-    Quantity("battery_charge", "/battery", "charge", None, "1", "battery charge left, 0 to 1"),
-    Quantity("range", "/ranges", "range", "beam", "m", "distance to the nearest obstacle along a beam"),
-)
-"""The table: what a recording holds, in the order of its columns (column 0 is the time)."""
-
-
-class Event(NamedTuple):
-    """Something that happened: time (s), mission state entered or held, text, level (info, warning, error)."""
-
-    time_s: float
-    state: str
-    text: str
-    level: str = "info"
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Which column of a row holds what.
-
-    Attributes
-    ----------
-    quantities : tuple of Quantity
-        In the order of the columns; those of one topic stand together.
-    beams : int
-        Number of range beams.
-    """
-
-    quantities: tuple[Quantity, ...]
-    beams: int
-
-    def __post_init__(self) -> None:
-        if list(self.topics) != [topic for topic, _ in groupby(q.topic for q in self.quantities)]:
-            raise ValueError("the quantities of a topic must stand together")
-
-    def labels(self, quantity: Quantity) -> tuple[str, ...] | tuple[int, ...]:
-        """Labels along the quantity's dimension; empty for a scalar."""
-        if quantity.dim is None:
-            return ()
-        return tuple(range(self.beams)) if quantity.dim == "beam" else LABELS[quantity.dim]
-
-    @cached_property
-    def columns(self) -> dict[str, slice]:
-        """Columns of each variable in a row, ``{"truth_position": slice(1, 4), ...}``; time is column 0."""
-        found: dict[str, slice] = {}
-        first = 1
-        for quantity in self.quantities:
-            width = len(self.labels(quantity)) if quantity.dim else 1
-            found[quantity.name] = slice(first, first + width)
-            first += width
-        return found
-
-    @cached_property
-    def width(self) -> int:
-        """Number of columns of a row, the time included."""
-        return max((part.stop for part in self.columns.values()), default=1)
-
-    @cached_property
-    def topics(self) -> dict[str, tuple[Quantity, ...]]:
-        """The quantities of each topic, in order."""
-        names = dict.fromkeys(quantity.topic for quantity in self.quantities)
-        return {name: tuple(q for q in self.quantities if q.topic == name) for name in names}
-
-    def to_json(self) -> str:
-        """Text form, kept inside every recording."""
-        content = {"beams": self.beams, "quantities": [asdict(q) for q in self.quantities]}
-        return orjson.dumps(content).decode()
-
-    @classmethod
-    def from_json(cls, text: str) -> Layout:
-        """Inverse of :meth:`to_json`."""
-        content = orjson.loads(text)
-        return cls(tuple(Quantity(**q) for q in content["quantities"]), int(content["beams"]))
-
-
-def standard_layout(beams: int = 8) -> Layout:
-    """Layout of the rows of a flight with ``beams`` range beams (see :data:`QUANTITIES`)."""
-    return Layout(QUANTITIES, beams)
 
 
 def to_dataset(
@@ -258,22 +120,41 @@ def read_recording(path: str | Path) -> xr.Dataset:
     """
     where = str(path)
     contents = read_mcap(path)
-    try:
-        layout = Layout.from_json(contents.metadata[METADATA_LAYOUT]["layout"])
-        flight = contents.metadata[METADATA_FLIGHT] | contents.metadata.get(METADATA_OUTCOME, {})
-    except KeyError:
+    if METADATA_LAYOUT not in contents.metadata or METADATA_FLIGHT not in contents.metadata:
         remedy = "give a file written by mufly (its metadata say so)"
-        raise InputError(where, "", "is an MCAP file, but no recording of mufly", remedy) from None
-    except (ValueError, TypeError) as error:
-        raise InputError(
-            where, METADATA_LAYOUT, f"cannot be read ({error})", "the file is damaged"
-        ) from error
+        raise InputError(where, "", "is an MCAP file, but no recording of mufly", remedy)
+    try:
+        layout = Layout.from_json(unseal(contents.metadata[METADATA_LAYOUT])["layout"])
+        attributes = _attributes(contents.metadata[METADATA_FLIGHT])
+    except (KeyError, TypeError, ValueError) as error:
+        problem = f"the description at its beginning is damaged ({error})"
+        raise InputError(where, "", problem, "no remedy but another copy of the file") from error
+    attributes["complete"] = contents.complete
+    try:
+        attributes |= _attributes(contents.metadata.get(METADATA_OUTCOME, seal({})))
+    except (KeyError, TypeError, ValueError):
+        attributes["complete"] = False
     rows, states = _rows(contents, layout)
     if not states:
         raise InputError(where, "", "holds no rows", "the flight ended before its first row was on disk")
-    attributes = {key: orjson.loads(value) for key, value in flight.items()}
-    attributes["complete"] = contents.complete
     return to_dataset(rows, states, layout, attributes=attributes, events=_events(contents))
+
+
+def seal(texts: Mapping[str, str]) -> dict[str, str]:
+    """Add a checksum: MCAP protects chunks, but not metadata."""
+    return {**texts, "crc32": str(zlib.crc32(orjson.dumps(dict(texts), option=orjson.OPT_SORT_KEYS)))}
+
+
+def unseal(texts: Mapping[str, str]) -> dict[str, str]:
+    """Inverse of :func:`seal`; ValueError if the checksum is wrong."""
+    content = {key: value for key, value in texts.items() if key != "crc32"}
+    if seal(content) != texts:
+        raise ValueError("wrong checksum")
+    return content
+
+
+def _attributes(texts: Mapping[str, str]) -> dict[str, Any]:
+    return {key: orjson.loads(value) for key, value in unseal(texts).items()}
 
 
 def _rows(contents: McapContents, layout: Layout) -> tuple[NDArray[np.float64], list[str]]:
@@ -297,8 +178,8 @@ def _rows(contents: McapContents, layout: Layout) -> tuple[NDArray[np.float64], 
                     row += value if dim == "beam" else value.values()
             part.append(row)
         table.append(part)
-    blocks = [np.array(part[:n], dtype=np.float64).reshape(n, -1) for part in table]  # None becomes NaN
-    return np.hstack(blocks), [entry["state"] for entry in clock[:n]]
+    blocks = [np.array(part[:n], dtype=np.float64) for part in table if n]  # None becomes NaN
+    return np.hstack(blocks) if n else np.empty((0, layout.width)), [entry["state"] for entry in clock[:n]]
 
 
 def _events(contents: McapContents) -> list[Event]:

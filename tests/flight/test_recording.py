@@ -1,0 +1,191 @@
+"""Names, layout, reader and CSV."""
+
+import csv
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mufly.errors import InputError
+from mufly.flight.mcap_file import McapFile
+from mufly.flight.recorder import Recorder
+from mufly.flight.recording import (
+    QUANTITIES,
+    Layout,
+    events_of,
+    read_recording,
+    standard_layout,
+    to_csv,
+    to_dataset,
+)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory, short_flight):
+    """A finished recording of six seconds, its bytes, and where its chunks of rows end."""
+    path = tmp_path_factory.mktemp("recorded") / "flight.mcap"
+    chunk_ends = []
+    with Recorder(path, {"vehicle": "mufly-1.1"}, layout=short_flight.layout) as recorder:
+        for k, (row, state) in enumerate(zip(short_flight.rows, short_flight.states, strict=True)):
+            before = path.stat().st_size
+            recorder.append(row, state)
+            if path.stat().st_size > before:
+                chunk_ends.append((path.stat().st_size, k))
+        recorder.finish("succeeded")
+    return path.read_bytes(), chunk_ends
+
+
+def test_the_columns_follow_the_table_without_gaps():
+    layout = standard_layout(5)
+    following = 1
+    for quantity in QUANTITIES:
+        part = layout.columns[quantity.name]
+        assert part.start == following
+        following = part.stop
+    assert layout.width == following
+    assert layout.columns["range"] == slice(layout.width - 5, layout.width)
+
+
+def test_the_layout_survives_as_text():
+    layout = standard_layout(3)
+    assert Layout.from_json(layout.to_json()) == layout
+
+
+def test_a_torn_topic_is_refused():
+    first, *rest = QUANTITIES
+    with pytest.raises(ValueError, match="stand together"):
+        Layout((*rest, first), 8)
+
+
+def test_the_dataset_has_the_contracts_names_dims_and_units(flight):
+    data = flight.dataset()
+    assert data.truth_position.dims == ("time", "axis")
+    assert data.measured_attitude.dims == ("time", "angle")
+    assert data.truth_rates.dims == ("time", "rate")
+    assert data.truth_rotor_speed.dims == ("time", "rotor")
+    assert data.servo_input.dims == ("time", "servo")
+    assert data.range.dims == ("time", "beam")
+    assert data.battery_voltage.dims == ("time",)
+    assert data.axis.values.tolist() == ["N", "E", "D"]
+    assert data.rotor.values.tolist() == ["upper", "lower"]
+    assert data.truth_velocity.attrs["units"] == "m/s"
+    assert data.truth_position.sel(axis="D").values == pytest.approx(flight.rows[:, 3])
+    assert all("long_name" in variable.attrs for name, variable in data.items() if "event" not in name)
+    assert events_of(data) == flight.events
+
+
+def test_a_cut_at_any_byte_loses_at_most_the_last_second(tmp_path, recorded, short_flight):
+    data, chunk_ends = recorded
+    path = tmp_path / "cut.mcap"
+
+    @settings(max_examples=150, deadline=None)
+    @given(st.integers(0, len(data) - 1))
+    def check(size):
+        path.write_bytes(data[:size])
+        whole = [rows for end, rows in chunk_ends if end <= size]
+        if not whole:
+            # Nothing but the file's head, or a first chunk without its index, which may do already.
+            try:
+                read_recording(path)
+            except InputError:
+                return
+        back = read_recording(path)
+        assert back.attrs["complete"] is False
+        assert back.attrs["vehicle"] == "mufly-1.1"
+        n = back.sizes["time"]
+        assert n >= (whole[-1] if whole else 1)
+        np.testing.assert_array_equal(back.time, short_flight.rows[:n, 0])
+        np.testing.assert_array_equal(
+            back.servo_input, short_flight.rows[:n, short_flight.layout.columns["servo_input"]]
+        )
+
+    check()
+
+
+def test_the_chunks_of_the_test_above_are_a_second_long(recorded, short_flight):
+    times = [short_flight.rows[rows, 0] for _, rows in recorded[1]]
+    assert np.diff(times) == pytest.approx(1.0)
+    assert len(times) == 5
+
+
+def test_a_wrong_byte_anywhere_never_gives_wrong_numbers(tmp_path, recorded, short_flight):
+    data, _ = recorded
+    path = tmp_path / "bad.mcap"
+
+    @settings(max_examples=150, deadline=None)
+    @given(st.integers(8, len(data) - 1), st.integers(1, 255))
+    def check(place, change):
+        damaged = bytearray(data)
+        damaged[place] ^= change
+        path.write_bytes(damaged)
+        try:
+            back = read_recording(path)
+        except InputError:
+            return
+        n = back.sizes["time"]
+        for name, columns in short_flight.layout.columns.items():
+            stored = back[name].values.reshape(n, -1)
+            np.testing.assert_array_equal(stored, short_flight.rows[:n, columns])
+        assert back.attrs["vehicle"] == "mufly-1.1"
+        assert back.attrs.get("outcome", "succeeded") == "succeeded"
+
+    check()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "is empty"),
+        (b"time,north\n0,1\n", "is not an MCAP file"),
+        (b"\x89MCAP0\r\n", "no recording of mufly"),
+    ],
+)
+def test_what_is_no_recording_is_refused_in_one_line(tmp_path, content, message):
+    path = tmp_path / "flight.mcap"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=message) as refusal:
+        read_recording(path)
+    assert str(path) in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(InputError, match="cannot be read"):
+        read_recording(tmp_path / "none.mcap")
+
+
+def test_another_programs_mcap_is_refused(tmp_path):
+    path = tmp_path / "other.mcap"
+    with path.open("wb") as stream:
+        file = McapFile(stream, "other")
+        file.write_chunk([(file.add_channel("/x", "x", b"{}"), 0, b"{}")])
+        file.finish()
+    with pytest.raises(InputError, match="no recording of mufly"):
+        read_recording(path)
+
+
+def test_a_recording_without_rows_is_refused(tmp_path):
+    with Recorder(tmp_path / "flight.mcap"):
+        pass
+    with pytest.raises(InputError, match="holds no rows"):
+        read_recording(tmp_path / "flight.mcap")
+
+
+def test_csv_has_units_and_every_digit(tmp_path, short_flight):
+    rows = short_flight.rows.copy()
+    rows[4, short_flight.layout.columns["battery_current"]] = np.nan
+    data = to_dataset(rows, short_flight.states, short_flight.layout)
+    with to_csv(data, tmp_path / "flight.csv").open(encoding="utf-8") as stream:
+        header, *lines = csv.reader(stream)
+    assert header[:2] == ["time [s]", "truth_position_N [m]"]
+    assert {"truth_attitude_yaw [rad]", "truth_rates_r [rad/s]", "motor_input_upper", "servo_input_2"} < set(
+        header
+    )
+    assert {"range_7 [m]", "battery_voltage [V]", "battery_charge", "mission_state"} < set(header)
+    assert len(lines) == len(rows)
+    column = header.index("battery_current [A]")
+    assert lines[4][column] == ""
+    back = np.array([[float(cell or "nan") for cell in line[:-1]] for line in lines])
+    np.testing.assert_array_equal(back, rows)
+    assert [line[-1] for line in lines] == short_flight.states
