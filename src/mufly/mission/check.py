@@ -1,0 +1,239 @@
+"""Is the mission possible? Geometry against obstacles, time against the battery; asked before take-off.
+
+The helicopter hovers most of the time, so the charge that a mission takes is the hover current times the time of its
+reference trajectories and waits. Climbing at v_c adds m g v_c to the power: 0.5 W of 30 W for muFly at 0.5 m/s, left
+out like the savings of forward flight and descent. The `usable` fraction of the charge has to cover all that.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.errors import InputError
+from mufly.mission.plan import SLOW_FROM_M, SPIN_UP_S, legs
+from mufly.mission.schema import LOWEST_M, Mission
+from mufly.world import World, distance, distances
+
+__all__ = ["Estimate", "check_geometry", "check_mission"]
+
+MARGIN_M = 0.1
+"""Waypoints keep this much more than the clearance from obstacles (m), so that avoiding one still reaches them."""
+
+_FLOOR_COLUMN = -0.05
+
+
+def check_geometry(mission: Mission, where: str) -> None:
+    """Refuse waypoints under the floor, in or too near an obstacle, and ways that the beams cannot make safe.
+
+    Obstacles on a level leg are allowed where the beams can see them. Climbs, descents, take-off and landing have to
+    be free, since the beams look sideways only; and a leg must not pass closely over or under an obstacle.
+
+    Parameters
+    ----------
+    mission : Mission
+        To be checked.
+    where : str
+        File that an error names.
+
+    Raises
+    ------
+    InputError
+        Naming the key, the obstacle and what would be right.
+    """
+    if not mission.waypoint:
+        raise InputError(where, "waypoint", "the mission has no waypoint", "add at least one [[waypoint]]")
+    clear = mission.avoidance.clearance_m
+    world = mission.world
+    for i, waypoint in enumerate(mission.waypoint):
+        key, (n, e, d) = f"waypoint[{i + 1}].position_m", waypoint.position_m
+        if d > -LOWEST_M:
+            what = "under the floor" if d > 0.0 else "on the floor" if d == 0.0 else "too low to fly"
+            raise InputError(
+                where,
+                key,
+                f"[{n:g}, {e:g}, {d:g}] is {what}",
+                f"D counts downward: give a D of at most {-LOWEST_M:g}",
+            )
+        least, name = distance(world, waypoint.position_m)
+        if least < clear + MARGIN_M:
+            raise InputError(
+                where,
+                key,
+                f"[{n:g}, {e:g}, {d:g}] is {_beside(least, name)}",
+                f"keep {clear + MARGIN_M:.2f} m from obstacles (avoidance.clearance_m + {MARGIN_M:g})",
+            )
+    start = np.array([*mission.start_m, _FLOOR_COLUMN])
+    _check_column(mission, where, "start_m", start, -mission.take_off.height_m, "the take-off")
+    for leg in legs(mission):
+        key = f"waypoint[{leg.number}].position_m"
+        way = leg.trajectory
+        track = np.array([way.at(float(t)).position for t in np.linspace(way.gate_s, way.duration_s, 200)])
+        if way.curve is None:
+            begin = np.array(way.start)
+            _check_column(mission, where, key, begin, way.goal[2], "the change of height before it")
+        elif track[:, 2].max() > -LOWEST_M:
+            raise InputError(
+                where,
+                key,
+                f"the spline to it swings down to a height of {-track[:, 2].max():.2f} m",
+                f'keep it above {LOWEST_M:g} m, or use path.kind = "straight"',
+            )
+        _check_unseen(mission, where, key, track)
+    last = f"waypoint[{len(mission.waypoint)}].position_m"
+    end = np.array(mission.waypoint[-1].position_m)
+    _check_column(mission, where, last, end, _FLOOR_COLUMN, "the landing")
+
+
+def _beside(least: float, name: str) -> str:
+    if least >= 0.0:
+        return f"{least:.2f} m from the {name}"
+    return f"beyond the {name}" if name.endswith(" wall") or name == "ceiling" else f"inside the {name}"
+
+
+def _check_column(
+    mission: Mission, where: str, key: str, position: NDArray[np.float64], to: float, what: str
+) -> None:
+    count = max(2, math.ceil(abs(to - position[2]) / 0.05) + 1)
+    column = np.tile(position, (count, 1))
+    column[:, 2] = np.linspace(position[2], to, count)
+    least, which = distances(mission.world, column)
+    k = int(np.argmin(least))
+    if least[k] < mission.avoidance.clearance_m:
+        n, e, d = column[k]
+        raise InputError(
+            where,
+            key,
+            f"{what} passes [{n:g}, {e:g}, {d:.2f}], {_beside(least[k], mission.world.names[which[k]])}",
+            f"keep {mission.avoidance.clearance_m:g} m from obstacles (avoidance.clearance_m)",
+        )
+
+
+def _check_unseen(mission: Mission, where: str, key: str, track: NDArray[np.float64]) -> None:
+    """Obstacles whose top or foot the track passes closely: level beams go over or under them."""
+    world = mission.world
+    spans = [(b.name, b.centre[2] - 0.5 * b.size[2], b.centre[2] + 0.5 * b.size[2]) for b in world.boxes]
+    spans += [(c.name, -c.foot - c.height, -c.foot) for c in world.cylinders]
+    clear = mission.avoidance.clearance_m
+    for k, (name, top, foot) in enumerate(spans):
+        one = (
+            World(world.boxes[k : k + 1])
+            if k < len(world.boxes)
+            else World((), (world.cylinders[k - len(world.boxes)],))
+        )
+        near = distances(one, track)[0] < clear
+        missed = near & ((track[:, 2] < top + _SEEN_M) | (track[:, 2] > foot - _SEEN_M) & (foot < 0.0))
+        if missed.any():
+            height = -track[missed][0, 2]
+            raise InputError(
+                where,
+                key,
+                f"the way to it, at a height of {height:.2f} m, passes the {name} (from {-foot:.2f} m to {-top:.2f} m "
+                "high) where the level beams do not see it well",
+                f"pass its top or foot by {clear:g} m or more, or well within its height",
+            )
+
+
+_SEEN_M = 0.15
+"""How far inside an obstacle's height a beam has to be to hit it in spite of the tilt of a flying helicopter (m)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What a mission takes, as planned.
+
+    Attributes
+    ----------
+    duration_s : float
+        From the start signal to touchdown (s).
+    path_m : float
+        Length of the reference from lift-off to touchdown (m).
+    charge_Ah, fraction : float
+        Charge used, and as a fraction of the battery's.
+    """
+
+    duration_s: float
+    path_m: float
+    charge_Ah: float
+    fraction: float
+
+
+def check_mission(
+    mission: Mission, *, hover_current_A: float, capacity_Ah: float, where: str = ""
+) -> Estimate:
+    """Estimate time and charge of a mission and refuse it if the battery does not last.
+
+    Parameters
+    ----------
+    mission : Mission
+        Already checked for geometry.
+    hover_current_A : float
+        Battery current in hover (A), electronics included.
+    capacity_Ah : float
+        Charge of the full battery (A h); ``battery.usable`` of it may be planned with.
+    where : str
+        File that an error names; the mission's name by default.
+
+    Returns
+    -------
+    Estimate
+        Time, length and charge.
+
+    Raises
+    ------
+    InputError
+        Naming the height of take-off or the first waypoint, its wait or the landing that the charge does not reach.
+    """
+    where = where or mission.name
+    limits = mission.trajectory_limits
+    lasts = 3600.0 * mission.battery.usable * capacity_Ah / hover_current_A
+    remedy = (
+        f"the battery lasts {lasts:.0f} s ({mission.battery.usable:.0%} of {capacity_Ah * 1000:.0f} mA h at "
+        f"{hover_current_A:.1f} A): "
+    )
+
+    def down(height: float) -> float:
+        slow = min(height, SLOW_FROM_M)
+        return (height - slow) / limits.descent + slow / mission.limits.touchdown_m_s + 2.0
+
+    height = mission.take_off.height_m
+    up = SPIN_UP_S + height / limits.climb
+    if up + down(height) > lasts:
+        raise InputError(
+            where,
+            "take_off.height_m",
+            f"{height:g} m is out of reach: up and down takes {up + down(height):.0f} s",
+            remedy + "take off lower",
+        )
+    length = height
+    time = up
+    for leg, waypoint in zip(legs(mission), mission.waypoint, strict=True):
+        key = f"waypoint[{leg.number}]"
+        landing = down(-waypoint.position_m[2])
+        rise = abs(waypoint.position_m[2] - leg.trajectory.start[2])
+        if leg.reached_s + landing > lasts:
+            vertical = rise > leg.trajectory.way.way
+            raise InputError(
+                where,
+                f"{key}.position_m",
+                f"{waypoint.position_m[2]:g} m (D) is out of reach"
+                if vertical
+                else f"is out of reach: getting there and down takes {leg.reached_s + landing:.0f} s",
+                remedy + ("fly lower" if vertical else "fly less far, faster, or wait less before it"),
+            )
+        if leg.left_s + landing > lasts:
+            raise InputError(
+                where,
+                f"{key}.wait_s",
+                f"{waypoint.wait_s:g} is too long: the mission up to here and down takes "
+                f"{leg.left_s + landing:.0f} s",
+                remedy + "wait less",
+            )
+        time = leg.left_s + landing
+        length += leg.length_m
+    length -= mission.waypoint[-1].position_m[2]
+    charge = time * hover_current_A / 3600.0
+    return Estimate(time, length, charge, charge / capacity_Ah)

@@ -1,0 +1,247 @@
+"""What a mission file may say.
+
+Lengths in metres, N-E-D from a point on the floor, so heights above the floor are negative D. Every key carries its
+unit. `docs/missions.md` explains each one; a test holds that page and these models together.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, Strict
+
+from mufly.mission.trajectory import Limits as TrajectoryLimits
+from mufly.world import Box, Cylinder, Room, World, wall
+
+__all__ = ["Mission", "Waypoint"]
+
+Number = Annotated[float, Strict()]
+Positive = Annotated[float, Strict(), Field(gt=0.0)]
+Triple = tuple[Number, Number, Number]
+Pair = tuple[Number, Number]
+
+LOWEST_M = 0.2
+"""Least height of a waypoint above the floor (m): the legs and the ground's influence end below it."""
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class TakeOff(_Table):
+    """The first part of every mission."""
+
+    height_m: float = Field(default=1.0, ge=LOWEST_M, le=50.0, strict=True, description="height to climb to")
+    wait_s: float = Field(default=2.5, ge=0.0, le=3600.0, strict=True, description="wait there")
+
+
+class Waypoint(_Table):
+    """One place to fly to."""
+
+    position_m: Triple = Field(description="N, E, D; heights above the floor are negative D")
+    wait_s: float = Field(default=0.0, ge=0.0, le=3600.0, strict=True, description="wait once it is reached")
+    heading_deg: float | None = Field(
+        default=None,
+        ge=-360.0,
+        le=360.0,
+        strict=True,
+        description="heading on the way and there, from north to east; without it the nose points along the way",
+    )
+
+
+class Limits(_Table):
+    """What the trajectories may ask for."""
+
+    speed_m_s: float = Field(default=0.6, gt=0.0, le=3.0, strict=True, description="horizontal speed")
+    climb_m_s: float = Field(default=0.5, gt=0.0, le=2.0, strict=True, description="rate of climb")
+    descent_m_s: float = Field(default=0.4, gt=0.0, le=1.0, strict=True, description="rate of descent")
+    touchdown_m_s: float = Field(
+        default=0.15,
+        gt=0.02,
+        le=0.25,
+        strict=True,
+        description="rate of descent over the last 0.4 m before the floor",
+    )
+    acceleration_m_s2: float = Field(default=0.4, gt=0.0, le=2.0, strict=True, description="acceleration")
+    yaw_rate_deg_s: float = Field(default=60.0, gt=0.0, le=360.0, strict=True, description="rate of turn")
+    yaw_acceleration_deg_s2: float = Field(
+        default=90.0, gt=0.0, le=1000.0, strict=True, description="acceleration of a turn"
+    )
+    reach_m: float = Field(
+        default=0.05, ge=0.01, le=1.0, strict=True, description="a waypoint counts as reached from this near"
+    )
+    reach_m_s: float = Field(
+        default=0.1, ge=0.01, le=1.0, strict=True, description="and when flying slower than this"
+    )
+
+
+class Path(_Table):
+    """How to fly from waypoint to waypoint."""
+
+    kind: Literal["straight", "spline"] = Field(
+        default="straight",
+        description='"straight": heading and height first, then a level line; "spline": heading first, then a cubic '
+        "spline through the waypoints",
+    )
+
+
+class Avoidance(_Table):
+    """What to do about obstacles that the range beams see."""
+
+    enabled: bool = Field(default=True, strict=True, description="whether to look for obstacles at all")
+    clearance_m: float = Field(
+        default=0.39,
+        ge=0.15,
+        le=1.0,
+        strict=True,
+        description="distance to keep between the helicopter's centre and any surface (rotor radius and 0.3 m)",
+    )
+    speed_m_s: float = Field(
+        default=0.3,
+        gt=0.05,
+        le=1.0,
+        strict=True,
+        description="speed around an obstacle, and on the way when scanning",
+    )
+    scan: bool | None = Field(
+        default=None,
+        strict=True,
+        description="fly with one beam ahead and swing the nose, so that nothing hides between two beams; without "
+        "it: true when the file names a box, a cylinder or a wall",
+    )
+    give_up_s: float = Field(
+        default=120.0,
+        ge=5.0,
+        le=3600.0,
+        strict=True,
+        description="time to try to get around obstacles on one leg",
+    )
+
+
+class Battery(_Table):
+    """How much of it to use."""
+
+    low_V: float | None = Field(
+        default=None,
+        gt=0.0,
+        strict=True,
+        description="land below this voltage; without it the vehicle's own limit",
+    )
+    usable: float = Field(
+        default=0.8,
+        gt=0.0,
+        le=1.0,
+        strict=True,
+        description="fraction of the charge that a mission may plan with",
+    )
+
+
+class Wind(_Table):
+    """Air that moves, for the simulation; the helicopter is not told."""
+
+    steady_m_s: Triple = Field(default=(0.0, 0.0, 0.0), description="where the wind blows to, N, E, D")
+    gust_m_s: float = Field(
+        default=0.0, ge=0.0, le=5.0, strict=True, description="intensity of the gusts (rms)"
+    )
+
+
+class BoxTable(_Table):
+    """An upright box."""
+
+    name: str = Field(default="box", description="what messages call it")
+    centre_m: Triple = Field(description="N, E, D of its centre")
+    size_m: tuple[Positive, Positive, Positive] = Field(description="edge lengths, x, y, z")
+    yaw_deg: float = Field(
+        default=0.0, ge=-360.0, le=360.0, strict=True, description="turn of its x edge from north to east"
+    )
+
+
+class CylinderTable(_Table):
+    """An upright round post."""
+
+    name: str = Field(default="cylinder", description="what messages call it")
+    centre_m: Pair = Field(description="N, E of its axis")
+    radius_m: float = Field(gt=0.0, strict=True, description="radius")
+    height_m: float = Field(gt=0.0, strict=True, description="from its foot to its top")
+    foot_m: float = Field(default=0.0, ge=0.0, strict=True, description="height of its foot above the floor")
+
+
+class WallTable(_Table):
+    """A free-standing wall."""
+
+    name: str = Field(default="wall", description="what messages call it")
+    start_m: Pair = Field(description="N, E of one end")
+    end_m: Pair = Field(description="N, E of the other end")
+    height_m: float = Field(gt=0.0, strict=True, description="height above the floor")
+    thickness_m: float = Field(default=0.1, gt=0.0, strict=True, description="thickness")
+
+
+class RoomTable(_Table):
+    """Walls and ceiling around the flight."""
+
+    north_m: Pair = Field(description="least and greatest N inside")
+    east_m: Pair = Field(description="least and greatest E inside")
+    height_m: float | None = Field(
+        default=None, gt=0.0, strict=True, description="height of the ceiling; without it there is none"
+    )
+
+
+class Mission(_Table):
+    """A mission as its file states it. `mufly.mission.load_mission` reads and checks one.
+
+    The keys carry the units of the file. `world`, `trajectory_limits` and `scans` are derived from them.
+    """
+
+    name: str = Field(default="", description="what the mission is called; without it the name of the file")
+    description: str = Field(default="", description="one line about it")
+    start_m: Pair = Field(default=(0.0, 0.0), description="N, E of where the helicopter stands at first")
+    start_heading_deg: float = Field(
+        default=0.0, ge=-360.0, le=360.0, strict=True, description="its heading there, from north to east"
+    )
+    take_off: TakeOff = TakeOff()
+    waypoint: tuple[Waypoint, ...] = ()
+    limits: Limits = Limits()
+    path: Path = Path()
+    avoidance: Avoidance = Avoidance()
+    battery: Battery = Battery()
+    wind: Wind = Wind()
+    room: RoomTable | None = None
+    box: tuple[BoxTable, ...] = ()
+    cylinder: tuple[CylinderTable, ...] = ()
+    wall: tuple[WallTable, ...] = ()
+
+    @cached_property
+    def world(self) -> World:
+        """Everything that stands in the way."""
+        boxes = [Box(b.centre_m, b.size_m, math.radians(b.yaw_deg), b.name) for b in self.box]
+        boxes += [
+            wall(w.start_m, w.end_m, height=w.height_m, thickness=w.thickness_m, name=w.name)
+            for w in self.wall
+        ]
+        posts = [Cylinder(c.centre_m, c.radius_m, c.height_m, c.foot_m, c.name) for c in self.cylinder]
+        r = self.room
+        room = Room(r.north_m, r.east_m, math.inf if r.height_m is None else r.height_m) if r else None
+        return World(tuple(boxes), tuple(posts), room)
+
+    @cached_property
+    def scans(self) -> bool:
+        """Whether the helicopter looks out for obstacles by swinging its nose."""
+        chosen = self.avoidance.scan
+        named = bool(self.box or self.cylinder or self.wall)
+        return self.avoidance.enabled and (named if chosen is None else chosen)
+
+    @cached_property
+    def trajectory_limits(self) -> TrajectoryLimits:
+        """The limits in SI units and radians, with the slower speed of a flight that scans."""
+        q = self.limits
+        speed = min(q.speed_m_s, self.avoidance.speed_m_s) if self.scans else q.speed_m_s
+        return TrajectoryLimits(
+            speed,
+            q.climb_m_s,
+            q.descent_m_s,
+            q.acceleration_m_s2,
+            math.radians(q.yaw_rate_deg_s),
+            math.radians(q.yaw_acceleration_deg_s2),
+        )
