@@ -1,0 +1,350 @@
+"""A flight in numbers.
+
+Definitions (x is the true position, w a waypoint, both N-E-D; all from the recording alone):
+
+- A waypoint is *reached* when the mission's state turns to ``hover`` near it after a leg (or at the times the
+  caller gives; or, where the mission does not stop, when x first comes within the reach of w). The *wait* lasts
+  until the state changes again.
+- *Distance at reach*: |x - w| when the wait starts. *Mean error in the wait*: mean of |x - w| over it.
+  *Farthest after reach*: largest |x - w| over it.
+- *Overshoot*: how far x gets past w, from the start of the leg to the end of the wait. Horizontally along the
+  leg's horizontal direction, vertically along its climb or descent; the greater of the two counts. The two are
+  taken apart because the helicopter changes height first and then flies level.
+- *Airborne*: more than 1 cm above where it stood at the first instant.
+- *Touchdown speed*: largest rate of descent within 0.1 s of the instant at which x first comes within 1 cm of its
+  final height, in the state ``landing`` or after.
+- *Railed*: a motor input at 0 or 1, or a servo input at -1 or 1, while airborne. A time of railing is counted in
+  whole sampling intervals of the recording.
+- *Tilt*: angle between the mast and the vertical, arccos(cos(roll) cos(pitch)).
+- *Energy*: integral of battery voltage times current, trapezoidal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from mufly.world import World, distances
+
+__all__ = ["Summary", "WaypointResult", "summarise", "summary_rows"]
+
+LEG_STATES = ("waypoint", "obstacle")
+NEAR_M = 0.5
+AIRBORNE_M = 0.01
+RAIL = 1e-9
+
+_Array = NDArray[np.float64]
+_Run = tuple[str, int, int]
+
+
+@dataclass(frozen=True)
+class WaypointResult:
+    """How one waypoint was met; what does not apply, or was not reached, is None.
+
+    Attributes
+    ----------
+    name : str
+        ``take-off`` or the waypoint's number, from 1.
+    position_m : (3,) tuple
+        N, E, D.
+    reached_s, distance_at_reach_m, mean_error_in_wait_m, farthest_after_reach_m : float or None
+    overshoot_m, overshoot_horizontal_m, overshoot_vertical_m : float or None
+        See the module's definitions.
+    """
+
+    name: str
+    position_m: tuple[float, float, float]
+    reached_s: float | None = None
+    distance_at_reach_m: float | None = None
+    mean_error_in_wait_m: float | None = None
+    farthest_after_reach_m: float | None = None
+    overshoot_m: float | None = None
+    overshoot_horizontal_m: float | None = None
+    overshoot_vertical_m: float | None = None
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A flight in numbers; what is unknown is None. Units in the names, definitions in the module."""
+
+    outcome: str
+    reason: str
+    duration_s: float
+    waypoints: tuple[WaypointResult, ...]
+    waypoints_reached: int
+    waypoints_asked: int
+    max_speed_m_s: float | None
+    max_tilt_deg: float | None
+    max_position_error_m: float | None
+    touchdown_speed_m_s: float | None
+    landing_distance_m: float | None
+    least_clearance_m: float | None
+    least_clearance_to: str
+    longest_railed_s: float
+    longest_railed_input: str
+    energy_used_J: float | None
+    battery_end_V: float | None
+    battery_end_charge: float | None
+    realtime_factor: float | None
+    events: tuple[tuple[float, str, str], ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain tables, lists, texts and numbers, for ``summary.json``."""
+        content = asdict(self)
+        content["events"] = [{"time_s": t, "state": state, "text": text} for t, state, text in self.events]
+        return content
+
+
+def summarise(
+    dataset: xr.Dataset,
+    waypoints: Sequence[ArrayLike] = (),
+    events: Sequence[Sequence[Any]] = (),
+    *,
+    outcome: str | None = None,
+    reason: str | None = None,
+    take_off: ArrayLike | None = None,
+    reached_s: Sequence[float | None] | None = None,
+    reach_m: float = 0.05,
+    world: World | None = None,
+    realtime_factor: float | None = None,
+) -> Summary:
+    """Put a flight into numbers.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        A recording.
+    waypoints : sequence of (3,)
+        In the order of the mission, N, E, D (m).
+    events : sequence of (time_s, state, text, ...)
+        Carried along into the summary.
+    outcome, reason : str, optional
+        Default: the recording's attributes.
+    take_off : (3,), optional
+        Where the take-off ends; judged like a waypoint when given.
+    reached_s : sequence of float or None, optional
+        When each of ``waypoints`` was reached (s), where the caller knows better.
+    reach_m : float
+        How near counts as reached where the mission does not stop (m).
+    world : World, optional
+        For the least clearance: distance from the centre of gravity to the nearest surface but the floor (m).
+    realtime_factor : float, optional
+        Simulated time over computing time.
+
+    Returns
+    -------
+    Summary
+    """
+    time = dataset.time.values
+    x = dataset.truth_position.values
+    states = _runs(dataset.mission_state.values)
+    airborne = x[0, 2] - x[:, 2] > AIRBORNE_M
+    goals = [np.asarray(w, dtype=np.float64) for w in waypoints]
+    results = _waypoint_results(time, x, states, goals, take_off, reached_s, reach_m)
+    asked = [r for r in results if r.name != "take-off"]
+    touchdown = _touchdown_speed(dataset, states)
+    clearance, obstacle = _clearance(x[airborne], world)
+    railed, which = _longest_railed(dataset, airborne)
+    error = np.linalg.norm(x - dataset.reference_position.values, axis=1)
+    angles = dataset.truth_attitude.values
+    tilt = np.degrees(np.arccos(np.clip(np.cos(angles[:, 0]) * np.cos(angles[:, 1]), -1.0, 1.0)))
+    foot = goals[-1] if goals else x[0]
+    return Summary(
+        outcome=str(dataset.attrs.get("outcome", "")) if outcome is None else outcome,
+        reason=str(dataset.attrs.get("reason", "")) if reason is None else reason,
+        duration_s=float(time[-1] - time[0]),
+        waypoints=tuple(results),
+        waypoints_reached=sum(r.reached_s is not None for r in asked),
+        waypoints_asked=len(asked),
+        max_speed_m_s=_greatest(np.linalg.norm(dataset.truth_velocity.values, axis=1)),
+        max_tilt_deg=_greatest(tilt[airborne]),
+        max_position_error_m=_greatest(error[airborne]),
+        touchdown_speed_m_s=touchdown,
+        landing_distance_m=None if touchdown is None else float(np.hypot(*(x[-1] - foot)[:2])),
+        least_clearance_m=clearance,
+        least_clearance_to=obstacle,
+        longest_railed_s=railed,
+        longest_railed_input=which,
+        energy_used_J=_energy(dataset),
+        battery_end_V=_finite(dataset.battery_voltage.values[-1]),
+        battery_end_charge=_finite(dataset.battery_charge.values[-1]),
+        realtime_factor=realtime_factor,
+        events=tuple((float(e[0]), str(e[1]), str(e[2])) for e in events),
+    )
+
+
+def _runs(states: NDArray[Any]) -> list[_Run]:
+    """(state, first, past the last) of every stretch of one state; spelling is unified."""
+    edges = [0, *(np.flatnonzero(states[1:] != states[:-1]) + 1), len(states)]
+    names = [str(states[a]).lower().replace("_", "-") for a in edges[:-1]]
+    return [(name, int(a), int(b)) for name, (a, b) in zip(names, pairwise(edges), strict=True)]
+
+
+def _waypoint_results(
+    time: _Array,
+    x: _Array,
+    states: list[_Run],
+    goals: Sequence[_Array],
+    take_off: ArrayLike | None,
+    reached_s: Sequence[float | None] | None,
+    reach_m: float,
+) -> list[WaypointResult]:
+    waits = [(before[0], a, b) for before, (name, a, b) in pairwise(states) if name == "hover"]
+    results: list[WaypointResult] = []
+    start, leg = x[0], 0
+    if take_off is not None:
+        top = np.asarray(take_off, dtype=np.float64)
+        found = next(((a, b) for before, a, b in waits if before == "take-off"), None)
+        results.append(_waypoint_result("take-off", top, start, time, x, leg, found))
+        start, leg = top, found[1] if found else leg
+    for number, goal in enumerate(goals):
+        if reached_s is not None:
+            found = _stay(time, states, reached_s[number])
+        else:
+            found = next(
+                (
+                    (a, b)
+                    for before, a, b in waits
+                    if a >= leg and before in LEG_STATES and np.linalg.norm(x[a] - goal) < NEAR_M
+                ),
+                None,
+            )
+            if found is None:
+                near = np.flatnonzero(np.linalg.norm(x[leg:] - goal, axis=1) <= reach_m)
+                found = (leg + int(near[0]), leg + int(near[0]) + 1) if len(near) else None
+        results.append(_waypoint_result(str(number + 1), goal, start, time, x, leg, found))
+        start, leg = goal, found[1] if found else leg
+    return results
+
+
+def _stay(time: _Array, states: list[_Run], reached_s: float | None) -> tuple[int, int] | None:
+    """Rows from the instant given to the end of the state held then."""
+    if reached_s is None:
+        return None
+    # Times that were computed apart differ in the last bit.
+    first = min(int(np.searchsorted(time, reached_s - 1e-9)), len(time) - 1)
+    return first, next(stop for _, begin, stop in states if begin <= first < stop)
+
+
+def _waypoint_result(
+    name: str, goal: _Array, start: _Array, time: _Array, x: _Array, leg: int, found: tuple[int, int] | None
+) -> WaypointResult:
+    place = (float(goal[0]), float(goal[1]), float(goal[2]))
+    if found is None:
+        return WaypointResult(name, place)
+    first, stop = found
+    away = x[leg:stop] - goal
+    wait = np.linalg.norm(x[first:stop] - goal, axis=1)
+    along = (goal - start)[:2]
+    length = float(np.hypot(*along))
+    horizontal = max(0.0, float((away[:, :2] @ along).max() / length)) if length > 1e-3 else None
+    rise = float(goal[2] - start[2])
+    vertical = max(0.0, float((away[:, 2] * np.sign(rise)).max())) if abs(rise) > 1e-3 else None
+    return WaypointResult(
+        name,
+        place,
+        reached_s=float(time[first]),
+        distance_at_reach_m=float(wait[0]),
+        mean_error_in_wait_m=float(wait.mean()),
+        farthest_after_reach_m=float(wait.max()),
+        overshoot_m=max((v for v in (horizontal, vertical) if v is not None), default=None),
+        overshoot_horizontal_m=horizontal,
+        overshoot_vertical_m=vertical,
+    )
+
+
+def _touchdown_speed(dataset: xr.Dataset, states: list[_Run]) -> float | None:
+    """None unless a landing ended on the ground it started from."""
+    begin = next((first for name, first, _ in reversed(states) if name == "landing"), None)
+    down = dataset.truth_position.values[:, 2]
+    if begin is None or abs(down[-1] - down[0]) > 0.1:
+        return None
+    time = dataset.time.values
+    contact = time[begin + int(np.argmax(down[begin:] >= down[-1] - AIRBORNE_M))]
+    around = (np.abs(time - contact) <= 0.1) & (time >= time[begin])
+    return max(0.0, float(dataset.truth_velocity.values[around, 2].max()))
+
+
+def _clearance(x: _Array, world: World | None) -> tuple[float | None, str]:
+    if world is None or world.empty or not len(x):
+        return None, ""
+    least, which = distances(world, x)
+    nearest = int(least.argmin())
+    return float(least[nearest]), world.names[which[nearest]]
+
+
+def _longest_railed(dataset: xr.Dataset, airborne: NDArray[np.bool_]) -> tuple[float, str]:
+    """Longest stretch (s) of one input at a limit, and the input's name."""
+    time = dataset.time.values
+    longest, which = 0.0, ""
+    step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    for name, lowest in (("motor_input", 0.0), ("servo_input", -1.0)):
+        variable = dataset[name]
+        for label, values in zip(variable[variable.dims[1]].values, variable.values.T, strict=True):
+            railed = airborne & ((values <= lowest + RAIL) | (values >= 1.0 - RAIL))
+            for first, stop in _stretches(railed):
+                lasting = float(time[stop - 1] - time[first]) + step
+                if lasting > longest:
+                    longest, which = lasting, f"{name} {label}"
+    return longest, which
+
+
+def _stretches(flags: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], flags, [False])).astype(np.int8)))
+    return zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+
+
+def _energy(dataset: xr.Dataset) -> float | None:
+    power = dataset.battery_voltage.values * dataset.battery_current.values
+    return _finite(0.5 * ((power[1:] + power[:-1]) * np.diff(dataset.time.values)).sum())
+
+
+def _greatest(values: _Array) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(known.max()) if len(known) else None
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def summary_rows(summary: Summary) -> list[tuple[str, str]]:
+    """The summary as (label, value with unit), for a table on the screen; what is unknown is left out."""
+
+    def worst(key: str) -> float | None:
+        known = [v for w in summary.waypoints if (v := getattr(w, key)) is not None]
+        return max(known, default=None)
+
+    outcome = f"{summary.outcome}: {summary.reason}" if summary.reason else summary.outcome
+    clearance_to = f" ({summary.least_clearance_to})" if summary.least_clearance_to else ""
+    railed_by = f" ({summary.longest_railed_input})" if summary.longest_railed_input else ""
+    lines: list[tuple[str, float | None, str]] = [
+        ("Duration", summary.duration_s, "{:.1f} s"),
+        ("Waypoints reached", float(summary.waypoints_reached), f"{{:.0f}} of {summary.waypoints_asked}"),
+        ("Worst distance when a wait started", _times(100, worst("distance_at_reach_m")), "{:.1f} cm"),
+        ("Worst overshoot", _times(100, worst("overshoot_m")), "{:.1f} cm"),
+        ("Worst mean error in a wait", _times(100, worst("mean_error_in_wait_m")), "{:.1f} cm"),
+        ("Greatest position error", _times(100, summary.max_position_error_m), "{:.1f} cm"),
+        ("Greatest speed", summary.max_speed_m_s, "{:.2f} m/s"),
+        ("Greatest tilt", summary.max_tilt_deg, "{:.1f} deg"),
+        ("Touchdown speed", summary.touchdown_speed_m_s, "{:.2f} m/s"),
+        ("Landed off the last waypoint's foot by", _times(100, summary.landing_distance_m), "{:.1f} cm"),
+        ("Least distance to an obstacle", summary.least_clearance_m, "{:.2f} m" + clearance_to),
+        ("Longest time an input was railed", summary.longest_railed_s, "{:.2f} s" + railed_by),
+        ("Energy used", summary.energy_used_J, "{:.0f} J"),
+        ("Battery at the end", summary.battery_end_V, "{:.2f} V"),
+        ("Charge left", _times(100, summary.battery_end_charge), "{:.0f} %"),
+        ("Real-time factor", summary.realtime_factor, "{:.0f}"),
+    ]
+    rows = [(label, form.format(value)) for label, value, form in lines if value is not None]
+    return [("Outcome", outcome), *rows]
+
+
+def _times(factor: float, value: float | None) -> float | None:
+    return None if value is None else factor * value
