@@ -99,9 +99,9 @@ def linearise(vehicle: Vehicle, at: Trim | None = None, *, voltage: float | None
         d = np.zeros(4)
         d[j] = h
         B[:, j] = (rates(x0, u0 + d) - rates(x0, u0 - d)) / (2 * h)
-    # Entries below the differences' round-off are zeros of the model.
-    A[np.abs(A) < 1e-7 * _SCALE[:, None] / _SCALE[None, :]] = 0.0
-    B[np.abs(B) < 1e-7 * _SCALE[:, None]] = 0.0
+    # Entries below the differences' own error (round-off, and h drag / m from |v| v around rest) are zeros.
+    A[np.abs(A) < 1e-6 * _SCALE[:, None] / _SCALE[None, :]] = 0.0
+    B[np.abs(B) < 1e-6 * _SCALE[:, None]] = 0.0
 
     full = control.ss(
         A, B, np.eye(n), np.zeros((n, 4)), states=STATES, inputs=INPUTS, outputs=STATES, name="full"

@@ -17,8 +17,9 @@ Rotors, ``T = cT pi rho R^4 Omega^2`` and ``Q`` alike, thrust along the tilted d
 
 Swash plate: ``T_f,dw da/dt = l_dw theta_max servo_2 - a``, ``T_f,dw db/dt = l_dw theta_max servo_1 - b`` with the
 sign that pitches the nose down for positive servo 1. Stabiliser bar: its normal ``s`` (N-E-D) follows the mast
-axis ``u``: ``T_f,up ds/dt = u - (u.s) s``. Motors and battery: :mod:`mufly.drive`. Fuselage: constant downwash
-drag and ``-rho/2 cD_i A_i |w_i| w_i`` along each body axis, ``w`` the velocity through the air (eq. 4.18).
+axis ``u``: ``T_f,up ds/dt = u - (u.s) s``. Motors and battery: :mod:`mufly.drive`. Fuselage: downwash drag,
+constant in flight (eq. 4.19) and fading with the thrust once that is below half the weight, and
+``-rho/2 cD_i A_i |w_i| w_i`` along each body axis, ``w`` the velocity through the air (eq. 4.18).
 Floor: :mod:`mufly.dynamics.ground`.
 """
 
@@ -115,7 +116,9 @@ def derivative(x, u, wind, p, dx):  # type: ignore[no-untyped-def]
     air_z = a02 * air_n + a12 * air_e + a22 * air_d
     fx = fx_up + fx_dw - p.drag_x * abs(air_x) * air_x
     fy = fy_up + fy_dw - p.drag_y * abs(air_y) * air_y
-    fz = fz_up + fz_dw - p.drag_z * abs(air_z) * air_z + p.downwash
+    # No thrust, no downwash: a helicopter at rest or lying on its side is not pushed along.
+    downwash = p.downwash * min(1.0, 2.0 * (thrust_up + thrust_dw) / (p.mass * GRAVITY))
+    fz = fz_up + fz_dw - p.drag_z * abs(air_z) * air_z + downwash
 
     mx = -p.z_up * fy_up - p.z_dw * fy_dw
     my = p.z_up * fx_up + p.z_dw * fx_dw

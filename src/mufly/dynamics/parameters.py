@@ -20,6 +20,7 @@ GRAVITY = 9.81  # m/s2, mid-latitude, as the thesis's hover point implies
 _CURVE_POINTS = 101
 _MAX_POINTS = 24
 _RIM_POINTS = 8
+_FASTEST_FRICTION = 2000.0  # 1/s, resolved by Runge-Kutta steps of 1 ms
 
 _f8 = np.float64
 PARAMETERS = np.dtype(
@@ -60,6 +61,7 @@ PARAMETERS = np.dtype(
         ("leg_damping", _f8),  # N s/m
         ("leg_friction", _f8),
         ("slip_speed", _f8),  # m/s
+        ("friction_bound", _f8, (_MAX_POINTS,)),  # N s/m, see mufly.dynamics.ground
         ("contact_reach", _f8),  # m, farthest contact point from the centre of gravity
         ("contact_count", np.int64),
         (
@@ -119,6 +121,12 @@ def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
         )
     padded = np.zeros((_MAX_POINTS, 3))
     padded[: len(points)] = points
+    arm = np.sum(points[:, :2] ** 2, axis=1)
+    share = np.concatenate(
+        [np.full(len(legs), arm[: len(legs)].sum()), np.full(_RIM_POINTS, arm[len(legs) :].sum())]
+    )
+    bound = np.full(_MAX_POINTS, np.inf)
+    bound[: len(points)] = _FASTEST_FRICTION * float(b.inertia_zz) / np.maximum(share, 1e-12)
 
     values: dict[str, Any] = {
         "mass": float(b.mass),
@@ -157,6 +165,7 @@ def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
         "leg_damping": float(c.damping),
         "leg_friction": float(c.friction),
         "slip_speed": float(c.slip_speed),
+        "friction_bound": bound,
         "contact_reach": float(np.max(np.linalg.norm(points, axis=1))),
         "contact_count": len(points),
         "contact_points": padded,

@@ -181,7 +181,8 @@ def state_dataset(
     """
     attitude = euler_from_quaternion(states[:, 6:10])
     attitude[:, 2] = np.unwrap(attitude[:, 2])
-    voltage = np.array([battery_state(s, u[0], u[1], p)[0] for s, u in zip(states, inputs, strict=True)])
+    duty = np.clip(inputs[:, 0:2], 0.0, 1.0)
+    voltage = np.array([battery_state(s, d[0], d[1], p)[0] for s, d in zip(states, duty, strict=True)])
 
     def table(dim: str, values: NDArray[np.float64], unit: str, name: str) -> tuple[object, ...]:
         return ("time", dim), values, {"units": unit, "long_name": name}
