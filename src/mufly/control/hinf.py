@@ -51,6 +51,9 @@ class HinfResult:
         Where that norm is attained, rad/s.
     closed_loop : control.StateSpace
         From ``w`` to ``z``.
+    actuation : array, shape (states, controls)
+        How the plant's copy inside the controller takes the control: the central controller is an observer,
+        ``xhat' = (..) xhat + actuation u + (..) y`` with ``u = C xhat + D y``. What an anti-windup needs.
     iterations : int
         Levels tried.
     """
@@ -61,6 +64,7 @@ class HinfResult:
     norm: float
     peak_frequency: float
     closed_loop: control.StateSpace
+    actuation: Array
     iterations: int
 
 
@@ -398,7 +402,8 @@ def hinfsyn(
             loop = close_loop(P, K)
             norm, where = hinf_norm(loop)
             if norm <= gamma * (1 + 1e-6):
-                return HinfResult(K, gamma, best, norm, where, loop, iterations)
+                actuation = p.B2 @ np.linalg.inv(p.Ru) - K.B @ p.D22
+                return HinfResult(K, gamma, best, norm, where, loop, actuation, iterations)
         gamma *= 1.0 + gamma_tolerance if gamma < 1.005 * best else 1.02
     raise MuflyError(
         f"H-infinity synthesis: level {best:.4g} is feasible in theory, but no closed loop keeps it in these numbers; "
