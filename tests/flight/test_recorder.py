@@ -118,7 +118,7 @@ def test_messages_match_their_schemas_and_the_viewers_subset_of_json_schema(tmp_
             assert isinstance(value, types[kind]), where
 
     world = World((Box((1, 1, -0.5), (1, 1, 1), 0.3),), (Cylinder((-1, 1), 0.2, 1.5),))
-    view = {"waypoints": flight.waypoints, "world": world, "rotor_radius_m": 0.0875}
+    view = {"waypoints": flight.waypoints, "world": world, "rotor_radius": 0.0875}
     record(tmp_path / "flight.mcap", flight, stop=200, scene_view=view)
     seen = set()
     with (tmp_path / "flight.mcap").open("rb") as stream:

@@ -1,6 +1,7 @@
 """Names, layout, reader and CSV."""
 
 import csv
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -189,3 +190,14 @@ def test_csv_has_units_and_every_digit(tmp_path, short_flight):
     back = np.array([[float(cell or "nan") for cell in line[:-1]] for line in lines])
     np.testing.assert_array_equal(back, rows)
     assert [line[-1] for line in lines] == short_flight.states
+
+
+def test_the_documentation_lists_the_table():
+    page = (Path(__file__).parents[2] / "docs" / "recordings.md").read_text(encoding="utf-8")
+    layout = standard_layout(8)
+    for q in QUANTITIES:
+        part = layout.columns[q.name]
+        columns = f"{part.start}-{part.stop - 1}" if part.stop - part.start > 1 else f"{part.start}"
+        units = "-" if q.units == "1" else q.units
+        line = f"| `{q.name}` | {columns} | {q.dim or '-'} | {units} | `{q.topic}` `.{q.field}` | {q.long_name} |"
+        assert line in page.splitlines()

@@ -206,6 +206,6 @@ def _lines(
     if high - low < span:
         ax.set_ylim(0.5 * (low + high - span), 0.5 * (low + high + span))
     ax.set_title(heading, pad=4)
-    ax.set_xlim(time[0], time[-1])
+    ax.set_xlim(time[0], max(time[-1], time[0] + 1e-3))
     if any(labels):
         ax.legend(loc="lower right", bbox_to_anchor=(1.01, 0.975), ncols=5, borderpad=0.1, columnspacing=1.2)

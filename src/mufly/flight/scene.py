@@ -232,7 +232,7 @@ def scene_message(
     *,
     waypoints: Sequence[ArrayLike] = (),
     world: World | None = None,
-    rotor_radius_m: float = 0.0875,
+    rotor_radius: float = 0.0875,
 ) -> bytes:
     """What stands still (waypoints, obstacles) and the helicopter's shape, as one ``foxglove.SceneUpdate``.
 
@@ -244,10 +244,10 @@ def scene_message(
         N, E, D (m).
     world : World, optional
         Its boxes and cylinders are drawn.
-    rotor_radius_m : float
-        Scales the drawn helicopter.
+    rotor_radius : float
+        Scales the drawn helicopter (m).
     """
-    r = rotor_radius_m
+    r = rotor_radius
     entities = [
         _entity_of(
             time_ns,
