@@ -1,0 +1,38 @@
+"""What does it intend? Mission files, trajectories, obstacle avoidance and the mission state machine."""
+
+from mufly.mission.check import Estimate, check_mission
+from mufly.mission.load import builtin_missions, dump_mission, load_mission, mission_from
+from mufly.mission.machine import step
+from mufly.mission.plan import Leg, legs
+from mufly.mission.schema import Mission, Waypoint
+from mufly.mission.signals import Command, Event, MissionPlan, MissionState, Reference, State, begin, prepare
+from mufly.mission.spline import Spline, spline
+from mufly.mission.trajectory import Limits, Trajectory, curved, straight
+
+__all__ = [
+    "Command",
+    "Estimate",
+    "Event",
+    "Leg",
+    "Limits",
+    "Mission",
+    "MissionPlan",
+    "MissionState",
+    "Reference",
+    "Spline",
+    "State",
+    "Trajectory",
+    "Waypoint",
+    "begin",
+    "builtin_missions",
+    "check_mission",
+    "curved",
+    "dump_mission",
+    "legs",
+    "load_mission",
+    "mission_from",
+    "prepare",
+    "spline",
+    "step",
+    "straight",
+]

@@ -1,0 +1,379 @@
+"""Around an obstacle and on to the goal, from what the range beams have seen.
+
+The repulsive field alone (`mufly.mission.obstacles`) stops in front of a box that stands across the way: attraction
+and repulsion balance there. So the helicopter goes along the obstacle's contour, as Bug algorithms do (Lumelsky and
+Stepanov 1987; Kamon, Rimon and Rivlin 1998):
+
+- Where a seen point lies nearer to the straight way than the clearance (c plus 5 cm), it picks a side: the one that the
+  blocking points leave more free. It keeps that side, unless it is stuck or has strayed too far, then it tries the
+  other, twice as far.
+- It flies along the contour: with n from the nearest seen point to the helicopter, t across n on the chosen side, and
+  e = d - d_f the error from the distance to follow at (c plus 15 cm), it wants
+  V (t cos a - n sin a), tan a = e / 0.4 m.
+- The repulsive field acts on the reference as in eqs 6.18 and 6.19, with the threshold at d_f, as a velocity k F.
+- Whatever is wanted, the approach to every seen point i is limited: -v.n_i <= lambda (d_i - c), which lets the
+  distance to it fall no faster than exponentially towards c (a control barrier).
+- It leaves the contour when no seen point lies within c plus 10 cm of the straight way to the goal; from the third
+  time on, only nearer to the goal than where it met the obstacle, which is what makes Bug algorithms arrive.
+- Where the goal itself is too near to a seen point it keeps away and waits. After a stated time it gives up.
+
+The reference is a point whose velocity follows what is wanted with limited acceleration and jerk. All in the
+horizontal plane; the height is held. Own derivation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from mufly.mission.obstacles import Memory, Ring, repulsion
+
+__all__ = ["BRAKE_M_S2", "Detour", "Sight", "begin_detour", "blocked", "go_round", "look"]
+
+_Array = NDArray[np.float64]
+
+BRAKE_M_S2 = 1.0
+"""Acceleration that avoiding an obstacle may ask for: a tilt of 6 degrees."""
+
+LOOK_M = 1.2
+"""How far ahead on its way the helicopter minds obstacles."""
+
+ENTER_M, LEAVE_M, FOLLOW_M = 0.05, 0.10, 0.15
+"""Added to the clearance: a way this near to a point is blocked; is clear; distance to follow a contour at."""
+
+_FIELD_GAIN = 0.15
+"""k of eqs 6.18 and 6.19, as a velocity: m/s per 1/m."""
+
+_APPROACH = 0.8
+"""lambda (1/s): slower than the position loop's lag of 0.3 s lets through."""
+
+_LAG_S = 0.2
+_STRAY_M = 3.0
+_STUCK_S = 5.0
+_SAME_HEIGHT_M = 0.5
+
+
+class Sight(NamedTuple):
+    """What the seen points mean for a way.
+
+    Attributes
+    ----------
+    nearest : float
+        Distance from the position to the nearest point (m), infinite where there is none.
+    north, east : float
+        Unit vector from that point to the position.
+    way : float
+        Least distance of any point from the stretch of the way looked at (m).
+    offset : float
+        Mean distance of the points that block it from the way, positive to the right (m).
+    goal : float
+        Distance from the goal to the point nearest to it (m).
+    """
+
+    nearest: float
+    north: float
+    east: float
+    way: float
+    offset: float
+    goal: float
+
+
+@njit(cache=True)
+def _look(
+    points: _Array,
+    used: int,
+    n: float,
+    e: float,
+    d: float,
+    gn: float,
+    ge: float,
+    ahead: float,
+    blocked_at: float,
+) -> tuple[float, float, float, float, float, float]:
+    wn, we = gn - n, ge - e
+    length = math.hypot(wn, we)
+    if length > 1e-9:
+        wn, we = wn / length, we / length
+    else:
+        wn, we = 1.0, 0.0
+    stretch = min(length, ahead)
+    nearest, nn, ne, way, goal = np.inf, 0.0, 0.0, np.inf, np.inf
+    total, count = 0.0, 0
+    for k in range(used):
+        if abs(points[k, 2] - d) > _SAME_HEIGHT_M:
+            continue
+        qn, qe = points[k, 0] - n, points[k, 1] - e
+        dist = math.hypot(qn, qe)
+        if dist < nearest:
+            nearest = dist
+            if dist > 1e-9:
+                nn, ne = -qn / dist, -qe / dist
+        along = qn * wn + qe * we
+        across = qe * wn - qn * we
+        beyond = along - min(max(along, 0.0), stretch)
+        off = math.hypot(beyond, across)
+        way = min(way, off)
+        goal = min(goal, math.hypot(points[k, 0] - gn, points[k, 1] - ge))
+        # A blocker's whole visible width tells the side, not only the part inside the corridor.
+        if along > -blocked_at and along < stretch + blocked_at and abs(across) < 2.0 * blocked_at:
+            total += across
+            count += 1
+    return nearest, nn, ne, way, (total / count if count > 0 else 0.0), goal
+
+
+@njit(cache=True)
+def _hold_off(
+    points: _Array, used: int, n: float, e: float, d: float, vn: float, ve: float, keep: float
+) -> tuple[float, float]:
+    """Least change of velocity that approaches no point faster than the barrier allows (cyclic projection)."""
+    for _ in range(8):
+        changed = False
+        for k in range(used):
+            if abs(points[k, 2] - d) > _SAME_HEIGHT_M:
+                continue
+            qn, qe = n - points[k, 0], e - points[k, 1]
+            dist = math.hypot(qn, qe)
+            if dist > 2.0 or dist < 1e-9:
+                continue
+            short = -_APPROACH * (dist - keep) - (vn * qn + ve * qe) / dist
+            if short > 1e-6:
+                vn += short * qn / dist
+                ve += short * qe / dist
+                changed = True
+        if not changed:
+            break
+    return vn, ve
+
+
+def look(
+    memory: Memory,
+    position: tuple[float, ...],
+    goal: tuple[float, ...],
+    clearance: float,
+    ahead: float = LOOK_M,
+) -> Sight:
+    """Judge the straight level way from ``position`` to ``goal`` (N, E, D; m), ``ahead`` metres of it at most."""
+    return Sight(
+        *_look(
+            memory.points,
+            memory.used,
+            position[0],
+            position[1],
+            position[2],
+            goal[0],
+            goal[1],
+            ahead,
+            clearance + ENTER_M,
+        )
+    )
+
+
+def blocked(sight: Sight, clearance: float) -> bool:
+    """Whether something stands in the way."""
+    return sight.way < clearance + ENTER_M
+
+
+@dataclass(frozen=True, slots=True)
+class Detour:
+    """A way around an obstacle, in progress.
+
+    Attributes
+    ----------
+    position, velocity, acceleration : (3,) tuples
+        The reference, N-E-D (m, m/s, m/s2).
+    side : float
+        +1 keeps the obstacle on the left (flies to the right around it), -1 the other way.
+    hit : (2,) tuple
+        N, E where the obstacle was met (m).
+    hit_distance : float
+        Distance from there to the goal (m).
+    count : int
+        How many times an obstacle was met on this leg.
+    stray : float
+        Distance from the straight way between ``hit`` and the goal at which the other side is tried (m).
+    clear_s, anchor_s : float
+        For how long the way has been clear; since when ``anchor`` (2,) has not been left by 0.25 m (s).
+    leaving : bool
+        Whether it brakes, to fly straight on from where it stops.
+    obstacle : (2,) tuple
+        N, E of the point that was nearest last (m), for messages.
+    """
+
+    position: tuple[float, float, float]
+    velocity: tuple[float, float, float]
+    acceleration: tuple[float, float, float]
+    side: float
+    hit: tuple[float, float]
+    hit_distance: float
+    count: int = 1
+    stray: float = _STRAY_M
+    clear_s: float = 0.0
+    anchor: tuple[float, float] = (0.0, 0.0)
+    anchor_s: float = 0.0
+    leaving: bool = False
+    obstacle: tuple[float, float] = (math.nan, math.nan)
+
+    @property
+    def done(self) -> bool:
+        """Whether the obstacle is avoided and the reference has come to rest."""
+        return self.leaving and math.hypot(*self.velocity) < 0.01 and math.hypot(*self.acceleration) < 0.05
+
+
+def begin_detour(
+    position: tuple[float, float, float],
+    velocity: tuple[float, float, float],
+    acceleration: tuple[float, float, float],
+    goal: tuple[float, float, float],
+    sight: Sight,
+    before: Detour | None,
+) -> Detour:
+    """Start a detour from where the reference is; ``before`` is the last one on this leg, if there was one."""
+    here = (position[0], position[1])
+    far = math.hypot(goal[0] - here[0], goal[1] - here[1])
+    side = -1.0 if sight.offset > 0.0 else 1.0
+    count, stray = 1, _STRAY_M
+    if before is not None:
+        count, stray = before.count + 1, before.stray
+        if math.dist(here, before.position[:2]) < 1.5:
+            side = before.side
+    return Detour(position, velocity, acceleration, side, here, far, count=count, stray=stray, anchor=here)
+
+
+def go_round(
+    detour: Detour,
+    memory: Memory,
+    beams: Ring,
+    position: tuple[float, ...],
+    heading: float,
+    ranges: list[float],
+    goal: tuple[float, float, float],
+    *,
+    clearance: float,
+    speed: float,
+    dt: float,
+) -> Detour:
+    """One step of a detour.
+
+    Parameters
+    ----------
+    detour : Detour
+        As it was.
+    memory : Memory
+        Points seen, those of now included.
+    beams : Ring
+        The range ring.
+    position : (3,) tuple
+        Measured N-E-D (m).
+    heading : float
+        Measured heading (rad).
+    ranges : list of n floats
+        Measured ranges (m).
+    goal : (3,) tuple
+        Where the helicopter wants to be, N-E-D (m).
+    clearance, speed : float
+        Distance to keep (m) and speed to fly at (m/s).
+    dt : float
+        Time step (s).
+    """
+    reference = detour.position
+    sight = look(memory, reference, goal, clearance, math.inf)
+    real = look(memory, position, goal, clearance, math.inf)
+    # Plan from whichever is nearer to an obstacle: the reference, or the helicopter that the wind has moved off it.
+    at = position if real.nearest < sight.nearest else reference
+    near = real if real.nearest < sight.nearest else sight
+    to_goal = math.hypot(goal[0] - reference[0], goal[1] - reference[1])
+
+    clear = sight.way > clearance + LEAVE_M and real.nearest > clearance
+    progress = detour.count < 3 or to_goal < detour.hit_distance - 0.1
+    clear_s = detour.clear_s + dt if clear and progress else 0.0
+    leaving = clear_s > 0.3 or (detour.leaving and clear)
+
+    follow = clearance + FOLLOW_M
+    side, stray, anchor, anchor_s = detour.side, detour.stray, detour.anchor, detour.anchor_s + dt
+    here = (reference[0], reference[1])
+    goal_blocked = sight.goal < clearance + ENTER_M and to_goal < 1.0
+    if math.dist(here, anchor) > 0.25:
+        anchor, anchor_s = here, 0.0
+    elif (anchor_s > _STUCK_S and not goal_blocked) and not leaving:
+        side, anchor_s = -side, 0.0
+    if _off_course(here, detour.hit, goal) > stray and not leaving:
+        side, stray = -side, 2.0 * stray
+
+    vn = ve = 0.0
+    if leaving:
+        pass
+    elif goal_blocked:
+        push = min(speed, max(0.0, follow - near.nearest))
+        vn, ve = push * near.north, push * near.east
+    elif near.nearest < LOOK_M + 0.5:
+        lean = math.atan2(near.nearest - follow, 0.4)
+        # Facing the obstacle, along -n, the way to the right is (n_E, -n_N).
+        tn, te = side * near.east, -side * near.north
+        vn = speed * (math.cos(lean) * tn - math.sin(lean) * near.north)
+        ve = speed * (math.cos(lean) * te - math.sin(lean) * near.east)
+    elif to_goal > 1e-6:
+        pace = min(speed, 0.5 * to_goal)
+        vn, ve = pace * (goal[0] - reference[0]) / to_goal, pace * (goal[1] - reference[1]) / to_goal
+
+    fx, fy = repulsion(ranges, beams, follow)
+    if fx != 0.0 or fy != 0.0:
+        c, s = math.cos(heading), math.sin(heading)
+        vn += _FIELD_GAIN * (c * fx - s * fy)
+        ve += _FIELD_GAIN * (s * fx + c * fy)
+    vn, ve = _hold_off(memory.points, memory.used, at[0], at[1], at[2], vn, ve, clearance + 0.03)
+    fast = math.hypot(vn, ve)
+    limit = speed * max(0.0, 1.0 - max(0.0, math.dist(here, position[:2]) - 0.15) / 0.15)
+    if fast > limit:
+        vn, ve = vn * limit / fast, ve * limit / fast
+
+    moved = _follow(detour, (vn, ve, 0.0), dt)
+    obstacle = detour.obstacle
+    if near.nearest < 2.0:
+        obstacle = (at[0] - near.nearest * near.north, at[1] - near.nearest * near.east)
+    return replace(
+        moved,
+        side=side,
+        stray=stray,
+        clear_s=clear_s,
+        anchor=anchor,
+        anchor_s=anchor_s,
+        leaving=leaving,
+        obstacle=obstacle,
+    )
+
+
+def _off_course(
+    here: tuple[float, float], start: tuple[float, float], goal: tuple[float, float, float]
+) -> float:
+    """Distance of a point from the straight stretch between two others (m), in the horizontal plane."""
+    n, e = goal[0] - start[0], goal[1] - start[1]
+    square = n * n + e * e
+    share = ((here[0] - start[0]) * n + (here[1] - start[1]) * e) / square if square > 0.0 else 0.0
+    share = min(max(share, 0.0), 1.0)
+    return math.hypot(here[0] - start[0] - share * n, here[1] - start[1] - share * e)
+
+
+def _follow(detour: Detour, wanted: tuple[float, float, float], dt: float) -> Detour:
+    """Move the reference: velocity follows what is wanted, acceleration limited and low-pass filtered."""
+    ask = [(w - v) / _LAG_S for w, v in zip(wanted, detour.velocity, strict=True)]
+    size = math.hypot(*ask)
+    scale = min(1.0, BRAKE_M_S2 / size) if size > 0.0 else 0.0
+    blend = 1.0 - math.exp(-dt / 0.08)
+    (n, e, d), (vn, ve, vd), (an, ae, ad) = detour.position, detour.velocity, detour.acceleration
+    an, ae, ad = (
+        an + blend * (scale * ask[0] - an),
+        ae + blend * (scale * ask[1] - ae),
+        ad + blend * (scale * ask[2] - ad),
+    )
+    vn, ve, vd = vn + dt * an, ve + dt * ae, vd + dt * ad
+    return replace(
+        detour,
+        position=(n + dt * vn, e + dt * ve, d + dt * vd),
+        velocity=(vn, ve, vd),
+        acceleration=(an, ae, ad),
+    )
