@@ -101,9 +101,10 @@ def trim(
     Raises
     ------
     MuflyError
-        If the vehicle is too heavy to hover, or no trim exists at this velocity.
+        If the vehicle is too heavy to hover, or no trim exists at this velocity; ``InputError`` if an argument is
+        impossible.
     """
-    velocity_, wind_ = np.asarray(velocity, np.float64), np.asarray(wind, np.float64)
+    velocity_, wind_ = _three(velocity, "velocity"), _three(wind, "wind")
     if charge is not None and voltage is not None:
         raise InputError("trim", "voltage", "given together with charge", "give one of them")
     if charge is not None and not 0.0 <= charge <= 1.0:
@@ -164,6 +165,13 @@ def trim(
         power_W=float(volts * current),
         constant_voltage_V=constant,
     )
+
+
+def _three(vector: ArrayLike, name: str) -> NDArray[np.float64]:
+    v = np.asarray(vector, dtype=np.float64)
+    if v.shape != (3,) or not np.all(np.isfinite(v)):
+        raise InputError("trim", name, f"{vector!r}", "give three finite numbers N, E, D in m/s")
+    return v
 
 
 def _hover_estimate(
