@@ -13,8 +13,9 @@ Stepanov 1987; Kamon, Rimon and Rivlin 1998):
 - The repulsive field acts on the reference as in eqs 6.18 and 6.19, with the threshold at d_f, as a velocity k F.
 - Whatever is wanted, the approach to every seen point i is limited: -v.n_i <= lambda (d_i - c), which lets the
   distance to it fall no faster than exponentially towards c (a control barrier).
-- It leaves the contour when no seen point lies within c plus 10 cm of the straight way to the goal; from the third
-  time on, only nearer to the goal than where it met the obstacle, which is what makes Bug algorithms arrive.
+- It leaves the contour when it is nearer to the goal than where it met the obstacle and no seen point lies within c
+  plus 10 cm of the next 1.5 m of the straight way; that progress is what makes Bug algorithms arrive. The first two
+  times on a leg it also leaves, wherever it is, when the whole way to the goal is that clear.
 - Where the goal itself is too near to a seen point it keeps away and waits. After a stated time it gives up.
 
 The reference is a point whose velocity follows what is wanted with limited acceleration and jerk. All in the
@@ -288,10 +289,12 @@ def go_round(
     near = real if real.nearest < sight.nearest else sight
     to_goal = math.hypot(goal[0] - reference[0], goal[1] - reference[1])
 
-    clear = sight.way > clearance + LEAVE_M and real.nearest > clearance
-    progress = detour.count < 3 or to_goal < detour.hit_distance - 0.1
-    clear_s = detour.clear_s + dt if clear and progress else 0.0
-    leaving = clear_s > 0.3 or (detour.leaving and clear)
+    first = look(memory, reference, goal, clearance, LOOK_M + 0.3)
+    free = real.nearest > clearance
+    nearer = to_goal < detour.hit_distance - 0.1 and first.way > clearance + LEAVE_M
+    clear = free and (nearer or (detour.count < 3 and sight.way > clearance + LEAVE_M))
+    clear_s = detour.clear_s + dt if clear else 0.0
+    leaving = clear_s > 0.3
 
     follow = clearance + FOLLOW_M
     side, stray, anchor, anchor_s = detour.side, detour.stray, detour.anchor, detour.anchor_s + dt

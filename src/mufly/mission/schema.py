@@ -112,7 +112,7 @@ class Avoidance(_Table):
         "it: true when the file names a box, a cylinder or a wall",
     )
     give_up_s: float = Field(
-        default=120.0,
+        default=90.0,
         ge=5.0,
         le=3600.0,
         strict=True,
