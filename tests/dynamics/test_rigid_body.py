@@ -94,7 +94,7 @@ def test_upper_rotor_accelerating_turns_the_nose_right(vehicle) -> None:
     p, dx = model_parameters(vehicle, 7.2), np.empty(21)
     x = t.state.copy()
     x[2] = -10
-    derivative(x, t.input + [0.05, 0, 0, 0], STILL_AIR, p, dx)
+    derivative(x, t.input + np.array([0.05, 0, 0, 0]), STILL_AIR, p, dx)
     assert dx[18] > 0
     assert dx[12] > 0
 
@@ -143,7 +143,7 @@ def test_simulate_samples_what_advance_integrates(vehicle) -> None:
     t = trim(vehicle)
     x = t.state.copy()
     x[2] = -2.0
-    u = t.input + [0.02, 0.0, 0.05, -0.02]
+    u = t.input + np.array([0.02, 0.0, 0.05, -0.02])
     data = simulate(vehicle, x, u, duration_s=0.5, voltage=7.2)
     y = fly(x, model_parameters(vehicle, 7.2), 0.5, 1e-3, u)
     assert_allclose(data.truth_position.values[-1], y[0:3], rtol=0, atol=1e-13)

@@ -1,0 +1,106 @@
+"""Dryden turbulence: variance, spectrum, seeds, blocks."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy import stats
+from scipy.signal import welch
+
+from mufly.dynamics import DrydenWind
+from mufly.dynamics.wind import dryden_filter
+from mufly.errors import InputError
+
+
+@pytest.mark.parametrize("step_s", [1e-4, 1e-3, 0.02, 0.5, 10.0])
+@pytest.mark.parametrize("time_constant_s", [0.2, 2.0, 40.0])
+def test_the_filter_is_stationary_with_unit_variance(step_s, time_constant_s) -> None:
+    transition, noise, output, start = dryden_filter(time_constant_s, step_s)
+    covariance = start @ start.T
+    assert_allclose(
+        transition @ covariance @ transition.T + noise @ noise.T, covariance, atol=1e-12 * np.max(covariance)
+    )
+    assert output @ covariance @ output == pytest.approx(1.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("lag_steps", [1, 3, 10])
+def test_autocorrelation_of_the_lateral_gust(lag_steps) -> None:
+    # Inverse transform of the lateral spectrum: R(t) = (1 - t / 2T) exp(-t / T).
+    T, step = 2.0, 0.3
+    transition, _, output, start = dryden_filter(T, step)
+    found = output @ np.linalg.matrix_power(transition, lag_steps) @ (start @ start.T) @ output
+    t = lag_steps * step
+    assert found == pytest.approx((1 - t / (2 * T)) * math.exp(-t / T), rel=1e-10)
+
+
+@pytest.mark.parametrize("step_s", [0.05, 1.0])
+def test_variance_of_samples_at_any_step(step_s) -> None:
+    sigma, n = 0.3, 60_000
+    wind = DrydenWind((0.5, 0, 0), sigma, step_s=step_s, length_m=0.25, seed=5).block(n) - [0.5, 0, 0]
+    # The mean square of a process with correlation rho has variance 2 sum(rho^2) / n, at most 2 T / step here.
+    independent = n / max(1.0, 2 * 0.5 / step_s)
+    spread = 5 * math.sqrt(2 / independent)
+    assert_allclose(np.mean(wind**2, axis=0), sigma**2, rtol=spread)
+
+
+def test_spectrum_is_drydens() -> None:
+    # One-sided spectra over frequency f (Hz), omega = 2 pi f, T = L / V:
+    #   along    4 sigma^2 T / (1 + (omega T)^2)
+    #   across   2 sigma^2 T (1 + 3 (omega T)^2) / (1 + (omega T)^2)^2
+    sigma, step, T = 0.4, 0.02, 0.5
+    gusts = DrydenWind((2.0, 0, 0), sigma, step_s=step, length_m=1.0, seed=11).block(120_000) - [2.0, 0, 0]
+    f, found = welch(gusts, fs=1 / step, nperseg=2048, axis=0, detrend=False, window="hann")
+    w = (2 * math.pi * f * T) ** 2
+    along, across = 4 * sigma**2 * T / (1 + w), 2 * sigma**2 * T * (1 + 3 * w) / (1 + w) ** 2
+    # Bands of frequencies, below the aliases of sampling; a band's mean ratio follows chi-square / degrees.
+    segments = 2 * 120_000 / 2048 - 1
+    for low, high in ((0.05, 0.3), (0.3, 1.0), (1.0, 3.0), (3.0, 6.0)):
+        band = (f >= low) & (f < high)
+        degrees = 2 * segments * (36 / 19) / 2 * band.sum() / 1.5
+        least, most = stats.chi2.ppf([1e-5, 1 - 1e-5], degrees) / degrees
+        aliasing = 1.06 if high > 3 else 1.02
+        for axis, expected in enumerate((along, across, across)):
+            ratio = np.mean(found[band, axis] / expected[band])
+            assert least < ratio < most * aliasing, (low, axis)
+
+
+def test_the_seed_repeats_a_wind_and_another_does_not() -> None:
+    first, again, other = (DrydenWind((0.5, 0, 0), 0.3, step_s=0.01, seed=s).block(50) for s in (4, 4, 5))
+    assert_array_equal(first, again)
+    assert np.max(np.abs(first - other)) > 0.05
+
+
+def test_blocks_join() -> None:
+    whole = DrydenWind((0.5, 0.2, 0), 0.3, step_s=0.01, seed=1).block(100)
+    wind = DrydenWind((0.5, 0.2, 0), 0.3, step_s=0.01, seed=1)
+    assert_array_equal(np.vstack([wind.block(n) for n in (1, 30, 69)]), whole)
+
+
+def test_without_gusts_it_is_steady() -> None:
+    wind = DrydenWind((0.5, -0.2, 0.1), step_s=0.01).block(20)
+    assert_array_equal(wind, np.tile([0.5, -0.2, 0.1], (20, 1)))
+
+
+def test_turbulence_is_laid_out_along_the_mean_wind() -> None:
+    # The same seed in a wind from elsewhere gives the same gusts, turned.
+    north = DrydenWind((1.0, 0, 0), 0.3, step_s=0.01, seed=2).block(40)
+    east = DrydenWind((0, 1.0, 0), 0.3, step_s=0.01, seed=2).block(40)
+    assert_allclose(east, np.column_stack([-north[:, 1], north[:, 0], north[:, 2]]), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"gust": -0.1},
+        {"gust": float("nan")},
+        {"step_s": 0.0},
+        {"length_m": 0.0},
+        {"seed": -1},
+        {"steady": (1, 2)},
+        {"steady": (1, float("inf"), 0)},
+    ],
+)
+def test_impossible_winds_are_named(bad) -> None:
+    with pytest.raises(InputError, match="wind"):
+        DrydenWind(**{"gust": 0.1, "step_s": 0.01, **bad})
