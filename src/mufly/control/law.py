@@ -1,0 +1,391 @@
+"""The control law that runs on board: pure functions of gains, state, reference and measurement, one call a period.
+
+Each controller is ``u = C x + D e``, ``x+ = A x + B e + M (sat(u) - u)`` (see :mod:`mufly.control.discretise`). Around it:
+
+Heave-yaw. The reference passes a second-order filter whose acceleration and speed are limited to what the motors can
+give, so that a step does not rail them; a reference that comes with its rate and stays within the limits passes
+unchanged but for ``acceleration / omega^2``. The command is a voltage, as a fraction of the design voltage: what
+the battery has left bounds it, ``[0, U/U_design]``, and the motor input is command over that bound. Where both
+motors cannot have what they ask for, yaw goes first: the difference of the two is kept, their mean
+gives way. Otherwise a rail in heave would spin the fuselage.
+
+Roll-pitch. Tilt references are limited; servos saturate one by one.
+
+Position. ``v_ref = K_p (P_ref - P) + v_ff`` in N-E, limited in length; errors turned by the heading; velocity
+controller; acceleration feedforward ``theta = -a_x / g``, ``phi = a_y / g``; tilt limited in length, the excess given back
+to the controller. The heading alone turns the errors: velocities along the body axes would mix climb into them.
+
+Gains are NumPy records (see ``HEAVE_YAW_GAINS`` and so on), padded with zero states to a fixed order: the compiled code is the
+same for every vehicle. Units SI and radians, motor inputs 0..1 as (upper, lower), servo inputs -1..1.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from mufly.control.discretise import DiscreteController
+from mufly.control.linear import Array
+from mufly.errors import MuflyError
+
+__all__ = [
+    "HEAVE_YAW_GAINS",
+    "HEAVE_YAW_ORDER",
+    "POSITION_GAINS",
+    "ROLL_PITCH_GAINS",
+    "ROLL_PITCH_ORDER",
+    "VELOCITY_ORDER",
+    "heave_yaw_initial",
+    "heave_yaw_step",
+    "pack",
+    "position_initial",
+    "position_step",
+    "roll_pitch_initial",
+    "roll_pitch_step",
+]
+
+HEAVE_YAW_ORDER, ROLL_PITCH_ORDER, VELOCITY_ORDER = 10, 8, 6
+_f8 = np.float64
+
+
+def _matrices(order: int, inputs: int, outputs: int) -> list[tuple[str, type, tuple[int, ...]]]:
+    return [
+        ("A", _f8, (order, order)),
+        ("B", _f8, (order, inputs)),
+        ("C", _f8, (outputs, order)),
+        ("D", _f8, (outputs, inputs)),
+        ("M", _f8, (order, outputs)),
+    ]
+
+
+HEAVE_YAW_GAINS = np.dtype(
+    [
+        *_matrices(HEAVE_YAW_ORDER, 5, 2),
+        ("trim", _f8, (2,)),  # lower, upper; fraction of the design voltage
+        ("design_voltage", _f8),  # V
+        ("voltage_blend", _f8),  # 0..1, share of a new voltage measurement in its filter
+        ("period", _f8),  # s
+        ("heave_bandwidth", _f8),  # rad/s, of the reference filter
+        ("heave_acceleration", _f8),  # m/s2
+        ("heave_speed", _f8),  # m/s
+        ("yaw_bandwidth", _f8),  # rad/s
+        ("yaw_acceleration", _f8),  # rad/s2
+        ("yaw_rate", _f8),  # rad/s
+    ]
+)
+ROLL_PITCH_GAINS = np.dtype(
+    [
+        *_matrices(ROLL_PITCH_ORDER, 4, 2),
+        ("trim", _f8, (2,)),  # servo 1, servo 2
+        ("tilt_limit", _f8),  # rad
+    ]
+)
+POSITION_GAINS = np.dtype(
+    [
+        *_matrices(VELOCITY_ORDER, 2, 2),
+        ("position_gain", _f8),  # 1/s
+        ("speed_limit", _f8),  # m/s
+        ("tilt_limit", _f8),  # rad
+        ("gravity", _f8),  # m/s2
+    ]
+)
+# State of heave-yaw behind the controller's own: filtered references, origins, filtered voltage.
+_SHAPED_Z, _SHAPED_W, _SHAPED_PSI, _SHAPED_R, _ORIGIN_Z, _ORIGIN_PSI, _VOLTAGE = range(
+    HEAVE_YAW_ORDER, HEAVE_YAW_ORDER + 7
+)
+_HEAVE_YAW_STATE = HEAVE_YAW_ORDER + 7
+
+
+def pack(dtype: np.dtype, controller: DiscreteController, **values: object) -> np.void:
+    """Gains record of a controller, its states padded with zeros to the record's order.
+
+    Raises
+    ------
+    MuflyError
+        If the controller has more states than the record holds, or other signals.
+    """
+    record = np.zeros((), dtype=dtype)
+    order, inputs = record["B"].shape
+    n = controller.order
+    if n > order or controller.B.shape[1] != inputs:
+        raise MuflyError(
+            f"control law: a controller of order {n} with {controller.B.shape[1]} inputs does not fit a record of order "
+            f"{order} with {inputs}; reduce it further"
+        )
+    record["A"][:n, :n], record["B"][:n], record["C"][:, :n] = controller.A, controller.B, controller.C
+    record["D"], record["M"][:n] = controller.D, controller.M
+    for name, value in values.items():
+        record[name] = value
+    return record[()]
+
+
+@njit(cache=True)
+def _clip(value, low, high):  # type: ignore[no-untyped-def]
+    return min(max(value, low), high)
+
+
+@njit(cache=True)
+def _output(g, x, e, u):  # type: ignore[no-untyped-def]
+    for i in range(u.shape[0]):
+        s = 0.0
+        for j in range(g.A.shape[0]):
+            s += g.C[i, j] * x[j]
+        for j in range(e.shape[0]):
+            s += g.D[i, j] * e[j]
+        u[i] = s
+
+
+@njit(cache=True)
+def _advance(g, x, e, excess, new):  # type: ignore[no-untyped-def]
+    n = g.A.shape[0]
+    for i in range(n):
+        s = 0.0
+        for j in range(n):
+            s += g.A[i, j] * x[j]
+        for j in range(e.shape[0]):
+            s += g.B[i, j] * e[j]
+        for j in range(excess.shape[0]):
+            s += g.M[i, j] * excess[j]
+        new[i] = s
+
+
+@njit(cache=True)
+def _shape(value, rate, target, target_rate, bandwidth, acceleration, speed, period):  # type: ignore[no-untyped-def]
+    """One step of the reference filter: critically damped near the target, on a braking parabola far from it."""
+    gap = target - value
+    # Speed at which half the acceleration still brakes in time; linear near the target.
+    braking, slope = 0.5 * acceleration, 0.5 * bandwidth
+    linear = braking / (slope * slope)
+    wanted = slope * gap
+    if abs(gap) > linear:
+        wanted = math.copysign(math.sqrt(2.0 * braking * (abs(gap) - 0.5 * linear)), gap)
+    wanted = _clip(wanted + target_rate, -speed, speed)
+    rate += period * _clip(2.0 * bandwidth * (wanted - rate), -acceleration, acceleration)
+    return value + period * rate, rate
+
+
+@njit(cache=True)
+def heave_yaw_step(gains, state, reference, measurement, voltage):  # type: ignore[no-untyped-def]
+    """One period of the heave-yaw controller.
+
+    Parameters
+    ----------
+    gains : record of type ``HEAVE_YAW_GAINS``
+    state : (17,) array
+        From ``heave_yaw_initial`` or the previous call; not changed.
+    reference : (4,) array
+        z (m, down), psi (rad, continuous), and their rates (m/s, rad/s; zero is allowed).
+    measurement : (3,) array
+        z (m), psi (rad, continuous), r (rad/s).
+    voltage : float
+        Measured battery voltage (V).
+
+    Returns
+    -------
+    motor_input : (2,) array
+        Upper, lower; 0..1.
+    state : (17,) array
+    """
+    new = np.empty(_HEAVE_YAW_STATE)
+    new[_ORIGIN_Z], new[_ORIGIN_PSI] = state[_ORIGIN_Z], state[_ORIGIN_PSI]
+    new[_SHAPED_Z], new[_SHAPED_W] = _shape(
+        state[_SHAPED_Z],
+        state[_SHAPED_W],
+        reference[0],
+        reference[2],
+        gains.heave_bandwidth,
+        gains.heave_acceleration,
+        gains.heave_speed,
+        gains.period,
+    )
+    new[_SHAPED_PSI], new[_SHAPED_R] = _shape(
+        state[_SHAPED_PSI],
+        state[_SHAPED_R],
+        reference[1],
+        reference[3],
+        gains.yaw_bandwidth,
+        gains.yaw_acceleration,
+        gains.yaw_rate,
+        gains.period,
+    )
+    # A reading far off the design voltage is a fault of the sensor, not a battery.
+    believed = _clip(voltage, 0.5 * gains.design_voltage, 1.5 * gains.design_voltage)
+    new[_VOLTAGE] = state[_VOLTAGE] + gains.voltage_blend * (believed - state[_VOLTAGE])
+    top = new[_VOLTAGE] / gains.design_voltage
+
+    e = np.empty(5)
+    e[0], e[1] = new[_SHAPED_Z] - new[_ORIGIN_Z], new[_SHAPED_PSI] - new[_ORIGIN_PSI]
+    e[2], e[3], e[4] = new[_ORIGIN_Z] - measurement[0], new[_ORIGIN_PSI] - measurement[1], -measurement[2]
+    u = np.empty(2)
+    _output(gains, state, e, u)
+    lower, upper = gains.trim[0] + u[0], gains.trim[1] + u[1]
+    half = _clip(0.5 * (upper - lower), -0.5 * top, 0.5 * top)
+    mean = _clip(0.5 * (upper + lower), abs(half), top - abs(half))
+    excess = np.empty(2)
+    excess[0], excess[1] = mean - half - lower, mean + half - upper
+    _advance(gains, state, e, excess, new)
+    motor_input = np.empty(2)
+    motor_input[0], motor_input[1] = (mean + half) / top, (mean - half) / top
+    return motor_input, new
+
+
+@njit(cache=True)
+def roll_pitch_step(gains, state, reference, measurement):  # type: ignore[no-untyped-def]
+    """One period of the roll-pitch controller.
+
+    Parameters
+    ----------
+    gains : record of type ``ROLL_PITCH_GAINS``
+    state : (8,) array
+        From ``roll_pitch_initial`` or the previous call; not changed.
+    reference : (2,) array
+        phi, theta (rad).
+    measurement : (4,) array
+        phi, theta (rad), p, q (rad/s).
+
+    Returns
+    -------
+    servo_input : (2,) array
+        Servo 1 (pitch), servo 2 (roll); -1..1.
+    state : (8,) array
+    """
+    e = np.empty(4)
+    for i in range(2):
+        e[i] = _clip(reference[i], -gains.tilt_limit, gains.tilt_limit) - measurement[i]
+        e[i + 2] = -measurement[i + 2]
+    servo, excess, new = np.empty(2), np.empty(2), np.empty(ROLL_PITCH_ORDER)
+    _output(gains, state, e, servo)
+    for i in range(2):
+        wanted = servo[i] + gains.trim[i]
+        servo[i] = _clip(wanted, -1.0, 1.0)
+        excess[i] = servo[i] - wanted
+    _advance(gains, state, e, excess, new)
+    return servo, new
+
+
+@njit(cache=True)
+def position_step(  # type: ignore[no-untyped-def]
+    gains,
+    state,
+    position_reference,
+    velocity_reference,
+    acceleration_reference,
+    position,
+    velocity,
+    heading,
+):
+    """One period of the position cascade: position P, velocity H-infinity, tilt references.
+
+    Parameters
+    ----------
+    gains : record of type ``POSITION_GAINS``
+    state : (6,) array
+        From ``position_initial`` or the previous call; not changed.
+    position_reference, velocity_reference, acceleration_reference : (3,) array
+        N, E, D (m, m/s, m/s2); zero velocity and acceleration mean no feedforward. D is not used.
+    position, velocity : (3,) array
+        Measured N, E, D (m, m/s).
+    heading : float
+        psi (rad).
+
+    Returns
+    -------
+    tilt_reference : (2,) array
+        phi, theta (rad).
+    state : (6,) array
+    """
+    v_n = velocity_reference[0] + gains.position_gain * (position_reference[0] - position[0])
+    v_e = velocity_reference[1] + gains.position_gain * (position_reference[1] - position[1])
+    speed = math.sqrt(v_n * v_n + v_e * v_e)
+    if speed > gains.speed_limit:
+        v_n, v_e = v_n * gains.speed_limit / speed, v_e * gains.speed_limit / speed
+    v_n, v_e = v_n - velocity[0], v_e - velocity[1]
+    c, s = math.cos(heading), math.sin(heading)
+    e, tilt, excess, new = np.empty(2), np.empty(2), np.empty(2), np.empty(VELOCITY_ORDER)
+    e[0], e[1] = c * v_n + s * v_e, c * v_e - s * v_n
+    _output(gains, state, e, tilt)
+    a_n, a_e = acceleration_reference[0] / gains.gravity, acceleration_reference[1] / gains.gravity
+    phi, theta = tilt[0] + c * a_e - s * a_n, tilt[1] - c * a_n - s * a_e
+    size = math.sqrt(phi * phi + theta * theta)
+    factor = gains.tilt_limit / size if size > gains.tilt_limit else 1.0
+    tilt[0], tilt[1] = factor * phi, factor * theta
+    excess[0], excess[1] = tilt[0] - phi, tilt[1] - theta
+    _advance(gains, state, e, excess, new)
+    return tilt, new
+
+
+def _at_rest(gains: np.void, e: Array, output: Array) -> Array:
+    """Controller state whose output is ``output`` at input ``e`` and which moves least from there.
+
+    Least squares of ``(I - A) x - B e`` subject to ``C x + D e = output``: the slow modes carry the offset.
+    """
+    A, B, C, D = (np.asarray(gains[name]) for name in "ABCD")
+    used = np.nonzero(np.any(A != 0, axis=1) | np.any(B != 0, axis=1) | np.any(C != 0, axis=0))[0]
+    A, B, C = A[np.ix_(used, used)], B[used], C[:, used]
+    F = np.eye(used.size) - A
+    m = C.shape[0]
+    system = np.block([[F.T @ F, C.T], [C, np.zeros((m, m))]])
+    x = np.zeros(gains["A"].shape[0])
+    x[used] = np.linalg.lstsq(system, np.concatenate([F.T @ B @ e, output - D @ e]), rcond=None)[0][: used.size]
+    return x
+
+
+def heave_yaw_initial(gains: np.void, measurement: Array, motor_input: Array, voltage: float) -> Array:
+    """State that engages heave-yaw without a bump.
+
+    Parameters
+    ----------
+    gains : record of type ``HEAVE_YAW_GAINS``
+    measurement : (3,) array
+        z (m), psi (rad), r (rad/s) at the moment; the references start from there.
+    motor_input : (2,) array
+        Upper, lower (0..1) that the motors have at the moment, on the ground say.
+    voltage : float
+        Measured battery voltage (V).
+
+    Returns
+    -------
+    (17,) array
+        State for the first ``heave_yaw_step``; with the reference at the measurement its output is ``motor_input``.
+    """
+    z, psi, r = (float(v) for v in measurement)
+    design = float(gains["design_voltage"])
+    believed = min(max(float(voltage), 0.5 * design), 1.5 * design)
+    command = np.array([motor_input[1], motor_input[0]], dtype=float) * believed / design
+    state = np.zeros(_HEAVE_YAW_STATE)
+    state[:HEAVE_YAW_ORDER] = _at_rest(gains, np.array([0.0, 0.0, 0.0, 0.0, -r]), command - gains["trim"])
+    state[_SHAPED_Z], state[_SHAPED_PSI], state[_ORIGIN_Z], state[_ORIGIN_PSI] = z, psi, z, psi
+    state[_VOLTAGE] = believed
+    return state
+
+
+def roll_pitch_initial(gains: np.void, measurement: Array | None = None, servo_input: Array | None = None) -> Array:
+    """State that engages roll-pitch without a bump: level and at trim by default.
+
+    Parameters
+    ----------
+    gains : record of type ``ROLL_PITCH_GAINS``
+    measurement : (4,) array, optional
+        phi, theta (rad), p, q (rad/s); the reference is taken to be level.
+    servo_input : (2,) array, optional
+        Servo inputs at the moment.
+
+    Returns
+    -------
+    (8,) array
+    """
+    e = np.zeros(4) if measurement is None else -np.asarray(measurement, dtype=float)
+    servo = np.asarray(gains["trim"]) if servo_input is None else np.asarray(servo_input, dtype=float)
+    return _at_rest(gains, e, servo - gains["trim"])
+
+
+def position_initial(gains: np.void) -> Array:
+    """State of the position cascade at rest.
+
+    Returns
+    -------
+    (6,) array
+    """
+    return np.zeros(gains["A"].shape[0])
