@@ -4,6 +4,7 @@ from mufly.dynamics.ground import lowest_point, standing_height
 from mufly.dynamics.linearise import Linearisation, linearise
 from mufly.dynamics.model import battery_state, derivative
 from mufly.dynamics.parameters import GRAVITY, PARAMETERS, model_parameters
+from mufly.dynamics.performance import HoverPerformance, hover_performance
 from mufly.dynamics.simulate import DEFAULT_STEP_S, advance, advance_batch, simulate, state_dataset
 from mufly.dynamics.state import (
     INPUT_SIZE,
@@ -23,6 +24,7 @@ __all__ = [
     "PARAMETERS",
     "STATE_SIZE",
     "DrydenWind",
+    "HoverPerformance",
     "Linearisation",
     "Trim",
     "advance",
@@ -30,6 +32,7 @@ __all__ = [
     "battery_state",
     "derivative",
     "euler_from_quaternion",
+    "hover_performance",
     "initial_state",
     "linearise",
     "lowest_point",

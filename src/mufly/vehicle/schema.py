@@ -123,7 +123,7 @@ class Contact(Group):
 
 class RangeRing(Group):
     count: int = Field(ge=1, le=64, description="number of beams, evenly spread over the circle")
-    first_angle: Quantity = parameter("rad", "alpha_0", "direction of beam 0, from x towards y (eq. 6.15)")
+    first_angle: Quantity = parameter("rad", "alpha_0", "direction of beam 0, from x towards y (Fig. 6.18)")
     min_range: Quantity = parameter("m", "l_min", "shortest distance that is measured", at_least=0)
     max_range: Quantity = parameter("m", "l_max", "greatest distance that is measured", above=0)
 

@@ -1,0 +1,123 @@
+"""``mufly vehicle``: what it prints, and how it says what is wrong."""
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from mufly.cli.vehicle import app
+from mufly.errors import InputError, MuflyError
+from mufly.vehicle import builtin_vehicles, load_vehicle, parameters, replace, vehicle_toml
+
+runner = CliRunner()
+
+
+@pytest.fixture(autouse=True)
+def wide_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+
+
+def output(*arguments: str) -> str:
+    result = runner.invoke(app, arguments)
+    assert result.exit_code == 0, result.exception
+    return result.stdout
+
+
+def test_list_names_every_vehicle() -> None:
+    text = output("list")
+    for name in builtin_vehicles():
+        assert name in text
+    assert "95 g" in text
+    assert "175 mm" in text
+    assert "0.72, 0.79" in text
+
+
+def test_list_as_json() -> None:
+    rows = {row["name"]: row for row in json.loads(output("list", "--json"))}
+    assert set(rows) == set(builtin_vehicles())
+    assert rows["mufly-1.1"]["mass_kg"] == 0.095
+    assert rows["mufly-1.1"]["rotor_diameter_m"] == pytest.approx(0.175)
+
+
+@pytest.mark.parametrize("name", builtin_vehicles())
+def test_show_prints_every_parameter(name: str) -> None:
+    text = output("show", name)
+    for row in parameters(load_vehicle(name)):
+        assert row.key.rpartition(".")[2] in text
+        assert row.symbol in text or row.key.startswith("mass_budget")
+
+
+def test_show_uses_readable_units() -> None:
+    lines = output("show", "mufly-1.1").splitlines()
+
+    def line(key: str) -> str:
+        return next(x for x in lines if x.split()[:1] == [key])
+
+    assert "95 g" in " ".join(line("mass").split())
+    assert "15 deg" in " ".join(line("max_tilt").split())
+    assert "250 mA h" in " ".join(line("capacity").split())
+    assert "95.0 g" in line("total")
+
+
+def test_show_as_json_is_in_si() -> None:
+    shown = json.loads(output("show", "mufly-1.1", "--json"))
+    rows = {row["key"]: row for row in shown["parameters"]}
+    assert rows["body.mass"] == {
+        "key": "body.mass",
+        "symbol": "m",
+        "value": 0.095,
+        "unit": "kg",
+        "source": "measured",
+        "description": "take-off mass",
+        "note": "Table 5.3; on a scale",
+    }
+    assert len(rows["battery.open_circuit_voltage"]["value"]) == 12
+
+
+def test_check_prints_the_hover_point() -> None:
+    text = output("check", "mufly-1.1")
+    assert "3595 upper, 4236 lower rpm" in text
+    assert "0.720 upper, 0.791 lower" in text
+    assert "min of hover" in text
+
+
+def test_check_as_json() -> None:
+    hover = json.loads(output("check", "mufly-1.1", "--json"))["hover"]
+    assert sum(hover["thrust_N"]) == pytest.approx(0.095 * 9.81 + 0.009)
+    assert hover["power_W"] == pytest.approx(hover["voltage_V"] * hover["current_A"])
+    # Half the charge at the current of a half-full battery, roughly: 250 mA h at 2.9 A.
+    assert hover["endurance_s"] == pytest.approx(900 / hover["current_A"], rel=0.1)
+    assert hover["thrust_to_weight_full"] > hover["thrust_to_weight_half"] > 1.2
+
+
+def fault(*arguments: str) -> MuflyError:
+    result = runner.invoke(app, arguments)
+    assert result.exit_code != 0
+    assert isinstance(
+        result.exception, MuflyError
+    )  # the top-level command turns it into one line and status 1
+    assert "\n" not in str(result.exception)
+    assert not result.stdout
+    return result.exception
+
+
+def test_a_wrong_file_is_named(tmp_path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(vehicle_toml(load_vehicle("mufly-1.1")).replace("value = 0.095", "value = -0.095"))
+    error = fault("check", str(path))
+    assert isinstance(error, InputError)
+    assert error.key == "body.mass"
+    assert str(path) in str(error)
+
+
+def test_too_heavy_and_unknown(tmp_path) -> None:
+    path = tmp_path / "heavy.toml"
+    path.write_text(vehicle_toml(replace(load_vehicle("mufly-1.1"), {"body.mass": 0.2})))
+    assert "too heavy to hover: 200 g" in str(fault("check", str(path)))
+    assert "mufly-2.0" in str(fault("show", "mufly-3"))
+
+
+def test_help_explains_itself() -> None:
+    text = output("--help")
+    for command in ("list", "show", "check"):
+        assert command in text
