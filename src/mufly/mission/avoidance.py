@@ -15,7 +15,8 @@ Stepanov 1987; Kamon, Rimon and Rivlin 1998):
   distance to it fall no faster than exponentially towards c (a control barrier).
 - It leaves the contour when it is nearer to the goal than where it met the obstacle and no seen point lies within c
   plus 10 cm of the next 1.5 m of the straight way; that progress is what makes Bug algorithms arrive. The first two
-  times on a leg it also leaves, wherever it is, when the whole way to the goal is that clear.
+  times on a leg it also leaves, wherever it is, when the whole way to the goal is that clear. After a whole lap it
+  leaves at the place nearest to the goal that the lap came by.
 - Where the goal itself is too near to a seen point it keeps away and waits. After a stated time it gives up.
 
 The reference is a point whose velocity follows what is wanted with limited acceleration and jerk. All in the
@@ -26,157 +27,26 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
-
-import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
 from mufly.mission.obstacles import Memory, Ring, repulsion
+from mufly.mission.sight import ENTER_M, LOOK_M, Sight, hold_off, look
 
-__all__ = ["BRAKE_M_S2", "Detour", "Sight", "begin_detour", "blocked", "go_round", "look"]
-
-_Array = NDArray[np.float64]
+__all__ = ["BRAKE_M_S2", "Detour", "begin_detour", "go_round"]
 
 BRAKE_M_S2 = 1.0
 """Acceleration that avoiding an obstacle may ask for: a tilt of 6 degrees."""
 
-LOOK_M = 1.2
-"""How far ahead on its way the helicopter minds obstacles."""
-
-ENTER_M, LEAVE_M, FOLLOW_M = 0.05, 0.10, 0.15
-"""Added to the clearance: a way this near to a point is blocked; is clear; distance to follow a contour at."""
+LEAVE_M, FOLLOW_M, KEEP_M = 0.10, 0.15, 0.06
+"""Added to the clearance: a way this far from all points is clear; distance to follow a contour at; distance that is
+approached only exponentially. They cover the 5 cm between remembered points and the lag of the position loop."""
 
 _FIELD_GAIN = 0.15
 """k of eqs 6.18 and 6.19, as a velocity: m/s per 1/m."""
 
-_APPROACH = 0.8
-"""lambda (1/s): slower than the position loop's lag of 0.3 s lets through."""
-
 _LAG_S = 0.2
 _STRAY_M = 3.0
 _STUCK_S = 5.0
-_SAME_HEIGHT_M = 0.5
-
-
-class Sight(NamedTuple):
-    """What the seen points mean for a way.
-
-    Attributes
-    ----------
-    nearest : float
-        Distance from the position to the nearest point (m), infinite where there is none.
-    north, east : float
-        Unit vector from that point to the position.
-    way : float
-        Least distance of any point from the stretch of the way looked at (m).
-    offset : float
-        Mean distance of the points that block it from the way, positive to the right (m).
-    goal : float
-        Distance from the goal to the point nearest to it (m).
-    """
-
-    nearest: float
-    north: float
-    east: float
-    way: float
-    offset: float
-    goal: float
-
-
-@njit(cache=True)
-def _look(
-    points: _Array,
-    used: int,
-    n: float,
-    e: float,
-    d: float,
-    gn: float,
-    ge: float,
-    ahead: float,
-    blocked_at: float,
-) -> tuple[float, float, float, float, float, float]:
-    wn, we = gn - n, ge - e
-    length = math.hypot(wn, we)
-    if length > 1e-9:
-        wn, we = wn / length, we / length
-    else:
-        wn, we = 1.0, 0.0
-    stretch = min(length, ahead)
-    nearest, nn, ne, way, goal = np.inf, 0.0, 0.0, np.inf, np.inf
-    total, count = 0.0, 0
-    for k in range(used):
-        if abs(points[k, 2] - d) > _SAME_HEIGHT_M:
-            continue
-        qn, qe = points[k, 0] - n, points[k, 1] - e
-        dist = math.hypot(qn, qe)
-        if dist < nearest:
-            nearest = dist
-            if dist > 1e-9:
-                nn, ne = -qn / dist, -qe / dist
-        along = qn * wn + qe * we
-        across = qe * wn - qn * we
-        beyond = along - min(max(along, 0.0), stretch)
-        off = math.hypot(beyond, across)
-        way = min(way, off)
-        goal = min(goal, math.hypot(points[k, 0] - gn, points[k, 1] - ge))
-        # A blocker's whole visible width tells the side, not only the part inside the corridor.
-        if along > -blocked_at and along < stretch + blocked_at and abs(across) < 2.0 * blocked_at:
-            total += across
-            count += 1
-    return nearest, nn, ne, way, (total / count if count > 0 else 0.0), goal
-
-
-@njit(cache=True)
-def _hold_off(
-    points: _Array, used: int, n: float, e: float, d: float, vn: float, ve: float, keep: float
-) -> tuple[float, float]:
-    """Least change of velocity that approaches no point faster than the barrier allows (cyclic projection)."""
-    for _ in range(8):
-        changed = False
-        for k in range(used):
-            if abs(points[k, 2] - d) > _SAME_HEIGHT_M:
-                continue
-            qn, qe = n - points[k, 0], e - points[k, 1]
-            dist = math.hypot(qn, qe)
-            if dist > 2.0 or dist < 1e-9:
-                continue
-            short = -_APPROACH * (dist - keep) - (vn * qn + ve * qe) / dist
-            if short > 1e-6:
-                vn += short * qn / dist
-                ve += short * qe / dist
-                changed = True
-        if not changed:
-            break
-    return vn, ve
-
-
-def look(
-    memory: Memory,
-    position: tuple[float, ...],
-    goal: tuple[float, ...],
-    clearance: float,
-    ahead: float = LOOK_M,
-) -> Sight:
-    """Judge the straight level way from ``position`` to ``goal`` (N, E, D; m), ``ahead`` metres of it at most."""
-    return Sight(
-        *_look(
-            memory.points,
-            memory.used,
-            position[0],
-            position[1],
-            position[2],
-            goal[0],
-            goal[1],
-            ahead,
-            clearance + ENTER_M,
-        )
-    )
-
-
-def blocked(sight: Sight, clearance: float) -> bool:
-    """Whether something stands in the way."""
-    return sight.way < clearance + ENTER_M
+_CONTACT_M = 0.15
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,6 +69,10 @@ class Detour:
         Distance from the straight way between ``hit`` and the goal at which the other side is tried (m).
     clear_s, anchor_s : float
         For how long the way has been clear; since when ``anchor`` (2,) has not been left by 0.25 m (s).
+    lap : (2,) tuple or None
+        N, E of where it came to the contour (m).
+    lap_way, best : float
+        Way flown since then, and the least distance to the goal on it (m).
     leaving : bool
         Whether it brakes, to fly straight on from where it stops.
     obstacle : (2,) tuple
@@ -216,6 +90,9 @@ class Detour:
     clear_s: float = 0.0
     anchor: tuple[float, float] = (0.0, 0.0)
     anchor_s: float = 0.0
+    lap: tuple[float, float] | None = None
+    lap_way: float = 0.0
+    best: float = math.inf
     leaving: bool = False
     obstacle: tuple[float, float] = (math.nan, math.nan)
 
@@ -297,15 +174,12 @@ def go_round(
     leaving = clear_s > 0.3
 
     follow = clearance + FOLLOW_M
-    side, stray, anchor, anchor_s = detour.side, detour.stray, detour.anchor, detour.anchor_s + dt
-    here = (reference[0], reference[1])
+    touching = near.nearest < follow + _CONTACT_M
     goal_blocked = sight.goal < clearance + ENTER_M and to_goal < 1.0
-    if math.dist(here, anchor) > 0.25:
-        anchor, anchor_s = here, 0.0
-    elif (anchor_s > _STUCK_S and not goal_blocked) and not leaving:
-        side, anchor_s = -side, 0.0
-    if _off_course(here, detour.hit, goal) > stray and not leaving:
-        side, stray = -side, 2.0 * stray
+    here = (reference[0], reference[1])
+    if not leaving and not goal_blocked:
+        detour = _keep_course(detour, here, goal, to_goal, touching, dt)
+    side = detour.side
 
     vn = ve = 0.0
     if leaving:
@@ -314,11 +188,14 @@ def go_round(
         push = min(speed, max(0.0, follow - near.nearest))
         vn, ve = push * near.north, push * near.east
     elif near.nearest < LOOK_M + 0.5:
-        lean = math.atan2(near.nearest - follow, 0.4)
+        far, n, e = near.nearest, near.north, near.east
+        if not touching and math.isfinite(near.block):
+            # Not yet on any contour: make for the one that is in the way, not for one beside it.
+            far, n, e = near.block, near.block_north, near.block_east
+        lean = math.atan2(far - follow, 0.4)
         # Facing the obstacle, along -n, the way to the right is (n_E, -n_N).
-        tn, te = side * near.east, -side * near.north
-        vn = speed * (math.cos(lean) * tn - math.sin(lean) * near.north)
-        ve = speed * (math.cos(lean) * te - math.sin(lean) * near.east)
+        vn = speed * (math.cos(lean) * side * e - math.sin(lean) * n)
+        ve = speed * (-math.cos(lean) * side * n - math.sin(lean) * e)
     elif to_goal > 1e-6:
         pace = min(speed, 0.5 * to_goal)
         vn, ve = pace * (goal[0] - reference[0]) / to_goal, pace * (goal[1] - reference[1]) / to_goal
@@ -328,25 +205,52 @@ def go_round(
         c, s = math.cos(heading), math.sin(heading)
         vn += _FIELD_GAIN * (c * fx - s * fy)
         ve += _FIELD_GAIN * (s * fx + c * fy)
-    vn, ve = _hold_off(memory.points, memory.used, at[0], at[1], at[2], vn, ve, clearance + 0.03)
+    vn, ve = hold_off(memory, at, (vn, ve), clearance + KEEP_M)
     fast = math.hypot(vn, ve)
     limit = speed * max(0.0, 1.0 - max(0.0, math.dist(here, position[:2]) - 0.15) / 0.15)
     if fast > limit:
         vn, ve = vn * limit / fast, ve * limit / fast
 
-    moved = _follow(detour, (vn, ve, 0.0), dt)
     obstacle = detour.obstacle
     if near.nearest < 2.0:
         obstacle = (at[0] - near.nearest * near.north, at[1] - near.nearest * near.east)
+    moved = _follow(detour, (vn, ve, 0.0), dt)
+    return replace(moved, clear_s=clear_s, leaving=leaving, obstacle=obstacle)
+
+
+def _keep_course(
+    detour: Detour,
+    here: tuple[float, float],
+    goal: tuple[float, float, float],
+    to_goal: float,
+    touching: bool,
+    dt: float,
+) -> Detour:
+    """Change sides when stuck or far off; after a whole lap leave at the best place that it found."""
+    side, stray, hit_distance = detour.side, detour.stray, detour.hit_distance
+    anchor, anchor_s = detour.anchor, detour.anchor_s + dt
+    if math.dist(here, anchor) > 0.25:
+        anchor, anchor_s = here, 0.0
+    elif anchor_s > _STUCK_S:
+        side, anchor_s = -side, 0.0
+    if _off_course(here, detour.hit, goal) > stray:
+        side, stray = -side, 2.0 * stray
+    lap, lap_way, best = detour.lap, detour.lap_way, min(detour.best, to_goal)
+    lap_way += math.hypot(*detour.velocity) * dt
+    if lap is None or side != detour.side:
+        lap, lap_way, best = (here if touching else None), 0.0, to_goal
+    elif lap_way > 1.5 and math.dist(here, lap) < 0.3:
+        hit_distance, lap_way, best = best + 0.25, 0.0, to_goal
     return replace(
-        moved,
+        detour,
         side=side,
         stray=stray,
-        clear_s=clear_s,
+        hit_distance=hit_distance,
         anchor=anchor,
         anchor_s=anchor_s,
-        leaving=leaving,
-        obstacle=obstacle,
+        lap=lap,
+        lap_way=lap_way,
+        best=best,
     )
 
 

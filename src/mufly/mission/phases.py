@@ -10,10 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from mufly.mission.avoidance import BRAKE_M_S2, begin_detour, blocked, go_round, look
+from mufly.mission.avoidance import BRAKE_M_S2, begin_detour, go_round
 from mufly.mission.plan import SLOW_FROM_M, SPIN_UP_S, leg_trajectory
 from mufly.mission.reference import at_gate, point
 from mufly.mission.schema import LOWEST_M
+from mufly.mission.sight import blocked, look
 from mufly.mission.signals import Command, MissionPlan, MissionState, State, Triple, enter, fail, log
 from mufly.mission.trajectory import Trajectory, stop, straight
 from mufly.sensors import Measurement
