@@ -1,0 +1,209 @@
+"""``mufly fly``: from a vehicle file to an autonomous mission."""
+
+from __future__ import annotations
+
+import json
+from contextlib import nullcontext
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mufly.errors import InputError, MuflyError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from mufly.flight import Progress, Summary
+
+__all__ = ["fly"]
+
+
+def fly(
+    mission: Annotated[
+        str, typer.Argument(help="Mission file, or a built-in mission (see: mufly mission list).")
+    ] = "demonstration",
+    vehicle: Annotated[
+        str, typer.Option("--vehicle", "-v", help="Vehicle file, or a built-in vehicle.")
+    ] = "mufly-1.1",
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Folder for the results. [default: flights/<date-time>]"),
+    ] = None,
+    wind: Annotated[
+        str | None,
+        typer.Option(help="Steady wind N,E,D in m/s, as in 0.5,0,0; instead of the mission's."),
+    ] = None,
+    gust: Annotated[
+        float | None, typer.Option(help="Gusts, standard deviation in m/s; instead of the mission's.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    realtime: Annotated[bool, typer.Option("--realtime", help="Keep pace with the clock.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the summary as JSON on standard output, and nothing else.")
+    ] = False,
+    headless: Annotated[
+        bool,
+        typer.Option(
+            "--headless", help="Stay in the terminal (today it always does: there is no browser view yet)."
+        ),
+    ] = False,
+) -> None:
+    """Fly a mission on the full nonlinear model.
+
+    Loads the vehicle, designs its controllers, and flies: by default the demonstration of the muFly
+    dissertation: take off, a square of four waypoints, land. Writes a folder with the recording (flight.mcap, opens in
+    Foxglove and PlotJuggler), summary.json and pictures. The exit status is 0 only if the mission succeeded.
+
+    Examples:
+
+        mufly fly
+
+        mufly fly my-mission.toml --vehicle my-helicopter.toml --wind 0.5,0,0 --gust 0.3 --seed 7
+    """
+    from rich.console import Console
+
+    console = Console(stderr=as_json)
+    steady = _wind(wind)
+    folder = out if out is not None else _dated_folder()
+    if folder.exists() and not folder.is_dir():
+        raise InputError("--out", "", f"{folder} is a file", "name a folder")
+
+    # Whatever can be wrong with the input is found before the heavy libraries are loaded.
+    from mufly.mission import load_mission
+    from mufly.vehicle import load_vehicle
+
+    loaded_vehicle, loaded_mission = load_vehicle(vehicle), load_mission(mission)
+    console.print(
+        f"[bold]{loaded_vehicle.name}[/bold] flies [bold]{loaded_mission.name}[/bold]; results go to {folder}"
+    )
+
+    import mufly.flight as flight
+
+    recording = folder / "flight.mcap"
+    try:
+        with _display(console) as display:
+            dataset = flight.fly(
+                loaded_vehicle,
+                loaded_mission,
+                wind=steady,
+                gust=gust,
+                seed=seed,
+                realtime=realtime,
+                path=recording,
+                on_progress=display,
+            )
+    except KeyboardInterrupt:
+        if recording.exists():
+            console.print(f"Stopped; the recording up to here is in {recording}")
+        raise typer.Exit(130) from None
+
+    summary = flight.summarise(
+        dataset,
+        [w.position_m for w in loaded_mission.waypoint],
+        flight.events_of(dataset),
+        take_off=(*loaded_mission.start_m, -loaded_mission.take_off.height_m),
+        reach_m=loaded_mission.limits.reach_m,
+        world=loaded_mission.world,
+        realtime_factor=dataset.attrs["realtime_factor"],
+    )
+    text = json.dumps(summary.to_dict(), indent=2)
+    (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+    pictures = flight.draw_flight(
+        dataset, folder, waypoints=[w.position_m for w in loaded_mission.waypoint], world=loaded_mission.world
+    )
+    if as_json:
+        print(text)
+    else:
+        _print_result(console, summary)
+        names = ", ".join(p.name for p in (recording, folder / "summary.json", *pictures))
+        console.print(f"Written to [bold]{folder}[/bold]: {names}")
+    if summary.outcome != "succeeded":
+        raise MuflyError(f"the mission failed: {summary.reason}")
+
+
+def _wind(text: str | None) -> list[float] | None:
+    if text is None:
+        return None
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 3 or not all(abs(n) < 50.0 for n in numbers):
+        raise InputError("--wind", "", f"{text!r} is no wind", "give N,E,D in m/s, as in 0.5,0,0")
+    return numbers
+
+
+def _dated_folder() -> Path:
+    base = Path("flights") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    folder, n = base, 1
+    while folder.exists():
+        n += 1
+        folder = base.with_name(f"{base.name}_{n}")
+    return folder
+
+
+class _Display:
+    """Show what is happening: a live line on a terminal, a line a state elsewhere."""
+
+    def __init__(self, console: Console) -> None:
+        from rich.live import Live
+
+        self._console = console
+        self._live = Live(console=console, refresh_per_second=10) if console.is_terminal else nullcontext()
+        self._state = ""
+
+    def __enter__(self) -> _Display:
+        self._live.__enter__()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._live.__exit__(*exc)  # type: ignore[arg-type]
+
+    def __call__(self, p: Progress) -> None:
+        from rich.live import Live
+
+        n, e, d = p.position
+        line = (
+            f"{p.state:<10} {p.time_s:6.1f} s of about {p.expected_s:.0f}   "
+            f"N {n:6.2f}  E {e:6.2f}  height {-d:5.2f} m   "
+            f"battery {p.battery_V:.2f} V {p.battery_charge:4.0%}   {p.realtime_factor:5.1f} x real time"
+        )
+        if isinstance(self._live, Live):
+            self._live.update(line)
+        elif p.state != self._state:
+            self._console.print(line, highlight=False)
+            self._state = p.state
+
+
+def _display(console: Console) -> _Display:
+    return _Display(console)
+
+
+def _print_result(console: Console, summary: Summary) -> None:
+    from rich import box
+    from rich.table import Table
+
+    from mufly.flight import summary_rows
+
+    table = Table(box=box.SIMPLE, show_header=False)
+    colour = "green" if summary.outcome == "succeeded" else "red"
+    for k, (label, value) in enumerate(summary_rows(summary)):
+        table.add_row(label, f"[bold {colour}]{value}[/]" if k == 0 else value)
+    console.print(table)
+    points = Table("waypoint", "N, E, D (m)", "reached (s)", "off by (cm)", "overshoot (cm)", box=box.SIMPLE)
+    for w in summary.waypoints:
+        place = ", ".join(f"{x:g}" for x in w.position_m)
+        points.add_row(
+            w.name,
+            place,
+            _number(w.reached_s),
+            _number(w.distance_at_reach_m, 100),
+            _number(w.overshoot_m, 100),
+        )
+    console.print(points)
+
+
+def _number(value: float | None, factor: float = 1.0) -> str:
+    return "never" if value is None else f"{factor * value:.1f}"

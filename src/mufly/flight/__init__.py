@@ -1,0 +1,27 @@
+"""All of it at once: the flight software, the closed loop, the recorder, pictures and numbers of a flight."""
+
+from mufly.flight.layout import Event, standard_layout
+from mufly.flight.loop import Progress, fly
+from mufly.flight.pictures import draw_flight
+from mufly.flight.recorder import Recorder
+from mufly.flight.recording import events_of, read_attachments, read_recording, to_csv
+from mufly.flight.software import Actuators, FlightSoftware
+from mufly.flight.summary import Summary, summarise, summary_rows
+
+__all__ = [
+    "Actuators",
+    "Event",
+    "FlightSoftware",
+    "Progress",
+    "Recorder",
+    "Summary",
+    "draw_flight",
+    "events_of",
+    "fly",
+    "read_attachments",
+    "read_recording",
+    "standard_layout",
+    "summarise",
+    "summary_rows",
+    "to_csv",
+]

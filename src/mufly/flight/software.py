@@ -1,0 +1,229 @@
+"""The flight software: what runs on board, as a function of time steps.
+
+``step(measurement, command) -> actuators``, called at the control design's rate. It knows nothing of the simulator.
+The mission logic runs in every n-th step (50 Hz by default, with the position cascade) and says what the motors are to do and what to follow:
+
+=========== =========================================================================================
+off         motors and servos at rest
+spin_up     motor inputs rise to 0.85 of hover, too little to lift off; servos at trim
+fly         position cascade (every n-th step), roll-pitch and heave-yaw controllers (every step)
+ramp_down   after touchdown motor inputs fall to zero
+=========== =========================================================================================
+
+Between two steps of the mission logic its reference is carried on at the reference velocity.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.control import FlightController
+from mufly.control.law import (
+    heave_yaw_initial,
+    heave_yaw_step,
+    position_initial,
+    position_step,
+    roll_pitch_initial,
+    roll_pitch_step,
+)
+from mufly.mission import Command, Event, Mission, MissionState, Reference, begin, prepare, step
+from mufly.mission.phases import RAMP_DOWN_S
+from mufly.mission.plan import SPIN_UP_S
+from mufly.sensors import Measurement
+from mufly.vehicle import Vehicle
+
+__all__ = ["Actuators", "FlightSoftware"]
+
+SPIN_UP_SHARE = 0.85
+
+
+@dataclass(frozen=True, slots=True)
+class Actuators:
+    """What the flight software sends out.
+
+    Attributes
+    ----------
+    motor_input : (2,) array
+        Upper, lower (0..1).
+    servo_input : (2,) array
+        Servo 1 (positive: nose down), servo 2 (positive: to the right); -1..1.
+    """
+
+    motor_input: NDArray[np.float64]
+    servo_input: NDArray[np.float64]
+
+    @classmethod
+    def idle(cls) -> Actuators:
+        """Everything at rest."""
+        return cls(np.zeros(2), np.zeros(2))
+
+    @property
+    def array(self) -> NDArray[np.float64]:
+        """The input of the flight model: motor upper, motor lower, servo 1, servo 2."""
+        return np.concatenate((self.motor_input, self.servo_input))
+
+
+class FlightSoftware:
+    """Mission logic and controllers of one vehicle.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        For its range ring and battery limit.
+    controller : FlightController
+        From :func:`mufly.control.design`.
+    mission : Mission
+        Checked.
+
+    Raises
+    ------
+    InputError
+        If the mission does not suit the vehicle.
+    """
+
+    def __init__(self, vehicle: Vehicle, controller: FlightController, mission: Mission) -> None:
+        self._plan = prepare(mission, vehicle)
+        self._controller = controller
+        self._period_s = 1.0 / controller.rate_Hz
+        self._every = controller.position_divider
+        self._mission: MissionState | None = None
+        self._reference = Reference(np.zeros(3), np.zeros(3), np.zeros(3), 0.0, 0.0, "off")
+        self._command = Command()
+        self._ticks = 0
+        self._motors = "off"
+        self._since_s = 0.0
+        self._motor_input = np.zeros(2)
+        self._tilt = np.zeros(2)
+        self._position_state = position_initial(self._controller.position_gains)
+        self._roll_pitch_state = roll_pitch_initial(self._controller.roll_pitch_gains)
+        self._heave_yaw_state = np.zeros(0)
+
+    @property
+    def state(self) -> str:
+        """State of the mission (Fig. 6.15)."""
+        return "init" if self._mission is None else str(self._mission.state)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the mission is over and the motors are off."""
+        return self._mission is not None and self._mission.finished
+
+    @property
+    def outcome(self) -> str:
+        """``"succeeded"``, ``"failed"``, or ``""`` while it is open."""
+        return "" if self._mission is None else self._mission.outcome
+
+    @property
+    def reason(self) -> str:
+        """Why it failed."""
+        return "" if self._mission is None else self._mission.reason
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """Every change of state so far, with its reason."""
+        return () if self._mission is None else self._mission.events
+
+    @property
+    def reference(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """What is being followed: position, velocity (N-E-D), and roll, pitch, yaw."""
+        r = self._reference
+        return r.position, r.velocity, np.array([self._tilt[0], self._tilt[1], r.heading])
+
+    def step(self, measured: Measurement, command: Command) -> Actuators:
+        """Advance by one period.
+
+        Parameters
+        ----------
+        measured : Measurement
+        command : Command
+            The user's signals; one given between two steps of the mission logic is kept for the next.
+
+        Returns
+        -------
+        Actuators
+        """
+        if self._mission is None:
+            self._mission = begin(self._plan, measured)
+        if command != _NO_COMMAND:
+            self._command = command
+        late_s = (self._ticks % self._every) * self._period_s
+        if late_s == 0.0:
+            self._mission, self._reference = step(self._plan, self._mission, measured, self._command)
+            self._command = Command()
+        self._ticks += 1
+        r = self._reference
+        if r.motors != self._motors:
+            self._switch(r.motors, measured)
+        if r.motors == "fly":
+            return self._fly(r, measured, late_s)
+        return self._on_the_floor(r.motors, measured)
+
+    def _switch(self, motors: str, m: Measurement) -> None:
+        """Engage or release the controllers without a bump."""
+        if motors == "fly":
+            self._heave_yaw_state = heave_yaw_initial(
+                self._controller.heave_yaw_gains, _heave_yaw_of(m), self._motor_input, m.battery_voltage
+            )
+            self._roll_pitch_state = roll_pitch_initial(self._controller.roll_pitch_gains)
+            self._position_state = position_initial(self._controller.position_gains)
+        self._motors, self._since_s = motors, m.time_s
+        self._released = self._motor_input
+
+    def _on_the_floor(self, motors: str, m: Measurement) -> Actuators:
+        elapsed = m.time_s - self._since_s
+        if motors == "spin_up":
+            share = SPIN_UP_SHARE * min(1.0, elapsed / SPIN_UP_S)
+            self._motor_input = np.minimum(
+                share * self._controller.motor_trim * self._controller.voltage_V / m.battery_voltage, 1.0
+            )
+        elif motors == "ramp_down":
+            self._motor_input = self._released * max(0.0, 1.0 - elapsed / RAMP_DOWN_S)
+        else:
+            self._motor_input = np.zeros(2)
+        self._tilt = np.zeros(2)
+        return Actuators(self._motor_input, np.zeros(2))
+
+    def _fly(self, r: Reference, m: Measurement, late_s: float) -> Actuators:
+        controller = self._controller
+        if r.rc:
+            self._tilt = np.array([r.roll, r.pitch])
+        elif late_s == 0.0:
+            self._tilt, self._position_state = position_step(
+                controller.position_gains,
+                self._position_state,
+                r.position,
+                r.velocity,
+                r.acceleration,
+                m.position,
+                m.velocity,
+                m.attitude[2],
+            )
+        servo, self._roll_pitch_state = roll_pitch_step(
+            controller.roll_pitch_gains, self._roll_pitch_state, self._tilt, _roll_pitch_of(m)
+        )
+        wanted = np.array(
+            [
+                r.position[2] + late_s * r.velocity[2],
+                r.heading + late_s * r.heading_rate,
+                r.velocity[2],
+                r.heading_rate,
+            ]
+        )
+        self._motor_input, self._heave_yaw_state = heave_yaw_step(
+            controller.heave_yaw_gains, self._heave_yaw_state, wanted, _heave_yaw_of(m), m.battery_voltage
+        )
+        return Actuators(self._motor_input, servo)
+
+
+_NO_COMMAND = Command()
+
+
+def _heave_yaw_of(m: Measurement) -> NDArray[np.float64]:
+    return np.array([m.position[2], m.attitude[2], m.rates[2]])
+
+
+def _roll_pitch_of(m: Measurement) -> NDArray[np.float64]:
+    return np.array([m.attitude[0], m.attitude[1], m.rates[0], m.rates[1]])
