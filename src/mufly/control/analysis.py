@@ -24,7 +24,15 @@ from numpy.typing import NDArray
 
 from mufly.control.linear import Array, frequency_response, state_space
 
-__all__ = ["LoopAnalysis", "LoopCurves", "analyse", "feedback_part", "is_stable_loop", "loop_curves", "sample_plant"]
+__all__ = [
+    "LoopAnalysis",
+    "LoopCurves",
+    "analyse",
+    "feedback_part",
+    "is_stable_loop",
+    "loop_curves",
+    "sample_plant",
+]
 
 
 @dataclass(frozen=True)
@@ -96,7 +104,9 @@ def sample_plant(plant: control.StateSpace, period_s: float, delay_samples: int 
     return state_space(A, B, C, D, inputs=plant.input_labels, outputs=plant.output_labels, dt=period_s)
 
 
-def feedback_part(controller: control.StateSpace, plant: control.StateSpace, rows: Sequence[int]) -> control.StateSpace:
+def feedback_part(
+    controller: control.StateSpace, plant: control.StateSpace, rows: Sequence[int]
+) -> control.StateSpace:
     """The part of a controller that reads the plant's outputs: its inputs ``rows``, in the order of the outputs."""
     columns = list(rows)
     return state_space(
@@ -120,7 +130,10 @@ def _closed_poles(plant: control.StateSpace, feedback: control.StateSpace) -> ND
     E = np.linalg.inv(np.eye(plant.noutputs) + plant.D @ feedback.D)
     A = np.block(
         [
-            [plant.A - plant.B @ feedback.D @ E @ plant.C, plant.B @ (feedback.C - feedback.D @ E @ plant.D @ feedback.C)],
+            [
+                plant.A - plant.B @ feedback.D @ E @ plant.C,
+                plant.B @ (feedback.C - feedback.D @ E @ plant.D @ feedback.C),
+            ],
             [-feedback.B @ E @ plant.C, feedback.A - feedback.B @ E @ plant.D @ feedback.C],
         ]
     )

@@ -54,13 +54,14 @@ class Settings:
 
     Attributes
     ----------
-    heave_yaw_scaling : Scaling
-        Outputs z (m), psi (rad), r (rad/s); inputs motor lower, upper.
+    heave_yaw_scaling : Scaling or None
+        Outputs z (m), psi (rad), r (rad/s); inputs motor lower, upper. None: from the vehicle's authority, see
+        ``heave_yaw_scaling``.
     heave_yaw_weights : TwoDegreeWeights
     heave_yaw_relaxation : float
         Factor on the smallest level; see ``hinfsyn``.
     roll_pitch_scaling, roll_pitch_weights, roll_pitch_relaxation
-        Likewise: phi, theta (rad), p, q (rad/s); servos 1, 2.
+        Likewise: phi, theta (rad), p, q (rad/s); servos 1, 2; see ``roll_pitch_scaling``.
     velocity_scaling, velocity_weights, velocity_relaxation
         Likewise: u, v (m/s); phi, theta (rad).
     position_gain : float
@@ -85,14 +86,14 @@ class Settings:
         Time constant of the battery voltage's filter, s.
     """
 
-    heave_yaw_scaling: Scaling = Scaling(outputs=(1.0, 4.0, 20.0), inputs=(0.22, 0.22))
+    heave_yaw_scaling: Scaling | None = None
     heave_yaw_weights: TwoDegreeWeights = TwoDegreeWeights(
         model_matching=TransferFunction((1.0, 18.0, 56.0), (1.0, 14.0, 0.0014)),
         reference_model=TransferFunction((9.0,), (1.0, 9.0)),
         auxiliary=0.0,
     )
     heave_yaw_relaxation: float = 1.003
-    roll_pitch_scaling: Scaling = Scaling(outputs=(0.5, 0.5, 5.0, 5.0), inputs=(1.0, 1.0))
+    roll_pitch_scaling: Scaling | None = None
     roll_pitch_weights: OneDegreeWeights = OneDegreeWeights(
         control=TransferFunction((0.001,)),
         output_noise=TransferFunction((1.0, 35.0), (0.1, 70.0)),
@@ -171,7 +172,9 @@ class Design:
 
     def feedback(self, controller: control.StateSpace | None = None) -> control.StateSpace:
         """K of ``u = -K y``, of the full controller or of another one with the same inputs."""
-        return feedback_part(self.controller if controller is None else controller, self.plant, self.feedback_inputs)
+        return feedback_part(
+            self.controller if controller is None else controller, self.plant, self.feedback_inputs
+        )
 
     def __str__(self) -> str:
         """Summary of a few lines."""
@@ -278,9 +281,13 @@ def _finish(
     full = unscale_controller(result.controller, read, input_scale)
     reduced = unscale_controller(reduction.controller, read, input_scale)
     discrete = discretise(reduced, reduction.actuation / input_scale, period_s)
-    loops = [analyse(plant, feedback_part(K, plant, rows), output_scale=output_scale) for K in (full, reduced)]
+    loops = [
+        analyse(plant, feedback_part(K, plant, rows), output_scale=output_scale) for K in (full, reduced)
+    ]
     sampled = analyse(
-        sample_plant(plant, period_s, 1), feedback_part(discrete.system(), plant, rows), output_scale=output_scale
+        sample_plant(plant, period_s, 1),
+        feedback_part(discrete.system(), plant, rows),
+        output_scale=output_scale,
     )
     if not sampled.stable:
         raise MuflyError(
@@ -322,17 +329,48 @@ def _named(name: str, action: str, error: MuflyError) -> MuflyError:
     return MuflyError(f"{name} design, {action}: {error}")
 
 
+def heave_yaw_scaling(plant: control.StateSpace) -> Scaling:
+    """Scaling of heave-yaw from what the motors can do.
+
+    One scaled unit of both inputs gives 4.4 m/s2 in the end, against one metre of height error; r is
+    scaled so that one unit of one input starts to turn the fuselage by 5 units of r a second, and psi by a fifth of the scale of r.
+    For ``mufly-1.1`` that is 0.22 of the motor input, 1 m, 20 rad/s and 4 rad. Vehicles of another authority so get the same
+    scaled plant, and much the same loop.
+    """
+    states = list(plant.state_labels)
+    motors = [states.index("Omega_dw"), states.index("Omega_up")]
+    speed = -np.linalg.solve(plant.A[np.ix_(motors, motors)], plant.B[motors])
+    unit = 4.4 / abs(float((plant.A[states.index("w"), motors] @ speed).sum()))
+    turn = float(np.abs(plant.B[states.index("r")]).mean())
+    rate = unit * turn / 5.0
+    return Scaling(outputs=(1.0, rate / 5.0, rate), inputs=(unit, unit))
+
+
+def roll_pitch_scaling(plant: control.StateSpace) -> Scaling:
+    """Scaling of roll-pitch from what the servos can do.
+
+    One scaled unit of an input gives 40 rad/s2 once the swash plate has followed, against 0.5 rad of tilt or
+    5 rad/s. For ``mufly-1.1`` that is about the full servo.
+    """
+    states = list(plant.state_labels)
+    tilts = [states.index("a_dw"), states.index("b_dw")]
+    tilt = -np.linalg.solve(plant.A[np.ix_(tilts, tilts)], plant.B[tilts])
+    turn = np.abs(plant.A[np.ix_([states.index("p"), states.index("q")], tilts)] @ tilt).max(axis=0)
+    return Scaling(outputs=(0.5, 0.5, 5.0, 5.0), inputs=tuple(float(v) for v in 40.0 / turn))
+
+
 def design_heave_yaw(plant: control.StateSpace, settings: Settings, period_s: float) -> Design:
     """Heave-yaw: two degrees of freedom (Sec. 6.1.4). Inputs of the controller: z, psi references, then errors."""
     s = settings
-    scaled = scale_plant(plant, s.heave_yaw_scaling)
+    scaling = s.heave_yaw_scaling or heave_yaw_scaling(plant)
+    scaled = scale_plant(plant, scaling)
     generalised = two_degree_plant(scaled, ("z", "psi"), s.heave_yaw_weights)
     try:
         result = hinfsyn(generalised, 5, 2, relaxation=s.heave_yaw_relaxation)
         return _finish(
             "heave-yaw",
             plant,
-            s.heave_yaw_scaling,
+            scaling,
             scaled,
             generalised,
             result,
@@ -349,14 +387,15 @@ def design_heave_yaw(plant: control.StateSpace, settings: Settings, period_s: fl
 def design_roll_pitch(plant: control.StateSpace, settings: Settings, period_s: float) -> Design:
     """Roll-pitch: one degree of freedom (Sec. 6.1.5). Inputs of the controller: errors of phi, theta, p, q."""
     s = settings
-    scaled = scale_plant(plant, s.roll_pitch_scaling)
+    scaling = s.roll_pitch_scaling or roll_pitch_scaling(plant)
+    scaled = scale_plant(plant, scaling)
     generalised = one_degree_plant(scaled, ("phi", "theta"), s.roll_pitch_weights)
     try:
         result = hinfsyn(generalised, 4, 2, relaxation=s.roll_pitch_relaxation)
         return _finish(
             "roll-pitch",
             plant,
-            s.roll_pitch_scaling,
+            scaling,
             scaled,
             generalised,
             result,
@@ -464,9 +503,13 @@ def design(
     s = Settings() if settings is None else settings
     rate = DEFAULT_RATE_HZ if rate_Hz is None else float(rate_Hz)
     if not (np.isfinite(rate) and 20.0 <= rate <= 5000.0):
-        raise InputError("design", "rate_Hz", f"{rate:g} Hz is out of range", "give 20 to 5000 Hz; 200 is usual")
+        raise InputError(
+            "design", "rate_Hz", f"{rate:g} Hz is out of range", "give 20 to 5000 Hz; 200 is usual"
+        )
     if voltage is not None and not (np.isfinite(voltage) and voltage > 0):
-        raise InputError("design", "voltage", f"{voltage:g} V is not possible", "give a positive voltage in V")
+        raise InputError(
+            "design", "voltage", f"{voltage:g} V is not possible", "give a positive voltage in V"
+        )
     linear: Linearisation = linearise(vehicle, voltage=voltage)
     period = 1.0 / rate
     slow_period = POSITION_DIVIDER * period

@@ -139,7 +139,9 @@ def discretise(controller: control.StateSpace, actuation: Array, period_s: float
     n = controller.nstates
     left = np.eye(n) - controller.A * (T / 2)
     if n and np.linalg.cond(left) > 1e12:
-        raise MuflyError(f"discretisation: the controller has a mode at {2 / T:.4g} rad/s; choose another rate")
+        raise MuflyError(
+            f"discretisation: the controller has a mode at {2 / T:.4g} rad/s; choose another rate"
+        )
     A = np.linalg.solve(left, np.eye(n) + controller.A * (T / 2))
     B = T * np.linalg.solve(left, controller.B)
     C = np.linalg.solve(left.T, controller.C.T).T

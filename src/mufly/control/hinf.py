@@ -106,9 +106,7 @@ def close_loop(P: control.StateSpace, K: control.StateSpace) -> control.StateSpa
     A = linalg.block_diag(P.A, K.A) + np.vstack([B2 @ Cu, K.B @ Cy])
     B = np.vstack([B1 + B2 @ Du, K.B @ Dy])
     C = np.hstack([C1, np.zeros((nz, K.nstates))]) + D12 @ Cu
-    return state_space(
-        A, B, C, D11 + D12 @ Du, inputs=P.input_labels[:nw], outputs=P.output_labels[:nz]
-    )
+    return state_space(A, B, C, D11 + D12 @ Du, inputs=P.input_labels[:nw], outputs=P.output_labels[:nz])
 
 
 def _rank_deficient(M: Array) -> bool:
@@ -170,8 +168,16 @@ def _check(
                 "or set regularisation"
             )
     for F, G, name in (
-        (A - B2 @ np.linalg.pinv(D12) @ C1, (np.eye(nz) - D12 @ np.linalg.pinv(D12)) @ C1, "(A, B2, C1, D12)"),
-        ((A - B1 @ np.linalg.pinv(D21) @ C2).T, (B1 @ (np.eye(nw) - np.linalg.pinv(D21) @ D21)).T, "(A, B1, C2, D21)"),
+        (
+            A - B2 @ np.linalg.pinv(D12) @ C1,
+            (np.eye(nz) - D12 @ np.linalg.pinv(D12)) @ C1,
+            "(A, B2, C1, D12)",
+        ),
+        (
+            (A - B1 @ np.linalg.pinv(D21) @ C2).T,
+            (B1 @ (np.eye(nw) - np.linalg.pinv(D21) @ D21)).T,
+            "(A, B1, C2, D21)",
+        ),
     ):
         found = _uncontrollable(F.T, G.T, "axis")
         if found:
@@ -287,7 +293,9 @@ def _central(p: _Plant, gamma: float) -> tuple[Array, Array, Array, Array] | Non
     return Ak, Bk, Ck, Dk
 
 
-def _controller(p: _Plant, gamma: float, P: control.StateSpace, ny: int, nu: int) -> control.StateSpace | None:
+def _controller(
+    p: _Plant, gamma: float, P: control.StateSpace, ny: int, nu: int
+) -> control.StateSpace | None:
     matrices = _central(p, gamma)
     if matrices is None:
         return None
@@ -355,7 +363,9 @@ def hinfsyn(
     """
     nw, nz = P.ninputs - n_controls, P.noutputs - n_measurements
     if P.dt not in (0, None):
-        raise MuflyError("H-infinity synthesis: the plant is in discrete time; give its continuous-time model")
+        raise MuflyError(
+            "H-infinity synthesis: the plant is in discrete time; give its continuous-time model"
+        )
     if nw < 1 or nz < 1 or n_controls < 1 or n_measurements < 1:
         raise MuflyError(
             f"H-infinity synthesis: a plant of {P.noutputs} outputs and {P.ninputs} inputs leaves no errors or "

@@ -328,7 +328,9 @@ def _at_rest(gains: np.void, e: Array, output: Array) -> Array:
     m = C.shape[0]
     system = np.block([[F.T @ F, C.T], [C, np.zeros((m, m))]])
     x = np.zeros(gains["A"].shape[0])
-    x[used] = np.linalg.lstsq(system, np.concatenate([F.T @ B @ e, output - D @ e]), rcond=None)[0][: used.size]
+    x[used] = np.linalg.lstsq(system, np.concatenate([F.T @ B @ e, output - D @ e]), rcond=None)[0][
+        : used.size
+    ]
     return x
 
 
@@ -361,7 +363,9 @@ def heave_yaw_initial(gains: np.void, measurement: Array, motor_input: Array, vo
     return state
 
 
-def roll_pitch_initial(gains: np.void, measurement: Array | None = None, servo_input: Array | None = None) -> Array:
+def roll_pitch_initial(
+    gains: np.void, measurement: Array | None = None, servo_input: Array | None = None
+) -> Array:
     """State that engages roll-pitch without a bump: level and at trim by default.
 
     Parameters

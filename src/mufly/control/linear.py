@@ -139,7 +139,9 @@ def frequency_response(system: control.StateSpace, frequency: Array) -> NDArray[
         return np.broadcast_to(D.astype(complex), (frequency.size, *D.shape))
     # One reduction to Hessenberg form would save time on large systems; these have at most some forty states.
     pencil = point[:, None, None] * np.eye(n) - A
-    response: NDArray[np.complex128] = C @ np.linalg.solve(pencil, np.broadcast_to(B, (frequency.size, *B.shape))) + D
+    response: NDArray[np.complex128] = (
+        C @ np.linalg.solve(pencil, np.broadcast_to(B, (frequency.size, *B.shape))) + D
+    )
     return response
 
 
@@ -190,7 +192,9 @@ def hinf_norm(system: control.StateSpace, *, tolerance: float = 1e-6) -> tuple[f
         return np.inf, np.inf
     # Peaks stand near poles; the grid between them only helps to start close.
     size = np.abs(poles)
-    candidates = np.concatenate([[0.0], size, np.abs(poles.imag), np.geomspace(size.min() / 10, size.max() * 10, 60)])
+    candidates = np.concatenate(
+        [[0.0], size, np.abs(poles.imag), np.geomspace(size.min() / 10, size.max() * 10, 60)]
+    )
     gains = singular_values(system, candidates)[:, 0]
     best = int(np.argmax(gains))
     lower, where = float(gains[best]), float(candidates[best])
@@ -202,7 +206,9 @@ def hinf_norm(system: control.StateSpace, *, tolerance: float = 1e-6) -> tuple[f
         crossing = _axis_frequencies(A, B, C, D, lower * (1 + 2 * tolerance))
         if crossing.size == 0:
             break
-        middle = np.concatenate([crossing, np.sqrt(crossing[:-1] * crossing[1:]), (crossing[:-1] + crossing[1:]) / 2])
+        middle = np.concatenate(
+            [crossing, np.sqrt(crossing[:-1] * crossing[1:]), (crossing[:-1] + crossing[1:]) / 2]
+        )
         gains = singular_values(system, middle)[:, 0]
         best = int(np.argmax(gains))
         if gains[best] <= lower * (1 + tolerance / 10):

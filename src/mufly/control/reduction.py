@@ -18,7 +18,8 @@ than the loop's crossover, since that shapes the response to references while ad
 
 A candidate passes when the closed loop is stable, its peaks of S_u and T_u exceed the full controller's by no more than
 a tolerance, and the norm from ``w`` to ``z`` by no more than a factor. The least order that passes is taken. If
-none does, the next looser tolerance is tried; the result says which one it met.
+none does, the next looser tolerance is tried; the result says which one it met. Where there is a choice, controllers
+are preferred whose observer form (``A - M C``, what runs while actuators saturate) is stable.
 """
 
 from __future__ import annotations
@@ -131,7 +132,9 @@ def _balance(P: Array, Q: Array) -> tuple[Array, Array]:
     return T, Tinv
 
 
-def _remove(K: control.StateSpace, M: Array, order: int, match: bool) -> tuple[control.StateSpace, Array] | None:
+def _remove(
+    K: control.StateSpace, M: Array, order: int, match: bool
+) -> tuple[control.StateSpace, Array] | None:
     """Remove the states after ``order``; ``M`` is an input that has no feedthrough."""
     A, B, C, D = K.A, np.hstack([K.B, M]), K.C, np.hstack([K.D, np.zeros((K.noutputs, M.shape[1]))])
     if match and order < K.nstates:
@@ -231,14 +234,17 @@ def reduce_controller(
             and entry[0].norm <= factor * full_norm
         ]
         if good:
-            chosen, K, M = min(good, key=lambda entry: (entry[0].order, entry[0].norm))
+            sound = [e for e in good if np.linalg.eigvals(e[1].A - e[2] @ e[1].C).real.max() < -1e-4]
+            chosen, K, M = min(sound or good, key=lambda entry: (entry[0].order, entry[0].norm))
             passed = {id(entry[0]) for entry in good}
             listed = tuple(
                 replace(c, passed=id(c) in passed) for c, _, _ in sorted(tried, key=lambda e: e[0].order)
             )
             chosen = replace(chosen, passed=True)
             return Reduction(K, M, chosen, tolerance, factor, n, full_norm, listed)
-    best = min((entry[0] for entry in tried), key=lambda c: max(c.sensitivity_peak_dB, c.complementary_peak_dB))
+    best = min(
+        (entry[0] for entry in tried), key=lambda c: max(c.sensitivity_peak_dB, c.complementary_peak_dB)
+    )
     raise MuflyError(
         f"order reduction: no controller of order {order_max} or less keeps the loop (full order {n}: peaks {full_s:.2f} "
         f"and {full_t:.2f} dB, norm {full_norm:.3g}; nearest: order {best.order} by {best.method!r}, peaks "

@@ -55,7 +55,9 @@ class TransferFunction:
         """State space from signal ``source`` to ``sink``."""
         order = len(self.denominator) - 1
         if len(self.numerator) > order + 1:
-            raise MuflyError(f"weight {name}: its numerator has the higher degree; give a proper transfer function")
+            raise MuflyError(
+                f"weight {name}: its numerator has the higher degree; give a proper transfer function"
+            )
         if order and np.roots(self.denominator).real.max() >= 0:
             raise MuflyError(
                 f"weight {name}: a pole in the right half plane or on the axis; move it to the left, by 1e-4 rad/s say"
@@ -135,7 +137,9 @@ def scale_plant(plant: control.StateSpace, scaling: Scaling) -> control.StateSpa
     )
 
 
-def unscale_controller(controller: control.StateSpace, input_scale: Array, output_scale: Array) -> control.StateSpace:
+def unscale_controller(
+    controller: control.StateSpace, input_scale: Array, output_scale: Array
+) -> control.StateSpace:
     """Controller in physical units: its inputs are divided by ``input_scale``, its outputs times ``output_scale``."""
     return state_space(
         controller.A,
@@ -243,7 +247,11 @@ def one_degree_plant(
     blocks += [w.output.block(f"W_y[{i}]", f"Wy_in[{i}]", f"z_y[{i}]") for i in shown]
     wiring: dict[str, dict[str, float]] = {}
     for i in u:
-        wiring |= {f"plant[{i}]": {i: 1.0, f"v[{i}]": 1.0}, f"Wv_in[{i}]": {f"w_v[{i}]": 1.0}, f"Wu_in[{i}]": {i: 1.0}}
+        wiring |= {
+            f"plant[{i}]": {i: 1.0, f"v[{i}]": 1.0},
+            f"Wv_in[{i}]": {f"w_v[{i}]": 1.0},
+            f"Wu_in[{i}]": {i: 1.0},
+        }
     for i in y:
         wiring |= {f"Wr_in[{i}]": {f"w_r[{i}]": 1.0}, f"error[{i}]": {f"r[{i}]": 1.0, i: -1.0}}
     for i in shown:
