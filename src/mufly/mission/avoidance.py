@@ -71,6 +71,8 @@ class Detour:
         For how long the way has been clear; since when ``anchor`` (2,) has not been left by 0.25 m (s).
     lap : (2,) tuple or None
         N, E of where it came to the contour (m).
+    laps : int
+        Whole laps flown around it.
     lap_way, best : float
         Way flown since then, and the least distance to the goal on it (m).
     leaving : bool
@@ -91,6 +93,7 @@ class Detour:
     anchor: tuple[float, float] = (0.0, 0.0)
     anchor_s: float = 0.0
     lap: tuple[float, float] | None = None
+    laps: int = 0
     lap_way: float = 0.0
     best: float = math.inf
     leaving: bool = False
@@ -168,8 +171,9 @@ def go_round(
 
     first = look(memory, reference, goal, clearance, LOOK_M + 0.3)
     free = real.nearest > clearance
-    nearer = to_goal < detour.hit_distance - 0.1 and first.way > clearance + LEAVE_M
-    clear = free and (nearer or (detour.count < 3 and sight.way > clearance + LEAVE_M))
+    nearer_goal = to_goal < detour.hit_distance - 0.1
+    onward = nearer_goal and first.way > clearance + LEAVE_M
+    clear = free and (onward or (detour.count < 3 and sight.way > clearance + LEAVE_M))
     clear_s = detour.clear_s + dt if clear else 0.0
     leaving = clear_s > 0.3
 
@@ -189,8 +193,9 @@ def go_round(
         vn, ve = push * near.north, push * near.east
     elif near.nearest < LOOK_M + 0.5:
         far, n, e = near.nearest, near.north, near.east
-        if not touching and math.isfinite(near.block):
-            # Not yet on any contour: make for the one that is in the way, not for one beside it.
+        # Off any contour, or where a lap around the wrong one came nearest to the goal: make for the one in the way.
+        lost = detour.laps > 0 and nearer_goal and near.block > follow + 0.05
+        if (lost or not touching) and math.isfinite(near.block):
             far, n, e = near.block, near.block_north, near.block_east
         lean = math.atan2(far - follow, 0.4)
         # Facing the obstacle, along -n, the way to the right is (n_E, -n_N).
@@ -235,12 +240,12 @@ def _keep_course(
         side, anchor_s = -side, 0.0
     if _off_course(here, detour.hit, goal) > stray:
         side, stray = -side, 2.0 * stray
-    lap, lap_way, best = detour.lap, detour.lap_way, min(detour.best, to_goal)
+    lap, laps, lap_way, best = detour.lap, detour.laps, detour.lap_way, min(detour.best, to_goal)
     lap_way += math.hypot(*detour.velocity) * dt
     if lap is None or side != detour.side:
         lap, lap_way, best = (here if touching else None), 0.0, to_goal
     elif lap_way > 1.5 and math.dist(here, lap) < 0.3:
-        hit_distance, lap_way, best = best + 0.25, 0.0, to_goal
+        hit_distance, laps, lap_way, best = best + 0.25, laps + 1, 0.0, to_goal
     return replace(
         detour,
         side=side,
@@ -249,6 +254,7 @@ def _keep_course(
         anchor=anchor,
         anchor_s=anchor_s,
         lap=lap,
+        laps=laps,
         lap_way=lap_way,
         best=best,
     )
