@@ -16,13 +16,13 @@ from numba import njit
 __all__ = ["armature_current", "rotor_acceleration"]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def armature_current(duty, voltage, speed, back_emf_constant, resistance, gear_ratio):  # type: ignore[no-untyped-def]
     """Return the armature current (A) of a motor whose rotor turns at ``speed`` (rad/s); eq. 4.24 without L."""
     return (duty * voltage - back_emf_constant * gear_ratio * speed) / resistance
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def rotor_acceleration(  # type: ignore[no-untyped-def]
     current, speed, drag_torque, torque_constant, friction, gear_ratio, gear_efficiency, inertia
 ):

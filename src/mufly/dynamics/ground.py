@@ -27,7 +27,7 @@ from mufly.vehicle import Vehicle
 __all__ = ["contact_wrench", "lowest_point", "standing_height"]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def contact_wrench(x, p):  # type: ignore[no-untyped-def]
     """Return the force of the floor (N-E-D, N) and its moment (body axes, N m) as six numbers."""
     a = rotation(x[6:10])
@@ -60,7 +60,7 @@ def contact_wrench(x, p):  # type: ignore[no-untyped-def]
     return f_n, f_e, f_d, m_x, m_y, m_z
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def lowest_point(x, p):  # type: ignore[no-untyped-def]
     """Return depth below the floor (m; negative: above) and index of the lowest contact point."""
     a = rotation(x[6:10])

@@ -37,12 +37,12 @@ from mufly.dynamics.parameters import GRAVITY
 __all__ = ["battery_state", "derivative"]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _clip(value, low, high):  # type: ignore[no-untyped-def]
     return min(max(value, low), high)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def battery_state(x, motor_up, motor_dw, p):  # type: ignore[no-untyped-def]
     """Return terminal voltage (V) and supply current (A) for motor inputs 0..1 at state ``x``."""
     emf = p.kE * p.gear_ratio
@@ -54,7 +54,7 @@ def battery_state(x, motor_up, motor_dw, p):  # type: ignore[no-untyped-def]
     return voltage, p.electronics_current + conductance * voltage - source
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def derivative(x, u, wind, p, dx):  # type: ignore[no-untyped-def]
     """Write the time derivative of the state into ``dx``.
 

@@ -4,7 +4,8 @@ Both run the same compiled step on the same memory layout, so a vehicle in a bat
 After every step the attitude quaternion and the bar's normal are made unit again; the fourth-order method keeps
 them unit to about 1e-12 by itself at the default step.
 
-The default step of 1 ms resolves the fastest mode (swash plate, -1000 rad/s) with a stability margin of 2.8.
+The default step of 1 ms keeps the fastest mode (swash plate, -1000 rad/s) stable with a margin of 2.8, and everything
+slower accurate. Numba's ``error_model="numpy"`` (a division by zero gives infinity) saves a sixth of the time.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ __all__ = ["DEFAULT_STEP_S", "advance", "advance_batch", "simulate", "state_data
 DEFAULT_STEP_S = 1e-3
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def advance(x, u, wind, p, dt, steps):  # type: ignore[no-untyped-def]
     """Integrate the state ``x`` in place over ``steps`` steps of ``dt`` with input and wind held.
 
@@ -69,7 +70,7 @@ def advance(x, u, wind, p, dt, steps):  # type: ignore[no-untyped-def]
         x[20] = max(x[20], 0.0)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, error_model="numpy")
 def advance_batch(x, u, wind, p, dt, steps):  # type: ignore[no-untyped-def]
     """Integrate ``n`` vehicles in place, on all cores; see :func:`advance`.
 
