@@ -1,7 +1,8 @@
 """The flight software: what runs on board, as a function of time steps.
 
 ``step(measurement, command) -> actuators``, called at the control design's rate. It knows nothing of the simulator.
-The mission logic runs in every n-th step (50 Hz by default, with the position cascade) and says what the motors are to do and what to follow:
+The mission logic runs in every n-th step, with the position cascade (50 Hz), and says what the motors are to do and
+what to follow:
 
 =========== =========================================================================================
 off         motors and servos at rest
@@ -15,55 +16,20 @@ Between two steps of the mission logic its reference is carried on at the refere
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from mufly.control import FlightController
-from mufly.control.law import (
-    heave_yaw_initial,
-    heave_yaw_step,
-    position_initial,
-    position_step,
-    roll_pitch_initial,
-    roll_pitch_step,
-)
+from mufly.flight.controllers import Actuators, Controllers
 from mufly.mission import Command, Event, Mission, MissionState, Reference, begin, prepare, step
 from mufly.mission.phases import RAMP_DOWN_S
 from mufly.mission.plan import SPIN_UP_S
 from mufly.sensors import Measurement
 from mufly.vehicle import Vehicle
 
-__all__ = ["Actuators", "FlightSoftware"]
+__all__ = ["FlightSoftware"]
 
 SPIN_UP_SHARE = 0.85
-
-
-@dataclass(frozen=True, slots=True)
-class Actuators:
-    """What the flight software sends out.
-
-    Attributes
-    ----------
-    motor_input : (2,) array
-        Upper, lower (0..1).
-    servo_input : (2,) array
-        Servo 1 (positive: nose down), servo 2 (positive: to the right); -1..1.
-    """
-
-    motor_input: NDArray[np.float64]
-    servo_input: NDArray[np.float64]
-
-    @classmethod
-    def idle(cls) -> Actuators:
-        """Everything at rest."""
-        return cls(np.zeros(2), np.zeros(2))
-
-    @property
-    def array(self) -> NDArray[np.float64]:
-        """The input of the flight model: motor upper, motor lower, servo 1, servo 2."""
-        return np.concatenate((self.motor_input, self.servo_input))
 
 
 class FlightSoftware:
@@ -97,9 +63,7 @@ class FlightSoftware:
         self._since_s = 0.0
         self._motor_input = np.zeros(2)
         self._tilt = np.zeros(2)
-        self._position_state = position_initial(self._controller.position_gains)
-        self._roll_pitch_state = roll_pitch_initial(self._controller.roll_pitch_gains)
-        self._heave_yaw_state = np.zeros(0)
+        self._controllers = Controllers(controller)
 
     @property
     def state(self) -> str:
@@ -164,11 +128,7 @@ class FlightSoftware:
     def _switch(self, motors: str, m: Measurement) -> None:
         """Engage or release the controllers without a bump."""
         if motors == "fly":
-            self._heave_yaw_state = heave_yaw_initial(
-                self._controller.heave_yaw_gains, _heave_yaw_of(m), self._motor_input, m.battery_voltage
-            )
-            self._roll_pitch_state = roll_pitch_initial(self._controller.roll_pitch_gains)
-            self._position_state = position_initial(self._controller.position_gains)
+            self._controllers.engage(m, self._motor_input)
         self._motors, self._since_s = motors, m.time_s
         self._released = self._motor_input
 
@@ -187,43 +147,15 @@ class FlightSoftware:
         return Actuators(self._motor_input, np.zeros(2))
 
     def _fly(self, r: Reference, m: Measurement, late_s: float) -> Actuators:
-        controller = self._controller
         if r.rc:
             self._tilt = np.array([r.roll, r.pitch])
         elif late_s == 0.0:
-            self._tilt, self._position_state = position_step(
-                controller.position_gains,
-                self._position_state,
-                r.position,
-                r.velocity,
-                r.acceleration,
-                m.position,
-                m.velocity,
-                m.attitude[2],
-            )
-        servo, self._roll_pitch_state = roll_pitch_step(
-            controller.roll_pitch_gains, self._roll_pitch_state, self._tilt, _roll_pitch_of(m)
-        )
-        wanted = np.array(
-            [
-                r.position[2] + late_s * r.velocity[2],
-                r.heading + late_s * r.heading_rate,
-                r.velocity[2],
-                r.heading_rate,
-            ]
-        )
-        self._motor_input, self._heave_yaw_state = heave_yaw_step(
-            controller.heave_yaw_gains, self._heave_yaw_state, wanted, _heave_yaw_of(m), m.battery_voltage
-        )
-        return Actuators(self._motor_input, servo)
+            self._tilt = self._controllers.tilt_for(m, r.position, r.velocity, r.acceleration)
+        down, turn = float(r.velocity[2]), r.heading_rate
+        heave_yaw = np.array([r.position[2] + late_s * down, r.heading + late_s * turn, down, turn])
+        actuators = self._controllers.step(m, heave_yaw, self._tilt)
+        self._motor_input = actuators.motor_input
+        return actuators
 
 
 _NO_COMMAND = Command()
-
-
-def _heave_yaw_of(m: Measurement) -> NDArray[np.float64]:
-    return np.array([m.position[2], m.attitude[2], m.rates[2]])
-
-
-def _roll_pitch_of(m: Measurement) -> NDArray[np.float64]:
-    return np.array([m.attitude[0], m.attitude[1], m.rates[0], m.rates[1]])

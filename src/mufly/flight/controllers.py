@@ -1,0 +1,137 @@
+"""The low level of the flight software: controllers with their state, from references to actuators."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.control import FlightController
+from mufly.control.law import (
+    heave_yaw_initial,
+    heave_yaw_step,
+    position_initial,
+    position_step,
+    roll_pitch_initial,
+    roll_pitch_step,
+)
+from mufly.sensors import Measurement
+
+__all__ = ["Actuators", "Controllers"]
+
+_Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Actuators:
+    """What the flight software sends out.
+
+    Attributes
+    ----------
+    motor_input : (2,) array
+        Upper, lower (0..1).
+    servo_input : (2,) array
+        Servo 1 (positive: nose down), servo 2 (positive: to the right); -1..1.
+    """
+
+    motor_input: _Array
+    servo_input: _Array
+
+    @classmethod
+    def idle(cls) -> Actuators:
+        """Everything at rest."""
+        return cls(np.zeros(2), np.zeros(2))
+
+    @property
+    def array(self) -> _Array:
+        """The input of the flight model: motor upper, motor lower, servo 1, servo 2."""
+        return np.concatenate((self.motor_input, self.servo_input))
+
+
+class Controllers:
+    """Heave-yaw, roll-pitch and position control of one vehicle, with the states they carry along.
+
+    Parameters
+    ----------
+    design : FlightController
+        From :func:`mufly.control.design`.
+    """
+
+    def __init__(self, design: FlightController) -> None:
+        self._design = design
+        self._heave_yaw = np.zeros(0)
+        self._roll_pitch = roll_pitch_initial(design.roll_pitch_gains)
+        self._position = position_initial(design.position_gains)
+
+    def engage(self, measured: Measurement, motor_input: _Array) -> None:
+        """Take over without a bump from motors that run at ``motor_input`` (upper, lower)."""
+        design = self._design
+        self._heave_yaw = heave_yaw_initial(
+            design.heave_yaw_gains, _heave_yaw(measured), motor_input, measured.battery_voltage
+        )
+        self._roll_pitch = roll_pitch_initial(design.roll_pitch_gains, _roll_pitch(measured))
+        self._position = position_initial(design.position_gains)
+
+    def tilt_for(
+        self, measured: Measurement, position: _Array, velocity: _Array, acceleration: _Array
+    ) -> _Array:
+        """Advance the position cascade by one of its periods.
+
+        Parameters
+        ----------
+        measured : Measurement
+        position, velocity, acceleration : (3,) array
+            References, N-E-D (m, m/s, m/s2).
+
+        Returns
+        -------
+        (2,) array
+            Roll and pitch to hold (rad).
+        """
+        tilt, self._position = position_step(
+            self._design.position_gains,
+            self._position,
+            position,
+            velocity,
+            acceleration,
+            measured.position,
+            measured.velocity,
+            measured.attitude[2],
+        )
+        return tilt
+
+    def step(self, measured: Measurement, heave_yaw: _Array, tilt: _Array) -> Actuators:
+        """Advance roll-pitch and heave-yaw by one period.
+
+        Parameters
+        ----------
+        measured : Measurement
+        heave_yaw : (4,) array
+            References: z (m, down), psi (rad, continuous) and their rates.
+        tilt : (2,) array
+            References: roll, pitch (rad).
+
+        Returns
+        -------
+        Actuators
+        """
+        servo, self._roll_pitch = roll_pitch_step(
+            self._design.roll_pitch_gains, self._roll_pitch, tilt, _roll_pitch(measured)
+        )
+        motor, self._heave_yaw = heave_yaw_step(
+            self._design.heave_yaw_gains,
+            self._heave_yaw,
+            heave_yaw,
+            _heave_yaw(measured),
+            measured.battery_voltage,
+        )
+        return Actuators(motor, servo)
+
+
+def _heave_yaw(m: Measurement) -> _Array:
+    return np.array([m.position[2], m.attitude[2], m.rates[2]])
+
+
+def _roll_pitch(m: Measurement) -> _Array:
+    return np.array([m.attitude[0], m.attitude[1], m.rates[0], m.rates[1]])
