@@ -1,0 +1,168 @@
+"""``mufly mission``: what missions there are, what one asks for, and whether a vehicle can fly it."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from mufly.mission import Estimate, Mission
+    from mufly.vehicle import Vehicle
+
+__all__ = ["app"]
+
+app = typer.Typer(
+    help="List missions, show what one asks for, check a mission file. Every key of a mission file is explained in "
+    "docs/missions.md.",
+    no_args_is_help=True,
+)
+
+_Mission = Annotated[
+    str, typer.Argument(metavar="NAME|FILE", help="A built-in mission, or a mission file (TOML).")
+]
+_VehicleOption = Annotated[
+    str, typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle whose battery has to last.")
+]
+_Json = Annotated[bool, typer.Option("--json", help="Print JSON, in SI units, and nothing else.")]
+_Toml = Annotated[bool, typer.Option("--toml", help="Print the whole file, every default written out.")]
+
+
+@app.command("list")
+def list_missions(as_json: _Json = False) -> None:
+    """List the built-in missions."""
+    from mufly.mission import builtin_missions, legs, load_mission
+
+    missions = [load_mission(name) for name in builtin_missions()]
+    rows: list[dict[str, Any]] = [
+        {
+            "name": m.name,
+            "description": m.description,
+            "waypoints": len(m.waypoint),
+            "way_m": sum(leg.length_m for leg in legs(m)),
+        }
+        for m in missions
+    ]
+    if as_json:
+        print(json.dumps(rows, indent=2))
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("name", "description", box=None, header_style="bold")
+    table.add_column("waypoints", justify="right")
+    table.add_column("way", justify="right")
+    for row in rows:
+        table.add_row(row["name"], row["description"], str(row["waypoints"]), f"{row['way_m']:.1f} m")
+    Console().print(table)
+
+
+@app.command()
+def show(mission: _Mission = "demonstration", as_json: _Json = False, toml: _Toml = False) -> None:
+    """Show the waypoints of a mission, how long the way is, and when each is reckoned to be reached.
+
+    Times are those of the reference trajectories, one second for settling at each waypoint included; going around an
+    obstacle takes longer.
+    """
+    from mufly.mission import dump_mission, load_mission
+
+    m = load_mission(mission)
+    if toml:
+        print(dump_mission(m), end="")
+        return
+    rows = _rows(m)
+    if as_json:
+        print(json.dumps({"name": m.name, "description": m.description, "waypoints": rows}, indent=2))
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    console.print(f"[bold]{m.name}[/bold]  {m.description}")
+    table = Table(box=None, header_style="bold")
+    for heading in ("", "N", "E", "D", "wait", "heading", "way", "reached after"):
+        table.add_column(heading, justify="right")
+    n, e = m.start_m
+    take_off = m.take_off
+    table.add_row(
+        "take-off",
+        f"{n:.2f} m",
+        f"{e:.2f} m",
+        f"{-take_off.height_m:.2f} m",
+        f"{take_off.wait_s:.1f} s",
+        f"{m.start_heading_deg:.0f}°",
+    )
+    for row in rows:
+        north, east, down = row["position_m"]
+        table.add_row(
+            str(row["number"]),
+            f"{north:.2f} m",
+            f"{east:.2f} m",
+            f"{down:.2f} m",
+            f"{row['wait_s']:.1f} s",
+            "along the way" if row["heading_deg"] is None else f"{row['heading_deg']:.0f}°",
+            f"{row['way_m']:.2f} m",
+            f"{row['reached_s']:.1f} s",
+        )
+    console.print(table)
+    obstacles = m.world.names[: len(m.world.boxes) + len(m.world.cylinders)]
+    if obstacles or m.room:
+        named = [*obstacles, *(["a room"] if m.room else [])]
+        console.print(f"In the world: {', '.join(named)}.")
+    how = "scanning for obstacles" if m.scans else "avoiding obstacles" if m.avoidance.enabled else "blindly"
+    console.print(f"Way: {m.path.kind}, at most {m.trajectory_limits.speed:g} m/s, {how}.", style="dim")
+
+
+def _rows(m: Mission) -> list[dict[str, Any]]:
+    from mufly.mission import legs
+
+    return [
+        {
+            "number": leg.number,
+            "position_m": list(w.position_m),
+            "wait_s": w.wait_s,
+            "heading_deg": w.heading_deg,
+            "way_m": leg.length_m,
+            "reached_s": leg.reached_s,
+        }
+        for leg, w in zip(legs(m), m.waypoint, strict=True)
+    ]
+
+
+@app.command()
+def check(mission: _Mission, vehicle: _VehicleOption = "mufly-1.1", as_json: _Json = False) -> None:
+    """Check a mission file, and whether the vehicle's battery lasts for it. Exit status 1 and the reason if not."""
+    from mufly.mission import load_mission, prepare
+    from mufly.vehicle import load_vehicle
+
+    m, v = load_mission(mission), load_vehicle(vehicle)
+    prepare(m, v)
+    estimate = _estimate(m, v, mission)
+    if as_json:
+        answer = {
+            "name": m.name,
+            "vehicle": v.name,
+            "duration_s": estimate.duration_s,
+            "path_m": estimate.path_m,
+            "charge_As": 3600.0 * estimate.charge_Ah,
+            "charge_fraction": estimate.fraction,
+        }
+        print(json.dumps(answer, indent=2))
+        return
+    from rich.console import Console
+
+    Console().print(
+        f"[bold]{m.name}[/bold] can be flown by [bold]{v.name}[/bold]: {len(m.waypoint)} waypoints, "
+        f"{estimate.path_m:.1f} m, about {estimate.duration_s:.0f} s, {estimate.fraction:.0%} of the battery."
+    )
+
+
+def _estimate(m: Mission, v: Vehicle, where: str) -> Estimate:
+    from mufly.dynamics import hover_performance
+    from mufly.mission import check_mission
+
+    current = hover_performance(v).current_A
+    return check_mission(
+        m, hover_current_A=current, capacity_Ah=float(v.battery.capacity) / 3600.0, where=where
+    )
