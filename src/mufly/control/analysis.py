@@ -20,9 +20,8 @@ from dataclasses import dataclass
 
 import control
 import numpy as np
-from numpy.typing import NDArray
 
-from mufly.control.linear import Array, frequency_response, state_space
+from mufly.control.linear import Array, ComplexArray, frequency_response, state_space
 
 __all__ = [
     "LoopAnalysis",
@@ -126,7 +125,7 @@ def is_stable_loop(plant: control.StateSpace, feedback: control.StateSpace) -> b
     return bool(np.abs(poles).max() < 1.0) if plant.dt else bool(poles.real.max() < 0.0)
 
 
-def _closed_poles(plant: control.StateSpace, feedback: control.StateSpace) -> NDArray[np.complex128]:
+def _closed_poles(plant: control.StateSpace, feedback: control.StateSpace) -> ComplexArray:
     E = np.linalg.inv(np.eye(plant.noutputs) + plant.D @ feedback.D)
     A = np.block(
         [
@@ -151,7 +150,7 @@ def _grid(plant: control.StateSpace, feedback: control.StateSpace, points: int) 
     return np.unique(np.concatenate([np.geomspace(1e-4, top, points), size]))
 
 
-def _closed(L: NDArray[np.complex128]) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+def _closed(L: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
     S = np.linalg.inv(np.eye(L.shape[-1]) + L)
     return S, S @ L
 
@@ -179,7 +178,7 @@ def _dB(value: float) -> float:
     return float(20 * np.log10(max(value, 1e-300)))
 
 
-def _tracked_eigenvalues(L: NDArray[np.complex128]) -> NDArray[np.complex128]:
+def _tracked_eigenvalues(L: ComplexArray) -> ComplexArray:
     """Eigenvalues of L over frequency, ordered so that each column is continuous."""
     values = np.linalg.eigvals(L)
     if values.shape[1] == 2:  # all plants here have two inputs: swapping is the only choice
@@ -190,7 +189,7 @@ def _tracked_eigenvalues(L: NDArray[np.complex128]) -> NDArray[np.complex128]:
     return values
 
 
-def _margins(frequency: Array, L: NDArray[np.complex128]) -> tuple[float, float, float, float]:
+def _margins(frequency: Array, L: ComplexArray) -> tuple[float, float, float, float]:
     """Gain margin (dB), gain reduction (dB), phase margin (deg), delay margin (s), common to all inputs."""
     upper, lower, phase, delay = np.inf, -np.inf, np.inf, np.inf
     for locus in _tracked_eigenvalues(L).T:

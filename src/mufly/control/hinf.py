@@ -6,13 +6,12 @@ The generalised plant, with disturbances ``w``, errors ``z``, controls ``u`` and
 
 Method: Glover and Doyle, "State-space formulae for all stabilizing controllers that satisfy an H-infinity norm bound"
 (Syst. Control Lett. 11, 1988), as in Zhou, Doyle and Glover, *Robust and Optimal Control* (1996), theorem 17.1: for a
-level gamma, two Riccati equations (one for full information, one for the filter) have stabilising solutions X, Y >= 0
-with spectral radius rho(X Y) < gamma^2 exactly when a controller with norm below gamma exists. Bisection on gamma; general D11
-and D22 (the latter by the loop shift K = (I + K0 D22)^-1 K0).
+level gamma, two Riccati equations (one for full information, one for the filter) have stabilising solutions
+X, Y >= 0 with spectral radius rho(X Y) < gamma^2 exactly when a controller with norm below gamma exists.
+Bisection on gamma; general D11 and D22 (the latter by the loop shift K = (I + K0 D22)^-1 K0).
 
-Assumptions, each checked and named when violated: (A, B2) stabilisable, (C2, A) detectable, D12 of full column rank,
-D21 of full row rank, no invariant zero of (A, B2, C1, D12) or (A, B1, C2, D21) on the imaginary axis. ``regularisation``
-makes the last four hold by adding small weights on x and u and small noises on x and y.
+The assumptions of the theorem are checked, and named when violated: :mod:`mufly.control.assumptions`.
+``regularisation`` makes those on D12, D21 and the zeros hold by small weights on x and u and small noises on x and y.
 
 The states are scaled first (diagonal balancing of the plant), since weights with corners from 1e-4 to 1e3 rad/s would
 otherwise spoil the Riccati equations. What counts in the end is not the level claimed but the norm of the loop that is
@@ -27,6 +26,7 @@ import control
 import numpy as np
 from scipy import linalg
 
+from mufly.control.assumptions import check_assumptions
 from mufly.control.linear import Array, hinf_norm, state_space
 from mufly.errors import MuflyError
 
@@ -109,85 +109,6 @@ def close_loop(P: control.StateSpace, K: control.StateSpace) -> control.StateSpa
     return state_space(A, B, C, D11 + D12 @ Du, inputs=P.input_labels[:nw], outputs=P.output_labels[:nz])
 
 
-def _rank_deficient(M: Array) -> bool:
-    s = np.linalg.svd(M, compute_uv=False)
-    return bool(s.size and s[-1] <= 1e-10 * max(s[0], 1e-300))
-
-
-def _describe(mode: complex, vector: Array, labels: list[str]) -> str:
-    share = np.abs(vector)
-    state = labels[int(np.argmax(share))] if labels else "?"
-    value = f"{mode.real:.4g}" if abs(mode.imag) < 1e-12 else f"{mode.real:.4g}{mode.imag:+.4g}j"
-    return f"mode {value} rad/s (mainly state {state!r})"
-
-
-def _uncontrollable(A: Array, B: Array, which: str) -> tuple[complex, Array] | None:
-    """First mode of A that is not controllable by B: among those not stable ("unstable") or on the axis ("axis").
-
-    Popov-Belevitch-Hautus: the mode is uncontrollable when a left eigenvector is orthogonal to B.
-    """
-    values, vectors = linalg.eig(A, left=True, right=False)
-    scale = max(np.linalg.norm(A, 2), 1e-300)
-    for value in values:
-        if value.real < -1e-9 * max(scale, 1.0) if which == "unstable" else abs(value.real) > 1e-9 * scale:
-            continue
-        pencil = np.hstack([A - value * np.eye(A.shape[0]), B])
-        U, s, _ = np.linalg.svd(pencil)
-        if s[-1] < 1e-11 * s[0]:
-            return complex(value), U[:, -1]
-    return None
-
-
-def _check(
-    A: Array, B1: Array, B2: Array, C1: Array, C2: Array, D12: Array, D21: Array, P: control.StateSpace
-) -> None:
-    """Raise a MuflyError that names the first assumption violated."""
-    labels = list(P.state_labels)
-    nz, nw = C1.shape[0], B1.shape[1]
-    outputs, inputs = list(P.output_labels), list(P.input_labels)
-    found = _uncontrollable(A, B2, "unstable")
-    if found:
-        raise MuflyError(
-            f"H-infinity synthesis: not stabilisable by {', '.join(inputs[nw:])}: "
-            f"{_describe(*found, labels)} cannot be moved; remove it or make its weight stable"
-        )
-    found = _uncontrollable(A.T, C2.T, "unstable")
-    if found:
-        raise MuflyError(
-            f"H-infinity synthesis: not detectable from {', '.join(outputs[nz:])}: "
-            f"{_describe(*found, labels)} is not seen; measure it or make its weight stable"
-        )
-    for D, name, names, remedy in (
-        (D12, "D12 (controls to errors)", inputs[nw:], "give every control a weight at high frequency"),
-        (D21.T, "D21 (disturbances to measurements)", outputs[nz:], "give every measurement some noise"),
-    ):
-        if D.shape[0] < D.shape[1] or _rank_deficient(D):
-            direction = np.abs(np.linalg.svd(D)[2][-1])
-            raise MuflyError(
-                f"H-infinity synthesis: {name} loses rank at signal {names[int(np.argmax(direction))]!r}; {remedy} "
-                "or set regularisation"
-            )
-    for F, G, name in (
-        (
-            A - B2 @ np.linalg.pinv(D12) @ C1,
-            (np.eye(nz) - D12 @ np.linalg.pinv(D12)) @ C1,
-            "(A, B2, C1, D12)",
-        ),
-        (
-            (A - B1 @ np.linalg.pinv(D21) @ C2).T,
-            (B1 @ (np.eye(nw) - np.linalg.pinv(D21) @ D21)).T,
-            "(A, B1, C2, D21)",
-        ),
-    ):
-        found = _uncontrollable(F.T, G.T, "axis")
-        if found:
-            raise MuflyError(
-                f"H-infinity synthesis: {name} has an invariant zero on the imaginary axis at {abs(found[0].imag):.4g} "
-                f"rad/s (mainly state {labels[int(np.argmax(np.abs(found[1])))]!r}); let a weight act on it or set "
-                "regularisation"
-            )
-
-
 def _normalise(P: control.StateSpace, ny: int, nu: int, regularisation: float) -> _Plant:
     A, B, C = P.A.copy(), P.B.copy(), P.C.copy()
     n = A.shape[0]
@@ -214,7 +135,7 @@ def _normalise(P: control.StateSpace, ny: int, nu: int, regularisation: float) -
         D12 = np.vstack([D12, np.zeros((n, nu)), eps * np.eye(nu)])
         D21 = np.hstack([D21, np.zeros((ny, n)), eps * np.eye(ny)])
         D11 = np.pad(D11, ((0, n + nu), (0, n + ny)))
-    _check(A, B1, B2, C1, C2, D12, D21, P)
+    check_assumptions(A, B1, B2, C1, C2, D12, D21, P)
     U, s, Vt = np.linalg.svd(D12)
     z_turn = np.hstack([U[:, nu:], U[:, :nu]])  # z = z_turn z~ puts the controls last
     Ru = Vt.T / s
@@ -240,7 +161,8 @@ def _riccati(H: Array) -> Array | None:
         X = np.linalg.solve(U[:n].T, U[n:].T).T
     except np.linalg.LinAlgError:
         return None
-    return (X + X.T) / 2
+    symmetric: Array = (X + X.T) / 2
+    return symmetric
 
 
 def _central(p: _Plant, gamma: float) -> tuple[Array, Array, Array, Array] | None:
@@ -375,7 +297,9 @@ def hinfsyn(
         raise MuflyError("H-infinity synthesis: the plant holds a number that is not finite")
     p = _normalise(P, n_measurements, n_controls, regularisation)
     a, b = p.C1.shape[0] - n_controls, p.B1.shape[1] - n_measurements
-    floor = max(np.linalg.norm(p.D11[:a], 2) if a else 0.0, np.linalg.norm(p.D11[:, :b], 2) if b else 0.0)
+    floor = float(
+        max(np.linalg.norm(p.D11[:a], 2) if a else 0.0, np.linalg.norm(p.D11[:, :b], 2) if b else 0.0)
+    )
     iterations = 0
 
     def feasible(gamma: float) -> bool:
@@ -386,18 +310,18 @@ def hinfsyn(
         except (np.linalg.LinAlgError, linalg.LinAlgError, ValueError):
             return False
 
-    lower, upper = float(floor), max(1.0, 1.01 * floor)
+    lower, upper = floor, max(1.0, 1.01 * floor)
     while not feasible(upper):
         lower, upper = upper, 3.0 * upper
         if upper > gamma_max:
             raise MuflyError(
-                f"H-infinity synthesis: no controller found with gamma below {gamma_max:g}; the weights contradict each "
-                "other or the plant is badly scaled"
+                f"H-infinity synthesis: no controller found with gamma below {gamma_max:g}; the weights "
+                "contradict each other or the plant is badly scaled"
             )
     tiny = 1e-9 * upper
     while upper > (1 + gamma_tolerance) * lower and upper > tiny:
         # Geometric once a scale is known, so that a small optimum is found as fast as a large one.
-        middle = np.sqrt(lower * upper) if lower > upper / 100 else upper / 10
+        middle = float(np.sqrt(lower * upper)) if lower > upper / 100 else upper / 10
         if middle <= floor:
             middle = (floor + upper) / 2
         if feasible(middle):

@@ -1,10 +1,10 @@
 """The control law that runs on board: pure functions of gains, state, reference and measurement, one call a period.
 
-Each controller is ``u = C x + D e``, ``x+ = A x + B e + M (sat(u) - u)`` (see :mod:`mufly.control.discretise`). Around it:
+Each controller is ``u = C x + D e``, ``x+ = A x + B e + M (sat(u) - u)`` (:mod:`mufly.control.discretise`).
 
 Heave-yaw. The reference passes a second-order filter whose acceleration and speed are limited to what the motors can
 give, so that a step does not rail them; a reference that comes with its rate and stays within the limits passes
-unchanged but for ``acceleration / omega^2``. The command is a voltage, as a fraction of the design voltage: what
+unchanged but for ``acceleration / bandwidth^2``. The command is a voltage, as a fraction of the design voltage: what
 the battery has left bounds it, ``[0, U/U_design]``, and the motor input is command over that bound. Where both
 motors cannot have what they ask for, yaw goes first: the difference of the two is kept, their mean
 gives way. Otherwise a rail in heave would spin the fuselage.
@@ -12,11 +12,11 @@ gives way. Otherwise a rail in heave would spin the fuselage.
 Roll-pitch. Tilt references are limited; servos saturate one by one.
 
 Position. ``v_ref = K_p (P_ref - P) + v_ff`` in N-E, limited in length; errors turned by the heading; velocity
-controller; acceleration feedforward ``theta = -a_x / g``, ``phi = a_y / g``; tilt limited in length, the excess given back
-to the controller. The heading alone turns the errors: velocities along the body axes would mix climb into them.
+controller; acceleration feedforward ``theta = -a_x / g``, ``phi = a_y / g``; tilt limited in length, the excess given
+back to the controller. The heading alone turns the errors: velocities along the body axes would mix climb into them.
 
-Gains are NumPy records (see ``HEAVE_YAW_GAINS`` and so on), padded with zero states to a fixed order: the compiled code is the
-same for every vehicle. Units SI and radians, motor inputs 0..1 as (upper, lower), servo inputs -1..1.
+Gains are records (:mod:`mufly.control.gains`), first states come from :mod:`mufly.control.engage`. Units SI and
+radians, motor inputs 0..1 as (upper, lower), servo inputs -1..1.
 """
 
 from __future__ import annotations
@@ -26,99 +26,20 @@ import math
 import numpy as np
 from numba import njit
 
-from mufly.control.discretise import DiscreteController
-from mufly.control.linear import Array
-from mufly.errors import MuflyError
-
-__all__ = [
-    "HEAVE_YAW_GAINS",
-    "HEAVE_YAW_ORDER",
-    "POSITION_GAINS",
-    "ROLL_PITCH_GAINS",
-    "ROLL_PITCH_ORDER",
-    "VELOCITY_ORDER",
-    "heave_yaw_initial",
-    "heave_yaw_step",
-    "pack",
-    "position_initial",
-    "position_step",
-    "roll_pitch_initial",
-    "roll_pitch_step",
-]
-
-HEAVE_YAW_ORDER, ROLL_PITCH_ORDER, VELOCITY_ORDER = 10, 8, 6
-_f8 = np.float64
-
-
-def _matrices(order: int, inputs: int, outputs: int) -> list[tuple[str, type, tuple[int, ...]]]:
-    return [
-        ("A", _f8, (order, order)),
-        ("B", _f8, (order, inputs)),
-        ("C", _f8, (outputs, order)),
-        ("D", _f8, (outputs, inputs)),
-        ("M", _f8, (order, outputs)),
-    ]
-
-
-HEAVE_YAW_GAINS = np.dtype(
-    [
-        *_matrices(HEAVE_YAW_ORDER, 5, 2),
-        ("trim", _f8, (2,)),  # lower, upper; fraction of the design voltage
-        ("design_voltage", _f8),  # V
-        ("voltage_blend", _f8),  # 0..1, share of a new voltage measurement in its filter
-        ("period", _f8),  # s
-        ("heave_bandwidth", _f8),  # rad/s, of the reference filter
-        ("heave_acceleration", _f8),  # m/s2
-        ("heave_speed", _f8),  # m/s
-        ("yaw_bandwidth", _f8),  # rad/s
-        ("yaw_acceleration", _f8),  # rad/s2
-        ("yaw_rate", _f8),  # rad/s
-    ]
+from mufly.control.gains import (
+    HEAVE_YAW_STATE,
+    ORIGIN_PSI,
+    ORIGIN_Z,
+    ROLL_PITCH_ORDER,
+    SHAPED_PSI,
+    SHAPED_R,
+    SHAPED_W,
+    SHAPED_Z,
+    VELOCITY_ORDER,
+    VOLTAGE,
 )
-ROLL_PITCH_GAINS = np.dtype(
-    [
-        *_matrices(ROLL_PITCH_ORDER, 4, 2),
-        ("trim", _f8, (2,)),  # servo 1, servo 2
-        ("tilt_limit", _f8),  # rad
-    ]
-)
-POSITION_GAINS = np.dtype(
-    [
-        *_matrices(VELOCITY_ORDER, 2, 2),
-        ("position_gain", _f8),  # 1/s
-        ("speed_limit", _f8),  # m/s
-        ("tilt_limit", _f8),  # rad
-        ("gravity", _f8),  # m/s2
-    ]
-)
-# State of heave-yaw behind the controller's own: filtered references, origins, filtered voltage.
-_SHAPED_Z, _SHAPED_W, _SHAPED_PSI, _SHAPED_R, _ORIGIN_Z, _ORIGIN_PSI, _VOLTAGE = range(
-    HEAVE_YAW_ORDER, HEAVE_YAW_ORDER + 7
-)
-_HEAVE_YAW_STATE = HEAVE_YAW_ORDER + 7
 
-
-def pack(dtype: np.dtype, controller: DiscreteController, **values: object) -> np.void:
-    """Gains record of a controller, its states padded with zeros to the record's order.
-
-    Raises
-    ------
-    MuflyError
-        If the controller has more states than the record holds, or other signals.
-    """
-    record = np.zeros((), dtype=dtype)
-    order, inputs = record["B"].shape
-    n = controller.order
-    if n > order or controller.B.shape[1] != inputs:
-        raise MuflyError(
-            f"control law: a controller of order {n} with {controller.B.shape[1]} inputs does not fit a record of order "
-            f"{order} with {inputs}; reduce it further"
-        )
-    record["A"][:n, :n], record["B"][:n], record["C"][:, :n] = controller.A, controller.B, controller.C
-    record["D"], record["M"][:n] = controller.D, controller.M
-    for name, value in values.items():
-        record[name] = value
-    return record[()]
+__all__ = ["heave_yaw_step", "position_step", "roll_pitch_step"]
 
 
 @njit(cache=True)
@@ -188,11 +109,11 @@ def heave_yaw_step(gains, state, reference, measurement, voltage):  # type: igno
         Upper, lower; 0..1.
     state : (17,) array
     """
-    new = np.empty(_HEAVE_YAW_STATE)
-    new[_ORIGIN_Z], new[_ORIGIN_PSI] = state[_ORIGIN_Z], state[_ORIGIN_PSI]
-    new[_SHAPED_Z], new[_SHAPED_W] = _shape(
-        state[_SHAPED_Z],
-        state[_SHAPED_W],
+    new = np.empty(HEAVE_YAW_STATE)
+    new[ORIGIN_Z], new[ORIGIN_PSI] = state[ORIGIN_Z], state[ORIGIN_PSI]
+    new[SHAPED_Z], new[SHAPED_W] = _shape(
+        state[SHAPED_Z],
+        state[SHAPED_W],
         reference[0],
         reference[2],
         gains.heave_bandwidth,
@@ -200,9 +121,9 @@ def heave_yaw_step(gains, state, reference, measurement, voltage):  # type: igno
         gains.heave_speed,
         gains.period,
     )
-    new[_SHAPED_PSI], new[_SHAPED_R] = _shape(
-        state[_SHAPED_PSI],
-        state[_SHAPED_R],
+    new[SHAPED_PSI], new[SHAPED_R] = _shape(
+        state[SHAPED_PSI],
+        state[SHAPED_R],
         reference[1],
         reference[3],
         gains.yaw_bandwidth,
@@ -212,12 +133,12 @@ def heave_yaw_step(gains, state, reference, measurement, voltage):  # type: igno
     )
     # A reading far off the design voltage is a fault of the sensor, not a battery.
     believed = _clip(voltage, 0.5 * gains.design_voltage, 1.5 * gains.design_voltage)
-    new[_VOLTAGE] = state[_VOLTAGE] + gains.voltage_blend * (believed - state[_VOLTAGE])
-    top = new[_VOLTAGE] / gains.design_voltage
+    new[VOLTAGE] = state[VOLTAGE] + gains.voltage_blend * (believed - state[VOLTAGE])
+    top = new[VOLTAGE] / gains.design_voltage
 
     e = np.empty(5)
-    e[0], e[1] = new[_SHAPED_Z] - new[_ORIGIN_Z], new[_SHAPED_PSI] - new[_ORIGIN_PSI]
-    e[2], e[3], e[4] = new[_ORIGIN_Z] - measurement[0], new[_ORIGIN_PSI] - measurement[1], -measurement[2]
+    e[0], e[1] = new[SHAPED_Z] - new[ORIGIN_Z], new[SHAPED_PSI] - new[ORIGIN_PSI]
+    e[2], e[3], e[4] = new[ORIGIN_Z] - measurement[0], new[ORIGIN_PSI] - measurement[1], -measurement[2]
     u = np.empty(2)
     _output(gains, state, e, u)
     lower, upper = gains.trim[0] + u[0], gains.trim[1] + u[1]
@@ -314,82 +235,3 @@ def position_step(  # type: ignore[no-untyped-def]
     excess[0], excess[1] = tilt[0] - phi, tilt[1] - theta
     _advance(gains, state, e, excess, new)
     return tilt, new
-
-
-def _at_rest(gains: np.void, e: Array, output: Array) -> Array:
-    """Controller state whose output is ``output`` at input ``e`` and which moves least from there.
-
-    Least squares of ``(I - A) x - B e`` subject to ``C x + D e = output``: the slow modes carry the offset.
-    """
-    A, B, C, D = (np.asarray(gains[name]) for name in "ABCD")
-    used = np.nonzero(np.any(A != 0, axis=1) | np.any(B != 0, axis=1) | np.any(C != 0, axis=0))[0]
-    A, B, C = A[np.ix_(used, used)], B[used], C[:, used]
-    F = np.eye(used.size) - A
-    m = C.shape[0]
-    system = np.block([[F.T @ F, C.T], [C, np.zeros((m, m))]])
-    x = np.zeros(gains["A"].shape[0])
-    x[used] = np.linalg.lstsq(system, np.concatenate([F.T @ B @ e, output - D @ e]), rcond=None)[0][
-        : used.size
-    ]
-    return x
-
-
-def heave_yaw_initial(gains: np.void, measurement: Array, motor_input: Array, voltage: float) -> Array:
-    """State that engages heave-yaw without a bump.
-
-    Parameters
-    ----------
-    gains : record of type ``HEAVE_YAW_GAINS``
-    measurement : (3,) array
-        z (m), psi (rad), r (rad/s) at the moment; the references start from there.
-    motor_input : (2,) array
-        Upper, lower (0..1) that the motors have at the moment, on the ground say.
-    voltage : float
-        Measured battery voltage (V).
-
-    Returns
-    -------
-    (17,) array
-        State for the first ``heave_yaw_step``; with the reference at the measurement its output is ``motor_input``.
-    """
-    z, psi, r = (float(v) for v in measurement)
-    design = float(gains["design_voltage"])
-    believed = min(max(float(voltage), 0.5 * design), 1.5 * design)
-    command = np.array([motor_input[1], motor_input[0]], dtype=float) * believed / design
-    state = np.zeros(_HEAVE_YAW_STATE)
-    state[:HEAVE_YAW_ORDER] = _at_rest(gains, np.array([0.0, 0.0, 0.0, 0.0, -r]), command - gains["trim"])
-    state[_SHAPED_Z], state[_SHAPED_PSI], state[_ORIGIN_Z], state[_ORIGIN_PSI] = z, psi, z, psi
-    state[_VOLTAGE] = believed
-    return state
-
-
-def roll_pitch_initial(
-    gains: np.void, measurement: Array | None = None, servo_input: Array | None = None
-) -> Array:
-    """State that engages roll-pitch without a bump: level and at trim by default.
-
-    Parameters
-    ----------
-    gains : record of type ``ROLL_PITCH_GAINS``
-    measurement : (4,) array, optional
-        phi, theta (rad), p, q (rad/s); the reference is taken to be level.
-    servo_input : (2,) array, optional
-        Servo inputs at the moment.
-
-    Returns
-    -------
-    (8,) array
-    """
-    e = np.zeros(4) if measurement is None else -np.asarray(measurement, dtype=float)
-    servo = np.asarray(gains["trim"]) if servo_input is None else np.asarray(servo_input, dtype=float)
-    return _at_rest(gains, e, servo - gains["trim"])
-
-
-def position_initial(gains: np.void) -> Array:
-    """State of the position cascade at rest.
-
-    Returns
-    -------
-    (6,) array
-    """
-    return np.zeros(gains["A"].shape[0])

@@ -13,6 +13,7 @@ Boyd, Balakrishnan and Kabamba (1989): a frequency on the imaginary axis is wher
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import control
 import numpy as np
@@ -23,7 +24,8 @@ from mufly.errors import MuflyError
 
 __all__ = ["connect", "frequency_response", "hinf_norm", "singular_values", "state_space"]
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating[Any]]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 
 def state_space(
@@ -117,7 +119,7 @@ def connect(
     )
 
 
-def frequency_response(system: control.StateSpace, frequency: Array) -> NDArray[np.complex128]:
+def frequency_response(system: control.StateSpace, frequency: Array) -> ComplexArray:
     """Frequency response on the imaginary axis, or on the unit circle of a discrete-time system.
 
     Parameters
@@ -139,9 +141,7 @@ def frequency_response(system: control.StateSpace, frequency: Array) -> NDArray[
         return np.broadcast_to(D.astype(complex), (frequency.size, *D.shape))
     # One reduction to Hessenberg form would save time on large systems; these have at most some forty states.
     pencil = point[:, None, None] * np.eye(n) - A
-    response: NDArray[np.complex128] = (
-        C @ np.linalg.solve(pencil, np.broadcast_to(B, (frequency.size, *B.shape))) + D
-    )
+    response: ComplexArray = C @ np.linalg.solve(pencil, np.broadcast_to(B, (frequency.size, *B.shape))) + D
     return response
 
 

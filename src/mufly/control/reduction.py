@@ -5,13 +5,13 @@ rest is put into coordinates in which what is excited and what is felt are equal
 Two choices of "excited and felt" are tried:
 
 - ``loop``: in the closed loop of the design. A small change dK of the controller changes the loop from ``w`` to ``z``
-  by ``T_zu dK T_ew``, so the Gramian of excitation is that of the controller running in its loop, and the Gramian of effect that of
-  the controller in series with ``T_zu`` (Enns, 23rd IEEE CDC, 1984, with both weights from the loop).
+  by ``T_zu dK T_ew``, so the Gramian of excitation is that of the controller running in its loop, and the Gramian of
+  effect that of the controller in series with ``T_zu`` (Enns, 23rd IEEE CDC, 1984, with both weights from the loop).
 - ``open``: from the controller's own inputs to its outputs (Moore 1981).
 
-Two ways to remove: ``match`` sets the weak states to their equilibrium (singular perturbation, Liu and Anderson 1989),
-which keeps the controller's static gain, ``A11 - A12 A22^-1 A21`` and so on; ``truncate`` drops them, which keeps its gain at high frequency.
-Plain balanced truncation ruins the heave-yaw loop; the judge sees that.
+Two ways to remove: ``match`` sets the weak states to their equilibrium (singular perturbation, Liu and Anderson 1989):
+``A11 - A12 A22^-1 A21`` and so on; it keeps the controller's static gain. ``truncate`` drops them and keeps its gain at
+high frequency. Plain balanced truncation ruins the heave-yaw loop; the judge sees that.
 
 Modes slower than a threshold are split off and kept: once only the integrators (``slow`` small), once everything slower
 than the loop's crossover, since that shapes the response to references while adding little to any Gramian.
@@ -246,9 +246,9 @@ def reduce_controller(
         (entry[0] for entry in tried), key=lambda c: max(c.sensitivity_peak_dB, c.complementary_peak_dB)
     )
     raise MuflyError(
-        f"order reduction: no controller of order {order_max} or less keeps the loop (full order {n}: peaks {full_s:.2f} "
-        f"and {full_t:.2f} dB, norm {full_norm:.3g}; nearest: order {best.order} by {best.method!r}, peaks "
-        f"{best.sensitivity_peak_dB:.2f} and {best.complementary_peak_dB:.2f} dB, norm {best.norm:.3g}); "
+        f"order reduction: no controller of order {order_max} or less keeps the loop (full order {n}: peaks "
+        f"{full_s:.2f} and {full_t:.2f} dB, norm {full_norm:.3g}; nearest: order {best.order} by {best.method!r}, "
+        f"peaks {best.sensitivity_peak_dB:.2f} and {best.complementary_peak_dB:.2f} dB, norm {best.norm:.3g}); "
         "allow a larger tolerance or order"
     )
 
@@ -288,7 +288,7 @@ def _realisations(
             linalg.solve_continuous_lyapunov(Ar, -_outer(Br)),
             linalg.solve_continuous_lyapunov(Ar.T, -_outer(Cr.T)),
         )
-    found = {}
+    found: dict[str, tuple[control.StateSpace, Array]] = {}
     for name, (P, Q) in gramians.items():
         T, Tinv = _balance(P, Q)
         T, Tinv = linalg.block_diag(np.eye(kept), T), linalg.block_diag(np.eye(kept), Tinv)

@@ -1,7 +1,7 @@
 """Weighting schemes: what the H-infinity synthesis is asked for. GS/T with one and with two degrees of freedom.
 
-All signals are scaled first. With the output scale ``s_y`` (an error worth one) and the input scale ``s_u`` (an actuation
-worth one) the plant is ``G = diag(1/s_y) G_physical diag(s_u)``, and the controller found for it goes back as
+All signals are scaled first. With the output scale ``s_y`` (an error worth one) and the input scale ``s_u`` (an
+actuation worth one) the plant is ``G = diag(1/s_y) G_physical diag(s_u)``, and the controller found for it goes back as
 ``K_physical = diag(s_u) K diag(1/s_y)``.
 
 Two degrees of freedom (thesis Fig. 6.4, eqs 6.3 and 6.4; Christen and Geering's dual scheme): the controller reads the
