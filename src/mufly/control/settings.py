@@ -36,10 +36,10 @@ ROLL_PITCH_WEIGHTS = OneDegreeWeights(
 )
 VELOCITY_WEIGHTS = OneDegreeWeights(
     control=TransferFunction((0.001,)),
-    output_noise=TransferFunction((1.0, 4.0), (0.1, 8.0)),
-    input_disturbance=TransferFunction((0.7, 0.35), (1.0, 0.007)),
+    output_noise=TransferFunction((1.0, 20.0), (0.1, 40.0)),
+    input_disturbance=TransferFunction((0.7, 0.14), (1.0, 0.007)),
 )
-VELOCITY_SCALING = Scaling(outputs=(1.0, 1.0), inputs=(0.25, 0.25))
+VELOCITY_SCALING = Scaling(outputs=(1.0, 1.0), inputs=(0.08, 0.08))
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,194 @@
+"""Pictures of the designs: singular values over frequency, as in the thesis's Figs 6.3 to 6.8.
+
+Everything is drawn on ``Figure`` objects, so nothing depends on a window system or on pyplot's state. Colours are those
+of Okabe and Ito, which survive colour blindness.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from mufly.control.analysis import LoopCurves, loop_curves, sample_plant
+from mufly.control.linear import Array, singular_values
+from mufly.control.result import Design, FlightController
+
+__all__ = ["draw_designs", "draw_loop", "draw_plant"]
+
+BLUE, ORANGE, GREEN, VERMILION, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#7f7f7f"
+_FREQUENCY = np.geomspace(1e-4, 1e4, 700)
+_FIGURES = {"heave-yaw": ("6.3", "6.5"), "roll-pitch": ("6.7", "6.8")}
+
+
+def _dB(values: Array) -> Array:
+    return 20 * np.log10(np.maximum(values, 1e-30))
+
+
+def _frame(axes: Axes, title: str, low: float, high: float) -> None:
+    axes.set_xscale("log")
+    axes.set_xlim(_FREQUENCY[0], _FREQUENCY[-1])
+    axes.set_ylim(low, high)
+    axes.axhline(0.0, color="black", linewidth=0.7)
+    axes.grid(True, which="major", color="0.88", linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.set_ylabel("singular values (dB)")
+    axes.set_title(title, loc="left", fontsize=10, fontweight="bold")
+    axes.tick_params(labelsize=8)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+
+
+def _vertical(axes: Axes, frequency: float, text: str, colour: str, level: float) -> None:
+    axes.axvline(frequency, color=colour, linewidth=0.9, linestyle=(0, (4, 3)))
+    axes.annotate(
+        text,
+        (frequency, level),
+        xycoords=("data", "axes fraction"),
+        xytext=(4, 0),
+        textcoords="offset points",
+        color=colour,
+        fontsize=8,
+        va="center",
+    )
+
+
+def _lines(axes: Axes, frequency: Array, values: Array, colour: str, label: str | None, **style: Any) -> None:
+    for i, column in enumerate(_dB(values).T):
+        axes.plot(frequency, column, color=colour, label=label if i == 0 else None, **style)
+
+
+def draw_plant(design: Design) -> Figure:
+    """Singular values of the unscaled plant (Figs 6.3 and 6.7), its 0 dB crossings and the thesis's marked."""
+    figure = Figure(figsize=(7.0, 3.6), dpi=150, layout="constrained")
+    axes = figure.add_subplot()
+    values = singular_values(design.plant, _FREQUENCY)
+    shown = _dB(values)
+    _frame(
+        axes,
+        f"{design.name}: plant {'(thesis Fig. ' + _FIGURES[design.name][0] + ')' if design.name in _FIGURES else ''}",
+        max(20 * np.floor(shown.min() / 20), -160.0),
+        20 * np.ceil(shown.max() / 20),
+    )
+    _lines(axes, _FREQUENCY, values, BLUE, "G", linewidth=1.6)
+    if design.plant_crossovers:
+        axes.plot(
+            design.plant_crossovers,
+            np.zeros(len(design.plant_crossovers)),
+            "o",
+            color=BLUE,
+            markersize=5,
+            label="0 dB at " + ", ".join(f"{w:.3g}" for w in design.plant_crossovers) + " rad/s",
+        )
+    thesis = design.published
+    for k, w in enumerate(thesis.plant_crossovers or ()):
+        _vertical(axes, w, f"thesis: {w:g} rad/s", VERMILION, 0.92 - 0.07 * k)
+    if thesis.resonance:
+        _vertical(axes, thesis.resonance, f"thesis: resonance {thesis.resonance:g} rad/s", VERMILION, 0.92)
+    axes.set_xlabel("frequency (rad/s)")
+    axes.legend(fontsize=8, frameon=False, loc="lower left")
+    return figure
+
+
+def _curves(design: Design, controller: control.StateSpace) -> LoopCurves:
+    dt = controller.dt or 0.0
+    if dt:
+        frequency = _FREQUENCY[_FREQUENCY < np.pi / dt]
+        return loop_curves(sample_plant(design.plant, dt, 1), design.feedback(controller), frequency)
+    return loop_curves(design.plant, design.feedback(controller), _FREQUENCY)
+
+
+def draw_loop(design: Design) -> Figure:
+    """Loop gain above, sensitivities below (Figs 6.5 and 6.8): full order, reduced, and sampled with delay."""
+    figure = Figure(figsize=(7.0, 6.6), dpi=150, layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    cases = (
+        (f"order {design.controller.nstates}, continuous", _curves(design, design.controller), "-", 1.6),
+        (f"order {design.reduced.nstates}, continuous", _curves(design, design.reduced), "--", 1.2),
+        (
+            f"order {design.discrete.order}, {1 / design.discrete.period_s:g} Hz, one sample of delay",
+            _curves(design, design.discrete.system()),
+            ":",
+            1.4,
+        ),
+    )
+    where = f"(thesis Fig. {_FIGURES[design.name][1]})" if design.name in _FIGURES else ""
+    _frame(upper, f"{design.name}: loop gain $L_u$ at the plant's input {where}", -80, 120)
+    _frame(lower, f"{design.name}: sensitivity $S_u$ and complementary sensitivity $T_u$", -60, 12)
+    for label, curves, line, width in cases:
+        _lines(upper, curves.frequency, curves.loop, BLUE, label, linestyle=line, linewidth=width)
+        for name, values, colour in (
+            ("$S_u$", curves.sensitivity, GREEN),
+            ("$T_u$", curves.complementary, ORANGE),
+        ):
+            shown = name if line == "-" else None
+            _lines(lower, curves.frequency, values, colour, shown, linestyle=line, linewidth=width)
+        nyquist = curves.frequency[-1]
+        if line == ":":
+            for axes in (upper, lower):
+                axes.axvspan(nyquist, _FREQUENCY[-1], color="0.95", zorder=0)
+            upper.annotate(
+                "above half the\nsampling rate", (nyquist * 1.15, 100), fontsize=7, color=GREY, va="center"
+            )
+    loop, thesis = design.full_loop, design.published
+    upper.plot(
+        loop.crossovers,
+        np.zeros(len(loop.crossovers)),
+        "o",
+        color=BLUE,
+        markersize=5,
+        label="0 dB at " + ", ".join(f"{w:.3g}" for w in loop.crossovers) + " rad/s",
+    )
+    if thesis.crossover:
+        _vertical(upper, thesis.crossover, f"thesis: {thesis.crossover:g} rad/s", VERMILION, 0.92)
+    peaks = f"peaks: $S_u$ {loop.sensitivity_peak_dB:.2f} dB, $T_u$ {loop.complementary_peak_dB:.2f} dB"
+    printed = [
+        f"${name}$ {value:.2f} dB"
+        for name, value in (("S_u", thesis.sensitivity_peak_dB), ("T_u", thesis.complementary_peak_dB))
+        if value
+    ]
+    lower.annotate(
+        peaks + (f"\nthesis: {', '.join(printed)}" if printed else ""),
+        (0.015, 0.97),
+        xycoords="axes fraction",
+        fontsize=8,
+        va="top",
+    )
+    lower.set_xlabel("frequency (rad/s)")
+    upper.legend(fontsize=8, frameon=False, loc="lower left")
+    lower.legend(fontsize=8, frameon=False, loc="lower left", title="lines as above", title_fontsize=8)
+    return figure
+
+
+def draw_designs(
+    controller: FlightController, folder: Path | str, *, formats: tuple[str, ...] = ("png",)
+) -> list[Path]:
+    """Draw all designs into a folder, which is made if need be.
+
+    Parameters
+    ----------
+    controller : FlightController
+    folder : Path or str
+    formats : tuple of str
+        File formats that matplotlib knows.
+
+    Returns
+    -------
+    list of Path
+        ``<design>-plant`` and ``<design>-loop`` for heave-yaw, roll-pitch and velocity.
+    """
+    target = Path(folder)
+    target.mkdir(parents=True, exist_ok=True)
+    written = []
+    for design in (controller.heave_yaw, controller.roll_pitch, controller.velocity):
+        for what, draw in (("plant", draw_plant), ("loop", draw_loop)):
+            figure = draw(design)
+            for suffix in formats:
+                path = target / f"{design.name}-{what}.{suffix}"
+                figure.savefig(path)
+                written.append(path)
+    return written
