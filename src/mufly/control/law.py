@@ -11,9 +11,11 @@ gives way. Otherwise a rail in heave would spin the fuselage.
 
 Roll-pitch. Tilt references are limited; servos saturate one by one.
 
-Position. ``v_ref = K_p (P_ref - P) + v_ff`` in N-E, limited in length; errors turned by the heading; velocity
-controller; acceleration feedforward ``theta = -a_x / g``, ``phi = a_y / g``; tilt limited in length, the excess given
-back to the controller. The heading alone turns the errors: velocities along the body axes would mix climb into them.
+Position. ``v_ref = K_p (P_ref - P) + v_ff`` in N-E, limited in length; velocity controller; acceleration feedforward
+``theta = -a_x / g``, ``phi = a_y / g``; tilt limited in length, the excess given back to the controller; last the tilt
+is turned by the heading. The thesis turns the velocity errors into body axes instead (Fig. 6.9). At a constant heading
+that is the same, since the controller treats both directions alike; but here its integrators stay with the wind,
+which does not turn with the fuselage, and climb does not leak into the horizontal axes.
 
 Gains are records (:mod:`mufly.control.gains`), first states come from :mod:`mufly.control.engage`. Units SI and
 radians, motor inputs 0..1 as (upper, lower), servo inputs -1..1.
@@ -222,16 +224,15 @@ def position_step(  # type: ignore[no-untyped-def]
     speed = math.sqrt(v_n * v_n + v_e * v_e)
     if speed > gains.speed_limit:
         v_n, v_e = v_n * gains.speed_limit / speed, v_e * gains.speed_limit / speed
-    v_n, v_e = v_n - velocity[0], v_e - velocity[1]
-    c, s = math.cos(heading), math.sin(heading)
     e, tilt, excess, new = np.empty(2), np.empty(2), np.empty(2), np.empty(VELOCITY_ORDER)
-    e[0], e[1] = c * v_n + s * v_e, c * v_e - s * v_n
+    e[0], e[1] = v_n - velocity[0], v_e - velocity[1]
     _output(gains, state, e, tilt)
-    a_n, a_e = acceleration_reference[0] / gains.gravity, acceleration_reference[1] / gains.gravity
-    phi, theta = tilt[0] + c * a_e - s * a_n, tilt[1] - c * a_n - s * a_e
+    phi = tilt[0] + acceleration_reference[1] / gains.gravity
+    theta = tilt[1] - acceleration_reference[0] / gains.gravity
     size = math.sqrt(phi * phi + theta * theta)
     factor = gains.tilt_limit / size if size > gains.tilt_limit else 1.0
-    tilt[0], tilt[1] = factor * phi, factor * theta
-    excess[0], excess[1] = tilt[0] - phi, tilt[1] - theta
+    excess[0], excess[1] = (factor - 1.0) * phi, (factor - 1.0) * theta
+    c, s = factor * math.cos(heading), factor * math.sin(heading)
+    tilt[0], tilt[1] = c * phi + s * theta, c * theta - s * phi
     _advance(gains, state, e, excess, new)
     return tilt, new
