@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.control import FlightController
-from mufly.control.law import (
+from mufly.control import (
+    FlightController,
     heave_yaw_initial,
     heave_yaw_step,
     position_initial,

@@ -1,0 +1,126 @@
+"""`mufly fly` as a user calls it."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from mufly import cli
+from mufly.flight import read_recording
+
+HOP = """
+[take_off]
+height_m = 0.5
+wait_s = 0.2
+
+[[waypoint]]
+position_m = [0.3, 0.0, -0.5]
+wait_s = 0.2
+"""
+
+
+@pytest.fixture
+def hop(tmp_path: Path) -> Path:
+    path = tmp_path / "hop.toml"
+    path.write_text(HOP)
+    return path
+
+
+def run(monkeypatch, *words: object) -> int:
+    monkeypatch.setattr(sys, "argv", ["mufly", *map(str, words)])
+    try:
+        cli.main()
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0
+
+
+def test_a_flight_writes_recording_summary_and_pictures(monkeypatch, capsys, tmp_path, hop) -> None:
+    out = tmp_path / "out"
+    assert run(monkeypatch, "fly", hop, "--out", out, "--headless", "--gust", "0.1", "--wind", "0.2,0,0") == 0
+    shown = capsys.readouterr().out
+    assert "succeeded" in shown
+    assert "take-off" in shown
+    made = {p.name for p in out.iterdir()}
+    assert {"flight.mcap", "summary.json", "track.png", "history.png"} <= made
+    assert read_recording(out / "flight.mcap").attrs["wind_m_s"] == [0.2, 0.0, 0.0]
+    assert (out / "track.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_json_is_all_there_is_on_standard_output(monkeypatch, capsys, tmp_path, hop) -> None:
+    assert run(monkeypatch, "fly", hop, "--out", tmp_path / "out", "--json", "--vehicle", "mufly-2.0") == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["outcome"] == "succeeded"
+    assert summary == json.loads((tmp_path / "out" / "summary.json").read_text())
+
+
+def test_default_folder_carries_the_date(monkeypatch, tmp_path, hop) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(monkeypatch, "fly", hop) == 0
+    assert run(monkeypatch, "fly", hop) == 0
+    folders = sorted((tmp_path / "flights").iterdir())
+    assert len(folders) == 2
+    assert folders[0].name.startswith("20")
+
+
+def test_a_failed_mission_has_a_reason_and_a_status(monkeypatch, capsys, tmp_path, hop) -> None:
+    hop.write_text(HOP + "\n[battery]\nlow_V = 7.2\n")
+    heavy = tmp_path / "weak.toml"
+    from mufly.vehicle import load_vehicle, replace, vehicle_toml
+
+    heavy.write_text(vehicle_toml(replace(load_vehicle("mufly-1.1"), {"battery.internal_resistance": 0.55})))
+    assert run(monkeypatch, "fly", hop, "--vehicle", heavy, "--out", tmp_path / "out") == 1
+    assert "the mission failed: battery low" in capsys.readouterr().err
+    assert (tmp_path / "out" / "summary.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["nowhere.toml"], "nowhere.toml"),
+        (["--vehicle", "mufly-9"], "mufly-9"),
+        (["--wind", "1,2"], "--wind"),
+        (["--wind", "a,b,c"], "--wind"),
+        (["--wind", "nan,0,0"], "--wind"),
+        (["--gust", "-1"], "gust"),
+    ],
+)
+def test_bad_arguments_are_one_clear_line(monkeypatch, capsys, tmp_path, words, message: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(monkeypatch, "fly", *words) == 1
+    shown = capsys.readouterr()
+    assert message in shown.err
+    assert len(shown.err.strip().splitlines()) == 1
+    assert not (tmp_path / "flights").exists()
+
+
+def test_control_c_leaves_a_readable_recording(tmp_path, hop) -> None:
+    out = tmp_path / "out"
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from mufly.cli import main; main()", "fly", "--realtime", "--out", str(out)],
+        stdout=subprocess.DEVNULL,
+        env=os.environ,
+    )
+    recording = out / "flight.mcap"
+    for _ in range(600):
+        time.sleep(0.1)
+        if recording.exists() and recording.stat().st_size > 20_000:
+            break
+    process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=30) == 130
+    read = read_recording(recording)
+    assert read.attrs["outcome"] == "interrupted"
+    assert read.sizes["time"] > 50
+
+
+def test_every_command_has_help(monkeypatch, capsys) -> None:
+    for words in ([], ["fly"], ["vehicle"], ["vehicle", "show"], ["control", "design"], ["mission", "check"]):
+        assert run(monkeypatch, *words, "--help") == 0
+        assert "Usage" in capsys.readouterr().out
+    assert run(monkeypatch, "--version") == 0
+    assert "mufly 0" in capsys.readouterr().out
