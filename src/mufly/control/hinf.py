@@ -148,7 +148,8 @@ def _normalise(P: control.StateSpace, ny: int, nu: int, regularisation: float) -
 def _riccati(H: Array) -> Array | None:
     """Stabilising solution X of the Riccati equation of Hamiltonian ``H``; None if an eigenvalue is on the axis."""
     n = H.shape[0] // 2
-    balanced, scaling = linalg.matrix_balance(H, permute=False, separate=True)
+    with np.errstate(invalid="ignore"):  # scipy casts a permutation that is not asked for
+        balanced, scaling = linalg.matrix_balance(H, permute=False, separate=True)
     d = scaling[0]
     T, Z, stable = linalg.schur(balanced, sort="lhp")
     if stable != n:
@@ -157,10 +158,9 @@ def _riccati(H: Array) -> Array | None:
     if diagonal.min() < 1e-13 * np.abs(T).max():
         return None
     U = d[:, None] * Z[:, :n]
-    try:
-        X = np.linalg.solve(U[:n].T, U[n:].T).T
-    except np.linalg.LinAlgError:
+    if n and np.linalg.cond(U[:n]) > 1e15:
         return None
+    X = np.linalg.solve(U[:n].T, U[n:].T).T
     symmetric: Array = (X + X.T) / 2
     return symmetric
 

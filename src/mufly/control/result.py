@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import control
 import numpy as np
@@ -16,6 +17,13 @@ from mufly.control.schemes import Scaling
 from mufly.control.settings import Settings
 
 __all__ = ["Design", "FlightController"]
+
+
+def _loop_dict(loop: LoopAnalysis) -> dict[str, Any]:
+    return {
+        key: None if isinstance(value, float) and not np.isfinite(value) else value
+        for key, value in asdict(loop).items()
+    }
 
 
 @dataclass(frozen=True)
@@ -71,6 +79,28 @@ class Design:
         return feedback_part(
             self.controller if controller is None else controller, self.plant, self.feedback_inputs
         )
+
+    def to_dict(self) -> dict[str, Any]:
+        """The figures, ready for JSON: units in the keys, None for what is infinite."""
+        return {
+            "name": self.name,
+            "gamma": self.gamma,
+            "norm": self.norm,
+            "plant_crossovers_rad_s": list(self.plant_crossovers),
+            "output_scale": list(self.scaling.outputs),
+            "input_scale": list(self.scaling.inputs),
+            "order_full": self.controller.nstates,
+            "order_reduced": self.reduced.nstates,
+            "reduction_method": self.reduction.chosen.method,
+            "reduction_tolerance_dB": self.reduction.tolerance_dB,
+            "rate_Hz": 1 / self.discrete.period_s,
+            "form": self.discrete.form,
+            "anti_windup": self.discrete.anti_windup,
+            "full": _loop_dict(self.full_loop),
+            "reduced": _loop_dict(self.reduced_loop),
+            "sampled_with_one_sample_of_delay": _loop_dict(self.sampled_loop),
+            "thesis": asdict(self.published),
+        }
 
     def __str__(self) -> str:
         """Summary of a few lines."""
@@ -132,6 +162,35 @@ class FlightController:
     position_gains: np.void
     settings: Settings
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should know before flying: sampled loops with peaks above 6 dB, and how to mend them."""
+        found = []
+        for d in (self.heave_yaw, self.roll_pitch, self.velocity):
+            loop = d.sampled_loop
+            peak = max(loop.sensitivity_peak_dB, loop.complementary_peak_dB)
+            if peak > 6.0:
+                found.append(
+                    f"{d.name}: sampled at {1 / d.discrete.period_s:g} Hz with one sample of delay its sensitivities "
+                    f"peak at {peak:.1f} dB (continuous: {d.reduced_loop.sensitivity_peak_dB:.1f} and "
+                    f"{d.reduced_loop.complementary_peak_dB:.1f} dB); raise the rate"
+                )
+        return tuple(found)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The figures of all designs, ready for JSON."""
+        return {
+            "warnings": list(self.warnings),
+            "vehicle": self.vehicle_name,
+            "rate_Hz": self.rate_Hz,
+            "position_rate_Hz": self.rate_Hz / self.position_divider,
+            "design_voltage_V": self.voltage_V,
+            "motor_trim_upper_lower": [float(v) for v in self.motor_trim],
+            "position_gain_1_s": self.settings.position_gain,
+            "designs": [d.to_dict() for d in (self.heave_yaw, self.roll_pitch, self.velocity)],
+            "cascade": _loop_dict(self.cascade),
+        }
+
     def __str__(self) -> str:
         """Summary of all designs."""
         head = (
@@ -144,4 +203,5 @@ class FlightController:
             f"T {c.complementary_peak_dB:.2f} dB, GM {c.gain_margin_dB:.1f} dB, PM {c.phase_margin_deg:.1f} deg, "
             f"delay margin {1e3 * c.delay_margin_s:.0f} ms"
         )
-        return "\n".join([head, str(self.heave_yaw), str(self.roll_pitch), str(self.velocity), tail])
+        designs = [str(d) for d in (self.heave_yaw, self.roll_pitch, self.velocity)]
+        return "\n".join([head, *designs, tail, *(f"warning: {text}" for text in self.warnings)])

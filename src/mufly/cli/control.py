@@ -1,0 +1,153 @@
+"""``mufly control``: design the controllers of a vehicle, tell what they are worth, draw them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from mufly.control import Design, FlightController
+
+__all__ = ["app"]
+
+app = typer.Typer(help="Design and analyse the controllers of a vehicle.", no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    pass
+
+
+@app.command()
+def design(
+    vehicle: Annotated[
+        str, typer.Argument(metavar="NAME|FILE", help="A built-in vehicle, or a vehicle file (TOML).")
+    ] = "mufly-1.1",
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            metavar="HZ", help="Rate of the control law; 200 Hz if not given. Position runs at a quarter."
+        ),
+    ] = None,
+    voltage: Annotated[
+        float | None,
+        typer.Option(
+            metavar="V",
+            help="Battery voltage of the linear model; the vehicle's nominal voltage if not given.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Write singular value plots (PNG, as thesis Figs 6.3 to 6.8) and design.json there.",
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON and nothing else.")] = False,
+) -> None:
+    """Design heave-yaw, roll-pitch and position control, and set them beside the thesis's.
+
+    For each H-infinity design: the level gamma claimed and the norm of the closed loop as computed from it;
+    0 dB crossings of the loop gain; peaks of the sensitivity S_u and the complementary sensitivity T_u at the plant's
+    input, with the controller of full order, of reduced order, and sampled with one sample of delay; margins.
+
+    Examples: mufly control design; mufly control design mufly-2.0 --rate 250 --out designs
+    """
+    from mufly.control import design as design_controllers
+    from mufly.vehicle import load_vehicle
+
+    controller = design_controllers(load_vehicle(vehicle), rate_Hz=rate, voltage=voltage)
+    written = _write(controller, out) if out is not None else []
+    if as_json:
+        typer.echo(json.dumps(controller.to_dict(), indent=2))
+        return
+    from rich.console import Console
+
+    console = Console()
+    console.print(
+        f"[bold]{controller.vehicle_name}[/bold] at {controller.voltage_V:g} V: hover motor inputs "
+        f"{controller.motor_trim[0]:.2f} upper, {controller.motor_trim[1]:.2f} lower; "
+        f"law at {controller.rate_Hz:g} Hz, position at {controller.rate_Hz / controller.position_divider:g} Hz",
+        highlight=False,
+    )
+    for one in (controller.heave_yaw, controller.roll_pitch, controller.velocity):
+        console.print(_table(one))
+    console.print("* with one sample of delay", style="dim")
+    c = controller.cascade
+    console.print(
+        f"Position cascade with the real attitude loop: S {c.sensitivity_peak_dB:.2f} dB, "
+        f"T {c.complementary_peak_dB:.2f} dB, phase margin {c.phase_margin_deg:.0f} deg, delay margin {1e3 * c.delay_margin_s:.0f} ms",
+        highlight=False,
+    )
+    for text in controller.warnings:
+        console.print(f"Warning: {text}", style="yellow", highlight=False)
+    for path in written:
+        console.print(f"wrote {path}", style="dim", highlight=False, soft_wrap=True)
+
+
+def _write(controller: FlightController, folder: Path) -> list[Path]:
+    from mufly.control.plots import draw_designs
+    from mufly.errors import InputError
+
+    try:
+        written = draw_designs(controller, folder)
+        target = folder / "design.json"
+        target.write_text(json.dumps(controller.to_dict(), indent=2) + "\n")
+    except OSError as error:
+        raise InputError(
+            "--out", str(folder), error.strerror or str(error), "give a folder that can be written"
+        ) from None
+    return [*written, target]
+
+
+def _number(value: float | None, form: str = ".2f") -> str:
+    return "-" if value is None else format(value, form)
+
+
+def _table(one: Design) -> Table:
+    from rich.table import Table
+
+    thesis = one.published
+    table = Table(
+        title=one.name,
+        title_justify="left",
+        title_style="bold",
+        box=None,
+        header_style="bold",
+        padding=(0, 2),
+    )
+    table.add_column("")
+    for heading in ("full order", "reduced", f"{1 / one.discrete.period_s:g} Hz*", "thesis"):
+        table.add_column(heading, justify="right")
+    loops = (one.full_loop, one.reduced_loop, one.sampled_loop)
+    orders = (one.controller.nstates, one.reduced.nstates, one.discrete.order)
+    table.add_row("order", *(str(n) for n in orders), _number(thesis.order, "d"))
+    table.add_row("gamma claimed", f"{one.gamma:.3f}", "", "", _number(thesis.gamma))
+    table.add_row("norm achieved", f"{one.norm:.3f}", f"{one.reduction.chosen.norm:.3f}", "", "-")
+    plant = ", ".join(f"{w:.3g}" for w in one.plant_crossovers)
+    printed = ", ".join(f"{w:g}" for w in thesis.plant_crossovers or ()) or "-"
+    table.add_row("plant's crossovers (rad/s)", plant, "", "", printed)
+    table.add_row(
+        "loop's crossovers (rad/s)",
+        *(", ".join(f"{w:.1f}" for w in loop.crossovers) for loop in loops),
+        _number(thesis.crossover, "g"),
+    )
+    table.add_row(
+        "peak of S_u (dB)",
+        *(f"{loop.sensitivity_peak_dB:.2f}" for loop in loops),
+        _number(thesis.sensitivity_peak_dB),
+    )
+    table.add_row(
+        "peak of T_u (dB)",
+        *(f"{loop.complementary_peak_dB:.2f}" for loop in loops),
+        _number(thesis.complementary_peak_dB),
+    )
+    table.add_row("gain margin (dB)", *(f"{loop.gain_margin_dB:.1f}" for loop in loops), "-")
+    table.add_row("phase margin (deg)", *(f"{loop.phase_margin_deg:.1f}" for loop in loops), "-")
+    table.add_row("delay margin (ms)", *(f"{1e3 * loop.delay_margin_s:.0f}" for loop in loops), "-")
+    return table
