@@ -1,0 +1,87 @@
+"""Margins and peaks of loops whose answers are known."""
+
+from __future__ import annotations
+
+import control as ct
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mufly.control import analyse, hinf_norm, loop_curves, sample_plant
+from mufly.control.analysis import is_stable_loop
+from mufly.control.linear import state_space
+
+
+def twin(numerator: list[float], denominator: list[float]) -> ct.StateSpace:
+    """Two equal channels side by side."""
+    one = ct.ss(ct.tf(numerator, denominator))
+    A, B, C, D = (np.kron(np.eye(2), M) for M in (one.A, one.B, one.C, one.D))
+    return state_space(A, B, C, D, inputs=["u1", "u2"], outputs=["y1", "y2"])
+
+
+def gain(k: float) -> ct.StateSpace:
+    empty = np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0))
+    return state_space(*empty, k * np.eye(2), inputs=["y1", "y2"], outputs=["u1", "u2"])
+
+
+@given(st.floats(0.05, 50.0))
+@settings(max_examples=20, deadline=None)
+def test_integrator(k: float) -> None:
+    loop = analyse(twin([1], [1, 0]), gain(k))
+    assert loop.stable
+    assert loop.crossovers == pytest.approx([k, k], rel=1e-3)
+    assert loop.phase_margin_deg == pytest.approx(90, abs=0.1)
+    assert loop.delay_margin_s == pytest.approx(np.pi / 2 / k, rel=1e-3)
+    assert loop.complementary_peak_dB == pytest.approx(0, abs=1e-3)
+    assert loop.gain_margin_dB == np.inf
+
+
+@given(st.floats(0.2, 5.5))
+@settings(max_examples=20, deadline=None)
+def test_three_lags(k: float) -> None:
+    """k / (s (s+1) (s+2)): the gain margin is 6 / k."""
+    loop = analyse(twin([1], [1, 3, 2, 0]), gain(k))
+    assert loop.stable
+    assert loop.gain_margin_dB == pytest.approx(20 * np.log10(6 / k), abs=0.05)
+    assert loop.gain_reduction_dB == -np.inf
+
+
+@given(st.floats(0.3, 5.0))
+@settings(max_examples=20, deadline=None)
+def test_peaks_are_the_norms(k: float) -> None:
+    G, K = twin([1], [1, 3, 2, 0]), gain(k)
+    loop = analyse(G, K)
+    L = ct.ss(ct.tf([k], [1, 3, 2, 0]))
+    S = ct.feedback(ct.ss([], [], [], [[1]]), L)
+    T = ct.feedback(L, 1)
+    assert loop.sensitivity_peak_dB == pytest.approx(20 * np.log10(hinf_norm(S)[0]), abs=0.01)
+    assert loop.complementary_peak_dB == pytest.approx(20 * np.log10(hinf_norm(T)[0]), abs=0.01)
+
+
+def test_conditionally_stable_loop_has_a_gain_reduction() -> None:
+    """k (s+1)^2 / s^3 is stable for k > 1/2."""
+    loop = analyse(twin([1, 2, 1], [1, 0, 0, 0]), gain(2.0))
+    assert loop.stable
+    assert loop.gain_reduction_dB == pytest.approx(-20 * np.log10(4), abs=0.05)
+    assert not analyse(twin([1, 2, 1], [1, 0, 0, 0]), gain(0.4)).stable
+
+
+@given(st.floats(1.0, 8.0), st.sampled_from([50.0, 100.0, 200.0]))
+@settings(max_examples=20, deadline=None)
+def test_the_delay_margin_is_where_delay_destabilises(k: float, rate: float) -> None:
+    G, K = twin([10], [1, 10, 0]), gain(k)
+    sampled_gain = state_space(
+        K.A, K.B, K.C, K.D, inputs=K.input_labels, outputs=K.output_labels, dt=1 / rate
+    )
+    samples = analyse(sample_plant(G, 1 / rate), sampled_gain).delay_margin_s * rate
+    for count in range(int(samples) + 3):
+        assert is_stable_loop(sample_plant(G, 1 / rate, count), sampled_gain) == (count < samples)
+
+
+def test_curves_add_up() -> None:
+    """S + T = 1: their singular values can differ by no more than one."""
+    frequency = np.geomspace(1e-2, 1e3, 50)
+    curves = loop_curves(twin([10], [1, 10, 0]), gain(2.0), frequency)
+    assert np.all(np.abs(curves.sensitivity - curves.complementary) <= 1 + 1e-9)
+    np.testing.assert_allclose(curves.loop, 2 * curves.plant, rtol=1e-12)

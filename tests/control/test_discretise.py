@@ -1,0 +1,111 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mufly.control import FlightController, analyse, discretise, frequency_response, sample_plant
+from mufly.control.analysis import feedback_part
+from mufly.control.linear import state_space
+from mufly.errors import MuflyError
+
+
+def random_system(seed: int, n: int = 5):  # type: ignore[no-untyped-def]
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(n, n))
+    A -= (np.linalg.eigvals(A).real.max() + 0.2) * np.eye(n)
+    return state_space(
+        A,
+        rng.normal(size=(n, 3)),
+        rng.normal(size=(2, n)),
+        rng.normal(size=(2, 3)),
+        inputs=["a", "b", "c"],
+        outputs=["d", "e"],
+    )
+
+
+@given(st.integers(0, 5000), st.sampled_from([1e-3, 5e-3, 2e-2]))
+@settings(max_examples=40, deadline=None)
+def test_bilinear_rule(seed: int, period: float) -> None:
+    """H_d(e^jwT) = H(j 2/T tan(wT/2)): exact at zero, warped above."""
+    system = random_system(seed)
+    d = discretise(system, np.zeros((5, 2)), period)
+    frequency = np.array([0.0, 0.3, 3.0, 0.9 * np.pi / period])
+    warped = 2 / period * np.tan(frequency * period / 2)
+    np.testing.assert_allclose(
+        frequency_response(d.system(), frequency), frequency_response(system, warped), rtol=1e-6, atol=1e-8
+    )
+    assert np.abs(np.linalg.eigvals(d.A)).max() < 1
+
+
+def test_equal_modes_fall_back_to_a_schur_form() -> None:
+    chain = state_space(
+        -np.eye(3) + np.diag([1.0, 1.0], 1),
+        np.ones((3, 1)),
+        np.ones((1, 3)),
+        np.zeros((1, 1)),
+        inputs=["e"],
+        outputs=["u"],
+    )
+    d = discretise(chain, np.zeros((3, 1)), 0.01)
+    assert d.form == "schur"
+    assert frequency_response(d.system(), np.array([0.0]))[0, 0, 0].real == pytest.approx(
+        frequency_response(chain, np.array([0.0]))[0, 0, 0].real
+    )
+
+
+def test_an_unstable_anti_windup_is_replaced() -> None:
+    system = random_system(3)
+    d = discretise(system, -50 * np.ones((5, 2)), 0.01)
+    assert d.anti_windup == "kalman"
+    assert np.abs(np.linalg.eigvals(d.A - d.M @ d.C)).max() < 1
+
+
+def test_impossible_periods() -> None:
+    with pytest.raises(MuflyError, match="period"):
+        discretise(random_system(0), np.zeros((5, 2)), -0.01)
+
+
+def test_designs_are_modal_and_stable_when_saturated(controller: FlightController) -> None:
+    for d in (controller.heave_yaw, controller.roll_pitch, controller.velocity):
+        c = d.discrete
+        assert c.form == "modal"
+        assert np.abs(np.linalg.eigvals(c.A)).max() < 1
+        assert np.abs(np.linalg.eigvals(c.A - c.M @ c.C)).max() < 1
+        off = c.A.copy()
+        for k in range(-1, 2):
+            off -= np.diag(np.diag(off, k), k)
+        assert np.abs(off).max() == 0.0  # numbers and 2 x 2 blocks only
+
+
+@pytest.mark.parametrize("name", ["heave_yaw", "roll_pitch"])
+def test_modal_coefficients_survive_16_bits(controller: FlightController, name: str) -> None:
+    """Each matrix rounded to 16-bit integers of its own largest entry: the loop does not change."""
+    d = getattr(controller, name)
+
+    def rounded(M: np.ndarray) -> np.ndarray:
+        step = np.abs(M).max() / 2**15
+        return np.round(M / step) * step if step else M
+
+    c = d.discrete
+    coarse = state_space(
+        rounded(c.A),
+        rounded(c.B),
+        rounded(c.C),
+        rounded(c.D),
+        inputs=c.inputs,
+        outputs=c.outputs,
+        dt=c.period_s,
+    )
+    loop = analyse(sample_plant(d.plant, c.period_s, 1), feedback_part(coarse, d.plant, d.feedback_inputs))
+    assert loop.stable
+    assert loop.sensitivity_peak_dB == pytest.approx(d.sampled_loop.sensitivity_peak_dB, abs=0.1)
+    assert loop.complementary_peak_dB == pytest.approx(d.sampled_loop.complementary_peak_dB, abs=0.1)
+
+
+def test_direct_form_loses_stability_at_16_bits(controller: FlightController) -> None:
+    """The denominator's coefficients, rounded the same way, put a pole outside the unit circle."""
+    denominator = np.poly(np.linalg.eigvals(controller.heave_yaw.discrete.A)).real
+    step = np.abs(denominator).max() / 2**15
+    assert np.abs(np.roots(np.round(denominator / step) * step)).max() > 1
