@@ -88,9 +88,9 @@ def _sense(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> Mis
     memory, swinging = s.memory, s.swing
     if plan.avoid and s.state in _FLYING and (memory.used or float(m.ranges.min()) < plan.ring.max_range):
         memory = observe(memory, plan.ring, m.position, m.attitude, m.ranges)
-    if plan.scan:
-        on = s.state is State.OBSTACLE or (s.state is State.WAYPOINT and at_gate(s))
-        swinging = min(_LOOK_AROUND_S, swinging + dt) if on else max(0.0, min(1.0, swinging) - dt)
+    # Around an obstacle the nose always swings: what has gone is only forgotten when a beam passes through it.
+    on = s.state is State.OBSTACLE or (plan.scan and s.state is State.WAYPOINT and at_gate(s))
+    swinging = min(_LOOK_AROUND_S, swinging + dt) if on else max(0.0, min(1.0, swinging) - dt)
     return replace(
         s,
         time_s=m.time_s,

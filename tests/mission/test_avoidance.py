@@ -1,0 +1,204 @@
+"""Going around obstacles: it keeps away, and it arrives or says why not. Flown with a point mass that lags 0.3 s."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mufly.errors import InputError
+from mufly.mission import load_mission, mission_from
+from mufly.mission.obstacles import Memory
+from mufly.mission.sight import hold_off, look
+
+# Sweeps over 1100 scenes keep 0.38 m; what is asked for is 0.3 m.
+KEPT_M = 0.36
+
+
+def wall(a, b, name="wall"):
+    return {"start_m": a, "end_m": b, "height_m": 2.5, "name": name}
+
+
+def to(*goal, **more):
+    return mission_from({"waypoint": [{"position_m": list(goal)}], **more})
+
+
+def arrived(flight, goal):
+    x = np.array(flight.position)
+    landed = flight.states.index("landing")
+    return flight.state.outcome == "succeeded" and np.linalg.norm(x[landed] - goal) < 0.05
+
+
+def test_box_on_the_leg(rig):
+    flight = rig.fly(load_mission("box-on-leg"))
+    assert flight.state.outcome == "succeeded"
+    assert flight.visited.count("obstacle") == 2
+    assert flight.clearance > 0.45
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(st.integers(1000, 10**6), st.booleans())
+def test_any_scene(rig, seed, push):
+    _, tables = rig.scene(seed)
+    try:
+        mission = mission_from(tables)
+    except InputError:
+        return
+    flight = rig.fly(mission, disturb=rig.gusty() if push else None)
+    assert flight.clearance > KEPT_M
+    assert (
+        arrived(flight, mission.waypoint[0].position_m)
+        or "blocked by an obstacle at N" in flight.state.reason
+    )
+
+
+@settings(max_examples=15, deadline=None, derandomize=True)
+@given(
+    st.floats(-0.9, 0.9), st.floats(0.2, 1.0), st.floats(0.2, 1.0), st.floats(-90, 90), st.floats(-180, 180)
+)
+def test_a_box_anywhere_is_passed(rig, off, length, width, yaw, heading):
+    box = {"centre_m": [2.0, off, -1.0], "size_m": [length, width, 2.0], "yaw_deg": yaw}
+    mission = mission_from(
+        {"waypoint": [{"position_m": [4.0, 0.0, -1.0], "heading_deg": heading}], "box": [box]}
+    )
+    flight = rig.fly(mission)
+    assert flight.clearance > KEPT_M
+    assert arrived(flight, (4.0, 0.0, -1.0))
+
+
+def test_turning_the_scene_turns_the_flight(rig):
+    east = mission_from(
+        {
+            "waypoint": [{"position_m": [0, 4, -1]}],
+            "start_heading_deg": 90,
+            "box": [{"centre_m": [-0.1, 2.0, -1], "size_m": [0.6, 0.8, 2.0], "yaw_deg": 110}],
+        }
+    )
+    north = mission_from(
+        {
+            "waypoint": [{"position_m": [4, 0, -1]}],
+            "box": [{"centre_m": [2.0, 0.1, -1], "size_m": [0.6, 0.8, 2.0], "yaw_deg": 20}],
+        }
+    )
+    a, b = (np.array(rig.fly(m).position) for m in (east, north))
+    assert len(a) == len(b)
+    np.testing.assert_allclose(a[:, 1], b[:, 0], atol=1e-3)
+    np.testing.assert_allclose(a[:, 0], -b[:, 1], atol=1e-3)
+
+
+def test_out_of_a_pocket(rig):
+    walls = [wall([3, -1.2], [3, 1.2]), wall([1.5, -1.2], [3, -1.2]), wall([1.5, 1.2], [3, 1.2])]
+    flight = rig.fly(to(5, 0, -1, wall=walls))
+    assert arrived(flight, (5, 0, -1))
+    assert flight.clearance > KEPT_M
+
+
+def test_through_a_door(rig):
+    walls = [wall([2.5, -4], [2.5, 0.4]), wall([2.5, 1.6], [2.5, 4])]
+    flight = rig.fly(to(5, 0, -1, wall=walls, room={"north_m": [-2, 7], "east_m": [-4, 4]}))
+    assert arrived(flight, (5, 0, -1))
+    assert flight.clearance > KEPT_M
+
+
+def test_not_through_a_gap_that_is_too_narrow(rig):
+    walls = [wall([2.5, -1.4], [2.5, -0.35]), wall([2.5, 0.35], [2.5, 1.4])]
+    flight = rig.fly(to(5, 0, -1, wall=walls))
+    assert arrived(flight, (5, 0, -1))
+    assert flight.clearance > KEPT_M
+    x = np.array(flight.position)
+    assert np.abs(x[np.abs(x[:, 0] - 2.5) < 0.05, 1]).min() > 1.4
+
+
+def test_a_goal_behind_closed_walls_is_given_up_and_it_lands(rig):
+    walls = [wall([3, -1], [3, 1]), wall([5, -1], [5, 1]), wall([3, -1], [5, -1]), wall([3, 1], [5, 1])]
+    flight = rig.fly(to(4, 0, -1, wall=walls, avoidance={"give_up_s": 60.0}))
+    assert flight.state.outcome == "failed"
+    assert "blocked by an obstacle at N" in flight.state.reason
+    assert "no way around it in 60 s" in flight.state.reason
+    assert flight.clearance > KEPT_M
+    assert flight.visited[-4:] == ["hover", "landing", "landing", "init"]
+    assert flight.position[-1][2] == pytest.approx(rig.STANDING)
+
+
+def test_a_post_between_two_beams_is_seen_by_scanning(rig):
+    post = [{"centre_m": [2.0, 0.0], "radius_m": 0.03, "height_m": 2.0}]
+    flight = rig.fly(to(4, 0, -1, cylinder=post))
+    assert arrived(flight, (4, 0, -1))
+    assert flight.clearance > KEPT_M
+
+
+def test_without_avoidance_it_flies_into_the_box(rig):
+    box = [{"centre_m": [2, 0, -1], "size_m": [0.6, 0.6, 2]}]
+    flight = rig.fly(to(4, 0, -1, box=box, avoidance={"enabled": False}))
+    assert "obstacle" not in flight.visited
+    assert flight.clearance < 0.0
+
+
+def test_an_obstacle_that_comes_near_a_hover_pushes_it_away_and_it_comes_back(rig):
+    from mufly.world import Box, World
+
+    mission = mission_from({"waypoint": [{"position_m": [1.0, 0.0, -1.0], "wait_s": 60.0}]})
+    someone = World((Box((1.5, 0.0, -1.0), (0.4, 0.4, 2.0)),))
+
+    class Visit:
+        """Somebody stands 0.3 m away between 20 s and 40 s."""
+
+        now = World()
+
+    visit = Visit()
+
+    def push(t):
+        visit.now = someone if 20.0 < t < 40.0 else World()
+        return np.zeros(3)
+
+    flight = rig.fly(mission, disturb=push, world=lambda: visit.now, limit_s=90.0)
+    t, x, _ = flight.arrays()
+    states = np.array(flight.states)
+    assert (states[(t > 20.1) & (t < 21.0)] == "obstacle").any()
+    assert np.linalg.norm(x[np.searchsorted(t, 39.0)][:2] - [1.0, 0.0]) > 0.15
+    assert states[np.searchsorted(t, 60.0)] == "hover"
+    np.testing.assert_allclose(x[np.searchsorted(t, 60.0)], [1.0, 0.0, -1.0], atol=0.02)
+    assert flight.state.outcome == "succeeded"
+
+
+def memory_of(*points):
+    table = Memory.empty().points
+    table[: len(points)] = points
+    return Memory(table, len(points), len(points))
+
+
+def test_what_a_point_means_for_a_way():
+    sight = look(memory_of((2.0, 0.3, -1.0)), (0.0, 0.0, -1.0), (5.0, 0.0, -1.0), 0.39, 10.0)
+    assert sight.nearest == pytest.approx(np.hypot(2.0, 0.3))
+    assert (sight.north, sight.east) == (
+        pytest.approx(-2 / sight.nearest),
+        pytest.approx(-0.3 / sight.nearest),
+    )
+    assert sight.way == pytest.approx(0.3)
+    assert sight.offset == pytest.approx(0.3)
+    assert sight.goal == pytest.approx(np.hypot(3.0, 0.3))
+    # Beyond the stretch that is looked at, behind, and at another height.
+    assert look(memory_of((2.0, 0.3, -1.0)), (0, 0, -1), (5, 0, -1), 0.39, 1.0).way == pytest.approx(
+        np.hypot(1, 0.3)
+    )
+    assert look(memory_of((-1.0, 0.0, -1.0)), (0, 0, -1), (5, 0, -1), 0.39).way == pytest.approx(1.0)
+    assert look(memory_of((2.0, 0.0, -2.0)), (0, 0, -1), (5, 0, -1), 0.39).way == np.inf
+    # A way of no length is a point.
+    assert look(memory_of((2.0, 0.0, -1.0)), (0, 0, -1), (0, 0, -1), 0.39).way == pytest.approx(2.0)
+
+
+speed = st.floats(-1.0, 1.0)
+spot = st.tuples(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5), st.just(-1.0))
+
+
+@given(spot, speed, speed)
+def test_holding_off_one_point(p, vn, ve):
+    d = float(np.hypot(p[0], p[1]))
+    if d < 0.05:
+        return
+    n = -np.array(p[:2]) / d
+    un, ue = hold_off(memory_of(p), (0.0, 0.0, -1.0), (vn, ve), 0.4)
+    # It comes near no faster than 0.8 /s times the distance left, and nothing is changed across.
+    assert -(un * n[0] + ue * n[1]) <= 0.8 * (d - 0.4) + 1e-5
+    assert un * n[1] - ue * n[0] == pytest.approx(vn * n[1] - ve * n[0], abs=1e-9)
+    if -(vn * n[0] + ve * n[1]) <= 0.8 * (d - 0.4):
+        assert (un, ue) == (vn, ve)

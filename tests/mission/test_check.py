@@ -1,0 +1,109 @@
+"""Checks before take-off: free air, free columns, and a battery that lasts."""
+
+import pytest
+
+from mufly.errors import InputError
+from mufly.mission import check_mission, legs, load_mission, mission_from
+from mufly.mission.signals import prepare
+from mufly.vehicle import load_vehicle
+
+CRATE = {"name": "crate", "centre_m": [2.0, 0.0, -0.75], "size_m": [0.6, 0.6, 1.5]}
+
+
+def go(*positions, **more):
+    return {"waypoint": [{"position_m": list(p)} for p in positions], **more}
+
+
+@pytest.mark.parametrize(
+    ("tables", "key", "words"),
+    [
+        (go((1, 0, 1)), "waypoint[1].position_m", "[1, 0, 1] is under the floor; D counts downward"),
+        (go((1, 0, -1), (1, 0, 0)), "waypoint[2].position_m", "is on the floor"),
+        (go((1, 0, -0.1)), "waypoint[1].position_m", "is too low to fly"),
+        (go((2, 0, -1), box=[CRATE]), "waypoint[1].position_m", "is inside the crate; keep 0.49 m"),
+        (go((2.7, 0, -1), box=[CRATE]), "waypoint[1].position_m", "is 0.40 m from the crate"),
+        (
+            go((4, 0, -1), room={"north_m": [-3, 3], "east_m": [-3, 3]}),
+            "waypoint[1].position_m",
+            "is beyond the north wall",
+        ),
+        (
+            go((2, 0, -2.8), room={"north_m": [-3, 3], "east_m": [-3, 3], "height_m": 3}),
+            "waypoint[1].position_m",
+            "0.20 m from the ceiling",
+        ),
+        (go((2, 0, -2.2), box=[CRATE]), "waypoint[1].position_m", "the landing passes [2, 0,"),
+        (go((4, 0, -1), start_m=[2.0, 0.1], box=[CRATE]), "start_m", "the take-off passes"),
+        (
+            go(
+                (4, 0, -2.5),
+                (4, 0, -1),
+                box=[{**CRATE, "centre_m": [4.0, 0.0, -1.75], "size_m": [1, 1, 0.1]}],
+            ),
+            "waypoint[2].position_m",
+            "the change of height before it passes",
+        ),
+        (go((4, 0, -1.7), box=[CRATE]), "waypoint[1].position_m", "where the level beams do not see it well"),
+        (go((4, 0, -1.4), box=[CRATE]), "waypoint[1].position_m", "where the level beams do not see it well"),
+    ],
+)
+def test_geometry(tables, key, words):
+    with pytest.raises(InputError) as fault:
+        mission_from(tables, "file.toml")
+    assert fault.value.key == key
+    assert words in str(fault.value)
+
+
+def test_an_obstacle_on_a_leg_is_allowed_where_the_beams_see_it():
+    mission_from(go((4, 0, -1), box=[CRATE]))
+    mission_from(go((4, 0, -1.9), box=[CRATE]))
+    # Under a high shelf with room enough.
+    mission_from(go((4, 0, -1), box=[{**CRATE, "centre_m": [2, 0, -1.75], "size_m": [1, 1, 0.1]}]))
+
+
+def test_a_spline_that_swings_to_the_floor_is_refused():
+    tables = go((2, 0, -0.21), (4, 0, -3), path={"kind": "spline"})
+    with pytest.raises(InputError, match="swings down to a height of"):
+        mission_from(tables)
+    mission_from(go((2, 0, -0.21), (4, 0, -3)))
+
+
+def test_estimate_of_the_demonstration():
+    m = load_mission("demonstration")
+    estimate = check_mission(m, hover_current_A=4.0, capacity_Ah=0.25)
+    # By hand: 3 m, then three legs of 3 m with 1 m of height each, 1 m up and 2 m down.
+    assert estimate.path_m == pytest.approx(3 + 3 * (3 + 1) + 1 + 2)
+    assert 60.0 < estimate.duration_s < 100.0
+    assert estimate.charge_Ah == pytest.approx(estimate.duration_s * 4.0 / 3600.0)
+    assert estimate.fraction == pytest.approx(estimate.charge_Ah / 0.25)
+    times = [leg.reached_s for leg in legs(m)]
+    assert times == sorted(times)
+
+
+def test_the_battery_has_to_last():
+    weak = {"hover_current_A": 4.0, "capacity_Ah": 0.25}
+    with pytest.raises(InputError, match=r"take_off.height_m: 50 m is out of reach.*the battery lasts 180 s"):
+        check_mission(mission_from(go((0, 0, -50), take_off={"height_m": 50.0})), **weak)
+    with pytest.raises(InputError, match=r"waypoint\[2\].position_m: -90 m \(D\) is out of reach.*fly lower"):
+        check_mission(mission_from(go((1, 0, -1), (1, 0, -90))), **weak)
+    with pytest.raises(InputError, match=r"waypoint\[1\].position_m: is out of reach.*fly less far"):
+        check_mission(mission_from(go((200, 0, -1))), **weak)
+    with pytest.raises(InputError, match=r"waypoint\[1\].wait_s: 600 is too long"):
+        check_mission(mission_from({"waypoint": [{"position_m": [1, 0, -1], "wait_s": 600}]}), **weak)
+
+
+def test_the_same_mission_passes_with_more_of_the_battery():
+    m = mission_from(go((55, 0, -1)))
+    with pytest.raises(InputError):
+        check_mission(m, hover_current_A=4.0, capacity_Ah=0.1)
+    assert check_mission(m, hover_current_A=4.0, capacity_Ah=0.2).fraction < 0.8
+
+
+def test_prepare_takes_the_vehicle_s_ring_and_battery():
+    vehicle = load_vehicle("mufly-1.1")
+    plan = prepare(load_mission("demonstration"), vehicle)
+    assert plan.low_V == float(vehicle.battery.low_voltage)
+    assert len(plan.ring.cos) == vehicle.range_ring.count
+    assert prepare(mission_from(go((1, 0, -1), battery={"low_V": 6.5})), vehicle).low_V == 6.5
+    with pytest.raises(InputError, match=r"battery\.low_V"):
+        prepare(mission_from(go((1, 0, -1), battery={"low_V": 12.0})), vehicle)

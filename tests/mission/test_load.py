@@ -1,0 +1,175 @@
+"""Mission files: what they hold, what is refused and how, and the way back."""
+
+import math
+import tomllib
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import BaseModel
+
+from mufly.errors import InputError
+from mufly.mission import Mission, builtin_missions, dump_mission, load_mission, mission_from
+from mufly.mission.load import _inner_model
+
+GOOD = {"waypoint": [{"position_m": [1.0, 0.0, -1.0], "wait_s": 1.0}, {"position_m": [1.0, 2.0, -1.5]}]}
+DOCS = Path(__file__).parents[2] / "docs" / "missions.md"
+
+
+def test_the_demonstration_is_that_of_the_thesis():
+    m = load_mission("demonstration")
+    assert [w.position_m for w in m.waypoint] == [(-3, 0, -1), (-3, 3, -2), (0, 3, -1), (0, 0, -2)]
+    assert [w.wait_s for w in m.waypoint] == [2.5] * 4
+    assert m.take_off.height_m == 1.0
+    assert m.take_off.wait_s == 2.5
+    assert m.name == "demonstration"
+    assert m.world.empty
+
+
+@pytest.mark.parametrize("name", builtin_missions())
+def test_a_mission_written_out_reads_back_equal(name, tmp_path):
+    m = load_mission(name)
+    file = tmp_path / "again.toml"
+    file.write_text(dump_mission(m), encoding="utf-8")
+    assert load_mission(file) == m
+
+
+@given(
+    st.text(max_size=30),
+    st.lists(
+        st.tuples(st.floats(-9, 9), st.floats(-9, 9), st.floats(-9, -0.2), st.floats(0, 99)),
+        min_size=1,
+        max_size=5,
+    ),
+)
+def test_any_mission_reads_back_equal(name, waypoints):
+    m = mission_from(
+        {"name": name, "waypoint": [{"position_m": list(w[:3]), "wait_s": w[3]} for w in waypoints]}
+    )
+    assert mission_from(tomllib.loads(dump_mission(m))) == m
+
+
+def test_obstacles_come_out_in_si(tmp_path):
+    m = mission_from(
+        {
+            **GOOD,
+            "box": [{"centre_m": [4, 0, -1], "size_m": [1, 1, 2], "yaw_deg": 90}],
+            "cylinder": [{"centre_m": [-3, 0], "radius_m": 0.2, "height_m": 2, "name": "post"}],
+            "wall": [{"start_m": [-5, 5], "end_m": [5, 5], "height_m": 2, "name": "partition"}],
+            "room": {"north_m": [-8, 8], "east_m": [-8, 8]},
+            "start_heading_deg": 90,
+        }
+    )
+    assert m.world.boxes[0].yaw == pytest.approx(math.pi / 2)
+    assert m.world.names[:3] == ("box", "partition", "post")
+    assert m.world.room.height == math.inf
+    assert m.scans
+    assert m.trajectory_limits.speed == m.avoidance.speed_m_s
+    assert m.trajectory_limits.yaw_rate == pytest.approx(math.radians(60))
+    assert mission_from(tomllib.loads(dump_mission(m))) == m
+
+
+def test_scanning_can_be_chosen():
+    assert not mission_from(GOOD).scans
+    assert mission_from({**GOOD, "avoidance": {"scan": True}}).scans
+    assert not mission_from({**GOOD, "avoidance": {"scan": True, "enabled": False}}).scans
+
+
+def waypoint(**changes):
+    return {"waypoint": [{"position_m": [1.0, 0.0, -1.0], **changes}]}
+
+
+@pytest.mark.parametrize(
+    ("tables", "key", "words"),
+    [
+        ({"waypoints": GOOD["waypoint"]}, "waypoints", "did you mean 'waypoint'?"),
+        (waypoint(wait=2.0), "waypoint[1].wait", "did you mean 'wait_s'?"),
+        ({"waypoint": [{"wait_s": 1.0}]}, "waypoint[1].position_m", "is missing"),
+        (waypoint(position_m=[1.0, 0.0]), "waypoint[1].position_m", "has the wrong length; give 3 numbers"),
+        (waypoint(position_m=[1.0, 0.0, -1.0, 0.0]), "waypoint[1].position_m", "give 3 numbers"),
+        (waypoint(position_m=[1.0, math.nan, -1.0]), "waypoint[1].position_m[2]", "nan is not a number"),
+        (waypoint(position_m=[1.0, math.inf, -1.0]), "waypoint[1].position_m[2]", "inf is not a number"),
+        (waypoint(position_m=["a", 0.0, -1.0]), "waypoint[1].position_m[1]", '"a" is not a number'),
+        (waypoint(position_m=3.0), "waypoint[1].position_m", "3.0 is not a list; give numbers in brackets"),
+        (waypoint(wait_s=-1.0), "waypoint[1].wait_s", "-1.0 is not sensible; give a number at least 0"),
+        (waypoint(wait_s="2"), "waypoint[1].wait_s", '"2" is not a number; give a number without quotes'),
+        (waypoint(wait_s=True), "waypoint[1].wait_s", "true is not a number"),
+        (waypoint(heading_deg=1000.0), "waypoint[1].heading_deg", "at most 360"),
+        ({"waypoint": {"position_m": [1, 0, -1]}}, "waypoint", "one table [[waypoint]] for each"),
+        ({**GOOD, "limits": {"speed_m_s": 50.0}}, "limits.speed_m_s", "50.0 is not sensible"),
+        ({**GOOD, "limits": {"speed_m_s": math.nan}}, "limits.speed_m_s", "nan is not a number"),
+        ({**GOOD, "limits": 3}, "limits", "is not a table"),
+        ({**GOOD, "path": {"kind": "spiral"}}, "path.kind", "'straight' or 'spline'"),
+        ({**GOOD, "take_off": {"height_m": 0.0}}, "take_off.height_m", "at least 0.2"),
+        ({**GOOD, "take_off": {"heigth_m": 1.0}}, "take_off.heigth_m", "did you mean 'height_m'?"),
+        ({**GOOD, "box": [{"centre_m": [5, 5, -1]}]}, "box[1].size_m", "is missing"),
+        ({**GOOD, "box": [{"centre_m": [5, 5, -1], "size_m": [1, -1, 1]}]}, "box[1].size_m[2]", "above 0"),
+        ({**GOOD, "avoidance": {"scan": 1}}, "avoidance.scan", "is wrong"),
+        ({}, "waypoint", "the mission has no waypoint"),
+    ],
+)
+def test_faults_are_named(tables, key, words):
+    with pytest.raises(InputError) as fault:
+        mission_from(tables, "file.toml")
+    assert fault.value.key == key
+    message = str(fault.value)
+    assert message.startswith(f"file.toml: {key}: ")
+    assert words in message
+    assert "\n" not in message
+
+
+def test_several_faults_are_counted():
+    with pytest.raises(InputError, match=r"\(1 more fault in this file\)"):
+        mission_from({**waypoint(wait_s=-1.0), "limits": {"climb_m_s": -1.0}})
+
+
+def test_no_such_file():
+    with pytest.raises(
+        InputError, match="no such mission or file; give a mission file, or one of the built-in: box"
+    ):
+        load_mission("nowhere.toml")
+
+
+def test_not_toml(tmp_path):
+    file = tmp_path / "bad.toml"
+    file.write_text("waypoint = [")
+    with pytest.raises(InputError, match="is not valid TOML"):
+        load_mission(file)
+    file.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="cannot be read"):
+        load_mission(file)
+
+
+def test_a_file_without_a_name_is_called_after_itself(tmp_path):
+    file = tmp_path / "survey.toml"
+    file.write_text("[[waypoint]]\nposition_m = [1, 0, -1]\n")
+    assert load_mission(file).name == "survey"
+
+
+def every_key(model: type[BaseModel] = Mission):
+    for name, field in model.model_fields.items():
+        inner = _inner_model(field.annotation)
+        if inner is None and field.annotation is not None:
+            for kind in getattr(field.annotation, "__args__", ()):
+                inner = inner or _inner_model(kind)
+        if inner is not None:
+            yield name
+            yield from every_key(inner)
+        else:
+            assert field.description, f"{name} has no description"
+            yield name
+
+
+def test_every_key_is_documented():
+    text = DOCS.read_text(encoding="utf-8")
+    missing = [key for key in every_key() if f"`{key}`" not in text and f"[{key}]" not in text]
+    assert not missing
+
+
+def test_the_examples_in_the_documentation_are_missions():
+    blocks = DOCS.read_text(encoding="utf-8").split("```toml\n")[1:]
+    whole = [b.split("```")[0] for b in blocks if "[[waypoint]]" in b.split("```")[0]]
+    assert whole
+    for text in whole:
+        mission_from(tomllib.loads(text), "docs/missions.md")

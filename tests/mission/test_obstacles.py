@@ -1,0 +1,141 @@
+"""The repulsive field (eqs 6.14 to 6.17) and the memory of what the beams hit."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mufly.mission.obstacles import CAPACITY, Memory, observe, repulsion, ring
+from mufly.world import Box, World, ranges
+
+RING = ring(8, math.pi / 8, 1.5)
+FAR = [1.5] * 8
+LEVEL = np.zeros(3)
+some_ranges = st.lists(st.floats(0.05, 1.5), min_size=8, max_size=8)
+
+
+def beams(x, attitude, world, beam=RING):
+    cr, sr = math.cos(attitude[0]), math.sin(attitude[0])
+    cp, sp = math.cos(attitude[1]), math.sin(attitude[1])
+    cy, sy = math.cos(attitude[2]), math.sin(attitude[2])
+    turn = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    turn = turn @ np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    turn = turn @ np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    body = np.stack([beam.cos, beam.sin, np.zeros_like(beam.cos)], axis=1)
+    return ranges(world, x, body @ turn.T, beam.max_range)
+
+
+def test_beams_are_numbered_as_in_fig_6_18():
+    angles = np.degrees(np.arctan2(RING.sin, RING.cos))
+    np.testing.assert_allclose(angles, [22.5, 67.5, 112.5, 157.5, -157.5, -112.5, -67.5, -22.5])
+    # Eq. 6.15 gives the direction of the force of beam i, which is opposite to the beam.
+    alpha = np.arange(8) * math.pi / 4 + 9 * math.pi / 8
+    for i in range(8):
+        one = [0.5 if k == i else 1.5 for k in range(8)]
+        f = 1 / 0.5 - 1 / 1.2
+        np.testing.assert_allclose(
+            repulsion(one, RING, 1.2), f * np.array([np.cos(alpha[i]), np.sin(alpha[i])])
+        )
+
+
+def test_nothing_near_gives_no_force():
+    assert repulsion(FAR, RING, 1.5) == (0.0, 0.0)
+    assert repulsion([0.8] * 8, RING, 0.8) == (0.0, 0.0)
+
+
+@given(some_ranges, st.floats(0.3, 1.5))
+def test_equal_ranges_all_round_cancel_and_opposite_ones_reverse(seen, threshold):
+    np.testing.assert_allclose(repulsion([seen[0]] * 8, RING, threshold), 0.0, atol=1e-9)
+    fx, fy = repulsion(seen, RING, threshold)
+    bx, by = repulsion(seen[4:] + seen[:4], RING, threshold)
+    np.testing.assert_allclose((bx, by), (-fx, -fy), atol=1e-9)
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(0.2, 0.9))
+def test_the_force_points_away_from_a_wall(heading, gap):
+    wall = World((Box((gap + 0.5, 0.0, -1.0), (1.0, 50.0, 4.0)),))
+    seen = beams(np.array([0.0, 0.0, -1.0]), (0.0, 0.0, heading), wall).tolist()
+    fx, fy = repulsion(seen, RING, 1.4)
+    north = math.cos(heading) * fx - math.sin(heading) * fy
+    assert north < 0.0
+    # The wall is symmetrical about its normal, the ring is not quite: most of the force is along the normal.
+    assert abs(north) > math.hypot(fx, fy) * 0.7
+
+
+@given(some_ranges, st.floats(0.3, 1.5), st.integers(0, 7))
+def test_nearer_means_stronger(seen, threshold, i):
+    seen = [max(v, threshold) for v in seen]
+    weak, strong = list(seen), list(seen)
+    weak[i], strong[i] = 0.6 * threshold, 0.3 * threshold
+    assert (
+        math.hypot(*repulsion(strong, RING, threshold)) > math.hypot(*repulsion(weak, RING, threshold)) > 0.0
+    )
+
+
+@given(st.floats(-0.15, 0.15), st.floats(-0.15, 0.15), st.floats(-math.pi, math.pi))
+def test_points_remembered_lie_on_the_surface(roll, pitch, yaw):
+    world = World((Box((1.2, 0.3, -1.0), (0.8, 2.0, 2.0)), Box((-1.0, 0.0, -1.0), (0.3, 0.3, 2.0))))
+    x, attitude = np.array([0.0, 0.0, -1.2]), np.array([roll, pitch, yaw])
+    memory = observe(Memory.empty(), RING, x, attitude, beams(x, attitude, world))
+    from mufly.world import distances
+
+    if memory.used:
+        assert np.abs(distances(world, memory.points[: memory.used])[0]).max() < 1e-9
+
+
+def test_the_floor_is_no_obstacle():
+    x, attitude = np.array([0.0, 0.0, -0.2]), np.array([0.0, -0.3, 0.0])
+    seen = beams(x, attitude, World())
+    assert seen.min() < 1.5
+    assert observe(Memory.empty(), RING, x, attitude, seen).used == 0
+
+
+def test_points_are_kept_5_cm_apart_and_known_ones_stay():
+    world = World((Box((1.5, 0.0, -1.0), (1.0, 4.0, 2.0)),))
+    memory = Memory.empty()
+    x = np.array([0.0, 0.0, -1.0])
+    first = None
+    for yaw in np.linspace(-0.5, 0.5, 300):
+        attitude = np.array([0.0, 0.0, yaw])
+        memory = observe(memory, RING, x, attitude, beams(x, attitude, world))
+        first = memory.points[0].copy() if first is None and memory.used else first
+    p = memory.points[: memory.used]
+    gaps = np.linalg.norm(p[:, None] - p[None], axis=2) + 10 * np.eye(len(p))
+    assert gaps.min() >= 0.05
+    assert gaps.min(axis=1).max() < 0.11
+    np.testing.assert_array_equal(memory.points[0], first)
+
+
+def test_what_has_gone_is_forgotten():
+    x = np.array([0.0, 0.0, -1.0])
+    someone = World((Box((0.8, 0.0, -1.0), (0.4, 0.4, 2.0)),))
+    memory = Memory.empty()
+    for yaw in np.linspace(-0.4, 0.4, 200):
+        attitude = np.array([0.0, 0.0, yaw])
+        memory = observe(memory, RING, x, attitude, beams(x, attitude, someone))
+    assert memory.used > 3
+    for yaw in np.linspace(-0.4, 0.4, 200):
+        attitude = np.array([0.0, 0.0, yaw])
+        memory = observe(memory, RING, x, attitude, beams(x, attitude, World()))
+    assert memory.used == 0
+
+
+def test_the_memory_does_not_overflow_and_is_not_changed_in_place():
+    memory = Memory.empty()
+    rng = np.random.default_rng(1)
+    for _ in range(100):
+        before = memory.points.copy()
+        x = np.array([*rng.uniform(-20, 20, 2), -1.0])
+        later = observe(memory, RING, x, LEVEL, rng.uniform(0.3, 1.4, 8))
+        np.testing.assert_array_equal(memory.points, before)
+        memory = later
+    assert memory.used == CAPACITY
+    assert memory.points.shape == (CAPACITY, 3)
+
+
+def test_other_rings():
+    four = ring(4, 0.0, 2.0)
+    assert four.spacing == pytest.approx(math.pi / 2)
+    np.testing.assert_allclose(repulsion([0.5, 2.0, 2.0, 2.0], four, 1.0), (-1.0, 0.0), atol=1e-12)
