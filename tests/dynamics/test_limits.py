@@ -61,11 +61,11 @@ def test_bar_follows_a_held_mast_as_tan_half_angle(vehicle) -> None:
 
 def test_bar_does_not_turn_with_the_heading(vehicle) -> None:
     # Errata, point 3: eq. 4.22 would let the bar's tilt turn with the fuselage.
-    slow = replace(vehicle, {"stabiliser_bar.time_constant": 1e9})
+    slow = replace(vehicle, {"stabiliser_bar.time_constant": 1e8})
     x = initial_state(position=(0, 0, -500), bar_attitude=(0.2, 0.0), rates=(0, 0, 6.0))
     before = x[15:18].copy()
     advance(x, np.zeros(4), CALM, model_parameters(slow), 1e-3, 1000)
-    assert_allclose(x[15:18], before, atol=1e-8)
+    assert_allclose(x[15:18], before, atol=1e-7)
 
 
 @settings(max_examples=50, deadline=None)

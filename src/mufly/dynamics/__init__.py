@@ -5,7 +5,14 @@ from mufly.dynamics.linearise import Linearisation, linearise
 from mufly.dynamics.model import battery_state, derivative
 from mufly.dynamics.parameters import GRAVITY, PARAMETERS, model_parameters
 from mufly.dynamics.performance import HoverPerformance, hover_performance
-from mufly.dynamics.simulate import DEFAULT_STEP_S, advance, advance_batch, simulate, state_dataset
+from mufly.dynamics.simulate import (
+    DEFAULT_STEP_S,
+    advance,
+    advance_batch,
+    longest_step,
+    simulate,
+    state_dataset,
+)
 from mufly.dynamics.state import (
     INPUT_SIZE,
     STATE_SIZE,
@@ -35,6 +42,7 @@ __all__ = [
     "hover_performance",
     "initial_state",
     "linearise",
+    "longest_step",
     "lowest_point",
     "model_parameters",
     "quaternion_from_euler",

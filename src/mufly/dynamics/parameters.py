@@ -12,14 +12,15 @@ import numpy as np
 
 from mufly.errors import InputError
 from mufly.vehicle import Vehicle
+from mufly.vehicle.schema import MAX_LEGS
 
 __all__ = ["GRAVITY", "PARAMETERS", "model_parameters"]
 
 GRAVITY = 9.81  # m/s2, mid-latitude, as the thesis's hover point implies
 
 _CURVE_POINTS = 101
-_MAX_POINTS = 24
 _RIM_POINTS = 8
+_MAX_POINTS = MAX_LEGS + _RIM_POINTS
 _FASTEST_FRICTION = 2000.0  # 1/s, resolved by Runge-Kutta steps of 1 ms
 
 _f8 = np.float64
@@ -92,7 +93,7 @@ def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
     Raises
     ------
     InputError
-        If the voltage is not positive, or there are more legs than the model holds.
+        If the voltage is not positive.
     """
     if voltage is not None and not (np.isfinite(voltage) and voltage > 0):
         raise InputError(vehicle.name, "voltage", f"{voltage} V is not possible", "give a positive voltage")
@@ -115,10 +116,6 @@ def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
         [radius * np.cos(angle), radius * np.sin(angle), np.full(_RIM_POINTS, float(r.upper.hub_z))]
     )
     points = np.vstack([legs, rim])
-    if len(points) > _MAX_POINTS:
-        raise InputError(
-            vehicle.name, "contact.legs", f"{len(legs)} legs", f"give at most {_MAX_POINTS - _RIM_POINTS}"
-        )
     padded = np.zeros((_MAX_POINTS, 3))
     padded[: len(points)] = points
     arm = np.sum(points[:, :2] ** 2, axis=1)

@@ -24,7 +24,7 @@ from mufly.dynamics.state import INPUT_SIZE, STATE_SIZE, euler_from_quaternion
 from mufly.errors import InputError
 from mufly.vehicle import Vehicle
 
-__all__ = ["DEFAULT_STEP_S", "advance", "advance_batch", "simulate", "state_dataset"]
+__all__ = ["DEFAULT_STEP_S", "advance", "advance_batch", "longest_step", "simulate", "state_dataset"]
 
 DEFAULT_STEP_S = 1e-3
 
@@ -90,6 +90,30 @@ def advance_batch(x, u, wind, p, dt, steps):  # type: ignore[no-untyped-def]
         advance(x[k], u[k], wind[k], p[k], dt, steps)
 
 
+def longest_step(p: np.void) -> float:
+    """Return the longest integration step (s) at which Runge-Kutta is stable for a vehicle.
+
+    The method needs ``step * |lambda| < 2.78`` for every mode. Estimated is the fastest of swash plate, bar, motors
+    at the greatest speed that the battery could drive them to, swing under the bar, and legs as springs and dampers.
+
+    Parameters
+    ----------
+    p : record of type ``PARAMETERS``
+    """
+    damping = p["kE"] * p["kM"] / p["R_ohm"] + p["dR"]
+    gear = p["gear_efficiency"] * p["gear_ratio"] ** 2
+    speed = float(np.max(p["battery_curve"])) / (p["kE"] * p["gear_ratio"])
+    motors = [(damping + 2 * p[f"torque_{k}"] * speed / gear) / p[f"J_{k}"] for k in ("up", "dw")]
+    thrust = max(p["thrust_up"], p["thrust_dw"]) * speed**2
+    swing = math.sqrt(p["bar_gain"] * thrust * abs(p["z_up"]) / min(p["Ixx"], p["Iyy"]))
+    # The legs' tips move with x and with W x r; about each axis all of them act together.
+    n = p["contact_count"]
+    x, y = p["contact_points"][:n, 0], p["contact_points"][:n, 1]
+    mobility = max(n / p["mass"], np.sum(y**2) / p["Ixx"], np.sum(x**2) / p["Iyy"])
+    legs = max(math.sqrt(p["leg_stiffness"] * mobility), p["leg_damping"] * mobility)
+    return 2.7 / max(p["swash_rate"], p["bar_rate"], *motors, swing, legs)
+
+
 def simulate(
     vehicle: Vehicle,
     state: ArrayLike,
@@ -127,12 +151,19 @@ def simulate(
     Raises
     ------
     InputError
-        If a time is not positive or an array has the wrong shape.
+        If a time is not positive, the step is too long for the vehicle, or an array has the wrong shape.
     """
     for name, value in (("duration_s", duration_s), ("sample_s", sample_s), ("step_s", step_s)):
         if not (math.isfinite(value) and value > 0):
             raise InputError("simulate", name, f"{value} s is not possible", "give a positive time")
     p = model_parameters(vehicle, voltage)
+    if min(step_s, sample_s) > longest_step(p):
+        raise InputError(
+            "simulate",
+            "step_s",
+            f"{min(step_s, sample_s) * 1e3:g} ms is too long for {vehicle.name}'s fastest part",
+            f"give a step below {longest_step(p) * 1e3:.3g} ms",
+        )
     x = _checked(state, (STATE_SIZE,), "state").copy()
     samples = max(1, round(duration_s / sample_s))
     steps = max(1, math.ceil(sample_s / step_s - 1e-9))

@@ -45,6 +45,9 @@ UNITS: dict[str, dict[str, float]] = {
 }
 
 
+_ABSURD = 1e9  # no parameter of a vehicle is as large in SI units; powers of larger ones overflow
+
+
 def _fault(problem: str, remedy: str) -> PydanticCustomError:
     return PydanticCustomError(
         "mufly", "{problem}; {remedy}", {"problem": problem, "remedy": remedy}
@@ -119,14 +122,14 @@ def _in_words(limits: dict[str, Any]) -> str:
 
 def _check_limits(value: float, unit: str, limits: dict[str, Any]) -> None:
     wrong = (
-        not math.isfinite(value)
+        not abs(value) < _ABSURD
         or (limits.get("above") is not None and not value > limits["above"])
         or (limits.get("at_least") is not None and not value >= limits["at_least"])
         or (limits.get("below") is not None and not value < limits["below"])
         or (limits.get("at_most") is not None and not value <= limits["at_most"])
     )
     if wrong:
-        wanted = _in_words(limits) or "a finite number"
+        wanted = "of ordinary size" if abs(value) >= _ABSURD else _in_words(limits) or "that is finite"
         raise _fault(f"{value:g} {unit} is not possible", f"give a value {wanted} ({unit})")
 
 
@@ -157,7 +160,7 @@ class Group(_Frozen):
             raise _fault(f"{raw!r} has no unit and no source", f"write {info.field_name} = {example}")
         if "unit" not in raw:
             raise _fault("the unit is missing", f"write {info.field_name} = {example}")
-        if raw["unit"] not in UNITS[si]:
+        if not isinstance(raw["unit"], str) or raw["unit"] not in UNITS[si]:
             accepted = ", ".join(UNITS[si])
             raise _fault(f"unit {raw['unit']!r} does not fit here", f"use one of: {accepted}")
         if "value" not in raw:

@@ -13,7 +13,14 @@ from pydantic_core import PydanticCustomError
 
 from mufly.vehicle.quantity import Curve, Group, Points, Quantity, parameter
 
-__all__ = ["Vehicle"]
+__all__ = ["MAX_LEGS", "Vehicle"]
+
+MAX_LEGS = 16
+
+
+def _fault(key: str, problem: str, remedy: str) -> PydanticCustomError:
+    context = {"key": key, "problem": problem, "remedy": remedy}
+    return PydanticCustomError("mufly", "{problem}; {remedy}", context)
 
 
 class Body(Group):
@@ -100,13 +107,10 @@ class Battery(Group):
         c = self.open_circuit_voltage
         rising = all(b > a for a, b in zip(c.fraction, c.fraction[1:], strict=False))
         if len(c.fraction) != len(c.value) or not rising or c.fraction[0] != 0 or c.fraction[-1] != 1:
-            raise PydanticCustomError(
-                "mufly",
-                "{problem}; {remedy}",
-                {
-                    "problem": "open_circuit_voltage is not a curve over charge",
-                    "remedy": "give as many fractions as values, rising from 0 (empty) to 1 (full)",
-                },
+            raise _fault(
+                "battery.open_circuit_voltage",
+                "open_circuit_voltage is not a curve over charge",
+                "give as many fractions as values, rising from 0 (empty) to 1 (full)",
             )
         return self
 
@@ -120,12 +124,32 @@ class Contact(Group):
         "m/s", "v_slip", "sliding speed at which friction has 71 % of its full value", above=0
     )
 
+    @model_validator(mode="after")
+    def _can_stand(self) -> Contact:
+        tips = self.legs.value
+        if not 3 <= len(tips) <= MAX_LEGS:
+            raise _fault("contact.legs", f"{len(tips)} legs", f"give 3 to {MAX_LEGS} points [x, y, z]")
+        if max(z for _, _, z in tips) <= 0:
+            raise _fault(
+                "contact.legs", "no leg reaches below the centre of gravity", "give z above 0 (down)"
+            )
+        return self
+
 
 class RangeRing(Group):
-    count: int = Field(ge=1, le=64, description="number of beams, evenly spread over the circle")
+    count: int = Field(ge=1, le=64, strict=True, description="number of beams, evenly spread over the circle")
     first_angle: Quantity = parameter("rad", "alpha_0", "direction of beam 0, from x towards y (Fig. 6.18)")
     min_range: Quantity = parameter("m", "l_min", "shortest distance that is measured", at_least=0)
     max_range: Quantity = parameter("m", "l_max", "greatest distance that is measured", above=0)
+
+    @model_validator(mode="after")
+    def _min_below_max(self) -> RangeRing:
+        low, high = float(self.min_range), float(self.max_range)
+        if low >= high:
+            raise _fault(
+                "range_ring.min_range", f"{low:g} m is not below max_range, {high:g} m", "exchange them"
+            )
+        return self
 
 
 class MassBudget(Group):
@@ -164,14 +188,9 @@ class Vehicle(Group):
         if self.mass_budget is not None:
             total = sum(float(q) for _, q in self.mass_budget)
             if abs(total - float(self.body.mass)) > 1e-4:
-                raise PydanticCustomError(
-                    "mufly",
-                    "{problem}; {remedy}",
-                    {
-                        "key": "mass_budget",
-                        "problem": f"its groups add up to {total * 1e3:.1f} g, "
-                        f"but body.mass is {float(self.body.mass) * 1e3:.1f} g",
-                        "remedy": "correct a group or body.mass (0.1 g apart at most)",
-                    },
+                raise _fault(
+                    "mass_budget",
+                    f"its groups add up to {total * 1e3:.1f} g, but body.mass is {float(self.body.mass) * 1e3:.1f} g",
+                    "correct a group or body.mass (0.1 g apart at most)",
                 )
         return self

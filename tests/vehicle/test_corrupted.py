@@ -1,0 +1,105 @@
+"""Whatever is written into a vehicle file, the answer is a vehicle or one line that names the fault."""
+
+import copy
+import random
+import tomllib
+
+import pytest
+import tomli_w
+
+from mufly.errors import InputError, MuflyError
+from mufly.vehicle import load_vehicle, parameters, replace, vehicle_toml
+
+ODD = [
+    float("nan"),
+    float("inf"),
+    -1.0,
+    0.0,
+    1e300,
+    1e-300,
+    "x",
+    "",
+    True,
+    [],
+    [1.0],
+    [[1, 2]],
+    {},
+    {"value": 1},
+    1979,
+]
+
+
+def places(table, before=()):
+    for key, value in table.items():
+        yield (*before, key)
+        if isinstance(value, dict):
+            yield from places(value, (*before, key))
+
+
+def corrupted(tables, place, odd):
+    copied = copy.deepcopy(tables)
+    table = copied
+    for key in place[:-1]:
+        table = table[key]
+    if odd is None:
+        del table[place[-1]]
+    else:
+        table[place[-1]] = odd
+    return copied
+
+
+def user_error(act) -> str | None:
+    """The line that a user would read, or None if nothing is wrong; any other exception fails the test."""
+    try:
+        act()
+    except MuflyError as error:
+        return str(error)
+    return None
+
+
+def test_every_corruption_is_a_vehicle_or_one_line(tmp_path) -> None:
+    tables = tomllib.loads(vehicle_toml(load_vehicle("mufly-1.1")))
+    rng, path = random.Random(1), tmp_path / "odd.toml"
+    for place in places(tables):
+        for odd in [None, *rng.sample(ODD, 2)]:
+            path.write_text(tomli_w.dumps(corrupted(tables, place, odd)))
+            error = user_error(lambda: load_vehicle(path))
+            assert error is None or ("\n" not in error and str(path) in error)
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_what_is_accepted_can_be_asked_to_hover() -> None:
+    from mufly.dynamics import hover_performance, standing_height
+
+    vehicle = load_vehicle("mufly-1.1")
+    for row in parameters(vehicle):
+        if not isinstance(row.value, float) or row.key.startswith("mass_budget"):
+            continue
+        for odd in (0.0, 1e8):
+
+            def ask(key: str = row.key, value: float = odd) -> None:
+                v = replace(vehicle, {key: value})
+                standing_height(v)
+                hover_performance(v)
+
+            assert "\n" not in (user_error(ask) or "")
+
+
+@pytest.mark.parametrize(
+    ("place", "odd", "key", "words"),
+    [
+        (("body", "mass", "unit"), ["g"], "body.mass", "does not fit"),
+        (("contact", "legs", "value"), [], "contact.legs", "3 to 16"),
+        (("contact", "legs", "value"), [[0.1, 0, -0.1]] * 3, "contact.legs", "below the centre of gravity"),
+        (("range_ring", "min_range", "value"), 2.0, "range_ring.min_range", "not below max_range"),
+        (("rotors", "radius", "value"), 1e300, "rotors.radius", "ordinary size"),
+        (("range_ring", "count"), True, "range_ring.count", "True"),
+    ],
+)
+def test_fault_is_named(tmp_path, place, odd, key, words) -> None:
+    tables = tomllib.loads(vehicle_toml(load_vehicle("mufly-1.1")))
+    path = tmp_path / "odd.toml"
+    path.write_text(tomli_w.dumps(corrupted(tables, place, odd)))
+    with pytest.raises(InputError, match=words) as caught:
+        load_vehicle(path)
+    assert caught.value.key == key
