@@ -20,7 +20,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
-app.command("fly")(fly.fly)
+app.command("fly", help=fly.HELP)(fly.fly)
 app.add_typer(vehicle.app, name="vehicle")
 app.add_typer(control.app, name="control")
 app.add_typer(mission.app, name="mission")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from contextlib import nullcontext
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,9 +14,27 @@ from mufly.errors import InputError, MuflyError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from mufly.flight import Progress, Summary
+    from mufly.flight import Event, Progress, Summary
 
-__all__ = ["fly"]
+__all__ = ["HELP", "fly"]
+
+# One line a paragraph: the terminal wraps them.
+HELP = """Fly a mission on the full nonlinear model.
+
+Loads the vehicle, designs its controllers, and flies; by default the demonstration of the muFly dissertation: \
+take off, a square of four waypoints, land.
+
+Writes a folder with the recording (flight.mcap; opens in Foxglove and PlotJuggler), summary.json and pictures. \
+The exit status is 0 only if the mission succeeded.
+
+Examples:
+
+  mufly fly
+
+  mufly fly box-on-leg --wind 0.5,0,0 --gust 0.3 --seed 7
+
+  mufly fly my-mission.toml --vehicle my-helicopter.toml --out results
+"""
 
 
 def fly(
@@ -33,7 +50,7 @@ def fly(
     ] = None,
     wind: Annotated[
         str | None,
-        typer.Option(help="Steady wind N,E,D in m/s, as in 0.5,0,0; instead of the mission's."),
+        typer.Option(metavar="N,E,D", help="Steady wind in m/s, as in 0.5,0,0; instead of the mission's."),
     ] = None,
     gust: Annotated[
         float | None, typer.Option(help="Gusts, standard deviation in m/s; instead of the mission's.")
@@ -50,18 +67,7 @@ def fly(
         ),
     ] = False,
 ) -> None:
-    """Fly a mission on the full nonlinear model.
-
-    Loads the vehicle, designs its controllers, and flies: by default the demonstration of the muFly
-    dissertation: take off, a square of four waypoints, land. Writes a folder with the recording (flight.mcap, opens in
-    Foxglove and PlotJuggler), summary.json and pictures. The exit status is 0 only if the mission succeeded.
-
-    Examples:
-
-        mufly fly
-
-        mufly fly my-mission.toml --vehicle my-helicopter.toml --wind 0.5,0,0 --gust 0.3 --seed 7
-    """
+    """Fly a mission on the full nonlinear model."""
     from rich.console import Console
 
     console = Console(stderr=as_json)
@@ -83,7 +89,7 @@ def fly(
 
     recording = folder / "flight.mcap"
     try:
-        with _display(console) as display:
+        with _Display(console) as display:
             dataset = flight.fly(
                 loaded_vehicle,
                 loaded_mission,
@@ -92,7 +98,8 @@ def fly(
                 seed=seed,
                 realtime=realtime,
                 path=recording,
-                on_progress=display,
+                on_progress=display.progress,
+                on_event=display.event,
             )
     except KeyboardInterrupt:
         if recording.exists():
@@ -145,40 +152,37 @@ def _dated_folder() -> Path:
 
 
 class _Display:
-    """Show what is happening: a live line on a terminal, a line a state elsewhere."""
+    """Show what is happening: changes of state as lines, and on a terminal a live line below them."""
 
     def __init__(self, console: Console) -> None:
         from rich.live import Live
 
         self._console = console
-        self._live = Live(console=console, refresh_per_second=10) if console.is_terminal else nullcontext()
-        self._state = ""
+        self._live = Live(console=console, refresh_per_second=10) if console.is_terminal else None
 
     def __enter__(self) -> _Display:
-        self._live.__enter__()
+        if self._live is not None:
+            self._live.__enter__()
         return self
 
     def __exit__(self, *exc: object) -> None:
-        self._live.__exit__(*exc)  # type: ignore[arg-type]
+        if self._live is not None:
+            self._live.update("")
+            self._live.__exit__(None, None, None)
 
-    def __call__(self, p: Progress) -> None:
-        from rich.live import Live
-
-        n, e, d = p.position
-        line = (
-            f"{p.state:<10} {p.time_s:6.1f} s of about {p.expected_s:.0f}   "
-            f"N {n:6.2f}  E {e:6.2f}  height {-d:5.2f} m   "
-            f"battery {p.battery_V:.2f} V {p.battery_charge:4.0%}   {p.realtime_factor:5.1f} x real time"
+    def event(self, e: Event) -> None:
+        colour = {"error": "red", "warning": "yellow"}.get(e.level, "default")
+        self._console.print(
+            f"{e.time_s:7.1f} s  [bold]{e.state:<9}[/]  [{colour}]{e.text}[/]", highlight=False
         )
-        if isinstance(self._live, Live):
-            self._live.update(line)
-        elif p.state != self._state:
-            self._console.print(line, highlight=False)
-            self._state = p.state
 
-
-def _display(console: Console) -> _Display:
-    return _Display(console)
+    def progress(self, p: Progress) -> None:
+        if self._live is not None:
+            n, e, d = p.position
+            self._live.update(
+                f"{p.time_s:7.1f} s  {p.state:<9}  N {n:5.2f} E {e:5.2f} height {-d:4.2f} m  "
+                f"{p.battery_V:.2f} V {p.battery_charge:4.0%}  {p.realtime_factor:3.0f} x real time"
+            )
 
 
 def _print_result(console: Console, summary: Summary) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from mufly.sensors import Measurement
 
 __all__ = ["Actuators", "Controllers"]
 
-_Array = NDArray[np.float64]
+_Array = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +61,7 @@ class Controllers:
 
     def __init__(self, design: FlightController) -> None:
         self._design = design
-        self._heave_yaw = np.zeros(0)
+        self._heave_yaw: _Array = np.zeros(0)
         self._roll_pitch = roll_pitch_initial(design.roll_pitch_gains)
         self._position = position_initial(design.position_gains)
 

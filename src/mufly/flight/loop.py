@@ -29,7 +29,7 @@ from mufly.dynamics import (
     trim,
 )
 from mufly.flight.controllers import Actuators
-from mufly.flight.layout import standard_layout
+from mufly.flight.layout import Event, standard_layout
 from mufly.flight.plant import Plant
 from mufly.flight.recorder import Recorder
 from mufly.flight.rows import row_writer
@@ -70,6 +70,7 @@ def fly(
     realtime: bool = False,
     path: str | Path | None = None,
     on_progress: Callable[[Progress], None] | None = None,
+    on_event: Callable[[Event], None] | None = None,
 ) -> xr.Dataset:
     """Fly a mission on the full nonlinear model.
 
@@ -93,6 +94,8 @@ def fly(
         MCAP file to record to, block by block as it flies; in memory only without it.
     on_progress : callable, optional
         Called with a :class:`Progress` about ten times a second.
+    on_event : callable, optional
+        Called with every :class:`Event`: changes of the mission's state, with the reason, and what went wrong.
 
     Returns
     -------
@@ -140,7 +143,15 @@ def fly(
     )
     time_limit = 3.0 * estimate.duration_s + 60.0 + len(mission.waypoint) * mission.avoidance.give_up_s
     with recorder:
-        wall_s = _run(plant, software, recorder, estimate.duration_s, time_limit, realtime, on_progress)
+
+        def report(event: Event) -> None:
+            recorder.event(event.time_s, event.state, event.text, event.level)
+            if on_event is not None:
+                on_event(event)
+
+        wall_s = _run(
+            plant, software, recorder, estimate.duration_s, time_limit, realtime, on_progress, report
+        )
         outcome, reason = _judge(software, plant)
         recorder.finish(outcome, reason, realtime_factor=plant.time_s / max(wall_s, 1e-9))
     return recorder.dataset()
@@ -162,6 +173,7 @@ def _run(
     time_limit: float,
     realtime: bool,
     on_progress: Callable[[Progress], None] | None,
+    report: Callable[[Event], None],
 ) -> float:
     """Fly until the mission has ended, the vehicle has crashed or time is up; return the wall time (s)."""
     write = row_writer(recorder, plant)
@@ -181,7 +193,7 @@ def _run(
         if k % every == 0:
             write(measured, pending, software.reference, software.state)
             for event in software.events[events:]:
-                recorder.event(event.time_s, event.state, event.text)
+                report(Event(event.time_s, event.state, event.text))
             events = len(software.events)
             now = time.perf_counter()
             if on_progress is not None and now - shown > PROGRESS_S:
@@ -192,7 +204,7 @@ def _run(
         if ended_at == math.inf and (software.finished or plant.crashed or plant.time_s > time_limit):
             ended_at = plant.time_s
             if plant.crashed:
-                recorder.event(plant.time_s, software.state, plant.crashed, level="error")
+                report(Event(plant.time_s, software.state, plant.crashed, "error"))
         if plant.time_s >= ended_at + REST_S:
             break
         plant.advance(pending)

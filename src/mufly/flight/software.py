@@ -16,6 +16,8 @@ Between two steps of the mission logic its reference is carried on at the refere
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -61,8 +63,8 @@ class FlightSoftware:
         self._ticks = 0
         self._motors = "off"
         self._since_s = 0.0
-        self._motor_input = np.zeros(2)
-        self._tilt = np.zeros(2)
+        self._motor_input: NDArray[np.floating[Any]] = np.zeros(2)
+        self._tilt: NDArray[np.floating[Any]] = np.zeros(2)
         self._controllers = Controllers(controller)
 
     @property
