@@ -1,4 +1,4 @@
-"""Keeps Numba's cache honest.
+"""Keeps Numba's cache honest, and Hypothesis repeatable and without a clock.
 
 A cached function is compiled again when its own file changes, but not when a function that it calls in another file
 does. So the cache of a test run lies in a folder named after the whole package's source.
@@ -10,6 +10,8 @@ import shutil
 import sys
 import time
 from pathlib import Path
+
+from hypothesis import settings
 
 _ROOT = Path(__file__).resolve().parents[1]
 
@@ -33,3 +35,7 @@ def _cache_folder() -> Path:
 if "numba" in sys.modules:
     raise RuntimeError("numba was imported before tests/conftest.py could set its cache folder")
 os.environ["NUMBA_CACHE_DIR"] = str(_cache_folder())
+
+# A first call compiles, so an example may take seconds; and a red suite has to be red again on the next run.
+settings.register_profile("mufly", deadline=None, derandomize=True)
+settings.load_profile("mufly")

@@ -90,6 +90,15 @@ def test_check_as_json() -> None:
     assert hover["thrust_to_weight_full"] > hover["thrust_to_weight_half"] > 1.2
 
 
+def test_check_warns(tmp_path) -> None:
+    path = tmp_path / "odd.toml"
+    odd = replace(load_vehicle("mufly-1.1"), {"swash_plate.time_constant": 1e-4, "body.mass": 0.112})
+    path.write_text(vehicle_toml(odd))
+    text = output("check", str(path))
+    assert "steps below 0.27 ms" in text
+    assert "Little thrust is left" in text
+
+
 def fault(*arguments: str) -> MuflyError:
     result = runner.invoke(app, arguments)
     assert result.exit_code != 0

@@ -96,7 +96,7 @@ def test_a_slide_stops_after_v_squared_over_2_mu_g(vehicle) -> None:
     assert np.max(np.abs(states[-1, 3:6])) < 1e-9
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_friction_stays_in_its_cone_and_opposes_motion(p, random_state, seed) -> None:
     rng = np.random.default_rng(seed)

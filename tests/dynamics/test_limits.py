@@ -68,7 +68,7 @@ def test_bar_does_not_turn_with_the_heading(vehicle) -> None:
     assert_allclose(x[15:18], before, atol=1e-7)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(seed=seeds)
 def test_power_from_the_battery_is_accounted_for(vehicle, random_state, seed) -> None:
     # U I = U I_el + sum[R I_A^2 + kE i Omega I_A]  and  kM i Omega I_A = stored + friction + shaft / efficiency.
@@ -90,7 +90,7 @@ def test_power_from_the_battery_is_accounted_for(vehicle, random_state, seed) ->
     assert dx[20] == pytest.approx(-current / p["battery_capacity"], rel=1e-12)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(seed=seeds)
 def test_sagging_voltage_solves_the_circuit(vehicle, random_state, seed) -> None:
     rng = np.random.default_rng(seed)

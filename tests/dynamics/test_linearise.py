@@ -123,7 +123,7 @@ def value_of(v, key):
     return float(v)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(factors=st.fixed_dictionaries(FACTORS), heading=st.floats(-3, 3))
 def test_matrices_are_appendix_b_for_any_vehicle(vehicle, factors, heading) -> None:
     values = {key: value_of(vehicle, key) * factor for key, factor in factors.items()}

@@ -43,7 +43,7 @@ def turned(x, q):
     return y
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=seeds, heading=st.floats(-np.pi, np.pi), height=st.sampled_from([0.05, 50.0]))
 def test_any_heading_gives_the_turned_motion(vehicle, random_state, seed, heading, height) -> None:
     # Height 0.05 m is in contact with the floor, which is the same in every direction too.
@@ -56,7 +56,7 @@ def test_any_heading_gives_the_turned_motion(vehicle, random_state, seed, headin
     assert_allclose(found, expected, atol=1e-9 * (1 + np.abs(expected).max()))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=seeds)
 def test_without_gravity_and_floor_any_rotation_does(vehicle, random_state, seed) -> None:
     rng = np.random.default_rng(seed)
@@ -91,7 +91,7 @@ LEFT_RIGHT = {"flip": [1, 4, 7, 9, 10, 12, 13, 16], "servo": 3, "wind": 1}
 FRONT_BACK = {"flip": [0, 3, 8, 9, 11, 12, 14, 15], "servo": 2, "wind": 0}
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=seeds, mirror=st.sampled_from([LEFT_RIGHT, FRONT_BACK]))
 def test_all_but_the_rotors_yaw_torque_is_mirror_symmetric(vehicle, random_state, seed, mirror) -> None:
     # Mirroring turns each rotor into one that spins the other way, so its torque about z keeps its sign where the
@@ -153,7 +153,7 @@ def test_order_in_a_batch_does_not_matter(fleet) -> None:
     assert_array_equal(first[order], second)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=seeds)
 def test_inputs_saturate(vehicle, random_state, seed) -> None:
     rng = np.random.default_rng(seed)

@@ -113,15 +113,25 @@ def show(vehicle: _Vehicle = "mufly-1.1", as_json: _Json = False) -> None:
 @app.command()
 def check(vehicle: _Vehicle, as_json: _Json = False) -> None:
     """Read a vehicle file, check every value, and find out whether it can hover and for how long."""
-    from mufly.dynamics import hover_performance
+    from mufly.dynamics import DEFAULT_STEP_S, hover_performance, longest_step, model_parameters
     from mufly.vehicle import load_vehicle
 
     v = load_vehicle(vehicle)
     h = hover_performance(v)
+    step = longest_step(model_parameters(v))
     if as_json:
-        _print_json({"name": v.name, "valid": True, "hover": asdict(h)})
+        _print_json({"name": v.name, "valid": True, "hover": asdict(h), "longest_step_s": step})
         return
-    _print_hover(_console(), v, h)
+    console = _console()
+    _print_hover(console, v, h)
+    if h.thrust_to_weight_half < 1.15:
+        console.print("Little thrust is left to climb or to fight gusts with.", style="yellow")
+    if step < DEFAULT_STEP_S:
+        console.print(
+            f"Its fastest part needs steps below {step * 1e3:.2g} ms: too fast to be simulated at the usual "
+            f"{DEFAULT_STEP_S * 1e3:g} ms.",
+            style="yellow",
+        )
 
 
 def _print_hover(console: Console, v: Vehicle, h: HoverPerformance) -> None:
@@ -148,8 +158,6 @@ def _print_hover(console: Console, v: Vehicle, h: HoverPerformance) -> None:
         f"[bold]{v.name}[/bold] is valid and hovers, here with the battery half full:", highlight=False
     )
     console.print(table)
-    if h.thrust_to_weight_half < 1.15:
-        console.print("Little thrust is left to climb or to fight gusts with.", style="yellow")
 
 
 def _print_group(console: Console, group: str, rows: list[Parameter]) -> None:
