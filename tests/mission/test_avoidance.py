@@ -136,7 +136,7 @@ def test_without_avoidance_it_flies_into_the_box(rig):
 def test_an_obstacle_that_comes_near_a_hover_pushes_it_away_and_it_comes_back(rig):
     from mufly.world import Box, World
 
-    mission = mission_from({"waypoint": [{"position_m": [1.0, 0.0, -1.0], "wait_s": 60.0}]})
+    mission = mission_from({"waypoint": [{"position_m": [1.0, 0.0, -1.0], "wait_s": 80.0}]})
     someone = World((Box((1.5, 0.0, -1.0), (0.4, 0.4, 2.0)),))
 
     class Visit:
@@ -150,20 +150,20 @@ def test_an_obstacle_that_comes_near_a_hover_pushes_it_away_and_it_comes_back(ri
         visit.now = someone if 20.0 < t < 40.0 else World()
         return np.zeros(3)
 
-    flight = rig.fly(mission, disturb=push, world=lambda: visit.now, limit_s=90.0)
+    flight = rig.fly(mission, disturb=push, world=lambda: visit.now, limit_s=110.0)
     t, x, _ = flight.arrays()
     states = np.array(flight.states)
     assert (states[(t > 20.1) & (t < 21.0)] == "obstacle").any()
     assert np.linalg.norm(x[np.searchsorted(t, 39.0)][:2] - [1.0, 0.0]) > 0.15
-    assert states[np.searchsorted(t, 60.0)] == "hover"
-    np.testing.assert_allclose(x[np.searchsorted(t, 60.0)], [1.0, 0.0, -1.0], atol=0.02)
+    assert states[np.searchsorted(t, 80.0)] == "hover"
+    np.testing.assert_allclose(x[np.searchsorted(t, 80.0)], [1.0, 0.0, -1.0], atol=0.02)
     assert flight.state.outcome == "succeeded"
 
 
 def memory_of(*points):
     table = Memory.empty().points
-    table[: len(points)] = points
-    return Memory(table, len(points), len(points))
+    table[: len(points), :3] = points
+    return Memory(table, len(points))
 
 
 def test_what_a_point_means_for_a_way():

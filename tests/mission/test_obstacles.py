@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mufly.mission.obstacles import CAPACITY, Memory, observe, repulsion, ring
-from mufly.world import Box, World, ranges
+from mufly.world import Box, Cylinder, World, distances, ranges
 
 RING = ring(8, math.pi / 8, 1.5)
 FAR = [1.5] * 8
@@ -78,18 +78,16 @@ def test_nearer_means_stronger(seen, threshold, i):
 def test_points_remembered_lie_on_the_surface(roll, pitch, yaw):
     world = World((Box((1.2, 0.3, -1.0), (0.8, 2.0, 2.0)), Box((-1.0, 0.0, -1.0), (0.3, 0.3, 2.0))))
     x, attitude = np.array([0.0, 0.0, -1.2]), np.array([roll, pitch, yaw])
-    memory = observe(Memory.empty(), RING, x, attitude, beams(x, attitude, world))
-    from mufly.world import distances
-
+    memory = observe(Memory.empty(), RING, 0.0, x, attitude, beams(x, attitude, world))
     if memory.used:
-        assert np.abs(distances(world, memory.points[: memory.used])[0]).max() < 1e-9
+        assert np.abs(distances(world, memory.points[: memory.used, :3])[0]).max() < 1e-9
 
 
 def test_the_floor_is_no_obstacle():
     x, attitude = np.array([0.0, 0.0, -0.2]), np.array([0.0, -0.3, 0.0])
     seen = beams(x, attitude, World())
     assert seen.min() < 1.5
-    assert observe(Memory.empty(), RING, x, attitude, seen).used == 0
+    assert observe(Memory.empty(), RING, 0.0, x, attitude, seen).used == 0
 
 
 def test_points_are_kept_5_cm_apart_and_known_ones_stay():
@@ -99,13 +97,13 @@ def test_points_are_kept_5_cm_apart_and_known_ones_stay():
     first = None
     for yaw in np.linspace(-0.5, 0.5, 300):
         attitude = np.array([0.0, 0.0, yaw])
-        memory = observe(memory, RING, x, attitude, beams(x, attitude, world))
-        first = memory.points[0].copy() if first is None and memory.used else first
-    p = memory.points[: memory.used]
+        memory = observe(memory, RING, 0.0, x, attitude, beams(x, attitude, world))
+        first = memory.points[0, :3].copy() if first is None and memory.used else first
+    p = memory.points[: memory.used, :3]
     gaps = np.linalg.norm(p[:, None] - p[None], axis=2) + 10 * np.eye(len(p))
     assert gaps.min() >= 0.05
     assert gaps.min(axis=1).max() < 0.11
-    np.testing.assert_array_equal(memory.points[0], first)
+    np.testing.assert_array_equal(memory.points[0, :3], first)
 
 
 def test_what_has_gone_is_forgotten():
@@ -114,25 +112,38 @@ def test_what_has_gone_is_forgotten():
     memory = Memory.empty()
     for yaw in np.linspace(-0.4, 0.4, 200):
         attitude = np.array([0.0, 0.0, yaw])
-        memory = observe(memory, RING, x, attitude, beams(x, attitude, someone))
-    assert memory.used > 3
-    for yaw in np.linspace(-0.4, 0.4, 200):
+        memory = observe(memory, RING, 0.0, x, attitude, beams(x, attitude, someone))
+    seen = memory.used
+    assert seen > 3
+    assert observe(memory, RING, 25.0, x, LEVEL, np.full(8, 1.5)).used == seen
+    # One face is hit again: what is near those hits is confirmed, the rest is not.
+    memory = observe(memory, RING, 25.0, x, attitude, beams(x, attitude, someone))
+    assert 0 < observe(memory, RING, 35.0, x, LEVEL, np.full(8, 1.5)).used < seen
+    assert observe(memory, RING, 60.0, x, LEVEL, np.full(8, 1.5)).used == 0
+
+
+def test_a_beam_that_grazes_a_thin_post_does_not_make_it_forgotten():
+    x = np.array([0.0, 0.0, -1.0])
+    post = World((), (Cylinder((0.8, 0.0), 0.02, 2.0),))
+    memory = Memory.empty()
+    for k, yaw in enumerate(0.4 * np.sin(np.linspace(0.0, 60.0, 2000))):
         attitude = np.array([0.0, 0.0, yaw])
-        memory = observe(memory, RING, x, attitude, beams(x, attitude, World()))
-    assert memory.used == 0
+        before, memory = memory.used, observe(memory, RING, 0.02 * k, x, attitude, beams(x, attitude, post))
+        assert memory.used >= before
+    assert memory.used == 1
 
 
 def test_the_memory_does_not_overflow_and_is_not_changed_in_place():
     memory = Memory.empty()
     rng = np.random.default_rng(1)
-    for _ in range(100):
+    for k in range(25):
         before = memory.points.copy()
         x = np.array([*rng.uniform(-20, 20, 2), -1.0])
-        later = observe(memory, RING, x, LEVEL, rng.uniform(0.3, 1.4, 8))
+        later = observe(memory, RING, float(k), x, LEVEL, rng.uniform(0.3, 1.4, 8))
         np.testing.assert_array_equal(memory.points, before)
         memory = later
     assert memory.used == CAPACITY
-    assert memory.points.shape == (CAPACITY, 3)
+    assert memory.points.shape == (CAPACITY, 4)
 
 
 def test_other_rings():

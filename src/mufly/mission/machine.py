@@ -87,8 +87,8 @@ def _sense(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> Mis
     volts = s.battery_V + (m.battery_voltage - s.battery_V) * min(1.0, dt / _VOLTAGE_LAG_S)
     memory, swinging = s.memory, s.swing
     if plan.avoid and s.state in _FLYING and (memory.used or float(m.ranges.min()) < plan.ring.max_range):
-        memory = observe(memory, plan.ring, m.position, m.attitude, m.ranges)
-    # Around an obstacle the nose always swings: what has gone is only forgotten when a beam passes through it.
+        memory = observe(memory, plan.ring, m.time_s, m.position, m.attitude, m.ranges)
+    # Around an obstacle the nose always swings, to see its outline.
     on = s.state is State.OBSTACLE or (plan.scan and s.state is State.WAYPOINT and at_gate(s))
     swinging = min(_LOOK_AROUND_S, swinging + dt) if on else max(0.0, min(1.0, swinging) - dt)
     return replace(

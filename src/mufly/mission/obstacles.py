@@ -12,9 +12,10 @@ what the beam sees, and F needs no minus sign. Here the direction of the beams c
 each is opposite to it, however the ring is numbered.
 
 Beams 45 degrees apart leave gaps, and the field forgets what a beam no longer hits. So points that were hit are kept:
-where a beam of range l and body direction u ends, x + l R u, with R the attitude. A new point closer than 5 cm
-to a known one adds nothing. A point that a beam now passes by (within 2 cm, and with 20 cm to spare) has gone and is
-forgotten. Points just above the floor are floor. Own derivation.
+where a beam of range l and body direction u ends, x + l R u, with R the attitude. A hit closer than 5 cm to a known
+point confirms that. A point that has not been confirmed for 30 s is forgotten: by then it has gone, or it is far
+behind. (That a beam passes a point by proves nothing: it may graze the edge of a thin post.) Points just above the
+floor are floor. Own derivation.
 """
 
 from __future__ import annotations
@@ -33,6 +34,9 @@ _Array = NDArray[np.float64]
 
 CAPACITY = 160
 """Points remembered; at 5 cm from one another they cover 8 m of contour."""
+
+MEMORY_S = 30.0
+"""How long a point is believed in without being hit again (s)."""
 
 _APART = 0.05
 _FLOOR = 0.12
@@ -100,77 +104,72 @@ def repulsion(ranges: Sequence[float], beams: Ring, threshold: float) -> tuple[f
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """Points that beams have hit, N-E-D (m): the first ``used`` rows; ``following`` is overwritten next."""
+    """Points that beams have hit: in the first ``used`` rows N, E, D (m) and when they were hit last (s)."""
 
     points: _Array
     used: int = 0
-    following: int = 0
 
     @staticmethod
     def empty() -> Memory:
         """Nothing seen yet."""
-        return Memory(np.zeros((CAPACITY, 3)))
+        return Memory(np.zeros((CAPACITY, 4)))
 
 
 @njit(cache=True)
 def _observe(
     old: _Array,
     used: int,
-    following: int,
+    time: float,
     x: _Array,
     attitude: _Array,
     ranges: _Array,
     cos: _Array,
     sin: _Array,
     max_range: float,
-) -> tuple[_Array, int, int]:
+) -> tuple[_Array, int]:
     points = old.copy()
+    k = 0
+    while k < used:
+        if time - points[k, 3] > MEMORY_S:
+            used -= 1
+            points[k] = points[used]
+        else:
+            k += 1
     cr, sr = math.cos(attitude[0]), math.sin(attitude[0])
     cp, sp = math.cos(attitude[1]), math.sin(attitude[1])
     cy, sy = math.cos(attitude[2]), math.sin(attitude[2])
     for i in range(ranges.shape[0]):
-        # Body x and y in N-E-D are the first two columns of the rotation matrix (yaw, pitch, roll).
-        un = cos[i] * cp * cy + sin[i] * (sr * sp * cy - cr * sy)
-        ue = cos[i] * cp * sy + sin[i] * (sr * sp * sy + cr * cy)
-        ud = -cos[i] * sp + sin[i] * sr * cp
         reach = ranges[i]
-        k = 0
-        while k < used:
-            qn, qe, qd = points[k, 0] - x[0], points[k, 1] - x[1], points[k, 2] - x[2]
-            along = qn * un + qe * ue
-            gone = (
-                0.0 < along < reach - 0.2
-                and abs(qn * ue - qe * un) < 0.02
-                and abs(qd - along * ud) < _SAME_HEIGHT
-            )
-            if gone:
-                used -= 1
-                points[k] = points[used]
-                following = used % CAPACITY
-            else:
-                k += 1
         if reach >= max_range or not reach > 0.0:
             continue
-        n, e, d = x[0] + reach * un, x[1] + reach * ue, x[2] + reach * ud
+        # Body x and y in N-E-D are the first two columns of the rotation matrix (yaw, pitch, roll).
+        n = x[0] + reach * (cos[i] * cp * cy + sin[i] * (sr * sp * cy - cr * sy))
+        e = x[1] + reach * (cos[i] * cp * sy + sin[i] * (sr * sp * sy + cr * cy))
+        d = x[2] + reach * (-cos[i] * sp + sin[i] * sr * cp)
         if d > -_FLOOR:
             continue
-        known = False
+        known, oldest = False, 0
         for k in range(used):
             if (
                 math.hypot(points[k, 0] - n, points[k, 1] - e) < _APART
                 and abs(points[k, 2] - d) < _SAME_HEIGHT
             ):
+                points[k, 3] = time
                 known = True
-                break
+            if points[k, 3] < points[oldest, 3]:
+                oldest = k
         if not known:
-            points[following, 0], points[following, 1], points[following, 2] = n, e, d
-            used = max(used, following + 1)
-            following = (following + 1) % CAPACITY
-    return points, used, following
+            if used < CAPACITY:
+                oldest = used
+                used += 1
+            points[oldest, 0], points[oldest, 1], points[oldest, 2], points[oldest, 3] = n, e, d, time
+    return points, used
 
 
-def observe(memory: Memory, beams: Ring, position: _Array, attitude: _Array, ranges: _Array) -> Memory:
-    """Add what the beams hit now to the memory and drop what they pass by.
+def observe(
+    memory: Memory, beams: Ring, time_s: float, position: _Array, attitude: _Array, ranges: _Array
+) -> Memory:
+    """Add what the beams hit now to the memory and drop what has not been hit for long.
 
     Parameters
     ----------
@@ -178,6 +177,8 @@ def observe(memory: Memory, beams: Ring, position: _Array, attitude: _Array, ran
         What was known.
     beams : Ring
         The range ring.
+    time_s : float
+        Now (s).
     position, attitude : (3,) arrays
         N-E-D (m) and roll, pitch, yaw (rad).
     ranges : (n,) array
@@ -187,7 +188,7 @@ def observe(memory: Memory, beams: Ring, position: _Array, attitude: _Array, ran
         *_observe(
             memory.points,
             memory.used,
-            memory.following,
+            time_s,
             position,
             attitude,
             ranges,

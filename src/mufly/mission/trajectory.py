@@ -149,7 +149,7 @@ def straight(
     way = math.hypot(b[0] - a[0], b[1] - a[1])
     turn = _turn(a, b, way, heading, final_heading, nose_offset)
     if way < _SPOT:
-        way = 0.0
+        way, b = 0.0, (a[0], a[1], b[2])
     fall = b[2] - a[2]
     rise = profile(abs(fall), limits.descent if fall > 0.0 else limits.climb, limits.acceleration)
     yaw = profile(abs(turn), limits.yaw_rate, limits.yaw_acceleration)
