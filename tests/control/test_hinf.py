@@ -185,8 +185,8 @@ class TestFaultsAreNamed:
     def test_zero_on_the_axis(self) -> None:
         oscillator = [[0, 2], [-2, 0]]
         P = plant(
-            oscillator, [[1, 0], [0, 0]], [[0], [1]], [[0, 0], [0, 0]], [[1, 0]], np.zeros((2, 2)), [[0], [1]], [[0, 1]],
-            states=["swing", "rate"],
+            oscillator, [[1, 0], [0, 0]], [[0], [1]], np.zeros((2, 2)), [[1, 0]], np.zeros((2, 2)), [[0], [1]],
+            [[0, 1]], states=["swing", "rate"],
         )  # fmt: skip
         with pytest.raises(MuflyError, match=r"invariant zero on the imaginary axis at 2 rad/s"):
             hinfsyn(P, 1, 1)

@@ -192,7 +192,9 @@ def _central(p: _Plant, gamma: float) -> tuple[Array, Array, Array, Array] | Non
         values = np.linalg.eigvalsh(solution)
         if values[0] < -1e-7 * values[-1] - 1e-10:
             return None
-    if n and np.abs(np.linalg.eigvals(X @ Y)).max() >= g2:
+    with np.errstate(over="ignore", invalid="ignore"):
+        product = X @ Y
+    if n and not (np.isfinite(product).all() and np.abs(np.linalg.eigvals(product)).max() < g2):
         return None
     F = -np.linalg.solve(R, Drow.T @ p.C1 + B.T @ X)
     L = -np.linalg.solve(S.T, (p.B1 @ Dcol.T + Y @ C.T).T).T
