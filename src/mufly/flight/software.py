@@ -6,7 +6,7 @@ what to follow:
 
 =========== =========================================================================================
 off         motors and servos at rest
-spin_up     motor inputs rise to 0.85 of hover, too little to lift off; servos at trim
+spin_up     motor inputs rise to 0.9 of hover, too little to lift off; servos at trim
 fly         position cascade (every n-th step), roll-pitch and heave-yaw controllers (every step)
 ramp_down   after touchdown motor inputs fall to zero
 =========== =========================================================================================
@@ -31,7 +31,7 @@ from mufly.vehicle import Vehicle
 
 __all__ = ["FlightSoftware"]
 
-SPIN_UP_SHARE = 0.85
+SPIN_UP_SHARE = 0.9
 
 
 class FlightSoftware:
@@ -137,7 +137,8 @@ class FlightSoftware:
     def _on_the_floor(self, motors: str, m: Measurement) -> Actuators:
         elapsed = m.time_s - self._since_s
         if motors == "spin_up":
-            share = SPIN_UP_SHARE * min(1.0, elapsed / SPIN_UP_S)
+            # Half of the time to rise, half for the slow upper rotor to follow.
+            share = SPIN_UP_SHARE * min(1.0, 2.0 * elapsed / SPIN_UP_S)
             self._motor_input = np.minimum(
                 share * self._controller.motor_trim * self._controller.voltage_V / m.battery_voltage, 1.0
             )

@@ -13,7 +13,7 @@ from mufly.mission.trajectory import Trajectory, curved, straight
 
 __all__ = ["Leg", "above_start", "leg_trajectory", "legs"]
 
-SPIN_UP_S = 1.5
+SPIN_UP_S = 3.0
 """Time that the rotors take to speed up before lift-off (s)."""
 
 SLOW_FROM_M = 0.4
