@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import ModuleType
 
 import numpy as np
@@ -76,10 +77,10 @@ def test_pitch_step_rails_the_servo_and_recovers(
     assert np.abs(flight.attitude[late, 1] + 0.1).max() < 0.006
 
 
-def test_no_windup_after_saturation(
+def test_a_tilt_that_rails_the_servos_ends_like_a_small_one(
     vehicle: Vehicle, controller: FlightController, closed_loop: ModuleType
 ) -> None:
-    """A tilt that rails the servos, and back, ends like a small one that does not: nothing is left in the controller."""
+    """0.1 rad at once (the size of Fig 6.12) and back: both edges rail the servo, and nothing is left of it."""
 
     def response(size: float):  # type: ignore[no-untyped-def]
         flight = closed_loop.fly(
@@ -91,12 +92,31 @@ def test_no_windup_after_saturation(
         return flight, -flight.attitude[:, 1] / size
 
     small, linear = response(0.01)
-    large, saturated = response(0.3)
+    large, saturated = response(0.1)
     assert np.abs(small.servo).max() < 0.5
     assert np.abs(large.servo).max() == pytest.approx(1.0)
-    assert saturated.max() < linear.max() + 0.1
-    assert saturated.min() > linear.min() - 0.1
-    assert np.abs(saturated - linear)[large.time > 1.4].max() < 0.03
+    assert saturated.max() < linear.max() + 0.03
+    assert saturated.min() > linear.min() - 0.03
+
+
+def test_anti_windup_of_heave(
+    vehicle: Vehicle, controller: FlightController, closed_loop: ModuleType
+) -> None:
+    """A raw step, past the reference filter, rails the motors; without the anti-windup it overshoots far more."""
+    overshoot = []
+    for share in (1.0, 0.0):
+        gains = controller.heave_yaw_gains.copy()
+        gains["M"] *= share
+        gains["heave_acceleration"] = gains["heave_speed"] = 1e3
+        gains["heave_bandwidth"] = 100.0
+        raw = replace(controller, heave_yaw_gains=gains)
+        flight = closed_loop.fly(
+            vehicle, raw, lambda t: closed_loop.Reference(position=(0.0, 0.0, -1.5)), 8.0, charge=1.0
+        )
+        assert flight.railed() > 0.3
+        assert np.abs(flight.attitude[:, :2]).max() < 0.01
+        overshoot.append(-1.5 - flight.position[:, 2].min())
+    assert overshoot[0] < 0.7 * overshoot[1]
 
 
 @pytest.mark.parametrize("heading", [0.0, 2.0])
