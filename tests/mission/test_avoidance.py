@@ -126,6 +126,13 @@ def test_a_post_between_two_beams_is_seen_by_scanning(rig):
     assert flight.clearance > KEPT_M
 
 
+def test_a_goal_as_near_to_a_wall_as_is_allowed(rig):
+    box = [{"centre_m": [2, 0, -1], "size_m": [0.6, 0.6, 2]}]
+    flight = rig.fly(to(4, 0, -1, box=box, wall=[wall([4.541, -3], [4.541, 3])]))
+    assert arrived(flight, (4, 0, -1))
+    assert flight.clearance > KEPT_M
+
+
 def test_without_avoidance_it_flies_into_the_box(rig):
     box = [{"centre_m": [2, 0, -1], "size_m": [0.6, 0.6, 2]}]
     flight = rig.fly(to(4, 0, -1, box=box, avoidance={"enabled": False}))

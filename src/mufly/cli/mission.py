@@ -62,7 +62,7 @@ def list_missions(as_json: _Json = False) -> None:
 def show(mission: _Mission = "demonstration", as_json: _Json = False, toml: _Toml = False) -> None:
     """Show the waypoints of a mission, how long the way is, and when each is reckoned to be reached.
 
-    Times are those of the reference trajectories, one second for settling at each waypoint included; going around an
+    Times are those of the reference trajectories, with one second for settling at each waypoint; going around an
     obstacle takes longer.
     """
     from mufly.mission import dump_mission, load_mission

@@ -14,7 +14,7 @@ Stepanov 1987; Kamon, Rimon and Rivlin 1998):
 - Whatever is wanted, the approach to every seen point i is limited: -v.n_i <= lambda (d_i - c), which lets the
   distance to it fall no faster than exponentially towards c (a control barrier).
 - It leaves the contour when it is nearer to the goal than where it met the obstacle and no seen point lies within c
-  plus 10 cm of the next 1.5 m of the straight way; that progress is what makes Bug algorithms arrive. The first two
+  plus 8 cm of the next 1.5 m of the straight way; that progress is what makes Bug algorithms arrive. The first two
   times on a leg it also leaves, wherever it is, when the whole way to the goal is that clear. After a whole lap it
   leaves at the place nearest to the goal that the lap came by.
 - Where the goal itself is too near to a seen point it keeps away and waits. After a stated time it gives up.
@@ -36,7 +36,7 @@ __all__ = ["BRAKE_M_S2", "Detour", "begin_detour", "go_round"]
 BRAKE_M_S2 = 1.0
 """Acceleration that avoiding an obstacle may ask for: a tilt of 6 degrees."""
 
-LEAVE_M, FOLLOW_M, KEEP_M = 0.10, 0.15, 0.06
+LEAVE_M, FOLLOW_M, KEEP_M = 0.08, 0.15, 0.06
 """Added to the clearance: a way this far from all points is clear; distance to follow a contour at; distance that is
 approached only exponentially. They cover the 5 cm between remembered points and the lag of the position loop."""
 
