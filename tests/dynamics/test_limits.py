@@ -59,6 +59,16 @@ def test_bar_follows_a_held_mast_as_tan_half_angle(vehicle) -> None:
         )
 
 
+def test_unit_vectors_stay_unit(vehicle, random_state) -> None:
+    x = random_state(np.random.default_rng(2))
+    x[6:10] *= 1.01
+    x[15:18] *= 0.99
+    for steps in (1, 3000):
+        advance(x, np.array([0.7, 0.7, 0.3, -0.2]), CALM, model_parameters(vehicle), 1e-3, steps)
+        assert np.linalg.norm(x[6:10]) == pytest.approx(1.0, abs=1e-15)
+        assert np.linalg.norm(x[15:18]) == pytest.approx(1.0, abs=1e-15)
+
+
 def test_bar_does_not_turn_with_the_heading(vehicle) -> None:
     # Errata, point 3: eq. 4.22 would let the bar's tilt turn with the fuselage.
     slow = replace(vehicle, {"stabiliser_bar.time_constant": 1e8})

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import simpson
 
 from mufly.dynamics import hover_performance, model_parameters, trim
 from mufly.errors import MuflyError
@@ -39,3 +40,12 @@ def test_hover_on_a_half_full_battery(vehicle) -> None:
 def test_what_cannot_hover_has_no_performance(vehicle) -> None:
     with pytest.raises(MuflyError, match="too heavy"):
         hover_performance(replace(vehicle, {"body.mass": 0.2}))
+
+
+def test_endurance_is_the_integral_over_the_charge(vehicle) -> None:
+    # Lowest voltage out of the way, so that the whole charge is used: Simpson's rule on a finer grid.
+    v = replace(vehicle, {"battery.low_voltage": 3.0})
+    charges = np.linspace(0, 1, 101)
+    seconds = [900.0 / trim(v, charge=c).current_A for c in charges]
+    assert hover_performance(v).endurance_s == pytest.approx(simpson(seconds, x=charges), rel=1e-3)
+    assert hover_performance(vehicle).endurance_s < hover_performance(v).endurance_s
