@@ -23,7 +23,7 @@ from mufly.control.gains import (
     pack,
 )
 from mufly.control.hinf import HinfResult, hinfsyn
-from mufly.control.linear import singular_values, state_space
+from mufly.control.linear import frequency_response, singular_values, state_space
 from mufly.control.published import HEAVE_YAW, ROLL_PITCH, VELOCITY, PublishedDesign
 from mufly.control.reduction import reduce_controller
 from mufly.control.result import Design, FlightController
@@ -222,6 +222,17 @@ def design_velocity(settings: Settings, period_s: float) -> Design:
         raise _named("velocity", "one-degree scheme", error) from None
 
 
+def _reference_lags(heave_yaw: Design) -> tuple[float, float]:
+    """Time (s) by which height and heading trail a reference of constant rate: phase lag over a low frequency."""
+    frequency = np.array([0.05])
+    sampled = sample_plant(heave_yaw.plant, heave_yaw.discrete.period_s, 1)
+    g = frequency_response(sampled, frequency)[0]
+    k = frequency_response(heave_yaw.discrete.system(), frequency)[0]
+    response = np.linalg.solve(np.eye(g.shape[0]) + g @ k[:, 2:], g @ k[:, :2])
+    z, psi = (max(0.0, float(-np.angle(response[i, i]) / frequency[0])) for i in (0, 1))
+    return z, psi
+
+
 def _heave_acceleration(vehicle: Vehicle, linear: Linearisation, settings: Settings) -> float:
     """Acceleration (m/s2) of a heave reference that the motors follow, with the battery run down and sagging.
 
@@ -302,6 +313,7 @@ def design(
     motor = np.asarray(linear.trim.motor_input, dtype=float)
     volts = float(linear.trim.voltage_V)
     lower_upper = motor[::-1].copy()
+    lags = _reference_lags(heave_yaw)
     acceleration = _heave_acceleration(vehicle, linear, s)
     return FlightController(
         vehicle_name=vehicle.name,
@@ -324,9 +336,11 @@ def design(
             heave_bandwidth=s.reference_bandwidth,
             heave_acceleration=acceleration,
             heave_speed=s.heave_speed,
+            heave_lead=s.reference_lead * lags[0],
             yaw_bandwidth=s.reference_bandwidth,
             yaw_acceleration=s.yaw_acceleration,
             yaw_rate=s.yaw_rate,
+            yaw_lead=s.reference_lead * lags[1],
         ),
         roll_pitch_gains=pack(
             ROLL_PITCH_GAINS,

@@ -49,9 +49,11 @@ HEAVE_YAW_GAINS = np.dtype(
         ("heave_bandwidth", _f8),  # rad/s, of the reference filter
         ("heave_acceleration", _f8),  # m/s2
         ("heave_speed", _f8),  # m/s
+        ("heave_lead", _f8),  # s, by which the reference runs ahead to make up for the loop's lag
         ("yaw_bandwidth", _f8),  # rad/s
         ("yaw_acceleration", _f8),  # rad/s2
         ("yaw_rate", _f8),  # rad/s
+        ("yaw_lead", _f8),  # s
     ]
 )
 ROLL_PITCH_GAINS = np.dtype(

@@ -3,11 +3,11 @@
 Each controller is ``u = C x + D e``, ``x+ = A x + B e + M (sat(u) - u)`` (:mod:`mufly.control.discretise`).
 
 Heave-yaw. The reference passes a second-order filter whose acceleration and speed are limited to what the motors can
-give, so that a step does not rail them; a reference that comes with its rate and stays within the limits passes
-unchanged but for ``acceleration / bandwidth^2``. The command is a voltage, as a fraction of the design voltage: what
-the battery has left bounds it, ``[0, U/U_design]``, and the motor input is command over that bound. Where both
-motors cannot have what they ask for, yaw goes first: the difference of the two is kept, their mean
-gives way. Otherwise a rail in heave would spin the fuselage.
+give, so that a step does not rail them. A reference that comes with its rate and stays within the limits passes
+unchanged but for ``acceleration / bandwidth^2``, and is set ahead by its rate times the lag of the closed loop. The
+command is a voltage, as a fraction of the design voltage: what the battery has left bounds it, ``[0, U/U_design]``, and
+the motor input is command over that bound. Where both motors cannot have what they ask for, yaw goes first: the
+difference of the two is kept, their mean gives way. Otherwise a rail in heave would spin the fuselage.
 
 Roll-pitch. Tilt references are limited; servos saturate one by one.
 
@@ -139,7 +139,11 @@ def heave_yaw_step(gains, state, reference, measurement, voltage):  # type: igno
     top = new[VOLTAGE] / gains.design_voltage
 
     e = np.empty(5)
-    e[0], e[1] = new[SHAPED_Z] - new[ORIGIN_Z], new[SHAPED_PSI] - new[ORIGIN_PSI]
+    # Lead only on the rate that the reference itself brings: a bare step must not be sharpened.
+    climb = _clip(new[SHAPED_W], min(reference[2], 0.0), max(reference[2], 0.0))
+    turn = _clip(new[SHAPED_R], min(reference[3], 0.0), max(reference[3], 0.0))
+    e[0] = new[SHAPED_Z] + gains.heave_lead * climb - new[ORIGIN_Z]
+    e[1] = new[SHAPED_PSI] + gains.yaw_lead * turn - new[ORIGIN_PSI]
     e[2], e[3], e[4] = new[ORIGIN_Z] - measurement[0], new[ORIGIN_PSI] - measurement[1], -measurement[2]
     u = np.empty(2)
     _output(gains, state, e, u)

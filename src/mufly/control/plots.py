@@ -97,8 +97,7 @@ def draw_plant(design: Design) -> Figure:
 def _curves(design: Design, controller: control.StateSpace) -> LoopCurves:
     dt = controller.dt or 0.0
     if dt:
-        nyquist = np.pi / dt
-        frequency = _FREQUENCY[_FREQUENCY < nyquist]
+        frequency = _FREQUENCY[: int(np.searchsorted(_FREQUENCY, np.pi / dt))]
         return loop_curves(sample_plant(design.plant, dt, 1), design.feedback(controller), frequency)
     return loop_curves(design.plant, design.feedback(controller), _FREQUENCY)
 

@@ -74,6 +74,8 @@ class Settings:
         Share of the acceleration then available that a heave reference may ask for.
     heave_acceleration_max, heave_speed : float
         Upper bounds of a heave reference's acceleration and speed, m/s2, m/s, whatever the motors could give.
+    reference_lead : float
+        Share of the loops' lag behind a reference of constant rate that is made up for.
     yaw_acceleration, yaw_rate : float
         Bounds of a yaw reference, rad/s2, rad/s.
     voltage_filter : float
@@ -95,9 +97,10 @@ class Settings:
     command_tilt_limit: float = 0.35
     reference_bandwidth: float = 8.0
     planning_charge: float = 0.3
-    heave_share: float = 0.4
+    heave_share: float = 0.37
     heave_acceleration_max: float = 1.5
     heave_speed: float = 1.0
+    reference_lead: float = 1.0
     yaw_acceleration: float = 8.0
     yaw_rate: float = 2.0
     voltage_filter: float = 0.05
