@@ -23,9 +23,10 @@ from mufly.control.gains import (
     pack,
 )
 from mufly.control.hinf import HinfResult, hinfsyn
-from mufly.control.linear import frequency_response, singular_values, state_space
+from mufly.control.linear import singular_values, state_space
 from mufly.control.published import HEAVE_YAW, ROLL_PITCH, VELOCITY, PublishedDesign
 from mufly.control.reduction import reduce_controller
+from mufly.control.reference import heave_acceleration, reference_lags
 from mufly.control.result import Design, FlightController
 from mufly.control.schemes import (
     Scaling,
@@ -35,7 +36,7 @@ from mufly.control.schemes import (
     unscale_controller,
 )
 from mufly.control.settings import Settings, heave_yaw_scaling, roll_pitch_scaling
-from mufly.dynamics import GRAVITY, Linearisation, battery_state, linearise, model_parameters
+from mufly.dynamics import GRAVITY, Linearisation, linearise
 from mufly.errors import InputError, MuflyError
 from mufly.vehicle import Vehicle
 
@@ -222,38 +223,6 @@ def design_velocity(settings: Settings, period_s: float) -> Design:
         raise _named("velocity", "one-degree scheme", error) from None
 
 
-def _reference_lags(heave_yaw: Design) -> tuple[float, float]:
-    """Time (s) by which height and heading trail a reference of constant rate: phase lag over a low frequency."""
-    frequency = np.array([0.05])
-    sampled = sample_plant(heave_yaw.plant, heave_yaw.discrete.period_s, 1)
-    g = frequency_response(sampled, frequency)[0]
-    k = frequency_response(heave_yaw.discrete.system(), frequency)[0]
-    response = np.linalg.solve(np.eye(g.shape[0]) + g @ k[:, 2:], g @ k[:, :2])
-    z, psi = (max(0.0, float(-np.angle(response[i, i]) / frequency[0])) for i in (0, 1))
-    return z, psi
-
-
-def _heave_acceleration(vehicle: Vehicle, linear: Linearisation, settings: Settings) -> float:
-    """Acceleration (m/s2) of a heave reference that the motors follow, with the battery run down and sagging.
-
-    A step of ``du`` on both motors ends in ``per_input * du``; ``du`` is what the battery's voltage at full input, with
-    ``planning_charge`` left, has above hover. The motors' lag asks for several times the input at the start of a climb
-    that its end needs, hence ``heave_share``.
-    """
-    plant = linear.heave_yaw
-    states = list(plant.state_labels)
-    motors = [states.index("Omega_dw"), states.index("Omega_up")]
-    gain = -np.linalg.solve(plant.A[np.ix_(motors, motors)], plant.B[motors])  # rotor speed per input
-    per_input = plant.A[states.index("w"), motors] @ gain
-    state = linear.trim.state.copy()
-    state[20] = settings.planning_charge
-    sagged = float(battery_state(state, 1.0, 1.0, model_parameters(vehicle))[0])
-    lower_upper = linear.trim.motor_input[::-1]
-    headroom = np.maximum(sagged / linear.trim.voltage_V - lower_upper, 0.0)
-    available = abs(float(per_input @ headroom))
-    return float(np.clip(settings.heave_share * available, 0.1, settings.heave_acceleration_max))
-
-
 def design(
     vehicle: Vehicle,
     *,
@@ -313,8 +282,8 @@ def design(
     motor = np.asarray(linear.trim.motor_input, dtype=float)
     volts = float(linear.trim.voltage_V)
     lower_upper = motor[::-1].copy()
-    lags = _reference_lags(heave_yaw)
-    acceleration = _heave_acceleration(vehicle, linear, s)
+    lags = reference_lags(heave_yaw)
+    acceleration = heave_acceleration(vehicle, linear, s)
     return FlightController(
         vehicle_name=vehicle.name,
         rate_Hz=rate,
