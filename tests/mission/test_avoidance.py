@@ -143,27 +143,27 @@ def test_without_avoidance_it_flies_into_the_box(rig):
 def test_an_obstacle_that_comes_near_a_hover_pushes_it_away_and_it_comes_back(rig):
     from mufly.world import Box, World
 
-    mission = mission_from({"waypoint": [{"position_m": [1.0, 0.0, -1.0], "wait_s": 80.0}]})
+    mission = mission_from({"waypoint": [{"position_m": [1.0, 0.0, -1.0], "wait_s": 85.0}]})
     someone = World((Box((1.5, 0.0, -1.0), (0.4, 0.4, 2.0)),))
 
     class Visit:
-        """Somebody stands 0.3 m away between 20 s and 40 s."""
+        """Somebody stands 0.3 m away between 30 s and 50 s."""
 
         now = World()
 
     visit = Visit()
 
     def push(t):
-        visit.now = someone if 20.0 < t < 40.0 else World()
+        visit.now = someone if 30.0 < t < 50.0 else World()
         return np.zeros(3)
 
-    flight = rig.fly(mission, disturb=push, world=lambda: visit.now, limit_s=110.0)
+    flight = rig.fly(mission, disturb=push, world=lambda: visit.now, limit_s=130.0)
     t, x, _ = flight.arrays()
     states = np.array(flight.states)
-    assert (states[(t > 20.1) & (t < 21.0)] == "obstacle").any()
-    assert np.linalg.norm(x[np.searchsorted(t, 39.0)][:2] - [1.0, 0.0]) > 0.15
-    assert states[np.searchsorted(t, 80.0)] == "hover"
-    np.testing.assert_allclose(x[np.searchsorted(t, 80.0)], [1.0, 0.0, -1.0], atol=0.02)
+    assert (states[(t > 30.1) & (t < 31.0)] == "obstacle").any()
+    assert np.linalg.norm(x[np.searchsorted(t, 49.0)][:2] - [1.0, 0.0]) > 0.15
+    assert states[np.searchsorted(t, 88.0)] == "hover"
+    np.testing.assert_allclose(x[np.searchsorted(t, 88.0)], [1.0, 0.0, -1.0], atol=0.02)
     assert flight.state.outcome == "succeeded"
 
 

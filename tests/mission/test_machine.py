@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mufly.mission import Command, State, begin, load_mission, mission_from, step
+from mufly.mission.plan import SPIN_UP_S
 from mufly.sensors import Measurement
 
 SQUARE = load_mission("demonstration")
@@ -132,7 +133,7 @@ def test_take_off_that_gets_stuck_half_way_lands(rig):
 
 def test_a_waypoint_that_cannot_be_reached_fails_the_mission(rig):
     def storm(t):
-        return np.array([0.0, 8.0, 0.0]) if t > 8.0 else np.zeros(3)
+        return np.array([0.0, 8.0, 0.0]) if t > SPIN_UP_S + 6.5 else np.zeros(3)
 
     flight = rig.fly(HOP, disturb=storm)
     assert flight.state.outcome == "failed"
@@ -142,22 +143,24 @@ def test_a_waypoint_that_cannot_be_reached_fails_the_mission(rig):
     assert settled == pytest.approx(2.0, abs=0.1)
 
 
-@pytest.mark.parametrize("when", [3.0, 9.0, 12.0, 20.0])
+@pytest.mark.parametrize("when", [1.5, 7.5, 10.5, 18.5])
 def test_battery_low_lands_from_any_flying_state(rig, when):
-    flight = rig.fly(SQUARE, voltage=lambda t: 7.4 if t < when else 5.9)
+    flight = rig.fly(SQUARE, voltage=lambda t: 7.4 if t < SPIN_UP_S + when else 5.9)
     assert flight.state.outcome == "failed"
     assert flight.state.reason.startswith("battery low: ")
-    assert 1.0 < after(flight, State.LANDING) - when < 3.0
+    assert 1.0 < after(flight, State.LANDING) - SPIN_UP_S - when < 3.0
     assert flight.visited[-1] == "init"
 
 
 def test_a_short_sag_of_the_battery_is_ignored(rig):
-    flight = rig.fly(HOP, voltage=lambda t: 5.5 if 7.0 < t < 7.4 else 7.4)
+    flight = rig.fly(HOP, voltage=lambda t: 5.5 if SPIN_UP_S + 5.5 < t < SPIN_UP_S + 5.9 else 7.4)
     assert flight.state.outcome == "succeeded"
 
 
 def test_land_signal(rig):
-    flight = rig.fly(SQUARE, signals=lambda t, s: Command(start=t < 0.2, land=15.0 < t < 15.03))
+    flight = rig.fly(
+        SQUARE, signals=lambda t, s: Command(start=t < 0.2, land=SPIN_UP_S + 13.5 < t < SPIN_UP_S + 13.53)
+    )
     assert flight.visited[-3:] == ["landing", "landing", "init"]
     assert flight.state.outcome == "failed"
     assert flight.state.reason == "land signal with 4 waypoints to go"
@@ -184,7 +187,9 @@ def test_users_waypoint_suspends_the_mission_and_start_resumes_it(rig):
 
 @pytest.mark.parametrize("where", [(0.0, 0.0, 0.5), (math.nan, 0.0, -1.0), (0.0, 0.0, -0.1)])
 def test_an_impossible_waypoint_is_refused(rig, where):
-    signals = lambda t, s: Command(start=t < 0.2, waypoint=where if 7.0 < t < 7.1 else None)  # noqa: E731
+    def signals(t, s):
+        return Command(start=t < 0.2, waypoint=where if s.state is State.WAYPOINT else None)
+
     flight = rig.fly(HOP, signals=signals)
     assert flight.state.outcome == "succeeded"
     assert sum("refused" in e.text for e in flight.state.events) == 1
@@ -212,9 +217,9 @@ def test_rc_in_flight_and_back(rig):
 
 def test_rc_from_the_floor_and_back_to_it(rig):
     def signals(t, s):
-        return Command(rc=t < 12.0, climb=0.3 if 1.0 < t < 5.0 else -0.2)
+        return Command(rc=t < SPIN_UP_S + 11.0, climb=0.3 if 1.0 < t < SPIN_UP_S + 3.5 else -0.2)
 
-    flight = rig.fly(HOP, signals=signals, limit_s=20.0)
+    flight = rig.fly(HOP, signals=signals, limit_s=SPIN_UP_S + 18.0)
     motors = [a for a, b in pairwise([*(r.motors for r in flight.reference), None]) if a != b]
     assert motors == ["off", "spin_up", "fly", "ramp_down", "off"]
     assert min(x[2] for x in flight.position) < -0.4
