@@ -119,6 +119,11 @@ def test_faults_are_named(tables, key, words):
     assert "\n" not in message
 
 
+def test_a_misspelt_key_is_one_fault():
+    with pytest.raises(InputError, match=r"did you mean 'position_m'\?$"):
+        mission_from({"waypoint": [{"position": [1.0, 0.0, -1.0]}]})
+
+
 def test_several_faults_are_counted():
     with pytest.raises(InputError, match=r"\(1 more fault in this file\)"):
         mission_from({**waypoint(wait_s=-1.0), "limits": {"climb_m_s": -1.0}})

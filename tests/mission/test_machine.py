@@ -204,7 +204,7 @@ def test_rc_in_flight_and_back(rig):
     flight = rig.fly(SQUARE, signals=signals)
     t, x, _ = flight.arrays()
     hand = (t > 10.1) & (t < 14.9)
-    assert set(np.array(flight.states)[hand]) == {"RC"}
+    assert set(np.array(flight.states)[hand]) == {"rc"}
     references = [r for r, h in zip(flight.reference, hand, strict=True) if h]
     assert all(r.rc and r.roll == 0.02 and r.motors == "fly" for r in references)
     assert references[-1].heading - references[0].heading == pytest.approx(0.2 * 4.78, abs=0.02)

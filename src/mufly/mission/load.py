@@ -159,8 +159,11 @@ def _first_fault(error: ValidationError, where: str) -> InputError:
         problem, remedy = f"{_shown(given)} is not a table", "write its keys under it"
     else:
         problem, remedy = f"{_shown(given)} is wrong ({fault['msg']})", "correct the value"
-    if len(faults) > 1:
-        remedy += f" ({len(faults) - 1} more fault{'s' if len(faults) > 2 else ''} in this file)"
+    # A key missing beside an unknown one is the same fault, not another.
+    same = sum(f["type"] == "missing" and f["loc"][:-1] == fault["loc"][:-1] for f in faults)
+    more = len(faults) - 1 - (same if fault["type"] == "extra_forbidden" else 0)
+    if more > 0:
+        remedy += f" ({more} more fault{'s' if more > 1 else ''} in this file)"
     return InputError(where, key, problem, remedy)
 
 

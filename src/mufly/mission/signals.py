@@ -46,7 +46,7 @@ class State(StrEnum):
     WAYPOINT = "waypoint"
     OBSTACLE = "obstacle"
     LANDING = "landing"
-    RC = "RC"
+    RC = "rc"
 
 
 @dataclass(frozen=True, slots=True)
