@@ -81,7 +81,8 @@ def design(
     c = controller.cascade
     console.print(
         f"Position cascade with the real attitude loop: S {c.sensitivity_peak_dB:.2f} dB, "
-        f"T {c.complementary_peak_dB:.2f} dB, phase margin {c.phase_margin_deg:.0f} deg, delay margin {1e3 * c.delay_margin_s:.0f} ms",
+        f"T {c.complementary_peak_dB:.2f} dB, phase margin {c.phase_margin_deg:.0f} deg, "
+        f"delay margin {1e3 * c.delay_margin_s:.0f} ms",
         highlight=False,
     )
     for text in controller.warnings:
