@@ -249,3 +249,11 @@ def test_unreachable_height_is_refused(vehicle) -> None:
     high = mission_from({"name": "high", "waypoint": [{"position_m": [0.0, 0.0, -500.0]}]})
     with pytest.raises(mufly.InputError, match=r"waypoint\[1\]"):
         fly(vehicle, high)
+
+
+def test_quick_parts_get_shorter_steps_and_absurd_ones_are_refused(vehicle) -> None:
+    hop = mission_from({"name": "hop", "waypoint": [{"position_m": [0.0, 0.0, -1.0]}]})
+    quick = replace(vehicle, {"swash_plate.time_constant": 2e-4})
+    assert fly(quick, hop).attrs["outcome"] == "succeeded"
+    with pytest.raises(mufly.MuflyError, match="too short to simulate"):
+        fly(replace(vehicle, {"swash_plate.time_constant": 1e-6}), hop)

@@ -14,6 +14,7 @@ from mufly.dynamics import (
     advance,
     battery_state,
     euler_from_quaternion,
+    longest_step,
     lowest_point,
     model_parameters,
 )
@@ -24,6 +25,8 @@ from mufly.vehicle import Vehicle
 from mufly.world import World, distance
 
 __all__ = ["Plant"]
+
+SHORTEST_STEP_S = 1e-5
 
 
 class Plant:
@@ -53,7 +56,13 @@ class Plant:
         self.voltage, self.current = battery_state(self.state, 0.0, 0.0, self.parameters)
         self.crashed = ""
         self._air = _stream(air, max(1, round(rate_Hz)))
-        self._steps = math.ceil(1.0 / rate_Hz / DEFAULT_STEP_S - 1e-9)
+        longest = min(DEFAULT_STEP_S, longest_step(self.parameters))
+        if longest < SHORTEST_STEP_S:
+            raise MuflyError(
+                f"{vehicle.name}: its fastest mode needs steps of {longest * 1e6:.2g} us, too short to simulate a "
+                "flight; `mufly vehicle check` names the part (legs too stiff, or swash plate too quick?)"
+            )
+        self._steps = math.ceil(1.0 / rate_Hz / longest - 1e-9)
         self._step_s = 1.0 / rate_Hz / self._steps
         self._directions = beam_directions(vehicle)
         self._ring = vehicle.range_ring
@@ -105,8 +114,8 @@ class Plant:
         self.ticks += 1
         if not math.isfinite(self.state[2]):
             raise MuflyError(
-                f"the simulation became unstable at {self.time_s:.3f} s; the vehicle's fastest mode is too fast for "
-                f"steps of {self._step_s * 1e3:g} ms (legs too stiff, or swash plate too quick?)"
+                f"the simulation became unstable at {self.time_s:.3f} s with steps of {self._step_s * 1e3:g} ms; "
+                "check the vehicle's parameters with `mufly vehicle check`"
             )
 
 

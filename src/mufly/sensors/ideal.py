@@ -1,7 +1,7 @@
 """Ideal sensors: the truth, sampled. Real ones with noise, delay and clipping take their place one by one.
 
 The ring of beams (Fig. 6.18) turns and tilts with the fuselage: beam ``i`` of ``n`` points along
-``alpha_i = alpha_0 + 2 pi i / n`` from x towards y, in the x-y plane of the body (eq. 6.15 for eight beams).
+``alpha_i = alpha_0 + 2 pi i / n`` from x towards y, in the x-y plane of the body.
 """
 
 from __future__ import annotations
