@@ -66,13 +66,15 @@ class Controllers:
         self._position = position_initial(design.position_gains)
 
     def engage(self, measured: Measurement, motor_input: _Array) -> None:
-        """Take over without a bump from motors that run at ``motor_input`` (upper, lower)."""
-        design = self._design
+        """Let heave-yaw take over, without a bump, from motors that run at ``motor_input`` (upper, lower)."""
         self._heave_yaw = heave_yaw_initial(
-            design.heave_yaw_gains, _heave_yaw(measured), motor_input, measured.battery_voltage
+            self._design.heave_yaw_gains, _heave_yaw(measured), motor_input, measured.battery_voltage
         )
-        self._roll_pitch = roll_pitch_initial(design.roll_pitch_gains, _roll_pitch(measured))
-        self._position = position_initial(design.position_gains)
+
+    def lift_off(self, measured: Measurement) -> None:
+        """Let roll-pitch and position take over, from neutral servos."""
+        self._roll_pitch = roll_pitch_initial(self._design.roll_pitch_gains, _roll_pitch(measured))
+        self._position = position_initial(self._design.position_gains)
 
     def tilt_for(
         self, measured: Measurement, position: _Array, velocity: _Array, acceleration: _Array
@@ -102,24 +104,27 @@ class Controllers:
         )
         return tilt
 
-    def step(self, measured: Measurement, heave_yaw: _Array, tilt: _Array) -> Actuators:
-        """Advance roll-pitch and heave-yaw by one period.
+    def step(self, measured: Measurement, heave_yaw: _Array, tilt: _Array | None) -> Actuators:
+        """Advance heave-yaw, and roll-pitch unless ``tilt`` is None, by one period.
 
         Parameters
         ----------
         measured : Measurement
         heave_yaw : (4,) array
             References: z (m, down), psi (rad, continuous) and their rates.
-        tilt : (2,) array
-            References: roll, pitch (rad).
+        tilt : (2,) array or None
+            References: roll, pitch (rad). None leaves the servos neutral: on its legs the helicopter cannot tilt,
+            and a controller that tries winds up.
 
         Returns
         -------
         Actuators
         """
-        servo, self._roll_pitch = roll_pitch_step(
-            self._design.roll_pitch_gains, self._roll_pitch, tilt, _roll_pitch(measured)
-        )
+        servo: _Array = np.zeros(2)
+        if tilt is not None:
+            servo, self._roll_pitch = roll_pitch_step(
+                self._design.roll_pitch_gains, self._roll_pitch, tilt, _roll_pitch(measured)
+            )
         motor, self._heave_yaw = heave_yaw_step(
             self._design.heave_yaw_gains,
             self._heave_yaw,

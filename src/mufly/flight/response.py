@@ -84,6 +84,7 @@ def respond(
     recorder = Recorder(None, {"vehicle": vehicle.name, "rate_Hz": controller.rate_Hz})
     write = row_writer(recorder, plant)
     controllers.engage(plant.measure(), hover.motor_input)
+    controllers.lift_off(plant.measure())
     pending = Actuators(hover.motor_input, hover.servo_input)
     zero = np.zeros(3)
     for _ in range(round(duration_s * controller.rate_Hz) + 1):

@@ -7,7 +7,7 @@ what to follow:
 =========== =========================================================================================
 off         motors and servos at rest
 spin_up     motor inputs rise to 0.9 of hover, too little to lift off; servos at trim
-fly         position cascade (every n-th step), roll-pitch and heave-yaw controllers (every step)
+fly         heave-yaw controller; from 2 cm above the floor also roll-pitch and, every n-th step, position
 ramp_down   after touchdown motor inputs fall to zero
 =========== =========================================================================================
 
@@ -32,6 +32,7 @@ from mufly.vehicle import Vehicle
 __all__ = ["FlightSoftware"]
 
 SPIN_UP_SHARE = 0.9
+LIFT_OFF_M = 0.02
 
 
 class FlightSoftware:
@@ -66,6 +67,7 @@ class FlightSoftware:
         self._motor_input: NDArray[np.floating[Any]] = np.zeros(2)
         self._tilt: NDArray[np.floating[Any]] = np.zeros(2)
         self._controllers = Controllers(controller)
+        self._floor, self._lifted = 0.0, False
 
     @property
     def state(self) -> str:
@@ -131,6 +133,7 @@ class FlightSoftware:
         """Engage or release the controllers without a bump."""
         if motors == "fly":
             self._controllers.engage(m, self._motor_input)
+            self._floor, self._lifted = float(m.position[2]), False
         self._motors, self._since_s = motors, m.time_s
         self._released = self._motor_input
 
@@ -150,13 +153,18 @@ class FlightSoftware:
         return Actuators(self._motor_input, np.zeros(2))
 
     def _fly(self, r: Reference, m: Measurement, late_s: float) -> Actuators:
-        if r.rc:
+        if not self._lifted and m.position[2] < self._floor - LIFT_OFF_M:
+            self._lifted = True
+            self._controllers.lift_off(m)
+        if not self._lifted:
+            self._tilt = np.zeros(2)
+        elif r.rc:
             self._tilt = np.array([r.roll, r.pitch])
         elif late_s == 0.0:
             self._tilt = self._controllers.tilt_for(m, r.position, r.velocity, r.acceleration)
         down, turn = float(r.velocity[2]), r.heading_rate
         heave_yaw = np.array([r.position[2] + late_s * down, r.heading + late_s * turn, down, turn])
-        actuators = self._controllers.step(m, heave_yaw, self._tilt)
+        actuators = self._controllers.step(m, heave_yaw, self._tilt if self._lifted else None)
         self._motor_input = actuators.motor_input
         return actuators
 
