@@ -11,7 +11,7 @@ from pydantic import BaseModel
 
 from mufly.errors import InputError
 from mufly.mission import Mission, builtin_missions, dump_mission, load_mission, mission_from
-from mufly.mission.load import _inner_model
+from mufly.tables import inner_model
 
 GOOD = {"waypoint": [{"position_m": [1.0, 0.0, -1.0], "wait_s": 1.0}, {"position_m": [1.0, 2.0, -1.5]}]}
 DOCS = Path(__file__).parents[2] / "docs" / "missions.md"
@@ -154,10 +154,10 @@ def test_a_file_without_a_name_is_called_after_itself(tmp_path):
 
 def every_key(model: type[BaseModel] = Mission):
     for name, field in model.model_fields.items():
-        inner = _inner_model(field.annotation)
+        inner = inner_model(field.annotation)
         if inner is None and field.annotation is not None:
             for kind in getattr(field.annotation, "__args__", ()):
-                inner = inner or _inner_model(kind)
+                inner = inner or inner_model(kind)
         if inner is not None:
             yield name
             yield from every_key(inner)

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import difflib
-import tomllib
 from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import tomli_w
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from mufly.errors import InputError
+from mufly.tables import builtin_names, read_tables, validated
 from mufly.vehicle.quantity import Curve, Points, Quantity
 from mufly.vehicle.schema import Vehicle
 
@@ -42,7 +41,7 @@ class Parameter(NamedTuple):
 
 def builtin_vehicles() -> list[str]:
     """Return the names of the vehicles that come with mufly."""
-    return sorted(f.name.removesuffix(".toml") for f in _BUILTIN.iterdir() if f.name.endswith(".toml"))
+    return builtin_names(_BUILTIN)
 
 
 def load_vehicle(name_or_path: str | Path) -> Vehicle:
@@ -64,82 +63,8 @@ def load_vehicle(name_or_path: str | Path) -> Vehicle:
         If there is no such vehicle, the file is not TOML, or a parameter is missing, unknown, without a unit
         or impossible. The message names file, key, value and remedy.
     """
-    name = str(name_or_path)
-    if name in builtin_vehicles():
-        text, where = (_BUILTIN / f"{name}.toml").read_text(encoding="utf-8"), f"{name}.toml"
-    else:
-        path = Path(name_or_path)
-        if not path.is_file():
-            known = ", ".join(builtin_vehicles())
-            raise InputError(
-                name, "", "no such vehicle or file", f"give a vehicle file, or one of the built-in: {known}"
-            )
-        where = name
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(where, "", f"cannot be read ({error})", "give a text file in UTF-8") from error
-    try:
-        tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(where, "", f"is not valid TOML ({error})", "correct that line") from error
-    return _validated(tables, where)
-
-
-def _validated(tables: Mapping[str, Any], where: str) -> Vehicle:
-    try:
-        return Vehicle.model_validate(tables)
-    except ValidationError as error:
-        raise _first_fault(error, where) from error
-
-
-def _first_fault(error: ValidationError, where: str) -> InputError:
-    faults = error.errors()
-    # An unknown key is usually the reason for a missing one, so it is named first.
-    fault = min(faults, key=lambda f: f["type"] != "extra_forbidden")
-    key = ".".join(str(part) for part in fault["loc"])
-    context: dict[str, Any] = fault.get("ctx", {})
-    if fault["type"] == "mufly":
-        problem, remedy = context["problem"], context["remedy"]
-        key = context.get("key", key)
-    elif fault["type"] == "extra_forbidden":
-        known = _keys_beside(fault["loc"])
-        near = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1)
-        problem = "unknown key"
-        remedy = f"did you mean {near[0]!r}?" if near else f"known keys here: {', '.join(known)}"
-    elif fault["type"] == "missing":
-        problem, remedy = "is missing", _how_to_write(fault["loc"])
-    else:
-        problem = f"{fault['input']!r} is wrong ({fault['msg']})"
-        remedy = "correct the value"
-    if len(faults) > 1:
-        remedy += f" ({len(faults) - 1} more fault{'s' if len(faults) > 2 else ''} in this file)"
-    return InputError(where, key, problem, remedy)
-
-
-def _model_at(loc: tuple[int | str, ...]) -> type[BaseModel]:
-    model: type[BaseModel] = Vehicle
-    for part in loc:
-        field = model.model_fields.get(str(part))
-        kinds = [] if field is None else [field.annotation, *getattr(field.annotation, "__args__", ())]
-        inner = [k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel)]
-        if not inner:
-            break
-        model = inner[0]
-    return model
-
-
-def _keys_beside(loc: tuple[int | str, ...]) -> list[str]:
-    return list(_model_at(loc[:-1]).model_fields)
-
-
-def _how_to_write(loc: tuple[int | str, ...]) -> str:
-    name = str(loc[-1])
-    field = _model_at(loc[:-1]).model_fields.get(name)
-    declared = field.json_schema_extra if field is not None else None
-    if isinstance(declared, dict) and "unit" in declared:
-        return f'add {name} = {{ value = ..., unit = "{declared["unit"]}", source = "measured" }}'
-    return f"add {name}" if field is None or field.description else f"add the table [{name}]"
+    tables, where = read_tables(name_or_path, _BUILTIN, "vehicle")
+    return validated(Vehicle, tables, where)
 
 
 def _walk(model: BaseModel, prefix: str = "") -> Iterator[tuple[str, dict[str, Any], Any, str]]:
@@ -197,7 +122,7 @@ def replace(vehicle: Vehicle, values: Mapping[str, float | str], *, source: str 
             table[last] = value
     if "body.mass" in values:
         tables["mass_budget"] = None
-    return _validated(tables, vehicle.name)
+    return validated(Vehicle, tables, vehicle.name)
 
 
 def vehicle_toml(vehicle: Vehicle) -> str:

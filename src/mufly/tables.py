@@ -1,0 +1,198 @@
+"""From a TOML file to a checked model, with one clear line when it is wrong.
+
+Vehicles, missions and rotors are all read the same way: by the name of a built-in file or by path, parsed, and
+validated by a pydantic model. This module holds the parts that they share: finding and reading the file, and turning
+pydantic's list of faults into the one line that a user can act on. A model's own checks raise
+``PydanticCustomError("mufly", ...)`` with ``problem`` and ``remedy`` (and ``key``) in its context, which is kept.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import tomllib
+from collections.abc import Mapping
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from mufly.errors import InputError
+
+__all__ = ["builtin_names", "inner_model", "read_tables", "toml_value", "validated"]
+
+M = TypeVar("M", bound=BaseModel)
+
+_LIMITS = {
+    "greater_than": ("gt", "above"),
+    "greater_than_equal": ("ge", "at least"),
+    "less_than": ("lt", "below"),
+    "less_than_equal": ("le", "at most"),
+}
+
+
+def builtin_names(folder: Traversable) -> list[str]:
+    """Return the names of the TOML files in a folder of the package."""
+    return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml"))
+
+
+def read_tables(name_or_path: str | Path, folder: Traversable, kind: str) -> tuple[dict[str, Any], str]:
+    """Read a TOML file by built-in name or by path.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        A name in ``folder``, or the path of a file.
+    folder : Traversable
+        Where the built-in files lie.
+    kind : str
+        What an error calls such a file: ``"vehicle"``.
+
+    Returns
+    -------
+    tables : dict
+        As TOML gives them.
+    where : str
+        What an error calls the file.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or it is not text or not TOML.
+    """
+    name = str(name_or_path)
+    known = builtin_names(folder)
+    if name in known:
+        text, where = (folder / f"{name}.toml").read_text(encoding="utf-8"), f"{name}.toml"
+    else:
+        path, where = Path(name_or_path), name
+        if not path.is_file():
+            remedy = f"give a {kind} file, or one of the built-in: {', '.join(known)}"
+            raise InputError(name, "", f"no such {kind} or file", remedy)
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(where, "", f"cannot be read ({error})", "give a text file in UTF-8") from error
+    try:
+        return tomllib.loads(text), where
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(where, "", f"is not valid TOML ({error})", "correct that line") from error
+
+
+def validated(model: type[M], tables: Mapping[str, Any], where: str) -> M:
+    """Make a checked model of nested dictionaries.
+
+    Raises
+    ------
+    InputError
+        Naming the first fault, and how many more there are. Members of lists are counted from 1.
+    """
+    try:
+        return model.model_validate(tables)
+    except ValidationError as error:
+        raise _first_fault(error, model, where) from None
+
+
+def _first_fault(error: ValidationError, model: type[BaseModel], where: str) -> InputError:
+    faults = error.errors()
+    # An unknown key is usually the reason for a missing one, so it is named first.
+    fault = min(faults, key=lambda f: f["type"] != "extra_forbidden")
+    kind, loc, given = fault["type"], fault["loc"], fault["input"]
+    context: dict[str, Any] = fault.get("ctx", {})
+    if kind == "missing" and loc and isinstance(loc[-1], int):
+        # A tuple that is too short is reported at its first missing place.
+        kind, loc = "length", loc[:-1]
+    key = _dotted(loc)
+    beside = _model_at(model, loc[:-1])
+    field = beside.model_fields.get(str(loc[-1])) if loc else None
+    meaning = (field.description or "") if field is not None else ""
+    if kind == "mufly":
+        problem, remedy, key = context["problem"], context["remedy"], context.get("key", key)
+    elif kind == "extra_forbidden":
+        near = difflib.get_close_matches(str(loc[-1]), list(beside.model_fields), n=1, cutoff=0.5)
+        problem = "unknown key"
+        remedy = (
+            f"did you mean {near[0]!r}?" if near else f"known keys here: {', '.join(beside.model_fields)}"
+        )
+    elif kind == "missing":
+        problem, remedy = "is missing", _how_to_write(str(loc[-1]), field)
+    elif kind in ("length", "too_long"):
+        wanted = len(getattr(field.annotation, "__args__", ())) if field is not None else 0
+        problem, remedy = f"{_shown(given)} has the wrong length", f"give {wanted} numbers: {meaning}"
+    elif kind in _LIMITS:
+        name, words = _LIMITS[kind]
+        problem, remedy = f"{_shown(given)} is not sensible", f"give a number {words} {context[name]:g}"
+    elif kind == "finite_number":
+        problem, remedy = f"{given} is not a number", "give a finite number"
+    elif kind in ("float_type", "float_parsing"):
+        problem, remedy = f"{_shown(given)} is not a number", "give a number without quotes"
+    elif kind in ("int_type", "int_parsing", "int_from_float"):
+        problem, remedy = f"{given!r} is not a whole number", "give a whole number without quotes"
+    elif kind == "literal_error":
+        problem, remedy = f"{_shown(given)} is unknown", f"give {context['expected']}"
+    elif kind == "tuple_type":
+        tables = field is not None and inner_model(field.annotation) is not None
+        remedy = (
+            f"write one table [[{loc[-1]}]] for each" if tables else f"give values in brackets: {meaning}"
+        )
+        problem, remedy = f"{_shown(given)} is not a list", remedy.rstrip(": ")
+    elif kind in ("model_type", "model_attributes_type"):
+        problem, remedy = f"{_shown(given)} is not a table", "write its keys under it"
+    else:
+        problem, remedy = f"{_shown(given)} is wrong ({fault['msg']})", "correct the value"
+    # A key missing beside an unknown one is the same fault, not another.
+    same = sum(f["type"] == "missing" and f["loc"][:-1] == fault["loc"][:-1] for f in faults)
+    more = len(faults) - 1 - (same if fault["type"] == "extra_forbidden" else 0)
+    if more > 0:
+        remedy += f" ({more} more fault{'s' if more > 1 else ''} in this file)"
+    return InputError(where, key, problem, remedy)
+
+
+def _how_to_write(name: str, field: Any) -> str:
+    declared = field.json_schema_extra if field is not None else None
+    if isinstance(declared, dict) and "unit" in declared:
+        return f'add {name} = {{ value = ..., unit = "{declared["unit"]}", source = "measured" }}'
+    if field is not None and not field.description:
+        return f"add the table [{name}]"
+    return f"add {name} ({field.description})" if field is not None else f"add {name}"
+
+
+def toml_value(value: Any) -> str:
+    """Return a string, number, truth value or list of them as TOML writes it."""
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(toml_value(v) for v in value)}]"
+    return repr(value)
+
+
+def _shown(given: Any) -> str:
+    text = toml_value(given) if isinstance(given, str | bool | int | float | list | tuple) else repr(given)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _dotted(loc: tuple[int | str, ...]) -> str:
+    """Dotted key with counts from 1: ("waypoint", 0, "position_m") is waypoint[1].position_m."""
+    key = ""
+    for part in loc:
+        key += f"[{part + 1}]" if isinstance(part, int) else f".{part}" if key else part
+    return key
+
+
+def inner_model(annotation: Any) -> type[BaseModel] | None:
+    """Return the model in a field's annotation (``M | None``, ``tuple[M, ...]``), or None."""
+    for kind in (annotation, *getattr(annotation, "__args__", ())):
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            return kind
+    return None
+
+
+def _model_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> type[BaseModel]:
+    for part in loc:
+        field = model.model_fields.get(str(part))
+        inner = inner_model(field.annotation) if field is not None else None
+        model = inner or model
+    return model
