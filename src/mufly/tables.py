@@ -133,8 +133,11 @@ def _first_fault(error: ValidationError, model: type[BaseModel], where: str) -> 
         problem, remedy = f"{_shown(given)} is unknown", f"give {context['expected']}"
     elif kind == "tuple_type":
         tables = field is not None and inner_model(field.annotation) is not None
+        what = (
+            "texts" if field is not None and str in getattr(field.annotation, "__args__", ()) else "numbers"
+        )
         remedy = (
-            f"write one table [[{loc[-1]}]] for each" if tables else f"give values in brackets: {meaning}"
+            f"write one table [[{loc[-1]}]] for each" if tables else f"give {what} in brackets: {meaning}"
         )
         problem, remedy = f"{_shown(given)} is not a list", remedy.rstrip(": ")
     elif kind in ("model_type", "model_attributes_type"):
