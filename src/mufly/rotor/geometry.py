@@ -25,9 +25,10 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from mufly.vehicle.quantity import Group, Quantity, parameter
+from mufly.rotor.airfoil import load_airfoil
+from mufly.vehicle.quantity import Group, Quantity, Source, parameter
 
-__all__ = ["Blade", "BladeSections", "Column", "Rotor"]
+__all__ = ["Blade", "BladeSections", "Column", "Rotor", "blade_thickness_m"]
 
 Array = NDArray[np.float64]
 
@@ -42,7 +43,7 @@ class Column(Group):
 
     value: tuple[float, ...]
     unit: str
-    source: str
+    source: Source
     note: str = ""
 
     def array(self) -> Array:
@@ -210,3 +211,34 @@ class Rotor(Group):
     def toml_tables(self) -> dict[str, Any]:
         """Return the rotor as nested dictionaries with the keys of a rotor file."""
         return self.model_dump(exclude_none=True)
+
+
+def blade_thickness_m(rotor: Rotor, r_over_R: ArrayLike) -> Array:
+    """Greatest thickness of the blade at the given radii.
+
+    Parameters
+    ----------
+    rotor : Rotor
+        The rotor.
+    r_over_R : (n,) array_like
+        Radii over R.
+
+    Returns
+    -------
+    (n,) array
+        Chord times thickness ratio (m), mixed between stations as the polars are; nan where a station's section is a
+        table of coefficients without geometry.
+
+    Raises
+    ------
+    InputError
+        If an airfoil is unknown or unsound.
+    """
+    s = rotor.sections(r_over_R)
+    ratio = np.array(
+        [
+            math.nan if name.lower().endswith(".csv") else load_airfoil(name).thickness_ratio
+            for name in s.names
+        ]
+    )
+    return s.chord_m * ((1.0 - s.weight) * ratio[s.first] + s.weight * ratio[s.second])
