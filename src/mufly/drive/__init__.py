@@ -1,6 +1,46 @@
-"""What turns the rotors? Motor, gear and battery."""
+"""What turns the rotors? Motor, gear and battery; where rotor and drive meet, and how long the battery lasts."""
 
 from mufly.drive.battery import interpolate, terminal_voltage
+from mufly.drive.endurance import Endurance, hover_endurance
+from mufly.drive.gear import GearOptima, adapted_gear, best_gear, gear_curve, gear_optima
+from mufly.drive.load import builtin_drives, drive_of, drive_toml, load_drive
+from mufly.drive.loads import RotorLoad, blade_load, coefficient_load
 from mufly.drive.motor import armature_current, rotor_acceleration
+from mufly.drive.operating import (
+    OperatingPoint,
+    battery_voltage,
+    open_circuit_voltage,
+    operating_point,
+    speed_for_thrust,
+    steady,
+)
+from mufly.drive.schema import Constants, Drive
 
-__all__ = ["armature_current", "interpolate", "rotor_acceleration", "terminal_voltage"]
+__all__ = [
+    "Constants",
+    "Drive",
+    "Endurance",
+    "GearOptima",
+    "OperatingPoint",
+    "RotorLoad",
+    "adapted_gear",
+    "armature_current",
+    "battery_voltage",
+    "best_gear",
+    "blade_load",
+    "builtin_drives",
+    "coefficient_load",
+    "drive_of",
+    "drive_toml",
+    "gear_curve",
+    "gear_optima",
+    "hover_endurance",
+    "interpolate",
+    "load_drive",
+    "open_circuit_voltage",
+    "operating_point",
+    "rotor_acceleration",
+    "speed_for_thrust",
+    "steady",
+    "terminal_voltage",
+]

@@ -1,0 +1,353 @@
+"""Where rotor and drive meet: the steady operating point (thesis eq. 3.18, without its constant c_Q).
+
+At rest eq. 4.29 says, with motor speed w = i Omega and the torque Q(Omega) of the rotor,
+
+    kM I = dR w + Q / (i eta)              current I
+    U_m  = R I + kE w                      mean voltage at the motor (eq. 4.24 without inductance)
+    P_in = U_m I / eta_c                   power from the supply; P_mech = Q Omega reaches the rotor
+
+so the point follows in closed form from speed and torque. What is left to find is the speed, one bracketed unknown:
+
+* given thrust: T(Omega) = T;
+* given motor voltage or duty: dOmega/dt of eq. 4.29 (``motor.rotor_acceleration``) is zero. It falls with the speed
+  from stall to the speed at which the motor would run free.
+
+The supply is a fixed voltage, or the battery at a charge. Battery and power balance: n motors that draw P_in each and
+electronics I_el at the terminal voltage U make U = U_oc - R_b (n P_in / U + I_el), hence
+
+    U = (E + sqrt(E^2 - 4 R_b n P_in)) / 2,       E = U_oc - R_b I_el;
+
+with given duty the terminal voltage is the closed form of ``battery.terminal_voltage``. The motor needs duty =
+U_m / U, at most 1. Where the power goes: R I^2 copper, (kE - kM) w I what the motor's two constants do not
+account for (iron), dR w^2 friction, (1 - eta) of what enters the gear, (1 - eta_c) P_in the controller.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mufly.drive.battery import interpolate, terminal_voltage
+from mufly.drive.loads import RotorLoad
+from mufly.drive.motor import armature_current, rotor_acceleration
+from mufly.drive.schema import Constants, Drive
+from mufly.drive.solve import rising_root
+from mufly.errors import InputError, MuflyError
+from mufly.vehicle.schema import Battery
+
+__all__ = [
+    "OperatingPoint",
+    "battery_voltage",
+    "open_circuit_voltage",
+    "operating_point",
+    "speed_for_thrust",
+    "steady",
+]
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+LOWEST_SPEED, HIGHEST_SPEED = 1e-2, 2e4  # rad/s; no rotor that this package is for turns faster
+_acceleration: Callable[..., Array] = rotor_acceleration.py_func  # the same source for arrays
+_current: Callable[..., Array] = armature_current.py_func
+_terminal = np.vectorize(terminal_voltage, otypes=[float])
+
+
+@dataclass(frozen=True)
+class OperatingPoint:
+    """Steady state of one rotor with its drive; arrays over cases (without axes for a single case).
+
+    ``input_power_W`` is what one motor's controller draws from the supply, electronics not counted;
+    ``mechanical_power_W`` reaches the rotor; ``efficiency`` is their ratio; ``thrust_per_power_N_W`` is thrust
+    over input power. ``voltage_V`` is the supply's, ``duty`` the share of it at the motor, ``supply_current_A``
+    of one motor.
+    """
+
+    speed_rad_s: Array
+    thrust_N: Array
+    torque_Nm: Array
+    gear_ratio: Array
+    motor_speed_rad_s: Array
+    motor_voltage_V: Array
+    motor_current_A: Array
+    voltage_V: Array
+    duty: Array
+    supply_current_A: Array
+    input_power_W: Array
+    mechanical_power_W: Array
+    efficiency: Array
+    thrust_per_power_N_W: Array
+    copper_loss_W: Array
+    conversion_loss_W: Array
+    friction_loss_W: Array
+    gear_loss_W: Array
+    controller_loss_W: Array
+
+
+def steady(
+    c: Constants, speed: ArrayLike, thrust: ArrayLike, torque: ArrayLike, voltage: ArrayLike
+) -> OperatingPoint:
+    """Return the steady operating point that belongs to a rotor's speed, thrust and torque.
+
+    Parameters
+    ----------
+    c : Constants
+        Motor, controller, gear.
+    speed, thrust, torque : array_like
+        Of the rotor: rad/s, N, N m.
+    voltage : array_like
+        Of the supply (V); not checked against the motor's need (``duty`` may exceed 1).
+    """
+    w_rotor, t, q, u = (np.asarray(v, dtype=np.float64) for v in (speed, thrust, torque, voltage))
+    i = np.asarray(c.gear_ratio, dtype=np.float64)
+    w = i * w_rotor
+    entering = q / (i * c.gear_efficiency)
+    current = (entering + c.friction_Nm_s * w) / c.torque_Nm_A
+    motor_voltage = c.resistance_ohm * current + c.back_emf_V_s * w
+    to_motor = motor_voltage * current
+    power, mechanical = to_motor / c.controller_efficiency, q * w_rotor
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        point = OperatingPoint(
+            speed_rad_s=w_rotor, thrust_N=t, torque_Nm=q, gear_ratio=i, motor_speed_rad_s=w,
+            motor_voltage_V=motor_voltage, motor_current_A=current, voltage_V=u, duty=motor_voltage / u,
+            supply_current_A=power / u, input_power_W=power, mechanical_power_W=mechanical,
+            efficiency=mechanical / power, thrust_per_power_N_W=t / power,
+            copper_loss_W=c.resistance_ohm * current**2,
+            conversion_loss_W=(c.back_emf_V_s - np.asarray(c.torque_Nm_A)) * w * current,
+            friction_loss_W=c.friction_Nm_s * w**2, gear_loss_W=entering * w - mechanical,
+            controller_loss_W=power - to_motor,
+        )  # fmt: skip
+    shape = np.broadcast_shapes(*(np.shape(v) for v in vars(point).values()))
+    return replace(point, **{k: np.broadcast_to(v, shape).astype(np.float64) for k, v in vars(point).items()})
+
+
+def open_circuit_voltage(battery: Battery, charge: float) -> float:
+    """Return the battery's voltage at rest (V) with ``charge`` (0 to 1) left, as the flight model has it."""
+    if not 0.0 <= charge <= 1.0:
+        raise InputError("battery", "charge", f"{charge:g} is not possible", "give a fraction from 0 to 1")
+    if battery.model == "constant":
+        return float(battery.nominal_voltage)
+    return float(interpolate(battery.open_circuit_voltage.sample(101), charge))
+
+
+def internal_resistance(battery: Battery) -> float:
+    """Return R_b (ohm): zero for the 'constant' model, which does not sag."""
+    return 0.0 if battery.model == "constant" else float(battery.internal_resistance)
+
+
+def battery_voltage(battery: Battery, open_circuit_V: ArrayLike, power_W: ArrayLike) -> Array:
+    """Return the terminal voltage under motors of constant power and the electronics; nan where it breaks down.
+
+    Parameters
+    ----------
+    battery : Battery
+    open_circuit_V : array_like
+        Voltage at rest (V).
+    power_W : array_like
+        Power of all motors together (W).
+    """
+    r = internal_resistance(battery)
+    e = np.asarray(open_circuit_V, dtype=np.float64) - r * float(battery.electronics_current)
+    inside = e**2 - 4.0 * r * np.asarray(power_W, dtype=np.float64)
+    return np.where((inside >= 0) & (e > 0), 0.5 * (e + np.sqrt(np.maximum(inside, 0.0))), np.nan)
+
+
+def speed_for_thrust(
+    load: RotorLoad, thrust_N: ArrayLike, *, guess: ArrayLike = 500.0, highest: ArrayLike = HIGHEST_SPEED
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Find the speed (rad/s) at which each case of a load gives its thrust.
+
+    Parameters
+    ----------
+    load : RotorLoad
+    thrust_N : (n,) array_like
+        Thrust of each case, above 0.
+    guess, highest : float or (n,) array_like
+        Where to begin, and the fastest speed to be considered.
+
+    Returns
+    -------
+    speed : (n,) array
+        nan where the thrust is out of reach.
+    found : (n,) array of bool
+    """
+    wanted = np.atleast_1d(np.asarray(thrust_N, dtype=np.float64))
+    start = np.broadcast_to(np.asarray(guess, dtype=np.float64), wanted.shape)
+    top = np.broadcast_to(np.asarray(highest, dtype=np.float64), wanted.shape)
+    thrust = load(np.minimum(start, top), np.arange(wanted.size))[0]
+    # Thrust goes nearly with the square of the speed, which makes a good second guess.
+    ratio = np.where(thrust > 0, wanted / np.where(thrust > 0, thrust, 1.0), 1.0)
+    better = np.clip(start * np.sqrt(ratio), LOWEST_SPEED, top)
+    return rising_root(
+        lambda speed, case: load(speed, case)[0] - wanted[case], better, lowest=LOWEST_SPEED, highest=top
+    )
+
+
+def free_speed(c: Constants, voltage: ArrayLike) -> Array:
+    """Return the rotor speed (rad/s) at which the drive would turn without a rotor."""
+    per_current = c.torque_Nm_A / np.asarray(c.resistance_ohm)
+    return (
+        per_current * np.asarray(voltage) / (c.gear_ratio * (per_current * c.back_emf_V_s + c.friction_Nm_s))
+    )
+
+
+def operating_point(
+    drive: Drive,
+    load: RotorLoad,
+    *,
+    thrust_N: ArrayLike | None = None,
+    duty: ArrayLike | None = None,
+    motor_voltage_V: ArrayLike | None = None,
+    supply_V: float | None = None,
+    charge: float | None = None,
+    gear_ratio: ArrayLike | None = None,
+) -> OperatingPoint:
+    """Find the steady state of each rotor of a drive, all of them loaded alike.
+
+    Parameters
+    ----------
+    drive : Drive
+    load : RotorLoad
+        From :func:`mufly.drive.blade_load` or :func:`mufly.drive.coefficient_load`.
+    thrust_N, duty, motor_voltage_V : array_like
+        Exactly one: thrust of one rotor, share of the supply voltage at the motor (0 to 1), or voltage at the motor.
+    supply_V : float, optional
+        Fixed supply voltage. Default: the battery's nominal voltage.
+    charge : float, optional
+        Instead: the battery with this fraction of its charge, sagging under all motors and the electronics.
+    gear_ratio : array_like, optional
+        Instead of the drive's own; broadcast against the given quantity.
+
+    Returns
+    -------
+    OperatingPoint
+        Arrays of the broadcast shape.
+
+    Raises
+    ------
+    InputError
+        If not exactly one quantity is given or it makes no sense.
+    MuflyError
+        If a thrust is out of the motor's or battery's reach; the message says what can be reached.
+    """
+    given = [("thrust_N", thrust_N), ("duty", duty), ("motor_voltage_V", motor_voltage_V)]
+    asked = [(k, v) for k, v in given if v is not None]
+    if len(asked) != 1:
+        raise InputError(
+            "operating point", "", f"{len(asked)} quantities are given", "give thrust, duty or voltage"
+        )
+    if supply_V is not None and charge is not None:
+        raise InputError(
+            "operating point", "supply", "both a voltage and a charge are given", "give one of the two"
+        )
+    key, raw = asked[0]
+    own = drive.constants()
+    values, ratio = np.broadcast_arrays(
+        np.asarray(raw, dtype=np.float64),
+        np.asarray(own.gear_ratio if gear_ratio is None else gear_ratio, dtype=np.float64),
+    )
+    shape, value = values.shape, values.ravel()
+    if not (np.all(np.isfinite(value)) and np.all(value > 0)) or (key == "duty" and np.any(value > 1)):
+        raise InputError(
+            "operating point", key, f"{np.array2string(value[:3])} is not possible",
+            "give a number above 0 and up to 1" if key == "duty" else "give a number above 0",
+        )  # fmt: skip
+    if not (np.all(np.isfinite(ratio)) and np.all(ratio > 0)):
+        raise InputError(
+            "operating point", "gear_ratio", "is not above 0", "give motor speed over rotor speed"
+        )
+    c = replace(own, gear_ratio=ratio.ravel().copy())
+    if supply_V is not None and not supply_V > 0:
+        raise InputError(
+            "operating point", "supply_V", f"{supply_V:g} V is not possible", "give a voltage above 0"
+        )
+    fixed = None if charge is not None else float(supply_V or float(drive.battery.nominal_voltage))
+    rest = open_circuit_voltage(drive.battery, charge) if charge is not None else 0.0
+    if key == "thrust_N":
+        point = _at_thrust(drive, c, load, value, fixed, rest)
+    else:
+        point = _at_voltage(drive, c, load, value, key, fixed, rest)
+    return replace(point, **{k: v.reshape(shape) for k, v in vars(point).items()})
+
+
+def _supply(drive: Drive, power: Array, fixed: float | None, rest: float) -> Array:
+    if fixed is not None:
+        return np.full(power.shape, fixed)
+    return battery_voltage(drive.battery, rest, drive.rotors * power)
+
+
+def _at_thrust(
+    drive: Drive, c: Constants, load: RotorLoad, thrust: Array, fixed: float | None, rest: float
+) -> OperatingPoint:
+    speed, _ = speed_for_thrust(load, thrust)
+    _, torque = load(np.where(np.isfinite(speed), speed, 1.0), np.arange(thrust.size))
+    point = steady(c, speed, thrust, torque, 1.0)
+    voltage = _supply(drive, point.input_power_W, fixed, rest)
+    point = steady(c, speed, thrust, torque, voltage)
+    short = ~(point.duty <= 1.0 + 1e-9)
+    if np.any(short):
+        k = int(np.argmax(short))
+        one = replace(c, gear_ratio=np.atleast_1d(c.gear_ratio)[k : k + 1])
+        shifted: RotorLoad = lambda s, case: load(s, np.full(s.shape, k))  # noqa: E731
+        most = _at_voltage(drive, one, shifted, np.ones(1), "duty", fixed, rest)
+        ratio = float(np.atleast_1d(c.gear_ratio)[k])
+        raise MuflyError(
+            f"a thrust of {thrust[k]:.4g} N is out of reach: at full duty and gear ratio {ratio:.4g} the drive "
+            f"{drive.name!r} turns this rotor at {float(most.speed_rad_s[0]) * 30 / np.pi:.0f} rpm, which gives "
+            f"{float(most.thrust_N[0]):.4g} N"
+        )
+    return point
+
+
+def _at_voltage(
+    drive: Drive, c: Constants, load: RotorLoad, value: Array, key: str, fixed: float | None, rest: float
+) -> OperatingPoint:
+    battery, n = drive.battery, drive.rotors
+    ratio = np.broadcast_to(np.asarray(c.gear_ratio, dtype=np.float64), value.shape)
+
+    def terminal(speed: Array, case: Integers) -> Array:
+        """Supply voltage while the rotor turns at a speed, at the asked duty."""
+        if fixed is not None:
+            return np.full(speed.shape, fixed)
+        per_supply = n * value[case] / (c.resistance_ohm * np.asarray(c.controller_efficiency))
+        return np.asarray(
+            _terminal(
+                rest, internal_resistance(battery), per_supply * value[case],
+                per_supply * c.back_emf_V_s * ratio[case] * speed, float(battery.electronics_current),
+            )
+        )  # fmt: skip
+
+    def slowing(speed: Array, case: Integers) -> Array:
+        if key == "duty":
+            share, supply = value[case], terminal(speed, case)
+        else:
+            share, supply = np.ones(speed.shape), value[case]
+        current = _current(share, supply, speed, c.back_emf_V_s, c.resistance_ohm, ratio[case])
+        torque = load(speed, case)[1]
+        return -_acceleration(
+            current, speed, torque, c.torque_Nm_A, c.friction_Nm_s, ratio[case], c.gear_efficiency, 1.0
+        )
+
+    cases = np.arange(value.size)
+    at_most = value * (fixed if fixed is not None else rest) if key == "duty" else value
+    top = free_speed(c, at_most)
+    # A rotor that is driven by the air (in descent) may run beyond the free speed.
+    speed, found = rising_root(slowing, 0.6 * top, lowest=LOWEST_SPEED, highest=np.maximum(20.0 * top, 1.0))
+    if not np.all(found):
+        raise MuflyError(
+            f"drive {drive.name!r} finds no steady speed with this rotor; is its torque negative?"
+        )
+    thrust, torque = load(speed, cases)
+    supply = terminal(speed, cases) if key == "duty" else _supply(
+        drive, steady(c, speed, thrust, torque, 1.0).input_power_W, fixed, rest
+    )  # fmt: skip
+    point = steady(c, speed, thrust, torque, supply)
+    if key != "duty" and not np.all(point.duty <= 1.0 + 1e-9):
+        least = float(np.nanmin(supply)) if np.any(np.isfinite(supply)) else 0.0
+        raise MuflyError(
+            f"{float(value.max()):.3g} V at the motor is out of reach: the supply gives {least:.3g} V"
+        )
+    return point
