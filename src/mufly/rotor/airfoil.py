@@ -118,7 +118,7 @@ def load_airfoil(name_or_path: str | Path) -> Airfoil:
     path = Path(name_or_path)
     if path.is_file():
         return Airfoil(path.stem.lower(), read_contour(path), str(path))
-    name = re.sub(r"[\s_-]", "", text.lower())
+    name = re.sub(r"^naca[\s_-]*", "naca", text.lower().strip())
     digits = re.fullmatch(r"naca(\d{4,5})", name)
     # Five digits that begin with 6, or that no five-digit mean line fits, are series 6 or 16 in the database.
     series = name in _database() and digits is not None and (len(digits[1]) == 5 and digits[1][0] == "6")

@@ -1,0 +1,191 @@
+"""Sections against their own definitions: NACA's formulas, thin-airfoil theory, and files good and bad."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mufly.errors import InputError
+from mufly.rotor import database_airfoils, load_airfoil
+from mufly.rotor.airfoil import sides
+from mufly.rotor.naca import naca
+
+
+def mean_line(digits, n=4001):
+    """x and y of the mean line, from the contour of a section 1 % thick."""
+    contour = naca(digits, n)
+    upper, lower = contour[:n][::-1], contour[n - 1 :]
+    return 0.5 * (upper[:, 0] + lower[:, 0]), 0.5 * (upper[:, 1] + lower[:, 1])
+
+
+def thin_airfoil(digits):
+    """Design lift and moment about the quarter chord by thin-airfoil theory (Glauert 1926): c_l,i = pi A1,
+    c_m = -pi/4 (A1 - A2), A_n = 2/pi int dz/dx cos(n theta) dtheta, x = (1 - cos theta)/2."""
+    x, y = mean_line(digits)
+    theta = np.linspace(0.0, math.pi, 2001)[1:-1]
+    slope = np.interp(0.5 * (1 - np.cos(theta)), 0.5 * (x[1:] + x[:-1]), np.diff(y) / np.diff(x))
+    a1, a2 = (2 / math.pi * np.trapezoid(slope * np.cos(n * theta), theta) for n in (1, 2))
+    return math.pi * a1, -math.pi / 4 * (a1 - a2)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(1, 9), st.integers(2, 7), st.integers(6, 24))
+def test_four_digits_mean_what_they_say(m, p, t):
+    x, y = mean_line(f"{m}{p}01")
+    assert y.max() == pytest.approx(m / 100, rel=1e-4)
+    assert x[np.argmax(y)] == pytest.approx(p / 10, abs=2e-3)
+    section = load_airfoil(f"naca{m}{p}{t:02d}")
+    # The thickness is laid off normal to the mean line, so across the x axis it is a little more.
+    assert t / 100 * 0.999 < section.thickness_ratio < t / 100 * 1.06
+
+
+def test_published_ordinates_of_naca_4412_and_0012():
+    """NACA Report 460 / Abbott and von Doenhoff, appendix III: per cent of chord."""
+    upper, lower = sides(load_airfoil("naca4412").coordinates)
+    for x, y_upper, y_lower in ((10, 6.59, -2.86), (30, 9.76, -2.26), (60, 8.14, -1.00), (90, 2.71, -0.22)):
+        assert np.interp(x / 100, *upper.T) * 100 == pytest.approx(y_upper, abs=0.02)
+        assert np.interp(x / 100, *lower.T) * 100 == pytest.approx(y_lower, abs=0.02)
+    upper, _ = sides(load_airfoil("NACA 0012").coordinates)
+    assert np.interp(0.30, *upper.T) * 100 == pytest.approx(6.002, abs=0.005)
+
+
+def test_symmetric_section_is_its_own_mirror_image():
+    contour = load_airfoil("naca0009").coordinates
+    assert np.allclose(contour[::-1] * [1, -1], contour, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("place", "digits"), [(0.10, "22001"), (0.15, "23001"), (0.20, "24001"), (0.25, "25001")]
+)
+def test_five_digits_place_camber_and_give_the_design_lift(place, digits):
+    x, y = mean_line(digits)
+    assert x[np.argmax(y)] == pytest.approx(place, abs=3e-3)
+    assert thin_airfoil(digits)[0] == pytest.approx(0.30, rel=0.02)
+
+
+@pytest.mark.parametrize("digits", ["22101", "23101", "24101", "25101"])
+def test_reflexed_lines_have_no_moment(digits):
+    lift, moment = thin_airfoil(digits)
+    assert lift == pytest.approx(0.30, rel=0.03)
+    assert abs(moment) < 0.002
+    assert thin_airfoil(digits[:2] + "001")[1] < -0.005
+
+
+def test_design_lift_scales_with_the_first_digit():
+    assert thin_airfoil("43001")[0] == pytest.approx(2 * thin_airfoil("23001")[0], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("naca25516", "mean line 255 is unknown"),
+        ("naca4400", "thickness of 0%"),
+        ("naca0412", "camber without a place"),
+        ("naca26012", "second digit be one of 1, 2, 3, 4, 5"),
+        ("naca21112", "second digit be one of 2, 3, 4, 5"),
+        ("goe39", "did you mean"),
+        ("nothing at all", "no such airfoil or file"),
+        ("naca0012+gurney0", "a height above 0 and up to 8"),
+        ("naca0012+gurneyx", "Gurney flap of 'x' %"),
+    ],
+)
+def test_unknown_names_are_answered_with_one_line(name, words):
+    with pytest.raises(InputError, match="; ") as fault:
+        load_airfoil(name)
+    assert words in str(fault.value)
+    assert "\n" not in str(fault.value)
+
+
+def test_database_is_sound():
+    """Of some 2 170 contours all load but two whose tails gape; the loader says so."""
+    names = database_airfoils()
+    assert len(names) > 2000
+    faults = {}
+    for name in names:
+        try:
+            section = load_airfoil(name)
+        except InputError as fault:
+            faults[name] = str(fault)
+            continue
+        assert 0.005 < section.thickness_ratio < 0.85, name
+        assert section.coordinates[:, 0].min() == pytest.approx(0, abs=0.02), name
+    assert set(faults) <= {"ah93w480b", "mh112"}
+    assert all("is open" in line for line in faults.values())
+
+
+def test_table_3_3_names_are_there():
+    for name in ("goe394", "goe342", "gm15sm", "goe142", "lnv109a", "n64015", "naca6415"):
+        assert load_airfoil(name).thickness_ratio > 0.04
+    assert load_airfoil("naca66-018").source.startswith("AeroSandbox")  # series 6, not five digits
+
+
+def written(tmp_path, text, name="wing.dat"):
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+def rows(points):
+    return "\n".join(f" {x:.6f}  {y:.6f}" for x, y in points)
+
+
+def test_selig_lednicer_and_reversed_files_agree(tmp_path):
+    contour = naca("4412", 40)
+    selig = load_airfoil(written(tmp_path, f"a wing\n{rows(contour)}\nfrom a book, 1933\n", "selig.dat"))
+    upper, lower = contour[:40][::-1], contour[39:]
+    blocks = f"a wing\n  40.  40.\n\n{rows(upper)}\n\n{rows(lower)}\n"
+    lednicer = load_airfoil(written(tmp_path, blocks, "lednicer.dat"))
+    backwards = load_airfoil(written(tmp_path, rows(contour[::-1]), "reversed.dat"))
+    in_mm = load_airfoil(written(tmp_path, rows(contour * 20.0), "mm.dat"))
+    for other in (lednicer, backwards, in_mm):
+        assert np.allclose(other.coordinates, selig.coordinates, atol=2e-6)
+    assert selig.name == "selig"
+
+
+FIGURE_EIGHT = naca("0012", 40) * [1, 1]
+FIGURE_EIGHT[60:, 1] *= -2.5
+
+
+@pytest.mark.parametrize(
+    ("points", "words"),
+    [
+        (naca("0012", 8), "15 points are too few"),
+        (naca("0012", 40)[:50], "is open"),
+        (naca("0012", 40)[:40], "is open"),
+        (FIGURE_EIGHT, "crosses itself near x ="),
+        (naca("0012", 40) * [0, 1], "same x"),
+        (np.zeros((0, 2)), "0 points are too few"),
+        (naca("0012", 40) * [1, 1e-4], "encloses"),
+        (np.where(np.arange(79)[:, None] == 5, np.nan, naca("0012", 40)), "not a number"),
+    ],
+)
+def test_unsound_contours_are_refused(tmp_path, points, words):
+    path = written(tmp_path, f"bad\n{rows(points)}\n")
+    with pytest.raises(InputError) as fault:
+        load_airfoil(path)
+    assert words in str(fault.value)
+    assert str(path) in str(fault.value)
+    assert "\n" not in str(fault.value)
+
+
+def test_unreadable_lines_are_named(tmp_path):
+    points = naca("0012", 40)
+    broken = f"wing\n{rows(points[:20])}\n0.5 abc\n{rows(points[20:])}\n"
+    with pytest.raises(InputError, match=r"line 22: '0.5 abc' is no point"):
+        load_airfoil(written(tmp_path, broken))
+    with pytest.raises(InputError, match=r"announces 30 \+ 40 points"):
+        load_airfoil(written(tmp_path, f"wing\n30. 40.\n{rows(points)}\n"))
+
+
+def test_gurney_flap_lowers_the_tail_by_its_height():
+    clean, flapped = load_airfoil("naca0012"), load_airfoil("naca0012+gurney3")
+    assert flapped.name == "naca0012+gurney3"
+    _, lower = sides(clean.coordinates)
+    _, lowered = sides(flapped.coordinates)
+    assert lowered[-1, 1] == pytest.approx(lower[-1, 1] - 0.03)
+    ahead = np.linspace(0.0, 0.95, 50)
+    assert np.allclose(np.interp(ahead, *lowered.T), np.interp(ahead, *lower.T), atol=1e-6)
+    assert np.allclose(flapped.coordinates[0], clean.coordinates[0])
+    assert flapped.digest() != clean.digest()
