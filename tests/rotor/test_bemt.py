@@ -221,7 +221,7 @@ def test_batch_is_bit_by_bit_the_single_point():
     twist=st.tuples(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5)),
     blades=st.integers(1, 8),
     x0=st.floats(0.0, 0.8),
-    rotation=st.sampled_from(["none", "snel", "chaviaropoulos-hansen"]),
+    rotation=st.sampled_from(["none", "snel", "chaviaropoulos-hansen", "dumitrescu-cardos"]),
     tip=st.sampled_from(["none", "prandtl", "effective_radius"]),
     surface=st.booleans(),
     swirl=st.booleans(),

@@ -63,7 +63,7 @@ def descent_inflow(x: float) -> float:
 @njit(cache=True)
 def _section(
     alpha: float, log_re: float, first: int, second: int, weight: float,
-    grid: Array, log_re0: float, per_log_re: float, zero_lift: Array, cd_min: Array, g: float, h: float, scale: Any,
+    grid: Array, log_re0: float, per_log_re: float, zero_lift: Array, g: float, scale: Any,
 ) -> tuple[float, float]:  # fmt: skip
     """Lift and drag coefficient of a station: mixed polars, rotation, calibration."""
     cl, cd = coefficients(grid, log_re0, per_log_re, first, alpha, log_re)
@@ -71,21 +71,14 @@ def _section(
         cl2, cd2 = coefficients(grid, log_re0, per_log_re, second, alpha, log_re)
         cl, cd = cl + weight * (cl2 - cl), cd + weight * (cd2 - cd)
     if g > 0.0:
-        size = abs(alpha)
-        fade = min(max((_FADE_TO - size) / (_FADE_TO - _FADE_FROM), 0.0), 1.0)
+        fade = min(max((_FADE_TO - abs(alpha)) / (_FADE_TO - _FADE_FROM), 0.0), 1.0)
         if fade > 0.0:
-            zero = zero_lift[first] + weight * (zero_lift[second] - zero_lift[first])
-            potential = 2.0 * math.pi * math.sin(alpha - zero)
-            if potential * (potential - cl) > 0.0:
-                cl += g * fade * (potential - cl)
-            last = cd_min.shape[1] - 1
-            v = min(max((log_re - log_re0) * per_log_re, 0.0), float(last))
-            j = min(int(v), max(last - 1, 0))
-            s = v - j
-            k = min(j + 1, last)
-            low = (1.0 - weight) * ((1.0 - s) * cd_min[first, j] + s * cd_min[first, k])
-            low += weight * ((1.0 - s) * cd_min[second, j] + s * cd_min[second, k])
-            cd += h * g * fade * max(cd - low, 0.0)
+            a = alpha - (zero_lift[first] + weight * (zero_lift[second] - zero_lift[first]))
+            attached = 2.0 * math.pi * math.sin(a) * math.cos(a) ** 2
+            if attached * (attached - cl) > 0.0:
+                gain = g * fade * (attached - cl)
+                cl += gain
+                cd += max(gain * math.tan(alpha), 0.0)  # the recovered force is normal to the chord
     return scale[0] * cl, scale[1] * cd
 
 
@@ -95,15 +88,13 @@ def _residual(
 ) -> Any:
     """Return R of the module docstring and what comes with it: phi, c_l, c_d, W, F, u, u_t, log Re."""
     omega, climb, nu, mode, hub, swirl = op
-    r, chord, weight, g, h, blades, radius, hub_r = st
-    grid, log_re0, per_log_re, zero_lift, cd_min = polars
+    r, chord, weight, g, blades, radius, hub_r = st
+    grid, log_re0, per_log_re, zero_lift = polars
     speed = math.hypot(climb, omega * r)
     phi_u = math.atan2(climb, omega * r)
     wind = speed * max(math.cos(theta - alpha - phi_u), 1e-3)
     log_re = math.log(max(wind * chord / nu, 1e-3))
-    cl, cd = _section(
-        alpha, log_re, ix[0], ix[1], weight, grid, log_re0, per_log_re, zero_lift, cd_min, g, h, scale
-    )
+    cl, cd = _section(alpha, log_re, ix[0], ix[1], weight, grid, log_re0, per_log_re, zero_lift, g, scale)
     phi = theta - alpha - e * cl
     turn = phi - phi_u
     if turn >= 0.5 * math.pi:
@@ -153,29 +144,28 @@ def _station(theta: float, e: float, zero: float, op: Any, st: Any, ix: Any, pol
         a = middle - 0.5 * math.pi if fb < 0.0 else middle + 0.5 * math.pi
         fa = _residual(a, e, theta, op, st, ix, polars, scale)[0]
     x, out = b, _residual(b, e, theta, op, st, ix, polars, scale)
-    if fb != 0.0:
-        side = 0
-        for step in range(_MAX_STEPS):
-            x = 0.5 * (a + b) if step % 4 == 3 or fa == fb else b - fb * (b - a) / (fb - fa)
-            if not min(a, b) <= x <= max(a, b):
+    side, width = 0, abs(b - a)
+    for step in range(_MAX_STEPS):
+        if abs(out[0]) <= _TOLERANCE * omega * st[0]:
+            break
+        x = b - fb * (b - a) / (fb - fa)
+        if step % 3 == 2:  # halve when three secants have not
+            if abs(b - a) > 0.5 * width:
                 x = 0.5 * (a + b)
-            out = _residual(x, e, theta, op, st, ix, polars, scale)
-            fx = out[0]
-            if fx == 0.0:
-                break
-            previous = b
-            if fx * fb > 0.0:
-                b, fb = x, fx
-                if side == 1:
-                    fa *= 0.5
-                side = 1
-            else:
-                a, fa = x, fx
-                if side == -1:
-                    fb *= 0.5
-                side = -1
-            if abs(b - a) < _TOLERANCE or (step > 3 and abs(fx) < 1e-12 * omega * st[0] and previous != b):
-                break
+            width = abs(b - a)
+        out = _residual(x, e, theta, op, st, ix, polars, scale)
+        if out[0] * fb > 0.0:
+            b, fb = x, out[0]
+            if side == 1:
+                fa *= 0.5
+            side = 1
+        else:
+            a, fa = x, out[0]
+            if side == -1:
+                fb *= 0.5
+            side = -1
+        if abs(b - a) < _TOLERANCE:
+            break
     return x, e, out
 
 
@@ -186,8 +176,8 @@ def solve_cases(
     r: Array, dr: Array, chord: Array, twist: Array, first: Integers, second: Integers,
     weight: Array, e: Array, g: Array,
     blades: Array, radius: Array, hub_r: Array,
-    grid: Array, log_re0: float, per_log_re: float, zero_lift: Array, cd_min: Array,
-    mode: int, hub: int, swirl: int, cos4: int, h: float, scale: Array,
+    grid: Array, log_re0: float, per_log_re: float, zero_lift: Array,
+    mode: int, hub: int, swirl: int, cos4: int, scale: Array,
     totals: Array, stations: Array,
 ) -> None:  # fmt: skip
     """Thrust and torque of the cases ``start`` to ``stop``.
@@ -203,17 +193,17 @@ def solve_cases(
         strength of rotation.
     blades, radius, hub_r : (blades,) arrays
         Number of blades, radius, hub radius (m).
-    grid, log_re0, per_log_re, zero_lift, cd_min
-        Polars as stacked, their zero-lift angles (rad) and least drags (tables, nr).
-    mode, hub, swirl, cos4, h, scale
-        0 no tip loss, 1 Prandtl, 2 effective radius; hub loss; swirl; factor cos^4 theta on g; h / g; factors
-        on lift and drag.
+    grid, log_re0, per_log_re, zero_lift
+        Polars as stacked, and their zero-lift angles (rad).
+    mode, hub, swirl, cos4, scale
+        0 no tip loss, 1 Prandtl, 2 effective radius; hub loss; swirl; factor cos^4 theta on g; factors on lift and
+        drag.
     totals : (cases, 2) array
         Filled with thrust (N) and torque (N m).
     stations : (cases, stations, 10) array or (0, ...)
         Filled with :data:`FIELDS` unless its first axis is empty.
     """
-    polars = (grid, log_re0, per_log_re, zero_lift, cd_min)
+    polars = (grid, log_re0, per_log_re, zero_lift)
     keep = stations.shape[0] > 0
     for case in range(start, stop):
         k = which[case]
@@ -235,8 +225,7 @@ def solve_cases(
                     r[k, i],
                     chord[k, i],
                     weight[k, i],
-                    min(rotation, 1.0),
-                    h,
+                    rotation,
                     blades[k],
                     radius[k],
                     hub_r[k],

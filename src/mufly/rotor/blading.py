@@ -42,10 +42,8 @@ class Blading:
         Polars of the stack and their mix.
     polars : PolarStack
         Polars of all rotors.
-    zero_lift_rad, cd_min : (tables,), (tables, nr) arrays
-        Zero-lift angle and least drag coefficient of each polar.
-    drag_share : float
-        h / g of the rotation model.
+    zero_lift_rad : (tables,) array
+        Zero-lift angle of each polar.
     """
 
     rotors: tuple[Rotor, ...]
@@ -61,8 +59,6 @@ class Blading:
     weight: Array
     polars: PolarStack
     zero_lift_rad: Array
-    cd_min: Array
-    drag_share: float
 
     @property
     def radius_m(self) -> Array:
@@ -136,7 +132,6 @@ def prepare(
     shape = (len(many), stations)
     r, dr, chord, twist, e, g, weight = (np.zeros(shape) for _ in range(7))
     first, second = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
-    drag_share = 0.0
     for k, rotor in enumerate(many):
         big = rotor.radius_m
         mid, edges = panel_edges(float(rotor.hub_cutout), stations)
@@ -146,7 +141,7 @@ def prepare(
         first[k], second[k], weight[k] = index[cut.first], index[cut.second], cut.weight
         if fixes.lifting_surface:
             e[k] = chord_factor(mid, edges, cut.chord_m / big, rotor.chord_m(edges) / big)
-        g[k], drag_share = rotation_strength(fixes.rotation, chord[k] / r[k])
+        g[k] = rotation_strength(fixes.rotation, chord[k] / r[k])
     stack = stack_polars(tables)
     return Blading(
         rotors=many,
@@ -162,6 +157,4 @@ def prepare(
         weight=weight,
         polars=stack,
         zero_lift_rad=np.array([zero_lift_angle(table) for table in tables]),
-        cd_min=stack.grid[:, :, :, 1].min(axis=2),
-        drag_share=drag_share,
     )

@@ -7,15 +7,18 @@ Prandtl's
 * ``hub_loss``: the same factor at the inner end of the blade, f = N (r - r0) / (2 r0 |sin phi|).
 * ``swirl``: induced velocity at right angles to the relative wind, not to the disc.
 * ``lifting_surface``: flow tangency at three quarters of the chord (module ``lifting_surface``).
-* ``rotation``: lift recovered and drag added where boundary layers separate on a rotating blade::
+* ``rotation``: on a rotating blade the air in a separated layer is flung outwards and pressed towards the trailing
+  edge, and the pressure stays nearer to that of attached flow than in two dimensions. Attached potential flow
+  presses on a thin section with c_n = 2 pi sin a cos a (a = alpha - alpha_0); a share g of what the polar lacks
+  of its lift is given back. The suction on the leading edge is not: the recovered force is normal to the chord
+  (own derivation)::
 
-      c_l = c_l2D + g (c_lpot - c_l2D)        c_lpot = 2 pi sin(alpha - alpha_0)
-      c_d = c_d2D + h (c_d2D - min c_d2D)
+      delta c_l = g (2 pi sin a cos^2 a - c_l),    delta c_d = delta c_l tan alpha
 
-  ``"chaviaropoulos-hansen"``: g = h = 2.2 (c/r) cos^4 theta (Chaviaropoulos and Hansen, J. Fluids Eng. 122,
-  2000, from quasi-three-dimensional Navier-Stokes); ``"snel"``: g = 3 (c/r)^2, h = 0 (Snel, Houwink and
-  Bosschers, ECN-C-93-052, 1994); ``"none"``. g never exceeds 1, is full to 30 degrees and gone at 50, and never
-  lowers the lift.
+  g is published, from boundary-layer theory and wind turbines: ``"dumitrescu-cardos"`` 1 - exp(-1.25 / (r/c - 1))
+  (J. Phys. Conf. Ser. 75, 012022, 2007), which stays below 1 however wide the blade; ``"snel"`` 3 (c/r)^2
+  (ECN-C-93-052, 1994); ``"chaviaropoulos-hansen"`` 2.2 (c/r) cos^4 theta (J. Fluids Eng. 122, 2000), both cut
+  at 1; ``"none"``. Full to |alpha| = 30 degrees, gone at 50; it never lowers the lift.
 """
 
 from __future__ import annotations
@@ -34,7 +37,7 @@ __all__ = ["PLAIN", "Corrections", "rotation_strength", "zero_lift_angle"]
 Array = NDArray[np.float64]
 
 TipLoss = Literal["prandtl", "effective_radius", "none"]
-Rotation = Literal["chaviaropoulos-hansen", "snel", "none"]
+Rotation = Literal["dumitrescu-cardos", "snel", "chaviaropoulos-hansen", "none"]
 
 
 @dataclass(frozen=True)
@@ -53,14 +56,14 @@ class Corrections:
     hub_loss: bool = True
     swirl: bool = True
     lifting_surface: bool = True
-    rotation: Rotation = "chaviaropoulos-hansen"
+    rotation: Rotation = "dumitrescu-cardos"
     lift_factor: float = 1.0
     drag_factor: float = 1.0
 
     def __post_init__(self) -> None:
         for key, allowed in (
             ("tip_loss", ("prandtl", "effective_radius", "none")),
-            ("rotation", ("chaviaropoulos-hansen", "snel", "none")),
+            ("rotation", ("dumitrescu-cardos", "snel", "chaviaropoulos-hansen", "none")),
         ):
             if getattr(self, key) not in allowed:
                 raise InputError(
@@ -84,8 +87,8 @@ class Corrections:
 PLAIN = Corrections(lifting_surface=False, rotation="none")  # textbook blade element momentum theory
 
 
-def rotation_strength(kind: Rotation, chord_over_r: Array) -> tuple[Array, float]:
-    """Return g of the module docstring without its cos^4 theta, and h / g.
+def rotation_strength(kind: Rotation, chord_over_r: Array) -> Array:
+    """Return g of the module docstring, for Chaviaropoulos and Hansen without their cos^4 theta.
 
     Parameters
     ----------
@@ -94,11 +97,13 @@ def rotation_strength(kind: Rotation, chord_over_r: Array) -> tuple[Array, float
     chord_over_r : array
         Local chord over local radius.
     """
-    if kind == "chaviaropoulos-hansen":
-        return 2.2 * chord_over_r, 1.0
+    if kind == "dumitrescu-cardos":
+        return 1.0 - np.exp(-1.25 * chord_over_r / np.maximum(1.0 - chord_over_r, 1e-6))
     if kind == "snel":
-        return 3.0 * chord_over_r**2, 0.0
-    return np.zeros_like(chord_over_r), 0.0
+        return np.minimum(3.0 * chord_over_r**2, 1.0)
+    if kind == "chaviaropoulos-hansen":
+        return np.minimum(2.2 * chord_over_r, 1.0)
+    return np.zeros_like(chord_over_r)
 
 
 def zero_lift_angle(table: PolarTable) -> float:

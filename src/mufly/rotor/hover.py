@@ -130,9 +130,9 @@ def _solve(
         index, pitch, speed, climb, np.full(n, air.density_kg_m3), np.full(n, air.viscosity_Pa_s /
         air.density_kg_m3), b.r_m, b.dr_m, b.chord_m, b.twist_rad, b.first, b.second, b.weight, b.chord_factor,
         b.rotation, b.blades, b.radius_m, b.hub_radius_m,
-        b.polars.grid, b.polars.log_reynolds_min, b.polars.per_log_reynolds, b.zero_lift_rad, b.cd_min,
+        b.polars.grid, b.polars.log_reynolds_min, b.polars.per_log_reynolds, b.zero_lift_rad,
         _MODES[fixes.tip_loss], int(fixes.hub_loss), int(fixes.swirl), int(fixes.rotation ==
-        "chaviaropoulos-hansen"), b.drag_share, np.array([fixes.lift_factor, fixes.drag_factor]), totals, stations,
+        "chaviaropoulos-hansen"), np.array([fixes.lift_factor, fixes.drag_factor]), totals, stations,
     )  # fmt: skip
     workers = min(os.cpu_count() or 1, n // _CHUNK)
     if workers < 2:
