@@ -40,6 +40,8 @@ class Airfoil:
         Contour over chord in Selig order.
     source : str
         Formula, database or file.
+    gurney : float
+        Height of a Gurney flap over chord, part of the contour; 0 without.
     thickness_ratio, thickness_at : float
         Greatest thickness (normal to the x axis) over chord, and its x.
     camber, camber_at : float
@@ -49,6 +51,7 @@ class Airfoil:
     name: str
     coordinates: Array
     source: str
+    gurney: float = 0.0
     thickness_ratio: float = field(init=False)
     thickness_at: float = field(init=False)
     camber: float = field(init=False)
@@ -177,4 +180,6 @@ def with_gurney(airfoil: Airfoil, height: float) -> Airfoil:
     y = np.interp(x, *lower.T) - height * s**2 * (3.0 - 2.0 * s)
     contour = np.concatenate((upper[::-1], np.column_stack((x, y))[1:]))
     percent = f"{100 * height:g}"
-    return Airfoil(f"{airfoil.name}+gurney{percent}", contour, f"{airfoil.source}; Gurney flap {percent} %")
+    return Airfoil(
+        f"{airfoil.name}+gurney{percent}", contour, f"{airfoil.source}; Gurney flap {percent} %", height
+    )

@@ -54,6 +54,7 @@ _ALPHA = np.deg2rad(np.arange(-WIDEST_DEG, WIDEST_DEG + 0.5, 1.0))
 _WEIGHTS = 8
 _OUTPUTS = slice(0, 4)  # confidence, lift, drag, moment
 _WORST_FIT = 0.01  # of chord
+_HIGHEST_GURNEY = 0.02  # of chord; up to here lift agrees with XFOIL's within 0.05 (docs/polars.md)
 _CASES_AT_ONCE = 8192  # activations of one layer then stay in the cache of a processor core
 
 
@@ -140,6 +141,9 @@ def fit_kulfan(airfoil: Airfoil) -> tuple[Array, float, float, float]:
 
 def check_fit(airfoil: Airfoil) -> tuple[Array, float, float, float]:
     """Fit a contour as :func:`fit_kulfan` does, or raise InputError if 18 numbers cannot describe it."""
+    if airfoil.gurney > _HIGHEST_GURNEY:
+        problem = f"NeuralFoil's smooth contour cannot carry a Gurney flap of {100 * airfoil.gurney:g} %"
+        raise InputError(airfoil.name, "", problem, "use engine 'xfoil', or a flap up to 2 %")
     found = fit_kulfan(airfoil)
     if found[3] > _WORST_FIT:
         problem = f"NeuralFoil's smooth contour misses this one by {100 * found[3]:.1f} % of chord"
@@ -237,7 +241,7 @@ def neuralfoil(
     Raises
     ------
     InputError
-        If a contour is not what the network's 18 numbers can describe (a Gurney flap, for instance).
+        If a contour is not what the network's 18 numbers can describe (a high Gurney flap, for instance).
     """
     re = np.atleast_1d(np.asarray(reynolds, dtype=np.float64))
     source = (

@@ -1,0 +1,37 @@
+"""Time polars: one airfoil, 247 at once, fresh and from the cache, and reading a table.
+
+python benchmarks/bench_polars.py
+"""
+
+import os
+import tempfile
+import time
+
+import numpy as np
+
+with tempfile.TemporaryDirectory() as folder:
+    os.environ["MUFLY_CACHE"] = folder
+    from mufly.rotor import database_airfoils, load_airfoil, lookup, polar, polars
+    from mufly.rotor.build import REYNOLDS
+
+    def timed(what, function, repeat=1):
+        times = []
+        for _ in range(repeat):
+            start = time.perf_counter()
+            result = function()
+            times.append(time.perf_counter() - start)
+        print(f"{what:<60} {1e3 * min(times):9.2f} ms")
+        return result
+
+    timed("first polar, weights read", lambda: polar("naca4412"))
+    timed("one polar, new section", lambda: polar("naca4411"))
+    table = timed("one polar, from the cache", lambda: polar("naca4412"), 5)
+    names = database_airfoils()[::8][:247]
+    sections = [load_airfoil(n) for n in names]
+    cases = len(sections) * REYNOLDS.size * 41
+    timed(f"{len(sections)} airfoils, {cases} cases, fresh", lambda: polars(sections))
+    timed(f"{len(sections)} airfoils, from the cache", lambda: polars(sections), 3)
+    rng = np.random.default_rng(0)
+    alpha, reynolds = rng.uniform(-0.2, 0.3, 1_000_000), np.exp(rng.uniform(8, 12, 1_000_000))
+    lookup(table, 0.0, 1e4)
+    timed("a million points read from a table", lambda: lookup(table, alpha, reynolds), 5)

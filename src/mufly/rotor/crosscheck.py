@@ -1,0 +1,121 @@
+"""Two engines on the same sections: how far NeuralFoil and XFOIL lie apart.
+
+From a shell, ``python -m mufly.rotor.crosscheck naca4412 goe394`` prints the table of docs/polars.md for these sections.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mufly.errors import MuflyError
+from mufly.rotor.airfoil import load_airfoil
+from mufly.rotor.neural import neuralfoil
+from mufly.rotor.xfoil import xfoil
+
+__all__ = ["Difference", "crosscheck"]
+
+SECTIONS = ("naca0012", "naca4412", "goe394", "gm15sm")
+REYNOLDS = (1e4, 3e4, 1e5)
+N_CRIT = (0.1, 9.0)
+LOWEST_DEG, HIGHEST_DEG = -2.0, 12.0
+
+
+@dataclass(frozen=True)
+class Difference:
+    """NeuralFoil minus XFOIL over the angles at which XFOIL converged.
+
+    Attributes
+    ----------
+    name, n_crit, reynolds
+        The case.
+    angles : int
+        Whole degrees from -2 to 12 at which XFOIL converged, of 15.
+    cl_mean, cl_max : float
+        Mean and greatest absolute difference in lift.
+    ln_cd_mean, ln_cd_max : float
+        The same for the logarithm of drag: 0.02 is 2 %.
+    """
+
+    name: str
+    n_crit: float
+    reynolds: float
+    angles: int
+    cl_mean: float
+    cl_max: float
+    ln_cd_mean: float
+    ln_cd_max: float
+
+
+def crosscheck(
+    names: Sequence[str] = SECTIONS,
+    *,
+    n_crit: Sequence[float] = N_CRIT,
+    reynolds: Sequence[float] = REYNOLDS,
+    model: str = "xlarge",
+) -> Iterator[Difference]:
+    """Compare the engines on sections by name.
+
+    Yields
+    ------
+    Difference
+        One for each section, n_crit and Reynolds number at which XFOIL converged anywhere.
+
+    Raises
+    ------
+    MuflyError
+        If XFOIL is not installed.
+    """
+    alpha_deg = np.arange(LOWEST_DEG, HIGHEST_DEG + 0.5)
+    for name in names:
+        airfoil = load_airfoil(name)
+        for n in n_crit:
+            ours = neuralfoil([airfoil], reynolds, n_crit=n, model=model)[0]
+            same = np.isin(np.round(np.rad2deg(ours.alpha_rad), 6), alpha_deg)
+            theirs = xfoil(airfoil, reynolds, n_crit=n, alpha_deg=alpha_deg)
+            for j, re in enumerate(reynolds):
+                known = theirs.known[j]
+                cl = np.abs(ours.cl[j, same] - theirs.cl[j])[known]
+                cd = np.abs(np.log(ours.cd[j, same][known] / theirs.cd[j, known]))
+                yield Difference(
+                    name,
+                    n,
+                    re,
+                    int(known.sum()),
+                    float(cl.mean()),
+                    float(cl.max()),
+                    float(cd.mean()),
+                    float(cd.max()),
+                )
+
+
+def main() -> int:
+    """Print the comparison of the sections named on the command line as a Markdown table."""
+    print("| section | n_crit | Re | angles | mean dc_l | max dc_l | mean dc_d | max dc_d |")
+    print("|---|---|---|---|---|---|---|---|")
+    rows = []
+    try:
+        for d in crosscheck(sys.argv[1:] or SECTIONS):
+            rows.append(d)
+            print(
+                f"| {d.name} | {d.n_crit:g} | {d.reynolds:.0f} | {d.angles} of 15 | {d.cl_mean:.3f} | {d.cl_max:.3f} "
+                f"| {100 * d.ln_cd_mean:.1f} % | {100 * d.ln_cd_max:.1f} % |",
+                flush=True,
+            )
+    except MuflyError as error:
+        print(error, file=sys.stderr)
+        return 1
+    for n in N_CRIT:
+        part = [d for d in rows if d.n_crit == n]
+        weights = [d.angles for d in part]
+        cl = np.average([d.cl_mean for d in part], weights=weights)
+        cd = np.average([d.ln_cd_mean for d in part], weights=weights)
+        print(f"\nn_crit {n:g}: mean difference {cl:.4f} in c_l, {100 * cd:.1f} % in c_d")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

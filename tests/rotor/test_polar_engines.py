@@ -1,0 +1,317 @@
+"""NeuralFoil in batches, the extension to the full circle, user tables and the cache."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mufly.errors import InputError, MuflyError
+from mufly.rotor import cache, load_airfoil, lookup, neural, outside, polar, polars
+from mufly.rotor.build import REYNOLDS
+from mufly.rotor.extend import extend, plate_drag
+from mufly.rotor.polar import ALPHA_GRID
+from mufly.rotor.section import SectionData
+
+FEW = np.geomspace(5e3, 2e5, 5)
+RIGHT = math.pi / 2
+
+
+@pytest.mark.parametrize("name", ["naca0012", "goe394", "gm15sm", "naca4412"])
+@pytest.mark.parametrize("n_crit", [0.1, 9.0])
+def test_network_agrees_with_the_package(name, n_crit):
+    """The package's own code on the same contour; it fits cambered sections along a slightly different chord."""
+    package, sandbox = pytest.importorskip("neuralfoil"), pytest.importorskip("aerosandbox")
+    airfoil = load_airfoil(name)
+    ours = neural.neuralfoil([airfoil], FEW, n_crit=n_crit, xtr=(0.9, 1.0))[0]
+    for j, re in enumerate(FEW):
+        theirs = package.get_aero_from_airfoil(
+            sandbox.Airfoil(coordinates=np.array(airfoil.coordinates)), np.rad2deg(ours.alpha_rad), re,
+            n_crit=n_crit, xtr_upper=0.9, model_size="xlarge",
+        )  # fmt: skip
+        assert np.allclose(ours.cl[j], theirs["CL"], atol=1e-3)
+        assert np.allclose(np.log(ours.cd[j] / theirs["CD"]), 0.0, atol=2e-3)
+        assert np.allclose(ours.cm[j], theirs["CM"], atol=1e-3)
+
+
+def test_symmetric_section_has_antisymmetric_lift():
+    t = polar("naca0012", reynolds=FEW)
+    assert np.allclose(t.cl, -t.cl[:, ::-1], atol=2e-6)
+    assert np.allclose(t.cd, t.cd[:, ::-1], atol=2e-6)
+
+
+def test_batch_equals_one_by_one():
+    names = ["naca0012", "goe394", "gm15sm"]
+    together = neural.neuralfoil([load_airfoil(n) for n in names], FEW)
+    for name, data in zip(names, together, strict=True):
+        alone = neural.neuralfoil([load_airfoil(name)], FEW)[0]
+        assert np.array_equal(alone.cl, data.cl)
+        assert np.array_equal(alone.cd, data.cd)
+
+
+def test_kulfan_fit_reproduces_its_own_family():
+    """A NACA section is no Kulfan shape, yet 18 numbers come within 0.2 % of chord; the chord line is level."""
+    for name in ("naca0012", "naca2412", "naca0006"):
+        parameters, rotation, chord, worst = neural.fit_kulfan(load_airfoil(name))
+        assert worst < 2e-3
+        assert chord == pytest.approx(1.0, abs=1e-3)
+        assert abs(rotation) < 0.01
+    assert np.allclose(parameters[:8], -parameters[8:16], atol=1e-9)
+    assert parameters[17] == pytest.approx(0.00126, rel=0.05)  # blunt tail of the thickness formula
+
+
+def test_rotated_contour_gives_the_same_forces_at_the_rotated_angle():
+    airfoil = load_airfoil("goe394")
+    tilt = math.radians(2.0)
+    c, s = math.cos(tilt), math.sin(tilt)
+    turned = type(airfoil)("turned", airfoil.coordinates @ np.array([[c, -s], [s, c]]), "turned nose up")
+    parameters, rotation, _, _ = neural.fit_kulfan(airfoil)
+    other, rotation_turned, _, _ = neural.fit_kulfan(turned)
+    assert np.allclose(parameters, other, atol=1e-9)
+    assert abs(abs(rotation_turned - rotation) - tilt) < 1e-9
+    # Turned nose up by two degrees, the section sees two degrees more.
+    a, b = polar(airfoil, reynolds=FEW), polar(turned, reynolds=FEW)
+    alpha = np.deg2rad(np.arange(-4.0, 9.0))
+    assert np.allclose(lookup(b, alpha, 5e4)[0], lookup(a, alpha + tilt, 5e4)[0], atol=2e-3)
+
+
+@pytest.mark.parametrize("name", ["naca0012", "naca4412", "goe394", "naca6415", "gm15sm"])
+@pytest.mark.parametrize("aspect_ratio", [2.5, 5.0, math.inf])
+def test_full_circle(name, aspect_ratio):
+    data = neural.neuralfoil([load_airfoil(name)], REYNOLDS)[0]
+    t = extend(data, aspect_ratio=aspect_ratio)
+    # What the engine computed is untouched.
+    inside = np.abs(ALPHA_GRID) <= math.radians(neural.WIDEST_DEG) + 1e-9
+    assert np.allclose(t.cl[:, inside][:, ::2], data.cl, atol=1e-12)
+    assert np.allclose(t.cd[:, inside][:, ::2], data.cd, atol=1e-12)
+    # A plate across the flow: no lift, drag C_max; from behind: no lift, little drag; periodic.
+    for side in (-RIGHT, RIGHT):
+        cl, cd = lookup(t, side, REYNOLDS)
+        assert np.allclose(cl, 0.0, atol=1e-9)
+        assert np.allclose(cd, plate_drag(aspect_ratio), rtol=1e-9)
+    assert np.allclose(t.cl[:, [0, -1]], 0.0, atol=1e-9)
+    assert np.allclose(t.cd[:, 0], t.cd[:, -1])
+    # No jump anywhere: steps of half a degree outside the computed range stay small.
+    far = ~inside
+    far[1:] |= far[:-1]
+    for c, most in ((t.cl, 0.05), (t.cd, 0.03), (t.cm, 0.02)):
+        steps = np.abs(np.diff(c, axis=1))[:, far[1:] & far[:-1]]
+        assert steps.max() < most
+    assert np.all(t.cd > 0)
+    # Force and chord: past stall the force is normal to the plate, its lift side up for positive angles.
+    beyond = (math.radians(25) < ALPHA_GRID) & (math.radians(89) > ALPHA_GRID)
+    assert np.all(t.cl[:, beyond] > 0)
+    assert np.all(t.cl[:, (math.radians(91) < ALPHA_GRID) & (math.radians(179) > ALPHA_GRID)] < 0)
+
+
+def test_plate_drag_is_that_of_the_source():
+    assert plate_drag(math.inf) == 2.01
+    assert plate_drag(50) == pytest.approx(2.01)
+    assert plate_drag(10) == pytest.approx(1.29)
+    for bad in (0.0, -1.0, math.nan):
+        with pytest.raises(InputError, match="aspect_ratio"):
+            plate_drag(bad)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.floats(-50.0, 5.0),
+    st.floats(1.0, 60.0),
+    st.floats(-1.5, 1.5),
+    st.floats(-1.5, 1.5),
+    st.floats(0.005, 0.5),
+)
+def test_extension_meets_any_end_without_a_jump(low, span, cl_low, cl_high, cd):
+    low = round(2 * low) / 2
+    alpha = np.deg2rad(low + np.linspace(0, max(1, round(2 * span) / 2), 9))
+    ones = np.ones((1, 9))
+    data = SectionData(
+        "x", alpha, np.array([1e5]), np.linspace(cl_low, cl_high, 9)[None, :], cd * ones, 0 * ones,
+        ones.astype(bool), ones.astype(bool), "drawn",
+    )  # fmt: skip
+    t = extend(data)
+    assert np.all(np.isfinite(t.cl))
+    assert np.all(t.cd > 0)
+    inside = (alpha[0] - 1e-9 <= ALPHA_GRID) & (alpha[-1] + 1e-9 >= ALPHA_GRID)
+    steps = np.abs(np.diff(t.cl[0]))
+    own_step = np.abs(np.diff(t.cl[0][inside])).max(initial=0.0)
+    assert steps.max() < max(0.3, 1.01 * own_step)
+
+
+def test_too_little_to_extend_is_refused():
+    a = np.deg2rad([70.0, 75.0, 80.0])
+    ones = np.ones((1, 3))
+    data = SectionData("x", a, np.array([1e5]), ones, ones, ones, ones > 0, ones > 0, "")
+    with pytest.raises(MuflyError, match="too few"):
+        extend(data)
+
+
+def test_validity_is_the_networks_own_confidence():
+    t = polar("naca4412", reynolds=FEW)
+    assert np.all(t.alpha_valid_rad[:, 0] < math.radians(-8))
+    assert np.all(t.alpha_valid_rad[:, 1] > math.radians(15))
+    assert np.all(np.abs(t.alpha_valid_rad) <= math.radians(neural.WIDEST_DEG) + 1e-9)
+    assert outside(t, math.radians(30), 5e4)
+    assert not outside(t, math.radians(6), 5e4)
+    assert t.n_crit == 0.1
+    assert "NeuralFoil" in t.source
+    assert t.thickness_ratio == pytest.approx(0.12, rel=0.01)
+
+
+def test_gaps_in_confidence_end_the_valid_range():
+    cl = np.linspace(-1, 1, 9)[None, :]
+    logit = np.array([[5, 5, -5, 5, 5, 5, 5, -5, 5.0]])
+    assert neural._trusted(logit, cl).tolist() == [
+        [False, False, False, True, True, True, True, False, False]
+    ]
+
+
+def test_drag_falls_with_reynolds_number_and_early_transition_keeps_the_flow_attached():
+    """Trends of Secs 3.1.1 and 3.3.1, here at 4 degrees; at Re 3e4 a quiet stream separates, a noisy one does not."""
+    noisy, quiet = polar("naca4412"), polar("naca4412", n_crit=9.0)
+    alpha = math.radians(4)
+    _, cd = lookup(noisy, alpha, [5e3, 2e4, 1e5])
+    assert cd[0] > cd[1] > cd[2]
+    (cl_noisy, cd_noisy), (cl_quiet, cd_quiet) = (lookup(t, alpha, 3e4) for t in (noisy, quiet))
+    assert cl_noisy > 2 * cl_quiet
+    assert cd_noisy < 0.7 * cd_quiet
+
+
+def test_faults_are_raised_or_collected():
+    with pytest.raises(InputError, match="no such airfoil"):
+        polars(["naca0012", "no-such"])
+    faults: dict[str, str] = {}
+    found = polars(["naca0012", "no-such", "naca9900"], faults=faults)
+    assert list(found) == ["naca0012"]
+    assert set(faults) == {"no-such", "naca9900"}
+    for change, words in (
+        ({"engine": "cfd"}, "use neuralfoil, xfoil or table"),
+        ({"n_crit": -1.0}, "0 (noisy) to 18"),
+        ({"xtr": (0.5, 1.5)}, "between 0 and 1"),
+        ({"reynolds": [1e4, 5e3]}, "positive and rising"),
+        ({"reynolds": [1e3, 2e3, 3e3]}, "geometric progression"),
+        ({"model": "huge"}, "is unknown"),
+    ):
+        with pytest.raises(InputError) as fault:
+            polar("naca0012", **change)
+        assert words in str(fault.value)
+
+
+def test_small_gurney_flaps_add_lift_and_large_ones_go_to_the_engine_that_can():
+    clean, flapped = polar("naca4412"), polar("naca4412+gurney1.5")
+    gain = lookup(flapped, math.radians(4), 1e5)[0] - lookup(clean, math.radians(4), 1e5)[0]
+    assert 0.1 < gain < 0.4
+    with pytest.raises(InputError, match="use engine 'xfoil', or a flap up to 2 %"):
+        polar("naca0012+gurney5")
+
+
+# -- cache ------------------------------------------------------------------------------------------------------------
+
+
+def counted(monkeypatch):
+    calls = []
+    original = neural.neuralfoil
+
+    def spy(airfoils, *args, **kwargs):
+        calls.extend(a.name for a in airfoils)
+        return original(airfoils, *args, **kwargs)
+
+    monkeypatch.setattr(neural, "neuralfoil", spy)
+    return calls
+
+
+def test_cache_answers_by_content(monkeypatch, tmp_path):
+    monkeypatch.setenv("MUFLY_CACHE", str(tmp_path))
+    calls = counted(monkeypatch)
+    first = polar("naca0008", reynolds=FEW)
+    again = polar("naca0008", reynolds=FEW, aspect_ratio=3.0)
+    assert calls == ["naca0008"]
+    assert np.array_equal(first.cl[:, 330:380], again.cl[:, 330:380])
+    assert first.source == again.source
+    # The same contour under another name and from a file is the same polar.
+    rows = "\n".join(f"{x:.12f} {y:.12f}" for x, y in load_airfoil("naca0008").coordinates)
+    (tmp_path / "mine.dat").write_text(f"mine\n{rows}\n")
+    mine = polar(str(tmp_path / "mine.dat"), reynolds=FEW)
+    assert calls == ["naca0008"]
+    assert mine.name == "mine"
+    # Anything else that matters is another entry.
+    polar("naca0008", reynolds=FEW, n_crit=1.0)
+    polar("naca0008", reynolds=FEW * 1.01)
+    polar("naca0008", reynolds=FEW, xtr=(0.5, 1.0))
+    polar("naca0008", reynolds=FEW, model="small")
+    assert len(calls) == 5
+
+
+def test_broken_or_absent_cache_is_no_obstacle(monkeypatch, tmp_path):
+    monkeypatch.setenv("MUFLY_CACHE", str(tmp_path))
+    calls = counted(monkeypatch)
+    good = polar("naca2410", reynolds=FEW)
+    (entry,) = (tmp_path / "polars").glob("*.npz")
+    for content in (b"", b"PK\x03\x04 rubbish", entry.read_bytes()[:500]):
+        entry.write_bytes(content)
+        assert np.array_equal(polar("naca2410", reynolds=FEW).cl, good.cl)
+    assert len(calls) == 4
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    monkeypatch.setenv("MUFLY_CACHE", str(blocked))
+    assert np.array_equal(polar("naca2410", reynolds=FEW).cl, good.cl)
+    monkeypatch.setenv("MUFLY_CACHE", "off")
+    assert cache.cache_folder() is None
+    assert np.array_equal(polar("naca2410", reynolds=FEW).cl, good.cl)
+    assert not list((tmp_path / "polars").glob("*.part"))
+
+
+# -- user tables ------------------------------------------------------------------------------------------------------
+
+
+def test_user_table_is_read_and_extended(tmp_path):
+    path = tmp_path / "mine.csv"
+    path.write_text("# wind tunnel\nalpha_deg,cl,cd\n-5,-0.5,0.03\n0,0.0,0.02\n5,0.5,0.03\n10,0.9,0.06\n")
+    t = polar(path)
+    assert np.allclose(lookup(t, np.deg2rad([-5, 0, 5, 10]), 3e4)[0], [-0.5, 0.0, 0.5, 0.9], atol=1e-12)
+    assert np.allclose(lookup(t, np.deg2rad([-5, 0, 5, 10]), 1e6)[1], [0.03, 0.02, 0.03, 0.06], atol=1e-12)
+    assert outside(t, np.deg2rad([3, 12]), 1e4).tolist() == [0, 1]
+    assert math.isnan(t.n_crit)
+    assert np.allclose(lookup(t, RIGHT, 1e4)[1], plate_drag(5.0))
+
+
+def test_user_table_over_reynolds_numbers(tmp_path):
+    path = tmp_path / "mine.csv"
+    lines = ["reynolds,alpha_deg,cm,cl,cd"]
+    for re in (1e4, 2e4, 4e4):
+        lines += [
+            f"{re},{a},-0.02,{0.1 * a * re / 1e4},{0.02 * 1e4 / re + 1e-4 * a * a}" for a in range(-6, 7, 2)
+        ]
+    path.write_text("\n".join(lines))
+    t = polar(path, engine="table")
+    assert np.allclose(t.reynolds, [1e4, 2e4, 4e4])
+    cl, cd = lookup(t, math.radians(4), [1e4, 2e4, 4e4, 8e4])
+    assert np.allclose(cl, [0.4, 0.8, 1.6, 1.6])
+    assert np.allclose(cd, [0.0216, 0.0116, 0.0066, 0.0066])
+    assert outside(t, 0.0, [5e3, 1e4, 8e4]).tolist() == [2, 0, 2]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("alpha_deg,cl\n0,0\n", "cd: the column is missing"),
+        ("alpha_deg,cl,cd,mach\n0,0,1,0\n", "mach: unknown column"),
+        ("alpha_deg,cl,cd\n0,0,1\n1,x,1\n2,0,1\n", "line 3: cl 'x' is no number"),
+        ("alpha_deg,cl,cd\n0,0,1\n1,0\n", "line 3: 2 cells"),
+        ("alpha_deg,cl,cd\n0,0,1\n0,0,1\n2,0,1\n", "an angle appears twice"),
+        ("alpha_deg,cl,cd\n0,0,1\n1,0,1\n", "2 angles are too few"),
+        ("alpha_deg,cl,cd\n0,0,0\n1,0,1\n2,0,1\n", "cd 0 is not possible"),
+        ("alpha_deg,cl,cd\n0,0,1\n1,0,1\n200,0,1\n", "give -180 to 180"),
+        ("alpha_deg,cl,cd,reynolds\n0,0,1,-5\n", "reynolds -5 is not possible"),
+        ("alpha_deg,cl,cd\n", "has no rows"),
+        ("", "is empty"),
+    ],
+)
+def test_user_table_faults_are_named(tmp_path, text, words):
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(InputError) as fault:
+        polar(path)
+    assert words in str(fault.value)
+    assert str(path) in str(fault.value)
