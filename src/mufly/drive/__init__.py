@@ -8,13 +8,13 @@ from mufly.drive.loads import RotorLoad, blade_load, coefficient_load
 from mufly.drive.motor import armature_current, rotor_acceleration
 from mufly.drive.operating import (
     OperatingPoint,
-    battery_voltage,
-    open_circuit_voltage,
     operating_point,
+    speed_at_voltage,
     speed_for_thrust,
     steady,
 )
 from mufly.drive.schema import Constants, Drive
+from mufly.drive.supply import battery_voltage, open_circuit_voltage
 
 __all__ = [
     "Constants",
@@ -40,6 +40,7 @@ __all__ = [
     "open_circuit_voltage",
     "operating_point",
     "rotor_acceleration",
+    "speed_at_voltage",
     "speed_for_thrust",
     "steady",
     "terminal_voltage",

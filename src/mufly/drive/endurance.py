@@ -3,7 +3,7 @@
 Hover needs the same speed and torque to the end, so the motors need the same power P and the same motor voltage
 U_m. With z the charge left (1 to 0) and C the capacity
 
-    -C dz/dt = I(z) = P / U(z) + I_el,       U(z) = U_oc(z) - R_b I(z)            (``operating.battery_voltage``)
+    -C dz/dt = I(z) = P / U(z) + I_el,       U(z) = U_oc(z) - R_b I(z)            (``supply.battery_voltage``)
     t = C int_z_end^1 dz / I(z)
 
 U_oc is linear between the points of its table, and the integrand is smooth on each piece: eight Gauss points a
@@ -24,7 +24,7 @@ from typing import Literal
 
 import numpy as np
 
-from mufly.drive.operating import battery_voltage, internal_resistance, open_circuit_voltage
+from mufly.drive.supply import battery_voltage, internal_resistance, open_circuit_voltage
 from mufly.errors import MuflyError
 from mufly.vehicle.schema import Battery
 

@@ -12,13 +12,8 @@ so the point follows in closed form from speed and torque. What is left to find 
 * given motor voltage or duty: dOmega/dt of eq. 4.29 (``motor.rotor_acceleration``) is zero. It falls with the speed
   from stall to the speed at which the motor would run free.
 
-The supply is a fixed voltage, or the battery at a charge. Battery and power balance: n motors that draw P_in each and
-electronics I_el at the terminal voltage U make U = U_oc - R_b (n P_in / U + I_el), hence
-
-    U = (E + sqrt(E^2 - 4 R_b n P_in)) / 2,       E = U_oc - R_b I_el;
-
-with given duty the terminal voltage is the closed form of ``battery.terminal_voltage``. The motor needs duty =
-U_m / U, at most 1. Where the power goes: R I^2 copper, (kE - kM) w I what the motor's two constants do not
+The supply is a fixed voltage, or the battery at a charge, sagging under all motors (module ``supply``). The motor needs
+duty = U_m / U, at most 1. Where the power goes: R I^2 copper, (kE - kM) w I what the motor's two constants do not
 account for (iron), dR w^2 friction, (1 - eta) of what enters the gear, (1 - eta_c) P_in the controller.
 """
 
@@ -30,19 +25,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mufly.drive.battery import interpolate, terminal_voltage
+from mufly.drive.battery import terminal_voltage
 from mufly.drive.loads import RotorLoad
 from mufly.drive.motor import armature_current, rotor_acceleration
 from mufly.drive.schema import Constants, Drive
 from mufly.drive.solve import rising_root
+from mufly.drive.supply import battery_voltage, internal_resistance, open_circuit_voltage
 from mufly.errors import InputError, MuflyError
-from mufly.vehicle.schema import Battery
 
 __all__ = [
     "OperatingPoint",
-    "battery_voltage",
-    "open_circuit_voltage",
+    "free_speed",
     "operating_point",
+    "speed_at_voltage",
     "speed_for_thrust",
     "steady",
 ]
@@ -122,37 +117,6 @@ def steady(
         )  # fmt: skip
     shape = np.broadcast_shapes(*(np.shape(v) for v in vars(point).values()))
     return replace(point, **{k: np.broadcast_to(v, shape).astype(np.float64) for k, v in vars(point).items()})
-
-
-def open_circuit_voltage(battery: Battery, charge: float) -> float:
-    """Return the battery's voltage at rest (V) with ``charge`` (0 to 1) left, as the flight model has it."""
-    if not 0.0 <= charge <= 1.0:
-        raise InputError("battery", "charge", f"{charge:g} is not possible", "give a fraction from 0 to 1")
-    if battery.model == "constant":
-        return float(battery.nominal_voltage)
-    return float(interpolate(battery.open_circuit_voltage.sample(101), charge))
-
-
-def internal_resistance(battery: Battery) -> float:
-    """Return R_b (ohm): zero for the 'constant' model, which does not sag."""
-    return 0.0 if battery.model == "constant" else float(battery.internal_resistance)
-
-
-def battery_voltage(battery: Battery, open_circuit_V: ArrayLike, power_W: ArrayLike) -> Array:
-    """Return the terminal voltage under motors of constant power and the electronics; nan where it breaks down.
-
-    Parameters
-    ----------
-    battery : Battery
-    open_circuit_V : array_like
-        Voltage at rest (V).
-    power_W : array_like
-        Power of all motors together (W).
-    """
-    r = internal_resistance(battery)
-    e = np.asarray(open_circuit_V, dtype=np.float64) - r * float(battery.electronics_current)
-    inside = e**2 - 4.0 * r * np.asarray(power_W, dtype=np.float64)
-    return np.where((inside >= 0) & (e > 0), 0.5 * (e + np.sqrt(np.maximum(inside, 0.0))), np.nan)
 
 
 def speed_for_thrust(
@@ -302,48 +266,79 @@ def _at_thrust(
     return point
 
 
+def speed_at_voltage(c: Constants, load: RotorLoad, voltage_V: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Find the speed at which each case of a load settles.
+
+    Parameters
+    ----------
+    c : Constants
+        Single numbers, or arrays over the cases.
+    load : RotorLoad
+    voltage_V : (n,) array
+        Mean voltage at the motor.
+
+    Returns
+    -------
+    speed : (n,) array
+        rad/s; nan where there is none.
+    found : (n,) array of bool
+    """
+    return _settled(c, load, lambda speed, case: voltage_V[case], voltage_V)
+
+
+def _settled(
+    c: Constants, load: RotorLoad, voltage: Callable[[Array, Integers], Array], at_most: Array
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Speed at which eq. 4.29 rests, with the motor voltage as a function of speed and case."""
+
+    def slowing(speed: Array, case: Integers) -> Array:
+        m = c.of(case)
+        current = _current(1.0, voltage(speed, case), speed, m.back_emf_V_s, m.resistance_ohm, m.gear_ratio)
+        return -_acceleration(
+            current, speed, load(speed, case)[1], m.torque_Nm_A, m.friction_Nm_s, m.gear_ratio, m.gear_efficiency, 1.0
+        )  # fmt: skip
+
+    top = np.broadcast_to(free_speed(c, at_most), at_most.shape)
+    # A rotor that is driven by the air (in descent) may run beyond the free speed.
+    return rising_root(slowing, 0.6 * top, lowest=LOWEST_SPEED, highest=np.maximum(20.0 * top, 1.0))
+
+
 def _at_voltage(
     drive: Drive, c: Constants, load: RotorLoad, value: Array, key: str, fixed: float | None, rest: float
 ) -> OperatingPoint:
     battery, n = drive.battery, drive.rotors
+    k_e, resistance, efficiency = (
+        float(np.asarray(v)) for v in (c.back_emf_V_s, c.resistance_ohm, c.controller_efficiency)
+    )
     ratio = np.broadcast_to(np.asarray(c.gear_ratio, dtype=np.float64), value.shape)
 
     def terminal(speed: Array, case: Integers) -> Array:
         """Supply voltage while the rotor turns at a speed, at the asked duty."""
         if fixed is not None:
             return np.full(speed.shape, fixed)
-        per_supply = n * value[case] / (c.resistance_ohm * np.asarray(c.controller_efficiency))
+        share = n * value[case] / (resistance * efficiency)
         return np.asarray(
             _terminal(
-                rest, internal_resistance(battery), per_supply * value[case],
-                per_supply * c.back_emf_V_s * ratio[case] * speed, float(battery.electronics_current),
+                rest, internal_resistance(battery), share * value[case], share * k_e * ratio[case] * speed,
+                float(battery.electronics_current),
             )
         )  # fmt: skip
 
-    def slowing(speed: Array, case: Integers) -> Array:
-        if key == "duty":
-            share, supply = value[case], terminal(speed, case)
-        else:
-            share, supply = np.ones(speed.shape), value[case]
-        current = _current(share, supply, speed, c.back_emf_V_s, c.resistance_ohm, ratio[case])
-        torque = load(speed, case)[1]
-        return -_acceleration(
-            current, speed, torque, c.torque_Nm_A, c.friction_Nm_s, ratio[case], c.gear_efficiency, 1.0
-        )
-
-    cases = np.arange(value.size)
-    at_most = value * (fixed if fixed is not None else rest) if key == "duty" else value
-    top = free_speed(c, at_most)
-    # A rotor that is driven by the air (in descent) may run beyond the free speed.
-    speed, found = rising_root(slowing, 0.6 * top, lowest=LOWEST_SPEED, highest=np.maximum(20.0 * top, 1.0))
+    if key == "duty":
+        at_most = value * (fixed if fixed is not None else rest)
+        speed, found = _settled(c, load, lambda s, case: value[case] * terminal(s, case), at_most)
+    else:
+        speed, found = speed_at_voltage(c, load, value)
     if not np.all(found):
         raise MuflyError(
             f"drive {drive.name!r} finds no steady speed with this rotor; is its torque negative?"
         )
+    cases = np.arange(value.size)
     thrust, torque = load(speed, cases)
-    supply = terminal(speed, cases) if key == "duty" else _supply(
-        drive, steady(c, speed, thrust, torque, 1.0).input_power_W, fixed, rest
-    )  # fmt: skip
+    if key == "duty":
+        supply = terminal(speed, cases)
+    else:
+        supply = _supply(drive, steady(c, speed, thrust, torque, 1.0).input_power_W, fixed, rest)
     point = steady(c, speed, thrust, torque, supply)
     if key != "duty" and not np.all(point.duty <= 1.0 + 1e-9):
         least = float(np.nanmin(supply)) if np.any(np.isfinite(supply)) else 0.0

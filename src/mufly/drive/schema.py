@@ -62,6 +62,10 @@ class Constants:
     gear_efficiency: Values
     controller_efficiency: Values = 1.0
 
+    def of(self, case: NDArray[np.int64]) -> Constants:
+        """Return the constants of some cases: arrays are indexed, single numbers stay."""
+        return Constants(**{k: v[case] if np.ndim(v) else v for k, v in vars(self).items()})
+
 
 class DatasheetMotor(Group):
     """A motor as its data sheet describes it."""
