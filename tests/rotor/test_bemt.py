@@ -16,8 +16,9 @@ from mufly.rotor.bemt import descent_inflow
 from mufly.rotor.blading import Blading, prepare
 from mufly.rotor.corrections import PLAIN, Corrections
 from mufly.rotor.geometry import Rotor
-from mufly.rotor.hover import Air, hover, hover_batch, solve_thrust
+from mufly.rotor.hover import Air, hover, hover_batch
 from mufly.rotor.polar import ALPHA_GRID, PolarTable
+from mufly.rotor.thrust import solve_thrust
 
 NO_LOSS = Corrections(tip_loss="none", hub_loss=False, swirl=False, lifting_surface=False, rotation="none")
 SLOPE = 5.73

@@ -49,7 +49,7 @@ _TOLERANCE = 1e-10  # rad
 _FADE_FROM, _FADE_TO = math.radians(30.0), math.radians(50.0)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def descent_inflow(x: float) -> float:
     """Induced over hover-induced velocity, g(x), at V / u_h = x, continuous for all x."""
     if x >= 0.0:
@@ -60,7 +60,13 @@ def descent_inflow(x: float) -> float:
     return -0.5 * x - math.sqrt(max(0.25 * x * x - 1.0, 0.0))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
+def _prandtl(f: float) -> float:
+    """Prandtl's loss factor; beyond f = 37 it is 1 to the last bit."""
+    return 2.0 / math.pi * math.acos(math.exp(-f)) if f < 37.0 else 1.0
+
+
+@njit(cache=True, error_model="numpy")
 def _section(
     alpha: float, log_re: float, first: int, second: int, weight: float,
     grid: Array, log_re0: float, per_log_re: float, zero_lift: Array, g: float, scale: Any,
@@ -82,18 +88,15 @@ def _section(
     return scale[0] * cl, scale[1] * cd
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _residual(
     alpha: float, e: float, theta: float, op: Any, st: Any, ix: Any, polars: Any, scale: Any
 ) -> Any:
     """Return R of the module docstring and what comes with it: phi, c_l, c_d, W, F, u, u_t, log Re."""
-    omega, climb, nu, mode, hub, swirl = op
+    climb, mode, hub, swirl, speed, phi_u, log_unit = op
     r, chord, weight, g, blades, radius, hub_r = st
     grid, log_re0, per_log_re, zero_lift = polars
-    speed = math.hypot(climb, omega * r)
-    phi_u = math.atan2(climb, omega * r)
-    wind = speed * max(math.cos(theta - alpha - phi_u), 1e-3)
-    log_re = math.log(max(wind * chord / nu, 1e-3))
+    log_re = log_unit + math.log(max(math.cos(theta - alpha - phi_u), 1e-3))
     cl, cd = _section(alpha, log_re, ix[0], ix[1], weight, grid, log_re0, per_log_re, zero_lift, g, scale)
     phi = theta - alpha - e * cl
     turn = phi - phi_u
@@ -106,12 +109,12 @@ def _residual(
     loss, size = 1.0, abs(sine)
     if size > 1e-12:
         if mode == 1:
-            loss = 2.0 / math.pi * math.acos(math.exp(-0.5 * blades * (radius - r) / (r * size)))
+            loss = _prandtl(0.5 * blades * (radius - r) / (r * size))
         if hub == 1 and hub_r > 0.0:
-            loss *= 2.0 / math.pi * math.acos(math.exp(-0.5 * blades * (r - hub_r) / (hub_r * size)))
+            loss *= _prandtl(0.5 * blades * (r - hub_r) / (hub_r * size))
         loss = max(loss, 1e-6)
     if swirl == 0 and cosine > 1e-9:
-        wind = omega * r / cosine
+        wind = speed * math.cos(phi_u) / cosine
     load = blades * chord * wind * wind * cl * cosine / (8.0 * math.pi * r * loss)
     hover = math.sqrt(abs(load))
     momentum = 0.0
@@ -119,18 +122,18 @@ def _residual(
         sign = 1.0 if load > 0.0 else -1.0
         momentum = sign * hover * descent_inflow(sign * climb / hover)
     if swirl == 0:
-        axial = omega * r * sine - climb * cosine
+        axial = normal
         u = axial / cosine if cosine > 1e-9 else 0.0
         return axial - momentum * cosine, phi, cl, cd, wind, loss, u, 0.0, log_re
     over = cosine if abs(cosine) > 1e-9 else math.copysign(1e-9, cosine)
     return normal - momentum / over, phi, cl, cd, wind, loss, normal * cosine, normal * sine, log_re
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _station(theta: float, e: float, zero: float, op: Any, st: Any, ix: Any, polars: Any, scale: Any) -> Any:
     """Solve one station; return alpha, e as used and the values at the root."""
-    omega, climb = op[0], op[1]
-    middle = theta - math.atan2(climb, omega * st[0])
+    speed = op[4]
+    middle = theta - op[5]
     b = middle
     fb = _residual(b, e, theta, op, st, ix, polars, scale)[0]
     a, fa = b, fb
@@ -146,7 +149,7 @@ def _station(theta: float, e: float, zero: float, op: Any, st: Any, ix: Any, pol
     x, out = b, _residual(b, e, theta, op, st, ix, polars, scale)
     side, width = 0, abs(b - a)
     for step in range(_MAX_STEPS):
-        if abs(out[0]) <= _TOLERANCE * omega * st[0]:
+        if abs(out[0]) <= _TOLERANCE * speed:
             break
         x = b - fb * (b - a) / (fb - fa)
         if step % 3 == 2:  # halve when three secants have not
@@ -169,10 +172,11 @@ def _station(theta: float, e: float, zero: float, op: Any, st: Any, ix: Any, pol
     return x, e, out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def solve_cases(
     start: int, stop: int,
     which: Integers, pitch: Array, speed: Array, climb: Array, density: Array, viscosity: Array,
+    stream: Array,
     r: Array, dr: Array, chord: Array, twist: Array, first: Integers, second: Integers,
     weight: Array, e: Array, g: Array,
     blades: Array, radius: Array, hub_r: Array,
@@ -188,6 +192,8 @@ def solve_cases(
         Blade of each case: first index of ``r`` and its companions.
     pitch, speed, climb, density, viscosity : (cases,) arrays
         rad, rad/s (above 0), m/s, kg/m3, kinematic m2/s.
+    stream : (cases, stations, 2) array or (0, ...)
+        Axial (down) and tangential (against the blade) velocity of the air that another rotor sends, m/s.
     r, dr, chord, twist, first, second, weight, e, g : (blades, stations) arrays
         Stations: radius and width (m), chord (m), twist (rad), polars and their mix, finite-chord factor,
         strength of rotation.
@@ -204,10 +210,9 @@ def solve_cases(
         Filled with :data:`FIELDS` unless its first axis is empty.
     """
     polars = (grid, log_re0, per_log_re, zero_lift)
-    keep = stations.shape[0] > 0
+    keep, meets = stations.shape[0] > 0, stream.shape[0] > 0
     for case in range(start, stop):
         k = which[case]
-        op = (speed[case], climb[case], viscosity[case], mode, hub, swirl)
         effective = radius[k]
         # The effective radius depends on the mean inflow: four passes settle it to 1e-4 R.
         for _ in range(4 if mode == 2 else 1):
@@ -232,6 +237,13 @@ def solve_cases(
                 )
                 ix = (first[k, i], second[k, i])
                 zero = zero_lift[ix[0]] + weight[k, i] * (zero_lift[ix[1]] - zero_lift[ix[0]])
+                axial, across = climb[case], speed[case] * r[k, i]
+                if meets:
+                    axial += stream[case, i, 0]
+                    across += stream[case, i, 1]
+                u_total = math.hypot(axial, across)
+                log_unit = math.log(max(u_total * chord[k, i] / viscosity[case], 1e-3))
+                op = (axial, mode, hub, swirl, u_total, math.atan2(axial, across), log_unit)
                 alpha, _e, out = _station(theta, e[k, i], zero, op, st, ix, polars, factors)
                 _, phi, cl, cd, wind, loss, u, u_t, log_re = out
                 push = 0.5 * density[case] * wind * wind * chord[k, i] * blades[k] * dr[k, i]

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
+from mufly.rotor import build
+from mufly.rotor.build import Engine
 from mufly.rotor.corrections import Corrections, rotation_strength, zero_lift_angle
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.lifting_surface import chord_factor
@@ -93,8 +95,10 @@ def panel_edges(cutout: float, stations: int) -> tuple[Array, Array]:
 
 def prepare(
     rotors: Rotor | Sequence[Rotor],
-    polars: Mapping[str, PolarTable],
+    polars: Mapping[str, PolarTable] | None = None,
     *,
+    n_crit: float = 0.1,
+    engine: Engine = "neuralfoil",
     corrections: Corrections | None = None,
     stations: int = STATIONS,
 ) -> Blading:
@@ -104,8 +108,9 @@ def prepare(
     ----------
     rotors : Rotor or sequence of Rotor
         One or many; many share one batch.
-    polars : mapping
-        Airfoil name to polar, for every airfoil that the rotors name.
+    polars : mapping, optional
+        Airfoil name to polar, for every airfoil that the rotors name. By default they are computed (or recalled) by
+        ``engine`` at ``n_crit``, over Reynolds numbers from 2e3 to 3e5.
     corrections : Corrections, optional
         Default: all that docs/bemt.md recommends.
     stations : int
@@ -123,12 +128,13 @@ def prepare(
     if stations < 4:
         raise InputError("rotor", "stations", f"{stations} is too few for a blade", "give 4 or more")
     names = list(dict.fromkeys(name for rotor in many for name in rotor.airfoil_names()))
+    known = build.polars(names, n_crit=n_crit, engine=engine) if polars is None else polars
     for name in names:
-        if name not in polars:
+        if name not in known:
             raise InputError(
-                "rotor", f"airfoil {name}", "has no polar", f"give one of {', '.join(sorted(polars))}"
+                "rotor", f"airfoil {name}", "has no polar", f"give one of {', '.join(sorted(known))}"
             )
-    tables = [polars[name] for name in names]
+    tables = [known[name] for name in names]
     shape = (len(many), stations)
     r, dr, chord, twist, e, g, weight = (np.zeros(shape) for _ in range(7))
     first, second = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)

@@ -19,7 +19,7 @@ from mufly.rotor.bemt import FIELDS, solve_cases
 from mufly.rotor.blading import Blading
 from mufly.rotor.polar import OUTSIDE_ALPHA, OUTSIDE_REYNOLDS
 
-__all__ = ["Air", "BatchResult", "RotorResult", "hover", "hover_batch", "solve_thrust"]
+__all__ = ["Air", "BatchResult", "RotorResult", "hover", "hover_batch", "induced_velocities"]
 
 Array = NDArray[np.float64]
 
@@ -119,20 +119,30 @@ def _checked(name: str, values: Array, *, positive: bool) -> None:
 
 
 def _solve(
-    blading: Blading, which: ArrayLike, pitch: Array, speed: Array, climb: Array, air: Air, keep: bool
+    blading: Blading,
+    which: ArrayLike,
+    pitch: Array,
+    speed: Array,
+    climb: Array,
+    air: Air,
+    keep: bool,
+    stream: Array | None = None,
 ) -> tuple[Array, Array]:
     b, n = blading, pitch.size
     fixes = b.corrections
     totals = np.empty((n, 2))
     stations = np.empty((n if keep else 0, b.r_m.shape[1], len(FIELDS)))
     index = np.ascontiguousarray(np.broadcast_to(np.asarray(which, dtype=np.int64), pitch.shape).ravel())
+    nu = air.viscosity_Pa_s / air.density_kg_m3
+    wind = np.empty((0, 0, 2)) if stream is None else np.ascontiguousarray(stream)
+    cos4 = int(fixes.rotation == "chaviaropoulos-hansen")
     args = (
-        index, pitch, speed, climb, np.full(n, air.density_kg_m3), np.full(n, air.viscosity_Pa_s /
-        air.density_kg_m3), b.r_m, b.dr_m, b.chord_m, b.twist_rad, b.first, b.second, b.weight, b.chord_factor,
-        b.rotation, b.blades, b.radius_m, b.hub_radius_m,
+        index, pitch, speed, climb, np.full(n, air.density_kg_m3), np.full(n, nu), wind,
+        b.r_m, b.dr_m, b.chord_m, b.twist_rad, b.first, b.second, b.weight, b.chord_factor, b.rotation,
+        b.blades, b.radius_m, b.hub_radius_m,
         b.polars.grid, b.polars.log_reynolds_min, b.polars.per_log_reynolds, b.zero_lift_rad,
-        _MODES[fixes.tip_loss], int(fixes.hub_loss), int(fixes.swirl), int(fixes.rotation ==
-        "chaviaropoulos-hansen"), np.array([fixes.lift_factor, fixes.drag_factor]), totals, stations,
+        _MODES[fixes.tip_loss], int(fixes.hub_loss), int(fixes.swirl), cos4,
+        np.array([fixes.lift_factor, fixes.drag_factor]), totals, stations,
     )  # fmt: skip
     workers = min(os.cpu_count() or 1, n // _CHUNK)
     if workers < 2:
@@ -177,6 +187,7 @@ def hover(
     climb_m_s: float = 0.0,
     air: Air | None = None,
     which: int = 0,
+    stream: tuple[Array, Array] | None = None,
 ) -> RotorResult:
     """Solve one rotor at one point.
 
@@ -194,6 +205,9 @@ def hover(
         Density and viscosity.
     which : int
         Which of the blading's rotors.
+    stream : (axial, tangential), optional
+        Velocity that the air brings to each station, (stations,) arrays in m/s: down through the disc, and
+        against the blade's motion. What another rotor sends.
 
     Raises
     ------
@@ -205,8 +219,9 @@ def hover(
         ("pitch_rad", pitch_rad), ("speed_rad_s", speed_rad_s), ("climb_m_s", climb_m_s))}  # fmt: skip
     for name, value in point.items():
         _checked(name, value, positive=name == "speed_rad_s")
+    wind = None if stream is None else np.stack(stream, axis=-1)[None]
     totals, stations = _solve(
-        blading, which, point["pitch_rad"], point["speed_rad_s"], point["climb_m_s"], gas, keep=True
+        blading, which, point["pitch_rad"], point["speed_rad_s"], point["climb_m_s"], gas, True, wind
     )
     thrust, torque = float(totals[0, 0]), float(totals[0, 1])
     radius, area = blading.rotors[which].radius_m, blading.rotors[which].disc_area_m2
@@ -236,6 +251,20 @@ def hover(
         outside_share=float(size[flags > 0].sum() / size.sum()) if size.sum() > 0 else 0.0,
         calibrated=blading.corrections.calibrated,
     )
+
+
+def induced_velocities(
+    blading: Blading,
+    pitch_rad: float,
+    speed_rad_s: float,
+    climb_m_s: float,
+    air: Air,
+    stream: tuple[Array, Array],
+) -> tuple[Array, Array]:
+    """Axial and tangential velocity (m/s) that the first rotor induces at its stations; quick, for iterations."""
+    pitch, speed, climb = (np.array([float(v)]) for v in (pitch_rad, speed_rad_s, climb_m_s))
+    _, stations = _solve(blading, 0, pitch, speed, climb, air, True, np.stack(stream, axis=-1)[None])
+    return stations[0, :, FIELDS.index("inflow_m_s")], stations[0, :, FIELDS.index("swirl_m_s")]
 
 
 def hover_batch(
@@ -276,7 +305,7 @@ def hover_batch(
     if index.size and (index.min() < 0 or index.max() >= len(blading.rotors)):
         raise InputError("rotor", "which", f"there are {len(blading.rotors)} rotors", "count from 0")
     pitch, speed, climb = (np.ascontiguousarray(v, dtype=np.float64).ravel() for v in given[:3])
-    totals, _ = _solve(blading, index, pitch, speed, climb, gas, keep=False)
+    totals, _ = _solve(blading, index, pitch, speed, climb, gas, False)
     thrust, torque = totals[:, 0], totals[:, 1]
     radius = blading.radius_m[index]
     area = math.pi * radius**2
@@ -290,63 +319,3 @@ def hover_batch(
         c_T=(thrust / scale).reshape(shape),
         c_Q=(torque / (scale * radius)).reshape(shape),
     )
-
-
-def solve_thrust(
-    blading: Blading,
-    *,
-    thrust_N: float,
-    pitch_rad: float | None = None,
-    speed_rad_s: float | None = None,
-    climb_m_s: float = 0.0,
-    air: Air | None = None,
-    speed_limits_rad_s: tuple[float, float] = (1.0, 1e4),
-    pitch_limits_rad: tuple[float, float] = (-0.35, 0.7),
-    which: int = 0,
-) -> RotorResult:
-    """Find the speed (at given pitch) or the pitch (at given speed) that gives a thrust.
-
-    Give exactly one of ``pitch_rad`` and ``speed_rad_s``; the other is found, to 1e-9 of its range. The unknown
-    is sought on 64 points between its limits first, and then between the two lowest ones that enclose the
-    thrust, so that of two pitches with the same thrust, below and beyond stall, the lower is returned.
-
-    Raises
-    ------
-    InputError
-        If neither or both are given, or no value within the limits gives the thrust; the message names the
-        greatest thrust there is.
-    """
-    if (pitch_rad is None) == (speed_rad_s is None):
-        raise InputError("rotor", "thrust", "needs one of pitch and speed", "give one; the other is found")
-    by_speed = speed_rad_s is None
-    low, high = speed_limits_rad_s if by_speed else pitch_limits_rad
-    grid = np.geomspace(low, high, 64) if by_speed else np.linspace(low, high, 64)
-
-    def thrust(values: Array) -> Array:
-        pitch, speed = (pitch_rad, values) if by_speed else (values, speed_rad_s)
-        assert pitch is not None
-        assert speed is not None
-        return hover_batch(
-            blading, pitch_rad=pitch, speed_rad_s=speed, climb_m_s=climb_m_s, air=air, which=which
-        ).thrust_N
-
-    for _ in range(8):  # each pass narrows the interval by 63, to below 1e-13 of the first
-        short = thrust(grid) - thrust_N
-        cross = np.flatnonzero((short[:-1] <= 0.0) & (short[1:] >= 0.0))
-        if cross.size == 0:
-            key, unit = ("speed", "rad/s") if by_speed else ("pitch", "rad")
-            reached = float(short.max() + thrust_N)
-            raise InputError(
-                "rotor", "thrust", f"{thrust_N:g} N is out of reach: at most {reached:.4g} N",
-                f"ask for less, or widen the {key} limits ({low:g} to {high:g} {unit})",
-            )  # fmt: skip
-        i = int(cross[0])
-        if grid[i + 1] - grid[i] <= 1e-12 * max(abs(grid[i]), 1e-3):
-            break
-        grid = np.linspace(grid[i], grid[i + 1], 64)
-    x = float(grid[i] if abs(short[i]) <= abs(short[i + 1]) else grid[i + 1])
-    if by_speed:
-        assert pitch_rad is not None
-        return hover(blading, pitch_rad=pitch_rad, speed_rad_s=x, climb_m_s=climb_m_s, air=air, which=which)
-    assert speed_rad_s is not None
-    return hover(blading, pitch_rad=x, speed_rad_s=speed_rad_s, climb_m_s=climb_m_s, air=air, which=which)
