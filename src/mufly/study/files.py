@@ -1,0 +1,72 @@
+"""Results on disk: NetCDF for programs, CSV for people and spreadsheets."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from mufly.errors import InputError
+from mufly.study.parameters import PARAMETERS
+
+__all__ = ["read_results", "write_results"]
+
+
+def write_results(data: xr.Dataset, folder: str | Path, name: str = "sweep") -> list[Path]:
+    """Write ``name.nc`` and ``name.csv`` into a folder, which is made if need be.
+
+    The CSV has one line a case; its columns are the coordinates, with the SI unit in the name, and the variables.
+
+    Returns
+    -------
+    list of Path
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be written.
+    """
+    target = Path(folder)
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        nc, table = target / f"{name}.nc", target / f"{name}.csv"
+        data.to_netcdf(nc, engine="scipy")
+        names = [str(d) for d in data.dims]
+        heads = [_head(d, str(data[d].attrs.get("units", ""))) for d in names]
+        columns = [
+            np.asarray(data[v].broadcast_like(data["fault"]).transpose(*names)).ravel()
+            for v in data.data_vars
+        ]
+        grid = np.meshgrid(*(data[d].values for d in names), indexing="ij")
+        with table.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow([*heads, *(str(v) for v in data.data_vars)])
+            for row in zip(*(g.ravel() for g in grid), *columns, strict=True):
+                writer.writerow([f"{x:.9g}" if isinstance(x, float) else x for x in row])
+    except OSError as error:
+        raise InputError(str(folder), "", f"cannot be written ({error})", "give another folder") from error
+    return [nc, table]
+
+
+def _head(name: str, unit: str) -> str:
+    known = name in PARAMETERS and unit not in ("", "1", "text")
+    return f"{name}_{unit.replace(' ', '').replace('/', '_')}" if known else name
+
+
+def read_results(file: str | Path) -> xr.Dataset:
+    """Read a NetCDF file that :func:`write_results` wrote.
+
+    Raises
+    ------
+    InputError
+        If it is not there or not such a file.
+    """
+    try:
+        with xr.open_dataset(file, engine="scipy") as data:
+            return data.load()
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(
+            str(file), "", f"is no result file ({error})", "give a .nc file of a sweep"
+        ) from error

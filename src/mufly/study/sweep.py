@@ -1,0 +1,266 @@
+"""Every combination of some parameters' values, on all cores or on a cluster, resumed where it was stopped.
+
+The combinations are cut into chunks. Each is evaluated at once (``evaluate``) and, when a folder is given, kept
+there as a file; a sweep that is run again in the same folder computes only what is missing. The folder belongs
+to one question: its ``sweep.json`` holds a hash of rotor, drive, parameters and program version, and another
+question is refused. Chunks are functions of their cases alone, so it does not matter who computes them: threads
+here, or, through ``concurrent.futures`` all the same, the workers of a dask.distributed cluster.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import itertools
+import json
+import os
+import zipfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+import mufly
+from mufly.errors import InputError, MuflyError
+from mufly.rotor import load_airfoil
+from mufly.study.evaluate import Case, Results, evaluate
+from mufly.study.parameters import PARAMETERS, Value
+from mufly.study.setup import Setup, check_names
+
+__all__ = ["Progress", "sweep"]
+
+Progress = Callable[[int, int], None]
+
+CHUNK = 512
+_MOST_CASES = 50_000_000
+
+
+def sweep(
+    setup: Setup,
+    vary: Mapping[str, Sequence[Value]],
+    *,
+    folder: str | Path | None = None,
+    progress: Progress | None = None,
+    cluster: str | None = None,
+    workers: int | None = None,
+    chunk: int = CHUNK,
+) -> xr.Dataset:
+    """Evaluate every combination.
+
+    Parameters
+    ----------
+    setup : Setup
+        Rotor, drive and what is fixed.
+    vary : mapping
+        Values (SI) of each parameter that is varied; the order gives the order of the dimensions.
+    folder : str or Path, optional
+        Where chunks are kept, so that a sweep that was stopped resumes.
+    progress : callable, optional
+        ``progress(done, total)`` is called with numbers of cases, from the thread that called ``sweep``.
+    cluster : str, optional
+        Address of a dask.distributed scheduler, as ``tcp://host:8786``; its workers need mufly.
+    workers : int, optional
+        Chunks computed at a time here; default: one a core.
+    chunk : int
+        Cases in a chunk.
+
+    Returns
+    -------
+    xarray.Dataset
+        Dimensions are the varied parameters. Variables are those of ``setup.outputs()`` with units in their
+        attributes, nan where a case failed, and ``fault``, the reason, empty where there is none.
+
+    Raises
+    ------
+    InputError
+        If parameters make no sense together, a value is listed twice, or the folder holds another sweep.
+    MuflyError
+        If the cluster cannot be reached or dask.distributed is not installed.
+    """
+    names = list(vary)
+    values = [list(vary[name]) for name in names]
+    check_names(setup, names)
+    for name, listed in zip(names, values, strict=True):
+        if not listed:
+            raise InputError("sweep", name, "has no value", "give at least one")
+        if len(set(listed)) != len(listed):
+            raise InputError("sweep", name, "lists a value twice", "give each value once")
+    if chunk < 1:
+        raise InputError("sweep", "chunk", f"{chunk} cases", "give 1 or more")
+    shape = tuple(len(v) for v in values)
+    total = int(np.prod(shape, dtype=np.int64))
+    if total > _MOST_CASES:
+        raise InputError("sweep", "", f"{total} cases", f"vary less ({_MOST_CASES} cases at most)")
+    starts = list(range(0, total, chunk))
+    kept = _Kept(Path(folder), _question(setup, names, values, chunk)) if folder is not None else None
+    answers: dict[int, Results] = {}
+    done = 0
+
+    def cases(start: int) -> list[Case]:
+        every = itertools.islice(itertools.product(*values), start, start + chunk)
+        return [dict(zip(names, combination, strict=True)) for combination in every]
+
+    for start in starts:
+        known = kept.recall(start) if kept is not None else None
+        if known is not None:
+            answers[start] = known
+            done += len(known.fault)
+    if progress is not None:
+        progress(done, total)
+    with _executor(cluster, workers) as executor:
+        waiting = {}
+        todo = iter([s for s in starts if s not in answers])
+        # A few more than there are workers: enough to keep them busy, few enough to stop soon and to fit in memory.
+        for start in itertools.islice(todo, 4 * (os.cpu_count() or 1) if cluster is None else 256):
+            waiting[executor.submit(evaluate, setup, cases(start))] = start
+        try:
+            while waiting:
+                future = next(as_completed(waiting))
+                start = waiting.pop(future)
+                answers[start] = future.result()
+                if kept is not None:
+                    kept.store(start, answers[start])
+                done += len(answers[start].fault)
+                if progress is not None:
+                    progress(done, total)
+                following = next(todo, None)
+                if following is not None:
+                    waiting[executor.submit(evaluate, setup, cases(following))] = following
+        except BaseException:
+            for future in waiting:
+                future.cancel()
+            raise
+    return _dataset(setup, names, values, shape, [answers[s] for s in starts])
+
+
+@contextmanager
+def _executor(cluster: str | None, workers: int | None) -> Iterator[Executor]:
+    if cluster is None:
+        with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
+            yield pool
+        return
+    try:
+        distributed = importlib.import_module("distributed")  # an extra, without types
+    except ImportError as error:
+        raise MuflyError(
+            "a cluster needs dask.distributed, which is not installed; pip install 'mufly[cluster]'"
+        ) from error
+    try:
+        client = distributed.Client(cluster, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise MuflyError(
+            f"no scheduler answers at {cluster} ({error}); start one with `dask scheduler`"
+        ) from error
+    try:
+        yield client.get_executor(pure=False)
+    finally:
+        client.close()
+
+
+def _question(setup: Setup, names: Sequence[str], values: Sequence[Sequence[Value]], chunk: int) -> str:
+    """Hash of everything that the answers depend on; airfoil files count by their contour."""
+    sections = {
+        str(n)
+        for n in (*setup.rotor.airfoil_names(), *(v for vs in values for v in vs if isinstance(v, str)))
+    }
+    contours = {}
+    for name in sorted(sections):
+        if Path(name).is_file() and not name.lower().endswith(".csv"):
+            try:
+                contours[name] = load_airfoil(name).digest()
+            except InputError:
+                contours[name] = "faulty"
+        elif Path(name).is_file():
+            contours[name] = hashlib.sha256(Path(name).read_bytes()).hexdigest()
+    content = {
+        "version": mufly.__version__,
+        "rotor": setup.rotor.model_dump(mode="json"),
+        "drive": setup.drive.model_dump(mode="json") if setup.drive is not None else None,
+        "fixed": dict(sorted(setup.fixed.items())),
+        "corrections": vars(setup.corrections),
+        "polars": [setup.engine, setup.model, setup.flags],
+        "vary": [names, values],
+        "chunk": chunk,
+        "contours": contours,
+    }
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+class _Kept:
+    """Chunks on disk. A file appears whole or not at all."""
+
+    def __init__(self, folder: Path, question: str) -> None:
+        self.folder = folder / "chunks"
+        note = folder / "sweep.json"
+        if note.is_file():
+            try:
+                same = json.loads(note.read_text(encoding="utf-8")).get("question") == question
+            except (ValueError, AttributeError):
+                same = False
+            if not same:
+                raise InputError(
+                    str(folder),
+                    "",
+                    "holds the results of another sweep",
+                    "give another folder, or delete this one",
+                )
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            note.write_text(
+                json.dumps({"question": question, "version": mufly.__version__}), encoding="utf-8"
+            )
+        except OSError as error:
+            raise InputError(
+                str(folder), "", f"cannot be written ({error})", "give another folder"
+            ) from error
+
+    def store(self, start: int, results: Results) -> None:
+        part = self.folder / f"{start:09d}.part"
+        with part.open("wb") as file:
+            np.savez(file, fault=np.array(results.fault, dtype=np.str_), **results.values)  # type: ignore[arg-type]
+        os.replace(part, self.folder / f"{start:09d}.npz")
+
+    def recall(self, start: int) -> Results | None:
+        file = self.folder / f"{start:09d}.npz"
+        if not file.is_file():
+            return None
+        try:
+            with np.load(file) as data:
+                content = {name: data[name] for name in data.files}
+        except (OSError, ValueError, zipfile.BadZipFile):
+            return None
+        fault = [str(reason) for reason in content.pop("fault")]
+        return Results(content, fault)
+
+
+def _dataset(
+    setup: Setup, names: Sequence[str], values: Sequence[Sequence[Value]], shape: tuple[int, ...], parts:
+    list[Results]
+) -> xr.Dataset:  # fmt: skip
+    variables: dict[str, Any] = {}
+    for name, (unit, meaning) in setup.outputs().items():
+        whole = np.concatenate([part.values[name] for part in parts]).reshape(shape)
+        variables[name] = (names, whole, {"units": unit, "long_name": meaning})
+    fault = np.array([reason for part in parts for reason in part.fault], dtype=np.str_).reshape(shape)
+    variables["fault"] = (names, fault, {"long_name": "reason of a failed case; empty if there is none"})
+    coordinates = {
+        name: (
+            name,
+            np.asarray(listed),
+            {"units": PARAMETERS[name].unit, "long_name": PARAMETERS[name].meaning},
+        )
+        for name, listed in zip(names, values, strict=True)
+    }
+    attributes = {
+        "rotor": setup.rotor.name,
+        "drive": setup.drive.name if setup.drive is not None else "",
+        "fixed": json.dumps(dict(setup.fixed), sort_keys=True),
+        "polars": f"{setup.engine} {setup.model}",
+        "corrections": json.dumps(vars(setup.corrections)),
+        "mufly": mufly.__version__,
+    }
+    return xr.Dataset(variables, coordinates, attributes)
