@@ -1,6 +1,6 @@
 """Two engines on the same sections: how far NeuralFoil and XFOIL lie apart.
 
-From a shell, ``python -m mufly.rotor.crosscheck naca4412 goe394`` prints the table of docs/polars.md for these sections.
+From a shell, ``python -m mufly.rotor.crosscheck`` prints the table of docs/polars.md, or that of the sections named.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from mufly.rotor.xfoil import xfoil
 
 __all__ = ["Difference", "crosscheck"]
 
-SECTIONS = ("naca0012", "naca4412", "goe394", "gm15sm")
+SECTIONS = ("naca0012", "naca4412", "goe394", "goe342", "gm15sm", "e387", "clarky", "s1223")
 REYNOLDS = (1e4, 3e4, 1e5)
 N_CRIT = (0.1, 9.0)
 LOWEST_DEG, HIGHEST_DEG = -2.0, 12.0
@@ -62,12 +62,12 @@ def crosscheck(
     Yields
     ------
     Difference
-        One for each section, n_crit and Reynolds number at which XFOIL converged anywhere.
+        One for each section, n_crit and Reynolds number.
 
     Raises
     ------
     MuflyError
-        If XFOIL is not installed.
+        If XFOIL is not installed, or converges nowhere on a case.
     """
     alpha_deg = np.arange(LOWEST_DEG, HIGHEST_DEG + 0.5)
     for name in names:
@@ -94,27 +94,31 @@ def crosscheck(
 
 def main() -> int:
     """Print the comparison of the sections named on the command line as a Markdown table."""
-    print("| section | n_crit | Re | angles | mean dc_l | max dc_l | mean dc_d | max dc_d |")
-    print("|---|---|---|---|---|---|---|---|")
-    rows = []
+    print("| section | n_crit |" + "".join(f" Re {re:.0f} |" for re in REYNOLDS))
+    print("|---|---|" + "---|" * len(REYNOLDS))
+    rows: list[Difference] = []
     try:
         for d in crosscheck(sys.argv[1:] or SECTIONS):
             rows.append(d)
-            print(
-                f"| {d.name} | {d.n_crit:g} | {d.reynolds:.0f} | {d.angles} of 15 | {d.cl_mean:.3f} | {d.cl_max:.3f} "
-                f"| {100 * d.ln_cd_mean:.1f} % | {100 * d.ln_cd_max:.1f} % |",
-                flush=True,
-            )
+            if d.reynolds == REYNOLDS[-1]:
+                cells = " | ".join(_cell(r) for r in rows[-len(REYNOLDS) :])
+                print(f"| {d.name} | {d.n_crit:g} | {cells} |", flush=True)
     except MuflyError as error:
         print(error, file=sys.stderr)
         return 1
     for n in N_CRIT:
         part = [d for d in rows if d.n_crit == n]
-        weights = [d.angles for d in part]
-        cl = np.average([d.cl_mean for d in part], weights=weights)
-        cd = np.average([d.ln_cd_mean for d in part], weights=weights)
-        print(f"\nn_crit {n:g}: mean difference {cl:.4f} in c_l, {100 * cd:.1f} % in c_d")
+        cl, cd = np.array([d.cl_mean for d in part]), np.array([d.ln_cd_mean for d in part])
+        print(
+            f"\nn_crit {n:g}: c_l differs by {cl.mean():.4f} in the mean of the cases, {np.median(cl):.4f} in the "
+            f"median; c_d by {100 * cd.mean():.1f} % and {100 * np.median(cd):.1f} %"
+        )
     return 0
+
+
+def _cell(d: Difference) -> str:
+    missing = f" ({d.angles} of 15)" if d.angles < 15 else ""
+    return f"{d.cl_mean:.3f}, {100 * d.ln_cd_mean:.1f} %{missing}"
 
 
 if __name__ == "__main__":
