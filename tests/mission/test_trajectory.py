@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mufly.mission.trajectory import Limits, curved, nearest_turn, stop, straight
 
-LIMITS = Limits(0.6, 0.5, 0.4, 0.5, 1.0, 2.0)
+LIMITS = Limits(0.6, 0.5, 0.4, 0.5, 0.5, 1.0, 2.0)
 place = st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3, -0.2))
 angle = st.floats(-10.0, 10.0)
 

@@ -3,6 +3,7 @@
 from mufly.mission.check import Estimate, check_mission
 from mufly.mission.load import builtin_missions, dump_mission, load_mission, mission_from
 from mufly.mission.machine import step
+from mufly.mission.pace import slowed
 from mufly.mission.plan import Leg, legs
 from mufly.mission.schema import Mission, Waypoint
 from mufly.mission.signals import Command, Event, MissionPlan, MissionState, Reference, State, begin, prepare
@@ -32,6 +33,7 @@ __all__ = [
     "load_mission",
     "mission_from",
     "prepare",
+    "slowed",
     "spline",
     "step",
     "straight",

@@ -21,7 +21,9 @@ from mufly.sensors import Measurement
 
 __all__ = [
     "avoid",
+    "blind",
     "by_hand",
+    "down_blind",
     "fly_leg",
     "from_hand",
     "hover",
@@ -265,7 +267,7 @@ def sink(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> Missi
         done = s if s.outcome == "failed" else replace(s, outcome="succeeded", reason="mission complete")
         return enter(done, State.INIT, "landed", motors="off", motion=None, finished=True)
     q = plan.mission.limits
-    a = q.acceleration_m_s2
+    a = q.climb_acceleration_m_s2
     above = s.standing[2] - s.hold[2]
     # v^2 = v1^2 + 2 (a/2) h: half the acceleration brings it from descent to touchdown speed where that begins.
     wanted = min(q.descent_m_s, math.sqrt(q.touchdown_m_s**2 + max(0.0, above - SLOW_FROM_M) * a))
@@ -281,6 +283,18 @@ def sink(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> Missi
     if still > 0.3:
         return replace(s, motors="ramp_down", clock_s=0.0, events=log(s, "touchdown"))
     return s
+
+
+def blind(s: MissionState, time_s: float, why: str) -> MissionState:
+    """Measurements are lost in flight: the flight software brings it down by itself."""
+    s = fail(replace(s, time_s=time_s), why)
+    return enter(s, State.LANDING, why, motors="blind", motion=None, detour=None)
+
+
+def down_blind(s: MissionState, time_s: float) -> MissionState:
+    """By now it has come down."""
+    s = replace(s, time_s=time_s)
+    return enter(s, State.INIT, "motors off, where it came down", motors="off", finished=True)
 
 
 # RC

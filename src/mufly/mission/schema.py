@@ -64,7 +64,12 @@ class Limits(_Table):
         strict=True,
         description="rate of descent over the last 0.4 m before the floor",
     )
-    acceleration_m_s2: float = Field(default=0.4, gt=0.0, le=2.0, strict=True, description="acceleration")
+    acceleration_m_s2: float = Field(
+        default=0.4, gt=0.0, le=2.0, strict=True, description="horizontal acceleration"
+    )
+    climb_acceleration_m_s2: float = Field(
+        default=0.4, gt=0.0, le=2.0, strict=True, description="acceleration of climb and descent"
+    )
     yaw_rate_deg_s: float = Field(default=60.0, gt=0.0, le=360.0, strict=True, description="rate of turn")
     yaw_acceleration_deg_s2: float = Field(
         default=90.0, gt=0.0, le=1000.0, strict=True, description="acceleration of a turn"
@@ -242,6 +247,7 @@ class Mission(_Table):
             q.climb_m_s,
             q.descent_m_s,
             q.acceleration_m_s2,
+            q.climb_acceleration_m_s2,
             math.radians(q.yaw_rate_deg_s),
             math.radians(q.yaw_acceleration_deg_s2),
         )

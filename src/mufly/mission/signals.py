@@ -33,7 +33,7 @@ __all__ = [
     "prepare",
 ]
 
-Motors = Literal["off", "spin_up", "fly", "ramp_down"]
+Motors = Literal["off", "spin_up", "fly", "ramp_down", "blind"]
 Triple = tuple[float, float, float]
 
 
@@ -89,7 +89,7 @@ class Reference:
         N-E-D (m, m/s, m/s2).
     heading, heading_rate : float
         Continuous heading (rad; not wrapped, near the measured one) and its rate (rad/s).
-    motors : {"off", "spin_up", "fly", "ramp_down"}
+    motors : {"off", "spin_up", "fly", "ramp_down", "blind"}
         What the motors are to do.
     rc : bool
         Whether roll and pitch come from the pilot in place of the position controller; height and heading are

@@ -45,8 +45,8 @@ class Limits:
     ----------
     speed, climb, descent : float
         Horizontal speed, rate of climb and of descent (m/s).
-    acceleration : float
-        Acceleration (m/s2).
+    acceleration, climb_acceleration : float
+        Horizontal and vertical acceleration (m/s2).
     yaw_rate, yaw_acceleration : float
         Turning (rad/s, rad/s2).
     """
@@ -55,6 +55,7 @@ class Limits:
     climb: float
     descent: float
     acceleration: float
+    climb_acceleration: float
     yaw_rate: float
     yaw_acceleration: float
 
@@ -151,7 +152,7 @@ def straight(
     if way < _SPOT:
         way, b = 0.0, (a[0], a[1], b[2])
     fall = b[2] - a[2]
-    rise = profile(abs(fall), limits.descent if fall > 0.0 else limits.climb, limits.acceleration)
+    rise = profile(abs(fall), limits.descent if fall > 0.0 else limits.climb, limits.climb_acceleration)
     yaw = profile(abs(turn), limits.yaw_rate, limits.yaw_acceleration)
     gate = max(rise.duration_s, yaw.duration_s)
     line = profile(way, limits.speed, limits.acceleration)
@@ -195,12 +196,14 @@ def curved(
         u = np.asarray(direction, dtype=np.float64)
         length = float(np.linalg.norm(u))
         ends.append(u / length * reach if length > 1e-9 else b - a)
+    # A curve that rises or sinks has its whole acceleration within the vertical limit.
+    level = a[2] == b[2] and all(u[2] == 0.0 for u in ends)
     path = spline_path(
         spline(a, b, *ends),
         speed=limits.speed,
         climb=limits.climb,
         descent=limits.descent,
-        acceleration=limits.acceleration,
+        acceleration=limits.acceleration if level else min(limits.acceleration, limits.climb_acceleration),
     )
     if path is None:
         return plain

@@ -1,0 +1,31 @@
+"""A mission brought down to what its helicopter can follow."""
+
+import math
+
+import pytest
+
+from mufly.mission import Limits, mission_from, slowed
+
+MISSION = mission_from({"waypoint": [{"position_m": [1.0, 0.0, -1.0]}], "limits": {"climb_m_s": 1.0}})
+ABLE = Limits(10.0, 10.0, 10.0, 10.0, 10.0, 10.0, 100.0)
+
+
+def test_what_can_be_followed_stays() -> None:
+    mission, changes = slowed(MISSION, ABLE)
+    assert mission is MISSION
+    assert changes == ""
+
+
+def test_what_cannot_is_slowed_and_said() -> None:
+    weak = Limits(10.0, 0.5, 10.0, 10.0, 0.2, math.radians(50.0), 100.0)
+    mission, changes = slowed(MISSION, weak)
+    assert mission.limits.climb_m_s == pytest.approx(0.4)
+    assert mission.limits.climb_acceleration_m_s2 == pytest.approx(0.16)
+    assert mission.limits.yaw_rate_deg_s == pytest.approx(40.0)
+    assert mission.limits.speed_m_s == MISSION.limits.speed_m_s
+    assert "climb_m_s 0.4 in place of 1" in changes
+    assert MISSION.limits.climb_m_s == 1.0
+    # What is derived from the limits follows them.
+    assert MISSION.trajectory_limits.climb == 1.0
+    assert mission.trajectory_limits.climb == pytest.approx(0.4)
+    assert mission.waypoint == MISSION.waypoint
