@@ -149,6 +149,10 @@ def fly(
             if on_event is not None:
                 on_event(event)
 
+        if software.slower:
+            report(
+                Event(0.0, "init", f"slower than asked, as the controllers can: {software.slower}", "warning")
+            )
         wall_s = _run(
             plant, software, recorder, estimate.duration_s, time_limit, realtime, on_progress, report
         )

@@ -9,13 +9,19 @@ off         motors and servos at rest
 spin_up     motor inputs rise to 0.9 of hover, too little to lift off; servos at trim
 fly         heave-yaw controller; from 2 cm above the floor also roll-pitch and, every n-th step, position
 ramp_down   after touchdown motor inputs fall to zero
+blind       measurements are lost: servos at trim, which the stabiliser bar makes a level attitude, and motor
+            voltages a little below those of the last second, until the floor has come
 =========== =========================================================================================
 
-Between two steps of the mission logic its reference is carried on at the reference velocity.
+Between two steps of the mission logic its reference is carried on at the reference velocity. Where the mission asks
+for more than the controllers can follow, it is flown more slowly (:mod:`mufly.mission.pace`). Measurements that are
+missing or frozen are bridged for half a second (:mod:`mufly.flight.watch`), then the flight is given up.
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,20 +29,57 @@ from numpy.typing import NDArray
 
 from mufly.control import FlightController
 from mufly.flight.controllers import Actuators, Controllers
-from mufly.mission import Command, Event, Mission, MissionState, Reference, begin, prepare, step
-from mufly.mission.phases import RAMP_DOWN_S
+from mufly.flight.watch import Watch, watch
+from mufly.mission import (
+    Command,
+    Event,
+    Limits,
+    Mission,
+    MissionState,
+    Reference,
+    begin,
+    prepare,
+    slowed,
+    step,
+)
+from mufly.mission.phases import RAMP_DOWN_S, blind, down_blind
 from mufly.mission.plan import SPIN_UP_S
 from mufly.sensors import Measurement
 from mufly.vehicle import Vehicle
 
-__all__ = ["FlightSoftware"]
+__all__ = ["FlightSoftware", "able"]
 
 SPIN_UP_SHARE = 0.9
 LIFT_OFF_M = 0.02
+LOST_S = 0.5
+"""How long a measurement may be missing or frozen in flight (s)."""
+
+_BLIND_SHARE = 0.98
+"""Of the motor voltages that held it up: it sinks at 1 - 0.98^2 = 0.04 g and touches down from 2 m at 1.3 m/s."""
+
+_BLIND_MARGIN_S = 1.0
+_LEARN_S = 1.0
+
+
+def able(controller: FlightController) -> Limits:
+    """What the controllers can follow: limits of their reference filters and of the position cascade."""
+    heave_yaw, position = controller.heave_yaw_gains, controller.position_gains
+    speed = float(heave_yaw["heave_speed"])
+    return Limits(
+        speed=float(position["speed_limit"]),
+        climb=speed,
+        descent=speed,
+        acceleration=float(position["tilt_limit"] * position["gravity"]),
+        climb_acceleration=float(heave_yaw["heave_acceleration"]),
+        yaw_rate=float(heave_yaw["yaw_rate"]),
+        yaw_acceleration=float(heave_yaw["yaw_acceleration"]),
+    )
 
 
 class FlightSoftware:
     """Mission logic and controllers of one vehicle.
+
+    ``slower`` says in words which of the mission's limits were brought down to what the controllers can follow.
 
     Parameters
     ----------
@@ -54,6 +97,7 @@ class FlightSoftware:
     """
 
     def __init__(self, vehicle: Vehicle, controller: FlightController, mission: Mission) -> None:
+        mission, self.slower = slowed(mission, able(controller))
         self._plan = prepare(mission, vehicle)
         self._controller = controller
         self._period_s = 1.0 / controller.rate_Hz
@@ -68,6 +112,10 @@ class FlightSoftware:
         self._tilt: NDArray[np.floating[Any]] = np.zeros(2)
         self._controllers = Controllers(controller)
         self._floor, self._lifted = 0.0, False
+        self._late_s = 0.0
+        self._watch: Watch | None = None
+        # Motor voltages, averaged over the last second of flight.
+        self._held_up: NDArray[np.floating[Any]] = np.zeros(2)
 
     @property
     def state(self) -> str:
@@ -98,7 +146,8 @@ class FlightSoftware:
     def reference(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """What is being followed: position, velocity (N-E-D), and roll, pitch, yaw."""
         r = self._reference
-        return r.position, r.velocity, np.array([self._tilt[0], self._tilt[1], r.heading])
+        heading = r.heading + self._late_s * r.heading_rate
+        return r.position + self._late_s * r.velocity, r.velocity, np.array([*self._tilt, heading])
 
     def step(self, measured: Measurement, command: Command) -> Actuators:
         """Advance by one period.
@@ -113,27 +162,67 @@ class FlightSoftware:
         -------
         Actuators
         """
+        self._watch = watch(self._watch, measured, self._period_s, self._plan.ring.max_range)
+        m = self._watch.good
         if self._mission is None:
-            self._mission = begin(self._plan, measured)
+            self._mission = begin(self._plan, m)
         if command != _NO_COMMAND:
             self._command = command
-        late_s = (self._ticks % self._every) * self._period_s
-        if late_s == 0.0:
-            self._mission, self._reference = step(self._plan, self._mission, measured, self._command)
-            self._command = Command()
+        self._late_s = (self._ticks % self._every) * self._period_s
         self._ticks += 1
+        if self._lost(self._watch):
+            return self._sink_blindly(self._watch)
+        if self._late_s == 0.0:
+            self._mission, self._reference = step(self._plan, self._mission, m, self._command)
+            self._command = Command()
         r = self._reference
         if r.motors != self._motors:
-            self._switch(r.motors, measured)
+            self._switch(r.motors, m)
         if r.motors == "fly":
-            return self._fly(r, measured, late_s)
-        return self._on_the_floor(r.motors, measured)
+            return self._fly(r, m)
+        return self._on_the_floor(r.motors, m)
+
+    def _lost(self, w: Watch) -> bool:
+        """Whether it flies without knowing where it is or how it moves; it does not come back from that."""
+        if self._motors == "blind":
+            return True
+        # While the motors are off it stands still, and a repeated measurement is no fault.
+        running_s = w.good.time_s - self._since_s if self._motors in ("spin_up", "fly") else 0.0
+        return min(w.lost_s, running_s) > LOST_S
+
+    def _sink_blindly(self, w: Watch) -> Actuators:
+        assert self._mission is not None
+        now = w.good.time_s
+        if self._motors != "blind":
+            self._motors = "blind"
+            self._since_s = now + (self._way_down_s(w.good) if self._lifted else 0.0)
+            self._mission = blind(self._mission, now, f"measurement lost: {w.what}")
+            self._reference = replace(self._reference, motors="blind", velocity=np.zeros(3), heading_rate=0.0)
+            self._tilt, self._command = np.zeros(2), Command()
+        left_s = self._since_s + RAMP_DOWN_S - now
+        if left_s <= 0.0:
+            self._mission = down_blind(self._mission, now)
+            self._reference = replace(self._reference, motors="off")
+            self._motors, self._motor_input = "off", np.zeros(2)
+        else:
+            share = _BLIND_SHARE * min(1.0, left_s / RAMP_DOWN_S)
+            self._motor_input = np.minimum(share * self._held_up / w.good.battery_voltage, 1.0)
+        return Actuators(self._motor_input, np.zeros(2))
+
+    def _way_down_s(self, m: Measurement) -> float:
+        assert self._mission is not None
+        height = max(0.0, self._mission.standing[2] - float(m.position[2]))
+        sinks_at = (1.0 - _BLIND_SHARE**2) * float(self._controller.position_gains["gravity"])
+        return math.sqrt(2.0 * height / sinks_at) + _BLIND_MARGIN_S
 
     def _switch(self, motors: str, m: Measurement) -> None:
         """Engage or release the controllers without a bump."""
         if motors == "fly":
             self._controllers.engage(m, self._motor_input)
             self._floor, self._lifted = float(m.position[2]), False
+            self._held_up = self._controller.motor_trim * self._controller.voltage_V
+        elif motors == "spin_up":
+            self._held_up, self._lifted = np.zeros(2), False
         self._motors, self._since_s = motors, m.time_s
         self._released = self._motor_input
 
@@ -152,7 +241,7 @@ class FlightSoftware:
         self._tilt = np.zeros(2)
         return Actuators(self._motor_input, np.zeros(2))
 
-    def _fly(self, r: Reference, m: Measurement, late_s: float) -> Actuators:
+    def _fly(self, r: Reference, m: Measurement) -> Actuators:
         if not self._lifted and m.position[2] < self._floor - LIFT_OFF_M:
             self._lifted = True
             self._controllers.lift_off(m)
@@ -160,12 +249,16 @@ class FlightSoftware:
             self._tilt = np.zeros(2)
         elif r.rc:
             self._tilt = np.array([r.roll, r.pitch])
-        elif late_s == 0.0:
+        elif self._late_s == 0.0:
             self._tilt = self._controllers.tilt_for(m, r.position, r.velocity, r.acceleration)
         down, turn = float(r.velocity[2]), r.heading_rate
-        heave_yaw = np.array([r.position[2] + late_s * down, r.heading + late_s * turn, down, turn])
+        heave_yaw = np.array(
+            [r.position[2] + self._late_s * down, r.heading + self._late_s * turn, down, turn]
+        )
         actuators = self._controllers.step(m, heave_yaw, self._tilt if self._lifted else None)
         self._motor_input = actuators.motor_input
+        blend = self._period_s / _LEARN_S
+        self._held_up += blend * (actuators.motor_input * m.battery_voltage - self._held_up)
         return actuators
 
 

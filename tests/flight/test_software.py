@@ -1,0 +1,250 @@
+"""The flight software by itself, through `step`: user's signals, the pilot's sticks, replay, and bad measurements."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mufly.control import FlightController, design
+from mufly.dynamics import DrydenWind, initial_state, standing_height
+from mufly.flight import Actuators, FlightSoftware
+from mufly.flight.plant import Plant
+from mufly.flight.software import able
+from mufly.mission import Command, Mission, mission_from
+from mufly.sensors import Measurement
+from mufly.vehicle import Vehicle, load_vehicle
+from mufly.world import World
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Vehicle:
+    return load_vehicle("mufly-1.1")
+
+
+@pytest.fixture(scope="module")
+def controller(vehicle: Vehicle) -> FlightController:
+    return design(vehicle)
+
+
+MISSION = mission_from({"waypoint": [{"position_m": [1.0, 0.0, -1.0], "wait_s": 60.0}]})
+NO_SIGNAL, START, LAND = Command(), Command(start=True), Command(land=True)
+
+
+class Bench:
+    """A plant and a flight software; `run` joins them for a while."""
+
+    def __init__(self, vehicle: Vehicle, controller: FlightController, mission: Mission = MISSION) -> None:
+        air = DrydenWind(step_s=controller.period_s)
+        state = initial_state(position=(0.0, 0.0, -standing_height(vehicle)))
+        self.plant = Plant(vehicle, World(), air, controller.rate_Hz, state)
+        self.software = FlightSoftware(vehicle, controller, mission)
+        self.pending = Actuators.idle()
+        self.seen: list[Measurement] = []
+        self.given: list[Command] = []
+        self.sent: list[np.ndarray] = []
+
+    @property
+    def height(self) -> float:
+        return -float(self.plant.state[2])
+
+    def run(
+        self,
+        seconds: float,
+        command: Command | Callable[[float], Command] = NO_SIGNAL,
+        spoil: Callable[[Measurement], Measurement] = lambda m: m,
+        until: Callable[[], bool] = lambda: False,
+    ) -> None:
+        end = self.plant.time_s + seconds
+        while self.plant.time_s < end - 1e-9 and not until():
+            if self.plant.ticks % 8 == 0:
+                self.plant.look()
+            m = spoil(self.plant.measure())
+            c = command(m.time_s) if callable(command) else command
+            actuators = self.software.step(m, c)
+            self.seen.append(m)
+            self.given.append(c)
+            self.sent.append(actuators.array)
+            self.plant.advance(self.pending)
+            self.pending = actuators
+
+    def take_off(self) -> None:
+        self.run(0.02, START)
+        self.run(15.0, until=lambda: self.software.state == "hover")
+        assert self.software.state == "hover"
+        assert self.height == pytest.approx(1.0, abs=0.05)
+
+    def texts(self) -> str:
+        return " | ".join(f"{e.state}: {e.text}" for e in self.software.events)
+
+
+@pytest.fixture
+def bench(vehicle: Vehicle, controller: FlightController) -> Bench:
+    return Bench(vehicle, controller)
+
+
+def test_a_pilot_takes_off_steers_and_lets_go(bench: Bench) -> None:
+    hands_off = Command(rc=True)
+    bench.run(1.0, hands_off)
+    assert bench.software.state == "rc"
+    assert np.all(np.array(bench.sent) == 0.0), "the rotors wait for the stick"
+    bench.run(9.0, Command(rc=True, climb=0.3))
+    assert bench.height > 0.8
+    bench.run(2.0, hands_off)
+    held = bench.height
+    bench.run(2.0, hands_off)
+    assert bench.height == pytest.approx(held, abs=0.03)
+    bench.run(1.5, Command(rc=True, pitch=-math.radians(3.0)))
+    assert bench.plant.state[3] > 0.3, "nose down flies forward"
+    bench.run(1.5, Command(rc=True, roll=math.radians(3.0)))
+    assert bench.plant.state[4] > 0.3, "right wing down flies to the right"
+    heading = float(bench.seen[-1].attitude[2])
+    bench.run(2.0, Command(rc=True, yaw_rate=0.5))
+    assert bench.seen[-1].attitude[2] - heading == pytest.approx(1.0, abs=0.15)
+    bench.run(5.0)
+    assert bench.software.state == "hover"
+    assert np.linalg.norm(bench.plant.state[3:6]) < 0.02
+    bench.run(30.0, LAND, until=lambda: bench.software.finished)
+    assert bench.software.state == "init"
+    assert bench.height == pytest.approx(standing_height(load_vehicle("mufly-1.1")), abs=0.01)
+    assert bench.plant.crashed == ""
+
+
+def test_a_pilot_interrupts_a_mission_and_hands_it_back(bench: Bench) -> None:
+    bench.take_off()
+    bench.run(1.0, Command(rc=True))
+    bench.run(3.0)
+    assert bench.software.state == "hover"
+    bench.run(0.02, START)
+    bench.run(20.0, until=lambda: "waypoint 1 reached" in bench.texts())
+    assert bench.plant.state[0] == pytest.approx(1.0, abs=0.05)
+
+
+def test_users_waypoint_is_flown_to_and_held(bench: Bench) -> None:
+    bench.take_off()
+    bench.run(0.02, Command(waypoint=(0.0, -1.0, -0.6)))
+    bench.run(20.0)
+    assert bench.software.state == "hover"
+    np.testing.assert_allclose(bench.plant.state[0:3], [0.0, -1.0, -0.6], atol=0.02)
+    bench.run(0.1, Command(waypoint=(0.0, 0.0, 0.5)))
+    assert "refused" in bench.texts()
+    bench.run(2.0)
+    np.testing.assert_allclose(bench.plant.state[0:3], [0.0, -1.0, -0.6], atol=0.02)
+
+
+def test_lands_on_the_signal_and_flies_again(bench: Bench) -> None:
+    bench.take_off()
+    bench.run(0.02, LAND)
+    bench.run(20.0, until=lambda: bench.software.finished)
+    assert (bench.software.outcome, bench.software.reason) == ("failed", "land signal with 1 waypoint to go")
+    assert np.all(bench.sent[-1] == 0.0)
+    bench.take_off()
+    assert bench.software.outcome == ""
+    assert bench.plant.crashed == ""
+
+
+def test_the_same_measurements_give_the_same_actuators(
+    vehicle: Vehicle, controller: FlightController
+) -> None:
+    flown = Bench(vehicle, controller)
+    flown.take_off()
+    flown.run(6.0, Command(waypoint=(0.5, 0.5, -0.8)))
+    flown.run(1.0, Command(rc=True, roll=0.05))
+    again = FlightSoftware(vehicle, controller, MISSION)
+    sent = [again.step(m, c).array for m, c in zip(flown.seen, flown.given, strict=True)]
+    np.testing.assert_array_equal(sent, flown.sent)
+
+
+NAN = np.full(3, math.nan)
+
+
+def _without(name: str) -> Callable[[Measurement], Measurement]:
+    return lambda m: replace(m, **{name: NAN})
+
+
+@pytest.mark.parametrize("name", ["position", "velocity", "attitude", "rates"])
+def test_a_short_gap_is_bridged(bench: Bench, name: str) -> None:
+    bench.take_off()
+    bench.run(0.3, spoil=_without(name))
+    bench.run(4.0)
+    assert bench.software.state in ("hover", "waypoint")
+    assert np.all(np.isfinite(bench.sent))
+    away = bench.plant.state[0:3] - bench.software.reference[0]
+    assert np.linalg.norm(away) < 0.05
+
+
+def _freezer() -> Callable[[Measurement], Measurement]:
+    first: list[Measurement] = []
+
+    def freeze(m: Measurement) -> Measurement:
+        first.append(m)
+        return replace(first[0], time_s=m.time_s)
+
+    return freeze
+
+
+@pytest.mark.parametrize("spoil", [*map(_without, ["position", "velocity", "attitude", "rates"]), _freezer()])
+def test_lost_for_good_it_comes_down_without_railing(bench: Bench, spoil) -> None:
+    bench.take_off()
+    bench.run(0.5)
+    lost_at = len(bench.sent)
+    touchdown = []
+
+    def down() -> bool:
+        if not touchdown and bench.height < 0.075:
+            touchdown.append(float(np.linalg.norm(bench.plant.state[3:6])))
+        return bench.software.finished
+
+    bench.run(20.0, spoil=spoil, until=down)
+    sent = np.array(bench.sent[lost_at:])
+    assert np.all(np.isfinite(sent))
+    assert np.abs(sent[:, :2]).max() < 0.95
+    assert np.abs(sent[:, 2:]).max() < 0.5
+    assert bench.software.outcome == "failed"
+    assert "measurement lost" in bench.software.reason
+    assert bench.plant.crashed == ""
+    assert touchdown[0] < 1.5
+    np.testing.assert_array_equal(sent[-1], 0.0)
+
+
+def test_what_it_does_not_need_may_be_missing(bench: Bench) -> None:
+    def spoil(m: Measurement) -> Measurement:
+        return replace(m, ranges=np.full_like(m.ranges, math.nan), battery_voltage=math.nan)
+
+    bench.take_off()
+    bench.run(12.0, spoil=spoil)
+    assert "waypoint 1 reached" in bench.texts()
+
+
+def test_does_not_leave_the_floor_without_measurements(bench: Bench) -> None:
+    bench.run(0.02, START)
+    bench.run(0.5)
+    bench.run(10.0, spoil=_without("position"), until=lambda: bench.software.finished)
+    assert bench.software.outcome == "failed"
+    assert bench.height < 0.08
+
+
+def test_a_mission_is_flown_no_faster_than_the_controllers_can(
+    vehicle: Vehicle, controller: FlightController
+) -> None:
+    hasty = mission_from(
+        {
+            "waypoint": [{"position_m": [0.0, 0.0, -4.0], "wait_s": 60.0}],
+            "limits": {"climb_m_s": 2.0, "climb_acceleration_m_s2": 2.0},
+        }
+    )
+    bench = Bench(vehicle, controller, hasty)
+    assert "climb_m_s 0.8 in place of 2" in bench.software.slower
+    bench.take_off()
+    top = 0.0
+    while bench.plant.time_s < 25.0:
+        bench.run(0.05)
+        top = max(top, bench.height)
+    assert top < 4.03
+    assert "waypoint 1 reached" in bench.texts()
+
+
+def test_a_mission_within_its_limits_is_left_alone(vehicle: Vehicle, controller: FlightController) -> None:
+    assert FlightSoftware(vehicle, controller, MISSION).slower == ""
+    assert able(controller).climb_acceleration > 0.5
