@@ -1,0 +1,148 @@
+"""Two rotors above each other: limits, balances, trim."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from mufly.errors import InputError, MuflyError
+from mufly.rotor.blading import prepare
+from mufly.rotor.coaxial import balance_torque, coaxial, tube_speed
+from mufly.rotor.corrections import Corrections
+from mufly.rotor.geometry import Rotor
+from mufly.rotor.hover import hover
+from mufly.rotor.polar import ALPHA_GRID, PolarTable
+
+R, SPEED, PITCH = 0.06, 600.0, 0.25
+
+
+def blading(corrections=None, chord=0.02, stations=24):
+    def q(value, unit):
+        return {"value": value, "unit": unit, "source": "specified"}
+
+    rotor = Rotor(
+        name="t", blades=2, radius=q(R, "m"), hub_cutout=q(0.15, "1"),
+        blade={"r_over_R": q((0.15, 1.0), "1"), "chord": q((chord, chord), "m"), "twist": q((0.0, 0.0), "rad"),
+               "airfoils": ("s",)},
+    )  # fmt: skip
+    shape = (3, ALPHA_GRID.size)
+    cl = np.where(np.abs(ALPHA_GRID) < 0.2, 5.7 * ALPHA_GRID, 1.1 * np.sin(2 * ALPHA_GRID))
+    cd = 0.03 + 1.8 * np.sin(ALPHA_GRID) ** 2
+    table = PolarTable(
+        "s", ALPHA_GRID, np.array([1e3, 1e4, 1e5]), np.zeros(shape) + cl, np.zeros(shape) + cd, np.zeros(shape),
+        np.tile([-0.2, 0.2], (3, 1)), "made up",
+    )  # fmt: skip
+    return prepare(rotor, {"s": table}, corrections=corrections, stations=stations)
+
+
+def pair(spacing=0.02, case=None, **change):
+    case = case or blading()
+    kw = {
+        "upper_pitch_rad": PITCH,
+        "lower_pitch_rad": PITCH,
+        "upper_speed_rad_s": SPEED,
+        "lower_speed_rad_s": SPEED,
+    }
+    return coaxial(case, case, spacing_m=spacing, **(kw | change))
+
+
+def test_far_apart_the_upper_rotor_is_alone_and_the_lower_in_a_full_wake():
+    alone = hover(blading(), pitch_rad=PITCH, speed_rad_s=SPEED)
+    far = pair(spacing=100.0)
+    assert_allclose(far.upper.thrust_N, alone.thrust_N, rtol=1e-5)
+    assert far.lower.thrust_N < 0.7 * alone.thrust_N
+    assert_allclose(tube_speed(1e3, R), 2.0, rtol=1e-6)
+    assert_allclose(tube_speed(-1e3, R), 0.0, atol=1e-6)
+    assert tube_speed(0.0, R) == 1.0
+
+
+def test_the_stream_reaches_the_lower_rotor_at_its_speed_and_width():
+    both = pair(spacing=0.02)
+    k = tube_speed(0.02, R)
+    edge = R / math.sqrt(k)
+    met = np.tan(both.lower.phi_rad) * (SPEED * both.lower.r_m) - both.lower.inflow_m_s
+    inner = (both.lower.r_m < 0.9 * edge) & (both.lower.r_m > 0.3 * R)
+    assert np.all(met[inner] > 0.5)
+    assert np.all(np.abs(met[both.lower.r_m > edge + 0.003]) < 0.6)  # swirl only
+
+
+def test_touching_rotors_share_one_stream():
+    # At zero distance both discs see each other's inflow: two rotors of one disc, like one of twice the blades.
+    no_swirl = Corrections(
+        tip_loss="none", hub_loss=False, lifting_surface=False, rotation="none", swirl=False
+    )
+    both = pair(spacing=1e-9, case=blading(no_swirl, chord=0.005))
+    double = hover(blading(no_swirl, chord=0.01), pitch_rad=PITCH, speed_rad_s=SPEED)
+    # Momentum: 2 rotors, each dT = 4 pi rho r (u + u) u, together 2 x 2; one rotor with v = 2u: 4 pi rho r v^2.
+    assert_allclose(both.thrust_N, double.thrust_N, rtol=0.01)
+    assert_allclose(both.upper.thrust_N, both.lower.thrust_N, rtol=1e-6)
+
+
+def test_power_of_the_pair_is_above_that_of_two_lone_rotors_of_the_same_thrust():
+    both = pair(spacing=0.03)
+    assert both.figure_of_merit < 1.0
+    alone = hover(blading(), pitch_rad=PITCH, speed_rad_s=SPEED)
+    assert both.thrust_N / both.power_W < alone.thrust_N / alone.power_W
+    assert_allclose(both.power_W, both.upper.power_W + both.lower.power_W)
+    assert_allclose(both.yaw_torque_Nm, both.lower.torque_Nm - both.upper.torque_Nm)
+
+
+def test_stations_do_not_matter():
+    coarse, fine = pair(case=blading(stations=24)), pair(case=blading(stations=96))
+    assert_allclose(coarse.upper.thrust_N, fine.upper.thrust_N, rtol=0.01)
+    assert_allclose(coarse.lower.thrust_N, fine.lower.thrust_N, rtol=0.03)
+
+
+@pytest.mark.parametrize("lower", [0.2, 0.25, 0.35])
+def test_trim_balances_torque_and_steeper_lower_blades_turn_slower(lower):
+    case = blading()
+    trim = balance_torque(
+        case, case, spacing_m=0.02, upper_pitch_rad=PITCH, lower_pitch_rad=lower, upper_speed_rad_s=SPEED
+    )
+    assert abs(trim.yaw_torque_Nm) < 1e-6 * trim.upper.torque_Nm
+    assert trim.upper.speed_rad_s == SPEED
+    again = coaxial(
+        case, case, spacing_m=0.02, upper_pitch_rad=PITCH, lower_pitch_rad=lower, upper_speed_rad_s=SPEED,
+        lower_speed_rad_s=trim.lower.speed_rad_s,
+    )  # fmt: skip
+    assert_allclose(again.thrust_N, trim.thrust_N, rtol=1e-6)
+    equal = balance_torque(
+        case, case, spacing_m=0.02, upper_pitch_rad=PITCH, lower_pitch_rad=0.25, upper_speed_rad_s=SPEED
+    )
+    assert (trim.lower.speed_rad_s <= equal.lower.speed_rad_s) == (lower >= 0.25)
+
+
+def test_trim_for_a_thrust():
+    case = blading()
+    trim = balance_torque(
+        case, case, spacing_m=0.02, upper_pitch_rad=PITCH, lower_pitch_rad=PITCH, thrust_N=0.5
+    )
+    assert_allclose(trim.thrust_N, 0.5, rtol=1e-6)
+    assert abs(trim.yaw_torque_Nm) < 1e-6 * trim.upper.torque_Nm
+
+
+@pytest.mark.parametrize("climb", [-6.0, -2.0, 0.0, 2.0, 10.0])
+@pytest.mark.parametrize("pitch", [-0.3, 0.0, 0.3, 0.8])
+def test_any_axial_flight_gives_finite_numbers_or_says_why_not(climb, pitch):
+    against = climb * pitch < 0 or (climb < 0 and pitch == 0)  # the rotors push into the stream they stand in
+    try:
+        both = pair(climb_m_s=climb, upper_pitch_rad=pitch, lower_pitch_rad=pitch)
+    except MuflyError as error:
+        if not against or "do not settle" not in str(error):
+            raise
+    else:
+        assert math.isfinite(both.thrust_N)
+        assert math.isfinite(both.power_W)
+
+
+def test_faults_are_named():
+    case = blading()
+    with pytest.raises(InputError, match="spacing_m: is 0"):
+        pair(spacing=0.0)
+    with pytest.raises(InputError, match="needs one of"):
+        balance_torque(case, case, spacing_m=0.02, upper_pitch_rad=0.2, lower_pitch_rad=0.2)
+    with pytest.raises(MuflyError, match="no thrust"):
+        balance_torque(case, case, spacing_m=0.02, upper_pitch_rad=-0.2, lower_pitch_rad=-0.2, thrust_N=1.0)

@@ -1,0 +1,152 @@
+"""Measurement files, comparison, calibration, intervals; and the measurements themselves where they are at hand."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from mufly.errors import InputError, MuflyError
+from mufly.rotor import load_rotor
+from mufly.rotor.blading import prepare
+from mufly.rotor.compare import Measurements, calibrate, compare, read_measurements
+from mufly.rotor.hover import hover, hover_batch
+from mufly.rotor.uncertainty import Doubt, interval
+
+ROOT = Path(__file__).resolve().parents[2]
+TEXT = "# a bench\npitch_deg,speed_rpm,thrust_N,torque_Nm\n12,5000,0.15,0.0015\n16, 7000, 0.42,\n"
+
+
+@pytest.fixture(scope="module")
+def case():
+    return prepare(load_rotor("naca0012-r60-c20"))
+
+
+def made(case, pitch_deg=(12.0, 16.0), rpm=(5000.0, 7000.0), lift=1.0, drag=1.0) -> Measurements:
+    scaled = replace(case, corrections=replace(case.corrections, lift_factor=lift, drag_factor=drag))
+    pitch, speed = np.radians(pitch_deg), np.array(rpm) * math.pi / 30
+    out = hover_batch(scaled, pitch_rad=pitch, speed_rad_s=speed)
+    return Measurements(pitch, speed, out.thrust_N, out.torque_Nm, "made up")
+
+
+def test_a_file_is_read(tmp_path, case):
+    path = tmp_path / "bench.csv"
+    path.write_text(TEXT)
+    bench = read_measurements(path)
+    assert_allclose(bench.pitch_rad, np.radians([12, 16]))
+    assert_allclose(bench.speed_rad_s * 30 / math.pi, [5000, 7000])
+    assert np.isnan(bench.torque_Nm[1])
+    out = compare(case, path)
+    assert_allclose(out.thrust_error, out.thrust_N / [0.15, 0.42] - 1)
+    assert (
+        out.thrust_N[0]
+        == hover(case, pitch_rad=bench.pitch_rad[0], speed_rad_s=bench.speed_rad_s[0]).thrust_N
+    )
+    assert "not calibrated" in str(out)
+    assert "mean absolute error" in str(out)
+    assert len(str(out).splitlines()) == 5
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("pitch_deg,speed_rpm\n1,2\n", "thrust_N: is not among the columns"),
+        ("pitch_deg,speed_rpm,thrust_N\n", "holds no measurements"),
+        ("pitch_deg,speed_rpm,thrust_N\n1,2,x\n", "line 2, thrust_N: 'x' is not a number"),
+        ("pitch_deg,speed_rpm,thrust_N\n1,nan,3\n", "line 2, speed_rpm: is nan"),
+        ("pitch_deg,speed_rpm,thrust_N\n1,0,3\n", "line 2: has no speed"),
+    ],
+)
+def test_faults_in_a_file_are_one_line(tmp_path, text, message):
+    path = tmp_path / "bench.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message) as caught:
+        read_measurements(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_is_said(tmp_path):
+    with pytest.raises(InputError, match="cannot be read"):
+        read_measurements(tmp_path / "none.csv")
+
+
+def test_calibration_finds_the_factors_that_made_the_data(case):
+    found = calibrate(case, made(case, lift=0.9, drag=1.4))
+    assert_allclose(found.corrections.lift_factor, 0.9, rtol=1e-5)
+    assert_allclose(found.corrections.drag_factor, 1.4, rtol=1e-4)
+    out = compare(found, made(case, lift=0.9, drag=1.4))
+    assert out.calibrated
+    assert "calibrated on measurements" in str(out)
+    assert out.mean_thrust_error < 1e-4
+
+
+def test_calibration_without_torque_scales_lift_only(case):
+    bench = made(case, lift=0.9)
+    found = calibrate(case, replace(bench, torque_Nm=np.full(2, np.nan)), point=1)
+    assert_allclose(found.corrections.lift_factor, 0.9, rtol=1e-5)
+    assert found.corrections.drag_factor == 1.0
+
+
+def test_calibration_that_cannot_be_says_so(case):
+    bench = made(case)
+    with pytest.raises(MuflyError, match="check the rotor and the units"):
+        calibrate(case, replace(bench, thrust_N=1000 * bench.thrust_N))
+
+
+def test_interval_holds_the_prediction_and_grows_with_doubt():
+    rotor = load_rotor("naca0012-r60-c20")
+    kw = {"pitch_rad": np.radians([12.0, 16.0]), "speed_rad_s": 600.0}
+    known, guess = interval(rotor, **kw), interval(rotor, doubt=Doubt.of_unknown_section(), **kw)
+    assert np.all((known.thrust_low_N < known.thrust_N) & (known.thrust_N < known.thrust_high_N))
+    assert np.all(guess.thrust_high_N > known.thrust_high_N)
+    assert np.all(guess.torque_high_Nm - guess.torque_low_Nm > known.torque_high_Nm - known.torque_low_Nm)
+    narrow = interval(rotor, level=0.5, **kw)
+    assert_allclose(
+        (narrow.thrust_high_N - narrow.thrust_N) / (known.thrust_high_N - known.thrust_N), 0.674 / 1.645
+    )
+    total = np.sqrt(sum(np.square(v) for v in known.thrust_share.values()))
+    assert_allclose(1.645 * total, known.thrust_high_N / known.thrust_N - 1)
+    sure = Doubt(
+        n_crit=(), lift=0, drag=0, camber=0, thickness=0, pitch_rad=0, method_thrust=0, method_torque=0
+    )
+    assert_allclose(interval(rotor, doubt=sure, **kw).thrust_high_N, known.thrust_N)
+    with pytest.raises(InputError, match="level"):
+        interval(rotor, level=0.7, **kw)
+
+
+@pytest.fixture(scope="module")
+def measured():
+    path = ROOT / "benchmarks" / "rotor_cases.py"
+    spec = importlib.util.spec_from_file_location("rotor_cases", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["rotor_cases"] = module
+    spec.loader.exec_module(module)
+    if not module.DATA.is_dir():
+        pytest.skip("the measurements (../shared/data/aero, outside the project) are not here")
+    return module
+
+
+def test_table_3_2_untuned_within_10_and_15_percent(measured):
+    thrust, torque = measured.errors(measured.table_3_2())
+    assert np.all(np.abs(thrust) < 0.10)
+    assert np.all(np.abs(torque) < 0.15)
+
+
+def test_table_3_2_calibrated_on_its_first_point_within_5_and_10_percent(measured):
+    thesis = measured.table_3_2()
+    out = compare(calibrate(measured.blading_of(thesis), thesis.measured), thesis.measured)
+    assert np.all(np.abs(out.thrust_error) < 0.05)
+    assert np.all(np.abs(out.torque_error) < 0.10)
+
+
+def test_propellers_within_12_and_15_percent_on_average(measured, tmp_path):
+    scores = [measured.errors(case) for case in measured.propellers(tmp_path)]
+    assert len(scores) == 17
+    assert np.mean([np.mean(np.abs(t)) for t, _ in scores]) < 0.12
+    assert np.mean([np.mean(np.abs(q)) for _, q in scores]) < 0.15
