@@ -133,14 +133,14 @@ class GearOptima:
 
 
 def gear_optima(
-    drive: Drive, load: RotorLoad, *, thrust_N: float | None = None, supply_V: float | None = None,
+    drive: Drive, load: RotorLoad, *, thrust_N: float | None = None, duty: float = 1.0, supply_V: float | None = None,
     limits: tuple[float, float] = (0.2, 30.0),
 ) -> GearOptima:  # fmt: skip
     """Find the optima of :func:`gear_curve` and the largest gear ratio that still gives a thrust.
 
     Parameters
     ----------
-    drive, load, supply_V
+    drive, load, duty, supply_V
         As for :func:`gear_curve`.
     thrust_N : float, optional
         Wanted thrust.
@@ -154,7 +154,7 @@ def gear_optima(
     ratio.
     """
     ratio = np.geomspace(*limits, 400)
-    curve = gear_curve(drive, load, ratio, supply_V=supply_V)
+    curve = gear_curve(drive, load, ratio, duty=duty, supply_V=supply_V)
     x = np.log(ratio)
 
     def peak(name: str) -> float:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
 from mufly.errors import InputError
+from mufly.rotor.hover import RotorResult
 from mufly.study.parameters import PARAMETERS
 
-__all__ = ["read_results", "write_results"]
+__all__ = ["read_results", "write_results", "write_stations"]
 
 
 def write_results(data: xr.Dataset, folder: str | Path, name: str = "sweep") -> list[Path]:
@@ -35,10 +37,7 @@ def write_results(data: xr.Dataset, folder: str | Path, name: str = "sweep") -> 
         data.to_netcdf(nc, engine="scipy")
         names = [str(d) for d in data.dims]
         heads = [_head(d, str(data[d].attrs.get("units", ""))) for d in names]
-        columns = [
-            np.asarray(data[v].broadcast_like(data["fault"]).transpose(*names)).ravel()
-            for v in data.data_vars
-        ]
+        columns = [np.asarray(data[v].transpose(*names)).ravel() for v in data.data_vars]
         grid = np.meshgrid(*(data[d].values for d in names), indexing="ij")
         with table.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
@@ -70,3 +69,26 @@ def read_results(file: str | Path) -> xr.Dataset:
         raise InputError(
             str(file), "", f"is no result file ({error})", "give a .nc file of a sweep"
         ) from error
+
+
+def write_stations(result: RotorResult, folder: str | Path) -> Path:
+    """Write what happens along the blade as ``stations.csv``, one line a station, SI units.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+    values = {f.name: getattr(result, f.name) for f in fields(result)}
+    columns = {k: v for k, v in values.items() if np.ndim(v) == 1}
+    path = Path(folder) / "stations.csv"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(columns)
+            for row in zip(*columns.values(), strict=True):
+                writer.writerow([f"{v:.9g}" for v in row])
+    except OSError as error:
+        raise InputError(str(folder), "", f"cannot be written ({error})", "give another folder") from error
+    return path

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from mufly.drive import Drive
 from mufly.errors import InputError
 from mufly.rotor import Rotor
-from mufly.rotor.corrections import Corrections
+from mufly.rotor.corrections import PLAIN, Corrections
 from mufly.study.parameters import DRIVE, PARAMETERS, Value
 
-__all__ = ["DRIVE_OUTPUTS", "OUTPUTS", "Setup", "check_names"]
+__all__ = ["DRIVE_OUTPUTS", "MODELS", "OUTPUTS", "Setup", "check_names"]
+
+# Blade element momentum theory as recommended here, as in textbooks, and as the dissertation has it (Sec. 3.3.1:
+# effective radius of eq. 3.13, no swirl, no hub loss; its tuning to one rotor is not given).
+MODELS: dict[str, Corrections] = {
+    "full": Corrections(),
+    "plain": PLAIN,
+    "thesis": replace(PLAIN, tip_loss="effective_radius", hub_loss=False, swirl=False),
+}
 
 # Name -> unit, meaning.
 OUTPUTS: dict[str, tuple[str, str]] = {

@@ -1,0 +1,235 @@
+"""``mufly drive``: what a drive train does with a rotor, which gear suits it, how long its battery lasts."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mufly.cli.options import (
+    JsonOption,
+    ModelOption,
+    angle,
+    console,
+    corrections_of,
+    print_json,
+    print_table,
+    save_picture,
+)
+
+if TYPE_CHECKING:
+    from mufly.drive import RotorLoad
+
+__all__ = ["app"]
+
+app = typer.Typer(
+    help="Drive trains: motor, gear, battery, and where they meet a rotor. Everything is explained in docs/drive.md.",
+    no_args_is_help=True,
+)
+
+_RPM = math.pi / 30.0
+_DriveArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="NAME|FILE", help="'mufly', a built-in vehicle, a drive file or a vehicle file (TOML)."
+    ),
+]
+_Rotor = Annotated[
+    str,
+    typer.Option(
+        "--rotor", metavar="NAME|FILE", help="A rotor; or 'upper' or 'lower' of --vehicle, with constant coefficients.",
+    ),
+]  # fmt: skip
+_Vehicle = Annotated[
+    str, typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle of 'upper' and 'lower'.")
+]
+_Pitch = Annotated[
+    str | None, typer.Option("--pitch", metavar="ANGLE", help="Pitch setting of a rotor file, as 12.")
+]
+_Supply = Annotated[
+    float | None, typer.Option("--voltage", metavar="V", help="Supply voltage; nominal if not given.")
+]
+_COLUMNS = {
+    "thrust": ("thrust_N", "{:.3f} N", 1.0),
+    "rotor speed": ("speed_rad_s", "{:.0f} rpm", 1 / _RPM),
+    "duty": ("duty", "{:.3f}", 1.0),
+    "input power": ("input_power_W", "{:.2f} W", 1.0),
+    "mechanical power": ("mechanical_power_W", "{:.2f} W", 1.0),
+    "efficiency": ("efficiency", "{:.1%}", 1.0),
+    "thrust per power": ("thrust_per_power_N_W", "{:.4f} N/W", 1.0),
+    "motor current": ("motor_current_A", "{:.2f} A", 1.0),
+}
+
+
+def _load(rotor: str, vehicle: str, pitch: str | None, model: str) -> tuple[RotorLoad, str]:
+    """Return the load that the options describe, and what to call it."""
+    from mufly.drive import blade_load, coefficient_load
+    from mufly.errors import InputError
+    from mufly.rotor import load_rotor, polars
+    from mufly.rotor.blading import prepare
+    from mufly.vehicle import load_vehicle
+
+    if rotor in ("upper", "lower"):
+        if pitch is not None:
+            raise InputError("--pitch", "", f"the {rotor} rotor of a vehicle has none", "leave it out")
+        v = load_vehicle(vehicle)
+        one = v.rotors.upper if rotor == "upper" else v.rotors.lower
+        load = coefficient_load(
+            float(one.thrust_coefficient), float(one.torque_coefficient), radius_m=float(v.rotors.radius),
+            density_kg_m3=float(v.air.density),
+        )  # fmt: skip
+        return load, f"{rotor} rotor of {v.name}"
+    if pitch is None:
+        raise InputError(
+            "--pitch", "", f"is missing for rotor {rotor}", "give the pitch setting, as --pitch 12"
+        )
+    r = load_rotor(rotor)
+    blading = prepare(r, polars(r.airfoil_names()), corrections=corrections_of(model))
+    return blade_load(blading, pitch_rad=angle("--pitch", pitch)), f"{r.name} at {pitch} deg"
+
+
+@app.command()
+def show(
+    drive: _DriveArgument = "mufly",
+    rotor: _Rotor = "upper",
+    vehicle: _Vehicle = "mufly-1.1",
+    pitch: _Pitch = None,
+    thrust: Annotated[
+        list[float] | None,
+        typer.Option("--thrust", metavar="N", help="Thrust of one rotor. Repeat it for a table."),
+    ] = None,
+    duty: Annotated[
+        list[float] | None, typer.Option("--duty", metavar="D", help="Or share of the voltage, 0 to 1.")
+    ] = None,
+    supply: _Supply = None,
+    charge: Annotated[
+        float | None,
+        typer.Option(metavar="Z", help="Instead: the sagging battery with this fraction of its charge."),
+    ] = None,
+    model: ModelOption = "full",
+    as_json: JsonOption = False,
+) -> None:
+    """Show a drive's numbers, its operating points with a rotor, and how long its battery holds a hover.
+
+    All rotors of the drive are loaded alike. Without --thrust and --duty, five duties are shown.
+
+    Examples: mufly drive show; mufly drive show mufly --rotor naca4412-r60-c20 --pitch 12 --thrust 0.3
+    """
+    import numpy as np
+
+    from mufly.drive import hover_endurance, load_drive, operating_point
+    from mufly.errors import InputError, MuflyError
+
+    d = load_drive(drive)
+    load, name = _load(rotor, vehicle, pitch, model)
+    if thrust and duty:
+        raise InputError("drive show", "", "both --thrust and --duty are given", "give one of the two")
+    given: dict[str, Any] = {"thrust_N": thrust} if thrust else {"duty": duty or [0.2, 0.4, 0.6, 0.8, 1.0]}
+    point = operating_point(d, load, supply_V=supply, charge=charge, **given)
+    lasts: list[Any] = []
+    for k in range(point.thrust_N.size):
+        try:
+            power, volts = d.rotors * float(point.input_power_W[k]), float(point.motor_voltage_V[k])
+            lasts.append(hover_endurance(d.battery, power_W=power, motor_voltage_V=volts))
+        except MuflyError:  # not even the full battery: said in the table
+            lasts.append(None)
+    c = d.constants()
+    if as_json:
+        print_json(
+            {
+                "drive": d.name, "description": d.description, "rotors": d.rotors, "constants": vars(c), "rotor": name,
+                "points": {k: np.atleast_1d(v) for k, v in vars(point).items()},
+                "endurance": [None if e is None else vars(e) for e in lasts],
+            }
+        )  # fmt: skip
+        return
+    out = console()
+    out.print(f"[bold]{d.name}[/bold]  {d.description}", highlight=False)
+    k_e, k_m, r, friction, ratio, efficiency = (
+        float(np.asarray(v))
+        for v in (
+            c.back_emf_V_s, c.torque_Nm_A, c.resistance_ohm, c.friction_Nm_s, c.gear_ratio, c.gear_efficiency,
+        )
+    )  # fmt: skip
+    out.print(
+        f"kE {1e3 * k_e:.4g} mV s, kM {1e3 * k_m:.4g} mN m/A, R {r:.4g} ohm, dR {1e6 * friction:.4g} uN m s, "
+        f"gear {ratio:g} with efficiency {efficiency:.0%}; {d.rotors} rotor{'s' if d.rotors > 1 else ''} on "
+        f"{float(d.battery.capacity) / 3.6:.0f} mA h",
+        highlight=False,
+    )
+    rows = [
+        [
+            *(form.format(float(getattr(point, key)[k]) * factor) for key, form, factor in _COLUMNS.values()),
+            "-" if e is None else f"{e.time_s / 60:.1f} min",
+        ]
+        for k, e in enumerate(lasts)
+    ]
+    print_table([*_COLUMNS, "endurance*"], rows, title=name)
+    out.print(
+        "* from a full battery, all rotors at this thrust, electronics on; - where it cannot", style="dim"
+    )
+
+
+@app.command()
+def sweep(
+    drive: _DriveArgument = "mufly",
+    gear: Annotated[str, typer.Option(metavar="RANGE", help="Gear ratios.")] = "0.5:8:0.1",
+    rotor: _Rotor = "upper",
+    vehicle: _Vehicle = "mufly-1.1",
+    pitch: _Pitch = None,
+    thrust: Annotated[
+        float | None, typer.Option(metavar="N", help="Thrust for which the gear ratio is found.")
+    ] = None,
+    duty: Annotated[float, typer.Option(metavar="D", help="Share of the supply voltage at the motor.")] = 1.0,
+    supply: _Supply = None,
+    model: ModelOption = "full",
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Write gear.nc, gear.csv and gear.png.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Draw power, thrust and efficiency over the gear ratio at constant motor voltage, as the dissertation's Fig. 3.7.
+
+    Example: mufly drive sweep mufly --thrust 0.6 --out gears
+    """
+    from mufly.drive import gear_curve, gear_optima, load_drive
+    from mufly.study import gear_picture, parse_values, write_results
+
+    d = load_drive(drive)
+    load, name = _load(rotor, vehicle, pitch, model)
+    _, ratios = parse_values(f"gear={gear}")
+    curve = gear_curve(d, load, [float(r) for r in ratios], duty=duty, supply_V=supply)
+    best = gear_optima(d, load, thrust_N=thrust, duty=duty, supply_V=supply)
+    marks = {k.replace("_", " "): v for k, v in vars(best).items() if k != "for_thrust" or math.isfinite(v)}
+    files = []
+    if out is not None:
+        picture = gear_picture(curve, marks=marks, thrust_N=thrust, title=f"{d.name}, {name}")
+        files = [*write_results(curve, out, "gear"), save_picture(picture, out, "gear")]
+    if as_json:
+        print_json({**curve.to_dict(), "optima": vars(best), "rotor": name, "files": [str(f) for f in files]})
+        return
+    step = max(1, curve.sizes["gear_ratio"] // 16)
+    units = {"input_power_W": "W", "mechanical_power_W": "W", "thrust_N": "N", "efficiency": ""}
+    units["thrust_per_power_N_W"] = "N/W"
+    print_table(
+        ("gear ratio", "input power", "mechanical power", "thrust", "efficiency", "thrust per power"),
+        [
+            (
+                f"{float(curve.gear_ratio[k]):.2f}",
+                *(f"{float(curve[n][k]):.4g} {u}".strip() for n, u in units.items()),
+            )
+            for k in range(0, curve.sizes["gear_ratio"], step)
+        ],
+        title=f"{d.name}, {name}, {curve.attrs['motor_voltage_V']:.3g} V at the motor",
+    )
+    c = console()
+    c.print(
+        "Greatest at gear ratio: " + ", ".join(f"{k} {v:.2f}" for k, v in marks.items() if k != "for thrust")
+    )
+    if thrust is not None:
+        found = f"{best.for_thrust:.2f}" if math.isfinite(best.for_thrust) else "none"
+        c.print(f"Largest gear ratio that gives {thrust:g} N: {found}")
+    for file in files:
+        c.print(f"Written: {file}")

@@ -1,0 +1,335 @@
+"""``mufly rotor``: what a rotor is, what it does in hover, and how that compares with a measurement."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mufly.cli import rotor_study
+from mufly.cli.options import (
+    DriveOption,
+    EngineOption,
+    JsonOption,
+    ModelOption,
+    NCritOption,
+    OutOption,
+    RotorArgument,
+    angle,
+    console,
+    corrections_of,
+    drive_or_none,
+    print_json,
+    print_table,
+    save_picture,
+)
+
+if TYPE_CHECKING:
+    from mufly.drive import OperatingPoint
+    from mufly.rotor import Rotor
+    from mufly.rotor.blading import Blading
+    from mufly.rotor.hover import RotorResult
+
+__all__ = ["app"]
+
+app = typer.Typer(
+    help="Rotors: what one is, what it does, which is best. Numbers of rotor files: docs/polars.md; of the theory: "
+    "docs/bemt.md; of sweeps and rankings: docs/studies.md.",
+    no_args_is_help=True,
+)
+rotor_study.add_to(app)
+
+_RPM = math.pi / 30.0
+
+
+@app.command("list")
+def list_rotors(as_json: JsonOption = False) -> None:
+    """List the built-in rotors."""
+    from mufly.rotor import builtin_rotors, load_rotor
+
+    rotors = [load_rotor(name) for name in builtin_rotors()]
+    if as_json:
+        print_json([{"name": r.name, "description": r.description, **_geometry(r)} for r in rotors])
+        return
+    print_table(
+        ("name", "blades", "radius", "solidity", "description"),
+        [
+            (r.name, f"{r.blades}", f"{1e3 * r.radius_m:g} mm", f"{r.solidity:.3f}", r.description)
+            for r in rotors
+        ],
+        text=(0, 4),
+    )
+
+
+def _geometry(rotor: Rotor) -> dict[str, Any]:
+    return {
+        "blades": rotor.blades,
+        "radius_m": rotor.radius_m,
+        "hub_radius_m": rotor.hub_radius_m,
+        "disc_area_m2": rotor.disc_area_m2,
+        "blade_area_m2": rotor.blade_area_m2,
+        "solidity": rotor.solidity,
+        "thrust_solidity": rotor.thrust_solidity,
+        "aspect_ratio": rotor.aspect_ratio,
+    }
+
+
+@app.command()
+def show(
+    rotor: RotorArgument = "naca4412-r60-c20",
+    rpm: Annotated[float, typer.Option(metavar="RPM", help="Speed for the Reynolds numbers.")] = 5000.0,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show a rotor's geometry: solidity, aspect ratio, thickness, Reynolds numbers.
+
+    With --out, planform, twist and sections are drawn (blade.png).
+    Example: mufly rotor show walkera-5g6 --rpm 4000 --out walkera
+    """
+    import numpy as np
+
+    from mufly.errors import InputError
+    from mufly.rotor import blade_thickness_m, load_rotor
+    from mufly.rotor.hover import Air
+    from mufly.study import blade_picture
+
+    if not 0 < rpm < math.inf:
+        raise InputError("--rpm", "", f"{rpm:g} is not possible", "give a number above 0")
+    r, air = load_rotor(rotor), Air()
+    x = np.unique(np.concatenate(([float(r.hub_cutout)], r.blade.r_over_R.array(), [0.25, 0.5, 0.75, 1.0])))
+    x = x[x >= float(r.hub_cutout)]
+    chord, twist, thick = r.chord_m(x), r.twist_rad(x), blade_thickness_m(r, x)
+    reynolds = x * r.radius_m * rpm * _RPM * chord * air.density_kg_m3 / air.viscosity_Pa_s
+    picture = save_picture(blade_picture(r), out, "blade") if out is not None else None
+    if as_json:
+        print_json(
+            {
+                "name": r.name,
+                "description": r.description,
+                **_geometry(r),
+                "airfoils": r.airfoil_names(),
+                "speed_rpm": rpm,
+                "stations": {
+                    "r_over_R": x, "chord_m": chord, "twist_rad": twist, "thickness_m": thick, "reynolds": reynolds
+                },
+            }
+        )  # fmt: skip
+        return
+    c = console()
+    c.print(f"[bold]{r.name}[/bold]  {r.description}", highlight=False)
+    c.print(
+        f"{r.blades} blades, R {1e3 * r.radius_m:g} mm, cut-out {1e3 * r.hub_radius_m:.3g} mm, solidity "
+        f"{r.solidity:.3f}, aspect ratio {r.aspect_ratio:.2f}, airfoils {', '.join(r.airfoil_names())}",
+        highlight=False,
+    )
+    print_table(
+        ("r/R", "chord", "twist", "thickness", f"Reynolds number at {rpm:g} rpm"),
+        [
+            (f"{x[k]:.3f}", f"{1e3 * chord[k]:.2f} mm", f"{math.degrees(twist[k]):.2f}°", f"{1e3 * thick[k]:.2f} mm",
+             f"{reynolds[k]:.0f}")
+            for k in range(x.size)
+        ],
+    )  # fmt: skip
+    c.print(
+        "Where the numbers come from: "
+        + ", ".join(
+            f"{key} {q.source}"
+            for key, q in (
+                ("radius", r.radius), ("cut-out", r.hub_cutout), ("chord", r.blade.chord), ("twist", r.blade.twist),
+            )
+        ),
+        style="dim",
+    )  # fmt: skip
+    if picture is not None:
+        c.print(f"Picture: {picture}")
+
+
+def _blading(rotor: Rotor, model: str, n_crit: float, engine: str) -> Blading:
+    from mufly.rotor import polars
+    from mufly.rotor.blading import prepare
+
+    tables = polars(rotor.airfoil_names(), n_crit=n_crit, engine=engine)  # type: ignore[arg-type]
+    return prepare(rotor, tables, corrections=corrections_of(model))
+
+
+@app.command()
+def hover(
+    rotor: RotorArgument = "naca4412-r60-c20",
+    pitch: Annotated[
+        str | None, typer.Option(metavar="ANGLE", help="Pitch setting: 12, 12deg or 0.2rad.")
+    ] = None,
+    rpm: Annotated[float | None, typer.Option(metavar="RPM", help="Rotor speed.")] = None,
+    thrust: Annotated[
+        float | None,
+        typer.Option(metavar="N", help="Thrust; with --pitch the speed is found, with --rpm the pitch."),
+    ] = None,
+    climb: Annotated[float, typer.Option(metavar="M/S", help="Axial speed, positive in climb.")] = 0.0,
+    density: Annotated[float, typer.Option(metavar="KG/M3", help="Density of the air.")] = 1.2,
+    drive: DriveOption = None,
+    n_crit: NCritOption = 0.1,
+    engine: EngineOption = "neuralfoil",
+    model: ModelOption = "full",
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compute thrust, torque, power and figure of merit, and what happens along the blade.
+
+    Give two of --pitch, --rpm and --thrust. With a drive, its electrical power at the same point is told too.
+    With --out, the stations are drawn and written as CSV.
+    Examples: mufly rotor hover naca0012-r60-c20 --pitch 12 --rpm 5000; mufly rotor hover --pitch 12 --thrust 0.4
+    --drive mufly
+    """
+    import numpy as np
+
+    from mufly.drive import blade_load, operating_point
+    from mufly.errors import InputError
+    from mufly.rotor import load_rotor
+    from mufly.rotor.hover import Air
+    from mufly.rotor.hover import hover as solve
+    from mufly.rotor.thrust import solve_thrust
+    from mufly.study import stations_picture, write_stations
+
+    if sum(v is not None for v in (pitch, rpm, thrust)) != 2:
+        raise InputError(
+            "rotor hover", "", "needs two of --pitch, --rpm and --thrust", "give two; the third is found"
+        )
+    r, d, air = load_rotor(rotor), drive_or_none(drive), Air(density_kg_m3=density)
+    blading = _blading(r, model, n_crit, engine)
+    theta = angle("--pitch", pitch) if pitch is not None else None
+    speed = rpm * _RPM if rpm is not None else None
+    if thrust is not None:
+        result = solve_thrust(
+            blading, thrust_N=thrust, pitch_rad=theta, speed_rad_s=speed, climb_m_s=climb, air=air
+        )
+    else:
+        assert theta is not None
+        assert speed is not None
+        result = solve(blading, pitch_rad=theta, speed_rad_s=speed, climb_m_s=climb, air=air)
+    point = None
+    if d is not None and result.thrust_N > 0:
+        load = blade_load(blading, pitch_rad=result.pitch_rad, climb_m_s=climb, air=air)
+        point = operating_point(d, load, thrust_N=result.thrust_N)
+    files = []
+    if out is not None:
+        files = [save_picture(stations_picture(result), out, "stations"), write_stations(result, out)]
+    if as_json:
+        print_json(_hover_json(r, result, point, model, n_crit))
+        return
+    c = console()
+    c.print(
+        f"[bold]{r.name}[/bold] at {math.degrees(result.pitch_rad):.2f}° and {result.speed_rad_s / _RPM:.0f} rpm",
+        highlight=False,
+    )
+    rows = [
+        ("thrust", f"{result.thrust_N:.4g} N"),
+        ("torque", f"{result.torque_Nm:.4g} N m"),
+        ("power at the rotor", f"{result.power_W:.4g} W"),
+        ("figure of merit", f"{result.figure_of_merit:.3f}"),
+        ("c_T, c_Q", f"{result.c_T:.5f}, {result.c_Q:.6f}"),
+    ]
+    if point is not None and d is not None:
+        rows += [
+            ("electrical power", f"{float(point.input_power_W):.4g} W"),
+            ("thrust per electrical power", f"{float(point.thrust_per_power_N_W):.4g} N/W"),
+            (f"drive {d.name}", f"efficiency {float(point.efficiency):.1%}, duty {float(point.duty):.2f} of "
+             f"{float(point.voltage_V):g} V, {float(point.motor_current_A):.2f} A"),
+        ]  # fmt: skip
+    print_table(("", ""), rows, text=(0, 1))
+    print_table(
+        ("r/R", "alpha", "inflow", "cl", "cd", "Reynolds number", "loss F", "dT/dr"),
+        [
+            (
+                f"{result.r_m[k] / r.radius_m:.3f}{' *' if result.outside[k] else ''}",
+                f"{np.degrees(result.alpha_rad[k]):.2f}°",
+                f"{result.inflow_m_s[k]:.2f} m/s",
+                f"{result.cl[k]:.3f}",
+                f"{result.cd[k]:.4f}",
+                f"{result.reynolds[k]:.0f}",
+                f"{result.loss[k]:.3f}",
+                f"{result.dT_N[k] / result.dr_m[k]:.2f} N/m",
+            )
+            for k in range(0, result.r_m.size, max(1, result.r_m.size // 12))
+        ],
+    )
+    if result.outside_share > 0:
+        c.print(
+            f"* beyond what the polar's engine computed; such sections carry {result.outside_share:.0%} of the thrust.",
+            style="yellow",
+        )
+    for file in files:
+        c.print(f"Written: {file}")
+
+
+def _hover_json(
+    rotor: Rotor, result: RotorResult, point: OperatingPoint | None, model: str, n_crit: float
+) -> dict[str, Any]:
+    values = {f.name: getattr(result, f.name) for f in fields(result)}
+    size = result.r_m.size
+    stations = {k: v for k, v in values.items() if getattr(v, "size", 0) == size and k != "pitch_rad"}
+    return {
+        "rotor": rotor.name,
+        "model": model,
+        "n_crit": n_crit,
+        **{k: v for k, v in values.items() if k not in stations},
+        "stations": stations,
+        "drive": None if point is None else {k: float(v) for k, v in vars(point).items()},
+    }
+
+
+@app.command()
+def compare(
+    rotor: RotorArgument,
+    measurements: Annotated[
+        Path,
+        typer.Argument(metavar="CSV", help="Columns pitch_deg, speed_rpm, thrust_N and, if measured, torque_Nm."),
+    ],
+    calibrate: Annotated[
+        int | None,
+        typer.Option(metavar="LINE", help="Scale lift and drag to this measured point, counted from 1, as the "
+                     "dissertation did. Printed as calibrated."),
+    ] = None,
+    density: Annotated[float, typer.Option(metavar="KG/M3", help="Density of the air at the bench.")] = 1.2,
+    n_crit: NCritOption = 0.1,
+    engine: EngineOption = "neuralfoil",
+    model: ModelOption = "full",
+    as_json: JsonOption = False,
+) -> None:  # fmt: skip
+    """Set the prediction beside a measurement, untuned unless --calibrate asks for it.
+
+    Example: mufly rotor compare naca0012-r60-c20 bench.csv
+    """
+    from mufly.errors import InputError
+    from mufly.rotor import load_rotor
+    from mufly.rotor.compare import calibrate as scale
+    from mufly.rotor.compare import compare as beside
+    from mufly.rotor.compare import read_measurements
+    from mufly.rotor.hover import Air
+
+    r, bench, air = load_rotor(rotor), read_measurements(measurements), Air(density_kg_m3=density)
+    blading = _blading(r, model, n_crit, engine)
+    if calibrate is not None:
+        if not 1 <= calibrate <= bench.thrust_N.size:
+            raise InputError("--calibrate", "", f"there are {bench.thrust_N.size} points", "count from 1")
+        blading = scale(blading, bench, calibrate - 1, air=air)
+    c = beside(blading, bench, air=air)
+    if as_json:
+        points = [
+            {
+                "pitch_rad": bench.pitch_rad[k], "speed_rad_s": bench.speed_rad_s[k],
+                "thrust_N": c.thrust_N[k], "measured_thrust_N": bench.thrust_N[k], "thrust_error": c.thrust_error[k],
+                "torque_Nm": c.torque_Nm[k], "measured_torque_Nm": bench.torque_Nm[k],
+                "torque_error": c.torque_error[k],
+            }
+            for k in range(bench.thrust_N.size)
+        ]  # fmt: skip
+        print_json(
+            {
+                "rotor": r.name, "measurements": bench.source, "calibrated": c.calibrated, "model": model,
+                "mean_thrust_error": c.mean_thrust_error, "mean_torque_error": c.mean_torque_error, "points": points,
+            }
+        )  # fmt: skip
+        return
+    typer.echo(str(c))
