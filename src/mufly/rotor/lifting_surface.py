@@ -23,6 +23,7 @@ slopes.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -35,7 +36,7 @@ Array = NDArray[np.float64]
 NEAR_WAKE_RAD = (
     0.5 * math.pi
 )  # a quarter turn: longer wakes change e by less than 0.003 outside the inner fifth
-_ARC_POINTS = 24
+_ARC_POINTS = 14  # thrust within 0.03 % of 96
 
 
 @njit(cache=True)
@@ -75,21 +76,23 @@ def near_wake_downwash(
     """
     m, n = points.shape[0], edge_x.shape[0] - 1
     trail = np.zeros((m, n + 1))
+    path = np.empty((arc_points + 1, 2))  # of one trailing vortex: quarter chord, tail, wake
     for j in range(n + 1):
         r, tail = edge_x[j], 0.75 * edge_c[j]
+        path[0, 0], path[0, 1] = r, 0.0
+        for k in range(arc_points):
+            s = (k / (arc_points - 1.0)) ** 2
+            if straight > 0.0:
+                path[k + 1, 0], path[k + 1, 1] = r, tail + straight * s
+            else:
+                cosine, sine = math.cos(turn * s), math.sin(turn * s)
+                path[k + 1, 0], path[k + 1, 1] = r * cosine - tail * sine, r * sine + tail * cosine
         for i in range(m):
-            px, py = points[i, 0], points[i, 1]
-            w = _segment_w(px, py, r, 0.0, r, tail)
-            ax, ay = r, tail
-            for k in range(1, arc_points):
-                s = (k / (arc_points - 1.0)) ** 2
-                if straight > 0.0:
-                    bx, by = r, tail + straight * s
-                else:
-                    cosine, sine = math.cos(turn * s), math.sin(turn * s)
-                    bx, by = r * cosine - tail * sine, r * sine + tail * cosine
-                w += _segment_w(px, py, ax, ay, bx, by)
-                ax, ay = bx, by
+            w = 0.0
+            for k in range(arc_points):
+                w += _segment_w(
+                    points[i, 0], points[i, 1], path[k, 0], path[k, 1], path[k + 1, 0], path[k + 1, 1]
+                )
             trail[i, j] = w
     out = np.empty((m, n))
     for i in range(m):
@@ -113,6 +116,15 @@ def chord_factor(
     straight_wake : float
         For checks against wings: straight wake of this length and uniform wind. 0 for a rotor.
     """
+    key = tuple(np.ascontiguousarray(v, dtype=np.float64).tobytes() for v in (mid_x, edge_x, mid_c, edge_c))
+    return _chord_factor(*key, straight_wake).copy()
+
+
+@lru_cache(maxsize=4096)  # sweeps over airfoils, pitch and speed keep the planform
+def _chord_factor(
+    mid: bytes, edge: bytes, mid_chord: bytes, edge_chord: bytes, straight_wake: float
+) -> Array:
+    mid_x, edge_x, mid_c, edge_c = (np.frombuffer(v) for v in (mid, edge, mid_chord, edge_chord))
     n = mid_x.size
     quarter = np.column_stack((mid_x, np.zeros(n)))
     behind = np.column_stack((mid_x, 0.5 * mid_c))
