@@ -28,3 +28,7 @@ class InputError(MuflyError):
         self.where, self.key, self.problem, self.remedy = where, key, problem, remedy
         place = f"{where}: {key}" if key else where
         super().__init__(f"{place}: {problem}; {remedy}")
+
+    def at(self, where: str) -> InputError:
+        """The same fault, of a file that its finder knew only by the name of what is in it."""
+        return InputError(where, self.key, self.problem, self.remedy)

@@ -87,7 +87,11 @@ def test_a_failed_mission_has_a_reason_and_a_status(monkeypatch, capsys, tmp_pat
         (["--wind", "1,2"], "--wind"),
         (["--wind", "a,b,c"], "--wind"),
         (["--wind", "nan,0,0"], "--wind"),
-        (["--gust", "-1"], "gust"),
+        (["--gust", "-1"], "--gust"),
+        (["--gust", "nan"], "--gust"),
+        (["--seed", "-1"], "--seed"),
+        (["--seed", str(10**40)], "--seed"),
+        (["--out", "x" * 300], "--out"),
     ],
 )
 def test_bad_arguments_are_one_clear_line(monkeypatch, capsys, tmp_path, words, message: str) -> None:
@@ -96,7 +100,46 @@ def test_bad_arguments_are_one_clear_line(monkeypatch, capsys, tmp_path, words, 
     shown = capsys.readouterr()
     assert message in shown.err
     assert len(shown.err.strip().splitlines()) == 1
-    assert not (tmp_path / "flights").exists()
+    assert shown.out == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [(["fly", "--gust", "strong"], "--gust"), (["fly", "--speed", "1"], "--speed"), (["flyy"], "flyy")],
+)
+def test_a_mistyped_command_line_is_one_line_too(monkeypatch, capsys, words, message: str) -> None:
+    assert run(monkeypatch, *words) == 2
+    shown = capsys.readouterr()
+    assert message in shown.err
+    assert "--help" in shown.err
+    assert len(shown.err.strip().splitlines()) == 1
+
+
+def test_what_vehicle_and_mission_cannot_do_together_names_the_file(
+    monkeypatch, capsys, tmp_path, hop
+) -> None:
+    from mufly.vehicle import load_vehicle, replace, vehicle_toml
+
+    high, heavy = tmp_path / "high.toml", tmp_path / "heavy.toml"
+    high.write_text(HOP.replace("-0.5]", "-100.0]"))
+    heavy.write_text(vehicle_toml(replace(load_vehicle("mufly-1.1"), {"body.mass": 0.2})))
+    before = sorted(tmp_path.iterdir())
+    monkeypatch.chdir(tmp_path)
+    for words, place in (
+        ([high], f"{high}: waypoint[1].position_m: -100 m"),
+        ([hop, "--vehicle", heavy], f"{heavy}: body.mass: too heavy"),
+        ([hop, "--out", hop / "below"], f"--out: {hop} is a file"),
+    ):
+        assert run(monkeypatch, "fly", *words) == 1
+        shown = capsys.readouterr()
+        assert place in shown.err
+        assert shown.out == ""
+    assert run(monkeypatch, "mission", "check", hop, "--vehicle", heavy) == 1
+    assert f"{heavy}: body.mass: too heavy" in capsys.readouterr().err
+    assert run(monkeypatch, "control", "design", heavy) == 1
+    assert f"{heavy}: body.mass: too heavy" in capsys.readouterr().err
+    assert sorted(tmp_path.iterdir()) == before
 
 
 def test_control_c_leaves_a_readable_recording(tmp_path, hop) -> None:

@@ -104,5 +104,5 @@ def test_impossible_arguments_are_named(vehicle, arguments, key) -> None:
 
 
 def test_too_heavy(vehicle) -> None:
-    with pytest.raises(MuflyError, match=r"mufly-1\.1: too heavy to hover: 160 g .* lower body\.mass"):
+    with pytest.raises(MuflyError, match=r"mufly-1\.1: body\.mass: too heavy to hover: 160 g .*; lower it"):
         trim(replace(vehicle, {"body.mass": 0.16}))

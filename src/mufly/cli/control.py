@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mufly.errors import InputError
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -52,16 +54,24 @@ def design(
 ) -> None:
     """Design heave-yaw, roll-pitch and position control, and set them beside the thesis's.
 
-    For each H-infinity design: the level gamma claimed and the norm of the closed loop as computed from it;
-    0 dB crossings of the loop gain; peaks of the sensitivity S_u and the complementary sensitivity T_u at the plant's
-    input, with the controller of full order, of reduced order, and sampled with one sample of delay; margins.
+    For each H-infinity design: the level gamma claimed and the norm of the closed loop as computed from it; \
+0 dB crossings of the loop gain; peaks of the sensitivity S_u and the complementary sensitivity T_u at the plant's \
+input, with the controller of full order, of reduced order, and sampled with one sample of delay; margins.
 
-    Examples: mufly control design; mufly control design mufly-2.0 --rate 250 --out designs
+    Examples:
+
+      mufly control design
+
+      mufly control design mufly-2.0 --rate 250 --out designs
     """
     from mufly.control import design as design_controllers
     from mufly.vehicle import load_vehicle
 
-    controller = design_controllers(load_vehicle(vehicle), rate_Hz=rate, voltage=voltage)
+    loaded = load_vehicle(vehicle)
+    try:
+        controller = design_controllers(loaded, rate_Hz=rate, voltage=voltage)
+    except InputError as error:
+        raise error.at(vehicle if error.where == loaded.name else error.where) from None
     written = _write(controller, out) if out is not None else []
     if as_json:
         typer.echo(json.dumps(controller.to_dict(), indent=2))
@@ -93,7 +103,6 @@ def design(
 
 def _write(controller: FlightController, folder: Path) -> list[Path]:
     from mufly.control.plots import draw_designs
-    from mufly.errors import InputError
 
     try:
         written = draw_designs(controller, folder)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -46,14 +47,21 @@ def fly(
     ] = "mufly-1.1",
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Folder for the results. [default: flights/<date-time>]"),
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="DIR",
+            help="Folder for the results; those of an earlier flight there are replaced. "
+            r"\[default: flights/<date-time>]",
+        ),
     ] = None,
     wind: Annotated[
         str | None,
         typer.Option(metavar="N,E,D", help="Steady wind in m/s, as in 0.5,0,0; instead of the mission's."),
     ] = None,
     gust: Annotated[
-        float | None, typer.Option(help="Gusts, standard deviation in m/s; instead of the mission's.")
+        float | None,
+        typer.Option(metavar="M/S", help="Gusts, standard deviation, 0 to 5 m/s; instead of the mission's."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
     realtime: Annotated[bool, typer.Option("--realtime", help="Keep pace with the clock.")] = False,
@@ -72,15 +80,16 @@ def fly(
 
     console = Console(stderr=as_json)
     steady = _wind(wind)
+    _check_numbers(gust, seed)
     folder = out if out is not None else _dated_folder()
-    if folder.exists() and not folder.is_dir():
-        raise InputError("--out", "", f"{folder} is a file", "name a folder")
+    _check_folder(folder)
 
     # Whatever can be wrong with the input is found before the heavy libraries are loaded.
-    from mufly.mission import load_mission
+    from mufly.mission import load_mission, preflight
     from mufly.vehicle import load_vehicle
 
     loaded_vehicle, loaded_mission = load_vehicle(vehicle), load_mission(mission)
+    preflight(loaded_vehicle, loaded_mission, vehicle_file=vehicle, mission_file=mission)
     console.print(
         f"[bold]{loaded_vehicle.name}[/bold] flies [bold]{loaded_mission.name}[/bold]; results go to {folder}"
     )
@@ -142,6 +151,26 @@ def _wind(text: str | None) -> list[float] | None:
     return numbers
 
 
+def _check_numbers(gust: float | None, seed: int) -> None:
+    if gust is not None and not 0.0 <= gust <= 5.0:
+        raise InputError("--gust", "", f"{gust:g} m/s is no gust", "give 0 to 5 m/s")
+    if not 0 <= seed < 2**63:
+        raise InputError("--seed", "", f"{seed} is no seed", "give a whole number from 0 to 2^63 - 1")
+
+
+def _check_folder(folder: Path) -> None:
+    """Refuse a folder that cannot be made or written, without making it yet."""
+    try:
+        nearest = next(p for p in (folder, *folder.absolute().parents) if p.exists())
+    except OSError as error:
+        shown = str(folder) if len(str(folder)) < 60 else f"{str(folder)[:57]}..."
+        raise InputError("--out", "", f"{shown}: {error.strerror}", "name another folder") from None
+    if not nearest.is_dir():
+        raise InputError("--out", "", f"{nearest} is a file", "name a folder")
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise InputError("--out", "", f"{nearest} cannot be written", "name a folder that can")
+
+
 def _dated_folder() -> Path:
     base = Path("flights") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
     folder, n = base, 1
@@ -178,11 +207,14 @@ class _Display:
 
     def progress(self, p: Progress) -> None:
         if self._live is not None:
+            from rich.text import Text
+
             n, e, d = p.position
-            self._live.update(
+            line = (
                 f"{p.time_s:7.1f} s  {p.state:<9}  N {n:5.2f} E {e:5.2f} height {-d:4.2f} m  "
-                f"{p.battery_V:.2f} V {p.battery_charge:4.0%}  {p.realtime_factor:3.0f} x real time"
+                f"{p.battery_V:.2f} V {p.battery_charge:4.0%} {p.realtime_factor:3.0f}x real time"
             )
+            self._live.update(Text(line, no_wrap=True, overflow="ellipsis"))
 
 
 def _print_result(console: Console, summary: Summary) -> None:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from mufly.mission import Estimate, Mission
-    from mufly.vehicle import Vehicle
+    from mufly.mission import Mission
 
 __all__ = ["app"]
 
@@ -62,8 +61,8 @@ def list_missions(as_json: _Json = False) -> None:
 def show(mission: _Mission = "demonstration", as_json: _Json = False, toml: _Toml = False) -> None:
     """Show the waypoints of a mission, how long the way is, and when each is reckoned to be reached.
 
-    Times are those of the reference trajectories, with one second for settling at each waypoint; going around an
-    obstacle takes longer.
+    Times are those of the reference trajectories, with one second for settling at each waypoint; \
+going around an obstacle takes longer.
     """
     from mufly.mission import dump_mission, load_mission
 
@@ -133,12 +132,11 @@ def _rows(m: Mission) -> list[dict[str, Any]]:
 @app.command()
 def check(mission: _Mission, vehicle: _VehicleOption = "mufly-1.1", as_json: _Json = False) -> None:
     """Check a mission file, and whether the vehicle's battery lasts for it. Exit status 1 and the reason if not."""
-    from mufly.mission import load_mission, prepare
+    from mufly.mission import load_mission, preflight
     from mufly.vehicle import load_vehicle
 
     m, v = load_mission(mission), load_vehicle(vehicle)
-    prepare(m, v)
-    estimate = _estimate(m, v, mission)
+    estimate = preflight(v, m, vehicle_file=vehicle, mission_file=mission)
     if as_json:
         answer = {
             "name": m.name,
@@ -155,14 +153,4 @@ def check(mission: _Mission, vehicle: _VehicleOption = "mufly-1.1", as_json: _Js
     Console().print(
         f"[bold]{m.name}[/bold] can be flown by [bold]{v.name}[/bold]: {len(m.waypoint)} waypoints, "
         f"{estimate.path_m:.1f} m, about {estimate.duration_s:.0f} s, {estimate.fraction:.0%} of the battery."
-    )
-
-
-def _estimate(m: Mission, v: Vehicle, where: str) -> Estimate:
-    from mufly.dynamics import hover_performance
-    from mufly.mission import check_mission
-
-    current = hover_performance(v).current_A
-    return check_mission(
-        m, hover_current_A=current, capacity_Ah=float(v.battery.capacity) / 3600.0, where=where
     )

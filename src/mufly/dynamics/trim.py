@@ -100,9 +100,10 @@ def trim(
 
     Raises
     ------
+    InputError
+        If the vehicle is too heavy to hover, or an argument is impossible.
     MuflyError
-        If the vehicle is too heavy to hover, or no trim exists at this velocity; ``InputError`` if an argument is
-        impossible.
+        If no trim exists at this velocity.
     """
     velocity_, wind_ = _three(velocity, "velocity"), _three(wind, "wind")
     if charge is not None and voltage is not None:
@@ -117,10 +118,12 @@ def trim(
 
     speed, duty, volts = _hover_estimate(p, charge_)
     if np.any(duty > 1.0):
-        raise MuflyError(
-            f"{vehicle.name}: too heavy to hover: {p['mass'] * 1e3:.0f} g need motor inputs of "
-            f"{duty[0]:.2f} (upper) and {duty[1]:.2f} (lower) at {volts:.2f} V, at most 1 is possible; "
-            "lower body.mass, raise the battery voltage, or change rotors, gear or motors"
+        raise InputError(
+            vehicle.name,
+            "body.mass",
+            f"too heavy to hover: {p['mass'] * 1e3:.0f} g need motor inputs of {duty[0]:.2f} (upper) and "
+            f"{duty[1]:.2f} (lower) at {volts:.2f} V, at most 1 is possible",
+            "lower it, raise the battery voltage, or change rotors, gear or motors",
         )
 
     def build(unknown: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -26,7 +26,6 @@ from mufly.dynamics import (
     DrydenWind,
     initial_state,
     standing_height,
-    trim,
 )
 from mufly.flight.controllers import Actuators
 from mufly.flight.layout import Event, standard_layout
@@ -34,7 +33,7 @@ from mufly.flight.plant import Plant
 from mufly.flight.recorder import Recorder
 from mufly.flight.rows import row_writer
 from mufly.flight.software import FlightSoftware
-from mufly.mission import Command, Mission, check_mission, dump_mission, load_mission
+from mufly.mission import Command, Mission, dump_mission, load_mission, preflight
 from mufly.vehicle import Vehicle, load_vehicle, vehicle_toml
 
 __all__ = ["Progress", "fly"]
@@ -112,10 +111,7 @@ def fly(
         vehicle = load_vehicle(vehicle)
     if not isinstance(mission, Mission):
         mission = load_mission(mission)
-    hover = trim(vehicle, charge=0.5)
-    estimate = check_mission(
-        mission, hover_current_A=hover.current_A, capacity_Ah=float(vehicle.battery.capacity) / 3600.0
-    )
+    estimate = preflight(vehicle, mission)
     controller = design(vehicle) if controller is None else controller
     steady = np.asarray(mission.wind.steady_m_s if wind is None else wind, dtype=np.float64)
     gust = mission.wind.gust_m_s if gust is None else gust

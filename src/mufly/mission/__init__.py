@@ -5,6 +5,7 @@ from mufly.mission.load import builtin_missions, dump_mission, load_mission, mis
 from mufly.mission.machine import step
 from mufly.mission.pace import slowed
 from mufly.mission.plan import Leg, legs
+from mufly.mission.preflight import preflight
 from mufly.mission.schema import Mission, Waypoint
 from mufly.mission.signals import Command, Event, MissionPlan, MissionState, Reference, State, begin, prepare
 from mufly.mission.spline import Spline, spline
@@ -32,6 +33,7 @@ __all__ = [
     "legs",
     "load_mission",
     "mission_from",
+    "preflight",
     "prepare",
     "slowed",
     "spline",

@@ -205,7 +205,7 @@ def check_mission(
         raise InputError(
             where,
             "take_off.height_m",
-            f"{height:g} m is out of reach: up and down takes {up + down(height):.0f} s",
+            f"{height:g} m is out of reach: up and down takes {_seconds(up + down(height))}",
             remedy + "take off lower",
         )
     length = height
@@ -221,7 +221,7 @@ def check_mission(
                 f"{key}.position_m",
                 f"{waypoint.position_m[2]:g} m (D) is out of reach"
                 if vertical
-                else f"is out of reach: getting there and down takes {leg.reached_s + landing:.0f} s",
+                else f"is out of reach: getting there and down takes {_seconds(leg.reached_s + landing)}",
                 remedy + ("fly lower" if vertical else "fly less far, faster, or wait less before it"),
             )
         if leg.left_s + landing > lasts:
@@ -229,7 +229,7 @@ def check_mission(
                 where,
                 f"{key}.wait_s",
                 f"{waypoint.wait_s:g} is too long: the mission up to here and down takes "
-                f"{leg.left_s + landing:.0f} s",
+                f"{_seconds(leg.left_s + landing)}",
                 remedy + "wait less",
             )
         time = leg.left_s + landing
@@ -237,3 +237,7 @@ def check_mission(
     length -= mission.waypoint[-1].position_m[2]
     charge = time * hover_current_A / 3600.0
     return Estimate(time, length, charge, charge / capacity_Ah)
+
+
+def _seconds(t: float) -> str:
+    return f"{t:.0f} s" if t < 1e5 else f"{t:.1e} s"
