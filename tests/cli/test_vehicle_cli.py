@@ -110,6 +110,12 @@ def fault(*arguments: str) -> MuflyError:
     return result.exception
 
 
+def test_show_writes_a_file_to_start_from(tmp_path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(output("show", "mufly-2.0", "--toml"))
+    assert load_vehicle(path) == load_vehicle("mufly-2.0")
+
+
 def test_a_wrong_file_is_named(tmp_path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(vehicle_toml(load_vehicle("mufly-1.1")).replace("value = 0.095", "value = -0.095"))

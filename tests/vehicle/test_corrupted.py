@@ -103,3 +103,9 @@ def test_fault_is_named(tmp_path, place, odd, key, words) -> None:
     with pytest.raises(InputError, match=words) as caught:
         load_vehicle(path)
     assert caught.value.key == key
+
+
+def test_a_number_beyond_floating_point_is_one_line(tmp_path) -> None:
+    path = tmp_path / "vehicle.toml"
+    path.write_text(vehicle_toml(load_vehicle("mufly-1.1")).replace("value = 0.095", "value = " + "9" * 400))
+    assert "body.mass" in str(user_error(lambda: load_vehicle(path)))

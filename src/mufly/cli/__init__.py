@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import sys
+from typing import Any
 
 import typer
 
@@ -41,10 +43,36 @@ def _options(
     pass
 
 
+# Typer has no public name for the base class of what is wrong with a command line.
+_CommandLineError: type[Any] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
+
+
 def main() -> None:
-    """Run the command line: one clear line on standard error and status 1 when a user can mend the fault."""
+    """Run the command line: one clear line on standard error and status 1 (2 for a wrong option) on a fault."""
     try:
-        app()
+        sys.exit(app(standalone_mode=False))
     except MuflyError as error:
-        typer.secho(f"mufly: {error}", fg=typer.colors.RED, err=True)
+        _stop(str(error), 1)
+    except typer.Abort:
+        sys.exit(130)
+    except BrokenPipeError:
+        # Whoever was reading has seen enough; nothing more can be said, not even at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
+    except OSError as error:
+        _stop(f"{error.filename or 'file'}: {error.strerror or error}; choose another place or make room", 1)
+    except Exception as error:
+        if not isinstance(error, _CommandLineError):
+            raise
+        if type(error).__name__ == "NoArgsIsHelpError":
+            error.show()
+            sys.exit(2)
+        context = getattr(error, "ctx", None)
+        path = "mufly" if context is None else context.command_path
+        message = " ".join(error.format_message().split()).rstrip(".")
+        _stop(f"{message}; see `{path} --help`", 2)
+
+
+def _stop(message: str, status: int) -> None:
+    typer.secho(f"mufly: {message}", fg=typer.colors.RED, err=True)
+    sys.exit(status)

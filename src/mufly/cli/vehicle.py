@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mufly.errors import InputError
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -18,7 +20,10 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
-app = typer.Typer(help="List vehicles, show what one is made of, check a vehicle file.", no_args_is_help=True)
+app = typer.Typer(
+    help="List vehicles, show what one is made of, check a vehicle file. docs/vehicles.md says how to write one.",
+    no_args_is_help=True,
+)
 
 # SI unit -> the unit that people read, and how many of those one SI unit is.
 _READABLE = {
@@ -39,6 +44,10 @@ _Vehicle = Annotated[
     str, typer.Argument(metavar="NAME|FILE", help="A built-in vehicle, or a vehicle file (TOML).")
 ]
 _Json = Annotated[bool, typer.Option("--json", help="Print JSON, in SI units, and nothing else.")]
+_Toml = Annotated[
+    bool,
+    typer.Option("--toml", help="Print the whole file, in SI units: a vehicle of your own starts from it."),
+]
 
 
 @app.command("list")
@@ -81,11 +90,14 @@ def list_vehicles(as_json: _Json = False) -> None:
 
 
 @app.command()
-def show(vehicle: _Vehicle = "mufly-1.1", as_json: _Json = False) -> None:
+def show(vehicle: _Vehicle = "mufly-1.1", as_json: _Json = False, toml: _Toml = False) -> None:
     """Show every parameter: symbol, value, unit, where it comes from, and what it means."""
-    from mufly.vehicle import load_vehicle, parameters
+    from mufly.vehicle import load_vehicle, parameters, vehicle_toml
 
     v = load_vehicle(vehicle)
+    if toml:
+        print(vehicle_toml(v), end="")
+        return
     rows = parameters(v)
     if as_json:
         _print_json(
@@ -117,7 +129,10 @@ def check(vehicle: _Vehicle, as_json: _Json = False) -> None:
     from mufly.vehicle import load_vehicle
 
     v = load_vehicle(vehicle)
-    h = hover_performance(v)
+    try:
+        h = hover_performance(v)
+    except InputError as error:
+        raise error.at(vehicle) from None
     step = longest_step(model_parameters(v))
     if as_json:
         _print_json({"name": v.name, "valid": True, "hover": asdict(h), "longest_step_s": step})

@@ -138,7 +138,10 @@ def _scaled(value: Any, factor: float) -> Any:
         return [_scaled(v, factor) for v in value]
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise _fault(f"{value!r} is not a number", "give a number")
-    return float(value) * factor
+    try:
+        return float(value) * factor
+    except OverflowError:
+        raise _fault("a whole number of more than 300 digits", "give a value of ordinary size") from None
 
 
 def _flat(value: Any) -> list[float]:
