@@ -17,6 +17,7 @@ from mufly.rotor import load_rotor
 from mufly.rotor.blading import prepare
 from mufly.rotor.compare import Measurements, calibrate, compare, read_measurements
 from mufly.rotor.hover import hover, hover_batch
+from mufly.rotor.thrust import solve_thrust
 from mufly.rotor.uncertainty import Doubt, interval
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -51,6 +52,17 @@ def test_a_file_is_read(tmp_path, case):
     assert "not calibrated" in str(out)
     assert "mean absolute error" in str(out)
     assert len(str(out).splitlines()) == 5
+
+
+def test_a_rotor_will_do_where_a_blading_does(case):
+    rotor = load_rotor("naca0012-r60-c20")
+    kw = {"pitch_rad": 0.2, "speed_rad_s": 500.0}
+    assert hover(rotor, **kw).thrust_N == hover(case, **kw).thrust_N == hover_batch(rotor, **kw).thrust_N
+    assert (
+        solve_thrust(rotor, thrust_N=0.3, pitch_rad=0.2).speed_rad_s
+        == solve_thrust(case, thrust_N=0.3, pitch_rad=0.2).speed_rad_s
+    )
+    assert compare(rotor, made(case)).mean_thrust_error < 1e-12
 
 
 @pytest.mark.parametrize(

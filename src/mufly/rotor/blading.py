@@ -20,7 +20,7 @@ from mufly.rotor.geometry import Rotor
 from mufly.rotor.lifting_surface import chord_factor
 from mufly.rotor.polar import PolarStack, PolarTable, stack_polars
 
-__all__ = ["Blading", "panel_edges", "prepare"]
+__all__ = ["Blading", "as_blading", "panel_edges", "prepare"]
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -164,3 +164,8 @@ def prepare(
         polars=stack,
         zero_lift_rad=np.array([zero_lift_angle(table) for table in tables]),
     )
+
+
+def as_blading(rotor: Rotor | Blading) -> Blading:
+    """Return a blading as it is, and a rotor laid out with all defaults (a millisecond; keep it for loops)."""
+    return rotor if isinstance(rotor, Blading) else prepare(rotor)

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor.blading import Blading
+from mufly.rotor.blading import Blading, as_blading
+from mufly.rotor.geometry import Rotor
 from mufly.rotor.hover import Air, hover_batch
 
 __all__ = ["Comparison", "Measurements", "calibrate", "compare", "read_measurements"]
@@ -150,13 +151,13 @@ def read_measurements(path: str | Path) -> Measurements:
 
 
 def compare(
-    blading: Blading, measurements: Measurements | str | Path, *, air: Air | None = None
+    blading: Blading | Rotor, measurements: Measurements | str | Path, *, air: Air | None = None
 ) -> Comparison:
     """Predict every measured point.
 
     Parameters
     ----------
-    blading : Blading
+    blading : Blading or Rotor
         The rotor, the first of a batch.
     measurements : Measurements, str or Path
         Points, or the file that holds them.
@@ -164,6 +165,7 @@ def compare(
         Density and viscosity at the bench.
     """
     bench = measurements if isinstance(measurements, Measurements) else read_measurements(measurements)
+    blading = as_blading(blading)
     out = hover_batch(blading, pitch_rad=bench.pitch_rad, speed_rad_s=bench.speed_rad_s, air=air)
     return Comparison(
         bench,

@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mufly.errors import InputError
 from mufly.rotor.bemt import FIELDS, solve_cases
-from mufly.rotor.blading import Blading
+from mufly.rotor.blading import Blading, as_blading
+from mufly.rotor.geometry import Rotor
 from mufly.rotor.polar import OUTSIDE_ALPHA, OUTSIDE_REYNOLDS
 
 __all__ = ["Air", "BatchResult", "RotorResult", "hover", "hover_batch", "induced_velocities"]
@@ -180,7 +181,7 @@ def _outside(blading: Blading, which: int, alpha: Array, reynolds: Array) -> NDA
 
 
 def hover(
-    blading: Blading,
+    blading: Blading | Rotor,
     *,
     pitch_rad: float,
     speed_rad_s: float,
@@ -193,8 +194,8 @@ def hover(
 
     Parameters
     ----------
-    blading : Blading
-        From :func:`mufly.rotor.blading.prepare`.
+    blading : Blading or Rotor
+        From :func:`mufly.rotor.blading.prepare`; a rotor is prepared with all defaults at every call.
     pitch_rad : float
         Pitch setting, added to the twist (rad).
     speed_rad_s : float
@@ -214,7 +215,7 @@ def hover(
     InputError
         If the speed is not above zero or a number is not finite.
     """
-    gas = air or Air()
+    gas, blading = air or Air(), as_blading(blading)
     point = {name: np.array([float(value)]) for name, value in (
         ("pitch_rad", pitch_rad), ("speed_rad_s", speed_rad_s), ("climb_m_s", climb_m_s))}  # fmt: skip
     for name, value in point.items():
@@ -268,7 +269,7 @@ def induced_velocities(
 
 
 def hover_batch(
-    blading: Blading,
+    blading: Blading | Rotor,
     *,
     pitch_rad: ArrayLike,
     speed_rad_s: ArrayLike,
@@ -280,7 +281,7 @@ def hover_batch(
 
     Parameters
     ----------
-    blading : Blading
+    blading : Blading or Rotor
         One or several rotors.
     pitch_rad, speed_rad_s, climb_m_s : array_like
         As for :func:`hover`, broadcast against each other and ``which``.
@@ -294,7 +295,7 @@ def hover_batch(
     InputError
         If a speed is not above zero, a number is not finite or a rotor does not exist.
     """
-    gas = air or Air()
+    gas, blading = air or Air(), as_blading(blading)
     given = np.broadcast_arrays(
         *(np.asarray(v, dtype=np.float64) for v in (pitch_rad, speed_rad_s, climb_m_s)), np.asarray(which)
     )

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.rotor.blading import Blading
+from mufly.rotor.blading import Blading, as_blading
+from mufly.rotor.geometry import Rotor
 from mufly.rotor.hover import Air, RotorResult, hover, hover_batch
 
 __all__ = ["solve_thrust"]
@@ -15,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 def solve_thrust(
-    blading: Blading,
+    blading: Blading | Rotor,
     *,
     thrust_N: float,
     pitch_rad: float | None = None,
@@ -40,7 +41,7 @@ def solve_thrust(
     """
     if (pitch_rad is None) == (speed_rad_s is None):
         raise InputError("rotor", "thrust", "needs one of pitch and speed", "give one; the other is found")
-    by_speed = speed_rad_s is None
+    by_speed, case = speed_rad_s is None, as_blading(blading)
     low, high = speed_limits_rad_s if by_speed else pitch_limits_rad
     grid = np.geomspace(low, high, 64) if by_speed else np.linspace(low, high, 64)
 
@@ -49,7 +50,7 @@ def solve_thrust(
         assert pitch is not None
         assert speed is not None
         return hover_batch(
-            blading, pitch_rad=pitch, speed_rad_s=speed, climb_m_s=climb_m_s, air=air, which=which
+            case, pitch_rad=pitch, speed_rad_s=speed, climb_m_s=climb_m_s, air=air, which=which
         ).thrust_N
 
     for _ in range(8):  # each pass narrows the interval by 63, to below 1e-13 of the first
@@ -69,6 +70,6 @@ def solve_thrust(
     x = float(grid[i] if abs(short[i]) <= abs(short[i + 1]) else grid[i + 1])
     if by_speed:
         assert pitch_rad is not None
-        return hover(blading, pitch_rad=pitch_rad, speed_rad_s=x, climb_m_s=climb_m_s, air=air, which=which)
+        return hover(case, pitch_rad=pitch_rad, speed_rad_s=x, climb_m_s=climb_m_s, air=air, which=which)
     assert speed_rad_s is not None
-    return hover(blading, pitch_rad=x, speed_rad_s=speed_rad_s, climb_m_s=climb_m_s, air=air, which=which)
+    return hover(case, pitch_rad=x, speed_rad_s=speed_rad_s, climb_m_s=climb_m_s, air=air, which=which)
