@@ -1,0 +1,128 @@
+"""The dissertation's figures, drawn from our numbers: same axes, one panel a model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+
+from mufly.rotor import load_airfoil
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["coefficients_figure", "gear_figure", "pitch_figure", "ranking_figure", "sections_figure"]
+
+PANEL = {"full": "all corrections", "thesis": "theory as in the dissertation"}
+
+
+def _figure(width: float, height: float) -> Figure:
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def pitch_figure(data: Mapping[str, xr.Dataset], title: str) -> Figure:
+    """Thrust per electrical power over the pitch, a line for every value of the parameter, a panel for every model."""
+    figure = _figure(10.0, 4.4)
+    panels = figure.subplots(1, len(data), sharey=True, squeeze=False)[0]
+    for axes, (model, one) in zip(panels, data.items(), strict=True):
+        pitch = np.degrees(one.pitch.values)
+        for label, line in zip(one.label.values, one.thrust_per_power_N_W.values, strict=True):
+            axes.plot(pitch, line, marker="o", markersize=3, label=str(label))
+        axes.set_xlim(6, 20)
+        axes.set_xlabel("Pitch angle (deg)")
+        axes.set_title(PANEL[model], fontsize="medium")
+        axes.grid(alpha=0.3)
+    panels[0].set_ylabel("Thrust / electrical power (N/W)")
+    panels[0].legend(fontsize="small")
+    figure.suptitle(title)
+    return figure
+
+
+def gear_figure(data: xr.Dataset, title: str) -> Figure:
+    """Powers; thrust, efficiency and thrust per power over the gear ratio; a row a voltage, dashed the lower rotor."""
+    figure = _figure(11.0, 4.2 * data.sizes["voltage"])
+    rows = figure.subplots(data.sizes["voltage"], 2, squeeze=False)
+    for (left, right), volt in zip(rows, data.voltage.values, strict=True):
+        for which, style in (("upper", "-"), ("lower", "--")):
+            one = data.sel(rotor=which, voltage=volt)
+            x = one.gear_ratio.values
+            left.plot(x, one.input_power_W, "C0", linestyle=style, label=f"electrical, {which}")
+            left.plot(x, one.mechanical_power_W, "C1", linestyle=style, label=f"mechanical, {which}")
+            right.plot(x, one.thrust_N, "C2", linestyle=style, label=f"thrust (N), {which}")
+            right.plot(x, one.efficiency, "C3", linestyle=style, label=f"efficiency, {which}")
+            right.plot(
+                x, 10 * one.thrust_per_power_N_W, "C4", linestyle=style, label=f"thrust per 10 W (N), {which}"
+            )
+        right.axhline(0.6, color="0.5", linewidth=0.8, linestyle=":", label="0.6 N")
+        left.set_ylabel("Power (W)")
+        right.set_ylabel("Thrust (N), efficiency, thrust per 10 W (N)")
+        for axes in (left, right):
+            axes.set_xlabel("Gear ratio")
+            axes.set_title(f"{volt:g} V", fontsize="medium")
+            axes.set_xlim(0.5, 8)
+            axes.set_ylim(bottom=0)
+            axes.grid(alpha=0.3)
+        left.legend(fontsize="small")
+        right.legend(fontsize="small", ncols=2, loc="upper right")
+        right.set_ylim(0, 1.3)
+    figure.suptitle(title)
+    return figure
+
+
+def coefficients_figure(data: Mapping[str, xr.Dataset], title: str) -> Figure:
+    """Torque and thrust coefficient over the speed, a row for every model."""
+    figure = _figure(10.0, 3.6 * len(data))
+    rows = figure.subplots(len(data), 2, squeeze=False)
+    for panels, (model, one) in zip(rows, data.items(), strict=True):
+        rpm = one.speed.values * 30 / np.pi
+        for axes, name, label in zip(
+            panels, ("c_Q", "c_T"), ("Torque coefficient", "Thrust coefficient"), strict=True
+        ):
+            for k, pitch in enumerate(np.degrees(one.pitch.values)):
+                axes.plot(rpm, one[name].values[k], label=f"{pitch:.0f} deg")
+            axes.set_xlabel("Speed (rpm)")
+            axes.set_ylabel(label)
+            axes.set_ylim(bottom=0)
+            axes.set_title(PANEL[model], fontsize="medium")
+            axes.grid(alpha=0.3)
+        panels[0].legend(fontsize="small", title="pitch")
+    figure.suptitle(title)
+    return figure
+
+
+def ranking_figure(data: Mapping[str, xr.Dataset], named: Mapping[str, str], title: str) -> Figure:
+    """Thrust per electrical power of all airfoils in order, the named ones marked."""
+    figure = _figure(11.0, 4.8)
+    panels = figure.subplots(1, len(data), sharey=True, squeeze=False)[0]
+    for axes, (model, one) in zip(panels, data.items(), strict=True):
+        axes.plot(one["rank"].values, one.thrust_per_power_N_W.values, ".", color="0.6", markersize=3)
+        for k, (name, ours) in enumerate(named.items()):
+            row = one.sel(airfoil=ours)
+            axes.plot(int(row["rank"]), float(row.thrust_per_power_N_W), "o", color=f"C{k}", label=name)
+        axes.set_xlabel("Rank of 247")
+        axes.set_title(PANEL[model], fontsize="medium")
+        axes.grid(alpha=0.3)
+    panels[0].set_ylabel("Thrust / electrical power at the best pitch (N/W)")
+    panels[0].legend(fontsize="small", loc="lower left")
+    figure.suptitle(title)
+    return figure
+
+
+def sections_figure(names: Sequence[str], title: str) -> Figure:
+    """Contours of four airfoils."""
+    figure = _figure(9.0, 4.0)
+    for axes, name in zip(figure.subplots(2, 2).flat, names, strict=True):
+        section = load_airfoil(name)
+        axes.plot(*section.coordinates.T)
+        axes.set_aspect("equal")
+        axes.set_title(
+            f"{name}: {section.thickness_ratio:.1%} thick, {section.camber:.1%} camber", fontsize="small"
+        )
+        axes.set_xlabel("x / c")
+        axes.set_ylabel("y / c")
+    figure.suptitle(title)
+    return figure
