@@ -134,19 +134,20 @@ def _station(theta: float, e: float, zero: float, op: Any, st: Any, ix: Any, pol
     """Solve one station; return alpha, e as used and the values at the root."""
     speed = op[4]
     middle = theta - op[5]
-    b = middle
-    fb = _residual(b, e, theta, op, st, ix, polars, scale)[0]
-    a, fa = b, fb
+    b = x = middle
+    out = _residual(b, e, theta, op, st, ix, polars, scale)
+    a, fa, fb = b, out[0], out[0]
     if e > 0.0:
         a = zero
         fa = _residual(a, e, theta, op, st, ix, polars, scale)[0]
-    if e <= 0.0 or fa * fb > 0.0 or abs(a - b) > 0.5 * math.pi:
-        e = 0.0
-        fb = _residual(b, e, theta, op, st, ix, polars, scale)[0]
+        if fa * fb > 0.0 or abs(a - b) > 0.5 * math.pi:
+            e = 0.0
+            out = _residual(b, e, theta, op, st, ix, polars, scale)
+            fb = out[0]
+    if e <= 0.0:
         # phi grows as alpha falls: R < 0 at phi_U puts the root at smaller alpha.
         a = middle - 0.5 * math.pi if fb < 0.0 else middle + 0.5 * math.pi
-        fa = _residual(a, e, theta, op, st, ix, polars, scale)[0]
-    x, out = b, _residual(b, e, theta, op, st, ix, polars, scale)
+        fa = -speed if fb > 0.0 else speed  # where the wind vanishes
     side, width = 0, abs(b - a)
     for step in range(_MAX_STEPS):
         if abs(out[0]) <= _TOLERANCE * speed:
