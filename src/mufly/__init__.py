@@ -10,27 +10,31 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from mufly.errors import InputError, MuflyError
+from mufly.version import __version__
 
 if TYPE_CHECKING:
-    from mufly import control, drive, dynamics, flight, mission, sensors, vehicle, world
+    from mufly import control, drive, dynamics, flight, mission, rotor, sensors, study, thesis, vehicle, world
     from mufly.vehicle import load_vehicle
 
-__version__ = "0.1.0"
 __all__ = [
     "InputError",
     "MuflyError",
+    "__version__",
     "control",
     "drive",
     "dynamics",
     "flight",
     "load_vehicle",
     "mission",
+    "rotor",
     "sensors",
+    "study",
+    "thesis",
     "vehicle",
     "world",
 ]
 
-_ROOMS = {"control", "drive", "dynamics", "flight", "mission", "sensors", "vehicle", "world"}
+_ROOMS = frozenset(__all__) - {"InputError", "MuflyError", "__version__", "load_vehicle"}
 
 
 def __getattr__(name: str) -> Any:

@@ -9,13 +9,13 @@ from typing import Any
 import typer
 
 import mufly
-from mufly.cli import control, fly, mission, vehicle
+from mufly.cli import control, drive, fly, mission, rotor, thesis, vehicle
 from mufly.errors import MuflyError
 
 __all__ = ["app", "main"]
 
 app = typer.Typer(
-    help="Coaxial micro helicopters, from a vehicle file to an autonomous mission.\n\n"
+    help="Coaxial micro helicopters, from blade geometry to autonomous flight.\n\n"
     "Start with [bold]mufly fly[/bold]; every command explains itself with --help.",
     no_args_is_help=True,
     rich_markup_mode="rich",
@@ -23,9 +23,12 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command("fly", help=fly.HELP)(fly.fly)
+app.add_typer(rotor.app, name="rotor")
+app.add_typer(drive.app, name="drive")
 app.add_typer(vehicle.app, name="vehicle")
 app.add_typer(control.app, name="control")
 app.add_typer(mission.app, name="mission")
+app.add_typer(thesis.app, name="thesis")
 
 
 def _version(asked: bool) -> None:

@@ -20,7 +20,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-import mufly
 from mufly.control import FlightController, design
 from mufly.dynamics import (
     DrydenWind,
@@ -35,6 +34,7 @@ from mufly.flight.rows import row_writer
 from mufly.flight.software import FlightSoftware
 from mufly.mission import Command, Mission, dump_mission, load_mission, preflight
 from mufly.vehicle import Vehicle, load_vehicle, vehicle_toml
+from mufly.version import __version__
 
 __all__ = ["Progress", "fly"]
 
@@ -127,7 +127,7 @@ def fly(
             "wind_m_s": steady.tolist(),
             "gust_m_s": gust,
             "rate_Hz": controller.rate_Hz,
-            "version": mufly.__version__,
+            "version": __version__,
         },
         layout=standard_layout(vehicle.range_ring.count),
         attachments={"vehicle.toml": vehicle_toml(vehicle), "mission.toml": dump_mission(mission)},

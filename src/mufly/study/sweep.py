@@ -24,12 +24,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-import mufly
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import load_airfoil
 from mufly.study.evaluate import Case, Results, evaluate
 from mufly.study.parameters import PARAMETERS, Value
 from mufly.study.setup import Setup, check_names
+from mufly.version import __version__
 
 __all__ = ["Progress", "sweep"]
 
@@ -177,7 +177,7 @@ def _question(setup: Setup, names: Sequence[str], values: Sequence[Sequence[Valu
         elif Path(name).is_file():
             contours[name] = hashlib.sha256(Path(name).read_bytes()).hexdigest()
     content = {
-        "version": mufly.__version__,
+        "version": __version__,
         "rotor": setup.rotor.model_dump(mode="json"),
         "drive": setup.drive.model_dump(mode="json") if setup.drive is not None else None,
         "fixed": dict(sorted(setup.fixed.items())),
@@ -210,9 +210,7 @@ class _Kept:
                 )
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            note.write_text(
-                json.dumps({"question": question, "version": mufly.__version__}), encoding="utf-8"
-            )
+            note.write_text(json.dumps({"question": question, "version": __version__}), encoding="utf-8")
         except OSError as error:
             raise InputError(
                 str(folder), "", f"cannot be written ({error})", "give another folder"
@@ -261,6 +259,6 @@ def _dataset(
         "fixed": json.dumps(dict(setup.fixed), sort_keys=True),
         "polars": f"{setup.engine} {setup.model}",
         "corrections": json.dumps(vars(setup.corrections)),
-        "mufly": mufly.__version__,
+        "mufly": __version__,
     }
     return xr.Dataset(variables, coordinates, attributes)
