@@ -15,8 +15,9 @@ from numpy.testing import assert_allclose
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import load_rotor
 from mufly.rotor.blading import prepare
-from mufly.rotor.compare import Measurements, calibrate, compare, read_measurements
+from mufly.rotor.compare import calibrate, compare
 from mufly.rotor.hover import hover, hover_batch
+from mufly.rotor.measurements import Measurements, read_measurements
 from mufly.rotor.thrust import solve_thrust
 from mufly.rotor.uncertainty import Doubt, interval
 
@@ -162,3 +163,18 @@ def test_propellers_within_12_and_15_percent_on_average(measured, tmp_path):
     assert len(scores) == 17
     assert np.mean([np.mean(np.abs(t)) for t, _ in scores]) < 0.12
     assert np.mean([np.mean(np.abs(q)) for _, q in scores]) < 0.15
+
+
+def test_other_names_of_columns_and_coefficients(tmp_path):
+    """UIUC's CT and CP (revolutions a second, diameter), and power in place of torque."""
+    path = tmp_path / "bench.csv"
+    path.write_text("RPM,T(N),P(W)\n6000,0.5,3.0\n")
+    bench = read_measurements(path)
+    assert bench.pitch_rad[0] == 0.0
+    assert_allclose(bench.torque_Nm, 3.0 / (200 * math.pi))
+    path.write_text("rpm,CT,CP\n6000,0.1,0.05\n")
+    bench = read_measurements(path, diameter_m=0.2, density_kg_m3=1.2)
+    assert_allclose(bench.thrust_N, 0.1 * 1.2 * 100**2 * 0.2**4)
+    assert_allclose(bench.torque_Nm * bench.speed_rad_s, 0.05 * 1.2 * 100**3 * 0.2**5)
+    with pytest.raises(InputError, match="is a coefficient"):
+        read_measurements(path)

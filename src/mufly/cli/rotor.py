@@ -284,7 +284,11 @@ def compare(
     rotor: RotorArgument,
     measurements: Annotated[
         Path,
-        typer.Argument(metavar="CSV", help="Columns pitch_deg, speed_rpm, thrust_N and, if measured, torque_Nm."),
+        typer.Argument(
+            metavar="CSV",
+            help="Columns pitch_deg, speed_rpm, thrust_N and, if measured, torque_Nm; or rpm, CT, CP as in UIUC's "
+            "propeller data. docs/bemt.md lists the names that are understood.",
+        ),
     ],
     calibrate: Annotated[
         int | None,
@@ -305,10 +309,11 @@ def compare(
     from mufly.rotor import load_rotor
     from mufly.rotor.compare import calibrate as scale
     from mufly.rotor.compare import compare as beside
-    from mufly.rotor.compare import read_measurements
     from mufly.rotor.hover import Air
+    from mufly.rotor.measurements import read_measurements
 
-    r, bench, air = load_rotor(rotor), read_measurements(measurements), Air(density_kg_m3=density)
+    r, air = load_rotor(rotor), Air(density_kg_m3=density)
+    bench = read_measurements(measurements, diameter_m=2.0 * float(r.radius), density_kg_m3=density)
     blading = _blading(r, model, n_crit, engine)
     if calibrate is not None:
         if not 1 <= calibrate <= bench.thrust_N.size:

@@ -1,16 +1,10 @@
 """Prediction beside measurement, and the calibration of a rotor on one measured point.
 
-A measurement file is a CSV with a header; lines that begin with ``#`` are skipped::
-
-    pitch_deg,speed_rpm,thrust_N,torque_Nm
-    12,5000,0.151,0.0015
-
-``torque_Nm`` may be left out. Errors are prediction over measurement less one.
+Errors are prediction over measurement less one. :mod:`mufly.rotor.measurements` reads the files.
 """
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,35 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from mufly.errors import InputError, MuflyError
+from mufly.errors import MuflyError
 from mufly.rotor.blading import Blading, as_blading
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.hover import Air, hover_batch
+from mufly.rotor.measurements import Measurements, read_measurements
 
-__all__ = ["Comparison", "Measurements", "calibrate", "compare", "read_measurements"]
+__all__ = ["Comparison", "calibrate", "compare"]
 
 Array = NDArray[np.float64]
 
 _RPM = math.pi / 30.0
-
-
-@dataclass(frozen=True, eq=False)
-class Measurements:
-    """Points of a test bench.
-
-    Attributes
-    ----------
-    pitch_rad, speed_rad_s, thrust_N, torque_Nm : (n,) arrays
-        Setting and result; torque is nan where it was not measured.
-    source : str
-        File or paper.
-    """
-
-    pitch_rad: Array
-    speed_rad_s: Array
-    thrust_N: Array
-    torque_Nm: Array
-    source: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,51 +81,6 @@ class Comparison:
         return "\n".join([*lines, mean])
 
 
-def read_measurements(path: str | Path) -> Measurements:
-    """Read a measurement file.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, a column is missing, or a value is not a number (thrust: not zero; speed:
-        above zero).
-    """
-    where = str(path)
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(where, "", f"cannot be read ({error})", "give a CSV file") from error
-    numbered = [
-        (i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")
-    ]
-    if len(numbered) < 2:
-        raise InputError(where, "", "holds no measurements", "give a header and at least one line")
-    header = [name.strip() for name in next(csv.reader([numbered[0][1]]))]
-    for name in ("pitch_deg", "speed_rpm", "thrust_N"):
-        if name not in header:
-            raise InputError(where, name, "is not among the columns", f"the header is {', '.join(header)}")
-    rows = []
-    for number, line in numbered[1:]:
-        cells = dict(zip(header, next(csv.reader([line])), strict=False))
-        row = []
-        for name in ("pitch_deg", "speed_rpm", "thrust_N", "torque_Nm"):
-            cell = (cells.get(name) or "").strip()
-            try:
-                value = math.nan if name == "torque_Nm" and not cell else float(cell)
-            except ValueError:
-                raise InputError(
-                    where, f"line {number}, {name}", f"{cell!r} is not a number", "give one"
-                ) from None
-            if name != "torque_Nm" and not math.isfinite(value):
-                raise InputError(where, f"line {number}, {name}", f"is {value:g}", "give a finite number")
-            row.append(value)
-        if not row[1] > 0.0 or row[2] == 0.0 or row[3] == 0.0:
-            raise InputError(where, f"line {number}", "has no speed, thrust or torque", "leave it out")
-        rows.append(row)
-    pitch, rpm, thrust, torque = np.array(rows).T
-    return Measurements(np.radians(pitch), rpm * _RPM, thrust, torque, Path(path).name)
-
-
 def compare(
     blading: Blading | Rotor, measurements: Measurements | str | Path, *, air: Air | None = None
 ) -> Comparison:
@@ -164,8 +95,16 @@ def compare(
     air : Air, optional
         Density and viscosity at the bench.
     """
-    bench = measurements if isinstance(measurements, Measurements) else read_measurements(measurements)
     blading = as_blading(blading)
+    bench = (
+        measurements
+        if isinstance(measurements, Measurements)
+        else read_measurements(
+            measurements,
+            diameter_m=2.0 * float(blading.radius_m[0]),
+            density_kg_m3=(air or Air()).density_kg_m3,
+        )
+    )
     out = hover_batch(blading, pitch_rad=bench.pitch_rad, speed_rad_s=bench.speed_rad_s, air=air)
     return Comparison(
         bench,
