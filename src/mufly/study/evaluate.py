@@ -185,7 +185,7 @@ def _group(
     radius = blading.radius_m[which]
     first = full[solved[0]]
     if "speed" in first:
-        speed, why = column("speed", 0.0), ""
+        speed, why = column("speed", 0.0), "the speed is not a number above 0"
     elif "thrust" in first:
         speed, _ = speed_for_thrust(load, column("thrust", 0.0), highest=FASTEST_TIP_M_S / radius)
         why = f"thrust out of reach of this rotor at any tip speed up to {FASTEST_TIP_M_S:g} m/s"
@@ -193,7 +193,7 @@ def _group(
         assert constants is not None
         speed, _ = speed_at_voltage(constants, load, column("duty", 1.0) * voltage)
         why = "rotor and motor settle at no speed"
-    good = np.isfinite(speed)
+    good = np.isfinite(speed) & (speed > 0)
     thrust, torque = np.full(index.size, np.nan), np.full(index.size, np.nan)
     if good.any():
         thrust[good], torque[good] = load(speed[good], everyone[good])

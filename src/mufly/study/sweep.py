@@ -37,6 +37,7 @@ Progress = Callable[[int, int], None]
 
 CHUNK = 512
 _MOST_CASES = 50_000_000
+_PATIENCE = "10s"  # for a scheduler to answer
 
 
 def sweep(
@@ -150,7 +151,7 @@ def _executor(cluster: str | None, workers: int | None) -> Iterator[Executor]:
             "a cluster needs dask.distributed, which is not installed; pip install 'mufly[cluster]'"
         ) from error
     try:
-        client = distributed.Client(cluster, timeout="10s")
+        client = distributed.Client(cluster, timeout=_PATIENCE)
     except (OSError, ValueError) as error:
         raise MuflyError(
             f"no scheduler answers at {cluster} ({error}); start one with `dask scheduler`"

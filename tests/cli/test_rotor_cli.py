@@ -1,0 +1,149 @@
+"""``mufly rotor``: what it prints, what it writes, and how it says what is wrong."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from mufly.cli.rotor import app
+from mufly.errors import InputError, MuflyError
+from mufly.rotor import builtin_rotors
+
+runner = CliRunner()
+
+
+@pytest.fixture(autouse=True)
+def wide_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+
+
+def output(*arguments: str) -> str:
+    result = runner.invoke(app, arguments)
+    assert result.exit_code == 0, result.exception
+    return result.stdout
+
+
+def fault(*arguments: str) -> str:
+    result = runner.invoke(app, arguments)
+    assert isinstance(result.exception, MuflyError), result.exception
+    assert "\n" not in str(result.exception)
+    return str(result.exception)
+
+
+def test_list_names_every_rotor() -> None:
+    text = output("list")
+    assert all(name in text for name in builtin_rotors())
+    assert {r["name"] for r in json.loads(output("list", "--json"))} == set(builtin_rotors())
+
+
+def test_show_gives_geometry_and_reynolds_numbers(tmp_path) -> None:
+    answer = json.loads(output("show", "naca0012-r60-c20", "--rpm", "5000", "--json", "--out", str(tmp_path)))
+    assert answer["solidity"] == pytest.approx(2 * 0.02 * 0.85 * 0.06 / (np.pi * 0.06**2))
+    assert answer["aspect_ratio"] == pytest.approx(2.55)
+    tip = answer["stations"]["reynolds"][-1]
+    assert tip == pytest.approx(1.2 * 0.06 * 5000 * np.pi / 30 * 0.02 / 1.81e-5)
+    assert (tmp_path / "blade.png").stat().st_size > 10_000
+    assert "aspect ratio 2.55" in output("show", "naca0012-r60-c20")
+
+
+def test_hover_prints_the_named_fields(tmp_path) -> None:
+    answer = json.loads(
+        output(
+            "hover", "naca0012-r60-c20", "--pitch", "12", "--rpm", "5000", "--json", "--out", str(tmp_path)
+        )
+    )
+    for key in ("thrust_N", "torque_Nm", "power_W", "figure_of_merit", "c_T", "c_Q"):
+        assert np.isfinite(answer[key])
+    assert answer["power_W"] == pytest.approx(answer["torque_Nm"] * 5000 * np.pi / 30)
+    assert answer["thrust_N"] == pytest.approx(sum(answer["stations"]["dT_N"]))
+    lines = (tmp_path / "stations.csv").read_text().splitlines()
+    assert len(lines) == 1 + len(answer["stations"]["r_m"])
+    assert (tmp_path / "stations.png").exists()
+    text = output("hover", "naca0012-r60-c20", "--pitch", "12deg", "--rpm", "5000")
+    assert f"{answer['thrust_N']:.4g} N" in text
+
+
+def test_hover_finds_the_third_of_pitch_speed_and_thrust() -> None:
+    by_pitch = json.loads(output("hover", "--pitch", "12", "--thrust", "0.4", "--json", "--drive", "mufly"))
+    assert by_pitch["thrust_N"] == pytest.approx(0.4)
+    rpm = by_pitch["speed_rad_s"] * 30 / np.pi
+    by_speed = json.loads(output("hover", "--rpm", str(rpm), "--thrust", "0.4", "--json"))
+    assert by_speed["pitch_rad"] == pytest.approx(np.radians(12), rel=1e-6)
+    drive = by_pitch["drive"]
+    assert drive["mechanical_power_W"] == pytest.approx(by_pitch["power_W"], rel=1e-6)
+    assert by_speed["drive"] is None
+
+
+def test_sweep_writes_tables_and_a_picture_and_resumes(tmp_path) -> None:
+    arguments = (
+        "sweep", "--vary", "chord=15:20:5mm", "--vary", "pitch=10:14:2deg", "--set", "thrust=0.4N",
+        "--set", "gear=adapted", "--drive", "mufly", "--out", str(tmp_path),
+    )  # fmt: skip
+    text = output(*arguments)
+    assert "6 cases, 0 failed" in text
+    assert {"sweep.nc", "sweep.csv", "thrust_per_power_N_W.png"} <= {f.name for f in tmp_path.iterdir()}
+    answer = json.loads(output(*arguments, "--json"))
+    assert np.allclose(answer["data_vars"]["thrust_N"]["data"], 0.4)
+    assert answer["data_vars"]["thrust_N"]["attrs"]["units"] == "N"
+
+
+def test_failed_cases_are_counted_with_their_reason() -> None:
+    text = output(
+        "sweep", "--vary", "pitch=10,14deg", "--vary", "airfoil=naca4412,gibberish", "--set", "speed=5000rpm"
+    )
+    assert "4 cases, 2 failed" in text
+    assert "gibberish: no such airfoil" in text
+
+
+def test_rank_puts_the_thin_section_first() -> None:
+    answer = json.loads(output("rank", "--airfoils", "naca0012,naca4406", "--pitch", "10:18:4deg", "--json"))
+    assert [row["airfoil"] for row in answer["ranking"]] == ["naca4406", "naca0012"]
+    assert answer["by"] == "thrust_per_power_N_W"
+    assert answer["ranking"][0]["thickness_ratio"] == pytest.approx(0.06, abs=2e-3)
+
+
+def test_compare_says_whether_it_is_calibrated(tmp_path) -> None:
+    bench = tmp_path / "bench.csv"
+    bench.write_text("pitch_deg,speed_rpm,thrust_N,torque_Nm\n12,5000,0.151,0.0015\n", encoding="utf-8")
+    assert "not calibrated" in output("compare", "naca0012-r60-c20", str(bench))
+    answer = json.loads(output("compare", "naca0012-r60-c20", str(bench), "--calibrate", "1", "--json"))
+    assert answer["calibrated"]
+    assert answer["points"][0]["thrust_error"] == pytest.approx(0.0, abs=1e-5)
+
+
+def test_parameters_are_listed_with_units() -> None:
+    listed = json.loads(output("parameters", "--json"))
+    assert listed["chord"]["unit"] == "m"
+    assert "mm" in listed["chord"]["units"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("hover", "--pitch", "12"), "needs two of"),
+        (("hover", "--pitch", "steep", "--rpm", "5000"), "--pitch: 'steep' is no number"),
+        (("hover", "--pitch", "12mm", "--rpm", "5000"), "--pitch: pitch is not measured in 'mm'"),
+        (("hover", "propeller", "--pitch", "12", "--rpm", "5000"), "no such rotor"),
+        (("hover", "--pitch", "12", "--rpm", "5000", "--model", "magic"), "use one of: full, plain, thesis"),
+        (("hover", "--pitch", "-10", "--thrust", "0.4"), "out of reach"),
+        (("show", "--rpm", "0"), "--rpm: 0 is not possible"),
+        (("sweep",), "nothing is varied"),
+        (("sweep", "--vary", "chord=1:2:1", "--set", "speed=5000rpm"), "chord has no unit"),
+        (("sweep", "--vary", "pitch=6:8:1deg", "--set", "pitch=6deg"), "is varied too"),
+        (("sweep", "--vary", "pitch=6:8:1deg", "--set", "thrust=0.1,0.2N"), "vary it with --vary"),
+        (("sweep", "--vary", "pitch=6deg", "--set", "speed=5000rpm", "--plot", "beauty"), "is no result"),
+        (("rank", "--set", "pitch=6deg"), "holds what a ranking varies"),
+        (("compare", "naca0012-r60-c20", "nothing.csv"), "cannot be read"),
+    ],
+)
+def test_faults_are_one_clear_line(arguments: tuple[str, ...], message: str) -> None:
+    assert message in fault(*arguments)
+
+
+def test_out_folder_that_cannot_be_written_is_named(tmp_path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("x", encoding="utf-8")
+    result = runner.invoke(app, ["show", "--out", str(blocked)])
+    assert isinstance(result.exception, InputError)
+    assert str(blocked) in str(result.exception)
