@@ -9,7 +9,7 @@ import pytest
 
 from mufly.control import FlightController, design
 from mufly.dynamics import DrydenWind, initial_state, standing_height
-from mufly.flight import Actuators, FlightSoftware
+from mufly.flight import Actuators, Controllers, FlightSoftware
 from mufly.flight.plant import Plant
 from mufly.flight.software import able
 from mufly.mission import Command, Mission, mission_from
@@ -119,6 +119,53 @@ def test_a_pilot_interrupts_a_mission_and_hands_it_back(bench: Bench) -> None:
     bench.run(0.02, START)
     bench.run(20.0, until=lambda: "waypoint 1 reached" in bench.texts())
     assert bench.plant.state[0] == pytest.approx(1.0, abs=0.05)
+
+
+def test_spins_up_to_a_little_less_than_it_takes_to_lift_off(
+    bench: Bench, controller: FlightController
+) -> None:
+    bench.run(0.02, START)
+    bench.run(2.9)
+    volts = bench.sent[-1][:2] * bench.seen[-1].battery_voltage
+    np.testing.assert_allclose(volts, 0.9 * controller.motor_trim * controller.voltage_V, rtol=1e-6)
+    assert bench.height == pytest.approx(standing_height(load_vehicle("mufly-1.1")), abs=3e-3), (
+        "legs unload, no more"
+    )
+
+
+def test_on_its_legs_the_servos_stay_neutral(bench: Bench) -> None:
+    """A slope, or a biased attitude, cannot be steered away there; trying to would wind the integrators up."""
+
+    def leaning(m: Measurement) -> Measurement:
+        return replace(m, attitude=m.attitude + np.array([0.05, 0.0, 0.0]))
+
+    floor = bench.height
+    bench.run(0.02, START)
+    bench.run(8.0, spoil=leaning, until=lambda: bench.height > floor + 0.019)
+    assert bench.height > floor + 0.019
+    assert np.all(np.array(bench.sent)[:, 2:] == 0.0)
+    bench.run(0.5)
+    assert np.any(np.array(bench.sent)[:, 2:] != 0.0)
+
+
+def test_between_steps_of_the_mission_the_reference_moves_on(
+    bench: Bench, controller: FlightController, monkeypatch
+) -> None:
+    followed = []
+    step = Controllers.step
+
+    def spy(self, measured, heave_yaw, tilt):
+        followed.append(heave_yaw)
+        return step(self, measured, heave_yaw, tilt)
+
+    monkeypatch.setattr(Controllers, "step", spy)
+    bench.run(0.02, START)
+    bench.run(4.9)
+    z, _, speed, _ = np.array(followed).T
+    climbing = np.abs(speed[:-1]) > 0.1
+    assert climbing.sum() > 20
+    moved = np.diff(z)[climbing] / controller.period_s
+    np.testing.assert_allclose(moved, speed[:-1][climbing], atol=0.02)
 
 
 def test_users_waypoint_is_flown_to_and_held(bench: Bench) -> None:

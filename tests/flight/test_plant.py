@@ -1,0 +1,43 @@
+"""The true helicopter in its world: what counts as a crash, and how time passes."""
+
+import numpy as np
+import pytest
+
+from mufly.dynamics import DrydenWind, initial_state
+from mufly.flight import Actuators
+from mufly.flight.plant import Plant
+from mufly.vehicle import load_vehicle
+from mufly.world import Box, World
+
+VEHICLE = load_vehicle("mufly-1.1")
+RADIUS = float(VEHICLE.rotors.radius)
+EMPTY = World()
+
+
+def plant_at(position, attitude=(0.0, 0.0, 0.0), world=EMPTY) -> Plant:
+    state = initial_state(position=position, attitude=attitude)
+    return Plant(VEHICLE, world, DrydenWind(step_s=0.005), 200.0, state)
+
+
+@pytest.mark.parametrize(("gap", "hit"), [(0.9 * RADIUS, True), (1.1 * RADIUS, False)])
+def test_a_rotor_nearer_to_a_box_than_its_radius_has_hit_it(gap: float, hit: bool) -> None:
+    box = Box((1.0, 0.0, -1.0), (1.0, 1.0, 2.0), 0.0, "crate")
+    plant = plant_at((0.5 - gap, 0.0, -1.0), world=World((box,)))
+    plant.look()
+    assert ("a rotor hit the crate" in plant.crashed) is hit
+
+
+@pytest.mark.parametrize(("roll", "tipped"), [(np.radians(100.0), True), (np.radians(10.0), False)])
+def test_a_rotor_on_the_floor_is_tipped_over(roll: float, tipped: bool) -> None:
+    plant = plant_at((0.0, 0.0, -0.07), (roll, 0.0, 0.0))
+    plant.look()
+    assert ("tipped over" in plant.crashed) is tipped
+
+
+def test_time_is_counted_in_whole_periods() -> None:
+    plant = plant_at((0.0, 0.0, -5.0))
+    for _ in range(201):
+        plant.advance(Actuators.idle())
+    assert plant.time_s == 201 / 200
+    # Free fall but for the drag of the fuselage.
+    assert plant.state[5] == pytest.approx(9.81 * plant.time_s, rel=0.05)
