@@ -147,3 +147,16 @@ def test_out_folder_that_cannot_be_written_is_named(tmp_path) -> None:
     result = runner.invoke(app, ["show", "--out", str(blocked)])
     assert isinstance(result.exception, InputError)
     assert str(blocked) in str(result.exception)
+
+
+def test_optimise_tells_what_each_change_brought_and_writes_the_rotor(tmp_path) -> None:
+    file = tmp_path / "better.toml"
+    arguments = ("optimise", "--free", "taper,gear", "--generations", "5", "--limit", "thickness_mm>=0.8")
+    text = output(*arguments, "--out", str(file))
+    assert "start" in text
+    assert "taper" in text
+    answer = json.loads(output(*arguments, "--json"))
+    assert [s["parameter"] for s in answer["steps"]].count("gear") == 1
+    assert answer["results"]["least_thickness_m"] >= 0.8e-3 * (1 - 1e-6)
+    shown = json.loads(output("show", str(file), "--json"))
+    assert shown["blade_area_m2"] == pytest.approx(0.02 * 0.85 * 0.06, rel=1e-9)

@@ -22,6 +22,7 @@ from mufly.cli.options import (
     progress_bar,
     save_picture,
 )
+from mufly.cli.rotor_optimise import optimise
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -55,6 +56,7 @@ def add_to(app: typer.Typer) -> None:
     app.command(epilog="Parameters and their units: mufly rotor parameters.")(sweep)
     app.command()(parameters)
     app.command()(rank)
+    app.command()(optimise)
 
 
 def setup_of(

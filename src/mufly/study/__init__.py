@@ -1,8 +1,10 @@
-"""Which rotor and which drive are best? Sweeps over any parameter, rankings of airfoils, pictures of both."""
+"""Which rotor and which drive are best? Sweeps over any parameter, rankings of airfoils, optimisation."""
 
 from mufly.study.airfoils import TABLE_3_3, choose_airfoils, thesis_airfoils
 from mufly.study.evaluate import Results, evaluate
 from mufly.study.files import read_results, write_results, write_stations
+from mufly.study.limits import parse_limit
+from mufly.study.optimise import Optimum, optimise
 from mufly.study.parameters import PARAMETERS, parse_quantity, parse_settings, parse_values
 from mufly.study.pictures import gear_picture, lines_picture, rank_picture
 from mufly.study.rank import rank_airfoils
@@ -15,6 +17,7 @@ __all__ = [
     "MODELS",
     "PARAMETERS",
     "TABLE_3_3",
+    "Optimum",
     "Results",
     "Setup",
     "blade_picture",
@@ -22,6 +25,8 @@ __all__ = [
     "evaluate",
     "gear_picture",
     "lines_picture",
+    "optimise",
+    "parse_limit",
     "parse_quantity",
     "parse_settings",
     "parse_values",
