@@ -15,13 +15,17 @@ import re
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.rotor import Rotor, replace_rotor, rotor_from
+from mufly.rotor import Rotor, rotor_from
 from mufly.study.parameters import GEOMETRY, Value
 
 __all__ = ["naca_name", "reshape"]
 
+Array = NDArray[np.float64]
+
+_BY_HAND = {"source": "specified", "note": "set by a study"}
 _NACA = ("camber", "camber_position", "thickness")
 
 
@@ -71,51 +75,41 @@ def reshape(rotor: Rotor, changes: Mapping[str, Value]) -> Rotor:
         raise InputError(
             "rotor", unknown[0], "is no parameter of a blade", f"use one of: {', '.join(GEOMETRY)}"
         )
-    simple: dict[str, Value | int] = {k: changes[k] for k in ("radius", "hub_cutout") if k in changes}
-    if "blades" in changes:
-        simple["blades"] = round(float(changes["blades"]))
-    if simple:
-        rotor = replace_rotor(rotor, simple)
-    if "airfoil" in changes:
-        rotor = replace_rotor(rotor, {"blade.airfoils": str(changes["airfoil"])})
-    if any(k in changes for k in _NACA):
-        names = [naca_name(name, changes) for name in rotor.blade.airfoils]
-        rotor = replace_rotor(rotor, {"blade.airfoils": names})
-    if "taper" in changes:
-        rotor = _tapered(rotor, float(changes["taper"]))
-    if "chord" in changes:
-        span = rotor.radius_m - rotor.hub_radius_m
-        factor = float(changes["chord"]) * span / rotor.blade_area_m2
-        rotor = replace_rotor(rotor, {"blade.chord": (factor * rotor.blade.chord.array()).tolist()})
-    if "twist" in changes:
-        rotor = _from_cutout(rotor)
-        x0 = float(rotor.hub_cutout)
-        x = np.maximum(rotor.blade.r_over_R.array(), x0)
-        rotor = replace_rotor(rotor, {"blade.twist": (float(changes["twist"]) * (1 - x) / (1 - x0)).tolist()})
-    return rotor
-
-
-def _from_cutout(rotor: Rotor) -> Rotor:
-    """The same blade with its first station at the cut-out, so that a straight line can begin there."""
-    x0, x = float(rotor.hub_cutout), rotor.blade.r_over_R.array()
-    below = x < x0
-    if not below.any() or len(rotor.blade.airfoils) > 1:
+    if not changes:
         return rotor
-    inner = np.concatenate(([x0], x[x > x0]))
+    # Everything is worked out on arrays and checked once, at the end: a search makes thousands of rotors.
     tables = rotor.toml_tables()
-    for key, values in (
-        ("r_over_R", inner),
-        ("chord", rotor.chord_m(inner)),
-        ("twist", rotor.twist_rad(inner)),
-    ):
-        tables["blade"][key]["value"] = values.tolist()
+    blade = tables["blade"]
+    x0 = float(changes.get("hub_cutout", float(rotor.hub_cutout)))
+    names = [str(changes["airfoil"])] if "airfoil" in changes else list(rotor.blade.airfoils)
+    if any(key in changes for key in _NACA):
+        names = [naca_name(name, changes) for name in names]
+    x = rotor.blade.r_over_R.array()
+    if ("taper" in changes or "twist" in changes) and len(names) == 1 and 0.0 <= x0 < 1.0 and x[0] < x0:
+        x = np.concatenate(([x0], x[x > x0]))  # a straight line begins at the cut-out
+    chord, twist = rotor.chord_m(x), rotor.twist_rad(x)
+    outboard = np.maximum(x, x0)
+    if "taper" in changes:
+        shape = 1.0 + (float(changes["taper"]) - 1.0) * (outboard - x0) / (1.0 - x0)
+        chord = shape * _mean(x, chord, x0) / _mean(x, shape, x0)
+    if "chord" in changes:
+        chord = chord * float(changes["chord"]) / _mean(x, chord, x0)
+    if "twist" in changes:
+        twist = float(changes["twist"]) * (1.0 - outboard) / (1.0 - x0)
+    blade["airfoils"] = names
+    for key, values in (("r_over_R", x), ("chord", chord), ("twist", twist)):
+        if not np.array_equal(values, getattr(rotor.blade, key).array()):
+            blade[key] = {**blade[key], "value": values.tolist(), **_BY_HAND}
+    for key in ("radius", "hub_cutout"):
+        if key in changes:
+            tables[key] = {**tables[key], "value": float(changes[key]), **_BY_HAND}
+    if "blades" in changes:
+        tables["blades"] = round(float(changes["blades"]))
     return rotor_from(tables, rotor.name)
 
 
-def _tapered(rotor: Rotor, taper: float) -> Rotor:
-    rotor = _from_cutout(rotor)
-    x0, area = float(rotor.hub_cutout), rotor.blade_area_m2
-    x = np.maximum(rotor.blade.r_over_R.array(), x0)
-    shape = 1.0 + (taper - 1.0) * (x - x0) / (1.0 - x0)
-    rotor = replace_rotor(rotor, {"blade.chord": shape.tolist()})
-    return replace_rotor(rotor, {"blade.chord": (shape * area / rotor.blade_area_m2).tolist()})
+def _mean(x: Array, values: Array, x0: float) -> float:
+    """Mean between the cut-out and the tip of what is straight between stations and constant inside the first."""
+    at = np.concatenate(([x0], x[x > x0]))
+    y = np.interp(at, x, values)
+    return float(np.sum(0.5 * (y[1:] + y[:-1]) * np.diff(at)) / (1.0 - x0))
