@@ -181,6 +181,33 @@ def test_servos_stop_at_their_limits_on_the_right_side(controller: FlightControl
     assert servo[1] == 1.0  # right
 
 
+def test_what_the_servos_did_not_do_goes_back_to_the_controller(controller: FlightController) -> None:
+    g = controller.roll_pitch_gains
+    state = np.random.default_rng(3).normal(size=8)
+    reference, measured = np.array([0.1, -0.2]), np.array([-2.0, 1.5, -5.0, 4.0])
+    servo, new = roll_pitch_step(g, state, reference, measured)
+    e = np.concatenate([reference, [0.0, 0.0]]) - measured
+    wanted = g["C"] @ state + g["D"] @ e + g["trim"]
+    assert np.abs(wanted).max() > 1.0
+    excess = servo - wanted
+    np.testing.assert_allclose(new, g["A"] @ state + g["B"] @ e + g["M"] @ excess, rtol=1e-9, atol=1e-12)
+    assert np.abs(g["M"] @ excess).max() > 1e-3
+
+
+def test_tilt_beyond_the_limit_goes_back_to_the_controller(controller: FlightController) -> None:
+    g = controller.position_gains
+    state = np.random.default_rng(4).normal(size=6)
+    zero, far = np.zeros(3), np.array([3.0, -4.0, 0.0])
+    tilt, new = position_step(g, state, far, zero, zero, zero, zero, 0.0)
+    e = far[:2] * g["speed_limit"] / 5.0
+    wanted = g["C"] @ state + g["D"] @ e
+    assert np.linalg.norm(wanted) > g["tilt_limit"]
+    assert np.linalg.norm(tilt) == pytest.approx(float(g["tilt_limit"]))
+    np.testing.assert_allclose(
+        new, g["A"] @ state + g["B"] @ e + g["M"] @ (tilt - wanted), rtol=1e-9, atol=1e-12
+    )
+
+
 def test_padding_changes_nothing(controller: FlightController) -> None:
     c = controller.roll_pitch.discrete
     g = controller.roll_pitch_gains

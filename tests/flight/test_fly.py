@@ -205,6 +205,39 @@ def test_realtime_keeps_pace_with_the_clock(vehicle, controller) -> None:
     assert time.perf_counter() - began >= dataset.time.values[-1] - 0.05
 
 
+def test_actuators_act_one_period_after_their_measurement(vehicle, controller, monkeypatch) -> None:
+    from mufly.flight import FlightSoftware
+    from mufly.flight.plant import Plant
+
+    sent, acted = [], []
+    step, advance = FlightSoftware.step, Plant.advance
+
+    def spy_step(self, measured, command):
+        sent.append(step(self, measured, command))
+        return sent[-1]
+
+    def spy_advance(self, actuators):
+        acted.append(actuators)
+        advance(self, actuators)
+
+    monkeypatch.setattr(FlightSoftware, "step", spy_step)
+    monkeypatch.setattr(Plant, "advance", spy_advance)
+    hop = mission_from(
+        {"take_off": {"height_m": 0.2, "wait_s": 0.0}, "waypoint": [{"position_m": [0.0, 0.0, -0.2]}]}
+    )
+    dataset = fly(vehicle, hop, controller=controller)
+    assert np.all(acted[0].array == 0.0)
+    assert all(a is b for a, b in zip(acted[1:], sent, strict=False))
+    # The recording shows what acts, and half a second of rest.
+    np.testing.assert_array_equal(dataset.motor_input.values[100], acted[200].motor_input)
+    finished = next(
+        t
+        for t, text in zip(dataset.event_time.values, dataset.event_text.values, strict=True)
+        if text == "landed"
+    )
+    assert dataset.time.values[-1] - finished == pytest.approx(0.5, abs=0.05)
+
+
 def test_other_start_and_heading(vehicle, controller) -> None:
     mission = mission_from(
         {
