@@ -257,8 +257,9 @@ class FlightSoftware:
         )
         actuators = self._controllers.step(m, heave_yaw, self._tilt if self._lifted else None)
         self._motor_input = actuators.motor_input
-        blend = self._period_s / _LEARN_S
-        self._held_up += blend * (actuators.motor_input * m.battery_voltage - self._held_up)
+        if self._late_s == 0.0:
+            blend = self._every * self._period_s / _LEARN_S
+            self._held_up += blend * (actuators.motor_input * m.battery_voltage - self._held_up)
         return actuators
 
 
