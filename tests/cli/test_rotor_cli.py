@@ -75,6 +75,13 @@ def test_hover_finds_the_third_of_pitch_speed_and_thrust() -> None:
     assert by_speed["drive"] is None
 
 
+def test_band_encloses_the_prediction() -> None:
+    answer = json.loads(output("hover", "--pitch", "12", "--rpm", "5000", "--band", "0.9", "--json"))
+    low, high = answer["band"]["thrust_N"]
+    assert 0 < low < answer["thrust_N"] < high
+    assert "in 90% of cases" in output("hover", "--pitch", "12", "--rpm", "5000", "--band", "0.9")
+
+
 def test_sweep_writes_tables_and_a_picture_and_resumes(tmp_path) -> None:
     arguments = (
         "sweep", "--vary", "chord=15:20:5mm", "--vary", "pitch=10:14:2deg", "--set", "thrust=0.4N",

@@ -8,6 +8,14 @@ from mufly.rotor import load_rotor
 from mufly.study import Setup
 
 
+@pytest.fixture(autouse=True, scope="session")
+def own_cache(tmp_path_factory: pytest.TempPathFactory):
+    """Polars computed by these tests are kept in a folder of their own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MUFLY_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
 @pytest.fixture(scope="session")
 def thin_plate(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Path of a table with the lift of a thin plate and a drag that grows with its square."""

@@ -10,8 +10,7 @@ import pytest
 
 from mufly.drive import blade_load, load_drive, operating_point
 from mufly.errors import InputError, MuflyError
-from mufly.rotor import polars
-from mufly.rotor.blading import prepare
+from mufly.rotor import prepare
 from mufly.study import MODELS, Setup, evaluate, read_results, sweep, write_results
 
 MODULE = importlib.import_module("mufly.study.sweep")  # the package's name of it is the function
@@ -32,12 +31,8 @@ def test_every_combination_is_there_with_units(setup: Setup) -> None:
 
 def test_adapted_gear_is_the_operating_point_at_full_duty(setup: Setup, thin_plate: str) -> None:
     data = sweep(setup, {"pitch": PITCH})
-    blading = prepare(
-        setup.rotor.model_copy(
-            update={"blade": setup.rotor.blade.model_copy(update={"airfoils": (thin_plate,)})}
-        ),
-        polars([thin_plate]),
-    )
+    blade = setup.rotor.blade.model_copy(update={"airfoils": (thin_plate,)})
+    blading = prepare(setup.rotor.model_copy(update={"blade": blade}))
     for k, pitch in enumerate(PITCH):
         point = operating_point(
             load_drive("mufly"),

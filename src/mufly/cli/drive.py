@@ -67,8 +67,7 @@ def _load(rotor: str, vehicle: str, pitch: str | None, model: str) -> tuple[Roto
     """Return the load that the options describe, and what to call it."""
     from mufly.drive import blade_load, coefficient_load
     from mufly.errors import InputError
-    from mufly.rotor import load_rotor, polars
-    from mufly.rotor.blading import prepare
+    from mufly.rotor import load_rotor, prepare
     from mufly.vehicle import load_vehicle
 
     if rotor in ("upper", "lower"):
@@ -86,7 +85,7 @@ def _load(rotor: str, vehicle: str, pitch: str | None, model: str) -> tuple[Roto
             "--pitch", "", f"is missing for rotor {rotor}", "give the pitch setting, as --pitch 12"
         )
     r = load_rotor(rotor)
-    blading = prepare(r, polars(r.airfoil_names()), corrections=corrections_of(model))
+    blading = prepare(r, corrections=corrections_of(model))
     return blade_load(blading, pitch_rad=angle("--pitch", pitch)), f"{r.name} at {pitch} deg"
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from mufly.drive import Drive
-    from mufly.rotor.corrections import Corrections
+    from mufly.rotor import Corrections
 
 __all__ = [
     "DriveOption",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -26,12 +25,11 @@ from mufly.cli.options import (
     print_table,
     save_picture,
 )
+from mufly.cli.rotor_compare import compare
 
 if TYPE_CHECKING:
     from mufly.drive import OperatingPoint
-    from mufly.rotor import Rotor
-    from mufly.rotor.blading import Blading
-    from mufly.rotor.hover import RotorResult
+    from mufly.rotor import Band, Rotor, RotorResult
 
 __all__ = ["app"]
 
@@ -41,6 +39,7 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 rotor_study.add_to(app)
+app.command()(compare)
 
 _RPM = math.pi / 30.0
 
@@ -92,8 +91,7 @@ def show(
     import numpy as np
 
     from mufly.errors import InputError
-    from mufly.rotor import blade_thickness_m, load_rotor
-    from mufly.rotor.hover import Air
+    from mufly.rotor import Air, blade_thickness_m, load_rotor
     from mufly.study import blade_picture
 
     if not 0 < rpm < math.inf:
@@ -147,14 +145,6 @@ def show(
         c.print(f"Picture: {picture}")
 
 
-def _blading(rotor: Rotor, model: str, n_crit: float, engine: str) -> Blading:
-    from mufly.rotor import polars
-    from mufly.rotor.blading import prepare
-
-    tables = polars(rotor.airfoil_names(), n_crit=n_crit, engine=engine)  # type: ignore[arg-type]
-    return prepare(rotor, tables, corrections=corrections_of(model))
-
-
 @app.command()
 def hover(
     rotor: RotorArgument = "naca4412-r60-c20",
@@ -172,6 +162,12 @@ def hover(
     n_crit: NCritOption = 0.1,
     engine: EngineOption = "neuralfoil",
     model: ModelOption = "full",
+    band: Annotated[
+        float | None,
+        typer.Option(
+            metavar="LEVEL", help="Add the interval that holds with this probability: 0.5, 0.8, 0.9, 0.95."
+        ),
+    ] = None,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -186,10 +182,8 @@ def hover(
 
     from mufly.drive import blade_load, operating_point
     from mufly.errors import InputError
-    from mufly.rotor import load_rotor
-    from mufly.rotor.hover import Air
-    from mufly.rotor.hover import hover as solve
-    from mufly.rotor.thrust import solve_thrust
+    from mufly.rotor import Air, interval, load_rotor, prepare, solve_thrust
+    from mufly.rotor import hover as solve
     from mufly.study import stations_picture, write_stations
 
     if sum(v is not None for v in (pitch, rpm, thrust)) != 2:
@@ -197,7 +191,8 @@ def hover(
             "rotor hover", "", "needs two of --pitch, --rpm and --thrust", "give two; the third is found"
         )
     r, d, air = load_rotor(rotor), drive_or_none(drive), Air(density_kg_m3=density)
-    blading = _blading(r, model, n_crit, engine)
+    fixes = corrections_of(model)
+    blading = prepare(r, n_crit=n_crit, engine=engine, corrections=fixes)  # type: ignore[arg-type]
     theta = angle("--pitch", pitch) if pitch is not None else None
     speed = rpm * _RPM if rpm is not None else None
     if thrust is not None:
@@ -212,20 +207,32 @@ def hover(
     if d is not None and result.thrust_N > 0:
         load = blade_load(blading, pitch_rad=result.pitch_rad, climb_m_s=climb, air=air)
         point = operating_point(d, load, thrust_N=result.thrust_N)
+    around = None
+    if band is not None:
+        around = interval(
+            r, pitch_rad=result.pitch_rad, speed_rad_s=result.speed_rad_s, climb_m_s=climb, air=air, corrections=fixes,
+            n_crit=n_crit, engine=engine, level=band,  # type: ignore[arg-type]
+        )  # fmt: skip
     files = []
     if out is not None:
         files = [save_picture(stations_picture(result), out, "stations"), write_stations(result, out)]
     if as_json:
-        print_json(_hover_json(r, result, point, model, n_crit))
+        print_json(_hover_json(r, result, point, around, model, n_crit))
         return
     c = console()
     c.print(
         f"[bold]{r.name}[/bold] at {math.degrees(result.pitch_rad):.2f}° and {result.speed_rad_s / _RPM:.0f} rpm",
         highlight=False,
     )
+    reach = ("", "")
+    if around is not None:
+        reach = (
+            f", {around.thrust_low_N[0]:.4g} to {around.thrust_high_N[0]:.4g} N in {around.level:.0%} of cases",
+            f", {around.torque_low_Nm[0]:.4g} to {around.torque_high_Nm[0]:.4g} N m",
+        )
     rows = [
-        ("thrust", f"{result.thrust_N:.4g} N"),
-        ("torque", f"{result.torque_Nm:.4g} N m"),
+        ("thrust", f"{result.thrust_N:.4g} N{reach[0]}"),
+        ("torque", f"{result.torque_Nm:.4g} N m{reach[1]}"),
         ("power at the rotor", f"{result.power_W:.4g} W"),
         ("figure of merit", f"{result.figure_of_merit:.3f}"),
         ("c_T, c_Q", f"{result.c_T:.5f}, {result.c_Q:.6f}"),
@@ -264,7 +271,12 @@ def hover(
 
 
 def _hover_json(
-    rotor: Rotor, result: RotorResult, point: OperatingPoint | None, model: str, n_crit: float
+    rotor: Rotor,
+    result: RotorResult,
+    point: OperatingPoint | None,
+    band: Band | None,
+    model: str,
+    n_crit: float,
 ) -> dict[str, Any]:
     values = {f.name: getattr(result, f.name) for f in fields(result)}
     size = result.r_m.size
@@ -276,65 +288,11 @@ def _hover_json(
         **{k: v for k, v in values.items() if k not in stations},
         "stations": stations,
         "drive": None if point is None else {k: float(v) for k, v in vars(point).items()},
+        "band": None
+        if band is None
+        else {
+            "level": band.level,
+            "thrust_N": [float(band.thrust_low_N[0]), float(band.thrust_high_N[0])],
+            "torque_Nm": [float(band.torque_low_Nm[0]), float(band.torque_high_Nm[0])],
+        },
     }
-
-
-@app.command()
-def compare(
-    rotor: RotorArgument,
-    measurements: Annotated[
-        Path,
-        typer.Argument(
-            metavar="CSV",
-            help="Columns pitch_deg, speed_rpm, thrust_N and, if measured, torque_Nm; or rpm, CT, CP as in UIUC's "
-            "propeller data. docs/bemt.md lists the names that are understood.",
-        ),
-    ],
-    calibrate: Annotated[
-        int | None,
-        typer.Option(metavar="LINE", help="Scale lift and drag to this measured point, counted from 1, as the "
-                     "dissertation did. Printed as calibrated."),
-    ] = None,
-    density: Annotated[float, typer.Option(metavar="KG/M3", help="Density of the air at the bench.")] = 1.2,
-    n_crit: NCritOption = 0.1,
-    engine: EngineOption = "neuralfoil",
-    model: ModelOption = "full",
-    as_json: JsonOption = False,
-) -> None:  # fmt: skip
-    """Set the prediction beside a measurement, untuned unless --calibrate asks for it.
-
-    Example: mufly rotor compare naca0012-r60-c20 bench.csv
-    """
-    from mufly.errors import InputError
-    from mufly.rotor import load_rotor
-    from mufly.rotor.compare import calibrate as scale
-    from mufly.rotor.compare import compare as beside
-    from mufly.rotor.hover import Air
-    from mufly.rotor.measurements import read_measurements
-
-    r, air = load_rotor(rotor), Air(density_kg_m3=density)
-    bench = read_measurements(measurements, diameter_m=2.0 * float(r.radius), density_kg_m3=density)
-    blading = _blading(r, model, n_crit, engine)
-    if calibrate is not None:
-        if not 1 <= calibrate <= bench.thrust_N.size:
-            raise InputError("--calibrate", "", f"there are {bench.thrust_N.size} points", "count from 1")
-        blading = scale(blading, bench, calibrate - 1, air=air)
-    c = beside(blading, bench, air=air)
-    if as_json:
-        points = [
-            {
-                "pitch_rad": bench.pitch_rad[k], "speed_rad_s": bench.speed_rad_s[k],
-                "thrust_N": c.thrust_N[k], "measured_thrust_N": bench.thrust_N[k], "thrust_error": c.thrust_error[k],
-                "torque_Nm": c.torque_Nm[k], "measured_torque_Nm": bench.torque_Nm[k],
-                "torque_error": c.torque_error[k],
-            }
-            for k in range(bench.thrust_N.size)
-        ]  # fmt: skip
-        print_json(
-            {
-                "rotor": r.name, "measurements": bench.source, "calibrated": c.calibrated, "model": model,
-                "mean_thrust_error": c.mean_thrust_error, "mean_torque_error": c.mean_torque_error, "points": points,
-            }
-        )  # fmt: skip
-        return
-    typer.echo(str(c))

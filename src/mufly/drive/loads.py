@@ -13,8 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mufly.rotor.blading import Blading
-from mufly.rotor.hover import Air, hover_batch
+from mufly.rotor import Air, Blading, hover_batch
 
 __all__ = ["RotorLoad", "blade_load", "coefficient_load"]
 

@@ -32,9 +32,7 @@ from mufly.drive import (
     steady,
 )
 from mufly.errors import InputError, MuflyError
-from mufly.rotor import PolarTable, Rotor, polars
-from mufly.rotor.blading import prepare
-from mufly.rotor.hover import Air, hover
+from mufly.rotor import Air, PolarTable, Rotor, hover, polars, prepare
 from mufly.study.parameters import GEOMETRY, Value
 from mufly.study.setup import Setup, check_names
 from mufly.study.shape import reshape

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from mufly.errors import InputError
-from mufly.rotor.hover import RotorResult
+from mufly.rotor import RotorResult
 from mufly.study.parameters import PARAMETERS
 
 __all__ = ["read_results", "write_results", "write_stations"]

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mufly.errors import MuflyError
-from mufly.rotor import Rotor, load_airfoil
-from mufly.rotor.hover import RotorResult
+from mufly.rotor import Rotor, RotorResult, load_airfoil
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from mufly.drive import Drive
 from mufly.errors import InputError
-from mufly.rotor import Rotor
-from mufly.rotor.corrections import PLAIN, Corrections
+from mufly.rotor import PLAIN, Corrections, Rotor
 from mufly.study.parameters import DRIVE, PARAMETERS, Value
 
 __all__ = ["DRIVE_OUTPUTS", "MODELS", "OUTPUTS", "Setup", "check_names"]
