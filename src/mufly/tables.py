@@ -71,7 +71,7 @@ def read_tables(name_or_path: str | Path, folder: Traversable, kind: str) -> tup
             remedy = f"give a {kind} file, or one of the built-in: {', '.join(known)}"
             raise InputError(name, "", f"no such {kind} or file", remedy)
         try:
-            text = path.read_text(encoding="utf-8")
+            text = path.read_text(encoding="utf-8-sig")
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(where, "", f"cannot be read ({error})", "give a text file in UTF-8") from error
     try:

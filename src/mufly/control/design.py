@@ -268,17 +268,21 @@ def design(
     linear: Linearisation = linearise(vehicle, voltage=voltage)
     period = 1.0 / rate
     slow_period = POSITION_DIVIDER * period
-    heave_yaw = design_heave_yaw(linear.heave_yaw, s, period)
-    roll_pitch = design_roll_pitch(linear.roll_pitch, s, period)
-    velocity = design_velocity(s, slow_period)
-    cascade = analyse_cascade(
-        linear.full, roll_pitch.discrete, velocity.discrete, s.position_gain, POSITION_DIVIDER
-    )
-    if not cascade.stable:
-        raise MuflyError(
-            f"position cascade: unstable with the real roll-pitch loop (crossovers {roll_pitch.full_loop.crossovers}); "
-            "lower position_gain or slow down the velocity weights"
+    try:
+        heave_yaw = design_heave_yaw(linear.heave_yaw, s, period)
+        roll_pitch = design_roll_pitch(linear.roll_pitch, s, period)
+        velocity = design_velocity(s, slow_period)
+        cascade = analyse_cascade(
+            linear.full, roll_pitch.discrete, velocity.discrete, s.position_gain, POSITION_DIVIDER
         )
+        if not cascade.stable:
+            raise MuflyError(
+                f"position cascade: unstable with the real roll-pitch loop (crossovers "
+                f"{roll_pitch.full_loop.crossovers} rad/s); check inertias, swash plate and bar of the vehicle, or lower "
+                "Settings.position_gain"
+            )
+    except MuflyError as error:
+        raise MuflyError(f"{vehicle.name}: {error}") from None
     motor = np.asarray(linear.trim.motor_input, dtype=float)
     volts = float(linear.trim.voltage_V)
     lower_upper = motor[::-1].copy()

@@ -10,9 +10,12 @@ from mufly.rotor.blading import Blading, as_blading
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.hover import Air, RotorResult, hover, hover_batch
 
-__all__ = ["solve_thrust"]
+__all__ = ["FASTEST_TIP_M_S", "solve_thrust"]
 
 Array = NDArray[np.float64]
+
+FASTEST_TIP_M_S = 240.0
+"""Tip speed (m/s) above which air is no longer incompressible, as polars and theory take it to be: Mach 0.7."""
 
 
 def solve_thrust(
@@ -23,7 +26,7 @@ def solve_thrust(
     speed_rad_s: float | None = None,
     climb_m_s: float = 0.0,
     air: Air | None = None,
-    speed_limits_rad_s: tuple[float, float] = (1.0, 1e4),
+    speed_limits_rad_s: tuple[float, float] | None = None,
     pitch_limits_rad: tuple[float, float] = (-0.35, 0.7),
     which: int = 0,
 ) -> RotorResult:
@@ -31,7 +34,8 @@ def solve_thrust(
 
     Give exactly one of ``pitch_rad`` and ``speed_rad_s``; the other is found, to 1e-9 of its range. The unknown
     is sought on 64 points between its limits first, and then between the two lowest ones that enclose the
-    thrust, so that of two pitches with the same thrust, below and beyond stall, the lower is returned.
+    thrust, so that of two pitches with the same thrust, below and beyond stall, the lower is returned. Speeds are
+    sought up to :data:`FASTEST_TIP_M_S` at the tip.
 
     Raises
     ------
@@ -42,7 +46,8 @@ def solve_thrust(
     if (pitch_rad is None) == (speed_rad_s is None):
         raise InputError("rotor", "thrust", "needs one of pitch and speed", "give one; the other is found")
     by_speed, case = speed_rad_s is None, as_blading(blading)
-    low, high = speed_limits_rad_s if by_speed else pitch_limits_rad
+    fastest = FASTEST_TIP_M_S / float(case.radius_m[which])
+    low, high = (speed_limits_rad_s or (1.0, fastest)) if by_speed else pitch_limits_rad
     grid = np.geomspace(low, high, 64) if by_speed else np.linspace(low, high, 64)
 
     def thrust(values: Array) -> Array:

@@ -33,6 +33,7 @@ from mufly.drive import (
 )
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import Air, PolarTable, Rotor, hover, polars, prepare
+from mufly.rotor.thrust import FASTEST_TIP_M_S
 from mufly.study.parameters import GEOMETRY, Value
 from mufly.study.setup import Setup, check_names
 from mufly.study.shape import reshape
@@ -50,8 +51,6 @@ _CONSTANTS = {
     "gear_efficiency": "gear_efficiency",
     "controller_efficiency": "controller_efficiency",
 }
-# Faster tips would be compressible flow, which the polars do not know.
-FASTEST_TIP_M_S = 240.0
 
 
 @dataclass(frozen=True, eq=False)
