@@ -278,8 +278,8 @@ def design(
         if not cascade.stable:
             raise MuflyError(
                 f"position cascade: unstable with the real roll-pitch loop (crossovers "
-                f"{roll_pitch.full_loop.crossovers} rad/s); check inertias, swash plate and bar of the vehicle, or lower "
-                "Settings.position_gain"
+                f"{roll_pitch.full_loop.crossovers} rad/s); check inertias, swash plate and bar of the vehicle, "
+                "or lower Settings.position_gain"
             )
     except MuflyError as error:
         raise MuflyError(f"{vehicle.name}: {error}") from None
