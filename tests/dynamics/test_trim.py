@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from mufly.dynamics import derivative, euler_from_quaternion, model_parameters, simulate, trim
 from mufly.errors import InputError, MuflyError
-from mufly.vehicle import replace
+from mufly.vehicle import load_vehicle, replace
 
 
 def test_hover_in_numbers(vehicle) -> None:
@@ -106,3 +106,9 @@ def test_impossible_arguments_are_named(vehicle, arguments, key) -> None:
 def test_too_heavy(vehicle) -> None:
     with pytest.raises(MuflyError, match=r"mufly-1\.1: body\.mass: too heavy to hover: 160 g .*; lower it"):
         trim(replace(vehicle, {"body.mass": 0.16}))
+
+
+def test_a_trim_prints_itself_usefully() -> None:
+    text = str(trim(load_vehicle("mufly-1.1")))
+    assert "motor input 0.667 upper, 0.733 lower" in text
+    assert "19.5 W" in text

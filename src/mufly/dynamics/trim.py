@@ -18,7 +18,7 @@ from scipy.optimize import root
 
 from mufly.dynamics.model import battery_state, derivative
 from mufly.dynamics.parameters import GRAVITY, model_parameters
-from mufly.dynamics.state import STATE_SIZE, initial_state
+from mufly.dynamics.state import STATE_SIZE, euler_from_quaternion, initial_state
 from mufly.errors import InputError, MuflyError
 from mufly.vehicle import Vehicle
 
@@ -54,6 +54,19 @@ class Trim:
     current_A: float
     power_W: float
     constant_voltage_V: float | None
+
+    def __str__(self) -> str:
+        n, e, d = self.state[3:6]
+        roll, pitch, _ = np.degrees(euler_from_quaternion(self.state[6:10]))
+        rpm = self.rotor_speed * 30.0 / np.pi
+        return (
+            f"steady at N {n:g}, E {e:g}, D {d:g} m/s: roll {roll:.2f}, pitch {pitch:.2f} deg\n"
+            f"  motor input {self.input[0]:.3f} upper, {self.input[1]:.3f} lower; "
+            f"servo input {self.input[2]:.3f}, {self.input[3]:.3f}\n"
+            f"  rotor speed {rpm[0]:.0f} upper, {rpm[1]:.0f} lower rpm; "
+            f"thrust {self.thrust_N[0]:.3f}, {self.thrust_N[1]:.3f} N\n"
+            f"  battery {self.voltage_V:.2f} V, {self.current_A:.2f} A, {self.power_W:.1f} W"
+        )
 
     @property
     def motor_input(self) -> NDArray[np.float64]:
