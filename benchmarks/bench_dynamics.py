@@ -14,6 +14,7 @@ on data in its first cache; operations of a step are counted by running the mode
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import math
 import os
@@ -81,7 +82,7 @@ def source_with(replacements: dict[str, object], parameters: object) -> Callable
     scope = {**vars(model_source), **replacements}
 
     def from_source(dispatcher: object) -> types.FunctionType:
-        return types.FunctionType(dispatcher.py_func.__code__, scope)  # type: ignore[attr-defined]
+        return types.FunctionType(dispatcher.py_func.__code__, scope)
 
     scope["_clip"] = from_source(model_source._clip)
     scope["terminal_voltage"] = from_source(terminal_voltage)
@@ -254,7 +255,7 @@ def measure(quick: bool) -> dict[str, float]:
 
     for label, right_hand_side in (("pure Python", pure), ("compiled", compiled)):
         span = 0.1 if quick else 0.5
-        solve = lambda f=right_hand_side, t=span: solve_ivp(f, (0, t), start, rtol=1e-6, max_step=STEP)  # noqa: E731
+        solve = functools.partial(solve_ivp, right_hand_side, (0, span), start, rtol=1e-6, max_step=STEP)
         evaluations = solve().nfev
         result[f"peer: SciPy RK45, {label} (4 evaluations = 1 step)"] = evaluations / 4 / best(solve, 3)
 

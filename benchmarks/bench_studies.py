@@ -44,7 +44,7 @@ def main() -> None:
     print(f"the same again in this process                             {again:8.2f} s")
     for n in (10, 100, 1000):
         vary = {"radius": np.linspace(0.05, 0.08, n).tolist(), "pitch": PITCH}
-        spent = seconds(lambda vary=vary: sweep(setup, vary))  # type: ignore[misc]
+        spent = seconds(lambda vary=vary: sweep(setup, vary))
         each = spent / 15 / n * 1e3
         print(
             f"sweep of {15 * n:6d} cases, {n:4d} rotors                       {spent:8.2f} s  {each:.3f} ms a case"

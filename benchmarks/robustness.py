@@ -25,7 +25,7 @@ MISSION = load_mission("demonstration")
 
 
 def flown(vehicle: Vehicle, **how: object) -> Summary:
-    dataset = fly(vehicle, MISSION, **how)  # type: ignore[arg-type]
+    dataset = fly(vehicle, MISSION, **how)
     return summarise(dataset, [w.position_m for w in MISSION.waypoint], events_of(dataset))
 
 

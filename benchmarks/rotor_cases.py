@@ -78,7 +78,7 @@ def _rotor(
     name: str, blades: int, radius: float, x0: float, x: object, c: object, deg: object, foil: str
 ) -> Rotor:
     def q(value: object, unit: str) -> dict[str, object]:
-        values = tuple(np.asarray(value, dtype=float)) if np.ndim(value) else float(value)  # type: ignore[call-overload]
+        values = tuple(np.asarray(value, dtype=float)) if np.ndim(value) else float(value)
         return {"value": values, "unit": unit, "source": "measured"}
 
     blade = {

@@ -52,7 +52,7 @@ def summary(
     for case in cases:
         t, q = errors(case, corrections, n_crit)
         found.setdefault(case.group, []).append((_mean(t), _mean(q)))
-    return {k: tuple(np.mean(v, axis=0)) for k, v in found.items()}  # type: ignore[misc]
+    return {k: tuple(np.mean(v, axis=0)) for k, v in found.items()}
 
 
 VARIANTS: list[tuple[str, Corrections]] = [

@@ -11,7 +11,7 @@ from mufly.control.linear import state_space
 from mufly.errors import MuflyError
 
 
-def random_system(seed: int, n: int = 5):  # type: ignore[no-untyped-def]
+def random_system(seed: int, n: int = 5):
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(n, n))
     A -= (np.linalg.eigvals(A).real.max() + 0.2) * np.eye(n)

@@ -44,7 +44,7 @@ def test_a_smooth_climb_is_followed_without_lag(
 ) -> None:
     """A metre in three seconds, given with its speed: the lead makes up for the loop's lag of 0.2 s."""
 
-    def climb(t: float):  # type: ignore[no-untyped-def]
+    def climb(t: float):
         s, v, _ = smooth(t - 0.5, 3.0)
         return closed_loop.Reference(
             position=(0.0, 0.0, -1.0 - s), velocity=(0.0, 0.0, -v), heading=0.8 * s, heading_rate=0.8 * v
@@ -103,7 +103,7 @@ def test_a_tilt_that_rails_the_servos_ends_like_a_small_one(
 ) -> None:
     """0.1 rad at once (the size of Fig 6.12) and back: both edges rail the servo, and nothing is left of it."""
 
-    def response(size: float):  # type: ignore[no-untyped-def]
+    def response(size: float):
         flight = closed_loop.fly(
             vehicle,
             controller,
@@ -144,7 +144,7 @@ def test_anti_windup_of_heave(
 def test_a_leg_of_three_metres(
     vehicle: Vehicle, controller: FlightController, closed_loop: ModuleType, heading: float
 ) -> None:
-    def leg(t: float):  # type: ignore[no-untyped-def]
+    def leg(t: float):
         s, v, a = smooth(t - 1.0, 5.0)
         return closed_loop.Reference(
             position=(3 * s, 0.0, -1.0),
@@ -186,7 +186,7 @@ def test_take_off_from_the_ground(
     advance(x, np.array([*motors, 0.0, 0.0]), np.zeros(3), p, 1e-3, 2000)
     ground = float(x[2])
 
-    def climb(t: float):  # type: ignore[no-untyped-def]
+    def climb(t: float):
         s, v, _ = smooth(t - 0.5, 4.0)
         return closed_loop.Reference(position=(0.0, 0.0, ground - s), velocity=(0.0, 0.0, -v))
 

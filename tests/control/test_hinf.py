@@ -14,7 +14,7 @@ from mufly.control.linear import state_space
 from mufly.errors import MuflyError
 
 
-def plant(A, B1, B2, C1, C2, D11, D12, D21, D22=None, states=None):  # type: ignore[no-untyped-def]
+def plant(A, B1, B2, C1, C2, D11, D12, D21, D22=None, states=None):
     A, B1, B2, C1, C2, D11, D12, D21 = (
         np.atleast_2d(np.asarray(M, float)) for M in (A, B1, B2, C1, C2, D11, D12, D21)
     )
@@ -30,7 +30,7 @@ def plant(A, B1, B2, C1, C2, D11, D12, D21, D22=None, states=None):  # type: ign
     )
 
 
-def scalar(a: float):  # type: ignore[no-untyped-def]
+def scalar(a: float):
     """xdot = a x + w1 + u, z = (x, u), y = x + w2: gamma = a + sqrt(a^2 + 2).
 
     Both Riccati equations are 2 a X - (1 - gamma^-2) X^2 + 1 = 0; the optimum is where X Y = X^2 = gamma^2.

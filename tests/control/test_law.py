@@ -24,7 +24,7 @@ INPUT = st.floats(0.0, 1.0)
 
 @given(INPUT, INPUT, st.floats(5.5, 8.4), st.floats(-5, 0), st.floats(-20, 20), st.floats(-0.5, 0.5))
 @settings(max_examples=60, deadline=None, suppress_health_check=[])
-def test_engages_without_a_bump(upper, lower, volts, z, psi, r):  # type: ignore[no-untyped-def]
+def test_engages_without_a_bump(upper, lower, volts, z, psi, r):
     g = CONTROLLER.heave_yaw_gains
     measured = np.array([z, psi, r])
     state = heave_yaw_initial(g, measured, np.array([upper, lower]), volts)
@@ -34,7 +34,7 @@ def test_engages_without_a_bump(upper, lower, volts, z, psi, r):  # type: ignore
 
 @given(st.floats(-10, 10), st.floats(-30, 30), st.floats(-20, 20), st.floats(3.0, 10.0), st.integers(0, 1000))
 @settings(max_examples=60, deadline=None)
-def test_outputs_stay_in_their_ranges_and_yaw_goes_first(dz, dpsi, r, volts, seed):  # type: ignore[no-untyped-def]
+def test_outputs_stay_in_their_ranges_and_yaw_goes_first(dz, dpsi, r, volts, seed):
     g = CONTROLLER.heave_yaw_gains
     rng = np.random.default_rng(seed)
     state = heave_yaw_initial(g, np.zeros(3), np.array([0.67, 0.73]), 7.2)
@@ -104,7 +104,7 @@ def test_a_broken_voltage_sensor_does_not_cut_the_motors(controller: FlightContr
 
 @given(st.floats(-4, 4), st.floats(-6, 6))
 @settings(max_examples=30, deadline=None)
-def test_reference_filter_arrives_without_overshoot_within_its_limits(dz, dpsi):  # type: ignore[no-untyped-def]
+def test_reference_filter_arrives_without_overshoot_within_its_limits(dz, dpsi):
     g = CONTROLLER.heave_yaw_gains
     T, a, v = float(g["period"]), float(g["heave_acceleration"]), float(g["heave_speed"])
     state = heave_yaw_initial(g, np.zeros(3), np.array([0.67, 0.73]), 7.2)

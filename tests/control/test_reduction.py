@@ -9,7 +9,7 @@ from mufly.control.schemes import scale_plant
 from mufly.errors import MuflyError
 
 
-def problem(controller: FlightController):  # type: ignore[no-untyped-def]
+def problem(controller: FlightController):
     d = controller.heave_yaw
     result = hinfsyn(d.generalised, 5, 2, relaxation=controller.settings.heave_yaw_relaxation)
     return (

@@ -38,7 +38,9 @@ def test_agrees_with_the_differential_equation() -> None:
         u = battery_voltage(BATTERY, np.interp(z, curve.fraction, curve.value), power)
         return -(power / u + float(BATTERY.electronics_current)) / float(BATTERY.capacity)
 
-    end = lambda t, z: z[0] - e.charge_left  # noqa: E731
+    def end(t, z):
+        return z[0] - e.charge_left
+
     end.terminal = True
     run = solve_ivp(slope, (0, 3600), [1.0], events=end, rtol=1e-9, atol=1e-12, max_step=2.0)
     assert e.time_s == pytest.approx(run.t_events[0][0], rel=1e-6)

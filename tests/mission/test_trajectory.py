@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mufly.mission.trajectory import Limits, curved, nearest_turn, stop, straight
+from mufly.mission.trajectory import Limits, curved, shorter_way_round, stop, straight
 
 LIMITS = Limits(0.6, 0.5, 0.4, 0.5, 0.5, 1.0, 2.0)
 place = st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3, -0.2))
@@ -109,7 +109,7 @@ def test_heading_goes_the_short_way_and_does_not_jump():
     # Many turns ago or not, a heading is continued from where it is.
     way = straight((0, 0, -1), (5, 0, -1), 4 * math.pi + 0.1, LIMITS)
     assert way.at(way.duration_s).heading == pytest.approx(4 * math.pi)
-    assert nearest_turn(math.radians(350)) == pytest.approx(math.radians(-10))
+    assert shorter_way_round(math.radians(350)) == pytest.approx(math.radians(-10))
 
 
 def test_nose_offset_points_past_the_line():

@@ -106,7 +106,7 @@ def test_what_makes_no_sense_is_refused(start: Setup) -> None:
     with pytest.raises(InputError, match="is fixed and free"):
         optimise(start, "thrust-per-power", ["airfoil"])
     with pytest.raises(InputError, match="no goal"):
-        optimise(start, "beauty", ["chord"])  # type: ignore[arg-type]
+        optimise(start, "beauty", ["chord"])
     with pytest.raises(InputError, match="holds nothing"):
         bounds_of("radius", [parse_limit("radius<=50mm"), parse_limit("radius>=60mm")])
     with pytest.raises(MuflyError, match=r"no rotor within the limits.*speed_rpm <= 100"):

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast, get_args
 
 import numpy as np
 import typer
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from mufly.drive import Drive
     from mufly.rotor import Corrections
+    from mufly.rotor.build import Engine
 
 __all__ = [
     "DriveOption",
@@ -33,6 +34,7 @@ __all__ = [
     "console",
     "corrections_of",
     "drive_or_none",
+    "engine_of",
     "print_json",
     "print_table",
     "progress_bar",
@@ -67,6 +69,17 @@ NCritOption = Annotated[
 EngineOption = Annotated[
     str, typer.Option("--engine", metavar="NAME", help="Polars: 'neuralfoil' or, where installed, 'xfoil'.")
 ]
+
+
+def engine_of(name: str) -> Engine:
+    """Return the polar engine that ``--engine`` names."""
+    from mufly.rotor.build import Engine
+
+    if name not in get_args(Engine):
+        raise InputError(
+            "--engine", "", f"{name!r} is no polar engine", f"use one of: {', '.join(get_args(Engine))}"
+        )
+    return cast("Engine", name)
 
 
 def console() -> Console:

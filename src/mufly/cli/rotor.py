@@ -21,6 +21,7 @@ from mufly.cli.options import (
     console,
     corrections_of,
     drive_or_none,
+    engine_of,
     print_json,
     print_table,
     save_picture,
@@ -192,7 +193,7 @@ def hover(
         )
     r, d, air = load_rotor(rotor), drive_or_none(drive), Air(density_kg_m3=density)
     fixes = corrections_of(model)
-    blading = prepare(r, n_crit=n_crit, engine=engine, corrections=fixes)  # type: ignore[arg-type]
+    blading = prepare(r, n_crit=n_crit, engine=engine_of(engine), corrections=fixes)
     theta = angle("--pitch", pitch) if pitch is not None else None
     speed = rpm * _RPM if rpm is not None else None
     if thrust is not None:
@@ -211,7 +212,7 @@ def hover(
     if band is not None:
         around = interval(
             r, pitch_rad=result.pitch_rad, speed_rad_s=result.speed_rad_s, climb_m_s=climb, air=air, corrections=fixes,
-            n_crit=n_crit, engine=engine, level=band,  # type: ignore[arg-type]
+            n_crit=n_crit, engine=engine_of(engine), level=band,
         )  # fmt: skip
     files = []
     if out is not None:

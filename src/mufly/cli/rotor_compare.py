@@ -14,6 +14,7 @@ from mufly.cli.options import (
     NCritOption,
     RotorArgument,
     corrections_of,
+    engine_of,
     print_json,
 )
 
@@ -52,7 +53,7 @@ def compare(
 
     r, air = load_rotor(rotor), Air(density_kg_m3=density)
     bench = read_measurements(measurements, diameter_m=2.0 * float(r.radius), density_kg_m3=density)
-    blading = prepare(r, n_crit=n_crit, engine=engine, corrections=corrections_of(model))  # type: ignore[arg-type]
+    blading = prepare(r, n_crit=n_crit, engine=engine_of(engine), corrections=corrections_of(model))
     if calibrate is not None:
         if not 1 <= calibrate <= bench.thrust_N.size:
             raise InputError("--calibrate", "", f"there are {bench.thrust_N.size} points", "count from 1")

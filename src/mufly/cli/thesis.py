@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -53,7 +53,7 @@ def run(
     from mufly.thesis import run_study, studies
 
     names = [s.name for s in studies()] if name == "all" else [name]
-    answers = []
+    answers: list[dict[str, Any]] = []
     for one in names:
         with progress_bar(one, not as_json) as progress:
             outcome = run_study(one, progress)
@@ -64,7 +64,7 @@ def run(
     if as_json:
         print_json(answers if name == "all" else answers[0])
     elif name == "all":
-        every = [v["agrees"] for a in answers for v in a["verdicts"]]  # type: ignore[attr-defined]
+        every = [v["agrees"] for a in answers for v in a["verdicts"]]
         console().print(f"[bold]{sum(every)} of {len(every)} verdicts agree.[/bold]")
 
 

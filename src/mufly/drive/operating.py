@@ -255,8 +255,11 @@ def _at_thrust(
     if np.any(short):
         k = int(np.argmax(short))
         one = replace(c, gear_ratio=np.atleast_1d(c.gear_ratio)[k : k + 1])
-        shifted: RotorLoad = lambda s, case: load(s, np.full(s.shape, k))  # noqa: E731
-        most = _at_voltage(drive, one, shifted, np.ones(1), "duty", fixed, rest)
+
+        def of_case(s: Array, case: NDArray[np.intp]) -> tuple[Array, Array]:
+            return load(s, np.full(s.shape, k))
+
+        most = _at_voltage(drive, one, of_case, np.ones(1), "duty", fixed, rest)
         ratio = float(np.atleast_1d(c.gear_ratio)[k])
         raise MuflyError(
             f"a thrust of {thrust[k]:.4g} N is out of reach: at full duty and gear ratio {ratio:.4g} the drive "

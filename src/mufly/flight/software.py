@@ -31,6 +31,8 @@ from mufly.control import FlightController
 from mufly.flight.controllers import Actuators, Controllers
 from mufly.flight.watch import Watch, watch
 from mufly.mission import (
+    RAMP_DOWN_S,
+    SPIN_UP_S,
     Command,
     Event,
     Limits,
@@ -38,12 +40,12 @@ from mufly.mission import (
     MissionState,
     Reference,
     begin,
+    blind,
+    down_blind,
     prepare,
     slowed,
     step,
 )
-from mufly.mission.phases import RAMP_DOWN_S, blind, down_blind
-from mufly.mission.plan import SPIN_UP_S
 from mufly.sensors import Measurement
 from mufly.vehicle import Vehicle
 

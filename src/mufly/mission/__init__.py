@@ -4,7 +4,8 @@ from mufly.mission.check import Estimate, check_mission
 from mufly.mission.load import builtin_missions, dump_mission, load_mission, mission_from
 from mufly.mission.machine import step
 from mufly.mission.pace import slowed
-from mufly.mission.plan import Leg, legs
+from mufly.mission.phases import RAMP_DOWN_S, blind, down_blind
+from mufly.mission.plan import SPIN_UP_S, Leg, legs
 from mufly.mission.preflight import preflight
 from mufly.mission.schema import Mission, Waypoint
 from mufly.mission.signals import Command, Event, MissionPlan, MissionState, Reference, State, begin, prepare
@@ -12,6 +13,8 @@ from mufly.mission.spline import Spline, spline
 from mufly.mission.trajectory import Limits, Trajectory, curved, straight
 
 __all__ = [
+    "RAMP_DOWN_S",
+    "SPIN_UP_S",
     "Command",
     "Estimate",
     "Event",
@@ -26,9 +29,11 @@ __all__ = [
     "Trajectory",
     "Waypoint",
     "begin",
+    "blind",
     "builtin_missions",
     "check_mission",
     "curved",
+    "down_blind",
     "dump_mission",
     "legs",
     "load_mission",

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from mufly.mission.profile import Profile, profile, step_down, step_down_way
 from mufly.mission.spline import SplinePath, spline, spline_path
 
-__all__ = ["Limits", "Point", "Stop", "Trajectory", "curved", "nearest_turn", "stop", "straight"]
+__all__ = ["Limits", "Point", "Stop", "Trajectory", "curved", "shorter_way_round", "stop", "straight"]
 
 _SPOT = 1e-3
 """Ways shorter than this (m) are no ways: there is no direction to look in."""
@@ -116,7 +116,7 @@ class Trajectory:
 _ZERO = (0.0, 0.0, 0.0)
 
 
-def nearest_turn(angle: float) -> float:
+def shorter_way_round(angle: float) -> float:
     """The same turn the shorter way round, in [-pi, pi] (rad)."""
     return math.remainder(angle, math.tau)
 
@@ -268,7 +268,7 @@ def _turn(
     nose_offset: float,
 ) -> float:
     if final_heading is not None:
-        return nearest_turn(final_heading - heading)
+        return shorter_way_round(final_heading - heading)
     if way < _SPOT:
         return 0.0
-    return nearest_turn(math.atan2(b[1] - a[1], b[0] - a[0]) + nose_offset - heading)
+    return shorter_way_round(math.atan2(b[1] - a[1], b[0] - a[0]) + nose_offset - heading)

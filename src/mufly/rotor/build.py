@@ -71,8 +71,16 @@ def polar(
         If the engine is not installed or found no answer.
     """
     given = airfoil.name if isinstance(airfoil, Airfoil) else str(airfoil)
-    options = {"n_crit": n_crit, "engine": engine, "reynolds": reynolds, "xtr": xtr, "model": model}
-    return polars([airfoil], aspect_ratio=aspect_ratio, **options)[given]  # type: ignore[arg-type]
+    found = polars(
+        [airfoil],
+        n_crit=n_crit,
+        engine=engine,
+        reynolds=reynolds,
+        xtr=xtr,
+        model=model,
+        aspect_ratio=aspect_ratio,
+    )
+    return found[given]
 
 
 def polars(
