@@ -79,7 +79,7 @@ def test_band_encloses_the_prediction() -> None:
     answer = json.loads(output("hover", "--pitch", "12", "--rpm", "5000", "--band", "0.9", "--json"))
     low, high = answer["band"]["thrust_N"]
     assert 0 < low < answer["thrust_N"] < high
-    assert "in 90% of cases" in output("hover", "--pitch", "12", "--rpm", "5000", "--band", "0.9")
+    assert "nominal 90% interval" in output("hover", "--pitch", "12", "--rpm", "5000", "--band", "0.9")
 
 
 def test_sweep_writes_tables_and_a_picture_and_resumes(tmp_path) -> None:
