@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from mufly.flight.recorder import Recorder
-from mufly.flight.recording import read_recording, standard_layout
+from mufly.logs.recording import read_recording, standard_layout
 
 
 def best(work: Callable[[], object], times: int = 5) -> float:

@@ -13,7 +13,20 @@ from mufly.errors import InputError, MuflyError
 from mufly.version import __version__
 
 if TYPE_CHECKING:
-    from mufly import control, drive, dynamics, flight, mission, rotor, sensors, study, thesis, vehicle, world
+    from mufly import (
+        control,
+        drive,
+        dynamics,
+        flight,
+        logs,
+        mission,
+        rotor,
+        sensors,
+        study,
+        thesis,
+        vehicle,
+        world,
+    )
     from mufly.vehicle import load_vehicle
 
 __all__ = [
@@ -25,6 +38,7 @@ __all__ = [
     "dynamics",
     "flight",
     "load_vehicle",
+    "logs",
     "mission",
     "rotor",
     "sensors",

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mufly.errors import InputError
-from mufly.flight.mcap_file import McapFile
 from mufly.flight.recorder import Recorder
-from mufly.flight.recording import (
+from mufly.logs.mcap_file import McapFile
+from mufly.logs.recording import (
     QUANTITIES,
     Layout,
     events_of,

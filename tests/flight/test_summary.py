@@ -7,9 +7,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from mufly.flight.layout import standard_layout
-from mufly.flight.recording import to_dataset
 from mufly.flight.summary import summarise, summary_rows
+from mufly.logs.layout import standard_layout
+from mufly.logs.recording import to_dataset
 from mufly.world import Box, World
 
 LAYOUT = standard_layout(8)

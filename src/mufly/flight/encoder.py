@@ -16,9 +16,9 @@ import orjson
 from numpy.typing import NDArray
 
 from mufly.flight import scene
-from mufly.flight.layout import Event, Layout
-from mufly.flight.mcap_file import McapFile
-from mufly.flight.recording import CLOCK_TOPIC, EVENT_TOPIC, LEVELS
+from mufly.logs.layout import Event, Layout
+from mufly.logs.mcap_file import McapFile
+from mufly.logs.recording import CLOCK_TOPIC, EVENT_TOPIC, LEVELS
 
 __all__ = ["Encoder"]
 

@@ -27,11 +27,11 @@ from mufly.dynamics import (
     standing_height,
 )
 from mufly.flight.controllers import Actuators
-from mufly.flight.layout import Event, standard_layout
 from mufly.flight.plant import Plant
 from mufly.flight.recorder import Recorder
 from mufly.flight.rows import row_writer
 from mufly.flight.software import FlightSoftware
+from mufly.logs.layout import Event, standard_layout
 from mufly.mission import Command, Mission, dump_mission, load_mission, preflight
 from mufly.vehicle import Vehicle, load_vehicle, vehicle_toml
 from mufly.version import __version__

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError, MuflyError
 from mufly.flight.encoder import Encoder
-from mufly.flight.mcap_file import McapFile
-from mufly.flight.recording import (
+from mufly.logs.mcap_file import McapFile
+from mufly.logs.recording import (
     FORMAT,
     METADATA_FLIGHT,
     METADATA_LAYOUT,

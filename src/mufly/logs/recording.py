@@ -1,6 +1,6 @@
 """A recording: a labelled table on a clock, in memory, on disk and as CSV.
 
-:mod:`mufly.flight.layout` says what the columns of a flight are. :func:`to_dataset` gives them their names, and
+:mod:`mufly.logs.layout` says what the columns of a flight are. :func:`to_dataset` gives them their names, and
 :func:`read_recording` returns the same :class:`xarray.Dataset` from a file, equal to the last bit. JSON has no NaN
 and no infinity: both are written ``null`` and come back as NaN.
 """
@@ -19,8 +19,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.flight.layout import QUANTITIES, Event, Layout, Quantity, standard_layout
-from mufly.flight.mcap_file import McapContents, read_mcap
+from mufly.logs.layout import QUANTITIES, Event, Layout, Quantity, standard_layout
+from mufly.logs.mcap_file import McapContents, read_mcap
 
 __all__ = [
     "QUANTITIES",
