@@ -1,0 +1,152 @@
+"""How far a least-squares estimate may be off, when errors of neighbouring readings are alike.
+
+Linearised least squares ``r = r0 + J (theta - theta0)``, rows already divided by their expected error. For errors
+with covariance ``s^2 V(rho)`` the estimate of ordinary least squares has
+
+    cov = s^2 (J'J)^-1 J' V J (J'J)^-1,      s^2 = r'r / tr(M V),      M = I - J (J'J)^-1 J'
+
+(the divisor makes ``s^2`` unbiased). Three patterns of V are weighed against each other on the data:
+
+* white: V = I, the textbook case;
+* a drift along the order of measurement: V_ij = rho^|i - j| between readings of the same channel in the same run;
+* one error a setting: V_ij = rho between readings of one group (repeats under one setting share their error).
+
+``rho`` maximises the restricted likelihood (Patterson and Thompson, Biometrika 58, 1971), which does not count the
+variation that the fitted parameters took away; a pattern is kept only if it raises twice the logarithm by more than
+2.71, the one-sided 5 % point. Intervals use Student's t with Satterthwaite's degrees of freedom
+``tr(MV)^2 / tr(MVMV)`` (Biometrics Bull. 2, 1946).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.linalg import block_diag
+from scipy.optimize import minimize_scalar
+
+__all__ = ["Spread", "joined", "spread"]
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+_LIKELIER = 2.71
+_ENOUGH = 8  # degrees of freedom below which a pattern cannot be told from chance
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """Covariance of least-squares estimates and how it came about.
+
+    Attributes
+    ----------
+    covariance : (p, p) array
+    scale : float
+        s: size of the residuals over what was expected; 1 if the expected errors are right.
+    dof : float
+        Degrees of freedom of the intervals.
+    pattern : str
+        ``"white"``, ``"drift"`` or ``"repeats"``.
+    rho : float
+        Correlation of neighbours or repeats; 0 if white.
+    """
+
+    covariance: Array
+    scale: float
+    dof: float
+    pattern: str
+    rho: float
+
+    @property
+    def quantile(self) -> float:
+        """Half width of the 95 % interval over the standard deviation (Student's t)."""
+        return float(stats.t.ppf(0.975, max(self.dof, 1.0)))
+
+    def in_words(self) -> str:
+        """Say which pattern the residuals show."""
+        if self.pattern == "drift":
+            return (
+                f"neighbouring readings err alike (correlation {self.rho:.2f}); intervals are widened for it"
+            )
+        if self.pattern == "repeats":
+            return f"readings of one setting err alike (correlation {self.rho:.2f}); intervals are widened for it"
+        return "residuals scatter without pattern"
+
+
+def spread(
+    jacobian: Array, residual: Array, *, channel: Integers | None = None, run: Integers | None = None,
+    group: Integers | None = None, known_scale: bool = False,
+) -> Spread:  # fmt: skip
+    """Return the covariance of a least-squares estimate.
+
+    Parameters
+    ----------
+    jacobian : (n, p) array
+        Of the residuals, rows in the order of measurement, divided by the expected errors. Full rank, n > p.
+    residual : (n,) array
+        Divided likewise, at the estimate.
+    channel, run, group : (n,) int arrays, optional
+        Channel and run of a row (rows of different ones err independently), and its setting: rows of one
+        channel and setting may share their error. Default: one channel, one run, no repeats.
+    known_scale : bool
+        True if the expected errors are trusted as absolute: the covariance is then not scaled by the residuals
+        unless they are larger than expected.
+    """
+    n, p = jacobian.shape
+    zeros = np.zeros(n, dtype=np.int64)
+    channel, run = zeros if channel is None else channel, zeros if run is None else run
+    q, _ = np.linalg.qr(jacobian)
+    inverse = np.linalg.inv(jacobian.T @ jacobian)
+    best, likelihood = ("white", 0.0), _restricted(np.eye(n), jacobian, residual)
+    threshold = likelihood + _LIKELIER
+    patterns: dict[str, Array] = {}
+    if n - p >= _ENOUGH:
+        position = np.zeros(n)
+        for c, r in {(c, r) for c, r in zip(channel.tolist(), run.tolist(), strict=True)}:
+            inside = (channel == c) & (run == r)
+            position[inside] = np.arange(inside.sum())
+        together = (channel[:, None] == channel) & (run[:, None] == run)
+        patterns["drift"] = np.where(together, np.abs(position[:, None] - position), np.inf)
+    if group is not None and n - p >= _ENOUGH:
+        same = (channel[:, None] == channel) & (group[:, None] == group)
+        if same.sum() > n:
+            distance = np.where(same, 1.0, np.inf)
+            np.fill_diagonal(distance, 0.0)
+            patterns["repeats"] = distance
+    for name, distance in patterns.items():
+        found = minimize_scalar(
+            lambda rho, d=distance: -_restricted(rho**d, jacobian, residual), bounds=(0.02, 0.98), method="bounded",
+            options={"xatol": 5e-3},
+        )  # fmt: skip
+        if -found.fun > max(likelihood, threshold):
+            best, likelihood = (name, float(found.x)), -float(found.fun)
+    name, rho = best
+    v = np.eye(n) if name == "white" else rho ** patterns[name]
+    mv = v - q @ (q.T @ v)
+    trace = float(np.trace(mv))
+    dof = trace**2 / float(np.sum(mv * mv.T))
+    scale2 = float(residual @ residual) / trace
+    used = max(scale2, 1.0) if known_scale else scale2
+    middle = jacobian.T @ v @ jacobian
+    return Spread(used * inverse @ middle @ inverse, float(np.sqrt(scale2)), dof, name, rho)
+
+
+def _restricted(v: Array, jacobian: Array, residual: Array) -> float:
+    """Return twice the restricted log likelihood of a pattern, up to a constant."""
+    n, p = jacobian.shape
+    try:
+        c = np.linalg.cholesky(v)
+    except np.linalg.LinAlgError:
+        return -np.inf
+    j, r = np.linalg.solve(c, jacobian), np.linalg.solve(c, residual)
+    q, upper = np.linalg.qr(j)
+    r = r - q @ (q.T @ r)
+    logs = 2 * np.sum(np.log(np.diag(c))) + 2 * np.sum(np.log(np.abs(np.diag(upper))))
+    return float(-logs - (n - p) * np.log(max(float(r @ r), 1e-300)))
+
+
+def joined(*blocks: Array) -> Array:
+    """Return the covariance of independent estimates side by side."""
+    return np.asarray(block_diag(*blocks), dtype=np.float64)

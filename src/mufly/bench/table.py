@@ -1,0 +1,192 @@
+"""A bench file read: columns in SI units under one set of names, with what was guessed on the way.
+
+A CSV with a header (comma, semicolon or tab; with semicolons a decimal comma will do); lines that begin with ``#`` are
+skipped. Which headers are understood stands in :mod:`mufly.bench.columns` and docs/bench.md; others are passed over.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.bench.columns import SI_UNITS, Column, parse_header, renamed
+from mufly.errors import InputError
+
+__all__ = ["BenchTable", "read_bench"]
+
+Array = NDArray[np.float64]
+
+_CONSTANT = 1e-3  # spread over size below which a channel counts as constant
+
+
+@dataclass(frozen=True, eq=False)
+class BenchTable:
+    """Readings of a bench.
+
+    Attributes
+    ----------
+    source : str
+        Name of the file.
+    columns : dict of str to (n,) array
+        SI values by name (:class:`mufly.bench.columns.Column`); NaN where a cell is empty. ``run`` is a number from 0.
+    headers : dict of str to str
+        The header of each, as written.
+    line : (n,) array of int
+        Lines of the file.
+    unitless : tuple of str
+        Columns whose unit the file does not say; taken as SI until :meth:`rescaled` says otherwise.
+    notes : tuple of str
+        What was passed over or guessed, in words.
+    """
+
+    source: str
+    columns: dict[str, Array]
+    headers: dict[str, str]
+    line: NDArray[np.int64]
+    unitless: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return int(self.line.size)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.columns
+
+    def __getitem__(self, name: str) -> Array:
+        return self.columns[name]
+
+    def require(self, names: Iterable[str], *, remedy: str = "") -> None:
+        """Check that columns are there and filled in every line.
+
+        Raises
+        ------
+        InputError
+            Naming the first that is not.
+        """
+        for name in names:
+            if name not in self.columns:
+                written = ", ".join(self.headers.values())
+                raise InputError(
+                    self.source, name, "is not among the columns",
+                    remedy or f"known here: {written}; map others with --columns OLD=NEW",
+                )  # fmt: skip
+            empty = np.flatnonzero(~np.isfinite(self.columns[name]))
+            if empty.size:
+                raise InputError(
+                    self.source, f"line {self.line[empty[0]]}, {self.headers[name]}", "is empty",
+                    "fill it in, or leave the line out",
+                )  # fmt: skip
+
+    def constant(self, name: str) -> bool:
+        """Return whether a column hardly varies (by less than a thousandth of its size)."""
+        v = self.columns[name]
+        size = float(np.max(np.abs(v)))
+        return size == 0.0 or float(np.ptp(v)) <= _CONSTANT * size
+
+    def rescaled(self, name: str, factor: float, note: str) -> BenchTable:
+        """Return the table with one column multiplied, and a note that says why."""
+        columns = {**self.columns, name: self.columns[name] * factor}
+        left = tuple(u for u in self.unitless if u != name)
+        return replace(self, columns=columns, unitless=left, notes=(*self.notes, note))
+
+    def where(self, keep: NDArray[np.bool_]) -> BenchTable:
+        """Return the lines that ``keep`` (n,) selects."""
+        return replace(self, columns={k: v[keep] for k, v in self.columns.items()}, line=self.line[keep])
+
+
+def read_bench(path: str | Path, *, columns: str | None = None) -> BenchTable:
+    """Read a bench file.
+
+    Parameters
+    ----------
+    path : str or Path
+    columns : str, optional
+        Map of headers, ``"T_A(N)=thrust_lower_N,RPM=speed_lower_rpm"``.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, has no column that is understood, or a cell of a column in use is no number.
+    """
+    where = Path(path).name
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(str(path), "", f"cannot be read ({error})", "give a CSV file in UTF-8") from error
+    numbered = [
+        (i, s) for i, s in enumerate(text.splitlines(), 1) if s.strip() and not s.lstrip().startswith("#")
+    ]
+    if len(numbered) < 2:
+        raise InputError(where, "", "holds no measurements", "give a header and at least one line")
+    delimiter = max(";\t,", key=numbered[0][1].count)
+    written = [h.strip() for h in next(csv.reader([numbered[0][1]], delimiter=delimiter))]
+    chosen, notes = _choose(renamed(written, columns, where), written)
+    if not chosen:
+        raise InputError(
+            where, "", f"no column is understood ({', '.join(written)})", "name quantity and unit, as torque_mNm, or "
+            "map them with --columns OLD=NEW"
+        )  # fmt: skip
+    rows = [next(csv.reader([s], delimiter=delimiter)) for _, s in numbered[1:]]
+    line = np.array([i for i, _ in numbered[1:]], dtype=np.int64)
+    data: dict[str, Array] = {}
+    for index, column in chosen:
+        cells = [row[index].strip() if index < len(row) else "" for row in rows]
+        if column.quantity == "run":
+            data[column.name] = _labels(cells)
+            continue
+        values = [
+            _number(where, int(n), written[index], c, delimiter) for n, c in zip(line, cells, strict=True)
+        ]
+        data[column.name] = np.array(values) * column.factor + column.offset
+    unitless = tuple(c.name for _, c in chosen if c.unit == "" and not c.name.endswith("_raw"))
+    notes += [
+        f"{written[i]}: no unit is written, taken as {SI_UNITS[c.quantity]}"
+        for i, c in chosen
+        if c.name in unitless and c.quantity != "speed"
+    ]
+    return BenchTable(where, data, {c.name: written[i] for i, c in chosen}, line, unitless, tuple(notes))
+
+
+def _choose(headers: list[str], written: list[str]) -> tuple[list[tuple[int, Column]], list[str]]:
+    """Return the columns in use (position, meaning), one for each name, and notes on the others."""
+    found: dict[str, tuple[int, Column]] = {}
+    notes: list[str] = []
+    for i, header in enumerate(headers):
+        column = parse_header(header)
+        if column is None:
+            notes.append(f"column {written[i]!r} is not used")
+        elif column.name not in found:
+            found[column.name] = (i, column)
+        else:
+            # The same quantity twice (RPM and omega, gf and N): the SI one is more finely written as a rule.
+            first = found[column.name]
+            better = (i, column) if first[1].factor != 1.0 and column.factor == 1.0 and column.unit else first
+            other = first[0] if better[0] == i else i
+            found[column.name] = better
+            notes.append(f"{column.name} is read from {written[better[0]]!r}, not from {written[other]!r}")
+    return list(found.values()), notes
+
+
+def _labels(cells: list[str]) -> Array:
+    known: dict[str, float] = {}
+    return np.array([known.setdefault(c, float(len(known))) for c in cells])
+
+
+def _number(where: str, line: int, header: str, cell: str, delimiter: str) -> float:
+    if not cell:
+        return math.nan
+    try:
+        value = float(cell.replace(",", ".") if delimiter == ";" else cell)
+    except ValueError:
+        raise InputError(where, f"line {line}, {header}", f"{cell!r} is not a number", "give one") from None
+    if not math.isfinite(value):
+        raise InputError(
+            where, f"line {line}, {header}", f"is {value:g}", "give a finite number or leave it empty"
+        )
+    return value
