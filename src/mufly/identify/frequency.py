@@ -1,0 +1,224 @@
+"""Frequency responses and coherence from records, beside those of a model.
+
+A record is cut into overlapping segments with a Hann window; each is transformed by a chirp z-transform, which places
+the frequencies where they are wanted instead of at multiples of 1 / segment (Tischler and Remple, *Aircraft and
+Rotorcraft System Identification*, 2nd ed., ch. 7), and the products are averaged:
+
+    S_uu = <U* U^T>,   S_uy = <U* y>,   H = S_uu^-1 S_uy                      response to all inputs at once
+    gamma^2   = S_uy^H S_uu^-1 S_uy / S_yy                                    multiple coherence
+    gamma_j^2 = |S_jy.r|^2 / (S_jj.r S_yy.r)                                  partial coherence of input j
+
+where ``.r`` means with what all other inputs explain taken away ("conditioned", Bendat and Piersol, *Random Data*,
+ch. 7). The random error of the magnitude, and of the phase in radians, is (Bendat and Piersol, eq. 9.90; Tischler and
+Remple, eq. 7.46)
+
+    eps = C sqrt(1 - gamma_j^2) / (|gamma_j| sqrt(2 n_d)),   C = sqrt(0.55) at half overlap
+
+with ``n_d`` the record over the segment. The misfit of a model is Tischler and Remple's
+
+    J = 20 / n sum W_gamma [(20 log10 |H_m / H|)^2 + 0.01745 (phase_m - phase)^2 / deg^2],
+    W_gamma = (1.58 (1 - exp(-gamma_j^2)))^2
+
+of which J < 100 is a good and J < 50 a hardly noticeable difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import ZoomFFT, get_window
+
+from mufly.errors import InputError
+
+__all__ = ["FrequencyResponse", "frequency_response", "misfit", "state_space_response"]
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_OVERLAP_FACTOR = np.sqrt(0.55)
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyResponse:
+    """Responses of all outputs to all inputs, estimated from one or several records.
+
+    Attributes
+    ----------
+    frequency_hz : (f,) array
+    response : (f, outputs, inputs) complex array
+        NaN where an input has no power.
+    coherence : (f, outputs) array
+        Multiple coherence: share of each output's power that the inputs explain linearly.
+    partial : (f, outputs, inputs) array
+        Partial coherence.
+    error : (f, outputs, inputs) array
+        Random error (one standard deviation) relative to the magnitude; also that of the phase (rad).
+    averages : float
+        Independent segments ``n_d``.
+    inputs, outputs : tuple of str
+    """
+
+    frequency_hz: Array
+    response: ComplexArray
+    coherence: Array
+    partial: Array
+    error: Array
+    averages: float
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+
+def frequency_response(
+    inputs: Array | Sequence[Array],
+    outputs: Array | Sequence[Array],
+    dt: float,
+    *,
+    segment_s: float,
+    low_hz: float,
+    high_hz: float,
+    points: int = 100,
+    input_names: tuple[str, ...] = (),
+    output_names: tuple[str, ...] = (),
+) -> FrequencyResponse:
+    """Estimate frequency responses and coherences.
+
+    Parameters
+    ----------
+    inputs, outputs : (n, k) and (n, m) array, or lists of such
+        Without gaps; a list holds one array a record.
+    dt : float
+        Sample time (s).
+    segment_s : float
+        Length of a segment (s): long enough for the lowest frequency, short enough for several in the record.
+    low_hz, high_hz : float
+        Band; ``high_hz`` at most the Nyquist frequency.
+    points : int
+        Frequencies, evenly spaced.
+    input_names, output_names : tuple of str
+
+    Raises
+    ------
+    InputError
+        If the band is empty, or a record is shorter than a segment.
+    """
+    us = [np.asarray(inputs)] if isinstance(inputs, np.ndarray) else [np.asarray(u) for u in inputs]
+    ys = [np.asarray(outputs)] if isinstance(outputs, np.ndarray) else [np.asarray(y) for y in outputs]
+    size = round(segment_s / dt)
+    if not 0.0 < low_hz < high_hz <= 0.5 / dt:
+        raise InputError(
+            "frequency response", "", f"the band {low_hz:g} to {high_hz:g} Hz cannot be had from samples "
+            f"{dt:g} s apart", f"give 0 < low < high <= {0.5 / dt:g} Hz",
+        )  # fmt: skip
+    if size < 8 or min(len(u) for u in us) < size:
+        raise InputError(
+            "frequency response", "", f"a segment of {segment_s:g} s ({size} samples) does not fit the record",
+            "give a segment shorter than every record",
+        )  # fmt: skip
+    k, m = us[0].shape[1], ys[0].shape[1]
+    window = get_window("hann", size)
+    zoom = ZoomFFT(size, [low_hz, high_hz], points, fs=1.0 / dt, endpoint=True)
+    spectra = np.zeros((points, k + m, k + m), dtype=np.complex128)
+    count, total = 0, 0
+    for u, y in zip(us, ys, strict=True):
+        z = np.column_stack([u, y])
+        total += len(z)
+        for start in range(0, len(z) - size + 1, max(1, size // 2)):
+            part = z[start : start + size]
+            slope = np.linspace(-0.5, 0.5, size)[:, None]
+            part = part - part.mean(0) - slope * ((slope * part).sum(0) / (slope**2).sum())
+            transform = zoom(part * window[:, None], axis=0)
+            spectra += np.conj(transform)[:, :, None] * transform[:, None, :]
+            count += 1
+    spectra /= count
+    return _from_spectra(
+        np.linspace(low_hz, high_hz, points), spectra, k, total / size, input_names, output_names
+    )
+
+
+def _from_spectra(
+    frequency: Array,
+    s: ComplexArray,
+    k: int,
+    averages: float,
+    inputs: tuple[str, ...],
+    outputs: tuple[str, ...],
+) -> FrequencyResponse:
+    points, m = len(frequency), s.shape[1] - k
+    response = np.full((points, m, k), np.nan + 0j)
+    partial, coherence = np.zeros((points, m, k)), np.zeros((points, m))
+    power = np.real(np.einsum("fii->fi", s))
+    used = np.flatnonzero(power[:, :k].sum(0) > 1e-24 * max(power[:, :k].sum(), 1e-300))
+    for f in range(points):
+        if used.size == 0:
+            break
+        suu, suy = s[f][np.ix_(used, used)], s[f][np.ix_(used, np.arange(k, k + m))]
+        # Inputs that move together cannot be told apart; the pseudo-inverse then shares the response among them.
+        inverse = np.linalg.pinv(suu, rcond=1e-10, hermitian=True)
+        h = inverse @ suy
+        response[f][:, used] = h.T
+        explained = np.real(np.einsum("ij,ij->j", np.conj(suy), h))
+        coherence[f] = np.clip(explained / np.maximum(power[f, k:], 1e-300), 0.0, 1.0)
+        left = np.maximum(power[f, k:] - explained, 0.0)
+        for place, j in enumerate(used):
+            # |H_j|^2 S_jj.r is what input j alone adds to the explained power.
+            own = np.real(inverse[place, place])
+            alone = np.abs(h[place]) ** 2 / own if own > 0.0 else np.zeros(m)
+            partial[f, :, j] = alone / np.maximum(alone + left, 1e-300)
+    # Fewer segments than inputs explain anything; a coherence from n_d averages has a bias of about 1 / n_d.
+    gamma = np.sqrt(np.clip(partial, 1e-12, 1.0))
+    error = _OVERLAP_FACTOR * np.sqrt(1.0 - gamma**2) / (gamma * np.sqrt(2.0 * averages))
+    return FrequencyResponse(frequency, response, coherence, partial, error, averages, inputs, outputs)
+
+
+def state_space_response(
+    a: Array, b: Array, c: Array, d: Array, frequency_hz: Array, delay_s: Array | None = None
+) -> ComplexArray:
+    """Return the response of ``x' = A x + B u(t - delay), y = C x + D u(t - delay)``.
+
+    Parameters
+    ----------
+    a, b, c, d : arrays
+        (n, n), (n, k), (m, n), (m, k).
+    frequency_hz : (f,) array
+    delay_s : (k,) array, optional
+        Delay of each input (s).
+
+    Returns
+    -------
+    (f, m, k) complex array
+    """
+    s = 2j * np.pi * np.asarray(frequency_hz)
+    eye = np.eye(len(a))
+    x = np.linalg.solve(s[:, None, None] * eye - a, np.broadcast_to(b.astype(complex), (len(s), *b.shape)))
+    h = c @ x + d
+    return h if delay_s is None else h * np.exp(-s[:, None, None] * delay_s)
+
+
+def misfit(data: FrequencyResponse, model: ComplexArray, *, least: float = 0.3) -> Array:
+    """Return Tischler and Remple's cost J of every input-output pair.
+
+    Parameters
+    ----------
+    data : FrequencyResponse
+    model : (f, outputs, inputs) complex array
+        At the same frequencies.
+    least : float
+        Frequencies with a smaller partial coherence are left out.
+
+    Returns
+    -------
+    (outputs, inputs) array
+        NaN where no frequency is coherent.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = model / data.response
+        level = 20.0 * np.log10(np.abs(ratio))
+        phase = np.degrees(np.angle(ratio))
+    weight = (1.58 * (1.0 - np.exp(-data.partial))) ** 2
+    good = np.isfinite(level) & (data.partial >= least)
+    cost = np.where(good, weight * (level**2 + 0.01745 * phase**2), 0.0).sum(0)
+    number = good.sum(0)
+    return np.where(number > 0, 20.0 * cost / np.maximum(number, 1), np.nan)

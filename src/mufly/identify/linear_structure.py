@@ -1,0 +1,308 @@
+"""Linear models with named parameters, put together from blocks by the outputs that were measured.
+
+    x' = A(theta) x + B(theta) (u(t - tau) - u_0),   y = C x + D (u(t - tau) - u_0) + y_0
+
+Near hover, body axes, all quantities deviations (V. Mettler, *Identification Modeling and Characteristics of Miniature
+Rotorcraft*, 2003, ch. 4; Tischler and Remple, ch. 15):
+
+    first-order   p' = L_p p + L_q q + L_lat lat + L_lon lon          and likewise q' with M
+    second-order  as first-order, but the sticks act through one lag of tau_s: a filtered command
+    hybrid        p' = L_b b + L_a a,   q' = M_a a + M_b b            rotor springs carry the fuselage
+                  a' = -q - a / tau_f + (A_b b + A_lat lat + A_lon lon) / tau_f
+                  b' = -p - b / tau_f + (B_a a + B_lat lat + B_lon lon) / tau_f
+    yaw           r' = N_r r + N_ped (ped - r_fb) + N_col col + N_p p,   r_fb' = K_r r - K_rfb r_fb     gyro
+    attitude      phi' = p,   theta' = q                              small angles
+    translation   u' = X_u u - g theta + X_a a,   v' = Y_v v + g phi + Y_b b
+    heave         w' = Z_w w + Z_col col
+
+In the hybrid ``L_lat``, ``M_lon``... are products ``L_b B_lat / tau_f``; the flapping angles a, b themselves are not measured.
+Coupling terms (L_q, M_p, L_a, M_b, A_b, B_a, off-axis sticks) belong to the ``-coupled`` variants.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.errors import InputError
+
+__all__ = ["ANGULAR", "GRAVITY", "UNITS", "Parameter", "Structure", "helicopter"]
+
+Array = NDArray[np.float64]
+
+GRAVITY = 9.80665
+ANGULAR = ("first-order", "second-order", "hybrid")
+UNITS = {
+    "p": "rad/s",
+    "q": "rad/s",
+    "r": "rad/s",
+    "phi": "rad",
+    "theta": "rad",
+    "u": "m/s",
+    "v": "m/s",
+    "w": "m/s",
+}
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter: where the search starts and what it may be.
+
+    ``low > 0`` makes the search work with its logarithm. SI units; ``meaning`` is for tables.
+    """
+
+    symbol: str
+    unit: str
+    start: float
+    low: float
+    high: float
+    meaning: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """A linear model whose matrices are functions of named parameters.
+
+    Attributes
+    ----------
+    name : str
+    states, inputs, outputs : tuple of str
+    units : tuple of str
+        Of the outputs.
+    parameters : tuple of Parameter
+    fill : callable
+        From ``{symbol: value}`` to ``(A, B, C, D, delay)``; ``delay`` (s) has one entry an input.
+    """
+
+    name: str
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    units: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
+    fill: Callable[[Mapping[str, float]], tuple[Array, Array, Array, Array, Array]] = field(repr=False)
+
+    @property
+    def symbols(self) -> tuple[str, ...]:
+        """Symbols of the parameters, in order."""
+        return tuple(p.symbol for p in self.parameters)
+
+    def matrices(self, values: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Return A, B, C, D and the delays (s) at the values (p,) of the parameters."""
+        return self.fill(dict(zip(self.symbols, values.tolist(), strict=True)))
+
+
+class _Builder:
+    """Collects states, parameters and matrix entries; an entry is (matrix, row, column, function of the values)."""
+
+    def __init__(self, inputs: tuple[str, ...]) -> None:
+        self.inputs = inputs
+        self.states: list[str] = []
+        self.parameters: dict[str, Parameter] = {}
+        self.entries: list[tuple[str, str, str, Callable[[Mapping[str, float]], float]]] = []
+
+    def parameter(self, symbol: str, unit: str, start: float, low: float, high: float, meaning: str) -> None:
+        self.parameters.setdefault(symbol, Parameter(symbol, unit, start, low, high, meaning))
+
+    def constant(self, row: str, column: str, value: float) -> None:
+        self.entries.append(("A", row, column, lambda _: value))
+
+    def free(
+        self, row: str, column: str, symbol: str, unit: str, start: float, bound: float | tuple[float, float],
+        meaning: str, over: str = "",
+    ) -> None:  # fmt: skip
+        """One free entry of A or B (by the name of its column), divided by the parameter ``over`` if given."""
+        low, high = bound if isinstance(bound, tuple) else (-bound, bound)
+        self.parameter(symbol, unit, start, low, high, meaning)
+        matrix = "B" if column in self.inputs else "A"
+        self.entries.append((matrix, row, column, lambda v: v[symbol] / v[over] if over else v[symbol]))
+
+    def minus_inverse(self, row: str, symbol: str) -> None:
+        self.entries.append(("A", row, row, lambda v: -1.0 / v[symbol]))
+
+    def finish(self, name: str, outputs: tuple[str, ...], delayed: tuple[str, ...], most: float) -> Structure:
+        for i in self.inputs:
+            if i in delayed:
+                self.parameter(f"tau_{i}", "s", min(0.04, 0.5 * most), 0.0, most, f"delay of {i}")
+        row = {s: k for k, s in enumerate(self.states)}
+        column = {s: k for k, s in enumerate(self.inputs)}
+        nx, nu, ny = len(row), len(column), len(outputs)
+        c = np.zeros((ny, nx))
+        c[np.arange(ny), [row[o] for o in outputs]] = 1.0
+        places = [
+            (m == "A", row[r], row[c_] if m == "A" else column[c_], value) for m, r, c_, value in self.entries
+        ]
+
+        def fill(v: Mapping[str, float]) -> tuple[Array, Array, Array, Array, Array]:
+            a, b = np.zeros((nx, nx)), np.zeros((nx, nu))
+            for in_a, i, j, value in places:
+                (a if in_a else b)[i, j] += value(v)
+            delay = np.array([v.get(f"tau_{i}", 0.0) for i in self.inputs])
+            return a, b, c, np.zeros((ny, nu)), delay
+
+        return Structure(
+            name, tuple(self.states), self.inputs, outputs, tuple(UNITS[o] for o in outputs),
+            tuple(self.parameters.values()), fill,
+        )  # fmt: skip
+
+
+def helicopter(
+    inputs: tuple[str, ...], outputs: tuple[str, ...], *, angular: str = "hybrid", coupled: bool = False,
+    speed: bool = False, most_delay_s: float = 0.3,
+) -> Structure:  # fmt: skip
+    """Put a helicopter's linear model together.
+
+    Parameters
+    ----------
+    inputs : tuple of str
+        Some of lat, lon, ped, col; those that never moved are better left out.
+    outputs : tuple of str
+        Some of p, q, r, phi, theta, u, v, w; they decide which blocks are used.
+    angular : str
+        Block of roll and pitch: one of ``ANGULAR``.
+    coupled : bool
+        With the terms between roll and pitch.
+    speed : bool
+        With speed stability L_v, M_u (needs u, v among the outputs).
+    most_delay_s : float
+        Greatest delay of an input (s).
+
+    Raises
+    ------
+    InputError
+        If a name is unknown, or the block cannot be built.
+    """
+    _check(inputs, outputs, angular)
+    b = _Builder(inputs)
+    roll, pitch = bool({"p", "phi", "v"} & set(outputs)), bool({"q", "theta", "u"} & set(outputs))
+    b.states = (["p"] if roll else []) + (["q"] if pitch else [])
+    sticks = [i for i in ("lat", "lon") if i in inputs]
+    own = {"p": "lat", "q": "lon"}
+    flap = {"p": "b", "q": "a"}
+    big = {"p": "L", "q": "M"}
+    rates = tuple(b.states)
+    if angular == "hybrid":
+        b.states += [flap[r] for r in rates]
+    if angular == "second-order":
+        b.states += [f"{s}_f" for s in sticks]
+        for s in sticks:
+            b.parameter(f"tau_s_{s}", "s", 0.15, 0.02, 2.0, f"lag of the {s} command")
+            b.minus_inverse(f"{s}_f", f"tau_s_{s}")
+            b.entries.append(("B", f"{s}_f", s, lambda v, s=s: 1.0 / v[f"tau_s_{s}"]))  # type: ignore[misc]
+    for r in rates:
+        other = {"p": "q", "q": "p"}[r]
+        if angular == "hybrid":
+            spring = 1.0
+            b.free(r, flap[r], f"{big[r]}_{flap[r]}", "1/s^2", 60.0, (0.5, 2000.0), f"flapping spring, {r}")
+            b.constant(flap[r], r, -spring)
+            b.parameter("tau_f", "s", 0.1, 0.01, 3.0, "time constant of flapping")
+            b.minus_inverse(flap[r], "tau_f")
+            group = flap[r].upper()
+            for s in sticks:
+                if s == own[r] or coupled:
+                    start = 0.5 if s == own[r] else 0.0
+                    b.free(
+                        flap[r], s, f"{group}_{s}", "rad", start, 20.0, f"flapping command, {s}", over="tau_f"
+                    )
+            if coupled and other in rates:
+                b.free(r, flap[other], f"{big[r]}_{flap[other]}", "1/s^2", 0.0, 1000.0, f"cross spring, {r}")
+                b.free(
+                    flap[r],
+                    flap[other],
+                    f"{group}_{flap[other]}",
+                    "1",
+                    0.0,
+                    20.0,
+                    "cross flapping",
+                    over="tau_f",
+                )
+        else:
+            b.free(r, r, f"{big[r]}_{r}", "1/s", -3.0, (-60.0, 0.0), f"damping, {r}")
+            if coupled and other in rates:
+                b.free(r, other, f"{big[r]}_{other}", "1/s", 0.0, 30.0, f"coupling of {other} into {r}")
+            for s in sticks:
+                if s == own[r] or coupled:
+                    column = f"{s}_f" if angular == "second-order" else s
+                    b.free(
+                        r,
+                        column,
+                        f"{big[r]}_{s}",
+                        "1/s^2",
+                        3.0 if s == own[r] else 0.0,
+                        200.0,
+                        f"{s} into {r}",
+                    )
+    _attitude_and_translation(b, rates, outputs, angular, speed)
+    if "r" in outputs:
+        _yaw(b, inputs, rates, coupled)
+    if "w" in outputs:
+        b.states.append("w")
+        b.free("w", "w", "Z_w", "1/s", -0.5, (-20.0, 0.0), "heave damping")
+        if "col" in inputs:
+            b.free("w", "col", "Z_col", "m/s^2", -10.0, 300.0, "collective into heave")
+    used = {e[2] for e in b.entries if e[0] == "B"}
+    name = f"{angular}{'-coupled' if coupled else ''}{'-speed' if speed else ''}"
+    return b.finish(name, outputs, tuple(used), most_delay_s)
+
+
+def _attitude_and_translation(
+    b: _Builder, rates: tuple[str, ...], outputs: tuple[str, ...], angular: str, speed: bool
+) -> None:
+    wanted = {"p": {"phi", "v"}, "q": {"theta", "u"}}
+    angle, velocity = {"p": "phi", "q": "theta"}, {"p": "v", "q": "u"}
+    for r in rates:
+        if wanted[r] & set(outputs):
+            b.states.append(angle[r])
+            b.constant(angle[r], r, 1.0)
+        vel = velocity[r]
+        if vel in outputs:
+            b.states.append(vel)
+            symbol = {"v": "Y", "u": "X"}[vel]
+            b.free(vel, vel, f"{symbol}_{vel}", "1/s", -0.2, (-10.0, 0.0), f"drag, {vel}")
+            b.constant(vel, angle[r], GRAVITY if vel == "v" else -GRAVITY)
+            if angular == "hybrid":
+                flap = {"v": "b", "u": "a"}[vel]
+                b.constant(vel, flap, GRAVITY if vel == "v" else -GRAVITY)
+            if speed:
+                big = {"v": "L", "u": "M"}[vel]
+                b.free(r, vel, f"{big}_{vel}", "rad/(m s)", 0.0, 10.0, "speed stability")
+
+
+def _yaw(b: _Builder, inputs: tuple[str, ...], rates: tuple[str, ...], coupled: bool) -> None:
+    b.states += ["r", "r_fb"]
+    b.free("r", "r", "N_r", "1/s", -1.0, (-60.0, 0.0), "yaw damping")
+    b.free("r_fb", "r", "K_r", "1", 1.0, (1e-3, 300.0), "gyro, gain from r")
+    b.free("r_fb", "r_fb", "K_rfb", "1/s", -3.0, (-60.0, 0.0), "gyro, washout")
+    if "ped" in inputs:
+        b.free("r", "ped", "N_ped", "1/s^2", 10.0, 500.0, "pedal into yaw")
+        b.entries.append(("A", "r", "r_fb", lambda v: -v["N_ped"]))
+    else:
+        # Without pedals only the product of N_ped and K_r is seen.
+        b.parameter("N_fb", "1/s", 10.0, 1e-3, 500.0, "gyro's feedback into yaw")
+        b.entries[:] = [e for e in b.entries if e[1:3] != ("r_fb", "r")]
+        b.parameters.pop("K_r")
+        b.constant("r_fb", "r", 1.0)
+        b.entries.append(("A", "r", "r_fb", lambda v: -v["N_fb"]))
+    if "col" in inputs:
+        b.free("r", "col", "N_col", "1/s^2", 0.0, 200.0, "collective into yaw")
+    for r in rates if coupled else ():
+        b.free("r", r, f"N_{r}", "1/s", 0.0, 30.0, f"coupling of {r} into yaw")
+
+
+def _check(inputs: tuple[str, ...], outputs: tuple[str, ...], angular: str) -> None:
+    known = ("lat", "lon", "ped", "col")
+    for name in inputs:
+        if name not in known:
+            raise InputError("--inputs", name, "is no input of the helicopter model", f"use {', '.join(known)}; write "
+                             "theirs=column to say which column it is")  # fmt: skip
+    for name in outputs:
+        if name not in UNITS:
+            raise InputError("--outputs", name, "is no output of the helicopter model", f"use {', '.join(UNITS)}; write "
+                             "theirs=column to say which column it is")  # fmt: skip
+    if angular not in ANGULAR:
+        raise InputError("--model", "", f"{angular!r} is unknown", f"use one of: {', '.join(ANGULAR)}")
+    if not outputs or not inputs:
+        raise InputError("--outputs", "", "a model needs inputs and outputs", "name at least one of each")

@@ -1,0 +1,303 @@
+"""What residuals say about a model: whiteness, correlation with the inputs, and how large they are.
+
+With residual ``e`` (measured less predicted, mean removed) and input ``u`` of ``N`` samples,
+
+    r_e(k)  = sum e_i e_(i+k) / sum e_i^2                                   autocorrelation
+    Q       = N (N + 2) sum_(k=1)^h r_e(k)^2 / (N - k)  ~  chi^2(h)         Ljung and Box (1978)
+    r_ue(k) = sum u_i e_(i+k) / sqrt(sum u^2 sum e^2)                       the input leads by k samples
+
+If the model is complete ``e`` is independent of ``u`` at every lag ``k >= 0``. For two independent but coloured
+signals Bartlett's formula gives ``var r_ue(k) = sum_j r_e(j) r_u(j) / N`` (Box and Jenkins 1976, Sec. 11.1; Ljung,
+*System Identification*, 2nd ed., Sec. 16.6); the bounds here use it, so that a slowly varying residual is not called
+correlated with a slowly varying input merely because both are slow. Correlation at negative lags says that the input
+was made from the output: feedback, no fault of the model (Ljung, Sec. 16.6).
+
+Sizes, with measured ``z`` and predicted ``y``:
+
+    fit   = 100 (1 - |z - y| / |z - mean z|)            NRMSE fit, per cent (Ljung; 100 is exact, 0 is the mean)
+    R2    = 1 - |z - y|^2 / |z - mean z|^2              coefficient of determination (Klein and Morelli, Sec. 5.1)
+    TIC   = rms(z - y) / (rms z + rms y)                Theil's inequality coefficient: 0 exact, 1 worst
+    1     = U_bias + U_variance + U_covariance          of the mean square error: means, spreads, the rest
+
+Jategaonkar (*Flight Vehicle System Identification*, 2nd ed., ch. 11) accepts TIC below 0.25 to 0.3 with most of the
+error in the covariance part, and compares models by the determinant of the residuals' covariance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import correlate
+from scipy.stats import chi2, norm
+
+from mufly.identify.result import RecordFit
+
+__all__ = [
+    "Correlation",
+    "Quality",
+    "Whiteness",
+    "autocorrelation",
+    "cross_correlation",
+    "determinant_of_fit",
+    "high_frequency_noise",
+    "ljung_box",
+    "qualities",
+    "quality",
+]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Correlation:
+    """A correlation over lags, with the bound that a complete model would stay within.
+
+    Attributes
+    ----------
+    lag_s : (k,) array
+        Lags (s); positive: the second signal is later.
+    value : (k,) array
+        Between -1 and 1.
+    bound : float
+        Of |value| at one lag, at the confidence asked for.
+    """
+
+    lag_s: Array
+    value: Array
+    bound: float
+
+    @property
+    def outside(self) -> float:
+        """Share of the lags whose value is outside the bound."""
+        return float(np.mean(np.abs(self.value) > self.bound))
+
+
+@dataclass(frozen=True)
+class Whiteness:
+    """Test of Ljung and Box: small ``p_value`` means that the residual is not white.
+
+    Attributes
+    ----------
+    statistic : float
+        Q.
+    degrees : int
+        Lags tested less parameters fitted.
+    p_value : float
+        Probability of a larger Q, were the residual white.
+    """
+
+    statistic: float
+    degrees: int
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How near one output is predicted; the module's docstring has the formulas.
+
+    Attributes
+    ----------
+    fit_percent, r2 : float
+        Minus infinity if the measurement is constant.
+    theil, bias, variance, covariance : float
+        Theil's coefficient and the three shares of the mean square error (they sum to 1).
+    rms : float
+        Of the residual, in the output's unit.
+    rms_over_noise : float
+        Over the noise floor; 1 is as good as the measurement allows, NaN if the noise is not known.
+    """
+
+    fit_percent: float
+    r2: float
+    theil: float
+    bias: float
+    variance: float
+    covariance: float
+    rms: float
+    rms_over_noise: float
+
+
+def _centred(signal: Array) -> Array:
+    """Without its mean; gaps (NaN) become zeros, which add nothing to a sum of products."""
+    good = np.isfinite(signal)
+    mean = signal[good].mean() if good.any() else 0.0
+    return np.where(good, signal - mean, 0.0)
+
+
+def _lagged_products(a: Array, b: Array, lags: int) -> Array:
+    """Sum of a_i b_(i+k) for k = -lags..lags."""
+    full = correlate(b, a, mode="full", method="fft")
+    middle = a.size - 1
+    return np.asarray(full[middle - lags : middle + lags + 1])
+
+
+def autocorrelation(residual: Array, dt: float, *, max_lag_s: float, confidence: float = 0.95) -> Correlation:
+    """Return the autocorrelation of a residual at lags 0 to ``max_lag_s``.
+
+    Parameters
+    ----------
+    residual : (n,) array
+        NaN where nothing was measured.
+    dt : float
+        Sample time (s).
+    max_lag_s : float
+        Cut to the record (s).
+    confidence : float
+        Of the bound on white noise at one lag.
+    """
+    e = _centred(np.asarray(residual, dtype=np.float64))
+    lags = _lags(e.size, dt, max_lag_s)
+    r = _lagged_products(e, e, lags)[lags:]
+    power = r[0] if r[0] > 0.0 else 1.0
+    bound = float(norm.ppf(0.5 + 0.5 * confidence)) / np.sqrt(max(np.isfinite(residual).sum(), 1))
+    return Correlation(dt * np.arange(lags + 1), r / power, float(bound))
+
+
+def cross_correlation(
+    signal: Array, residual: Array, dt: float, *, max_lag_s: float, confidence: float = 0.95
+) -> Correlation:
+    """Return the correlation of a residual with an input, at lags from ``-max_lag_s`` to ``max_lag_s``.
+
+    Parameters
+    ----------
+    signal, residual : (n,) array
+        Input and residual; at a positive lag the residual is the later one.
+    dt : float
+        Sample time (s).
+    max_lag_s : float
+        Cut to the record (s).
+    confidence : float
+        Of Bartlett's bound for independent signals of these colours, at one lag.
+
+    Returns
+    -------
+    Correlation
+        Zero everywhere if one of the signals is constant.
+    """
+    u = _centred(np.asarray(signal, dtype=np.float64))
+    e = _centred(np.asarray(residual, dtype=np.float64))
+    lags = _lags(e.size, dt, max_lag_s)
+    times = dt * np.arange(-lags, lags + 1)
+    scale = float(np.sqrt((u @ u) * (e @ e)))
+    count = int((np.isfinite(signal) & np.isfinite(residual)).sum())
+    if scale == 0.0 or count < 2:
+        return Correlation(times, np.zeros(times.size), 1.0)
+    # Bartlett's sum over lags up to a quarter of the record: beyond it the estimates of r are noise.
+    far = max(1, e.size // 4)
+    r_u = _lagged_products(u, u, far) / (u @ u)
+    r_e = _lagged_products(e, e, far) / (e @ e)
+    taper = 1.0 - np.abs(np.arange(-far, far + 1)) / (far + 1.0)
+    variance = max(float(np.sum(taper * r_u * r_e)), 1.0) / count
+    bound = float(norm.ppf(0.5 + 0.5 * confidence)) * np.sqrt(variance)
+    return Correlation(times, _lagged_products(u, e, lags) / scale, float(bound))
+
+
+def _lags(size: int, dt: float, max_lag_s: float) -> int:
+    return max(1, min(round(max_lag_s / dt), size - 1))
+
+
+def ljung_box(residual: Array, *, lags: int, parameters: int = 0) -> Whiteness:
+    """Test whether a residual is white.
+
+    Parameters
+    ----------
+    residual : (n,) array
+        NaN where nothing was measured.
+    lags : int
+        How many; 20 to n / 5 is usual.
+    parameters : int
+        How many were fitted to this residual; they take degrees of freedom.
+    """
+    n = int(np.isfinite(residual).sum())
+    r = autocorrelation(residual, 1.0, max_lag_s=lags).value[1:]
+    k = np.arange(1, r.size + 1)
+    statistic = float(n * (n + 2.0) * np.sum(r**2 / np.maximum(n - k, 1)))
+    degrees = max(1, r.size - parameters)
+    return Whiteness(statistic, degrees, float(chi2.sf(statistic, degrees)))
+
+
+def quality(measured: Array, predicted: Array, noise_std: float = float("nan")) -> Quality:
+    """Say how near one output is predicted.
+
+    Parameters
+    ----------
+    measured, predicted : (n,) array
+        Samples that are not finite in either are left out.
+    noise_std : float
+        Standard deviation of the measurement noise, in the output's unit; NaN if not known.
+
+    Returns
+    -------
+    Quality
+        All NaN if there is no sample.
+    """
+    good = np.isfinite(measured) & np.isfinite(predicted)
+    z, y = np.asarray(measured)[good], np.asarray(predicted)[good]
+    if z.size == 0:
+        return Quality(*(float("nan"),) * 8)
+    square = float(np.mean((z - y) ** 2))
+    spread = float(np.mean((z - z.mean()) ** 2))
+    ratio = square / spread if spread > 0.0 else float("inf") if square > 0.0 else 0.0
+    size = float(np.sqrt(np.mean(z**2)) + np.sqrt(np.mean(y**2)))
+    s_z, s_y = float(z.std()), float(y.std())
+    bias = float(z.mean() - y.mean()) ** 2
+    variance = (s_z - s_y) ** 2
+    shares = (bias / square, variance / square) if square > 0.0 else (0.0, 0.0)
+    return Quality(
+        fit_percent=100.0 * (1.0 - np.sqrt(ratio)),
+        r2=1.0 - ratio,
+        theil=float(np.sqrt(square)) / size if size > 0.0 else 0.0,
+        bias=shares[0],
+        variance=shares[1],
+        covariance=max(0.0, 1.0 - shares[0] - shares[1]),
+        rms=float(np.sqrt(square)),
+        rms_over_noise=float(np.sqrt(square)) / noise_std if noise_std > 0.0 else float("nan"),
+    )
+
+
+def qualities(record: RecordFit) -> tuple[Quality, ...]:
+    """Return the quality of every output of a record, in their order."""
+    return tuple(
+        quality(record.measured[:, k], record.predicted[:, k], float(record.noise_std[k]))
+        for k in range(len(record.outputs))
+    )
+
+
+def determinant_of_fit(records: tuple[RecordFit, ...] | list[RecordFit]) -> float:
+    """Return Jategaonkar's goodness of fit: the determinant of the residuals' covariance over all records.
+
+    Only ratios between models of the same outputs mean something; smaller is better. Samples at which an output is
+    missing are left out.
+    """
+    residual = np.concatenate([r.residual for r in records])
+    residual = residual[np.isfinite(residual).all(axis=1)]
+    return float(np.linalg.det(np.atleast_2d(residual.T @ residual / max(len(residual), 1))))
+
+
+def high_frequency_noise(signal: Array, dt: float, *, above_hz: float) -> float:
+    """Estimate measurement noise from what a signal holds above a frequency that the vehicle cannot follow.
+
+    The periodogram (Hann window) is integrated above ``above_hz``. ``white`` noise would have the same density below,
+    so this is a lower bound of the noise in the whole band, not an extrapolation into it.
+
+    Parameters
+    ----------
+    signal : (n,) array
+        Without gaps.
+    dt : float
+        Sample time (s).
+    above_hz : float
+        Below the Nyquist frequency.
+
+    Returns
+    -------
+    float
+        Standard deviation, in the signal's unit.
+    """
+    from scipy.signal import periodogram
+
+    frequency, density = periodogram(signal, 1.0 / dt, window="hann", detrend="linear")
+    above = frequency >= above_hz
+    return float(np.sqrt(np.sum(density[above]) * (frequency[1] - frequency[0])))
