@@ -66,7 +66,7 @@ def _lag_line(z):  # type: ignore[no-untyped-def]
 def _integrate(x, u, p, length, longest, calm, work):  # type: ignore[no-untyped-def]
     """Integrate ``x`` in place over ``length`` seconds with the input held."""
     k1, k2, k3, k4, y = work[0], work[1], work[2], work[3], work[4]
-    steps = max(1, int(math.ceil(length / longest - 1e-9)))
+    steps = max(1, math.ceil(length / longest - 1e-9))
     h = length / steps
     decay = math.exp(-h * p.swash_rate)
     line, slope = _lag_line(h * p.swash_rate)
@@ -151,7 +151,7 @@ def _fly(x, p, u, motor_hold, delay, dt, longest, starts, motion, codes, y):  # 
     work = np.empty((5, 21))
     calm = np.zeros(3)
     now, before = np.empty(4), np.empty(4)
-    whole = int(math.floor(delay / dt + 1e-9))
+    whole = math.floor(delay / dt + 1e-9)
     part = max(delay - whole * dt, 0.0)
     part = 0.0 if part < 1e-9 else part
     last_yaw, window = 0.0, 0
