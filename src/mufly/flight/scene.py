@@ -17,14 +17,13 @@ import numpy as np
 import orjson
 from numpy.typing import ArrayLike, NDArray
 
+from mufly.logs.messages import json_schema, stamp
 from mufly.world import World
 
 __all__ = [
     "SCHEMAS",
-    "json_schema",
     "quaternions",
     "scene_message",
-    "stamp",
     "track_message",
     "transform_pieces",
 ]
@@ -34,12 +33,6 @@ ROTOR_COLOUR = (0.00, 0.45, 0.70, 0.45)
 OBSTACLE_COLOUR = (0.55, 0.55, 0.55, 0.60)
 WAYPOINT_COLOUR = (0.84, 0.37, 0.00, 0.90)
 TRACK_COLOUR = (0.00, 0.45, 0.70, 1.0)
-
-
-def json_schema(properties: dict[str, Any], title: str = "") -> dict[str, Any]:
-    """JSON schema of an object with these properties, all required."""
-    head = {"title": title} if title else {}
-    return {**head, "type": "object", "properties": properties, "required": list(properties)}
 
 
 def _array(items: dict[str, Any]) -> dict[str, Any]:
@@ -107,18 +100,6 @@ _entity = json_schema(
 _deletion = json_schema({"timestamp": _time, "type": _integer, "id": _text}, "foxglove.SceneEntityDeletion")
 
 SCHEMAS: dict[str, dict[str, Any]] = {
-    "foxglove.Log": json_schema(
-        {
-            "timestamp": _time,
-            "level": _integer,
-            "message": _text,
-            "name": _text,
-            "file": _text,
-            "line": _integer,
-            "time": {"type": "number", "description": "time since the start of the recording (s)"},
-        },
-        "foxglove.Log",
-    ),
     "foxglove.FrameTransforms": json_schema({"transforms": _array(_transform)}, "foxglove.FrameTransforms"),
     "foxglove.PoseInFrame": json_schema(
         {"timestamp": _time, "frame_id": _text, "pose": _pose}, "foxglove.PoseInFrame"
@@ -128,11 +109,6 @@ SCHEMAS: dict[str, dict[str, Any]] = {
     ),
 }
 """JSON schemas of the messages written here, by name."""
-
-
-def stamp(time_ns: int) -> dict[str, int]:
-    """Time of a Foxglove message."""
-    return {"sec": time_ns // 1_000_000_000, "nsec": time_ns % 1_000_000_000}
 
 
 def quaternions(attitude: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -48,8 +48,10 @@ LABELS: dict[str, tuple[str, ...] | tuple[int, ...]] = {
     "rate": ("p", "q", "r"),
     "rotor": ("upper", "lower"),
     "servo": (1, 2),
+    "body": ("x", "y", "z"),
+    "control": ("roll", "pitch", "yaw", "thrust"),
 }
-"""Labels of every dimension but ``beam``, which counts from 0."""
+"""Labels of every dimension but ``beam`` and ``channel``, which count from 0 and from 1."""
 
 _cg = "of the centre of gravity"
 QUANTITIES: tuple[Quantity, ...] = (
@@ -95,10 +97,13 @@ class Layout:
         In the order of the columns; those of one topic stand together.
     beams : int
         Number of range beams.
+    other_labels : tuple of (dim, labels)
+        Labels of dimensions that :data:`LABELS` does not have, in recordings made from other people's logs.
     """
 
     quantities: tuple[Quantity, ...]
     beams: int
+    other_labels: tuple[tuple[str, tuple[str, ...] | tuple[int, ...]], ...] = ()
 
     def __post_init__(self) -> None:
         if list(self.topics) != [topic for topic, _ in groupby(q.topic for q in self.quantities)]:
@@ -108,7 +113,9 @@ class Layout:
         """Labels along the quantity's dimension; empty for a scalar."""
         if quantity.dim is None:
             return ()
-        return tuple(range(self.beams)) if quantity.dim == "beam" else LABELS[quantity.dim]
+        if quantity.dim == "beam":
+            return tuple(range(self.beams))
+        return dict(self.other_labels).get(quantity.dim) or LABELS[quantity.dim]
 
     @cached_property
     def columns(self) -> dict[str, slice]:
@@ -134,14 +141,17 @@ class Layout:
 
     def to_json(self) -> str:
         """Text form, kept inside every recording."""
-        content = {"beams": self.beams, "quantities": [asdict(q) for q in self.quantities]}
+        content: dict[str, object] = {"beams": self.beams, "quantities": [asdict(q) for q in self.quantities]}
+        if self.other_labels:
+            content["labels"] = dict(self.other_labels)
         return orjson.dumps(content).decode()
 
     @classmethod
     def from_json(cls, text: str) -> Layout:
         """Inverse of :meth:`to_json`."""
         content = orjson.loads(text)
-        return cls(tuple(Quantity(**q) for q in content["quantities"]), int(content["beams"]))
+        others = tuple((dim, tuple(labels)) for dim, labels in content.get("labels", {}).items())
+        return cls(tuple(Quantity(**q) for q in content["quantities"]), int(content["beams"]), others)
 
 
 def standard_layout(beams: int = 8) -> Layout:

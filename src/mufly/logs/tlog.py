@@ -1,0 +1,213 @@
+"""MAVLink telemetry log (``.tlog``): what a ground station received, each packet behind the time of its arrival.
+
+The time is a big-endian count of microseconds since 1970 (eight bytes); the packet follows as it was on the air
+(mavlink.io, "Serialization"). Arrival times carry the jitter of the link. Messages that hold the vehicle's own clock
+(``time_boot_ms``, ``time_usec``) are therefore placed by that clock; it is tied to the time of arrival by the packets
+that were quickest, which no link can be faster than.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import struct
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.errors import InputError
+from mufly.logs.raw import RawLog, RawTable
+
+__all__ = ["looks_like_tlog", "read_tlog"]
+
+_STAMP = struct.Struct(">Q")
+_YEAR_2000_US, _YEAR_2100_US = 946_684_800 * 10**6, 4_102_444_800 * 10**6
+_GROUND_STATION = 6  # MAV_TYPE_GCS
+_SEVERITY = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
+# A clock that steps back by more than this was reset.
+_RESET_S = 1.0
+
+
+def _packet_length(data: bytes, at: int) -> int:
+    """Length of the packet that begins at ``at``; 0 if none does."""
+    if at + 3 > len(data):
+        return 0
+    if data[at] == 0xFE:
+        return 8 + data[at + 1]
+    if data[at] == 0xFD:
+        return 12 + data[at + 1] + (13 if data[at + 2] & 1 else 0)
+    return 0
+
+
+def _entry(data: bytes, at: int) -> int:
+    """Length of the entry (stamp and packet) that begins at ``at``; 0 if none does."""
+    if at + 11 > len(data) or not _YEAR_2000_US < _STAMP.unpack_from(data, at)[0] < _YEAR_2100_US:
+        return 0
+    size = _packet_length(data, at + 8)
+    return 8 + size if size else 0
+
+
+def looks_like_tlog(head: bytes) -> bool:
+    """Whether a file that begins so is a telemetry log: two entries in a row, or one that fills it."""
+    size = _entry(head, 0)
+    return bool(size) and (len(head) <= size + 11 or bool(_entry(head, size)))
+
+
+def _packets(data: bytes) -> Iterator[tuple[int, int, bytes]]:
+    """Yield (offset, stamp in us, packet); bytes that are no entry are skipped."""
+    at = 0
+    while at + 11 <= len(data):
+        size = _entry(data, at)
+        if not size or at + size > len(data):
+            at += 1
+            continue
+        yield at, _STAMP.unpack_from(data, at)[0], data[at + 8 : at + size]
+        at += size
+
+
+def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = None) -> RawLog:
+    """Read a telemetry log; packets that are damaged are left out and counted.
+
+    Parameters
+    ----------
+    path : str or Path
+    progress : callable, optional
+        Called with (bytes read, bytes in all).
+
+    Raises
+    ------
+    InputError
+        If no packet of it can be decoded.
+    """
+    os.environ["MAVLINK20"] = "1"
+    with contextlib.redirect_stdout(io.StringIO()):
+        from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+    where = str(path)
+    data = Path(path).read_bytes()
+    link = dialect.MAVLink(None)
+    link.robust_parsing = False
+    rows: defaultdict[tuple[int, int, str], tuple[list[int], list[Any]]] = defaultdict(lambda: ([], []))
+    bad = read = 0
+    for k, (at, stamp, packet) in enumerate(_packets(data)):
+        if progress is not None and k % 2000 == 0:
+            progress(at, len(data))
+        read += 8 + len(packet)
+        try:
+            message = link.decode(bytearray(packet))
+        except Exception:  # wrong checksum, unknown message: counted
+            bad += 1
+            continue
+        key = (message.get_srcSystem(), message.get_srcComponent(), message.get_type())
+        if key[2].startswith("UNKNOWN"):
+            bad += 1
+            continue
+        stamps, messages = rows[key]
+        stamps.append(stamp)
+        messages.append(message)
+    if not rows:
+        raise InputError(where, "", "holds no packet that can be decoded", "give a MAVLink 1 or 2 log")
+    zero = min(min(stamps) for stamps, _ in rows.values())
+    vehicle = _vehicle(rows)
+    notes = [f"{bad} packets were damaged or unknown and are left out"] if bad else []
+    offset = _clock_offset(rows, vehicle, zero)
+    tables, said, parameters = {}, [], {}
+    for key, (stamps, messages) in rows.items():
+        system, component, name = key
+        arrival = (np.array(stamps, dtype=np.int64) - zero) / 1e6
+        if name == "STATUSTEXT":
+            said += [
+                (float(t), _SEVERITY[m.severity & 7], m.text) for t, m in zip(arrival, messages, strict=True)
+            ]
+            continue
+        if name == "PARAM_VALUE":
+            parameters |= {m.param_id: m.param_value for m in messages}
+            continue
+        label = name if (system, component) == vehicle else f"{name}@{system}.{component}"
+        fields, units = _columns(messages)
+        time = arrival
+        own = _own_clock(fields) if system == vehicle[0] else None
+        if own is not None and offset is not None:
+            time = own + offset
+        tables[label] = RawTable(label, time, fields, units)
+    if offset is None:
+        notes.append(
+            "the vehicle's own clock cannot be used; times are those of arrival, with the link's jitter"
+        )
+    return RawLog(
+        path=where,
+        kind="MAVLink tlog",
+        tables=dict(sorted(tables.items())),
+        start_time=datetime.fromtimestamp(zero / 1e6, UTC).isoformat(timespec="milliseconds"),
+        info={"system": f"{vehicle[0]}.{vehicle[1]}", "parameters": parameters},
+        messages=tuple(sorted(said)),
+        complete=read == len(data),
+        notes=tuple(notes),
+    )
+
+
+def _vehicle(rows: Any) -> tuple[int, int]:
+    """System and component of the vehicle: whoever has a heartbeat and is no ground station, else who says most."""
+    beats = [
+        ((s, c), len(stamps))
+        for (s, c, name), (stamps, messages) in rows.items()
+        if name == "HEARTBEAT" and messages[0].type != _GROUND_STATION and messages[0].autopilot != 8
+    ]
+    found = beats or [((s, c), len(stamps)) for (s, c, _), (stamps, _) in rows.items()]
+    return max(found, key=lambda f: f[1])[0]
+
+
+def _columns(messages: list[Any]) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+    kind = type(messages[0])
+    out: dict[str, NDArray[Any]] = {}
+    units: dict[str, str] = {}
+    for name in kind.fieldnames:
+        values = [getattr(m, name) for m in messages]
+        unit = kind.fieldunits_by_name.get(name, "")
+        if isinstance(values[0], str | bytes):
+            out[name] = np.array([str(v) for v in values], dtype=str)
+        elif isinstance(values[0], list | tuple):
+            block = np.array(values)
+            parts = {f"{name}[{k}]": block[:, k] for k in range(block.shape[1])}
+            out |= parts
+            units |= dict.fromkeys(parts, unit) if unit else {}
+        else:
+            out[name] = np.array(values)
+            units |= {name: unit} if unit else {}
+    return out, units
+
+
+def _own_clock(fields: dict[str, NDArray[Any]]) -> NDArray[np.float64] | None:
+    """The vehicle's clock (s since it started), if the message has one that was never reset."""
+    for name, tick in (("time_boot_ms", 1e3), ("time_usec", 1e6)):
+        if name in fields:
+            time = fields[name].astype(np.float64) / tick
+            if time.min() > 0 and time.max() < 1e8 and (np.diff(time) > -_RESET_S).all():
+                return time
+    return None
+
+
+def _clock_offset(rows: Any, vehicle: tuple[int, int], zero: int) -> float | None:
+    """Arrival less sending, of the quickest packet; None if the clocks do not run together."""
+    late = []
+    for (system, _, _), (stamps, messages) in rows.items():
+        if system == vehicle[0]:
+            fields = {
+                n: np.array([getattr(m, n) for m in messages])
+                for n in ("time_boot_ms", "time_usec")
+                if hasattr(messages[0], n)
+            }
+            own = _own_clock(fields)
+            if own is not None:
+                late.append((np.array(stamps, dtype=np.int64) - zero) / 1e6 - own)
+    if not late:
+        return None
+    every = np.concatenate(late)
+    offset = float(every.min())
+    return offset if np.median(every) - offset < 10.0 else None
