@@ -1,9 +1,9 @@
 """Degrees or radians? A guess from the range of an angle and from its rate, with the reasons in words.
 
-Three tests. Roll and pitch never leave +-180 deg, so values beyond 2 pi are degrees; no small helicopter turns faster than
-35 rad/s (2000 deg/s, the range of its gyroscopes), so a rate beyond is in deg/s. And the derivative of an angle is its
-rate (for small angles, d(phi)/dt = p): the slope of the one over the other, both low-passed, is near 1 if both have the
-same unit, near 57.3 if the angle is in degrees and the rate in rad/s, near 1/57.3 the other way round.
+Three tests. Roll and pitch never leave +-180 deg, so values beyond 2 pi are degrees; no small helicopter turns faster
+than 35 rad/s (2000 deg/s, the range of its gyroscopes), so a rate beyond is in deg/s. And the derivative of an angle is
+its rate (for small angles, d(phi)/dt = p): the slope of the one over the other, both low-passed, is near 1 if both have
+the same unit, near 57.3 if the angle is in degrees and the rate in rad/s, near 1/57.3 the other way round.
 """
 
 from __future__ import annotations

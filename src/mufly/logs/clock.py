@@ -65,7 +65,9 @@ class ClockReport:
             out.append(f"{self.missing} of {self.samples} time stamps are missing")
         if self.backward:
             times = "once" if self.backward == 1 else f"{self.backward} times"
-            out.append(f"time runs backward {times}, by {self.back_s:.3g} s at most, first at sample {self.first_back}")
+            out.append(
+                f"time runs backward {times}, by {self.back_s:.3g} s at most, first at sample {self.first_back}"
+            )
         if self.repeated:
             out.append(f"{self.repeated} of {self.samples} time stamps repeat the one before")
         if len(self.gaps):

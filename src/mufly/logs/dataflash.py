@@ -68,8 +68,8 @@ def read_dataflash(path: str | Path) -> RawLog:
     zero = min(float(s.min()) for s in stamps)
     shifted = {t.name: RawTable(t.name, t.time - zero, t.fields, t.units) for t in tables}
     said = shifted.pop("MSG", None)
-    texts = () if said is None else said.fields.get("Message", ())
-    times = () if said is None else said.time
+    texts = [] if said is None else said.fields.get("Message", np.empty(0)).tolist()
+    times = [] if said is None else said.time.tolist()
     parameters = shifted.pop("PARM", None)
     info: dict[str, Any] = {"system": str(texts[0])} if len(texts) else {}
     if parameters is not None and {"Name", "Value"} <= set(parameters.fields):
@@ -81,7 +81,7 @@ def read_dataflash(path: str | Path) -> RawLog:
         tables=shifted,
         start_time=_start_time(shifted),
         info=info,
-        messages=tuple((float(t), "info", str(m)) for t, m in zip(times, texts, strict=True)),
+        messages=tuple((t, "info", str(m)) for t, m in zip(times, texts, strict=False)),
         complete=complete,
     )
 

@@ -117,7 +117,9 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
     vehicle = _vehicle(rows)
     notes = [f"{bad} packets were damaged or unknown and are left out"] if bad else []
     offset = _clock_offset(rows, vehicle, zero)
-    tables, said, parameters = {}, [], {}
+    tables: dict[str, RawTable] = {}
+    said: list[tuple[float, str, str]] = []
+    parameters: dict[str, float] = {}
     for key, (stamps, messages) in rows.items():
         system, component, name = key
         arrival = (np.array(stamps, dtype=np.int64) - zero) / 1e6

@@ -1,7 +1,7 @@
 """ULog, the log of PX4 (docs.px4.io, "ULog File Format"), read with pyulog.
 
-Times are microseconds since the board started; here they count in seconds from the time stamp in the file's header,
-or from the earliest message where that comes before it. Topics carry no units.
+Times are microseconds since the board started; here they count in seconds from the time stamp in the file's header.
+Topics carry no units.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def read_ulog(path: str | Path) -> RawLog:
     if not log.data_list:
         raise InputError(where, "", "is a ULog file without data", "the log ended before its first message")
     stamps = [data.data["timestamp"] for data in log.data_list]
-    zero = min(int(log.start_timestamp), *(int(s.min()) for s in stamps))
+    zero = _zero(int(log.start_timestamp), stamps)
     tables = {}
     for data, stamp in zip(log.data_list, stamps, strict=True):
         name = data.name if data.multi_id == 0 else f"{data.name}:{data.multi_id}"
@@ -66,7 +66,18 @@ def read_ulog(path: str | Path) -> RawLog:
         ),
         dropouts=tuple(((d.timestamp - zero) / 1e6, d.duration / 1e3) for d in log.dropouts),
         complete=not log.file_corruption and "corruption" not in said.getvalue(),
+        notes=tuple(
+            f"topic {name}: its clock stands still"
+            for name, t in tables.items()
+            if len(t.time) > 2 and np.ptp(t.time) == 0
+        ),
     )
+
+
+def _zero(header: int, stamps: list[NDArray[Any]]) -> int:
+    """The instant 0: the header's, if data are near it; topics whose clock stands still (PX4 has some) do not count."""
+    first = min((int(s[0]) for s in stamps if s[-1] > s[0]), default=min(int(s[0]) for s in stamps))
+    return header if abs(first - header) < 600_000_000 else first
 
 
 def _seconds(stamp: NDArray[Any], zero: int) -> NDArray[np.float64]:

@@ -1,0 +1,258 @@
+"""Tables of text: comma, semicolon, tab or blanks between the cells, with or without a header.
+
+What is recognised: a header line, also behind comments (``#``, ``%``, ``//``); units in the header (``roll (deg)``,
+``T [N]``, ``speed_rpm``) or in a line of their own below it; decimal commas where semicolons separate; times as
+numbers or as ISO 8601. Cells that are no number are missing values, and counted.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from mufly.errors import InputError
+from mufly.logs.column_map import TimeEntry
+from mufly.logs.raw import RawLog, RawTable
+from mufly.logs.units import conversion, known_unit, split_header
+
+__all__ = ["TOPIC", "looks_like_table", "read_csv", "table_clock"]
+
+TOPIC = "table"
+_COMMENTS = ("#", "%", "//")
+_TIME = re.compile(
+    r"^(time|t|timestamp|zeit|time_?stamp|timeus|timems|time_?boot|seconds|utc|date_?time)$", re.IGNORECASE
+)
+_MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "inf", "-inf", "+inf", "infinity"}
+
+
+def looks_like_table(head: bytes) -> bool:
+    """Whether a file that begins so is text with more than one column or number."""
+    text = head.decode("utf-8", errors="ignore").lstrip("\ufeff")
+    if "\0" in text or len(text) < 0.9 * len(head) or not text.strip():
+        return False
+    lines = [s for s in text.splitlines() if s.strip() and not s.lstrip().startswith(_COMMENTS)]
+    return bool(lines) and any(re.search(r"\d", s) for s in lines)
+
+
+def read_csv(path: str | Path, time: TimeEntry | None = None) -> RawLog:
+    """Read a table of text as a log with the one topic ``table``.
+
+    Parameters
+    ----------
+    path : str or Path
+    time : TimeEntry, optional
+        Which column is the clock and in which unit, or the rate of the rows. Default: a column called time, t or the
+        like, whose unit, if the header names none, is guessed from its step and said.
+
+    Raises
+    ------
+    InputError
+        If it is no table, or its clock cannot be found.
+    """
+    where = str(path)
+    raw = Path(path).read_bytes()
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = raw.decode("latin-1")
+    lines = text.splitlines()
+    first = next((k for k, s in enumerate(lines) if s.strip() and not s.lstrip().startswith(_COMMENTS)), None)
+    if first is None:
+        raise InputError(where, "", "holds no rows", "give a table with a header and numbers")
+    separator = _separator(lines[first : first + 20])
+    decimal = "," if separator == ";" and re.search(r"\d,\d", "".join(lines[first : first + 20])) else "."
+    head = _cells(lines[first], separator)
+    headed = not all(_is_number(c, decimal) for c in head)
+    if not headed and first and len(_cells(lines[first - 1].lstrip("#%/ "), separator)) == len(head):
+        head, headed = _cells(lines[first - 1].lstrip("#%/ "), separator), True  # the header is a comment
+        body = first
+    else:
+        body = first + headed
+    names = head if headed else [str(k + 1) for k in range(len(head))]
+    row_units: list[str] = []
+    if headed and body < len(lines):
+        second = _cells(lines[body], separator)
+        if len(second) == len(head) and not any(_is_number(c, decimal) for c in second):
+            units = [known_unit(c.strip("[]() ")) for c in second]
+            if sum(bool(u) for u in units) >= max(1, len([c for c in second if c.strip()]) // 2):
+                row_units, body = units, body + 1
+    frame = _parse(where, "\n".join(lines[body:]), separator, decimal, len(names))
+    names = names[: frame.shape[1]] if len(names) > frame.shape[1] else names
+    fields: dict[str, NDArray[Any]] = {}
+    units_of: dict[str, str] = {}
+    notes: list[str] = []
+    for k, header in enumerate(names):
+        name, unit = split_header(header)
+        name = name or f"column {k + 1}"
+        if name in fields:
+            name = f"{name} ({k + 1})"
+        values, bad = _column(frame.iloc[:, k])
+        if bad:
+            notes.append(f"column {name}: {bad} cells are no numbers and count as missing")
+        fields[name] = values
+        if unit or (row_units and row_units[k]):
+            units_of[name] = unit or row_units[k]
+    clock, start, said = table_clock(where, fields, units_of, time)
+    table = RawTable(TOPIC, clock, fields, units_of)
+    return RawLog(
+        path=where, kind="CSV", tables={TOPIC: table}, start_time=start, notes=tuple(notes + said),
+        info={"columns": len(names), "separator": separator},
+    )  # fmt: skip
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    if separator == " ":
+        return line.split()
+    return [c.strip().strip('"') for c in line.split(separator)]
+
+
+def _separator(lines: list[str]) -> str:
+    """The separator that splits these lines into the most columns, as many in each line."""
+    best, most = " ", 1
+    for candidate in (";", "\t", ",", " "):
+        counts = [len(_cells(s, candidate)) for s in lines if s.strip()]
+        width = counts[-1]
+        if width > most and sum(c == width for c in counts) >= 0.7 * len(counts):
+            best, most = candidate, width
+    return best if most > 1 else ","
+
+
+def _is_number(cell: str, decimal: str = ".") -> bool:
+    text = cell.replace(",", ".") if decimal == "," else cell
+    if text.lower() in _MISSING:
+        return True
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _parse(where: str, body: str, separator: str, decimal: str, width: int) -> Any:
+    if not body.strip():
+        raise InputError(where, "", "has a header but no rows", "give a table with numbers")
+    try:
+        return pd.read_csv(
+            io.StringIO(body), sep=r"\s+" if separator == " " else separator, header=None, decimal=decimal,
+            float_precision="round_trip", skip_blank_lines=True, comment="#", names=range(width),
+            index_col=False, skipinitialspace=True, on_bad_lines="error",
+        )  # fmt: skip
+    except (pd.errors.ParserError, ValueError) as error:
+        reason = " ".join(str(error).split()).removeprefix("Error tokenizing data. C error: ")
+        problem = f"is no table ({reason})"
+        raise InputError(where, "", problem, "give every row as many cells as the header") from error
+
+
+def _column(series: Any) -> tuple[NDArray[Any], int]:
+    """Numbers of a column and how many cells are none; text where most cells are."""
+    if series.dtype.kind in "biuf":
+        return series.to_numpy(dtype=np.float64), 0
+    numbers = pd.to_numeric(series, errors="coerce").to_numpy(dtype=np.float64)
+    cells = series.fillna("").astype(str).str.strip()
+    filled = ~cells.str.lower().isin(_MISSING).to_numpy()
+    bad = int((filled & np.isnan(numbers)).sum())
+    if bad > 0.5 * filled.sum():
+        return cells.to_numpy(dtype=str), 0
+    return numbers, bad
+
+
+def table_clock(
+    where: str, fields: dict[str, NDArray[Any]], units: dict[str, str], entry: TimeEntry | None = None
+) -> tuple[NDArray[np.float64], str, list[str]]:
+    """Take the clock out of a table's columns.
+
+    Parameters
+    ----------
+    where : str
+        What an error calls the file.
+    fields : dict of str to (n,) array
+        Columns; that of the time is removed.
+    units : dict of str to str
+        Units of the columns; that of the time is removed.
+    entry : TimeEntry, optional
+        As for :func:`read_csv`.
+
+    Returns
+    -------
+    time : (n,) array
+        s.
+    start : str
+        Wall time of the instant 0 (ISO 8601), "" if the column does not tell.
+    words : list of str
+        What was guessed.
+
+    Raises
+    ------
+    InputError
+        If there is no such column, or none that looks like a clock.
+    """
+    entry = entry or TimeEntry(column=None, unit=None, rate_hz=None)
+    n = len(next(iter(fields.values())))
+    if entry.rate_hz is not None:
+        return np.arange(n) / entry.rate_hz, "", []
+    if entry.column is not None:
+        wanted = entry.column if entry.column in fields else split_header(entry.column)[0]
+        if wanted not in fields:
+            raise InputError(where, entry.column, "is no column", f"columns are: {', '.join(fields)}")
+        name = wanted
+    else:
+        found = [c for c in fields if _TIME.match(c)]
+        if not found:
+            remedy = "name it (time=COLUMN, or [time] column in a map), or give [time] rate_hz"
+            raise InputError(where, "", f"has no column for the time among: {_few(fields)}", remedy)
+        name = found[0]
+    values = fields.pop(name)
+    unit = entry.unit or units.pop(name, "") or {"timeus": "us", "timems": "ms"}.get(name.lower(), "")
+    if values.dtype.kind == "U":
+        stamps = pd.to_datetime(pd.Series(values), errors="coerce", utc=True, format="ISO8601")
+        if stamps.isna().mean() > 0.5:
+            raise InputError(where, name, f"{values[0]!r} is no time", "give seconds, or ISO 8601")
+        ns = stamps.to_numpy(dtype="datetime64[ns]").astype(np.int64)
+        valid = ~stamps.isna().to_numpy()
+        zero = ns[valid].min()
+        time = np.where(valid, (ns - zero) / 1e9, np.nan)
+        return time, f"{pd.Timestamp(zero, tz='UTC').isoformat(timespec='milliseconds')}", []
+    said: list[str] = []
+    if not unit:
+        unit, why = _guess_time_unit(values)
+        if why:
+            said.append(f"column {name} names no unit: {why}")
+    _, factor, _ = conversion(unit, "s")
+    # A thousandth of a second written as 0.001 is not 1 times 0.001 in every case; dividing is exact more often.
+    whole = round(1 / factor)
+    time = values / whole if whole > 1 and abs(whole * factor - 1) < 1e-12 else values * factor
+    start = ""
+    if np.isfinite(time).any():
+        earliest = float(np.nanmin(time))
+        if earliest > 5e8:  # seconds since 1970
+            start = pd.Timestamp(earliest, unit="s", tz="UTC").isoformat(timespec="milliseconds")
+            time = (values - np.nanmin(values)) / whole if whole > 1 else time - earliest
+    return time, start, said
+
+
+def _guess_time_unit(values: NDArray[np.float64]) -> tuple[str, str]:
+    steps = np.diff(np.unique(values[np.isfinite(values)]))
+    if not len(steps):
+        return "s", ""
+    step = float(np.median(steps))
+    whole = bool((values[np.isfinite(values)] % 1 == 0).all())
+    if not whole or step < 1:
+        return "s", ""
+    if step >= 5e5:
+        return "ns", f"its steps of {step:g} are taken as nanoseconds"
+    if step >= 500:
+        return "us", f"its steps of {step:g} are taken as microseconds"
+    if step > 1 or len(values) > 1000:
+        return "ms", f"its steps of {step:g} are taken as milliseconds"
+    return "s", f"its steps of {step:g} are taken as seconds"
+
+
+def _few(names: Any) -> str:
+    shown = list(names)
+    return ", ".join(shown[:12]) + (f" and {len(shown) - 12} more" if len(shown) > 12 else "")

@@ -1,0 +1,371 @@
+"""One door for all logs: :func:`read_raw` gives what was written, :func:`read_log` signals on one clock."""
+
+from __future__ import annotations
+
+import fnmatch
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from mufly.errors import InputError
+from mufly.logs.clock import check_clock
+from mufly.logs.column_map import ColumnMap, TimeEntry, load_map
+from mufly.logs.csv_file import TOPIC, looks_like_table, read_csv
+from mufly.logs.dataflash import MAGIC as DATAFLASH_MAGIC
+from mufly.logs.dataflash import is_text_log, read_dataflash
+from mufly.logs.flat import FlatColumn, columns_of, dataset_of, restore
+from mufly.logs.foreign_mcap import is_recording, raw_mcap
+from mufly.logs.mcap_file import MAGIC as MCAP_MAGIC
+from mufly.logs.mcap_file import read_mcap
+from mufly.logs.raw import LogWarning, RawLog, RawTable
+from mufly.logs.recording import read_recording
+from mufly.logs.resample import common_clock, resample
+from mufly.logs.select import Series, map_signals
+from mufly.logs.tables_file import NETCDF_MAGIC, PARQUET_MAGIC, read_netcdf, read_parquet
+from mufly.logs.tlog import looks_like_tlog, read_tlog
+from mufly.logs.ulog import MAGIC as ULOG_MAGIC
+from mufly.logs.ulog import read_ulog
+
+__all__ = ["kind_of", "read_log", "read_raw"]
+
+Progress = Callable[[int, int], None]
+_MAPS = {"ULog": "px4", "DataFlash": "ardupilot", "MAVLink tlog": "mavlink"}
+
+
+def kind_of(path: str | Path) -> str:
+    """Return the format of a log, judged by its content.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, is empty, or is none of the formats.
+    """
+    where = str(path)
+    try:
+        with open(path, "rb") as stream:
+            head = stream.read(65536)
+    except OSError as error:
+        raise InputError(where, "", f"cannot be read ({error.strerror})", "give the path of a log") from error
+    if not head:
+        raise InputError(where, "", "is empty", "give a log")
+    if head.startswith(MCAP_MAGIC):
+        return "MCAP"
+    if head.startswith(ULOG_MAGIC):
+        return "ULog"
+    if head.startswith(PARQUET_MAGIC):
+        return "Parquet"
+    if head.startswith(NETCDF_MAGIC):
+        return "NetCDF"
+    if head.startswith(DATAFLASH_MAGIC) or is_text_log(head):
+        return "DataFlash"
+    if looks_like_tlog(head):
+        return "MAVLink tlog"
+    if looks_like_table(head):
+        return "CSV"
+    if head.startswith(b"\x89HDF") or head.startswith(b"MATLAB"):
+        name = "HDF5" if head.startswith(b"\x89HDF") else "MATLAB"
+        raise InputError(
+            where, "", f"is a {name} file, which is not read here", "export it as CSV or NetCDF 3"
+        )
+    raise InputError(
+        where, "", "is no log that is known here",
+        "give MCAP, ULog, DataFlash (.bin, .log), MAVLink tlog, CSV, Parquet or NetCDF",
+    )  # fmt: skip
+
+
+def read_raw(path: str | Path, *, time: TimeEntry | None = None, progress: Progress | None = None) -> RawLog:
+    """Read a log as it was written: topics, each on its own clock.
+
+    Parameters
+    ----------
+    path : str or Path
+        MCAP, ULog, DataFlash, MAVLink telemetry log, CSV, Parquet or NetCDF; told by content, not by name.
+    time : TimeEntry, optional
+        The clock of a CSV or Parquet table.
+    progress : callable, optional
+        Called with (bytes read, bytes in all) while a long log is read.
+
+    Returns
+    -------
+    RawLog
+        A mapping from topic to :class:`RawTable`.
+
+    Raises
+    ------
+    InputError
+        If the file is no log or damaged beyond use.
+    """
+    return _load(path, time, progress)[0]
+
+
+def _load(
+    path: str | Path, time: TimeEntry | None, progress: Progress | None
+) -> tuple[RawLog, xr.Dataset | None]:
+    """The topics of a log and, where it holds signals on one clock already, those."""
+    kind = kind_of(path)
+    where = str(path)
+    if kind == "MCAP":
+        return raw_mcap(path), None
+    if kind == "ULog":
+        raw = read_ulog(path)
+        return raw, _our_ulog(raw)
+    if kind == "DataFlash":
+        return read_dataflash(path), None
+    if kind == "MAVLink tlog":
+        return read_tlog(path, progress), None
+    if kind == "Parquet":
+        return read_parquet(path, time)
+    if kind == "NetCDF":
+        data = read_netcdf(path)
+        table = RawTable(
+            TOPIC, data["time"].values.astype(np.float64), {c.name: c.values for c in columns_of(data)},
+            {c.name: c.units for c in columns_of(data)},
+        )  # fmt: skip
+        return RawLog(where, "NetCDF", {TOPIC: table}, str(data.attrs.get("start_time", ""))), data
+    return read_csv(path, time), None
+
+
+def _our_ulog(raw: RawLog) -> xr.Dataset | None:
+    """The dataset of a ULog file that this package wrote."""
+    description = raw.info.get("mufly_dataset")
+    if not isinstance(description, str) or TOPIC not in raw:
+        return None
+    fields = dict(raw[TOPIC].fields)
+    try:
+        return restore(fields.pop("time"), fields, description)
+    except (KeyError, ValueError, TypeError) as error:
+        problem = f"has a damaged description ({error})"
+        raise InputError(raw.path, "", problem, "give another copy of the file") from error
+
+
+def read_log(
+    path: str | Path,
+    *,
+    columns: str | Path | Mapping[str, Any] | Sequence[str] | ColumnMap | None = None,
+    signals: Sequence[str] = (),
+    rate_hz: float | None = None,
+    from_s: float | None = None,
+    to_s: float | None = None,
+    progress: Progress | None = None,
+) -> xr.Dataset:
+    """Read a log of any known format as signals on one clock, in SI units.
+
+    Parameters
+    ----------
+    path : str or Path
+        MCAP, ULog, DataFlash, MAVLink telemetry log, CSV, Parquet or NetCDF; told by content, not by name.
+    columns : optional
+        Column map, as :func:`load_map` takes it; comes before the map of PX4, ArduPilot or MAVLink.
+    signals : sequence of str
+        What to read: names (``measured_attitude``), components (``measured_attitude.roll``), patterns
+        (``measured_*``), fields as they are (``sensor_combined/gyro_rad[0]``). Default: all that have a name of ours.
+    rate_hz : float, optional
+        Rate of the common clock. Default: signals that share a clock keep it; others come to the highest rate among
+        them.
+    from_s, to_s : float, optional
+        Part of the log to keep (s since its start).
+    progress : callable, optional
+        Called with (bytes read, bytes in all) while a long log is read.
+
+    Returns
+    -------
+    xarray.Dataset
+        Coordinate ``time`` (s since the start of the log). Each variable has ``units``, ``long_name`` and, for foreign
+        logs, ``source`` and ``source_rate_hz``. Attributes: ``source``, ``format``, ``start_time``, ``complete`` and
+        ``notes``, a list of what was guessed and repaired; every note is also given as a :class:`LogWarning`. Gaps
+        are NaN.
+
+    Raises
+    ------
+    InputError
+        If the file is no log, the map does not fit it, a signal is not in it, or its clock cannot be repaired.
+
+    Examples
+    --------
+    >>> data = read_log("flight.ulg", signals=["measured_*"], rate_hz=100)  # doctest: +SKIP
+    >>> data = read_log("bench.csv", columns={"battery_voltage": "U[mV]", "time": "t[ms]"})  # doctest: +SKIP
+    """
+    if rate_hz is not None and not 0 < rate_hz < 1e6:
+        raise InputError("rate", "", f"{rate_hz:g} Hz is not sensible", "give a rate above 0")
+    if from_s is not None and to_s is not None and not from_s < to_s:
+        raise InputError("--from", f"{from_s:g}", f"is not before {to_s:g}", "give the earlier time first")
+    given = None if columns is None else load_map(columns)
+    kind = kind_of(path)
+    if (
+        kind == "MCAP"
+        and given is None
+        and not any("/" in s for s in signals)
+        and is_recording(read_mcap(path))
+    ):
+        ready: xr.Dataset | None = read_recording(path)
+        raw = None
+    else:
+        raw, ready = _load(path, None if given is None else given.time, progress)
+        ready = None if given is not None or any("/" in s for s in signals) else ready
+    if ready is not None:
+        data = _resampled(_chosen(ready, signals, str(path)), rate_hz)
+        notes: list[str] = []
+    else:
+        assert raw is not None
+        standard = load_map(_MAPS[kind]) if kind in _MAPS else None
+        series, notes = map_signals(raw, given, standard, tuple(signals))
+        notes = [*raw.notes, *notes]
+        series = _wanted(series, signals, raw)
+        if not series:
+            remedy = f"name some (topic/field), or give a column map; topics are: {', '.join(list(raw)[:10])}"
+            raise InputError(str(path), "", "holds no signal with a name of ours", remedy)
+        data = _joined(series, rate_hz, notes)
+        data.attrs |= {"start_time": raw.start_time, "complete": raw.complete}
+        notes += [] if raw.complete else ["the file is damaged or cut off; what could be read is here"]
+    data.attrs |= {"source": Path(path).name, "format": kind, "notes": notes}
+    for note in notes:
+        warnings.warn(f"{Path(path).name}: {note}", LogWarning, stacklevel=2)
+    return _cut(data, from_s, to_s, str(path))
+
+
+def _matches(name: str, pattern: str) -> bool:
+    variable = name.partition(".")[0]
+    if pattern in (name, variable) or pattern == name.replace(".", "_"):
+        return True
+    return any(c in pattern for c in "*?") and (
+        fnmatch.fnmatchcase(name, pattern) or fnmatch.fnmatchcase(variable, pattern)
+    )
+
+
+def _wanted(series: list[Series], signals: Sequence[str], raw: RawLog) -> list[Series]:
+    if not signals:
+        return series
+    out: dict[str, Series] = {}
+    for pattern in signals:
+        found = [s for s in series if s.source == pattern] if "/" in pattern else []
+        found = found or [s for s in series if _matches(s.key, pattern)]
+        if not found:
+            names = ", ".join(dict.fromkeys(s.variable for s in series)) or "none"
+            raise InputError(
+                raw.path, pattern, "there is no such signal", f"signals are: {names}; or write topic/field"
+            )
+        out |= {s.key: s for s in found}
+    return list(out.values())
+
+
+def _chosen(data: xr.Dataset, signals: Sequence[str], where: str) -> xr.Dataset:
+    """Part of a dataset; a component becomes the variable with NaN beside it."""
+    if not signals:
+        return data
+    keep: dict[str, set[str]] = {}
+    columns = columns_of(data)
+    for pattern in signals:
+        found = [
+            c
+            for c in columns
+            if _matches(c.variable if c.label is None else f"{c.variable}.{c.label}", pattern)
+        ]
+        if not found:
+            names = ", ".join(dict.fromkeys(c.variable for c in columns))
+            raise InputError(where, pattern, "there is no such signal", f"signals are: {names}")
+        for c in found:
+            keep.setdefault(c.variable, set()).add(str(c.label))
+    out = data[list(keep)]
+    for name, labels in keep.items():
+        if out[name].ndim == 2:
+            dim = str(out[name].dims[1])
+            out[name] = out[name].where(out[name][dim].astype(str).isin(sorted(labels)))
+    return out
+
+
+def _joined(series: list[Series], rate_hz: float | None, notes: list[str]) -> xr.Dataset:
+    """Put series on one clock."""
+    first = series[0].time
+    shared = all(s.time is first or np.array_equal(s.time, first) for s in series)
+    if shared and rate_hz is None:
+        time = first
+        report = check_clock(time)
+        if report.jitter > 0.02 or len(report.gaps):
+            notes.append(
+                f"the clock is uneven (steps vary by {100 * report.jitter:.2g} %, {len(report.gaps)} gaps); "
+                "give a rate to resample"
+            )
+        columns = [FlatColumn(s.variable, s.label, s.values, s.unit) for s in series]
+    else:
+        rates = [_rate(s.time) for s in series]
+        highest = max((r for r in rates if np.isfinite(r)), default=1.0)
+        rate = rate_hz or (float(round(highest)) if highest >= 10 else float(f"{highest:.3g}"))
+        time = common_clock([(float(s.time[0]), float(s.time[-1])) for s in series if len(s.time)], rate)
+        columns = [FlatColumn(s.variable, s.label, _onto(s, time), s.unit) for s in series]
+    about: dict[str, dict[str, Any]] = {}
+    for s in series:
+        entry = about.setdefault(
+            s.variable, {"source": s.source, "source_rate_hz": float(f"{_rate(s.time):.4g}")}
+        )
+        if s.long_name:
+            entry["long_name"] = s.long_name
+    data = dataset_of(time, columns, notes=about)
+    _align_turns(data)
+    data.attrs["rate_hz"] = float(f"{_rate(time):.6g}")
+    return data
+
+
+def _rate(time: NDArray[np.float64]) -> float:
+    return float(1 / np.median(np.diff(time))) if len(time) > 1 else float("nan")
+
+
+def _onto(series: Series, time: NDArray[np.float64]) -> NDArray[Any]:
+    if series.values.dtype.kind not in "US":
+        return resample(series.time, series.values, time, hold=series.hold)
+    before = np.searchsorted(series.time, time, side="right") - 1
+    out: NDArray[Any] = np.where(before >= 0, series.values[np.clip(before, 0, None)], "")
+    return out
+
+
+def _align_turns(data: xr.Dataset) -> None:
+    """Shift references and estimates by whole turns to where the measurement is."""
+    if "measured_attitude" not in data:
+        return
+    for name in ("reference_attitude", "estimated_attitude"):
+        if name in data:
+            apart = data[name].values - data["measured_attitude"].values
+            for k in range(apart.shape[1]):
+                known = apart[np.isfinite(apart[:, k]), k]
+                if len(known):
+                    data[name].values[:, k] -= 2 * np.pi * np.rint(np.median(known) / (2 * np.pi))
+
+
+def _resampled(data: xr.Dataset, rate_hz: float | None) -> xr.Dataset:
+    """A dataset that is on one clock already, at another rate."""
+    if rate_hz is None or data.sizes["time"] < 2:
+        return data
+    old = data["time"].values
+    time = common_clock([(float(old[0]), float(old[-1]))], rate_hz)
+    held = ("motor_input", "servo_input", "actuator_control", "actuator_output", "pilot_input")
+    out: dict[str, Any] = {}
+    for key, variable in data.data_vars.items():
+        name = str(key)
+        if "time" not in variable.dims:
+            out[name] = variable
+        elif variable.dtype.kind not in "fiu":
+            before = np.clip(np.searchsorted(old, time + 1e-9, side="right") - 1, 0, None)
+            out[name] = (variable.dims, variable.values[before], variable.attrs)
+        else:
+            hold = name in held or name.startswith("reference_")
+            block = variable.values.astype(np.float64).reshape(len(old), -1)
+            new = np.column_stack([resample(old, column, time, hold=hold) for column in block.T])
+            out[name] = (variable.dims, new.reshape(len(time), *variable.shape[1:]), variable.attrs)
+    coords: dict[str, Any] = {str(k): v for k, v in data.coords.items() if k != "time"}
+    coords["time"] = ("time", time, data["time"].attrs)
+    return xr.Dataset(out, coords, {**data.attrs, "rate_hz": rate_hz})
+
+
+def _cut(data: xr.Dataset, from_s: float | None, to_s: float | None, where: str) -> xr.Dataset:
+    if from_s is None and to_s is None:
+        return data
+    time = data["time"].values
+    kept = (time >= (-np.inf if from_s is None else from_s)) & (time <= (np.inf if to_s is None else to_s))
+    if not kept.any():
+        span = f"the log lasts from {time[0]:.3f} to {time[-1]:.3f} s"
+        raise InputError(where, "--from", "nothing lies in that part", span)
+    return data.isel(time=kept)
