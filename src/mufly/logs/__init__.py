@@ -5,6 +5,7 @@ from mufly.logs.layout import Event, standard_layout
 from mufly.logs.raw import LogWarning, RawLog, RawTable
 from mufly.logs.read import kind_of, read_log, read_raw
 from mufly.logs.recording import events_of, read_attachments, read_recording, to_csv
+from mufly.logs.write import write_log
 
 __all__ = [
     "ColumnMap",
@@ -22,4 +23,5 @@ __all__ = [
     "read_recording",
     "standard_layout",
     "to_csv",
+    "write_log",
 ]

@@ -61,6 +61,8 @@ class ClockReport:
     def words(self) -> list[str]:
         """The faults, a sentence each; empty for a sound clock."""
         out = []
+        if self.samples > 1 and self.repeated == self.samples - self.missing - 1 > 0:
+            return ["the clock stands still"]
         if self.missing:
             out.append(f"{self.missing} of {self.samples} time stamps are missing")
         if self.backward:

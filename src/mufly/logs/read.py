@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
+import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -130,15 +131,27 @@ def _load(
     return read_csv(path, time), None
 
 
+def _our_mcap(path: str | Path) -> xr.Dataset | None:
+    """The dataset of a recording of ours, None for somebody else's MCAP file."""
+    try:
+        return read_recording(path)
+    except InputError:
+        if is_recording(read_mcap(path)):
+            raise
+        return None
+
+
 def _our_ulog(raw: RawLog) -> xr.Dataset | None:
     """The dataset of a ULog file that this package wrote."""
-    description = raw.info.get("mufly_dataset")
-    if not isinstance(description, str) or TOPIC not in raw:
+    description, texts = raw.info.get("mufly_dataset"), raw.info.get("mufly_texts")
+    if not isinstance(description, str) or not isinstance(texts, str) or TOPIC not in raw:
         return None
     fields = dict(raw[TOPIC].fields)
     try:
+        for name, known in json.loads(texts).items():
+            fields[name] = np.array(known, dtype=str)[fields[name]]
         return restore(fields.pop("time"), fields, description)
-    except (KeyError, ValueError, TypeError) as error:
+    except (KeyError, IndexError, ValueError, TypeError) as error:
         problem = f"has a damaged description ({error})"
         raise InputError(raw.path, "", problem, "give another copy of the file") from error
 
@@ -196,17 +209,13 @@ def read_log(
         raise InputError("--from", f"{from_s:g}", f"is not before {to_s:g}", "give the earlier time first")
     given = None if columns is None else load_map(columns)
     kind = kind_of(path)
-    if (
-        kind == "MCAP"
-        and given is None
-        and not any("/" in s for s in signals)
-        and is_recording(read_mcap(path))
-    ):
-        ready: xr.Dataset | None = read_recording(path)
-        raw = None
-    else:
+    raw, ready = None, None
+    as_it_is = given is None and not any("/" in s for s in signals)
+    if kind == "MCAP" and as_it_is:
+        ready = _our_mcap(path)
+    if ready is None:
         raw, ready = _load(path, None if given is None else given.time, progress)
-        ready = None if given is not None or any("/" in s for s in signals) else ready
+        ready = ready if as_it_is else None
     if ready is not None:
         data = _resampled(_chosen(ready, signals, str(path)), rate_hz)
         notes: list[str] = []

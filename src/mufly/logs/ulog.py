@@ -54,6 +54,12 @@ def read_ulog(path: str | Path) -> RawLog:
         values = {key: value for key, value in data.data.items() if key != "timestamp"}
         tables[name] = RawTable(name, _seconds(stamp, zero), _join_text(values, types))
     info = {key: value for key, value in log.msg_info_dict.items() if key != "time_ref_utc"}
+    # Text too long for one message comes in several.
+    info |= {
+        key: "".join(str(part) for part in parts[0])
+        for key, parts in log.msg_info_multiple_dict.items()
+        if key.startswith("mufly_")
+    }
     info["parameters"] = dict(log.initial_parameters)
     return RawLog(
         path=where,
@@ -66,11 +72,6 @@ def read_ulog(path: str | Path) -> RawLog:
         ),
         dropouts=tuple(((d.timestamp - zero) / 1e6, d.duration / 1e3) for d in log.dropouts),
         complete=not log.file_corruption and "corruption" not in said.getvalue(),
-        notes=tuple(
-            f"topic {name}: its clock stands still"
-            for name, t in tables.items()
-            if len(t.time) > 2 and np.ptp(t.time) == 0
-        ),
     )
 
 
