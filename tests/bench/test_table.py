@@ -58,7 +58,7 @@ def test_a_file_is_read_in_si(tmp_path):
     assert_allclose(table["speed"], 9000 * math.pi / 30)
     assert_allclose(table["torque"], [1.5e-3, 1e-3])
     assert table.line.tolist() == [3, 4]
-    assert "column 'who' is not used" in table.notes
+    assert "columns that are not used: who" in table.notes
     with pytest.raises(InputError, match="line 4, current_mA: is empty"):
         table.require(["current"])
 

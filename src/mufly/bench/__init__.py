@@ -4,18 +4,26 @@ from mufly.bench.calibration import Calibration, calibrate_cells
 from mufly.bench.columns import SI_UNITS, Column, parse_header
 from mufly.bench.covariance import Spread, spread
 from mufly.bench.drift import ZeroDrift, fit_drift
-from mufly.bench.table import BenchTable, read_bench
+from mufly.bench.loads import Loads, air_density, corrected_loads
+from mufly.bench.prediction import Prediction, predict
+from mufly.bench.table import BenchTable, header_of, read_bench
 
 __all__ = [
     "SI_UNITS",
     "BenchTable",
     "Calibration",
     "Column",
+    "Loads",
+    "Prediction",
     "Spread",
     "ZeroDrift",
+    "air_density",
     "calibrate_cells",
+    "corrected_loads",
     "fit_drift",
+    "header_of",
     "parse_header",
+    "predict",
     "read_bench",
     "spread",
 ]

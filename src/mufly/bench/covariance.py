@@ -99,52 +99,64 @@ def spread(
     channel, run = zeros if channel is None else channel, zeros if run is None else run
     q, _ = np.linalg.qr(jacobian)
     inverse = np.linalg.inv(jacobian.T @ jacobian)
-    best, likelihood = ("white", 0.0), _restricted(np.eye(n), jacobian, residual)
-    threshold = likelihood + _LIKELIER
-    patterns: dict[str, Array] = {}
+    series, repeats = _series(channel, run), _series(channel, zeros if group is None else group)
+    patterns: dict[str, list[Integers]] = {}
     if n - p >= _ENOUGH:
-        position = np.zeros(n)
-        for c, r in {(c, r) for c, r in zip(channel.tolist(), run.tolist(), strict=True)}:
-            inside = (channel == c) & (run == r)
-            position[inside] = np.arange(inside.sum())
-        together = (channel[:, None] == channel) & (run[:, None] == run)
-        patterns["drift"] = np.where(together, np.abs(position[:, None] - position), np.inf)
-    if group is not None and n - p >= _ENOUGH:
-        same = (channel[:, None] == channel) & (group[:, None] == group)
-        if same.sum() > n:
-            distance = np.where(same, 1.0, np.inf)
-            np.fill_diagonal(distance, 0.0)
-            patterns["repeats"] = distance
-    for name, distance in patterns.items():
+        patterns["drift"] = series
+        if group is not None and len(repeats) < n:
+            patterns["repeats"] = repeats
+    pattern, rho, likelihood = "white", 0.0, _restricted("drift", 0.0, series, jacobian, residual)
+    threshold = likelihood + _LIKELIER
+    for name, parts in patterns.items():
         found = minimize_scalar(
-            lambda rho, d=distance: -_restricted(rho**d, jacobian, residual), bounds=(0.02, 0.98), method="bounded",
-            options={"xatol": 5e-3},
+            lambda r, name=name, parts=parts: -_restricted(name, r, parts, jacobian, residual), bounds=(0.02, 0.98),
+            method="bounded", options={"xatol": 5e-3},
         )  # fmt: skip
         if -found.fun > max(likelihood, threshold):
-            best, likelihood = (name, float(found.x)), -float(found.fun)
-    name, rho = best
-    v = np.eye(n) if name == "white" else rho ** patterns[name]
+            pattern, rho, likelihood = name, float(found.x), -float(found.fun)
+    v = np.eye(n)
+    for part in patterns.get(pattern, []):
+        steps = np.abs(np.subtract.outer(np.arange(part.size), np.arange(part.size)))
+        v[np.ix_(part, part)] = rho ** (steps if pattern == "drift" else np.minimum(steps, 1))
     mv = v - q @ (q.T @ v)
     trace = float(np.trace(mv))
     dof = trace**2 / float(np.sum(mv * mv.T))
     scale2 = float(residual @ residual) / trace
     used = max(scale2, 1.0) if known_scale else scale2
     middle = jacobian.T @ v @ jacobian
-    return Spread(used * inverse @ middle @ inverse, float(np.sqrt(scale2)), dof, name, rho)
+    return Spread(used * inverse @ middle @ inverse, float(np.sqrt(scale2)), dof, pattern, rho)
 
 
-def _restricted(v: Array, jacobian: Array, residual: Array) -> float:
-    """Return twice the restricted log likelihood of a pattern, up to a constant."""
+def _series(first: Integers, second: Integers) -> list[Integers]:
+    """Return the rows, in their order, of every pair of numbers that occurs."""
+    label = np.unique(np.column_stack([first, second]), axis=0, return_inverse=True)[1].ravel()
+    order = np.argsort(label, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
+
+
+def _restricted(pattern: str, rho: float, parts: list[Integers], jacobian: Array, residual: Array) -> float:
+    """Return twice the restricted log likelihood of a pattern, up to a constant.
+
+    Rows are made independent part by part: a drift by differences ``(x_k - rho x_(k-1)) / sqrt(1 - rho^2)``, repeats by
+    scaling their mean by ``1 / sqrt(1 + (m - 1) rho)`` and their deviations from it by ``1 / sqrt(1 - rho)``.
+    """
+    rows = np.column_stack([jacobian, residual])
+    white, log = np.empty_like(rows), 0.0
+    for part in parts:
+        x, m = rows[part], part.size
+        if pattern == "drift":
+            white[part[0]] = x[0]
+            white[part[1:]] = (x[1:] - rho * x[:-1]) / np.sqrt(1.0 - rho**2)
+            log += (m - 1) * np.log(1.0 - rho**2)
+        else:
+            mean = x.mean(axis=0)
+            white[part] = (x - mean) / np.sqrt(1.0 - rho) + mean / np.sqrt(1.0 + (m - 1) * rho)
+            log += (m - 1) * np.log(1.0 - rho) + np.log(1.0 + (m - 1) * rho)
     n, p = jacobian.shape
-    try:
-        c = np.linalg.cholesky(v)
-    except np.linalg.LinAlgError:
-        return -np.inf
-    j, r = np.linalg.solve(c, jacobian), np.linalg.solve(c, residual)
-    q, upper = np.linalg.qr(j)
-    r = r - q @ (q.T @ r)
-    logs = 2 * np.sum(np.log(np.diag(c))) + 2 * np.sum(np.log(np.abs(np.diag(upper))))
-    return float(-logs - (n - p) * np.log(max(float(r @ r), 1e-300)))
+    q, upper = np.linalg.qr(white[:, :p])
+    r = white[:, p] - q @ (q.T @ white[:, p])
+    log += 2 * np.sum(np.log(np.abs(np.diag(upper))))
+    return float(-log - (n - p) * np.log(max(float(r @ r), 1e-300)))
 
 
 def joined(*blocks: Array) -> Array:

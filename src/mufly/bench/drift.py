@@ -1,13 +1,13 @@
 """Zero drift: what the load cells read when nothing turns, before, between and after the runs.
 
-Readings at zero speed come in blocks (consecutive lines at rest). Over the time ``t`` of the measurement, or the number
-of the line where no time was kept, a polynomial
+Readings at zero speed come in blocks (consecutive lines at rest). Over the time ``t`` of the measurement, or the
+number of the line where no time was kept, a polynomial
 
     zero(t) = a_0 + a_1 tau + ... + a_d tau^d,      tau = (t - middle) / half the span of the zeros
 
-is fitted to them. Its degree, at most one less than the number of blocks and at most 3, has the least AICc
-(Hurvich and Tsai, Biometrika 76, 1989) of the readings; the covariance of ``a`` is that of
-:mod:`mufly.bench.covariance`, with readings of one block allowed to err alike. From a single block the zero is constant by assumption, which is said.
+is fitted to them. Its degree, at most one less than the number of blocks and at most 3, has the least AICc (Hurvich
+and Tsai, Biometrika 76, 1989) of the readings; the covariance of ``a`` is that of :mod:`mufly.bench.covariance`, with
+readings of one block allowed to err alike. From a single block the zero is constant by assumption, which is said.
 """
 
 from __future__ import annotations

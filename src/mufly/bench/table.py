@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from mufly.bench.columns import SI_UNITS, Column, parse_header, renamed
 from mufly.errors import InputError
 
-__all__ = ["BenchTable", "read_bench"]
+__all__ = ["BenchTable", "header_of", "read_bench"]
 
 Array = NDArray[np.float64]
 
@@ -97,7 +97,11 @@ class BenchTable:
 
     def where(self, keep: NDArray[np.bool_]) -> BenchTable:
         """Return the lines that ``keep`` (n,) selects."""
-        return replace(self, columns={k: v[keep] for k, v in self.columns.items()}, line=self.line[keep])
+        return self.ordered(np.flatnonzero(keep))
+
+    def ordered(self, index: NDArray[np.intp]) -> BenchTable:
+        """Return the lines with these positions, in their order."""
+        return replace(self, columns={k: v[index] for k, v in self.columns.items()}, line=self.line[index])
 
 
 def read_bench(path: str | Path, *, columns: str | None = None) -> BenchTable:
@@ -115,17 +119,9 @@ def read_bench(path: str | Path, *, columns: str | None = None) -> BenchTable:
         If the file cannot be read, has no column that is understood, or a cell of a column in use is no number.
     """
     where = Path(path).name
-    try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(str(path), "", f"cannot be read ({error})", "give a CSV file in UTF-8") from error
-    numbered = [
-        (i, s) for i, s in enumerate(text.splitlines(), 1) if s.strip() and not s.lstrip().startswith("#")
-    ]
+    numbered, delimiter, written = _lines(path)
     if len(numbered) < 2:
         raise InputError(where, "", "holds no measurements", "give a header and at least one line")
-    delimiter = max(";\t,", key=numbered[0][1].count)
-    written = [h.strip() for h in next(csv.reader([numbered[0][1]], delimiter=delimiter))]
     chosen, notes = _choose(renamed(written, columns, where), written)
     if not chosen:
         raise InputError(
@@ -153,14 +149,41 @@ def read_bench(path: str | Path, *, columns: str | None = None) -> BenchTable:
     return BenchTable(where, data, {c.name: written[i] for i, c in chosen}, line, unitless, tuple(notes))
 
 
+def header_of(path: str | Path) -> list[str]:
+    """Return the headers of a bench file as written.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
+    return _lines(path)[2]
+
+
+def _lines(path: str | Path) -> tuple[list[tuple[int, str]], str, list[str]]:
+    """Return the lines that count, with their numbers, the delimiter and the headers."""
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(str(path), "", f"cannot be read ({error})", "give a CSV file in UTF-8") from error
+    lines = [
+        (i, s) for i, s in enumerate(text.splitlines(), 1) if s.strip() and not s.lstrip().startswith("#")
+    ]
+    if not lines:
+        raise InputError(Path(path).name, "", "is empty", "give a header and at least one line")
+    delimiter = max(",;\t", key=lines[0][1].count)
+    return lines, delimiter, [h.strip() for h in next(csv.reader([lines[0][1]], delimiter=delimiter))]
+
+
 def _choose(headers: list[str], written: list[str]) -> tuple[list[tuple[int, Column]], list[str]]:
     """Return the columns in use (position, meaning), one for each name, and notes on the others."""
     found: dict[str, tuple[int, Column]] = {}
     notes: list[str] = []
+    unused: list[str] = []
     for i, header in enumerate(headers):
         column = parse_header(header)
         if column is None:
-            notes.append(f"column {written[i]!r} is not used")
+            unused.append(written[i])
         elif column.name not in found:
             found[column.name] = (i, column)
         else:
@@ -170,6 +193,8 @@ def _choose(headers: list[str], written: list[str]) -> tuple[list[tuple[int, Col
             other = first[0] if better[0] == i else i
             found[column.name] = better
             notes.append(f"{column.name} is read from {written[better[0]]!r}, not from {written[other]!r}")
+    if unused:
+        notes.append(f"columns that are not used: {', '.join(unused)}")
     return list(found.values()), notes
 
 

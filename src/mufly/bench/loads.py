@@ -1,0 +1,202 @@
+"""From readings to loads: zero taken off, gains and cross-talk undone, and what that leaves in doubt.
+
+With sensitivities S and zeros z(t) (:mod:`mufly.bench.calibration`, :mod:`mufly.bench.drift`) the loads of a line are
+``F = S^-1 (y - z(t))``. An error of a calibration or of a zero shifts many lines together, so it does not average out;
+its effect is carried along as
+
+    dF/dS_kl = -S^-1[:, k] F_l,      dF/dz_k = -S^-1[:, k],      z_k = basis(t) a_k
+
+beside the covariance of all S, b and a. A channel in SI units that was never calibrated has S = 1; its zero is still
+followed when there are readings at rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.bench.calibration import Calibration
+from mufly.bench.columns import SI_UNITS
+from mufly.bench.covariance import joined
+from mufly.bench.drift import ZeroDrift, fit_drift
+from mufly.bench.table import BenchTable
+from mufly.errors import InputError
+
+__all__ = ["Loads", "air_density", "corrected_loads"]
+
+Array = NDArray[np.float64]
+
+_FORCES = ("thrust", "torque")
+
+
+@dataclass(frozen=True, eq=False)
+class Loads:
+    """Loads at the lines where something turned.
+
+    Attributes
+    ----------
+    table : BenchTable
+        These lines.
+    values : dict of str to (n,) array
+        Loads by channel (N, N m): ``"thrust"``, ``"torque_upper"``, ...
+    by_systematic : dict of str to (n, s) array
+        Derivatives of each by the common numbers (calibration, zeros).
+    systematic : (s, s) array
+        Their covariance.
+    drifts : dict of str to ZeroDrift
+        Zero of each channel, where it was read, in units of the reading.
+    zeros : BenchTable
+        The lines at rest.
+    notes : tuple of str
+    """
+
+    table: BenchTable
+    values: dict[str, Array]
+    by_systematic: dict[str, Array]
+    systematic: Array
+    drifts: dict[str, ZeroDrift]
+    zeros: BenchTable
+    notes: tuple[str, ...]
+
+
+def corrected_loads(table: BenchTable, calibration: Calibration | None = None) -> Loads:
+    """Return the loads of a bench file.
+
+    Parameters
+    ----------
+    table : BenchTable
+        ``thrust``, ``torque`` (with ``_upper``, ``_lower``) in SI units, or ``_raw`` with a calibration; ``speed``
+        (``speed_upper``, ``speed_lower``), zero in the lines at rest; optional ``time``.
+    calibration : Calibration, optional
+
+    Raises
+    ------
+    InputError
+        If a raw channel has no calibration, or a calibration no raw channel.
+    """
+    speeds = [c for c in table.columns if c.split("_")[0] == "speed"]
+    if not speeds:
+        table.require(("speed",))
+    table.require(speeds)
+    at_rest = np.all([table[c] == 0.0 for c in speeds], axis=0)
+    raw = [c.removesuffix("_raw") for c in table.columns if c.endswith("_raw") and c.split("_")[0] in _FORCES]
+    known = calibration.channels if calibration is not None else ()
+    for channel in raw:
+        if channel not in known:
+            raise InputError(
+                table.source, table.headers[f"{channel}_raw"], "is a reading without a calibration",
+                f"give --calibration a file with {channel} and {channel}_raw",
+            )  # fmt: skip
+    for channel in known:
+        if channel not in raw:
+            raise InputError(
+                table.source, f"{channel}_raw", "is not among the columns, but the calibration has it",
+                f"name the reading {channel}_raw_V, or map it with --columns",
+            )  # fmt: skip
+    direct = [
+        c for c in table.columns if c.split("_")[0] in _FORCES and not c.endswith("_raw") and c not in raw
+    ]
+    if not raw and not direct:
+        table.require(("thrust",))
+    time = table["time"] if "time" in table else table.line.astype(np.float64)
+    order = np.argsort(time, kind="stable")
+    table, time, at_rest = table.ordered(order), time[order], at_rest[order]
+    turning, notes, drifts = ~at_rest, list(table.notes), {}
+    for channel in (*known, *direct):
+        column = f"{channel}_raw" if channel in raw else channel
+        rest = at_rest & np.isfinite(table[column])
+        drift = fit_drift(time, table[column], rest)
+        if drift is not None:
+            drifts[channel] = drift
+            notes.append(_drift_words(table, channel, drift, time[turning], raw=channel in raw))
+    if not drifts:
+        notes.append("no reading at zero speed: the zero of the load cells is taken on trust")
+    running, t = table.where(turning), time[turning]
+    values: dict[str, Array] = {}
+    slopes: dict[str, list[tuple[int, Array]]] = {}
+    blocks: list[Array] = []
+    at = 0
+    if calibration is not None:
+        at = _calibrated(calibration, running, t, drifts, values, slopes, blocks)
+    for channel in direct:
+        y = running[channel]
+        values[channel], slopes[channel] = y, []
+        if channel in drifts:
+            d = drifts[channel]
+            values[channel] = y - d.at(t)
+            slopes[channel] = [(at, -d.basis(t))]
+            blocks.append(d.spread.covariance)
+            at += d.coefficients.size
+    by = {}
+    for channel, parts in slopes.items():
+        by[channel] = np.zeros((t.size, at))
+        for first, part in parts:
+            by[channel][:, first : first + part.shape[1]] = part
+    systematic = joined(*blocks) if blocks else np.zeros((0, 0))
+    return Loads(running, values, by, systematic, drifts, table.where(at_rest), tuple(notes))
+
+
+def _calibrated(
+    c: Calibration, running: BenchTable, t: Array, drifts: dict[str, ZeroDrift], values: dict[str, Array],
+    slopes: dict[str, list[tuple[int, Array]]], blocks: list[Array],
+) -> int:  # fmt: skip
+    """Add the calibrated channels; return how many common numbers there are."""
+    n, k = len(running), len(c.channels)
+    readings = np.column_stack([running[f"{name}_raw"] for name in c.channels])
+    zero = np.column_stack(
+        [
+            drifts[name].at(t) if name in drifts else np.full(n, c.offset[i])
+            for i, name in enumerate(c.channels)
+        ]
+    )
+    loads = c.loads(readings, zero)
+    inverse = np.linalg.inv(c.sensitivity)
+    blocks.append(c.covariance)
+    at = c.covariance.shape[0]
+    for j, name in enumerate(c.channels):
+        values[name] = loads[:, j]
+        part = np.zeros((n, k, k + 1))
+        for i, sensor in enumerate(c.channels):
+            if sensor not in drifts:
+                part[:, i, 0] = -inverse[j, i]
+            part[:, i, 1:] = -inverse[j, i] * loads
+        slopes[name] = [(0, part.reshape(n, -1))]
+    for i, sensor in enumerate(c.channels):
+        if sensor in drifts:
+            for j, name in enumerate(c.channels):
+                slopes[name].append((at, -inverse[j, i] * drifts[sensor].basis(t)))
+            blocks.append(drifts[sensor].spread.covariance)
+            at += drifts[sensor].coefficients.size
+    return at
+
+
+def _drift_words(table: BenchTable, channel: str, d: ZeroDrift, t: Array, *, raw: bool) -> str:
+    unit = "of the reading" if raw else SI_UNITS[channel.split("_")[0]]
+    if d.blocks == 1:
+        return f"{channel}: zero read once, {d.coefficients[0]:.4g} {unit}; that it stayed there is taken on trust"
+    kind = ("constant", "a straight line", "a parabola", "a cubic")[d.coefficients.size - 1]
+    doubt = f" +- {2 * float(np.max(d.std_at(t))):.2g}" if d.spread.scale > 0 and t.size else ""
+    return (
+        f"{channel}: zero read {d.blocks} times, followed as {kind}{doubt}, changes by {d.change:.3g} {unit}"
+    )
+
+
+def air_density(table: BenchTable, density_kg_m3: float | None) -> tuple[Array, str]:
+    """Return the density of the air (n,) in kg/m3 and where it comes from.
+
+    A column ``density`` goes first, then dry air's ``p / (287.05 T)`` from ``temperature`` and ``pressure`` (humid air
+    is up to 1 % lighter), then the given number, then 1.2.
+    """
+    n = len(table)
+    if density_kg_m3 is not None:
+        return np.full(n, density_kg_m3), f"density {density_kg_m3:g} kg/m3 as given"
+    if "density" in table:
+        table.require(("density",))
+        return table["density"], "density from the file"
+    if "temperature" in table and "pressure" in table:
+        table.require(("temperature", "pressure"))
+        rho = table["pressure"] / (287.05 * (table["temperature"] + 273.15))
+        return rho, f"density {rho.mean():.4g} kg/m3 from temperature and pressure (dry air)"
+    return np.full(n, 1.2), "density 1.2 kg/m3 assumed: every coefficient is wrong by as much as it is"

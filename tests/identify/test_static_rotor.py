@@ -1,0 +1,265 @@
+"""Rotor coefficients from a bench: exact data, drift and calibration carried along, trends, pairs, measurements."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from mufly.bench import BenchTable, air_density, calibrate_cells, corrected_loads, predict, read_bench
+from mufly.errors import InputError
+from mufly.identify.bench_pictures import rotor_picture
+from mufly.identify.rotor_fit import interference, placed
+from mufly.identify.static_rotor import fit_rotor
+from mufly.rotor import hover_batch, load_rotor, prepare
+from mufly.vehicle import load_vehicle
+
+C_T, C_Q, R, RHO = 0.0138, 0.0025, 0.0875, 1.2
+DATA = Path(__file__).resolve().parents[2] / ".." / "shared" / "data" / "aero"
+measured = pytest.mark.skipif(not DATA.exists(), reason="measured data are not at hand")
+PAIR = (
+    "RPM=speed_lower_rpm,T_A(N)=thrust_lower_N,Q_A(Nm)=torque_lower_Nm,T_B(N)=thrust_upper_N,"
+    "Q_B(Nm)=torque_upper_Nm,RPM_B=speed_upper_rpm"
+)
+
+
+def table(columns, unitless=()):
+    n = len(next(iter(columns.values())))
+    return BenchTable("bench.csv", columns, {k: k for k in columns}, np.arange(2, 2 + n), unitless)
+
+
+def single(rng=None, noise=0.0, exponent=0.0, speed=None):
+    speed = np.linspace(150, 450, 20) if speed is None else speed
+    unit = RHO * math.pi * R**4 * speed**2 * (speed / 300) ** exponent
+    y = np.column_stack([C_T * unit, C_Q * R * unit])
+    if rng is not None:
+        y = y * (1 + noise * rng.standard_normal(y.shape))
+    return {"speed": speed, "thrust": y[:, 0], "torque": y[:, 1]}
+
+
+def fit(columns, **kw):
+    (result,) = fit_rotor(corrected_loads(table(columns)), radius_m=R, density_kg_m3=RHO, **kw)
+    return result
+
+
+def test_exact_readings_give_the_exact_coefficients():
+    result = fit(single())
+    assert [e.symbol for e in result.estimates] == ["cT", "cQ"]
+    assert_allclose([e.value for e in result.estimates], [C_T, C_Q], rtol=1e-12)
+    assert not result.coaxial
+
+
+def test_intervals_hold_the_truth():
+    rng = np.random.default_rng(2)
+    inside = 0
+    for _ in range(100):
+        result = fit(single(rng, 0.01))
+        inside += sum(e.low <= t <= e.high for e, t in zip(result.estimates, (C_T, C_Q), strict=True))
+    assert 0.90 <= inside / 200 <= 0.99
+
+
+def test_a_trend_is_told_from_none():
+    rng = np.random.default_rng(0)
+    order = rng.permutation(20)
+    speed = np.linspace(150, 450, 20)[order]
+    false_alarms = sum(fit(single(rng, 0.01, speed=speed)).fits[0].trends[0].significant for _ in range(60))
+    assert false_alarms <= 8
+    result = fit(single(rng, 0.005, exponent=0.15, speed=speed))
+    trend = result.fits[0].trends[0]
+    assert trend.significant
+    assert "is not constant" in trend.in_words()
+    change, half = trend.change()
+    assert abs(change - (3**0.15 - 1)) < 2 * half
+    assert trend.value_at(300.0) == pytest.approx(C_T, rel=0.01)
+    at = fit(single(rng, 0.005, exponent=0.15, speed=speed), at_speed_rad_s=450.0).estimate("cT")
+    assert abs(at.value - C_T * 1.5**0.15) < 3 * at.std
+    assert "constant within its error" in fit(single(rng, 0.01, speed=speed)).fits[0].trends[0].in_words()
+
+
+def test_one_number_for_a_changing_coefficient_covers_the_change():
+    result = fit(single(np.random.default_rng(1), 0.001, exponent=0.2))
+    e = result.estimate("cT")
+    assert e.low < C_T * (300 / 300) ** 0.2 < e.high
+    assert e.std / e.value > 0.015
+    assert "drift during the measurement would look the same" in result.fits[0].trends[0].in_words()
+
+
+def test_an_offset_is_named_as_the_rival():
+    columns = single(np.random.default_rng(4), 0.002)
+    columns["thrust"] = columns["thrust"] + 0.03
+    words = fit(columns).fits[0].trends[0].in_words()
+    assert "an offset of the load cell of 0.0299" in words
+    assert "read its zero at rest" in words
+
+
+def with_zeros(columns, drift, rng=None, noise=0.0):
+    """Put three zero readings before, in the middle of and after the runs, on a drifting thrust cell."""
+    n = columns["speed"].size
+    at = [0] * 3 + [n // 2] * 3 + [n] * 3
+    out = {k: np.insert(v, at, 0.0) for k, v in columns.items()}
+    time = np.arange(n + 9.0)
+    out["time"] = time
+    out["thrust"] = out["thrust"] + drift(time) + (0 if rng is None else noise * rng.standard_normal(n + 9))
+    return out
+
+
+def test_a_drifting_zero_is_taken_off():
+    rng = np.random.default_rng(5)
+    columns = with_zeros(single(), lambda t: 0.05 + 0.004 * t, rng, 0.002)
+    loads = corrected_loads(table(columns))
+    (result,) = fit_rotor(loads, radius_m=R, density_kg_m3=RHO)
+    e = result.estimate("cT")
+    assert len(loads.table) == 20
+    assert loads.drifts["thrust"].blocks == 3
+    assert abs(e.value - C_T) < 3 * e.std
+    assert e.value == pytest.approx(C_T, rel=0.01)
+    assert any("followed as a straight line" in n for n in loads.notes)
+    raw = fit({k: v[columns["speed"] > 0] for k, v in columns.items()}).estimate("cT")
+    assert abs(raw.value - C_T) > 5 * abs(e.value - C_T)
+
+
+def test_doubt_of_zero_and_calibration_matches_the_scatter():
+    rng = np.random.default_rng(6)
+    s = np.array([[2.0, 5.0], [0.01, 150.0]])
+    weights = np.array([[f, m] for f in (0.0, 0.5, 1.0) for m in (0.0, 0.005, 0.01)])
+    truth = single()
+    true_loads = np.column_stack([truth["thrust"], truth["torque"]])
+    found, stated, shares = [], [], []
+    for _ in range(80):
+        y = weights @ s.T + [0.1, -0.2] + rng.standard_normal((9, 2)) * [0.03, 0.03]
+        cal = calibrate_cells(
+            table(
+                {
+                    "thrust": weights[:, 0],
+                    "torque": weights[:, 1],
+                    "thrust_raw": y[:, 0],
+                    "torque_raw": y[:, 1],
+                }
+            )
+        )
+        columns = {"speed": np.r_[0.0, 0.0, truth["speed"], 0.0, 0.0], "time": np.arange(24.0)}
+        reading = np.pad(true_loads @ s.T, ((2, 2), (0, 0))) + np.array([0.3, 0.1])
+        reading = reading + rng.standard_normal((24, 2)) * [0.005, 0.005]
+        loads = corrected_loads(
+            table({**columns, "thrust_raw": reading[:, 0], "torque_raw": reading[:, 1]}), cal
+        )
+        (result,) = fit_rotor(loads, radius_m=R, density_kg_m3=RHO)
+        found.append([e.value for e in result.estimates])
+        stated.append([e.std for e in result.estimates])
+        shares.append(result.systematic_shares()["cT"])
+    assert_allclose(np.mean(stated, axis=0), np.std(found, axis=0), rtol=0.3)
+    assert_allclose(np.mean(found, axis=0), [C_T, C_Q], rtol=0.02)
+    assert np.mean(shares) > 0.8
+
+
+def test_doubt_of_air_and_radius_is_passed_on():
+    e = fit(single(), density_std_kg_m3=0.012, radius_std_m=R * 1e-3).estimates
+    assert e[0].std / e[0].value == pytest.approx(math.hypot(0.01, 4e-3), rel=1e-6)
+    assert e[1].std / e[1].value == pytest.approx(math.hypot(0.01, 5e-3), rel=1e-6)
+
+
+def pair(ratio):
+    up = np.linspace(150, 400, 16)
+    down = up * ratio
+    unit = RHO * math.pi * R**4
+    return {"speed_upper": up, "speed_lower": down, "thrust": unit * (0.0138 * up**2 + 0.0117 * down**2)}
+
+
+def test_total_thrust_of_a_pair():
+    result = fit(pair(1.0 + 0.3 * np.sin(np.arange(16))))
+    assert_allclose([e.value for e in result.estimates], [0.0138, 0.0117], rtol=1e-9)
+    assert [e.symbol for e in result.estimates] == ["cT_up", "cT_dw"]
+    blind = fit(pair(1.18))
+    assert all(math.isinf(e.std) for e in blind.estimates)
+    assert "only a weighted sum is seen" in blind.unseen[0]
+
+
+def test_pitch_settings_are_kept_apart():
+    columns = single()
+    columns["pitch"] = np.radians(np.repeat([12.0, 16.0], 10))
+    columns["thrust"] = columns["thrust"] * np.repeat([1.0, 1.5], 10)
+    low, high = fit_rotor(corrected_loads(table(columns)), radius_m=R, density_kg_m3=RHO)
+    assert math.degrees(high.pitch_rad) == pytest.approx(16)
+    assert high.estimate("cT").value == pytest.approx(1.5 * low.estimate("cT").value)
+
+
+def test_units_of_speed():
+    columns = single()
+    rpm = {**columns, "speed": columns["speed"] * 30 / math.pi}
+    (guessed,) = fit_rotor(corrected_loads(table(rpm, ("speed",))), radius_m=R, density_kg_m3=RHO)
+    assert guessed.estimate("cT").value == pytest.approx(C_T)
+    assert any("speed has no unit: taken as rpm" in n for n in guessed.notes)
+    assert any("check the units" in n for n in fit(rpm).notes)
+
+
+def test_density_of_the_air():
+    t = table({"speed": np.ones(2), "temperature": np.full(2, 20.0), "pressure": np.full(2, 101325.0)})
+    assert air_density(t, None)[0][0] == pytest.approx(1.204, abs=1e-3)
+    assert air_density(t, 1.1)[0][0] == 1.1
+    assert "assumed" in air_density(table({"speed": np.ones(2)}), None)[1]
+
+
+@pytest.mark.parametrize(
+    ("columns", "what"),
+    [
+        ({"speed": np.ones(3), "pitch": np.ones(3)}, "thrust: is not among the columns"),
+        ({"thrust": np.ones(3)}, "speed: is not among the columns"),
+        ({"speed": np.ones(3), "thrust_raw": np.ones(3)}, "is a reading without a calibration"),
+        ({"speed": np.array([0.0, 0.0, 1.0]), "thrust": np.ones(3)}, "1 points with a turning rotor"),
+    ],
+)
+def test_wrong_input(columns, what):
+    with pytest.raises(InputError, match=what):
+        fit(columns)
+
+
+def test_a_single_rotor_takes_its_place_in_a_vehicle():
+    vehicle = load_vehicle("mufly-1.1")
+    result = placed(fit(single()), "upper", vehicle)
+    assert result.estimates[0].symbol == "cT_up"
+    assert result.estimates[0].key == "rotors.upper.thrust_coefficient"
+    assert result.estimates[0].start == 0.0138
+
+
+def test_predictions_stand_beside_what_they_predict():
+    blading = prepare(load_rotor("naca0012-r60-c20"))
+    speed, pitch = np.array([500.0, 700.0]), np.full(2, math.radians(12))
+    out = hover_batch(blading, pitch_rad=pitch, speed_rad_s=speed)
+    loads = corrected_loads(
+        table({"speed": speed, "pitch": pitch, "thrust": out.thrust_N / 1.1, "torque": out.torque_Nm})
+    )
+    p = predict(loads, blading, density_kg_m3=1.2)
+    assert_allclose(p.error["thrust"], 0.1, rtol=1e-9)
+    assert_allclose(p.error["torque"], 0.0, atol=1e-9)
+    with pytest.raises(InputError, match="--spacing"):
+        predict(corrected_loads(table(pair(1.1))), blading, density_kg_m3=1.2)
+    two = {k: v[:2] for k, v in pair(1.1).items()}
+    both = predict(corrected_loads(table(two)), blading, density_kg_m3=1.2, pitch_rad=0.2, spacing_m=0.04)
+    assert both.load["thrust"].shape == (2,)
+
+
+@measured
+def test_a_measured_pair_and_its_single_rotor():
+    """University of Stavanger's 28 inch rotor: the upper one keeps its thrust, the lower one loses 40 %."""
+    alone = corrected_loads(read_bench(DATA / "tmotor28_single.csv"))
+    together = corrected_loads(read_bench(DATA / "tmotor28_coaxial.csv", columns=PAIR))
+    fits = [*fit_rotor(alone, radius_m=0.3556), *fit_rotor(together, radius_m=0.3556)]
+    assert fits[0].estimate("cT").value == pytest.approx(0.0089, rel=0.03)
+    assert fits[1].estimate("cT_up").value == pytest.approx(0.0089, rel=0.03)
+    assert 0.5 < fits[1].estimate("cT_dw").value / fits[0].estimate("cT").value < 0.7
+    words = interference(fits)
+    assert any(w.startswith("cT_up") and "unaffected" in w for w in words)
+    assert fits[0].fits[0].trends[0].significant  # from 0.0079 to 0.0089: plain in the readings
+    figure = rotor_picture(fits)
+    assert all(ax.get_ylabel() for ax in figure.axes)
+
+
+@measured
+def test_table_3_2():
+    loads = corrected_loads(
+        read_bench(DATA / "thesis_table_3_2.csv", columns="T_meas_N=thrust_N,Q_meas_Nm=torque_Nm")
+    )
+    low, high = fit_rotor(loads, radius_m=0.06)
+    assert low.estimate("cT").value == pytest.approx(0.01134, rel=0.01)
+    assert high.estimate("cT").value == pytest.approx(0.0162, rel=0.01)
