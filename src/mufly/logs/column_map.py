@@ -41,10 +41,9 @@ from mufly.tables import builtin_names, read_tables, validated
 __all__ = ["ColumnMap", "SignalEntry", "TimeEntry", "builtin_maps", "load_map"]
 
 _MAPS = files("mufly.logs") / "maps"
-# On a command line: name=column, name=-column, name=topic/column[unit].
-_SHORT = re.compile(
-    r"^(?P<sign>-?)(?:(?P<topic>[^/]+)/)?(?P<column>.+?)(?:\[(?P<unit>[^\[\]]*[^\d\[\]][^\[\]]*)\])?$"
-)
+# On a command line: name=column, name=-column, name=topic/column(unit); brackets may be square.
+_UNIT = r"[\[(](?P<unit>[^\[\]()]*[^\d\[\]()][^\[\]()]*)[\])]"
+_SHORT = re.compile(rf"^(?P<sign>-?)(?:(?P<topic>[^/\[(]+)/)?(?P<column>.+?)(?:{_UNIT})?$")
 
 
 class _Table(BaseModel):

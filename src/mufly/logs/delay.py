@@ -3,14 +3,14 @@
 Model: y(t) = a x(t - tau) + e(t). The delay that fits in the least-squares sense, with the gain a free, is where the
 normalised cross-correlation of x and y is greatest in size. It is computed at whole samples and interpolated between
 them by a windowed sinc (exact for signals without content above half the sampling rate), because interpolating the
-signals themselves would smooth their noise by an amount that depends on the fraction, and pull the answer towards a whole
-or a half sample.
+signals themselves would smooth their noise by an amount that depends on the fraction, and pull the answer towards a
+whole or a half sample.
 
 Uncertainty: linearised about the solution, y - a x(t - tau) has the sensitivity s = -a dx/dt to tau, so
 var(tau) = s^T R s / (s^T s)^2 with the covariance R of the residual e. R is estimated from the residual's own
-autocorrelation, since residuals of flight data are never white (the same correction as Klein and Morelli, "Aircraft System
-Identification", 2nd ed., Sec. 5.3, use for parameters). It holds for a delay: where the response is filtered rather than
-delayed, tau is the delay that looks most like it.
+autocorrelation, since residuals of flight data are never white (the correction that Klein and Morelli, "Aircraft
+System Identification", 2nd ed., Sec. 5.3, use for parameters). It holds for a delay: where the response is filtered
+rather than delayed, tau is the delay that looks most like it.
 """
 
 from __future__ import annotations
@@ -70,11 +70,15 @@ class Delay:
     def words(self) -> str:
         """The delay in one line."""
         if self.at_limit:
-            return f"no delay found (correlation {self.correlation:.2f} still grows at {1e3 * self.delay_s:.4g} ms)"
-        return f"{1e3 * self.delay_s:.1f} +- {1e3 * _Z95 * self.std_s:.1f} ms (95 %), correlation {self.correlation:.2f}"
+            longest = 1e3 * self.delay_s
+            return f"no delay found (correlation {self.correlation:.2f} still grows at {longest:.4g} ms)"
+        spread = 1e3 * _Z95 * self.std_s
+        return f"{1e3 * self.delay_s:.1f} +- {spread:.1f} ms (95 %), correlation {self.correlation:.2f}"
 
 
-def estimate_delay(time: _Array, reference: _Array, response: _Array, *, longest_s: float = 1.0) -> Delay:
+def estimate_delay(
+    time: _Array, reference: _Array, response: _Array, *, longest_s: float = 1.0, causal: bool = False
+) -> Delay:
     """Estimate by how much a response comes later than its reference.
 
     Parameters
@@ -85,6 +89,9 @@ def estimate_delay(time: _Array, reference: _Array, response: _Array, *, longest
         Any units; NaN is left out. Straight-line trends are taken out first.
     longest_s : float
         Longest delay, of either sign, to try (s); at most a quarter of the record.
+    causal : bool
+        Look only for a response that follows: it does not come first, and it does not run against its reference.
+        Without that, an oscillation fits as well half a period earlier with the other sign.
 
     Returns
     -------
@@ -115,9 +122,9 @@ def estimate_delay(time: _Array, reference: _Array, response: _Array, *, longest
     power = np.concatenate(([0.0], np.cumsum(x * x)))
     size = (power[n - 2 * reach :] - power[: 2 * reach + 1])[::-1]
     c = c / np.sqrt(np.maximum(size, 1e-12 * power[-1]) * float(y[reach : n - reach] @ y[reach : n - reach]))
-    inside = np.abs(lags) <= most
-    k = int(lags[inside][np.abs(c[inside]).argmax()])
-    sign = float(np.sign(c[lags == k][0]))
+    inside = (np.abs(lags) <= most) & ((lags >= 0) | (not causal))
+    k = int(lags[inside][(c if causal else np.abs(c))[inside].argmax()])
+    sign = float(np.sign(c[lags == k][0])) or 1.0
     near = lags[np.abs(lags - k) <= _HALF_WIDTH]
     values = c[np.abs(lags - k) <= _HALF_WIDTH]
     found = minimize_scalar(

@@ -90,6 +90,9 @@ class RawLog(Mapping[str, RawTable]):
 
     @property
     def span(self) -> tuple[float, float]:
-        """First and last instant of any topic (s); zeros for an empty log."""
-        ends = [(t.time.min(), t.time.max()) for t in self.tables.values() if len(t.time)]
+        """First and last instant of any topic whose clock runs (s); zeros for an empty log."""
+        ends = [
+            (np.nanmin(t.time), np.nanmax(t.time)) for t in self.tables.values() if np.isfinite(t.time).any()
+        ]
+        ends = [(a, b) for a, b in ends if b > a] or ends
         return (float(min(a for a, _ in ends)), float(max(b for _, b in ends))) if ends else (0.0, 0.0)

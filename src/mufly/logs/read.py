@@ -32,7 +32,7 @@ from mufly.logs.tlog import looks_like_tlog, read_tlog
 from mufly.logs.ulog import MAGIC as ULOG_MAGIC
 from mufly.logs.ulog import read_ulog
 
-__all__ = ["kind_of", "read_log", "read_raw"]
+__all__ = ["joined", "kind_of", "matches", "read_log", "read_raw", "series_of"]
 
 Progress = Callable[[int, int], None]
 _MAPS = {"ULog": "px4", "DataFlash": "ardupilot", "MAVLink tlog": "mavlink"}
@@ -129,6 +129,28 @@ def _load(
         )  # fmt: skip
         return RawLog(where, "NetCDF", {TOPIC: table}, str(data.attrs.get("start_time", ""))), data
     return read_csv(path, time), None
+
+
+def series_of(
+    raw: RawLog, columns: str | Path | Mapping[str, Any] | Sequence[str] | ColumnMap | None = None
+) -> tuple[list[Series], list[str]]:
+    """Return the signals of a log, each component on its own clock in SI units, and what was guessed and repaired.
+
+    Parameters
+    ----------
+    raw : RawLog
+        From :func:`read_raw`.
+    columns : optional
+        Column map, as :func:`load_map` takes it.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_log`.
+    """
+    given = None if columns is None else load_map(columns)
+    standard = load_map(_MAPS[raw.kind]) if raw.kind in _MAPS else None
+    return map_signals(raw, given, standard)
 
 
 def _our_mcap(path: str | Path) -> xr.Dataset | None:
@@ -237,7 +259,8 @@ def read_log(
     return _cut(data, from_s, to_s, str(path))
 
 
-def _matches(name: str, pattern: str) -> bool:
+def matches(name: str, pattern: str) -> bool:
+    """Whether a component ``variable.label`` is meant by a name or pattern: its own, its variable's, or ``*``."""
     variable = name.partition(".")[0]
     if pattern in (name, variable) or pattern == name.replace(".", "_"):
         return True
@@ -252,7 +275,7 @@ def _wanted(series: list[Series], signals: Sequence[str], raw: RawLog) -> list[S
     out: dict[str, Series] = {}
     for pattern in signals:
         found = [s for s in series if s.source == pattern] if "/" in pattern else []
-        found = found or [s for s in series if _matches(s.key, pattern)]
+        found = found or [s for s in series if matches(s.key, pattern)]
         if not found:
             names = ", ".join(dict.fromkeys(s.variable for s in series)) or "none"
             raise InputError(
@@ -272,7 +295,7 @@ def _chosen(data: xr.Dataset, signals: Sequence[str], where: str) -> xr.Dataset:
         found = [
             c
             for c in columns
-            if _matches(c.variable if c.label is None else f"{c.variable}.{c.label}", pattern)
+            if matches(c.variable if c.label is None else f"{c.variable}.{c.label}", pattern)
         ]
         if not found:
             names = ", ".join(dict.fromkeys(c.variable for c in columns))
@@ -285,6 +308,17 @@ def _chosen(data: xr.Dataset, signals: Sequence[str], where: str) -> xr.Dataset:
             dim = str(out[name].dims[1])
             out[name] = out[name].where(out[name][dim].astype(str).isin(sorted(labels)))
     return out
+
+
+def joined(channels: Sequence[tuple[str, str, NDArray[np.float64], NDArray[np.float64]]]) -> xr.Dataset:
+    """Put channels (name with label, unit, time, values) on one even clock, at the highest rate among them."""
+    series = []
+    for name, unit, time, values in channels:
+        variable, _, label = name.partition(".")
+        hold = variable.startswith("reference_")
+        series.append(Series(variable, label or None, time, values, unit, "", hold))
+    highest = max((r for r in (_rate(s.time) for s in series) if np.isfinite(r)), default=1.0)
+    return _joined(series, highest, [])
 
 
 def _joined(series: list[Series], rate_hz: float | None, notes: list[str]) -> xr.Dataset:

@@ -1,0 +1,327 @@
+"""``mufly log``: what was recorded, as words, pictures and files."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mufly.cli.options import JsonOption, console, print_json, print_table, progress_bar
+from mufly.errors import InputError
+
+if TYPE_CHECKING:
+    from mufly.logs import LogReport
+    from mufly.logs.column_map import ColumnMap
+
+__all__ = ["app"]
+
+app = typer.Typer(
+    help="Logs: MCAP (ours and others'), PX4 ULog, ArduPilot DataFlash, MAVLink tlog, CSV, Parquet, NetCDF.\n\n"
+    "What a file is, is told by its content. Column maps and checks: docs/logs.md.",
+    no_args_is_help=True,
+)  # fmt: skip
+
+LogArgument = Annotated[Path, typer.Argument(metavar="LOG", help="Any log, of any of these formats.")]
+MapOption = Annotated[
+    str | None,
+    typer.Option(
+        "--map", metavar="FILE", help="Column map (TOML): which column is which signal, in which unit."
+    ),
+]
+ColumnOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--column",
+        "-c",
+        metavar="NAME=COLUMN(unit)",
+        help="A line of a column map, as in measured_rates.p=-gyro_x(deg/s), measured_attitude=phi,theta,psi(deg) or "
+        "time=t(ms). May be repeated.",
+    ),
+]
+FromOption = Annotated[
+    float | None, typer.Option("--from", metavar="S", help="Begin there (s since the start).")
+]
+ToOption = Annotated[float | None, typer.Option("--to", metavar="S", help="End there (s since the start).")]
+
+_MOST_ROWS = 40
+
+
+def _columns(file: str | None, pairs: Sequence[str] | None) -> ColumnMap | None:
+    """The map of ``--map`` with the lines of ``--column`` before it."""
+    from mufly.logs import load_map
+
+    if file is None and not pairs:
+        return None
+    first = load_map(list(pairs or ()))
+    if file is None:
+        return first
+    second = load_map(file)
+    time = first.time if first.time.column is not None else second.time
+    return second.model_copy(update={"signal": (*first.signal, *second.signal), "time": time})
+
+
+@app.command()
+def info(
+    log: LogArgument,
+    map_file: MapOption = None,
+    column: ColumnOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Say what a log is, what is in it, and what is wrong with it.
+
+    Topics with their rates; the signals that have a name here, with their range; then every gap, repeated or reversed
+    time stamp, drop-out, outlier, constant or saturated channel, doubtful unit, and the delays from references to
+    measurements.
+
+    Examples: mufly log info flight.ulg; mufly log info bench.csv -c "time=t(ms)" -c "battery_voltage=U(V)"
+    """
+    from mufly.logs import examine
+
+    columns = _columns(map_file, column)
+    with progress_bar("Reading", not as_json) as progress:
+        report = examine(log, columns, progress=progress)
+    if as_json:
+        print_json(report.to_dict())
+    else:
+        _print(report)
+
+
+def _print(report: LogReport) -> None:
+    c = console()
+    raw = report.raw
+    start, end = raw.span
+    facts = [raw.kind, f"{end - start:.2f} s", f"from {start:.2f} to {end:.2f} s"]
+    facts += [f"began {raw.start_time}"] if raw.start_time else []
+    facts += [str(raw.info[k]) for k in ("sys_name", "ver_hw", "system", "recorded by") if raw.info.get(k)]
+    facts += [f"{len(raw.info['parameters'])} parameters"] if raw.info.get("parameters") else []
+    c.print(f"[bold]{Path(raw.path).name}[/bold]  {', '.join(facts)}", highlight=False, soft_wrap=True)
+    rows = []
+    for name, table in raw.items():
+        clock = report.clocks[name]
+        gives = dict.fromkeys(
+            s.partition(".")[0] for s, source in report.sources.items() if source.startswith(f"{name}/")
+        )
+        rate, gaps = _number(clock.rate_hz, 4), f"{len(clock.gaps) or ''}"
+        rows.append((name, f"{len(table.time)}", rate, f"{len(table.fields)}", gaps, ", ".join(gives)))
+    print_table(("topic", "messages", "rate (Hz)", "fields", "gaps", "gives"), rows, text=(0, 5))
+    if report.signals:
+        shown = report.signals[:_MOST_ROWS]
+        print_table(
+            ("signal", "unit", "min", "mean", "max", "std"),
+            [
+                (
+                    s.name,
+                    "" if s.units == "1" else s.units,
+                    *map(_number, (s.smallest, s.mean, s.largest, s.std)),
+                )
+                for s in shown
+            ],
+            text=(0, 1),
+        )
+        if len(report.signals) > len(shown):
+            c.print(f"  and {len(report.signals) - len(shown)} more (--json lists all)", style="dim")
+    _section("Delays", [d.words() for d in report.delays], "")
+    _section("Said by the vehicle", [f"{t:.2f} s, {level}: {text}" for t, level, text in raw.messages], "")
+    _section("Guessed and repaired", report.notes, "yellow")
+    faults = report.faults()
+    _section("Found", faults, "yellow")
+    if not faults:
+        c.print("Nothing wrong found.")
+
+
+def _section(title: str, lines: Sequence[str], style: str) -> None:
+    if not lines:
+        return
+    c = console()
+    c.print(f"[bold]{title}[/bold]")
+    for line in lines[:_MOST_ROWS]:
+        c.print(f"  {line}", style=style or None, highlight=False, markup=False, soft_wrap=True)
+    if len(lines) > _MOST_ROWS:
+        c.print(f"  and {len(lines) - _MOST_ROWS} more (--json lists all)", style="dim")
+
+
+def _number(value: float, digits: int = 3) -> str:
+    return "" if value != value else f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:.0f}"
+
+
+@app.command()
+def plot(
+    log: LogArgument,
+    signals: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[SIGNALS]...",
+            help="What to draw: measured_attitude, measured_attitude.roll, 'measured_*', or any "
+            "field as topic/field (`mufly log info` lists them). Default: all that has a name.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Folder for the pictures (PNG and SVG).")
+    ] = Path("."),
+    from_s: FromOption = None,
+    to_s: ToOption = None,
+    spectrum: Annotated[
+        bool, typer.Option("--spectrum", help="Draw power spectral densities instead.")
+    ] = False,
+    map_file: MapOption = None,
+    column: ColumnOption = None,
+) -> None:
+    """Draw the signals of a log over time, or their spectra; reference and measurement on each other.
+
+    Examples: mufly log plot flight.ulg --out pictures; mufly log plot flight.ulg measured_rates --spectrum;
+    mufly log plot flight.ulg sensor_combined/gyro_rad[0] --from 10 --to 20
+    """  # fmt: skip
+    from mufly.logs import channels, draw_channels, grouped
+
+    if from_s is not None and to_s is not None and not from_s < to_s:
+        raise InputError("--from", f"{from_s:g}", f"is not before {to_s:g}", "give the earlier time first")
+    names = signals or []
+    fields = [n for n in names if "/" in n]
+    columns = _columns(map_file, column)
+    with progress_bar("Reading", True) as progress:
+        raw, found, _, _, notes = channels(log, columns, fields, progress)
+    for note in notes:
+        typer.secho(f"{log.name}: {note}", fg=typer.colors.YELLOW, err=True)
+    wanted = _selected(found, names, log) if names else found or _first_fields(raw)
+    kept = []
+    for channel in wanted:
+        inside = (channel.time >= (from_s if from_s is not None else -1e300)) & (
+            channel.time <= (to_s if to_s is not None else 1e300)
+        )
+        if inside.sum() > 1:
+            kept.append(channel._replace(time=channel.time[inside], values=channel.values[inside]))
+    if not kept:
+        start, end = raw.span
+        raise InputError(
+            str(log), "", "there is nothing to draw there", f"the log lasts from {start:.2f} to {end:.2f} s"
+        )
+    pictures = grouped(kept)
+    suffix = "-spectrum" if spectrum else ""
+    with progress_bar("Drawing", True) as progress:
+        for k, (kind, members) in enumerate(pictures.items()):
+            try:
+                figure = draw_channels(
+                    members, title=f"{log.name}: {kind.replace('_', ' ')}", spectra=spectrum
+                )
+            except InputError as error:
+                typer.secho(f"{kind}: {error.problem}; left out", fg=typer.colors.YELLOW, err=True)
+                continue
+            for path in _save(figure, out or Path(f"{log.stem}-pictures"), f"{log.stem}-{kind}{suffix}"):
+                console().print(f"Written: {path}", style="dim", highlight=False)
+            if progress is not None:
+                progress(k + 1, len(pictures))
+
+
+def _selected(found: Sequence[Any], names: Sequence[str], log: Path) -> list[Any]:
+    from mufly.logs.read import matches
+
+    out: dict[str, Any] = {}
+    for name in names:
+        mine = [
+            c
+            for c in found
+            if c.name == name or matches(c.name, name) or c.name.lstrip("/") == name.lstrip("/")
+        ]
+        if not mine:
+            known = ", ".join(dict.fromkeys(c.name.partition(".")[0] for c in found)) or "none"
+            raise InputError(
+                str(log), name, "there is no such signal", f"signals are: {known}; or write topic/field"
+            )
+        out |= {c.name: c for c in mine}
+    return list(out.values())
+
+
+def _first_fields(raw: Any) -> list[Any]:
+    """Something to see of a log that nobody has a map for: the fastest topics' first fields."""
+    from mufly.logs import Channel
+
+    out = []
+    for table in sorted(raw.values(), key=lambda t: -len(t.time))[:6]:
+        numbers = [(f, v) for f, v in table.fields.items() if v.dtype.kind in "biuf"][:6]
+        out += [
+            Channel(f"{table.name}/{f}", table.units.get(f, ""), table.time, v.astype(float))
+            for f, v in numbers
+        ]
+    return out
+
+
+def _save(figure: Any, folder: Path, name: str) -> list[Path]:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        paths = [folder / f"{name}{ending}" for ending in (".png", ".svg")]
+        for path in paths:
+            figure.savefig(path, dpi=130, bbox_inches="tight")
+    except OSError as error:
+        raise InputError(
+            "--out", str(folder), f"cannot be written ({error})", "give another folder"
+        ) from error
+    return paths
+
+
+def convert(
+    log: LogArgument,
+    out: Annotated[
+        Path,
+        typer.Argument(
+            metavar="OUT", help="File to write; its ending says what: .csv, .parquet, .nc, .mcap, .ulg."
+        ),
+    ],
+    signals: Annotated[
+        list[str] | None,
+        typer.Option("--signal", "-s", metavar="NAME", help="Only this (as for plot); may be repeated."),
+    ] = None,
+    rate_hz: Annotated[
+        float | None,
+        typer.Option(
+            "--rate", metavar="HZ", help="Rate of the common clock. Default: the highest among the signals."
+        ),
+    ] = None,
+    from_s: FromOption = None,
+    to_s: ToOption = None,
+    map_file: MapOption = None,
+    column: ColumnOption = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace OUT if it is there.")] = False,
+) -> None:
+    """Bring the signals of a log onto one clock, in SI units and under our names, and write them to a file.
+
+    Examples: mufly log convert flight.ulg flight.csv --rate 100; mufly log convert bench.csv bench.nc --map bench.toml;
+    mufly log export flight.mcap flight.parquet --signal 'measured_*'
+    """
+    from mufly.logs import FORMATS, LogWarning, read_log, write_log
+
+    if out.suffix.lower() not in FORMATS:
+        problem = f"the ending {out.suffix!r} says nothing"
+        raise InputError(str(out), "", problem, f"use one of: {', '.join(FORMATS)}")
+    if out.exists() and not force:
+        raise InputError(str(out), "", "is already there", "choose another name, or add --force")
+    columns = _columns(map_file, column)
+    with progress_bar("Reading", True) as progress, warnings.catch_warnings():
+        warnings.simplefilter("ignore", LogWarning)  # printed below
+        data = read_log(
+            log,
+            columns=columns,
+            signals=signals or (),
+            rate_hz=rate_hz,
+            from_s=from_s,
+            to_s=to_s,
+            progress=progress,
+        )
+    for note in data.attrs.get("notes", []):
+        typer.secho(f"{log.name}: {note}", fg=typer.colors.YELLOW, err=True)
+    written = write_log(data, out)
+    time = data["time"].values
+    step = f", {1 / (time[1] - time[0]):.5g} Hz" if len(time) > 1 else ""
+    lost = [str(v) for v in data.data_vars if out.suffix.lower() == ".csv" and "time" not in data[v].dims]
+    console().print(
+        f"{written}: {sum('time' in data[v].dims for v in data.data_vars)} signals, {len(time)} instants from "
+        f"{time[0]:.2f} to {time[-1]:.2f} s{step}", highlight=False,
+    )  # fmt: skip
+    if lost:
+        console().print("Events are not in a CSV file; .mcap, .nc, .parquet and .ulg keep them.", style="dim")
+
+
+app.command("convert")(convert)
+app.command("export", help="The same as convert, by its other name.")(convert)
