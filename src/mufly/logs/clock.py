@@ -19,6 +19,8 @@ _Array = NDArray[np.float64]
 # More steps back than this share, or a step back longer than this, is no matter of swapped messages.
 _BACK_SHARE, _BACK_S = 0.02, 2.0
 GAP_FACTOR = 5.0
+# What is said now and then has no rate, so no gaps.
+_FEWEST_STEPS = 15
 
 
 @dataclass(frozen=True)
@@ -84,7 +86,7 @@ class ClockReport:
 
 
 def find_gaps(time: _Array, factor: float = GAP_FACTOR) -> _Array:
-    """Return beginning and end of every step longer than ``factor`` median steps.
+    """Return beginning and end of every step longer than ``factor`` median steps; none for fewer than 16 samples.
 
     Parameters
     ----------
@@ -97,7 +99,7 @@ def find_gaps(time: _Array, factor: float = GAP_FACTOR) -> _Array:
     (k, 2) array
     """
     steps = np.diff(time)
-    if len(steps) < 3:
+    if len(steps) < _FEWEST_STEPS:
         return np.empty((0, 2))
     wide = np.flatnonzero(steps > factor * np.median(steps))
     return np.column_stack((time[wide], time[wide + 1]))

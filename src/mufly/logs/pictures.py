@@ -17,7 +17,7 @@ from scipy.signal import detrend, welch
 
 from mufly.errors import InputError
 from mufly.logs.clock import GAP_FACTOR
-from mufly.logs.quality import Channel
+from mufly.logs.quality import Channel, is_held
 from mufly.logs.resample import resample
 
 if TYPE_CHECKING:
@@ -170,7 +170,7 @@ def draw_channels(channels: Sequence[Channel], *, title: str = "", spectra: bool
                     ax.loglog(x[keep], y[keep], dash, color=colour, label=_label(c))
                 else:
                     t, y = _thinned(c.time, c.values * scale)
-                    style = "steps-post" if _held(c.name) and len(t) <= 2 * _COLUMNS else "default"
+                    style = "steps-post" if is_held(c.name) and len(t) <= 2 * _COLUMNS else "default"
                     ax.plot(t, y, dash, color=colour, label=_label(c), drawstyle=style)
                 drawn += 1
             text = name[:1].upper() + name[1:] if len(name) > 1 else name
@@ -186,11 +186,6 @@ def draw_channels(channels: Sequence[Channel], *, title: str = "", spectra: bool
         axes[-1].set_xlabel("Frequency (Hz)" if spectra else "Time (s)")
         axes[0].set_title(title)
     return figure
-
-
-def _held(name: str) -> bool:
-    variable = name.partition(".")[0]
-    return variable in _INPUTS or variable.startswith("reference_")
 
 
 def _look(channel: Channel, number: int, overlay: bool) -> tuple[str, str]:

@@ -66,6 +66,8 @@ def kind_of(path: str | Path) -> str:
         return "DataFlash"
     if looks_like_tlog(head):
         return "MAVLink tlog"
+    if head.startswith(b"version https://git-lfs"):
+        raise InputError(where, "", "is only a pointer of Git LFS to the file", "fetch it: git lfs pull")
     if looks_like_table(head):
         return "CSV"
     if head.startswith(b"\x89HDF") or head.startswith(b"MATLAB"):

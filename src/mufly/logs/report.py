@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,8 @@ from mufly.logs.select import raw_field
 __all__ = ["LogReport", "channels", "examine"]
 
 _Columns = str | Path | Mapping[str, Any] | Sequence[str] | ColumnMap | None
+# Gaps of more topics than this are told in one sentence.
+_MANY_TOPICS = 5
 Progress = Callable[[int, int], None]
 
 
@@ -69,7 +71,19 @@ class LogReport:
             times = "once" if len(self.raw.dropouts) == 1 else f"{len(self.raw.dropouts)} times"
             out.append(f"the logger says that it lost data {times}, {lost:.3g} s in all")
         one = len(self.clocks) == 1
-        out += [w if one else f"topic {k}: {w}" for k, c in self.clocks.items() for w in c.words()]
+        holes = {k: c for k, c in self.clocks.items() if len(c.gaps)}
+        many = len(holes) > _MANY_TOPICS
+        if many:
+            where, (start, end) = max(
+                ((k, g) for k, c in holes.items() for g in c.gaps.tolist()), key=lambda h: h[1][1] - h[1][0]
+            )
+            out.append(
+                f"{len(holes)} of {len(self.clocks)} topics have gaps, the longest {end - start:.3g} s at "
+                f"{start:.2f} s ({where})"
+            )
+        for k, c in self.clocks.items():
+            words = replace(c, gaps=np.empty((0, 2))).words() if many else c.words()
+            out += words if one else [f"topic {k}: {w}" for w in words]
         out += [w for s in self.signals for w in s.words()]
         still = [s for s in self.signals if s.constant]
         if still:

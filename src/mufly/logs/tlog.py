@@ -2,8 +2,8 @@
 
 The time is a big-endian count of microseconds since 1970 (eight bytes); the packet follows as it was on the air
 (mavlink.io, "Serialization"). Arrival times carry the jitter of the link. Messages that hold the vehicle's own clock
-(``time_boot_ms``, ``time_usec``) are therefore placed by that clock; it is tied to the time of arrival by the packets
-that were quickest, which no link can be faster than.
+(``time_boot_ms``, ``time_usec``) are therefore placed by that clock; it is tied to the time of arrival by the packet
+that was quickest, which no link can be faster than, anew each time that the vehicle starts.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ import io
 import os
 import struct
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,8 @@ _GROUND_STATION = 6  # MAV_TYPE_GCS
 _SEVERITY = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
 # A clock that steps back by more than this was reset.
 _RESET_S = 1.0
+_LATEST_S = 5.0
+_LONGEST_UPTIME_S = 1e8
 
 
 def _packet_length(data: bytes, at: int) -> int:
@@ -116,12 +119,11 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
     zero = min(min(stamps) for stamps, _ in rows.values())
     vehicle = _vehicle(rows)
     notes = [f"{bad} packets were damaged or unknown and are left out"] if bad else []
-    offset = _clock_offset(rows, vehicle, zero)
     tables: dict[str, RawTable] = {}
     said: list[tuple[float, str, str]] = []
     parameters: dict[str, float] = {}
-    for key, (stamps, messages) in rows.items():
-        system, component, name = key
+    own: dict[str, tuple[str, NDArray[np.float64]]] = {}
+    for (system, component, name), (stamps, messages) in rows.items():
         arrival = (np.array(stamps, dtype=np.int64) - zero) / 1e6
         if name == "STATUSTEXT":
             said += [
@@ -133,14 +135,20 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
             continue
         label = name if (system, component) == vehicle else f"{name}@{system}.{component}"
         fields, units = _columns(messages)
-        time = arrival
-        own = _own_clock(fields) if system == vehicle[0] else None
-        if own is not None and offset is not None:
-            time = own + offset
-        tables[label] = RawTable(label, time, fields, units)
-    if offset is None:
+        clock = _own_clock(fields) if system == vehicle[0] else None
+        if clock is not None:
+            own[label] = clock
+        tables[label] = RawTable(label, arrival, fields, units)
+    placed, restarts = _placed(own, {k: t.time for k, t in tables.items()})
+    tables |= {k: replace(tables[k], time=time) for k, time in placed.items()}
+    if not placed:
         notes.append(
-            "the vehicle's own clock cannot be used; times are those of arrival, with the link's jitter"
+            "no message holds the vehicle's own clock; times are those of arrival, with the link's jitter"
+        )
+    if restarts:
+        when = ", ".join(f"{t:.0f}" for t in restarts)
+        notes.append(
+            f"the vehicle started anew at {when} s of the log; its clock was tied to the log's each time"
         )
     return RawLog(
         path=where,
@@ -185,31 +193,44 @@ def _columns(messages: list[Any]) -> tuple[dict[str, NDArray[Any]], dict[str, st
     return out, units
 
 
-def _own_clock(fields: dict[str, NDArray[Any]]) -> NDArray[np.float64] | None:
-    """The vehicle's clock (s since it started), if the message has one that was never reset."""
+def _own_clock(fields: Mapping[str, NDArray[Any]]) -> tuple[str, NDArray[np.float64]] | None:
+    """Name of the field that holds the vehicle's clock, and that clock (s since it started)."""
     for name, tick in (("time_boot_ms", 1e3), ("time_usec", 1e6)):
         if name in fields:
             time = fields[name].astype(np.float64) / tick
-            if time.min() > 0 and time.max() < 1e8 and (np.diff(time) > -_RESET_S).all():
-                return time
+            if time.min() > 0 and time.max() < _LONGEST_UPTIME_S:
+                return name, time
     return None
 
 
-def _clock_offset(rows: Any, vehicle: tuple[int, int], zero: int) -> float | None:
-    """Arrival less sending, of the quickest packet; None if the clocks do not run together."""
-    late = []
-    for (system, _, _), (stamps, messages) in rows.items():
-        if system == vehicle[0]:
-            fields = {
-                n: np.array([getattr(m, n) for m in messages])
-                for n in ("time_boot_ms", "time_usec")
-                if hasattr(messages[0], n)
-            }
-            own = _own_clock(fields)
-            if own is not None:
-                late.append((np.array(stamps, dtype=np.int64) - zero) / 1e6 - own)
-    if not late:
-        return None
-    every = np.concatenate(late)
-    offset = float(every.min())
-    return offset if np.median(every) - offset < 10.0 else None
+def _placed(
+    own: Mapping[str, tuple[str, NDArray[np.float64]]], arrival: Mapping[str, NDArray[np.float64]]
+) -> tuple[dict[str, NDArray[np.float64]], list[float]]:
+    """Tie the vehicle's clock to the time of arrival, anew each time that the vehicle starts.
+
+    Returns the times of those messages whose clock can be tied, and the arrival of the first message after each
+    further start.
+    """
+    lead = [k for k, (name, _) in own.items() if name == "time_boot_ms"] or list(own)
+    if not lead:
+        return {}, []
+    came = np.concatenate([arrival[k] for k in lead])
+    sent = np.concatenate([own[k][1] for k in lead])
+    order = np.argsort(came, kind="stable")
+    came, sent = came[order], sent[order]
+    starts = np.flatnonzero(np.diff(sent) < -_RESET_S) + 1
+    borders = came[starts]
+    boot = np.searchsorted(starts, np.arange(len(came)), side="right")
+    quickest = np.array([(came - sent)[boot == k].min() for k in range(len(starts) + 1)])
+    out = {}
+    for key, (name, clock) in own.items():
+        mine = np.searchsorted(borders, arrival[key], side="right")
+        # A topic may be the first to speak after a start, just before the border that the others set.
+        next_one = np.minimum(mine + 1, len(quickest) - 1)
+        early, time = clock + quickest[next_one], clock + quickest[mine]
+        time = np.where(np.abs(arrival[key] - early) < np.abs(arrival[key] - time), early, time)
+        late = arrival[key] - time
+        # A clock of another kind (that of the GPS receiver) does not fit, a lazy link does.
+        if name == "time_boot_ms" or (late.min() > -_RESET_S and np.median(late) < _LATEST_S):
+            out[key] = time
+    return out, borders.tolist()
