@@ -314,12 +314,17 @@ def convert(
     written = write_log(data, out)
     time = data["time"].values
     step = f", {1 / (time[1] - time[0]):.5g} Hz" if len(time) > 1 else ""
-    lost = [str(v) for v in data.data_vars if out.suffix.lower() == ".csv" and "time" not in data[v].dims]
+    kind = out.suffix.lower()
+    over_time = [str(v) for v in data.data_vars if "time" in data[v].dims]
+    text = [v for v in over_time if kind == ".mcap" and data[v].dtype.kind == "U" and v != "mission_state"]
     console().print(
-        f"{written}: {sum('time' in data[v].dims for v in data.data_vars)} signals, {len(time)} instants from "
-        f"{time[0]:.2f} to {time[-1]:.2f} s{step}", highlight=False,
-    )  # fmt: skip
-    if lost:
+        f"{written}: {len(over_time) - len(text)} signals, {len(time)} instants from {time[0]:.2f} to {time[-1]:.2f} s"
+        f"{step}",
+        highlight=False,
+    )
+    if text:
+        console().print(f"Text does not go into a recording and is left out: {', '.join(text)}", style="dim")
+    if kind == ".csv" and len(over_time) < len(data.data_vars):
         console().print("Events are not in a CSV file; .mcap, .nc, .parquet and .ulg keep them.", style="dim")
 
 

@@ -178,7 +178,8 @@ def draw_channels(channels: Sequence[Channel], *, title: str = "", spectra: bool
             inner = density if spectra else f"({shown})" if shown else ""
             ax.set_ylabel(f"{text}\n{inner}".rstrip())
             labels = [_label(c) for c in members]
-            if labels != above:  # what holds for every panel is said once
+            named = len(labels) == 1 and labels[0].lower() == name.lower()
+            if labels != above and not named:  # what holds for every panel is said once
                 _legend(ax)
             above = labels
         if spectra and not drawn:

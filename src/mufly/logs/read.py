@@ -21,12 +21,12 @@ from mufly.logs.dataflash import MAGIC as DATAFLASH_MAGIC
 from mufly.logs.dataflash import is_text_log, read_dataflash
 from mufly.logs.flat import FlatColumn, columns_of, dataset_of, restore
 from mufly.logs.foreign_mcap import is_recording, raw_mcap
+from mufly.logs.mapping import Series, map_signals
 from mufly.logs.mcap_file import MAGIC as MCAP_MAGIC
 from mufly.logs.mcap_file import read_mcap
 from mufly.logs.raw import LogWarning, RawLog, RawTable
 from mufly.logs.recording import read_recording
 from mufly.logs.resample import common_clock, resample
-from mufly.logs.select import Series, map_signals
 from mufly.logs.tables_file import NETCDF_MAGIC, PARQUET_MAGIC, read_netcdf, read_parquet
 from mufly.logs.tlog import looks_like_tlog, read_tlog
 from mufly.logs.ulog import MAGIC as ULOG_MAGIC

@@ -14,6 +14,7 @@ from mufly.errors import InputError
 from mufly.logs.clock import ClockReport
 from mufly.logs.column_map import ColumnMap, load_map
 from mufly.logs.foreign_mcap import is_recording
+from mufly.logs.mapping import raw_field
 from mufly.logs.mcap_file import read_mcap
 from mufly.logs.quality import (
     Channel,
@@ -27,7 +28,6 @@ from mufly.logs.quality import (
 from mufly.logs.raw import RawLog
 from mufly.logs.read import joined, kind_of, read_raw, series_of
 from mufly.logs.recording import read_recording
-from mufly.logs.select import raw_field
 
 __all__ = ["LogReport", "channels", "examine"]
 

@@ -25,7 +25,7 @@ def common_clock(spans: list[tuple[float, float]], rate_hz: float) -> _Array:
     first, last = min(a for a, _ in spans), max(b for _, b in spans)
     tolerance = 1e-6
     low, high = np.ceil(first * rate_hz - tolerance), np.floor(last * rate_hz + tolerance)
-    out: _Array = np.arange(low, high + 1) / rate_hz
+    out: _Array = np.arange(low, high + 1) / rate_hz + 0.0  # no -0.0
     return out
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -92,6 +93,8 @@ def map_signals(
     used: set[tuple[str, str]] = set()
     for entry, must in entries:
         table = _table_of(raw, entry, must)
+        if table is not None and not must:
+            entry = _as_far_as_there(entry, table)
         names = None if table is None else _resolve(raw, table, entry, must)
         if table is None or names is None:
             continue
@@ -165,6 +168,15 @@ def _table_of(raw: RawLog, entry: SignalEntry, must: bool) -> RawTable | None:
             raw.path, entry.topic, "there is no such topic", _near(entry.topic, list(raw), "topics")
         )
     return None
+
+
+def _as_far_as_there(entry: SignalEntry, table: RawTable) -> SignalEntry:
+    """Of a signal with any number of channels, the first ones that the topic has."""
+    signal = signal_named(entry.name)
+    if signal is None or signal.dim is None or signal.labels:
+        return entry
+    there = tuple(takewhile(lambda c: c in table.fields, entry.columns))
+    return entry.model_copy(update={"columns": there}) if there else entry
 
 
 def _resolve(raw: RawLog, table: RawTable, entry: SignalEntry, must: bool) -> list[str] | None:
