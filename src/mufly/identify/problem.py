@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from mufly.dynamics.parameters import GRAVITY
 from mufly.errors import InputError
 from mufly.identify.free import Free, batch_parameters, numbers_at, physical
-from mufly.identify.record import Record, difference_noise, smoothed_motion
+from mufly.identify.record import Record, difference_noise, smoothed, smoothed_motion
 from mufly.identify.simulate import LONGEST_STEP_S, OUTPUTS, fly_batch
 from mufly.vehicle import Vehicle
 
@@ -95,6 +95,7 @@ class Problem:
     delay_s: float
     longest_step_s: float
     _motion: tuple[_Array, ...] = field(repr=False)
+    _mast: tuple[_Array, ...] = field(repr=False)
     _inputs: tuple[_Array, ...] = field(repr=False)
     _base: tuple[NDArray[np.void], ...] = field(repr=False)
     _powers: tuple[dict[str, _Array], ...] = field(repr=False)
@@ -184,7 +185,7 @@ class Problem:
         x[:, 20] = np.clip(self._charge[i] + actuator[:, 4], 0.0, 1.0)
         codes = np.array([OUTPUTS.index(o) for o in r.outputs], dtype=np.int64)
         y = fly_batch(
-            x, p, self._inputs[i], sample_s=r.sample_s, codes=codes, starts=self.starts[i], motion=motion,
+            x, p, self._inputs[i], sample_s=r.sample_s, codes=codes, starts=self.starts[i], motion=motion, mast=self._mast[i],
             delay_s=delay, motor_hold=hold, longest_step_s=self.longest_step_s,
         )  # fmt: skip
         for j, symbol in enumerate(symbols):
@@ -201,9 +202,12 @@ class Problem:
 
     def cost(self, theta: _Array, states: Sequence[_Array]) -> _Array:
         """Return ``J`` (b,) for ``theta`` (b, t) and, a record, start values (b, windows, k)."""
+        return self.cost_of(theta, states, [self.residual(i, theta, s) for i, s in enumerate(states)])
+
+    def cost_of(self, theta: _Array, states: Sequence[_Array], residuals: Sequence[_Array]) -> _Array:
+        """Return ``J`` (b,) when the residuals (b, n, m) of the records are known."""
         total = 0.5 * np.sum((theta / self.prior_std) ** 2, axis=1)
-        for i, s in enumerate(states):
-            e = self.residual(i, theta, s)
+        for i, (s, e) in enumerate(zip(states, residuals, strict=True)):
             total = total + 0.5 * np.einsum("bnm,bnm->b", e, e)
             total = total + 0.5 * np.sum((s / self.spread(i)) ** 2, axis=(1, 2))
         return total + 0.5 * np.sum(self.hover_residual(theta) ** 2, axis=1)
@@ -211,8 +215,7 @@ class Problem:
     def linearise(self, i: int, theta: _Array, states: _Array) -> Linear:
         """Return record ``i`` linearised about ``theta`` (t,) and start values (windows, k), by differences.
 
-        All windows move in one flight: a start value acts on its own window alone (through the bar it acts a little
-        on the next one, which is neglected; with one window nothing is).
+        All windows move in one flight: a start value acts on its own window alone.
         """
         t, k = len(theta), states.shape[1]
         thetas = np.repeat(theta[None], 1 + t + k, axis=0)
@@ -320,7 +323,8 @@ def make_problem(
     problem = Problem(
         vehicle=vehicle, free=tuple(free), records=tuple(kept), noise=tuple(difference_noise(r) for r in kept),
         starts=(), sought=(), part=part, hover=False, prior=prior, delay_s=delay_s, longest_step_s=longest_step_s,
-        _motion=tuple(motion), _inputs=tuple(inputs), _base=tuple(base), _powers=tuple(powers),
+        _motion=tuple(motion), _mast=tuple(_bar_normal(m[:, 6:9], np.zeros((len(m), 2))) for m in motion),
+        _inputs=tuple(inputs), _base=tuple(base), _powers=tuple(powers),
         _charge=tuple(charge), _volts=tuple(steady),
     )  # fmt: skip
     return problem.in_windows(None)
@@ -330,7 +334,9 @@ def _volts(vehicle: Vehicle, r: Record, voltage: str | float) -> _Array | float 
     if voltage == "model":
         return None
     if voltage == "measured":
-        return float(vehicle.battery.nominal_voltage) if r.voltage is None else r.voltage
+        return (
+            float(vehicle.battery.nominal_voltage) if r.voltage is None else smoothed(r.voltage, r.sample_s)
+        )
     if voltage == "nominal":
         return float(vehicle.battery.nominal_voltage)
     if isinstance(voltage, str) or not 0.0 < voltage < 1e3:

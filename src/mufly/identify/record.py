@@ -26,6 +26,7 @@ __all__ = [
     "check_record",
     "difference_noise",
     "record_from",
+    "smoothed",
     "smoothed_motion",
     "split",
     "units_of",
@@ -288,6 +289,13 @@ def _filled(y: _Array) -> _Array:
     return np.interp(np.arange(len(y)), np.flatnonzero(good), y[good])
 
 
+def smoothed(y: _Array, sample_s: float, span_s: float = 0.15, *, slope: bool = False) -> _Array:
+    """Return local cubics through ``y`` (n,) over ``span_s`` (Savitzky and Golay), or their slopes (per second)."""
+    n = len(y)
+    width = min(max(5, round(span_s / sample_s) | 1), (n - 1) | 1)
+    return np.asarray(savgol_filter(y, width, 3, deriv=int(slope), delta=sample_s), dtype=np.float64)
+
+
 def smoothed_motion(r: Record) -> _Array:
     """Return position and velocity N, E, D, roll, pitch, yaw, p, q, r at every sample, (n, 12).
 
@@ -300,8 +308,7 @@ def smoothed_motion(r: Record) -> _Array:
         if name not in r.outputs:
             return None
         y = _filled(r.measured[:, r.outputs.index(name)])
-        width = min(max(5, round(span_s / dt) | 1), (n - 1) | 1)
-        return np.asarray(savgol_filter(y, width, 3, deriv=int(slope), delta=dt), dtype=np.float64)
+        return smoothed(y, dt, span_s, slope=slope)
 
     for k, (place, speed) in enumerate((("north", "v_north"), ("east", "v_east"), ("height", "climb"))):
         sign = -1.0 if place == "height" else 1.0

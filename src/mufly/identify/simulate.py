@@ -17,7 +17,8 @@ so that rate and angle which the tilt leaves behind are right at the end of the 
 against steps of 0.1 ms is measured in ``tests/identify/test_simulate.py`` and stated in docs/identification.md.
 
 The simulation can be restarted at chosen samples (multiple shooting): motion of the body is then set to given
-values, while rotors, bar and battery, which follow from the inputs, run on.
+values. Rotors and battery, which follow from the inputs, run on; the bar takes the place that it has after following
+the measured mast, so that nothing of one window's start reaches into the next.
 """
 
 from __future__ import annotations
@@ -146,7 +147,7 @@ def _observe(x, u, p, codes, last_yaw, y):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _fly(x, p, u, motor_hold, delay, dt, longest, starts, motion, codes, y):  # type: ignore[no-untyped-def]
+def _fly(x, p, u, motor_hold, delay, dt, longest, starts, motion, mast, codes, y):  # type: ignore[no-untyped-def]
     n = u.shape[0]
     work = np.empty((5, 21))
     calm = np.zeros(3)
@@ -155,7 +156,12 @@ def _fly(x, p, u, motor_hold, delay, dt, longest, starts, motion, codes, y):  # 
     part = max(delay - whole * dt, 0.0)
     part = 0.0 if part < 1e-9 else part
     last_yaw, window = 0.0, 0
+    bar = x[15:18].copy()
+    follow = -math.expm1(-dt * p.bar_rate)
     for k in range(n):
+        if k > 0:
+            for i in range(3):
+                bar[i] += follow * (0.5 * (mast[k - 1, i] + mast[k, i]) - bar[i])
         if window < starts.shape[0] and starts[window] == k:
             s = motion[window]
             for i in range(6):
@@ -163,6 +169,10 @@ def _fly(x, p, u, motor_hold, delay, dt, longest, starts, motion, codes, y):  # 
             _set_attitude(x, s[6], s[7], s[8])
             x[10], x[11], x[12] = s[9], s[10], s[11]
             last_yaw = s[8]
+            if k > 0:
+                length = 1.0 / math.sqrt(bar[0] ** 2 + bar[1] ** 2 + bar[2] ** 2)
+                for i in range(3):
+                    x[15 + i] = length * bar[i]
             window += 1
         for i in range(4):
             now[i], before[i] = u[max(k - whole, 0), i], u[max(k - whole - 1, 0), i]
@@ -182,9 +192,9 @@ def _fly(x, p, u, motor_hold, delay, dt, longest, starts, motion, codes, y):  # 
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _fly_batch(x, p, u, motor_hold, delay, dt, longest, starts, motion, codes, y):  # type: ignore[no-untyped-def]
+def _fly_batch(x, p, u, motor_hold, delay, dt, longest, starts, motion, mast, codes, y):  # type: ignore[no-untyped-def]
     for b in prange(x.shape[0]):
-        _fly(x[b], p[b], u, motor_hold[b], delay[b], dt, longest, starts, motion[b], codes, y[b])
+        _fly(x[b], p[b], u, motor_hold[b], delay[b], dt, longest, starts, motion[b], mast, codes, y[b])
 
 
 def fly_batch(
@@ -196,6 +206,7 @@ def fly_batch(
     codes: NDArray[np.int64],
     starts: NDArray[np.int64],
     motion: _Array,
+    mast: _Array,
     delay_s: _Array | None = None,
     motor_hold: _Array | None = None,
     longest_step_s: float = LONGEST_STEP_S,
@@ -217,6 +228,8 @@ def fly_batch(
         Samples at which a window begins, rising.
     motion : (b, w, 12) array
         Position and velocity N, E, D, roll, pitch, yaw, p, q, r there.
+    mast : (n, 3) array
+        Measured direction of the mast (up) in N-E-D; the bar follows it from one window to the next.
     delay_s : (b,) array, optional
         Time that inputs take to reach the vehicle; none by default.
     motor_hold : (b, 2) array, optional
@@ -233,5 +246,5 @@ def fly_batch(
     out = np.empty((b, len(inputs), len(codes)))
     delay = np.zeros(b) if delay_s is None else np.ascontiguousarray(delay_s, dtype=np.float64)
     hold = np.full((b, 2), -1.0) if motor_hold is None else motor_hold
-    _fly_batch(state, p, inputs, hold, delay, sample_s, longest_step_s, starts, motion, codes, out)
+    _fly_batch(state, p, inputs, hold, delay, sample_s, longest_step_s, starts, motion, mast, codes, out)
     return out

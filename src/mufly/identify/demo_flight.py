@@ -1,0 +1,188 @@
+"""Flights to identify from, made under the dissertation's conditions (Sec. 5.3.2), with a known truth.
+
+A pilot cannot hold the helicopter in open loop, so a PID controller helps: the pilot moves its set-points, slowly
+and at random here, and a chirp is added to them or to a motor. The controller sits on the ground: it sees noisy
+measurements, and what it commands is logged and reaches the vehicle a radio delay later. Four flights as in Sec. 5.3.3
+(upper motor, heave, roll, pitch), and one in which everything moves, with other signals, that no fit sees.
+
+The vehicle is integrated with :func:`mufly.dynamics.advance` in steps of 1 ms, not with the simulator of the fits.
+Its battery sags, and the voltage is logged. Gains and noise are those of an ordinary small helicopter: own choice.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import butter, lfilter
+
+from mufly.dynamics import advance, battery_state, euler_from_quaternion, model_parameters, trim
+from mufly.identify.record import Record
+from mufly.vehicle import Vehicle
+
+__all__ = ["NOISE", "RADIO_DELAY_S", "demo_flights", "fly_record"]
+
+_Array = NDArray[np.float64]
+
+SAMPLE_S = 0.01
+RADIO_DELAY_S = 0.025
+# Standard deviations: ultrasonic height (m), attitude and yaw of the IMU (rad), gyros (rad/s), voltage (V).
+NOISE = {
+    "height": 0.01, "roll": 0.01, "pitch": 0.01, "yaw": 0.02, "p": 0.03, "q": 0.03, "r": 0.03, "voltage": 0.02
+}  # fmt: skip
+_OUTPUTS = ("height", "roll", "pitch", "yaw", "p", "q", "r", "voltage")
+_HEIGHT = 1.5  # m
+_CHARGE = 0.7
+
+
+@dataclass(frozen=True)
+class _Excitation:
+    """Added to the set-points (height m, roll, pitch, yaw rad) and to the motors, (n, 4) and (n, 2)."""
+
+    set_point: _Array
+    motor: _Array
+
+
+def chirp(time_s: _Array, low_hz: float, high_hz: float) -> _Array:
+    """Return a sine whose frequency rises linearly from ``low_hz`` to ``high_hz``, faded in and out over 0.5 s."""
+    length = time_s[-1]
+    phase = 2 * np.pi * (low_hz * time_s + 0.5 * (high_hz - low_hz) / length * time_s**2)
+    fade = np.clip(np.minimum(time_s, length - time_s) / 0.5, 0.0, 1.0)
+    return np.sin(phase) * fade
+
+
+def _excitations(n: int, rng: np.random.Generator) -> dict[str, _Excitation]:
+    t = np.arange(n) * SAMPLE_S
+    pilot_b, pilot_a = butter(2, 2 * 0.3 * SAMPLE_S)
+
+    def pilot(size: float) -> _Array:
+        """Slow wandering of a set-point."""
+        noise = lfilter(pilot_b, pilot_a, rng.standard_normal(n + 500))[500:]
+        return size * noise / np.std(noise) * np.clip((t - 0.5) / 1.0, 0.0, 1.0)
+
+    def wander() -> _Array:
+        return np.column_stack([pilot(0.05), pilot(0.02), pilot(0.02), pilot(0.1)])
+
+    late = np.clip(t - 0.5, 0.0, None)
+    out: dict[str, _Excitation] = {}
+    sp, motor = wander(), np.zeros((n, 2))
+    motor[:, 0] = 0.08 * chirp(late, 0.2, 3.0)
+    out["yaw"] = _Excitation(sp, motor)
+    sp, motor = wander(), np.zeros((n, 2))
+    motor[:] = 0.06 * chirp(late, 0.2, 3.0)[:, None]
+    out["heave"] = _Excitation(sp, motor)
+    for name, column in (("roll", 1), ("pitch", 2)):
+        sp, motor = wander(), np.zeros((n, 2))
+        sp[:, column] += 0.25 * chirp(late, 0.3, 4.0)
+        out[name] = _Excitation(sp, motor)
+    # Steps and faster wandering on everything at once: nothing that the fits have seen.
+    sp, motor = wander(), np.zeros((n, 2))
+    sp[:, 0] += 0.2 * np.sign(np.sin(2 * np.pi * 0.23 * late))
+    sp[:, 1] += 0.12 * np.sign(np.sin(2 * np.pi * 0.61 * late))
+    sp[:, 2] += 0.12 * np.sign(np.sin(2 * np.pi * 0.47 * late))
+    motor[:, 0] = 0.05 * np.sign(np.sin(2 * np.pi * 0.9 * late))
+    motor[:, 1] = 0.05 * np.sign(np.sin(2 * np.pi * 0.37 * late))
+    out["mixed"] = _Excitation(sp, motor)
+    return out
+
+
+def fly_record(
+    vehicle: Vehicle, excitation: _Excitation, rng: np.random.Generator, *, name: str, noise: float = 1.0
+) -> Record:
+    """Fly one record.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The truth.
+    excitation : _Excitation
+    rng : numpy.random.Generator
+        For the sensors.
+    name : str
+    noise : float
+        Factor on :data:`NOISE`.
+    """
+    p, n = model_parameters(vehicle), len(excitation.motor)
+    hover = trim(vehicle, charge=_CHARGE)
+    x, calm = hover.state.copy(), np.zeros(3)
+    x[2] = -_HEIGHT
+    std = noise * np.array([NOISE[o] for o in _OUTPUTS])
+    inputs, measured = np.empty((n, 4)), np.empty((n, len(_OUTPUTS)))
+    controller = _Pid(hover.input)
+    steps = round(SAMPLE_S / 1e-3)
+    late = round(RADIO_DELAY_S / 1e-3)
+    whole, part = divmod(late, steps)
+    yaw = 0.0
+    for k in range(n):
+        before = inputs[max(k - whole - 1, 0)] if k > whole else hover.input
+        roll, pitch, heading = euler_from_quaternion(x[6:10])
+        yaw += math.remainder(heading - yaw, 2 * math.pi)
+        duty = np.clip(before[:2], 0.0, 1.0)
+        volts = battery_state(x, duty[0], duty[1], p)[0]
+        truth = np.array([-x[2], roll, pitch, yaw, x[10], x[11], x[12], volts])
+        measured[k] = truth + std * rng.standard_normal(len(std))
+        set_point = excitation.set_point[k] + [_HEIGHT, 0.0, 0.0, 0.0]
+        inputs[k] = controller.step(measured[k], set_point, excitation.motor[k])
+        now = inputs[max(k - whole, 0)] if k >= whole else hover.input
+        advance(x, before, calm, p, 1e-3, part)
+        advance(x, now, calm, p, 1e-3, steps - part)
+    return Record(name, np.arange(n) * SAMPLE_S, inputs, _OUTPUTS, measured, measured[:, -1].copy())
+
+
+class _Pid:
+    """Pilot support: PID on height, roll, pitch and yaw at the rate of the log."""
+
+    def __init__(self, hover: _Array) -> None:
+        self._hover = hover
+        self._height = self._climb = 0.0
+        self._sum = np.zeros(4)
+        self._first = True
+
+    def step(self, y: _Array, set_point: _Array, motor: _Array) -> _Array:
+        if self._first:
+            self._height, self._first = set_point[0], False
+        # Height and climb from a second-order observer with poles at -6 1/s.
+        error = y[0] - self._height
+        self._height += SAMPLE_S * (self._climb + 12.0 * error)
+        self._climb += SAMPLE_S * 36.0 * error
+        off = np.array(
+            [set_point[0] - self._height, set_point[1] - y[1], set_point[2] - y[2], set_point[3] - y[3]]
+        )
+        self._sum = np.clip(self._sum + SAMPLE_S * off, -1.0, 1.0)
+        heave = 0.05 * off[0] - 0.10 * self._climb + 0.01 * self._sum[0]
+        turn = 0.04 * off[3] - 0.02 * y[6] + 0.01 * self._sum[3]
+        roll = 0.6 * off[1] - 0.05 * y[4] + 0.5 * self._sum[1]
+        pitch = 0.6 * off[2] - 0.05 * y[5] + 0.5 * self._sum[2]
+        u = self._hover + np.array([heave + turn, heave - turn, -pitch, roll])
+        u[:2] += motor
+        return np.clip(u, [0.0, 0.0, -1.0, -1.0], 1.0)
+
+
+def demo_flights(
+    vehicle: Vehicle, *, seed: int = 0, seconds: float = 12.0, noise: float = 1.0
+) -> tuple[list[Record], list[Record]]:
+    """Fly the records of the demonstration.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The truth.
+    seed : int
+        Of pilot and sensor noise.
+    seconds : float
+        Length of a flight.
+    noise : float
+        Factor on the sensors' noise.
+
+    Returns
+    -------
+    fit, held_out : list of Record
+        Yaw, heave, roll, pitch; mixed.
+    """
+    rng = np.random.default_rng(seed)
+    n = round(seconds / SAMPLE_S) + 1
+    signals = _excitations(n, rng)
+    flown = {k: fly_record(vehicle, s, rng, name=f"demo-{k}", noise=noise) for k, s in signals.items()}
+    return [flown[k] for k in ("yaw", "heave", "roll", "pitch")], [flown["mixed"]]
