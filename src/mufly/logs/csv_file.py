@@ -82,7 +82,7 @@ def read_csv(path: str | Path, time: TimeEntry | None = None) -> RawLog:
             units = [known_unit(c.strip("[]() ")) for c in second]
             if sum(bool(u) for u in units) >= max(1, len([c for c in second if c.strip()]) // 2):
                 row_units, body = units, body + 1
-    frame = _parse(where, "\n".join(lines[body:]), separator, decimal, len(names))
+    frame = _parse(where, "\n".join(lines[body:]), separator, len(names))
     names = names[: frame.shape[1]] if len(names) > frame.shape[1] else names
     fields: dict[str, NDArray[Any]] = {}
     units_of: dict[str, str] = {}
@@ -92,7 +92,7 @@ def read_csv(path: str | Path, time: TimeEntry | None = None) -> RawLog:
         name = name or f"column {k + 1}"
         if name in fields:
             name = f"{name} ({k + 1})"
-        values, bad = _column(frame.iloc[:, k])
+        values, bad = _column(frame.iloc[:, k], decimal)
         if bad:
             notes.append(f"column {name}: {bad} cells are no numbers and count as missing")
         fields[name] = values
@@ -134,32 +134,52 @@ def _is_number(cell: str, decimal: str = ".") -> bool:
     return True
 
 
-def _parse(where: str, body: str, separator: str, decimal: str, width: int) -> Any:
+def _parse(where: str, body: str, separator: str, width: int) -> Any:
     if not body.strip():
         raise InputError(where, "", "has a header but no rows", "give a table with numbers")
     try:
         return pd.read_csv(
-            io.StringIO(body), sep=r"\s+" if separator == " " else separator, header=None, decimal=decimal,
-            float_precision="round_trip", skip_blank_lines=True, comment="#", names=range(width),
-            index_col=False, skipinitialspace=True, on_bad_lines="error",
-        )  # fmt: skip
+            io.StringIO(body),
+            sep=r"\s+" if separator == " " else separator,
+            header=None,
+            names=range(width),
+            dtype=str,
+            comment="#",
+            index_col=False,
+            skipinitialspace=True,
+            on_bad_lines="error",
+        )
     except (pd.errors.ParserError, ValueError) as error:
         reason = " ".join(str(error).split()).removeprefix("Error tokenizing data. C error: ")
         problem = f"is no table ({reason})"
         raise InputError(where, "", problem, "give every row as many cells as the header") from error
 
 
-def _column(series: Any) -> tuple[NDArray[Any], int]:
-    """Numbers of a column and how many cells are none; text where most cells are."""
-    if series.dtype.kind in "biuf":
-        return series.to_numpy(dtype=np.float64), 0
-    numbers = pd.to_numeric(series, errors="coerce").to_numpy(dtype=np.float64)
-    cells = series.fillna("").astype(str).str.strip()
-    filled = ~cells.str.lower().isin(_MISSING).to_numpy()
+def _column(series: Any, decimal: str) -> tuple[NDArray[Any], int]:
+    """Numbers of a column and how many cells are none; text where most cells are.
+
+    Python's own conversion is exact; that of pandas is not in every version.
+    """
+    cells = series.fillna("").astype(object).to_numpy()
+    try:
+        return cells.astype(np.float64), 0
+    except ValueError:
+        pass
+    texts = [str(c).strip() for c in cells]
+    swapped = [t.replace(",", ".") for t in texts] if decimal == "," else texts
+    numbers = np.array([_number(t) for t in swapped])
+    filled = np.array([t.lower() not in _MISSING for t in texts])
     bad = int((filled & np.isnan(numbers)).sum())
     if bad > 0.5 * filled.sum():
-        return cells.to_numpy(dtype=str), 0
+        return np.array(texts, dtype=str), 0
     return numbers, bad
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return float("nan")
 
 
 def table_clock(

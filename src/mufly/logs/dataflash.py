@@ -99,8 +99,8 @@ def _read_binary(where: str) -> tuple[list[RawTable], bool]:
         used = 0
         for number, fmt in reader.formats.items():
             starts = np.asarray(reader.offsets[number], dtype=np.int64)
-            used += fmt.len * len(starts)
             starts = starts[starts + fmt.len <= len(data)]
+            used += fmt.len * len(starts)
             letters = [str(c) for c in fmt.format.split("\0")[0]]
             columns = list(fmt.columns)
             if fmt.name in _DEFINITIONS or not len(starts) or len(columns) != len(letters):

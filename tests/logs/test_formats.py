@@ -1,0 +1,242 @@
+"""Other people's logs: made here by the published formats, and the PX4 sample where the measured data are at hand."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mufly.logs import kind_of, read_log, read_raw
+
+SAMPLE = Path(__file__).resolve().parents[3] / "shared/data/flight/pyulog/sample.ulg"
+
+TIME = np.arange(0, 4, 0.02)
+ROLL, YAW = 10 * np.sin(2 * TIME), 350 + 20 * TIME  # deg; yaw passes north
+
+
+def flight_log(dataflash, units=None):
+    us = np.rint(1e6 * (5 + TIME)).astype(int).tolist()
+    attitude = [
+        (t, round(100 * r), round(100 * (y % 360)), 7.4) for t, r, y in zip(us, ROLL, YAW, strict=True)
+    ]
+    gyro = [(t, k, 0.1 * (k + 1), 0.0, -0.2) for t in us[::2] for k in (0, 1)]
+    said = [(us[0], b"ArduCopter V4.5"), (us[50], b"Arming motors")]
+    gps = [(us[10], 3, 2300, 300_000_000)]
+    return dataflash(
+        [
+            (10, "ATT", "QcHf", "TimeUS,Roll,Yaw,Aux", attitude),
+            (11, "IMU", "QBfff", "TimeUS,I,GyrX,GyrY,GyrZ", gyro),
+            (12, "MSG", "QZ", "TimeUS,Message", said),
+            (13, "GPS", "QBHI", "TimeUS,Status,GWk,GMS", gps),
+        ],
+        units,
+    )
+
+
+@pytest.fixture
+def bin_file(tmp_path, make_dataflash):
+    path = tmp_path / "00000001.xyz"
+    units = {"labels": {"s": "s", "E": "rad/s", "#": "instance"}, "ids": {"IMU": "s#EEE"}}
+    path.write_bytes(flight_log(make_dataflash, units))
+    return path
+
+
+def test_dataflash_is_told_by_content_and_unpacked(bin_file):
+    raw = read_raw(bin_file)
+    assert kind_of(bin_file) == "DataFlash"
+    assert raw["ATT"].time == pytest.approx(TIME, abs=1e-6)
+    assert raw["ATT"].fields["Roll"] == pytest.approx(np.round(ROLL, 2))  # letter c: hundredths
+    assert raw.messages[1] == (1.0, "info", "Arming motors")
+    assert raw.complete
+    # Week 2300 and 300 000 s of GPS time, less 18 leap seconds and the 0.2 s since the start.
+    assert raw.start_time == "2024-02-07T11:19:41.800+00:00"
+
+
+def test_instances_become_topics_and_units_are_those_of_the_file(bin_file):
+    raw = read_raw(bin_file)
+    assert {"IMU", "IMU:1"} <= set(raw)
+    assert raw["IMU:1"].fields["GyrX"] == pytest.approx(0.2)
+    assert raw["IMU"].units["GyrX"] == "rad/s"
+
+
+def test_ardupilot_signals_have_our_names_and_units(bin_file):
+    columns = {
+        "signal": [{"name": "measured_attitude.roll", "topic": "ATT", "columns": ["Roll"], "unit": "deg"}]
+    }
+    data = read_log(bin_file, columns=columns)
+    roll = data.measured_attitude.sel(angle="roll")
+    assert np.nanmax(roll) == pytest.approx(np.radians(10), rel=1e-3)
+    assert data.measured_rates.sel(rate="p").mean() == pytest.approx(0.1)
+    assert data.measured_rates.attrs["source"] == "IMU/GyrX"
+
+
+def test_yaw_that_passes_north_does_not_jump(tmp_path, make_dataflash):
+    path = tmp_path / "log"
+    us = np.rint(1e6 * TIME).astype(int).tolist()
+    rows = [(t, round(100 * r), 0, round(100 * (y % 360))) for t, r, y in zip(us, ROLL, YAW, strict=True)]
+    path.write_bytes(make_dataflash([(10, "ATT", "QccH", "TimeUS,Roll,Pitch,Yaw", rows)]))
+    # H is an integer, so the yaw is in hundredths of a degree here; the map of the user says so.
+    columns = {"measured_attitude.yaw": "ATT/Yaw(cdeg)"}
+    yaw = read_log(path, columns=columns).measured_attitude.sel(angle="yaw").values
+    assert np.abs(np.diff(yaw)).max() < 0.02
+    assert yaw[-1] - yaw[0] == pytest.approx(np.radians(YAW[-1] - YAW[0]), abs=1e-3)
+
+
+def test_a_dataflash_log_cut_off_loses_only_its_end(tmp_path, bin_file):
+    path = tmp_path / "cut"
+    whole = bin_file.read_bytes()
+    path.write_bytes(whole[: int(0.9 * len(whole))])
+    raw = read_raw(path)
+    assert not raw.complete
+    n = len(raw["ATT"].time)
+    assert 0.7 * len(TIME) < n < len(TIME)
+    assert raw["ATT"].fields["Roll"] == pytest.approx(np.round(ROLL, 2)[:n])
+
+
+def test_the_text_form_of_dataflash(tmp_path):
+    path = tmp_path / "flight.log"
+    lines = [
+        "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns",
+        "FMT, 10, 20, ATT, Qccf, TimeUS,Roll,Pitch,Yaw",
+        "FMT, 11, 75, MSG, QZ, TimeUS,Message",
+        "MSG, 1000000, Frame: QUAD, of sorts",
+    ]
+    lines += [f"ATT, {1000000 + 20000 * k}, {k}.5, -1.25, 90" for k in range(40)]
+    path.write_text("\r\n".join(lines) + "\r\n")
+    raw = read_raw(path)
+    assert raw.kind == "DataFlash"
+    assert raw["ATT"].fields["Roll"][2] == 2.5
+    assert raw.messages[0][2] == "Frame: QUAD, of sorts"
+    attitude = read_log(path).measured_attitude
+    assert attitude.sel(angle="pitch").values == pytest.approx(np.radians(-1.25))
+
+
+def tlog(mavlink, *, reset_at=None, version=2, late=0.0):
+    """A telemetry log of 20 s at 10 Hz: the link adds up to 80 ms, the vehicle's clock is right."""
+    rng = np.random.default_rng(1)
+    link = mavlink.MAVLink(None, srcSystem=7, srcComponent=1)
+    ground = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+    out, booted = b"", 100_000  # ms
+    for k in range(200):
+        sent_s = 0.1 * k
+        if reset_at is not None and k == reset_at:
+            booted = 500 - 100 * k
+        stamp = int(1.7e15 + 1e6 * (sent_s + late + rng.uniform(0, 0.08) * (k % 5 != 0)))
+        clock = booted + 100 * k
+        messages = [(link, link.attitude_encode(clock, 0.1 * np.sin(sent_s), 0.05, 3.1, 0.0, 0.0, 0.0))]
+        if k % 10 == 0:
+            messages.append((link, link.heartbeat_encode(mavlink.MAV_TYPE_COAXIAL, 3, 0, 0, 0)))
+            messages.append((ground, ground.heartbeat_encode(mavlink.MAV_TYPE_GCS, 8, 0, 0, 0)))
+            messages.append((link, link.sys_status_encode(0, 0, 0, 0, 7400, 210, 80, 0, 0, 0, 0, 0, 0)))
+        if k == 30:
+            messages.append((link, link.statustext_encode(4, b"low battery")))
+        for who, message in messages:
+            out += struct.pack(">Q", stamp) + message.pack(who, force_mavlink1=version == 1)
+    return out
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_telemetry_log_has_the_vehicles_clock_not_the_links(tmp_path, mavlink, version):
+    path = tmp_path / "flight"
+    path.write_bytes(tlog(mavlink, version=version))
+    raw = read_raw(path)
+    assert raw.kind == "MAVLink tlog"
+    assert np.diff(raw["ATTITUDE"].time) == pytest.approx(0.1, abs=1e-6)
+    assert "HEARTBEAT@255.190" in raw
+    assert raw.messages[0][1:] == ("warning", "low battery")
+    data = read_log(path)
+    assert data.measured_attitude.sel(angle="roll").values[10] == pytest.approx(0.1 * np.sin(1.0), abs=1e-6)
+    assert data.battery_voltage.attrs["units"] == "V"
+    assert np.nanmean(data.battery_voltage) == pytest.approx(7.4)
+    assert np.nanmean(data.battery_current) == pytest.approx(2.1)
+    assert np.nanmean(data.battery_charge) == pytest.approx(0.8)
+
+
+def test_a_vehicle_that_starts_anew_keeps_one_clock(tmp_path, mavlink):
+    path = tmp_path / "flight"
+    path.write_bytes(tlog(mavlink, reset_at=120))
+    raw = read_raw(path)
+    assert np.diff(raw["ATTITUDE"].time) == pytest.approx(0.1, abs=1e-3)
+    assert "started anew at 12 s" in raw.notes[0]
+
+
+def test_damaged_packets_are_left_out_and_counted(tmp_path, mavlink):
+    path = tmp_path / "flight"
+    whole = bytearray(tlog(mavlink))
+    whole[30] ^= 0xFF  # inside the first attitude
+    middle = len(whole) // 2
+    path.write_bytes(whole[:middle] + b"\x00\x01\x02" + whole[middle:])
+    raw = read_raw(path)
+    assert not raw.complete
+    assert "damaged or unknown" in raw.notes[0]
+    assert 195 < len(raw["ATTITUDE"].time) < 200
+
+
+needs_sample = pytest.mark.skipif(not SAMPLE.exists(), reason="the measured data are not beside the project")
+
+
+@needs_sample
+def test_the_px4_sample_has_attitude_from_the_quaternion():
+    from pyulog import ULog
+
+    log = ULog(str(SAMPLE), ["vehicle_attitude"])
+    q = np.stack([log.data_list[0].data[f"q[{k}]"] for k in range(4)]).astype(float)
+    stamp = log.data_list[0].data["timestamp"]
+    raw, data = read_raw(SAMPLE), read_log(SAMPLE, signals=["measured_attitude"])
+    assert raw["vehicle_attitude"].time[-1] == pytest.approx((int(stamp[-1]) - 112500176) / 1e6)
+    # The body's z axis, from the quaternion and from the angles.
+    down = np.stack([2 * (q[1] * q[3] + q[0] * q[2]), 2 * (q[2] * q[3] - q[0] * q[1])])
+    at = np.searchsorted(raw["vehicle_attitude"].time, 30.0)
+    roll, pitch, yaw = data.measured_attitude.interp(time=raw["vehicle_attitude"].time[at]).values
+    x = np.cos(roll) * np.sin(pitch) * np.cos(yaw) + np.sin(roll) * np.sin(yaw)
+    y = np.cos(roll) * np.sin(pitch) * np.sin(yaw) - np.sin(roll) * np.cos(yaw)
+    assert [x, y] == pytest.approx(down[:, at].tolist(), abs=1e-3)
+
+
+@needs_sample
+def test_the_px4_samples_rates_are_the_derivative_of_its_attitude():
+    from mufly.logs import check_delays, read_log
+
+    data = read_log(SAMPLE, signals=["measured_attitude", "measured_rates"], rate_hz=100)
+    found = {d.response: d.delay for d in check_delays(data)}
+    for axis in "pqr":
+        assert found[f"measured_rates.{axis}"].correlation > 0.99
+        assert abs(found[f"measured_rates.{axis}"].delay_s) < 0.005
+
+
+@needs_sample
+@pytest.mark.parametrize("share", [0.2, 0.4, 0.77])
+def test_the_px4_sample_cut_off_is_read_up_to_the_cut(tmp_path, share):
+    path = tmp_path / "cut.ulg"
+    whole = SAMPLE.read_bytes()
+    path.write_bytes(whole[: int(share * len(whole))])
+    raw = read_raw(path)
+    full = read_raw(SAMPLE)["sensor_combined"].fields["gyro_rad[0]"]
+    part = raw["sensor_combined"].fields["gyro_rad[0]"]
+    assert 0 < len(part) < len(full)
+    assert np.array_equal(part, full[: len(part)])
+
+
+def test_other_peoples_mcap_gives_topics_and_takes_a_map(tmp_path):
+    import json
+
+    from mcap.writer import Writer
+
+    path = tmp_path / "robot.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema(name="imu", encoding="jsonschema", data=b"{}")
+        channel = writer.register_channel(topic="/imu", message_encoding="json", schema_id=schema)
+        other = writer.register_channel(topic="/camera", message_encoding="protobuf", schema_id=0)
+        for k in range(100):
+            message = json.dumps({"gyro": {"x": 57.29577951308232 * np.sin(0.1 * k)}, "name": "a"}).encode()
+            writer.add_message(channel, log_time=10**15 + k * 10**7, publish_time=0, data=message)
+            writer.add_message(other, log_time=10**15 + k * 10**7, publish_time=0, data=b"\xff\x00")
+        writer.finish()
+    raw = read_raw(path)
+    assert raw["/imu"].rate_hz == pytest.approx(100)
+    assert "/camera" in raw.notes[0]
+    data = read_log(path, columns={"signal": [
+        {"name": "measured_rates.p", "topic": "/imu", "columns": ["gyro.x"], "unit": "deg/s"}]})  # fmt: skip
+    assert data.measured_rates.sel(rate="p").values == pytest.approx(np.sin(0.1 * np.arange(100)))
