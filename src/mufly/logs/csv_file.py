@@ -113,14 +113,19 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def _separator(lines: list[str]) -> str:
-    """The separator that splits these lines into the most columns, as many in each line."""
-    best, most = " ", 1
+    """The separator that splits these lines into columns, as many in each line.
+
+    Semicolons and tabs come first: a comma beside them is a decimal one.
+    """
+    found = {}
     for candidate in (";", "\t", ",", " "):
         counts = [len(_cells(s, candidate)) for s in lines if s.strip()]
-        width = counts[-1]
-        if width > most and sum(c == width for c in counts) >= 0.7 * len(counts):
-            best, most = candidate, width
-    return best if most > 1 else ","
+        if counts[-1] > 1 and sum(c == counts[-1] for c in counts) >= 0.7 * len(counts):
+            found[candidate] = counts[-1]
+    for candidate in (";", "\t"):
+        if candidate in found:
+            return candidate
+    return max(found, key=lambda c: found[c], default=",")
 
 
 def _is_number(cell: str, decimal: str = ".") -> bool:

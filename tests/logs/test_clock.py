@@ -1,0 +1,116 @@
+"""Time that repeats, swaps, stops or runs backward; gaps; and signals brought onto one clock."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mufly.errors import InputError
+from mufly.logs import LogWarning, check_clock, find_gaps, read_log, resample
+from mufly.logs.clock import usable_samples
+
+TIME = 0.01 * np.arange(500)
+
+
+def test_a_sound_clock_has_no_faults():
+    report = check_clock(TIME)
+    assert report.words() == []
+    assert report.rate_hz == pytest.approx(100)
+    assert report.jitter < 1e-9
+
+
+@given(st.lists(st.integers(1, 498), min_size=1, max_size=5, unique=True), st.integers(10, 300))
+def test_every_gap_is_found_where_it_is(places, length):
+    steps = np.full(499, 0.01)
+    steps[places] += 0.01 * length
+    time = np.concatenate(([0.0], np.cumsum(steps)))
+    gaps = find_gaps(time)
+    assert gaps[:, 0] == pytest.approx(time[np.sort(places)])
+    assert gaps[:, 1] - gaps[:, 0] == pytest.approx(0.01 * (length + 1))
+
+
+def test_gaps_are_said():
+    time = np.delete(TIME, slice(100, 150))
+    words = check_clock(time).words()
+    assert words == ["1 gap, 0.51 s in all, the longest 0.51 s at 0.99 s (median step 10 ms)"]
+
+
+def test_repeated_and_swapped_stamps_are_repaired_and_said():
+    time = TIME.copy()
+    time[50] = time[49]
+    time[[200, 201]] = time[[201, 200]]
+    time[300] = np.nan
+    index, words = usable_samples(time, "log", "imu")
+    assert (np.diff(time[index]) > 0).all()
+    assert len(index) == 498
+    assert len(words) == 3
+    assert all(w.startswith("imu: ") for w in words)
+
+
+def test_a_clock_that_was_reset_is_refused():
+    time = TIME.copy()
+    time[250:] -= 2.4
+    with pytest.raises(
+        InputError, match=r"time runs backward once, by 2\.39 s .* sample 250; the clock was reset"
+    ):
+        usable_samples(time, "log.csv", "")
+
+
+def test_rows_in_disorder_are_refused():
+    with pytest.raises(InputError, match="mixed up"):
+        usable_samples(np.random.default_rng(0).permutation(TIME), "log.csv", "")
+
+
+def test_a_clock_that_stands_still_says_so():
+    assert check_clock(np.full(100, 3.0)).words() == ["the clock stands still"]
+
+
+def test_a_csv_with_a_clock_reset_is_refused_and_a_swap_is_said(tmp_path):
+    path = tmp_path / "log.csv"
+    lines = [f"{t:.2f},{k}" for k, t in enumerate(TIME)]
+    path.write_text("t_s,U_V\n" + "\n".join([*lines, *lines]))
+    with pytest.raises(InputError, match="runs backward"):
+        read_log(path)
+    lines[10], lines[11] = lines[11], lines[10]
+    path.write_text("t_s,U_V\n" + "\n".join(lines))
+    with pytest.warns(LogWarning, match="wrong order and were sorted"):
+        data = read_log(path)
+    assert data.U.values == pytest.approx(np.arange(500))
+
+
+def test_a_straight_line_is_resampled_exactly():
+    onto = 0.013 * np.arange(380)
+    out = resample(TIME, 3 * TIME - 1, onto)
+    assert out == pytest.approx(3 * onto - 1)
+
+
+def test_a_held_signal_keeps_its_last_value():
+    out = resample(
+        np.array([0.0, 1.0, 2.0]), np.array([5.0, 6.0, 7.0]), np.array([0.0, 0.5, 1.0, 1.9, 2.0]), hold=True
+    )
+    assert out.tolist() == [5, 5, 6, 6, 7]
+
+
+def test_a_gap_stays_a_gap():
+    keep = np.r_[0:200, 260:500]
+    out = resample(TIME[keep], TIME[keep], TIME)
+    assert np.isnan(out[201:259]).all()
+    assert np.isfinite(out[:200]).all()
+    assert np.isfinite(out[260:]).all()
+
+
+def test_nothing_is_made_up_before_the_beginning_and_after_the_end():
+    out = resample(TIME, TIME, np.array([-0.02, 0.0, 4.99, 5.01]))
+    assert np.isnan(out).tolist() == [True, False, False, True]
+
+
+def test_what_is_faster_than_half_the_new_rate_does_not_fold_down_and_nothing_is_delayed():
+    time = 0.001 * np.arange(8000)
+    slow, fast = (
+        np.sin(2 * np.pi * 1.0 * time),
+        np.sin(2 * np.pi * 101.0 * time),
+    )  # would fold to 1 Hz at 50 Hz
+    onto = 0.02 * np.arange(400)
+    inner = slice(20, -20)
+    out = resample(time, slow + fast, onto)[inner]
+    assert out == pytest.approx(np.sin(2 * np.pi * onto[inner]), abs=5e-3)

@@ -1,0 +1,238 @@
+"""Tables of text: headers, units, separators, clocks; and the maps that say which column is which signal."""
+
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mufly.errors import InputError
+from mufly.logs import LogWarning, builtin_maps, load_map, read_log, read_raw
+from mufly.logs.units import conversion, known_unit, split_header
+
+
+@pytest.fixture
+def table(tmp_path):
+    def write(text, name="log.csv"):
+        path = tmp_path / name
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def rows(head, n=50, sep=",", step=0.01, columns=2):
+    lines = [head]
+    lines += [
+        sep.join([f"{step * k:.6g}", *(f"{np.sin(0.1 * k + j):.9g}" for j in range(columns))])
+        for k in range(n)
+    ]
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("header", "name", "unit"),
+    [
+        ("roll (deg)", "roll", "deg"),
+        ("T [N]", "T", "N"),
+        ("speed_rpm", "speed", "rpm"),
+        ("gyro_x_deg_s", "gyro_x", "deg/s"),
+        ("thrust_mN", "thrust", "mN"),
+        ("torque [mNm]", "torque", "mN m"),
+        ("measured_position_N", "measured_position_N", ""),  # north
+        ("q[0]", "q[0]", ""),  # an index
+        ("rate (°/s)", "rate", "deg/s"),
+        ("count [widgets]", "count", "widgets"),
+        ("phi", "phi", ""),
+    ],
+)
+def test_headers_are_split_into_name_and_unit(header, name, unit):
+    assert split_header(header) == (name, unit)
+
+
+@pytest.mark.parametrize(
+    ("unit", "wanted", "one"),
+    [
+        ("deg", None, np.pi / 180), ("rpm", None, 2 * np.pi / 60), ("mV", "V", 1e-3), ("g", "N", 9.80665e-3),
+        ("g", "m/s^2", 9.80665), ("km/h", None, 1 / 3.6), ("degC", None, 274.15), ("mNm", None, 1e-3),
+        ("dps", "rad/s", np.pi / 180),
+    ],
+)  # fmt: skip
+def test_units_convert(unit, wanted, one):
+    _, factor, offset = conversion(unit, wanted)
+    assert factor + offset == pytest.approx(one)
+
+
+@given(st.sampled_from(["deg", "rpm", "mm", "degC", "mV", "km/h", "%"]), st.floats(-1e6, 1e6))
+def test_a_conversion_and_its_reverse_give_the_value_back(unit, x):
+    si, factor, offset = conversion(unit)
+    _, back, shift = conversion(si, unit)
+    assert back * (factor * x + offset) + shift == pytest.approx(x, abs=1e-6)
+
+
+def test_units_of_another_dimension_are_refused():
+    with pytest.raises(InputError, match="cannot become rad"):
+        conversion("V", "rad")
+    assert known_unit("furlong") == ""
+
+
+@pytest.mark.parametrize(
+    ("text", "separator"),
+    [
+        (rows("t (s),U [V],I [A]"), ","),
+        (rows("t (s);U [V];I [A]", sep=";"), ";"),
+        (rows("t (s);U [V];I [A]", sep=";").replace(".", ","), ";"),
+        (rows("t_s\tU_V\tI_A", sep="\t"), "\t"),
+        (rows("t_s U_V I_A", sep=" "), " "),
+        ("# bench, spring\n" + rows("t_s,U_V,I_A"), ","),
+        (rows("# t_s,U_V,I_A"), ","),
+        (rows("t,U,I").replace("t,U,I\n", "t,U,I\ns,V,A\n"), ","),
+        ("\ufeff" + rows("t_s,U_V,I_A"), ","),
+    ],
+)
+def test_the_shape_of_a_table_is_recognised(table, text, separator):
+    raw = read_raw(table(text))
+    assert raw.info["separator"] == separator
+    one = raw["table"]
+    assert one.units == {"U": "V", "I": "A"}
+    assert one.time == pytest.approx(0.01 * np.arange(50))
+    assert one.fields["I"] == pytest.approx(np.sin(0.1 * np.arange(50) + 1), abs=1e-8)
+
+
+def test_a_table_without_a_header_has_numbered_columns(table):
+    text = rows("x").partition("\n")[2]
+    data = read_log(table(text), columns={"time": "1", "battery_voltage": "2", "battery_current": "-3(mA)"})
+    assert data.battery_voltage.values == pytest.approx(np.sin(0.1 * np.arange(50)), abs=1e-8)
+    assert data.battery_current.values == pytest.approx(-1e-3 * np.sin(0.1 * np.arange(50) + 1), abs=1e-8)
+
+
+def test_a_table_without_a_clock_needs_a_rate(table):
+    path = table("U,I\n1,2\n2,3\n3,4\n")
+    with pytest.raises(InputError, match="no column for the time among: U, I"):
+        read_raw(path)
+    columns = {"time": {"rate_hz": 50}, "signal": [{"name": "battery_voltage", "columns": ["U"]}]}
+    assert read_log(path, columns=columns).time.values == pytest.approx([0, 0.02, 0.04])
+
+
+@pytest.mark.parametrize(("step", "unit"), [(10, "milli"), (10_000, "micro"), (10_000_000, "nano")])
+def test_the_unit_of_a_clock_without_one_is_guessed_and_said(table, step, unit):
+    text = "timestamp,U_V\n" + "\n".join(f"{step * k},{k}" for k in range(50))
+    with pytest.warns(LogWarning, match=f"taken as {unit}seconds"):
+        data = read_log(table(text))
+    assert data.time.values == pytest.approx(0.01 * np.arange(50))
+
+
+def test_times_of_day_are_read(table):
+    text = "time,U_V\n" + "\n".join(f"2025-03-01T12:00:{k / 10:04.1f}Z,{k}" for k in range(50))
+    raw = read_raw(table(text))
+    assert raw.start_time.startswith("2025-03-01T12:00:00")
+    assert raw["table"].time == pytest.approx(0.1 * np.arange(50))
+
+
+def test_cells_that_are_no_numbers_are_missing_and_counted(table):
+    text = rows("t_s,U_V,I_A").replace("\n0.05,", "\n0.05,oops").replace("\n0.07,", "\n0.07,nan ,0\n0.075,")
+    with pytest.warns(LogWarning, match="column U: 1 cells are no numbers"):
+        data = read_log(table(text))
+    assert np.isnan(data.U).sum() == 2
+
+
+def test_rows_of_unequal_length_are_refused(table):
+    with pytest.raises(InputError, match="as many cells as the header"):
+        read_raw(table(rows("t_s,U_V,I_A") + "1,2,3,4,5\n"))
+
+
+def test_a_map_from_a_file_converts_names_units_signs_and_offsets(table, tmp_path):
+    path = table(rows("ms,phi,theta,psi,U", columns=4, step=10))
+    (tmp_path / "map.toml").write_text(
+        """
+        [time]
+        column = "ms"
+        unit = "ms"
+
+        [[signal]]
+        name = "measured_attitude"
+        columns = ["phi", "theta", "psi"]
+        unit = "deg"
+        sign = [1, -1, 1]
+
+        [[signal]]
+        name = "battery_voltage"
+        columns = ["U"]
+        unit = "mV"
+        factor = 2
+        offset = 100
+        """
+    )
+    data = read_log(path, columns=tmp_path / "map.toml")
+    k = 0.1 * np.arange(50)
+    assert data.time.values == pytest.approx(0.01 * np.arange(50))
+    wanted = np.radians(np.column_stack([np.sin(k), -np.sin(k + 1), np.sin(k + 2)]))
+    assert data.measured_attitude.values == pytest.approx(wanted, abs=1e-9)
+    assert data.battery_voltage.values == pytest.approx(1e-3 * (2 * np.sin(k + 3) + 100), abs=1e-9)
+    assert set(data) == {"measured_attitude", "battery_voltage"}
+
+
+def test_the_short_form_says_the_same(table):
+    path = table(rows("ms,phi,theta,psi", columns=3, step=10))
+    short = read_log(
+        path,
+        columns=["time=ms(ms)", "measured_attitude=phi,theta,psi(deg)", "measured_rates.q=-theta[deg/s]"],
+    )
+    k = 0.1 * np.arange(50)
+    assert short.measured_attitude.sel(angle="yaw").values == pytest.approx(
+        np.radians(np.sin(k + 2)), abs=1e-9
+    )
+    assert short.measured_rates.sel(rate="q").values == pytest.approx(-np.radians(np.sin(k + 1)), abs=1e-9)
+    assert np.isnan(short.measured_rates.sel(rate="p")).all()
+
+
+def test_a_quaternion_in_a_table_becomes_angles(table):
+    angle = np.linspace(0, 3 * np.pi, 60)  # one and a half turns to the right
+    lines = [f"{0.1 * k},{np.cos(a / 2)},0,0,{np.sin(a / 2)}" for k, a in enumerate(angle)]
+    path = table("t_s,qw,qx,qy,qz\n" + "\n".join(lines))
+    entry = {"name": "measured_attitude", "columns": ["qw", "qx", "qy", "qz"], "quaternion": True}
+    data = read_log(path, columns={"signal": [entry]})
+    assert data.measured_attitude.sel(angle="yaw").values == pytest.approx(angle, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ({"battery_voltage": "V0lt"}, "there is no such column"),
+        ({"battery_voltage": "U(furlong)"}, "is unknown"),
+        ({"battery_voltage": "U(deg)"}, "cannot become V"),
+        ({"measured_attitude.rol": "U"}, "is no component"),
+        ({"measured_attitude": "U"}, "give 3"),
+        ({"battery voltage": "U"}, "is no name for a signal"),
+        ({"signal": [{"name": "x", "column": "U"}]}, "did you mean 'columns'"),
+        (["battery_voltage"], "write NAME=COLUMN"),
+        ({"time": "clock", "battery_voltage": "U"}, "is no column"),
+    ],
+)
+def test_maps_that_do_not_fit_are_refused_in_one_line(table, columns, words):
+    path = table(rows("t_s,U_V,I_A"))
+    with pytest.raises(InputError, match=words) as caught:
+        read_log(path, columns=columns)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["px4", "ardupilot", "mavlink"])
+def test_the_maps_of_the_package_are_sound(name):
+    assert name in builtin_maps()
+    assert len(load_map(name).signal) > 10
+
+
+def test_signals_are_chosen_by_name_component_and_pattern(tmp_path, data):
+    from mufly.logs import write_log
+
+    path = write_log(data, tmp_path / "log.csv")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LogWarning)
+        assert set(read_log(path, signals=["measured_*"])) == {"measured_attitude", "measured_rates"}
+        one = read_log(path, signals=["measured_attitude.pitch"]).measured_attitude
+        assert np.isnan(one.sel(angle="roll")).all()
+        assert np.array_equal(one.sel(angle="pitch"), data.measured_attitude.sel(angle="pitch"))
+        assert list(read_log(path, signals=["table/flap"])) == ["table_flap"]
+    with pytest.raises(InputError, match="there is no such signal"):
+        read_log(path, signals=["measured_altitude"])

@@ -1,0 +1,200 @@
+"""Outliers, frozen and saturated channels, degrees taken for radians, and delays."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mufly.errors import InputError
+from mufly.logs import (
+    LogWarning,
+    body_rates_of_attitude,
+    check_channel,
+    check_delays,
+    estimate_delay,
+    find_frozen,
+    find_outliers,
+    find_saturation,
+    guess_angle_units,
+    read_log,
+)
+
+TIME = 0.01 * np.arange(2000)
+RNG = np.random.default_rng(5)
+NOISE = RNG.standard_normal(2000)
+
+
+@given(st.lists(st.integers(10, 1980), max_size=6, unique=True), st.sampled_from([-12.0, 12.0, 40.0]))
+def test_single_outliers_in_noise_are_found_and_nothing_else(places, size):
+    places = sorted(p for p in places if all(abs(p - q) > 40 or p == q for q in places))
+    x = 3 * np.sin(TIME) + 0.1 * NOISE
+    x[places] += 0.1 * size
+    assert set(find_outliers(x)) <= set(places)
+    x[places] += 0.1 * size
+    assert find_outliers(x).tolist() == places
+
+
+def test_noise_steps_and_fast_sines_hold_no_outliers():
+    assert len(find_outliers(np.random.default_rng(0).standard_normal(200_000))) == 0
+    assert len(find_outliers(np.sign(np.sin(3 * TIME)))) == 0
+    assert len(find_outliers(np.sin(60 * TIME))) == 0
+    assert len(find_outliers(np.where(TIME > 10, 5.0, 0.0) + 0.01 * NOISE)) == 0
+
+
+def test_a_frozen_sensor_is_found_and_a_held_input_is_not():
+    x = NOISE.copy()
+    x[500:520] = x[500]
+    assert find_frozen(x).tolist() == [[500, 520]]
+    assert len(find_frozen(np.repeat(NOISE[:400], 5))) == 0
+
+
+def test_saturation_is_measured_at_either_end():
+    x = np.clip(2 * np.sin(TIME) + 0.01 * NOISE, -1.5, 1.0)
+    low, high = find_saturation(x)
+    assert low == pytest.approx(np.mean(x == -1.5), abs=0.005)
+    assert high == pytest.approx(np.mean(x == 1.0), abs=0.005)
+    assert find_saturation(np.sin(TIME) + 0.01 * NOISE) == (0, 0)
+
+
+def test_the_words_of_a_channel():
+    x = 0.1 * NOISE
+    x[300] = 5.0
+    x[700:800] = np.nan
+    words = check_channel(TIME, x, "p", "rad/s").words()
+    assert words == ["p: 5 % of the values are missing", "p: 1 outlier, at 3.00 s"]
+    assert check_channel(TIME, np.full(2000, 2.0), "u").constant
+    assert check_channel(TIME, np.full(2000, np.nan), "u").words() == ["u: no value at all"]
+
+
+ANGLE = 0.3 * np.sin(2 * TIME) + 0.1 * np.sin(9 * TIME)
+RATE = 0.6 * np.cos(2 * TIME) + 0.9 * np.cos(9 * TIME)
+
+
+@pytest.mark.parametrize(
+    ("angle", "rate", "wanted"),
+    [
+        (ANGLE, RATE, ("rad", "rad")),
+        (np.degrees(ANGLE), RATE, ("deg", "rad")),
+        (ANGLE, np.degrees(RATE), ("rad", "deg")),
+        (np.degrees(ANGLE), np.degrees(RATE), ("deg", "deg")),
+        (np.degrees(ANGLE), None, ("deg", "")),
+        (0.05 * np.degrees(ANGLE), None, ("", "")),
+        (None, np.degrees(RATE), ("", "deg")),
+        (0.02 * np.degrees(ANGLE), 0.02 * RATE + 0.0005 * NOISE, ("deg", "rad")),
+    ],
+)
+def test_degrees_are_told_from_radians(angle, rate, wanted):
+    guess = guess_angle_units(TIME, angle, rate)
+    assert (guess.angle, guess.rate) == wanted
+    assert guess.reason or wanted == ("", "")
+
+
+def csv(tmp_path, head, *columns):
+    path = tmp_path / "log.csv"
+    np.savetxt(path, np.column_stack([TIME, *columns]), delimiter=",", header=head, comments="", fmt="%.9g")
+    return path
+
+
+def test_an_angle_without_unit_is_guessed_and_said(tmp_path):
+    path = csv(tmp_path, "t_s,measured_attitude_roll,measured_rates_p", np.degrees(ANGLE), RATE)
+    with pytest.warns(LogWarning) as said:
+        data = read_log(path)
+    words = [str(w.message) for w in said]
+    assert any("measured_attitude names no unit and is taken to be in deg" in w for w in words)
+    assert any("measured_rates names no unit and is taken to be in rad/s" in w for w in words)
+    assert data.measured_attitude.sel(angle="roll").values == pytest.approx(ANGLE, abs=1e-6)
+    assert data.attrs["notes"]
+
+
+def test_degrees_labelled_radians_are_said_but_not_changed(tmp_path):
+    path = csv(tmp_path, "t_s,measured_attitude_roll [rad],measured_rates_p [rad/s]", np.degrees(ANGLE), RATE)
+    with pytest.warns(LogWarning, match="is said to be in rad but looks like deg"):
+        data = read_log(path)
+    assert data.measured_attitude.sel(angle="roll").values == pytest.approx(np.degrees(ANGLE), abs=1e-6)
+
+
+def delayed_pair(tau_s, seed, band_hz=8.0, n=1500, rate=100.0):
+    """Band-limited noise and the same later, exactly (a phase ramp over a record four times as long)."""
+    rng = np.random.default_rng(seed)
+    spectrum = np.fft.rfft(rng.standard_normal(4 * n))
+    f = np.fft.rfftfreq(4 * n, 1 / rate)
+    spectrum[f > band_hz] = 0
+    x = np.fft.irfft(spectrum)[:n]
+    y = np.fft.irfft(spectrum * np.exp(-2j * np.pi * f * tau_s))[:n]
+    return np.arange(n) / rate, x / x.std(), y / y.std(), rng
+
+
+@settings(max_examples=30)
+@given(st.floats(-0.3, 0.3), st.integers(0, 1000), st.sampled_from([-3.0, 0.5]))
+def test_a_known_delay_is_estimated_to_a_tenth_of_a_sample(tau_s, seed, gain):
+    t, x, y, rng = delayed_pair(tau_s, seed)
+    found = estimate_delay(t, x, gain * (y + 0.1 * rng.standard_normal(len(t))) + 2.0 + 0.3 * t)
+    assert abs(found.delay_s - tau_s) < 0.1 * found.step_s
+    assert np.sign(found.correlation) == np.sign(gain)
+    assert not found.at_limit
+
+
+def test_the_interval_of_a_delay_holds_it_as_often_as_it_says():
+    inside = 0
+    for seed in range(150):
+        t, x, y, rng = delayed_pair(0.0437, seed)
+        noise = np.convolve(rng.standard_normal(len(t) + 9), np.ones(10) / np.sqrt(10), "valid")  # coloured
+        found = estimate_delay(t, x, y + 0.4 * noise)
+        inside += found.low_s <= 0.0437 <= found.high_s
+    assert 0.87 * 150 <= inside <= 0.995 * 150
+
+
+def test_missing_values_do_not_spoil_a_delay():
+    t, x, y, _ = delayed_pair(0.123, 3)
+    y[400:430] = np.nan
+    assert estimate_delay(t, x, y).delay_s == pytest.approx(0.123, abs=0.001)
+
+
+def test_a_causal_delay_does_not_lead():
+    t = TIME
+    wave = np.sin(2 * np.pi * t)
+    found = estimate_delay(t, wave, np.sin(2 * np.pi * (t - 0.6)) * (1 + 0.1 * np.sin(t)), causal=True)
+    assert found.delay_s == pytest.approx(0.6, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("t", "x", "y", "words"),
+    [
+        (TIME, np.ones(2000), NOISE, "constant"),
+        (TIME[:20], NOISE[:20], NOISE[:20], "at least 30"),
+        (np.sort(RNG.random(2000)), NOISE, NOISE, "evenly"),
+    ],
+)
+def test_delays_that_cannot_be_are_refused(t, x, y, words):
+    with pytest.raises(InputError, match=words):
+        estimate_delay(t, x, y)
+
+
+def test_body_rates_of_an_attitude_follow_the_rotation():
+    """Against the rotation that the equations of motion use: R(t)^T R(t + dt) turns by omega dt."""
+    from mufly.dynamics.state import quaternion_from_euler, rotation
+
+    t = 1e-3 * np.arange(400)
+    attitude = np.column_stack([0.4 * np.sin(5 * t), 0.3 * np.cos(4 * t), 2 * t])
+    rates = body_rates_of_attitude(t, attitude)
+    for k in (50, 200, 333):
+        before, after = (rotation(quaternion_from_euler(*attitude[j])) for j in (k - 1, k + 1))
+        turn = before.T @ after
+        omega = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / (
+            2 * 2e-3
+        )
+        assert rates[k] == pytest.approx(omega, abs=1e-4)
+
+
+def test_delays_of_a_record_are_those_put_in(make_signals):
+    t, x, y, _ = delayed_pair(0.07, 11, band_hz=3.0)
+    data = make_signals(n=1500, rate=100.0)
+    zero = np.zeros(len(t))
+    data["reference_attitude"] = (("time", "angle"), 0.1 * np.column_stack([x, zero, zero]), {"units": "rad"})
+    data["measured_attitude"] = (("time", "angle"), 0.1 * np.column_stack([y, zero, zero]), {"units": "rad"})
+    rates = body_rates_of_attitude(t, data.measured_attitude.values)
+    rates[2:] = rates[:-2].copy()  # the gyroscope reports two samples late
+    data["measured_rates"] = (("time", "rate"), rates, {"units": "rad/s"})
+    found = {d.response: d.delay.delay_s for d in check_delays(data)}
+    assert found["measured_attitude.roll"] == pytest.approx(0.07, abs=0.002)
+    assert found["measured_rates.p"] == pytest.approx(0.02, abs=0.001)
