@@ -194,7 +194,8 @@ def state_space_response(
     eye = np.eye(len(a))
     x = np.linalg.solve(s[:, None, None] * eye - a, np.broadcast_to(b.astype(complex), (len(s), *b.shape)))
     h = c @ x + d
-    return h if delay_s is None else h * np.exp(-s[:, None, None] * delay_s)
+    turned = h if delay_s is None else h * np.exp(-s[:, None, None] * delay_s)
+    return np.asarray(turned, dtype=np.complex128)
 
 
 def misfit(data: FrequencyResponse, model: ComplexArray, *, least: float = 0.3) -> Array:

@@ -10,7 +10,7 @@ Rotorcraft*, 2003, ch. 4; Tischler and Remple, ch. 15):
     hybrid        p' = L_b b + L_a a,   q' = M_a a + M_b b            rotor springs carry the fuselage
                   a' = -q - a / tau_f + (A_b b + A_lat lat + A_lon lon) / tau_f
                   b' = -p - b / tau_f + (B_a a + B_lat lat + B_lon lon) / tau_f
-    yaw           r' = N_r r + N_ped (ped - r_fb) + N_col col + N_p p,   r_fb' = K_r r - K_rfb r_fb     gyro
+    yaw           r' = N_r r + N_ped ped + N_col col + N_p p [- N_fb r_fb,  r_fb' = r - K_rfb r_fb: gyro]
     attitude      phi' = p,   theta' = q                              small angles
     translation   u' = X_u u - g theta + X_a a,   v' = Y_v v + g phi + Y_b b
     heave         w' = Z_w w + Z_col col
@@ -29,12 +29,14 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError
 
-__all__ = ["ANGULAR", "GRAVITY", "UNITS", "Parameter", "Structure", "helicopter"]
+__all__ = ["ANGULAR", "EXTRAS", "GRAVITY", "UNITS", "Parameter", "Structure", "helicopter", "model_named"]
 
 Array = NDArray[np.float64]
 
 GRAVITY = 9.80665
 ANGULAR = ("first-order", "second-order", "hybrid")
+EXTRAS = ("coupled", "collective", "gyro", "speed", "skew")
+_SKEW_S = 0.3
 UNITS = {
     "p": "rad/s",
     "q": "rad/s",
@@ -123,10 +125,13 @@ class _Builder:
     def minus_inverse(self, row: str, symbol: str) -> None:
         self.entries.append(("A", row, row, lambda v: -1.0 / v[symbol]))
 
-    def finish(self, name: str, outputs: tuple[str, ...], delayed: tuple[str, ...], most: float) -> Structure:
+    def finish(
+        self, name: str, outputs: tuple[str, ...], driven: set[str], most: float, skew: float
+    ) -> Structure:
+        # A lagged stick drives its own state; the delay belongs to the stick.
         for i in self.inputs:
-            if i in delayed:
-                self.parameter(f"tau_{i}", "s", min(0.04, 0.5 * most), 0.0, most, f"delay of {i}")
+            if i in driven and most + skew > 0.0:
+                self.parameter(f"tau_{i}", "s", min(0.04, 0.5 * most), -skew, most, f"delay of {i}")
         row = {s: k for k, s in enumerate(self.states)}
         column = {s: k for k, s in enumerate(self.inputs)}
         nx, nu, ny = len(row), len(column), len(outputs)
@@ -151,7 +156,8 @@ class _Builder:
 
 def helicopter(
     inputs: tuple[str, ...], outputs: tuple[str, ...], *, angular: str = "hybrid", coupled: bool = False,
-    speed: bool = False, most_delay_s: float = 0.3,
+    collective: bool = False, gyro: bool = False, speed: bool = False, most_delay_s: float = 0.3,
+    skew_s: float = 0.0,
 ) -> Structure:  # fmt: skip
     """Put a helicopter's linear model together.
 
@@ -165,10 +171,16 @@ def helicopter(
         Block of roll and pitch: one of ``ANGULAR``.
     coupled : bool
         With the terms between roll and pitch.
+    collective : bool
+        With the collective into roll and pitch.
+    gyro : bool
+        With the yaw gyro's feedback r_fb.
     speed : bool
         With speed stability L_v, M_u (needs u, v among the outputs).
     most_delay_s : float
         Greatest delay of an input (s).
+    skew_s : float
+        How much earlier than recorded an input may act (s): for logs whose inputs carry a late time stamp.
 
     Raises
     ------
@@ -195,9 +207,8 @@ def helicopter(
     for r in rates:
         other = {"p": "q", "q": "p"}[r]
         if angular == "hybrid":
-            spring = 1.0
             b.free(r, flap[r], f"{big[r]}_{flap[r]}", "1/s^2", 60.0, (0.5, 2000.0), f"flapping spring, {r}")
-            b.constant(flap[r], r, -spring)
+            b.constant(flap[r], r, -1.0)
             b.parameter("tau_f", "s", 0.1, 0.01, 3.0, "time constant of flapping")
             b.minus_inverse(flap[r], "tau_f")
             group = flap[r].upper()
@@ -207,6 +218,8 @@ def helicopter(
                     b.free(
                         flap[r], s, f"{group}_{s}", "rad", start, 20.0, f"flapping command, {s}", over="tau_f"
                     )
+            if collective and "col" in inputs:
+                b.free(r, "col", f"{big[r]}_col", "1/s^2", 0.0, 200.0, f"collective into {r}")
             if coupled and other in rates:
                 b.free(r, flap[other], f"{big[r]}_{flap[other]}", "1/s^2", 0.0, 1000.0, f"cross spring, {r}")
                 b.free(
@@ -223,6 +236,8 @@ def helicopter(
             b.free(r, r, f"{big[r]}_{r}", "1/s", -3.0, (-60.0, 0.0), f"damping, {r}")
             if coupled and other in rates:
                 b.free(r, other, f"{big[r]}_{other}", "1/s", 0.0, 30.0, f"coupling of {other} into {r}")
+            if collective and "col" in inputs:
+                b.free(r, "col", f"{big[r]}_col", "1/s^2", 0.0, 200.0, f"collective into {r}")
             for s in sticks:
                 if s == own[r] or coupled:
                     column = f"{s}_f" if angular == "second-order" else s
@@ -237,15 +252,47 @@ def helicopter(
                     )
     _attitude_and_translation(b, rates, outputs, angular, speed)
     if "r" in outputs:
-        _yaw(b, inputs, rates, coupled)
+        _yaw(b, inputs, rates, coupled, gyro)
     if "w" in outputs:
         b.states.append("w")
         b.free("w", "w", "Z_w", "1/s", -0.5, (-20.0, 0.0), "heave damping")
         if "col" in inputs:
             b.free("w", "col", "Z_col", "m/s^2", -10.0, 300.0, "collective into heave")
-    used = {e[2] for e in b.entries if e[0] == "B"}
-    name = f"{angular}{'-coupled' if coupled else ''}{'-speed' if speed else ''}"
-    return b.finish(name, outputs, tuple(used), most_delay_s)
+    extras = {
+        "coupled": coupled,
+        "collective": collective,
+        "gyro": gyro,
+        "speed": speed,
+        "skew": skew_s > 0.0,
+    }
+    name = "-".join([angular, *(word for word, wanted in extras.items() if wanted)])
+    return b.finish(name, outputs, {e[2] for e in b.entries if e[0] == "B"}, most_delay_s, skew_s)
+
+
+def model_named(name: str, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> Structure:
+    """Put together the model of a name such as ``"first-order-coupled"`` or ``"helicopter"``.
+
+    The name begins with one of ``ANGULAR`` and goes on with any of ``EXTRAS``; ``"helicopter"`` stands for
+    ``"hybrid-coupled-gyro"``, Mettler's structure. ``skew`` lets inputs act up to 0.3 s before they were recorded.
+
+    Raises
+    ------
+    InputError
+        If the name is unknown.
+    """
+    text = "hybrid-coupled-gyro" if name == "helicopter" else name
+    base = next((a for a in ANGULAR if text == a or text.startswith(a + "-")), None)
+    words = text[len(base) :].strip("-").split("-") if base is not None else []
+    words = [w for w in words if w]
+    if base is None or not set(words) <= set(EXTRAS):
+        raise InputError(
+            "--model", "", f"{name!r} is unknown",
+            f"use auto, helicopter, or {', '.join(ANGULAR)} followed by any of -{', -'.join(EXTRAS)}",
+        )  # fmt: skip
+    return helicopter(
+        inputs, outputs, angular=base, coupled="coupled" in words, collective="collective" in words,
+        gyro="gyro" in words, speed="speed" in words, skew_s=_SKEW_S if "skew" in words else 0.0,
+    )  # fmt: skip
 
 
 def _attitude_and_translation(
@@ -271,37 +318,39 @@ def _attitude_and_translation(
                 b.free(r, vel, f"{big}_{vel}", "rad/(m s)", 0.0, 10.0, "speed stability")
 
 
-def _yaw(b: _Builder, inputs: tuple[str, ...], rates: tuple[str, ...], coupled: bool) -> None:
-    b.states += ["r", "r_fb"]
+def _yaw(b: _Builder, inputs: tuple[str, ...], rates: tuple[str, ...], coupled: bool, gyro: bool) -> None:
+    b.states.append("r")
     b.free("r", "r", "N_r", "1/s", -1.0, (-60.0, 0.0), "yaw damping")
-    b.free("r_fb", "r", "K_r", "1", 1.0, (1e-3, 300.0), "gyro, gain from r")
-    b.free("r_fb", "r_fb", "K_rfb", "1/s", -3.0, (-60.0, 0.0), "gyro, washout")
     if "ped" in inputs:
         b.free("r", "ped", "N_ped", "1/s^2", 10.0, 500.0, "pedal into yaw")
-        b.entries.append(("A", "r", "r_fb", lambda v: -v["N_ped"]))
-    else:
-        # Without pedals only the product of N_ped and K_r is seen.
-        b.parameter("N_fb", "1/s", 10.0, 1e-3, 500.0, "gyro's feedback into yaw")
-        b.entries[:] = [e for e in b.entries if e[1:3] != ("r_fb", "r")]
-        b.parameters.pop("K_r")
-        b.constant("r_fb", "r", 1.0)
-        b.entries.append(("A", "r", "r_fb", lambda v: -v["N_fb"]))
     if "col" in inputs:
         b.free("r", "col", "N_col", "1/s^2", 0.0, 200.0, "collective into yaw")
     for r in rates if coupled else ():
         b.free("r", r, f"N_{r}", "1/s", 0.0, 30.0, f"coupling of {r} into yaw")
+    if gyro:
+        # Only the product of Mettler's N_ped and K_r is seen at r; the state is scaled so that K_r is 1.
+        b.states.append("r_fb")
+        b.constant("r_fb", "r", 1.0)
+        b.parameter("K_rfb", "1/s", 3.0, 0.02, 60.0, "gyro, washout")
+        b.entries.append(("A", "r_fb", "r_fb", lambda v: -v["K_rfb"]))
+        b.parameter("N_fb", "1/s^2", 10.0, 1e-3, 500.0, "gyro's feedback into yaw")
+        b.entries.append(("A", "r", "r_fb", lambda v: -v["N_fb"]))
 
 
 def _check(inputs: tuple[str, ...], outputs: tuple[str, ...], angular: str) -> None:
     known = ("lat", "lon", "ped", "col")
     for name in inputs:
         if name not in known:
-            raise InputError("--inputs", name, "is no input of the helicopter model", f"use {', '.join(known)}; write "
-                             "theirs=column to say which column it is")  # fmt: skip
+            raise InputError(
+                "--inputs", name, "is no input of the helicopter model",
+                f"use {', '.join(known)}; write lat=COLUMN to say which column it is",
+            )  # fmt: skip
     for name in outputs:
         if name not in UNITS:
-            raise InputError("--outputs", name, "is no output of the helicopter model", f"use {', '.join(UNITS)}; write "
-                             "theirs=column to say which column it is")  # fmt: skip
+            raise InputError(
+                "--outputs", name, "is no output of the helicopter model",
+                f"use {', '.join(UNITS)}; write p=COLUMN to say which column it is",
+            )  # fmt: skip
     if angular not in ANGULAR:
         raise InputError("--model", "", f"{angular!r} is unknown", f"use one of: {', '.join(ANGULAR)}")
     if not outputs or not inputs:

@@ -152,7 +152,7 @@ def autocorrelation(residual: Array, dt: float, *, max_lag_s: float, confidence:
     r = _lagged_products(e, e, lags)[lags:]
     power = r[0] if r[0] > 0.0 else 1.0
     bound = float(norm.ppf(0.5 + 0.5 * confidence)) / np.sqrt(max(np.isfinite(residual).sum(), 1))
-    return Correlation(dt * np.arange(lags + 1), r / power, float(bound))
+    return Correlation(np.asarray(dt * np.arange(lags + 1), dtype=np.float64), r / power, float(bound))
 
 
 def cross_correlation(
@@ -179,7 +179,7 @@ def cross_correlation(
     u = _centred(np.asarray(signal, dtype=np.float64))
     e = _centred(np.asarray(residual, dtype=np.float64))
     lags = _lags(e.size, dt, max_lag_s)
-    times = dt * np.arange(-lags, lags + 1)
+    times = np.asarray(dt * np.arange(-lags, lags + 1), dtype=np.float64)
     scale = float(np.sqrt((u @ u) * (e @ e)))
     count = int((np.isfinite(signal) & np.isfinite(residual)).sum())
     if scale == 0.0 or count < 2:
@@ -298,6 +298,6 @@ def high_frequency_noise(signal: Array, dt: float, *, above_hz: float) -> float:
     """
     from scipy.signal import periodogram
 
-    frequency, density = periodogram(signal, 1.0 / dt, window="hann", detrend="linear")
+    frequency, density = periodogram(signal, 1.0 / dt, window="hann", detrend="constant")
     above = frequency >= above_hz
     return float(np.sqrt(np.sum(density[above]) * (frequency[1] - frequency[0])))

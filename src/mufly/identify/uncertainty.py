@@ -4,8 +4,8 @@ An output-error fit minimises ``sum_i e_i^T W e_i`` with sensitivities ``S_i = d
 were white with covariance ``W^-1`` the covariance of the estimates would be the Cramer-Rao bound ``M^-1``,
 ``M = sum_i S_i^T W S_i``. Residuals of flight data are not white (vibration, wind, what the model leaves out), and the
 bound is then too small by a factor of 5 to 10 in standard deviation. With the residuals' autocorrelation
-``R(k) = <e_i e_(i+k)^T>`` the covariance of the same estimate is (Morelli and Klein 1997, "Accuracy of aerodynamic model
-parameters estimated from flight test data", J. Guidance 20(1), eq. 22; Klein and Morelli, Sec. 6.3)
+``R(k) = <e_i e_(i+k)^T>`` the covariance of the same estimate is (Morelli and Klein 1997, "Accuracy of aerodynamic
+model parameters estimated from flight test data", J. Guidance 20(1); Klein and Morelli, Sec. 6.3)
 
     Cov = M^-1 [ sum_i sum_j S_i^T W R(i - j) W S_j ] M^-1
 

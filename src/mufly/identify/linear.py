@@ -1,0 +1,377 @@
+"""Linear models from flight records, start to finish: choose a structure, fit it, predict what it has not seen.
+
+The fit sees the first part of the record only: so do the choice of the structure (blocked cross-validation inside that
+part), the disturbance model and the noise floor. The second part is predicted by one pure simulation that runs on from
+the first without a look at the measurements, and, beside it, a stated time ahead from past measurements. Low-pass and
+decimation for the fit are applied to inputs and outputs alike, to the first part alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.errors import InputError
+from mufly.identify.linear_check import (
+    CrossValidation,
+    Disturbance,
+    NoiseFloor,
+    cross_validate,
+    disturbance_model,
+    noise_floor,
+    predict_ahead,
+)
+from mufly.identify.linear_fit import LinearFit, fit_linear, predict_linear
+from mufly.identify.linear_record import Record, lowpassed
+from mufly.identify.linear_structure import Structure, model_named
+from mufly.identify.linear_subspace import Subspace, equation_error, subspace
+from mufly.identify.missing import what_is_missing
+from mufly.identify.residuals import Quality, qualities, quality
+from mufly.identify.result import Estimate, Fit, RecordFit
+from mufly.identify.uncertainty import correlation_of, unseen_directions
+
+__all__ = ["CANDIDATES", "HORIZONS_S", "Ahead", "LinearResult", "identify_linear"]
+
+Array = NDArray[np.float64]
+
+CANDIDATES = (
+    "first-order", "first-order-coupled", "second-order", "second-order-coupled", "hybrid", "hybrid-coupled",
+    "first-order-coupled-collective", "first-order-skew", "first-order-coupled-skew",
+)  # fmt: skip
+HORIZONS_S = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
+_BLOCKS = 4
+_ANGLE = {"p": "phi", "q": "theta"}
+
+
+@dataclass(frozen=True)
+class Ahead:
+    """Prediction a time ahead on the held-out part, of every output.
+
+    ``horizon_s`` is infinite for the pure simulation. ``fit_percent`` is against the measurement as recorded,
+    ``fit_percent_slow`` against both low-passed at ``LinearResult.slow_hz``, ``persistence_percent`` what the last measured
+    value would reach (low-passed, NaN for the simulation).
+    """
+
+    horizon_s: float
+    fit_percent: tuple[float, ...]
+    fit_percent_slow: tuple[float, ...]
+    rms_over_noise: tuple[float, ...]
+    persistence_percent: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class LinearResult:
+    """A linear identification.
+
+    Attributes
+    ----------
+    fit : Fit
+        As a report wants it, with the fitted and the held-out part.
+    linear : LinearFit
+        The model itself.
+    candidates : tuple of CrossValidation
+        Structures tried, best first; empty if one was asked for.
+    floors : tuple of NoiseFloor
+        Of every output, from the fitted part.
+    disturbance : Disturbance
+    ahead : tuple of Ahead
+        Empty without held-out part.
+    quality, quality_slow : dict of role to tuple of Quality
+        Of the simulation, against the record and against both low-passed at ``slow_hz``.
+    slow_hz : float
+    missing : tuple of str
+        What the residuals of the fitted part show.
+    equation_error : dict of symbol to (value, std)
+        Cross-check; empty where no rate was measured.
+    subspace : Subspace or None
+        Cross-check of the same number of states, fitted to the same samples.
+    subspace_percent : tuple of float
+        Its pure simulation on the held-out part, low-passed.
+    notes : tuple of str
+        About the record.
+    """
+
+    fit: Fit
+    linear: LinearFit
+    candidates: tuple[CrossValidation, ...]
+    floors: tuple[NoiseFloor, ...]
+    disturbance: Disturbance
+    ahead: tuple[Ahead, ...]
+    quality: Mapping[str, tuple[Quality, ...]]
+    quality_slow: Mapping[str, tuple[Quality, ...]]
+    slow_hz: float
+    missing: tuple[str, ...]
+    equation_error: Mapping[str, tuple[float, float]]
+    subspace: Subspace | None
+    subspace_percent: tuple[float, ...]
+    notes: tuple[str, ...]
+
+
+def identify_linear(
+    record: Record, inputs: Mapping[str, str], outputs: Mapping[str, str], *, model: str = "auto",
+    candidates: Sequence[str] = CANDIDATES, split: float = 0.5, lowpass_hz: float | None = 5.0,
+    rate_hz: float | None = 25.0, starts: int = 6, seed: int = 0, hold: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> LinearResult:  # fmt: skip
+    """Identify a linear model on the first part of a record and predict the rest.
+
+    Parameters
+    ----------
+    record : Record
+    inputs, outputs : dict
+        Our names (lat, lon, ped, col; p, q, r, phi, theta, u, v, w) to columns; ``-`` before a column turns its sign.
+    model : str
+        See :func:`mufly.identify.model_named`; ``"auto"`` cross-validates ``candidates`` and takes the best.
+    candidates : sequence of str
+    split : float
+        Share of the record that the fit may see; 1 for all of it.
+    lowpass_hz, rate_hz : float, optional
+        For the fit alone; None leaves the record as it is.
+    starts, seed, hold
+        See :func:`mufly.identify.fit_linear`.
+    progress : callable, optional
+        Called with (steps done, steps).
+
+    Raises
+    ------
+    InputError
+        If columns are missing, nothing moves, or no structure can be fitted.
+    """
+    if not 0.1 <= split <= 1.0:
+        raise InputError("--split", "", f"{split:g} is no share of the record", "give 0.1 to 1")
+    us = _columns(record, inputs, "--inputs")
+    y = _columns(record, outputs, "--outputs")
+    cut = round(split * len(y))
+    notes = list(record.notes)
+    moving = [
+        k
+        for k in range(us.shape[1])
+        if np.std(us[:cut, k]) > 1e-9 * max(1.0, float(np.abs(us[:cut, k]).max()))
+    ]
+    for k, name in enumerate(inputs):
+        if k not in moving:
+            notes.append(
+                f"{name} never moved in the fitted part and was left out: the data say nothing about it"
+            )
+    if not moving:
+        raise InputError(
+            "--inputs", ",".join(inputs), "never move in the fitted part", "use another part or record"
+        )
+    u, names = us[:, moving], tuple(n for k, n in enumerate(inputs) if k in moving)
+    outs, dt = tuple(outputs), record.dt
+    slow = 5.0 if lowpass_hz is None else lowpass_hz
+    slow = min(slow, 0.4 / dt)
+    uf, yf, dtf = _thinned(u[:cut], y[:cut], dt, lowpass_hz, rate_hz)
+    tried: list[CrossValidation] = []
+    first: Array | None = None
+    steps = (len(candidates) if model == "auto" else 0) + starts + 4
+    done = 0
+
+    def tick(now: int, _: int = 0) -> None:
+        if progress is not None:
+            progress(min(done + now, steps), steps)
+
+    if model == "auto":
+        best: tuple[float, Structure, LinearFit] | None = None
+        for name in candidates:
+            structure = model_named(name, names, outs)
+            if structure.name not in {t.name for t in tried}:
+                score, trial = cross_validate(structure, uf, yf, dtf, blocks=_BLOCKS, starts=2, hold=hold)
+                tried.append(score)
+                if best is None or score.left_out < best[0]:
+                    best = (score.left_out, structure, trial)
+            tick(1)
+            done += 1
+        assert best is not None
+        structure, first = best[1], best[2].values
+    else:
+        structure = model_named(model, names, outs)
+    linear = fit_linear(
+        structure, uf, yf, dtf, starts=starts, seed=seed, hold=hold, first=first, progress=tick
+    )
+    simulated, _ = predict_linear(linear, u, dt)
+    floors = tuple(
+        noise_floor(y[:cut, k], u[:cut], dt, angle=_angle(record, name, outs, y, cut))
+        for k, name in enumerate(outs)
+    )
+    disturbance = disturbance_model(linear, (y - simulated)[:cut], dt)
+    tick(starts + 4)
+    records = _records(record, cut, outs, linear, y, simulated, floors, us, tuple(inputs))
+    check, percent = _subspace(linear, uf, yf, dtf, u, y, dt, cut, rate_hz, slow)
+    rates = [k for k, o in enumerate(outs) if o in ("p", "q", "r")]
+    regressed = (
+        equation_error(
+            y[:cut, rates],
+            u[:cut],
+            dt,
+            rate_names=tuple(outs[k] for k in rates),
+            input_names=names,
+            cut_hz=slow,
+        )
+        if rates
+        else {}
+    )
+    parts = {"fit": slice(0, cut), "held out": slice(cut, len(y))}
+    quality_slow = {
+        r.role: _slow(y[parts[r.role]], simulated[parts[r.role]], dt, slow, floors) for r in records
+    }
+    tried.sort(key=lambda t: t.left_out)
+    return LinearResult(
+        _fit(linear, records, tuple(notes)), linear, tuple(_relative(tried)), floors, disturbance,
+        _ahead(linear, disturbance, y, simulated, dt, cut, slow, floors),
+        {r.role: qualities(r) for r in records}, quality_slow, slow, what_is_missing(records[0]), regressed,
+        check, percent, tuple(notes),
+    )  # fmt: skip
+
+
+def _columns(record: Record, wanted: Mapping[str, str], option: str) -> Array:
+    columns = []
+    for name, column in wanted.items():
+        sign = -1.0 if column.startswith("-") else 1.0
+        columns.append(sign * record.find(column.lstrip("-") or name, option))
+    if not columns:
+        raise InputError(option, "", "names nothing", "give names from the log, such as p,q")
+    return np.column_stack(columns)
+
+
+def _angle(record: Record, name: str, outs: tuple[str, ...], y: Array, cut: int) -> Array | None:
+    angle = _ANGLE.get(name)
+    if angle is None:
+        return None
+    if angle in outs:
+        return y[:cut, outs.index(angle)]
+    return record.columns[angle][:cut] if angle in record.columns else None
+
+
+def _thinned(
+    u: Array, y: Array, dt: float, lowpass_hz: float | None, rate_hz: float | None
+) -> tuple[Array, Array, float]:
+    if lowpass_hz is not None:
+        u, y = lowpassed(u, dt, min(lowpass_hz, 0.45 / dt)), lowpassed(y, dt, min(lowpass_hz, 0.45 / dt))
+    step = 1 if rate_hz is None else max(1, round(1.0 / (rate_hz * dt)))
+    if step > 1 and (lowpass_hz is None or lowpass_hz > 0.45 / (dt * step)):
+        raise InputError(
+            "--rate",
+            "",
+            f"{1.0 / (dt * step):g} Hz would fold what lies above it",
+            "give --lowpass below 0.45 of it",
+        )
+    return u[::step], y[::step], dt * step
+
+
+def _records(
+    record: Record, cut: int, outs: tuple[str, ...], linear: LinearFit, y: Array, simulated: Array,
+    floors: tuple[NoiseFloor, ...], u: Array, names: tuple[str, ...],
+) -> tuple[RecordFit, ...]:  # fmt: skip
+    noise = np.array([max(f.total, 1e-12) for f in floors])
+    made = []
+    for a, b in ((0, cut), (cut, len(y))):
+        if b - a < 20:
+            continue
+        t = record.time_s[a:b]
+        made.append(
+            RecordFit(
+                f"{record.name}, {t[0]:.1f} to {t[-1]:.1f} s", "fit" if a == 0 else "held out", t, outs,
+                linear.structure.units, y[a:b], simulated[a:b], noise, u[a:b], names,
+            )
+        )  # fmt: skip
+    return tuple(made)
+
+
+def _slow(
+    y: Array, simulated: Array, dt: float, cut_hz: float, floors: tuple[NoiseFloor, ...]
+) -> tuple[Quality, ...]:
+    a, b = lowpassed(y, dt, cut_hz), lowpassed(simulated, dt, cut_hz)
+    return tuple(quality(a[:, k], b[:, k], f.below) for k, f in enumerate(floors))
+
+
+def _ahead(
+    linear: LinearFit, disturbance: Disturbance, y: Array, simulated: Array, dt: float, cut: int, slow: float,
+    floors: tuple[NoiseFloor, ...],
+) -> tuple[Ahead, ...]:  # fmt: skip
+    if len(y) - cut < 20:
+        return ()
+    found = []
+    target, m = lowpassed(y[cut:], dt, slow), y.shape[1]
+    for horizon in (*HORIZONS_S, float("inf")):
+        steps = max(1, round(horizon / dt)) if np.isfinite(horizon) else 0
+        predicted = (
+            simulated if steps == 0 else predict_ahead(linear, disturbance, y, simulated, dt, horizon)
+        )[cut:]
+        smooth = lowpassed(predicted, dt, slow)
+        # Without a phase-free filter persistence would carry the vibration along.
+        kept = lowpassed(y, dt, slow)[cut - steps : len(y) - steps]
+        found.append(
+            Ahead(
+                horizon,
+                tuple(quality(y[cut:, k], predicted[:, k]).fit_percent for k in range(m)),
+                tuple(quality(target[:, k], smooth[:, k]).fit_percent for k in range(m)),
+                tuple(quality(y[cut:, k], predicted[:, k], floors[k].total).rms_over_noise for k in range(m)),
+                tuple(
+                    quality(target[:, k], kept[:, k]).fit_percent if steps else float("nan") for k in range(m)
+                ),
+            )
+        )
+    return tuple(found)
+
+
+def _subspace(
+    linear: LinearFit, uf: Array, yf: Array, dtf: float, u: Array, y: Array, dt: float, cut: int,
+    rate_hz: float | None, slow: float,
+) -> tuple[Subspace | None, tuple[float, ...]]:  # fmt: skip
+    past = int(np.clip(round(1.0 / dtf), 5, 50))
+    try:
+        model = subspace(uf, yf, dtf, order=min(len(linear.structure.states), 8), past=past)
+    except InputError:
+        return None, ()
+    if np.abs(np.linalg.eigvals(model.a)).max() > 1.0 + 1e-6 or len(y) - cut < 20:
+        return model, ()
+    step = max(1, round(dtf / dt))
+    # Without a look at the held-out part: the state runs on from the fitted one.
+    whole = model.simulate(u[::step], model.initial_state(uf[: 2 * past], yf[: 2 * past]))
+    last = -(-cut // step)
+    target = lowpassed(y, dt, slow)[::step][last:]
+    return model, tuple(quality(target[:, k], whole[last:, k]).fit_percent for k in range(y.shape[1]))
+
+
+def _relative(tried: list[CrossValidation]) -> list[CrossValidation]:
+    from dataclasses import replace
+
+    aic, bic = min((t.aic for t in tried), default=0.0), min((t.bic for t in tried), default=0.0)
+    return [replace(t, aic=t.aic - aic, bic=t.bic - bic) for t in tried]
+
+
+def _fit(linear: LinearFit, records: tuple[RecordFit, ...], notes: tuple[str, ...]) -> Fit:
+    std = np.sqrt(np.maximum(np.diag(linear.covariance), 0.0))
+    correlation = correlation_of(linear.covariance)
+    estimates = tuple(
+        Estimate(
+            p.symbol,
+            "",
+            p.unit,
+            float(s),
+            float(v),
+            float(d),
+            float(v - 1.96 * d),
+            float(v + 1.96 * d),
+            bool(b),
+        )
+        for p, s, v, d, b in zip(
+            linear.structure.parameters, linear.start, linear.values, std, linear.at_bound, strict=True
+        )
+    )
+    free = ~linear.at_bound
+    unseen = unseen_directions(
+        tuple(np.array(linear.structure.symbols)[free].tolist()), linear.values[free], std[free],
+        correlation[np.ix_(free, free)],
+    )  # fmt: skip
+    return Fit(
+        linear.structure.name, estimates, linear.covariance, correlation,
+        unseen + tuple(n for n in notes if "never moved" in n), linear.history[-1]["cost"], linear.history,
+        "output error, maximum likelihood, pure simulation of the whole record, "
+        f"{len(linear.costs)} starts; initial state, trims and biases eliminated",
+        linear.simulations, linear.seconds, linear.converged, linear.message, records,
+    )  # fmt: skip

@@ -1,0 +1,290 @@
+"""How far a linear model can be believed: cross-validation, k-step prediction, and the noise floor.
+
+**Blocked cross-validation.** The record is cut into blocks; each is left out of the cost once while the simulation
+runs through it, and is then predicted from inputs alone. Neighbouring samples are no independent witnesses, whole
+blocks nearly are.
+
+**Disturbance model.** What a simulation misses, ``e = y - y_sim``, obeys the model's own homogeneous equation driven by
+the disturbance, ``d_(k+1) = Phi d_k + w_k, e_k = C d_k + v_k``. Variances of ``w`` and ``v`` are fitted by maximum
+likelihood of the one-step innovations (Ljung, Sec. 7.4; Jategaonkar's filter-error method, ch. 5, at fixed model), and
+a steady Kalman filter then gives the state from past samples. Prediction ``h`` seconds ahead is
+``y_sim(t + h) + C Phi^h d(t|t)``: measurements up to t, inputs up to t + h.
+
+**Noise floor** of a rate: what it holds above the band in which the inputs have power, and below it what disagrees with
+the derivative of the measured angle. The model is not asked to explain either.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_are
+from scipy.optimize import minimize
+from scipy.signal import periodogram
+
+from mufly.identify.linear_fit import LinearFit, fit_linear, predict_linear
+from mufly.identify.linear_record import lowpassed
+from mufly.identify.linear_simulate import discretise
+from mufly.identify.linear_structure import Structure
+from mufly.identify.residuals import high_frequency_noise
+
+__all__ = [
+    "CrossValidation",
+    "Disturbance",
+    "NoiseFloor",
+    "cross_validate",
+    "disturbance_model",
+    "noise_floor",
+    "predict_ahead",
+]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CrossValidation:
+    """Score of one structure on the fitted part of a record.
+
+    Attributes
+    ----------
+    name : str
+    parameters : int
+    left_out : float
+        Mean square of the residuals in the left-out blocks over the variance of the output, mean over the outputs:
+        1 is as good as the mean.
+    by_output : tuple of float
+    fit_percent : tuple of float
+        In sample, of the fit to all blocks.
+    aic, bic : float
+        Less those of the best structure, in effective samples.
+    """
+
+    name: str
+    parameters: int
+    left_out: float
+    by_output: tuple[float, ...]
+    fit_percent: tuple[float, ...]
+    aic: float
+    bic: float
+
+
+def cross_validate(
+    structure: Structure, u: Array, y: Array, dt: float, *, blocks: int = 4, starts: int = 3, hold: bool = False,
+    count: int | None = None,
+) -> tuple[CrossValidation, LinearFit]:  # fmt: skip
+    """Score a structure by leaving out one block after the other.
+
+    Parameters
+    ----------
+    structure : Structure
+    u, y : (n, inputs), (n, outputs) array
+    dt : float
+    blocks : int
+    starts, hold
+        As for :func:`mufly.identify.fit_linear`; a fold begins at the fit to all blocks.
+    count : int, optional
+        Outputs scored, from the first; default all. Structures with further outputs remain comparable so.
+
+    Returns
+    -------
+    score : CrossValidation
+        ``aic`` and ``bic`` not yet relative to anything.
+    fit : LinearFit
+        To all blocks, without covariance.
+    """
+    whole = fit_linear(structure, u, y, dt, starts=starts, hold=hold, covariance=False)
+    edges = np.linspace(0, len(y), blocks + 1).astype(int)
+    square = np.zeros_like(y)
+    for a, b in pairwise(edges.tolist()):
+        mask = np.ones(len(y), dtype=bool)
+        mask[a:b] = False
+        fold = fit_linear(
+            structure, u, y, dt, starts=1, hold=hold, mask=mask, first=whole.values, covariance=False
+        )
+        square[a:b] = (y - predict_linear(fold, u, dt)[0])[a:b] ** 2
+    m = y.shape[1] if count is None else count
+    by_output = np.nanmean(square, axis=0)[:m] / np.nanvar(y, axis=0)[:m]
+    error = y - predict_linear(whole, u, dt)[0]
+    percent = 100.0 * (1.0 - np.sqrt(np.nanmean(error**2, axis=0) / np.nanvar(y, axis=0)))
+    return CrossValidation(
+        structure.name, len(structure.parameters), float(by_output.mean()), tuple(by_output.tolist()),
+        tuple(percent[:m].tolist()), whole.criterion("aic"), whole.criterion("bic"),
+    ), whole  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Disturbance:
+    """What a fitted model misses, as noise through the model itself.
+
+    Attributes
+    ----------
+    state_std : (states,) array
+        Of ``w`` per sample.
+    noise_std : (outputs,) array
+        Of ``v``.
+    phi, gain : array
+        Transition of one sample, and the filter's gain (states, outputs).
+    """
+
+    state_std: Array
+    noise_std: Array
+    phi: Array
+    gain: Array
+
+
+def disturbance_model(fit: LinearFit, residual: Array, dt: float) -> Disturbance:
+    """Fit the disturbance to the residuals of a simulation (n, outputs), without gaps, of the fitted part alone."""
+    a, b, c, _, _ = fit.structure.matrices(fit.values)
+    phi = discretise(a, b, dt)[0]
+    scale = residual.std(axis=0)
+    # States that are measured move like their output; the others take the mean size.
+    size = np.array(
+        [
+            float(np.mean(scale[c[:, j] != 0.0])) if c[:, j].any() else float(scale.mean())
+            for j in range(len(a))
+        ]
+    )
+    step = np.sqrt(dt)
+
+    def gain_of(z: Array) -> tuple[Array, Array]:
+        q, r = np.diag((size * step * np.exp(z[: len(a)])) ** 2), np.diag((scale * np.exp(z[len(a) :])) ** 2)
+        p = solve_discrete_are(phi.T, c.T, q, r)
+        s = c @ p @ c.T + r
+        return np.asarray(np.linalg.solve(s, c @ p).T, dtype=np.float64), s
+
+    def unlikely(z: Array) -> float:
+        if (np.abs(z) > 12.0).any():
+            return 1e12
+        try:
+            gain, s = gain_of(z)
+        except (np.linalg.LinAlgError, ValueError):
+            return 1e12
+        e = _filter(phi, np.ascontiguousarray(gain), np.ascontiguousarray(c), residual)[1]
+        sign, logdet = np.linalg.slogdet(s)
+        if sign <= 0.0 or not np.isfinite(e).all():
+            return 1e12
+        return 0.5 * len(e) * logdet + 0.5 * float(np.einsum("ni,ij,nj->", e, np.linalg.inv(s), e))
+
+    z0 = np.r_[np.zeros(len(a)), np.full(len(c), -0.5)]
+    best = minimize(
+        unlikely, z0, method="Nelder-Mead", options={"maxfev": 120 * z0.size, "xatol": 0.05, "fatol": 1.0}
+    )
+    gain, _ = gain_of(best.x)
+    return Disturbance(size * step * np.exp(best.x[: len(a)]), scale * np.exp(best.x[len(a) :]), phi, gain)
+
+
+@nb.njit(cache=True)
+def _filter(
+    phi: Array, gain: Array, c: Array, e: Array
+) -> tuple[Array, Array]:  # pragma: no cover (compiled)
+    """States after each measurement (n, nx) and innovations (n, ny) of a steady Kalman filter."""
+    n, ny, nx = e.shape[0], c.shape[0], phi.shape[0]
+    states, innovations = np.empty((n, nx)), np.empty((n, ny))
+    ahead = np.zeros(nx)
+    for k in range(n):
+        for o in range(ny):
+            total = e[k, o]
+            for i in range(nx):
+                total -= c[o, i] * ahead[i]
+            innovations[k, o] = total
+        for i in range(nx):
+            total = ahead[i]
+            for o in range(ny):
+                total += gain[i, o] * innovations[k, o]
+            states[k, i] = total
+        for i in range(nx):
+            total = 0.0
+            for j in range(nx):
+                total += phi[i, j] * states[k, j]
+            ahead[i] = total
+    return states, innovations
+
+
+def predict_ahead(
+    fit: LinearFit, disturbance: Disturbance, y: Array, simulated: Array, dt: float, horizon_s: float
+) -> Array:
+    """Predict every sample from measurements at least ``horizon_s`` old, and from the inputs since.
+
+    Parameters
+    ----------
+    fit : LinearFit
+    disturbance : Disturbance
+        From the fitted part.
+    y, simulated : (n, outputs) array
+        Measured, and simulated from inputs alone. Before the first usable sample the simulation stands.
+    dt, horizon_s : float
+        (s).
+
+    Returns
+    -------
+    (n, outputs) array
+    """
+    c = fit.structure.matrices(fit.values)[2]
+    states, _ = _filter(
+        disturbance.phi,
+        np.ascontiguousarray(disturbance.gain),
+        np.ascontiguousarray(c),
+        np.nan_to_num(y - simulated),
+    )
+    steps = max(1, round(horizon_s / dt))
+    ahead = c @ np.linalg.matrix_power(disturbance.phi, steps)
+    predicted = simulated.copy()
+    predicted[steps:] += states[:-steps] @ ahead.T
+    return predicted
+
+
+@dataclass(frozen=True)
+class NoiseFloor:
+    """Noise of one output; standard deviations in its unit.
+
+    Attributes
+    ----------
+    above_hz : float
+        The inputs have 99.9 % of their power below.
+    above : float
+        What the output holds above that frequency.
+    below : float
+        What disagrees with the measured angle's derivative below it; zero where no angle was measured.
+    """
+
+    above_hz: float
+    above: float
+    below: float
+
+    @property
+    def total(self) -> float:
+        """Both together."""
+        return float(np.hypot(self.above, self.below))
+
+
+def noise_floor(signal: Array, u: Array, dt: float, *, angle: Array | None = None) -> NoiseFloor:
+    """Estimate the noise floor of an output.
+
+    Parameters
+    ----------
+    signal : (n,) array
+    u : (n, k) array
+        All inputs.
+    dt : float
+    angle : (n,) array, optional
+        Measured angle whose derivative the signal is (small angles).
+    """
+    cut = 0.5 / dt * 0.2
+    moved = u[:, u.std(axis=0) > 0.0]
+    if moved.shape[1]:
+        f, power = periodogram(
+            (moved - moved.mean(0)) / moved.std(0), 1.0 / dt, axis=0, window="hann", detrend="constant"
+        )
+        share = np.cumsum(power.sum(1)) / power.sum()
+        cut = float(np.clip(f[np.searchsorted(share, 0.999)], 20.0 / (dt * len(signal)), 0.4 / dt))
+    below = 0.0
+    if angle is not None:
+        both = lowpassed(np.column_stack([signal, np.gradient(angle, dt)]), dt, cut)
+        edge = min(len(signal) // 10, round(1.0 / (cut * dt)))
+        difference = (both[:, 0] - both[:, 1])[edge : len(signal) - edge]
+        below = float(np.std(difference))
+    return NoiseFloor(cut, high_frequency_noise(signal, dt, above_hz=cut), below)
