@@ -132,7 +132,7 @@ def test_times_of_day_are_read(table):
 
 def test_cells_that_are_no_numbers_are_missing_and_counted(table):
     text = rows("t_s,U_V,I_A").replace("\n0.05,", "\n0.05,oops").replace("\n0.07,", "\n0.07,nan ,0\n0.075,")
-    with pytest.warns(LogWarning, match="column U: 1 cells are no numbers"):
+    with pytest.warns(LogWarning, match="column U: 1 cell is no number"):
         data = read_log(table(text))
     assert np.isnan(data.U).sum() == 2
 

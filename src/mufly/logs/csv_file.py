@@ -7,6 +7,7 @@ numbers or as ISO 8601. Cells that are no number are missing values, and counted
 
 from __future__ import annotations
 
+import csv
 import io
 import re
 from pathlib import Path
@@ -82,7 +83,8 @@ def read_csv(path: str | Path, time: TimeEntry | None = None) -> RawLog:
             units = [known_unit(c.strip("[]() ")) for c in second]
             if sum(bool(u) for u in units) >= max(1, len([c for c in second if c.strip()]) // 2):
                 row_units, body = units, body + 1
-    frame = _parse(where, "\n".join(lines[body:]), separator, len(names))
+    kept = (s for s in lines[body:] if not s.lstrip().startswith(_COMMENTS))
+    frame = _parse(where, "\n".join(kept), separator, len(names))
     names = names[: frame.shape[1]] if len(names) > frame.shape[1] else names
     fields: dict[str, NDArray[Any]] = {}
     units_of: dict[str, str] = {}
@@ -94,7 +96,8 @@ def read_csv(path: str | Path, time: TimeEntry | None = None) -> RawLog:
             name = f"{name} ({k + 1})"
         values, bad = _column(frame.iloc[:, k], decimal)
         if bad:
-            notes.append(f"column {name}: {bad} cells are no numbers and count as missing")
+            cells = "1 cell is no number and counts" if bad == 1 else f"{bad} cells are no numbers and count"
+            notes.append(f"column {name}: {cells} as missing")
         fields[name] = values
         if unit or (row_units and row_units[k]):
             units_of[name] = unit or row_units[k]
@@ -109,7 +112,7 @@ def read_csv(path: str | Path, time: TimeEntry | None = None) -> RawLog:
 def _cells(line: str, separator: str) -> list[str]:
     if separator == " ":
         return line.split()
-    return [c.strip().strip('"') for c in line.split(separator)]
+    return [c.strip() for c in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
 
 
 def _separator(lines: list[str]) -> str:
@@ -149,7 +152,6 @@ def _parse(where: str, body: str, separator: str, width: int) -> Any:
             header=None,
             names=range(width),
             dtype=str,
-            comment="#",
             index_col=False,
             skipinitialspace=True,
             on_bad_lines="error",

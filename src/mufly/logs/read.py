@@ -35,6 +35,8 @@ from mufly.logs.ulog import read_ulog
 __all__ = ["joined", "kind_of", "matches", "read_log", "read_raw", "series_of"]
 
 Progress = Callable[[int, int], None]
+# Steps that vary by more than this share are said.
+_JITTER = 0.02
 _MAPS = {"ULog": "px4", "DataFlash": "ardupilot", "MAVLink tlog": "mavlink"}
 
 
@@ -330,11 +332,11 @@ def _joined(series: list[Series], rate_hz: float | None, notes: list[str]) -> xr
     if shared and rate_hz is None:
         time = first
         report = check_clock(time)
-        if report.jitter > 0.02 or len(report.gaps):
-            notes.append(
-                f"the clock is uneven (steps vary by {100 * report.jitter:.2g} %, {len(report.gaps)} gaps); "
-                "give a rate to resample"
-            )
+        if report.jitter > _JITTER or len(report.gaps):
+            holes = f"{len(report.gaps)} gap{'s' if len(report.gaps) > 1 else ''}" if len(report.gaps) else ""
+            steps = f"steps vary by {100 * report.jitter:.2g} %" if report.jitter > _JITTER else ""
+            said = ", ".join(t for t in (steps, holes) if t)
+            notes.append(f"the clock is uneven ({said}); give a rate to resample")
         columns = [FlatColumn(s.variable, s.label, s.values, s.unit) for s in series]
     else:
         rates = [_rate(s.time) for s in series]
