@@ -9,10 +9,10 @@ decimation for the fit are applied to inputs and outputs alike, to the first par
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import butter, sosfilt
 
 from mufly.errors import InputError
 from mufly.identify.linear_check import (
@@ -24,8 +24,9 @@ from mufly.identify.linear_check import (
     noise_floor,
     predict_ahead,
 )
-from mufly.identify.linear_fit import LinearFit, fit_linear, predict_linear
+from mufly.identify.linear_fit import fit_linear, predict_linear
 from mufly.identify.linear_record import Record, lowpassed
+from mufly.identify.linear_result import Ahead, LinearFit, LinearResult
 from mufly.identify.linear_structure import Structure, model_named
 from mufly.identify.linear_subspace import Subspace, equation_error, subspace
 from mufly.identify.missing import what_is_missing
@@ -33,7 +34,7 @@ from mufly.identify.residuals import Quality, qualities, quality
 from mufly.identify.result import Estimate, Fit, RecordFit
 from mufly.identify.uncertainty import correlation_of, unseen_directions
 
-__all__ = ["CANDIDATES", "HORIZONS_S", "Ahead", "LinearResult", "identify_linear"]
+__all__ = ["CANDIDATES", "HORIZONS_S", "identify_linear"]
 
 Array = NDArray[np.float64]
 
@@ -44,70 +45,6 @@ CANDIDATES = (
 HORIZONS_S = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 _BLOCKS = 4
 _ANGLE = {"p": "phi", "q": "theta"}
-
-
-@dataclass(frozen=True)
-class Ahead:
-    """Prediction a time ahead on the held-out part, of every output.
-
-    ``horizon_s`` is infinite for the pure simulation. ``fit_percent`` is against the measurement as recorded,
-    ``fit_percent_slow`` against both low-passed at ``LinearResult.slow_hz``, ``persistence_percent`` what the last measured
-    value would reach (low-passed, NaN for the simulation).
-    """
-
-    horizon_s: float
-    fit_percent: tuple[float, ...]
-    fit_percent_slow: tuple[float, ...]
-    rms_over_noise: tuple[float, ...]
-    persistence_percent: tuple[float, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class LinearResult:
-    """A linear identification.
-
-    Attributes
-    ----------
-    fit : Fit
-        As a report wants it, with the fitted and the held-out part.
-    linear : LinearFit
-        The model itself.
-    candidates : tuple of CrossValidation
-        Structures tried, best first; empty if one was asked for.
-    floors : tuple of NoiseFloor
-        Of every output, from the fitted part.
-    disturbance : Disturbance
-    ahead : tuple of Ahead
-        Empty without held-out part.
-    quality, quality_slow : dict of role to tuple of Quality
-        Of the simulation, against the record and against both low-passed at ``slow_hz``.
-    slow_hz : float
-    missing : tuple of str
-        What the residuals of the fitted part show.
-    equation_error : dict of symbol to (value, std)
-        Cross-check; empty where no rate was measured.
-    subspace : Subspace or None
-        Cross-check of the same number of states, fitted to the same samples.
-    subspace_percent : tuple of float
-        Its pure simulation on the held-out part, low-passed.
-    notes : tuple of str
-        About the record.
-    """
-
-    fit: Fit
-    linear: LinearFit
-    candidates: tuple[CrossValidation, ...]
-    floors: tuple[NoiseFloor, ...]
-    disturbance: Disturbance
-    ahead: tuple[Ahead, ...]
-    quality: Mapping[str, tuple[Quality, ...]]
-    quality_slow: Mapping[str, tuple[Quality, ...]]
-    slow_hz: float
-    missing: tuple[str, ...]
-    equation_error: Mapping[str, tuple[float, float]]
-    subspace: Subspace | None
-    subspace_percent: tuple[float, ...]
-    notes: tuple[str, ...]
 
 
 def identify_linear(
@@ -216,13 +153,13 @@ def identify_linear(
     )
     parts = {"fit": slice(0, cut), "held out": slice(cut, len(y))}
     quality_slow = {
-        r.role: _slow(y[parts[r.role]], simulated[parts[r.role]], dt, slow, floors) for r in records
+        str(r.role): _slow(y[parts[r.role]], simulated[parts[r.role]], dt, slow, floors) for r in records
     }
     tried.sort(key=lambda t: t.left_out)
     return LinearResult(
         _fit(linear, records, tuple(notes)), linear, tuple(_relative(tried)), floors, disturbance,
         _ahead(linear, disturbance, y, simulated, dt, cut, slow, floors),
-        {r.role: qualities(r) for r in records}, quality_slow, slow, what_is_missing(records[0]), regressed,
+        {str(r.role): qualities(r) for r in records}, quality_slow, slow, what_is_missing(records[0]), regressed,
         check, percent, tuple(notes),
     )  # fmt: skip
 
@@ -296,14 +233,15 @@ def _ahead(
         return ()
     found = []
     target, m = lowpassed(y[cut:], dt, slow), y.shape[1]
+    # Unfiltered, persistence would carry the vibration along; a filter that sees the future would cheat.
+    causal = np.asarray(sosfilt(butter(1, slow, fs=1.0 / dt, output="sos"), y, axis=0))
     for horizon in (*HORIZONS_S, float("inf")):
         steps = max(1, round(horizon / dt)) if np.isfinite(horizon) else 0
         predicted = (
             simulated if steps == 0 else predict_ahead(linear, disturbance, y, simulated, dt, horizon)
         )[cut:]
         smooth = lowpassed(predicted, dt, slow)
-        # Without a phase-free filter persistence would carry the vibration along.
-        kept = lowpassed(y, dt, slow)[cut - steps : len(y) - steps]
+        kept = causal[cut - steps : len(y) - steps]
         found.append(
             Ahead(
                 horizon,

@@ -1,17 +1,17 @@
-"""Output-error fit of a linear model: Levenberg-Marquardt type search, several starts, the whole record in one piece.
+"""Output-error fit of a linear model: Gauss-Newton in a trust region, several starts, the whole record in one piece.
 
-The prediction is a pure simulation from the inputs. Its residuals are weighted by the inverse of their own variance, which is
-re-estimated until it stands still: the maximum-likelihood estimate for unknown noise (Maine and Iliff 1985, NASA RP-1138;
-Jategaonkar, ch. 4). Initial state, trim of the inputs and bias of the outputs enter linearly and are eliminated
-exactly at every step (variable projection), so the search has only the parameters of the dynamics, and their covariance
-counts what those unknowns cost. A mask leaves out samples for cross-validation while the simulation runs through them.
+The prediction is a pure simulation from the inputs. Its residuals are weighted by the inverse of their own variance,
+which is re-estimated until it stands still: the maximum-likelihood estimate for unknown noise (Maine and Iliff 1985,
+NASA RP-1138; Jategaonkar, ch. 4). Initial state, trim of the inputs and bias of the outputs enter linearly and are
+eliminated exactly at every step (variable projection), so the search has only the parameters of the dynamics, and
+their covariance counts what those unknowns cost. A mask leaves out samples for cross-validation while the simulation
+runs through them.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,82 +20,16 @@ from scipy.linalg import qr
 from scipy.optimize import least_squares
 
 from mufly.errors import InputError
+from mufly.identify.linear_result import LinearFit
 from mufly.identify.linear_simulate import responses, simulate_linear
 from mufly.identify.linear_structure import Structure
 from mufly.identify.uncertainty import coloured_covariance
 
-__all__ = ["LinearFit", "fit_linear", "predict_linear"]
+__all__ = ["fit_linear", "predict_linear"]
 
 Array = NDArray[np.float64]
 
 _ROUNDS = 3
-
-
-@dataclass(frozen=True, eq=False)
-class LinearFit:
-    """A fitted linear model.
-
-    Attributes
-    ----------
-    structure : Structure
-    values, start : (p,) array
-        Parameters, fitted and where the best search began.
-    covariance, bound : (p, p) array
-        Corrected for coloured residuals; Cramer-Rao bound for white ones.
-    at_bound : (p,) array of bool
-    x0 : (states,) array
-    input_trim : (inputs,) array
-    output_bias : (outputs,) array
-    weight : (outputs,) array
-        Inverse variance of the residuals.
-    log_likelihood : float
-        Of Gaussian residuals, white.
-    effective_samples : float
-        Independent residuals, from their autocorrelation.
-    history : tuple of dict
-    costs : tuple of float
-        Of every start, ascending.
-    simulations : int
-    seconds : float
-    converged : bool
-    message : str
-    hold : bool
-        Inputs held between samples.
-    """
-
-    structure: Structure
-    values: Array
-    start: Array
-    covariance: Array
-    bound: Array
-    at_bound: NDArray[np.bool_]
-    x0: Array
-    input_trim: Array
-    output_bias: Array
-    weight: Array
-    log_likelihood: float
-    effective_samples: float
-    history: tuple[dict[str, Any], ...]
-    costs: tuple[float, ...]
-    simulations: int
-    seconds: float
-    converged: bool
-    message: str
-    hold: bool
-
-    @property
-    def poles(self) -> NDArray[np.complex128]:
-        """Eigenvalues of A (rad/s), slowest first."""
-        a = self.structure.matrices(self.values)[0]
-        e = np.linalg.eigvals(a)
-        return np.asarray(e[np.argsort(np.abs(e))], dtype=np.complex128)
-
-    def criterion(self, kind: str = "bic") -> float:
-        """Return Akaike's ("aic") or Schwarz's ("bic") criterion, in effective samples; smaller is better."""
-        free = self.values.size + self.x0.size + self.input_trim.size + self.output_bias.size
-        n = self.effective_samples
-        per_sample = -2.0 * self.log_likelihood  # per sample, summed over outputs
-        return n * per_sample + free * (2.0 if kind == "aic" else float(np.log(max(n, 2.0))))
 
 
 class _Problem:

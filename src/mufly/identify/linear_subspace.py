@@ -2,14 +2,15 @@
 
 Both serve as a cross-check of the structured fit: they share neither its search nor (subspace) its structure.
 
-**Equation error** (Klein and Morelli, ch. 5): the derivative of each rate, of low-passed signals, regressed on the rates
-and inputs. Biased by noise in the regressors, but has no local minima.
+**Equation error** (Klein and Morelli, ch. 5): the derivative of each rate, of low-passed signals, regressed on the
+rates and inputs. Biased by noise in the regressors, but has no local minima.
 
-**Subspace** (PBSIDopt; Chiuso 2007, Automatica 43, 1034-1048; van der Veen, van Wingerden, Bergamasco, Lovera and Verhaegen
-2013, IET Control Theory Appl. 7(10)). In innovation form ``x+ = A x + B u + K e, y = C x + D u + e`` is
-``x+ = Ac x + Bc z``, ``z = (u, y)``, ``Ac = A - K C``, so that after ``p`` samples ``x ~ [Ac^(p-1) Bc ... Bc] Z_p``. A long
-ARX model gives the products ``C Ac^i Bc``; stacked over a future window they make ``Gamma K``; the largest singular values
-of ``Gamma K Z`` are the states, and A, B, C, D follow by least squares. It holds for data from a closed loop.
+**Subspace** (PBSIDopt; Chiuso 2007, Automatica 43, 1034-1048; van der Veen, van Wingerden, Bergamasco, Lovera and
+Verhaegen 2013, IET Control Theory Appl. 7(10)). The innovation form ``x+ = A x + B u + K e, y = C x + D u + e`` is
+``x+ = Ac x + Bc z`` with ``z = (u, y)``, ``Ac = A - K C``, so after ``p`` samples ``x ~ [Ac^(p-1) Bc ... Bc] Z_p``.
+A long ARX model gives the products ``C Ac^i Bc``; stacked over a future window they make ``Gamma K``; the directions of
+the largest singular values of ``Gamma K Z`` are the states, and A, B, C, D follow by least squares. It holds for data
+from a closed loop.
 """
 
 from __future__ import annotations
@@ -86,7 +87,7 @@ def subspace(
     Parameters
     ----------
     u, y : (n, inputs), (n, outputs) array
-        Without gaps. Slow vehicles in fast records are better decimated first: ``past`` samples have to span their memory.
+        Without gaps. Slow vehicles in fast records are better decimated first: ``past`` has to span their memory.
     dt : float
         Sample time (s).
     order : int

@@ -177,12 +177,16 @@ def _of_size(record: RecordFit) -> list[tuple[float, str]]:
         if not np.isfinite(q.theil):
             continue
         if q.bias > 0.3:
-            text = f"{100 * q.bias:.0f} % of the mean square error of {name} is a constant offset: a bias is not modelled"
+            text = (
+                f"{100 * q.bias:.0f} % of the mean square error of {name} is a constant offset: "
+                "a bias is not modelled"
+            )
             found.append((q.bias * q.theil, text))
         if q.variance > 0.3:
             text = (
-                f"{100 * q.variance:.0f} % of the mean square error of {name} is a difference in spread: the prediction "
-                f"moves {'less' if _spread(record, name) < 1 else 'more'} than the measurement (gain or a missing input)"
+                f"{100 * q.variance:.0f} % of the mean square error of {name} is a difference in spread: the "
+                f"prediction moves {'less' if _spread(record, name) < 1 else 'more'} than the measurement "
+                "(noise, a wrong gain or a missing input)"
             )
             found.append((q.variance * q.theil, text))
         if q.fit_percent < 0.0:
