@@ -22,6 +22,7 @@ from mufly.logs.clock import ClockReport, check_clock
 from mufly.logs.delay import Delay, body_rates_of_attitude, estimate_delay
 from mufly.logs.flat import columns_of
 from mufly.logs.raw import RawLog
+from mufly.logs.resample import unwrap
 
 __all__ = [
     "Channel", "ChannelReport", "DelayReport", "channels_of", "check_channel", "check_channels", "check_delays",
@@ -99,13 +100,15 @@ def find_frozen(x: _Array, *, at_least: int = 8) -> NDArray[np.int64]:
     -------
     (k, 2) int array
         First and past-the-last sample. Empty for a channel that repeats itself as a rule (held inputs, coarse
-        resolution): more than a fifth of its samples are like the one before.
+        resolution): more than a fifth of its samples are like the one before. What stands still at the beginning or the
+        end of the record has not begun yet, or is over.
     """
     same = np.diff(x) == 0
     if len(x) < 4 * at_least or same.mean() > 0.2:
         return np.empty((0, 2), dtype=np.int64)
     runs = _runs(same) + np.array([0, 1])
-    return runs[runs[:, 1] - runs[:, 0] >= at_least]
+    inner = (runs[:, 0] > 0) & (runs[:, 1] < len(x))
+    return runs[inner & (runs[:, 1] - runs[:, 0] >= at_least)]
 
 
 def find_saturation(x: _Array, *, at_least: int = 5) -> tuple[float, float]:
@@ -223,8 +226,10 @@ def check_channel(time: _Array, x: _Array, name: str, units: str = "") -> Channe
         return ChannelReport(
             name, units, len(x), 1.0 if len(x) else 0.0, False, nan, nan, nan, nan, (), (), 0.0, 0.0
         )
-    low, high = find_saturation(x)
-    held = is_held(name)
+    # A reference that stays at a limit was planned so, and the truth of a simulation has no faults.
+    planned = name.startswith(("reference_", "truth_"))
+    low, high = (0.0, 0.0) if planned else find_saturation(x)
+    held = planned or is_held(name)
     return ChannelReport(
         name=name,
         units=units,
@@ -318,9 +323,12 @@ def check_delays(data: xr.Dataset, *, least_correlation: float = 0.3) -> list[De
             for label in data[seen][str(data[seen].dims[1])].values.tolist():
                 place = f".{label}"
                 a = data[wanted].loc[:, label].values
-                pairs.append((wanted + place, seen + place, a, data[seen].loc[:, label].values, True))
+                b = data[seen].loc[:, label].values
+                if kind == "attitude":
+                    a, b = unwrap(a), unwrap(b)
+                pairs.append((wanted + place, seen + place, a, b, True))
     if "measured_attitude" in data and "measured_rates" in data:
-        implied = body_rates_of_attitude(time, data["measured_attitude"].values)
+        implied = body_rates_of_attitude(time, unwrap(data["measured_attitude"].values))
         for k, label in enumerate("pqr"):
             name = f"d(measured_attitude)/dt, {label}"
             rate = data["measured_rates"].values[:, k]

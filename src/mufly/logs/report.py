@@ -14,6 +14,7 @@ from mufly.errors import InputError
 from mufly.logs.clock import ClockReport
 from mufly.logs.column_map import ColumnMap, load_map
 from mufly.logs.foreign_mcap import is_recording
+from mufly.logs.layout import QUANTITIES
 from mufly.logs.mapping import raw_field
 from mufly.logs.mcap_file import read_mcap
 from mufly.logs.quality import (
@@ -178,6 +179,8 @@ def channels(
     if kind_of(path) == "MCAP" and given is None and is_recording(read_mcap(path)):
         recording = read_recording(path)
         out = channels_of(recording)
+        where = {q.name: f"{q.topic}/{q.field}" for q in QUANTITIES}
+        sources = {c.name: where.get(c.name.partition(".")[0], "") for c in out}
     else:
         try:
             series, said = series_of(raw, given)
