@@ -216,7 +216,7 @@ def plot(
 
 
 def _selected(found: Sequence[Any], names: Sequence[str], log: Path) -> list[Any]:
-    from mufly.logs.read import matches
+    from mufly.logs.join import matches
 
     out: dict[str, Any] = {}
     for name in names:

@@ -229,7 +229,7 @@ def table_clock(
             raise InputError(where, entry.column, "is no column", f"columns are: {', '.join(fields)}")
         name = wanted
     else:
-        found = [c for c in fields if _TIME.match(c)]
+        found = [c for c in fields if _TIME.match(c) and _is_time_unit(units.get(c, ""))]
         if not found:
             remedy = "name it (time=COLUMN, or [time] column in a map), or give [time] rate_hz"
             raise InputError(where, "", f"has no column for the time among: {_few(fields)}", remedy)
@@ -250,6 +250,8 @@ def table_clock(
         unit, why = _guess_time_unit(values)
         if why:
             said.append(f"column {name} names no unit: {why}")
+    if not _is_time_unit(unit):
+        raise InputError(where, name, f"{unit!r} is no unit of time", "use s, ms, us, ns, min or h")
     _, factor, _ = conversion(unit, "s")
     # A thousandth of a second written as 0.001 is not 1 times 0.001 in every case; dividing is exact more often.
     whole = round(1 / factor)
@@ -261,6 +263,10 @@ def table_clock(
             start = pd.Timestamp(earliest, unit="s", tz="UTC").isoformat(timespec="milliseconds")
             time = (values - np.nanmin(values)) / whole if whole > 1 else time - earliest
     return time, start, said
+
+
+def _is_time_unit(unit: str) -> bool:
+    return unit == "" or (bool(known_unit(unit)) and conversion(unit)[0] == "s")
 
 
 def _guess_time_unit(values: NDArray[np.float64]) -> tuple[str, str]:

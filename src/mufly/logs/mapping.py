@@ -4,49 +4,22 @@ from __future__ import annotations
 
 import difflib
 import re
-from dataclasses import dataclass, replace
 from itertools import takewhile
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.logs.angle_unit import UnitGuess, guess_angle_units
 from mufly.logs.clock import usable_samples
 from mufly.logs.column_map import ColumnMap, SignalEntry
 from mufly.logs.flat import our_name
 from mufly.logs.raw import RawLog, RawTable
-from mufly.logs.resample import euler_angles, unwrap
+from mufly.logs.resample import euler_angles
+from mufly.logs.series import Series, in_si, settle_angles, unit_of, without_jumps
 from mufly.logs.signals import signal_named, split_name
-from mufly.logs.units import conversion, known_unit, split_header
+from mufly.logs.units import known_unit, split_header
 
-__all__ = ["Series", "map_signals", "raw_field"]
-
-_ANGLES, _RATES = ("roll", "pitch", "yaw"), ("p", "q", "r")
-_ALIASES = {"roll": _ANGLES[0], "phi": "roll", "pitch": "pitch", "theta": "pitch", "yaw": "yaw", "psi": "yaw"}
-
-
-@dataclass(frozen=True)
-class Series:
-    """One component of a signal on its own, increasing clock.
-
-    ``unit`` is what the values are in, ``""`` as long as nobody has said; ``source`` names topic and column.
-    """
-
-    variable: str
-    label: str | None
-    time: NDArray[np.float64]
-    values: NDArray[Any]
-    unit: str
-    source: str
-    hold: bool = False
-    long_name: str = ""
-
-    @property
-    def key(self) -> str:
-        """``variable.label``."""
-        return self.variable if self.label is None else f"{self.variable}.{self.label}"
+__all__ = ["map_signals", "raw_field"]
 
 
 def map_signals(
@@ -111,7 +84,7 @@ def map_signals(
                 continue
             variable, label = ours or (_identifier(name), None)
             unit = _spelled(table.units.get(name, ""))
-            unit = "1" if not unit and ours and _signal_unit(variable) == "1" else unit
+            unit = "1" if not unit and ours and unit_of(variable) == "1" else unit
             one = Series(variable, label, time, values[index], unit, name, long_name="" if ours else name)
             out.setdefault(one.key, one)
     for name in wanted:
@@ -123,8 +96,8 @@ def map_signals(
             out[variable] = Series(
                 variable, None, time, table.fields[field][index], unit, name, long_name=name
             )
-    found, said = _angles_settled(list(out.values()))
-    return [_finished(_to_si(s)) for s in found], words + said
+    found, said = settle_angles(list(out.values()))
+    return [without_jumps(in_si(s)) for s in found], words + said
 
 
 def raw_field(raw: RawLog, name: str) -> tuple[RawTable, str]:
@@ -238,128 +211,3 @@ def _identifier(name: str) -> str:
 
 def _spelled(unit: str) -> str:
     return known_unit(unit) or unit
-
-
-def _signal_unit(variable: str) -> str:
-    signal = signal_named(variable)
-    return signal.units if signal is not None else ""
-
-
-def _to_si(series: Series) -> Series:
-    """Convert to the signal's unit; units that nobody knows stay as they are."""
-    if series.values.dtype.kind in "US":
-        return series
-    wanted = _signal_unit(series.variable) or None
-    unit = series.unit or wanted or "1"
-    if unit == wanted or (wanted is None and not known_unit(unit)):
-        return replace(series, unit=unit, values=series.values.astype(np.float64))
-    if unit == "us" and wanted == "us":
-        return series
-    try:
-        reached, factor, offset = conversion(unit, wanted)
-    except InputError as error:
-        raise InputError(
-            series.source, series.key, f"the unit {unit!r} {error.problem}", error.remedy
-        ) from None
-    return replace(series, unit=reached, values=series.values.astype(np.float64) * factor + offset)
-
-
-def _finished(series: Series) -> Series:
-    angle = series.variable.endswith("_attitude") or (series.label is None and series.variable in _ALIASES)
-    if angle and series.unit == "rad":
-        return replace(series, values=unwrap(series.values))
-    return series
-
-
-def _role(series: Series) -> tuple[str, str, int] | None:
-    """("measured", "angle", 0) for the roll angle of measured_attitude or a column called roll or phi; else None."""
-    prefix, _, kind = series.variable.partition("_")
-    if kind == "attitude" and series.label in _ANGLES:
-        return prefix, "angle", _ANGLES.index(series.label)
-    if kind == "rates" and series.label in _RATES:
-        return prefix, "rate", _RATES.index(series.label)
-    if series.label is None and series.variable.lower() in _ALIASES:
-        return "", "angle", _ANGLES.index(_ALIASES[series.variable.lower()])
-    if series.label is None and series.variable in _RATES:
-        return "", "rate", _RATES.index(series.variable)
-    return None
-
-
-def _angles_settled(series: list[Series]) -> tuple[list[Series], list[str]]:
-    """Guess the units of angles and rates that name none; check those that do. Says every guess."""
-    groups: dict[str, dict[tuple[str, int], Series]] = {}
-    for s in series:
-        role = _role(s)
-        if role is not None and s.values.dtype.kind not in "US":
-            groups.setdefault(role[0], {})[role[1], role[2]] = s
-    settled: dict[str, str] = {}
-    words: list[str] = []
-    for prefix in sorted(groups, key=lambda p: p != "measured"):
-        group = groups[prefix]
-        for kind in ("angle", "rate"):
-            members = [s for (k, _), s in group.items() if k == kind]
-            if not members:
-                continue
-            what = members[0].variable if prefix else ", ".join(s.variable for s in members)
-            guess, unit = _guess(group, kind)
-            unnamed = [s for s in members if not s.unit]
-            si = "rad" if kind == "angle" else "rad/s"
-            deg = "deg" if kind == "angle" else "deg/s"
-            if unnamed:
-                like = settled.get(f"{groups.get('measured', {}).get((kind, 0), unnamed[0]).key}", "")
-                chosen = {"deg": deg, "rad": si}.get(unit) or like or si
-                why = (
-                    guess.reason if unit else "as in measured_" + {"angle": "attitude", "rate": "rates"}[kind]
-                )
-                if not unit and not like:
-                    why = "nothing in the data tells otherwise"
-                words.append(f"{what} names no unit and is taken to be in {chosen} ({why})")
-                settled |= {s.key: chosen for s in unnamed}
-            for s in members:
-                if s.unit == si and unit == "deg":
-                    words.append(
-                        f"{s.key} ({s.source}) is said to be in {si} but looks like {deg} ({guess.reason}); "
-                        f'if it is, give unit = "{deg}" in a column map'
-                    )
-                    break
-                if s.unit == deg and unit == "rad":
-                    words.append(
-                        f"{s.key} ({s.source}) is said to be in {deg} but looks like {si} ({guess.reason}); "
-                        f'if it is, give unit = "{si}" in a column map'
-                    )
-                    break
-    return [replace(s, unit=settled.get(s.key, s.unit)) for s in series], words
-
-
-def _guess(group: dict[tuple[str, int], Series], kind: str) -> tuple[UnitGuess, str]:
-    """Judge by the first axis that tells."""
-    last = UnitGuess("", "", "")
-    for axis in range(3):
-        angle, rate = group.get(("angle", axis)), group.get(("rate", axis))
-        main = angle if kind == "angle" else rate
-        if main is None:
-            continue
-        clock = (angle or main).time
-        a = None if angle is None else _near_unwrapped(angle.values.astype(np.float64))
-        if rate is None:
-            r = None
-        elif rate.time is clock:
-            r = rate.values.astype(np.float64)
-        else:
-            known = np.isfinite(rate.values)
-            r = np.interp(clock, rate.time[known], rate.values[known]) if known.any() else None
-        last = guess_angle_units(clock, a, r, bounded=axis < 2)
-        said = last.angle if kind == "angle" else last.rate
-        if said:
-            return last, said
-    return last, ""
-
-
-def _near_unwrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Take out jumps by a full turn, be it 2 pi or 360."""
-    known = np.isfinite(angle)
-    out = angle.copy()
-    if known.any():
-        period = 360.0 if np.ptp(angle[known]) > 4 * np.pi else 2 * np.pi
-        out[known] = np.unwrap(angle[known], period=period)
-    return out

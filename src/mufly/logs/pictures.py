@@ -17,8 +17,9 @@ from scipy.signal import detrend, welch
 
 from mufly.errors import InputError
 from mufly.logs.clock import GAP_FACTOR
-from mufly.logs.quality import Channel, is_held
+from mufly.logs.quality import Channel
 from mufly.logs.resample import resample
+from mufly.logs.signals import is_held
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,21 +13,16 @@ import xarray as xr
 from mufly.errors import InputError
 from mufly.logs.clock import ClockReport
 from mufly.logs.column_map import ColumnMap, load_map
+from mufly.logs.delays import DelayReport, check_delays
+from mufly.logs.detect import kind_of
 from mufly.logs.foreign_mcap import is_recording
+from mufly.logs.join import joined
 from mufly.logs.layout import QUANTITIES
 from mufly.logs.mapping import raw_field
 from mufly.logs.mcap_file import read_mcap
-from mufly.logs.quality import (
-    Channel,
-    ChannelReport,
-    DelayReport,
-    channels_of,
-    check_channels,
-    check_delays,
-    check_log,
-)
+from mufly.logs.quality import Channel, ChannelReport, channels_of, check_channels, check_log
 from mufly.logs.raw import RawLog
-from mufly.logs.read import joined, kind_of, read_raw, series_of
+from mufly.logs.read import read_raw, series_of
 from mufly.logs.recording import read_recording
 
 __all__ = ["LogReport", "channels", "examine"]

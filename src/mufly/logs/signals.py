@@ -13,7 +13,7 @@ from typing import NamedTuple
 from mufly.errors import InputError
 from mufly.logs.layout import LABELS, QUANTITIES
 
-__all__ = ["Signal", "signal_named", "split_name"]
+__all__ = ["Signal", "is_held", "signal_named", "split_name"]
 
 _PREFIXES = ("truth", "measured", "estimated", "reference")
 _KINDS: Mapping[str, tuple[str | None, str, str]] = {
@@ -86,3 +86,8 @@ def split_name(text: str, where: str) -> tuple[Signal | None, str, str | None]:
     if label and signal is None:
         raise InputError(where, text, "is not a signal with components", f"write {variable}_{label}")
     return signal, variable, label or None
+
+
+def is_held(name: str) -> bool:
+    """Whether a signal is commanded: it jumps and stands still as it likes, and no outlier or drop-out can be told."""
+    return name.startswith(("reference_", "motor_input", "servo_input", "actuator_", "pilot_input"))
