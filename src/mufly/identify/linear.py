@@ -27,6 +27,7 @@ from mufly.identify.linear_check import (
 from mufly.identify.linear_fit import fit_linear, predict_linear
 from mufly.identify.linear_record import Record, lowpassed
 from mufly.identify.linear_result import Ahead, LinearFit, LinearResult
+from mufly.identify.linear_spectral import SpectralFit, fit_spectral
 from mufly.identify.linear_structure import Structure, model_named
 from mufly.identify.linear_subspace import Subspace, equation_error, subspace
 from mufly.identify.missing import what_is_missing
@@ -160,7 +161,7 @@ def identify_linear(
         _fit(linear, records, tuple(notes)), linear, tuple(_relative(tried)), floors, disturbance,
         _ahead(linear, disturbance, y, simulated, dt, cut, slow, floors),
         {str(r.role): qualities(r) for r in records}, quality_slow, slow, what_is_missing(records[0]), regressed,
-        check, percent, tuple(notes),
+        check, percent, _spectral(linear, uf, yf, dtf, slow), tuple(notes),
     )  # fmt: skip
 
 
@@ -273,6 +274,16 @@ def _subspace(
     last = -(-cut // step)
     target = lowpassed(y, dt, slow)[::step][last:]
     return model, tuple(quality(target[:, k], whole[last:, k]).fit_percent for k in range(y.shape[1]))
+
+
+def _spectral(linear: LinearFit, uf: Array, yf: Array, dtf: float, slow: float) -> SpectralFit | None:
+    try:
+        return fit_spectral(
+            linear.structure, uf, yf, dtf, first=linear.values, segment_s=dtf * len(uf) / 5.0,
+            high_hz=min(slow, 0.4 / dtf),
+        )  # fmt: skip
+    except InputError:
+        return None
 
 
 def _relative(tried: list[CrossValidation]) -> list[CrossValidation]:

@@ -15,6 +15,7 @@ from mufly.identify.result import Fit
 
 if TYPE_CHECKING:
     from mufly.identify.linear_check import CrossValidation, Disturbance, NoiseFloor
+    from mufly.identify.linear_spectral import SpectralFit
     from mufly.identify.linear_subspace import Subspace
 
 __all__ = ["Ahead", "LinearFit", "LinearResult"]
@@ -133,6 +134,8 @@ class LinearResult:
         Cross-check of the same number of states, fitted to the same samples.
     subspace_percent : tuple of float
         Its pure simulation on the held-out part, low-passed.
+    spectral : SpectralFit or None
+        Cross-check: fitted to frequency responses; None where too little is coherent.
     notes : tuple of str
         About the record.
     """
@@ -150,4 +153,5 @@ class LinearResult:
     equation_error: Mapping[str, tuple[float, float]]
     subspace: Subspace | None
     subspace_percent: tuple[float, ...]
+    spectral: SpectralFit | None
     notes: tuple[str, ...]

@@ -1,0 +1,215 @@
+"""Tables of a linear identification, for the terminal and for the report, and the report itself."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mufly.identify.frequency import FrequencyResponse
+from mufly.identify.linear_result import LinearResult
+from mufly.identify.linear_spectral import SpectralFit, response_of
+from mufly.identify.report import Section, write_report
+from mufly.identify.report_page import number
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "ahead_rows",
+    "bode_picture",
+    "candidate_rows",
+    "cross_check_rows",
+    "estimate_rows",
+    "pole_text",
+    "quality_rows",
+    "write_linear_report",
+]
+
+Rows = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]
+
+
+def candidate_rows(r: LinearResult) -> Rows:
+    """Return heads and rows of the structures that were tried, best first."""
+    outputs = r.linear.structure.outputs
+    heads = ("structure", "parameters", "left out", *(f"left out {o}" for o in outputs), "AIC", "BIC",
+             *(f"fit {o} (%)" for o in outputs))  # fmt: skip
+    rows = tuple(
+        (
+            c.name, f"{c.parameters}", f"{c.left_out:.3f}", *(f"{v:.3f}" for v in c.by_output), f"+{c.aic:.0f}",
+            f"+{c.bic:.0f}", *(f"{v:.1f}" for v in c.fit_percent),
+        )
+        for c in r.candidates
+    )  # fmt: skip
+    return heads, rows
+
+
+def estimate_rows(r: LinearResult) -> Rows:
+    """Return heads and rows of the estimates."""
+    bound = np.sqrt(np.maximum(np.diag(r.linear.bound), 0.0))
+    rows = []
+    for e, b, p in zip(r.fit.estimates, bound, r.linear.structure.parameters, strict=True):
+        interval = "at a bound" if e.at_bound else f"{number(e.low)} … {number(e.high)}"
+        rows.append((e.symbol, p.meaning, number(e.value), number(e.std), number(float(b)), interval, e.unit))
+    heads = ("parameter", "meaning", "estimate", "std", "if residuals were white", "95 % interval", "unit")
+    return heads, tuple(rows)
+
+
+def quality_rows(r: LinearResult) -> Rows:
+    """Return heads and rows of how well every output is simulated, as recorded and low-passed."""
+    rows = []
+    for role, qs in r.quality.items():
+        for name, unit, q, s, f in zip(
+            r.linear.structure.outputs,
+            r.linear.structure.units,
+            qs,
+            r.quality_slow[role],
+            r.floors,
+            strict=True,
+        ):
+            rows.append(
+                (
+                    role, name, f"{q.fit_percent:.1f}", f"{s.fit_percent:.1f}", f"{q.theil:.2f}", f"{s.theil:.2f}",
+                    f"{q.rms:.3g} {unit}", f"{f.total:.3g} {unit}", f"{q.rms_over_noise:.2f}",
+                )
+            )  # fmt: skip
+    heads = (
+        "part", "output", "fit (%)", f"fit below {r.slow_hz:g} Hz (%)", "Theil", "Theil, slow", "rms error",
+        "noise floor", "over noise",
+    )  # fmt: skip
+    return heads, tuple(rows)
+
+
+def ahead_rows(r: LinearResult) -> Rows:
+    """Return heads and rows of the prediction a time ahead on the held-out part."""
+    outputs = r.linear.structure.outputs
+    rows = []
+    for a in r.ahead:
+        name = "simulation" if math.isinf(a.horizon_s) else f"{a.horizon_s:g} s"
+        kept = ["–" if math.isnan(v) else f"{v:.1f}" for v in a.persistence_percent]
+        rows.append((name, *(f"{v:.1f}" for v in a.fit_percent_slow), *kept))
+    heads = ("ahead", *(f"fit {o} (%)" for o in outputs), *(f"last value, {o} (%)" for o in outputs))
+    return heads, tuple(rows)
+
+
+def cross_check_rows(r: LinearResult) -> Rows:
+    """Return heads and rows of the parameters by other methods."""
+    spectral = dict(zip(r.linear.structure.symbols, r.spectral.values, strict=True)) if r.spectral else {}
+    rows = []
+    for e in r.fit.estimates:
+        other = r.equation_error.get(e.symbol)
+        rows.append(
+            (
+                e.symbol, f"{number(e.value)} ± {number(e.std)}",
+                f"{number(other[0])} ± {number(other[1])}" if other else "–",
+                number(float(spectral[e.symbol])) if e.symbol in spectral else "–", e.unit,
+            )
+        )  # fmt: skip
+    return ("parameter", "output error", "equation error", "frequency response", "unit"), tuple(rows)
+
+
+def bode_picture(r: LinearResult, s: SpectralFit) -> Figure:
+    """Draw the measured frequency responses with error bounds beside the model's two."""
+    from matplotlib.figure import Figure
+
+    from mufly.identify.report_pictures import BLUE, ORANGE, VERMILION
+
+    data: FrequencyResponse = s.data
+    fitted = response_of(r.linear.structure, r.linear.values, data.frequency_hz)
+    m, k = len(data.outputs), len(data.inputs)
+    figure = Figure(figsize=(min(11.0, 1.5 + 3.0 * k), 2.9 * m), layout="constrained")
+    panels = figure.subplots(2 * m, k, squeeze=False, sharex=True)
+    for j in range(m):
+        for i in range(k):
+            top, bottom = panels[2 * j][i], panels[2 * j + 1][i]
+            h, good = data.response[:, j, i], data.partial[:, j, i] >= 0.5
+            size = 20.0 * np.log10(np.maximum(np.abs(h), 1e-12))
+            spread = 1.96 * np.minimum(data.error[:, j, i], 1.5)
+            f = data.frequency_hz
+            for curve, colour, label in (
+                (fitted, VERMILION, "output error"),
+                (s.model, ORANGE, "frequency fit"),
+            ):
+                if np.abs(curve[:, j, i]).max() > 0.0:
+                    top.semilogx(
+                        f,
+                        20.0 * np.log10(np.maximum(np.abs(curve[:, j, i]), 1e-12)),
+                        color=colour,
+                        label=label,
+                    )
+                    bottom.semilogx(f, np.degrees(np.angle(curve[:, j, i])), color=colour)
+            bar = {"fmt": "o", "markersize": 2.5, "linewidth": 0.6, "color": BLUE}
+            top.errorbar(f[good], size[good], yerr=8.686 * spread[good], label="measured, 95 %", **bar)
+            phase = np.degrees(np.angle(h))
+            bottom.errorbar(f[good], phase[good], yerr=np.minimum(np.degrees(spread[good]), 180.0), **bar)
+            bottom.set_ylim(-200.0, 200.0)
+            bottom.set_yticks((-180, -90, 0, 90, 180))
+            cost = s.cost_before[j, i]
+            top.set_title(
+                f"{data.inputs[i]} to {data.outputs[j]}" + (f", J = {cost:.0f}" if np.isfinite(cost) else "")
+            )
+            if i == 0:
+                top.set_ylabel("size (dB)")
+                bottom.set_ylabel("phase (deg)")
+            if j == m - 1:
+                bottom.set_xlabel("frequency (Hz)")
+    panels[0][0].legend()
+    return figure
+
+
+def pole_text(p: complex) -> str:
+    """Return a pole as text."""
+    return f"{p.real:.2f}" if abs(p.imag) < 1e-9 else f"{p.real:.2f}{p.imag:+.2f}j"
+
+
+def write_linear_report(r: LinearResult, directory: str | Path, *, command: str | None = None) -> Path:
+    """Write the report of a linear identification; see :func:`mufly.identify.write_report`."""
+    sections = []
+    if r.candidates:
+        heads, rows = candidate_rows(r)
+        text = (
+            "Each structure was fitted with one block of the fitted part left out in turn, and simulated through it. "
+            "Left out: mean square error there over the variance of the output (1: as good as the mean). AIC and BIC "
+            "count independent residuals, from their autocorrelation. The held-out part had no say.",
+        )
+        sections.append(Section("Structures tried", text, heads, rows))
+    heads, rows = quality_rows(r)
+    sections.append(
+        Section(
+            "Simulation and noise floor",
+            ("The noise floor of a rate is what it holds above the band of the inputs, and below it what disagrees "
+             "with the derivative of the measured angle; it comes from the fitted part alone.",),
+            heads, rows,
+        )
+    )  # fmt: skip
+    if r.ahead:
+        heads, rows = ahead_rows(r)
+        text = (
+            f"Fit on the held-out part below {r.slow_hz:g} Hz, when measurements up to the given time before are used by "
+            "a steady Kalman filter, whose noise was fitted to the fitted part; and what the last value would reach.",
+        )
+        sections.append(Section("Prediction a time ahead", text, heads, rows))
+    sections.append(_cross_check(r))
+    return write_report(r.fit, directory, command=command, sections=sections)
+
+
+def _cross_check(r: LinearResult) -> Section:
+    heads, rows = cross_check_rows(r)
+    text = ["The same parameters without a search (equation error) and from frequency responses."]
+    if r.subspace is not None:
+        poles = ", ".join(map(pole_text, r.subspace.poles))
+        text.append(f"Subspace model with as many states: poles {poles} rad/s.")
+        if r.subspace_percent:
+            percents = zip(r.linear.structure.outputs, r.subspace_percent, strict=True)
+            shown = ", ".join(f"{o} {p:.1f} %" for o, p in percents)
+            text.append(f"Its pure simulation on the held-out part, below {r.slow_hz:g} Hz: {shown}.")
+    if r.spectral is None:
+        text.append("Too little is coherent with the inputs for a fit to frequency responses.")
+        return Section("Cross-check by other methods", tuple(text), heads, rows)
+    text.append("J is Tischler and Remple's misfit of the output-error model; below 100 is good.")
+    return Section(
+        "Cross-check by other methods", tuple(text), heads, rows, partial(bode_picture, r, r.spectral), "bode"
+    )
