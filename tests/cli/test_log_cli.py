@@ -106,6 +106,8 @@ def test_convert_resamples_and_keeps_gaps(log, tmp_path, ending):
         warnings.simplefilter("error")
         data = read_log(out)
     assert np.diff(data.time) == pytest.approx(0.02)
+    known = {s["name"] for s in json.loads(run("info", out, "--json").stdout)["signals"]}
+    assert {"measured_rates.p", "battery_voltage"} <= known
     gap = data.battery_voltage.sel(time=slice(10.01, 10.99))
     assert np.isnan(gap).all()
     assert np.nanmax(data.battery_voltage) == pytest.approx(7.4)

@@ -117,14 +117,17 @@ def plot(
     signals: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[SIGNALS]...",
+            metavar="SIGNAL",
             help="What to draw: measured_attitude, measured_attitude.roll, 'measured_*', or any "
             "field as topic/field (`mufly log info` lists them). Default: all that has a name.",
         ),
     ] = None,
     out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Folder for the pictures (PNG and SVG).")
-    ] = Path("."),
+        Path | None,
+        typer.Option(
+            "--out", metavar="DIR", help="Folder for the pictures (PNG and SVG). Default: LOG-pictures."
+        ),
+    ] = None,
     from_s: FromOption = None,
     to_s: ToOption = None,
     spectrum: Annotated[
@@ -146,7 +149,7 @@ def plot(
     fields = [n for n in names if "/" in n]
     columns = columns_of(map_file, column)
     with progress_bar("Reading", True) as progress:
-        raw, found, _, _, notes = channels(log, columns, fields, progress)
+        raw, found, _, notes = channels(log, columns, fields, progress)
     for note in notes:
         typer.secho(f"{log.name}: {note}", fg=typer.colors.YELLOW, err=True)
     wanted = _selected(found, names, log) if names else found or _first_fields(raw)

@@ -28,7 +28,7 @@ from mufly.logs.tables_file import read_netcdf, read_parquet
 from mufly.logs.tlog import read_tlog
 from mufly.logs.ulog import read_ulog
 
-__all__ = ["read_log", "read_raw", "series_of"]
+__all__ = ["open_log", "read_log", "read_raw", "series_of"]
 
 Progress = Callable[[int, int], None]
 _MAPS = {"ULog": "px4", "DataFlash": "ardupilot", "MAVLink tlog": "mavlink"}
@@ -56,17 +56,20 @@ def read_raw(path: str | Path, *, time: TimeEntry | None = None, progress: Progr
     InputError
         If the file is no log or damaged beyond use.
     """
-    return _load(path, time, progress)[0]
+    return open_log(path, time, progress)[0]
 
 
-def _load(
+def open_log(
     path: str | Path, time: TimeEntry | None, progress: Progress | None
 ) -> tuple[RawLog, xr.Dataset | None]:
-    """The topics of a log and, where it holds signals on one clock already, those."""
+    """Return the topics of a log and, where it holds signals under our names on one clock already, those.
+
+    Parameters and errors are those of :func:`read_raw`.
+    """
     kind = kind_of(path)
     where = str(path)
     if kind == "MCAP":
-        return raw_mcap(path), None
+        return raw_mcap(path), _our_mcap(path)
     if kind == "ULog":
         raw = read_ulog(path)
         return raw, _our_ulog(raw)
@@ -109,7 +112,7 @@ def series_of(
 
 
 def _our_mcap(path: str | Path) -> xr.Dataset | None:
-    """The dataset of a recording of ours, None for somebody else's MCAP file."""
+    """Return the dataset of a recording of ours, None for somebody else's MCAP file."""
     try:
         return read_recording(path)
     except InputError:
@@ -186,13 +189,14 @@ def read_log(
         raise InputError("--from", f"{from_s:g}", f"is not before {to_s:g}", "give the earlier time first")
     given = None if columns is None else load_map(columns)
     kind = kind_of(path)
-    raw, ready = None, None
+    raw: RawLog | None = None
+    ready: xr.Dataset | None = None
     as_it_is = given is None and not any("/" in s for s in signals)
     if kind == "MCAP" and as_it_is:
         ready = _our_mcap(path)
     if ready is None:
-        raw, ready = _load(path, None if given is None else given.time, progress)
-        ready = ready if as_it_is else None
+        raw, found = open_log(path, None if given is None else given.time, progress)
+        ready = found if as_it_is else None
     if ready is not None:
         data = at_rate(choose_variables(ready, signals, str(path)), rate_hz)
         notes: list[str] = []

@@ -8,22 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 
 from mufly.errors import InputError
 from mufly.logs.clock import ClockReport
 from mufly.logs.column_map import ColumnMap, load_map
 from mufly.logs.delays import DelayReport, check_delays
-from mufly.logs.detect import kind_of
-from mufly.logs.foreign_mcap import is_recording
 from mufly.logs.join import joined
 from mufly.logs.layout import QUANTITIES
 from mufly.logs.mapping import raw_field
-from mufly.logs.mcap_file import read_mcap
 from mufly.logs.quality import Channel, ChannelReport, channels_of, check_channels, check_log
 from mufly.logs.raw import RawLog
-from mufly.logs.read import read_raw, series_of
-from mufly.logs.recording import read_recording
+from mufly.logs.read import open_log, series_of
 
 __all__ = ["LogReport", "channels", "examine"]
 
@@ -137,7 +132,7 @@ class LogReport:
 
 def channels(
     path: str | Path, columns: _Columns = None, fields: Sequence[str] = (), progress: Progress | None = None
-) -> tuple[RawLog, list[Channel], dict[str, str], xr.Dataset | None, list[str]]:
+) -> tuple[RawLog, list[Channel], dict[str, str], list[str]]:
     """Open a log and return its signals, each component on its own clock.
 
     Parameters
@@ -156,8 +151,6 @@ def channels(
     channels : list of Channel
     sources : dict of str to str
         Topic and field of each.
-    recording : xarray.Dataset or None
-        For a recording of ours.
     notes : list of str
 
     Raises
@@ -166,15 +159,14 @@ def channels(
         As :func:`read_log`. A log that can be read but not understood has no channels, and a note says why.
     """
     given = None if columns is None else load_map(columns)
-    raw = read_raw(path, time=None if given is None else given.time, progress=progress)
+    raw, recording = open_log(path, None if given is None else given.time, progress)
     out: list[Channel] = []
     sources: dict[str, str] = {}
-    recording: xr.Dataset | None = None
     notes = list(raw.notes)
-    if kind_of(path) == "MCAP" and given is None and is_recording(read_mcap(path)):
-        recording = read_recording(path)
+    recording = recording if given is None else None
+    if recording is not None:
         out = channels_of(recording)
-        where = {q.name: f"{q.topic}/{q.field}" for q in QUANTITIES}
+        where = {q.name: f"{q.topic}/{q.field}" for q in QUANTITIES} if raw.kind == "MCAP" else {}
         sources = {c.name: where.get(c.name.partition(".")[0], "") for c in out}
     else:
         try:
@@ -200,7 +192,7 @@ def channels(
                 values[order].astype(float),
             )
         )
-    return raw, out, sources, recording, notes
+    return raw, out, sources, notes
 
 
 def examine(
@@ -223,16 +215,14 @@ def examine(
     InputError
         If the file is no log, or the map does not fit it.
     """
-    raw, found, sources, recording, notes = channels(path, columns, progress=progress)
+    raw, found, sources, notes = channels(path, columns, progress=progress)
     between: list[DelayReport] = []
     if delays and found:
         wanted = ("attitude", "rates", "velocity", "position")
         pairs = [
             c for c in found if c.name.partition(".")[0].partition("_")[2] in wanted and len(c.time) > 30
         ]
-        if recording is not None:
-            between = check_delays(recording)
-        elif pairs:
+        if pairs:
             between = check_delays(joined(pairs))
     reports = check_channels(found, progress)
     return LogReport(raw, check_log(raw), reports, sources, between, notes)
