@@ -8,7 +8,7 @@ with the thin factorisation ``S = Q R`` they are removed first and exactly::
 (variable projection; the priors of ``s`` are rows of ``S`` and ``e``). What is left has as many unknowns as free
 parameters, however many windows there are. Marquardt's damping scales with the diagonal of ``J^T J``; four dampings
 are tried at once, as a batch. A parameter that runs into a bound is held there, and let go when the slope points
-inwards. The step in ``theta`` is limited to a factor of two.
+inwards. The step in ``theta`` is limited to a factor of two, that of the start values to a quarter of their spread.
 
 A whole record holds height and yaw, which integrate the rotors' forces twice: one direction (the balance of the two
 torques) is seen ten thousand times better than others, along a valley that is curved. A step along the valley leaves
@@ -34,6 +34,7 @@ _LONGEST_STEP = np.log(2.0)
 _DAMPINGS = np.array([0.1, 1.0, 10.0, 1000.0])
 _LEAST, _GREATEST = 1e-9, 1e9
 _LEAST_SHARE = 1e-4
+_REACH = 0.25
 _CHORDS, _MANY_WINDOWS = 3, 100
 _HOPELESS = 1e6  # a trial that is worse by this is not worth correcting
 
@@ -200,10 +201,13 @@ def _best_step(
     while damping <= _GREATEST and share > _LEAST_SHARE:
         dampings = np.clip(damping * _DAMPINGS, _LEAST, _GREATEST)
         steps = [_step(problem, now.theta, triangle, start, d) for d in dampings]
-        thetas = np.array([now.theta + share * s for s in steps])
+        moves = [[r.states(e, step) for step in steps] for r, e in zip(reduced, rows, strict=True)]
+        parts = [share * _within_reach([m[c] / r.spread for m, r in zip(moves, reduced, strict=True)])
+                 for c in range(len(steps))]  # fmt: skip
+        thetas = np.array([now.theta + part * step for part, step in zip(parts, steps, strict=True)])
         states = [
-            np.array([s + share * r.states(e, step) for step in steps])
-            for s, r, e in zip(now.states, reduced, rows, strict=True)
+            np.array([s + part * move for part, move in zip(parts, m, strict=True)])
+            for s, m in zip(now.states, moves, strict=True)
         ]
         best = Point(now.theta, now.states, np.inf)
         for chord in range(chords + 1):
@@ -226,6 +230,11 @@ def _best_step(
         # Start values follow theta undamped; a part of the whole step goes downhill if the step itself does not.
         damping, share = damping * 10.0, share * 0.3
     return None, flown
+
+
+def _within_reach(moves: Sequence[_Array]) -> float:
+    """Return the share of a step that moves no start value by more than a quarter of its spread."""
+    return min(1.0, _REACH / max(float(np.max(np.abs(m))) for m in moves))
 
 
 def _step(problem: Problem, theta: _Array, triangle: _Array, target: _Array, damping: float) -> _Array:

@@ -100,7 +100,7 @@ class Problem:
     _base: tuple[NDArray[np.void], ...] = field(repr=False)
     _powers: tuple[dict[str, _Array], ...] = field(repr=False)
     _charge: tuple[float, ...] = field(repr=False)
-    _volts: tuple[float, ...] = field(repr=False)
+    _volts: tuple[tuple[float, float], ...] = field(repr=False)
 
     @property
     def seconds(self) -> float:
@@ -156,6 +156,24 @@ class Problem:
         """Return the problem with other noise."""
         return replace(self, noise=tuple(noise))
 
+    def with_charge(self, theta: _Array) -> Problem:
+        """Return the problem with batteries charged such that the mean voltage is the measured one at ``theta``."""
+        charges = []
+        for i, r in enumerate(self.records):
+            charge = self._charge[i]
+            if "voltage" in r.outputs:
+                k = r.outputs.index("voltage")
+                curve = self.vehicle.battery.open_circuit_voltage
+                for _ in range(5):
+                    one = replace(self, _charge=(*self._charge[:i], charge, *self._charge[i + 1 :]))
+                    error = (
+                        one.residual(i, theta[None], self.rest()[i][None])[0, :, k].mean() * self.noise[i][k]
+                    )
+                    rest = float(np.interp(charge, curve.fraction, curve.value)) - error
+                    charge = float(np.clip(np.interp(rest, curve.value, curve.fraction), 0.02, 0.99))
+            charges.append(charge)
+        return replace(self, _charge=tuple(charges))
+
     def simulate(self, i: int, theta: _Array, states: _Array) -> _Array:
         """Return the outputs of record ``i`` (b, n, m) for ``theta`` (b, t) and start values (b, windows, k)."""
         r, b = self.records[i], len(theta)
@@ -175,7 +193,7 @@ class Problem:
             speeds, hold = _hover(p)
         else:
             first = self._inputs[i][: max(1, round(0.3 / r.sample_s)), :2].mean(axis=0)
-            speeds = _steady_speed(p, np.clip(first, 0.0, 1.0), self._volts[i])
+            speeds = _steady_speed(p, np.clip(first, 0.0, 1.0), self._volts[i][0])
         x = np.zeros((b, 21))
         x[:, 6] = 1.0
         x[:, 13] = p["swash_gain"] * np.clip(self._inputs[i][0, 3], -1, 1)
@@ -185,8 +203,8 @@ class Problem:
         x[:, 20] = np.clip(self._charge[i] + actuator[:, 4], 0.0, 1.0)
         codes = np.array([OUTPUTS.index(o) for o in r.outputs], dtype=np.int64)
         y = fly_batch(
-            x, p, self._inputs[i], sample_s=r.sample_s, codes=codes, starts=self.starts[i], motion=motion, mast=self._mast[i],
-            delay_s=delay, motor_hold=hold, longest_step_s=self.longest_step_s,
+            x, p, self._inputs[i], sample_s=r.sample_s, codes=codes, starts=self.starts[i], motion=motion,
+            mast=self._mast[i],            delay_s=delay, motor_hold=hold, longest_step_s=self.longest_step_s,
         )  # fmt: skip
         for j, symbol in enumerate(symbols):
             if symbol.startswith("bias_") and symbol[5:] in r.outputs:
@@ -234,7 +252,7 @@ class Problem:
         for i in range(len(self.records)):
             p = numbers_at(self._base[i], self._powers[i], theta)
             duty = np.clip(self._inputs[i][:, :2], 0.0, 1.0).mean(axis=0)
-            speed = _steady_speed(p, duty, self._volts[i])
+            speed = _steady_speed(p, duty, self._volts[i][1])
             weight = p["mass"] * GRAVITY + p["downwash"]
             up, dw = p["torque_up"] * speed[:, 0] ** 2, p["torque_dw"] * speed[:, 1] ** 2
             lift = p["thrust_up"] * speed[:, 0] ** 2 + p["thrust_dw"] * speed[:, 1] ** 2
@@ -318,8 +336,11 @@ def make_problem(
         powers.append(w)
         motion.append(m)
         charge.append(_start_charge(vehicle, r) if volts is None else 1.0)
-        mean = float(vehicle.battery.nominal_voltage) if r.voltage is None else float(r.voltage.mean())
-        steady.append(mean if volts is None else float(np.max(volts)))
+        # Voltage in the first moments, and on average.
+        known = np.full(2, float(vehicle.battery.nominal_voltage)) if r.voltage is None else r.voltage
+        first = known[: max(1, round(0.3 / r.sample_s))]
+        held = (float(first.mean()), float(known.mean())) if volts is None else (float(np.max(volts)),) * 2
+        steady.append(held)
     problem = Problem(
         vehicle=vehicle, free=tuple(free), records=tuple(kept), noise=tuple(difference_noise(r) for r in kept),
         starts=(), sought=(), part=part, hover=False, prior=prior, delay_s=delay_s, longest_step_s=longest_step_s,
