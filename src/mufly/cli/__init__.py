@@ -9,7 +9,7 @@ from typing import Any
 import typer
 
 import mufly
-from mufly.cli import control, drive, fly, log, mission, rotor, thesis, vehicle
+from mufly.cli import control, drive, fly, identify, log, mission, rotor, thesis, vehicle
 from mufly.errors import MuflyError
 
 __all__ = ["app", "main"]
@@ -28,6 +28,7 @@ app.add_typer(drive.app, name="drive")
 app.add_typer(vehicle.app, name="vehicle")
 app.add_typer(control.app, name="control")
 app.add_typer(mission.app, name="mission")
+app.add_typer(identify.app, name="identify")
 app.add_typer(log.app, name="log")
 app.add_typer(thesis.app, name="thesis")
 

@@ -1,0 +1,170 @@
+"""Plans: the hold, safe amplitudes, and that the promised accuracy is what fits scatter by."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from mufly.errors import InputError
+from mufly.identify.directions import relative_covariance, unseen_combinations
+from mufly.identify.plan import NOISE, Limits, design, together
+from mufly.identify.plan_picture import plan_picture
+from mufly.identify.problem import make_problem
+from mufly.identify.support import fly_supported, pilot_support
+from mufly.vehicle import load_vehicle, replace
+
+
+@pytest.fixture(scope="module")
+def vehicle():
+    return load_vehicle("mufly-1.1")
+
+
+@pytest.fixture(scope="module")
+def plan(vehicle):
+    return design(
+        vehicle, ["cQ_dw", "Jdrive_dw", "Jdrive_up"], "yaw", kinds=("chirp", "doublet"), duration_s=6.0
+    )
+
+
+def test_the_hold_brings_a_pushed_helicopter_back(vehicle):
+    support = pilot_support(vehicle)
+    push = np.zeros((3, 1500, 4))
+    push[1, :30, 2:] = 0.4
+    push[2, :30, :2] = 0.08
+    states, inputs, voltage = fly_supported(vehicle, support, push)
+    assert np.all(np.abs(inputs[0] - support.hover.input) < 0.02)  # only the battery runs down
+    assert np.linalg.norm(states[1, :, 0:2], axis=1).max() > 0.01
+    assert np.linalg.norm(states[:, -1, 0:2], axis=1).max() < 0.15
+    assert np.abs(states[:, -1, 2] + 2.0).max() < 0.2
+    assert np.abs(states[:, -1, 10:13]).max() < 0.05
+    assert np.all(np.diff(voltage[0, 10:]) < 1e-3)
+
+
+def test_the_motors_directions_do_one_thing_each(vehicle):
+    support = pilot_support(vehicle)
+    added = np.zeros((2, 60, 4))
+    added[0, :, :2] = 0.02 * support.collective
+    added[1, :, :2] = 0.02 * support.differential
+    states, _, _ = fly_supported(vehicle, support, added)
+    climb, turn = -states[:, -1, 5], states[:, -1, 12]
+    assert climb[0] > 0
+    assert turn[1] > 0
+    assert abs(climb[1]) < 0.25 * climb[0]
+    assert abs(turn[0]) < 0.25 * turn[1]
+
+
+def test_the_flight_stays_within_its_limits_and_uses_them(plan):
+    for c in plan.candidates:
+        assert 0.9 < c.share <= 1.0
+        assert c.bound_by in ("body rates", "heading", "motor input", "height", "attitude")
+        assert np.all(c.record.inputs[:, :2] >= 0.05)
+        assert np.all(c.record.inputs[:, :2] <= 0.95)
+        assert np.max(np.abs(c.added)) == pytest.approx(c.amplitude)
+        yaw = c.record.measured[:, c.record.outputs.index("yaw")]
+        assert np.max(np.abs(yaw - yaw[0])) <= math.radians(90)
+    assert plan.candidates[0].figure <= plan.candidates[1].figure
+    assert plan.band_rad_s[0] < plan.modes_rad_s.min() < plan.modes_rad_s.max() < plan.band_rad_s[1]
+
+
+def test_a_narrower_limit_binds_and_a_smaller_wish_is_granted(vehicle):
+    arguments = {"kinds": ("doublet",), "duration_s": 6.0}
+    tight = design(vehicle, ["Izz"], "yaw", limits=Limits(heading_rad=math.radians(10)), **arguments)
+    assert tight.best.bound_by == "heading"
+    small = design(vehicle, ["Izz"], "yaw", amplitude=0.005, **arguments)
+    assert small.best.bound_by == "as asked"
+    assert small.best.amplitude == 0.005
+    large = design(vehicle, ["Izz"], "yaw", amplitude=0.9, **arguments)
+    assert large.best.amplitude < 0.9
+    # In the linear range twice the signal halves the standard deviation.
+    half = design(vehicle, ["Izz"], "yaw", amplitude=0.0025, **arguments)
+    assert half.best.relative_std[0] / small.best.relative_std[0] == pytest.approx(2, rel=0.1)
+
+
+def test_fits_scatter_by_what_the_plan_promises(vehicle, plan):
+    """Linear fits of the flight with sensor noise, start values free: a Monte Carlo of the whole machinery."""
+    c = plan.best
+    problem = make_problem(vehicle, plan.free, [c.record], part="heave-yaw", delay_s=0.02, prior=False)
+    std = np.array([NOISE[o] for o in problem.records[0].outputs])
+    problem = problem.with_noise([std])
+    linear = problem.linearise(0, np.zeros(3), problem.rest()[0])
+    a = np.hstack([linear.by_theta.reshape(-1, 3), linear.by_state.reshape(linear.residual.size, -1)])
+    size = np.linalg.norm(a, axis=0)
+    rng = np.random.default_rng(0)
+    noise = rng.standard_normal((linear.residual.size, 400))
+    found = (np.linalg.lstsq(a / size, noise, rcond=None)[0] / size[:, None])[:3]
+    assert_allclose(found.std(axis=1), c.relative_std, rtol=0.12)
+
+
+def test_a_real_fit_finds_a_changed_vehicle_within_the_promise(vehicle, plan):
+    """The truth differs by 5 %; Gauss-Newton from the plan's vehicle on its noisy flight."""
+    truth = replace(vehicle, {"rotors.lower.drive_inertia": 1.05 * float(vehicle.rotors.lower.drive_inertia)})
+    flown = design(
+        truth, ["cQ_dw", "Jdrive_dw", "Jdrive_up"], "yaw", kinds=("chirp",), duration_s=6.0
+    ).best.record
+    rng = np.random.default_rng(1)
+    errors = []
+    for _ in range(6):
+        noisy = flown.measured + rng.standard_normal(flown.measured.shape) * [NOISE[o] for o in flown.outputs]
+        record = type(flown)(flown.name, flown.time_s, flown.inputs, flown.outputs, noisy, flown.voltage)
+        problem = make_problem(vehicle, plan.free, [record], part="heave-yaw", delay_s=0.02, prior=False)
+        problem = problem.with_noise([np.array([NOISE[o] for o in problem.records[0].outputs])])
+        theta, start = np.zeros(3), problem.rest()[0]
+        for _ in range(6):
+            linear = problem.linearise(0, theta, start)
+            a = np.hstack([linear.by_theta.reshape(-1, 3), linear.by_state.reshape(linear.residual.size, -1)])
+            size = np.linalg.norm(a, axis=0)
+            step = -np.linalg.lstsq(a / size, linear.residual.ravel(), rcond=1e-9)[0] / size
+            theta, start = theta + step[:3], start + step[3:].reshape(start.shape)
+        errors.append(theta - [0.0, math.log(1.05), 0.0])
+    assert np.all(np.sqrt(np.mean(np.square(errors), axis=0)) < 2.0 * plan.best.relative_std)
+
+
+def test_flights_add_their_information(vehicle, plan):
+    heave = design(vehicle, ["cQ_dw", "Jdrive_dw", "Jdrive_up"], "heave", kinds=("doublet",), duration_s=6.0)
+    both, _ = together([plan, heave], [plan.best, heave.best])
+    assert np.all(both <= plan.best.relative_std * (1 + 1e-6))
+    assert np.all(both <= heave.best.relative_std * (1 + 1e-6))
+
+
+def test_what_no_flight_shows_is_named(vehicle):
+    roll = design(vehicle, ["Ixx", "l_up", "l_dw", "Whub"], "roll", kinds=("doublet",), duration_s=6.0)
+    assert roll.best.relative_std[3] == math.inf  # drag of the downwash has no part in rolling
+    _, unseen = together([roll], [roll.best])
+    assert any("Whub is hardly seen: no bound" in u for u in unseen)
+    assert any("Ixx" in u and "l_up" in u and "l_dw" in u for u in unseen)
+
+
+def test_directions_in_words():
+    information = np.array([[1.0, 1.0], [1.0, 1.0]]) * 1e4
+    words = unseen_combinations(("a", "b"), relative_covariance(information, np.ones(2)))
+    assert (
+        words == ("only the product of b and a is seen (no bound along it)",)
+        or "product of a and b" in words[0]
+    )
+    difference = np.array([[1.0, -1.0], [-1.0, 1.0]]) * 1e4
+    assert "only the ratio" in unseen_combinations(("a", "b"), relative_covariance(difference, np.ones(2)))[0]
+    assert unseen_combinations(("a", "b"), 1e-4 * np.eye(2)) == ()
+    assert "a is hardly seen" in unseen_combinations(("a", "b"), np.diag([1.0, 1e-4]))[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        ({"channel": "sideways"}, "'sideways' is unknown"),
+        ({"symbols": ["Izzz"]}, "did you mean Izz"),
+        ({"limits": Limits(motor=0.35)}, "limit on motor input: is passed by the least signal"),
+        ({"noise": {"roll": 0.01}}, "nothing of yaw is measured"),
+        ({"amplitude": 2.0}, "--amplitude"),
+    ],
+)
+def test_what_cannot_be_planned(vehicle, arguments, what):
+    given = {"symbols": ["Izz"], "channel": "yaw", "kinds": ("doublet",), "duration_s": 6.0, **arguments}
+    with pytest.raises(InputError, match=what):
+        design(vehicle, given.pop("symbols"), given.pop("channel"), **given)
+
+
+def test_the_picture_has_units_on_every_axis(plan):
+    figure = plan_picture(plan)
+    assert len(figure.axes) == 4
+    assert all(ax.get_xlabel() and "(" in ax.get_ylabel() for ax in figure.axes)
