@@ -67,7 +67,10 @@ def raw_mcap(path: str | Path) -> RawLog:
         path=str(path),
         kind="MCAP",
         tables=tables,
-        start_time=datetime.fromtimestamp(zero / 1e9, UTC).isoformat(timespec="milliseconds"),
+        # A log whose wall time nobody knew begins in 1970.
+        start_time=datetime.fromtimestamp(zero / 1e9, UTC).isoformat(timespec="milliseconds")
+        if zero > 10**18 // 2
+        else "",
         info={"recorded by": "mufly"} if ours else {},
         complete=contents.complete,
         notes=notes,
