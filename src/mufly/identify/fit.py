@@ -25,6 +25,7 @@ from scipy.optimize import least_squares
 from mufly.errors import InputError
 from mufly.identify.checkpoint import digest_of, read_checkpoint, write_checkpoint
 from mufly.identify.covariance import covariance_of, unseen_in_words
+from mufly.identify.curvature import bend_of_valley
 from mufly.identify.evolution import Course, evolve
 from mufly.identify.free import Free, physical
 from mufly.identify.levenberg import Point, descend, reduce_record, stacked_jacobian
@@ -337,6 +338,8 @@ def _result(problem: Problem, point: Point, run: _Run, converged: bool, seconds:
         residuals.append(linear.residual)
         records.append(_record_fit(problem, i, point, "fit"))
     covariance, coloured = covariance_of(sensitivities, residuals, problem.prior_std)
+    bend = bend_of_valley(problem, point, reduced)
+    covariance = covariance + 2.0 * bend.T @ bend
     data = np.concatenate([s.reshape(-1, len(free)) for s in sensitivities])
     # What Gauss and Newton would still gain: at a minimum nothing.
     jacobian = stacked_jacobian(problem, point.theta, reduced)

@@ -1,0 +1,78 @@
+"""Does the identification find the truth, and do its intervals say how well? Many noise seeds of the demonstration.
+
+    python benchmarks/identify_seeds.py [--seeds 20] [--first 0] [--cma 0] [--json]
+
+For every seed twelve parameters start 50 % off. Printed: which converged, how often the truth is inside the 95 %
+intervals, prediction error of the flight that the fit did not see over the sensors' noise, seconds. ``--cma N`` repeats
+the first N seeds by CMA-ES and compares the costs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+
+import numpy as np
+
+from mufly.identify.demo import DEMO_FREE, run_demo
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--cma", type=int, default=0, help="repeat so many seeds by CMA-ES")
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    run_demo(seed=10_000)  # compiles
+    rows = []
+    for seed in range(arguments.first, arguments.first + arguments.seeds):
+        demo = run_demo(seed=seed)
+        row = {
+            "seed": seed,
+            "converged": demo.fit.converged,
+            "cost": demo.fit.cost,
+            "inside": demo.inside(),
+            "worst_error": max(abs(e.value / demo.truth[e.symbol] - 1) for e in demo.fit.estimates),
+            "held_out": demo.held_out_over_noise,
+            "seconds": demo.fit.seconds,
+            "simulations": demo.fit.simulations,
+            "message": demo.fit.message,
+        }
+        if seed - arguments.first < arguments.cma:
+            other = run_demo(seed=seed, method="cma")
+            row["cma"] = {
+                "cost": other.fit.cost, "seconds": other.fit.seconds, "simulations": other.fit.simulations,
+                "largest_difference_in_std": max(
+                    abs(a.value - b.value) / b.std
+                    for a, b in zip(other.fit.estimates, demo.fit.estimates, strict=True)
+                ),
+            }  # fmt: skip
+        rows.append(row)
+        if not arguments.json:
+            print(
+                f"seed {seed:3d}: {'converged' if row['converged'] else 'NOT converged'}, {sum(row['inside'].values())}"
+                f" of {len(DEMO_FREE)} inside, worst {100 * row['worst_error']:.2f} %, held out {row['held_out']:.3f}, "
+                f"{row['seconds']:.1f} s, {row['simulations']} simulations, load {os.getloadavg()[0]:.1f}"
+                + (f", CMA-ES {row['cma']}" if "cma" in row else ""),
+                flush=True,
+            )
+    inside = np.array([[r["inside"][s] for s in DEMO_FREE] for r in rows])
+    summary = {
+        "seeds": len(rows),
+        "converged": sum(r["converged"] for r in rows),
+        "inside_share": float(inside.mean()),
+        "inside_by_parameter": dict(zip(DEMO_FREE, inside.mean(axis=0).tolist(), strict=True)),
+        "held_out_worst": max(r["held_out"] for r in rows),
+        "seconds_median": float(np.median([r["seconds"] for r in rows])),
+        "seconds_worst": max(r["seconds"] for r in rows),
+        "load_average": os.getloadavg()[0],
+    }
+    print(json.dumps({"summary": summary, "rows": rows} if arguments.json else summary, indent=2))
+
+
+if __name__ == "__main__":
+    main()
