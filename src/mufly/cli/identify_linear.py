@@ -48,6 +48,9 @@ def linear(
     split: Annotated[
         float, typer.Option(metavar="SHARE", help="First share of the record that the fit may see; 1: all.")
     ] = 0.5,
+    split_at: Annotated[
+        float | None, typer.Option(metavar="S", help="The same as a time in the record (s), before --split.")
+    ] = None,
     start_s: Annotated[float | None, typer.Option("--from", metavar="S", help="Begin at this time (s).")] = None,
     end_s: Annotated[float | None, typer.Option("--to", metavar="S", help="End at this time (s).")] = None,
     lowpass: Annotated[
@@ -84,8 +87,8 @@ def linear(
         raise InputError("--starts", "", f"{starts} is no number of searches", "give 1 or more")
     with progress_bar("structures and searches", not as_json) as progress:
         result = identify_linear(
-            record, _names(inputs), _names(outputs), model=model, split=split, lowpass_hz=lowpass or None,
-            rate_hz=rate or None, starts=starts, seed=seed, hold=hold, progress=progress,
+            record, _names(inputs), _names(outputs), model=model, split=split, split_at_s=split_at,
+            lowpass_hz=lowpass or None, rate_hz=rate or None, starts=starts, seed=seed, hold=hold, progress=progress,
         )  # fmt: skip
     report = None
     if out is not None:
@@ -132,6 +135,10 @@ def _print(r: LinearResult) -> None:
     poles = ", ".join(pole_text(p) for p in r.linear.poles)
     say(f"Poles: {poles} rad/s\n{r.linear.message}", highlight=False)
     print_table(*quality_rows(r), title="Pure simulation from inputs", text=(0, 1))
+    say(
+        "at most: with no error but the noise floor; to angle: against the derivative of the measured angle",
+        style="dim", highlight=False,
+    )  # fmt: skip
     if r.ahead:
         print_table(
             *ahead_rows(r), title=f"Held-out part, predicted a time ahead (low-passed at {r.slow_hz:g} Hz)"
@@ -159,7 +166,9 @@ def _json(r: LinearResult) -> dict[str, Any]:
         "quality": {role: [asdict(q) for q in qs] for role, qs in r.quality.items()},
         "quality_slow": {role: [asdict(q) for q in qs] for role, qs in r.quality_slow.items()},
         "slow_hz": r.slow_hz,
-        "noise_floor": [{**asdict(f), "total": f.total} for f in r.floors],
+        "noise_floor": {role: [{**asdict(f), "total": f.total} for f in fs] for role, fs in r.floors.items()},
+        "ceiling_percent": dict(r.ceiling), "ceiling_slow_percent": dict(r.ceiling_slow),
+        "against_angle_percent": dict(r.against_angle),
         "ahead": [
             {**asdict(a), "horizon_s": None if math.isinf(a.horizon_s) else a.horizon_s} for a in r.ahead
         ],

@@ -45,12 +45,14 @@ CANDIDATES = (
 )  # fmt: skip
 HORIZONS_S = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 _BLOCKS = 4
+_FEWEST = 100  # samples of a held-out part worth the name
 _ANGLE = {"p": "phi", "q": "theta"}
 
 
 def identify_linear(
     record: Record, inputs: Mapping[str, str], outputs: Mapping[str, str], *, model: str = "auto",
-    candidates: Sequence[str] = CANDIDATES, split: float = 0.5, lowpass_hz: float | None = 5.0,
+    candidates: Sequence[str] = CANDIDATES, split: float = 0.5, split_at_s: float | None = None,
+    lowpass_hz: float | None = 5.0,
     rate_hz: float | None = 25.0, starts: int = 6, seed: int = 0, hold: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> LinearResult:  # fmt: skip
@@ -66,6 +68,8 @@ def identify_linear(
     candidates : sequence of str
     split : float
         Share of the record that the fit may see; 1 for all of it.
+    split_at_s : float, optional
+        The same as a time (s); goes before ``split``.
     lowpass_hz, rate_hz : float, optional
         For the fit alone; None leaves the record as it is.
     starts, seed, hold
@@ -82,7 +86,9 @@ def identify_linear(
         raise InputError("--split", "", f"{split:g} is no share of the record", "give 0.1 to 1")
     us = _columns(record, inputs, "--inputs")
     y = _columns(record, outputs, "--outputs")
-    cut = round(split * len(y))
+    cut = round(split * len(y)) if split_at_s is None else int((record.time_s < split_at_s).sum())
+    if not 100 <= cut <= len(y):
+        raise InputError("--split", "", f"leaves {cut} samples for the fit", "leave at least 100")
     notes = list(record.notes)
     moving = [
         k
@@ -131,13 +137,20 @@ def identify_linear(
         structure, uf, yf, dtf, starts=starts, seed=seed, hold=hold, first=first, progress=tick
     )
     simulated, _ = predict_linear(linear, u, dt)
-    floors = tuple(
-        noise_floor(y[:cut, k], u[:cut], dt, angle=_angle(record, name, outs, y, cut))
-        for k, name in enumerate(outs)
-    )
+    angles = [_angle(record, name, outs, y) for name in outs]
+    parts = {"fit": slice(0, cut), "held out": slice(cut, len(y))}
+    if len(y) - cut < _FEWEST:
+        del parts["held out"]
+    floors = {
+        role: tuple(
+            noise_floor(y[s, k], u[s], dt, split_hz=slow, angle=None if a is None else a[s])
+            for k, a in enumerate(angles)
+        )
+        for role, s in parts.items()
+    }
     disturbance = disturbance_model(linear, (y - simulated)[:cut], dt)
     tick(starts + 4)
-    records = _records(record, cut, outs, linear, y, simulated, floors, us, tuple(inputs))
+    records = _records(record, parts, linear, y, simulated, floors, us, tuple(inputs))
     check, percent = _subspace(linear, uf, yf, dtf, u, y, dt, cut, rate_hz, slow)
     rates = [k for k, o in enumerate(outs) if o in ("p", "q", "r")]
     regressed = (
@@ -152,15 +165,17 @@ def identify_linear(
         if rates
         else {}
     )
-    parts = {"fit": slice(0, cut), "held out": slice(cut, len(y))}
-    quality_slow = {
-        str(r.role): _slow(y[parts[r.role]], simulated[parts[r.role]], dt, slow, floors) for r in records
-    }
+    quality_slow, ceiling, ceiling_slow, against = {}, {}, {}, {}
+    for role, s in parts.items():
+        quality_slow[role] = _slow(y[s], simulated[s], dt, slow, floors[role])
+        ceiling[role], ceiling_slow[role] = _ceilings(y[s], dt, slow, floors[role])
+        against[role] = _against(angles, s, simulated, dt, slow)
     tried.sort(key=lambda t: t.left_out)
     return LinearResult(
         _fit(linear, records, tuple(notes)), linear, tuple(_relative(tried)), floors, disturbance,
         _ahead(linear, disturbance, y, simulated, dt, cut, slow, floors),
-        {str(r.role): qualities(r) for r in records}, quality_slow, slow, what_is_missing(records[0]), regressed,
+        {str(r.role): qualities(r) for r in records}, quality_slow, ceiling, ceiling_slow, against, slow,
+        what_is_missing(records[0]), regressed,
         check, percent, _spectral(linear, uf, yf, dtf, slow), tuple(notes),
     )  # fmt: skip
 
@@ -175,13 +190,13 @@ def _columns(record: Record, wanted: Mapping[str, str], option: str) -> Array:
     return np.column_stack(columns)
 
 
-def _angle(record: Record, name: str, outs: tuple[str, ...], y: Array, cut: int) -> Array | None:
+def _angle(record: Record, name: str, outs: tuple[str, ...], y: Array) -> Array | None:
     angle = _ANGLE.get(name)
     if angle is None:
         return None
     if angle in outs:
-        return y[:cut, outs.index(angle)]
-    return record.columns[angle][:cut] if angle in record.columns else None
+        return np.asarray(y[:, outs.index(angle)])
+    return record.columns.get(angle)
 
 
 def _thinned(
@@ -201,22 +216,48 @@ def _thinned(
 
 
 def _records(
-    record: Record, cut: int, outs: tuple[str, ...], linear: LinearFit, y: Array, simulated: Array,
-    floors: tuple[NoiseFloor, ...], u: Array, names: tuple[str, ...],
+    record: Record, parts: Mapping[str, slice], linear: LinearFit, y: Array, simulated: Array,
+    floors: Mapping[str, tuple[NoiseFloor, ...]], u: Array, names: tuple[str, ...],
 ) -> tuple[RecordFit, ...]:  # fmt: skip
-    noise = np.array([max(f.total, 1e-12) for f in floors])
     made = []
-    for a, b in ((0, cut), (cut, len(y))):
-        if b - a < 20:
-            continue
-        t = record.time_s[a:b]
+    for role, part in parts.items():
+        t, noise = record.time_s[part], np.array([max(f.total, 1e-12) for f in floors[role]])
         made.append(
             RecordFit(
-                f"{record.name}, {t[0]:.1f} to {t[-1]:.1f} s", "fit" if a == 0 else "held out", t, outs,
-                linear.structure.units, y[a:b], simulated[a:b], noise, u[a:b], names,
+                f"{record.name}, {t[0]:.1f} to {t[-1]:.1f} s", "fit" if role == "fit" else "held out", t,
+                linear.structure.outputs, linear.structure.units, y[part], simulated[part], noise, u[part], names,
             )
         )  # fmt: skip
     return tuple(made)
+
+
+def _ceilings(
+    y: Array, dt: float, slow: float, floors: tuple[NoiseFloor, ...]
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Fit of a model whose error is the noise floor, as recorded and low-passed."""
+    spread, spread_slow = y.std(axis=0), lowpassed(y, dt, slow).std(axis=0)
+    known = [f.below > 0.0 for f in floors]
+    return (
+        tuple(100.0 * (1.0 - f.total / float(s)) for f, s in zip(floors, spread, strict=True)),
+        tuple(
+            100.0 * (1.0 - f.below / float(s)) if k else float("nan")
+            for f, s, k in zip(floors, spread_slow, known, strict=True)
+        ),
+    )
+
+
+def _against(
+    angles: list[Array | None], part: slice, simulated: Array, dt: float, slow: float
+) -> tuple[float, ...]:
+    """Fit of simulated rates against the derivative of measured angles, both low-passed."""
+    found = []
+    for k, angle in enumerate(angles):
+        if angle is None:
+            found.append(float("nan"))
+            continue
+        both = lowpassed(np.column_stack([np.gradient(angle[part], dt), simulated[part, k]]), dt, slow)
+        found.append(quality(both[:, 0], both[:, 1]).fit_percent)
+    return tuple(found)
 
 
 def _slow(
@@ -228,11 +269,12 @@ def _slow(
 
 def _ahead(
     linear: LinearFit, disturbance: Disturbance, y: Array, simulated: Array, dt: float, cut: int, slow: float,
-    floors: tuple[NoiseFloor, ...],
+    floors: Mapping[str, tuple[NoiseFloor, ...]],
 ) -> tuple[Ahead, ...]:  # fmt: skip
-    if len(y) - cut < 20:
+    if "held out" not in floors:
         return ()
     found = []
+    noise = [f.total for f in floors["held out"]]
     target, m = lowpassed(y[cut:], dt, slow), y.shape[1]
     # Unfiltered, persistence would carry the vibration along; a filter that sees the future would cheat.
     causal = np.asarray(sosfilt(butter(1, slow, fs=1.0 / dt, output="sos"), y, axis=0))
@@ -248,7 +290,7 @@ def _ahead(
                 horizon,
                 tuple(quality(y[cut:, k], predicted[:, k]).fit_percent for k in range(m)),
                 tuple(quality(target[:, k], smooth[:, k]).fit_percent for k in range(m)),
-                tuple(quality(y[cut:, k], predicted[:, k], floors[k].total).rms_over_noise for k in range(m)),
+                tuple(quality(y[cut:, k], predicted[:, k], noise[k]).rms_over_noise for k in range(m)),
                 tuple(
                     quality(target[:, k], kept[:, k]).fit_percent if steps else float("nan") for k in range(m)
                 ),
@@ -266,7 +308,7 @@ def _subspace(
         model = subspace(uf, yf, dtf, order=min(len(linear.structure.states), 8), past=past)
     except InputError:
         return None, ()
-    if np.abs(np.linalg.eigvals(model.a)).max() > 1.0 + 1e-6 or len(y) - cut < 20:
+    if np.abs(np.linalg.eigvals(model.a)).max() > 1.0 + 1e-6 or len(y) - cut < _FEWEST:
         return model, ()
     step = max(1, round(dtf / dt))
     # Without a look at the held-out part: the state runs on from the fitted one.

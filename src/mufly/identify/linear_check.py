@@ -10,8 +10,8 @@ likelihood of the one-step innovations (Ljung, Sec. 7.4; Jategaonkar's filter-er
 a steady Kalman filter then gives the state from past samples. Prediction ``h`` seconds ahead is
 ``y_sim(t + h) + C Phi^h d(t|t)``: measurements up to t, inputs up to t + h.
 
-**Noise floor** of a rate: what it holds above the band in which the inputs have power, and below it what disagrees with
-the derivative of the measured angle. The model is not asked to explain either.
+**Noise floor** of a rate: what it holds above the band in which the inputs have power, and below it what disagrees
+with the derivative of the measured angle. The model is not asked to explain either.
 """
 
 from __future__ import annotations
@@ -244,17 +244,20 @@ class NoiseFloor:
 
     Attributes
     ----------
-    above_hz : float
-        The inputs have 99.9 % of their power below.
+    split_hz : float
+        Frequency between the two parts.
     above : float
-        What the output holds above that frequency.
+        What the output holds above it.
     below : float
         What disagrees with the measured angle's derivative below it; zero where no angle was measured.
+    input_share : float
+        Share of the inputs' power (each over its own) that lies below ``split_hz``.
     """
 
-    above_hz: float
+    split_hz: float
     above: float
     below: float
+    input_share: float
 
     @property
     def total(self) -> float:
@@ -262,7 +265,9 @@ class NoiseFloor:
         return float(np.hypot(self.above, self.below))
 
 
-def noise_floor(signal: Array, u: Array, dt: float, *, angle: Array | None = None) -> NoiseFloor:
+def noise_floor(
+    signal: Array, u: Array, dt: float, *, split_hz: float, angle: Array | None = None
+) -> NoiseFloor:
     """Estimate the noise floor of an output.
 
     Parameters
@@ -271,21 +276,20 @@ def noise_floor(signal: Array, u: Array, dt: float, *, angle: Array | None = Non
     u : (n, k) array
         All inputs.
     dt : float
+    split_hz : float
+        The vehicle is taken not to follow its inputs above.
     angle : (n,) array, optional
         Measured angle whose derivative the signal is (small angles).
     """
-    cut = 0.5 / dt * 0.2
     moved = u[:, u.std(axis=0) > 0.0]
+    share = 1.0
     if moved.shape[1]:
-        f, power = periodogram(
-            (moved - moved.mean(0)) / moved.std(0), 1.0 / dt, axis=0, window="hann", detrend="constant"
-        )
-        share = np.cumsum(power.sum(1)) / power.sum()
-        cut = float(np.clip(f[np.searchsorted(share, 0.999)], 20.0 / (dt * len(signal)), 0.4 / dt))
+        scaled = (moved - moved.mean(0)) / moved.std(0)
+        f, power = periodogram(scaled, 1.0 / dt, axis=0, window="hann", detrend="constant")
+        share = float(power[f <= split_hz].sum() / power.sum())
     below = 0.0
     if angle is not None:
-        both = lowpassed(np.column_stack([signal, np.gradient(angle, dt)]), dt, cut)
-        edge = min(len(signal) // 10, round(1.0 / (cut * dt)))
-        difference = (both[:, 0] - both[:, 1])[edge : len(signal) - edge]
-        below = float(np.std(difference))
-    return NoiseFloor(cut, high_frequency_noise(signal, dt, above_hz=cut), below)
+        both = lowpassed(np.column_stack([signal, np.gradient(angle, dt)]), dt, split_hz)
+        edge = min(len(signal) // 10, round(1.0 / (split_hz * dt)))
+        below = float(np.std((both[:, 0] - both[:, 1])[edge : len(signal) - edge]))
+    return NoiseFloor(split_hz, high_frequency_noise(signal, dt, above_hz=split_hz), below, share)

@@ -35,12 +35,11 @@ Rows = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]
 def candidate_rows(r: LinearResult) -> Rows:
     """Return heads and rows of the structures that were tried, best first."""
     outputs = r.linear.structure.outputs
-    heads = ("structure", "parameters", "left out", *(f"left out {o}" for o in outputs), "AIC", "BIC",
-             *(f"fit {o} (%)" for o in outputs))  # fmt: skip
+    heads = ("structure", "free", "left out", *(f"of {o}" for o in outputs), "AIC", "BIC")
     rows = tuple(
         (
             c.name, f"{c.parameters}", f"{c.left_out:.3f}", *(f"{v:.3f}" for v in c.by_output), f"+{c.aic:.0f}",
-            f"+{c.bic:.0f}", *(f"{v:.1f}" for v in c.fit_percent),
+            f"+{c.bic:.0f}",
         )
         for c in r.candidates
     )  # fmt: skip
@@ -52,9 +51,11 @@ def estimate_rows(r: LinearResult) -> Rows:
     bound = np.sqrt(np.maximum(np.diag(r.linear.bound), 0.0))
     rows = []
     for e, b, p in zip(r.fit.estimates, bound, r.linear.structure.parameters, strict=True):
-        interval = "at a bound" if e.at_bound else f"{number(e.low)} … {number(e.high)}"
-        rows.append((e.symbol, p.meaning, number(e.value), number(e.std), number(float(b)), interval, e.unit))
-    heads = ("parameter", "meaning", "estimate", "std", "if residuals were white", "95 % interval", "unit")
+        std = "at bound" if e.at_bound else number(e.std)
+        rows.append(
+            (e.symbol, p.meaning, number(e.value), std, "–" if e.at_bound else number(float(b)), e.unit)
+        )
+    heads = ("", "", "estimate", "std", "std if white", "unit")
     return heads, tuple(rows)
 
 
@@ -62,25 +63,24 @@ def quality_rows(r: LinearResult) -> Rows:
     """Return heads and rows of how well every output is simulated, as recorded and low-passed."""
     rows = []
     for role, qs in r.quality.items():
-        for name, unit, q, s, f in zip(
-            r.linear.structure.outputs,
-            r.linear.structure.units,
-            qs,
-            r.quality_slow[role],
-            r.floors,
-            strict=True,
-        ):
+        for k, name in enumerate(r.linear.structure.outputs):
+            q, s, f = qs[k], r.quality_slow[role][k], r.floors[role][k]
             rows.append(
                 (
-                    role, name, f"{q.fit_percent:.1f}", f"{s.fit_percent:.1f}", f"{q.theil:.2f}", f"{s.theil:.2f}",
-                    f"{q.rms:.3g} {unit}", f"{f.total:.3g} {unit}", f"{q.rms_over_noise:.2f}",
+                    role, name, _percent(q.fit_percent), _percent(r.ceiling[role][k]), _percent(s.fit_percent),
+                    _percent(r.ceiling_slow[role][k]), _percent(r.against_angle[role][k]), f"{s.theil:.2f}",
+                    f"{s.rms:.3f}", f"{f.below:.3f}" if f.below > 0.0 else "–", f"{f.above:.3f}",
                 )
             )  # fmt: skip
     heads = (
-        "part", "output", "fit (%)", f"fit below {r.slow_hz:g} Hz (%)", "Theil", "Theil, slow", "rms error",
-        "noise floor", "over noise",
+        "part", "output", "fit", "at most", f"fit < {r.slow_hz:g} Hz", "at most", "to angle", "Theil", "error",
+        "noise <", "noise >",
     )  # fmt: skip
     return heads, tuple(rows)
+
+
+def _percent(value: float) -> str:
+    return "–" if math.isnan(value) else f"{value:.1f} %"
 
 
 def ahead_rows(r: LinearResult) -> Rows:
@@ -91,7 +91,7 @@ def ahead_rows(r: LinearResult) -> Rows:
         name = "simulation" if math.isinf(a.horizon_s) else f"{a.horizon_s:g} s"
         kept = ["–" if math.isnan(v) else f"{v:.1f}" for v in a.persistence_percent]
         rows.append((name, *(f"{v:.1f}" for v in a.fit_percent_slow), *kept))
-    heads = ("ahead", *(f"fit {o} (%)" for o in outputs), *(f"last value, {o} (%)" for o in outputs))
+    heads = ("ahead", *(f"{o} (%)" for o in outputs), *(f"last {o} (%)" for o in outputs))
     return heads, tuple(rows)
 
 
@@ -114,6 +114,7 @@ def cross_check_rows(r: LinearResult) -> Rows:
 def bode_picture(r: LinearResult, s: SpectralFit) -> Figure:
     """Draw the measured frequency responses with error bounds beside the model's two."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     from mufly.identify.report_pictures import BLUE, ORANGE, VERMILION
 
@@ -133,7 +134,7 @@ def bode_picture(r: LinearResult, s: SpectralFit) -> Figure:
                 (fitted, VERMILION, "output error"),
                 (s.model, ORANGE, "frequency fit"),
             ):
-                if np.abs(curve[:, j, i]).max() > 0.0:
+                if np.abs(curve[:, j, i]).max() > 1e-6:
                     top.semilogx(
                         f,
                         20.0 * np.log10(np.maximum(np.abs(curve[:, j, i]), 1e-12)),
@@ -147,6 +148,9 @@ def bode_picture(r: LinearResult, s: SpectralFit) -> Figure:
             bottom.errorbar(f[good], phase[good], yerr=np.minimum(np.degrees(spread[good]), 180.0), **bar)
             bottom.set_ylim(-200.0, 200.0)
             bottom.set_yticks((-180, -90, 0, 90, 180))
+            bottom.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            bottom.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+            bottom.xaxis.set_minor_formatter(NullFormatter())
             cost = s.cost_before[j, i]
             top.set_title(
                 f"{data.inputs[i]} to {data.outputs[j]}" + (f", J = {cost:.0f}" if np.isfinite(cost) else "")
@@ -180,16 +184,19 @@ def write_linear_report(r: LinearResult, directory: str | Path, *, command: str 
     sections.append(
         Section(
             "Simulation and noise floor",
-            ("The noise floor of a rate is what it holds above the band of the inputs, and below it what disagrees "
-             "with the derivative of the measured angle; it comes from the fitted part alone.",),
+            (f"Fits in per cent: as recorded, with both low-passed at {r.slow_hz:g} Hz, and of the latter against the "
+             "derivative of the measured angle instead of the gyro. At most: what a model would reach whose only error "
+             f"is the noise floor, which is what the output holds above {r.slow_hz:g} Hz (noise >; the inputs have "
+             f"{100 * min(f.input_share for f in r.floors['fit']):.1f} % of their power below) and what disagrees with "
+             "the angle's derivative below (noise <). Error and noise in the output's unit.",),
             heads, rows,
         )
     )  # fmt: skip
     if r.ahead:
         heads, rows = ahead_rows(r)
         text = (
-            f"Fit on the held-out part below {r.slow_hz:g} Hz, when measurements up to the given time before are used by "
-            "a steady Kalman filter, whose noise was fitted to the fitted part; and what the last value would reach.",
+            f"Fit on the held-out part below {r.slow_hz:g} Hz, when a steady Kalman filter (its noise fitted to the "
+            "fitted part) uses measurements up to the given time before; and what the last value would reach.",
         )
         sections.append(Section("Prediction a time ahead", text, heads, rows))
     sections.append(_cross_check(r))

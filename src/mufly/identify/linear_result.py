@@ -118,13 +118,18 @@ class LinearResult:
         The model itself.
     candidates : tuple of CrossValidation
         Structures tried, best first; empty if one was asked for.
-    floors : tuple of NoiseFloor
-        Of every output, from the fitted part.
+    floors : dict of role to tuple of NoiseFloor
+        Of every output, from that part.
     disturbance : Disturbance
     ahead : tuple of Ahead
         Empty without held-out part.
     quality, quality_slow : dict of role to tuple of Quality
         Of the simulation, against the record and against both low-passed at ``slow_hz``.
+    ceiling, ceiling_slow : dict of role to tuple of float
+        Fit (per cent) of a model whose error is the noise floor alone, as recorded and below ``slow_hz``; the latter is
+        NaN where no angle was measured beside a rate.
+    against_angle : dict of role to tuple of float
+        Fit (per cent) below ``slow_hz`` against the derivative of the measured angle instead of the gyro; NaN without.
     slow_hz : float
     missing : tuple of str
         What the residuals of the fitted part show.
@@ -143,11 +148,14 @@ class LinearResult:
     fit: Fit
     linear: LinearFit
     candidates: tuple[CrossValidation, ...]
-    floors: tuple[NoiseFloor, ...]
+    floors: Mapping[str, tuple[NoiseFloor, ...]]
     disturbance: Disturbance
     ahead: tuple[Ahead, ...]
     quality: Mapping[str, tuple[Quality, ...]]
     quality_slow: Mapping[str, tuple[Quality, ...]]
+    ceiling: Mapping[str, tuple[float, ...]]
+    ceiling_slow: Mapping[str, tuple[float, ...]]
+    against_angle: Mapping[str, tuple[float, ...]]
     slow_hz: float
     missing: tuple[str, ...]
     equation_error: Mapping[str, tuple[float, float]]

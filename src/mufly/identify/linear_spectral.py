@@ -86,6 +86,8 @@ def fit_spectral(
         input_names=structure.inputs, output_names=structure.outputs,
     )  # fmt: skip
     good = (data.partial >= least) & np.isfinite(data.response)
+    # A few coherent frequencies among many occur by chance.
+    good &= good.sum(0) >= max(4, points // 8)
     if good.sum() < 2 * len(structure.parameters):
         raise InputError(
             "frequency response", "", f"{int(good.sum())} coherent points for {len(structure.parameters)} parameters",
@@ -117,5 +119,6 @@ def fit_spectral(
     solution = least_squares(residual, start, bounds=(lower, upper), x_scale="jac", max_nfev=200)
     found = values(solution.x)
     model = response_of(structure, found, data.frequency_hz)
-    before = misfit(data, response_of(structure, first, data.frequency_hz), least=least)
-    return SpectralFit(found, data, model, misfit(data, model, least=least), before)
+    used = np.where(good.any(axis=0), 1.0, np.nan)
+    before = used * misfit(data, response_of(structure, first, data.frequency_hz), least=least)
+    return SpectralFit(found, data, model, used * misfit(data, model, least=least), before)

@@ -9,7 +9,7 @@ One sentence a finding, the largest first, each with the number behind it. How a
 | correlation at negative lags only | feedback from output to input; says nothing against the model |
 | spectral line that stands far out of its surroundings | vibration at that frequency, not caused by the inputs |
 | autocorrelation that dies slowly | disturbance (wind) or a slow state is missing |
-| mean or spread of the prediction off (Theil's parts) | bias not modelled, or gain too small or too large |
+| mean off (Theil's bias part); slope of measured over predicted not 1 | bias not modelled; gain wrong |
 
 Sources: Ljung, Sec. 16.6; Jategaonkar, ch. 11; the sentences are judgements, the numbers in them are not.
 """
@@ -29,6 +29,7 @@ __all__ = ["spectral_lines", "what_is_missing"]
 Array = NDArray[np.float64]
 
 _SHORT_S = 0.05
+_VIBRATION_HZ = 3.0
 _LINE = 25.0  # a line has this many times the density around it
 
 
@@ -65,15 +66,14 @@ def what_is_missing(
         found += _of_colour(output, e, dt, max_lag_s)
         found += _of_lines(output, e, dt)
     found += _of_size(record)
-    return tuple(text for _, text in sorted(found, key=lambda f: -f[0]))
+    return tuple(dict.fromkeys(text for _, text in sorted(found, key=lambda f: -f[0])))
 
 
 def _of_input(
     name: str, u: Array, output: str, e: Array, dt: float, max_lag_s: float, confidence: float, least: float
 ) -> list[tuple[float, str]]:
     if np.std(u) == 0.0:
-        text = f"{name} never moved in this record, so it says nothing about the response of {output} to it"
-        return [(0.05, text)]
+        return [(0.05, f"{name} never moved in this record, so it says nothing about the response to it")]
     looks = max(1.0, 2.0 * max_lag_s / _correlation_time(u, dt))
     c = cross_correlation(u, e, dt, max_lag_s=max_lag_s, confidence=1.0 - (1.0 - confidence) / looks)
     middle = c.lag_s.size // 2
@@ -134,7 +134,11 @@ def _of_lines(output: str, e: Array, dt: float) -> list[tuple[float, str]]:
         (
             0.4 * share / power,
             f"residual of {output} has a line at {frequency:.1f} Hz with {100 * share / power:.0f} % of its power: "
-            "vibration, not caused by the inputs",
+            + (
+                "vibration, not caused by the inputs"
+                if frequency >= _VIBRATION_HZ
+                else "an oscillation that the inputs do not drive; a feedback inside the vehicle is missing"
+            ),
         )
         for frequency, share in spectral_lines(e, dt)
         if share > 0.05 * power
@@ -182,13 +186,13 @@ def _of_size(record: RecordFit) -> list[tuple[float, str]]:
                 "a bias is not modelled"
             )
             found.append((q.bias * q.theil, text))
-        if q.variance > 0.3:
+        gain = _gain(record, name)
+        if q.r2 > 0.05 and abs(gain - 1.0) > 0.25:
             text = (
-                f"{100 * q.variance:.0f} % of the mean square error of {name} is a difference in spread: the "
-                f"prediction moves {'less' if _spread(record, name) < 1 else 'more'} than the measurement "
-                "(noise, a wrong gain or a missing input)"
+                f"{name} moves {gain:.2f} times as far as predicted where both move together: its gain is predicted "
+                f"too {'small' if gain > 1.0 else 'large'}"
             )
-            found.append((q.variance * q.theil, text))
+            found.append((abs(gain - 1.0) * max(q.r2, 0.0), text))
         if q.fit_percent < 0.0:
             text = (
                 f"{name} is predicted worse than by its mean (fit {q.fit_percent:.0f} %, rms {q.rms:.3g} {unit}): "
@@ -198,6 +202,11 @@ def _of_size(record: RecordFit) -> list[tuple[float, str]]:
     return found
 
 
-def _spread(record: RecordFit, name: str) -> float:
+def _gain(record: RecordFit, name: str) -> float:
+    """Slope of the measurement over the prediction."""
     k = record.outputs.index(name)
-    return float(np.nanstd(record.predicted[:, k]) / np.nanstd(record.measured[:, k]))
+    z, y = record.measured[:, k], record.predicted[:, k]
+    good = np.isfinite(z) & np.isfinite(y)
+    y = y[good] - y[good].mean()
+    power = float(y @ y)
+    return float(y @ z[good]) / power if power > 0.0 else 1.0

@@ -149,16 +149,23 @@ def _parameters(fit: Fit) -> str:
     rows = []
     for e in fit.estimates:
         relative = abs(e.std / e.value) if e.value != 0.0 else float("inf")
-        flag = "at a bound: the interval does not hold" if e.at_bound else ""
-        percent = f"{100 * relative:.2g} %" if np.isfinite(relative) else "–"
+        flag = "at a bound" if e.at_bound else ""
+        interval = "–" if e.at_bound else f"{number(e.low)} … {number(e.high)}"
+        percent = "–" if e.at_bound or not np.isfinite(relative) else f"{100 * relative:.3g} %"
+        if relative > 10.0 and percent != "–":
+            percent = "> 1000 %"
         rows.append(
             (
-                e.symbol, number(e.start), number(e.value), number(e.std), percent,
-                f"{number(e.low)} … {number(e.high)}", e.unit, e.key, flag,
+                e.symbol, number(e.start), number(e.value), "–" if e.at_bound else number(e.std), percent,
+                interval, e.unit, e.key, flag,
             )
         )  # fmt: skip
     heads = ("parameter", "start", "estimate", "std", "rel.", "95 % interval", "unit", "key", "")
-    return "<h2>Parameters</h2>" + table(heads, rows, numbers=(1, 2, 3, 4, 5), warn=8)
+    keep = [k for k in range(len(heads)) if k != 7 or any(e.key for e in fit.estimates)]
+    kept = [tuple(row[k] for k in keep) for row in rows]
+    return "<h2>Parameters</h2>" + table(
+        [heads[k] for k in keep], kept, numbers=(1, 2, 3, 4, 5), warn=len(keep) - 1
+    )
 
 
 def _sizes(fit: Fit) -> str:

@@ -178,7 +178,7 @@ def coherence_of(record: RecordFit) -> tuple[FrequencyResponse, FrequencyRespons
     if not record.input_names or n < 128 or gaps or not np.isfinite(record.predicted).all():
         return None
     segment = n * dt / 6.0
-    high = min(0.45 / dt, 60.0 / segment * 4.0)
+    high = min(0.45 / dt, 40.0 / segment)
     try:
         two = [
             frequency_response(
@@ -202,7 +202,8 @@ def coherence_picture(record: RecordFit) -> Figure | None:
     figure = _figure(9.0, 0.7 + 1.5 * m)
     panels = figure.subplots(m, 1, squeeze=False, sharex=True)[:, 0]
     # With n_d averages and k inputs, coherence of independent signals is about k / n_d.
-    chance = min(1.0, len(record.input_names) / max(measured.averages * 1.8, 1.0))
+    moving = int((record.inputs.std(axis=0) > 0.0).sum())
+    chance = min(1.0, moving / max(measured.averages * 1.8, 1.0))
     for j, axes in enumerate(panels):
         axes.axhspan(0.0, chance, color=_ink(), alpha=0.10, linewidth=0)
         axes.semilogx(
@@ -243,7 +244,7 @@ def theil_picture(records: tuple[RecordFit, ...]) -> Figure:
     axes.grid(axis="y", visible=False)
     axes.set_xlim(0.0, 1.0)
     axes.set_xlabel("Theil's inequality coefficient (1); dashed: 0.3, acceptable below")
-    axes.legend(ncols=3, loc="lower right")
+    figure.legend(ncols=3, loc="outside upper right")
     return figure
 
 
