@@ -105,7 +105,7 @@ def test_rotor_with_calibration_and_prediction(tmp_path):
     assert "gain" in text
     assert "zero read 2 times" in text
     assert "constant within its error" in text
-    assert "predicted" in text
+    assert "prediction" in text
     assert (tmp_path / "r" / "rotor.png").is_file()
     answer = json.loads(output(*arguments, "--json"))
     e = answer["results"][0]["estimates"][0]

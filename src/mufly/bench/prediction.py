@@ -36,8 +36,8 @@ class Prediction:
     def in_words(self) -> list[str]:
         """Return mean and mean absolute error of each channel."""
         return [
-            f"{name}: predicted {100 * np.mean(e):+.1f} % of the measured on average, "
-            f"{100 * np.mean(np.abs(e)):.1f} % off in the mean ({e.size} points)"
+            f"{name}: prediction {100 * np.mean(e):+.1f} % from the measured on average, "
+            f"{100 * np.mean(np.abs(e)):.1f} % in the mean of absolute errors ({e.size} points)"
             for name, e in self.error.items()
         ]
 

@@ -27,7 +27,9 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-_SHAPES = ((1.0, 0.05), (1.0, 0.2), (1.0, 0.5), (1.0, 2.0), (0.0, 1.0))  # % of reading, % of full scale
+# % of reading, % of full scale; the first holds unless another is clearly likelier (2 log L, as by AIC).
+_SHAPES = ((1.0, 0.2), (1.0, 0.05), (1.0, 0.5), (1.0, 2.0), (0.0, 1.0))
+_CLEARLY = 4.0
 
 
 def expected_errors(data: MotorData, noise: dict[str, ChannelNoise] | None) -> tuple[Array, str]:
@@ -47,6 +49,7 @@ def expected_errors(data: MotorData, noise: dict[str, ChannelNoise] | None) -> t
         w = whitening_of(x, std, scales)
         white = np.einsum("nij,nj->ni", w, equations(data, x))
         minus_log = float(np.sum(white**2) - 2 * np.sum(np.log(w[:, 0, 0] * w[:, 1, 1])))
+        minus_log -= _CLEARLY if (reading, full_scale) == _SHAPES[0] else 0.0
         if minus_log < least:
             best, shape, least = std, (reading, full_scale), minus_log
     words = " and ".join(

@@ -34,7 +34,9 @@ __all__ = ["fit_rotor"]
 
 Array = NDArray[np.float64]
 
-_SHAPES = ((1.0, 0.02), (1.0, 0.1), (1.0, 0.3), (1.0, 1.0), (0.0, 1.0))  # % of reading, % of full scale
+# % of reading, % of full scale; the first holds unless another is clearly likelier (2 log L, as by AIC).
+_SHAPES = ((1.0, 0.3), (1.0, 0.02), (1.0, 0.1), (1.0, 1.0), (0.0, 1.0))
+_CLEARLY = 4.0
 _TYPICAL, _ORDINARY = 0.01, (0.0005, 0.06)  # thrust coefficients of hovering rotors
 _RPM = math.pi / 30.0
 _PITCH = math.radians(0.05)  # settings of the blades closer than this are one
@@ -204,7 +206,7 @@ def _fit_channel(
 
 def _expected(unit: Array, load: Array) -> tuple[Array, str]:
     """Return the likeliest shape of errors (n,), not yet scaled, and what it is in words."""
-    best, words, least = np.empty(0), "", np.inf
+    best, shape, least = np.empty(0), _SHAPES[0], math.inf
     n = load.size
     for reading, full_scale in _SHAPES:
         fitted = np.abs(unit @ np.linalg.lstsq(unit, load, rcond=None)[0])
@@ -214,11 +216,11 @@ def _expected(unit: Array, load: Array) -> tuple[Array, str]:
             - (unit / std[:, None]) @ np.linalg.lstsq(unit / std[:, None], load / std, rcond=None)[0]
         )
         minus_log = n * np.log(max(float(r @ r), 1e-300)) + 2 * float(np.sum(np.log(std)))
-        if minus_log < least - 1e-9:
-            parts = ((reading, "the reading"), (full_scale, "full scale"))
-            best, least = std, minus_log
-            words = " and ".join(f"{v:g} % of {what}" for v, what in parts if v)
-    return best, words
+        minus_log -= _CLEARLY if (reading, full_scale) == _SHAPES[0] else 0.0
+        if minus_log < least:
+            best, shape, least = std, (reading, full_scale), minus_log
+    parts = zip(shape, ("the reading", "full scale"), strict=True)
+    return best, " and ".join(f"{v:g} % of {what}" for v, what in parts if v)
 
 
 def _settings(speed: Array, run: NDArray[np.int64] | None) -> NDArray[np.int64]:
