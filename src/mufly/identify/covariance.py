@@ -41,7 +41,7 @@ def colour_reach(residual: _Array, longest: int) -> int:
     n, power = len(e), float(e @ e)
     if power <= 0.0:
         return 0
-    full = np.fft.irfft(np.abs(np.fft.rfft(e, 2 * n)) ** 2)[: longest + 1] / power
+    full = np.asarray(np.fft.irfft(np.abs(np.fft.rfft(e, 2 * n)) ** 2)[: longest + 1], np.float64) / power
     reach = 0
     for lag in range(1, len(full)):
         if abs(full[lag]) > 3.0 / np.sqrt(n):
@@ -103,7 +103,8 @@ def _cross(a: _Array, b: _Array, far: int) -> _Array:
     """Return ``<a_i b_(i+k)>`` for k = -far..far."""
     n = len(a)
     size = 2 * n
-    r = np.fft.irfft(np.conj(np.fft.rfft(a, size)) * np.fft.rfft(b, size), size) / max(np.count_nonzero(a), 1)
+    count = max(int(np.count_nonzero(a)), 1)
+    r = np.fft.irfft(np.conj(np.fft.rfft(a, size)) * np.fft.rfft(b, size), size) / count
     k = np.arange(-far, far + 1)
     return np.where(np.abs(k) < n, r[k % size], 0.0)
 

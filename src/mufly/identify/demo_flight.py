@@ -128,7 +128,8 @@ def fly_record(
         now = inputs[max(k - whole, 0)] if k >= whole else hover.input
         advance(x, before, calm, p, 1e-3, part)
         advance(x, now, calm, p, 1e-3, steps - part)
-    return Record(name, np.arange(n) * SAMPLE_S, inputs, _OUTPUTS, measured, measured[:, -1].copy())
+    time_s = np.arange(n, dtype=np.float64) * SAMPLE_S
+    return Record(name, time_s, inputs, _OUTPUTS, measured, measured[:, -1].copy())
 
 
 class _Pid:

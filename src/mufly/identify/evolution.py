@@ -105,8 +105,8 @@ def evolve(
             "randn": lambda *shape, g=random: g.standard_normal(shape),
         }  # fmt: skip
         strategy = cma.CMAEvolutionStrategy(np.zeros(t), 3.0, options)
-        for costs in told:
-            strategy.tell(strategy.ask(), costs)
+        for before in told:
+            strategy.tell(strategy.ask(), before)
         reduced = _reduced(problem, best)
         while not strategy.stop():
             z = strategy.ask()

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,11 +150,21 @@ class Problem:
             "_charge",
             "_volts",
         )
-        return replace(self, **{n: tuple(getattr(self, n)[i] for i in chosen) for n in names})
+        parts: dict[str, Any] = {n: tuple(getattr(self, n)[i] for i in chosen) for n in names}
+        return replace(self, **parts)
 
     def with_noise(self, noise: Sequence[_Array]) -> Problem:
         """Return the problem with other noise."""
         return replace(self, noise=tuple(noise))
+
+    @property
+    def charge(self) -> tuple[float, ...]:
+        """Charge of the battery at the start of every record, as far as it is not sought."""
+        return self._charge
+
+    def charged(self, charge: Sequence[float]) -> Problem:
+        """Return the problem with these charges."""
+        return replace(self, _charge=tuple(charge))
 
     def with_charge(self, theta: _Array) -> Problem:
         """Return the problem with batteries charged such that the mean voltage is the measured one at ``theta``."""
