@@ -14,6 +14,18 @@ from mufly.identify.problem import make_problem
 from mufly.identify.support import fly_supported, pilot_support
 from mufly.vehicle import load_vehicle, replace
 
+SYMBOLS = ["cQ_dw", "Jdrive_dw", "Jdrive_up"]
+
+
+def design_matrix(problem, linear):
+    """Columns: parameters, then the start values of every window, each acting on its own window."""
+    n, m, k = linear.by_state.shape
+    starts = problem.starts[0]
+    blocks = np.zeros((n, m, len(starts), k))
+    for w, rows in enumerate(np.split(np.arange(n), starts[1:])):
+        blocks[rows, :, w] = linear.by_state[rows]
+    return np.hstack([linear.by_theta.reshape(n * m, -1), blocks.reshape(n * m, -1)])
+
 
 @pytest.fixture(scope="module")
 def vehicle():
@@ -22,9 +34,7 @@ def vehicle():
 
 @pytest.fixture(scope="module")
 def plan(vehicle):
-    return design(
-        vehicle, ["cQ_dw", "Jdrive_dw", "Jdrive_up"], "yaw", kinds=("chirp", "doublet"), duration_s=6.0
-    )
+    return design(vehicle, SYMBOLS, "yaw", kinds=("chirp", "doublet"), duration_s=6.0)
 
 
 def test_the_hold_brings_a_pushed_helicopter_back(vehicle):
@@ -81,14 +91,17 @@ def test_a_narrower_limit_binds_and_a_smaller_wish_is_granted(vehicle):
     assert half.best.relative_std[0] / small.best.relative_std[0] == pytest.approx(2, rel=0.1)
 
 
-def test_fits_scatter_by_what_the_plan_promises(vehicle, plan):
+@pytest.mark.parametrize("window_s", [None, 2.0])
+def test_fits_scatter_by_what_the_plan_promises(vehicle, plan, window_s):
     """Linear fits of the flight with sensor noise, start values free: a Monte Carlo of the whole machinery."""
     c = plan.best
+    if window_s is None:
+        c = design(vehicle, SYMBOLS, "yaw", kinds=("chirp",), duration_s=6.0, window_s=None).best
     problem = make_problem(vehicle, plan.free, [c.record], part="heave-yaw", delay_s=0.02, prior=False)
     std = np.array([NOISE[o] for o in problem.records[0].outputs])
-    problem = problem.with_noise([std])
+    problem = problem.with_noise([std]).in_windows(window_s)
     linear = problem.linearise(0, np.zeros(3), problem.rest()[0])
-    a = np.hstack([linear.by_theta.reshape(-1, 3), linear.by_state.reshape(linear.residual.size, -1)])
+    a = design_matrix(problem, linear)
     size = np.linalg.norm(a, axis=0)
     rng = np.random.default_rng(0)
     noise = rng.standard_normal((linear.residual.size, 400))
@@ -99,20 +112,20 @@ def test_fits_scatter_by_what_the_plan_promises(vehicle, plan):
 def test_a_real_fit_finds_a_changed_vehicle_within_the_promise(vehicle, plan):
     """The truth differs by 5 %; Gauss-Newton from the plan's vehicle on its noisy flight."""
     truth = replace(vehicle, {"rotors.lower.drive_inertia": 1.05 * float(vehicle.rotors.lower.drive_inertia)})
-    flown = design(
-        truth, ["cQ_dw", "Jdrive_dw", "Jdrive_up"], "yaw", kinds=("chirp",), duration_s=6.0
-    ).best.record
+    flown = design(truth, SYMBOLS, "yaw", kinds=("chirp",), duration_s=6.0).best.record
     rng = np.random.default_rng(1)
     errors = []
     for _ in range(6):
         noisy = flown.measured + rng.standard_normal(flown.measured.shape) * [NOISE[o] for o in flown.outputs]
         record = type(flown)(flown.name, flown.time_s, flown.inputs, flown.outputs, noisy, flown.voltage)
         problem = make_problem(vehicle, plan.free, [record], part="heave-yaw", delay_s=0.02, prior=False)
-        problem = problem.with_noise([np.array([NOISE[o] for o in problem.records[0].outputs])])
+        problem = problem.with_noise([np.array([NOISE[o] for o in problem.records[0].outputs])]).in_windows(
+            2.0
+        )
         theta, start = np.zeros(3), problem.rest()[0]
         for _ in range(6):
             linear = problem.linearise(0, theta, start)
-            a = np.hstack([linear.by_theta.reshape(-1, 3), linear.by_state.reshape(linear.residual.size, -1)])
+            a = design_matrix(problem, linear)
             size = np.linalg.norm(a, axis=0)
             step = -np.linalg.lstsq(a / size, linear.residual.ravel(), rcond=1e-9)[0] / size
             theta, start = theta + step[:3], start + step[3:].reshape(start.shape)
@@ -121,7 +134,7 @@ def test_a_real_fit_finds_a_changed_vehicle_within_the_promise(vehicle, plan):
 
 
 def test_flights_add_their_information(vehicle, plan):
-    heave = design(vehicle, ["cQ_dw", "Jdrive_dw", "Jdrive_up"], "heave", kinds=("doublet",), duration_s=6.0)
+    heave = design(vehicle, SYMBOLS, "heave", kinds=("doublet",), duration_s=6.0)
     both, _ = together([plan, heave], [plan.best, heave.best])
     assert np.all(both <= plan.best.relative_std * (1 + 1e-6))
     assert np.all(both <= heave.best.relative_std * (1 + 1e-6))

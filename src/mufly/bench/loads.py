@@ -173,7 +173,7 @@ def _calibrated(
 
 
 def _drift_words(table: BenchTable, channel: str, d: ZeroDrift, t: Array, *, raw: bool) -> str:
-    unit = "of the reading" if raw else SI_UNITS[channel.split("_")[0]]
+    unit = "units of the reading" if raw else SI_UNITS[channel.split("_")[0]]
     if d.blocks == 1:
         return f"{channel}: zero read once, {d.coefficients[0]:.4g} {unit}; that it stayed there is taken on trust"
     kind = ("constant", "a straight line", "a parabola", "a cubic")[d.coefficients.size - 1]

@@ -59,6 +59,13 @@ def plan(
         ),
     ] = None,
     delay: Annotated[float, typer.Option(metavar="S", help="From command to input.")] = 0.02,
+    window: Annotated[
+        float,
+        typer.Option(
+            metavar="S", help="The motion counts as unknown anew every so often, which stands for gusts; 0: only at "
+            "the start, the bound of a perfect world.",
+        ),
+    ] = 2.0,
     sample: Annotated[float, typer.Option(metavar="S", help="Time between samples of the log.")] = 0.01,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Write signals (CSV) and pictures (PNG) there.")
@@ -78,7 +85,7 @@ def plan(
     symbols = [s.strip() for s in free.split(",") if s.strip()]
     channels = list(dict.fromkeys(c.strip() for c in channel.split(",") if c.strip()))
     kinds = KINDS if kind == "best" else (cast("Kind", kind),)
-    _check_times(duration, delay, sample)
+    _check_times(duration, delay, sample, window)
     limits, std, frequencies = _limits(limit), _noise(noise, NOISE), _band(band)
     plans: list[Plan] = []
     for name in channels:
@@ -87,6 +94,7 @@ def plan(
                 design(
                     v, symbols, name, kinds=kinds, duration_s=duration, amplitude=amplitude, band_rad_s=frequencies,
                     limits=limits, noise=std, sample_s=sample, delay_s=delay, progress=move,
+                    window_s=window if window > 0 else None,
                 )
             )  # fmt: skip
     chosen = [p.best for p in plans]
@@ -117,15 +125,15 @@ def plan(
     for words in unseen:
         say.print(f"not seen: {words}", highlight=False, markup=False)
     say.print(
-        "These are bounds for the model as it is and white sensor noise; wind and what the model leaves out make real "
-        "fits worse, often several times.",
+        "These are bounds for the model as it is and white sensor noise; what the model leaves out makes real fits "
+        "worse, often several times.",
         style="dim",
     )
     for file in files:
         say.print(f"written: {file}", highlight=False, markup=False)
 
 
-def _check_times(duration: float, delay: float, sample: float) -> None:
+def _check_times(duration: float, delay: float, sample: float, window: float) -> None:
     from mufly.errors import InputError
 
     if (
@@ -138,6 +146,10 @@ def _check_times(duration: float, delay: float, sample: float) -> None:
     if not (math.isfinite(delay) and 0 <= delay <= 0.2) or abs(delay / sample - round(delay / sample)) > 1e-6:
         raise InputError(
             "--delay", "", f"{delay:g} s is not possible", f"give a multiple of {sample:g} s up to 0.2"
+        )
+    if not (math.isfinite(window) and (window == 0 or window >= 10 * sample)):
+        raise InputError(
+            "--window", "", f"{window:g} s is not possible", f"give 0, or {10 * sample:g} s or more"
         )
     if not (math.isfinite(duration) and 2.0 <= duration <= 300.0):
         raise InputError("--duration", "", f"{duration:g} s is not possible", "give 2 to 300 s")
@@ -205,7 +217,9 @@ def _band(text: str | None) -> tuple[float, float] | None:
 
 
 def _percent(share: float) -> str:
-    return "not seen" if not math.isfinite(share) or share > 10 else f"{100 * share:.2g} %"
+    if not math.isfinite(share) or share > 10:
+        return "not seen"
+    return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
 
 
 def _print(p: Plan) -> None:

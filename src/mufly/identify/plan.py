@@ -8,8 +8,11 @@ the fit of :mod:`mufly.identify.problem` would get it, and its sensitivities giv
     M = S' N^-1 S,      S = d(outputs)/d(parameters, start values),      N: sensor noise (white, as given)
 
 of the free parameters, the start values taken out (Schur complement). Its inverse is the Cramer-Rao bound: no unbiased
-fit does better (Klein and Morelli, Aircraft System Identification, 2nd ed., ch. 6 and 9; Jategaonkar, ch. 2). Wind, a
-wrong model and coloured noise make it worse, by factors that only data can tell. Several flights add their information.
+fit does better (Klein and Morelli, Aircraft System Identification, 2nd ed., ch. 6 and 9; Jategaonkar, ch. 2). Over a
+long flight the bound is absurd: a torque out of balance by a millionth would show in the heading after 10 s, if nothing
+else ever pushed. So place, velocity, attitude and rates count as unknown anew every 2 s, which stands for gusts and
+drifts; a fit on windows of that length (multiple shooting) has just this bound. A wrong model and coloured noise still
+make it worse, by factors that only data can tell. Several flights add their information.
 
 Kinds are compared by the geometric mean of the parameters' relative standard deviations, over those that the record
 sees at all.
@@ -171,7 +174,7 @@ def design(
     vehicle: Vehicle, symbols: Sequence[str], channel: str, *, kinds: Sequence[Kind] = KINDS, duration_s: float = 10.0,
     amplitude: float | None = None, band_rad_s: tuple[float, float] | None = None, limits: Limits | None = None,
     noise: dict[str, float] | None = None, sample_s: float = 0.01, delay_s: float = 0.02,
-    progress: Callable[[int, int], None] | None = None,
+    window_s: float | None = 2.0, progress: Callable[[int, int], None] | None = None,
 ) -> Plan:  # fmt: skip
     """Design an excitation of one channel.
 
@@ -194,6 +197,8 @@ def design(
     limits : Limits, optional
     noise : dict, optional
         Standard deviations of the outputs that are measured (names of :data:`mufly.identify.simulate.OUTPUTS`).
+    window_s : float, optional
+        The motion is taken as unknown anew every so often (s); None: only at the start of the flight.
     progress : callable, optional
         Called with steps done and all steps.
 
@@ -233,7 +238,7 @@ def design(
         size, bound_by, share = _greatest(vehicle, support, shape, amplitude, limits, tick)
         states, inputs, voltage = fly_supported(vehicle, support, size * shape[None])
         record = _record(states[0], inputs[0], voltage[0], signal.time_s, outputs, f"{channel} {signal.kind}")
-        information = _information(vehicle, free, record, part, noise, delay_s)
+        information = _information(vehicle, free, record, part, noise, delay_s, window_s)
         std, figure = _accuracy(information)
         found.append(
             Candidate(channel, signal, size, bound_by, share, size * shape, record, information, std, figure)
@@ -311,18 +316,24 @@ def _record(
 
 
 def _information(
-    vehicle: Vehicle, free: Sequence[Free], record: Record, part: Part, noise: dict[str, float], delay_s: float
+    vehicle: Vehicle, free: Sequence[Free], record: Record, part: Part, noise: dict[str, float], delay_s: float,
+    window_s: float | None,
 ) -> Array:  # fmt: skip
-    """Return the Fisher information of ``theta`` (p, p) with the start values taken out."""
+    """Return the Fisher information of ``theta`` (p, p) with the start values of every window taken out."""
     problem = make_problem(vehicle, free, [record], part=part, delay_s=delay_s, prior=False)
-    problem = problem.with_noise([np.array([noise[o] for o in problem.records[0].outputs])])
+    problem = problem.with_noise([np.array([noise[o] for o in problem.records[0].outputs])]).in_windows(
+        window_s
+    )
     linear = problem.linearise(0, np.zeros(len(free)), problem.rest()[0])
-    theta = linear.by_theta.reshape(-1, len(free))
-    start = linear.by_state.reshape(theta.shape[0], -1)
     # The spread of the start values is wide; it only keeps unseen ones from making the matrix singular.
-    inner = start.T @ start + np.diag(1.0 / problem.spread(0) ** 2)
-    across = theta.T @ start
-    return theta.T @ theta - across @ np.linalg.solve(inner, across.T)
+    wide = np.diag(1.0 / problem.spread(0) ** 2)
+    information = np.zeros((len(free), len(free)))
+    for one in np.split(np.arange(len(record.time_s)), problem.starts[0][1:]):
+        theta = linear.by_theta[one].reshape(-1, len(free))
+        start = linear.by_state[one].reshape(theta.shape[0], -1)
+        across = theta.T @ start
+        information += theta.T @ theta - across @ np.linalg.solve(start.T @ start + wide, across.T)
+    return information
 
 
 def _accuracy(information: Array) -> tuple[Array, float]:

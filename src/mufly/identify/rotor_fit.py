@@ -133,7 +133,15 @@ def placed(fit: RotorFit, side: str, vehicle: Vehicle | None) -> RotorFit:
     """Return the fit of a single rotor as that of a vehicle's ``"upper"`` or ``"lower"`` rotor; a pair stays."""
     if fit.coaxial:
         return fit
-    fits = tuple(replace(f, symbols=tuple(s + SIDES[side] for s in f.symbols)) for f in fit.fits)
+    end = SIDES[side]
+    fits = tuple(
+        replace(
+            f,
+            symbols=tuple(s + end for s in f.symbols),
+            trends=tuple(replace(t, symbol=t.symbol + end) for t in f.trends),
+        )
+        for f in fit.fits
+    )
     return replace(fit, fits=fits, estimates=tuple(e for f in fits for e in estimates_of(f, vehicle)))
 
 
