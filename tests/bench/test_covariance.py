@@ -55,7 +55,7 @@ def test_intervals_hold_for_drifting_errors():
 
     held, patterns, _ = coverage(errors, 40)
     assert patterns.count("drift") > 150
-    assert held > 0.87  # the textbook formula holds in about 60 %
+    assert held > 0.87  # the textbook formula holds in 56 %
 
 
 def test_repeats_do_not_count_as_independent():
@@ -66,7 +66,7 @@ def test_repeats_do_not_count_as_independent():
 
     held, patterns, _ = coverage(errors, 40, group=group)
     assert patterns.count("white") < 5
-    assert held > 0.88  # about 60 % if each repeat counted
+    assert held > 0.88  # 56 % if each repeat counted
 
 
 def test_a_known_scale_only_grows():

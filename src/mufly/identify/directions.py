@@ -18,6 +18,7 @@ __all__ = ["WIDE", "direction_in_words", "relative_covariance", "unseen_combinat
 Array = NDArray[np.float64]
 
 WIDE = 0.5  # relative standard deviation from which a direction counts as unseen
+_NO_BOUND = 100.0  # relative standard deviation that says nothing
 _SHARE = 0.15  # of the largest part of a direction, below which a parameter is left out of the sentence
 
 
@@ -43,6 +44,8 @@ def direction_in_words(symbols: Sequence[str], direction: Array, std: float) -> 
     share = direction / direction[largest]
     parts = [k for k in np.argsort(-np.abs(share)) if abs(share[k]) >= _SHARE]
     if len(parts) == 1:
+        if std > _NO_BOUND:
+            return f"{symbols[largest]} is not seen at all"
         return f"{symbols[largest]} is hardly seen: {_percent(std)} of its value"
     if len(parts) == 2:
         other = parts[1]
@@ -54,7 +57,7 @@ def direction_in_words(symbols: Sequence[str], direction: Array, std: float) -> 
 
 
 def _percent(std: float) -> str:
-    return "no bound" if std > 100 else f"standard deviation {100 * std:.0f} %"
+    return "no bound" if std > _NO_BOUND else f"standard deviation {100 * std:.0f} %"
 
 
 def unseen_combinations(symbols: Sequence[str], covariance: Array, *, wide: float = WIDE) -> tuple[str, ...]:
