@@ -8,7 +8,8 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from mufly.cli.identify_bench import add_to, with_doubt
+from mufly.cli.identify_bench import add_to
+from mufly.cli.identify_shared import with_doubt
 from mufly.errors import InputError
 from mufly.vehicle import load_vehicle
 

@@ -33,6 +33,7 @@ from mufly.errors import InputError
 from mufly.identify.directions import relative_covariance, unseen_combinations
 from mufly.identify.excitation import KINDS, Excitation, Kind, excitation
 from mufly.identify.free import Free, choose_free
+from mufly.identify.plan_limits import Limits
 from mufly.identify.problem import PART_OUTPUTS, Part, make_problem
 from mufly.identify.record import Record
 from mufly.identify.support import Support, fly_supported, pilot_support
@@ -55,46 +56,6 @@ _PARTS: dict[str, Part] = {
 _LADDER = 14
 _BLIND = 100.0  # relative standard deviation from which a parameter is not seen at all
 _GREATEST, _LEAST = 1.0, 1e-3  # of the inputs' range
-
-
-@dataclass(frozen=True)
-class Limits:
-    """How far a flight may go from its hover, and how near inputs may come to their ends.
-
-    Attributes
-    ----------
-    attitude_rad, heading_rad, rates_rad_s : float
-        Roll and pitch; yaw; any body rate.
-    height_m, place_m : float
-        Up and down; across.
-    motor, servo : float
-        Motor inputs stay within ``motor`` to ``1 - motor``; servo inputs within ``1 - servo``.
-    """
-
-    attitude_rad: float = math.radians(20)
-    heading_rad: float = math.radians(90)
-    rates_rad_s: float = 4.0
-    height_m: float = 0.5
-    place_m: float = 1.0
-    motor: float = 0.05
-    servo: float = 0.1
-
-    def used(self, states: Array, inputs: Array) -> tuple[Array, list[str]]:
-        """Return the share of every limit that flights (b, n, ...) use, (b, limits), and the limits' names."""
-        angle = euler_from_quaternion(states[..., 6:10])
-        heading = np.unwrap(angle[..., 2], axis=1)
-        at = states[..., 0:3] - states[:, :1, 0:3]
-        shares = {
-            "attitude": np.abs(angle[..., :2]).max(axis=(1, 2)) / self.attitude_rad,
-            "heading": np.abs(heading - heading[:, :1]).max(axis=1) / self.heading_rad,
-            "body rates": np.abs(states[..., 10:13]).max(axis=(1, 2)) / self.rates_rad_s,
-            "height": np.abs(at[..., 2]).max(axis=1) / self.height_m,
-            "place": np.linalg.norm(at[..., :2], axis=2).max(axis=1) / self.place_m,
-            "motor input": np.abs(inputs[..., :2] - 0.5).max(axis=(1, 2)) / (0.5 - self.motor),
-            "servo input": np.abs(inputs[..., 2:]).max(axis=(1, 2)) / (1.0 - self.servo),
-        }
-        table = np.column_stack(list(shares.values()))
-        return np.where(np.isfinite(table), table, np.inf), list(shares)
 
 
 @dataclass(frozen=True, eq=False)
