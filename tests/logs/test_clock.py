@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from mufly.errors import InputError
 from mufly.logs import LogWarning, check_clock, find_gaps, read_log, resample
 from mufly.logs.clock import usable_samples
+from mufly.logs.resample import common_clock
 
 TIME = 0.01 * np.arange(500)
 
@@ -114,3 +115,8 @@ def test_what_is_faster_than_half_the_new_rate_does_not_fold_down_and_nothing_is
     inner = slice(20, -20)
     out = resample(time, slow + fast, onto)[inner]
     assert out == pytest.approx(np.sin(2 * np.pi * onto[inner]), abs=5e-3)
+
+
+def test_a_wild_time_stamp_is_named_before_memory_runs_out():
+    with pytest.raises(InputError, match="a time stamp is wrong"):
+        common_clock([(0.0, 1e12)], 100.0)

@@ -137,6 +137,17 @@ def test_cells_that_are_no_numbers_are_missing_and_counted(table):
     assert np.isnan(data.U).sum() == 2
 
 
+def test_rows_that_end_with_a_separator_are_read(table):
+    lines = rows("t_s,U_V,I_A").splitlines()
+    text = "\n".join([lines[0], *(s + "," for s in lines[1:])])
+    assert list(read_raw(table(text))["table"].fields) == ["U", "I"]
+
+
+def test_rows_longer_than_the_header_are_refused(table):
+    with pytest.raises(InputError, match="as many cells as the header"):
+        read_raw(table(rows("t_s,U_V", columns=2)))
+
+
 def test_rows_of_unequal_length_are_refused(table):
     with pytest.raises(InputError, match="as many cells as the header"):
         read_raw(table(rows("t_s,U_V,I_A") + "1,2,3,4,5\n"))

@@ -59,6 +59,18 @@ def test_instances_become_topics_and_units_are_those_of_the_file(bin_file):
     assert raw["IMU"].units["GyrX"] == "rad/s"
 
 
+def test_every_field_is_what_pymavlinks_own_reader_gives(bin_file):
+    from pymavlink.DFReader import DFReader_binary
+
+    raw, theirs = read_raw(bin_file), {}
+    reader = DFReader_binary(str(bin_file), zero_time_base=True)
+    while (message := reader.recv_msg()) is not None:
+        theirs.setdefault(message.get_type(), []).append(message.to_dict())
+    for topic in ("ATT", "GPS"):
+        for name, values in raw[topic].fields.items():
+            assert values.tolist() == pytest.approx([m[name] for m in theirs[topic]]), name
+
+
 def test_ardupilot_signals_have_our_names_and_units(bin_file):
     columns = {
         "signal": [{"name": "measured_attitude.roll", "topic": "ATT", "columns": ["Roll"], "unit": "deg"}]

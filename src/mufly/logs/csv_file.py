@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +84,11 @@ def read_csv(path: str | Path, time: TimeEntry | None = None) -> RawLog:
             units = [known_unit(c.strip("[]() ")) for c in second]
             if sum(bool(u) for u in units) >= max(1, len([c for c in second if c.strip()]) // 2):
                 row_units, body = units, body + 1
-    kept = (s for s in lines[body:] if not s.lstrip().startswith(_COMMENTS))
+    kept = [s for s in lines[body:] if s.strip() and not s.lstrip().startswith(_COMMENTS)]
+    if separator != " " and all(
+        len(_cells(s, separator)) > len(names) and s.endswith(separator) for s in kept
+    ):
+        kept = [s.removesuffix(separator) for s in kept]  # some loggers end every row with one
     frame = _parse(where, "\n".join(kept), separator, len(names))
     names = names[: frame.shape[1]] if len(names) > frame.shape[1] else names
     fields: dict[str, NDArray[Any]] = {}
@@ -146,18 +151,22 @@ def _parse(where: str, body: str, separator: str, width: int) -> Any:
     if not body.strip():
         raise InputError(where, "", "has a header but no rows", "give a table with numbers")
     try:
-        return pd.read_csv(
-            io.StringIO(body),
-            sep=r"\s+" if separator == " " else separator,
-            header=None,
-            names=range(width),
-            dtype=str,
-            index_col=False,
-            skipinitialspace=True,
-            on_bad_lines="error",
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)  # of cells beyond the header's
+            return pd.read_csv(
+                io.StringIO(body),
+                sep=r"\s+" if separator == " " else separator,
+                header=None,
+                names=range(width),
+                dtype=str,
+                index_col=False,
+                skipinitialspace=True,
+                on_bad_lines="error",
+            )
+    except (pd.errors.ParserError, pd.errors.ParserWarning, ValueError) as error:
+        reason = (
+            " ".join(str(error).split()).removeprefix("Error tokenizing data. C error: ").partition(". ")[0]
         )
-    except (pd.errors.ParserError, ValueError) as error:
-        reason = " ".join(str(error).split()).removeprefix("Error tokenizing data. C error: ")
         problem = f"is no table ({reason})"
         raise InputError(where, "", problem, "give every row as many cells as the header") from error
 

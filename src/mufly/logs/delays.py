@@ -15,6 +15,7 @@ from mufly.logs.resample import unwrap
 __all__ = ["DelayReport", "check_delays"]
 
 _Array = NDArray[np.float64]
+_FEWEST = 30
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,8 @@ def check_delays(data: xr.Dataset, *, least_correlation: float = 0.3) -> list[De
         Pairs that agree less, with the delay taken out, are left out.
     """
     time = data["time"].values
+    if len(time) < _FEWEST:
+        return []
     pairs: list[tuple[str, str, _Array, _Array, bool]] = []
     for kind in ("attitude", "rates", "velocity", "position"):
         wanted, seen = f"reference_{kind}", f"measured_{kind}"

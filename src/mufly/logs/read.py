@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 
 from mufly.errors import InputError
+from mufly.logs.clock import usable_samples
 from mufly.logs.column_map import ColumnMap, TimeEntry, load_map
 from mufly.logs.csv_file import TOPIC, read_csv
 from mufly.logs.dataflash import read_dataflash
@@ -198,8 +199,9 @@ def read_log(
         raw, found = open_log(path, None if given is None else given.time, progress)
         ready = found if as_it_is else None
     if ready is not None:
+        index, notes = usable_samples(ready["time"].values.astype(np.float64), str(path), "")
+        ready = ready if len(index) == ready.sizes["time"] and not notes else ready.isel(time=index)
         data = at_rate(choose_variables(ready, signals, str(path)), rate_hz)
-        notes: list[str] = []
     else:
         assert raw is not None
         standard = load_map(_MAPS[kind]) if kind in _MAPS else None

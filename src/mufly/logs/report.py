@@ -223,6 +223,9 @@ def examine(
             c for c in found if c.name.partition(".")[0].partition("_")[2] in wanted and len(c.time) > 30
         ]
         if pairs:
-            between = check_delays(joined(pairs))
+            try:
+                between = check_delays(joined(pairs))
+            except InputError as error:  # a wild time stamp: all else can still be said
+                notes.append(f"no delays: {error.problem}; {error.remedy}")
     reports = check_channels(found, progress)
     return LogReport(raw, check_log(raw), reports, sources, between, notes)

@@ -13,16 +13,32 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import resample_poly
 
+from mufly.errors import InputError
 from mufly.logs.clock import GAP_FACTOR
 
 __all__ = ["common_clock", "euler_angles", "resample", "unwrap"]
 
 _Array = NDArray[np.float64]
+_MOST = 50_000_000
 
 
 def common_clock(spans: list[tuple[float, float]], rate_hz: float) -> _Array:
-    """Return instants at a rate from the first beginning to the last end, counted from the instant 0."""
+    """Return instants at a rate from the first beginning to the last end, counted from the instant 0.
+
+    Parameters
+    ----------
+    spans : list of (begin_s, end_s)
+    rate_hz : float
+
+    Raises
+    ------
+    InputError
+        If that makes more than 50 million instants: then a time stamp is wrong.
+    """
     first, last = min(a for a, _ in spans), max(b for _, b in spans)
+    if not (last - first) * rate_hz < _MOST:
+        problem = f"lasts from {first:.6g} to {last:.6g} s, at {rate_hz:.6g} Hz too many instants"
+        raise InputError("the log", "time", problem, "a time stamp is wrong, or give a lower rate")
     tolerance = 1e-6
     low, high = np.ceil(first * rate_hz - tolerance), np.floor(last * rate_hz + tolerance)
     out: _Array = np.arange(low, high + 1) / rate_hz + 0.0  # no -0.0

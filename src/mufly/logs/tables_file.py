@@ -67,25 +67,15 @@ def read_parquet(path: str | Path, time: TimeEntry | None = None) -> tuple[RawLo
     where = str(path)
     try:
         table = module.read_table(where)
-    except Exception as error:
+        fields, units = _columns(table)
+    except Exception as error:  # whatever damage provokes in pyarrow, names that are no text included
         reason = " ".join(str(error).split())[:120]
         raise InputError(where, "", f"is no sound Parquet file ({reason})", "give another copy") from error
     metadata = table.schema.metadata or {}
-    fields: dict[str, NDArray[Any]] = {}
-    units: dict[str, str] = {}
-    for entry, column in zip(table.schema, table.columns, strict=True):
-        name, unit = split_header(entry.name)
-        given = (entry.metadata or {}).get(b"units", b"").decode()
-        name, unit = (entry.name, given) if given else (name, unit)
-        values = np.asarray(column.to_pylist() if str(entry.type) in ("string", "large_string") else column)
-        if values.dtype.kind not in "biufUO" or values.dtype.kind == "O":
-            values = np.array([str(v) for v in column.to_pylist()], dtype=str)
-        fields[name] = values.astype(np.float64) if values.dtype.kind in "biuf" else values.astype(str)
-        units |= {name: unit} if unit else {}
     if _KEY in metadata:
-        clock = fields.pop("time")
-        units.pop("time", None)
         try:
+            clock = fields.pop("time")
+            units.pop("time", None)
             dataset = restore(clock, fields, metadata[_KEY].decode())
         except (KeyError, ValueError, TypeError) as error:
             raise InputError(
@@ -96,6 +86,22 @@ def read_parquet(path: str | Path, time: TimeEntry | None = None) -> tuple[RawLo
     clock, start, notes = table_clock(where, fields, units, time)
     raw = RawLog(where, "Parquet", {TOPIC: RawTable(TOPIC, clock, fields, units)}, start, notes=tuple(notes))
     return raw, None
+
+
+def _columns(table: Any) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+    """Columns and units of a Parquet table."""
+    fields: dict[str, NDArray[Any]] = {}
+    units: dict[str, str] = {}
+    for entry, column in zip(table.schema, table.columns, strict=True):
+        name, unit = split_header(entry.name)
+        given = (entry.metadata or {}).get(b"units", b"").decode(errors="replace")
+        name, unit = (entry.name, given) if given else (name, unit)
+        values = np.asarray(column.to_pylist() if str(entry.type) in ("string", "large_string") else column)
+        if values.dtype.kind not in "biufU":
+            values = np.array([str(v) for v in column.to_pylist()], dtype=str)
+        fields[name] = values if values.dtype.kind == "U" else values.astype(np.float64)
+        units |= {name: unit} if unit else {}
+    return fields, units
 
 
 def write_netcdf(dataset: xr.Dataset, path: Path) -> None:
@@ -133,7 +139,11 @@ def read_netcdf(path: str | Path) -> xr.Dataset:
             where, "", "has no coordinate 'time'", "give a log (.nc) with its variables over time"
         )
     if _ATTRIBUTES in data.attrs:
-        data.attrs = json.loads(data.attrs[_ATTRIBUTES])
+        try:
+            data.attrs = dict(json.loads(data.attrs[_ATTRIBUTES]))
+        except (ValueError, TypeError) as error:
+            problem = f"has damaged attributes ({error})"
+            raise InputError(where, "", problem, "give another copy") from error
     for name in data.variables:
         if data[name].dtype.kind in "SO":
             data[name] = data[name].astype(str)

@@ -43,12 +43,13 @@ def read_ulog(path: str | Path) -> RawLog:
             log = ULog(where)
     except Exception as error:  # whatever a damaged definition section provokes
         raise InputError(where, "", f"is damaged ULog ({error})", "give another copy of the file") from error
-    if not log.data_list:
+    topics = [data for data in log.data_list if "timestamp" in data.data]
+    if not topics:
         raise InputError(where, "", "is a ULog file without data", "the log ended before its first message")
-    stamps = [data.data["timestamp"] for data in log.data_list]
+    stamps = [data.data["timestamp"] for data in topics]
     zero = _zero(int(log.start_timestamp), stamps)
     tables = {}
-    for data, stamp in zip(log.data_list, stamps, strict=True):
+    for data, stamp in zip(topics, stamps, strict=True):
         name = data.name if data.multi_id == 0 else f"{data.name}:{data.multi_id}"
         types = {f.field_name: f.type_str for f in data.field_data}
         values = {key: value for key, value in data.data.items() if key != "timestamp"}
