@@ -148,6 +148,14 @@ def identify_linear(
         )
         for role, s in parts.items()
     }
+    if "held out" in parts:
+        for k, name in enumerate(outs):
+            moved = [float(lowpassed(y[s, [k]], dt, slow).std()) for s in parts.values()]
+            if moved[1] < 0.05 * moved[0]:
+                notes.append(
+                    f"{name} hardly moves in the held-out part ({moved[1]:.2g} against {moved[0]:.2g} rms): its fit there "
+                    "means nothing; use --from, --to and --split-at"
+                )
     disturbance = disturbance_model(linear, (y - simulated)[:cut], dt)
     tick(starts + 4)
     records = _records(record, parts, linear, y, simulated, floors, us, tuple(inputs))
@@ -280,6 +288,8 @@ def _ahead(
     causal = np.asarray(sosfilt(butter(1, slow, fs=1.0 / dt, output="sos"), y, axis=0))
     for horizon in (*HORIZONS_S, float("inf")):
         steps = max(1, round(horizon / dt)) if np.isfinite(horizon) else 0
+        if steps > min(cut, len(y) - cut) // 2:
+            continue
         predicted = (
             simulated if steps == 0 else predict_ahead(linear, disturbance, y, simulated, dt, horizon)
         )[cut:]

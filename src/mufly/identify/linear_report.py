@@ -26,6 +26,7 @@ __all__ = [
     "estimate_rows",
     "pole_text",
     "quality_rows",
+    "slow_picture",
     "write_linear_report",
 ]
 
@@ -169,6 +170,44 @@ def pole_text(p: complex) -> str:
     return f"{p.real:.2f}" if abs(p.imag) < 1e-9 else f"{p.real:.2f}{p.imag:+.2f}j"
 
 
+def slow_picture(r: LinearResult) -> Figure:
+    """Draw measured and simulated outputs, both low-passed, over the fitted and the held-out part."""
+    from matplotlib import rcParams
+    from matplotlib.figure import Figure
+
+    from mufly.identify.linear_record import lowpassed
+    from mufly.identify.report_pictures import VERMILION
+
+    m = len(r.linear.structure.outputs)
+    figure = Figure(figsize=(9.5, 0.8 + 1.7 * m), layout="constrained")
+    panels = figure.subplots(m, 1, squeeze=False, sharex=True)[:, 0]
+    for record in r.fit.records:
+        t, dt = record.time_s, float(np.median(np.diff(record.time_s)))
+        measured, simulated = (lowpassed(x, dt, r.slow_hz) for x in (record.measured, record.predicted))
+        for j, axes in enumerate(panels):
+            first = record.role == "fit"
+            axes.plot(
+                t, measured[:, j], color=rcParams["text.color"], alpha=0.5, linewidth=0.9, label="measured"
+            )
+            axes.plot(t, simulated[:, j], color=VERMILION, linewidth=1.1, label="simulated from inputs")
+            if not first:
+                axes.axvspan(t[0], t[-1], color=rcParams["text.color"], alpha=0.05, linewidth=0)
+            place, side = (t[0], "left") if first else (t[-1], "right")
+            percent = r.quality_slow[record.role][j].fit_percent
+            axes.text(
+                place, 1.02, f"{record.role}: {percent:.1f} %", ha=side, va="bottom",
+                transform=axes.get_xaxis_transform(), fontsize=8.5,
+            )  # fmt: skip
+    for j, axes in enumerate(panels):
+        axes.set_ylabel(f"{r.linear.structure.outputs[j]} ({r.linear.structure.units[j]})")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles[:2], labels[:2], ncols=2, loc="outside upper center")
+    panels[-1].set_xlabel(
+        f"time (s); measured and simulated low-passed at {r.slow_hz:g} Hz; shaded: held out"
+    )
+    return figure
+
+
 def write_linear_report(r: LinearResult, directory: str | Path, *, command: str | None = None) -> Path:
     """Write the report of a linear identification; see :func:`mufly.identify.write_report`."""
     sections = []
@@ -189,7 +228,7 @@ def write_linear_report(r: LinearResult, directory: str | Path, *, command: str 
              f"is the noise floor, which is what the output holds above {r.slow_hz:g} Hz (noise >; the inputs have "
              f"{100 * min(f.input_share for f in r.floors['fit']):.1f} % of their power below) and what disagrees with "
              "the angle's derivative below (noise <). Error and noise in the output's unit.",),
-            heads, rows,
+            heads, rows, partial(slow_picture, r), "slow",
         )
     )  # fmt: skip
     if r.ahead:

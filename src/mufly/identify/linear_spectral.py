@@ -88,7 +88,7 @@ def fit_spectral(
     good = (data.partial >= least) & np.isfinite(data.response)
     # A few coherent frequencies among many occur by chance.
     good &= good.sum(0) >= max(4, points // 8)
-    if good.sum() < 2 * len(structure.parameters):
+    if 2 * good.sum() < len(structure.parameters):
         raise InputError(
             "frequency response", "", f"{int(good.sum())} coherent points for {len(structure.parameters)} parameters",
             "give a longer record or more excitation",

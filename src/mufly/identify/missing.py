@@ -6,7 +6,7 @@ One sentence a finding, the largest first, each with the number behind it. How a
 |---|---|
 | correlation with an input at lags from 0 to a few samples | gain, direct path or delay of that input is wrong |
 | correlation with an input that lasts over many lags | a lag or a slow mode driven by that input is missing |
-| correlation at negative lags only | feedback from output to input; says nothing against the model |
+| correlation at negative lags, weaker at positive ones | feedback from output to input; says nothing against the model |
 | spectral line that stands far out of its surroundings | vibration at that frequency, not caused by the inputs |
 | autocorrelation that dies slowly | disturbance (wind) or a slow state is missing |
 | mean off (Theil's bias part); slope of measured over predicted not 1 | bias not modelled; gain wrong |
@@ -80,7 +80,8 @@ def _of_input(
     ahead, behind = np.abs(c.value[middle:]), np.abs(c.value[:middle])
     if max(ahead.max(), behind.max(initial=0.0)) < max(c.bound, least):
         return []
-    if ahead.max() < max(c.bound, least):
+    # A pilot who answers leaves his mark before lag 0; what reaches past it is the colour of the disturbance.
+    if ahead.max() < max(c.bound, least) or behind.max(initial=0.0) > 1.5 * ahead.max():
         lag = -c.lag_s[int(behind.argmax())]
         return [
             (

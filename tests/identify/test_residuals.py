@@ -1,0 +1,188 @@
+"""Residual statistics against closed forms and against how often they are wrong on data where the answer is known."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from mufly.identify import RecordFit
+from mufly.identify.missing import spectral_lines, what_is_missing
+from mufly.identify.residuals import (
+    autocorrelation,
+    cross_correlation,
+    determinant_of_fit,
+    high_frequency_noise,
+    ljung_box,
+    quality,
+)
+from mufly.identify.uncertainty import coloured_covariance, correlation_of, parzen, unseen_directions
+
+
+def record(measured, predicted, inputs, dt=0.02, outputs=("q",), names=("lon",)):
+    n = len(measured)
+    return RecordFit(
+        "made", "fit", dt * np.arange(n), outputs, ("rad/s",) * len(outputs), measured.reshape(n, -1),
+        predicted.reshape(n, -1), np.full(len(outputs), 0.1), inputs.reshape(n, -1), names,
+    )  # fmt: skip
+
+
+def test_autocorrelation_of_a_first_order_process_is_its_power_series():
+    rng = np.random.default_rng(1)
+    e = lfilter([1.0], [1.0, -0.9], rng.normal(size=200_000))
+    c = autocorrelation(e, 0.1, max_lag_s=2.0)
+    assert c.lag_s == pytest.approx(0.1 * np.arange(21))
+    assert c.value == pytest.approx(0.9 ** np.arange(21), abs=0.02)
+
+
+def test_ljung_box_is_wrong_as_often_as_it_says_on_white_noise_and_finds_colour():
+    rng = np.random.default_rng(2)
+    p = np.array([ljung_box(rng.normal(size=400), lags=20).p_value for _ in range(1000)])
+    assert 0.03 < np.mean(p < 0.05) < 0.08
+    assert ljung_box(lfilter([1.0], [1.0, -0.3], rng.normal(size=400)), lags=20).p_value < 1e-3
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.95])
+def test_cross_correlation_bounds_hold_for_independent_signals_of_any_colour(colour):
+    rng = np.random.default_rng(3)
+    outside = []
+    for _ in range(150):
+        u, e = (lfilter([1.0], [1.0, -colour], rng.normal(size=2000)) for _ in range(2))
+        outside.append(cross_correlation(u, e, 0.01, max_lag_s=0.5).outside)
+    assert 0.03 < np.mean(outside) < 0.075
+
+
+def test_cross_correlation_peaks_at_the_lag_by_which_the_residual_follows():
+    rng = np.random.default_rng(4)
+    u = rng.normal(size=3000)
+    c = cross_correlation(u, np.roll(u, 17), 0.01, max_lag_s=0.5)
+    assert c.lag_s[c.value.argmax()] == pytest.approx(0.17)
+
+
+def test_a_constant_input_correlates_with_nothing():
+    c = cross_correlation(np.ones(100), np.arange(100.0), 0.1, max_lag_s=1.0)
+    assert not c.value.any()
+
+
+def test_theil_parts_are_those_of_their_definition_and_sum_to_one():
+    rng = np.random.default_rng(5)
+    z = rng.normal(size=5000)
+    z -= z.mean()
+    offset, half, noisy = quality(z, z + 0.5), quality(z, 0.5 * z), quality(z, z + rng.normal(size=5000))
+    assert offset.bias == pytest.approx(1.0)
+    assert half.variance == pytest.approx(1.0, abs=1e-3)
+    assert half.theil == pytest.approx(1.0 / 3.0, abs=1e-6)  # 0.5 rms / 1.5 rms
+    assert noisy.covariance > 0.8
+    for q in (offset, half, noisy):
+        assert q.bias + q.variance + q.covariance == pytest.approx(1.0)
+
+
+def test_fit_is_100_for_the_measurement_itself_and_0_for_its_mean():
+    z = np.sin(np.arange(200.0))
+    assert quality(z, z).fit_percent == 100.0
+    assert quality(z, np.full(200, z.mean())).fit_percent == pytest.approx(0.0, abs=1e-9)
+    assert quality(z, z + 0.3, 0.1).rms_over_noise == pytest.approx(3.0)
+
+
+def test_gaps_are_left_out():
+    z, y = np.arange(50.0), np.arange(50.0) + 1.0
+    z[10:20] = np.nan
+    assert quality(z, y).rms == pytest.approx(1.0)
+    assert np.isfinite(autocorrelation(z, 1.0, max_lag_s=5).value).all()
+    assert np.isnan(quality(np.full(5, np.nan), np.zeros(5)).fit_percent)
+
+
+def test_determinant_of_fit_is_the_product_of_independent_variances():
+    rng = np.random.default_rng(6)
+    e = rng.normal(size=(20_000, 2)) * [0.5, 2.0]
+    r = record(e, np.zeros_like(e), e[:, :1], outputs=("p", "q"))
+    assert determinant_of_fit([r]) == pytest.approx(0.25 * 4.0, rel=0.05)
+
+
+def test_high_frequency_noise_of_white_noise_is_its_share_of_the_band():
+    e = np.random.default_rng(7).normal(size=50_000)
+    assert high_frequency_noise(e, 0.01, above_hz=10.0) == pytest.approx(np.sqrt(0.8), rel=0.03)
+
+
+# --- in words ---------------------------------------------------------------------------------------------------------
+
+
+def simulate(u, pole, dt=0.02):
+    a = np.exp(-pole * dt)
+    return lfilter([0.0, 1.0 - a], [1.0, -a], u)
+
+
+def steps(n, seed):
+    return np.repeat(np.random.default_rng(seed).normal(size=n // 25), 25)
+
+
+def test_a_missing_lag_is_said_with_its_input_and_a_complete_model_is_silent():
+    rng = np.random.default_rng(8)
+    u = steps(6000, 9)
+    noise = 0.05 * rng.normal(size=6000)
+    measured = simulate(u, 2.0) + noise
+    assert not [w for w in what_is_missing(record(measured, simulate(u, 2.0), u)) if "correlates" in w]
+    words = what_is_missing(record(measured, u * 0.8, u))
+    assert any("residual of q correlates with lon" in w for w in words)
+
+
+def test_feedback_is_told_from_a_fault_of_the_model():
+    rng = np.random.default_rng(10)
+    disturbance = lfilter([1.0], [1.0, -0.95], rng.normal(size=6000)) * 0.1
+    u = -np.roll(disturbance, 25) + 0.01 * rng.normal(size=6000)  # the pilot answers half a second later
+    words = what_is_missing(record(disturbance, np.zeros(6000), u), max_lag_s=1.0)
+    assert any("feedback from q to lon" in w for w in words)
+    assert not any("is off" in w or "slow mode" in w for w in words)
+
+
+def test_vibration_is_named_with_its_frequency():
+    rng = np.random.default_rng(11)
+    t = 0.02 * np.arange(6000)
+    e = 0.3 * np.sin(2 * np.pi * 17.3 * t) + 0.1 * rng.normal(size=6000)
+    (frequency, power), *_ = spectral_lines(e, 0.02)
+    assert frequency == pytest.approx(17.3, abs=0.1)
+    assert power == pytest.approx(0.045, rel=0.15)
+    assert any("17.3 Hz" in w and "vibration" in w for w in what_is_missing(record(e, 0 * e, steps(6000, 1))))
+
+
+def test_wrong_gain_bias_and_an_input_that_never_moved_are_named():
+    u = steps(4000, 12)
+    y = simulate(u, 3.0)
+    noise = 0.02 * np.random.default_rng(13).normal(size=4000)
+    assert any("too small" in w for w in what_is_missing(record(y + noise, 0.5 * y, u)))
+    assert any("constant offset" in w for w in what_is_missing(record(y + noise + 0.5, y, u)))
+    assert any("never moved" in w for w in what_is_missing(record(y + noise, y, np.ones(4000))))
+
+
+# --- covariance -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.9])
+def test_coloured_covariance_is_the_scatter_of_least_squares(colour):
+    rng = np.random.default_rng(14)
+    n = 1500
+    x = np.column_stack([lfilter([1.0], [1.0, -0.95], rng.normal(size=n)), np.sin(0.01 * np.arange(n))])
+    found, claimed, plain = [], [], []
+    for _ in range(600):
+        e = lfilter([np.sqrt(1 - colour**2)], [1.0, -colour], rng.normal(size=n))
+        theta = np.linalg.lstsq(x, e, rcond=None)[0]
+        left = e - x @ theta
+        cov, bound = coloured_covariance(x[:, None, :], left[:, None], np.array([1.0 / left.var()]))
+        found.append(theta)
+        claimed.append(np.diag(cov))
+        plain.append(np.diag(bound))
+    scatter = np.var(found, axis=0)
+    assert np.mean(claimed, axis=0) == pytest.approx(scatter, rel=0.3)
+    if colour:
+        assert (np.mean(plain, axis=0) < 0.3 * scatter).all()
+
+
+def test_parzen_window_has_no_negative_transform():
+    assert np.fft.fft(np.fft.ifftshift(parzen(40))).real.min() > -1e-12
+
+
+def test_what_cannot_be_told_apart_is_said():
+    cov = np.array([[1.0, 0.999, 0.0], [0.999, 1.0, 0.0], [0.0, 0.0, 100.0]])
+    words = unseen_directions(
+        ("a", "b", "c"), np.array([5.0, 5.0, 1.0]), np.sqrt(np.diag(cov)), correlation_of(cov)
+    )
+    assert any("a and b cannot be told apart" in w for w in words)
+    assert any("c is not determined" in w for w in words)
