@@ -21,6 +21,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from mufly.errors import InputError
 from mufly.identify.checkpoint import digest_of, read_checkpoint, write_checkpoint
@@ -44,6 +45,7 @@ _LONG = (3.0, 6.0)
 _FEWEST_SAMPLES = 8
 _VOLTAGE_SLACK = 5.0  # voltage counts less while the battery's charge is not sought
 _RELAXATIONS = 2
+_LEAST_GAIN = 0.01  # of cost: a tenth of a standard deviation
 _NORMAL_95 = 1.959964
 
 
@@ -117,7 +119,8 @@ def fit_flights(
     outputs : sequence of str, optional
         Use these of the measured outputs only.
     voltage : {"model", "measured", "nominal"} or float
-        See :func:`mufly.identify.make_problem`. "model" is "nominal" where no voltage was recorded.
+        See :func:`mufly.identify.make_problem`. "model" is "nominal" where no voltage was recorded, and "measured"
+        for a vehicle whose battery model is constant.
     delay_s : float
         Time from recorded input to vehicle (s).
     prior : bool
@@ -145,8 +148,7 @@ def fit_flights(
     if not records:
         raise InputError("records", "", "none is given", "give one at least")
     start = time.perf_counter()
-    if voltage == "model" and any(r.voltage is None for r in records):
-        voltage = "nominal"
+    voltage = _possible(voltage, vehicle, records)
     options: dict[str, Any] = {"part": part, "outputs": outputs, "delay_s": delay_s, "prior": prior}
     final = make_problem(vehicle, free, records, voltage=voltage, **options)
     early = make_problem(
@@ -156,13 +158,19 @@ def fit_flights(
     stages = _stages(final.records, method, window_s)
     run = _Run(final, early, stages, method, seed, restarts, checkpoint, digest, on_progress)
     run.resume()
-    point, problem, converged = run.go()
-    fit = _result(problem, point, run, converged, time.perf_counter() - start)
-    return replace(
-        fit,
-        records=fit.records + tuple(predict(problem, point.theta, r, voltage, outputs) for r in held_out),
-        seconds=time.perf_counter() - start,
-    )
+    # Matrices here are tall and thin: threads of the linear algebra would only wait for those of the simulations.
+    with threadpool_limits(limits=1, user_api="blas"):
+        point, problem, converged = run.go()
+        fit = _result(problem, point, run, converged, time.perf_counter() - start)
+        held = tuple(predict(problem, point.theta, r, voltage, outputs) for r in held_out)
+    return replace(fit, records=fit.records + held, seconds=time.perf_counter() - start)
+
+
+def _possible(voltage: str | float, vehicle: Vehicle, records: Sequence[Record]) -> str | float:
+    """Return ``voltage`` or, where that cannot be had, the next best."""
+    if voltage == "model" and any(r.voltage is None for r in records):
+        return "nominal"
+    return "measured" if voltage == "model" and vehicle.battery.model == "constant" else voltage
 
 
 class _Run:
@@ -181,6 +189,7 @@ class _Run:
         self._point: Point | None = None
         self._noise: list[_Array] | None = None
         self._course: Course | None = None
+        self._charge: list[float] | None = None
 
     def resume(self) -> None:
         """Take up what a checkpoint holds."""
@@ -189,6 +198,7 @@ class _Run:
             return
         self._stage, self._round, self._iteration = state["stage"], state["round"], state["iteration"]
         self.history, self._point = state["history"], _point_from(state["point"])
+        self._charge = state["charge"]
         if state["noise"] is not None:
             self._noise = [np.array(n) for n in state["noise"]]
         if state["course"] is not None:
@@ -198,14 +208,17 @@ class _Run:
     def go(self) -> tuple[Point, Problem, bool]:
         """Run from where it stands to the end."""
         theta = self._hover_start() if self._point is None else self._point.theta
+        point = Point(theta, [], np.inf)
         flown = 0 if self._point is None else self._point.simulations
         final, converged = self._final, True
-        if self._stage > 0:
-            final = self._charged(final, theta)
+        if self._charge is not None:
+            final = final.charged(self._charge)
         for k in range(self._stage, len(self._stages)):
             stage = self._stages[k]
-            if not stage.early and "voltage" in {o for r in final.records for o in r.outputs}:
-                final = self._charged(final, theta)
+            resumed = self._point is not None and k == self._stage
+            if not resumed and not stage.early and "voltage" in {o for r in final.records for o in r.outputs}:
+                final = final.in_windows(_SHORT[-1]).with_charge(theta).in_windows(None)
+                self._charge = list(final.charge)
             last = k == len(self._stages) - 1
             problem = (self._early if stage.early else final).in_windows(stage.window_s, hover=stage.hover)
             if not last:
@@ -214,9 +227,9 @@ class _Run:
             for r in range(self._round if k == self._stage else 0, rounds):
                 if last and self._noise is not None:
                     problem = problem.with_noise(self._noise)
-                point = self._point
-                if point is None or self._stage != k:
-                    point = Point(theta, problem.rest(), np.inf, 1e-2, flown)
+                point = Point(theta, problem.rest(), np.inf, 1e-2, flown)
+                if self._point is not None and self._stage == k:
+                    point = self._point
                 self._stage, self._round = k, r
                 point, converged = self._solve(problem, point, stage, k)
                 self._course, self._iteration, self._point = None, 0, point
@@ -225,9 +238,6 @@ class _Run:
                     self._noise = _learnt_noise(problem, point)
         return point, problem, converged
 
-    def _charged(self, final: Problem, theta: _Array) -> Problem:
-        return final.in_windows(_SHORT[-1]).with_charge(theta).in_windows(None)
-
     def _hover_start(self) -> _Array:
         hover = self._early.in_windows(None, hover=True)
         if self._early.part == "roll-pitch":
@@ -235,10 +245,12 @@ class _Run:
         low, high = hover.bounds
         # Wide priors keep what hover does not see where it was.
         std = np.minimum(hover.prior_std, 1.0)
-        found = least_squares(
-            lambda t: np.concatenate([hover.hover_residual(t[None])[0], t / std]), np.zeros(len(low)),
-            bounds=(np.minimum(low, -1e-9), np.maximum(high, 1e-9)),
-        )  # fmt: skip
+
+        def lacks(t: _Array) -> _Array:
+            return np.concatenate([hover.hover_residual(t[None])[0], t / std])
+
+        bounds = (np.minimum(low, -1e-9), np.maximum(high, 1e-9))
+        found = least_squares(lacks, np.zeros(len(low)), bounds=bounds)
         return np.clip(found.x, low, high)
 
     def _solve(self, problem: Problem, point: Point, stage: _Stage, k: int) -> tuple[Point, bool]:
@@ -266,7 +278,10 @@ class _Run:
 
         if self._method == "lm":
             left = max(2, stage.iterations - self._iteration)
-            return descend(problem, point, iterations=left, tolerance=stage.tolerance, on_iteration=reached)
+            return descend(
+                problem, replace(point, damping=min(point.damping, 1e-2)), iterations=left,
+                tolerance=stage.tolerance, least_gain=_LEAST_GAIN, on_iteration=reached,
+            )  # fmt: skip
         loose = stage.window_s is not None
         return evolve(
             problem, point, seed=self._seed + k, generations=stage.iterations, course=self._course,
@@ -283,7 +298,7 @@ class _Run:
             }
         return {
             "stage": self._stage, "round": self._round, "iteration": self._iteration, "history": self.history,
-            "point": _plain(self._point), "noise": self._noise, "course": told,
+            "point": _plain(self._point), "noise": self._noise, "charge": self._charge, "course": told,
         }  # fmt: skip
 
 
@@ -349,7 +364,7 @@ def _result(problem: Problem, point: Point, run: _Run, converged: bool, seconds:
     q = np.linalg.qr(jacobian[:, ~at_bound])[0]
     gain = 0.5 * float(np.sum((q.T @ rest) ** 2))
     notes = _notes(problem, point, free, at_bound, coloured)
-    settled = gain < 0.1
+    settled = gain < 10 * _LEAST_GAIN
     if not settled:
         notes.insert(0, f"not at a minimum: a linear step promises {gain:.2g} of cost {point.cost:.6g}")
     std = np.sqrt(np.diag(covariance))
@@ -426,8 +441,7 @@ def predict(
     voltage, outputs
         As in :func:`fit_flights`.
     """
-    if voltage == "model" and record.voltage is None:
-        voltage = "nominal"
+    voltage = _possible(voltage, problem.vehicle, [record])
     own = make_problem(
         problem.vehicle, problem.free, [record], part=problem.part, outputs=outputs, voltage=voltage,
         delay_s=problem.delay_s, prior=False, longest_step_s=problem.longest_step_s,

@@ -126,6 +126,7 @@ def descend(
     *,
     iterations: int,
     tolerance: float = 1e-5,
+    least_gain: float = 0.0,
     on_iteration: Callable[[Point], None] | None = None,
 ) -> tuple[Point, bool]:
     """Run Levenberg-Marquardt.
@@ -138,7 +139,9 @@ def descend(
     iterations : int
         At most this many.
     tolerance : float
-        Stop when the cost falls by less than this share, or by less than this.
+        Stop when the cost has fallen by less than this share three times running.
+    least_gain : float
+        Stop when a linear step promises less than this.
     on_iteration : callable, optional
         Called with every point that is reached.
 
@@ -160,7 +163,10 @@ def descend(
             reduced.append(reduce_record(problem, i, linear, now.states[i]))
             rows.append(reduced[i].rows(linear.residual, now.states[i]))
             flown += 1 + len(now.theta) + now.states[i].shape[1]
-        trial, flown = _best_step(problem, now, reduced, rows, flown)
+        q, triangle = np.linalg.qr(stacked_jacobian(problem, now.theta, reduced))
+        trial, flown, gain = _best_step(problem, now, reduced, rows, q, triangle, flown)
+        if gain < least_gain:
+            return Point(now.theta, now.states, now.cost, now.damping, flown), True
         if trial is None:
             return Point(now.theta, now.states, now.cost, now.damping, flown), True
         fall = now.cost - trial.cost
@@ -168,7 +174,7 @@ def descend(
         if on_iteration is not None:
             on_iteration(now)
         small = small + 1 if fall < tolerance * max(now.cost, 1.0) else 0
-        if small >= 2:
+        if small >= 3:
             return now, True
     return now, False
 
@@ -184,10 +190,18 @@ def stacked_jacobian(problem: Problem, theta: _Array, reduced: Sequence[Reduced]
 
 
 def _best_step(
-    problem: Problem, now: Point, reduced: Sequence[Reduced], rows: Sequence[list[_Array]], flown: int
-) -> tuple[Point | None, int]:
-    # Orthogonal factors, not normal equations, which would square the condition number.
-    q, triangle = np.linalg.qr(stacked_jacobian(problem, now.theta, reduced))
+    problem: Problem,
+    now: Point,
+    reduced: Sequence[Reduced],
+    rows: Sequence[list[_Array]],
+    q: _Array,
+    triangle: _Array,
+    flown: int,
+) -> tuple[Point | None, int, float]:
+    """Return the best trial (None if none is better), flights so far, and what a linear step promises.
+
+    Orthogonal factors ``q, triangle``, not normal equations, which would square the condition number.
+    """
 
     def target(theta: _Array, at: Sequence[list[_Array]]) -> _Array:
         parts = [r.project(e) for r, e in zip(reduced, at, strict=True)]
@@ -196,6 +210,7 @@ def _best_step(
         )  # fmt: skip
 
     start = target(now.theta, rows)
+    gain = _promise(problem, now.theta, triangle, start)
     chords = _CHORDS if sum(len(s) for s in problem.starts) <= _MANY_WINDOWS else 0
     damping, share = now.damping, 1.0
     while damping <= _GREATEST and share > _LEAST_SHARE:
@@ -226,10 +241,20 @@ def _best_step(
                 for s, r, e in zip(states, reduced, at, strict=True):
                     s[c] += r.states(e, step)
         if best.cost < now.cost:
-            return replace(best, simulations=flown), flown
+            return replace(best, simulations=flown), flown, gain
         # Start values follow theta undamped; a part of the whole step goes downhill if the step itself does not.
         damping, share = damping * 10.0, share * 0.3
-    return None, flown
+    return None, flown, gain
+
+
+def _promise(problem: Problem, theta: _Array, triangle: _Array, target: _Array) -> float:
+    """Return by how much the linearised cost falls to its minimum, parameters at a bound held there."""
+    low, high = problem.bounds
+    free = (theta > low) & (theta < high)
+    if not free.any():
+        return 0.0
+    q = np.linalg.qr(triangle[:, free])[0]
+    return 0.5 * float(np.sum((q.T @ target) ** 2))
 
 
 def _within_reach(moves: Sequence[_Array]) -> float:

@@ -52,7 +52,8 @@ _SEEN_BY = {
     "north": (0, 3), "east": (1, 4), "height": (2, 5), "v_north": (3,), "v_east": (4,), "climb": (5,),
     "roll": (6, 9), "pitch": (7, 10), "yaw": (8, 11), "p": (9,), "q": (10,), "r": (11,),
 }  # fmt: skip
-_DELTA_THETA, _DELTA_STATE = 1e-5, 1e-4
+# Small enough that the bend of a whole record's valley does not show, and far above round-off.
+_DELTA_THETA, _DELTA_STATE = 1e-7, 1e-6
 _HOVER_TOLERANCE = 0.02
 _HELD_VOLTAGE = 100.0  # of roll-pitch, where motors only have to hold their speed
 
