@@ -1,0 +1,89 @@
+"""From symbols to the numbers of the equations of motion."""
+
+import numpy as np
+import pytest
+
+import mufly
+from mufly.dynamics import PARAMETERS, model_parameters
+from mufly.errors import InputError
+from mufly.identify.free import HEAVE_YAW, ROLL_PITCH, batch_parameters, choose_free, numbers_at, physical
+from mufly.vehicle import parameters, replace
+
+OUTPUTS = ("height", "r", "p")
+
+
+@pytest.fixture(scope="module")
+def vehicle():
+    return mufly.load_vehicle("mufly-1.1")
+
+
+@pytest.mark.parametrize("symbol", [*HEAVE_YAW, *ROLL_PITCH, "R", "rho"])
+def test_scaled_numbers_are_those_of_a_vehicle_with_the_new_value(vehicle, symbol):
+    (free,) = choose_free(vehicle, [symbol], OUTPUTS)
+    base, powers = batch_parameters(vehicle, [free], None)
+    theta = np.array([[0.6 * free.low], [0.5 * free.high]])
+    made = numbers_at(base, powers, theta)
+    for row, value in zip(made, physical([free], theta)[:, 0], strict=True):
+        wanted = model_parameters(replace(vehicle, {free.key: float(value)}))
+        for name in PARAMETERS.names:
+            if name not in ("contact_points", "contact_count", "contact_reach", "friction_bound"):
+                assert np.allclose(row[name], wanted[name], rtol=1e-12, atol=0), name
+
+
+def test_several_parameters_multiply(vehicle):
+    free = choose_free(vehicle, ["cT_up", "R", "rho"], OUTPUTS)
+    base, powers = batch_parameters(vehicle, free, 7.2)
+    theta = np.array([[0.1, -0.02, 0.03]])
+    values = dict(zip([f.key for f in free], physical(free, theta)[0].tolist(), strict=True))
+    wanted = model_parameters(replace(vehicle, values), 7.2)
+    made = numbers_at(base, powers, theta)[0]
+    assert made["thrust_up"] == pytest.approx(wanted["thrust_up"], rel=1e-12)
+    assert made["torque_dw"] == pytest.approx(wanted["torque_dw"], rel=1e-12)
+
+
+def test_theta_and_value_are_inverse(vehicle):
+    free = choose_free(vehicle, ["z_up", "Izz", "delay", "bias_p"], OUTPUTS, delay_s=0.02)
+    theta = np.array([0.3, -0.4, 0.7, 0.2])
+    assert [f.theta(v) for f, v in zip(free, physical(free, theta), strict=True)] == pytest.approx(theta)
+    assert physical(free, theta)[0] < 0  # a hub above stays above
+
+
+def test_bounds_respect_the_schema(vehicle):
+    (free,) = choose_free(vehicle, ["eta_gear"], OUTPUTS)
+    assert free.value(free.high) == pytest.approx(1.0)
+
+
+def test_provenance_sets_the_prior(vehicle):
+    rows = {f.symbol: f for f in choose_free(vehicle, ["m", "Ixx", "cQ_up", "cDAx"], OUTPUTS)}
+    stds = [rows[s].prior_std for s in ("m", "Ixx", "cQ_up", "cDAx")]  # measured, CAD, identified, estimated
+    assert stds == sorted(stds)
+    assert len(set(stds)) == 4
+
+
+@pytest.mark.parametrize(
+    ("symbols", "words"),
+    [
+        (["cTdw"], "did you mean cT_dw"),
+        (["IXX"], "did you mean Ixx"),
+        (["wing"], "use symbols of `mufly vehicle show`"),
+        (["legs"], "is no parameter"),
+        (["Izz", "Izz"], "is named twice"),
+        (["bias_yaw"], "bias of nothing"),
+        ([], "no parameter is free"),
+    ],
+)
+def test_what_cannot_be_free_is_said_in_one_line(vehicle, symbols, words):
+    with pytest.raises(InputError, match=words) as caught:
+        choose_free(vehicle, symbols, OUTPUTS)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_start_of_zero_is_refused(vehicle):
+    still = replace(vehicle, {"body.downwash_drag": 0.0})
+    with pytest.raises(InputError, match="starts at 0"):
+        choose_free(still, ["Whub"], OUTPUTS)
+
+
+def test_every_symbol_of_the_parts_exists(vehicle):
+    known = {r.symbol for r in parameters(vehicle)}
+    assert set(HEAVE_YAW) | set(ROLL_PITCH) <= known
