@@ -97,7 +97,7 @@ def test_state_space_response_with_delay_is_the_closed_form():
 
 
 def test_misfit_of_the_truth_is_small_and_of_6_dB_and_45_degrees_is_that_of_the_formula():
-    u, y = made(5)
+    u, _ = made(5)
     r = frequency_response(u[:, :1], lag(u[:, :1].T).T, DT, segment_s=20.0, low_hz=0.1, high_hz=5.0)
     exact = truth(r.frequency_hz)[:, None, None]
     assert misfit(r, exact)[0, 0] < 0.5

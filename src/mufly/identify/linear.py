@@ -153,8 +153,8 @@ def identify_linear(
             moved = [float(lowpassed(y[s, [k]], dt, slow).std()) for s in parts.values()]
             if moved[1] < 0.05 * moved[0]:
                 notes.append(
-                    f"{name} hardly moves in the held-out part ({moved[1]:.2g} against {moved[0]:.2g} rms): its fit there "
-                    "means nothing; use --from, --to and --split-at"
+                    f"{name} hardly moves in the held-out part ({moved[1]:.2g} against {moved[0]:.2g} rms): its fit "
+                    "there means nothing; use --from, --to and --split-at"
                 )
     disturbance = disturbance_model(linear, (y - simulated)[:cut], dt)
     tick(starts + 4)
@@ -313,7 +313,7 @@ def _subspace(
     linear: LinearFit, uf: Array, yf: Array, dtf: float, u: Array, y: Array, dt: float, cut: int,
     rate_hz: float | None, slow: float,
 ) -> tuple[Subspace | None, tuple[float, ...]]:  # fmt: skip
-    past = int(np.clip(round(1.0 / dtf), 5, 50))
+    past = int(np.clip(round(2.0 / dtf), 5, 50))
     try:
         model = subspace(uf, yf, dtf, order=min(len(linear.structure.states), 8), past=past)
     except InputError:

@@ -171,9 +171,9 @@ def disturbance_model(fit: LinearFit, residual: Array, dt: float) -> Disturbance
         return 0.5 * len(e) * logdet + 0.5 * float(np.einsum("ni,ij,nj->", e, np.linalg.inv(s), e))
 
     z0 = np.r_[np.zeros(len(a)), np.full(len(c), -0.5)]
-    best = minimize(
-        unlikely, z0, method="Nelder-Mead", options={"maxfev": 120 * z0.size, "xatol": 0.05, "fatol": 1.0}
-    )
+    simplex = np.vstack([z0, z0 + np.eye(z0.size)])
+    options = {"maxfev": 150 * z0.size, "xatol": 0.02, "fatol": 0.1, "initial_simplex": simplex}
+    best = minimize(unlikely, z0, method="Nelder-Mead", options=options)
     gain, _ = gain_of(best.x)
     return Disturbance(size * step * np.exp(best.x[: len(a)]), scale * np.exp(best.x[len(a) :]), phi, gain)
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.optimize import least_squares
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from mufly.errors import InputError
 from mufly.identify.linear_result import LinearFit
@@ -135,6 +136,15 @@ def fit_linear(
     InputError
         If no start leads to a model that can be simulated, or there are fewer samples than parameters.
     """
+    # The products are small: threads of a linear algebra library cost more than they bring.
+    with threadpool_limits(1, "blas"):
+        return _fitted(structure, u, y, dt, starts, seed, hold, mask, first, progress, covariance)
+
+
+def _fitted(
+    structure: Structure, u: Array, y: Array, dt: float, starts: int, seed: int, hold: bool, mask: Array | None,
+    first: Array | None, progress: Callable[[int, int], None] | None, covariance: bool,
+) -> LinearFit:  # fmt: skip
     begun = time.perf_counter()
     problem = _Problem(structure, u, y, dt, hold, mask)
     spread = np.array([np.std(y[problem.good[:, k], k]) for k in range(y.shape[1])])
@@ -163,7 +173,10 @@ def fit_linear(
     for k in range(_ROUNDS):
         # Maximum likelihood: weights from the residuals, then the parameters again.
         rows = _rows(problem, z)
-        problem.weight = 1.0 / np.maximum(np.nanvar(rows, axis=0), (1e-9 * spread) ** 2)
+        weight = 1.0 / np.maximum(np.nanvar(rows, axis=0), (1e-9 * spread) ** 2)
+        if k and (np.abs(weight / problem.weight - 1.0) < 1e-3).all():
+            break
+        problem.weight = weight
         solution = _search(problem, z, 100)
         z = solution.x
         history.append(_row(structure, problem, starts + k, float(2.0 * solution.cost), z))

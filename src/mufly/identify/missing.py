@@ -6,7 +6,7 @@ One sentence a finding, the largest first, each with the number behind it. How a
 |---|---|
 | correlation with an input at lags from 0 to a few samples | gain, direct path or delay of that input is wrong |
 | correlation with an input that lasts over many lags | a lag or a slow mode driven by that input is missing |
-| correlation at negative lags, weaker at positive ones | feedback from output to input; says nothing against the model |
+| correlation at negative lags, weaker at positive ones | feedback from output to input, no fault of the model |
 | spectral line that stands far out of its surroundings | vibration at that frequency, not caused by the inputs |
 | autocorrelation that dies slowly | disturbance (wind) or a slow state is missing |
 | mean off (Theil's bias part); slope of measured over predicted not 1 | bias not modelled; gain wrong |

@@ -245,9 +245,9 @@ def _picture(folder: Path, name: str, draw: Callable[[], Figure | None], alt: st
             if figure is None:
                 return ""
             buffer = io.BytesIO()
-            figure.savefig(buffer, format="png", dpi=110)
+            figure.savefig(buffer, format="png", dpi=130)
             if not dark:
-                figure.savefig(folder / f"{name}.png", dpi=150)
+                (folder / f"{name}.png").write_bytes(buffer.getvalue())
         images.append("data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii"))
     light, night = images
     return (
