@@ -141,7 +141,7 @@ def test_intervals_hold_under_white_noise():
 
 
 def test_delay_of_a_log_whose_inputs_are_late_is_negative():
-    structure, truth, u, y = made(noise=0.01)
+    _, _, u, y = made(noise=0.01)
     early = np.roll(y, -5, axis=0)[:-10]  # outputs 0.2 s earlier than they belong
     skewed = model_named("first-order-coupled-skew", ("lat", "lon"), ("p", "q"))
     f = fit_linear(skewed, u[:-10], early, DT, starts=2)

@@ -34,7 +34,7 @@ def fit(*records, **changes):
     made = Fit(
         "model <x>", estimates, np.diag([0.01, 0.25]), np.array([[1.0, -0.6], [-0.6, 1.0]]),
         ("only the ratio of a and b is seen",), 12.5,
-        ({"iteration": 0, "cost": 20.0, "M_q": -2.0, "tau": 0.1}, {"iteration": 1, "cost": 12.5, "M_q": -3.0, "tau": 0.0}),
+        tuple({"iteration": k, "cost": 20.0 - 7.5 * k, "M_q": -2.0 - k, "tau": 0.1} for k in range(2)),
         "output error", 42, 1.5, True, "cost stands still", tuple(records),
     )  # fmt: skip
     return replace(made, **changes)

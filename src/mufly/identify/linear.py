@@ -12,26 +12,31 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfilt
 
 from mufly.errors import InputError
 from mufly.identify.linear_check import (
     CrossValidation,
-    Disturbance,
     NoiseFloor,
     cross_validate,
     disturbance_model,
     noise_floor,
-    predict_ahead,
+)
+from mufly.identify.linear_evaluate import (
+    HORIZONS_S,
+    against_angle,
+    ahead,
+    ceilings,
+    slow_quality,
+    spectral_check,
+    subspace_check,
 )
 from mufly.identify.linear_fit import fit_linear, predict_linear
 from mufly.identify.linear_record import Record, lowpassed
-from mufly.identify.linear_result import Ahead, LinearFit, LinearResult
-from mufly.identify.linear_spectral import SpectralFit, fit_spectral
+from mufly.identify.linear_result import LinearFit, LinearResult
 from mufly.identify.linear_structure import Structure, model_named
-from mufly.identify.linear_subspace import Subspace, equation_error, subspace
+from mufly.identify.linear_subspace import equation_error
 from mufly.identify.missing import what_is_missing
-from mufly.identify.residuals import Quality, qualities, quality
+from mufly.identify.residuals import qualities
 from mufly.identify.result import Estimate, Fit, RecordFit
 from mufly.identify.uncertainty import correlation_of, unseen_directions
 
@@ -43,7 +48,6 @@ CANDIDATES = (
     "first-order", "first-order-coupled", "second-order", "second-order-coupled", "hybrid", "hybrid-coupled",
     "first-order-coupled-collective", "first-order-skew", "first-order-coupled-skew",
 )  # fmt: skip
-HORIZONS_S = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 _BLOCKS = 4
 _FEWEST = 100  # samples of a held-out part worth the name
 _ANGLE = {"p": "phi", "q": "theta"}
@@ -159,7 +163,7 @@ def identify_linear(
     disturbance = disturbance_model(linear, (y - simulated)[:cut], dt)
     tick(starts + 4)
     records = _records(record, parts, linear, y, simulated, floors, us, tuple(inputs))
-    check, percent = _subspace(linear, uf, yf, dtf, u, y, dt, cut, rate_hz, slow)
+    check, percent = subspace_check(linear, uf, yf, dtf, u, y, dt, cut, rate_hz, slow)
     rates = [k for k, o in enumerate(outs) if o in ("p", "q", "r")]
     regressed = (
         equation_error(
@@ -175,16 +179,16 @@ def identify_linear(
     )
     quality_slow, ceiling, ceiling_slow, against = {}, {}, {}, {}
     for role, s in parts.items():
-        quality_slow[role] = _slow(y[s], simulated[s], dt, slow, floors[role])
-        ceiling[role], ceiling_slow[role] = _ceilings(y[s], dt, slow, floors[role])
-        against[role] = _against(angles, s, simulated, dt, slow)
+        quality_slow[role] = slow_quality(y[s], simulated[s], dt, slow, floors[role])
+        ceiling[role], ceiling_slow[role] = ceilings(y[s], dt, slow, floors[role])
+        against[role] = against_angle(angles, s, simulated, dt, slow)
     tried.sort(key=lambda t: t.left_out)
     return LinearResult(
         _fit(linear, records, tuple(notes)), linear, tuple(_relative(tried)), floors, disturbance,
-        _ahead(linear, disturbance, y, simulated, dt, cut, slow, floors),
+        ahead(linear, disturbance, y, simulated, dt, cut, slow, floors),
         {str(r.role): qualities(r) for r in records}, quality_slow, ceiling, ceiling_slow, against, slow,
         what_is_missing(records[0]), regressed,
-        check, percent, _spectral(linear, uf, yf, dtf, slow), tuple(notes),
+        check, percent, spectral_check(linear, uf, yf, dtf, slow), tuple(notes),
     )  # fmt: skip
 
 
@@ -237,105 +241,6 @@ def _records(
             )
         )  # fmt: skip
     return tuple(made)
-
-
-def _ceilings(
-    y: Array, dt: float, slow: float, floors: tuple[NoiseFloor, ...]
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Fit of a model whose error is the noise floor, as recorded and low-passed."""
-    spread, spread_slow = y.std(axis=0), lowpassed(y, dt, slow).std(axis=0)
-    known = [f.below > 0.0 for f in floors]
-    return (
-        tuple(100.0 * (1.0 - f.total / float(s)) for f, s in zip(floors, spread, strict=True)),
-        tuple(
-            100.0 * (1.0 - f.below / float(s)) if k else float("nan")
-            for f, s, k in zip(floors, spread_slow, known, strict=True)
-        ),
-    )
-
-
-def _against(
-    angles: list[Array | None], part: slice, simulated: Array, dt: float, slow: float
-) -> tuple[float, ...]:
-    """Fit of simulated rates against the derivative of measured angles, both low-passed."""
-    found = []
-    for k, angle in enumerate(angles):
-        if angle is None:
-            found.append(float("nan"))
-            continue
-        both = lowpassed(np.column_stack([np.gradient(angle[part], dt), simulated[part, k]]), dt, slow)
-        found.append(quality(both[:, 0], both[:, 1]).fit_percent)
-    return tuple(found)
-
-
-def _slow(
-    y: Array, simulated: Array, dt: float, cut_hz: float, floors: tuple[NoiseFloor, ...]
-) -> tuple[Quality, ...]:
-    a, b = lowpassed(y, dt, cut_hz), lowpassed(simulated, dt, cut_hz)
-    return tuple(quality(a[:, k], b[:, k], f.below) for k, f in enumerate(floors))
-
-
-def _ahead(
-    linear: LinearFit, disturbance: Disturbance, y: Array, simulated: Array, dt: float, cut: int, slow: float,
-    floors: Mapping[str, tuple[NoiseFloor, ...]],
-) -> tuple[Ahead, ...]:  # fmt: skip
-    if "held out" not in floors:
-        return ()
-    found = []
-    noise = [f.total for f in floors["held out"]]
-    target, m = lowpassed(y[cut:], dt, slow), y.shape[1]
-    # Unfiltered, persistence would carry the vibration along; a filter that sees the future would cheat.
-    causal = np.asarray(sosfilt(butter(1, slow, fs=1.0 / dt, output="sos"), y, axis=0))
-    for horizon in (*HORIZONS_S, float("inf")):
-        steps = max(1, round(horizon / dt)) if np.isfinite(horizon) else 0
-        if steps > min(cut, len(y) - cut) // 2:
-            continue
-        predicted = (
-            simulated if steps == 0 else predict_ahead(linear, disturbance, y, simulated, dt, horizon)
-        )[cut:]
-        smooth = lowpassed(predicted, dt, slow)
-        kept = causal[cut - steps : len(y) - steps]
-        found.append(
-            Ahead(
-                horizon,
-                tuple(quality(y[cut:, k], predicted[:, k]).fit_percent for k in range(m)),
-                tuple(quality(target[:, k], smooth[:, k]).fit_percent for k in range(m)),
-                tuple(quality(y[cut:, k], predicted[:, k], noise[k]).rms_over_noise for k in range(m)),
-                tuple(
-                    quality(target[:, k], kept[:, k]).fit_percent if steps else float("nan") for k in range(m)
-                ),
-            )
-        )
-    return tuple(found)
-
-
-def _subspace(
-    linear: LinearFit, uf: Array, yf: Array, dtf: float, u: Array, y: Array, dt: float, cut: int,
-    rate_hz: float | None, slow: float,
-) -> tuple[Subspace | None, tuple[float, ...]]:  # fmt: skip
-    past = int(np.clip(round(2.0 / dtf), 5, 50))
-    try:
-        model = subspace(uf, yf, dtf, order=min(len(linear.structure.states), 8), past=past)
-    except InputError:
-        return None, ()
-    if np.abs(np.linalg.eigvals(model.a)).max() > 1.0 + 1e-6 or len(y) - cut < _FEWEST:
-        return model, ()
-    step = max(1, round(dtf / dt))
-    # Without a look at the held-out part: the state runs on from the fitted one.
-    whole = model.simulate(u[::step], model.initial_state(uf[: 2 * past], yf[: 2 * past]))
-    last = -(-cut // step)
-    target = lowpassed(y, dt, slow)[::step][last:]
-    return model, tuple(quality(target[:, k], whole[last:, k]).fit_percent for k in range(y.shape[1]))
-
-
-def _spectral(linear: LinearFit, uf: Array, yf: Array, dtf: float, slow: float) -> SpectralFit | None:
-    try:
-        return fit_spectral(
-            linear.structure, uf, yf, dtf, first=linear.values, segment_s=dtf * len(uf) / 5.0,
-            high_hz=min(slow, 0.4 / dtf),
-        )  # fmt: skip
-    except InputError:
-        return None
 
 
 def _relative(tried: list[CrossValidation]) -> list[CrossValidation]:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numba as nb
 import numpy as np
@@ -172,7 +173,7 @@ def disturbance_model(fit: LinearFit, residual: Array, dt: float) -> Disturbance
 
     z0 = np.r_[np.zeros(len(a)), np.full(len(c), -0.5)]
     simplex = np.vstack([z0, z0 + np.eye(z0.size)])
-    options = {"maxfev": 150 * z0.size, "xatol": 0.02, "fatol": 0.1, "initial_simplex": simplex}
+    options: Any = {"maxfev": 150 * z0.size, "xatol": 0.02, "fatol": 0.1, "initial_simplex": simplex}
     best = minimize(unlikely, z0, method="Nelder-Mead", options=options)
     gain, _ = gain_of(best.x)
     return Disturbance(size * step * np.exp(best.x[: len(a)]), scale * np.exp(best.x[len(a) :]), phi, gain)
