@@ -24,6 +24,7 @@ __all__ = [
     "INPUTS",
     "Record",
     "check_record",
+    "dataset_of",
     "difference_noise",
     "record_from",
     "smoothed",
@@ -142,6 +143,37 @@ def record_from(data: xr.Dataset, name: str, *, prefix: str = "measured") -> Rec
     )
     _check_clock(record)
     return _clean(record)
+
+
+def dataset_of(r: Record) -> xr.Dataset:
+    """Return a record as a recording, with the names that :func:`record_from` reads."""
+    data: dict[str, tuple[tuple[str, ...], _Array, dict[str, str]]] = {}
+    dims = {
+        "position": "axis",
+        "velocity": "axis",
+        "attitude": "angle",
+        "rates": "rate",
+        "rotor_speed": "rotor",
+    }
+    labels = {"axis": ["N", "E", "D"], "angle": ["roll", "pitch", "yaw"], "rate": ["p", "q", "r"],
+              "rotor": ["upper", "lower"], "servo": ["1", "2"]}  # fmt: skip
+    for suffix, parts in _SOURCES.items():
+        if not any(o in r.outputs for o, _, _ in parts):
+            continue
+        values = np.full((len(r.time_s), len(labels[dims[suffix]])), np.nan)
+        for output, k, sign in parts:
+            if output in r.outputs:
+                values[:, k] = sign * r.measured[:, r.outputs.index(output)]
+        unit = OUTPUT_UNITS[parts[0][0]]
+        data[f"measured_{suffix}"] = (("time", dims[suffix]), values, {"units": unit})
+    data["motor_input"] = (("time", "rotor"), r.inputs[:, :2], {"units": "1"})
+    data["servo_input"] = (("time", "servo"), r.inputs[:, 2:], {"units": "1"})
+    if r.voltage is not None:
+        data["battery_voltage"] = (("time",), r.voltage, {"units": "V"})
+    used = {d for dims_, _, _ in data.values() for d in dims_} - {"time"}
+    coords: dict[str, object] = {d: labels[d] for d in used}
+    coords["time"] = ("time", r.time_s, {"units": "s"})
+    return xr.Dataset(data, coords=coords)
 
 
 def _check_clock(r: Record) -> None:

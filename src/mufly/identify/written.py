@@ -33,7 +33,8 @@ def with_estimates(vehicle: Vehicle, estimates: Iterable[Estimate], note: str) -
     """
     tables = vehicle.model_dump()
     written = 0
-    for e in estimates:
+    found = list(estimates)
+    for e in found:
         if not e.key or not np.isfinite(e.value) or np.isinf(e.std):
             continue
         *path, last = e.key.split(".")
@@ -49,4 +50,6 @@ def with_estimates(vehicle: Vehicle, estimates: Iterable[Estimate], note: str) -
         raise InputError(
             "--write", "", "nothing was found that belongs into a vehicle file", "see what is not seen above"
         )
+    if any(e.key == "body.mass" for e in found):
+        tables["mass_budget"] = None  # it no longer adds up
     return validated(Vehicle, tables, vehicle.name)

@@ -1,0 +1,337 @@
+"""``mufly identify flight`` and ``mufly identify demo``: the flight model fitted to flight records."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mufly.cli.options import JsonOption, console, print_json, print_table
+from mufly.errors import InputError
+
+if TYPE_CHECKING:
+    from mufly.identify import Demo, Estimate, Fit, Progress, Record
+    from mufly.vehicle import Vehicle
+
+__all__ = ["add_to"]
+
+_PARTS = ("both", "heave-yaw", "roll-pitch", "split")
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the commands with the group ``mufly identify``."""
+    app.command("flight")(flight)
+    app.command("demo")(demo)
+
+
+def flight(
+    logs: Annotated[
+        list[Path], typer.Argument(metavar="LOG...", help="Flight records that `mufly log` reads: MCAP, CSV, ULog, ...")
+    ],
+    free: Annotated[
+        str,
+        typer.Option(metavar="SYMBOLS", help="What to find: symbols of `mufly vehicle show`, besides 'delay' (input to "
+                     "vehicle) and 'bias_p' and the like; commas between."),
+    ],
+    vehicle: Annotated[
+        str, typer.Option(metavar="NAME|FILE", help="Start values; their sources say how far they may be pulled.")
+    ] = "mufly-1.1",
+    out: Annotated[Path | None, typer.Option(metavar="NEW.toml", help="Write the identified vehicle there.")] = None,
+    report: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write report.html with its pictures there.")
+    ] = None,
+    hold_out: Annotated[
+        list[Path] | None, typer.Option(metavar="LOG", help="Predict this record, do not fit it. May be repeated.")
+    ] = None,
+    hold_out_share: Annotated[
+        float, typer.Option(metavar="SHARE", help="Without --hold-out: the last share of every log is held out.")
+    ] = 0.25,
+    part: Annotated[
+        str, typer.Option(metavar="NAME", help="both at once, heave-yaw, roll-pitch, or split: one after the other.")
+    ] = "both",
+    outputs: Annotated[
+        str | None, typer.Option(metavar="NAMES", help="Use these measurements only: height, yaw, r, roll, p, ...")
+    ] = None,
+    prefix: Annotated[
+        str, typer.Option(metavar="NAME", help="What to take from a recording: measured, estimated or truth.")
+    ] = "measured",
+    columns: Annotated[
+        Path | None, typer.Option("--map", metavar="MAP.toml", help="Column map of foreign logs; see docs/logs.md.")
+    ] = None,
+    voltage: Annotated[
+        str,
+        typer.Option(metavar="NAME|V", help="Battery: 'model' (charge found), 'measured', 'nominal', or a number (V)."),
+    ] = "model",
+    delay_ms: Annotated[
+        float, typer.Option("--delay", metavar="MS", help="Time from recorded input to vehicle; start value if free.")
+    ] = 0.0,
+    window: Annotated[
+        float | None, typer.Option(metavar="S", help="Last stage in windows of this length, not whole records.")
+    ] = None,
+    method: Annotated[
+        str, typer.Option(metavar="NAME", help="lm (Levenberg-Marquardt) or cma (CMA-ES, as in the dissertation).")
+    ] = "lm",
+    seed: Annotated[int, typer.Option(metavar="K", help="Of CMA-ES.", min=0)] = 0,
+    restarts: Annotated[int, typer.Option(metavar="N", help="Of CMA-ES, each with twice the population.", min=0)] = 0,
+    no_prior: Annotated[bool, typer.Option("--no-prior", help="Start values do not weigh in.")] = False,
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Kept every iteration; a stopped fit goes on from it. Default: beside --out."),
+    ] = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Do not go on from a checkpoint.")] = False,
+    as_json: JsonOption = False,
+) -> None:  # fmt: skip
+    """Fit the flight model to flight records, and predict records that the fit did not see.
+
+    Ctrl-C stops a fit; the same command goes on from its last iteration.
+
+    Example: mufly identify flight yaw.mcap heave.mcap roll.mcap pitch.mcap --hold-out mixed.mcap
+    --free cQ_up,cQ_dw,Izz,Iyy,l_up,l_dw,Tf_up,delay --delay 20 --out mine.toml --report report
+    """
+    from mufly.identify import choose_free, fit_flights, fit_split
+    from mufly.identify import split as cut
+    from mufly.vehicle import load_vehicle
+
+    _one_of("--part", part, _PARTS)
+    _one_of("--method", method, ("lm", "cma"))
+    if not 0.0 <= hold_out_share <= 0.8:
+        raise InputError("--hold-out-share", "", f"{hold_out_share:g} is no share", "give 0 to 0.8")
+    start = load_vehicle(vehicle)
+    records, warnings = _read(logs, columns, prefix)
+    held, more = _read(hold_out or [], columns, prefix)
+    if not hold_out and hold_out_share > 0:
+        parts = [cut(r, hold_out_share) for r in records]
+        records, held = [p[0] for p in parts], [p[1] for p in parts]
+    if not as_json:
+        for w in (*warnings, *more):
+            console().print(f"Note: {w}", style="yellow", highlight=False)
+    measured = sorted({o for r in records for o in r.outputs})
+    symbols = [s.strip() for s in free.split(",") if s.strip()]
+    wanted = choose_free(start, symbols, measured, delay_s=delay_ms / 1e3)
+    keep = checkpoint or (None if out is None else out.with_name(f"{out.name}.checkpoint.json"))
+    kept = [] if keep is None else [keep, *(keep.with_name(f"{keep.name}.{p}") for p in _PARTS[1:3])]
+    if fresh:
+        for path in kept:
+            path.unlink(missing_ok=True)
+    elif any(p.exists() for p in kept) and not as_json:
+        console().print(f"Going on from {keep}.", highlight=False)
+    options: dict[str, Any] = {
+        "held_out": held, "voltage": _voltage(voltage), "delay_s": delay_ms / 1e3, "prior": not no_prior,
+        "window_s": window, "method": method, "seed": seed, "restarts": restarts, "checkpoint": keep,
+        "outputs": None if outputs is None else [o.strip() for o in outputs.split(",")],
+    }  # fmt: skip
+    try:
+        with _progress(not as_json) as on_progress:
+            if part == "split":
+                fit = fit_split(start, wanted, records, on_progress=on_progress, **options)
+            else:
+                fit = fit_flights(start, wanted, records, part=part, on_progress=on_progress, **options)  # type: ignore[arg-type]
+    except KeyboardInterrupt:
+        where = "" if keep is None else f"; the same command goes on from {keep}"
+        typer.secho(f"mufly: stopped{where}", fg=typer.colors.YELLOW, err=True)
+        raise typer.Exit(130) from None
+    written = _write(start, fit, logs, out)
+    page = _report(fit, report)
+    for path in kept:
+        path.unlink(missing_ok=True)
+    if as_json:
+        print_json(_json(fit))
+        return
+    _print(fit)
+    for what, place in (("Vehicle", written), ("Report", page)):
+        if place is not None:
+            console().print(f"{what}: {place}", highlight=False)
+
+
+def demo(
+    seed: Annotated[int, typer.Option(metavar="K", help="Of pilot, noise and starts.", min=0)] = 0,
+    method: Annotated[str, typer.Option(metavar="NAME", help="lm or cma.")] = "lm",
+    report: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write report.html with its pictures there.")
+    ] = None,
+    logs: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write the five flights there (MCAP), for `identify flight`.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:  # fmt: skip
+    """Fly a known vehicle with pilot support, chirps, noise and radio delay; identify it; compare with the truth.
+
+    Twelve parameters start 50 % off. Example: mufly identify demo --seed 3 --report report
+    """
+    from mufly.identify import run_demo
+
+    _one_of("--method", method, ("lm", "cma"))
+    if logs is not None:
+        _write_flights(logs, seed)
+    with _progress(not as_json) as on_progress:
+        shown = run_demo(seed=seed, method=method, on_progress=on_progress)  # type: ignore[arg-type]
+    page = _report(shown.fit, report)
+    if as_json:
+        print_json(shown.as_dict())
+        return
+    _print_demo(shown)
+    if page is not None:
+        console().print(f"Report: {page}", highlight=False)
+
+
+def _one_of(option: str, value: str, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise InputError(option, "", f"{value!r} is unknown", f"use one of: {', '.join(known)}")
+
+
+def _voltage(text: str) -> str | float:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _read(paths: list[Path], columns: Path | None, prefix: str) -> tuple[list[Record], list[str]]:
+    from mufly.identify import check_record, record_from
+    from mufly.logs import read_log
+
+    records: list[Record] = []
+    warnings: list[str] = []
+    for path in paths:
+        record = record_from(read_log(path, columns=columns), path.name, prefix=prefix)
+        warnings += check_record(record)
+        records.append(record)
+    return records, warnings
+
+
+@contextmanager
+def _progress(shown: bool) -> Iterator[Callable[[Progress], None] | None]:
+    """Show stage, iteration, cost, parameters and an upper bound of the time left, on standard error."""
+    if not shown:
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    columns = (
+        TextColumn("{task.description}"), BarColumn(bar_width=20), TimeElapsedColumn(), TextColumn("at most"),
+        TimeRemainingColumn(), TextColumn("left"),
+    )  # fmt: skip
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+        task, values = bar.add_task("start", total=None), bar.add_task("", total=None, visible=False)
+
+        def show(p: Progress) -> None:
+            done = p.stage - 1 + min(1.0, p.iteration / p.iterations)
+            text = f"{p.what} ({p.stage}/{p.stages}), iteration {p.iteration}, cost {p.cost:.6g}"
+            bar.update(task, description=text, completed=done, total=p.stages)
+            named = "  ".join(f"{s} {v:.4g}" for s, v in list(p.values.items())[:6])
+            bar.update(values, description=named, visible=True)
+
+        yield show
+
+
+def _write(start: Vehicle, fit: Fit, logs: list[Path], out: Path | None) -> Path | None:
+    if out is None:
+        return None
+    from mufly.identify import with_estimates
+    from mufly.vehicle import vehicle_toml
+
+    today = datetime.date.today().isoformat()
+    note = f"identified {today} from {', '.join(p.name for p in logs)}"
+    made = with_estimates(start, fit.estimates, note)
+    try:
+        out.write_text(vehicle_toml(made), encoding="utf-8")
+    except OSError as error:
+        raise InputError("--out", str(out), f"cannot be written ({error})", "give another file") from error
+    return out
+
+
+def _report(fit: Fit, folder: Path | None) -> Path | None:
+    if folder is None:
+        return None
+    from mufly.identify.report import write_report
+
+    return write_report(fit, folder)
+
+
+def _write_flights(folder: Path, seed: int) -> None:
+    from mufly.identify.demo_flight import demo_flights
+    from mufly.identify.record import dataset_of
+    from mufly.logs import write_log
+    from mufly.vehicle import load_vehicle
+
+    folder.mkdir(parents=True, exist_ok=True)
+    fit, held = demo_flights(load_vehicle("mufly-1.1"), seed=seed)
+    for r in (*fit, *held):
+        write_log(dataset_of(r), folder / f"{r.name}.mcap")
+
+
+def _row(e: Estimate) -> tuple[str, ...]:
+    share = f"{100 * e.std / abs(e.value):.2g} %" if e.value else f"{e.std:.2g}"
+    unit = "" if e.unit == "1" else e.unit
+    flag = "at bound" if e.at_bound else ""
+    return (e.symbol, unit, f"{e.start:.4g}", f"{e.value:.5g}", share, f"{e.low:.5g}", f"{e.high:.5g}", flag)
+
+
+_HEADS = ("parameter", "unit", "start", "estimate", "std", "95 % from", "to", "")
+
+
+def _print(fit: Fit) -> None:
+    print_table(_HEADS, [_row(e) for e in fit.estimates], title=fit.vehicle, text=(0, 1, 7))
+    _print_rest(fit)
+
+
+def _print_rest(fit: Fit) -> None:
+    say = console().print
+    for text in fit.unseen:
+        say(f"Not told apart: {text}.", style="yellow", highlight=False)
+    rows = []
+    for r in fit.records:
+        ratios = zip(r.outputs, r.rms_over_noise(), strict=True)
+        rows.append((r.name, r.role, ", ".join(f"{o} {v:.2f}" for o, v in ratios)))
+    print_table(("record", "", "error over noise (1: nothing but noise)"), rows, text=(0, 1, 2))
+    style = "green" if fit.converged else "red"
+    state = "Converged" if fit.converged else "NOT converged"
+    detail = "" if fit.message == "converged" else f" ({fit.message})"
+    say(
+        f"{state}{detail}: cost {fit.cost:.6g}, {fit.simulations} simulated flights, {fit.seconds:.1f} s",
+        style=style, highlight=False,
+    )  # fmt: skip
+
+
+def _print_demo(shown: Demo) -> None:
+    inside = shown.inside()
+    rows = []
+    for e in shown.fit.estimates:
+        true = shown.truth[e.symbol]
+        off = f"{100 * (e.value / true - 1):+.2f} %"
+        rows.append((*_row(e)[:4], f"{true:.5g}", off, *_row(e)[5:7], "" if inside[e.symbol] else "outside"))
+    heads = ("parameter", "unit", "start", "estimate", "truth", "off", "95 % from", "to", "")
+    print_table(heads, rows, title=f"Demonstration, seed {shown.seed}", text=(0, 1, 8))
+    _print_rest(shown.fit)
+    say = console().print
+    say(
+        f"{sum(inside.values())} of {len(inside)} intervals hold the truth; prediction error of the flight that was "
+        f"not fitted is {shown.held_out_over_noise:.3f} of the sensors' noise.",
+        highlight=False,
+    )
+
+
+def _json(fit: Fit) -> dict[str, Any]:
+    return {
+        "vehicle": fit.vehicle,
+        "method": fit.method,
+        "converged": fit.converged,
+        "message": fit.message,
+        "parameters": [vars(e) for e in fit.estimates],
+        "correlation": fit.correlation,
+        "unseen": list(fit.unseen),
+        "records": [
+            {"name": r.name, "role": r.role, "outputs": list(r.outputs), "noise_std": r.noise_std,
+             "error_over_noise": r.rms_over_noise()}
+            for r in fit.records
+        ],
+        "cost": fit.cost,
+        "simulations": fit.simulations,
+        "seconds": fit.seconds,
+    }  # fmt: skip
