@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from mufly.rotor.polar import coefficients
 
-__all__ = ["FIELDS", "descent_inflow", "solve_cases"]
+__all__ = ["FIELDS", "descent_inflow", "section_coefficients", "solve_cases"]
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -67,7 +67,7 @@ def _prandtl(f: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def _section(
+def section_coefficients(
     alpha: float, log_re: float, first: int, second: int, weight: float,
     grid: Array, log_re0: float, per_log_re: float, zero_lift: Array, g: float, scale: Any,
 ) -> tuple[float, float]:  # fmt: skip
@@ -97,7 +97,9 @@ def _residual(
     r, chord, weight, g, blades, radius, hub_r = st
     grid, log_re0, per_log_re, zero_lift = polars
     log_re = log_unit + math.log(max(math.cos(theta - alpha - phi_u), 1e-3))
-    cl, cd = _section(alpha, log_re, ix[0], ix[1], weight, grid, log_re0, per_log_re, zero_lift, g, scale)
+    cl, cd = section_coefficients(
+        alpha, log_re, ix[0], ix[1], weight, grid, log_re0, per_log_re, zero_lift, g, scale
+    )
     phi = theta - alpha - e * cl
     turn = phi - phi_u
     if turn >= 0.5 * math.pi:

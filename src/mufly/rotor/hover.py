@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -20,7 +21,7 @@ from mufly.rotor.blading import Blading, as_blading
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.polar import OUTSIDE_ALPHA, OUTSIDE_REYNOLDS
 
-__all__ = ["Air", "BatchResult", "RotorResult", "hover", "hover_batch", "induced_velocities"]
+__all__ = ["Air", "BatchResult", "RotorResult", "hover", "hover_batch", "induced_velocities", "result_of"]
 
 Array = NDArray[np.float64]
 
@@ -224,29 +225,47 @@ def hover(
     totals, stations = _solve(
         blading, which, point["pitch_rad"], point["speed_rad_s"], point["climb_m_s"], gas, True, wind
     )
-    thrust, torque = float(totals[0, 0]), float(totals[0, 1])
-    radius, area = blading.rotors[which].radius_m, blading.rotors[which].disc_area_m2
-    power = torque * float(speed_rad_s)
-    scale = gas.density_kg_m3 * area * radius**2 * float(speed_rad_s) ** 2
     columns = {name: stations[0, :, i].copy() for i, name in enumerate(FIELDS)}
+    return result_of(
+        blading, which, float(pitch_rad), float(speed_rad_s), float(climb_m_s), gas,
+        float(totals[0, 0]), float(totals[0, 1]), columns,
+    )  # fmt: skip
+
+
+def result_of(
+    blading: Blading,
+    which: int,
+    pitch_rad: float,
+    speed_rad_s: float,
+    climb_m_s: float,
+    air: Air,
+    thrust_N: float,
+    torque_Nm: float,
+    columns: Mapping[str, Array],
+) -> RotorResult:
+    """Put an operating point together from its thrust, torque and station table (``FIELDS``), whatever the method."""
+    rotor = blading.rotors[which]
+    area = rotor.disc_area_m2
+    power = torque_Nm * speed_rad_s
+    scale = air.density_kg_m3 * area * rotor.radius_m**2 * speed_rad_s**2
     flags = _outside(blading, which, columns["alpha_rad"], columns["reynolds"])
     size = np.abs(columns["dT_N"])
     return RotorResult(
-        pitch_rad=float(pitch_rad),
-        speed_rad_s=float(speed_rad_s),
-        climb_m_s=float(climb_m_s),
-        thrust_N=thrust,
-        torque_Nm=torque,
+        pitch_rad=pitch_rad,
+        speed_rad_s=speed_rad_s,
+        climb_m_s=climb_m_s,
+        thrust_N=thrust_N,
+        torque_Nm=torque_Nm,
         power_W=power,
         figure_of_merit=float(
-            _merit(np.array(thrust), np.array(power), np.array(gas.density_kg_m3), np.array(area))
+            _merit(np.array(thrust_N), np.array(power), np.array(air.density_kg_m3), np.array(area))
         ),
-        c_T=thrust / scale,
-        c_Q=torque / (scale * radius),
+        c_T=thrust_N / scale,
+        c_Q=torque_Nm / (scale * rotor.radius_m),
         r_m=blading.r_m[which],
         dr_m=blading.dr_m[which],
         chord_m=blading.chord_m[which],
-        theta_rad=blading.twist_rad[which] + float(pitch_rad),
+        theta_rad=blading.twist_rad[which] + pitch_rad,
         **columns,
         outside=flags,
         outside_share=float(size[flags > 0].sum() / size.sum()) if size.sum() > 0 else 0.0,

@@ -1,0 +1,259 @@
+"""The blade in the wake method: a lifting surface of one chordwise row, its circulation set by the section's polar.
+
+Every panel carries a bound vortex Gamma on the quarter chord line; vortices trail from the panel edges along the chord
+to the trailing edge and on into the wake. The flow is looked at in two places (Weissinger, NACA TM 1120, 1947):
+
+* at three quarters of the chord, where it gives the angle of attack. There the whole vortex system induces a velocity,
+  of which the endless bound vortex of a two-dimensional section, Gamma / (pi c), is taken away again, because the polar
+  contains it. With n and t the directions normal to the chord and along it, w the velocity of the air past the point,
+
+      tan alpha = (w.n + Gamma / (pi c)) / w.t,       Gamma = W c c_l(alpha, Re) / 2
+
+  With c_l = 2 pi sin(alpha) this is w.n = 0, tangency: the inviscid lattice. With a polar it is the lattice with the
+  lift that the boundary layer leaves. Rotation of separated layers: as in mufly.rotor.corrections.
+* at the quarter chord, where it gives the force: rho W x Gamma, and the drag rho W c c_d W / 2 along W.
+
+Frame: z up along the shaft, the blade on the x axis and moving towards y, the wake behind it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from mufly.errors import InputError
+from mufly.rotor.bemt import section_coefficients
+from mufly.rotor.blading import Blading, panel_edges
+from mufly.rotor.hover import Air
+from mufly.rotor.wake.kernel import influence
+
+__all__ = [
+    "BladeState", "Surface", "blade_loads", "bound_influence", "of_all_blades", "solve_circulation", "surface_of",
+    "turned",
+]  # fmt: skip
+
+Array = NDArray[np.float64]
+
+_LARGEST_STEP = 0.05  # rad of angle of attack, one Newton step: keeps a panel on the branch it is on
+_TOLERANCE = 1e-9  # of the greatest circulation
+_STEPS = 200
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """One blade of a rotor at a pitch setting, in its own frame.
+
+    Attributes
+    ----------
+    blades : int
+    radius_m, speed_rad_s : float
+    chord_m, theta_rad : (n,) arrays
+        Chord and angle of the chord to the disc, panels from root to tip.
+    width_m : (n,) array
+        Width of the panels.
+    quarter_m, control_m : (n, 3) arrays
+        Panel middles at one and three quarters of the chord.
+    normal, tangent : (n, 3) arrays
+        Directions normal to the chord (up) and along it (towards the tail).
+    edge_quarter_m, edge_tail_m : (n + 1, 3) arrays
+        Panel edges on the quarter chord line and at the trailing edge.
+    edge_chord_m, spacing_m : (n + 1,) arrays
+        Chord, and distance of the trailing vortices, at the edges.
+    """
+
+    blades: int
+    radius_m: float
+    speed_rad_s: float
+    chord_m: Array
+    theta_rad: Array
+    width_m: Array
+    quarter_m: Array
+    control_m: Array
+    normal: Array
+    tangent: Array
+    edge_quarter_m: Array
+    edge_tail_m: Array
+    edge_chord_m: Array
+    spacing_m: Array
+
+
+@dataclass(frozen=True, eq=False)
+class BladeState:
+    """Solution on a blade: circulation (m2/s), angle (rad), coefficients, speed at three quarters of the chord."""
+
+    circulation: Array
+    alpha_rad: Array
+    cl: Array
+    cd: Array
+    speed_m_s: Array
+    settled: bool
+
+
+def surface_of(blading: Blading, which: int, pitch_rad: float, speed_rad_s: float) -> Surface:
+    """Lay a blade of a blading out as a lifting surface; its stations become panels.
+
+    Raises
+    ------
+    InputError
+        If the chord is not above zero somewhere.
+    """
+    rotor = blading.rotors[which]
+    big = rotor.radius_m
+    mid, edges = panel_edges(float(rotor.hub_cutout), blading.r_m.shape[1])
+    chord, edge_chord = blading.chord_m[which], rotor.chord_m(edges)
+    if not np.all(chord > 0.0):
+        raise InputError(rotor.name, "blade.chord", "is zero somewhere", "give a chord above 0 everywhere")
+    theta, edge_theta = blading.twist_rad[which] + pitch_rad, rotor.twist_rad(edges) + pitch_rad
+
+    def back(angle: Array) -> Array:
+        return np.stack([np.zeros_like(angle), -np.cos(angle), -np.sin(angle)], axis=1)
+
+    def on_axis(x: Array) -> Array:
+        return np.stack([x * big, np.zeros_like(x), np.zeros_like(x)], axis=1)
+
+    tangent = back(theta)
+    width = np.diff(edges) * big
+    return Surface(
+        blades=rotor.blades,
+        radius_m=big,
+        speed_rad_s=speed_rad_s,
+        chord_m=chord,
+        theta_rad=theta,
+        width_m=width,
+        quarter_m=on_axis(mid),
+        control_m=on_axis(mid) + 0.5 * chord[:, None] * tangent,
+        normal=np.stack([np.zeros_like(theta), -np.sin(theta), np.cos(theta)], axis=1),
+        tangent=tangent,
+        edge_quarter_m=on_axis(edges),
+        edge_tail_m=on_axis(edges) + 0.75 * edge_chord[:, None] * back(edge_theta),
+        edge_chord_m=edge_chord,
+        spacing_m=np.concatenate([width[:1], 0.5 * (width[1:] + width[:-1]), width[-1:]]),
+    )
+
+
+def turned(vectors: Array, angle_rad: float) -> Array:
+    """Vectors (..., 3) turned about the shaft."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    out = np.empty_like(vectors)
+    out[..., 0] = c * vectors[..., 0] - s * vectors[..., 1]
+    out[..., 1] = s * vectors[..., 0] + c * vectors[..., 1]
+    out[..., 2] = vectors[..., 2]
+    return out
+
+
+def of_all_blades(points: Array, blades: int, one: Callable[[Array], Array]) -> Array:
+    """Velocity or influence at points from all blades of a rotor, from a function that knows one blade."""
+    total = one(points)
+    for b in range(1, blades):
+        angle = 2.0 * math.pi * b / blades
+        total += turned(one(turned(points, -angle)), angle)
+    return total
+
+
+def bound_influence(surface: Surface, points: Array) -> Array:
+    """Velocity at points (m, 3) per circulation of each panel's bound vortex, all blades: (m, n, 3) array, 1/m."""
+    edge = surface.edge_quarter_m
+    paths = np.stack([edge[:-1], edge[1:]], axis=1)
+    core = np.full((paths.shape[0], 1), 1e-6 * surface.radius_m)
+    return of_all_blades(points, surface.blades, lambda p: influence(p, paths, core))
+
+
+@njit(cache=True, error_model="numpy")
+def _sections(alpha, log_re, first, second, weight, grid, log_re0, per_log_re, zero, g, scale, out):  # type: ignore[no-untyped-def]
+    for i in range(alpha.size):
+        out[i, 0], out[i, 1] = section_coefficients(
+            alpha[i], log_re[i], first[i], second[i], weight[i], grid, log_re0, per_log_re, zero, g[i], scale
+        )
+
+
+def solve_circulation(
+    surface: Surface,
+    blading: Blading,
+    which: int,
+    wind: Array,
+    unit: Array,
+    air: Air,
+    start: Array | None,
+    *,
+    inviscid: bool = False,
+) -> BladeState:
+    """Find the circulation of the panels by Newton's method.
+
+    Parameters
+    ----------
+    surface : Surface
+    blading : Blading
+        Polars and corrections of the sections.
+    which : int
+        Rotor of the blading.
+    wind : (n, 3) array
+        Velocity of the air past the control points without this rotor's own vortices (m/s).
+    unit : (n, n, 3) array
+        Velocity at the control points per circulation of each panel with its trailing vortices, all blades (1/m).
+    air : Air
+    start : (n,) array, optional
+        First guess of the circulation (m2/s).
+    inviscid : bool
+        Take c_l = 2 pi sin(alpha), no drag: the lattice.
+    """
+    c = surface.chord_m
+    own = np.diag(1.0 / (math.pi * c))
+    normal_unit = np.einsum("ikc,ic->ik", unit, surface.normal)
+    tangent_unit = np.einsum("ikc,ic->ik", unit, surface.tangent)
+    normal_wind = np.sum(wind * surface.normal, axis=1)
+    tangent_wind = np.sum(wind * surface.tangent, axis=1)
+    log_unit = math.log(air.density_kg_m3 / air.viscosity_Pa_s) + np.log(c)
+    fixes, stack = blading.corrections, blading.polars
+    g = blading.rotation[which]
+    if fixes.rotation == "chaviaropoulos-hansen":
+        g = g * np.cos(surface.theta_rad) ** 4
+    scale = np.array([fixes.lift_factor, fixes.drag_factor])
+    out = np.empty((c.size, 2))
+
+    def section(alpha: Array, speed: Array) -> tuple[Array, Array]:
+        if inviscid:
+            return 2.0 * math.pi * np.sin(alpha), np.zeros_like(alpha)
+        _sections(
+            alpha, log_unit + np.log(np.maximum(speed, 1e-6)), blading.first[which], blading.second[which],
+            blading.weight[which], stack.grid, stack.log_reynolds_min, stack.per_log_reynolds,
+            blading.zero_lift_rad, g, scale, out,
+        )  # fmt: skip
+        return out[:, 0].copy(), out[:, 1].copy()
+
+    gamma = np.zeros(c.size) if start is None else start.copy()
+    for _ in range(_STEPS):
+        wn = normal_wind + normal_unit @ gamma + gamma / (math.pi * c)
+        wt = tangent_wind + tangent_unit @ gamma
+        speed, alpha = np.hypot(wn, wt), np.arctan2(wn, wt)
+        cl, cd = section(alpha, speed)
+        slope = np.maximum((section(alpha + 1e-4, speed)[0] - cl) / 1e-4, 0.0)
+        turn = (normal_unit + own) / speed[:, None]  # d alpha / d gamma
+        jacobian = (0.5 * speed * c * slope)[:, None] * turn - np.eye(c.size)
+        step = np.linalg.solve(jacobian, gamma - 0.5 * speed * c * cl)
+        size = np.max(np.abs(turn @ step))
+        gamma = gamma + min(1.0, _LARGEST_STEP / max(size, 1e-300)) * step
+        if np.max(np.abs(step)) <= _TOLERANCE * max(np.max(np.abs(gamma)), 1e-12):
+            return BladeState(gamma, alpha, cl, cd, speed, True)
+    return BladeState(gamma, alpha, cl, cd, speed, False)
+
+
+def blade_loads(surface: Surface, state: BladeState, wind: Array, air: Air) -> tuple[Array, Array]:
+    """Thrust (N) and torque (N m) of each panel, all blades.
+
+    Parameters
+    ----------
+    wind : (n, 3) array
+        Velocity of the air past the quarter chord points, everything included (m/s).
+    """
+    wy, wz = wind[:, 1], wind[:, 2]
+    speed = np.hypot(wy, wz)  # a swept or coned wind does not lift
+    drag = 0.5 * speed * surface.chord_m * state.cd
+    scale = surface.blades * air.density_kg_m3 * surface.width_m
+    up = -wy * state.circulation + drag * wz
+    back = wz * state.circulation + drag * wy
+    return scale * up, -scale * back * surface.quarter_m[:, 0]
