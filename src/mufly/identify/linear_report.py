@@ -98,18 +98,25 @@ def ahead_rows(r: LinearResult) -> Rows:
 
 def cross_check_rows(r: LinearResult) -> Rows:
     """Return heads and rows of the parameters by other methods."""
-    spectral = dict(zip(r.linear.structure.symbols, r.spectral.values, strict=True)) if r.spectral else {}
+    s = r.spectral
+    spectral = {}
+    if s is not None:
+        spectral = dict(zip(r.linear.structure.symbols, zip(s.values, s.std, strict=True), strict=True))
     rows = []
     for e in r.fit.estimates:
         other = r.equation_error.get(e.symbol)
         rows.append(
             (
                 e.symbol, f"{number(e.value)} ± {number(e.std)}",
-                f"{number(other[0])} ± {number(other[1])}" if other else "–",
-                number(float(spectral[e.symbol])) if e.symbol in spectral else "–", e.unit,
+                _with_std(other),
+                _with_std(spectral.get(e.symbol)), e.unit,
             )
         )  # fmt: skip
     return ("parameter", "output error", "equation error", "frequency response", "unit"), tuple(rows)
+
+
+def _with_std(pair: tuple[float, float] | None) -> str:
+    return "–" if pair is None else f"{number(float(pair[0]))} ± {number(float(pair[1]))}"
 
 
 def bode_picture(r: LinearResult, s: SpectralFit) -> Figure:

@@ -30,6 +30,8 @@ class SpectralFit:
     Attributes
     ----------
     values : (p,) array
+    std : (p,) array
+        From the curvature of the cost and its size, as if neighbouring frequencies were independent: a lower bound.
     data : FrequencyResponse
     model : (f, outputs, inputs) complex array
         Response at ``values``.
@@ -40,6 +42,7 @@ class SpectralFit:
     """
 
     values: Array
+    std: Array
     data: FrequencyResponse
     model: ComplexArray
     cost: Array
@@ -50,6 +53,12 @@ def response_of(structure: Structure, values: Array, frequency_hz: Array) -> Com
     """Return the frequency response (f, outputs, inputs) of a structure at given values."""
     a, b, c, d, delay = structure.matrices(values)
     return state_space_response(a, b, c, d, frequency_hz, delay)
+
+
+def _by_chance(averages: float, inputs: int, frequencies: float) -> float:
+    """Partial coherence that independent signals exceed at any of so many frequencies in 5 % of all cases."""
+    freedom = max(1.8 * averages - inputs, 1.0)
+    return float(1.0 - (0.05 / max(frequencies, 1.0)) ** (1.0 / freedom))
 
 
 def fit_spectral(
@@ -72,7 +81,7 @@ def fit_spectral(
     high_hz : float
         Highest frequency.
     least : float
-        Smallest partial coherence that counts.
+        Smallest partial coherence that counts; more where independent signals would show more.
     points : int
         Frequencies.
 
@@ -85,9 +94,11 @@ def fit_spectral(
         u, y, dt, segment_s=segment_s, low_hz=1.5 / segment_s, high_hz=high_hz, points=points,
         input_names=structure.inputs, output_names=structure.outputs,
     )  # fmt: skip
+    least = max(
+        least, _by_chance(data.averages, len(structure.inputs), (high_hz - 1.5 / segment_s) * segment_s / 1.5)
+    )
     good = (data.partial >= least) & np.isfinite(data.response)
-    # A few coherent frequencies among many occur by chance.
-    good &= good.sum(0) >= max(4, points // 8)
+    good &= good.sum(0) >= 4
     if 2 * good.sum() < len(structure.parameters):
         raise InputError(
             "frequency response", "", f"{int(good.sum())} coherent points for {len(structure.parameters)} parameters",
@@ -121,4 +132,16 @@ def fit_spectral(
     model = response_of(structure, found, data.frequency_hz)
     used = np.where(good.any(axis=0), 1.0, np.nan)
     before = used * misfit(data, response_of(structure, first, data.frequency_hz), least=least)
-    return SpectralFit(found, data, model, used * misfit(data, model, least=least), before)
+    jacobian = np.asarray(solution.jac, dtype=np.float64)
+    curvature = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
+    spread = np.sqrt(
+        np.maximum(np.diag(curvature), 0.0) * 2.0 * solution.cost / max(solution.fun.size - found.size, 1)
+    )
+    return SpectralFit(
+        found,
+        spread * np.where(log, found, size),
+        data,
+        model,
+        used * misfit(data, model, least=least),
+        before,
+    )

@@ -194,6 +194,8 @@ def coherence_of(record: RecordFit) -> tuple[FrequencyResponse, FrequencyRespons
 
 def coherence_picture(record: RecordFit) -> Figure | None:
     """Draw what share of every output, and of its residual, the inputs explain linearly, over frequency."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
     both = coherence_of(record)
     if both is None:
         return None
@@ -220,8 +222,11 @@ def coherence_picture(record: RecordFit) -> Figure | None:
                 )  # fmt: skip
         axes.set_ylim(0.0, 1.02)
         axes.set_ylabel(f"{record.outputs[j]} (1)")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+        axes.xaxis.set_minor_formatter(NullFormatter())
     panels[0].set_title(f"coherence; grey: about what {measured.averages:.1f} segments show by chance")
-    panels[0].legend(ncols=4, loc="upper right")
+    figure.legend(*panels[0].get_legend_handles_labels(), ncols=3, loc="outside lower center")
     panels[-1].set_xlabel("frequency (Hz)")
     return figure
 
