@@ -80,7 +80,7 @@ def flight(
     no_prior: Annotated[bool, typer.Option("--no-prior", help="Start values do not weigh in.")] = False,
     checkpoint: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Kept every iteration; a stopped fit goes on from it. Default: beside --out."),
+        typer.Option(metavar="FILE", help="Kept every iteration; a stopped fit goes on from it. Default: beside OUT."),
     ] = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Do not go on from a checkpoint.")] = False,
     as_json: JsonOption = False,

@@ -1,0 +1,99 @@
+"""``mufly identify flight`` and ``demo`` as a user runs them."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+from mufly.cli import app
+from mufly.errors import InputError
+from mufly.identify.demo_flight import demo_flights
+from mufly.identify.record import dataset_of
+from mufly.logs import write_log
+from mufly.vehicle import load_vehicle
+
+OPTIONS = ["--part", "roll-pitch", "--delay", "25", "--free", "l_up,Tf_up"]
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("logs")
+    fit, held = demo_flights(load_vehicle("mufly-1.1"), seed=1, seconds=5.0)
+    for r in (*fit, *held):
+        write_log(dataset_of(r), folder / f"{r.name}.mcap")
+    return folder
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, ["identify", *map(str, arguments)])
+
+
+def test_flight_writes_vehicle_report_and_numbers(logs, tmp_path):
+    out, report = tmp_path / "new.toml", tmp_path / "report"
+    result = run(
+        "flight", logs / "demo-roll.mcap", "--hold-out", logs / "demo-mixed.mcap", *OPTIONS, "--out", out,
+        "--report", report, "--json",
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert found["converged"]
+    assert [r["role"] for r in found["records"]] == ["fit", "held out"]
+    new = load_vehicle(out)
+    assert float(new.stabiliser_bar.linkage) == pytest.approx(0.48, rel=0.08)
+    assert "demo-roll.mcap" in new.stabiliser_bar.linkage.note
+    assert (report / "report.html").stat().st_size > 10_000
+    assert not list(tmp_path.glob("*checkpoint*"))
+
+
+def test_without_a_held_out_log_the_end_of_the_record_is_held_out(logs):
+    result = run("flight", logs / "demo-roll.mcap", *OPTIONS)
+    assert result.exit_code == 0, result.output
+    assert "held out" in result.output
+    assert "Converged" in result.output
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (["--free", "l_upp"], "did you mean l_up"),
+        (["--part", "roll"], "use one of: both"),
+        (["--method", "simplex"], "use one of: lm, cma"),
+        (["--voltage", "high"], "is no voltage"),
+        (["--outputs", "rotor"], "holds none of"),
+        (["--hold-out-share", "2"], "is no share"),
+    ],
+)
+def test_bad_options_give_one_line(logs, changes, words):
+    with pytest.raises(InputError, match=words):
+        CliRunner().invoke(
+            app,
+            ["identify", "flight", str(logs / "demo-roll.mcap"), *OPTIONS, *changes],
+            catch_exceptions=False,
+        )
+
+
+def test_degrees_in_a_csv_log_are_said(logs, tmp_path):
+    fit, _ = demo_flights(load_vehicle("mufly-1.1"), seed=1, seconds=5.0)
+    data = dataset_of(fit[2])
+    data["measured_attitude"] = data["measured_attitude"] * 57.29578
+    data["measured_attitude"].attrs["units"] = "rad"
+    path = tmp_path / "wrong.nc"
+    write_log(data, path)
+    with pytest.raises(InputError, match="degrees"):
+        CliRunner().invoke(app, ["identify", "flight", str(path), *OPTIONS], catch_exceptions=False)
+
+
+def test_demo_finds_the_truth_and_says_so():
+    code = "from mufly.cli import main; main()"
+    result = subprocess.run(
+        [sys.executable, "-c", code, "identify", "demo", "--seed", "4", "--json"],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    found = json.loads(result.stdout)
+    assert found["converged"]
+    assert len(found["parameters"]) == 12
+    assert sum(p["inside"] for p in found["parameters"]) >= 9
+    assert all(abs(p["start"] / p["truth"] - 1) == pytest.approx(0.5) for p in found["parameters"])
+    assert found["held_out_error_over_noise_floor"] < 1.1
