@@ -14,8 +14,8 @@ from mufly.cli import app
 from mufly.errors import InputError
 from mufly.identify.linear import identify_linear
 from mufly.identify.linear_check import cross_validate, disturbance_model, noise_floor, predict_ahead
+from mufly.identify.linear_columns import Columns, lowpassed, read_columns
 from mufly.identify.linear_fit import fit_linear, predict_linear
-from mufly.identify.linear_record import Record, lowpassed, read_record
 from mufly.identify.linear_simulate import delayed, discretise, responses, simulate_linear
 from mufly.identify.linear_spectral import fit_spectral
 from mufly.identify.linear_structure import GRAVITY, helicopter, model_named
@@ -267,7 +267,7 @@ def test_the_command_fits_predicts_and_reports(log, tmp_path):
 
 
 def test_auto_chooses_inside_the_fitted_part(log):
-    record = read_record(log)
+    record = read_columns(log)
     spoilt = replace(record, columns={**record.columns, "p": record.columns["p"].copy()})
     spoilt.columns["p"][300:] = 7.0 * np.sin(np.arange(300.0))
     kinds = {"candidates": ("first-order", "first-order-coupled"), "starts": 1, "split": 0.5}
@@ -286,18 +286,18 @@ def test_columns_of_matlab_and_of_headless_files(tmp_path):
     t = 0.01 * np.arange(200)
     path = tmp_path / "a.mat"
     savemat(path, {"t": t[:, None], "inr": np.c_[np.sin(t), np.cos(t)], "word": "x"})
-    record = read_record(path, columns={"inr": ["lat", "-"]})
+    record = read_columns(path, columns={"inr": ["lat", "-"]})
     assert set(record.columns) == {"lat"}
     assert record.dt == pytest.approx(0.01)
-    assert set(read_record(path).columns) == {"inr0", "inr1"}
+    assert set(read_columns(path).columns) == {"inr0", "inr1"}
     bare = tmp_path / "b.csv"
     np.savetxt(bare, np.c_[t, np.sin(t)], delimiter=",")
-    assert read_record(bare, columns=["time", "p"]).columns["p"] == pytest.approx(np.sin(t))
+    assert read_columns(bare, columns=["time", "p"]).columns["p"] == pytest.approx(np.sin(t))
 
 
 def test_names_are_found_by_their_end_and_ambiguity_is_said():
     t = np.arange(30.0)
-    r = Record(
+    r = Columns(
         "x", t, {"measured_rates.p": t, "reference_rates.p": -t, "reference_rates.q": t, "a.s": t, "b.s": t}
     )
     assert r.find("p", "--outputs") is r.columns["measured_rates.p"]
@@ -347,7 +347,7 @@ def test_trex_550_second_half_is_predicted_as_documented():
         "inr": ["lat", "lon", "ped", "col"],
         "outr": ["u", "v", "p", "q", "phi", "theta", "-", "-", "w", "r"],
     }
-    record = read_record(TREX, columns=names)
+    record = read_columns(TREX, columns=names)
     record = record.part(0, int((record.time_s <= 84.0).sum()))
     r = identify_linear(
         record,

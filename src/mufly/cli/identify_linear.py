@@ -73,9 +73,9 @@ def linear(
     """
     from mufly.errors import InputError
     from mufly.identify.linear import identify_linear
-    from mufly.identify.linear_record import read_record
+    from mufly.identify.linear_columns import read_columns
 
-    record = read_record(log, columns=_columns(columns or ()))
+    record = read_columns(log, columns=_columns(columns or ()))
     if start_s is not None or end_s is not None:
         t = record.time_s
         a = 0 if start_s is None else int((t < start_s).sum())

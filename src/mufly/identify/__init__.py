@@ -3,25 +3,42 @@
 from mufly.identify.demo import Demo, run_demo
 from mufly.identify.fit import Progress, fit_flights
 from mufly.identify.free import Free, choose_free
+from mufly.identify.linear import identify_linear
+from mufly.identify.linear_columns import Columns, read_columns
+from mufly.identify.linear_result import LinearFit, LinearResult
+from mufly.identify.missing import what_is_missing
 from mufly.identify.record import Record, check_record, record_from, split
+from mufly.identify.report import Section, write_report
+from mufly.identify.residuals import Quality, qualities, quality
 from mufly.identify.result import Estimate, Fit, RecordFit
 from mufly.identify.split_fit import fit_split
 from mufly.identify.written import with_estimates
 
 __all__ = [
+    "Columns",
     "Demo",
     "Estimate",
     "Fit",
     "Free",
+    "LinearFit",
+    "LinearResult",
     "Progress",
+    "Quality",
     "Record",
     "RecordFit",
+    "Section",
     "check_record",
     "choose_free",
     "fit_flights",
     "fit_split",
+    "identify_linear",
+    "qualities",
+    "quality",
+    "read_columns",
     "record_from",
     "run_demo",
     "split",
+    "what_is_missing",
     "with_estimates",
+    "write_report",
 ]

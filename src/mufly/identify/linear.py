@@ -21,6 +21,7 @@ from mufly.identify.linear_check import (
     disturbance_model,
     noise_floor,
 )
+from mufly.identify.linear_columns import Columns, lowpassed
 from mufly.identify.linear_evaluate import (
     HORIZONS_S,
     against_angle,
@@ -31,7 +32,6 @@ from mufly.identify.linear_evaluate import (
     subspace_check,
 )
 from mufly.identify.linear_fit import fit_linear, predict_linear
-from mufly.identify.linear_record import Record, lowpassed
 from mufly.identify.linear_result import LinearFit, LinearResult
 from mufly.identify.linear_structure import Structure, model_named
 from mufly.identify.linear_subspace import equation_error
@@ -54,7 +54,7 @@ _ANGLE = {"p": "phi", "q": "theta"}
 
 
 def identify_linear(
-    record: Record, inputs: Mapping[str, str], outputs: Mapping[str, str], *, model: str = "auto",
+    record: Columns, inputs: Mapping[str, str], outputs: Mapping[str, str], *, model: str = "auto",
     candidates: Sequence[str] = CANDIDATES, split: float = 0.5, split_at_s: float | None = None,
     lowpass_hz: float | None = 5.0,
     rate_hz: float | None = 25.0, starts: int = 6, seed: int = 0, hold: bool = False,
@@ -64,7 +64,7 @@ def identify_linear(
 
     Parameters
     ----------
-    record : Record
+    record : Columns
     inputs, outputs : dict
         Our names (lat, lon, ped, col; p, q, r, phi, theta, u, v, w) to columns; ``-`` before a column turns its sign.
     model : str
@@ -192,7 +192,7 @@ def identify_linear(
     )  # fmt: skip
 
 
-def _columns(record: Record, wanted: Mapping[str, str], option: str) -> Array:
+def _columns(record: Columns, wanted: Mapping[str, str], option: str) -> Array:
     columns = []
     for name, column in wanted.items():
         sign = -1.0 if column.startswith("-") else 1.0
@@ -202,7 +202,7 @@ def _columns(record: Record, wanted: Mapping[str, str], option: str) -> Array:
     return np.column_stack(columns)
 
 
-def _angle(record: Record, name: str, outs: tuple[str, ...], y: Array) -> Array | None:
+def _angle(record: Columns, name: str, outs: tuple[str, ...], y: Array) -> Array | None:
     angle = _ANGLE.get(name)
     if angle is None:
         return None
@@ -228,7 +228,7 @@ def _thinned(
 
 
 def _records(
-    record: Record, parts: Mapping[str, slice], linear: LinearFit, y: Array, simulated: Array,
+    record: Columns, parts: Mapping[str, slice], linear: LinearFit, y: Array, simulated: Array,
     floors: Mapping[str, tuple[NoiseFloor, ...]], u: Array, names: tuple[str, ...],
 ) -> tuple[RecordFit, ...]:  # fmt: skip
     made = []

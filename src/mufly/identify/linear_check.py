@@ -27,8 +27,8 @@ from scipy.linalg import solve_discrete_are
 from scipy.optimize import minimize
 from scipy.signal import periodogram
 
+from mufly.identify.linear_columns import lowpassed
 from mufly.identify.linear_fit import fit_linear, predict_linear
-from mufly.identify.linear_record import lowpassed
 from mufly.identify.linear_result import LinearFit
 from mufly.identify.linear_simulate import discretise
 from mufly.identify.linear_structure import Structure

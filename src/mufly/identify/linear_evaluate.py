@@ -10,7 +10,7 @@ from scipy.signal import butter, sosfilt
 
 from mufly.errors import InputError
 from mufly.identify.linear_check import Disturbance, NoiseFloor, predict_ahead
-from mufly.identify.linear_record import lowpassed
+from mufly.identify.linear_columns import lowpassed
 from mufly.identify.linear_result import Ahead, LinearFit
 from mufly.identify.linear_spectral import SpectralFit, fit_spectral
 from mufly.identify.linear_subspace import Subspace, subspace

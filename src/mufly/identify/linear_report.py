@@ -182,7 +182,7 @@ def slow_picture(r: LinearResult) -> Figure:
     from matplotlib import rcParams
     from matplotlib.figure import Figure
 
-    from mufly.identify.linear_record import lowpassed
+    from mufly.identify.linear_columns import lowpassed
     from mufly.identify.report_pictures import VERMILION
 
     m = len(r.linear.structure.outputs)

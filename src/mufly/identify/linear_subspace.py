@@ -163,7 +163,7 @@ def equation_error(
     dict of symbol to (value, standard deviation)
         ``{"L_p": (-3.1, 0.2), "L_lat": ...}``; the deviations are corrected for coloured residuals.
     """
-    from mufly.identify.linear_record import lowpassed
+    from mufly.identify.linear_columns import lowpassed
     from mufly.identify.uncertainty import coloured_covariance
 
     used = u.std(axis=0) > 0.0

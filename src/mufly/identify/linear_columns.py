@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError
 
-__all__ = ["Record", "lowpassed", "read_record"]
+__all__ = ["Columns", "lowpassed", "read_columns"]
 
 Array = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ _TIME = ("time", "t", "time_s", "timestamp", "timestamp_s")
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class Columns:
     """Columns on an even clock.
 
     Attributes
@@ -67,19 +67,19 @@ class Record:
             option, name, problem, f"write {name}=COLUMN with one of: {', '.join(best) or shown}"
         )
 
-    def part(self, start: int, stop: int) -> Record:
+    def part(self, start: int, stop: int) -> Columns:
         """Return samples ``start`` to ``stop`` (not included)."""
         return replace(
             self, time_s=self.time_s[start:stop], columns={k: v[start:stop] for k, v in self.columns.items()}
         )
 
 
-def read_record(
+def read_columns(
     path: str | Path,
     *,
     columns: Mapping[str, Sequence[str]] | Sequence[str] = (),
     rate_hz: float | None = None,
-) -> Record:
+) -> Columns:
     """Read a log.
 
     Parameters
@@ -177,7 +177,7 @@ def _log(path: Path) -> dict[str, Array]:
     return found
 
 
-def _even(name: str, found: dict[str, Array], rate_hz: float | None) -> Record:
+def _even(name: str, found: dict[str, Array], rate_hz: float | None) -> Columns:
     key = next((c for c in found if c.lower() in _TIME), None)
     if key is None:
         raise InputError(name, "", "has no column of time", f"call it one of {', '.join(_TIME)}, in seconds")
@@ -208,7 +208,7 @@ def _even(name: str, found: dict[str, Array], rate_hz: float | None) -> Record:
         if missing[k]:
             notes.append(f"{missing[k]} samples of {k} are missing and were bridged")
         columns[k] = v if even and good.all() else np.interp(t, time[good], v[good])
-    return Record(name, t, columns, tuple(notes))
+    return Columns(name, t, columns, tuple(notes))
 
 
 def lowpassed(signal: Array, dt: float, cut_hz: float) -> Array:
