@@ -12,10 +12,18 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import time
 
 import numpy as np
 
-from mufly.identify.demo import DEMO_FREE, run_demo
+from mufly.identify import Fit, run_demo
+from mufly.identify.demo import DEMO_FREE
+
+
+def cost_of(fit: Fit, judge: Fit) -> float:
+    """Half the sum of squares of a fit's residuals over the noise that another fit found."""
+    pairs = zip(fit.records_of("fit"), judge.records_of("fit"), strict=True)
+    return sum(0.5 * float(np.nansum((a.residual / b.noise_std) ** 2)) for a, b in pairs)
 
 
 def main() -> None:
@@ -28,6 +36,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     run_demo(seed=10_000)  # compiles
+    cpu_start = time.process_time()
     rows = []
     for seed in range(arguments.first, arguments.first + arguments.seeds):
         demo = run_demo(seed=seed)
@@ -45,7 +54,8 @@ def main() -> None:
         if seed - arguments.first < arguments.cma:
             other = run_demo(seed=seed, method="cma")
             row["cma"] = {
-                "cost": other.fit.cost, "seconds": other.fit.seconds, "simulations": other.fit.simulations,
+                "cost_above_lm": cost_of(other.fit, demo.fit) - cost_of(demo.fit, demo.fit),
+                "seconds": other.fit.seconds, "simulations": other.fit.simulations,
                 "largest_difference_in_std": max(
                     abs(a.value - b.value) / b.std
                     for a, b in zip(other.fit.estimates, demo.fit.estimates, strict=True)
@@ -69,6 +79,7 @@ def main() -> None:
         "held_out_worst": max(r["held_out"] for r in rows),
         "seconds_median": float(np.median([r["seconds"] for r in rows])),
         "seconds_worst": max(r["seconds"] for r in rows),
+        "processor_seconds_a_seed": (time.process_time() - cpu_start) / len(rows),
         "load_average": os.getloadavg()[0],
     }
     print(json.dumps({"summary": summary, "rows": rows} if arguments.json else summary, indent=2))

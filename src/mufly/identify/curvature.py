@@ -19,10 +19,15 @@ from numpy.typing import NDArray
 from mufly.identify.levenberg import Point, Reduced, stacked_jacobian
 from mufly.identify.problem import Problem
 
-__all__ = ["bend_of_valley"]
+__all__ = ["bend_of_valley", "flights_of"]
 
 _Array = NDArray[np.float64]
 _CHORDS = 4
+
+
+def flights_of(problem: Problem) -> int:
+    """Return how many flights :func:`bend_of_valley` takes."""
+    return _CHORDS * (2 * len(problem.free) + 1) * len(problem.records)
 
 
 def bend_of_valley(problem: Problem, point: Point, reduced: Sequence[Reduced]) -> _Array:

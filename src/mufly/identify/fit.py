@@ -26,7 +26,7 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 from mufly.errors import InputError
 from mufly.identify.checkpoint import digest_of, read_checkpoint, write_checkpoint
 from mufly.identify.covariance import covariance_of, unseen_in_words
-from mufly.identify.curvature import bend_of_valley
+from mufly.identify.curvature import bend_of_valley, flights_of
 from mufly.identify.evolution import Course, evolve
 from mufly.identify.free import Free, physical
 from mufly.identify.levenberg import Point, descend, reduce_record, stacked_jacobian
@@ -354,6 +354,8 @@ def _result(problem: Problem, point: Point, run: _Run, converged: bool, seconds:
         records.append(_record_fit(problem, i, point, "fit"))
     covariance, coloured = covariance_of(sensitivities, residuals, problem.prior_std)
     bend = bend_of_valley(problem, point, reduced)
+    flown = point.simulations + flights_of(problem)
+    flown += sum(1 + len(free) + s.shape[1] for s in point.states)
     covariance = covariance + 2.0 * bend.T @ bend
     data = np.concatenate([s.reshape(-1, len(free)) for s in sensitivities])
     # What Gauss and Newton would still gain: at a minimum nothing.
@@ -388,7 +390,7 @@ def _result(problem: Problem, point: Point, run: _Run, converged: bool, seconds:
         cost=point.cost,
         history=tuple(run.history),
         method=f"output error, {names[run._method]}, {problem.part}",
-        simulations=point.simulations,
+        simulations=flown,
         seconds=seconds,
         converged=converged and settled,
         message="; ".join(notes) if notes else "converged",
