@@ -51,7 +51,10 @@ SECTIONS = {
     "kpf": ("naca5503", False),
     "vp_": ("naca5503", False),
     "dji9443": ("naca5503", False),
-    "tmotor28": ("goe408", False),  # stand-in that came with the data
+    "tmotor28": (
+        "goe450",
+        False,
+    ),  # stand-ins that came with the data: GOE 450, GOE 408 at the two outermost stations
 }
 
 
@@ -75,7 +78,7 @@ def rows_of(path: Path) -> np.ndarray:
 
 
 def _rotor(
-    name: str, blades: int, radius: float, x0: float, x: object, c: object, deg: object, foil: str
+    name: str, blades: int, radius: float, x0: float, x: object, c: object, deg: object, *foils: str
 ) -> Rotor:
     def q(value: object, unit: str) -> dict[str, object]:
         values = tuple(np.asarray(value, dtype=float)) if np.ndim(value) else float(value)
@@ -85,7 +88,7 @@ def _rotor(
         "r_over_R": q(x, "1"),
         "chord": q(c, "m"),
         "twist": q(np.radians(deg), "rad"),
-        "airfoils": (foil,),
+        "airfoils": foils,
     }
     return Rotor(name=name, blades=blades, radius=q(radius, "m"), hub_cutout=q(x0, "1"), blade=blade)
 
@@ -193,18 +196,22 @@ def others(folder: Path, data: Path = DATA) -> list[Case]:
             t_motor(),
             False,
             _measured("T-motor 28", 0, m[:, 0], m[:, 3], m[:, 4]),
-            AIR,
+            T_MOTOR_AIR,
         )
     )
     return cases
 
 
+T_MOTOR_AIR = Air(1.225, 1.81e-5)  # of its source's own case file
+
+
 def t_motor() -> Rotor:
-    """The 28 inch rotor, tip section as its last measured one."""
+    """The 28 inch rotor, sections as its source's case file has them, the tip as its last measured station."""
     r = np.array([3.556, 7.112, 10.668, 14.224, 17.78, 21.336, 24.892, 28.448, 32.004, 35.56]) / 100
     chord = np.array([31, 56, 70, 70, 65, 58, 50, 43, 34, 34]) / 1000
     deg = np.array([0, 19.6, 17.9, 14.4, 11.6, 9.7, 8.4, 7.2, 6.7, 6.7])
-    return _rotor("tmotor28", 2, 0.3556, 0.07 / 0.3556, r / 0.3556, chord, deg, SECTIONS["tmotor28"][0])
+    foils = [SECTIONS["tmotor28"][0]] * 7 + ["goe408"] * 3
+    return _rotor("tmotor28", 2, 0.3556, 0.07 / 0.3556, r / 0.3556, chord, deg, *foils)
 
 
 REYNOLDS = np.geomspace(1e3, 3e6, 36)  # the 1.1 m rotor reaches 2e6

@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 from rotor_cases import (
-    AIR,
     DATA,
     RPM,
+    T_MOTOR_AIR,
     Case,
     blading_of,
     errors,
@@ -29,6 +29,7 @@ from rotor_cases import (
     table_3_2,
 )
 
+from mufly.rotor.blading import Blading
 from mufly.rotor.coaxial import balance_torque, coaxial
 from mufly.rotor.compare import calibrate, compare
 from mufly.rotor.corrections import PLAIN, Corrections
@@ -245,17 +246,21 @@ def report_coaxial(case: Case, data: Path = DATA) -> None:
         ],
         rows,
     )
-    rotor = Case("tmotor28", "", t_motor(), False, case.measured, AIR)
-    big = blading_of(rotor)
+    rotor = Case("tmotor28", "", t_motor(), False, case.measured, T_MOTOR_AIR)
+    for n_crit in (0.1, 4.0, 9.0):
+        _report_28_inch(blading_of(rotor, n_crit=n_crit), f"28 inch pair, n_crit {n_crit:g}", data)
+
+
+def _report_28_inch(big: Blading, label: str, data: Path) -> None:
     found = []
     for rpm_l, t_l, q_l, _, t_u, q_u, _, rpm_u in rows_of(data / "tmotor28_coaxial.csv"):
         r = coaxial(big, big, spacing_m=0.115, upper_pitch_rad=0, lower_pitch_rad=0,
-                    upper_speed_rad_s=rpm_u * RPM, lower_speed_rad_s=rpm_l * RPM)  # fmt: skip
+                    upper_speed_rad_s=rpm_u * RPM, lower_speed_rad_s=rpm_l * RPM, air=T_MOTOR_AIR)  # fmt: skip
         found.append([r.upper.thrust_N / t_u, r.upper.torque_Nm / q_u, r.lower.thrust_N / t_l, r.lower.torque_Nm / q_l,
                       r.thrust_N / (t_u + t_l), (r.upper.torque_Nm + r.lower.torque_Nm) / (q_u + q_l)])  # fmt: skip
     error = 100 * (np.array(found) - 1)
     _print_table(
-        ["28 inch pair", "upper T", "upper Q", "lower T", "lower Q", "T together", "Q together"],
+        [label, "upper T", "upper Q", "lower T", "lower Q", "T together", "Q together"],
         [
             ["bias"] + [f"{v:+.1f} %" for v in error.mean(axis=0)],
             ["mean error"] + [f"{v:.1f} %" for v in np.abs(error).mean(axis=0)],

@@ -1,0 +1,163 @@
+"""The wake method beside every single rotor in ../shared/data, untuned, as Markdown tables.
+
+    python benchmarks/validate_wake.py                      # all: 15 minutes on two idle cores
+    python benchmarks/validate_wake.py table others         # Table 3.2; the three larger rotors
+    python benchmarks/validate_wake.py --keep solved        # a stopped run goes on where it was
+
+Coaxial pairs: validate_wake_pairs.py. What is assumed of the rotors: rotor_cases.py, the same for both methods.
+Transition: n_crit 0.1 is the default everywhere; the other values show what it does. n_crit 9 was chosen for the 28
+inch rotor (clean air, Re 1e5 to 3e5) before its results were seen.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from rotor_cases import DATA, RPM, blading_of, others, propellers, rows_of, table_3_2
+from wake_cases import Answer, Solver, arguments, farewell, percent, table
+
+from mufly.rotor import hover_batch
+from mufly.rotor.wake import WakeSettings
+
+OFFSET_DEG = 1.2  # pitch error of the bench that would explain Table 3.2; shown, never applied
+
+
+def report_table_3_2(solver: Solver) -> None:
+    """Four points: default settings, the dissertation's four CFD models, and what the open choices do."""
+    case = table_3_2()
+    m = case.measured
+    cfd = rows_of(DATA / "thesis_table_3_2.csv")[:, 4:]
+    n = m.thrust_N.size
+
+    def points(offset_deg: float = 0.0, **kw: object) -> list[Answer]:
+        return [
+            solver.single(case, m.pitch_rad[i] + np.radians(offset_deg), m.speed_rad_s[i], **kw)  # type: ignore[arg-type]
+            for i in range(n)
+        ]
+
+    ours = points()
+    bemt = hover_batch(blading_of(case), pitch_rad=m.pitch_rad, speed_rad_s=m.speed_rad_s)
+    for label, unit, scale, measured, mine, quick, first in (
+        ("thrust", "N", 1.0, m.thrust_N, [a.thrust[0] for a in ours], bemt.thrust_N, 0),
+        ("torque", "mN m", 1e3, m.torque_Nm, [a.torque[0] for a in ours], bemt.torque_Nm, 1),
+    ):
+        table(
+            f"Table 3.2, {label}: deviation from the measurement, %",
+            ["pitch, rpm", f"measured {unit}", f"wake {unit}", "wake", "BEMT", "CFD laminar", "k-epsilon", "k-omega",
+             "BSL", "wake / mean of the first three CFD"],
+            [
+                [f"{np.degrees(m.pitch_rad[i]):.0f}, {m.speed_rad_s[i] / RPM:.0f}", f"{scale * measured[i]:.4g}",
+                 f"{scale * mine[i]:.4g}{ours[i].mark()}", percent(mine[i], measured[i]),
+                 percent(quick[i], measured[i]), *(percent(v, measured[i]) for v in cfd[i, first::2]),
+                 percent(mine[i], float(np.mean(cfd[i, first:6:2])))]
+                for i in range(n)
+            ],
+        )  # fmt: skip
+
+    def row(label: str, found: list[Answer]) -> list[str]:
+        t = [percent(a.thrust[0], v) + a.mark() for a, v in zip(found, m.thrust_N, strict=True)]
+        q = [percent(a.torque[0], v) for a, v in zip(found, m.torque_Nm, strict=True)]
+        return [label, *t, *q]
+
+    rows = [row("default", ours)]
+    rows += [row(f"n_crit {x:g}", points(n_crit=x)) for x in (1.0, 4.0, 9.0)]
+    rows += [row(f"hub cut-out {x:g} R", points(cutout=x)) for x in (0.1, 0.2)]
+    rows += [
+        row("inviscid", points(settings=WakeSettings(inviscid=True))),
+        row("prescribed wake", points(settings=WakeSettings(model="prescribed"))),
+        row(f"pitch {OFFSET_DEG:+.1f} deg (not applied)", points(OFFSET_DEG)),
+    ]
+    table("Table 3.2: what the choices do, deviation in thrust (four points), in torque, %",
+          ["", *(["thrust"] + [""] * 3), *(["torque"] + [""] * 3)], rows)  # fmt: skip
+
+
+def report_others(solver: Solver, folder: Path) -> None:
+    """Caradonna and Tung, DJI 9443, the 28 inch rotor alone, at three transitions."""
+    rows = []
+    for case in others(folder):
+        m = case.measured
+        size = m.thrust_N.size
+        chosen = np.arange(size) if size < 6 else np.linspace(0, size - 1, 5).round().astype(int)
+        for n_crit in (0.1, 4.0, 9.0):
+            found = [solver.single(case, m.pitch_rad[i], m.speed_rad_s[i], n_crit=n_crit) for i in chosen]
+            t = np.array([a.thrust[0] for a in found]) / m.thrust_N[chosen] - 1
+            q = np.array([a.torque[0] for a in found]) / m.torque_Nm[chosen] - 1
+            quick = hover_batch(
+                blading_of(case, n_crit=n_crit), pitch_rad=m.pitch_rad[chosen],
+                speed_rad_s=m.speed_rad_s[chosen], air=case.air,
+            ).thrust_N / m.thrust_N[chosen] - 1  # fmt: skip
+            known = bool(np.isfinite(q).all())
+            rows.append([
+                case.name, f"{n_crit:g}",
+                ", ".join(f"{100 * v:+.1f}{a.mark()}" for v, a in zip(t, found, strict=True)),
+                f"{100 * np.abs(t).mean():.1f}",
+                ", ".join(f"{100 * v:+.1f}" for v in q) if known else "not measured",
+                f"{100 * np.abs(q).mean():.1f}" if known else "",
+                ", ".join(f"{100 * v:+.1f}" for v in quick),
+            ])  # fmt: skip
+    table(
+        "Other single rotors, %",
+        ["rotor", "n_crit", "thrust", "mean", "torque", "mean", "thrust by BEMT"],
+        rows,
+    )
+
+
+def report_propellers(solver: Solver, folder: Path) -> None:
+    """Seventeen propellers at their least, middle and greatest speed, beside BEMT at the same points."""
+    rows, scores, known = [], [], []
+    for case in propellers(folder):
+        m = case.measured
+        chosen = np.array([0, m.thrust_N.size // 2, m.thrust_N.size - 1])
+        found = [solver.single(case, m.pitch_rad[i], m.speed_rad_s[i]) for i in chosen]
+        quick = hover_batch(
+            blading_of(case), pitch_rad=m.pitch_rad[chosen], speed_rad_s=m.speed_rad_s[chosen], air=case.air
+        )
+        t, q = m.thrust_N[chosen], m.torque_Nm[chosen]
+        good = np.array([a.converged for a in found])
+        errors = [
+            100 * (np.array(v) / w - 1)[good]
+            for v, w in (
+                ([a.thrust[0] for a in found], t), (quick.thrust_N, t),
+                ([a.torque[0] for a in found], q), (quick.torque_Nm, q),
+            )
+        ]  # fmt: skip
+        section = Path(case.rotor.airfoil_names()[0]).stem + ("" if case.known else " (guess)")
+        cells = [f"{np.abs(e).mean():.1f} ({e.mean():+.1f})" if e.size else "none" for e in errors]
+        rows.append([case.name, section, *cells, f"{good.sum()} of {good.size}"])
+        if good.any():
+            scores.append([np.abs(e).mean() for e in errors])
+            known.append(case.known)
+    table(
+        "UIUC propellers, three speeds each: mean absolute deviation (bias), %",
+        ["propeller", "section", "c_T wake", "c_T BEMT", "c_P wake", "c_P BEMT", "converged"], rows,
+    )  # fmt: skip
+    every, mask = np.array(scores), np.array(known)
+    for label, part in (("all", every), ("section known", every[mask]), ("section guessed", every[~mask])):
+        a, b, c, d = part.mean(axis=0)
+        print(f"{label}, {len(part)} propellers: c_T {a:.1f} (BEMT {b:.1f}), c_P {c:.1f} (BEMT {d:.1f})")
+    print()
+
+
+def main() -> None:
+    """Print the tables."""
+    args = arguments(__doc__, ("table", "others", "propellers"))
+    if not DATA.is_dir():
+        sys.exit(
+            "validate_wake: the measurements (../shared/data/aero) are not here; nothing to compare with"
+        )
+    solver = Solver(args.keep)
+    with tempfile.TemporaryDirectory() as name:
+        if "table" in args.parts:
+            report_table_3_2(solver)
+        if "others" in args.parts:
+            report_others(solver, Path(name))
+        if "propellers" in args.parts:
+            report_propellers(solver, Path(name))
+    farewell(solver)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,205 @@
+"""What validate_wake.py, validate_wake_pairs.py and wake_study.py share: solved wakes that are kept, and tables.
+
+With a folder, every solved case is written there and read again by the next run, so that a stopped run loses nothing.
+The folder knows the question, not the program: empty it after the wake method has changed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from rotor_cases import REYNOLDS, Case, blading_of
+
+from mufly.errors import MuflyError
+from mufly.rotor import Air, polars, replace_rotor
+from mufly.rotor.blading import Blading, prepare
+from mufly.rotor.wake import WakeSettings, WakeSolution, balance_torque_wake, coaxial_wake, hover_wake
+
+RPM = np.pi / 30
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A solved case: thrust (N), torque (N m) and speed (rad/s) of each rotor, and how the solution went."""
+
+    thrust: tuple[float, ...]
+    torque: tuple[float, ...]
+    speed: tuple[float, ...]
+    converged: bool
+    iterations: int
+    residual: float
+    seconds: float
+
+    def mark(self) -> str:
+        """Return an asterisk for a solution that did not converge."""
+        return "" if self.converged else " (*)"
+
+
+FAILED = Answer((np.nan,) * 2, (np.nan,) * 2, (np.nan,) * 2, False, 0, np.nan, 0.0)
+
+
+class Solver:
+    """Solves cases, each from the last wake of the same family; keeps the answers."""
+
+    def __init__(self, folder: Path | None = None) -> None:
+        self.folder = folder
+        self.wakes: dict[str, WakeSolution] = {}
+        self.broken: list[str] = []
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+
+    def _kept(self, question: object, family: str, solve: Callable[[], WakeSolution]) -> Answer:
+        key = json.dumps(question, sort_keys=True, default=str)
+        path = self.folder and self.folder / f"{hashlib.sha256(key.encode()).hexdigest()[:24]}.json"
+        if path and path.is_file():
+            kept = json.loads(path.read_text())["answer"]
+            return Answer(*(tuple(v) if isinstance(v, list) else v for v in kept.values()))
+        begin = time.perf_counter()
+        try:
+            found = solve()
+        except MuflyError as error:
+            self.broken.append(f"{key}: {error}")
+            return FAILED
+        rotors = found.rotors
+        answer = Answer(
+            tuple(r.thrust_N for r in rotors), tuple(r.torque_Nm for r in rotors),
+            tuple(r.speed_rad_s for r in rotors), found.converged, found.iterations, found.residual,
+            time.perf_counter() - begin,
+        )  # fmt: skip
+        if found.converged:
+            self.wakes[family] = found
+        else:
+            self.broken.append(f"{key}: {found.message}")
+        if path:
+            path.write_text(json.dumps({"question": question, "answer": asdict(answer)}, default=str))
+        print(f"  {family} {answer.iterations} iterations, {answer.seconds:.1f} s", file=sys.stderr)
+        return answer
+
+    def single(
+        self,
+        case: Case,
+        pitch: float,
+        speed: float,
+        *,
+        n_crit: float = 0.1,
+        cutout: float | None = None,
+        panels: int | None = None,
+        settings: WakeSettings | None = None,
+        warm: bool = True,
+    ) -> Answer:
+        """One rotor of ``rotor_cases``; pitch in rad, speed in rad/s."""
+        how = settings or WakeSettings()
+        question = ("single", case.name, pitch, speed, n_crit, cutout, panels, asdict(how), asdict(case.air))
+
+        def solve() -> WakeSolution:
+            rotor = laid_out(case, n_crit, cutout, panels)
+            start = self.wakes.get(case.name) if warm else None
+            return hover_wake(
+                rotor, pitch_rad=pitch, speed_rad_s=speed, air=case.air, settings=how, start=start
+            )
+
+        return self._kept(question, case.name, solve)
+
+    def pair(
+        self,
+        name: str,
+        rotor: Blading,
+        *,
+        spacing: float,
+        pitch: tuple[float, float],
+        speed: tuple[float, float],
+        air: Air,
+        n_crit: float = 0.1,
+        settings: WakeSettings | None = None,
+        warm: bool = True,
+    ) -> Answer:
+        """Two rotors alike; (upper, lower), rad and rad/s."""
+        how = settings or WakeSettings()
+        question = ("pair", name, spacing, pitch, speed, asdict(air), n_crit, asdict(how))
+
+        def solve() -> WakeSolution:
+            return coaxial_wake(
+                rotor, rotor, spacing_m=spacing, upper_pitch_rad=pitch[0], lower_pitch_rad=pitch[1],
+                upper_speed_rad_s=speed[0], lower_speed_rad_s=speed[1], air=air, settings=how,
+                start=self.wakes.get(name) if warm else None,
+            )  # fmt: skip
+
+        return self._kept(question, name, solve)
+
+    def balanced(
+        self,
+        name: str,
+        rotor: Blading,
+        *,
+        spacing: float,
+        pitch: tuple[float, float],
+        upper_speed: float,
+        air: Air,
+    ) -> Answer:
+        """Two rotors alike at the lower speed that balances the torques."""
+        question = ("balanced", name, spacing, pitch, upper_speed, asdict(air))
+
+        def solve() -> WakeSolution:
+            return balance_torque_wake(
+                rotor, rotor, spacing_m=spacing, upper_pitch_rad=pitch[0], lower_pitch_rad=pitch[1],
+                upper_speed_rad_s=upper_speed, air=air, start=self.wakes.get(name),
+            )  # fmt: skip
+
+        return self._kept(question, name, solve)
+
+
+def laid_out(case: Case, n_crit: float, cutout: float | None, panels: int | None) -> Blading:
+    """A case with another hub cut-out or another number of panels."""
+    rotor = case.rotor if cutout is None else replace_rotor(case.rotor, {"hub_cutout": cutout})
+    tables = polars(list(rotor.airfoil_names()), n_crit=n_crit, reynolds=REYNOLDS)
+    return prepare(rotor, tables, stations=panels or case_stations(case))
+
+
+def case_stations(case: Case) -> int:
+    """Stations that a case is laid out with by default."""
+    return int(blading_of(case).r_m.shape[1])
+
+
+def percent(ours: float, theirs: float) -> str:
+    """Return the deviation of ours from theirs."""
+    return f"{100 * (ours / theirs - 1):+.1f}"
+
+
+def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a Markdown table."""
+    print(f"**{title}**\n")
+    print("| " + " | ".join(head) + " |")
+    print("|" + "---|" * len(head))
+    for row in rows:
+        print("| " + " | ".join(row) + " |")
+    print(flush=True)
+
+
+def arguments(doc: str | None, parts: Sequence[str]) -> argparse.Namespace:
+    """Read the command line that the scripts share."""
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(parts)}; default: all")
+    parser.add_argument(
+        "--keep", type=Path, metavar="DIR", help="keep solved cases there, and read them again"
+    )
+    args = parser.parse_args()
+    unknown = sorted(set(args.parts) - set(parts))
+    if unknown:
+        parser.error(f"{', '.join(unknown)}: no part; use {', '.join(parts)}")
+    args.parts = args.parts or list(parts)
+    return args
+
+
+def farewell(solver: Solver) -> None:
+    """Say what did not converge."""
+    print("Every case converged." if not solver.broken else "(*) not converged:")
+    for line in solver.broken:
+        print("  " + line[-300:])
