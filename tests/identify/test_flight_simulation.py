@@ -99,6 +99,14 @@ def test_delay_acts_smoothly_across_a_whole_sample(case):
     assert values[2] - values[1] == pytest.approx(values[1] - values[0], rel=0.05)
 
 
+def test_a_nanosecond_more_of_a_whole_sample_has_the_slope_of_a_millisecond(case):
+    p, x, u = case
+    k = OUTPUTS.index("p")
+    at, tiny, small = (fly(p, x, u, delay=d)[0, :, k] for d in (0.02, 0.02 + 1e-9, 0.02 + 1e-4))
+    slope, wanted = (tiny - at) / 1e-9, (small - at) / 1e-4
+    assert np.linalg.norm(slope - wanted) < 0.02 * np.linalg.norm(wanted)
+
+
 def test_a_window_that_starts_where_the_flight_is_changes_nothing_but_the_bar(case):
     p, x, u = case
     states = reference(p, x, u)

@@ -6,7 +6,7 @@ With whitened sensitivities ``S`` (start values eliminated), residual ``e`` and 
     covariance = H^-1 (sum_ij S_i^T R(i - j) S_j + P) H^-1       coloured residuals, R their autocorrelation
 
 (Maine and Iliff, NASA RP 1168, Sec. 8.2; Klein and Morelli, Sec. 6.3). ``R`` is estimated from the residuals with
-Parzen's window, which reaches twice as far as the autocorrelation stands out of its noise (three deviations); where
+Parzen's window, which reaches twice as far as the autocorrelation stands out of its noise (3.9 deviations); where
 none does, the residual counts as white, because the estimate of a correlation that is not there only adds noise.
 No variance is taken to be smaller than Cramer-Rao's.
 
@@ -33,6 +33,7 @@ _OPEN = 0.5  # a direction that the data leave open by more is not seen
 _CLOSE = 0.98  # correlation of a pair that is hardly told apart ...
 _MATTERS = 0.005  # ... if that leaves each of them open by more than this
 _QUIET_LAGS = 10
+_STANDS_OUT = 3.9  # deviations; some 300 lags of a fit are looked at, and none should by chance
 
 
 def colour_reach(residual: _Array, longest: int) -> int:
@@ -44,7 +45,7 @@ def colour_reach(residual: _Array, longest: int) -> int:
     full = np.asarray(np.fft.irfft(np.abs(np.fft.rfft(e, 2 * n)) ** 2)[: longest + 1], np.float64) / power
     reach = 0
     for lag in range(1, len(full)):
-        if abs(full[lag]) > 3.0 / np.sqrt(n):
+        if abs(full[lag]) > _STANDS_OUT / np.sqrt(n):
             reach = lag
         elif lag - reach >= _QUIET_LAGS:
             break

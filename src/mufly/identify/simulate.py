@@ -152,9 +152,10 @@ def _fly(x, p, u, motor_hold, delay, dt, longest, starts, motion, mast, codes, y
     work = np.empty((5, 21))
     calm = np.zeros(3)
     now, before = np.empty(4), np.empty(4)
-    whole = math.floor(delay / dt + 1e-9)
+    # Rounding must not make a piece of no length; yet a nanosecond counts, derivatives are taken with it.
+    whole = math.floor(delay / dt + 1e-11)
     part = max(delay - whole * dt, 0.0)
-    part = 0.0 if part < 1e-9 else part
+    part = 0.0 if part < 1e-13 else part
     last_yaw, window = 0.0, 0
     bar = x[15:18].copy()
     follow = -math.expm1(-dt * p.bar_rate)
