@@ -51,8 +51,9 @@ class Comparison:
 
     @property
     def mean_thrust_error(self) -> float:
-        """Mean absolute error of thrust."""
-        return float(np.mean(np.abs(self.thrust_error)))
+        """Mean absolute error of thrust, over the points that have a prediction; nan if none has."""
+        known = np.isfinite(self.thrust_error)
+        return float(np.mean(np.abs(self.thrust_error[known]))) if known.any() else math.nan
 
     @property
     def mean_torque_error(self) -> float:

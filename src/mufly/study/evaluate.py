@@ -1,4 +1,4 @@
-"""Many cases at once: rotor, polars, blade element momentum theory, and the drive train where there is one.
+"""Many cases at once: rotor, polars, blade elements or a wake, and the drive train where there is one.
 
 A case is a dictionary of parameters (``parameters.PARAMETERS``, SI values): what it does not name comes from the
 rotor and the drive of the study. It says the pitch and one of
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from mufly.drive import (
     Constants,
+    RotorLoad,
     adapted_gear,
     best_gear,
     blade_load,
@@ -34,6 +35,7 @@ from mufly.drive import (
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import Air, PolarTable, Rotor, hover, polars, prepare
 from mufly.rotor.thrust import FASTEST_TIP_M_S
+from mufly.study.evaluate_wake import solve_wakes
 from mufly.study.parameters import GEOMETRY, Value
 from mufly.study.setup import Setup, check_names
 from mufly.study.shape import reshape
@@ -95,7 +97,8 @@ def evaluate(setup: Setup, cases: Sequence[Case]) -> Results:
     Returns
     -------
     Results
-        Bit by bit the same however the cases are grouped into calls.
+        By blade elements, bit by bit the same however the cases are grouped into calls; by the wake method, within
+        its tolerance (see :mod:`mufly.study.evaluate_wake`).
 
     Raises
     ------
@@ -181,18 +184,31 @@ def _group(
     everyone = np.arange(index.size)
     radius = blading.radius_m[which]
     first = full[solved[0]]
+
+    def find(what: RotorLoad) -> Array:
+        if "thrust" in first:
+            return speed_for_thrust(what, column("thrust", 0.0), highest=FASTEST_TIP_M_S / radius)[0]
+        assert constants is not None
+        return speed_at_voltage(constants, what, column("duty", 1.0) * voltage)[0]
+
     if "speed" in first:
         speed, why = column("speed", 0.0), "the speed is not a number above 0"
     elif "thrust" in first:
-        speed, _ = speed_for_thrust(load, column("thrust", 0.0), highest=FASTEST_TIP_M_S / radius)
-        why = f"thrust out of reach of this rotor at any tip speed up to {FASTEST_TIP_M_S:g} m/s"
+        speed, why = (
+            find(load),
+            f"thrust out of reach of this rotor at any tip speed up to {FASTEST_TIP_M_S:g} m/s",
+        )
     else:
-        assert constants is not None
-        speed, _ = speed_at_voltage(constants, load, column("duty", 1.0) * voltage)
-        why = "rotor and motor settle at no speed"
+        speed, why = find(load), "rotor and motor settle at no speed"
     good = np.isfinite(speed) & (speed > 0)
     thrust, torque = np.full(index.size, np.nan), np.full(index.size, np.nan)
-    if good.any():
+    by_wake = None
+    if setup.method == "wake":
+        by_wake = solve_wakes(
+            blading, which, pitch, climb, air, setup.wake, load, speed, None if "speed" in first else find
+        )
+        thrust, torque, speed = by_wake.thrust_N, by_wake.torque_Nm, by_wake.speed_rad_s
+    elif good.any():
         thrust[good], torque[good] = load(speed[good], everyone[good])
     scale = air.density_kg_m3 * np.pi * radius**4 * speed**2
     power = torque * speed
@@ -210,9 +226,13 @@ def _group(
         "reynolds_75": 0.75 * speed * radius * chord * air.density_kg_m3 / air.viscosity_Pa_s,
     }
     reasons = np.where(good, "", why).astype(object)
+    if by_wake is not None:
+        reasons = np.array([r or w for r, w in zip(reasons, by_wake.reason, strict=True)], dtype=object)
     if constants is not None:
         _with_drive(first.get("gear"), constants, voltage, answers, reasons)
-    if setup.flags:
+    if setup.flags and by_wake is not None:
+        answers["outside_share"] = by_wake.outside_share
+    elif setup.flags:
         share = np.full(index.size, np.nan)
         for k in np.flatnonzero(reasons == "").tolist():
             one = hover(

@@ -11,7 +11,7 @@ import xarray as xr
 
 from mufly.errors import InputError
 from mufly.rotor import RotorResult
-from mufly.study.parameters import PARAMETERS
+from mufly.study.parameters import PAIR, PARAMETERS
 
 __all__ = ["read_results", "write_results", "write_stations"]
 
@@ -50,7 +50,7 @@ def write_results(data: xr.Dataset, folder: str | Path, name: str = "sweep") -> 
 
 
 def _head(name: str, unit: str) -> str:
-    known = name in PARAMETERS and unit not in ("", "1", "text")
+    known = (name in PARAMETERS or name in PAIR) and unit not in ("", "1", "text")
     return f"{name}_{unit.replace(' ', '').replace('/', '_')}" if known else name
 
 

@@ -16,7 +16,16 @@ import numpy as np
 
 from mufly.errors import InputError
 
-__all__ = ["PARAMETERS", "Parameter", "Value", "parse_quantity", "parse_settings", "parse_values"]
+__all__ = [
+    "PAIR",
+    "PARAMETERS",
+    "Parameter",
+    "Value",
+    "known",
+    "parse_quantity",
+    "parse_settings",
+    "parse_values",
+]
 
 Value = float | str
 
@@ -98,10 +107,39 @@ DRIVE: dict[str, Parameter] = {
 }
 PARAMETERS: dict[str, Parameter] = {**GEOMETRY, **OPERATION, **DRIVE}
 
+# What a study of a coaxial pair can vary; the names that both have mean the same.
+PAIR: dict[str, Parameter] = {
+    "spacing": Parameter("m", _LENGTH, "distance between the discs", positive=True),
+    "upper_speed": Parameter("rad/s", _SPEED, "speed of the upper rotor", positive=True),
+    "lower_speed": Parameter(
+        "rad/s", _SPEED, "speed of the lower rotor; without it and a ratio, the torques are balanced", positive=True
+    ),
+    "speed_ratio": Parameter("1", _RATIO, "lower over upper speed", positive=True),
+    "thrust": Parameter(
+        "N", {"N": 1.0, "mN": 1e-3}, "thrust of the pair, for which both speeds are found, torques balanced",
+        positive=True,
+    ),
+    "pitch": Parameter("rad", _ANGLE, "pitch setting of both rotors, added to the twist"),
+    "upper_pitch": Parameter("rad", _ANGLE, "pitch setting of the upper rotor"),
+    "lower_pitch": Parameter("rad", _ANGLE, "pitch setting of the lower rotor"),
+    **{
+        f"{side}_{name}": Parameter(p.unit, p.units, f"{side} rotor: {p.meaning}", positive=p.positive)
+        for side in ("upper", "lower")
+        for name, p in GEOMETRY.items()
+        if name in ("chord", "taper", "twist")
+    },
+    **{name: OPERATION[name] for name in ("climb", "density", "n_crit")},
+}  # fmt: skip
+
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 
 
-def parameter(name: str, where: str) -> Parameter:
+def known(name: str) -> Parameter:
+    """Return a parameter of a rotor or of a pair by name."""
+    return PARAMETERS[name] if name in PARAMETERS else PAIR[name]
+
+
+def parameter(name: str, where: str, table: Mapping[str, Parameter] = PARAMETERS) -> Parameter:
     """Return a parameter by name.
 
     Raises
@@ -109,11 +147,11 @@ def parameter(name: str, where: str) -> Parameter:
     InputError
         If there is none.
     """
-    if name not in PARAMETERS:
-        near = difflib.get_close_matches(name, PARAMETERS, n=1)
-        remedy = f"did you mean {near[0]!r}?" if near else f"use one of: {', '.join(PARAMETERS)}"
+    if name not in table:
+        near = difflib.get_close_matches(name, table, n=1)
+        remedy = f"did you mean {near[0]!r}?" if near else f"use one of: {', '.join(table)}"
         raise InputError(where, "", f"{name!r} cannot be varied or set", remedy)
-    return PARAMETERS[name]
+    return table[name]
 
 
 def _split_unit(text: str, where: str) -> tuple[str, str]:
@@ -123,8 +161,7 @@ def _split_unit(text: str, where: str) -> tuple[str, str]:
     return match[1].strip(), match[2]
 
 
-def _factor(name: str, unit: str, where: str) -> float:
-    units = PARAMETERS[name].units
+def _factor(name: str, unit: str, where: str, units: Mapping[str, float]) -> float:
     if unit not in units:
         accepted = ", ".join(u or "none" for u in units)
         problem = f"{name} has no unit" if not unit else f"{name} is not measured in {unit!r}"
@@ -132,7 +169,7 @@ def _factor(name: str, unit: str, where: str) -> float:
     return units[unit]
 
 
-def parse_quantity(name: str, text: str) -> Value:
+def parse_quantity(name: str, text: str, table: Mapping[str, Parameter] = PARAMETERS) -> Value:
     """Return one value in SI units from text as ``"12deg"``.
 
     Raises
@@ -140,14 +177,14 @@ def parse_quantity(name: str, text: str) -> Value:
     InputError
         If the parameter or its unit is unknown or the text is not one value.
     """
-    values = parse_values(f"{name}={text}")[1]
+    values = parse_values(f"{name}={text}", table)[1]
     if len(values) != 1:
         raise InputError(f"{name}={text}", "", f"{len(values)} values where one is wanted", "give one value")
     return values[0]
 
 
-def parse_values(text: str) -> tuple[str, tuple[Value, ...]]:
-    """Return name and values, in SI units, of text as ``"chord=10:30:5mm"``.
+def parse_values(text: str, table: Mapping[str, Parameter] = PARAMETERS) -> tuple[str, tuple[Value, ...]]:
+    """Return name and values, in SI units, of text as ``"chord=10:30:5mm"``; ``table``: what there is.
 
     Raises
     ------
@@ -157,13 +194,13 @@ def parse_values(text: str) -> tuple[str, tuple[Value, ...]]:
     name, equals, listed = (part.strip() for part in text.partition("="))
     if not equals or not listed:
         raise InputError(text, "", "is not NAME=VALUES", "write for example chord=10:30:5mm")
-    p = parameter(name, text)
+    p = parameter(name, text, table)
     if p.unit == "text":
         return name, tuple(part.strip() for part in listed.split(",") if part.strip())
     if name == "gear" and listed in ("adapted", "best"):
         return name, (listed,)
     numbers, unit = _split_unit(listed, text)
-    factor = _factor(name, unit, text)
+    factor = _factor(name, unit, text, p.units)
     values: list[float] = []
     for part in numbers.split(","):
         parts = [float(x) for x in part.split(":")] if part.strip() else []
@@ -199,7 +236,9 @@ def _checked(name: str, p: Parameter, value: float, factor: float, where: str) -
     return si
 
 
-def parse_settings(texts: Iterable[str]) -> dict[str, tuple[Value, ...]]:
+def parse_settings(
+    texts: Iterable[str], table: Mapping[str, Parameter] = PARAMETERS
+) -> dict[str, tuple[Value, ...]]:
     """Return ``{name: values}`` of several texts as :func:`parse_values` reads them.
 
     Raises
@@ -209,7 +248,7 @@ def parse_settings(texts: Iterable[str]) -> dict[str, tuple[Value, ...]]:
     """
     settings: dict[str, tuple[Value, ...]] = {}
     for text in texts:
-        name, values = parse_values(text)
+        name, values = parse_values(text, table)
         if name in settings:
             raise InputError(text, "", f"{name} is given twice", "give all its values at once")
         settings[name] = values
@@ -218,7 +257,7 @@ def parse_settings(texts: Iterable[str]) -> dict[str, tuple[Value, ...]]:
 
 def in_unit(name: str, values: Iterable[Value]) -> tuple[np.ndarray, str]:
     """Return values for reading, in the parameter's first unit, and that unit."""
-    p = PARAMETERS[name]
+    p = known(name)
     listed = list(values)
     if p.unit == "text" or any(isinstance(v, str) for v in listed):
         return np.array([str(v) for v in listed]), ""

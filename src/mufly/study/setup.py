@@ -8,9 +8,10 @@ from dataclasses import dataclass, field, replace
 from mufly.drive import Drive
 from mufly.errors import InputError
 from mufly.rotor import PLAIN, Corrections, Rotor
+from mufly.rotor.wake import WakeSettings
 from mufly.study.parameters import DRIVE, PARAMETERS, Value
 
-__all__ = ["DRIVE_OUTPUTS", "MODELS", "OUTPUTS", "Setup", "check_names"]
+__all__ = ["DRIVE_OUTPUTS", "METHODS", "MODELS", "OUTPUTS", "Setup", "check_names"]
 
 # Blade element momentum theory as recommended here, as in textbooks, and as the dissertation has it (Sec. 3.3.1:
 # effective radius of eq. 3.13, no swirl, no hub loss; its tuning to one rotor is not given).
@@ -40,6 +41,7 @@ DRIVE_OUTPUTS: dict[str, tuple[str, str]] = {
     "duty": ("1", "share of the supply voltage at the motor"),
     "motor_current_A": ("A", "motor current"),
 }
+METHODS = ("bemt", "wake")
 _GIVEN = ("speed", "thrust", "duty")
 
 
@@ -59,6 +61,10 @@ class Setup:
         Of the polars.
     flags : bool
         Whether ``outside_share`` is computed, which takes as long as the rest.
+    method : 'bemt' or 'wake'
+        Blade element momentum theory, or the wake method: a thousand to ten thousand times as long a case.
+    wake : WakeSettings
+        Of the wake method.
     """
 
     rotor: Rotor
@@ -68,6 +74,14 @@ class Setup:
     engine: str = "neuralfoil"
     model: str = "xlarge"
     flags: bool = True
+    method: str = "bemt"
+    wake: WakeSettings = field(default_factory=WakeSettings)
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise InputError(
+                "study", "method", f"{self.method!r} is unknown", f"use one of: {', '.join(METHODS)}"
+            )
 
     def outputs(self) -> dict[str, tuple[str, str]]:
         """Return name, unit and meaning of what :func:`evaluate` answers."""

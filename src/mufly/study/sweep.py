@@ -15,7 +15,7 @@ import itertools
 import json
 import os
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from pathlib import Path
@@ -27,11 +27,11 @@ import xarray as xr
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import load_airfoil
 from mufly.study.evaluate import Case, Results, evaluate
-from mufly.study.parameters import PARAMETERS, Value
+from mufly.study.parameters import Value, known
 from mufly.study.setup import Setup, check_names
 from mufly.version import __version__
 
-__all__ = ["Progress", "sweep"]
+__all__ = ["Progress", "contours_of", "dataset", "grid", "sweep"]
 
 Progress = Callable[[int, int], None]
 
@@ -96,8 +96,45 @@ def sweep(
     total = int(np.prod(shape, dtype=np.int64))
     if total > _MOST_CASES:
         raise InputError("sweep", "", f"{total} cases", f"vary less ({_MOST_CASES} cases at most)")
+    if setup.method == "wake":
+        workers, chunk = 1, 1  # a wake runs on all cores by itself, and each is kept as soon as it is there
+    question = _question(setup, names, values, chunk)
+    parts = grid(
+        evaluate, setup, names, values, chunk, question, folder=folder, progress=progress, cluster=cluster,
+        workers=workers,
+    )  # fmt: skip
+    attributes = {
+        "rotor": setup.rotor.name,
+        "drive": setup.drive.name if setup.drive is not None else "",
+        "fixed": json.dumps(dict(setup.fixed), sort_keys=True),
+        "polars": f"{setup.engine} {setup.model}",
+        "corrections": json.dumps(vars(setup.corrections)),
+        "method": setup.method if setup.method == "bemt" else f"wake, {setup.wake.model}",
+        "mufly": __version__,
+    }
+    return dataset(setup.outputs(), names, values, parts, attributes)
+
+
+def grid(
+    answer: Callable[[Any, Sequence[Case]], Results],
+    setup: Any,
+    names: Sequence[str],
+    values: Sequence[Sequence[Value]],
+    chunk: int,
+    question: str,
+    *,
+    folder: str | Path | None = None,
+    progress: Progress | None = None,
+    cluster: str | None = None,
+    workers: int | None = None,
+) -> list[Results]:
+    """Answers to every combination, chunk by chunk, by ``answer(setup, cases)``; kept in and recalled from a folder.
+
+    Arguments as for :func:`sweep`; ``question`` is the hash of all that the answers depend on.
+    """
+    total = int(np.prod([len(v) for v in values], dtype=np.int64))
     starts = list(range(0, total, chunk))
-    kept = _Kept(Path(folder), _question(setup, names, values, chunk)) if folder is not None else None
+    kept = _Kept(Path(folder), question) if folder is not None else None
     answers: dict[int, Results] = {}
     done = 0
 
@@ -117,7 +154,7 @@ def sweep(
         todo = iter([s for s in starts if s not in answers])
         # A few more than there are workers: enough to keep them busy, few enough to stop soon and to fit in memory.
         for start in itertools.islice(todo, 4 * (os.cpu_count() or 1) if cluster is None else 256):
-            waiting[executor.submit(evaluate, setup, cases(start))] = start
+            waiting[executor.submit(answer, setup, cases(start))] = start
         try:
             while waiting:
                 future = next(as_completed(waiting))
@@ -130,12 +167,12 @@ def sweep(
                     progress(done, total)
                 following = next(todo, None)
                 if following is not None:
-                    waiting[executor.submit(evaluate, setup, cases(following))] = following
+                    waiting[executor.submit(answer, setup, cases(following))] = following
         except BaseException:
             for future in waiting:
                 future.cancel()
             raise
-    return _dataset(setup, names, values, shape, [answers[s] for s in starts])
+    return [answers[s] for s in starts]
 
 
 @contextmanager
@@ -164,19 +201,10 @@ def _executor(cluster: str | None, workers: int | None) -> Iterator[Executor]:
 
 def _question(setup: Setup, names: Sequence[str], values: Sequence[Sequence[Value]], chunk: int) -> str:
     """Hash of everything that the answers depend on; airfoil files count by their contour."""
-    sections = {
+    contours = contours_of(
         str(n)
         for n in (*setup.rotor.airfoil_names(), *(v for vs in values for v in vs if isinstance(v, str)))
-    }
-    contours = {}
-    for name in sorted(sections):
-        if Path(name).is_file() and not name.lower().endswith(".csv"):
-            try:
-                contours[name] = load_airfoil(name).digest()
-            except InputError:
-                contours[name] = "faulty"
-        elif Path(name).is_file():
-            contours[name] = hashlib.sha256(Path(name).read_bytes()).hexdigest()
+    )
     content = {
         "version": __version__,
         "rotor": setup.rotor.model_dump(mode="json"),
@@ -184,11 +212,26 @@ def _question(setup: Setup, names: Sequence[str], values: Sequence[Sequence[Valu
         "fixed": dict(sorted(setup.fixed.items())),
         "corrections": vars(setup.corrections),
         "polars": [setup.engine, setup.model, setup.flags],
+        "method": [setup.method, vars(setup.wake) if setup.method == "wake" else None],
         "vary": [names, values],
         "chunk": chunk,
         "contours": contours,
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def contours_of(names: Iterable[str]) -> dict[str, str]:
+    """Digests of the airfoils that are files."""
+    contours: dict[str, str] = {}
+    for name in sorted(set(names)):
+        if Path(name).is_file() and not name.lower().endswith(".csv"):
+            try:
+                contours[name] = load_airfoil(name).digest()
+            except InputError:
+                contours[name] = "faulty"
+        elif Path(name).is_file():
+            contours[name] = hashlib.sha256(Path(name).read_bytes()).hexdigest()
+    return contours
 
 
 class _Kept:
@@ -236,30 +279,23 @@ class _Kept:
         return Results(content, fault)
 
 
-def _dataset(
-    setup: Setup, names: Sequence[str], values: Sequence[Sequence[Value]], shape: tuple[int, ...], parts:
-    list[Results]
-) -> xr.Dataset:  # fmt: skip
+def dataset(
+    outputs: Mapping[str, tuple[str, str]],
+    names: Sequence[str],
+    values: Sequence[Sequence[Value]],
+    parts: Sequence[Results],
+    attributes: Mapping[str, str],
+) -> xr.Dataset:
+    """Answers of a grid as labelled arrays; ``outputs``: name to unit and meaning."""
+    shape = tuple(len(v) for v in values)
     variables: dict[str, Any] = {}
-    for name, (unit, meaning) in setup.outputs().items():
+    for name, (unit, meaning) in outputs.items():
         whole = np.concatenate([part.values[name] for part in parts]).reshape(shape)
         variables[name] = (names, whole, {"units": unit, "long_name": meaning})
     fault = np.array([reason for part in parts for reason in part.fault], dtype=np.str_).reshape(shape)
     variables["fault"] = (names, fault, {"long_name": "reason of a failed case; empty if there is none"})
     coordinates = {
-        name: (
-            name,
-            np.asarray(listed),
-            {"units": PARAMETERS[name].unit, "long_name": PARAMETERS[name].meaning},
-        )
+        name: (name, np.asarray(listed), {"units": known(name).unit, "long_name": known(name).meaning})
         for name, listed in zip(names, values, strict=True)
     }
-    attributes = {
-        "rotor": setup.rotor.name,
-        "drive": setup.drive.name if setup.drive is not None else "",
-        "fixed": json.dumps(dict(setup.fixed), sort_keys=True),
-        "polars": f"{setup.engine} {setup.model}",
-        "corrections": json.dumps(vars(setup.corrections)),
-        "mufly": __version__,
-    }
-    return xr.Dataset(variables, coordinates, attributes)
+    return xr.Dataset(variables, coordinates, dict(attributes))

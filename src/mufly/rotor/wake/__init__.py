@@ -3,16 +3,22 @@
 from mufly.rotor.wake.field import induced_velocity
 from mufly.rotor.wake.pair import balance_torque_wake, coaxial_wake, hover_wake
 from mufly.rotor.wake.result import Placed, Wake, WakeSettings, WakeSolution
+from mufly.rotor.wake.search import compare_wake, solve_thrust_wake
 from mufly.rotor.wake.solver import solve
+from mufly.rotor.wake.trim_pitch import balance_pitch, balance_pitch_wake
 
 __all__ = [
     "Placed",
     "Wake",
     "WakeSettings",
     "WakeSolution",
+    "balance_pitch",
+    "balance_pitch_wake",
     "balance_torque_wake",
     "coaxial_wake",
+    "compare_wake",
     "hover_wake",
     "induced_velocity",
     "solve",
+    "solve_thrust_wake",
 ]
