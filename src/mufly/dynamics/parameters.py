@@ -11,7 +11,9 @@ from typing import Any, cast
 import numpy as np
 
 from mufly.errors import InputError
+from mufly.rotor.map_kernel import at, packed
 from mufly.vehicle import Vehicle
+from mufly.vehicle.coefficient_map import MAP_NODES
 from mufly.vehicle.schema import MAX_LEGS
 
 __all__ = ["GRAVITY", "PARAMETERS", "model_parameters"]
@@ -70,6 +72,16 @@ PARAMETERS = np.dtype(
             _f8,
             (_MAX_POINTS, 3),
         ),  # m, body axes: legs first, then the rim of the upper rotor
+        # Coefficient map, see mufly.dynamics.loads: what stands above as thrust_up ... torque_dw is not used with one.
+        ("map_nodes", np.int64),  # 0: no map
+        ("map_size", np.int64, (3,)),  # mean speeds, ratios, climbs
+        ("map_start", _f8, (3,)),
+        ("map_per_step", _f8, (3,)),
+        ("map_radius", _f8),  # m
+        ("map_thrust_up", _f8, (MAP_NODES,)),  # N s2
+        ("map_torque_up", _f8, (MAP_NODES,)),  # N m s2
+        ("map_thrust_dw", _f8, (MAP_NODES,)),
+        ("map_torque_dw", _f8, (MAP_NODES,)),
     ]
 )
 
@@ -166,8 +178,52 @@ def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
         "contact_reach": float(np.max(np.linalg.norm(points, axis=1))),
         "contact_count": len(points),
         "contact_points": padded,
+        **_map_numbers(vehicle),
     }
     record = np.zeros((), dtype=PARAMETERS)
     for name, value in values.items():
         record[name] = value
     return cast(np.void, record[()])
+
+
+def _map_numbers(vehicle: Vehicle) -> dict[str, Any]:
+    """Return what a record holds of a vehicle's map; nothing without one.
+
+    Tables hold thrust and torque over ``Omega^2`` (N s2, N m s2), the rest of a table its last value. With
+    ``rotors.map_level = "constants"`` each table is scaled so that at the hover point of the constant coefficients
+    (eq. 5.1) it gives them.
+    """
+    r, m = vehicle.rotors, vehicle.rotors.coefficient_map
+    if m is None:
+        return {}
+    rho, radius = float(vehicle.air.density), float(r.radius)
+    unit = np.pi * rho * radius**4 * np.array([1.0, radius, 1.0, radius])
+    constants = np.array(
+        [float(c) for q in (r.upper, r.lower) for c in (q.thrust_coefficient, q.torque_coefficient)]
+    )
+    level = np.ones(4)
+    if r.map_level == "constants":
+        ratio = np.sqrt(constants[1] / constants[3])
+        load = float(vehicle.body.mass) * GRAVITY + float(vehicle.body.downwash_drag)
+        speed = np.sqrt(load / (unit[0] * (constants[0] + constants[2] * ratio**2)))
+        there, _ = at(m, 0.5 * speed * (1.0 + ratio), ratio, 0.0)
+        if not np.all(there > 0.0):
+            raise InputError(
+                vehicle.name, "rotors.map_level", f"map {m.name!r} has no lift or no drag at hover to be scaled",
+                "use 'computed', or another map",
+            )  # fmt: skip
+        level = constants / there
+    *tables, size, start, per_step = packed(m)
+    full = np.array([np.concatenate([t, np.full(MAP_NODES - t.size, t[-1])]) for t in tables])
+    full *= (level * unit)[:, None]
+    return {
+        "map_nodes": int(tables[0].size),
+        "map_size": size,
+        "map_start": start,
+        "map_per_step": per_step,
+        "map_radius": radius,
+        "map_thrust_up": full[0],
+        "map_torque_up": full[1],
+        "map_thrust_dw": full[2],
+        "map_torque_dw": full[3],
+    }

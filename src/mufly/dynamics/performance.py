@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import root
 
+from mufly.dynamics.loads import rotor_loads
 from mufly.dynamics.model import derivative
 from mufly.dynamics.parameters import GRAVITY, model_parameters
 from mufly.dynamics.state import STATE_SIZE, initial_state
@@ -101,4 +102,5 @@ def _thrust_to_weight(vehicle: Vehicle, charge: float) -> float:
 
     start = trim(vehicle, charge=0.5).rotor_speed
     up, dw = root(acceleration, start, tol=1e-10).x
-    return float((p["thrust_up"] * up**2 + p["thrust_dw"] * dw**2) / (p["mass"] * GRAVITY))
+    thrust_up, thrust_dw, _, _ = rotor_loads(up, dw, 0.0, p)
+    return float((thrust_up + thrust_dw) / (p["mass"] * GRAVITY))

@@ -18,6 +18,7 @@ import xarray as xr
 from numba import njit, prange
 from numpy.typing import ArrayLike, NDArray
 
+from mufly.dynamics.loads import coefficient_bounds
 from mufly.dynamics.model import battery_state, derivative
 from mufly.dynamics.parameters import model_parameters
 from mufly.dynamics.state import INPUT_SIZE, STATE_SIZE, euler_from_quaternion
@@ -94,7 +95,8 @@ def longest_step(p: np.void) -> float:
     """Return the longest integration step (s) at which Runge-Kutta is stable for a vehicle.
 
     The method needs ``step * |lambda| < 2.78`` for every mode. Estimated is the fastest of swash plate, bar, motors
-    at the greatest speed that the battery could drive them to, swing under the bar, and legs as springs and dampers.
+    at the greatest speed that the battery could drive them to, swing under the bar, heave damped by a coefficient map's
+    slope over climb, and legs as springs and dampers.
 
     Parameters
     ----------
@@ -103,15 +105,19 @@ def longest_step(p: np.void) -> float:
     damping = p["kE"] * p["kM"] / p["R_ohm"] + p["dR"]
     gear = p["gear_efficiency"] * p["gear_ratio"] ** 2
     speed = float(np.max(p["battery_curve"])) / (p["kE"] * p["gear_ratio"])
-    motors = [(damping + 2 * p[f"torque_{k}"] * speed / gear) / p[f"J_{k}"] for k in ("up", "dw")]
-    thrust = max(p["thrust_up"], p["thrust_dw"]) * speed**2
+    bounds = {
+        name: coefficient_bounds(p, name) for name in ("thrust_up", "thrust_dw", "torque_up", "torque_dw")
+    }
+    motors = [(damping + bounds[f"torque_{k}"][1] * speed / gear) / p[f"J_{k}"] for k in ("up", "dw")]
+    thrust = max(bounds["thrust_up"][0], bounds["thrust_dw"][0]) * speed**2
+    heave = (bounds["thrust_up"][2] + bounds["thrust_dw"][2]) * speed / p["mass"]
     swing = math.sqrt(p["bar_gain"] * thrust * abs(p["z_up"]) / min(p["Ixx"], p["Iyy"]))
     # The legs' tips move with x and with W x r; about each axis all of them act together.
     n = p["contact_count"]
     x, y = p["contact_points"][:n, 0], p["contact_points"][:n, 1]
     mobility = max(n / p["mass"], np.sum(y**2) / p["Ixx"], np.sum(x**2) / p["Iyy"])
     legs = max(math.sqrt(p["leg_stiffness"] * mobility), p["leg_damping"] * mobility)
-    return 2.7 / max(p["swash_rate"], p["bar_rate"], *motors, swing, legs)
+    return 2.7 / max(p["swash_rate"], p["bar_rate"], *motors, swing, heave, legs)
 
 
 def simulate(

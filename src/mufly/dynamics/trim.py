@@ -5,6 +5,8 @@ Equations: the six accelerations and the two rotor accelerations of :func:`mufly
 In steady flight the stabiliser bar is square to the mast. Hover in closed form starts the search::
 
     cT_up k_T Wu^2 + cT_dw k_T Wd^2 = m g + W_hub        cQ_up Wu^2 = cQ_dw Wd^2        (eq. 5.1)
+
+with a coefficient map by repeating it with the coefficients at the speeds that it gave last.
 """
 
 from __future__ import annotations
@@ -16,13 +18,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import root
 
+from mufly.dynamics.loads import inside_map, rotor_loads
 from mufly.dynamics.model import battery_state, derivative
 from mufly.dynamics.parameters import GRAVITY, model_parameters
-from mufly.dynamics.state import STATE_SIZE, euler_from_quaternion, initial_state
+from mufly.dynamics.state import STATE_SIZE, euler_from_quaternion, initial_state, rotation
 from mufly.errors import InputError, MuflyError
 from mufly.vehicle import Vehicle
 
 __all__ = ["Trim", "trim"]
+
+_HOVER_ROUNDS = 30
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,8 @@ class Trim:
         At the battery's terminals.
     constant_voltage_V : float or None
         The voltage held by the model, None if the vehicle's own battery model was used.
+    inside_map : bool
+        False where the vehicle's coefficient map answers from its edge.
     """
 
     state: NDArray[np.float64]
@@ -54,6 +61,7 @@ class Trim:
     current_A: float
     power_W: float
     constant_voltage_V: float | None
+    inside_map: bool = True
 
     def __str__(self) -> str:
         n, e, d = self.state[3:6]
@@ -66,6 +74,7 @@ class Trim:
             f"  rotor speed {rpm[0]:.0f} upper, {rpm[1]:.0f} lower rpm; "
             f"thrust {self.thrust_N[0]:.3f}, {self.thrust_N[1]:.3f} N\n"
             f"  battery {self.voltage_V:.2f} V, {self.current_A:.2f} A, {self.power_W:.1f} W"
+            + ("" if self.inside_map else "\n  beyond the coefficient map, whose edge is used")
         )
 
     @property
@@ -169,17 +178,19 @@ def trim(
         )
     x[2] = 0.0
     volts, current = battery_state(x, u[0], u[1], p)
-    squares = x[18:20] ** 2
+    climb = -float(rotation(x[6:10])[:, 2] @ (x[3:6] - wind_))
+    t_up, t_dw, q_up, q_dw = rotor_loads(x[18], x[19], climb, p)
     return Trim(
         state=x,
         input=u,
         wind=wind_,
-        thrust_N=np.array([p["thrust_up"], p["thrust_dw"]]) * squares,
-        torque_Nm=np.array([p["torque_up"], p["torque_dw"]]) * squares,
+        thrust_N=np.array([t_up, t_dw]),
+        torque_Nm=np.array([q_up, q_dw]),
         voltage_V=float(volts),
         current_A=float(current),
         power_W=float(volts * current),
         constant_voltage_V=constant,
+        inside_map=inside_map(vehicle, x[18], x[19], climb),
     )
 
 
@@ -194,11 +205,20 @@ def _hover_estimate(
     p: np.void, charge: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:  # fmt: skip
     """Return rotor speeds, motor inputs (not limited to 1) and voltage in hover."""
-    ratio = p["torque_up"] / p["torque_dw"]  # (lower speed / upper speed)^2
+    thrust = np.array([p["thrust_up"], p["thrust_dw"]])  # over the squares of the speeds
+    drag = np.array([p["torque_up"], p["torque_dw"]])
     load = p["mass"] * GRAVITY + p["downwash"]
-    upper = math.sqrt(load / (p["thrust_up"] + p["thrust_dw"] * ratio))
-    speed = np.array([upper, upper * math.sqrt(ratio)])
-    torque = np.array([p["torque_up"], p["torque_dw"]]) * speed**2
+    for _ in range(_HOVER_ROUNDS if p["map_nodes"] else 1):
+        ratio = drag[0] / drag[1]  # (lower speed / upper speed)^2
+        upper = math.sqrt(load / (thrust[0] + thrust[1] * ratio))
+        speed = np.array([upper, upper * math.sqrt(ratio)])
+        if p["map_nodes"]:
+            loads = np.array(rotor_loads(speed[0], speed[1], 0.0, p)).reshape(2, 2) / speed**2
+            if not np.all(loads > 0.0):
+                raise MuflyError("the coefficient map has no lift or no drag at hover; use another map")
+            # Half steps: a faster lower rotor meets less of the upper one's downwash and calls for less speed.
+            thrust, drag = 0.5 * (thrust + loads[0]), 0.5 * (drag + loads[1])
+    torque = drag * speed**2
     i = p["gear_ratio"]
     current = (p["dR"] * speed + torque / (i * i * p["gear_efficiency"])) * i / p["kM"]
     armature_voltage = current * p["R_ohm"] + p["kE"] * i * speed

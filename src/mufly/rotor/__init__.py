@@ -3,6 +3,7 @@
 from mufly.rotor.airfoil import Airfoil, database_airfoils, load_airfoil
 from mufly.rotor.blading import Blading, prepare
 from mufly.rotor.build import polar, polars
+from mufly.rotor.coax_map import climb_ratios, coax_map
 from mufly.rotor.coaxial import CoaxialResult, balance_torque, coaxial
 from mufly.rotor.compare import Comparison, calibrate, compare
 from mufly.rotor.corrections import PLAIN, Corrections
@@ -42,6 +43,8 @@ __all__ = [
     "blade_thickness_m",
     "builtin_rotors",
     "calibrate",
+    "climb_ratios",
+    "coax_map",
     "coaxial",
     "compare",
     "database_airfoils",

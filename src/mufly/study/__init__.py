@@ -4,6 +4,7 @@ from mufly.study.airfoils import TABLE_3_3, choose_airfoils, thesis_airfoils
 from mufly.study.evaluate import Results, evaluate
 from mufly.study.files import read_results, write_results, write_stations
 from mufly.study.limits import parse_limit
+from mufly.study.map_pictures import map_picture
 from mufly.study.optimise import Optimum, optimise
 from mufly.study.parameters import PARAMETERS, parse_quantity, parse_settings, parse_values
 from mufly.study.pictures import gear_picture, lines_picture, rank_picture
@@ -25,6 +26,7 @@ __all__ = [
     "evaluate",
     "gear_picture",
     "lines_picture",
+    "map_picture",
     "optimise",
     "parse_limit",
     "parse_quantity",

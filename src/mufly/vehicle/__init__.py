@@ -1,13 +1,19 @@
 """What is it made of? Vehicle files, the built-in vehicles and the mass budget."""
 
+from mufly.vehicle.coefficient_map import CoefficientMap, MapTables, builtin_maps, load_map, map_toml
 from mufly.vehicle.load import Parameter, builtin_vehicles, load_vehicle, parameters, replace, vehicle_toml
 from mufly.vehicle.schema import Vehicle
 
 __all__ = [
+    "CoefficientMap",
+    "MapTables",
     "Parameter",
     "Vehicle",
+    "builtin_maps",
     "builtin_vehicles",
+    "load_map",
     "load_vehicle",
+    "map_toml",
     "parameters",
     "replace",
     "vehicle_toml",

@@ -12,6 +12,7 @@ from pydantic import BaseModel
 
 from mufly.errors import InputError
 from mufly.tables import builtin_names, read_tables, validated
+from mufly.vehicle.coefficient_map import named_maps
 from mufly.vehicle.quantity import Curve, Points, Quantity
 from mufly.vehicle.schema import Vehicle
 
@@ -64,7 +65,8 @@ def load_vehicle(name_or_path: str | Path) -> Vehicle:
         or impossible. The message names file, key, value and remedy.
     """
     tables, where = read_tables(name_or_path, _BUILTIN, "vehicle")
-    return validated(Vehicle, tables, where)
+    folder = None if str(name_or_path) in builtin_vehicles() else Path(name_or_path).parent
+    return validated(Vehicle, named_maps(tables, folder), where)
 
 
 def _walk(model: BaseModel, prefix: str = "") -> Iterator[tuple[str, dict[str, Any], Any, str]]:
@@ -90,16 +92,19 @@ def parameters(vehicle: Vehicle) -> list[Parameter]:
     return rows
 
 
-def replace(vehicle: Vehicle, values: Mapping[str, float | str], *, source: str = "estimated") -> Vehicle:
+def replace(
+    vehicle: Vehicle, values: Mapping[str, float | str | None], *, source: str = "estimated"
+) -> Vehicle:
     """Return a vehicle with some parameters changed.
 
     Parameters
     ----------
     vehicle : Vehicle
         The vehicle to start from.
-    values : mapping of str to float or str
+    values : mapping of str to float, str or None
         New SI values by dotted key, as in ``{"body.mass": 0.08, "battery.model": "constant"}``.
-        A new ``body.mass`` drops the mass budget, which no longer adds up.
+        ``"rotors.coefficient_map"`` takes the name or path of a map, or None for the constants. A new
+        ``body.mass`` drops the mass budget, which no longer adds up.
     source : str
         Provenance that the changed parameters get.
 
@@ -122,9 +127,13 @@ def replace(vehicle: Vehicle, values: Mapping[str, float | str], *, source: str 
             table[last] = value
     if "body.mass" in values:
         tables["mass_budget"] = None
-    return validated(Vehicle, tables, vehicle.name)
+    return validated(Vehicle, named_maps(tables, None), vehicle.name)
 
 
 def vehicle_toml(vehicle: Vehicle) -> str:
-    """Return the vehicle as the text of a vehicle file, in SI units, that :func:`load_vehicle` reads back."""
-    return tomli_w.dumps(vehicle.model_dump(exclude_none=True))
+    """Return the vehicle as the text of a vehicle file, in SI units, that :func:`load_vehicle` reads back.
+
+    A coefficient map is written out in full, so the text needs no other file.
+    """
+    tables = vehicle.model_dump(exclude_none=True)
+    return tomli_w.dumps(tables, multiline_strings=True)

@@ -11,11 +11,13 @@ from typing import Literal
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from mufly.vehicle.coefficient_map import CoefficientMap
 from mufly.vehicle.quantity import Curve, Group, Points, Quantity, parameter
 
 __all__ = ["MAX_LEGS", "Vehicle"]
 
 MAX_LEGS = 16
+_SAME_RADIUS = 0.01
 
 
 def _fault(key: str, problem: str, remedy: str) -> PydanticCustomError:
@@ -56,6 +58,25 @@ class Rotors(Group):
     radius: Quantity = parameter("m", "R", "radius of both rotors", above=0)
     upper: Rotor
     lower: Rotor
+    coefficient_map: CoefficientMap | None = Field(
+        default=None,
+        description="file of coefficients over speeds and climb (`mufly coax map`) that takes the constants' place",
+    )
+    map_level: Literal["computed", "constants"] = Field(
+        default="computed",
+        description="'computed' takes the map as it is; 'constants' scales it to the constant coefficients at hover",
+    )
+
+    @model_validator(mode="after")
+    def _map_fits(self) -> Rotors:
+        m, radius = self.coefficient_map, float(self.radius)
+        if m is not None and abs(m.radius_m / radius - 1.0) > _SAME_RADIUS:
+            raise _fault(
+                "rotors.coefficient_map",
+                f"map {m.name!r} is for rotors of {1e3 * m.radius_m:g} mm, these have {1e3 * radius:g} mm",
+                "make a map for these rotors: mufly coax map",
+            )
+        return self
 
 
 class SwashPlate(Group):

@@ -1,0 +1,218 @@
+"""Thrust and torque coefficients of a coaxial pair over both speeds and the climb velocity: the map and its file.
+
+Three numbers say where a pair works: the mean speed, the ratio of lower to upper speed, and the climb velocity over the
+mean tip speed. The last two are all that incompressible flow knows; the mean speed brings in the Reynolds number and
+needs two or three values only. Coefficients are the vehicle's own, ``c_T = T / (rho pi R^4 Omega^2)`` and
+``c_Q = Q / (rho pi R^5 Omega^2)``, each with its own rotor's speed.
+
+A map is a TOML file: what it was made of, and ``table``, one line for each point, that a person can read and a
+spreadsheet can paste. A vehicle file names it (``rotors.coefficient_map``); once read, the vehicle carries the whole
+map, so a recording or a copied vehicle file needs nothing beside it.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import tomli_w
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from mufly.errors import InputError
+from mufly.tables import builtin_names, read_tables, validated
+
+__all__ = [
+    "COLUMNS",
+    "MAP_NODES",
+    "CoefficientMap",
+    "MapTables",
+    "builtin_maps",
+    "load_map",
+    "map_toml",
+    "named_maps",
+    "table_text",
+]
+
+MAP_NODES = 512  # of the flight model's record: 3 mean speeds x 13 ratios x 13 climbs, say
+COLUMNS = (
+    "mean_speed_rad_s",
+    "ratio",
+    "climb_ratio",
+    "cT_upper",
+    "cQ_upper",
+    "cT_lower",
+    "cQ_lower",
+    "solved",
+)
+
+_BUILTIN = resources.files("mufly.vehicle") / "maps"
+_UNEVEN = 1e-3  # of a step
+
+
+class MapTables(NamedTuple):
+    """A map as arrays; the coefficients have shape (mean speeds, ratios, climbs).
+
+    Attributes
+    ----------
+    mean_speed_rad_s, ratio, climb_ratio : 1-D arrays
+        Evenly spaced and rising: ``(Omega_up + Omega_dw) / 2``, ``Omega_dw / Omega_up``, and the climb velocity over
+        the mean tip speed (positive in climb).
+    cT_upper, cQ_upper, cT_lower, cQ_lower : 3-D arrays
+    solved : 3-D array of bool
+        False where the method gave no answer and neighbours fill the gap.
+    """
+
+    mean_speed_rad_s: NDArray[np.float64]
+    ratio: NDArray[np.float64]
+    climb_ratio: NDArray[np.float64]
+    cT_upper: NDArray[np.float64]
+    cQ_upper: NDArray[np.float64]
+    cT_lower: NDArray[np.float64]
+    cQ_lower: NDArray[np.float64]
+    solved: NDArray[np.bool_]
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Numbers of mean speeds, ratios and climbs."""
+        return self.mean_speed_rad_s.size, self.ratio.size, self.climb_ratio.size
+
+
+def _fault(problem: str, remedy: str) -> PydanticCustomError:
+    context = {"key": "table", "problem": problem, "remedy": remedy}
+    return PydanticCustomError("mufly", "{problem}; {remedy}", context)
+
+
+class CoefficientMap(BaseModel):
+    """A checked map; :meth:`tables` gives its arrays."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    name: str = Field(min_length=1, description="short name")
+    description: str = Field(default="", description="one line: what was computed, how")
+    method: Literal["bemt", "wake", "other"] = Field(description="how the coefficients were found")
+    upper: str = Field(min_length=1, description="upper rotor")
+    lower: str = Field(min_length=1, description="lower rotor")
+    radius_m: float = Field(gt=0, description="radius of both rotors (m)")
+    spacing_m: float = Field(gt=0, description="distance between the discs (m)")
+    upper_pitch_deg: float = Field(description="pitch setting of the upper rotor")
+    lower_pitch_deg: float = Field(description="pitch setting of the lower rotor")
+    density_kg_m3: float = Field(gt=0, description="density of the air, for the Reynolds number")
+    viscosity_Pa_s: float = Field(gt=0, description="viscosity of the air, for the Reynolds number")
+    settings: str = Field(default="", description="how the method was set")
+    table: str = Field(description=f"one line a point: {' '.join(COLUMNS)}")
+
+    def tables(self) -> MapTables:
+        """Return axes and coefficients as arrays that cannot be written to."""
+        return _parsed(self.table)
+
+    @model_validator(mode="after")
+    def _is_a_map(self) -> CoefficientMap:
+        self.tables()
+        return self
+
+
+@lru_cache(maxsize=32)
+def _parsed(text: str) -> MapTables:
+    lines = [line.split() for line in text.strip().splitlines() if line.strip()]
+    if not lines or tuple(lines[0]) != COLUMNS:
+        raise _fault("the first line does not name the columns", f"begin with: {' '.join(COLUMNS)}")
+    try:
+        rows = np.array([[float(v) for v in line] for line in lines[1:]], dtype=np.float64)
+    except ValueError as error:
+        raise _fault(f"a line is not {len(COLUMNS)} numbers ({error})", "correct that line") from None
+    if rows.ndim != 2 or rows.shape[1] != len(COLUMNS) or not np.all(np.isfinite(rows)):
+        raise _fault(f"a line is not {len(COLUMNS)} finite numbers", "correct that line")
+    axes = [np.unique(rows[:, k]) for k in range(3)]
+    shape = tuple(a.size for a in axes)
+    full = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    if len(full) != len(rows) or len(np.unique(rows[:, :3], axis=0)) != len(rows):
+        raise _fault(
+            f"{len(rows)} points are no full grid of {shape[0]} mean speeds, {shape[1]} ratios and {shape[2]} climbs",
+            "give every combination once",
+        )
+    if len(rows) > MAP_NODES:
+        raise _fault(f"{len(rows)} points", f"give {MAP_NODES} at most")
+    for name, axis, least, positive in zip(
+        COLUMNS, axes, (1, 2, 2), (True, True, False), strict=False
+    ):  # fmt: skip
+        step = np.diff(axis)
+        if axis.size < least:
+            raise _fault(f"{name} has {axis.size} value", f"give {least} or more")
+        if positive and not axis[0] > 0:
+            raise _fault(f"{name} {axis[0]:g} is not possible", "give numbers above 0")
+        if step.size and float(np.ptp(step)) > _UNEVEN * float(step.mean()) + 1e-5 * float(
+            np.abs(axis).max()
+        ):
+            raise _fault(f"{name} is not evenly spaced", "give equal steps")
+    if not axes[2][0] <= 0.0 <= axes[2][-1]:
+        raise _fault("climb_ratio leaves out 0, hover", "give a range that holds it")
+    ordered = rows[np.lexsort(rows[:, 2::-1].T)]
+    grids = [np.ascontiguousarray(ordered[:, k].reshape(shape)) for k in range(3, 8)]
+    if float(np.max(np.abs(grids[0]))) > 1.0 or float(np.max(np.abs(grids[2]))) > 1.0:
+        raise _fault("a thrust coefficient is above 1", "use c_T = T / (rho pi R^4 Omega^2)")
+    result = MapTables(
+        axes[0], axes[1], axes[2], grids[0], grids[1], grids[2], grids[3], solved=grids[4] > 0.5
+    )
+    for array in result:
+        array.setflags(write=False)
+    return result
+
+
+def table_text(tables: MapTables) -> str:
+    """Return the ``table`` of a map."""
+    grid = np.meshgrid(*tables[:3], indexing="ij")
+    columns = [np.ravel(a) for a in (*grid, *tables[3:])]
+    lines = [
+        " ".join(f"{v:.7g}" for v in row[:-1]) + f" {int(row[-1])}" for row in zip(*columns, strict=True)
+    ]
+    return "\n".join([" ".join(COLUMNS), *lines]) + "\n"
+
+
+def map_toml(coefficients: CoefficientMap) -> str:
+    """Return the text of a map file that :func:`load_map` reads back."""
+    return tomli_w.dumps(coefficients.model_dump(), multiline_strings=True)
+
+
+def builtin_maps() -> list[str]:
+    """Return the names of the maps that come with mufly."""
+    return builtin_names(_BUILTIN)
+
+
+def load_map(name_or_path: str | Path, folder: Path | None = None) -> CoefficientMap:
+    """Read a map by built-in name or from its file.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        A name that :func:`builtin_maps` lists, or a path.
+    folder : Path, optional
+        Where a path that is not absolute begins; by default the working directory.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, it is not TOML, or no map.
+    """
+    place = name_or_path
+    if str(name_or_path) not in builtin_maps() and folder is not None:
+        place = folder / name_or_path
+    tables, where = read_tables(place, _BUILTIN, "coefficient map")
+    if "table" not in tables:
+        raise InputError(
+            where, "table", "is missing, so this is no coefficient map", "make one: mufly coax map"
+        )
+    return validated(CoefficientMap, tables, where)
+
+
+def named_maps(tables: dict[str, Any], folder: Path | None) -> dict[str, Any]:
+    """Return a vehicle's tables with the file that ``rotors.coefficient_map`` names put in its place."""
+    rotors = tables.get("rotors")
+    name = rotors.get("coefficient_map") if isinstance(rotors, dict) else None
+    if not isinstance(rotors, dict) or not isinstance(name, str | Path):
+        return tables
+    return {**tables, "rotors": {**rotors, "coefficient_map": load_map(name, folder).model_dump()}}
