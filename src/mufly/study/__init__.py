@@ -6,25 +6,36 @@ from mufly.study.files import read_results, write_results, write_stations
 from mufly.study.limits import parse_limit
 from mufly.study.map_pictures import map_picture
 from mufly.study.optimise import Optimum, optimise
-from mufly.study.parameters import PARAMETERS, parse_quantity, parse_settings, parse_values
+from mufly.study.pair import PairPoint, PairSetup, alone, bladings_of, solve_pair
+from mufly.study.pair_sweep import sweep_pairs
+from mufly.study.parameters import PAIR, PARAMETERS, parse_quantity, parse_settings, parse_values
 from mufly.study.pictures import gear_picture, lines_picture, rank_picture
 from mufly.study.rank import rank_airfoils
 from mufly.study.rotor_pictures import blade_picture, stations_picture
-from mufly.study.setup import MODELS, Setup
+from mufly.study.setup import METHODS, MODELS, Setup
 from mufly.study.shape import reshape
 from mufly.study.sweep import sweep
+from mufly.study.wake_pictures import field_picture, history_picture, rotor_loads_picture, wake_picture
 
 __all__ = [
+    "METHODS",
     "MODELS",
+    "PAIR",
     "PARAMETERS",
     "TABLE_3_3",
     "Optimum",
+    "PairPoint",
+    "PairSetup",
     "Results",
     "Setup",
+    "alone",
     "blade_picture",
+    "bladings_of",
     "choose_airfoils",
     "evaluate",
+    "field_picture",
     "gear_picture",
+    "history_picture",
     "lines_picture",
     "map_picture",
     "optimise",
@@ -36,9 +47,13 @@ __all__ = [
     "rank_picture",
     "read_results",
     "reshape",
+    "rotor_loads_picture",
+    "solve_pair",
     "stations_picture",
     "sweep",
+    "sweep_pairs",
     "thesis_airfoils",
+    "wake_picture",
     "write_results",
     "write_stations",
 ]

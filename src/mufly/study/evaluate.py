@@ -17,7 +17,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,7 @@ from mufly.study.parameters import GEOMETRY, Value
 from mufly.study.setup import Setup, check_names
 from mufly.study.shape import reshape
 
-__all__ = ["Case", "Results", "evaluate"]
+__all__ = ["Case", "Results", "evaluate", "polar_tables"]
 
 Array = NDArray[np.float64]
 Case = Mapping[str, Value]
@@ -63,12 +63,21 @@ class Results:
     fault: list[str]
 
 
+class PolarSource(Protocol):
+    """What says where polars come from: a setup of rotors, or of pairs."""
+
+    @property
+    def engine(self) -> str: ...
+    @property
+    def model(self) -> str: ...
+
+
 _TABLES: dict[tuple[str, float, str, str], PolarTable | str] = {}  # polars that were used last
 _KEPT = 300  # a third of a megabyte each
 _LOCK = threading.Lock()
 
 
-def _tables(names: Sequence[str], n_crit: float, setup: Setup) -> dict[str, PolarTable | str]:
+def polar_tables(names: Sequence[str], n_crit: float, setup: PolarSource) -> dict[str, PolarTable | str]:
     """Polars of airfoils, or the reason why there is none; those not at hand are computed together, on all cores."""
     key = {name: (name, n_crit, setup.engine, setup.model) for name in names}
     with _LOCK:
@@ -145,7 +154,7 @@ def _group(
     shapes = {keys[k]: rotors[keys[k]] for k in members}
     names = list(dict.fromkeys(n for r in shapes.values() if isinstance(r, Rotor) for n in r.airfoil_names()))
     try:
-        tables = _tables(names, n_crit, setup)
+        tables = polar_tables(names, n_crit, setup)
     except InputError as error:  # an impossible n_crit
         for k in members:
             out.fault[k] = str(error)
