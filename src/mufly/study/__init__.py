@@ -7,6 +7,7 @@ from mufly.study.limits import parse_limit
 from mufly.study.map_pictures import map_picture
 from mufly.study.optimise import Optimum, optimise
 from mufly.study.pair import PairPoint, PairSetup, alone, bladings_of, solve_pair
+from mufly.study.pair_optimise import PAIR_FREE, PairOptimum, check_by_wake, optimise_pair, pair_limit
 from mufly.study.pair_sweep import sweep_pairs
 from mufly.study.parameters import PAIR, PARAMETERS, parse_quantity, parse_settings, parse_values
 from mufly.study.pictures import gear_picture, lines_picture, rank_picture
@@ -21,9 +22,11 @@ __all__ = [
     "METHODS",
     "MODELS",
     "PAIR",
+    "PAIR_FREE",
     "PARAMETERS",
     "TABLE_3_3",
     "Optimum",
+    "PairOptimum",
     "PairPoint",
     "PairSetup",
     "Results",
@@ -31,6 +34,7 @@ __all__ = [
     "alone",
     "blade_picture",
     "bladings_of",
+    "check_by_wake",
     "choose_airfoils",
     "evaluate",
     "field_picture",
@@ -39,6 +43,8 @@ __all__ = [
     "lines_picture",
     "map_picture",
     "optimise",
+    "optimise_pair",
+    "pair_limit",
     "parse_limit",
     "parse_quantity",
     "parse_settings",

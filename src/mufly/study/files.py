@@ -71,8 +71,8 @@ def read_results(file: str | Path) -> xr.Dataset:
         ) from error
 
 
-def write_stations(result: RotorResult, folder: str | Path) -> Path:
-    """Write what happens along the blade as ``stations.csv``, one line a station, SI units.
+def write_stations(result: RotorResult, folder: str | Path, name: str = "stations") -> Path:
+    """Write what happens along the blade as ``name.csv``, one line a station, SI units.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def write_stations(result: RotorResult, folder: str | Path) -> Path:
     """
     values = {f.name: getattr(result, f.name) for f in fields(result)}
     columns = {k: v for k, v in values.items() if np.ndim(v) == 1}
-    path = Path(folder) / "stations.csv"
+    path = Path(folder) / f"{name}.csv"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("w", newline="", encoding="utf-8") as file:

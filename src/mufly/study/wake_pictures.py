@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -187,7 +187,7 @@ def rotor_loads_picture(
 ) -> Figure:
     """Draw inflow, angle of attack, lift, thrust and torque along the blades of both rotors, isolated rotors dashed."""
     figure = _figure(10.0, 6.0)
-    panels = (
+    panels: tuple[tuple[str, Callable[[RotorResult], Array]], ...] = (
         ("Induced velocity down the shaft (m/s)", lambda r: r.inflow_m_s),
         ("Swirl (m/s)", lambda r: r.swirl_m_s),
         ("Angle of attack (deg)", lambda r: np.degrees(r.alpha_rad)),
