@@ -62,7 +62,7 @@ def report_thesis(solver: Solver) -> None:
             f"{_power(a, 1):.3f} ({percent(_power(a, 1), power)} %)", f"{100 * (1 - _ratio(a, 'thrust')):.1f} %",
             f"{100 * (_power(a, 1) / _power(a, 0) - 1):.1f} %", f"{a.thrust[0]:.4f}",
         ])  # fmt: skip
-    table("Torque balanced, upper at 6000 rpm; deviation from Table 3.4 (at 14 deg: thrust deficit 23 %, power excess 10 %)",
+    table("Balanced, upper at 6000 rpm; deviation from Table 3.4 (at 14 deg: thrust deficit 23 %, power excess 10 %)",
           ["lower pitch deg", "lower rpm", "lower thrust N", "lower power W", "thrust deficit", "power excess",
            "upper thrust N"], rows)  # fmt: skip
     rows = []
@@ -114,8 +114,8 @@ def report_big(solver: Solver) -> None:
             cells = [f"{', '.join(f'{v:+.1f}' for v in found[:, k])} ({mean[k]:.1f})" for k in range(5)]
             rows.append([f"{label}, n_crit {n_crit:g}{max(marks) if label == 'wake' else ''}", *cells])
     speeds = ", ".join(f"{v:.0f}" for v in chosen[:, 0])
-    table(f"28 inch pair, measured, lower at {speeds} rpm: deviations (mean size), %",
-          ["", "upper thrust", "upper torque", "lower thrust", "lower torque", "lower / upper thrust"], rows)  # fmt: skip
+    table(f"28 inch pair, lower at {speeds} rpm: deviation (mean size), %",
+          ["", "upper thrust", "upper torque", "lower thrust", "lower torque", "lower / upper"], rows)  # fmt: skip
 
 
 def _loads(b: CoaxialResult) -> list[float]:

@@ -28,7 +28,10 @@ RPM = np.pi / 30
 
 @dataclass(frozen=True)
 class Answer:
-    """A solved case: thrust (N), torque (N m) and speed (rad/s) of each rotor, and how the solution went."""
+    """A solved case: thrust (N), torque (N m) and speed (rad/s) of each rotor, and how the solution went.
+
+    ``wobble`` is half the range of the loads over the last iterations, over their mean.
+    """
 
     thrust: tuple[float, ...]
     torque: tuple[float, ...]
@@ -37,6 +40,7 @@ class Answer:
     iterations: int
     residual: float
     seconds: float
+    wobble: float = np.nan
 
     def mark(self) -> str:
         """Return an asterisk for a solution that did not converge."""
@@ -61,7 +65,7 @@ class Solver:
         path = self.folder and self.folder / f"{hashlib.sha256(key.encode()).hexdigest()[:24]}.json"
         if path and path.is_file():
             kept = json.loads(path.read_text())["answer"]
-            return Answer(*(tuple(v) if isinstance(v, list) else v for v in kept.values()))
+            return Answer(**{k: tuple(v) if isinstance(v, list) else v for k, v in kept.items()})
         begin = time.perf_counter()
         try:
             found = solve()
@@ -72,7 +76,7 @@ class Solver:
         answer = Answer(
             tuple(r.thrust_N for r in rotors), tuple(r.torque_Nm for r in rotors),
             tuple(r.speed_rad_s for r in rotors), found.converged, found.iterations, found.residual,
-            time.perf_counter() - begin,
+            time.perf_counter() - begin, _wobble(found),
         )  # fmt: skip
         if found.converged:
             self.wakes[family] = found
@@ -154,6 +158,11 @@ class Solver:
             )  # fmt: skip
 
         return self._kept(question, name, solve)
+
+
+def _wobble(found: WakeSolution, last: int = 60) -> float:
+    loads = found.history[-min(last, max(10, len(found.history) // 2)) :, 1:]
+    return float(np.max(np.ptp(loads, axis=0) / 2 / np.abs(loads.mean(axis=0))))
 
 
 def laid_out(case: Case, n_crit: float, cutout: float | None, panels: int | None) -> Blading:

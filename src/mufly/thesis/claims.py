@@ -1,4 +1,4 @@
-"""What the dissertation says about single rotors and drives (Secs 3.1.4 and 3.4): numbers, with where they stand.
+"""What the dissertation says about rotors, pairs and drives (Secs 3.1.4 and 3.4): numbers, with where they stand.
 
 These are facts of the source, each written down once; the studies compare with them.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["CLAIMS", "TABLE_3_3_VALUES", "Claim", "Verdict"]
+__all__ = ["CLAIMS", "TABLE_3_3_VALUES", "TABLE_3_4_VALUES", "Claim", "Verdict"]
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Verdict:
     ----------
     claim : Claim
     model : str
-        Model that ``ours`` was computed with (``mufly.study.MODELS``), or ``"constant coefficients"``.
+        Model that ``ours`` was computed with: of ``mufly.study.MODELS``, ``"wake"``, or ``"constant coefficients"``.
     ours : str
         Our numbers.
     agrees : bool
@@ -95,6 +95,31 @@ CLAIMS: dict[str, Claim] = {
     ),
     "twist": Claim("Fig. 3.36", "strong twist is better"),
     "twist-pitch": Claim("Fig. 3.36", "the best pitch falls with stronger twist"),
+    "coax-thrust": Claim(
+        "Fig. 3.43", "at equal speeds the lower rotor has 55 % of the upper one's thrust", 0.55
+    ),
+    "coax-torque": Claim(
+        "Fig. 3.43", "at equal speeds the lower rotor's torque is about 20 % less", 20.0, "%"
+    ),
+    "coax-constant": Claim(
+        "Fig. 3.43", "at equal speeds the lower rotor's coefficients hardly change with the speed"
+    ),
+    "coax-upper": Claim("Fig. 3.43", "the upper rotor has slightly more thrust and torque than alone"),
+    "coax-upper-speed": Claim(
+        "Fig. 3.44", "the lower coefficients fall strongly as the upper rotor turns faster"
+    ),
+    "coax-lower-speed": Claim(
+        "Fig. 3.44", "they rise even more with the lower speed, from a negative thrust on"
+    ),
+    "coax-trim": Claim(
+        "Sec. 3.4.7", "with the upper rotor at 6 000 rpm torques cancel at 6 650 rpm", 6650.0, "rpm"
+    ),
+    "coax-deficit": Claim("Sec. 3.4.7", "the lower rotor then has 23 % less thrust", 23.0, "%"),
+    "coax-excess": Claim("Sec. 3.4.7", "and takes 10 % more mechanical power", 10.0, "%"),
+    "coax-pitch-speed": Claim("Table 3.4", "lower speeds at 14, 16 and 18 deg: 6 650, 5 750 and 5 025 rpm"),
+    "coax-pitch-thrust": Claim("Table 3.4", "lower thrusts: 0.1949, 0.1820 and 0.1709 N"),
+    "coax-pitch-power": Claim("Table 3.4", "lower powers: 2.0531, 1.7413 and 1.5286 W"),
+    "coax-spacing": Claim("Fig. 3.45", "a spacing of 1 to 4 cm has little influence on the lower rotor"),
 }
 
 # Table 3.3: airfoil -> rank of 247, thrust per electrical power (N/W), electrical power (W) at 0.4 N.
@@ -107,4 +132,11 @@ TABLE_3_3_VALUES: dict[str, tuple[int, float, float]] = {
     "NACA25516": (245, 0.0480, 8.350),
     "n642-015": (246, 0.0436, 9.171),
     "NACA6415": (247, 0.0415, 9.628),
+}
+
+# Table 3.4: pitch of the lower rotor (deg) -> its speed (rpm), thrust (N), power (W) at equal torques.
+TABLE_3_4_VALUES: dict[int, tuple[float, float, float]] = {
+    14: (6650.0, 0.1949, 2.0531),
+    16: (5750.0, 0.1820, 1.7413),
+    18: (5025.0, 0.1709, 1.5286),
 }

@@ -13,7 +13,7 @@ import xarray as xr
 from mufly.errors import InputError
 from mufly.study import TABLE_3_3, write_results
 from mufly.study.sweep import Progress
-from mufly.thesis import pictures
+from mufly.thesis import coaxial, coaxial_pictures, coaxial_verdicts, pictures
 from mufly.thesis.airfoils import SECTIONS, airfoil_ranking
 from mufly.thesis.claims import Verdict
 from mufly.thesis.gearing import coefficients_over_speed, muflys_gear
@@ -138,6 +138,42 @@ def _ranking(name: str, progress: Progress | None) -> Outcome:
     )
 
 
+# Name -> title, computation, verdicts, picture.
+_PAIRS: dict[str, tuple[str, Callable[..., xr.Dataset], Callable[..., list[Verdict]], Callable[..., Figure]]] = {
+    "fig-3.43": (
+        "Coaxial pair at equal speeds", coaxial.equal_speeds, coaxial_verdicts.judge_equal_speeds,
+        coaxial_pictures.equal_speeds_figure,
+    ),
+    "fig-3.44": (
+        "Coaxial pair, one speed kept", coaxial.one_speed_kept, coaxial_verdicts.judge_kept_speed,
+        coaxial_pictures.kept_speed_figure,
+    ),
+    "table-3.4": (
+        "Coaxial pair with equal torques", coaxial.torque_balance, coaxial_verdicts.judge_balance,
+        coaxial_pictures.balance_figure,
+    ),
+    "fig-3.45": (
+        "Distance of the rotors of a pair", coaxial.distances, coaxial_verdicts.judge_distances,
+        coaxial_pictures.distances_figure,
+    ),
+}  # fmt: skip
+
+
+def _pair(name: str, progress: Progress | None) -> Outcome:
+    title, compute, judge, draw = _PAIRS[name]
+    data, verdicts = {}, []
+    for k, model in enumerate(coaxial.COAXIAL_MODELS):
+        offset = k
+
+        def step(done: int, total: int, offset: int = offset) -> None:
+            if progress is not None:
+                progress(done + offset * total, len(coaxial.COAXIAL_MODELS) * total)
+
+        data[model] = compute(model, progress=step)
+        verdicts += judge(model, data[model])
+    return Outcome(name, title, data, verdicts, draw(data, f"{_where(name)}: {title}"))
+
+
 def _sections(name: str, progress: Progress | None) -> Outcome:
     title, names = SECTIONS[name]
     return Outcome(name, title, {}, [], pictures.sections_figure(names, f"{_where(name)}: {title}"))
@@ -162,6 +198,7 @@ _STUDIES: dict[str, tuple[str, str, _Runner]] = {
     },
     **{name: (title, "3.4.3", _sections) for name, (title, _) in SECTIONS.items()},
     "table-3.3": ("247 airfoils on the standard blade", "3.4.3", _ranking),
+    **{name: (entry[0], "3.4.7", _pair) for name, entry in _PAIRS.items()},
 }
 
 
