@@ -11,7 +11,9 @@ to the trailing edge and on into the wake. The flow is looked at in two places (
 
   With c_l = 2 pi sin(alpha) this is w.n = 0, tangency: the inviscid lattice. With a polar it is the lattice with the
   lift that the boundary layer leaves. Rotation of separated layers: as in mufly.rotor.corrections.
-* at the quarter chord, where it gives the force: rho W x Gamma, and the drag rho W c c_d W / 2 along W.
+* at the quarter chord, where it gives the force: rho W x Gamma, and the drag rho W c c_d W / 2 along W. The trailing
+  vortices feel rho W x Gamma too as far as they lie on the chord: small, but the inflow past the tip gives the side
+  edge of a wide blade a few per cent of the lift, and without it the wake carries more momentum than the loads say.
 
 Frame: z up along the shaft, the blade on the x axis and moving towards y, the wake behind it.
 """
@@ -33,8 +35,8 @@ from mufly.rotor.hover import Air
 from mufly.rotor.wake.kernel import influence
 
 __all__ = [
-    "BladeState", "Surface", "blade_loads", "bound_influence", "of_all_blades", "solve_circulation", "surface_of",
-    "turned",
+    "BladeState", "Surface", "blade_loads", "bound_influence", "leg_points", "of_all_blades",
+    "solve_circulation", "surface_of", "turned",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -242,18 +244,41 @@ def solve_circulation(
     return BladeState(gamma, alpha, cl, cd, speed, False)
 
 
-def blade_loads(surface: Surface, state: BladeState, wind: Array, air: Air) -> tuple[Array, Array]:
+def leg_points(surface: Surface) -> Array:
+    """Two points (Gauss) on each trailing vortex where it lies on the chord: (2 (n + 1), 3) array, edge by edge."""
+    begin, end = surface.edge_quarter_m, surface.edge_tail_m
+    where = (0.5 - 0.5 / math.sqrt(3.0), 0.5 + 0.5 / math.sqrt(3.0))
+    return np.stack([begin + x * (end - begin) for x in where], axis=1).reshape(-1, 3)
+
+
+def blade_loads(
+    surface: Surface, state: BladeState, wind: Array, leg_wind: Array, air: Air
+) -> tuple[Array, Array]:
     """Thrust (N) and torque (N m) of each panel, all blades.
 
     Parameters
     ----------
     wind : (n, 3) array
         Velocity of the air past the quarter chord points, everything included (m/s).
+    leg_wind : (2 (n + 1), 3) array
+        The same at :func:`leg_points`.
     """
     wy, wz = wind[:, 1], wind[:, 2]
     speed = np.hypot(wy, wz)  # a swept or coned wind does not lift
     drag = 0.5 * speed * surface.chord_m * state.cd
-    scale = surface.blades * air.density_kg_m3 * surface.width_m
-    up = -wy * state.circulation + drag * wz
-    back = wz * state.circulation + drag * wy
-    return scale * up, -scale * back * surface.quarter_m[:, 0]
+    up = (-wy * state.circulation + drag * wz) * surface.width_m
+    back = (wz * state.circulation + drag * wy) * surface.width_m
+    thrust, torque = up, -back * surface.quarter_m[:, 0]
+
+    gamma = np.diff(np.concatenate([[0.0], state.circulation, [0.0]])) * -1.0
+    leg = surface.edge_tail_m - surface.edge_quarter_m
+    at = leg_points(surface).reshape(-1, 2, 3)
+    force = 0.5 * np.cross(leg_wind.reshape(-1, 2, 3), gamma[:, None, None] * leg[:, None, :])
+    legs_up = force[:, :, 2].sum(axis=1)
+    legs_torque = (at[:, :, 1] * force[:, :, 0] - at[:, :, 0] * force[:, :, 1]).sum(axis=1)
+    for edge, panel in ((legs_up, thrust), (legs_torque, torque)):  # half to each neighbour, all at the ends
+        share = 0.5 * edge
+        share[0], share[-1] = edge[0], edge[-1]
+        panel += share[:-1] + share[1:]
+    scale = surface.blades * air.density_kg_m3
+    return scale * thrust, scale * torque

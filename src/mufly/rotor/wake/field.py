@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mufly.errors import InputError
 from mufly.rotor.wake.blade import turned
-from mufly.rotor.wake.kernel import induce, segments_of
+from mufly.rotor.wake.kernel import induce
 from mufly.rotor.wake.result import Wake, WakeSolution
+from mufly.rotor.wake.unit import vortices_of
 
 __all__ = ["induced_velocity"]
 
@@ -18,18 +20,11 @@ Array = NDArray[np.float64]
 
 
 def _own_frame(wake: Wake) -> tuple[Array, Array, Array, Array]:
-    """Segments of one blade, its bound vortex included, in the rotor's own counter-clockwise frame."""
-    s, hand = wake.surface, wake.placed.hand
+    """Vortices of one blade in the rotor's own counter-clockwise frame."""
     paths = wake.paths_m.copy()
-    paths[..., 1] *= hand
+    paths[..., 1] *= wake.placed.hand
     paths[..., 2] -= wake.placed.height_m
-    trailing = segments_of(paths, wake.core_m, wake.strength_m2_s)
-    edge = s.edge_quarter_m
-    bound = np.stack([edge[:-1], edge[1:]], axis=1)
-    blade = segments_of(bound, 0.1 * s.chord_m[:, None], np.ones(s.chord_m.size))
-    blade = (blade[0], blade[1], blade[2] * wake.circulation_m2_s, blade[3])
-    joined = [np.concatenate(pair, axis=-1) for pair in zip(trailing, blade, strict=True)]
-    return joined[0], joined[1], joined[2], joined[3]
+    return vortices_of(wake.surface, paths, wake.core_m, wake.strength_m2_s, wake.circulation_m2_s)
 
 
 def induced_velocity(solution: WakeSolution, points_m: ArrayLike, azimuth_rad: ArrayLike = 0.0) -> Array:
@@ -61,3 +56,64 @@ def induced_velocity(solution: WakeSolution, points_m: ArrayLike, azimuth_rad: A
         sum_[:, 1] *= hand
         total += sum_
     return total.reshape(points.shape)
+
+
+def momentum_thrust(solution: WakeSolution, height_m: float, *, reach: float = 6.0) -> float:
+    """Thrust (N) that the momentum through a plane below the rotors shows; equal to the loads' if the wake is sound.
+
+    Momentum of the air above the plane, per unit of time, with the pressure of the unsteady Bernoulli equation: a
+    rotor's potential turns with it, so d phi/d t = -Omega r u_theta, u_theta in its own sense of rotation (own
+    derivation)::
+
+        T = integral of p - p_inf + rho w^2 = rho integral of [sum_k Omega_k r u_theta,k + (w^2 - u_r^2 - u_theta^2) / 2]
+
+    with w downwards. In climb the plane moves along, and what passes it, rho V w, cancels against the pressure's
+    rho V w. Exact outside vortex cores. The wake knows nothing of profile drag, whose share of the thrust (about -1 %)
+    is missing here.
+
+    Parameters
+    ----------
+    solution : WakeSolution
+    height_m : float
+        Height of the plane; below all discs and above the end of the free wakes.
+    reach : float
+        Radius of the plane, over the largest rotor's.
+
+    Raises
+    ------
+    InputError
+        If the plane does not lie below the discs.
+    """
+    lowest = min(w.placed.height_m for w in solution.wakes)
+    big = max(w.surface.radius_m for w in solution.wakes)
+    if not height_m < lowest:
+        raise InputError(
+            "wake", "height_m", f"{height_m:g} m is not below the rotors", f"give less than {lowest:g}"
+        )
+    inner, w_in = np.polynomial.legendre.leggauss(48)
+    outer, w_out = np.polynomial.legendre.leggauss(24)
+    # Fine where the wake is, then on to the reach in ln r.
+    split = 1.3 * big
+    r = np.concatenate([0.5 * split * (inner + 1.0), split * (reach / 1.3) ** (0.5 * (outer + 1.0))])
+    far = r[inner.size :]
+    weight = np.concatenate([0.5 * split * w_in, 0.5 * math.log(reach / 1.3) * far * w_out])
+    blades = solution.wakes[0].surface.blades
+    angle = 2.0 * math.pi / blades * (np.arange(24) + 0.5) / 24 if len(solution.wakes) == 1 else _angles(48)
+    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    points = np.stack([r * c, r * s, np.full_like(r * c, height_m)], axis=-1)
+    rho = solution.air.density_kg_m3
+    total = np.zeros_like(points)
+    swirl = np.zeros(r.size)
+    for k, wake in enumerate(solution.wakes):
+        v = induced_velocity(replace(solution, wakes=(wake,), rotors=(solution.rotors[k],)), points)
+        total += v
+        around = np.mean(c * v[..., 1] - s * v[..., 0], axis=0) * wake.placed.hand
+        swirl += wake.surface.speed_rad_s * r * around
+    down = -total[..., 2]
+    outwards, around2 = c * total[..., 0] + s * total[..., 1], c * total[..., 1] - s * total[..., 0]
+    flux = 0.5 * np.mean(down**2 - outwards**2 - around2**2, axis=0)
+    return float(rho * 2.0 * math.pi * np.sum(weight * r * (swirl + flux)))
+
+
+def _angles(n: int) -> Array:
+    return 2.0 * math.pi * (np.arange(n) + 0.5) / n

@@ -37,7 +37,8 @@ class WakeSettings:
     core : float
         First core radius over the local chord.
     core_limit : float, optional
-        Core radius of an old wake over R; 0.25 for one rotor and 0.3 for two, whose wakes wind each other up.
+        Core radius of an old wake over R. By default 0.15 for one rotor and 0.2 for two, and more, in two steps, where
+        the wake does not settle with it; the solution's settings and message say which.
     phases : int
         Relative azimuths over which two rotors' influence on each other is averaged.
     relaxation : float
@@ -48,7 +49,7 @@ class WakeSettings:
     residual : float
         ... and the wake follows the air within this part of its velocity.
     iterations : int
-        At most.
+        At most, with each core limit.
     inviscid : bool
         No boundary layer: c_l = 2 pi sin(alpha), no drag.
     """
@@ -64,7 +65,7 @@ class WakeSettings:
     relaxation: float = 0.35
     tolerance: float = 1e-3
     residual: float = 0.05
-    iterations: int = 300
+    iterations: int = 150
     inviscid: bool = False
 
     def __post_init__(self) -> None:

@@ -23,8 +23,8 @@ turn and its pitch that of its last turn. Where it ends, several radii below, is
 
 alpha = 1.25643, a1 = 2e-4, d the distance of neighbouring filaments at the blade (a sheet of vortices needs cores that
 overlap), h = r_0 exp(1 - r/r_0) with r_0 the radius of the cut-out (hub and shaft stir what leaves the root), and
-r_lim = 0.25 R for one rotor, 0.3 R for two: real wakes break down into turbulence after a turn or two, and a lattice
-whose old vortices stay sharp goes on winding them up without end. docs/wake.md shows what each term does to the thrust.
+r_lim = 0.15 R for one rotor, 0.2 R for two, more if need be: real wakes break down into turbulence after a turn or two,
+and a lattice whose old vortices stay sharp goes on winding them up without end. docs/wake.md shows what each term does.
 """
 
 from __future__ import annotations
@@ -123,6 +123,8 @@ def extended(
     r_last, r_mean = radius[:, -1], radius.mean(axis=1)
     pitch = (last[:, 2] - before[:, 2]) / (per_turn * step)
     beyond = far_step_rad * np.arange(1, max(round(far_turns * 2.0 * math.pi / far_step_rad), 1) + 1)
+    # Chords of a circle enclose less than the circle; the far polygon gets the area of the helix.
+    r_mean = r_mean * math.sqrt(far_step_rad / math.sin(far_step_rad))
     r = r_mean[:, None] + (r_last - r_mean)[:, None] * np.exp(-beyond)
     angle = np.arctan2(last[:, 1], last[:, 0])[:, None] - beyond
     far = np.stack([r * np.cos(angle), r * np.sin(angle), last[:, 2, None] + pitch[:, None] * beyond], axis=2)

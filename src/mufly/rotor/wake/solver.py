@@ -36,6 +36,15 @@ __all__ = ["solve"]
 
 Array = NDArray[np.float64]
 
+_MEMORY = 10
+_CORE_LIMITS = (0.15, 0.25, 0.35)  # R; the next one is tried where a wake does not settle
+_PAIR_CORE_LIMITS = (0.2, 0.3, 0.4)
+_DAMPING_RAD = 4.0 * math.pi
+_THICK, _THINNING = 0.4, 15.0  # core limit (R) at first; iterations in which it fades
+_LAG = 3  # iterations between updates of what the other rotor does to the wake's points; it changes slowly
+_LONGEST_STEP = 0.15  # R; a point never goes farther in one iteration
+_PRESCRIBED_FIRST = 6  # iterations with Landgrebe's wake before the free wake is let go
+
 
 def _convected(unit: Unit, velocity: Array, climb: float) -> tuple[Array, float]:
     """Where the air takes the points, and how far the wake is from standing still.
@@ -115,25 +124,47 @@ def solve(
     A solution that does not converge is returned, marked so, with its history.
     """
     gas, how = air or Air(), settings or WakeSettings()
-    if how.core_limit is None:
-        how = replace(how, core_limit=0.25 if len(rotors) == 1 else 0.3)
     check_rotors(rotors, climb_m_s)
+    if how.core_limit is not None or how.model == "prescribed":
+        how = replace(how, core_limit=how.core_limit if how.core_limit is not None else _CORE_LIMITS[0])
+        return _attempt(rotors, gas, climb_m_s, how, start, progress)
+    limits: tuple[float, ...] = _CORE_LIMITS if len(rotors) == 1 else _PAIR_CORE_LIMITS
+    if start is not None and start.settings.core_limit in limits:
+        limits = limits[limits.index(start.settings.core_limit) :]
+    for limit in limits:
+        solution = _attempt(rotors, gas, climb_m_s, replace(how, core_limit=limit), start, progress)
+        if solution.converged:
+            break
+        start = None
+    return solution
+
+
+def _attempt(
+    rotors: Sequence[Placed], gas: Air, climb_m_s: float, how: WakeSettings, start: WakeSolution | None,
+    progress: Callable[[int, float, float], None] | None,
+) -> WakeSolution:  # fmt: skip
+    """Solve with one core limit, from a similar solution or from a prescribed wake."""
     nu = gas.viscosity_Pa_s / gas.density_kg_m3
     units = [Unit(p, how) for p in rotors]
     _first_shape(units, start, climb_m_s)
     free = how.model == "free"
     history: list[list[float]] = []
     message, converged, residual = "", False, math.inf
+    limit = how.core_limit or 0.0
     for turn in range(how.iterations):
+        # Thick cores first: a wake that is still far off would otherwise wind itself up.
+        now = replace(
+            how, core_limit=limit + max(_THICK - limit, 0.0) * math.exp(-turn / _THINNING) * (start is None)
+        )
         for unit in units:
-            unit.lay_out(how, nu)
+            unit.lay_out(now, nu)
         for unit in units:
             others = np.zeros_like(unit.sensors)
             for source in units:
                 if source is not unit and source.state is not None:
                     others += from_other(unit, source, unit.sensors, how.phases)
             solve_blade(unit, others, gas, climb_m_s, how)
-            unit.refresh(how, nu)
+            unit.refresh(now, nu)
         residuals = []
         for unit in units:
             if free and turn >= _PRESCRIBED_FIRST * (start is None):
@@ -165,9 +196,13 @@ def solve(
         message = _diverged(history, how)
         if message:
             break
-        converged = residual <= how.residual and _steady(history, how.tolerance)
+        converged = (
+            turn > 3.0 * _THINNING * (start is None)
+            and residual <= how.residual
+            and _steady(history, how.tolerance)
+        )
         if converged:
-            message = f"converged after {turn + 1} iterations"
+            message = f"converged after {turn + 1} iterations, core limit {limit:g} R"
             break
         for unit in units:
             unit.free = unit.next
@@ -189,13 +224,6 @@ def solve(
         air=gas,
         climb_m_s=climb_m_s,
     )
-
-
-_MEMORY = 10
-_DAMPING_RAD = 4.0 * math.pi
-_LAG = 3  # iterations between updates of what the other rotor does to the wake's points; it changes slowly
-_LONGEST_STEP = 0.15  # R; a point never goes farther in one iteration
-_PRESCRIBED_FIRST = 6  # iterations with Landgrebe's wake before the free wake is let go
 
 
 def _spread(history: list[list[float]]) -> float:

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from mufly.rotor.hover import Air, RotorResult, result_of
 from mufly.rotor.wake.blade import (
     BladeState,
+    Surface,
     blade_loads,
     bound_influence,
+    leg_points,
     of_all_blades,
     solve_circulation,
     surface_of,
@@ -21,7 +23,7 @@ from mufly.rotor.wake.kernel import induce, influence, segments_of
 from mufly.rotor.wake.result import Placed, Wake, WakeSettings
 from mufly.rotor.wake.shape import ages_of, core_radii, extended
 
-__all__ = ["Unit", "from_other", "rotor_result", "solve_blade", "trailing", "wake_of"]
+__all__ = ["Unit", "from_other", "rotor_result", "solve_blade", "trailing", "vortices_of", "wake_of"]
 
 Array = NDArray[np.float64]
 
@@ -36,7 +38,7 @@ class Unit:
         n = s.chord_m.size
         self.age = ages_of(settings.turns, math.radians(settings.step_deg))
         self.free = np.empty((n + 1, self.age.size, 3))
-        self.sensors = np.concatenate([s.control_m, s.quarter_m])
+        self.sensors = np.concatenate([s.control_m, s.quarter_m, leg_points(s)])
         self.bound = bound_influence(s, self.sensors)
         # Circulation of the filament at edge j, towards the wake: what the inboard panel brings less the next one's.
         self.shed = np.zeros((n + 1, n))
@@ -60,25 +62,33 @@ class Unit:
         self.refresh(settings, viscosity)
 
     def refresh(self, settings: WakeSettings, viscosity: float) -> None:
-        s = self.surface
         strength = self.strength()
-        self.core = core_radii(
-            s, self.path_age, strength, viscosity, settings.core, settings.core_limit or 0.0
-        )
-        wake = segments_of(self.paths, self.core, strength)
-        if self.state is None:
-            self.segments = wake
-            return
-        edge = s.edge_quarter_m
-        bound = np.stack([edge[:-1], edge[1:]], axis=1)
-        # Wake points may pass close below a blade; to them the blade's vortex has the core of a thick section.
-        blade = segments_of(bound, 0.1 * s.chord_m[:, None], np.ones(s.chord_m.size))
-        blade = (blade[0], blade[1], blade[2] * self.state.circulation, blade[3])
-        self.segments = tuple(np.concatenate(pair, axis=-1) for pair in zip(wake, blade, strict=True))  # type: ignore[assignment]
+        limit = settings.core_limit or 0.0
+        self.core = core_radii(self.surface, self.path_age, strength, viscosity, settings.core, limit)
+        gamma = self.state.circulation if self.state is not None else np.zeros(self.shed.shape[1])
+        self.segments = vortices_of(self.surface, self.paths, self.core, strength, gamma)
 
     def velocity(self, points: Array) -> Array:
         """What this rotor induces at points of its own frame."""
         return of_all_blades(points, self.surface.blades, lambda p: induce(p, self.segments))
+
+
+def vortices_of(
+    surface: Surface, paths: Array, core: Array, strength: Array, circulation: Array
+) -> tuple[Array, Array, Array, Array]:
+    """All vortices of one blade as segments: trailing filaments, bound vortices, and what closes them at the far end.
+
+    Vortex lines do not end; the closing segments lie where the far wake is cut off. Wake points may pass close below a
+    blade: to them the bound vortex has the core of a thick section, a tenth of the chord.
+    """
+    edge, ends = surface.edge_quarter_m, paths[:, -1]
+    unit = np.ones(circulation.size)
+    bound = segments_of(np.stack([edge[:-1], edge[1:]], axis=1), 0.1 * surface.chord_m[:, None], unit)
+    closing = segments_of(np.stack([ends[1:], ends[:-1]], axis=1), core[1:, -1:], unit)
+    parts = [segments_of(paths, core, strength)]
+    parts += [(a, b, unit * circulation, c) for a, b, unit, c in (bound, closing)]
+    start, end, strengths, cores = (np.concatenate(p, axis=-1) for p in zip(*parts, strict=True))
+    return start, end, strengths, cores
 
 
 def trailing(unit: Unit) -> Array:
@@ -113,7 +123,9 @@ def solve_blade(unit: Unit, others: Array, air: Air, climb: float, settings: Wak
     n = s.chord_m.size
     matrix = trailing(unit)
     x = unit.sensors
-    own = np.stack([x[:, 1], -x[:, 0], np.zeros(2 * n)], axis=1) * s.speed_rad_s  # air past the turning blade
+    own = (
+        np.stack([x[:, 1], -x[:, 0], np.zeros(len(x))], axis=1) * s.speed_rad_s
+    )  # air past the turning blade
     wind = own + others
     wind[:, 2] -= climb
     start = unit.state.circulation if unit.state is not None else None
@@ -121,8 +133,9 @@ def solve_blade(unit: Unit, others: Array, air: Air, climb: float, settings: Wak
         s, p.blading, p.which, wind[:n], matrix[:n], air, start, inviscid=settings.inviscid
     )
     unit.state = state
-    unit.wind_quarter = wind[n:] + matrix[n:].transpose(0, 2, 1) @ state.circulation
-    unit.dT, unit.dQ = blade_loads(s, state, unit.wind_quarter, air)
+    complete = wind + matrix.transpose(0, 2, 1) @ state.circulation
+    unit.wind_quarter = complete[n : 2 * n]
+    unit.dT, unit.dQ = blade_loads(s, state, unit.wind_quarter, complete[2 * n :], air)
     unit.thrust, unit.torque = float(unit.dT.sum()), float(unit.dQ.sum())
 
 
