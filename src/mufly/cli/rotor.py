@@ -27,10 +27,19 @@ from mufly.cli.options import (
     save_picture,
 )
 from mufly.cli.rotor_compare import compare
+from mufly.cli.wake_options import (
+    MethodOption,
+    WakeOption,
+    WakeSetOption,
+    wake_of,
+    wake_progress,
+    write_history,
+)
 
 if TYPE_CHECKING:
     from mufly.drive import OperatingPoint
-    from mufly.rotor import Band, Rotor, RotorResult
+    from mufly.rotor import Band, Blading, Rotor, RotorResult
+    from mufly.rotor.wake import WakeSolution
 
 __all__ = ["app"]
 
@@ -163,6 +172,9 @@ def hover(
     n_crit: NCritOption = 0.1,
     engine: EngineOption = "neuralfoil",
     model: ModelOption = "full",
+    method: MethodOption = "bemt",
+    wake: WakeOption = "free",
+    wake_set: WakeSetOption = None,
     band: Annotated[
         float | None,
         typer.Option(
@@ -177,28 +189,46 @@ def hover(
     """Compute thrust, torque, power and figure of merit, and what happens along the blade.
 
     Give two of --pitch, --rpm and --thrust. With a drive, its electrical power at the same point is told too.
-    With --out, the stations are drawn and written as CSV.
+    With --out, the stations are drawn and written as CSV; with --method wake the wake and the air around it are drawn
+    too. A wake that does not converge ends the command with status 1, its history written.
     Examples: mufly rotor hover naca0012-r60-c20 --pitch 12 --rpm 5000; mufly rotor hover --pitch 12 --thrust 0.4
-    --drive mufly
+    --drive mufly; mufly rotor hover naca0012-r60-c20 --pitch 14 --rpm 6000 --method wake --out wake
     """
     import numpy as np
 
-    from mufly.drive import blade_load, operating_point
-    from mufly.errors import InputError
+    from mufly.drive import blade_load, operating_point, scaled_load
+    from mufly.errors import InputError, MuflyError
     from mufly.rotor import Air, interval, load_rotor, prepare, solve_thrust
     from mufly.rotor import hover as solve
-    from mufly.study import stations_picture, write_stations
+    from mufly.study import field_picture, history_picture, stations_picture, wake_picture, write_stations
 
     if sum(v is not None for v in (pitch, rpm, thrust)) != 2:
         raise InputError(
             "rotor hover", "", "needs two of --pitch, --rpm and --thrust", "give two; the third is found"
         )
+    settings, count = wake_of(method, wake, wake_set)
+    if band is not None and method == "wake":
+        raise InputError(
+            "--band", "", "is the interval of blade element theory", "leave --method wake or --band out"
+        )
     r, d, air = load_rotor(rotor), drive_or_none(drive), Air(density_kg_m3=density)
     fixes = corrections_of(model)
-    blading = prepare(r, n_crit=n_crit, engine=engine_of(engine), corrections=fixes)
+    blading = prepare(r, n_crit=n_crit, engine=engine_of(engine), corrections=fixes, stations=count)
     theta = angle("--pitch", pitch) if pitch is not None else None
     speed = rpm * _RPM if rpm is not None else None
-    if thrust is not None:
+    solution = None
+    if method == "wake":
+        with wake_progress("wake", not as_json, out) as progress:
+            solution = solve_wake(
+                blading, thrust, theta, speed, climb_m_s=climb, air=air, settings=settings, progress=progress
+            )
+        result = solution.rotors[0]
+        if out is not None:
+            write_history(solution.history, out, ("residual", "thrust_N", "torque_Nm"))
+        if not solution.converged:
+            kept = "" if out is None else f"; its history lies in {out}"
+            raise MuflyError(f"wake: {solution.message}{kept}")
+    elif thrust is not None:
         result = solve_thrust(
             blading, thrust_N=thrust, pitch_rad=theta, speed_rad_s=speed, climb_m_s=climb, air=air
         )
@@ -209,6 +239,8 @@ def hover(
     point = None
     if d is not None and result.thrust_N > 0:
         load = blade_load(blading, pitch_rad=result.pitch_rad, climb_m_s=climb, air=air)
+        if solution is not None:
+            load = scaled_load(load, result.speed_rad_s, result.thrust_N, result.torque_Nm)
         point = operating_point(d, load, thrust_N=result.thrust_N)
     around = None
     if band is not None:
@@ -219,12 +251,24 @@ def hover(
     files = []
     if out is not None:
         files = [save_picture(stations_picture(result), out, "stations"), write_stations(result, out)]
+        if solution is not None:
+            history = history_picture(solution.history, residual=settings.residual, note=solution.message)
+            files += [
+                out / "history.csv", save_picture(history, out, "history"),
+                save_picture(wake_picture(solution), out, "wake"), save_picture(field_picture(solution), out, "air"),
+                save_picture(field_picture(solution, mean=False), out, "air-instant"),
+            ]  # fmt: skip
     if as_json:
-        print_json(_hover_json(r, result, point, around, model, n_crit))
+        answer = _hover_json(r, result, point, around, model, n_crit)
+        if solution is not None:
+            told = {k: getattr(solution, k) for k in ("converged", "message", "iterations", "residual")}
+            answer["wake"] = {**told, "settings": vars(solution.settings)}
+        print_json({**answer, "method": method, "files": [str(f) for f in files]})
         return
     c = console()
     c.print(
-        f"[bold]{r.name}[/bold] at {math.degrees(result.pitch_rad):.2f}° and {result.speed_rad_s / _RPM:.0f} rpm",
+        f"[bold]{r.name}[/bold] at {math.degrees(result.pitch_rad):.2f}° and {result.speed_rad_s / _RPM:.0f} rpm"
+        + ("" if solution is None else f"; {settings.model} wake, {solution.message}"),
         highlight=False,
     )
     reach = ("", "")
@@ -271,6 +315,19 @@ def hover(
         )
     for file in files:
         c.print(f"Written: {file}")
+
+
+def solve_wake(
+    blading: Blading, thrust: float | None, pitch: float | None, speed: float | None, **more: Any
+) -> WakeSolution:
+    """A wake at two of thrust, pitch and speed."""
+    from mufly.rotor.wake import hover_wake, solve_thrust_wake
+
+    if thrust is not None:
+        return solve_thrust_wake(blading, thrust_N=thrust, pitch_rad=pitch, speed_rad_s=speed, **more)
+    assert pitch is not None
+    assert speed is not None
+    return hover_wake(blading, pitch_rad=pitch, speed_rad_s=speed, **more)
 
 
 def _hover_json(

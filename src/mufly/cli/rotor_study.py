@@ -23,10 +23,12 @@ from mufly.cli.options import (
     save_picture,
 )
 from mufly.cli.rotor_optimise import optimise
+from mufly.cli.wake_options import MethodOption, WakeOption, WakeSetOption, wake_of
 
 if TYPE_CHECKING:
     import xarray as xr
 
+    from mufly.rotor.wake import WakeSettings
     from mufly.study import Setup
     from mufly.study.parameters import Value
 
@@ -60,10 +62,22 @@ def add_to(app: typer.Typer) -> None:
 
 
 def setup_of(
-    rotor: str, drive: str | None, settings: list[str], model: str, n_crit: float, engine: str, *, flags: bool
+    rotor: str,
+    drive: str | None,
+    settings: list[str],
+    model: str,
+    n_crit: float,
+    engine: str,
+    *,
+    flags: bool,
+    method: str = "bemt",
+    wake: WakeSettings | None = None,
+    stations: int | None = None,
 ) -> tuple[Setup, dict[str, tuple[Value, ...]]]:
     """Return what the options say, and the settings that hold more than one value."""
     from mufly.rotor import load_rotor
+    from mufly.rotor.blading import STATIONS
+    from mufly.rotor.wake import WakeSettings
     from mufly.study import Setup, parse_settings
 
     given = parse_settings(settings)
@@ -77,6 +91,9 @@ def setup_of(
             corrections=corrections_of(model),
             engine=engine,
             flags=flags,
+            method=method,
+            wake=wake or WakeSettings(),
+            stations=stations or STATIONS,
         ),
         several,
     )
@@ -115,6 +132,9 @@ def sweep(
     n_crit: NCritOption = 0.1,
     engine: EngineOption = "neuralfoil",
     model: ModelOption = "full",
+    method: MethodOption = "bemt",
+    wake: WakeOption = "free",
+    wake_set: WakeSetOption = None,
     as_json: JsonOption = False,
 ) -> None:  # fmt: skip
     """Evaluate every combination of some parameters' values: geometry, drive, air.
@@ -122,6 +142,7 @@ def sweep(
     The pitch has to be varied or set, and one of thrust (the speed is found), speed, or duty (the speed at
     which rotor and motor settle). With a thrust, gear=adapted finds the gear ratio that just gives it at full
     voltage, as the dissertation's studies do. A case that fails is marked with its reason and the others go on.
+    With --method wake a case takes seconds (a few wakes where a speed is found); each is kept as soon as it is there.
 
     Example: mufly rotor sweep naca4412-r60-c20 --vary chord=10:30:5mm --vary pitch=6:20:1deg --set thrust=0.4N
     --set gear=adapted --drive mufly --out chords
@@ -130,7 +151,19 @@ def sweep(
     from mufly.study import parse_settings
     from mufly.study import sweep as run
 
-    setup, several = setup_of(rotor, drive, set_ or [], model, n_crit, engine, flags=True)
+    settings, stations = wake_of(method, wake, wake_set)
+    setup, several = setup_of(
+        rotor,
+        drive,
+        set_ or [],
+        model,
+        n_crit,
+        engine,
+        flags=True,
+        method=method,
+        wake=settings,
+        stations=stations,
+    )
     if several:
         raise InputError("--set", next(iter(several)), "has several values", "vary it with --vary")
     varied = parse_settings(vary or [])

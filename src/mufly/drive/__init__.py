@@ -4,7 +4,7 @@ from mufly.drive.battery import interpolate, terminal_voltage
 from mufly.drive.endurance import Endurance, hover_endurance
 from mufly.drive.gear import GearOptima, adapted_gear, best_gear, gear_curve, gear_optima
 from mufly.drive.load import builtin_drives, drive_of, drive_toml, load_drive
-from mufly.drive.loads import RotorLoad, blade_load, coefficient_load
+from mufly.drive.loads import RotorLoad, blade_load, coefficient_load, scaled_load
 from mufly.drive.motor import armature_current, rotor_acceleration
 from mufly.drive.operating import (
     OperatingPoint,
@@ -40,6 +40,7 @@ __all__ = [
     "open_circuit_voltage",
     "operating_point",
     "rotor_acceleration",
+    "scaled_load",
     "speed_at_voltage",
     "speed_for_thrust",
     "steady",

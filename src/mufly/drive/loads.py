@@ -13,9 +13,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mufly.errors import InputError
 from mufly.rotor import Air, Blading, hover_batch
 
-__all__ = ["RotorLoad", "blade_load", "coefficient_load"]
+__all__ = ["RotorLoad", "blade_load", "coefficient_load", "scaled_load"]
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -70,3 +71,34 @@ def blade_load(
         return r.thrust_N, r.torque_Nm
 
     return load
+
+
+def scaled_load(load: RotorLoad, speed_rad_s: float, thrust_N: float, torque_Nm: float) -> RotorLoad:
+    """Return a load with thrust and torque scaled so that it goes through a point of one rotor that is known better.
+
+    Parameters
+    ----------
+    load : RotorLoad
+        Of one rotor.
+    speed_rad_s, thrust_N, torque_Nm : float
+        The point, from a wake or a bench.
+
+    Raises
+    ------
+    InputError
+        If the load has no thrust or torque there, or not of the same sign.
+    """
+    thrust, torque = load(np.array([float(speed_rad_s)]), np.array([0]))
+    factors = []
+    for name, known, ours in (("thrust_N", thrust_N, thrust[0]), ("torque_Nm", torque_Nm, torque[0])):
+        if not known * ours > 0.0:
+            raise InputError(
+                "load", name, f"is {ours:.3g} where {known:.3g} is known", "check the operating point"
+            )
+        factors.append(known / ours)
+
+    def scaled(speed: Array, case: Integers) -> tuple[Array, Array]:
+        thrust, torque = load(speed, case)
+        return factors[0] * thrust, factors[1] * torque
+
+    return scaled

@@ -176,7 +176,10 @@ def _group(
     if not solved:
         return
     blading = prepare(
-        many, {n: t for n, t in tables.items() if isinstance(t, PolarTable)}, corrections=setup.corrections
+        many,
+        {n: t for n, t in tables.items() if isinstance(t, PolarTable)},
+        corrections=setup.corrections,
+        stations=setup.stations,
     )
     index = np.array(solved)
     which = np.array([used[keys[k]] for k in solved])

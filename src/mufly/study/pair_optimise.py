@@ -42,6 +42,7 @@ _GENERATIONS = 30
 _STATIONS = 16  # in the search
 _BROKEN = 1e3  # W; cost of what cannot be
 _CLOSE = 1e-4
+_CLEAR = 0.9  # of the spacing, that pitched blades may take up
 
 
 @dataclass(frozen=True)
@@ -190,7 +191,9 @@ def optimise_pair(
             upper, lower = still or bladings_of(rough, case)
             every: dict[str, Any] = {**rough.fixed, **case}
             above = Placed(upper, every["upper_pitch"], 1.0, 0.0, 1)
-            check_rotors((above, Placed(lower, every["lower_pitch"], 1.0, -every["spacing"], -1)), 0.0)
+            check_rotors(
+                (above, Placed(lower, every["lower_pitch"], 1.0, -_CLEAR * every["spacing"], -1)), 0.0
+            )
             r = _balanced(upper, lower, rough, case, list(start))
         except MuflyError:
             return 2.0 * _BROKEN

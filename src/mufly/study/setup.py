@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from mufly.drive import Drive
 from mufly.errors import InputError
 from mufly.rotor import PLAIN, Corrections, Rotor
+from mufly.rotor.blading import STATIONS
 from mufly.rotor.wake import WakeSettings
 from mufly.study.parameters import DRIVE, PARAMETERS, Value
 
@@ -65,6 +66,8 @@ class Setup:
         Blade element momentum theory, or the wake method: a thousand to ten thousand times as long a case.
     wake : WakeSettings
         Of the wake method.
+    stations : int
+        Along a blade.
     """
 
     rotor: Rotor
@@ -76,6 +79,7 @@ class Setup:
     flags: bool = True
     method: str = "bemt"
     wake: WakeSettings = field(default_factory=WakeSettings)
+    stations: int = STATIONS
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:

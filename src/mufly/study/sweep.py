@@ -212,7 +212,7 @@ def _question(setup: Setup, names: Sequence[str], values: Sequence[Sequence[Valu
         "fixed": dict(sorted(setup.fixed.items())),
         "corrections": vars(setup.corrections),
         "polars": [setup.engine, setup.model, setup.flags],
-        "method": [setup.method, vars(setup.wake) if setup.method == "wake" else None],
+        "method": [setup.method, setup.stations, vars(setup.wake) if setup.method == "wake" else None],
         "vary": [names, values],
         "chunk": chunk,
         "contours": contours,

@@ -80,7 +80,7 @@ def wake_picture(solution: WakeSolution, *, turns: float = 2.0) -> Figure:
             xlim=(-radius, radius), ylim=(-radius, radius), zlim=(low, high), xlabel="x (mm)", ylabel="y (mm)",
             zlabel="z (mm)",
         )  # fmt: skip
-        axes.set_box_aspect((1.0, 1.0, max(0.6, (high - low) / (2.0 * radius))), zoom=1.05)
+        axes.set_box_aspect((1.0, 1.0, max(0.6, (high - low) / (2.0 * radius))), zoom=0.97)
         axes.xaxis.set_major_locator(MaxNLocator(4))
         axes.yaxis.set_major_locator(MaxNLocator(4))
         axes.zaxis.labelpad = 10.0
@@ -145,7 +145,7 @@ def field_picture(solution: WakeSolution, *, mean: bool = True, points: int = 80
     x = np.linspace(-1.6 * radius, 1.6 * radius, points)
     z = np.linspace(bottom, top, max(10, round(points * (top - bottom) / (3.2 * radius))))
     u, _, w = plane_velocity(solution, x, z, phases=phases if mean else 1)
-    figure = _figure(6.4, 6.4)
+    figure = _figure(7.0, 6.6)
     axes = figure.subplots()
     mx, mz = 1e3 * x, 1e3 * z
     if mean:
