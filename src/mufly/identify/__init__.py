@@ -7,7 +7,8 @@ from mufly.identify.linear import identify_linear
 from mufly.identify.linear_columns import Columns, read_columns
 from mufly.identify.linear_result import LinearFit, LinearResult
 from mufly.identify.missing import what_is_missing
-from mufly.identify.record import Record, check_record, record_from, split
+from mufly.identify.record import Record, record_from, split
+from mufly.identify.record_check import check_record
 from mufly.identify.report import Section, write_report
 from mufly.identify.residuals import Quality, qualities, quality
 from mufly.identify.result import Estimate, Fit, RecordFit

@@ -31,6 +31,7 @@ from mufly.errors import InputError
 from mufly.identify.free import Free, batch_parameters, numbers_at, physical
 from mufly.identify.record import Record, difference_noise, smoothed, smoothed_motion
 from mufly.identify.simulate import LONGEST_STEP_S, OUTPUTS, fly_batch
+from mufly.identify.steady import bar_normal, hover, steady_speed
 from mufly.vehicle import Vehicle
 
 __all__ = ["ACTUATOR", "MOTION", "PART_OUTPUTS", "Linear", "Part", "Problem", "make_problem"]
@@ -201,15 +202,15 @@ class Problem:
 
         hold = np.full((b, 2), -1.0)
         if self.part == "roll-pitch":
-            speeds, hold = _hover(p)
+            speeds, hold = hover(p)
         else:
             first = self._inputs[i][: max(1, round(0.3 / r.sample_s)), :2].mean(axis=0)
-            speeds = _steady_speed(p, np.clip(first, 0.0, 1.0), self._volts[i][0])
+            speeds = steady_speed(p, np.clip(first, 0.0, 1.0), self._volts[i][0])
         x = np.zeros((b, 21))
         x[:, 6] = 1.0
         x[:, 13] = p["swash_gain"] * np.clip(self._inputs[i][0, 3], -1, 1)
         x[:, 14] = -p["swash_gain"] * np.clip(self._inputs[i][0, 2], -1, 1)
-        x[:, 15:18] = _bar_normal(motion[:, 0, 6:9], actuator[:, 2:4])
+        x[:, 15:18] = bar_normal(motion[:, 0, 6:9], actuator[:, 2:4])
         x[:, 18:20] = speeds * np.maximum(1.0 + actuator[:, 0:2], 0.01)
         x[:, 20] = np.clip(self._charge[i] + actuator[:, 4], 0.0, 1.0)
         codes = np.array([OUTPUTS.index(o) for o in r.outputs], dtype=np.int64)
@@ -263,7 +264,7 @@ class Problem:
         for i in range(len(self.records)):
             p = numbers_at(self._base[i], self._powers[i], theta)
             duty = np.clip(self._inputs[i][:, :2], 0.0, 1.0).mean(axis=0)
-            speed = _steady_speed(p, duty, self._volts[i][1])
+            speed = steady_speed(p, duty, self._volts[i][1])
             weight = p["mass"] * GRAVITY + p["downwash"]
             up, dw = p["torque_up"] * speed[:, 0] ** 2, p["torque_dw"] * speed[:, 1] ** 2
             lift = p["thrust_up"] * speed[:, 0] ** 2 + p["thrust_dw"] * speed[:, 1] ** 2
@@ -292,7 +293,7 @@ def make_problem(
     free : sequence of Free
         See :func:`mufly.identify.free.choose_free`.
     records : sequence of Record
-        Checked by :func:`mufly.identify.record.check_record`.
+        Checked by :func:`mufly.identify.check_record`.
     part : {"both", "heave-yaw", "roll-pitch"}
     outputs : sequence of str, optional
         Use these of the measured outputs only.
@@ -355,7 +356,7 @@ def make_problem(
     problem = Problem(
         vehicle=vehicle, free=tuple(free), records=tuple(kept), noise=tuple(difference_noise(r) for r in kept),
         starts=(), sought=(), part=part, hover=False, prior=prior, delay_s=delay_s, longest_step_s=longest_step_s,
-        _motion=tuple(motion), _mast=tuple(_bar_normal(m[:, 6:9], np.zeros((len(m), 2))) for m in motion),
+        _motion=tuple(motion), _mast=tuple(bar_normal(m[:, 6:9], np.zeros((len(m), 2))) for m in motion),
         _inputs=tuple(inputs), _base=tuple(base), _powers=tuple(powers),
         _charge=tuple(charge), _volts=tuple(steady),
     )  # fmt: skip
@@ -404,37 +405,3 @@ def _sought(outputs: Sequence[str], part: Part, *, whole: bool, charge: bool) ->
     if part == "roll-pitch":
         chosen -= {0, 1, 2, 3, 4, 5, 8, 11, len(MOTION), len(MOTION) + 1, len(MOTION) + 4}
     return np.array(sorted(chosen), dtype=np.int64)
-
-
-def _steady_speed(p: NDArray[np.void], duty: _Array, volts: float) -> _Array:
-    """Return the rotor speeds (b, 2) at which the motors settle under constant inputs (2,): eq. 4.29 at rest."""
-    gear, out = p["gear_ratio"], np.empty((len(p), 2))
-    for k, side in enumerate(("up", "dw")):
-        square = p[f"torque_{side}"] / (gear**2 * p["gear_efficiency"])
-        linear = p["kM"] * p["kE"] / p["R_ohm"] + p["dR"]
-        drive = p["kM"] * duty[k] * volts / (p["R_ohm"] * gear)
-        out[:, k] = 2 * drive / (linear + np.sqrt(linear**2 + 4 * square * drive))
-    return out
-
-
-def _hover(p: NDArray[np.void]) -> tuple[_Array, _Array]:
-    """Return hover speeds (b, 2) by eq. 5.1 and the motor inputs that hold them."""
-    ratio = p["torque_up"] / p["torque_dw"]
-    up = np.sqrt(
-        (p["mass"] * GRAVITY + p["downwash"]) / (p["thrust_up"] + p["thrust_dw"] * ratio)
-    )  # fmt: skip
-    speed = np.column_stack([up, up * np.sqrt(ratio)])
-    gear = p["gear_ratio"][:, None]
-    torque = np.column_stack([p["torque_up"], p["torque_dw"]]) * speed**2
-    current = p["dR"][:, None] * speed + torque / (gear**2 * p["gear_efficiency"][:, None])
-    current *= gear / p["kM"][:, None]
-    volts = current * p["R_ohm"][:, None] + p["kE"][:, None] * gear * speed
-    return speed, volts / p["battery_curve"][:, -1:]
-
-
-def _bar_normal(attitude: _Array, tilt: _Array) -> _Array:
-    """Return upward normals in N-E-D (b, 3) of bars tilted by roll and pitch against the mast."""
-    roll, pitch, yaw = attitude[:, 0] + tilt[:, 0], attitude[:, 1] + tilt[:, 1], attitude[:, 2]
-    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
-    cy, sy = np.cos(yaw), np.sin(yaw)
-    return -np.column_stack([cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr])

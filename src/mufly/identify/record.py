@@ -23,9 +23,9 @@ from mufly.identify.simulate import OUTPUT_UNITS, OUTPUTS
 __all__ = [
     "INPUTS",
     "Record",
-    "check_record",
     "dataset_of",
     "difference_noise",
+    "filled",
     "record_from",
     "smoothed",
     "smoothed_motion",
@@ -36,7 +36,6 @@ __all__ = [
 _Array = NDArray[np.float64]
 
 INPUTS = ("motor_upper", "motor_lower", "servo_1", "servo_2")
-_DEGREES = 180.0 / np.pi
 # variable of the recording -> (output, index in its last axis, sign)
 _SOURCES = {
     "position": (("north", 0, 1.0), ("east", 1, 1.0), ("height", 2, -1.0)),
@@ -103,7 +102,7 @@ def record_from(data: xr.Dataset, name: str, *, prefix: str = "measured") -> Rec
     Raises
     ------
     InputError
-        If inputs or outputs are missing, or the record fails :func:`check_record`'s first checks.
+        If inputs or outputs are missing, or the clock cannot be.
     """
     for key in ("motor_input", "servo_input"):
         if key not in data:
@@ -235,76 +234,6 @@ def _clean(r: Record) -> Record:
     return replace(r, time_s=even, inputs=inputs, measured=measured, voltage=voltage)
 
 
-def check_record(r: Record) -> tuple[str, ...]:
-    """Look for faults that a fit would turn into wrong parameters.
-
-    Returns
-    -------
-    tuple of str
-        Warnings: what can still be fitted, but not as it might seem.
-
-    Raises
-    ------
-    InputError
-        For degrees labelled radians, inputs out of range, a record in which no input moves.
-    """
-    warnings: list[str] = []
-    for angle, rate in (("roll", "p"), ("pitch", "q"), ("yaw", "r")):
-        _check_degrees(r, angle, rate)
-    for k, name in enumerate(INPUTS):
-        u = r.inputs[:, k]
-        low = 0.0 if k < 2 else -1.0
-        top = float(np.max(np.abs(u)))
-        if top > 1.5 or float(np.min(u)) < low - 0.5:
-            unit = (
-                "per cent" if top <= 100 else "microseconds of a servo pulse" if top > 500 else "another unit"
-            )
-            raise InputError(
-                r.name, name, f"reaches {u[np.argmax(np.abs(u))]:g}: it seems to be in {unit}",
-                f"scale it to {low:g}..1",
-            )  # fmt: skip
-    still = [n for k, n in enumerate(INPUTS) if np.ptp(r.inputs[:, k]) < 1e-6]
-    if len(still) == 4:
-        raise InputError(r.name, "inputs", "none of them moves", "fly an excitation: `mufly identify plan`")
-    warnings += [f"{r.name}: {n} is constant; nothing is learnt of what it drives" for n in still]
-    for k, name in enumerate(r.outputs):
-        y = r.measured[np.isfinite(r.measured[:, k]), k]
-        if name != "voltage" and np.ptp(y) < 1e-9:
-            warnings.append(f"{r.name}: {name} never changes; is that sensor connected?")
-    return tuple(warnings)
-
-
-def _check_degrees(r: Record, angle: str, rate: str) -> None:
-    if angle not in r.outputs:
-        return
-    a = _filled(r.measured[:, r.outputs.index(angle)])
-    if rate in r.outputs:
-        w = _filled(r.measured[:, r.outputs.index(rate)])
-        # Slope of the change of angle over 0.2 s against the integrated rate.
-        lag = max(1, round(0.2 / r.sample_s))
-        turned = np.concatenate([[0.0], np.cumsum(0.5 * (w[1:] + w[:-1])) * r.sample_s])
-        x, y = turned[lag:] - turned[:-lag], a[lag:] - a[:-lag]
-        x, y = x - x.mean(), y - y.mean()
-        if x.std() > 0 and y.std() > 0 and float(x @ y) / (len(x) * x.std() * y.std()) > 0.6:
-            slope = y.std() / x.std()
-            if 30.0 < slope < 110.0:
-                raise InputError(
-                    r.name, angle, f"changes {slope:.0f} times as fast as {rate} says: it seems to be in degrees",
-                    "say so in the column map (unit 'deg')",
-                )  # fmt: skip
-            if 1 / 110.0 < slope < 1 / 30.0:
-                raise InputError(
-                    r.name, rate, f"is {1 / slope:.0f} times the rate at which {angle} changes: it seems to be "
-                    "in degrees a second", "say so in the column map (unit 'deg/s')",
-                )  # fmt: skip
-    limit = np.pi / 2 + 0.01 if angle == "pitch" else np.pi + 0.01
-    if angle != "yaw" and float(np.max(np.abs(a))) > limit:
-        raise InputError(
-            r.name, angle, f"reaches {a[np.argmax(np.abs(a))]:.3g} rad: it seems to be in degrees",
-            "say so in the column map (unit 'deg')",
-        )  # fmt: skip
-
-
 def difference_noise(r: Record) -> _Array:
     """Return the standard deviation of white noise on every output, from third differences, (m,)."""
     out = np.empty(len(r.outputs))
@@ -316,7 +245,8 @@ def difference_noise(r: Record) -> _Array:
     return out
 
 
-def _filled(y: _Array) -> _Array:
+def filled(y: _Array) -> _Array:
+    """Return ``y`` (n,) with straight lines over its holes (NaN)."""
     good = np.isfinite(y)
     return np.interp(np.arange(len(y)), np.flatnonzero(good), y[good])
 
@@ -339,7 +269,7 @@ def smoothed_motion(r: Record) -> _Array:
     def smooth(name: str, span_s: float, slope: bool = False) -> _Array | None:
         if name not in r.outputs:
             return None
-        y = _filled(r.measured[:, r.outputs.index(name)])
+        y = filled(r.measured[:, r.outputs.index(name)])
         return smoothed(y, dt, span_s, slope=slope)
 
     for k, (place, speed) in enumerate((("north", "v_north"), ("east", "v_east"), ("height", "climb"))):
