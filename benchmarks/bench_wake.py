@@ -22,7 +22,7 @@ from collections.abc import Callable
 
 import numba
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from mufly.rotor import load_rotor, prepare
 from mufly.rotor.wake import WakeSettings, coaxial_wake, hover_wake
@@ -31,7 +31,6 @@ from mufly.rotor.wake.kernel import induce, segments_of
 RPM = math.pi / 30
 ROOTS = 3  # 1/sqrt(x) an interaction: two distances and the core
 OPERATIONS = 58  # additions and multiplications an interaction, counted in wake/kernel.py
-DEGREE = 16  # of the polynomial that measures additions and multiplications
 
 
 def best(task: Callable[[], object], repeats: int = 5) -> float:
@@ -61,32 +60,27 @@ def numpy_induce(points: np.ndarray, segments: tuple[np.ndarray, ...], chunk: in
     return out
 
 
-@njit(parallel=True, fastmath=True, error_model="numpy")
-def _roots(x, rounds):  # type: ignore[no-untyped-def]
-    total = 0.0
-    for i in prange(x.shape[0]):
-        s = 0.0
-        for r in range(rounds):
-            for k in range(x.shape[1]):
-                s += 1.0 / math.sqrt(x[i, k] + r)
-        total += s
-    return total
+@njit(fastmath=True, error_model="numpy")
+def _roots(x, y, rounds):  # type: ignore[no-untyped-def]
+    for r in range(rounds):
+        for k in range(x.size):
+            y[k] += 1.0 / math.sqrt(x[k] + r)
 
 
-@njit(parallel=True, fastmath=True, error_model="numpy")
-def _products(x, rounds):  # type: ignore[no-untyped-def]
-    total = 0.0
-    for i in prange(x.shape[0]):
-        s = 0.0
-        for r in range(rounds):
-            for k in range(x.shape[1]):
-                v = x[i, k]
-                p = v + r
-                for _ in range(DEGREE):
-                    p = p * v + 0.5
-                s += p
-        total += s
-    return total
+@njit(fastmath=True, error_model="numpy")
+def _products(x, y, rounds):  # type: ignore[no-untyped-def]
+    for _ in range(rounds):
+        for k in range(x.size):
+            v = x[k]
+            p = v * v + 0.5
+            p = (((p * v + 0.5) * v + 0.5) * v + 0.5) * v + 0.5
+            p = (((p * v + 0.5) * v + 0.5) * v + 0.5) * v + 0.5
+            p = (((p * v + 0.5) * v + 0.5) * v + 0.5) * v + 0.5
+            p = ((p * v + 0.5) * v + 0.5) * v + 0.5
+            y[k] = y[k] * 0.5 + p
+
+
+PRODUCTS = 34  # additions and multiplications of one pass of the loop above
 
 
 def report_kernel() -> None:
@@ -94,39 +88,41 @@ def report_kernel() -> None:
     rng = np.random.default_rng(1)
     paths = np.cumsum(rng.normal(size=(25, 201, 3)), axis=1) * 0.01
     segments = segments_of(paths, np.full((25, 200), 0.01), rng.normal(size=25))
-    points = rng.normal(size=(2500, 3)) * 0.1
-    number = points.shape[0] * segments[2].size
-    same = np.max(np.abs(induce(points[:50], segments) - numpy_induce(points[:50], segments)))
-    scale = np.max(np.abs(induce(points[:50], segments)))
-    if not same < 1e-9 * scale:
+    points = rng.normal(size=(200, 3)) * 0.1  # a millisecond: fits between what else the machine does
+    few = points[:16]
+    difference = np.max(np.abs(induce(few, segments) - numpy_induce(few, segments)))
+    if not difference < 1e-9 * np.max(np.abs(induce(few, segments))):
         raise SystemExit("bench_wake: the NumPy peer does not compute the same; nothing to compare")
-    x = rng.uniform(0.1, 0.9, size=(64, 512))
-    rounds = 200
-    _roots(x, 1)
-    _products(x, 1)
-    # In turn, so that a busy machine disturbs all alike.
-    times = {"kernel": math.inf, "numpy": math.inf, "roots": math.inf, "products": math.inf}
-    for _ in range(5):
-        times["kernel"] = min(times["kernel"], best(lambda: induce(points, segments), 3))
-        times["roots"] = min(times["roots"], best(lambda: _roots(x, rounds), 3))
-        times["products"] = min(times["products"], best(lambda: _products(x, rounds), 3))
-    few = points[:256]
-    times["numpy"] = best(lambda: numpy_induce(few, segments), 3)
-    rate = number / times["kernel"]
-    peer = few.shape[0] * segments[2].size / times["numpy"]
-    roots = x.size * rounds / times["roots"] / ROOTS
-    products = x.size * rounds * 2 * (DEGREE + 1) / times["products"] / OPERATIONS
+    x, y, rounds = rng.uniform(0.1, 0.9, 1024), np.zeros(1024), 1000
+    _roots(x, y, 1)
+    _products(x, y, 1)
+    threads = numba.get_num_threads()
+    tasks: dict[str, Callable[[], object]] = {
+        "kernel": lambda: induce(points, segments),
+        "roots": lambda: _roots(x, y, rounds),
+        "products": lambda: _products(x, y, rounds),
+        "numpy": lambda: numpy_induce(few, segments),
+    }
+    times = dict.fromkeys(tasks, math.inf)
+    numba.set_num_threads(1)
+    for _ in range(40):  # in turn, so that a busy machine disturbs all alike
+        for name, task in tasks.items():
+            times[name] = min(times[name], best(task, 2))
+    numba.set_num_threads(threads)
+    together = best(tasks["kernel"], 200)
+    size = segments[2].size
+    one, all_of_them = (1e-9 * len(points) * size / t for t in (times["kernel"], together))
+    peer = 1e-9 * len(few) * size / times["numpy"]
+    roots = 1e-9 * x.size * rounds / times["roots"] / ROOTS
+    products = 1e-9 * x.size * rounds * PRODUCTS / times["products"] / OPERATIONS
+    print(f"kernel, {threads} threads, double precision   {all_of_them:8.3f} G interactions/s (target 1)")
+    print(f"one thread                              {one:8.3f} G/s")
     print(
-        f"kernel, {numba.get_num_threads()} threads, double precision  {rate / 1e9:8.3f} G interactions/s (target 1)"
+        f"the same sum in NumPy, one thread       {peer:8.4f} G/s: the kernel is {one / peer:.0f} times as fast"
     )
+    print(f"limit by roots and divisions, one thread{roots:8.3f} G/s, of which {100 * one / roots:.0f} %")
     print(
-        f"the same sum in NumPy                    {peer / 1e9:8.4f} G/s: the kernel is {rate / peer:.0f} times as fast"
-    )
-    print(
-        f"limit by roots and divisions             {roots / 1e9:8.3f} G/s; by additions and multiplications {products / 1e9:.3f}"
-    )
-    print(
-        f"the kernel reaches                       {100 * rate / min(roots, products):8.0f} % of the lower limit"
+        f"limit by products and sums              {products:8.3f} G/s, of which {100 * one / products:.0f} %"
     )
 
 
