@@ -105,9 +105,15 @@ class _OutOfReach:
 
 
 def parameters_for(p: np.void, number: Callable[[float], object]) -> types.SimpleNamespace:
-    plain = {n: number(float(p[n])) for n in PARAMETERS.names if p[n].ndim == 0 and n != "contact_count"}
+    whole = ("contact_count", "map_nodes")
+    plain = {n: number(float(p[n])) for n in PARAMETERS.names if p[n].ndim == 0 and n not in whole}
     return types.SimpleNamespace(
-        **{**plain, "battery_curve": p["battery_curve"], "contact_reach": _OutOfReach()}
+        **{
+            **plain,
+            "map_nodes": int(p["map_nodes"]),
+            "battery_curve": p["battery_curve"],
+            "contact_reach": _OutOfReach(),
+        }
     )
 
 
@@ -207,6 +213,12 @@ def measure(quick: bool) -> dict[str, float]:
 
     result: dict[str, float] = {"cores": cores}
     result["one vehicle"] = steps / best(lambda: advance(x, u, CALM, p, STEP, steps), repeats)
+    mapped = mufly.vehicle.replace(vehicle, {"rotors.coefficient_map": mufly.vehicle.builtin_maps()[0]})
+    with_map, y, hold = model_parameters(mapped), trim(mapped).state.copy(), trim(mapped).input
+    y[2] = -50.0
+    result["one vehicle, coefficient map"] = steps / best(
+        lambda: advance(y, hold, CALM, with_map, STEP, steps), repeats
+    )
 
     def from_python() -> None:
         for _ in range(500):

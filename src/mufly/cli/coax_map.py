@@ -88,6 +88,9 @@ def coax_map(
     wake_tolerance: Annotated[
         float, typer.Option("--wake-tolerance", metavar="X", help="Settled when the loads change by less.")
     ] = 3e-3,
+    wake_iterations: Annotated[
+        int, typer.Option("--wake-iterations", metavar="N", help="At most, a point; what has not settled is marked.")
+    ] = 150,
     density: Annotated[float, typer.Option(metavar="KG/M3", help="Density of the air.")] = 1.2,
     n_crit: NCritOption = 0.1,
     engine: EngineOption = "neuralfoil",
@@ -133,7 +136,7 @@ def coax_map(
     if method == "wake":
         settings = WakeSettings(
             model=cast("Literal['free', 'prescribed']", wake), step_deg=wake_step, turns=wake_turns,
-            tolerance=wake_tolerance,
+            tolerance=wake_tolerance, iterations=wake_iterations,
         )  # fmt: skip
     kept = out.with_suffix(".points") if out is not None else None
     try:

@@ -106,6 +106,10 @@ def show(vehicle: _Vehicle = "mufly-1.1", as_json: _Json = False, toml: _Toml = 
                 "description": v.description,
                 "battery_model": v.battery.model,
                 "range_ring_count": v.range_ring.count,
+                "coefficient_map": None
+                if v.rotors.coefficient_map is None
+                else v.rotors.coefficient_map.model_dump(exclude={"table"}),
+                "map_level": v.rotors.map_level,
                 "parameters": [row._asdict() for row in rows],
             }
         )
@@ -120,6 +124,7 @@ def show(vehicle: _Vehicle = "mufly-1.1", as_json: _Json = False, toml: _Toml = 
     console.print(
         f"\nbattery.model = {v.battery.model!r}, range_ring.count = {v.range_ring.count}", highlight=False
     )
+    console.print(_coefficients(v), highlight=False, soft_wrap=True)
 
 
 @app.command()
@@ -147,6 +152,22 @@ def check(vehicle: _Vehicle, as_json: _Json = False) -> None:
             f"{DEFAULT_STEP_S * 1e3:g} ms.",
             style="yellow",
         )
+
+
+def _coefficients(v: Vehicle) -> str:
+    """Say which thrust and torque coefficients hold in flight."""
+    m = v.rotors.coefficient_map
+    if m is None:
+        return "In flight cT and cQ are constant (rotors.coefficient_map can name a map; docs/coax-map.md)."
+    level = {
+        "computed": "as computed: the constants cT and cQ above are not used",
+        "constants": "scaled to the constants cT and cQ above at hover",
+    }[v.rotors.map_level]
+    shape = m.tables().shape
+    return (
+        f"In flight cT and cQ come from coefficient map {m.name!r} ({m.description}; {shape[0]} mean "
+        f"speeds, {shape[1]} ratios, {shape[2]} climbs), {level}."
+    )
 
 
 def _print_hover(console: Console, v: Vehicle, h: HoverPerformance) -> None:

@@ -17,30 +17,22 @@ from numba import njit
 from mufly.rotor.map_kernel import at, interpolate
 from mufly.vehicle import Vehicle
 
-__all__ = ["coefficient_bounds", "inside_map", "rotor_loads"]
+__all__ = ["climb_velocity", "coefficient_bounds", "inside_map", "map_coefficients", "rotor_loads"]
 
 _STANDSTILL = 1e-3  # rad/s; below this a rotor makes no force that could be measured
 
 
 @njit(cache=True, error_model="numpy")
-def rotor_loads(speed_up, speed_dw, climb, p):  # type: ignore[no-untyped-def]
-    """Return thrust (N) of upper and lower rotor, then torque (N m) of upper and lower.
+def climb_velocity(x, wind):  # type: ignore[no-untyped-def]
+    """Return the velocity through the air along the mast, positive upwards (m/s), at state ``x``."""
+    qw, qx, qy, qz = x[6], x[7], x[8], x[9]
+    up_n, up_e, up_d = -2 * (qx * qz + qw * qy), -2 * (qy * qz - qw * qx), 2 * (qx * qx + qy * qy) - 1
+    return up_n * (x[3] - wind[0]) + up_e * (x[4] - wind[1]) + up_d * (x[5] - wind[2])
 
-    Parameters
-    ----------
-    speed_up, speed_dw : float
-        Rotor speeds (rad/s).
-    climb : float
-        Velocity through the air along the mast, positive upwards (m/s).
-    p : record of type ``PARAMETERS``
-    """
-    if p.map_nodes == 0:
-        return (
-            p.thrust_up * speed_up * speed_up,
-            p.thrust_dw * speed_dw * speed_dw,
-            p.torque_up * speed_up * abs(speed_up),
-            p.torque_dw * speed_dw * abs(speed_dw),
-        )
+
+@njit(cache=True, error_model="numpy")
+def map_coefficients(speed_up, speed_dw, climb, p):  # type: ignore[no-untyped-def]
+    """Return thrust over the speed's square (N s2) of upper and lower rotor, then torque (N m s2), by the map."""
     up, dw = abs(speed_up), abs(speed_dw)
     mean = 0.5 * (up + dw)
     ratio = dw / max(up, _STANDSTILL)
@@ -49,7 +41,25 @@ def rotor_loads(speed_up, speed_dw, climb, p):  # type: ignore[no-untyped-def]
         p.map_thrust_up, p.map_torque_up, p.map_thrust_dw, p.map_torque_dw,
         p.map_size, p.map_start, p.map_per_step, mean, ratio, climb_ratio,
     )  # fmt: skip
-    return t_up * up * up, t_dw * dw * dw, q_up * speed_up * up, q_dw * speed_dw * dw
+    return t_up, t_dw, q_up, q_dw
+
+
+def rotor_loads(p: np.void, speed_up: float, speed_dw: float, climb: float = 0.0) -> tuple[float, ...]:
+    """Return thrust (N) of upper and lower rotor, then torque (N m) of upper and lower, as the flight model has them.
+
+    Parameters
+    ----------
+    p : record of type ``PARAMETERS``
+    speed_up, speed_dw : float
+        Rotor speeds (rad/s).
+    climb : float
+        Velocity through the air along the mast, positive upwards (m/s).
+    """
+    c = (p["thrust_up"], p["thrust_dw"], p["torque_up"], p["torque_dw"])
+    if p["map_nodes"] > 0:
+        c = map_coefficients(speed_up, speed_dw, climb, p)
+    up, dw = speed_up * abs(speed_up), speed_dw * abs(speed_dw)
+    return float(c[0] * speed_up**2), float(c[1] * speed_dw**2), float(c[2] * up), float(c[3] * dw)
 
 
 def inside_map(vehicle: Vehicle, speed_up: float, speed_dw: float, climb: float) -> bool:

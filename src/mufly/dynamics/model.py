@@ -33,7 +33,7 @@ from numba import njit
 from mufly.drive.battery import interpolate, terminal_voltage
 from mufly.drive.motor import armature_current, rotor_acceleration
 from mufly.dynamics.ground import contact_wrench
-from mufly.dynamics.loads import rotor_loads
+from mufly.dynamics.loads import climb_velocity, map_coefficients
 from mufly.dynamics.parameters import GRAVITY
 
 __all__ = ["battery_state", "derivative"]
@@ -72,6 +72,10 @@ def derivative(x, u, wind, p, dx):  # type: ignore[no-untyped-def]
     dx : (21,) array
         Overwritten with dx/dt.
     """
+    # First of all, because what is in registers would not outlive the call.
+    kT_up, kT_dw, kQ_up, kQ_dw = p.thrust_up, p.thrust_dw, p.torque_up, p.torque_dw
+    if p.map_nodes > 0:
+        kT_up, kT_dw, kQ_up, kQ_dw = map_coefficients(x[18], x[19], climb_velocity(x, wind), p)
     motor_up, motor_dw = _clip(u[0], 0.0, 1.0), _clip(u[1], 0.0, 1.0)
     servo_1, servo_2 = _clip(u[2], -1.0, 1.0), _clip(u[3], -1.0, 1.0)
     qw, qx, qy, qz = x[6], x[7], x[8], x[9]
@@ -85,15 +89,9 @@ def derivative(x, u, wind, p, dx):  # type: ignore[no-untyped-def]
     a10, a11, a12 = 2 * (qx * qy + qw * qz), 1 - 2 * (qx * qx + qz * qz), 2 * (qy * qz - qw * qx)
     a20, a21, a22 = 2 * (qx * qz - qw * qy), 2 * (qy * qz + qw * qx), 1 - 2 * (qx * qx + qy * qy)
 
-    # Velocity through the air in body axes.
-    air_n, air_e, air_d = x[3] - wind[0], x[4] - wind[1], x[5] - wind[2]
-    air_x = a00 * air_n + a10 * air_e + a20 * air_d
-    air_y = a01 * air_n + a11 * air_e + a21 * air_d
-    air_z = a02 * air_n + a12 * air_e + a22 * air_d
-    thrust_up, thrust_dw, drag_up, drag_dw = rotor_loads(speed_up, speed_dw, -air_z, p)
-
     # Motors and battery.
     voltage, supply_current = battery_state(x, motor_up, motor_dw, p)
+    drag_up, drag_dw = kQ_up * speed_up * abs(speed_up), kQ_dw * speed_dw * abs(speed_dw)
     current_up = armature_current(motor_up, voltage, speed_up, p.kE, p.R_ohm, p.gear_ratio)
     current_dw = armature_current(motor_dw, voltage, speed_dw, p.kE, p.R_ohm, p.gear_ratio)
     accel_up = rotor_acceleration(
@@ -105,16 +103,23 @@ def derivative(x, u, wind, p, dx):  # type: ignore[no-untyped-def]
 
     # Thrust directions. Lower rotor: tilted by the swash plate.
     cos_b = math.cos(beta)
+    thrust_dw = kT_dw * speed_dw * speed_dw
     fx_dw = -math.sin(beta) * thrust_dw
     fy_dw = cos_b * math.sin(alpha) * thrust_dw
     fz_dw = -math.cos(alpha) * cos_b * thrust_dw
     # Upper rotor: tilted against the mast as the bar's disc is, times l_up.
     nx = p.bar_gain * (a00 * bar_n + a10 * bar_e + a20 * bar_d)
     ny = p.bar_gain * (a01 * bar_n + a11 * bar_e + a21 * bar_d)
+    thrust_up = kT_up * speed_up * speed_up
     fx_up = nx * thrust_up
     fy_up = ny * thrust_up
     fz_up = -math.sqrt(max(1.0 - nx * nx - ny * ny, 0.0)) * thrust_up
 
+    # Fuselage: velocity through the air in body axes.
+    air_n, air_e, air_d = x[3] - wind[0], x[4] - wind[1], x[5] - wind[2]
+    air_x = a00 * air_n + a10 * air_e + a20 * air_d
+    air_y = a01 * air_n + a11 * air_e + a21 * air_d
+    air_z = a02 * air_n + a12 * air_e + a22 * air_d
     fx = fx_up + fx_dw - p.drag_x * abs(air_x) * air_x
     fy = fy_up + fy_dw - p.drag_y * abs(air_y) * air_y
     # No thrust, no downwash: a helicopter at rest or lying on its side is not pushed along.

@@ -102,5 +102,5 @@ def _thrust_to_weight(vehicle: Vehicle, charge: float) -> float:
 
     start = trim(vehicle, charge=0.5).rotor_speed
     up, dw = root(acceleration, start, tol=1e-10).x
-    thrust_up, thrust_dw, _, _ = rotor_loads(up, dw, 0.0, p)
+    thrust_up, thrust_dw, _, _ = rotor_loads(p, up, dw)
     return float((thrust_up + thrust_dw) / (p["mass"] * GRAVITY))

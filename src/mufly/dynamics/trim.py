@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import root
 
-from mufly.dynamics.loads import inside_map, rotor_loads
+from mufly.dynamics.loads import climb_velocity, inside_map, rotor_loads
 from mufly.dynamics.model import battery_state, derivative
 from mufly.dynamics.parameters import GRAVITY, model_parameters
-from mufly.dynamics.state import STATE_SIZE, euler_from_quaternion, initial_state, rotation
+from mufly.dynamics.state import STATE_SIZE, euler_from_quaternion, initial_state
 from mufly.errors import InputError, MuflyError
 from mufly.vehicle import Vehicle
 
@@ -178,8 +178,8 @@ def trim(
         )
     x[2] = 0.0
     volts, current = battery_state(x, u[0], u[1], p)
-    climb = -float(rotation(x[6:10])[:, 2] @ (x[3:6] - wind_))
-    t_up, t_dw, q_up, q_dw = rotor_loads(x[18], x[19], climb, p)
+    climb = float(climb_velocity(x, wind_))
+    t_up, t_dw, q_up, q_dw = rotor_loads(p, x[18], x[19], climb)
     return Trim(
         state=x,
         input=u,
@@ -213,7 +213,7 @@ def _hover_estimate(
         upper = math.sqrt(load / (thrust[0] + thrust[1] * ratio))
         speed = np.array([upper, upper * math.sqrt(ratio)])
         if p["map_nodes"]:
-            loads = np.array(rotor_loads(speed[0], speed[1], 0.0, p)).reshape(2, 2) / speed**2
+            loads = np.array(rotor_loads(p, speed[0], speed[1])).reshape(2, 2) / speed**2
             if not np.all(loads > 0.0):
                 raise MuflyError("the coefficient map has no lift or no drag at hover; use another map")
             # Half steps: a faster lower rotor meets less of the upper one's downwash and calls for less speed.

@@ -209,10 +209,17 @@ def load_map(name_or_path: str | Path, folder: Path | None = None) -> Coefficien
     return validated(CoefficientMap, tables, where)
 
 
-def named_maps(tables: dict[str, Any], folder: Path | None) -> dict[str, Any]:
+def named_maps(tables: dict[str, Any], folder: Path | None, where: str) -> dict[str, Any]:
     """Return a vehicle's tables with the file that ``rotors.coefficient_map`` names put in its place."""
     rotors = tables.get("rotors")
     name = rotors.get("coefficient_map") if isinstance(rotors, dict) else None
-    if not isinstance(rotors, dict) or not isinstance(name, str | Path):
+    if not isinstance(rotors, dict) or name is None or isinstance(name, dict):
         return tables
+    if not isinstance(name, str | Path):
+        raise InputError(
+            where,
+            "rotors.coefficient_map",
+            f"{name!r} is no name of a file",
+            'write coefficient_map = "pair.toml"',
+        )
     return {**tables, "rotors": {**rotors, "coefficient_map": load_map(name, folder).model_dump()}}

@@ -66,7 +66,7 @@ def load_vehicle(name_or_path: str | Path) -> Vehicle:
     """
     tables, where = read_tables(name_or_path, _BUILTIN, "vehicle")
     folder = None if str(name_or_path) in builtin_vehicles() else Path(name_or_path).parent
-    return validated(Vehicle, named_maps(tables, folder), where)
+    return validated(Vehicle, named_maps(tables, folder, where), where)
 
 
 def _walk(model: BaseModel, prefix: str = "") -> Iterator[tuple[str, dict[str, Any], Any, str]]:
@@ -127,7 +127,7 @@ def replace(
             table[last] = value
     if "body.mass" in values:
         tables["mass_budget"] = None
-    return validated(Vehicle, named_maps(tables, None), vehicle.name)
+    return validated(Vehicle, named_maps(tables, None, vehicle.name), vehicle.name)
 
 
 def vehicle_toml(vehicle: Vehicle) -> str:
