@@ -30,7 +30,8 @@ RPM = np.pi / 30
 class Answer:
     """A solved case: thrust (N), torque (N m) and speed (rad/s) of each rotor, and how the solution went.
 
-    ``wobble`` is half the range of the loads over the last iterations, over their mean.
+    ``wobble`` is half the range of the loads over the last iterations, over their mean; ``core_limit`` the core of old
+    wakes over R, which the solver raises where a wake does not settle.
     """
 
     thrust: tuple[float, ...]
@@ -41,10 +42,13 @@ class Answer:
     residual: float
     seconds: float
     wobble: float = np.nan
+    core_limit: float = np.nan
 
     def mark(self) -> str:
-        """Return an asterisk for a solution that did not converge."""
-        return "" if self.converged else " (*)"
+        """Return (*) for a solution that did not converge, (c) for one that needed thicker cores than the first."""
+        if not self.converged:
+            return " (*)"
+        return " (c)" if self.core_limit > (0.15 if len(self.thrust) == 1 else 0.2) else ""
 
 
 FAILED = Answer((np.nan,) * 2, (np.nan,) * 2, (np.nan,) * 2, False, 0, np.nan, 0.0)
@@ -76,7 +80,7 @@ class Solver:
         answer = Answer(
             tuple(r.thrust_N for r in rotors), tuple(r.torque_Nm for r in rotors),
             tuple(r.speed_rad_s for r in rotors), found.converged, found.iterations, found.residual,
-            time.perf_counter() - begin, _wobble(found),
+            time.perf_counter() - begin, _wobble(found), float(found.settings.core_limit or 0.0),
         )  # fmt: skip
         if found.converged:
             self.wakes[family] = found
@@ -97,9 +101,9 @@ class Solver:
         cutout: float | None = None,
         panels: int | None = None,
         settings: WakeSettings | None = None,
-        warm: bool = True,
+        warm: bool = False,
     ) -> Answer:
-        """One rotor of ``rotor_cases``; pitch in rad, speed in rad/s."""
+        """One rotor of ``rotor_cases``; rad, rad/s; from nothing unless ``warm``: no order of cases matters."""
         how = settings or WakeSettings()
         question = ("single", case.name, pitch, speed, n_crit, cutout, panels, asdict(how), asdict(case.air))
 
@@ -209,6 +213,7 @@ def arguments(doc: str | None, parts: Sequence[str]) -> argparse.Namespace:
 
 def farewell(solver: Solver) -> None:
     """Say what did not converge."""
+    print("(c): converged with a thicker core of old wakes than the default's first.")
     print("Every case converged." if not solver.broken else "(*) not converged:")
     for line in solver.broken:
         print("  " + line[-300:])

@@ -74,7 +74,7 @@ def report_alone(solver: Solver, case: Case, point: int, title: str) -> None:
 
     def run(panels: int | None, change: dict[str, float]) -> Answer:
         how = replace(base, **change)  # type: ignore[arg-type]
-        return solver.single(case, pitch, speed, panels=panels, settings=how, warm=False)
+        return solver.single(case, pitch, speed, panels=panels, settings=how)
 
     default = run(None, {})
     rows = [["default", f"{default.thrust[0]:.4f} N", f"{1e3 * default.torque[0]:.4g} mN m",
