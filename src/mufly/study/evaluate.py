@@ -242,6 +242,8 @@ def _group(
         reasons = np.array([r or w for r, w in zip(reasons, by_wake.reason, strict=True)], dtype=object)
     if constants is not None:
         _with_drive(first.get("gear"), constants, voltage, answers, reasons)
+    if by_wake is not None:
+        answers["core_limit"] = by_wake.core_limit
     if setup.flags and by_wake is not None:
         answers["outside_share"] = by_wake.outside_share
     elif setup.flags:

@@ -4,7 +4,8 @@ The speed that gives a thrust, or at which a motor settles, is found with blade 
 wake at the last speed (as in :mod:`mufly.rotor.wake.search`), until the speed stands still.
 
 Neighbouring cases start from each other's wake. A wake so begun agrees with one begun afresh within the tolerance
-of convergence, not bit by bit; a case that does not converge that way is begun afresh before it is called failed.
+of convergence, not bit by bit; a case that does not converge that way is begun afresh before it is called failed. A
+wake that settled only with thicker cores than the one remembered is no start for others: they would inherit them.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from mufly.errors import InputError
 from mufly.rotor import Air, Blading
 from mufly.rotor.wake import WakeSettings, WakeSolution, hover_wake
 
-__all__ = ["WAKE_LOCK", "WakeAnswers", "solve_wakes"]
+__all__ = ["WAKE_LOCK", "WakeAnswers", "remember", "solve_wakes"]
 
 Array = NDArray[np.float64]
 
@@ -41,7 +42,16 @@ class WakeAnswers:
     thrust_N: Array
     torque_Nm: Array
     outside_share: Array
+    core_limit: Array
     reason: list[str]
+
+
+def remember(last: dict[WakeSettings, WakeSolution], settings: WakeSettings, now: WakeSolution) -> None:
+    """Keep a converged wake as the start of the next case, unless its cores are thicker than those of the one kept."""
+    known = last.get(settings)
+    if known is None or (now.settings.core_limit or 0.0) <= (known.settings.core_limit or 0.0):
+        last.clear()
+        last[settings] = now
 
 
 def _one(
@@ -55,8 +65,7 @@ def _one(
             start=start,
         )  # fmt: skip
         if now.converged:
-            _LAST.clear()
-            _LAST[settings] = now
+            remember(_LAST, settings, now)
             return now
     assert now is not None
     return now
@@ -90,9 +99,8 @@ def solve_wakes(
         Speeds of all cases for a load, if they are sought.
     """
     n = pitch_rad.size
-    out = WakeAnswers(
-        np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan), [""] * n
-    )
+    speed_, thrust_, torque_, share_, core_ = (np.full(n, np.nan) for _ in range(5))
+    out = WakeAnswers(speed_, thrust_, torque_, share_, core_, [""] * n)
     factors = np.ones((2, n))
     speed, todo = (
         speed_rad_s.copy(),
@@ -119,6 +127,7 @@ def solve_wakes(
                 continue
             out.speed_rad_s[k], out.thrust_N[k], out.torque_Nm[k] = speed[k], r.thrust_N, r.torque_Nm
             out.outside_share[k] = r.outside_share
+            out.core_limit[k] = now.settings.core_limit if now.settings.core_limit is not None else np.nan
             if find is None:
                 todo.remove(k)
                 continue

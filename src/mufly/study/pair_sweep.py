@@ -18,9 +18,10 @@ import xarray as xr
 from mufly.errors import InputError, MuflyError
 from mufly.rotor.wake import WakeSettings, WakeSolution
 from mufly.study.evaluate import Case, Results
-from mufly.study.evaluate_wake import WAKE_LOCK
+from mufly.study.evaluate_wake import WAKE_LOCK, remember
 from mufly.study.pair import PairPoint, PairSetup, check_pair, solve_pair
 from mufly.study.parameters import Value
+from mufly.study.setup import WAKE_OUTPUTS
 from mufly.study.sweep import Progress, contours_of, dataset, grid
 from mufly.version import __version__
 
@@ -49,6 +50,7 @@ PAIR_OUTPUTS: dict[str, tuple[str, str]] = {
         for key, (unit, text) in _EACH.items()
     },
     "iterations": ("1", "iterations of the last wake"),
+    **WAKE_OUTPUTS,
 }
 
 _CHUNK = 16  # cases by blade elements
@@ -65,7 +67,10 @@ def _row(point: PairPoint) -> dict[str, float]:
         "thrust_ratio": low.thrust_N / up.thrust_N,
         "torque_ratio": low.torque_Nm / up.torque_Nm,
         "iterations": float(point.solution.iterations) if point.solution is not None else np.nan,
+        "core_limit": np.nan,
     }
+    if point.solution is not None and point.solution.settings.core_limit is not None:
+        row["core_limit"] = point.solution.settings.core_limit
     for side, r in (("upper", up), ("lower", low)):
         row |= {f"{side}_{key}": float(getattr(r, key)) for key in _EACH}
     return row
@@ -90,8 +95,7 @@ def _solved(setup: PairSetup, case: Case) -> PairPoint:
         if not point.converged:
             raise MuflyError(f"wake {point.message}")
         assert point.solution is not None
-        _LAST.clear()
-        _LAST[setup.wake] = point.solution
+        remember(_LAST, setup.wake, point.solution)
         return point
 
 

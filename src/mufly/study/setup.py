@@ -42,6 +42,9 @@ DRIVE_OUTPUTS: dict[str, tuple[str, str]] = {
     "duty": ("1", "share of the supply voltage at the motor"),
     "motor_current_A": ("A", "motor current"),
 }
+WAKE_OUTPUTS: dict[str, tuple[str, str]] = {
+    "core_limit": ("1", "core radius of the old wake over R at which the wake settled"),
+}
 METHODS = ("bemt", "wake")
 _GIVEN = ("speed", "thrust", "duty")
 
@@ -89,7 +92,8 @@ class Setup:
 
     def outputs(self) -> dict[str, tuple[str, str]]:
         """Return name, unit and meaning of what :func:`evaluate` answers."""
-        return {**OUTPUTS, **(DRIVE_OUTPUTS if self.drive is not None else {})}
+        more = DRIVE_OUTPUTS if self.drive is not None else {}
+        return {**OUTPUTS, **more, **(WAKE_OUTPUTS if self.method == "wake" else {})}
 
 
 def check_names(setup: Setup, names: Iterable[str]) -> None:
