@@ -39,7 +39,7 @@ WakeSetOption = Annotated[
     list[str] | None,
     typer.Option(
         "--wake-set", metavar="NAME=VALUE",
-        help="A setting of the wake: step_deg=15, turns=4, core=0.1, iterations=300 ...; stations=24 a blade.",
+        help="A setting of the wake, as step_deg=10, turns=6, core=0.05, iterations=300; or stations=30 a blade.",
     ),
 ]  # fmt: skip
 
