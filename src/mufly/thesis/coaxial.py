@@ -4,9 +4,8 @@ Two rotors of NACA 0012, R 60 mm, chord 20 mm, at 14 degrees. The source compute
 kind, so these are comparisons of methods, not with measurements. What it leaves out and we take: hub cut-out 0.15 R;
 spacing 20 mm where Fig. 3.45 does not vary it; equal speeds of both rotors in Fig. 3.45.
 
-Computed with ``wake`` (:mod:`mufly.rotor.wake`) and ``full`` (coaxial blade element momentum theory). Wakes start from
-the one before; to keep a figure within minutes the sweeps use a step of 20 degrees and three free turns, which moves
-thrust and torque by less than the differences judged here (docs/wake.md, convergence); Table 3.4 uses the default.
+Computed with ``wake`` (:mod:`mufly.rotor.wake`, default settings, each case from the wake of the one before) and with
+``full`` (coaxial blade element momentum theory). Speeds are fewer than in the source's figures: a wake takes seconds.
 """
 
 from __future__ import annotations
@@ -24,10 +23,9 @@ from mufly.rotor.blading import Blading
 from mufly.rotor.wake import WakeSettings, WakeSolution, balance_torque_wake, coaxial_wake, hover_wake
 from mufly.study.sweep import Progress
 
-__all__ = ["COAXIAL_MODELS", "QUICK", "distances", "equal_speeds", "one_speed_kept", "torque_balance"]
+__all__ = ["COAXIAL_MODELS", "distances", "equal_speeds", "one_speed_kept", "torque_balance"]
 
 COAXIAL_MODELS = ("wake", "full")
-QUICK = WakeSettings(step_deg=20.0, turns=3.0)
 PITCH_DEG = 14.0
 SPACING_M = 0.02
 UPPER_RPM = 6000.0
@@ -50,7 +48,7 @@ def _blade() -> Blading:
 
 
 def _pair(
-    model: str, blade: Blading, point: _Point, settings: WakeSettings, known: WakeSolution | None
+    model: str, blade: Blading, point: _Point, settings: WakeSettings | None, known: WakeSolution | None
 ) -> tuple[Sequence[RotorResult], WakeSolution | None, str]:
     """Upper and lower rotor, the wake to start the next case from, and what went wrong."""
     up, low = math.radians(PITCH_DEG), math.radians(point.lower_pitch_deg)
@@ -89,7 +87,7 @@ def _solve(
     model: str,
     axes: Mapping[str, Sequence[float | str]],
     at: Callable[..., _Point],
-    settings: WakeSettings,
+    settings: WakeSettings | None,
     progress: Progress | None,
 ) -> xr.Dataset:
     """Solve every combination of the axes; a case that does not converge holds nan and says why in ``fault``."""
@@ -121,8 +119,8 @@ def _solve(
 
 def equal_speeds(
     model: str,
-    rpm: Sequence[float] = (3000, 4000, 5000, 6000, 7000),
-    settings: WakeSettings = QUICK,
+    rpm: Sequence[float] = (3000, 5000, 7000),
+    settings: WakeSettings | None = None,
     progress: Progress | None = None,
 ) -> xr.Dataset:
     """Fig. 3.43: both rotors at the same speed, and one rotor alone (``single_...``)."""
@@ -148,8 +146,8 @@ def equal_speeds(
 
 def one_speed_kept(
     model: str,
-    rpm: Sequence[float] = (3000, 4000, 5000, 6000, 7000),
-    settings: WakeSettings = QUICK,
+    rpm: Sequence[float] = (3000, 4500, 6000, 7000),
+    settings: WakeSettings | None = None,
     progress: Progress | None = None,
 ) -> xr.Dataset:
     """Fig. 3.44: one rotor is kept at 6000 rpm, the other varied; ``varied`` says which."""
@@ -171,15 +169,14 @@ def torque_balance(
     def at(lower_pitch_deg: float) -> _Point:
         return _Point(lower_pitch_deg=lower_pitch_deg, balance=True)
 
-    how = settings or WakeSettings()
-    return _solve(model, {"lower_pitch_deg": list(lower_pitch_deg)}, at, how, progress)
+    return _solve(model, {"lower_pitch_deg": list(lower_pitch_deg)}, at, settings, progress)
 
 
 def distances(
     model: str,
     spacing_mm: Sequence[float] = (10, 20, 30, 40),
     rpm: Sequence[float] = (4000, 6000, 8000),
-    settings: WakeSettings = QUICK,
+    settings: WakeSettings | None = None,
     progress: Progress | None = None,
 ) -> xr.Dataset:
     """Fig. 3.45: the lower rotor at four distances below the upper one, both at the same speed."""

@@ -47,8 +47,9 @@ def equal_speeds_figure(data: Mapping[str, xr.Dataset], title: str) -> Figure:
         first = next(iter(data.values()))
         axes.plot(first.rpm, share * scale * first[f"upper_{field}"], ":", color="0.4", linewidth=2,
                   label=f"source: lower = {share:g} upper")  # fmt: skip
+        axes.set_ylim(bottom=0)
+        axes.legend(fontsize="x-small")
         _finish(axes, "Speed of both rotors (rev/min)", label)
-    rows[0][0].legend(fontsize="x-small")
     for axes, field, label, top in zip(
         rows[1], ("c_T", "c_Q"), ("Lower rotor's c_T", "Lower rotor's c_Q"), (0.012, 0.003), strict=True
     ):
