@@ -139,7 +139,7 @@ def test_physics_of_the_pair(mapped) -> None:
 
 
 def test_thrust_over_climb_falls_like_figure_4_2(mapped) -> None:
-    # The figure's trend: c_T falls with the inflow, more slowly in descent than in climb, and little within 1 m/s.
+    # c_T falls with the inflow, more slowly in descent than in climb, and by little within the figure's 1 m/s.
     p = model_parameters(mapped)
     at = {v: sum(rotor_loads(p, 420.0, 440.0, v)[:2]) for v in (-1.0, 0.0, 1.0)}
     assert 0.0 < at[-1.0] / at[0.0] - 1.0 < 1.0 - at[1.0] / at[0.0] < 0.15

@@ -188,6 +188,12 @@ def _print(made: CoefficientMap) -> None:
         ],
         text=(0, 5),
     )  # fmt: skip
+    if t.climb_ratio[0] == 0.0 or t.climb_ratio[-1] == 0.0:
+        c.print(
+            "Hover lies at the edge of the map, where it is held: damping in heave shows on one side only. Let --climb "
+            "reach beyond 0 on both sides.",
+            style="yellow",
+        )
     missing = int(np.count_nonzero(~t.solved))
     if missing:
         c.print(
@@ -209,7 +215,7 @@ def _values(option: str, text: str, counts: dict[str, int], unit: str) -> NDArra
     assert first is not None
     if last is None:
         return np.array([first])
-    if last <= first or (step is not None and not 0 < step <= last - first):
+    if last <= first or (step is not None and not 0 < step <= (last - first) * (1 + 1e-9)):
         raise InputError(
             option, "", f"{text!r} holds no two values", "let it rise, by a step no longer than that"
         )

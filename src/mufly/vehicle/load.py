@@ -121,7 +121,7 @@ def replace(
             table = table.get(part) if isinstance(table, dict) else None
         if not isinstance(table, dict) or last not in table:
             raise InputError("replace", key, "no such parameter", "use a key that `mufly vehicle show` lists")
-        if isinstance(table[last], dict):
+        if isinstance(table[last], dict) and "source" in table[last]:
             table[last] = {**table[last], "value": value, "source": source, "note": "set by hand"}
         else:
             table[last] = value
