@@ -65,7 +65,8 @@ def momentum_thrust(solution: WakeSolution, height_m: float, *, reach: float = 6
     rotor's potential turns with it, so d phi/d t = -Omega r u_theta, u_theta in its own sense of rotation (own
     derivation)::
 
-        T = integral of p - p_inf + rho w^2 = rho integral of [sum_k Omega_k r u_theta,k + (w^2 - u_r^2 - u_theta^2) / 2]
+        T = integral of (p - p_inf + rho w^2)
+          = rho integral of [sum_k Omega_k r u_theta,k + (w^2 - u_r^2 - u_theta^2) / 2]
 
     with w downwards. In climb the plane moves along, and what passes it, rho V w, cancels against the pressure's
     rho V w. Exact outside vortex cores. The wake knows nothing of profile drag, whose share of the thrust (about -1 %)

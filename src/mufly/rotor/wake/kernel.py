@@ -19,11 +19,11 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-__all__ = ["induce", "influence", "segments_of"]
+__all__ = ["TINY_M2", "induce", "influence", "segments_of"]
 
 Array = NDArray[np.float64]
 
-_TINY = 1e-30  # m2; keeps the ends of a segment finite
+TINY_M2 = 1e-30  # m2; keeps the ends of a segment finite
 _FOUR_PI = 4.0 * math.pi
 
 
@@ -37,8 +37,8 @@ def _induce(points, start, end, strength, core, out):  # type: ignore[no-untyped
             bx, by, bz = px - end[0, k], py - end[1, k], pz - end[2, k]
             cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
             c2 = cx * cx + cy * cy + cz * cz
-            ra = 1.0 / math.sqrt(ax * ax + ay * ay + az * az + _TINY)
-            rb = 1.0 / math.sqrt(bx * bx + by * by + bz * bz + _TINY)
+            ra = 1.0 / math.sqrt(ax * ax + ay * ay + az * az + TINY_M2)
+            rb = 1.0 / math.sqrt(bx * bx + by * by + bz * bz + TINY_M2)
             along = (
                 (ax - bx) * (ax * ra - bx * rb)
                 + (ay - by) * (ay * ra - by * rb)
@@ -62,8 +62,8 @@ def _influence(points, paths, core, out):  # type: ignore[no-untyped-def]
                 bx, by, bz = px - paths[j, k + 1, 0], py - paths[j, k + 1, 1], pz - paths[j, k + 1, 2]
                 cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
                 c2 = cx * cx + cy * cy + cz * cz
-                ra = 1.0 / math.sqrt(ax * ax + ay * ay + az * az + _TINY)
-                rb = 1.0 / math.sqrt(bx * bx + by * by + bz * bz + _TINY)
+                ra = 1.0 / math.sqrt(ax * ax + ay * ay + az * az + TINY_M2)
+                rb = 1.0 / math.sqrt(bx * bx + by * by + bz * bz + TINY_M2)
                 along = (
                     (ax - bx) * (ax * ra - bx * rb)
                     + (ay - by) * (ay * ra - by * rb)
@@ -100,7 +100,7 @@ def segments_of(paths: Array, core: Array, strength: Array) -> tuple[Array, Arra
     end = np.ascontiguousarray(paths[:, 1:].reshape(-1, 3).T)
     length2 = np.sum((end - start) ** 2, axis=0)
     strengths = np.repeat(strength / _FOUR_PI, paths.shape[1] - 1)
-    return start, end, strengths, (core.ravel() ** 2 * length2) ** 2 + _TINY**2
+    return start, end, strengths, (core.ravel() ** 2 * length2) ** 2 + TINY_M2**2
 
 
 def induce(points: Array, segments: tuple[Array, Array, Array, Array]) -> Array:
@@ -127,6 +127,6 @@ def influence(points: Array, paths: Array, core: Array) -> Array:
     out = np.empty((points.shape[0], paths.shape[0], 3))
     length2 = np.sum(np.diff(paths, axis=1) ** 2, axis=2)
     _influence(
-        np.ascontiguousarray(points), np.ascontiguousarray(paths), (core**2 * length2) ** 2 + _TINY**2, out
+        np.ascontiguousarray(points), np.ascontiguousarray(paths), (core**2 * length2) ** 2 + TINY_M2**2, out
     )
     return out / _FOUR_PI

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 
 from mufly.errors import InputError, MuflyError
 from mufly.rotor.blading import Blading, as_blading
@@ -106,7 +105,7 @@ def balance_torque_wake(
     if thrust_N is not None and not 0.0 < thrust_N < math.inf:
         raise InputError("coaxial", "thrust_N", f"is {thrust_N:g}", "give a number above 0")
     how = settings or WakeSettings()
-    how = replace(how, tolerance=min(how.tolerance, _BALANCED))
+    enough = max(_BALANCED, how.tolerance)
     up = upper_speed_rad_s if upper_speed_rad_s is not None else 300.0
     ratio = 1.1
     known = start
@@ -130,7 +129,7 @@ def balance_torque_wake(
         short = 0.0 if thrust_N is None else math.log(thrust_N / total) if total > 0.0 else math.nan
         if not (math.isfinite(fault) and math.isfinite(short)):
             raise MuflyError("coaxial: no thrust at these pitches, so no speed gives the one asked for")
-        if abs(fault) <= _BALANCED and abs(short) <= _BALANCED:
+        if abs(fault) <= enough and abs(short) <= enough:
             return now
         # ln(torque ratio) over ln(speed ratio) is close to a line; for isolated rotors its slope is 2.
         here = (math.log(ratio), fault)

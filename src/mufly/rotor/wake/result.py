@@ -52,6 +52,8 @@ class WakeSettings:
         At most, with each core limit.
     inviscid : bool
         No boundary layer: c_l = 2 pi sin(alpha), no drag.
+    gpu : bool
+        Sum the velocities of the wake on a CUDA device.
     """
 
     model: Literal["free", "prescribed"] = "free"
@@ -67,6 +69,7 @@ class WakeSettings:
     residual: float = 0.05
     iterations: int = 150
     inviscid: bool = False
+    gpu: bool = False
 
     def __post_init__(self) -> None:
         if self.model not in ("free", "prescribed"):

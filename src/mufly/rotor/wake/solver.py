@@ -32,7 +32,7 @@ from mufly.rotor.wake.result import Placed, WakeSettings, WakeSolution, check_ro
 from mufly.rotor.wake.shape import prescribed
 from mufly.rotor.wake.unit import Unit, from_other, rotor_result, solve_blade, wake_of
 
-__all__ = ["solve"]
+__all__ = ["first_shape", "solve"]
 
 Array = NDArray[np.float64]
 
@@ -71,7 +71,8 @@ def _c_T(unit: Unit, air: Air) -> float:
     return unit.thrust / (air.density_kg_m3 * math.pi * s.radius_m**4 * s.speed_rad_s**2)
 
 
-def _first_shape(units: Sequence[Unit], start: WakeSolution | None, climb: float) -> None:
+def first_shape(units: Sequence[Unit], start: WakeSolution | None, climb: float) -> None:
+    """Give units the wakes of a similar solution, scaled, or prescribed ones."""
     for k, unit in enumerate(units):
         s = unit.surface
         known = start.wakes[k] if start is not None and k < len(start.wakes) else None
@@ -146,7 +147,7 @@ def _attempt(
     """Solve with one core limit, from a similar solution or from a prescribed wake."""
     nu = gas.viscosity_Pa_s / gas.density_kg_m3
     units = [Unit(p, how) for p in rotors]
-    _first_shape(units, start, climb_m_s)
+    first_shape(units, start, climb_m_s)
     free = how.model == "free"
     history: list[list[float]] = []
     message, converged, residual = "", False, math.inf

@@ -23,7 +23,16 @@ from mufly.rotor.wake.kernel import induce, influence, segments_of
 from mufly.rotor.wake.result import Placed, Wake, WakeSettings
 from mufly.rotor.wake.shape import ages_of, core_radii, extended
 
-__all__ = ["Unit", "from_other", "rotor_result", "solve_blade", "trailing", "vortices_of", "wake_of"]
+__all__ = [
+    "Unit",
+    "from_other",
+    "from_other_at",
+    "rotor_result",
+    "solve_blade",
+    "trailing",
+    "vortices_of",
+    "wake_of",
+]
 
 Array = NDArray[np.float64]
 
@@ -36,6 +45,11 @@ class Unit:
         self.surface = surface_of(placed.blading, placed.which, placed.pitch_rad, placed.speed_rad_s)
         s = self.surface
         n = s.chord_m.size
+        self.induce = induce
+        if settings.gpu:
+            from mufly.rotor.wake.gpu import induce_gpu
+
+            self.induce = induce_gpu
         self.age = ages_of(settings.turns, math.radians(settings.step_deg))
         self.free = np.empty((n + 1, self.age.size, 3))
         self.sensors = np.concatenate([s.control_m, s.quarter_m, leg_points(s)])
@@ -70,7 +84,7 @@ class Unit:
 
     def velocity(self, points: Array) -> Array:
         """What this rotor induces at points of its own frame."""
-        return of_all_blades(points, self.surface.blades, lambda p: induce(p, self.segments))
+        return of_all_blades(points, self.surface.blades, lambda p: self.induce(p, self.segments))
 
 
 def vortices_of(
@@ -105,16 +119,21 @@ def _into(points: Array, of: Unit, other: Unit) -> Array:
     return moved
 
 
-def from_other(target: Unit, source: Unit, points: Array, phases: int) -> Array:
-    """Velocity at points of the target's frame that another rotor induces, averaged over the relative azimuth."""
+def from_other_at(target: Unit, source: Unit, points: Array, azimuth_rad: float) -> Array:
+    """Velocity at points of the target's frame that another rotor induces when its blade 1 has turned by an azimuth."""
     there = _into(points, target, source)
-    total = np.zeros_like(points)
-    for k in range(phases):
-        angle = 2.0 * math.pi * (k + 0.5) / (phases * source.surface.blades)
-        total += turned(source.velocity(turned(there, -angle)), angle)
-    total /= phases
-    total[..., 1] *= target.placed.hand * source.placed.hand
-    return total
+    v = turned(source.velocity(turned(there, -azimuth_rad)), azimuth_rad)
+    v[..., 1] *= target.placed.hand * source.placed.hand
+    return v
+
+
+def from_other(target: Unit, source: Unit, points: Array, phases: int) -> Array:
+    """The same, averaged over the relative azimuth."""
+    step = 2.0 * math.pi / (phases * source.surface.blades)
+    total = from_other_at(target, source, points, 0.5 * step)
+    for k in range(1, phases):
+        total += from_other_at(target, source, points, (k + 0.5) * step)
+    return total / phases
 
 
 def solve_blade(unit: Unit, others: Array, air: Air, climb: float, settings: WakeSettings) -> None:

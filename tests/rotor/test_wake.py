@@ -1,0 +1,349 @@
+"""The wake method: Biot and Savart's closed forms, symmetry, momentum, limits, honesty about convergence."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mufly.errors import InputError, MuflyError
+from mufly.rotor import Air, hover, load_rotor, prepare
+from mufly.rotor.wake import (
+    Placed,
+    WakeSettings,
+    balance_torque_wake,
+    coaxial_wake,
+    hover_wake,
+    induced_velocity,
+    momentum_thrust,
+    solve,
+)
+from mufly.rotor.wake.blade import surface_of
+from mufly.rotor.wake.kernel import induce, influence, segments_of
+from mufly.rotor.wake.phase import blade_passing
+from mufly.rotor.wake.shape import ages_of, core_radii, extended, prescribed
+
+RPM = np.pi / 30
+COARSE = WakeSettings(step_deg=30.0, turns=2.0, far_turns=5.0, phases=3, tolerance=5e-3)
+
+
+@pytest.fixture(scope="module")
+def blading():
+    return prepare(load_rotor("naca0012-r60-c20"), stations=8)
+
+
+@pytest.fixture(scope="module")
+def single(blading):
+    return hover_wake(blading, pitch_rad=np.radians(14), speed_rad_s=6000 * RPM, settings=COARSE)
+
+
+@pytest.fixture(scope="module")
+def pair(blading):
+    return coaxial_wake(blading, blading, settings=COARSE, **_pair(6000, 6000))
+
+
+def _pair(up, low, spacing=0.02):
+    return {
+        "spacing_m": spacing, "upper_pitch_rad": np.radians(14), "lower_pitch_rad": np.radians(14),
+        "upper_speed_rad_s": up * RPM, "lower_speed_rad_s": low * RPM,
+    }  # fmt: skip
+
+
+# The kernel
+
+
+def _line(points, core):
+    paths = np.asarray(points, dtype=float)[None]
+    return segments_of(paths, np.full((1, len(points) - 1), core), np.array([1.0]))
+
+
+def test_a_long_straight_vortex_turns_the_air_about_itself():
+    segments = _line([[0, 0, -1e3], [0, 0, 1e3]], 1e-6)
+    v = induce(np.array([[0.5, 0.0, 0.0], [0.0, 2.0, 10.0]]), segments)
+    assert v[0] == pytest.approx([0.0, 1 / (2 * np.pi * 0.5), 0.0], rel=1e-6)
+    assert v[1] == pytest.approx([-1 / (2 * np.pi * 2.0), 0.0, 0.0], rel=1e-3)
+
+
+def test_a_ring_blows_along_its_axis():
+    t = np.linspace(0, 2 * np.pi, 721)
+    ring = np.column_stack([np.cos(t), np.sin(t), 0 * t])
+    z = np.array([0.0, 0.7, 2.0])
+    v = induce(np.column_stack([0 * z, 0 * z, z]), _line(ring, 1e-6))
+    np.testing.assert_allclose(v[:, 2], 0.5 / (1 + z**2) ** 1.5, rtol=1e-4)
+    np.testing.assert_allclose(v[:, :2], 0.0, atol=1e-12)
+
+
+def test_a_core_is_vatistas_vortex():
+    core = 0.1
+    segments = _line([[0, 0, -1e3], [0, 0, 1e3]], core)
+    r = np.array([0.01, 0.1, 0.5])
+    v = induce(np.column_stack([r, 0 * r, 0 * r]), segments)[:, 1]
+    np.testing.assert_allclose(v, r / (2 * np.pi * np.sqrt(core**4 + r**4)), rtol=1e-6)
+
+
+def test_a_vortex_does_not_move_points_on_its_own_line():
+    segments = _line([[0, 0, 0], [0, 0, 1]], 1e-9)
+    v = induce(np.array([[0, 0, 0.0], [0, 0, 0.5], [0, 0, 1.0], [0, 0, 3.0]]), segments)
+    assert np.all(v == 0.0)
+
+
+def test_influence_times_strength_is_velocity():
+    rng = np.random.default_rng(1)
+    paths, points = rng.normal(size=(5, 7, 3)), rng.normal(size=(11, 3))
+    core, strength = rng.uniform(0.01, 0.3, (5, 6)), rng.normal(size=5)
+    together = induce(points, segments_of(paths, core, strength))
+    np.testing.assert_allclose(
+        np.einsum("ijc,j->ic", influence(points, paths, core), strength), together, rtol=1e-9, atol=1e-12
+    )
+
+
+# Shape
+
+
+def test_landgrebes_tip_vortex(blading):
+    surface = surface_of(blading, 0, 0.2, 500.0)
+    age = ages_of(3.0, np.radians(15))
+    c_T = 0.008
+    tip = prescribed(surface, age, c_T, None, 0.0)[-1] / surface.radius_m
+    k = round(np.pi / np.radians(15))  # at the next blade
+    sigma = 2 * 0.02 * 0.85 / (np.pi * 0.06)
+    contraction = 0.78 + 0.22 * np.exp(-(0.145 + 27 * c_T) * np.pi)
+    assert np.hypot(*tip[k, :2]) / np.hypot(*tip[0, :2]) == pytest.approx(contraction, abs=0.01)
+    assert tip[k, 2] == pytest.approx(-0.25 * c_T / sigma * np.pi, abs=0.06)
+    fall = (tip[-1, 2] - tip[2 * k, 2]) / (age[-1] - age[2 * k])
+    assert fall == pytest.approx(-1.41 * np.sqrt(c_T / 2), rel=0.01)
+
+
+def test_filaments_go_on_as_helices_and_cores_grow(blading):
+    surface = surface_of(blading, 0, 0.2, 500.0)
+    age = ages_of(2.0, np.radians(15))
+    free = prescribed(surface, age, 0.008, None, 0.0)
+    paths, ages = extended(surface, free, age, 4.0, np.radians(30))
+    assert ages[-1] == pytest.approx(6 * 2 * np.pi)
+    steps = np.diff(paths[:, -5:, 2], axis=1)
+    np.testing.assert_allclose(steps, steps[:, :1] * np.ones((1, 4)), rtol=1e-9)
+    core = core_radii(surface, ages, np.zeros(paths.shape[0]), 1.5e-5, 0.1, 0.2)
+    assert np.all(np.diff(core[:, 1:], axis=1) >= 0)
+    assert np.all(core[:, -1] < 0.3 * surface.radius_m)
+
+
+# One rotor
+
+
+def test_a_single_rotor_converges_and_says_so(single):
+    assert single.converged
+    assert "converged" in single.message
+    assert single.history.shape == (single.iterations, 3)
+    assert single.history[-1, 1] == pytest.approx(single.rotors[0].thrust_N)
+
+
+def test_loads_are_the_sum_of_the_stations(single):
+    r = single.rotors[0]
+    assert r.dT_N.sum() == pytest.approx(r.thrust_N)
+    assert r.dQ_Nm.sum() == pytest.approx(r.torque_Nm)
+    assert 0.0 < r.figure_of_merit < 0.8
+
+
+def test_the_wake_contracts(single):
+    tip = single.wakes[0].paths_m[-3]  # just inboard of the outermost, which winds around it
+    radius = np.hypot(tip[:, 0], tip[:, 1]) / single.wakes[0].surface.radius_m
+    turn = 1 + round(2 * np.pi / np.radians(COARSE.step_deg))
+    assert 0.6 < np.mean(radius[turn : 2 * turn]) < 0.95
+
+
+def test_contraction_costs_thrust_against_blade_elements(blading, single):
+    momentum = hover(blading, pitch_rad=np.radians(14), speed_rad_s=6000 * RPM)
+    assert 0.8 < single.rotors[0].thrust_N / momentum.thrust_N < 1.0
+
+
+def test_a_mirrored_rotor_is_a_mirror_image(blading, single):
+    other = solve([Placed(blading, np.radians(14), 6000 * RPM, hand=-1)], settings=COARSE)
+    assert other.rotors[0].thrust_N == single.rotors[0].thrust_N
+    points = np.array([[0.03, 0.01, -0.02], [0.05, -0.02, -0.06]])
+    mirrored = induced_velocity(other, points * [1, -1, 1])
+    np.testing.assert_allclose(mirrored * [1, -1, 1], induced_velocity(single, points), rtol=1e-9, atol=1e-12)
+
+
+def test_a_turned_rotor_has_a_turned_field(single):
+    points = np.array([[0.03, 0.01, -0.02], [0.05, -0.02, -0.06]])
+    c, s = np.cos(0.7), np.sin(0.7)
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    np.testing.assert_allclose(
+        induced_velocity(single, points @ turn.T, 0.7), induced_velocity(single, points) @ turn.T, rtol=1e-9
+    )
+
+
+def test_a_lifted_rotor_takes_its_wake_along(blading, single):
+    high = solve([Placed(blading, np.radians(14), 6000 * RPM, height_m=0.5)], settings=COARSE)
+    assert high.rotors[0].thrust_N == pytest.approx(single.rotors[0].thrust_N, rel=1e-12)
+    np.testing.assert_allclose(
+        high.wakes[0].paths_m[..., 2] - 0.5, single.wakes[0].paths_m[..., 2], atol=1e-12
+    )
+
+
+def test_without_a_boundary_layer_coefficients_do_not_depend_on_speed(blading):
+    how = replace(COARSE, inviscid=True, model="prescribed")
+    slow, fast = (
+        hover_wake(
+            blading,
+            pitch_rad=0.2,
+            speed_rad_s=s,
+            settings=how,
+            air=Air(1.2, 1e-12),
+            climb_m_s=0.02 * s * 0.06,
+        )
+        for s in (100.0, 900.0)
+    )
+    assert fast.rotors[0].c_T == pytest.approx(slow.rotors[0].c_T, rel=1e-5)
+    assert fast.rotors[0].c_Q == pytest.approx(slow.rotors[0].c_Q, rel=1e-5)
+
+
+def test_momentum_of_the_wake_is_the_thrust(blading):
+    how = WakeSettings(inviscid=True, turns=3.0, step_deg=20.0)
+    solution = hover_wake(blading, pitch_rad=np.radians(12), speed_rad_s=5000 * RPM, settings=how)
+    assert solution.converged
+    thrust = solution.rotors[0].thrust_N
+    for height in (-0.018, -0.03):
+        assert momentum_thrust(solution, height) == pytest.approx(thrust, rel=0.05)
+    with pytest.raises(InputError, match="not below"):
+        momentum_thrust(solution, 0.0)
+
+
+def test_climb_unloads_the_rotor(blading, single):
+    climbing = hover_wake(
+        blading, pitch_rad=np.radians(14), speed_rad_s=6000 * RPM, climb_m_s=1.0, settings=COARSE, start=single
+    )  # fmt: skip
+    assert climbing.converged
+    assert climbing.rotors[0].thrust_N < 0.95 * single.rotors[0].thrust_N
+
+
+def test_a_warm_start_saves_iterations_and_changes_nothing(blading, single):
+    again = hover_wake(
+        blading, pitch_rad=np.radians(14), speed_rad_s=6000 * RPM, settings=COARSE, start=single
+    )
+    assert again.iterations < 0.6 * single.iterations
+    assert again.rotors[0].thrust_N == pytest.approx(single.rotors[0].thrust_N, rel=3e-3)
+
+
+def test_an_unfinished_run_says_so_and_keeps_its_history(blading):
+    short = replace(COARSE, iterations=5, core_limit=0.2)
+    seen = []
+    solution = hover_wake(
+        blading, pitch_rad=0.2, speed_rad_s=500.0, settings=short, progress=lambda *row: seen.append(row)
+    )
+    assert not solution.converged
+    assert "not converged in 5 iterations" in solution.message
+    assert len(solution.history) == len(seen) == 5
+
+
+def test_a_run_that_diverges_stops(blading):
+    wild = replace(COARSE, relaxation=1.0, core=0.001, core_limit=0.0, iterations=100, residual=1e-6)
+    solution = hover_wake(blading, pitch_rad=np.radians(2), speed_rad_s=500.0, settings=wild)
+    assert not solution.converged
+    assert solution.iterations == len(solution.history) <= 100
+    assert "diverged" in solution.message or "not converged" in solution.message
+
+
+# Two rotors
+
+
+def test_the_lower_rotor_works_in_the_upper_ones_stream(pair, single):
+    upper, lower = pair.rotors
+    assert pair.converged
+    assert 0.4 < lower.thrust_N / upper.thrust_N < 0.65
+    assert lower.torque_Nm < 0.9 * upper.torque_Nm
+    assert upper.thrust_N == pytest.approx(single.rotors[0].thrust_N, rel=0.05)
+    assert np.all(lower.alpha_rad[2:-2] < upper.alpha_rad[2:-2])
+
+
+def test_it_does_not_matter_which_rotor_is_named_first_or_turns_which_way(blading, pair):
+    turned = solve(
+        [
+            Placed(blading, np.radians(14), 6000 * RPM, 0.0, 1),
+            Placed(blading, np.radians(14), 6000 * RPM, 0.02, -1),
+        ],
+        settings=COARSE,
+    )
+    assert turned.rotors[0].thrust_N == pytest.approx(pair.rotors[1].thrust_N, rel=0.01)
+    assert turned.rotors[1].thrust_N == pytest.approx(pair.rotors[0].thrust_N, rel=0.01)
+
+
+def test_passing_blades_average_to_the_mean_loads(pair):
+    passing = blade_passing(pair, points=12)
+    for k in (0, 1):
+        assert passing.thrust_N[k].mean() == pytest.approx(pair.rotors[k].thrust_N, rel=0.02)
+    assert np.ptp(passing.thrust_N[1]) > 0.05 * pair.rotors[1].thrust_N
+    assert passing.passing_hz == pytest.approx(2 * 2 * 6000 / 60)
+
+
+def test_trim_balances_the_torques(blading, pair):
+    arguments = _pair(6000, 6000)
+    arguments.pop("lower_speed_rad_s")
+    trim = balance_torque_wake(blading, blading, settings=COARSE, start=pair, **arguments)
+    upper, lower = trim.rotors
+    assert lower.torque_Nm == pytest.approx(upper.torque_Nm, rel=6e-3)
+    assert 1.03 < lower.speed_rad_s / upper.speed_rad_s < 1.2
+    with pytest.raises(InputError, match="one of upper speed and thrust"):
+        balance_torque_wake(blading, blading, thrust_N=0.4, **arguments)
+
+
+# Faults
+
+
+def test_pairs_that_cannot_be(blading):
+    def at(height, hand, pitch=0.2):
+        return Placed(blading, pitch, 500.0, height, hand)
+
+    for rotors, words in (
+        ([at(0, 1), at(0, -1)], "is zero"),
+        ([at(0, 1), at(0.02, 1)], "same way"),
+        ([at(0, 1), at(0.004, -1)], "overlap"),
+        ([], "0 given"),
+        ([Placed(blading, 0.2, 0.0)], "speed_rad_s"),
+        ([Placed(blading, 0.2, 500.0, hand=2)], "hand"),
+    ):
+        with pytest.raises(InputError, match=words):
+            solve(rotors, settings=COARSE)
+    with pytest.raises(InputError, match="spacing_m"):
+        coaxial_wake(blading, blading, **_pair(6000, 6000, spacing=0.0))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("step_deg", 45.0), ("turns", 0.5), ("model", "rigid"), ("core_limit", 2.0)]
+)
+def test_settings_that_cannot_be(key, value):
+    with pytest.raises(InputError, match=key):
+        WakeSettings(**{key: value})
+
+
+# GPU
+
+
+def test_the_gpu_kernel_sums_as_the_cpu_does():
+    """In Numba's simulator of CUDA, which runs anywhere."""
+    script = """
+import numpy as np
+from mufly.rotor.wake.gpu import induce_gpu
+from mufly.rotor.wake.kernel import induce, segments_of
+rng = np.random.default_rng(0)
+s = segments_of(rng.normal(size=(2, 6, 3)), np.full((2, 5), 0.1), rng.normal(size=2))
+p = rng.normal(size=(5, 3))
+np.testing.assert_allclose(induce_gpu(p, s), induce(p, s), rtol=1e-9, atol=1e-12)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script], env={**os.environ, "NUMBA_ENABLE_CUDASIM": "1"}, capture_output=True, text=True
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+
+
+def test_without_a_gpu_there_is_one_line(blading):
+    from mufly.rotor.wake.gpu import gpu_available
+
+    if gpu_available():
+        pytest.skip("there is a GPU")
+    with pytest.raises(MuflyError, match="no CUDA device"):
+        hover_wake(blading, pitch_rad=0.2, speed_rad_s=500.0, settings=replace(COARSE, gpu=True))
