@@ -255,3 +255,11 @@ def test_single_rotors_by_the_wake_agree_with_asking_for_one(rotor) -> None:
 def test_a_thrust_out_of_reach_is_named(rotor) -> None:
     with pytest.raises(MuflyError, match="out of reach"):
         solve_thrust_wake(prepare(rotor, stations=10), thrust_N=1e4, pitch_rad=PITCH, settings=COARSE)
+
+
+def test_the_wake_finds_the_lower_pitch_that_balances(pair: PairSetup) -> None:
+    setup = replace(pair, method="wake", free="lower-pitch")
+    point = solve_pair(setup, {"upper_speed": 600.0, "speed_ratio": 1.0})
+    assert point.lower.torque_Nm == pytest.approx(point.upper.torque_Nm, rel=0.0101)
+    assert PITCH < point.lower.pitch_rad < PITCH + math.radians(5.0)
+    assert point.lower.speed_rad_s == point.upper.speed_rad_s == 600.0
