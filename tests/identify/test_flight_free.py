@@ -87,3 +87,9 @@ def test_a_start_of_zero_is_refused(vehicle):
 def test_every_symbol_of_the_parts_exists(vehicle):
     known = {r.symbol for r in parameters(vehicle)}
     assert set(HEAVE_YAW) | set(ROLL_PITCH) <= known
+
+
+def test_a_map_in_place_of_the_coefficients_is_refused(vehicle):
+    mapped = replace(vehicle, {"rotors.coefficient_map": "walkera-5g6-bemt"})
+    with pytest.raises(InputError, match=r"coefficient_map.*take it out"):
+        choose_free(mapped, ["Izz"], OUTPUTS)

@@ -115,8 +115,14 @@ def choose_free(
     Raises
     ------
     InputError
-        For an unknown symbol (with suggestions), one named twice, or one that starts at zero.
+        For an unknown symbol (with suggestions), one named twice, or one that starts at zero; for a vehicle whose
+        rotor coefficients come from a map, which no parameter moves.
     """
+    if vehicle.rotors.coefficient_map is not None:
+        raise InputError(
+            vehicle.name, "rotors.coefficient_map", "stands in for the coefficients that a fit moves",
+            "take it out of the vehicle file, fit, and put it back",
+        )  # fmt: skip
     if not symbols:
         raise InputError("--free", "", "no parameter is free", "name some, as in --free cT_dw,Izz")
     rows = {r.symbol: r for r in parameters(vehicle)}
