@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -215,7 +216,10 @@ def slow_picture(r: LinearResult) -> Figure:
     return figure
 
 
-def write_linear_report(r: LinearResult, directory: str | Path, *, command: str | None = None) -> Path:
+def write_linear_report(
+    r: LinearResult, directory: str | Path, *, command: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:  # fmt: skip
     """Write the report of a linear identification; see :func:`mufly.identify.write_report`."""
     sections = []
     if r.candidates:
@@ -246,7 +250,7 @@ def write_linear_report(r: LinearResult, directory: str | Path, *, command: str 
         )
         sections.append(Section("Prediction a time ahead", text, heads, rows))
     sections.append(_cross_check(r))
-    return write_report(r.fit, directory, command=command, sections=sections)
+    return write_report(r.fit, directory, command=command, sections=sections, progress=progress)
 
 
 def _cross_check(r: LinearResult) -> Section:

@@ -2,7 +2,7 @@
 
 It holds what an engineer asks before believing a parameter: its interval, what it cannot be told apart from, how
 well the model predicts records it was fitted to and records it was not, what the residuals say is missing, and the
-command that repeats it. Pictures are embedded twice, on light and on dark ground; the reader's system chooses.
+command that repeats it. Pictures are drawn on light ground; where the reader's system is dark, the page turns them.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Section:
         Of a table; empty for none.
     rows : tuple of tuple of str
     picture : callable, optional
-        Draws a figure; called twice, on light and dark ground.
+        Draws a figure, or returns None if there is nothing to draw.
     name : str
         Of the picture's file.
     """
@@ -61,8 +61,9 @@ class Section:
 
 
 def write_report(
-    fit: Fit, directory: str | Path, *, command: str | None = None, sections: Sequence[Section] = ()
-) -> Path:
+    fit: Fit, directory: str | Path, *, command: str | None = None, sections: Sequence[Section] = (),
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:  # fmt: skip
     """Write ``report.html`` and its pictures into a folder, which is made if need be.
 
     Parameters
@@ -73,6 +74,8 @@ def write_report(
         What repeats the fit; by default the ``mufly`` command that is running.
     sections : sequence of Section
         Further sections, after the predictions.
+    progress : callable, optional
+        Called with (pictures drawn, pictures).
 
     Returns
     -------
@@ -87,7 +90,8 @@ def write_report(
     folder = Path(directory)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        body = _body(fit, folder, _command() if command is None else command, sections)
+        album = _Album(folder, _pictures_of(fit, sections), progress)
+        body = _body(fit, album, _command() if command is None else command, sections)
         path = folder / "report.html"
         path.write_text(_page(f"{fit.vehicle}: identification", body), encoding="utf-8")
     except OSError as error:
@@ -97,17 +101,44 @@ def write_report(
     return path
 
 
+class _Album:
+    """The pictures of a report: beside the page as PNG, and inside it."""
+
+    def __init__(self, folder: Path, count: int, progress: Callable[[int, int], None] | None) -> None:
+        self._folder, self._count, self._progress, self._done = folder, count, progress, 0
+
+    def picture(self, name: str, draw: Callable[[], Figure | None], alt: str) -> str:
+        """Draw a picture, write it to the folder and return it as HTML, empty if there is nothing to draw."""
+        self._done += 1
+        if self._progress is not None:
+            self._progress(self._done, max(self._done, self._count))
+        with pictures.style():
+            figure = draw()
+            if figure is None:
+                return ""
+            buffer = io.BytesIO()
+            figure.savefig(buffer, format="png", dpi=130)
+        (self._folder / f"{name}.png").write_bytes(buffer.getvalue())
+        data = base64.b64encode(buffer.getvalue()).decode("ascii")
+        return f'<figure><img src="data:image/png;base64,{data}" alt="{html.escape(alt)}"></figure>'
+
+
+def _pictures_of(fit: Fit, sections: Sequence[Section]) -> int:
+    """Return about how many pictures the report of a fit has, for a progress bar."""
+    return 3 + 4 * len(fit.records) + sum(s.picture is not None for s in sections)
+
+
 def _command() -> str:
     called = Path(sys.argv[0]).name if sys.argv else ""
     return shlex.join(["mufly", *sys.argv[1:]]) if called.startswith("mufly") else ""
 
 
-def _body(fit: Fit, folder: Path, command: str, sections: Sequence[Section]) -> str:
+def _body(fit: Fit, album: _Album, command: str, sections: Sequence[Section]) -> str:
     parts = [_summary(fit, command), _parameters(fit)]
     if len(fit.estimates) > 1 and np.isfinite(fit.correlation).any():
         parts.append(
-            _picture(
-                folder, "correlation", lambda: pictures.correlation_picture(fit), "Correlation of estimates"
+            album.picture(
+                "correlation", lambda: pictures.correlation_picture(fit), "Correlation of estimates"
             )
         )
     parts.append("<h2>What the data cannot tell apart</h2>")
@@ -119,16 +150,14 @@ def _body(fit: Fit, folder: Path, command: str, sections: Sequence[Section]) -> 
     if fit.records:
         parts += [
             _sizes(fit),
-            _picture(folder, "theil", lambda: pictures.theil_picture(fit.records), "Theil's coefficient"),
+            album.picture("theil", lambda: pictures.theil_picture(fit.records), "Theil's coefficient"),
         ]
     for k, record in enumerate(fit.records):
-        parts.append(_record(record, folder, f"{k + 1}-{record.role.replace(' ', '-')}"))
-    parts += [_section(s, folder) for s in sections]
+        parts.append(_record(record, album, f"{k + 1}-{record.role.replace(' ', '-')}"))
+    parts += [_section(s, album) for s in sections]
     if len(fit.history) > 1:
         parts.append("<h2>Convergence</h2>")
-        parts.append(
-            _picture(folder, "history", lambda: pictures.history_picture(fit), "Cost and parameters")
-        )
+        parts.append(album.picture("history", lambda: pictures.history_picture(fit), "Cost and parameters"))
     return "\n".join(parts)
 
 
@@ -157,7 +186,7 @@ def _parameters(fit: Fit) -> str:
         rows.append(
             (
                 e.symbol, number(e.start), number(e.value), "–" if e.at_bound else number(e.std), percent,
-                interval, e.unit, e.key, flag,
+                interval, e.unit.replace(" ", "\u00a0"), e.key, flag,
             )
         )  # fmt: skip
     heads = ("parameter", "start", "estimate", "std", "rel.", "95 % interval", "unit", "key", "")
@@ -179,7 +208,8 @@ def _sizes(fit: Fit) -> str:
                 (
                     record.role, record.name, record.outputs[j], f"{q.fit_percent:.1f} %", f"{q.r2:.3f}",
                     f"{q.theil:.3f}", f"{q.bias:.2f} / {q.variance:.2f} / {q.covariance:.2f}",
-                    f"{q.rms:.3g} {record.units[j]}", f"{q.rms_over_noise:.2f}", f"{white:.2g}",
+                    f"{q.rms:.3g} {record.units[j]}", f"{q.rms_over_noise:.2f}",
+                    "< 0.001" if white < 1e-3 else f"{white:.2g}",
                 )
             )  # fmt: skip
     heads = (
@@ -204,11 +234,9 @@ def _sizes(fit: Fit) -> str:
     return "\n".join(text)
 
 
-def _record(record: RecordFit, folder: Path, name: str) -> str:
+def _record(record: RecordFit, album: _Album, name: str) -> str:
     out = [f"<h2>{html.escape(record.name)} <small>({record.role})</small></h2>"]
-    out.append(
-        _picture(folder, f"{name}-prediction", lambda: pictures.prediction_picture(record), "Prediction")
-    )
+    out.append(album.picture(f"{name}-prediction", lambda: pictures.prediction_picture(record), "Prediction"))
     if len(record.time_s) < _ENOUGH:
         return "\n".join(out)
     words = what_is_missing(record)
@@ -217,43 +245,24 @@ def _record(record: RecordFit, folder: Path, name: str) -> str:
         out.append("<ul>" + "".join(f"<li>{html.escape(w)}</li>" for w in words) + "</ul>")
     else:
         out.append(paragraphs("Nothing stands out of the noise."))
-    out.append(_picture(folder, f"{name}-residuals", lambda: pictures.residual_picture(record), "Residuals"))
+    out.append(album.picture(f"{name}-residuals", lambda: pictures.residual_picture(record), "Residuals"))
     if record.input_names:
         out.append(
-            _picture(folder, f"{name}-cross", lambda: pictures.cross_picture(record), "Residuals and inputs")
+            album.picture(f"{name}-cross", lambda: pictures.cross_picture(record), "Residuals and inputs")
         )
         out.append(
-            _picture(folder, f"{name}-coherence", lambda: pictures.coherence_picture(record), "Coherence")
+            album.picture(f"{name}-coherence", lambda: pictures.coherence_picture(record), "Coherence")
         )
     return "\n".join(out)
 
 
-def _section(section: Section, folder: Path) -> str:
+def _section(section: Section, album: _Album) -> str:
     out = [f"<h2>{html.escape(section.title)}</h2>", *(paragraphs(t) for t in section.text)]
     if section.heads:
         out.append(table(section.heads, section.rows, numbers=tuple(range(1, len(section.heads)))))
     if section.picture is not None:
-        out.append(_picture(folder, section.name or "section", section.picture, section.title))
+        out.append(album.picture(section.name or "section", section.picture, section.title))
     return "\n".join(out)
-
-
-def _picture(folder: Path, name: str, draw: Callable[[], Figure | None], alt: str) -> str:
-    images = []
-    for dark in (False, True):
-        with pictures.style(dark):
-            figure = draw()
-            if figure is None:
-                return ""
-            buffer = io.BytesIO()
-            figure.savefig(buffer, format="png", dpi=130)
-            if not dark:
-                (folder / f"{name}.png").write_bytes(buffer.getvalue())
-        images.append("data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii"))
-    light, night = images
-    return (
-        f'<figure><picture><source srcset="{night}" media="(prefers-color-scheme: dark)">'
-        f'<img src="{light}" alt="{html.escape(alt)}"></picture></figure>'
-    )
 
 
 def _page(title: str, body: str) -> str:

@@ -13,11 +13,12 @@ CSS = """
 :root { color-scheme: light dark; --ink: #1d2329; --soft: #5b6570; --ground: #ffffff; --line: #d5dae0;
   --card: #f4f6f8; --accent: #0072b2; --warn: #b04a00; }
 @media (prefers-color-scheme: dark) { :root { --ink: #d8dee6; --soft: #97a3af; --ground: #14181d; --line: #333b44;
-  --card: #1b2127; --accent: #56b4e9; --warn: #e69f00; } }
+  --card: #1b2127; --accent: #56b4e9; --warn: #e69f00; }
+  img { filter: invert(.92) hue-rotate(180deg); } }
 * { box-sizing: border-box; }
 body { margin: 0; background: var(--ground); color: var(--ink);
   font: 15px/1.55 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; }
-main { max-width: 60rem; margin: 0 auto; padding: 2rem 1.2rem 4rem; }
+main { max-width: 68rem; margin: 0 auto; padding: 2rem 1.2rem 4rem; }
 h1 { font-size: 1.6rem; margin: 0 0 1rem; }
 h2 { font-size: 1.15rem; margin: 2.4rem 0 .6rem; padding-top: .8rem; border-top: 1px solid var(--line); }
 h2 small { color: var(--soft); font-weight: normal; }

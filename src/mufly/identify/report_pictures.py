@@ -1,7 +1,7 @@
 """Pictures of a fit: prediction beside measurement, what is left over, and what the estimates share.
 
-Every function takes the frozen results of :mod:`mufly.identify.result` and returns a matplotlib figure, on light or
-dark ground. Colours are those of Okabe and Ito (2008), which the colour-blind can tell apart.
+Every function takes the frozen results of :mod:`mufly.identify.result` and returns a matplotlib figure.
+Colours are those of Okabe and Ito (2008), which the colour-blind can tell apart.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ Array = NDArray[np.float64]
 
 
 @contextmanager
-def style(dark: bool = False) -> Iterator[None]:
-    """Draw on light or dark ground inside this context."""
+def style() -> Iterator[None]:
+    """Draw in the colours of the report's page inside this context."""
     from matplotlib import rc_context
 
-    ink, ground, grid = ("#d8dee6", "#14181d", "#3a424c") if dark else ("#1d2329", "#ffffff", "#d5dae0")
+    ink, ground, grid = "#1d2329", "#ffffff", "#d5dae0"
     rc: Any = {
         "figure.facecolor": ground, "axes.facecolor": ground, "savefig.facecolor": ground, "text.color": ink,
         "axes.labelcolor": ink, "xtick.color": ink, "ytick.color": ink, "axes.edgecolor": grid, "grid.color": grid,
