@@ -144,7 +144,7 @@ def _record_fit(problem: Problem, i: int, point: Point, role: Literal["fit", "he
     r = problem.records[i]
     predicted = problem.simulate(i, point.theta[None], point.states[i][None])[0]
     return RecordFit(
-        r.name, role, r.time_s, r.outputs, units_of(r.outputs), r.measured, predicted, problem.noise[i],
+        r.name, role, r.time_s, r.outputs, units_of(r.outputs), r.measured, predicted, difference_noise(r),
         r.inputs, INPUTS,
     )  # fmt: skip
 
