@@ -263,3 +263,23 @@ def test_table_3_2():
     low, high = fit_rotor(loads, radius_m=0.06)
     assert low.estimate("cT").value == pytest.approx(0.01134, rel=0.01)
     assert high.estimate("cT").value == pytest.approx(0.0162, rel=0.01)
+
+
+def test_one_speed_shows_no_trend_and_says_so():
+    result = fit(single(np.random.default_rng(0), 0.01, speed=np.full(10, 300.0)))
+    assert result.estimate("cT").value == pytest.approx(C_T, rel=0.02)
+    assert not result.fits[0].trends
+    assert any("one speed only" in note for note in result.notes)
+
+
+def test_two_speeds_show_a_slope_and_no_bend():
+    result = fit(single(np.random.default_rng(0), 0.01, speed=np.repeat([200.0, 400.0], 6)))
+    assert result.fits[0].trends[0].coefficients.size == 2
+    assert math.isfinite(result.estimate("cT").std)
+
+
+def test_a_load_cell_the_other_way_round_is_said():
+    columns = single()
+    result = fit({**columns, "thrust": -columns["thrust"]})
+    assert result.estimate("cT").value == pytest.approx(C_T)
+    assert any("thrust is negative and was turned round" in note for note in result.notes)

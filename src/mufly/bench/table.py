@@ -164,8 +164,10 @@ def _lines(path: str | Path) -> tuple[list[tuple[int, str]], str, list[str]]:
     """Return the lines that count, with their numbers, the delimiter and the headers."""
     try:
         text = Path(path).read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(str(path), "", f"cannot be read ({error})", "give a CSV file in UTF-8") from error
+    except OSError as error:
+        raise InputError(str(path), "", f"cannot be read ({error.strerror})", "give a CSV file") from error
+    except UnicodeDecodeError as error:
+        raise InputError(str(path), "", "is no text in UTF-8", "save it as CSV, in UTF-8") from error
     lines = [
         (i, s) for i, s in enumerate(text.splitlines(), 1) if s.strip() and not s.lstrip().startswith("#")
     ]

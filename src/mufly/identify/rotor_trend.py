@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 
 _RPM = math.pi / 30.0
 _ORDERED = 0.8  # rank correlation of speed and order from which drift and trend cannot be told apart
+_ALIKE = 0.02  # speeds closer than this share show no bend between them
 _AS_WELL = 2.0  # differences of AICc below which two explanations fit equally well
 
 
@@ -134,7 +135,8 @@ def fit_trend(
         abs(float(stats.spearmanr(np.arange(n), speed).statistic)) > _ORDERED if np.ptp(speed) > 0 else False
     )
     chosen, least = 1, math.inf
-    for degree in range(1, 3 if n >= 8 else 2):
+    bends = n >= 8 and np.unique(np.round(x / _ALIKE)).size >= 4
+    for degree in range(1, 3 if bends else 2):
         score = _aicc(_columns(unit, x, degree, expected), load / expected)
         if score < least - (_AS_WELL if degree > 1 else 0.0):
             chosen, least = degree, score

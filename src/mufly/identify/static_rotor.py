@@ -156,11 +156,14 @@ def _fit_channel(
     speed = np.column_stack(speeds)[measured]
     unit = density[measured][:, None] * math.pi * radius**power * speed**2
     load = loads.values[channel][measured]
-    if quantity == "torque" and np.median(load) < 0:
+    if np.median(load) < 0:
         load = -load
-        notes.append(
-            f"{channel} is negative and was turned round: the sign of a torque is that of the sense of rotation"
+        why = (
+            "is that of the sense of rotation"
+            if quantity == "torque"
+            else "is taken for that of the load cell"
         )
+        notes.append(f"{channel} is negative and was turned round: its sign {why}")
     run = table["run"].astype(np.int64)[measured] if "run" in table else None
     expected, words = _expected(unit, load)
     notes.append(f"{channel}: scatter taken in proportion to {words}")
@@ -179,7 +182,10 @@ def _fit_channel(
     found = spread(a, b - a @ value, run=run, group=_settings(speed, run))
     trends: tuple[Trend, ...] = ()
     scatter = found.covariance
-    if p == 1 and load.size >= 5:
+    speeds_seen = np.unique(_settings(speed, None)).size
+    if p == 1 and speeds_seen == 1:
+        notes.append(f"{channel}: one speed only, so whether the coefficient changes with speed is not seen")
+    elif p == 1 and load.size >= 5:
         trend = fit_trend(channel, symbols[0], speed[:, 0], unit[:, 0], load, expected, run)
         trends = (trend,)
         if trend.significant and at_speed is not None:
