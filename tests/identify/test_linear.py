@@ -270,7 +270,7 @@ def test_auto_chooses_inside_the_fitted_part(log):
     record = read_columns(log)
     spoilt = replace(record, columns={**record.columns, "p": record.columns["p"].copy()})
     spoilt.columns["p"][300:] = 7.0 * np.sin(np.arange(300.0))
-    kinds = {"candidates": ("first-order", "first-order-coupled"), "starts": 1, "split": 0.5}
+    kinds = {"candidates": ("first-order", "first-order-coupled"), "starts": 1, "split": 0.5, "rate_hz": 12.5}
     a, b = (
         identify_linear(r, {"lat": "lat", "lon": "lon"}, {"p": "p", "q": "q"}, **kinds)
         for r in (record, spoilt)
@@ -278,6 +278,27 @@ def test_auto_chooses_inside_the_fitted_part(log):
     assert a.fit.vehicle == b.fit.vehicle == "first-order-coupled"
     assert a.linear.values == pytest.approx(b.linear.values)  # the held-out part has no say
     assert a.floors["fit"] == b.floors["fit"]
+
+
+def test_degrees_are_refused_or_converted_where_the_header_says_so(tmp_path):
+    t = DT * np.arange(400)
+    columns = {
+        "time": t,
+        "lat": np.sin(t),
+        "p": np.degrees(np.cos(t)),
+        "phi": np.sin(t),
+        "none": np.full(400, np.nan),
+    }
+    for header, name in (("p", "wrong.csv"), ("p (deg/s)", "right.csv")):
+        names = [header if k == "p" else k for k in columns]
+        rows = [",".join("" if np.isnan(v) else f"{v:.8g}" for v in row) for row in np.c_[*columns.values()]]
+        (tmp_path / name).write_text("\n".join([",".join(names), *rows]))
+    assert read_columns(tmp_path / "right.csv").columns["p"] == pytest.approx(np.cos(t), abs=1e-6)
+    wrong = read_columns(tmp_path / "wrong.csv")
+    with pytest.raises(InputError, match=r"p: seems to be in deg/s"):
+        identify_linear(wrong, {"lat": "lat"}, {"p": "p"}, model="first-order", starts=1)
+    with pytest.raises(InputError, match="holds no numbers"):
+        wrong.find("none", "--outputs")
 
 
 def test_columns_of_matlab_and_of_headless_files(tmp_path):

@@ -39,6 +39,7 @@ from mufly.identify.missing import what_is_missing
 from mufly.identify.residuals import qualities
 from mufly.identify.result import Estimate, Fit, RecordFit
 from mufly.identify.uncertainty import correlation_of, unseen_directions
+from mufly.logs import guess_angle_units
 
 __all__ = ["CANDIDATES", "HORIZONS_S", "identify_linear"]
 
@@ -90,6 +91,7 @@ def identify_linear(
         raise InputError("--split", "", f"{split:g} is no share of the record", "give 0.1 to 1")
     us = _columns(record, inputs, "--inputs")
     y = _columns(record, outputs, "--outputs")
+    _check_radians(record, outputs, y)
     cut = round(split * len(y)) if split_at_s is None else int((record.time_s < split_at_s).sum())
     if not 100 <= cut <= len(y):
         raise InputError("--split", "", f"leaves {cut} samples for the fit", "leave at least 100")
@@ -200,6 +202,24 @@ def _columns(record: Columns, wanted: Mapping[str, str], option: str) -> Array:
     if not columns:
         raise InputError(option, "", "names nothing", "give names from the log, such as p,q")
     return np.column_stack(columns)
+
+
+def _check_radians(record: Columns, outputs: Mapping[str, str], y: Array) -> None:
+    """Refuse angles and rates in degrees, which would be fitted as well but mean something else."""
+    names = list(outputs)
+    for angle, rate in (("phi", "p"), ("theta", "q"), ("", "r")):
+        pair = [
+            y[:, names.index(n)] if n in names else record.columns.get(n) if n else None
+            for n in (angle, rate)
+        ]
+        guess = guess_angle_units(record.time_s, *pair)
+        for name, unit, label in ((angle, guess.angle, "deg"), (rate, guess.rate, "deg/s")):
+            if unit == "deg" and name in names:
+                raise InputError(
+                    record.name, outputs[name], f"seems to be in {label} ({guess.reason})",
+                    f"convert it to {label.replace('deg', 'rad')}, or name the unit in the header of a CSV: "
+                    f"{name} ({label})",
+                )  # fmt: skip
 
 
 def _angle(record: Columns, name: str, outs: tuple[str, ...], y: Array) -> Array | None:

@@ -7,6 +7,7 @@ becomes ``measured_rates.p``, for which ``p`` is enough where only one signal en
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -35,12 +36,15 @@ class Columns:
     columns : dict of str to (n,) array
     notes : tuple of str
         What was done to make it so, in words.
+    empty : tuple of str
+        Columns of the log that hold no numbers.
     """
 
     name: str
     time_s: Array
     columns: Mapping[str, Array]
     notes: tuple[str, ...] = ()
+    empty: tuple[str, ...] = ()
 
     @property
     def dt(self) -> float:
@@ -62,7 +66,8 @@ class Columns:
         if len(best) == 1:
             return self.columns[best[0]]
         shown = ", ".join(list(self.columns)[:24]) + (" ..." if len(self.columns) > 24 else "")
-        problem = "is in several columns" if best else "is no column of this log"
+        missing = "holds no numbers" if name in self.empty else "is no column of this log"
+        problem = "is in several columns" if best else missing
         raise InputError(
             option, name, problem, f"write {name}=COLUMN with one of: {', '.join(best) or shown}"
         )
@@ -99,13 +104,14 @@ def read_columns(
     if not path.is_file():
         raise InputError(str(path), "", "no such file", "give a CSV, MATLAB or flight log")
     suffix = path.suffix.lower()
+    notes: list[str] = []
     if suffix == ".mat":
         found = _matlab(path, columns)
     elif suffix in (".csv", ".txt", ".tsv"):
         found = _csv(path, columns)
     else:
-        found = _log(path)
-    return _even(path.name, found, rate_hz)
+        found = _log(path, notes)
+    return _even(path.name, found, rate_hz, notes)
 
 
 def _matlab(path: Path, columns: Mapping[str, Sequence[str]] | Sequence[str]) -> dict[str, Array]:
@@ -147,7 +153,11 @@ def _csv(path: Path, columns: Mapping[str, Sequence[str]] | Sequence[str]) -> di
         raise InputError("--columns", "", "names arrays, but a CSV file has none", "give names alone: a,b,c")
     if not columns:
         table = read_raw(path)["table"]
-        numbers = {k: v.astype(np.float64) for k, v in table.fields.items() if v.dtype.kind in "fiu"}
+        numbers = {
+            k: _in_si(v.astype(np.float64), table.units.get(k, ""))
+            for k, v in table.fields.items()
+            if v.dtype.kind in "fiu"
+        }
         return {"time": table.time, **{k: v for k, v in numbers.items() if k.lower() not in _TIME}}
     text = path.read_text(encoding="utf-8-sig", errors="replace")
     comma = max((",", ";", "\t", " "), key=text[:2000].count)
@@ -160,10 +170,23 @@ def _csv(path: Path, columns: Mapping[str, Sequence[str]] | Sequence[str]) -> di
     return {name: values[:, j] for j, name in enumerate(columns)}
 
 
-def _log(path: Path) -> dict[str, Array]:
-    from mufly.logs import read_log
+def _in_si(values: Array, unit: str) -> Array:
+    """Return values of a column whose header names a unit in SI."""
+    from mufly.logs.units import conversion
 
-    data = read_log(path)
+    if not unit:
+        return values
+    _, factor, offset = conversion(unit)
+    return factor * values + offset
+
+
+def _log(path: Path, notes: list[str]) -> dict[str, Array]:
+    from mufly.logs import LogWarning, read_log
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LogWarning)  # they go into the notes
+        data = read_log(path)
+    notes += [str(n) for n in data.attrs.get("notes", [])]
     found: dict[str, Array] = {"time": np.asarray(data["time"].values, dtype=np.float64)}
     for name, v in data.data_vars.items():
         if v.dtype.kind not in "fiu" or v.dims[:1] != ("time",):
@@ -177,7 +200,7 @@ def _log(path: Path) -> dict[str, Array]:
     return found
 
 
-def _even(name: str, found: dict[str, Array], rate_hz: float | None) -> Columns:
+def _even(name: str, found: dict[str, Array], rate_hz: float | None, notes: list[str]) -> Columns:
     key = next((c for c in found if c.lower() in _TIME), None)
     if key is None:
         raise InputError(name, "", "has no column of time", f"call it one of {', '.join(_TIME)}, in seconds")
@@ -190,7 +213,6 @@ def _even(name: str, found: dict[str, Array], rate_hz: float | None) -> Columns:
         raise InputError(name, key, f"does not rise at row {at + 1}", "sort the record, or cut it there")
     found = {k: v for k, v in found.items() if len(v) == len(time)}
     step = float(np.median(steps)) if rate_hz is None else 1.0 / rate_hz
-    notes = []
     gaps = int((steps > 3.0 * np.median(steps)).sum())
     if gaps:
         notes.append(f"{gaps} gaps in time, the longest {steps.max():.3g} s, were bridged by straight lines")
@@ -200,15 +222,16 @@ def _even(name: str, found: dict[str, Array], rate_hz: float | None) -> Columns:
     t = t[t <= time[-1] + 1e-9 * step]
     if not even:
         notes.append(f"resampled to {1.0 / step:.6g} Hz")
-    columns = {}
+    columns, empty = {}, []
     for k, v in found.items():
         good = np.isfinite(v)
         if good.sum() < 2:
+            empty.append(k)
             continue
         if missing[k]:
             notes.append(f"{missing[k]} samples of {k} are missing and were bridged")
         columns[k] = v if even and good.all() else np.interp(t, time[good], v[good])
-    return Columns(name, t, columns, tuple(notes))
+    return Columns(name, t, columns, tuple(notes), tuple(empty))
 
 
 def lowpassed(signal: Array, dt: float, cut_hz: float) -> Array:

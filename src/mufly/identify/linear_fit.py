@@ -236,7 +236,8 @@ def _finish(
     at_bound = (z - low < 1e-4 * (high - low)) | (high - z < 1e-4 * (high - low))
     near = sum(c < 1.02 * min(costs) for c in costs)
     message = (
-        f"{solution.message.rstrip('.')}; {near} of {len(costs)} starts reached the best cost within 2 %"
+        f"{'search settled' if solution.status > 0 else 'search ran out of steps'}; {near} of {len(costs)} starts "
+        "reached the best cost within 2 %"
     )
     return LinearFit(
         structure, values, start, cov, bound, at_bound, linear[:nx], linear[nx : nx + nu], linear[nx + nu :],
