@@ -61,7 +61,12 @@ def test_without_a_held_out_log_the_end_of_the_record_is_held_out(logs):
         (["--part", "roll"], "use one of: both"),
         (["--method", "simplex"], "use one of: lm, cma"),
         (["--voltage", "high"], "is no voltage"),
-        (["--outputs", "rotor"], "holds none of"),
+        (["--outputs", "rotor"], "'rotor' is unknown"),
+        (["--prefix", "seen"], "'seen' is unknown"),
+        (["--delay", "-5"], "-5 ms is not possible"),
+        (["--window", "0"], "0 s is no length"),
+        (["--out", "no-such-folder/new.toml"], "its folder is not there"),
+        (["--report", "/dev/null/report"], "cannot be made"),
         (["--hold-out-share", "2"], "is no share"),
     ],
 )

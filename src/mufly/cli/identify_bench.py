@@ -9,8 +9,10 @@ import typer
 
 from mufly.cli.identify_shared import (
     ColumnsOption,
+    PictureOption,
     VehicleOption,
     WriteOption,
+    check_folder,
     print_estimates,
     say,
     start_vehicle,
@@ -18,7 +20,7 @@ from mufly.cli.identify_shared import (
     with_doubt,
     write_vehicle,
 )
-from mufly.cli.options import JsonOption, OutOption, print_json, save_picture
+from mufly.cli.options import JsonOption, print_json, save_picture
 
 __all__ = ["add_to"]
 
@@ -61,7 +63,7 @@ def motor(
     columns: ColumnsOption = None,
     vehicle: VehicleOption = None,
     write: WriteOption = None,
-    out: OutOption = None,
+    out: PictureOption = None,
     as_json: JsonOption = False,
 ) -> None:  # fmt: skip
     """Find a motor's constants from stationary points on a bench: voltage, current, speed and torque.
@@ -76,6 +78,7 @@ def motor(
     from mufly.identify.motor_data import CHANNELS
 
     start = start_vehicle(vehicle, write)
+    check_folder("--out", out)
     ratio, ratio_std = with_doubt("--gear", gear_ratio)
     eta, eta_std = with_doubt("--gear-efficiency", gear_efficiency)
     if eta is not None and eta > 1.0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mufly.cli.options import JsonOption, console, print_json, print_table
+from mufly.cli.identify_shared import check_file, check_folder
+from mufly.cli.options import JsonOption, console, print_json, print_table, progress_bar
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
@@ -40,7 +42,9 @@ def flight(
     vehicle: Annotated[
         str, typer.Option(metavar="NAME|FILE", help="Start values; their sources say how far they may be pulled.")
     ] = "mufly-1.1",
-    out: Annotated[Path | None, typer.Option(metavar="NEW.toml", help="Write the identified vehicle there.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "--write", metavar="NEW.toml", help="Write the identified vehicle there.")
+    ] = None,
     report: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write report.html with its pictures there.")
     ] = None,
@@ -80,34 +84,49 @@ def flight(
     no_prior: Annotated[bool, typer.Option("--no-prior", help="Start values do not weigh in.")] = False,
     checkpoint: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Kept every iteration; a stopped fit goes on from it. Default: beside OUT."),
+        typer.Option(metavar="FILE", help="Kept every iteration; a stopped fit goes on from it. Default: beside --out, "
+                     "none without."),
     ] = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Do not go on from a checkpoint.")] = False,
     as_json: JsonOption = False,
 ) -> None:  # fmt: skip
     """Fit the flight model to flight records, and predict records that the fit did not see.
 
-    Ctrl-C stops a fit; the same command goes on from its last iteration.
+    Ctrl-C stops a fit; with --out or --checkpoint the same command goes on from its last iteration.
 
     Example: mufly identify flight yaw.mcap heave.mcap roll.mcap pitch.mcap --hold-out mixed.mcap
     --free cQ_up,cQ_dw,Izz,Iyy,l_up,l_dw,Tf_up,delay --delay 20 --out mine.toml --report report
     """
     from mufly.identify import choose_free, fit_flights, fit_split
     from mufly.identify import split as cut
+    from mufly.identify.simulate import OUTPUTS
     from mufly.vehicle import load_vehicle
 
     _one_of("--part", part, _PARTS)
     _one_of("--method", method, ("lm", "cma"))
     if not 0.0 <= hold_out_share <= 0.8:
         raise InputError("--hold-out-share", "", f"{hold_out_share:g} is no share", "give 0 to 0.8")
+    if not 0.0 <= delay_ms <= 1000.0:
+        raise InputError("--delay", "", f"{delay_ms:g} ms is not possible", "give 0 to 1000 ms")
+    if window is not None and not window > 0.0:
+        raise InputError(
+            "--window", "", f"{window:g} s is no length", "give a number above 0, or leave it out"
+        )
+    _one_of("--prefix", prefix, ("measured", "estimated", "truth"))
+    chosen = None if outputs is None else [o.strip() for o in outputs.split(",") if o.strip()]
+    for name in chosen or ():
+        _one_of("--outputs", name, OUTPUTS)
+    check_file("--out", out)
+    check_folder("--report", report)
+    check_file("--checkpoint", checkpoint)
     start = load_vehicle(vehicle)
-    records, warnings = _read(logs, columns, prefix)
+    records, said = _read(logs, columns, prefix)
     held, more = _read(hold_out or [], columns, prefix)
     if not hold_out and hold_out_share > 0:
         parts = [cut(r, hold_out_share) for r in records]
         records, held = [p[0] for p in parts], [p[1] for p in parts]
     if not as_json:
-        for w in (*warnings, *more):
+        for w in (*said, *more):
             console().print(f"Note: {w}", style="yellow", highlight=False)
     measured = sorted({o for r in records for o in r.outputs})
     symbols = [s.strip() for s in free.split(",") if s.strip()]
@@ -122,7 +141,7 @@ def flight(
     options: dict[str, Any] = {
         "held_out": held, "voltage": _voltage(voltage), "delay_s": delay_ms / 1e3, "prior": not no_prior,
         "window_s": window, "method": method, "seed": seed, "restarts": restarts, "checkpoint": keep,
-        "outputs": None if outputs is None else [o.strip() for o in outputs.split(",")],
+        "outputs": chosen,
     }  # fmt: skip
     try:
         with _progress(not as_json) as on_progress:
@@ -135,7 +154,7 @@ def flight(
         typer.secho(f"mufly: stopped{where}", fg=typer.colors.YELLOW, err=True)
         raise typer.Exit(130) from None
     written = _write(start, fit, logs, out)
-    page = _report(fit, report)
+    page = _report(fit, report, not as_json)
     for path in kept:
         path.unlink(missing_ok=True)
     if as_json:
@@ -165,11 +184,13 @@ def demo(
     from mufly.identify import run_demo
 
     _one_of("--method", method, ("lm", "cma"))
+    check_folder("--report", report)
+    check_folder("--logs", logs)
     if logs is not None:
         _write_flights(logs, seed)
     with _progress(not as_json) as on_progress:
         shown = run_demo(seed=seed, method=method, on_progress=on_progress)  # type: ignore[arg-type]
-    page = _report(shown.fit, report)
+    page = _report(shown.fit, report, not as_json)
     if as_json:
         print_json(shown.as_dict())
         return
@@ -192,15 +213,19 @@ def _voltage(text: str) -> str | float:
 
 def _read(paths: list[Path], columns: Path | None, prefix: str) -> tuple[list[Record], list[str]]:
     from mufly.identify import check_record, record_from
-    from mufly.logs import read_log
+    from mufly.logs import LogWarning, read_log
 
     records: list[Record] = []
-    warnings: list[str] = []
+    said: list[str] = []
     for path in paths:
-        record = record_from(read_log(path, columns=columns), path.name, prefix=prefix)
-        warnings += check_record(record)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LogWarning)  # printed with the others
+            data = read_log(path, columns=columns)
+        said += [f"{path.name}: {note}" for note in data.attrs.get("notes", [])]
+        record = record_from(data, path.name, prefix=prefix)
+        said += check_record(record)
         records.append(record)
-    return records, warnings
+    return records, said
 
 
 @contextmanager
@@ -246,12 +271,13 @@ def _write(start: Vehicle, fit: Fit, logs: list[Path], out: Path | None) -> Path
     return out
 
 
-def _report(fit: Fit, folder: Path | None) -> Path | None:
+def _report(fit: Fit, folder: Path | None, shown: bool) -> Path | None:
     if folder is None:
         return None
-    from mufly.identify.report import write_report
+    from mufly.identify import write_report
 
-    return write_report(fit, folder)
+    with progress_bar("pictures", shown) as progress:
+        return write_report(fit, folder, progress=progress)
 
 
 def _write_flights(folder: Path, seed: int) -> None:
@@ -260,7 +286,6 @@ def _write_flights(folder: Path, seed: int) -> None:
     from mufly.logs import write_log
     from mufly.vehicle import load_vehicle
 
-    folder.mkdir(parents=True, exist_ok=True)
     fit, held = demo_flights(load_vehicle("mufly-1.1"), seed=seed)
     for r in (*fit, *held):
         write_log(dataset_of(r), folder / f"{r.name}.mcap")
@@ -289,7 +314,7 @@ def _print_rest(fit: Fit) -> None:
     for r in fit.records:
         ratios = zip(r.outputs, r.rms_over_noise(), strict=True)
         rows.append((r.name, r.role, ", ".join(f"{o} {v:.2f}" for o, v in ratios)))
-    print_table(("record", "", "error over noise (1: nothing but noise)"), rows, text=(0, 1, 2))
+    print_table(("record", "", "error over the sensor's noise (1: nothing else)"), rows, text=(0, 1, 2))
     style = "green" if fit.converged else "red"
     state = "Converged" if fit.converged else "NOT converged"
     detail = "" if fit.message == "converged" else f" ({fit.message})"

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mufly.cli.identify_shared import check_folder
 from mufly.cli.options import JsonOption, console, print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
@@ -75,13 +76,17 @@ def linear(
     from mufly.identify.linear import identify_linear
     from mufly.identify.linear_columns import read_columns
 
+    check_folder("--out", out)
     record = read_columns(log, columns=_columns(columns or ()))
     if start_s is not None or end_s is not None:
         t = record.time_s
         a = 0 if start_s is None else int((t < start_s).sum())
         b = len(t) if end_s is None else int((t <= end_s).sum())
         if b - a < 100:
-            raise InputError("--from, --to", "", f"leave {max(b - a, 0)} samples", "leave at least 100")
+            raise InputError(
+                "--from, --to", "", f"leave {max(b - a, 0)} samples of {log.name}, which lasts from {t[0]:.2f} to "
+                f"{t[-1]:.2f} s", "leave at least 100",
+            )  # fmt: skip
         record = record.part(a, b)
     if starts < 1:
         raise InputError("--starts", "", f"{starts} is no number of searches", "give 1 or more")
@@ -94,7 +99,8 @@ def linear(
     if out is not None:
         from mufly.identify.linear_report import write_linear_report
 
-        report = write_linear_report(result, out)
+        with progress_bar("pictures", not as_json) as progress:
+            report = write_linear_report(result, out, progress=progress)
     if as_json:
         print_json(_json(result))
     else:
@@ -136,7 +142,8 @@ def _print(r: LinearResult) -> None:
     say(f"Poles: {poles} rad/s\n{r.linear.message}", highlight=False)
     print_table(*quality_rows(r), title="Pure simulation from inputs", text=(0, 1))
     say(
-        "at most: with no error but the noise floor; to angle: against the derivative of the measured angle",
+        "at most: with no error but the noise floor; to angle: against the derivative of the measured angle; error and "
+        f"noise: rms below {r.slow_hz:g} Hz (noise >: above it), in the output's unit; Theil: 0 exact, 1 no relation",
         style="dim", highlight=False,
     )  # fmt: skip
     if r.ahead:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
+from mufly.cli.identify_shared import check_folder
 from mufly.cli.options import JsonOption, console, print_json, print_table, progress_bar, save_picture
 
 if TYPE_CHECKING:
@@ -85,6 +86,7 @@ def plan(
     symbols = [s.strip() for s in free.split(",") if s.strip()]
     channels = list(dict.fromkeys(c.strip() for c in channel.split(",") if c.strip()))
     kinds = KINDS if kind == "best" else (cast("Kind", kind),)
+    check_folder("--out", out)
     _check_times(duration, delay, sample, window)
     limits, std, frequencies = _limits(limit), _noise(noise, NOISE), _band(band)
     plans: list[Plan] = []

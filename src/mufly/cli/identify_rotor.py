@@ -9,8 +9,10 @@ from typing import Annotated, Any
 import typer
 
 from mufly.cli.identify_shared import (
+    PictureOption,
     VehicleOption,
     WriteOption,
+    check_folder,
     print_estimates,
     say,
     start_vehicle,
@@ -18,7 +20,7 @@ from mufly.cli.identify_shared import (
     with_doubt,
     write_vehicle,
 )
-from mufly.cli.options import JsonOption, OutOption, angle, print_json, progress_bar, save_picture
+from mufly.cli.options import JsonOption, angle, print_json, progress_bar, save_picture
 
 __all__ = ["rotor"]
 
@@ -77,7 +79,7 @@ def rotor(
     ] = None,
     vehicle: VehicleOption = None,
     write: WriteOption = None,
-    out: OutOption = None,
+    out: PictureOption = None,
     as_json: JsonOption = False,
 ) -> None:  # fmt: skip
     """Find thrust and torque coefficients of rotors from bench files, single and coaxial.
@@ -92,6 +94,7 @@ def rotor(
     from mufly.rotor import load_rotor, prepare
 
     start = start_vehicle(vehicle, write)
+    check_folder("--out", out)
     if place not in (None, "upper", "lower"):
         raise InputError("--as", "", f"{place!r} is no rotor of a vehicle", "use upper or lower")
     blades = load_rotor(predict_with) if predict_with is not None else None

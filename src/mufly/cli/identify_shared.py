@@ -1,8 +1,9 @@
-"""What the commands on bench data share: options, numbers with a doubt, tables of estimates, vehicle files."""
+"""What the commands of identification share: options, numbers with a doubt, tables, vehicle files, places to write."""
 
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Iterable
 from pathlib import Path
@@ -18,8 +19,11 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ColumnsOption",
+    "PictureOption",
     "VehicleOption",
     "WriteOption",
+    "check_file",
+    "check_folder",
     "print_estimates",
     "say",
     "start_vehicle",
@@ -44,6 +48,53 @@ WriteOption = Annotated[
         "--write", metavar="FILE", help="Write --vehicle with what was found, source 'identified', as a new file."
     ),
 ]  # fmt: skip
+
+
+PictureOption = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Write a picture (PNG) of points and fit there.")
+]
+
+
+def check_folder(option: str, folder: Path | None) -> None:
+    """Make a folder that results will go to, so that a long fit does not end without a place for them.
+
+    Raises
+    ------
+    InputError
+        If it cannot be made or written to.
+    """
+    from mufly.errors import InputError
+
+    if folder is None:
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            option, str(folder), f"cannot be made ({error.strerror})", "give another folder"
+        ) from error
+    if not os.access(folder, os.W_OK):
+        raise InputError(option, str(folder), "cannot be written to", "give another folder")
+
+
+def check_file(option: str, file: Path | None) -> None:
+    """Look whether a file can be written, before the work that fills it.
+
+    Raises
+    ------
+    InputError
+        If its folder is not there, or either may not be written.
+    """
+    from mufly.errors import InputError
+
+    if file is None:
+        return
+    if file.is_dir():
+        raise InputError(option, str(file), "is a folder", "give the name of a file")
+    if not file.parent.is_dir():
+        raise InputError(option, str(file), "its folder is not there", "make it, or give another place")
+    if not os.access(file if file.exists() else file.parent, os.W_OK):
+        raise InputError(option, str(file), "cannot be written", "give another place")
 
 
 def with_doubt(option: str, text: str | None, *, above: float = 0.0) -> tuple[float | None, float]:
@@ -104,6 +155,7 @@ def start_vehicle(name: str | None, write: Path | None) -> Vehicle | None:
         raise InputError(
             "--write", str(write), "needs a vehicle to start from", "add --vehicle mufly-1.1 or a file"
         )
+    check_file("--write", write)
     return None if name is None else load_vehicle(name)
 
 

@@ -93,7 +93,9 @@ def excitation(
     low, high = band_rad_s
     if not 0 < low < high < math.pi / sample_s:
         remedy = f"give two rising frequencies below {0.5 / sample_s:.3g} Hz"
-        raise InputError("--band", "", f"{low:.3g} to {high:.3g} rad/s is not possible", remedy)
+        raise InputError(
+            "--band", "", f"{low / 2 / math.pi:.3g} to {high / 2 / math.pi:.3g} Hz is not possible", remedy
+        )
     n = round(duration_s / sample_s) + 1
     rest = round(_REST_S / sample_s)
     active = n - 2 * rest
@@ -185,4 +187,5 @@ def _steps(t: Array, sample_s: float, low: float, high: float, kind: Kind) -> tu
         raise InputError(
             "--duration", "", f"one {kind} takes {unit.size * sample_s:.3g} s", "give a longer duration"
         )
-    return value, f"{count} of steps of {width * sample_s:.2g} s, with turned signs"
+    times = "once" if count == 1 else f"{count} times, every other one with turned sign"
+    return value, f"steps of {width * sample_s:.2g} s, {times}"
