@@ -20,7 +20,8 @@ from mufly.rotor.coaxial import CoaxialResult, coaxial
 
 PITCH = float(np.radians(14))
 TABLE_3_4 = ((14, 6650, 0.1949, 2.0531), (16, 5750, 0.1820, 1.7413), (18, 5025, 0.1709, 1.5286))
-RATIOS = (1.4, 1.2, 1.0, 0.85, 0.7)  # falling: below 0.8 or so the lower rotor hardly lifts and its wake stays near
+# Falling: below 0.8 or so the lower rotor hardly lifts and its wake stays near.
+RATIOS = (1.4, 1.2, 1.0, 0.85, 0.7)
 SPACINGS = (0.01, 0.02, 0.03, 0.04)
 
 

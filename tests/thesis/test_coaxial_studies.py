@@ -71,7 +71,9 @@ def test_a_faster_upper_rotor_takes_lift_from_the_lower_one() -> None:
 
 
 def test_a_case_that_does_not_converge_says_so() -> None:
-    data = coaxial.distances("wake", (20,), (6000,), WakeSettings(step_deg=30, turns=2, iterations=3, core_limit=0.4))
+    data = coaxial.distances(
+        "wake", (20,), (6000,), WakeSettings(step_deg=30, turns=2, iterations=3, core_limit=0.4)
+    )
     assert "not converged in 3 iterations" in str(data.fault.values[0, 0])
     assert np.isnan(data.lower_thrust_N).all()
     assert not coaxial_verdicts.judge_distances("wake", data)[0].agrees
