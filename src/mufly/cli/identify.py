@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from mufly.cli import identify_bench, identify_flight, identify_linear
+from mufly.cli import identify_bench, identify_demo, identify_flight, identify_linear
 
 __all__ = ["app"]
 
@@ -13,5 +13,6 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 identify_flight.add_to(app)
+identify_demo.add_to(app)
 identify_bench.add_to(app)
 identify_linear.add_to(app)

@@ -1,4 +1,4 @@
-"""``mufly identify flight`` and ``mufly identify demo``: the flight model fitted to flight records."""
+"""``mufly identify flight``: the flight model fitted to flight records."""
 
 from __future__ import annotations
 
@@ -16,18 +16,17 @@ from mufly.cli.options import JsonOption, console, print_json, print_table, prog
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
-    from mufly.identify import Demo, Estimate, Fit, Progress, Record
+    from mufly.identify import Estimate, Fit, Progress, Record
     from mufly.vehicle import Vehicle
 
-__all__ = ["add_to"]
+__all__ = ["add_to", "estimate_row", "fit_progress", "one_of", "print_rest", "written_report"]
 
 _PARTS = ("both", "heave-yaw", "roll-pitch", "split")
 
 
 def add_to(app: typer.Typer) -> None:
-    """Register the commands with the group ``mufly identify``."""
+    """Register the command with the group ``mufly identify``."""
     app.command("flight")(flight)
-    app.command("demo")(demo)
 
 
 def flight(
@@ -102,8 +101,8 @@ def flight(
     from mufly.identify.simulate import OUTPUTS
     from mufly.vehicle import load_vehicle
 
-    _one_of("--part", part, _PARTS)
-    _one_of("--method", method, ("lm", "cma"))
+    one_of("--part", part, _PARTS)
+    one_of("--method", method, ("lm", "cma"))
     if not 0.0 <= hold_out_share <= 0.8:
         raise InputError("--hold-out-share", "", f"{hold_out_share:g} is no share", "give 0 to 0.8")
     if not 0.0 <= delay_ms <= 1000.0:
@@ -112,10 +111,10 @@ def flight(
         raise InputError(
             "--window", "", f"{window:g} s is no length", "give a number above 0, or leave it out"
         )
-    _one_of("--prefix", prefix, ("measured", "estimated", "truth"))
+    one_of("--prefix", prefix, ("measured", "estimated", "truth"))
     chosen = None if outputs is None else [o.strip() for o in outputs.split(",") if o.strip()]
     for name in chosen or ():
-        _one_of("--outputs", name, OUTPUTS)
+        one_of("--outputs", name, OUTPUTS)
     check_file("--out", out)
     check_folder("--report", report)
     check_file("--checkpoint", checkpoint)
@@ -144,7 +143,7 @@ def flight(
         "outputs": chosen,
     }  # fmt: skip
     try:
-        with _progress(not as_json) as on_progress:
+        with fit_progress(not as_json) as on_progress:
             if part == "split":
                 fit = fit_split(start, wanted, records, on_progress=on_progress, **options)
             else:
@@ -154,7 +153,7 @@ def flight(
         typer.secho(f"mufly: stopped{where}", fg=typer.colors.YELLOW, err=True)
         raise typer.Exit(130) from None
     written = _write(start, fit, logs, out)
-    page = _report(fit, report, not as_json)
+    page = written_report(fit, report, not as_json)
     for path in kept:
         path.unlink(missing_ok=True)
     if as_json:
@@ -166,40 +165,8 @@ def flight(
             console().print(f"{what}: {place}", highlight=False)
 
 
-def demo(
-    seed: Annotated[int, typer.Option(metavar="K", help="Of pilot, noise and starts.", min=0)] = 0,
-    method: Annotated[str, typer.Option(metavar="NAME", help="lm or cma.")] = "lm",
-    report: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write report.html with its pictures there.")
-    ] = None,
-    logs: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write the five flights there (MCAP), for `identify flight`.")
-    ] = None,
-    as_json: JsonOption = False,
-) -> None:  # fmt: skip
-    """Fly a known vehicle with pilot support, chirps, noise and radio delay; identify it; compare with the truth.
-
-    Twelve parameters start 50 % off. Example: mufly identify demo --seed 3 --report report
-    """
-    from mufly.identify import run_demo
-
-    _one_of("--method", method, ("lm", "cma"))
-    check_folder("--report", report)
-    check_folder("--logs", logs)
-    if logs is not None:
-        _write_flights(logs, seed)
-    with _progress(not as_json) as on_progress:
-        shown = run_demo(seed=seed, method=method, on_progress=on_progress)  # type: ignore[arg-type]
-    page = _report(shown.fit, report, not as_json)
-    if as_json:
-        print_json(shown.as_dict())
-        return
-    _print_demo(shown)
-    if page is not None:
-        console().print(f"Report: {page}", highlight=False)
-
-
-def _one_of(option: str, value: str, known: tuple[str, ...]) -> None:
+def one_of(option: str, value: str, known: tuple[str, ...]) -> None:
+    """InputError if an option has a value that is not known."""
     if value not in known:
         raise InputError(option, "", f"{value!r} is unknown", f"use one of: {', '.join(known)}")
 
@@ -229,7 +196,7 @@ def _read(paths: list[Path], columns: Path | None, prefix: str) -> tuple[list[Re
 
 
 @contextmanager
-def _progress(shown: bool) -> Iterator[Callable[[Progress], None] | None]:
+def fit_progress(shown: bool) -> Iterator[Callable[[Progress], None] | None]:
     """Show stage, iteration, cost, parameters and an upper bound of the time left, on standard error."""
     if not shown:
         yield None
@@ -271,27 +238,19 @@ def _write(start: Vehicle, fit: Fit, logs: list[Path], out: Path | None) -> Path
     return out
 
 
-def _report(fit: Fit, folder: Path | None, shown: bool) -> Path | None:
+def written_report(fit: Fit, folder: Path | None, shown: bool) -> Path | None:
+    """Write the report of a fit, with a bar if ``shown``; return its page, None without a folder."""
     if folder is None:
         return None
+
     from mufly.identify import write_report
 
     with progress_bar("pictures", shown) as progress:
         return write_report(fit, folder, progress=progress)
 
 
-def _write_flights(folder: Path, seed: int) -> None:
-    from mufly.identify.demo_flight import demo_flights
-    from mufly.identify.record import dataset_of
-    from mufly.logs import write_log
-    from mufly.vehicle import load_vehicle
-
-    fit, held = demo_flights(load_vehicle("mufly-1.1"), seed=seed)
-    for r in (*fit, *held):
-        write_log(dataset_of(r), folder / f"{r.name}.mcap")
-
-
-def _row(e: Estimate) -> tuple[str, ...]:
+def estimate_row(e: Estimate) -> tuple[str, ...]:
+    """Return a line of the table of estimates."""
     share = f"{100 * e.std / abs(e.value):.2g} %" if e.value else f"{e.std:.2g}"
     unit = "" if e.unit == "1" else e.unit
     flag = "at bound" if e.at_bound else ""
@@ -302,11 +261,12 @@ _HEADS = ("parameter", "unit", "start", "estimate", "std", "95 % from", "to", ""
 
 
 def _print(fit: Fit) -> None:
-    print_table(_HEADS, [_row(e) for e in fit.estimates], title=fit.vehicle, text=(0, 1, 7))
-    _print_rest(fit)
+    print_table(_HEADS, [estimate_row(e) for e in fit.estimates], title=fit.vehicle, text=(0, 1, 7))
+    print_rest(fit)
 
 
-def _print_rest(fit: Fit) -> None:
+def print_rest(fit: Fit) -> None:
+    """Print what stands below the table: what is not seen, errors by record, how the fit ended."""
     say = console().print
     for text in fit.unseen:
         say(f"Not told apart: {text}.", style="yellow", highlight=False)
@@ -322,24 +282,6 @@ def _print_rest(fit: Fit) -> None:
         f"{state}{detail}: cost {fit.cost:.6g}, {fit.simulations} simulated flights, {fit.seconds:.1f} s",
         style=style, highlight=False,
     )  # fmt: skip
-
-
-def _print_demo(shown: Demo) -> None:
-    inside = shown.inside()
-    rows = []
-    for e in shown.fit.estimates:
-        true = shown.truth[e.symbol]
-        off = f"{100 * (e.value / true - 1):+.2f} %"
-        rows.append((*_row(e)[:4], f"{true:.5g}", off, *_row(e)[5:7], "" if inside[e.symbol] else "outside"))
-    heads = ("parameter", "unit", "start", "estimate", "truth", "off", "95 % from", "to", "")
-    print_table(heads, rows, title=f"Demonstration, seed {shown.seed}", text=(0, 1, 8))
-    _print_rest(shown.fit)
-    say = console().print
-    say(
-        f"{sum(inside.values())} of {len(inside)} intervals hold the truth; prediction error of the flight that was "
-        f"not fitted is {shown.held_out_over_noise:.3f} of the sensors' noise.",
-        highlight=False,
-    )
 
 
 def _json(fit: Fit) -> dict[str, Any]:
