@@ -89,7 +89,7 @@ def _print(report: LogReport) -> None:
             c.print(f"  and {len(report.signals) - len(shown)} more (--json lists all)", style="dim")
     _section("Delays", [d.words() for d in report.delays], "")
     _section("Said by the vehicle", [f"{t:.2f} s, {level}: {text}" for t, level, text in raw.messages], "")
-    _section("Guessed and repaired", report.notes, "yellow")
+    _section("Guessed, repaired or refused", report.notes, "yellow")
     faults = report.faults()
     _section("Found", faults, "yellow")
     if not faults:
