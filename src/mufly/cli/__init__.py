@@ -60,7 +60,7 @@ def main() -> None:
     except MuflyError as error:
         _stop(str(error), 1)
     except typer.Abort:
-        sys.exit(130)
+        _stop("stopped", 130)
     except BrokenPipeError:
         # Whoever was reading has seen enough; nothing more can be said, not even at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
