@@ -80,7 +80,7 @@ def wake_picture(solution: WakeSolution, *, turns: float = 2.0) -> Figure:
             xlim=(-radius, radius), ylim=(-radius, radius), zlim=(low, high), xlabel="x (mm)", ylabel="y (mm)",
             zlabel="z (mm)",
         )  # fmt: skip
-        axes.set_box_aspect((1.0, 1.0, max(0.6, (high - low) / (2.0 * radius))), zoom=0.97)
+        axes.set_box_aspect((1.0, 1.0, max(0.6, (high - low) / (2.0 * radius))), zoom=0.9)
         axes.xaxis.set_major_locator(MaxNLocator(4))
         axes.yaxis.set_major_locator(MaxNLocator(4))
         axes.zaxis.labelpad = 10.0
@@ -88,7 +88,7 @@ def wake_picture(solution: WakeSolution, *, turns: float = 2.0) -> Figure:
         r = solution.rotors[k]
         axes.set_title(
             f"{_names(n)[k]}: {r.speed_rad_s * 30 / math.pi:.0f} rpm, {math.degrees(r.pitch_rad):.2f} deg, "
-            f"{r.thrust_N:.4g} N", fontsize="medium",
+            f"{r.thrust_N:.4g} N", fontsize="medium", y=0.98,
         )  # fmt: skip
     bar = figure.colorbar(colours, ax=figure.axes, shrink=0.5, location="bottom", pad=0.04)
     bar.set_label(f"Circulation of the trailing vortices ($10^{{-3}}$ m$^2$/s), first {turns:g} turns")
