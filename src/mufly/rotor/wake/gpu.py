@@ -6,14 +6,12 @@ precision, so results agree to rounding.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import cuda
 from numpy.typing import NDArray
 
 from mufly.errors import MuflyError
-from mufly.rotor.wake.kernel import TINY_M2
+from mufly.rotor.wake.kernel import contribution
 
 __all__ = ["gpu_available", "induce_gpu"]
 
@@ -30,6 +28,9 @@ def gpu_available() -> bool:
         return False
 
 
+_contribution = cuda.jit(contribution, device=True)  # type: ignore[no-untyped-call]
+
+
 @cuda.jit
 def _induce(points, start, end, strength, core, out):  # type: ignore[no-untyped-def]
     i = cuda.grid(1)  # type: ignore[attr-defined]
@@ -38,21 +39,12 @@ def _induce(points, start, end, strength, core, out):  # type: ignore[no-untyped
     px, py, pz = points[i, 0], points[i, 1], points[i, 2]
     sx, sy, sz = 0.0, 0.0, 0.0
     for k in range(start.shape[1]):
-        ax, ay, az = px - start[0, k], py - start[1, k], pz - start[2, k]
-        bx, by, bz = px - end[0, k], py - end[1, k], pz - end[2, k]
-        cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-        c2 = cx * cx + cy * cy + cz * cz
-        ra = 1.0 / math.sqrt(ax * ax + ay * ay + az * az + TINY_M2)
-        rb = 1.0 / math.sqrt(bx * bx + by * by + bz * bz + TINY_M2)
-        along = (
-            (ax - bx) * (ax * ra - bx * rb)
-            + (ay - by) * (ay * ra - by * rb)
-            + (az - bz) * (az * ra - bz * rb)
+        vx, vy, vz = _contribution(
+            px, py, pz, start[0, k], start[1, k], start[2, k], end[0, k], end[1, k], end[2, k], core[k]
         )
-        f = strength[k] * along / math.sqrt(c2 * c2 + core[k])
-        sx += f * cx
-        sy += f * cy
-        sz += f * cz
+        sx += strength[k] * vx
+        sy += strength[k] * vy
+        sz += strength[k] * vz
     out[i, 0], out[i, 1], out[i, 2] = sx, sy, sz
 
 

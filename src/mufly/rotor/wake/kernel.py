@@ -19,12 +19,33 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-__all__ = ["TINY_M2", "induce", "influence", "segments_of"]
+__all__ = ["TINY_M2", "contribution", "induce", "influence", "segments_of"]
 
 Array = NDArray[np.float64]
 
 TINY_M2 = 1e-30  # m2; keeps the ends of a segment finite
 _FOUR_PI = 4.0 * math.pi
+
+
+def contribution(px, py, pz, x0, y0, z0, x1, y1, z1, core):  # type: ignore[no-untyped-def]
+    """Velocity times 4 pi at a point from a segment of unit circulation; ``core`` is (r_c |l|)^4.
+
+    Plain Python: compiled here for processors and in :mod:`.gpu` for CUDA, where it stands in the innermost loop.
+    """
+    ax, ay, az = px - x0, py - y0, pz - z0
+    bx, by, bz = px - x1, py - y1, pz - z1
+    cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    c2 = cx * cx + cy * cy + cz * cz
+    ra = 1.0 / math.sqrt(ax * ax + ay * ay + az * az + TINY_M2)
+    rb = 1.0 / math.sqrt(bx * bx + by * by + bz * bz + TINY_M2)
+    along = (
+        (ax - bx) * (ax * ra - bx * rb) + (ay - by) * (ay * ra - by * rb) + (az - bz) * (az * ra - bz * rb)
+    )
+    f = along / math.sqrt(c2 * c2 + core)
+    return f * cx, f * cy, f * cz
+
+
+_contribution = njit(inline="always", fastmath=True, error_model="numpy")(contribution)
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
@@ -33,21 +54,12 @@ def _induce(points, start, end, strength, core, out):  # type: ignore[no-untyped
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         sx, sy, sz = 0.0, 0.0, 0.0
         for k in range(start.shape[1]):
-            ax, ay, az = px - start[0, k], py - start[1, k], pz - start[2, k]
-            bx, by, bz = px - end[0, k], py - end[1, k], pz - end[2, k]
-            cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-            c2 = cx * cx + cy * cy + cz * cz
-            ra = 1.0 / math.sqrt(ax * ax + ay * ay + az * az + TINY_M2)
-            rb = 1.0 / math.sqrt(bx * bx + by * by + bz * bz + TINY_M2)
-            along = (
-                (ax - bx) * (ax * ra - bx * rb)
-                + (ay - by) * (ay * ra - by * rb)
-                + (az - bz) * (az * ra - bz * rb)
+            vx, vy, vz = _contribution(
+                px, py, pz, start[0, k], start[1, k], start[2, k], end[0, k], end[1, k], end[2, k], core[k]
             )
-            f = strength[k] * along / math.sqrt(c2 * c2 + core[k])
-            sx += f * cx
-            sy += f * cy
-            sz += f * cz
+            sx += strength[k] * vx
+            sy += strength[k] * vy
+            sz += strength[k] * vz
         out[i, 0], out[i, 1], out[i, 2] = sx, sy, sz
 
 
@@ -58,21 +70,11 @@ def _influence(points, paths, core, out):  # type: ignore[no-untyped-def]
         for j in range(paths.shape[0]):
             sx, sy, sz = 0.0, 0.0, 0.0
             for k in range(paths.shape[1] - 1):
-                ax, ay, az = px - paths[j, k, 0], py - paths[j, k, 1], pz - paths[j, k, 2]
-                bx, by, bz = px - paths[j, k + 1, 0], py - paths[j, k + 1, 1], pz - paths[j, k + 1, 2]
-                cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-                c2 = cx * cx + cy * cy + cz * cz
-                ra = 1.0 / math.sqrt(ax * ax + ay * ay + az * az + TINY_M2)
-                rb = 1.0 / math.sqrt(bx * bx + by * by + bz * bz + TINY_M2)
-                along = (
-                    (ax - bx) * (ax * ra - bx * rb)
-                    + (ay - by) * (ay * ra - by * rb)
-                    + (az - bz) * (az * ra - bz * rb)
-                )
-                f = along / math.sqrt(c2 * c2 + core[j, k])
-                sx += f * cx
-                sy += f * cy
-                sz += f * cz
+                a, b = paths[j, k], paths[j, k + 1]
+                vx, vy, vz = _contribution(px, py, pz, a[0], a[1], a[2], b[0], b[1], b[2], core[j, k])
+                sx += vx
+                sy += vy
+                sz += vz
             out[i, j, 0], out[i, j, 1], out[i, j, 2] = sx, sy, sz
 
 
