@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 
 import mufly
 from mufly.dynamics import PARAMETERS, advance, euler_from_quaternion, model_parameters, trim
-from mufly.identify.simulate import OUTPUTS, _lag_line, fly_batch
+from mufly.identify.simulate import OUTPUTS, _lag_line, fly_batch, on_cluster
 
 SAMPLE = 0.01
 N = 400
@@ -132,3 +132,17 @@ def test_a_flight_that_diverges_ends_in_large_numbers_not_nan(case):
     y = fly(p, x, np.clip(u + np.array([0.3, -0.3, 0, 0]), 0, 1))
     assert np.all(np.isfinite(y))
     assert y[0, -1, 0] == 1e6
+
+
+def test_a_cluster_flies_the_same(case):
+    distributed = pytest.importorskip("distributed", reason="dask.distributed, an extra, is not installed")
+    p, x, u = case
+    here = fly(p, x, u, batch=11, delay=0.012)
+    with (
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+        ) as cluster,
+        on_cluster(cluster.scheduler_address),
+    ):
+        there = fly(p, x, u, batch=11, delay=0.012)
+    np.testing.assert_array_equal(there, here)

@@ -86,6 +86,9 @@ def flight(
         typer.Option(metavar="FILE", help="Kept every iteration; a stopped fit goes on from it. Default: beside --out, "
                      "none without."),
     ] = None,
+    cluster: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Fly on a dask cluster, as tcp://host:8786.")
+    ] = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Do not go on from a checkpoint.")] = False,
     as_json: JsonOption = False,
 ) -> None:  # fmt: skip
@@ -98,7 +101,7 @@ def flight(
     """
     from mufly.identify import choose_free, fit_flights, fit_split
     from mufly.identify import split as cut
-    from mufly.identify.simulate import OUTPUTS
+    from mufly.identify.simulate import OUTPUTS, on_cluster
     from mufly.vehicle import load_vehicle
 
     one_of("--part", part, _PARTS)
@@ -143,7 +146,7 @@ def flight(
         "outputs": chosen,
     }  # fmt: skip
     try:
-        with fit_progress(not as_json) as on_progress:
+        with on_cluster(cluster), fit_progress(not as_json) as on_progress:
             if part == "split":
                 fit = fit_split(start, wanted, records, on_progress=on_progress, **options)
             else:

@@ -24,14 +24,23 @@ the measured mast, so that nothing of one window's start reaches into the next.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import partial
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
 from mufly.dynamics.model import battery_state, derivative
+from mufly.study.sweep import executor_of
 
-__all__ = ["LONGEST_STEP_S", "OUTPUTS", "OUTPUT_UNITS", "fly_batch"]
+__all__ = ["LONGEST_STEP_S", "OUTPUTS", "OUTPUT_UNITS", "fly_batch", "on_cluster"]
+
+_CLUSTER: ContextVar[Executor | None] = ContextVar("cluster", default=None)
+_PIECE = 8  # parameter sets that a worker flies at a time
 
 _Array = NDArray[np.float64]
 
@@ -198,6 +207,28 @@ def _fly_batch(x, p, u, motor_hold, delay, dt, longest, starts, motion, mast, co
         _fly(x[b], p[b], u, motor_hold[b], delay[b], dt, longest, starts, motion[b], mast, codes, y[b])
 
 
+@contextmanager
+def on_cluster(address: str | None) -> Iterator[None]:
+    """Fly batches on the workers of a dask cluster while this context lasts; on all cores here without an address.
+
+    The numbers are those of a batch flown here. Worth it for the populations of CMA-ES and long records.
+
+    Raises
+    ------
+    MuflyError
+        If the cluster cannot be reached or dask.distributed is not installed.
+    """
+    if address is None:
+        yield
+        return
+    with executor_of(address) as pool:
+        token = _CLUSTER.set(pool)
+        try:
+            yield
+        finally:
+            _CLUSTER.reset(token)
+
+
 def fly_batch(
     state: _Array,
     p: NDArray[np.void],
@@ -243,6 +274,21 @@ def fly_batch(
     (b, n, m) array
         Predicted outputs; 1e6 from where a flight has diverged.
     """
+    pool = _CLUSTER.get()
+    if pool is not None and len(state) > 1:
+        one = partial(
+            fly_batch, inputs=inputs, sample_s=sample_s, codes=codes, starts=starts, mast=mast,
+            longest_step_s=longest_step_s,
+        )  # fmt: skip
+        jobs = [
+            pool.submit(
+                one, state[k], p[k], motion=motion[k],
+                delay_s=None if delay_s is None else delay_s[k],
+                motor_hold=None if motor_hold is None else motor_hold[k],
+            )
+            for k in (slice(first, first + _PIECE) for first in range(0, len(state), _PIECE))
+        ]  # fmt: skip
+        return np.concatenate([job.result() for job in jobs])
     b = len(state)
     out = np.empty((b, len(inputs), len(codes)))
     delay = np.zeros(b) if delay_s is None else np.ascontiguousarray(delay_s, dtype=np.float64)

@@ -31,7 +31,7 @@ from mufly.study.parameters import Value, known
 from mufly.study.setup import Setup, check_names
 from mufly.version import __version__
 
-__all__ = ["Progress", "contours_of", "dataset", "grid", "sweep"]
+__all__ = ["Progress", "contours_of", "dataset", "executor_of", "grid", "sweep"]
 
 Progress = Callable[[int, int], None]
 
@@ -149,7 +149,7 @@ def grid(
             done += len(known.fault)
     if progress is not None:
         progress(done, total)
-    with _executor(cluster, workers) as executor:
+    with executor_of(cluster, workers) as executor:
         waiting = {}
         todo = iter([s for s in starts if s not in answers])
         # A few more than there are workers: enough to keep them busy, few enough to stop soon and to fit in memory.
@@ -176,7 +176,14 @@ def grid(
 
 
 @contextmanager
-def _executor(cluster: str | None, workers: int | None) -> Iterator[Executor]:
+def executor_of(cluster: str | None, workers: int | None = None) -> Iterator[Executor]:
+    """Threads here, or the workers of the dask cluster whose scheduler has this address.
+
+    Raises
+    ------
+    MuflyError
+        If the cluster cannot be reached or dask.distributed is not installed.
+    """
     if cluster is None:
         with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
             yield pool
