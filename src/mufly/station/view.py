@@ -1,0 +1,189 @@
+"""What a station shows of one vehicle, and what it may ask of it: the seam between links and pages.
+
+A page draws a :class:`Snapshot` and a :class:`mufly.station.history.History`; it does not know whether they come from a
+radio, from the simulated helicopter or from a recording. Units SI and radians, axes N-E-D and body x-y-z. What is not
+known is NaN (arrays), None or empty text.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Check", "Message", "MissionRow", "Outcome", "Parameter", "Request", "Snapshot", "unknown"]
+
+_Array = NDArray[np.float64]
+
+
+def unknown(n: int) -> _Array:
+    """Return ``n`` values that are not known, shape (n,)."""
+    return np.full(n, math.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """Everything that a station shows of the present.
+
+    Attributes
+    ----------
+    time_s : float
+        The vehicle's clock.
+    connected : bool
+        Whether it was heard in the last three seconds; always true in a recording.
+    silent_s : float
+        For how long nothing was heard (s).
+    armed, flying : bool
+        Whether the motors may run; whether it is off the floor.
+    in_command : bool
+        Whether this station commands it; otherwise it watches.
+    commander : str
+        Who commands it, in words; "" if nobody or unknown.
+    state : str
+        State of its mission machine ("hover", "waypoint", ...), or its flight mode in words.
+    position, velocity, attitude, rates : (3,) array
+        What the vehicle believes of itself: N-E-D (m, m/s); roll, pitch, yaw (rad); p, q, r (rad/s).
+    reference_position, reference_velocity, reference_attitude : (3,) array
+        What it follows.
+    motor_input, servo_input, rotor_speed : (2,) array
+        Upper, lower (0..1); 1, 2 (-1..1); upper, lower (rad/s).
+    ranges, range_angles : (n,) array
+        Distances (m) seen along beams, and the beams' directions from the nose to the right (rad).
+    range_max_m : float
+        What a beam that sees nothing returns (m).
+    battery_voltage, battery_current, battery_charge, battery_left_s : float
+        V, A, 0..1, and how long it will last (s).
+    waypoint : int or None
+        Row of the mission table that is flown to.
+    link_loss, link_rate_Hz : float
+        Share of packets lost of late (0..1); messages a second.
+    """
+
+    time_s: float = math.nan
+    connected: bool = False
+    silent_s: float = math.inf
+    armed: bool = False
+    flying: bool = False
+    in_command: bool = False
+    commander: str = ""
+    state: str = ""
+    position: _Array = field(default_factory=lambda: unknown(3))
+    velocity: _Array = field(default_factory=lambda: unknown(3))
+    attitude: _Array = field(default_factory=lambda: unknown(3))
+    rates: _Array = field(default_factory=lambda: unknown(3))
+    reference_position: _Array = field(default_factory=lambda: unknown(3))
+    reference_velocity: _Array = field(default_factory=lambda: unknown(3))
+    reference_attitude: _Array = field(default_factory=lambda: unknown(3))
+    motor_input: _Array = field(default_factory=lambda: unknown(2))
+    servo_input: _Array = field(default_factory=lambda: unknown(2))
+    rotor_speed: _Array = field(default_factory=lambda: unknown(2))
+    ranges: _Array = field(default_factory=lambda: unknown(0))
+    range_angles: _Array = field(default_factory=lambda: unknown(0))
+    range_max_m: float = math.nan
+    battery_voltage: float = math.nan
+    battery_current: float = math.nan
+    battery_charge: float = math.nan
+    battery_left_s: float = math.nan
+    waypoint: int | None = None
+    link_loss: float = math.nan
+    link_rate_Hz: float = math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One line of the message log; ``level`` is "info", "warning" or "error", as in a recording's events."""
+
+    time_s: float
+    level: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class MissionRow:
+    """One row of the mission table.
+
+    Attributes
+    ----------
+    action : str
+        "take off", "waypoint", "speed", "land", "return", ...
+    position : (3,) tuple
+        N, E, D (m); NaN where the action has no place.
+    heading_rad : float
+        NaN: the nose points along the way.
+    wait_s : float
+    reached : bool
+    text : str
+        Anything else worth reading ("0.4 m/s").
+    """
+
+    action: str
+    position: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+    heading_rad: float = math.nan
+    wait_s: float = 0.0
+    reached: bool = False
+    text: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter of the vehicle. Unit, bounds and help are known for mufly's own vehicles only."""
+
+    name: str
+    value: float
+    unit: str = ""
+    least: float = -math.inf
+    greatest: float = math.inf
+    help: str = ""
+    whole: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One pre-flight check; ``ok`` is None while it cannot be judged."""
+
+    name: str
+    ok: bool | None
+    text: str
+
+
+class Outcome(StrEnum):
+    """What became of a request."""
+
+    WAITING = "waiting"
+    ACCEPTED = "accepted"
+    REFUSED = "refused"
+    TIMED_OUT = "timed out"
+
+
+@dataclass(slots=True)
+class Request:
+    """Something asked of the vehicle; whoever asked looks here for the answer.
+
+    Attributes
+    ----------
+    text : str
+        What was asked, in words: "take off to 1 m".
+    outcome : Outcome
+    answer : str
+        The vehicle's reason, or what went wrong.
+    progress : float
+        0..1, of a transfer.
+    result : object
+        What a download brought.
+    """
+
+    text: str
+    outcome: Outcome = Outcome.WAITING
+    answer: str = ""
+    progress: float = 0.0
+    result: Sequence[Any] | None = None
+
+    @property
+    def done(self) -> bool:
+        """Whether there is an answer."""
+        return self.outcome is not Outcome.WAITING
