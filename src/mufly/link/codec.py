@@ -1,0 +1,231 @@
+"""From bytes to messages and back, for every peer and every sender behind it.
+
+Each sender (system, component) numbers its packets from 0 to 255 on each channel, so that gaps tell what was lost
+(https://mavlink.io/en/guide/packet_loss.html). A number and checksum that were just heard are a duplicate, a number
+a little behind came out of order. Frames of MAVLink 1 and 2 are read, MAVLink 2 is sent
+(https://mavlink.io/en/guide/serialization.html).
+
+Nothing that arrives raises an error: bytes that are no frame are skipped one by one until a frame is found, and
+counted. The memory kept for a peer is bounded by the longest frame and by :data:`SENDERS` senders.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+
+from mufly.link.dialect import MavlinkError, MavMessage, mavlink
+
+__all__ = ["FRAME_MOST", "SENDERS", "Codec", "Counts", "Encoder"]
+
+FRAME_MOST = 280
+"""Length of the longest frame: ten bytes of header, 255 of payload, two of checksum, thirteen of signature."""
+SENDERS = 64
+"""So many senders are told apart on one channel; those beyond are heard, but their losses are not counted."""
+_WINDOW = 32  # numbers so far behind the newest are late, those further off are a jump
+_DUPLICATE_S = 1.0  # the same packet after this time is said anew, by a program that was started again
+_V1, _V2, _SIGNED = 0xFE, 0xFD, 0x01
+
+
+@dataclass(slots=True)
+class Counts:
+    """What became of the packets of one sender, or of all of a peer's."""
+
+    received: int = 0
+    lost: int = 0
+    duplicates: int = 0
+    reordered: int = 0
+    unknown: int = 0
+    garbage_bytes: int = 0
+
+    @property
+    def loss(self) -> float:
+        """Share of packets that were lost, 0..1."""
+        sent = self.received + self.lost
+        return self.lost / sent if sent else 0.0
+
+
+@dataclass(slots=True)
+class _Sequence:
+    """Numbers of one sender's packets: the newest, and when and with which checksum each was heard."""
+
+    newest: int
+    heard: dict[int, tuple[float, int]] = field(default_factory=dict)
+
+    def take(self, now_s: float, number: int, checksum: int, counts: Counts) -> bool:
+        """Judge a number; returns whether the packet is new."""
+        ahead = (number - self.newest) % 256
+        behind = (256 - ahead) % 256
+        before = self.heard.get(number)
+        if behind < _WINDOW and before is not None:
+            if before[1] == checksum and now_s - before[0] < _DUPLICATE_S:
+                counts.duplicates += 1
+                return False
+            self.heard.clear()  # the number again, but another packet: the sender started anew
+            self.newest = number
+        elif behind < _WINDOW:
+            counts.reordered += 1
+            counts.lost = max(0, counts.lost - 1)
+        elif ahead <= 256 - 2 * _WINDOW:
+            counts.lost += ahead - 1
+            for k in range(1, ahead):
+                self.heard.pop((self.newest + k) % 256, None)
+            self.newest = number
+        else:  # neither ahead nor a little behind: the sender started anew
+            self.heard.clear()
+            self.newest = number
+        self.heard[number] = (now_s, checksum)
+        counts.received += 1
+        return True
+
+
+@dataclass(slots=True)
+class _Channel:
+    """What is kept of one peer."""
+
+    buffer: bytearray = field(default_factory=bytearray)
+    senders: dict[tuple[int, int], _Sequence] = field(default_factory=dict)
+    counts: Counts = field(default_factory=Counts)
+
+
+class Codec:
+    """Reads what peers send.
+
+    Parameters
+    ----------
+    keep_duplicates : bool
+        Hand on packets whose number was heard before. By default they are dropped: a network that doubles packets
+        must not make a vehicle do things twice.
+    """
+
+    def __init__(self, keep_duplicates: bool = False) -> None:
+        self._keep = keep_duplicates
+        self._channels: dict[Hashable, _Channel] = {}
+        self._decoder = mavlink.MAVLink(None)
+
+    def receive(self, now_s: float, peer: Hashable, data: bytes) -> list[MavMessage]:
+        """Return the messages that are complete with these bytes, oldest first.
+
+        Parameters
+        ----------
+        now_s : float
+            Any clock that does not step (s).
+        peer : hashable
+            Who sent them: one channel of bytes.
+        data : bytes
+            May end or begin inside a frame, and may hold anything.
+        """
+        channel = self._channels.get(peer)
+        if channel is None:
+            channel = self._channels[peer] = _Channel()
+        buffer, counts, out = channel.buffer, channel.counts, []
+        buffer += data
+        at = 0
+        while True:
+            start = _next_marker(buffer, at)
+            counts.garbage_bytes += start - at
+            at = start
+            size = _frame_size(buffer, at)
+            if size and at + size <= len(buffer):
+                frame = bytes(buffer[at : at + size])
+                message = self._decode(frame)
+                if message is None and not _unknown(frame, buffer, at + size):
+                    counts.garbage_bytes += 1
+                    at += 1
+                    continue
+                at += size
+                if message is None:
+                    counts.unknown += 1
+                elif self._fresh(now_s, channel, message):
+                    out.append(message)
+                continue
+            # Not complete. If a whole frame stands further on, this marker was none.
+            later = self._whole_frame_after(buffer, at)
+            if later is None:
+                break
+            counts.garbage_bytes += later - at
+            at = later
+        del buffer[:at]
+        return out
+
+    def counts(self, peer: Hashable) -> Counts:
+        """What became of a peer's packets so far."""
+        channel = self._channels.get(peer)
+        return channel.counts if channel is not None else Counts()
+
+    def forget(self, peer: Hashable) -> None:
+        """Drop what is kept of a peer that has gone."""
+        self._channels.pop(peer, None)
+
+    def _fresh(self, now_s: float, channel: _Channel, message: MavMessage) -> bool:
+        header = message.get_header()
+        sender = (header.srcSystem, header.srcComponent)
+        known = channel.senders.get(sender)
+        if known is None:
+            if len(channel.senders) >= SENDERS:
+                channel.counts.received += 1
+                return True
+            known = channel.senders[sender] = _Sequence((header.seq - 1) % 256)
+        return known.take(now_s, header.seq, message.get_crc(), channel.counts) or self._keep
+
+    def _decode(self, frame: bytes) -> MavMessage | None:
+        """Return the message in a frame; None if its checksum is wrong or its id unknown."""
+        if _message_id(frame) not in mavlink.mavlink_map:
+            return None
+        try:
+            return self._decoder.decode(bytearray(frame))
+        except MavlinkError:
+            return None
+
+    def _whole_frame_after(self, buffer: bytearray, at: int) -> int | None:
+        while at < len(buffer):
+            at = _next_marker(buffer, at + 1)
+            size = _frame_size(buffer, at)
+            if size and at + size <= len(buffer) and self._decode(bytes(buffer[at : at + size])) is not None:
+                return at
+        return None
+
+
+class Encoder:
+    """Packs messages of one sender for one channel, numbered in the order in which they are packed.
+
+    Parameters
+    ----------
+    system, component : int
+        Who sends, 1..255.
+    """
+
+    def __init__(self, system: int, component: int) -> None:
+        self._link = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
+
+    def __call__(self, message: MavMessage) -> bytes:
+        """Return the bytes of a message."""
+        data: bytes = message.pack(self._link)
+        self._link.seq = (self._link.seq + 1) % 256
+        return data
+
+
+def _next_marker(buffer: bytearray, at: int) -> int:
+    """Where the next frame may begin; the end of the buffer if nowhere."""
+    found = [k for k in (buffer.find(_V1, at), buffer.find(_V2, at)) if k >= 0]
+    return min(found, default=len(buffer))
+
+
+def _frame_size(buffer: bytearray, at: int) -> int:
+    """Length of the frame that begins at ``at``; 0 while too little of it is there."""
+    if at + 3 > len(buffer):
+        return 0
+    if buffer[at] == _V1:
+        return 8 + buffer[at + 1]
+    return 12 + buffer[at + 1] + (13 if buffer[at + 2] & _SIGNED else 0)
+
+
+def _message_id(frame: bytes) -> int:
+    return frame[5] if frame[0] == _V1 else int.from_bytes(frame[7:10], "little")
+
+
+def _unknown(frame: bytes, buffer: bytearray, end: int) -> bool:
+    """Whether a frame is one of a message that this dialect lacks, as far as one can tell without its checksum."""
+    if _message_id(frame) in mavlink.mavlink_map or (frame[0] == _V2 and frame[2] & ~_SIGNED):
+        return False
+    return end == len(buffer) or buffer[end] in (_V1, _V2)

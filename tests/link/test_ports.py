@@ -1,0 +1,151 @@
+"""Ports over real sockets on loopback: what is sent arrives, what breaks is mended, nothing raises or blocks."""
+
+import contextlib
+import os
+import socket
+import time
+
+import pytest
+
+from mufly.errors import InputError
+from mufly.link.endpoint import Endpoint, parse_endpoint
+from mufly.link.ports import PEERS, RETRY_S, open_port, wait
+
+
+def gather(port, until, seconds=3.0):
+    """Receive until ``until(bytes so far)``."""
+    data, end = b"", time.monotonic() + seconds
+    while not until(data) and time.monotonic() < end:
+        wait([port], 0.02)
+        data += b"".join(part for _, part in port.receive())
+    return data
+
+
+def listening(kind):
+    return open_port(parse_endpoint(f"{kind}:127.0.0.1:0", "station", least_port=0))
+
+
+def test_udp_there_and_back():
+    with contextlib.closing(listening("udpin")) as here:
+        there = open_port(Endpoint("udpout", "127.0.0.1", here.port))
+        there.send(None, b"hello")
+        wait([here], 1.0)
+        ((peer, data),) = here.receive()
+        assert data == b"hello"
+        here.send(peer, b"back")
+        assert gather(there, lambda d: d) == b"back"
+        assert there.peers[0].address == f"127.0.0.1:{here.port}"
+        there.close()
+
+
+def test_udp_to_nobody_is_silent():
+    with contextlib.closing(listening("udpin")) as taken:
+        number = taken.port
+    port = open_port(Endpoint("udpout", "127.0.0.1", number))
+    for _ in range(5):
+        port.send(None, b"x")
+        assert port.receive() == []
+    port.close()
+
+
+def test_udp_serves_many_but_not_without_end():
+    with contextlib.closing(listening("udpin")) as here:
+        callers = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(PEERS + 5)]
+        for caller in callers:
+            caller.sendto(b"x", ("127.0.0.1", here.port))
+            wait([here], 1.0)
+            here.receive()
+            caller.close()
+        assert len(here.peers) == PEERS
+
+
+def test_tcp_serves_several_and_notices_who_hangs_up():
+    with contextlib.closing(listening("tcpin")) as server:
+        callers = [open_port(Endpoint("tcp", "127.0.0.1", server.port)) for _ in range(3)]
+        for k, caller in enumerate(callers):
+            gather(caller, lambda _, c=caller: c.peers)
+            caller.send(None, bytes([65 + k]))
+        assert sorted(gather(server, lambda d: len(d) == 3)) == [65, 66, 67]
+        server.send(None, b"all")
+        assert all(gather(c, lambda d: len(d) == 3) == b"all" for c in callers)
+        callers[0].close()
+        gather(server, lambda _: len(server.peers) == 2)
+        assert len(server.peers) == 2
+        assert any("hung up" in n for n in server.notices())
+        for caller in callers[1:]:
+            caller.close()
+
+
+def test_tcp_calls_again_until_there_is_an_answer_and_says_so_once():
+    with contextlib.closing(listening("tcpin")) as server:
+        number = server.port
+    port = open_port(Endpoint("tcp", "127.0.0.1", number))
+    gather(port, lambda _: False, 0.1)
+    port.receive()
+    assert [("cannot connect" in n) for n in port.notices()] == [True]
+    server = open_port(Endpoint("tcpin", "127.0.0.1", number))
+    gather(port, lambda _: server.receive() or port.peers, 3.0 * RETRY_S)
+    assert port.peers
+    server.close()
+    gather(port, lambda _: not port.peers)
+    said = port.notices()
+    assert sum("connected" in n for n in said) == 1
+    assert sum("lost" in n for n in said) == 1
+    port.close()
+
+
+def test_a_reader_that_does_not_read_costs_whole_frames_and_no_time():
+    with contextlib.closing(listening("tcpin")) as server:
+        lazy = socket.create_connection(("127.0.0.1", server.port))
+        gather(server, lambda _: server.peers, 1.0)
+        frame = bytes(range(250))
+        for _ in range(60_000):
+            server.send(None, frame)
+        lazy.settimeout(0.5)
+        data = bytearray()
+        with contextlib.suppress(TimeoutError):
+            while True:
+                data += lazy.recv(1 << 20)
+                server.receive()
+        assert len(data) < 60_000 * 250  # some were dropped
+        assert data == frame * (len(data) // 250)  # none was cut
+        lazy.close()
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs a pseudo terminal")
+def test_a_serial_cable_that_is_pulled_and_put_back(tmp_path):
+    device = tmp_path / "ttyUSB0"
+    port = open_port(Endpoint("serial", str(device), 57600))
+    port.receive()
+    assert "cannot connect" in port.notices()[0]
+
+    def plug():
+        ours, theirs = os.openpty()
+        device.unlink(missing_ok=True)
+        device.symlink_to(os.ttyname(theirs))
+        gather(port, lambda _: port.peers, 3.0 * RETRY_S)
+        os.close(theirs)
+        return ours
+
+    cable = plug()
+    assert port.peers
+    os.write(cable, b"abc\x00\xff\r\n")
+    assert gather(port, lambda d: len(d) == 7) == b"abc\x00\xff\r\n"
+    port.send(None, b"\xfdxyz\n")
+    assert os.read(cable, 100) == b"\xfdxyz\n"
+    for _ in range(2000):  # nobody reads: the line fills, and send returns
+        port.send(None, bytes(250))
+    os.close(cable)
+    gather(port, lambda _: not port.peers)
+    assert not port.peers
+    assert sum("lost" in n for n in port.notices()) == 1
+    os.close(plug())
+    assert "connected" in " ".join(port.notices())
+    port.close()
+
+
+def test_a_port_in_use_and_an_unknown_host_are_one_line():
+    with contextlib.closing(listening("udpin")) as here, pytest.raises(InputError, match="cannot listen"):
+        open_port(Endpoint("udpin", "127.0.0.1", here.port))
+    with pytest.raises(InputError, match="not known"):
+        open_port(Endpoint("udpout", "no such host.invalid", 1))
