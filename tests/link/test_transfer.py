@@ -1,0 +1,291 @@
+"""Mission transfers through a channel that loses, doubles, delays and shuffles: whole or refused, never half."""
+
+from __future__ import annotations
+
+import heapq
+import random
+from itertools import count
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mufly.link.dialect import mavlink
+from mufly.link.transfer import GIVE_UP_S, LIMIT, SETTLE_S, Receiver, Sender
+from mufly.link.transfer_notes import (
+    Ack,
+    ClearAll,
+    Count,
+    Item,
+    MissionResult,
+    RequestItem,
+    RequestList,
+    note_of,
+    to_mavlink,
+)
+
+STEP_S = 0.05
+
+
+def mission(n: int, mark: int = 0) -> tuple[Item, ...]:
+    return tuple(Item(k, 1, 16, params=(float(mark), 0.0, 0.0, 0.0), x=10_000 * k, z=-1.0) for k in range(n))
+
+
+class Channel:
+    """Carries notes between named ends; what it does to them follows from its seed."""
+
+    def __init__(self, seed: int, loss: float = 0.0, delay_s: float = 0.0, doubles: float = 0.0) -> None:
+        self.random = random.Random(seed)
+        self.loss, self.delay_s, self.doubles = loss, delay_s, doubles
+        self.under_way: list = []
+        self.order = count()
+        self.carried = 0
+
+    def send(self, now_s, source, notes):
+        for target, note in notes:
+            self.carried += 1
+            for _ in range(1 + (self.random.random() < self.doubles)):
+                if self.random.random() >= self.loss:
+                    # Times that differ by up to half the delay put later packets before earlier ones.
+                    due = now_s + self.delay_s * self.random.uniform(0.75, 1.25)
+                    heapq.heappush(self.under_way, (due, next(self.order), source, target, note))
+
+    def arrived(self, now_s):
+        while self.under_way and self.under_way[0][0] <= now_s:
+            _, _, source, target, note = heapq.heappop(self.under_way)
+            yield source, target, note
+
+
+def run(channel, ends, start, until_s, t=0.0):
+    """Let the ends talk until nothing is open any more; ``ends`` maps a name to a machine. Returns the time."""
+    channel.send(t, *start)
+    while t < until_s:
+        t += STEP_S
+        for source, target, note in channel.arrived(t):
+            end = ends.get(target)
+            if end is None:
+                continue
+            known = (note,) if isinstance(end, Sender) else (source, note)
+            channel.send(t, target, end.receive(t, *known))
+        for name, end in ends.items():
+            channel.send(t, name, end.step(t))
+        if all(e.result is not None for e in ends.values()):
+            return t
+    return t
+
+
+class Judge:
+    def __init__(self, result=MissionResult.ACCEPTED):
+        self.delivered, self.result = [], result
+
+    def __call__(self, items):
+        self.delivered.append(items)
+        return self.result
+
+
+def upload(seed, n, **damage):
+    judge, channel = Judge(), Channel(seed, **damage)
+    vehicle = Receiver(judge)
+    station = Sender("vehicle", mission(n))
+    took = run(channel, {"vehicle": vehicle, "station": station}, ("station", station.start(0.0)), 300.0)
+    return judge, vehicle, station, took, channel
+
+
+def test_an_upload_over_a_sound_link_takes_one_round_trip_an_item_and_no_packet_more():
+    judge, vehicle, station, took, channel = upload(0, 20, delay_s=0.1)
+    assert judge.delivered == [mission(20)]
+    assert (vehicle.result, station.result) == (0, 0)
+    assert channel.carried == 1 + 20 + 20 + 1
+    assert took < 21 * (2 * 0.125 + 2 * STEP_S) + 0.2
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 25))
+def test_an_upload_over_the_worst_link_ends_whole_within_a_minute_and_a_half(seed, n):
+    judge, _, station, took, _ = upload(seed, n, loss=0.3, delay_s=0.3, doubles=0.2)
+    # Mean: (0.6 s + 1.04 repetitions of about 1 s) an item, 41 s for 25.
+    assert all(items == mission(n) for items in judge.delivered)
+    assert judge.delivered
+    assert station.result == MissionResult.ACCEPTED
+    assert took < 90.0
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 20))
+def test_a_download_over_the_worst_link_ends_whole(seed, n):
+    judge, channel = Judge(), Channel(seed, loss=0.3, delay_s=0.3, doubles=0.2)
+    station = Receiver(judge, unasked=False)
+
+    class Vehicle:
+        sender, result = None, 0
+
+        def receive(self, t, source, note):
+            if isinstance(note, RequestList) and self.sender is None:
+                self.sender = Sender(source, mission(n), uploading=False)
+                return self.sender.start(t)
+            return self.sender.receive(t, note) if self.sender else []
+
+        def step(self, t):
+            return self.sender.step(t) if self.sender else []
+
+    took = run(
+        channel,
+        {"station": station, "vehicle": Vehicle()},
+        ("station", station.fetch(0.0, "vehicle")),
+        300.0,
+    )
+    assert judge.delivered == [mission(n)]
+    assert station.result == MissionResult.ACCEPTED
+    assert took < 90.0
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), at=st.floats(0.1, 12.0), n=st.integers(1, 8), m=st.integers(1, 8))
+def test_a_second_mission_in_mid_transfer_is_never_mixed_with_the_first(seed, at, n, m):
+    judge, channel = Judge(), Channel(seed, loss=0.3, delay_s=0.3, doubles=0.3)
+    vehicle, first = Receiver(judge), Sender("vehicle", mission(n, mark=1))
+    ends = {"vehicle": vehicle, "station": first}
+    t = run(channel, ends, ("station", first.start(0.0)), at)
+    second = Sender("vehicle", mission(m, mark=2))
+    ends["station"] = second
+    run(channel, ends, ("station", second.start(t, hush=True)), t + 200.0, t)
+    assert all(items in (mission(n, 1), mission(m, 2)) for items in judge.delivered)
+    if second.result == MissionResult.ACCEPTED:
+        assert judge.delivered[-1] == mission(m, 2)
+
+
+@pytest.mark.parametrize("after", range(5))
+def test_a_sender_that_vanishes_leaves_nothing_and_frees_the_receiver(after):
+    judge = Judge()
+    vehicle = Receiver(judge)
+    items = mission(5)
+    vehicle.receive(0.0, "a", Count(5))
+    for k in range(after):
+        vehicle.receive(0.1 * k, "a", items[k])
+    t, asked = 0.5, 0
+    while vehicle.busy:
+        t += STEP_S
+        for _, note in vehicle.step(t):
+            asked += isinstance(note, RequestItem)
+            last = note
+        assert t < GIVE_UP_S + 2.0
+    assert vehicle.timed_out
+    assert last == Ack(MissionResult.OPERATION_CANCELLED)
+    assert 5 <= asked <= GIVE_UP_S / 0.25
+    assert judge.delivered == []
+    vehicle.receive(t + 5.0, "b", Count(1))
+    vehicle.receive(t + 5.1, "b", mission(1)[0])
+    assert judge.delivered == [mission(1)]
+
+
+def test_a_receiver_that_vanishes_is_given_up():
+    station = Sender("vehicle", mission(3))
+    counts = len(station.start(0.0))
+    t = 0.0
+    while station.result is None:
+        t += STEP_S
+        counts += sum(isinstance(n, Count) for _, n in station.step(t))
+        assert t < GIVE_UP_S + 2.0
+    assert station.timed_out
+    assert counts >= 5
+
+
+def test_another_peer_in_mid_transfer_is_denied_and_does_not_disturb():
+    judge = Judge()
+    vehicle = Receiver(judge)
+    vehicle.receive(0.0, "a", Count(2))
+    assert vehicle.receive(0.1, "b", Count(2)) == [("b", Ack(MissionResult.DENIED))]
+    assert vehicle.receive(0.2, "b", mission(2, mark=9)[0]) == []
+    vehicle.receive(0.3, "b", Ack(MissionResult.OPERATION_CANCELLED))
+    for item in mission(2):
+        vehicle.receive(0.4, "a", item)
+    assert judge.delivered == [mission(2)]
+
+
+def test_items_out_of_turn_and_of_other_kinds_are_passed_over():
+    judge = Judge()
+    vehicle = Receiver(judge)
+    a, b, c = mission(3)
+    vehicle.receive(0.0, "a", Count(3))
+    assert vehicle.receive(0.1, "a", b) == []
+    assert vehicle.receive(0.1, "a", Item(0, 1, 16, mission_type=1)) == []
+    assert vehicle.receive(0.1, "a", a) == [("a", RequestItem(1))]
+    assert vehicle.receive(0.2, "a", a) == []
+    vehicle.receive(0.3, "a", b)
+    assert vehicle.receive(0.4, "a", c) == [("a", Ack(0))]
+    assert judge.delivered == [(a, b, c)]
+
+
+def test_an_acknowledgement_that_was_lost_is_given_again_and_the_mission_delivered_once():
+    judge = Judge()
+    vehicle = Receiver(judge)
+    vehicle.receive(0.0, "a", Count(1))
+    vehicle.receive(0.1, "a", mission(1)[0])
+    assert vehicle.receive(1.2, "a", mission(1)[0]) == [("a", Ack(0))]
+    assert len(judge.delivered) == 1
+
+
+def test_what_the_judge_refuses_the_sender_hears():
+    judge = Judge(MissionResult.INVALID_PARAM5_X)
+    vehicle, station = Receiver(judge), Sender("vehicle", mission(2))
+    run(Channel(0), {"vehicle": vehicle, "station": station}, ("station", station.start(0.0)), 20.0)
+    assert station.result == MissionResult.INVALID_PARAM5_X
+    assert not station.timed_out
+
+
+def test_too_many_items_are_refused_before_any_is_sent():
+    judge = Judge()
+    vehicle = Receiver(judge)
+    assert vehicle.receive(0.0, "a", Count(65535)) == [("a", Ack(MissionResult.NO_SPACE))]
+    assert not vehicle.busy
+    assert vehicle.receive(9.0, "a", Count(LIMIT)) == [("a", RequestItem(0))]
+
+
+def test_a_transfer_can_be_cancelled_from_either_side():
+    judge = Judge()
+    vehicle, station = Receiver(judge), Sender("vehicle", mission(2))
+    station.start(0.0)
+    vehicle.receive(0.0, "station", Count(2))
+    ((_, note),) = station.cancel()
+    vehicle.receive(0.1, "station", note)
+    assert not vehicle.busy
+    station = Sender("vehicle", mission(2))
+    vehicle.receive(5.0, "station", Count(2))
+    ((_, note),) = vehicle.cancel()
+    station.receive(5.1, note)
+    assert station.result == MissionResult.OPERATION_CANCELLED
+    assert not station.timed_out
+    assert judge.delivered == []
+
+
+def test_a_receiver_that_starts_anew_lets_old_packets_run_dry():
+    judge = Judge()
+    vehicle = Receiver(judge)
+    vehicle.receive(0.0, "a", Count(2))
+    vehicle.receive(0.1, "a", mission(2, 1)[0])
+    assert vehicle.receive(0.2, "a", Count(2)) == []
+    vehicle.receive(0.3, "a", mission(2, 1)[0])  # of the first transfer, late
+    t = 0.3
+    while not (notes := vehicle.step(t)):
+        t += STEP_S
+    assert notes == [("a", RequestItem(0))]
+    assert t == pytest.approx(0.1 + SETTLE_S, abs=2 * STEP_S)
+
+
+@pytest.mark.parametrize(
+    "note",
+    [Count(3), RequestItem(2), Ack(14), RequestList(), ClearAll(1), mission(3)[2], Item(1, 6, 22, z=2.0)],
+)
+def test_notes_survive_the_wire(note):
+    link = mavlink.MAVLink(None)
+    data = to_mavlink(note, 1, 1).pack(link)
+    assert note_of(link.decode(bytearray(data))) == note
+
+
+@pytest.mark.parametrize(
+    ("frame", "x", "expected"),
+    [(1, 1.25, 12_500), (6, 47.5, 475_000_000), (1, float("nan"), 2**31 - 1), (6, 1e9, 2**31 - 1)],
+)
+def test_items_of_the_older_form_are_read_in_metres_or_degrees(frame, x, expected):
+    message = mavlink.MAVLink_mission_item_message(1, 1, 0, frame, 16, 0, 1, 0, 0, 0, 0, x, 0, -1)
+    assert note_of(message).x == expected
