@@ -1,0 +1,67 @@
+"""The memory of a station: rows come out as they went in, and it does not grow."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mufly.logs.flat import our_name
+from mufly.station.history import History
+
+
+@given(n=st.integers(0, 300), since=st.floats(-1.0, 4.0))
+def test_it_gives_back_the_newest_rows_that_fit_and_none_before_the_time_asked_for(n, since):
+    history = History(seconds=1.0, rate_Hz=100.0)
+    for k in range(n):
+        history.append(0.01 * k, np.full(len(history.names), k))
+    times, values = history.since(since, ["range_3", "truth_position_N"])
+    kept = np.arange(max(0, n - 100), n)
+    kept = kept[0.01 * kept > since]
+    np.testing.assert_allclose(times, 0.01 * kept)
+    np.testing.assert_array_equal(values, np.column_stack([kept, kept]))
+    assert len(history) == min(n, 100)
+
+
+def test_memory_is_allocated_once():
+    history = History(seconds=1.0)
+    before = history._values.nbytes
+    held = history._values
+    for k in range(1000):
+        history.append(float(k), np.zeros(len(history.names)))
+    assert history._values is held
+    assert before == 100 * len(history.names) * 4
+    assert (history.oldest_s, history.newest_s) == (900.0, 999.0)
+
+
+def test_rows_out_of_order_are_left_out():
+    history = History(seconds=1.0)
+    for t in (1.0, 2.0, 2.0, 1.5, np.nan, 3.0):
+        history.append(t, np.zeros(len(history.names)))
+    assert history.since(0.0)[0].tolist() == [1.0, 2.0, 3.0]
+
+
+def test_what_it_returns_is_a_copy():
+    history = History(seconds=1.0)
+    history.append(1.0, np.ones(len(history.names)))
+    history.since(0.0)[1][:] = 5.0
+    assert (history.window(10.0)[1] == 1.0).all()
+
+
+def test_an_empty_history_answers():
+    history = History(seconds=1.0)
+    times, values = history.window(5.0, ["battery_voltage"])
+    assert times.shape == (0,)
+    assert values.shape == (0, 1)
+    assert np.isnan(history.newest_s)
+
+
+def test_signals_are_named_as_in_a_recording_and_have_units():
+    history = History(seconds=1.0)
+    assert history.unit("estimated_attitude_roll") == "rad"
+    assert history.unit("battery_voltage") == "V"
+    ours = [name for name in history.names if not name.startswith("link_")]
+    assert all(our_name(name) is not None for name in ours)
+    with pytest.raises(KeyError):
+        history.since(0.0, ["no_such_signal"])
