@@ -107,6 +107,14 @@ def test_thousands_of_senders_do_not_fill_the_memory():
     assert len(codec._channels["a"].senders) == 64
 
 
+def test_thousands_of_peers_do_not_fill_the_memory(encode):
+    codec = Codec()
+    for k in range(1000):
+        codec.receive(0.0, k, b"\xfd\x09")
+        assert codec.receive(0.0, "a", encode(attitude()))
+    assert len(codec._channels) <= 128
+
+
 def test_the_first_version_is_read_the_second_is_sent(encode):
     old = mavlink.MAVLink(None, 9, 1)
     data = attitude(7).pack(old, force_mavlink1=True)

@@ -13,18 +13,28 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from mufly.link.dialect import MavlinkError, MavMessage, mavlink
 
-__all__ = ["FRAME_MOST", "SENDERS", "Codec", "Counts", "Encoder"]
+__all__ = ["CHANNELS", "FRAME_MOST", "SENDERS", "Codec", "Counts", "Encoder", "Outgoing"]
 
 FRAME_MOST = 280
 """Length of the longest frame: ten bytes of header, 255 of payload, two of checksum, thirteen of signature."""
 SENDERS = 64
 """So many senders are told apart on one channel; those beyond are heard, but their losses are not counted."""
+CHANNELS = 128
+"""So many peers are remembered; the one that was silent for longest is forgotten."""
 _WINDOW = 32  # numbers so far behind the newest are late, those further off are a jump
 _DUPLICATE_S = 1.0  # the same packet after this time is said anew, by a program that was started again
 _V1, _V2, _SIGNED = 0xFE, 0xFD, 0x01
+
+
+class Outgoing(NamedTuple):
+    """Bytes for a peer, or for all of them (None)."""
+
+    peer: Hashable | None
+    data: bytes
 
 
 @dataclass(slots=True)
@@ -117,7 +127,12 @@ class Codec:
         """
         channel = self._channels.get(peer)
         if channel is None:
-            channel = self._channels[peer] = _Channel()
+            channel = _Channel()
+            if len(self._channels) >= CHANNELS:
+                del self._channels[next(iter(self._channels))]
+        else:
+            del self._channels[peer]  # and in again at the end: the first one is the longest silent
+        self._channels[peer] = channel
         buffer, counts, out = channel.buffer, channel.counts, []
         buffer += data
         at = 0
