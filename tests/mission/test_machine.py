@@ -225,7 +225,7 @@ def test_rc_from_the_floor_and_back_to_it(rig):
     assert motors == ["off", "spin_up", "fly", "ramp_down", "off"]
     assert min(x[2] for x in flight.position) < -0.4
     assert flight.states[-1] == "init"
-    assert flight.state.outcome == ""
+    assert (flight.state.outcome, flight.state.reason) == ("succeeded", "landed by the pilot")
 
 
 def test_tipping_over_on_the_floor_stops_the_motors(rig):

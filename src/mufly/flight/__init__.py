@@ -1,7 +1,11 @@
 """All of it at once: the flight software, the closed loop, the recorder, pictures and numbers of a flight."""
 
+from mufly.flight.answers import Answer, Status
+from mufly.flight.autopilot import Autopilot
 from mufly.flight.controllers import Actuators, Controllers
+from mufly.flight.flight import Flight, FlightView
 from mufly.flight.loop import Progress, fly
+from mufly.flight.parameters import Parameter
 from mufly.flight.pictures import draw_flight
 from mufly.flight.recorder import Recorder
 from mufly.flight.response import Setpoint, respond
@@ -9,15 +13,23 @@ from mufly.flight.software import FlightSoftware
 from mufly.flight.summary import Summary, summarise, summary_rows
 from mufly.logs.layout import Event, standard_layout
 from mufly.logs.recording import events_of, read_attachments, read_recording, to_csv
+from mufly.mission import SetPoint
 
 __all__ = [
     "Actuators",
+    "Answer",
+    "Autopilot",
     "Controllers",
     "Event",
+    "Flight",
     "FlightSoftware",
+    "FlightView",
+    "Parameter",
     "Progress",
     "Recorder",
+    "SetPoint",
     "Setpoint",
+    "Status",
     "Summary",
     "draw_flight",
     "events_of",

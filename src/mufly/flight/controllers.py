@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+import math
+from dataclasses import dataclass, replace
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +20,23 @@ from mufly.control import (
 )
 from mufly.sensors import Measurement
 
-__all__ = ["Actuators", "Controllers"]
+__all__ = ["HEAVE_YAW_TUNED", "POSITION_TUNED", "Actuators", "Controllers"]
 
 _Array = NDArray[np.floating[Any]]
+
+HEAVE_YAW_TUNED = (
+    "heave_bandwidth",
+    "heave_acceleration",
+    "heave_speed",
+    "yaw_bandwidth",
+    "yaw_acceleration",
+    "yaw_rate",
+)
+POSITION_TUNED = ("position_gain", "speed_limit", "tilt_limit")
+"""Numbers of the control law that may change in flight: limits, and gains outside of the H-infinity controllers."""
+
+RETUNE_S = 0.5
+"""Time constant with which a changed number is gone over to (s): a step of a gain would be a step of the output."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,10 +75,37 @@ class Controllers:
     """
 
     def __init__(self, design: FlightController) -> None:
-        self._design = design
+        self._design = self._target = design
+        self._settled = True
         self._heave_yaw: _Array = np.zeros(0)
         self._roll_pitch = roll_pitch_initial(design.roll_pitch_gains)
         self._position = position_initial(design.position_gains)
+
+    def retune(self, design: FlightController) -> None:
+        """Go over to the numbers of ``design``, which differs from the present one only in those that are tuned."""
+        if self._settled:
+            now = self._design
+            self._design = replace(
+                now,
+                heave_yaw_gains=copied(now.heave_yaw_gains),
+                position_gains=copied(now.position_gains),
+            )
+        self._target, self._settled = design, False
+
+    def _go_over(self) -> None:
+        """One period of going over to the target's numbers."""
+        blend = 1.0 - math.exp(-self._design.period_s / RETUNE_S)
+        far = False
+        for mine, wanted, names in (
+            (self._design.heave_yaw_gains, self._target.heave_yaw_gains, HEAVE_YAW_TUNED),
+            (self._design.position_gains, self._target.position_gains, POSITION_TUNED),
+        ):
+            for name in names:
+                gap = float(wanted[name]) - float(mine[name])
+                mine[name] += blend * gap
+                far = far or abs(gap) > 1e-4 * abs(float(wanted[name]))
+        if not far:
+            self._design, self._settled = self._target, True
 
     def engage(self, measured: Measurement, motor_input: _Array) -> None:
         """Let heave-yaw take over, without a bump, from motors that run at ``motor_input`` (upper, lower)."""
@@ -120,6 +162,8 @@ class Controllers:
         -------
         Actuators
         """
+        if not self._settled:
+            self._go_over()
         servo: _Array = np.zeros(2)
         if tilt is not None:
             servo, self._roll_pitch = roll_pitch_step(
@@ -133,6 +177,13 @@ class Controllers:
             measured.battery_voltage,
         )
         return Actuators(motor, servo)
+
+
+def copied(record: np.void) -> np.void:
+    """A record of its own with the same numbers, which may be written to."""
+    own = np.zeros((), dtype=record.dtype)  # np.array(record) would share its memory
+    own[...] = record
+    return cast(np.void, own[()])
 
 
 def _heave_yaw(m: Measurement) -> _Array:

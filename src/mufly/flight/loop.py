@@ -1,12 +1,4 @@
-"""The closed loop: the flight model and the flight software, each at its own rate, and the recorder beside them.
-
-One period of the flight software at time ``t_k``::
-
-    measurement(t_k) --> software.step --> actuators a_k          takes effect at t_(k+1)
-    plant integrated from t_k to t_(k+1) under a_(k-1) and the wind
-
-The delay of one period is that of a processor that needs the period to compute.
-"""
+"""A mission flown to its end: a :class:`mufly.flight.Flight` that is armed, started and ticked until it is over."""
 
 from __future__ import annotations
 
@@ -20,29 +12,16 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from mufly.control import FlightController, design
-from mufly.dynamics import (
-    DrydenWind,
-    initial_state,
-    standing_height,
-)
-from mufly.flight.controllers import Actuators
-from mufly.flight.plant import Plant
-from mufly.flight.recorder import Recorder
-from mufly.flight.rows import row_writer
-from mufly.flight.software import FlightSoftware
-from mufly.logs.layout import Event, standard_layout
-from mufly.mission import Command, Mission, dump_mission, load_mission, preflight
-from mufly.vehicle import Vehicle, load_vehicle, vehicle_toml
-from mufly.version import __version__
+from mufly.control import FlightController
+from mufly.flight.flight import Flight
+from mufly.logs.layout import Event
+from mufly.mission import Estimate, Mission, load_mission, preflight
+from mufly.vehicle import Vehicle, load_vehicle
 
 __all__ = ["Progress", "fly"]
 
-RECORD_HZ = 100.0
-RING_HZ = 25.0
 PROGRESS_S = 0.1  # wall-clock time between two calls of on_progress
 REST_S = 0.5  # recorded after the mission has ended
-GUST_LENGTH_M = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,122 +91,70 @@ def fly(
     if not isinstance(mission, Mission):
         mission = load_mission(mission)
     estimate = preflight(vehicle, mission)
-    controller = design(vehicle) if controller is None else controller
-    steady = np.asarray(mission.wind.steady_m_s if wind is None else wind, dtype=np.float64)
-    gust = mission.wind.gust_m_s if gust is None else gust
-    air = DrydenWind(steady, gust, step_s=1.0 / controller.rate_Hz, length_m=GUST_LENGTH_M, seed=seed)
-    plant = Plant(vehicle, mission.world, air, controller.rate_Hz, _at_rest(vehicle, mission))
-    software = FlightSoftware(vehicle, controller, mission)
-    recorder = Recorder(
-        path,
-        {
-            "vehicle": vehicle.name,
-            "mission": mission.name,
-            "seed": seed,
-            "wind_m_s": steady.tolist(),
-            "gust_m_s": gust,
-            "rate_Hz": controller.rate_Hz,
-            "version": __version__,
-        },
-        layout=standard_layout(vehicle.range_ring.count),
-        attachments={"vehicle.toml": vehicle_toml(vehicle), "mission.toml": dump_mission(mission)},
-        scene_view={
-            "world": mission.world,
-            "waypoints": [w.position_m for w in mission.waypoint],
-            "rotor_radius": float(vehicle.rotors.radius),
-        },
-    )
-    time_limit = 3.0 * estimate.duration_s + 60.0 + len(mission.waypoint) * mission.avoidance.give_up_s
-    with recorder:
-
-        def report(event: Event) -> None:
-            recorder.event(event.time_s, event.state, event.text, event.level)
-            if on_event is not None:
-                on_event(event)
-
-        if software.slower:
-            report(
-                Event(0.0, "init", f"slower than asked, as the controllers can: {software.slower}", "warning")
-            )
-        wall_s = _run(
-            plant, software, recorder, estimate.duration_s, time_limit, realtime, on_progress, report
-        )
-        outcome, reason = _judge(software, plant)
-        recorder.finish(outcome, reason, realtime_factor=plant.time_s / max(wall_s, 1e-9))
-    return recorder.dataset()
+    with Flight(
+        vehicle, mission, controller=controller, wind=wind, gust=gust, seed=seed, path=path
+    ) as flight:
+        if on_event is not None:
+            flight.autopilot.listeners.append(on_event)
+        slower = flight.autopilot.software.slower
+        if slower:
+            flight.note(f"slower than asked, as the controllers can: {slower}", "warning")
+        wall_s = _run(flight, estimate, _time_limit(mission, estimate), realtime, on_progress)
+        outcome, reason = _judge(flight)
+        flight.close(outcome, reason, realtime_factor=flight.time_s / max(wall_s, 1e-9))
+    return flight.recorder.dataset()
 
 
-def _at_rest(vehicle: Vehicle, mission: Mission) -> NDArray[np.float64]:
-    """State in which the mission begins: standing on the floor."""
-    return initial_state(
-        position=(*mission.start_m, -standing_height(vehicle)),
-        attitude=(0.0, 0.0, math.radians(mission.start_heading_deg)),
-    )
+def _time_limit(mission: Mission, estimate: Estimate) -> float:
+    """When a flight is taken to be stuck (s)."""
+    limit = 3.0 * estimate.duration_s + 60.0 + len(mission.waypoint) * mission.avoidance.give_up_s
+    # One that holds at the end does so until its battery is low.
+    return limit + estimate.duration_s / estimate.fraction if mission.at_end == "hover" else limit
 
 
 def _run(
-    plant: Plant,
-    software: FlightSoftware,
-    recorder: Recorder,
-    expected_s: float,
+    flight: Flight,
+    estimate: Estimate,
     time_limit: float,
     realtime: bool,
     on_progress: Callable[[Progress], None] | None,
-    report: Callable[[Event], None],
 ) -> float:
     """Fly until the mission has ended, the vehicle has crashed or time is up; return the wall time (s)."""
-    write = row_writer(recorder, plant)
-    every = max(1, round(plant.rate_Hz / RECORD_HZ))
-    look = max(1, round(plant.rate_Hz / RING_HZ))
+    # The mission was checked as a whole (preflight); whether to arm is a question for a real one.
+    flight.autopilot.arm(force=True, quiet=True)
+    flight.autopilot.start_mission()
+    software, plant = flight.autopilot.software, flight.plant
     began = shown = time.perf_counter()
     ended_at = math.inf
-    command = Command(start=True)
-    pending = Actuators.idle()
-    k = events = 0
-    while True:
-        if k % look == 0:
-            plant.look()
-        measured = plant.measure()
-        actuators = software.step(measured, command)
-        command = Command()
-        if k % every == 0:
-            write(measured, pending, software.reference, software.state)
-            for event in software.events[events:]:
-                report(Event(event.time_s, event.state, event.text))
-            events = len(software.events)
-            now = time.perf_counter()
-            if on_progress is not None and now - shown > PROGRESS_S:
-                shown = now
-                on_progress(_progress(plant, software.state, expected_s, now - began))
-            if realtime and plant.time_s > now - began:
-                time.sleep(plant.time_s - (now - began))
-        if ended_at == math.inf and (software.finished or plant.crashed or plant.time_s > time_limit):
-            ended_at = plant.time_s
-            if plant.crashed:
-                report(Event(plant.time_s, software.state, plant.crashed, "error"))
-        if plant.time_s >= ended_at + REST_S:
-            break
-        plant.advance(pending)
-        pending = actuators
-        k += 1
+    while flight.time_s < ended_at + REST_S:
+        flight.tick()
+        now = time.perf_counter()
+        if on_progress is not None and now - shown > PROGRESS_S:
+            shown = now
+            on_progress(_progress(flight, estimate.duration_s, now - began))
+        if realtime and flight.time_s > now - began:
+            time.sleep(flight.time_s - (now - began))
+        if ended_at == math.inf and (software.finished or plant.crashed or flight.time_s > time_limit):
+            ended_at = flight.time_s
     return time.perf_counter() - began
 
 
-def _progress(plant: Plant, state: str, expected_s: float, wall_s: float) -> Progress:
+def _progress(flight: Flight, expected_s: float, wall_s: float) -> Progress:
+    plant = flight.plant
     return Progress(
-        time_s=plant.time_s,
+        time_s=flight.time_s,
         expected_s=expected_s,
-        state=state,
+        state=flight.autopilot.software.state,
         position=plant.state[0:3].copy(),
         battery_V=float(plant.voltage),
         battery_charge=float(plant.state[20]),
-        realtime_factor=plant.time_s / max(wall_s, 1e-9),
+        realtime_factor=flight.time_s / max(wall_s, 1e-9),
     )
 
 
-def _judge(software: FlightSoftware, plant: Plant) -> tuple[str, str]:
-    if plant.crashed:
-        return "failed", plant.crashed
-    if not software.finished:
-        return "failed", f"the mission was not over after {plant.time_s:.0f} s (state: {software.state})"
-    return software.outcome, software.reason
+def _judge(flight: Flight) -> tuple[str, str]:
+    outcome, reason = flight.judge()
+    if outcome == "unfinished":
+        state = flight.autopilot.software.state
+        return "failed", f"the mission was not over after {flight.time_s:.0f} s (state: {state})"
+    return outcome, reason

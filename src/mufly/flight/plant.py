@@ -71,6 +71,14 @@ class Plant:
         self._radius = float(vehicle.rotors.radius)
         self._yaw = float(euler_from_quaternion(state[6:10])[2])
 
+    def reset(self, state: NDArray[np.float64]) -> None:
+        """Put the helicopter somewhere else, whole and at rest, one period later; air and clock go on."""
+        self.state[:] = state
+        self.ticks += 1
+        self.crashed = ""
+        self.voltage, self.current = battery_state(self.state, 0.0, 0.0, self.parameters)
+        self._yaw = float(euler_from_quaternion(state[6:10])[2])
+
     @property
     def time_s(self) -> float:
         return self.ticks / self.rate_Hz

@@ -58,6 +58,8 @@ class Recorder:
         Keyword arguments of :func:`mufly.flight.scene.scene_message`: what the 3-D view shows.
     start_time_ns : int, optional
         Wall time of the instant 0 (ns since 1970); default now.
+    keep : bool
+        Keep all rows in memory for :meth:`dataset`; without it a flight of hours needs no more than one of seconds.
 
     Raises
     ------
@@ -79,7 +81,9 @@ class Recorder:
         attachments: Mapping[str, str | bytes] | None = None,
         scene_view: Mapping[str, Any] | None = None,
         start_time_ns: int | None = None,
+        keep: bool = True,
     ) -> None:
+        self._keep = keep
         self.layout = layout or standard_layout()
         self.start_time_ns = time.time_ns() if start_time_ns is None else start_time_ns
         started = datetime.fromtimestamp(self.start_time_ns / 1e9, UTC).isoformat(timespec="milliseconds")
@@ -164,7 +168,15 @@ class Recorder:
                 self._stream.close()
 
     def dataset(self) -> xr.Dataset:
-        """The flight so far, as :func:`mufly.flight.read_recording` would return it."""
+        """The flight so far, as :func:`mufly.flight.read_recording` would return it.
+
+        Raises
+        ------
+        MuflyError
+            The rows were not kept in memory.
+        """
+        if not self._keep:
+            raise MuflyError(f"the rows were not kept in memory; read {self._path or 'a recording on disk'}")
         rows = np.concatenate([*self._all_rows, self._block[: self._n]])
         attributes = {**self._attributes, **(self._outcome if self._closed else {}), "complete": self._closed}
         return to_dataset(
@@ -210,9 +222,10 @@ class Recorder:
         self._events = []
         self._last_time = times[-1]
         self._flush_at = time_s + BLOCK_S
-        self._all_rows += (rows,)
-        self._all_states += states
-        self._all_events += events
+        if self._keep:
+            self._all_rows += (rows,)
+            self._all_states += states
+            self._all_events += events
 
     def _write_error(self, error: OSError) -> MuflyError:
         return MuflyError(f"{self._path}: the recording cannot be written ({error.strerror})")

@@ -37,14 +37,18 @@ from mufly.mission import (
     Event,
     Limits,
     Mission,
+    MissionPlan,
     MissionState,
     Reference,
+    State,
     begin,
     blind,
     down_blind,
+    log,
     prepare,
     slowed,
     step,
+    stop_at_once,
 )
 from mufly.sensors import Measurement
 from mufly.vehicle import Vehicle
@@ -99,9 +103,14 @@ class FlightSoftware:
     """
 
     def __init__(self, vehicle: Vehicle, controller: FlightController, mission: Mission) -> None:
-        mission, self.slower = slowed(mission, able(controller))
-        self._plan = prepare(mission, vehicle)
+        self._vehicle = vehicle
         self._controller = controller
+        self.change(mission)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the flight: before the first step."""
+        controller = self._controller
         self._period_s = 1.0 / controller.rate_Hz
         self._every = controller.position_divider
         self._mission: MissionState | None = None
@@ -113,11 +122,74 @@ class FlightSoftware:
         self._motor_input: NDArray[np.floating[Any]] = np.zeros(2)
         self._tilt: NDArray[np.floating[Any]] = np.zeros(2)
         self._controllers = Controllers(controller)
+        self._released: NDArray[np.floating[Any]] = np.zeros(2)
         self._floor, self._lifted = 0.0, False
         self._late_s = 0.0
         self._watch: Watch | None = None
         # Motor voltages, averaged over the last second of flight.
         self._held_up: NDArray[np.floating[Any]] = np.zeros(2)
+
+    def change(self, mission: Mission) -> None:
+        """Fly by another mission's limits from now on; its waypoints and index have to be those of the present one.
+
+        Raises
+        ------
+        InputError
+            If it does not suit the vehicle; nothing has changed then.
+        """
+        flown, slower = slowed(mission, able(self._controller))
+        self._plan = prepare(flown, self._vehicle)
+        self.asked, self.slower = mission, slower
+
+    def load(self, mission: Mission) -> None:
+        """Take another mission, from its first waypoint on, when it is started.
+
+        Raises
+        ------
+        InputError
+            If it does not suit the vehicle; nothing has changed then.
+        """
+        self.change(mission)
+        if self._mission is not None:
+            n = len(mission.waypoint)
+            s = log(
+                self._mission, f"{mission.name or 'a mission'}: {n} waypoint{'s' if n != 1 else ''} loaded"
+            )
+            s = replace(s, index=0, begun=False)
+            # A flight that goes on is one without a mission until that is started.
+            flying = s.state is not State.INIT
+            self._mission = replace(s, outcome="", reason="", manual=True, quit="") if flying else s
+
+    def retune(self, controller: FlightController) -> None:
+        """Go over to other numbers of the same control law, without a bump."""
+        self._controller = controller
+        self._controllers.retune(controller)
+        self.change(self.asked)
+
+    @property
+    def plan(self) -> MissionPlan:
+        """The mission as it is flown."""
+        return self._plan
+
+    @property
+    def mission_state(self) -> MissionState | None:
+        """What the mission's state machine remembers; None before the first step."""
+        return self._mission
+
+    @property
+    def due(self) -> bool:
+        """Whether the next step runs the mission logic, which hears the user's signals."""
+        return self._ticks % self._every == 0
+
+    @property
+    def motors(self) -> str:
+        """What the motors do: the table above."""
+        return self._motors
+
+    @property
+    def flying(self) -> bool:
+        """Whether it is off the floor."""
+        return self._lifted and self._motors in ("fly", "blind")
 
     @property
     def state(self) -> str:
@@ -141,8 +213,13 @@ class FlightSoftware:
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """Every change of state so far, with its reason."""
+        """The latest changes of state, with their reasons; a mission of some dozens of waypoints has no more."""
         return () if self._mission is None else self._mission.events
+
+    @property
+    def logged(self) -> int:
+        """How many events there have been in all."""
+        return 0 if self._mission is None else self._mission.logged
 
     @property
     def reference(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -170,6 +247,8 @@ class FlightSoftware:
             self._mission = begin(self._plan, m)
         if command != _NO_COMMAND:
             self._command = command
+        if command.stop:
+            return self._stop_at_once(command.stop, m)
         self._late_s = (self._ticks % self._every) * self._period_s
         self._ticks += 1
         if self._lost(self._watch):
@@ -183,6 +262,17 @@ class FlightSoftware:
         if r.motors == "fly":
             return self._fly(r, m)
         return self._on_the_floor(r.motors, m)
+
+    def _stop_at_once(self, why: str, m: Measurement) -> Actuators:
+        assert self._mission is not None
+        self._ticks += 1
+        self._mission = stop_at_once(replace(self._mission, time_s=m.time_s), why)
+        self._reference = replace(
+            self._reference, velocity=np.zeros(3), heading_rate=0.0, motors="off", rc=False
+        )
+        self._command, self._motors, self._lifted, self._late_s = Command(), "off", False, 0.0
+        self._motor_input, self._tilt = np.zeros(2), np.zeros(2)
+        return Actuators.idle()
 
     def _lost(self, w: Watch) -> bool:
         """Whether it flies without knowing where it is or how it moves; it does not come back from that."""

@@ -6,12 +6,20 @@
     any flying state --land signal, battery low--> landing --touchdown--> init
     any state --RC--> RC --RC off--> hover, or init when it stands on the floor
 
+and what a user of today expects beside it (`mufly.mission.user`):
+
+    init --take-off signal--> take-off --> hover, where the mission waits
+    take-off, waypoint, obstacle, landing --pause--> hover --start--> waypoint
+    take-off, hover, waypoint, obstacle --return--> waypoint (home) --goal reached--> landing
+    init, take-off, hover, waypoint, obstacle --set-points--> offboard --no more--> hover, or init on the floor
+    any state --stop--> init, motors off
+
 After the start signal the machine gives itself the waypoint signals of the mission file, and the land signal after
 the last one; signals of the user override it. Each change of state is kept with its reason in `MissionState.events`.
 
 One step takes what was measured and commanded and returns the next state and the `Reference` for the controllers. It
 runs at 50 Hz or so. Trajectories are made at transitions; a step in between only evaluates one. What each state does
-by itself is in `mufly.mission.phases`.
+by itself is in `mufly.mission.phases`, what the user's signals do in `mufly.mission.user`.
 """
 
 from __future__ import annotations
@@ -19,16 +27,16 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from mufly.mission import phases
+from mufly.mission import phases, user
 from mufly.mission.obstacles import observe
 from mufly.mission.reference import at_gate, reference, swing
-from mufly.mission.signals import Command, MissionPlan, MissionState, Reference, State, enter, fail, log
+from mufly.mission.signals import Command, MissionPlan, MissionState, Reference, State, fail
 from mufly.mission.trajectory import Trajectory
 from mufly.sensors import Measurement
 
 __all__ = ["step"]
 
-_FLYING = frozenset({State.TAKE_OFF, State.HOVER, State.WAYPOINT, State.OBSTACLE})
+_FLYING = frozenset({State.TAKE_OFF, State.HOVER, State.WAYPOINT, State.OBSTACLE, State.OFFBOARD})
 _TIPPED = math.radians(60.0)
 _LOW_FOR_S = 1.0
 _VOLTAGE_LAG_S = 0.5
@@ -71,6 +79,8 @@ def step(
     dt = min(max(measured.time_s - state.time_s, 0.0), 0.5)
     s = _sense(plan, state, measured, dt)
     s = _signals(plan, s, measured, command, dt)
+    if s.state is State.OFFBOARD:
+        s = user.track(plan, s, measured, command, dt)
     phase = _PHASES.get(s.state)
     if phase is not None:
         s = phase(plan, s, measured, dt)
@@ -115,28 +125,62 @@ def _gate_open(plan: MissionPlan, s: MissionState, m: Measurement, way: Trajecto
 
 def _signals(plan: MissionPlan, s: MissionState, m: Measurement, c: Command, dt: float) -> MissionState:
     """Transitions that do not depend on what the present state is busy with."""
+    if c.stop:
+        return user.stop_at_once(s, c.stop)
     if c.rc:
-        return phases.by_hand(s if s.state is State.RC else phases.to_hand(s, m), m, c, dt)
+        return user.by_hand(s if s.state is State.RC else user.to_hand(s, m), m, c, dt)
     if s.state is State.RC:
-        return phases.from_hand(s, m)
+        return user.from_hand(s, m)
     if s.state is State.INIT:
-        return phases.start(plan, s, m) if c.start and s.motors == "off" else s
+        return _from_the_floor(plan, s, m, c) if s.motors == "off" else s
     low = m.position[2] > s.standing[2] - 0.3
     if low and s.motors != "off" and max(abs(m.attitude[0]), abs(m.attitude[1])) > _TIPPED:
-        s = fail(s, "tipped over")
-        return enter(s, State.INIT, "tipped over, motors off", motors="off", finished=True, motion=None)
-    if s.state not in _FLYING:
-        return s
+        return user.stop_at_once(fail(s, "tipped over"), "tipped over, motors off")
+    if s.state is State.LANDING:
+        high = s.standing[2] - m.position[2] > user.GO_AROUND_M
+        wanted = c.pause and high and s.motors == "fly" and s.outcome != "failed"
+        return user.pause(plan, s, "landing broken off") if wanted else s
+    if s.state not in _FLYING or s.outcome == "failed":
+        return s if s.low_s <= _LOW_FOR_S or s.state not in _FLYING else _battery_low(plan, s)
     if s.low_s > _LOW_FOR_S:
-        why = f"battery low: {s.battery_V:.2f} V, below {plan.low_V:.2f} V"
-        return phases.land(fail(s, why), why)
+        return _battery_low(plan, s)
     if c.land:
-        rest = len(plan.mission.waypoint) - s.index
-        if rest > 0:
-            s = fail(s, f"land signal with {rest} waypoint{'s' if rest > 1 else ''} to go")
-        return phases.land(s, "land signal")
-    if c.waypoint is not None and s.state is not State.TAKE_OFF:
-        return phases.to_users_waypoint(plan, s, c.waypoint)
-    if c.start and s.state is State.HOVER and s.manual and s.outcome == "":
-        return replace(s, manual=False, ready_s=s.time_s, events=log(s, "the mission goes on"))
+        return user.land_now(plan, s)
+    if s.motors == "spin_up":
+        return s if s.state is not State.OFFBOARD or c.set_point else user.from_set_points(plan, s, m)
+    return _in_flight(plan, s, m, c)
+
+
+def _from_the_floor(plan: MissionPlan, s: MissionState, m: Measurement, c: Command) -> MissionState:
+    if c.start:
+        return phases.start(plan, s, m, first=c.first)
+    if c.take_off is not None:
+        return phases.start(plan, s, m, height=c.take_off)
+    return s if c.set_point is None else user.to_set_points(s, m, c.set_point)
+
+
+def _battery_low(plan: MissionPlan, s: MissionState) -> MissionState:
+    why = f"battery low: {s.battery_V:.2f} V, below {plan.low_V:.2f} V"
+    # A mission that is complete and holds has not failed when its battery is used up.
+    return phases.land(s if s.outcome == "succeeded" else fail(s, why), why, level="warning")
+
+
+def _in_flight(plan: MissionPlan, s: MissionState, m: Measurement, c: Command) -> MissionState:
+    """What the user wants of a helicopter that flies."""
+    if s.state is State.OFFBOARD and c.set_point is None:
+        s = user.from_set_points(plan, s, m)
+        if s.state is State.INIT:
+            return s
+    if s.state is State.TAKE_OFF and s.standing[2] - m.position[2] < user.OFF_FLOOR_M:
+        return s
+    if c.pause:
+        return user.pause(plan, s)
+    if c.home:
+        return user.return_home(plan, s)
+    if c.set_point is not None:
+        return s if s.state is State.OFFBOARD else user.to_set_points(s, m, c.set_point)
+    if c.waypoint is not None or c.heading is not None:
+        return user.to_users_waypoint(plan, s, c.waypoint, c.heading)
+    if c.start and s.state is not State.TAKE_OFF and (s.manual or c.first is not None):
+        return user.go_on(plan, s, c.first)
     return s

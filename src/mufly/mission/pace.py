@@ -44,13 +44,21 @@ def slowed(mission: Mission, able: Limits) -> tuple[Mission, str]:
         "yaw_rate_deg_s": math.degrees(able.yaw_rate),
         "yaw_acceleration_deg_s2": math.degrees(able.yaw_acceleration),
     }
+    most = SHARE * able.speed
+    hasty = [k for k, w in enumerate(mission.waypoint) if w.speed_m_s is not None and w.speed_m_s > most]
     slower = {key: SHARE * most for key, most in can.items() if SHARE * most < getattr(mission.limits, key)}
-    if not slower:
+    if not slower and not hasty:
         return mission, ""
-    words = (
+    words = [
         f"{key} {value:.2g} in place of {getattr(mission.limits, key):g}" for key, value in slower.items()
-    )
+    ]
+    words += [
+        f"waypoint[{k + 1}].speed_m_s {most:.2g} in place of {mission.waypoint[k].speed_m_s:g}" for k in hasty
+    ]
     # Made anew: a copy would keep what was derived from the old limits.
     parts = {name: getattr(mission, name) for name in Mission.model_fields}
     parts["limits"] = mission.limits.model_copy(update=slower)
+    parts["waypoint"] = tuple(
+        w.model_copy(update={"speed_m_s": most}) if k in hasty else w for k, w in enumerate(mission.waypoint)
+    )
     return Mission(**parts), ", ".join(words)

@@ -1,11 +1,13 @@
 """What each state of the mission does by itself, and how it is entered (Fig. 6.15).
 
-Every function takes a state and returns the next one; nothing is kept anywhere else.
+Every function takes a state and returns the next one; nothing is kept anywhere else. What the user's signals do is in
+:mod:`mufly.mission.user`.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -15,25 +17,24 @@ from mufly.mission.plan import SLOW_FROM_M, SPIN_UP_S, leg_trajectory
 from mufly.mission.reference import at_gate, point
 from mufly.mission.schema import LOWEST_M
 from mufly.mission.sight import blocked, look
-from mufly.mission.signals import Command, MissionPlan, MissionState, State, Triple, enter, fail, log
-from mufly.mission.trajectory import Trajectory, stop, straight
+from mufly.mission.signals import MissionPlan, MissionState, State, Triple, enter, fail, log
+from mufly.mission.trajectory import Stop, Trajectory, stop, straight
 from mufly.sensors import Measurement
 
 __all__ = [
     "avoid",
     "blind",
-    "by_hand",
+    "braking",
     "down_blind",
     "fly_leg",
-    "from_hand",
+    "go_home",
     "hover",
     "land",
+    "set_out",
     "sink",
     "stand",
     "start",
     "take_off",
-    "to_hand",
-    "to_users_waypoint",
 ]
 
 RAMP_DOWN_S = 1.0
@@ -47,7 +48,8 @@ def _triple(x: tuple[float, ...]) -> Triple:
     return x[0], x[1], x[2]
 
 
-def _measured(m: Measurement) -> Triple:
+def measured_at(m: Measurement) -> Triple:
+    """Position as three numbers (N, E, D; m)."""
     n, e, d = m.position.tolist()
     return n, e, d
 
@@ -62,21 +64,34 @@ def stand(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> Miss
     return s
 
 
-def start(plan: MissionPlan, s: MissionState, m: Measurement) -> MissionState:
-    """Start signal: a fresh mission from where it stands."""
-    x = _measured(m)
+def start(
+    plan: MissionPlan,
+    s: MissionState,
+    m: Measurement,
+    *,
+    height: float | None = None,
+    first: int | None = None,
+) -> MissionState:
+    """Start signal: a fresh flight from where it stands, of the mission or, with a ``height`` (m), only up to there."""
+    x = measured_at(m)
     fresh = MissionState(
         time_s=s.time_s,
         started=True,
+        begun=height is None,
+        manual=height is not None,
+        index=first or 0,
         hold=x,
         standing=x,
         heading=float(m.attitude[2]),
         battery_V=s.battery_V,
         events=s.events,
+        logged=s.logged,
     )
-    goal = (x[0], x[1], -plan.mission.take_off.height_m)
+    up = plan.mission.take_off.height_m if height is None else height
+    goal = (x[0], x[1], -up)
     motion = straight(x, goal, fresh.heading, plan.limits)
-    return enter(fresh, State.TAKE_OFF, "start signal", motors="spin_up", goal=goal, motion=motion)
+    why = "start signal" if height is None else f"take-off signal, to {up:g} m"
+    return enter(fresh, State.TAKE_OFF, why, motors="spin_up", goal=goal, motion=motion)
 
 
 def take_off(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> MissionState:
@@ -94,10 +109,10 @@ def take_off(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> M
         gained = s.standing[2] - m.position[2]
         if late > 3.0 and gained < 0.1:
             s = fail(s, f"take-off failed: {gained:.2f} m gained in {s.clock_s:.1f} s")
-            return enter(s, State.INIT, s.reason, motors="ramp_down", motion=None)
+            return enter(s, State.INIT, s.reason, level="error", motors="ramp_down", motion=None)
         if late > 8.0 + 0.5 * way.duration_s:
             why = f"take-off failed: {-m.position[2]:.2f} m high in place of {-s.goal[2]:.2f} m"
-            return land(fail(s, why), why)
+            return land(fail(s, why), why, level="warning")
     # On its legs it cannot slide away from anything.
     return _watch(plan, s) if m.position[2] < s.standing[2] - 0.2 else s
 
@@ -108,48 +123,90 @@ def take_off(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> M
 def hover(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> MissionState:
     """Wait, and give the next signal when it is time."""
     if s.outcome == "failed":
-        return land(s, s.reason) if s.time_s >= s.ready_s else s
+        return land(s, s.reason, level="warning") if s.time_s >= s.ready_s else s
     s = _watch(plan, s)
     if s.state is not State.HOVER or s.manual or s.time_s < s.ready_s:
         return s
     if s.index >= len(plan.mission.waypoint):
-        return land(s, "mission complete")
+        return _complete(plan, s)
+
+    def leg(at: Triple, heading: float) -> Trajectory:
+        return leg_trajectory(plan.mission, s.index, np.array(at), heading, nose_offset=nose_offset(plan))
+
+    return set_out(plan, s, f"waypoint {s.index + 1}", leg)
+
+
+def nose_offset(plan: MissionPlan) -> float:
+    """Angle of the nose from the direction of flight (rad): while scanning a beam, not a gap, looks along it."""
+    return math.remainder(-plan.ring.first_angle, plan.ring.spacing) if plan.scan else 0.0
+
+
+def _complete(plan: MissionPlan, s: MissionState) -> MissionState:
+    """After the last wait: what the mission says."""
+    if plan.mission.at_end == "hover":
+        s = log(s, "mission complete, holding")
+        return replace(s, manual=True, outcome="succeeded", reason="mission complete")
+    if plan.mission.at_end == "return":
+        return go_home(plan, s, "mission complete, returning")
+    return land(s, "mission complete")
+
+
+def braking(plan: MissionPlan, s: MissionState) -> Stop:
+    """Come to rest from how the reference moves now."""
+    now = point(s)
+    return stop(
+        now.position,
+        now.velocity,
+        now.heading,
+        BRAKE_M_S2,
+        heading_rate=now.heading_rate,
+        yaw_acceleration=plan.limits.yaw_acceleration,
+    )
+
+
+def set_out(
+    plan: MissionPlan,
+    s: MissionState,
+    why: str,
+    way: Callable[[Triple, float], Trajectory],
+    *,
+    manual: bool = False,
+    homing: bool = False,
+    asked_heading: float | None = None,
+) -> MissionState:
+    """Fly ``way(from where, with which heading)``, after a braking if the reference moves."""
     at = point(s)
-    # While scanning a beam looks along the way, not the gap between two.
-    offset = math.remainder(-plan.ring.first_angle, plan.ring.spacing) if plan.scan else 0.0
-    way = leg_trajectory(plan.mission, s.index, np.array(at.position), at.heading, nose_offset=offset)
-    return _set_out(s, f"waypoint {s.index + 1}", way)
-
-
-def _set_out(s: MissionState, why: str, way: Trajectory, manual: bool = False) -> MissionState:
+    if math.hypot(*at.velocity) > 0.01 or abs(at.heading_rate) > 0.01:
+        brake = braking(plan, s)
+        at = brake.at(math.inf)
+        motion = way(_triple(at.position), at.heading).after(brake)
+    else:
+        motion = way(_triple(at.position), at.heading)
     return enter(
         s,
         State.WAYPOINT,
         why,
-        motion=way,
-        goal=way.goal,
+        motion=motion,
+        goal=motion.goal,
         detour=None,
+        tracker=None,
         avoided_s=0.0,
         resumed=False,
         manual=manual,
+        homing=homing,
+        asked_heading=asked_heading,
     )
 
 
-def to_users_waypoint(plan: MissionPlan, s: MissionState, where: Triple) -> MissionState:
-    """Waypoint signal: stop, go there and hold; the mission waits."""
-    goal = _triple(tuple(float(v) for v in where))
-    if s.manual and goal == s.goal:
-        return s
-    text = f"[{goal[0]:g}, {goal[1]:g}, {goal[2]:g}]"
-    if not all(math.isfinite(v) for v in goal) or goal[2] > -LOWEST_M:
-        refused = f"user's waypoint {text} refused: D has to be at most {-LOWEST_M:g} m"
-        return s if s.events[-1].text == refused else replace(s, events=log(s, refused))
-    at = point(s)
-    if math.hypot(*at.velocity) > 0.01:
-        # A trajectory starts at rest: stop first, and take the signal again when it comes to a stop.
-        at = stop(at.position, at.velocity, at.heading, BRAKE_M_S2).at(math.inf)
-    way = straight(at.position, goal, at.heading, plan.limits)
-    return _set_out(s, f"user's waypoint {text}", way, manual=True)
+def go_home(plan: MissionPlan, s: MissionState, why: str) -> MissionState:
+    """Fly to above where it took off, no lower than now, and land there."""
+
+    def way(at: Triple, heading: float) -> Trajectory:
+        n, e, _ = s.standing
+        goal = (n, e, min(at[2], -LOWEST_M))
+        return straight(at, goal, heading, plan.limits, nose_offset=nose_offset(plan))
+
+    return set_out(plan, s, why, way, manual=True, homing=True)
 
 
 def fly_leg(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> MissionState:
@@ -157,14 +214,18 @@ def fly_leg(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> Mi
     way = s.motion
     assert isinstance(way, Trajectory)
     q = plan.mission.limits
-    name = "user's waypoint" if s.manual else f"waypoint {s.index + 1}"
+    name = "home" if s.homing else "user's waypoint" if s.manual else f"waypoint {s.index + 1}"
     if s.clock_s >= way.duration_s:
         off = math.dist(m.position.tolist(), s.goal)
         if off < q.reach_m and math.hypot(*m.velocity.tolist()) < q.reach_m_s:
-            wait = 0.0 if s.manual else plan.mission.waypoint[s.index].wait_s
-            index = s.index if s.manual else s.index + 1
-            s = _hold_at(s, f"{name} reached, {off * 100:.1f} cm off", s.goal, s.time_s + wait)
-            return replace(s, index=index)
+            why = f"{name} reached, {off * 100:.1f} cm off"
+            if s.homing:
+                return land(s, why)
+            if s.manual:
+                return _hold_at(s, why, s.goal, s.time_s)
+            wait = plan.mission.waypoint[s.index].wait_s
+            s = _hold_at(s, why, s.goal, s.time_s + wait)
+            return replace(s, index=s.index + 1, reached=s.reached + 1)
     spent = s.time_s - s.entered_s
     if spent > 2.0 * way.duration_s + 20.0:
         off = math.dist(m.position.tolist(), s.goal)
@@ -184,7 +245,17 @@ def _give_up(s: MissionState, why: str) -> MissionState:
     at = _triple(brake.at(math.inf).position)
     ready = s.time_s + brake.duration_s + _SETTLE_BEFORE_LANDING_S
     s = fail(s, why)
-    return enter(s, State.HOVER, why, motion=brake, hold=at, goal=at, heading=now.heading, ready_s=ready)
+    return enter(
+        s,
+        State.HOVER,
+        why,
+        level="warning",
+        motion=brake,
+        hold=at,
+        goal=at,
+        heading=now.heading,
+        ready_s=ready,
+    )
 
 
 # obstacle
@@ -216,7 +287,7 @@ def avoid(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> Miss
         s.detour,
         s.memory,
         plan.ring,
-        _measured(m),
+        measured_at(m),
         float(m.attitude[2]),
         m.ranges.tolist(),
         s.goal,
@@ -239,8 +310,11 @@ def avoid(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> Miss
 # landing
 
 
-def land(s: MissionState, why: str) -> MissionState:
+def land(s: MissionState, why: str, *, level: str = "info") -> MissionState:
     """Begin to sink, above where it comes to rest."""
+    if s.motors == "spin_up":
+        s = fail(s, why) if s.begun else s
+        return enter(s, State.INIT, why, level=level, motors="ramp_down", motion=None, tracker=None)
     now = point(s)
     brake = stop(now.position, (*now.velocity[:2], 0.0), now.heading, BRAKE_M_S2)
     foot = brake.at(math.inf).position
@@ -248,7 +322,9 @@ def land(s: MissionState, why: str) -> MissionState:
         s,
         State.LANDING,
         why,
+        level=level,
         motion=brake,
+        tracker=None,
         hold=(foot[0], foot[1], now.position[2]),
         goal=(foot[0], foot[1], s.standing[2]),
         heading=now.heading,
@@ -264,8 +340,7 @@ def sink(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> Missi
     if s.motors == "ramp_down":
         if s.clock_s < RAMP_DOWN_S:
             return s
-        done = s if s.outcome == "failed" else replace(s, outcome="succeeded", reason="mission complete")
-        return enter(done, State.INIT, "landed", motors="off", motion=None, finished=True)
+        return enter(_judged(s), State.INIT, "landed", motors="off", motion=None, finished=True)
     q = plan.mission.limits
     a = q.climb_acceleration_m_s2
     above = s.standing[2] - s.hold[2]
@@ -281,63 +356,26 @@ def sink(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> Missi
     still = s.still_s + dt if lying and depth > s.standing[2] + 0.1 else 0.0
     s = replace(s, hold=(s.hold[0], s.hold[1], depth), sink=speed, sink_rate=rate, still_s=still)
     if still > 0.3:
-        return replace(s, motors="ramp_down", clock_s=0.0, events=log(s, "touchdown"))
+        return replace(log(s, "touchdown"), motors="ramp_down", clock_s=0.0)
     return s
+
+
+def _judged(s: MissionState) -> MissionState:
+    """How the flight went, now that it is down."""
+    if s.outcome != "":
+        return s
+    if s.quit:
+        return fail(s, s.quit)
+    return replace(s, outcome="succeeded", reason="mission complete" if s.begun else "landed")
 
 
 def blind(s: MissionState, time_s: float, why: str) -> MissionState:
     """Measurements are lost in flight: the flight software brings it down by itself."""
     s = fail(replace(s, time_s=time_s), why)
-    return enter(s, State.LANDING, why, motors="blind", motion=None, detour=None)
+    return enter(s, State.LANDING, why, level="error", motors="blind", motion=None, detour=None, tracker=None)
 
 
 def down_blind(s: MissionState, time_s: float) -> MissionState:
     """By now it has come down."""
     s = replace(s, time_s=time_s)
     return enter(s, State.INIT, "motors off, where it came down", motors="off", finished=True)
-
-
-# RC
-
-
-def to_hand(s: MissionState, m: Measurement) -> MissionState:
-    """RC signal: the pilot takes over, from any state."""
-    motors = s.motors if s.motors in ("off", "fly") else "fly"
-    x, psi = _measured(m), float(m.attitude[2])
-    return enter(s, State.RC, "RC on", hold=x, heading=psi, motion=None, detour=None, motors=motors, sink=0.0)
-
-
-def by_hand(s: MissionState, m: Measurement, c: Command, dt: float) -> MissionState:
-    """The pilot's sticks move the references of height and heading; a climb from the floor starts the rotors."""
-    if s.motors == "off":
-        x = _measured(m)
-        if c.climb <= 0.0:
-            return replace(s, hold=x, heading=float(m.attitude[2]), sink=0.0)
-        standing = s.standing if s.started else x
-        return replace(s, motors="spin_up", clock_s=0.0, hold=x, standing=standing)
-    if s.motors == "spin_up":
-        return s if s.clock_s < SPIN_UP_S else replace(s, motors="fly")
-    # The reference stays near the helicopter, so that the sticks answer at once.
-    depth = min(max(s.hold[2] - c.climb * dt, m.position[2] - 0.5), m.position[2] + 0.5)
-    n, e, _ = _measured(m)
-    return replace(s, hold=(n, e, depth), heading=s.heading + c.yaw_rate * dt, sink=-c.climb)
-
-
-def from_hand(s: MissionState, m: Measurement) -> MissionState:
-    """RC off: hover where it is, or back to init on the floor."""
-    x, psi = _measured(m), float(m.attitude[2])
-    if s.motors != "fly" or (x[2] > s.standing[2] - 0.1 and abs(m.velocity[2]) < 0.1):
-        if s.started and s.outcome == "":
-            s = fail(s, "landed by the pilot")
-        running = s.motors != "off"
-        return enter(
-            s,
-            State.INIT,
-            "RC off on the floor",
-            motors="ramp_down" if running else "off",
-            motion=None,
-            finished=s.outcome != "" and not running,
-        )
-    brake = stop(x, m.velocity, psi, BRAKE_M_S2)
-    at = _triple(brake.at(math.inf).position)
-    return enter(s, State.HOVER, "RC off", motion=brake, hold=at, goal=at, heading=psi, manual=True)

@@ -49,7 +49,7 @@ def leg_trajectory(
     waypoint = mission.waypoint[index]
     goal = np.array(waypoint.position_m)
     final = None if waypoint.heading_deg is None else math.radians(waypoint.heading_deg)
-    limits = mission.trajectory_limits
+    limits = mission.leg_limits(index)
     if mission.path.kind == "straight":
         return straight(start, goal, heading, limits, final_heading=final, nose_offset=nose_offset)
     before = np.array(mission.waypoint[index - 1].position_m) if index else above_start(mission)

@@ -22,6 +22,8 @@ def point(s: MissionState) -> Point:
     """Where the reference is now, without the swing of the nose."""
     if s.state is State.OBSTACLE and s.detour is not None:
         return Point(s.detour.position, s.detour.velocity, s.detour.acceleration, s.heading, 0.0)
+    if s.state is State.OFFBOARD and s.tracker is not None:
+        return s.tracker.point
     if s.motion is None or s.motors == "spin_up":
         return Point(s.hold, _ZERO, _ZERO, s.heading, 0.0)
     at = s.motion.at(s.clock_s)

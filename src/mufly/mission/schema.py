@@ -49,6 +49,13 @@ class Waypoint(_Table):
         strict=True,
         description="heading on the way and there, from north to east; without it the nose points along the way",
     )
+    speed_m_s: float | None = Field(
+        default=None,
+        gt=0.0,
+        le=3.0,
+        strict=True,
+        description="horizontal speed on the way there; without it that of the limits",
+    )
 
 
 class Limits(_Table):
@@ -205,6 +212,11 @@ class Mission(_Table):
     start_heading_deg: float = Field(
         default=0.0, ge=-360.0, le=360.0, strict=True, description="its heading there, from north to east"
     )
+    at_end: Literal["land", "hover", "return"] = Field(
+        default="land",
+        description='after the last wait: "land" there, "hover" there until told otherwise or until the battery is '
+        'low, or "return" to above the start and land',
+    )
     take_off: TakeOff = TakeOff()
     waypoint: tuple[Waypoint, ...] = ()
     limits: Limits = Limits()
@@ -240,10 +252,15 @@ class Mission(_Table):
     @cached_property
     def trajectory_limits(self) -> TrajectoryLimits:
         """The limits in SI units and radians, with the slower speed of a flight that scans."""
+        return self.leg_limits(None)
+
+    def leg_limits(self, index: int | None) -> TrajectoryLimits:
+        """The same on the way to waypoint ``index`` (from 0), with its speed where it asks for one."""
         q = self.limits
-        speed = min(q.speed_m_s, self.avoidance.speed_m_s) if self.scans else q.speed_m_s
+        asked = None if index is None else self.waypoint[index].speed_m_s
+        speed = q.speed_m_s if asked is None else asked
         return TrajectoryLimits(
-            speed,
+            min(speed, self.avoidance.speed_m_s) if self.scans else speed,
             q.climb_m_s,
             q.descent_m_s,
             q.acceleration_m_s2,

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from mufly.errors import InputError
 from mufly.mission.avoidance import Detour
 from mufly.mission.obstacles import Memory, Ring, ring
+from mufly.mission.offboard import SetPoint, Tracker
 from mufly.mission.schema import Mission
 from mufly.mission.trajectory import Limits, Stop, Trajectory
 from mufly.sensors import Measurement
 from mufly.vehicle import Vehicle
 
 __all__ = [
+    "LOG_KEPT",
     "Command",
     "Event",
     "MissionPlan",
@@ -38,7 +40,7 @@ Triple = tuple[float, float, float]
 
 
 class State(StrEnum):
-    """States of Fig. 6.15."""
+    """States of Fig. 6.15, and ``offboard``, which it does not have: a program streams set-points."""
 
     INIT = "init"
     TAKE_OFF = "take-off"
@@ -47,6 +49,7 @@ class State(StrEnum):
     OBSTACLE = "obstacle"
     LANDING = "landing"
     RC = "rc"
+    OFFBOARD = "offboard"
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,27 +59,48 @@ class Command:
     Attributes
     ----------
     start : bool
-        Take off and fly the mission; in a hover after a user's waypoint or RC, go on with it.
+        Take off and fly the mission; in a hover after a user's waypoint, a pause or RC, go on with it.
+    first : int or None
+        With ``start``: the waypoint (from 0) to fly to first; also while the mission is being flown.
+    take_off : float or None
+        Take off to this height above the floor (m) and hold; the mission waits.
+    pause : bool
+        Stop and hover; ``start`` goes on.
     waypoint : (3,) tuple or None
         Fly there (N, E, D; m) and hold; the mission waits.
+    heading : float or None
+        Heading (rad) on the way to ``waypoint`` and there; without a waypoint: turn to it.
+    home : bool
+        Fly to above where it took off, and land.
     land : bool
         Land now.
+    stop : str
+        Motors off at once, whatever the state; the text says why. "" is no signal.
     rc : bool
         The pilot flies, for as long as this is set.
     roll, pitch : float
         Pilot's attitude (rad).
     yaw_rate, climb : float
         Pilot's rate of turn (rad/s) and of climb (m/s, positive up).
+    set_point : SetPoint or None
+        A program flies, for as long as there is one.
     """
 
     start: bool = False
+    first: int | None = None
+    take_off: float | None = None
+    pause: bool = False
     waypoint: Triple | None = None
+    heading: float | None = None
+    home: bool = False
     land: bool = False
+    stop: str = ""
     rc: bool = False
     roll: float = 0.0
     pitch: float = 0.0
     yaw_rate: float = 0.0
     climb: float = 0.0
+    set_point: SetPoint | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,11 +135,12 @@ class Reference:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """One entry of the mission's log: when, the state from then on, and why."""
+    """One entry of the mission's log: when, the state from then on, why, and "info", "warning" or "error"."""
 
     time_s: float
     state: State
     text: str
+    level: str = "info"
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,9 +227,19 @@ class MissionState:
     manual : bool
         The user's signals have interrupted the mission; ``start`` goes on with it.
     started : bool
-        The mission has been started.
+        It has taken off, so that ``standing`` is where it comes home to.
+    begun : bool
+        The waypoints of the mission have been asked for.
+    reached : int
+        How many of its waypoints were reached since take-off.
+    quit : str
+        Why the user broke the mission off; counts once it is down.
+    homing : bool
+        The leg leads home, where it lands.
     events : tuple of Event
-        Log.
+        Log, the latest `LOG_KEPT` entries.
+    logged : int
+        How many entries there have been.
     standing, hold, goal : (3,) tuples
         Where it stood before take-off; where it stays when it has no motion; where the state wants to be (m).
     heading : float
@@ -231,6 +266,10 @@ class MissionState:
         The leg goes on after a detour.
     swing : float
         For how long the nose has been swinging (s, at most 3; it counts down from 1 to stop).
+    asked_heading : float or None
+        Heading that the user's waypoint asks for (rad).
+    tracker : Tracker or None
+        Reference that follows set-points.
     """
 
     state: State = State.INIT
@@ -244,7 +283,12 @@ class MissionState:
     finished: bool = False
     manual: bool = False
     started: bool = False
+    begun: bool = False
+    reached: int = 0
+    quit: str = ""
+    homing: bool = False
     events: tuple[Event, ...] = ()
+    logged: int = 0
     standing: Triple = _ORIGIN
     hold: Triple = _ORIGIN
     goal: Triple = _ORIGIN
@@ -262,6 +306,8 @@ class MissionState:
     avoided_s: float = 0.0
     resumed: bool = False
     swing: float = 0.0
+    asked_heading: float | None = None
+    tracker: Tracker | None = None
 
 
 def begin(plan: MissionPlan, measured: Measurement) -> MissionState:
@@ -283,22 +329,27 @@ def begin(plan: MissionPlan, measured: Measurement) -> MissionState:
         heading=float(measured.attitude[2]),
         battery_V=float(measured.battery_voltage),
         events=(Event(measured.time_s, State.INIT, f"ready for {plan.mission.name}"),),
+        logged=1,
     )
 
 
-def log(s: MissionState, text: str, state: State | None = None) -> tuple[Event, ...]:
-    """The events with one more."""
-    return (*s.events, Event(s.time_s, state or s.state, text))
+LOG_KEPT = 256
+"""Entries of the log that are kept; it stays that short in a flight of hours."""
 
 
-def enter(s: MissionState, state: State, why: str, **changes: object) -> MissionState:
+def log(s: MissionState, text: str, state: State | None = None, level: str = "info") -> MissionState:
+    """The state with one more entry in its log."""
+    entry = Event(s.time_s, state or s.state, text, level)
+    return replace(s, events=(*s.events[1 - LOG_KEPT :], entry), logged=s.logged + 1)
+
+
+def enter(s: MissionState, state: State, why: str, *, level: str = "info", **changes: object) -> MissionState:
     """Change state, with the reason, and start the clock of its motion."""
     return replace(
-        s,
+        log(s, why, state, level),
         state=state,
         entered_s=s.time_s,
         clock_s=0.0,
-        events=log(s, why, state),
         **changes,  # type: ignore[arg-type]
     )
 

@@ -12,7 +12,7 @@ heading is continuous with the one it started from (it may pass +-pi and go on).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -78,6 +78,8 @@ class Trajectory:
         When all is done (s).
     curve : SplinePath or None
         Flown in place of the line.
+    lead : Stop or None
+        Braking that comes first; `gate_s` and `duration_s` include it.
     """
 
     start: tuple[float, float, float]
@@ -90,9 +92,20 @@ class Trajectory:
     gate_s: float
     duration_s: float
     curve: SplinePath | None = None
+    lead: Stop | None = None
+
+    def after(self, brake: Stop) -> Trajectory:
+        """The same trajectory with a braking before it, which has to end where it starts."""
+        t = brake.rest_s
+        return replace(self, lead=brake, gate_s=self.gate_s + t, duration_s=self.duration_s + t)
 
     def at(self, t: float) -> Point:
         """Evaluate at time ``t`` (s) after its start; at rest before 0 and after `duration_s`."""
+        gate = self.gate_s
+        if self.lead is not None:
+            if t < self.lead.rest_s:
+                return self.lead.at(t)
+            t, gate = t - self.lead.rest_s, gate - self.lead.rest_s
         psi, rate = self.heading + self.turn, 0.0
         if t < self.yaw.duration_s:
             angle, rate, _ = self.yaw.at(t)
@@ -100,15 +113,15 @@ class Trajectory:
             psi, rate = self.heading + sign * angle, sign * rate
         (n, e, d), (gn, ge, gd) = self.start, self.goal
         if self.curve is not None:
-            return Point(*self.curve.at(t - self.gate_s), psi, rate)
-        climbing = t < self.gate_s
+            return Point(*self.curve.at(t - gate), psi, rate)
+        climbing = t < gate
         if climbing:
             z, w, a = self.rise.at(t)
             sign = 1.0 if gd > d else -1.0
             return Point((n, e, d + sign * z), (0.0, 0.0, sign * w), (0.0, 0.0, sign * a), psi, rate)
         if self.way.way == 0.0:
             return Point(self.goal, _ZERO, _ZERO, psi, rate)
-        s, v, a = self.way.at(t - self.gate_s)
+        s, v, a = self.way.at(t - gate)
         un, ue = (gn - n) / self.way.way, (ge - e) / self.way.way
         return Point((n + s * un, e + s * ue, gd), (v * un, v * ue, 0.0), (a * un, a * ue, 0.0), psi, rate)
 
@@ -225,33 +238,56 @@ def curved(
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """Coming to rest from a given velocity along its own direction: v(t) = v0 (1 - S(t / T))."""
+    """Coming to rest from a given velocity along its own direction: v(t) = v0 (1 - S(t / T)); likewise turning."""
 
     start: tuple[float, float, float]
     velocity: tuple[float, float, float]
     heading: float
     duration_s: float
+    heading_rate: float = 0.0
+    turn_s: float = 0.0
+
+    @property
+    def rest_s(self) -> float:
+        """When both have come to rest (s)."""
+        return max(self.duration_s, self.turn_s)
 
     def at(self, t: float) -> Point:
-        """Evaluate at time ``t`` (s) after the start; at rest after `duration_s`."""
+        """Evaluate at time ``t`` (s) after the start; at rest after `rest_s`."""
         span = self.duration_s
         value, slope, way = step_down(t / span) if span > 0.0 else (0.0, 0.0, 0.0)
         (n, e, d), (u, v, w) = self.start, self.velocity
         s, a = way * span, slope / span if span > 0.0 else 0.0
+        psi, rate = self.heading, 0.0
+        if self.turn_s > 0.0:
+            slower, _, turned = step_down(t / self.turn_s)
+            psi, rate = psi + self.heading_rate * self.turn_s * turned, self.heading_rate * slower
         return Point(
             (n + u * s, e + v * s, d + w * s),
             (u * value, v * value, w * value),
             (u * a, v * a, w * a),
-            self.heading,
-            0.0,
+            psi,
+            rate,
         )
 
 
-def stop(position: ArrayLike, velocity: ArrayLike, heading: float, acceleration: float) -> Stop:
-    """Brake from ``velocity`` (3,) at ``position`` (3,) with at most ``acceleration`` (m/s2)."""
+def stop(
+    position: ArrayLike,
+    velocity: ArrayLike,
+    heading: float,
+    acceleration: float,
+    *,
+    heading_rate: float = 0.0,
+    yaw_acceleration: float = math.inf,
+) -> Stop:
+    """Brake from ``velocity`` (3,) at ``position`` (3,) with at most ``acceleration`` (m/s2).
+
+    A ``heading_rate`` (rad/s) is brought to rest with at most ``yaw_acceleration`` (rad/s2).
+    """
     v = _triple(velocity)
     duration, _ = step_down_way(math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2), acceleration)
-    return Stop(_triple(position), v, heading, duration)
+    turn_s, _ = step_down_way(heading_rate, yaw_acceleration)
+    return Stop(_triple(position), v, heading, duration, heading_rate, turn_s)
 
 
 def _triple(x: ArrayLike) -> tuple[float, float, float]:

@@ -1,0 +1,294 @@
+"""A flight that ticks: the true helicopter, its autopilot and the recorder, one period of the controllers at a time.
+
+One period at time ``t_k``::
+
+    plant integrated from t_(k-1) to t_k under a_(k-2) and the wind
+    measurement(t_k) --> autopilot.step --> actuators a_k         takes effect at t_(k+1)
+    a row of the recording, every second period
+
+The delay of one period is that of a processor that needs the period to compute. Nothing here knows of the clock on
+the wall: :func:`mufly.flight.fly` ticks as fast as it can, a link in real time.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mufly.control import FlightController, design
+from mufly.dynamics import DrydenWind, hover_performance, initial_state, standing_height
+from mufly.flight.autopilot import Autopilot
+from mufly.flight.controllers import Actuators
+from mufly.flight.plant import Plant
+from mufly.flight.recorder import Recorder
+from mufly.flight.rows import row_writer
+from mufly.logs.layout import Event, standard_layout
+from mufly.mission import Mission, dump_mission, load_mission
+from mufly.sensors import Measurement
+from mufly.vehicle import Vehicle, load_vehicle, vehicle_toml
+from mufly.version import __version__
+
+__all__ = ["Flight", "FlightView"]
+
+RECORD_HZ = 100.0
+RING_HZ = 25.0
+REST_S = 0.5
+"""How long after a crash the motors go on (s): what is recorded of it."""
+
+GUST_LENGTH_M = 1.0
+_CURRENT_LAG_S = 5.0
+
+_Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class FlightView:
+    """Everything there is to see of a flight at one instant; SI units, N-E-D.
+
+    Attributes
+    ----------
+    time_s : float
+    measured : Measurement
+    actuators : Actuators
+        What acts at this instant.
+    reference : tuple of three (3,) arrays
+        What is being followed: position, velocity, and roll, pitch, yaw.
+    state : (21,) array
+        The truth: state of the flight model (:mod:`mufly.dynamics.state`).
+    rotor_speed : (2,) array
+        Of it: upper, lower (rad/s).
+    wind : (3,) array
+        Velocity of the air (m/s).
+    battery_voltage, battery_current, battery_charge : float
+        V, A, 0..1.
+    battery_left_s : float
+        How long it will last until it lands for low voltage (s), with the current of late; on the floor, of hover.
+    crashed : str
+        What it hit, or "".
+    """
+
+    time_s: float
+    measured: Measurement
+    actuators: Actuators
+    reference: tuple[_Array, _Array, _Array]
+    state: _Array
+    rotor_speed: _Array
+    wind: _Array
+    battery_voltage: float
+    battery_current: float
+    battery_charge: float
+    battery_left_s: float
+    crashed: str
+
+
+class Flight:
+    """The simulated helicopter on the floor, ready to be commanded.
+
+    Parameters
+    ----------
+    vehicle : Vehicle, str or Path
+        Or the name or file of one.
+    mission : Mission, str or Path
+        Or the name or file of one; it says where the helicopter stands, what stands around it and which limits it has.
+    controller : FlightController, optional
+        By default ``mufly.control.design(vehicle)``.
+    wind : (3,) array_like, optional
+        Steady wind N-E-D (m/s), instead of the mission's.
+    gust : float, optional
+        Standard deviation of the gusts (m/s), instead of the mission's.
+    seed : int
+        Seed of everything random (today: the gusts).
+    path : str or Path, optional
+        MCAP file to record to; without it nothing reaches the disk.
+    keep : bool
+        Keep every row in memory for :meth:`Recorder.dataset`; without it, memory does not grow.
+
+    Raises
+    ------
+    MuflyError
+        If the vehicle, the mission or the path is impossible.
+
+    Notes
+    -----
+    Use as a context manager, or call :meth:`close`: it finishes the recording.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle | str | Path,
+        mission: Mission | str | Path,
+        *,
+        controller: FlightController | None = None,
+        wind: ArrayLike | None = None,
+        gust: float | None = None,
+        seed: int = 0,
+        path: str | Path | None = None,
+        keep: bool = True,
+    ) -> None:
+        vehicle = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
+        mission = mission if isinstance(mission, Mission) else load_mission(mission)
+        controller = design(vehicle) if controller is None else controller
+        steady = np.asarray(mission.wind.steady_m_s if wind is None else wind, dtype=np.float64)
+        gust = mission.wind.gust_m_s if gust is None else gust
+        self.vehicle = vehicle
+        self.period_s = 1.0 / controller.rate_Hz
+        self.autopilot = Autopilot(vehicle, controller, mission)
+        air = DrydenWind(steady, gust, step_s=self.period_s, length_m=GUST_LENGTH_M, seed=seed)
+        self._start = initial_state(
+            position=(*mission.start_m, -standing_height(vehicle)),
+            attitude=(0.0, 0.0, math.radians(mission.start_heading_deg)),
+        )
+        self.plant = Plant(vehicle, mission.world, air, controller.rate_Hz, self._start)
+        self.recorder = Recorder(
+            path,
+            {
+                "vehicle": vehicle.name,
+                "mission": mission.name,
+                "seed": seed,
+                "wind_m_s": steady.tolist(),
+                "gust_m_s": gust,
+                "rate_Hz": controller.rate_Hz,
+                "version": __version__,
+            },
+            layout=standard_layout(vehicle.range_ring.count),
+            attachments={"vehicle.toml": vehicle_toml(vehicle), "mission.toml": dump_mission(mission)},
+            scene_view={
+                "world": mission.world,
+                "waypoints": [w.position_m for w in mission.waypoint],
+                "rotor_radius": float(vehicle.rotors.radius),
+            },
+            keep=keep,
+        )
+        self._write = row_writer(self.recorder, self.plant)
+        self._every = max(1, round(controller.rate_Hz / RECORD_HZ))
+        self._look = max(1, round(controller.rate_Hz / RING_HZ))
+        self._acting = self._sent = Actuators.idle()
+        self._measured = self._first_look()
+        self._crash_s = math.inf
+        self._hover_A = float(hover_performance(vehicle).current_A)
+        self._current_A = self._hover_A
+        self._finished = False
+        self.autopilot.listeners.append(self._record)
+
+    def _first_look(self) -> Measurement:
+        self.plant.look()
+        measured = self.plant.measure()
+        self.autopilot.observe(measured)
+        self._fresh = True
+        return measured
+
+    @property
+    def time_s(self) -> float:
+        """Time of the last measurement (s)."""
+        return self._measured.time_s
+
+    def tick(self) -> None:
+        """Advance by one period of the controllers."""
+        plant, autopilot = self.plant, self.autopilot
+        if self._fresh:
+            self._fresh = False
+        else:
+            plant.advance(self._acting)
+            self._acting = self._sent
+        k = plant.ticks
+        if k % self._look == 0:
+            plant.look()
+            flying = autopilot.software.motors == "fly"
+            blend = self._look * self.period_s / _CURRENT_LAG_S
+            self._current_A += blend * ((float(plant.current) if flying else self._hover_A) - self._current_A)
+        self._measured = measured = plant.measure()
+        self._sent = autopilot.step(measured)
+        if k % self._every == 0:
+            software = autopilot.software
+            self._write(measured, self._acting, software.reference, software.state)
+        if plant.crashed:
+            self._after_crash()
+
+    def _after_crash(self) -> None:
+        if not self.autopilot.crashed:
+            self.autopilot.crashed = self.plant.crashed
+            self._crash_s = self.time_s
+            self.note(self.plant.crashed, "error")
+        elif self.time_s >= self._crash_s + REST_S and self.autopilot.software.motors != "off":
+            self.autopilot.emergency_stop()
+
+    def note(self, text: str, level: str = "info") -> None:
+        """Put a line into the log of events and the recording: ``level`` "info", "warning" or "error"."""
+        self.autopilot.note(text, level)
+
+    def _record(self, event: Event) -> None:
+        self.recorder.event(event.time_s, event.state, event.text, event.level)
+
+    @property
+    def view(self) -> FlightView:
+        """How everything is now."""
+        plant = self.plant
+        x = plant.state.copy()
+        return FlightView(
+            time_s=self.time_s,
+            measured=self._measured,
+            actuators=self._acting,
+            reference=self.autopilot.software.reference,
+            state=x,
+            rotor_speed=x[18:20],
+            wind=np.array(plant.wind),
+            battery_voltage=float(plant.voltage),
+            battery_current=float(plant.current),
+            battery_charge=float(x[20]),
+            battery_left_s=self._left_s(),
+            crashed=plant.crashed,
+        )
+
+    def _left_s(self) -> float:
+        """From the charge that is left above the one at which the voltage under this current is too low."""
+        p, current = self.plant.parameters, max(self._current_A, 1e-3)
+        low = self.autopilot.software.plan.low_V + float(p["battery_resistance"]) * current
+        curve = np.asarray(p["battery_curve"], dtype=np.float64)
+        empty = float(np.interp(low, curve, np.linspace(0.0, 1.0, len(curve))))
+        return max(0.0, float(self.plant.state[20]) - empty) * float(self.vehicle.battery.capacity) / current
+
+    def reset(self) -> None:
+        """Back to the start with a full battery, motors off; the clock, the recording and the parameters go on."""
+        self.plant.reset(self._start)
+        self.autopilot.reset()
+        self._acting = self._sent = Actuators.idle()
+        self._crash_s = math.inf
+        self._measured = self._first_look()
+        self.note("back at the start")
+
+    def close(self, outcome: str | None = None, reason: str = "", **attributes: Any) -> None:
+        """Finish the recording; by default with the outcome that the autopilot or a crash gave the flight."""
+        if self._finished:
+            return
+        self._finished = True
+        if outcome is None:
+            outcome, reason = self.judge()
+        self.recorder.finish(outcome, reason, **attributes)
+        self.recorder.close()
+
+    def judge(self) -> tuple[str, str]:
+        """Outcome and reason of the flight as it stands."""
+        software = self.autopilot.software
+        if self.plant.crashed:
+            return "failed", self.plant.crashed
+        if software.outcome == "":
+            return "unfinished", f"in state {software.state!r} when it was ended"
+        return software.outcome, software.reason
+
+    def __enter__(self) -> Flight:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None:
+            self.close()
+        else:
+            self._finished = True
+            self.recorder.__exit__(kind, error, trace)

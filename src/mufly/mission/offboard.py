@@ -1,0 +1,233 @@
+"""From set-points that a program streams to a reference that the helicopter can follow.
+
+Fig. 6.15 has no such state: there the user gives waypoints, and the helicopter makes the trajectory. Here somebody else
+makes it, and says where to be, how fast, or both, some ten times a second or more. The reference must not jump with it.
+So it is a point with a velocity v that goes after the wanted velocity w, with no more than the acceleration a:
+
+    w = v_given + s(g) g / |g|,     v' = clip(2 b (w - v), a),     x' = v.
+
+g is the gap to the given position (zero on an axis without one) and s the speed at which half of a still brakes in
+time, linear near the goal, so that it comes to rest like a critically damped second-order lag of bandwidth b:
+
+    s(g) = k g                             for g < g0 = (a / 2) / k^2,   k = b / 2
+    s(g) = sqrt(2 (a / 2) (g - g0 / 2))    beyond.
+
+w is limited in length to the greatest speed; v moves along a straight line towards w, never past it, so it stays within
+any limit that w keeps (a disc is convex). The same holds for height, between its own limits, and for the heading. At
+both ends of the permitted height s() of the distance to it bounds the speed towards it. Where the helicopter trails
+its reference by more than half a metre, the reference waits for it. Own derivation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from mufly.mission.schema import LOWEST_M
+from mufly.mission.trajectory import Limits, Point, shorter_way_round
+
+__all__ = ["HIGHEST_M", "SetPoint", "Tracker", "begin_tracking", "fault_of", "follow", "wants_up"]
+
+HIGHEST_M = 50.0
+"""Greatest height of a reference above the floor (m)."""
+
+BANDWIDTH = 3.0
+"""b (rad/s): half of what the position loop has, so that the loop does not lag behind the end of a braking."""
+
+_STEP_S = 0.02
+_TRAILS_M = 0.5
+_SMOOTH_S = 0.08
+_FAR_M, _FAST_M_S, _FAST_RAD_S = 1e4, 50.0, 50.0
+
+Triple = tuple[float, float, float]
+_NAN = (math.nan, math.nan, math.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class SetPoint:
+    """What a program wants at this moment; NaN on an axis, or None, says nothing about it.
+
+    Attributes
+    ----------
+    position_m, velocity_m_s : (3,) tuple or None
+        N, E, D. With both on one axis the velocity is that of the moving position. An axis without either comes to
+        rest.
+    heading_rad, yaw_rate_rad_s : float or None
+        From north to east; likewise.
+    """
+
+    position_m: Triple | None = None
+    velocity_m_s: Triple | None = None
+    heading_rad: float | None = None
+    yaw_rate_rad_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Tracker:
+    """The reference that follows set-points.
+
+    Attributes
+    ----------
+    position, velocity, acceleration : (3,) tuples
+        N-E-D (m, m/s, m/s2); the acceleration is smoothed, for feedforward.
+    heading, heading_rate : float
+        rad, rad/s.
+    """
+
+    position: Triple
+    velocity: Triple
+    acceleration: Triple
+    heading: float
+    heading_rate: float
+
+    @property
+    def point(self) -> Point:
+        """As a point of a trajectory."""
+        return Point(self.position, self.velocity, self.acceleration, self.heading, self.heading_rate)
+
+
+def fault_of(s: SetPoint) -> str:
+    """What is wrong with a set-point, in words; "" if nothing is."""
+    position, velocity = s.position_m or _NAN, s.velocity_m_s or _NAN
+    if len(position) != 3 or len(velocity) != 3:
+        return "position and velocity need three numbers each, N, E, D"
+    turn = (
+        math.nan if s.heading_rad is None else float(s.heading_rad),
+        math.nan if s.yaw_rate_rad_s is None else float(s.yaw_rate_rad_s),
+    )
+    if all(math.isnan(v) for v in (*position, *velocity, *turn)):
+        return "it says nothing; give a position, a velocity, a heading or a rate of turn"
+    for name, values, most in (
+        ("position", position, _FAR_M),
+        ("velocity", velocity, _FAST_M_S),
+        ("heading", turn[:1], _FAR_M),
+        ("rate of turn", turn[1:], _FAST_RAD_S),
+    ):
+        for v in values:
+            if abs(v) > most:
+                return f"a {name} of {v:g} is beyond {most:g}"
+    return ""
+
+
+def wants_up(s: SetPoint, standing: Triple) -> bool:
+    """Whether a helicopter that stands at ``standing`` (N, E, D; m) has to lift off for it."""
+    higher = s.position_m is not None and s.position_m[2] < min(standing[2] - 0.1, -LOWEST_M + 1e-9)
+    return higher or (s.velocity_m_s is not None and s.velocity_m_s[2] < -0.01)
+
+
+def begin_tracking(at: Point) -> Tracker:
+    """Start from where the reference is, and how it moves."""
+    n, e, d = at.position
+    u, v, w = at.velocity
+    a, b, c = at.acceleration
+    return Tracker((n, e, d), (u, v, w), (a, b, c), at.heading, at.heading_rate)
+
+
+def follow(
+    tracker: Tracker,
+    wanted: SetPoint,
+    limits: Limits,
+    measured: tuple[float, ...],
+    dt: float,
+    hold_off: Callable[[float, float], tuple[float, float]] | None = None,
+) -> Tracker:
+    """Advance the reference.
+
+    Parameters
+    ----------
+    tracker : Tracker
+        As it was.
+    wanted : SetPoint
+        Without fault.
+    limits : Limits
+        What the reference may do.
+    measured : (3,) tuple
+        Where the helicopter is, N, E, D (m).
+    dt : float
+        Time step (s); long ones are taken in parts.
+    hold_off : callable, optional
+        Changes a wanted velocity N, E (m/s) to one that hits nothing.
+    """
+    parts = max(1, math.ceil(dt / _STEP_S - 1e-9))
+    for _ in range(parts if dt > 0.0 else 0):
+        tracker = _part(tracker, wanted, limits, measured, dt / parts, hold_off)
+    return tracker
+
+
+def _part(
+    t: Tracker,
+    wanted: SetPoint,
+    limits: Limits,
+    measured: tuple[float, ...],
+    dt: float,
+    hold_off: Callable[[float, float], tuple[float, float]] | None,
+) -> Tracker:
+    target, given = wanted.position_m or _NAN, wanted.velocity_m_s or _NAN
+    (n, e, d), (vn, ve, vd) = t.position, t.velocity
+    trails = math.dist(t.position, measured)
+    share = min(1.0, max(0.0, 2.0 - trails / _TRAILS_M))
+
+    gn, ge = _gap(target[0], n), _gap(target[1], e)
+    gap = math.hypot(gn, ge)
+    pace = min(_approach(gap, limits.acceleration), limits.speed) / gap if gap > 0.0 else 0.0
+    wn, we = _or_zero(given[0]) + pace * gn, _or_zero(given[1]) + pace * ge
+    if hold_off is not None:
+        wn, we = hold_off(wn, we)
+    fast = math.hypot(wn, we)
+    slow = share * (limits.speed / fast if fast > limits.speed else 1.0)
+    an, ae = _acceleration(slow * wn - vn, slow * we - ve, limits.acceleration, dt)
+
+    # The greatest height first: where both are broken (a mad estimate), down is wrong and up is worse.
+    goal = min(max(target[2], -HIGHEST_M), -LOWEST_M)
+    gd = _gap(goal, d) if not math.isnan(target[2]) else 0.0
+    wd = _or_zero(given[2]) + math.copysign(_approach(abs(gd), limits.climb_acceleration), gd)
+    wd = min(max(wd, -limits.climb), limits.descent)
+    wd = min(max(wd, _toward(-HIGHEST_M - d, limits)), _toward(-LOWEST_M - d, limits))
+    ad, _ = _acceleration(share * wd - vd, 0.0, limits.climb_acceleration, dt)
+
+    heading = wanted.heading_rad
+    turn = 0.0 if heading is None or math.isnan(heading) else shorter_way_round(heading - t.heading)
+    rate = _or_zero(math.nan if wanted.yaw_rate_rad_s is None else wanted.yaw_rate_rad_s)
+    rate += math.copysign(_approach(abs(turn), limits.yaw_acceleration), turn)
+    rate = min(max(rate, -limits.yaw_rate), limits.yaw_rate)
+    yaw, _ = _acceleration(rate - t.heading_rate, 0.0, limits.yaw_acceleration, dt)
+
+    blend = 1.0 - math.exp(-dt / _SMOOTH_S)
+    sn, se, sd = (s + blend * (a - s) for s, a in zip(t.acceleration, (an, ae, ad), strict=True))
+    vn, ve, vd, psi_rate = vn + dt * an, ve + dt * ae, vd + dt * ad, t.heading_rate + dt * yaw
+    return Tracker(
+        (n + dt * vn, e + dt * ve, d + dt * vd),
+        (vn, ve, vd),
+        (sn, se, sd),
+        t.heading + dt * psi_rate,
+        psi_rate,
+    )
+
+
+def _gap(target: float, at: float) -> float:
+    return 0.0 if math.isnan(target) else target - at
+
+
+def _or_zero(x: float) -> float:
+    return 0.0 if math.isnan(x) else x
+
+
+def _approach(gap: float, acceleration: float) -> float:
+    """s(g): speed from which half the acceleration brakes in time."""
+    half, slope = 0.5 * acceleration, 0.5 * BANDWIDTH
+    linear = half / (slope * slope)
+    return slope * gap if gap < linear else math.sqrt(2.0 * half * (gap - 0.5 * linear))
+
+
+def _toward(gap: float, limits: Limits) -> float:
+    """Velocity with which a bound at ``gap`` (m, down) may be approached, or has to be returned to."""
+    return math.copysign(_approach(abs(gap), limits.climb_acceleration), gap)
+
+
+def _acceleration(dx: float, dy: float, most: float, dt: float) -> tuple[float, float]:
+    """Acceleration towards a change of velocity (dx, dy): at most ``most``, and never past it."""
+    gain = min(2.0 * BANDWIDTH, 1.0 / dt)
+    size = gain * math.hypot(dx, dy)
+    scale = gain * (most / size if size > most else 1.0)
+    return scale * dx, scale * dy
