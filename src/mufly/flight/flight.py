@@ -22,7 +22,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mufly.control import FlightController, design
-from mufly.dynamics import DrydenWind, hover_performance, initial_state, standing_height
+from mufly.dynamics import (
+    DrydenWind,
+    euler_from_quaternion,
+    hover_performance,
+    initial_state,
+    standing_height,
+)
 from mufly.flight.autopilot import Autopilot
 from mufly.flight.controllers import Actuators
 from mufly.flight.plant import Plant
@@ -85,6 +91,41 @@ class FlightView:
     battery_charge: float
     battery_left_s: float
     crashed: str
+
+    @property
+    def reference_position(self) -> _Array:
+        """N, E, D that is followed (m)."""
+        return self.reference[0]
+
+    @property
+    def reference_velocity(self) -> _Array:
+        """N, E, D that is followed (m/s)."""
+        return self.reference[1]
+
+    @property
+    def reference_attitude(self) -> _Array:
+        """Roll, pitch, yaw that is followed (rad)."""
+        return self.reference[2]
+
+    @property
+    def position(self) -> _Array:
+        """True N, E, D (m)."""
+        return self.state[0:3]
+
+    @property
+    def velocity(self) -> _Array:
+        """True N, E, D (m/s)."""
+        return self.state[3:6]
+
+    @property
+    def attitude(self) -> _Array:
+        """True roll, pitch, yaw (rad, yaw in +-pi)."""
+        return euler_from_quaternion(self.state[6:10])
+
+    @property
+    def rates(self) -> _Array:
+        """True p, q, r (rad/s)."""
+        return self.state[10:13]
 
 
 class Flight:
