@@ -1,0 +1,216 @@
+"""The page itself: what stands where. The style sheet places it for laptops and tablets."""
+
+from __future__ import annotations
+
+import math
+
+from nicegui import ui
+from nicegui.events import GenericEventArguments
+
+from mufly.station.page.command_bar import CommandBar
+from mufly.station.page.drawers import button, mission_drawer, parameter_drawer, recording_drawer
+from mufly.station.page.panel import Panel, static_url
+from mufly.station.page.session import View
+from mufly.station.view import Outcome, Request
+
+__all__ = ["build"]
+
+REFRESH_S = 0.2
+_KEYS = (
+    ("Shift + T", "take off"),
+    ("Shift + M", "fly or resume the mission"),
+    ("Shift + H", "hover: stop and stay"),
+    ("Shift + G", "go to the point in the fields N, E, height"),
+    ("Shift + L", "land"),
+    ("Shift + R", "return and land"),
+    ("Shift + A", "arm or disarm"),
+    ("Shift + ⌫, twice", "emergency stop: motors off"),
+    ("space", "play or pause a recording"),
+    ("m", "mark this moment in the recording"),
+    ("d", "dark or light"),
+    ("?", "this list"),
+)
+_HINTS = (
+    "Click on the floor to choose a waypoint; click its mark again, or Send, to fly there.",
+    "Drag turns the 3-D view, right drag moves it, the wheel zooms.",
+    "In a plot the wheel zooms the time axis, drag moves it, a double click goes back to live.",
+    "Commands need Shift, so that a stray letter flies nothing. The emergency stop works from every window.",
+)
+
+
+def build(view: View) -> None:
+    """Build the page of one window."""
+    ui.add_head_html(f'<link rel="stylesheet" href="{static_url()}/station.css">')
+    dark = ui.dark_mode(None)
+    ui.colors(primary="#2f7fb8")
+    with ui.element("div").classes("mf-page"):
+        _header(view, dark)
+        with ui.element("aside").classes("mf-left").props('aria-label="instruments"'):
+            with _card("mf-card-flight"):
+                Panel("flight")
+            with _card("mf-card-actuators", "Motors and servos"):
+                Panel("actuators")
+            with _card("mf-card-ranges", "Ranges, nose up"):
+                Panel("ranges")
+        with ui.element("main").classes("mf-centre"):
+            scene = Panel("scene")
+            with ui.element("div").classes("mf-replay-row").props("hidden"):
+                Panel("replaybar").on("replay", lambda e: _replay(view, e))
+        refresh_parameters = _dock(view)
+        with ui.element("aside").classes("mf-right").props('aria-label="commands and mission"'):
+            bar = CommandBar(view, lambda height: scene.call("setHeight", height))
+            _right_tabs(view)
+    Panel("keys")
+    scene.on("place", lambda e: _point(e, bar.choose))
+    scene.on("goto", lambda e: _point(e, bar.go_to))
+    ui.timer(REFRESH_S, lambda: (bar.refresh(), refresh_parameters()))
+
+
+def _card(classes: str, title: str = "") -> ui.element:
+    card = ui.element("section").classes(f"mf-card {classes}")
+    if title:
+        card.props(f'aria-label="{title}"')
+        with card:
+            head = ui.element("h2")
+            head._text = title
+    return card
+
+
+def _point(e: GenericEventArguments, take: object) -> None:
+    content = e.args if isinstance(e.args, dict) else {}
+    try:
+        values = [float(content[k]) for k in ("north", "east", "height")]
+    except (KeyError, TypeError, ValueError):
+        return
+    if all(math.isfinite(v) for v in values):
+        take(*values)  # type: ignore[operator]
+
+
+def _header(view: View, dark: ui.dark_mode) -> None:
+    with ui.element("header").classes("mf-header"):
+        with ui.element("div").classes("mf-brand"):
+            name = ui.element("span").classes("mf-brand-name")
+            name._text = "mufly"
+            Panel("vehicles").on("select", lambda e: view.select(str(e.args)))
+        Panel("status")
+        with ui.element("div").classes("mf-header-tools"):
+            _recorder(view)
+            switch = button("◐", lambda: _switch(dark), title="dark or light (d)").props('data-key="d" aria-label="dark or light"')
+            switch.classes("mf-icon-button")
+            with ui.dialog() as keys, ui.element("div").classes("mf-help"):
+                _help_text()
+            ask = button("?", keys.open, title="keyboard and help (?)").props('data-key="?" aria-label="help"')
+            ask.classes("mf-icon-button")
+
+
+def _help_text() -> None:
+    head = ui.element("h2")
+    head._text = "Keyboard"
+    with ui.element("dl"):
+        for key, meaning in _KEYS:
+            ui.element("dt")._text = key
+            ui.element("dd")._text = meaning
+    head = ui.element("h2")
+    head._text = "Pointer"
+    with ui.element("ul"):
+        for hint in _HINTS:
+            ui.element("li")._text = hint
+
+
+def _switch(dark: ui.dark_mode) -> None:
+    async def turn() -> None:
+        now = await ui.run_javascript("document.body.classList.contains('body--dark')")
+        dark.set_value(not now)
+
+    ui.timer(0.0, turn, once=True)
+
+
+def _recorder(view: View) -> None:
+    recorder = view.session.recorder
+    if recorder is None:
+        return
+
+    def mark() -> None:
+        text = (field.value or "").strip() or "mark"
+        vehicle = view.vehicle()
+        recorder.mark(text)
+        if vehicle is not None:
+            view.ask(Request(f"mark: {text}", Outcome.ACCEPTED))
+        field.value = ""
+        marks.close()
+
+    def toggle() -> None:
+        if recorder.path:
+            recorder.stop()
+        else:
+            recorder.start()
+        show()
+
+    with ui.dialog() as marks, ui.element("div").classes("mf-help"):
+        head = ui.element("h2")
+        head._text = "Mark this moment"
+        field = ui.input("text", placeholder="gust from the left").props("autofocus").on("keydown.enter", mark)
+        button("Set the mark", mark, classes="mf-primary-button")
+    record = button("● Record", toggle, test="record")
+    button("Mark", marks.open, title="put a mark into the recording (m)").props('data-key="m"')
+    state: list[object] = [None]
+
+    def show() -> None:
+        on = bool(recorder.path)
+        if state[0] == on:
+            return
+        state[0] = on
+        record._text = "■ Recording" if on else "● Record"
+        record.props(f'aria-pressed={str(on).lower()} title="{"recording; press to stop" if on else "record"}"')
+        record.classes(add="mf-recording" if on else "", remove="" if on else "mf-recording")
+        record.update()
+
+    show()
+    ui.timer(0.5, show)
+
+
+def _dock(view: View) -> object:
+    with ui.element("section").classes("mf-dock").props('aria-label="plots, spectrum, parameters, recordings"'):
+        with ui.tabs().props("dense no-caps align=left inline-label").classes("mf-tabs") as tabs:
+            plots, spectrum, parameters, recordings = (
+                ui.tab(n) for n in ("Plots", "Spectrum", "Parameters", "Recordings")
+            )
+        with ui.tab_panels(tabs, value=plots, animated=False, keep_alive=False).classes("mf-tab-panels"):
+            with ui.tab_panel(plots):
+                Panel("plots")
+            with ui.tab_panel(spectrum):
+                Panel("spectrum")
+            with ui.tab_panel(parameters):
+                refresh = parameter_drawer(view)
+            with ui.tab_panel(recordings):
+                recording_drawer(view)
+    return refresh
+
+
+def _right_tabs(view: View) -> None:
+    with ui.tabs().props("dense no-caps align=left").classes("mf-tabs") as tabs:
+        checks, mission, messages = (ui.tab(n) for n in ("Checks", "Mission", "Messages"))
+    recording = view.session.to_open is not None
+    with ui.tab_panels(tabs, value=mission if recording else checks, animated=False).classes("mf-tab-panels"):
+        with ui.tab_panel(checks):
+            Panel("checks")
+        with ui.tab_panel(mission):
+            mission_drawer(view)
+        with ui.tab_panel(messages):
+            Panel("messages")
+
+
+def _replay(view: View, e: GenericEventArguments) -> None:
+    """Do what the slider of a recording says."""
+    replay, content = view.replay, e.args if isinstance(e.args, dict) else {}
+    if replay is None:
+        return
+    if "play" in content:
+        replay.play() if content["play"] else replay.pause()
+    moment, speed = content.get("seek"), content.get("speed")
+    if isinstance(moment, int | float) and math.isfinite(moment):
+        replay.seek(float(moment))
+    if isinstance(speed, int | float) and 0.0 < speed <= 64.0:
+        replay.speed = float(speed)
+    if content.get("close"):
+        view.close_recording()

@@ -1,0 +1,206 @@
+"""The web server of the page: NiceGUI inside an application of our own, guarded, with the stream of frames beside it.
+
+:func:`serve` runs until it is told to stop. The vehicle is none of its business: closing windows, or this server, stops
+nothing in the air.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import socket
+import time
+import webbrowser
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import uvicorn
+from fastapi import FastAPI, WebSocket, WebSocketDisconnect
+from fastapi.staticfiles import StaticFiles
+from nicegui import context, ui
+
+from mufly.errors import InputError
+from mufly.station.page.feed import Feed
+from mufly.station.page.guard import Guard, is_loopback, new_token
+from mufly.station.page.layout import build
+from mufly.station.page.panel import STATIC, static_url
+from mufly.station.page.session import Session
+
+__all__ = ["Address", "application", "choose_address", "serve"]
+
+RATE_HZ = 20.0
+PORT = 8080
+PORTS_TRIED = 40
+
+
+class Address:
+    """Where the page is: a bound socket, its host, port and token."""
+
+    def __init__(self, bound: socket.socket, host: str, token: str) -> None:
+        self.socket, self.host, self.token = bound, host, token
+        self.port = int(bound.getsockname()[1])
+
+    @property
+    def url(self) -> str:
+        """What to open; the token is in it, once, where one is needed."""
+        host = "127.0.0.1" if self.host in ("0.0.0.0", "::", "") else self.host
+        host = f"[{host}]" if ":" in host else host
+        return f"http://{host}:{self.port}/" + (f"?token={self.token}" if self.token else "")
+
+
+def choose_address(host: str = "127.0.0.1", port: int | None = None, token: str | None = None) -> Address:
+    """Bind the page's port.
+
+    Parameters
+    ----------
+    host : str
+        Any other than loopback needs a token; one is made if none is given.
+    port : int, optional
+        Default: 8080, or the next one that is free.
+    token : str, optional
+
+    Raises
+    ------
+    InputError
+        If the address is none of this machine, or the port that was asked for is taken.
+    """
+    if token is not None and len(token) < 8:
+        raise InputError("--token", "", "is shorter than 8 characters", "give a longer one, or none to have one made")
+    secret = token or ("" if is_loopback(host) else new_token())
+    tried = [port] if port is not None else [*range(PORT, PORT + PORTS_TRIED), 0]
+    try:
+        family, _, _, _, _ = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
+    except OSError as error:
+        raise InputError("--host", host, f"is no address ({error.strerror})", "give an address of this machine") from None
+    for number in tried:
+        bound = socket.socket(family, socket.SOCK_STREAM)
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            bound.bind((host, number))
+            bound.listen(128)
+        except OSError as error:
+            bound.close()
+            if number == tried[-1]:
+                what = "--port" if port is not None else "--host"
+                problem = f"cannot listen on {host}:{number} ({error.strerror})"
+                raise InputError(what, "", problem, "give another one, or leave it out") from None
+            continue
+        bound.setblocking(False)
+        return Address(bound, host, secret)
+    raise AssertionError("a port was tried")
+
+
+def application(session: Session, *, host: str = "127.0.0.1", token: str = "") -> Any:
+    """Return the whole page as one guarded ASGI application."""
+    app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+    app.mount(static_url(), StaticFiles(directory=STATIC), name="mufly")
+
+    @app.websocket("/live/{client_id}")
+    async def live(socket: WebSocket, client_id: str) -> None:
+        view = session.views.get(client_id)
+        if view is None:
+            await socket.close(1008)
+            return
+        await socket.accept()
+        await _stream(socket, Feed(view))
+
+    @ui.page("/", title=session.title)
+    def page() -> None:
+        client = context.client
+        view = session.open(client.id)
+        client.on_delete(lambda: session.close(client.id))
+        build(view)
+
+    ui.run_with(
+        app, title=session.title, favicon=STATIC / "favicon.svg", dark=None, tailwind=False, reconnect_timeout=5.0,
+        message_history_length=200, binding_refresh_interval=None, show_welcome_message=False,
+        cache_control_directives="public, max-age=31536000, immutable", gzip_middleware_factory=None,
+    )  # fmt: skip
+    return Guard(app, host=host, token=token)
+
+
+async def _stream(web: WebSocket, feed: Feed) -> None:
+    """Send frames at the page's rate, as long as the window draws them."""
+
+    async def listen() -> None:
+        while True:
+            message = await web.receive()
+            if message["type"] == "websocket.disconnect":
+                return
+            feed.hear(message.get("text") or message.get("bytes") or "")
+
+    listener = asyncio.create_task(listen())
+    due = time.monotonic()
+    try:
+        while not listener.done():
+            now = time.monotonic()
+            if feed.ready:
+                await web.send_text(feed.frame(now).decode())
+            due = max(due + 1.0 / RATE_HZ, now)
+            await asyncio.sleep(due - now)
+    except (WebSocketDisconnect, RuntimeError, OSError):
+        pass  # the window is gone
+    finally:
+        listener.cancel()
+        with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+            await listener
+
+
+async def _replays(session: Session) -> None:
+    """Let time pass in the recordings that are played."""
+    last = time.monotonic()
+    while True:
+        await asyncio.sleep(0.5 / RATE_HZ)
+        now = time.monotonic()
+        for view in list(session.views.values()):
+            if view.replay is not None:
+                view.replay.advance(now - last)
+        last = now
+
+
+async def serve(
+    session: Session,
+    address: Address,
+    *,
+    open_browser: bool = True,
+    beside: Callable[[], Awaitable[None]] | None = None,
+) -> None:
+    """Serve the page until ``beside`` returns, or for ever.
+
+    Parameters
+    ----------
+    session : Session
+    address : Address
+        From :func:`choose_address`.
+    open_browser : bool
+        Whether to open the page in the default browser.
+    beside : coroutine function, optional
+        Runs in the same loop; when it returns, the server stops.
+    """
+    logging.getLogger("nicegui").setLevel(logging.WARNING)
+    guarded = application(session, host=address.host, token=address.token)
+    config = uvicorn.Config(
+        guarded, log_level="warning", access_log=False, ws_per_message_deflate=False, lifespan="on",
+        timeout_graceful_shutdown=1,
+    )  # fmt: skip
+    server = uvicorn.Server(config)
+    replays = asyncio.create_task(_replays(session))
+    serving = asyncio.create_task(server.serve(sockets=[address.socket]))
+    tasks = {serving}
+    if beside is not None:
+        tasks.add(asyncio.ensure_future(beside()))
+    try:
+        while not server.started and not serving.done():
+            await asyncio.sleep(0.02)
+        if open_browser and not serving.done():
+            await asyncio.to_thread(webbrowser.open, address.url)
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in done:
+            task.result()
+    finally:
+        server.should_exit = True
+        replays.cancel()
+        for task in tasks - {serving}:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)

@@ -1,0 +1,23 @@
+// Pre-flight checks: a word and an icon each.
+import { live } from "./live.js";
+import { el, icon, put } from "./draw.js";
+
+export function mount(element) {
+  element.classList.add("mf-column");
+  const head = el("p", { class: "mf-checks-head", role: "status" });
+  const list = el("ul", { class: "mf-checks" });
+  element.append(head, list);
+  function fill(checks) {
+    const bad = checks.filter(([, ok]) => ok === false).length, open = checks.filter(([, ok]) => ok === null).length;
+    put(head, !checks.length ? "No checks for what is shown." : bad ? `Not ready: ${bad} of ${checks.length} failed` : open ? `${open} cannot be judged yet` : "Ready to fly");
+    head.dataset.state = bad ? "bad" : open || !checks.length ? "open" : "good";
+    list.replaceChildren(...checks.map(([name, ok, text]) => el("li", { class: ok === false ? "mf-level-error" : ok ? "mf-level-ok" : "" },
+      icon(ok === false ? "error" : ok ? "ok" : "open"), el("div", {}, el("strong", { text: `${name}: ${ok === false ? "failed" : ok ? "ok" : "unknown"}` }), el("div", { class: "mf-dim", text })))));
+  }
+  const panel = live.panel({ sections: ["checks"] }, (f) => {
+    if (f.checks) fill(f.checks);
+    else if (f.new) fill([]);
+  });
+  fill([]);
+  return { close: () => panel.close() };
+}

@@ -1,0 +1,115 @@
+// What the drawn panels share: colours of the theme, canvases that follow their size, ticks, numbers as text.
+
+export const colours = {};
+const watchers = new Set();
+const NAMES = [
+  "bg", "panel", "line", "text", "dim", "accent", "good", "warn", "bad", "sky", "ground", "reference",
+  "c0", "c1", "c2", "c3", "c4", "c5", "c6", "c7", "grid",
+];
+
+function read() {
+  const style = getComputedStyle(document.body);
+  for (const name of NAMES) colours[name] = style.getPropertyValue(`--mf-${name}`).trim();
+  for (const tell of watchers) tell();
+}
+read();
+new MutationObserver(read).observe(document.body, { attributes: true, attributeFilter: ["class"] });
+window.addEventListener("load", read);
+
+export function onTheme(tell) {
+  watchers.add(tell);
+  return () => watchers.delete(tell);
+}
+
+export const FONT = "system-ui, 'Segoe UI', Roboto, 'Noto Sans', 'DejaVu Sans', sans-serif";
+
+// A canvas that fills its element; draw(ctx, width, height) in CSS pixels is called when something has changed.
+export function canvas(element, label, draw) {
+  const node = document.createElement("canvas");
+  node.setAttribute("role", "img");
+  node.setAttribute("aria-label", label);
+  element.append(node);
+  const ctx = node.getContext("2d");
+  let asked = null;
+  function paint() {
+    asked = null;
+    const ratio = window.devicePixelRatio || 1, { clientWidth: w, clientHeight: h } = element;
+    if (!w || !h) return;
+    if (node.width !== Math.round(w * ratio) || node.height !== Math.round(h * ratio)) {
+      node.width = Math.round(w * ratio);
+      node.height = Math.round(h * ratio);
+    }
+    ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
+    ctx.clearRect(0, 0, w, h);
+    draw(ctx, w, h);
+  }
+  const repaint = () => {
+    if (asked === null) asked = requestAnimationFrame(paint);
+  };
+  const sizes = new ResizeObserver(repaint);
+  sizes.observe(element);
+  const off = onTheme(repaint);
+  return {
+    node,
+    ctx,
+    repaint,
+    close() {
+      sizes.disconnect();
+      off();
+      if (asked !== null) cancelAnimationFrame(asked);
+    },
+  };
+}
+
+export function niceStep(span, count) {
+  const raw = span / Math.max(count, 1), power = 10 ** Math.floor(Math.log10(raw)), r = raw / power;
+  return power * (r <= 1 ? 1 : r <= 2 ? 2 : r <= 5 ? 5 : 10);
+}
+
+export function number(value, digits = 2) {
+  return value === null || value === undefined || !Number.isFinite(value) ? "–" : value.toFixed(digits).replace("-", "−");
+}
+
+export function clock(seconds) {
+  if (!Number.isFinite(seconds)) return "–";
+  const sign = seconds < 0 ? "−" : "", s = Math.abs(seconds), m = Math.floor(s / 60);
+  return `${sign}${m}:${(s - 60 * m).toFixed(1).padStart(4, "0")}`;
+}
+
+export const DEG = 180 / Math.PI;
+
+export function el(tag, attributes = {}, ...children) {
+  const node = document.createElement(tag);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (key === "class") node.className = value;
+    else if (key === "text") node.textContent = value;
+    else if (key.startsWith("on")) node.addEventListener(key.slice(2), value);
+    else if (value !== null && value !== undefined && value !== false) node.setAttribute(key, value === true ? "" : value);
+  }
+  node.append(...children.filter((c) => c !== null));
+  return node;
+}
+
+// Set a text only when it differs: text nodes that are written needlessly cost layout.
+export function put(node, text) {
+  if (node.textContent !== text) node.textContent = text;
+}
+
+const ICONS = {
+  info: "M12 2a10 10 0 1 0 0 20 10 10 0 0 0 0-20zm1 15h-2v-6h2zm0-8h-2V7h2z",
+  warning: "M1 21h22L12 2zm12-3h-2v-2h2zm0-4h-2v-4h2z",
+  error: "M8 2h8l6 6v8l-6 6H8l-6-6V8zm5 15h-2v-2h2zm0-4h-2V7h2z",
+  ok: "M9 16.2 4.8 12l-1.4 1.4L9 19 21 7l-1.4-1.4z",
+  open: "M12 6a6 6 0 1 0 0 12 6 6 0 0 0 0-12z",
+  here: "M5 3l14 9-14 9z",
+};
+export function icon(name) {
+  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  svg.setAttribute("viewBox", "0 0 24 24");
+  svg.setAttribute("class", `mf-icon mf-${name}`);
+  svg.setAttribute("aria-hidden", "true");
+  const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
+  path.setAttribute("d", ICONS[name]);
+  svg.append(path);
+  return svg;
+}

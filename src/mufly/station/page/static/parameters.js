@@ -1,0 +1,85 @@
+// The parameter table: search, edit in place, see what was changed. Undo and files are on the server's side.
+import { live } from "./live.js";
+import { el } from "./draw.js";
+
+const MOST = 250;
+
+export function mount(element, options, emit) {
+  element.classList.add("mf-column");
+  let all = new Map(), words = "", changedOnly = false;
+  const search = el("input", { type: "search", placeholder: "search name or meaning", "aria-label": "search parameters", oninput: () => {
+    words = search.value.toLowerCase();
+    fill();
+  } });
+  const only = el("button", { type: "button", text: "Changed only", "aria-pressed": false, onclick: () => {
+    changedOnly = !changedOnly;
+    only.setAttribute("aria-pressed", changedOnly);
+    fill();
+  } });
+  const count = el("span", { class: "mf-dim mf-note", role: "status" });
+  const body = el("tbody");
+  const table = el("table", { class: "mf-table mf-parameters" }, el("thead", {}, el("tr", {}, ...["parameter", "value", "unit", "least … greatest", "meaning"].map((text) => el("th", { scope: "col", text })))), body);
+  element.append(el("div", { class: "mf-tools" }, search, only, count), el("div", { class: "mf-scroll", tabindex: 0 }, table));
+
+  const text = (p) => (p.whole ? String(Math.round(p.value)) : String(Number(p.value.toPrecision(7))));
+  const bound = (x) => (x === null ? "" : Math.abs(x) >= 1e6 ? x.toExponential(0) : String(Number(x.toPrecision(4))));
+  const differs = (p) => Math.fround(p.was) !== Math.fround(p.value);
+
+  function row(p) {
+    const input = el("input", { type: "number", step: p.whole ? 1 : "any", min: p.least, max: p.greatest, value: text(p), "aria-label": p.name, "data-name": p.name });
+    const send = () => {
+      const v = parseFloat(input.value);
+      if (!Number.isFinite(v) || (p.least !== null && v < p.least) || (p.greatest !== null && v > p.greatest) || (p.whole && !Number.isInteger(v))) {
+        input.setCustomValidity(`from ${bound(p.least)} to ${bound(p.greatest)}${p.whole ? ", whole" : ""}`);
+        input.reportValidity();
+        return;
+      }
+      input.setCustomValidity("");
+      if (text({ ...p, value: v }) !== text(p)) emit("write", { name: p.name, value: v });
+    };
+    input.addEventListener("change", send);
+    input.addEventListener("keydown", (event) => {
+      if (event.key === "Escape") {
+        input.value = text(p);
+        input.blur();
+      }
+    });
+    const range = p.least === null && p.greatest === null ? "" : `${bound(p.least)} … ${bound(p.greatest)}`;
+    return el("tr", { class: differs(p) ? "mf-changed" : "" }, el("th", { scope: "row" }, p.name, differs(p) ? el("span", { class: "mf-badge", title: `was ${p.was}`, text: "changed" }) : null),
+      el("td", {}, input), el("td", { text: p.unit }), el("td", { class: "mf-num mf-dim", text: range }), el("td", { class: "mf-help", text: p.help }));
+  }
+  function fill() {
+    const kept = [...all.values()].filter((p) => (!words || `${p.name} ${p.help}`.toLowerCase().includes(words)) && (!changedOnly || differs(p))).sort((a, b) => a.name.localeCompare(b.name));
+    const focused = document.activeElement?.dataset?.name;
+    body.replaceChildren(...kept.slice(0, MOST).map(row));
+    if (focused) body.querySelector(`[data-name="${CSS.escape(focused)}"]`)?.focus();
+    if (!all.size) body.append(el("tr", {}, el("td", { colspan: 5, class: "mf-empty", text: "no parameters were heard" })));
+    count.textContent = kept.length > MOST ? `the first ${MOST} of ${kept.length}` : `${kept.length} of ${all.size}`;
+  }
+  const panel = live.panel({ sections: ["parameters"] }, (f) => {
+    if (f.new && !f.parameters) {
+      all = new Map();
+      fill();
+    }
+    if (!f.parameters) return;
+    if (f.parameters_new) all = new Map();
+    for (const [name, value, unit, least, greatest, help, whole, was] of f.parameters) {
+      all.set(name, { name, value, unit, least, greatest, help, whole, was });
+    }
+    // A field that is being typed into is not taken away.
+    if (!body.contains(document.activeElement)) fill();
+    else patch(f.parameters);
+  });
+  function patch(list) {
+    for (const [name] of list) {
+      const input = body.querySelector(`[data-name="${CSS.escape(name)}"]`), p = all.get(name);
+      if (!input) continue;
+      if (input !== document.activeElement || input.value === input.defaultValue) input.value = input.defaultValue = text(p);
+      const fresh = row(p);
+      input.closest("tr").className = fresh.className;
+      input.closest("tr").firstChild.replaceWith(fresh.firstChild);
+    }
+  }
+  fill();
+  return { close: () => panel.close() };
+}

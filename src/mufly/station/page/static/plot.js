@@ -1,0 +1,188 @@
+// One plot: a quantity over time. Colour tells the component, the kind of line tells who says so.
+import { live } from "./live.js";
+import { FONT, canvas, colours, niceStep, number } from "./draw.js";
+
+export const DASHES = { estimated: [], measured: [1.5, 2.5], reference: [7, 4], truth: [10, 3, 2, 3], "": [] };
+const WIDTHS = { estimated: 1.7, measured: 1.4, reference: 1.5, truth: 1.1, "": 1.6 };
+const LEFT = 46, BOTTOM = 18, TOP = 6, RIGHT = 8;
+const BREAK_S = 0.6;
+
+// span() returns { from, to } of the time axis; onSpan(from, to) asks for another one, onSpan(null) for the live one.
+export function plot(element, label, span, onSpan) {
+  let traces = [], unit = "", factor = 1, cursor = null;
+  const view = canvas(element, label, draw);
+
+  function find(t, n, value) {
+    let low = 0, high = n;
+    while (low < high) {
+      const mid = (low + high) >> 1;
+      if (t[mid] < value) low = mid + 1;
+      else high = mid;
+    }
+    return low;
+  }
+
+  function draw(ctx, w, h) {
+    const { t, n } = live.samples, { from, to } = span(), x0 = LEFT, x1 = w - RIGHT, y0 = TOP, y1 = h - BOTTOM;
+    if (x1 - x0 < 20 || y1 - y0 < 20) return;
+    const first = Math.max(0, find(t, n, from) - 1), last = Math.min(n, find(t, n, to) + 1);
+    const drawn = traces.map((trace) => [trace, live.column(trace.signal)]).filter(([, c]) => c);
+    let least = Infinity, most = -Infinity;
+    for (const [, c] of drawn) {
+      for (let i = first; i < last; i++) {
+        const v = c[i];
+        if (v < least) least = v;
+        if (v > most) most = v;
+      }
+    }
+    if (least > most) [least, most] = [-1 / factor, 1 / factor];
+    let low = least * factor, high = most * factor;
+    const room = Math.max((high - low) * 0.06, Math.abs(high) * 1e-4, 0.002);
+    low -= room;
+    high += room;
+    const sx = (x1 - x0) / (to - from), sy = (y1 - y0) / (high - low);
+    grid(ctx, { x0, x1, y0, y1, from, to, low, high, sx, sy });
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(x0, y0, x1 - x0, y1 - y0);
+    ctx.clip();
+    const bucket = Math.max(1, Math.floor((last - first) / (2 * (x1 - x0))));
+    for (const [trace, c] of drawn) {
+      ctx.strokeStyle = colours[trace.colour];
+      ctx.lineWidth = WIDTHS[trace.source] || 1.5;
+      ctx.setLineDash(DASHES[trace.source] || []);
+      ctx.beginPath();
+      let before = -Infinity;
+      const point = (time, v) => {
+        const x = x0 + (time - from) * sx, y = y1 - (v * factor - low) * sy;
+        if (time - before > BREAK_S + 3 * (bucket > 1 ? (to - from) / (x1 - x0) : 0)) ctx.moveTo(x, y);
+        else ctx.lineTo(x, y);
+        before = time;
+      };
+      // Dense data: the least and the greatest of each bucket, in order; buckets stay put as time goes on.
+      for (let i = first - (first % bucket); i < last; i += bucket) {
+        if (bucket === 1) {
+          if (c[i] === c[i]) point(t[i], c[i]);
+          continue;
+        }
+        let a = -1, b = -1;
+        for (let k = Math.max(i, 0); k < Math.min(i + bucket, last); k++) {
+          if (c[k] !== c[k]) continue;
+          if (a < 0 || c[k] < c[a]) a = k;
+          if (b < 0 || c[k] > c[b]) b = k;
+        }
+        if (a < 0) continue;
+        point(t[Math.min(a, b)], c[Math.min(a, b)]);
+        if (a !== b) point(t[Math.max(a, b)], c[Math.max(a, b)]);
+      }
+      ctx.stroke();
+    }
+    ctx.setLineDash([]);
+    ctx.restore();
+    if (cursor !== null && n) reading(ctx, { x0, x1, y0, y1, from, sx, t, n, drawn, find });
+  }
+
+  function grid(ctx, g) {
+    ctx.font = `10px ${FONT}`;
+    ctx.fillStyle = colours.dim;
+    ctx.strokeStyle = colours.grid;
+    ctx.lineWidth = 1;
+    const step = niceStep(g.high - g.low, Math.max(2, (g.y1 - g.y0) / 26));
+    const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+    ctx.textAlign = "right";
+    ctx.textBaseline = "middle";
+    ctx.beginPath();
+    for (let k = Math.ceil(g.low / step); k * step <= g.high; k++) {
+      const y = Math.round(g.y1 - (k * step - g.low) * g.sy) + 0.5;
+      ctx.moveTo(g.x0, y);
+      ctx.lineTo(g.x1, y);
+      if (y > g.y0 + 12 || !unit) ctx.fillText(number(k * step, digits), g.x0 - 5, y);
+    }
+    const long = niceStep(g.to - g.from, Math.max(2, (g.x1 - g.x0) / 70));
+    const places = Math.max(0, -Math.floor(Math.log10(long) + 1e-9));
+    ctx.textAlign = "center";
+    ctx.textBaseline = "alphabetic";
+    for (let k = Math.ceil(g.from / long); k * long <= g.to; k++) {
+      const x = Math.round(g.x0 + (k * long - g.from) * g.sx) + 0.5;
+      ctx.moveTo(x, g.y0);
+      ctx.lineTo(x, g.y1);
+      if (x < g.x1 - 22) ctx.fillText(number(k * long, places), x, g.y1 + 13);
+    }
+    ctx.stroke();
+    ctx.textAlign = "right";
+    ctx.fillText("s", g.x1, g.y1 + 13);
+    ctx.fillStyle = colours.text;
+    ctx.fillText(unit, g.x0 - 5, g.y0 + 9);
+    ctx.strokeStyle = colours.line;
+    ctx.strokeRect(g.x0 + 0.5, g.y0 + 0.5, g.x1 - g.x0, g.y1 - g.y0);
+  }
+
+  function reading(ctx, g) {
+    const x = Math.max(g.x0, Math.min(g.x1, cursor)), at = g.from + (x - g.x0) / g.sx;
+    const i = Math.min(g.n - 1, Math.max(0, g.find(g.t, g.n, at)));
+    const words = [[`${number(g.t[i], 2)} s`, colours.text]];
+    for (const [trace, c] of g.drawn) {
+      let k = i;
+      while (k > 0 && c[k] !== c[k] && i - k < 20) k--;
+      words.push([`${trace.component ? `${trace.component} ` : ""}${trace.source || ""} ${number(c[k] * factor, 3)}`, colours[trace.colour]]);
+    }
+    ctx.strokeStyle = colours.dim;
+    ctx.beginPath();
+    ctx.moveTo(Math.round(x) + 0.5, g.y0);
+    ctx.lineTo(Math.round(x) + 0.5, g.y1);
+    ctx.stroke();
+    ctx.font = `10px ${FONT}`;
+    const wide = Math.max(...words.map(([word]) => ctx.measureText(word).width)) + 10;
+    const high = Math.min(words.length * 12 + 6, g.y1 - g.y0 - 4), left = x + wide + 8 > g.x1 ? x - wide - 6 : x + 6;
+    ctx.fillStyle = colours.panel;
+    ctx.globalAlpha = 0.92;
+    ctx.fillRect(left, g.y0 + 3, wide, high);
+    ctx.globalAlpha = 1;
+    ctx.textAlign = "left";
+    words.forEach(([word, colour], k) => {
+      if (k * 12 + 12 > high) return;
+      ctx.fillStyle = colour;
+      ctx.fillText(word, left + 5, g.y0 + 14 + 12 * k);
+    });
+  }
+
+  // Wheel: zoom about the pointer; drag: move along; double click: back to live.
+  const node = view.node;
+  let dragging = null;
+  const timeAt = (event) => {
+    const box = node.getBoundingClientRect(), { from, to } = span();
+    return from + ((event.clientX - box.left - LEFT) / Math.max(1, box.width - LEFT - RIGHT)) * (to - from);
+  };
+  node.addEventListener("wheel", (event) => {
+    event.preventDefault();
+    const { from, to } = span(), at = timeAt(event), by = event.deltaY > 0 ? 1.25 : 0.8;
+    if ((to - from) * by > 0.05 && (to - from) * by < 1e5) onSpan(at - (at - from) * by, at + (to - at) * by);
+  }, { passive: false });
+  node.addEventListener("pointerdown", (event) => {
+    dragging = { x: event.clientX, ...span(), moved: false };
+    node.setPointerCapture(event.pointerId);
+  });
+  node.addEventListener("pointermove", (event) => {
+    cursor = event.clientX - node.getBoundingClientRect().left;
+    if (dragging && Math.abs(event.clientX - dragging.x) > 3) {
+      const shift = ((event.clientX - dragging.x) * (dragging.to - dragging.from)) / Math.max(1, node.clientWidth - LEFT - RIGHT);
+      onSpan(dragging.from - shift, dragging.to - shift);
+    }
+    view.repaint();
+  });
+  node.addEventListener("pointerup", () => (dragging = null));
+  node.addEventListener("pointerleave", () => {
+    cursor = null;
+    view.repaint();
+  });
+  node.addEventListener("dblclick", () => onSpan(null));
+
+  return {
+    set(next, nextUnit, nextFactor) {
+      [traces, unit, factor] = [next, nextUnit, nextFactor];
+      view.repaint();
+    },
+    repaint: view.repaint,
+    close: view.close,
+  };
+}

@@ -1,0 +1,363 @@
+"""A finished recording behind the same seam as a vehicle: read, played back, and moved through with a slider.
+
+:func:`open_recording` reads any log that :func:`mufly.logs.read_log` reads. A :class:`Replay` is one viewer's place in it;
+many may share one :class:`Recording`. What the vehicle believed of itself is taken from ``estimated_*`` where it was
+recorded, else from ``measured_*``, else from ``truth_*``.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+import tomllib
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.errors import InputError
+from mufly.logs import events_of, kind_of, read_attachments, read_log
+from mufly.logs.flat import columns_of
+from mufly.mission import Mission, mission_from
+from mufly.station.view import Check, Message, MissionRow, Parameter, Snapshot, unknown
+
+__all__ = ["Recording", "Replay", "ReplayHistory", "mission_rows", "open_recording"]
+
+SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+AIRBORNE_M = 0.02
+
+_Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A log, read whole.
+
+    Attributes
+    ----------
+    name : str
+        Name of the file.
+    times : (n,) array
+        s, increasing.
+    columns : dict of str to (n,) array
+        Flat names as in :mod:`mufly.logs.flat` (``measured_attitude_roll``), SI units.
+    units : dict of str to str
+    states : (n,) array of str
+        State of the mission machine, or "".
+    messages : tuple of Message
+    mission : Mission or None
+        The mission that was flown, with its world, where the file carries it.
+    range_angles : (b,) array
+        Directions of the range beams from the nose to the right (rad).
+    range_max_m : float
+        What a beam that sees nothing returns (m).
+    facts : dict
+        Vehicle, outcome and whatever else the file says of itself.
+    """
+
+    name: str
+    times: _Array
+    columns: dict[str, _Array]
+    units: dict[str, str]
+    states: NDArray[Any]
+    messages: tuple[Message, ...]
+    mission: Mission | None
+    range_angles: _Array
+    range_max_m: float
+    facts: dict[str, Any]
+
+
+def open_recording(path: str | Path, progress: Callable[[int, int], None] | None = None) -> Recording:
+    """Read a recording of any known format.
+
+    Parameters
+    ----------
+    path : str or Path
+        MCAP, ULog, tlog, DataFlash, CSV, Parquet or NetCDF.
+    progress : callable, optional
+        Called with (bytes read, bytes in all).
+
+    Raises
+    ------
+    InputError
+        If it is no log, or holds nothing with a name of ours.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what was repaired is in the attribute "notes", shown with the facts
+        data = read_log(path, progress=progress)
+    times = data["time"].values.astype(np.float64)
+    if not len(times):
+        raise InputError(str(path), "", "holds no samples", "choose another recording")
+    numbers = [c for c in columns_of(data) if c.values.dtype.kind in "fiub"]
+    columns = {c.name: c.values.astype(np.float64) for c in numbers}
+    states = np.full(len(times), "")
+    if "mission_state" in data:
+        states = data["mission_state"].values.astype(str)
+    has_events = all(f"event_{part}" in data for part in ("time", "state", "text", "level"))
+    messages = [Message(e.time_s, e.level, e.text) for e in events_of(data)] if has_events else []
+    vehicle, mission = _attached(path)
+    beams = sum(1 for name in columns if name.startswith("range_"))
+    ring = vehicle.get("range_ring", {})
+    first = _number(ring.get("first_angle"), math.pi / beams if beams else 0.0)
+    farthest = _number(ring.get("max_range"), _largest(columns, beams))
+    return Recording(
+        name=Path(path).name,
+        times=times,
+        columns=columns,
+        units={c.name: c.units for c in numbers},
+        states=states,
+        messages=tuple(sorted(messages, key=lambda m: m.time_s)),
+        mission=mission,
+        range_angles=first + 2.0 * math.pi * np.arange(beams) / max(beams, 1),
+        range_max_m=farthest,
+        facts=dict(data.attrs),
+    )
+
+
+def _attached(path: str | Path) -> tuple[dict[str, Any], Mission | None]:
+    """Return the vehicle's tables and the mission that a recording carries; empty and None where it has none."""
+    if kind_of(path) != "MCAP":
+        return {}, None
+    attachments = read_attachments(path)
+    vehicle: dict[str, Any] = {}
+    mission: Mission | None = None
+    try:
+        vehicle = tomllib.loads(attachments.get("vehicle.toml", b"").decode())
+        if "mission.toml" in attachments:
+            mission = mission_from(tomllib.loads(attachments["mission.toml"].decode()), str(path))
+    except (ValueError, InputError):
+        pass  # written by another version: the flight is worth showing without its world
+    return vehicle, mission
+
+
+def _number(entry: Any, otherwise: float) -> float:
+    value = entry.get("value") if isinstance(entry, dict) else entry
+    return float(value) if isinstance(value, int | float) else otherwise
+
+
+def _largest(columns: dict[str, _Array], beams: int) -> float:
+    seen = [columns[f"range_{k}"] for k in range(beams) if f"range_{k}" in columns]
+    finite = [float(np.nanmax(c)) for c in seen if np.isfinite(c).any()]
+    return max(finite, default=math.nan)
+
+
+def mission_rows(mission: Mission, reached: int = 0) -> list[MissionRow]:
+    """Return the mission table of a mission file: take-off, its waypoints, landing.
+
+    Parameters
+    ----------
+    mission : Mission
+    reached : int
+        How many rows are behind the vehicle.
+    """
+    north, east = mission.start_m
+    climb = mission.take_off
+    rows = [("take off", (north, east, -climb.height_m), math.nan, climb.wait_s)]
+    for w in mission.waypoint:
+        heading = math.nan if w.heading_deg is None else math.radians(w.heading_deg)
+        rows.append(("waypoint", w.position_m, heading, w.wait_s))
+    last = rows[-1][1]
+    rows.append(("land", (last[0], last[1], 0.0), math.nan, 0.0))
+    return [
+        MissionRow(action, position, heading, wait, reached=k < reached)
+        for k, (action, position, heading, wait) in enumerate(rows)
+    ]
+
+
+class ReplayHistory:
+    """The history of a recording up to the moment that is shown (:class:`mufly.station.history.History`)."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self.end = len(recording.times)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of all signals."""
+        return list(self._recording.columns)
+
+    def unit(self, name: str) -> str:
+        """Unit of a signal, "1" for a pure number."""
+        return self._recording.units.get(name, "1")
+
+    def since(self, time_s: float, names: Sequence[str]) -> tuple[_Array, _Array]:
+        """Return the times (n,) later than ``time_s`` and the values (n, k) of ``names``; unknown names are NaN."""
+        first = int(np.searchsorted(self._recording.times[: self.end], time_s, side="right"))
+        times = self._recording.times[first : self.end]
+        values = np.full((len(times), len(names)), math.nan)
+        for k, name in enumerate(names):
+            column = self._recording.columns.get(name)
+            if column is not None:
+                values[:, k] = column[first : self.end]
+        return times, values
+
+    def window(self, seconds: float, names: Sequence[str]) -> tuple[_Array, _Array]:
+        """Return the last ``seconds``, as :meth:`since`."""
+        if not self.end:
+            return np.empty(0), np.empty((0, len(names)))
+        return self.since(float(self._recording.times[self.end - 1]) - seconds - 1e-9, names)
+
+
+class Replay:
+    """One viewer's place in a recording: the reading half of a vehicle, with play, pause, speed and a slider.
+
+    Attributes
+    ----------
+    recording : Recording
+    history : ReplayHistory
+    playing : bool
+    speed : float
+        Seconds of the recording a second.
+    jumps : int
+        Counts the moves of the slider, so that a plot knows when to begin anew.
+    """
+
+    kind = "recording"
+    system = 0
+    color = 0
+    parameters_missing = 0
+
+    def __init__(self, recording: Recording) -> None:
+        self.recording = recording
+        self.history = ReplayHistory(recording)
+        self.playing = False
+        self.speed = 1.0
+        self.jumps = 0
+        self.parameters: dict[str, Parameter] = {}
+        self.checks: list[Check] = []
+        self._rows = mission_rows(recording.mission) if recording.mission is not None else []
+        # When the state turned to "hover" after a leg: a row of the mission was reached.
+        states = recording.states
+        legs = {"waypoint", "obstacle", "take-off"}
+        turned = [k for k in range(1, len(states)) if states[k] == "hover" and states[k - 1] in legs]
+        self._reached_at = [float(recording.times[k]) for k in turned]
+        self._time = self.start_s
+        self.seek(self.start_s)
+
+    @property
+    def name(self) -> str:
+        """Name of the file."""
+        return self.recording.name
+
+    @property
+    def start_s(self) -> float:
+        """First instant (s)."""
+        return float(self.recording.times[0])
+
+    @property
+    def end_s(self) -> float:
+        """Last instant (s)."""
+        return float(self.recording.times[-1])
+
+    @property
+    def time_s(self) -> float:
+        """The moment that is shown (s)."""
+        return self._time
+
+    def seek(self, time_s: float) -> None:
+        """Show another moment (s), held within the recording."""
+        self._move(time_s)
+        self.jumps += 1
+
+    def play(self) -> None:
+        """Go on; from the beginning if it is over."""
+        if self._time >= self.end_s:
+            self.seek(self.start_s)
+        self.playing = True
+
+    def pause(self) -> None:
+        """Stay where it is."""
+        self.playing = False
+
+    def advance(self, seconds: float) -> None:
+        """Let ``seconds`` of wall-clock time pass."""
+        if self.playing:
+            self._move(self._time + seconds * self.speed)
+            if self._time >= self.end_s:
+                self.playing = False
+
+    def _move(self, time_s: float) -> None:
+        self._time = min(max(time_s, self.start_s), self.end_s) if math.isfinite(time_s) else self.start_s
+        self.history.end = int(np.searchsorted(self.recording.times, self._time, side="right"))
+
+    @property
+    def messages(self) -> list[Message]:
+        """What had been said by then."""
+        known = self.recording.messages
+        return list(known[: bisect.bisect_right([m.time_s for m in known], self._time)])
+
+    @property
+    def mission_progress(self) -> int:
+        """How many rows of the mission had been reached by then."""
+        return min(bisect.bisect_right(self._reached_at, self._time), len(self._rows))
+
+    @property
+    def mission(self) -> list[MissionRow]:
+        """The mission table as it stood then."""
+        if self.recording.mission is None:
+            return []
+        landed = self._time >= self.end_s and self.recording.facts.get("outcome") == "succeeded"
+        return mission_rows(self.recording.mission, len(self._rows) if landed else self.mission_progress)
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """The moment that is shown."""
+        k = max(self.history.end - 1, 0)
+        columns = self.recording.columns
+
+        def one(name: str) -> float:
+            column = columns.get(name)
+            return math.nan if column is None else float(column[k])
+
+        def several(name: str, labels: str) -> _Array:
+            return np.array([one(f"{name}_{label}") for label in labels.split()])
+
+        def believed(name: str, labels: str) -> _Array:
+            for source in ("estimated", "measured", "truth"):
+                found = several(f"{source}_{name}", labels)
+                if np.isfinite(found).any():
+                    return found
+            return unknown(len(labels.split()))
+
+        motors = several("motor_input", "upper lower")
+        position = believed("position", "N E D")
+        stood = self._stood
+        progress = self.mission_progress
+        return Snapshot(
+            time_s=self._time,
+            connected=True,
+            silent_s=0.0,
+            armed=bool(np.nanmax(np.nan_to_num(motors)) > 0.0),
+            flying=bool(math.isfinite(stood) and position[2] < stood - AIRBORNE_M),
+            state=str(self.recording.states[k]),
+            position=position,
+            velocity=believed("velocity", "N E D"),
+            attitude=believed("attitude", "roll pitch yaw"),
+            rates=believed("rates", "p q r"),
+            reference_position=several("reference_position", "N E D"),
+            reference_velocity=several("reference_velocity", "N E D"),
+            reference_attitude=several("reference_attitude", "roll pitch yaw"),
+            motor_input=motors,
+            servo_input=several("servo_input", "1 2"),
+            rotor_speed=believed("rotor_speed", "upper lower"),
+            ranges=np.array([one(f"range_{b}") for b in range(len(self.recording.range_angles))]),
+            range_angles=self.recording.range_angles,
+            range_max_m=self.recording.range_max_m,
+            battery_voltage=one("battery_voltage"),
+            battery_current=one("battery_current"),
+            battery_charge=one("battery_charge"),
+            waypoint=progress if progress < len(self._rows) else None,
+        )
+
+    @property
+    def _stood(self) -> float:
+        """Where it stood at first, D (m); NaN if the recording does not say."""
+        for source in ("estimated", "measured", "truth"):
+            column = self.recording.columns.get(f"{source}_position_D")
+            if column is not None and np.isfinite(column).any():
+                return float(column[np.isfinite(column)][0])
+        return math.nan
