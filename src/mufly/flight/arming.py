@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from mufly.errors import InputError
-from mufly.mission import Mission, check_geometry
+from mufly.mission import Mission, check_geometry, check_mission
 from mufly.sensors import Measurement
 from mufly.world import World, distance, distances
 
@@ -100,15 +100,35 @@ def column_fault(world: World, position: tuple[float, float, float], up_to_m: fl
     return f"at {-column[k, 2]:.2f} m it would be {near:.2f} m from the {name}; keep {keep_m:.2f} m"
 
 
-def mission_fault(mission: Mission, standing: tuple[float, float], heading: float) -> str:
-    """Why a mission cannot be flown from where the vehicle stands (N, E; m; rad); "" if it can, or if there is none."""
+def mission_fault(
+    mission: Mission,
+    standing: tuple[float, float],
+    heading: float,
+    *,
+    hover_current_A: float,
+    capacity_Ah: float,
+) -> str:
+    """Why a mission cannot be flown from where the vehicle stands; "" if it can, or if there is none.
+
+    Parameters
+    ----------
+    mission : Mission
+    standing : (2,) tuple
+        N, E (m).
+    heading : float
+        rad.
+    hover_current_A, capacity_Ah : float
+        What hovering takes from the battery, and what it holds.
+    """
     if not mission.waypoint:
         return ""
     parts = {name: getattr(mission, name) for name in Mission.model_fields}
     parts["start_m"] = standing
     parts["start_heading_deg"] = math.degrees(math.remainder(heading, math.tau))
     try:
-        check_geometry(Mission(**parts), mission.name or "mission")
+        here, name = Mission(**parts), mission.name or "mission"
+        check_geometry(here, name)
+        check_mission(here, hover_current_A=hover_current_A, capacity_Ah=capacity_Ah, where=name)
     except InputError as error:
         return str(error)
     return ""

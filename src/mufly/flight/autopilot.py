@@ -18,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from mufly.control import FlightController
+from mufly.dynamics import hover_performance
 from mufly.errors import InputError
 from mufly.flight.answers import ACCEPTED, Answer, Status, later, never
 from mufly.flight.arming import column_fault, mission_fault, not_ready, place_fault
@@ -68,12 +69,14 @@ class Autopilot:
     Raises
     ------
     InputError
-        If the mission does not suit the vehicle.
+        If the mission does not suit the vehicle, or that cannot hover.
     """
 
     def __init__(self, vehicle: Vehicle, controller: FlightController, mission: Mission) -> None:
         self.software = FlightSoftware(vehicle, controller, mission)
         self.listeners: list[Callable[[Event], None]] = []
+        self.hover_A = float(hover_performance(vehicle).current_A)
+        self._capacity_Ah = float(vehicle.battery.capacity) / 3600.0
         self._radius_m = float(vehicle.rotors.radius)
         self._period_s = 1.0 / controller.rate_Hz
         self._parameters = Parameters(vehicle, controller, self.software)
@@ -83,6 +86,7 @@ class Autopilot:
     def _begin(self) -> None:
         self.crashed = ""
         self._armed, self._armed_s = False, 0.0
+        self._ran = False
         self._command = _NOTHING
         self._sticks: Command | None = None
         self._sticks_s = 0.0
@@ -93,7 +97,7 @@ class Autopilot:
         self._now = 0.0
         self._stale_s = 0.0
         self._logged = 0
-        self._suits: tuple[object, str] = (None, "")
+        self._suits: tuple[Mission | None, tuple[float, ...], str] = (None, (), "")
 
     def reset(self) -> None:
         """Forget the flight, disarmed; mission and parameters stay."""
@@ -127,12 +131,11 @@ class Autopilot:
         self.observe(measured)
         software = self.software
         due = software.due
-        before = software.motors
         actuators = software.step(measured, self._wanted() if due or self._command.stop else _NOTHING)
         if software.logged != self._logged:
             self._report()
         if due:
-            self._look_after(before)
+            self._look_after()
         # While the software has its motors off, what it gives is zero too.
         return actuators if self._armed or software.motors == "off" else _IDLE
 
@@ -154,17 +157,17 @@ class Autopilot:
                 c = replace(c, set_point=self._set_point)
         return c
 
-    def _look_after(self, motors_before: str) -> None:
+    def _look_after(self) -> None:
         """What follows from how the step went: disarming, and leaving offboard."""
         software = self.software
-        idle = software.motors == "off"
+        ran, self._ran = self._ran, software.motors != "off"
         if self._offboard and software.state not in ("offboard", "init"):
             self._offboard = False
         if not self._armed:
             return
-        if idle and motors_before != "off":
+        if ran and not self._ran:
             self._disarm()
-        elif not idle:
+        elif self._ran:
             self._armed_s = self._now
         elif self._now - self._armed_s > UNUSED_S:
             self._disarm()
@@ -180,9 +183,7 @@ class Autopilot:
         """Why it cannot be armed, each a sentence with its remedy; empty: it can."""
         plan = self.software.plan
         m = self._measured
-        why = not_ready(
-            m, self._stale_s, plan.low_V, plan.mission.world, max(self._radius_m, 0.0), self.crashed
-        )
+        why = not_ready(m, self._stale_s, plan.low_V, plan.mission.world, self._radius_m, self.crashed)
         if m is not None and not self.crashed and np.isfinite(m.position).all():
             fault = self._mission_fault(m)
             why += [fault] if fault else []
@@ -193,10 +194,15 @@ class Autopilot:
         mission = self.software.plan.mission
         north, east = round(float(m.position[0]), 2), round(float(m.position[1]), 2)
         heading = round(float(m.attitude[2]), 1) if math.isfinite(m.attitude[2]) else 0.0
-        key = (id(mission), north, east, heading)
-        if self._suits[0] != key:
-            self._suits = (key, mission_fault(mission, (north, east), heading))
-        return self._suits[1]
+        where = (north, east, heading)
+        if self._suits[0] is not mission or self._suits[1] != where:
+            self._suits = (mission, where, self._fault_of(mission, (north, east), heading))
+        return self._suits[2]
+
+    def _fault_of(self, mission: Mission, standing: tuple[float, float], heading: float) -> str:
+        return mission_fault(
+            mission, standing, heading, hover_current_A=self.hover_A, capacity_Ah=self._capacity_Ah
+        )
 
     def arm(self, *, force: bool = False, quiet: bool = False) -> Answer:
         """Let the motors run. ``force`` skips all checks but that of a crash; ``quiet`` leaves no note of it."""
@@ -228,11 +234,11 @@ class Autopilot:
         return ACCEPTED
 
     def _stop(self, why: str) -> None:
-        ran = self.software.motors != "off"
+        idle = self.software.motors == "off" and self.software.state == "init"
         self._disarm()
         self._sticks = None
         self._command = Command(stop=why)
-        if not ran:
+        if idle:
             self.note(why, "error" if "stop" in why else "info")
 
     def _in_the_air(self) -> bool:
@@ -319,7 +325,9 @@ class Autopilot:
 
     def set_speed(self, speed_m_s: float) -> Answer:
         """Horizontal speed from the next leg on: parameter LIM_SPEED."""
-        return self.set_parameter("LIM_SPEED", speed_m_s)
+        answer = self.set_parameter("LIM_SPEED", speed_m_s)
+        underway = answer and self.software.state in ("waypoint", "obstacle")
+        return Answer(True, "from the next leg on") if underway else answer
 
     def return_home(self) -> Answer:
         """Fly to above where it took off, no lower than now, and land."""
@@ -378,7 +386,9 @@ class Autopilot:
         """Follow set-points from now on, or no more. It needs one that is younger than half a second."""
         if not on:
             if self._offboard:
-                self._ask(Command(pause=True) if self.software.state == "offboard" else _NOTHING)
+                self._offboard = False
+                if self.software.state == "offboard" and self._command == _NOTHING:
+                    self._command = Command(pause=True)
             return ACCEPTED
         if self._now - self._set_point_s > SET_POINT_S or self._set_point is None:
             return later(f"no set-point in the last {SET_POINT_S:g} s; stream them first")
@@ -424,7 +434,7 @@ class Autopilot:
         m = self._measured
         known = m is not None and bool(np.isfinite(m.position).all())
         n, e = (float(m.position[0]), float(m.position[1])) if m is not None and known else mission.start_m
-        fault = mission_fault(mission, (n, e), float(m.attitude[2]) if m is not None and known else 0.0)
+        fault = self._fault_of(mission, (n, e), float(m.attitude[2]) if m is not None and known else 0.0)
         if fault:
             return never(fault)
         try:

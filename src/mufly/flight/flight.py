@@ -25,7 +25,6 @@ from mufly.control import FlightController, design
 from mufly.dynamics import (
     DrydenWind,
     euler_from_quaternion,
-    hover_performance,
     initial_state,
     standing_height,
 )
@@ -212,8 +211,7 @@ class Flight:
         self._acting = self._sent = Actuators.idle()
         self._measured = self._first_look()
         self._crash_s = math.inf
-        self._hover_A = float(hover_performance(vehicle).current_A)
-        self._current_A = self._hover_A
+        self._current_A = self.autopilot.hover_A
         self._finished = False
         self.autopilot.listeners.append(self._record)
 
@@ -242,7 +240,9 @@ class Flight:
             plant.look()
             flying = autopilot.software.motors == "fly"
             blend = self._look * self.period_s / _CURRENT_LAG_S
-            self._current_A += blend * ((float(plant.current) if flying else self._hover_A) - self._current_A)
+            self._current_A += blend * (
+                (float(plant.current) if flying else autopilot.hover_A) - self._current_A
+            )
         self._measured = measured = plant.measure()
         self._sent = autopilot.step(measured)
         if k % self._every == 0:

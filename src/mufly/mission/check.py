@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.mission.plan import SLOW_FROM_M, SPIN_UP_S, legs
+from mufly.mission.plan import SETTLE_S, SLOW_FROM_M, SPIN_UP_S, homeward, legs
 from mufly.mission.schema import LOWEST_M, Mission
 from mufly.world import World, distance, distances
 
@@ -85,6 +85,11 @@ def check_geometry(mission: Mission, where: str) -> None:
         _check_unseen(mission, where, key, track)
     last = f"waypoint[{len(mission.waypoint)}].position_m"
     end = np.array(mission.waypoint[-1].position_m)
+    back = homeward(mission)
+    if back is not None:
+        last, end = "at_end", np.array(back.goal)
+        times = np.linspace(back.gate_s, back.duration_s, 200)
+        _check_unseen(mission, where, last, np.array([back.at(float(t)).position for t in times]))
     _check_column(mission, where, last, end, _FLOOR_COLUMN, "the landing")
 
 
@@ -234,6 +239,13 @@ def check_mission(
             )
         time = leg.left_s + landing
         length += leg.length_m
+    back = homeward(mission)
+    if back is not None:
+        time += back.duration_s + SETTLE_S
+        length += back.way.way
+        if time > lasts:
+            problem = f'"return" is out of reach: the mission and the way home take {_seconds(time)}'
+            raise InputError(where, "at_end", problem, remedy + 'end with "land", or fly less far')
     length -= mission.waypoint[-1].position_m[2]
     charge = time * hover_current_A / 3600.0
     return Estimate(time, length, charge, charge / capacity_Ah)

@@ -146,6 +146,8 @@ def _signals(plan: MissionPlan, s: MissionState, m: Measurement, c: Command, dt:
         return _battery_low(plan, s)
     if c.land:
         return user.land_now(plan, s)
+    if s.state is State.TAKE_OFF and c.start and s.manual:
+        return user.go_on_after_take_off(s, c.first)
     if s.motors == "spin_up":
         return s if s.state is not State.OFFBOARD or c.set_point else user.from_set_points(plan, s, m)
     return _in_flight(plan, s, m, c)

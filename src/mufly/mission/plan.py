@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mufly.mission.schema import Mission
 from mufly.mission.trajectory import Trajectory, curved, straight
 
-__all__ = ["Leg", "above_start", "leg_trajectory", "legs"]
+__all__ = ["SETTLE_S", "Leg", "above_start", "homeward", "leg_trajectory", "legs"]
 
 SPIN_UP_S = 3.0
 """Time that the rotors take to speed up before lift-off (s)."""
@@ -19,7 +19,7 @@ SPIN_UP_S = 3.0
 SLOW_FROM_M = 0.4
 """Height (m) below which a landing goes at the touchdown speed."""
 
-_SETTLE_S = 1.0
+SETTLE_S = 1.0
 """What settling at each waypoint is reckoned to take on top of its reference (s)."""
 
 
@@ -67,6 +67,15 @@ def above_start(mission: Mission) -> NDArray[np.float64]:
     return np.array([*mission.start_m, -mission.take_off.height_m])
 
 
+def homeward(mission: Mission) -> Trajectory | None:
+    """The way back from the last waypoint to above the start, as planned, where the mission ends with one."""
+    if mission.at_end != "return" or not mission.waypoint:
+        return None
+    last = mission.waypoint[-1].position_m
+    goal = (*mission.start_m, last[2])
+    return straight(last, goal, 0.0, mission.trajectory_limits)
+
+
 @dataclass(frozen=True, slots=True)
 class Leg:
     """One waypoint in the plan: its trajectory and when the wait there is over (s since the start signal)."""
@@ -83,12 +92,12 @@ def legs(mission: Mission) -> list[Leg]:
     limits = mission.trajectory_limits
     position, heading = above_start(mission), math.radians(mission.start_heading_deg)
     standing = np.array([*mission.start_m, 0.0])
-    time = SPIN_UP_S + straight(standing, position, heading, limits).duration_s + _SETTLE_S
+    time = SPIN_UP_S + straight(standing, position, heading, limits).duration_s + SETTLE_S
     time += mission.take_off.wait_s
     plan = []
     for i, waypoint in enumerate(mission.waypoint):
         way = leg_trajectory(mission, i, position, heading)
-        reached = time + way.duration_s + _SETTLE_S
+        reached = time + way.duration_s + SETTLE_S
         time = reached + waypoint.wait_s
         length = abs(way.goal[2] - way.start[2]) + way.way.way if way.curve is None else way.way.way
         plan.append(Leg(i + 1, way, length, reached, time))

@@ -27,6 +27,7 @@ __all__ = [
     "from_hand",
     "from_set_points",
     "go_on",
+    "go_on_after_take_off",
     "land_now",
     "pause",
     "return_home",
@@ -143,6 +144,12 @@ def go_on(plan: MissionPlan, s: MissionState, first: int | None) -> MissionState
         why = f"on to waypoint {first + 1}"
     s = replace(log(s, why), ready_s=s.time_s) if s.state is State.HOVER else pause(plan, s, why)
     return replace(s, manual=False, begun=True, index=index, outcome="", reason="", quit="")
+
+
+def go_on_after_take_off(s: MissionState, first: int | None) -> MissionState:
+    """Start signal during a take-off without mission: it follows."""
+    s = log(s, "the mission follows the take-off")
+    return replace(s, manual=False, begun=True, index=first or 0, quit="")
 
 
 def return_home(plan: MissionPlan, s: MissionState) -> MissionState:
