@@ -1,1 +1,33 @@
 """Who speaks with whom? MAVLink, both ends of it, as protocol machines with sockets at the edge."""
+
+from mufly.link.codec import Codec, Counts, Encoder, Outgoing
+from mufly.link.endpoint import Endpoint, parse_endpoint
+from mufly.link.geodesy import Origin, parse_origin
+from mufly.link.missions import Plan, Refusal, items_of, plan_of
+from mufly.link.modes import Mode, custom_mode, mode_of, mode_of_custom
+from mufly.link.ports import Peer, Port, open_port, wait
+from mufly.link.vehicle import VehicleLink
+
+__all__ = [
+    "Codec",
+    "Counts",
+    "Encoder",
+    "Endpoint",
+    "Mode",
+    "Origin",
+    "Outgoing",
+    "Peer",
+    "Plan",
+    "Port",
+    "Refusal",
+    "VehicleLink",
+    "custom_mode",
+    "items_of",
+    "mode_of",
+    "mode_of_custom",
+    "open_port",
+    "parse_endpoint",
+    "parse_origin",
+    "plan_of",
+    "wait",
+]

@@ -1,0 +1,282 @@
+"""Mission items of MAVLink as a :class:`mufly.mission.Mission`, and back.
+
+=========================  ======================================================================================
+item (MAV_CMD)             here
+=========================  ======================================================================================
+NAV_TAKEOFF (22)           height of the take-off, straight up (no x, y, heading); only before the first waypoint
+NAV_WAYPOINT (16)          waypoint; parameter 1: wait (s), 4: heading (deg; NaN: the nose points along the way)
+NAV_LOITER_TIME (19)       the same
+NAV_LOITER_UNLIM (17)      the same, and hover there; only as the last item
+NAV_LAND (21)              fly to its x, y (unless not given), then land; only as the last item
+NAV_RETURN_TO_LAUNCH (20)  fly home and land; only as the last item
+DO_CHANGE_SPEED (178)      parameter 2: speed (m/s) of the legs that follow, -2: the mission's own
+CONDITION_YAW (115)        parameter 1: heading (deg) of the next waypoint that has none itself; absolute only
+=========================  ======================================================================================
+
+Frames: LOCAL_NED (1; x, y in 1e-4 m) and LOCAL_ENU (4); with a global origin also GLOBAL (0, 5: altitude above the
+sea) and GLOBAL_RELATIVE_ALT (3, 6: above the origin). Items without a place may be in any. A mission that ends
+without 17, 20 or 21 ends in a hover. Whatever cannot be flown as it is written is refused whole, with the field that
+is to blame.
+
+Speeds, accelerations, obstacle avoidance and the room are those of the mission that was loaded before: items do not
+speak of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from mufly.link.geodesy import Origin
+from mufly.link.transfer_notes import Item, MissionResult
+from mufly.mission import LOWEST_M, Mission, Waypoint
+from mufly.mission.schema import TakeOff
+
+__all__ = ["Plan", "Refusal", "items_of", "plan_of"]
+
+_WAYPOINT, _UNLIMITED, _LOITER_TIME, _HOME, _LAND, _TAKE_OFF = 16, 17, 19, 20, 21, 22
+_SPEED, _YAW = 178, 115
+_ENDS = {_UNLIMITED: "hover", _LAND: "land", _HOME: "return"}
+_NED, _ENU, _ABOVE_SEA, _ABOVE_ORIGIN = 1, 4, (0, 5), (3, 6)
+_NOT_GIVEN = 2**31 - 1
+_SAME_PLACE_M = 0.05
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A mission and the items that it was made of, or that were made of it.
+
+    Attributes
+    ----------
+    mission : Mission
+    items : tuple of Item
+    item_of_waypoint : tuple of int
+        Which item each waypoint of the mission came from.
+    """
+
+    mission: Mission
+    items: tuple[Item, ...]
+    item_of_waypoint: tuple[int, ...]
+
+    def waypoint_of(self, item: int) -> int | None:
+        """The first waypoint that comes from an item or a later one; None if there is none."""
+        return next((k for k, i in enumerate(self.item_of_waypoint) if i >= item), None)
+
+
+class Refusal(Exception):
+    """A mission that cannot be flown: the result to acknowledge, and why, in words."""
+
+    def __init__(self, result: MissionResult, text: str) -> None:
+        super().__init__(text)
+        self.result = result
+
+
+def _refuse(item: Item, result: MissionResult, why: str) -> Refusal:
+    return Refusal(result, f"mission item {item.seq}: {why}")
+
+
+def plan_of(items: Sequence[Item], base: Mission, origin: Origin | None) -> Plan:
+    """Return the mission that items describe.
+
+    Parameters
+    ----------
+    items : sequence of Item
+        Numbered from 0.
+    base : Mission
+        The rest is taken from it.
+    origin : Origin or None
+        For items on the globe.
+
+    Raises
+    ------
+    Refusal
+        If it cannot be flown as it is written.
+    """
+    waypoints: list[Waypoint] = []
+    came_from: list[int] = []
+    take_off: TakeOff = base.take_off
+    speed: float | None = None
+    heading: float | None = None
+    end: str = "hover" if items else base.at_end
+    for item in items:
+        if item.seq and items[item.seq - 1].command in _ENDS:
+            raise _refuse(
+                item, MissionResult.INVALID_SEQUENCE, "nothing can follow a landing or an endless hover"
+            )
+        if item.command == _TAKE_OFF:
+            if waypoints:
+                raise _refuse(item, MissionResult.INVALID_SEQUENCE, "a take-off comes before all waypoints")
+            take_off = _checked(item, TakeOff, height_m=-_down(item, origin), wait_s=base.take_off.wait_s)
+        elif item.command in (_WAYPOINT, _LOITER_TIME, _UNLIMITED):
+            own = _heading(item, 3, MissionResult.INVALID_PARAM4)
+            place = _place(item, origin)
+            wait = 0.0 if item.command == _UNLIMITED else _wait(item)
+            waypoints.append(_waypoint(item, place, wait, heading if own is None else own, speed))
+            came_from.append(item.seq)
+            heading = None
+        elif item.command == _SPEED:
+            speed = _speed(item, speed)
+        elif item.command == _YAW:
+            if item.params[3] == 1.0:
+                raise _refuse(item, MissionResult.INVALID_PARAM4, "a relative turn is not known in a mission")
+            heading = _heading(item, 0, MissionResult.INVALID_PARAM1)
+        elif item.command not in (_LAND, _HOME):
+            raise _refuse(item, MissionResult.UNSUPPORTED, f"command {item.command} cannot be flown")
+        if item.command == _LAND and waypoints:
+            over = _above(item, origin, waypoints[-1])
+            if over is not None:
+                waypoints.append(_waypoint(item, over, 0.0, heading, speed))
+                came_from.append(item.seq)
+                heading = None
+        end = _ENDS.get(item.command, end)
+    if heading is not None:
+        last = next(i for i in reversed(items) if i.command == _YAW)
+        raise _refuse(
+            last, MissionResult.INVALID_SEQUENCE, "no waypoint follows that could have this heading"
+        )
+    if items and not waypoints:
+        raise Refusal(MissionResult.INVALID, "mission: there is no waypoint in it")
+    parts: dict[str, Any] = {name: getattr(base, name) for name in Mission.model_fields}
+    parts |= {"take_off": take_off, "waypoint": tuple(waypoints), "at_end": end}
+    return Plan(Mission(**parts), tuple(items), tuple(came_from))
+
+
+def items_of(mission: Mission) -> Plan:
+    """Return a mission as items in LOCAL_NED."""
+    if not mission.waypoint:
+        return Plan(mission, (), ())
+    items = [Item(0, _NED, _TAKE_OFF, params=(0.0, 0.0, 0.0, math.nan), z=-mission.take_off.height_m)]
+    came_from: list[int] = []
+    speed: float | None = None
+    for w in mission.waypoint:
+        if w.speed_m_s != speed:
+            speed = w.speed_m_s
+            items.append(Item(0, _NED, _SPEED, params=(1.0, -2.0 if speed is None else speed, -1.0, 0.0)))
+        n, e, d = w.position_m
+        heading = math.nan if w.heading_deg is None else w.heading_deg
+        came_from.append(len(items))
+        items.append(
+            Item(0, _NED, _WAYPOINT, params=(w.wait_s, 0.0, 0.0, heading), x=_counts(n), y=_counts(e), z=d)
+        )
+    last = items[-1]
+    if mission.at_end == "land":
+        items.append(replace(last, command=_LAND, params=(0.0, 0.0, 0.0, math.nan), z=0.0))
+    elif mission.at_end == "return":
+        items.append(Item(0, _NED, _HOME))
+    numbered = tuple(replace(item, seq=k, current=int(k == 0)) for k, item in enumerate(items))
+    return Plan(mission, numbered, tuple(came_from))
+
+
+def _counts(metres: float) -> int:
+    return round(metres * 1e4)
+
+
+def _checked(item: Item, table: type, **values: Any) -> Any:
+    """A table of the mission, whose own bounds decide."""
+    from pydantic import ValidationError
+
+    try:
+        return table(**values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = str(first["loc"][0]) if first["loc"] else ""
+        blame = {
+            "height_m": MissionResult.INVALID_PARAM7,
+            "wait_s": MissionResult.INVALID_PARAM1,
+            "heading_deg": MissionResult.INVALID_PARAM4,
+            "speed_m_s": MissionResult.INVALID,
+        }.get(field, MissionResult.INVALID)
+        raise _refuse(item, blame, f"{field} {values.get(field)!r}: {first['msg'].lower()}") from error
+
+
+def _waypoint(
+    item: Item, place: Triple, wait_s: float, heading: float | None, speed: float | None
+) -> Waypoint:
+    made: Waypoint = _checked(
+        item, Waypoint, position_m=place, wait_s=wait_s, heading_deg=heading, speed_m_s=speed
+    )
+    return made
+
+
+def _wait(item: Item) -> float:
+    wait = item.params[0]
+    if math.isnan(wait):
+        return 0.0
+    if not 0.0 <= wait <= 3600.0:
+        raise _refuse(item, MissionResult.INVALID_PARAM1, f"a wait of {wait:g} s is outside of 0 to 3600 s")
+    return wait
+
+
+def _heading(item: Item, k: int, blame: MissionResult) -> float | None:
+    deg = item.params[k]
+    if math.isnan(deg):
+        return None
+    if abs(deg) > 360.0:
+        raise _refuse(item, blame, f"a heading of {deg:g} deg is outside of +-360")
+    return deg
+
+
+def _speed(item: Item, before: float | None) -> float | None:
+    kind, speed = item.params[0], item.params[1]
+    if kind not in (0.0, 1.0):
+        raise _refuse(item, MissionResult.INVALID_PARAM1, "only the horizontal speed (0, 1) can be changed")
+    if speed in (-1.0, -2.0):
+        return before if speed == -1.0 else None
+    if not 0.0 < speed <= 3.0:
+        raise _refuse(item, MissionResult.INVALID_PARAM2, f"a speed of {speed:g} m/s is outside of 0 to 3")
+    return float(f"{speed:.7g}")
+
+
+def _down(item: Item, origin: Origin | None) -> float:
+    """D of an item (m)."""
+    if item.frame == _NED:
+        down = item.z
+    elif item.frame == _ENU or (item.frame in _ABOVE_ORIGIN and origin is not None):
+        down = -item.z
+    elif item.frame in _ABOVE_SEA and origin is not None:
+        down = origin.alt_m - item.z
+    else:
+        why = f"frame {item.frame} is not known; use LOCAL_NED (1)"
+        if item.frame in (*_ABOVE_SEA, *_ABOVE_ORIGIN):
+            why = f"frame {item.frame} needs a global origin; use LOCAL_NED (1), or start with --origin"
+        raise _refuse(item, MissionResult.UNSUPPORTED_FRAME, why)
+    if not math.isfinite(down) or down > -LOWEST_M:
+        raise _refuse(
+            item, MissionResult.INVALID_PARAM7, f"height {-down:g} m; it has to be at least {LOWEST_M:g} m"
+        )
+    return float(f"{down:.7g}")
+
+
+def _level(item: Item, origin: Origin | None) -> tuple[float, float]:
+    """N and E of an item (m); NaN where not given."""
+    if item.frame in (_NED, _ENU):
+        a, b = (math.nan if v == _NOT_GIVEN else v * 1e-4 for v in (item.x, item.y))
+        return (a, b) if item.frame == _NED else (b, a)
+    if origin is None:
+        return math.nan, math.nan
+    lat, lon = (math.nan if v == _NOT_GIVEN else v * 1e-7 for v in (item.x, item.y))
+    n, e, _ = origin.to_local(lat, lon, 0.0)
+    return n, e
+
+
+def _place(item: Item, origin: Origin | None) -> Triple:
+    down = _down(item, origin)
+    n, e = _level(item, origin)
+    if math.isnan(n):
+        raise _refuse(item, MissionResult.INVALID_PARAM5_X, "x is not given")
+    if math.isnan(e):
+        raise _refuse(item, MissionResult.INVALID_PARAM6_Y, "y is not given")
+    return n, e, down
+
+
+def _above(item: Item, origin: Origin | None, last: Waypoint) -> Triple | None:
+    """Where to fly before landing, at the height of the last waypoint; None if it is there, or no place is given."""
+    n, e = _level(item, origin)
+    before = last.position_m
+    if math.isnan(n) or math.isnan(e) or math.dist((n, e), before[:2]) < _SAME_PLACE_M:
+        return None
+    return n, e, before[2]

@@ -1,0 +1,130 @@
+"""A pilot's sticks: RC_CHANNELS_OVERRIDE and MANUAL_CONTROL, as the thesis's state "RC".
+
+An override is what its name says: while any of the channels 1 to 4 is given (not 0, not 65535), the pilot flies; when
+all are released, the helicopter hovers. MANUAL_CONTROL comes all the time from ground stations with a joystick, so it
+only counts once a mode for flying by hand has been asked for (DO_SET_MODE to ALTCTL and its like).
+
+======================= =============== ======================== ==============================
+stick                   channel         MANUAL_CONTROL           asks for, at its end
+======================= =============== ======================== ==============================
+right                   1 up            y = 1000                 roll to the right (STK_TILT)
+back                    2 up            x = -1000                nose up (STK_TILT)
+throttle up             3 up            z = 1000 (500: neither)  climb (STK_CLIMB)
+turn right              4 up            r = 1000                 turn to the right (STK_YAWRATE)
+======================= =============== ======================== ==============================
+
+Channels are 1000 to 2000 us, 1500 in the middle; a middle of 3 % to either side is dead. The directions are those of
+PX4 and ArduPilot (MAVLink's own text has r the other way round).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mufly.link.dialect import MavMessage
+
+if TYPE_CHECKING:
+    from mufly.flight import Answer, Autopilot
+
+__all__ = ["FRESH_S", "Deflection", "Sticks", "of_channels", "of_manual_control"]
+
+FRESH_S = 1.0
+"""Sticks that have not been heard for so long are not there (s)."""
+_DEAD = 0.03
+_RELEASED = (0, 65535)
+_NOT_GIVEN = 32767
+
+
+@dataclass(frozen=True, slots=True)
+class Deflection:
+    """Sticks from -1 to 1: right, back (nose up), up, turn right."""
+
+    roll: float = 0.0
+    pitch: float = 0.0
+    climb: float = 0.0
+    yaw: float = 0.0
+
+
+def _deflection(*values: float) -> Deflection:
+    held = [min(max(v, -1.0), 1.0) for v in values]
+    return Deflection(
+        *(math.copysign((abs(v) - _DEAD) / (1.0 - _DEAD), v) if abs(v) > _DEAD else 0.0 for v in held)
+    )
+
+
+def of_channels(message: MavMessage) -> Deflection | None:
+    """Return the sticks of an RC_CHANNELS_OVERRIDE; None if channels 1 to 4 are all released."""
+    pulses = [message.chan1_raw, message.chan2_raw, message.chan3_raw, message.chan4_raw]
+    if all(us in _RELEASED for us in pulses):
+        return None
+    return _deflection(*(0.0 if us in _RELEASED else (us - 1500) / 500 for us in pulses))
+
+
+def of_manual_control(message: MavMessage) -> Deflection:
+    """Return the sticks of a MANUAL_CONTROL."""
+    x, y, z, r = (None if v == _NOT_GIVEN else v / 1000 for v in (message.x, message.y, message.z, message.r))
+    return _deflection(y or 0.0, -(x or 0.0), 0.0 if z is None else 2.0 * z - 1.0, r or 0.0)
+
+
+class Sticks:
+    """Whose sticks count, and what they ask of the autopilot.
+
+    Parameters
+    ----------
+    autopilot : Autopilot
+    """
+
+    def __init__(self, autopilot: Autopilot) -> None:
+        self._autopilot = autopilot
+        self._manual, self._heard_s = Deflection(), -math.inf
+        self._by_hand = False
+        self._overridden = False
+
+    @property
+    def by_mode(self) -> bool:
+        """Whether they count because a mode for flying by hand was asked for."""
+        return self._by_hand
+
+    def override(self, message: MavMessage) -> Answer | None:
+        """Take an RC_CHANNELS_OVERRIDE."""
+        wanted = of_channels(message)
+        if wanted is not None:
+            self._overridden = True
+            return self._fly(wanted)
+        if self._overridden:
+            self._overridden = False
+            return self._autopilot.sticks_off()
+        return None
+
+    def manual(self, now_s: float, message: MavMessage) -> Answer | None:
+        """Take a MANUAL_CONTROL."""
+        self._manual, self._heard_s = of_manual_control(message), now_s
+        return self._fly(self._manual) if self._by_hand else None
+
+    def by_hand(self, now_s: float) -> Answer | str:
+        """A mode for flying by hand is asked for; returns why not where there are no sticks."""
+        if self._overridden:
+            return ""
+        if now_s - self._heard_s > FRESH_S:
+            return "no sticks; stream MANUAL_CONTROL or RC_CHANNELS_OVERRIDE first"
+        self._by_hand = True
+        return self._fly(self._manual)
+
+    def off(self) -> None:
+        """Another mode is asked for, or there is another commander."""
+        if self._by_hand or self._overridden:
+            self._autopilot.sticks_off()
+        self._by_hand = self._overridden = False
+
+    def _fly(self, d: Deflection) -> Answer:
+        most: Mapping[str, float] = {
+            name: self._autopilot.parameters[name].value for name in ("STK_TILT", "STK_YAWRATE", "STK_CLIMB")
+        }
+        tilt = math.radians(most["STK_TILT"])
+        turn = math.radians(most["STK_YAWRATE"])
+        return self._autopilot.sticks(
+            d.roll * tilt, d.pitch * tilt, d.yaw * turn, d.climb * most["STK_CLIMB"]
+        )
