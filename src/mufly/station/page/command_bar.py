@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from typing import Any
 
 from nicegui import ui
 from nicegui.events import GenericEventArguments
@@ -22,6 +23,14 @@ __all__ = ["CommandBar"]
 CONFIRM_S = 3.0
 HEIGHT_M = (0.2, 50.0)
 _WORDS = {Outcome.WAITING: "…", Outcome.ACCEPTED: "✓", Outcome.REFUSED: "✕ refused", Outcome.TIMED_OUT: "✕ no answer"}
+
+
+def _facts(facts: dict[str, Any]) -> str:
+    """What a recording says of itself, in a line."""
+    outcome = " ".join(str(facts[k]) for k in ("outcome", "reason") if facts.get(k))
+    parts = [str(facts.get("vehicle", "")), str(facts.get("mission", "")), outcome, str(facts.get("start_time", ""))[:19]]
+    whole = "" if facts.get("complete", True) else "cut off: shown as far as it goes"
+    return "Recording: " + "; ".join(p.replace("T", " ") if p[:2] == "20" else p for p in (*parts, whole) if p)
 
 
 class _Action:
@@ -100,7 +109,8 @@ class CommandBar:
     def __init__(self, view: View, place: Callable[[float], None]) -> None:
         self._view, self._place = view, place
         self._stop_armed = 0.0
-        with ui.element("section").classes("mf-commands").props('aria-label="commands"'):
+        self._section = ui.element("section").classes("mf-commands").props('aria-label="commands"')
+        with self._section:
             self._banner = ui.element("div").classes("mf-banner").props("role=status")
             with self._banner:
                 self._banner_text = ui.element("span")
@@ -251,7 +261,7 @@ class CommandBar:
     def _show_banner(self, vehicle: Vehicle | None, s: Snapshot | None) -> None:
         text, button = "", ""
         if self._view.replay is not None:
-            text = "A recording is shown: nothing can be commanded"
+            text = _facts(self._view.replay.recording.facts)
         elif vehicle is None:
             text = "Waiting for a vehicle on the link"
         elif not self._view.has_controls:
@@ -261,6 +271,8 @@ class CommandBar:
         if (text, button) == self._banner_state:
             return
         self._banner_state = (text, button)
+        watching = self._view.replay is not None
+        self._section.classes(add="mf-watching" if watching else "", remove="" if watching else "mf-watching")
         self._banner_text._text = text
         self._banner_button._text = button
         self._banner_button.classes(add="mf-hidden" if not button else "", remove="mf-hidden" if button else "")

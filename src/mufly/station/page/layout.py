@@ -140,7 +140,7 @@ def _recorder(view: View) -> None:
         marks.close()
 
     def toggle() -> None:
-        if recorder.path:
+        if recorder.recording:
             recorder.stop()
         else:
             recorder.start()
@@ -156,7 +156,7 @@ def _recorder(view: View) -> None:
     state: list[object] = [None]
 
     def show() -> None:
-        on = bool(recorder.path)
+        on = bool(recorder.recording)
         if state[0] == on:
             return
         state[0] = on

@@ -106,7 +106,7 @@ class Session:
     rotor_radius_m : float
         Size of the vehicles in the scene.
     recorder : object or None
-        With ``start()``, ``stop()``, ``path`` (None while it does not record) and ``mark(text)``.
+        A :class:`mufly.station.recorder.StationRecorder`: ``recording``, ``start()``, ``stop()``, ``mark(text)``.
     title : str
     """
 
@@ -213,7 +213,7 @@ class View:
             "replay": r and {
                 "t": r.time_s, "from": r.start_s, "to": r.end_s, "playing": r.playing, "speed": r.speed, "name": r.name,
             },
-            "recording": bool(recorder is not None and recorder.path),
+            "recording": bool(recorder is not None and recorder.recording),
             "vehicles": [v.name for v in self.session.vehicles()],
             "selected": "" if (v := self.vehicle()) is None else v.name,
         }  # fmt: skip

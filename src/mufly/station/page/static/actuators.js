@@ -3,10 +3,10 @@ import { live } from "./live.js";
 import { el, put } from "./draw.js";
 
 const ROWS = [
-  ["Upper motor", "motor_input", 0, false],
-  ["Lower motor", "motor_input", 1, false],
-  ["Servo 1 pitch", "servo_input", 0, true],
-  ["Servo 2 roll", "servo_input", 1, true],
+  ["Upper", "motor_input", 0, false],
+  ["Lower", "motor_input", 1, false],
+  ["Pitch (1)", "servo_input", 0, true],
+  ["Roll (2)", "servo_input", 1, true],
 ];
 const RPM = 30 / Math.PI;
 

@@ -67,7 +67,9 @@ export function niceStep(span, count) {
 }
 
 export function number(value, digits = 2) {
-  return value === null || value === undefined || !Number.isFinite(value) ? "–" : value.toFixed(digits).replace("-", "−");
+  if (value === null || value === undefined || !Number.isFinite(value)) return "–";
+  const text = value.toFixed(digits);
+  return text.startsWith("-") ? (Number(text) === 0 ? text.slice(1) : `−${text.slice(1)}`) : text;
 }
 
 export function clock(seconds) {
@@ -100,7 +102,7 @@ const ICONS = {
   warning: "M1 21h22L12 2zm12-3h-2v-2h2zm0-4h-2v-4h2z",
   error: "M8 2h8l6 6v8l-6 6H8l-6-6V8zm5 15h-2v-2h2zm0-4h-2V7h2z",
   ok: "M9 16.2 4.8 12l-1.4 1.4L9 19 21 7l-1.4-1.4z",
-  open: "M12 6a6 6 0 1 0 0 12 6 6 0 0 0 0-12z",
+  open: "M12 5a7 7 0 1 0 0 14 7 7 0 0 0 0-14zm0 2a5 5 0 1 1 0 10 5 5 0 0 1 0-10z",
   here: "M5 3l14 9-14 9z",
 };
 export function icon(name) {

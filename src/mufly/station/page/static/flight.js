@@ -158,7 +158,7 @@ export function mount(element) {
     ctx.fillStyle = colours.dim;
     ctx.textAlign = "center";
     ctx.font = `600 9px ${FONT}`;
-    ctx.fillText(`${name} ${unit}`.length > 9 ? name : `${name} ${unit}`, x + w / 2, y + 8);
+    ctx.fillText(name, x + w / 2, y + 8);
     ctx.fillStyle = colours.bg;
     ctx.strokeStyle = colours.text;
     ctx.lineWidth = 1;

@@ -22,7 +22,10 @@ export const live = {
     const panel = { want, frame, offline };
     panels.add(panel);
     tell();
-    if (live.latest) frame({ s: live.latest.s, about: live.latest.about, repeated: true });
+    // A panel that is shown late gets the present at once, when its own set-up is done.
+    queueMicrotask(() => {
+      if (live.latest && panels.has(panel)) frame({ s: live.latest.s, about: live.latest.about, repeated: true });
+    });
     return {
       set(change) {
         Object.assign(panel.want, change);

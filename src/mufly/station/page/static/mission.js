@@ -8,7 +8,7 @@ export function mount(element) {
   const bar = el("div", { class: "mf-bar-fill" });
   const words = el("span", { class: "mf-dim" });
   const body = el("tbody");
-  const table = el("table", { class: "mf-table" }, el("thead", {}, el("tr", {}, ...["", "", "N m", "E m", "height m", "wait s"].map((text) => el("th", { scope: "col", text })))), body);
+  const table = el("table", { class: "mf-table" }, el("thead", {}, el("tr", {}, ...[["", ""], ["", ""], ["N", "m"], ["E", "m"], ["height", "m"], ["wait", "s"]].map(([text, unit]) => el("th", { scope: "col" }, text, el("br"), unit)))), body);
   const progress = el("div", { class: "mf-progress", role: "progressbar", "aria-label": "mission progress", "aria-valuemin": 0, "aria-valuemax": 100 }, el("div", { class: "mf-bar" }, bar), words);
   element.append(progress, el("div", { class: "mf-scroll", tabindex: 0 }, table));
 

@@ -102,8 +102,7 @@ export function mount(element) {
       const chip = (field, all, value, colour) => {
         const id = `${field}-${value}`, on = !p[field] || p[field].includes(value);
         const button = el("button", { type: "button", "aria-pressed": on, "data-chip": id, onclick: () => toggle(field, all, value, id) });
-        if (field === "sources") button.append(stroke(value));
-        else button.style.setProperty("--chip", `var(--mf-${colour})`);
+        if (field === "components") button.style.setProperty("--chip", `var(--mf-${colour})`);
         button.append(field === "sources" ? { estimated: "est", measured: "meas", reference: "ref", truth: "truth" }[value] : value);
         chips.append(button);
       };

@@ -3,6 +3,7 @@ import { THREE } from "nicegui-scene";
 import { FONT, colours } from "./draw.js";
 
 const { Group, Mesh } = THREE;
+const LIFT = 0.3; // marks of waypoints stand above them, so that they do not hide who flies there
 
 export function sprite(text, { colour, size = 0.22, back = "", bold = false }) {
   const pixels = 56, canvas = document.createElement("canvas"), ctx = canvas.getContext("2d");
@@ -68,8 +69,8 @@ export function floor(world, reach) {
   group.add(lines(axes, colours.accent, { pairs: true }));
   for (let k = Math.ceil(n[0]); k <= n[1]; k += 2 * step) label(group, `${k}`, k, e[0] - 0.22);
   for (let k = Math.ceil(e[0]); k <= e[1]; k += 2 * step) label(group, `${k}`, n[0] - 0.22, k);
-  label(group, "N ↑  m", n[1] + 0.25, e[0] - 0.22, 0.26);
-  label(group, "E →  m", n[0] - 0.25, e[1] + 0.45, 0.26);
+  label(group, "N (m)", n[1] - 0.5, e[0] - 0.5, 0.24);
+  label(group, "E (m)", n[0] - 0.45, e[1] - 0.5, 0.24);
   if (room) walls(group, room);
   return group;
 }
@@ -103,8 +104,8 @@ export function obstacles(world) {
     const edges = new THREE.LineSegments(new THREE.EdgesGeometry(geometry, 30), new THREE.LineBasicMaterial({ color: colours.text, transparent: true, opacity: 0.5 }));
     place(mesh);
     place(edges);
-    const s = sprite(name, { colour: colours.text, size: 0.2 });
-    s.position.set(mesh.position.x, top + 0.16, mesh.position.z);
+    const s = sprite(name, { colour: colours.text, size: 0.13 });
+    s.position.set(mesh.position.x, top + 0.11, mesh.position.z);
     group.add(mesh, edges, s);
   };
   for (const b of world.boxes) {
@@ -128,10 +129,10 @@ export function waypoints(rows, current) {
     points.push(row.p);
     const now = k === current, back = now ? colours.reference : row.reached ? colours.good : colours.panel;
     const text = row.action === "take off" ? "T" : `${rows.slice(0, k + 1).filter((r) => r.action === "waypoint").length || k + 1}`;
-    const s = sprite(row.reached && !now ? `${text} ✓` : text, { colour: now || row.reached ? "#fff" : colours.text, back, size: 0.2, bold: true });
-    s.position.set(row.p[1], -row.p[2] + 0.02, -row.p[0]);
+    const s = sprite(row.reached && !now ? `${text} ✓` : text, { colour: now || row.reached ? "#fff" : colours.text, back, size: 0.17, bold: true });
+    s.position.set(row.p[1], -row.p[2] + LIFT, -row.p[0]);
     s.renderOrder = 5;
-    group.add(s, lines([row.p, [row.p[0], row.p[1], 0]], colours.dim, { opacity: 0.5 }));
+    group.add(s, lines([[row.p[0], row.p[1], row.p[2] - LIFT + 0.08], [row.p[0], row.p[1], 0]], colours.dim, { opacity: 0.5 }));
   });
   if (points.length > 1) group.add(lines(points, colours.dim, { dashed: true, opacity: 0.8 }));
   return group;

@@ -2,7 +2,7 @@
 import { live } from "./live.js";
 import { FONT, canvas, colours, el, niceStep, number } from "./draw.js";
 
-const KEY = "mufly-spectrum", LEFT = 58, BOTTOM = 30, TOP = 26, RIGHT = 12;
+const KEY = "mufly-spectrum", LEFT = 58, BOTTOM = 30, TOP = 38, RIGHT = 12;
 
 export function mount(element) {
   element.classList.add("mf-plots");
@@ -86,17 +86,18 @@ export function mount(element) {
     });
     ctx.stroke();
     const marks = [...found.marks].sort((a, b) => a.at - b.at);
-    let lastX = -Infinity, level = 0;
+    const ends = [-Infinity, -Infinity, -Infinity];
     for (const m of marks) {
-      const x = x0 + m.at * sx;
+      const x = x0 + m.at * sx, words = `${m.name} ${number(m.hz, 1)} Hz${m.folded ? " (folded)" : ""}`;
       ctx.strokeStyle = ctx.fillStyle = m.name.startsWith("upper") ? colours.c1 : colours.reference;
       ctx.setLineDash(m.folded ? [2, 3] : []);
-      line(ctx, x, y0, x, y1);
+      line(ctx, x, y0 - 2, x, y1);
       ctx.setLineDash([]);
-      level = x - lastX < 92 ? (level + 1) % 2 : 0;
-      lastX = x;
-      ctx.textAlign = x > x1 - 90 ? "right" : "left";
-      ctx.fillText(`${m.name} ${number(m.hz, 1)} Hz${m.folded ? " folded" : ""}`, x + (x > x1 - 90 ? -3 : 3), 7 + 11 * level);
+      const wide = ctx.measureText(words).width, left = Math.min(x + 3, x1 - wide);
+      const level = Math.max(0, ends.findIndex((end) => end < left));
+      ends[level] = left + wide + 8;
+      ctx.textAlign = "left";
+      ctx.fillText(words, left, 6 + 11 * level);
     }
   }
 
