@@ -52,6 +52,22 @@ def test_outputs_stay_in_their_ranges_and_yaw_goes_first(dz, dpsi, r, volts, see
     assert granted == pytest.approx(np.clip(asked, -top, top), abs=1e-9)
 
 
+def test_rounding_takes_no_input_out_of_its_range(controller: FlightController) -> None:
+    """At the upper end of the range a sum may come out a last digit above 1."""
+    g = controller.heave_yaw_gains
+    rng = np.random.default_rng(0)
+    extremes = []
+    for _ in range(3000):
+        volts = rng.uniform(5.5, 8.4)
+        state = heave_yaw_initial(g, np.zeros(3), np.array([0.67, 0.73]), volts)
+        state[:10] += rng.normal(size=10)
+        motor, _ = heave_yaw_step(g, state, np.zeros(4), rng.normal(size=3), volts)
+        extremes.append((motor.min(), motor.max()))
+    least, greatest = np.array(extremes).T
+    assert least.min() >= 0.0
+    assert greatest.max() == 1.0
+
+
 def test_arguments_are_left_alone(controller: FlightController) -> None:
     g = controller.heave_yaw_gains
     state = heave_yaw_initial(g, np.zeros(3), np.array([0.6, 0.6]), 7.0)

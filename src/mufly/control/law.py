@@ -154,7 +154,9 @@ def heave_yaw_step(gains, state, reference, measurement, voltage):  # type: igno
     excess[0], excess[1] = mean - half - lower, mean + half - upper
     _advance(gains, state, e, excess, new)
     motor_input = np.empty(2)
-    motor_input[0], motor_input[1] = (mean + half) / top, (mean - half) / top
+    # top - |half| + |half| may be a little more than top: rounding.
+    motor_input[0] = _clip((mean + half) / top, 0.0, 1.0)
+    motor_input[1] = _clip((mean - half) / top, 0.0, 1.0)
     return motor_input, new
 
 
