@@ -35,7 +35,9 @@ class History:
         self._units = dict(zip(self.names, column_units(self.layout), strict=True))
         self._size = max(2, round(seconds * rate_Hz))
         self._times = np.full(self._size, np.nan)
-        self._values = np.full((self._size, len(self.names)), np.nan, dtype=np.float32)
+        # One column more than there are signals: that of every name that is none.
+        self._values = np.full((self._size, len(self.names) + 1), np.nan, dtype=np.float32)
+        self._width = len(self.names)
         self._next = self._count = 0
 
     def __len__(self) -> int:
@@ -74,7 +76,7 @@ class History:
         if self._count and not time_s > self._times[self._next - 1]:
             return
         self._times[self._next] = time_s
-        self._values[self._next] = values
+        self._values[self._next, : self._width] = values
         self._next = (self._next + 1) % self._size
         self._count = min(self._count + 1, self._size)
 
@@ -94,21 +96,16 @@ class History:
         times : (n,) array
             s, increasing.
         values : (n, k) array
-            NaN where a signal was not known.
-
-        Raises
-        ------
-        KeyError
-            If there is no such signal.
+            NaN where a signal was not known then, or has a name that is not known at all.
         """
-        picked = slice(None) if names is None else [self._index[name] for name in names]
+        picked = slice(0, self._width) if names is None else [self._index.get(name, -1) for name in names]
         parts = []
         for part in self._parts():
             first = part.start + int(np.searchsorted(self._times[part], time_s, side="right"))
             if first < part.stop:
                 parts.append(slice(first, part.stop))
         if not parts:
-            width = len(self.names) if names is None else len(names)
+            width = self._width if names is None else len(names)
             return np.empty(0), np.empty((0, width), dtype=np.float32)
         if len(parts) == 1:  # the common case of a page that asks for the newest rows; copies, as below
             return self._times[parts[0]].copy(), self._values[parts[0]][:, picked].copy()

@@ -1,0 +1,429 @@
+"""A vehicle at the other end of a link: what it tells, and what is asked of it.
+
+Pure: messages in (:meth:`RemoteVehicle.handle`), messages out (:meth:`RemoteVehicle.step`), the clock is passed in.
+Parts, each in a file of its own: telemetry and history, texts, commands, parameters, mission transfers, command of
+the vehicle, checks. Everything that is asked for returns a :class:`mufly.station.view.Request` at once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from mufly.errors import InputError
+from mufly.link.dialect import MavMessage
+from mufly.link.missions import items_of as items_of_mission
+from mufly.mission import Mission, load_mission
+from mufly.station import orders
+from mufly.station.checks import Surroundings, judge
+from mufly.station.command_desk import CommandDesk
+from mufly.station.greeting import Greeting
+from mufly.station.history import History
+from mufly.station.missions import items_of, rows_of
+from mufly.station.parameters import Parameters
+from mufly.station.requests import Chain, Commands, Order, end
+from mufly.station.telemetry import Telemetry
+from mufly.station.texts import Texts
+from mufly.station.transfers import Transfers
+from mufly.station.view import Check, Message, MissionRow, Outcome, Parameter, Request, Snapshot
+
+__all__ = ["LOST_S", "RemoteVehicle"]
+
+LOST_S = 3.0
+"""A vehicle that was silent for so long is lost (s)."""
+
+_TYPES = {1: "aeroplane", 2: "quadrotor", 3: "coaxial helicopter", 4: "helicopter", 10: "rover", 12: "submarine",
+          13: "hexarotor", 14: "octorotor"}  # fmt: skip
+
+
+class RemoteVehicle:
+    """One vehicle, as a page draws and commands it.
+
+    Parameters
+    ----------
+    system, component : int
+        Its MAVLink address.
+    us : (system, component)
+        Ours.
+    color : int
+        Which of the page's colours it has.
+    rate_Hz : float
+        How often it is asked to tell its motion.
+
+    Attributes
+    ----------
+    history : History
+        Its signals over the last ten minutes.
+    surroundings : Surroundings
+        What the station knows besides, for the checks.
+    on_mark : callable or None
+        Takes the text of a mark; returns whether it was recorded.
+    """
+
+    def __init__(
+        self,
+        system: int,
+        component: int,
+        *,
+        us: tuple[int, int] = (255, 190),
+        color: int = 0,
+        rate_Hz: float = 100.0,
+    ) -> None:
+        self.system, self.component, self.color = system, component, color
+        self.us = us
+        target = (system, component)
+        self.history = History()
+        self.telemetry = Telemetry(self.history)
+        self.texts = Texts()
+        self.commands = Commands(self.texts, target)
+        self.transfers = Transfers(self.texts, target)
+        self._parameters = Parameters(self.texts, target)
+        self._desk = CommandDesk(system, us)
+        self._greeting = Greeting(self.commands, self._parameters, self.transfers, rate_Hz)
+        self.surroundings = Surroundings()
+        self.on_mark: Callable[[str], bool] | None = None
+        self._chains: list[Chain] = []
+        self._heard_s = self._now_s = -math.inf
+        self._lost = False
+        self._restarts = 0
+        self._loss, self._rate_Hz = math.nan, math.nan
+        self._reached = -1
+        self._rows: tuple[object, list[MissionRow]] = (None, [])
+
+    # What it is and tells
+
+    @property
+    def kind(self) -> str:
+        """``"mufly"`` or ``"other"``."""
+        return "mufly" if self._greeting.ours else "other"
+
+    @property
+    def dialect(self) -> orders.Dialect:
+        """How it wants to be asked."""
+        return orders.dialect_of(self.telemetry.autopilot, self._greeting.ours)
+
+    @property
+    def name(self) -> str:
+        """What to call it: "mufly, system 1"."""
+        maker = self.dialect if self.dialect != "other" else "vehicle"
+        what = (
+            maker if self._greeting.ours else f"{maker} {_TYPES.get(self.telemetry.vehicle_type, '')}".strip()
+        )
+        return f"{what}, system {self.system}"
+
+    @property
+    def connected(self) -> bool:
+        """Whether it was heard of late."""
+        return self._now_s - self._heard_s < LOST_S
+
+    @property
+    def in_command(self) -> bool:
+        """Whether this station commands it. A vehicle that tells nobody who does obeys everybody."""
+        return self.telemetry.commander in (None, self._us_number)
+
+    @property
+    def commander(self) -> str:
+        """Who commands it, in words; "" if nobody or unknown."""
+        number = self.telemetry.commander
+        if not number:
+            return ""
+        if number == self._us_number:
+            return "this station"
+        return f"station {number // 256} (component {number % 256})"
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """The present."""
+        t = self.telemetry
+        rotor_speed = t.believes("measured_rotor_speed")
+        if not all(map(math.isfinite, rotor_speed)):
+            rotor_speed = t.believes("truth_rotor_speed")
+        return Snapshot(
+            time_s=t.time_s,
+            connected=self.connected,
+            silent_s=self._now_s - self._heard_s,
+            armed=t.armed,
+            flying=t.flying,
+            in_command=self.in_command,
+            commander=self.commander,
+            state=t.state,
+            position=t.believes("estimated_position"),
+            velocity=t.believes("estimated_velocity"),
+            attitude=t.believes("estimated_attitude"),
+            rates=t.believes("estimated_rates"),
+            reference_position=t.believes("reference_position"),
+            reference_velocity=t.believes("reference_velocity"),
+            reference_attitude=t.believes("reference_attitude"),
+            motor_input=t.believes("motor_input"),
+            servo_input=t.believes("servo_input"),
+            rotor_speed=rotor_speed,
+            ranges=t.ranges.ranges,
+            range_angles=t.ranges.angles,
+            range_max_m=t.ranges.most_m,
+            battery_voltage=float(t.believes("battery_voltage")[0]),
+            battery_current=float(t.believes("battery_current")[0]),
+            battery_charge=float(t.believes("battery_charge")[0]),
+            battery_left_s=t.battery_left_s,
+            waypoint=self._waypoint,
+            link_loss=self._loss,
+            link_rate_Hz=self._rate_Hz,
+        )
+
+    @property
+    def messages(self) -> deque[Message]:
+        """What it said, newest last."""
+        return self.texts.messages
+
+    @property
+    def mission(self) -> list[MissionRow]:
+        """The mission that it holds; empty while that is not known."""
+        key = (self.transfers.items, self.telemetry.origin, self.mission_progress)
+        if key != self._rows[0]:
+            self._rows = (key, rows_of(self.transfers.items or (), key[1], key[2]))
+        return self._rows[1]
+
+    @property
+    def mission_progress(self) -> int:
+        """How many rows of the mission are behind it."""
+        return max(self.telemetry.mission_current or 0, self._reached + 1)
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """Its parameters by name."""
+        return self._parameters.table
+
+    @property
+    def parameters_missing(self) -> int:
+        """How many have not come yet."""
+        return self._parameters.missing
+
+    @property
+    def checks(self) -> list[Check]:
+        """What to look at before it flies."""
+        return judge(self, self.surroundings)
+
+    # What is asked of it
+
+    def arm(self) -> Request:
+        """Let the motors run."""
+        return self._ask("arm", orders.arm())
+
+    def disarm(self) -> Request:
+        """Stop the motors; it refuses in flight."""
+        return self._ask("disarm", orders.disarm())
+
+    def take_off(self, height_m: float) -> Request:
+        """Arm if needed, take off to a height above where it stands (m), and hover."""
+        text = f"take off to {height_m:g} m"
+        if not (math.isfinite(height_m) and height_m > 0.0):
+            return _refused(text, "a height above the floor is needed")
+        return self._chain(text, self._armed_first(orders.take_off(self.dialect, height_m), height_m))
+
+    def start_mission(self) -> Request:
+        """Fly the mission, or go on with it; arms if needed."""
+        if self.transfers.items is not None and not self.transfers.items:
+            return _refused("fly the mission", "the vehicle holds no mission; send one first")
+        return self._chain("fly the mission", self._armed_first(orders.mission_start(self.dialect)))
+
+    def pause(self) -> Request:
+        """Stop and hover."""
+        return self._ask("hover here", orders.pause(self.dialect))
+
+    def go_to(self, position: Sequence[float], heading_rad: float | None = None) -> Request:
+        """Fly to a place (N, E, D; m) and hold."""
+        n, e, d = (float(v) for v in position)
+        text = f"fly to N {n:.2f}, E {e:.2f}, D {d:.2f} m"
+        if not all(map(math.isfinite, (n, e, d))):
+            return _refused(text, "N, E and D are needed")
+        heading = math.nan if heading_rad is None else heading_rad
+        order = orders.go_to(self.dialect, (n, e, d), heading, self.telemetry.origin)
+        return _refused(text, order) if isinstance(order, str) else self._ask(text, order)
+
+    def return_home(self) -> Request:
+        """Return to where it took off, and land."""
+        return self._ask("return and land", orders.home(self.dialect))
+
+    def land(self) -> Request:
+        """Land here."""
+        return self._ask("land", orders.land(self.dialect))
+
+    def emergency_stop(self) -> Request:
+        """Stop the motors at once, in flight too."""
+        return self._ask("EMERGENCY STOP", orders.emergency_stop())
+
+    def reboot(self) -> Request:
+        """Start the autopilot anew; a simulation begins anew."""
+        return self._ask("start anew", orders.reboot())
+
+    def take_command(self) -> Request:
+        """Become the station that commands it."""
+        return self._desk.take()
+
+    def release_command(self) -> Request:
+        """Let another station command it."""
+        return self._desk.release()
+
+    def upload_mission(self, mission: Mission | Sequence[MissionRow] | str | Path) -> Request:
+        """Send a mission: one of ours, rows of the table, or the name of a file."""
+        try:
+            if isinstance(mission, str | Path):
+                mission = load_mission(mission)
+            items = items_of_mission(mission).items if isinstance(mission, Mission) else items_of(mission)
+        except InputError as error:
+            return _refused("send a mission", str(error))
+        self._reached = -1
+        return self.transfers.upload(items)
+
+    def download_mission(self) -> Request:
+        """Fetch the mission that it holds."""
+        return self.transfers.download()
+
+    def clear_mission(self) -> Request:
+        """Let it forget its mission."""
+        return self.transfers.clear()
+
+    def set_parameter(self, name: str, value: float) -> Request:
+        """Set a parameter."""
+        return self._parameters.set(name, value)
+
+    def refresh_parameters(self) -> Request:
+        """Read all parameters anew."""
+        return self._parameters.refresh()
+
+    def show_mission(self, mission: Mission | None) -> None:
+        """Say which mission the page shows, for the check that the vehicle holds the same."""
+        self.surroundings.shown = None if mission is None else tuple(items_of_mission(mission).items)
+
+    def mark(self, text: str) -> Request:
+        """Put a mark into the recording, and among the messages."""
+        request = Request(f"mark: {text}")
+        recorded = self.on_mark is not None and self.on_mark(text)
+        self.texts.note(self.telemetry.time_s, "info", f"mark: {text}")
+        end(request, Outcome.ACCEPTED, "" if recorded else "not recorded: the recorder is off")
+        return request
+
+    # The machine
+
+    def handle(self, now_s: float, message: MavMessage) -> None:
+        """Take a message that it sent.
+
+        Parameters
+        ----------
+        now_s : float
+            Our clock (s).
+        message : pymavlink message
+        """
+        self._now_s = max(self._now_s, now_s)
+        self._heard_s = now_s
+        if getattr(message, "target_system", 0) not in (0, self.us[0]):
+            return
+        name = message.get_type()
+        if name == "STATUSTEXT":
+            self.texts.handle(now_s, self.telemetry.time_s, message)
+            return
+        if message.get_srcComponent() != self.component:
+            return  # of a camera, a gimbal, a companion computer
+        self.telemetry.handle(now_s, message)
+        if name == "COMMAND_ACK":
+            self.commands.handle(now_s, message)
+        elif name == "PARAM_VALUE":
+            self._parameters.handle(now_s, message)
+        elif name.startswith("MISSION_"):
+            self._mission_message(now_s, message)
+        elif name == "AUTOPILOT_VERSION":
+            self._greeting.version(message)
+        elif name == "CHANGE_OPERATOR_CONTROL_ACK":
+            self._desk.handle(now_s, message)
+
+    def step(self, now_s: float) -> list[MavMessage]:
+        """Return what is to be sent to it now."""
+        self._now_s = max(self._now_s, now_s)
+        self.telemetry.step(now_s)
+        self.texts.step(now_s, self.telemetry.time_s)
+        self._look_after_link(now_s)
+        for chain in self._chains:
+            chain.step()
+        self._chains = [c for c in self._chains if not c.request.done]
+        self._greeting.step(now_s, self.telemetry)
+        out = self.commands.step(now_s) + self._parameters.step(now_s) + self.transfers.step(now_s)
+        return out + self._desk.step(now_s, self.telemetry.commander)
+
+    def note_link(self, now_s: float, loss: float, rate_Hz: float) -> None:
+        """Take how good the link is: share of packets lost, messages a second."""
+        self._loss, self._rate_Hz = loss, rate_Hz
+        self.telemetry.note_link(now_s, loss, rate_Hz)
+
+    def moved(self) -> None:
+        """Note that it is heard from another address, where it knows nothing of our wishes."""
+        self._greeting.again()
+
+    def _look_after_link(self, now_s: float) -> None:
+        lost = now_s - self._heard_s >= LOST_S
+        if lost and not self._lost:
+            self.texts.note(self.telemetry.time_s, "warning", f"{self.name} is not heard any more")
+        elif self._lost and not lost:
+            self.texts.note(self.telemetry.time_s, "info", f"{self.name} is heard again")
+            self._greeting.again()
+        self._lost = lost
+        if self.telemetry.clock.restarts != self._restarts:
+            self._restarts = self.telemetry.clock.restarts
+            self.texts.note(self.telemetry.time_s, "warning", f"{self.name} was started anew")
+            for part in (self.commands, self._parameters, self.transfers):
+                part.give_up("the vehicle was started anew")
+            self._reached = -1
+            self._greeting.anew()
+
+    def _mission_message(self, now_s: float, message: MavMessage) -> None:
+        name = message.get_type()
+        if name == "MISSION_CURRENT":
+            if message.seq < self._reached:
+                self._reached = -1  # it flies the mission again, or another
+            items = self.transfers.items
+            counted = 0 < message.total < 65535 or (message.total == 0 and self._greeting.ours)
+            if items is not None and counted and message.total != len(items) and not self.transfers.busy:
+                self.transfers.download()  # somebody else has sent it another
+        elif name == "MISSION_ITEM_REACHED":
+            self._reached = max(self._reached, message.seq)
+        else:
+            self.transfers.handle(now_s, message)
+
+    @property
+    def _us_number(self) -> int:
+        return self.us[0] * 256 + self.us[1]
+
+    @property
+    def _waypoint(self) -> int | None:
+        current, items = self.telemetry.mission_current, self.transfers.items
+        return current if current is not None and items and current < len(items) else None
+
+    def _ask(self, text: str, order: Order) -> Request:
+        return self.commands.ask(text, order)
+
+    def _chain(self, text: str, links: Sequence[Callable[[], Request | None]]) -> Request:
+        chain = Chain(text, links)
+        self._chains.append(chain)
+        return chain.request
+
+    def _armed_first(
+        self, then: Sequence[Order], height_m: float | None = None
+    ) -> list[Callable[[], Request | None]]:
+        """Links of a chain: what comes before arming, arming unless it is armed, and the orders."""
+
+        def arm() -> Request | None:
+            return None if self.telemetry.armed else self._ask("arm", orders.arm())
+
+        def ask(order: Order) -> Callable[[], Request]:
+            return lambda: self._ask("take off" if height_m is not None else "start", order)
+
+        links: list[Callable[[], Request | None]] = []
+        if height_m is not None:
+            if self.dialect == "PX4":
+                links.append(lambda: self._parameters.set("MIS_TAKEOFF_ALT", height_m))
+            links += [ask(order) for order in orders.before_arming(self.dialect)]
+        return [*links, arm, *(ask(order) for order in then)]
+
+
+def _refused(text: str, answer: str) -> Request:
+    return Request(text, Outcome.REFUSED, answer)

@@ -1,0 +1,219 @@
+"""Commands that are asked of a vehicle until it answers.
+
+MAVLink's command protocol (https://mavlink.io/en/services/command.html): a command goes out, the vehicle acknowledges
+it with a result; if no answer comes it goes out again with ``confirmation`` counted up, so that the vehicle knows it
+for the same. An answer names the command only, so of each kind one is under way at a time and others wait their turn.
+Why a command was refused a vehicle says, if at all, in a STATUSTEXT about the same time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from mufly.link.dialect import MavMessage, mavlink
+from mufly.station.texts import Texts
+from mufly.station.view import Outcome, Request
+
+__all__ = ["Chain", "Commands", "Order", "end"]
+
+RETRY_S = 0.8
+TRIES = 12
+"""Asked so often, a tenth of a second short of ten seconds. Of packets lost at 30 % each way, one command in 3000."""
+PROGRESS_S = 30.0
+"""After "in progress" the answer may take so long (s)."""
+REASON_S = 0.4
+"""For so long a refusal without words waits for some (s)."""
+_WORDS = {
+    1: "not possible now",
+    2: "refused",
+    3: "the vehicle does not know this command",
+    4: "failed",
+    6: "cancelled",
+    7: "only as a COMMAND_LONG",
+    8: "only as a COMMAND_INT",
+    9: "not in this frame of reference",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """A command and its parameters; NaN is "not given".
+
+    Attributes
+    ----------
+    command : int
+        MAV_CMD.
+    params : (7,) tuple of float
+    frame : int or None
+        With a frame (MAV_FRAME) it goes as COMMAND_INT, whose x and y are metres times 1e4 or degrees times 1e7.
+    urgent : bool
+        Goes out at once; a command of the same kind that waits for its answer is given up for it.
+    """
+
+    command: int
+    params: tuple[float, ...] = (math.nan,) * 7
+    frame: int | None = None
+    urgent: bool = False
+
+    def message(self, system: int, component: int, confirmation: int) -> MavMessage:
+        """Return it as MAVLink puts it."""
+        p = (*self.params, *((0.0,) * (7 - len(self.params))))
+        if self.frame is None:
+            return mavlink.MAVLink_command_long_message(system, component, self.command, confirmation, *p)
+        scale = 1e4 if self.frame == 1 else 1e7
+        x, y = (2**31 - 1 if math.isnan(v) else round(v * scale) for v in p[4:6])
+        return mavlink.MAVLink_command_int_message(
+            system, component, self.frame, self.command, 0, 0, *p[:4], x, y, p[6]
+        )
+
+
+@dataclass(slots=True)
+class _Open:
+    order: Order
+    request: Request
+    asked_s: float = -math.inf
+    first_s: float = -math.inf
+    tries: int = 0
+    until_s: float = math.inf
+    refused: str | None = None
+
+
+def end(request: Request, outcome: Outcome, answer: str = "") -> None:
+    """Give a request its answer, once."""
+    if not request.done:
+        request.outcome, request.answer = outcome, answer
+        if outcome is Outcome.ACCEPTED:
+            request.progress = 1.0
+
+
+class Commands:
+    """The commands asked of one vehicle.
+
+    Parameters
+    ----------
+    texts : Texts
+        Where the vehicle's reasons are found.
+    target : (system, component)
+    """
+
+    def __init__(self, texts: Texts, target: tuple[int, int]) -> None:
+        self._texts, self.target = texts, target
+        self._open: dict[int, _Open] = {}
+        self._waiting: deque[_Open] = deque(maxlen=256)
+        self._unanswered: list[MavMessage] = []
+
+    def ask(self, text: str, order: Order) -> Request:
+        """Ask for something; the request tells what becomes of it.
+
+        Parameters
+        ----------
+        text : str
+            What is asked for, in words.
+        order : Order
+        """
+        request = Request(text)
+        entry = _Open(order, request)
+        if order.urgent:
+            before = self._open.pop(order.command, None)
+            if before is not None:
+                end(before.request, Outcome.REFUSED, f"given up for: {text}")
+            self._open[order.command] = entry
+        else:
+            if len(self._waiting) == self._waiting.maxlen:
+                end(self._waiting[0].request, Outcome.TIMED_OUT, "too many requests are waiting")
+            self._waiting.append(entry)
+        return request
+
+    def send(self, message: MavMessage) -> None:
+        """Send something that is not answered."""
+        self._unanswered.append(message)
+
+    def handle(self, now_s: float, message: MavMessage) -> None:
+        """Take a COMMAND_ACK that is meant for us."""
+        entry = self._open.get(message.command)
+        if entry is None or entry.refused is not None or not entry.tries:
+            return
+        if message.result == 0:
+            del self._open[message.command]
+            end(entry.request, Outcome.ACCEPTED)
+        elif message.result == 5:
+            entry.until_s = now_s + PROGRESS_S
+            if message.progress <= 100:
+                entry.request.progress = message.progress / 100.0
+        else:
+            entry.refused = _WORDS.get(message.result, f"result {message.result}")
+            entry.until_s = now_s + REASON_S
+
+    def step(self, now_s: float) -> list[MavMessage]:
+        """Return what is to be sent now."""
+        for _ in range(len(self._waiting)):
+            entry = self._waiting.popleft()
+            if entry.order.command in self._open:
+                self._waiting.append(entry)
+            else:
+                self._open[entry.order.command] = entry
+        out, self._unanswered = self._unanswered, []
+        for command, entry in list(self._open.items()):
+            if entry.refused is not None:
+                reason = self._texts.since(entry.first_s)
+                if reason or now_s >= entry.until_s:
+                    del self._open[command]
+                    end(entry.request, Outcome.REFUSED, reason or entry.refused)
+            elif entry.until_s < math.inf:
+                if now_s >= entry.until_s:
+                    del self._open[command]
+                    end(entry.request, Outcome.TIMED_OUT, "begun, but it was never said to be done")
+            elif now_s - entry.asked_s >= RETRY_S:
+                if entry.tries >= TRIES:
+                    del self._open[command]
+                    waited = now_s - entry.first_s
+                    end(entry.request, Outcome.TIMED_OUT, f"no answer in {waited:.0f} s; is the link up?")
+                    continue
+                if not entry.tries:
+                    entry.first_s = now_s
+                out.append(entry.order.message(*self.target, min(entry.tries, 255)))
+                entry.asked_s = now_s
+                entry.tries += 1
+        return out
+
+    def give_up(self, answer: str) -> None:
+        """End everything that is open: the vehicle is gone or was started anew."""
+        for entry in (*self._open.values(), *self._waiting):
+            end(entry.request, Outcome.TIMED_OUT, answer)
+        self._open.clear()
+        self._waiting.clear()
+
+
+class Chain:
+    """Requests that follow each other: each is made when the one before was accepted; the first refusal ends it.
+
+    Parameters
+    ----------
+    text : str
+        What all of it is, in words.
+    links : sequence of callables
+        Each makes a request, or returns None if there is nothing to ask for.
+    """
+
+    def __init__(self, text: str, links: Sequence[Callable[[], Request | None]]) -> None:
+        self.request = Request(text)
+        self._links = deque(links)
+        self._now: Request | None = None
+        self.step()
+
+    def step(self) -> None:
+        """Go on if the present link has its answer."""
+        while not self.request.done:
+            if self._now is not None:
+                if not self._now.done:
+                    return
+                if self._now.outcome is not Outcome.ACCEPTED:
+                    end(self.request, self._now.outcome, f"{self._now.text}: {self._now.answer}")
+                    return
+            if not self._links:
+                end(self.request, Outcome.ACCEPTED, self._now.answer if self._now else "")
+                return
+            self._now = self._links.popleft()()

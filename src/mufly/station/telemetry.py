@@ -1,0 +1,396 @@
+"""From messages to signals: what a vehicle told, as rows of a history and as the present.
+
+Every message sets the signals that it tells; a row is finished when a message brings a later stamp, so that what the
+vehicle measured in one instant stands in one row. A signal that comes more seldom than rows do is held for a while
+(`HOLD_S`) and then is not known any more. Headings are carried on past north, so that lines of them do not jump.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.link.dialect import MavMessage
+from mufly.station.clock import VehicleClock
+from mufly.station.fields import FIELDS, RPM
+from mufly.station.history import History
+from mufly.station.modes import MUFLY_STATES, mode_words
+from mufly.station.ranges import Ranges, read_distance, read_ring
+from mufly.station.view import unknown
+
+__all__ = ["HOLD_S", "Telemetry"]
+
+HOLD_S = 1.5
+"""A signal that was not told for so long is not known (s)."""
+SLOW_HOLD_S = 6.0
+"""The same for what vehicles tell once a second or less: battery, link (s)."""
+ROW_S = 0.009
+"""Stamps closer than this stand in one row (s)."""
+_STALL_S = 0.05
+_HEARTBEAT_S = 3.0
+_EARTH_M = 6_371_000.0
+_COAXIAL, _ARMED = 3, 128  # MAV_TYPE, MAV_MODE_FLAG
+
+_STAMPED: dict[str, tuple[str, int]] = {
+    **dict.fromkeys(("ATTITUDE", "ATTITUDE_QUATERNION", "LOCAL_POSITION_NED"), ("time_boot_ms", 1)),
+    **dict.fromkeys(("GLOBAL_POSITION_INT", "POSITION_TARGET_LOCAL_NED"), ("time_boot_ms", 1)),
+    "ATTITUDE_TARGET": ("time_boot_ms", 1),
+    "VISION_POSITION_ESTIMATE": ("usec", 1000),
+    **dict.fromkeys(
+        ("ACTUATOR_OUTPUT_STATUS", "OBSTACLE_DISTANCE", "DEBUG_FLOAT_ARRAY"), ("time_usec", 1000)
+    ),
+}
+"""Messages that begin rows: where their stamp is, and its ticks in a millisecond."""
+
+_Array = NDArray[np.float64]
+
+
+class Telemetry:
+    """What one vehicle told.
+
+    Attributes
+    ----------
+    history : History
+    clock : VehicleClock
+    armed : bool
+    landed_state : int
+        MAV_LANDED_STATE; 0 is unknown.
+    autopilot, vehicle_type : int
+        MAV_AUTOPILOT, MAV_TYPE.
+    ranges : Ranges
+    battery_left_s : float
+    mission_current : int or None
+    commander : int or None
+        system * 256 + component; 0 nobody, None unknown.
+    health : tuple of int or None
+        Sensors present, enabled, healthy, as SYS_STATUS says.
+    simulated : bool
+        Whether it tells the truth, as only a simulation can.
+    """
+
+    def __init__(self, history: History | None = None) -> None:
+        self.history = history or History()
+        self.clock = VehicleClock()
+        self.armed = False
+        self.landed_state = self.autopilot = self.vehicle_type = 0
+        self.mode = ""
+        self.ranges = Ranges()
+        self.battery_left_s = math.nan
+        self.mission_current: int | None = None
+        self.commander: int | None = None
+        self.health: tuple[int, int, int] | None = None
+        self.simulated = False
+        self.origin: tuple[float, float, float] | None = None
+        self.on_row: Callable[[float, _Array, str], None] | None = None
+        self._index = {name: k for k, name in enumerate(self.history.names)}
+        self._values = np.full(len(self.history.names), np.nan)
+        self._columns = {
+            q.name: slice(self._index[first], self._index[first] + width)
+            for q in self.history.layout.quantities
+            for first, width in [_place(self.history.layout, q)]
+        }
+        self._own_state: tuple[str, float] = ("", -math.inf)
+        self._told: dict[str, tuple[int, float]] = {}  # group -> rank and time of the message last believed
+        self._owned: dict[str, set[int]] = {}  # group -> its columns
+        self._stamps: dict[str, float] = {}
+        self._row_s = math.nan
+        self._row_now_s = self._swept_s = -math.inf
+        self._plain = {
+            name: (f, tuple((field, self._index[signal], factor) for field, signal, factor in f.fields))
+            for name, f in FIELDS.items()
+        }
+        self._special: dict[str, Callable[[float, MavMessage], None]] = {
+            "HEARTBEAT": self._heartbeat,
+            "SYS_STATUS": self._sys_status,
+            "BATTERY_STATUS": self._battery,
+            "EXTENDED_SYS_STATE": self._extended_state,
+            "ATTITUDE_QUATERNION": self._quaternion,
+            "GLOBAL_POSITION_INT": self._global_position,
+            "GPS_GLOBAL_ORIGIN": self._global_origin,
+            "HOME_POSITION": self._home,
+            "POSITION_TARGET_LOCAL_NED": self._position_target,
+            "ATTITUDE_TARGET": self._attitude_target,
+            "ACTUATOR_OUTPUT_STATUS": self._actuators,
+            "SERVO_OUTPUT_RAW": self._servo_outputs,
+            "RAW_RPM": self._rpm,
+            "OBSTACLE_DISTANCE": self._ring,
+            "DISTANCE_SENSOR": self._distance,
+            "DEBUG_FLOAT_ARRAY": self._debug_array,
+            "NAMED_VALUE_INT": self._named_int,
+            "MISSION_CURRENT": self._mission_current,
+        }
+
+    def handle(self, now_s: float, message: MavMessage) -> None:
+        """Take a message of the vehicle's autopilot; those that tell no signal are passed over.
+
+        Parameters
+        ----------
+        now_s : float
+            Our clock (s).
+        message : pymavlink message
+        """
+        name = message.get_type()
+        plain, special = self._plain.get(name), self._special.get(name)
+        if plain is None and special is None:
+            return
+        if name in _STAMPED and not self._in_time(now_s, name, message):
+            return
+        if plain is not None:
+            fields, places = plain
+            if self._believed(now_s, fields.group, fields.rank):
+                for field, k, factor in places:
+                    value = getattr(message, field)
+                    self._set(fields.group, k, math.nan if value == fields.unknown else value * factor)
+        if special is not None:
+            special(now_s, message)
+
+    def step(self, now_s: float) -> None:
+        """Finish a row that waits for a next one, and forget what was not told for long."""
+        if not math.isnan(self._row_s) and now_s - self._row_now_s > _STALL_S:
+            self._finish_row()
+        if now_s - self._swept_s < 0.25:
+            return
+        self._swept_s = now_s
+        for group, (_, told_s) in list(self._told.items()):
+            if now_s - told_s > (SLOW_HOLD_S if group in ("battery", "link") else HOLD_S):
+                del self._told[group]
+                self._values[list(self._owned.get(group, ()))] = math.nan
+                if group == "ranges":
+                    self.ranges = Ranges()
+
+    def note_link(self, now_s: float, loss: float, rate_Hz: float) -> None:
+        """Put the quality of the link among the signals."""
+        self._believed(now_s, "link", 0)
+        self._set("link", self._index["link_loss"], loss)
+        self._set("link", self._index["link_rate"], rate_Hz)
+
+    def believes(self, name: str) -> _Array:
+        """Return the present value of a variable (``"estimated_position"``), NaN where it is not known."""
+        return self._values[self._columns[name]].copy()
+
+    @property
+    def time_s(self) -> float:
+        """The vehicle's clock (s)."""
+        return self.clock.time_s
+
+    @property
+    def flying(self) -> bool:
+        """Whether it is off the floor, as it says itself, or as its height tells."""
+        if self.landed_state:
+            return self.landed_state != 1
+        down = self._values[self._index["estimated_position_D"]]
+        return bool(self.armed and down < -0.1)
+
+    @property
+    def state(self) -> str:
+        """State of its mission machine where it has one of ours, else its flight mode."""
+        return self._own_state[0] or self.mode
+
+    # Rows
+
+    def _in_time(self, now_s: float, name: str, message: MavMessage) -> bool:
+        """Whether a message is no older than the last of its kind; begins the row of its stamp."""
+        field, tick = _STAMPED[name]
+        boot_ms = getattr(message, field) // tick
+        if tick > 1 and not self.clock.fits(boot_ms):
+            return True  # some vehicles stamp with the time of day
+        time_s = self.clock.stamp(boot_ms, now_s)
+        if math.isnan(time_s) or time_s < self._stamps.get(name, -math.inf):
+            return False
+        self._stamps[name] = time_s
+        self._begin_row(time_s, now_s)
+        return True
+
+    def _begin_row(self, time_s: float, now_s: float) -> None:
+        if math.isnan(self._row_s):
+            self._row_s, self._row_now_s = time_s, now_s
+        elif time_s - self._row_s > ROW_S:
+            self._finish_row()
+            self._row_s, self._row_now_s = time_s, now_s
+
+    def _finish_row(self) -> None:
+        with np.errstate(over="ignore"):  # an absurd number becomes infinite, and is drawn nowhere
+            row = self._values.astype(np.float32)
+        if self._row_s > self.history.newest_s or not len(self.history):
+            self.history.append(self._row_s, row)
+            if self.on_row is not None:
+                self.on_row(self._row_s, self._values, self.state)
+        self._row_s = math.nan
+
+    def _believed(self, now_s: float, group: str, rank: int) -> bool:
+        """Whether to believe a message of this rank now; notes that it told."""
+        told = self._told.get(group)
+        if told is not None and told[0] < rank and now_s - told[1] < HOLD_S:
+            return False
+        self._told[group] = rank, now_s
+        return True
+
+    def _set(self, group: str, k: int, value: float) -> None:
+        owned = self._owned.setdefault(group, set())
+        owned.add(k)
+        if self.history.names[k].endswith("_yaw") and math.isfinite(value):
+            value = self._carried_on(k, value)
+        self._values[k] = value
+
+    def _carried_on(self, k: int, angle: float) -> float:
+        """Return the angle in the turn nearest to its last value, or else to the estimated heading."""
+        near = self._values[k]
+        if not math.isfinite(near):
+            near = self._values[self._index["estimated_attitude_yaw"]]
+        if not math.isfinite(near):
+            return angle
+        return angle + 2.0 * math.pi * round((near - angle) / (2.0 * math.pi))
+
+    def _put(self, group: str, name: str, values: Any) -> None:
+        first = self._columns[name].start
+        for j, value in enumerate(values):
+            self._set(group, first + j, float(value))
+
+    # Messages with rules of their own
+
+    def _heartbeat(self, now_s: float, m: MavMessage) -> None:
+        self.autopilot, self.vehicle_type = m.autopilot, m.type
+        self.armed = bool(m.base_mode & _ARMED)
+        self.mode = mode_words(m.autopilot, m.type, m.base_mode, m.custom_mode)
+        if now_s - self._own_state[1] > _HEARTBEAT_S:
+            self._own_state = ("", -math.inf)
+
+    def _sys_status(self, now_s: float, m: MavMessage) -> None:
+        self.health = (
+            m.onboard_control_sensors_present,
+            m.onboard_control_sensors_enabled,
+            m.onboard_control_sensors_health,
+        )
+        if self._believed(now_s, "battery", 1):
+            voltage = math.nan if m.voltage_battery == 65535 else m.voltage_battery / 1e3
+            self._battery_is(voltage, m.current_battery, m.battery_remaining)
+
+    def _battery(self, now_s: float, m: MavMessage) -> None:
+        if m.id != 0 or not self._believed(now_s, "battery", 0):
+            return
+        cells = [v for v in (*m.voltages, *(v for v in m.voltages_ext if v)) if v != 65535]
+        self._battery_is(sum(cells) / 1e3 if cells else math.nan, m.current_battery, m.battery_remaining)
+        self.battery_left_s = float(m.time_remaining) if m.time_remaining > 0 else math.nan
+
+    def _battery_is(self, voltage: float, current_cA: int, percent: int) -> None:
+        self._put("battery", "battery_voltage", [voltage])
+        self._put("battery", "battery_current", [math.nan if current_cA < 0 else current_cA / 100.0])
+        self._put("battery", "battery_charge", [math.nan if percent < 0 else percent / 100.0])
+
+    def _extended_state(self, now_s: float, m: MavMessage) -> None:
+        self.landed_state = m.landed_state
+
+    def _quaternion(self, now_s: float, m: MavMessage) -> None:
+        if self._believed(now_s, "attitude", 1):
+            self._put("attitude", "estimated_attitude", _euler(m.q1, m.q2, m.q3, m.q4))
+            self._put("attitude", "estimated_rates", (m.rollspeed, m.pitchspeed, m.yawspeed))
+
+    def _global_origin(self, now_s: float, m: MavMessage) -> None:
+        self.origin = (m.latitude / 1e7, m.longitude / 1e7, m.altitude / 1e3)
+
+    def _home(self, now_s: float, m: MavMessage) -> None:
+        if self.origin is None:
+            self._global_origin(now_s, m)
+
+    def _global_position(self, now_s: float, m: MavMessage) -> None:
+        """Metres from the origin (or the first fix) on a sphere flattened there: good to a per mille in 10 km."""
+        if (m.lat, m.lon) == (0, 0):
+            return  # no fix yet
+        latitude, longitude = m.lat / 1e7, m.lon / 1e7
+        if self.origin is None:
+            self.origin = (latitude, longitude, (m.alt - m.relative_alt) / 1e3)
+        if not self._believed(now_s, "position", 1):
+            return
+        north = math.radians(latitude - self.origin[0]) * _EARTH_M
+        turn = math.remainder(longitude - self.origin[1], 360.0)
+        east = math.radians(turn) * _EARTH_M * math.cos(math.radians(self.origin[0]))
+        self._put("position", "estimated_position", (north, east, self.origin[2] - m.alt / 1e3))
+        self._put("position", "estimated_velocity", (m.vx / 100.0, m.vy / 100.0, m.vz / 100.0))
+
+    def _position_target(self, now_s: float, m: MavMessage) -> None:
+        if m.coordinate_frame != 1:
+            return
+        self._believed(now_s, "reference", 0)
+        given = [
+            math.nan if m.type_mask >> k & 1 else v for k, v in enumerate((m.x, m.y, m.z, m.vx, m.vy, m.vz))
+        ]
+        self._put("reference", "reference_position", given[:3])
+        self._put("reference", "reference_velocity", given[3:])
+
+    def _attitude_target(self, now_s: float, m: MavMessage) -> None:
+        self._believed(now_s, "reference_attitude", 0)
+        angles = (math.nan,) * 3 if m.type_mask & 128 else _euler(*m.q)
+        self._put("reference_attitude", "reference_attitude", angles)
+
+    def _actuators(self, now_s: float, m: MavMessage) -> None:
+        # The order of the outputs is ours; another vehicle's may mean anything.
+        if self.vehicle_type == _COAXIAL and m.active >= 4 and self._believed(now_s, "actuators", 0):
+            self._put("actuators", "motor_input", m.actuator[:2])
+            self._put("actuators", "servo_input", m.actuator[2:4])
+
+    def _servo_outputs(self, now_s: float, m: MavMessage) -> None:
+        if m.port == 0 and self._believed(now_s, "actuators", 1):
+            pulses = (m.servo1_raw, m.servo2_raw)
+            self._put("actuators", "motor_input", [(p - 1000) / 1000 if p else math.nan for p in pulses])
+
+    def _rpm(self, now_s: float, m: MavMessage) -> None:
+        for field, signal, factor in RPM.get(m.index, ()):
+            self._believed(now_s, f"rpm {m.index}", 0)
+            self._set(f"rpm {m.index}", self._index[signal], getattr(m, field) * factor)
+
+    def _ring(self, now_s: float, m: MavMessage) -> None:
+        if self._believed(now_s, "ranges", 0):
+            self._ranges_are(read_ring(m, float(self._values[self._index["estimated_attitude_yaw"]])))
+
+    def _distance(self, now_s: float, m: MavMessage) -> None:
+        if m.orientation < 8 and self._believed(now_s, "ranges", 1):
+            self._ranges_are(read_distance(m, self.ranges))
+
+    def _ranges_are(self, ranges: Ranges) -> None:
+        self.ranges = ranges
+        beams = self._columns["range"].stop - self._columns["range"].start
+        kept = ranges.ranges if len(ranges.ranges) <= beams else unknown(0)
+        self._put("ranges", "range", [*kept, *unknown(beams - len(kept))])
+
+    def _debug_array(self, now_s: float, m: MavMessage) -> None:
+        if m.name != "truth":
+            return
+        self.simulated = True
+        self._believed(now_s, "truth", 0)
+        at = 0
+        for name in ("position", "velocity", "attitude", "rates", "rotor_speed"):
+            columns = self._columns[f"truth_{name}"]
+            width = columns.stop - columns.start
+            self._put("truth", f"truth_{name}", m.data[at : at + width])
+            at += width
+        self._put("truth", "wind", m.data[at : at + 3])
+
+    def _named_int(self, now_s: float, m: MavMessage) -> None:
+        if m.name == "mstate":
+            known = 0 <= m.value < len(MUFLY_STATES)
+            self._own_state = (MUFLY_STATES[m.value] if known else f"state {m.value}", now_s)
+        elif m.name == "command":
+            self.commander = m.value
+
+    def _mission_current(self, now_s: float, m: MavMessage) -> None:
+        self.mission_current = m.seq
+
+
+def _place(layout: Any, quantity: Any) -> tuple[str, int]:
+    labels = layout.labels(quantity)
+    return (f"{quantity.name}_{labels[0]}", len(labels)) if quantity.dim else (quantity.name, 1)
+
+
+def _euler(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Roll, pitch, yaw of a quaternion (rad); NaN if it is none."""
+    size = math.sqrt(w * w + x * x + y * y + z * z)
+    if not 0.5 < size < 2.0:
+        return (math.nan,) * 3
+    w, x, y, z = w / size, x / size, y / size, z / size
+    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
+    return roll, pitch, math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
