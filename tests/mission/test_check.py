@@ -107,3 +107,31 @@ def test_prepare_takes_the_vehicle_s_ring_and_battery():
     assert prepare(mission_from(go((1, 0, -1), battery={"low_V": 6.5})), vehicle).low_V == 6.5
     with pytest.raises(InputError, match=r"battery\.low_V"):
         prepare(mission_from(go((1, 0, -1), battery={"low_V": 12.0})), vehicle)
+
+
+def test_the_way_home_is_checked_and_counted():
+    numbers = {"hover_current_A": 4.0, "capacity_Ah": 0.25}
+    there, back = mission_from(go((3, 0, -1))), mission_from(go((3, 0, -1), at_end="return"))
+    one, two = check_mission(there, **numbers), check_mission(back, **numbers)
+    assert two.path_m == pytest.approx(one.path_m + 3.0)
+    assert two.duration_s > one.duration_s + 3.0 / 0.6
+    with pytest.raises(InputError, match=r'at_end: "return" is out of reach.*end with "land"'):
+        check_mission(mission_from(go((60, 0, -1), at_end="return")), **numbers)
+    check_mission(mission_from(go((60, 0, -1))), **numbers)
+
+
+def test_a_way_home_over_a_box_that_the_beams_miss_is_refused():
+    table = {"centre_m": [1.5, 1.5, -0.5], "size_m": [0.8, 0.8, 1.0], "name": "table"}
+    corners = ((3, 0, -1.2), (3, 3, -1.2))
+    mission_from(go(*corners, box=[table]))
+    with pytest.raises(InputError, match="at_end: the way to it, at a height of 1.20 m, passes the table"):
+        mission_from(go(*corners, box=[table], at_end="return"))
+
+
+def test_a_slower_leg_takes_longer():
+    m = load_mission("demonstration")
+    tables = m.model_dump(exclude_none=True)
+    tables["waypoint"] = [{**w, "speed_m_s": 0.2} for w in tables["waypoint"]]
+    slow = check_mission(mission_from(tables), hover_current_A=4.0, capacity_Ah=0.25)
+    quick = check_mission(m, hover_current_A=4.0, capacity_Ah=0.25)
+    assert slow.duration_s == pytest.approx(quick.duration_s + 12.0 / 0.2 - 12.0 / 0.6, abs=6.0)

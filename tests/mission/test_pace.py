@@ -29,3 +29,18 @@ def test_what_cannot_is_slowed_and_said() -> None:
     assert MISSION.trajectory_limits.climb == 1.0
     assert mission.trajectory_limits.climb == pytest.approx(0.4)
     assert mission.waypoint == MISSION.waypoint
+
+
+def test_a_waypoint_s_own_speed_is_brought_down_too() -> None:
+    hasty = mission_from(
+        {
+            "waypoint": [
+                {"position_m": [1.0, 0.0, -1.0], "speed_m_s": 2.5},
+                {"position_m": [2.0, 0.0, -1.0], "speed_m_s": 0.4},
+                {"position_m": [3.0, 0.0, -1.0]},
+            ]
+        }
+    )
+    mission, changes = slowed(hasty, Limits(1.0, 10.0, 10.0, 10.0, 10.0, 100.0, 1000.0))
+    assert [w.speed_m_s for w in mission.waypoint] == [pytest.approx(0.8), 0.4, None]
+    assert changes == "waypoint[1].speed_m_s 0.8 in place of 2.5"

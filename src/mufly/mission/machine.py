@@ -105,6 +105,7 @@ def _sense(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> Mis
         s,
         time_s=m.time_s,
         clock_s=clock,
+        step_s=dt,
         battery_V=volts,
         low_s=s.low_s + dt if volts < plan.low_V else 0.0,
         memory=memory,

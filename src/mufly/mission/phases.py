@@ -14,7 +14,7 @@ import numpy as np
 
 from mufly.mission.avoidance import BRAKE_M_S2, begin_detour, go_round
 from mufly.mission.plan import SLOW_FROM_M, SPIN_UP_S, leg_trajectory
-from mufly.mission.reference import at_gate, point
+from mufly.mission.reference import at_gate, onward, point
 from mufly.mission.schema import LOWEST_M
 from mufly.mission.sight import blocked, look
 from mufly.mission.signals import MissionPlan, MissionState, State, Triple, enter, fail, log
@@ -153,7 +153,7 @@ def _complete(plan: MissionPlan, s: MissionState) -> MissionState:
 
 def braking(plan: MissionPlan, s: MissionState) -> Stop:
     """Come to rest from how the reference moves now."""
-    now = point(s)
+    now = onward(s)
     return stop(
         now.position,
         now.velocity,
@@ -316,7 +316,7 @@ def land(s: MissionState, why: str, *, level: str = "info") -> MissionState:
         s = fail(s, why) if s.begun else s
         return enter(s, State.INIT, why, level=level, motors="ramp_down", motion=None, tracker=None)
     now = point(s)
-    brake = stop(now.position, (*now.velocity[:2], 0.0), now.heading, BRAKE_M_S2)
+    brake = stop(onward(s).position, (*now.velocity[:2], 0.0), now.heading, BRAKE_M_S2)
     foot = brake.at(math.inf).position
     return enter(
         s,

@@ -10,7 +10,7 @@ from mufly.mission.signals import Command, MissionPlan, MissionState, Reference,
 from mufly.mission.trajectory import Point, Trajectory
 from mufly.sensors import Measurement
 
-__all__ = ["at_gate", "point", "reference", "swing"]
+__all__ = ["at_gate", "onward", "point", "reference", "swing"]
 
 SWEEP_PERIOD_S = 4.0
 """Period of the nose's swing while scanning; every direction is looked at once in half of it (s)."""
@@ -31,6 +31,20 @@ def point(s: MissionState) -> Point:
         (n, e, _), (u, v, _), (a, b, _) = at.position, at.velocity, at.acceleration
         return Point((n, e, s.hold[2]), (u, v, s.sink), (a, b, s.sink_rate), at.heading, at.heading_rate)
     return at
+
+
+def onward(s: MissionState) -> Point:
+    """Where the reference is once this step is over, as it moves now: what another motion has to go on from.
+
+    A motion's clock has been moved on already; what a state integrates by itself (a detour, a landing's height, the
+    tracker of set-points) has not.
+    """
+    at = point(s)
+    if s.state not in (State.OBSTACLE, State.LANDING, State.OFFBOARD):
+        return at
+    (n, e, d), (u, v, w), dt = at.position, at.velocity, s.step_s
+    place = (n, e, d + dt * w) if s.state is State.LANDING else (n + dt * u, e + dt * v, d + dt * w)
+    return at._replace(position=place, heading=at.heading + dt * at.heading_rate)
 
 
 def at_gate(s: MissionState) -> bool:

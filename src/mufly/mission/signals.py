@@ -216,6 +216,8 @@ class MissionState:
         State of Fig. 6.15.
     time_s, entered_s, clock_s : float
         Time of the last step; when the state was entered; time on the present motion, which a gate can hold (s).
+    step_s : float
+        Length of the last step (s).
     motors : str
         What the motors are to do.
     index : int
@@ -276,6 +278,7 @@ class MissionState:
     time_s: float = 0.0
     entered_s: float = 0.0
     clock_s: float = 0.0
+    step_s: float = 0.0
     motors: Motors = "off"
     index: int = 0
     outcome: Literal["", "succeeded", "failed"] = ""

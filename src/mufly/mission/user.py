@@ -13,7 +13,7 @@ from mufly.mission.avoidance import BRAKE_M_S2
 from mufly.mission.offboard import HIGHEST_M, SetPoint, begin_tracking, fault_of, follow, wants_up
 from mufly.mission.phases import braking, go_home, land, measured_at, set_out
 from mufly.mission.plan import SPIN_UP_S
-from mufly.mission.reference import point
+from mufly.mission.reference import onward, point
 from mufly.mission.schema import LOWEST_M
 from mufly.mission.sight import hold_off
 from mufly.mission.signals import Command, MissionPlan, MissionState, State, Triple, enter, fail, log
@@ -252,7 +252,7 @@ def to_set_points(s: MissionState, m: Measurement, wanted: SetPoint) -> MissionS
             s,
             State.OFFBOARD,
             "offboard: set-points",
-            tracker=begin_tracking(point(s)),
+            tracker=begin_tracking(onward(s)),
             motion=None,
             detour=None,
             manual=True,
@@ -281,7 +281,8 @@ def track(plan: MissionPlan, s: MissionState, m: Measurement, c: Command, dt: fl
         if s.clock_s < SPIN_UP_S:
             return s
         s = replace(s, motors="fly", tracker=begin_tracking(point(replace(s, motion=None))))
-    if c.set_point is None or s.tracker is None or fault_of(c.set_point):
+    # It was begun for the end of the step in which it was entered.
+    if c.set_point is None or s.tracker is None or s.entered_s == s.time_s or fault_of(c.set_point):
         return s
     here = measured_at(m)
 
