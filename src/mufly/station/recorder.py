@@ -15,30 +15,27 @@ from __future__ import annotations
 import contextlib
 import math
 import shutil
-import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError, MuflyError
 from mufly.flight import Recorder
+from mufly.link.tlog import TlogWriter
 from mufly.station.remote import RemoteVehicle
 from mufly.station.view import Message
 from mufly.version import __version__
 
 __all__ = ["StationRecorder"]
 
-FLUSH_S = 1.0
 DISK_CHECK_S = 5.0
 DISK_LEAST_BYTES = 50e6
 """With less room than this the recording ends (it would end broken a little later)."""
-_STAMP = struct.Struct(">Q")
 
 
 @dataclass(slots=True)
@@ -87,8 +84,8 @@ class StationRecorder:
         self.free_bytes = math.nan
         self._on_end, self._wall_s = on_end, wall_s
         self._tracks: dict[int, _Track] = {}
-        self._tlog: BinaryIO | None = None
-        self._flushed_s = self._looked_s = -math.inf
+        self._tlog: TlogWriter | None = None
+        self._looked_s = -math.inf
 
     def start(self) -> None:
         """Begin a recording in a folder of its own.
@@ -107,11 +104,10 @@ class StationRecorder:
             path = self.folder / f"{stamp}_{k}"
         try:
             path.mkdir(parents=True)
-            self._tlog = (path / "station.tlog").open("wb")
         except OSError as error:
-            self._tlog = None
             problem = f"cannot be written ({error.strerror})"
             raise InputError(str(path), "", problem, "choose another folder with --out") from error
+        self._tlog = TlogWriter(path / "station.tlog")
         self.path, self.recording = path, True
         self._looked_s = -math.inf
 
@@ -151,7 +147,7 @@ class StationRecorder:
         if self._tlog is None:
             return
         try:
-            self._tlog.write(_STAMP.pack(int(self._wall_s() * 1e6)) + data)
+            self._tlog.write(data, int(self._wall_s() * 1e6))
         except OSError as error:
             self._end(f"the tlog cannot be written ({error.strerror})")
 
@@ -162,16 +158,10 @@ class StationRecorder:
         return self.recording
 
     def step(self, now_s: float) -> None:
-        """Flush what waits, and look at the room on the disk."""
+        """Look at the room on the disk from time to time."""
         if now_s - self._looked_s >= DISK_CHECK_S:
             self._looked_s = now_s
             self._look_at_disk()
-        if self._tlog is not None and now_s - self._flushed_s >= FLUSH_S:
-            self._flushed_s = now_s
-            try:
-                self._tlog.flush()
-            except OSError as error:
-                self._end(f"the tlog cannot be written ({error.strerror})")
 
     def _look_at_disk(self) -> None:
         place = self.path or self.folder

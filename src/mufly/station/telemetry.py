@@ -73,7 +73,7 @@ class Telemetry:
     """
 
     def __init__(self, history: History | None = None) -> None:
-        self.history = history or History()
+        self.history = History() if history is None else history
         self.clock = VehicleClock()
         self.armed = False
         self.landed_state = self.autopilot = self.vehicle_type = 0
