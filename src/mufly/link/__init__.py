@@ -6,6 +6,9 @@ from mufly.link.geodesy import Origin, parse_origin
 from mufly.link.missions import Plan, Refusal, items_of, plan_of
 from mufly.link.modes import Mode, custom_mode, mode_of, mode_of_custom
 from mufly.link.ports import Peer, Port, open_port, wait
+from mufly.link.process import VehicleProcess, start_vehicle
+from mufly.link.runner import Report, run
+from mufly.link.tlog import TlogWriter
 from mufly.link.vehicle import VehicleLink
 
 __all__ = [
@@ -20,7 +23,10 @@ __all__ = [
     "Plan",
     "Port",
     "Refusal",
+    "Report",
+    "TlogWriter",
     "VehicleLink",
+    "VehicleProcess",
     "custom_mode",
     "items_of",
     "mode_of",
@@ -29,5 +35,7 @@ __all__ = [
     "parse_endpoint",
     "parse_origin",
     "plan_of",
+    "run",
+    "start_vehicle",
     "wait",
 ]

@@ -1,0 +1,164 @@
+"""The loop by the clock on the wall, over real sockets: in a thread, and in a process of its own."""
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+from link_rig import new_flight
+
+from mufly.errors import MuflyError
+from mufly.link import Endpoint, TlogWriter, open_port, run, start_vehicle, wait
+from mufly.link.codec import Codec, Encoder
+from mufly.link.dialect import mavlink as m
+from mufly.link.runner import CATCH_UP_S, HURRY, Pace
+from mufly.logs import read_log
+from mufly.mission import Mission
+
+
+def ticks(clock, period, busy, until):
+    """Times of the ticks of a loop whose work takes ``busy(k)`` seconds."""
+    pace, out, now = Pace(clock, period), [], clock
+    while now < until:
+        rest = pace.wait_s(now)
+        now += max(0.0, rest)
+        pace.tick(now)
+        out.append(now)
+        now += busy(len(out))
+    return pace, out
+
+
+def test_the_pace_does_not_drift():
+    pace, out = ticks(10.0, 0.01, lambda k: 0.003 * (k % 3), 70.0)
+    assert len(out) == pytest.approx(6000, abs=2)
+    assert pace.slipped_s == 0.0
+
+
+def test_a_short_stall_is_made_up_for_without_a_burst():
+    pace, out = ticks(10.0, 0.01, lambda k: 0.5 if k == 100 else 0.0, 20.0)
+    assert len(out) == pytest.approx(1000, abs=2)
+    assert min(b - a for a, b in itertools.pairwise(out)) > 0.99 * 0.01 / HURRY
+    assert pace.slipped_s == 0.0
+    assert pace.worst_s > 0.4
+
+
+def test_a_long_stall_is_not():
+    pace, out = ticks(10.0, 0.01, lambda k: 4.0 if k == 100 else 0.0, 20.0)
+    assert pace.slipped_s == pytest.approx(4.0 - 0.01)
+    assert len(out) == pytest.approx(600, abs=3)
+    assert CATCH_UP_S < 4.0
+
+
+def listener():
+    return open_port(Endpoint("udpin", "127.0.0.1", 0))
+
+
+def hear(port, seconds, want=lambda message: False):
+    """Messages that come in within some time, or until one is wanted."""
+    codec, out, end = Codec(), [], time.monotonic() + seconds
+    while time.monotonic() < end:
+        wait([port], 0.05)
+        for peer, data in port.receive():
+            for message in codec.receive(0.0, peer, data):
+                out.append(message)
+                if want(message):
+                    return out
+    return out
+
+
+def test_a_vehicle_in_real_time_and_its_telemetry_log(tmp_path):
+    port = listener()
+    flight, over = new_flight(), threading.Event()
+    log = tmp_path / "link.tlog"
+    with TlogWriter(log) as tlog:
+        loop = threading.Thread(
+            target=run,
+            args=(flight, [Endpoint("udpout", "127.0.0.1", port.port)]),
+            kwargs={"stop": over.is_set, "tlog": tlog},
+        )
+        loop.start()
+        try:
+            heard = hear(port, 1.5)
+            arm = m.MAVLink_command_long_message(1, 1, m.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0)
+            port.send(port.peers[0], Encoder(255, 190)(arm))
+            heard += hear(port, 2.0, lambda x: x.get_type() == "COMMAND_ACK")
+        finally:
+            over.set()
+            loop.join(5.0)
+    assert heard[-1].get_type() == "COMMAND_ACK"
+    assert heard[-1].result == 0
+    times = [x.time_boot_ms for x in heard if x.get_type() == "ATTITUDE"]
+    assert times == sorted(times)
+    assert len(set(times)) > 5
+    data = read_log(log)
+    assert data.sizes["time"] > 10
+    port.close()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_a_vehicle_in_its_own_process(tmp_path):
+    port = listener()
+    recording = tmp_path / "flight.mcap"
+    end = Endpoint("udpout", "127.0.0.1", port.port)
+    with start_vehicle(
+        "mufly-1.1", Mission(name="none"), endpoints=[end], path=recording, system=7
+    ) as vehicle:
+        vehicle.wait_ready()
+        heard = hear(port, 10.0, lambda x: x.get_type() == "HEARTBEAT")
+        assert heard[-1].get_srcSystem() == 7
+        os.kill(vehicle.pid, signal.SIGINT)  # not its business
+        time.sleep(0.5)
+        assert not vehicle.finished
+    assert vehicle.finished
+    assert vehicle.outcome == "unfinished"
+    assert read_log(recording).attrs["outcome"] == "unfinished"
+    port.close()
+
+
+PARENT = """
+import sys, time
+from mufly.link import start_vehicle, Endpoint
+from mufly.mission import Mission
+if __name__ == "__main__":
+    v = start_vehicle("mufly-1.1", Mission(name="none"), endpoints=[], path=sys.argv[1])
+    v.wait_ready()
+    print(v.pid, flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_a_vehicle_ends_well_when_its_parent_is_killed(tmp_path):
+    script, recording = tmp_path / "parent.py", tmp_path / "flight.mcap"
+    script.write_text(PARENT)
+    parent = subprocess.Popen([sys.executable, script, recording], stdout=subprocess.PIPE, text=True)
+    child = int(parent.stdout.readline())
+    time.sleep(0.5)
+    parent.kill()
+    parent.wait()
+    end = time.monotonic() + 10.0
+    while time.monotonic() < end and _alive(child):
+        time.sleep(0.05)
+    assert not _alive(child)
+    data = read_log(recording)
+    assert data.attrs["outcome"] == "unfinished"
+    assert data.attrs["complete"]
+
+
+def _alive(pid):
+    try:
+        with open(f"/proc/{pid}/stat") as stat:
+            return stat.read().rsplit(")", 1)[1].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def test_what_is_wrong_in_the_process_is_told_here(tmp_path):
+    vehicle = start_vehicle("mufly-1.1", "no such mission", endpoints=[])
+    with pytest.raises(MuflyError, match="no such mission"):
+        vehicle.wait_ready()
+    vehicle.stop()
