@@ -9,10 +9,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import signal
 import socket
 import time
 import webbrowser
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
 from typing import Any
 
 import uvicorn
@@ -147,6 +148,10 @@ async def _stream(web: WebSocket, feed: Feed) -> None:
             await listener
 
 
+async def _wait(event: asyncio.Event) -> None:
+    await event.wait()
+
+
 async def _replays(session: Session) -> None:
     """Let time pass in the recordings that are played."""
     last = time.monotonic()
@@ -157,6 +162,15 @@ async def _replays(session: Session) -> None:
             if view.replay is not None:
                 view.replay.advance(now - last)
         last = now
+
+
+class _Server(uvicorn.Server):
+    """Signals are for whoever called us: Ctrl-C cancels, and everything is closed in order."""
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Capture none."""
+        yield
 
 
 async def serve(
@@ -184,12 +198,17 @@ async def serve(
         guarded, log_level="warning", access_log=False, ws_per_message_deflate=False, lifespan="on",
         timeout_graceful_shutdown=1,
     )  # fmt: skip
-    server = uvicorn.Server(config)
+    server = _Server(config)
     replays = asyncio.create_task(_replays(session))
     serving = asyncio.create_task(server.serve(sockets=[address.socket]))
     tasks = {serving}
     if beside is not None:
         tasks.add(asyncio.ensure_future(beside()))
+    ended = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):  # no main thread, or no such signals
+        loop.add_signal_handler(signal.SIGTERM, ended.set)
+    tasks.add(loop.create_task(_wait(ended)))
     try:
         while not server.started and not serving.done():
             await asyncio.sleep(0.02)
