@@ -1,0 +1,207 @@
+"""Stations against the real vehicle link and a simulated helicopter, over damaged channels, in stepped time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mock_vehicle import Channel
+
+from mufly.control import design
+from mufly.flight import Flight, read_recording
+from mufly.flight.parameters import TABLE
+from mufly.link.vehicle import VehicleLink
+from mufly.logs import read_log
+from mufly.mission import Mission, mission_from
+from mufly.station.ground import GroundLink
+from mufly.station.recorder import StationRecorder
+from mufly.station.view import MissionRow
+from mufly.vehicle import load_vehicle
+
+OURS = (251, 190)
+WORST = {"loss": 0.3, "delay_s": 0.3, "doubles": 0.2}
+SQUARE = {
+    "name": "two points",
+    "take_off": {"height_m": 0.6, "wait_s": 0.5},
+    "waypoint": [
+        {"position_m": [0.6, 0.0, -0.6], "wait_s": 0.5, "heading_deg": 90.0},
+        {"position_m": [0.6, 0.4, -0.8]},
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def helicopter():
+    vehicle = load_vehicle("mufly-1.1")
+    return vehicle, design(vehicle)
+
+
+class Scene:
+    """One simulated vehicle and stations around it, each behind channels of its own."""
+
+    def __init__(self, helicopter, stations=1, seed=0, mission=None, **damage):
+        vehicle, controller = helicopter
+        self.flight = Flight(vehicle, mission or Mission(), controller=controller, keep=False)
+        self.link = VehicleLink(self.flight)
+        self.stations = [GroundLink((OURS[0] + k, OURS[1])) for k in range(stations)]
+        self.up = [Channel(seed + 2 * k, **damage) for k in range(stations)]
+        self.down = [Channel(seed + 2 * k + 1, **damage) for k in range(stations)]
+        self.t = 50.0
+        for k in range(stations):
+            self.link.connect(self.t, f"station {k}")
+
+    def run(self, seconds, until=None):
+        begin = self.t
+        while self.t < begin + seconds:
+            self.t += self.flight.period_s
+            for k in range(len(self.stations)):
+                for data in self.up[k].arrived(self.t):
+                    self.link.receive(self.t, f"station {k}", data)
+            self.flight.tick()
+            for peer, data in self.link.step(self.t):
+                self.down[int(str(peer).split()[1])].send(self.t, data)
+            for k, station in enumerate(self.stations):
+                for data in self.down[k].arrived(self.t):
+                    station.receive(self.t, "vehicle", data)
+                for _, data in station.step(self.t):
+                    self.up[k].send(self.t, data)
+            if until is not None and until():
+                return self.t - begin
+        assert until is None, f"it did not come in {seconds} s"
+        return seconds
+
+    def vehicle(self, k=0, seconds=40.0):
+        def ready():
+            found = self.stations[k].vehicles
+            return (
+                found
+                and found[0].parameters
+                and not found[0].parameters_missing
+                and (found[0].transfers.items is not None)
+            )
+
+        self.run(seconds, ready)
+        return self.stations[k].vehicles[0]
+
+    def answer(self, request, seconds=30.0):
+        self.run(seconds, lambda: request.done)
+        return request.outcome.value, request.answer
+
+
+def test_a_flight_by_hand(helicopter, tmp_path):
+    scene = Scene(helicopter)
+    recorder = StationRecorder(tmp_path)
+    recorder.start()
+    scene.stations[0]._on_vehicle = recorder.attach
+    scene.stations[0]._on_packet = recorder.packet
+    vehicle = scene.vehicle()
+    assert vehicle.kind == "mufly"
+    assert {row.name for row in TABLE} <= set(vehicle.parameters)
+    assert vehicle.parameters["LIM_SPEED"].unit == "m/s"
+    scene.run(2.0)
+    failed = [c for c in vehicle.checks if c.ok is False]
+    assert failed == []
+
+    assert scene.answer(vehicle.take_off(0.7)) == ("accepted", "")
+    scene.run(10.0, lambda: vehicle.snapshot.state == "hover")
+    scene.run(1.0)
+    s = vehicle.snapshot
+    assert (s.flying, s.armed, s.in_command, s.commander) == (True, True, True, "this station")
+    assert s.position[2] == pytest.approx(-0.7, abs=0.1)
+    assert (s.motor_input > 0.5).all()
+    assert (s.rotor_speed > 300.0).all()
+    assert len(s.ranges) == 8
+    assert 100.0 < s.link_rate_Hz < 1500.0
+    assert s.link_loss == 0.0
+
+    assert scene.answer(vehicle.go_to((0.5, -0.3, -0.8), 0.5)) == ("accepted", "")
+    vehicle.mark("half way")
+    scene.run(15.0, lambda: np.linalg.norm(vehicle.snapshot.position - [0.5, -0.3, -0.8]) < 0.05)
+    assert scene.answer(vehicle.land()) == ("accepted", "")
+    scene.run(15.0, lambda: not vehicle.snapshot.armed)
+    assert not vehicle.snapshot.flying
+    recorder.stop()
+
+    times, values = vehicle.history.window(
+        600.0, ["estimated_position_N", "truth_position_N", "measured_position_N"]
+    )
+    assert np.median(np.diff(times)) == pytest.approx(0.01, abs=0.002)
+    steady = np.isfinite(values).all(axis=1)
+    assert steady.mean() > 0.9
+    assert np.abs(values[steady] - values[steady][:, :1]).max() < 0.02
+
+    data = read_recording(recorder.path / "station.mcap")
+    assert data.attrs["complete"]
+    assert any("half way" in text for text in data["event_text"].values.tolist())
+    assert float(data["estimated_position"].sel(axis="D").min()) == pytest.approx(-0.8, abs=0.1)
+    assert "landing" in data["mission_state"].values.tolist()
+    log = read_log(recorder.path / "station.tlog")
+    assert "measured_position" in log
+
+
+def test_a_mission_over_the_worst_link(helicopter):
+    scene = Scene(helicopter, seed=5, **WORST)
+    vehicle = scene.vehicle(seconds=120.0)
+    assert scene.answer(vehicle.upload_mission(mission_from(SQUARE)), 120.0)[0] == "accepted"
+    assert [row.action for row in vehicle.mission] == ["take off", "waypoint", "waypoint", "land"]
+    assert scene.answer(vehicle.start_mission(), 60.0)[0] == "accepted"
+    scene.run(60.0, lambda: vehicle.mission_progress >= 3)
+    scene.run(30.0, lambda: not vehicle.snapshot.armed)
+    assert scene.flight.autopilot.status.outcome == "succeeded"
+    assert scene.answer(vehicle.clear_mission(), 60.0)[0] == "accepted"
+    scene.run(3.0)
+    assert vehicle.mission == []
+
+
+def test_a_mission_that_cannot_be_flown_is_refused_in_the_vehicles_words(helicopter):
+    scene = Scene(helicopter)
+    vehicle = scene.vehicle()
+    outcome, answer = scene.answer(
+        vehicle.upload_mission([MissionRow("take off", (0, 0, -1)), MissionRow("waypoint", (1.0, 0.0, 3.0))])
+    )
+    assert outcome == "refused"
+    assert "height" in answer
+
+
+def test_a_second_station_watches_and_takes_over_after_release(helicopter):
+    scene = Scene(helicopter, stations=2)
+    first, second = scene.vehicle(0), scene.vehicle(1)
+    assert scene.answer(first.take_off(0.6)) == ("accepted", "")
+    scene.run(1.5)
+    assert first.snapshot.in_command
+    assert not second.snapshot.in_command
+    assert second.snapshot.commander == "station 251 (component 190)"
+    outcome, answer = scene.answer(second.land())
+    assert outcome == "refused"
+    assert "commanded by" in answer
+    assert scene.answer(second.take_command())[0] == "refused"
+    assert scene.answer(first.release_command())[0] == "accepted"
+    assert scene.answer(second.take_command())[0] == "accepted"
+    scene.run(1.5)
+    assert second.snapshot.in_command
+    assert not first.snapshot.in_command
+    scene.run(10.0, lambda: second.snapshot.state == "hover")
+    assert scene.answer(second.land())[0] == "accepted"
+    assert scene.answer(first.emergency_stop())[0] == "accepted"  # from anyone
+    scene.run(0.5)
+    assert (scene.flight.view.actuators.motor_input == 0.0).all()
+
+
+def test_a_parameter_is_tuned_and_its_bounds_hold(helicopter):
+    scene = Scene(helicopter)
+    vehicle = scene.vehicle()
+    assert scene.answer(vehicle.set_parameter("LIM_SPEED", 0.3)) == ("accepted", "")
+    assert scene.flight.autopilot.parameters["LIM_SPEED"].value == 0.3
+    assert scene.answer(vehicle.set_parameter("LIM_SPEED", 50.0))[0] == "refused"
+    assert vehicle.parameters["LIM_SPEED"].value == 0.3
+
+
+def test_a_simulation_begins_anew(helicopter):
+    scene = Scene(helicopter)
+    vehicle = scene.vehicle()
+    scene.run(4.0)
+    assert scene.answer(vehicle.reboot())[0] == "accepted"
+    scene.run(6.0)
+    assert vehicle.snapshot.connected
+    times, _ = vehicle.history.window(600.0)
+    assert (np.diff(times) > 0).all()
+    assert np.isfinite(vehicle.snapshot.position).all()
