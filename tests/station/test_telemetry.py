@@ -1,0 +1,248 @@
+"""From messages to signals: tables, masks, clocks, frames."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mufly.link.dialect import mavlink
+from mufly.station.clock import VehicleClock
+from mufly.station.fields import FIELDS
+from mufly.station.history import History
+from mufly.station.modes import MUFLY_STATES, mode_words
+from mufly.station.telemetry import HOLD_S, Telemetry
+from mufly.station.texts import Texts
+
+
+def sent(message):
+    """A message as it comes off the wire: values in the precision of their fields."""
+    link = mavlink.MAVLink(None)
+    return link.decode(bytearray(message.pack(link)))
+
+
+def told(*messages, telemetry=None, now_s=1.0):
+    telemetry = telemetry or Telemetry(History(seconds=10.0))
+    for message in messages:
+        telemetry.handle(now_s, sent(message))
+    return telemetry
+
+
+def attitude(boot_ms, yaw=0.0):
+    return mavlink.MAVLink_attitude_message(boot_ms, 0.1, 0.2, yaw, 0.3, 0.4, 0.5)
+
+
+def test_every_field_of_the_table_is_a_field_of_its_message_and_a_signal_of_the_history():
+    names = set(History(seconds=1.0).names)
+    for name, table in FIELDS.items():
+        fields = mavlink.mavlink_map[getattr(mavlink, f"MAVLINK_MSG_ID_{name}")].fieldnames
+        for field, signal, _ in table.fields:
+            assert field in fields
+            assert signal in names
+
+
+def test_what_was_measured_in_one_instant_stands_in_one_row():
+    t = told(
+        attitude(1000),
+        mavlink.MAVLink_local_position_ned_message(1000, 1.0, 2.0, -3.0, 0.1, 0.2, 0.3),
+        mavlink.MAVLink_raw_rpm_message(1, 3000.0),
+        attitude(1010),
+    )
+    times, values = t.history.since(
+        0.0, ["estimated_attitude_pitch", "estimated_position_D", "measured_rotor_speed_lower"]
+    )
+    assert times.tolist() == [1.0]
+    np.testing.assert_allclose(values[0], [0.2, -3.0, 3000.0 * math.pi / 30.0], rtol=1e-6)
+    t.step(1.2)  # nothing follows: the last row is finished all the same
+    assert len(t.history) == 2
+
+
+def test_a_message_that_comes_late_is_passed_over():
+    t = told(attitude(1000, 0.1), attitude(1020, 0.3), attitude(1010, 0.2), attitude(1030, 0.4))
+    times, values = t.history.since(0.0, ["estimated_attitude_yaw"])
+    np.testing.assert_allclose(times, [1.0, 1.02])
+    np.testing.assert_allclose(values[:, 0], [0.1, 0.3], rtol=1e-6)
+
+
+def test_headings_are_carried_on_past_south():
+    turns = np.linspace(0.0, 15.0, 100)
+    t = Telemetry(History(seconds=10.0))
+    for k, angle in enumerate(turns):
+        q = (math.cos(angle / 2), 0.0, 0.0, math.sin(angle / 2))
+        told(
+            attitude(1000 + 10 * k, math.remainder(angle, math.tau)),
+            mavlink.MAVLink_attitude_target_message(1000 + 10 * k, 0, q, 0, 0, 0, 0),
+            telemetry=t,
+        )
+    _, values = t.history.since(0.0, ["estimated_attitude_yaw", "reference_attitude_yaw"])
+    np.testing.assert_allclose(values, np.column_stack([turns, turns])[: len(values)], atol=1e-5)
+
+
+def test_what_is_masked_out_of_a_reference_is_not_known():
+    mask = 0b000011
+    t = told(
+        mavlink.MAVLink_position_target_local_ned_message(1000, 1, mask, 1, 2, -3, 4, 5, 6, 0, 0, 0, 0, 0)
+    )
+    np.testing.assert_array_equal(t.believes("reference_position"), [math.nan, math.nan, -3.0])
+    np.testing.assert_array_equal(t.believes("reference_velocity"), [4.0, 5.0, 6.0])
+
+
+def test_what_is_not_told_any_more_is_not_known_any_more():
+    t = told(attitude(1000), mavlink.MAVLink_raw_rpm_message(0, 3000.0))
+    t.step(1.0 + HOLD_S - 0.1)
+    assert np.isfinite(t.believes("estimated_attitude")).all()
+    t.step(1.0 + HOLD_S + 0.3)
+    assert np.isnan(t.believes("estimated_attitude")).all()
+    assert np.isnan(t.believes("measured_rotor_speed")).all()
+
+
+def test_a_ring_of_beams_from_the_nose_and_from_north():
+    distances = [100, 401, 65535, 50] + [65535] * 68
+    body = mavlink.MAVLink_obstacle_distance_message(0, 0, distances, 90, 10, 400, 90.0, 45.0, 12)
+    t = told(body)
+    np.testing.assert_array_equal(t.ranges.ranges, [1.0, 4.0, math.nan, 0.5])
+    np.testing.assert_allclose(t.ranges.angles, np.radians([45.0, 135.0, 225.0, 315.0]))
+    assert t.ranges.most_m == 4.0
+    north = mavlink.MAVLink_obstacle_distance_message(0, 0, distances, 90, 10, 400, 90.0, 45.0, 0)
+    t = told(attitude(1000, math.radians(30.0)), north)
+    np.testing.assert_allclose(t.ranges.angles, np.radians([15.0, 105.0, 195.0, 285.0]), atol=1e-6)
+
+
+def test_eight_distance_sensors_make_a_ring():
+    t = Telemetry(History(seconds=1.0))
+    for k in (0, 2, 4):
+        told(mavlink.MAVLink_distance_sensor_message(0, 10, 400, 100 + k, 0, k, k, 0), telemetry=t)
+    np.testing.assert_array_equal(t.ranges.ranges[[0, 2, 4]], [1.0, 1.02, 1.04])
+    assert np.isnan(t.ranges.ranges[[1, 3, 5, 6, 7]]).all()
+
+
+def test_a_place_on_the_globe_becomes_metres_from_the_first_fix():
+    def fix(boot_ms, lat, lon, alt):
+        at = (round(lat * 1e7), round(lon * 1e7), round(alt * 1e3), round((alt - 400.0) * 1e3))
+        return mavlink.MAVLink_global_position_int_message(boot_ms, *at, 100, -50, 25, 0)
+
+    t = told(fix(1000, 47.0, 8.0, 400.0), fix(1100, 47.0009, 8.0009, 410.0))
+    n, e, d = t.believes("estimated_position")
+    # A degree of a meridian is 111.19 km on a sphere of 6371 km.
+    assert n == pytest.approx(100.08, abs=0.05)
+    assert e == pytest.approx(100.08 * math.cos(math.radians(47.0)), abs=0.05)
+    assert d == pytest.approx(-10.0)
+    np.testing.assert_allclose(t.believes("estimated_velocity"), [1.0, -0.5, 0.25])
+
+
+def test_metres_that_the_vehicle_tells_are_preferred_to_the_globe():
+    t = told(
+        mavlink.MAVLink_local_position_ned_message(1000, 1.0, 2.0, -3.0, 0, 0, 0),
+        mavlink.MAVLink_global_position_int_message(1000, 470000000, 80000000, 0, 0, 0, 0, 0, 0),
+    )
+    assert t.believes("estimated_position").tolist() == [1.0, 2.0, -3.0]
+
+
+def test_batteries_say_what_they_know():
+    t = told(mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 7400, 320, 81, 0, 0, 0, 0, 0, 0))
+    assert [float(t.believes(f"battery_{k}")[0]) for k in ("voltage", "current", "charge")] == [
+        7.4,
+        3.2,
+        0.81,
+    ]
+    cells = [3700, 3600] + [65535] * 8
+    message = mavlink.MAVLink_battery_status_message(0, 0, 0, 0, cells, -1, 0, 0, -1, 300)
+    told(message, telemetry=t)
+    assert float(t.believes("battery_voltage")[0]) == 7.3
+    assert np.isnan(t.believes("battery_current")[0])
+    assert t.battery_left_s == 300.0
+
+
+def test_the_truth_is_taken_apart():
+    values = [float(k) for k in range(17)] + [0.0] * 41
+    t = told(mavlink.MAVLink_debug_float_array_message(0, b"truth", 0, values))
+    assert t.believes("truth_velocity").tolist() == [3.0, 4.0, 5.0]
+    assert t.believes("truth_rotor_speed").tolist() == [12.0, 13.0]
+    assert t.believes("wind").tolist() == [14.0, 15.0, 16.0]
+    assert t.simulated
+
+
+def test_states_and_modes_are_told_in_words():
+    t = told(mavlink.MAVLink_heartbeat_message(3, 12, 129, 4 << 16 | 4 << 24, 4, 3))
+    assert (t.state, t.armed) == ("mission", True)
+    told(mavlink.MAVLink_named_value_int_message(0, b"mstate", MUFLY_STATES.index("hover")), telemetry=t)
+    assert t.state == "hover"
+    assert mode_words(3, 4, 1, 4) == "guided"
+    assert mode_words(3, 4, 0, 4) == ""
+    assert mode_words(12, 2, 1, 3 << 16) == "position control"
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 3e38])
+def test_absurd_numbers_raise_nothing(value):
+    with np.errstate(all="raise"):
+        t = told(
+            mavlink.MAVLink_attitude_message(1000, value, value, value, value, value, value),
+            mavlink.MAVLink_attitude_target_message(1000, 0, [value] * 4, 0, 0, 0, 0),
+            mavlink.MAVLink_obstacle_distance_message(0, 0, [0] * 72, 0, 0, 0, value, value, 0),
+            mavlink.MAVLink_raw_rpm_message(0, value),
+            mavlink.MAVLink_debug_float_array_message(0, b"truth", 0, [value] * 58),
+            attitude(1010),
+        )
+    assert len(t.history) == 1
+
+
+# The clock
+
+
+def test_the_clock_goes_on_over_a_wrap():
+    clock, wrap = VehicleClock(), 2**32
+    times = [clock.stamp((wrap - 50 + 10 * k) % wrap, 0.01 * k) for k in range(20)]
+    np.testing.assert_allclose(np.diff(times), 0.01, atol=1e-6)
+    assert clock.stamp(wrap - 10, 0.2) == pytest.approx(times[4], abs=1e-6)  # from before it, late
+    assert clock.restarts == 0
+
+
+@pytest.mark.parametrize("uptime_s", [10.0, 1e6, 3e6])
+def test_the_clock_goes_on_over_a_restart(uptime_s):
+    clock = VehicleClock()
+    clock.stamp(round(uptime_s * 1e3), 100.0)
+    placed = [clock.stamp(round(1e3 * t), 103.0 + t) for t in (0.1, 0.12, 0.14, 0.16)]
+    assert clock.restarts == 1
+    assert math.isnan(placed[0])
+    assert placed[3] == pytest.approx(uptime_s + 3.16, abs=0.1)
+
+
+def test_one_stamp_that_is_far_behind_is_no_restart():
+    clock = VehicleClock()
+    for k in range(5):
+        clock.stamp(10_000 + 10 * k, 0.01 * k)
+        assert math.isnan(clock.stamp(500, 0.01 * k))
+    assert clock.restarts == 0
+
+
+# Texts
+
+
+def text(content, number=0, chunk=0):
+    return sent(mavlink.MAVLink_statustext_message(4, content, number, chunk))
+
+
+def test_a_long_text_is_put_together_in_any_order():
+    texts, words = Texts(), b"a text that is so long that it comes in more than one piece, and then some more"
+    texts.handle(1.0, 5.0, text(words[50:], 7, 1))
+    assert not texts.messages
+    texts.handle(1.0, 5.0, text(words[:50], 7, 0))
+    assert texts.messages[-1].text == words.decode()
+    assert (texts.messages[-1].level, texts.messages[-1].time_s) == ("warning", 5.0)
+
+
+def test_a_text_whose_piece_was_lost_is_told_with_a_gap():
+    texts = Texts()
+    texts.handle(1.0, 5.0, text(b"the end", 7, 1))
+    texts.step(4.0, 8.0)
+    assert texts.messages[-1].text == "...the end"
+
+
+def test_messages_are_bounded():
+    texts = Texts()
+    for k in range(2000):
+        texts.handle(1.0, 5.0, text(b"x" * 50, 1 + k % 65535, 0))
+        texts.handle(1.0, 5.0, text(b"%d" % k))
+    assert len(texts.messages) == 500
+    assert len(texts._open) <= 8
