@@ -1,0 +1,479 @@
+"""What may be asked of the autopilot, when it is refused, and what becomes of it: on the simulated helicopter."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mufly.control import FlightController, design
+from mufly.dynamics import quaternion_from_euler
+from mufly.flight import Flight, SetPoint
+from mufly.flight.arming import BATTERY_MARGIN_V, not_ready
+from mufly.flight.autopilot import SET_POINT_S, STICKS_S, UNUSED_S
+from mufly.mission import Mission, load_mission, mission_from
+from mufly.sensors import Measurement
+from mufly.vehicle import Vehicle, load_vehicle
+from mufly.world import World
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Vehicle:
+    return load_vehicle("mufly-1.1")
+
+
+@pytest.fixture(scope="module")
+def controller(vehicle: Vehicle) -> FlightController:
+    return design(vehicle)
+
+
+HOP = mission_from(
+    {
+        "name": "hop",
+        "take_off": {"height_m": 0.6, "wait_s": 0.2},
+        "waypoint": [{"position_m": [0.4, 0.0, -0.6]}, {"position_m": [0.4, 0.4, -0.6]}],
+    }
+)
+
+
+class Pilot:
+    """A flight and somebody who runs it."""
+
+    def __init__(self, vehicle: Vehicle, controller: FlightController, mission: Mission = HOP) -> None:
+        self.flight = Flight(vehicle, mission, controller=controller, keep=False)
+        self.autopilot = self.flight.autopilot
+        self.sent: list[np.ndarray] = []
+        self.texts: list[str] = []
+        self.run(0.05)
+
+    def run(
+        self,
+        seconds: float,
+        until: Callable[[], bool] = lambda: False,
+        each: Callable[[], object] | None = None,
+    ) -> None:
+        end = self.flight.time_s + seconds
+        while self.flight.time_s < end - 1e-9 and not until():
+            if each is not None:
+                each()
+            self.flight.tick()
+            self.sent.append(self.flight.view.actuators.array)
+        self.texts += [e.text for e in self.autopilot.events()]
+
+    def fly_to(self, state: str, seconds: float = 20.0) -> None:
+        self.run(seconds, until=lambda: self.autopilot.status.state == state)
+        assert self.autopilot.status.state == state
+
+    def take_off(self, height: float | None = None) -> None:
+        assert self.autopilot.arm()
+        assert self.autopilot.take_off(height)
+        self.fly_to("hover")
+
+    @property
+    def position(self) -> np.ndarray:
+        return self.flight.view.position
+
+
+@pytest.fixture
+def pilot(vehicle: Vehicle, controller: FlightController) -> Pilot:
+    return Pilot(vehicle, controller)
+
+
+def test_nothing_happens_unarmed(pilot: Pilot) -> None:
+    a = pilot.autopilot
+    for answer in (a.take_off(), a.start_mission()):
+        assert not answer
+        assert answer.reason == "not armed; arm first"
+        assert answer.temporary
+    for answer in (a.go_to((1.0, 0.0, -1.0)), a.land(), a.pause(), a.return_home(), a.turn_to(1.0)):
+        assert not answer
+        assert answer.reason == "it does not fly; take off first"
+    pilot.run(1.0)
+    assert np.all(np.array(pilot.sent) == 0.0)
+    assert a.status.home is None
+
+
+def test_takes_off_to_the_parameter_s_height_hovers_and_lands(pilot: Pilot) -> None:
+    a = pilot.autopilot
+    assert a.set_parameter("MIS_TAKEOFF_ALT", 0.9)
+    pilot.take_off()
+    s = a.status
+    assert (s.armed, s.flying, s.manual, s.mission_running) == (True, True, True, False)
+    assert pilot.position[2] == pytest.approx(-0.9, abs=0.06)
+    assert s.home == pytest.approx((0.0, 0.0, s.home[2]))
+    pilot.run(2.0)
+    assert a.land()
+    assert a.land(), "asked twice"
+    pilot.fly_to("init")
+    pilot.run(0.1)
+    s = a.status
+    assert (s.armed, s.flying, s.outcome, s.reason) == (False, False, "succeeded", "landed")
+    pilot.run(1.0)
+    assert np.all(np.array(pilot.sent[-100:]) == 0.0)
+
+
+@pytest.mark.parametrize("height", [0.1, 51.0, -1.0, math.nan, math.inf])
+def test_an_absurd_height_is_refused_for_good(pilot: Pilot, height: float) -> None:
+    pilot.autopilot.arm()
+    answer = pilot.autopilot.take_off(height)
+    assert not answer
+    assert not answer.temporary
+    assert "give 0.2 to 50 m" in answer.reason
+
+
+def test_flies_the_mission_paused_and_resumed(pilot: Pilot) -> None:
+    a = pilot.autopilot
+    assert a.arm()
+    assert a.start_mission()
+    pilot.fly_to("waypoint")
+    assert a.status.mission_running
+    pilot.run(1.0)
+    assert not a.load_mission(HOP), "while it is flown"
+    assert a.pause()
+    pilot.fly_to("hover")
+    assert not a.status.mission_running
+    pilot.run(2.0)
+    assert a.start_mission()
+    pilot.run(30.0, until=lambda: not a.status.armed)
+    s = a.status
+    assert (s.outcome, s.reason, s.reached, s.waypoint) == ("succeeded", "mission complete", 2, 2)
+    assert sum("waypoint 1 reached" in t for t in pilot.texts) == 1
+
+
+def test_the_mission_can_begin_elsewhere(pilot: Pilot) -> None:
+    a = pilot.autopilot
+    assert not a.start_mission(2)
+    assert a.arm()
+    assert a.start_mission(1)
+    pilot.run(30.0, until=lambda: not a.status.armed)
+    assert "waypoint 1" not in pilot.texts
+    assert "waypoint 2" in pilot.texts
+    assert a.status.outcome == "succeeded"
+
+
+def test_goes_turns_and_returns(pilot: Pilot) -> None:
+    a = pilot.autopilot
+    pilot.take_off(0.6)
+    assert a.go_to((0.5, 0.2, -0.8), heading_rad=0.5)
+    pilot.run(
+        15.0, until=lambda: any("waypoint reached" in t for t in pilot.texts) or a.status.state == "hover"
+    )
+    pilot.run(8.0)
+    np.testing.assert_allclose(pilot.position, (0.5, 0.2, -0.8), atol=0.03)
+    assert pilot.flight.view.attitude[2] == pytest.approx(0.5, abs=0.03)
+    assert a.turn_to(-1.0)
+    pilot.run(5.0)
+    assert pilot.flight.view.attitude[2] == pytest.approx(-1.0, abs=0.03)
+    assert a.return_home()
+    pilot.run(0.1)
+    assert a.status.homing
+    pilot.run(25.0, until=lambda: not a.status.armed)
+    np.testing.assert_allclose(pilot.position[:2], (0.0, 0.0), atol=0.05)
+    assert a.status.reason == "landed"
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ((0.0, 0.0, 0.5), "D has to be at most -0.2 m"),
+        ((math.nan, 0.0, -1.0), "D has to be at most"),
+        ((0.0, 0.0, -60.0), "too far away"),
+        ((1e6, 0.0, -1.0), "too far away"),
+        ((1.0, 2.0), "three numbers"),
+    ],
+)
+def test_impossible_places_are_refused(pilot: Pilot, place, words: str) -> None:
+    answer = pilot.autopilot.go_to(place)
+    assert not answer
+    assert not answer.temporary
+    assert words in answer.reason
+
+
+def test_places_beside_what_is_known_are_refused(vehicle: Vehicle, controller: FlightController) -> None:
+    boxed = load_mission("box-on-leg")
+    a = Pilot(vehicle, controller, boxed).autopilot
+    crate = boxed.box[0]
+    answer = a.go_to(crate.centre_m)
+    assert "crate; keep 0.39 m from it" in answer.reason
+    room = mission_from(
+        {
+            "waypoint": [{"position_m": [0.0, 0.0, -1.0]}],
+            "room": {"north_m": [-2, 2], "east_m": [-2, 2], "height_m": 2.0},
+        }
+    )
+    a = Pilot(vehicle, controller, room).autopilot
+    assert a.arm()
+    assert "ceiling" in a.take_off(1.9).reason
+    assert a.take_off(1.5)
+
+
+def test_disarming_and_stopping(pilot: Pilot) -> None:
+    a = pilot.autopilot
+    assert a.arm()
+    assert a.disarm()
+    assert not a.status.armed
+    assert a.arm()
+    assert a.start_mission()
+    pilot.run(1.5)
+    assert a.status.motors == "spin_up"
+    assert a.disarm(), "on the floor it may"
+    pilot.run(0.02)
+    assert np.all(pilot.flight.view.actuators.array == 0.0)
+    assert a.status.outcome == "failed"
+    pilot.take_off()
+    answer = a.disarm()
+    assert answer.reason == "it flies; land first, or stop it by force"
+    assert a.disarm(force=True)
+    n = len(pilot.sent)
+    pilot.run(0.1)
+    # One period until it is computed, one until it acts.
+    assert np.all(np.array(pilot.sent[n + 2 :]) == 0.0)
+    assert not a.status.armed
+    assert a.status.reason == "emergency stop, motors off"
+
+
+def test_disarms_when_it_is_not_used(pilot: Pilot) -> None:
+    assert pilot.autopilot.arm()
+    pilot.run(UNUSED_S - 0.5)
+    assert pilot.autopilot.status.armed
+    pilot.run(1.0)
+    assert not pilot.autopilot.status.armed
+    assert pilot.texts[-1] == "disarmed: no take-off within 10 s"
+
+
+# arming rules
+
+
+def standing() -> Measurement:
+    z = np.zeros(3)
+    return Measurement(1.0, np.array([0.0, 0.0, -0.07]), z, z, z, np.full(8, 1.5), 8.2)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            {"battery_voltage": 6.0},
+            "battery low: 6.00 V at rest, and it lands at 6.00 V; charge it to 6.20 V",
+        ),
+        ({"battery_voltage": math.nan}, "battery voltage not measured"),
+        ({"attitude": np.array([0.3, 0.0, 0.0])}, "tilted by 17 deg; set it on level ground"),
+        ({"velocity": np.array([0.0, 0.5, 0.0])}, "it is being moved"),
+        ({"rates": np.array([0.0, 0.0, 1.0])}, "it is being moved"),
+        ({"position": np.array([math.nan, 0.0, 0.0])}, "position not measured; check the sensors"),
+        (
+            {"position": np.array([0.0, 0.0, math.inf]), "rates": np.full(3, math.nan)},
+            "position and rates not",
+        ),
+    ],
+)
+def test_every_reason_not_to_arm(change, words: str) -> None:
+    m = standing()
+    assert not_ready(m, 0.0, 6.0, World(), 0.09, "") == []
+    why = not_ready(replace(m, **change), 0.0, 6.0, World(), 0.09, "")
+    assert len(why) == 1
+    assert words in why[0]
+
+
+def test_arming_needs_measurements_that_are_fresh() -> None:
+    assert "wait a moment" in not_ready(None, 0.0, 6.0, World(), 0.09, "")[0]
+    assert "1.2 s old" in not_ready(standing(), 1.2, 6.0, World(), 0.09, "")[0]
+    assert "reset it first" in not_ready(standing(), 0.0, 6.0, World(), 0.09, "hit a wall")[0]
+
+
+def test_arming_needs_room_and_a_mission_that_suits(vehicle: Vehicle, controller: FlightController) -> None:
+    a = Pilot(vehicle, controller, load_mission("box-on-leg")).autopilot
+    assert a.not_ready() == []
+    m = a._measured
+    beside = np.array([*load_mission("box-on-leg").box[0].centre_m[:2], -0.07])
+    a.observe(replace(m, time_s=m.time_s + 0.005, position=beside))
+    why = a.not_ready()
+    assert "in or beyond the crate" in why[0]
+    assert "the take-off passes" in why[1]
+    answer = a.arm()
+    assert answer.temporary
+    assert answer.reason.endswith("(and 1 more)")
+
+
+def test_a_used_battery_is_not_armed_with(pilot: Pilot) -> None:
+    a = pilot.autopilot
+    volts = pilot.flight.view.battery_voltage
+    pilot.flight.plant.state[20] = 0.0
+    pilot.run(0.1)
+    empty = pilot.flight.view.battery_voltage
+    assert empty < volts - 1.0
+    assert a.set_parameter("BAT_LOW_V", round(empty - 0.5 * BATTERY_MARGIN_V, 3))
+    assert "battery low" in a.arm().reason
+    assert a.set_parameter("BAT_LOW_V", round(empty - 1.5 * BATTERY_MARGIN_V, 3))
+    assert a.arm()
+
+
+# set-points and sticks
+
+
+def test_offboard_needs_a_stream_and_hovers_without(pilot: Pilot) -> None:
+    a = pilot.autopilot
+    pilot.take_off(0.6)
+    assert "stream them first" in a.offboard(True).reason
+
+    def stream() -> None:
+        assert a.set_point(SetPoint(velocity_m_s=(0.3, 0.0, 0.0)))
+
+    stream()
+    assert a.offboard(True)
+    pilot.run(4.0, each=stream)
+    assert a.status.state == "offboard"
+    assert pilot.flight.view.velocity[0] == pytest.approx(0.3, abs=0.03)
+    pilot.run(SET_POINT_S + 0.05)
+    assert a.status.state == "hover"
+    assert not a.status.offboard
+    assert "set-points lost: none for 0.5 s" in pilot.texts
+    pilot.run(3.0)
+    assert np.linalg.norm(pilot.flight.view.velocity) < 0.02
+
+
+def test_offboard_flies_a_square_from_the_floor(pilot: Pilot) -> None:
+    a = pilot.autopilot
+    corners = [(0.0, 0.0, -0.6), (0.5, 0.0, -0.6), (0.5, 0.5, -0.6), (0.0, 0.5, -0.6), (0.0, 0.0, -0.6)]
+    a.set_point(SetPoint(position_m=corners[0]))
+    assert a.offboard(True)
+    pilot.run(0.2, each=lambda: a.set_point(SetPoint(position_m=corners[0])))
+    assert np.all(np.array(pilot.sent) == 0.0), "not armed yet"
+    assert a.arm()
+    for k, corner in enumerate(corners):
+        pilot.run(9.0 if k == 0 else 6.0, each=lambda c=corner: a.set_point(SetPoint(position_m=c)))
+        np.testing.assert_allclose(pilot.position, corner, atol=0.04)
+    assert a.land()
+    pilot.run(15.0, until=lambda: not a.status.armed)
+    assert a.status.outcome == "succeeded"
+
+
+@pytest.mark.parametrize(
+    "s", [SetPoint(), SetPoint(position_m=(math.inf, 0.0, -1.0)), SetPoint(velocity_m_s=(1e9, 0.0, 0.0))]
+)
+def test_absurd_set_points_are_refused(pilot: Pilot, s: SetPoint) -> None:
+    answer = pilot.autopilot.set_point(s)
+    assert answer.reason.startswith("set-point refused: ")
+    assert not pilot.autopilot.offboard(True)
+
+
+def test_sticks_fly_and_are_missed(pilot: Pilot) -> None:
+    a = pilot.autopilot
+    pilot.run(1.0, each=lambda: a.sticks(0.0, 0.0, 0.0, 0.3))
+    assert a.status.state == "rc"
+    assert np.all(np.array(pilot.sent) == 0.0), "unarmed"
+    assert a.arm()
+    pilot.run(8.0, each=lambda: a.sticks(0.0, 0.0, 0.0, 0.3))
+    assert -pilot.position[2] > 0.5
+    assert "let go of the sticks" in a.land().reason
+    pilot.run(STICKS_S + 0.1)
+    assert a.status.state == "hover"
+    assert "sticks lost: nothing heard of them for 1 s" in pilot.texts
+    assert a.sticks(9.0, -9.0, 9.0, -9.0)
+    assert a.sticks_off()
+    assert not a.sticks(math.nan, 0.0, 0.0, 0.0)
+    assert a.land()
+    pilot.run(20.0, until=lambda: not a.status.armed)
+    assert a.status.outcome == "succeeded"
+
+
+def test_sticks_are_limited_by_their_parameters(pilot: Pilot) -> None:
+    a = pilot.autopilot
+    pilot.take_off(0.6)
+    assert a.set_parameter("STK_TILT", 2.0)
+    pilot.run(0.5, each=lambda: a.sticks(1.0, 0.0, 0.0, 0.0))
+    assert pilot.flight.view.reference[2][0] == pytest.approx(math.radians(2.0))
+
+
+# missions
+
+
+def test_a_mission_is_taken_whole_or_not_at_all(pilot: Pilot) -> None:
+    a = pilot.autopilot
+    low = Mission(waypoint=({"position_m": (1.0, 0.0, -0.1)},))
+    answer = a.load_mission(low)
+    assert "too low to fly" in answer.reason
+    far = mission_from({"waypoint": [{"position_m": [900.0, 0.0, -1.0]}]})
+    assert "out of reach" in a.load_mission(far).reason
+    assert a.status.mission.waypoint == HOP.waypoint
+    other = mission_from({"name": "other", "waypoint": [{"position_m": [0.3, 0.0, -0.5]}]})
+    assert a.load_mission(other)
+    assert a.status.mission is other
+    pilot.take_off(0.5)
+    assert a.load_mission(HOP), "in a hover without mission"
+    assert a.start_mission()
+    pilot.run(40.0, until=lambda: not a.status.armed)
+    assert a.status.reached == 2
+    assert "hop: 2 waypoints loaded" in pilot.texts
+
+
+def test_without_waypoints_there_is_no_mission_to_start(
+    vehicle: Vehicle, controller: FlightController
+) -> None:
+    pilot = Pilot(vehicle, controller, Mission(name="none"))
+    a = pilot.autopilot
+    assert a.arm()
+    assert a.start_mission().reason == "no mission loaded; load one first"
+    pilot.take_off(0.5)
+    assert a.land()
+    pilot.run(20.0, until=lambda: not a.status.armed)
+    assert a.status.outcome == "succeeded"
+
+
+def test_a_take_off_breaks_off_for_land_and_waits_for_go_to(pilot: Pilot) -> None:
+    a = pilot.autopilot
+    a.arm()
+    a.take_off(0.6)
+    pilot.run(1.0)
+    assert "off the floor" in a.go_to((0.3, 0.0, -0.6)).reason
+    assert a.land()
+    pilot.run(3.0)
+    assert not a.status.armed
+    assert np.all(np.array(pilot.sent[-10:]) == 0.0)
+
+
+# reset, events
+
+
+def test_a_crash_is_final_until_the_simulation_is_reset(pilot: Pilot) -> None:
+    a, plant = pilot.autopilot, pilot.flight.plant
+    pilot.take_off(0.6)
+    plant.state[6:10] = quaternion_from_euler(math.pi, 0.0, 0.0)  # somebody turned it over
+    pilot.run(5.0)
+    assert "tipped over" in a.status.crashed
+    assert not a.status.armed
+    assert np.all(np.array(pilot.sent[-10:]) == 0.0)
+    assert "reset it first" in a.arm().reason
+    before = pilot.flight.time_s
+    pilot.flight.reset()
+    pilot.run(0.1)
+    assert pilot.flight.time_s > before
+    assert a.status.crashed == ""
+    assert a.status.state == "init"
+    pilot.take_off(0.6)
+    np.testing.assert_allclose(pilot.position, (0.0, 0.0, -0.6), atol=0.06)
+
+
+def test_events_are_drained_and_bounded(pilot: Pilot) -> None:
+    a = pilot.autopilot
+    heard: list[str] = []
+    a.listeners.append(lambda e: heard.append(e.text))
+    for k in range(5000):
+        a.note(f"line {k}")
+    events = a.events()
+    assert len(events) == 1000
+    assert events[-1].text == "line 4999"
+    assert a.events() == []
+    assert len(heard) == 5000
+
+
+def test_thousands_of_requests_leave_no_trace_in_memory(pilot: Pilot) -> None:
+    a = pilot.autopilot
+    pilot.take_off(0.6)
+    for k in range(600):
+        a.turn_to(0.01 * (k % 7))
+        pilot.run(0.02)
+    s = a.software.mission_state
+    assert s.logged > 600
+    assert len(s.events) <= 256
