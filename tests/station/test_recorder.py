@@ -1,0 +1,159 @@
+"""What a station keeps on disk, whatever happens to it."""
+
+from __future__ import annotations
+
+import shutil
+from collections import namedtuple
+
+import numpy as np
+import pytest
+from mock_vehicle import MockVehicle, World
+
+from mufly.errors import InputError
+from mufly.flight import read_recording
+from mufly.link.codec import Codec
+from mufly.logs import read_log
+from mufly.station.recorder import StationRecorder
+
+DAY_S = 1.9e9
+
+
+def recorded(tmp_path, *vehicles):
+    """A world whose vehicles are recorded, the clock of the day running with it."""
+    world = World(*vehicles)
+    said = []
+    recorder = StationRecorder(tmp_path, on_end=said.append, wall_s=lambda: DAY_S + world.t)
+    world.station._on_vehicle = recorder.attach
+    world.station._on_packet = recorder.packet
+    return world, recorder, said
+
+
+def test_signals_messages_and_marks_are_kept(tmp_path):
+    world, recorder, _ = recorded(tmp_path, MockVehicle(rate_Hz=100.0))
+    recorder.start()
+    world.run(5.0)
+    assert recorder.mark("look here")
+    world.run(1.0)
+    recorder.stop()
+    data = read_recording(recorder.path / "station.mcap")
+    assert data.attrs["complete"]
+    assert data.attrs["vehicle"] == "PX4 hexarotor, system 1"
+    seen = np.isfinite(data["estimated_position"].sel(axis="N"))
+    # The mock moves north at 1 m/s on the same clock.
+    np.testing.assert_allclose(data["estimated_position"].sel(axis="N")[seen], data["time"][seen], atol=0.011)
+    assert len(data["time"]) == pytest.approx(600, abs=20)
+    assert data["event_text"].values.tolist()[-1] == "mark: look here"
+
+
+def test_all_packets_are_kept_both_ways_and_can_be_read(tmp_path):
+    world, recorder, _ = recorded(tmp_path, MockVehicle())
+    recorder.start()
+    world.run(3.0)
+    recorder.stop()
+    data = (recorder.path / "station.tlog").read_bytes()
+    stamps = int.from_bytes(data[:8], "big") / 1e6
+    assert 0.0 < stamps - DAY_S < 1.5
+    codec, at, senders = Codec(), 0, []
+    while at < len(data):
+        size = 12 + data[at + 9]
+        (message,) = codec.receive(0.0, "tlog", data[at + 8 : at + 8 + size])
+        senders.append(message.get_srcSystem())
+        at += 8 + size
+    assert senders.count(1) > 100
+    assert senders.count(255) > 10
+    log = read_log(recorder.path / "station.tlog")
+    assert len(log["time"]) > 40
+
+
+def test_it_can_be_read_up_to_the_last_second_after_a_kill(tmp_path):
+    world, recorder, _ = recorded(tmp_path, MockVehicle(rate_Hz=100.0))
+    recorder.start()
+    world.run(10.0)
+    (tmp_path / "cut").mkdir()
+    cut = shutil.copy(recorder.path / "station.mcap", tmp_path / "cut")
+    data = read_recording(cut)
+    assert not data.attrs["complete"]
+    assert world.t - float(data["time"][-1]) < 1.2
+    recorder.stop()
+
+
+def test_a_full_disk_ends_the_recording_with_a_message_and_not_the_station(tmp_path, monkeypatch):
+    world, recorder, said = recorded(tmp_path, MockVehicle())
+    recorder.start()
+    world.run(3.0)
+    usage = namedtuple("usage", "total used free")
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(1e9, 1e9, 1e6))
+    recorder.step(100.0)
+    assert not recorder.recording
+    assert "the disk is full" in said[0]
+    assert "the disk is full" in world.seen[0].messages[-1].text
+    world.run(1.0)
+    assert world.seen[0].snapshot.connected
+    data = read_recording(recorder.path / "station.mcap")
+    assert data.attrs["outcome"] == "interrupted"
+
+
+def test_a_write_that_fails_ends_the_recording_with_a_message(tmp_path):
+    world, recorder, said = recorded(tmp_path, MockVehicle())
+    recorder.start()
+    world.run(2.0)
+
+    class Full:
+        def write(self, *_):
+            raise OSError(28, "No space left on device")
+
+        def close(self):
+            raise OSError(28, "No space left on device")
+
+    recorder._tlog = Full()
+    world.run(1.0)
+    assert not recorder.recording
+    assert said == ["the recording has ended: the tlog cannot be written (No space left on device)"]
+    assert world.seen[0].snapshot.connected
+
+
+def test_recordings_follow_each_other_in_folders_of_their_own(tmp_path):
+    world, recorder, _ = recorded(tmp_path, MockVehicle())
+    recorder.start()
+    world.run(2.0)
+    first = recorder.path
+    recorder.stop()
+    recorder.start()
+    assert recorder.path != first
+    world.run(2.0)
+    recorder.stop()
+    ends = [float(read_recording(p / "station.mcap")["time"][-1]) for p in (first, recorder.path)]
+    assert ends[0] < ends[1]
+    assert not recorder.mark("nobody writes")
+    assert world.seen[0].mark("nor here").answer.startswith("not recorded")
+
+
+def test_every_vehicle_has_a_file(tmp_path):
+    world, recorder, _ = recorded(tmp_path, MockVehicle(system=1), MockVehicle(system=2))
+    recorder.start()
+    world.run(3.0)
+    recorder.stop()
+    systems = [read_recording(recorder.path / n).attrs["system"] for n in ("station.mcap", "station-2.mcap")]
+    assert sorted(systems) == [1, 2]
+
+
+def test_a_vehicle_that_starts_anew_stays_in_one_recording(tmp_path):
+    mock = MockVehicle()
+    world, recorder, said = recorded(tmp_path, mock)
+    recorder.start()
+    world.run(5.0)
+    mock.restart()
+    world.run(5.0)
+    recorder.stop()
+    assert said == []
+    times = read_recording(recorder.path / "station.mcap")["time"].values
+    assert (np.diff(times) > 0).all()
+    assert times[-1] > 8.0
+
+
+def test_a_folder_that_cannot_be_made_is_told_at_once(tmp_path):
+    (tmp_path / "taken").write_text("")
+    recorder = StationRecorder(tmp_path / "taken")
+    with pytest.raises(InputError, match="cannot be written"):
+        recorder.start()
+    assert not recorder.recording

@@ -1,0 +1,123 @@
+"""The station at work with real sockets on the loopback address."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import time
+
+import pytest
+from mock_vehicle import MockVehicle
+
+from mufly.errors import InputError
+from mufly.link.endpoint import Endpoint, parse_endpoint
+from mufly.station.server import Station, rate_for
+
+
+def free_port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
+        s.bind(("127.0.0.1", 0))
+        return s.getsockname()[1]
+
+
+class Caller:
+    """A mock vehicle with a socket."""
+
+    def __init__(self, port, **about):
+        self.mock = MockVehicle(**about)
+        self.line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.line.setblocking(False)
+        self.line.connect(("127.0.0.1", port))
+
+    def serve(self):
+        now_s = time.monotonic()
+        try:
+            while True:
+                self.mock.receive(now_s, self.line.recv(4096))
+        except (BlockingIOError, ConnectionRefusedError):
+            pass
+        for data in self.mock.step(now_s):
+            with contextlib.suppress(ConnectionRefusedError):
+                self.line.send(data)
+
+
+async def until(callers, condition, seconds=8.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, f"it did not come in {seconds} s"
+        for caller in callers:
+            caller.serve()
+        await asyncio.sleep(0.005)
+
+
+def test_two_endpoints_two_vehicles_one_station(tmp_path):
+    ports = [free_port(), free_port()]
+    station = Station([f"udp:127.0.0.1:{p}" for p in ports], folder=tmp_path)
+    callers = [Caller(p, parameters={"A": (float(k), 9)}) for k, p in enumerate(ports)]
+
+    async def work():
+        await station.start()
+        await until(
+            callers, lambda: len(station.vehicles) == 2 and all(v.parameters for v in station.vehicles)
+        )
+        request = station.vehicles[0].arm()
+        await until(callers, lambda: request.done)
+        assert request.outcome.value == "accepted"
+        await until(callers, lambda: all(v.surroundings.recording for v in station.vehicles))
+        assert station.vehicles[0].surroundings.free_bytes > 0
+        await station.stop()
+
+    asyncio.run(work())
+    assert sorted(c.mock.armed for c in callers) == [False, True]
+    assert [v.color for v in station.vehicles] == [0, 1]
+    assert (station.recorder.path / "station-2.mcap").exists()
+
+
+def test_a_port_that_is_taken_is_told_and_nothing_stays_open(tmp_path):
+    port, other = free_port(), free_port()
+
+    async def work():
+        first = Station([f"udp:127.0.0.1:{port}"], record=False)
+        await first.start()
+        second = Station([f"udp:127.0.0.1:{other}", f"udp:127.0.0.1:{port}"], folder=tmp_path)
+        with pytest.raises(InputError, match=str(port)):
+            await second.start()
+        third = Station([f"udp:127.0.0.1:{other}"], record=False)
+        await third.start()
+        await third.stop()
+        await first.stop()
+
+    asyncio.run(work())
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_endpoint_that_is_none_is_refused_before_anything_is_opened():
+    with pytest.raises(InputError):
+        Station(["udp:here"])
+
+
+def test_a_fault_in_the_loop_is_told_and_the_station_goes_on(tmp_path):
+    port = free_port()
+    station = Station([f"udp:127.0.0.1:{port}"], record=False)
+    caller = Caller(port)
+
+    async def work():
+        await station.start()
+        await until([caller], lambda: station.vehicles)
+        step, faults = station._step, [RuntimeError("broken")]
+        station._step = lambda now_s: (_ for _ in ()).throw(faults.pop()) if faults else step(now_s)
+        await until([caller], lambda: station.notices)
+        assert "broken" in station.notices[-1][1]
+        request = station.vehicles[0].arm()
+        await until([caller], lambda: request.done)
+        await station.stop()
+
+    asyncio.run(work())
+
+
+def test_over_a_slow_line_less_is_asked():
+    assert rate_for(parse_endpoint("udp:127.0.0.1:14550", "station")) == 100.0
+    assert rate_for(Endpoint("serial", "/dev/ttyUSB0", 57_600)) == pytest.approx(7.7, abs=0.1)
+    assert rate_for(Endpoint("serial", "/dev/ttyUSB0", 921_600)) == 100.0
+    assert rate_for(Endpoint("serial", "/dev/ttyUSB0", 300)) == 1.0
