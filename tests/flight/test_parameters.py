@@ -1,0 +1,236 @@
+"""Tuning in flight: names and bounds, what acts, no bump, and loops that stay stable between the bounds."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from mufly.control import FlightController, design
+from mufly.control.cascade import analyse_cascade
+from mufly.dynamics import linearise
+from mufly.flight import Flight, respond
+from mufly.flight.controllers import copied
+from mufly.flight.parameters import TABLE
+from mufly.flight.response import Setpoint
+from mufly.mission import SHARE, mission_from
+from mufly.vehicle import Vehicle, load_vehicle
+
+HOP = mission_from({"name": "hop", "waypoint": [{"position_m": [0.5, 0.0, -1.0], "wait_s": 2.0}]})
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Vehicle:
+    return load_vehicle("mufly-1.1")
+
+
+@pytest.fixture(scope="module")
+def controller(vehicle: Vehicle) -> FlightController:
+    return design(vehicle)
+
+
+@pytest.fixture
+def flight(vehicle: Vehicle, controller: FlightController) -> Flight:
+    return Flight(vehicle, HOP, controller=controller, keep=False)
+
+
+def run(flight: Flight, seconds: float) -> np.ndarray:
+    """Tick; what was sent, one row a period."""
+    sent = []
+    for _ in range(round(seconds / flight.period_s)):
+        flight.tick()
+        sent.append(flight.view.actuators.array)
+    return np.array(sent)
+
+
+def hover(flight: Flight, seconds: float = 12.0) -> None:
+    run(flight, 0.05)
+    assert flight.autopilot.arm()
+    assert flight.autopilot.take_off(1.0)
+    run(flight, seconds)
+    assert flight.autopilot.status.state == "hover"
+
+
+def test_names_fit_a_mavlink_parameter_and_values_their_bounds(flight: Flight) -> None:
+    parameters = flight.autopilot.parameters
+    assert len(parameters) == len(TABLE) >= 26
+    for name, p in parameters.items():
+        assert name == p.name
+        assert len(name) <= 16
+        assert name.isascii()
+        assert name.upper() == name
+        assert math.isfinite(p.greatest - p.least)
+        assert p.least <= p.value <= p.greatest
+        assert p.help
+
+
+def test_every_one_can_be_set_to_its_bounds_and_back(flight: Flight) -> None:
+    a = flight.autopilot
+    for name, p in list(a.parameters.items()):
+        for value in (p.least, p.greatest, p.value):
+            # As a link sends it.
+            answer = a.set_parameter(name, float(np.float32(value)))
+            assert answer, answer.reason
+            assert a.parameters[name].value == pytest.approx(value, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("LIM_SPEED", 9.0, "LIM_SPEED 9 refused: give 0.05 to 1.2 m/s"),
+        ("LIM_SPEED", math.nan, "LIM_SPEED nan refused"),
+        ("LIM_SPEED", -math.inf, "LIM_SPEED -inf refused"),
+        ("AVD_ENABLE", 0.5, "give a whole number, 0 to 1"),
+        ("CTL_POS_GAIN", 3.0, "give 0.2 to 2 1/s"),
+        ("BAT_LOW_V", 12.0, "give 3.6 to 7.2 V"),
+        ("LIM_SPED", 0.5, "there is no parameter 'LIM_SPED'"),
+    ],
+)
+def test_what_is_refused_and_how(flight: Flight, name: str, value: float, words: str) -> None:
+    before = {k: p.value for k, p in flight.autopilot.parameters.items()}
+    answer = flight.autopilot.set_parameter(name, value)
+    assert not answer
+    assert words in answer.reason
+    assert {k: p.value for k, p in flight.autopilot.parameters.items()} == before
+
+
+def test_limits_of_the_mission_follow_those_of_the_controllers(flight: Flight) -> None:
+    a = flight.autopilot
+    assert a.set_parameter("LIM_CLIMB", 0.7)
+    assert a.set_parameter("CTL_HEAVE_SPD", 0.5)
+    p = a.parameters["LIM_CLIMB"]
+    assert p.value == p.greatest == pytest.approx(SHARE * 0.5)
+    # What was asked for is not forgotten.
+    assert a.set_parameter("CTL_HEAVE_SPD", 1.0)
+    assert a.parameters["LIM_CLIMB"].value == pytest.approx(0.7)
+
+
+def test_a_speed_set_in_a_hover_is_flown_with(flight: Flight) -> None:
+    hover(flight)
+    a = flight.autopilot
+    assert a.set_parameter("LIM_SPEED", 0.25)
+    assert a.go_to((2.0, 0.0, -1.0))
+    top = 0.0
+    for _ in range(80):
+        run(flight, 0.1)
+        top = max(top, float(np.hypot(*flight.view.reference_velocity[:2])))
+    assert top == pytest.approx(0.25, abs=1e-6)
+    answer = a.set_speed(0.5)
+    assert answer.reason == "from the next leg on"
+
+
+def test_avoidance_can_be_switched_off_and_on(flight: Flight) -> None:
+    a = flight.autopilot
+    assert a.set_parameter("AVD_ENABLE", 0.0)
+    assert not a.software.plan.avoid
+    assert a.set_parameter("AVD_ENABLE", 1.0)
+    assert a.software.plan.avoid
+
+
+def test_the_take_off_height(flight: Flight) -> None:
+    a = flight.autopilot
+    run(flight, 0.05)
+    assert a.set_parameter("MIS_TAKEOFF_ALT", 0.7)
+    assert a.arm()
+    assert a.take_off()
+    run(flight, 10.0)
+    assert flight.view.position[2] == pytest.approx(-0.7, abs=0.02)
+
+
+# no bump
+
+
+TUNED = [row.name for row in TABLE if row.name.startswith("CTL_")]
+
+
+@pytest.mark.parametrize("name", TUNED)
+def test_tuning_on_the_run_makes_no_bump(vehicle, controller, name: str) -> None:
+    """To either bound, at 0.5 m/s and turning: the actuators move no more from one period to the next than they
+    did before, but for a two-hundredth of their range."""
+    for end in ("least", "greatest"):
+        flight = Flight(vehicle, HOP, controller=controller, keep=False)
+        hover(flight, 11.0)
+        a = flight.autopilot
+        assert a.go_to((4.0, 0.0, -1.6), heading_rad=1.0)
+        before = run(flight, 4.0)
+        usual = np.abs(np.diff(before[-400:], axis=0)).max(axis=0)
+        assert a.set_parameter(name, getattr(a.parameters[name], end))
+        after = run(flight, 0.1)
+        steps = np.abs(np.diff(np.vstack((before[-1:], after)), axis=0)).max(axis=0)
+        assert np.all(steps <= usual + 0.005), f"{name} to {end}: {steps} after {usual}"
+
+
+def test_a_gain_is_gone_over_to_within_two_seconds(flight: Flight) -> None:
+    hover(flight)
+    a = flight.autopilot
+    assert a.set_parameter("CTL_POS_GAIN", 2.0)
+    controllers = a.software._controllers
+    run(flight, 0.1)
+    assert 1.0 < float(controllers._design.position_gains["position_gain"]) < 1.5
+    run(flight, 5.0)
+    assert float(controllers._design.position_gains["position_gain"]) == 2.0
+    assert controllers._settled
+
+
+def test_the_design_itself_stays_as_it_is(flight: Flight, controller: FlightController) -> None:
+    before = copied(controller.position_gains)
+    a = flight.autopilot
+    assert a.set_parameter("CTL_POS_GAIN", 2.0)
+    hover(flight)
+    assert controller.position_gains == before
+
+
+# stable between the bounds
+
+
+@pytest.mark.parametrize("name", ["mufly-1.1", "mufly-2.0"])
+def test_the_position_loop_is_robust_at_both_bounds(name: str) -> None:
+    vehicle = load_vehicle(name)
+    c = design(vehicle)
+    full = linearise(vehicle).full
+    row = next(r for r in TABLE if r.name == "CTL_POS_GAIN")
+    for gain in (row.least, row.greatest):
+        loop = analyse_cascade(full, c.roll_pitch.discrete, c.velocity.discrete, gain, c.position_divider)
+        assert loop.stable
+        assert loop.sensitivity_peak_dB < 4.9
+        assert loop.complementary_peak_dB < 4.9
+        assert loop.phase_margin_deg > 36.0
+        assert loop.gain_margin_dB > 18.0
+
+
+@pytest.mark.parametrize("end", ["least", "greatest"])
+@pytest.mark.parametrize(
+    "name", ["CTL_HEAVE_BW", "CTL_HEAVE_SPD", "CTL_HEAVE_ACC", "CTL_YAW_BW", "CTL_YAW_RATE", "CTL_YAW_ACC"]
+)
+def test_steps_settle_at_the_bounds_of_the_filters(vehicle, controller, name: str, end: str) -> None:
+    row = next(r for r in TABLE if r.name == name)
+    gains = copied(controller.heave_yaw_gains)
+    gains[row.key] = getattr(row, end) / row.scale
+    tuned = dataclasses.replace(controller, heave_yaw_gains=gains)
+    step = Setpoint(z=-1.0) if "HEAVE" in name else Setpoint(heading=1.0)
+    long = 20.0 if end == "least" else 8.0
+    data = respond(vehicle, lambda t: step, duration_s=long, controller=tuned)
+    last = data.isel(time=slice(-100, None))
+    assert np.abs(last.truth_position.values[:, 2] - step.z).max() < 0.02
+    assert np.abs(last.truth_attitude.values[:, 2] - step.heading).max() < 0.03
+    top = -data.truth_position.values[:, 2].min()
+    assert top < 1.25, "overshoot"
+
+
+@pytest.mark.parametrize(
+    ("name", "end"),
+    [
+        ("CTL_TILT_MAX", "least"),
+        ("CTL_TILT_MAX", "greatest"),
+        ("CTL_SPEED_MAX", "least"),
+        ("CTL_SPEED_MAX", "greatest"),
+    ],
+)
+def test_a_pushed_helicopter_comes_back_at_the_bounds(flight: Flight, name: str, end: str) -> None:
+    hover(flight)
+    a = flight.autopilot
+    assert a.set_parameter(name, getattr(a.parameters[name], end))
+    run(flight, 3.0)
+    flight.plant.state[0] += 1.0  # a metre off, at once
+    run(flight, 14.0)
+    np.testing.assert_allclose(flight.view.position, (0.0, 0.0, -1.0), atol=0.05)
