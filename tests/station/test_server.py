@@ -66,6 +66,7 @@ def test_two_endpoints_two_vehicles_one_station(tmp_path):
         assert request.outcome.value == "accepted"
         await until(callers, lambda: all(v.surroundings.recording for v in station.vehicles))
         assert station.vehicles[0].surroundings.free_bytes > 0
+        await until(callers, lambda: all(len(v.history) for v in station.vehicles))
         await station.stop()
 
     asyncio.run(work())
