@@ -8,6 +8,7 @@ same one.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass, field
 
@@ -21,6 +22,7 @@ HEARTBEAT_S = 1.0
 MOST_VEHICLES = 32
 _NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID
 _WINDOW_S = 1.0
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(slots=True)
@@ -176,5 +178,6 @@ class GroundLink:
         if where not in heard.faults:  # once of each kind, or a fault at 100 Hz fills the log
             heard.faults.add(where)
             heard.vehicle.texts.note(heard.vehicle.telemetry.time_s, "error", text)
+            _LOG.error(text, exc_info=error)
             if self._on_fault is not None:
                 self._on_fault(text)

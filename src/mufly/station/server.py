@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import count
 from pathlib import Path
 
@@ -31,6 +32,8 @@ CARE_S = 0.5
 _COMPONENT = 190  # MAV_COMP_ID_MISSIONPLANNER, by custom that of ground stations
 _FULL_RATE_BYTES_S = 45_000.0
 _SHARE_OF_LINE = 0.6
+_FAULTS = 100
+_LOG = logging.getLogger(__name__)
 
 
 def rate_for(endpoint: Endpoint, rate_Hz: float = 100.0) -> float:
@@ -99,6 +102,7 @@ class Station:
         self._task: asyncio.Task[None] | None = None
         self._stepped_s = self._cared_s = float("-inf")
         self._found: list[RemoteVehicle] = []
+        self._faults: set[str] = set()
 
     @property
     def vehicles(self) -> list[RemoteVehicle]:
@@ -175,9 +179,23 @@ class Station:
 
     def _readable(self, port: Port, link: GroundLink) -> None:
         now_s = time.monotonic()
-        self._take(now_s, port, link)
-        if now_s - self._stepped_s >= REACT_S:
-            self._step(now_s)
+        with self._going_on():
+            self._take(now_s, port, link)
+            if now_s - self._stepped_s >= REACT_S:
+                self._step(now_s)
+
+    @contextlib.contextmanager
+    def _going_on(self) -> Iterator[None]:
+        """Tell of a fault once and go on: none must end the station in the middle of a flight."""
+        try:
+            yield
+        except Exception as error:
+            text = f"the station met a fault and goes on ({type(error).__name__}: {error})"
+            if text not in self._faults:
+                if len(self._faults) < _FAULTS:
+                    self._faults.add(text)
+                _LOG.error(text, exc_info=error)
+                self._notice(text)
 
     def _take(self, now_s: float, port: Port, link: GroundLink) -> None:
         for peer, data in port.receive():
@@ -205,13 +223,11 @@ class Station:
         due = loop.time()
         while True:
             now_s = time.monotonic()
-            try:
+            with self._going_on():
                 for port, link in self._links:
                     self._take(now_s, port, link)  # ports without a descriptor, and calls to be made again
                 self._step(now_s)
                 if now_s - self._cared_s >= CARE_S:
                     self._care(now_s)
-            except Exception as error:  # a fault must not end the station in the middle of a flight
-                self._notice(f"the station met a fault and goes on ({type(error).__name__}: {error})")
             due = max(due + STEP_S, loop.time())
             await asyncio.sleep(due - loop.time())
