@@ -1,0 +1,195 @@
+"""A flight that ticks: what it shows, what it records, what it needs of memory."""
+
+import gc
+import tracemalloc
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from mufly.control import FlightController, design
+from mufly.errors import InputError, MuflyError
+from mufly.flight import Flight, fly, read_recording
+from mufly.mission import mission_from
+from mufly.vehicle import Vehicle, load_vehicle
+
+HOP = mission_from(
+    {
+        "name": "hop",
+        "take_off": {"height_m": 0.4, "wait_s": 0.2},
+        "waypoint": [{"position_m": [0.3, 0.0, -0.4]}],
+    }
+)
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Vehicle:
+    return load_vehicle("mufly-1.1")
+
+
+@pytest.fixture(scope="module")
+def controller(vehicle: Vehicle) -> FlightController:
+    return design(vehicle)
+
+
+def run(flight: Flight, seconds: float) -> None:
+    for _ in range(round(seconds / flight.period_s)):
+        flight.tick()
+
+
+def fly_it(flight: Flight) -> None:
+    """As `fly` does, from outside."""
+    flight.autopilot.arm(force=True, quiet=True)
+    assert flight.autopilot.start_mission()
+    ended = None
+    while ended is None or flight.time_s < ended + 0.5:
+        flight.tick()
+        if ended is None and flight.autopilot.software.finished:
+            ended = flight.time_s
+
+
+def test_a_flight_that_is_ticked_is_the_one_that_is_flown(vehicle, controller, tmp_path) -> None:
+    path = tmp_path / "ticked.mcap"
+    with Flight(vehicle, HOP, controller=controller, gust=0.3, seed=5, path=path) as flight:
+        fly_it(flight)
+    ticked = flight.recorder.dataset()
+    xr.testing.assert_equal(ticked, read_recording(path))
+    flown = fly(vehicle, HOP, controller=controller, gust=0.3, seed=5)
+    xr.testing.assert_equal(ticked.drop_attrs(), flown.drop_attrs())
+    assert (ticked.attrs["outcome"], ticked.attrs["reason"]) == ("succeeded", "mission complete")
+
+
+def test_what_is_seen_is_what_is_recorded(vehicle, controller) -> None:
+    flight = Flight(vehicle, HOP, controller=controller)
+    flight.autopilot.arm(force=True)
+    flight.autopilot.start_mission()
+    run(flight, 6.0)
+    flight.tick()
+    view = flight.view
+    flight.close()
+    row = flight.recorder.dataset().isel(time=-1)
+    assert float(row.time) == view.time_s == flight.time_s
+    for name, value in {
+        "truth_position": view.position,
+        "truth_velocity": view.velocity,
+        "truth_rates": view.rates,
+        "truth_rotor_speed": view.rotor_speed,
+        "measured_position": view.measured.position,
+        "reference_position": view.reference_position,
+        "reference_velocity": view.reference_velocity,
+        "reference_attitude": view.reference_attitude,
+        "motor_input": view.actuators.motor_input,
+        "servo_input": view.actuators.servo_input,
+        "battery_voltage": view.battery_voltage,
+        "battery_charge": view.battery_charge,
+        "wind": view.wind,
+        "range": view.measured.ranges,
+    }.items():
+        np.testing.assert_array_equal(row[name].values, value, err_msg=name)
+    np.testing.assert_allclose(row.truth_attitude.values, view.attitude, atol=1e-12)
+
+
+def test_a_view_does_not_change_afterwards(vehicle, controller) -> None:
+    flight = Flight(vehicle, HOP, controller=controller, keep=False, gust=0.5)
+    flight.tick()
+    view = flight.view
+    before = view.state.copy(), view.wind.copy(), view.reference[0].copy()
+    run(flight, 0.5)
+    for a, b in zip(before, (view.state, view.wind, view.reference[0]), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_time_left_is_about_what_the_battery_lasts(vehicle, controller) -> None:
+    """Predicted at the start of a hover, and again later: the two have to differ by the time in between."""
+    flight = Flight(vehicle, HOP, controller=controller, keep=False)
+    run(flight, 0.05)
+    assert 200.0 < flight.view.battery_left_s < 600.0
+    assert flight.autopilot.arm()
+    assert flight.autopilot.take_off(1.0)
+    run(flight, 40.0)
+    first = flight.view.battery_left_s
+    run(flight, 60.0)
+    assert first - flight.view.battery_left_s == pytest.approx(60.0, abs=12.0)
+
+
+def test_commands_fly_it_and_the_recording_says_so(vehicle, controller, tmp_path) -> None:
+    path = tmp_path / "commanded.mcap"
+    with Flight(vehicle, HOP, controller=controller, path=path, keep=False) as flight:
+        run(flight, 0.05)
+        assert flight.autopilot.arm()
+        assert flight.autopilot.take_off(0.5)
+        run(flight, 7.0)
+        flight.note("marked by hand", "warning")
+        assert flight.autopilot.land()
+        run(flight, 12.0)
+    read = read_recording(path)
+    texts = [str(t) for t in read.event_text.values]
+    assert texts[:3] == ["ready for hop", "armed", "take-off signal, to 0.5 m"]
+    assert "marked by hand" in texts
+    assert texts[-1] == "landed"
+    assert (read.attrs["outcome"], read.attrs["reason"]) == ("succeeded", "landed")
+    with pytest.raises(MuflyError, match=r"not kept in memory; read .*commanded\.mcap"):
+        flight.recorder.dataset()
+
+
+def test_a_flight_that_is_ended_early_says_so(vehicle, controller, tmp_path) -> None:
+    path = tmp_path / "early.mcap"
+    with Flight(vehicle, HOP, controller=controller, path=path) as flight:
+        flight.autopilot.arm(force=True)
+        flight.autopilot.take_off(0.5)
+        run(flight, 2.0)
+    read = read_recording(path)
+    assert read.attrs["outcome"] == "unfinished"
+    assert read.attrs["reason"] == "in state 'take-off' when it was ended"
+    with pytest.raises(KeyboardInterrupt):
+        _interrupted(Flight(vehicle, HOP, controller=controller, path=path))
+    assert read_recording(path).attrs["outcome"] == "interrupted"
+
+
+def _interrupted(flight: Flight) -> None:
+    with flight:
+        run(flight, 1.5)
+        raise KeyboardInterrupt
+
+
+def test_reset_goes_back_to_the_start_and_the_clock_goes_on(vehicle, controller, tmp_path) -> None:
+    path = tmp_path / "reset.mcap"
+    with Flight(vehicle, HOP, controller=controller, path=path, keep=False) as flight:
+        assert flight.autopilot.set_parameter("LIM_SPEED", 0.3)
+        fly_it(flight)
+        used = flight.view.battery_charge
+        flight.reset()
+        run(flight, 0.05)
+        assert flight.view.battery_charge > used
+        np.testing.assert_allclose(flight.view.position[:2], 0.0, atol=1e-3)
+        assert flight.autopilot.parameters["LIM_SPEED"].value == pytest.approx(0.3)
+        fly_it(flight)
+    read = read_recording(path)
+    assert np.all(np.diff(read.time.values) > 0.0)
+    assert [str(t) for t in read.event_text.values].count("landed") == 2
+
+
+def test_memory_stays_flat_without_keeping_rows(vehicle, controller, tmp_path) -> None:
+    with Flight(vehicle, HOP, controller=controller, path=tmp_path / "long.mcap", keep=False) as flight:
+        flight.autopilot.arm(force=True)
+        flight.autopilot.take_off(0.5)
+        run(flight, 20.0)
+        gc.collect()
+        tracemalloc.start()
+        run(flight, 4.0)
+        gc.collect()
+        first, _ = tracemalloc.get_traced_memory()
+        run(flight, 16.0)
+        gc.collect()
+        second, _ = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+    # The index of the file grows by some hundred bytes a second; a second of rows alone would be 35 kB.
+    assert second - first < 16 * 3000
+
+
+def test_impossible_input_is_refused_before_anything_is_written(vehicle, controller, tmp_path) -> None:
+    thirsty = mission_from({"waypoint": [{"position_m": [0.0, 0.0, -1.0]}], "battery": {"low_V": 9.0}})
+    path = tmp_path / "none.mcap"
+    with pytest.raises(InputError, match=r"battery\.low_V"):
+        Flight(vehicle, thirsty, controller=controller, path=path)
+    assert not path.exists()
