@@ -34,6 +34,7 @@ __all__ = ["MissionDesk", "writes"]
 
 _MISSION, _FENCE, _RALLY, _ALL = 0, 1, 2, 255
 _DOWNLOADS = 16
+_CLEAR_WITHIN_S = 3.0
 _NO_MISSION, _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE = 1, 2, 3, 4, 5
 
 
@@ -66,6 +67,7 @@ class MissionDesk:
         self._receiver = Receiver(self._judge)
         self._senders: OrderedDict[tuple[Station, int], Sender] = OrderedDict()
         self._told = 0
+        self._clearing: tuple[float, Station, int] | None = None
 
     def receive(self, now_s: float, station: Station, note: Note) -> Notes:
         """Take a note of a station that may do what it says; returns what to answer."""
@@ -74,7 +76,7 @@ class MissionDesk:
             return [] if isinstance(note, Ack) else [(station, Ack(MissionResult.UNSUPPORTED, kind))]
         match note:
             case ClearAll():
-                return [(station, Ack(self._clear(kind), kind))]
+                return self._clear(now_s, station, kind)
             case RequestList() | RequestItem():
                 return self._give(now_s, station, note)
             case Count() if kind != _MISSION:
@@ -90,7 +92,7 @@ class MissionDesk:
 
     def step(self, now_s: float) -> Notes:
         """Repeat what may have been lost."""
-        out = list(self._receiver.step(now_s))
+        out = [*self._receiver.step(now_s), *self._clear_at_rest(now_s)]
         for giver in self._senders.values():
             out += giver.step(now_s)
         return out
@@ -143,6 +145,8 @@ class MissionDesk:
     def _done(self, status: Status) -> int:
         """How many items, from the first, are completed."""
         places, reached = self.plan.item_of_waypoint, status.waypoint
+        if reached == len(places) and status.mission_running and status.state == "hover":
+            reached -= 1  # it waits there; the last item is completed when nothing of the mission is left
         if status.outcome == "succeeded" and not status.flying and reached >= len(places):
             return len(self.plan.items)
         if reached > 0:
@@ -188,10 +192,27 @@ class MissionDesk:
         offer = giver.start(now_s)
         return offer if isinstance(note, RequestList) else giver.receive(now_s, note)
 
-    def _clear(self, kind: int) -> MissionResult:
-        if kind in (_FENCE, _RALLY):
-            return MissionResult.ACCEPTED
-        return MissionResult(self._judge(())) if kind in (_MISSION, _ALL) else MissionResult.UNSUPPORTED
+    def _clear(self, now_s: float, station: Station, kind: int) -> Notes:
+        if kind not in (_MISSION, _ALL):
+            known = kind in (_FENCE, _RALLY)
+            return [(station, Ack(MissionResult.ACCEPTED if known else MissionResult.UNSUPPORTED, kind))]
+        if self._clearing is not None:
+            return []  # the same again
+        if self._autopilot.status.mission_running and self._autopilot.pause():
+            self._clearing = (now_s + _CLEAR_WITHIN_S, station, kind)
+            return []
+        return [(station, Ack(self._judge(()), kind))]
+
+    def _clear_at_rest(self, now_s: float) -> Notes:
+        """A mission that is being flown is cleared once the helicopter hovers."""
+        if self._clearing is None:
+            return []
+        until_s, station, kind = self._clearing
+        status = self._autopilot.status
+        if now_s < until_s and (status.mission_running or status.state != "hover"):
+            return []
+        self._clearing = None
+        return [(station, Ack(self._judge(()), kind))]
 
     def _judge(self, items: tuple[Item, ...]) -> int:
         try:

@@ -190,12 +190,13 @@ class VehicleLink:
         shown = (
             picture.status.state, picture.status.armed, landed_state(picture), picture.progress, picture.view.crashed
         )  # fmt: skip
+        # What was reached comes before what is next: programs take the last item for done when both have come.
+        for item in self._desk.reached(picture.status):
+            self._send(None, mavlink.MAVLink_mission_item_reached_message(item))
         if shown != self._shown:
             self._shown = shown
             for make in (heartbeat, extended_sys_state, mission_current, mission_state):
                 self._send(None, make(picture))
-        for item in self._desk.reached(picture.status):
-            self._send(None, mavlink.MAVLink_mission_item_reached_message(item))
 
     def _picture(self, now_s: float) -> Picture:
         status = self.autopilot.status
@@ -286,7 +287,9 @@ class VehicleLink:
             self.autopilot.note("the commander is heard again")
         elif order:
             self._sticks.off()
-            self.autopilot.note(f"commander not heard for {silent:.0f} s: {order}", "warning")
+            after = self._parameters.get("COM_DL_LAND_T").value
+            then = f"stop and hover, land in {after:g} s" if order == "hover" else "land"
+            self.autopilot.note(f"commander not heard for {silent:.0f} s: {then}", "warning")
             answer = self.autopilot.pause() if order == "hover" else self.autopilot.land()
             if not answer:
                 self.autopilot.note(answer.reason, "warning")
