@@ -10,20 +10,28 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mufly.cli.station import BrowserOption, HostOption, PortOption, TokenOption
 from mufly.errors import InputError, MuflyError
 
 if TYPE_CHECKING:
+    import xarray as xr
     from rich.console import Console
 
+    from mufly.cli.fly_page import Order
     from mufly.flight import Event, Progress, Summary
+    from mufly.link import Endpoint
+    from mufly.mission import Mission
+    from mufly.vehicle import Vehicle
 
 __all__ = ["HELP", "fly"]
 
 # One line a paragraph: the terminal wraps them.
 HELP = """Fly a mission on the full nonlinear model.
 
-Loads the vehicle, designs its controllers, and flies; by default the demonstration of the muFly dissertation: \
-take off, a square of four waypoints, land.
+Opens the ground station in the browser: the helicopter stands on the floor with its mission loaded, by default the \
+demonstration of the muFly dissertation (take off, a square of four waypoints, land), and is flown from there. With \
+no page opened within 20 s it flies the mission by itself. It ends with Ctrl-C, or when the flight is over and the \
+page was closed. With --headless it flies in the terminal, as fast as the machine can.
 
 Writes a folder with the recording (flight.mcap; opens in Foxglove and PlotJuggler), summary.json and pictures. \
 The exit status is 0 only if the mission succeeded.
@@ -32,9 +40,11 @@ Examples:
 
   mufly fly
 
-  mufly fly box-on-leg --wind 0.5,0,0 --gust 0.3 --seed 7
+  mufly fly box-on-leg --headless --wind 0.5,0,0 --gust 0.3 --seed 7
 
   mufly fly my-mission.toml --vehicle my-helicopter.toml --out results
+
+  mufly fly --link udp:127.0.0.1:14550      (QGroundControl or a script may fly it too)
 """
 
 
@@ -71,10 +81,25 @@ def fly(
     headless: Annotated[
         bool,
         typer.Option(
-            "--headless", help="Stay in the terminal (today it always does: there is no browser view yet)."
+            "--headless", help="Stay in the terminal; no page, as fast as the machine can."
         ),
     ] = False,
-) -> None:
+    start: Annotated[
+        bool, typer.Option("--start", help="Begin the mission at once, without a press on the page.")
+    ] = False,
+    links: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--link", metavar="LINK",
+            help="Fly it as a MAVLink vehicle in real time, for other programs too: udp:HOST:PORT, tcpin:..., "
+            "serial:...; can be given several times.",
+        ),
+    ] = None,
+    port: PortOption = None,
+    host: HostOption = "127.0.0.1",
+    token: TokenOption = None,
+    browser: BrowserOption = True,
+) -> None:  # fmt: skip
     """Fly a mission on the full nonlinear model."""
     from rich.console import Console
 
@@ -83,6 +108,7 @@ def fly(
     _check_numbers(gust, seed)
     folder = out if out is not None else _dated_folder()
     _check_folder(folder)
+    ends = _endpoints(links)
 
     # Whatever can be wrong with the input is found before the heavy libraries are loaded.
     from mufly.mission import load_mission, preflight
@@ -94,49 +120,126 @@ def fly(
         f"[bold]{loaded_vehicle.name}[/bold] flies [bold]{loaded_mission.name}[/bold]; results go to {folder}"
     )
 
+    recording = folder / "flight.mcap"
+    if ends or not (headless or as_json):
+        from mufly.cli.fly_page import Order
+
+        order = Order(loaded_vehicle, loaded_mission, recording, steady, gust, seed, tuple(ends), start)
+        stopped = _fly_in_real_time(
+            console, order, (host, port, token), None if headless or as_json else browser
+        )
+        dataset = _read(recording)
+    else:
+        stopped = False
+        dataset = _fly_in_terminal(
+            console, loaded_vehicle, loaded_mission, recording, steady, gust, seed, realtime
+        )
+    if dataset is None or _never_flew(dataset):
+        console.print(f"It did not fly; what was recorded is in {folder}")
+        raise typer.Exit(130 if stopped else 1)
+    summary = _write_results(console, dataset, loaded_mission, recording, as_json)
+    if stopped and summary.outcome != "succeeded":
+        console.print(f"Stopped; the recording up to here is in {recording}")
+        raise typer.Exit(130)
+    if summary.outcome != "succeeded":
+        raise MuflyError(f"the mission failed: {summary.reason}")
+
+
+def _fly_in_terminal(
+    console: Console,
+    vehicle: Vehicle,
+    mission: Mission,
+    recording: Path,
+    wind: list[float] | None,
+    gust: float | None,
+    seed: int,
+    realtime: bool,
+) -> xr.Dataset:
+    """Fly the mission from beginning to end, as fast as the machine can."""
     import mufly.flight as flight
 
-    recording = folder / "flight.mcap"
     try:
         with _Display(console) as display:
-            dataset = flight.fly(
-                loaded_vehicle,
-                loaded_mission,
-                wind=steady,
-                gust=gust,
-                seed=seed,
-                realtime=realtime,
-                path=recording,
-                on_progress=display.progress,
-                on_event=display.event,
-            )
+            return flight.fly(
+                vehicle, mission, wind=wind, gust=gust, seed=seed, realtime=realtime, path=recording,
+                on_progress=display.progress, on_event=display.event,
+            )  # fmt: skip
     except KeyboardInterrupt:
         if recording.exists():
             console.print(f"Stopped; the recording up to here is in {recording}")
         raise typer.Exit(130) from None
 
+
+def _fly_in_real_time(
+    console: Console, order: Order, where: tuple[str, int | None, str | None], browser: bool | None
+) -> bool:
+    """Fly with the page, or without one (``browser`` None) behind a link; return whether it was stopped."""
+    from mufly.cli.fly_page import fly_behind_link, fly_with_page
+
+    with _Display(console) as display:
+        if browser is None:
+            try:
+                fly_behind_link(order, display.event, console)
+            except KeyboardInterrupt:
+                return True
+            return False
+        from mufly.station.page.server import choose_address
+
+        address = choose_address(*where)
+        return not fly_with_page(order, address, display.event, console, browser)
+
+
+def _read(recording: Path) -> xr.Dataset | None:
+    """The recording that the vehicle's process wrote; None if there is not a row in it."""
+    from mufly.flight import read_recording
+
+    try:
+        return read_recording(recording)
+    except InputError:
+        return None
+
+
+def _never_flew(dataset: xr.Dataset) -> bool:
+    down = dataset["truth_position"].sel(axis="D").values
+    return bool((down > down[0] - 0.02).all())
+
+
+def _write_results(
+    console: Console, dataset: xr.Dataset, mission: Mission, recording: Path, as_json: bool
+) -> Summary:
+    """Write summary and pictures beside the recording, and print what they say."""
+    import mufly.flight as flight
+
+    folder, waypoints = recording.parent, [w.position_m for w in mission.waypoint]
     summary = flight.summarise(
         dataset,
-        [w.position_m for w in loaded_mission.waypoint],
+        waypoints,
         flight.events_of(dataset),
-        take_off=(*loaded_mission.start_m, -loaded_mission.take_off.height_m),
-        reach_m=loaded_mission.limits.reach_m,
-        world=loaded_mission.world,
-        realtime_factor=dataset.attrs["realtime_factor"],
+        take_off=(*mission.start_m, -mission.take_off.height_m),
+        reach_m=mission.limits.reach_m,
+        world=mission.world,
+        realtime_factor=dataset.attrs.get("realtime_factor"),
     )
     text = json.dumps(summary.to_dict(), indent=2)
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
-    pictures = flight.draw_flight(
-        dataset, folder, waypoints=[w.position_m for w in loaded_mission.waypoint], world=loaded_mission.world
-    )
+    pictures = flight.draw_flight(dataset, folder, waypoints=waypoints, world=mission.world)
     if as_json:
         print(text)
     else:
         _print_result(console, summary)
         names = ", ".join(p.name for p in (recording, folder / "summary.json", *pictures))
         console.print(f"Written to [bold]{folder}[/bold]: {names}")
-    if summary.outcome != "succeeded":
-        raise MuflyError(f"the mission failed: {summary.reason}")
+    return summary
+
+
+def _endpoints(links: list[str] | None) -> list[Endpoint]:
+    from mufly.link.endpoint import parse_endpoint
+
+    found = [parse_endpoint(text, "vehicle") for text in links or ()]
+    for end in found:
+        if found.count(end) > 1:
+            raise InputError("--link", "", f"{end} is given twice", "give each link once")
+    return found
 
 
 def _wind(text: str | None) -> list[float] | None:

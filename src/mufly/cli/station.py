@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -127,10 +128,8 @@ def station(
         finally:
             await ground.stop()
 
-    try:
+    with contextlib.suppress(KeyboardInterrupt):
         asyncio.run(work())
-    except KeyboardInterrupt:
-        pass
     if ground.recorder.path is not None:
         typer.echo(f"Recorded to {ground.recorder.path}")
 
@@ -144,5 +143,6 @@ def announce(address: Address, links: list[str]) -> None:
         console.print(f"The station {link}")
     console.print(f"Page: [bold]{address.url}[/bold]   (Ctrl-C ends the station)", soft_wrap=True)
     if address.token:
-        console.print("Whoever has this address can command the vehicle; it travels unencrypted.", style="yellow")
-
+        console.print(
+            "Whoever has this address can command the vehicle; it travels unencrypted.", style="yellow"
+        )

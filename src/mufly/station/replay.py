@@ -1,8 +1,8 @@
 """A finished recording behind the same seam as a vehicle: read, played back, and moved through with a slider.
 
-:func:`open_recording` reads any log that :func:`mufly.logs.read_log` reads. A :class:`Replay` is one viewer's place in it;
-many may share one :class:`Recording`. What the vehicle believed of itself is taken from ``estimated_*`` where it was
-recorded, else from ``measured_*``, else from ``truth_*``.
+:func:`open_recording` reads any log that :func:`mufly.logs.read_log` reads. A :class:`Replay` is one viewer's place
+in it; many may share one :class:`Recording`. What the vehicle believed of itself is taken from ``estimated_*`` where
+it was recorded, else from ``measured_*``, else from ``truth_*``.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ def availability(
     """
 
     def all_of(reason: str, stop: str | None = None) -> dict[str, str]:
-        return {c: reason for c in COMMANDS} | {"stop": reason if stop is None else stop}
+        return dict.fromkeys(COMMANDS, reason) | {"stop": reason if stop is None else stop}
 
     if kind == "recording":
         return all_of("a recording")

@@ -68,8 +68,8 @@ def catalog(names: Iterable[str], unit: Callable[[str], str]) -> list[dict[str, 
     Returns
     -------
     list of dict
-        ``key``, ``title``, ``unit`` and ``factor`` of display, ``components`` (list of str), ``sources`` (list of str) and
-        ``signals`` (``{"source/component": flat name}``), best known first.
+        ``key``, ``title``, ``unit`` and ``factor`` of display, ``components`` (list of str), ``sources`` (list of
+        str) and ``signals`` (``{"source/component": flat name}``), best known first.
     """
     found: dict[str, dict[str, Any]] = {}
     for name in names:

@@ -22,15 +22,28 @@ __all__ = ["CommandBar"]
 
 CONFIRM_S = 3.0
 HEIGHT_M = (0.2, 50.0)
-_WORDS = {Outcome.WAITING: "…", Outcome.ACCEPTED: "✓", Outcome.REFUSED: "✕ refused", Outcome.TIMED_OUT: "✕ no answer"}
+OWN_CHECK = "vehicle's own checks"
+_WORDS = {
+    Outcome.WAITING: "…",
+    Outcome.ACCEPTED: "✓",
+    Outcome.REFUSED: "✕ refused",
+    Outcome.TIMED_OUT: "✕ no answer",
+}
 
 
 def _facts(facts: dict[str, Any]) -> str:
     """What a recording says of itself, in a line."""
     outcome = " ".join(str(facts[k]) for k in ("outcome", "reason") if facts.get(k))
-    parts = [str(facts.get("vehicle", "")), str(facts.get("mission", "")), outcome, str(facts.get("start_time", ""))[:19]]
+    parts = [
+        str(facts.get("vehicle", "")),
+        str(facts.get("mission", "")),
+        outcome,
+        str(facts.get("start_time", ""))[:19],
+    ]
     whole = "" if facts.get("complete", True) else "cut off: shown as far as it goes"
-    return "Recording: " + "; ".join(p.replace("T", " ") if p[:2] == "20" else p for p in (*parts, whole) if p)
+    return "Recording: " + "; ".join(
+        p.replace("T", " ") if p[:2] == "20" else p for p in (*parts, whole) if p
+    )
 
 
 class _Action:
@@ -39,8 +52,10 @@ class _Action:
     def __init__(
         self, label: str, test_id: str, key: str, press: Callable[[], None], classes: str = ""
     ) -> None:
-        self.element = ui.element("button").classes(f"mf-action {classes}").on(
-            "click", lambda: self._click(press), args=[]
+        self.element = (
+            ui.element("button")
+            .classes(f"mf-action {classes}")
+            .on("click", lambda: self._click(press), args=[])
         )
         self.element.props(f'type=button data-testid={test_id} data-key="{key}"')
         with self.element:
@@ -116,7 +131,9 @@ class CommandBar:
                 self._banner_text = ui.element("span")
                 self._banner_button = ui.element("button").props("type=button data-testid=take-controls")
                 self._banner_button.on("click", self._take, args=[])
-            self._mission = _Action("Fly the mission", "mission", "Shift+M", self._do("start_mission"), "mf-primary")
+            self._mission = _Action(
+                "Fly the mission", "mission", "Shift+M", self._do("start_mission"), "mf-primary"
+            )
             with ui.element("div").classes("mf-row"):
                 self._take_off = _Action("Take off", "take-off", "Shift+T", self._go_up)
                 self._height = self._field("to", 1.0, "height of take-off in m", "m")
@@ -230,8 +247,9 @@ class CommandBar:
         source = self._view.source()
         unready = ""
         if vehicle is not None:
-            bad = [c for c in vehicle.checks if c.ok is False]
-            unready = f"check: {bad[0].name}" if bad else ""
+            # The station's other checks advise; whether it can be armed is for the vehicle to say.
+            bad = [c.text for c in vehicle.checks if c.ok is False and c.name == OWN_CHECK]
+            unready = bad[0] if bad and not vehicle.snapshot.flying else ""
         return availability(
             vehicle.snapshot if vehicle is not None else None,
             kind=source.kind if source is not None else "other",
@@ -265,7 +283,9 @@ class CommandBar:
         elif vehicle is None:
             text = "Waiting for a vehicle on the link"
         elif not self._view.has_controls:
-            text, button = "The controls are with another window", "Take the controls"
+            other = self._view.session.holder
+            text = "The controls are with another window" if other else "No window holds the controls"
+            button = "Take the controls"
         elif s is not None and s.commander and not s.in_command:
             text, button = f"Watching: commanded by {s.commander}", "Take command"
         if (text, button) == self._banner_state:
@@ -275,7 +295,9 @@ class CommandBar:
         self._section.classes(add="mf-watching" if watching else "", remove="" if watching else "mf-watching")
         self._banner_text._text = text
         self._banner_button._text = button
-        self._banner_button.classes(add="mf-hidden" if not button else "", remove="mf-hidden" if button else "")
+        self._banner_button.classes(
+            add="mf-hidden" if not button else "", remove="mf-hidden" if button else ""
+        )
         self._banner.classes(add="mf-hidden" if not text else "", remove="mf-hidden" if text else "")
         for e in (self._banner_text, self._banner_button, self._banner):
             e.update()

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 import tomllib
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 
-from nicegui import run, ui
+from nicegui import ui
 from nicegui.element import Element
 from nicegui.events import GenericEventArguments, UploadEventArguments
 
@@ -25,16 +26,24 @@ __all__ = ["button", "mission_drawer", "parameter_drawer", "recording_drawer"]
 MOST_BYTES = 2_000_000
 
 
-def button(text: str, press: Callable[..., object], *, test: str = "", title: str = "", classes: str = "") -> Element:
+def button(
+    text: str, press: Callable[..., object], *, test: str = "", title: str = "", classes: str = ""
+) -> Element:
     """Return a plain button."""
-    made = ui.element("button").props(f'type=button data-testid="{test}" title="{title or text}"').classes(classes)
+    made = (
+        ui.element("button")
+        .props(f'type=button data-testid="{test}" title="{title or text}"')
+        .classes(classes)
+    )
     made._text = text
     made.on("click", press, args=[])
     return made
 
 
 def _say(text: str, good: bool = True) -> None:
-    ui.notify(text, type="positive" if good else "warning", position="bottom", timeout=4000, close_button="OK")
+    ui.notify(
+        text, type="positive" if good else "warning", position="bottom", timeout=4000, close_button="OK"
+    )
 
 
 def _blocked(view: View) -> str:
@@ -233,7 +242,13 @@ def recording_drawer(view: View) -> None:
     """List of recordings; one is opened in the same page."""
     with ui.element("div").classes("mf-tools"):
         button("Refresh", lambda: fill(), title="look for recordings again")
-        _pick("Open a file…", ".mcap,.tlog,.ulg,.csv,.bin", lambda e: uploaded(e), "recording-file", 1_000_000_000)
+        _pick(
+            "Open a file…",
+            ".mcap,.tlog,.ulg,.csv,.bin",
+            lambda e: uploaded(e),
+            "recording-file",
+            1_000_000_000,
+        )
         note = ui.element("span").classes("mf-dim mf-note")
         note._text = f"in {view.session.folder}"
     holder = ui.element("div").classes("mf-scroll")
@@ -243,13 +258,15 @@ def recording_drawer(view: View) -> None:
         view.ask(request)
         began = time.monotonic()
         try:
-            recording = await run.io_bound(open_recording, path)
+            recording = await asyncio.to_thread(open_recording, path)
         except MuflyError as error:
             request.outcome, request.answer = Outcome.REFUSED, str(error)
             _say(str(error), good=False)
             return
         request.outcome = Outcome.ACCEPTED
-        request.answer = f"{recording.times[-1] - recording.times[0]:.0f} s, read in {time.monotonic() - began:.1f} s"
+        request.answer = (
+            f"{recording.times[-1] - recording.times[0]:.0f} s, read in {time.monotonic() - began:.1f} s"
+        )
         view.show_recording(recording)
 
     async def uploaded(e: UploadEventArguments) -> None:
@@ -268,7 +285,9 @@ def recording_drawer(view: View) -> None:
                 about = path.stat()
                 with ui.element("tr"):
                     with ui.element("td"):
-                        button("Open", lambda path=path: show(path), test="open-recording", title=f"open {path}")
+                        button(
+                            "Open", lambda path=path: show(path), test="open-recording", title=f"open {path}"
+                        )
                     for text in (
                         str(path.relative_to(view.session.folder)),
                         datetime.fromtimestamp(about.st_mtime).strftime("%Y-%m-%d %H:%M:%S"),

@@ -1,9 +1,10 @@
 """What one window of the page is told, and how much of it.
 
 The window asks for what it shows (:class:`Want`); a frame holds the present, the samples since the last frame of the
-signals asked for, and each table only when it has changed. Nothing is kept for a window that does not keep up: a frame is
-made when the window has said that it drew the one before the last (:meth:`Feed.ready`), out of whatever is then present.
-A stalled or hidden window thus costs nothing, and gets the gap filled from the history when it comes back.
+signals asked for, and each table only when it has changed. Nothing is kept for a window that does not keep up: a
+frame is made when the window has said that it drew the one before the last (:meth:`Feed.ready`), out of whatever is
+then present. A stalled or hidden window thus costs nothing, and gets the gap filled from the history when it comes
+back.
 """
 
 from __future__ import annotations
@@ -75,7 +76,9 @@ class Want:
 
         def texts(key: str) -> list[str]:
             found = content.get(key, [])
-            return [t for t in found if isinstance(t, str) and len(t) < 200] if isinstance(found, list) else []
+            return (
+                [t for t in found if isinstance(t, str) and len(t) < 200] if isinstance(found, list) else []
+            )
 
         def seconds(key: str, otherwise: float) -> float:
             value = content.get(key)
@@ -252,8 +255,8 @@ class Feed:
         """Signals that have had a value since the source is shown; a real vehicle has no truth to offer."""
         names = list(source.history.names)
         _, values = source.history.window(ALIVE_S, names)
-        alive = np.isfinite(values).any(axis=0)
-        self._alive |= {n for n, yes in zip(names, alive.tolist(), strict=True) if yes}
+        alive = np.asarray(np.isfinite(values).any(axis=0)).tolist()
+        self._alive |= {n for n, yes in zip(names, alive, strict=True) if yes}
         return [n for n in names if n in self._alive]
 
     def _spectrum(self, source: Source, snapshot: Snapshot) -> dict[str, Any]:

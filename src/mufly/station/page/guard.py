@@ -1,10 +1,10 @@
 """Who may speak to the page: an ASGI layer around everything, web sockets and static files included.
 
-Two dangers on the loopback address: a foreign web page that opens a socket to us (the browser says so in ``Origin``), and
-one whose name resolves to 127.0.0.1 (the browser then sends its name as ``Host``). So the host must be one that we serve
-under, and an origin, where given, must be the same as the host. On any other address a token is needed too: it comes once,
-as ``?token=`` or typed into the form, and becomes a cookie that scripts cannot read and that other sites cannot send;
-after that it is in no address.
+Two dangers on the loopback address: a foreign web page that opens a socket to us (the browser says so in ``Origin``),
+and one whose name resolves to 127.0.0.1 (the browser then sends its name as ``Host``). So the host must be one that
+we serve under, and an origin, where given, must be the same as the host. On any other address a token is needed too:
+it comes once, as ``?token=`` or typed into the form, and becomes a cookie that scripts cannot read and that other
+sites cannot send; after that it is in no address.
 """
 
 from __future__ import annotations
@@ -32,13 +32,15 @@ _STYLE = (
     "width:100%;box-sizing:border-box;margin-top:.6rem;border-radius:4px;border:1px solid #44505c}</style>"
 )
 _ASK = (
-    "<!doctype html><html lang=en><meta charset=utf-8><title>mufly station</title>" + _STYLE + "<form method=post action=/login>"
+    "<!doctype html><html lang=en><meta charset=utf-8><title>mufly station</title>" + _STYLE
+    + "<form method=post action=/login>"
     "<h1>mufly station</h1><label for=t>This station needs the token that it printed when it was started.</label>"
     "<input id=t name=token type=password autocomplete=off autofocus><button>Open</button></form>"
 )  # fmt: skip
 _ENTER = (
     "<!doctype html><html lang=en><meta charset=utf-8><title>mufly station</title>"
-    '<meta http-equiv=refresh content="0;url=/">' + _STYLE + "<p><a href=/ style='color:inherit'>Open the station</a></p>"
+    '<meta http-equiv=refresh content="0;url=/">' + _STYLE
+    + "<p><a href=/ style='color:inherit'>Open the station</a></p>"
 )  # fmt: skip
 
 
@@ -150,7 +152,12 @@ async def _body(receive: _Receive) -> bytes:
 
 async def _answer(send: _Send, status: int, text: str, more: list[tuple[bytes, bytes]] | None = None) -> None:
     kind = b"text/html; charset=utf-8" if text.startswith("<") else b"text/plain; charset=utf-8"
-    headers = [(b"content-type", kind), (b"cache-control", b"no-store"), (b"referrer-policy", b"no-referrer"), *(more or [])]
+    headers = [
+        (b"content-type", kind),
+        (b"cache-control", b"no-store"),
+        (b"referrer-policy", b"no-referrer"),
+        *(more or []),
+    ]
     await send({"type": "http.response.start", "status": status, "headers": headers})
     await send({"type": "http.response.body", "body": text.encode()})
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from nicegui import ui
 from nicegui.events import GenericEventArguments
@@ -63,7 +64,12 @@ def build(view: View) -> None:
     Panel("keys")
     scene.on("place", lambda e: _point(e, bar.choose))
     scene.on("goto", lambda e: _point(e, bar.go_to))
-    ui.timer(REFRESH_S, lambda: (bar.refresh(), refresh_parameters()))
+
+    def refresh() -> None:
+        bar.refresh()
+        refresh_parameters()
+
+    ui.timer(REFRESH_S, refresh)
 
 
 def _card(classes: str, title: str = "") -> ui.element:
@@ -76,14 +82,14 @@ def _card(classes: str, title: str = "") -> ui.element:
     return card
 
 
-def _point(e: GenericEventArguments, take: object) -> None:
+def _point(e: GenericEventArguments, take: Callable[[float, float, float], None]) -> None:
     content = e.args if isinstance(e.args, dict) else {}
     try:
         values = [float(content[k]) for k in ("north", "east", "height")]
     except (KeyError, TypeError, ValueError):
         return
     if all(math.isfinite(v) for v in values):
-        take(*values)  # type: ignore[operator]
+        take(*values)
 
 
 def _header(view: View, dark: ui.dark_mode) -> None:
@@ -95,11 +101,15 @@ def _header(view: View, dark: ui.dark_mode) -> None:
         Panel("status")
         with ui.element("div").classes("mf-header-tools"):
             _recorder(view)
-            switch = button("◐", lambda: _switch(dark), title="dark or light (d)").props('data-key="d" aria-label="dark or light"')
+            switch = button("◐", lambda: _switch(dark), title="dark or light (d)").props(
+                'data-key="d" aria-label="dark or light"'
+            )
             switch.classes("mf-icon-button")
             with ui.dialog() as keys, ui.element("div").classes("mf-help"):
                 _help_text()
-            ask = button("?", keys.open, title="keyboard and help (?)").props('data-key="?" aria-label="help"')
+            ask = button("?", keys.open, title="keyboard and help (?)").props(
+                'data-key="?" aria-label="help"'
+            )
             ask.classes("mf-icon-button")
 
 
@@ -149,7 +159,9 @@ def _recorder(view: View) -> None:
     with ui.dialog() as marks, ui.element("div").classes("mf-help"):
         head = ui.element("h2")
         head._text = "Mark this moment"
-        field = ui.input("text", placeholder="gust from the left").props("autofocus").on("keydown.enter", mark)
+        field = (
+            ui.input("text", placeholder="gust from the left").props("autofocus").on("keydown.enter", mark)
+        )
         button("Set the mark", mark, classes="mf-primary-button")
     record = button("● Record", toggle, test="record")
     button("Mark", marks.open, title="put a mark into the recording (m)").props('data-key="m"')
@@ -161,7 +173,9 @@ def _recorder(view: View) -> None:
             return
         state[0] = on
         record._text = "■ Recording" if on else "● Record"
-        record.props(f'aria-pressed={str(on).lower()} title="{"recording; press to stop" if on else "record"}"')
+        record.props(
+            f'aria-pressed={str(on).lower()} title="{"recording; press to stop" if on else "record"}"'
+        )
         record.classes(add="mf-recording" if on else "", remove="" if on else "mf-recording")
         record.update()
 
@@ -169,8 +183,10 @@ def _recorder(view: View) -> None:
     ui.timer(0.5, show)
 
 
-def _dock(view: View) -> object:
-    with ui.element("section").classes("mf-dock").props('aria-label="plots, spectrum, parameters, recordings"'):
+def _dock(view: View) -> Callable[[], None]:
+    with (
+        ui.element("section").classes("mf-dock").props('aria-label="plots, spectrum, parameters, recordings"')
+    ):
         with ui.tabs().props("dense no-caps align=left inline-label").classes("mf-tabs") as tabs:
             plots, spectrum, parameters, recordings = (
                 ui.tab(n) for n in ("Plots", "Spectrum", "Parameters", "Recordings")

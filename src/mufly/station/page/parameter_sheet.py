@@ -1,7 +1,7 @@
 """What was done to a vehicle's parameters here: changes, undo, redo, and files of them.
 
-Files are those that other ground stations write too: one parameter a line, ``system component NAME value type`` with tabs
-(QGroundControl), or ``NAME,value`` (Mission Planner); both are read, the first is written.
+Files are those that other ground stations write too: one parameter a line, ``system component NAME value type`` with
+tabs (QGroundControl), or ``NAME,value`` (Mission Planner); both are read, the first is written.
 """
 
 from __future__ import annotations
@@ -99,7 +99,9 @@ def parameter_file(parameters: Mapping[str, Parameter], system: int) -> str:
     for name in sorted(parameters):
         p = parameters[name]
         kind, value = (
-            (MAV_PARAM_TYPE_INT32, str(round(p.value))) if p.whole else (MAV_PARAM_TYPE_REAL32, f"{p.value:.9g}")
+            (MAV_PARAM_TYPE_INT32, str(round(p.value)))
+            if p.whole
+            else (MAV_PARAM_TYPE_REAL32, f"{p.value:.9g}")
         )
         lines.append(f"{system}\t1\t{name}\t{value}\t{kind}")
     return "\n".join(lines) + "\n"
@@ -119,7 +121,9 @@ def read_parameter_file(text: str, where: str) -> dict[str, float]:
         if not line or line.startswith(("#", "//")):
             continue
         parts = line.replace(",", " ").replace("=", " ").split()
-        name, value = (parts[2], parts[3]) if len(parts) == 5 else (parts[0], parts[1] if len(parts) == 2 else "")
+        name, value = (
+            (parts[2], parts[3]) if len(parts) == 5 else (parts[0], parts[1] if len(parts) == 2 else "")
+        )
         try:
             out[name] = float(value)
         except ValueError:

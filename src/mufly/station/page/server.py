@@ -9,8 +9,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import os
 import signal
 import socket
+import sys
 import time
 import webbrowser
 from collections.abc import Awaitable, Callable, Iterator
@@ -28,7 +30,7 @@ from mufly.station.page.layout import build
 from mufly.station.page.panel import STATIC, static_url
 from mufly.station.page.session import Session
 
-__all__ = ["Address", "application", "choose_address", "serve"]
+__all__ = ["Address", "application", "can_open", "choose_address", "serve"]
 
 RATE_HZ = 20.0
 PORT = 8080
@@ -67,13 +69,17 @@ def choose_address(host: str = "127.0.0.1", port: int | None = None, token: str 
         If the address is none of this machine, or the port that was asked for is taken.
     """
     if token is not None and len(token) < 8:
-        raise InputError("--token", "", "is shorter than 8 characters", "give a longer one, or none to have one made")
+        raise InputError(
+            "--token", "", "is shorter than 8 characters", "give a longer one, or none to have one made"
+        )
     secret = token or ("" if is_loopback(host) else new_token())
     tried = [port] if port is not None else [*range(PORT, PORT + PORTS_TRIED), 0]
     try:
         family, _, _, _, _ = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
     except OSError as error:
-        raise InputError("--host", host, f"is no address ({error.strerror})", "give an address of this machine") from None
+        raise InputError(
+            "--host", host, f"is no address ({error.strerror})", "give an address of this machine"
+        ) from None
     for number in tried:
         bound = socket.socket(family, socket.SOCK_STREAM)
         bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -92,6 +98,13 @@ def choose_address(host: str = "127.0.0.1", port: int | None = None, token: str 
     raise AssertionError("a port was tried")
 
 
+def can_open() -> bool:
+    """Whether there is a screen to open a browser on; a text browser would take the terminal away."""
+    if sys.platform in ("darwin", "win32"):
+        return True
+    return any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"))
+
+
 def application(session: Session, *, host: str = "127.0.0.1", token: str = "") -> Any:
     """Return the whole page as one guarded ASGI application."""
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
@@ -104,7 +117,11 @@ def application(session: Session, *, host: str = "127.0.0.1", token: str = "") -
             await socket.close(1008)
             return
         await socket.accept()
-        await _stream(socket, Feed(view))
+        view.connected()
+        try:
+            await _stream(socket, Feed(view))
+        finally:
+            view.disconnected()
 
     @ui.page("/", title=session.title)
     def page() -> None:
@@ -206,13 +223,15 @@ async def serve(
         tasks.add(asyncio.ensure_future(beside()))
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
-    with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):  # no main thread, or no such signals
+    with contextlib.suppress(
+        NotImplementedError, RuntimeError, ValueError
+    ):  # no main thread, or no such signals
         loop.add_signal_handler(signal.SIGTERM, ended.set)
     tasks.add(loop.create_task(_wait(ended)))
     try:
         while not server.started and not serving.done():
             await asyncio.sleep(0.02)
-        if open_browser and not serving.done():
+        if open_browser and can_open() and not serving.done():
             await asyncio.to_thread(webbrowser.open, address.url)
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         for task in done:

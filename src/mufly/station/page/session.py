@@ -1,11 +1,12 @@
 """What all windows share, and what belongs to each: who holds the controls, what is shown, what was asked.
 
-A window is one tab of a browser. The first holds the controls, the others watch until they take them. A window that is
-closed gives them up; the vehicle does not notice.
+A window is one tab of a browser. The first holds the controls, the others watch until they take them. When the window
+that held them is gone, the only one left gets them; of several none does until it asks. The vehicle does not notice.
 """
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,6 +24,7 @@ __all__ = ["Session", "Vehicle", "View", "find_recordings"]
 
 ENDINGS = (".mcap", ".tlog", ".ulg", ".csv", ".bin", ".parquet", ".nc")
 MOST_RECORDINGS = 200
+GRACE_S = 1.0
 
 
 class Vehicle(Source, Protocol):
@@ -118,25 +120,34 @@ class Session:
     title: str = "mufly station"
     views: dict[str, View] = field(default_factory=dict)
     holder: str = ""
-    opened: int = 0
     sheets: dict[str, ParameterSheet] = field(default_factory=dict)
     to_open: Recording | None = None
+    clock: Callable[[], float] = time.monotonic
 
     def open(self, client_id: str) -> View:
-        """A window was opened; it gets the controls if nobody has them."""
+        """A window was opened."""
         view = self.views[client_id] = View(client_id, self)
-        self.opened += 1
-        if self.holder not in self.views:
-            self.holder = client_id
         if self.to_open is not None:
             view.show_recording(self.to_open)
         return view
 
     def close(self, client_id: str) -> None:
-        """A window was closed. The controls go to the oldest window that is left, if there is just one."""
+        """A window was closed for good."""
         self.views.pop(client_id, None)
-        if self.holder == client_id:
-            self.holder = next(iter(self.views), "") if len(self.views) == 1 else ""
+
+    @property
+    def watching(self) -> int:
+        """How many windows are open and hear us."""
+        return sum(view.live for view in self.views.values())
+
+    def settle(self) -> None:
+        """Give the controls to the only window there is, once whoever held them has been gone for a second."""
+        holder = self.views.get(self.holder)
+        if holder is not None and (holder.live or self.clock() - holder.left_s < GRACE_S):
+            return
+        live = [view for view in self.views.values() if view.live]
+        # The first of all windows gets them without asking; of several that are left, none does.
+        self.holder = live[0].client_id if live and (len(live) == 1 or not self.holder) else ""
 
     def sheet(self, vehicle: Source) -> ParameterSheet:
         """What was done to a vehicle's parameters."""
@@ -154,6 +165,23 @@ class View:
         self.replay: Replay | None = None
         self.requests: deque[Request] = deque(maxlen=20)
         self._shows = 0
+        self._streams = 0
+        self.left_s = session.clock()
+
+    @property
+    def live(self) -> bool:
+        """Whether its stream of frames is open."""
+        return self._streams > 0
+
+    def connected(self) -> None:
+        """Its stream of frames was opened."""
+        self._streams += 1
+        self.session.settle()
+
+    def disconnected(self) -> None:
+        """Its stream of frames was closed; it may come back."""
+        self._streams -= 1
+        self.left_s = self.session.clock()
 
     # ---- what is shown
 
@@ -203,7 +231,11 @@ class View:
         mission = self.replay.recording.mission if self.replay is not None else self.session.mission
         world = mission.world if mission is not None else None
         # The epoch belongs to it: after a jump the trail is drawn anew.
-        return {"world": drawn_world(world), "rotor_radius": self.session.rotor_radius_m, "epoch": self.epoch()}
+        return {
+            "world": drawn_world(world),
+            "rotor_radius": self.session.rotor_radius_m,
+            "epoch": self.epoch(),
+        }
 
     def about(self) -> dict[str, Any]:
         """Replay and recorder, in every frame."""
@@ -228,6 +260,7 @@ class View:
     @property
     def has_controls(self) -> bool:
         """Whether this window may command."""
+        self.session.settle()
         return self.session.holder == self.client_id
 
     def take_controls(self) -> None:

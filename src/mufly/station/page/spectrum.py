@@ -1,8 +1,9 @@
 """The spectrum of a signal, with marks where the rotors would show.
 
-Power spectral density by Welch's method (Hann window, halves overlapping), one-sided, so that its integral over frequency
-is the variance. A rotor of speed Omega shakes the fuselage at its rate of turn f = Omega / 2 pi and, with b blades, at b f.
-The link samples at f_s; what lies above f_s / 2 shows, folded, at |f - round(f / f_s) f_s|, and is marked there.
+Power spectral density by Welch's method (Hann window, halves overlapping), one-sided, so that its integral over
+frequency is the variance. A rotor of speed Omega shakes the fuselage at its rate of turn f = Omega / 2 pi and, with b
+blades, at b f. The link samples at f_s; what lies above f_s / 2 shows, folded, at |f - round(f / f_s) f_s|, and is
+marked there.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import welch
+from scipy.signal import detrend, welch
 
 __all__ = ["BLADES", "folded", "marks", "spectrum"]
 
@@ -44,12 +45,12 @@ def spectrum(times: _Array, values: _Array) -> tuple[float, _Array, _Array] | No
         return None
     even = np.interp(clock, times, values)
     length = min(len(even), 1024)
-    frequency, density = welch(even, 1.0 / step, "hann", length, length // 2, detrend="linear")
+    frequency, density = welch(even, 1.0 / step, "hann", length, length // 2, detrend=detrend)
     return 1.0 / step, frequency[1:], density[1:]
 
 
 def marks(rotor_speed: _Array, rate_hz: float) -> list[dict[str, Any]]:
-    """Return where the rotors (upper, lower; rad/s) show: ``name``, ``hz`` (true), ``at`` (in the picture), ``folded``."""
+    """Return where rotors (upper, lower; rad/s) show: ``name``, ``hz`` (true), ``at`` (in the picture), ``folded``."""
     out = []
     for name, speed in zip(("upper", "lower"), rotor_speed.tolist(), strict=True):
         if not (math.isfinite(speed) and speed > 1.0):

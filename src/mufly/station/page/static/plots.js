@@ -54,12 +54,12 @@ export function mount(element) {
   const list = el("div", { class: "mf-plot-list" });
   element.append(el("div", { class: "mf-tools" }, pause, windows, add, legend), list);
 
-  function stroke(source) {
+  function stroke(source, wide = 26) {
     const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
-    svg.setAttribute("width", 26);
+    svg.setAttribute("width", wide);
     svg.setAttribute("height", 8);
     svg.setAttribute("aria-hidden", "true");
-    svg.innerHTML = `<line x1="0" y1="4" x2="26" y2="4" stroke="currentColor" stroke-width="1.8" stroke-dasharray="${DASHES[source].join(" ")}"/>`;
+    svg.innerHTML = `<line x1="0" y1="4" x2="${wide}" y2="4" stroke="currentColor" stroke-width="1.8" stroke-dasharray="${DASHES[source].join(" ")}"/>`;
     return svg;
   }
 
@@ -103,7 +103,12 @@ export function mount(element) {
         const id = `${field}-${value}`, on = !p[field] || p[field].includes(value);
         const button = el("button", { type: "button", "aria-pressed": on, "data-chip": id, onclick: () => toggle(field, all, value, id) });
         if (field === "components") button.style.setProperty("--chip", `var(--mf-${colour})`);
-        button.append(field === "sources" ? { estimated: "est", measured: "meas", reference: "ref", truth: "truth" }[value] : value);
+        // A source is a kind of line; its name is in the legend above.
+        if (field === "sources") {
+          button.append(stroke(value, 17));
+          button.title = value;
+          button.setAttribute("aria-label", value);
+        } else button.append(value);
         chips.append(button);
       };
       if (q && q.components.length > 1) q.components.forEach((c, i) => chip("components", q.components, c, PALETTE[i % PALETTE.length]));
