@@ -9,7 +9,7 @@ import pytest
 from mufly.control import FlightController, design
 from mufly.control.cascade import analyse_cascade
 from mufly.dynamics import linearise
-from mufly.flight import Flight, respond
+from mufly.flight import Flight, controllers, respond
 from mufly.flight.controllers import copied
 from mufly.flight.parameters import TABLE
 from mufly.flight.response import Setpoint
@@ -143,33 +143,44 @@ def test_the_take_off_height(flight: Flight) -> None:
 TUNED = [row.name for row in TABLE if row.name.startswith("CTL_")]
 
 
+def greatest_steps(flight: Flight, name: str, end: str) -> np.ndarray:
+    """How far the actuators move from one period to the next in the tenth of a second after tuning: (4,).
+
+    It climbs, turns and is 15 cm off its place then, so that every number tuned has something to act on.
+    """
+    hover(flight, 11.0)
+    a = flight.autopilot
+    assert a.go_to((4.0, 0.0, -1.8), heading_rad=1.0)
+    run(flight, 1.0)
+    flight.plant.state[0] -= 0.15
+    before = run(flight, 0.3)
+    assert a.set_parameter(name, getattr(a.parameters[name], end))
+    return np.abs(np.diff(np.vstack((before[-1:], run(flight, 0.1))), axis=0)).max(axis=0)
+
+
+@pytest.mark.parametrize("end", ["least", "greatest"])
 @pytest.mark.parametrize("name", TUNED)
-def test_tuning_on_the_run_makes_no_bump(vehicle, controller, name: str) -> None:
-    """To either bound, at 0.5 m/s and turning: the actuators move no more from one period to the next than they
-    did before, but for a two-hundredth of their range."""
-    for end in ("least", "greatest"):
-        flight = Flight(vehicle, HOP, controller=controller, keep=False)
-        hover(flight, 11.0)
-        a = flight.autopilot
-        assert a.go_to((4.0, 0.0, -1.6), heading_rad=1.0)
-        before = run(flight, 4.0)
-        usual = np.abs(np.diff(before[-400:], axis=0)).max(axis=0)
-        assert a.set_parameter(name, getattr(a.parameters[name], end))
-        after = run(flight, 0.1)
-        steps = np.abs(np.diff(np.vstack((before[-1:], after)), axis=0)).max(axis=0)
-        assert np.all(steps <= usual + 0.005), f"{name} to {end}: {steps} after {usual}"
+def test_tuning_on_the_run_makes_no_bump(flight: Flight, name: str, end: str) -> None:
+    steps = greatest_steps(flight, name, end)
+    assert steps[:2].max() < 0.006, "motors, of 1"
+    assert steps[2:].max() < 0.02, "servos, of 2"
+
+
+def test_a_gain_that_jumps_would_make_one(flight: Flight, monkeypatch) -> None:
+    monkeypatch.setattr(controllers, "RETUNE_S", 1e-9)
+    assert greatest_steps(flight, "CTL_POS_GAIN", "greatest")[2:].max() > 0.035
 
 
 def test_a_gain_is_gone_over_to_within_two_seconds(flight: Flight) -> None:
     hover(flight)
     a = flight.autopilot
     assert a.set_parameter("CTL_POS_GAIN", 2.0)
-    controllers = a.software._controllers
+    law = a.software._controllers
     run(flight, 0.1)
-    assert 1.0 < float(controllers._design.position_gains["position_gain"]) < 1.5
+    assert 1.0 < float(law._design.position_gains["position_gain"]) < 1.5
     run(flight, 5.0)
-    assert float(controllers._design.position_gains["position_gain"]) == 2.0
-    assert controllers._settled
+    assert float(law._design.position_gains["position_gain"]) == 2.0
+    assert law._settled
 
 
 def test_the_design_itself_stays_as_it_is(flight: Flight, controller: FlightController) -> None:
