@@ -59,6 +59,11 @@ def _wrapped(angle: float) -> float:
     return math.remainder(angle, math.tau) if math.isfinite(angle) else math.nan
 
 
+def _quaternion(angles: NDArray[np.floating[Any]]) -> list[float]:
+    roll, pitch, yaw = (a if math.isfinite(a) else math.nan for a in angles.tolist())
+    return _floats(quaternion_from_euler(roll, pitch, yaw))
+
+
 def attitude(p: Picture) -> MavMessage:
     """ATTITUDE: roll, pitch, yaw (rad, yaw in +-pi) and body rates (rad/s)."""
     roll, pitch, yaw = _floats(p.view.measured.attitude)
@@ -69,7 +74,7 @@ def attitude(p: Picture) -> MavMessage:
 
 def attitude_quaternion(p: Picture) -> MavMessage:
     """ATTITUDE_QUATERNION."""
-    q = _floats(quaternion_from_euler(*p.view.measured.attitude.tolist()))
+    q = _quaternion(p.view.measured.attitude)
     return mavlink.MAVLink_attitude_quaternion_message(p.boot_ms, *q, *_floats(p.view.measured.rates))
 
 
@@ -107,7 +112,7 @@ def attitude_target(p: Picture) -> MavMessage:
     mask = _IGNORE_RATES_AND_THRUST
     if not p.status.armed or p.status.state == "init":
         mask |= _IGNORE_ATTITUDE
-    q = _floats(quaternion_from_euler(*angles.tolist()))
+    q = _quaternion(angles)
     return mavlink.MAVLink_attitude_target_message(p.boot_ms, mask, q, 0.0, 0.0, 0.0, 0.0)
 
 

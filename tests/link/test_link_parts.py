@@ -1,0 +1,309 @@
+"""The small parts of the link, each by itself: streams, parameters, modes, sticks, set-points, texts, failsafe, log."""
+
+import math
+import struct
+
+import numpy as np
+import pytest
+from link_rig import Rig
+
+from mufly.link.commands import Call
+from mufly.link.dialect import mavlink as m
+from mufly.link.enquiries import enquire
+from mufly.link.failsafe import Failsafe, watch_link
+from mufly.link.modes import asked, custom_mode, mode_of, mode_of_custom
+from mufly.link.offboard import set_point_of
+from mufly.link.parameters import value_of
+from mufly.link.sticks import of_channels, of_manual_control
+from mufly.link.streams import MOST_HZ, STREAMS, Wishes
+from mufly.link.texts import Texts
+from mufly.link.tlog import TlogWriter
+from mufly.logs.tlog import looks_like_tlog
+from mufly.mission import State
+from mufly.sensors import Measurement
+
+# streams
+
+
+def rates(wishes, seconds=10.0, step=0.005, start=50.0):
+    """Messages a second, by name."""
+    count = dict.fromkeys((s.name for s in STREAMS), 0)
+    for k in range(round(seconds / step)):
+        for place in wishes.due(start + k * step):
+            count[STREAMS[place].name] += 1
+    return {name: n / seconds for name, n in count.items()}
+
+
+def test_who_asks_for_nothing_gets_the_default_rates():
+    got = rates(Wishes(50.0))
+    for s in STREAMS:
+        assert got[s.name] == pytest.approx(s.default_Hz, abs=0.2), s.name
+
+
+def test_a_wish_is_granted_up_to_a_limit():
+    wishes = Wishes(50.0)
+    assert wishes.set_interval(50.0, m.MAVLINK_MSG_ID_ATTITUDE, 10_000)
+    assert wishes.set_interval(50.0, m.MAVLINK_MSG_ID_RAW_RPM, 1.0)
+    assert wishes.set_interval(50.0, m.MAVLINK_MSG_ID_SYS_STATUS, -1)
+    assert not wishes.set_interval(50.0, 11, 1000.0)
+    assert not wishes.set_interval(50.0, m.MAVLINK_MSG_ID_ATTITUDE, math.nan)
+    got = rates(wishes)
+    assert got["ATTITUDE"] == pytest.approx(100.0, abs=0.2)
+    assert got["RAW_RPM"] <= MOST_HZ + 0.2
+    assert got["SYS_STATUS"] == 0
+    assert wishes.interval_us(m.MAVLINK_MSG_ID_ATTITUDE) == 10_000
+    assert wishes.interval_us(m.MAVLINK_MSG_ID_SYS_STATUS) == -1
+    wishes.set_interval(60.0, m.MAVLINK_MSG_ID_SYS_STATUS, 0)
+    assert wishes.interval_us(m.MAVLINK_MSG_ID_SYS_STATUS) == 500_000
+
+
+def test_after_a_stall_there_is_no_burst():
+    wishes = Wishes(0.0)
+    list(wishes.due(0.0))
+    late = [STREAMS[k].name for k in wishes.due(100.0)]
+    assert len(late) == len(set(late))
+    assert len(list(wishes.due(100.001))) == 0
+
+
+def test_the_older_form_of_a_wish():
+    wishes = Wishes(50.0)
+    wishes.set_group(50.0, 0, 4)
+    got = rates(wishes)
+    assert got["ATTITUDE"] == pytest.approx(4.0, abs=0.2)
+    assert got["HEARTBEAT"] == pytest.approx(1.0, abs=0.2)  # not a matter of taste
+    assert got["DEBUG_FLOAT_ARRAY"] == 0
+
+
+def test_enquiries():
+    wishes = Wishes(0.0)
+    list(wishes.due(0.0))
+    verdict, _ = enquire(0.0, Call(512, (148.0, *[0.0] * 6), None), wishes, False)
+    assert verdict.result == 0
+    assert [STREAMS[k].name for k in wishes.due(0.001)] == ["AUTOPILOT_VERSION"]
+    for number, result in ((242.0, 2), (99999.0, 3), (math.nan, 3), (-5.0, 3), (math.inf, 3)):
+        verdict, _ = enquire(0.0, Call(512, (number, *[0.0] * 6), None), wishes, False)
+        assert verdict.result == result
+    verdict, (answer,) = enquire(0.0, Call(510, (30.0, *[0.0] * 6), None), wishes, False)
+    assert (answer.message_id, answer.interval_us) == (30, 50_000)
+
+
+# parameters
+
+
+def test_numbers_of_seven_digits_are_what_was_meant():
+    assert value_of(float(np.float32(0.6)), m.MAV_PARAM_TYPE_REAL32) == 0.6
+    as_bytes = struct.unpack("<f", struct.pack("<i", -7))[0]
+    assert value_of(as_bytes, m.MAV_PARAM_TYPE_INT32) == -7
+    assert value_of(struct.unpack("<f", b"\xff\0\0\0")[0], m.MAV_PARAM_TYPE_INT8) == -1
+
+
+def test_parameters_are_listed_read_and_set():
+    rig = Rig()
+    gcs = rig.station()
+    gcs.say(m.MAVLink_param_request_list_message(1, 1))
+    rig.run(1.0)
+    listed = gcs.all("PARAM_VALUE")
+    assert [p.param_index for p in listed] == list(range(listed[0].param_count))
+    names = [p.param_id for p in listed]
+    assert names == sorted(names)
+    assert {"MIS_TAKEOFF_ALT", "COM_DL_LOSS_T", "CTL_POS_GAIN"} <= set(names)
+    assert all(p.param_type == m.MAV_PARAM_TYPE_REAL32 for p in listed)
+    for name, asked_for, expected in (
+        ("LIM_SPEED", 0.4, 0.4),
+        ("LIM_SPEED", 1e9, 0.4),
+        ("LIM_SPEED", math.nan, 0.4),
+        ("COM_DL_LOSS_T", 4.0, 4.0),
+        ("COM_DL_LOSS_T", -1.0, 4.0),
+        ("COM_DL_LOSS_T", math.nan, 4.0),
+    ):
+        gcs.heard.clear()
+        gcs.say(m.MAVLink_param_set_message(1, 1, name.encode(), asked_for, 9))
+        rig.run(0.05)
+        assert gcs.last("PARAM_VALUE").param_value == pytest.approx(expected)
+        assert ("LIM_SPEED" in gcs.words or "COM_DL_LOSS_T" in gcs.words) == (asked_for != expected)
+    gcs.heard.clear()
+    gcs.say(m.MAVLink_param_set_message(1, 1, b"NO_SUCH", 1.0, 9))
+    gcs.say(m.MAVLink_param_request_read_message(1, 1, b"\xff\xfe", -1))
+    gcs.say(m.MAVLink_param_request_read_message(1, 1, b"", 9999))
+    gcs.say(m.MAVLink_param_request_read_message(1, 1, b"", 3))
+    rig.run(0.05)
+    assert [p.param_index for p in gcs.all("PARAM_VALUE")] == [3]
+    assert "NO_SUCH" in gcs.words
+
+
+# modes, set-points, sticks
+
+
+def test_every_state_has_a_mode_and_numbers_go_both_ways():
+    for state in State:
+        mode = mode_of(state)
+        assert mode_of_custom(custom_mode(mode)) == mode
+    for word in ("take-off", "hover", "mission", "return", "land", "rc", "offboard"):
+        assert word in {
+            asked(mode_of_custom(main << 16 | sub << 24)) for main in range(9) for sub in range(9)
+        }
+    assert asked(mode_of_custom(0xFFFFFFFF)) == ""
+
+
+def measured(yaw=0.0):
+    return Measurement(
+        0.0, np.array([1.0, 2.0, -3.0]), np.zeros(3), np.array([0, 0, yaw]), np.zeros(3), np.zeros(8), 7.4
+    )
+
+
+def local(frame, mask, *fields):
+    return m.MAVLink_set_position_target_local_ned_message(0, 1, 1, frame, mask, *fields)
+
+
+def test_set_points_in_their_frames():
+    here = measured(math.pi / 2)
+    nothing = (0.0,) * 3
+    place = set_point_of(local(1, 0xFF8, 1, 2, -1, *nothing, *nothing, 0, 0), here, None)
+    assert place.position_m == (1, 2, -1)
+    assert (place.velocity_m_s, place.heading_rad, place.yaw_rate_rad_s) == (None, None, None)
+    assert set_point_of(local(7, 0xFF8, 1, 0, 0, *nothing, *nothing, 0, 0), here, None).position_m == (
+        2,
+        2,
+        -3,
+    )
+    ahead = set_point_of(local(8, 0xBC0, 1, 0, 0, 0.5, 0, 0, *nothing, 0.1, 0), here, None)
+    assert ahead.position_m == pytest.approx((1, 3, -3))
+    assert ahead.velocity_m_s == pytest.approx((0, 0.5, 0))
+    assert ahead.heading_rad == pytest.approx(math.pi / 2 + 0.1)
+    height = set_point_of(local(1, 0xFFB, 9, 9, -1, *nothing, *nothing, 0, 0), here, None).position_m
+    assert math.isnan(height[0])
+    assert height[2] == -1
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        local(1, 0xFFF, *[0.0] * 11),
+        local(1, 0xE3F, *[1.0] * 11),  # an acceleration only
+        local(1, 0x1FF8, *[0.0] * 11),  # a bit that means something else to somebody else
+        local(1, 0x000, *[math.nan] * 11),
+        local(0, 0xFF8, *[1.0] * 11),
+        m.MAVLink_set_position_target_global_int_message(0, 1, 1, 6, 0xFF8, 1, 1, 1, *[0.0] * 8),
+    ],
+)
+def test_messages_that_ask_for_nothing(message):
+    assert set_point_of(message, measured(), None) is None
+
+
+def channels(*us):
+    return m.MAVLink_rc_channels_override_message(1, 1, *us, 0, 0, 0, 0)
+
+
+def test_sticks():
+    assert of_channels(channels(0, 65535, 0, 65535)) is None
+    full = of_channels(channels(2000, 1000, 9999, 1500))
+    assert (full.roll, full.pitch, full.climb, full.yaw) == (1, -1, 1, 0)
+    assert of_channels(channels(1510, 1490, 1500, 0)) == of_channels(channels(1500, 1500, 1500, 1500))
+    still = of_manual_control(m.MAVLink_manual_control_message(1, 0, 0, 500, 0, 0))
+    assert (still.roll, still.pitch, still.climb, still.yaw) == (0, 0, 0, 0)
+    forward = of_manual_control(m.MAVLink_manual_control_message(1, 1000, 32767, 32767, 32767, 0))
+    assert (forward.roll, forward.pitch, forward.climb, forward.yaw) == (0, -1, 0, 0)  # nose down
+
+
+# texts, failsafe, log
+
+
+@pytest.mark.parametrize("length", [0, 1, 49, 50, 51, 99, 100, 101, 1000])
+def test_long_lines_come_in_pieces_that_fit_together(length):
+    text = ("abcdefghi " * 101)[:length].strip()
+    pieces = Texts()(text, "warning")
+    assert "".join(p.text for p in pieces) == text[:400]
+    assert [p.chunk_seq for p in pieces] == list(range(len(pieces)))
+    assert len({p.id for p in pieces}) == 1
+    assert (pieces[0].id == 0) == (len(pieces) == 1)
+    if len(pieces) > 1:
+        assert len(pieces[-1].text) < 50
+
+
+def test_failsafe_once_each():
+    f, said = Failsafe(), []
+    for k in range(400):
+        silent = k * 0.1 if k < 350 else 0.0
+        f, order = watch_link(f, silent_s=silent, flying=True, ending=False, loss_s=10.0, land_s=20.0)
+        said += [(order, round(silent))] if order else []
+    assert said == [("hover", 10), ("land", 30), ("back", 0)]
+    f, order = watch_link(Failsafe(), silent_s=99.0, flying=False, ending=False, loss_s=10.0, land_s=20.0)
+    assert order == ""
+    f, order = watch_link(Failsafe(), silent_s=99.0, flying=True, ending=True, loss_s=10.0, land_s=20.0)
+    assert order == ""
+
+
+def test_a_telemetry_log_is_one(tmp_path):
+    from mufly.link.codec import Encoder
+
+    encode = Encoder(1, 1)
+    path = tmp_path / "deep" / "link.tlog"
+    with TlogWriter(path) as log:
+        for k in range(5):
+            log.write(encode(m.MAVLink_attitude_message(k, 0, 0, 0, 0, 0, 0)), 1_700_000_000_000_000 + k)
+    data = path.read_bytes()
+    assert looks_like_tlog(data)
+    assert struct.unpack(">Q", data[:8])[0] == 1_700_000_000_000_000
+
+
+# what is said, whatever the state of the helicopter
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300, -1e300, 0.0])
+def test_every_message_can_be_packed_whatever_the_numbers(value):
+    rig = Rig(origin=(47.3769, 8.5417, 408.0))
+    gcs = rig.station()
+    rig.run(0.1)
+    measurement, plant = rig.flight._measured, rig.flight.plant
+    for part in (measurement.position, measurement.velocity, measurement.attitude, measurement.rates):
+        part[:] = value
+    measurement.ranges[:] = value
+    plant.wind = np.full(3, value)
+    plant.voltage = plant.current = value
+    for s in STREAMS:
+        rig.link._clients.get("gcs").wishes.ask_once(s.number)
+    for out in rig.link.step(rig.now_s):
+        gcs.hear(out.data)
+    heard = {x.get_type() for x in gcs.heard}
+    assert {s.name.split(" ")[0] for s in STREAMS} <= heard
+
+
+def test_what_is_told_with_an_origin_and_what_without():
+    rig = Rig(origin=(47.3769, 8.5417, 408.0))
+    gcs = rig.station()
+    rig.run(1.5)
+    at = gcs.last("GLOBAL_POSITION_INT")
+    assert (at.lat, at.lon) == pytest.approx((473769000, 85417000), abs=1)
+    assert gcs.last("SYS_STATUS").onboard_control_sensors_health & m.MAV_SYS_STATUS_SENSOR_GPS
+    assert gcs.last("GPS_RAW_INT").fix_type == 3
+    rig = Rig()
+    gcs = rig.station()
+    rig.run(1.5)
+    assert gcs.last("GLOBAL_POSITION_INT") is None
+    assert not gcs.last("SYS_STATUS").onboard_control_sensors_present & m.MAV_SYS_STATUS_SENSOR_GPS
+
+
+def test_the_ring_of_beams_is_told_as_it_stands():
+    rig = Rig({"name": "w", "wall": ({"start_m": (1.0, -5.0), "end_m": (1.0, 5.0), "height_m": 3.0},)})
+    gcs = rig.station()
+    rig.run(0.6)
+    ring = gcs.last("OBSTACLE_DISTANCE")
+    seen = rig.flight.view.measured.ranges
+    assert ring.increment_f == 45.0
+    assert ring.angle_offset == 22.5
+    for k, r in enumerate(seen):
+        assert ring.distances[k] == (151 if r >= 1.5 else pytest.approx(r * 100, abs=0.51))
+    assert set(ring.distances[8:]) == {65535}
+    beam = next(x for x in gcs.all("DISTANCE_SENSOR") if x.id == 0)
+    assert beam.orientation == m.MAV_SENSOR_ROTATION_CUSTOM
+    assert 2 * math.degrees(math.atan2(beam.quaternion[3], beam.quaternion[0])) == pytest.approx(22.5)
+
+
+def test_time_is_answered():
+    rig = Rig()
+    gcs = rig.station()
+    gcs.say(m.MAVLink_timesync_message(0, 12345))
+    gcs.say(m.MAVLink_ping_message(5, 7, 0, 0))
+    rig.run(0.1)
+    assert gcs.last("TIMESYNC").ts1 == 12345
+    assert gcs.last("PING").seq == 7

@@ -1,0 +1,130 @@
+"""Items as missions and back: nothing is lost, nothing is guessed, the field to blame is named."""
+
+import math
+
+import pytest
+from link_rig import waypoint
+
+from mufly.link.geodesy import Origin
+from mufly.link.missions import Refusal, items_of, plan_of
+from mufly.link.transfer_notes import Item, MissionResult
+from mufly.mission import Mission, builtin_missions, load_mission
+
+BASE = Mission(name="base")
+ZURICH = Origin(47.3769, 8.5417, 408.0)
+
+
+def numbered(*items):
+    return tuple(Item(k, i.frame, i.command, 0, 1, i.params, i.x, i.y, i.z) for k, i in enumerate(items))
+
+
+@pytest.mark.parametrize("name", builtin_missions())
+def test_every_mission_survives_the_way_there_and_back(name):
+    mission = load_mission(name)
+    again = plan_of(items_of(mission).items, mission, None)
+    assert again.mission.at_end == mission.at_end
+    assert again.mission.take_off == mission.take_off
+    for a, b in zip(again.mission.waypoint, mission.waypoint, strict=True):
+        assert a.position_m == pytest.approx(b.position_m, abs=5e-5)
+        assert (a.wait_s, a.heading_deg, a.speed_m_s) == (b.wait_s, b.heading_deg, b.speed_m_s)
+    assert again.item_of_waypoint == items_of(mission).item_of_waypoint
+
+
+def test_speeds_and_headings_go_to_the_legs_that_follow():
+    speed = Item(0, 2, 178, params=(1, 0.3, -1, 0))
+    own = Item(0, 2, 178, params=(1, -2, -1, 0))
+    turn = Item(0, 2, 115, params=(90, 0, 0, 0))
+    plan = plan_of(
+        numbered(
+            waypoint(0, 0, -1), speed, waypoint(1, 0, -1), turn, waypoint(1, 1, -1), own, waypoint(0, 1, -1)
+        ),
+        BASE,
+        None,
+    )
+    w = plan.mission.waypoint
+    assert [x.speed_m_s for x in w] == [None, 0.3, 0.3, None]
+    assert [x.heading_deg for x in w] == [None, None, 90.0, None]
+    assert plan.item_of_waypoint == (0, 2, 4, 6)
+    assert [plan.waypoint_of(k) for k in range(8)] == [0, 1, 1, 2, 2, 3, 3, None]
+
+
+@pytest.mark.parametrize(("last", "end"), [(17, "hover"), (20, "return"), (21, "land"), (16, "hover")])
+def test_how_it_ends(last, end):
+    assert (
+        plan_of(numbered(waypoint(0, 0, -1), waypoint(1, 0, -1, command=last)), BASE, None).mission.at_end
+        == end
+    )
+
+
+def test_a_landing_elsewhere_is_flown_to():
+    plan = plan_of(numbered(waypoint(0, 0, -1.2), waypoint(1, 0, 0, command=21)), BASE, None)
+    assert [w.position_m for w in plan.mission.waypoint] == [(0, 0, -1.2), (1, 0, -1.2)]
+    assert plan.item_of_waypoint == (0, 1)
+    nowhere = Item(0, 1, 21, x=2**31 - 1, y=2**31 - 1)
+    assert len(plan_of(numbered(waypoint(0, 0, -1.2), nowhere), BASE, None).mission.waypoint) == 1
+
+
+def test_places_on_the_globe():
+    lat, lon, alt = ZURICH.to_global(3.0, -4.0, -1.5)
+    x, y = round(lat * 1e7), round(lon * 1e7)
+    for frame, z in ((0, alt), (5, alt), (3, 1.5), (6, 1.5)):
+        item = Item(0, frame, 16, params=(0, 0, 0, math.nan), x=x, y=y, z=z)
+        (w,) = plan_of((item,), BASE, ZURICH).mission.waypoint
+        assert w.position_m == pytest.approx((3.0, -4.0, -1.5), abs=0.012)
+        with pytest.raises(Refusal, match="--origin") as caught:
+            plan_of((item,), BASE, None)
+        assert caught.value.result is MissionResult.UNSUPPORTED_FRAME
+
+
+def test_east_north_up():
+    (w,) = plan_of((waypoint(1, 2, 1.5, frame=4),), BASE, None).mission.waypoint
+    assert w.position_m == (2, 1, -1.5)
+
+
+@pytest.mark.parametrize(
+    ("items", "result"),
+    [
+        ([waypoint(0, 0, 1.0)], MissionResult.INVALID_PARAM7),
+        ([waypoint(0, 0, -0.1)], MissionResult.INVALID_PARAM7),
+        ([waypoint(0, 0, math.nan)], MissionResult.INVALID_PARAM7),
+        ([waypoint(0, 0, -1, wait=-1)], MissionResult.INVALID_PARAM1),
+        ([waypoint(0, 0, -1, wait=math.inf)], MissionResult.INVALID_PARAM1),
+        ([waypoint(0, 0, -1, heading=1e9)], MissionResult.INVALID_PARAM4),
+        ([waypoint(0, 0, -1, frame=7)], MissionResult.UNSUPPORTED_FRAME),
+        ([waypoint(0, 0, -1, command=18)], MissionResult.UNSUPPORTED),
+        ([waypoint(0, 0, -1, command=82)], MissionResult.UNSUPPORTED),
+        ([Item(0, 1, 16, x=2**31 - 1, z=-1.0)], MissionResult.INVALID_PARAM5_X),
+        ([Item(0, 1, 16, y=2**31 - 1, z=-1.0)], MissionResult.INVALID_PARAM6_Y),
+        ([waypoint(0, 0, -1), waypoint(0, 0, -1, command=22)], MissionResult.INVALID_SEQUENCE),
+        (
+            [waypoint(0, 0, -1), waypoint(0, 0, 0, command=21), waypoint(0, 0, -1)],
+            MissionResult.INVALID_SEQUENCE,
+        ),
+        ([waypoint(0, 0, -60, command=22), waypoint(0, 0, -1)], MissionResult.INVALID_PARAM7),
+        ([waypoint(0, 0, -1, command=22)], MissionResult.INVALID),
+        ([Item(0, 2, 178, params=(2, 1, 0, 0)), waypoint(0, 0, -1)], MissionResult.INVALID_PARAM1),
+        ([Item(0, 2, 178, params=(1, math.nan, 0, 0)), waypoint(0, 0, -1)], MissionResult.INVALID_PARAM2),
+        ([Item(0, 2, 115, params=(9, 0, 0, 1)), waypoint(0, 0, -1)], MissionResult.INVALID_PARAM4),
+        ([waypoint(0, 0, -1), Item(0, 2, 115, params=(9, 0, 0, 0))], MissionResult.INVALID_SEQUENCE),
+    ],
+)
+def test_what_cannot_be_flown_is_refused_with_the_field_to_blame(items, result):
+    with pytest.raises(Refusal) as caught:
+        plan_of(numbered(*items), BASE, None)
+    assert caught.value.result is result
+    assert "mission" in str(caught.value)
+
+
+def test_the_origin_goes_there_and_back():
+    for lat in (-80.0, 0.0, 47.4, 84.0):
+        origin = Origin(lat, 179.9999, 100.0)
+        place = origin.to_global(120.0, -340.0, -7.0)
+        assert origin.to_local(*place) == pytest.approx((120.0, -340.0, -7.0), abs=1e-6)
+
+
+def test_a_degree_of_latitude_is_as_long_as_the_ellipsoid_says():
+    # Lengths of one degree at 0 and 60 degrees: 110.574 and 111.412 km; of longitude: 111.320 and 55.800 km.
+    for lat, north, east in ((0.0, 110_574, 111_320), (60.0, 111_412, 55_800)):
+        n, e, _ = Origin(lat, 0.0, 0.0).to_local(lat + 0.001, 0.001, 0.0)
+        assert n == pytest.approx(north / 1000, rel=2e-5)
+        assert e == pytest.approx(east / 1000, rel=2e-5)
