@@ -27,3 +27,26 @@ def test_the_last_item_is_reached_when_nothing_of_the_mission_is_left():
     gcs.say(m.MAVLink_mission_clear_all_message(1, 1, 0))
     rig.run(0.1)
     assert gcs.last("MISSION_ACK").type == m.MAV_MISSION_ACCEPTED
+
+
+def test_quaternion_and_altitude_come_unasked():
+    """MAVSDK's telemetry waits for them without asking."""
+    rig = Rig(origin=(47.0, 8.0, 400.0))
+    gcs = rig.station()
+    rig.airborne(gcs, 0.8)
+    rig.run(1.0)
+    assert len(gcs.all("ATTITUDE_QUATERNION")) > 10
+    at, height = gcs.last("ALTITUDE"), -rig.position[2]
+    assert abs(at.altitude_amsl - 400.0 - height) < 0.05
+    assert abs(at.altitude_local - height) < 0.05
+    assert abs(at.altitude_relative - (height + rig.status.home[2])) < 0.05
+
+
+def test_altitude_above_the_sea_is_not_made_up():
+    rig = Rig()
+    gcs = rig.station()
+    rig.run(1.0)
+    at = gcs.last("ALTITUDE")
+    assert at.altitude_amsl != at.altitude_amsl  # not a number
+    assert at.altitude_terrain < -1000.0
+    assert 0.0 <= at.altitude_local < 0.2

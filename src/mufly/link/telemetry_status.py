@@ -13,6 +13,7 @@ from mufly.version import __version__
 __all__ = [
     "MUFLY",
     "STATES",
+    "altitude",
     "autopilot_version",
     "battery_status",
     "command",
@@ -218,6 +219,18 @@ def gps_raw_int(p: Picture) -> MavMessage | None:
         within(speed * 100.0, 0, _UNKNOWN_16 - 1, _UNKNOWN_16),
         within(course * 100.0, 0, 35_999, _UNKNOWN_16),
         10,
+    )
+
+
+def altitude(p: Picture) -> MavMessage:
+    """ALTITUDE: height above the floor, above where it took off, and with an origin above the sea."""
+    _, _, d = _place(p)
+    height = single(-d)
+    above_sea = math.nan if p.origin is None else single(p.origin.alt_m - d)
+    home = d if p.status.home is None else float(p.status.home[2])
+    floor = -1e4 if p.origin is None else single(p.origin.alt_m)  # below -1000: not known
+    return mavlink.MAVLink_altitude_message(
+        p.usec, height, above_sea, height, single(home - d), floor, max(height, 0.0)
     )
 
 
