@@ -9,7 +9,7 @@ from typing import Any
 import typer
 
 import mufly
-from mufly.cli import coax, control, drive, fly, identify, link, log, mission, rotor, thesis, vehicle
+from mufly.cli import coax, control, drive, fly, identify, link, log, mission, rotor, station, thesis, vehicle
 from mufly.errors import MuflyError
 
 __all__ = ["app", "main"]
@@ -24,6 +24,7 @@ app = typer.Typer(
 )
 app.command("fly", help=fly.HELP)(fly.fly)
 app.command("link", help=link.HELP)(link.link)
+app.command("station", help=station.HELP)(station.station)
 app.add_typer(rotor.app, name="rotor")
 app.add_typer(coax.app, name="coax")
 app.add_typer(drive.app, name="drive")
