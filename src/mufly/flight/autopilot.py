@@ -30,6 +30,7 @@ from mufly.mission import (
     GO_AROUND_M,
     HIGHEST_M,
     LOWEST_M,
+    NO_SIGNAL,
     OFF_FLOOR_M,
     Command,
     Mission,
@@ -49,7 +50,6 @@ SET_POINT_S, STICKS_S = 0.5, 1.0
 """For how long a set-point, and the position of the sticks, hold (s)."""
 
 KEPT_EVENTS = 1000
-_NOTHING = Command()
 _IDLE = Actuators.idle()
 
 
@@ -87,14 +87,14 @@ class Autopilot:
         self.crashed = ""
         self._armed, self._armed_s = False, 0.0
         self._ran = False
-        self._command = _NOTHING
+        self._command = NO_SIGNAL
         self._sticks: Command | None = None
         self._sticks_s = 0.0
         self._set_point: SetPoint | None = None
         self._set_point_s = -math.inf
         self._offboard = False
         self._measured: Measurement | None = None
-        self._now = 0.0
+        self._now, self._heard_s = 0.0, -math.inf
         self._stale_s = 0.0
         self._logged = 0
         self._suits: tuple[Mission | None, tuple[float, ...], str] = (None, (), "")
@@ -108,12 +108,14 @@ class Autopilot:
 
     def observe(self, measured: Measurement) -> None:
         """Take notice of a measurement without a step: what arming is judged by before the first one."""
-        if self._measured is not None and measured.time_s <= self._now:
-            self._stale_s += self._period_s
+        t = measured.time_s
+        if t > self._heard_s:
+            self._heard_s, self._stale_s = t, 0.0
+            self._now = t if t >= self._now else self._now + self._period_s
         else:
-            self._stale_s = 0.0
-        if math.isfinite(measured.time_s):
-            self._now = max(self._now, measured.time_s)
+            # Their clock stands still; what expires does so by counting periods.
+            self._stale_s += self._period_s
+            self._now += self._period_s
         self._measured = measured
 
     def step(self, measured: Measurement) -> Actuators:
@@ -131,17 +133,17 @@ class Autopilot:
         self.observe(measured)
         software = self.software
         due = software.due
-        actuators = software.step(measured, self._wanted() if due or self._command.stop else _NOTHING)
-        if software.logged != self._logged:
-            self._report()
+        actuators = software.step(measured, self._wanted() if due or self._command.stop else NO_SIGNAL)
         if due:
+            if software.logged != self._logged:
+                self._report()
             self._look_after()
         # While the software has its motors off, what it gives is zero too.
         return actuators if self._armed or software.motors == "off" else _IDLE
 
     def _wanted(self) -> Command:
         """The signals for the mission logic: what was asked once, and what holds for as long as it is repeated."""
-        c, self._command = self._command, _NOTHING
+        c, self._command = self._command, NO_SIGNAL
         if self._sticks is not None:
             if self._now - self._sticks_s > STICKS_S:
                 self._sticks = None
@@ -175,7 +177,7 @@ class Autopilot:
 
     def _disarm(self) -> None:
         self._armed = self._offboard = False
-        self._command = _NOTHING
+        self._command = NO_SIGNAL
 
     # arming
 
@@ -387,7 +389,7 @@ class Autopilot:
         if not on:
             if self._offboard:
                 self._offboard = False
-                if self.software.state == "offboard" and self._command == _NOTHING:
+                if self.software.state == "offboard" and self._command == NO_SIGNAL:
                     self._command = Command(pause=True)
             return ACCEPTED
         if self._now - self._set_point_s > SET_POINT_S or self._set_point is None:

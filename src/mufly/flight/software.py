@@ -31,6 +31,7 @@ from mufly.control import FlightController
 from mufly.flight.controllers import Actuators, Controllers
 from mufly.flight.watch import Watch, watch
 from mufly.mission import (
+    NO_SIGNAL,
     RAMP_DOWN_S,
     SPIN_UP_S,
     Command,
@@ -115,7 +116,7 @@ class FlightSoftware:
         self._every = controller.position_divider
         self._mission: MissionState | None = None
         self._reference = Reference(np.zeros(3), np.zeros(3), np.zeros(3), 0.0, 0.0, "off")
-        self._command = Command()
+        self._command = NO_SIGNAL
         self._ticks = 0
         self._motors = "off"
         self._since_s = 0.0
@@ -245,7 +246,7 @@ class FlightSoftware:
         m = self._watch.good
         if self._mission is None:
             self._mission = begin(self._plan, m)
-        if command != _NO_COMMAND:
+        if command is not NO_SIGNAL and command != NO_SIGNAL:
             self._command = command
         if command.stop:
             return self._stop_at_once(command.stop, m)
@@ -255,7 +256,7 @@ class FlightSoftware:
             return self._sink_blindly(self._watch)
         if self._late_s == 0.0:
             self._mission, self._reference = step(self._plan, self._mission, m, self._command)
-            self._command = Command()
+            self._command = NO_SIGNAL
         r = self._reference
         if r.motors != self._motors:
             self._switch(r.motors, m)
@@ -270,7 +271,7 @@ class FlightSoftware:
         self._reference = replace(
             self._reference, velocity=np.zeros(3), heading_rate=0.0, motors="off", rc=False
         )
-        self._command, self._motors, self._lifted, self._late_s = Command(), "off", False, 0.0
+        self._command, self._motors, self._lifted, self._late_s = NO_SIGNAL, "off", False, 0.0
         self._motor_input, self._tilt = np.zeros(2), np.zeros(2)
         return Actuators.idle()
 
@@ -290,7 +291,7 @@ class FlightSoftware:
             self._since_s = now + (self._way_down_s(w.good) if self._lifted else 0.0)
             self._mission = blind(self._mission, now, f"measurement lost: {w.what}")
             self._reference = replace(self._reference, motors="blind", velocity=np.zeros(3), heading_rate=0.0)
-            self._tilt, self._command = np.zeros(2), Command()
+            self._tilt, self._command = np.zeros(2), NO_SIGNAL
         left_s = self._since_s + RAMP_DOWN_S - now
         if left_s <= 0.0:
             self._mission = down_blind(self._mission, now)
@@ -353,6 +354,3 @@ class FlightSoftware:
             blend = self._every * self._period_s / _LEARN_S
             self._held_up += blend * (actuators.motor_input * m.battery_voltage - self._held_up)
         return actuators
-
-
-_NO_COMMAND = Command()

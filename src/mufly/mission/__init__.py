@@ -10,6 +10,7 @@ from mufly.mission.plan import SPIN_UP_S, Leg, legs
 from mufly.mission.preflight import preflight
 from mufly.mission.schema import LOWEST_M, Mission, Waypoint
 from mufly.mission.signals import (
+    NO_SIGNAL,
     Command,
     Event,
     MissionPlan,
@@ -28,6 +29,7 @@ __all__ = [
     "GO_AROUND_M",
     "HIGHEST_M",
     "LOWEST_M",
+    "NO_SIGNAL",
     "OFF_FLOOR_M",
     "RAMP_DOWN_S",
     "SHARE",

@@ -21,6 +21,7 @@ from mufly.vehicle import Vehicle
 
 __all__ = [
     "LOG_KEPT",
+    "NO_SIGNAL",
     "Command",
     "Event",
     "MissionPlan",
@@ -101,6 +102,10 @@ class Command:
     yaw_rate: float = 0.0
     climb: float = 0.0
     set_point: SetPoint | None = None
+
+
+NO_SIGNAL = Command()
+"""The usual one: nothing is asked for."""
 
 
 @dataclass(frozen=True, slots=True)
