@@ -150,11 +150,11 @@ def fly_with_page(
         )  # fmt: skip
         watch = _Watch(process, on_event)
 
-        async def work() -> None:
+        async def work() -> bool:
             try:
                 await ground.start()
                 announce(address, [e.explanation for e in order.links])
-                await serve(
+                return not await serve(
                     session, address, open_browser=browser,
                     beside=lambda: _look_after(watch, process, session, order.start, console),
                 )  # fmt: skip
@@ -162,8 +162,7 @@ def fly_with_page(
                 await ground.stop()
 
         with contextlib.suppress(KeyboardInterrupt):
-            asyncio.run(work())
-            return True
+            return asyncio.run(work())
         return False
     finally:
         process.stop()

@@ -59,10 +59,12 @@ def availability(
 
 def _mission(s: Snapshot, unready: str) -> str:
     if s.flying:
-        return "under way" if s.state in _UNDER_WAY else "landing" if s.state == "landing" else ""
+        return "Hover interrupts it" if s.state in _UNDER_WAY else "landing" if s.state == "landing" else ""
     return "" if s.armed else unready
 
 
 def mission_label(s: Snapshot | None) -> str:
     """Return what the mission button says."""
+    if s is not None and s.flying and s.state in _UNDER_WAY:
+        return "Under way"
     return "Resume mission" if s is not None and s.flying else "Fly the mission"

@@ -238,8 +238,8 @@ def parameter_drawer(view: View) -> Callable[[], None]:
     return refresh
 
 
-def recording_drawer(view: View) -> None:
-    """List of recordings; one is opened in the same page."""
+def recording_drawer(view: View) -> Callable[[], None]:
+    """List of recordings; one is opened in the same page. Returns the function that looks for them again."""
     with ui.element("div").classes("mf-tools"):
         button("Refresh", lambda: fill(), title="look for recordings again")
         _pick(
@@ -300,3 +300,4 @@ def recording_drawer(view: View) -> None:
                     cell._text = "no recordings there yet"
 
     fill()
+    return fill

@@ -191,7 +191,8 @@ def _dock(view: View) -> Callable[[], None]:
             plots, spectrum, parameters, recordings = (
                 ui.tab(n) for n in ("Plots", "Spectrum", "Parameters", "Recordings")
             )
-        with ui.tab_panels(tabs, value=plots, animated=False, keep_alive=False).classes("mf-tab-panels"):
+        with ui.tab_panels(tabs, value=plots, animated=False, keep_alive=False) as panels:
+            panels.classes("mf-tab-panels")
             with ui.tab_panel(plots):
                 Panel("plots")
             with ui.tab_panel(spectrum):
@@ -199,7 +200,8 @@ def _dock(view: View) -> Callable[[], None]:
             with ui.tab_panel(parameters):
                 refresh = parameter_drawer(view)
             with ui.tab_panel(recordings):
-                recording_drawer(view)
+                look_again = recording_drawer(view)
+    panels.on_value_change(lambda e: look_again() if e.value == "Recordings" else None)
     return refresh
 
 

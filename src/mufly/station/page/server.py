@@ -182,7 +182,7 @@ async def _replays(session: Session) -> None:
 
 
 class _Server(uvicorn.Server):
-    """Signals are for whoever called us: Ctrl-C cancels, and everything is closed in order."""
+    """Signals are heard by :func:`serve`, which closes everything in order; a second Ctrl-C changes nothing."""
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
@@ -196,7 +196,7 @@ async def serve(
     *,
     open_browser: bool = True,
     beside: Callable[[], Awaitable[None]] | None = None,
-) -> None:
+) -> bool:
     """Serve the page until ``beside`` returns, or for ever.
 
     Parameters
@@ -208,6 +208,11 @@ async def serve(
         Whether to open the page in the default browser.
     beside : coroutine function, optional
         Runs in the same loop; when it returns, the server stops.
+
+    Returns
+    -------
+    bool
+        Whether it was stopped by Ctrl-C or SIGTERM.
     """
     logging.getLogger("nicegui").setLevel(logging.WARNING)
     guarded = application(session, host=address.host, token=address.token)
@@ -226,7 +231,8 @@ async def serve(
     with contextlib.suppress(
         NotImplementedError, RuntimeError, ValueError
     ):  # no main thread, or no such signals
-        loop.add_signal_handler(signal.SIGTERM, ended.set)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, ended.set)
     tasks.add(loop.create_task(_wait(ended)))
     try:
         while not server.started and not serving.done():
@@ -236,6 +242,7 @@ async def serve(
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         for task in done:
             task.result()
+        return ended.is_set()
     finally:
         server.should_exit = True
         replays.cancel()

@@ -105,7 +105,7 @@ export function mount(element) {
         if (field === "components") button.style.setProperty("--chip", `var(--mf-${colour})`);
         // A source is a kind of line; its name is in the legend above.
         if (field === "sources") {
-          button.append(stroke(value, 17));
+          button.append(stroke(value, 16));
           button.title = value;
           button.setAttribute("aria-label", value);
         } else button.append(value);

@@ -24,7 +24,7 @@ export function mount(element, options, emit) {
   element.append(renderer.domElement);
   const scene = new THREE.Scene();
   const camera = new THREE.PerspectiveCamera(42, 1, 0.02, 2000);
-  camera.position.set(1.9, 2.1, 3.0);
+  camera.position.set(2.1, 2.2, 3.5);
   const controls = new OrbitControls(camera, renderer.domElement);
   controls.maxPolarAngle = Math.PI / 2 - 0.02;
   controls.minDistance = 0.25;
@@ -313,7 +313,7 @@ export function mount(element, options, emit) {
     paint();
   };
   element.append(el("div", { class: "mf-scene-tools", role: "group", "aria-label": "camera" },
-    following, button("3-D", "look from behind and above", view(1.9, 1.6, 3.0)), button("Top", "look from above, north up", view(0, 7, 0.01)),
+    following, button("3-D", "look from behind and above", view(2.1, 1.7, 3.5)), button("Top", "look from above, north up", view(0, 7, 0.01)),
     button("Side", "look from the south", view(0, 0.3, 4.5)), sizing));
 
   const sizes = new ResizeObserver(() => {

@@ -3,7 +3,7 @@ import { THREE } from "nicegui-scene";
 import { FONT, colours } from "./draw.js";
 
 const { Group, Mesh } = THREE;
-const LIFT = 0.3; // marks of waypoints stand above them, so that they do not hide who flies there
+const LIFT = 0.42; // marks of waypoints stand above them, so that they do not hide who flies there
 
 export function sprite(text, { colour, size = 0.22, back = "", bold = false }) {
   const pixels = 56, canvas = document.createElement("canvas"), ctx = canvas.getContext("2d");

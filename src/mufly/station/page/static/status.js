@@ -29,7 +29,7 @@ export function mount(element) {
     battery.parentElement.dataset.level = charge !== null && charge < 0.15 ? "bad" : charge !== null && charge < 0.3 ? "warn" : "";
     gauge.firstChild.style.transform = `scaleX(${charge ?? 0})`;
     gauge.hidden = charge === null;
-    put(link, recording ? "recording" : s.link_rate_Hz === null ? "–" : `${number(s.link_rate_Hz, 0)} msg/s  ${number((s.link_loss ?? 0) * 100, 1)} % lost`);
+    put(link, recording ? "recording" : s.link_rate_Hz === null ? "–" : `${number(s.link_rate_Hz, 0)}/s  ${number((s.link_loss ?? 0) * 100, 1)} % lost`);
     link.parentElement.dataset.level = !recording && (s.link_loss ?? 0) > 0.1 ? "warn" : "";
     put(time, clock(s.time_s));
   }, { offline: (yes) => {

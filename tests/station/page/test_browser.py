@@ -1,0 +1,239 @@
+"""The page as a person uses it: `mufly fly` started for real, in a real browser."""
+
+import io
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import matplotlib.image
+import numpy as np
+import pytest
+
+MISSION = """
+[take_off]
+height_m = 0.5
+wait_s = 0.5
+
+[[waypoint]]
+position_m = [0.6, 0.4, -0.6]
+
+[[box]]
+name = "far box"
+centre_m = [3.0, -2.0, -0.5]
+size_m = [0.5, 0.5, 1.0]
+"""
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def wait(condition: Callable[[], Any], what: str, seconds: float = 30.0) -> Any:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if found := condition():
+            return found
+        time.sleep(0.1)
+    raise AssertionError(f"{what} did not happen within {seconds:g} s")
+
+
+class Fly:
+    """A running `mufly fly`."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder / "out"
+        (folder / "hop.toml").write_text(MISSION)
+        self.port = free_port()
+        self.url = f"http://127.0.0.1:{self.port}/"
+        words = [
+            "fly",
+            str(folder / "hop.toml"),
+            "--no-browser",
+            "--port",
+            str(self.port),
+            "--out",
+            str(self.folder),
+        ]
+        self.log = (folder / "log.txt").open("w+")
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", "from mufly.cli import main; main()", *words],
+            stdout=self.log, stderr=subprocess.STDOUT, env=os.environ,
+        )  # fmt: skip
+
+    def listens(self) -> bool:
+        assert self.process.poll() is None, self.said()
+        with socket.socket() as probe:
+            return probe.connect_ex(("127.0.0.1", self.port)) == 0
+
+    def said(self) -> str:
+        self.log.flush()
+        return Path(self.log.name).read_text()
+
+
+@pytest.fixture(scope="module")
+def fly(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fly]:
+    running = Fly(tmp_path_factory.mktemp("page"))
+    wait(running.listens, "the page's port")
+    yield running
+    running.process.send_signal(signal.SIGINT)
+    try:
+        running.process.wait(20)
+    finally:
+        running.process.kill()
+
+
+class Page:
+    """A window, and everything that it asked for or complained of."""
+
+    def __init__(self, browser: Any, url: str) -> None:
+        self.complaints: list[str] = []
+        self.requests: list[str] = []
+        self.context = browser.new_context(viewport={"width": 1366, "height": 768}, color_scheme="dark")
+        self.page = self.context.new_page()
+        self.page.on("console", lambda m: m.type in ("error", "warning") and self.complaints.append(m.text))
+        self.page.on("pageerror", lambda e: self.complaints.append(str(e)))
+        self.page.on("request", lambda r: self.requests.append(r.url))
+        self.page.goto(url)
+
+    def frame(self) -> dict[str, Any] | None:
+        found: dict[str, Any] | None = self.page.evaluate("window.muflyLive?.latest?.s ?? null")
+        return found
+
+    def picture(self, selector: str) -> np.ndarray:
+        shot = self.page.locator(selector).first.screenshot()
+        return np.asarray(matplotlib.image.imread(io.BytesIO(shot), format="png"))[..., :3]
+
+    def ready(self, test_id: str) -> bool:
+        return bool(self.page.locator(f"[data-testid={test_id}]").is_enabled())
+
+
+@pytest.fixture(scope="module")
+def window(browser: Any, fly: Fly) -> Iterator[Page]:
+    page = Page(browser, fly.url)
+    wait(
+        lambda: (f := page.frame()) and f["connected"] and f["position"][0] is not None,
+        "a vehicle on the page",
+    )
+    yield page
+    page.context.close()
+
+
+def test_the_scene_is_drawn_and_nothing_overflows(window: Page) -> None:
+    wait(lambda: window.page.evaluate("Boolean(window.muflyScene)"), "the scene")
+    time.sleep(1.0)
+    picture = window.picture(".mf-scene")
+    assert picture.std() > 0.02  # not one colour
+    assert len(np.unique((picture * 32).astype(int).reshape(-1, 3), axis=0)) > 20
+    for width, height in ((1366, 768), (1024, 768), (820, 1180)):
+        window.page.set_viewport_size({"width": width, "height": height})
+        assert window.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    window.page.set_viewport_size({"width": 1366, "height": 768})
+
+
+def test_the_checks_say_ready_and_the_buttons_say_why_not(window: Page) -> None:
+    wait(lambda: "Ready to fly" in window.page.inner_text(".mf-checks-head"), "ready")
+    wait(lambda: window.ready("take-off"), "take-off")
+    assert not window.ready("land")
+    assert "on the floor" in window.page.inner_text("[data-testid=land]")
+
+
+def test_it_takes_off_flies_to_a_click_and_lands(window: Page) -> None:
+    page = window.page
+    page.fill("[data-testid=field-height]", "0.6")
+    page.click("[data-testid=take-off]")
+    wait(lambda: (window.frame() or {}).get("armed"), "arming")
+    before = {k: window.picture(k) for k in (".mf-scene", ".mf-plot-area")}
+    wait(lambda: window.frame()["state"] == "hover" and window.ready("goto"), "the hover")  # type: ignore[index]
+    for selector, picture in before.items():
+        after = window.picture(selector)
+        assert np.abs(after - picture).max() > 0.2, f"{selector} did not move"
+        assert (np.abs(after - picture).max(axis=2) > 0.1).mean() > 1e-3
+
+    x, y = page.evaluate("window.muflyScene.onFloor(0.6, -0.5)")
+    page.locator(".mf-scene canvas").first.click(position={"x": x, "y": y})
+    assert page.locator("[data-testid=goto-chip]").is_visible()
+    page.fill("[data-testid=goto-chip] input", "0.6")
+    page.click(".mf-chip-send")
+    assert float(page.input_value("[data-testid=field-north]")) == pytest.approx(0.6, abs=0.05)
+
+    def there() -> bool:
+        s = window.frame()
+        assert s is not None
+        return float(np.linalg.norm(np.subtract(s["position"], (0.6, -0.5, -0.6)))) < 0.2
+
+    wait(there, "arrival at the waypoint")
+    page.keyboard.press("Shift+L")
+    wait(lambda: not window.frame()["armed"], "the landing")  # type: ignore[index]
+    assert "✓ land" in page.inner_text(".mf-requests")
+
+
+def test_an_edit_of_a_parameter_is_made_and_taken_back(window: Page) -> None:
+    page = window.page
+    page.click("text=Parameters")
+    page.fill("[aria-label='search parameters']", "MIS_TAKEOFF")
+    field = page.locator("[data-name=MIS_TAKEOFF_ALT]")
+    field.wait_for()
+    was = field.input_value()
+    field.fill("1.5")
+    field.press("Enter")
+    wait(lambda: page.locator(".mf-badge").count() == 1, "the mark of a change")
+    page.click("[data-testid=undo]")
+    wait(lambda: page.locator("[data-name=MIS_TAKEOFF_ALT]").input_value() == was, "undo")
+
+
+def test_the_emergency_stop_wants_a_second_press(window: Page) -> None:
+    stop = window.page.locator("[data-testid=emergency-stop]")
+    stop.click()
+    wait(lambda: "PRESS AGAIN" in stop.inner_text(), "the question")
+    wait(lambda: "EMERGENCY STOP" in stop.inner_text(), "the end of the question", 6)
+    assert "EMERGENCY" not in window.page.inner_text(".mf-requests")
+
+
+def test_a_second_window_watches_until_it_takes_the_controls(browser: Any, fly: Fly, window: Page) -> None:
+    second = Page(browser, fly.url)
+    wait(lambda: "another window" in second.page.inner_text(".mf-banner"), "the note")
+    assert not second.ready("take-off")
+    second.page.click("[data-testid=take-controls]")
+    wait(lambda: second.ready("take-off"), "the controls")
+    wait(lambda: not window.ready("take-off"), "the first window to watch")
+    second.context.close()
+    wait(lambda: window.ready("take-off"), "the controls to come back")
+    assert fly.process.poll() is None  # closing a window stops nothing
+    assert second.complaints == []
+
+
+def test_a_recording_is_opened_and_its_slider_moves_everything(window: Page) -> None:
+    page = window.page
+    page.click("text=Recordings")
+    page.locator("tr", has_text="station.mcap").locator("button").first.click()
+    slider = page.locator("[data-testid=replay-slider]")
+    slider.wait_for()
+    end = float(slider.get_attribute("max") or 0)
+    picture = window.picture(".mf-scene")
+    shown = []
+    for share in (0.4, 0.7):
+        slider.evaluate(f"e => {{ e.value = {share * end}; e.dispatchEvent(new Event('input')); }}")
+        slider.evaluate("e => e.dispatchEvent(new Event('change'))")
+        wait(lambda share=share: abs(window.frame()["time_s"] - share * end) < 0.1, "the slider's moment")  # type: ignore[misc, index]
+        shown.append(window.frame()["position"])  # type: ignore[index]
+    assert np.linalg.norm(np.subtract(*shown)) > 0.05
+    assert np.abs(window.picture(".mf-scene") - picture).max() > 0.2
+    page.click("text=Close recording")
+    wait(lambda: "recording" not in page.inner_text(".mf-status").lower(), "the vehicle again")
+
+
+def test_nothing_was_complained_of_and_nothing_asked_for_elsewhere(fly: Fly, window: Page) -> None:
+    mine = [c for c in window.complaints if "GPU stall" not in c and "GL Driver Message" not in c]
+    assert mine == []
+    assert [
+        u for u in window.requests if not u.startswith((fly.url, f"ws://127.0.0.1:{fly.port}/", "blob:"))
+    ] == []
+    assert "Traceback" not in fly.said()

@@ -1,0 +1,236 @@
+"""What one window is told: increments, tables, and nothing for a window that does not keep up."""
+
+import json
+import math
+import tracemalloc
+from collections import deque
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mufly.station.history import History
+from mufly.station.page.feed import IN_FLIGHT, MOST_POINTS, Feed, Want, encode_snapshot
+from mufly.station.page.session import GRACE_S, Session
+from mufly.station.view import Check, Message, MissionRow, Parameter, Snapshot
+
+
+class Vehicle:
+    """A vehicle that a test makes move."""
+
+    kind, system, color, name = "mufly", 1, 0, "test vehicle"
+
+    def __init__(self) -> None:
+        self.history = History(seconds=60.0)
+        self.snapshot = Snapshot()
+        self.messages: deque[Message] = deque(maxlen=500)
+        self.mission: list[MissionRow] = []
+        self.parameters: dict[str, Parameter] = {}
+        self.checks: list[Check] = []
+        self.k = 0
+
+    def go(self, rows: int) -> None:
+        for _ in range(rows):
+            self.k += 1
+            values = np.full(len(self.history.names), math.nan)
+            values[self.history.names.index("estimated_position_N")] = math.sin(0.01 * self.k)
+            values[self.history.names.index("battery_voltage")] = 8.0 - 1e-4 * self.k
+            self.history.append(0.01 * self.k, values)
+        self.snapshot = replace(self.snapshot, time_s=0.01 * self.k, connected=True)
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def vehicle() -> Vehicle:
+    return Vehicle()
+
+
+@pytest.fixture
+def session(vehicle: Vehicle) -> Session:
+    return Session(lambda: [vehicle], Path("nowhere"), clock=Clock())  # type: ignore[list-item, return-value]
+
+
+@pytest.fixture
+def feed(session: Session) -> Feed:
+    return Feed(session.open("window"))
+
+
+def frame(feed: Feed, now_s: float = 0.0) -> dict[str, Any]:
+    got = json.loads(feed.frame(now_s))
+    feed.hear(json.dumps({"drawn": got["n"]}))
+    return got
+
+
+def want(feed: Feed, **content: Any) -> None:
+    feed.hear(json.dumps({"want": content}))
+
+
+def test_increments_put_together_are_the_history(vehicle: Vehicle, feed: Feed) -> None:
+    names = ["estimated_position_N", "battery_voltage", "no such signal"]
+    want(feed, signals=names, window_s=30)
+    times: list[float] = []
+    values: list[list[float | None]] = [[], [], []]
+    for k in range(40):
+        vehicle.go(k % 9)
+        h = frame(feed, 0.05 * k)["h"]
+        assert ("names" in h) == (k == 0)
+        times += h["t"]
+        for mine, new in zip(values, h["v"], strict=True):
+            mine += new
+    t, x = vehicle.history.window(1e9, names)
+    np.testing.assert_allclose(times, t, atol=1e-4)
+    np.testing.assert_array_equal(np.float32(values[0]), x[:, 0])
+    np.testing.assert_array_equal(np.float32(values[1]), x[:, 1])
+    assert set(values[2]) == {None}  # NaN travels as null
+
+
+def test_a_window_that_does_not_draw_gets_nothing_and_then_the_gap(vehicle: Vehicle, feed: Feed) -> None:
+    want(feed, signals=["battery_voltage"], window_s=60)
+    vehicle.go(10)
+    frame(feed)
+    for _ in range(IN_FLIGHT):
+        assert feed.ready
+        feed.frame(0.0)
+    assert not feed.ready
+    vehicle.go(500)  # stalled for five seconds
+    feed.hear(json.dumps({"drawn": feed.sent}))
+    assert feed.ready
+    assert len(frame(feed)["h"]["t"]) == 500
+
+
+def test_a_stalled_window_costs_no_memory(vehicle: Vehicle, feed: Feed) -> None:
+    want(feed, signals=["battery_voltage", "estimated_position_N"], sections=["messages", "catalog"])
+    vehicle.go(6000)  # the ring is full: it does not grow any more
+    frame(feed)
+
+    def run(rounds: int) -> None:
+        for k in range(rounds):
+            vehicle.go(5)
+            if feed.ready:
+                feed.frame(0.05 * k)
+
+    run(50)
+    tracemalloc.start()
+    run(20)
+    before = tracemalloc.get_traced_memory()[0]
+    run(600)
+    grown = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert feed.sent - feed.drawn == IN_FLIGHT
+    assert grown < 20_000
+
+
+def test_a_long_window_is_thinned_with_its_newest_sample_kept(vehicle: Vehicle, feed: Feed) -> None:
+    vehicle.history = History(seconds=400.0)
+    vehicle.go(30_000)
+    want(feed, signals=["battery_voltage"], window_s=600)
+    h = frame(feed)["h"]
+    assert len(h["t"]) <= MOST_POINTS
+    assert h["t"][-1] == pytest.approx(300.0)
+
+
+def test_tables_are_sent_when_they_change_and_whole_when_shown_again(vehicle: Vehicle, feed: Feed) -> None:
+    vehicle.mission = [MissionRow("take off")]
+    vehicle.checks = [Check("link", True, "fine")]
+    vehicle.parameters = {"A": Parameter("A", 1.0), "B": Parameter("B", 2.0)}
+    want(feed, sections=["mission", "checks", "parameters"])
+    first = frame(feed, 0.0)
+    assert [len(first[k]) for k in ("mission", "checks", "parameters")] == [1, 1, 2]
+    assert not {"mission", "checks", "parameters"} & frame(feed, 1.0).keys()
+    vehicle.parameters = {**vehicle.parameters, "B": Parameter("B", 3.0)}
+    changed = frame(feed, 2.0)
+    assert [p[:2] for p in changed["parameters"]] == [["B", 3.0]]
+    assert changed["parameters"][0][-1] == 2.0  # what it was at first
+    assert not changed["parameters_new"]
+    want(feed, sections=[])
+    frame(feed, 3.0)
+    want(feed, sections=["parameters"])
+    assert len(frame(feed, 4.0)["parameters"]) == 2
+
+
+def test_messages_come_once_even_when_the_log_is_full(vehicle: Vehicle, feed: Feed) -> None:
+    want(feed, sections=["messages"])
+    got: list[str] = []
+    for k in range(700):
+        vehicle.messages.append(Message(k, "info", f"line {k}"))
+        if k % 3 == 0:
+            got += [m[2] for m in frame(feed, 0.05 * k).get("messages", [])]
+    assert got == [f"line {k}" for k in range(700)]
+
+
+def test_another_source_or_a_vehicle_started_anew_begins_anew(session: Session, vehicle: Vehicle) -> None:
+    feed = Feed(session.open("window"))
+    want(feed, signals=["battery_voltage"])
+    vehicle.go(300)
+    assert frame(feed)["new"]
+    assert "new" not in frame(feed)
+    vehicle.history.clear()
+    vehicle.k = 0
+    vehicle.go(5)
+    restarted = frame(feed)
+    assert restarted["new"]
+    assert len(restarted["h"]["t"]) == 5
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("", "{", "[]", "null", "7", "\x00", '{"want": 3}', '{"want": {"signals": {"a": 1}}}'),
+        *('{"drawn": "x"}', '{"drawn": 1e9}', '{"drawn": -1}', '{"want": {"window_s": -3}}'),
+        *('{"want": {"window_s": 1e400}}', '{"want": {"sections": [[]], "signals": [1, null]}}'),
+    ],
+)
+def test_what_makes_no_sense_is_not_understood(vehicle: Vehicle, feed: Feed, text: str) -> None:
+    vehicle.go(3)
+    frame(feed)
+    feed.hear(text)
+    assert 0 < feed.want.window_s < 1e6
+    assert feed.drawn <= feed.sent
+    frame(feed)
+
+
+def test_a_greedy_window_is_limited() -> None:
+    greedy = Want.of(
+        {"signals": [f"s{k}" for k in range(5000)], "window_s": 1e12, "sections": ["x", "scene"]}
+    )
+    assert len(greedy.signals) == 64
+    assert greedy.window_s <= 36_000
+    assert greedy.sections == {"scene"}
+
+
+def test_a_snapshot_travels_whole() -> None:
+    s = Snapshot(position=np.array([1.0, math.nan, -2.5]), waypoint=3, state="hover", commander="station 255")
+    content = encode_snapshot(s)
+    assert set(content) == set(Snapshot.__dataclass_fields__)
+    assert content["position"].dtype == np.float32
+    assert content["waypoint"] == 3
+
+
+def test_the_first_window_holds_the_controls_and_the_last_one_left_gets_them(session: Session) -> None:
+    clock = session.clock
+    one, two, three = (session.open(n) for n in ("one", "two", "three"))
+    assert not one.has_controls  # a page that was fetched and never opened its stream is no window
+    for view in (one, two, three):
+        view.connected()
+    assert [v.has_controls for v in (one, two, three)] == [True, False, False]
+    two.take_controls()
+    assert [v.has_controls for v in (one, two, three)] == [False, True, False]
+    two.disconnected()
+    clock.now += 0.5 * GRACE_S  # type: ignore[attr-defined]
+    assert not one.has_controls  # it may only have been reloaded
+    clock.now += GRACE_S  # type: ignore[attr-defined]
+    assert not one.has_controls  # there are two: somebody has to press
+    assert not three.has_controls
+    three.disconnected()
+    session.close("two")
+    session.close("three")
+    assert one.has_controls
+    assert session.watching == 1

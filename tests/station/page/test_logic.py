@@ -1,0 +1,188 @@
+"""Catalogue of signals, spectrum, availability of commands, parameter sheet: the page's logic without a browser."""
+
+import math
+
+import numpy as np
+import pytest
+
+from mufly.errors import InputError
+from mufly.station.page.availability import COMMANDS, availability, mission_label
+from mufly.station.page.catalog import catalog, display_unit
+from mufly.station.page.parameter_sheet import (
+    ParameterSheet,
+    parameter_file,
+    read_parameter_file,
+    refused,
+)
+from mufly.station.page.spectrum import folded, marks, spectrum
+from mufly.station.view import Parameter, Snapshot
+
+
+def test_one_quantity_holds_all_who_speak_of_it() -> None:
+    names = [
+        f"{source}_attitude_{angle}"
+        for source in ("truth", "estimated", "reference")
+        for angle in ("roll", "pitch", "yaw")
+    ]
+    found = catalog([*names, "battery_voltage", "motor_input_upper", "gyro_temperature"], lambda n: "rad")
+    attitude = next(q for q in found if q["key"] == "attitude")
+    assert attitude["components"] == ["roll", "pitch", "yaw"]
+    assert attitude["sources"] == ["estimated", "reference", "truth"]
+    assert attitude["signals"]["reference/yaw"] == "reference_attitude_yaw"
+    assert attitude["unit"] == "°"
+    assert attitude["factor"] == pytest.approx(180 / math.pi)
+    assert sum(len(q["signals"]) for q in found) == len(names) + 3  # nothing is lost, nothing twice
+    assert next(q for q in found if q["key"] == "gyro_temperature")["signals"] == {"/": "gyro_temperature"}
+
+
+def test_units_are_those_that_people_read() -> None:
+    assert display_unit("rad/s", "rotor_speed")[0] == "rpm"
+    assert display_unit("rad/s", "rotor_speed")[1] * 2 * math.pi == pytest.approx(60)
+    assert display_unit("rad/s", "rates") == ("°/s", pytest.approx(180 / math.pi))
+    assert display_unit("1", "motor_input") == ("", 1.0)
+    assert display_unit("m", "position") == ("m", 1.0)
+
+
+def test_the_spectrum_of_a_sine_is_a_peak_that_holds_its_power() -> None:
+    rate, frequency, amplitude = 100.0, 12.5, 0.3
+    t = np.arange(0, 20, 1 / rate)
+    found = spectrum(t, amplitude * np.sin(2 * math.pi * frequency * t))
+    assert found is not None
+    fs, f, density = found
+    assert fs == pytest.approx(rate)
+    assert f[np.argmax(density)] == pytest.approx(frequency, abs=0.11)
+    assert np.trapezoid(density, f) == pytest.approx(amplitude**2 / 2, rel=0.02)  # Parseval
+
+
+def test_gaps_and_missing_samples_are_bridged_and_too_few_say_nothing() -> None:
+    t = np.arange(0, 10, 0.01)
+    x = np.sin(2 * math.pi * 3 * t)
+    x[::7] = np.nan
+    found = spectrum(t, x)
+    assert found is not None
+    assert found[1][np.argmax(found[2])] == pytest.approx(3.0, abs=0.15)
+    assert spectrum(t[:20], x[:20]) is None
+    assert spectrum(t, np.full_like(t, np.nan)) is None
+
+
+def test_frequencies_above_half_the_rate_fold() -> None:
+    # A sampled sine at f and at its fold differ by nothing but the sign: the definition of aliasing.
+    rate = 100.0
+    t = np.arange(200) / rate
+    for f in (12.0, 60.0, 70.6, 141.2, 250.0):
+        image = folded(f, rate)
+        assert 0 <= image <= rate / 2
+        np.testing.assert_allclose(np.cos(2 * np.pi * f * t), np.cos(2 * np.pi * image * t), atol=1e-9)
+
+
+def test_rotors_are_marked_once_and_twice_a_turn() -> None:
+    found = {m["name"]: m for m in marks(np.array([2 * math.pi * 20, math.nan]), 100.0)}
+    assert set(found) == {"upper", "upper ×2"}
+    assert found["upper"] == {
+        "name": "upper",
+        "hz": pytest.approx(20),
+        "at": pytest.approx(20),
+        "folded": False,
+    }
+    assert found["upper ×2"]["hz"] == pytest.approx(40)
+    assert marks(np.array([0.0, 0.0]), 100.0) == []
+
+
+HOVER = Snapshot(connected=True, armed=True, flying=True, in_command=True, state="hover")
+FLOOR = Snapshot(connected=True, state="init")
+
+
+def ask(s: Snapshot | None, **changes: object) -> dict[str, str]:
+    return availability(s, **({"kind": "mufly", "has_controls": True, "rows": 3} | changes))  # type: ignore[arg-type]
+
+
+def test_on_the_floor_one_takes_off_and_in_the_air_one_lands() -> None:
+    floor, air = ask(FLOOR), ask(HOVER)
+    assert not floor["take_off"]
+    assert not floor["mission"]
+    assert floor["land"]
+    assert floor["go_to"]
+    assert air["take_off"]
+    assert air["disarm"]
+    assert not any(air[c] for c in ("land", "return", "go_to", "pause", "mission", "stop"))
+
+
+def test_every_command_is_always_judged_and_the_reasons_are_words() -> None:
+    for s in (None, FLOOR, HOVER, Snapshot()):
+        for kind in ("mufly", "other", "recording"):
+            for has in (True, False):
+                assert set(ask(s, kind=kind, has_controls=has)) == set(COMMANDS)
+
+
+def test_who_only_watches_can_stop_the_motors_but_nothing_else() -> None:
+    watching = Snapshot(connected=True, armed=True, flying=True, commander="station 255")
+    for found in (ask(HOVER, has_controls=False), ask(watching)):
+        assert not found.pop("stop")
+        assert all(found.values())
+    assert "station 255" in ask(watching)["land"]
+
+
+def test_a_recording_commands_nothing_and_a_lost_link_lets_one_try_to_stop() -> None:
+    assert all(ask(FLOOR, kind="recording").values())
+    lost = ask(Snapshot(connected=False, armed=True, flying=True))
+    assert lost["stop"] == ""
+    assert lost["land"] == "no link"
+
+
+def test_the_vehicle_says_why_it_cannot_be_armed() -> None:
+    assert ask(FLOOR, unready="battery low")["take_off"] == "battery low"
+    assert ask(FLOOR, rows=0)["mission"] == "no mission loaded"
+    assert mission_label(FLOOR) == "Fly the mission"
+    assert mission_label(HOVER) == "Resume mission"
+
+
+def test_undo_takes_back_in_order_and_redo_makes_again() -> None:
+    sheet = ParameterSheet()
+    sheet.observe({"A": Parameter("A", 1.0), "B": Parameter("B", 5.0)})
+    sheet.wrote("A", 1.0, 2.0)
+    sheet.wrote("B", 5.0, 6.0)
+    assert sheet.can_undo == "B"
+    assert sheet.undo() == ("B", 5.0)
+    assert sheet.undo() == ("A", 1.0)
+    assert sheet.undo() is None
+    assert sheet.redo() == ("A", 2.0)
+    sheet.wrote("A", 2.0, 3.0)
+    assert sheet.redo() is None  # what was undone before another change is gone
+    sheet.observe({"A": Parameter("A", 3.0), "B": Parameter("B", 5.0), "C": Parameter("C", 0.0)})
+    assert sheet.baseline == {"A": 1.0, "B": 5.0, "C": 0.0}
+
+
+def test_the_undo_list_does_not_grow_for_ever() -> None:
+    sheet = ParameterSheet()
+    for k in range(1000):
+        sheet.wrote("A", k, k + 1)
+    steps = 0
+    while sheet.undo():
+        steps += 1
+    assert steps == 200
+
+
+def test_bounds_are_named_before_anything_is_sent() -> None:
+    p = Parameter("SPEED", 0.5, "m/s", 0.1, 2.0)
+    assert refused(p, "SPEED", 1.0) == ""
+    assert "0.1 to 2 m/s" in refused(p, "SPEED", 3.0)
+    assert refused(p, "SPEED", math.nan)
+    assert refused(None, "X", 1.0)
+    assert "whole" in refused(Parameter("N", 1, whole=True), "N", 1.5)
+
+
+def test_a_file_of_parameters_comes_back_whole() -> None:
+    known = {"A_B": Parameter("A_B", 0.1), "N": Parameter("N", 3, whole=True), "Z": Parameter("Z", -1e-7)}
+    back = read_parameter_file(parameter_file(known, 1), "x.params")
+    assert back == pytest.approx({n: p.value for n, p in known.items()}, rel=1e-8)
+    assert read_parameter_file("RC1_MIN,1100\n# note\nB = 2\nC 3.5\n", "x.param") == {
+        "RC1_MIN": 1100,
+        "B": 2,
+        "C": 3.5,
+    }
+
+
+@pytest.mark.parametrize("text", ["", "# nothing\n", "A,b\n", "one two three\n"])
+def test_a_file_that_is_none_is_refused_with_its_line(text: str) -> None:
+    with pytest.raises(InputError):
+        read_parameter_file(text, "x.params")
