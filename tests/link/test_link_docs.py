@@ -1,0 +1,69 @@
+"""docs/link.md and the tables of the code say the same."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from mufly.link.commands import COMMANDS
+from mufly.link.dialect import mavlink
+from mufly.link.enquiries import ENQUIRIES
+from mufly.link.modes import custom_mode, mode_of
+from mufly.link.parameters import LINK_PARAMETERS
+from mufly.link.streams import STREAMS
+from mufly.link.telemetry_status import STATES
+
+PAGE = (Path(__file__).parents[2] / "docs" / "link.md").read_text(encoding="utf-8")
+
+
+def table(head):
+    """Rows of the table whose head begins so."""
+    lines = PAGE[PAGE.index(f"| {head}") :].splitlines()[2:]
+    rows = []
+    for line in lines:
+        if not line.startswith("|"):
+            break
+        rows.append([cell.strip() for cell in line.strip("|").split("|")])
+    return rows
+
+
+def test_messages_and_rates():
+    assert [(name, float(rate)) for name, rate, _ in table("message | default")] == [
+        (s.name, s.default_Hz) for s in STREAMS
+    ]
+
+
+def test_commands():
+    said = {int(number): name for name, number, _ in table("command | number")}
+    assert set(said) == {*COMMANDS, *ENQUIRIES}
+    for number, name in said.items():
+        assert getattr(mavlink, f"MAV_CMD_{name}") == number
+
+
+def test_items():
+    for name, number, _ in table("item | number"):
+        assert getattr(mavlink, f"MAV_CMD_{name}") == int(number)
+
+
+def test_modes():
+    for states, mode, _ in table("mission state | mode"):
+        main, sub = map(int, re.search(r"\((\d), (\d)\)", mode).groups())
+        for state in states.split(", "):
+            if state in STATES:
+                assert custom_mode(mode_of(state)) == main << 16 | sub << 24
+
+
+def test_parameters():
+    said = {name: float(value.split()[0]) for name, value, _ in table("parameter | default")}
+    assert said == {name: row[0] for name, row in LINK_PARAMETERS.items()}
+
+
+def test_states_are_numbered_as_they_are():
+    assert dict(re.findall(r"(\d) ([a-z-]+)", re.search(r"machine: (.*?) \|", PAGE).group(1))) == {
+        str(k): state for k, state in enumerate(STATES)
+    }
+
+
+@pytest.mark.parametrize("name", re.findall(r"\]\((examples/[^)]+)\)", PAGE))
+def test_examples_are_there(name):
+    assert (Path(__file__).parents[2] / "docs" / name).exists()
