@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import pytest
 from link_rig import Rig, waypoint
 
 from mufly.link.dialect import mavlink as m
+from mufly.link.transfer_notes import Item
 
 
 def test_the_last_item_is_reached_when_nothing_of_the_mission_is_left():
@@ -50,3 +52,47 @@ def test_altitude_above_the_sea_is_not_made_up():
     assert at.altitude_amsl != at.altitude_amsl  # not a number
     assert at.altitude_terrain < -1000.0
     assert 0.0 <= at.altitude_local < 0.2
+
+
+def test_a_delay_is_a_longer_wait_and_is_reached():
+    """MAVSDK's mission plugin writes a loiter time as NAV_DELAY behind the waypoint."""
+    rig = Rig()
+    gcs = rig.station()
+    rig.airborne(gcs)
+    delay = Item(0, 2, m.MAV_CMD_NAV_DELAY, params=(1.0, -1.0, -1.0, -1.0))
+    gcs.upload([waypoint(0.2, 0, -1.0), delay, waypoint(0.2, 0.2, -1.0, wait=0.5), delay])
+    assert rig.run(3.0, lambda: gcs.giver.result == 0)
+    assert [w.wait_s for w in rig.status.mission.waypoint] == [1.0, 1.5]
+    gcs.mode(4, 4)
+    assert rig.run(30.0, lambda: len(gcs.all("MISSION_ITEM_REACHED")) == 4), gcs.words
+    assert [x.seq for x in gcs.all("MISSION_ITEM_REACHED")] == [0, 1, 2, 3]
+    assert gcs.last("MISSION_CURRENT").mission_state == 5
+
+
+def test_a_parameter_that_is_not_there_is_answered():
+    """MAVSDK asks for PX4's RTL_RETURN_ALT, six times when nobody answers."""
+    rig = Rig()
+    gcs = rig.station()
+    gcs.say(m.MAVLink_param_request_read_message(1, 1, b"RTL_RETURN_ALT", -1))
+    gcs.say(m.MAVLink_param_set_message(1, 1, b"RTL_RETURN_ALT", 1.0, m.MAV_PARAM_TYPE_REAL32))
+    gcs.say(m.MAVLink_param_request_read_message(1, 1, b"", 999))
+    rig.run(0.1)
+    errors = [(x.param_id, x.param_index, x.error) for x in gcs.all("PARAM_ERROR")]
+    assert errors == [("RTL_RETURN_ALT", -1, 1), ("RTL_RETURN_ALT", -1, 1), ("", 999, 1)]
+
+
+def test_who_may_not_set_a_parameter_is_told_its_value():
+    rig = Rig()
+    gcs, other = rig.station(), rig.station("other", 254)
+    gcs.command(m.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    rig.run(0.1)
+    other.say(m.MAVLink_param_set_message(1, 1, b"LIM_SPEED", 0.4, m.MAV_PARAM_TYPE_REAL32))
+    rig.run(0.1)
+    now = rig.flight.autopilot.parameters["LIM_SPEED"].value
+    assert [(x.param_id, x.param_value) for x in other.all("PARAM_VALUE")] == [
+        ("LIM_SPEED", pytest.approx(now))
+    ]
+    assert now != pytest.approx(0.4)
+    other.say(m.MAVLink_param_set_message(1, 1, b"\xff\xfeSPEED", 0.4, m.MAV_PARAM_TYPE_REAL32))
+    rig.run(0.1)
+    assert other.last("PARAM_ERROR").error == m.MAV_PARAM_ERROR_DOES_NOT_EXIST

@@ -149,6 +149,10 @@ class MissionDesk:
             reached -= 1  # it waits there; the last item is completed when nothing of the mission is left
         if status.outcome == "succeeded" and not status.flying and reached >= len(places):
             return len(self.plan.items)
+        if reached >= len(places) and status.mission.at_end == "hover" and not status.mission_running:
+            return len(self.plan.items)  # also those behind the last waypoint, such as a delay
+        if 0 < reached < len(places) and status.mission_running and status.state in ("waypoint", "obstacle"):
+            return places[reached]
         if reached > 0:
             return places[min(reached, len(places)) - 1] + 1
         # In the air and under way, it has taken off.

@@ -6,6 +6,7 @@ item (MAV_CMD)             here
 NAV_TAKEOFF (22)           height of the take-off, straight up (no x, y, heading); only before the first waypoint
 NAV_WAYPOINT (16)          waypoint; parameter 1: wait (s), 4: heading (deg; NaN: the nose points along the way)
 NAV_LOITER_TIME (19)       the same
+NAV_DELAY (93)             parameter 1: so much longer a wait (s) at the waypoint, or after the take-off, before it
 NAV_LOITER_UNLIM (17)      the same, and hover there; only as the last item
 NAV_LAND (21)              fly to its x, y (unless not given), then land; only as the last item
 NAV_RETURN_TO_LAUNCH (20)  fly home and land; only as the last item
@@ -36,7 +37,7 @@ from mufly.mission.schema import TakeOff
 
 __all__ = ["Plan", "Refusal", "items_of", "plan_of"]
 
-_WAYPOINT, _UNLIMITED, _LOITER_TIME, _HOME, _LAND, _TAKE_OFF = 16, 17, 19, 20, 21, 22
+_WAYPOINT, _UNLIMITED, _LOITER_TIME, _HOME, _LAND, _TAKE_OFF, _DELAY = 16, 17, 19, 20, 21, 22, 93
 _SPEED, _YAW = 178, 115
 _ENDS = {_UNLIMITED: "hover", _LAND: "land", _HOME: "return"}
 _NED, _ENU, _ABOVE_SEA, _ABOVE_ORIGIN = 1, 4, (0, 5), (3, 6)
@@ -118,6 +119,14 @@ def plan_of(items: Sequence[Item], base: Mission, origin: Origin | None) -> Plan
             waypoints.append(_waypoint(item, place, wait, heading if own is None else own, speed))
             came_from.append(item.seq)
             heading = None
+        elif item.command == _DELAY and waypoints:
+            w = waypoints[-1]
+            longer = w.wait_s + _wait(item)
+            waypoints[-1] = _waypoint(item, w.position_m, longer, w.heading_deg, w.speed_m_s)
+        elif item.command == _DELAY:
+            take_off = _checked(
+                item, TakeOff, height_m=take_off.height_m, wait_s=take_off.wait_s + _wait(item)
+            )
         elif item.command == _SPEED:
             speed = _speed(item, speed)
         elif item.command == _YAW:

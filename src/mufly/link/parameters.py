@@ -98,6 +98,17 @@ class ParameterDesk:
             return self._value(name) if name in self._places else None
         return self._value(self._names[k]) if 0 <= k < len(self._names) else None
 
+    def no_such(self, sender: Sender, message: MavMessage) -> MavMessage:
+        """Say that there is no parameter of that name or index, so that nobody waits for it."""
+        index = getattr(message, "param_index", -1)
+        return mavlink.MAVLink_param_error_message(
+            sender.system,
+            sender.component,
+            text_of(message.param_id, 16),
+            index,
+            mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST,
+        )
+
     def set(self, message: MavMessage) -> tuple[MavMessage | None, str]:
         """Take a PARAM_SET; returns the answer, and why not (or "")."""
         name = message.param_id

@@ -353,14 +353,15 @@ class VehicleLink:
 
     def _parameter_read(self, now_s: float, sender: Sender, m: MavMessage) -> None:
         value = self._parameters.read(m)
-        if value is not None:
-            self._send(sender.peer, value)
+        self._send(sender.peer, self._parameters.no_such(sender, m) if value is None else value)
 
     def _parameter_set(self, now_s: float, sender: Sender, m: MavMessage) -> None:
         if self._may(now_s, sender):
             value, why = self._parameters.set(m)
             if why:
                 self._say(why, "warning", sender.peer)
+            if value is None:
+                self._send(sender.peer, self._parameters.no_such(sender, m))
             # Everybody who watches learns of it.
             if value is not None:
                 self._send(None, value)
