@@ -191,9 +191,8 @@ class Station:
             yield
         except Exception as error:
             text = f"the station met a fault and goes on ({type(error).__name__}: {error})"
-            if text not in self._faults:
-                if len(self._faults) < _FAULTS:
-                    self._faults.add(text)
+            if text not in self._faults and len(self._faults) < _FAULTS:
+                self._faults.add(text)
                 _LOG.error(text, exc_info=error)
                 self._notice(text)
 
