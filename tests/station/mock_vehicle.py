@@ -89,8 +89,9 @@ class MockVehicle:
         elif kind == "PARAM_REQUEST_LIST":
             self._out += [self._value(k) for k in range(len(self.parameters))]
         elif kind == "PARAM_REQUEST_READ":
-            self._out.append(self._value(m.param_index))
-        elif kind == "PARAM_SET":
+            if 0 <= m.param_index < len(self.parameters):
+                self._out.append(self._value(m.param_index))
+        elif kind == "PARAM_SET" and m.param_id in self.parameters:
             old = self.parameters[m.param_id]
             if m.param_id not in self.refuse:
                 self.parameters[m.param_id] = (m.param_value, old[1])
