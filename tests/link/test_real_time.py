@@ -17,6 +17,7 @@ from mufly.link.codec import Codec, Encoder
 from mufly.link.dialect import mavlink as m
 from mufly.link.runner import CATCH_UP_S, HURRY, Pace
 from mufly.logs import read_log
+from mufly.logs.tlog import read_tlog
 from mufly.mission import Mission
 
 
@@ -71,13 +72,13 @@ def hear(port, seconds, want=lambda message: False):
 
 
 def test_a_vehicle_in_real_time_and_its_telemetry_log(tmp_path):
-    port = listener()
+    port, other = listener(), listener()
     flight, over = new_flight(), threading.Event()
     log = tmp_path / "link.tlog"
     with TlogWriter(log) as tlog:
         loop = threading.Thread(
             target=run,
-            args=(flight, [Endpoint("udpout", "127.0.0.1", port.port)]),
+            args=(flight, [Endpoint("udpout", "127.0.0.1", p.port) for p in (port, other)]),
             kwargs={"stop": over.is_set, "tlog": tlog},
         )
         loop.start()
@@ -94,9 +95,15 @@ def test_a_vehicle_in_real_time_and_its_telemetry_log(tmp_path):
     times = [x.time_boot_ms for x in heard if x.get_type() == "ATTITUDE"]
     assert times == sorted(times)
     assert len(set(times)) > 5
-    data = read_log(log)
-    assert data.sizes["time"] > 10
+    assert read_log(log).sizes["time"] > 10
+    tables = read_tlog(log).tables
+    assert len(tables["COMMAND_LONG@255.190"].time) == 1  # what it heard
+    assert len(tables["COMMAND_ACK"].time) == 1  # what it said
+    # A second peer that gets the same does not double it.
+    written = tables["ATTITUDE"].fields["time_boot_ms"]
+    assert len(written) == len(set(written.tolist()))
     port.close()
+    other.close()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")

@@ -127,15 +127,17 @@ class _Wire:
                     link.connect(now_s, peer)
 
     def send(self, link: VehicleLink, now_s: float) -> None:
-        logged: object = None
+        logged: set[bytes] = set()
         for out in link.step(now_s):
             peer = out.peer
             if isinstance(peer, Peer):
                 self._by_name[peer.endpoint].send(peer, out.data)
-                # One peer's share is the whole story; the others get the same with other numbers.
-                if self._tlog is not None and logged in (None, peer):
-                    logged = peer
-                    self._tlog.write(out.data)
+                if self._tlog is not None:
+                    # Several peers get the same, numbered differently: the same from the sender to the checksum.
+                    content = out.data[5:-2]
+                    if content not in logged:
+                        logged.add(content)
+                        self._tlog.write(out.data)
 
     def close(self) -> None:
         for port in self.ports:
@@ -190,7 +192,7 @@ def run(
     link : VehicleLink, optional
         By default system 1, component 1.
     tlog : TlogWriter, optional
-        Takes what is sent to one of the peers. Not closed here.
+        Takes what is heard and what is said, once however many peers it goes to. Not closed here.
     on_event, on_notice : callable, optional
         Called with every event of the flight; with a line when something happens to a port.
     on_open : callable, optional
@@ -216,6 +218,8 @@ def run(
             flight.autopilot.listeners.append(on_event)
         if on_open is not None:
             on_open()
+        if tlog is not None:
+            link.on_received = tlog.write
         _loop(flight, link, _Wire(ports, tlog), stop, on_notice, on_report, autostart)
     finally:
         if on_event is not None and on_event in flight.autopilot.listeners:

@@ -8,7 +8,7 @@ happens when the commander is lost. Nothing that arrives raises an error.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from typing import TYPE_CHECKING
 
 from mufly.link.authority import Authority, Sender
@@ -73,6 +73,8 @@ class VehicleLink:
     ----------
     received, sent : int
         Messages so far.
+    on_received : callable or None
+        Called with the bytes of every message that comes in; a log hangs here.
     """
 
     def __init__(
@@ -88,6 +90,7 @@ class VehicleLink:
         self.origin = Origin(*origin) if isinstance(origin, tuple) else origin
         self.authority = Authority()
         self.received = self.sent = 0
+        self.on_received: Callable[[bytes], None] | None = None
         self._clients = Clients(system, component)
         self._codec = Codec()
         self._parameters = ParameterDesk(self.autopilot)
@@ -136,6 +139,8 @@ class VehicleLink:
             if sender[1:] == (self.system, self.component):
                 continue  # our own voice, sent back
             self.received += 1
+            if self.on_received is not None:
+                self.on_received(bytes(message.get_msgbuf()))
             self._clients.hear(now_s, peer)
             self.authority.hear(now_s, sender)
             if self._for_us(message):
