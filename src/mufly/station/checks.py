@@ -75,7 +75,7 @@ def flight_time(rows: list[MissionRow], speed_m_s: float = _SPEED_M_S) -> float:
     flown = []
     for row in rows:
         if row.action == "speed":
-            speed = next((float(w) for w in row.text.split() if _is_number(w)), speed)
+            speed = next((float(w) for w in row.text.split() if _is_number(w)), speed_m_s)
         elif all(map(math.isfinite, row.position)):
             flown.append((row, speed if speed > 0 else speed_m_s))
     for (before, _), (row, pace) in pairwise(flown):

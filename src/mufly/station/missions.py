@@ -20,6 +20,8 @@ __all__ = ["items_of", "rows_of"]
 
 LOCAL_NED = 1
 WAYPOINT, RETURN, LAND, TAKE_OFF, HEADING, SPEED = 16, 20, 21, 22, 115, 178  # MAV_CMD
+OWN_SPEED = "the mission's own"
+"""Text of a row that ends what an earlier row said of speed (-2 in MAVLink)."""
 _ACTIONS = {
     TAKE_OFF: "take off",
     WAYPOINT: "waypoint",
@@ -63,7 +65,7 @@ def items_of(rows: Sequence[MissionRow], where: str = "mission") -> list[Item]:
             raise InputError(where, f"row {k + 1}", "has no place", "give N, E and D in metres")
         heading_deg = math.degrees(row.heading_rad)
         if command == SPEED:
-            number = _NUMBER.search(row.text)
+            number = _NUMBER.search("-2" if row.text == OWN_SPEED else row.text)
             if number is None:
                 raise InputError(where, f"row {k + 1}", "has no speed", 'write for example "0.4 m/s"')
             items.append(_speed(float(number[0])))
@@ -96,7 +98,8 @@ def _row(item: Item, origin: tuple[float, float, float] | None, reached: bool) -
     action = _ACTIONS.get(command) or _OTHERS.get(command, f"command {command}")
     position, text = (math.nan,) * 3, ""
     if command == SPEED:
-        return MissionRow(action, reached=reached, text=f"{item.params[1]:g} m/s")
+        speed = item.params[1]
+        return MissionRow(action, reached=reached, text=OWN_SPEED if speed == -2.0 else f"{speed:g} m/s")
     if command == HEADING:
         return MissionRow(action, heading_rad=math.radians(item.params[0]), reached=reached)
     if item.frame == LOCAL_NED and command in (*_ACTIONS, *_OTHERS) and command != RETURN:
@@ -133,7 +136,9 @@ def _item(
 
 
 def _speed(speed_m_s: float) -> Item:
-    return Item(0, 2, SPEED, params=(1.0, speed_m_s, -1.0, 0.0))  # frame 2: no place; 1: speed over ground
+    return Item(
+        0, LOCAL_NED, SPEED, params=(1.0, speed_m_s, -1.0, 0.0)
+    )  # 1: over ground, -1: throttle as it is
 
 
 def _numbered(items: Sequence[Item]) -> list[Item]:
