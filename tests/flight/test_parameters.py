@@ -11,7 +11,7 @@ from mufly.control.cascade import analyse_cascade
 from mufly.dynamics import linearise
 from mufly.flight import Flight, controllers, respond
 from mufly.flight.controllers import copied
-from mufly.flight.parameters import TABLE
+from mufly.flight.parameter_table import TABLE
 from mufly.flight.response import Setpoint
 from mufly.mission import SHARE, mission_from
 from mufly.vehicle import Vehicle, load_vehicle

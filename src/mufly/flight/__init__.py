@@ -3,7 +3,7 @@
 from mufly.flight.answers import Answer, Status
 from mufly.flight.autopilot import Autopilot
 from mufly.flight.controllers import Actuators, Controllers
-from mufly.flight.flight import Flight, FlightView
+from mufly.flight.flight import Flight
 from mufly.flight.loop import Progress, fly
 from mufly.flight.parameters import Parameter
 from mufly.flight.pictures import draw_flight
@@ -11,6 +11,7 @@ from mufly.flight.recorder import Recorder
 from mufly.flight.response import Setpoint, respond
 from mufly.flight.software import FlightSoftware
 from mufly.flight.summary import Summary, summarise, summary_rows
+from mufly.flight.view import FlightView
 from mufly.logs.layout import Event, standard_layout
 from mufly.logs.recording import events_of, read_attachments, read_recording, to_csv
 from mufly.mission import SetPoint

@@ -13,18 +13,16 @@ the wall: :func:`mufly.flight.fly` ticks as fast as it can, a link in real time.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mufly.control import FlightController, design
 from mufly.dynamics import (
     DrydenWind,
-    euler_from_quaternion,
     initial_state,
     standing_height,
 )
@@ -33,13 +31,14 @@ from mufly.flight.controllers import Actuators
 from mufly.flight.plant import Plant
 from mufly.flight.recorder import Recorder
 from mufly.flight.rows import row_writer
+from mufly.flight.view import FlightView
 from mufly.logs.layout import Event, standard_layout
 from mufly.mission import Mission, dump_mission, load_mission
 from mufly.sensors import Measurement
 from mufly.vehicle import Vehicle, load_vehicle, vehicle_toml
 from mufly.version import __version__
 
-__all__ = ["Flight", "FlightView"]
+__all__ = ["Flight"]
 
 RECORD_HZ = 100.0
 RING_HZ = 25.0
@@ -48,83 +47,6 @@ REST_S = 0.5
 
 GUST_LENGTH_M = 1.0
 _CURRENT_LAG_S = 5.0
-
-_Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class FlightView:
-    """Everything there is to see of a flight at one instant; SI units, N-E-D.
-
-    Attributes
-    ----------
-    time_s : float
-    measured : Measurement
-    actuators : Actuators
-        What acts at this instant.
-    reference : tuple of three (3,) arrays
-        What is being followed: position, velocity, and roll, pitch, yaw.
-    state : (21,) array
-        The truth: state of the flight model (:mod:`mufly.dynamics.state`).
-    rotor_speed : (2,) array
-        Of it: upper, lower (rad/s).
-    wind : (3,) array
-        Velocity of the air (m/s).
-    battery_voltage, battery_current, battery_charge : float
-        V, A, 0..1.
-    battery_left_s : float
-        How long it will last until it lands for low voltage (s), with the current of late; on the floor, of hover.
-    crashed : str
-        What it hit, or "".
-    """
-
-    time_s: float
-    measured: Measurement
-    actuators: Actuators
-    reference: tuple[_Array, _Array, _Array]
-    state: _Array
-    rotor_speed: _Array
-    wind: _Array
-    battery_voltage: float
-    battery_current: float
-    battery_charge: float
-    battery_left_s: float
-    crashed: str
-
-    @property
-    def reference_position(self) -> _Array:
-        """N, E, D that is followed (m)."""
-        return self.reference[0]
-
-    @property
-    def reference_velocity(self) -> _Array:
-        """N, E, D that is followed (m/s)."""
-        return self.reference[1]
-
-    @property
-    def reference_attitude(self) -> _Array:
-        """Roll, pitch, yaw that is followed (rad)."""
-        return self.reference[2]
-
-    @property
-    def position(self) -> _Array:
-        """True N, E, D (m)."""
-        return self.state[0:3]
-
-    @property
-    def velocity(self) -> _Array:
-        """True N, E, D (m/s)."""
-        return self.state[3:6]
-
-    @property
-    def attitude(self) -> _Array:
-        """True roll, pitch, yaw (rad, yaw in +-pi)."""
-        return euler_from_quaternion(self.state[6:10])
-
-    @property
-    def rates(self) -> _Array:
-        """True p, q, r (rad/s)."""
-        return self.state[10:13]
 
 
 class Flight:

@@ -1,11 +1,11 @@
 """What does it intend? Mission files, trajectories, obstacle avoidance and the mission state machine."""
 
 from mufly.mission.check import Estimate, check_geometry, check_mission
+from mufly.mission.landing import RAMP_DOWN_S, blind, down_blind
 from mufly.mission.load import builtin_missions, dump_mission, load_mission, mission_from
 from mufly.mission.machine import step
 from mufly.mission.offboard import HIGHEST_M, SetPoint, fault_of, wants_up
 from mufly.mission.pace import SHARE, slowed
-from mufly.mission.phases import RAMP_DOWN_S, blind, down_blind
 from mufly.mission.plan import SPIN_UP_S, Leg, legs
 from mufly.mission.preflight import preflight
 from mufly.mission.schema import LOWEST_M, Mission, Waypoint

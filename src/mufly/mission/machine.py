@@ -19,7 +19,7 @@ the last one; signals of the user override it. Each change of state is kept with
 
 One step takes what was measured and commanded and returns the next state and the `Reference` for the controllers. It
 runs at 50 Hz or so. Trajectories are made at transitions; a step in between only evaluates one. What each state does
-by itself is in `mufly.mission.phases`, what the user's signals do in `mufly.mission.user`.
+by itself is in `mufly.mission.phases` and `mufly.mission.landing`, what the user's signals do in `mufly.mission.user`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from mufly.mission import phases, user
+from mufly.mission import landing, phases, user
 from mufly.mission.obstacles import observe
 from mufly.mission.reference import at_gate, reference, swing
 from mufly.mission.signals import Command, MissionPlan, MissionState, Reference, State, fail
@@ -49,7 +49,7 @@ _PHASES = {
     State.HOVER: phases.hover,
     State.WAYPOINT: phases.fly_leg,
     State.OBSTACLE: phases.avoid,
-    State.LANDING: phases.sink,
+    State.LANDING: landing.sink,
 }
 
 
@@ -165,7 +165,7 @@ def _from_the_floor(plan: MissionPlan, s: MissionState, m: Measurement, c: Comma
 def _battery_low(plan: MissionPlan, s: MissionState) -> MissionState:
     why = f"battery low: {s.battery_V:.2f} V, below {plan.low_V:.2f} V"
     # A mission that is complete and holds has not failed when its battery is used up.
-    return phases.land(s if s.outcome == "succeeded" else fail(s, why), why, level="warning")
+    return landing.land(s if s.outcome == "succeeded" else fail(s, why), why, level="warning")
 
 
 def _in_flight(plan: MissionPlan, s: MissionState, m: Measurement, c: Command) -> MissionState:

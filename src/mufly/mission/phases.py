@@ -1,7 +1,7 @@
 """What each state of the mission does by itself, and how it is entered (Fig. 6.15).
 
-Every function takes a state and returns the next one; nothing is kept anywhere else. What the user's signals do is in
-:mod:`mufly.mission.user`.
+Every function takes a state and returns the next one; nothing is kept anywhere else. Landing is in
+:mod:`mufly.mission.landing`, what the user's signals do in :mod:`mufly.mission.user`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from mufly.mission.avoidance import BRAKE_M_S2, begin_detour, go_round
-from mufly.mission.plan import SLOW_FROM_M, SPIN_UP_S, leg_trajectory
+from mufly.mission.landing import RAMP_DOWN_S, land
+from mufly.mission.plan import SPIN_UP_S, leg_trajectory
 from mufly.mission.reference import at_gate, onward, point
 from mufly.mission.schema import LOWEST_M
 from mufly.mission.sight import blocked, look
@@ -23,25 +24,17 @@ from mufly.sensors import Measurement
 
 __all__ = [
     "avoid",
-    "blind",
     "braking",
-    "down_blind",
     "fly_leg",
     "go_home",
     "hover",
-    "land",
     "set_out",
-    "sink",
     "stand",
     "start",
     "take_off",
 ]
 
-RAMP_DOWN_S = 1.0
-"""Time that the rotors take to stop after touchdown (s)."""
-
 _SETTLE_BEFORE_LANDING_S = 2.0
-_SINK_LAG_S = 0.15
 
 
 def _triple(x: tuple[float, ...]) -> Triple:
@@ -305,77 +298,3 @@ def avoid(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> Miss
         return s
     way = straight(detour.position, s.goal, s.heading, plan.limits, final_heading=s.heading)
     return enter(s, s.back, "obstacle avoided", motion=way, resumed=True)
-
-
-# landing
-
-
-def land(s: MissionState, why: str, *, level: str = "info") -> MissionState:
-    """Begin to sink, above where it comes to rest."""
-    if s.motors == "spin_up":
-        s = fail(s, why) if s.begun else s
-        return enter(s, State.INIT, why, level=level, motors="ramp_down", motion=None, tracker=None)
-    now = point(s)
-    brake = stop(onward(s).position, (*now.velocity[:2], 0.0), now.heading, BRAKE_M_S2)
-    foot = brake.at(math.inf).position
-    return enter(
-        s,
-        State.LANDING,
-        why,
-        level=level,
-        motion=brake,
-        tracker=None,
-        hold=(foot[0], foot[1], now.position[2]),
-        goal=(foot[0], foot[1], s.standing[2]),
-        heading=now.heading,
-        sink=now.velocity[2],
-        sink_rate=now.acceleration[2],
-        motors="fly",
-        still_s=0.0,
-    )
-
-
-def sink(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> MissionState:
-    """Sink, slower before the floor, and go on below it until the legs carry the weight; then stop the rotors."""
-    if s.motors == "ramp_down":
-        if s.clock_s < RAMP_DOWN_S:
-            return s
-        return enter(_judged(s), State.INIT, "landed", motors="off", motion=None, finished=True)
-    q = plan.mission.limits
-    a = q.climb_acceleration_m_s2
-    above = s.standing[2] - s.hold[2]
-    # v^2 = v1^2 + 2 (a/2) h: half the acceleration brings it from descent to touchdown speed where that begins.
-    wanted = min(q.descent_m_s, math.sqrt(q.touchdown_m_s**2 + max(0.0, above - SLOW_FROM_M) * a))
-    if above < -0.3:
-        wanted = 0.0
-    ask = min(max((wanted - s.sink) / _SINK_LAG_S, -a), a)
-    rate = s.sink_rate + (ask - s.sink_rate) * min(1.0, dt / 0.1)
-    speed = s.sink + rate * dt
-    depth = s.hold[2] + speed * dt
-    lying = m.position[2] > s.standing[2] - 0.03 and abs(m.velocity[2]) < 0.05
-    still = s.still_s + dt if lying and depth > s.standing[2] + 0.1 else 0.0
-    s = replace(s, hold=(s.hold[0], s.hold[1], depth), sink=speed, sink_rate=rate, still_s=still)
-    if still > 0.3:
-        return replace(log(s, "touchdown"), motors="ramp_down", clock_s=0.0)
-    return s
-
-
-def _judged(s: MissionState) -> MissionState:
-    """How the flight went, now that it is down."""
-    if s.outcome != "":
-        return s
-    if s.quit:
-        return fail(s, s.quit)
-    return replace(s, outcome="succeeded", reason="mission complete" if s.begun else "landed")
-
-
-def blind(s: MissionState, time_s: float, why: str) -> MissionState:
-    """Measurements are lost in flight: the flight software brings it down by itself."""
-    s = fail(replace(s, time_s=time_s), why)
-    return enter(s, State.LANDING, why, level="error", motors="blind", motion=None, detour=None, tracker=None)
-
-
-def down_blind(s: MissionState, time_s: float) -> MissionState:
-    """By now it has come down."""
-    s = replace(s, time_s=time_s)
-    return enter(s, State.INIT, "motors off, where it came down", motors="off", finished=True)

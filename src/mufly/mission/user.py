@@ -10,8 +10,9 @@ import math
 from dataclasses import replace
 
 from mufly.mission.avoidance import BRAKE_M_S2
+from mufly.mission.landing import land
 from mufly.mission.offboard import HIGHEST_M, SetPoint, begin_tracking, fault_of, follow, wants_up
-from mufly.mission.phases import braking, go_home, land, measured_at, set_out
+from mufly.mission.phases import braking, go_home, measured_at, set_out
 from mufly.mission.plan import SPIN_UP_S
 from mufly.mission.reference import onward, point
 from mufly.mission.schema import LOWEST_M
