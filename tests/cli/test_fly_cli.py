@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -61,8 +62,8 @@ def test_json_is_all_there_is_on_standard_output(monkeypatch, capsys, tmp_path, 
 
 def test_default_folder_carries_the_date(monkeypatch, tmp_path, hop) -> None:
     monkeypatch.chdir(tmp_path)
-    assert run(monkeypatch, "fly", hop) == 0
-    assert run(monkeypatch, "fly", hop) == 0
+    assert run(monkeypatch, "fly", hop, "--headless") == 0
+    assert run(monkeypatch, "fly", hop, "--headless") == 0
     folders = sorted((tmp_path / "flights").iterdir())
     assert len(folders) == 2
     assert folders[0].name.startswith("20")
@@ -74,7 +75,7 @@ def test_a_failed_mission_has_a_reason_and_a_status(monkeypatch, capsys, tmp_pat
     from mufly.vehicle import load_vehicle, replace, vehicle_toml
 
     heavy.write_text(vehicle_toml(replace(load_vehicle("mufly-1.1"), {"battery.internal_resistance": 0.55})))
-    assert run(monkeypatch, "fly", hop, "--vehicle", heavy, "--out", tmp_path / "out") == 1
+    assert run(monkeypatch, "fly", hop, "--headless", "--vehicle", heavy, "--out", tmp_path / "out") == 1
     assert "the mission failed: battery low" in capsys.readouterr().err
     assert (tmp_path / "out" / "summary.json").exists()
 
@@ -92,6 +93,10 @@ def test_a_failed_mission_has_a_reason_and_a_status(monkeypatch, capsys, tmp_pat
         (["--seed", "-1"], "--seed"),
         (["--seed", str(10**40)], "--seed"),
         (["--out", "x" * 300], "--out"),
+        (["--link", "udp:nowhere"], "--link"),
+        (["--link", "udp:127.0.0.1:14599", "--link", "udp:127.0.0.1:14599"], "given twice"),
+        (["--host", "no.such.host.invalid"], "--host"),
+        (["--host", "0.0.0.0", "--token", "short"], "--token"),
     ],
 )
 def test_bad_arguments_are_one_clear_line(monkeypatch, capsys, tmp_path, words, message: str) -> None:
@@ -145,7 +150,16 @@ def test_what_vehicle_and_mission_cannot_do_together_names_the_file(
 def test_control_c_leaves_a_readable_recording(tmp_path, hop) -> None:
     out = tmp_path / "out"
     process = subprocess.Popen(
-        [sys.executable, "-c", "from mufly.cli import main; main()", "fly", "--realtime", "--out", str(out)],
+        [
+            sys.executable,
+            "-c",
+            "from mufly.cli import main; main()",
+            "fly",
+            "--headless",
+            "--realtime",
+            "--out",
+            str(out),
+        ],
         stdout=subprocess.DEVNULL,
         env=os.environ,
     )
@@ -161,8 +175,45 @@ def test_control_c_leaves_a_readable_recording(tmp_path, hop) -> None:
     assert read.sizes["time"] > 50
 
 
+def test_a_page_that_nobody_opens_flies_the_mission_by_itself(monkeypatch, capsys, tmp_path, hop) -> None:
+    monkeypatch.setattr("mufly.cli.fly_page.LONELY_S", 0.2)
+    out = tmp_path / "out"
+    assert run(monkeypatch, "fly", hop, "--no-browser", "--out", out) == 0
+    shown = capsys.readouterr()
+    assert "http://127.0.0.1:" in shown.err
+    assert "No page was opened" in shown.out
+    assert "succeeded" in shown.out
+    assert {"flight.mcap", "summary.json", "track.png"} <= {p.name for p in out.iterdir()}
+    # What the station heard is kept too, in a folder of its own.
+    assert [p.name for p in out.glob("*/station.*")]
+
+
+def test_behind_a_link_it_flies_in_real_time_and_others_hear_it(monkeypatch, tmp_path, hop) -> None:
+    out = tmp_path / "out"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        number = listener.getsockname()[1]
+        began = time.monotonic()
+        words = ("fly", hop, "--headless", "--link", f"udp:127.0.0.1:{number}", "--out", out)
+        assert run(monkeypatch, *words) == 0
+        spent = time.monotonic() - began
+        assert listener.recv(1000)[0] == 0xFD  # a MAVLink 2 packet
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["outcome"] == "succeeded"
+    assert spent > 0.95 * summary["duration_s"]
+    assert (out / "link.tlog").stat().st_size > 1000
+
+
 def test_every_command_has_help(monkeypatch, capsys) -> None:
-    for words in ([], ["fly"], ["vehicle"], ["vehicle", "show"], ["control", "design"], ["mission", "check"]):
+    for words in (
+        [],
+        ["fly"],
+        ["station"],
+        ["vehicle"],
+        ["vehicle", "show"],
+        ["control", "design"],
+        ["mission", "check"],
+    ):
         assert run(monkeypatch, *words, "--help") == 0
         assert "Usage" in capsys.readouterr().out
     assert run(monkeypatch, "--version") == 0

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from mufly.flight import Event, Progress, Summary
     from mufly.link import Endpoint
     from mufly.mission import Mission
+    from mufly.station.page.address import Address
     from mufly.vehicle import Vehicle
 
 __all__ = ["HELP", "fly"]
@@ -116,6 +117,11 @@ def fly(
 
     loaded_vehicle, loaded_mission = load_vehicle(vehicle), load_mission(mission)
     preflight(loaded_vehicle, loaded_mission, vehicle_file=vehicle, mission_file=mission)
+    address = None
+    if not (headless or as_json):
+        from mufly.station.page.address import choose_address
+
+        address = choose_address(host, port, token)
     console.print(
         f"[bold]{loaded_vehicle.name}[/bold] flies [bold]{loaded_mission.name}[/bold]; results go to {folder}"
     )
@@ -125,22 +131,23 @@ def fly(
         from mufly.cli.fly_page import Order
 
         order = Order(loaded_vehicle, loaded_mission, recording, steady, gust, seed, tuple(ends), start)
-        stopped = _fly_in_real_time(
-            console, order, (host, port, token), None if headless or as_json else browser
-        )
-        dataset = _read(recording)
+        stopped = _fly_in_real_time(console, order, address, browser)
+        found = _read(recording)
+        if found is None or _never_flew(found):
+            console.print(f"It did not fly; what was recorded is in {folder}")
+            raise typer.Exit(130 if stopped else 1)
+        dataset = found
     else:
         stopped = False
         dataset = _fly_in_terminal(
             console, loaded_vehicle, loaded_mission, recording, steady, gust, seed, realtime
         )
-    if dataset is None or _never_flew(dataset):
-        console.print(f"It did not fly; what was recorded is in {folder}")
-        raise typer.Exit(130 if stopped else 1)
     summary = _write_results(console, dataset, loaded_mission, recording, as_json)
     if stopped and summary.outcome != "succeeded":
         console.print(f"Stopped; the recording up to here is in {recording}")
         raise typer.Exit(130)
+    if summary.outcome == "unfinished":
+        raise MuflyError(f"the mission was not flown to its end: {summary.reason}")
     if summary.outcome != "succeeded":
         raise MuflyError(f"the mission failed: {summary.reason}")
 
@@ -170,23 +177,18 @@ def _fly_in_terminal(
         raise typer.Exit(130) from None
 
 
-def _fly_in_real_time(
-    console: Console, order: Order, where: tuple[str, int | None, str | None], browser: bool | None
-) -> bool:
-    """Fly with the page, or without one (``browser`` None) behind a link; return whether it was stopped."""
+def _fly_in_real_time(console: Console, order: Order, address: Address | None, browser: bool) -> bool:
+    """Fly with the page, or without one (no address) behind a link; return whether it was stopped."""
     from mufly.cli.fly_page import fly_behind_link, fly_with_page
 
     with _Display(console) as display:
-        if browser is None:
-            try:
-                fly_behind_link(order, display.event, console)
-            except KeyboardInterrupt:
-                return True
-            return False
-        from mufly.station.page.server import choose_address
-
-        address = choose_address(*where)
-        return not fly_with_page(order, address, display.event, console, browser)
+        if address is not None:
+            return not fly_with_page(order, address, display.event, console, browser)
+        try:
+            fly_behind_link(order, display.event, console)
+        except KeyboardInterrupt:
+            return True
+        return False
 
 
 def _read(recording: Path) -> xr.Dataset | None:

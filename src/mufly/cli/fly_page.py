@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mufly.flight import Event
     from mufly.link import Endpoint, VehicleProcess
     from mufly.mission import Mission
-    from mufly.station.page.server import Address
+    from mufly.station.page.address import Address
     from mufly.station.page.session import Session
     from mufly.vehicle import Vehicle
 

@@ -12,7 +12,7 @@ import typer
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
-    from mufly.station.page.server import Address
+    from mufly.station.page.address import Address
 
 __all__ = [
     "HELP", "BrowserOption", "HostOption", "PortOption", "TokenOption", "announce", "station",
@@ -107,7 +107,8 @@ def station(
         with progress_bar("Reading", True) as progress:
             recording = open_recording(open_file, progress)
 
-    from mufly.station.page.server import choose_address, serve
+    from mufly.station.page.address import choose_address
+    from mufly.station.page.server import serve
     from mufly.station.page.session import Session
 
     address = choose_address(host, port, token)
