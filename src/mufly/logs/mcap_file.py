@@ -15,7 +15,7 @@ import struct
 import zlib
 from array import array
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -42,6 +42,10 @@ def _bytes(record: Any) -> bytes:
     return bytes(builder.end())
 
 
+def _packed(records_of_a_kind: Iterable[Any]) -> bytes:
+    return b"".join(_bytes(record) for record in records_of_a_kind)
+
+
 class McapFile:
     """Append-only MCAP file of JSON messages.
 
@@ -64,7 +68,11 @@ class McapFile:
         self._schemas: list[records.Schema] = []
         self._channels: list[records.Channel] = []
         self._introduced = 0
-        self._chunk_indexes: list[records.ChunkIndex] = []
+        # Packed as they come: a recording of hours has one a second.
+        self._chunk_indexes = bytearray()
+        self._chunks = 0
+        self._first_ns: int | None = None
+        self._last_ns = 0
         self._attachment_indexes: list[records.AttachmentIndex] = []
         self._metadata_indexes: list[records.MetadataIndex] = []
         self._counts: defaultdict[int, int] = defaultdict(int)
@@ -143,7 +151,7 @@ class McapFile:
         start = self._append(chunk + tail)
         self._counts = defaultdict(int, counts)
         self._introduced = 1
-        self._chunk_indexes.append(
+        self._chunk_indexes += _bytes(
             records.ChunkIndex(
                 chunk_length=len(chunk),
                 chunk_start_offset=start,
@@ -156,6 +164,9 @@ class McapFile:
                 uncompressed_size=len(plain),
             )
         )
+        self._chunks += 1
+        self._first_ns = first if self._first_ns is None else min(self._first_ns, first)
+        self._last_ns = max(self._last_ns, last)
 
     def finish(self) -> None:
         """Append the index and the end mark."""
@@ -163,27 +174,26 @@ class McapFile:
             attachment_count=len(self._attachment_indexes),
             channel_count=len(self._channels),
             channel_message_counts=self._counts,
-            chunk_count=len(self._chunk_indexes),
+            chunk_count=self._chunks,
             message_count=sum(self._counts.values()),
-            message_end_time=max((c.message_end_time for c in self._chunk_indexes), default=0),
-            message_start_time=min((c.message_start_time for c in self._chunk_indexes), default=0),
+            message_end_time=self._last_ns,
+            message_start_time=self._first_ns or 0,
             metadata_count=len(self._metadata_indexes),
             schema_count=len(self._schemas),
         )
         data_end = _bytes(records.DataEnd(0))
         summary_start = self._end + len(data_end)
         summary, offsets = b"", []
-        groups: list[tuple[Opcode, Sequence[Any]]] = [
-            (Opcode.SCHEMA, self._schemas),
-            (Opcode.CHANNEL, self._channels),
-            (Opcode.STATISTICS, [statistics]),
-            (Opcode.CHUNK_INDEX, self._chunk_indexes),
-            (Opcode.ATTACHMENT_INDEX, self._attachment_indexes),
-            (Opcode.METADATA_INDEX, self._metadata_indexes),
+        groups: list[tuple[Opcode, bytes]] = [
+            (Opcode.SCHEMA, _packed(self._schemas)),
+            (Opcode.CHANNEL, _packed(self._channels)),
+            (Opcode.STATISTICS, _bytes(statistics)),
+            (Opcode.CHUNK_INDEX, bytes(self._chunk_indexes)),
+            (Opcode.ATTACHMENT_INDEX, _packed(self._attachment_indexes)),
+            (Opcode.METADATA_INDEX, _packed(self._metadata_indexes)),
         ]
-        for opcode, group in groups:
-            if group:
-                content = b"".join(_bytes(record) for record in group)
+        for opcode, content in groups:
+            if content:
                 offsets.append(records.SummaryOffset(opcode, summary_start + len(summary), len(content)))
                 summary += content
         offset_start = summary_start + len(summary)
