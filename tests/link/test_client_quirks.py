@@ -8,6 +8,8 @@ from link_rig import Rig, waypoint
 from mufly.link.dialect import mavlink as m
 from mufly.link.transfer_notes import Item
 
+SET_MODE = m.MAV_CMD_DO_SET_MODE
+
 
 def test_the_last_item_is_reached_when_nothing_of_the_mission_is_left():
     """MAVSDK takes the mission for finished then, and clears it: it must not be told while the wait goes on."""
@@ -96,3 +98,52 @@ def test_who_may_not_set_a_parameter_is_told_its_value():
     other.say(m.MAVLink_param_set_message(1, 1, b"\xff\xfeSPEED", 0.4, m.MAV_PARAM_TYPE_REAL32))
     rig.run(0.1)
     assert other.last("PARAM_ERROR").error == m.MAV_PARAM_ERROR_DOES_NOT_EXIST
+
+
+def test_a_mode_chosen_on_the_floor_begins_when_it_is_armed():
+    """QGroundControl's "start mission" and "take off" choose the mode, wait until it shows, and arm."""
+    rig = Rig()
+    gcs = rig.station()
+    rig.run(0.1)
+    gcs.mode(4, 4)
+    rig.run(0.1)
+    assert gcs.acks == [(SET_MODE, m.MAV_RESULT_DENIED)]
+    assert "no mission" in gcs.words
+    gcs.upload([waypoint(0.2, 0, -1.0)])
+    assert rig.run(3.0, lambda: gcs.giver.result == 0)
+    gcs.mode(4, 4)
+    rig.run(0.5)
+    assert gcs.last("HEARTBEAT").custom_mode == 4 << 16 | 4 << 24
+    assert not rig.status.armed
+    assert rig.flight.view.actuators.motor_input.max() == 0.0
+    gcs.command(m.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    assert rig.run(30.0, lambda: rig.status.waypoint == 1), gcs.words
+
+
+def test_what_was_chosen_on_the_floor_is_forgotten():
+    rig = Rig()
+    gcs = rig.station()
+    for forget in (lambda: rig.run(11.0), lambda: gcs.mode(4, 3)):
+        gcs.mode(4, 2)
+        rig.run(0.5)
+        assert gcs.last("HEARTBEAT").custom_mode == 4 << 16 | 2 << 24
+        forget()
+        rig.run(1.0)
+        assert gcs.last("HEARTBEAT").custom_mode == 4 << 16 | 1 << 24
+        gcs.command(m.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+        rig.run(5.0)
+        assert rig.status.state == "init"
+        gcs.command(m.MAV_CMD_COMPONENT_ARM_DISARM, 0)
+        rig.run(0.5)
+    gcs.mode(4, 2)
+    gcs.command(m.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    assert rig.run(15.0, lambda: rig.status.state == "hover")
+
+
+def test_the_land_of_mavproxy():
+    rig = Rig()
+    gcs = rig.station()
+    rig.airborne(gcs, 0.6)
+    gcs.say(m.MAVLink_command_long_message(1, 0, m.MAV_CMD_DO_LAND_START, 0, *[0.0] * 7))
+    assert rig.run(20.0, lambda: not rig.status.armed)
+    assert rig.status.outcome == "succeeded"

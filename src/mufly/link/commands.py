@@ -7,6 +7,8 @@ the parameters mean is said at https://mavlink.io/en/messages/common.html#mav_co
   global origin a number that only makes sense as an altitude above the sea is one. NAV_TAKEOFF_LOCAL: z, down.
 * NAV_LAND lands where it is, NAV_RETURN_TO_LAUNCH above where it took off.
 * DO_REPOSITION takes LOCAL_NED (frame 1) as well as, with an origin, the global frames.
+* DO_LAND_START lands at once: there is no landing sequence to jump to. MAVProxy's "land" says this.
+* DO_SET_MODE to take-off or mission, on the floor and not armed, is done once it is armed (:mod:`mufly.link.on_arming`).
 * DO_FLIGHTTERMINATION, and disarming with the magic number 21196, stop the motors at once.
 * PREFLIGHT_REBOOT_SHUTDOWN (1) puts the simulated helicopter back to its start.
 """
@@ -21,6 +23,7 @@ from typing import TYPE_CHECKING
 from mufly.link.dialect import MavMessage, mavlink
 from mufly.link.geodesy import Origin
 from mufly.link.modes import Mode, asked, mode_of_custom
+from mufly.link.on_arming import OnArming
 from mufly.link.sticks import Sticks
 from mufly.mission import HIGHEST_M, LOWEST_M
 
@@ -88,6 +91,7 @@ class Controls:
     autopilot : Autopilot
     desk : MissionDesk
     sticks : Sticks
+    on_arming : OnArming
     origin : Origin or None
     reset : callable
         Puts a simulation back to its start.
@@ -97,6 +101,7 @@ class Controls:
     autopilot: Autopilot
     desk: MissionDesk
     sticks: Sticks
+    on_arming: OnArming
     origin: Origin | None
     reset: Callable[[], None]
     now_s: float
@@ -177,7 +182,13 @@ def _denied(why: str) -> Verdict:
 def _arm(call: Call, c: Controls) -> Verdict:
     on, magic = call.p[0], call.p[1]
     if on == 1.0:
-        return _verdict(c.autopilot.arm())
+        chosen = c.on_arming.chosen(c.now_s)
+        verdict = _verdict(c.autopilot.arm())
+        c.on_arming.choose(c.now_s, "")
+        if verdict != ACCEPTED or not chosen:
+            return verdict
+        begun = start_mission(c) if chosen == "mission" else _verdict(c.autopilot.take_off())
+        return Verdict(verdict.result, begun.reason)
     if on == 0.0:
         return _verdict(c.autopilot.disarm(force=magic == FORCE))
     return _denied(f"COMPONENT_ARM_DISARM with {on:g}: give 1 or 0")
@@ -233,7 +244,7 @@ def _reposition(call: Call, c: Controls) -> Verdict:
 
 
 def _pause_continue(call: Call, c: Controls) -> Verdict:
-    return set_mode_or_start(4, 4 if call.p[0] == 1.0 else 3, c)
+    return start_mission(c) if call.p[0] == 1.0 else set_mode_or_start(4, 3, c)
 
 
 def _yaw(call: Call, c: Controls) -> Verdict:
@@ -309,6 +320,13 @@ def _set_mode(call: Call, c: Controls) -> Verdict:
 
 def set_mode_or_start(main: int, sub: int, c: Controls) -> Verdict:
     """Do what a flight mode of PX4 stands for; the mission begins with the item that was asked for before."""
+    wanted, status = asked(Mode(main, sub)), c.autopilot.status
+    c.on_arming.choose(c.now_s, "")
+    if not status.armed and not status.flying and (wanted == "take-off" or wanted == "mission"):
+        if wanted == "mission" and not status.mission.waypoint:
+            return _denied("no mission loaded; upload one first")
+        c.on_arming.choose(c.now_s, wanted)
+        return Verdict(mavlink.MAV_RESULT_ACCEPTED, f"{wanted} once it is armed")
     return start_mission(c) if asked(Mode(main, sub)) == "mission" else _set_other_mode(main, sub, c)
 
 
@@ -332,6 +350,7 @@ COMMANDS: dict[int, Callable[[Call, Controls], Verdict]] = {
     mavlink.MAV_CMD_NAV_TAKEOFF: _take_off,
     mavlink.MAV_CMD_NAV_TAKEOFF_LOCAL: _take_off_local,
     mavlink.MAV_CMD_NAV_LAND: lambda call, c: _verdict(c.autopilot.land()),
+    mavlink.MAV_CMD_DO_LAND_START: lambda call, c: _verdict(c.autopilot.land()),
     mavlink.MAV_CMD_NAV_LAND_LOCAL: lambda call, c: _verdict(c.autopilot.land()),
     mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda call, c: _verdict(c.autopilot.return_home()),
     mavlink.MAV_CMD_DO_SET_MODE: _set_mode,

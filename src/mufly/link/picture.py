@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mufly.link.geodesy import Origin
+from mufly.link.on_arming import Choice
 
 if TYPE_CHECKING:
     from mufly.flight import FlightView, Status
@@ -62,6 +63,8 @@ class Picture:
     airframe : Airframe
     origin : Origin or None
         Where on the globe it is.
+    chosen : str
+        The mode that was chosen on the floor, for when it is armed; "" if none.
     commander : int
         system * 256 + component of who commands; 0: nobody.
     loss : float
@@ -75,6 +78,7 @@ class Picture:
     progress: Progress
     airframe: Airframe
     origin: Origin | None
+    chosen: Choice
     commander: int
     loss: float
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from mufly.link.dialect import MavMessage, mavlink, single, within
-from mufly.link.modes import Mode, custom_mode, mode_of
+from mufly.link.modes import MISSION, TAKE_OFF, Mode, custom_mode, mode_of
 from mufly.link.picture import Picture
 from mufly.mission import State
 from mufly.version import __version__
@@ -39,7 +39,9 @@ _UNKNOWN_16, _UNKNOWN_16S = 65535, 32767
 
 
 def shown_mode(p: Picture) -> Mode:
-    """Return the flight mode that shows what it is doing."""
+    """Return the flight mode that shows what it is doing, or has been told to do once it is armed."""
+    if p.chosen:
+        return TAKE_OFF if p.chosen == "take-off" else MISSION
     return mode_of(p.status.state, not p.status.mission_running, p.returning)
 
 

@@ -30,6 +30,7 @@ from mufly.link.failsafe import Failsafe, watch_link
 from mufly.link.geodesy import Origin
 from mufly.link.mission_desk import MissionDesk, writes
 from mufly.link.offboard import set_point_of
+from mufly.link.on_arming import OnArming
 from mufly.link.parameters import ParameterDesk
 from mufly.link.picture import Airframe, Picture
 from mufly.link.repeats import Repeats
@@ -96,6 +97,7 @@ class VehicleLink:
         self._parameters = ParameterDesk(self.autopilot)
         self._desk = MissionDesk(self.autopilot, self.origin)
         self._sticks = Sticks(self.autopilot)
+        self._on_arming = OnArming()
         self._repeats = Repeats()
         self._texts = Texts()
         self._failsafe = Failsafe()
@@ -193,7 +195,7 @@ class VehicleLink:
                 for message in made[k]:
                     self._send(client.peer, message)
         shown = (
-            picture.status.state, picture.status.armed, landed_state(picture), picture.progress, picture.view.crashed
+            picture.status.state, picture.chosen, picture.status.armed, landed_state(picture), picture.progress, picture.view.crashed
         )  # fmt: skip
         # What was reached comes before what is next: programs take the last item for done when both have come.
         for item in self._desk.reached(picture.status):
@@ -218,6 +220,7 @@ class VehicleLink:
             progress=self._desk.progress(status),
             airframe=self._airframe,
             origin=self.origin,
+            chosen="" if status.armed else self._on_arming.chosen(now_s),
             commander=0 if commander is None else commander.system * 256 + commander.component,
             loss=max(losses, default=0.0),
         )
@@ -247,6 +250,7 @@ class VehicleLink:
         if self.authority.claim(now_s, sender):
             if sender != before:
                 self._sticks.off()
+                self._on_arming.choose(now_s, "")
                 self.autopilot.note(f"commanded by {sender}")
             return True
         client = self._clients.get(sender.peer)
@@ -338,11 +342,14 @@ class VehicleLink:
             call.number, verdict.result, 0, 0, sender.system, sender.component
         )
         if verdict.reason:
-            self._say(verdict.reason, "warning", sender.peer)
+            level = "info" if verdict.result == mavlink.MAV_RESULT_ACCEPTED else "warning"
+            self._say(verdict.reason, level, sender.peer)
         self._send(sender.peer, ack)
 
     def _controls(self, now_s: float) -> Controls:
-        return Controls(self.autopilot, self._desk, self._sticks, self.origin, self.flight.reset, now_s)
+        return Controls(
+            self.autopilot, self._desk, self._sticks, self._on_arming, self.origin, self.flight.reset, now_s
+        )
 
     def _set_mode(self, now_s: float, sender: Sender, m: MavMessage) -> None:
         if m.base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED and self._may(now_s, sender):
