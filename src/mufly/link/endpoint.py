@@ -18,9 +18,9 @@ __all__ = ["Endpoint", "Kind", "parse_endpoint"]
 
 Kind = Literal["udpin", "udpout", "tcp", "tcpin", "serial"]
 _KINDS: tuple[Kind, ...] = ("udpin", "udpout", "tcp", "tcpin", "serial")
-_FORMS = (
-    "udp:127.0.0.1:14550, udpin:0.0.0.0:14550, udpout:192.168.0.7:14550, tcp:127.0.0.1:5760, tcpin:127.0.0.1:5760, "
-    "udp:[::1]:14550 or serial:/dev/ttyUSB0:57600"
+_EXAMPLES = (
+    "write for example udp:127.0.0.1:14550, udpin:0.0.0.0:14550, udpout:192.168.0.7:14550, tcp:127.0.0.1:5760, "
+    "tcpin:127.0.0.1:5760, udp:[::1]:14550 or serial:/dev/ttyUSB0:57600"
 )
 _BAUD = 57_600  # the custom of telemetry radios
 _HOST_PORT = re.compile(r"(?:(?P<host>\[[^\]]*\]|[^:\[\]]*):)?(?P<port>[^:]*)")
@@ -102,23 +102,25 @@ def parse_endpoint(
     word, colon, rest = text.strip().partition(":")
     kind = ("udpout" if role == "vehicle" else "udpin") if word.lower() == "udp" else word.lower()
     if kind not in _KINDS or not colon:
-        raise InputError(where, "", f"{text!r} is no MAVLink endpoint", f"write for example {_FORMS}")
+        raise InputError(where, "", f"{text!r} is no MAVLink endpoint", _EXAMPLES)
     if kind == "serial":
         return _serial(text, rest, where)
     found = _HOST_PORT.fullmatch(rest)
     if found is None:
-        remedy = "put an IPv6 address in brackets, as in udp:[::1]:14550" if rest.count(":") > 1 else _FORMS
+        remedy = (
+            "put an IPv6 address in brackets, as in udp:[::1]:14550" if rest.count(":") > 1 else _EXAMPLES
+        )
         raise InputError(where, "", f"{text!r} has no host and port that can be told apart", remedy)
     number = found["port"]
     if not (number.isascii() and number.isdigit()) or not least_port <= int(number) <= 65535:
-        raise InputError(where, "", f"{text!r}: port {number!r} is no number from 1 to 65535", _FORMS)
+        raise InputError(where, "", f"{text!r}: port {number!r} is no number from 1 to 65535", _EXAMPLES)
     given = found["host"] or "127.0.0.1"
     host = given.strip("[]")
     if given.startswith("["):
         try:
             ipaddress.ip_address(host.partition("%")[0])
         except ValueError:
-            raise InputError(where, "", f"{text!r}: {host!r} is no IPv6 address", _FORMS) from None
+            raise InputError(where, "", f"{text!r}: {host!r} is no IPv6 address", _EXAMPLES) from None
     return Endpoint(kind, host, int(number))
 
 
