@@ -8,7 +8,8 @@ the parameters mean is said at https://mavlink.io/en/messages/common.html#mav_co
 * NAV_LAND lands where it is, NAV_RETURN_TO_LAUNCH above where it took off.
 * DO_REPOSITION takes LOCAL_NED (frame 1) as well as, with an origin, the global frames.
 * DO_LAND_START lands at once: there is no landing sequence to jump to. MAVProxy's "land" says this.
-* DO_SET_MODE to take-off or mission, on the floor and not armed, is done once it is armed (:mod:`mufly.link.on_arming`).
+* DO_SET_MODE to take-off or mission, on the floor and not armed, is done when it is armed
+  (:mod:`mufly.link.on_arming`).
 * DO_FLIGHTTERMINATION, and disarming with the magic number 21196, stop the motors at once.
 * PREFLIGHT_REBOOT_SHUTDOWN (1) puts the simulated helicopter back to its start.
 """

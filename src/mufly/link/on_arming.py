@@ -1,8 +1,8 @@
 """A flight mode that is chosen on the floor, before arming: what the vehicle does once it is armed.
 
-QGroundControl's "take off" and "start mission" choose PX4's mode AUTO TAKEOFF or AUTO MISSION first, wait until the heartbeat
-shows it, and arm then; a PX4 begins at that moment. So does this vehicle, if it is armed within :data:`KEPT_S`; after that, and
-whenever another mode is chosen, the choice is forgotten.
+QGroundControl's "start mission" chooses PX4's mode AUTO MISSION first, waits until the heartbeat shows it, and arms
+then; a PX4 begins at that moment. So does this vehicle, if it is armed within :data:`KEPT_S`; after that, and whenever
+another mode is chosen, the choice is forgotten. AUTO TAKEOFF works the same way.
 """
 
 from __future__ import annotations

@@ -194,8 +194,9 @@ class VehicleLink:
                     made[k] = found if isinstance(found, list) else [] if found is None else [found]
                 for message in made[k]:
                     self._send(client.peer, message)
+        status = picture.status
         shown = (
-            picture.status.state, picture.chosen, picture.status.armed, landed_state(picture), picture.progress, picture.view.crashed
+            status.state, picture.chosen, status.armed, landed_state(picture), picture.progress, picture.view.crashed
         )  # fmt: skip
         # What was reached comes before what is next: programs take the last item for done when both have come.
         for item in self._desk.reached(picture.status):
