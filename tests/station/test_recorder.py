@@ -6,6 +6,7 @@ import shutil
 from collections import namedtuple
 
 import numpy as np
+import orjson
 import pytest
 from mock_vehicle import MockVehicle, World
 
@@ -13,6 +14,7 @@ from mufly.errors import InputError
 from mufly.flight import read_recording
 from mufly.link.codec import Codec
 from mufly.logs import read_log
+from mufly.logs.mcap_file import read_mcap
 from mufly.station.recorder import StationRecorder
 
 DAY_S = 1.9e9
@@ -43,6 +45,17 @@ def test_signals_messages_and_marks_are_kept(tmp_path):
     np.testing.assert_allclose(data["estimated_position"].sel(axis="N")[seen], data["time"][seen], atol=0.011)
     assert len(data["time"]) == pytest.approx(600, abs=20)
     assert data["event_text"].values.tolist()[-1] == "mark: look here"
+
+
+def test_the_3d_view_of_a_vehicle_that_tells_no_truth_shows_what_it_believes(tmp_path):
+    world, recorder, _ = recorded(tmp_path, MockVehicle())
+    recorder.start()
+    world.run(5.0)
+    recorder.stop()
+    poses = read_mcap(recorder.path / "station.mcap").messages["/tf"]
+    assert len(poses) == pytest.approx(100, abs=5)
+    last = orjson.loads(poses[-1][1])["transforms"][0]["translation"]
+    assert last["x"] == pytest.approx(5.0, abs=0.2)
 
 
 def test_all_packets_are_kept_both_ways_and_can_be_read(tmp_path):

@@ -68,8 +68,8 @@ class Encoder:
         for prefix, topic, pieces in zip(
             ("truth", "reference"), (TF_TOPIC, REFERENCE_POSE_TOPIC), scene.transform_pieces(), strict=True
         ):
-            position = rows[:, self._columns[f"{prefix}_position"]]
-            turn = scene.quaternions(rows[:, self._columns[f"{prefix}_attitude"]])
+            position, attitude = self._place(rows, prefix)
+            turn = scene.quaternions(attitude)
             drawn = np.round(np.hstack((position, turn)), 6).astype(np.float64)
             numbers = json_rows(drawn)
             repeat = 2 if topic == TF_TOPIC else 1
@@ -79,7 +79,7 @@ class Encoder:
                     gaps[::2] = pieces
                     gaps[1::2] = [s, ns] * repeat + row
                     out.append((self._views[topic], time_ns, b"".join(gaps)))
-        position = rows[:, self._columns["truth_position"]]
+        position, _ = self._place(rows, "truth")
         mine = np.arange(self._track_seen, self._track_seen + len(rows)) % self._track_step == 0
         self._track_seen += len(rows)
         self._track = np.concatenate((self._track, position[mine & np.isfinite(position).all(axis=1)]))
@@ -88,6 +88,18 @@ class Encoder:
             self._track_step *= 2
         shown = np.concatenate((self._track, position[-1:][np.isfinite(position[-1:]).all(axis=1)]))
         out.append((self._views[TRACK_TOPIC], times[-1], scene.track_message(times[-1], shown)))
+
+    def _place(
+        self, rows: NDArray[np.float64], prefix: str
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Position and attitude to be drawn; where the truth is not known, what the vehicle believes of itself."""
+        both = [rows[:, self._columns[f"{prefix}_{name}"]] for name in ("position", "attitude")]
+        if prefix == "truth" and "estimated_position" in self._columns and np.isnan(both[0]).any():
+            believed = [rows[:, self._columns[f"estimated_{name}"]] for name in ("position", "attitude")]
+            both = [
+                np.where(np.isnan(known), other, known) for known, other in zip(both, believed, strict=True)
+            ]
+        return both[0], both[1]
 
 
 def _split_time(time_ns: int) -> tuple[int, int]:
