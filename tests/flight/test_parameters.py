@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -245,3 +246,12 @@ def test_a_pushed_helicopter_comes_back_at_the_bounds(flight: Flight, name: str,
     flight.plant.state[0] += 1.0  # a metre off, at once
     run(flight, 14.0)
     np.testing.assert_allclose(flight.view.position, (0.0, 0.0, -1.0), atol=0.05)
+
+
+def test_every_parameter_is_documented_with_its_bounds() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "missions.md").read_text(encoding="utf-8")
+    for row in TABLE:
+        line = next((t for t in text.splitlines() if t.startswith(f"| `{row.name}` |")), "")
+        assert row.help in line, row.name
+        if math.isfinite(row.greatest):
+            assert f"{row.least:g} to {row.greatest:g}" in line, row.name

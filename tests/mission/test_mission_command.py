@@ -60,3 +60,13 @@ def test_help_is_good_enough_to_work_from():
         text = " ".join(output(*words).split())
         assert "mission" in text
     assert "docs/missions.md" in output("--help")
+
+
+def test_show_tells_the_speed_of_a_leg_and_what_happens_at_the_end(tmp_path):
+    file = tmp_path / "slow.toml"
+    file.write_text('at_end = "return"\n[[waypoint]]\nposition_m = [1.0, 0.0, -1.0]\nspeed_m_s = 0.25\n')
+    text = " ".join(output("show", str(file)).split())
+    assert "0.25 m/s" in text
+    assert "at the end it returns and lands" in text
+    answer = json.loads(output("show", str(file), "--json"))
+    assert (answer["at_end"], answer["waypoints"][0]["speed_m_s"]) == ("return", 0.25)

@@ -72,7 +72,8 @@ going around an obstacle takes longer.
         return
     rows = _rows(m)
     if as_json:
-        print(json.dumps({"name": m.name, "description": m.description, "waypoints": rows}, indent=2))
+        answer = {"name": m.name, "description": m.description, "waypoints": rows, "at_end": m.at_end}
+        print(json.dumps(answer, indent=2))
         return
     from rich.console import Console
     from rich.table import Table
@@ -82,6 +83,8 @@ going around an obstacle takes longer.
     table = Table(box=None, header_style="bold")
     for heading in ("", "N", "E", "D", "wait", "heading", "way", "reached after"):
         table.add_column(heading, justify="right")
+    if any(w.speed_m_s is not None for w in m.waypoint):
+        table.add_column("speed", justify="right")
     n, e = m.start_m
     take_off = m.take_off
     table.add_row(
@@ -103,14 +106,19 @@ going around an obstacle takes longer.
             "along the way" if row["heading_deg"] is None else f"{row['heading_deg']:.0f}°",
             f"{row['way_m']:.2f} m",
             f"{row['reached_s']:.1f} s",
+            *([] if row["speed_m_s"] is None else [f"{row['speed_m_s']:g} m/s"]),
         )
     console.print(table)
     obstacles = m.world.names[: len(m.world.boxes) + len(m.world.cylinders)]
     if obstacles or m.room:
         named = [*obstacles, *(["a room"] if m.room else [])]
         console.print(f"In the world: {', '.join(named)}.")
+    end = {"land": "lands there", "hover": "hovers there", "return": "returns and lands"}[m.at_end]
     how = "scanning for obstacles" if m.scans else "avoiding obstacles" if m.avoidance.enabled else "blindly"
-    console.print(f"Way: {m.path.kind}, at most {m.trajectory_limits.speed:g} m/s, {how}.", style="dim")
+    console.print(
+        f"Way: {m.path.kind}, at most {m.trajectory_limits.speed:g} m/s, {how}; at the end it {end}.",
+        style="dim",
+    )
 
 
 def _rows(m: Mission) -> list[dict[str, Any]]:
@@ -122,6 +130,7 @@ def _rows(m: Mission) -> list[dict[str, Any]]:
             "position_m": list(w.position_m),
             "wait_s": w.wait_s,
             "heading_deg": w.heading_deg,
+            "speed_m_s": w.speed_m_s,
             "way_m": leg.length_m,
             "reached_s": leg.reached_s,
         }
