@@ -54,7 +54,7 @@ def test_the_3d_view_of_a_vehicle_that_tells_no_truth_shows_what_it_believes(tmp
     recorder.stop()
     poses = read_mcap(recorder.path / "station.mcap").messages["/tf"]
     assert len(poses) == pytest.approx(100, abs=5)
-    last = orjson.loads(poses[-1][1])["transforms"][0]["translation"]
+    last = orjson.loads(poses[-1][1])["transforms"][1]["translation"]
     assert last["x"] == pytest.approx(5.0, abs=0.2)
 
 

@@ -29,7 +29,8 @@ HOLD_S = 1.5
 SLOW_HOLD_S = 6.0
 """The same for what vehicles tell once a second or less: battery, link (s)."""
 ROW_S = 0.009
-"""Stamps closer than this stand in one row (s)."""
+"""Stamps closer than this stand in one row, whose time is the first of them (s): what a vehicle sends at one rate may
+come a tick or two apart. The tlog has every packet."""
 _STALL_S = 0.05
 _HEARTBEAT_S = 3.0
 _EARTH_M = 6_371_000.0
