@@ -23,13 +23,22 @@ export function onTheme(tell) {
 
 export const FONT = "system-ui, 'Segoe UI', Roboto, 'Noto Sans', 'DejaVu Sans', sans-serif";
 
+// Whether pictures are drawn by the processor: then simpler ones, and canvases that stay out of the graphics process.
+export const software = (() => {
+  const gl = document.createElement("canvas").getContext("webgl");
+  const about = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = about ? gl.getParameter(about.UNMASKED_RENDERER_WEBGL) : "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return !gl || /swiftshader|llvmpipe|software|basic render/i.test(name);
+})();
+
 // A canvas that fills its element; draw(ctx, width, height) in CSS pixels is called when something has changed.
 export function canvas(element, label, draw) {
   const node = document.createElement("canvas");
   node.setAttribute("role", "img");
   node.setAttribute("aria-label", label);
   element.append(node);
-  const ctx = node.getContext("2d");
+  const ctx = node.getContext("2d", { willReadFrequently: software });
   let asked = null;
   function paint() {
     asked = null;

@@ -46,7 +46,7 @@ export function plot(element, label, span, onSpan) {
     ctx.beginPath();
     ctx.rect(x0, y0, x1 - x0, y1 - y0);
     ctx.clip();
-    const bucket = Math.max(1, Math.floor((last - first) / (2 * (x1 - x0))));
+    const bucket = Math.max(1, Math.floor((last - first) / (x1 - x0)));
     for (const [trace, c] of drawn) {
       ctx.strokeStyle = colours[trace.colour];
       ctx.lineWidth = WIDTHS[trace.source] || 1.5;

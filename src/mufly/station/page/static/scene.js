@@ -3,7 +3,7 @@
 // It is drawn when something has changed, at most once a picture of the screen: twenty times a second in flight.
 import { THREE, OrbitControls } from "nicegui-scene";
 import { live } from "./live.js";
-import { colours, el, number, onTheme } from "./draw.js";
+import { colours, el, number, onTheme, software } from "./draw.js";
 import { helicopter, place, turn } from "./scene_helicopter.js";
 import { dispose, floor, lines, obstacles, sprite, waypoints } from "./scene_world.js";
 
@@ -13,7 +13,7 @@ export function mount(element, options, emit) {
   element.classList.add("mf-scene");
   let renderer;
   try {
-    renderer = new THREE.WebGLRenderer({ antialias: true, powerPreference: "low-power" });
+    renderer = new THREE.WebGLRenderer({ antialias: !software, powerPreference: "low-power" });
   } catch (error) {
     element.append(el("p", { class: "mf-empty", text: "The 3-D view needs WebGL, which this browser does not offer." }));
     return {};

@@ -1,0 +1,136 @@
+"""What the station's page costs, and how late it is: real processes, a real browser.
+
+Three processes: the simulated helicopter behind its link, `mufly station`, and headless Chromium with the page open.
+The helicopter flies the demonstration; the station asks for its motion at 100 Hz, the page is sent 20 frames a second.
+
+Latency is taken from the vehicle's clock to the browser. The stamp of a frame is the vehicle's time of the newest
+message in it; the vehicle's clock on the wall is known from its reports (the least difference seen). "received": the
+browser has the frame; "drawn": the next picture of the browser after it. CPU shares are of one core, from /proc.
+
+    python benchmarks/bench_page.py --seconds 40
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+TICKS = os.sysconf("SC_CLK_TCK")
+PROBE = """
+() => {
+  window.late = { received: [], drawn: [] };
+  window.muflyLive.panel({}, (f) => {
+    if (!f.s || f.repeated) return;
+    const stamp = f.s.time_s, now = () => (performance.timeOrigin + performance.now()) / 1000;
+    window.late.received.push([now(), stamp]);
+    requestAnimationFrame(() => setTimeout(() => window.late.drawn.push([now(), stamp]), 0));
+  });
+}
+"""
+
+
+def fly(port: int, pipe: Any) -> None:
+    """The vehicle's process: flies its mission, and tells the time now and then."""
+    from mufly.flight import Flight
+    from mufly.link import parse_endpoint
+    from mufly.link.runner import run
+
+    flight = Flight("mufly-1.1", "demonstration", keep=False)
+    run(
+        flight,
+        [parse_endpoint(f"udp:127.0.0.1:{port}", "vehicle")],
+        stop=pipe.poll,
+        on_report=lambda report: pipe.send((time.time(), report.time_s)),
+        autostart=True,
+    )
+
+
+def free_port(kind: int) -> int:
+    """Return a port that nobody uses."""
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def used(pid: int) -> tuple[float, float]:
+    """Return processor time (s) and resident memory (MB) of a process."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / TICKS, int(fields[21]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def main() -> None:
+    """Run the three processes and print what was measured."""
+    from playwright.sync_api import sync_playwright
+
+    words = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    words.add_argument("--seconds", type=float, default=40.0, help="how long to measure (s)")
+    seconds = words.parse_args().seconds
+    chromium = shutil.which("chromium") or shutil.which("google-chrome")
+    mavlink, page_port = free_port(socket.SOCK_DGRAM), free_port(socket.SOCK_STREAM)
+    folder = tempfile.mkdtemp()
+    station = subprocess.Popen(
+        [sys.executable, "-c", "from mufly.cli import main; main()", "station", "--no-browser",
+         "--port", str(page_port), "--connect", f"udp:127.0.0.1:{mavlink}", "--mission", "demonstration", "--out", folder],
+        stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    mine, theirs = multiprocessing.Pipe()
+    vehicle = multiprocessing.get_context("spawn").Process(target=fly, args=(mavlink, theirs), daemon=True)
+    vehicle.start()
+    try:
+        with sync_playwright() as play:
+            while socket.socket().connect_ex(("127.0.0.1", page_port)):
+                time.sleep(0.2)
+            browser = play.chromium.launch(executable_path=chromium, args=FLAGS)
+            page = browser.new_page(viewport={"width": 1366, "height": 768})
+            page.goto(f"http://127.0.0.1:{page_port}/")
+            page.wait_for_function("window.muflyLive?.latest?.s?.position[0] != null", timeout=60_000)
+            time.sleep(3.0)
+            page.evaluate(PROBE)
+            at, (cpu, memory), (cpu_v, _) = time.monotonic(), used(station.pid), used(vehicle.pid or 0)
+            load = os.getloadavg()[0]
+            time.sleep(seconds)
+            spent = time.monotonic() - at
+            cpu_after, memory_after = used(station.pid)
+            cpu_v_after, _ = used(vehicle.pid or 0)
+            late = page.evaluate("window.late")
+            browser.close()
+    finally:
+        mine.send("stop")
+        station.terminate()
+        station.wait(20)
+        vehicle.join(10)
+    offsets = []
+    while mine.poll():
+        wall, stamp = mine.recv()
+        offsets.append(wall - stamp)
+    offset = min(offsets)
+    print(
+        f"{spent:.0f} s, {os.cpu_count()} cores, load {load:.1f} (the browser draws in software on the same cores)"
+    )
+    print(f"frames: {len(late['received']) / spent:.1f} a second")
+    for name, pairs in late.items():
+        delay = np.array([[wall - stamp - offset] for wall, stamp in pairs])[:, 0] * 1e3
+        print(
+            f"latency vehicle to browser, {name}: median {np.median(delay):.0f} ms, "
+            f"95 % {np.percentile(delay, 95):.0f} ms, worst {delay.max():.0f} ms"
+        )
+    print(
+        f"station with page: {(cpu_after - cpu) / spent:.1%} of one core; vehicle: {(cpu_v_after - cpu_v) / spent:.1%}"
+    )
+    print(f"station's memory: {memory:.1f} MB, after {spent:.0f} s {memory_after:.1f} MB")
+
+
+if __name__ == "__main__":
+    main()
