@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from link_rig import Rig
 
-from mufly.link.commands import Call
+from mufly.link.call import Call
 from mufly.link.dialect import mavlink as m
 from mufly.link.enquiries import enquire
 from mufly.link.failsafe import Failsafe, watch_link
@@ -261,7 +261,7 @@ def test_every_message_can_be_packed_whatever_the_numbers(value):
     plant.wind = np.full(3, value)
     plant.voltage = plant.current = value
     for s in STREAMS:
-        rig.link._clients.get("gcs").wishes.ask_once(s.number)
+        rig.link._voice.clients.get("gcs").wishes.ask_once(s.number)
     for out in rig.link.step(rig.now_s):
         gcs.hear(out.data)
     heard = {x.get_type() for x in gcs.heard}

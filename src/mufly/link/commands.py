@@ -21,7 +21,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mufly.link.dialect import MavMessage, mavlink
+from mufly.link.call import FORCE, LOCAL_FRAMES, Call, Verdict
+from mufly.link.dialect import mavlink
 from mufly.link.geodesy import Origin
 from mufly.link.modes import Mode, asked, mode_of_custom
 from mufly.link.on_arming import OnArming
@@ -32,55 +33,10 @@ if TYPE_CHECKING:
     from mufly.flight import Answer, Autopilot
     from mufly.link.mission_desk import MissionDesk
 
-__all__ = [
-    "COMMANDS",
-    "Call",
-    "Controls",
-    "Verdict",
-    "call_of",
-    "carry_out",
-    "from_anyone",
-    "set_mode_or_start",
-    "start_at",
-]
+__all__ = ["COMMANDS", "Controls", "carry_out", "set_mode_or_start", "start_at"]
 
-FORCE = 21196.0
-"""The magic number of COMPONENT_ARM_DISARM that stops the motors in flight."""
-
-_NOT_GIVEN = 2**31 - 1
-_LOCAL_FRAMES = (1, 4, 7, 8, 9, 12)
 _ABOVE_SEA, _ABOVE_ORIGIN = (0, 5), (3, 6)
 _CUSTOM_MODE = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-
-
-@dataclass(frozen=True, slots=True)
-class Call:
-    """One command.
-
-    Attributes
-    ----------
-    number : int
-        MAV_CMD.
-    p : tuple of 7 floats
-        Its parameters; 5 and 6 in degrees or metres; NaN where not given.
-    frame : int or None
-        MAV_FRAME of a COMMAND_INT.
-    confirmation : int
-        Above 0: a repetition.
-    """
-
-    number: int
-    p: tuple[float, ...]
-    frame: int | None
-    confirmation: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """What to acknowledge (MAV_RESULT), and why, in words."""
-
-    result: int
-    reason: str = ""
 
 
 @dataclass(frozen=True)
@@ -109,24 +65,6 @@ class Controls:
 
 
 ACCEPTED = Verdict(mavlink.MAV_RESULT_ACCEPTED)
-
-
-def call_of(message: MavMessage) -> Call:
-    """Return the command of a COMMAND_LONG or COMMAND_INT."""
-    m = message
-    first = (m.param1, m.param2, m.param3, m.param4)
-    if m.get_type() == "COMMAND_LONG":
-        return Call(m.command, (*first, m.param5, m.param6, m.param7), None, m.confirmation)
-    scale = 1e-4 if m.frame in _LOCAL_FRAMES else 1e-7
-    x, y = (math.nan if v == _NOT_GIVEN else v * scale for v in (m.x, m.y))
-    return Call(m.command, (*first, x, y, m.z), m.frame)
-
-
-def from_anyone(call: Call) -> bool:
-    """Whether a command is an emergency stop, which anyone may give."""
-    if call.number == mavlink.MAV_CMD_DO_FLIGHTTERMINATION:
-        return call.p[0] > 0.5
-    return call.number == mavlink.MAV_CMD_COMPONENT_ARM_DISARM and call.p[0] == 0.0 and call.p[1] == FORCE
 
 
 def carry_out(call: Call, c: Controls) -> Verdict:
@@ -220,7 +158,7 @@ def _take_off_local(call: Call, c: Controls) -> Verdict:
 def _reposition(call: Call, c: Controls) -> Verdict:
     here = c.autopilot.status.goal
     n, e, d = call.p[4], call.p[5], call.p[6]
-    if call.frame in _LOCAL_FRAMES:
+    if call.frame in LOCAL_FRAMES:
         if call.frame != 1:
             return _denied(f"frame {call.frame} is not known here; use LOCAL_NED (1)")
     elif c.origin is None:

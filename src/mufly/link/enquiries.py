@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 
-from mufly.link.commands import Call, Verdict
+from mufly.link.call import Call, Verdict
 from mufly.link.dialect import MavMessage, mavlink
 from mufly.link.streams import Wishes
 

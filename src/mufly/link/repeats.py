@@ -11,7 +11,7 @@ import struct
 from collections import OrderedDict
 
 from mufly.link.authority import Sender
-from mufly.link.commands import Call, Verdict
+from mufly.link.call import Call, Verdict
 from mufly.link.dialect import mavlink
 
 __all__ = ["CONFIRMED_S", "REPEAT_S", "Repeats"]

@@ -12,29 +12,19 @@ from collections.abc import Callable, Hashable
 from typing import TYPE_CHECKING
 
 from mufly.link.authority import Authority, Sender
-from mufly.link.clients import Client, Clients
+from mufly.link.bridge import Bridge
+from mufly.link.clients import Client
 from mufly.link.codec import Codec, Outgoing
-from mufly.link.commands import (
-    Call,
-    Controls,
-    Verdict,
-    call_of,
-    carry_out,
-    from_anyone,
-    set_mode_or_start,
-    start_at,
-)
+from mufly.link.command_desk import CommandDesk
+from mufly.link.commands import Controls
 from mufly.link.dialect import MavMessage, mavlink
-from mufly.link.enquiries import ENQUIRIES, enquire
-from mufly.link.failsafe import Failsafe, watch_link
 from mufly.link.geodesy import Origin
 from mufly.link.mission_desk import MissionDesk, writes
 from mufly.link.offboard import set_point_of
 from mufly.link.on_arming import OnArming
 from mufly.link.parameters import ParameterDesk
 from mufly.link.picture import Airframe, Picture
-from mufly.link.repeats import Repeats
-from mufly.link.sticks import Sticks
+from mufly.link.sticks import Sticks, of_channels
 from mufly.link.streams import STREAMS
 from mufly.link.telemetry_status import (
     extended_sys_state,
@@ -43,20 +33,17 @@ from mufly.link.telemetry_status import (
     mission_current,
     mission_state,
 )
-from mufly.link.texts import Texts
 from mufly.link.transfer_notes import Ack, MissionResult, Note, Notes, note_of, to_mavlink
+from mufly.link.voice import Voice
 
 if TYPE_CHECKING:
     from mufly.flight import Event, Flight
 
 __all__ = ["VehicleLink"]
 
-_TELL_EVERY_S = 2.0
 _READY_S = 0.5
-_HOLD_S = 0.3
 _EVENTS = 200
 _COMPONENTS = (0, 1)  # all, and the autopilot
-_ACK_CONTROL, _NACK_KEY, _NACK_HELD = 0, 2, 3
 
 
 class VehicleLink:
@@ -89,33 +76,29 @@ class VehicleLink:
         self.flight, self.autopilot = flight, flight.autopilot
         self.system, self.component = system, component
         self.origin = Origin(*origin) if isinstance(origin, tuple) else origin
-        self.authority = Authority()
         self.received = self.sent = 0
         self.on_received: Callable[[bytes], None] | None = None
-        self._clients = Clients(system, component)
+        self._voice = Voice(system, component)
         self._codec = Codec()
         self._parameters = ParameterDesk(self.autopilot)
         self._desk = MissionDesk(self.autopilot, self.origin)
         self._sticks = Sticks(self.autopilot)
         self._on_arming = OnArming()
-        self._repeats = Repeats()
-        self._texts = Texts()
-        self._failsafe = Failsafe()
-        self._out: list[Outgoing] = []
+        self._bridge = Bridge(self.autopilot, self._voice, self._sticks, self._on_arming, self._parameters)
+        self._commands = CommandDesk(self._voice, self._bridge, self._controls)
         self._events: deque[Event] = deque(maxlen=_EVENTS)
-        self._held: tuple[float, Sender, Call] | None = None
         self._shown: tuple[object, ...] = ()
         self._ready, self._ready_s = False, -_READY_S
         self._airframe = airframe_of(flight)
         self.autopilot.listeners.append(self._events.append)
         self._handlers = {
-            "COMMAND_LONG": self._command,
-            "COMMAND_INT": self._command,
-            "SET_MODE": self._set_mode,
+            "COMMAND_LONG": self._commands.command,
+            "COMMAND_INT": self._commands.command,
+            "SET_MODE": self._commands.set_mode,
             "PARAM_REQUEST_LIST": self._parameter_list,
             "PARAM_REQUEST_READ": self._parameter_read,
             "PARAM_SET": self._parameter_set,
-            "MISSION_SET_CURRENT": self._mission_set_current,
+            "MISSION_SET_CURRENT": self._commands.set_current,
             "SET_POSITION_TARGET_LOCAL_NED": self._set_point,
             "SET_POSITION_TARGET_GLOBAL_INT": self._set_point,
             "RC_CHANNELS_OVERRIDE": self._override,
@@ -123,15 +106,20 @@ class VehicleLink:
             "REQUEST_DATA_STREAM": self._data_stream,
             "TIMESYNC": self._timesync,
             "PING": self._ping,
-            "CHANGE_OPERATOR_CONTROL": self._operator_control,
+            "CHANGE_OPERATOR_CONTROL": self._bridge.operator_control,
         }
+
+    @property
+    def authority(self) -> Authority:
+        """Who commands."""
+        return self._bridge.authority
 
     # in
 
     def connect(self, now_s: float, peer: Hashable) -> None:
         """Send to a peer from now on, whether or not it has said anything."""
-        if self._clients.get(peer) is None:
-            self._clients.add(now_s, peer, fixed=True)
+        if self._voice.clients.get(peer) is None:
+            self._voice.clients.add(now_s, peer, fixed=True)
 
     def receive(self, now_s: float, peer: Hashable, data: bytes) -> None:
         """Take bytes that came from a peer."""
@@ -143,7 +131,7 @@ class VehicleLink:
             self.received += 1
             if self.on_received is not None:
                 self.on_received(bytes(message.get_msgbuf()))
-            self._clients.hear(now_s, peer)
+            self._voice.clients.hear(now_s, peer)
             self.authority.hear(now_s, sender)
             if self._for_us(message):
                 self._hear(now_s, sender, message)
@@ -166,45 +154,45 @@ class VehicleLink:
 
     def step(self, now_s: float) -> list[Outgoing]:
         """Return what is to be sent now; call it after every tick of the flight."""
-        for client in self._clients.leaving(now_s):
-            self._clients.drop(client.peer)
+        for client in self._voice.clients.leaving(now_s):
+            self._voice.clients.drop(client.peer)
             self._codec.forget(client.peer)
             self._desk.forget(client.peer)
             self._parameters.forget(client.peer)
-        self._watch(now_s)
-        self._carry_out_held(now_s)
+        self._bridge.watch(now_s)
+        self._commands.step(now_s)
         self._send_notes(self._desk.step(now_s))
         for sender, value in self._parameters.step(now_s):
-            self._send(sender.peer, value)
+            self._voice.send(sender.peer, value)
         while self._events:
             event = self._events.popleft()
-            self._say(event.text, event.level)
+            self._voice.say(event.text, event.level)
         self._stream(now_s)
-        out, self._out = self._out, []
+        out = self._voice.taken()
         self.sent += len(out)
         return out
 
     def _stream(self, now_s: float) -> None:
         picture = self._picture(now_s)
         made: dict[int, list[MavMessage]] = {}
-        for client in self._clients:
+        for client in self._voice.clients:
             for k in client.wishes.due(now_s):
                 if k not in made:
                     found = STREAMS[k].make(picture)
                     made[k] = found if isinstance(found, list) else [] if found is None else [found]
                 for message in made[k]:
-                    self._send(client.peer, message)
+                    self._voice.send(client.peer, message)
         status = picture.status
         shown = (
             status.state, picture.chosen, status.armed, landed_state(picture), picture.progress, picture.view.crashed
         )  # fmt: skip
         # What was reached comes before what is next: programs take the last item for done when both have come.
         for item in self._desk.reached(picture.status):
-            self._send(None, mavlink.MAVLink_mission_item_reached_message(item))
+            self._voice.send(None, mavlink.MAVLink_mission_item_reached_message(item))
         if shown != self._shown:
             self._shown = shown
             for make in (heartbeat, extended_sys_state, mission_current, mission_state):
-                self._send(None, make(picture))
+                self._voice.send(None, make(picture))
 
     def _picture(self, now_s: float) -> Picture:
         status = self.autopilot.status
@@ -212,7 +200,7 @@ class VehicleLink:
             self._ready, self._ready_s = not self.autopilot.not_ready(), now_s
         mission = self.autopilot.software.mission_state
         commander = self.authority.commander
-        losses = [self._codec.counts(client.peer).loss for client in self._clients]
+        losses = [self._codec.counts(client.peer).loss for client in self._voice.clients]
         return Picture(
             view=self.flight.view,
             status=status,
@@ -226,138 +214,18 @@ class VehicleLink:
             loss=max(losses, default=0.0),
         )
 
-    def _send(self, peer: Hashable | None, message: MavMessage) -> None:
-        for client in self._clients:
-            if peer is None or client.peer == peer:
-                self._out.append(Outgoing(client.peer, client.encode(message)))
-
-    def _say(self, text: str, level: str = "info", peer: Hashable | None = None) -> None:
-        for message in self._texts(text, level):
-            self._send(peer, message)
-
     def _send_notes(self, notes: Notes) -> None:
         for station, note in notes:
             if isinstance(station, Sender):
-                self._send(station.peer, to_mavlink(note, station.system, station.component))
+                self._voice.send(station.peer, to_mavlink(note, station.system, station.component))
         if self._desk.refused:
-            self._say(self._desk.refused, "warning")
+            self._voice.say(self._desk.refused, "warning")
             self._desk.refused = ""
-
-    # who commands
-
-    def _may(self, now_s: float, sender: Sender) -> bool:
-        """Whether a station commands; the first to ask does."""
-        before = self.authority.commander
-        if self.authority.claim(now_s, sender):
-            if sender != before:
-                self._sticks.off()
-                self._on_arming.choose(now_s, "")
-                self.autopilot.note(f"commanded by {sender}")
-            return True
-        client = self._clients.get(sender.peer)
-        if client is not None and now_s - client.told_s > _TELL_EVERY_S:
-            client.told_s = now_s
-            self._say(f"denied: commanded by {before}; ask it to hand over", "warning", sender.peer)
-        return False
-
-    def _tell(self, now_s: float, sender: Sender, why: str) -> None:
-        """Tell a station why something is refused, but not with every message of a stream."""
-        client = self._clients.get(sender.peer)
-        if why and client is not None and now_s - client.told_s > _TELL_EVERY_S:
-            client.told_s = now_s
-            self._say(why, "warning", sender.peer)
-
-    def _operator_control(self, now_s: float, sender: Sender, m: MavMessage) -> None:
-        if m.control_request == 0:
-            held = _NACK_KEY if m.version else _ACK_CONTROL if self._may(now_s, sender) else _NACK_HELD
-        else:
-            held = _ACK_CONTROL if self.authority.release(sender) else _NACK_HELD
-            if held == _ACK_CONTROL:
-                self._sticks.off()
-                self.autopilot.note(f"{sender} has handed over command")
-        self._send(
-            sender.peer,
-            mavlink.MAVLink_change_operator_control_ack_message(sender.system, m.control_request, held),
-        )
-
-    def _watch(self, now_s: float) -> None:
-        """Hover, then land, when the commander is lost."""
-        status = self.autopilot.status
-        mission = self.autopilot.software.mission_state
-        silent = self.authority.silent_s(now_s)
-        self._failsafe, order = watch_link(
-            self._failsafe,
-            silent_s=silent,
-            flying=status.flying,
-            ending=status.state == "landing" or (mission is not None and mission.homing),
-            loss_s=self._parameters.get("COM_DL_LOSS_T").value,
-            land_s=self._parameters.get("COM_DL_LAND_T").value,
-        )
-        if order == "back":
-            self.autopilot.note("the commander is heard again")
-        elif order:
-            self._sticks.off()
-            after = self._parameters.get("COM_DL_LAND_T").value
-            then = f"stop and hover, land in {after:g} s" if order == "hover" else "land"
-            self.autopilot.note(f"commander not heard for {silent:.0f} s: {then}", "warning")
-            answer = self.autopilot.pause() if order == "hover" else self.autopilot.land()
-            if not answer:
-                self.autopilot.note(answer.reason, "warning")
-
-    # commands
-
-    def _command(self, now_s: float, sender: Sender, message: MavMessage) -> None:
-        call = call_of(message)
-        if call.number in ENQUIRIES:
-            client = self._clients.hear(now_s, sender.peer)
-            verdict, answers = enquire(now_s, call, client.wishes, self.origin is not None)
-            self._acknowledge(sender, call, verdict)
-            for answer in answers:
-                self._send(sender.peer, answer)
-            return
-        if not from_anyone(call) and not self._may(now_s, sender):
-            self._acknowledge(sender, call, Verdict(mavlink.MAV_RESULT_DENIED))
-            return
-        verdict_before = self._repeats.before(now_s, sender, call)
-        if verdict_before is not None:
-            self._acknowledge(sender, call, verdict_before)
-        elif self._sticks.by_mode and self.autopilot.status.sticks and not from_anyone(call):
-            # The flight software lets go of the sticks in its next step, and only then hears another command.
-            self._sticks.off()
-            self._held = (now_s + _HOLD_S, sender, call)
-        else:
-            self._carry_out(now_s, sender, call)
-
-    def _carry_out_held(self, now_s: float) -> None:
-        if self._held is not None and (now_s >= self._held[0] or self.autopilot.status.state != "rc"):
-            (_, sender, call), self._held = self._held, None
-            self._carry_out(now_s, sender, call)
-
-    def _carry_out(self, now_s: float, sender: Sender, call: Call) -> None:
-        verdict = carry_out(call, self._controls(now_s))
-        self._repeats.note(now_s, sender, call, verdict)
-        self._acknowledge(sender, call, verdict)
-
-    def _acknowledge(self, sender: Sender, call: Call, verdict: Verdict) -> None:
-        ack = mavlink.MAVLink_command_ack_message(
-            call.number, verdict.result, 0, 0, sender.system, sender.component
-        )
-        if verdict.reason:
-            level = "info" if verdict.result == mavlink.MAV_RESULT_ACCEPTED else "warning"
-            self._say(verdict.reason, level, sender.peer)
-        self._send(sender.peer, ack)
 
     def _controls(self, now_s: float) -> Controls:
         return Controls(
             self.autopilot, self._desk, self._sticks, self._on_arming, self.origin, self.flight.reset, now_s
         )
-
-    def _set_mode(self, now_s: float, sender: Sender, m: MavMessage) -> None:
-        if m.base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED and self._may(now_s, sender):
-            verdict = set_mode_or_start(
-                m.custom_mode >> 16 & 0xFF, m.custom_mode >> 24, self._controls(now_s)
-            )
-            self._acknowledge(sender, Call(mavlink.MAV_CMD_DO_SET_MODE, (0.0,) * 7, None), verdict)
 
     # parameters
 
@@ -366,18 +234,18 @@ class VehicleLink:
 
     def _parameter_read(self, now_s: float, sender: Sender, m: MavMessage) -> None:
         value = self._parameters.read(m)
-        self._send(sender.peer, self._parameters.no_such(sender, m) if value is None else value)
+        self._voice.send(sender.peer, self._parameters.no_such(sender, m) if value is None else value)
 
     def _parameter_set(self, now_s: float, sender: Sender, m: MavMessage) -> None:
-        if self._may(now_s, sender):
+        if self._bridge.may(now_s, sender):
             value, why = self._parameters.set(m)
             if why:
-                self._say(why, "warning", sender.peer)
+                self._voice.say(why, "warning", sender.peer)
             if value is None:
-                self._send(sender.peer, self._parameters.no_such(sender, m))
+                self._voice.send(sender.peer, self._parameters.no_such(sender, m))
             # Everybody who watches learns of it.
             if value is not None:
-                self._send(None, value)
+                self._voice.send(None, value)
         else:
             request = mavlink.MAVLink_param_request_read_message(0, 0, m.param_id.encode(), -1)
             self._parameter_read(now_s, sender, request)
@@ -385,47 +253,46 @@ class VehicleLink:
     # missions
 
     def _note(self, now_s: float, sender: Sender, note: Note) -> None:
-        if writes(note) and not self._may(now_s, sender):
+        if writes(note) and not self._bridge.may(now_s, sender):
             self._send_notes([(sender, Ack(MissionResult.DENIED, note.mission_type))])
         else:
             self._send_notes(self._desk.receive(now_s, sender, note))
-
-    def _mission_set_current(self, now_s: float, sender: Sender, m: MavMessage) -> None:
-        if self._may(now_s, sender):
-            self._tell(now_s, sender, start_at(float(m.seq), self._controls(now_s)).reason)
-            self._send(sender.peer, mission_current(self._picture(now_s)))
 
     # set-points and sticks
 
     def _set_point(self, now_s: float, sender: Sender, m: MavMessage) -> None:
         wanted = set_point_of(m, self.flight.view.measured, self.origin)
-        if wanted is not None and self._may(now_s, sender):
-            self._tell(now_s, sender, self.autopilot.set_point(wanted).reason)
+        if wanted is not None and self._bridge.may(now_s, sender):
+            self._voice.tell(now_s, sender, self.autopilot.set_point(wanted).reason)
 
     def _override(self, now_s: float, sender: Sender, m: MavMessage) -> None:
-        if self._may(now_s, sender):
+        # Releasing what one does not hold takes no command.
+        releases = of_channels(m) is None and self.authority.commander != sender
+        if not releases and self._bridge.may(now_s, sender):
             answer = self._sticks.override(m)
-            self._tell(now_s, sender, answer.reason if answer is not None else "")
+            self._voice.tell(now_s, sender, answer.reason if answer is not None else "")
 
     def _manual(self, now_s: float, sender: Sender, m: MavMessage) -> None:
         # A joystick talks all the time: it takes no command, it only counts if its station has it.
         if self.authority.commander in (None, sender):
             answer = self._sticks.manual(now_s, m)
-            self._tell(now_s, sender, answer.reason if answer is not None else "")
+            self._voice.tell(now_s, sender, answer.reason if answer is not None else "")
 
     # the rest
 
     def _data_stream(self, now_s: float, sender: Sender, m: MavMessage) -> None:
-        client: Client = self._clients.hear(now_s, sender.peer)
+        client: Client = self._voice.clients.hear(now_s, sender.peer)
         client.wishes.set_group(now_s, m.req_stream_id, m.req_message_rate if m.start_stop else 0.0)
 
     def _timesync(self, now_s: float, sender: Sender, m: MavMessage) -> None:
         if m.tc1 == 0:
-            self._send(sender.peer, mavlink.MAVLink_timesync_message(round(self.flight.time_s * 1e9), m.ts1))
+            self._voice.send(
+                sender.peer, mavlink.MAVLink_timesync_message(round(self.flight.time_s * 1e9), m.ts1)
+            )
 
     def _ping(self, now_s: float, sender: Sender, m: MavMessage) -> None:
         if m.target_system == 0:
-            self._send(
+            self._voice.send(
                 sender.peer,
                 mavlink.MAVLink_ping_message(m.time_usec, m.seq, sender.system, sender.component),
             )

@@ -1,0 +1,106 @@
+"""Who commands, as the vehicle acts on it: claims, handing over, and what happens when the commander is lost."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mufly.link.authority import Authority, Sender
+from mufly.link.dialect import MavMessage, mavlink
+from mufly.link.failsafe import Failsafe, watch_link
+from mufly.link.on_arming import OnArming
+from mufly.link.parameters import ParameterDesk
+from mufly.link.sticks import Sticks
+from mufly.link.voice import Voice
+
+if TYPE_CHECKING:
+    from mufly.flight import Autopilot
+
+__all__ = ["Bridge"]
+
+_ACK_CONTROL, _NACK_KEY, _NACK_HELD = 0, 2, 3
+
+
+class Bridge:
+    """Where command is held.
+
+    Parameters
+    ----------
+    autopilot : Autopilot
+    voice : Voice
+    sticks : Sticks
+    on_arming : OnArming
+        Sticks, and what was chosen for after arming, end with the commander who had them.
+    parameters : ParameterDesk
+        Has COM_DL_LOSS_T and COM_DL_LAND_T.
+
+    Attributes
+    ----------
+    authority : Authority
+    """
+
+    def __init__(
+        self,
+        autopilot: Autopilot,
+        voice: Voice,
+        sticks: Sticks,
+        on_arming: OnArming,
+        parameters: ParameterDesk,
+    ) -> None:
+        self.authority = Authority()
+        self._autopilot, self._voice, self._sticks = autopilot, voice, sticks
+        self._on_arming, self._parameters = on_arming, parameters
+        self._failsafe = Failsafe()
+
+    def may(self, now_s: float, sender: Sender) -> bool:
+        """Whether a station commands; the first to ask does. One that may not is told who does."""
+        before = self.authority.commander
+        if self.authority.claim(now_s, sender):
+            if sender != before:
+                self._let_go(now_s)
+                self._autopilot.note(f"commanded by {sender}")
+            return True
+        self._voice.tell(now_s, sender, f"denied: commanded by {before}; ask it to hand over")
+        return False
+
+    def operator_control(self, now_s: float, sender: Sender, m: MavMessage) -> None:
+        """Take a CHANGE_OPERATOR_CONTROL: 0 asks for command, 1 hands it over."""
+        if m.control_request == 0:
+            answer = _NACK_KEY if m.version else _ACK_CONTROL if self.may(now_s, sender) else _NACK_HELD
+        elif self.authority.release(sender):
+            answer = _ACK_CONTROL
+            self._let_go(now_s)
+            self._autopilot.note(f"{sender} has handed over command")
+        else:
+            answer = _NACK_HELD
+        self._voice.send(
+            sender.peer,
+            mavlink.MAVLink_change_operator_control_ack_message(sender.system, m.control_request, answer),
+        )
+
+    def watch(self, now_s: float) -> None:
+        """Hover, then land, when the commander is lost."""
+        status = self._autopilot.status
+        mission = self._autopilot.software.mission_state
+        silent = self.authority.silent_s(now_s)
+        land_s = self._parameters.get("COM_DL_LAND_T").value
+        self._failsafe, order = watch_link(
+            self._failsafe,
+            silent_s=silent,
+            flying=status.flying,
+            ending=status.state == "landing" or (mission is not None and mission.homing),
+            loss_s=self._parameters.get("COM_DL_LOSS_T").value,
+            land_s=land_s,
+        )
+        if order == "back":
+            self._autopilot.note("the commander is heard again")
+        elif order:
+            self._sticks.off()
+            then = f"stop and hover, land in {land_s:g} s" if order == "hover" else "land"
+            self._autopilot.note(f"commander not heard for {silent:.0f} s: {then}", "warning")
+            answer = self._autopilot.pause() if order == "hover" else self._autopilot.land()
+            if not answer:
+                self._autopilot.note(answer.reason, "warning")
+
+    def _let_go(self, now_s: float) -> None:
+        self._sticks.off()
+        self._on_arming.choose(now_s, "")
