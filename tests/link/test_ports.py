@@ -35,6 +35,7 @@ def test_udp_there_and_back():
         here.send(peer, b"back")
         assert gather(there, lambda d: d) == b"back"
         assert there.peers[0].address == f"127.0.0.1:{here.port}"
+        assert (there.targets, here.targets) == (there.peers, [])
         there.close()
 
 
@@ -135,6 +136,7 @@ def test_a_serial_cable_that_is_pulled_and_put_back(tmp_path):
     assert os.read(cable, 100) == b"\xfdxyz\n"
     for _ in range(2000):  # nobody reads: the line fills, and send returns
         port.send(None, bytes(250))
+    assert len(port._stream._waiting) <= 0.3 * 57600 / 10 + 1  # nothing grows old in here
     os.close(cable)
     gather(port, lambda _: not port.peers)
     assert not port.peers

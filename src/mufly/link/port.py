@@ -52,6 +52,11 @@ class Port(ABC):
     def peers(self) -> list[Peer]:
         """Those who can be sent to: whom it was told to call, and who was heard."""
 
+    @property
+    def targets(self) -> list[Peer]:
+        """Those of its peers whom it was told to call, and has, if they can be called."""
+        return []
+
     def fileno(self) -> int:
         """A descriptor that becomes readable when there is something to receive; -1 where the system has none.
 

@@ -26,13 +26,16 @@ RETRY_S = 1.0
 """Time between two attempts to call a TCP server or to open a serial device (s)."""
 _QUEUE = 65_536  # bytes that may wait to go out
 _SERIAL_BLOCK = 4096
+_SERIAL_LAG_S = 0.3
 
 
 class Stream:
     """A connection that carries bytes in order: frames wait here until there is room for them."""
 
-    def __init__(self, read: Callable[[int], bytes], write: Callable[[Any], int]) -> None:
-        self._read, self._write = read, write
+    def __init__(
+        self, read: Callable[[int], bytes], write: Callable[[Any], int], most_waiting: int = _QUEUE
+    ) -> None:
+        self._read, self._write, self._most = read, write, most_waiting
         self._waiting = bytearray()
 
     def receive(self) -> tuple[bytes, bool]:
@@ -53,7 +56,7 @@ class Stream:
 
     def send(self, data: bytes) -> None:
         """Queue a frame, or drop it whole if there is no room; raises OSError if the other end is gone."""
-        if len(self._waiting) + len(data) <= _QUEUE:
+        if len(self._waiting) + len(data) <= self._most:
             self._waiting += data
         self.flush()
 
@@ -150,6 +153,10 @@ class Caller(Port):
     def peers(self) -> list[Peer]:
         return [] if self._stream is None else [self._peer]
 
+    @property
+    def targets(self) -> list[Peer]:
+        return self.peers
+
     def receive(self) -> list[tuple[Peer, bytes]]:
         if self._stream is None:
             self._try()
@@ -235,7 +242,8 @@ class SerialPort(Caller):
             # pyserial would go round and round on a full line; the system says so at once.
             return os.write(line.fileno(), data) if os.name == "posix" else line.write(data) or 0
 
-        self._up(Stream(read, write))
+        # Ten bits to a byte; what would be older than this when it leaves is better not sent.
+        self._up(Stream(read, write, max(600, round(_SERIAL_LAG_S * self.endpoint.port / 10))))
 
 
 def _prepare(line: socket.socket) -> None:

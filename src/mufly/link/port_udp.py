@@ -49,6 +49,10 @@ class UdpPort(Port):
     def peers(self) -> list[Peer]:
         return list(self._addresses)
 
+    @property
+    def targets(self) -> list[Peer]:
+        return [] if self.endpoint.listens else [self._target]
+
     def receive(self) -> list[tuple[Peer, bytes]]:
         out = []
         for _ in range(READS):

@@ -122,9 +122,8 @@ class _Wire:
         for port in self.ports:
             for peer, data in port.receive():
                 link.receive(now_s, peer, data)
-            if not port.endpoint.listens:
-                for peer in port.peers:
-                    link.connect(now_s, peer)
+            for peer in port.targets:
+                link.connect(now_s, peer)
 
     def send(self, link: VehicleLink, now_s: float) -> None:
         logged: set[bytes] = set()
