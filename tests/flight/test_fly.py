@@ -290,3 +290,27 @@ def test_quick_parts_get_shorter_steps_and_absurd_ones_are_refused(vehicle) -> N
     assert fly(quick, hop).attrs["outcome"] == "succeeded"
     with pytest.raises(mufly.MuflyError, match="too short to simulate"):
         fly(replace(vehicle, {"swash_plate.time_constant": 1e-6}), hop)
+
+
+def test_a_mission_that_returns_lands_where_it_stood(vehicle, controller) -> None:
+    mission = mission_from(
+        {"name": "there and back", "waypoint": [{"position_m": [1.0, 0.5, -0.8]}], "at_end": "return"}
+    )
+    s = summary_of(mission, fly(vehicle, mission, controller=controller))
+    assert (s.outcome, s.reason, s.waypoints_reached) == ("succeeded", "mission complete", 1)
+    assert s.landing_distance_m < 0.03
+
+
+def test_a_mission_that_holds_does_so_until_the_battery_is_low(vehicle, controller) -> None:
+    mission = mission_from(
+        {
+            "name": "hold",
+            "take_off": {"wait_s": 0.0},
+            "waypoint": [{"position_m": [0.0, 0.0, -0.8]}],
+            "at_end": "hover",
+        }
+    )
+    used = replace(vehicle, {"battery.capacity": 0.1 * float(vehicle.battery.capacity)})
+    dataset = fly(used, mission, controller=controller)
+    assert (dataset.attrs["outcome"], dataset.attrs["reason"]) == ("succeeded", "mission complete")
+    assert any("battery low" in str(t) for t in dataset.event_text.values)

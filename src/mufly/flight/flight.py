@@ -112,6 +112,7 @@ class Flight:
             {
                 "vehicle": vehicle.name,
                 "mission": mission.name,
+                "at_end": mission.at_end,
                 "seed": seed,
                 "wind_m_s": steady.tolist(),
                 "gust_m_s": gust,

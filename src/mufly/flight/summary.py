@@ -154,7 +154,8 @@ def summarise(
     error = np.linalg.norm(x - dataset.reference_position.values, axis=1)
     angles = dataset.truth_attitude.values
     tilt = np.degrees(np.arccos(np.clip(np.cos(angles[:, 0]) * np.cos(angles[:, 1]), -1.0, 1.0)))
-    foot = goals[-1] if goals else x[0]
+    # One that ends with its return comes down where it stood.
+    foot = goals[-1] if goals and dataset.attrs.get("at_end") != "return" else x[0]
     return Summary(
         outcome=str(dataset.attrs.get("outcome", "")) if outcome is None else outcome,
         reason=str(dataset.attrs.get("reason", "")) if reason is None else reason,
@@ -334,7 +335,7 @@ def summary_rows(summary: Summary) -> list[tuple[str, str]]:
         ("Greatest speed", summary.max_speed_m_s, "{:.2f} m/s"),
         ("Greatest tilt", summary.max_tilt_deg, "{:.1f} deg"),
         ("Touchdown speed", summary.touchdown_speed_m_s, "{:.2f} m/s"),
-        ("Landed off the last waypoint's foot by", _times(100, summary.landing_distance_m), "{:.1f} cm"),
+        ("Landed off its mark by", _times(100, summary.landing_distance_m), "{:.1f} cm"),
         ("Least distance to an obstacle", summary.least_clearance_m, "{:.2f} m" + clearance_to),
         ("Longest time an input was railed", summary.longest_railed_s, "{:.2f} s" + railed_by),
         ("Energy used", summary.energy_used_J, "{:.0f} J"),
