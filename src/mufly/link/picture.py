@@ -84,10 +84,10 @@ class Picture:
 
     @property
     def boot_ms(self) -> int:
-        """The vehicle's clock (ms), as an unsigned number of 32 bits."""
-        return round(self.view.time_s * 1e3) % 2**32
+        """The vehicle's clock (ms), as an unsigned number of 32 bits; never 0, which readers take for "not known"."""
+        return max(1, round(self.view.time_s * 1e3) % 2**32)
 
     @property
     def usec(self) -> int:
-        """The vehicle's clock (us)."""
-        return round(self.view.time_s * 1e6)
+        """The vehicle's clock (us), never 0."""
+        return max(1, round(self.view.time_s * 1e6))
