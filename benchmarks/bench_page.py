@@ -82,7 +82,8 @@ def main() -> None:
     folder = tempfile.mkdtemp()
     station = subprocess.Popen(
         [sys.executable, "-c", "from mufly.cli import main; main()", "station", "--no-browser",
-         "--port", str(page_port), "--connect", f"udp:127.0.0.1:{mavlink}", "--mission", "demonstration", "--out", folder],
+         "--port", str(page_port), "--connect", f"udp:127.0.0.1:{mavlink}", "--mission", "demonstration",
+         "--out", folder],
         stderr=subprocess.DEVNULL,
     )  # fmt: skip
     mine, theirs = multiprocessing.Pipe()

@@ -143,7 +143,10 @@ def fly_with_page(
     process = _start(order, [parse_endpoint(f"udp:127.0.0.1:{number}", "vehicle"), *order.links], order.start)
     folder = order.recording.parent
     try:
-        ground = Station([parse_endpoint(f"udp:127.0.0.1:{number}", "station")], folder=folder)
+        ground = Station(
+            [parse_endpoint(f"udp:127.0.0.1:{number}", "station")], folder=folder,
+            on_vehicle=lambda found: found.show_mission(order.mission),
+        )  # fmt: skip
         session = Session(
             lambda: ground.vehicles, folder, mission=order.mission, recorder=ground.recorder,
             rotor_radius_m=float(order.vehicle.rotors.radius), title=f"mufly: {order.mission.name}",

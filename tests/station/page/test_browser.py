@@ -177,7 +177,7 @@ def test_it_takes_off_flies_to_a_click_and_lands(window: Page) -> None:
 
 def test_an_edit_of_a_parameter_is_made_and_taken_back(window: Page) -> None:
     page = window.page
-    page.click("text=Parameters")
+    page.get_by_role("tab", name="Parameters").click()
     page.fill("[aria-label='search parameters']", "MIS_TAKEOFF")
     field = page.locator("[data-name=MIS_TAKEOFF_ALT]")
     field.wait_for()
@@ -187,6 +187,22 @@ def test_an_edit_of_a_parameter_is_made_and_taken_back(window: Page) -> None:
     wait(lambda: page.locator(".mf-badge").count() == 1, "the mark of a change")
     page.click("[data-testid=undo]")
     wait(lambda: page.locator("[data-name=MIS_TAKEOFF_ALT]").input_value() == was, "undo")
+
+
+def test_a_mission_is_sent_from_a_file_and_a_bad_one_is_refused(window: Page, tmp_path: Path) -> None:
+    page = window.page
+    page.get_by_role("tab", name="Mission").click()
+    wait(lambda: page.locator(".mf-mission tbody tr").count() == 3, "the mission of the command line")
+    good, bad = tmp_path / "two.toml", tmp_path / "bad.toml"
+    good.write_text(MISSION + "\n[[waypoint]]\nposition_m = [0.0, 1.0, -0.7]\n")
+    bad.write_text(MISSION.replace("-0.6]", "0.6]"))
+    upload = page.locator("[data-testid=mission-file] input[type=file]")
+    upload.set_input_files(str(bad))
+    wait(lambda: "waypoint[1].position_m" in page.inner_text("body"), "the reason")
+    assert page.locator(".mf-mission tbody tr").count() == 3
+    upload.set_input_files(str(good))
+    wait(lambda: page.locator(".mf-mission tbody tr").count() == 4, "the new mission")
+    assert "0.70" in page.inner_text(".mf-mission tbody")
 
 
 def test_the_emergency_stop_wants_a_second_press(window: Page) -> None:
@@ -212,7 +228,7 @@ def test_a_second_window_watches_until_it_takes_the_controls(browser: Any, fly: 
 
 def test_a_recording_is_opened_and_its_slider_moves_everything(window: Page) -> None:
     page = window.page
-    page.click("text=Recordings")
+    page.get_by_role("tab", name="Recordings").click()
     page.locator("tr", has_text="station.mcap").locator("button").first.click()
     slider = page.locator("[data-testid=replay-slider]")
     slider.wait_for()

@@ -21,7 +21,7 @@ from mufly.station.page.session import View, find_recordings
 from mufly.station.replay import open_recording
 from mufly.station.view import MissionRow, Outcome, Request
 
-__all__ = ["button", "mission_drawer", "parameter_drawer", "recording_drawer"]
+__all__ = ["button", "check_drawer", "mission_drawer", "parameter_drawer", "recording_drawer"]
 
 MOST_BYTES = 2_000_000
 
@@ -75,6 +75,32 @@ def _pick(
     button(label, taken_and_ready, title=f"{label} ({ending})")
 
 
+def check_drawer(view: View) -> None:
+    """Pre-flight checks, and what one does before and after a flight."""
+
+    def release() -> None:
+        vehicle = view.vehicle()
+        if vehicle is None or not view.has_controls:
+            _say("not released: " + _blocked(view), good=False)
+        else:
+            view.ask(vehicle.release_command())
+
+    def restart() -> None:
+        vehicle = view.vehicle()
+        why = _blocked(view)
+        if vehicle is None or why:
+            _say(f"not started anew: {why}", good=False)
+        elif vehicle.snapshot.flying:
+            _say("not started anew: it flies", good=False)
+        else:
+            view.ask(vehicle.reboot())
+
+    Panel("checks")
+    with ui.element("div").classes("mf-tools mf-foot"):
+        button("Release command", release, title="let another station command the vehicle")
+        button("Start anew", restart, title="reboot the vehicle; a simulation stands at its start again")
+
+
 def mission_drawer(view: View) -> None:
     """Table of the mission, with files up and down."""
 
@@ -91,6 +117,7 @@ def mission_drawer(view: View) -> None:
         vehicle = view.vehicle()
         if vehicle is not None:
             view.ask(vehicle.upload_mission(mission))
+            vehicle.show_mission(mission)
             view.session.mission = mission
 
     def download() -> None:

@@ -9,7 +9,13 @@ from nicegui import ui
 from nicegui.events import GenericEventArguments
 
 from mufly.station.page.command_bar import CommandBar
-from mufly.station.page.drawers import button, mission_drawer, parameter_drawer, recording_drawer
+from mufly.station.page.drawers import (
+    button,
+    check_drawer,
+    mission_drawer,
+    parameter_drawer,
+    recording_drawer,
+)
 from mufly.station.page.panel import Panel, static_url
 from mufly.station.page.session import View
 from mufly.station.view import Outcome, Request
@@ -211,7 +217,7 @@ def _right_tabs(view: View) -> None:
     recording = view.session.to_open is not None
     with ui.tab_panels(tabs, value=mission if recording else checks, animated=False).classes("mf-tab-panels"):
         with ui.tab_panel(checks):
-            Panel("checks")
+            check_drawer(view)
         with ui.tab_panel(mission):
             mission_drawer(view)
         with ui.tab_panel(messages):

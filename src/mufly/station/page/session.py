@@ -80,6 +80,9 @@ class Vehicle(Source, Protocol):
     def clear_mission(self) -> Request:
         """Delete the vehicle's mission."""
 
+    def show_mission(self, mission: Mission | None) -> None:
+        """Say which mission the page shows, for the check that the vehicle holds the same."""
+
     def set_parameter(self, name: str, value: float) -> Request:
         """Write one parameter."""
 

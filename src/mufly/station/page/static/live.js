@@ -14,6 +14,7 @@ export const live = {
   latest: null, // the last frame that had a snapshot
   connected: false,
   catalog: [],
+  mission: undefined, // the last mission table, while some panel wants it
   samples: { t: new Float64Array(CAPACITY), n: 0, columns: new Map(), version: 0 },
   frames: 0,
 
@@ -24,7 +25,8 @@ export const live = {
     tell();
     // A panel that is shown late gets the present at once, when its own set-up is done.
     queueMicrotask(() => {
-      if (live.latest && panels.has(panel)) frame({ s: live.latest.s, about: live.latest.about, repeated: true });
+      // A table that another panel wants already is not sent again: it gets our copy.
+      if (live.latest && panels.has(panel)) frame({ s: live.latest.s, about: live.latest.about, mission: live.mission, repeated: true });
     });
     return {
       set(change) {
@@ -67,6 +69,7 @@ function tell() {
     });
     if (next !== wanted) {
       wanted = next;
+      if (!sections.has("mission")) live.mission = undefined; // the server sends it anew when it is wanted again
       if (socket?.readyState === WebSocket.OPEN) socket.send(next);
     }
   });
@@ -102,7 +105,9 @@ function take(frame) {
   if (frame.new) {
     live.samples.n = 0;
     live.samples.version++;
+    live.mission = undefined;
   }
+  if (frame.mission) live.mission = frame.mission;
   if (frame.h) store(frame.h);
   if (frame.catalog) live.catalog = frame.catalog;
   if (frame.s) live.latest = frame;

@@ -189,6 +189,7 @@ export function mount(element, options, emit) {
   }
 
   const panel = live.panel({ sections: ["scene", "mission"] }, (f) => {
+    if (f.repeated && f.mission) rows = f.mission;
     const now = performance.now(), seconds = Math.min(0.2, (now - lastShown) / 1000);
     lastShown = now;
     if (f.new) bare = true;
