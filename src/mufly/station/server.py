@@ -29,7 +29,7 @@ STEP_S = 0.02
 REACT_S = 0.004
 """After bytes have come, what is due goes out at once, but no more often than this (s)."""
 CARE_S = 0.5
-_COMPONENT = 190  # MAV_COMP_ID_MISSIONPLANNER, by custom that of ground stations
+_SYSTEMS, _COMPONENTS = range(246, 255), range(25, 100)  # below 255, which others use; MAV_COMP_ID_USER1 to USER75
 _FULL_RATE_BYTES_S = 45_000.0
 _SHARE_OF_LINE = 0.6
 _FAULTS = 100
@@ -48,6 +48,12 @@ def rate_for(endpoint: Endpoint, rate_Hz: float = 100.0) -> float:
     return max(1.0, min(rate_Hz, 100.0 * share))
 
 
+def _address_of(process: int) -> tuple[int, int]:
+    """System and component number of the station in a process."""
+    turns, k = divmod(process, len(_SYSTEMS))
+    return _SYSTEMS[k], _COMPONENTS[turns % len(_COMPONENTS)]
+
+
 class Station:
     """A ground station without a face.
 
@@ -60,8 +66,8 @@ class Station:
     record : bool
         Whether to begin a recording at once.
     us : (system, component), optional
-        Our MAVLink address. Default: a system number from 246 to 254 by process, so that two stations on one vehicle
-        are told apart.
+        Our MAVLink address. Default: a system number from 246 to 254 and one of the 75 component numbers for users, by
+        process, so that two stations on one vehicle are told apart.
     rate_Hz : float
         How often vehicles are asked to tell their motion.
     on_vehicle : callable, optional
@@ -92,7 +98,7 @@ class Station:
         self.endpoints = [
             parse_endpoint(e, "station", "--connect") if isinstance(e, str) else e for e in endpoints
         ]
-        self.us = us or (246 + os.getpid() % 9, _COMPONENT)
+        self.us = us or _address_of(os.getpid())
         self.notices: deque[tuple[float, str]] = deque(maxlen=200)
         self.recorder = StationRecorder(folder, on_end=self._notice)
         self._record, self._rate_Hz, self._on_vehicle = record, rate_Hz, on_vehicle
