@@ -182,6 +182,8 @@ class ArmedSoftware:
         if self._armed:
             return ACCEPTED
         why = self.not_ready() if not force else [self.crashed] if self.crashed else []
+        if self._sticks is not None and self._sticks.climb > 0.0:
+            why.append("the climb stick is up; lower it first")
         if why:
             more = f" (and {len(why) - 1} more)" if len(why) > 1 else ""
             return later(why[0] + more)

@@ -231,6 +231,8 @@ class Autopilot(ArmedSoftware):
             return later(f"in state {software.state!r} no mission is taken; pause or land first")
         if s is not None and software.state == "hover" and not s.manual:
             return later("a mission is being flown; pause it first")
+        if self._command is not NO_SIGNAL:
+            return later("another request is being carried out; ask again")
         m = self._measured
         known = m is not None and bool(np.isfinite(m.position).all())
         n, e = (float(m.position[0]), float(m.position[1])) if m is not None and known else mission.start_m
