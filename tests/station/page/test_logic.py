@@ -119,7 +119,7 @@ def test_who_only_watches_can_stop_the_motors_but_nothing_else() -> None:
     for found in (ask(HOVER, has_controls=False), ask(watching)):
         assert not found.pop("stop")
         assert all(found.values())
-    assert "station 255" in ask(watching)["land"]
+    assert ask(watching)["land"] == "watching only"
 
 
 def test_a_recording_commands_nothing_and_a_lost_link_lets_one_try_to_stop() -> None:

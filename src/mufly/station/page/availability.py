@@ -39,10 +39,10 @@ def availability(
     if not s.connected:
         return all_of("no link", stop="")  # it may still hear us
     if not has_controls:
-        return all_of("another window has the controls", stop="")
+        return all_of("watching only", stop="")
     if s.commander and not s.in_command:
-        return all_of(f"commanded by {s.commander}", stop="")
-    up = "take off first"
+        return all_of("watching only", stop="")
+    up = "on the floor"
     flying = s.flying
     return {
         "arm": "armed" if s.armed else unready,

@@ -63,6 +63,7 @@ def _pick(
     taken: Callable[[UploadEventArguments], object],
     test: str,
     most_bytes: int = MOST_BYTES,
+    classes: str = "",
 ) -> None:
     """Add a button that opens a file: the uploader itself stays out of sight."""
     upload = ui.upload(auto_upload=True, max_file_size=most_bytes, on_upload=taken)
@@ -72,7 +73,7 @@ def _pick(
     async def taken_and_ready() -> None:
         upload.run_method("pickFiles")
 
-    button(label, taken_and_ready, title=f"{label} ({ending})")
+    button(label, taken_and_ready, title=f"{label} ({ending})", classes=classes)
 
 
 def check_drawer(view: View) -> None:
@@ -96,7 +97,7 @@ def check_drawer(view: View) -> None:
             view.ask(vehicle.reboot())
 
     Panel("checks")
-    with ui.element("div").classes("mf-tools mf-foot"):
+    with ui.element("div").classes("mf-tools mf-foot mf-live-only"):
         button("Release command", release, title="let another station command the vehicle")
         button("Start anew", restart, title="reboot the vehicle; a simulation stands at its start again")
 
@@ -142,10 +143,10 @@ def mission_drawer(view: View) -> None:
         ui.download.content(dump_mission(mission), f"{mission.name or 'mission'}.toml")
 
     with ui.element("div").classes("mf-tools"):
-        _pick("Upload…", ".toml", upload, "mission-file")
-        button("Fetch", download, title="fetch the mission that is in the vehicle")
+        _pick("Upload…", ".toml", upload, "mission-file", classes="mf-live-only")
+        button("Fetch", download, title="fetch the mission that is in the vehicle", classes="mf-live-only")
         button("Save", save, title="save the mission as a file")
-        button("Clear", clear, title="delete the mission in the vehicle")
+        button("Clear", clear, title="delete the mission in the vehicle", classes="mf-live-only")
     Panel("mission")
 
 

@@ -23,7 +23,7 @@ export function mount(element) {
     for (const r of rows) {
       const v = f.s[r.key][r.k];
       const known = v !== null && v !== undefined;
-      put(r.value, known ? (r.signed ? `${v > 0.0005 ? "+" : v < -0.0005 ? "−" : ""}${Math.abs(v * 100).toFixed(0)} %` : `${(v * 100).toFixed(0)} %`) : "–");
+      put(r.value, known ? (r.signed ? `${v > 0.005 ? "+" : v < -0.005 ? "−" : ""}${Math.abs(v * 100).toFixed(0)} %` : `${(v * 100).toFixed(0)} %`) : "–");
       const railed = known && (r.signed ? Math.abs(v) >= 0.999 : v >= 0.999);
       r.track.classList.toggle("mf-railed", railed);
       if (railed) r.track.title = "at its limit";

@@ -18,7 +18,7 @@ export function mount(element, options, emit) {
   } });
   const count = el("span", { class: "mf-dim mf-note", role: "status" });
   const body = el("tbody");
-  const table = el("table", { class: "mf-table mf-parameters" }, el("thead", {}, el("tr", {}, ...["parameter", "value", "unit", "least … greatest", "meaning"].map((text) => el("th", { scope: "col", text })))), body);
+  const table = el("table", { class: "mf-table mf-parameter-table" }, el("thead", {}, el("tr", {}, ...["parameter", "value", "unit", "least … greatest", "meaning"].map((text) => el("th", { scope: "col", text })))), body);
   element.append(el("div", { class: "mf-tools" }, search, only, count), el("div", { class: "mf-scroll", tabindex: 0 }, table));
 
   const text = (p) => (p.whole ? String(Math.round(p.value)) : String(Number(p.value.toPrecision(7))));

@@ -25,6 +25,7 @@ export function mount(element, options, emit) {
   const panel = live.panel({}, (f) => {
     const r = f.about?.replay;
     element.parentElement.hidden = !r;
+    document.body.classList.toggle("mf-replaying", Boolean(r));
     if (!r) return;
     playing = r.playing;
     put(play, playing ? "❚❚" : "▶");

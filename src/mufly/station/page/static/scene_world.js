@@ -126,11 +126,12 @@ export function waypoints(rows, current) {
   rows.forEach((row, k) => {
     if (row.p.some((x) => x === null)) return;
     if (row.action === "land") return;
+    const same = points.filter((p) => Math.hypot(p[0] - row.p[0], p[1] - row.p[1], p[2] - row.p[2]) < 0.15).length;
     points.push(row.p);
     const now = k === current, back = now ? colours.reference : row.reached ? colours.good : colours.panel;
     const text = row.action === "take off" ? "T" : `${rows.slice(0, k + 1).filter((r) => r.action === "waypoint").length || k + 1}`;
     const s = sprite(row.reached && !now ? `${text} ✓` : text, { colour: now || row.reached ? "#fff" : colours.text, back, size: 0.17, bold: true });
-    s.position.set(row.p[1], -row.p[2] + LIFT, -row.p[0]);
+    s.position.set(row.p[1], -row.p[2] + LIFT + 0.2 * same, -row.p[0]); // one above the other
     s.renderOrder = 5;
     group.add(s, lines([[row.p[0], row.p[1], row.p[2] - LIFT + 0.08], [row.p[0], row.p[1], 0]], colours.dim, { opacity: 0.5 }));
   });

@@ -29,7 +29,8 @@ export function mount(element) {
     const names = catalog.flatMap((q) => Object.entries(q.signals).map(([id, name]) => [name, `${q.title} ${id.split("/").reverse().filter(Boolean).join(", ")}`]));
     select.replaceChildren(...names.map(([value, text]) => el("option", { value, text })));
     if (!names.some(([name]) => name === state.signal)) {
-      const better = names.find(([name]) => /rates_p|attitude_roll/.test(name)) || names[0];
+      const better = ["estimated_rates_p", "measured_rates_p", "truth_rates_p", "estimated_attitude_roll"]
+        .map((wanted) => names.find(([name]) => name === wanted)).find(Boolean) || names[0];
       if (better) state.signal = better[0];
     }
     select.value = state.signal;
