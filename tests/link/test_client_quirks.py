@@ -23,11 +23,11 @@ def test_the_last_item_is_reached_when_nothing_of_the_mission_is_left():
     rig.run(1.0)
     assert [x.seq for x in gcs.all("MISSION_ITEM_REACHED")] == [0]
     assert rig.run(5.0, lambda: len(gcs.all("MISSION_ITEM_REACHED")) == 2)
-    # It is told before the mission says that it is complete, and at once the mission may be cleared.
+    # By then the mission has said that it is complete, and at once it may be cleared.
     kinds = [x.get_type() for x in gcs.heard]
     reached = max(k for k, kind in enumerate(kinds) if kind == "MISSION_ITEM_REACHED")
     complete = [k for k, x in enumerate(gcs.heard) if kinds[k] == "MISSION_CURRENT" and x.mission_state == 5]
-    assert not complete or reached < complete[0]
+    assert complete[0] < reached
     gcs.say(m.MAVLink_mission_clear_all_message(1, 1, 0))
     rig.run(0.1)
     assert gcs.last("MISSION_ACK").type == m.MAV_MISSION_ACCEPTED

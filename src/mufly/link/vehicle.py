@@ -186,13 +186,13 @@ class VehicleLink:
         shown = (
             status.state, picture.chosen, status.armed, landed_state(picture), picture.progress, picture.view.crashed
         )  # fmt: skip
-        # What was reached comes before what is next: programs take the last item for done when both have come.
-        for item in self._desk.reached(picture.status):
-            self._voice.send(None, mavlink.MAVLink_mission_item_reached_message(item))
         if shown != self._shown:
             self._shown = shown
             for make in (heartbeat, extended_sys_state, mission_current, mission_state):
                 self._voice.send(None, make(picture))
+        # After that the mission is complete: programs tell their users when they hear of the last item.
+        for item in self._desk.reached(picture.status):
+            self._voice.send(None, mavlink.MAVLink_mission_item_reached_message(item))
 
     def _picture(self, now_s: float) -> Picture:
         status = self.autopilot.status
