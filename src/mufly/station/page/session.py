@@ -251,6 +251,7 @@ class View:
             "recording": bool(recorder is not None and recorder.recording),
             "vehicles": [v.name for v in self.session.vehicles()],
             "selected": "" if (v := self.vehicle()) is None else v.name,
+            "color": 0 if v is None else v.color,
         }  # fmt: skip
 
     def baseline(self) -> Mapping[str, float]:

@@ -35,7 +35,7 @@ export function mount(element, options, emit) {
   sun.position.set(3, 8, 4);
   scene.add(sun);
 
-  let radius = 0.0875, enlarged = true, follow = true;
+  let radius = 0.0875, enlarged = true, follow = true, tint = 0; // a vehicle keeps its colour when another is selected
   let scenery = { boxes: [], cylinders: [], room: null }, rows = [], current = null, placed = [];
   let ship, ghost, still = new THREE.Group(), marks = new THREE.Group();
   const others = new Map();
@@ -64,7 +64,7 @@ export function mount(element, options, emit) {
 
   function build() {
     scene.background = new THREE.Color(colours.bg);
-    trail.material.color.set(colours.c0);
+    trail.material.color.set(colours[`c${tint % 8}`]);
     beams.material.color.set(colours.c1);
     drop.material.color.set(colours.dim);
     tie.material.color.set(colours.reference);
@@ -74,7 +74,7 @@ export function mount(element, options, emit) {
     scene.add(still);
     ship?.dispose();
     ghost?.dispose();
-    ship = helicopter(size(), colours.c0);
+    ship = helicopter(size(), colours[`c${tint % 8}`]);
     ghost = helicopter(size(), colours.reference, { ghost: true });
     scene.add(ship.group, ghost.group);
     ghost.group.visible = false;
@@ -193,6 +193,11 @@ export function mount(element, options, emit) {
     const now = performance.now(), seconds = Math.min(0.2, (now - lastShown) / 1000);
     lastShown = now;
     if (f.new) bare = true;
+    const colour = f.about?.color ?? 0;
+    if (colour !== tint) {
+      tint = colour;
+      build();
+    }
     if (f.scenery) {
       scenery = f.scenery.world;
       radius = f.scenery.rotor_radius || radius;
