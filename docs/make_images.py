@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 import mufly
 from mufly.control import FlightController
 from mufly.dynamics import initial_state, simulate, trim
-from mufly.flight import Setpoint, draw_flight, fly, respond
+from mufly.flight import Demand, draw_flight, fly, respond
 from mufly.mission import load_mission
 from mufly.vehicle import Vehicle, replace
 
@@ -50,7 +50,7 @@ def _axes(figure: Figure, rows: int, labels: list[str]) -> list[Axes]:
 def heave_step(vehicle: Vehicle, controller: FlightController) -> None:
     d = respond(
         vehicle,
-        lambda t: Setpoint(z=-0.5 if t >= 1.0 else 0.0),
+        lambda t: Demand(z=-0.5 if t >= 1.0 else 0.0),
         duration_s=10.0,
         controller=controller,
         charge=0.5,
@@ -71,9 +71,9 @@ def heave_step(vehicle: Vehicle, controller: FlightController) -> None:
 
 
 def pitch_following(vehicle: Vehicle, controller: FlightController) -> None:
-    def reference(t: float) -> Setpoint:
+    def reference(t: float) -> Demand:
         steps = ((8.5, 0.0), (7.0, -0.06), (5.5, -0.14), (4.0, -0.04), (2.5, -0.10), (1.0, -0.03))
-        return Setpoint(pitch=next((value for begin, value in steps if t >= begin), 0.0))
+        return Demand(pitch=next((value for begin, value in steps if t >= begin), 0.0))
 
     d = respond(vehicle, reference, duration_s=10.0, controller=controller)
     figure = Figure(figsize=(7, 4.8), layout="constrained")

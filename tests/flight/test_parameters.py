@@ -13,7 +13,7 @@ from mufly.dynamics import linearise
 from mufly.flight import Flight, controllers, respond
 from mufly.flight.controllers import copied
 from mufly.flight.parameter_table import TABLE
-from mufly.flight.response import Setpoint
+from mufly.flight.response import Demand
 from mufly.mission import SHARE, mission_from
 from mufly.vehicle import Vehicle, load_vehicle
 
@@ -219,7 +219,7 @@ def test_steps_settle_at_the_bounds_of_the_filters(vehicle, controller, name: st
     gains = copied(controller.heave_yaw_gains)
     gains[row.key] = getattr(row, end) / row.scale
     tuned = dataclasses.replace(controller, heave_yaw_gains=gains)
-    step = Setpoint(z=-1.0) if "HEAVE" in name else Setpoint(heading=1.0)
+    step = Demand(z=-1.0) if "HEAVE" in name else Demand(heading=1.0)
     long = 20.0 if end == "least" else 8.0
     data = respond(vehicle, lambda t: step, duration_s=long, controller=tuned)
     last = data.isel(time=slice(-100, None))

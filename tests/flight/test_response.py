@@ -5,7 +5,7 @@ import pytest
 
 import mufly
 from mufly.control import design
-from mufly.flight import Setpoint, respond
+from mufly.flight import Demand, respond
 from mufly.vehicle import load_vehicle
 
 
@@ -24,7 +24,7 @@ def test_heave_step_of_half_a_metre(vehicle, controller, charge: float) -> None:
     """Fig 6.10: no overshoot; settled to 2 % within 2.5 s, at most 1 % over, hardly any yaw."""
     ds = respond(
         vehicle,
-        lambda t: Setpoint(z=-0.5 if t >= 1.0 else 0.0),
+        lambda t: Demand(z=-0.5 if t >= 1.0 else 0.0),
         duration_s=8.0,
         controller=controller,
         charge=charge,
@@ -40,7 +40,7 @@ def test_heave_step_of_half_a_metre(vehicle, controller, charge: float) -> None:
 @pytest.mark.parametrize("size", [0.5, -0.5])
 def test_yaw_step_does_not_disturb_the_height(vehicle, controller, size: float) -> None:
     ds = respond(
-        vehicle, lambda t: Setpoint(heading=size if t >= 0.5 else 0.0), duration_s=6.0, controller=controller
+        vehicle, lambda t: Demand(heading=size if t >= 0.5 else 0.0), duration_s=6.0, controller=controller
     )
     yaw = ds.truth_attitude.values[:, 2]
     assert yaw[-1] == pytest.approx(size, abs=0.01)
@@ -60,7 +60,7 @@ def steps_of_figure_6_12(t: float) -> float:
 def test_tilt_follows_its_reference(vehicle, controller, axis: str) -> None:
     ds = respond(
         vehicle,
-        lambda t: Setpoint(**{axis: steps_of_figure_6_12(t)}),
+        lambda t: Demand(**{axis: steps_of_figure_6_12(t)}),
         duration_s=8.5,
         controller=controller,
     )
@@ -78,7 +78,7 @@ def test_railed_motors_recover_without_windup(vehicle, controller) -> None:
     """A 3 m step at a weak battery asks for all there is; anti-windup keeps the overshoot small and yaw still."""
     ds = respond(
         vehicle,
-        lambda t: Setpoint(z=-3.0, heading=1.0),
+        lambda t: Demand(z=-3.0, heading=1.0),
         duration_s=15.0,
         controller=controller,
         charge=0.1,
@@ -91,4 +91,4 @@ def test_railed_motors_recover_without_windup(vehicle, controller) -> None:
 
 def test_bad_duration_is_refused(vehicle, controller) -> None:
     with pytest.raises(mufly.InputError, match="duration_s"):
-        respond(vehicle, lambda t: Setpoint(), duration_s=-1.0, controller=controller)
+        respond(vehicle, lambda t: Demand(), duration_s=-1.0, controller=controller)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mufly.cli.flight_options import check_air, check_folder, dated_folder, wind_of
 from mufly.cli.station import BrowserOption, HostOption, PortOption, TokenOption
 from mufly.errors import InputError, MuflyError
 
@@ -105,10 +104,10 @@ def fly(
     from rich.console import Console
 
     console = Console(stderr=as_json)
-    steady = _wind(wind)
-    _check_numbers(gust, seed)
-    folder = out if out is not None else _dated_folder()
-    _check_folder(folder)
+    steady = wind_of(wind)
+    check_air(gust, seed)
+    folder = out if out is not None else dated_folder()
+    check_folder(folder)
     ends = _endpoints(links)
 
     # Whatever can be wrong with the input is found before the heavy libraries are loaded.
@@ -242,47 +241,6 @@ def _endpoints(links: list[str] | None) -> list[Endpoint]:
         if found.count(end) > 1:
             raise InputError("--link", "", f"{end} is given twice", "give each link once")
     return found
-
-
-def _wind(text: str | None) -> list[float] | None:
-    if text is None:
-        return None
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != 3 or not all(abs(n) < 50.0 for n in numbers):
-        raise InputError("--wind", "", f"{text!r} is no wind", "give N,E,D in m/s, as in 0.5,0,0")
-    return numbers
-
-
-def _check_numbers(gust: float | None, seed: int) -> None:
-    if gust is not None and not 0.0 <= gust <= 5.0:
-        raise InputError("--gust", "", f"{gust:g} m/s is no gust", "give 0 to 5 m/s")
-    if not 0 <= seed < 2**63:
-        raise InputError("--seed", "", f"{seed} is no seed", "give a whole number from 0 to 2^63 - 1")
-
-
-def _check_folder(folder: Path) -> None:
-    """Refuse a folder that cannot be made or written, without making it yet."""
-    try:
-        nearest = next(p for p in (folder, *folder.absolute().parents) if p.exists())
-    except OSError as error:
-        shown = str(folder) if len(str(folder)) < 60 else f"{str(folder)[:57]}..."
-        raise InputError("--out", "", f"{shown}: {error.strerror}", "name another folder") from None
-    if not nearest.is_dir():
-        raise InputError("--out", "", f"{nearest} is a file", "name a folder")
-    if not os.access(nearest, os.W_OK | os.X_OK):
-        raise InputError("--out", "", f"{nearest} cannot be written", "name a folder that can")
-
-
-def _dated_folder() -> Path:
-    base = Path("flights") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
-    folder, n = base, 1
-    while folder.exists():
-        n += 1
-        folder = base.with_name(f"{base.name}_{n}")
-    return folder
 
 
 class _Display:

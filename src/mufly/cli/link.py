@@ -53,7 +53,8 @@ def link(
         typer.Option(
             "--link", "--connect", metavar="ENDPOINT",
             help="Where stations are: udp:HOST:PORT (send there), udpin:HOST:PORT (listen), tcpin:HOST:PORT, "
-            r"tcp:HOST:PORT, serial:DEVICE:BAUD. Can be given several times. \[default: udp:127.0.0.1:14550 and udp:127.0.0.1:14540]",
+            "tcp:HOST:PORT, serial:DEVICE:BAUD. Can be given several times. "
+            r"\[default: udp:127.0.0.1:14550 and udp:127.0.0.1:14540]",
         ),
     ] = None,
     system: Annotated[int, typer.Option(help="Its MAVLink system number, 1 to 255.")] = 1,
@@ -85,7 +86,7 @@ def link(
     """The simulated helicopter as a MAVLink vehicle, in real time."""
     from rich.console import Console
 
-    from mufly.cli.fly import _check_folder, _check_numbers, _wind
+    from mufly.cli.flight_options import check_air, check_folder, wind_of
     from mufly.link.endpoint import parse_endpoint
 
     console = Console()
@@ -93,10 +94,10 @@ def link(
     _check_endpoints(endpoints)
     if not 1 <= system <= 255:
         raise InputError("--system", "", f"{system} is no MAVLink system", "give 1 to 255")
-    steady = _wind(wind)
-    _check_numbers(gust, seed)
+    steady = wind_of(wind)
+    check_air(gust, seed)
     if out is not None:
-        _check_folder(out)
+        check_folder(out)
 
     # Whatever can be wrong with the input is found before the heavy libraries are loaded.
     from mufly.link.geodesy import parse_origin

@@ -8,7 +8,7 @@ from mufly.flight.loop import Progress, fly
 from mufly.flight.parameters import Parameter
 from mufly.flight.pictures import draw_flight
 from mufly.flight.recorder import Recorder
-from mufly.flight.response import Setpoint, respond
+from mufly.flight.response import Demand, respond
 from mufly.flight.software import FlightSoftware
 from mufly.flight.summary import Summary, summarise, summary_rows
 from mufly.flight.view import FlightView
@@ -21,6 +21,7 @@ __all__ = [
     "Answer",
     "Autopilot",
     "Controllers",
+    "Demand",
     "Event",
     "Flight",
     "FlightSoftware",
@@ -29,7 +30,6 @@ __all__ = [
     "Progress",
     "Recorder",
     "SetPoint",
-    "Setpoint",
     "Status",
     "Summary",
     "draw_flight",

@@ -19,13 +19,13 @@ from mufly.flight.rows import row_writer
 from mufly.vehicle import Vehicle
 from mufly.world import World
 
-__all__ = ["Setpoint", "respond"]
+__all__ = ["Demand", "respond"]
 
 START_HEIGHT_M = 5.0  # out of the floor's reach for any sensible step
 
 
 @dataclass(frozen=True, slots=True)
-class Setpoint:
+class Demand:
     """What the low-level controllers have to follow: z (m, down, from the start), angles (rad)."""
 
     z: float = 0.0
@@ -36,7 +36,7 @@ class Setpoint:
 
 def respond(
     vehicle: Vehicle,
-    setpoint: Callable[[float], Setpoint],
+    demand: Callable[[float], Demand],
     *,
     duration_s: float,
     controller: FlightController | None = None,
@@ -50,8 +50,8 @@ def respond(
     Parameters
     ----------
     vehicle : Vehicle
-    setpoint : callable
-        From time (s) to :class:`Setpoint`.
+    demand : callable
+        From time (s) to :class:`Demand`.
     duration_s : float
         (s).
     controller : FlightController, optional
@@ -89,7 +89,7 @@ def respond(
     zero = np.zeros(3)
     for _ in range(round(duration_s * controller.rate_Hz) + 1):
         measured = plant.measure()
-        s = setpoint(measured.time_s)
+        s = demand(measured.time_s)
         z = s.z - START_HEIGHT_M
         actuators = controllers.step(
             measured, np.array([z, s.heading, 0.0, 0.0]), np.array([s.roll, s.pitch])
