@@ -8,19 +8,27 @@ message in it; the vehicle's clock on the wall is known from its reports (the le
 browser has the frame; "drawn": the next picture of the browser after it. CPU shares are of one core, from /proc.
 
     python benchmarks/bench_page.py --seconds 40
+
+With ``--soak MINUTES`` there is no browser, but two windows that speak the page's protocol: one that draws every frame
+and one that never does. What is looked at is the station's memory; it must be flat once the history (ten minutes) is
+full.
 """
 
 from __future__ import annotations
 
 import argparse
+import asyncio
+import json
 import multiprocessing
 import os
+import re
 import shutil
 import socket
 import subprocess
 import sys
 import tempfile
 import time
+import urllib.request
 from pathlib import Path
 from typing import Any
 
@@ -70,13 +78,48 @@ def used(pid: int) -> tuple[float, float]:
     return (int(fields[11]) + int(fields[12])) / TICKS, int(fields[21]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
+async def soak(port: int, pid: int, minutes: float) -> None:
+    """Two windows without a browser, one of which never draws; print the station's memory every minute."""
+    import websockets
+
+    async def window(draws: bool) -> None:
+        def ask() -> str:
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}/") as answer:
+                return str(answer.read().decode())
+
+        found = re.search(r"client_id[^0-9a-f]+([0-9a-f-]{36})", await asyncio.to_thread(ask))
+        assert found is not None
+        address = f"ws://127.0.0.1:{port}/live/{found[1]}"
+        names = [
+            f"{s}_{q}" for s in ("estimated", "measured", "reference") for q in ("position_N", "attitude_yaw")
+        ]
+        sections = ["scene", "messages", "mission", "checks", "parameters", "catalog"]
+        async with websockets.connect(address, max_size=None) as web:
+            await web.send(json.dumps({"want": {"sections": sections, "signals": names, "window_s": 30}}))
+            while draws:
+                await web.send(json.dumps({"drawn": json.loads(await web.recv())["n"]}))
+            await asyncio.Event().wait()
+
+    tasks = [asyncio.create_task(window(draws)) for draws in (True, False)]
+    for minute in range(round(minutes) + 1):
+        cpu, memory = used(pid)
+        print(f"{minute:4d} min  {memory:.1f} MB  {cpu:.0f} s of processor time", flush=True)
+        done, _ = await asyncio.wait(tasks, timeout=60.0 if minute < round(minutes) else 0.0)
+        for task in done:
+            task.result()
+    for task in tasks:
+        task.cancel()
+
+
 def main() -> None:
     """Run the three processes and print what was measured."""
     from playwright.sync_api import sync_playwright
 
     words = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     words.add_argument("--seconds", type=float, default=40.0, help="how long to measure (s)")
-    seconds = words.parse_args().seconds
+    words.add_argument("--soak", type=float, metavar="MINUTES", help="look at the memory for so long instead")
+    given = words.parse_args()
+    seconds = given.seconds
     chromium = shutil.which("chromium") or shutil.which("google-chrome")
     mavlink, page_port = free_port(socket.SOCK_DGRAM), free_port(socket.SOCK_STREAM)
     folder = tempfile.mkdtemp()
@@ -90,9 +133,12 @@ def main() -> None:
     vehicle = multiprocessing.get_context("spawn").Process(target=fly, args=(mavlink, theirs), daemon=True)
     vehicle.start()
     try:
+        while socket.socket().connect_ex(("127.0.0.1", page_port)):
+            time.sleep(0.2)
+        if given.soak is not None:
+            asyncio.run(soak(page_port, station.pid, given.soak))
+            return
         with sync_playwright() as play:
-            while socket.socket().connect_ex(("127.0.0.1", page_port)):
-                time.sleep(0.2)
             browser = play.chromium.launch(executable_path=chromium, args=FLAGS)
             page = browser.new_page(viewport={"width": 1366, "height": 768})
             page.goto(f"http://127.0.0.1:{page_port}/")

@@ -2,8 +2,7 @@
 
     python docs/make_station_images.py [--out docs/images]
 
-Needs Chromium and Playwright. Pictures of colour tables stay small (64 colours are enough for a page of panels): under
-300 kB each.
+Needs Chromium and Playwright.
 """
 
 from __future__ import annotations
@@ -89,14 +88,10 @@ def look(page: Page, x: float, y: float, z: float) -> None:
 
 
 def shoot(page: Page, path: Path) -> None:
-    """Write a picture; fewer colours make it small."""
+    """Write a picture, with the pointer out of the way."""
     page.mouse.move(5, page.viewport_size["height"] - 3 if page.viewport_size else 5)
-    page.wait_for_timeout(300)
+    page.wait_for_timeout(1000)
     page.screenshot(path=path)
-    from PIL import Image
-
-    with Image.open(path) as picture:
-        picture.convert("RGB").quantize(192, dither=Image.Dither.NONE).save(path, optimize=True)
     print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
 
 
