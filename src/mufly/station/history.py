@@ -34,9 +34,10 @@ class History:
         self._index = {name: k for k, name in enumerate(self.names)}
         self._units = dict(zip(self.names, column_units(self.layout), strict=True))
         self._size = max(2, round(seconds * rate_Hz))
-        self._times = np.full(self._size, np.nan)
+        # Not filled: memory is taken row by row as they come, so a vehicle that says little costs little.
+        self._times = np.empty(self._size)
         # One column more than there are signals: that of every name that is none.
-        self._values = np.full((self._size, len(self.names) + 1), np.nan, dtype=np.float32)
+        self._values = np.empty((self._size, len(self.names) + 1), dtype=np.float32)
         self._width = len(self.names)
         self._next = self._count = 0
 
@@ -77,6 +78,7 @@ class History:
             return
         self._times[self._next] = time_s
         self._values[self._next, : self._width] = values
+        self._values[self._next, self._width] = np.nan
         self._next = (self._next + 1) % self._size
         self._count = min(self._count + 1, self._size)
 

@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from mufly.link.dialect import MavMessage, mavlink
+from mufly.link.dialect import MavMessage, mavlink, single, within
 from mufly.station.texts import Texts
 from mufly.station.view import Outcome, Request
 
@@ -26,6 +26,7 @@ PROGRESS_S = 30.0
 """After "in progress" the answer may take so long (s)."""
 REASON_S = 0.4
 """For so long a refusal without words waits for some (s)."""
+_NOT_GIVEN, _FARTHEST = 2**31 - 1, 2**31 - 2
 _WORDS = {
     1: "not possible now",
     2: "refused",
@@ -62,11 +63,14 @@ class Order:
         """Return it as MAVLink puts it."""
         p = (*self.params, *((0.0,) * (7 - len(self.params))))
         if self.frame is None:
-            return mavlink.MAVLink_command_long_message(system, component, self.command, confirmation, *p)
+            return mavlink.MAVLink_command_long_message(
+                system, component, self.command, confirmation, *map(single, p)
+            )
         scale = 1e4 if self.frame == 1 else 1e7
-        x, y = (2**31 - 1 if math.isnan(v) else round(v * scale) for v in p[4:6])
+        # What does not fit into the field is out of anybody's reach; the vehicle says so.
+        x, y = (within(v * scale, -_FARTHEST, _FARTHEST, _NOT_GIVEN) for v in p[4:6])
         return mavlink.MAVLink_command_int_message(
-            system, component, self.frame, self.command, 0, 0, *p[:4], x, y, p[6]
+            system, component, self.frame, self.command, 0, 0, *map(single, p[:4]), x, y, single(p[6])
         )
 
 

@@ -34,6 +34,7 @@ come a tick or two apart. The tlog has every packet."""
 _STALL_S = 0.05
 _HEARTBEAT_S = 3.0
 _EARTH_M = 6_371_000.0
+_NEAR_POLE_DEG = 89.0  # beyond, east is no direction any more
 _COAXIAL, _ARMED = 3, 128  # MAV_TYPE, MAV_MODE_FLAG
 
 _STAMPED: dict[str, tuple[str, int]] = {
@@ -291,7 +292,8 @@ class Telemetry:
             self._put("attitude", "estimated_rates", (m.rollspeed, m.pitchspeed, m.yawspeed))
 
     def _global_origin(self, now_s: float, m: MavMessage) -> None:
-        self.origin = (m.latitude / 1e7, m.longitude / 1e7, m.altitude / 1e3)
+        if _on_earth(m.latitude, m.longitude):
+            self.origin = (m.latitude / 1e7, m.longitude / 1e7, m.altitude / 1e3)
 
     def _home(self, now_s: float, m: MavMessage) -> None:
         if self.origin is None:
@@ -299,7 +301,7 @@ class Telemetry:
 
     def _global_position(self, now_s: float, m: MavMessage) -> None:
         """Metres from the origin (or the first fix) on a sphere flattened there: good to a per mille in 10 km."""
-        if (m.lat, m.lon) == (0, 0):
+        if (m.lat, m.lon) == (0, 0) or not _on_earth(m.lat, m.lon):
             return  # no fix yet
         latitude, longitude = m.lat / 1e7, m.lon / 1e7
         if self.origin is None:
@@ -379,6 +381,11 @@ class Telemetry:
 
     def _mission_current(self, now_s: float, m: MavMessage) -> None:
         self.mission_current = m.seq
+
+
+def _on_earth(latitude_e7: int, longitude_e7: int) -> bool:
+    """Whether there is such a place (1e-7 deg): a vehicle may say anything."""
+    return abs(latitude_e7) <= _NEAR_POLE_DEG * 1e7 and abs(longitude_e7) <= 180.0 * 1e7
 
 
 def _place(layout: Any, quantity: Any) -> tuple[str, int]:
