@@ -211,6 +211,19 @@ def test_the_emergency_stop_wants_a_second_press(window: Page) -> None:
     wait(lambda: "PRESS AGAIN" in stop.inner_text(), "the question")
     wait(lambda: "EMERGENCY STOP" in stop.inner_text(), "the end of the question", 6)
     assert "EMERGENCY" not in window.page.inner_text(".mf-requests")
+    for _ in range(2):  # by the keyboard, and in earnest
+        window.page.keyboard.press("Shift+Backspace")
+        time.sleep(0.5)
+    wait(lambda: "✓ EMERGENCY STOP" in window.page.inner_text(".mf-requests"), "the stop")
+
+
+def test_a_mark_goes_into_the_recording(window: Page) -> None:
+    page = window.page
+    page.keyboard.press("m")
+    page.get_by_label("text").last.fill("gust from the left")
+    page.keyboard.press("Enter")
+    page.get_by_role("tab", name="Messages").click()
+    wait(lambda: "mark: gust from the left" in page.inner_text(".mf-messages"), "the mark")
 
 
 def test_a_second_window_watches_until_it_takes_the_controls(browser: Any, fly: Fly, window: Page) -> None:

@@ -234,3 +234,15 @@ def test_the_first_window_holds_the_controls_and_the_last_one_left_gets_them(ses
     session.close("three")
     assert one.has_controls
     assert session.watching == 1
+
+
+def test_controls_taken_before_the_stream_is_open_are_kept(session: Session) -> None:
+    clock = session.clock
+    one = session.open("one")
+    one.connected()
+    clock.now += 10.0  # type: ignore[attr-defined]
+    two = session.open("two")
+    two.take_controls()  # on a slow machine the press comes first
+    clock.now += 10.0  # type: ignore[attr-defined]
+    assert two.has_controls
+    assert not one.has_controls

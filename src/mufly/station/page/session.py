@@ -6,6 +6,7 @@ that held them is gone, the only one left gets them; of several none does until 
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -169,7 +170,7 @@ class View:
         self.requests: deque[Request] = deque(maxlen=20)
         self._shows = 0
         self._streams = 0
-        self.left_s = session.clock()
+        self.left_s = math.inf  # its stream was never open yet: whoever presses so early is about to open it
 
     @property
     def live(self) -> bool:
