@@ -6,7 +6,8 @@ the parameters mean is said at https://mavlink.io/en/messages/common.html#mav_co
 * NAV_TAKEOFF: parameter 7 is the height above the floor (m); not a number, or 0: parameter MIS_TAKEOFF_ALT. With a
   global origin a number that only makes sense as an altitude above the sea is one. NAV_TAKEOFF_LOCAL: z, down.
 * NAV_LAND lands where it is, NAV_RETURN_TO_LAUNCH above where it took off.
-* DO_REPOSITION takes LOCAL_NED (frame 1) as well as, with an origin, the global frames.
+* DO_REPOSITION takes LOCAL_NED (frame 1) as well as, with an origin, the global frames. Without a place it stops, and
+  turns if it gives a heading: QGroundControl's "pause" and "change heading".
 * DO_LAND_START lands at once: there is no landing sequence to jump to. MAVProxy's "land" says this.
 * DO_SET_MODE to take-off or mission, on the floor and not armed, is done when it is armed
   (:mod:`mufly.link.on_arming`).
@@ -158,6 +159,10 @@ def _take_off_local(call: Call, c: Controls) -> Verdict:
 def _reposition(call: Call, c: Controls) -> Verdict:
     here = c.autopilot.status.goal
     n, e, d = call.p[4], call.p[5], call.p[6]
+    if all(map(math.isnan, (n, e, d))):  # QGroundControl's "pause" and "change heading"
+        return (
+            set_mode_or_start(4, 3, c) if math.isnan(call.p[3]) else _verdict(c.autopilot.turn_to(call.p[3]))
+        )
     if call.frame in LOCAL_FRAMES:
         if call.frame != 1:
             return _denied(f"frame {call.frame} is not known here; use LOCAL_NED (1)")
