@@ -33,6 +33,9 @@ UNUSED_S = 10.0
 SET_POINT_S, STICKS_S = 0.5, 1.0
 """For how long a set-point, and the position of the sticks, hold (s)."""
 
+STOPPING = "its motors are being stopped; ask again"
+"""Why nothing is taken between a stop and the step that carries it out."""
+
 KEPT_EVENTS = 1000
 _IDLE = Actuators.idle()
 
@@ -80,13 +83,13 @@ class ArmedSoftware:
     def observe(self, measured: Measurement) -> None:
         """Take notice of a measurement without a step: what arming is judged by before the first one."""
         t = measured.time_s
-        if t > self._heard_s:
-            self._heard_s, self._stale_s = t, 0.0
-            self._now = t if t >= self._now else self._now + self._period_s
-        else:
-            # Their clock stands still; what expires does so by counting periods.
-            self._stale_s += self._period_s
-            self._now += self._period_s
+        # A clock that was set back goes on; one that stands still has nothing new to say.
+        alive = math.isfinite(t) and t != self._heard_s
+        self._stale_s = 0.0 if alive else self._stale_s + self._period_s
+        # What expires does so by counting periods where the clock of the measurements does not serve.
+        self._now = t if alive and t >= self._now else self._now + self._period_s
+        if alive:
+            self._heard_s = t
         self._measured = measured
 
     def step(self, measured: Measurement) -> Actuators:
@@ -181,6 +184,9 @@ class ArmedSoftware:
         """Let the motors run. ``force`` skips all checks but that of a crash; ``quiet`` leaves no note of it."""
         if self._armed:
             return ACCEPTED
+        if self._stopping or self.software.motors != "off":
+            # Armed now, motors that still run would be given back what was taken from them.
+            return later(STOPPING)
         why = self.not_ready() if not force else [self.crashed] if self.crashed else []
         if self._sticks is not None and self._sticks.climb > 0.0:
             why.append("the climb stick is up; lower it first")
@@ -208,13 +214,19 @@ class ArmedSoftware:
         self._stop("emergency stop, motors off")
         return ACCEPTED
 
+    @property
+    def _stopping(self) -> bool:
+        """Whether a stop has been asked for that the next step carries out."""
+        return bool(self._command.stop)
+
     def _stop(self, why: str) -> None:
         idle = self.software.motors == "off" and self.software.state == "init"
         self._disarm()
         self._sticks = None
-        self._command = Command(stop=why)
         if idle:
             self.note(why, "error" if "stop" in why else "info")
+        else:
+            self._command = Command(stop=why)
 
     def _in_the_air(self) -> bool:
         """Off the floor: by how it is flown, and by height unless that is not known."""

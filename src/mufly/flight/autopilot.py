@@ -17,7 +17,7 @@ import numpy as np
 
 from mufly.errors import InputError
 from mufly.flight.answers import ACCEPTED, Answer, later, never
-from mufly.flight.armed import SET_POINT_S, STICKS_S, UNUSED_S, ArmedSoftware
+from mufly.flight.armed import SET_POINT_S, STICKS_S, STOPPING, UNUSED_S, ArmedSoftware
 from mufly.flight.arming import column_fault, place_fault
 from mufly.mission import (
     GO_AROUND_M,
@@ -63,9 +63,7 @@ class Autopilot(ArmedSoftware):
         if not (math.isfinite(height_m) and LOWEST_M <= height_m <= HIGHEST_M):
             return never(f"take-off height {height_m:g} m refused: give {LOWEST_M:g} to {HIGHEST_M:g} m")
         answer = self._may_take_off(height_m)
-        if answer:
-            self._ask(Command(take_off=float(height_m)))
-        return answer
+        return self._ask(Command(take_off=float(height_m))) if answer else answer
 
     def _may_take_off(self, height_m: float) -> Answer:
         if self.software.motors != "off" or self.software.state != "init":
@@ -93,10 +91,9 @@ class Autopilot(ArmedSoftware):
                 fault = self._mission_fault(self._measured)
                 answer = later(fault) if fault else answer
         else:
-            answer = self._may_command()
-        if answer:
-            self._ask(Command(start=True, first=first))
-        return answer
+            # Set-points that have not lifted it off leave nothing to go on from.
+            answer = self._may_command(OFF_FLOOR_M if self.software.state == "offboard" else -math.inf)
+        return self._ask(Command(start=True, first=first)) if answer else answer
 
     def pause(self) -> Answer:
         """Stop and hover; :meth:`start_mission` goes on. Breaks off a landing that is still above 0.4 m."""
@@ -104,7 +101,7 @@ class Autopilot(ArmedSoftware):
         if state == "landing" and self.software.outcome != "failed" and self.software.motors == "fly":
             if self._height() <= GO_AROUND_M:
                 return later(f"landing, and below {GO_AROUND_M:g} m already")
-            return self._accept(Command(pause=True))
+            return self._ask(Command(pause=True))
         return self._do(Command(pause=True), OFF_FLOOR_M)
 
     def go_to(self, position_m: Sequence[float], heading_rad: float | None = None) -> Answer:
@@ -143,17 +140,17 @@ class Autopilot(ArmedSoftware):
             return ACCEPTED
         return self._do(Command(land=True), -math.inf)
 
-    def _ask(self, command: Command) -> None:
+    def _ask(self, command: Command) -> Answer:
+        """Hand a request to the mission logic, unless the motors are about to stop: nothing may take its place."""
+        if self._stopping:
+            return later(STOPPING)
         self._offboard = False
         self._command = command
-
-    def _accept(self, command: Command) -> Answer:
-        self._ask(command)
         return ACCEPTED
 
     def _do(self, command: Command, above_m: float) -> Answer:
         answer = self._may_command(above_m)
-        return self._accept(command) if answer else answer
+        return self._ask(command) if answer else answer
 
     def _may_command(self, above_m: float = -math.inf) -> Answer:
         software = self.software
@@ -192,8 +189,10 @@ class Autopilot(ArmedSoftware):
             return ACCEPTED
         if self._now - self._set_point_s > SET_POINT_S or self._set_point is None:
             return later(f"no set-point in the last {SET_POINT_S:g} s; stream them first")
-        if self.software.state != "init":
-            answer = self._may_command()
+        if self._stopping:
+            return later(STOPPING)
+        if self.software.state not in ("init", "offboard"):
+            answer = self._may_command(OFF_FLOOR_M)
             if not answer:
                 return answer
         self._offboard = True
@@ -231,6 +230,8 @@ class Autopilot(ArmedSoftware):
             return later(f"in state {software.state!r} no mission is taken; pause or land first")
         if s is not None and software.state == "hover" and not s.manual:
             return later("a mission is being flown; pause it first")
+        if s is not None and software.state == "hover" and s.outcome == "failed":
+            return later(f"it lands: {s.reason}")
         if self._command is not NO_SIGNAL:
             return later("another request is being carried out; ask again")
         m = self._measured

@@ -128,15 +128,15 @@ def _signals(plan: MissionPlan, s: MissionState, m: Measurement, c: Command, dt:
     """Transitions that do not depend on what the present state is busy with."""
     if c.stop:
         return user.stop_at_once(s, c.stop)
-    if c.rc:
+    if s.state is not State.INIT and _tipped_over(s, m):
+        return user.stop_at_once(fail(s, "tipped over"), "tipped over, motors off")
+    # Rotors that run down after touchdown stop first: sticks in their middle must not start them again.
+    if c.rc and s.motors != "ramp_down":
         return user.by_hand(s if s.state is State.RC else user.to_hand(s, m), m, c, dt)
     if s.state is State.RC:
         return user.from_hand(s, m)
     if s.state is State.INIT:
         return _from_the_floor(plan, s, m, c) if s.motors == "off" else s
-    low = m.position[2] > s.standing[2] - 0.3
-    if low and s.motors != "off" and max(abs(m.attitude[0]), abs(m.attitude[1])) > _TIPPED:
-        return user.stop_at_once(fail(s, "tipped over"), "tipped over, motors off")
     if s.state is State.LANDING:
         high = s.standing[2] - m.position[2] > user.GO_AROUND_M
         wanted = c.pause and high and s.motors == "fly" and s.outcome != "failed"
@@ -147,11 +147,16 @@ def _signals(plan: MissionPlan, s: MissionState, m: Measurement, c: Command, dt:
         return _battery_low(plan, s)
     if c.land:
         return user.land_now(plan, s)
-    if s.state is State.TAKE_OFF and c.start and s.manual:
+    if s.state is State.TAKE_OFF and c.start and (s.manual or c.first is not None):
         return user.go_on_after_take_off(s, c.first)
     if s.motors == "spin_up":
         return s if s.state is not State.OFFBOARD or c.set_point else user.from_set_points(plan, s, m)
     return _in_flight(plan, s, m, c)
+
+
+def _tipped_over(s: MissionState, m: Measurement) -> bool:
+    near = m.position[2] > s.standing[2] - 0.3
+    return bool(near and s.motors != "off" and max(abs(m.attitude[0]), abs(m.attitude[1])) > _TIPPED)
 
 
 def _from_the_floor(plan: MissionPlan, s: MissionState, m: Measurement, c: Command) -> MissionState:

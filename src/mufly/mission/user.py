@@ -148,8 +148,8 @@ def go_on(plan: MissionPlan, s: MissionState, first: int | None) -> MissionState
 
 
 def go_on_after_take_off(s: MissionState, first: int | None) -> MissionState:
-    """Start signal during a take-off without mission: it follows."""
-    s = log(s, "the mission follows the take-off")
+    """Start signal during a take-off: the mission follows, from waypoint ``first`` (from 0) if given."""
+    s = log(s, "the mission follows the take-off" + (f", from waypoint {first + 1}" if first else ""))
     return replace(s, manual=False, begun=True, index=first or 0, quit="")
 
 
@@ -175,7 +175,6 @@ def _broken_off(plan: MissionPlan, s: MissionState, signal: str) -> MissionState
 
 def to_hand(s: MissionState, m: Measurement) -> MissionState:
     """RC signal: the pilot takes over, from any state."""
-    motors = s.motors if s.motors in ("off", "fly") else "fly"
     x, psi = measured_at(m), float(m.attitude[2])
     return enter(
         s,
@@ -187,7 +186,6 @@ def to_hand(s: MissionState, m: Measurement) -> MissionState:
         detour=None,
         tracker=None,
         homing=False,
-        motors=motors,
         sink=0.0,
     )
 
