@@ -138,4 +138,4 @@ async def fly(url: str) -> None:
 
 
 if __name__ == "__main__":
-    asyncio.run(fly(sys.argv[1] if len(sys.argv) > 1 else "udpin://0.0.0.0:14540"))
+    asyncio.run(fly(sys.argv[1] if len(sys.argv) > 1 else "udpin://127.0.0.1:14540"))

@@ -178,4 +178,4 @@ def fly(url: str) -> None:
 
 
 if __name__ == "__main__":
-    fly(sys.argv[1] if len(sys.argv) > 1 else "udpin:0.0.0.0:14550")
+    fly(sys.argv[1] if len(sys.argv) > 1 else "udpin:127.0.0.1:14550")
