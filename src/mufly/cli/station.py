@@ -53,8 +53,12 @@ HostOption = Annotated[
 ]
 TokenOption = Annotated[
     str | None,
-    typer.Option("--token", help=r"What a browser has to show to be let in. \[default: none on loopback, else made and printed]"),
-]  # fmt: skip
+    typer.Option(
+        "--token",
+        help="What a browser has to show to be let in. "
+        r"\[default: none on loopback, else made and printed]",
+    ),
+]
 BrowserOption = Annotated[
     bool, typer.Option("--browser/--no-browser", help="Open the page in the default browser.")
 ]
