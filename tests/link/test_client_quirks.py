@@ -140,6 +140,16 @@ def test_what_was_chosen_on_the_floor_is_forgotten():
     assert rig.run(15.0, lambda: rig.status.state == "hover")
 
 
+def test_no_fence_is_broken_where_there_is_none():
+    """MAVProxy says "fence breach" to whoever does not set the bit."""
+    rig = Rig()
+    gcs = rig.station()
+    rig.run(1.0)
+    status = gcs.last("SYS_STATUS")
+    assert status.onboard_control_sensors_health & m.MAV_SYS_STATUS_GEOFENCE
+    assert not status.onboard_control_sensors_present & m.MAV_SYS_STATUS_GEOFENCE
+
+
 def test_the_land_of_mavproxy():
     rig = Rig()
     gcs = rig.station()

@@ -90,7 +90,8 @@ def sys_status(p: Picture) -> MavMessage:
     )
     if p.origin is not None:
         here |= mavlink.MAV_SYS_STATUS_SENSOR_GPS
-    well = here
+    # There is no fence, so none is broken: MAVProxy reports a breach where this bit is not set.
+    well = here | mavlink.MAV_SYS_STATUS_GEOFENCE
     if not (p.ready or p.status.armed):
         well &= ~mavlink.MAV_SYS_STATUS_PREARM_CHECK
     if p.view.battery_voltage < p.airframe.low_V:
