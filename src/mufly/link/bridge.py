@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from mufly.link.authority import Authority, Sender
 from mufly.link.dialect import MavMessage, mavlink
@@ -50,6 +50,7 @@ class Bridge:
         self._autopilot, self._voice, self._sticks = autopilot, voice, sticks
         self._on_arming, self._parameters = on_arming, parameters
         self._failsafe = Failsafe()
+        self._owed: Literal["", "hover", "land"] = ""
 
     def may(self, now_s: float, sender: Sender) -> bool:
         """Whether a station commands; the first to ask does. One that may not is told who does."""
@@ -82,12 +83,13 @@ class Bridge:
         status = self._autopilot.status
         mission = self._autopilot.software.mission_state
         silent = self.authority.silent_s(now_s)
+        ending = status.state == "landing" or (mission is not None and mission.homing)
         land_s = self._parameters.get("COM_DL_LAND_T").value
         self._failsafe, order = watch_link(
             self._failsafe,
             silent_s=silent,
             flying=status.flying,
-            ending=status.state == "landing" or (mission is not None and mission.homing),
+            ending=ending,
             loss_s=self._parameters.get("COM_DL_LOSS_T").value,
             land_s=land_s,
         )
@@ -97,10 +99,14 @@ class Bridge:
             self._sticks.off()
             then = f"stop and hover, land in {land_s:g} s" if order == "hover" else "land"
             self._autopilot.note(f"commander not heard for {silent:.0f} s: {then}", "warning")
-            answer = self._autopilot.pause() if order == "hover" else self._autopilot.land()
-            if not answer:
-                self._autopilot.note(answer.reason, "warning")
+            self._owed = order
+        # What is refused for the moment (just off the floor, sticks in the hand) is asked for until it is done.
+        if self._failsafe.stage == "" or ending:
+            self._owed = ""
+        if self._owed:
+            answer = self._autopilot.pause() if self._owed == "hover" else self._autopilot.land()
+            self._owed = "" if answer else self._owed
 
     def _let_go(self, now_s: float) -> None:
-        self._sticks.off()
+        self._sticks.forget()
         self._on_arming.choose(now_s, "")

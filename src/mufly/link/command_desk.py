@@ -47,10 +47,15 @@ class CommandDesk:
         if not from_anyone(call) and not self._bridge.may(now_s, sender):
             self._acknowledge(sender, call, Verdict(mavlink.MAV_RESULT_DENIED))
             return
+        if from_anyone(call):
+            # Never taken for a repetition: somebody may have armed it in between.
+            self._held = None
+            self._carry_out(sender, call, c)
+            return
         before = self._repeats.before(now_s, sender, call)
         if before is not None:
             self._acknowledge(sender, call, before)
-        elif c.sticks.by_mode and c.autopilot.status.sticks and not from_anyone(call):
+        elif c.sticks.by_mode and c.autopilot.status.sticks:
             # The flight software lets go of the sticks in its next step, and only then hears another command.
             c.sticks.off()
             self._held = (now_s + _HOLD_S, sender, call)

@@ -179,12 +179,16 @@ def _reposition(call: Call, c: Controls) -> Verdict:
         return _denied(f"frame {call.frame} is not known here")
     if here is not None:  # what is not given stays as it is
         n, e, d = (old if math.isnan(new) else new for old, new in zip(here, (n, e, d), strict=True))
+    before = c.autopilot.parameters["LIM_SPEED"].value
     if call.p[0] > 0.0:
         answer = c.autopilot.set_speed(float(f"{call.p[0]:.7g}"))
         if not answer:
             return _verdict(answer)
     heading = None if math.isnan(call.p[3]) else call.p[3]
-    return _verdict(c.autopilot.go_to((n, e, d), heading))
+    answer = c.autopilot.go_to((n, e, d), heading)
+    if not answer and call.p[0] > 0.0:
+        c.autopilot.set_speed(before)  # refused is refused whole
+    return _verdict(answer)
 
 
 def _pause_continue(call: Call, c: Controls) -> Verdict:

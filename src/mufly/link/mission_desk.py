@@ -97,6 +97,11 @@ class MissionDesk:
             out += giver.step(now_s)
         return out
 
+    def only_from(self, commander: Station | None) -> Notes:
+        """An upload ends, with nothing changed, when whoever began it does not command any more."""
+        taker = self._receiver.peer
+        return [] if taker is None or taker == commander else self._receiver.cancel()
+
     def forget(self, peer: object) -> None:
         """A peer has gone: its transfers end, the mission stays what it was."""
         for key in [k for k in self._senders if k[0].peer == peer]:

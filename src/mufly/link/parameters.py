@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["LINK_PARAMETERS", "LIST_HZ", "ParameterDesk", "value_of"]
 
 LIST_HZ = 100.0
+_LOOK_S = 0.5
 _LISTS = 16
 _BYTEWISE = {
     mavlink.MAV_PARAM_TYPE_UINT8: "<B3x",
@@ -73,7 +74,8 @@ class ParameterDesk:
         self._names = sorted([*autopilot.parameters, *self._own])
         self._places = {name: k for k, name in enumerate(self._names)}
         self._lists: OrderedDict[Sender, int] = OrderedDict()
-        self._due_s = -math.inf
+        self._due_s = self._looked_s = -math.inf
+        self._told = {name: self.get(name).value for name in self._names}
 
     @property
     def names(self) -> list[str]:
@@ -120,8 +122,10 @@ class ParameterDesk:
             if not p.least <= value <= p.greatest:
                 return self._value(name), f"{name} has to be {p.least:g} to {p.greatest:g} {p.unit}"
             self._own[name] = replace(p, value=value)
+            self._told[name] = value
             return self._value(name), ""
         answer = self._autopilot.set_parameter(name, value)
+        self._told[name] = self.get(name).value
         return self._value(name), "" if answer else answer.reason
 
     def step(self, now_s: float) -> list[tuple[Sender, MavMessage]]:
@@ -137,6 +141,16 @@ class ParameterDesk:
             else:
                 del self._lists[sender]
         return out
+
+    def changed(self, now_s: float) -> list[MavMessage]:
+        """Values that something other than a PARAM_SET of theirs has changed: a command, a mission, another limit."""
+        if now_s - self._looked_s < _LOOK_S:
+            return []
+        self._looked_s = now_s
+        now = {name: self.get(name).value for name in self._names}
+        names = [name for name in self._names if now[name] != self._told[name]]
+        self._told = now
+        return [self._value(name) for name in names]
 
     def forget(self, peer: object) -> None:
         """A peer has gone."""

@@ -2,7 +2,8 @@
 
 The same command with the same parameters from the same station, within :data:`REPEAT_S` of the time before (or marked
 as a repetition by its ``confirmation``, within :data:`CONFIRMED_S`), is answered as before and not carried out again,
-if it was accepted. One that was refused is judged anew: whoever asks again may have done something about it.
+if it was accepted. One that was refused is judged anew: whoever asks again may have done something about it. An
+emergency stop is always carried out (:mod:`mufly.link.command_desk`).
 """
 
 from __future__ import annotations

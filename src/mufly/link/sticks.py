@@ -114,10 +114,15 @@ class Sticks:
         return self._fly(self._manual)
 
     def off(self) -> None:
-        """Another mode is asked for, or there is another commander."""
+        """Another mode is asked for, or the pilot is not heard any more."""
         if self._by_hand or self._overridden:
             self._autopilot.sticks_off()
         self._by_hand = self._overridden = False
+
+    def forget(self) -> None:
+        """There is another commander: what was heard of sticks was not said by that one."""
+        self.off()
+        self._manual, self._heard_s = Deflection(), -math.inf
 
     def _fly(self, d: Deflection) -> Answer:
         most: Mapping[str, float] = {

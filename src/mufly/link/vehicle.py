@@ -161,9 +161,12 @@ class VehicleLink:
             self._parameters.forget(client.peer)
         self._bridge.watch(now_s)
         self._commands.step(now_s)
+        self._send_notes(self._desk.only_from(self.authority.commander))
         self._send_notes(self._desk.step(now_s))
         for sender, value in self._parameters.step(now_s):
             self._voice.send(sender.peer, value)
+        for value in self._parameters.changed(now_s):
+            self._voice.send(None, value)
         while self._events:
             event = self._events.popleft()
             self._voice.say(event.text, event.level)
@@ -256,6 +259,7 @@ class VehicleLink:
         if writes(note) and not self._bridge.may(now_s, sender):
             self._send_notes([(sender, Ack(MissionResult.DENIED, note.mission_type))])
         else:
+            self._send_notes(self._desk.only_from(self.authority.commander))
             self._send_notes(self._desk.receive(now_s, sender, note))
 
     # set-points and sticks
