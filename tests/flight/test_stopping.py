@@ -174,3 +174,25 @@ def test_a_clock_of_measurements_that_was_set_back_is_no_reason_not_to_arm(fligh
     assert "0.9 s old" in a.not_ready()[0] or "1.0 s old" in a.not_ready()[0]
     a.observe(replace(m, time_s=float("nan")))
     assert "old" in a.not_ready()[0]
+
+
+def test_a_pilot_by_hand_is_told_of_a_low_battery(flight: Flight) -> None:
+    a = hovering(flight)
+    run(flight, 0.2, each=lambda: a.sticks(0.0, 0.0, 0.0, 0.0))
+    flight.plant.state[20] = 0.04
+    run(flight, 3.0, each=lambda: a.sticks(0.0, 0.0, 0.0, 0.0))
+    assert a.status.state == "rc"
+    assert sum("battery low" in e.text and e.level == "warning" for e in a.events()) == 1
+    assert run(flight, 3.0, until=lambda: a.status.state == "landing")
+
+
+def test_tipped_over_by_hand_stops_the_motors(flight: Flight) -> None:
+    a = hovering(flight, 0.25)
+    run(flight, 0.2, each=lambda: a.sticks(0.0, 0.0, 0.0, 0.0))
+    m = flight.view.measured
+    tipped = replace(m, time_s=m.time_s + 0.02, attitude=np.array([1.2, 0.0, 0.0]))
+    for k in range(8):
+        a.sticks(0.0, 0.0, 0.0, 0.0)
+        sent = a.step(replace(tipped, time_s=m.time_s + 0.005 * (k + 1), rates=m.rates + k * 1e-6))
+    assert (sent.array == 0.0).all()
+    assert not a.status.armed

@@ -172,3 +172,17 @@ def test_what_is_wrong_in_the_process_is_told_here(tmp_path):
     with pytest.raises(MuflyError, match="no such mission"):
         vehicle.wait_ready()
     vehicle.stop()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_a_vehicle_that_is_killed_is_missed():
+    vehicle = start_vehicle("mufly-1.1", Mission(name="none"), endpoints=[])
+    vehicle.wait_ready()
+    assert vehicle.error == ""
+    os.kill(vehicle.pid, signal.SIGKILL)
+    end = time.monotonic() + 5.0
+    while time.monotonic() < end and not vehicle.error:
+        time.sleep(0.02)
+    assert "while it flew" in vehicle.error
+    assert vehicle.finished
+    vehicle.stop()

@@ -123,6 +123,7 @@ class VehicleProcess:
         self.stop()
 
     def _read(self) -> None:
+        ended = False
         while True:
             try:
                 kind, content = self._pipe.recv()
@@ -139,10 +140,12 @@ class VehicleProcess:
                 self._ready.set()
             elif kind == "done":
                 self.outcome, self.reason = content
+                ended = True
             elif kind == "error":
                 self.error = content
-        if not self._ready.is_set() and not self.error:
-            self.error = "the vehicle's process ended before it was ready"
+        if not ended and not self.error:
+            when = "while it flew" if self._ready.is_set() else "before it was ready"
+            self.error = f"the vehicle's process ended {when}, without a word (killed, or out of memory?)"
         self._ready.set()
 
 

@@ -30,7 +30,7 @@ from dataclasses import replace
 from mufly.mission import landing, phases, user
 from mufly.mission.obstacles import observe
 from mufly.mission.reference import at_gate, reference, swing
-from mufly.mission.signals import Command, MissionPlan, MissionState, Reference, State, fail
+from mufly.mission.signals import Command, MissionPlan, MissionState, Reference, State, fail, log
 from mufly.mission.trajectory import Trajectory
 from mufly.sensors import Measurement
 
@@ -132,7 +132,10 @@ def _signals(plan: MissionPlan, s: MissionState, m: Measurement, c: Command, dt:
         return user.stop_at_once(fail(s, "tipped over"), "tipped over, motors off")
     # Rotors that run down after touchdown stop first: sticks in their middle must not start them again.
     if c.rc and s.motors != "ramp_down":
-        return user.by_hand(s if s.state is State.RC else user.to_hand(s, m), m, c, dt)
+        s = s if s.state is State.RC else user.to_hand(s, m)
+        if s.motors == "fly" and s.low_s - dt <= _LOW_FOR_S < s.low_s:
+            s = log(s, f"{_low_words(plan, s)}; land", level="warning")  # the pilot's own decision
+        return user.by_hand(s, m, c, dt)
     if s.state is State.RC:
         return user.from_hand(s, m)
     if s.state is State.INIT:
@@ -168,9 +171,13 @@ def _from_the_floor(plan: MissionPlan, s: MissionState, m: Measurement, c: Comma
 
 
 def _battery_low(plan: MissionPlan, s: MissionState) -> MissionState:
-    why = f"battery low: {s.battery_V:.2f} V, below {plan.low_V:.2f} V"
+    why = _low_words(plan, s)
     # A mission that is complete and holds has not failed when its battery is used up.
     return landing.land(s if s.outcome == "succeeded" else fail(s, why), why, level="warning")
+
+
+def _low_words(plan: MissionPlan, s: MissionState) -> str:
+    return f"battery low: {s.battery_V:.2f} V, below {plan.low_V:.2f} V"
 
 
 def _in_flight(plan: MissionPlan, s: MissionState, m: Measurement, c: Command) -> MissionState:
