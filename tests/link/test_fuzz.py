@@ -62,3 +62,21 @@ def test_the_judge_sees_what_must_not_be(fuzz_link: ModuleType) -> None:
         flight._acting = Actuators(np.array(motors), np.array(servos))
         fuzz_link.check(flight, found)
         assert any(word in fault for fault in found.faults)
+
+
+def test_no_motor_runs_that_is_not_armed_whatever_the_flight_software_wants() -> None:
+    """The last gate before the motors: it must hold even where everything before it has gone wrong."""
+    from mufly.flight import Flight
+    from mufly.mission import Mission
+
+    flight = Flight("mufly-1.1", Mission(), keep=False)
+    flight.tick()
+    assert flight.autopilot.arm()
+    assert flight.autopilot.take_off(1.0)
+    for _ in range(400):
+        flight.tick()
+    assert flight.view.actuators.motor_input.min() > 0.1
+    flight.autopilot._armed = False  # a fault that nothing else has noticed
+    for _ in range(3):
+        flight.tick()
+    assert flight.view.actuators.motor_input.max() == 0.0
