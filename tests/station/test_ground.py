@@ -144,6 +144,21 @@ def test_a_mission_that_somebody_else_sent_is_fetched():
     world.run(5.0, lambda: len(vehicle.mission) == 3)
 
 
+def test_the_home_in_an_ardupilot_s_mission_is_not_missed_again_and_again():
+    """Its list begins with home, which MISSION_CURRENT leaves out of the total."""
+    mock = MockVehicle(autopilot=3)
+    world = World(mock)
+    vehicle = met(world)
+    world.answer(vehicle.upload_mission(ROWS))
+    mock.extra.append(mavlink.MAVLink_mission_current_message(0, total=4))
+    world.run(0.2)
+    assert not vehicle.transfers.busy
+    mock.mission = mock.mission[:4]
+    mock.extra.append(mavlink.MAVLink_mission_current_message(0, total=3))
+    world.run(5.0, lambda: len(vehicle.mission) == 4)
+    assert len(vehicle.mission) == 4
+
+
 def test_take_off_arms_first_and_carries_the_reason_of_a_refusal():
     mock = MockVehicle(ours=True)
     world = World(mock)

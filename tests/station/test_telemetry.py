@@ -124,9 +124,9 @@ def test_a_place_on_the_globe_becomes_metres_from_the_first_fix():
 
     t = told(fix(1000, 47.0, 8.0, 400.0), fix(1100, 47.0009, 8.0009, 410.0))
     n, e, d = t.believes("estimated_position")
-    # A degree of a meridian is 111.19 km on a sphere of 6371 km.
-    assert n == pytest.approx(100.08, abs=0.05)
-    assert e == pytest.approx(100.08 * math.cos(math.radians(47.0)), abs=0.05)
+    # At 47 degrees on WGS 84 a degree of latitude is 111.17 km, one of longitude 76.05 km; 400 m up a little more.
+    assert n == pytest.approx(100.06, abs=0.02)
+    assert e == pytest.approx(68.45, abs=0.02)
     assert d == pytest.approx(-10.0)
     np.testing.assert_allclose(t.believes("estimated_velocity"), [1.0, -0.5, 0.25])
 

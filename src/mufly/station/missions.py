@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from mufly.errors import InputError
+from mufly.link.geodesy import Origin
 from mufly.link.transfer_notes import Item
 from mufly.station.view import MissionRow
 
@@ -41,7 +42,6 @@ _OTHERS = {
 }
 _COMMANDS = {action: command for command, action in _ACTIONS.items()}
 _GLOBAL = {0: 0, 5: 0, 3: 1, 6: 1, 10: 1, 11: 1}  # MAV_FRAME: 0 height over the sea, 1 over home
-_EARTH_M = 6_371_000.0
 _NOT_GIVEN = 2**31 - 1
 _NUMBER = re.compile(r"[-+]?\d*\.?\d+(?:[eE][-+]?\d+)?")
 
@@ -77,23 +77,21 @@ def items_of(rows: Sequence[MissionRow], where: str = "mission") -> list[Item]:
     return _numbered(items)
 
 
-def rows_of(
-    items: Sequence[Item], origin: tuple[float, float, float] | None = None, reached: int = 0
-) -> list[MissionRow]:
+def rows_of(items: Sequence[Item], origin: Origin | None = None, reached: int = 0) -> list[MissionRow]:
     """Return the rows of a table of items.
 
     Parameters
     ----------
     items : sequence of Item
-    origin : (latitude, longitude, altitude), optional
-        deg, deg, m: where N, E, D are 0, for items in a global frame.
+    origin : Origin, optional
+        Where N, E, D are 0, for items in a global frame.
     reached : int
         So many of the first rows are behind the vehicle.
     """
     return [_row(item, origin, k < reached) for k, item in enumerate(items)]
 
 
-def _row(item: Item, origin: tuple[float, float, float] | None, reached: bool) -> MissionRow:
+def _row(item: Item, origin: Origin | None, reached: bool) -> MissionRow:
     command = item.command
     action = _ACTIONS.get(command) or _OTHERS.get(command, f"command {command}")
     position, text = (math.nan,) * 3, ""
@@ -114,18 +112,14 @@ def _row(item: Item, origin: tuple[float, float, float] | None, reached: bool) -
     return MissionRow(action, position, heading, wait_s, reached, text)
 
 
-def _from_global(
-    item: Item, origin: tuple[float, float, float] | None
-) -> tuple[tuple[float, float, float], str]:
+def _from_global(item: Item, origin: Origin | None) -> tuple[tuple[float, float, float], str]:
     latitude, longitude = item.x / 1e7, item.y / 1e7
     if (item.x, item.y) == (0, 0):
         return (math.nan,) * 3, ""
     if origin is None:
         return (math.nan,) * 3, f"{latitude:.6f} {longitude:.6f} deg, {item.z:g} m"
-    north = math.radians(latitude - origin[0]) * _EARTH_M
-    east = math.radians(math.remainder(longitude - origin[1], 360.0)) * _EARTH_M
-    down = -item.z if _GLOBAL[item.frame] else origin[2] - item.z
-    return (north, east * math.cos(math.radians(origin[0])), down), ""
+    north, east, down = origin.to_local(latitude, longitude, item.z)
+    return (north, east, -item.z if _GLOBAL[item.frame] else down), ""
 
 
 def _item(

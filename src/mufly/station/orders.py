@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from typing import Literal
 
+from mufly.link.geodesy import Origin
 from mufly.station.modes import ARDUPILOT, PX4
 from mufly.station.requests import Order
 
@@ -90,7 +91,7 @@ def go_to(
     dialect: Dialect,
     position_m: tuple[float, float, float],
     heading_rad: float,
-    origin: tuple[float, float, float] | None,
+    origin: Origin | None,
 ) -> Order | str:
     """Fly to N, E, D and hold; text if that cannot be asked of this vehicle.
 
@@ -100,19 +101,15 @@ def go_to(
     position_m : (3,) tuple
     heading_rad : float
         NaN: as the vehicle likes.
-    origin : (latitude, longitude, altitude), optional
-        deg, deg, m: where N, E, D are 0.
+    origin : Origin or None
+        Where N, E, D are 0, as far as the vehicle has told.
     """
     if dialect == "mufly":
         return Order(192, (-1.0, 0.0, 0.0, heading_rad, *position_m), frame=LOCAL_NED)
     if origin is None:
         return "this autopilot flies to places on the globe only, and has told no origin"
-    earth_m = 6_371_000.0
-    north, east, down = position_m
-    latitude = origin[0] + math.degrees(north / earth_m)
-    longitude = origin[1] + math.degrees(east / earth_m / math.cos(math.radians(origin[0])))
     # Flag 1: change to the mode that it takes.
-    return Order(192, (-1.0, 1.0, 0.0, heading_rad, latitude, longitude, origin[2] - down), frame=GLOBAL)
+    return Order(192, (-1.0, 1.0, 0.0, heading_rad, *origin.to_global(*position_m)), frame=GLOBAL)
 
 
 def home(dialect: Dialect) -> Order:

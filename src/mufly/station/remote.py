@@ -19,6 +19,7 @@ from mufly.station.command_desk import CommandDesk
 from mufly.station.greeting import Greeting
 from mufly.station.history import History
 from mufly.station.missions import rows_of
+from mufly.station.modes import ARDUPILOT
 from mufly.station.parameters import Parameters
 from mufly.station.requests import Chain, Commands
 from mufly.station.telemetry import Telemetry
@@ -279,7 +280,14 @@ class RemoteVehicle(Asking):
                 self._reached = -1  # it flies the mission again, or another
             items = self.transfers.items
             counted = 0 < message.total < 65535 or (message.total == 0 and self._greeting.ours)
-            if items is not None and counted and message.total != len(items) and not self.transfers.busy:
+            # ArduPilot's first item is its home, which this total leaves out.
+            own = 1 if self.telemetry.autopilot == ARDUPILOT else 0
+            if (
+                items is not None
+                and counted
+                and message.total != max(0, len(items) - own)
+                and not self.transfers.busy
+            ):
                 self.transfers.download()  # somebody else has sent it another
         elif name == "MISSION_ITEM_REACHED":
             self._reached = max(self._reached, message.seq)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.link.dialect import MavMessage
+from mufly.link.geodesy import Origin
 from mufly.station.clock import VehicleClock
 from mufly.station.fields import FIELDS, RPM
 from mufly.station.history import History
@@ -33,7 +34,6 @@ ROW_S = 0.009
 come a tick or two apart. The tlog has every packet."""
 _STALL_S = 0.05
 _HEARTBEAT_S = 3.0
-_EARTH_M = 6_371_000.0
 _NEAR_POLE_DEG = 89.0  # beyond, east is no direction any more
 _COAXIAL, _ARMED = 3, 128  # MAV_TYPE, MAV_MODE_FLAG
 
@@ -72,6 +72,8 @@ class Telemetry:
         Sensors present, enabled, healthy, as SYS_STATUS says.
     simulated : bool
         Whether it tells the truth, as only a simulation can.
+    origin : Origin or None
+        Where on the globe its N, E, D are 0.
     """
 
     def __init__(self, history: History | None = None) -> None:
@@ -86,7 +88,7 @@ class Telemetry:
         self.commander: int | None = None
         self.health: tuple[int, int, int] | None = None
         self.simulated = False
-        self.origin: tuple[float, float, float] | None = None
+        self.origin: Origin | None = None
         self.on_row: Callable[[float, _Array, str], None] | None = None
         self._index = {name: k for k, name in enumerate(self.history.names)}
         self._values = np.full(len(self.history.names), np.nan)
@@ -293,25 +295,22 @@ class Telemetry:
 
     def _global_origin(self, now_s: float, m: MavMessage) -> None:
         if _on_earth(m.latitude, m.longitude):
-            self.origin = (m.latitude / 1e7, m.longitude / 1e7, m.altitude / 1e3)
+            self.origin = Origin(m.latitude / 1e7, m.longitude / 1e7, m.altitude / 1e3)
 
     def _home(self, now_s: float, m: MavMessage) -> None:
         if self.origin is None:
             self._global_origin(now_s, m)
 
     def _global_position(self, now_s: float, m: MavMessage) -> None:
-        """Metres from the origin (or the first fix) on a sphere flattened there: good to a per mille in 10 km."""
+        """Metres from the origin, or from the first fix."""
         if (m.lat, m.lon) == (0, 0) or not _on_earth(m.lat, m.lon):
             return  # no fix yet
         latitude, longitude = m.lat / 1e7, m.lon / 1e7
         if self.origin is None:
-            self.origin = (latitude, longitude, (m.alt - m.relative_alt) / 1e3)
+            self.origin = Origin(latitude, longitude, (m.alt - m.relative_alt) / 1e3)
         if not self._believed(now_s, "position", 1):
             return
-        north = math.radians(latitude - self.origin[0]) * _EARTH_M
-        turn = math.remainder(longitude - self.origin[1], 360.0)
-        east = math.radians(turn) * _EARTH_M * math.cos(math.radians(self.origin[0]))
-        self._put("position", "estimated_position", (north, east, self.origin[2] - m.alt / 1e3))
+        self._put("position", "estimated_position", self.origin.to_local(latitude, longitude, m.alt / 1e3))
         self._put("position", "estimated_velocity", (m.vx / 100.0, m.vy / 100.0, m.vz / 100.0))
 
     def _position_target(self, now_s: float, m: MavMessage) -> None:
