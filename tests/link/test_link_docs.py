@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+from link_rig import Rig
 
 from mufly.link.commands import COMMANDS
 from mufly.link.dialect import mavlink
@@ -62,6 +63,17 @@ def test_states_are_numbered_as_they_are():
     assert dict(re.findall(r"(\d) ([a-z-]+)", re.search(r"machine: (.*?) \|", PAGE).group(1))) == {
         str(k): state for k, state in enumerate(STATES)
     }
+
+
+def test_the_default_streams_fit_a_radio():
+    """5 kB/s, and 5.76 kB/s are what 57600 baud carry."""
+    rig = Rig()
+    gcs = rig.station()
+    rig.run(1.5)
+    sizes = []
+    gcs.hear = lambda data: sizes.append(len(data))
+    rig.run(4.0)
+    assert sum(sizes) / 4.0 == pytest.approx(5000.0, rel=0.05)
 
 
 @pytest.mark.parametrize("name", re.findall(r"\]\((examples/[^)]+)\)", PAGE))
