@@ -30,6 +30,15 @@ def recorded(tmp_path, *vehicles):
     return world, recorder, said
 
 
+def test_the_first_recording_may_stand_beside_that_of_the_vehicle(tmp_path):
+    recorder = StationRecorder(tmp_path, first_here=True, wall_s=lambda: DAY_S)
+    for k in range(2):
+        recorder.start()
+        recorder.stop()
+        assert (recorder.path == tmp_path) is (k == 0)
+    assert len(list(tmp_path.rglob("station.tlog"))) == 2
+
+
 def test_signals_messages_and_marks_are_kept(tmp_path):
     world, recorder, _ = recorded(tmp_path, MockVehicle(rate_Hz=100.0))
     recorder.start()

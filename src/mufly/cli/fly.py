@@ -135,13 +135,13 @@ def fly(
         if found is None or _never_flew(found):
             console.print(f"It did not fly; what was recorded is in {folder}")
             raise typer.Exit(130 if stopped else 1)
-        dataset = found
+        dataset, heard = found, [] if address is None else sorted(folder.glob("station*.*"))
     else:
-        stopped = False
+        stopped, heard = False, []
         dataset = _fly_in_terminal(
             console, loaded_vehicle, loaded_mission, recording, steady, gust, seed, realtime
         )
-    summary = _write_results(console, dataset, loaded_mission, recording, as_json)
+    summary = _write_results(console, dataset, loaded_mission, [recording, *heard], as_json)
     if stopped and summary.outcome != "succeeded":
         console.print(f"Stopped; the recording up to here is in {recording}")
         raise typer.Exit(130)
@@ -206,12 +206,12 @@ def _never_flew(dataset: xr.Dataset) -> bool:
 
 
 def _write_results(
-    console: Console, dataset: xr.Dataset, mission: Mission, recording: Path, as_json: bool
+    console: Console, dataset: xr.Dataset, mission: Mission, recordings: list[Path], as_json: bool
 ) -> Summary:
-    """Write summary and pictures beside the recording, and print what they say."""
+    """Write summary and pictures beside the recordings, and print what they say."""
     import mufly.flight as flight
 
-    folder, waypoints = recording.parent, [w.position_m for w in mission.waypoint]
+    folder, waypoints = recordings[0].parent, [w.position_m for w in mission.waypoint]
     summary = flight.summarise(
         dataset,
         waypoints,
@@ -228,7 +228,7 @@ def _write_results(
         print(text)
     else:
         _print_result(console, summary)
-        names = ", ".join(p.name for p in (recording, folder / "summary.json", *pictures))
+        names = ", ".join(p.name for p in (*recordings, folder / "summary.json", *pictures))
         console.print(f"Written to [bold]{folder}[/bold]: {names}")
     return summary
 

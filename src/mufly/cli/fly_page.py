@@ -144,7 +144,7 @@ def fly_with_page(
     folder = order.recording.parent
     try:
         ground = Station(
-            [parse_endpoint(f"udp:127.0.0.1:{number}", "station")], folder=folder,
+            [parse_endpoint(f"udp:127.0.0.1:{number}", "station")], folder=folder, record_here=True,
             on_vehicle=lambda found: found.show_mission(order.mission),
         )  # fmt: skip
         session = Session(

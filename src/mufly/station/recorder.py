@@ -57,6 +57,8 @@ class StationRecorder:
     ----------
     folder : str or Path
         Where the folders of recordings are made.
+    first_here : bool
+        The first recording goes into ``folder`` itself, beside that of the vehicle, and replaces an earlier one.
     on_end : callable, optional
         Told in words when a recording ends by itself.
     wall_s : callable
@@ -75,6 +77,7 @@ class StationRecorder:
         self,
         folder: str | Path = "flights",
         *,
+        first_here: bool = False,
         on_end: Callable[[str], None] | None = None,
         wall_s: Callable[[], float] = time.time,
     ) -> None:
@@ -83,12 +86,13 @@ class StationRecorder:
         self.path: Path | None = None
         self.free_bytes = math.nan
         self._on_end, self._wall_s = on_end, wall_s
+        self._here = first_here
         self._tracks: dict[int, _Track] = {}
         self._tlog: TlogWriter | None = None
         self._looked_s = -math.inf
 
     def start(self) -> None:
-        """Begin a recording in a folder of its own.
+        """Begin a recording, in a folder of its own.
 
         Raises
         ------
@@ -97,19 +101,25 @@ class StationRecorder:
         """
         if self.recording:
             return
+        path = self.folder if self._here else self._dated()
+        try:
+            path.mkdir(parents=True, exist_ok=self._here)
+            self._here = False
+            self._tlog = TlogWriter(path / "station.tlog")
+        except OSError as error:
+            problem = f"cannot be written ({error.strerror})"
+            raise InputError(str(path), "", problem, "choose another folder with --out") from error
+        self.path, self.recording = path, True
+        self._looked_s = -math.inf
+
+    def _dated(self) -> Path:
+        """A folder that does not exist yet, named after the time."""
         stamp = datetime.fromtimestamp(self._wall_s()).strftime("%Y-%m-%d_%H-%M-%S")
         path, k = self.folder / stamp, 1
         while path.exists():  # another station, or started twice within a second
             k += 1
             path = self.folder / f"{stamp}_{k}"
-        try:
-            path.mkdir(parents=True)
-        except OSError as error:
-            problem = f"cannot be written ({error.strerror})"
-            raise InputError(str(path), "", problem, "choose another folder with --out") from error
-        self._tlog = TlogWriter(path / "station.tlog")
-        self.path, self.recording = path, True
-        self._looked_s = -math.inf
+        return path
 
     def stop(self, outcome: str = "stopped", reason: str = "") -> None:
         """Finish the files."""

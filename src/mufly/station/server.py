@@ -29,7 +29,10 @@ STEP_S = 0.02
 REACT_S = 0.004
 """After bytes have come, what is due goes out at once, but no more often than this (s)."""
 CARE_S = 0.5
-_SYSTEMS, _COMPONENTS = range(246, 255), range(25, 100)  # below 255, which others use; MAV_COMP_ID_USER1 to USER75
+_SYSTEMS, _COMPONENTS = (
+    range(246, 255),
+    range(25, 100),
+)  # below 255, which others use; MAV_COMP_ID_USER1 to USER75
 _FULL_RATE_BYTES_S = 45_000.0
 _SHARE_OF_LINE = 0.6
 _FAULTS = 100
@@ -65,6 +68,8 @@ class Station:
         Where recordings go.
     record : bool
         Whether to begin a recording at once.
+    record_here : bool
+        The first recording goes into ``folder`` itself instead of a dated folder in it.
     us : (system, component), optional
         Our MAVLink address. Default: a system number from 246 to 254 and one of the 75 component numbers for users, by
         process, so that two stations on one vehicle are told apart.
@@ -91,6 +96,7 @@ class Station:
         *,
         folder: str | Path = "flights",
         record: bool = True,
+        record_here: bool = False,
         us: tuple[int, int] | None = None,
         rate_Hz: float = 100.0,
         on_vehicle: Callable[[RemoteVehicle], None] | None = None,
@@ -100,7 +106,7 @@ class Station:
         ]
         self.us = us or _address_of(os.getpid())
         self.notices: deque[tuple[float, str]] = deque(maxlen=200)
-        self.recorder = StationRecorder(folder, on_end=self._notice)
+        self.recorder = StationRecorder(folder, first_here=record_here, on_end=self._notice)
         self._record, self._rate_Hz, self._on_vehicle = record, rate_Hz, on_vehicle
         self._colors = count()
         self._links: list[tuple[Port, GroundLink]] = []
