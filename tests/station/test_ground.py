@@ -210,6 +210,32 @@ def test_an_emergency_stop_goes_out_at_once_whatever_waits():
     assert not stop.done
 
 
+@pytest.mark.parametrize("autopilot", [12, 3])
+@pytest.mark.parametrize("ours", [True, False])
+@pytest.mark.parametrize("after_s", [0.05, 0.9, 2.0])
+def test_nothing_that_was_asked_for_before_follows_an_emergency_stop(autopilot, ours, after_s):
+    """Take-off pressed twice over a link that is bad just now, then the stop: it must not arm when the link is back."""
+    mock = MockVehicle(ours=ours, autopilot=autopilot, parameters={"MIS_TAKEOFF_ALT": (1.0, 9)})
+    world = World(mock)
+    vehicle = met(world)
+    world.answer(vehicle.upload_mission(ROWS))
+    mock.silent_on = {400, 176}
+    mock.refuse["MIS_TAKEOFF_ALT"] = True  # so that the chain waits there
+    asked = [vehicle.take_off(1.5), vehicle.take_off(2.0), vehicle.start_mission(), vehicle.arm()]
+    world.run(after_s)
+    mock.commands.clear()
+    stop = vehicle.emergency_stop()
+    world.run(0.02)
+    mock.silent_on, mock.refuse = set(), {}
+    world.run(4.0)
+    assert stop.outcome is Outcome.ACCEPTED
+    assert all(request.done for request in asked)
+    acts = [m for m in mock.commands if m.command not in (511, 512)]
+    assert {(m.command, m.param1, m.param2) for m in acts} == {(400, 0.0, 21196.0)}
+    assert not mock.armed
+    assert world.answer(vehicle.arm())[0] == "accepted"  # when it is asked for anew
+
+
 def test_a_vehicle_that_falls_silent_is_lost_and_comes_back_from_another_address():
     mock = MockVehicle(ours=True)
     world = World(mock)

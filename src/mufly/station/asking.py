@@ -90,7 +90,9 @@ class Asking:
         return self._ask("land", orders.land(self.dialect))
 
     def emergency_stop(self) -> Request:
-        """Stop the motors at once, in flight too."""
+        """Stop the motors at once, in flight too; nothing that was asked for before goes on after it."""
+        for chain in self._chains:
+            end(chain.request, Outcome.REFUSED, "given up for: EMERGENCY STOP")
         return self._ask("EMERGENCY STOP", orders.emergency_stop())
 
     def reboot(self) -> Request:

@@ -27,6 +27,7 @@ PROGRESS_S = 30.0
 REASON_S = 0.4
 """For so long a refusal without words waits for some (s)."""
 _NOT_GIVEN, _FARTHEST = 2**31 - 1, 2**31 - 2
+_ENQUIRIES = (511, 512)  # SET_MESSAGE_INTERVAL, REQUEST_MESSAGE
 _WORDS = {
     1: "not possible now",
     2: "refused",
@@ -51,7 +52,7 @@ class Order:
     frame : int or None
         With a frame (MAV_FRAME) it goes as COMMAND_INT, whose x and y are metres times 1e4 or degrees times 1e7.
     urgent : bool
-        Goes out at once; a command of the same kind that waits for its answer is given up for it.
+        Goes out at once; whatever else the vehicle has been asked to do and has not answered is given up for it.
     """
 
     command: int
@@ -121,9 +122,7 @@ class Commands:
         request = Request(text)
         entry = _Open(order, request)
         if order.urgent:
-            before = self._open.pop(order.command, None)
-            if before is not None:
-                end(before.request, Outcome.REFUSED, f"given up for: {text}")
+            self._give_up_acts(f"given up for: {text}")
             self._open[order.command] = entry
         else:
             if len(self._waiting) == self._waiting.maxlen:
@@ -182,6 +181,16 @@ class Commands:
                 entry.asked_s = now_s
                 entry.tries += 1
         return out
+
+    def _give_up_acts(self, answer: str) -> None:
+        """End all that would make the vehicle do something: an arming that waits must not follow a stop."""
+        acts = [e for e in (*self._open.values(), *self._waiting) if e.order.command not in _ENQUIRIES]
+        for entry in acts:
+            end(entry.request, Outcome.REFUSED, answer)
+            self._open.pop(entry.order.command, None)
+        asks = [e for e in self._waiting if e.order.command in _ENQUIRIES]
+        self._waiting.clear()
+        self._waiting.extend(asks)
 
     def give_up(self, answer: str) -> None:
         """End everything that is open: the vehicle is gone or was started anew."""
