@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from mufly.link.dialect import mavlink
+from mufly.link.telemetry_status import STATES
 from mufly.station.clock import VehicleClock
 from mufly.station.fields import FIELDS
 from mufly.station.history import History
-from mufly.station.modes import MUFLY_STATES, mode_words
+from mufly.station.modes import mode_words
 from mufly.station.telemetry import HOLD_S, Telemetry
 from mufly.station.texts import Texts
 
@@ -166,7 +167,7 @@ def test_the_truth_is_taken_apart():
 def test_states_and_modes_are_told_in_words():
     t = told(mavlink.MAVLink_heartbeat_message(3, 12, 129, 4 << 16 | 4 << 24, 4, 3))
     assert (t.state, t.armed) == ("mission", True)
-    told(mavlink.MAVLink_named_value_int_message(0, b"mstate", MUFLY_STATES.index("hover")), telemetry=t)
+    told(mavlink.MAVLink_named_value_int_message(0, b"mstate", STATES.index("hover")), telemetry=t)
     assert t.state == "hover"
     assert mode_words(3, 4, 1, 4) == "guided"
     assert mode_words(3, 4, 0, 4) == ""

@@ -5,7 +5,7 @@ from mufly.flight.autopilot import Autopilot
 from mufly.flight.controllers import Actuators, Controllers
 from mufly.flight.flight import Flight
 from mufly.flight.loop import Progress, fly
-from mufly.flight.parameters import Parameter
+from mufly.flight.parameter_table import Parameter
 from mufly.flight.pictures import draw_flight
 from mufly.flight.recorder import Recorder
 from mufly.flight.response import Demand, respond

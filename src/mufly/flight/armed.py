@@ -18,7 +18,8 @@ from mufly.dynamics import hover_performance
 from mufly.flight.answers import ACCEPTED, Answer, Status, later, never
 from mufly.flight.arming import mission_fault, not_ready
 from mufly.flight.controllers import Actuators
-from mufly.flight.parameters import Parameter, Parameters
+from mufly.flight.parameter_table import Parameter
+from mufly.flight.parameters import Parameters
 from mufly.flight.software import FlightSoftware
 from mufly.logs.layout import Event
 from mufly.mission import NO_SIGNAL, Command, Mission, SetPoint

@@ -21,9 +21,37 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-__all__ = ["DEG", "TABLE", "Row"]
+__all__ = ["DEG", "TABLE", "Parameter", "Row"]
 
 DEG = math.degrees(1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One number that may be tuned, as a vehicle offers it and a station shows it.
+
+    Attributes
+    ----------
+    name : str
+        At most 16 characters.
+    value : float
+        In ``unit``.
+    unit : str
+        "" for a pure number, or where it is not known.
+    least, greatest : float
+        Bounds, themselves permitted; infinite where none are known.
+    help : str
+    whole : bool
+        A whole number.
+    """
+
+    name: str
+    value: float
+    unit: str = ""
+    least: float = -math.inf
+    greatest: float = math.inf
+    help: str = ""
+    whole: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,40 +11,12 @@ import numpy as np
 from mufly.control import FlightController
 from mufly.errors import InputError
 from mufly.flight.controllers import copied
-from mufly.flight.parameter_table import DEG, TABLE, Row
+from mufly.flight.parameter_table import DEG, TABLE, Parameter, Row
 from mufly.flight.software import FlightSoftware, able
 from mufly.mission import SHARE, Mission
 from mufly.vehicle import Vehicle
 
-__all__ = ["TABLE", "Parameter", "Parameters", "Sticks"]
-
-
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """One number that may be tuned.
-
-    Attributes
-    ----------
-    name : str
-        At most 16 characters.
-    value : float
-        In ``unit``.
-    unit : str
-        "" for a pure number.
-    least, greatest : float
-        Bounds, themselves permitted.
-    help : str
-    whole : bool
-        A whole number.
-    """
-
-    name: str
-    value: float
-    unit: str
-    least: float
-    greatest: float
-    help: str
-    whole: bool = False
+__all__ = ["Parameters", "Sticks"]
 
 
 @dataclass(slots=True)

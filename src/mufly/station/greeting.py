@@ -10,6 +10,7 @@ import math
 
 from mufly.link.dialect import MavMessage, mavlink
 from mufly.station import orders
+from mufly.station.modes import PX4
 from mufly.station.parameters import Parameters
 from mufly.station.requests import Commands
 from mufly.station.telemetry import Telemetry
@@ -38,7 +39,7 @@ _FOREIGN = (
     ("EXTENDED_SYS_STATE", 0.02),
 )
 _STREAM_HZ = 10
-_PX4, _BYTEWISE, _C_CAST = 12, 16, 131072  # MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_*
+_BYTEWISE, _C_CAST = 16, 131072  # MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_*
 _PATIENCE_S = 3.0
 
 
@@ -101,7 +102,7 @@ class Greeting:
         if not self._read:
             self._read = True
             known = self._version.capabilities if self._version is not None else 0
-            guess = telemetry.autopilot == _PX4
+            guess = telemetry.autopilot == PX4
             self._parameters.encode_bytewise(bool(known & _BYTEWISE) or (guess and not known & _C_CAST))
             self._parameters.refresh()
             self._transfers.download()
@@ -125,7 +126,7 @@ class Greeting:
 
 def _ours() -> dict[str, Parameter]:
     """What is known of the parameters of our own vehicles: unit, bounds, help."""
-    from mufly.flight.parameters import TABLE
+    from mufly.flight.parameter_table import TABLE
     from mufly.link.parameters import LINK_PARAMETERS
 
     known = [Parameter(r.name, math.nan, r.unit, r.least, r.greatest, r.help, r.whole) for r in TABLE]

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from mufly.mission import State
-
-__all__ = ["MUFLY_STATES", "mode_words"]
+__all__ = ["mode_words"]
 
 PX4, ARDUPILOT = 12, 3  # MAV_AUTOPILOT
 _CUSTOM_MODE_ENABLED = 1  # MAV_MODE_FLAG
-
-MUFLY_STATES = tuple(str(state) for state in State)
-"""What the number of a mufly vehicle's ``mstate`` means."""
 
 # PX4, src/modules/commander/px4_custom_mode.h
 _PX4_MAIN = {

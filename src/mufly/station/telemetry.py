@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from mufly.link.dialect import MavMessage
 from mufly.link.geodesy import Origin
+from mufly.link.telemetry_status import STATES
 from mufly.station.clock import VehicleClock
 from mufly.station.fields import FIELDS, RPM
 from mufly.station.history import History
-from mufly.station.modes import MUFLY_STATES, mode_words
+from mufly.station.modes import mode_words
 from mufly.station.ranges import Ranges, read_distance, read_ring
 from mufly.station.view import unknown
 
@@ -373,8 +374,8 @@ class Telemetry:
 
     def _named_int(self, now_s: float, m: MavMessage) -> None:
         if m.name == "mstate":
-            known = 0 <= m.value < len(MUFLY_STATES)
-            self._own_state = (MUFLY_STATES[m.value] if known else f"state {m.value}", now_s)
+            known = 0 <= m.value < len(STATES)
+            self._own_state = (STATES[m.value] if known else f"state {m.value}", now_s)
         elif m.name == "command":
             self.commander = m.value
 

@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.flight.parameter_table import Parameter
+
 __all__ = ["Check", "Message", "MissionRow", "Outcome", "Parameter", "Request", "Snapshot", "unknown"]
 
 _Array = NDArray[np.float64]
@@ -127,19 +129,6 @@ class MissionRow:
     wait_s: float = 0.0
     reached: bool = False
     text: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """One parameter of the vehicle. Unit, bounds and help are known for mufly's own vehicles only."""
-
-    name: str
-    value: float
-    unit: str = ""
-    least: float = -math.inf
-    greatest: float = math.inf
-    help: str = ""
-    whole: bool = False
 
 
 @dataclass(frozen=True, slots=True)
