@@ -8,7 +8,7 @@ import pytest
 
 from mufly.mission import Command, SetPoint, State, begin, load_mission, mission_from, step
 from mufly.mission.plan import SPIN_UP_S, homeward
-from mufly.mission.signals import LOG_KEPT
+from mufly.mission.state import LOG_KEPT
 from mufly.sensors import Measurement
 
 SQUARE = load_mission("demonstration")

@@ -9,19 +9,9 @@ from mufly.mission.pace import SHARE, slowed
 from mufly.mission.plan import SPIN_UP_S, Leg, legs
 from mufly.mission.preflight import preflight
 from mufly.mission.schema import LOWEST_M, Mission, Waypoint
-from mufly.mission.signals import (
-    NO_SIGNAL,
-    Command,
-    Event,
-    MissionPlan,
-    MissionState,
-    Reference,
-    State,
-    begin,
-    log,
-    prepare,
-)
+from mufly.mission.signals import NO_SIGNAL, Command, Event, Reference, State
 from mufly.mission.spline import Spline, spline
+from mufly.mission.state import MissionPlan, MissionState, begin, log, prepare
 from mufly.mission.trajectory import Limits, Trajectory, curved, straight
 from mufly.mission.user import GO_AROUND_M, OFF_FLOOR_M, stop_at_once, waypoint_fault
 

@@ -8,7 +8,8 @@ from dataclasses import replace
 from mufly.mission.avoidance import BRAKE_M_S2
 from mufly.mission.plan import SLOW_FROM_M
 from mufly.mission.reference import onward, point
-from mufly.mission.signals import MissionPlan, MissionState, State, enter, fail, log
+from mufly.mission.signals import State
+from mufly.mission.state import MissionPlan, MissionState, enter, fail, log
 from mufly.mission.trajectory import stop
 from mufly.sensors import Measurement
 

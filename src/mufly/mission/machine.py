@@ -30,7 +30,8 @@ from dataclasses import replace
 from mufly.mission import landing, phases, user
 from mufly.mission.obstacles import observe
 from mufly.mission.reference import at_gate, reference, swing
-from mufly.mission.signals import Command, MissionPlan, MissionState, Reference, State, fail, log
+from mufly.mission.signals import Command, Reference, State
+from mufly.mission.state import MissionPlan, MissionState, fail, log
 from mufly.mission.trajectory import Trajectory
 from mufly.sensors import Measurement
 

@@ -18,7 +18,8 @@ from mufly.mission.plan import SPIN_UP_S, leg_trajectory
 from mufly.mission.reference import at_gate, onward, point
 from mufly.mission.schema import LOWEST_M
 from mufly.mission.sight import blocked, look
-from mufly.mission.signals import MissionPlan, MissionState, State, Triple, enter, fail, log
+from mufly.mission.signals import State, Triple
+from mufly.mission.state import MissionPlan, MissionState, enter, fail, log
 from mufly.mission.trajectory import Stop, Trajectory, stop, straight
 from mufly.sensors import Measurement
 

@@ -6,7 +6,7 @@ from mufly.dynamics import hover_performance
 from mufly.errors import InputError
 from mufly.mission.check import Estimate, check_mission
 from mufly.mission.schema import Mission
-from mufly.mission.signals import prepare
+from mufly.mission.state import prepare
 from mufly.vehicle import Vehicle
 
 __all__ = ["preflight"]

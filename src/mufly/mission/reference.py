@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from mufly.mission.signals import Command, MissionPlan, MissionState, Reference, State
+from mufly.mission.signals import Command, Reference, State
+from mufly.mission.state import MissionPlan, MissionState
 from mufly.mission.trajectory import Point, Trajectory
 from mufly.sensors import Measurement
 

@@ -17,7 +17,8 @@ from mufly.mission.plan import SPIN_UP_S
 from mufly.mission.reference import onward, point
 from mufly.mission.schema import LOWEST_M
 from mufly.mission.sight import hold_off
-from mufly.mission.signals import Command, MissionPlan, MissionState, State, Triple, enter, fail, log
+from mufly.mission.signals import Command, State, Triple
+from mufly.mission.state import MissionPlan, MissionState, enter, fail, log
 from mufly.mission.trajectory import Trajectory, stop, straight
 from mufly.sensors import Measurement
 
