@@ -19,7 +19,8 @@ the last one; signals of the user override it. Each change of state is kept with
 
 One step takes what was measured and commanded and returns the next state and the `Reference` for the controllers. It
 runs at 50 Hz or so. Trajectories are made at transitions; a step in between only evaluates one. What each state does
-by itself is in `mufly.mission.phases` and `mufly.mission.landing`, what the user's signals do in `mufly.mission.user`.
+by itself is in `mufly.mission.phases` and `mufly.mission.landing`, what the user's signals do in `mufly.mission.user`,
+what happens while a pilot or a program flies in `mufly.mission.takeover`.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from mufly.mission import landing, phases, user
+from mufly.mission import landing, phases, takeover, user
 from mufly.mission.obstacles import observe
 from mufly.mission.reference import at_gate, reference, swing
 from mufly.mission.signals import Command, Reference, State
@@ -81,7 +82,7 @@ def step(
     s = _sense(plan, state, measured, dt)
     s = _signals(plan, s, measured, command, dt)
     if s.state is State.OFFBOARD:
-        s = user.track(plan, s, measured, command, dt)
+        s = takeover.track(plan, s, measured, command, dt)
     phase = _PHASES.get(s.state)
     if phase is not None:
         s = phase(plan, s, measured, dt)
@@ -133,12 +134,12 @@ def _signals(plan: MissionPlan, s: MissionState, m: Measurement, c: Command, dt:
         return user.stop_at_once(fail(s, "tipped over"), "tipped over, motors off")
     # Rotors that run down after touchdown stop first: sticks in their middle must not start them again.
     if c.rc and s.motors != "ramp_down":
-        s = s if s.state is State.RC else user.to_hand(s, m)
+        s = s if s.state is State.RC else takeover.to_hand(s, m)
         if s.motors == "fly" and s.low_s - dt <= _LOW_FOR_S < s.low_s:
             s = log(s, f"{_low_words(plan, s)}; land", level="warning")  # the pilot's own decision
-        return user.by_hand(s, m, c, dt)
+        return takeover.by_hand(s, m, c, dt)
     if s.state is State.RC:
-        return user.from_hand(s, m)
+        return takeover.from_hand(s, m)
     if s.state is State.INIT:
         return _from_the_floor(plan, s, m, c) if s.motors == "off" else s
     if s.state is State.LANDING:
@@ -154,7 +155,7 @@ def _signals(plan: MissionPlan, s: MissionState, m: Measurement, c: Command, dt:
     if s.state is State.TAKE_OFF and c.start and (s.manual or c.first is not None):
         return user.go_on_after_take_off(s, c.first)
     if s.motors == "spin_up":
-        return s if s.state is not State.OFFBOARD or c.set_point else user.from_set_points(plan, s, m)
+        return s if s.state is not State.OFFBOARD or c.set_point else takeover.from_set_points(plan, s, m)
     return _in_flight(plan, s, m, c)
 
 
@@ -168,7 +169,7 @@ def _from_the_floor(plan: MissionPlan, s: MissionState, m: Measurement, c: Comma
         return phases.start(plan, s, m, first=c.first)
     if c.take_off is not None:
         return phases.start(plan, s, m, height=c.take_off)
-    return s if c.set_point is None else user.to_set_points(s, m, c.set_point)
+    return s if c.set_point is None else takeover.to_set_points(s, m, c.set_point)
 
 
 def _battery_low(plan: MissionPlan, s: MissionState) -> MissionState:
@@ -184,7 +185,7 @@ def _low_words(plan: MissionPlan, s: MissionState) -> str:
 def _in_flight(plan: MissionPlan, s: MissionState, m: Measurement, c: Command) -> MissionState:
     """What the user wants of a helicopter that flies."""
     if s.state is State.OFFBOARD and c.set_point is None:
-        s = user.from_set_points(plan, s, m)
+        s = takeover.from_set_points(plan, s, m)
         if s.state is State.INIT:
             return s
     if s.state is State.TAKE_OFF and s.standing[2] - m.position[2] < user.OFF_FLOOR_M:
@@ -194,7 +195,7 @@ def _in_flight(plan: MissionPlan, s: MissionState, m: Measurement, c: Command) -
     if c.home:
         return user.return_home(plan, s)
     if c.set_point is not None:
-        return s if s.state is State.OFFBOARD else user.to_set_points(s, m, c.set_point)
+        return s if s.state is State.OFFBOARD else takeover.to_set_points(s, m, c.set_point)
     if c.waypoint is not None or c.heading is not None:
         return user.to_users_waypoint(plan, s, c.waypoint, c.heading)
     if c.start and s.state is not State.TAKE_OFF and (s.manual or c.first is not None):

@@ -1,4 +1,4 @@
-"""What the user's signals do to a flight: waypoints, pause, return, the pilot's sticks, a program's set-points, stop.
+"""What the user's signals do to a flight: waypoints, pause, return, land, stop.
 
 As in `mufly.mission.phases`, every function takes a state and returns the next one. A reference that moves comes to
 rest before it does anything else, so that none of them makes it jump.
@@ -9,35 +9,24 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from mufly.mission.avoidance import BRAKE_M_S2
 from mufly.mission.landing import land
-from mufly.mission.offboard import HIGHEST_M, SetPoint, begin_tracking, fault_of, follow, wants_up
-from mufly.mission.phases import braking, go_home, measured_at, set_out
-from mufly.mission.plan import SPIN_UP_S
-from mufly.mission.reference import onward, point
+from mufly.mission.offboard import HIGHEST_M
+from mufly.mission.phases import braking, go_home, set_out
 from mufly.mission.schema import LOWEST_M
-from mufly.mission.sight import hold_off
-from mufly.mission.signals import Command, State, Triple
+from mufly.mission.signals import State, Triple
 from mufly.mission.state import MissionPlan, MissionState, enter, fail, log
-from mufly.mission.trajectory import Trajectory, stop, straight
-from mufly.sensors import Measurement
+from mufly.mission.trajectory import Trajectory, straight
 
 __all__ = [
     "GO_AROUND_M",
     "OFF_FLOOR_M",
-    "by_hand",
-    "from_hand",
-    "from_set_points",
     "go_on",
     "go_on_after_take_off",
     "land_now",
     "pause",
     "return_home",
     "stop_at_once",
-    "to_hand",
-    "to_set_points",
     "to_users_waypoint",
-    "track",
     "waypoint_fault",
 ]
 
@@ -45,7 +34,7 @@ GO_AROUND_M = 0.4
 """Height above the floor from which a landing can be broken off (m)."""
 
 OFF_FLOOR_M = 0.2
-"""Height above where it stood from which a take-off can be (m)."""
+"""Height above where it stood from which a take-off can be broken off (m)."""
 
 
 def stop_at_once(s: MissionState, why: str) -> MissionState:
@@ -169,134 +158,3 @@ def _broken_off(plan: MissionPlan, s: MissionState, signal: str) -> MissionState
     if not s.begun or rest <= 0 or s.outcome != "":
         return s
     return replace(s, quit=f"{signal} signal with {rest} waypoint{'s' if rest > 1 else ''} to go")
-
-
-# RC
-
-
-def to_hand(s: MissionState, m: Measurement) -> MissionState:
-    """RC signal: the pilot takes over, from any state."""
-    x, psi = measured_at(m), float(m.attitude[2])
-    return enter(
-        s,
-        State.RC,
-        "RC on",
-        hold=x,
-        heading=psi,
-        motion=None,
-        detour=None,
-        tracker=None,
-        homing=False,
-        sink=0.0,
-    )
-
-
-def by_hand(s: MissionState, m: Measurement, c: Command, dt: float) -> MissionState:
-    """The pilot's sticks move the references of height and heading; a climb from the floor starts the rotors."""
-    if s.motors == "off":
-        x = measured_at(m)
-        if c.climb <= 0.0:
-            return replace(s, hold=x, heading=float(m.attitude[2]), sink=0.0)
-        s = replace(s, started=True, begun=False, manual=True, index=0, reached=0, standing=x)
-        s = replace(s, outcome="", reason="", quit="", finished=False)
-        return replace(s, motors="spin_up", clock_s=0.0, hold=x)
-    if s.motors == "spin_up":
-        return s if s.clock_s < SPIN_UP_S else replace(s, motors="fly")
-    # The reference stays near the helicopter, so that the sticks answer at once.
-    depth = min(max(s.hold[2] - c.climb * dt, m.position[2] - 0.5), m.position[2] + 0.5)
-    n, e, _ = measured_at(m)
-    return replace(s, hold=(n, e, depth), heading=s.heading + c.yaw_rate * dt, sink=-c.climb)
-
-
-def from_hand(s: MissionState, m: Measurement) -> MissionState:
-    """RC off: hover where it is, or back to init on the floor."""
-    x, psi = measured_at(m), float(m.attitude[2])
-    if s.motors != "fly" or _lies(s, m):
-        if s.begun and s.outcome == "":
-            s = fail(s, "landed by the pilot")
-        elif s.started and s.outcome == "":
-            s = replace(s, outcome="succeeded", reason="landed by the pilot")
-        return _down(s, "RC off on the floor")
-    brake = stop(x, m.velocity, psi, BRAKE_M_S2)
-    n, e, d = brake.at(math.inf).position
-    at = (n, e, d)
-    return enter(s, State.HOVER, "RC off", motion=brake, hold=at, goal=at, heading=psi, manual=True)
-
-
-def _lies(s: MissionState, m: Measurement) -> bool:
-    return bool(m.position[2] > s.standing[2] - 0.1 and abs(m.velocity[2]) < 0.1)
-
-
-def _down(s: MissionState, why: str) -> MissionState:
-    running = s.motors != "off"
-    return enter(
-        s,
-        State.INIT,
-        why,
-        motors="ramp_down" if running else "off",
-        motion=None,
-        tracker=None,
-        finished=s.outcome != "" and not running,
-    )
-
-
-# set-points
-
-
-def to_set_points(s: MissionState, m: Measurement, wanted: SetPoint) -> MissionState:
-    """A program takes over in flight; or on the floor, once it wants to go up."""
-    if fault_of(wanted):
-        return s
-    if s.state is not State.INIT:
-        return enter(
-            s,
-            State.OFFBOARD,
-            "offboard: set-points",
-            tracker=begin_tracking(onward(s)),
-            motion=None,
-            detour=None,
-            manual=True,
-            homing=False,
-        )
-    x = measured_at(m)
-    if not wants_up(wanted, x):
-        return s
-    fresh = MissionState(
-        time_s=s.time_s,
-        started=True,
-        manual=True,
-        hold=x,
-        standing=x,
-        heading=float(m.attitude[2]),
-        battery_V=s.battery_V,
-        events=s.events,
-        logged=s.logged,
-    )
-    return enter(fresh, State.OFFBOARD, "offboard: set-points, taking off", motors="spin_up")
-
-
-def track(plan: MissionPlan, s: MissionState, m: Measurement, c: Command, dt: float) -> MissionState:
-    """Follow the set-point, no faster than the mission's limits and into nothing that the beams have seen."""
-    if s.motors == "spin_up":
-        if s.clock_s < SPIN_UP_S:
-            return s
-        s = replace(s, motors="fly", tracker=begin_tracking(point(replace(s, motion=None))))
-    # It was begun for the end of the step in which it was entered.
-    if c.set_point is None or s.tracker is None or s.entered_s == s.time_s or fault_of(c.set_point):
-        return s
-    here = measured_at(m)
-
-    def clear(vn: float, ve: float) -> tuple[float, float]:
-        return hold_off(s.memory, here, (vn, ve), plan.mission.avoidance.clearance_m)
-
-    guard = clear if plan.avoid and s.memory.used else None
-    t = follow(s.tracker, c.set_point, plan.limits, here, dt, guard)
-    return replace(s, tracker=t, hold=t.position, goal=t.position, heading=t.heading)
-
-
-def from_set_points(plan: MissionPlan, s: MissionState, m: Measurement) -> MissionState:
-    """No more set-points: hover where the reference comes to rest, or stay on the floor."""
-    if s.motors != "fly" or _lies(s, m):
-        s = replace(s, outcome="succeeded", reason="landed") if s.outcome == "" else s
-        return _down(s, "offboard off on the floor")
-    return pause(plan, s, "offboard off")
