@@ -18,9 +18,10 @@ from mufly.control import (
     roll_pitch_initial,
     roll_pitch_step,
 )
+from mufly.mission import Limits
 from mufly.sensors import Measurement
 
-__all__ = ["HEAVE_YAW_TUNED", "POSITION_TUNED", "Actuators", "Controllers"]
+__all__ = ["HEAVE_YAW_TUNED", "POSITION_TUNED", "Actuators", "Controllers", "able"]
 
 _Array = NDArray[np.floating[Any]]
 
@@ -63,6 +64,21 @@ class Actuators:
     def array(self) -> _Array:
         """The input of the flight model: motor upper, motor lower, servo 1, servo 2."""
         return np.concatenate((self.motor_input, self.servo_input))
+
+
+def able(controller: FlightController) -> Limits:
+    """What the controllers can follow: limits of their reference filters and of the position cascade."""
+    heave_yaw, position = controller.heave_yaw_gains, controller.position_gains
+    speed = float(heave_yaw["heave_speed"])
+    return Limits(
+        speed=float(position["speed_limit"]),
+        climb=speed,
+        descent=speed,
+        acceleration=float(position["tilt_limit"] * position["gravity"]),
+        climb_acceleration=float(heave_yaw["heave_acceleration"]),
+        yaw_rate=float(heave_yaw["yaw_rate"]),
+        yaw_acceleration=float(heave_yaw["yaw_acceleration"]),
+    )
 
 
 class Controllers:

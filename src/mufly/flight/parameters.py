@@ -10,9 +10,9 @@ import numpy as np
 
 from mufly.control import FlightController
 from mufly.errors import InputError
-from mufly.flight.controllers import copied
+from mufly.flight.controllers import able, copied
 from mufly.flight.parameter_table import DEG, TABLE, Parameter, Row
-from mufly.flight.software import FlightSoftware, able
+from mufly.flight.software import FlightSoftware
 from mufly.mission import SHARE, Mission
 from mufly.vehicle import Vehicle
 

@@ -20,7 +20,6 @@ missing or frozen are bridged for half a second (:mod:`mufly.flight.watch`), the
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -28,15 +27,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.control import FlightController
-from mufly.flight.controllers import Actuators, Controllers
+from mufly.flight.controllers import Actuators, Controllers, able
+from mufly.flight.open_loop import ramp_down, sink, spin_up, way_down_s
 from mufly.flight.watch import Watch, watch
 from mufly.mission import (
     NO_SIGNAL,
     RAMP_DOWN_S,
-    SPIN_UP_S,
     Command,
     Event,
-    Limits,
     Mission,
     MissionPlan,
     MissionState,
@@ -54,33 +52,13 @@ from mufly.mission import (
 from mufly.sensors import Measurement
 from mufly.vehicle import Vehicle
 
-__all__ = ["FlightSoftware", "able"]
+__all__ = ["FlightSoftware"]
 
-SPIN_UP_SHARE = 0.9
 LIFT_OFF_M = 0.02
 LOST_S = 0.5
 """How long a measurement may be missing or frozen in flight (s)."""
 
-_BLIND_SHARE = 0.98
-"""Of the motor voltages that held it up: it sinks at 1 - 0.98^2 = 0.04 g and touches down from 2 m at 1.3 m/s."""
-
-_BLIND_MARGIN_S = 1.0
 _LEARN_S = 1.0
-
-
-def able(controller: FlightController) -> Limits:
-    """What the controllers can follow: limits of their reference filters and of the position cascade."""
-    heave_yaw, position = controller.heave_yaw_gains, controller.position_gains
-    speed = float(heave_yaw["heave_speed"])
-    return Limits(
-        speed=float(position["speed_limit"]),
-        climb=speed,
-        descent=speed,
-        acceleration=float(position["tilt_limit"] * position["gravity"]),
-        climb_acceleration=float(heave_yaw["heave_acceleration"]),
-        yaw_rate=float(heave_yaw["yaw_rate"]),
-        yaw_acceleration=float(heave_yaw["yaw_acceleration"]),
-    )
 
 
 class FlightSoftware:
@@ -298,15 +276,13 @@ class FlightSoftware:
             self._reference = replace(self._reference, motors="off")
             self._motors, self._motor_input = "off", np.zeros(2)
         else:
-            share = _BLIND_SHARE * min(1.0, left_s / RAMP_DOWN_S)
-            self._motor_input = np.minimum(share * self._held_up / w.good.battery_voltage, 1.0)
+            self._motor_input = sink(self._held_up, left_s, w.good.battery_voltage)
         return Actuators(self._motor_input, np.zeros(2))
 
     def _way_down_s(self, m: Measurement) -> float:
         assert self._mission is not None
-        height = max(0.0, self._mission.standing[2] - float(m.position[2]))
-        sinks_at = (1.0 - _BLIND_SHARE**2) * float(self._controller.position_gains["gravity"])
-        return math.sqrt(2.0 * height / sinks_at) + _BLIND_MARGIN_S
+        height = self._mission.standing[2] - float(m.position[2])
+        return way_down_s(height, float(self._controller.position_gains["gravity"]))
 
     def _switch(self, motors: str, m: Measurement) -> None:
         """Engage or release the controllers without a bump."""
@@ -322,13 +298,10 @@ class FlightSoftware:
     def _on_the_floor(self, motors: str, m: Measurement) -> Actuators:
         elapsed = m.time_s - self._since_s
         if motors == "spin_up":
-            # Half of the time to rise, half for the slow upper rotor to follow.
-            share = SPIN_UP_SHARE * min(1.0, 2.0 * elapsed / SPIN_UP_S)
-            self._motor_input = np.minimum(
-                share * self._controller.motor_trim * self._controller.voltage_V / m.battery_voltage, 1.0
-            )
+            hover_V = self._controller.motor_trim * self._controller.voltage_V
+            self._motor_input = spin_up(hover_V, elapsed, m.battery_voltage)
         elif motors == "ramp_down":
-            self._motor_input = self._released * max(0.0, 1.0 - elapsed / RAMP_DOWN_S)
+            self._motor_input = ramp_down(self._released, elapsed)
         else:
             self._motor_input = np.zeros(2)
         self._tilt = np.zeros(2)
