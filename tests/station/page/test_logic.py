@@ -132,8 +132,9 @@ def test_a_recording_commands_nothing_and_a_lost_link_lets_one_try_to_stop() -> 
 def test_the_vehicle_says_why_it_cannot_be_armed() -> None:
     assert ask(FLOOR, unready="battery low")["take_off"] == "battery low"
     assert ask(FLOOR, rows=0)["mission"] == "no mission loaded"
-    assert mission_label(FLOOR) == "Fly the mission"
-    assert mission_label(HOVER) == "Resume mission"
+    assert mission_label(FLOOR, False) == mission_label(FLOOR, True) == "Fly the mission"
+    assert mission_label(HOVER, False) == "Fly the mission"
+    assert mission_label(HOVER, True) == "Resume mission"
 
 
 def test_undo_takes_back_in_order_and_redo_makes_again() -> None:

@@ -63,8 +63,8 @@ def _mission(s: Snapshot, unready: str) -> str:
     return "" if s.armed else unready
 
 
-def mission_label(s: Snapshot | None) -> str:
-    """Return what the mission button says."""
+def mission_label(s: Snapshot | None, begun: bool) -> str:
+    """Return what the mission button says; ``begun``: a waypoint of the mission was reached."""
     if s is not None and s.flying and s.state in _UNDER_WAY:
         return "Under way"
-    return "Resume mission" if s is not None and s.flying else "Fly the mission"
+    return "Resume mission" if s is not None and s.flying and begun else "Fly the mission"

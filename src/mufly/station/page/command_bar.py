@@ -263,7 +263,8 @@ class CommandBar:
         vehicle = self._vehicle()
         snapshot = vehicle.snapshot if vehicle is not None else None
         why = self._reasons()
-        self._mission.show(mission_label(snapshot), why["mission"])
+        begun = vehicle is not None and any(r.reached for r in vehicle.mission if r.action == "waypoint")
+        self._mission.show(mission_label(snapshot, begun), why["mission"])
         self._take_off.show("Take off", why["take_off"])
         self._pause.show("Hover", why["pause"])
         self._land.show("Land", why["land"])
@@ -272,7 +273,7 @@ class CommandBar:
         armed = snapshot is not None and snapshot.armed
         self._arm.show("Disarm" if armed else "Arm", why["disarm"] if armed else why["arm"])
         waiting = time.monotonic() - self._stop_armed < CONFIRM_S
-        self._stop.show("PRESS AGAIN: MOTORS OFF" if waiting else "EMERGENCY STOP", why["stop"])
+        self._stop.show("PRESS AGAIN TO STOP" if waiting else "EMERGENCY STOP", why["stop"])
         self._show_banner(vehicle, snapshot)
         self._show_requests()
 

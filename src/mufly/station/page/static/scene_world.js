@@ -66,7 +66,8 @@ export function floor(world, reach) {
   ground.position.set((e[0] + e[1]) / 2, -0.001, -(n[0] + n[1]) / 2);
   group.add(ground, lines(fine, colours.grid, { pairs: true }));
   axes.push([0, 0, 0], [Math.min(1, n[1]), 0, 0]);
-  group.add(lines(axes, colours.accent, { pairs: true }));
+  group.add(lines(axes, colours.text, { pairs: true }));
+  label(group, "N", Math.min(1, n[1]) + 0.12, 0);
   for (let k = Math.ceil(n[0]); k <= n[1]; k += 2 * step) label(group, `${k}`, k, e[0] - 0.22);
   for (let k = Math.ceil(e[0]); k <= e[1]; k += 2 * step) label(group, `${k}`, n[0] - 0.22, k);
   label(group, "N (m)", n[1] - 0.5, e[0] - 0.5, 0.24);
