@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from mufly.link.dialect import MavMessage, mavlink
 
-__all__ = ["FORCE", "LOCAL_FRAMES", "Call", "Verdict", "call_of", "from_anyone"]
+if TYPE_CHECKING:
+    from mufly.flight import Answer
+
+__all__ = [
+    "ACCEPTED", "FORCE", "LOCAL_FRAMES", "Call", "Verdict", "call_of", "denied", "from_anyone", "refused", "verdict_of",
+]  # fmt: skip
 
 FORCE = 21196.0
 """The magic number of COMPONENT_ARM_DISARM that stops the motors in flight."""
@@ -45,6 +51,26 @@ class Verdict:
 
     result: int
     reason: str = ""
+
+
+ACCEPTED = Verdict(mavlink.MAV_RESULT_ACCEPTED)
+
+
+def verdict_of(answer: Answer) -> Verdict:
+    """The autopilot's answer as a verdict."""
+    if answer:
+        return ACCEPTED
+    return refused(answer.reason) if answer.temporary else denied(answer.reason)
+
+
+def refused(why: str) -> Verdict:
+    """Not now."""
+    return Verdict(mavlink.MAV_RESULT_TEMPORARILY_REJECTED, why)
+
+
+def denied(why: str) -> Verdict:
+    """Not at all."""
+    return Verdict(mavlink.MAV_RESULT_DENIED, why)
 
 
 def call_of(message: MavMessage) -> Call:

@@ -7,10 +7,12 @@ from collections.abc import Callable
 from mufly.link.authority import Sender
 from mufly.link.bridge import Bridge
 from mufly.link.call import Call, Verdict, call_of, from_anyone
-from mufly.link.commands import Controls, carry_out, set_mode_or_start, start_at
+from mufly.link.commands import carry_out
+from mufly.link.controls import Controls
 from mufly.link.dialect import MavMessage, mavlink
 from mufly.link.enquiries import ENQUIRIES, enquire
 from mufly.link.repeats import Repeats
+from mufly.link.starting import set_mode, start_at
 from mufly.link.voice import Voice
 
 __all__ = ["CommandDesk"]
@@ -44,13 +46,13 @@ class CommandDesk:
             for answer in answers:
                 self._voice.send(sender.peer, answer)
             return
-        if not from_anyone(call) and not self._bridge.may(now_s, sender):
-            self._acknowledge(sender, call, Verdict(mavlink.MAV_RESULT_DENIED))
-            return
         if from_anyone(call):
             # Never taken for a repetition: somebody may have armed it in between.
             self._held = None
             self._carry_out(sender, call, c)
+            return
+        if not self._bridge.may(now_s, sender):
+            self._acknowledge(sender, call, Verdict(mavlink.MAV_RESULT_DENIED))
             return
         before = self._repeats.before(now_s, sender, call)
         if before is not None:
@@ -76,7 +78,7 @@ class CommandDesk:
         """Take a SET_MODE, the older form of DO_SET_MODE."""
         if m.base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED and self._bridge.may(now_s, sender):
             main, sub = m.custom_mode >> 16 & 0xFF, m.custom_mode >> 24
-            verdict = set_mode_or_start(main, sub, self._controls(now_s))
+            verdict = set_mode(main, sub, self._controls(now_s))
             self._acknowledge(sender, Call(mavlink.MAV_CMD_DO_SET_MODE, (0.0,) * 7, None), verdict)
 
     def set_current(self, now_s: float, sender: Sender, m: MavMessage) -> None:

@@ -24,7 +24,17 @@ from typing import Literal, NamedTuple
 
 from mufly.mission import State
 
-__all__ = ["MISSION", "TAKE_OFF", "Ask", "Mode", "asked", "custom_mode", "mode_of", "mode_of_custom"]
+__all__ = [
+    "LOITER",
+    "MISSION",
+    "TAKE_OFF",
+    "Ask",
+    "Mode",
+    "asked",
+    "custom_mode",
+    "mode_of",
+    "mode_of_custom",
+]
 
 Ask = Literal["take-off", "hover", "mission", "return", "land", "rc", "offboard", ""]
 

@@ -16,7 +16,7 @@ from mufly.link.bridge import Bridge
 from mufly.link.clients import Client
 from mufly.link.codec import Codec, Outgoing
 from mufly.link.command_desk import CommandDesk
-from mufly.link.commands import Controls
+from mufly.link.controls import Controls
 from mufly.link.dialect import MavMessage, mavlink
 from mufly.link.geodesy import Origin
 from mufly.link.mission_desk import MissionDesk, writes
