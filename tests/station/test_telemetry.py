@@ -9,11 +9,12 @@ import pytest
 
 from mufly.link.dialect import mavlink
 from mufly.link.telemetry_status import STATES
+from mufly.station.board import HOLD_S
 from mufly.station.clock import VehicleClock
 from mufly.station.fields import FIELDS
 from mufly.station.history import History
 from mufly.station.modes import mode_words
-from mufly.station.telemetry import HOLD_S, Telemetry
+from mufly.station.telemetry import Telemetry
 from mufly.station.texts import Texts
 
 

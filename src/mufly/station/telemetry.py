@@ -1,15 +1,14 @@
 """From messages to signals: what a vehicle told, as rows of a history and as the present.
 
 Every message sets the signals that it tells; a row is finished when a message brings a later stamp, so that what the
-vehicle measured in one instant stands in one row. A signal that comes more seldom than rows do is held for a while
-(`HOLD_S`) and then is not known any more. Headings are carried on past north, so that lines of them do not jump.
+vehicle measured in one instant stands in one row. What is known at the moment stands on a
+:class:`mufly.station.board.Board`.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from mufly.link.dialect import MavMessage
 from mufly.link.geodesy import Origin
 from mufly.link.telemetry_status import STATES
+from mufly.station.board import Board
 from mufly.station.clock import VehicleClock
 from mufly.station.fields import FIELDS, RPM
 from mufly.station.history import History
@@ -24,12 +24,8 @@ from mufly.station.modes import mode_words
 from mufly.station.ranges import Ranges, read_distance, read_ring
 from mufly.station.view import unknown
 
-__all__ = ["HOLD_S", "Telemetry"]
+__all__ = ["Telemetry"]
 
-HOLD_S = 1.5
-"""A signal that was not told for so long is not known (s)."""
-SLOW_HOLD_S = 6.0
-"""The same for what vehicles tell once a second or less: battery, link (s)."""
 ROW_S = 0.009
 """Stamps closer than this stand in one row, whose time is the first of them (s): what a vehicle sends at one rate may
 come a tick or two apart. The tlog has every packet."""
@@ -91,21 +87,13 @@ class Telemetry:
         self.simulated = False
         self.origin: Origin | None = None
         self.on_row: Callable[[float, _Array, str], None] | None = None
-        self._index = {name: k for k, name in enumerate(self.history.names)}
-        self._values = np.full(len(self.history.names), np.nan)
-        self._columns = {
-            q.name: slice(self._index[first], self._index[first] + width)
-            for q in self.history.layout.quantities
-            for first, width in [_place(self.history.layout, q)]
-        }
+        self._board = Board(self.history)
         self._own_state: tuple[str, float] = ("", -math.inf)
-        self._told: dict[str, tuple[int, float]] = {}  # group -> rank and time of the message last believed
-        self._owned: dict[str, set[int]] = {}  # group -> its columns
         self._stamps: dict[str, float] = {}
         self._row_s = math.nan
         self._row_now_s = self._swept_s = -math.inf
         self._plain = {
-            name: (f, tuple((field, self._index[signal], factor) for field, signal, factor in f.fields))
+            name: (f, tuple((field, self._board.index[signal], factor) for field, signal, factor in f.fields))
             for name, f in FIELDS.items()
         }
         self._special: dict[str, Callable[[float, MavMessage], None]] = {
@@ -146,10 +134,10 @@ class Telemetry:
             return
         if plain is not None:
             fields, places = plain
-            if self._believed(now_s, fields.group, fields.rank):
+            if self._board.believed(now_s, fields.group, fields.rank):
                 for field, k, factor in places:
                     value = getattr(message, field)
-                    self._set(fields.group, k, math.nan if value == fields.unknown else value * factor)
+                    self._board.set(fields.group, k, math.nan if value == fields.unknown else value * factor)
         if special is not None:
             special(now_s, message)
 
@@ -160,22 +148,18 @@ class Telemetry:
         if now_s - self._swept_s < 0.25:
             return
         self._swept_s = now_s
-        for group, (_, told_s) in list(self._told.items()):
-            if now_s - told_s > (SLOW_HOLD_S if group in ("battery", "link") else HOLD_S):
-                del self._told[group]
-                self._values[list(self._owned.get(group, ()))] = math.nan
-                if group == "ranges":
-                    self.ranges = Ranges()
+        if "ranges" in self._board.forget(now_s):
+            self.ranges = Ranges()
 
     def note_link(self, now_s: float, loss: float, rate_Hz: float) -> None:
         """Put the quality of the link among the signals."""
-        self._believed(now_s, "link", 0)
-        self._set("link", self._index["link_loss"], loss)
-        self._set("link", self._index["link_rate"], rate_Hz)
+        self._board.believed(now_s, "link", 0)
+        self._board.set("link", self._board.index["link_loss"], loss)
+        self._board.set("link", self._board.index["link_rate"], rate_Hz)
 
     def believes(self, name: str) -> _Array:
         """Return the present value of a variable (``"estimated_position"``), NaN where it is not known."""
-        return self._values[self._columns[name]].copy()
+        return self._board.get(name)
 
     @property
     def time_s(self) -> float:
@@ -187,7 +171,7 @@ class Telemetry:
         """Whether it is off the floor, as it says itself, or as its height tells."""
         if self.landed_state:
             return self.landed_state != 1
-        down = self._values[self._index["estimated_position_D"]]
+        down = self._board.values[self._board.index["estimated_position_D"]]
         return bool(self.armed and down < -0.1)
 
     @property
@@ -219,41 +203,12 @@ class Telemetry:
 
     def _finish_row(self) -> None:
         with np.errstate(over="ignore"):  # an absurd number becomes infinite, and is drawn nowhere
-            row = self._values.astype(np.float32)
+            row = self._board.values.astype(np.float32)
         if self._row_s > self.history.newest_s or not len(self.history):
             self.history.append(self._row_s, row)
             if self.on_row is not None:
-                self.on_row(self._row_s, self._values, self.state)
+                self.on_row(self._row_s, self._board.values, self.state)
         self._row_s = math.nan
-
-    def _believed(self, now_s: float, group: str, rank: int) -> bool:
-        """Whether to believe a message of this rank now; notes that it told."""
-        told = self._told.get(group)
-        if told is not None and told[0] < rank and now_s - told[1] < HOLD_S:
-            return False
-        self._told[group] = rank, now_s
-        return True
-
-    def _set(self, group: str, k: int, value: float) -> None:
-        owned = self._owned.setdefault(group, set())
-        owned.add(k)
-        if self.history.names[k].endswith("_yaw") and math.isfinite(value):
-            value = self._carried_on(k, value)
-        self._values[k] = value
-
-    def _carried_on(self, k: int, angle: float) -> float:
-        """Return the angle in the turn nearest to its last value, or else to the estimated heading."""
-        near = self._values[k]
-        if not math.isfinite(near):
-            near = self._values[self._index["estimated_attitude_yaw"]]
-        if not math.isfinite(near):
-            return angle
-        return angle + 2.0 * math.pi * round((near - angle) / (2.0 * math.pi))
-
-    def _put(self, group: str, name: str, values: Any) -> None:
-        first = self._columns[name].start
-        for j, value in enumerate(values):
-            self._set(group, first + j, float(value))
 
     # Messages with rules of their own
 
@@ -270,29 +225,29 @@ class Telemetry:
             m.onboard_control_sensors_enabled,
             m.onboard_control_sensors_health,
         )
-        if self._believed(now_s, "battery", 1):
+        if self._board.believed(now_s, "battery", 1):
             voltage = math.nan if m.voltage_battery == 65535 else m.voltage_battery / 1e3
             self._battery_is(voltage, m.current_battery, m.battery_remaining)
 
     def _battery(self, now_s: float, m: MavMessage) -> None:
-        if m.id != 0 or not self._believed(now_s, "battery", 0):
+        if m.id != 0 or not self._board.believed(now_s, "battery", 0):
             return
         cells = [v for v in (*m.voltages, *(v for v in m.voltages_ext if v)) if v != 65535]
         self._battery_is(sum(cells) / 1e3 if cells else math.nan, m.current_battery, m.battery_remaining)
         self.battery_left_s = float(m.time_remaining) if m.time_remaining > 0 else math.nan
 
     def _battery_is(self, voltage: float, current_cA: int, percent: int) -> None:
-        self._put("battery", "battery_voltage", [voltage])
-        self._put("battery", "battery_current", [math.nan if current_cA < 0 else current_cA / 100.0])
-        self._put("battery", "battery_charge", [math.nan if percent < 0 else percent / 100.0])
+        self._board.put("battery", "battery_voltage", [voltage])
+        self._board.put("battery", "battery_current", [math.nan if current_cA < 0 else current_cA / 100.0])
+        self._board.put("battery", "battery_charge", [math.nan if percent < 0 else percent / 100.0])
 
     def _extended_state(self, now_s: float, m: MavMessage) -> None:
         self.landed_state = m.landed_state
 
     def _quaternion(self, now_s: float, m: MavMessage) -> None:
-        if self._believed(now_s, "attitude", 1):
-            self._put("attitude", "estimated_attitude", _euler(m.q1, m.q2, m.q3, m.q4))
-            self._put("attitude", "estimated_rates", (m.rollspeed, m.pitchspeed, m.yawspeed))
+        if self._board.believed(now_s, "attitude", 1):
+            self._board.put("attitude", "estimated_attitude", _euler(m.q1, m.q2, m.q3, m.q4))
+            self._board.put("attitude", "estimated_rates", (m.rollspeed, m.pitchspeed, m.yawspeed))
 
     def _global_origin(self, now_s: float, m: MavMessage) -> None:
         if _on_earth(m.latitude, m.longitude):
@@ -309,68 +264,74 @@ class Telemetry:
         latitude, longitude = m.lat / 1e7, m.lon / 1e7
         if self.origin is None:
             self.origin = Origin(latitude, longitude, (m.alt - m.relative_alt) / 1e3)
-        if not self._believed(now_s, "position", 1):
+        if not self._board.believed(now_s, "position", 1):
             return
-        self._put("position", "estimated_position", self.origin.to_local(latitude, longitude, m.alt / 1e3))
-        self._put("position", "estimated_velocity", (m.vx / 100.0, m.vy / 100.0, m.vz / 100.0))
+        self._board.put(
+            "position", "estimated_position", self.origin.to_local(latitude, longitude, m.alt / 1e3)
+        )
+        self._board.put("position", "estimated_velocity", (m.vx / 100.0, m.vy / 100.0, m.vz / 100.0))
 
     def _position_target(self, now_s: float, m: MavMessage) -> None:
         if m.coordinate_frame != 1:
             return
-        self._believed(now_s, "reference", 0)
+        self._board.believed(now_s, "reference", 0)
         given = [
             math.nan if m.type_mask >> k & 1 else v for k, v in enumerate((m.x, m.y, m.z, m.vx, m.vy, m.vz))
         ]
-        self._put("reference", "reference_position", given[:3])
-        self._put("reference", "reference_velocity", given[3:])
+        self._board.put("reference", "reference_position", given[:3])
+        self._board.put("reference", "reference_velocity", given[3:])
 
     def _attitude_target(self, now_s: float, m: MavMessage) -> None:
-        self._believed(now_s, "reference_attitude", 0)
+        self._board.believed(now_s, "reference_attitude", 0)
         angles = (math.nan,) * 3 if m.type_mask & 128 else _euler(*m.q)
-        self._put("reference_attitude", "reference_attitude", angles)
+        self._board.put("reference_attitude", "reference_attitude", angles)
 
     def _actuators(self, now_s: float, m: MavMessage) -> None:
         # The order of the outputs is ours; another vehicle's may mean anything.
-        if self.vehicle_type == _COAXIAL and m.active >= 4 and self._believed(now_s, "actuators", 0):
-            self._put("actuators", "motor_input", m.actuator[:2])
-            self._put("actuators", "servo_input", m.actuator[2:4])
+        if self.vehicle_type == _COAXIAL and m.active >= 4 and self._board.believed(now_s, "actuators", 0):
+            self._board.put("actuators", "motor_input", m.actuator[:2])
+            self._board.put("actuators", "servo_input", m.actuator[2:4])
 
     def _servo_outputs(self, now_s: float, m: MavMessage) -> None:
-        if m.port == 0 and self._believed(now_s, "actuators", 1):
+        if m.port == 0 and self._board.believed(now_s, "actuators", 1):
             pulses = (m.servo1_raw, m.servo2_raw)
-            self._put("actuators", "motor_input", [(p - 1000) / 1000 if p else math.nan for p in pulses])
+            self._board.put(
+                "actuators", "motor_input", [(p - 1000) / 1000 if p else math.nan for p in pulses]
+            )
 
     def _rpm(self, now_s: float, m: MavMessage) -> None:
         for field, signal, factor in RPM.get(m.index, ()):
-            self._believed(now_s, f"rpm {m.index}", 0)
-            self._set(f"rpm {m.index}", self._index[signal], getattr(m, field) * factor)
+            self._board.believed(now_s, f"rpm {m.index}", 0)
+            self._board.set(f"rpm {m.index}", self._board.index[signal], getattr(m, field) * factor)
 
     def _ring(self, now_s: float, m: MavMessage) -> None:
-        if self._believed(now_s, "ranges", 0):
-            self._ranges_are(read_ring(m, float(self._values[self._index["estimated_attitude_yaw"]])))
+        if self._board.believed(now_s, "ranges", 0):
+            self._ranges_are(
+                read_ring(m, float(self._board.values[self._board.index["estimated_attitude_yaw"]]))
+            )
 
     def _distance(self, now_s: float, m: MavMessage) -> None:
-        if m.orientation < 8 and self._believed(now_s, "ranges", 1):
+        if m.orientation < 8 and self._board.believed(now_s, "ranges", 1):
             self._ranges_are(read_distance(m, self.ranges))
 
     def _ranges_are(self, ranges: Ranges) -> None:
         self.ranges = ranges
-        beams = self._columns["range"].stop - self._columns["range"].start
+        beams = self._board.columns["range"].stop - self._board.columns["range"].start
         kept = ranges.ranges if len(ranges.ranges) <= beams else unknown(0)
-        self._put("ranges", "range", [*kept, *unknown(beams - len(kept))])
+        self._board.put("ranges", "range", [*kept, *unknown(beams - len(kept))])
 
     def _debug_array(self, now_s: float, m: MavMessage) -> None:
         if m.name != "truth":
             return
         self.simulated = True
-        self._believed(now_s, "truth", 0)
+        self._board.believed(now_s, "truth", 0)
         at = 0
         for name in ("position", "velocity", "attitude", "rates", "rotor_speed"):
-            columns = self._columns[f"truth_{name}"]
+            columns = self._board.columns[f"truth_{name}"]
             width = columns.stop - columns.start
-            self._put("truth", f"truth_{name}", m.data[at : at + width])
+            self._board.put("truth", f"truth_{name}", m.data[at : at + width])
             at += width
-        self._put("truth", "wind", m.data[at : at + 3])
+        self._board.put("truth", "wind", m.data[at : at + 3])
 
     def _named_int(self, now_s: float, m: MavMessage) -> None:
         if m.name == "mstate":
@@ -386,11 +347,6 @@ class Telemetry:
 def _on_earth(latitude_e7: int, longitude_e7: int) -> bool:
     """Whether there is such a place (1e-7 deg): a vehicle may say anything."""
     return abs(latitude_e7) <= _NEAR_POLE_DEG * 1e7 and abs(longitude_e7) <= 180.0 * 1e7
-
-
-def _place(layout: Any, quantity: Any) -> tuple[str, int]:
-    labels = layout.labels(quantity)
-    return (f"{quantity.name}_{labels[0]}", len(labels)) if quantity.dim else (quantity.name, 1)
 
 
 def _euler(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
