@@ -71,6 +71,12 @@ def from_hand(s: MissionState, m: Measurement) -> MissionState:
         return _down(s, "RC off on the floor")
     brake = stop(x, m.velocity, psi, BRAKE_M_S2)
     n, e, d = brake.at(math.inf).position
+    if d > s.standing[2]:
+        # It falls too fast to stop above the floor. The reference must not lead below it: the way of a stop goes with
+        # the square of the speed, so this much slower it ends on the floor, and the helicopter brakes all it can.
+        share = math.sqrt(max(0.0, s.standing[2] - x[2]) / (d - x[2]))
+        brake = stop(x, (m.velocity[0], m.velocity[1], share * m.velocity[2]), psi, BRAKE_M_S2)
+        n, e, d = brake.at(math.inf).position
     at = (n, e, d)
     return enter(s, State.HOVER, "RC off", motion=brake, hold=at, goal=at, heading=psi, manual=True)
 
