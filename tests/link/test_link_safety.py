@@ -1,7 +1,9 @@
 """Emergency stops, changes of command and a lost commander at the moments at which they hurt most."""
 
 import math
+import random
 
+import numpy as np
 import pytest
 from link_rig import Rig, waypoint
 
@@ -134,3 +136,69 @@ def test_everybody_hears_of_a_parameter_that_a_command_or_another_one_changes():
     assert told["CTL_HEAVE_SPD"] == pytest.approx(0.25)
     assert told["LIM_CLIMB"] == pytest.approx(0.2)  # 80 % of it
     assert len(b.all("PARAM_VALUE")) == len(told)  # each once
+
+
+def test_a_mode_chosen_before_an_emergency_stop_does_not_begin_after_it():
+    rig = Rig()
+    a, b = two(rig)
+    a.mode(4, 2)
+    rig.run(0.1)
+    b.command(*KILL)
+    rig.run(0.1)
+    a.command(ARM, 1)
+    rig.run(0.5)
+    assert rig.status.armed
+    assert rig.status.motors == "off"
+
+
+def set_point():
+    return m.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 0xFF8, 0.2, 0, -0.6, *[0] * 8)
+
+
+def stick(throttle):
+    return m.MAVLink_manual_control_message(1, 0, 0, throttle, 0, 0)
+
+
+def channels(throttle):
+    return m.MAVLink_rc_channels_override_message(1, 1, 1500, 1500, throttle, 1500, 0, 0, 0, 0)
+
+
+ORDERS = [
+    lambda s: s.command(m.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 0.5),
+    lambda s: s.command(m.MAV_CMD_MISSION_START),
+    lambda s: s.command(m.MAV_CMD_NAV_LAND),
+    lambda s: s.command(m.MAV_CMD_DO_PAUSE_CONTINUE, 0),
+    lambda s: s.command(m.MAV_CMD_NAV_RETURN_TO_LAUNCH),
+    lambda s: s.mode(4, 4),
+    lambda s: s.mode(4, 2),
+    lambda s: s.mode(6, 0),
+    lambda s: s.mode(2, 0),
+    lambda s: s.say(set_point()),
+    lambda s: s.say(stick(0)),
+    lambda s: s.say(stick(700)),
+    lambda s: s.say(channels(1700)),
+    lambda s: s.say(m.MAVLink_rc_channels_override_message(1, 1, *[0] * 8)),
+]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_an_emergency_stop_in_any_state_and_any_traffic(seed):
+    """The commander says whatever it likes before, together with and after it; all but arming leaves the motors off."""
+    rng = random.Random(seed)
+    rig = Rig(tables=LEGS)
+    a, b = two(rig)
+    for _ in range(rng.randrange(100, 1800)):
+        if rng.random() < 0.06:
+            rng.choice([*ORDERS, lambda s: s.command(ARM, 1)])(a)
+        rig.tick()
+    for order in rng.sample([*ORDERS, lambda s: s.command(ARM, 1)], 4):
+        order(a)
+    b.command(*KILL)
+    for order in rng.sample(ORDERS, 4):
+        order(a)
+    a.every = [set_point(), stick(700)]
+    for _ in range(200):
+        rig.tick()
+        assert (rig.flight._sent.array == 0.0).all()
+        assert not rig.status.armed
+    assert np.isfinite(rig.position).all()

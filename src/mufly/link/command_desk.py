@@ -47,8 +47,9 @@ class CommandDesk:
                 self._voice.send(sender.peer, answer)
             return
         if from_anyone(call):
-            # Never taken for a repetition: somebody may have armed it in between.
+            # Never taken for a repetition: somebody may have armed it in between. What waits is not done after it.
             self._held = None
+            c.on_arming.choose(now_s, "")
             self._carry_out(sender, call, c)
             return
         if not self._bridge.may(now_s, sender):
