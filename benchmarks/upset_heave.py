@@ -1,0 +1,52 @@
+"""How hard a vertical blow a hover survives: python benchmarks/upset_heave.py [--vehicle mufly-1.1]
+
+The helicopter hovers at 3 m; its vertical speed is changed at once by so much. Fifteen seconds later it either stands
+where it stood, or swings between full and no thrust for good.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from mufly.flight import Flight
+from mufly.mission import Mission
+
+HEIGHT_M, WATCH_S = 3.0, 15.0
+DOWN_SPEED = 5  # of the state of the flight model (mufly.dynamics.state)
+
+
+def blow(vehicle: str, sink_m_s: float) -> tuple[float, float]:
+    """Return the least and the greatest height in the last three of fifteen seconds (m)."""
+    flight = Flight(vehicle, Mission(), keep=False)
+    flight.tick()
+    assert flight.autopilot.arm()
+    assert flight.autopilot.take_off(HEIGHT_M)
+    while flight.autopilot.status.state != "hover":
+        flight.tick()
+    for _ in range(round(2.0 / flight.period_s)):
+        flight.tick()
+    flight.plant.state[DOWN_SPEED] += sink_m_s
+    heights = []
+    for _ in range(round(WATCH_S / flight.period_s)):
+        flight.tick()
+        heights.append(-float(flight.view.position[2]))
+    last = np.array(heights[-round(3.0 / flight.period_s) :])
+    return float(last.min()), float(last.max())
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="How hard a vertical blow a hover survives.")
+    parser.add_argument("--vehicle", default="mufly-1.1", help="vehicle file, or a built-in vehicle")
+    options = parser.parse_args()
+    print("blow, downwards   height 12 to 15 s later, from a hover at 3 m")
+    for sink in (-2.0, -1.25, -1.0, -0.5, 0.5, 1.0, 1.25, 2.0):
+        least, greatest = blow(options.vehicle, sink)
+        print(
+            f"{sink:+8.2f} m/s      {least:6.2f} to {greatest:.2f} m   {'' if greatest - least < 0.1 else 'LOST'}"
+        )
+
+
+if __name__ == "__main__":
+    main()
