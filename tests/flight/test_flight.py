@@ -10,7 +10,7 @@ import xarray as xr
 
 from mufly.control import FlightController, design
 from mufly.errors import InputError, MuflyError
-from mufly.flight import Flight, fly, read_recording
+from mufly.flight import Flight, fly, read_recording, summarise, summary_rows
 from mufly.mission import mission_from
 from mufly.vehicle import Vehicle, load_vehicle
 
@@ -131,6 +131,21 @@ def test_commands_fly_it_and_the_recording_says_so(vehicle, controller, tmp_path
     assert (read.attrs["outcome"], read.attrs["reason"]) == ("succeeded", "landed")
     with pytest.raises(MuflyError, match=r"not kept in memory; read .*commanded\.mcap"):
         flight.recorder.dataset()
+
+
+def test_a_flight_by_hand_is_not_judged_by_the_waypoints_of_the_mission(vehicle, controller) -> None:
+    goals = [w.position_m for w in HOP.waypoint]
+    for start, asked in ((lambda a: a.take_off(0.4), 0), (lambda a: a.start_mission(), len(goals))):
+        with Flight(vehicle, HOP, controller=controller) as flight:
+            assert flight.autopilot.arm()
+            assert start(flight.autopilot)
+            run(flight, 6.0)
+            assert flight.autopilot.land()
+            run(flight, 6.0)
+        summary = summarise(flight.recorder.dataset(), goals)
+        assert summary.waypoints_asked == asked
+        assert (summary.landing_distance_m is None) is (asked == 0)
+        assert ("Waypoints reached" in dict(summary_rows(summary))) is (asked > 0)
 
 
 def test_a_flight_that_is_ended_early_says_so(vehicle, controller, tmp_path) -> None:

@@ -135,7 +135,7 @@ class Flight:
         self._measured = self._first_look()
         self._crash_s = math.inf
         self._current_A = self.autopilot.hover_A
-        self._finished = False
+        self._finished = self._mission_flown = False
         self.autopilot.listeners.append(self._record)
 
     def _first_look(self) -> Measurement:
@@ -187,6 +187,8 @@ class Flight:
         self.autopilot.note(text, level)
 
     def _record(self, event: Event) -> None:
+        mission = self.autopilot.software.mission_state
+        self._mission_flown |= mission is not None and mission.begun
         self.recorder.event(event.time_s, event.state, event.text, event.level)
 
     @property
@@ -233,7 +235,7 @@ class Flight:
         self._finished = True
         if outcome is None:
             outcome, reason = self.judge()
-        self.recorder.finish(outcome, reason, **attributes)
+        self.recorder.finish(outcome, reason, mission_flown=self._mission_flown, **attributes)
         self.recorder.close()
 
     def judge(self) -> tuple[str, str]:

@@ -140,12 +140,15 @@ def summarise(
     Returns
     -------
     Summary
+        Without waypoints where the recording says that the mission was never begun (``mission_flown``).
     """
     time = dataset.time.values
     x = dataset.truth_position.values
     states = _runs(dataset.mission_state.values)
     airborne = x[0, 2] - x[:, 2] > AIRBORNE_M
-    goals = [np.asarray(w, dtype=np.float64) for w in waypoints]
+    # Flown by hand it had other places to be.
+    by_hand = not dataset.attrs.get("mission_flown", True)
+    goals = [] if by_hand else [np.asarray(w, dtype=np.float64) for w in waypoints]
     results = _waypoint_results(time, x, states, goals, take_off, reached_s, reach_m)
     asked = [r for r in results if r.name != "take-off"]
     touchdown = _touchdown_speed(dataset, states)
@@ -167,7 +170,7 @@ def summarise(
         max_tilt_deg=_greatest(tilt[airborne]),
         max_position_error_m=_greatest(error[airborne]),
         touchdown_speed_m_s=touchdown,
-        landing_distance_m=None if touchdown is None else float(np.hypot(*(x[-1] - foot)[:2])),
+        landing_distance_m=None if touchdown is None or by_hand else float(np.hypot(*(x[-1] - foot)[:2])),
         least_clearance_m=clearance,
         least_clearance_to=obstacle,
         longest_railed_s=railed,
@@ -325,9 +328,10 @@ def summary_rows(summary: Summary) -> list[tuple[str, str]]:
     outcome = f"{summary.outcome}: {summary.reason}" if summary.reason else summary.outcome
     clearance_to = f" ({summary.least_clearance_to})" if summary.least_clearance_to else ""
     railed_by = f" ({summary.longest_railed_input})" if summary.longest_railed_input else ""
+    reached = float(summary.waypoints_reached) if summary.waypoints_asked else None
     lines: list[tuple[str, float | None, str]] = [
         ("Duration", summary.duration_s, "{:.1f} s"),
-        ("Waypoints reached", float(summary.waypoints_reached), f"{{:.0f}} of {summary.waypoints_asked}"),
+        ("Waypoints reached", reached, f"{{:.0f}} of {summary.waypoints_asked}"),
         ("Worst distance when a wait started", _times(100, worst("distance_at_reach_m")), "{:.1f} cm"),
         ("Worst overshoot", _times(100, worst("overshoot_m")), "{:.1f} cm"),
         ("Worst mean error in a wait", _times(100, worst("mean_error_in_wait_m")), "{:.1f} cm"),
