@@ -29,6 +29,7 @@ def controller(vehicle: Vehicle) -> FlightController:
 
 
 MISSION = mission_from({"waypoint": [{"position_m": [1.0, 0.0, -1.0], "wait_s": 60.0}]})
+DOWN_SPEED = 5  # of the state of the flight model
 NO_SIGNAL, START, LAND = Command(), Command(start=True), Command(land=True)
 
 
@@ -295,3 +296,28 @@ def test_a_mission_is_flown_no_faster_than_the_controllers_can(
 def test_a_mission_within_its_limits_is_left_alone(vehicle: Vehicle, controller: FlightController) -> None:
     assert FlightSoftware(vehicle, controller, MISSION).slower == ""
     assert able(controller).climb_acceleration > 0.5
+
+
+@pytest.mark.parametrize("blow_m_s", [-3.0, -1.25, 1.25, 2.5])
+def test_a_hover_survives_a_vertical_blow(
+    vehicle: Vehicle, controller: FlightController, blow_m_s: float
+) -> None:
+    """Unless the reference waits for the height, it swings between full and no thrust for good."""
+    high = mission_from(
+        {"take_off": {"height_m": 3.0, "wait_s": 60.0}, "waypoint": [{"position_m": [1.0, 0.0, -3.0]}]}
+    )
+    stands = []
+    for slack in (float(controller.heave_yaw_gains["heave_slack"]), math.inf):
+        gains = controller.heave_yaw_gains.copy()
+        gains["heave_slack"] = slack
+        bench = Bench(vehicle, replace(controller, heave_yaw_gains=gains), high)
+        bench.run(0.02, START)
+        bench.run(20.0, until=lambda bench=bench: bench.software.state == "hover")
+        bench.run(2.0)
+        bench.plant.state[DOWN_SPEED] += blow_m_s
+        bench.run(12.0)
+        before = len(bench.seen)
+        bench.run(2.0)
+        heights = [m.position[2] for m in bench.seen[before:]]
+        stands.append(max(heights) - min(heights) < 0.1)
+    assert stands == [True, False]

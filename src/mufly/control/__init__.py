@@ -5,7 +5,7 @@ from mufly.control.design import DEFAULT_RATE_HZ, design
 from mufly.control.discretise import DiscreteController, discretise
 from mufly.control.engage import heave_yaw_initial, position_initial, roll_pitch_initial
 from mufly.control.hinf import HinfResult, close_loop, hinfsyn
-from mufly.control.law import heave_yaw_step, position_step, roll_pitch_step
+from mufly.control.law import heave_wait, heave_yaw_step, position_step, roll_pitch_step
 from mufly.control.linear import connect, frequency_response, hinf_norm, singular_values
 from mufly.control.reduction import Candidate, Reduction, reduce_controller
 from mufly.control.result import Design, FlightController
@@ -40,6 +40,7 @@ __all__ = [
     "design",
     "discretise",
     "frequency_response",
+    "heave_wait",
     "heave_yaw_initial",
     "heave_yaw_step",
     "hinf_norm",

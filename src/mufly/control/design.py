@@ -310,6 +310,7 @@ def design(
             heave_acceleration=acceleration,
             heave_speed=s.heave_speed,
             heave_lead=s.reference_lead * lags[0],
+            heave_slack=s.heave_slack,
             yaw_bandwidth=s.reference_bandwidth,
             yaw_acceleration=s.yaw_acceleration,
             yaw_rate=s.yaw_rate,

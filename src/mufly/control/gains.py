@@ -50,6 +50,7 @@ HEAVE_YAW_GAINS = np.dtype(
         ("heave_acceleration", _f8),  # m/s2
         ("heave_speed", _f8),  # m/s
         ("heave_lead", _f8),  # s, by which the reference runs ahead to make up for the loop's lag
+        ("heave_slack", _f8),  # m, by which the height may trail the filtered reference before that waits
         ("yaw_bandwidth", _f8),  # rad/s
         ("yaw_acceleration", _f8),  # rad/s2
         ("yaw_rate", _f8),  # rad/s

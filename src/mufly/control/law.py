@@ -9,6 +9,11 @@ command is a voltage, as a fraction of the design voltage: what the battery has 
 the motor input is command over that bound. Where both motors cannot have what they ask for, yaw goes first: the
 difference of the two is kept, their mean gives way. Otherwise a rail in heave would spin the fuselage.
 
+Where in flight the height trails the filtered reference by more than the slack (a blow, a fall, sticks beyond what the
+motors give), the reference stays that far away, at rest, until the height has come back to it (``heave_wait``). A
+greater error would ask the motors for more than they can take back in time: it swings between the rails for good. On
+the floor the error may grow, which is what gets the motors going.
+
 Roll-pitch. Tilt references are limited; servos saturate one by one.
 
 Position. ``v_ref = K_p (P_ref - P) + v_ff`` in N-E, limited in length; velocity controller; acceleration feedforward
@@ -41,7 +46,7 @@ from mufly.control.gains import (
     VOLTAGE,
 )
 
-__all__ = ["heave_yaw_step", "position_step", "roll_pitch_step"]
+__all__ = ["heave_wait", "heave_yaw_step", "position_step", "roll_pitch_step"]
 
 
 @njit(cache=True)
@@ -87,6 +92,30 @@ def _shape(value, rate, target, target_rate, bandwidth, acceleration, speed, per
     wanted = _clip(wanted + target_rate, -speed, speed)
     rate += period * _clip(2.0 * bandwidth * (wanted - rate), -acceleration, acceleration)
     return value + period * rate, rate
+
+
+@njit(cache=True)
+def heave_wait(gains, state, z):  # type: ignore[no-untyped-def]
+    """State of heave-yaw, in flight, with a filtered reference no further from the height z (m, down) than the slack.
+
+    Parameters
+    ----------
+    gains : record of type ``HEAVE_YAW_GAINS``
+    state : (17,) array
+        From ``heave_yaw_initial`` or the previous step; not changed.
+    z : float
+        Measured (m).
+
+    Returns
+    -------
+    (17,) array
+    """
+    trails = z - state[SHAPED_Z]
+    if abs(trails) <= gains.heave_slack:
+        return state
+    new = state.copy()
+    new[SHAPED_Z], new[SHAPED_W] = z - math.copysign(gains.heave_slack, trails), 0.0
+    return new
 
 
 @njit(cache=True)

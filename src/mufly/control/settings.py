@@ -74,6 +74,8 @@ class Settings:
         Share of the acceleration then available that a heave reference may ask for.
     heave_acceleration_max, heave_speed : float
         Upper bounds of a heave reference's acceleration and speed, m/s2, m/s, whatever the motors could give.
+    heave_slack : float
+        By how much the height may trail its filtered reference before the reference waits for it, m.
     reference_lead : float
         Share of the loops' lag behind a reference of constant rate that is made up for.
     yaw_acceleration, yaw_rate : float
@@ -100,6 +102,7 @@ class Settings:
     heave_share: float = 0.37
     heave_acceleration_max: float = 1.5
     heave_speed: float = 1.0
+    heave_slack: float = 0.3
     reference_lead: float = 1.0
     yaw_acceleration: float = 8.0
     yaw_rate: float = 2.0

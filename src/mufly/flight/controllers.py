@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mufly.control import (
     FlightController,
+    heave_wait,
     heave_yaw_initial,
     heave_yaw_step,
     position_initial,
@@ -182,6 +183,9 @@ class Controllers:
             self._go_over()
         servo: _Array = np.zeros(2)
         if tilt is not None:
+            self._heave_yaw = heave_wait(
+                self._design.heave_yaw_gains, self._heave_yaw, float(measured.position[2])
+            )
             servo, self._roll_pitch = roll_pitch_step(
                 self._design.roll_pitch_gains, self._roll_pitch, tilt, _roll_pitch(measured)
             )
