@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mufly.cli.flight_options import check_air, check_folder, dated_folder, wind_of
+from mufly.cli.live_display import LiveDisplay
 from mufly.cli.station import BrowserOption, HostOption, PortOption, TokenOption
 from mufly.errors import InputError, MuflyError
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from mufly.cli.fly_page import Order
-    from mufly.flight import Event, Progress, Summary
+    from mufly.flight import Progress, Summary
     from mufly.link import Endpoint
     from mufly.mission import Mission
     from mufly.station.page.address import Address
@@ -165,10 +166,10 @@ def _fly_in_terminal(
     import mufly.flight as flight
 
     try:
-        with _Display(console) as display:
+        with LiveDisplay(console) as display:
             return flight.fly(
                 vehicle, mission, wind=wind, gust=gust, seed=seed, realtime=realtime, path=recording,
-                on_progress=display.progress, on_event=display.event,
+                on_progress=lambda p: display.now(_line_of(p)), on_event=display.event,
             )  # fmt: skip
     except KeyboardInterrupt:
         if recording.exists():
@@ -180,7 +181,7 @@ def _fly_in_real_time(console: Console, order: Order, address: Address | None, b
     """Fly with the page, or without one (no address) behind a link; return whether it was stopped."""
     from mufly.cli.fly_page import fly_behind_link, fly_with_page
 
-    with _Display(console) as display:
+    with LiveDisplay(console) as display:
         if address is not None:
             return not fly_with_page(order, address, display.event, console, browser)
         try:
@@ -243,41 +244,12 @@ def _endpoints(links: list[str] | None) -> list[Endpoint]:
     return found
 
 
-class _Display:
-    """Show what is happening: changes of state as lines, and on a terminal a live line below them."""
-
-    def __init__(self, console: Console) -> None:
-        from rich.live import Live
-
-        self._console = console
-        self._live = Live(console=console, refresh_per_second=10) if console.is_terminal else None
-
-    def __enter__(self) -> _Display:
-        if self._live is not None:
-            self._live.__enter__()
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        if self._live is not None:
-            self._live.update("")
-            self._live.__exit__(None, None, None)
-
-    def event(self, e: Event) -> None:
-        colour = {"error": "red", "warning": "yellow"}.get(e.level, "default")
-        self._console.print(
-            f"{e.time_s:7.1f} s  [bold]{e.state:<9}[/]  [{colour}]{e.text}[/]", highlight=False
-        )
-
-    def progress(self, p: Progress) -> None:
-        if self._live is not None:
-            from rich.text import Text
-
-            n, e, d = p.position
-            line = (
-                f"{p.time_s:7.1f} s  {p.state:<9}  N {n:5.2f} E {e:5.2f} height {-d:4.2f} m  "
-                f"{p.battery_V:.2f} V {p.battery_charge:4.0%} {p.realtime_factor:3.0f}x real time"
-            )
-            self._live.update(Text(line, no_wrap=True, overflow="ellipsis"))
+def _line_of(p: Progress) -> str:
+    n, e, d = p.position
+    return (
+        f"{p.time_s:7.1f} s  {p.state:<9}  N {n:5.2f} E {e:5.2f} height {-d:4.2f} m  "
+        f"{p.battery_V:.2f} V {p.battery_charge:4.0%} {p.realtime_factor:3.0f}x real time"
+    )
 
 
 def _print_result(console: Console, summary: Summary) -> None:

@@ -9,15 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mufly.cli.live_display import LiveDisplay
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
     from types import FrameType
 
-    from rich.console import Console
-
     from mufly.link import Endpoint, Report
-    from mufly.logs.layout import Event
 
 __all__ = ["HELP", "link"]
 
@@ -134,7 +132,7 @@ def link(
     log = None if out is None else TlogWriter(out / "link.tlog")
     over = _Over()
     try:
-        with flight, over, _Display(console) as display:
+        with flight, over, LiveDisplay(console) as display:
             run(
                 flight,
                 endpoints,
@@ -144,7 +142,7 @@ def link(
                 on_event=display.event,
                 on_notice=display.notice,
                 on_open=lambda: console.print("Ctrl-C ends it.", style="dim"),
-                on_report=display.report,
+                on_report=lambda report: display.now(_line_of(report)),
             )
     finally:
         if log is not None:
@@ -186,49 +184,12 @@ class _Over:
         self.asked.set()
 
 
-class _Display:
-    """Events and notices as lines, and on a terminal a live line below them."""
-
-    def __init__(self, console: Console) -> None:
-        from rich.live import Live
-
-        self._console = console
-        self._live = Live(console=console, refresh_per_second=10) if console.is_terminal else None
-
-    def __enter__(self) -> _Display:
-        if self._live is not None:
-            self._live.__enter__()
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        if self._live is not None:
-            self._live.update("")
-            self._live.__exit__(None, None, None)
-
-    def event(self, e: Event) -> None:
-        """Show an event of the flight."""
-        from rich.text import Text
-
-        colour = {"error": "red", "warning": "yellow"}.get(e.level, "default")
-        line = Text(f"{e.time_s:7.1f} s  {e.state:<9}  ")
-        self._console.print(line.append(e.text, style=colour), highlight=False)
-
-    def notice(self, text: str) -> None:
-        """Show what happened to a port."""
-        from rich.text import Text
-
-        self._console.print(Text(f"{text}", style="dim"), highlight=False)
-
-    def report(self, r: Report) -> None:
-        """Show how the loop is doing."""
-        if self._live is not None:
-            from rich.text import Text
-
-            who = f"commanded by {r.commander}" if r.commander else "nobody commands"
-            slipped = f", {r.slipped_s:.1f} s lost" if r.slipped_s else ""
-            line = (
-                f"{r.time_s:7.1f} s  {r.state:<9}  {'armed' if r.armed else 'disarmed'}  {r.height_m:5.2f} m  "
-                f"{r.battery_V:.2f} V  {who}  in {r.received_Hz:.0f}/s, out {r.sent_Hz:.0f}/s  "
-                f"late {r.late_ms:.1f} ms{slipped}"
-            )
-            self._live.update(Text(line, no_wrap=True, overflow="ellipsis"))
+def _line_of(r: Report) -> str:
+    """How the loop is doing."""
+    who = f"commanded by {r.commander}" if r.commander else "nobody commands"
+    slipped = f", {r.slipped_s:.1f} s lost" if r.slipped_s else ""
+    return (
+        f"{r.time_s:7.1f} s  {r.state:<9}  {'armed' if r.armed else 'disarmed'}  {r.height_m:5.2f} m  "
+        f"{r.battery_V:.2f} V  {who}  in {r.received_Hz:.0f}/s, out {r.sent_Hz:.0f}/s  "
+        f"late {r.late_ms:.1f} ms{slipped}"
+    )
