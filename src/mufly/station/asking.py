@@ -7,6 +7,7 @@ never do is refused here; all else is for the vehicle to judge.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -27,7 +28,7 @@ from mufly.station.view import MissionRow, Outcome, Request
 __all__ = ["Asking"]
 
 
-class Asking:
+class Asking(ABC):
     """The requests of a vehicle; the parts that carry them out are those of the vehicle."""
 
     telemetry: Telemetry
@@ -42,9 +43,9 @@ class Asking:
     _reached: int
 
     @property
+    @abstractmethod
     def dialect(self) -> orders.Dialect:
         """How the vehicle wants to be asked."""
-        raise NotImplementedError
 
     def arm(self) -> Request:
         """Let the motors run."""

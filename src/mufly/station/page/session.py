@@ -29,7 +29,7 @@ GRACE_S = 1.0
 
 
 class Vehicle(Source, Protocol):
-    """A vehicle, as the page reads and commands it (:class:`mufly.station.vehicle.RemoteVehicle`)."""
+    """A vehicle, as the page reads and commands it (:class:`mufly.station.remote.RemoteVehicle`)."""
 
     @property
     def system(self) -> int:
