@@ -16,10 +16,9 @@ from collections.abc import Callable
 import numpy as np
 
 from mufly.rotor import load_rotor, polars, replace_rotor
-from mufly.rotor.blading import prepare
-from mufly.rotor.coaxial import balance_torque, coaxial
-from mufly.rotor.corrections import PLAIN
-from mufly.rotor.hover import hover, hover_batch
+from mufly.rotor.bemt import hover, hover_batch
+from mufly.rotor.blading import PLAIN, prepare
+from mufly.rotor.system import balance_torque, coaxial
 
 
 def best(task: Callable[[], object], repeats: int = 5) -> float:

@@ -29,7 +29,7 @@ from mufly.control import (
     roll_pitch_step,
     sample_plant,
 )
-from mufly.control.analysis import feedback_part
+from mufly.control.linear import feedback_part
 
 
 def best(function: Callable[[], object], repeat: int, number: int = 1) -> float:

@@ -29,7 +29,7 @@ from scipy.integrate import solve_ivp
 
 import mufly
 from mufly.drive.battery import terminal_voltage
-from mufly.drive.motor import armature_current, rotor_acceleration
+from mufly.drive.train import armature_current, rotor_acceleration
 from mufly.dynamics import (
     PARAMETERS,
     advance,
@@ -40,7 +40,7 @@ from mufly.dynamics import (
     trim,
 )
 from mufly.dynamics import model as model_source
-from mufly.dynamics.ground import standing_height
+from mufly.dynamics.model import standing_height
 
 STEP = 1e-3
 TARGET_SINGLE, TARGET_BATCH, BATCH = 0.5e6, 4e6, 1000

@@ -26,9 +26,9 @@ from scipy.integrate import solve_ivp
 import mufly
 from mufly.dynamics import PARAMETERS, derivative, model_parameters, trim
 from mufly.identify import choose_free, run_demo
-from mufly.identify.demo_flight import demo_flights
-from mufly.identify.problem import make_problem
-from mufly.identify.simulate import OUTPUTS, fly_batch
+from mufly.identify.flight.demo import demo_flights
+from mufly.identify.flight.problem import make_problem
+from mufly.identify.flight.simulate import OUTPUTS, fly_batch
 
 CALM = np.zeros(3)
 
@@ -65,7 +65,7 @@ def peer_rate(generations: int) -> tuple[float, float]:
     free = choose_free(truth, ("Izz", "Iyy", "l_up", "l_dw"), records[0].outputs)
     problem = make_problem(truth, free, records[2:3], voltage="nominal", delay_s=0.0)
     record = problem.records[0]
-    from mufly.identify.free import batch_parameters, numbers_at
+    from mufly.identify.flight.problem import batch_parameters, numbers_at
 
     base, powers = batch_parameters(truth, free, 7.2)
     hover, rates = trim(truth), np.empty(21)

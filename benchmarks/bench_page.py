@@ -53,7 +53,7 @@ def fly(port: int, pipe: Any) -> None:
     """The vehicle's process: flies its mission; at the end it tells what its clock showed when."""
     from mufly.flight import Flight
     from mufly.link import parse_endpoint
-    from mufly.link.runner import Report, run
+    from mufly.link.process import Report, run
 
     flight = Flight("mufly-1.1", "demonstration", keep=False)
     clock: list[tuple[float, float]] = []

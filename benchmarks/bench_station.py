@@ -19,9 +19,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from mufly.link.codec import Encoder
-from mufly.link.dialect import mavlink
-from mufly.link.endpoint import parse_endpoint
+from mufly.link.codec import Encoder, mavlink
+from mufly.link.ports import parse_endpoint
 from mufly.link.process import start_vehicle
 from mufly.mission import Mission
 from mufly.station import GroundLink, Station, StationRecorder

@@ -25,7 +25,8 @@ import numpy as np
 from numba import njit
 
 from mufly.rotor import load_rotor, prepare
-from mufly.rotor.wake import WakeSettings, coaxial_wake, hover_wake
+from mufly.rotor.system import coaxial_wake, hover_wake
+from mufly.rotor.wake import WakeSettings
 from mufly.rotor.wake.kernel import induce, segments_of
 
 RPM = math.pi / 30

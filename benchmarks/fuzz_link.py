@@ -39,8 +39,7 @@ from hostile_traffic import Hostile
 
 from mufly.flight import Flight
 from mufly.link import VehicleLink
-from mufly.link.codec import Codec, Encoder
-from mufly.link.dialect import mavlink
+from mufly.link.codec import Codec, Encoder, mavlink
 from mufly.link.ports import Peer
 from mufly.mission import HIGHEST_M, Mission
 

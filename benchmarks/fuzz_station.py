@@ -24,7 +24,7 @@ from fuzz_link import growth_MB, rss_MB
 from hostile_traffic import AIMED_AT_STATION, Hostile
 
 from mufly.link import Encoder, Peer
-from mufly.link.dialect import mavlink
+from mufly.link.codec import mavlink
 from mufly.station.ground import GroundLink
 from mufly.station.remote import RemoteVehicle
 

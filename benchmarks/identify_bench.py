@@ -17,7 +17,7 @@ import numpy as np
 
 from mufly.bench import BenchTable, corrected_loads
 from mufly.identify.motor import fit_motor
-from mufly.identify.static_rotor import fit_rotor
+from mufly.identify.rotor import fit_rotor
 from mufly.vehicle import load_vehicle
 
 V = load_vehicle("mufly-1.1")

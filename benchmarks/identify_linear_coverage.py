@@ -12,10 +12,9 @@ import sys
 import numpy as np
 from scipy.signal import lfilter
 
-from mufly.identify.linear_columns import lowpassed
-from mufly.identify.linear_fit import fit_linear
-from mufly.identify.linear_simulate import simulate_linear
-from mufly.identify.linear_structure import model_named
+from mufly.identify.linear.fit import fit_linear
+from mufly.identify.linear.structure import model_named, simulate_linear
+from mufly.identify.record import lowpassed
 
 DT, SAMPLES = 0.04, 1500
 TRUTH = {

@@ -17,7 +17,7 @@ import time
 import numpy as np
 
 from mufly.identify import Fit, run_demo
-from mufly.identify.demo import DEMO_FREE
+from mufly.identify.flight.demo import DEMO_FREE
 
 
 def cost_of(fit: Fit, judge: Fit) -> float:

@@ -16,11 +16,9 @@ import numpy as np
 
 from mufly.rotor import Rotor, load_airfoil, polars
 from mufly.rotor.airfoil import sides
-from mufly.rotor.blading import Blading, prepare
-from mufly.rotor.compare import compare
-from mufly.rotor.corrections import Corrections
-from mufly.rotor.hover import Air
-from mufly.rotor.measurements import Measurements
+from mufly.rotor.bemt import Air
+from mufly.rotor.blading import Blading, Corrections, prepare
+from mufly.rotor.measurements import Measurements, compare
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "aero"
 RPM = np.pi / 30

@@ -29,11 +29,10 @@ from rotor_cases import (
     table_3_2,
 )
 
-from mufly.rotor.blading import Blading
-from mufly.rotor.coaxial import balance_torque, coaxial
-from mufly.rotor.compare import calibrate, compare
-from mufly.rotor.corrections import PLAIN, Corrections
-from mufly.rotor.hover import hover_batch
+from mufly.rotor.bemt import hover_batch
+from mufly.rotor.blading import PLAIN, Blading, Corrections
+from mufly.rotor.measurements import calibrate, compare
+from mufly.rotor.system import balance_torque, coaxial
 from mufly.rotor.uncertainty import Doubt, interval
 
 

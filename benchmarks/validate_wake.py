@@ -20,7 +20,8 @@ from rotor_cases import DATA, RPM, blading_of, others, propellers, rows_of, tabl
 from wake_cases import Answer, Solver, arguments, farewell, percent, table
 
 from mufly.rotor import hover_batch
-from mufly.rotor.wake import WakeSettings, hover_wake, momentum_thrust
+from mufly.rotor.system import hover_wake
+from mufly.rotor.wake import WakeSettings, momentum_thrust
 
 OFFSET_DEG = 0.8  # pitch error of the bench that would explain Table 3.2; shown, never applied
 

@@ -16,7 +16,7 @@ from rotor_cases import AIR, DATA, RPM, T_MOTOR_AIR, Case, blading_of, rows_of, 
 from wake_cases import Answer, Solver, arguments, farewell, percent, table
 
 from mufly.rotor.blading import Blading
-from mufly.rotor.coaxial import CoaxialResult, coaxial
+from mufly.rotor.system import CoaxialResult, coaxial
 
 PITCH = float(np.radians(14))
 TABLE_3_4 = ((14, 6650, 0.1949, 2.0531), (16, 5750, 0.1820, 1.7413), (18, 5025, 0.1709, 1.5286))

@@ -21,7 +21,8 @@ from rotor_cases import REYNOLDS, Case, blading_of
 from mufly.errors import MuflyError
 from mufly.rotor import Air, polars, replace_rotor
 from mufly.rotor.blading import Blading, prepare
-from mufly.rotor.wake import WakeSettings, WakeSolution, balance_torque_wake, coaxial_wake, hover_wake
+from mufly.rotor.system import balance_torque_wake, coaxial_wake, hover_wake
+from mufly.rotor.wake import WakeSettings, WakeSolution
 
 RPM = np.pi / 30
 

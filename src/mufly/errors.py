@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["InputError", "MuflyError"]
-
 
 class MuflyError(Exception):
     """Something a user can act on. The message is one line; the command line prints it without a traceback."""

@@ -20,8 +20,6 @@ from pydantic import BaseModel, ValidationError
 
 from mufly.errors import InputError
 
-__all__ = ["builtin_names", "inner_model", "read_tables", "toml_value", "validated"]
-
 M = TypeVar("M", bound=BaseModel)
 
 _LIMITS = {

@@ -9,7 +9,7 @@ import typer
 from typer.testing import CliRunner
 
 from mufly.cli.identify_bench import add_to
-from mufly.cli.identify_shared import with_doubt
+from mufly.cli.options import with_doubt
 from mufly.errors import InputError
 from mufly.vehicle import load_vehicle
 

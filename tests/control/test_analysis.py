@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mufly.control import analyse, hinf_norm, loop_curves, sample_plant
-from mufly.control.analysis import is_stable_loop
-from mufly.control.linear import state_space
+from mufly.control.linear import is_stable_loop, state_space
 
 
 def twin(numerator: list[float], denominator: list[float]) -> ct.StateSpace:

@@ -17,7 +17,7 @@ from mufly.control import (
     TwoDegreeWeights,
     design,
 )
-from mufly.control.design import design_heave_yaw, design_roll_pitch
+from mufly.control.designs import design_heave_yaw, design_roll_pitch
 from mufly.dynamics import linearise
 from mufly.errors import InputError, MuflyError
 from mufly.vehicle import Vehicle
@@ -141,7 +141,7 @@ def test_the_design_holds_a_vehicle_that_is_not_the_one_designed_for(
 ) -> None:
     """Ten per cent on every parameter: still stable, with margin."""
     from mufly.control import analyse, sample_plant
-    from mufly.control.analysis import feedback_part
+    from mufly.control.linear import feedback_part
 
     rng = np.random.default_rng(seed)
     names = (

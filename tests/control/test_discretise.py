@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mufly.control import FlightController, analyse, discretise, frequency_response, sample_plant
-from mufly.control.analysis import feedback_part
-from mufly.control.linear import state_space
+from mufly.control.linear import feedback_part, state_space
 from mufly.errors import MuflyError
 
 

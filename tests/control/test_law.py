@@ -16,7 +16,7 @@ from mufly.control import (
     roll_pitch_initial,
     roll_pitch_step,
 )
-from mufly.control.gains import ROLL_PITCH_GAINS, pack
+from mufly.control.law import ROLL_PITCH_GAINS, pack
 from mufly.errors import MuflyError
 
 INPUT = st.floats(0.0, 1.0)

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mufly.drive.solve import rising_root
+from mufly.drive.operating import rising_root
 
 
 @given(

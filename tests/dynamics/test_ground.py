@@ -20,7 +20,7 @@ from mufly.dynamics import (
     standing_height,
     trim,
 )
-from mufly.dynamics.ground import contact_wrench
+from mufly.dynamics.model import contact_wrench
 from mufly.vehicle import replace
 
 CALM = np.zeros(3)

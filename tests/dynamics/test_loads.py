@@ -19,7 +19,7 @@ from mufly.dynamics import (
     simulate,
     trim,
 )  # fmt: skip
-from mufly.dynamics.loads import climb_velocity, coefficient_bounds, inside_map, rotor_loads
+from mufly.dynamics.model import climb_velocity, coefficient_bounds, inside_map, rotor_loads
 from mufly.dynamics.state import rotation
 from mufly.errors import InputError
 from mufly.vehicle import CoefficientMap, MapTables, load_map, replace

@@ -9,7 +9,7 @@ from scipy import stats
 from scipy.signal import welch
 
 from mufly.dynamics import DrydenWind
-from mufly.dynamics.wind import dryden_filter
+from mufly.dynamics.simulation import dryden_filter
 from mufly.errors import InputError
 
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from mufly.control import FlightController, design
-from mufly.control.cascade import analyse_cascade
+from mufly.control.sampled import analyse_cascade
 from mufly.dynamics import linearise
-from mufly.flight import Flight, controllers, respond
-from mufly.flight.controllers import copied
-from mufly.flight.parameter_table import TABLE
-from mufly.flight.response import Demand
+from mufly.flight import Flight, respond, software
+from mufly.flight.parameters import TABLE
+from mufly.flight.plant import Demand
+from mufly.flight.software import copied
 from mufly.mission import SHARE, mission_from
 from mufly.vehicle import Vehicle, load_vehicle
 
@@ -168,7 +168,7 @@ def test_tuning_on_the_run_makes_no_bump(flight: Flight, name: str, end: str) ->
 
 
 def test_a_gain_that_jumps_would_make_one(flight: Flight, monkeypatch) -> None:
-    monkeypatch.setattr(controllers, "RETUNE_S", 1e-9)
+    monkeypatch.setattr(software, "RETUNE_S", 1e-9)
     assert greatest_steps(flight, "CTL_POS_GAIN", "greatest")[2:].max() > 0.035
 
 

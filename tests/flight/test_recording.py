@@ -10,16 +10,9 @@ from hypothesis import strategies as st
 
 from mufly.errors import InputError
 from mufly.flight.recorder import Recorder
-from mufly.logs.mcap_file import McapFile
-from mufly.logs.recording import (
-    QUANTITIES,
-    Layout,
-    events_of,
-    read_recording,
-    standard_layout,
-    to_csv,
-    to_dataset,
-)
+from mufly.logs.mcap import McapFile
+from mufly.logs.recording import events_of, read_recording, to_csv, to_dataset
+from mufly.logs.signals import QUANTITIES, Layout, standard_layout
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from mufly.cli import app
 from mufly.errors import InputError
-from mufly.identify.demo_flight import demo_flights
+from mufly.identify.flight.demo import demo_flights
 from mufly.identify.record import dataset_of
 from mufly.logs import write_log
 from mufly.vehicle import load_vehicle

@@ -6,7 +6,7 @@ import pytest
 import mufly
 from mufly.errors import InputError
 from mufly.identify import Progress, choose_free, fit_flights, fit_split, with_estimates
-from mufly.identify.demo_flight import NOISE, RADIO_DELAY_S, demo_flights
+from mufly.identify.flight.demo import NOISE, RADIO_DELAY_S, demo_flights
 from mufly.vehicle import load_vehicle, parameters, replace, vehicle_toml
 
 ROLL_PITCH = ("Iyy", "l_up", "l_dw", "Tf_up")

@@ -6,13 +6,13 @@ import pytest
 from mufly.errors import InputError
 from mufly.identify.record import (
     Record,
+    check_record,
     dataset_of,
     difference_noise,
     record_from,
     smoothed_motion,
     split,
 )
-from mufly.identify.record_check import check_record
 
 T = np.arange(600) * 0.01
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from mufly.errors import InputError
-from mufly.identify.frequency import frequency_response, misfit, state_space_response
+from mufly.identify.linear.frequency import frequency_response, misfit, state_space_response
 
 DT = 0.02
 A = np.exp(-3.0 * DT)

@@ -12,14 +12,27 @@ from typer.testing import CliRunner
 
 from mufly.cli import app
 from mufly.errors import InputError
-from mufly.identify.linear import identify_linear
-from mufly.identify.linear_check import cross_validate, disturbance_model, noise_floor, predict_ahead
-from mufly.identify.linear_columns import Columns, lowpassed, read_columns
-from mufly.identify.linear_fit import fit_linear, predict_linear
-from mufly.identify.linear_simulate import delayed, discretise, responses, simulate_linear
-from mufly.identify.linear_spectral import fit_spectral
-from mufly.identify.linear_structure import GRAVITY, helicopter, model_named
-from mufly.identify.linear_subspace import equation_error, subspace
+from mufly.identify.linear.check import (
+    cross_validate,
+    disturbance_model,
+    equation_error,
+    noise_floor,
+    predict_ahead,
+    subspace,
+)
+from mufly.identify.linear.fit import fit_linear, predict_linear
+from mufly.identify.linear.frequency import fit_spectral
+from mufly.identify.linear.identification import identify_linear
+from mufly.identify.linear.structure import (
+    GRAVITY,
+    delayed,
+    discretise,
+    helicopter,
+    model_named,
+    responses,
+    simulate_linear,
+)
+from mufly.identify.record import Columns, lowpassed, read_columns
 
 DT = 0.04
 TREX = Path(__file__).resolve().parents[2] / "../shared/data/flight/trex550/Data_graphready.mat"

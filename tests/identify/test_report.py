@@ -9,9 +9,8 @@ import pytest
 
 from mufly.errors import InputError
 from mufly.identify import Estimate, Fit, RecordFit
-from mufly.identify.report import Section, write_report
-from mufly.identify.report_page import number
-from mufly.identify.report_pictures import coherence_of
+from mufly.identify.pictures import coherence_of
+from mufly.identify.report import Section, number, write_report
 
 
 def record(role, n=200, inputs=2, outputs=1, seed=0):

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from mufly.identify import RecordFit
-from mufly.identify.missing import spectral_lines, what_is_missing
+from mufly.identify.covariance import coloured_covariance, correlation_of, parzen, unseen_directions
 from mufly.identify.residuals import (
     autocorrelation,
     cross_correlation,
@@ -13,8 +13,9 @@ from mufly.identify.residuals import (
     high_frequency_noise,
     ljung_box,
     quality,
+    spectral_lines,
+    what_is_missing,
 )
-from mufly.identify.uncertainty import coloured_covariance, correlation_of, parzen, unseen_directions
 
 
 def record(measured, predicted, inputs, dt=0.02, outputs=("q",), names=("lon",)):

@@ -7,9 +7,8 @@ import math
 from mufly.control import design
 from mufly.flight import Flight
 from mufly.link.codec import Codec, Encoder
-from mufly.link.dialect import mavlink as m
-from mufly.link.transfer import Receiver, Sender
-from mufly.link.transfer_notes import Item, note_of, to_mavlink
+from mufly.link.codec import mavlink as m
+from mufly.link.mission_transfer import Item, Receiver, Sender, note_of, to_mavlink
 from mufly.link.vehicle import VehicleLink
 from mufly.mission import Mission, mission_from
 from mufly.vehicle import load_vehicle

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from link_rig import Rig, waypoint
 
-from mufly.link.dialect import mavlink as m
-from mufly.link.transfer_notes import Item
+from mufly.link.codec import mavlink as m
+from mufly.link.mission_transfer import Item
 
 SET_MODE = m.MAV_CMD_DO_SET_MODE
 

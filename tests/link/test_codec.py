@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from mufly.link.codec import FRAME_MOST, Codec, Encoder
-from mufly.link.dialect import mavlink, single, text_of, within
+from mufly.link.codec import FRAME_MOST, Codec, Encoder, mavlink, single, text_of, within
 
 
 def attitude(k=0):

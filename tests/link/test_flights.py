@@ -8,8 +8,8 @@ import pytest
 from link_rig import Rig, waypoint
 
 from mufly.link.codec import Encoder
-from mufly.link.dialect import mavlink as m
-from mufly.link.transfer_notes import to_mavlink
+from mufly.link.codec import mavlink as m
+from mufly.link.mission_transfer import to_mavlink
 
 ARM, TAKE_OFF, LAND = m.MAV_CMD_COMPONENT_ARM_DISARM, m.MAV_CMD_NAV_TAKEOFF, m.MAV_CMD_NAV_LAND
 

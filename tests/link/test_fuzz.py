@@ -45,7 +45,7 @@ def test_the_judge_sees_what_must_not_be(fuzz_link: ModuleType) -> None:
     import numpy as np
 
     from mufly.flight import Flight
-    from mufly.flight.controllers import Actuators
+    from mufly.flight.software import Actuators
     from mufly.mission import Mission
 
     flight, found = Flight("mufly-1.1", Mission(), keep=False), fuzz_link.Findings()

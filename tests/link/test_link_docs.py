@@ -6,13 +6,12 @@ from pathlib import Path
 import pytest
 from link_rig import Rig
 
-from mufly.link.commands import COMMANDS
-from mufly.link.dialect import mavlink
-from mufly.link.enquiries import ENQUIRIES
-from mufly.link.modes import custom_mode, mode_of
+from mufly.link.clients import STREAMS
+from mufly.link.codec import mavlink
+from mufly.link.commands import COMMANDS, ENQUIRIES
+from mufly.link.conventions import custom_mode, mode_of
 from mufly.link.parameters import LINK_PARAMETERS
-from mufly.link.streams import STREAMS
-from mufly.link.telemetry_status import STATES
+from mufly.link.telemetry import STATES
 
 PAGE = (Path(__file__).parents[2] / "docs" / "link.md").read_text(encoding="utf-8")
 

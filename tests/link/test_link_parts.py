@@ -7,17 +7,15 @@ import numpy as np
 import pytest
 from link_rig import Rig
 
-from mufly.link.call import Call
-from mufly.link.dialect import mavlink as m
-from mufly.link.enquiries import enquire
-from mufly.link.failsafe import Failsafe, watch_link
-from mufly.link.modes import asked, custom_mode, mode_of, mode_of_custom
-from mufly.link.offboard import set_point_of
+from mufly.link.authority import Failsafe, watch_link
+from mufly.link.clients import MOST_HZ, STREAMS, Wishes
+from mufly.link.codec import Texts
+from mufly.link.codec import mavlink as m
+from mufly.link.commands import Call, enquire
+from mufly.link.conventions import asked, custom_mode, mode_of, mode_of_custom
 from mufly.link.parameters import value_of
-from mufly.link.sticks import of_channels, of_manual_control
-from mufly.link.streams import MOST_HZ, STREAMS, Wishes
-from mufly.link.texts import Texts
-from mufly.link.tlog import TlogWriter
+from mufly.link.process import TlogWriter
+from mufly.link.set_points import of_channels, of_manual_control, set_point_of
 from mufly.logs.tlog import looks_like_tlog
 from mufly.mission import State
 from mufly.sensors import Measurement

@@ -8,8 +8,7 @@ import time
 import pytest
 
 from mufly.errors import InputError
-from mufly.link.endpoint import Endpoint, parse_endpoint
-from mufly.link.ports import PEERS, RETRY_S, open_port, wait
+from mufly.link.ports import PEERS, RETRY_S, Endpoint, open_port, parse_endpoint, wait
 
 
 def gather(port, until, seconds=3.0):

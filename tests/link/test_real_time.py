@@ -15,8 +15,8 @@ from link_rig import new_flight
 from mufly.errors import MuflyError
 from mufly.link import Endpoint, TlogWriter, open_port, run, start_vehicle, wait
 from mufly.link.codec import Codec, Encoder
-from mufly.link.dialect import mavlink as m
-from mufly.link.runner import CATCH_UP_S, HURRY, Pace
+from mufly.link.codec import mavlink as m
+from mufly.link.process import CATCH_UP_S, HURRY, Pace
 from mufly.logs import read_log
 from mufly.logs.tlog import read_tlog
 from mufly.mission import Mission

@@ -10,16 +10,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mufly.link.dialect import mavlink
-from mufly.link.transfer import GIVE_UP_S, LIMIT, SETTLE_S, Receiver, Sender
-from mufly.link.transfer_notes import (
+from mufly.link.codec import mavlink
+from mufly.link.mission_transfer import (
+    GIVE_UP_S,
+    LIMIT,
+    SETTLE_S,
     Ack,
     ClearAll,
     Count,
     Item,
     MissionResult,
+    Receiver,
     RequestItem,
     RequestList,
+    Sender,
     note_of,
     to_mavlink,
 )

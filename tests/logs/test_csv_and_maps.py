@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mufly.errors import InputError
 from mufly.logs import LogWarning, builtin_maps, load_map, read_log, read_raw
-from mufly.logs.units import conversion, known_unit, split_header
+from mufly.units import conversion, known_unit, split_header
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mufly.mission import Command, MissionPlan, begin, step
-from mufly.mission.obstacles import ring
+from mufly.mission.avoidance import ring
 from mufly.sensors import Measurement
 from mufly.world import distance, ranges
 

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from mufly.errors import InputError
 from mufly.mission import load_mission, mission_from
-from mufly.mission.obstacles import Memory
-from mufly.mission.sight import hold_off, look
+from mufly.mission.avoidance import Memory, hold_off, look
 
 # Sweeps over 1100 scenes keep 0.38 m; what is asked for is 0.3 m.
 KEPT_M = 0.36

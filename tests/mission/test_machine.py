@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mufly.mission import Command, State, begin, load_mission, mission_from, step
-from mufly.mission.plan import SPIN_UP_S
+from mufly.mission.schema import SPIN_UP_S
 from mufly.sensors import Measurement
 
 SQUARE = load_mission("demonstration")

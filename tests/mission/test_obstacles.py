@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mufly.mission.obstacles import CAPACITY, Memory, observe, repulsion, ring
+from mufly.mission.avoidance import CAPACITY, Memory, observe, repulsion, ring
 from mufly.world import Box, Cylinder, World, distances, ranges
 
 RING = ring(8, math.pi / 8, 1.5)

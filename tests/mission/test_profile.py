@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mufly.mission.profile import profile, step_down, step_down_way
+from mufly.mission.trajectory import profile, step_down, step_down_way
 
 way = st.floats(1e-4, 50.0)
 limit = st.floats(0.05, 5.0)

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mufly.mission.signals import State
-from mufly.mission.state import MissionState
-from mufly.mission.takeover import from_hand
+from mufly.mission.machine import from_hand
+from mufly.mission.state import MissionState, State
 from mufly.sensors import Measurement
 
 FLYING = MissionState(state=State.RC, motors="fly", started=True, standing=(0.0, 0.0, -0.07), manual=True)

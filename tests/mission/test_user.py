@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mufly.mission import Command, SetPoint, State, begin, load_mission, mission_from, step
-from mufly.mission.plan import SPIN_UP_S, homeward
+from mufly.mission.schema import SPIN_UP_S, homeward
 from mufly.mission.state import LOG_KEPT
 from mufly.sensors import Measurement
 

@@ -10,8 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import Air, climb_ratios, coax_map, coaxial, load_rotor, prepare
 from mufly.rotor import coax_map as room_function
-from mufly.rotor.coax_map import _filled, map_points
-from mufly.rotor.map_kernel import at
+from mufly.rotor.maps import _filled, at, map_points
 from mufly.rotor.wake import WakeSettings
 from mufly.vehicle import MapTables, load_map, map_toml
 from mufly.vehicle.coefficient_map import CoefficientMap, table_text

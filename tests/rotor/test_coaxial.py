@@ -9,12 +9,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor.blading import prepare
-from mufly.rotor.coaxial import balance_torque, coaxial, tube_speed
-from mufly.rotor.corrections import Corrections
+from mufly.rotor.bemt import hover
+from mufly.rotor.blading import Corrections, prepare
 from mufly.rotor.geometry import Rotor
-from mufly.rotor.hover import hover
-from mufly.rotor.polar import ALPHA_GRID, PolarTable
+from mufly.rotor.polar_table import ALPHA_GRID, PolarTable
+from mufly.rotor.system import balance_torque, coaxial, tube_speed
 
 R, SPEED, PITCH = 0.06, 600.0, 0.25
 

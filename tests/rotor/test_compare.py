@@ -14,11 +14,10 @@ from numpy.testing import assert_allclose
 
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import load_rotor
+from mufly.rotor.bemt import hover, hover_batch
 from mufly.rotor.blading import prepare
-from mufly.rotor.compare import calibrate, compare
-from mufly.rotor.hover import hover, hover_batch
-from mufly.rotor.measurements import Measurements, read_measurements
-from mufly.rotor.thrust import solve_thrust
+from mufly.rotor.measurements import Measurements, calibrate, compare, read_measurements
+from mufly.rotor.system import solve_thrust
 from mufly.rotor.uncertainty import Doubt, interval
 
 ROOT = Path(__file__).resolve().parents[2]

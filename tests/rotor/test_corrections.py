@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from mufly.errors import InputError
-from mufly.rotor.blading import prepare
-from mufly.rotor.corrections import PLAIN, Corrections, rotation_strength, zero_lift_angle
+from mufly.rotor.bemt import hover
+from mufly.rotor.blading import PLAIN, Corrections, prepare, rotation_strength, zero_lift_angle
 from mufly.rotor.geometry import Rotor
-from mufly.rotor.hover import hover
-from mufly.rotor.polar import ALPHA_GRID, PolarTable
+from mufly.rotor.polar_table import ALPHA_GRID, PolarTable
 
 KINDS = ["dumitrescu-cardos", "snel", "chaviaropoulos-hansen", "none"]
 

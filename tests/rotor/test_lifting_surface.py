@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mufly.rotor.blading import panel_edges, prepare
-from mufly.rotor.corrections import Corrections
+from mufly.rotor.bemt import hover
+from mufly.rotor.blading import Corrections, chord_factor, near_wake_downwash, panel_edges, prepare
 from mufly.rotor.geometry import Rotor
-from mufly.rotor.hover import hover
-from mufly.rotor.lifting_surface import chord_factor, near_wake_downwash
-from mufly.rotor.polar import ALPHA_GRID, PolarTable
+from mufly.rotor.polar_table import ALPHA_GRID, PolarTable
 
 
 def lift_slope_of_rectangular_wing(aspect_ratio, n=60):

@@ -8,10 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor import cache, load_airfoil, lookup, neural, outside, polar, polars
-from mufly.rotor.build import REYNOLDS
-from mufly.rotor.extend import extend, plate_drag
-from mufly.rotor.polar import ALPHA_GRID
+from mufly.rotor import load_airfoil, lookup, neural, outside, polar, polars, section
+from mufly.rotor.engines import REYNOLDS
+from mufly.rotor.polar_table import ALPHA_GRID, extend, plate_drag
 from mufly.rotor.section import SectionData
 
 FEW = np.geomspace(5e3, 2e5, 5)
@@ -257,7 +256,7 @@ def test_broken_or_absent_cache_is_no_obstacle(monkeypatch, tmp_path):
     monkeypatch.setenv("MUFLY_CACHE", str(blocked))
     assert np.array_equal(polar("naca2410", reynolds=FEW).cl, good.cl)
     monkeypatch.setenv("MUFLY_CACHE", "off")
-    assert cache.cache_folder() is None
+    assert section.cache_folder() is None
     assert np.array_equal(polar("naca2410", reynolds=FEW).cl, good.cl)
     assert not list((tmp_path / "polars").glob("*.part"))
 

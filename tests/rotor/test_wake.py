@@ -12,20 +12,11 @@ import pytest
 
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import Air, hover, load_rotor, prepare
-from mufly.rotor.wake import (
-    Placed,
-    WakeSettings,
-    balance_torque_wake,
-    coaxial_wake,
-    hover_wake,
-    induced_velocity,
-    momentum_thrust,
-    solve,
-)
-from mufly.rotor.wake.blade import surface_of
+from mufly.rotor.system import balance_torque_wake, coaxial_wake, hover_wake
+from mufly.rotor.wake import Placed, WakeSettings, induced_velocity, momentum_thrust, solve
+from mufly.rotor.wake.blade import ages_of, core_radii, extended, prescribed, surface_of
+from mufly.rotor.wake.field import blade_passing
 from mufly.rotor.wake.kernel import induce, influence, segments_of
-from mufly.rotor.wake.phase import blade_passing
-from mufly.rotor.wake.shape import ages_of, core_radii, extended, prescribed
 
 RPM = np.pi / 30
 COARSE = WakeSettings(step_deg=30.0, turns=2.0, far_turns=5.0, phases=3, tolerance=5e-3)

@@ -8,10 +8,17 @@ import random
 import struct
 from itertools import count
 
-from mufly.link.codec import Codec, Encoder
-from mufly.link.dialect import mavlink
-from mufly.link.transfer import Receiver, Sender
-from mufly.link.transfer_notes import Ack, ClearAll, RequestItem, RequestList, note_of, to_mavlink
+from mufly.link.codec import Codec, Encoder, mavlink
+from mufly.link.mission_transfer import (
+    Ack,
+    ClearAll,
+    Receiver,
+    RequestItem,
+    RequestList,
+    Sender,
+    note_of,
+    to_mavlink,
+)
 from mufly.station.ground import GroundLink
 
 

@@ -7,7 +7,7 @@ import math
 import pytest
 from mock_vehicle import MockVehicle, World
 
-from mufly.link.dialect import mavlink
+from mufly.link.codec import mavlink
 from mufly.link.missions import items_of as items_of_mission
 from mufly.mission import mission_from
 from mufly.station.checks import flight_time, same_mission

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from mufly.link.codec import Encoder
-from mufly.link.dialect import mavlink as m
+from mufly.link.codec import mavlink as m
 from mufly.station.ground import GroundLink
 from mufly.station.history import History
 

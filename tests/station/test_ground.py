@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from mock_vehicle import MockVehicle, World, as_float
 
-from mufly.link.codec import Encoder
-from mufly.link.dialect import mavlink
+from mufly.link.codec import Encoder, mavlink
 from mufly.station.checks import judge, same_mission
 from mufly.station.ground import GroundLink
 from mufly.station.view import MissionRow, Outcome

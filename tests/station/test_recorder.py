@@ -14,7 +14,7 @@ from mufly.errors import InputError
 from mufly.flight import read_recording
 from mufly.link.codec import Codec
 from mufly.logs import read_log
-from mufly.logs.mcap_file import read_mcap
+from mufly.logs.mcap import read_mcap
 from mufly.station.recorder import StationRecorder
 
 DAY_S = 1.9e9

@@ -11,8 +11,8 @@ import pytest
 from mock_vehicle import MockVehicle
 
 from mufly.errors import InputError
-from mufly.link.endpoint import Endpoint, parse_endpoint
-from mufly.station.server import Station, rate_for
+from mufly.link.ports import Endpoint, parse_endpoint
+from mufly.station.ground import Station, rate_for
 
 
 def free_port():

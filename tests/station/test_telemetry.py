@@ -7,15 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from mufly.link.dialect import mavlink
-from mufly.link.telemetry_status import STATES
-from mufly.station.board import HOLD_S
-from mufly.station.clock import VehicleClock
-from mufly.station.fields import FIELDS
-from mufly.station.history import History
-from mufly.station.modes import mode_words
-from mufly.station.telemetry import Telemetry
-from mufly.station.texts import Texts
+from mufly.link.codec import mavlink
+from mufly.link.telemetry import STATES
+from mufly.station.autopilots import mode_words
+from mufly.station.commands import Texts
+from mufly.station.history import HOLD_S, History
+from mufly.station.telemetry import FIELDS, Telemetry, VehicleClock
 
 
 def sent(message):

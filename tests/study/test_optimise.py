@@ -8,8 +8,8 @@ import pytest
 
 from mufly.errors import InputError, MuflyError
 from mufly.study import Setup, evaluate, optimise, parse_limit
-from mufly.study.limits import bounds_of
-from mufly.study.problem import least_thickness_m
+from mufly.study.optimisation import least_thickness_m
+from mufly.study.parameters import bounds_of
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,9 @@ import pytest
 
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import coaxial, hover, load_rotor, prepare
-from mufly.rotor.measurements import Measurements
-from mufly.rotor.wake import WakeSettings, balance_pitch, compare_wake, solve_thrust_wake
+from mufly.rotor.measurements import Measurements, compare_wake, solve_thrust_wake
+from mufly.rotor.system import balance_pitch
+from mufly.rotor.wake import WakeSettings
 from mufly.study import (
     PAIR,
     PairSetup,
@@ -29,7 +30,7 @@ from mufly.study import (
     wake_picture,
     write_results,
 )
-from mufly.study.wake_pictures import plane_velocity
+from mufly.study.pictures import plane_velocity
 
 RPM = math.pi / 30.0
 PITCH = math.radians(14.0)

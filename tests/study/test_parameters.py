@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mufly.errors import InputError
 from mufly.rotor import load_rotor
 from mufly.study import parse_quantity, parse_settings, parse_values, reshape
-from mufly.study.shape import naca_name
+from mufly.study.setup import naca_name
 
 ROTOR = load_rotor("naca4412-r60-c20")
 

@@ -5,7 +5,8 @@ import pytest
 import xarray as xr
 
 from mufly.rotor.wake import WakeSettings
-from mufly.thesis import coaxial, coaxial_pictures, coaxial_verdicts, studies
+from mufly.thesis import coaxial, pictures, studies
+from mufly.thesis import coaxial as coaxial_verdicts
 from mufly.thesis.claims import TABLE_3_4_VALUES
 
 COARSE = WakeSettings(step_deg=30, turns=2, far_turns=5, phases=2, core_limit=0.4)
@@ -80,7 +81,7 @@ def test_a_case_that_does_not_converge_says_so() -> None:
 
 
 def test_pictures_have_units_and_a_line_for_each_method(pairs: dict[str, xr.Dataset]) -> None:
-    figure = coaxial_pictures.equal_speeds_figure(pairs, "title")
+    figure = pictures.equal_speeds_figure(pairs, "title")
     labels = [axes.get_ylabel() for axes in figure.axes]
     assert labels[:2] == ["Thrust (N)", "Torque (mN m)"]
     assert all(axes.get_xlabel() == "Speed of both rotors (rev/min)" for axes in figure.axes)

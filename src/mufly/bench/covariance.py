@@ -27,8 +27,6 @@ from scipy import stats
 from scipy.linalg import block_diag
 from scipy.optimize import minimize_scalar
 
-__all__ = ["Spread", "joined", "spread"]
-
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 

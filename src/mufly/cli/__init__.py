@@ -9,7 +9,22 @@ from typing import Any
 import typer
 
 import mufly
-from mufly.cli import coax, control, drive, fly, identify, link, log, mission, rotor, station, thesis, vehicle
+from mufly.cli import (
+    coax,
+    control,
+    drive,
+    fly,
+    identify,
+    log,
+    mission,
+    rotor,
+    station,
+    thesis,
+    vehicle,
+)
+from mufly.cli import (
+    station as link,
+)
 from mufly.errors import MuflyError
 
 __all__ = ["app", "main"]
@@ -23,7 +38,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command("fly", help=fly.HELP)(fly.fly)
-app.command("link", help=link.HELP)(link.link)
+app.command("link", help=link.LINK_HELP)(link.link)
 app.command("station", help=station.HELP)(station.station)
 app.add_typer(rotor.app, name="rotor")
 app.add_typer(coax.app, name="coax")

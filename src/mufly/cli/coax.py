@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mufly.cli import coax_map, coax_optimise, coax_sweep
+from mufly.cli import coax_study
 from mufly.cli.coax_shared import (
     DENSITY,
     SPACING,
@@ -24,21 +24,22 @@ from mufly.cli.coax_shared import (
 from mufly.cli.options import (
     EngineOption,
     JsonOption,
+    MethodOption,
     ModelOption,
     NCritOption,
     OutOption,
+    WakeOption,
+    WakeSetOption,
     console,
     print_json,
+    wake_progress,
 )
-from mufly.cli.wake_options import MethodOption, WakeOption, WakeSetOption, wake_progress
 from mufly.errors import InputError, MuflyError
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from mufly.study import PairSetup
-
-__all__ = ["app"]
 
 app = typer.Typer(
     help="Coaxial pairs: two rotors that turn against each other, by a free vortex wake or by blade elements. See "
@@ -201,6 +202,6 @@ def _answer(setup: PairSetup, isolated: bool, out: Path | None, as_json: bool) -
         console().print(f"Written: {file}", highlight=False)
 
 
-coax_sweep.add_to(app)
-coax_optimise.add_to(app)
-coax_map.add_to(app)
+coax_study.add_sweep(app)
+coax_study.add_optimise(app)
+coax_study.add_map(app)

@@ -10,29 +10,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mufly.cli.options import angle, console, corrections_of, engine_of, print_table, save_picture
-from mufly.cli.wake_options import wake_of, write_history
+from mufly.cli.options import (
+    angle,
+    console,
+    corrections_of,
+    engine_of,
+    print_table,
+    save_picture,
+    wake_of,
+    write_history,
+)
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
     from mufly.rotor import RotorResult
     from mufly.study import PairPoint, PairSetup
     from mufly.study.parameters import Value
-
-__all__ = [
-    "DENSITY",
-    "SPACING",
-    "THESIS",
-    "LowerArgument",
-    "UpperArgument",
-    "angles",
-    "length",
-    "pair_json",
-    "pair_of",
-    "print_pair",
-    "speeds",
-    "write_pair",
-]
 
 THESIS = "naca0012-r60-c20"  # the dissertation's pair: this rotor twice at 14 degrees, 20 mm apart
 RPM = math.pi / 30.0

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from mufly.control import Design, FlightController
 
-__all__ = ["app"]
-
 app = typer.Typer(help="Design and analyse the controllers of a vehicle.", no_args_is_help=True)
 
 

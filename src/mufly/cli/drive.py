@@ -22,8 +22,6 @@ from mufly.cli.options import (
 if TYPE_CHECKING:
     from mufly.drive import RotorLoad
 
-__all__ = ["app"]
-
 app = typer.Typer(
     help="Drive trains: motor, gear, battery, and where they meet a rotor. Everything is explained in docs/drive.md.",
     no_args_is_help=True,

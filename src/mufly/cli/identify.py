@@ -1,18 +1,572 @@
-"""``mufly identify``: the parameters of a vehicle, from bench and flight data. Commands live in their own modules."""
+"""``mufly identify flight``: the flight model fitted to flight records."""
 
 from __future__ import annotations
 
+import datetime
+import math
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
 import typer
 
-from mufly.cli import identify_bench, identify_demo, identify_flight, identify_linear
+from mufly.cli import identify_bench
+from mufly.cli.options import (
+    JsonOption,
+    check_file,
+    check_folder,
+    console,
+    print_json,
+    print_table,
+    progress_bar,
+)
+from mufly.errors import InputError
 
-__all__ = ["app"]
+if TYPE_CHECKING:
+    from mufly.identify import Demo, Estimate, Fit, Progress, Record
+    from mufly.identify.linear.fit import LinearResult
+    from mufly.vehicle import Vehicle
+
+_PARTS = ("both", "heave-yaw", "roll-pitch", "split")
+
+
+def add_flight(app: typer.Typer) -> None:
+    """Register the command with the group ``mufly identify``."""
+    app.command("flight")(flight)
+
+
+def flight(
+    logs: Annotated[
+        list[Path], typer.Argument(metavar="LOG...", help="Flight records that `mufly log` reads: MCAP, CSV, ULog, ...")
+    ],
+    free: Annotated[
+        str,
+        typer.Option(metavar="SYMBOLS", help="What to find: symbols of `mufly vehicle show`, besides 'delay' (input to "
+                     "vehicle) and 'bias_p' and the like; commas between."),
+    ],
+    vehicle: Annotated[
+        str, typer.Option(metavar="NAME|FILE", help="Start values; their sources say how far they may be pulled.")
+    ] = "mufly-1.1",
+    out: Annotated[
+        Path | None, typer.Option("--out", "--write", metavar="NEW.toml", help="Write the identified vehicle there.")
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write report.html with its pictures there.")
+    ] = None,
+    hold_out: Annotated[
+        list[Path] | None, typer.Option(metavar="LOG", help="Predict this record, do not fit it. May be repeated.")
+    ] = None,
+    hold_out_share: Annotated[
+        float, typer.Option(metavar="SHARE", help="Without --hold-out: the last share of every log is held out.")
+    ] = 0.25,
+    part: Annotated[
+        str, typer.Option(metavar="NAME", help="both at once, heave-yaw, roll-pitch, or split: one after the other.")
+    ] = "both",
+    outputs: Annotated[
+        str | None, typer.Option(metavar="NAMES", help="Use these measurements only: height, yaw, r, roll, p, ...")
+    ] = None,
+    prefix: Annotated[
+        str, typer.Option(metavar="NAME", help="What to take from a recording: measured, estimated or truth.")
+    ] = "measured",
+    columns: Annotated[
+        Path | None, typer.Option("--map", metavar="MAP.toml", help="Column map of foreign logs; see docs/logs.md.")
+    ] = None,
+    voltage: Annotated[
+        str,
+        typer.Option(metavar="NAME|V", help="Battery: 'model' (charge found), 'measured', 'nominal', or a number (V)."),
+    ] = "model",
+    delay_ms: Annotated[
+        float, typer.Option("--delay", metavar="MS", help="Time from recorded input to vehicle; start value if free.")
+    ] = 0.0,
+    window: Annotated[
+        float | None, typer.Option(metavar="S", help="Last stage in windows of this length, not whole records.")
+    ] = None,
+    method: Annotated[
+        str, typer.Option(metavar="NAME", help="lm (Levenberg-Marquardt) or cma (CMA-ES, as in the dissertation).")
+    ] = "lm",
+    seed: Annotated[int, typer.Option(metavar="K", help="Of CMA-ES.", min=0)] = 0,
+    restarts: Annotated[int, typer.Option(metavar="N", help="Of CMA-ES, each with twice the population.", min=0)] = 0,
+    no_prior: Annotated[bool, typer.Option("--no-prior", help="Start values do not weigh in.")] = False,
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Kept every iteration; a stopped fit goes on from it. Default: beside --out, "
+                     "none without."),
+    ] = None,
+    cluster: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Fly on a dask cluster, as tcp://host:8786.")
+    ] = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Do not go on from a checkpoint.")] = False,
+    as_json: JsonOption = False,
+) -> None:  # fmt: skip
+    """Fit the flight model to flight records, and predict records that the fit did not see.
+
+    Ctrl-C stops a fit; with --out or --checkpoint the same command goes on from its last iteration.
+
+    Example: mufly identify flight yaw.mcap heave.mcap roll.mcap pitch.mcap --hold-out mixed.mcap
+    --free cQ_up,cQ_dw,Izz,Iyy,l_up,l_dw,Tf_up,delay --delay 20 --out mine.toml --report report
+    """
+    from mufly.identify import choose_free, fit_flights, fit_split
+    from mufly.identify import split as cut
+    from mufly.identify.flight.simulate import OUTPUTS, on_cluster
+    from mufly.vehicle import load_vehicle
+
+    one_of("--part", part, _PARTS)
+    one_of("--method", method, ("lm", "cma"))
+    if not 0.0 <= hold_out_share <= 0.8:
+        raise InputError("--hold-out-share", "", f"{hold_out_share:g} is no share", "give 0 to 0.8")
+    if not 0.0 <= delay_ms <= 1000.0:
+        raise InputError("--delay", "", f"{delay_ms:g} ms is not possible", "give 0 to 1000 ms")
+    if window is not None and not window > 0.0:
+        raise InputError(
+            "--window", "", f"{window:g} s is no length", "give a number above 0, or leave it out"
+        )
+    one_of("--prefix", prefix, ("measured", "estimated", "truth"))
+    chosen = None if outputs is None else [o.strip() for o in outputs.split(",") if o.strip()]
+    for name in chosen or ():
+        one_of("--outputs", name, OUTPUTS)
+    check_file("--out", out)
+    check_folder("--report", report)
+    check_file("--checkpoint", checkpoint)
+    start = load_vehicle(vehicle)
+    records, said = _read(logs, columns, prefix)
+    held, more = _read(hold_out or [], columns, prefix)
+    if not hold_out and hold_out_share > 0:
+        parts = [cut(r, hold_out_share) for r in records]
+        records, held = [p[0] for p in parts], [p[1] for p in parts]
+    if not as_json:
+        for w in (*said, *more):
+            console().print(f"Note: {w}", style="yellow", highlight=False)
+    measured = sorted({o for r in records for o in r.outputs})
+    symbols = [s.strip() for s in free.split(",") if s.strip()]
+    wanted = choose_free(start, symbols, measured, delay_s=delay_ms / 1e3)
+    keep = checkpoint or (None if out is None else out.with_name(f"{out.name}.checkpoint.json"))
+    kept = [] if keep is None else [keep, *(keep.with_name(f"{keep.name}.{p}") for p in _PARTS[1:3])]
+    if fresh:
+        for path in kept:
+            path.unlink(missing_ok=True)
+    elif any(p.exists() for p in kept) and not as_json:
+        console().print(f"Going on from {keep}.", highlight=False)
+    options: dict[str, Any] = {
+        "held_out": held, "voltage": _voltage(voltage), "delay_s": delay_ms / 1e3, "prior": not no_prior,
+        "window_s": window, "method": method, "seed": seed, "restarts": restarts, "checkpoint": keep,
+        "outputs": chosen,
+    }  # fmt: skip
+    try:
+        with on_cluster(cluster), fit_progress(not as_json) as on_progress:
+            if part == "split":
+                fit = fit_split(start, wanted, records, on_progress=on_progress, **options)
+            else:
+                fit = fit_flights(start, wanted, records, part=part, on_progress=on_progress, **options)  # type: ignore[arg-type]
+    except KeyboardInterrupt:
+        where = "" if keep is None else f"; the same command goes on from {keep}"
+        typer.secho(f"mufly: stopped{where}", fg=typer.colors.YELLOW, err=True)
+        raise typer.Exit(130) from None
+    written = _write(start, fit, logs, out)
+    page = written_report(fit, report, not as_json)
+    for path in kept:
+        path.unlink(missing_ok=True)
+    if as_json:
+        print_json(_json(fit))
+        return
+    _print(fit)
+    for what, place in (("Vehicle", written), ("Report", page)):
+        if place is not None:
+            console().print(f"{what}: {place}", highlight=False)
+
+
+def one_of(option: str, value: str, known: tuple[str, ...]) -> None:
+    """InputError if an option has a value that is not known."""
+    if value not in known:
+        raise InputError(option, "", f"{value!r} is unknown", f"use one of: {', '.join(known)}")
+
+
+def _voltage(text: str) -> str | float:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _read(paths: list[Path], columns: Path | None, prefix: str) -> tuple[list[Record], list[str]]:
+    from mufly.identify import check_record, record_from
+    from mufly.logs import LogWarning, read_log
+
+    records: list[Record] = []
+    said: list[str] = []
+    for path in paths:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LogWarning)  # printed with the others
+            data = read_log(path, columns=columns)
+        said += [f"{path.name}: {note}" for note in data.attrs.get("notes", [])]
+        record = record_from(data, path.name, prefix=prefix)
+        said += check_record(record)
+        records.append(record)
+    return records, said
+
+
+@contextmanager
+def fit_progress(shown: bool) -> Iterator[Callable[[Progress], None] | None]:
+    """Show stage, iteration, cost, parameters and an upper bound of the time left, on standard error."""
+    if not shown:
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    columns = (
+        TextColumn("{task.description}"), BarColumn(bar_width=20), TimeElapsedColumn(), TextColumn("at most"),
+        TimeRemainingColumn(), TextColumn("left"),
+    )  # fmt: skip
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+        task, values = bar.add_task("start", total=None), bar.add_task("", total=None, visible=False)
+
+        def show(p: Progress) -> None:
+            done = p.stage - 1 + min(1.0, p.iteration / p.iterations)
+            text = f"{p.what} ({p.stage}/{p.stages}), iteration {p.iteration}, cost {p.cost:.6g}"
+            bar.update(task, description=text, completed=done, total=p.stages)
+            named = "  ".join(f"{s} {v:.4g}" for s, v in list(p.values.items())[:6])
+            bar.update(values, description=named, visible=True)
+
+        yield show
+
+
+def _write(start: Vehicle, fit: Fit, logs: list[Path], out: Path | None) -> Path | None:
+    if out is None:
+        return None
+    from mufly.identify import with_estimates
+    from mufly.vehicle import vehicle_toml
+
+    today = datetime.date.today().isoformat()
+    note = f"identified {today} from {', '.join(p.name for p in logs)}"
+    made = with_estimates(start, fit.estimates, note)
+    try:
+        out.write_text(vehicle_toml(made), encoding="utf-8")
+    except OSError as error:
+        raise InputError("--out", str(out), f"cannot be written ({error})", "give another file") from error
+    return out
+
+
+def written_report(fit: Fit, folder: Path | None, shown: bool) -> Path | None:
+    """Write the report of a fit, with a bar if ``shown``; return its page, None without a folder."""
+    if folder is None:
+        return None
+
+    from mufly.identify import write_report
+
+    with progress_bar("pictures", shown) as progress:
+        return write_report(fit, folder, progress=progress)
+
+
+def estimate_row(e: Estimate) -> tuple[str, ...]:
+    """Return a line of the table of estimates."""
+    share = f"{100 * e.std / abs(e.value):.2g} %" if e.value else f"{e.std:.2g}"
+    unit = "" if e.unit == "1" else e.unit
+    flag = "at bound" if e.at_bound else ""
+    return (e.symbol, unit, f"{e.start:.4g}", f"{e.value:.5g}", share, f"{e.low:.5g}", f"{e.high:.5g}", flag)
+
+
+_HEADS = ("parameter", "unit", "start", "estimate", "std", "95 % from", "to", "")
+
+
+def _print(fit: Fit) -> None:
+    print_table(_HEADS, [estimate_row(e) for e in fit.estimates], title=fit.vehicle, text=(0, 1, 7))
+    print_rest(fit)
+
+
+def print_rest(fit: Fit) -> None:
+    """Print what stands below the table: what is not seen, errors by record, how the fit ended."""
+    say = console().print
+    for text in fit.unseen:
+        say(f"Not told apart: {text}.", style="yellow", highlight=False)
+    rows = []
+    for r in fit.records:
+        ratios = zip(r.outputs, r.rms_over_noise(), strict=True)
+        rows.append((r.name, r.role, ", ".join(f"{o} {v:.2f}" for o, v in ratios)))
+    print_table(("record", "", "error over the sensor's noise (1: nothing else)"), rows, text=(0, 1, 2))
+    style = "green" if fit.converged else "red"
+    state = "Converged" if fit.converged else "NOT converged"
+    detail = "" if fit.message == "converged" else f" ({fit.message})"
+    say(
+        f"{state}{detail}: cost {fit.cost:.6g}, {fit.simulations} simulated flights, {fit.seconds:.1f} s",
+        style=style, highlight=False,
+    )  # fmt: skip
+
+
+def _json(fit: Fit) -> dict[str, Any]:
+    return {
+        "vehicle": fit.vehicle,
+        "method": fit.method,
+        "converged": fit.converged,
+        "message": fit.message,
+        "parameters": [vars(e) for e in fit.estimates],
+        "correlation": fit.correlation,
+        "unseen": list(fit.unseen),
+        "records": [
+            {"name": r.name, "role": r.role, "outputs": list(r.outputs), "noise_std": r.noise_std,
+             "error_over_noise": r.rms_over_noise()}
+            for r in fit.records
+        ],
+        "cost": fit.cost,
+        "simulations": fit.simulations,
+        "seconds": fit.seconds,
+    }  # fmt: skip
+
+
+# ----------------------------------------------------------------------------
+# ``mufly identify demo``: a known vehicle flown, forgotten and found again.
+
+
+def add_demo(app: typer.Typer) -> None:
+    """Register the command with the group ``mufly identify``."""
+    app.command("demo")(demo)
+
+
+def demo(
+    seed: Annotated[int, typer.Option(metavar="K", help="Of pilot, noise and starts.", min=0)] = 0,
+    method: Annotated[str, typer.Option(metavar="NAME", help="lm or cma.")] = "lm",
+    report: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write report.html with its pictures there.")
+    ] = None,
+    logs: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write the five flights there (MCAP), for `identify flight`.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:  # fmt: skip
+    """Fly a known vehicle with pilot support, chirps, noise and radio delay; identify it; compare with the truth.
+
+    Twelve parameters start 50 % off. Example: mufly identify demo --seed 3 --report report
+    """
+    from mufly.identify import run_demo
+
+    one_of("--method", method, ("lm", "cma"))
+    check_folder("--report", report)
+    check_folder("--logs", logs)
+    if logs is not None:
+        _write_flights(logs, seed)
+    with fit_progress(not as_json) as on_progress:
+        shown = run_demo(seed=seed, method=method, on_progress=on_progress)  # type: ignore[arg-type]
+    page = written_report(shown.fit, report, not as_json)
+    if as_json:
+        print_json(shown.as_dict())
+        return
+    _print_demo(shown)
+    if page is not None:
+        console().print(f"Report: {page}", highlight=False)
+
+
+def _write_flights(folder: Path, seed: int) -> None:
+    from mufly.identify.flight.demo import demo_flights
+    from mufly.identify.record import dataset_of
+    from mufly.logs import write_log
+    from mufly.vehicle import load_vehicle
+
+    fit, held = demo_flights(load_vehicle("mufly-1.1"), seed=seed)
+    for r in (*fit, *held):
+        write_log(dataset_of(r), folder / f"{r.name}.mcap")
+
+
+def _print_demo(shown: Demo) -> None:
+    inside = shown.inside()
+    rows = []
+    for e in shown.fit.estimates:
+        true = shown.truth[e.symbol]
+        off = f"{100 * (e.value / true - 1):+.2f} %"
+        rows.append(
+            (
+                *estimate_row(e)[:4],
+                f"{true:.5g}",
+                off,
+                *estimate_row(e)[5:7],
+                "" if inside[e.symbol] else "outside",
+            )
+        )
+    heads = ("parameter", "unit", "start", "estimate", "truth", "off", "95 % from", "to", "")
+    print_table(heads, rows, title=f"Demonstration, seed {shown.seed}", text=(0, 1, 8))
+    print_rest(shown.fit)
+    say = console().print
+    say(
+        f"{sum(inside.values())} of {len(inside)} intervals hold the truth; prediction error of the flight that was "
+        f"not fitted is {shown.held_out_over_noise:.3f} of the sensors' noise.",
+        highlight=False,
+    )
+
+
+# ----------------------------------------------------------------------------
+# ``mufly identify linear``: a linear model from a flight record, and how it predicts what it has not seen.
+
+
+def add_linear(app: typer.Typer) -> None:
+    """Register the command with the group ``mufly identify``."""
+    app.command("linear")(linear)
+
+
+def linear(
+    log: Annotated[
+        Path, typer.Argument(metavar="LOG", help="CSV, MATLAB file, or any flight log that `mufly log` reads.")
+    ],
+    inputs: Annotated[
+        str,
+        typer.Option(metavar="NAMES", help="lat, lon, ped, col, each with =COLUMN if the log calls it otherwise; "
+                     "=-COLUMN turns the sign."),
+    ] = "lat,lon,ped,col",
+    outputs: Annotated[
+        str, typer.Option(metavar="NAMES", help="Some of p, q, r, phi, theta, u, v, w, with =COLUMN where needed.")
+    ] = "p,q,r",
+    columns: Annotated[
+        list[str] | None,
+        typer.Option(metavar="[ARRAY=]NAMES", help="Names of a file's columns where it has none: a,b,c for CSV, "
+                     "inr=lat,lon,ped,col for an array of a MATLAB file ('-' skips one). May be repeated."),
+    ] = None,
+    model: Annotated[
+        str,
+        typer.Option(metavar="NAME", help="auto (cross-validated inside the fitted part), helicopter (hybrid flapping, "
+                     "coupled, yaw gyro), or first-order, second-order, hybrid with any of -coupled, -collective, "
+                     "-gyro, -speed, -skew."),
+    ] = "auto",
+    split: Annotated[
+        float, typer.Option(metavar="SHARE", help="First share of the record that the fit may see; 1: all.")
+    ] = 0.5,
+    split_at: Annotated[
+        float | None, typer.Option(metavar="S", help="The same as a time in the record (s), before --split.")
+    ] = None,
+    start_s: Annotated[float | None, typer.Option("--from", metavar="S", help="Begin at this time (s).")] = None,
+    end_s: Annotated[float | None, typer.Option("--to", metavar="S", help="End at this time (s).")] = None,
+    lowpass: Annotated[
+        float, typer.Option(metavar="HZ", help="Inputs and outputs are filtered alike for the fit; 0: not at all.")
+    ] = 5.0,
+    rate: Annotated[
+        float, typer.Option(metavar="HZ", help="Rate of the samples that the fit uses; 0: all of them.")
+    ] = 25.0,
+    starts: Annotated[int, typer.Option(metavar="N", help="Searches from different starts.", min=1)] = 6,
+    seed: Annotated[int, typer.Option(metavar="K", help="Of the random starts.")] = 0,
+    hold: Annotated[bool, typer.Option("--hold", help="Inputs are held between samples, not joined.")] = False,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write report.html and its pictures (PNG) there.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:  # fmt: skip
+    """Fit a linear model to the first part of a flight record and predict the rest from its inputs alone.
+
+    Example: mufly identify linear flight.csv --inputs lat,lon,ped,col --outputs p,q,r --split 0.5 --out report
+    """
+    from mufly.errors import InputError
+    from mufly.identify.linear.identification import identify_linear
+    from mufly.identify.record import read_columns
+
+    check_folder("--out", out)
+    record = read_columns(log, columns=_columns(columns or ()))
+    if start_s is not None or end_s is not None:
+        t = record.time_s
+        a = 0 if start_s is None else int((t < start_s).sum())
+        b = len(t) if end_s is None else int((t <= end_s).sum())
+        if b - a < 100:
+            raise InputError(
+                "--from, --to", "", f"leave {max(b - a, 0)} samples of {log.name}, which lasts from {t[0]:.2f} to "
+                f"{t[-1]:.2f} s", "leave at least 100",
+            )  # fmt: skip
+        record = record.part(a, b)
+    if starts < 1:
+        raise InputError("--starts", "", f"{starts} is no number of searches", "give 1 or more")
+    with progress_bar("structures and searches", not as_json) as progress:
+        result = identify_linear(
+            record, _names(inputs), _names(outputs), model=model, split=split, split_at_s=split_at,
+            lowpass_hz=lowpass or None, rate_hz=rate or None, starts=starts, seed=seed, hold=hold, progress=progress,
+        )  # fmt: skip
+    report = None
+    if out is not None:
+        from mufly.identify.report import write_linear_report
+
+        with progress_bar("pictures", not as_json) as progress:
+            report = write_linear_report(result, out, progress=progress)
+    if as_json:
+        print_json(_identify_linear_json(result))
+    else:
+        _identify_linear_print(result)
+        if report is not None:
+            console().print(f"Report: {report}", highlight=False)
+
+
+def _names(text: str) -> dict[str, str]:
+    found = {}
+    for part in text.split(","):
+        name, _, column = part.strip().partition("=")
+        if name:
+            found[name.strip()] = column.strip() or name.strip()
+    return found
+
+
+def _columns(given: Sequence[str]) -> Mapping[str, Sequence[str]] | Sequence[str]:
+    arrays = {a: names.split(",") for a, equals, names in (g.partition("=") for g in given) if equals}
+    return arrays if arrays else [n for g in given for n in g.split(",")]
+
+
+def _identify_linear_print(r: LinearResult) -> None:
+    from mufly.identify.report import ahead_rows, candidate_rows, estimate_rows, pole_text, quality_rows
+
+    say = console().print
+    for note in r.notes:
+        say(f"Note: {note}", highlight=False)
+    if r.candidates:
+        print_table(*candidate_rows(r), title="Structures, cross-validated inside the fitted part")
+    print_table(*estimate_rows(r), title=f"Model {r.fit.vehicle}")
+    poles = ", ".join(pole_text(p) for p in r.linear.poles)
+    say(f"Poles: {poles} rad/s\n{r.linear.message}", highlight=False)
+    print_table(*quality_rows(r), title="Pure simulation from inputs", text=(0, 1))
+    say(
+        "at most: with no error but the noise floor; to angle: against the derivative of the measured angle; error and "
+        f"noise: rms below {r.slow_hz:g} Hz (noise >: above it), in the output's unit; Theil: 0 exact, 1 no relation",
+        style="dim", highlight=False,
+    )  # fmt: skip
+    if r.ahead:
+        print_table(
+            *ahead_rows(r), title=f"Held-out part, predicted a time ahead (low-passed at {r.slow_hz:g} Hz)"
+        )
+    if r.missing:
+        say(
+            "What the residuals of the fitted part show:",
+            *(f"- {w}" for w in r.missing),
+            sep="\n",
+            highlight=False,
+        )
+    if r.fit.unseen:
+        say("What the data cannot tell:", *(f"- {w}" for w in r.fit.unseen), sep="\n", highlight=False)
+
+
+def _identify_linear_json(r: LinearResult) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    return {
+        "model": r.fit.vehicle,
+        "estimates": [asdict(e) for e in r.fit.estimates],
+        "poles_rad_s": [{"real": p.real, "imag": p.imag} for p in r.linear.poles.tolist()],
+        "candidates": [asdict(c) for c in r.candidates],
+        "outputs": list(r.linear.structure.outputs),
+        "quality": {role: [asdict(q) for q in qs] for role, qs in r.quality.items()},
+        "quality_slow": {role: [asdict(q) for q in qs] for role, qs in r.quality_slow.items()},
+        "slow_hz": r.slow_hz,
+        "noise_floor": {role: [{**asdict(f), "total": f.total} for f in fs] for role, fs in r.floors.items()},
+        "ceiling_percent": dict(r.ceiling), "ceiling_slow_percent": dict(r.ceiling_slow),
+        "against_angle_percent": dict(r.against_angle),
+        "ahead": [
+            {**asdict(a), "horizon_s": None if math.isinf(a.horizon_s) else a.horizon_s} for a in r.ahead
+        ],
+        "missing": list(r.missing), "unseen": list(r.fit.unseen), "notes": list(r.notes),
+        "subspace_fit_percent": list(r.subspace_percent), "message": r.linear.message,
+    }  # fmt: skip
+
+
+# ----------------------------------------------------------------------------
+# ``mufly identify``: the parameters of a vehicle, from bench and flight data. Commands live in their own modules.
+
 
 app = typer.Typer(
     help="Find a vehicle's parameters: from bench data, from flights, and plan the flights that show them.",
     no_args_is_help=True,
 )
-identify_flight.add_to(app)
-identify_demo.add_to(app)
+add_flight(app)
+add_demo(app)
 identify_bench.add_to(app)
-identify_linear.add_to(app)
+add_linear(app)

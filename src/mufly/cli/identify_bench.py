@@ -1,34 +1,486 @@
-"""``mufly identify motor``: constants of a motor from a bench file; and the commands on benches registered."""
+"""``mufly identify rotor``: coefficients of rotors from bench files."""
 
 from __future__ import annotations
 
+import csv
+import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from mufly.cli.identify_shared import (
+from mufly.cli.options import (
     ColumnsOption,
+    JsonOption,
     PictureOption,
     VehicleOption,
     WriteOption,
+    angle,
     check_folder,
+    console,
     print_estimates,
+    print_json,
+    print_table,
+    progress_bar,
+    save_picture,
     say,
     start_vehicle,
     today,
     with_doubt,
     write_vehicle,
 )
-from mufly.cli.options import JsonOption, print_json, save_picture
 
-__all__ = ["add_to"]
+if TYPE_CHECKING:
+    from mufly.identify.flight.plan import Candidate, Kind, Limits, Plan
+
+_RPM = math.pi / 30.0
+
+
+def rotor(
+    bench: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="CSV...", help="Columns speed_rpm, thrust_N, torque_Nm of a single rotor, or speed_upper_rpm, "
+            "thrust_upper_N, torque_lower_Nm ... of a pair; thrust_raw_V with --calibration. Lines with speed 0 give "
+            "the zero of the load cells.",
+        ),
+    ],
+    radius: Annotated[
+        str | None, typer.Option(metavar="M", help="Radius, as 0.06 or 0.06+-0.0002. Default: of --rotor or --vehicle.")
+    ] = None,
+    density: Annotated[
+        str | None,
+        typer.Option(metavar="KG/M3", help="Density of the air, as 1.19 or 1.19+-0.01. Default: the file's, else 1.2."),
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CSV", help="Known loads and readings of the load cells: thrust_N, thrust_raw_V, torque_Nm, "
+            "torque_raw_V.",
+        ),
+    ] = None,
+    calibration_columns: Annotated[
+        str | None, typer.Option(metavar="OLD=NEW,...", help="As --columns, for the calibration file.")
+    ] = None,
+    columns: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="OLD=NEW,...", help="What headers mean; for files of several kinds repeat it. A map holds for the "
+            "files that have all its columns.",
+        ),
+    ] = None,
+    at_rpm: Annotated[
+        float | None, typer.Option(metavar="RPM", help="Give coefficients that change with speed at this one.")
+    ] = None,
+    predict_with: Annotated[
+        str | None,
+        typer.Option("--rotor", metavar="NAME|FILE", help="Compare with blade element theory of this rotor."),
+    ] = None,
+    pitch: Annotated[
+        str | None,
+        typer.Option(metavar="ANGLE", help="Pitch setting for the prediction where the file has no pitch, as 12."),
+    ] = None,
+    spacing: Annotated[
+        float | None, typer.Option(metavar="M", help="Distance between the discs of a pair, for the prediction.")
+    ] = None,
+    place: Annotated[
+        str | None, typer.Option("--as", metavar="upper|lower", help="Which rotor of --vehicle a single rotor is.")
+    ] = None,
+    vehicle: VehicleOption = None,
+    write: WriteOption = None,
+    out: PictureOption = None,
+    as_json: JsonOption = False,
+) -> None:  # fmt: skip
+    """Find thrust and torque coefficients of rotors from bench files, single and coaxial.
+
+    Example: mufly identify rotor bench.csv --radius 0.0875 --calibration cells.csv --out rotor
+    """
+    from mufly.bench import Calibration, calibrate_cells, corrected_loads, predict, read_bench
+    from mufly.errors import InputError
+    from mufly.identify.pictures import rotor_picture
+    from mufly.identify.rotor import RotorFit, fit_rotor, interference, placed
+    from mufly.rotor import load_rotor, prepare
+
+    start = start_vehicle(vehicle, write)
+    check_folder("--out", out)
+    if place not in (None, "upper", "lower"):
+        raise InputError("--as", "", f"{place!r} is no rotor of a vehicle", "use upper or lower")
+    blades = load_rotor(predict_with) if predict_with is not None else None
+    value, std = with_doubt("--radius", radius)
+    if value is None:
+        if blades is None and start is None:
+            raise InputError(
+                "--radius", "", "is missing", "give the rotor's radius in metres, or --rotor or --vehicle"
+            )
+        value = (
+            blades.radius_m
+            if blades is not None
+            else float(start.rotors.radius)
+            if start is not None
+            else math.nan
+        )
+    rho, rho_std = with_doubt("--density", density)
+    cells: Calibration | None = None
+    if calibration is not None:
+        cells = calibrate_cells(read_bench(calibration, columns=calibration_columns))
+    maps = _maps(columns or [], bench)
+    tables = [read_bench(file, columns=m) for file, m in zip(bench, maps, strict=True)]
+    loads = [corrected_loads(t, cells) for t in tables]
+    by_file = [
+        fit_rotor(
+            one, radius_m=value, radius_std_m=std, density_kg_m3=rho, density_std_kg_m3=rho_std,
+            at_speed_rad_s=None if at_rpm is None else at_rpm * _RPM, vehicle=start,
+        )
+        for one in loads
+    ]  # fmt: skip
+    fits: list[RotorFit] = [f if place is None else placed(f, place, start) for one in by_file for f in one]
+    predictions, drawn = {}, {}
+    if blades is not None:
+        blading = prepare(blades)
+        for one in by_file:
+            first, source = one[0], one[0].source
+            with progress_bar("points", shown=first.coaxial and not as_json) as move:
+                p = predict(
+                    first.loads, blading, density_kg_m3=float(first.density_kg_m3.mean()), spacing_m=spacing,
+                    pitch_rad=None if pitch is None else angle("--pitch", pitch), progress=move,
+                )  # fmt: skip
+            predictions[source] = p
+            if len(one) == 1:
+                drawn.update({f"{source} {c}": (p.speed_rad_s[c], p.load[c]) for c in p.load})
+    sources = ", ".join(t.source for t in tables)
+    if write is not None and len({round(f.pitch_rad, 4) for f in fits if math.isfinite(f.pitch_rad)}) > 1:
+        raise InputError("--write", sources, "has several pitch settings", "leave one in the file")
+    files = write_vehicle(
+        start, (e for f in fits for e in f.estimates), write, f"mufly identify rotor {sources}, {today()}"
+    )
+    if out is not None:
+        files.append(save_picture(rotor_picture(fits, predicted=drawn, title=sources), out, "rotor"))
+    effects = interference(fits)
+    if as_json:
+        print_json(
+            {
+                "calibration": None if cells is None else cells.in_words(),
+                "results": [_rotor_json(f) for f in fits], "interference": effects,
+                "prediction": {k: {"load": p.load, "error": p.error} for k, p in predictions.items()},
+                "files": [str(f) for f in files],
+            }
+        )  # fmt: skip
+        return
+    if cells is not None:
+        say([f"load cells, from {cells.source}:", *(f"  {line}" for line in cells.in_words())])
+    for fit in fits:
+        kind = "coaxial pair" if fit.coaxial else "single rotor"
+        at = "" if math.isnan(fit.pitch_rad) else f" at {math.degrees(fit.pitch_rad):.3g} deg"
+        print_estimates(
+            fit.estimates, f"{fit.source}: {kind}{at}, R {1e3 * fit.radius_m:g} mm", fit.systematic_shares()
+        )
+        say(t.in_words() for f in fit.fits for t in f.trends)
+        say(fit.unseen, mark="not seen")
+    say(dict.fromkeys(n for f in fits for n in f.notes), mark="note")
+    say(effects)
+    say(f"{source}: {line}" for source, p in predictions.items() for line in p.in_words())
+    say(f"written: {f}" for f in files)
+
+
+def _rotor_json(fit: Any) -> dict[str, Any]:
+    return {
+        "source": fit.source, "coaxial": fit.coaxial, "pitch_rad": fit.pitch_rad, "radius_m": fit.radius_m,
+        "density_kg_m3": float(fit.density_kg_m3.mean()), "estimates": [vars(e) for e in fit.estimates],
+        "trends": [t.in_words() for f in fit.fits for t in f.trends], "unseen": fit.unseen, "notes": fit.notes,
+    }  # fmt: skip
+
+
+def _maps(columns: list[str], files: list[Path]) -> list[str | None]:
+    """Return the map of headers for each file: the first of which it has all columns.
+
+    Raises
+    ------
+    InputError
+        If a map fits no file.
+    """
+    from mufly.bench import header_of
+    from mufly.errors import InputError
+
+    chosen: list[str | None] = [None] * len(files)
+    headers = [set(header_of(file)) for file in files]
+    for one in columns:
+        wanted = {part.partition("=")[0].strip() for part in one.split(",") if part.strip()}
+        fitting = [k for k, header in enumerate(headers) if wanted <= header]
+        if not fitting and len(files) == 1:
+            fitting = [0]  # reading it will name the column that is not there
+        if not fitting:
+            raise InputError(
+                "--columns", one, "names columns that no file has together", "give one map a kind of file"
+            )
+        for k in fitting:
+            chosen[k] = chosen[k] or one
+    return chosen
+
+
+# ----------------------------------------------------------------------------
+# ``mufly identify plan``: which signal to fly, how large, and how well it will show which parameter.
+
+
+def plan(
+    vehicle: Annotated[str, typer.Argument(metavar="NAME|FILE", help="The vehicle as far as it is known.")],
+    free: Annotated[
+        str,
+        typer.Option(metavar="SYMBOL,...", help="Parameters to be identified, as `mufly vehicle show` prints them."),
+    ],
+    channel: Annotated[
+        str,
+        typer.Option(metavar="NAME,...", help="yaw, heave, roll or pitch; several make a plan for several flights."),
+    ] = "yaw",
+    kind: Annotated[
+        str, typer.Option(metavar="NAME", help="chirp, multisine, 3211 or doublet; 'best' compares them all.")
+    ] = "best",
+    duration: Annotated[float, typer.Option(metavar="S", help="Length of each flight.")] = 10.0,
+    amplitude: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SHARE", help="Largest addition to an input, 0 to 1; lowered if it is not safe. Default: the "
+            "largest that is.",
+        ),
+    ] = None,
+    band: Annotated[
+        str | None,
+        typer.Option(metavar="LOW:HIGH", help="Frequencies in Hz, as 0.1:3. Default: around the channel's modes."),
+    ] = None,
+    limit: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME=VALUE,...", help="attitude_deg, heading_deg, rates_deg_s, height_m, place_m from hover; "
+            "motor, servo: distance of inputs from their ends. Default: attitude_deg=20,heading_deg=90,rates_deg_s=229,"
+            "height_m=0.5,place_m=1,motor=0.05,servo=0.1.",
+        ),
+    ] = None,
+    noise: Annotated[
+        str | None,
+        typer.Option(
+            metavar="OUTPUT=STD,...", help="Sensors (SI), as 'height=0.005,speed_up=2,yaw=none'; added to the defaults "
+            "height 0.01 m, roll and pitch 0.01, yaw 0.02 rad, p, q, r 0.03 rad/s.",
+        ),
+    ] = None,
+    delay: Annotated[float, typer.Option(metavar="S", help="From command to input.")] = 0.02,
+    window: Annotated[
+        float,
+        typer.Option(
+            metavar="S", help="The motion counts as unknown anew every so often, which stands for gusts; 0: only at "
+            "the start, the bound of a perfect world.",
+        ),
+    ] = 2.0,
+    sample: Annotated[float, typer.Option(metavar="S", help="Time between samples of the log.")] = 0.01,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Write signals (CSV) and pictures (PNG) there.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:  # fmt: skip
+    """Design flights for identification: signals within safe limits, and what they will tell before anyone flies.
+
+    Example: mufly identify plan mufly-1.1 --free cT_dw,cQ_dw,Jdrive_dw --channel yaw,heave --out plan
+    """
+    from mufly.identify.flight.plan import KINDS, NOISE, design, together
+    from mufly.identify.pictures import plan_picture
+    from mufly.vehicle import load_vehicle
+
+    v = load_vehicle(vehicle)
+    symbols = [s.strip() for s in free.split(",") if s.strip()]
+    channels = list(dict.fromkeys(c.strip() for c in channel.split(",") if c.strip()))
+    kinds = KINDS if kind == "best" else (cast("Kind", kind),)
+    check_folder("--out", out)
+    _check_times(duration, delay, sample, window)
+    limits, std, frequencies = _limits(limit), _noise(noise, NOISE), _band(band)
+    plans: list[Plan] = []
+    for name in channels:
+        with progress_bar(f"{name} flights", shown=not as_json) as move:
+            plans.append(
+                design(
+                    v, symbols, name, kinds=kinds, duration_s=duration, amplitude=amplitude, band_rad_s=frequencies,
+                    limits=limits, noise=std, sample_s=sample, delay_s=delay, progress=move,
+                    window_s=window if window > 0 else None,
+                )
+            )  # fmt: skip
+    chosen = [p.best for p in plans]
+    relative, unseen = together(plans, chosen)
+    files = []
+    if out is not None:
+        for p, c in zip(plans, chosen, strict=True):
+            files.append(save_picture(plan_picture(p, c), out, f"plan_{p.channel}"))
+            files.append(_write_signal(out / f"signal_{p.channel}_{c.signal.kind}.csv", c))
+    if as_json:
+        print_json(
+            {
+                "vehicle": v.name, "free": symbols,
+                "channels": [_plan_json(p) for p in plans],
+                "together": dict(zip(symbols, relative.tolist(), strict=True)), "unseen": unseen,
+                "files": [str(f) for f in files],
+            }
+        )  # fmt: skip
+        return
+    for p in plans:
+        _print(p)
+    say = console()
+    if len(plans) > 1:
+        print_table(
+            ["", *symbols], [["all flights", *(_percent(s) for s in relative)]],
+            title="Expected standard deviation, together",
+        )  # fmt: skip
+    for words in unseen:
+        say.print(f"not seen: {words}", highlight=False, markup=False)
+    say.print(
+        "These are bounds for the model as it is and white sensor noise; what the model leaves out makes real fits "
+        "worse, often several times.",
+        style="dim",
+    )
+    for file in files:
+        say.print(f"written: {file}", highlight=False, markup=False)
+
+
+def _check_times(duration: float, delay: float, sample: float, window: float) -> None:
+    from mufly.errors import InputError
+
+    if (
+        not (math.isfinite(sample) and 1e-3 <= sample <= 0.1)
+        or abs(sample / 1e-3 - round(sample / 1e-3)) > 1e-6
+    ):
+        raise InputError(
+            "--sample", "", f"{sample:g} s is not possible", "give whole milliseconds from 0.001 to 0.1"
+        )
+    if not (math.isfinite(delay) and 0 <= delay <= 0.2) or abs(delay / sample - round(delay / sample)) > 1e-6:
+        raise InputError(
+            "--delay", "", f"{delay:g} s is not possible", f"give a multiple of {sample:g} s up to 0.2"
+        )
+    if not (math.isfinite(window) and (window == 0 or window >= 10 * sample)):
+        raise InputError(
+            "--window", "", f"{window:g} s is not possible", f"give 0, or {10 * sample:g} s or more"
+        )
+    if not (math.isfinite(duration) and 2.0 <= duration <= 300.0):
+        raise InputError("--duration", "", f"{duration:g} s is not possible", "give 2 to 300 s")
+
+
+def _numbers(
+    option: str, text: str | None, known: tuple[str, ...], *, none: bool = False
+) -> dict[str, float | None]:
+    from mufly.errors import InputError
+
+    found: dict[str, float | None] = {}
+    for part in (text or "").split(","):
+        if not part.strip():
+            continue
+        name, _, value = (t.strip() for t in part.partition("="))
+        if name not in known:
+            raise InputError(option, name, "is unknown", f"use one of: {', '.join(known)}")
+        try:
+            number = None if none and value == "none" else float(value)
+        except ValueError:
+            raise InputError(
+                option, name, f"{value!r} is no number", "give one in the unit of the name"
+            ) from None
+        if number is not None and not (math.isfinite(number) and number > 0):
+            raise InputError(option, name, f"{value} is not possible", "give a number above 0")
+        found[name] = number
+    return found
+
+
+def _limits(text: str | None) -> Limits:
+    from mufly.errors import InputError
+    from mufly.identify.flight.plan import Limits
+
+    names = {
+        "attitude_deg": ("attitude_rad", math.radians(1)), "heading_deg": ("heading_rad", math.radians(1)),
+        "rates_deg_s": ("rates_rad_s", math.radians(1)), "height_m": ("height_m", 1.0), "place_m": ("place_m", 1.0),
+        "motor": ("motor", 1.0), "servo": ("servo", 1.0),
+    }  # fmt: skip
+    given = _numbers("--limit", text, tuple(names))
+    for name, top in (("motor", 0.5), ("servo", 1.0)):
+        if (given.get(name) or 0.0) >= top:
+            raise InputError("--limit", name, f"{given[name]} leaves no room", f"give a number below {top:g}")
+    return Limits(**{names[k][0]: v * names[k][1] for k, v in given.items() if v is not None})
+
+
+def _noise(text: str | None, default: dict[str, float]) -> dict[str, float]:
+    from mufly.identify.flight.simulate import OUTPUTS
+
+    merged: dict[str, float | None] = {**default, **_numbers("--noise", text, OUTPUTS, none=True)}
+    return {k: v for k, v in merged.items() if v is not None}
+
+
+def _band(text: str | None) -> tuple[float, float] | None:
+    from mufly.errors import InputError
+
+    if text is None:
+        return None
+    try:
+        low, high = (2 * math.pi * float(part) for part in text.split(":"))
+    except ValueError:
+        raise InputError(
+            "--band", "", f"{text!r} is no band", "write two frequencies in Hz, as 0.1:3"
+        ) from None
+    return low, high
+
+
+def _percent(share: float) -> str:
+    if not math.isfinite(share) or share > 10:
+        return "not seen"
+    return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
+
+
+def _print(p: Plan) -> None:
+    symbols = [f.symbol for f in p.free]
+    low, high = (w / (2 * math.pi) for w in p.band_rad_s)
+    rows = [
+        [
+            c.signal.kind, f"{100 * c.amplitude:.1f} %", c.bound_by, f"{c.signal.crest:.2f}",
+            *(_percent(s) for s in c.relative_std), _percent(c.figure),
+        ]
+        for c in p.candidates
+    ]  # fmt: skip
+    frequencies = f"{low:.2g} to {high:.2g} Hz"
+    modes = ", ".join(f"{m / (2 * math.pi):.2g}" for m in p.modes_rad_s)
+    print_table(
+        ["kind", "amplitude", "bound by", "crest", *symbols, "mean"], rows,
+        title=f"{p.vehicle}, {p.channel}: expected standard deviations; {frequencies}, modes at {modes} Hz",
+    )  # fmt: skip
+    best = p.best
+    console().print(f"{best.signal.kind}: {best.signal.words}", highlight=False, markup=False)
+
+
+def _plan_json(p: Plan) -> dict[str, Any]:
+    return {
+        "channel": p.channel, "band_Hz": [w / (2 * math.pi) for w in p.band_rad_s],
+        "modes_Hz": [w / (2 * math.pi) for w in p.modes_rad_s], "noise": p.noise, "limits": vars(p.limits),
+        "candidates": [
+            {
+                "kind": c.signal.kind, "amplitude": c.amplitude, "bound_by": c.bound_by, "limit_used": c.share,
+                "crest_factor": c.signal.crest, "signal": c.signal.words, "mean": c.figure,
+                "relative_std": dict(zip((f.symbol for f in p.free), c.relative_std.tolist(), strict=True)),
+            }
+            for c in p.candidates
+        ],
+    }  # fmt: skip
+
+
+def _write_signal(path: Path, c: Candidate) -> Path:
+    from mufly.errors import InputError
+
+    try:
+        with path.open("w", newline="", encoding="utf-8") as file:
+            file.write(f"# {c.channel}, {c.signal.kind}: {c.signal.words}; add the columns to the inputs\n")
+            writer = csv.writer(file)
+            writer.writerow(["time_s", "signal", "motor_upper", "motor_lower", "servo_1", "servo_2"])
+            for t, s, row in zip(c.signal.time_s, c.amplitude * c.signal.value, c.added, strict=True):
+                writer.writerow([f"{t:.6g}", f"{s:.6g}", *(f"{u + 0.0:.6g}" for u in row)])
+    except OSError as error:
+        raise InputError("--out", str(path), f"cannot be written ({error})", "give another folder") from error
+    return path
+
+
+# ----------------------------------------------------------------------------
+# ``mufly identify motor``: constants of a motor from a bench file; and the commands on benches registered.
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the commands of this module."""
-    from mufly.cli.identify_plan import plan
-    from mufly.cli.identify_rotor import rotor
 
     app.command()(motor)
     app.command()(rotor)
@@ -72,10 +524,8 @@ def motor(
     """
     from mufly.bench import read_bench
     from mufly.errors import InputError
-    from mufly.identify.bench_pictures import motor_picture
-    from mufly.identify.channel_noise import parse_noise
-    from mufly.identify.motor import GearKnowledge, fit_motor
-    from mufly.identify.motor_data import CHANNELS
+    from mufly.identify.motor import CHANNELS, GearKnowledge, fit_motor, parse_noise
+    from mufly.identify.pictures import motor_picture
 
     start = start_vehicle(vehicle, write)
     check_folder("--out", out)

@@ -1,22 +1,131 @@
-"""``mufly log``: what was recorded, as words, pictures and files."""
+"""What the commands about logs share: the log, its column map, the part of it."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mufly.cli.log_convert import convert
-from mufly.cli.log_options import ColumnOption, FromOption, LogArgument, MapOption, ToOption, columns_of
 from mufly.cli.options import JsonOption, console, print_json, print_table, progress_bar
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
-    from mufly.logs import LogReport
+    from mufly.logs import ColumnMap, LogReport
 
-__all__ = ["app"]
+LogArgument = Annotated[Path, typer.Argument(metavar="LOG", help="Any log, of any of these formats.")]
+MapOption = Annotated[
+    str | None,
+    typer.Option(
+        "--map", metavar="FILE", help="Column map (TOML): which column is which signal, in which unit."
+    ),
+]
+ColumnOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--column",
+        "-c",
+        metavar="NAME=COLUMN(unit)",
+        help="A line of a column map, as in measured_rates.p=-gyro_x(deg/s), measured_attitude=phi,theta,psi(deg) or "
+        "time=t(ms). May be repeated.",
+    ),
+]
+FromOption = Annotated[
+    float | None, typer.Option("--from", metavar="S", help="Begin there (s since the start).")
+]
+ToOption = Annotated[float | None, typer.Option("--to", metavar="S", help="End there (s since the start).")]
+
+
+def columns_of(file: str | None, pairs: Sequence[str] | None) -> ColumnMap | None:
+    """The map of ``--map`` with the lines of ``--column`` before it."""
+    from mufly.logs import load_map
+
+    if file is None and not pairs:
+        return None
+    first = load_map(list(pairs or ()))
+    if file is None:
+        return first
+    second = load_map(file)
+    time = first.time if first.time.column is not None else second.time
+    return second.model_copy(update={"signal": (*first.signal, *second.signal), "time": time})
+
+
+# ----------------------------------------------------------------------------
+# ``mufly log convert``: signals on one clock, written to a file.
+
+
+def convert(
+    log: LogArgument,
+    out: Annotated[
+        Path,
+        typer.Argument(
+            metavar="OUT", help="File to write; its ending says what: .csv, .parquet, .nc, .mcap, .ulg."
+        ),
+    ],
+    signals: Annotated[
+        list[str] | None,
+        typer.Option("--signal", "-s", metavar="NAME", help="Only this (as for plot); may be repeated."),
+    ] = None,
+    rate_hz: Annotated[
+        float | None,
+        typer.Option(
+            "--rate", metavar="HZ", help="Rate of the common clock. Default: the highest among the signals."
+        ),
+    ] = None,
+    from_s: FromOption = None,
+    to_s: ToOption = None,
+    map_file: MapOption = None,
+    column: ColumnOption = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace OUT if it is there.")] = False,
+) -> None:
+    """Bring the signals of a log onto one clock, in SI units and under our names, and write them to a file.
+
+    Examples: mufly log convert flight.ulg flight.csv --rate 100; mufly log convert bench.csv bench.nc --map bench.toml;
+    mufly log export flight.mcap flight.parquet --signal 'measured_*'
+    """
+    from mufly.logs import FORMATS, LogWarning, read_log, write_log
+
+    if out.suffix.lower() not in FORMATS:
+        problem = f"the ending {out.suffix!r} says nothing"
+        raise InputError(str(out), "", problem, f"use one of: {', '.join(FORMATS)}")
+    if out.exists() and not force:
+        raise InputError(str(out), "", "is already there", "choose another name, or add --force")
+    columns = columns_of(map_file, column)
+    with progress_bar("Reading", True) as progress, warnings.catch_warnings():
+        warnings.simplefilter("ignore", LogWarning)  # printed below
+        data = read_log(
+            log,
+            columns=columns,
+            signals=signals or (),
+            rate_hz=rate_hz,
+            from_s=from_s,
+            to_s=to_s,
+            progress=progress,
+        )
+    for note in data.attrs.get("notes", []):
+        typer.secho(f"{log.name}: {note}", fg=typer.colors.YELLOW, err=True)
+    written = write_log(data, out)
+    time = data["time"].values
+    step = f", {1 / (time[1] - time[0]):.5g} Hz" if len(time) > 1 else ""
+    kind = out.suffix.lower()
+    over_time = [str(v) for v in data.data_vars if "time" in data[v].dims]
+    text = [v for v in over_time if kind == ".mcap" and data[v].dtype.kind == "U" and v != "mission_state"]
+    console().print(
+        f"{written}: {len(over_time) - len(text)} signals, {len(time)} instants from {time[0]:.2f} to {time[-1]:.2f} s"
+        f"{step}",
+        highlight=False,
+    )
+    if text:
+        console().print(f"Text does not go into a recording and is left out: {', '.join(text)}", style="dim")
+    if kind == ".csv" and len(over_time) < len(data.data_vars):
+        console().print("Events are not in a CSV file; .mcap, .nc, .parquet and .ulg keep them.", style="dim")
+
+
+# ----------------------------------------------------------------------------
+# ``mufly log``: what was recorded, as words, pictures and files.
+
 
 app = typer.Typer(
     help="Logs: MCAP (ours and others'), PX4 ULog, ArduPilot DataFlash, MAVLink tlog, CSV, Parquet, NetCDF.\n\n"
@@ -183,7 +292,7 @@ def plot(
 
 
 def _selected(found: Sequence[Any], names: Sequence[str], log: Path) -> list[Any]:
-    from mufly.logs.join import matches
+    from mufly.logs.read import matches
 
     out: dict[str, Any] = {}
     for name in names:

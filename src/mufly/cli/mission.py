@@ -10,8 +10,6 @@ import typer
 if TYPE_CHECKING:
     from mufly.mission import Mission
 
-__all__ = ["app"]
-
 app = typer.Typer(
     help="List missions, show what one asks for, check a mission file. Every key of a mission file is explained in "
     "docs/missions.md.",

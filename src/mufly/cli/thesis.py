@@ -12,8 +12,6 @@ from mufly.cli.options import JsonOption, console, print_json, print_table, prog
 if TYPE_CHECKING:
     from mufly.thesis import Outcome
 
-__all__ = ["app"]
-
 app = typer.Typer(
     help="Repeat the studies of the dissertation and say where we agree with it. What each assumes: docs/studies.md.",
     no_args_is_help=True,

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from mufly.dynamics import HoverPerformance
     from mufly.vehicle import Parameter, Vehicle
 
-__all__ = ["app"]
-
 app = typer.Typer(
     help="List vehicles, show what one is made of, check a vehicle file. docs/vehicles.md says how to write one.",
     no_args_is_help=True,

@@ -1,23 +1,38 @@
 """How is it held? H-infinity design, analysis, order reduction, discretisation and the control law on board."""
 
-from mufly.control.analysis import LoopAnalysis, LoopCurves, analyse, loop_curves, sample_plant
-from mufly.control.design import DEFAULT_RATE_HZ, design
-from mufly.control.discretise import DiscreteController, discretise
-from mufly.control.engage import heave_yaw_initial, position_initial, roll_pitch_initial
+from mufly.control.designs import DEFAULT_RATE_HZ, Design, FlightController, design
 from mufly.control.hinf import HinfResult, close_loop, hinfsyn
-from mufly.control.law import heave_wait, heave_yaw_step, position_step, roll_pitch_step
-from mufly.control.linear import connect, frequency_response, hinf_norm, singular_values
+from mufly.control.law import (
+    heave_wait,
+    heave_yaw_initial,
+    heave_yaw_step,
+    position_initial,
+    position_step,
+    roll_pitch_initial,
+    roll_pitch_step,
+)
+from mufly.control.linear import (
+    LoopAnalysis,
+    LoopCurves,
+    analyse,
+    connect,
+    frequency_response,
+    hinf_norm,
+    loop_curves,
+    sample_plant,
+    singular_values,
+)
 from mufly.control.reduction import Candidate, Reduction, reduce_controller
-from mufly.control.result import Design, FlightController
+from mufly.control.sampled import DiscreteController, discretise
 from mufly.control.schemes import (
     OneDegreeWeights,
     Scaling,
+    Settings,
     TransferFunction,
     TwoDegreeWeights,
     one_degree_plant,
     two_degree_plant,
 )
-from mufly.control.settings import Settings
 
 __all__ = [
     "DEFAULT_RATE_HZ",

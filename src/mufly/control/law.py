@@ -22,31 +22,21 @@ is turned by the heading. The thesis turns the velocity errors into body axes in
 that is the same, since the controller treats both directions alike; but here its integrators stay with the wind,
 which does not turn with the fuselage, and climb does not leak into the horizontal axes.
 
-Gains are records (:mod:`mufly.control.gains`), first states come from :mod:`mufly.control.engage`. Units SI and
+Gains are records (:mod:`mufly.control.law`), first states come from :mod:`mufly.control.law`. Units SI and
 radians, motor inputs 0..1 as (upper, lower), servo inputs -1..1.
 """
 
 from __future__ import annotations
 
 import math
+from typing import cast
 
 import numpy as np
 from numba import njit
 
-from mufly.control.gains import (
-    HEAVE_YAW_STATE,
-    ORIGIN_PSI,
-    ORIGIN_Z,
-    ROLL_PITCH_ORDER,
-    SHAPED_PSI,
-    SHAPED_R,
-    SHAPED_W,
-    SHAPED_Z,
-    VELOCITY_ORDER,
-    VOLTAGE,
-)
-
-__all__ = ["heave_wait", "heave_yaw_step", "position_step", "roll_pitch_step"]
+from mufly.control.linear import Array
+from mufly.control.sampled import DiscreteController
+from mufly.errors import MuflyError
 
 
 @njit(cache=True)
@@ -271,3 +261,173 @@ def position_step(  # type: ignore[no-untyped-def]
     tilt[0], tilt[1] = c * phi + s * theta, c * theta - s * phi
     _advance(gains, state, e, excess, new)
     return tilt, new
+
+
+# ----------------------------------------------------------------------------
+# Numbers of the control law as NumPy records, padded with zero states to a fixed order.
+#
+# The padding makes the compiled law the same for every vehicle; Numba reads ``gains.A`` as fast as a C struct. Units
+# SI and radians. The states of the law are flat arrays; that of heave-yaw holds, behind the controller's own, the
+# filtered references, the origins of height and heading, and the filtered battery voltage.
+
+
+HEAVE_YAW_ORDER, ROLL_PITCH_ORDER, VELOCITY_ORDER = 10, 8, 6
+_f8 = np.float64
+
+
+def _matrices(order: int, inputs: int, outputs: int) -> list[tuple[str, type, tuple[int, ...]]]:
+    return [
+        ("A", _f8, (order, order)),
+        ("B", _f8, (order, inputs)),
+        ("C", _f8, (outputs, order)),
+        ("D", _f8, (outputs, inputs)),
+        ("M", _f8, (order, outputs)),
+    ]
+
+
+HEAVE_YAW_GAINS = np.dtype(
+    [
+        *_matrices(HEAVE_YAW_ORDER, 5, 2),
+        ("trim", _f8, (2,)),  # lower, upper; fraction of the design voltage
+        ("design_voltage", _f8),  # V
+        ("voltage_blend", _f8),  # 0..1, share of a new voltage measurement in its filter
+        ("period", _f8),  # s
+        ("heave_bandwidth", _f8),  # rad/s, of the reference filter
+        ("heave_acceleration", _f8),  # m/s2
+        ("heave_speed", _f8),  # m/s
+        ("heave_lead", _f8),  # s, by which the reference runs ahead to make up for the loop's lag
+        ("heave_slack", _f8),  # m, by which the height may trail the filtered reference before that waits
+        ("yaw_bandwidth", _f8),  # rad/s
+        ("yaw_acceleration", _f8),  # rad/s2
+        ("yaw_rate", _f8),  # rad/s
+        ("yaw_lead", _f8),  # s
+    ]
+)
+ROLL_PITCH_GAINS = np.dtype(
+    [
+        *_matrices(ROLL_PITCH_ORDER, 4, 2),
+        ("trim", _f8, (2,)),  # servo 1, servo 2
+        ("tilt_limit", _f8),  # rad
+    ]
+)
+POSITION_GAINS = np.dtype(
+    [
+        *_matrices(VELOCITY_ORDER, 2, 2),
+        ("position_gain", _f8),  # 1/s
+        ("speed_limit", _f8),  # m/s
+        ("tilt_limit", _f8),  # rad
+        ("gravity", _f8),  # m/s2
+    ]
+)
+# State of heave-yaw behind the controller's own: filtered references, origins, filtered voltage.
+SHAPED_Z, SHAPED_W, SHAPED_PSI, SHAPED_R, ORIGIN_Z, ORIGIN_PSI, VOLTAGE = range(
+    HEAVE_YAW_ORDER, HEAVE_YAW_ORDER + 7
+)
+HEAVE_YAW_STATE = HEAVE_YAW_ORDER + 7
+
+
+def pack(dtype: np.dtype, controller: DiscreteController, **values: object) -> np.void:
+    """Gains record of a controller, its states padded with zeros to the record's order.
+
+    Raises
+    ------
+    MuflyError
+        If the controller has more states than the record holds, or other signals.
+    """
+    record = np.zeros((), dtype=dtype)
+    order, inputs = record["B"].shape
+    n = controller.order
+    if n > order or controller.B.shape[1] != inputs:
+        raise MuflyError(
+            f"control law: a controller of order {n} with {controller.B.shape[1]} inputs does not fit a record of "
+            f"order {order} with {inputs}; reduce it further"
+        )
+    record["A"][:n, :n], record["B"][:n], record["C"][:, :n] = controller.A, controller.B, controller.C
+    record["D"], record["M"][:n] = controller.D, controller.M
+    for name, value in values.items():
+        record[name] = value
+    return cast(np.void, record[()])
+
+
+# ----------------------------------------------------------------------------
+# States with which the control law starts: without a bump, whatever the actuators do at the moment.
+#
+# The controller's state is the one whose output is the present input and which moves least from there: least squares
+# of
+# ``(I - A) x - B e`` subject to ``C x + D e = output``. The slow modes then carry the offset.
+
+
+def _at_rest(gains: np.void, e: Array, output: Array) -> Array:
+    """Controller state whose output is ``output`` at input ``e`` and which moves least from there."""
+    A, B, C, D = (np.asarray(gains[name]) for name in "ABCD")
+    used = np.nonzero(np.any(A != 0, axis=1) | np.any(B != 0, axis=1) | np.any(C != 0, axis=0))[0]
+    A, B, C = A[np.ix_(used, used)], B[used], C[:, used]
+    F = np.eye(used.size) - A
+    m = C.shape[0]
+    system = np.block([[F.T @ F, C.T], [C, np.zeros((m, m))]])
+    x = np.zeros(gains["A"].shape[0])
+    x[used] = np.linalg.lstsq(system, np.concatenate([F.T @ B @ e, output - D @ e]), rcond=None)[0][
+        : used.size
+    ]
+    return x
+
+
+def heave_yaw_initial(gains: np.void, measurement: Array, motor_input: Array, voltage: float) -> Array:
+    """State that engages heave-yaw without a bump.
+
+    Parameters
+    ----------
+    gains : record of type ``HEAVE_YAW_GAINS``
+    measurement : (3,) array
+        z (m), psi (rad), r (rad/s) at the moment; the references start from there.
+    motor_input : (2,) array
+        Upper, lower (0..1) that the motors have at the moment, on the ground say.
+    voltage : float
+        Measured battery voltage (V).
+
+    Returns
+    -------
+    (17,) array
+        State for the first ``heave_yaw_step``; with the reference at the measurement its output is ``motor_input``.
+    """
+    z, psi, r = (float(v) for v in measurement)
+    design = float(gains["design_voltage"])
+    believed = min(max(float(voltage), 0.5 * design), 1.5 * design)
+    command = np.array([motor_input[1], motor_input[0]], dtype=float) * believed / design
+    state = np.zeros(HEAVE_YAW_STATE)
+    state[:HEAVE_YAW_ORDER] = _at_rest(gains, np.array([0.0, 0.0, 0.0, 0.0, -r]), command - gains["trim"])
+    state[SHAPED_Z], state[SHAPED_PSI], state[ORIGIN_Z], state[ORIGIN_PSI] = z, psi, z, psi
+    state[VOLTAGE] = believed
+    return state
+
+
+def roll_pitch_initial(
+    gains: np.void, measurement: Array | None = None, servo_input: Array | None = None
+) -> Array:
+    """State that engages roll-pitch without a bump: level and at trim by default.
+
+    Parameters
+    ----------
+    gains : record of type ``ROLL_PITCH_GAINS``
+    measurement : (4,) array, optional
+        phi, theta (rad), p, q (rad/s); the reference is taken to be level.
+    servo_input : (2,) array, optional
+        Servo inputs at the moment.
+
+    Returns
+    -------
+    (8,) array
+    """
+    e = np.zeros(4) if measurement is None else -np.asarray(measurement, dtype=float)
+    servo = np.asarray(gains["trim"]) if servo_input is None else np.asarray(servo_input, dtype=float)
+    return _at_rest(gains, e, servo - gains["trim"])
+
+
+def position_initial(gains: np.void) -> Array:
+    """State of the position cascade at rest.
+
+    Returns
+    -------
+    (6,) array
+    """
+    return np.zeros(gains["A"].shape[0])

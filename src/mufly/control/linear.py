@@ -12,7 +12,8 @@ Boyd, Balakrishnan and Kabamba (1989): a frequency on the imaginary axis is wher
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import control
@@ -21,8 +22,6 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from mufly.errors import MuflyError
-
-__all__ = ["connect", "frequency_response", "hinf_norm", "singular_values", "state_space"]
 
 Array = NDArray[np.floating[Any]]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -215,3 +214,274 @@ def hinf_norm(system: control.StateSpace, *, tolerance: float = 1e-6) -> tuple[f
             break
         lower, where = float(gains[best]), float(middle[best])
     return lower, where
+
+
+# ----------------------------------------------------------------------------
+# What a loop is worth: crossovers, sensitivity peaks and margins, of continuous and of sampled loops.
+#
+# With plant ``G`` and feedback ``u = -K y`` the loop at the plant's input is ``L_u = K G``, and
+#
+#     S_u = (I + L_u)^-1,   T_u = L_u (I + L_u)^-1,   S_o = (I + G K)^-1.
+#
+# Peaks are largest singular values over frequency. Margins: a factor or a delay common to all inputs moves the
+# eigenvalues of L_u alone, so gain, phase and delay margin follow exactly from where an eigenvalue of L_u crosses the
+# negative real axis or the unit circle (generalised Nyquist criterion). Independent changes in the inputs are covered
+# by
+# the guaranteed phase margin 2 asin(1 / 2 M), M the smaller of the peaks of S_u and T_u (Safonov and Athans 1981).
+#
+# A sampled loop is analysed in discrete time: plant behind a zero-order hold, controller, and whole samples of delay
+# between measurement and actuation.
+
+
+@dataclass(frozen=True)
+class LoopAnalysis:
+    """Figures of one loop, broken at the plant's input.
+
+    Attributes
+    ----------
+    stable : bool
+    crossovers : tuple of float
+        Frequencies at which a singular value of L_u crosses 0 dB, rad/s, ascending.
+    sensitivity_peak_dB, complementary_peak_dB : float
+        Peaks of S_u and T_u.
+    sensitivity_peak_frequency, complementary_peak_frequency : float
+        Where they stand, rad/s.
+    output_sensitivity_peak_dB : float
+        Peak of S_o, in the output scaling given.
+    gain_margin_dB, gain_reduction_dB : float
+        Common factor on all inputs, up (positive) and down (negative), that the loop survives; inf where any.
+    phase_margin_deg, delay_margin_s : float
+        Common phase lag and common delay that the loop survives.
+    guaranteed_phase_margin_deg : float
+        Independent phases, one in each input.
+    """
+
+    stable: bool
+    crossovers: tuple[float, ...]
+    sensitivity_peak_dB: float
+    complementary_peak_dB: float
+    sensitivity_peak_frequency: float
+    complementary_peak_frequency: float
+    output_sensitivity_peak_dB: float
+    gain_margin_dB: float
+    gain_reduction_dB: float
+    phase_margin_deg: float
+    delay_margin_s: float
+    guaranteed_phase_margin_deg: float
+
+
+@dataclass(frozen=True)
+class LoopCurves:
+    """Singular values over frequency (rad/s): arrays of shape (n, inputs), largest first."""
+
+    frequency: Array
+    plant: Array
+    loop: Array
+    sensitivity: Array
+    complementary: Array
+
+
+def sample_plant(plant: control.StateSpace, period_s: float, delay_samples: int = 0) -> control.StateSpace:
+    """Plant behind a zero-order hold, sampled, its inputs late by whole samples.
+
+    Parameters
+    ----------
+    plant : control.StateSpace
+        Continuous time.
+    period_s : float
+    delay_samples : int
+        Samples between the measurement and the hold's taking its consequence.
+    """
+    sampled = control.sample_system(plant, period_s, method="zoh")
+    A, B, C, D = sampled.A, sampled.B, sampled.C, sampled.D
+    for _ in range(delay_samples):
+        n, m = B.shape
+        A = np.block([[A, B], [np.zeros((m, n + m))]])
+        B = np.vstack([np.zeros((n, m)), np.eye(m)])
+        C, D = np.hstack([C, D]), np.zeros_like(D)
+    return state_space(A, B, C, D, inputs=plant.input_labels, outputs=plant.output_labels, dt=period_s)
+
+
+def feedback_part(
+    controller: control.StateSpace, plant: control.StateSpace, rows: Sequence[int]
+) -> control.StateSpace:
+    """The part of a controller that reads the plant's outputs: its inputs ``rows``, in the order of the outputs."""
+    columns = list(rows)
+    return state_space(
+        controller.A,
+        controller.B[:, columns],
+        controller.C,
+        controller.D[:, columns],
+        inputs=plant.output_labels,
+        outputs=plant.input_labels,
+        dt=controller.dt or 0.0,
+    )
+
+
+def is_stable_loop(plant: control.StateSpace, feedback: control.StateSpace) -> bool:
+    """Whether ``u = -feedback y`` stabilises the plant (both continuous or both discrete)."""
+    poles = _closed_poles(plant, feedback)
+    return bool(np.abs(poles).max() < 1.0) if plant.dt else bool(poles.real.max() < 0.0)
+
+
+def _closed_poles(plant: control.StateSpace, feedback: control.StateSpace) -> ComplexArray:
+    E = np.linalg.inv(np.eye(plant.noutputs) + plant.D @ feedback.D)
+    A = np.block(
+        [
+            [
+                plant.A - plant.B @ feedback.D @ E @ plant.C,
+                plant.B @ (feedback.C - feedback.D @ E @ plant.D @ feedback.C),
+            ],
+            [-feedback.B @ E @ plant.C, feedback.A - feedback.B @ E @ plant.D @ feedback.C],
+        ]
+    )
+    return np.linalg.eigvals(A)
+
+
+def _grid(plant: control.StateSpace, feedback: control.StateSpace, points: int) -> Array:
+    dt = plant.dt or 0.0
+    top = 0.999 * np.pi / dt if dt else 1e4
+    poles = np.concatenate([np.linalg.eigvals(plant.A), np.linalg.eigvals(feedback.A)])
+    if dt:
+        poles = np.log(np.where(np.abs(poles) > 1e-12, poles, 1e-12)) / dt
+    size = np.abs(poles)
+    size = size[(size > 1e-4) & (size < top)]
+    return np.unique(np.concatenate([np.geomspace(1e-4, top, points), size]))
+
+
+def _closed(L: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    S = np.linalg.inv(np.eye(L.shape[-1]) + L)
+    return S, S @ L
+
+
+def _crossings(x: Array, y: Array, level: float) -> Array:
+    """Abscissae (log-interpolated) where ``y`` passes ``level``."""
+    above = y > level
+    i = np.nonzero(above[:-1] != above[1:])[0]
+    t = (level - y[i]) / (y[i + 1] - y[i])
+    return np.exp(np.log(x[i]) + t * (np.log(x[i + 1]) - np.log(x[i])))
+
+
+def _refined_peak(function: Callable[[Array], Array], frequency: Array, values: Array) -> tuple[float, float]:
+    """Largest value of ``function`` near its largest sample."""
+    for _ in range(2):
+        i = int(np.argmax(values))
+        low, high = frequency[max(i - 1, 0)], frequency[min(i + 1, frequency.size - 1)]
+        frequency = np.geomspace(low, high, 25)
+        values = function(frequency)
+    i = int(np.argmax(values))
+    return float(values[i]), float(frequency[i])
+
+
+def _dB(value: float) -> float:
+    return float(20 * np.log10(max(value, 1e-300)))
+
+
+def _tracked_eigenvalues(L: ComplexArray) -> ComplexArray:
+    """Eigenvalues of L over frequency, ordered so that each column is continuous."""
+    values = np.linalg.eigvals(L)
+    if values.shape[1] == 2:  # all plants here have two inputs: swapping is the only choice
+        for k in range(1, values.shape[0]):
+            straight = abs(values[k] - values[k - 1]).sum()
+            if abs(values[k, ::-1] - values[k - 1]).sum() < straight:
+                values[k] = values[k, ::-1]
+    return values
+
+
+def _margins(frequency: Array, L: ComplexArray) -> tuple[float, float, float, float]:
+    """Gain margin (dB), gain reduction (dB), phase margin (deg), delay margin (s), common to all inputs."""
+    upper, lower, phase, delay = np.inf, -np.inf, np.inf, np.inf
+    for locus in _tracked_eigenvalues(L).T:
+        angle = np.unwrap(np.angle(locus))
+        size = np.log10(np.abs(locus))
+        # -180 degrees modulo 360: the loop gain there says how much more, or less, is tolerated.
+        turns = np.floor((angle + np.pi) / (2 * np.pi))
+        for i in np.nonzero(turns[:-1] != turns[1:])[0]:
+            target = 2 * np.pi * max(turns[i], turns[i + 1]) - np.pi
+            t = (target - angle[i]) / (angle[i + 1] - angle[i])
+            gain = -20 * (size[i] + t * (size[i + 1] - size[i]))
+            if gain > 0:
+                upper = min(upper, gain)
+            else:
+                lower = max(lower, gain)
+        for i in np.nonzero((size[:-1] > 0) != (size[1:] > 0))[0]:
+            t = -size[i] / (size[i + 1] - size[i])
+            lag = (angle[i] + t * (angle[i + 1] - angle[i]) + np.pi) % (2 * np.pi)
+            where = frequency[i] * (frequency[i + 1] / frequency[i]) ** t
+            phase = min(phase, lag, 2 * np.pi - lag)
+            delay = min(delay, lag / where)
+    return float(upper), float(lower), float(np.degrees(phase)), float(delay)
+
+
+def analyse(
+    plant: control.StateSpace,
+    feedback: control.StateSpace,
+    *,
+    output_scale: Array | None = None,
+    points: int = 350,
+) -> LoopAnalysis:
+    """Analyse the loop ``u = -feedback y``.
+
+    Parameters
+    ----------
+    plant, feedback : control.StateSpace
+        Both continuous, or both discrete with the same period (see ``sample_plant``).
+    output_scale : array, shape (outputs,), optional
+        Scale of each output for S_o; ones by default.
+    points : int
+        Frequencies of the grid from 1e-4 rad/s to 1e4 rad/s or the Nyquist frequency; the peaks are refined beyond it.
+
+    Returns
+    -------
+    LoopAnalysis
+        With infinite peaks where the loop is unstable.
+    """
+    stable = is_stable_loop(plant, feedback)
+    frequency = _grid(plant, feedback, points)
+    g, k = frequency_response(plant, frequency), frequency_response(feedback, frequency)
+    L = k @ g
+    sv = np.linalg.svd(L, compute_uv=False)
+    crossovers = np.sort(np.concatenate([_crossings(frequency, np.log(column), 0.0) for column in sv.T]))
+    S, T = _closed(L)
+
+    def peak(which: int) -> Callable[[Array], Array]:
+        def value(w: Array) -> Array:
+            loop = frequency_response(feedback, w) @ frequency_response(plant, w)
+            return np.linalg.svd(_closed(loop)[which], compute_uv=False)[:, 0]
+
+        return value
+
+    s_peak, s_at = _refined_peak(peak(0), frequency, np.linalg.svd(S, compute_uv=False)[:, 0])
+    t_peak, t_at = _refined_peak(peak(1), frequency, np.linalg.svd(T, compute_uv=False)[:, 0])
+    scale = np.ones(plant.noutputs) if output_scale is None else np.asarray(output_scale, dtype=float)
+    So = np.linalg.inv(np.eye(plant.noutputs) + g @ k) * scale / scale[:, None]
+    o_peak = float(np.linalg.svd(So, compute_uv=False)[:, 0].max())
+    gain_up, gain_down, phase, delay = _margins(frequency, L)
+    if not stable:
+        s_peak = t_peak = o_peak = np.inf
+        gain_up = gain_down = phase = delay = 0.0
+    smaller = min(s_peak, t_peak)
+    guaranteed = 2 * np.degrees(np.arcsin(min(1.0, 0.5 / smaller))) if np.isfinite(smaller) else 0.0
+    return LoopAnalysis(
+        stable=stable,
+        crossovers=tuple(float(w) for w in crossovers),
+        sensitivity_peak_dB=_dB(s_peak),
+        complementary_peak_dB=_dB(t_peak),
+        sensitivity_peak_frequency=s_at,
+        complementary_peak_frequency=t_at,
+        output_sensitivity_peak_dB=_dB(o_peak),
+        gain_margin_dB=gain_up,
+        gain_reduction_dB=gain_down,
+        phase_margin_deg=phase,
+        delay_margin_s=delay,
+        guaranteed_phase_margin_deg=float(guaranteed),
+    )
+
+
+def loop_curves(plant: control.StateSpace, feedback: control.StateSpace, frequency: Array) -> LoopCurves:
+    """Singular values of plant, L_u, S_u and T_u over ``frequency`` (rad/s)."""
+    g, k = frequency_response(plant, frequency), frequency_response(feedback, frequency)
+    L = k @ g
+    S, T = _closed(L)
+    values = [np.linalg.svd(M, compute_uv=False) for M in (g, L, S, T)]
+    return LoopCurves(np.asarray(frequency, dtype=float), *values)

@@ -14,11 +14,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from mufly.control.analysis import LoopCurves, loop_curves, sample_plant
-from mufly.control.linear import Array, singular_values
-from mufly.control.result import Design, FlightController
-
-__all__ = ["draw_designs", "draw_loop", "draw_plant"]
+from mufly.control.designs import Design, FlightController
+from mufly.control.linear import Array, LoopCurves, loop_curves, sample_plant, singular_values
 
 BLUE, ORANGE, GREEN, VERMILION, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#7f7f7f"
 _FREQUENCY = np.geomspace(1e-4, 1e4, 700)

@@ -31,12 +31,16 @@ import control
 import numpy as np
 from scipy import linalg
 
-from mufly.control.analysis import feedback_part, is_stable_loop
 from mufly.control.hinf import close_loop
-from mufly.control.linear import Array, frequency_response, hinf_norm, state_space
+from mufly.control.linear import (
+    Array,
+    feedback_part,
+    frequency_response,
+    hinf_norm,
+    is_stable_loop,
+    state_space,
+)
 from mufly.errors import MuflyError
-
-__all__ = ["TOLERANCES", "Candidate", "Reduction", "reduce_controller"]
 
 TOLERANCES = ((0.1, 1.01), (0.2, 1.05), (0.5, 1.2))  # dB on the peaks, factor on the norm
 

@@ -1,20 +1,35 @@
 """What turns the rotors? Motor, gear and battery; where rotor and drive meet, and how long the battery lasts."""
 
-from mufly.drive.battery import interpolate, terminal_voltage
-from mufly.drive.endurance import Endurance, hover_endurance
+from mufly.drive.battery import (
+    Endurance,
+    battery_voltage,
+    hover_endurance,
+    interpolate,
+    open_circuit_voltage,
+    terminal_voltage,
+)
 from mufly.drive.gear import GearOptima, adapted_gear, best_gear, gear_curve, gear_optima
-from mufly.drive.load import builtin_drives, drive_of, drive_toml, load_drive
-from mufly.drive.loads import RotorLoad, blade_load, coefficient_load, scaled_load
-from mufly.drive.motor import armature_current, rotor_acceleration
 from mufly.drive.operating import (
     OperatingPoint,
+    RotorLoad,
+    blade_load,
+    coefficient_load,
     operating_point,
+    scaled_load,
     speed_at_voltage,
     speed_for_thrust,
     steady,
 )
-from mufly.drive.schema import Constants, Drive
-from mufly.drive.supply import battery_voltage, open_circuit_voltage
+from mufly.drive.train import (
+    Constants,
+    Drive,
+    armature_current,
+    builtin_drives,
+    drive_of,
+    drive_toml,
+    load_drive,
+    rotor_acceleration,
+)
 
 __all__ = [
     "Constants",

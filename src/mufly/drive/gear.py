@@ -25,12 +25,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from mufly.drive.loads import RotorLoad
-from mufly.drive.operating import operating_point
-from mufly.drive.schema import Constants, Drive
+from mufly.drive.operating import RotorLoad, operating_point
+from mufly.drive.train import Constants, Drive
 from mufly.errors import InputError
-
-__all__ = ["GearOptima", "adapted_gear", "best_gear", "gear_curve", "gear_optima"]
 
 Array = NDArray[np.float64]
 

@@ -19,28 +19,17 @@ account for (iron), dR w^2 friction, (1 - eta) of what enters the gear, (1 - eta
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mufly.drive.battery import terminal_voltage
-from mufly.drive.loads import RotorLoad
-from mufly.drive.motor import armature_current, rotor_acceleration
-from mufly.drive.schema import Constants, Drive
-from mufly.drive.solve import rising_root
-from mufly.drive.supply import battery_voltage, internal_resistance, open_circuit_voltage
+from mufly.drive.battery import battery_voltage, internal_resistance, open_circuit_voltage, terminal_voltage
+from mufly.drive.train import Constants, Drive, armature_current, rotor_acceleration
 from mufly.errors import InputError, MuflyError
-
-__all__ = [
-    "OperatingPoint",
-    "free_speed",
-    "operating_point",
-    "speed_at_voltage",
-    "speed_for_thrust",
-    "steady",
-]
+from mufly.rotor import Air, Blading, hover_batch
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -349,3 +338,179 @@ def _at_voltage(
             f"{float(value.max()):.3g} V at the motor is out of reach: the supply gives {least:.3g} V"
         )
     return point
+
+
+# ----------------------------------------------------------------------------
+# What a rotor asks of its drive: thrust and torque over speed, for one rotor or for many at once.
+#
+# A load is a function ``load(speed_rad_s, case)``: speeds (m,) of the cases with the numbers ``case`` (m,), answered
+# with
+# thrust (N) and torque (N m), each (m,). The numbers select among arrays that the load may hold, one entry a case; a
+# load
+# of a single rotor has no need of them.
+
+
+RotorLoad = Callable[[Array, Integers], tuple[Array, Array]]
+
+
+def coefficient_load(c_T: float, c_Q: float, *, radius_m: float, density_kg_m3: float = 1.2) -> RotorLoad:
+    """Return the load of a rotor with constant coefficients, as eq. 3.18 takes it.
+
+    Parameters
+    ----------
+    c_T, c_Q : float
+        T / (rho pi R^4 Omega^2), Q / (rho pi R^5 Omega^2).
+    radius_m, density_kg_m3 : float
+        R and rho.
+    """
+    thrust = c_T * density_kg_m3 * math.pi * radius_m**4
+    torque = c_Q * density_kg_m3 * math.pi * radius_m**5
+    return lambda speed, case: (thrust * speed**2, torque * speed**2)
+
+
+def blade_load(
+    blading: Blading,
+    *,
+    pitch_rad: ArrayLike,
+    which: ArrayLike = 0,
+    climb_m_s: ArrayLike = 0.0,
+    air: Air | None = None,
+) -> RotorLoad:
+    """Return the load of blades as blade element momentum theory sees them: the coefficients change with speed.
+
+    Parameters
+    ----------
+    blading : Blading
+        One or several rotors.
+    pitch_rad, climb_m_s, which : array_like
+        Pitch setting (rad), axial speed (m/s) and rotor of each case; scalars hold for all.
+    air : Air, optional
+        Density and viscosity.
+    """
+    pitch, climb = np.asarray(pitch_rad, dtype=np.float64), np.asarray(climb_m_s, dtype=np.float64)
+    index = np.asarray(which, dtype=np.int64)
+
+    def of(values: NDArray, case: Integers) -> NDArray:
+        return values if values.ndim == 0 else values[case]
+
+    def load(speed: Array, case: Integers) -> tuple[Array, Array]:
+        r = hover_batch(
+            blading, pitch_rad=of(pitch, case), speed_rad_s=speed, climb_m_s=of(climb, case), which=of(index, case),
+            air=air,
+        )  # fmt: skip
+        return r.thrust_N, r.torque_Nm
+
+    return load
+
+
+def scaled_load(load: RotorLoad, speed_rad_s: float, thrust_N: float, torque_Nm: float) -> RotorLoad:
+    """Return a load with thrust and torque scaled so that it goes through a point of one rotor that is known better.
+
+    Parameters
+    ----------
+    load : RotorLoad
+        Of one rotor.
+    speed_rad_s, thrust_N, torque_Nm : float
+        The point, from a wake or a bench.
+
+    Raises
+    ------
+    InputError
+        If the load has no thrust or torque there, or not of the same sign.
+    """
+    thrust, torque = load(np.array([float(speed_rad_s)]), np.array([0]))
+    factors = []
+    for name, known, ours in (("thrust_N", thrust_N, thrust[0]), ("torque_Nm", torque_Nm, torque[0])):
+        if not known * ours > 0.0:
+            raise InputError(
+                "load", name, f"is {ours:.3g} where {known:.3g} is known", "check the operating point"
+            )
+        factors.append(known / ours)
+
+    def scaled(speed: Array, case: Integers) -> tuple[Array, Array]:
+        thrust, torque = load(speed, case)
+        return factors[0] * thrust, factors[1] * torque
+
+    return scaled
+
+
+# ----------------------------------------------------------------------------
+# One unknown in each of many cases: a bracketed root where the function rises, found for all cases together.
+#
+# The unknown is positive (a speed), so that the search runs in its logarithm: thrust and torque are close to
+# straight lines there when they are powers of the speed. From a guess the bracket grows by factors until the sign
+# changes; then Illinois steps (regula falsi with the stale end halved), every third one a bisection, close it. A
+# case that is done costs no more evaluations. Own derivation.
+
+
+_GROWTH = (0.05, 0.2, 0.5, 1.0)  # logarithms; the last one repeats
+_STEPS = 200
+
+
+def rising_root(
+    function: Callable[[Array, Integers], Array],
+    guess: ArrayLike,
+    *,
+    lowest: float,
+    highest: ArrayLike,
+    tolerance: float = 1e-11,
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Find where a function of a positive unknown goes from negative to positive.
+
+    Parameters
+    ----------
+    function : callable
+        ``function(x, case)`` returns the values at ``x`` (m,) of the cases with the numbers ``case`` (m,).
+    guess : (n,) array_like
+        Where to begin; it is moved between the limits.
+    lowest, highest : float, (n,) array_like
+        Limits of the unknown.
+    tolerance : float
+        Relative error of the root.
+
+    Returns
+    -------
+    root : (n,) array
+        nan where there is none.
+    found : (n,) array of bool
+    """
+    top = np.log(np.broadcast_to(np.asarray(highest, dtype=np.float64), np.shape(guess)).astype(np.float64))
+    bottom = np.log(lowest)
+    x = np.clip(np.log(np.asarray(guess, dtype=np.float64)), bottom, top)
+    every = np.arange(x.size, dtype=np.int64)
+    f = function(np.exp(x), every)
+    root = np.where(f == 0.0, x, np.nan)
+    # (a, fa) is the end with f < 0, (b, fb) the one with f >= 0; before the first sign change they are one point.
+    a, b, fa, fb = x.copy(), x.copy(), f.copy(), f.copy()
+    rising = f < 0.0
+    seek = every[(f != 0.0) & np.isfinite(f)]
+    for step in range(_STEPS):
+        if seek.size == 0:
+            break
+        grow, low = _GROWTH[min(step, len(_GROWTH) - 1)], rising[seek]
+        at = np.where(low, np.minimum(a[seek] + grow, top[seek]), np.maximum(b[seek] - grow, bottom))
+        value = function(np.exp(at), seek)
+        below = value < 0.0
+        a[seek[below]], fa[seek[below]] = at[below], value[below]
+        b[seek[~below]], fb[seek[~below]] = at[~below], value[~below]
+        at_limit = np.where(low, at >= top[seek], at <= bottom)
+        seek = seek[(below == low) & ~at_limit & np.isfinite(value)]
+    todo = every[np.isnan(root) & (fa < 0.0) & (fb >= 0.0)]
+    side = np.zeros(x.size, dtype=np.int64)
+    for step in range(_STEPS):
+        if todo.size == 0:
+            break
+        pa, pb, va, vb = a[todo], b[todo], fa[todo], fb[todo]
+        at = 0.5 * (pa + pb) if step % 3 == 2 else pb - vb * (pb - pa) / (vb - va)
+        value = function(np.exp(at), todo)
+        up = value > 0.0
+        b[todo[up]], fb[todo[up]] = at[up], value[up]
+        a[todo[~up]], fa[todo[~up]] = at[~up], value[~up]
+        fa[todo[up & (side[todo] == 1)]] *= 0.5
+        fb[todo[~up & (side[todo] == -1)]] *= 0.5
+        moved = np.abs(at - np.where(np.abs(at - pa) < np.abs(at - pb), pa, pb))
+        side[todo] = np.where(up, 1, -1)
+        good = (b[todo] - a[todo] < tolerance) | (value == 0.0) | (moved < 0.1 * tolerance)
+        root[todo[good]] = at[good]
+        todo = todo[~good & np.isfinite(value)]
+    return np.exp(root), np.isfinite(root)

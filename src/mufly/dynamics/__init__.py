@@ -1,12 +1,12 @@
 """How does it move? Equations of motion, trim, linearisation, simulation, wind and ground."""
 
-from mufly.dynamics.ground import lowest_point, standing_height
-from mufly.dynamics.linearise import Linearisation, linearise
-from mufly.dynamics.model import battery_state, derivative
+from mufly.dynamics.equilibrium import HoverPerformance, Trim, hover_performance, trim
+from mufly.dynamics.linearisation import Linearisation, linearise
+from mufly.dynamics.model import battery_state, derivative, lowest_point, standing_height
 from mufly.dynamics.parameters import GRAVITY, PARAMETERS, model_parameters
-from mufly.dynamics.performance import HoverPerformance, hover_performance
-from mufly.dynamics.simulate import (
+from mufly.dynamics.simulation import (
     DEFAULT_STEP_S,
+    DrydenWind,
     advance,
     advance_batch,
     longest_step,
@@ -21,8 +21,6 @@ from mufly.dynamics.state import (
     quaternion_from_euler,
     rotation,
 )
-from mufly.dynamics.trim import Trim, trim
-from mufly.dynamics.wind import DrydenWind
 
 __all__ = [
     "DEFAULT_STEP_S",

@@ -8,7 +8,7 @@ Rigid body, N-E-D velocity ``v``, body rates ``W``, attitude ``A`` (body to N-E-
     m dv/dt = A F + m g e_D                                   F, M in body axes
     I dW/dt = M - W x I W                                     (A.6)
 
-Rotors, ``T = cT pi rho R^4 Omega^2`` and ``Q`` alike (:mod:`mufly.dynamics.loads`: constants, or a map over speeds
+Rotors, ``T = cT pi rho R^4 Omega^2`` and ``Q`` alike (:mod:`mufly.dynamics.model`: constants, or a map over speeds
 and climb), thrust along the tilted disc normal ``n``::
 
     F = T_up n_up + T_dw n_dw + fuselage drag
@@ -21,22 +21,24 @@ sign that pitches the nose down for positive servo 1. Stabiliser bar: its normal
 axis ``u``: ``T_f,up ds/dt = u - (u.s) s``. Motors and battery: :mod:`mufly.drive`. Fuselage: downwash drag,
 constant in flight (eq. 4.19) and fading with the thrust once that is below half the weight, and
 ``-rho/2 cD_i A_i |w_i| w_i`` along each body axis, ``w`` the velocity through the air (eq. 4.18).
-Floor: :mod:`mufly.dynamics.ground`.
+Floor: :mod:`mufly.dynamics.model`.
 """
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from mufly.drive.battery import interpolate, terminal_voltage
-from mufly.drive.motor import armature_current, rotor_acceleration
-from mufly.dynamics.ground import contact_wrench
-from mufly.dynamics.loads import climb_velocity, map_coefficients
+from mufly.drive.train import armature_current, rotor_acceleration
 from mufly.dynamics.parameters import GRAVITY
-
-__all__ = ["battery_state", "derivative"]
+from mufly.dynamics.state import rotation
+from mufly.rotor.maps import at
+from mufly.rotor.maps import interpolate as maps_interpolate
+from mufly.vehicle import Vehicle
 
 
 @njit(cache=True, error_model="numpy")
@@ -161,3 +163,183 @@ def derivative(x, u, wind, p, dx):  # type: ignore[no-untyped-def]
     dx[17] = p.bar_rate * (-a22 - along * bar_d)
     dx[18], dx[19] = accel_up, accel_dw
     dx[20] = -supply_current / p.battery_capacity
+
+
+# ----------------------------------------------------------------------------
+# Thrust and torque of both rotors: by constant coefficients, or by a map over speeds and axial velocity.
+#
+# Constants (eqs 4.11, 4.12): ``T = cT pi rho R^4 Omega^2``, ``Q = cQ pi rho R^5 Omega |Omega|``. With a map (Sec.
+# 4.3.1
+# asks for one beyond 0.5 m/s) ``cT`` and ``cQ`` of each rotor are functions of
+#
+#     mean speed (Omega_up + Omega_dw)/2,    Omega_dw / Omega_up,    climb velocity / (mean speed R)
+#
+# with the climb velocity that of the mast through the air, along the mast. The map is held at its edges, so thrust
+# and
+# torque go to zero with the speeds as ``Omega^2`` does, whatever the ratios are then.
+
+
+_STANDSTILL = 1e-3  # rad/s; below this a rotor makes no force that could be measured
+
+
+@njit(cache=True, error_model="numpy")
+def climb_velocity(x, wind):  # type: ignore[no-untyped-def]
+    """Return the velocity through the air along the mast, positive upwards (m/s), at state ``x``."""
+    qw, qx, qy, qz = x[6], x[7], x[8], x[9]
+    up_n, up_e, up_d = -2 * (qx * qz + qw * qy), -2 * (qy * qz - qw * qx), 2 * (qx * qx + qy * qy) - 1
+    return up_n * (x[3] - wind[0]) + up_e * (x[4] - wind[1]) + up_d * (x[5] - wind[2])
+
+
+@njit(cache=True, error_model="numpy")
+def map_coefficients(speed_up, speed_dw, climb, p):  # type: ignore[no-untyped-def]
+    """Return thrust over the speed's square (N s2) of upper and lower rotor, then torque (N m s2), by the map."""
+    up, dw = abs(speed_up), abs(speed_dw)
+    mean = 0.5 * (up + dw)
+    ratio = dw / max(up, _STANDSTILL)
+    climb_ratio = climb / (max(mean, _STANDSTILL) * p.map_radius)
+    t_up, q_up, t_dw, q_dw = maps_interpolate(
+        p.map_thrust_up, p.map_torque_up, p.map_thrust_dw, p.map_torque_dw,
+        p.map_size, p.map_start, p.map_per_step, mean, ratio, climb_ratio,
+    )  # fmt: skip
+    return t_up, t_dw, q_up, q_dw
+
+
+def rotor_loads(p: np.void, speed_up: float, speed_dw: float, climb: float = 0.0) -> tuple[float, ...]:
+    """Return thrust (N) of upper and lower rotor, then torque (N m) of upper and lower, as the flight model has them.
+
+    Parameters
+    ----------
+    p : record of type ``PARAMETERS``
+    speed_up, speed_dw : float
+        Rotor speeds (rad/s).
+    climb : float
+        Velocity through the air along the mast, positive upwards (m/s).
+    """
+    c = (p["thrust_up"], p["thrust_dw"], p["torque_up"], p["torque_dw"])
+    if p["map_nodes"] > 0:
+        c = map_coefficients(speed_up, speed_dw, climb, p)
+    up, dw = speed_up * abs(speed_up), speed_dw * abs(speed_dw)
+    return float(c[0] * speed_up**2), float(c[1] * speed_dw**2), float(c[2] * up), float(c[3] * dw)
+
+
+def inside_map(vehicle: Vehicle, speed_up: float, speed_dw: float, climb: float) -> bool:
+    """Tell whether a vehicle's coefficient map holds a point, or answers from its edge; True without a map.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    speed_up, speed_dw, climb : float
+        As for :func:`rotor_loads`.
+    """
+    m = vehicle.rotors.coefficient_map
+    if m is None:
+        return True
+    mean = 0.5 * (abs(speed_up) + abs(speed_dw))
+    tip = max(mean, _STANDSTILL) * float(vehicle.rotors.radius)
+    return not bool(at(m, mean, abs(speed_dw) / max(abs(speed_up), _STANDSTILL), climb / tip)[1])
+
+
+def coefficient_bounds(p: np.void, name: str) -> tuple[float, float, float]:
+    """Return what a coefficient and its slopes cannot exceed; for ``longest_step``.
+
+    With c over s (mean speed), r (ratio of the speeds) and m (climb ratio V / (s R)), thrust or torque is
+    ``c Omega^2``. Its slope over the speed of either rotor is at most ``(2 |c| + s |dc/ds| + r |dc/dr| + m |dc/dm|)
+    Omega``, and over the climb velocity ``|dc/dm| Omega^2 / (s R)``, at most ``2 |dc/dm| Omega / R``, because Omega is
+    at most 2 s. Slopes of c are those between neighbouring points.
+
+    Parameters
+    ----------
+    p : record of type ``PARAMETERS``
+    name : str
+        ``"thrust_up"``, ``"thrust_dw"``, ``"torque_up"`` or ``"torque_dw"``.
+
+    Returns
+    -------
+    greatest, per_speed, per_climb : float
+        Of ``|c|``; of the slope over the rotor's own speed over ``Omega``; of that over climb over ``Omega``.
+    """
+    n = int(p["map_nodes"])
+    if n == 0:
+        return float(p[name]), 2 * float(p[name]), 0.0
+    table = p[f"map_{name}"][:n].reshape(p["map_size"])
+    steps = np.array([1.0 / q if q > 0 else 0.0 for q in p["map_per_step"]])
+    last = p["map_start"] + (p["map_size"] - 1) * steps
+    reach = np.maximum(np.abs(p["map_start"]), np.abs(last))
+    slopes = [
+        float(np.max(np.abs(np.diff(table, axis=k)), initial=0.0) * p["map_per_step"][k]) for k in range(3)
+    ]
+    greatest = float(np.max(np.abs(table)))
+    return greatest, 2 * greatest + float(reach @ slopes), 2 * slopes[2] / float(p["map_radius"])
+
+
+# ----------------------------------------------------------------------------
+# Contact with the floor (D = 0): compliant legs, and the rim of the upper rotor once it has tipped over.
+#
+# Every contact point below the floor by ``d`` is pushed up as a spring with damper that cannot pull, and rubs by
+# Coulomb friction, smoothed around rest so that the equations stay integrable::
+#
+#     N = max(0, k d + c dd/dt)            F_t = -min(mu N / sqrt(v_t^2 + v_slip^2), c_t) v_t
+#
+# Around rest friction is viscous, so a steady push ``F < mu N`` lets the vehicle creep at about
+# ``v_slip F / (mu N)``. The bound ``c_t`` keeps the viscous yaw mode ``sum(c_t r^2) / Izz`` slower than 2000 1/s,
+# which
+# steps of 1 ms resolve even when a hard landing presses a point down with many times its share of the weight.
+#
+# The legs' compliance stands for legs and floor together. Own derivation; the thesis has no ground model.
+
+
+@njit(cache=True, error_model="numpy")
+def contact_wrench(x, p):  # type: ignore[no-untyped-def]
+    """Return the force of the floor (N-E-D, N) and its moment (body axes, N m) as six numbers."""
+    a = rotation(x[6:10])
+    f_n = f_e = f_d = m_x = m_y = m_z = 0.0
+    for k in range(p.contact_count):
+        rx, ry, rz = p.contact_points[k, 0], p.contact_points[k, 1], p.contact_points[k, 2]
+        depth = x[2] + a[2, 0] * rx + a[2, 1] * ry + a[2, 2] * rz
+        if depth <= 0.0:
+            continue
+        # Velocity of the point: body v + W x r, in N-E-D.
+        vx = x[11] * rz - x[12] * ry
+        vy = x[12] * rx - x[10] * rz
+        vz = x[10] * ry - x[11] * rx
+        v_n = x[3] + a[0, 0] * vx + a[0, 1] * vy + a[0, 2] * vz
+        v_e = x[4] + a[1, 0] * vx + a[1, 1] * vy + a[1, 2] * vz
+        v_d = x[5] + a[2, 0] * vx + a[2, 1] * vy + a[2, 2] * vz
+        normal = max(0.0, p.leg_stiffness * depth + p.leg_damping * v_d)
+        rub = p.leg_friction * normal / math.sqrt(v_n * v_n + v_e * v_e + p.slip_speed * p.slip_speed)
+        rub = min(rub, p.friction_bound[k])
+        g_n, g_e, g_d = -rub * v_n, -rub * v_e, -normal
+        f_n += g_n
+        f_e += g_e
+        f_d += g_d
+        gx = a[0, 0] * g_n + a[1, 0] * g_e + a[2, 0] * g_d
+        gy = a[0, 1] * g_n + a[1, 1] * g_e + a[2, 1] * g_d
+        gz = a[0, 2] * g_n + a[1, 2] * g_e + a[2, 2] * g_d
+        m_x += ry * gz - rz * gy
+        m_y += rz * gx - rx * gz
+        m_z += rx * gy - ry * gx
+    return f_n, f_e, f_d, m_x, m_y, m_z
+
+
+@njit(cache=True, error_model="numpy")
+def lowest_point(x, p):  # type: ignore[no-untyped-def]
+    """Return depth below the floor (m; negative: above) and index of the lowest contact point."""
+    a = rotation(x[6:10])
+    depth, index = -math.inf, 0
+    for k in range(p.contact_count):
+        c = p.contact_points[k]
+        d = x[2] + a[2, 0] * c[0] + a[2, 1] * c[1] + a[2, 2] * c[2]
+        if d > depth:
+            depth, index = d, k
+    return depth, index
+
+
+def standing_height(vehicle: Vehicle) -> float:
+    """Return the height (m) of the centre of gravity when the vehicle stands still with its rotors at rest.
+
+    The weight is taken to be shared equally by the legs that reach lowest.
+    """
+    z: NDArray[np.float64] = vehicle.contact.legs.array()[:, 2]
+    lowest = float(z.max())
+    carrying = int(np.sum(z > lowest - 1e-6))
+    return lowest - float(vehicle.body.mass) * GRAVITY / (carrying * float(vehicle.contact.stiffness))

@@ -11,12 +11,10 @@ from typing import Any, cast
 import numpy as np
 
 from mufly.errors import InputError
-from mufly.rotor.map_kernel import at, packed
+from mufly.rotor.maps import at, packed
 from mufly.vehicle import Vehicle
 from mufly.vehicle.coefficient_map import MAP_NODES
 from mufly.vehicle.schema import MAX_LEGS
-
-__all__ = ["GRAVITY", "PARAMETERS", "model_parameters"]
 
 GRAVITY = 9.81  # m/s2, mid-latitude, as the thesis's hover point implies
 
@@ -64,7 +62,7 @@ PARAMETERS = np.dtype(
         ("leg_damping", _f8),  # N s/m
         ("leg_friction", _f8),
         ("slip_speed", _f8),  # m/s
-        ("friction_bound", _f8, (_MAX_POINTS,)),  # N s/m, see mufly.dynamics.ground
+        ("friction_bound", _f8, (_MAX_POINTS,)),  # N s/m, see mufly.dynamics.model
         ("contact_reach", _f8),  # m, farthest contact point from the centre of gravity
         ("contact_count", np.int64),
         (
@@ -72,7 +70,8 @@ PARAMETERS = np.dtype(
             _f8,
             (_MAX_POINTS, 3),
         ),  # m, body axes: legs first, then the rim of the upper rotor
-        # Coefficient map, see mufly.dynamics.loads: what stands above as thrust_up ... torque_dw is not used with one.
+        # Coefficient map, see mufly.dynamics.model: what stands above as thrust_up ... torque_dw is not used with
+        # one.
         ("map_nodes", np.int64),  # 0: no map
         ("map_size", np.int64, (3,)),  # mean speeds, ratios, climbs
         ("map_start", _f8, (3,)),

@@ -26,15 +26,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = [
-    "INPUT_SIZE",
-    "STATE_SIZE",
-    "euler_from_quaternion",
-    "initial_state",
-    "quaternion_from_euler",
-    "rotation",
-]
-
 STATE_SIZE = 21
 INPUT_SIZE = 4
 

@@ -1,19 +1,15 @@
 """All of it at once: the flight software, the closed loop, the recorder, pictures and numbers of a flight."""
 
-from mufly.flight.answers import Answer, Status
-from mufly.flight.autopilot import Autopilot
-from mufly.flight.controllers import Actuators, Controllers
-from mufly.flight.flight import Flight
-from mufly.flight.loop import Progress, fly
-from mufly.flight.parameter_table import Parameter
+from mufly.flight.autopilot import Answer, Autopilot, Status
+from mufly.flight.flight import Flight, FlightView, Progress, fly
+from mufly.flight.parameters import Parameter
 from mufly.flight.pictures import draw_flight
+from mufly.flight.plant import Demand, respond
 from mufly.flight.recorder import Recorder
-from mufly.flight.response import Demand, respond
-from mufly.flight.software import FlightSoftware
+from mufly.flight.software import Actuators, Controllers, FlightSoftware
 from mufly.flight.summary import Summary, summarise, summary_rows
-from mufly.flight.view import FlightView
-from mufly.logs.layout import Event, standard_layout
 from mufly.logs.recording import events_of, read_attachments, read_recording, to_csv
+from mufly.logs.signals import Event, standard_layout
 from mufly.mission import SetPoint
 
 __all__ = [

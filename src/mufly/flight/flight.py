@@ -1,44 +1,126 @@
-"""A flight that ticks: the true helicopter, its autopilot and the recorder, one period of the controllers at a time.
-
-One period at time ``t_k``::
-
-    plant integrated from t_(k-1) to t_k under a_(k-2) and the wind
-    measurement(t_k) --> autopilot.step --> actuators a_k         takes effect at t_(k+1)
-    a row of the recording, every second period
-
-The delay of one period is that of a processor that needs the period to compute. Nothing here knows of the clock on
-the wall: :func:`mufly.flight.fly` ticks as fast as it can, a link in real time.
-"""
+"""Everything there is to see of a flight at one instant, for links and pictures."""
 
 from __future__ import annotations
 
 import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
 
 from mufly.control import FlightController, design
 from mufly.dynamics import (
     DrydenWind,
+    euler_from_quaternion,
     initial_state,
     standing_height,
 )
 from mufly.flight.autopilot import Autopilot
-from mufly.flight.controllers import Actuators
-from mufly.flight.plant import Plant
+from mufly.flight.plant import Plant, row_writer
 from mufly.flight.recorder import Recorder
-from mufly.flight.rows import row_writer
-from mufly.flight.view import FlightView
-from mufly.logs.layout import Event, standard_layout
-from mufly.mission import Mission, dump_mission, load_mission
+from mufly.flight.software import Actuators
+from mufly.logs.signals import Event, standard_layout
+from mufly.mission import Estimate, Mission, dump_mission, load_mission, preflight
 from mufly.sensors import Measurement
 from mufly.vehicle import Vehicle, load_vehicle, vehicle_toml
 from mufly.version import __version__
 
-__all__ = ["Flight"]
+_Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class FlightView:
+    """Everything there is to see of a flight at one instant; SI units, N-E-D.
+
+    Attributes
+    ----------
+    time_s : float
+    measured : Measurement
+    actuators : Actuators
+        What acts at this instant.
+    reference : tuple of three (3,) arrays
+        What is being followed: position, velocity, and roll, pitch, yaw.
+    state : (21,) array
+        The truth: state of the flight model (:mod:`mufly.dynamics.state`).
+    rotor_speed : (2,) array
+        Of it: upper, lower (rad/s).
+    wind : (3,) array
+        Velocity of the air (m/s).
+    battery_voltage, battery_current, battery_charge : float
+        V, A, 0..1.
+    battery_left_s : float
+        How long it will last until it lands for low voltage (s), with the current of late; on the floor, of hover.
+    crashed : str
+        What it hit, or "".
+    """
+
+    time_s: float
+    measured: Measurement
+    actuators: Actuators
+    reference: tuple[_Array, _Array, _Array]
+    state: _Array
+    rotor_speed: _Array
+    wind: _Array
+    battery_voltage: float
+    battery_current: float
+    battery_charge: float
+    battery_left_s: float
+    crashed: str
+
+    @property
+    def reference_position(self) -> _Array:
+        """N, E, D that is followed (m)."""
+        return self.reference[0]
+
+    @property
+    def reference_velocity(self) -> _Array:
+        """N, E, D that is followed (m/s)."""
+        return self.reference[1]
+
+    @property
+    def reference_attitude(self) -> _Array:
+        """Roll, pitch, yaw that is followed (rad)."""
+        return self.reference[2]
+
+    @property
+    def position(self) -> _Array:
+        """True N, E, D (m)."""
+        return self.state[0:3]
+
+    @property
+    def velocity(self) -> _Array:
+        """True N, E, D (m/s)."""
+        return self.state[3:6]
+
+    @property
+    def attitude(self) -> _Array:
+        """True roll, pitch, yaw (rad, yaw in +-pi)."""
+        return euler_from_quaternion(self.state[6:10])
+
+    @property
+    def rates(self) -> _Array:
+        """True p, q, r (rad/s)."""
+        return self.state[10:13]
+
+
+# ----------------------------------------------------------------------------
+# A flight that ticks: the true helicopter, its autopilot and the recorder, one period of the controllers at a time.
+#
+# One period at time ``t_k``::
+#
+#     plant integrated from t_(k-1) to t_k under a_(k-2) and the wind
+#     measurement(t_k) --> autopilot.step --> actuators a_k         takes effect at t_(k+1)
+#     a row of the recording, every second period
+#
+# The delay of one period is that of a processor that needs the period to compute. Nothing here knows of the clock on
+# the wall: :func:`mufly.flight.fly` ticks as fast as it can, a link in real time.
+
 
 RECORD_HZ = 100.0
 RING_HZ = 25.0
@@ -258,3 +340,147 @@ class Flight:
         else:
             self._finished = True
             self.recorder.__exit__(kind, error, trace)
+
+
+# ----------------------------------------------------------------------------
+# A mission flown to its end: a :class:`mufly.flight.Flight` that is armed, started and ticked until it is over.
+
+
+PROGRESS_S = 0.1  # wall-clock time between two calls of on_progress
+RECORDED_AFTER_S = 0.5  # recorded after the mission has ended
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """What is happening, for a display. Times in s, position N, E, D in m."""
+
+    time_s: float
+    expected_s: float
+    state: str
+    position: NDArray[np.float64]
+    battery_V: float
+    battery_charge: float
+    realtime_factor: float
+
+
+def fly(
+    vehicle: Vehicle | str | Path,
+    mission: Mission | str | Path = "demonstration",
+    *,
+    controller: FlightController | None = None,
+    wind: ArrayLike | None = None,
+    gust: float | None = None,
+    seed: int = 0,
+    realtime: bool = False,
+    path: str | Path | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+    on_event: Callable[[Event], None] | None = None,
+) -> xr.Dataset:
+    """Fly a mission on the full nonlinear model.
+
+    Parameters
+    ----------
+    vehicle : Vehicle, str or Path
+        Or the name or file of one.
+    mission : Mission, str or Path
+        Or the name or file of one.
+    controller : FlightController, optional
+        By default ``mufly.control.design(vehicle)``.
+    wind : (3,) array_like, optional
+        Steady wind N-E-D (m/s), instead of the mission's.
+    gust : float, optional
+        Standard deviation of the gusts (m/s), instead of the mission's.
+    seed : int
+        Seed of everything random (today: the gusts).
+    realtime : bool
+        Keep pace with the clock instead of flying as fast as the machine can.
+    path : str or Path, optional
+        MCAP file to record to, block by block as it flies; in memory only without it.
+    on_progress : callable, optional
+        Called with a :class:`Progress` about ten times a second.
+    on_event : callable, optional
+        Called with every :class:`Event`: changes of the mission's state, with the reason, and what went wrong.
+
+    Returns
+    -------
+    xarray.Dataset
+        The recording (docs/recordings.md). ``attrs["outcome"]`` is ``"succeeded"`` or ``"failed"``, with
+        ``attrs["reason"]``.
+
+    Raises
+    ------
+    MuflyError
+        Before anything runs, if vehicle or mission is impossible. A flight that fails raises nothing.
+    """
+    if not isinstance(vehicle, Vehicle):
+        vehicle = load_vehicle(vehicle)
+    if not isinstance(mission, Mission):
+        mission = load_mission(mission)
+    estimate = preflight(vehicle, mission)
+    with Flight(
+        vehicle, mission, controller=controller, wind=wind, gust=gust, seed=seed, path=path
+    ) as flight:
+        if on_event is not None:
+            flight.autopilot.listeners.append(on_event)
+        slower = flight.autopilot.software.slower
+        if slower:
+            flight.note(f"slower than asked, as the controllers can: {slower}", "warning")
+        wall_s = _run(flight, estimate, _time_limit(mission, estimate), realtime, on_progress)
+        outcome, reason = _judge(flight)
+        flight.close(outcome, reason, realtime_factor=flight.time_s / max(wall_s, 1e-9))
+    return flight.recorder.dataset()
+
+
+def _time_limit(mission: Mission, estimate: Estimate) -> float:
+    """When a flight is taken to be stuck (s)."""
+    limit = 3.0 * estimate.duration_s + 60.0 + len(mission.waypoint) * mission.avoidance.give_up_s
+    # One that holds at the end does so until its battery is low.
+    return limit + estimate.duration_s / estimate.fraction if mission.at_end == "hover" else limit
+
+
+def _run(
+    flight: Flight,
+    estimate: Estimate,
+    time_limit: float,
+    realtime: bool,
+    on_progress: Callable[[Progress], None] | None,
+) -> float:
+    """Fly until the mission has ended, the vehicle has crashed or time is up; return the wall time (s)."""
+    # The mission was checked as a whole (preflight); whether to arm is a question for a real one.
+    flight.autopilot.arm(force=True, quiet=True)
+    flight.autopilot.start_mission()
+    software, plant = flight.autopilot.software, flight.plant
+    began = shown = time.perf_counter()
+    ended_at = math.inf
+    while flight.time_s < ended_at + RECORDED_AFTER_S:
+        flight.tick()
+        now = time.perf_counter()
+        if on_progress is not None and now - shown > PROGRESS_S:
+            shown = now
+            on_progress(_progress(flight, estimate.duration_s, now - began))
+        if realtime and flight.time_s > now - began:
+            time.sleep(flight.time_s - (now - began))
+        if ended_at == math.inf and (software.finished or plant.crashed or flight.time_s > time_limit):
+            ended_at = flight.time_s
+    return time.perf_counter() - began
+
+
+def _progress(flight: Flight, expected_s: float, wall_s: float) -> Progress:
+    plant = flight.plant
+    return Progress(
+        time_s=flight.time_s,
+        expected_s=expected_s,
+        state=flight.autopilot.software.state,
+        position=plant.state[0:3].copy(),
+        battery_V=float(plant.voltage),
+        battery_charge=float(plant.state[20]),
+        realtime_factor=flight.time_s / max(wall_s, 1e-9),
+    )
+
+
+def _judge(flight: Flight) -> tuple[str, str]:
+    outcome, reason = flight.judge()
+    if outcome == "unfinished":
+        state = flight.autopilot.software.state
+        return "failed", f"the mission was not over after {flight.time_s:.0f} s (state: {state})"
+    return outcome, reason

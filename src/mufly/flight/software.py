@@ -1,40 +1,31 @@
-"""The flight software: what runs on board, as a function of time steps.
-
-``step(measurement, command) -> actuators``, called at the control design's rate. It knows nothing of the simulator.
-The mission logic runs in every n-th step, with the position cascade (50 Hz), and says what the motors are to do and
-what to follow:
-
-=========== =========================================================================================
-off         motors and servos at rest
-spin_up     motor inputs rise to 0.9 of hover, too little to lift off; servos at trim
-fly         heave-yaw controller; from 2 cm above the floor also roll-pitch and, every n-th step, position
-ramp_down   after touchdown motor inputs fall to zero
-blind       measurements are lost: servos at trim, which the stabiliser bar makes a level attitude, and motor
-            voltages a little below those of the last second, until the floor has come
-=========== =========================================================================================
-
-Between two steps of the mission logic its reference is carried on at the reference velocity. Where the mission asks
-for more than the controllers can follow, it is flown more slowly (:mod:`mufly.mission.pace`). Measurements that are
-missing or frozen are bridged for half a second (:mod:`mufly.flight.watch`), then the flight is given up.
-"""
+"""The low level of the flight software: controllers with their state, from references to actuators."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
+import math
+from dataclasses import dataclass, replace
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.control import FlightController
-from mufly.flight.controllers import Actuators, Controllers, able
-from mufly.flight.open_loop import ramp_down, sink, spin_up, way_down_s
-from mufly.flight.watch import Watch, watch
+from mufly.control import (
+    FlightController,
+    heave_wait,
+    heave_yaw_initial,
+    heave_yaw_step,
+    position_initial,
+    position_step,
+    roll_pitch_initial,
+    roll_pitch_step,
+)
 from mufly.mission import (
     NO_SIGNAL,
     RAMP_DOWN_S,
+    SPIN_UP_S,
     Command,
     Event,
+    Limits,
     Mission,
     MissionPlan,
     MissionState,
@@ -52,7 +43,353 @@ from mufly.mission import (
 from mufly.sensors import Measurement
 from mufly.vehicle import Vehicle
 
-__all__ = ["FlightSoftware"]
+_Array = NDArray[np.floating[Any]]
+
+HEAVE_YAW_TUNED = (
+    "heave_bandwidth",
+    "heave_acceleration",
+    "heave_speed",
+    "yaw_bandwidth",
+    "yaw_acceleration",
+    "yaw_rate",
+)
+POSITION_TUNED = ("position_gain", "speed_limit", "tilt_limit")
+"""Numbers of the control law that may change in flight: limits, and gains outside of the H-infinity controllers."""
+
+RETUNE_S = 0.5
+"""Time constant with which a changed number is gone over to (s): a step of a gain would be a step of the output."""
+
+
+@dataclass(frozen=True, slots=True)
+class Actuators:
+    """What the flight software sends out.
+
+    Attributes
+    ----------
+    motor_input : (2,) array
+        Upper, lower (0..1).
+    servo_input : (2,) array
+        Servo 1 (positive: nose down), servo 2 (positive: to the right); -1..1.
+    """
+
+    motor_input: _Array
+    servo_input: _Array
+
+    @classmethod
+    def idle(cls) -> Actuators:
+        """Everything at rest."""
+        return cls(np.zeros(2), np.zeros(2))
+
+    @property
+    def array(self) -> _Array:
+        """The input of the flight model: motor upper, motor lower, servo 1, servo 2."""
+        return np.concatenate((self.motor_input, self.servo_input))
+
+
+def able(controller: FlightController) -> Limits:
+    """What the controllers can follow: limits of their reference filters and of the position cascade."""
+    heave_yaw, position = controller.heave_yaw_gains, controller.position_gains
+    speed = float(heave_yaw["heave_speed"])
+    return Limits(
+        speed=float(position["speed_limit"]),
+        climb=speed,
+        descent=speed,
+        acceleration=float(position["tilt_limit"] * position["gravity"]),
+        climb_acceleration=float(heave_yaw["heave_acceleration"]),
+        yaw_rate=float(heave_yaw["yaw_rate"]),
+        yaw_acceleration=float(heave_yaw["yaw_acceleration"]),
+    )
+
+
+class Controllers:
+    """Heave-yaw, roll-pitch and position control of one vehicle, with the states they carry along.
+
+    Parameters
+    ----------
+    design : FlightController
+        From :func:`mufly.control.design`.
+    """
+
+    def __init__(self, design: FlightController) -> None:
+        self._design = self._target = design
+        self._settled = True
+        self._heave_yaw: _Array = np.zeros(0)
+        self._roll_pitch = roll_pitch_initial(design.roll_pitch_gains)
+        self._position = position_initial(design.position_gains)
+
+    def retune(self, design: FlightController) -> None:
+        """Go over to the numbers of ``design``, which differs from the present one only in those that are tuned."""
+        if self._settled:
+            now = self._design
+            self._design = replace(
+                now,
+                heave_yaw_gains=copied(now.heave_yaw_gains),
+                position_gains=copied(now.position_gains),
+            )
+        self._target, self._settled = design, False
+
+    def _go_over(self) -> None:
+        """One period of going over to the target's numbers."""
+        blend = 1.0 - math.exp(-self._design.period_s / RETUNE_S)
+        far = False
+        for mine, wanted, names in (
+            (self._design.heave_yaw_gains, self._target.heave_yaw_gains, HEAVE_YAW_TUNED),
+            (self._design.position_gains, self._target.position_gains, POSITION_TUNED),
+        ):
+            for name in names:
+                gap = float(wanted[name]) - float(mine[name])
+                mine[name] += blend * gap
+                far = far or abs(gap) > 1e-4 * abs(float(wanted[name]))
+        if not far:
+            self._design, self._settled = self._target, True
+
+    def engage(self, measured: Measurement, motor_input: _Array) -> None:
+        """Let heave-yaw take over, without a bump, from motors that run at ``motor_input`` (upper, lower)."""
+        self._heave_yaw = heave_yaw_initial(
+            self._design.heave_yaw_gains, _heave_yaw(measured), motor_input, measured.battery_voltage
+        )
+
+    def lift_off(self, measured: Measurement) -> None:
+        """Let roll-pitch and position take over, from neutral servos."""
+        self._roll_pitch = roll_pitch_initial(self._design.roll_pitch_gains, _roll_pitch(measured))
+        self._position = position_initial(self._design.position_gains)
+
+    def tilt_for(
+        self, measured: Measurement, position: _Array, velocity: _Array, acceleration: _Array
+    ) -> _Array:
+        """Advance the position cascade by one of its periods.
+
+        Parameters
+        ----------
+        measured : Measurement
+        position, velocity, acceleration : (3,) array
+            References, N-E-D (m, m/s, m/s2).
+
+        Returns
+        -------
+        (2,) array
+            Roll and pitch to hold (rad).
+        """
+        tilt, self._position = position_step(
+            self._design.position_gains,
+            self._position,
+            position,
+            velocity,
+            acceleration,
+            measured.position,
+            measured.velocity,
+            measured.attitude[2],
+        )
+        return tilt
+
+    def step(self, measured: Measurement, heave_yaw: _Array, tilt: _Array | None) -> Actuators:
+        """Advance heave-yaw, and roll-pitch unless ``tilt`` is None, by one period.
+
+        Parameters
+        ----------
+        measured : Measurement
+        heave_yaw : (4,) array
+            References: z (m, down), psi (rad, continuous) and their rates.
+        tilt : (2,) array or None
+            References: roll, pitch (rad). None leaves the servos neutral: on its legs the helicopter cannot tilt,
+            and a controller that tries winds up.
+
+        Returns
+        -------
+        Actuators
+        """
+        if not self._settled:
+            self._go_over()
+        servo: _Array = np.zeros(2)
+        if tilt is not None:
+            self._heave_yaw = heave_wait(
+                self._design.heave_yaw_gains, self._heave_yaw, float(measured.position[2])
+            )
+            servo, self._roll_pitch = roll_pitch_step(
+                self._design.roll_pitch_gains, self._roll_pitch, tilt, _roll_pitch(measured)
+            )
+        motor, self._heave_yaw = heave_yaw_step(
+            self._design.heave_yaw_gains,
+            self._heave_yaw,
+            heave_yaw,
+            _heave_yaw(measured),
+            measured.battery_voltage,
+        )
+        return Actuators(motor, servo)
+
+
+def copied(record: np.void) -> np.void:
+    """A record of its own with the same numbers, which may be written to."""
+    own = np.zeros((), dtype=record.dtype)  # np.array(record) would share its memory
+    own[...] = record
+    return cast(np.void, own[()])
+
+
+def _heave_yaw(m: Measurement) -> _Array:
+    return np.array([m.position[2], m.attitude[2], m.rates[2]])
+
+
+def _roll_pitch(m: Measurement) -> _Array:
+    return np.array([m.attitude[0], m.attitude[1], m.rates[0], m.rates[1]])
+
+
+# ----------------------------------------------------------------------------
+# Motors without a controller: speeding up and running down on the floor, and coming down when measurements are lost.
+#
+# Two rotors at a share s of the voltages that hold the helicopter up turn s times as fast and lift s^2 times as much.
+# Speeding up to 0.9 leaves a fifth of the weight on the legs. Sinking blindly at 0.98 the weight is 0.04 short: it
+# falls
+# at 0.04 g and touches down from 2 m at 1.3 m/s (drag left out).
+
+
+SPIN_UP_SHARE = 0.9
+SINK_SHARE = 0.98
+_MARGIN_S = 1.0
+
+
+def spin_up(hover_V: _Array, elapsed_s: float, battery_V: float) -> _Array:
+    """Motor inputs (2,) while the rotors speed up, ``elapsed_s`` (s) after they began.
+
+    Half of the time is to rise, half for the slow upper rotor to follow.
+
+    Parameters
+    ----------
+    hover_V : (2,) array
+        Motor voltages of hover (V).
+    elapsed_s, battery_V : float
+    """
+    share = SPIN_UP_SHARE * min(1.0, 2.0 * elapsed_s / SPIN_UP_S)
+    return np.minimum(share * hover_V / battery_V, 1.0)
+
+
+def ramp_down(released: _Array, elapsed_s: float) -> _Array:
+    """Motor inputs (2,) after touchdown: from ``released`` (2,) to zero within a second."""
+    return released * max(0.0, 1.0 - elapsed_s / RAMP_DOWN_S)
+
+
+def sink(held_up_V: _Array, left_s: float, battery_V: float) -> _Array:
+    """Motor inputs (2,) of a blind way down: a little below what held it up (V), to zero in its last second."""
+    share = SINK_SHARE * min(1.0, left_s / RAMP_DOWN_S)
+    return np.minimum(share * held_up_V / battery_V, 1.0)
+
+
+def way_down_s(height_m: float, gravity: float) -> float:
+    """How long a blind way down takes from a height (m), with a second to spare (s); ``gravity`` in m/s2."""
+    return math.sqrt(2.0 * max(0.0, height_m) / ((1.0 - SINK_SHARE**2) * gravity)) + _MARGIN_S
+
+
+# ----------------------------------------------------------------------------
+# Measurements that cannot be right: bridged for a moment, then reported as lost.
+#
+# A value that is not finite, or all of position, velocity, attitude and rates repeated to the last bit (a sensor or
+# link
+# that hangs; in flight the battery alone sees to it that something moves), is a fault. The last good values stand in
+# for
+# it. That is good for as long as they are nearly true; how long it has lasted is told to the flight software.
+#
+# Ranges that are not finite count as nothing seen. A voltage that is not positive is replaced by the last good one,
+# for
+# as long as it takes: the battery changes slowly, and the control law bounds what it believes.
+
+
+_VITAL = ("position", "velocity", "attitude", "rates")
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """What is remembered from one measurement to the next.
+
+    Attributes
+    ----------
+    values : list of 12 floats
+        Position, velocity, attitude and rates as they came last.
+    good : Measurement
+        The last good value of each quantity.
+    lost_s : float
+        For how long position, velocity, attitude or rates have been missing or frozen (s).
+    what : str
+        Which, in words.
+    """
+
+    values: list[float]
+    good: Measurement
+    lost_s: float = 0.0
+    what: str = ""
+
+
+def watch(before: Watch | None, m: Measurement, period_s: float, max_range_m: float) -> Watch:
+    """Judge a measurement.
+
+    Parameters
+    ----------
+    before : Watch or None
+        From the measurement before; None at the first.
+    m : Measurement
+        As received.
+    period_s : float
+        Time since the one before (s), by the clock of the flight software.
+    max_range_m : float
+        What a beam that sees nothing returns (m).
+
+    Returns
+    -------
+    Watch
+        Its ``good`` is the measurement to work with: finite, and on a clock that moves on.
+    """
+    values = [*m.position.tolist(), *m.velocity.tolist(), *m.attitude.tolist(), *m.rates.tolist()]
+    frozen = before is not None and values == before.values
+    later = before is None or m.time_s > before.good.time_s
+    # The sum of finite numbers of any sensible size is finite: one question for all, since this runs in every period.
+    whole = math.isfinite(sum(values)) and math.isfinite(m.time_s) and later
+    seen = (before is not None and m.ranges is before.good.ranges) or math.isfinite(sum(m.ranges.tolist()))
+    if whole and seen and 0.0 < m.battery_voltage < math.inf and not frozen:
+        return Watch(values, m)
+    bad = [name for name in _VITAL if not np.all(np.isfinite(getattr(m, name)))]
+    good = _mended(before, m, bad, period_s, max_range_m)
+    if not bad and not frozen:
+        return Watch(values, good)
+    lost_s = 0.0 if before is None else before.lost_s
+    return Watch(values, good, lost_s + period_s, " and ".join(bad) or "all, which is frozen")
+
+
+def _mended(
+    before: Watch | None, m: Measurement, bad: list[str], period_s: float, max_range_m: float
+) -> Measurement:
+    """The measurement with the last good values in place of bad ones; zero where there are none yet."""
+    replaced: dict[str, Any] = {
+        name: np.zeros(3) if before is None else getattr(before.good, name) for name in bad
+    }
+    last_s = 0.0 if before is None else before.good.time_s
+    if not math.isfinite(m.time_s) or (before is not None and m.time_s <= last_s):
+        replaced["time_s"] = last_s + period_s
+    if not np.all(np.isfinite(m.ranges)):
+        replaced["ranges"] = np.where(np.isfinite(m.ranges), m.ranges, max_range_m)
+    if not 0.0 < m.battery_voltage < math.inf:
+        replaced["battery_voltage"] = 1.0 if before is None else before.good.battery_voltage
+    return replace(m, **replaced)
+
+
+# ----------------------------------------------------------------------------
+# The flight software: what runs on board, as a function of time steps.
+#
+# ``step(measurement, command) -> actuators``, called at the control design's rate. It knows nothing of the simulator.
+# The mission logic runs in every n-th step, with the position cascade (50 Hz), and says what the motors are to do and
+# what to follow:
+#
+# =========== =========================================================================================
+# off         motors and servos at rest
+# spin_up     motor inputs rise to 0.9 of hover, too little to lift off; servos at trim
+# fly         heave-yaw controller; from 2 cm above the floor also roll-pitch and, every n-th step, position
+# ramp_down   after touchdown motor inputs fall to zero
+# blind       measurements are lost: servos at trim, which the stabiliser bar makes a level attitude, and motor
+#             voltages a little below those of the last second, until the floor has come
+# =========== =========================================================================================
+#
+# Between two steps of the mission logic its reference is carried on at the reference velocity. Where the mission asks
+# for more than the controllers can follow, it is flown more slowly (:mod:`mufly.mission.check`). Measurements that
+# are
+# missing or frozen are bridged for half a second (:mod:`mufly.flight.software`), then the flight is given up.
+
 
 LIFT_OFF_M = 0.02
 LOST_S = 0.5

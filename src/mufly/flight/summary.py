@@ -32,8 +32,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from mufly.world import World, distances
 
-__all__ = ["Summary", "WaypointResult", "summarise", "summary_rows"]
-
 LEG_STATES = ("waypoint", "obstacle")
 NEAR_M = 0.5
 AIRBORNE_M = 0.01

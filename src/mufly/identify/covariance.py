@@ -1,17 +1,16 @@
-"""How sure are the estimates, and which directions in their space do the data not see?
+"""Covariance of estimates when residuals are coloured, and what the data cannot tell apart, in words.
 
-With whitened sensitivities ``S`` (start values eliminated), residual ``e`` and the priors' information ``P``::
+An output-error fit minimises ``sum_i e_i^T W e_i`` with sensitivities ``S_i = d y_i / d theta``. If the residuals
+were white with covariance ``W^-1`` the covariance of the estimates would be the Cramer-Rao bound ``M^-1``,
+``M = sum_i S_i^T W S_i``. Residuals of flight data are not white (vibration, wind, what the model leaves out), and the
+bound is then too small by a factor of 5 to 10 in standard deviation. With the residuals' autocorrelation
+``R(k) = <e_i e_(i+k)^T>`` the covariance of the same estimate is (Morelli and Klein 1997, "Accuracy of aerodynamic
+model parameters estimated from flight test data", J. Guidance 20(1); Klein and Morelli, Sec. 6.3)
 
-    H = S^T S + P                                                Cramer-Rao: covariance H^-1 for white residuals
-    covariance = H^-1 (sum_ij S_i^T R(i - j) S_j + P) H^-1       coloured residuals, R their autocorrelation
+    Cov = M^-1 [ sum_i sum_j S_i^T W R(i - j) W S_j ] M^-1
 
-(Maine and Iliff, NASA RP 1168, Sec. 8.2; Klein and Morelli, Sec. 6.3). ``R`` is estimated from the residuals with
-Parzen's window, which reaches twice as far as the autocorrelation stands out of its noise (3.9 deviations); where
-none does, the residual counts as white, because the estimate of a correlation that is not there only adds noise.
-No variance is taken to be smaller than Cramer-Rao's.
-
-Directions come from the singular values of ``S`` alone: along a singular vector with value ``s`` the data leave
-``theta`` open by ``1/s``. ``theta`` is a logarithm, so 0.5 means a factor of 1.6.
+``R`` is estimated from the residuals themselves with a Parzen lag window, which keeps the bracket positive
+semi-definite. Convolution makes the double sum an FFT.
 """
 
 from __future__ import annotations
@@ -20,12 +19,202 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import fftconvolve
+from scipy.signal import correlate, fftconvolve
 
-from mufly.identify.free import Free
-from mufly.identify.uncertainty import parzen
+from mufly.identify.flight.problem import Free
 
-__all__ = ["colour_reach", "covariance_of", "unseen_in_words"]
+Array = NDArray[np.float64]
+
+
+def parzen(lags: int) -> Array:
+    """Return Parzen's lag window at lags -lags..lags; its transform is never negative."""
+    x = np.abs(np.arange(-lags, lags + 1)) / max(lags, 1)
+    return np.where(x <= 0.5, 1.0 - 6.0 * x**2 + 6.0 * x**3, 2.0 * np.clip(1.0 - x, 0.0, None) ** 3)
+
+
+def coloured_covariance(
+    sensitivity: Array, residual: Array, weight: Array, *, max_lag: int | None = None
+) -> tuple[Array, Array]:
+    """Return the covariance of an output-error estimate, corrected for coloured residuals, and the plain bound.
+
+    Parameters
+    ----------
+    sensitivity : (n, m, p) array
+        Of the ``m`` outputs to the ``p`` parameters; zero where nothing was measured.
+    residual : (n, m) array
+        Zero where nothing was measured.
+    weight : (m,) array
+        Inverse variances used in the fit.
+    max_lag : int, optional
+        Of the autocorrelation, in samples; default a fifth of the record.
+
+    Returns
+    -------
+    covariance : (p, p) array
+        Never smaller than the plain bound on its diagonal.
+    bound : (p, p) array
+        Cramer-Rao bound for white residuals.
+    """
+    n, m, p = sensitivity.shape
+    weighted = sensitivity * weight[None, :, None]
+    information = np.einsum("nmp,nmq->pq", sensitivity, weighted)
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    inverse = np.linalg.pinv(information / np.outer(scale, scale), rcond=1e-13, hermitian=True)
+    bound = inverse / np.outer(scale, scale)
+    lags = min(n - 1, max(1, n // 5 if max_lag is None else max_lag))
+    window = parzen(lags)
+    middle = np.zeros((p, p))
+    for a in range(m):
+        for b in range(m):
+            r = np.asarray(correlate(residual[:, b], residual[:, a], mode="full", method="fft")) / n
+            r = r[n - 1 - lags : n + lags] * window
+            # sum_ij S_i,a r_ab(j - i) S_j,b
+            spread = fftconvolve(
+                weighted[:, b, :], r[::-1, None], mode="same" if n > r.size else "full", axes=0
+            )
+            if spread.shape[0] != n:
+                start = (spread.shape[0] - n) // 2
+                spread = spread[start : start + n]
+            middle += weighted[:, a, :].T @ spread
+    middle = 0.5 * (middle + middle.T)
+    covariance = bound @ middle @ bound
+    # A few correlated samples can make the estimate of R smaller than white noise would be: keep the larger.
+    d, d0 = np.diag(covariance), np.diag(bound)
+    factor = np.sqrt(np.maximum(1.0, d0 / np.maximum(d, 1e-300)))
+    return covariance * np.outer(factor, factor), bound
+
+
+def correlation_of(covariance: Array) -> Array:
+    """Return the correlation matrix of a covariance."""
+    std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    return np.clip(covariance / np.outer(std, std), -1.0, 1.0)
+
+
+def unseen_directions(
+    symbols: tuple[str, ...],
+    values: Array,
+    std: Array,
+    correlation: Array,
+    *,
+    close: float = 0.98,
+    wide: float = 1.0,
+) -> tuple[str, ...]:
+    """Say which parameters, or combinations, the data do not determine.
+
+    Parameters
+    ----------
+    symbols : tuple of str
+    values, std : (p,) array
+    correlation : (p, p) array
+    close : float
+        Pairs with a larger correlation cannot be told apart.
+    wide : float
+        A parameter whose standard deviation exceeds this share of its size is not determined.
+    """
+    said = []
+    for i, j in zip(*np.triu_indices(len(symbols), 1), strict=True):
+        c = float(correlation[i, j])
+        if abs(c) >= close:
+            what = "difference (or ratio)" if c > 0.0 else "sum (or product)"
+            said.append(
+                f"{symbols[i]} and {symbols[j]} cannot be told apart (correlation {c:+.3f}): the data see "
+                f"their {what}, not each"
+            )
+    for symbol, value, s in zip(symbols, values, std, strict=True):
+        if not np.isfinite(s):
+            said.append(f"{symbol} is not seen by the data at all")
+        elif s > wide * max(abs(value), 1e-12):
+            said.append(f"{symbol} is not determined: {value:.3g} with a standard deviation of {s:.2g}")
+    return tuple(said)
+
+
+# ----------------------------------------------------------------------------
+# Combinations of parameters that data do not tell apart, in words; pairs are :mod:`mufly.identify.covariance`'s.
+#
+# With the covariance C of parameters in relative terms, C_ij = cov_ij / (theta_i theta_j), the eigenvectors of C with
+# large eigenvalues are the directions that the data hardly see: moving all parameters along one of them, each by its
+# share, changes nothing that was measured by more than its error. A direction is named if its standard deviation
+# exceeds ``WIDE`` and it is not one parameter alone, or if a single parameter is known no better than that.
+
+
+WIDE = 0.5  # relative standard deviation from which a direction counts as unseen
+_NO_BOUND = 100.0  # relative standard deviation that says nothing
+_SHARE = 0.15  # of the largest part of a direction, below which a parameter is left out of the sentence
+
+
+def relative_covariance(information: Array, values: Array) -> Array:
+    """Return the covariance of relative parameters from a Fisher information in SI units.
+
+    Directions without information get a relative standard deviation of 1e6 instead of infinity.
+
+    Parameters
+    ----------
+    information : (p, p) array
+    values : (p,) array
+        Parameters, not zero.
+    """
+    relative = information * np.outer(values, values)
+    size, vectors = np.linalg.eigh(0.5 * (relative + relative.T))
+    return (vectors / np.maximum(size, 1e-12)) @ vectors.T
+
+
+def direction_in_words(symbols: Sequence[str], direction: Array, std: float) -> str:
+    """Describe one direction of relative changes."""
+    largest = int(np.argmax(np.abs(direction)))
+    share = direction / direction[largest]
+    parts = [k for k in np.argsort(-np.abs(share)) if abs(share[k]) >= _SHARE]
+    if len(parts) == 1:
+        if std > _NO_BOUND:
+            return f"{symbols[largest]} is not seen at all"
+        return f"{symbols[largest]} is hardly seen: {_percent(std)} of its value"
+    if len(parts) == 2:
+        other = parts[1]
+        if abs(abs(share[other]) - 1.0) < 0.2:
+            kind = "ratio" if share[other] > 0 else "product"
+            return f"only the {kind} of {symbols[largest]} and {symbols[other]} is seen ({_percent(std)} along it)"
+    moves = " with ".join(f"{symbols[k]} {10 * share[k]:+.0f} %" for k in parts)
+    return f"{moves} changes nothing that the data show ({_percent(std)} along it)"
+
+
+def _percent(std: float) -> str:
+    return "no bound" if std > _NO_BOUND else f"standard deviation {100 * std:.0f} %"
+
+
+def unseen_combinations(symbols: Sequence[str], covariance: Array, *, wide: float = WIDE) -> tuple[str, ...]:
+    """Name the directions that data do not determine.
+
+    Parameters
+    ----------
+    symbols : sequence of str
+    covariance : (p, p) array
+        Of the relative parameters.
+    wide : float
+        Relative standard deviation from which a direction is named.
+    """
+    size, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    return tuple(
+        direction_in_words(symbols, vectors[:, k], float(np.sqrt(size[k])))
+        for k in np.argsort(-size)
+        if size[k] > wide**2
+    )
+
+
+# ----------------------------------------------------------------------------
+# How sure are the estimates, and which directions in their space do the data not see?
+#
+# With whitened sensitivities ``S`` (start values eliminated), residual ``e`` and the priors' information ``P``::
+#
+#     H = S^T S + P                                                Cramer-Rao: covariance H^-1 for white residuals
+#     covariance = H^-1 (sum_ij S_i^T R(i - j) S_j + P) H^-1       coloured residuals, R their autocorrelation
+#
+# (Maine and Iliff, NASA RP 1168, Sec. 8.2; Klein and Morelli, Sec. 6.3). ``R`` is estimated from the residuals with
+# Parzen's window, which reaches twice as far as the autocorrelation stands out of its noise (3.9 deviations); where
+# none does, the residual counts as white, because the estimate of a correlation that is not there only adds noise.
+# No variance is taken to be smaller than Cramer-Rao's.
+#
+# Directions come from the singular values of ``S`` alone: along a singular vector with value ``s`` the data leave
+# ``theta`` open by ``1/s``. ``theta`` is a logarithm, so 0.5 means a factor of 1.6.
+
 
 _Array = NDArray[np.float64]
 

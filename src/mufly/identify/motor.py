@@ -1,53 +1,384 @@
-"""Motor constants from a bench: the stationary motor equations, fitted with errors in every channel.
+"""What is assumed of the errors of a channel: a share of the reading, a share of full scale, an absolute part.
 
-At rest eqs. 4.24, 4.25, 4.27 and 4.28 of the dissertation say, with the voltage ``U = duty * supply`` at the motor,
-its current I, the speed W and the torque Q where they were measured (behind a gear of ratio i and efficiency eta, or
-i = 1 and eta = 1 at the motor's own shaft),
-
-    e1 = U - R I - a W = 0        a = kE i
-    e2 = b I - d W - Q = 0        b = kM i eta,    d = dR i^2 eta.
-
-All four readings y = (U, I, W, Q) of a point err, with covariance N. To first order ``(e1, e2)`` then have the
-covariance ``S = E N E'`` with ``E = [[1, -R, -a, 0], [0, b, -d, -1]]``, and the most likely constants minimise
-
-    sum over points of  e' S^-1 e
-
-(Deming's adjustment, Statistical Adjustment of Data, 1943; Fuller, Measurement Error Models, 1987, sec. 1.3: plain
-least squares on noisy I and W would be biased low). The expected errors are needed up to one factor for each
-equation, which the residuals give. Covariance: :mod:`mufly.bench.covariance`, with the sensitivities at the adjusted
-readings.
-
-From a, b, R, d the constants follow once i and eta are known; their own doubt is passed on. If they are not, only the
-products are seen, and only they are returned. Intervals are at 95 %.
+``"1%"`` is of the reading, ``"0.5%fs"`` of the largest reading, a bare number is in SI units; parts are added with
+``+`` and count as independent: ``"1%+0.02"``.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from mufly.bench import BenchTable, Spread, spread
 from mufly.errors import InputError
-from mufly.identify.channel_noise import ChannelNoise
-from mufly.identify.directions import unseen_combinations
-from mufly.identify.motor_data import MotorData, motor_data
-from mufly.identify.motor_equations import (
-    adjusted_readings,
-    expected_errors,
-    expected_residuals,
-    sensitivities,
-    solve_constants,
-)
+from mufly.identify.covariance import unseen_combinations
 from mufly.identify.result import Estimate
 from mufly.vehicle import Vehicle
 
-__all__ = ["GearKnowledge", "MotorFit", "fit_motor"]
-
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ChannelNoise:
+    """Standard deviation of a channel's errors.
+
+    Attributes
+    ----------
+    reading, full_scale : float
+        Shares of the reading and of the largest reading.
+    absolute : float
+        SI units of the channel.
+    """
+
+    reading: float = 0.01
+    full_scale: float = 0.003
+    absolute: float = 0.0
+
+    def std(self, value: Array) -> Array:
+        """Return standard deviations for readings (n,)."""
+        full = self.full_scale * float(np.max(np.abs(value)))
+        return np.sqrt((self.reading * value) ** 2 + full**2 + self.absolute**2)
+
+
+def parse_noise(text: str | None, channels: tuple[str, ...]) -> dict[str, ChannelNoise]:
+    """Read ``"current=1%+0.01,voltage=0.02"``; channels that are not named keep the default.
+
+    Raises
+    ------
+    InputError
+        If a channel is unknown or an amount is no number above zero.
+    """
+    result = {name: ChannelNoise() for name in channels}
+    for part in (text or "").split(","):
+        if not part.strip():
+            continue
+        name, _, amounts = (t.strip() for t in part.partition("="))
+        if name not in result:
+            raise InputError("--noise", name, "is no channel", f"use one of {', '.join(channels)}")
+        amount = {"reading": 0.0, "full_scale": 0.0, "absolute": 0.0}
+        for piece in amounts.lower().replace(" ", "").split("+"):
+            kind, number = "absolute", piece
+            if piece.endswith("%fs"):
+                kind, number = "full_scale", piece[:-3]
+            elif piece.endswith("%"):
+                kind, number = "reading", piece[:-1]
+            try:
+                value = float(number) * (1.0 if kind == "absolute" else 0.01)
+            except ValueError:
+                value = math.nan
+            if not (math.isfinite(value) and value >= 0):
+                raise InputError(
+                    "--noise", name, f"{piece!r} is no amount", "write 1%, 0.5%fs or a number in SI units"
+                )
+            amount[kind] += value
+        if not any(amount.values()):
+            raise InputError("--noise", name, "is zero", "leave it out, or give an amount above zero")
+        result[name] = ChannelNoise(**amount)
+    return result
+
+
+# ----------------------------------------------------------------------------
+# From a bench file to the four readings of a motor, checked: columns, constant channels, mistaken units.
+#
+# Mistaken units break the balance of energy: over all points ``sum Q W`` cannot exceed ``sum U I``. Where it does,
+# the
+# usual slips (rpm for rad/s, mN m for N m) are tried, and the one that mends it is named; where the file does not
+# state
+# the unit of the speed, it is taken.
+
+
+CHANNELS = ("voltage", "current", "speed", "torque")
+_RPM = math.pi / 30.0
+_SLIPS = {
+    "speed": (("rpm", _RPM), ("revolutions a second", 2 * math.pi)),
+    "torque": (("mN m", 1e-3), ("N cm", 1e-2)),
+    "current": (("mA", 1e-3),),
+    "voltage": (("mV", 1e-3),),
+}
+_POOR, _MOST = 0.02, 1.02  # efficiency below which units are doubtful, and above which they are wrong
+
+
+@dataclass(frozen=True, eq=False)
+class MotorData:
+    """Stationary points of a motor, arrays (n,): voltage at the motor, its current, speed and torque, and the run."""
+
+    voltage_V: Array
+    current_A: Array
+    speed_rad_s: Array
+    torque_Nm: Array
+    run: NDArray[np.int64]
+
+    def channels(self) -> tuple[Array, Array, Array, Array]:
+        """Return voltage, current, speed, torque."""
+        return self.voltage_V, self.current_A, self.speed_rad_s, self.torque_Nm
+
+
+def motor_data(table: BenchTable) -> tuple[MotorData, list[str]]:
+    """Return the readings of a motor bench and notes on what was guessed.
+
+    Raises
+    ------
+    InputError
+        If a column is missing, constant, or its unit cannot be right.
+    """
+    notes = list(table.notes)
+    table.require(("voltage", "speed", "torque"))
+    voltage = table["voltage"]
+    if "duty" in table:
+        table.require(("duty",))
+        duty = table["duty"]
+        outside = np.flatnonzero((duty < 0) | (duty > 1))
+        if outside.size:
+            raise InputError(
+                table.source, f"line {table.line[outside[0]]}, {table.headers['duty']}",
+                f"{duty[outside[0]]:g} is no share of the voltage", "give duty from 0 to 1, or duty_% up to 100",
+            )  # fmt: skip
+        voltage = duty * voltage
+        notes.append("voltage at the motor = duty * voltage")
+    if "current" in table or "supply_current" not in table:
+        table.require(("current",))
+        current = table["current"]
+    elif "duty" in table:
+        table.require(("supply_current",))
+        if np.any(table["duty"] == 0):
+            raise InputError(table.source, table.headers["duty"], "is 0 in a line", "leave that line out")
+        current = table["supply_current"] / table["duty"]
+        notes.append("motor current = supply current / duty (mean of the chopped current)")
+    else:
+        raise InputError(
+            table.source, table.headers["supply_current"], "is not the motor's current", "add the column duty"
+        )
+    turning = (np.abs(table["speed"]) > 0) | (np.abs(current) > 0)
+    if not turning.all():
+        notes.append(f"{int(np.sum(~turning))} lines without speed and current are left out")
+    run = table["run"].astype(np.int64) if "run" in table else np.zeros(len(table), dtype=np.int64)
+    data = {"voltage": voltage, "current": current, "speed": table["speed"], "torque": table["torque"]}
+    data = {k: v[turning] for k, v in data.items()}
+    _check_varied(table, data)
+    data = _check_units(table, data, notes)
+    return MotorData(data["voltage"], data["current"], data["speed"], data["torque"], run[turning]), notes
+
+
+def _check_varied(table: BenchTable, data: dict[str, Array]) -> None:
+    for name in ("current", "speed"):
+        v = data[name]
+        size = float(np.max(np.abs(v), initial=0.0))
+        if v.size and float(np.ptp(v)) <= 1e-3 * size:
+            header = table.headers.get(name, name)
+            raise InputError(
+                table.source,
+                header,
+                f"is constant ({v[0]:.4g} in SI units)",
+                "vary the load or the voltage between lines",
+            )
+    if data["torque"].size and not np.any(data["torque"]):
+        raise InputError(
+            table.source, table.headers["torque"], "is zero in every line",
+            "load the motor: without load only the ratio of dR and kM is seen",
+        )  # fmt: skip
+
+
+def _efficiency(data: dict[str, Array]) -> float:
+    electrical = float(np.sum(data["voltage"] * data["current"]))
+    return float(np.sum(data["torque"] * data["speed"])) / electrical if electrical > 0 else math.inf
+
+
+def _check_units(table: BenchTable, data: dict[str, Array], notes: list[str]) -> dict[str, Array]:
+    e = _efficiency(data)
+    if "speed" in table.unitless:
+        unit, factor = ("rpm", _RPM) if e > 0.95 else ("rad/s", 1.0)
+        notes.append(
+            f"speed has no unit: taken as {unit}, with which {100 * e * factor:.0f} % of the electrical power comes "
+            "out as mechanical power"
+        )
+        data = {**data, "speed": data["speed"] * factor}
+        e = _efficiency(data)
+    if e < 0:
+        raise InputError(
+            table.source,
+            "",
+            "the motor delivers no power (torque against speed)",
+            "give both with the same sign",
+        )
+    if e > _MOST:
+        # The slip that mends the balance and leaves the most power is the likeliest.
+        mended = [
+            (e * f, name, unit)
+            for name, slips in _SLIPS.items()
+            for unit, f in slips
+            if name in ("speed", "torque") and _POOR < e * f <= 1.0
+        ]
+        guess = "check the units"
+        if mended:
+            best = max(mended, key=lambda m: m[0] if m[1] == "speed" else 0.5 * m[0])
+            guess = (
+                f"{table.headers[best[1]]} is probably in {best[2]} (efficiency {100 * best[0]:.0f} %): "
+                "correct the header, or map it with --columns"
+            )
+        raise InputError(
+            table.source, "", f"the motor would deliver {e:.3g} times the power that it takes", guess
+        )
+    if e < _POOR:
+        notes.append(
+            f"only {100 * e:.2g} % of the electrical power comes out: unless the motor ran without load, a unit is "
+            "wrong (rad/s for rpm, N m for mN m)"
+        )
+    return data
+
+
+# ----------------------------------------------------------------------------
+# The stationary motor equations with errors in every reading: the likeliest constants, and the adjusted readings.
+#
+# Derivation: :mod:`mufly.identify.motor`. Constants are ``x = (R, a, b, d)`` as defined there; ``std`` (n, 4) are
+# expected errors of voltage, current, speed and torque; ``scales`` (2,) are the factors by which the residuals of the
+# two equations exceed what those errors lead to.
+
+
+# % of reading, % of full scale; the first holds unless another is clearly likelier (2 log L, as by AIC).
+_SHAPES = ((1.0, 0.2), (1.0, 0.05), (1.0, 0.5), (1.0, 2.0), (0.0, 1.0))
+_CLEARLY = 4.0
+
+
+def expected_errors(data: MotorData, noise: dict[str, ChannelNoise] | None) -> tuple[Array, str]:
+    """Return expected errors (n, 4) of the readings and what was assumed.
+
+    Without knowledge of the sensors, the likeliest of some shapes between errors that grow with the reading and errors
+    that do not; their size is found afterwards.
+    """
+    if noise is not None:
+        std = np.column_stack([noise[c].std(v) for c, v in zip(CHANNELS, data.channels(), strict=True)])
+        return std, "shape of the errors as given; their size from the residuals"
+    best, shape, least = np.empty(0), (0.0, 0.0), np.inf
+    for reading, full_scale in _SHAPES:
+        channel = ChannelNoise(0.01 * reading, 0.01 * full_scale)
+        std = np.column_stack([channel.std(v) for v in data.channels()])
+        x, scales = solve_constants(data, std, friction=True)
+        w = whitening_of(x, std, scales)
+        white = np.einsum("nij,nj->ni", w, equations(data, x))
+        minus_log = float(np.sum(white**2) - 2 * np.sum(np.log(w[:, 0, 0] * w[:, 1, 1])))
+        minus_log -= _CLEARLY if (reading, full_scale) == _SHAPES[0] else 0.0
+        if minus_log < least:
+            best, shape, least = std, (reading, full_scale), minus_log
+    words = " and ".join(
+        f"{v:g} % of {what}" for v, what in zip(shape, ("the reading", "full scale"), strict=True) if v
+    )
+    return (
+        best,
+        f"errors in all four channels taken in proportion to {words} (the likeliest shape); size from the residuals",
+    )
+
+
+def equations(data: MotorData, x: Array) -> Array:
+    r, a, b, d = x
+    u, i, w, q = data.channels()
+    return np.column_stack([u - r * i - a * w, b * i - d * w - q])
+
+
+def whitening_of(x: Array, std: Array, scales: Array) -> Array:
+    """Return for every point the inverse Cholesky factor of S, (n, 2, 2)."""
+    r, a, b, d = x
+    vu, vi, vw, vq = (std**2).T
+    s11 = (vu + r**2 * vi + a**2 * vw) * scales[0] ** 2
+    s22 = (vq + b**2 * vi + d**2 * vw) * scales[1] ** 2
+    s12 = (-r * b * vi + a * d * vw) * scales[0] * scales[1]
+    l11 = np.sqrt(s11)
+    l21 = s12 / l11
+    l22 = np.sqrt(s22 - l21**2)
+    out = np.zeros((len(std), 2, 2))
+    out[:, 0, 0], out[:, 1, 1], out[:, 1, 0] = 1 / l11, 1 / l22, -l21 / (l11 * l22)
+    return out
+
+
+def expected_residuals(x: Array, std: Array, scales: Array) -> Array:
+    """Return the standard deviations of e1 and e2, (n, 2)."""
+    return np.linalg.norm(np.linalg.inv(whitening_of(x, std, scales)), axis=2)
+
+
+def solve_constants(data: MotorData, std: Array, *, friction: bool) -> tuple[Array, Array]:
+    """Return (R, a, b, d) and how much larger the errors of the two equations are than expected."""
+    u, i, w, q = data.channels()
+    electrical = np.linalg.lstsq(np.column_stack([i, w]), u, rcond=None)[0]
+    side = np.column_stack([i, -w]) if friction else i[:, None]
+    mechanical = np.linalg.lstsq(side, q, rcond=None)[0]
+    start = np.r_[electrical, mechanical, [] if friction else 0.0]
+    size = np.abs(start) + 1e-12 * np.max(np.abs(start))
+    size[3] = max(size[3], 1e-3 * float(np.max(np.abs(q)) / np.max(np.abs(w))))
+    free = np.array([True, True, True, friction])
+    scales = np.ones(2)
+    x = start
+    for _ in range(3):
+
+        def white(z: Array, scales: Array = scales) -> Array:
+            full = np.where(free, 0.0, start)
+            full[free] = z * size[free]
+            e = np.einsum("nij,nj->ni", whitening_of(full, std, scales), equations(data, full))
+            return e.ravel()
+
+        found = least_squares(white, x[free] / size[free], method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14)
+        x = np.where(free, 0.0, start)
+        x[free] = found.x * size[free]
+        # Each equation's own scale, from its residuals over its own expected error; two constants went into each.
+        e = equations(data, x) / expected_residuals(x, std, np.ones(2))
+        scales = np.maximum(np.sqrt(np.sum(e**2, axis=0) / (len(e) - np.array([2, 1 + friction]))), 1e-9)
+    return x, scales
+
+
+def adjusted_readings(data: MotorData, std: Array, x: Array, scales: Array) -> tuple[Array, Array, MotorData]:
+    """Return residuals (n, 2), whitening (n, 2, 2) and the most likely true readings."""
+    r, a, b, d = x
+    e = equations(data, x)
+    plain = whitening_of(x, std, np.ones(2))
+    weighted = np.einsum("nji,njk,nk->ni", plain, plain, e)  # S^-1 e
+    # With this shift both equations hold exactly at the adjusted readings.
+    y = np.column_stack(data.channels()) - std**2 * (
+        weighted @ np.array([[1.0, -r, -a, 0.0], [0.0, b, -d, -1.0]])
+    )
+    return (
+        e,
+        whitening_of(x, std, scales),
+        replace(data, voltage_V=y[:, 0], current_A=y[:, 1], speed_rad_s=y[:, 2], torque_Nm=y[:, 3]),
+    )
+
+
+def sensitivities(adjusted: MotorData, whitening: Array) -> Array:
+    """Return the whitened derivatives of e1 and e2 by (R, a, b, d), (2 n, 4)."""
+    _, i, w, _ = adjusted.channels()
+    raw = np.zeros((i.size, 2, 4))
+    raw[:, 0, 0], raw[:, 0, 1], raw[:, 1, 2], raw[:, 1, 3] = -i, -w, i, -w
+    return np.einsum("nij,njk->nik", whitening, raw).reshape(-1, 4)
+
+
+# ----------------------------------------------------------------------------
+# Motor constants from a bench: the stationary motor equations, fitted with errors in every channel.
+#
+# At rest eqs. 4.24, 4.25, 4.27 and 4.28 of the dissertation say, with the voltage ``U = duty * supply`` at the motor,
+# its current I, the speed W and the torque Q where they were measured (behind a gear of ratio i and efficiency eta,
+# or
+# i = 1 and eta = 1 at the motor's own shaft),
+#
+#     e1 = U - R I - a W = 0        a = kE i
+#     e2 = b I - d W - Q = 0        b = kM i eta,    d = dR i^2 eta.
+#
+# All four readings y = (U, I, W, Q) of a point err, with covariance N. To first order ``(e1, e2)`` then have the
+# covariance ``S = E N E'`` with ``E = [[1, -R, -a, 0], [0, b, -d, -1]]``, and the most likely constants minimise
+#
+#     sum over points of  e' S^-1 e
+#
+# (Deming's adjustment, Statistical Adjustment of Data, 1943; Fuller, Measurement Error Models, 1987, sec. 1.3: plain
+# least squares on noisy I and W would be biased low). The expected errors are needed up to one factor for each
+# equation, which the residuals give. Covariance: :mod:`mufly.bench.covariance`, with the sensitivities at the
+# adjusted
+# readings.
+#
+# From a, b, R, d the constants follow once i and eta are known; their own doubt is passed on. If they are not, only
+# the
+# products are seen, and only they are returned. Intervals are at 95 %.
+
 
 KEYS = {
     "kE": ("motor.back_emf_constant", "V s"),

@@ -9,8 +9,10 @@ while white noise of variance ``s^2`` shows with ``20 s^2`` (own derivation: 1 +
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import xarray as xr
@@ -18,20 +20,7 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from mufly.errors import InputError
-from mufly.identify.simulate import OUTPUT_UNITS, OUTPUTS
-
-__all__ = [
-    "INPUTS",
-    "Record",
-    "dataset_of",
-    "difference_noise",
-    "filled",
-    "record_from",
-    "smoothed",
-    "smoothed_motion",
-    "split",
-    "units_of",
-]
+from mufly.identify.flight.simulate import OUTPUT_UNITS, OUTPUTS
 
 _Array = NDArray[np.float64]
 
@@ -59,7 +48,7 @@ class Record:
     inputs : (n, 4) array
         Motor upper, motor lower (0..1), servo 1, servo 2 (-1..1), each held to the next sample.
     outputs : tuple of str
-        Of :data:`mufly.identify.simulate.OUTPUTS`.
+        Of :data:`mufly.identify.flight.simulate.OUTPUTS`.
     measured : (n, m) array
         SI; NaN where nothing was measured; yaw without jumps.
     voltage : (n,) array or None
@@ -323,3 +312,321 @@ def split(r: Record, share: float) -> tuple[Record, Record]:
 def units_of(outputs: Sequence[str]) -> tuple[str, ...]:
     """Return the units of outputs."""
     return tuple(OUTPUT_UNITS[o] for o in outputs)
+
+
+# ----------------------------------------------------------------------------
+# Faults of a record that a fit would turn into wrong parameters: degrees, other units, nothing that moves.
+
+
+def check_record(r: Record) -> tuple[str, ...]:
+    """Look for faults that a fit would turn into wrong parameters.
+
+    Returns
+    -------
+    tuple of str
+        Warnings: what can still be fitted, but not as it might seem.
+
+    Raises
+    ------
+    InputError
+        For degrees labelled radians, inputs out of range, a record in which no input moves.
+    """
+    warnings: list[str] = []
+    for angle, rate in (("roll", "p"), ("pitch", "q"), ("yaw", "r")):
+        _check_degrees(r, angle, rate)
+    for k, name in enumerate(INPUTS):
+        u = r.inputs[:, k]
+        low = 0.0 if k < 2 else -1.0
+        top = float(np.max(np.abs(u)))
+        if top > 1.5 or float(np.min(u)) < low - 0.5:
+            unit = (
+                "per cent" if top <= 100 else "microseconds of a servo pulse" if top > 500 else "another unit"
+            )
+            raise InputError(
+                r.name, name, f"reaches {u[np.argmax(np.abs(u))]:g}: it seems to be in {unit}",
+                f"scale it to {low:g}..1",
+            )  # fmt: skip
+    still = [n for k, n in enumerate(INPUTS) if np.ptp(r.inputs[:, k]) < 1e-6]
+    if len(still) == 4:
+        raise InputError(r.name, "inputs", "none of them moves", "fly an excitation: `mufly identify plan`")
+    warnings += [f"{r.name}: {n} is constant; nothing is learnt of what it drives" for n in still]
+    for k, name in enumerate(r.outputs):
+        y = r.measured[np.isfinite(r.measured[:, k]), k]
+        if name != "voltage" and np.ptp(y) < 1e-9:
+            warnings.append(f"{r.name}: {name} never changes; is that sensor connected?")
+    return tuple(warnings)
+
+
+def _check_degrees(r: Record, angle: str, rate: str) -> None:
+    if angle not in r.outputs:
+        return
+    a = filled(r.measured[:, r.outputs.index(angle)])
+    if rate in r.outputs:
+        w = filled(r.measured[:, r.outputs.index(rate)])
+        # Slope of the change of angle over 0.2 s against the integrated rate.
+        lag = max(1, round(0.2 / r.sample_s))
+        turned = np.concatenate([[0.0], np.cumsum(0.5 * (w[1:] + w[:-1])) * r.sample_s])
+        x, y = turned[lag:] - turned[:-lag], a[lag:] - a[:-lag]
+        x, y = x - x.mean(), y - y.mean()
+        if x.std() > 0 and y.std() > 0 and float(x @ y) / (len(x) * x.std() * y.std()) > 0.6:
+            slope = y.std() / x.std()
+            if 30.0 < slope < 110.0:
+                raise InputError(
+                    r.name, angle, f"changes {slope:.0f} times as fast as {rate} says: it seems to be in degrees",
+                    "say so in the column map (unit 'deg')",
+                )  # fmt: skip
+            if 1 / 110.0 < slope < 1 / 30.0:
+                raise InputError(
+                    r.name, rate, f"is {1 / slope:.0f} times the rate at which {angle} changes: it seems to be "
+                    "in degrees a second", "say so in the column map (unit 'deg/s')",
+                )  # fmt: skip
+    limit = np.pi / 2 + 0.01 if angle == "pitch" else np.pi + 0.01
+    if angle != "yaw" and float(np.max(np.abs(a))) > limit:
+        raise InputError(
+            r.name, angle, f"reaches {a[np.argmax(np.abs(a))]:.3g} rad: it seems to be in degrees",
+            "say so in the column map (unit 'deg')",
+        )  # fmt: skip
+
+
+# ----------------------------------------------------------------------------
+# A record as linear fits want it: named columns on an even clock, without gaps.
+#
+# Read from CSV (names from its header, or ``--columns``), from MATLAB files (each array's columns named by
+# ``--columns
+# inr=lat,lon,ped,col``, or numbered ``inr0, inr1``...) and from every log that ``mufly.logs`` reads (a signal with
+# axes
+# becomes ``measured_rates.p``, for which ``p`` is enough where only one signal ends so).
+
+
+Array = NDArray[np.float64]
+
+_TIME = ("time", "t", "time_s", "timestamp", "timestamp_s")
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Columns on an even clock.
+
+    Attributes
+    ----------
+    name : str
+    time_s : (n,) array
+        From the log, even to within 1 % of a sample or resampled.
+    columns : dict of str to (n,) array
+    notes : tuple of str
+        What was done to make it so, in words.
+    empty : tuple of str
+        Columns of the log that hold no numbers.
+    """
+
+    name: str
+    time_s: Array
+    columns: Mapping[str, Array]
+    notes: tuple[str, ...] = ()
+    empty: tuple[str, ...] = ()
+
+    @property
+    def dt(self) -> float:
+        """Sample time (s)."""
+        return float((self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1))
+
+    def find(self, name: str, option: str) -> Array:
+        """Return a column by its name, or by the end of its name where that is unique.
+
+        Raises
+        ------
+        InputError
+            If there is none, or several.
+        """
+        if name in self.columns:
+            return self.columns[name]
+        ends = [c for c in self.columns if c.endswith(f".{name}")]
+        best = [c for c in ends if c.startswith("measured_")] or ends
+        if len(best) == 1:
+            return self.columns[best[0]]
+        shown = ", ".join(list(self.columns)[:24]) + (" ..." if len(self.columns) > 24 else "")
+        missing = "holds no numbers" if name in self.empty else "is no column of this log"
+        problem = "is in several columns" if best else missing
+        raise InputError(
+            option, name, problem, f"write {name}=COLUMN with one of: {', '.join(best) or shown}"
+        )
+
+    def part(self, start: int, stop: int) -> Columns:
+        """Return samples ``start`` to ``stop`` (not included)."""
+        return replace(
+            self, time_s=self.time_s[start:stop], columns={k: v[start:stop] for k, v in self.columns.items()}
+        )
+
+
+def read_columns(
+    path: str | Path,
+    *,
+    columns: Mapping[str, Sequence[str]] | Sequence[str] = (),
+    rate_hz: float | None = None,
+) -> Columns:
+    """Read a log.
+
+    Parameters
+    ----------
+    path : str or Path
+    columns : sequence, or dict of sequences, of str
+        Names of the columns of a CSV file without header, or of the arrays of a MATLAB file.
+    rate_hz : float, optional
+        Resample to this rate; default the log's own.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, its time does not rise, or has too few samples.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(str(path), "", "no such file", "give a CSV, MATLAB or flight log")
+    suffix = path.suffix.lower()
+    notes: list[str] = []
+    if suffix == ".mat":
+        found = _matlab(path, columns)
+    elif suffix in (".csv", ".txt", ".tsv"):
+        found = _csv(path, columns)
+    else:
+        found = _log(path, notes)
+    return _even(path.name, found, rate_hz, notes)
+
+
+def _matlab(path: Path, columns: Mapping[str, Sequence[str]] | Sequence[str]) -> dict[str, Array]:
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    try:
+        content = loadmat(path)
+    except (MatReadError, NotImplementedError, ValueError, OSError) as error:
+        raise InputError(str(path), "", f"cannot be read ({error})", "save it as MATLAB 7 or CSV") from error
+    arrays = {
+        k: np.atleast_2d(np.asarray(v, dtype=np.float64))
+        for k, v in content.items()
+        if not k.startswith("__") and isinstance(v, np.ndarray) and v.dtype.kind in "fiu"
+    }
+    names = dict(columns) if isinstance(columns, Mapping) else {}
+    for key in names:
+        if key not in arrays:
+            raise InputError("--columns", key, "is no array of this file", f"it has: {', '.join(arrays)}")
+    found: dict[str, Array] = {}
+    for key, a in arrays.items():
+        a = a.T if a.shape[0] == 1 else a
+        given = list(names.get(key, ()))
+        if given and len(given) != a.shape[1]:
+            raise InputError(
+                "--columns", key, f"has {a.shape[1]} columns, {len(given)} names given", "name each"
+            )
+        own = [key] if a.shape[1] == 1 else [f"{key}{j}" for j in range(a.shape[1])]
+        for j, name in enumerate(given or own):
+            if name not in ("", "-"):
+                found[name] = a[:, j]
+    return found
+
+
+def _csv(path: Path, columns: Mapping[str, Sequence[str]] | Sequence[str]) -> dict[str, Array]:
+    from mufly.logs import read_raw
+
+    if isinstance(columns, Mapping):
+        raise InputError("--columns", "", "names arrays, but a CSV file has none", "give names alone: a,b,c")
+    if not columns:
+        table = read_raw(path)["table"]
+        numbers = {
+            k: _in_si(v.astype(np.float64), table.units.get(k, ""))
+            for k, v in table.fields.items()
+            if v.dtype.kind in "fiu"
+        }
+        return {"time": table.time, **{k: v for k, v in numbers.items() if k.lower() not in _TIME}}
+    text = path.read_text(encoding="utf-8-sig", errors="replace")
+    comma = max((",", ";", "\t", " "), key=text[:2000].count)
+    values = np.genfromtxt(text.splitlines(), delimiter=None if comma == " " else comma, invalid_raise=False)
+    if values.ndim != 2 or values.shape[1] != len(columns):
+        wide = values.shape[1] if values.ndim == 2 else 1
+        raise InputError("--columns", ",".join(columns), f"the file has {wide} columns", "name each")
+    if not np.isfinite(values[0]).any():
+        values = values[1:]  # a header that --columns replaces
+    return {name: values[:, j] for j, name in enumerate(columns)}
+
+
+def _in_si(values: Array, unit: str) -> Array:
+    """Return values of a column whose header names a unit in SI."""
+    from mufly.units import conversion
+
+    if not unit:
+        return values
+    _, factor, offset = conversion(unit)
+    return factor * values + offset
+
+
+def _log(path: Path, notes: list[str]) -> dict[str, Array]:
+    from mufly.logs import LogWarning, read_log
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LogWarning)  # they go into the notes
+        data = read_log(path)
+    notes += [str(n) for n in data.attrs.get("notes", [])]
+    found: dict[str, Array] = {"time": np.asarray(data["time"].values, dtype=np.float64)}
+    for name, v in data.data_vars.items():
+        if v.dtype.kind not in "fiu" or v.dims[:1] != ("time",):
+            continue
+        if v.ndim == 1:
+            found[str(name)] = v.values.astype(np.float64)
+        elif v.ndim == 2:
+            labels = data[v.dims[1]].values if v.dims[1] in data.coords else range(v.shape[1])
+            for j, label in enumerate(labels):
+                found[f"{name}.{label}"] = v.values[:, j].astype(np.float64)
+    return found
+
+
+def _even(name: str, found: dict[str, Array], rate_hz: float | None, notes: list[str]) -> Columns:
+    key = next((c for c in found if c.lower() in _TIME), None)
+    if key is None:
+        raise InputError(name, "", "has no column of time", f"call it one of {', '.join(_TIME)}, in seconds")
+    time = found.pop(key)
+    if time.size < 20:
+        raise InputError(name, key, f"has {time.size} samples", "give a record of at least 20")
+    steps = np.diff(time)
+    if not (steps > 0.0).all():
+        at = int(np.flatnonzero(~(steps > 0.0))[0]) + 1
+        raise InputError(name, key, f"does not rise at row {at + 1}", "sort the record, or cut it there")
+    found = {k: v for k, v in found.items() if len(v) == len(time)}
+    step = float(np.median(steps)) if rate_hz is None else 1.0 / rate_hz
+    gaps = int((steps > 3.0 * np.median(steps)).sum())
+    if gaps:
+        notes.append(f"{gaps} gaps in time, the longest {steps.max():.3g} s, were bridged by straight lines")
+    missing = {k: int((~np.isfinite(v)).sum()) for k, v in found.items()}
+    even = rate_hz is None and bool((np.abs(steps - step) < 0.01 * step).all())
+    t = time if even else np.arange(time[0], time[-1] + 0.5 * step, step)
+    t = t[t <= time[-1] + 1e-9 * step]
+    if not even:
+        notes.append(f"resampled to {1.0 / step:.6g} Hz")
+    columns, empty = {}, []
+    for k, v in found.items():
+        good = np.isfinite(v)
+        if good.sum() < 2:
+            empty.append(k)
+            continue
+        if missing[k]:
+            notes.append(f"{missing[k]} samples of {k} are missing and were bridged")
+        columns[k] = v if even and good.all() else np.interp(t, time[good], v[good])
+    return Columns(name, t, columns, tuple(notes), tuple(empty))
+
+
+def lowpassed(signal: Array, dt: float, cut_hz: float) -> Array:
+    """Filter columns (n, k) without phase; inputs and outputs filtered alike keep the same linear relation.
+
+    Fourth-order Butterworth, forwards and backwards.
+
+    Raises
+    ------
+    InputError
+        If the cut-off is not below the Nyquist frequency.
+    """
+    from scipy.signal import butter, sosfiltfilt
+
+    if not 0.0 < cut_hz < 0.5 / dt:
+        raise InputError(
+            "--lowpass", "", f"{cut_hz:g} Hz is not below the Nyquist frequency", f"under {0.5 / dt:g}"
+        )
+    return np.asarray(sosfiltfilt(butter(4, cut_hz, fs=1.0 / dt, output="sos"), signal, axis=0))

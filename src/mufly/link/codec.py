@@ -1,23 +1,66 @@
-"""From bytes to messages and back, for every peer and every sender behind it.
+"""The MAVLink dialect that both ends of the link speak: ``common``, in the second version of the wire format.
 
-Each sender (system, component) numbers its packets from 0 to 255 on each channel, so that gaps tell what was lost
-(https://mavlink.io/en/guide/packet_loss.html). A number and checksum that were just heard are a duplicate, a number
-a little behind came out of order. Frames of MAVLink 1 and 2 are read, MAVLink 2 is sent
-(https://mavlink.io/en/guide/serialization.html).
-
-Nothing that arrives raises an error: bytes that are no frame are skipped one by one until a frame is found, and
-counted. The memory kept for a peer is bounded by the longest frame and by :data:`SENDERS` senders.
+pymavlink decides by an environment variable, when it is first imported, which wire format it packs; so it is imported
+here and nowhere else in this room. Source of every message, field and enumeration: https://mavlink.io/en/messages/common.html
 """
 
 from __future__ import annotations
 
+import contextlib
+import io
+import math
+import os
 from collections.abc import Hashable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from mufly.link.dialect import MavlinkError, MavMessage, mavlink
+os.environ["MAVLINK20"] = "1"
+with contextlib.redirect_stdout(io.StringIO()):
+    from pymavlink.dialects.v20 import common as mavlink
 
-__all__ = ["CHANNELS", "FRAME_MOST", "SENDERS", "Codec", "Counts", "Encoder", "Outgoing"]
+
+MavMessage = Any
+"""A message of pymavlink (``mavlink.MAVLink_message``), which carries no types worth checking."""
+MavlinkError: type[Exception] = mavlink.MAVError
+
+FLOAT_MOST = 3.4028234663852886e38
+"""The largest number that a ``float`` field can hold."""
+
+
+def single(value: float) -> float:
+    """Return ``value`` as a ``float`` field can hold it: beyond its range it is not known (NaN)."""
+    return float(value) if abs(value) <= FLOAT_MOST else math.nan
+
+
+def within(value: float, least: int, greatest: int, unknown: int = 0) -> int:
+    """Return ``value`` rounded and held within the bounds of an integer field; ``unknown`` if it is no number."""
+    if not math.isfinite(value):
+        return unknown
+    return int(min(max(round(value), least), greatest))
+
+
+def message_name(number: int) -> str:
+    """Return the name of the message with an id, or ``"message 1234"`` if this dialect has none."""
+    kind = mavlink.mavlink_map.get(number)
+    return str(kind.msgname) if kind is not None else f"message {number}"
+
+
+def text_of(text: str, size: int = 50) -> bytes:
+    """Return ``text`` as a ``char[size]`` field takes it: UTF-8, never cut inside a character."""
+    return text.encode(errors="replace")[:size].decode(errors="ignore").encode()
+
+
+# ----------------------------------------------------------------------------
+# From bytes to messages and back, for every peer and every sender behind it.
+#
+# Each sender (system, component) numbers its packets from 0 to 255 on each channel, so that gaps tell what was lost
+# (https://mavlink.io/en/guide/packet_loss.html). A number and checksum that were just heard are a duplicate, a number
+# a little behind came out of order. Frames of MAVLink 1 and 2 are read, MAVLink 2 is sent
+# (https://mavlink.io/en/guide/serialization.html).
+#
+# Nothing that arrives raises an error: bytes that are no frame are skipped one by one until a frame is found, and
+# counted. The memory kept for a peer is bounded by the longest frame and by :data:`SENDERS` senders.
+
 
 FRAME_MOST = 280
 """Length of the longest frame: ten bytes of header, 255 of payload, two of checksum, thirteen of signature."""
@@ -244,3 +287,42 @@ def _unknown(frame: bytes, buffer: bytearray, end: int) -> bool:
     if _message_id(frame) in mavlink.mavlink_map or (frame[0] == _V2 and frame[2] & ~_SIGNED):
         return False
     return end == len(buffer) or buffer[end] in (_V1, _V2)
+
+
+# ----------------------------------------------------------------------------
+# Lines for people: STATUSTEXT, cut into pieces of 50 bytes where a line is longer.
+#
+# The pieces of a line carry the same id and count from 0; the last one is the first that is not full
+# (https://mavlink.io/en/messages/common.html#STATUSTEXT).
+
+
+_PIECE = 50
+LONGEST = 400
+"""Bytes of the longest line; what is beyond is cut."""
+SEVERITY = {
+    "error": mavlink.MAV_SEVERITY_ERROR,
+    "warning": mavlink.MAV_SEVERITY_WARNING,
+    "info": mavlink.MAV_SEVERITY_INFO,
+}
+
+
+class Texts:
+    """Makes messages of lines."""
+
+    def __init__(self) -> None:
+        self._last_id = 0
+
+    def __call__(self, text: str, level: str = "info") -> list[MavMessage]:
+        """Return the messages that carry a line, in order; ``level`` is "info", "warning" or "error"."""
+        severity = SEVERITY.get(level, mavlink.MAV_SEVERITY_INFO)
+        data = " ".join(text.split()).encode(errors="replace")[:LONGEST]
+        if len(data) <= _PIECE:
+            return [mavlink.MAVLink_statustext_message(severity, data)]
+        self._last_id = self._last_id % 65535 + 1
+        pieces = [data[k : k + _PIECE] for k in range(0, len(data), _PIECE)]
+        if len(pieces[-1]) == _PIECE:
+            pieces.append(b"")  # so that there is one that is not full
+        return [
+            mavlink.MAVLink_statustext_message(severity, piece, self._last_id, k)
+            for k, piece in enumerate(pieces)
+        ]

@@ -17,13 +17,11 @@ from collections import OrderedDict
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from mufly.link.authority import Sender
-from mufly.link.dialect import MavMessage, mavlink, single, text_of
+from mufly.link.clients import Sender
+from mufly.link.codec import MavMessage, mavlink, single, text_of
 
 if TYPE_CHECKING:
     from mufly.flight import Autopilot, Parameter
-
-__all__ = ["LINK_PARAMETERS", "LIST_HZ", "ParameterDesk", "value_of"]
 
 LIST_HZ = 100.0
 _LOOK_S = 0.5

@@ -8,16 +8,21 @@ until it changes.
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import ipaddress
+import os
+import re
 import selectors
+import socket
 import time
-from collections.abc import Iterable
+from abc import ABC, abstractmethod
+from collections import OrderedDict
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
 
-from mufly.link.endpoint import Endpoint
-from mufly.link.port import PEERS, Peer, Port
-from mufly.link.port_stream import RETRY_S, SerialPort, TcpClient, TcpServer
-from mufly.link.port_udp import UdpPort
-
-__all__ = ["PEERS", "RETRY_S", "Peer", "Port", "open_port", "wait"]
+from mufly.errors import InputError
 
 
 def open_port(endpoint: Endpoint, where: str = "--link") -> Port:
@@ -54,3 +59,555 @@ def wait(ports: Iterable[Port], timeout_s: float) -> None:
         for number in numbers:
             selector.register(number, selectors.EVENT_READ)
         selector.select(timeout_s)
+
+
+# ----------------------------------------------------------------------------
+# Where the other end of a link is: ``udp:127.0.0.1:14550``, ``serial:/dev/ttyUSB0:57600`` and their like.
+#
+# Programs for MAVLink have settled on these words (pymavlink, MAVProxy, MAVSDK): ``udpin`` and ``tcpin`` listen,
+# ``udpout`` and ``tcp`` call. Plain ``udp`` is what each side does by custom: a vehicle sends to the address, where
+# ground stations wait for it; a station listens there.
+
+
+Kind = Literal["udpin", "udpout", "tcp", "tcpin", "serial"]
+_KINDS: tuple[Kind, ...] = ("udpin", "udpout", "tcp", "tcpin", "serial")
+_EXAMPLES = (
+    "write for example udp:127.0.0.1:14550, udpin:0.0.0.0:14550, udpout:192.168.0.7:14550, tcp:127.0.0.1:5760, "
+    "tcpin:127.0.0.1:5760, udp:[::1]:14550 or serial:/dev/ttyUSB0:57600"
+)
+_BAUD = 57_600  # the custom of telemetry radios
+_HOST_PORT = re.compile(r"(?:(?P<host>\[[^\]]*\]|[^:\[\]]*):)?(?P<port>[^:]*)")
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """One end of a link.
+
+    Attributes
+    ----------
+    kind : str
+        ``"udpin"``, ``"udpout"``, ``"tcp"`` (calls), ``"tcpin"`` (listens) or ``"serial"``.
+    host : str
+        Name or address without brackets; the device of a serial link.
+    port : int
+        Number of the port; the baud rate of a serial link.
+    """
+
+    kind: Kind
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        host = f"[{self.host}]" if ":" in self.host and self.kind != "serial" else self.host
+        return f"{self.kind}:{host}:{self.port}"
+
+    @property
+    def listens(self) -> bool:
+        """Whether it waits for others to call."""
+        return self.kind in ("udpin", "tcpin")
+
+    @property
+    def beyond_loopback(self) -> bool:
+        """Whether it listens where other machines can reach it."""
+        if not self.listens or self.host == "localhost":
+            return False
+        try:
+            return not ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return True
+
+    @property
+    def explanation(self) -> str:
+        """What it does, in words: "sends to 127.0.0.1 port 14550 (UDP)"."""
+        if self.kind == "serial":
+            return f"speaks over {self.host} at {self.port} baud"
+        place = f"{self.host} port {self.port}"
+        return {
+            "udpin": f"listens at {place} (UDP)",
+            "udpout": f"sends to {place} (UDP)",
+            "tcp": f"calls {place} (TCP)",
+            "tcpin": f"waits for calls at {place} (TCP)",
+        }[self.kind]
+
+
+def parse_endpoint(
+    text: str, role: Literal["vehicle", "station"], where: str = "--link", least_port: int = 1
+) -> Endpoint:
+    """Read an endpoint.
+
+    Parameters
+    ----------
+    text : str
+        ``KIND:HOST:PORT`` or ``serial:DEVICE[:BAUD]``; HOST left out means this machine, an IPv6 address stands in
+        brackets.
+    role : str
+        Who asks: what plain ``udp`` means depends on it.
+    where : str
+        Option or file that holds the text, for the message of an error.
+    least_port : int
+        0 lets a listening endpoint take any free port (tests).
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    word, colon, rest = text.strip().partition(":")
+    kind = ("udpout" if role == "vehicle" else "udpin") if word.lower() == "udp" else word.lower()
+    if kind not in _KINDS or not colon:
+        raise InputError(where, "", f"{text!r} is no MAVLink endpoint", _EXAMPLES)
+    if kind == "serial":
+        return _serial(text, rest, where)
+    found = _HOST_PORT.fullmatch(rest)
+    if found is None:
+        remedy = (
+            "put an IPv6 address in brackets, as in udp:[::1]:14550" if rest.count(":") > 1 else _EXAMPLES
+        )
+        raise InputError(where, "", f"{text!r} has no host and port that can be told apart", remedy)
+    number = found["port"]
+    if not (number.isascii() and number.isdigit()) or not least_port <= int(number) <= 65535:
+        raise InputError(where, "", f"{text!r}: port {number!r} is no number from 1 to 65535", _EXAMPLES)
+    given = found["host"] or "127.0.0.1"
+    host = given.strip("[]")
+    if given.startswith("["):
+        try:
+            ipaddress.ip_address(host.partition("%")[0])
+        except ValueError:
+            raise InputError(where, "", f"{text!r}: {host!r} is no IPv6 address", _EXAMPLES) from None
+    return Endpoint(kind, host, int(number))
+
+
+def _serial(text: str, rest: str, where: str) -> Endpoint:
+    device, colon, baud = rest.rpartition(":")
+    # Names of devices may hold colons themselves (/dev/serial/by-path/pci-0000:00:14.0-usb-0:1).
+    if not colon or not (baud.isascii() and baud.isdigit()):
+        device, baud = rest, str(_BAUD)
+    if not device:
+        raise InputError(
+            where, "", f"{text!r} names no device", "write for example serial:/dev/ttyUSB0:57600"
+        )
+    if not 300 <= int(baud) <= 12_000_000:
+        raise InputError(
+            where, "", f"{text!r}: {baud} is no baud rate", "write for example serial:/dev/ttyUSB0:57600"
+        )
+    return Endpoint("serial", device, int(baud))
+
+
+# ----------------------------------------------------------------------------
+# What every port is: a few peers, bytes from them and to them, never blocking, never raising into the loop.
+
+
+PEERS = 32
+"""So many peers a listening port serves; the one that was silent for longest makes room."""
+READS, READ_BYTES = 256, 65_536
+"""Datagrams or blocks taken in one call, and the greatest size of one (bytes)."""
+
+
+class Peer(NamedTuple):
+    """The other end of a channel: the endpoint it is heard on, and its address there."""
+
+    endpoint: str
+    address: str
+
+
+class Port(ABC):
+    """An open endpoint.
+
+    Parameters
+    ----------
+    endpoint : Endpoint
+    """
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        self.endpoint = endpoint
+        self._selector = selectors.DefaultSelector()
+        self._notices: list[str] = []
+        self._said = ""
+
+    @abstractmethod
+    def receive(self) -> list[tuple[Peer, bytes]]:
+        """Return what came in since the last call, a bounded amount of it. Also calls again where a call failed."""
+
+    @abstractmethod
+    def send(self, peer: Peer | None, data: bytes) -> None:
+        """Send a frame to a peer; to all of the port's peers if None."""
+
+    @property
+    @abstractmethod
+    def peers(self) -> list[Peer]:
+        """Those who can be sent to: whom it was told to call, and who was heard."""
+
+    @property
+    def targets(self) -> list[Peer]:
+        """Those of its peers whom it was told to call, and has, if they can be called."""
+        return []
+
+    def fileno(self) -> int:
+        """A descriptor that becomes readable when there is something to receive; -1 where the system has none.
+
+        It stays the same while connections come and go.
+        """
+        number = getattr(self._selector, "fileno", None)
+        return -1 if number is None else int(number())
+
+    def notices(self) -> list[str]:
+        """What happened to the port since the last call, one line each."""
+        said, self._notices = self._notices, []
+        return said
+
+    def close(self) -> None:
+        """Give everything back."""
+        for key in list(self._selector.get_map().values()):
+            self._selector.unregister(key.fileobj)
+            close = getattr(key.fileobj, "close", None)
+            if close is not None:
+                close()
+        self._selector.close()
+
+    def _say(self, text: str) -> None:
+        """Say what changed, once."""
+        if text != self._said:
+            self._said = text
+            self._notices.append(f"{self.endpoint}: {text}")
+
+
+def resolve(endpoint: Endpoint, kind: int, where: str) -> tuple[int, Any]:
+    try:
+        found = socket.getaddrinfo(endpoint.host, endpoint.port, type=kind)
+    except (OSError, UnicodeError) as error:
+        raise InputError(
+            where, "", f"host {endpoint.host!r} of {endpoint} is not known ({error})", "give its address"
+        ) from error
+    # IPv4 first: the other end of a link that says "localhost" is an old program more often than a new one.
+    family, _, _, _, address = min(found, key=lambda f: f[0] != socket.AF_INET)
+    return family, address
+
+
+def bind(line: socket.socket, address: Any, endpoint: Endpoint, where: str) -> None:
+    try:
+        line.bind(address)
+    except OSError as error:
+        line.close()
+        raise InputError(
+            where,
+            "",
+            f"cannot listen at {endpoint} ({error.strerror or error})",
+            "end the program that does, or give another port",
+        ) from error
+
+
+def text_of_address(address: Any) -> str:
+    host, port = address[0], address[1]
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
+# ----------------------------------------------------------------------------
+# Datagrams: to one address, or to whoever was heard.
+
+
+_RECEIVE_BUFFER = 1 << 20
+_LATER = {errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR, errno.ENOBUFS, errno.ECONNREFUSED}
+
+
+class UdpPort(Port):
+    """Datagrams, to one address or to whoever was heard."""
+
+    def __init__(self, endpoint: Endpoint, where: str) -> None:
+        super().__init__(endpoint)
+        family, address = resolve(endpoint, socket.SOCK_DGRAM, where)
+        self._target = Peer(str(endpoint), text_of_address(address))
+        self._addresses: OrderedDict[Peer, Any] = OrderedDict()
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        for option in (socket.SO_RCVBUF, socket.SO_BROADCAST):
+            with contextlib.suppress(OSError):
+                self._socket.setsockopt(
+                    socket.SOL_SOCKET, option, _RECEIVE_BUFFER if option == socket.SO_RCVBUF else 1
+                )
+        if endpoint.listens:
+            bind(self._socket, address, endpoint, where)
+        else:
+            self._socket.bind(("", 0))
+            self._addresses[self._target] = address
+        self._selector.register(self._socket, selectors.EVENT_READ)
+
+    @property
+    def port(self) -> int:
+        """Number of the port it is bound to."""
+        return int(self._socket.getsockname()[1])
+
+    @property
+    def peers(self) -> list[Peer]:
+        return list(self._addresses)
+
+    @property
+    def targets(self) -> list[Peer]:
+        return [] if self.endpoint.listens else [self._target]
+
+    def receive(self) -> list[tuple[Peer, bytes]]:
+        out = []
+        for _ in range(READS):
+            try:
+                data, address = self._socket.recvfrom(READ_BYTES)
+            except (BlockingIOError, InterruptedError):
+                break
+            except OSError:  # an earlier datagram found nobody there: its sender is told here
+                continue
+            peer = Peer(str(self.endpoint), text_of_address(address))
+            if peer not in self._addresses and len(self._addresses) >= PEERS:
+                oldest = next(p for p in self._addresses if self.endpoint.listens or p != self._target)
+                del self._addresses[oldest]
+            self._addresses[peer] = address
+            self._addresses.move_to_end(peer)
+            out.append((peer, data))
+        return out
+
+    def send(self, peer: Peer | None, data: bytes) -> None:
+        for name in self.peers if peer is None else [peer]:
+            address = self._addresses.get(name)
+            if address is not None:
+                try:
+                    self._socket.sendto(data, address)
+                except OSError as error:
+                    if error.errno not in _LATER:
+                        self._say(f"cannot send to {name.address} ({error.strerror or error})")
+
+
+# ----------------------------------------------------------------------------
+# Connections that carry bytes in order: TCP, called or calling, and serial lines.
+#
+# A frame goes out as a whole or not at all: it waits until there is room for it, and is dropped when too much waits
+# already.
+
+
+RETRY_S = 1.0
+"""Time between two attempts to call a TCP server or to open a serial device (s)."""
+_QUEUE = 65_536  # bytes that may wait to go out
+_SERIAL_BLOCK = 4096
+_SERIAL_LAG_S = 0.3
+
+
+class Stream:
+    """A connection that carries bytes in order: frames wait here until there is room for them."""
+
+    def __init__(
+        self, read: Callable[[int], bytes], write: Callable[[Any], int], most_waiting: int = _QUEUE
+    ) -> None:
+        self._read, self._write, self._most = read, write, most_waiting
+        self._waiting = bytearray()
+
+    def receive(self) -> tuple[bytes, bool]:
+        """Return the bytes that came, and whether the other end is gone."""
+        out = bytearray()
+        try:
+            self.flush()
+            for _ in range(READS):
+                block = self._read(READ_BYTES)
+                if not block:
+                    return bytes(out), True
+                out += block
+        except (BlockingIOError, InterruptedError):
+            pass
+        except OSError:
+            return bytes(out), True
+        return bytes(out), False
+
+    def send(self, data: bytes) -> None:
+        """Queue a frame, or drop it whole if there is no room; raises OSError if the other end is gone."""
+        if len(self._waiting) + len(data) <= self._most:
+            self._waiting += data
+        self.flush()
+
+    def flush(self) -> None:
+        while self._waiting:
+            try:
+                sent = self._write(self._waiting)
+            except (BlockingIOError, InterruptedError):
+                return
+            if not sent:
+                return
+            del self._waiting[:sent]
+
+
+class TcpServer(Port):
+    """Waits for calls and serves several at once."""
+
+    def __init__(self, endpoint: Endpoint, where: str) -> None:
+        super().__init__(endpoint)
+        family, address = resolve(endpoint, socket.SOCK_STREAM, where)
+        self._server = socket.socket(family, socket.SOCK_STREAM)
+        self._server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self._server.setblocking(False)
+        bind(self._server, address, endpoint, where)
+        self._server.listen(8)
+        self._selector.register(self._server, selectors.EVENT_READ)
+        self._streams: OrderedDict[Peer, tuple[socket.socket, Stream]] = OrderedDict()
+
+    @property
+    def port(self) -> int:
+        """Number of the port it is bound to."""
+        return int(self._server.getsockname()[1])
+
+    @property
+    def peers(self) -> list[Peer]:
+        return list(self._streams)
+
+    def receive(self) -> list[tuple[Peer, bytes]]:
+        self._accept()
+        out = []
+        for peer, (_, stream) in list(self._streams.items()):
+            data, gone = stream.receive()
+            if data:
+                self._streams.move_to_end(peer)
+                out.append((peer, data))
+            if gone:
+                self._drop(peer)
+        return out
+
+    def send(self, peer: Peer | None, data: bytes) -> None:
+        for name in self.peers if peer is None else [peer]:
+            if name in self._streams:
+                try:
+                    self._streams[name][1].send(data)
+                except OSError:
+                    self._drop(name)
+
+    def _accept(self) -> None:
+        for _ in range(PEERS):
+            try:
+                connection, address = self._server.accept()
+            except OSError:
+                return
+            if len(self._streams) >= PEERS:
+                self._drop(next(iter(self._streams)))
+            _prepare(connection)
+            self._selector.register(connection, selectors.EVENT_READ)
+            peer = Peer(str(self.endpoint), text_of_address(address))
+            self._streams[peer] = (connection, Stream(connection.recv, connection.send))
+            self._notices.append(f"{self.endpoint}: {peer.address} has called")
+
+    def _drop(self, peer: Peer) -> None:
+        connection, _ = self._streams.pop(peer)
+        self._selector.unregister(connection)
+        connection.close()
+        self._notices.append(f"{self.endpoint}: {peer.address} has hung up")
+
+
+class Caller(Port):
+    """A connection that is made again whenever it breaks: to a TCP server, or to a serial device."""
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        super().__init__(endpoint)
+        self._peer = Peer(str(endpoint), f"{endpoint.host}:{endpoint.port}")
+        self._line: Any = None
+        self._stream: Stream | None = None
+        self._retry_s = -RETRY_S
+
+    @abstractmethod
+    def _open(self) -> None:
+        """Try to connect; raises OSError. Sets the line, and the stream once it stands."""
+
+    @property
+    def peers(self) -> list[Peer]:
+        return [] if self._stream is None else [self._peer]
+
+    @property
+    def targets(self) -> list[Peer]:
+        return self.peers
+
+    def receive(self) -> list[tuple[Peer, bytes]]:
+        if self._stream is None:
+            self._try()
+        if self._stream is None:
+            return []
+        data, gone = self._stream.receive()
+        if gone:
+            self._lose("the connection was lost; trying again")
+        return [(self._peer, data)] if data else []
+
+    def send(self, peer: Peer | None, data: bytes) -> None:
+        if self._stream is not None and peer in (None, self._peer):
+            try:
+                self._stream.send(data)
+            except OSError:
+                self._lose("the connection was lost; trying again")
+
+    def _try(self) -> None:
+        now_s = time.monotonic()
+        if self._line is None and now_s - self._retry_s < RETRY_S:
+            return
+        try:
+            if self._line is None:
+                self._retry_s = now_s
+            self._open()
+        except OSError as error:
+            self._lose(f"cannot connect ({error.strerror or error}); trying again")
+
+    def _up(self, stream: Stream) -> None:
+        self._stream = stream
+        self._say("connected")
+
+    def _lose(self, why: str) -> None:
+        if self._line is not None:
+            with contextlib.suppress(KeyError, ValueError):
+                self._selector.unregister(self._line)
+            self._line.close()
+        self._line = self._stream = None
+        self._say(why)
+
+
+class TcpClient(Caller):
+    def __init__(self, endpoint: Endpoint, where: str) -> None:
+        super().__init__(endpoint)
+        self._family, self._address = resolve(endpoint, socket.SOCK_STREAM, where)
+
+    def _open(self) -> None:
+        if self._line is None:
+            self._line = socket.socket(self._family, socket.SOCK_STREAM)
+            _prepare(self._line)
+        state = self._line.connect_ex(self._address)
+        if state in (errno.EINPROGRESS, errno.EALREADY, errno.EWOULDBLOCK):
+            if time.monotonic() - self._retry_s > 5.0 * RETRY_S:
+                raise TimeoutError(errno.ETIMEDOUT, "nobody answers")
+            return
+        if state not in (0, errno.EISCONN):
+            raise OSError(state, os.strerror(state))
+        self._selector.register(self._line, selectors.EVENT_READ)
+        self._up(Stream(self._line.recv, self._line.send))
+
+
+class SerialPort(Caller):
+    def _open(self) -> None:
+        import serial
+
+        try:
+            line = serial.Serial(
+                self.endpoint.host, self.endpoint.port, timeout=0, write_timeout=0, exclusive=_exclusive()
+            )
+        except ValueError as error:
+            raise OSError(errno.EINVAL, str(error)) from error
+        self._line = line
+        if os.name == "posix":
+            self._selector.register(line, selectors.EVENT_READ)
+
+        def read(size: int) -> bytes:
+            data = line.read(min(size, _SERIAL_BLOCK))
+            if not data:
+                raise BlockingIOError
+            return bytes(data)
+
+        def write(data: bytearray) -> int:
+            # pyserial would go round and round on a full line; the system says so at once.
+            return os.write(line.fileno(), data) if os.name == "posix" else line.write(data) or 0
+
+        # Ten bits to a byte; what would be older than this when it leaves is better not sent.
+        self._up(Stream(read, write, max(600, round(_SERIAL_LAG_S * self.endpoint.port / 10))))
+
+
+def _prepare(line: socket.socket) -> None:
+    line.setblocking(False)
+    line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+
+def _exclusive() -> bool | None:
+    return True if os.name == "posix" else None

@@ -11,35 +11,27 @@ from collections import deque
 from collections.abc import Callable, Hashable
 from typing import TYPE_CHECKING
 
-from mufly.link.authority import Authority, Sender
-from mufly.link.bridge import Bridge
-from mufly.link.clients import Client
-from mufly.link.codec import Codec, Outgoing
-from mufly.link.command_desk import CommandDesk
-from mufly.link.controls import Controls
-from mufly.link.dialect import MavMessage, mavlink
-from mufly.link.geodesy import Origin
-from mufly.link.mission_desk import MissionDesk, writes
-from mufly.link.offboard import set_point_of
-from mufly.link.on_arming import OnArming
+from mufly.link.authority import Bridge
+from mufly.link.clients import STREAMS, Authority, Client, Sender, Voice
+from mufly.link.codec import Codec, MavMessage, Outgoing, mavlink
+from mufly.link.commands import CommandDesk, Controls
+from mufly.link.conventions import OnArming, Origin
+from mufly.link.mission_transfer import Ack, MissionResult, Note, Notes, note_of, to_mavlink
+from mufly.link.missions import MissionDesk, writes
 from mufly.link.parameters import ParameterDesk
-from mufly.link.picture import Airframe, Picture
-from mufly.link.sticks import Sticks, of_channels
-from mufly.link.streams import STREAMS
-from mufly.link.telemetry_status import (
+from mufly.link.set_points import Sticks, of_channels, set_point_of
+from mufly.link.telemetry import (
+    Airframe,
+    Picture,
     extended_sys_state,
     heartbeat,
     landed_state,
     mission_current,
     mission_state,
 )
-from mufly.link.transfer_notes import Ack, MissionResult, Note, Notes, note_of, to_mavlink
-from mufly.link.voice import Voice
 
 if TYPE_CHECKING:
     from mufly.flight import Event, Flight
-
-__all__ = ["VehicleLink"]
 
 _READY_S = 0.5
 _EVENTS = 200

@@ -1,12 +1,14 @@
-"""DataFlash, the log of ArduPilot: the binary ``.bin`` and its text form ``.log``.
+"""The binary form of DataFlash: messages found in a stream of bytes, and unpacked a kind at a time.
 
-Messages of the kind FMT say what those of every other kind hold (ardupilot.org, "Understanding and Reading Logs"); the
-text form has the same, a message a line. Times (TimeUS, microseconds since the board started, or TimeMS) count in
-seconds from the earliest message.
+Every message is ``0xA3 0x95 kind body``. The bodies of a kind are laid out as its FMT message says, one letter a field,
+little-endian and packed; FMTU gives each field a letter for its unit and one for its multiplier, which UNIT and MULT
+explain (ArduPilot, libraries/AP_Logger/README.md). The bodies of one kind are unpacked together by NumPy: one Python
+object a message would take minutes for a log of usual size.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -15,10 +17,188 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.logs.dataflash_binary import DEFINITIONS, MAGIC, read_binary, split_tables
-from mufly.logs.raw import RawLog, RawTable
+from mufly.logs.topics import RawLog, RawTable
 
-__all__ = ["MAGIC", "is_text_log", "read_dataflash"]
+MAGIC = b"\xa3\x95"
+DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT")
+_FMT, _FMT_LENGTH = 128, 89
+# Letter: NumPy type (little-endian), factor that the letter implies.
+_LETTERS: dict[str, tuple[str, float]] = {
+    "a": ("32<i2", 1.0), "b": ("i1", 1.0), "B": ("u1", 1.0), "g": ("<f2", 1.0), "h": ("<i2", 1.0),
+    "H": ("<u2", 1.0), "i": ("<i4", 1.0), "I": ("<u4", 1.0), "f": ("<f4", 1.0), "d": ("<f8", 1.0),
+    "n": ("S4", 1.0), "N": ("S16", 1.0), "Z": ("S64", 1.0), "c": ("<i2", 1e2), "C": ("<u2", 1e2),
+    "e": ("<i4", 1e2), "E": ("<u4", 1e2), "L": ("<i4", 1e7), "M": ("u1", 1.0), "q": ("<i8", 1.0),
+    "Q": ("<u8", 1.0),
+}  # fmt: skip
+# Multipliers that are part of a unit's name.
+_PREFIXES = {1e3: "k", 1e-1: "d", 1e-2: "c", 1e-3: "m", 1e-6: "u", 1e-9: "n"}
+
+
+@dataclass
+class _Kind:
+    """A kind of message: its name, size, letters, columns, and where its messages begin."""
+
+    name: str
+    size: int
+    letters: str
+    columns: list[str]
+    starts: list[int] = field(default_factory=list)
+
+
+def _index(data: bytes) -> tuple[dict[int, _Kind], int]:
+    """Find every whole message; the number of bytes that belong to none comes beside."""
+    kinds = {_FMT: _Kind("FMT", _FMT_LENGTH, "BBnNZ", ["Type", "Length", "Name", "Format", "Columns"])}
+    at, lost, end = 0, 0, len(data)
+    while at + 3 <= end:
+        kind = kinds.get(data[at + 2]) if data[at] == 0xA3 and data[at + 1] == 0x95 else None
+        if kind is None or at + kind.size > end:
+            found = data.find(MAGIC, at + 1)
+            lost += (end if found < 0 else found) - at
+            if found < 0:
+                return kinds, lost
+            at = found
+            continue
+        kind.starts.append(at)
+        if data[at + 2] == _FMT:
+            _define(kinds, data[at + 3 : at + _FMT_LENGTH])
+        at += kind.size
+    return kinds, lost + end - at
+
+
+def _define(kinds: dict[int, _Kind], body: bytes) -> None:
+    number, size = body[0], body[1]
+    name, letters, columns = (_text(body[a:b]) for a, b in ((2, 6), (6, 22), (22, 86)))
+    names = [c.strip() for c in columns.split(",")]
+    sound = len(names) == len(letters) == len(set(names)) and set(letters) <= set(_LETTERS) and all(names)
+    if number == _FMT or not sound or size != 3 + _dtype(letters, names).itemsize:
+        return  # what contradicts itself cannot be unpacked
+    before = kinds.get(number)
+    if before is None or (before.letters, before.columns) != (letters, names):
+        kinds[number] = _Kind(name, size, letters, names)
+
+
+def _dtype(letters: str, columns: list[str]) -> np.dtype[Any]:
+    return np.dtype([(c, _LETTERS[k][0]) for c, k in zip(columns, letters, strict=True)])
+
+
+def _text(raw: bytes) -> str:
+    return raw.split(b"\0")[0].decode(errors="replace")
+
+
+def read_binary(data: bytes) -> tuple[list[RawTable], bool]:
+    """Return the tables of a binary log, with times as they were written, and whether every byte was understood."""
+    kinds, lost = _index(data)
+    stream = np.frombuffer(data, dtype=np.uint8)
+    rows = {}
+    for number, kind in kinds.items():
+        if kind.starts:
+            starts = np.array(kind.starts, dtype=np.int64)
+            body = np.ascontiguousarray(stream[starts[:, None] + np.arange(3, kind.size)])
+            rows[number] = body.view(_dtype(kind.letters, kind.columns))[:, 0]
+    units, instances = _units(kinds, rows)
+    tables: list[RawTable] = []
+    for number, part in rows.items():
+        kind = kinds[number]
+        if kind.name not in DEFINITIONS:
+            values = {c: _numbers(part[c], k) for c, k in zip(kind.columns, kind.letters, strict=True)}
+            tables += split_tables(kind.name, values, units.get(number, {}), instances.get(number))
+    return tables, lost == 0
+
+
+def _numbers(column: NDArray[Any], letter: str) -> NDArray[Any]:
+    if column.dtype.kind == "S":
+        return np.array([_text(c) for c in column.tolist()], dtype=str)
+    factor = _LETTERS[letter][1]
+    return column if factor == 1.0 else column / factor
+
+
+def _units(
+    kinds: dict[int, _Kind], rows: dict[int, NDArray[Any]]
+) -> tuple[dict[int, dict[str, str]], dict[int, str]]:
+    """Units of the fields of every kind, and the field that counts instances (its unit is ``#``)."""
+    named = {kinds[n].name: part for n, part in rows.items() if kinds[n].name in DEFINITIONS}
+    labels: dict[str, str] = {}
+    factors: dict[str, float] = {}
+    if "UNIT" in named and {"Id", "Label"} <= set(named["UNIT"].dtype.names or ()):
+        labels = {chr(i & 0xFF): _text(t) for i, t in zip(*_pair(named["UNIT"], "Id", "Label"), strict=True)}
+    if "MULT" in named and {"Id", "Mult"} <= set(named["MULT"].dtype.names or ()):
+        factors = {
+            chr(i & 0xFF): float(f"{m:.6g}") for i, m in zip(*_pair(named["MULT"], "Id", "Mult"), strict=True)
+        }
+    units: dict[int, dict[str, str]] = {}
+    instances: dict[int, str] = {}
+    if "FMTU" not in named or not {"FmtType", "UnitIds", "MultIds"} <= set(named["FMTU"].dtype.names or ()):
+        return units, instances
+    for entry in named["FMTU"]:
+        number = int(entry["FmtType"])
+        if number not in kinds:
+            continue
+        kind, out = kinds[number], {}
+        ids, multipliers = _text(entry["UnitIds"]), _text(entry["MultIds"]).ljust(len(kind.columns), "-")
+        for column, letter, unit, multiplier in zip(
+            kind.columns, kind.letters, ids, multipliers, strict=False
+        ):
+            if unit == "#":
+                instances[number] = column
+                continue
+            factor = 1.0 if _LETTERS[letter][1] != 1.0 else factors.get(multiplier, 1.0) or 1.0
+            label = _unit(labels.get(unit, ""))
+            if label and (factor == 1.0 or factor in _PREFIXES):
+                out[column] = f"{_PREFIXES.get(factor, '')}{label}"
+        units[number] = out
+    return units, instances
+
+
+def _pair(part: NDArray[Any], first: str, second: str) -> tuple[list[Any], list[Any]]:
+    return part[first].tolist(), part[second].tolist()
+
+
+def split_tables(
+    name: str, values: dict[str, NDArray[Any]], units: dict[str, str], instance: str | None
+) -> list[RawTable]:
+    """Make tables of the messages of one kind, one an instance; none of a kind without a clock.
+
+    The first instance keeps the name of the kind, others are ``name:instance``. Times are in seconds, as written.
+    """
+    clock, tick = ("TimeUS", 1e6) if "TimeUS" in values else ("TimeMS", 1e3)
+    if clock not in values:
+        return []
+    time = values[clock].astype(np.float64) / tick
+    fields: dict[str, NDArray[Any]] = {}
+    for key, value in values.items():
+        if key == clock:
+            continue
+        if value.ndim == 2:  # 32 numbers in one message
+            fields |= {f"{key}[{k}]": value[:, k] for k in range(value.shape[1])}
+        else:
+            fields[key] = value
+    known = {k: u for k, u in units.items() if k in fields}
+    if instance is None or instance not in fields:
+        return [RawTable(name, time, fields, known)]
+    which = fields[instance]
+    out = []
+    for k, one in enumerate(np.unique(which)):
+        mine = which == one
+        own = {key: value[mine] for key, value in fields.items() if key != instance}
+        out.append(RawTable(name if k == 0 else f"{name}:{one}", time[mine], own, known))
+    return out
+
+
+def _unit(label: str) -> str:
+    """Unit as this package writes it; ArduPilot's labels run letters together."""
+    return {"degrees": "deg", "rad/s/s": "rad/s^2", "m/s/s": "m/s^2", "UNKNOWN": "", "instance": ""}.get(
+        label, label
+    )
+
+
+# ----------------------------------------------------------------------------
+# DataFlash, the log of ArduPilot: the binary ``.bin`` and its text form ``.log``.
+#
+# Messages of the kind FMT say what those of every other kind hold (ardupilot.org, "Understanding and Reading Logs");
+# the
+# text form has the same, a message a line. Times (TimeUS, microseconds since the board started, or TimeMS) count in
+# seconds from the earliest message.
+
 
 # GPS time runs ahead of UTC by the leap seconds since 1980; 18 since 2017.
 _GPS_EPOCH, _LEAP_S = 315964800.0, 18.0

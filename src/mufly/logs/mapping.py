@@ -1,25 +1,343 @@
-"""From topics to signals: a column map applied to a log, with units converted and what was guessed said in words."""
+"""Column maps: which column of a foreign log is which of our signals, in which unit and with which sign.
+
+A map is a TOML file (or a dictionary of the same shape); the maps for PX4 and ArduPilot that come with the package are
+such files too. One table a signal::
+
+    [time]
+    column = "t"
+    unit = "ms"
+
+    [[signal]]
+    name = "measured_attitude"        # whole signal: as many columns as it has components
+    columns = ["phi", "theta", "psi"]
+    unit = "deg"
+
+    [[signal]]
+    name = "measured_rates.p"         # or one component
+    topic = "gyro"                    # for logs with topics
+    columns = ["x"]
+    sign = -1
+
+The value is ``sign * factor * column + offset`` in ``unit``, and is then converted to the signal's SI unit. Where
+``unit`` is left out, the unit that the file or the header names is used. Of several entries for one signal the first
+whose columns are there is taken.
+"""
 
 from __future__ import annotations
 
 import difflib
 import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib.resources import files
 from itertools import takewhile
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic_core import PydanticCustomError
 
 from mufly.errors import InputError
-from mufly.logs.clock import usable_samples
-from mufly.logs.column_map import ColumnMap, SignalEntry
-from mufly.logs.flat import our_name
-from mufly.logs.raw import RawLog, RawTable
-from mufly.logs.resample import euler_angles
-from mufly.logs.series import Series, in_si, settle_angles, unit_of, without_jumps
-from mufly.logs.signals import signal_named, split_name
-from mufly.logs.units import known_unit, split_header
+from mufly.logs.quality import UnitGuess, guess_angle_units
+from mufly.logs.signals import our_name, signal_named, split_name
+from mufly.logs.topics import RawLog, RawTable, euler_angles, unwrap, usable_samples
+from mufly.tables import builtin_names, read_tables, validated
+from mufly.units import conversion, known_unit, split_header
 
-__all__ = ["map_signals", "raw_field"]
+_MAPS = files("mufly.logs") / "maps"
+# On a command line: name=column, name=-column, name=topic/column(unit); brackets may be square.
+_UNIT = r"[\[(](?P<unit>[^\[\]()]*[^\d\[\]()][^\[\]()]*)[\])]"
+_SHORT = re.compile(rf"^(?P<sign>-?)(?:(?P<topic>[^/\[(]+)/)?(?P<column>.+?)(?:{_UNIT})?$")
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class TimeEntry(_Table):
+    """``[time]``: the clock of a CSV file."""
+
+    column: str | None = Field(None, description="header of the column that holds the time")
+    unit: str | None = Field(None, description="unit of the time, s if left out")
+    rate_hz: float | None = Field(None, gt=0, description="rate of the rows, for a table without a clock")
+
+
+class SignalEntry(_Table):
+    """``[[signal]]``: one signal and where it comes from."""
+
+    name: str = Field(description="our name, of a whole signal or with .label of one component")
+    columns: tuple[str, ...] = Field(min_length=1, description="columns or fields, one a component")
+    topic: str | None = Field(None, description="topic or message, for logs that have them")
+    unit: str | None = Field(None, description="unit of the columns")
+    sign: float | tuple[float, ...] = Field(1.0, description="1 or -1, for all components or for each")
+    factor: float = Field(1.0, description="factor before the conversion of the unit")
+    offset: float = Field(0.0, description="added after sign and factor, in the unit of the column")
+    quaternion: bool = Field(False, description="four columns w, x, y, z become roll, pitch, yaw")
+    hold: bool = Field(False, description="hold the last value between samples instead of interpolating")
+    long_name: str = Field("", description="what the signal means")
+
+    @model_validator(mode="after")
+    def _components(self) -> SignalEntry:
+        try:
+            signal, _, label = split_name(self.name, "map")
+        except InputError as error:
+            raise _wrong("name", f"{self.name!r} {error.problem}", error.remedy) from None
+        if self.quaternion:
+            wanted = 4
+        elif signal is None or label is not None or signal.dim is None:
+            wanted = 1
+        else:
+            wanted = len(signal.labels) or len(self.columns)
+        if len(self.columns) != wanted:
+            problem = f"{self.name} has {len(self.columns)} columns"
+            raise _wrong("columns", problem, f'give {wanted}, or map one component (name = "signal.label")')
+        if isinstance(self.sign, tuple) and len(self.sign) != len(self.columns):
+            raise _wrong("sign", f"{len(self.sign)} signs", "give one, or one a column")
+        return self
+
+    @property
+    def signs(self) -> tuple[float, ...]:
+        """One sign a column."""
+        return self.sign if isinstance(self.sign, tuple) else (self.sign,) * len(self.columns)
+
+
+class ColumnMap(_Table):
+    """A column map; see the module's documentation."""
+
+    title: str = ""
+    kind: Literal["", "ULog", "DataFlash", "MAVLink tlog"] = ""
+    time: TimeEntry = TimeEntry(column=None, unit=None, rate_hz=None)
+    signal: tuple[SignalEntry, ...] = ()
+
+
+def _wrong(key: str, problem: str, remedy: str) -> PydanticCustomError:
+    return PydanticCustomError("mufly", "{problem}", {"problem": problem, "remedy": remedy, "key": key})
+
+
+def builtin_maps() -> list[str]:
+    """Names of the maps that come with the package."""
+    return builtin_names(_MAPS)
+
+
+def load_map(columns: str | Path | Mapping[str, Any] | Sequence[str] | ColumnMap) -> ColumnMap:
+    """Read a column map.
+
+    Parameters
+    ----------
+    columns : path, name, mapping, sequence of str or ColumnMap
+        A TOML file; the name of a built-in map; a mapping, either of the shape of such a file or just
+        ``{"measured_rates.p": "gyro_x[deg/s]"}``; or texts as on the command line,
+        ``"measured_rates.p=-gyro_x[deg/s]"``. In the short form a column may have a sign before it, a topic and a
+        slash, and its unit in brackets behind it; several columns of a whole signal stand between commas;
+        ``time`` stands for the clock.
+
+    Raises
+    ------
+    InputError
+        Naming the first fault.
+    """
+    if isinstance(columns, ColumnMap):
+        return columns
+    if isinstance(columns, str | Path):
+        tables, where = read_tables(columns, _MAPS, "column map")
+        return validated(ColumnMap, tables, where)
+    if isinstance(columns, Mapping):
+        if not columns or set(columns) <= set(ColumnMap.model_fields):
+            return validated(ColumnMap, columns, "column map")
+        pairs = list(columns.items())
+    else:
+        pairs = []
+        for text in columns:
+            name, found, column = text.partition("=")
+            if not found:
+                problem = "does not say which column"
+                raise InputError(
+                    "--column", text, problem, "write NAME=COLUMN, measured_rates.p=gyro_x[deg/s]"
+                )
+            pairs.append((name.strip(), column.strip()))
+    return validated(ColumnMap, _from_pairs(pairs), "column map")
+
+
+def _from_pairs(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    tables: dict[str, Any] = {"signal": []}
+    for name, value in pairs:
+        if isinstance(value, Mapping):
+            tables["signal"].append({"name": name, **value})
+            continue
+        match = _SHORT.match(str(value))
+        if match is None:
+            raise InputError("--column", name, f"{value!r} names no column", "write COLUMN or COLUMN[unit]")
+        if name == "time":
+            tables["time"] = {"column": match["column"], "unit": match["unit"]}
+            continue
+        entry = {"name": name, "columns": match["column"].split(","), "unit": match["unit"]}
+        if match["sign"]:
+            entry["sign"] = -1.0
+        if match["topic"]:
+            entry["topic"] = match["topic"]
+        tables["signal"].append(entry)
+    return tables
+
+
+# ----------------------------------------------------------------------------
+# One component of a signal on its own clock, and its units: converted, or guessed for angles and said.
+
+
+_ANGLES, _RATES = ("roll", "pitch", "yaw"), ("p", "q", "r")
+_ALIASES = {"roll": _ANGLES[0], "phi": "roll", "pitch": "pitch", "theta": "pitch", "yaw": "yaw", "psi": "yaw"}
+
+
+@dataclass(frozen=True)
+class Series:
+    """One component of a signal on its own, increasing clock.
+
+    ``unit`` is what the values are in, ``""`` as long as nobody has said; ``source`` names topic and column.
+    """
+
+    variable: str
+    label: str | None
+    time: NDArray[np.float64]
+    values: NDArray[Any]
+    unit: str
+    source: str
+    hold: bool = False
+    long_name: str = ""
+
+    @property
+    def key(self) -> str:
+        """``variable.label``."""
+        return self.variable if self.label is None else f"{self.variable}.{self.label}"
+
+
+def unit_of(variable: str) -> str:
+    signal = signal_named(variable)
+    return signal.units if signal is not None else ""
+
+
+def in_si(series: Series) -> Series:
+    """Convert to the signal's unit; units that nobody knows stay as they are."""
+    if series.values.dtype.kind in "US":
+        return series
+    wanted = unit_of(series.variable) or None
+    unit = series.unit or wanted or "1"
+    if unit == wanted or (wanted is None and not known_unit(unit)):
+        return replace(series, unit=unit, values=series.values.astype(np.float64))
+    if unit == "us" and wanted == "us":
+        return series
+    try:
+        reached, factor, offset = conversion(unit, wanted)
+    except InputError as error:
+        raise InputError(
+            series.source, series.key, f"the unit {unit!r} {error.problem}", error.remedy
+        ) from None
+    return replace(series, unit=reached, values=series.values.astype(np.float64) * factor + offset)
+
+
+def without_jumps(series: Series) -> Series:
+    angle = series.variable.endswith("_attitude") or (series.label is None and series.variable in _ALIASES)
+    if angle and series.unit == "rad":
+        return replace(series, values=unwrap(series.values))
+    return series
+
+
+def _role(series: Series) -> tuple[str, str, int] | None:
+    """("measured", "angle", 0) for the roll angle of measured_attitude or a column called roll or phi; else None."""
+    prefix, _, kind = series.variable.partition("_")
+    if kind == "attitude" and series.label in _ANGLES:
+        return prefix, "angle", _ANGLES.index(series.label)
+    if kind == "rates" and series.label in _RATES:
+        return prefix, "rate", _RATES.index(series.label)
+    if series.label is None and series.variable.lower() in _ALIASES:
+        return "", "angle", _ANGLES.index(_ALIASES[series.variable.lower()])
+    if series.label is None and series.variable in _RATES:
+        return "", "rate", _RATES.index(series.variable)
+    return None
+
+
+def settle_angles(series: list[Series]) -> tuple[list[Series], list[str]]:
+    """Guess the units of angles and rates that name none; check those that do. Says every guess."""
+    groups: dict[str, dict[tuple[str, int], Series]] = {}
+    for s in series:
+        role = _role(s)
+        if role is not None and s.values.dtype.kind not in "US":
+            groups.setdefault(role[0], {})[role[1], role[2]] = s
+    settled: dict[str, str] = {}
+    words: list[str] = []
+    for prefix in sorted(groups, key=lambda p: p != "measured"):
+        group = groups[prefix]
+        for kind in ("angle", "rate"):
+            members = [s for (k, _), s in group.items() if k == kind]
+            if not members:
+                continue
+            what = members[0].variable if prefix else ", ".join(s.variable for s in members)
+            guess, unit = _guess(group, kind)
+            unnamed = [s for s in members if not s.unit]
+            si = "rad" if kind == "angle" else "rad/s"
+            deg = "deg" if kind == "angle" else "deg/s"
+            if unnamed:
+                like = settled.get(f"{groups.get('measured', {}).get((kind, 0), unnamed[0]).key}", "")
+                chosen = {"deg": deg, "rad": si}.get(unit) or like or si
+                why = (
+                    guess.reason if unit else "as in measured_" + {"angle": "attitude", "rate": "rates"}[kind]
+                )
+                if not unit and not like:
+                    why = "nothing in the data tells otherwise"
+                words.append(f"{what} names no unit and is taken to be in {chosen} ({why})")
+                settled |= {s.key: chosen for s in unnamed}
+            for s in members:
+                if s.unit == si and unit == "deg":
+                    words.append(
+                        f"{s.key} ({s.source}) is said to be in {si} but looks like {deg} ({guess.reason}); "
+                        f'if it is, give unit = "{deg}" in a column map'
+                    )
+                    break
+                if s.unit == deg and unit == "rad":
+                    words.append(
+                        f"{s.key} ({s.source}) is said to be in {deg} but looks like {si} ({guess.reason}); "
+                        f'if it is, give unit = "{si}" in a column map'
+                    )
+                    break
+    return [replace(s, unit=settled.get(s.key, s.unit)) for s in series], words
+
+
+def _guess(group: dict[tuple[str, int], Series], kind: str) -> tuple[UnitGuess, str]:
+    """Judge by the first axis that tells."""
+    last = UnitGuess("", "", "")
+    for axis in range(3):
+        angle, rate = group.get(("angle", axis)), group.get(("rate", axis))
+        main = angle if kind == "angle" else rate
+        if main is None:
+            continue
+        clock = (angle or main).time
+        a = None if angle is None else _near_unwrapped(angle.values.astype(np.float64))
+        if rate is None:
+            r = None
+        elif rate.time is clock:
+            r = rate.values.astype(np.float64)
+        else:
+            known = np.isfinite(rate.values)
+            r = np.interp(clock, rate.time[known], rate.values[known]) if known.any() else None
+        last = guess_angle_units(clock, a, r, bounded=axis < 2)
+        said = last.angle if kind == "angle" else last.rate
+        if said:
+            return last, said
+    return last, ""
+
+
+def _near_unwrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Take out jumps by a full turn, be it 2 pi or 360."""
+    known = np.isfinite(angle)
+    out = angle.copy()
+    if known.any():
+        period = 360.0 if np.ptp(angle[known]) > 4 * np.pi else 2 * np.pi
+        out[known] = np.unwrap(angle[known], period=period)
+    return out
+
+
+# ----------------------------------------------------------------------------
+# From topics to signals: a column map applied to a log, with units converted and what was guessed said in words.
 
 
 def map_signals(

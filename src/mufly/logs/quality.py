@@ -4,19 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter, percentile_filter
 
-from mufly.logs.clock import ClockReport, check_clock
-from mufly.logs.faults import find_frozen, find_outliers, find_saturation
-from mufly.logs.flat import columns_of
-from mufly.logs.raw import RawLog
-from mufly.logs.signals import is_held
-
-__all__ = ["Channel", "ChannelReport", "channels_of", "check_channel", "check_channels", "check_log"]
+from mufly.logs.signals import columns_of, is_held
+from mufly.logs.topics import ClockReport, RawLog, check_clock
 
 _Array = NDArray[np.float64]
 _SAMPLES_EXAMINED = 400_000
@@ -167,3 +163,238 @@ def check_channels(
 def check_log(raw: RawLog) -> dict[str, ClockReport]:
     """Examine the clock of every topic."""
     return {name: check_clock(table.time) for name, table in raw.items()}
+
+
+# ----------------------------------------------------------------------------
+# Outliers, drop-outs and saturation of one channel. One function a fault.
+#
+# Outliers are found as Hampel's filter finds them (Hampel 1974; Pearson et al. 2016, "Generalized Hampel Filters"):
+# further from the median of a short window than so many robust standard deviations. The spread is taken from a window
+# ten
+# times as long, since seven samples tell it badly, and is at least the typical step from sample to sample, so that
+# the
+# crest of a fast but smooth motion is none.
+
+
+_MAD = 1.4826
+
+
+def find_outliers(x: _Array, *, half_window: int = 3, sigmas: float = 7.0) -> NDArray[np.int64]:
+    """Return the samples that stand alone, up to ``half_window`` in a row.
+
+    Parameters
+    ----------
+    x : (n,) array
+        On its own clock: interpolated signals have corners that look like outliers. NaN is no outlier.
+    half_window : int
+        Samples on either side of the one that is judged.
+    sigmas : float
+        Robust standard deviations that a sample may lie from the median of its window. Of Gaussian noise, 7 with this
+        window flags fewer than one sample in a million.
+
+    Returns
+    -------
+    (k,) int array
+    """
+    known = np.flatnonzero(np.isfinite(x))
+    values = x[known]
+    wide = 20 * half_window + 1
+    if len(values) < wide:
+        return np.empty(0, dtype=np.int64)
+    away = np.abs(values - median_filter(values, size=2 * half_window + 1, mode="nearest"))
+    step = np.abs(np.diff(values, append=values[-1]))
+    spread = np.maximum(
+        _MAD * median_filter(away, size=wide, mode="nearest"), median_filter(step, size=wide, mode="nearest")
+    )
+    quantum = float(step[step > 0].min()) if (step > 0).any() else 0.0
+    floor = max(0.5 * float(np.median(spread)), quantum, 1e-12 * float(np.abs(values).max()))
+    # In the course of a manoeuvre large steps are common; of Gaussian noise, a tenth of all steps exceeds 2.3 sigma.
+    usual = 3 * percentile_filter(step, 90, size=wide, mode="nearest")
+    flagged = away > np.maximum(sigmas * np.maximum(spread, floor), usual)
+    # Coarse signals step by many quanta as a rule: where steps of that size are common they are no outliers.
+    if (step > 0).mean() < 0.2 and (step > 0).any():
+        flagged &= away > 5 * float(np.median(step[step > 0]))
+    out = known[flagged]
+    return np.asarray(out[_short_runs(out, half_window)], dtype=np.int64)
+
+
+def _short_runs(index: NDArray[np.int64], longest: int) -> NDArray[np.bool_]:
+    """Which of the increasing indices belong to runs of at most ``longest`` neighbours."""
+    if not len(index):
+        return np.empty(0, dtype=bool)
+    run = np.cumsum(np.append(0, np.diff(index) > 1))
+    return np.asarray(np.bincount(run)[run] <= longest)
+
+
+def _runs(flag: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """First and past-the-last index of each run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], flag.astype(np.int8), [0]))))
+    return edges.reshape(-1, 2)
+
+
+def find_frozen(x: _Array, *, at_least: int = 8) -> NDArray[np.int64]:
+    """Return runs of one repeated value in a channel that otherwise changes at every sample.
+
+    Parameters
+    ----------
+    x : (n,) array
+    at_least : int
+        Length of the shortest run that counts.
+
+    Returns
+    -------
+    (k, 2) int array
+        First and past-the-last sample. Empty for a channel that repeats itself as a rule (held inputs, coarse
+        resolution): more than a fifth of its samples are like the one before. What stands still at the beginning or the
+        end of the record has not begun yet, or is over.
+    """
+    same = np.diff(x) == 0
+    if len(x) < 4 * at_least or same.mean() > 0.2:
+        return np.empty((0, 2), dtype=np.int64)
+    runs = _runs(same) + np.array([0, 1])
+    inner = (runs[:, 0] > 0) & (runs[:, 1] < len(x))
+    return runs[inner & (runs[:, 1] - runs[:, 0] >= at_least)]
+
+
+def find_saturation(x: _Array, *, at_least: int = 5) -> tuple[float, float]:
+    """Return the share of samples that sit at the channel's minimum and at its maximum.
+
+    Only values that are held there for ``at_least`` samples at a time count, and only at an end of the range that the
+    channel meets more often than the values just beside it (a clipped signal piles up at the limit; a signal with a
+    few levels piles up everywhere).
+    """
+    values = x[np.isfinite(x)]
+    if len(values) < 10 * at_least or values.min() == values.max():
+        return 0.0, 0.0
+    levels = np.unique(values)
+    if len(levels) < 10:
+        return 0.0, 0.0
+    shares = []
+    margin = 0.02 * (levels[-1] - levels[0])
+    for limit, near in (
+        (levels[0], values <= levels[0] + margin),
+        (levels[-1], values >= levels[-1] - margin),
+    ):
+        runs = _runs(values == limit)
+        runs = runs[runs[:, 1] - runs[:, 0] >= at_least]
+        held = int((runs[:, 1] - runs[:, 0]).sum())
+        shares.append(held / len(values) if held > 0.5 * near.sum() else 0.0)
+    return shares[0], shares[1]
+
+
+# ----------------------------------------------------------------------------
+# Degrees or radians? A guess from the range of an angle and from its rate, with the reasons in words.
+#
+# Three tests. Roll and pitch never leave +-180 deg, so values beyond 2 pi are degrees; no small helicopter turns
+# faster
+# than 35 rad/s (2000 deg/s, the range of its gyroscopes), so a rate beyond is in deg/s. And the derivative of an
+# angle is
+# its rate (for small angles, d(phi)/dt = p): the slope of the one over the other, both low-passed, is near 1 if both
+# have
+# the same unit, near 57.3 if the angle is in degrees and the rate in rad/s, near 1/57.3 the other way round.
+
+
+Unit = Literal["deg", "rad", ""]
+_DEG = 180 / np.pi
+_RATE_LIMIT = 35.0
+_LEAST_CORRELATION = 0.6
+
+
+class UnitGuess(NamedTuple):
+    """Units of an angle and its rate (``""``: cannot be told) and the reason in words."""
+
+    angle: Unit
+    rate: Unit
+    reason: str
+
+
+def rate_ratio(time: _Array, angle: _Array, rate: _Array) -> tuple[float, float]:
+    """Return slope and correlation of d(angle)/dt over the rate, both averaged over about a tenth of a second.
+
+    Parameters
+    ----------
+    time, angle, rate : (n,) arrays
+        On one clock; NaN is left out.
+
+    Returns
+    -------
+    slope, correlation : float
+        NaN where there is too little to compare.
+    """
+    known = np.isfinite(angle) & np.isfinite(rate) & np.isfinite(time)
+    t, a, r = time[known], angle[known], rate[known]
+    if len(t) < 20:
+        return float("nan"), float("nan")
+    step = float(np.median(np.diff(t)))
+    width = max(1, round(0.1 / step)) if step > 0 else 1
+    n = len(t) // width * width
+    if n // width < 10:
+        return float("nan"), float("nan")
+    # Over a block, the mean rate is the difference of the angle at its ends.
+    blocks = np.arange(0, n - width, width)
+    span = t[blocks + width] - t[blocks]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        change = (a[blocks + width] - a[blocks]) / span
+    inner = np.concatenate(([0.0], np.cumsum(np.diff(t) * 0.5 * (r[1:] + r[:-1]))))
+    mean = (inner[blocks + width] - inner[blocks]) / span
+    even = span < 3 * width * step
+    change, mean = change[even], mean[even]
+    if len(change) < 10 or change.std() == 0 or mean.std() == 0:
+        return float("nan"), float("nan")
+    correlation = float(np.corrcoef(change, mean)[0, 1])
+    return float(np.sign(correlation) * change.std() / mean.std()), correlation
+
+
+def guess_angle_units(
+    time: _Array, angle: _Array | None = None, rate: _Array | None = None, *, bounded: bool = True
+) -> UnitGuess:
+    """Guess whether an angle and its rate are in degrees or radians.
+
+    Parameters
+    ----------
+    time : (n,) array
+        s.
+    angle, rate : (n,) arrays, optional
+        What is known of the two; the rate is that of the same angle.
+    bounded : bool
+        Whether the angle stays within half a turn (roll and pitch; not an unwrapped yaw).
+
+    Returns
+    -------
+    UnitGuess
+        "" where neither range nor consistency tells.
+    """
+    peak = _peak(angle)
+    fast = _peak(rate)
+    by_angle: Unit = "deg" if bounded and peak > 2 * np.pi else ""
+    by_rate: Unit = "deg" if fast > _RATE_LIMIT else ""
+    reasons = []
+    if by_angle:
+        reasons.append(f"values up to {peak:.3g} are no radians")
+    if by_rate:
+        reasons.append(f"rates up to {fast:.3g} are too fast for rad/s")
+    if angle is not None and rate is not None:
+        slope, correlation = rate_ratio(time, angle, rate)
+        if abs(correlation) > _LEAST_CORRELATION:
+            kind = int(np.rint(np.log(abs(slope)) / np.log(_DEG)))
+            said = f"d/dt of the angle is {slope:.3g} times the rate"
+            if kind == 1:
+                return UnitGuess("deg", "rad", said)
+            if kind == -1:
+                return UnitGuess("rad", "deg", said)
+            if kind == 0:
+                both: Unit = "deg" if by_angle or by_rate else "rad"
+                if both == "rad" and peak < 0.2 and fast < 1.0:
+                    both = ""  # a few degrees or a few radians: consistent, and nothing to tell them apart
+                return UnitGuess(both, both, "; ".join([*reasons, said]))
+    if not reasons and bounded and np.isfinite(peak) and 1.0 < peak <= np.pi:
+        # In degrees this would be a vehicle that never tilts by four.
+        return UnitGuess("", by_rate, f"values up to {peak:.3g} could be either")
+    return UnitGuess(by_angle, by_rate, "; ".join(reasons))
+
+
+def _peak(x: _Array | None) -> float:
+    """The size that all but a thousandth of the values stay below, so that single outliers decide nothing."""
+    if x is None or not np.isfinite(x).any():
+        return float("nan")
+    return float(np.quantile(np.abs(x[np.isfinite(x)]), 0.999))

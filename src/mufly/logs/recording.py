@@ -1,6 +1,6 @@
 """A recording: a labelled table on a clock, in memory, on disk and as CSV.
 
-:mod:`mufly.logs.layout` says what the columns of a flight are. :func:`to_dataset` gives them their names, and
+:mod:`mufly.logs.signals` says what the columns of a flight are. :func:`to_dataset` gives them their names, and
 :func:`read_recording` returns the same :class:`xarray.Dataset` from a file, equal to the last bit. JSON has no NaN
 and no infinity: both are written ``null`` and come back as NaN.
 """
@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import csv
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -19,21 +20,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.logs.layout import QUANTITIES, Event, Layout, Quantity, standard_layout
-from mufly.logs.mcap_file import McapContents, read_mcap
-
-__all__ = [
-    "QUANTITIES",
-    "Event",
-    "Layout",
-    "Quantity",
-    "events_of",
-    "read_attachments",
-    "read_recording",
-    "standard_layout",
-    "to_csv",
-    "to_dataset",
-]
+from mufly.logs.mcap import McapContents, McapFile, read_mcap
+from mufly.logs.signals import LABELS, QUANTITIES, Event, Layout, Quantity, plain
+from mufly.logs.topics import RawLog, RawTable
 
 FORMAT = 1
 CLOCK_TOPIC = "/mission"
@@ -230,3 +219,332 @@ def to_csv(dataset: xr.Dataset, path: str | Path) -> Path:
         # A value that differs from itself is NaN.
         writer.writerows(["" if v != v else v for v in row] for row in zip(*columns, strict=True))
     return target
+
+
+# ----------------------------------------------------------------------------
+# From rows of numbers to the messages of a chunk: every topic of a layout, the clock and the events.
+#
+# The numbers of a block are written as JSON in one call (orjson prints the shortest text that reads back to the same
+# float64) and then fitted between constant pieces of text, which spares a dictionary for every message.
+
+
+def json_schema(properties: dict[str, Any], title: str = "") -> dict[str, Any]:
+    """JSON schema of an object with these properties, all required."""
+    head = {"title": title} if title else {}
+    return {**head, "type": "object", "properties": properties, "required": list(properties)}
+
+
+def stamp(time_ns: int) -> dict[str, int]:
+    """Time of a Foxglove message."""
+    return {"sec": time_ns // 1_000_000_000, "nsec": time_ns % 1_000_000_000}
+
+
+_text, _integer = {"type": "string"}, {"type": "integer"}
+_time = json_schema({"sec": _integer, "nsec": _integer}, "time")
+LOG_SCHEMA = json_schema(
+    {
+        "timestamp": _time,
+        "level": _integer,
+        "message": _text,
+        "name": _text,
+        "file": _text,
+        "line": _integer,
+        "time": {"type": "number", "description": "time since the start of the recording (s)"},
+    },
+    "foxglove.Log",
+)
+"""JSON schema of an event (foxglove.Log)."""
+
+
+class TopicEncoder:
+    """Announces the topics of a layout in a file and turns blocks of rows into their messages."""
+
+    def __init__(self, file: McapFile, layout: Layout, start_time_ns: int) -> None:
+        self._start = start_time_ns
+        self._topics: list[tuple[int, slice, list[bytes]]] = []
+        for topic, quantities in layout.topics.items():
+            channel = file.add_channel(topic, f"mufly.{topic[1:]}", orjson.dumps(_schema(layout, topic)))
+            columns = slice(
+                layout.columns[quantities[0].name].start, layout.columns[quantities[-1].name].stop
+            )
+            self._topics.append((channel, columns, _pieces(layout, topic)))
+        clock = {
+            "time": {"type": "number", "description": "time since the start of the recording (s)"},
+            "state": {"type": "string", "description": "state of the mission"},
+        }
+        self._clock = file.add_channel(
+            CLOCK_TOPIC, "mufly.mission", orjson.dumps(json_schema(clock, "mufly.mission"))
+        )
+        self._log = file.add_channel(EVENT_TOPIC, "foxglove.Log", orjson.dumps(LOG_SCHEMA))
+
+    def times(self, rows: NDArray[np.float64]) -> list[int]:
+        """Wall time of every row (ns)."""
+        return (np.rint(rows[:, 0] * 1e9).astype(np.int64) + self._start).tolist()
+
+    def messages(
+        self, rows: NDArray[np.float64], states: Sequence[str], events: Sequence[Event]
+    ) -> list[tuple[int, int, bytes]]:
+        """Messages (channel, time in ns, content) of a block of rows and of events; not in order of time."""
+        out: list[tuple[int, int, bytes]] = []
+        if len(rows):
+            times = self.times(rows)
+            numbers = json_rows(rows)
+            names = {state: orjson.dumps(state) for state in set(states)}
+            join = b"".join
+            for channel, columns, pieces in self._topics:
+                gaps = pieces.copy()
+                for time_ns, row in zip(times, numbers, strict=True):
+                    gaps[1::2] = row[columns]
+                    out.append((channel, time_ns, join(gaps)))
+            for time_ns, row, state in zip(times, numbers, states, strict=True):
+                line = join((b'{"time":', row[0], b',"state":', names[state], b"}"))
+                out.append((self._clock, time_ns, line))
+        for event in events:
+            time_ns = self._start + round(event.time_s * 1e9)
+            content = {
+                "timestamp": stamp(time_ns),
+                "level": LEVELS.get(event.level, 2),
+                "message": event.text,
+                "name": event.state,
+                "file": "",
+                "line": 0,
+                "time": event.time_s,
+            }
+            out.append((self._log, time_ns, orjson.dumps(content)))
+        return out
+
+
+def json_rows(rows: NDArray[np.float64]) -> list[list[bytes]]:
+    """JSON text of every number; NaN and infinity become null."""
+    text = orjson.dumps(np.ascontiguousarray(rows), option=orjson.OPT_SERIALIZE_NUMPY)
+    return [row.split(b",") for row in text[2:-2].split(b"],[")]
+
+
+def _pieces(layout: Layout, topic: str) -> list[bytes]:
+    """Constant text of a topic's message, with an empty gap at every second place for each number."""
+    pieces, text = [], b"{"
+    for k, quantity in enumerate(layout.topics[topic]):
+        text += b"," * bool(k) + orjson.dumps(quantity.field) + b":"
+        labels = layout.labels(quantity)
+        if quantity.dim is None:
+            pieces += [text, b""]
+            text = b""
+            continue
+        listed = quantity.dim == "beam"
+        text += b"[" if listed else b"{"
+        for j, label in enumerate(labels):
+            key = b"" if listed else orjson.dumps(str(label)) + b":"
+            pieces += [text + b"," * bool(j) + key, b""]
+            text = b""
+        text += b"]" if listed else b"}"
+    return [*pieces, text + b"}"]
+
+
+def _schema(layout: Layout, topic: str) -> dict[str, Any]:
+    properties: dict[str, Any] = {}
+    for quantity in layout.topics[topic]:
+        # Null (not a number) occurs too, but viewers refuse a schema with a choice of types.
+        number = {"type": "number", "description": f"{quantity.long_name} ({quantity.units})"}
+        if quantity.dim is None:
+            properties[quantity.field] = number
+        elif quantity.dim == "beam":
+            properties[quantity.field] = {"type": "array", "items": number}
+        else:
+            labels = [str(label) for label in layout.labels(quantity)]
+            properties[quantity.field] = json_schema(dict.fromkeys(labels, number))
+    return json_schema(properties, f"mufly.{topic[1:]}")
+
+
+# ----------------------------------------------------------------------------
+# Signals of any log as a recording of ours: MCAP, to be opened in Foxglove and PlotJuggler.
+#
+# Floating-point signals over time, the state of the mission and events go into the file; other text does not (a
+# recording
+# has one text, the state). A variable without a name of ours travels in the topic ``/signals``.
+
+
+_BLOCK_ROWS = 1000
+_TOPICS = {"truth": "/truth", "measured": "/measured", "estimated": "/estimated", "reference": "/reference"}
+
+
+def layout_of(dataset: xr.Dataset) -> Layout:
+    """Return the columns of a recording that holds a dataset's numbers over time."""
+    known = {q.name: q for q in QUANTITIES}
+    found: list[Quantity] = []
+    labels: dict[str, tuple[Any, ...]] = {}
+    beams = 0
+    for key, variable in dataset.data_vars.items():
+        name = str(key)
+        if "time" not in variable.dims or variable.ndim > 2 or variable.dtype.kind not in "fiub":
+            continue
+        dim = next((str(d) for d in variable.dims if d != "time"), None)
+        here = () if dim is None else tuple(dataset[dim].values.tolist())
+        units, meaning = str(variable.attrs.get("units", "1")), str(variable.attrs.get("long_name", name))
+        prefix, _, rest = name.partition("_")
+        if name in known and known[name].dim == dim:
+            quantity = known[name]
+            quantity = Quantity(name, quantity.topic, quantity.field, dim, units, meaning)
+        elif prefix in _TOPICS and rest:
+            quantity = Quantity(name, _TOPICS[prefix], rest, dim, units, meaning)
+        else:
+            quantity = Quantity(name, "/signals", name, dim, units, meaning)
+        if dim == "beam":
+            beams = len(here)
+        elif dim is not None and LABELS.get(dim) != here:
+            labels[dim] = here
+        found.append(quantity)
+    order = {topic: k for k, topic in enumerate(dict.fromkeys(q.topic for q in found))}
+    found.sort(key=lambda q: order[q.topic])
+    return Layout(tuple(found), beams, tuple(labels.items()))
+
+
+def write_mcap(dataset: xr.Dataset, path: Path) -> None:
+    """Write a dataset as a recording, which :func:`mufly.logs.read_recording` reads back.
+
+    Raises
+    ------
+    InputError
+        If its clock does not increase or it holds no numbers over time.
+    """
+    layout = layout_of(dataset)
+    time = dataset["time"].values.astype(np.float64)
+    if not layout.quantities or not len(time):
+        raise InputError(
+            str(path), "", "there is nothing to write", "choose signals that are numbers over time"
+        )
+    if not (np.diff(time) > 0).all():
+        raise InputError(str(path), "time", "does not increase", "resample it: give a rate")
+    rows = np.empty((len(time), layout.width))
+    rows[:, 0] = time
+    for q in layout.quantities:
+        variable = dataset[q.name] if q.dim is None else dataset[q.name].transpose("time", q.dim)
+        rows[:, layout.columns[q.name]] = variable.values.reshape(len(time), -1)
+    states = dataset["mission_state"].values.tolist() if "mission_state" in dataset else [""] * len(time)
+    events = events_of(dataset) if "event_time" in dataset else []
+    attributes = {"start_time_ns": _start_ns(dataset), "format": FORMAT, **plain(dataset.attrs)}
+    attributes.pop("complete", None)
+    outcome = {k: attributes.pop(k) for k in ("outcome", "reason") if k in attributes}
+    with path.open("wb") as stream:
+        file = McapFile(stream, f"mufly {attributes.get('version', '')}".strip())
+        encoder = TopicEncoder(file, layout, int(attributes["start_time_ns"]))
+        file.write_metadata(METADATA_FLIGHT, seal(_texts(attributes)))
+        file.write_metadata(METADATA_LAYOUT, seal({"layout": layout.to_json()}))
+        for start in range(0, len(time), _BLOCK_ROWS):
+            part = slice(start, start + _BLOCK_ROWS)
+            last = start + _BLOCK_ROWS >= len(time)
+            until = np.inf if last else time[part][-1]
+            now = [e for e in events if e.time_s <= until]
+            events = events[len(now) :]
+            messages = encoder.messages(rows[part], states[part], now)
+            file.write_chunk(sorted(messages, key=lambda m: m[1]))
+        file.write_metadata(METADATA_OUTCOME, seal(_texts(outcome)))
+        file.finish()
+
+
+def _texts(content: dict[str, Any]) -> dict[str, str]:
+    return {key: orjson.dumps(value).decode() for key, value in content.items()}
+
+
+def _start_ns(dataset: xr.Dataset) -> int:
+    """Wall time of the instant 0; 0 (1970) where nobody knows, so that no date is made up."""
+    if "start_time_ns" in dataset.attrs:
+        return int(dataset.attrs["start_time_ns"])
+    try:
+        return round(datetime.fromisoformat(str(dataset.attrs.get("start_time", ""))).timestamp() * 1e9)
+    except ValueError:
+        return 0
+
+
+# ----------------------------------------------------------------------------
+# An MCAP file as topics: ours before it becomes a table on one clock, or any other with JSON messages.
+
+
+# A list longer than this is a picture or a cloud of points, no signal.
+_LONGEST_LIST = 64
+# Topics of ours that hold drawings and words.
+_NO_SIGNALS = ("/tf", "/scene", "/track", "/reference_pose", "/events")
+
+
+def is_recording(contents: McapContents) -> bool:
+    """Whether this package wrote the file."""
+    return METADATA_LAYOUT in contents.metadata and METADATA_FLIGHT in contents.metadata
+
+
+def raw_mcap(path: str | Path) -> RawLog:
+    """Read the JSON messages of an MCAP file; numbers inside tables become fields ``position.N``.
+
+    Raises
+    ------
+    InputError
+        If it is no MCAP file, or none of its messages is JSON.
+    """
+    contents = read_mcap(path)
+    ours = is_recording(contents)
+    stamps = [m[0] for messages in contents.messages.values() for m in messages]
+    if not stamps:
+        raise InputError(str(path), "", "holds no messages", "the recording ended before its first second")
+    zero = min(stamps)
+    units = _units(contents) if ours else {}
+    tables: dict[str, RawTable] = {}
+    unread = []
+    for topic, messages in contents.messages.items():
+        if not messages or (ours and topic in _NO_SIGNALS):
+            continue
+        try:
+            rows = [dict(_leaves(orjson.loads(data))) for _, data in messages]
+        except orjson.JSONDecodeError:
+            unread.append(topic)
+            continue
+        time = (np.array([t for t, _ in messages], dtype=np.int64) - zero) / 1e9
+        names = dict.fromkeys(name for row in rows for name in row)
+        fields = {name: _values([row.get(name) for row in rows]) for name in names}
+        tables[topic] = RawTable(topic, time, fields, units.get(topic, {}))
+    if not tables:
+        problem = f"holds no JSON messages (topics: {', '.join(unread) or 'none'})"
+        raise InputError(str(path), "", problem, "convert its messages to JSON first")
+    notes = (f"topics in another encoding than JSON are left out: {', '.join(unread)}",) if unread else ()
+    return RawLog(
+        path=str(path),
+        kind="MCAP",
+        tables=tables,
+        # A log whose wall time nobody knew begins in 1970.
+        start_time=datetime.fromtimestamp(zero / 1e9, UTC).isoformat(timespec="milliseconds")
+        if zero > 10**18 // 2
+        else "",
+        info={"recorded by": "mufly"} if ours else {},
+        complete=contents.complete,
+        notes=notes,
+    )
+
+
+def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            yield from _leaves(inner, f"{name}.{key}" if name else str(key))
+    elif isinstance(value, list):
+        if len(value) <= _LONGEST_LIST:
+            for k, inner in enumerate(value):
+                yield from _leaves(inner, f"{name}[{k}]")
+    else:
+        yield name, value
+
+
+def _values(values: list[Any]) -> NDArray[Any]:
+    if any(isinstance(v, str) for v in values):
+        return np.array(["" if v is None else str(v) for v in values], dtype=str)
+    return np.array([np.nan if v is None else v for v in values], dtype=np.float64)
+
+
+def _units(contents: McapContents) -> dict[str, dict[str, str]]:
+    try:
+        layout = Layout.from_json(unseal(contents.metadata[METADATA_LAYOUT])["layout"])
+    except (KeyError, TypeError, ValueError):
+        return {}
+    out: dict[str, dict[str, str]] = {}
+    for topic, quantities in layout.topics.items():
+        for q in quantities:
+            labels = layout.labels(q)
+            names = [q.field] if q.dim is None else [f"{q.field}.{k}" for k in labels]
+            names = [f"{q.field}[{k}]" for k in labels] if q.dim == "beam" else names
+            out.setdefault(topic, {}).update(dict.fromkeys(names, q.units))
+    return out

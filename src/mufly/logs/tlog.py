@@ -23,9 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.logs.raw import RawLog, RawTable
-
-__all__ = ["looks_like_tlog", "read_tlog"]
+from mufly.logs.topics import RawLog, RawTable
 
 _STAMP = struct.Struct(">Q")
 _YEAR_2000_US, _YEAR_2100_US = 946_684_800 * 10**6, 4_102_444_800 * 10**6

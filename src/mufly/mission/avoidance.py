@@ -1,37 +1,383 @@
-"""Around an obstacle and on to the goal, from what the range beams have seen.
+"""What eight range beams say about obstacles: the repulsive field, and a memory of points seen.
 
-The repulsive field alone (`mufly.mission.obstacles`) stops in front of a box that stands across the way: attraction
-and repulsion balance there. So the helicopter goes along the obstacle's contour, as Bug algorithms do (Lumelsky and
-Stepanov 1987; Kamon, Rimon and Rivlin 1998):
+The repulsive field of Sec. 6.2.3, with l_i the range of beam i and l_t a threshold:
 
-- Where a seen point lies nearer to the straight way than the clearance (c plus 5 cm), it picks a side: the one that the
-  blocking points leave more free. It keeps that side, unless it is stuck or has strayed too far, then it tries the
-  other, twice as far.
-- It flies along the contour: with n from the nearest seen point to the helicopter, t across n on the chosen side, and
-  e = d - d_f the error from the distance to follow at (c plus 15 cm), it wants
-  V (t cos a - n sin a), tan a = e / 0.4 m.
-- The repulsive field acts on the reference as in eqs 6.18 and 6.19, with the threshold at d_f, as a velocity k F.
-- Whatever is wanted, the approach to every seen point i is limited: -v.n_i <= lambda (d_i - c), which lets the
-  distance to it fall no faster than exponentially towards c (a control barrier).
-- It leaves the contour when it is nearer to the goal than where it met the obstacle and no seen point lies within c
-  plus 8 cm of the next 1.5 m of the straight way; that progress is what makes Bug algorithms arrive. The first two
-  times on a leg it also leaves, wherever it is, when the whole way to the goal is that clear. After a whole lap it
-  leaves at the place nearest to the goal that the lap came by.
-- Where the goal itself is too near to a seen point it keeps away and waits. After a stated time it gives up.
+    f_i = 1/l_i - 1/l_t  if l_i < l_t,  else 0                          (6.14)
+    alpha_i = i pi/4 + 9 pi/8                                           (6.15)
+    F = sum_i f_i (cos alpha_i, sin alpha_i)                            (6.16, 6.17)
 
-The reference is a point whose velocity follows what is wanted with limited acceleration and jerk. All in the
-horizontal plane; the height is held. Own derivation.
+In Fig. 6.18 beam 0 looks forward and to the right, at pi/8 from x towards y, and the beams are numbered clockwise
+from above. Then alpha_i of eq. 6.15 is the direction of beam i plus pi: it is the direction of the force, away from
+what the beam sees, and F needs no minus sign. Here the direction of the beams comes from the vehicle, and the force of
+each is opposite to it, however the ring is numbered.
+
+Beams 45 degrees apart leave gaps, and the field forgets what a beam no longer hits. So points that were hit are kept:
+where a beam of range l and body direction u ends, x + l R u, with R the attitude. A hit closer than 5 cm to a known
+point confirms that. A point that has not been confirmed for 30 s is forgotten: by then it has gone, or it is far
+behind. (That a beam passes a point by proves nothing: it may graze the edge of a thin post.) Points just above the
+floor are floor. Own derivation.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
-from mufly.mission.obstacles import Memory, Ring, repulsion
-from mufly.mission.sight import ENTER_M, LOOK_M, Sight, hold_off, look
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 
-__all__ = ["BRAKE_M_S2", "Detour", "begin_detour", "go_round"]
+_Array = NDArray[np.float64]
+
+CAPACITY = 160
+"""Points remembered; at 5 cm from one another they cover 8 m of contour."""
+
+MEMORY_S = 30.0
+"""How long a point is believed in without being hit again (s)."""
+
+_APART = 0.05
+_FLOOR = 0.12
+_SAME_HEIGHT = 0.15
+
+
+@dataclass(frozen=True, slots=True)
+class Ring:
+    """Range beams around the body, all in its x-y plane.
+
+    Attributes
+    ----------
+    cos, sin : (n,) arrays
+        Direction of each beam, from x towards y.
+    max_range : float
+        What a beam that sees nothing returns (m).
+    """
+
+    cos: _Array
+    sin: _Array
+    max_range: float
+
+    @property
+    def first_angle(self) -> float:
+        """Direction of beam 0 (rad, from x towards y)."""
+        return math.atan2(self.sin[0], self.cos[0])
+
+    @property
+    def spacing(self) -> float:
+        """Angle between neighbours (rad)."""
+        return math.tau / len(self.cos)
+
+
+def ring(count: int, first_angle: float, max_range: float) -> Ring:
+    """Ring of ``count`` beams evenly spread from ``first_angle`` (rad, from x towards y)."""
+    angles = first_angle + math.tau / count * np.arange(count)
+    return Ring(np.cos(angles), np.sin(angles), max_range)
+
+
+def repulsion(ranges: Sequence[float], beams: Ring, threshold: float) -> tuple[float, float]:
+    """Sum of the repulsive forces (eqs 6.14 to 6.17).
+
+    Parameters
+    ----------
+    ranges : (n,) sequence
+        Measured ranges (m).
+    beams : Ring
+        Their directions.
+    threshold : float
+        Range l_t from which obstacles repel (m).
+
+    Returns
+    -------
+    (2,) tuple
+        F along body x and y (1/m), away from what is seen; a range below 1 cm counts as 1 cm.
+    """
+    fx = fy = 0.0
+    for i, reach in enumerate(ranges):
+        if reach < threshold:
+            f = 1.0 / max(reach, 0.01) - 1.0 / threshold
+            fx -= f * beams.cos[i]
+            fy -= f * beams.sin[i]
+    return float(fx), float(fy)
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """Points that beams have hit: in the first ``used`` rows N, E, D (m) and when they were hit last (s)."""
+
+    points: _Array
+    used: int = 0
+
+    @staticmethod
+    def empty() -> Memory:
+        """Nothing seen yet."""
+        return Memory(np.zeros((CAPACITY, 4)))
+
+
+@njit(cache=True)
+def _observe(
+    old: _Array,
+    used: int,
+    time: float,
+    x: _Array,
+    attitude: _Array,
+    ranges: _Array,
+    cos: _Array,
+    sin: _Array,
+    max_range: float,
+) -> tuple[_Array, int]:
+    points = old.copy()
+    k = 0
+    while k < used:
+        if time - points[k, 3] > MEMORY_S:
+            used -= 1
+            points[k] = points[used]
+        else:
+            k += 1
+    cr, sr = math.cos(attitude[0]), math.sin(attitude[0])
+    cp, sp = math.cos(attitude[1]), math.sin(attitude[1])
+    cy, sy = math.cos(attitude[2]), math.sin(attitude[2])
+    for i in range(ranges.shape[0]):
+        reach = ranges[i]
+        if reach >= max_range or not reach > 0.0:
+            continue
+        # Body x and y in N-E-D are the first two columns of the rotation matrix (yaw, pitch, roll).
+        n = x[0] + reach * (cos[i] * cp * cy + sin[i] * (sr * sp * cy - cr * sy))
+        e = x[1] + reach * (cos[i] * cp * sy + sin[i] * (sr * sp * sy + cr * cy))
+        d = x[2] + reach * (-cos[i] * sp + sin[i] * sr * cp)
+        if d > -_FLOOR:
+            continue
+        known, oldest = False, 0
+        for k in range(used):
+            if (
+                math.hypot(points[k, 0] - n, points[k, 1] - e) < _APART
+                and abs(points[k, 2] - d) < _SAME_HEIGHT
+            ):
+                points[k, 3] = time
+                known = True
+            if points[k, 3] < points[oldest, 3]:
+                oldest = k
+        if not known:
+            if used < CAPACITY:
+                oldest = used
+                used += 1
+            points[oldest, 0], points[oldest, 1], points[oldest, 2], points[oldest, 3] = n, e, d, time
+    return points, used
+
+
+def observe(
+    memory: Memory, beams: Ring, time_s: float, position: _Array, attitude: _Array, ranges: _Array
+) -> Memory:
+    """Add what the beams hit now to the memory and drop what has not been hit for long.
+
+    Parameters
+    ----------
+    memory : Memory
+        What was known.
+    beams : Ring
+        The range ring.
+    time_s : float
+        Now (s).
+    position, attitude : (3,) arrays
+        N-E-D (m) and roll, pitch, yaw (rad).
+    ranges : (n,) array
+        Measured ranges (m).
+    """
+    return Memory(
+        *_observe(
+            memory.points,
+            memory.used,
+            time_s,
+            position,
+            attitude,
+            ranges,
+            beams.cos,
+            beams.sin,
+            beams.max_range,
+        )
+    )
+
+
+# ----------------------------------------------------------------------------
+# What seen points mean for a way: how near they are, whether they block it, how fast they may be approached.
+
+
+LOOK_M = 1.2
+"""How far ahead on its way the helicopter minds obstacles."""
+
+ENTER_M = 0.05
+"""A way nearer to a seen point than the clearance and this is blocked (m)."""
+
+_APPROACH = 0.8
+"""lambda (1/s): slower than the position loop's lag of 0.3 s lets through."""
+
+_SAME_HEIGHT_M = 0.5
+
+
+class Sight(NamedTuple):
+    """What the seen points mean for a way.
+
+    Attributes
+    ----------
+    nearest : float
+        Distance from the position to the nearest point (m), infinite where there is none.
+    north, east : float
+        Unit vector from that point to the position.
+    way : float
+        Least distance of any point from the stretch of the way looked at (m).
+    offset : float
+        Mean distance of the points that block it from the way, positive to the right (m).
+    goal : float
+        Distance from the goal to the point nearest to it (m).
+    block, block_north, block_east : float
+        As the first three, of the points that block the way.
+    """
+
+    nearest: float
+    north: float
+    east: float
+    way: float
+    offset: float
+    goal: float
+    block: float
+    block_north: float
+    block_east: float
+
+
+@njit(cache=True)
+def _look(
+    points: _Array,
+    used: int,
+    n: float,
+    e: float,
+    d: float,
+    gn: float,
+    ge: float,
+    ahead: float,
+    blocked_at: float,
+) -> tuple[float, float, float, float, float, float, float, float, float]:
+    wn, we = gn - n, ge - e
+    length = math.hypot(wn, we)
+    if length > 1e-9:
+        wn, we = wn / length, we / length
+    else:
+        wn, we = 1.0, 0.0
+    stretch = min(length, ahead)
+    nearest, nn, ne, way, goal = np.inf, 0.0, 0.0, np.inf, np.inf
+    block, bn, be = np.inf, 0.0, 0.0
+    total, count = 0.0, 0
+    for k in range(used):
+        if abs(points[k, 2] - d) > _SAME_HEIGHT_M:
+            continue
+        qn, qe = points[k, 0] - n, points[k, 1] - e
+        dist = math.hypot(qn, qe)
+        if dist < nearest:
+            nearest = dist
+            if dist > 1e-9:
+                nn, ne = -qn / dist, -qe / dist
+        along = qn * wn + qe * we
+        across = qe * wn - qn * we
+        beyond = along - min(max(along, 0.0), stretch)
+        off = math.hypot(beyond, across)
+        way = min(way, off)
+        if off < blocked_at and dist < block and dist > 1e-9:
+            block, bn, be = dist, -qn / dist, -qe / dist
+        goal = min(goal, math.hypot(points[k, 0] - gn, points[k, 1] - ge))
+        # A blocker's whole visible width tells the side, not only the part inside the corridor.
+        if along > -blocked_at and along < stretch + blocked_at and abs(across) < 2.0 * blocked_at:
+            total += across
+            count += 1
+    return nearest, nn, ne, way, (total / count if count > 0 else 0.0), goal, block, bn, be
+
+
+@njit(cache=True)
+def _hold_off(
+    points: _Array, used: int, n: float, e: float, d: float, vn: float, ve: float, keep: float
+) -> tuple[float, float]:
+    """Least change of velocity that approaches no point faster than the barrier allows (cyclic projection)."""
+    for _ in range(8):
+        changed = False
+        for k in range(used):
+            if abs(points[k, 2] - d) > _SAME_HEIGHT_M:
+                continue
+            qn, qe = n - points[k, 0], e - points[k, 1]
+            dist = math.hypot(qn, qe)
+            if dist > 2.0 or dist < 1e-9:
+                continue
+            short = -_APPROACH * (dist - keep) - (vn * qn + ve * qe) / dist
+            if short > 1e-6:
+                vn += short * qn / dist
+                ve += short * qe / dist
+                changed = True
+        if not changed:
+            break
+    return vn, ve
+
+
+def look(
+    memory: Memory,
+    position: tuple[float, ...],
+    goal: tuple[float, ...],
+    clearance: float,
+    ahead: float = LOOK_M,
+) -> Sight:
+    """Judge the straight level way from ``position`` to ``goal`` (N, E, D; m), ``ahead`` metres of it at most."""
+    return Sight(
+        *_look(
+            memory.points,
+            memory.used,
+            position[0],
+            position[1],
+            position[2],
+            goal[0],
+            goal[1],
+            ahead,
+            clearance + ENTER_M,
+        )
+    )
+
+
+def blocked(sight: Sight, clearance: float) -> bool:
+    """Whether something stands in the way."""
+    return sight.way < clearance + ENTER_M
+
+
+def hold_off(
+    memory: Memory, position: tuple[float, ...], velocity: tuple[float, float], keep: float
+) -> tuple[float, float]:
+    """The velocity N, E (m/s) nearest to the wanted one that comes near ``keep`` (m) of a point only exponentially."""
+    return _hold_off(
+        memory.points, memory.used, position[0], position[1], position[2], velocity[0], velocity[1], keep
+    )
+
+
+# ----------------------------------------------------------------------------
+# Around an obstacle and on to the goal, from what the range beams have seen.
+#
+# The repulsive field alone (`mufly.mission.avoidance`) stops in front of a box that stands across the way: attraction
+# and repulsion balance there. So the helicopter goes along the obstacle's contour, as Bug algorithms do (Lumelsky and
+# Stepanov 1987; Kamon, Rimon and Rivlin 1998):
+#
+# - Where a seen point lies nearer to the straight way than the clearance (c plus 5 cm), it picks a side: the one that
+# the
+#   blocking points leave more free. It keeps that side, unless it is stuck or has strayed too far, then it tries the
+#   other, twice as far.
+# - It flies along the contour: with n from the nearest seen point to the helicopter, t across n on the chosen side,
+# and
+#   e = d - d_f the error from the distance to follow at (c plus 15 cm), it wants
+#   V (t cos a - n sin a), tan a = e / 0.4 m.
+# - The repulsive field acts on the reference as in eqs 6.18 and 6.19, with the threshold at d_f, as a velocity k F.
+# - Whatever is wanted, the approach to every seen point i is limited: -v.n_i <= lambda (d_i - c), which lets the
+#   distance to it fall no faster than exponentially towards c (a control barrier).
+# - It leaves the contour when it is nearer to the goal than where it met the obstacle and no seen point lies within c
+#   plus 8 cm of the next 1.5 m of the straight way; that progress is what makes Bug algorithms arrive. The first two
+#   times on a leg it also leaves, wherever it is, when the whole way to the goal is that clear. After a whole lap it
+#   leaves at the place nearest to the goal that the lap came by.
+# - Where the goal itself is too near to a seen point it keeps away and waits. After a stated time it gives up.
+#
+# The reference is a point whose velocity follows what is wanted with limited acceleration and jerk. All in the
+# horizontal plane; the height is held. Own derivation.
+
 
 BRAKE_M_S2 = 1.0
 """Acceleration that avoiding an obstacle may ask for: a tilt of 6 degrees."""

@@ -8,17 +8,23 @@ out like the savings of forward flight and descent. The `usable` fraction of the
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.dynamics import hover_performance
 from mufly.errors import InputError
-from mufly.mission.plan import SETTLE_S, SLOW_FROM_M, SPIN_UP_S, homeward, legs
-from mufly.mission.schema import LOWEST_M, Mission
+from mufly.mission.schema import LOWEST_M, SETTLE_S, SLOW_FROM_M, SPIN_UP_S, Mission, homeward, legs
+from mufly.mission.state import prepare
+from mufly.mission.trajectory import Limits
+from mufly.tables import builtin_names, read_tables, toml_value, validated
+from mufly.vehicle import Vehicle
 from mufly.world import World, distance, distances
-
-__all__ = ["Estimate", "check_geometry", "check_mission"]
 
 MARGIN_M = 0.1
 """Waypoints keep this much more than the clearance from obstacles (m), so that avoiding one still reaches them."""
@@ -253,3 +259,171 @@ def check_mission(
 
 def _seconds(t: float) -> str:
     return f"{t:.0f} s" if t < 1e5 else f"{t:.1e} s"
+
+
+# ----------------------------------------------------------------------------
+# From a mission file (TOML) to a checked `Mission`, and back.
+
+
+_BUILTIN = resources.files("mufly.mission") / "builtin"
+
+
+def builtin_missions() -> list[str]:
+    """Names of the missions that come with mufly."""
+    return builtin_names(_BUILTIN)
+
+
+def load_mission(name_or_path: str | Path) -> Mission:
+    """Read a mission by built-in name or from a TOML file, and check it.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        A name that `builtin_missions` lists, or the path of a mission file.
+
+    Returns
+    -------
+    Mission
+        Frozen and checked: nothing unknown, nothing impossible, every waypoint in free air.
+
+    Raises
+    ------
+    InputError
+        Naming file, key, value and remedy. Waypoints are counted from 1.
+    """
+    tables, where = read_tables(name_or_path, _BUILTIN, "mission")
+    return mission_from({"name": Path(where).stem, **tables}, where)
+
+
+def mission_from(tables: Mapping[str, Any], where: str = "mission") -> Mission:
+    """Make a checked mission of nested dictionaries with the keys of a mission file.
+
+    Parameters
+    ----------
+    tables : mapping
+        As TOML gives it: ``{"waypoint": [{"position_m": [1, 0, -1]}], ...}``.
+    where : str
+        What an error calls the place.
+
+    Raises
+    ------
+    InputError
+        As for `load_mission`.
+    """
+    mission = validated(Mission, tables, where)
+    check_geometry(mission, where)
+    return mission
+
+
+def dump_mission(mission: Mission) -> str:
+    """The mission as the text of a file that `load_mission` reads back to an equal mission, defaults included."""
+    lines: list[str] = []
+    tables: list[tuple[str, dict[str, Any]]] = []
+    for key, value in mission.model_dump(exclude_none=True).items():
+        if isinstance(value, dict):
+            tables.append((f"[{key}]", value))
+        elif isinstance(value, list | tuple) and (not value or isinstance(value[0], dict)):
+            tables += [(f"[[{key}]]", item) for item in value]
+        else:
+            lines.append(f"{key} = {toml_value(value)}")
+    for head, table in tables:
+        lines += ["", head, *(f"{k} = {toml_value(v)}" for k, v in table.items())]
+    return "\n".join(lines) + "\n"
+
+
+# ----------------------------------------------------------------------------
+# Can this vehicle fly this mission? Asked before anything runs, by the command line and by `mufly.flight.fly`.
+
+
+def preflight(
+    vehicle: Vehicle, mission: Mission, *, vehicle_file: str = "", mission_file: str = ""
+) -> Estimate:
+    """Check that the vehicle hovers, that the mission suits it and that its battery lasts.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    mission : Mission
+        Checked, as `load_mission` returns it.
+    vehicle_file, mission_file : str
+        What an error calls them; their names by default.
+
+    Returns
+    -------
+    Estimate
+        Time, length and charge.
+
+    Raises
+    ------
+    InputError
+        Naming file, key, value and remedy.
+    """
+    try:
+        hover = hover_performance(vehicle)
+    except InputError as error:
+        raise error.at(vehicle_file or vehicle.name) from None
+    where = mission_file or mission.name
+    try:
+        prepare(mission, vehicle)
+    except InputError as error:
+        raise error.at(where) from None
+    capacity_Ah = float(vehicle.battery.capacity) / 3600.0
+    return check_mission(mission, hover_current_A=hover.current_A, capacity_Ah=capacity_Ah, where=where)
+
+
+# ----------------------------------------------------------------------------
+# A mission no faster than its helicopter.
+#
+# A reference that is quicker than the helicopter is caught up with on the run and then overshot: what matters is not
+# the speed itself but that the reference can brake no harder than the helicopter. So each limit of the mission is
+# brought down to a share of what the controllers can follow, before the flight.
+
+
+SHARE = 0.8
+"""Of what the controllers can follow; the rest is for catching up."""
+
+
+def slowed(mission: Mission, able: Limits) -> tuple[Mission, str]:
+    """Bring a mission's limits down to what the helicopter can follow.
+
+    Parameters
+    ----------
+    mission : Mission
+        As asked for.
+    able : Limits
+        What the controllers can follow, SI units.
+
+    Returns
+    -------
+    mission : Mission
+        The same one, where nothing has to be slower.
+    changes : str
+        What was changed, in words: ``"climb_m_s 0.8 in place of 2"``; empty if nothing was.
+    """
+    can = {
+        "speed_m_s": able.speed,
+        "climb_m_s": able.climb,
+        "descent_m_s": able.descent,
+        "acceleration_m_s2": able.acceleration,
+        "climb_acceleration_m_s2": able.climb_acceleration,
+        "yaw_rate_deg_s": math.degrees(able.yaw_rate),
+        "yaw_acceleration_deg_s2": math.degrees(able.yaw_acceleration),
+    }
+    most = SHARE * able.speed
+    hasty = [k for k, w in enumerate(mission.waypoint) if w.speed_m_s is not None and w.speed_m_s > most]
+    slower = {key: SHARE * most for key, most in can.items() if SHARE * most < getattr(mission.limits, key)}
+    if not slower and not hasty:
+        return mission, ""
+    words = [
+        f"{key} {value:.2g} in place of {getattr(mission.limits, key):g}" for key, value in slower.items()
+    ]
+    words += [
+        f"waypoint[{k + 1}].speed_m_s {most:.2g} in place of {mission.waypoint[k].speed_m_s:g}" for k in hasty
+    ]
+    # Made anew: a copy would keep what was derived from the old limits.
+    parts = {name: getattr(mission, name) for name in Mission.model_fields}
+    parts["limits"] = mission.limits.model_copy(update=slower)
+    parts["waypoint"] = tuple(
+        w.model_copy(update={"speed_m_s": most}) if k in hasty else w for k, w in enumerate(mission.waypoint)
+    )
+    return Mission(**parts), ", ".join(words)

@@ -1,26 +1,7 @@
-"""The mission state machine (Fig. 6.15) as a pure function of time steps.
+"""What the user's signals do to a flight: waypoints, pause, return, land, stop.
 
-    init --start--> take-off --altitude reached--> hover --waypoint--> waypoint --goal reached--> hover ...
-    take-off, hover, waypoint --obstacle detected--> obstacle --obstacle avoided--> back to where it came from
-    take-off --failed--> init (never lifted off) or landing
-    any flying state --land signal, battery low--> landing --touchdown--> init
-    any state --RC--> RC --RC off--> hover, or init when it stands on the floor
-
-and what a user of today expects beside it (`mufly.mission.user`):
-
-    init --take-off signal--> take-off --> hover, where the mission waits
-    take-off, waypoint, obstacle, landing --pause--> hover --start--> waypoint
-    take-off, hover, waypoint, obstacle --return--> waypoint (home) --goal reached--> landing
-    init, take-off, hover, waypoint, obstacle --set-points--> offboard --no more--> hover, or init on the floor
-    any state --stop--> init, motors off
-
-After the start signal the machine gives itself the waypoint signals of the mission file, and the land signal after
-the last one; signals of the user override it. Each change of state is kept with its reason in `MissionState.events`.
-
-One step takes what was measured and commanded and returns the next state and the `Reference` for the controllers. It
-runs at 50 Hz or so. Trajectories are made at transitions; a step in between only evaluates one. What each state does
-by itself is in `mufly.mission.phases` and `mufly.mission.landing`, what the user's signals do in `mufly.mission.user`,
-what happens while a pilot or a program flies in `mufly.mission.takeover`.
+As in `mufly.mission.phases`, every function takes a state and returns the next one. A reference that moves comes to
+rest before it does anything else, so that none of them makes it jump.
 """
 
 from __future__ import annotations
@@ -28,15 +9,329 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from mufly.mission import landing, phases, takeover, user
-from mufly.mission.obstacles import observe
-from mufly.mission.reference import at_gate, reference, swing
-from mufly.mission.signals import Command, Reference, State
-from mufly.mission.state import MissionPlan, MissionState, fail, log
-from mufly.mission.trajectory import Trajectory
+from mufly.mission import phases
+from mufly.mission import phases as landing
+from mufly.mission.avoidance import BRAKE_M_S2, hold_off, observe
+from mufly.mission.offboard import HIGHEST_M, SetPoint, begin_tracking, fault_of, follow, wants_up
+from mufly.mission.phases import (
+    at_gate,
+    braking,
+    go_home,
+    land,
+    measured_at,
+    onward,
+    point,
+    reference,
+    set_out,
+    swing,
+)
+from mufly.mission.schema import LOWEST_M, SPIN_UP_S
+from mufly.mission.state import Command, MissionPlan, MissionState, Reference, State, Triple, enter, fail, log
+from mufly.mission.trajectory import Trajectory, stop, straight
 from mufly.sensors import Measurement
 
-__all__ = ["step"]
+GO_AROUND_M = 0.4
+"""Height above the floor from which a landing can be broken off (m)."""
+
+OFF_FLOOR_M = 0.2
+"""Height above where it stood from which a take-off can be broken off (m)."""
+
+
+def stop_at_once(s: MissionState, why: str) -> MissionState:
+    """Motors off, whatever the state."""
+    if s.state is State.INIT and s.motors == "off":
+        return s
+    if s.started or s.begun:
+        s = fail(s, why)
+    return enter(
+        s,
+        State.INIT,
+        why,
+        level="error",
+        motors="off",
+        motion=None,
+        detour=None,
+        tracker=None,
+        finished=s.outcome != "",
+    )
+
+
+# waypoints, pause, home
+
+
+def waypoint_fault(where: Triple | None, heading: float | None) -> str:
+    """Why a user's waypoint is refused; "" if it is not."""
+    if heading is not None and not math.isfinite(heading):
+        return f"heading {heading:g} refused: give a finite angle"
+    if where is None:
+        return ""
+    text = f"user's waypoint [{where[0]:g}, {where[1]:g}, {where[2]:g}] refused"
+    if not all(math.isfinite(v) for v in where) or where[2] > -LOWEST_M:
+        return f"{text}: D has to be at most {-LOWEST_M:g} m"
+    if where[2] < -HIGHEST_M or math.hypot(where[0], where[1]) > 1e4:
+        return f"{text}: too far away, D has to be at least {-HIGHEST_M:g} m"
+    return ""
+
+
+def to_users_waypoint(
+    plan: MissionPlan, s: MissionState, where: Triple | None, heading: float | None
+) -> MissionState:
+    """Waypoint signal: stop, go there and hold; the mission waits. Without ``where`` only turn, on the spot."""
+    refused = waypoint_fault(where, heading)
+    if refused:
+        return s if s.events[-1].text == refused else log(s, refused, level="warning")
+    goal = None if where is None else (float(where[0]), float(where[1]), float(where[2]))
+    if s.manual and not s.homing and s.asked_heading == heading and goal in (None, s.goal):
+        return s
+    text = "" if goal is None else f"user's waypoint [{goal[0]:g}, {goal[1]:g}, {goal[2]:g}]"
+    if heading is not None:
+        text = f"{text}, heading {math.degrees(heading):.0f} deg" if text else _turning(heading)
+
+    def way(at: Triple, psi: float) -> Trajectory:
+        return straight(at, at if goal is None else goal, psi, plan.limits, final_heading=heading)
+
+    return set_out(plan, s, text, way, manual=True, asked_heading=heading)
+
+
+def _turning(heading: float) -> str:
+    return f"turning to {math.degrees(heading) % 360.0:.0f} deg"
+
+
+def pause(plan: MissionPlan, s: MissionState, why: str = "paused") -> MissionState:
+    """Stop and hover; the mission waits."""
+    if s.state is State.HOVER:
+        return s if s.manual else replace(log(s, why), manual=True, quit="")
+    brake = braking(plan, s)
+    at = brake.at(math.inf)
+    n, e, d = at.position
+    rest = (n, e, min(d, -LOWEST_M) if s.state is State.LANDING else d)
+    return enter(
+        s,
+        State.HOVER,
+        why,
+        motion=brake,
+        hold=rest,
+        goal=rest,
+        heading=at.heading,
+        ready_s=s.time_s,
+        manual=True,
+        homing=False,
+        quit="",
+        tracker=None,
+        asked_heading=None,
+        motors="fly",
+    )
+
+
+def go_on(plan: MissionPlan, s: MissionState, first: int | None) -> MissionState:
+    """Start signal in flight: go on with the mission, or with another waypoint of it."""
+    n = len(plan.mission.waypoint)
+    over = s.outcome == "succeeded" or s.index >= n
+    index = first if first is not None else 0 if over and s.begun else s.index
+    if s.state is State.WAYPOINT and not s.manual and index == s.index:
+        return s
+    why = "the mission goes on" if s.begun and not over else "the mission begins"
+    if first is not None:
+        why = f"on to waypoint {first + 1}"
+    s = replace(log(s, why), ready_s=s.time_s) if s.state is State.HOVER else pause(plan, s, why)
+    return replace(s, manual=False, begun=True, index=index, outcome="", reason="", quit="")
+
+
+def go_on_after_take_off(s: MissionState, first: int | None) -> MissionState:
+    """Start signal during a take-off: the mission follows, from waypoint ``first`` (from 0) if given."""
+    s = log(s, "the mission follows the take-off" + (f", from waypoint {first + 1}" if first else ""))
+    return replace(s, manual=False, begun=True, index=first or 0, quit="")
+
+
+def return_home(plan: MissionPlan, s: MissionState) -> MissionState:
+    """Return signal: to above where it took off, and down."""
+    return s if s.homing else go_home(plan, _broken_off(plan, s, "return"), "return signal")
+
+
+def land_now(plan: MissionPlan, s: MissionState) -> MissionState:
+    """Land signal."""
+    return land(_broken_off(plan, s, "land"), "land signal")
+
+
+def _broken_off(plan: MissionPlan, s: MissionState, signal: str) -> MissionState:
+    rest = len(plan.mission.waypoint) - s.index
+    if not s.begun or rest <= 0 or s.outcome != "":
+        return s
+    return replace(s, quit=f"{signal} signal with {rest} waypoint{'s' if rest > 1 else ''} to go")
+
+
+# ----------------------------------------------------------------------------
+# Somebody else flies: the pilot's sticks (the thesis's state RC), or the set-points of a program (offboard).
+#
+# As in :mod:`mufly.mission.machine`, every function takes a state and returns the next one.
+
+
+# RC
+
+
+def to_hand(s: MissionState, m: Measurement) -> MissionState:
+    """RC signal: the pilot takes over, from any state."""
+    x, psi = measured_at(m), float(m.attitude[2])
+    return enter(
+        s,
+        State.RC,
+        "RC on",
+        hold=x,
+        heading=psi,
+        motion=None,
+        detour=None,
+        tracker=None,
+        homing=False,
+        sink=0.0,
+    )
+
+
+def by_hand(s: MissionState, m: Measurement, c: Command, dt: float) -> MissionState:
+    """The pilot's sticks move the references of height and heading; a climb from the floor starts the rotors."""
+    if s.motors == "off":
+        x = measured_at(m)
+        if c.climb <= 0.0:
+            return replace(s, hold=x, heading=float(m.attitude[2]), sink=0.0)
+        s = replace(s, started=True, begun=False, manual=True, index=0, reached=0, standing=x)
+        s = replace(s, outcome="", reason="", quit="", finished=False)
+        return replace(s, motors="spin_up", clock_s=0.0, hold=x)
+    if s.motors == "spin_up":
+        return s if s.clock_s < SPIN_UP_S else replace(s, motors="fly")
+    # The reference stays near the helicopter, so that the sticks answer at once.
+    depth = min(max(s.hold[2] - c.climb * dt, m.position[2] - 0.5), m.position[2] + 0.5)
+    n, e, _ = measured_at(m)
+    return replace(s, hold=(n, e, depth), heading=s.heading + c.yaw_rate * dt, sink=-c.climb)
+
+
+def from_hand(s: MissionState, m: Measurement) -> MissionState:
+    """RC off: hover where it is, or back to init on the floor."""
+    x, psi = measured_at(m), float(m.attitude[2])
+    if s.motors != "fly" or _lies(s, m):
+        if s.begun and s.outcome == "":
+            s = fail(s, "landed by the pilot")
+        elif s.started and s.outcome == "":
+            s = replace(s, outcome="succeeded", reason="landed by the pilot")
+        return _down(s, "RC off on the floor")
+    brake = stop(x, m.velocity, psi, BRAKE_M_S2)
+    n, e, d = brake.at(math.inf).position
+    if d > s.standing[2]:
+        # It falls too fast to stop above the floor. The reference must not lead below it: the way of a stop goes with
+        # the square of the speed, so this much slower it ends on the floor, and the helicopter brakes all it can.
+        share = math.sqrt(max(0.0, s.standing[2] - x[2]) / (d - x[2]))
+        brake = stop(x, (m.velocity[0], m.velocity[1], share * m.velocity[2]), psi, BRAKE_M_S2)
+        n, e, d = brake.at(math.inf).position
+    at = (n, e, d)
+    return enter(s, State.HOVER, "RC off", motion=brake, hold=at, goal=at, heading=psi, manual=True)
+
+
+def _lies(s: MissionState, m: Measurement) -> bool:
+    return bool(m.position[2] > s.standing[2] - 0.1 and abs(m.velocity[2]) < 0.1)
+
+
+def _down(s: MissionState, why: str) -> MissionState:
+    running = s.motors != "off"
+    return enter(
+        s,
+        State.INIT,
+        why,
+        motors="ramp_down" if running else "off",
+        motion=None,
+        tracker=None,
+        finished=s.outcome != "" and not running,
+    )
+
+
+# set-points
+
+
+def to_set_points(s: MissionState, m: Measurement, wanted: SetPoint) -> MissionState:
+    """A program takes over in flight; or on the floor, once it wants to go up."""
+    if fault_of(wanted):
+        return s
+    if s.state is not State.INIT:
+        return enter(
+            s,
+            State.OFFBOARD,
+            "offboard: set-points",
+            tracker=begin_tracking(onward(s)),
+            motion=None,
+            detour=None,
+            manual=True,
+            homing=False,
+        )
+    x = measured_at(m)
+    if not wants_up(wanted, x):
+        return s
+    fresh = MissionState(
+        time_s=s.time_s,
+        started=True,
+        manual=True,
+        hold=x,
+        standing=x,
+        heading=float(m.attitude[2]),
+        battery_V=s.battery_V,
+        events=s.events,
+        logged=s.logged,
+    )
+    return enter(fresh, State.OFFBOARD, "offboard: set-points, taking off", motors="spin_up")
+
+
+def track(plan: MissionPlan, s: MissionState, m: Measurement, c: Command, dt: float) -> MissionState:
+    """Follow the set-point, no faster than the mission's limits and into nothing that the beams have seen."""
+    if s.motors == "spin_up":
+        if s.clock_s < SPIN_UP_S:
+            return s
+        s = replace(s, motors="fly", tracker=begin_tracking(point(replace(s, motion=None))))
+    # It was begun for the end of the step in which it was entered.
+    if c.set_point is None or s.tracker is None or s.entered_s == s.time_s or fault_of(c.set_point):
+        return s
+    here = measured_at(m)
+
+    def clear(vn: float, ve: float) -> tuple[float, float]:
+        return hold_off(s.memory, here, (vn, ve), plan.mission.avoidance.clearance_m)
+
+    guard = clear if plan.avoid and s.memory.used else None
+    t = follow(s.tracker, c.set_point, plan.limits, here, dt, guard)
+    return replace(s, tracker=t, hold=t.position, goal=t.position, heading=t.heading)
+
+
+def from_set_points(plan: MissionPlan, s: MissionState, m: Measurement) -> MissionState:
+    """No more set-points: hover where the reference comes to rest, or stay on the floor."""
+    if s.motors != "fly" or _lies(s, m):
+        s = replace(s, outcome="succeeded", reason="landed") if s.outcome == "" else s
+        return _down(s, "offboard off on the floor")
+    return pause(plan, s, "offboard off")
+
+
+# ----------------------------------------------------------------------------
+# The mission state machine (Fig. 6.15) as a pure function of time steps.
+#
+#     init --start--> take-off --altitude reached--> hover --waypoint--> waypoint --goal reached--> hover ...
+#     take-off, hover, waypoint --obstacle detected--> obstacle --obstacle avoided--> back to where it came from
+#     take-off --failed--> init (never lifted off) or landing
+#     any flying state --land signal, battery low--> landing --touchdown--> init
+#     any state --RC--> RC --RC off--> hover, or init when it stands on the floor
+#
+# and what a user of today expects beside it (`mufly.mission.machine`):
+#
+#     init --take-off signal--> take-off --> hover, where the mission waits
+#     take-off, waypoint, obstacle, landing --pause--> hover --start--> waypoint
+#     take-off, hover, waypoint, obstacle --return--> waypoint (home) --goal reached--> landing
+#     init, take-off, hover, waypoint, obstacle --set-points--> offboard --no more--> hover, or init on the floor
+#     any state --stop--> init, motors off
+#
+# After the start signal the machine gives itself the waypoint signals of the mission file, and the land signal after
+# the last one; signals of the user override it. Each change of state is kept with its reason in
+# `MissionState.events`.
+#
+# One step takes what was measured and commanded and returns the next state and the `Reference` for the controllers.
+# It
+# runs at 50 Hz or so. Trajectories are made at transitions; a step in between only evaluates one. What each state
+# does
+# by itself is in `mufly.mission.phases` and `mufly.mission.phases`, what the user's signals do in
+# `mufly.mission.machine`,
+# what happens while a pilot or a program flies in `mufly.mission.machine`.
+
 
 _FLYING = frozenset({State.TAKE_OFF, State.HOVER, State.WAYPOINT, State.OBSTACLE, State.OFFBOARD})
 _TIPPED = math.radians(60.0)
@@ -82,7 +377,7 @@ def step(
     s = _sense(plan, state, measured, dt)
     s = _signals(plan, s, measured, command, dt)
     if s.state is State.OFFBOARD:
-        s = takeover.track(plan, s, measured, command, dt)
+        s = track(plan, s, measured, command, dt)
     phase = _PHASES.get(s.state)
     if phase is not None:
         s = phase(plan, s, measured, dt)
@@ -129,33 +424,33 @@ def _gate_open(plan: MissionPlan, s: MissionState, m: Measurement, way: Trajecto
 def _signals(plan: MissionPlan, s: MissionState, m: Measurement, c: Command, dt: float) -> MissionState:
     """Transitions that do not depend on what the present state is busy with."""
     if c.stop:
-        return user.stop_at_once(s, c.stop)
+        return stop_at_once(s, c.stop)
     if s.state is not State.INIT and _tipped_over(s, m):
-        return user.stop_at_once(fail(s, "tipped over"), "tipped over, motors off")
+        return stop_at_once(fail(s, "tipped over"), "tipped over, motors off")
     # Rotors that run down after touchdown stop first: sticks in their middle must not start them again.
     if c.rc and s.motors != "ramp_down":
-        s = s if s.state is State.RC else takeover.to_hand(s, m)
+        s = s if s.state is State.RC else to_hand(s, m)
         if s.motors == "fly" and s.low_s - dt <= _LOW_FOR_S < s.low_s:
             s = log(s, f"{_low_words(plan, s)}; land", level="warning")  # the pilot's own decision
-        return takeover.by_hand(s, m, c, dt)
+        return by_hand(s, m, c, dt)
     if s.state is State.RC:
-        return takeover.from_hand(s, m)
+        return from_hand(s, m)
     if s.state is State.INIT:
         return _from_the_floor(plan, s, m, c) if s.motors == "off" else s
     if s.state is State.LANDING:
-        high = s.standing[2] - m.position[2] > user.GO_AROUND_M
+        high = s.standing[2] - m.position[2] > GO_AROUND_M
         wanted = c.pause and high and s.motors == "fly" and s.outcome != "failed"
-        return user.pause(plan, s, "landing broken off") if wanted else s
+        return pause(plan, s, "landing broken off") if wanted else s
     if s.state not in _FLYING or s.outcome == "failed":
         return s if s.low_s <= _LOW_FOR_S or s.state not in _FLYING else _battery_low(plan, s)
     if s.low_s > _LOW_FOR_S:
         return _battery_low(plan, s)
     if c.land:
-        return user.land_now(plan, s)
+        return land_now(plan, s)
     if s.state is State.TAKE_OFF and c.start and (s.manual or c.first is not None):
-        return user.go_on_after_take_off(s, c.first)
+        return go_on_after_take_off(s, c.first)
     if s.motors == "spin_up":
-        return s if s.state is not State.OFFBOARD or c.set_point else takeover.from_set_points(plan, s, m)
+        return s if s.state is not State.OFFBOARD or c.set_point else from_set_points(plan, s, m)
     return _in_flight(plan, s, m, c)
 
 
@@ -169,7 +464,7 @@ def _from_the_floor(plan: MissionPlan, s: MissionState, m: Measurement, c: Comma
         return phases.start(plan, s, m, first=c.first)
     if c.take_off is not None:
         return phases.start(plan, s, m, height=c.take_off)
-    return s if c.set_point is None else takeover.to_set_points(s, m, c.set_point)
+    return s if c.set_point is None else to_set_points(s, m, c.set_point)
 
 
 def _battery_low(plan: MissionPlan, s: MissionState) -> MissionState:
@@ -185,19 +480,19 @@ def _low_words(plan: MissionPlan, s: MissionState) -> str:
 def _in_flight(plan: MissionPlan, s: MissionState, m: Measurement, c: Command) -> MissionState:
     """What the user wants of a helicopter that flies."""
     if s.state is State.OFFBOARD and c.set_point is None:
-        s = takeover.from_set_points(plan, s, m)
+        s = from_set_points(plan, s, m)
         if s.state is State.INIT:
             return s
-    if s.state is State.TAKE_OFF and s.standing[2] - m.position[2] < user.OFF_FLOOR_M:
+    if s.state is State.TAKE_OFF and s.standing[2] - m.position[2] < OFF_FLOOR_M:
         return s
     if c.pause:
-        return user.pause(plan, s)
+        return pause(plan, s)
     if c.home:
-        return user.return_home(plan, s)
+        return return_home(plan, s)
     if c.set_point is not None:
-        return s if s.state is State.OFFBOARD else takeover.to_set_points(s, m, c.set_point)
+        return s if s.state is State.OFFBOARD else to_set_points(s, m, c.set_point)
     if c.waypoint is not None or c.heading is not None:
-        return user.to_users_waypoint(plan, s, c.waypoint, c.heading)
+        return to_users_waypoint(plan, s, c.waypoint, c.heading)
     if c.start and s.state is not State.TAKE_OFF and (s.manual or c.first is not None):
-        return user.go_on(plan, s, c.first)
+        return go_on(plan, s, c.first)
     return s

@@ -27,8 +27,6 @@ from dataclasses import dataclass
 from mufly.mission.schema import LOWEST_M
 from mufly.mission.trajectory import Limits, Point, shorter_way_round
 
-__all__ = ["HIGHEST_M", "SetPoint", "Tracker", "begin_tracking", "fault_of", "follow", "wants_up"]
-
 HIGHEST_M = 50.0
 """Greatest height of a reference above the floor (m)."""
 

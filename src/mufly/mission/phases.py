@@ -1,8 +1,4 @@
-"""What each state of the mission does by itself, and how it is entered (Fig. 6.15).
-
-Every function takes a state and returns the next one; nothing is kept anywhere else. Landing is in
-:mod:`mufly.mission.landing`, what the user's signals do in :mod:`mufly.mission.user`.
-"""
+"""From the state of the mission to the reference of the controllers."""
 
 from __future__ import annotations
 
@@ -12,28 +8,172 @@ from dataclasses import replace
 
 import numpy as np
 
-from mufly.mission.avoidance import BRAKE_M_S2, begin_detour, go_round
-from mufly.mission.landing import RAMP_DOWN_S, land
-from mufly.mission.plan import SPIN_UP_S, leg_trajectory
-from mufly.mission.reference import at_gate, onward, point
-from mufly.mission.schema import LOWEST_M
-from mufly.mission.sight import blocked, look
-from mufly.mission.signals import State, Triple
-from mufly.mission.state import MissionPlan, MissionState, enter, fail, log
-from mufly.mission.trajectory import Stop, Trajectory, stop, straight
+from mufly.mission.avoidance import BRAKE_M_S2, begin_detour, blocked, go_round, look
+from mufly.mission.schema import LOWEST_M, SLOW_FROM_M, SPIN_UP_S, leg_trajectory
+from mufly.mission.state import Command, MissionPlan, MissionState, Reference, State, Triple, enter, fail, log
+from mufly.mission.trajectory import Point, Stop, Trajectory, stop, straight
 from mufly.sensors import Measurement
 
-__all__ = [
-    "avoid",
-    "braking",
-    "fly_leg",
-    "go_home",
-    "hover",
-    "set_out",
-    "stand",
-    "start",
-    "take_off",
-]
+SWEEP_PERIOD_S = 4.0
+"""Period of the nose's swing while scanning; every direction is looked at once in half of it (s)."""
+
+_ZERO = (0.0, 0.0, 0.0)
+
+
+def point(s: MissionState) -> Point:
+    """Where the reference is now, without the swing of the nose."""
+    if s.state is State.OBSTACLE and s.detour is not None:
+        return Point(s.detour.position, s.detour.velocity, s.detour.acceleration, s.heading, 0.0)
+    if s.state is State.OFFBOARD and s.tracker is not None:
+        return s.tracker.point
+    if s.motion is None or s.motors == "spin_up":
+        return Point(s.hold, _ZERO, _ZERO, s.heading, 0.0)
+    at = s.motion.at(s.clock_s)
+    if s.state is State.LANDING:
+        (n, e, _), (u, v, _), (a, b, _) = at.position, at.velocity, at.acceleration
+        return Point((n, e, s.hold[2]), (u, v, s.sink), (a, b, s.sink_rate), at.heading, at.heading_rate)
+    return at
+
+
+def onward(s: MissionState) -> Point:
+    """Where the reference is once this step is over, as it moves now: what another motion has to go on from.
+
+    A motion's clock has been moved on already; what a state integrates by itself (a detour, a landing's height, the
+    tracker of set-points) has not.
+    """
+    at = point(s)
+    if s.state not in (State.OBSTACLE, State.LANDING, State.OFFBOARD):
+        return at
+    (n, e, d), (u, v, w), dt = at.position, at.velocity, s.step_s
+    place = (n, e, d + dt * w) if s.state is State.LANDING else (n + dt * u, e + dt * v, d + dt * w)
+    return at._replace(position=place, heading=at.heading + dt * at.heading_rate)
+
+
+def at_gate(s: MissionState) -> bool:
+    """Whether height and heading are done and the way begins, on a trajectory."""
+    return isinstance(s.motion, Trajectory) and s.clock_s >= s.motion.gate_s
+
+
+def swing(plan: MissionPlan, s: MissionState) -> tuple[float, float]:
+    """Angle and rate of the nose's swing (rad, rad/s): half the gap between two beams to either side."""
+    if s.swing <= 0.0:
+        return 0.0, 0.0
+    x = min(s.swing, 1.0)
+    size = 0.5 * plan.ring.spacing * x * x * (3.0 - 2.0 * x)
+    omega = math.tau / SWEEP_PERIOD_S
+    return size * math.sin(omega * s.time_s), size * omega * math.cos(omega * s.time_s)
+
+
+def reference(plan: MissionPlan, s: MissionState, m: Measurement, c: Command) -> Reference:
+    """What the controllers have to follow now."""
+    if s.state is State.RC:
+        position = np.array((m.position[0], m.position[1], s.hold[2]))
+        velocity = np.array((m.velocity[0], m.velocity[1], s.sink))
+        turning = c.yaw_rate if s.motors == "fly" else 0.0
+        return Reference(
+            position, velocity, np.zeros(3), s.heading, turning, s.motors, rc=True, roll=c.roll, pitch=c.pitch
+        )
+    if s.state is State.INIT:
+        return Reference(m.position.copy(), np.zeros(3), np.zeros(3), float(m.attitude[2]), 0.0, s.motors)
+    at = point(s)
+    angle, rate = swing(plan, s)
+    return Reference(
+        np.array(at.position),
+        np.array(at.velocity),
+        np.array(at.acceleration),
+        at.heading + angle,
+        at.heading_rate + rate,
+        s.motors,
+    )
+
+
+# ----------------------------------------------------------------------------
+# Down to the floor: a landing, and the way down when measurements are lost.
+
+
+RAMP_DOWN_S = 1.0
+"""Time that the rotors take to stop after touchdown (s)."""
+
+_SINK_LAG_S = 0.15
+
+
+def land(s: MissionState, why: str, *, level: str = "info") -> MissionState:
+    """Begin to sink, above where it comes to rest."""
+    if s.motors == "spin_up":
+        s = fail(s, why) if s.begun else s
+        return enter(s, State.INIT, why, level=level, motors="ramp_down", motion=None, tracker=None)
+    now = point(s)
+    brake = stop(onward(s).position, (*now.velocity[:2], 0.0), now.heading, BRAKE_M_S2)
+    foot = brake.at(math.inf).position
+    return enter(
+        s,
+        State.LANDING,
+        why,
+        level=level,
+        motion=brake,
+        tracker=None,
+        hold=(foot[0], foot[1], now.position[2]),
+        goal=(foot[0], foot[1], s.standing[2]),
+        heading=now.heading,
+        sink=now.velocity[2],
+        sink_rate=now.acceleration[2],
+        motors="fly",
+        still_s=0.0,
+    )
+
+
+def sink(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> MissionState:
+    """Sink, slower before the floor, and go on below it until the legs carry the weight; then stop the rotors."""
+    if s.motors == "ramp_down":
+        if s.clock_s < RAMP_DOWN_S:
+            return s
+        return enter(_judged(s), State.INIT, "landed", motors="off", motion=None, finished=True)
+    q = plan.mission.limits
+    a = q.climb_acceleration_m_s2
+    above = s.standing[2] - s.hold[2]
+    # v^2 = v1^2 + 2 (a/2) h: half the acceleration brings it from descent to touchdown speed where that begins.
+    wanted = min(q.descent_m_s, math.sqrt(q.touchdown_m_s**2 + max(0.0, above - SLOW_FROM_M) * a))
+    if above < -0.3:
+        wanted = 0.0
+    ask = min(max((wanted - s.sink) / _SINK_LAG_S, -a), a)
+    rate = s.sink_rate + (ask - s.sink_rate) * min(1.0, dt / 0.1)
+    speed = s.sink + rate * dt
+    depth = s.hold[2] + speed * dt
+    lying = m.position[2] > s.standing[2] - 0.03 and abs(m.velocity[2]) < 0.05
+    still = s.still_s + dt if lying and depth > s.standing[2] + 0.1 else 0.0
+    s = replace(s, hold=(s.hold[0], s.hold[1], depth), sink=speed, sink_rate=rate, still_s=still)
+    if still > 0.3:
+        return replace(log(s, "touchdown"), motors="ramp_down", clock_s=0.0)
+    return s
+
+
+def _judged(s: MissionState) -> MissionState:
+    """How the flight went, now that it is down."""
+    if s.outcome != "":
+        return s
+    if s.quit:
+        return fail(s, s.quit)
+    return replace(s, outcome="succeeded", reason="mission complete" if s.begun else "landed")
+
+
+def blind(s: MissionState, time_s: float, why: str) -> MissionState:
+    """Measurements are lost in flight: the flight software brings it down by itself."""
+    s = fail(replace(s, time_s=time_s), why)
+    return enter(s, State.LANDING, why, level="error", motors="blind", motion=None, detour=None, tracker=None)
+
+
+def down_blind(s: MissionState, time_s: float) -> MissionState:
+    """By now it has come down."""
+    s = replace(s, time_s=time_s)
+    return enter(s, State.INIT, "motors off, where it came down", motors="off", finished=True)
+
+
+# ----------------------------------------------------------------------------
+# What each state of the mission does by itself, and how it is entered (Fig. 6.15).
+#
+# Every function takes a state and returns the next one; nothing is kept anywhere else. Landing is in
+# :mod:`mufly.mission.phases`, what the user's signals do in :mod:`mufly.mission.machine`.
+
 
 _SETTLE_BEFORE_LANDING_S = 2.0
 

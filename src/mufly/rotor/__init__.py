@@ -1,15 +1,13 @@
 """How do its rotors lift? Airfoils, polars, blade geometry, blade element momentum theory, the coaxial pair."""
 
 from mufly.rotor.airfoil import Airfoil, database_airfoils, load_airfoil
-from mufly.rotor.blading import Blading, prepare
-from mufly.rotor.build import polar, polars
-from mufly.rotor.coax_map import climb_ratios, coax_map
-from mufly.rotor.coaxial import CoaxialResult, balance_torque, coaxial
-from mufly.rotor.compare import Comparison, calibrate, compare
-from mufly.rotor.corrections import PLAIN, Corrections
-from mufly.rotor.geometry import BladeSections, Rotor, blade_thickness_m
-from mufly.rotor.hover import Air, BatchResult, RotorResult, hover, hover_batch
-from mufly.rotor.load import (
+from mufly.rotor.bemt import Air, BatchResult, RotorResult, hover, hover_batch
+from mufly.rotor.blading import PLAIN, Blading, Corrections, prepare
+from mufly.rotor.engines import polar, polars
+from mufly.rotor.geometry import (
+    BladeSections,
+    Rotor,
+    blade_thickness_m,
     builtin_rotors,
     load_rotor,
     make_rotor,
@@ -17,9 +15,10 @@ from mufly.rotor.load import (
     rotor_from,
     rotor_toml,
 )
-from mufly.rotor.measurements import Measurements, read_measurements
-from mufly.rotor.polar import PolarStack, PolarTable, lookup, outside, stack_polars
-from mufly.rotor.thrust import solve_thrust
+from mufly.rotor.maps import climb_ratios, coax_map
+from mufly.rotor.measurements import Comparison, Measurements, calibrate, compare, read_measurements
+from mufly.rotor.polar_table import PolarStack, PolarTable, lookup, outside, stack_polars
+from mufly.rotor.system import CoaxialResult, balance_torque, coaxial, solve_thrust
 from mufly.rotor.uncertainty import Band, Doubt, interval
 
 __all__ = [

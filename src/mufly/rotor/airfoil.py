@@ -20,10 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.rotor.contour import read_contour
-from mufly.rotor.naca import naca
-
-__all__ = ["Airfoil", "database_airfoils", "load_airfoil", "sides", "with_gurney"]
 
 Array = NDArray[np.float64]
 
@@ -183,3 +179,267 @@ def with_gurney(airfoil: Airfoil, height: float) -> Airfoil:
     return Airfoil(
         f"{airfoil.name}+gurney{percent}", contour, f"{airfoil.source}; Gurney flap {percent} %", height
     )
+
+
+# ----------------------------------------------------------------------------
+# NACA four- and five-digit sections from their formulas, lengths over chord.
+#
+# Four digits ``mptt`` (Jacobs, Ward, Pinkerton, NACA Report 460, 1933), m = max camber, p = its place, t =
+# thickness::
+#
+#     y_t = 5 t (0.2969 sqrt x - 0.1260 x - 0.3516 x^2 + 0.2843 x^3 - 0.1015 x^4)
+#     y_c = m/p^2 (2 p x - x^2)                     x <= p
+#         = m/(1-p)^2 (1 - 2p + 2 p x - x^2)        x >  p
+#     upper, lower = (x -+ y_t sin a,  y_c +- y_t cos a),   tan a = dy_c/dx
+#
+# Five digits ``lpstt`` (Reports 537 and 610; constants as tabulated by Ladson and Brooks, NASA TM X-3284, 1975):
+# design lift 0.15 l, camber's place p/20, s = 0 normal or 1 reflexed (no moment about the quarter chord)::
+#
+#     normal   y_c = k1/6 (x^3 - 3 r x^2 + r^2 (3 - r) x)   x <= r;   k1 r^3/6 (1 - x)  beyond
+#     reflexed y_c = k1/6 ((x-r)^3 - K (1-r)^3 x - r^3 x + r^3)            x <= r
+#                  = k1/6 (K (x-r)^3 - K (1-r)^3 x - r^3 x + r^3)          x >  r,   K = (3 (r - p/20)^2 - r^3) /
+# (1-r)^3
+#
+# ``r`` and ``k1`` are tabulated for a design lift of 0.3 and ``k1`` scales with it. The blunt tail of the original
+# thickness formula (0.25 % of chord for t = 0.12) is kept.
+
+
+_PER_SIDE = 100
+# Mean lines for a design lift of 0.3, by the place of camber in twentieths: r, k1.
+_NORMAL = {
+    1: (0.0580, 361.400),
+    2: (0.1260, 51.640),
+    3: (0.2025, 15.957),
+    4: (0.2900, 6.643),
+    5: (0.3910, 3.230),
+}
+_REFLEXED = {2: (0.1300, 51.990), 3: (0.2170, 15.793), 4: (0.3180, 6.520), 5: (0.4410, 3.191)}
+
+
+def _thickness(x: Array, t: float) -> Array:
+    return 5 * t * (0.2969 * np.sqrt(x) - 0.1260 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1015 * x**4)
+
+
+def _four_digit_mean(x: Array, m: float, p: float) -> tuple[Array, Array]:
+    if m == 0.0:
+        return np.zeros_like(x), np.zeros_like(x)
+    front = x <= p
+    divisor = np.where(front, p**2, (1 - p) ** 2)
+    y = m / divisor * np.where(front, 2 * p * x - x**2, 1 - 2 * p + 2 * p * x - x**2)
+    return y, 2 * m / divisor * (p - x)
+
+
+def _five_digit_mean(x: Array, digits: str) -> tuple[Array, Array]:
+    lift, twentieth, reflexed = int(digits[0]), int(digits[1]), digits[2] == "1"
+    r, k1 = (_REFLEXED if reflexed else _NORMAL)[twentieth]
+    front = x <= r
+    if not reflexed:
+        y = np.where(front, x**3 - 3 * r * x**2 + r**2 * (3 - r) * x, r**3 * (1 - x))
+        slope = np.where(front, 3 * x**2 - 6 * r * x + r**2 * (3 - r), -(r**3))
+    else:
+        ratio = (3 * (r - twentieth / 20) ** 2 - r**3) / (1 - r) ** 3
+        gain = np.where(front, 1.0, ratio)
+        y = gain * (x - r) ** 3 - ratio * (1 - r) ** 3 * x - r**3 * x + r**3
+        slope = 3 * gain * (x - r) ** 2 - ratio * (1 - r) ** 3 - r**3
+    scale = k1 / 6 * lift / 2  # tabulated for the second family
+    return scale * y, scale * slope
+
+
+def naca(digits: str, per_side: int = _PER_SIDE) -> Array:
+    """Return the contour of a NACA four- or five-digit section.
+
+    Parameters
+    ----------
+    digits : str
+        ``"4412"``, ``"23012"``, ``"23112"`` (reflexed).
+    per_side : int
+        Points on each side, crowded towards nose and tail.
+
+    Returns
+    -------
+    (2 per_side - 1, 2) array
+
+    Raises
+    ------
+    InputError
+        If the digits name no section.
+    """
+    where = f"naca{digits}"
+    if not (digits.isdigit() and len(digits) in (4, 5)):
+        raise InputError(
+            where, "", "is no NACA designation", "give four or five digits, as naca4412 or naca23012"
+        )
+    t = int(digits[-2:]) / 100
+    if not 0.01 <= t <= 0.40:
+        raise InputError(
+            where, "", f"a thickness of {t:.0%} is not possible", "let the last two digits be 01 to 40"
+        )
+    x = 0.5 * (1.0 - np.cos(np.linspace(0.0, math.pi, per_side)))
+    if len(digits) == 4:
+        m, p = int(digits[0]) / 100, int(digits[1]) / 10
+        if (m == 0) != (p == 0):
+            raise InputError(
+                where, "", "has camber without a place, or a place without camber", "as in naca4412"
+            )
+        y_c, slope = _four_digit_mean(x, m, p)
+    else:
+        families = {"0": _NORMAL, "1": _REFLEXED}
+        if int(digits[0]) == 0 or digits[2] not in families:
+            normal = f"naca{digits[:2]}0{digits[3:]}"
+            remedy = f"let the first digit be 1 to 9, the third 0 (normal) or 1 (reflexed), as {normal}"
+            raise InputError(where, "", f"mean line {digits[:3]} is unknown", remedy)
+        if int(digits[1]) not in families[digits[2]]:
+            places = ", ".join(str(k) for k in families[digits[2]])
+            remedy = f"let the second digit be one of {places}"
+            raise InputError(where, "", f"mean line {digits[:3]} is unknown", remedy)
+        y_c, slope = _five_digit_mean(x, digits)
+    y_t, a = _thickness(x, t), np.arctan(slope)
+    upper = np.column_stack((x - y_t * np.sin(a), y_c + y_t * np.cos(a)))
+    lower = np.column_stack((x + y_t * np.sin(a), y_c - y_t * np.cos(a)))
+    return np.concatenate((upper[::-1], lower[1:]))
+
+
+# ----------------------------------------------------------------------------
+# Coordinate files of airfoils, and what makes a contour sound.
+#
+# Two orders are in use. Selig's: one list from the tail over the upper side to the nose and back along the lower
+# side.
+# Lednicer's: a line with the two counts, then the upper and the lower side, each from nose to tail. Titles before and
+# remarks behind the coordinates are passed over. A sound contour has points enough, closes at the tail (up to a blunt
+# base), encloses an area and does not cross itself.
+
+
+_FEWEST = 20
+_WIDEST_TAIL = 0.12  # of chord; a contour whose ends lie further apart is not closed
+
+
+def read_contour(path: Path) -> Array:
+    """Read a coordinate file in Selig's or Lednicer's order.
+
+    Returns
+    -------
+    (n, 2) array
+        Chord one, Selig order, as :func:`checked_contour` leaves it.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or holds no sound contour.
+    """
+    where = str(path)
+    try:
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError as error:
+        raise InputError(where, "", f"cannot be read ({error})", "give a text file of coordinates") from error
+    points: list[list[float]] = []
+    odd: tuple[int, str] | None = None  # a line after the first point that is none itself
+    for number, line in enumerate(lines, 1):
+        words = line.replace(",", " ").replace(";", " ").split()
+        if not words or words[0].startswith("#"):
+            continue
+        try:
+            numbers = [float(w) for w in words]
+        except ValueError:
+            numbers = []
+        if len(numbers) != 2:
+            odd = odd or ((number, line.strip()) if points else None)
+        elif odd is not None:
+            raise InputError(where, f"line {odd[0]}", f"{odd[1]!r} is no point", "give x and y on each line")
+        else:
+            points.append(numbers)
+    contour = np.array(points, dtype=np.float64).reshape(-1, 2)
+    if len(contour) and contour[0].min() > 1.5 and np.allclose(contour[0], np.round(contour[0]), atol=1e-3):
+        contour = _from_lednicer(contour, where)
+    return checked_contour(contour, where)
+
+
+def _from_lednicer(table: Array, where: str) -> Array:
+    """Lednicer: a line with the two counts, then upper and lower side, each from nose to tail."""
+    n_upper, n_lower = (round(float(v)) for v in table[0])
+    if len(table) - 1 != n_upper + n_lower:
+        raise InputError(
+            where,
+            "",
+            f"announces {n_upper} + {n_lower} points and has {len(table) - 1}",
+            "correct the counts",
+        )
+    upper, lower = table[1 : 1 + n_upper], table[1 + n_upper :]
+    first = 1 if len(lower) and np.allclose(lower[0], upper[0], atol=1e-6) else 0
+    return np.concatenate((upper[::-1], lower[first:]))
+
+
+def checked_contour(contour: Array, where: str) -> Array:
+    """Bring a contour to chord one in Selig order, or say what is wrong with it.
+
+    Parameters
+    ----------
+    contour : (n, 2) array
+        Any scale and either direction of travel, starting at the tail.
+    where : str
+        What an error calls the place.
+
+    Raises
+    ------
+    InputError
+        If points are too few or not finite, or the contour is open, flat or crosses itself.
+    """
+    if len(contour) and not np.all(np.isfinite(contour)):
+        raise InputError(where, "", "a coordinate is not a number", "give finite coordinates")
+    if len(contour) > 1:
+        step = np.linalg.norm(np.diff(contour, axis=0), axis=1)
+        contour = contour[np.concatenate(([True], step > 1e-9))]
+    if len(contour) < _FEWEST:
+        raise InputError(
+            where, "", f"{len(contour)} points are too few for a contour", f"give at least {_FEWEST}"
+        )
+    low, chord = contour[:, 0].min(), np.ptp(contour[:, 0])
+    if not chord > 0:
+        raise InputError(where, "", "all points have the same x", "give x from 0 (nose) to 1 (tail)")
+    contour = (contour - [low, 0.0]) / chord
+    nose = int(np.argmin(contour[:, 0]))
+    gap = float(np.linalg.norm(contour[0] - contour[-1]))
+    if gap > _WIDEST_TAIL or min(contour[0, 0], contour[-1, 0]) < 0.9:
+        raise InputError(
+            where, "", f"the contour is open: its ends are {gap:.3g} chords apart",
+            "list points from the tail over the nose back to the tail",
+        )  # fmt: skip
+    if nose in (0, len(contour) - 1):
+        raise InputError(where, "", "the contour has only one side", "give upper and lower side")
+    x, y = contour.T
+    area = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+    if area < 0:  # lower side first
+        contour = contour[::-1]
+    crossing = _first_crossing(contour)
+    if crossing is not None:
+        i, j = crossing
+        raise InputError(
+            where, "", f"the contour crosses itself near x = {contour[i, 0]:.3f} (points {i + 1} and {j + 1})",
+            "correct or remove those points",
+        )  # fmt: skip
+    if not abs(area) > 1e-3:
+        raise InputError(
+            where, "", f"the contour encloses {abs(area):.2g} chord^2", "give a section with thickness"
+        )
+    return np.ascontiguousarray(contour)
+
+
+def _first_crossing(contour: Array) -> tuple[int, int] | None:
+    """First pair of segments that cross, by the signs of the four triangles that their ends span."""
+    p, d = contour[:-1], np.diff(contour, axis=0)
+    q = contour[1:]
+
+    def cross(ax: Array, ay: Array, bx: Array, by: Array) -> Array:
+        return ax * by - ay * bx
+
+    def side(point: Array) -> Array:
+        """Side of each segment (row) on which each point (column) lies."""
+        return cross(
+            d[:, None, 0], d[:, None, 1], point[None, :, 0] - p[:, None, 0], point[None, :, 1] - p[:, None, 1]
+        )
+
+    parts = side(p) * side(q) < -1e-18
+    hit = np.triu(parts & parts.T, k=2)
+    if not hit.any():
+        return None
+    i, j = np.argwhere(hit)[0]
+    return int(i), int(j)

@@ -16,8 +16,6 @@ from mufly.rotor.airfoil import load_airfoil
 from mufly.rotor.neural import neuralfoil
 from mufly.rotor.xfoil import xfoil
 
-__all__ = ["Difference", "crosscheck"]
-
 SECTIONS = ("naca0012", "naca4412", "goe394", "goe342", "gm15sm", "e387", "clarky", "s1223")
 REYNOLDS = (1e4, 3e4, 1e5)
 N_CRIT = (0.1, 9.0)

@@ -42,8 +42,6 @@ from mufly.errors import InputError, MuflyError
 from mufly.rotor.airfoil import Airfoil
 from mufly.rotor.section import SectionData
 
-__all__ = ["MODELS", "check_fit", "fit_kulfan", "neuralfoil", "neuralfoil_version"]
-
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 

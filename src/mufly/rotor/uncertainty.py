@@ -24,13 +24,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mufly.errors import InputError
-from mufly.rotor.blading import prepare
-from mufly.rotor.build import Engine
-from mufly.rotor.corrections import Corrections
+from mufly.rotor.bemt import Air, hover_batch
+from mufly.rotor.blading import Corrections, prepare
+from mufly.rotor.engines import Engine
 from mufly.rotor.geometry import Rotor
-from mufly.rotor.hover import Air, hover_batch
-
-__all__ = ["Band", "Doubt", "interval"]
 
 Array = NDArray[np.float64]
 
@@ -113,7 +110,7 @@ def interval(
     pitch_rad, speed_rad_s, climb_m_s : array_like
         Points, broadcast against each other.
     air, corrections, n_crit, engine
-        As for :func:`mufly.rotor.blading.prepare` and :func:`mufly.rotor.hover.hover`.
+        As for :func:`mufly.rotor.blading.prepare` and :func:`mufly.rotor.bemt.hover`.
     doubt : Doubt, optional
         What is not known; :meth:`Doubt.of_unknown_section` where the airfoil is a guess.
     level : float

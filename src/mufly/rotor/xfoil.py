@@ -26,10 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mufly.errors import MuflyError
 from mufly.rotor.airfoil import Airfoil, load_airfoil
-from mufly.rotor.cache import cache_folder
-from mufly.rotor.section import SectionData
-
-__all__ = ["SETTINGS", "xfoil", "xfoil_missing"]
+from mufly.rotor.section import SectionData, cache_folder
 
 Array = NDArray[np.float64]
 

@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from mufly.link.transfer_notes import Item
+from mufly.link.mission_transfer import Item
 from mufly.station.missions import rows_of
 from mufly.station.view import Check, MissionRow, Snapshot
 
 if TYPE_CHECKING:
     from mufly.station.remote import RemoteVehicle
-
-__all__ = ["Surroundings", "flight_time", "judge"]
 
 LOSS_MOST = 0.1
 CHARGE_LEAST = 0.3

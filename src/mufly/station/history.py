@@ -1,20 +1,84 @@
-"""What a station remembers of a vehicle: the last ten minutes of every signal, in memory that does not grow.
+"""Which signals a station keeps of a vehicle: the columns of its history and of its recordings.
 
-Rows of numbers on one clock, in a ring: a new row takes the place of the oldest. Times are float64 (a float32 clock
-would tick in steps of 8 ms after a day), values float32, which hold every signal to seven digits.
+They are those of a flight's recording (:mod:`mufly.logs.signals`) with what else a vehicle tells over a link: what it
+believes of itself (``estimated_``), what its rotors were measured to turn at, the pilot's sticks, and how good the link
+is. As plain columns they are called ``variable_label`` (``estimated_position_N``), as in :mod:`mufly.logs.signals`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.logs.layout import Layout
-from mufly.station.signals import column_names, column_units, station_layout
+from mufly.logs.signals import QUANTITIES, Layout, Quantity
 
-__all__ = ["History"]
+BEAMS = 8
+"""So many beams are kept; a vehicle with more is shown, but its ranges are not kept."""
+PILOT_CHANNELS = 8
+
+_AXES = {
+    "position": ("axis", "m"),
+    "velocity": ("axis", "m/s"),
+    "attitude": ("angle", "rad"),
+    "rates": ("rate", "rad/s"),
+}
+_ESTIMATED = tuple(
+    Quantity(
+        f"estimated_{field}",
+        "/estimated",
+        field,
+        dim,
+        units,
+        f"{field.replace('rates', 'body rates')} as estimated on board",
+    )
+    for field, (dim, units) in _AXES.items()
+)
+_ROTORS = Quantity(
+    "measured_rotor_speed", "/measured", "rotor_speed", "rotor", "rad/s", "measured rotor speed"
+)
+_PILOT = Quantity("pilot_input", "/pilot", "input", "channel", "us", "channel of the pilot's remote control")
+_LINK = (
+    Quantity("link_loss", "/link", "loss", None, "1", "share of packets lost of late, 0 to 1"),
+    Quantity("link_rate", "/link", "rate", None, "Hz", "messages a second"),
+)
+
+
+def station_layout() -> Layout:
+    """Return the table of what a station keeps of one vehicle."""
+    of_flight = {
+        topic: [q for q in QUANTITIES if q.topic == topic]
+        for topic in dict.fromkeys(q.topic for q in QUANTITIES)
+    }
+    of_flight["/measured"].append(_ROTORS)
+    kept = [q for topic in ("/truth", "/measured") for q in of_flight.pop(topic)]
+    kept += _ESTIMATED
+    kept += [q for quantities in of_flight.values() for q in quantities]
+    labels = (("channel", tuple(range(1, PILOT_CHANNELS + 1))),)
+    return Layout((*kept, _PILOT, *_LINK), BEAMS, labels)
+
+
+def column_names(layout: Layout) -> tuple[str, ...]:
+    """Names of the columns behind the time, ``("truth_position_N", ...)``."""
+    names: list[str] = []
+    for quantity in layout.quantities:
+        labels = layout.labels(quantity)
+        names += [f"{quantity.name}_{label}" for label in labels] if quantity.dim else [quantity.name]
+    return tuple(names)
+
+
+def column_units(layout: Layout) -> tuple[str, ...]:
+    """Units of the same columns."""
+    return tuple(q.units for q in layout.quantities for _ in (layout.labels(q) if q.dim else (None,)))
+
+
+# ----------------------------------------------------------------------------
+# What a station remembers of a vehicle: the last ten minutes of every signal, in memory that does not grow.
+#
+# Rows of numbers on one clock, in a ring: a new row takes the place of the oldest. Times are float64 (a float32 clock
+# would tick in steps of 8 ms after a day), values float32, which hold every signal to seven digits.
 
 
 class History:
@@ -23,7 +87,7 @@ class History:
     Parameters
     ----------
     layout : Layout, optional
-        What the columns are; default :func:`mufly.station.signals.station_layout`.
+        What the columns are; default :func:`mufly.station.history.station_layout`.
     seconds, rate_Hz : float
         How far back it reaches at that many rows a second; at fewer it reaches further.
     """
@@ -129,3 +193,101 @@ class History:
         if self._count < self._size:
             return (slice(0, self._count),)
         return slice(self._next, self._size), slice(0, self._next)
+
+
+# ----------------------------------------------------------------------------
+# What a vehicle's signals are at the moment: who told them, and until when they are believed.
+#
+# Several messages may tell the same; of such a group the best that comes is believed. A signal that comes more seldom
+# than rows of the history do is held for a while (`HOLD_S`) and then is not known any more. Headings are carried on
+# past
+# north, so that lines of them do not jump.
+
+
+HOLD_S = 1.5
+"""A signal that was not told for so long is not known (s)."""
+SLOW_HOLD_S = 6.0
+"""The same for what vehicles tell once a second or less: battery, link (s)."""
+_SLOW = ("battery", "link")
+
+
+class Board:
+    """The present of all signals of a history.
+
+    Parameters
+    ----------
+    history : History
+        Which has the signals.
+
+    Attributes
+    ----------
+    values : (n_signals,) array
+        In the order of ``history.names``; NaN is not known.
+    index : dict
+        Name of a signal -> its place.
+    columns : dict
+        Name of a variable (``"estimated_position"``) -> slice of its places.
+    """
+
+    def __init__(self, history: History) -> None:
+        self._names = history.names
+        self.index = {name: k for k, name in enumerate(self._names)}
+        self.values: NDArray[np.float64] = np.full(len(self._names), np.nan)
+        self.columns: dict[str, slice] = {}
+        for quantity in history.layout.quantities:
+            name, width = _first(history.layout, quantity)
+            self.columns[quantity.name] = slice(self.index[name], self.index[name] + width)
+        self._told: dict[str, tuple[int, float]] = {}  # group -> rank and time of the message last believed
+        self._owned: dict[str, set[int]] = {}  # group -> its places
+
+    def get(self, name: str) -> NDArray[np.float64]:
+        """Return the present value of a variable, NaN where it is not known."""
+        return self.values[self.columns[name]].copy()
+
+    def believed(self, now_s: float, group: str, rank: int) -> bool:
+        """Whether to believe a message of this rank now (0 is best); notes that it told."""
+        told = self._told.get(group)
+        if told is not None and told[0] < rank and now_s - told[1] < HOLD_S:
+            return False
+        self._told[group] = rank, now_s
+        return True
+
+    def set(self, group: str, k: int, value: float) -> None:
+        """Put a value in place ``k``, told by a message of a group."""
+        self._owned.setdefault(group, set()).add(k)
+        if self._names[k].endswith("_yaw") and math.isfinite(value):
+            value = self._carried_on(k, value)
+        self.values[k] = value
+
+    def put(self, group: str, name: str, values: Iterable[float]) -> None:
+        """Put the values of a variable."""
+        first = self.columns[name].start
+        for j, value in enumerate(values):
+            self.set(group, first + j, float(value))
+
+    def forget(self, now_s: float) -> list[str]:
+        """Take away what was not told for long; returns the groups."""
+        gone = [
+            group
+            for group, (_, told_s) in self._told.items()
+            if now_s - told_s > (SLOW_HOLD_S if group in _SLOW else HOLD_S)
+        ]
+        for group in gone:
+            del self._told[group]
+            self.values[list(self._owned.get(group, ()))] = math.nan
+        return gone
+
+    def _carried_on(self, k: int, angle: float) -> float:
+        """Return the angle in the turn nearest to its last value, or else to the estimated heading."""
+        near = self.values[k]
+        if not math.isfinite(near):
+            near = self.values[self.index["estimated_attitude_yaw"]]
+        if not math.isfinite(near):
+            return angle
+        return angle + 2.0 * math.pi * round((near - angle) / (2.0 * math.pi))
+
+
+def _first(layout: Layout, quantity: Quantity) -> tuple[str, int]:
+    """Name of the first signal of a variable, and how many it has."""
+    labels = layout.labels(quantity)
+    return (f"{quantity.name}_{labels[0]}", len(labels)) if quantity.dim else (quantity.name, 1)

@@ -13,12 +13,10 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from mufly.link.dialect import MavMessage, mavlink
-from mufly.station.requests import end
-from mufly.station.texts import Texts
-from mufly.station.view import Outcome, Parameter, Request
-
-__all__ = ["Parameters"]
+from mufly.flight.parameters import Parameter
+from mufly.link.codec import MavMessage, mavlink
+from mufly.station.commands import Texts, end
+from mufly.station.view import Outcome, Request
 
 RETRY_S = 0.8
 SET_TRIES = 12

@@ -26,12 +26,10 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError, MuflyError
 from mufly.flight import Recorder
-from mufly.link.tlog import TlogWriter
+from mufly.link.process import TlogWriter
 from mufly.station.remote import RemoteVehicle
 from mufly.station.view import Message
 from mufly.version import __version__
-
-__all__ = ["StationRecorder"]
 
 DISK_CHECK_S = 5.0
 DISK_LEAST_BYTES = 50e6

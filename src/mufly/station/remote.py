@@ -1,33 +1,312 @@
-"""A vehicle at the other end of a link: what it tells, and what is asked of it.
+"""What a station asks of a vehicle that it has just found, or found again.
 
-Pure: messages in (:meth:`RemoteVehicle.handle`), messages out (:meth:`RemoteVehicle.step`), the clock is passed in.
-Parts, each in a file of its own: telemetry and history, texts, commands, parameters, mission transfers, command of
-the vehicle, checks. Everything that is asked for returns a :class:`mufly.station.view.Request` at once.
+First who it is (AUTOPILOT_VERSION); then how often it is to tell what (SET_MESSAGE_INTERVAL, or REQUEST_DATA_STREAM
+if it does not know that); then its parameters and its mission.
 """
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
-from mufly.link.dialect import MavMessage
-from mufly.station import orders
-from mufly.station.asking import Asking
+from mufly.errors import InputError
+from mufly.flight.parameters import Parameter
+from mufly.link.codec import MavMessage, mavlink
+from mufly.link.missions import items_of as items_of_mission
+from mufly.mission import Mission, load_mission
+from mufly.station import autopilots
+from mufly.station.autopilots import ARDUPILOT, PX4
 from mufly.station.checks import Surroundings, judge
-from mufly.station.command_desk import CommandDesk
-from mufly.station.greeting import Greeting
+from mufly.station.commands import Chain, CommandDesk, Commands, Order, Texts, end
 from mufly.station.history import History
-from mufly.station.missions import rows_of
-from mufly.station.modes import ARDUPILOT
+from mufly.station.missions import Transfers, items_of, rows_of
 from mufly.station.parameters import Parameters
-from mufly.station.requests import Chain, Commands
 from mufly.station.telemetry import Telemetry
-from mufly.station.texts import Texts
-from mufly.station.transfers import Transfers
-from mufly.station.view import Check, Message, MissionRow, Parameter, Snapshot
+from mufly.station.view import Check, Message, MissionRow, Outcome, Request, Snapshot
 
-__all__ = ["LOST_S", "RemoteVehicle"]
+WISHES: tuple[tuple[str, float], ...] = (
+    ("ATTITUDE", 1.0),
+    ("LOCAL_POSITION_NED", 1.0),
+    ("POSITION_TARGET_LOCAL_NED", 1.0),
+    ("ATTITUDE_TARGET", 1.0),
+    ("ACTUATOR_OUTPUT_STATUS", 1.0),
+    ("VISION_POSITION_ESTIMATE", 0.5),
+    ("RAW_RPM", 0.5),
+    ("DEBUG_FLOAT_ARRAY", 0.5),
+    ("OBSTACLE_DISTANCE", 0.25),
+    ("DISTANCE_SENSOR", 0.0),
+)
+"""Messages, and their rates as a share of the fastest."""
+_FOREIGN = (
+    ("SERVO_OUTPUT_RAW", 0.1),
+    ("RC_CHANNELS", 0.05),
+    ("BATTERY_STATUS", 0.01),
+    ("EXTENDED_SYS_STATE", 0.02),
+)
+_STREAM_HZ = 10
+_BYTEWISE, _C_CAST = 16, 131072  # MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_*
+_PATIENCE_S = 3.0
+
+
+class Greeting:
+    """The first questions to one vehicle.
+
+    Parameters
+    ----------
+    commands, parameters, transfers
+        What does the asking.
+    rate_Hz : float
+        Fastest rate.
+
+    Attributes
+    ----------
+    ours : bool
+        Whether it said that it is a mufly vehicle.
+    """
+
+    def __init__(
+        self, commands: Commands, parameters: Parameters, transfers: Transfers, rate_Hz: float
+    ) -> None:
+        self._commands, self._parameters, self._transfers = commands, parameters, transfers
+        self._rate_Hz = rate_Hz
+        self.ours = False
+        self._version: MavMessage | None = None
+        self._asked_s = math.nan
+        self._streams: list[Request] = []
+        self._wished = self._read = self._older = False
+        self._group: list[MavMessage] = []
+
+    def again(self) -> None:
+        """Wish anew: it was away, or is heard from elsewhere."""
+        self._wished = self._older = False
+
+    def anew(self) -> None:
+        """Ask everything anew: it was started anew."""
+        self._version, self._asked_s = None, math.nan
+        self._wished = self._read = self._older = False
+
+    def version(self, message: MavMessage) -> None:
+        """Take AUTOPILOT_VERSION."""
+        self._version = message
+        self.ours = bytes(message.flight_custom_version).startswith(b"mufly")
+        if self.ours:
+            self._parameters.describe(_ours())
+
+    def step(self, now_s: float, telemetry: Telemetry) -> None:
+        """Ask for what comes next."""
+        if math.isnan(self._asked_s):
+            self._asked_s = now_s
+            self._commands.ask(
+                "who are you?", autopilots.request_message(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+            )
+        if self._version is None and now_s - self._asked_s < _PATIENCE_S:
+            return
+        if not self._wished:
+            self._wished = True
+            self._wish()
+        if not self._read:
+            self._read = True
+            known = self._version.capabilities if self._version is not None else 0
+            guess = telemetry.autopilot == PX4
+            self._parameters.encode_bytewise(bool(known & _BYTEWISE) or (guess and not known & _C_CAST))
+            self._parameters.refresh()
+            self._transfers.download()
+        if not self._older and any(r.outcome is Outcome.REFUSED for r in self._streams):
+            self._older = True
+            self._streams = []
+            everything = mavlink.MAV_DATA_STREAM_ALL
+            self._commands.send(
+                mavlink.MAVLink_request_data_stream_message(*self._commands.target, everything, _STREAM_HZ, 1)
+            )
+
+    def _wish(self) -> None:
+        wanted = WISHES if self.ours else (*WISHES[:-1], *_FOREIGN)
+        self._streams = []
+        for name, share in wanted:
+            number = getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
+            request = self._commands.ask(f"tell {name}", autopilots.interval(number, share * self._rate_Hz))
+            if name == "ATTITUDE":  # every vehicle has it: if it refuses this, it does not know the command
+                self._streams.append(request)
+
+
+def _ours() -> dict[str, Parameter]:
+    """What is known of the parameters of our own vehicles: unit, bounds, help."""
+    from mufly.flight.parameters import TABLE
+    from mufly.link.parameters import LINK_PARAMETERS
+
+    known = [Parameter(r.name, math.nan, r.unit, r.least, r.greatest, r.help, r.whole) for r in TABLE]
+    known += [Parameter(name, math.nan, *row[1:]) for name, row in LINK_PARAMETERS.items()]
+    return {p.name: p for p in known}
+
+
+# ----------------------------------------------------------------------------
+# What may be asked of a vehicle: the commanding half of :class:`mufly.station.remote.RemoteVehicle`.
+#
+# Everything returns a :class:`mufly.station.view.Request` at once, which tells what becomes of it. What a vehicle
+# could
+# never do is refused here; all else is for the vehicle to judge.
+
+
+class Asking(ABC):
+    """The requests of a vehicle; the parts that carry them out are those of the vehicle."""
+
+    telemetry: Telemetry
+    texts: Texts
+    commands: Commands
+    transfers: Transfers
+    surroundings: Surroundings
+    on_mark: Callable[[str], bool] | None
+    _parameters: Parameters
+    _desk: CommandDesk
+    _chains: list[Chain]
+    _reached: int
+
+    @property
+    @abstractmethod
+    def dialect(self) -> autopilots.Dialect:
+        """How the vehicle wants to be asked."""
+
+    def arm(self) -> Request:
+        """Let the motors run."""
+        return self._ask("arm", autopilots.arm())
+
+    def disarm(self) -> Request:
+        """Stop the motors; it refuses in flight."""
+        return self._ask("disarm", autopilots.disarm())
+
+    def take_off(self, height_m: float) -> Request:
+        """Arm if needed, take off to a height above where it stands (m), and hover."""
+        text = f"take off to {height_m:g} m"
+        if not (math.isfinite(height_m) and height_m > 0.0):
+            return _refused(text, "a height above the floor is needed")
+        return self._chain(text, self._armed_first(autopilots.take_off(self.dialect, height_m), height_m))
+
+    def start_mission(self) -> Request:
+        """Fly the mission, or go on with it; arms if needed."""
+        if self.transfers.items is not None and not self.transfers.items:
+            return _refused("fly the mission", "the vehicle holds no mission; send one first")
+        return self._chain("fly the mission", self._armed_first(autopilots.mission_start(self.dialect)))
+
+    def pause(self) -> Request:
+        """Stop and hover."""
+        return self._ask("hover here", autopilots.pause(self.dialect))
+
+    def go_to(self, position: Sequence[float], heading_rad: float | None = None) -> Request:
+        """Fly to a place (N, E, D; m) and hold."""
+        n, e, d = (float(v) for v in position)
+        text = f"fly to N {n:.2f}, E {e:.2f}, D {d:.2f} m"
+        if not all(map(math.isfinite, (n, e, d))):
+            return _refused(text, "N, E and D are needed")
+        heading = math.nan if heading_rad is None else heading_rad
+        order = autopilots.go_to(self.dialect, (n, e, d), heading, self.telemetry.origin)
+        return _refused(text, order) if isinstance(order, str) else self._ask(text, order)
+
+    def return_home(self) -> Request:
+        """Return to where it took off, and land."""
+        return self._ask("return and land", autopilots.home(self.dialect))
+
+    def land(self) -> Request:
+        """Land here."""
+        return self._ask("land", autopilots.land(self.dialect))
+
+    def emergency_stop(self) -> Request:
+        """Stop the motors at once, in flight too; nothing that was asked for before goes on after it."""
+        for chain in self._chains:
+            end(chain.request, Outcome.REFUSED, "given up for: EMERGENCY STOP")
+        return self._ask("EMERGENCY STOP", autopilots.emergency_stop())
+
+    def reboot(self) -> Request:
+        """Start the autopilot anew; a simulation begins anew."""
+        return self._ask("start anew", autopilots.reboot())
+
+    def take_command(self) -> Request:
+        """Become the station that commands it."""
+        return self._desk.take()
+
+    def release_command(self) -> Request:
+        """Let another station command it."""
+        return self._desk.release()
+
+    def upload_mission(self, mission: Mission | Sequence[MissionRow] | str | Path) -> Request:
+        """Send a mission: one of ours, rows of the table, or the name of a file."""
+        try:
+            if isinstance(mission, str | Path):
+                mission = load_mission(mission)
+            items = items_of_mission(mission).items if isinstance(mission, Mission) else items_of(mission)
+        except InputError as error:
+            return _refused("send a mission", str(error))
+        self._reached = -1
+        return self.transfers.upload(items)
+
+    def download_mission(self) -> Request:
+        """Fetch the mission that it holds."""
+        return self.transfers.download()
+
+    def clear_mission(self) -> Request:
+        """Let it forget its mission."""
+        return self.transfers.clear()
+
+    def set_parameter(self, name: str, value: float) -> Request:
+        """Set a parameter."""
+        return self._parameters.set(name, value)
+
+    def refresh_parameters(self) -> Request:
+        """Read all parameters anew."""
+        return self._parameters.refresh()
+
+    def show_mission(self, mission: Mission | None) -> None:
+        """Say which mission the page shows, for the check that the vehicle holds the same."""
+        self.surroundings.shown = None if mission is None else tuple(items_of_mission(mission).items)
+
+    def mark(self, text: str) -> Request:
+        """Put a mark into the recording, and among the messages."""
+        request = Request(f"mark: {text}")
+        recorded = self.on_mark is not None and self.on_mark(text)
+        self.texts.note(self.telemetry.time_s, "info", f"mark: {text}")
+        end(request, Outcome.ACCEPTED, "" if recorded else "not recorded: the recorder is off")
+        return request
+
+    def _ask(self, text: str, order: Order) -> Request:
+        return self.commands.ask(text, order)
+
+    def _chain(self, text: str, links: Sequence[Callable[[], Request | None]]) -> Request:
+        chain = Chain(text, links)
+        self._chains.append(chain)
+        return chain.request
+
+    def _armed_first(
+        self, then: Sequence[Order], height_m: float | None = None
+    ) -> list[Callable[[], Request | None]]:
+        """Links of a chain: what comes before arming, arming unless it is armed, and the orders."""
+
+        def arm() -> Request | None:
+            return None if self.telemetry.armed else self._ask("arm", autopilots.arm())
+
+        def ask(order: Order) -> Callable[[], Request]:
+            return lambda: self._ask("take off" if height_m is not None else "start", order)
+
+        links: list[Callable[[], Request | None]] = []
+        if height_m is not None:
+            if self.dialect == "PX4":
+                links.append(lambda: self._parameters.set("MIS_TAKEOFF_ALT", height_m))
+            links += [ask(order) for order in autopilots.before_arming(self.dialect)]
+        return [*links, arm, *(ask(order) for order in then)]
+
+
+def _refused(text: str, answer: str) -> Request:
+    return Request(text, Outcome.REFUSED, answer)
+
+
+# ----------------------------------------------------------------------------
+# A vehicle at the other end of a link: what it tells, and what is asked of it.
+#
+# Pure: messages in (:meth:`RemoteVehicle.handle`), messages out (:meth:`RemoteVehicle.step`), the clock is passed in.
+# Parts, each in a file of its own: telemetry and history, texts, commands, parameters, mission transfers, command of
+# the vehicle, checks. Everything that is asked for returns a :class:`mufly.station.view.Request` at once.
+
 
 LOST_S = 3.0
 """A vehicle that was silent for so long is lost (s)."""
@@ -98,9 +377,9 @@ class RemoteVehicle(Asking):
         return "mufly" if self._greeting.ours else "other"
 
     @property
-    def dialect(self) -> orders.Dialect:
+    def dialect(self) -> autopilots.Dialect:
         """How it wants to be asked."""
-        return orders.dialect_of(self.telemetry.autopilot, self._greeting.ours)
+        return autopilots.dialect_of(self.telemetry.autopilot, self._greeting.ours)
 
     @property
     def name(self) -> str:

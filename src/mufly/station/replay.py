@@ -20,12 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
+from mufly.flight.parameters import Parameter
 from mufly.logs import events_of, kind_of, read_attachments, read_log
-from mufly.logs.flat import columns_of
+from mufly.logs.signals import columns_of
 from mufly.mission import Mission, mission_from
-from mufly.station.view import Check, Message, MissionRow, Parameter, Snapshot, unknown
-
-__all__ = ["Recording", "Replay", "ReplayHistory", "mission_rows", "open_recording"]
+from mufly.station.view import Check, Message, MissionRow, Snapshot, unknown
 
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 AIRBORNE_M = 0.02
@@ -44,7 +43,7 @@ class Recording:
     times : (n,) array
         s, increasing.
     columns : dict of str to (n,) array
-        Flat names as in :mod:`mufly.logs.flat` (``measured_attitude_roll``), SI units.
+        Flat names as in :mod:`mufly.logs.signals` (``measured_attitude_roll``), SI units.
     units : dict of str to str
     states : (n,) array of str
         State of the mission machine, or "".

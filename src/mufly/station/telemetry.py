@@ -1,30 +1,245 @@
-"""From messages to signals: what a vehicle told, as rows of a history and as the present.
+"""Which field of which MAVLink message is which signal: one table.
 
-Every message sets the signals that it tells; a row is finished when a message brings a later stamp, so that what the
-vehicle measured in one instant stands in one row. What is known at the moment stands on a
-:class:`mufly.station.board.Board`.
+Messages whose fields mean different things at different times (masks, quaternions, rings of beams) have functions of
+their own in :mod:`mufly.station.telemetry`; everything that is a plain number times a factor is here. Source of fields
+and units: https://mavlink.io/en/messages/common.html.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.link.dialect import MavMessage
-from mufly.link.geodesy import Origin
-from mufly.link.telemetry_status import STATES
-from mufly.station.board import Board
-from mufly.station.clock import VehicleClock
-from mufly.station.fields import FIELDS, RPM
-from mufly.station.history import History
-from mufly.station.modes import mode_words
-from mufly.station.ranges import Ranges, read_distance, read_ring
+from mufly.link.codec import MavMessage
+from mufly.link.conventions import Origin
+from mufly.link.telemetry import STATES
+from mufly.station.autopilots import mode_words
+from mufly.station.history import Board, History
 from mufly.station.view import unknown
 
-__all__ = ["Telemetry"]
+_RPM = 2.0 * math.pi / 60.0
+_UNKNOWN = 65535
+
+
+@dataclass(frozen=True, slots=True)
+class Fields:
+    """The plain fields of a message.
+
+    Attributes
+    ----------
+    group : str
+        What they tell; several messages may tell the same.
+    rank : int
+        Of several messages that tell the same, the one with the lowest rank is believed while it comes.
+    fields : tuple of (field, signal, factor)
+        Number times factor is the signal in its unit.
+    unknown : float or None
+        Number that says "not known".
+    """
+
+    group: str
+    rank: int
+    fields: tuple[tuple[str, str, float], ...]
+    unknown: float | None = None
+
+
+def _same(fields: str, signal: str, labels: str, factor: float = 1.0) -> tuple[tuple[str, str, float], ...]:
+    pairs = zip(fields.split(), labels.split(), strict=True)
+    return tuple((field, f"{signal}_{label}", factor) for field, label in pairs)
+
+
+_PILOT = _same(
+    " ".join(f"chan{k}_raw" for k in range(1, 9)), "pilot_input", " ".join(str(k) for k in range(1, 9))
+)
+FIELDS: dict[str, Fields] = {
+    "ATTITUDE": Fields(
+        "attitude",
+        0,
+        _same("roll pitch yaw", "estimated_attitude", "roll pitch yaw")
+        + _same("rollspeed pitchspeed yawspeed", "estimated_rates", "p q r"),
+    ),
+    "LOCAL_POSITION_NED": Fields(
+        "position",
+        0,
+        _same("x y z", "estimated_position", "N E D") + _same("vx vy vz", "estimated_velocity", "N E D"),
+    ),
+    "VISION_POSITION_ESTIMATE": Fields(
+        "measured",
+        0,
+        _same("x y z", "measured_position", "N E D")
+        + _same("roll pitch yaw", "measured_attitude", "roll pitch yaw"),
+    ),
+    "RC_CHANNELS": Fields("pilot", 0, _PILOT, _UNKNOWN),
+    "RC_CHANNELS_RAW": Fields("pilot", 1, _PILOT, _UNKNOWN),
+}
+"""Message -> its plain fields."""
+
+RPM = {
+    0: (("frequency", "measured_rotor_speed_upper", _RPM),),
+    1: (("frequency", "measured_rotor_speed_lower", _RPM),),
+}
+"""RAW_RPM: index -> its field."""
+
+
+# ----------------------------------------------------------------------------
+# Distances around a vehicle, from the two messages that tell them.
+
+
+_NOTHING_KNOWN = 65535
+_BODY_FRAME = 12  # MAV_FRAME_BODY_FRD
+
+
+@dataclass(frozen=True, slots=True)
+class Ranges:
+    """Distances along beams.
+
+    Attributes
+    ----------
+    ranges, angles : (n,) array
+        m, NaN where it is not known; rad from the nose to the right.
+    most_m : float
+        What a beam that sees nothing returns (m).
+    """
+
+    ranges: NDArray[np.float64] = field(default_factory=lambda: unknown(0))
+    angles: NDArray[np.float64] = field(default_factory=lambda: unknown(0))
+    most_m: float = math.nan
+
+
+def read_ring(m: MavMessage, heading_rad: float) -> Ranges:
+    """Read OBSTACLE_DISTANCE: a ring of beams, from the nose or (turned back here) from north.
+
+    Parameters
+    ----------
+    m : pymavlink message
+    heading_rad : float
+        For a ring that is told from north.
+    """
+    told = np.array(m.distances, dtype=np.float64)
+    known = np.flatnonzero(told != _NOTHING_KNOWN)
+    n = int(known[-1]) + 1 if len(known) else 0
+    step = m.increment_f if m.increment_f > 0.0 else float(m.increment)
+    if not math.isfinite(step):
+        return Ranges()
+    if step > 0.0:
+        # The ring is whole even if its last beams are not known just now.
+        n = max(n, min(len(told), round(360.0 / step)))
+    most = m.max_distance / 100.0
+    ranges = np.where(told[:n] == _NOTHING_KNOWN, math.nan, np.minimum(told[:n] / 100.0, most))
+    first = m.angle_offset if math.isfinite(m.angle_offset) else 0.0
+    angles = np.radians(first + step * np.arange(n))
+    if m.frame != _BODY_FRAME and math.isfinite(heading_rad):
+        angles = angles - heading_rad
+    return Ranges(ranges, angles, most)
+
+
+def read_distance(m: MavMessage, known: Ranges) -> Ranges:
+    """Add a DISTANCE_SENSOR that looks to one of eight sides (orientation 0 to 7) to what is known."""
+    n = 8
+    ranges = known.ranges.copy() if len(known.ranges) == n else unknown(n)
+    most = m.max_distance / 100.0
+    ranges[m.orientation] = min(m.current_distance / 100.0, most)
+    return Ranges(ranges, np.radians(45.0) * np.arange(n), most)
+
+
+# ----------------------------------------------------------------------------
+# A vehicle's clock, made to run on.
+#
+# MAVLink's ``time_boot_ms`` counts milliseconds since the vehicle was started, in 32 bits: it wraps after 49.7 days
+# and
+# begins again when the vehicle is started anew. A station's history wants one clock that only goes forward. After a
+# wrap
+# it goes on as if nothing had been; after a restart it goes on from where it was, by as much as passed here
+# meanwhile.
+
+
+_WRAP_S = 2**32 / 1e3
+_NEAR_S = 60.0
+"""It wrapped if it was so near the end and is so near the beginning (s)."""
+_BACK_S = 2.0
+"""A stamp so far behind the newest is no packet that came late (s)."""
+_SURE = 3
+"""So many such stamps in a row, and the vehicle was started anew: one alone may be damaged or very late."""
+
+
+class VehicleClock:
+    """Turns stamps into one clock that goes forward.
+
+    Attributes
+    ----------
+    time_s : float
+        The newest stamp on that clock; NaN before the first.
+    restarts : int
+        How often the vehicle was started anew.
+    """
+
+    def __init__(self) -> None:
+        self.time_s = math.nan
+        self.restarts = 0
+        self._offset_s = 0.0
+        self._heard_s = math.nan
+        self._backward: list[float] = []
+
+    def stamp(self, boot_ms: int, now_s: float) -> float:
+        """Place a stamp.
+
+        Parameters
+        ----------
+        boot_ms : int
+            ``time_boot_ms``.
+        now_s : float
+            Our clock (s).
+
+        Returns
+        -------
+        float
+            s; NaN for a stamp that cannot be placed (yet).
+        """
+        own_s = boot_ms / 1e3
+        if math.isnan(self.time_s):
+            return self._forward(own_s, now_s)
+        newest_s = self.time_s - self._offset_s
+        if newest_s > _WRAP_S - _NEAR_S and own_s < _NEAR_S:
+            self._offset_s += _WRAP_S
+        elif own_s > _WRAP_S - _NEAR_S and newest_s < _NEAR_S:
+            own_s -= _WRAP_S  # from before the wrap, late
+        time_s = own_s + self._offset_s
+        return self._behind(own_s, now_s) if time_s < self.time_s - _BACK_S else self._forward(time_s, now_s)
+
+    def fits(self, boot_ms: int) -> bool:
+        """Whether a stamp of unknown origin is plainly of this clock: within two seconds of the newest."""
+        return abs(boot_ms / 1e3 + self._offset_s - self.time_s) < _BACK_S
+
+    def _forward(self, time_s: float, now_s: float) -> float:
+        self._backward.clear()
+        if not time_s <= self.time_s:
+            self.time_s, self._heard_s = time_s, now_s
+        return time_s
+
+    def _behind(self, own_s: float, now_s: float) -> float:
+        """Judge a stamp far behind the newest: late, or the first ones after a restart, which go forward."""
+        if self._backward and own_s < self._backward[-1]:
+            self._backward.clear()
+        self._backward.append(own_s)
+        if len(self._backward) < _SURE or self._backward[-1] == self._backward[0]:
+            return math.nan
+        self.restarts += 1
+        self._offset_s = self.time_s + max(now_s - self._heard_s, 1e-3) - own_s
+        return self._forward(own_s + self._offset_s, now_s)
+
+
+# ----------------------------------------------------------------------------
+# From messages to signals: what a vehicle told, as rows of a history and as the present.
+#
+# Every message sets the signals that it tells; a row is finished when a message brings a later stamp, so that what
+# the
+# vehicle measured in one instant stands in one row. What is known at the moment stands on a
+# :class:`mufly.station.history.Board`.
+
 
 ROW_S = 0.009
 """Stamps closer than this stand in one row, whose time is the first of them (s): what a vehicle sends at one rate may
@@ -300,9 +515,9 @@ class Telemetry:
             )
 
     def _rpm(self, now_s: float, m: MavMessage) -> None:
-        for field, signal, factor in RPM.get(m.index, ()):
+        for key, signal, factor in RPM.get(m.index, ()):
             self._board.believed(now_s, f"rpm {m.index}", 0)
-            self._board.set(f"rpm {m.index}", self._board.index[signal], getattr(m, field) * factor)
+            self._board.set(f"rpm {m.index}", self._board.index[signal], getattr(m, key) * factor)
 
     def _ring(self, now_s: float, m: MavMessage) -> None:
         if self._board.believed(now_s, "ranges", 0):

@@ -16,10 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.flight.parameter_table import Parameter
-
-__all__ = ["Check", "Message", "MissionRow", "Outcome", "Parameter", "Request", "Snapshot", "unknown"]
-
 _Array = NDArray[np.float64]
 
 

@@ -1,22 +1,31 @@
 """Which rotor and which drive are best? Sweeps over any parameter, rankings of airfoils, optimisation."""
 
-from mufly.study.airfoils import TABLE_3_3, choose_airfoils, thesis_airfoils
-from mufly.study.evaluate import Results, evaluate
-from mufly.study.files import read_results, write_results, write_stations
-from mufly.study.limits import parse_limit
-from mufly.study.map_pictures import map_picture
-from mufly.study.optimise import Optimum, optimise
-from mufly.study.pair import PairPoint, PairSetup, alone, bladings_of, solve_pair
-from mufly.study.pair_optimise import PAIR_FREE, PairOptimum, check_by_wake, optimise_pair, pair_limit
-from mufly.study.pair_sweep import sweep_pairs
-from mufly.study.parameters import PAIR, PARAMETERS, parse_quantity, parse_settings, parse_values
-from mufly.study.pictures import gear_picture, lines_picture, rank_picture
-from mufly.study.rank import rank_airfoils
-from mufly.study.rotor_pictures import blade_picture, stations_picture
-from mufly.study.setup import METHODS, MODELS, Setup
-from mufly.study.shape import reshape
-from mufly.study.sweep import sweep
-from mufly.study.wake_pictures import field_picture, history_picture, rotor_loads_picture, wake_picture
+from mufly.study.evaluation import PairPoint, PairSetup, Results, alone, bladings_of, evaluate, solve_pair
+from mufly.study.optimisation import (
+    PAIR_FREE,
+    Optimum,
+    PairOptimum,
+    check_by_wake,
+    optimise,
+    optimise_pair,
+    pair_limit,
+)
+from mufly.study.parameters import PAIR, PARAMETERS, parse_limit, parse_quantity, parse_settings, parse_values
+from mufly.study.pictures import (
+    blade_picture,
+    field_picture,
+    gear_picture,
+    history_picture,
+    lines_picture,
+    map_picture,
+    rank_picture,
+    rotor_loads_picture,
+    stations_picture,
+    wake_picture,
+)
+from mufly.study.ranking import TABLE_3_3, choose_airfoils, rank_airfoils, thesis_airfoils
+from mufly.study.setup import METHODS, MODELS, Setup, reshape
+from mufly.study.sweeps import read_results, sweep, sweep_pairs, write_results, write_stations
 
 __all__ = [
     "METHODS",

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mufly.drive import Drive
 from mufly.errors import InputError
-from mufly.rotor import PLAIN, Corrections, Rotor
+from mufly.rotor import PLAIN, Corrections, Rotor, rotor_from
 from mufly.rotor.blading import STATIONS
 from mufly.rotor.wake import WakeSettings
-from mufly.study.parameters import DRIVE, PARAMETERS, Value
-
-__all__ = ["DRIVE_OUTPUTS", "METHODS", "MODELS", "OUTPUTS", "Setup", "check_names"]
+from mufly.study.parameters import DRIVE, GEOMETRY, PARAMETERS, Value
 
 # Blade element momentum theory as recommended here, as in textbooks, and as the dissertation has it (Sec. 3.3.1:
 # effective radius of eq. 3.13, no swirl, no hub loss; its tuning to one rotor is not given).
@@ -123,3 +125,107 @@ def check_names(setup: Setup, names: Iterable[str]) -> None:
         raise InputError(
             "study", "gear", "can only be found for a thrust", "give the thrust, or a gear ratio"
         )
+
+
+# ----------------------------------------------------------------------------
+# A rotor with one thing about its blades changed, the way the dissertation's studies change it.
+#
+# With x = r/R, the cut-out x0 and the mean chord c_m between x0 and the tip:
+#
+# * ``chord``: all chords times chord / c_m.
+# * ``taper`` t: c = c_h + (c_t - c_h) (x - x0) / (1 - x0), c_h = 2 c_m / (1 + t), c_t = t c_h, so that the area
+#   stays; the dissertation's TAPER3505 (35 mm at the hub, 5 mm at the tip, 20 mm before) is t = 1/7.
+# * ``twist`` T: theta = T (1 - x) / (1 - x0), zero at the tip. Where the dissertation measures its pitch angle it
+#   does not say; that its optimum moves to smaller pitch with stronger twist (Fig. 3.36) fits the tip, not the hub.
+
+
+Array = NDArray[np.float64]
+
+_BY_HAND = {"source": "specified", "note": "set by a study"}
+_NACA = ("camber", "camber_position", "thickness")
+
+
+def naca_name(base: str, changes: Mapping[str, Value]) -> str:
+    """Return the four-digit NACA name with camber, its place or thickness (all over chord) changed.
+
+    Raises
+    ------
+    InputError
+        If the airfoil is none of that series or a number is not one that the four digits can say.
+    """
+    match = re.fullmatch(r"naca(\d)(\d)(\d\d)", re.sub(r"[\s_-]", "", base.lower()))
+    if match is None:
+        key = next(k for k in _NACA if k in changes)
+        raise InputError(
+            key, "", f"{base} is no four-digit NACA section", "start from one, as in airfoil=naca4412"
+        )
+    digits = [int(match[1]), int(match[2]), int(match[3])]
+    for place, (key, step, most) in enumerate(
+        (("camber", 0.01, 9), ("camber_position", 0.1, 9), ("thickness", 0.01, 40))
+    ):
+        if key in changes:
+            number = float(changes[key]) / step
+            if abs(number - round(number)) > 1e-6 or not 0 <= round(number) <= most:
+                raise InputError(
+                    key, "", f"{100 * float(changes[key]):g} % is not in the series",
+                    f"give multiples of {100 * step:g} % up to {100 * step * most:g} %",
+                )  # fmt: skip
+            digits[place] = round(number)
+    if digits[0] == 0:
+        digits[1] = 0
+    elif digits[1] == 0:
+        digits[1] = 4
+    return f"naca{digits[0]}{digits[1]}{digits[2]:02d}"
+
+
+def reshape(rotor: Rotor, changes: Mapping[str, Value]) -> Rotor:
+    """Return the rotor with parameters of :data:`mufly.study.parameters.GEOMETRY` changed, values in SI units.
+
+    Raises
+    ------
+    InputError
+        If a value is impossible.
+    """
+    unknown = [key for key in changes if key not in GEOMETRY]
+    if unknown:
+        raise InputError(
+            "rotor", unknown[0], "is no parameter of a blade", f"use one of: {', '.join(GEOMETRY)}"
+        )
+    if not changes:
+        return rotor
+    # Everything is worked out on arrays and checked once, at the end: a search makes thousands of rotors.
+    tables = rotor.toml_tables()
+    blade = tables["blade"]
+    x0 = float(changes.get("hub_cutout", float(rotor.hub_cutout)))
+    names = [str(changes["airfoil"])] if "airfoil" in changes else list(rotor.blade.airfoils)
+    if any(key in changes for key in _NACA):
+        names = [naca_name(name, changes) for name in names]
+    x = rotor.blade.r_over_R.array()
+    if ("taper" in changes or "twist" in changes) and len(names) == 1 and 0.0 <= x0 < 1.0 and x[0] < x0:
+        x = np.concatenate(([x0], x[x > x0]))  # a straight line begins at the cut-out
+    chord, twist = rotor.chord_m(x), rotor.twist_rad(x)
+    outboard = np.maximum(x, x0)
+    if "taper" in changes:
+        shape = 1.0 + (float(changes["taper"]) - 1.0) * (outboard - x0) / (1.0 - x0)
+        chord = shape * _mean(x, chord, x0) / _mean(x, shape, x0)
+    if "chord" in changes:
+        chord = chord * float(changes["chord"]) / _mean(x, chord, x0)
+    if "twist" in changes:
+        twist = float(changes["twist"]) * (1.0 - outboard) / (1.0 - x0)
+    blade["airfoils"] = names
+    for key, values in (("r_over_R", x), ("chord", chord), ("twist", twist)):
+        if not np.array_equal(values, getattr(rotor.blade, key).array()):
+            blade[key] = {**blade[key], "value": values.tolist(), **_BY_HAND}
+    for key in ("radius", "hub_cutout"):
+        if key in changes:
+            tables[key] = {**tables[key], "value": float(changes[key]), **_BY_HAND}
+    if "blades" in changes:
+        tables["blades"] = round(float(changes["blades"]))
+    return rotor_from(tables, rotor.name)
+
+
+def _mean(x: Array, values: Array, x0: float) -> float:
+    """Mean between the cut-out and the tip of what is straight between stations and constant inside the first."""
+    at = np.concatenate(([x0], x[x > x0]))
+    y = np.interp(at, x, values)
+    return float(np.sum(0.5 * (y[1:] + y[:-1]) * np.diff(at)) / (1.0 - x0))

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["CLAIMS", "TABLE_3_3_VALUES", "TABLE_3_4_VALUES", "Claim", "Verdict"]
-
 
 @dataclass(frozen=True)
 class Claim:

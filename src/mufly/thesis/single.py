@@ -9,6 +9,7 @@ dissertation's own.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -17,12 +18,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from mufly.drive import load_drive
+from mufly.drive import RotorLoad, coefficient_load, gear_curve, gear_optima, load_drive
 from mufly.rotor import load_rotor
-from mufly.study import MODELS, Setup, sweep
-from mufly.thesis.claims import CLAIMS, Verdict
-
-__all__ = ["PITCH_DEG", "SWEEPS", "SweepStudy", "run_sweep", "standard_setup"]
+from mufly.study import MODELS, TABLE_3_3, Setup, rank_airfoils, sweep, thesis_airfoils
+from mufly.study.sweeps import Progress
+from mufly.thesis.claims import CLAIMS, TABLE_3_3_VALUES, Verdict
+from mufly.vehicle import load_vehicle
 
 Array = NDArray[np.float64]
 Judge = Callable[[str, Array, Array], list[Verdict]]
@@ -221,3 +222,137 @@ SWEEPS: dict[str, SweepStudy] = {
         "Twist", "twist", _degrees(0, 5, 10, 15), ["straight", "twist5", "twist10", "twist15"], _twist
     ),
 }
+
+
+# ----------------------------------------------------------------------------
+# Fig. 3.7, gear ratios of muFly, and Fig. 3.25, coefficients over speed (Secs 3.1.4, 3.3.4).
+#
+# Which rotor Fig. 3.7 was drawn for, and at which voltage, is not said. It is computed here for both rotors of
+# prototype 1.1 with the constant coefficients of Table 5.3, at the nominal 7.2 V and at the 6.4 V that the
+# dissertation's linear model shows (docs/thesis-errata.md, point 6). With constant coefficients the optimal
+# ratios grow with the cube root of the voltage.
+
+
+RATIOS = np.round(np.arange(0.5, 8.01, 0.1), 3)
+WANTED_N = 0.6
+VOLTAGES = (7.2, 6.4)
+ROTORS = ("upper", "lower")
+
+
+def vehicle_load(which: str) -> RotorLoad:
+    """Return the load of the ``upper`` or ``lower`` rotor of prototype 1.1 with the coefficients of Table 5.3."""
+    v = load_vehicle("mufly-1.1")
+    one = v.rotors.upper if which == "upper" else v.rotors.lower
+    return coefficient_load(
+        float(one.thrust_coefficient), float(one.torque_coefficient), radius_m=float(v.rotors.radius),
+        density_kg_m3=float(v.air.density),
+    )  # fmt: skip
+
+
+def muflys_gear() -> tuple[xr.Dataset, list[Verdict]]:
+    """Compute Fig. 3.7 for both rotors; dimensions are voltage, rotor and gear ratio."""
+    drive, verdicts, sheets = load_drive("mufly"), [], []
+    for volt in VOLTAGES:
+        loads = [vehicle_load(which) for which in ROTORS]
+        curves = [gear_curve(drive, load, RATIOS, supply_V=volt) for load in loads]
+        best = [gear_optima(drive, load, thrust_N=WANTED_N, supply_V=volt) for load in loads]
+        at_two = [float(curve.thrust_N.sel(gear_ratio=2.0)) for curve in curves]
+        sheets.append(xr.concat(curves, xr.Variable("rotor", list(ROTORS)), combine_attrs="drop_conflicts"))
+        for claim, field, tolerance, note in (
+            ("gear-power", "mechanical_power", 0.15, ""),
+            ("gear-efficiency", "efficiency", 0.3, ""),
+            ("gear-thrust-per-power", "thrust_per_power", 0.4, ""),
+            (
+                "gear-thrust",
+                "for_thrust",
+                0.15,
+                f"; at a ratio of 2 they give {at_two[0]:.2f} and {at_two[1]:.2f} N",
+            ),
+        ):
+            ours, value = [float(getattr(b, field)) for b in best], CLAIMS[claim].value
+            verdicts.append(
+                Verdict(
+                    CLAIMS[claim], f"constant coefficients, {volt:g} V",
+                    f"{ours[0]:.2f} with the upper rotor, {ours[1]:.2f} with the lower{note}",
+                    min(ours) - tolerance <= value <= max(ours) + tolerance,
+                    f"between ours, or within {tolerance:g} of them",
+                )
+            )  # fmt: skip
+    data = xr.concat(
+        sheets, xr.Variable("voltage", list(VOLTAGES), {"units": "V"}), combine_attrs="drop_conflicts"
+    )
+    return data, verdicts
+
+
+def coefficients_over_speed(model: str) -> tuple[xr.Dataset, list[Verdict]]:
+    """Compute Fig. 3.25, thrust and torque coefficient of the standard blade over the speed at four pitch settings."""
+    setup = Setup(load_rotor("naca4412-r60-c20"), corrections=MODELS[model], flags=False)
+    speed = [float(x) * math.pi / 30 for x in np.arange(3000, 7001, 500)]
+    data = sweep(setup, {"pitch": [math.radians(p) for p in (12, 14, 16, 18)], "speed": speed})
+    change_q = 100 * (data.c_Q.values[:, -1] / data.c_Q.values[:, 0] - 1)
+    change_t = 100 * (data.c_T.values[:, -1] / data.c_T.values[:, 0] - 1)
+
+    def text(change: np.ndarray) -> str:
+        return f"{', '.join(f'{c:+.1f}' for c in change)} % from 3 000 to 7 000 rpm at 12, 14, 16, 18 deg"
+
+    return data, [
+        Verdict(
+            CLAIMS["coefficients-torque"], model, text(change_q), bool(np.all(np.abs(change_q) < 10)), "less than 10 %"
+        ),
+        Verdict(
+            CLAIMS["coefficients-thrust"], model, text(change_t),
+            bool(np.all(change_t > 0) and np.all(np.abs(change_t) > np.abs(change_q))),
+            "grows, and more than c_Q changes",
+        ),
+    ]  # fmt: skip
+
+
+# ----------------------------------------------------------------------------
+# Table 3.3 and Figs 3.29, 3.33 and 3.34: 247 airfoils on the standard blade, and the sections that are drawn.
+#
+# The 247 are chosen by the rule of ``study.airfoils``; only the eight that the dissertation names are surely its own.
+
+
+SECTIONS: dict[str, tuple[str, Sequence[str]]] = {
+    "fig-3.29": ("Four-digit NACA sections", ["naca0012", "naca4412", "naca9412", "naca9712"]),
+    "fig-3.33": ("The four best airfoils of Table 3.3", ["goe394", "goe342", "gm15sm", "goe142"]),
+    "fig-3.34": ("The four worst airfoils of Table 3.3", ["naca6415", "n64015", "naca25016", "lnv109a"]),
+}
+
+
+def airfoil_ranking(model: str, progress: Progress | None = None) -> tuple[xr.Dataset, list[Verdict]]:
+    """Rank the 247 airfoils with one model, and judge Table 3.3."""
+    pitch = [float(p) for p in np.radians(PITCH_DEG)]
+    ranking = rank_airfoils(standard_setup(model), thesis_airfoils(), pitch, progress=progress)
+    n = ranking.sizes["airfoil"]
+
+    def row(name: str) -> tuple[int, float, float]:
+        one = ranking.sel(airfoil=TABLE_3_3[name])
+        return int(one["rank"]), float(one["thrust_per_power_N_W"]), float(one["electrical_power_W"])
+
+    def text(names: Sequence[str]) -> str:
+        parts = []
+        for name in names:
+            place, value, _ = row(name)
+            change = 100 * (value / TABLE_3_3_VALUES[name][1] - 1)
+            parts.append(f"{name} rank {place}, {value:.4f} N/W ({change:+.1f} %)")
+        return "; ".join(parts)
+
+    names = list(TABLE_3_3_VALUES)
+    top, bottom = names[:4], names[4:]
+    worst_power, best_power = row("NACA6415")[2], row(names[0])[2]
+    return ranking, [
+        Verdict(
+            CLAIMS["airfoils-top"], model, text(top), all(row(k)[0] <= n // 10 for k in top),
+            "all four in the best tenth",
+        ),
+        Verdict(
+            CLAIMS["airfoils-bottom"], model, text(bottom), all(row(k)[0] > n - n // 10 for k in bottom),
+            "all four in the worst tenth",
+        ),
+        Verdict(
+            CLAIMS["airfoils-spread"], model,
+            f"{best_power:.2f} W and {worst_power:.2f} W: {worst_power - best_power:.2f} W more",
+            abs(worst_power - best_power - CLAIMS["airfoils-spread"].value) < 1.0, "within 1 W",
+        ),
+    ]  # fmt: skip

@@ -1,8 +1,15 @@
 """What is it made of? Vehicle files, the built-in vehicles and the mass budget."""
 
 from mufly.vehicle.coefficient_map import CoefficientMap, MapTables, builtin_maps, load_map, map_toml
-from mufly.vehicle.load import Parameter, builtin_vehicles, load_vehicle, parameters, replace, vehicle_toml
-from mufly.vehicle.schema import Vehicle
+from mufly.vehicle.schema import (
+    Parameter,
+    Vehicle,
+    builtin_vehicles,
+    load_vehicle,
+    parameters,
+    replace,
+    vehicle_toml,
+)
 
 __all__ = [
     "CoefficientMap",

@@ -26,18 +26,6 @@ from pydantic_core import PydanticCustomError
 from mufly.errors import InputError
 from mufly.tables import builtin_names, read_tables, validated
 
-__all__ = [
-    "COLUMNS",
-    "MAP_NODES",
-    "CoefficientMap",
-    "MapTables",
-    "builtin_maps",
-    "load_map",
-    "map_toml",
-    "named_maps",
-    "table_text",
-]
-
 MAP_NODES = 512  # of the flight model's record: 3 mean speeds x 13 ratios x 13 climbs, say
 COLUMNS = (
     "mean_speed_rad_s",

@@ -1,26 +1,197 @@
-"""What a coaxial micro helicopter is made of: every parameter of the flight model, declared once.
+"""A parameter as a vehicle file states it: value, unit and where the number came from.
 
-Symbols are the thesis's (Table 5.3) in ASCII; ``up`` is the upper rotor (stabiliser bar), ``dw`` the lower
-(swash plate). Positions are in body axes from the centre of gravity: x forward, y right, z down.
+In a file::
+
+    mass = { value = 95, unit = "g", source = "measured", note = "on a scale" }
+
+Values are converted to SI when the file is read; the unit must be given, so that no number is ever guessed at.
 """
 
 from __future__ import annotations
 
-from typing import Literal
+import math
+from collections.abc import Iterator, Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
 
-from pydantic import Field, model_validator
+import numpy as np
+import tomli_w
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from mufly.vehicle.coefficient_map import CoefficientMap
-from mufly.vehicle.quantity import Curve, Group, Points, Quantity, parameter
+from mufly.errors import InputError
+from mufly.tables import builtin_names, read_tables, validated
+from mufly.vehicle.coefficient_map import CoefficientMap, named_maps
 
-__all__ = ["MAX_LEGS", "Vehicle"]
+Source = Literal["measured", "CAD", "datasheet", "estimated", "identified", "specified"]
+
+# Accepted spellings of each SI unit, and what one of them is in SI.
+UNITS: dict[str, dict[str, float]] = {
+    "kg": {"kg": 1.0, "g": 1e-3},
+    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+    "m2": {"m2": 1.0, "cm2": 1e-4, "mm2": 1e-6},
+    "s": {"s": 1.0, "ms": 1e-3},
+    "rad": {"rad": 1.0, "deg": math.pi / 180.0},
+    "kg m2": {"kg m2": 1.0, "g cm2": 1e-7},
+    "kg/m3": {"kg/m3": 1.0},
+    "N": {"N": 1.0, "mN": 1e-3},
+    "N/m": {"N/m": 1.0},
+    "N s/m": {"N s/m": 1.0},
+    "N m s": {"N m s": 1.0},
+    "N m/A": {"N m/A": 1.0, "mN m/A": 1e-3},
+    "V s": {"V s": 1.0, "mV s": 1e-3},
+    "V": {"V": 1.0},
+    "A": {"A": 1.0, "mA": 1e-3},
+    "A s": {"A s": 1.0, "A h": 3600.0, "mA h": 3.6},
+    "ohm": {"ohm": 1.0, "mohm": 1e-3},
+    "m/s": {"m/s": 1.0},
+    "1": {"1": 1.0, "%": 1e-2},
+}
+
+
+_ABSURD = 1e9  # no parameter of a vehicle is as large in SI units; powers of larger ones overflow
+
+
+def _fault(problem: str, remedy: str) -> PydanticCustomError:
+    return PydanticCustomError(
+        "mufly", "{problem}; {remedy}", {"problem": problem, "remedy": remedy}
+    )  # fmt: skip
+
+
+class _Frozen(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Quantity(_Frozen):
+    """One number with its unit and provenance. ``float(quantity)`` is the SI value."""
+
+    value: float
+    unit: str
+    source: Source
+    note: str = ""
+
+    def __float__(self) -> float:
+        return self.value
+
+
+class Points(_Frozen):
+    """Points in body axes (x forward, y right, z down from the centre of gravity)."""
+
+    value: tuple[tuple[float, float, float], ...]
+    unit: str
+    source: Source
+    note: str = ""
+
+    def array(self) -> NDArray[np.float64]:
+        """Return the points as an (n, 3) array in SI units."""
+        return np.array(self.value, dtype=np.float64).reshape(-1, 3)
+
+
+class Curve(_Frozen):
+    """A quantity tabulated over a fraction that rises from 0 to 1."""
+
+    fraction: tuple[float, ...]
+    value: tuple[float, ...]
+    unit: str
+    source: Source
+    note: str = ""
+
+    def sample(self, n: int) -> NDArray[np.float64]:
+        """Return ``n`` values at equal steps of the fraction, interpolated linearly."""
+        return np.interp(np.linspace(0.0, 1.0, n), self.fraction, self.value)
+
+
+def parameter(
+    unit: str,
+    symbol: str,
+    description: str,
+    *,
+    above: float | None = None,
+    at_least: float | None = None,
+    below: float | None = None,
+    at_most: float | None = None,
+) -> Any:
+    """Declare a parameter of a vehicle: its SI unit, symbol, meaning and the values that make sense."""
+    limits = {"above": above, "at_least": at_least, "below": below, "at_most": at_most}
+    return Field(
+        description=description,
+        json_schema_extra={"unit": unit, "symbol": symbol, **limits},
+    )
+
+
+def _in_words(limits: dict[str, Any]) -> str:
+    words = {"above": "above", "at_least": "at least", "below": "below", "at_most": "at most"}
+    return " and ".join(f"{words[k]} {limits[k]:g}" for k in words if limits.get(k) is not None)
+
+
+def _check_limits(value: float, unit: str, limits: dict[str, Any]) -> None:
+    wrong = (
+        not abs(value) < _ABSURD
+        or (limits.get("above") is not None and not value > limits["above"])
+        or (limits.get("at_least") is not None and not value >= limits["at_least"])
+        or (limits.get("below") is not None and not value < limits["below"])
+        or (limits.get("at_most") is not None and not value <= limits["at_most"])
+    )
+    if wrong:
+        wanted = "of ordinary size" if abs(value) >= _ABSURD else _in_words(limits) or "that is finite"
+        raise _fault(f"{value:g} {unit} is not possible", f"give a value {wanted} ({unit})")
+
+
+def _scaled(value: Any, factor: float) -> Any:
+    if isinstance(value, list | tuple):
+        return [_scaled(v, factor) for v in value]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise _fault(f"{value!r} is not a number", "give a number")
+    try:
+        return float(value) * factor
+    except OverflowError:
+        raise _fault("a whole number of more than 300 digits", "give a value of ordinary size") from None
+
+
+def _flat(value: Any) -> list[float]:
+    return [x for v in value for x in _flat(v)] if isinstance(value, list) else [value]
+
+
+class Group(_Frozen):
+    """A named group of parameters. Converts what the file says to SI and checks it against the declaration."""
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _to_si(cls, raw: Any, info: ValidationInfo) -> Any:
+        declared = cls.model_fields[str(info.field_name)].json_schema_extra
+        if not isinstance(declared, dict) or "unit" not in declared or isinstance(raw, _Frozen):
+            return raw
+        si = str(declared["unit"])
+        example = f'{{ value = ..., unit = "{si}", source = "measured" }}'
+        if not isinstance(raw, dict):
+            raise _fault(f"{raw!r} has no unit and no source", f"write {info.field_name} = {example}")
+        if "unit" not in raw:
+            raise _fault("the unit is missing", f"write {info.field_name} = {example}")
+        if not isinstance(raw["unit"], str) or raw["unit"] not in UNITS[si]:
+            accepted = ", ".join(UNITS[si])
+            raise _fault(f"unit {raw['unit']!r} does not fit here", f"use one of: {accepted}")
+        if "value" not in raw:
+            raise _fault("the value is missing", f"write {info.field_name} = {example}")
+        value = _scaled(raw["value"], UNITS[si][raw["unit"]])
+        for v in _flat(value):
+            _check_limits(v, si, declared)
+        return {**raw, "value": value, "unit": si}
+
+
+# ----------------------------------------------------------------------------
+# What a coaxial micro helicopter is made of: every parameter of the flight model, declared once.
+#
+# Symbols are the thesis's (Table 5.3) in ASCII; ``up`` is the upper rotor (stabiliser bar), ``dw`` the lower
+# (swash plate). Positions are in body axes from the centre of gravity: x forward, y right, z down.
+
 
 MAX_LEGS = 16
 _SAME_RADIUS = 0.01
 
 
-def _fault(key: str, problem: str, remedy: str) -> PydanticCustomError:
+def _schema_fault(key: str, problem: str, remedy: str) -> PydanticCustomError:
     context = {"key": key, "problem": problem, "remedy": remedy}
     return PydanticCustomError("mufly", "{problem}; {remedy}", context)
 
@@ -71,7 +242,7 @@ class Rotors(Group):
     def _map_fits(self) -> Rotors:
         m, radius = self.coefficient_map, float(self.radius)
         if m is not None and abs(m.radius_m / radius - 1.0) > _SAME_RADIUS:
-            raise _fault(
+            raise _schema_fault(
                 "rotors.coefficient_map",
                 f"map {m.name!r} is for rotors of {1e3 * m.radius_m:g} mm, these have {1e3 * radius:g} mm",
                 "make a map for these rotors: mufly coax map",
@@ -128,7 +299,7 @@ class Battery(Group):
         c = self.open_circuit_voltage
         rising = all(b > a for a, b in zip(c.fraction, c.fraction[1:], strict=False))
         if len(c.fraction) != len(c.value) or not rising or c.fraction[0] != 0 or c.fraction[-1] != 1:
-            raise _fault(
+            raise _schema_fault(
                 "battery.open_circuit_voltage",
                 "open_circuit_voltage is not a curve over charge",
                 "give as many fractions as values, rising from 0 (empty) to 1 (full)",
@@ -149,9 +320,9 @@ class Contact(Group):
     def _can_stand(self) -> Contact:
         tips = self.legs.value
         if not 3 <= len(tips) <= MAX_LEGS:
-            raise _fault("contact.legs", f"{len(tips)} legs", f"give 3 to {MAX_LEGS} points [x, y, z]")
+            raise _schema_fault("contact.legs", f"{len(tips)} legs", f"give 3 to {MAX_LEGS} points [x, y, z]")
         if max(z for _, _, z in tips) <= 0:
-            raise _fault(
+            raise _schema_fault(
                 "contact.legs", "no leg reaches below the centre of gravity", "give z above 0 (down)"
             )
         return self
@@ -167,7 +338,7 @@ class RangeRing(Group):
     def _min_below_max(self) -> RangeRing:
         low, high = float(self.min_range), float(self.max_range)
         if low >= high:
-            raise _fault(
+            raise _schema_fault(
                 "range_ring.min_range", f"{low:g} m is not below max_range, {high:g} m", "exchange them"
             )
         return self
@@ -209,9 +380,127 @@ class Vehicle(Group):
         if self.mass_budget is not None:
             total = sum(float(q) for _, q in self.mass_budget)
             if abs(total - float(self.body.mass)) > 1e-4:
-                raise _fault(
+                raise _schema_fault(
                     "mass_budget",
                     f"its groups add up to {total * 1e3:.1f} g, but body.mass is {float(self.body.mass) * 1e3:.1f} g",
                     "correct a group or body.mass (0.1 g apart at most)",
                 )
         return self
+
+
+# ----------------------------------------------------------------------------
+# From a vehicle file (TOML) to a checked :class:`Vehicle`, and back.
+
+
+_BUILTIN = resources.files("mufly.vehicle") / "builtin"
+
+
+class Parameter(NamedTuple):
+    """One row of a vehicle's parameter table; ``value`` is in SI units."""
+
+    key: str
+    symbol: str
+    value: Any
+    unit: str
+    source: str
+    description: str
+    note: str
+
+
+def builtin_vehicles() -> list[str]:
+    """Return the names of the vehicles that come with mufly."""
+    return builtin_names(_BUILTIN)
+
+
+def load_vehicle(name_or_path: str | Path) -> Vehicle:
+    """Read a vehicle by built-in name or from a TOML file.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        A name that :func:`builtin_vehicles` lists, or the path of a vehicle file.
+
+    Returns
+    -------
+    Vehicle
+        Frozen and checked; all values in SI units.
+
+    Raises
+    ------
+    InputError
+        If there is no such vehicle, the file is not TOML, or a parameter is missing, unknown, without a unit
+        or impossible. The message names file, key, value and remedy.
+    """
+    tables, where = read_tables(name_or_path, _BUILTIN, "vehicle")
+    folder = None if str(name_or_path) in builtin_vehicles() else Path(name_or_path).parent
+    return validated(Vehicle, named_maps(tables, folder, where), where)
+
+
+def _walk(model: BaseModel, prefix: str = "") -> Iterator[tuple[str, dict[str, Any], Any, str]]:
+    for name, field in type(model).model_fields.items():
+        value = getattr(model, name)
+        extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
+        if isinstance(value, Quantity | Points | Curve):
+            yield f"{prefix}{name}", extra, value, field.description or ""
+        elif isinstance(value, BaseModel):
+            yield from _walk(value, f"{prefix}{name}.")
+
+
+def parameters(vehicle: Vehicle) -> list[Parameter]:
+    """Return every parameter of a vehicle with symbol, SI value, unit, source and meaning, in file order."""
+    rows = []
+    for key, extra, q, description in _walk(vehicle):
+        symbol = str(extra["symbol"])
+        if key.startswith("rotors.upper."):
+            symbol += "_up"
+        elif key.startswith("rotors.lower."):
+            symbol += "_dw"
+        rows.append(Parameter(key, symbol, q.value, q.unit, q.source, description, q.note))
+    return rows
+
+
+def replace(
+    vehicle: Vehicle, values: Mapping[str, float | str | None], *, source: str = "estimated"
+) -> Vehicle:
+    """Return a vehicle with some parameters changed.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle to start from.
+    values : mapping of str to float, str or None
+        New SI values by dotted key, as in ``{"body.mass": 0.08, "battery.model": "constant"}``.
+        ``"rotors.coefficient_map"`` takes the name or path of a map, or None for the constants. A new
+        ``body.mass`` drops the mass budget, which no longer adds up.
+    source : str
+        Provenance that the changed parameters get.
+
+    Raises
+    ------
+    InputError
+        If a key does not exist or a value is impossible.
+    """
+    tables = vehicle.model_dump()
+    for key, value in values.items():
+        *path, last = key.split(".")
+        table: Any = tables
+        for part in path:
+            table = table.get(part) if isinstance(table, dict) else None
+        if not isinstance(table, dict) or last not in table:
+            raise InputError("replace", key, "no such parameter", "use a key that `mufly vehicle show` lists")
+        if isinstance(table[last], dict) and "source" in table[last]:
+            table[last] = {**table[last], "value": value, "source": source, "note": "set by hand"}
+        else:
+            table[last] = value
+    if "body.mass" in values:
+        tables["mass_budget"] = None
+    return validated(Vehicle, named_maps(tables, None, vehicle.name), vehicle.name)
+
+
+def vehicle_toml(vehicle: Vehicle) -> str:
+    """Return the vehicle as the text of a vehicle file, in SI units, that :func:`load_vehicle` reads back.
+
+    A coefficient map is written out in full, so the text needs no other file.
+    """
+    tables = vehicle.model_dump(exclude_none=True)
+    return tomli_w.dumps(tables, multiline_strings=True)

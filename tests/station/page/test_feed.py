@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mufly.flight.parameters import Parameter
 from mufly.station.history import History
 from mufly.station.page.feed import IN_FLIGHT, MOST_POINTS, Feed, Want, encode_snapshot
 from mufly.station.page.session import GRACE_S, Session
-from mufly.station.view import Check, Message, MissionRow, Parameter, Snapshot
+from mufly.station.view import Check, Message, MissionRow, Snapshot
 
 
 class Vehicle:

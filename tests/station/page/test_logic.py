@@ -6,16 +6,18 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError
-from mufly.station.page.availability import COMMANDS, availability, mission_label
-from mufly.station.page.catalog import catalog, display_unit
-from mufly.station.page.parameter_sheet import (
+from mufly.flight.parameters import Parameter
+from mufly.station.page.feed import catalog, display_unit, folded, marks, spectrum
+from mufly.station.page.session import (
+    COMMANDS,
     ParameterSheet,
+    availability,
+    mission_label,
     parameter_file,
     read_parameter_file,
     refused,
 )
-from mufly.station.page.spectrum import folded, marks, spectrum
-from mufly.station.view import Parameter, Snapshot
+from mufly.station.view import Snapshot
 
 
 def test_one_quantity_holds_all_who_speak_of_it() -> None:

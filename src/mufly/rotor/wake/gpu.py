@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from mufly.errors import MuflyError
 from mufly.rotor.wake.kernel import contribution
 
-__all__ = ["gpu_available", "induce_gpu"]
-
 Array = NDArray[np.float64]
 
 _THREADS = 128

@@ -19,8 +19,6 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-__all__ = ["TINY_M2", "contribution", "induce", "influence", "segments_of"]
-
 Array = NDArray[np.float64]
 
 TINY_M2 = 1e-30  # m2; keeps the ends of a segment finite

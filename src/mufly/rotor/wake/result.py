@@ -11,11 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
+from mufly.rotor.bemt import Air, RotorResult
 from mufly.rotor.blading import Blading
-from mufly.rotor.hover import Air, RotorResult
 from mufly.rotor.wake.blade import Surface
-
-__all__ = ["Placed", "Wake", "WakeSettings", "WakeSolution", "check_rotors"]
 
 Array = NDArray[np.float64]
 

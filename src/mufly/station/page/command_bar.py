@@ -13,12 +13,9 @@ from typing import Any
 from nicegui import ui
 from nicegui.events import GenericEventArguments
 
-from mufly.station.page.availability import availability, mission_label
-from mufly.station.page.panel import Panel
-from mufly.station.page.session import Vehicle, View
+from mufly.station.page.panels import Panel
+from mufly.station.page.session import Vehicle, View, availability, mission_label
 from mufly.station.view import Outcome, Request, Snapshot
-
-__all__ = ["CommandBar"]
 
 CONFIRM_S = 3.0
 HEIGHT_M = (0.2, 50.0)

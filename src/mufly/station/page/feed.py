@@ -1,29 +1,232 @@
-"""What one window of the page is told, and how much of it.
-
-The window asks for what it shows (:class:`Want`); a frame holds the present, the samples since the last frame of the
-signals asked for, and each table only when it has changed. Nothing is kept for a window that does not keep up: a
-frame is made when the window has said that it drew the one before the last (:meth:`Feed.ready`), out of whatever is
-then present. A stalled or hidden window thus costs nothing, and gets the gap filled from the history when it comes
-back.
-"""
+"""What the page reads of a vehicle or a recording: the reading half of the seam, as a protocol."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Protocol
 
 import numpy as np
 import orjson
+from numpy.typing import NDArray
+from scipy.signal import detrend, welch
 
-from mufly.station.page.catalog import catalog
-from mufly.station.page.source import Source
-from mufly.station.page.spectrum import marks, spectrum
-from mufly.station.view import Message, Snapshot
+from mufly.flight.parameters import Parameter
+from mufly.logs.signals import our_name
+from mufly.station.view import Check, Message, MissionRow, Snapshot
 
-__all__ = ["Feed", "Viewer", "Want", "encode_snapshot"]
+_Array = NDArray[np.floating[Any]]
+
+
+class SignalHistory(Protocol):
+    """Signals over time; see :class:`mufly.station.replay.ReplayHistory`."""
+
+    @property
+    def names(self) -> Sequence[str]:
+        """Flat names of all signals."""
+
+    def unit(self, name: str) -> str:
+        """SI unit of a signal."""
+
+    def since(self, time_s: float, names: Sequence[str]) -> tuple[_Array, _Array]:
+        """Return times (n,) later than ``time_s`` and values (n, k)."""
+
+    def window(self, seconds: float, names: Sequence[str]) -> tuple[_Array, _Array]:
+        """Return the last ``seconds``."""
+
+
+class Source(Protocol):
+    """A vehicle or a recording, as the page reads it."""
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+
+    @property
+    def kind(self) -> str:
+        """One of "mufly", "other" and "recording"."""
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """The present."""
+
+    @property
+    def history(self) -> SignalHistory:
+        """The past."""
+
+    @property
+    def messages(self) -> Sequence[Message]:
+        """What it said."""
+
+    @property
+    def mission(self) -> Sequence[MissionRow]:
+        """Its mission table."""
+
+    @property
+    def parameters(self) -> Mapping[str, Parameter]:
+        """Its parameters, by name."""
+
+    @property
+    def checks(self) -> Sequence[Check]:
+        """Its pre-flight checks."""
+
+
+# ----------------------------------------------------------------------------
+# Which signals belong together in one axis: a quantity, its components, and who says so.
+#
+# A flat name is ``source_quantity_component`` (``measured_attitude_roll``) or, for what only one side knows,
+# ``quantity_component`` (``motor_input_upper``). A plot shows one quantity: the colour tells the component, the kind
+# of
+# line tells the source. Angles and rates are shown in degrees, rotor speeds in rpm: this is the edge.
+
+
+SOURCES = ("estimated", "measured", "reference", "truth")
+_TITLES = {
+    "position": "Position",
+    "velocity": "Velocity",
+    "attitude": "Attitude",
+    "rates": "Body rates",
+    "rotor_speed": "Rotor speed",
+    "acceleration": "Specific force",
+    "motor_input": "Motor input",
+    "servo_input": "Servo input",
+    "battery_voltage": "Battery voltage",
+    "battery_current": "Battery current",
+    "battery_charge": "Battery charge",
+    "range": "Range",
+    "wind": "Wind",
+}
+_ORDER = tuple(_TITLES)
+
+
+def display_unit(unit: str, quantity: str) -> tuple[str, float]:
+    """Return the unit that a person reads, and what to multiply an SI value by."""
+    if unit == "rad":
+        return "°", 180.0 / math.pi
+    if unit == "rad/s":
+        return ("rpm", 30.0 / math.pi) if "rotor_speed" in quantity else ("°/s", 180.0 / math.pi)
+    if quantity == "battery_charge" and unit == "1":
+        return "%", 100.0
+    return ("" if unit == "1" else unit), 1.0
+
+
+def _split(name: str) -> tuple[str, str, str]:
+    """Return source, quantity and component of a flat name; the source is "" for what only one side knows."""
+    known = our_name(name)
+    variable, component = known if known is not None else (name, None)
+    source, _, quantity = variable.partition("_")
+    if source in SOURCES and quantity:
+        return source, quantity, component or ""
+    return "", variable, component or ""
+
+
+def catalog(names: Iterable[str], unit: Callable[[str], str]) -> list[dict[str, Any]]:
+    """Return the quantities that can be plotted, as the page wants them.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Flat names of all signals.
+    unit : callable
+        SI unit of a signal.
+
+    Returns
+    -------
+    list of dict
+        ``key``, ``title``, ``unit`` and ``factor`` of display, ``components`` (list of str), ``sources`` (list of
+        str) and ``signals`` (``{"source/component": flat name}``), best known first.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for name in names:
+        source, quantity, component = _split(name)
+        if quantity not in found:
+            shown, factor = display_unit(unit(name), quantity)
+            title = _TITLES.get(quantity, quantity.replace("_", " ").capitalize())
+            found[quantity] = {
+                "key": quantity, "title": title, "unit": shown, "factor": factor,
+                "components": [], "sources": [], "signals": {},
+            }  # fmt: skip
+        entry = found[quantity]
+        if component not in entry["components"]:
+            entry["components"].append(component)
+        if source not in entry["sources"]:
+            entry["sources"].append(source)
+        entry["signals"][f"{source}/{component}"] = name
+    for entry in found.values():
+        entry["sources"].sort(key=lambda s: SOURCES.index(s) if s in SOURCES else -1)
+    rank = {key: k for k, key in enumerate(_ORDER)}
+    return sorted(found.values(), key=lambda e: (rank.get(e["key"], len(rank)), e["key"]))
+
+
+# ----------------------------------------------------------------------------
+# The spectrum of a signal, with marks where the rotors would show.
+#
+# Power spectral density by Welch's method (Hann window, halves overlapping), one-sided, so that its integral over
+# frequency is the variance. A rotor of speed Omega shakes the fuselage at its rate of turn f = Omega / 2 pi and, with
+# b
+# blades, at b f. The link samples at f_s; what lies above f_s / 2 shows, folded, at |f - round(f / f_s) f_s|, and is
+# marked there.
+
+
+BLADES = 2
+LEAST_SAMPLES = 64
+
+_spectrum_Array = NDArray[np.float64]
+
+
+def folded(frequency_hz: float, rate_hz: float) -> float:
+    """Where a frequency (Hz) shows in a signal sampled at ``rate_hz``."""
+    return abs(frequency_hz - round(frequency_hz / rate_hz) * rate_hz)
+
+
+def spectrum(
+    times: _spectrum_Array, values: _spectrum_Array
+) -> tuple[float, _spectrum_Array, _spectrum_Array] | None:
+    """Return sampling rate (Hz), frequencies (m,) and densities (m,; unit^2/Hz) of samples (n,) at times (n,; s).
+
+    Gaps are bridged by straight lines, onto an even clock at the median step. None if there is too little to say.
+    """
+    good = np.isfinite(values)
+    times, values = times[good], values[good]
+    if len(times) < LEAST_SAMPLES:
+        return None
+    step = float(np.median(np.diff(times)))
+    if not step > 0.0:
+        return None
+    clock = np.arange(times[0], times[-1], step)
+    if len(clock) < LEAST_SAMPLES:
+        return None
+    even = np.interp(clock, times, values)
+    length = min(len(even), 1024)
+    frequency, density = welch(even, 1.0 / step, "hann", length, length // 2, detrend=detrend)
+    return 1.0 / step, frequency[1:], density[1:]
+
+
+def marks(rotor_speed: _spectrum_Array, rate_hz: float) -> list[dict[str, Any]]:
+    """Return where rotors (upper, lower; rad/s) show: ``name``, ``hz`` (true), ``at`` (in the picture), ``folded``."""
+    out = []
+    for name, speed in zip(("upper", "lower"), rotor_speed.tolist(), strict=True):
+        if not (math.isfinite(speed) and speed > 1.0):
+            continue
+        for label, times in ((name, 1), (f"{name} ×{BLADES}", BLADES)):
+            true = times * speed / (2.0 * math.pi)
+            at = folded(true, rate_hz)
+            out.append({"name": label, "hz": true, "at": at, "folded": true > 0.5 * rate_hz})
+    return out
+
+
+# ----------------------------------------------------------------------------
+# What one window of the page is told, and how much of it.
+#
+# The window asks for what it shows (:class:`Want`); a frame holds the present, the samples since the last frame of
+# the
+# signals asked for, and each table only when it has changed. Nothing is kept for a window that does not keep up: a
+# frame is made when the window has said that it drew the one before the last (:meth:`Feed.ready`), out of whatever is
+# then present. A stalled or hidden window thus costs nothing, and gets the gap filled from the history when it comes
+# back.
+
 
 IN_FLIGHT = 2
 MOST_POINTS = 6000

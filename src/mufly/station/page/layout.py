@@ -9,18 +9,17 @@ from nicegui import ui
 from nicegui.events import GenericEventArguments
 
 from mufly.station.page.command_bar import CommandBar
-from mufly.station.page.drawers import (
+from mufly.station.page.panels import (
+    Panel,
     button,
     check_drawer,
     mission_drawer,
     parameter_drawer,
     recording_drawer,
+    static_url,
 )
-from mufly.station.page.panel import Panel, static_url
 from mufly.station.page.session import View
 from mufly.station.view import Outcome, Request
-
-__all__ = ["build"]
 
 REFRESH_S = 0.2
 _KEYS = (

@@ -22,14 +22,11 @@ from fastapi import FastAPI, WebSocket, WebSocketDisconnect
 from fastapi.staticfiles import StaticFiles
 from nicegui import context, ui
 
-from mufly.station.page.address import Address
+from mufly.station.page.access import Address, Guard
 from mufly.station.page.feed import Feed
-from mufly.station.page.guard import Guard
 from mufly.station.page.layout import build
-from mufly.station.page.panel import STATIC, static_url
+from mufly.station.page.panels import STATIC, static_url
 from mufly.station.page.session import Session
-
-__all__ = ["application", "can_open", "serve"]
 
 RATE_HZ = 20.0
 

@@ -1,8 +1,4 @@
-"""What all windows share, and what belongs to each: who holds the controls, what is shown, what was asked.
-
-A window is one tab of a browser. The first holds the controls, the others watch until they take them. When the window
-that held them is gone, the only one left gets them; of several none does until it asks. The vehicle does not notice.
-"""
+"""Which commands make sense now, and why the others do not: shown on the buttons themselves."""
 
 from __future__ import annotations
 
@@ -14,14 +10,238 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+from mufly.errors import InputError
+from mufly.flight.parameters import Parameter
 from mufly.mission import Mission
-from mufly.station.page.parameter_sheet import ParameterSheet
-from mufly.station.page.source import Source
-from mufly.station.page.world import drawn_world
+from mufly.station.page.feed import Source
 from mufly.station.replay import Recording, Replay
-from mufly.station.view import Request
+from mufly.station.view import Request, Snapshot
+from mufly.world import World
 
-__all__ = ["Session", "Vehicle", "View", "find_recordings"]
+COMMANDS = ("arm", "disarm", "take_off", "pause", "mission", "go_to", "land", "return", "stop")
+_UNDER_WAY = frozenset({"waypoint", "obstacle"})
+
+
+def availability(
+    s: Snapshot | None, *, kind: str, has_controls: bool, rows: int, unready: str = ""
+) -> dict[str, str]:
+    """Return for every command why it cannot be given now, "" if it can.
+
+    Parameters
+    ----------
+    s : Snapshot or None
+        None: there is no vehicle.
+    kind : str
+        "mufly", "other" or "recording".
+    has_controls : bool
+        Whether this window holds the controls.
+    rows : int
+        Length of the vehicle's mission.
+    unready : str
+        Why it cannot be armed, "" if it can.
+    """
+
+    def all_of(reason: str, stop: str | None = None) -> dict[str, str]:
+        return dict.fromkeys(COMMANDS, reason) | {"stop": reason if stop is None else stop}
+
+    if kind == "recording":
+        return all_of("a recording")
+    if s is None:
+        return all_of("no vehicle heard")
+    if not s.connected:
+        return all_of("no link", stop="")  # it may still hear us
+    if not has_controls:
+        return all_of("watching only", stop="")
+    if s.commander and not s.in_command:
+        return all_of("watching only", stop="")
+    up = "on the floor"
+    flying = s.flying
+    return {
+        "arm": "armed" if s.armed else unready,
+        "disarm": "in flight" if flying else "" if s.armed else "not armed",
+        "take_off": "in the air" if flying else "" if s.armed else unready,
+        "pause": "" if flying else up,
+        "mission": "no mission loaded" if not rows else _mission(s, unready),
+        "go_to": "" if flying else up,
+        "land": "" if flying else "on the floor",
+        "return": "" if flying else "on the floor",
+        "stop": "",
+    }
+
+
+def _mission(s: Snapshot, unready: str) -> str:
+    if s.flying:
+        return "Hover interrupts it" if s.state in _UNDER_WAY else "landing" if s.state == "landing" else ""
+    return "" if s.armed else unready
+
+
+def mission_label(s: Snapshot | None, begun: bool) -> str:
+    """Return what the mission button says; ``begun``: a waypoint of the mission was reached."""
+    if s is not None and s.flying and s.state in _UNDER_WAY:
+        return "Under way"
+    return "Resume mission" if s is not None and s.flying and begun else "Fly the mission"
+
+
+# ----------------------------------------------------------------------------
+# What was done to a vehicle's parameters here: changes, undo, redo, and files of them.
+#
+# Files are those that other ground stations write too: one parameter a line, ``system component NAME value type``
+# with
+# tabs (QGroundControl), or ``NAME,value`` (Mission Planner); both are read, the first is written.
+
+
+MAV_PARAM_TYPE_INT32, MAV_PARAM_TYPE_REAL32 = 6, 9
+MOST_STEPS = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One parameter, before and after."""
+
+    name: str
+    before: float
+    after: float
+
+
+@dataclass
+class ParameterSheet:
+    """The changes made to one vehicle's parameters.
+
+    Attributes
+    ----------
+    baseline : dict of str to float
+        Values as they were first heard.
+    """
+
+    baseline: dict[str, float] = field(default_factory=dict)
+    _undo: list[Change] = field(default_factory=list)
+    _redo: list[Change] = field(default_factory=list)
+
+    def observe(self, parameters: Mapping[str, Parameter]) -> None:
+        """Remember the first value of parameters not seen before."""
+        if len(parameters) != len(self.baseline):
+            for name, parameter in parameters.items():
+                self.baseline.setdefault(name, parameter.value)
+
+    def wrote(self, name: str, before: float, after: float) -> None:
+        """Note a change that was made; what had been undone can no longer be redone."""
+        self._undo = [*self._undo, Change(name, before, after)][-MOST_STEPS:]
+        self._redo.clear()
+
+    @property
+    def can_undo(self) -> str:
+        """Name of the parameter that undo would change, "" if none."""
+        return self._undo[-1].name if self._undo else ""
+
+    @property
+    def can_redo(self) -> str:
+        """Name of the parameter that redo would change, "" if none."""
+        return self._redo[-1].name if self._redo else ""
+
+    def undo(self) -> tuple[str, float] | None:
+        """Take the last change back: the name and value to write, None if there is none."""
+        if not self._undo:
+            return None
+        change = self._undo.pop()
+        self._redo.append(change)
+        return change.name, change.before
+
+    def redo(self) -> tuple[str, float] | None:
+        """Make the last undone change again."""
+        if not self._redo:
+            return None
+        change = self._redo.pop()
+        self._undo.append(change)
+        return change.name, change.after
+
+
+def refused(parameter: Parameter | None, name: str, value: float) -> str:
+    """Return why a value cannot be written, "" if it can."""
+    if parameter is None:
+        return f"{name} is no parameter of this vehicle"
+    if not math.isfinite(value):
+        return f"{name}: {value} is no number"
+    if not parameter.least <= value <= parameter.greatest:
+        return f"{name}: {value:g} is outside {parameter.least:g} to {parameter.greatest:g} {parameter.unit}".rstrip()
+    if parameter.whole and value != round(value):
+        return f"{name}: {value:g} is not whole"
+    return ""
+
+
+def parameter_file(parameters: Mapping[str, Parameter], system: int) -> str:
+    """Return parameters as the text of a file."""
+    lines = ["# Vehicle-Id Component-Id Name Value Type, as QGroundControl and mufly write them"]
+    for name in sorted(parameters):
+        p = parameters[name]
+        kind, value = (
+            (MAV_PARAM_TYPE_INT32, str(round(p.value)))
+            if p.whole
+            else (MAV_PARAM_TYPE_REAL32, f"{p.value:.9g}")
+        )
+        lines.append(f"{system}\t1\t{name}\t{value}\t{kind}")
+    return "\n".join(lines) + "\n"
+
+
+def read_parameter_file(text: str, where: str) -> dict[str, float]:
+    """Read a file of parameters.
+
+    Raises
+    ------
+    InputError
+        Naming the line that is no parameter.
+    """
+    out: dict[str, float] = {}
+    for k, line in enumerate(text.splitlines(), 1):
+        line = line.strip()
+        if not line or line.startswith(("#", "//")):
+            continue
+        parts = line.replace(",", " ").replace("=", " ").split()
+        name, value = (
+            (parts[2], parts[3]) if len(parts) == 5 else (parts[0], parts[1] if len(parts) == 2 else "")
+        )
+        try:
+            out[name] = float(value)
+        except ValueError:
+            remedy = "write NAME,value or the lines that QGroundControl writes"
+            raise InputError(where, f"line {k}", f"{line[:60]!r} is no parameter", remedy) from None
+    if not out:
+        raise InputError(where, "", "holds no parameters", "choose another file")
+    return out
+
+
+# ----------------------------------------------------------------------------
+# The world as the 3-D scene draws it: boxes, cylinders and a room, in N-E-D metres.
+
+
+def drawn_world(world: World | None) -> dict[str, Any]:
+    """Return what stands in the world, with lists and numbers only.
+
+    Boxes are ``{name, c: [N, E, D], s: [x, y, z], yaw}``, cylinders ``{name, c: [N, E], r, h, foot}``, the room
+    ``{n: [least, greatest], e: [...], h: height or None}``.
+    """
+    if world is None:
+        return {"boxes": [], "cylinders": [], "room": None}
+    room = world.room
+    return {
+        "boxes": [{"name": b.name, "c": list(b.centre), "s": list(b.size), "yaw": b.yaw} for b in world.boxes],
+        "cylinders": [
+            {"name": c.name, "c": list(c.centre), "r": c.radius, "h": c.height, "foot": c.foot}
+            for c in world.cylinders
+        ],
+        "room": room and {
+            "n": list(room.north), "e": list(room.east), "h": room.height if math.isfinite(room.height) else None,
+        },
+    }  # fmt: skip
+
+
+# ----------------------------------------------------------------------------
+# What all windows share, and what belongs to each: who holds the controls, what is shown, what was asked.
+#
+# A window is one tab of a browser. The first holds the controls, the others watch until they take them. When the
+# window
+# that held them is gone, the only one left gets them; of several none does until it asks. The vehicle does not
+# notice.
+
 
 ENDINGS = (".mcap", ".tlog", ".ulg", ".csv", ".bin", ".parquet", ".nc")
 MOST_RECORDINGS = 200

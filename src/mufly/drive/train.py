@@ -1,0 +1,263 @@
+"""Brushless motor with gear and rotor (thesis Secs 3.1.4 and 4.4.2).
+
+The controller applies the mean voltage ``duty * voltage``; the inductance is neglected (eq. 4.26)::
+
+    I_A          = (duty * U - kE * i * Omega) / R                          armature current
+    J dOmega/dt  = kM * I_A / i - dR * Omega - Q / (i^2 * eta)              eq. 4.29
+
+with gear ratio ``i = motor speed / rotor speed`` and the drag torque ``Q`` of the rotor. ``J`` is the inertia
+that the motor sees. The supply gives ``duty * I_A`` (mean of the chopped current).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+from numba import njit
+from numpy.typing import NDArray
+from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic_core import PydanticCustomError
+
+from mufly.tables import builtin_names, read_tables, validated
+from mufly.vehicle import Vehicle
+from mufly.vehicle.schema import Battery, Gear, Group, Motor, Quantity, parameter
+
+
+@njit(cache=True, error_model="numpy")
+def armature_current(duty, voltage, speed, back_emf_constant, resistance, gear_ratio):  # type: ignore[no-untyped-def]
+    """Return the armature current (A) of a motor whose rotor turns at ``speed`` (rad/s); eq. 4.24 without L."""
+    return (duty * voltage - back_emf_constant * gear_ratio * speed) / resistance
+
+
+@njit(cache=True, error_model="numpy")
+def rotor_acceleration(  # type: ignore[no-untyped-def]
+    current, speed, drag_torque, torque_constant, friction, gear_ratio, gear_efficiency, inertia
+):
+    """Return dOmega/dt (rad/s2) of a rotor at ``speed`` (rad/s) under ``drag_torque`` (N m); eq. 4.29."""
+    drive = torque_constant * current / gear_ratio - friction * speed
+    return (drive - drag_torque / (gear_ratio * gear_ratio * gear_efficiency)) / inertia
+
+
+# ----------------------------------------------------------------------------
+# A drive train as a file states it: motor, speed controller, gear and battery, with units and provenance.
+#
+# The motor is given by the constants of eqs. 4.24 and 4.25, ``[motor]``, or by what a data sheet prints,
+# ``[datasheet]``: speed constant Kv, resistance R, and the current I0 that it draws when it runs free at the
+# voltage U0. Then
+#
+#     kE = 1 / Kv,    kM = kE,    dR = kM I0 / w0,    w0 = (U0 - R I0) / kE,
+#
+# because the power of an ideal converter is conserved (kE w I = kM I w) and a free motor's torque only overcomes
+# its friction. Motors identified from measurements may have kM < kE (muFly's has 0.0035 N m/A against 0.0045 V
+# s): iron losses that grow with the current are then counted in kM.
+
+
+Values = float | NDArray[np.float64]
+_RPM = math.pi / 30.0
+
+
+def _fault(key: str, problem: str, remedy: str) -> PydanticCustomError:
+    context = {"key": key, "problem": problem, "remedy": remedy}
+    return PydanticCustomError("mufly", "{problem}; {remedy}", context)
+
+
+@dataclass(frozen=True)
+class Constants:
+    """The numbers of one motor with controller and gear, SI; each a float or an array over cases.
+
+    Attributes
+    ----------
+    back_emf_V_s, torque_Nm_A : kE and kM
+        Volt per rad/s of motor speed; N m per ampere.
+    resistance_ohm : R
+        Armature and controller together.
+    friction_Nm_s : dR
+        Viscous friction of the motor.
+    gear_ratio, gear_efficiency : i, eta
+        Motor speed over rotor speed; power out of the gear over power in.
+    controller_efficiency : eta_c
+        Power to the motor over power from the supply, beyond what ``resistance_ohm`` takes.
+    """
+
+    back_emf_V_s: Values
+    torque_Nm_A: Values
+    resistance_ohm: Values
+    friction_Nm_s: Values
+    gear_ratio: Values
+    gear_efficiency: Values
+    controller_efficiency: Values = 1.0
+
+    def of(self, case: NDArray[np.int64]) -> Constants:
+        """Return the constants of some cases: arrays are indexed, single numbers stay."""
+        return Constants(**{k: v[case] if np.ndim(v) else v for k, v in vars(self).items()})
+
+
+class DatasheetMotor(Group):
+    """A motor as its data sheet describes it."""
+
+    speed_constant: Quantity = Field(
+        description="Kv, free speed per volt", json_schema_extra={"symbol": "Kv"}
+    )
+    resistance: Quantity = parameter("ohm", "R", "resistance between two leads", above=0)
+    no_load_current: Quantity = parameter("A", "I0", "current of the free motor", at_least=0)
+    no_load_voltage: Quantity = parameter("V", "U0", "voltage at which I0 was measured", above=0)
+
+    @field_validator("speed_constant", mode="before")
+    @classmethod
+    def _kv_to_si(cls, raw: Any, info: ValidationInfo) -> Any:
+        units = {"rad/s/V": 1.0, "rpm/V": _RPM}
+        if isinstance(raw, Quantity):
+            return raw
+        value = raw.get("value") if isinstance(raw, dict) else None
+        if not isinstance(raw, dict) or raw.get("unit") not in units:
+            raise _fault(
+                f"datasheet.{info.field_name}", f"{raw!r} has no unit that fits",
+                f'write {info.field_name} = {{ value = ..., unit = "rpm/V", source = "datasheet" }}',
+            )  # fmt: skip
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1e6:
+            raise _fault(
+                f"datasheet.{info.field_name}", f"{value!r} is not possible", "give a number above 0"
+            )
+        return {**raw, "value": value * units[raw["unit"]], "unit": "rad/s/V"}
+
+    @model_validator(mode="after")
+    def _runs_free(self) -> DatasheetMotor:
+        drop = float(self.resistance) * float(self.no_load_current)
+        if drop >= float(self.no_load_voltage):
+            raise _fault(
+                "datasheet.no_load_current", f"the resistance alone takes {drop:g} V",
+                "correct no_load_current, resistance or no_load_voltage",
+            )  # fmt: skip
+        return self
+
+    def constants(self) -> tuple[float, float, float, float]:
+        """Return kE (V s), kM (N m/A), R (ohm), dR (N m s) by the formulas of the module docstring."""
+        k, r, i0 = 1.0 / float(self.speed_constant), float(self.resistance), float(self.no_load_current)
+        free = (float(self.no_load_voltage) - r * i0) / k
+        return k, k, r, k * i0 / free
+
+
+class Controller(Group):
+    """Speed controller between battery and motor."""
+
+    on_resistance: Quantity = parameter("ohm", "Ron", "resistance of the closed switches", at_least=0)
+    efficiency: Quantity = parameter(
+        "1",
+        "eta_c",
+        "power to the motor over power from the battery, without what Ron takes",
+        above=0,
+        at_most=1,
+    )
+
+
+class Drive(Group):
+    """Motor, controller and gear of each rotor, and the battery that feeds them all. SI values."""
+
+    name: str = Field(min_length=1, description="short name")
+    description: str = Field(default="", description="one line about the drive train")
+    rotors: int = Field(default=1, ge=1, le=64, strict=True, description="rotors that the battery feeds")
+    motor: Motor | None = Field(default=None, description="constants of the motor")
+    datasheet: DatasheetMotor | None = Field(
+        default=None, description="the motor as its data sheet describes it"
+    )
+    controller: Controller | None = Field(
+        default=None, description="speed controller; without it an ideal one"
+    )
+    gear: Gear
+    battery: Battery
+
+    @model_validator(mode="after")
+    def _one_motor(self) -> Drive:
+        if (self.motor is None) == (self.datasheet is None):
+            given = (
+                "neither [motor] nor [datasheet]" if self.motor is None else "both [motor] and [datasheet]"
+            )
+            raise _fault("motor", f"{given} is given", "give one of the two")
+        return self
+
+    def constants(self, **overrides: Values | None) -> Constants:
+        """Return the numbers of one motor with controller and gear.
+
+        Parameters
+        ----------
+        **overrides : float or array
+            New values for fields of :class:`Constants`; None keeps the drive's own.
+        """
+        if self.motor is not None:
+            m = self.motor
+            k_e, k_m, r, d = (
+                float(q) for q in (m.back_emf_constant, m.torque_constant, m.resistance, m.friction)
+            )
+        else:
+            assert self.datasheet is not None
+            k_e, k_m, r, d = self.datasheet.constants()
+        if self.controller is not None:
+            r += float(self.controller.on_resistance)
+        values: dict[str, Values] = {
+            "back_emf_V_s": k_e,
+            "torque_Nm_A": k_m,
+            "resistance_ohm": r,
+            "friction_Nm_s": d,
+            "gear_ratio": float(self.gear.ratio),
+            "gear_efficiency": float(self.gear.efficiency),
+            "controller_efficiency": 1.0 if self.controller is None else float(self.controller.efficiency),
+        }
+        values.update({key: value for key, value in overrides.items() if value is not None})
+        return Constants(**values)
+
+
+# ----------------------------------------------------------------------------
+# From a drive file or a vehicle to a checked :class:`Drive`, and back.
+
+
+_VEHICLES = resources.files("mufly.vehicle") / "builtin"
+_MUFLY = "mufly-1.1"  # muFly's drive train is the one identified on this prototype
+
+
+def builtin_drives() -> list[str]:
+    """Return the names of the drives that come with mufly: ``mufly``, and those of the built-in vehicles."""
+    return ["mufly", *builtin_names(_VEHICLES)]
+
+
+def drive_of(vehicle: Vehicle) -> Drive:
+    """Return the drive train of a vehicle: two rotors, each with its motor and gear, on one battery."""
+    return Drive(
+        name=vehicle.name,
+        description=f"drive train of {vehicle.description or vehicle.name}",
+        rotors=2,
+        motor=vehicle.motor,
+        gear=vehicle.gear,
+        battery=vehicle.battery,
+    )
+
+
+def load_drive(name_or_path: str | Path) -> Drive:
+    """Read a drive train by built-in name, from a drive file or from a vehicle file (TOML).
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        A name that :func:`builtin_drives` lists (``"mufly"`` is the drive of prototype 1.1), or a file's path. A
+        vehicle file gives the drive of that vehicle.
+
+    Raises
+    ------
+    InputError
+        If there is no such drive, the file is not TOML, or a value is missing, unknown, without a unit or impossible.
+    """
+    name = _MUFLY if str(name_or_path) == "mufly" else name_or_path
+    tables, where = read_tables(name, _VEHICLES, "drive or vehicle")
+    if "body" in tables or ("rotors" in tables and isinstance(tables["rotors"], dict)):
+        return drive_of(validated(Vehicle, tables, where))
+    return validated(Drive, {"name": Path(where).stem, **tables}, where)
+
+
+def drive_toml(drive: Drive) -> str:
+    """Return the drive as the text of a drive file, in SI units, that :func:`load_drive` reads back."""
+    return tomli_w.dumps(drive.model_dump(exclude_none=True))

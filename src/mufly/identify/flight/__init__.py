@@ -1,0 +1,1 @@
+"""Vehicle parameters from recorded flights: problem, simulation, fit, excitation plan, demonstration."""

@@ -1,0 +1,760 @@
+"""How far a planned flight may go: limits on motion and inputs, and which of them a flight comes nearest to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, expm, solve_discrete_are
+from scipy.optimize import minimize
+
+from mufly.dynamics import (
+    PARAMETERS,
+    Trim,
+    advance,
+    battery_state,
+    euler_from_quaternion,
+    linearise,
+    model_parameters,
+    rotation,
+    trim,
+)
+from mufly.errors import InputError, MuflyError
+from mufly.identify.covariance import relative_covariance, unseen_combinations
+from mufly.identify.flight.problem import PART_OUTPUTS, Free, Part, choose_free, make_problem
+from mufly.identify.record import Record
+from mufly.vehicle import Vehicle
+
+Array = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How far a flight may go from its hover, and how near inputs may come to their ends.
+
+    Attributes
+    ----------
+    attitude_rad, heading_rad, rates_rad_s : float
+        Roll and pitch; yaw; any body rate.
+    height_m, place_m : float
+        Up and down; across.
+    motor, servo : float
+        Motor inputs stay within ``motor`` to ``1 - motor``; servo inputs within ``1 - servo``.
+    """
+
+    attitude_rad: float = math.radians(20)
+    heading_rad: float = math.radians(90)
+    rates_rad_s: float = 4.0
+    height_m: float = 0.5
+    place_m: float = 1.0
+    motor: float = 0.05
+    servo: float = 0.1
+
+    def used(self, states: Array, inputs: Array) -> tuple[Array, list[str]]:
+        """Return the share of every limit that flights (b, n, ...) use, (b, limits), and the limits' names."""
+        angle = euler_from_quaternion(states[..., 6:10])
+        heading = np.unwrap(angle[..., 2], axis=1)
+        at = states[..., 0:3] - states[:, :1, 0:3]
+        shares = {
+            "attitude": np.abs(angle[..., :2]).max(axis=(1, 2)) / self.attitude_rad,
+            "heading": np.abs(heading - heading[:, :1]).max(axis=1) / self.heading_rad,
+            "body rates": np.abs(states[..., 10:13]).max(axis=(1, 2)) / self.rates_rad_s,
+            "height": np.abs(at[..., 2]).max(axis=1) / self.height_m,
+            "place": np.linalg.norm(at[..., :2], axis=2).max(axis=1) / self.place_m,
+            "motor input": np.abs(inputs[..., :2] - 0.5).max(axis=(1, 2)) / (0.5 - self.motor),
+            "servo input": np.abs(inputs[..., 2:]).max(axis=(1, 2)) / (1.0 - self.servo),
+        }
+        table = np.column_stack(list(shares.values()))
+        return np.where(np.isfinite(table), table, np.inf), list(shares)
+
+
+# ----------------------------------------------------------------------------
+# Signals that make a vehicle show its parameters: chirp, multisine, 3-2-1-1 and doublet.
+#
+# All are scaled to a largest absolute value of 1, begin and end with rest, and start from zero.
+#
+# * Chirp: ``sin(2 pi int f dt)``, its frequency rising exponentially from the low to the high end, so that every
+# octave
+#   gets the same time; faded in and out over a tenth of its length.
+# * Multisine: ``sum_k cos(2 pi k t / T + phi_k)`` over the harmonics in the band, equal amplitudes, with Schroeder's
+#   phases ``phi_k = -pi k (k - 1) / N`` (IEEE Trans. Inf. Theory 16, 1970), which are then improved: the p-norm of
+# the
+#   signal over one period is minimised over the phases for p = 4, 8, 16 (Guillaume, Schoukens, Pintelon and Kollar,
+# IEEE
+#   Trans. Instrum. Meas. 40, 1991), from these and from random starts; time is shifted so that it starts at a zero
+#   crossing upwards (Morelli). A crest factor (largest over root mean square) of sqrt(2) is that of one sine.
+# * Doublet and 3-2-1-1: steps, with ``dt = 2.3 / w`` and ``dt = 1.6 / w`` for the middle w of the band (Jategaonkar,
+#   Flight Vehicle System Identification, 2nd ed., ch. 2). They are repeated with turned sign, with pauses of 2 dt, as
+#   long as there is time.
+
+
+Kind = Literal["chirp", "multisine", "3211", "doublet"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+
+_REST_S = 0.5
+_FADE = 0.1  # share of the chirp
+_ATTEMPTS = 6  # from Schroeder's and from random phases; the first is often not the best
+
+
+@dataclass(frozen=True, eq=False)
+class Excitation:
+    """A signal.
+
+    Attributes
+    ----------
+    kind : str
+    time_s, value : (n,) array
+        Even steps; held from each to the next; largest absolute value 1.
+    crest : float
+        Crest factor of the part between the rests.
+    words : str
+        How it is made, with its numbers.
+    """
+
+    kind: Kind
+    time_s: NDArray[np.float64]
+    value: Array
+    crest: float
+    words: str
+
+
+def crest_factor(value: Array) -> float:
+    """Return the largest absolute value over the root mean square."""
+    return float(np.max(np.abs(value)) / np.sqrt(np.mean(value**2)))
+
+
+def spectrum(value: Array, sample_s: float) -> tuple[Array, Array]:
+    """Return frequencies (Hz) and amplitudes of a signal: a sine of amplitude 1 shows as 1."""
+    n = value.size
+    return np.fft.rfftfreq(n, sample_s), 2.0 / n * np.abs(np.fft.rfft(value))
+
+
+def excitation(
+    kind: Kind, *, duration_s: float, sample_s: float, band_rad_s: tuple[float, float]
+) -> Excitation:
+    """Make a signal.
+
+    Parameters
+    ----------
+    kind : {"chirp", "multisine", "3211", "doublet"}
+    duration_s, sample_s : float
+        Whole length, with rests of half a second at both ends; step.
+    band_rad_s : (float, float)
+        Lowest and highest frequency (rad/s).
+
+    Raises
+    ------
+    InputError
+        If kind or band are impossible or the time is too short.
+    """
+    if kind not in KINDS:
+        raise InputError("--kind", "", f"{kind!r} is unknown", f"use one of: {', '.join(KINDS)}")
+    low, high = band_rad_s
+    if not 0 < low < high < math.pi / sample_s:
+        remedy = f"give two rising frequencies below {0.5 / sample_s:.3g} Hz"
+        raise InputError(
+            "--band", "", f"{low / 2 / math.pi:.3g} to {high / 2 / math.pi:.3g} Hz is not possible", remedy
+        )
+    n = round(duration_s / sample_s) + 1
+    rest = round(_REST_S / sample_s)
+    active = n - 2 * rest
+    if active * sample_s < 2 * math.pi / math.sqrt(low * high) or active < 20:
+        raise InputError(
+            "--duration", "", f"{duration_s:g} s is too short for this band", "give a longer one"
+        )
+    t = np.arange(active) * sample_s
+    if kind == "chirp":
+        value, words = _chirp(t, low, high)
+    elif kind == "multisine":
+        value, words = _multisine(t, sample_s, low, high)
+    else:
+        value, words = _steps(t, sample_s, low, high, kind)
+    value = value / np.max(np.abs(value))
+    whole = np.zeros(n)
+    whole[rest : rest + active] = value
+    return Excitation(kind, np.arange(n, dtype=np.float64) * sample_s, whole, crest_factor(value), words)
+
+
+def _chirp(t: Array, low: float, high: float) -> tuple[Array, str]:
+    length = t[-1]
+    rate = math.log(high / low)
+    phase = low * length / rate * np.expm1(rate * t / length)
+    fade = np.clip(np.minimum(t, length - t) / (_FADE * length), 0.0, 1.0)
+    return np.sin(phase) * fade, f"{low / 2 / math.pi:.2g} to {high / 2 / math.pi:.2g} Hz, exponential"
+
+
+def _multisine(t: Array, sample_s: float, low: float, high: float) -> tuple[Array, str]:
+    period = t.size * sample_s
+    # A band that ends on a harmonic holds it.
+    first = max(1, math.ceil(low * period / (2 * math.pi) - 0.05))
+    last = math.floor(high * period / (2 * math.pi) + 0.05)
+    if last < first + 1:
+        raise InputError(
+            "--duration", "", f"{period:.3g} s hold no two harmonics in this band", "give a longer one"
+        )
+    k = np.arange(first, last + 1)
+    start = -np.pi * np.arange(k.size) * np.arange(1, k.size + 1) / k.size
+    # A period sampled 16 times a cycle of the highest harmonic is fine enough to find its peaks.
+    fine = np.arange(16 * last) / (16 * last)
+    arguments = 2 * np.pi * np.outer(k, fine)
+
+    def of(phases: Array) -> Array:
+        return np.cos(arguments + phases[:, None]).sum(axis=0)
+
+    rng = np.random.default_rng(0)
+    phases = start
+    for attempt in range(_ATTEMPTS):
+        found = start if attempt == 0 else rng.uniform(-np.pi, np.pi, k.size)
+        for p in (4, 8, 16):
+            found = minimize(
+                _norm, found, args=(arguments, p), jac=True, method="L-BFGS-B", options={"maxiter": 120}
+            ).x
+        phases = min(phases, found, key=lambda x: crest_factor(of(x)))
+    x = of(phases)
+    rising = np.flatnonzero((x <= 0) & (np.roll(x, -1) > 0))
+    at = fine[rising[np.argmin(np.abs(x[rising]))]] if rising.size else 0.0
+    value = np.cos(2 * np.pi * np.outer(k, t / period + at) + phases[:, None]).sum(axis=0)
+    words = (
+        f"{k.size} harmonics from {first / period:.2g} to {last / period:.2g} Hz, crest factor {crest_factor(x):.2f} "
+        f"(Schroeder's phases: {crest_factor(of(start)):.2f})"
+    )
+    return value, words
+
+
+def _norm(phases: Array, arguments: Array, p: int) -> tuple[float, Array]:
+    """Return the logarithm of the p-norm of a multisine over a period, and its gradient by the phases."""
+    waves = arguments + phases[:, None]
+    x = np.cos(waves).sum(axis=0)
+    scale = float(np.max(np.abs(x)))
+    y = x / scale
+    total = float(np.mean(y**p))
+    gradient = -(np.sin(waves) * y ** (p - 1)).mean(axis=1) / (scale * total)
+    return math.log(scale) + math.log(total) / p, gradient
+
+
+def _steps(t: Array, sample_s: float, low: float, high: float, kind: Kind) -> tuple[Array, str]:
+    middle = math.sqrt(low * high)
+    factor, pattern = (2.3, (1, -1)) if kind == "doublet" else (1.6, (1, 1, 1, -1, -1, 1, -1))
+    width = max(2, round(factor / middle / sample_s))
+    unit = np.repeat(np.array(pattern, dtype=np.float64), width)
+    gap = np.zeros(2 * width)
+    value, at, sign, count = np.zeros(t.size), 0, 1.0, 0
+    while at + unit.size <= t.size:
+        value[at : at + unit.size] = sign * unit
+        at, sign, count = at + unit.size + gap.size, -sign, count + 1
+    if count == 0:
+        raise InputError(
+            "--duration", "", f"one {kind} takes {unit.size * sample_s:.3g} s", "give a longer duration"
+        )
+    times = "once" if count == 1 else f"{count} times, every other one with turned sign"
+    return value, f"steps of {width * sample_s:.2g} s, {times}"
+
+
+# ----------------------------------------------------------------------------
+# A pilot's support: a simple feedback that holds a hover while a signal is added to the inputs.
+#
+# Linear-quadratic state feedback on the sampled linear model of the whole vehicle, with the inputs that are still on
+# their way (the loop's delay) as states::
+#
+#     minimise  sum (x' W_x x + u' W_u u),      W = diag(1 / tolerable deviation^2)        (Bryson's rule)
+#
+# with the tolerable deviations of ``_TOLERATED``: a lazy hold, so that it does not undo the excitation. It is fed
+# with
+# the true state; a real one takes rotor speeds and the bar's tilt from an observer. What a plan needs of it are the
+# inputs that would be recorded, which depend little on how the hover is held. Own choice; the dissertation (Sec.
+# 5.3.2)
+# has a PID whose gains it does not state.
+#
+# Directions of the motors: with the rotors' speeds W settled, ``W = -A_WW^-1 B_W u``, the motors give the
+# accelerations
+# ``(dw/dt, dr/dt) = G u``; the columns of ``G^-1`` are the inputs that change the climb alone and the turn alone.
+
+
+_Floats = NDArray[np.float64]
+
+# Deviations that cost as much as a tenth of full motor input or a third of full servo input.
+_TOLERATED = {
+    "x": 1.0, "y": 1.0, "z": 1.0, "u": 1.0, "v": 1.0, "w": 1.5, "phi": 0.25, "theta": 0.25, "psi": 2.0,
+    "p": 2.0, "q": 2.0, "r": 8.0, "a_dw": 10.0, "b_dw": 10.0, "bar_roll": 10.0, "bar_pitch": 10.0,
+    "Omega_dw": 1e4, "Omega_up": 1e4,
+}  # fmt: skip
+_INPUTS = np.array([0.1, 0.1, 0.3, 0.3])
+_STEP_S = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Support:
+    """A hover and the feedback that holds it.
+
+    Attributes
+    ----------
+    hover : Trim
+    gain : (4, 18 + 4 d) array
+        Inputs (motor upper, motor lower, servo 1, servo 2) to be subtracted, per deviation of the linear model's states
+        but the charge, at the heading of the vehicle, and of the inputs on their way, oldest last.
+    collective, differential : (2,) array
+        Directions of the motor inputs (upper, lower) that change the climb alone and the turn alone, largest part 1.
+    sample_s, delay_s : float
+        Of the loop.
+    """
+
+    hover: Trim
+    gain: Array
+    collective: Array
+    differential: Array
+    sample_s: float
+    delay_s: float
+
+
+def pilot_support(
+    vehicle: Vehicle, *, sample_s: float = 0.01, delay_s: float = 0.02, charge: float = 0.7
+) -> Support:
+    """Design the feedback for a vehicle.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    sample_s, delay_s : float
+        Period of the loop; from measurement to input, whole periods.
+    charge : float
+        Of the battery.
+
+    Raises
+    ------
+    MuflyError
+        If the vehicle cannot hover, or cannot be held there.
+    """
+    hover = trim(vehicle, charge=charge)
+    full = linearise(vehicle, hover).full
+    names = list(full.state_labels)
+    A, B = full.A, full.B[:, [1, 0, 2, 3]]
+
+    def at(*states: str) -> list[int]:
+        return [names.index(s) for s in states]
+
+    turning = at("Omega_up", "Omega_dw")
+    settled = -np.linalg.solve(A[np.ix_(turning, turning)], B[turning, :2])
+    inverse = np.linalg.inv(A[np.ix_(at("w", "r"), turning)] @ settled + B[np.ix_(at("w", "r"), [0, 1])])
+    keep = [k for k, name in enumerate(names) if name != "charge"]
+    late = round(delay_s / sample_s)
+    a, b = _sampled(A[np.ix_(keep, keep)], B[keep], sample_s, late)
+    weight = np.r_[[1.0 / _TOLERATED[names[k]] ** 2 for k in keep], np.full(4 * late, 1e-9)]
+    try:
+        P = solve_discrete_are(a, b, np.diag(weight), np.diag(1.0 / _INPUTS**2))
+    except (LinAlgError, ValueError) as error:
+        raise MuflyError(
+            f"{vehicle.name}: no feedback holds its hover; excitation cannot be planned for it"
+        ) from error
+    gain = np.linalg.solve(np.diag(1.0 / _INPUTS**2) + b.T @ P @ b, b.T @ P @ a)
+    collective, differential = -inverse[:, 0], inverse[:, 1]
+    return Support(
+        hover, gain, collective / np.max(np.abs(collective)), differential / np.max(np.abs(differential)), sample_s,
+        delay_s,
+    )  # fmt: skip
+
+
+def _sampled(A: Array, B: Array, sample_s: float, late: int) -> tuple[Array, Array]:
+    """Return the sampled model with ``late`` inputs on their way as further states, newest first."""
+    n = A.shape[0]
+    step = expm(sample_s * np.block([[A, B], [np.zeros((4, n + 4))]]))
+    if late == 0:
+        return step[:n, :n], step[:n, n:]
+    size = n + 4 * late
+    a, b = np.zeros((size, size)), np.zeros((size, 4))
+    a[:n, :n] = step[:n, :n]
+    a[:n, size - 4 :] = step[:n, n:]
+    a[n + 4 :, n : size - 4] = np.eye(4 * (late - 1))
+    b[n : n + 4] = np.eye(4)
+    return a, b
+
+
+@njit(cache=True, error_model="numpy")
+def _deviation(x, hover, height, yaw, off):  # type: ignore[no-untyped-def]
+    """Write the linear model's states but the charge, as deviations from the hover at the present heading."""
+    a = rotation(x[6:10])
+    roll, pitch = math.atan2(a[2, 1], a[2, 2]), math.asin(min(max(-a[2, 0], -1.0), 1.0))
+    c, s = math.cos(yaw), math.sin(yaw)
+    off[0], off[1], off[2] = c * x[0] + s * x[1], c * x[1] - s * x[0], x[2] + height
+    for k in range(3):
+        off[3 + k] = a[0, k] * x[3] + a[1, k] * x[4] + a[2, k] * x[5]
+        off[9 + k] = x[10 + k]
+    off[6], off[7], off[8] = roll, pitch, yaw
+    off[12], off[13] = -x[14] + hover[14], x[13] - hover[13]
+    off[14] = math.asin(min(max(c * x[16] - s * x[15], -1.0), 1.0))
+    off[15] = math.atan2(-(c * x[15] + s * x[16]), -x[17])
+    off[16], off[17] = x[19] - hover[19], x[18] - hover[18]
+
+
+@njit(cache=True, error_model="numpy")
+def _fly(x, hover, trimmed, gain, added, p, late, dt, steps, height, states, inputs, voltage):  # type: ignore[no-untyped-def]
+    n, calm, off, yaw = added.shape[0], np.zeros(3), np.zeros(gain.shape[1]), 0.0
+    for k in range(n):
+        states[k] = x
+        heading = math.atan2(2 * (x[6] * x[9] + x[7] * x[8]), 1 - 2 * (x[8] * x[8] + x[9] * x[9]))
+        yaw = heading + 2 * math.pi * round((yaw - heading) / (2 * math.pi))
+        _deviation(x, hover, height, yaw, off)
+        for j in range(late):
+            for i in range(4):
+                off[18 + 4 * j + i] = inputs[k - 1 - j, i] - trimmed[i] if k > j else 0.0
+        for i in range(4):
+            u = trimmed[i] + added[k, i]
+            for m in range(off.shape[0]):
+                u -= gain[i, m] * off[m]
+            inputs[k, i] = min(max(u, 0.0 if i < 2 else -1.0), 1.0)
+        now = inputs[k - late] if k >= late else trimmed
+        voltage[k] = battery_state(x, now[0], now[1], p)[0]
+        advance(x, now, calm, p, dt, steps)
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _fly_all(x, hover, trimmed, gain, added, p, late, dt, steps, height, states, inputs, voltage):  # type: ignore[no-untyped-def]
+    for b in prange(x.shape[0]):
+        _fly(
+            x[b],
+            hover,
+            trimmed,
+            gain,
+            added[b],
+            p[b],
+            late,
+            dt,
+            steps,
+            height,
+            states[b],
+            inputs[b],
+            voltage[b],
+        )
+
+
+def fly_supported(
+    vehicle: Vehicle, support: Support, added: Array, *, height_m: float = 2.0
+) -> tuple[_Floats, _Floats, _Floats]:  # fmt: skip
+    """Fly the whole model in closed loop, one flight for each signal.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    support : Support
+    added : (b, n, 4) array
+        Added to motor upper, motor lower, servo 1, servo 2.
+    height_m : float
+        Where the flight begins and is held.
+
+    Returns
+    -------
+    states : (b, n, 21) array
+    inputs : (b, n, 4) array
+        As commanded, limited to what the actuators take.
+    voltage : (b, n) array
+        Of the battery (V).
+    """
+    b, n, _ = added.shape
+    x = np.repeat(support.hover.state[None], b, axis=0)
+    x[:, 2] = -height_m
+    states, inputs, voltage = np.empty((b, n, x.shape[1])), np.empty((b, n, 4)), np.empty((b, n))
+    p = np.full(b, np.array(model_parameters(vehicle), dtype=PARAMETERS))
+    late, steps = round(support.delay_s / support.sample_s), round(support.sample_s / _STEP_S)
+    _fly_all(
+        x, support.hover.state, support.hover.input, support.gain, np.ascontiguousarray(added), p, late, _STEP_S, steps,
+        height_m, states, inputs, voltage,
+    )  # fmt: skip
+    return states, inputs, voltage
+
+
+# ----------------------------------------------------------------------------
+# Which signal shows which parameter, and how well, before anyone flies.
+#
+# A signal is added to the inputs of the whole model in closed loop (:mod:`mufly.identify.flight.plan`). The greatest
+# amplitude at which attitude, height, place, heading, rates, motors and servos stay within limits is found by flying
+# a
+# ladder of amplitudes, then a finer one; the limit that binds is named. The flight at that amplitude is then a record
+# as
+# the fit of :mod:`mufly.identify.flight.problem` would get it, and its sensitivities give the Fisher information
+#
+#     M = S' N^-1 S,      S = d(outputs)/d(parameters, start values),      N: sensor noise (white, as given)
+#
+# of the free parameters, the start values taken out (Schur complement). Its inverse is the Cramer-Rao bound: no
+# unbiased
+# fit does better (Klein and Morelli, Aircraft System Identification, 2nd ed., ch. 6 and 9; Jategaonkar, ch. 2). Over
+# a
+# long flight the bound is absurd: a torque out of balance by a millionth would show in the heading after 10 s, if
+# nothing
+# else ever pushed. So place, velocity, attitude and rates count as unknown anew every 2 s, which stands for gusts and
+# drifts; a fit on windows of that length (multiple shooting) has just this bound. A wrong model and coloured noise
+# still
+# make it worse, by factors that only data can tell. Several flights add their information.
+#
+# Kinds are compared by the geometric mean of the parameters' relative standard deviations, over those that the record
+# sees at all.
+
+
+CHANNELS = ("yaw", "heave", "roll", "pitch")
+# Standard deviations of ordinary small sensors: ultrasonic height (m), attitude (rad), gyros (rad/s).
+NOISE = {"height": 0.01, "roll": 0.01, "pitch": 0.01, "yaw": 0.02, "p": 0.03, "q": 0.03, "r": 0.03}
+_PARTS: dict[str, Part] = {
+    "yaw": "heave-yaw",
+    "heave": "heave-yaw",
+    "roll": "roll-pitch",
+    "pitch": "roll-pitch",
+}
+_LADDER = 14
+_BLIND = 100.0  # relative standard deviation from which a parameter is not seen at all
+_GREATEST, _LEAST = 1.0, 1e-3  # of the inputs' range
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One kind of signal at its greatest safe amplitude.
+
+    Attributes
+    ----------
+    channel : str
+    signal : Excitation
+    amplitude : float
+        Largest addition to an input (motors 0..1, servos -1..1).
+    bound_by : str
+        Which limit, or ``"as asked"``.
+    share : float
+        Of the limit that is nearest.
+    added : (n, 4) array
+        Added to motor upper, motor lower, servo 1, servo 2.
+    record : Record
+        As the flight would be logged, without noise.
+    information : (p, p) array
+        Of the free parameters, relative (of ``ln value``).
+    relative_std : (p,) array
+        Standard deviation over value; infinite where nothing is seen.
+    figure : float
+        Geometric mean of the standard deviations of what is seen.
+    """
+
+    channel: str
+    signal: Excitation
+    amplitude: float
+    bound_by: str
+    share: float
+    added: Array
+    record: Record
+    information: Array
+    relative_std: Array
+    figure: float
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Candidates for one channel, best first.
+
+    Attributes
+    ----------
+    vehicle : str
+    channel : str
+    free : tuple of Free
+    band_rad_s : (float, float)
+    modes_rad_s : (k,) array
+        Natural frequencies of the channel's dynamics.
+    limits : Limits
+    noise : dict of str to float
+        Outputs that are measured and their standard deviations.
+    candidates : tuple of Candidate
+    support : Support
+    """
+
+    vehicle: str
+    channel: str
+    free: tuple[Free, ...]
+    band_rad_s: tuple[float, float]
+    modes_rad_s: Array
+    limits: Limits
+    noise: dict[str, float]
+    candidates: tuple[Candidate, ...]
+    support: Support
+
+    @property
+    def best(self) -> Candidate:
+        """The candidate with the least geometric mean."""
+        return self.candidates[0]
+
+
+def design(
+    vehicle: Vehicle, symbols: Sequence[str], channel: str, *, kinds: Sequence[Kind] = KINDS, duration_s: float = 10.0,
+    amplitude: float | None = None, band_rad_s: tuple[float, float] | None = None, limits: Limits | None = None,
+    noise: dict[str, float] | None = None, sample_s: float = 0.01, delay_s: float = 0.02,
+    window_s: float | None = 2.0, progress: Callable[[int, int], None] | None = None,
+) -> Plan:  # fmt: skip
+    """Design an excitation of one channel.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        As far as it is known.
+    symbols : sequence of str
+        Parameters that are to be identified, as ``mufly vehicle show`` prints them.
+    channel : {"yaw", "heave", "roll", "pitch"}
+        Motors against each other, motors together, servo 2, servo 1.
+    kinds : sequence of str
+        Signals to compare.
+    duration_s, sample_s, delay_s : float
+        Of the flight, of the log, from command to input.
+    amplitude : float, optional
+        Wanted addition to the inputs; lowered if it is not safe.
+    band_rad_s : (float, float), optional
+        Frequencies; by default from a third of the channel's slowest to three times its fastest mode.
+    limits : Limits, optional
+    noise : dict, optional
+        Standard deviations of the outputs that are measured (names of :data:`mufly.identify.flight.simulate.OUTPUTS`).
+    window_s : float, optional
+        The motion is taken as unknown anew every so often (s); None: only at the start of the flight.
+    progress : callable, optional
+        Called with steps done and all steps.
+
+    Raises
+    ------
+    InputError
+        For an unknown channel or symbol, or when not even the least signal is safe.
+    """
+    if channel not in CHANNELS:
+        raise InputError("--channel", "", f"{channel!r} is unknown", f"use one of: {', '.join(CHANNELS)}")
+    limits, noise = limits or Limits(), dict(noise or NOISE)
+    part = _PARTS[channel]
+    outputs = [o for o in PART_OUTPUTS[part] if o in noise]
+    if not outputs:
+        have = ", ".join(PART_OUTPUTS[part])
+        raise InputError(
+            "--noise", ",".join(noise), f"nothing of {channel} is measured", f"add one of {have}"
+        )
+    free = choose_free(vehicle, symbols, outputs)
+    support = pilot_support(vehicle, sample_s=sample_s, delay_s=delay_s)
+    modes = _modes(vehicle, support, part, sample_s)
+    band = band_rad_s or _band(modes, duration_s, sample_s)
+    direction = {
+        "yaw": np.r_[support.differential, 0.0, 0.0], "heave": np.r_[support.collective, 0.0, 0.0],
+        "roll": np.array([0.0, 0.0, 0.0, 1.0]), "pitch": np.array([0.0, 0.0, 1.0, 0.0]),
+    }[channel]  # fmt: skip
+    signals = [excitation(k, duration_s=duration_s, sample_s=sample_s, band_rad_s=band) for k in kinds]
+    found = []
+    total = 3 * len(signals)
+    for i, signal in enumerate(signals):
+        shape = signal.value[:, None] * direction
+
+        def tick(step: int, i: int = i) -> None:
+            if progress is not None:
+                progress(3 * i + step, total)
+
+        size, bound_by, share = _greatest(vehicle, support, shape, amplitude, limits, tick)
+        states, inputs, voltage = fly_supported(vehicle, support, size * shape[None])
+        record = _record(states[0], inputs[0], voltage[0], signal.time_s, outputs, f"{channel} {signal.kind}")
+        information = _information(vehicle, free, record, part, noise, delay_s, window_s)
+        std, figure = _accuracy(information)
+        found.append(
+            Candidate(channel, signal, size, bound_by, share, size * shape, record, information, std, figure)
+        )
+        tick(3)
+    found.sort(key=lambda c: (int(np.sum(~np.isfinite(c.relative_std))), c.figure))
+    return Plan(vehicle.name, channel, free, band, modes, limits, noise, tuple(found), support)
+
+
+def together(plans: Sequence[Plan], candidates: Sequence[Candidate]) -> tuple[Array, tuple[str, ...]]:
+    """Return what flights tell together: relative standard deviations (p,), and what they do not, in words."""
+    information = np.sum([c.information for c in candidates], axis=0)
+    symbols = [f.symbol for f in plans[0].free]
+    covariance = relative_covariance(information, np.ones(len(symbols)))
+    return _accuracy(information)[0], unseen_combinations(symbols, covariance)
+
+
+def _modes(vehicle: Vehicle, support: Support, part: Part, sample_s: float) -> Array:
+    """Return the natural frequencies (rad/s) that a log at this rate can show."""
+    linear = linearise(vehicle, support.hover)
+    system = linear.heave_yaw if part == "heave-yaw" else linear.roll_pitch
+    size = np.abs(np.linalg.eigvals(system.A))
+    return np.unique(np.round(size[(size > 1e-2) & (size < 0.3 * math.pi / sample_s)], 6))
+
+
+def _band(modes: Array, duration_s: float, sample_s: float) -> tuple[float, float]:
+    slow, fast = (modes.min(), modes.max()) if modes.size else (2.0, 10.0)
+    low = max(slow / 3.0, 2.2 * math.pi / duration_s)
+    return low, float(min(max(3.0 * fast, 3.0 * low), 0.2 * math.pi / sample_s))
+
+
+def _greatest(
+    vehicle: Vehicle, support: Support, shape: Array, wanted: float | None, limits: Limits, tick: Callable[[int], None]
+) -> tuple[float, str, float]:  # fmt: skip
+    """Return the greatest safe amplitude, the limit that binds and the share of the nearest limit that is used."""
+    top = _GREATEST if wanted is None else wanted
+    if not (math.isfinite(top) and 0 < top <= _GREATEST):
+        raise InputError(
+            "--amplitude", "", f"{top:g} is not possible", "give a share of the inputs' range, up to 1"
+        )
+    low, high, low_share, binding = 0.0, top, math.inf, "as asked"
+    ladder = np.geomspace(min(_LEAST, top), top, _LADDER)
+    for step in (1, 2):
+        states, inputs, _ = fly_supported(vehicle, support, ladder[:, None, None] * shape[None])
+        shares, names = limits.used(states, inputs)
+        safe = np.all(shares <= 1.0, axis=1)
+        tick(step)
+        if safe.all():
+            return float(ladder[-1]), "as asked" if step == 1 else binding, float(shares[-1].max())
+        first = int(np.argmin(safe))
+        binding = names[int(np.argmax(shares[first]))]
+        if first == 0:
+            if step == 1:
+                least = f"is passed by the least signal ({100 * ladder[0]:.2g} % of range)"
+                raise InputError(
+                    vehicle.name, f"limit on {binding}", least, "widen it, or lighten the vehicle"
+                )
+            break
+        low, low_share, high = float(ladder[first - 1]), float(shares[first - 1].max()), float(ladder[first])
+        ladder = np.linspace(low, high, _LADDER)[1:-1]
+    return low, binding, low_share
+
+
+def _record(
+    states: _Floats, inputs: _Floats, voltage: _Floats, time: _Floats, outputs: Sequence[str], name: str
+) -> Record:
+    angle = euler_from_quaternion(states[:, 6:10])
+    table = {
+        "north": states[:, 0], "east": states[:, 1], "height": -states[:, 2], "v_north": states[:, 3],
+        "v_east": states[:, 4], "climb": -states[:, 5], "roll": angle[:, 0], "pitch": angle[:, 1],
+        "yaw": np.unwrap(angle[:, 2]), "p": states[:, 10], "q": states[:, 11], "r": states[:, 12],
+        "speed_up": states[:, 18], "speed_dw": states[:, 19], "voltage": voltage,
+    }  # fmt: skip
+    return Record(name, time, inputs, tuple(outputs), np.column_stack([table[o] for o in outputs]), voltage)
+
+
+def _information(
+    vehicle: Vehicle, free: Sequence[Free], record: Record, part: Part, noise: dict[str, float], delay_s: float,
+    window_s: float | None,
+) -> Array:  # fmt: skip
+    """Return the Fisher information of ``theta`` (p, p) with the start values of every window taken out."""
+    problem = make_problem(vehicle, free, [record], part=part, delay_s=delay_s, prior=False)
+    problem = problem.with_noise([np.array([noise[o] for o in problem.records[0].outputs])]).in_windows(
+        window_s
+    )
+    linear = problem.linearise(0, np.zeros(len(free)), problem.rest()[0])
+    # The spread of the start values is wide; it only keeps unseen ones from making the matrix singular.
+    wide = np.diag(1.0 / problem.spread(0) ** 2)
+    information = np.zeros((len(free), len(free)))
+    for one in np.split(np.arange(len(record.time_s)), problem.starts[0][1:]):
+        theta = linear.by_theta[one].reshape(-1, len(free))
+        start = linear.by_state[one].reshape(theta.shape[0], -1)
+        across = theta.T @ start
+        information += theta.T @ theta - across @ np.linalg.solve(start.T @ start + wide, across.T)
+    return information
+
+
+def _accuracy(information: Array) -> tuple[Array, float]:
+    """Return relative standard deviations (p,), infinite where nothing is seen, and their geometric mean."""
+    std = np.full(len(information), np.inf)
+    some = np.diag(information) > 0
+    size = np.sqrt(np.diag(information)[some])
+    if not size.size:
+        return std, math.inf
+    values, vectors = np.linalg.eigh(information[np.ix_(some, some)] / np.outer(size, size))
+    std[some] = np.sqrt(np.diag((vectors / np.maximum(values, 1e-13)) @ vectors.T)) / size
+    std[std > _BLIND] = np.inf
+    seen = np.isfinite(std)
+    return std, float(np.exp(np.mean(np.log(std[seen])))) if seen.any() else math.inf

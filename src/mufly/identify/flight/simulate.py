@@ -1,0 +1,334 @@
+"""Output-error simulation: many parameter sets fly through the recorded inputs of one record, on all cores.
+
+The equations are those of :func:`mufly.dynamics.derivative`; this file only samples and integrates them. Inputs are
+held from each sample of the record to the next and reach the vehicle ``delay`` later; every integration step ends
+where an input changes, so held inputs are exact at any delay. Classical Runge-Kutta steps of up to 10 ms resolve
+all modes of a vehicle of this size but one: the swash plate follows within ``T = 1 ms``. Its tilt obeys
+``T da/dt = a_in - a`` with ``a_in`` held, and hangs on nothing else, so its exact solution is used::
+
+    a(t) = a_in + (a_0 - a_in) e^(-t/T)
+
+and inside a step of length ``h`` the Runge-Kutta stages see, in place of the exponential, the straight line with
+the same integral and the same first moment over the step (own derivation, ``z = h/T``)::
+
+    e^(-t/T) ~ A + B t/h,   B = 6 m_0 - 12 m_1,  A = m_0 - B/2,  m_0 = (1 - e^-z)/z,  m_1 = 1/z - (1 - e^-z)/z^2
+
+so that rate and angle which the tilt leaves behind are right at the end of the step, whatever ``h/T``. The error
+against steps of 0.1 ms is measured in ``tests/identify/test_simulate.py`` and stated in docs/identification.md.
+
+The simulation can be restarted at chosen samples (multiple shooting): motion of the body is then set to given
+values. Rotors and battery, which follow from the inputs, run on; the bar takes the place that it has after following
+the measured mast, so that nothing of one window's start reaches into the next.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import partial
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from mufly.dynamics.model import battery_state, derivative
+from mufly.dynamics.parameters import GRAVITY
+from mufly.study.sweeps import executor_of
+
+_CLUSTER: ContextVar[Executor | None] = ContextVar("cluster", default=None)
+_PIECE = 8  # parameter sets that a worker flies at a time
+
+_Array = NDArray[np.float64]
+
+LONGEST_STEP_S = 0.01
+OUTPUTS: tuple[str, ...] = (
+    "north", "east", "height", "v_north", "v_east", "climb", "roll", "pitch", "yaw", "p", "q", "r",
+    "speed_up", "speed_dw", "voltage",
+)  # fmt: skip
+OUTPUT_UNITS: dict[str, str] = dict(
+    zip(
+        OUTPUTS,
+        ("m", "m", "m", "m/s", "m/s", "m/s", "rad", "rad", "rad", *3 * ("rad/s",), "rad/s", "rad/s", "V"),
+        strict=True,
+    )
+)
+_LOST = 1e6  # stands for the output of a flight that has diverged
+
+
+@njit(cache=True, error_model="numpy")
+def _lag_line(z):  # type: ignore[no-untyped-def]
+    """Return ``A, B`` of the module docstring for ``z = h/T``."""
+    if z < 0.05:
+        m0 = 1.0 - z / 2.0 + z * z / 6.0 - z**3 / 24.0 + z**4 / 120.0
+        slope = -z + z * z / 2.0 - 0.15 * z**3 + z**4 / 30.0
+    else:
+        rest = -math.expm1(-z)
+        m0 = rest / z
+        slope = 6.0 * m0 - 12.0 * (1.0 / z - rest / (z * z))
+    return m0 - 0.5 * slope, slope
+
+
+@njit(cache=True, error_model="numpy")
+def _integrate(x, u, p, length, longest, calm, work):  # type: ignore[no-untyped-def]
+    """Integrate ``x`` in place over ``length`` seconds with the input held."""
+    k1, k2, k3, k4, y = work[0], work[1], work[2], work[3], work[4]
+    steps = max(1, math.ceil(length / longest - 1e-9))
+    h = length / steps
+    decay = math.exp(-h * p.swash_rate)
+    line, slope = _lag_line(h * p.swash_rate)
+    roll_in = p.swash_gain * min(max(u[3], -1.0), 1.0)
+    pitch_in = -p.swash_gain * min(max(u[2], -1.0), 1.0)
+    for _ in range(steps):
+        roll_off, pitch_off = x[13] - roll_in, x[14] - pitch_in
+        x[13], x[14] = roll_in + line * roll_off, pitch_in + line * pitch_off
+        derivative(x, u, calm, p, k1)
+        for i in range(21):
+            y[i] = x[i] + 0.5 * h * k1[i]
+        y[13] = roll_in + (line + 0.5 * slope) * roll_off
+        y[14] = pitch_in + (line + 0.5 * slope) * pitch_off
+        derivative(y, u, calm, p, k2)
+        for i in range(21):
+            y[i] = x[i] + 0.5 * h * k2[i]
+        y[13] = roll_in + (line + 0.5 * slope) * roll_off
+        y[14] = pitch_in + (line + 0.5 * slope) * pitch_off
+        derivative(y, u, calm, p, k3)
+        for i in range(21):
+            y[i] = x[i] + h * k3[i]
+        y[13] = roll_in + (line + slope) * roll_off
+        y[14] = pitch_in + (line + slope) * pitch_off
+        derivative(y, u, calm, p, k4)
+        for i in range(21):
+            x[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
+        x[13], x[14] = roll_in + decay * roll_off, pitch_in + decay * pitch_off
+        n = 1.0 / math.sqrt(x[6] * x[6] + x[7] * x[7] + x[8] * x[8] + x[9] * x[9])
+        for i in range(6, 10):
+            x[i] *= n
+        n = 1.0 / math.sqrt(x[15] * x[15] + x[16] * x[16] + x[17] * x[17])
+        for i in range(15, 18):
+            x[i] *= n
+        x[20] = max(x[20], 0.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _set_attitude(x, roll, pitch, yaw):  # type: ignore[no-untyped-def]
+    cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
+    cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
+    cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
+    x[6] = cr * cp * cy + sr * sp * sy
+    x[7] = sr * cp * cy - cr * sp * sy
+    x[8] = cr * sp * cy + sr * cp * sy
+    x[9] = cr * cp * sy - sr * sp * cy
+
+
+@njit(cache=True, error_model="numpy")
+def _observe(x, u, p, codes, last_yaw, y):  # type: ignore[no-untyped-def]
+    """Write the outputs with these codes (positions in ``OUTPUTS``) into ``y``; return the continuous yaw."""
+    w, i, j, k = x[6], x[7], x[8], x[9]
+    yaw = math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
+    yaw += 2 * math.pi * round((last_yaw - yaw) / (2 * math.pi))
+    for c in range(codes.shape[0]):
+        code = codes[c]
+        if code <= 1:
+            y[c] = x[code]
+        elif code == 2:
+            y[c] = -x[2]
+        elif code <= 4:
+            y[c] = x[code]
+        elif code == 5:
+            y[c] = -x[5]
+        elif code == 6:
+            y[c] = math.atan2(2 * (w * i + j * k), 1 - 2 * (i * i + j * j))
+        elif code == 7:
+            y[c] = math.asin(min(max(2 * (w * j - k * i), -1.0), 1.0))
+        elif code == 8:
+            y[c] = yaw
+        elif code <= 11:
+            y[c] = x[code + 1]
+        elif code <= 13:
+            y[c] = x[code + 6]
+        else:
+            y[c] = battery_state(x, min(max(u[0], 0.0), 1.0), min(max(u[1], 0.0), 1.0), p)[0]
+    return yaw
+
+
+@njit(cache=True, error_model="numpy")
+def _fly(x, p, u, motor_hold, delay, dt, longest, starts, motion, mast, codes, y):  # type: ignore[no-untyped-def]
+    n = u.shape[0]
+    work = np.empty((5, 21))
+    calm = np.zeros(3)
+    now, before = np.empty(4), np.empty(4)
+    # Rounding must not make a piece of no length; yet a nanosecond counts, derivatives are taken with it.
+    whole = math.floor(delay / dt + 1e-11)
+    part = max(delay - whole * dt, 0.0)
+    part = 0.0 if part < 1e-13 else part
+    last_yaw, window = 0.0, 0
+    bar = x[15:18].copy()
+    follow = -math.expm1(-dt * p.bar_rate)
+    for k in range(n):
+        if k > 0:
+            for i in range(3):
+                bar[i] += follow * (0.5 * (mast[k - 1, i] + mast[k, i]) - bar[i])
+        if window < starts.shape[0] and starts[window] == k:
+            s = motion[window]
+            for i in range(6):
+                x[i] = s[i]
+            _set_attitude(x, s[6], s[7], s[8])
+            x[10], x[11], x[12] = s[9], s[10], s[11]
+            last_yaw = s[8]
+            if k > 0:
+                length = 1.0 / math.sqrt(bar[0] ** 2 + bar[1] ** 2 + bar[2] ** 2)
+                for i in range(3):
+                    x[15 + i] = length * bar[i]
+            window += 1
+        for i in range(4):
+            now[i], before[i] = u[max(k - whole, 0), i], u[max(k - whole - 1, 0), i]
+        if motor_hold[0] >= 0.0:
+            now[0] = before[0] = motor_hold[0]
+            now[1] = before[1] = motor_hold[1]
+        last_yaw = _observe(x, before if part > 0.0 else now, p, codes, last_yaw, y[k])
+        if k + 1 == n:
+            return
+        if part > 0.0:
+            _integrate(x, before, p, part, longest, calm, work)
+        _integrate(x, now, p, dt - part, longest, calm, work)
+        # A comparison with NaN is false.
+        if not (abs(x[10]) + abs(x[11]) + abs(x[12]) < 1e3 and abs(x[5]) < 1e4 and x[18] + x[19] < 1e5):
+            y[k + 1 :, :] = _LOST
+            return
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _fly_batch(x, p, u, motor_hold, delay, dt, longest, starts, motion, mast, codes, y):  # type: ignore[no-untyped-def]
+    for b in prange(x.shape[0]):
+        _fly(x[b], p[b], u, motor_hold[b], delay[b], dt, longest, starts, motion[b], mast, codes, y[b])
+
+
+@contextmanager
+def on_cluster(address: str | None) -> Iterator[None]:
+    """Fly batches on the workers of a dask cluster while this context lasts; on all cores here without an address.
+
+    The numbers are those of a batch flown here. Worth it for the populations of CMA-ES and long records.
+
+    Raises
+    ------
+    MuflyError
+        If the cluster cannot be reached or dask.distributed is not installed.
+    """
+    if address is None:
+        yield
+        return
+    with executor_of(address) as pool:
+        token = _CLUSTER.set(pool)
+        try:
+            yield
+        finally:
+            _CLUSTER.reset(token)
+
+
+def fly_batch(
+    state: _Array,
+    p: NDArray[np.void],
+    inputs: _Array,
+    *,
+    sample_s: float,
+    codes: NDArray[np.int64],
+    starts: NDArray[np.int64],
+    motion: _Array,
+    mast: _Array,
+    delay_s: _Array | None = None,
+    motor_hold: _Array | None = None,
+    longest_step_s: float = LONGEST_STEP_S,
+) -> _Array:
+    """Fly ``b`` parameter sets through one record.
+
+    Parameters
+    ----------
+    state : (b, 21) array
+        States at the first sample, see :mod:`mufly.dynamics.state`; overwritten.
+    p : (b,) structured array of type ``PARAMETERS``
+    inputs : (n, 4) array
+        Motor upper, motor lower, servo 1, servo 2 at every sample.
+    sample_s : float
+        Time between samples (s).
+    codes : (m,) integer array
+        Outputs, as positions in :data:`OUTPUTS`.
+    starts : (w,) integer array
+        Samples at which a window begins, rising.
+    motion : (b, w, 12) array
+        Position and velocity N, E, D, roll, pitch, yaw, p, q, r there.
+    mast : (n, 3) array
+        Measured direction of the mast (up) in N-E-D; the bar follows it from one window to the next.
+    delay_s : (b,) array, optional
+        Time that inputs take to reach the vehicle; none by default.
+    motor_hold : (b, 2) array, optional
+        Motor inputs that take the place of the recorded ones where not negative.
+    longest_step_s : float
+        Bound on the integration step.
+
+    Returns
+    -------
+    (b, n, m) array
+        Predicted outputs; 1e6 from where a flight has diverged.
+    """
+    pool = _CLUSTER.get()
+    if pool is not None and len(state) > 1:
+        one = partial(
+            fly_batch, inputs=inputs, sample_s=sample_s, codes=codes, starts=starts, mast=mast,
+            longest_step_s=longest_step_s,
+        )  # fmt: skip
+        jobs = [
+            pool.submit(
+                one, state[k], p[k], motion=motion[k],
+                delay_s=None if delay_s is None else delay_s[k],
+                motor_hold=None if motor_hold is None else motor_hold[k],
+            )
+            for k in (slice(first, first + _PIECE) for first in range(0, len(state), _PIECE))
+        ]  # fmt: skip
+        return np.concatenate([job.result() for job in jobs])
+    b = len(state)
+    out = np.empty((b, len(inputs), len(codes)))
+    delay = np.zeros(b) if delay_s is None else np.ascontiguousarray(delay_s, dtype=np.float64)
+    hold = np.full((b, 2), -1.0) if motor_hold is None else motor_hold
+    _fly_batch(state, p, inputs, hold, delay, sample_s, longest_step_s, starts, motion, mast, codes, out)
+    return out
+
+
+# ----------------------------------------------------------------------------
+# Where a simulated record begins: steady rotors, hover by eq. 5.1, and the stabiliser bar's place.
+
+
+def steady_speed(p: NDArray[np.void], duty: _Array, volts: float) -> _Array:
+    """Return the rotor speeds (b, 2) at which the motors settle under constant inputs (2,): eq. 4.29 at rest."""
+    gear, out = p["gear_ratio"], np.empty((len(p), 2))
+    for k, side in enumerate(("up", "dw")):
+        square = p[f"torque_{side}"] / (gear**2 * p["gear_efficiency"])
+        linear = p["kM"] * p["kE"] / p["R_ohm"] + p["dR"]
+        drive = p["kM"] * duty[k] * volts / (p["R_ohm"] * gear)
+        out[:, k] = 2 * drive / (linear + np.sqrt(linear**2 + 4 * square * drive))
+    return out
+
+
+def hover(p: NDArray[np.void]) -> tuple[_Array, _Array]:
+    """Return hover speeds (b, 2) by eq. 5.1 and the motor inputs that hold them."""
+    ratio = p["torque_up"] / p["torque_dw"]
+    up = np.sqrt(
+        (p["mass"] * GRAVITY + p["downwash"]) / (p["thrust_up"] + p["thrust_dw"] * ratio)
+    )  # fmt: skip
+    speed = np.column_stack([up, up * np.sqrt(ratio)])
+    gear = p["gear_ratio"][:, None]
+    torque = np.column_stack([p["torque_up"], p["torque_dw"]]) * speed**2
+    current = p["dR"][:, None] * speed + torque / (gear**2 * p["gear_efficiency"][:, None])
+    current *= gear / p["kM"][:, None]
+    volts = current * p["R_ohm"][:, None] + p["kE"][:, None] * gear * speed
+    return speed, volts / p["battery_curve"][:, -1:]
+
+
+def bar_normal(attitude: _Array, tilt: _Array) -> _Array:
+    """Return upward normals in N-E-D (b, 3) of bars tilted by roll and pitch against the mast."""
+    roll, pitch, yaw = attitude[:, 0] + tilt[:, 0], attitude[:, 1] + tilt[:, 1], attitude[:, 2]
+    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+    cy, sy = np.cos(yaw), np.sin(yaw)
+    return -np.column_stack([cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr])

@@ -1,0 +1,1 @@
+"""Linear models from recorded flights: structure, frequency and time domain fits, checks."""

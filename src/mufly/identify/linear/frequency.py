@@ -1,0 +1,359 @@
+"""Frequency responses and coherence from records, beside those of a model.
+
+A record is cut into overlapping segments with a Hann window; each is transformed by a chirp z-transform, which places
+the frequencies where they are wanted instead of at multiples of 1 / segment (Tischler and Remple, *Aircraft and
+Rotorcraft System Identification*, 2nd ed., ch. 7), and the products are averaged:
+
+    S_uu = <U* U^T>,   S_uy = <U* y>,   H = S_uu^-1 S_uy                      response to all inputs at once
+    gamma^2   = S_uy^H S_uu^-1 S_uy / S_yy                                    multiple coherence
+    gamma_j^2 = |S_jy.r|^2 / (S_jj.r S_yy.r)                                  partial coherence of input j
+
+where ``.r`` means with what all other inputs explain taken away ("conditioned", Bendat and Piersol, *Random Data*,
+ch. 7). The random error of the magnitude, and of the phase in radians, is (Bendat and Piersol, eq. 9.90; Tischler and
+Remple, eq. 7.46)
+
+    eps = C sqrt(1 - gamma_j^2) / (|gamma_j| sqrt(2 n_d)),   C = sqrt(0.55) at half overlap
+
+with ``n_d`` the record over the segment. The misfit of a model is Tischler and Remple's
+
+    J = 20 / n sum W_gamma [(20 log10 |H_m / H|)^2 + 0.01745 (phase_m - phase)^2 / deg^2],
+    W_gamma = (1.58 (1 - exp(-gamma_j^2)))^2
+
+of which J < 100 is a good and J < 50 a hardly noticeable difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.signal import ZoomFFT, get_window
+
+from mufly.errors import InputError
+from mufly.identify.linear.structure import Structure
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_OVERLAP_FACTOR = np.sqrt(0.55)
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyResponse:
+    """Responses of all outputs to all inputs, estimated from one or several records.
+
+    Attributes
+    ----------
+    frequency_hz : (f,) array
+    response : (f, outputs, inputs) complex array
+        NaN where an input has no power.
+    coherence : (f, outputs) array
+        Multiple coherence: share of each output's power that the inputs explain linearly.
+    partial : (f, outputs, inputs) array
+        Partial coherence.
+    error : (f, outputs, inputs) array
+        Random error (one standard deviation) relative to the magnitude; also that of the phase (rad).
+    averages : float
+        Independent segments ``n_d``.
+    inputs, outputs : tuple of str
+    """
+
+    frequency_hz: Array
+    response: ComplexArray
+    coherence: Array
+    partial: Array
+    error: Array
+    averages: float
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+
+def frequency_response(
+    inputs: Array | Sequence[Array],
+    outputs: Array | Sequence[Array],
+    dt: float,
+    *,
+    segment_s: float,
+    low_hz: float,
+    high_hz: float,
+    points: int = 100,
+    input_names: tuple[str, ...] = (),
+    output_names: tuple[str, ...] = (),
+) -> FrequencyResponse:
+    """Estimate frequency responses and coherences.
+
+    Parameters
+    ----------
+    inputs, outputs : (n, k) and (n, m) array, or lists of such
+        Without gaps; a list holds one array a record.
+    dt : float
+        Sample time (s).
+    segment_s : float
+        Length of a segment (s): long enough for the lowest frequency, short enough for several in the record.
+    low_hz, high_hz : float
+        Band; ``high_hz`` at most the Nyquist frequency.
+    points : int
+        Frequencies, evenly spaced.
+    input_names, output_names : tuple of str
+
+    Raises
+    ------
+    InputError
+        If the band is empty, or a record is shorter than a segment.
+    """
+    us = [np.asarray(inputs)] if isinstance(inputs, np.ndarray) else [np.asarray(u) for u in inputs]
+    ys = [np.asarray(outputs)] if isinstance(outputs, np.ndarray) else [np.asarray(y) for y in outputs]
+    size = round(segment_s / dt)
+    if not 0.0 < low_hz < high_hz <= 0.5 / dt:
+        raise InputError(
+            "frequency response", "", f"the band {low_hz:g} to {high_hz:g} Hz cannot be had from samples "
+            f"{dt:g} s apart", f"give 0 < low < high <= {0.5 / dt:g} Hz",
+        )  # fmt: skip
+    if size < 8 or min(len(u) for u in us) < size:
+        raise InputError(
+            "frequency response", "", f"a segment of {segment_s:g} s ({size} samples) does not fit the record",
+            "give a segment shorter than every record",
+        )  # fmt: skip
+    k, m = us[0].shape[1], ys[0].shape[1]
+    window = get_window("hann", size)
+    zoom = ZoomFFT(size, [low_hz, high_hz], points, fs=1.0 / dt, endpoint=True)
+    spectra = np.zeros((points, k + m, k + m), dtype=np.complex128)
+    count, total = 0, 0
+    for u, y in zip(us, ys, strict=True):
+        z = np.column_stack([u, y])
+        total += len(z)
+        for start in range(0, len(z) - size + 1, max(1, size // 2)):
+            part = z[start : start + size]
+            slope = np.linspace(-0.5, 0.5, size)[:, None]
+            part = part - part.mean(0) - slope * ((slope * part).sum(0) / (slope**2).sum())
+            transform = zoom(part * window[:, None], axis=0)
+            spectra += np.conj(transform)[:, :, None] * transform[:, None, :]
+            count += 1
+    spectra /= count
+    return _from_spectra(
+        np.linspace(low_hz, high_hz, points), spectra, k, total / size, input_names, output_names
+    )
+
+
+def _from_spectra(
+    frequency: Array,
+    s: ComplexArray,
+    k: int,
+    averages: float,
+    inputs: tuple[str, ...],
+    outputs: tuple[str, ...],
+) -> FrequencyResponse:
+    points, m = len(frequency), s.shape[1] - k
+    response = np.full((points, m, k), np.nan + 0j)
+    partial, coherence = np.zeros((points, m, k)), np.zeros((points, m))
+    power = np.real(np.einsum("fii->fi", s))
+    used = np.flatnonzero(power[:, :k].sum(0) > 1e-24 * max(power[:, :k].sum(), 1e-300))
+    for f in range(points):
+        if used.size == 0:
+            break
+        suu, suy = s[f][np.ix_(used, used)], s[f][np.ix_(used, np.arange(k, k + m))]
+        # Inputs that move together cannot be told apart; the pseudo-inverse then shares the response among them.
+        inverse = np.linalg.pinv(suu, rcond=1e-10, hermitian=True)
+        h = inverse @ suy
+        response[f][:, used] = h.T
+        explained = np.real(np.einsum("ij,ij->j", np.conj(suy), h))
+        coherence[f] = np.clip(explained / np.maximum(power[f, k:], 1e-300), 0.0, 1.0)
+        left = np.maximum(power[f, k:] - explained, 0.0)
+        for place, j in enumerate(used):
+            # |H_j|^2 S_jj.r is what input j alone adds to the explained power.
+            own = np.real(inverse[place, place])
+            alone = np.abs(h[place]) ** 2 / own if own > 0.0 else np.zeros(m)
+            partial[f, :, j] = alone / np.maximum(alone + left, 1e-300)
+    # Fewer segments than inputs explain anything; a coherence from n_d averages has a bias of about 1 / n_d.
+    gamma = np.sqrt(np.clip(partial, 1e-12, 1.0))
+    error = _OVERLAP_FACTOR * np.sqrt(1.0 - gamma**2) / (gamma * np.sqrt(2.0 * averages))
+    return FrequencyResponse(frequency, response, coherence, partial, error, averages, inputs, outputs)
+
+
+def state_space_response(
+    a: Array, b: Array, c: Array, d: Array, frequency_hz: Array, delay_s: Array | None = None
+) -> ComplexArray:
+    """Return the response of ``x' = A x + B u(t - delay), y = C x + D u(t - delay)``.
+
+    Parameters
+    ----------
+    a, b, c, d : arrays
+        (n, n), (n, k), (m, n), (m, k).
+    frequency_hz : (f,) array
+    delay_s : (k,) array, optional
+        Delay of each input (s).
+
+    Returns
+    -------
+    (f, m, k) complex array
+    """
+    s = 2j * np.pi * np.asarray(frequency_hz)
+    eye = np.eye(len(a))
+    x = np.linalg.solve(s[:, None, None] * eye - a, np.broadcast_to(b.astype(complex), (len(s), *b.shape)))
+    h = c @ x + d
+    turned = h if delay_s is None else h * np.exp(-s[:, None, None] * delay_s)
+    return np.asarray(turned, dtype=np.complex128)
+
+
+def misfit(data: FrequencyResponse, model: ComplexArray, *, least: float = 0.3) -> Array:
+    """Return Tischler and Remple's cost J of every input-output pair.
+
+    Parameters
+    ----------
+    data : FrequencyResponse
+    model : (f, outputs, inputs) complex array
+        At the same frequencies.
+    least : float
+        Frequencies with a smaller partial coherence are left out.
+
+    Returns
+    -------
+    (outputs, inputs) array
+        NaN where no frequency is coherent.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = model / data.response
+        level = 20.0 * np.log10(np.abs(ratio))
+        phase = np.degrees(np.angle(ratio))
+    weight = (1.58 * (1.0 - np.exp(-data.partial))) ** 2
+    good = np.isfinite(level) & (data.partial >= least)
+    cost = np.where(good, weight * (level**2 + 0.01745 * phase**2), 0.0).sum(0)
+    number = good.sum(0)
+    return np.where(number > 0, 20.0 * cost / np.maximum(number, 1), np.nan)
+
+
+# ----------------------------------------------------------------------------
+# A structured linear model fitted to frequency responses instead of time histories: a cross-check of the other.
+#
+# The parameters minimise Tischler and Remple's cost (:mod:`mufly.identify.linear.frequency`) summed over the input-
+# output
+# pairs,
+# each weighted by its partial coherence. Trims, biases and initial states do not enter, nor does what is not coherent
+# with an input; feedback biases it where an input is made from the output.
+
+
+@dataclass(frozen=True, eq=False)
+class SpectralFit:
+    """A structure fitted to frequency responses.
+
+    Attributes
+    ----------
+    values : (p,) array
+    std : (p,) array
+        From the curvature of the cost and its size, as if neighbouring frequencies were independent: a lower bound.
+    data : FrequencyResponse
+    model : (f, outputs, inputs) complex array
+        Response at ``values``.
+    cost : (outputs, inputs) array
+        Tischler and Remple's J at ``values``; NaN for pairs without coherence.
+    cost_before : (outputs, inputs) array
+        The same at the values given to start from.
+    """
+
+    values: Array
+    std: Array
+    data: FrequencyResponse
+    model: ComplexArray
+    cost: Array
+    cost_before: Array
+
+
+def response_of(structure: Structure, values: Array, frequency_hz: Array) -> ComplexArray:
+    """Return the frequency response (f, outputs, inputs) of a structure at given values."""
+    a, b, c, d, delay = structure.matrices(values)
+    return state_space_response(a, b, c, d, frequency_hz, delay)
+
+
+def _by_chance(averages: float, inputs: int, frequencies: float) -> float:
+    """Partial coherence that independent signals exceed at any of so many frequencies in 5 % of all cases."""
+    freedom = max(1.8 * averages - inputs, 1.0)
+    return float(1.0 - (0.05 / max(frequencies, 1.0)) ** (1.0 / freedom))
+
+
+def fit_spectral(
+    structure: Structure, u: Array, y: Array, dt: float, *, first: Array, segment_s: float, high_hz: float,
+    least: float = 0.5, points: int = 60,
+) -> SpectralFit:  # fmt: skip
+    """Fit a structure to the frequency responses of a record.
+
+    Parameters
+    ----------
+    structure : Structure
+    u, y : (n, inputs), (n, outputs) array
+        Without gaps.
+    dt : float
+        Sample time (s).
+    first : (p,) array
+        Where the search begins.
+    segment_s : float
+        Length of the segments (s); the lowest frequency is 1.5 / ``segment_s``.
+    high_hz : float
+        Highest frequency.
+    least : float
+        Smallest partial coherence that counts; more where independent signals would show more.
+    points : int
+        Frequencies.
+
+    Raises
+    ------
+    InputError
+        If no frequency is coherent, or the record is too short.
+    """
+    data = frequency_response(
+        u, y, dt, segment_s=segment_s, low_hz=1.5 / segment_s, high_hz=high_hz, points=points,
+        input_names=structure.inputs, output_names=structure.outputs,
+    )  # fmt: skip
+    least = max(
+        least, _by_chance(data.averages, len(structure.inputs), (high_hz - 1.5 / segment_s) * segment_s / 1.5)
+    )
+    good = (data.partial >= least) & np.isfinite(data.response)
+    good &= good.sum(0) >= 4
+    if 2 * good.sum() < len(structure.parameters):
+        raise InputError(
+            "frequency response", "", f"{int(good.sum())} coherent points for {len(structure.parameters)} parameters",
+            "give a longer record or more excitation",
+        )  # fmt: skip
+    weight = 1.58 * (1.0 - np.exp(-data.partial))
+    share = 20.0 / np.maximum(good.sum(0), 1)
+
+    low, high = (np.array([getattr(p, side) for p in structure.parameters]) for side in ("low", "high"))
+    log = low > 0.0
+    size = np.maximum(np.abs(first), 0.02 * (high - low))
+
+    def values(z: Array) -> Array:
+        return np.clip(np.where(log, np.exp(np.where(log, z, 0.0)), z * size), low, high)
+
+    def coordinates(v: Array) -> Array:
+        return np.where(log, np.log(np.where(log, np.maximum(v, 1e-300), 1.0)), v / size)
+
+    def residual(z: Array) -> Array:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = response_of(structure, values(z), data.frequency_hz) / data.response
+            level, phase = 20.0 * np.log10(np.maximum(np.abs(ratio), 1e-12)), np.degrees(np.angle(ratio))
+        scaled = np.sqrt(share) * weight
+        rows = np.stack([scaled * level, np.sqrt(0.01745) * scaled * phase])
+        return np.asarray(rows[:, good].ravel())
+
+    lower, upper = coordinates(low), coordinates(high)
+    start = np.clip(coordinates(np.clip(first, low, high)), lower + 1e-9, upper - 1e-9)
+    solution = least_squares(residual, start, bounds=(lower, upper), x_scale="jac", max_nfev=200)
+    found = values(solution.x)
+    model = response_of(structure, found, data.frequency_hz)
+    used = np.where(good.any(axis=0), 1.0, np.nan)
+    before = used * misfit(data, response_of(structure, first, data.frequency_hz), least=least)
+    jacobian = np.asarray(solution.jac, dtype=np.float64)
+    curvature = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
+    spread = np.sqrt(
+        np.maximum(np.diag(curvature), 0.0) * 2.0 * solution.cost / max(solution.fun.size - found.size, 1)
+    )
+    return SpectralFit(
+        found,
+        spread * np.where(log, found, size),
+        data,
+        model,
+        used * misfit(data, model, least=least),
+        before,
+    )

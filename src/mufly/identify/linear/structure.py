@@ -1,0 +1,492 @@
+"""A linear model as functions of named parameters, and how one is put together entry by entry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from mufly.errors import InputError
+
+Array = NDArray[np.float64]
+
+UNITS = {
+    "p": "rad/s",
+    "q": "rad/s",
+    "r": "rad/s",
+    "phi": "rad",
+    "theta": "rad",
+    "u": "m/s",
+    "v": "m/s",
+    "w": "m/s",
+}
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter: where the search starts and what it may be.
+
+    ``low > 0`` makes the search work with its logarithm. SI units; ``meaning`` is for tables.
+    """
+
+    symbol: str
+    unit: str
+    start: float
+    low: float
+    high: float
+    meaning: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """A linear model whose matrices are functions of named parameters.
+
+    Attributes
+    ----------
+    name : str
+    states, inputs, outputs : tuple of str
+    units : tuple of str
+        Of the outputs.
+    parameters : tuple of Parameter
+    fill : callable
+        From ``{symbol: value}`` to ``(A, B, C, D, delay)``; ``delay`` (s) has one entry an input.
+    """
+
+    name: str
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    units: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
+    fill: Callable[[Mapping[str, float]], tuple[Array, Array, Array, Array, Array]] = field(repr=False)
+
+    @property
+    def symbols(self) -> tuple[str, ...]:
+        """Symbols of the parameters, in order."""
+        return tuple(p.symbol for p in self.parameters)
+
+    def matrices(self, values: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Return A, B, C, D and the delays (s) at the values (p,) of the parameters."""
+        return self.fill(dict(zip(self.symbols, values.tolist(), strict=True)))
+
+
+class Builder:
+    """Collects states, parameters and matrix entries; an entry is (matrix, row, column, function of the values)."""
+
+    def __init__(self, inputs: tuple[str, ...]) -> None:
+        self.inputs = inputs
+        self.states: list[str] = []
+        self.parameters: dict[str, Parameter] = {}
+        self.entries: list[tuple[str, str, str, Callable[[Mapping[str, float]], float]]] = []
+
+    def parameter(self, symbol: str, unit: str, start: float, low: float, high: float, meaning: str) -> None:
+        self.parameters.setdefault(symbol, Parameter(symbol, unit, start, low, high, meaning))
+
+    def constant(self, row: str, column: str, value: float) -> None:
+        self.entries.append(("A", row, column, lambda _: value))
+
+    def free(
+        self, row: str, column: str, symbol: str, unit: str, start: float, bound: float | tuple[float, float],
+        meaning: str, over: str = "",
+    ) -> None:  # fmt: skip
+        """One free entry of A or B (by the name of its column), divided by the parameter ``over`` if given."""
+        low, high = bound if isinstance(bound, tuple) else (-bound, bound)
+        self.parameter(symbol, unit, start, low, high, meaning)
+        matrix = "B" if column in self.inputs else "A"
+        self.entries.append((matrix, row, column, lambda v: v[symbol] / v[over] if over else v[symbol]))
+
+    def minus_inverse(self, row: str, symbol: str) -> None:
+        self.entries.append(("A", row, row, lambda v: -1.0 / v[symbol]))
+
+    def finish(
+        self, name: str, outputs: tuple[str, ...], driven: set[str], most: float, skew: float
+    ) -> Structure:
+        # A lagged stick drives its own state; the delay belongs to the stick.
+        for i in self.inputs:
+            if i in driven and most + skew > 0.0:
+                self.parameter(f"tau_{i}", "s", min(0.04, 0.5 * most), -skew, most, f"delay of {i}")
+        row = {s: k for k, s in enumerate(self.states)}
+        column = {s: k for k, s in enumerate(self.inputs)}
+        nx, nu, ny = len(row), len(column), len(outputs)
+        c = np.zeros((ny, nx))
+        c[np.arange(ny), [row[o] for o in outputs]] = 1.0
+        places = [
+            (m == "A", row[r], row[c_] if m == "A" else column[c_], value) for m, r, c_, value in self.entries
+        ]
+
+        def fill(v: Mapping[str, float]) -> tuple[Array, Array, Array, Array, Array]:
+            a, b = np.zeros((nx, nx)), np.zeros((nx, nu))
+            for in_a, i, j, value in places:
+                (a if in_a else b)[i, j] += value(v)
+            delay = np.array([v.get(f"tau_{i}", 0.0) for i in self.inputs])
+            return a, b, c, np.zeros((ny, nu)), delay
+
+        return Structure(
+            name, tuple(self.states), self.inputs, outputs, tuple(UNITS[o] for o in outputs),
+            tuple(self.parameters.values()), fill,
+        )  # fmt: skip
+
+
+# ----------------------------------------------------------------------------
+# Linear models with named parameters, put together from blocks by the outputs that were measured.
+#
+#     x' = A(theta) x + B(theta) (u(t - tau) - u_0),   y = C x + D (u(t - tau) - u_0) + y_0
+#
+# Near hover, body axes, all quantities deviations (V. Mettler, *Identification Modeling and Characteristics of
+# Miniature
+# Rotorcraft*, 2003, ch. 4; Tischler and Remple, ch. 15):
+#
+#     first-order   p' = L_p p + L_q q + L_lat lat + L_lon lon          and likewise q' with M
+#     second-order  as first-order, but the sticks act through one lag of tau_s: a filtered command
+#     hybrid        p' = L_b b + L_a a,   q' = M_a a + M_b b            rotor springs carry the fuselage
+#                   a' = -q - a / tau_f + (A_b b + A_lat lat + A_lon lon) / tau_f
+#                   b' = -p - b / tau_f + (B_a a + B_lat lat + B_lon lon) / tau_f
+#     yaw           r' = N_r r + N_ped ped + N_col col + N_p p [- N_fb r_fb,  r_fb' = r - K_rfb r_fb: gyro]
+#     attitude      phi' = p,   theta' = q                              small angles
+#     translation   u' = X_u u - g theta + X_a a,   v' = Y_v v + g phi + Y_b b
+#     heave         w' = Z_w w + Z_col col
+#
+# In the hybrid ``L_lat`` and the like are products ``L_b B_lat / tau_f``; the flapping angles a, b are not measured.
+# Coupling terms (L_q, M_p, L_a, M_b, A_b, B_a, off-axis sticks) belong to the ``-coupled`` variants.
+
+
+GRAVITY = 9.80665
+ANGULAR = ("first-order", "second-order", "hybrid")
+EXTRAS = ("coupled", "collective", "gyro", "speed", "skew")
+_SKEW_S = 0.3
+
+
+def helicopter(
+    inputs: tuple[str, ...], outputs: tuple[str, ...], *, angular: str = "hybrid", coupled: bool = False,
+    collective: bool = False, gyro: bool = False, speed: bool = False, most_delay_s: float = 0.3,
+    skew_s: float = 0.0,
+) -> Structure:  # fmt: skip
+    """Put a helicopter's linear model together.
+
+    Parameters
+    ----------
+    inputs : tuple of str
+        Some of lat, lon, ped, col; those that never moved are better left out.
+    outputs : tuple of str
+        Some of p, q, r, phi, theta, u, v, w; they decide which blocks are used.
+    angular : str
+        Block of roll and pitch: one of ``ANGULAR``.
+    coupled : bool
+        With the terms between roll and pitch.
+    collective : bool
+        With the collective into roll and pitch.
+    gyro : bool
+        With the yaw gyro's feedback r_fb.
+    speed : bool
+        With speed stability L_v, M_u (needs u, v among the outputs).
+    most_delay_s : float
+        Greatest delay of an input (s).
+    skew_s : float
+        How much earlier than recorded an input may act (s): for logs whose inputs carry a late time stamp.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown, or the block cannot be built.
+    """
+    _check(inputs, outputs, angular)
+    b = Builder(inputs)
+    roll, pitch = bool({"p", "phi", "v"} & set(outputs)), bool({"q", "theta", "u"} & set(outputs))
+    b.states = (["p"] if roll else []) + (["q"] if pitch else [])
+    sticks = [i for i in ("lat", "lon") if i in inputs]
+    own = {"p": "lat", "q": "lon"}
+    flap = {"p": "b", "q": "a"}
+    big = {"p": "L", "q": "M"}
+    rates = tuple(b.states)
+    if angular == "hybrid":
+        b.states += [flap[r] for r in rates]
+    if angular == "second-order":
+        b.states += [f"{s}_f" for s in sticks]
+        for s in sticks:
+            b.parameter(f"tau_s_{s}", "s", 0.15, 0.02, 2.0, f"lag of the {s} command")
+            b.minus_inverse(f"{s}_f", f"tau_s_{s}")
+            b.entries.append(("B", f"{s}_f", s, lambda v, s=s: 1.0 / v[f"tau_s_{s}"]))  # type: ignore[misc]
+    for r in rates:
+        other = {"p": "q", "q": "p"}[r]
+        if angular == "hybrid":
+            b.free(r, flap[r], f"{big[r]}_{flap[r]}", "1/s^2", 60.0, (0.5, 2000.0), f"flapping spring, {r}")
+            b.constant(flap[r], r, -1.0)
+            b.parameter("tau_f", "s", 0.1, 0.01, 3.0, "time constant of flapping")
+            b.minus_inverse(flap[r], "tau_f")
+            group = flap[r].upper()
+            for s in sticks:
+                if s == own[r] or coupled:
+                    start = 0.5 if s == own[r] else 0.0
+                    b.free(
+                        flap[r], s, f"{group}_{s}", "rad", start, 20.0, f"flapping command, {s}", over="tau_f"
+                    )
+            if collective and "col" in inputs:
+                b.free(r, "col", f"{big[r]}_col", "1/s^2", 0.0, 200.0, f"collective into {r}")
+            if coupled and other in rates:
+                b.free(r, flap[other], f"{big[r]}_{flap[other]}", "1/s^2", 0.0, 1000.0, f"cross spring, {r}")
+                b.free(
+                    flap[r],
+                    flap[other],
+                    f"{group}_{flap[other]}",
+                    "1",
+                    0.0,
+                    20.0,
+                    "cross flapping",
+                    over="tau_f",
+                )
+        else:
+            b.free(r, r, f"{big[r]}_{r}", "1/s", -3.0, (-60.0, 0.0), f"damping, {r}")
+            if coupled and other in rates:
+                b.free(r, other, f"{big[r]}_{other}", "1/s", 0.0, 30.0, f"coupling of {other} into {r}")
+            if collective and "col" in inputs:
+                b.free(r, "col", f"{big[r]}_col", "1/s^2", 0.0, 200.0, f"collective into {r}")
+            for s in sticks:
+                if s == own[r] or coupled:
+                    column = f"{s}_f" if angular == "second-order" else s
+                    b.free(
+                        r,
+                        column,
+                        f"{big[r]}_{s}",
+                        "1/s^2",
+                        3.0 if s == own[r] else 0.0,
+                        200.0,
+                        f"{s} into {r}",
+                    )
+    _attitude_and_translation(b, rates, outputs, angular, speed)
+    if "r" in outputs:
+        _yaw(b, inputs, rates, coupled, gyro)
+    if "w" in outputs:
+        b.states.append("w")
+        b.free("w", "w", "Z_w", "1/s", -0.5, (-20.0, 0.0), "heave damping")
+        if "col" in inputs:
+            b.free("w", "col", "Z_col", "m/s^2", -10.0, 300.0, "collective into heave")
+    extras = {
+        "coupled": coupled,
+        "collective": collective,
+        "gyro": gyro,
+        "speed": speed,
+        "skew": skew_s > 0.0,
+    }
+    name = "-".join([angular, *(word for word, wanted in extras.items() if wanted)])
+    return b.finish(name, outputs, {e[2] for e in b.entries if e[0] == "B"}, most_delay_s, skew_s)
+
+
+def model_named(name: str, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> Structure:
+    """Put together the model of a name such as ``"first-order-coupled"`` or ``"helicopter"``.
+
+    The name begins with one of ``ANGULAR`` and goes on with any of ``EXTRAS``; ``"helicopter"`` stands for
+    ``"hybrid-coupled-gyro"``, Mettler's structure. ``skew`` lets inputs act up to 0.3 s before they were recorded.
+
+    Raises
+    ------
+    InputError
+        If the name is unknown.
+    """
+    text = "hybrid-coupled-gyro" if name == "helicopter" else name
+    base = next((a for a in ANGULAR if text == a or text.startswith(a + "-")), None)
+    words = text[len(base) :].strip("-").split("-") if base is not None else []
+    words = [w for w in words if w]
+    if base is None or not set(words) <= set(EXTRAS):
+        raise InputError(
+            "--model", "", f"{name!r} is unknown",
+            f"use auto, helicopter, or {', '.join(ANGULAR)} followed by any of -{', -'.join(EXTRAS)}",
+        )  # fmt: skip
+    return helicopter(
+        inputs, outputs, angular=base, coupled="coupled" in words, collective="collective" in words,
+        gyro="gyro" in words, speed="speed" in words, skew_s=_SKEW_S if "skew" in words else 0.0,
+    )  # fmt: skip
+
+
+def _attitude_and_translation(
+    b: Builder, rates: tuple[str, ...], outputs: tuple[str, ...], angular: str, speed: bool
+) -> None:
+    wanted = {"p": {"phi", "v"}, "q": {"theta", "u"}}
+    angle, velocity = {"p": "phi", "q": "theta"}, {"p": "v", "q": "u"}
+    for r in rates:
+        if wanted[r] & set(outputs):
+            b.states.append(angle[r])
+            b.constant(angle[r], r, 1.0)
+        vel = velocity[r]
+        if vel in outputs:
+            b.states.append(vel)
+            symbol = {"v": "Y", "u": "X"}[vel]
+            b.free(vel, vel, f"{symbol}_{vel}", "1/s", -0.2, (-10.0, 0.0), f"drag, {vel}")
+            b.constant(vel, angle[r], GRAVITY if vel == "v" else -GRAVITY)
+            if angular == "hybrid":
+                flap = {"v": "b", "u": "a"}[vel]
+                b.constant(vel, flap, GRAVITY if vel == "v" else -GRAVITY)
+            if speed:
+                big = {"v": "L", "u": "M"}[vel]
+                b.free(r, vel, f"{big}_{vel}", "rad/(m s)", 0.0, 10.0, "speed stability")
+
+
+def _yaw(b: Builder, inputs: tuple[str, ...], rates: tuple[str, ...], coupled: bool, gyro: bool) -> None:
+    b.states.append("r")
+    b.free("r", "r", "N_r", "1/s", -1.0, (-60.0, 0.0), "yaw damping")
+    if "ped" in inputs:
+        b.free("r", "ped", "N_ped", "1/s^2", 10.0, 500.0, "pedal into yaw")
+    if "col" in inputs:
+        b.free("r", "col", "N_col", "1/s^2", 0.0, 200.0, "collective into yaw")
+    for r in rates if coupled else ():
+        b.free("r", r, f"N_{r}", "1/s", 0.0, 30.0, f"coupling of {r} into yaw")
+    if gyro:
+        # Only the product of Mettler's N_ped and K_r is seen at r; the state is scaled so that K_r is 1.
+        b.states.append("r_fb")
+        b.constant("r_fb", "r", 1.0)
+        b.parameter("K_rfb", "1/s", 3.0, 0.02, 60.0, "gyro, washout")
+        b.entries.append(("A", "r_fb", "r_fb", lambda v: -v["K_rfb"]))
+        b.parameter("N_fb", "1/s^2", 10.0, 1e-3, 500.0, "gyro's feedback into yaw")
+        b.entries.append(("A", "r", "r_fb", lambda v: -v["N_fb"]))
+
+
+def _check(inputs: tuple[str, ...], outputs: tuple[str, ...], angular: str) -> None:
+    known = ("lat", "lon", "ped", "col")
+    for name in inputs:
+        if name not in known:
+            raise InputError(
+                "--inputs", name, "is no input of the helicopter model",
+                f"use {', '.join(known)}; write lat=COLUMN to say which column it is",
+            )  # fmt: skip
+    for name in outputs:
+        if name not in UNITS:
+            raise InputError(
+                "--outputs", name, "is no output of the helicopter model",
+                f"use {', '.join(UNITS)}; write p=COLUMN to say which column it is",
+            )  # fmt: skip
+    if angular not in ANGULAR:
+        raise InputError("--model", "", f"{angular!r} is unknown", f"use one of: {', '.join(ANGULAR)}")
+    if not outputs or not inputs:
+        raise InputError("--outputs", "", "a model needs inputs and outputs", "name at least one of each")
+
+
+# ----------------------------------------------------------------------------
+# Exact simulation of a linear model over a sampled record, with what enters linearly kept apart.
+#
+# Between samples the inputs are joined by straight lines (or held), which a matrix exponential integrates exactly
+# (Franklin, Powell and Workman, *Digital Control of Dynamic Systems*, Sec. 4.3):
+#
+#     x_(k+1) = Phi x_k + G_1 u_k + G_2 (u_(k+1) - u_k) / dt
+#
+# Initial state, trim of the inputs and bias of the outputs enter the prediction linearly; :func:`responses` returns
+# what
+# one unit of each would add, so that a fit can solve for them exactly instead of searching (variable projection,
+# Golub
+# and Pereyra 1973).
+
+
+def discretise(a: Array, b: Array, dt: float, *, hold: bool = False) -> tuple[Array, Array, Array]:
+    """Return Phi, G_1, G_2 of one sample; ``G_2`` is zero for held inputs.
+
+    Raises
+    ------
+    FloatingPointError
+        If the model is so unstable that it overflows within a sample.
+    """
+    n, k = b.shape
+    block = np.zeros((n + 2 * k, n + 2 * k))
+    block[:n, :n], block[:n, n : n + k], block[n : n + k, n + k :] = a, b, np.eye(k)
+    e = expm(block * dt)
+    if not np.isfinite(e).all():
+        raise FloatingPointError("the model overflows within one sample")
+    g2 = np.zeros((n, k)) if hold else e[:n, n + k :]
+    return e[:n, :n], e[:n, n : n + k], g2
+
+
+def delayed(u: Array, delay_s: Array, dt: float, *, hold: bool = False) -> Array:
+    """Return the inputs (n, k), each ``delay_s`` later; before the record they stand at their first value."""
+    if hold:
+        shift = np.rint(delay_s / dt).astype(int)
+        index = np.maximum(np.arange(len(u))[:, None] - shift[None, :], 0)
+        return np.take_along_axis(u, index, axis=0)
+    t = dt * np.arange(len(u))
+    columns = [np.interp(t - delay_s[j], t, u[:, j]) for j in range(u.shape[1])]
+    return np.column_stack(columns)
+
+
+@nb.njit(cache=True)
+def _march(phi: Array, drive: Array, x0: Array) -> Array:  # pragma: no cover (compiled)
+    n, nx = drive.shape[0] + 1, phi.shape[0]
+    x = np.empty((n, nx))
+    x[0] = x0
+    for k in range(n - 1):
+        for i in range(nx):
+            total = drive[k, i]
+            for j in range(nx):
+                total += phi[i, j] * x[k, j]
+            x[k + 1, i] = total
+    return x
+
+
+@nb.njit(cache=True)
+def _free_motion(phi: Array, c: Array, first: Array, constant: Array, n: int) -> Array:  # pragma: no cover
+    """Outputs (n, ny, m) of m motions that start at ``first`` (nx, m) under constant increments (nx, m)."""
+    ny, nx, m = c.shape[0], phi.shape[0], first.shape[1]
+    y = np.empty((n, ny, m))
+    x, new = first.copy(), np.empty((nx, m))
+    for k in range(n):
+        for o in range(ny):
+            for l in range(m):
+                total = 0.0
+                for i in range(nx):
+                    total += c[o, i] * x[i, l]
+                y[k, o, l] = total
+        for i in range(nx):
+            for l in range(m):
+                total = constant[i, l]
+                for j in range(nx):
+                    total += phi[i, j] * x[j, l]
+                new[i, l] = total
+        x, new = new, x
+    return y
+
+
+def simulate_linear(
+    structure: Structure, values: Array, u: Array, dt: float, *, x0: Array | None = None, hold: bool = False
+) -> tuple[Array, Array]:
+    """Simulate from inputs alone.
+
+    Parameters
+    ----------
+    structure : Structure
+    values : (p,) array
+    u : (n, inputs) array
+        Deviations from trim.
+    dt : float
+        (s).
+    x0 : (states,) array, optional
+        Default zero.
+    hold : bool
+        Inputs are held between samples; default straight lines.
+
+    Returns
+    -------
+    y : (n, outputs) array
+    x : (n, states) array
+    """
+    a, b, c, d, delay = structure.matrices(values)
+    phi, g1, g2 = discretise(a, b, dt, hold=hold)
+    ud = delayed(u, delay, dt, hold=hold)
+    drive = ud[:-1] @ g1.T + np.diff(ud, axis=0) @ g2.T / dt
+    x = _march(phi, np.ascontiguousarray(drive), np.zeros(len(a)) if x0 is None else x0)
+    return x @ c.T + ud @ d.T, x
+
+
+def responses(structure: Structure, values: Array, n: int, dt: float) -> Array:
+    """Return what one unit of each initial state, input trim and output bias adds to the outputs.
+
+    Returns
+    -------
+    (n, outputs, states + inputs + outputs) array
+    """
+    a, b, c, d, _ = structure.matrices(values)
+    phi, g1, _ = discretise(a, b, dt)
+    nx, nu, ny = len(a), b.shape[1], len(c)
+    first = np.hstack([np.eye(nx), np.zeros((nx, nu))])
+    constant = np.hstack([np.zeros((nx, nx)), -g1])
+    moved = _free_motion(phi, np.ascontiguousarray(c), first, constant, n)
+    moved[:, :, nx:] -= d
+    return np.concatenate([moved, np.broadcast_to(np.eye(ny), (n, ny, ny))], axis=2)

@@ -1,0 +1,583 @@
+"""Pictures of a fit: prediction beside measurement, what is left over, and what the estimates share.
+
+Every function takes the frozen results of :mod:`mufly.identify.result` and returns a matplotlib figure.
+Colours are those of Okabe and Ito (2008), which the colour-blind can tell apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.errors import InputError
+from mufly.identify.flight.plan import Candidate, Plan, spectrum
+from mufly.identify.flight.simulate import OUTPUT_UNITS
+from mufly.identify.linear.frequency import FrequencyResponse, frequency_response
+from mufly.identify.motor import MotorFit
+from mufly.identify.residuals import autocorrelation, cross_correlation, qualities
+from mufly.identify.result import Fit, RecordFit
+from mufly.identify.rotor import CoefficientFit, RotorFit
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"
+_MOST_POINTS = 4000
+
+Array = NDArray[np.float64]
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Draw in the colours of the report's page inside this context."""
+    from matplotlib import rc_context
+
+    ink, ground, grid = "#1d2329", "#ffffff", "#d5dae0"
+    rc: Any = {
+        "figure.facecolor": ground, "axes.facecolor": ground, "savefig.facecolor": ground, "text.color": ink,
+        "axes.labelcolor": ink, "xtick.color": ink, "ytick.color": ink, "axes.edgecolor": grid, "grid.color": grid,
+        "font.size": 9.0, "axes.titlesize": 9.5, "axes.titlelocation": "left", "axes.grid": True, "grid.linewidth": 0.5,
+        "axes.axisbelow": True, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False,
+        "legend.fontsize": 8.0, "lines.linewidth": 1.2, "svg.hashsalt": "mufly",
+    }  # fmt: skip
+    with rc_context(rc):
+        yield
+
+
+def _figure(width: float, height: float) -> Figure:
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def _ink() -> str:
+    from matplotlib import rcParams
+
+    return str(rcParams["text.color"])
+
+
+def _thin(record: RecordFit) -> slice:
+    return slice(None, None, max(1, len(record.time_s) // _MOST_POINTS))
+
+
+def _label(name: str, unit: str) -> str:
+    return name if unit in ("", "1") else f"{name} ({unit})"
+
+
+def _step(record: RecordFit) -> float:
+    return float(np.median(np.diff(record.time_s)))
+
+
+def prediction_picture(record: RecordFit) -> Figure:
+    """Draw every output as measured and as predicted from the inputs alone, with the inputs below."""
+    m, k = len(record.outputs), len(record.input_names)
+    ratios = [2.0] * m + ([1.6] if k else [])
+    figure = _figure(9.0, 0.9 + 1.55 * m + (1.35 if k else 0.0))
+    panels = figure.subplots(
+        len(ratios), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": ratios}
+    )[:, 0]
+    part = _thin(record)
+    for j, axes in enumerate(panels[:m]):
+        q = qualities(record)[j]
+        axes.plot(
+            record.time_s[part],
+            record.measured[part, j],
+            color=_ink(),
+            alpha=0.45,
+            linewidth=0.7,
+            label="measured",
+        )
+        axes.plot(
+            record.time_s[part], record.predicted[part, j], color=VERMILION, label="predicted from inputs"
+        )
+        axes.set_ylabel(_label(record.outputs[j], record.units[j]))
+        axes.set_title(
+            f"{record.outputs[j]}: fit {q.fit_percent:.1f} %, rms error {q.rms:.3g} {record.units[j]}"
+        )
+    if k:
+        for j, colour in zip(range(k), (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION) * k, strict=False):
+            u = record.inputs[part, j]
+            panels[-1].plot(record.time_s[part], u - np.nanmean(u), color=colour, label=record.input_names[j])
+        panels[-1].set_ylabel("inputs less mean")
+        panels[-1].legend(ncols=min(k, 6), loc="upper left")
+    panels[0].legend(ncols=2, loc="upper right")
+    panels[-1].set_xlabel("time (s)")
+    return figure
+
+
+def residual_picture(record: RecordFit, *, max_lag_s: float = 2.0) -> Figure:
+    """Draw the residual of every output over time, its autocorrelation with 95 % bounds, and its spectrum."""
+    from scipy.signal import welch
+
+    m, dt = len(record.outputs), _step(record)
+    figure = _figure(9.0, 0.5 + 1.75 * m)
+    panels = figure.subplots(m, 3, squeeze=False, sharex="col", gridspec_kw={"width_ratios": [2.0, 1.2, 1.2]})
+    part = _thin(record)
+    for j in range(m):
+        e, noise = record.residual[:, j], float(record.noise_std[j])
+        left, middle, right = panels[j]
+        left.plot(record.time_s[part], e[part], color=BLUE, linewidth=0.7)
+        if np.isfinite(noise) and noise > 0.0:
+            left.axhspan(-1.96 * noise, 1.96 * noise, color=GREEN, alpha=0.18, linewidth=0)
+        left.set_ylabel(_label(record.outputs[j], record.units[j]))
+        c = autocorrelation(e, dt, max_lag_s=max_lag_s)
+        middle.axhspan(-c.bound, c.bound, color=GREEN, alpha=0.25, linewidth=0)
+        middle.plot(c.lag_s, c.value, color=BLUE)
+        middle.set_ylim(min(-0.3, float(c.value.min()) - 0.05), 1.05)
+        good = np.where(np.isfinite(e), e, 0.0)
+        f, power = welch(good, 1.0 / dt, nperseg=min(good.size, max(64, good.size // 4)))
+        right.loglog(f[1:], np.sqrt(power[1:]), color=BLUE)
+        right.set_ylabel(f"{record.units[j]}/√Hz")
+    panels[0][0].set_title("residual; green: 95 % of the noise floor")
+    panels[0][1].set_title("autocorrelation; green: white")
+    panels[0][2].set_title("amplitude density")
+    for axes, label in zip(panels[-1], ("time (s)", "lag (s)", "frequency (Hz)"), strict=True):
+        axes.set_xlabel(label)
+    return figure
+
+
+def cross_picture(record: RecordFit, *, max_lag_s: float = 2.0) -> Figure:
+    """Draw the correlation of every residual with every input, 95 % bounds; positive lags: the input came first."""
+    m, k, dt = len(record.outputs), len(record.input_names), _step(record)
+    figure = _figure(min(10.0, 2.0 + 2.4 * k), 0.6 + 1.5 * m)
+    panels = figure.subplots(m, k, squeeze=False, sharex=True, sharey=True)
+    for j in range(m):
+        for i in range(k):
+            axes: Axes = panels[j][i]
+            c = cross_correlation(record.inputs[:, i], record.residual[:, j], dt, max_lag_s=max_lag_s)
+            if c.bound < 1.0:
+                axes.axhspan(-c.bound, c.bound, color=GREEN, alpha=0.22, linewidth=0)
+                axes.plot(c.lag_s, c.value, color=BLUE)
+            else:
+                axes.text(0.5, 0.5, "never moved", transform=axes.transAxes, ha="center", va="center")
+            axes.axvline(0.0, color=_ink(), linewidth=0.5)
+            axes.set_title(f"{record.outputs[j]} after {record.input_names[i]}")
+            if j == m - 1:
+                axes.set_xlabel("lag (s)")
+        panels[j][0].set_ylabel("correlation (1)")
+    return figure
+
+
+def coherence_of(record: RecordFit) -> tuple[FrequencyResponse, FrequencyResponse] | None:
+    """Estimate the coherence of measurements, and of residuals, with the inputs; None where that cannot be done."""
+    dt, n = _step(record), len(record.time_s)
+    gaps = ~np.isfinite(record.measured).all()
+    if not record.input_names or n < 128 or gaps or not np.isfinite(record.predicted).all():
+        return None
+    segment = n * dt / 6.0
+    high = min(0.45 / dt, 40.0 / segment)
+    try:
+        two = [
+            frequency_response(
+                record.inputs, signal, dt, segment_s=segment, low_hz=1.5 / segment, high_hz=high,
+                input_names=record.input_names, output_names=record.outputs,
+            )
+            for signal in (record.measured, record.residual)
+        ]  # fmt: skip
+    except InputError:
+        return None
+    return two[0], two[1]
+
+
+def coherence_picture(record: RecordFit) -> Figure | None:
+    """Draw what share of every output, and of its residual, the inputs explain linearly, over frequency."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    both = coherence_of(record)
+    if both is None:
+        return None
+    measured, left = both
+    m = len(record.outputs)
+    figure = _figure(9.0, 0.7 + 1.5 * m)
+    panels = figure.subplots(m, 1, squeeze=False, sharex=True)[:, 0]
+    # With n_d averages and k inputs, coherence of independent signals is about k / n_d.
+    moving = int((record.inputs.std(axis=0) > 0.0).sum())
+    chance = min(1.0, moving / max(measured.averages * 1.8, 1.0))
+    for j, axes in enumerate(panels):
+        axes.axhspan(0.0, chance, color=_ink(), alpha=0.10, linewidth=0)
+        axes.semilogx(
+            measured.frequency_hz, measured.coherence[:, j], color=_ink(), label="measured, all inputs"
+        )
+        axes.semilogx(left.frequency_hz, left.coherence[:, j], color=VERMILION, label="residual, all inputs")
+        for i, colour in zip(
+            range(len(record.input_names)), (BLUE, ORANGE, GREEN, PURPLE, SKY) * 9, strict=False
+        ):
+            if np.std(record.inputs[:, i]) > 0.0:
+                axes.semilogx(
+                    measured.frequency_hz, measured.partial[:, j, i], color=colour, linewidth=0.8, linestyle="--",
+                    label=f"{record.input_names[i]} alone",
+                )  # fmt: skip
+        axes.set_ylim(0.0, 1.02)
+        axes.set_ylabel(f"{record.outputs[j]} (1)")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+        axes.xaxis.set_minor_formatter(NullFormatter())
+    panels[0].set_title(f"coherence; grey: about what {measured.averages:.1f} segments show by chance")
+    figure.legend(*panels[0].get_legend_handles_labels(), ncols=3, loc="outside lower center")
+    panels[-1].set_xlabel("frequency (Hz)")
+    return figure
+
+
+def theil_picture(records: tuple[RecordFit, ...]) -> Figure:
+    """Draw Theil's coefficient of every output and record, split into bias, variance and covariance."""
+    rows = [(f"{r.outputs[j]}, {r.role}", q) for r in records for j, q in enumerate(qualities(r))]
+    figure = _figure(8.0, 0.9 + 0.28 * len(rows))
+    axes: Axes = figure.subplots()
+    place = np.arange(len(rows))
+    start = np.zeros(len(rows))
+    parts = (("bias", VERMILION), ("variance", ORANGE), ("covariance", BLUE))
+    for name, colour in parts:
+        width = np.array([getattr(q, name) * q.theil for _, q in rows])
+        axes.barh(place, width, left=start, color=colour, label=f"{name} part", height=0.65)
+        start += np.nan_to_num(width)
+    axes.axvline(0.3, color=_ink(), linewidth=0.8, linestyle="--")
+    axes.set_yticks(place, [name for name, _ in rows])
+    axes.invert_yaxis()
+    axes.grid(axis="y", visible=False)
+    axes.set_xlim(0.0, 1.0)
+    axes.set_xlabel("Theil's inequality coefficient (1); dashed: 0.3, acceptable below")
+    figure.legend(ncols=3, loc="outside upper right")
+    return figure
+
+
+def correlation_picture(fit: Fit) -> Figure:
+    """Draw the correlation of the estimates as a map."""
+    n = len(fit.estimates)
+    size = float(np.clip(2.2 + 0.38 * n, 3.6, 10.0))
+    figure = _figure(size + 0.9, size)
+    axes: Axes = figure.subplots()
+    symbols = [e.symbol for e in fit.estimates]
+    image = axes.imshow(fit.correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+    axes.set_xticks(range(n), symbols, rotation=60, ha="right", rotation_mode="anchor")
+    axes.set_yticks(range(n), symbols)
+    axes.grid(visible=False)
+    if n <= 16:
+        for i in range(n):
+            for j in range(n):
+                c = float(fit.correlation[i, j])
+                if i != j and np.isfinite(c) and abs(c) >= 0.5:
+                    axes.text(
+                        j, i, f"{c:.2f}".replace("0.", "."), ha="center", va="center", fontsize=6.5,
+                        color="white" if abs(c) > 0.7 else "#1d2329",
+                    )  # fmt: skip
+    figure.colorbar(image, ax=axes, label="correlation (1)", shrink=0.85)
+    return figure
+
+
+def history_picture(fit: Fit) -> Figure | None:
+    """Draw the cost and the parameters, over their final values, iteration by iteration; None without history."""
+    rows = [r for r in fit.history if "cost" in r]
+    if len(rows) < 2:
+        return None
+    figure = _figure(9.0, 3.2)
+    left, right = figure.subplots(1, 2)
+    at = np.array([float(r.get("iteration", k)) for k, r in enumerate(rows)])
+    cost = np.array([float(r["cost"]) for r in rows])
+    left.plot(at, cost, marker="o", markersize=3, color=BLUE)
+    if (cost > 0.0).all() and cost.max() > 5.0 * cost.min():
+        left.set_yscale("log")
+    left.set_ylabel("cost (1)")
+    for e in fit.estimates:
+        path = np.array([float(r.get(e.symbol, np.nan)) for r in rows])
+        if e.value != 0.0 and np.isfinite(path).any():
+            right.plot(at, np.clip(path / e.value, -1.0, 3.0), linewidth=0.9, label=e.symbol)
+    right.set_ylabel("parameter over its estimate (1), cut to -1..3")
+    if len(fit.estimates) <= 14:
+        right.legend(ncols=2, fontsize=7.0)
+    for axes in (left, right):
+        axes.set_xlabel("start, then iteration" if "starts" in fit.method else "iteration or generation")
+    return figure
+
+
+# ----------------------------------------------------------------------------
+# Pictures of bench fits: the two plots of the dissertation's Fig. 5.1 and their residuals, coefficients over speed.
+
+
+_RPM = math.pi / 30.0
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito (2008)
+_MOST_LINES = 6
+
+
+def _levels(voltage: Array) -> list[NDArray[np.bool_]]:
+    """Group points whose voltages lie within 4 % of each other; one group of all if they are not on levels."""
+    order = np.argsort(voltage)
+    steps = np.diff(voltage[order]) > 0.04 * np.abs(voltage[order][1:])
+    label = np.empty(voltage.size, dtype=np.int64)
+    label[order] = np.cumsum(np.r_[0, steps])
+    count = int(label.max()) + 1
+    if count > _MOST_LINES or (count == 1 and np.ptp(voltage) > 0.08 * np.max(np.abs(voltage))):
+        return [np.ones(voltage.size, dtype=bool)]
+    return [label == k for k in range(count)]
+
+
+def motor_picture(fit: MotorFit, *, title: str = "") -> Figure:
+    """Draw current over torque and torque over speed with the fitted lines, and the residuals of both equations.
+
+    Readings on levels of the voltage get a line each, at the mean voltage; otherwise the adjusted readings are drawn.
+    """
+    r, a, b, d = fit.effective
+    data = fit.data
+    figure = _figure(9.0, 6.6)
+    axes = figure.subplots(2, 2)
+    groups = _levels(data.voltage_V)
+    lines = len(groups) > 1 or np.ptp(data.voltage_V) <= 0.08 * np.max(np.abs(data.voltage_V))
+    for k, inside in enumerate(groups):
+        colour = _COLOURS[k % len(_COLOURS)]
+        u = float(data.voltage_V[inside].mean())
+        torque = data.torque_Nm[inside]
+        name = f"{u:.2f} V" if lines else "all voltages"
+        axes[0, 0].plot(
+            1e3 * torque, data.current_A[inside], "o", color=colour, markersize=4, label=f"{name}, measured"
+        )
+        axes[0, 1].plot(
+            data.speed_rad_s[inside] / _RPM, 1e3 * torque, "o", color=colour, markersize=4, label=f"{name}"
+        )
+        if lines:
+            q = np.linspace(min(0.0, float(torque.min())), float(torque.max()), 50)
+            w = (b * u / r - q) / (b * a / r + d)
+            axes[0, 0].plot(1e3 * q, (u - a * w) / r, color=colour, linewidth=1.2, label=f"{name}, fitted")
+            axes[0, 1].plot(w / _RPM, 1e3 * q, color=colour, linewidth=1.2)
+        else:
+            better = fit.adjusted
+            axes[0, 0].plot(
+                1e3 * better.torque_Nm, better.current_A, "x", color=colour, markersize=5, label="fitted"
+            )
+            axes[0, 1].plot(
+                better.speed_rad_s / _RPM, 1e3 * better.torque_Nm, "x", color=colour, markersize=5
+            )
+        share = fit.residual[inside] / fit.expected[inside]
+        axes[1, 0].plot(1e3 * torque, share[:, 0], "o", color=colour, markersize=4)
+        axes[1, 1].plot(1e3 * torque, share[:, 1], "o", color=colour, markersize=4)
+    labels = (
+        ("Torque (mN m)", "Current (A)"), ("Speed (rpm)", "Torque (mN m)"),
+        ("Torque (mN m)", "Residual of the voltage (in std)"),
+        ("Torque (mN m)", "Residual of the torque (in std)"),
+    )  # fmt: skip
+    for ax, (x, y) in zip(axes.ravel(), labels, strict=True):
+        ax.set_xlabel(x)
+        ax.set_ylabel(y)
+        ax.grid(alpha=0.3)
+    for ax in axes[1]:
+        _band(ax)
+    axes[0, 0].legend(fontsize="x-small")
+    figure.suptitle(title or "Motor constants by least squares", fontsize="medium")
+    return figure
+
+
+def rotor_picture(
+    fits: Sequence[RotorFit], *, predicted: dict[str, tuple[Array, Array]] | None = None, title: str = ""
+) -> Figure:
+    """Draw loads, coefficients and residuals of every fit over speed.
+
+    Parameters
+    ----------
+    fits : sequence of RotorFit
+    predicted : dict, optional
+        ``"<source> <channel>"`` -> speeds (rad/s) and predicted loads.
+    title : str
+    """
+    figure = _figure(10.0, 8.4)
+    axes = figure.subplots(3, 2, sharex=True, height_ratios=(1.3, 1.0, 0.8))
+    k = 0
+    for result in fits:
+        for fit in result.fits:
+            column = 0 if fit.channel.startswith("thrust") else 1
+            colour = _COLOURS[k % len(_COLOURS)]
+            name = _bench_pictures_label(result, fit)
+            extra = (predicted or {}).get(f"{result.source} {fit.channel}")
+            _draw(axes[:, column], fit, colour, name, extra)
+            k += 1
+    for column, (load, coefficient) in enumerate((("Thrust (N)", "c_T"), ("Torque (N m)", "c_Q"))):
+        top, middle, bottom = axes[:, column]
+        top.set_ylabel(load)
+        middle.set_ylabel(coefficient)
+        bottom.set_ylabel("Residual (in std)")
+        bottom.set_xlabel("Rotor speed (rpm)")
+        _band(bottom)
+        for ax in (top, middle, bottom):
+            ax.grid(alpha=0.3)
+        if top.get_legend_handles_labels()[0]:
+            top.legend(fontsize="x-small")
+        low, high = middle.get_ylim()
+        middle.set_ylim(min(low, 0.0), high * 1.05)
+    figure.suptitle(title or "Rotor coefficients by least squares", fontsize="medium")
+    return figure
+
+
+def _bench_pictures_label(result: RotorFit, fit: CoefficientFit) -> str:
+    pitch = "" if math.isnan(result.pitch_rad) else f" at {math.degrees(result.pitch_rad):.3g} deg"
+    return f"{', '.join(fit.symbols)} {result.source}{pitch}"
+
+
+def _draw(
+    axes: Sequence[Axes], fit: CoefficientFit, colour: str, name: str, predicted: tuple[Array, Array] | None
+) -> None:
+    top, middle, bottom = axes
+    rpm = np.abs(fit.speed_rad_s[:, 0]) / _RPM
+    order = np.argsort(rpm)
+    top.plot(rpm, fit.load, "o", color=colour, markersize=4, label=name)
+    top.plot(rpm[order], (fit.unit_load @ fit.value)[order], color=colour, linewidth=1.2)
+    bottom.plot(rpm, fit.residual / fit.expected, "o", color=colour, markersize=4)
+    if predicted is not None:
+        p = np.argsort(predicted[0])
+        top.plot(predicted[0][p] / _RPM, predicted[1][p], ":", color=colour, label=f"{name}, predicted")
+    if len(fit.symbols) > 1:
+        return
+    middle.plot(rpm, fit.load / fit.unit_load[:, 0], "o", color=colour, markersize=4)
+    std = math.sqrt(fit.covariance[0, 0]) * fit.spread.quantile
+    middle.plot(rpm[order], np.full(rpm.size, fit.value[0]), color=colour, linewidth=1.2)
+    middle.fill_between(
+        rpm[order], fit.value[0] - std, fit.value[0] + std, color=colour, alpha=0.15, linewidth=0
+    )
+    for trend in fit.trends:
+        if trend.significant:
+            w = np.geomspace(*trend.range_rad_s, 60)
+            middle.plot(w / _RPM, trend.value_at(w), "--", color=colour, linewidth=1.2)
+    if predicted is not None:
+        unit = np.interp(predicted[0], np.abs(fit.speed_rad_s[:, 0])[order], fit.unit_load[order, 0])
+        middle.plot(predicted[0][p] / _RPM, (predicted[1] / unit)[p], ":", color=colour)
+
+
+def _band(ax: Axes) -> None:
+    ax.axhspan(-2, 2, color="0.5", alpha=0.12, linewidth=0)
+    ax.axhline(0, color="0.4", linewidth=0.8)
+
+
+# ----------------------------------------------------------------------------
+# Picture of a plan: the signal, its spectrum beside the vehicle's modes, the flight it leads to, what it will tell.
+
+
+_PLAN_COLOURS = {"chirp": "#0072B2", "multisine": "#009E73", "3211": "#D55E00", "doublet": "#CC79A7"}
+_INPUTS = ("motor upper", "motor lower", "servo 1", "servo 2")
+_SHOWN = {
+    "yaw": ("yaw", "r", "height"), "heave": ("height", "yaw"), "roll": ("roll", "pitch", "p"),
+    "pitch": ("pitch", "roll", "q"),
+}  # fmt: skip
+_LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
+_WORST = 1e3  # per cent; bars of what is not seen end there
+
+
+def plan_picture(plan: Plan, chosen: Candidate | None = None) -> Figure:
+    """Draw a plan.
+
+    Parameters
+    ----------
+    plan : Plan
+    chosen : Candidate, optional
+        The signal that is to be flown; the best by default.
+    """
+    from matplotlib.figure import Figure
+
+    c = plan.best if chosen is None else chosen
+    figure = Figure(figsize=(10.5, 7.6), layout="constrained")
+    axes = figure.subplots(2, 2)
+    _signal(axes[0, 0], c)
+    _spectra(axes[0, 1], plan)
+    _flight(axes[1, 0], plan, c)
+    _accuracy(axes[1, 1], plan)
+    figure.suptitle(
+        f"{plan.vehicle}, {plan.channel}: {c.signal.kind}, {c.signal.words}; amplitude {100 * c.amplitude:.1f} % of "
+        f"the input's range ({c.bound_by})",
+        fontsize="medium",
+    )
+    return figure
+
+
+def _signal(ax: Axes, c: Candidate) -> None:
+    moved = np.flatnonzero(np.any(c.added != 0, axis=0))
+    for line, k in zip(_LINES, moved, strict=False):
+        ax.step(
+            c.signal.time_s,
+            c.added[:, k],
+            where="post",
+            color=line,
+            linewidth=1.2,
+            label=f"added to {_INPUTS[k]}",
+        )
+    for line, k in zip(_LINES, moved, strict=False):
+        about = c.record.inputs[:, k] - c.record.inputs[0, k]
+        ax.step(
+            c.signal.time_s, about, where="post", color=line, linewidth=0.8, alpha=0.5, linestyle="--",
+            label=f"{_INPUTS[k]} as flown, less hover",
+        )  # fmt: skip
+    ax.set_xlabel("Time (s)")
+    ax.set_ylabel("Input (share of range)")
+    ax.legend(fontsize="x-small", loc="upper left", ncols=2)
+    ax.margins(y=0.25)
+    ax.grid(alpha=0.3)
+
+
+def _spectra(ax: Axes, plan: Plan) -> None:
+    top = 0.0
+    for c in plan.candidates:
+        frequency, amplitude = spectrum(c.amplitude * c.signal.value, float(c.signal.time_s[1]))
+        inside = (frequency > 0) & (frequency < 4 * plan.band_rad_s[1] / (2 * math.pi))
+        ax.plot(
+            frequency[inside], amplitude[inside], color=_PLAN_COLOURS[c.signal.kind], linewidth=1.2,
+            label=c.signal.kind,
+            marker="." if c.signal.kind == "multisine" else None, markersize=3,
+        )  # fmt: skip
+        top = max(top, float(amplitude[inside].max()))
+    low, high = (w / (2 * math.pi) for w in plan.band_rad_s)
+    ax.axvspan(low, high, color="0.5", alpha=0.1, linewidth=0, label="band")
+    for k, mode in enumerate(plan.modes_rad_s):
+        ax.axvline(
+            mode / (2 * math.pi),
+            color="0.3",
+            linestyle=":",
+            linewidth=1,
+            label=None if k else "modes of the channel",
+        )
+    ax.set_xscale("log")
+    ax.set_ylim(0, 1.1 * top)
+    ax.set_xlabel("Frequency (Hz)")
+    ax.set_ylabel("Amplitude (share of range)")
+    ax.legend(fontsize="x-small")
+    ax.grid(alpha=0.3, which="both")
+
+
+def _flight(ax: Axes, plan: Plan, c: Candidate) -> None:
+    shown = [o for o in _SHOWN[plan.channel] if o in c.record.outputs]
+    labels = []
+    for line, name in zip(_LINES, shown, strict=False):
+        unit, factor = OUTPUT_UNITS[name], 1.0
+        if unit.startswith("rad"):
+            unit, factor = unit.replace("rad", "deg"), math.degrees(1.0)
+        if unit == "m":
+            unit, factor = "cm", 100.0
+        y = c.record.measured[:, c.record.outputs.index(name)]
+        y = factor * (y - y[0])
+        noise = factor * plan.noise[name]
+        ax.plot(c.signal.time_s, y, color=line, linewidth=1.2, label=f"{name} ({unit})")
+        ax.fill_between(c.signal.time_s, y - noise, y + noise, color=line, alpha=0.2, linewidth=0)
+        labels.append(unit)
+    ax.set_xlabel("Time (s)")
+    ax.set_ylabel(f"Expected change ({', '.join(dict.fromkeys(labels))})")
+    ax.legend(fontsize="x-small", loc="upper left", title="band: noise", title_fontsize="x-small")
+    ax.grid(alpha=0.3)
+
+
+def _accuracy(ax: Axes, plan: Plan) -> None:
+    symbols = [f.symbol for f in plan.free]
+    at, width = np.arange(len(symbols)), 0.8 / len(plan.candidates)
+    for k, c in enumerate(plan.candidates):
+        value = np.minimum(100 * c.relative_std, _WORST)
+        ax.bar(
+            at + (k - 0.5 * (len(plan.candidates) - 1)) * width, value, width=0.9 * width,
+            color=_PLAN_COLOURS[c.signal.kind], label=f"{c.signal.kind}, {100 * c.amplitude:.1f} %",
+        )  # fmt: skip
+    ax.axhline(50, color="0.3", linestyle=":", linewidth=1)
+    ax.set_yscale("log")
+    ax.yaxis.set_major_formatter("{x:g}")
+    ax.yaxis.set_minor_formatter(lambda x, _: f"{x:g}" if f"{x:e}"[0] in "25" else "")
+    ax.set_xticks(at, symbols, rotation=30 if len(symbols) > 6 else 0)
+    ax.set_xlabel("Parameter (above the dotted line: hardly seen)")
+    ax.set_ylabel("Expected standard deviation (% of value)")
+    ax.legend(fontsize="x-small", title="kind, amplitude", title_fontsize="x-small")
+    ax.grid(alpha=0.3, axis="y")

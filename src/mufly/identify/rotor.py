@@ -1,0 +1,550 @@
+"""Is a rotor's coefficient constant over speed? The Reynolds trend, and the offset that looks like it.
+
+With ``x = ln(W / W_0)`` and ``W_0`` the weighted geometric mean of the speeds,
+
+    load = q (p_0 + p_1 x + p_2 x^2)
+
+is linear in p; its degree, up to 2, has the least AICc (Hurvich and Tsai, Biometrika 76, 1989), and the coefficient
+is not constant if ``p_1, p_2`` differ from zero by Wald's test at 5 %. With the Reynolds number proportional to the
+speed, ``p_1 / p_0`` is the power with which the coefficient goes with Re. The rival ``load = c q + F_0`` is a load
+cell that does not read zero; which of the two the data prefer is said, and that is all that they can say. Where the
+speed rose or fell all through the measurement, a drift of the sensors would look like a trend as well; that too is
+said.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from mufly.bench import Loads, Spread, air_density, spread
+from mufly.errors import InputError
+from mufly.identify.covariance import unseen_combinations
+from mufly.identify.result import Estimate
+from mufly.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+_RPM = math.pi / 30.0
+_ORDERED = 0.8  # rank correlation of speed and order from which drift and trend cannot be told apart
+_ALIKE = 0.02  # speeds closer than this share show no bend between them
+_AS_WELL = 2.0  # differences of AICc below which two explanations fit equally well
+
+
+@dataclass(frozen=True, eq=False)
+class Trend:
+    """A coefficient over speed.
+
+    Attributes
+    ----------
+    channel, symbol : str
+    reference_rad_s : float
+        W_0.
+    coefficients : (d + 1,) array
+        p_0 ... p_d.
+    spread : Spread
+        Their covariance.
+    significant : bool
+        Whether the coefficient changes with speed by more than its error.
+    offset, offset_std : float
+        F_0 of the rival explanation (N or N m).
+    against_offset : float
+        AICc of the rival less that of the trend: positive if the trend explains more.
+    range_rad_s : (float, float)
+    ordered : bool
+        Speeds rose or fell all through the measurement.
+    """
+
+    channel: str
+    symbol: str
+    reference_rad_s: float
+    coefficients: Array
+    spread: Spread
+    significant: bool
+    offset: float
+    offset_std: float
+    against_offset: float
+    range_rad_s: tuple[float, float]
+    ordered: bool
+
+    def _basis(self, speed_rad_s: float | Array) -> Array:
+        x = np.log(np.abs(np.asarray(speed_rad_s, dtype=np.float64)) / self.reference_rad_s)
+        return np.stack([x**k for k in range(self.coefficients.size)], axis=-1)
+
+    def value_at(self, speed_rad_s: float | Array) -> Array:
+        """Return the coefficient at speeds."""
+        return np.asarray(self._basis(speed_rad_s) @ self.coefficients)
+
+    def std_at(self, speed_rad_s: float | Array) -> Array:
+        """Return the standard deviation of the coefficient at speeds."""
+        b = self._basis(speed_rad_s)
+        return np.sqrt(np.einsum("...i,ij,...j->...", b, self.spread.covariance, b))
+
+    def change(self) -> tuple[float, float]:
+        """Return the change from the lowest to the highest speed, relative, and half its 95 % interval."""
+        low, high = (self._basis(w) for w in self.range_rad_s)
+        start, end = float(low @ self.coefficients), float(high @ self.coefficients)
+        slope = high / start - low * end / start**2
+        return end / start - 1.0, self.spread.quantile * math.sqrt(
+            float(slope @ self.spread.covariance @ slope)
+        )
+
+    def in_words(self) -> str:
+        """Say whether the coefficient is constant within its error."""
+        low, high = self.range_rad_s
+        change, doubt = self.change()
+        over = f"{100 * change:+.1f} +- {100 * doubt:.1f} % from {low / _RPM:.0f} to {high / _RPM:.0f} rpm"
+        if not self.significant:
+            return f"{self.symbol} is constant within its error over a speed range of {high / low:.2g} : 1 ({over})"
+        speeds = (low, math.sqrt(low * high), high)
+        shape = ", ".join(f"{float(self.value_at(w)):.5f} at {w / _RPM:.0f} rpm" for w in speeds)
+        text = f"{self.symbol} is not constant: {over} ({shape})"
+        unit = "N" if self.channel.startswith("thrust") else "N m"
+        offset = f"an offset of the load cell of {self.offset:.3g} +- {2 * self.offset_std:.2g} {unit}"
+        if self.against_offset < -_AS_WELL:
+            text += f"; but {offset} would explain more: read its zero at rest"
+        elif self.against_offset < _AS_WELL:
+            text += f"; {offset} would explain it as well: read its zero at rest"
+        else:
+            text += "; a Reynolds trend explains more than an offset of the load cell"
+        return text + (", and a drift during the measurement would look the same" if self.ordered else "")
+
+
+def fit_trend(
+    channel: str, symbol: str, speed: Array, unit: Array, load: Array, expected: Array,
+    run: NDArray[np.int64] | None = None,
+) -> Trend:  # fmt: skip
+    """Fit a coefficient over speed, and its rival.
+
+    Parameters
+    ----------
+    channel, symbol : str
+        Names in words.
+    speed, unit, load, expected : (n,) array
+        rad/s; q; N or N m; expected error of the load, up to a factor. In the order of measurement, five or more.
+    run : (n,) int array, optional
+    """
+    n = load.size
+    weight = (unit / expected) ** 2
+    speed = np.abs(speed)
+    reference = float(np.exp(np.sum(weight * np.log(speed)) / np.sum(weight)))
+    x = np.log(speed / reference)
+    ordered = (
+        abs(float(stats.spearmanr(np.arange(n), speed).statistic)) > _ORDERED if np.ptp(speed) > 0 else False
+    )
+    chosen, least = 1, math.inf
+    bends = n >= 8 and np.unique(np.round(x / _ALIKE)).size >= 4
+    for degree in range(1, 3 if bends else 2):
+        score = _aicc(_columns(unit, x, degree, expected), load / expected)
+        if score < least - (_AS_WELL if degree > 1 else 0.0):
+            chosen, least = degree, score
+    a = _columns(unit, x, chosen, expected)
+    p = np.asarray(np.linalg.lstsq(a, load / expected, rcond=None)[0], dtype=np.float64)
+    # Correlated errors along an ordered measurement and a trend over speed are one and the same to the data.
+    found = spread(a, load / expected - a @ p, run=np.arange(n) if ordered else run)
+    tail = found.covariance[1:, 1:]
+    wald = float(p[1:] @ np.linalg.solve(tail, p[1:])) / chosen if np.all(np.diag(tail) > 0) else 0.0
+    b = np.column_stack([unit, np.ones(n)]) / expected[:, None]
+    both = np.linalg.lstsq(b, load / expected, rcond=None)[0]
+    rival = spread(b, load / expected - b @ both, run=np.arange(n) if ordered else run)
+    return Trend(
+        channel, symbol, reference, p, found, wald > float(stats.f.ppf(0.95, chosen, max(found.dof, 1.0))),
+        float(both[1]), math.sqrt(rival.covariance[1, 1]), _aicc(b, load / expected) - least,
+        (float(speed.min()), float(speed.max())), ordered,
+    )  # fmt: skip
+
+
+def _columns(unit: Array, x: Array, degree: int, expected: Array) -> Array:
+    return np.vander(x, degree + 1, increasing=True) * (unit / expected)[:, None]
+
+
+def _aicc(a: Array, b: Array) -> float:
+    n, k = a.shape[0], a.shape[1] + 1
+    rest = b - a @ np.linalg.lstsq(a, b, rcond=None)[0]
+    return n * math.log(max(float(rest @ rest), 1e-300)) + 2 * k + 2 * k * (k + 1) / max(n - k - 1, 0.5)
+
+
+# ----------------------------------------------------------------------------
+# What a fit of rotor coefficients returns, and what a single rotor and a pair say of each other.
+
+
+SIDES = {"upper": "_up", "lower": "_dw", "": ""}
+COEFFICIENTS = {"thrust": ("cT", "thrust_coefficient", 4), "torque": ("cQ", "torque_coefficient", 5)}
+
+
+@dataclass(frozen=True, eq=False)
+class CoefficientFit:
+    """One fit: the loads of one channel on one or two rotors.
+
+    Attributes
+    ----------
+    channel : str
+        ``"thrust"``, ``"torque_lower"``, ...
+    symbols : tuple of str
+        ``cT``, ``cQ_up``, ...
+    value : (p,) array
+    covariance : (p, p) array
+    systematic_share : (p,) array
+        Part of each variance that calibration, zeros, density and radius make up.
+    speed_rad_s : (n, p) array
+    unit_load : (n, p) array
+        q of the module docstring.
+    load, expected : (n,) array
+        Measured (N, N m) and standard deviation of its scatter.
+    spread : Spread
+    trends : tuple of Trend
+        One for a fit of one rotor; empty otherwise.
+    """
+
+    channel: str
+    symbols: tuple[str, ...]
+    value: Array
+    covariance: Array
+    systematic_share: Array
+    speed_rad_s: Array
+    unit_load: Array
+    load: Array
+    expected: Array
+    spread: Spread
+    trends: tuple[Trend, ...]
+
+    @property
+    def residual(self) -> Array:
+        """Measured less fitted, (n,)."""
+        return self.load - self.unit_load @ self.value
+
+
+@dataclass(frozen=True, eq=False)
+class RotorFit:
+    """Coefficients of the rotors of one bench file at one setting of the blades.
+
+    Attributes
+    ----------
+    source : str
+    coaxial : bool
+    pitch_rad : float
+        NaN if the file does not say.
+    radius_m : float
+    density_kg_m3 : (n,) array
+    estimates : tuple of Estimate
+        In the order of the fits.
+    fits : tuple of CoefficientFit
+    loads : Loads
+    unseen, notes : tuple of str
+    """
+
+    source: str
+    coaxial: bool
+    pitch_rad: float
+    radius_m: float
+    density_kg_m3: Array
+    estimates: tuple[Estimate, ...]
+    fits: tuple[CoefficientFit, ...]
+    loads: Loads
+    unseen: tuple[str, ...]
+    notes: tuple[str, ...] = field(default=())
+
+    def estimate(self, symbol: str) -> Estimate:
+        """Return an estimate by its symbol; KeyError if there is none."""
+        return {e.symbol: e for e in self.estimates}[symbol]
+
+    def systematic_shares(self) -> dict[str, float]:
+        """Return the part of each variance that calibration, zeros, density and radius make up."""
+        return {s: float(v) for f in self.fits for s, v in zip(f.symbols, f.systematic_share, strict=True)}
+
+
+def estimates_of(fit: CoefficientFit, vehicle: Vehicle | None) -> list[Estimate]:
+    """Return the estimates of a fit, with start values of a vehicle."""
+    out = []
+    for k, symbol in enumerate(fit.symbols):
+        side = {"up": "upper", "dw": "lower"}.get(symbol.partition("_")[2], "")
+        _, name, _ = COEFFICIENTS["thrust" if symbol.startswith("cT") else "torque"]
+        start = math.nan
+        if vehicle is not None and side:
+            start = float(getattr(getattr(vehicle.rotors, side), name))
+        value, std = float(fit.value[k]), math.sqrt(fit.covariance[k, k])
+        half = std * fit.spread.quantile
+        out.append(
+            Estimate(
+                symbol,
+                f"rotors.{side}.{name}" if side else "",
+                "1",
+                start,
+                value,
+                std,
+                value - half,
+                value + half,
+            )
+        )
+    return out
+
+
+def placed(fit: RotorFit, side: str, vehicle: Vehicle | None) -> RotorFit:
+    """Return the fit of a single rotor as that of a vehicle's ``"upper"`` or ``"lower"`` rotor; a pair stays."""
+    if fit.coaxial:
+        return fit
+    end = SIDES[side]
+    fits = tuple(
+        replace(
+            f,
+            symbols=tuple(s + end for s in f.symbols),
+            trends=tuple(replace(t, symbol=t.symbol + end) for t in f.trends),
+        )
+        for f in fit.fits
+    )
+    return replace(fit, fits=fits, estimates=tuple(e for f in fits for e in estimates_of(f, vehicle)))
+
+
+def interference(fits: Sequence[RotorFit]) -> list[str]:
+    """Say what each rotor of a pair keeps of a single rotor's coefficients, where both were measured."""
+    single = [f for f in fits if not f.coaxial]
+    pairs = [f for f in fits if f.coaxial]
+    words = []
+    for alone, pair in ((a, b) for a in single for b in pairs):
+        for e in pair.estimates:
+            own = [s for s in alone.estimates if s.symbol.partition("_")[0] == e.symbol.partition("_")[0]]
+            if not own or math.isinf(e.std) or math.isinf(own[0].std):
+                continue
+            ratio = e.value / own[0].value
+            doubt = 2 * ratio * math.hypot(e.std / e.value, own[0].std / own[0].value)
+            changed = "" if abs(ratio - 1) > doubt else ": unaffected within its error"
+            words.append(
+                f"{e.symbol} of {pair.source} is {ratio:.3f} +- {doubt:.3f} of {alone.source}{changed}"
+            )
+    return words
+
+
+# ----------------------------------------------------------------------------
+# Thrust and torque coefficients of rotors from a bench, single and coaxial, with what they rest on.
+#
+#     T = c_T rho pi R^4 W^2,      Q = c_Q rho pi R^5 W^2        (eq. 3.3 of the dissertation)
+#
+# With ``q = rho pi R^4 W^2`` (torque: ``R^5``) each coefficient is a weighted linear least-squares fit ``load = c
+# q``.
+# Where a coaxial bench measures only the total thrust, both coefficients are fitted to ``T = c_up q_up + c_dw q_dw``.
+# The expected error of a load is taken in proportion to the likeliest shape between a share of the reading and a
+# share
+# of full scale; its size follows from the residuals, whose pattern widens the intervals
+# (:mod:`mufly.bench.covariance`). Errors that all readings share do not average out and are added:
+#
+#     cov(c) = cov_scatter + G C G' + c c' (var(rho) / rho^2 + k^2 var(R) / R^2),      G = dc/d(calibration, zeros),
+#
+# with k = 4 for thrust and 5 for torque. Whether a coefficient is constant over speed, as the flight model takes it,
+# is
+# tested (:mod:`mufly.identify.rotor`). If it is not, the estimate is still the best single number, and its
+# variance grows by the mean square of the coefficient's distance from it over the measured speeds.
+
+
+# % of reading, % of full scale; the first holds unless another is clearly likelier (2 log L, as by AIC).
+_SHAPES = ((1.0, 0.3), (1.0, 0.02), (1.0, 0.1), (1.0, 1.0), (0.0, 1.0))
+_CLEARLY = 4.0
+_TYPICAL, _ORDINARY = 0.01, (0.0005, 0.06)  # thrust coefficients of hovering rotors
+_PITCH = math.radians(0.05)  # settings of the blades closer than this are one
+
+
+def fit_rotor(
+    loads: Loads, *, radius_m: float, radius_std_m: float = 0.0, density_kg_m3: float | None = None,
+    density_std_kg_m3: float = 0.0, at_speed_rad_s: float | None = None, vehicle: Vehicle | None = None,
+) -> tuple[RotorFit, ...]:  # fmt: skip
+    """Fit thrust and torque coefficients, a result for every pitch setting in the file.
+
+    Parameters
+    ----------
+    loads : Loads
+        From :func:`mufly.bench.corrected_loads`.
+    radius_m, radius_std_m : float
+        Of both rotors, and its standard deviation.
+    density_kg_m3, density_std_kg_m3 : float, optional
+        Of the air; by default from the file, else 1.2.
+    at_speed_rad_s : float, optional
+        Where a coefficient changes with speed, give its value at this one instead of the mean over all speeds.
+    vehicle : Vehicle, optional
+        Start values in the result.
+
+    Raises
+    ------
+    InputError
+        If speeds are missing, there are fewer than two points, or the radius cannot be right.
+    """
+    if not (math.isfinite(radius_m) and radius_m > 0):
+        raise InputError(
+            "--radius", "", f"{radius_m:g} m is not possible", "give the rotor's radius in metres"
+        )
+    loads, doubts = _speed_unit(loads, radius_m)
+    table = loads.table
+    coaxial = any(name.endswith(("_upper", "_lower")) for name in (*table.columns, *loads.values))
+    if len(table) < 2:
+        raise InputError(table.source, "", f"{len(table)} points with a turning rotor", "give two or more")
+    density, words = air_density(table, density_kg_m3)
+    notes = [*loads.notes, *doubts, words]
+    pitch = table["pitch"] if "pitch" in table else np.full(len(table), np.nan)
+    settings = np.unique(np.round(pitch / _PITCH)) if "pitch" in table else np.array([np.nan])
+    results = []
+    for setting in settings:
+        chosen = np.isnan(pitch) if np.isnan(setting) else np.round(pitch / _PITCH) == setting
+        fits: list[CoefficientFit] = []
+        more: list[str] = []
+        for channel in loads.values:
+            fit = _fit_channel(
+                loads, channel, chosen, density, radius_m, coaxial=coaxial, at_speed=at_speed_rad_s,
+                common=(density_std_kg_m3 / float(density.mean()), radius_std_m / radius_m), notes=more,
+            )  # fmt: skip
+            if fit is not None:
+                fits.append(fit)
+        estimates = tuple(e for fit in fits for e in estimates_of(fit, vehicle))
+        results.append(
+            RotorFit(
+                table.source, coaxial, float(pitch[chosen][0]), radius_m, density[chosen], estimates, tuple(fits),
+                loads, tuple(u for fit in fits for u in _unseen(fit)), (*notes, *more),
+            )
+        )  # fmt: skip
+    return tuple(results)
+
+
+def _speed_unit(loads: Loads, radius: float) -> tuple[Loads, list[str]]:
+    """Take speeds without a unit as rpm or rad/s, whichever gives an ordinary coefficient; doubt stated units."""
+    table, notes = loads.table, []
+    quantity = next((c for c in loads.values if c.startswith("thrust")), None)
+    for name in [c for c in table.columns if c.startswith("speed")]:
+        if quantity is None:
+            break
+        side = name.partition("_")[2]
+        channel = f"thrust_{side}" if f"thrust_{side}" in loads.values else quantity
+        with np.errstate(divide="ignore", invalid="ignore"):
+            c = loads.values[channel] / (1.2 * math.pi * radius**4 * table[name] ** 2)
+        typical = float(np.nanmedian(np.abs(c)))
+        off, off_rpm = abs(math.log(typical / _TYPICAL)), abs(math.log(typical / _RPM**2 / _TYPICAL))
+        if name in table.unitless:
+            unit, factor = ("rpm", _RPM) if off_rpm < off else ("rad/s", 1.0)
+            table = table.rescaled(name, factor, f"{table.headers[name]} has no unit: taken as {unit}")
+            notes.append(table.notes[-1])
+        elif not _ORDINARY[0] < typical < _ORDINARY[1]:
+            notes.append(
+                f"{table.headers[name]}: c_T near {typical:.2g} is far from the usual {_ORDINARY[0]} to "
+                f"{_ORDINARY[1]}; check the units (rpm or rad/s), the radius and the thrust"
+            )
+    return replace(loads, table=table), notes
+
+
+def _rotors_of(channel: str, coaxial: bool) -> tuple[str, tuple[str, ...]]:
+    """Return the quantity of a channel and the rotors whose loads it holds."""
+    quantity, _, side = channel.partition("_")
+    return quantity, (side,) if side or not coaxial else ("upper", "lower")
+
+
+def _fit_channel(
+    loads: Loads, channel: str, chosen: NDArray[np.bool_], density: Array, radius: float, *, coaxial: bool,
+    at_speed: float | None, common: tuple[float, float], notes: list[str],
+) -> CoefficientFit | None:  # fmt: skip
+    quantity, sides = _rotors_of(channel, coaxial)
+    if quantity == "torque" and len(sides) == 2:
+        notes.append("the total torque of a coaxial pair is the difference of two and is not used; give torque_upper "
+                     "and torque_lower, for example from the motors' currents")  # fmt: skip
+        return None
+    table = loads.table
+    speeds = []
+    for side in sides:
+        name = f"speed_{side}" if side and f"speed_{side}" in table else "speed"
+        table.require((name,))
+        speeds.append(table[name])
+    measured = np.isfinite(loads.values[channel]) & chosen & (np.min(np.abs(speeds), axis=0) > 0)
+    p = len(sides)
+    if measured.sum() < p + 1:
+        notes.append(f"{channel}: {int(measured.sum())} points are too few")
+        return None
+    symbol, _, power = COEFFICIENTS[quantity]
+    speed = np.column_stack(speeds)[measured]
+    unit = density[measured][:, None] * math.pi * radius**power * speed**2
+    load = loads.values[channel][measured]
+    if np.median(load) < 0:
+        load = -load
+        why = (
+            "is that of the sense of rotation"
+            if quantity == "torque"
+            else "is taken for that of the load cell"
+        )
+        notes.append(f"{channel} is negative and was turned round: its sign {why}")
+    run = table["run"].astype(np.int64)[measured] if "run" in table else None
+    expected, words = _expected(unit, load)
+    notes.append(f"{channel}: scatter taken in proportion to {words}")
+    symbols = tuple(symbol + SIDES[s] for s in sides)
+    a, b = unit / expected[:, None], load / expected
+    size = np.linalg.norm(a, axis=0)
+    if np.linalg.cond(a / size) > 1e4:
+        # Both rotors at one ratio of speeds: only one sum is seen. The shortest vector is returned with infinite
+        # doubt.
+        value = np.linalg.lstsq(a / size, b, rcond=1e-4)[0] / size
+        spread_ = Spread(np.full((p, p), np.inf), math.nan, 1.0, "white", 0.0)
+        infinite = np.full((p, p), np.inf)
+        return CoefficientFit(
+            channel, symbols, value, infinite, np.zeros(p), speed, unit, load, expected, spread_, ()
+        )
+    value = np.linalg.lstsq(a, b, rcond=None)[0]
+    found = spread(a, b - a @ value, run=run, group=_settings(speed, run))
+    trends: tuple[Trend, ...] = ()
+    scatter = found.covariance
+    speeds_seen = np.unique(_settings(speed, None)).size
+    if p == 1 and speeds_seen == 1:
+        notes.append(f"{channel}: one speed only, so whether the coefficient changes with speed is not seen")
+    elif p == 1 and load.size >= 5:
+        trend = fit_trend(channel, symbols[0], speed[:, 0], unit[:, 0], load, expected, run)
+        trends = (trend,)
+        if trend.significant and at_speed is not None:
+            value = np.array([float(trend.value_at(at_speed))])
+            scatter, found = np.array([[float(trend.std_at(at_speed)) ** 2]]), trend.spread
+        elif trend.significant:
+            # One number for all speeds: its interval has to hold the coefficient's change with speed.
+            over = a[:, 0] ** 2 / float(a[:, 0] @ a[:, 0])
+            away = float(over @ (trend.value_at(speed[:, 0]) - value[0]) ** 2)
+            scatter = np.array([[float(trend.std_at(trend.reference_rad_s)) ** 2 + away]])
+            found = replace(trend.spread, scale=found.scale)
+    if found.pattern != "white":
+        notes.append(f"{channel}: {found.in_words()}")
+    gain = np.linalg.lstsq(a, loads.by_systematic[channel][measured] / expected[:, None], rcond=None)[0]
+    shared = gain @ loads.systematic @ gain.T
+    shared = shared + np.outer(value, value) * (common[0] ** 2 + (power * common[1]) ** 2)
+    covariance = scatter + shared
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(np.diag(covariance) > 0, np.diag(shared) / np.diag(covariance), 0.0)
+    return CoefficientFit(
+        channel, symbols, value, covariance, share, speed, unit, load, expected * found.scale, found, trends
+    )
+
+
+def _expected(unit: Array, load: Array) -> tuple[Array, str]:
+    """Return the likeliest shape of errors (n,), not yet scaled, and what it is in words."""
+    best, shape, least = np.empty(0), _SHAPES[0], math.inf
+    n = load.size
+    for reading, full_scale in _SHAPES:
+        fitted = np.abs(unit @ np.linalg.lstsq(unit, load, rcond=None)[0])
+        std = 0.01 * np.hypot(reading * fitted, full_scale * np.max(np.abs(load)))
+        r = (
+            load / std
+            - (unit / std[:, None]) @ np.linalg.lstsq(unit / std[:, None], load / std, rcond=None)[0]
+        )
+        minus_log = n * np.log(max(float(r @ r), 1e-300)) + 2 * float(np.sum(np.log(std)))
+        minus_log -= _CLEARLY if (reading, full_scale) == _SHAPES[0] else 0.0
+        if minus_log < least:
+            best, shape, least = std, (reading, full_scale), minus_log
+    parts = zip(shape, ("the reading", "full scale"), strict=True)
+    return best, " and ".join(f"{v:g} % of {what}" for v, what in parts if v)
+
+
+def _settings(speed: Array, run: NDArray[np.int64] | None) -> NDArray[np.int64]:
+    """Number the settings: lines at one speed (within 0.2 %) in one run are repeats."""
+    key = np.round(np.log(np.abs(speed)) / 0.002)
+    whole = np.column_stack([key, np.zeros(len(key)) if run is None else run])
+    return np.unique(whole, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
+
+
+def _unseen(fit: CoefficientFit) -> tuple[str, ...]:
+    if not np.all(np.isfinite(fit.covariance)):
+        return (
+            f"{' and '.join(fit.symbols)}: both rotors turn at one ratio of speeds, so only a weighted sum is seen",
+        )
+    return unseen_combinations(fit.symbols, fit.covariance / np.outer(fit.value, fit.value))

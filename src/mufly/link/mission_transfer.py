@@ -1,0 +1,549 @@
+"""The mission protocol, both ends of it, as two machines that know neither sockets nor what an item means.
+
+Whoever has the items is a :class:`Sender`, whoever wants them a :class:`Receiver` (mavlink.io, "Mission Protocol")::
+
+    upload      Sender (station)            Receiver (vehicle)        download    Receiver (station)    Sender (vehicle)
+                Count          ─────▶                                             RequestList   ─────▶
+                               ◀─────       RequestItem 0                                       ◀─────  Count
+                Item 0         ─────▶                                             RequestItem 0 ─────▶
+                               ◀─────       RequestItem 1 ...                                   ◀─────  Item 0 ...
+                               ◀─────       Ack                                   Ack           ─────▶
+
+Packets get lost, doubled, late and out of order. The receiver holds the reins: it asks for one item after the other,
+asks again when none comes, and passes over items that it does not wait for. What it has is given away once, when it is
+whole. MAVLink does not say which transfer an item belongs to; so that two missions are not mixed, a receiver that
+begins anew first lets the packets of the last transfer run dry (`SETTLE_S`), and a sender that does so first tells the
+receiver to stop (`HUSH_S`): else its items could be taken as the answer to the requests of the transfer before.
+
+An answer is expected after a round trip; the time after which it is asked for again follows the round trips seen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import Any
+
+from mufly.link.codec import mavlink
+
+# ----------------------------------------------------------------------------
+# What the two ends of a mission transfer say to each other, and how MAVLink puts it.
+#
+# :mod:`mufly.link.mission_transfer` deals in these notes; MISSION_ITEM and MISSION_REQUEST, the older forms, become
+# the same
+# notes as MISSION_ITEM_INT and MISSION_REQUEST_INT.
+
+
+class MissionResult(IntEnum):
+    """MAV_MISSION_RESULT."""
+
+    ACCEPTED = 0
+    ERROR = 1
+    UNSUPPORTED_FRAME = 2
+    UNSUPPORTED = 3
+    NO_SPACE = 4
+    INVALID = 5
+    INVALID_PARAM1 = 6
+    INVALID_PARAM2 = 7
+    INVALID_PARAM3 = 8
+    INVALID_PARAM4 = 9
+    INVALID_PARAM5_X = 10
+    INVALID_PARAM6_Y = 11
+    INVALID_PARAM7 = 12
+    INVALID_SEQUENCE = 13
+    DENIED = 14
+    OPERATION_CANCELLED = 15
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One mission item, as MISSION_ITEM_INT has it: x, y in 1e-4 m or 1e-7 deg, z in m."""
+
+    seq: int
+    frame: int
+    command: int
+    current: int = 0
+    autocontinue: int = 1
+    params: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    x: int = 0
+    y: int = 0
+    z: float = 0.0
+    mission_type: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class RequestList:
+    """MISSION_REQUEST_LIST: how many are there?"""
+
+    mission_type: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Count:
+    """MISSION_COUNT: so many items are on offer."""
+
+    count: int
+    mission_type: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class RequestItem:
+    """MISSION_REQUEST_INT (or, where ``old``, MISSION_REQUEST, which is answered alike)."""
+
+    seq: int
+    mission_type: int = 0
+    old: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Ack:
+    """MISSION_ACK; ``result`` is a number of :class:`MissionResult` or one that it does not know yet."""
+
+    result: int
+    mission_type: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ClearAll:
+    """MISSION_CLEAR_ALL; answered by an :class:`Ack`. No machine here takes it, one request has one answer."""
+
+    mission_type: int = 0
+
+
+Note = RequestList | Count | RequestItem | Item | Ack | ClearAll
+"""What travels between the two."""
+
+Notes = list[tuple[Hashable, Note]]
+"""Notes to be sent, each with the peer that it is for."""
+
+_LOCAL_FRAMES = (1, 4, 7, 8, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21)
+_INT32 = 2**31
+
+
+def _scaled(value: float, frame: int) -> int:
+    """x or y of a MISSION_ITEM as MISSION_ITEM_INT has it; what does not fit becomes the "not given" of that field."""
+    scaled = value * (1e4 if frame in _LOCAL_FRAMES else 1e7)
+    if not math.isfinite(scaled) or abs(scaled) >= _INT32:
+        return _INT32 - 1
+    return round(scaled)
+
+
+def note_of(message: Any) -> Note | None:
+    """Return what a MAVLink message says about a transfer; None if nothing."""
+    kind = message.get_type()
+    if kind in ("MISSION_ITEM_INT", "MISSION_ITEM"):
+        m = message
+        x, y = (m.x, m.y) if kind == "MISSION_ITEM_INT" else (_scaled(m.x, m.frame), _scaled(m.y, m.frame))
+        params = (m.param1, m.param2, m.param3, m.param4)
+        return Item(m.seq, m.frame, m.command, m.current, m.autocontinue, params, x, y, m.z, m.mission_type)
+    if kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
+        return RequestItem(message.seq, message.mission_type, kind == "MISSION_REQUEST")
+    if kind == "MISSION_COUNT":
+        return Count(message.count, message.mission_type)
+    if kind == "MISSION_ACK":
+        return Ack(message.type, message.mission_type)
+    if kind == "MISSION_REQUEST_LIST":
+        return RequestList(message.mission_type)
+    return ClearAll(message.mission_type) if kind == "MISSION_CLEAR_ALL" else None
+
+
+def to_mavlink(note: Note, system: int, component: int) -> Any:
+    """Return a note as the MAVLink message to ``system`` and ``component``, ready for a codec to send."""
+    to = (system, component)
+    match note:
+        case Item():
+            n = note
+            return mavlink.MAVLink_mission_item_int_message(
+                *to,
+                n.seq,
+                n.frame,
+                n.command,
+                n.current,
+                n.autocontinue,
+                *n.params,
+                n.x,
+                n.y,
+                n.z,
+                n.mission_type,
+            )
+        case RequestItem():
+            return mavlink.MAVLink_mission_request_int_message(*to, note.seq, note.mission_type)
+        case Count():
+            return mavlink.MAVLink_mission_count_message(*to, note.count, note.mission_type)
+        case Ack():
+            return mavlink.MAVLink_mission_ack_message(*to, note.result, note.mission_type)
+        case RequestList():
+            return mavlink.MAVLink_mission_request_list_message(*to, note.mission_type)
+        case ClearAll():
+            return mavlink.MAVLink_mission_clear_all_message(*to, note.mission_type)
+
+
+# ----------------------------------------------------------------------------
+# When to ask again in a transfer, and when to give it up.
+#
+# An answer is expected after a round trip; the time after which it is asked for again follows the round trips seen.
+
+
+RETRY_S = (0.25, 1.5)
+"""Least and greatest time before asking again (s); MAVLink recommends 0.25 s for items and 1.5 s for the rest."""
+
+FIRST_RETRY_S = 0.8
+"""Before any round trip was seen (s): longer than one over a link of 300 ms each way."""
+
+GIVE_UP_S = 12.0
+"""A transfer that has not moved for so long is given up (s).
+
+With 30 % lost and 300 ms each way an item is asked for 16 times by then; each time it comes with probability 0.49, so
+one item in 48 000 is given up.
+"""
+
+
+class Pace:
+    """When to ask again, and when to stop asking."""
+
+    def __init__(self) -> None:
+        self._round_trip_s: float | None = None
+        self._asked_s = self._moved_s = 0.0
+        self._repeated = False
+
+    def moved(self, now_s: float) -> None:
+        """Note that the transfer got on, and that the next question goes out now."""
+        took = now_s - self._asked_s
+        # After a repetition nobody knows which one was answered.
+        if not self._repeated and took > 0.0:
+            old = self._round_trip_s
+            self._round_trip_s = took if old is None else 0.7 * old + 0.3 * took
+        self._asked_s = self._moved_s = now_s
+        self._repeated = False
+
+    def begin(self, now_s: float) -> None:
+        """Note that the first question goes out now."""
+        self._asked_s = self._moved_s = now_s
+        self._repeated = False
+
+    def again(self, now_s: float) -> bool:
+        """Whether to ask again now; notes that it was done."""
+        trip = self._round_trip_s
+        wait = FIRST_RETRY_S if trip is None else min(max(1.1 * trip + 0.05, RETRY_S[0]), RETRY_S[1])
+        if now_s - self._asked_s < wait:
+            return False
+        self._asked_s, self._repeated = now_s, True
+        return True
+
+    def hopeless(self, now_s: float) -> bool:
+        """Whether nothing has moved for too long."""
+        return now_s - self._moved_s > GIVE_UP_S
+
+
+# ----------------------------------------------------------------------------
+# The end of a mission transfer that wants the items (:mod:`mufly.link.mission_transfer`).
+
+
+SETTLE_S = 1.0
+"""For how long packets of an earlier transfer may still be under way (s)."""
+
+LIMIT = 500
+"""Most items that a receiver takes."""
+
+
+class Receiver:
+    """Fetches items from one peer at a time and hands them on whole.
+
+    At a vehicle it waits for somebody's ``Count``; at a station :meth:`fetch` begins. It can be used again and again.
+
+    Parameters
+    ----------
+    judge : callable
+        Called with all items once they are there; returns what to acknowledge (:class:`MissionResult` or its number).
+        Whatever it refuses, it must leave as it was.
+    mission_type : int
+        MAV_MISSION_TYPE; notes of others are passed over.
+    limit : int
+        More items are refused with ``NO_SPACE``.
+    unasked : bool
+        Whether a ``Count`` may begin a transfer (at a vehicle), or :meth:`fetch` alone (at a station).
+
+    Attributes
+    ----------
+    peer : hashable
+        Whose items are being fetched; None between transfers.
+    result : int or None
+        How the last transfer ended; None while one is under way, or before the first.
+    timed_out : bool
+        Whether it ended because nothing was heard any more.
+    """
+
+    def __init__(
+        self,
+        judge: Callable[[tuple[Item, ...]], int],
+        *,
+        mission_type: int = 0,
+        limit: int = LIMIT,
+        unasked: bool = True,
+    ) -> None:
+        self.mission_type, self.limit = mission_type, limit
+        self.peer: Hashable = None
+        self.result: int | None = None
+        self.timed_out = False
+        self._judge, self._unasked = judge, unasked
+        self._fetching = False
+        self._count: int | None = None
+        self._items: list[Item] = []
+        self._settled_s = self._touched_s = -math.inf
+        self._done: tuple[Hashable, int, int] | None = (
+            None  # peer, number of items and result of the last one
+        )
+        self._pace = Pace()
+
+    @property
+    def busy(self) -> bool:
+        """Whether a transfer is under way."""
+        return self.peer is not None
+
+    @property
+    def progress(self) -> float:
+        """Share of the items that are there, 0..1."""
+        return len(self._items) / self._count if self._count else 0.0
+
+    def fetch(self, now_s: float, peer: Hashable) -> Notes:
+        """Ask a peer for its items; one transfer that is under way is dropped."""
+        dropped = self.cancel()
+        self._begin(now_s, peer, fetching=True)
+        return [*dropped, (peer, RequestList(self.mission_type))]
+
+    def receive(self, now_s: float, peer: Hashable, note: Note) -> Notes:
+        """Take a note of a peer; notes that mean nothing here are passed over."""
+        if getattr(note, "mission_type", None) != self.mission_type:
+            return []
+        if isinstance(note, Count):
+            return self._offered(now_s, peer, note)
+        if isinstance(note, Item):
+            return self._given(now_s, peer, note)
+        if isinstance(note, Ack) and peer == self.peer and note.result != MissionResult.ACCEPTED:
+            self._end(now_s, note.result)
+        return []
+
+    def step(self, now_s: float) -> Notes:
+        """Ask again for what may have been lost, or give up."""
+        if self.peer is None:
+            return []
+        if self._pace.hopeless(now_s):
+            self.timed_out = True
+            return self._refuse(now_s, MissionResult.OPERATION_CANCELLED)
+        if now_s < self._settled_s or not self._pace.again(now_s):
+            return []
+        return [(self.peer, self._question(now_s))]
+
+    def cancel(self) -> Notes:
+        """Stop; the peer is told, nothing is handed on."""
+        if self.peer is None:
+            return []
+        return self._refuse(self._touched_s, MissionResult.OPERATION_CANCELLED)
+
+    def _offered(self, now_s: float, peer: Hashable, note: Count) -> Notes:
+        if self._fetching or not self._unasked:
+            if not self._fetching or peer != self.peer or self._count is not None:
+                return []
+        elif self.busy and peer != self.peer:
+            return [(peer, Ack(MissionResult.DENIED, self.mission_type))]
+        else:
+            self._begin(now_s, peer, fetching=False)
+        if note.count > self.limit:
+            return self._refuse(now_s, MissionResult.NO_SPACE)
+        self._count = note.count
+        if note.count == 0:
+            return self._finish(now_s)
+        self._pace.moved(now_s)
+        return [] if now_s < self._settled_s else [(peer, self._question(now_s))]
+
+    def _given(self, now_s: float, peer: Hashable, item: Item) -> Notes:
+        if peer != self.peer:
+            return self._acknowledge_again(now_s, peer, item)
+        if now_s < self._settled_s or self._count is None or item.seq != len(self._items):
+            self._touched_s = now_s
+            return []
+        self._items.append(item)
+        self._pace.moved(now_s)
+        if len(self._items) == self._count:
+            return self._finish(now_s)
+        return [(peer, self._question(now_s))]
+
+    def _acknowledge_again(self, now_s: float, peer: Hashable, item: Item) -> Notes:
+        """Answer the last item of the last transfer, which comes again when the answer was lost."""
+        if self._done is None or self._done[:2] != (peer, item.seq + 1):
+            return []
+        self._touched_s = now_s
+        return [(peer, Ack(self._done[2], self.mission_type))]
+
+    def _question(self, now_s: float) -> Note:
+        if self._count is None:
+            return RequestList(self.mission_type)
+        self._touched_s = now_s
+        return RequestItem(len(self._items), self.mission_type)
+
+    def _begin(self, now_s: float, peer: Hashable, *, fetching: bool) -> None:
+        self.peer, self._fetching = peer, fetching
+        self.result, self.timed_out, self._done = None, False, None
+        self._count, self._items = None, []
+        self._settled_s = self._touched_s + SETTLE_S
+        self._pace = Pace()
+        self._pace.begin(now_s)
+
+    def _finish(self, now_s: float) -> Notes:
+        peer, items = self.peer, tuple(self._items)
+        result = int(self._judge(items))
+        self._end(now_s, result)
+        self._done = (peer, len(items), result)
+        return [(peer, Ack(result, self.mission_type))]
+
+    def _refuse(self, now_s: float, result: MissionResult) -> Notes:
+        peer = self.peer
+        self._end(now_s, result)
+        return [(peer, Ack(result, self.mission_type))]
+
+    def _end(self, now_s: float, result: int) -> None:
+        self.peer, self.result, self._fetching = None, result, False
+        self._items, self._count = [], None
+        self._touched_s = max(self._touched_s, now_s)
+
+
+# ----------------------------------------------------------------------------
+# The end of a mission transfer that has the items (:mod:`mufly.link.mission_transfer`).
+
+
+HUSH_S = 2.0
+"""A sender that begins anew first tells the receiver to stop, until it has not asked for so long (s)."""
+
+
+class Sender:
+    """Gives its items to one peer, item by item as that one asks.
+
+    ``result`` is None until it is over, then the receiver's word; ``OPERATION_CANCELLED`` if it was stopped from either
+    side or nothing was heard for `GIVE_UP_S` (``timed_out`` tells which).
+
+    Parameters
+    ----------
+    peer : hashable
+        Whom it serves.
+    items : sequence of Item
+        Numbered anew from 0.
+    mission_type : int
+        MAV_MISSION_TYPE.
+    uploading : bool
+        True at a station that wants to be rid of its mission: says ``Count`` until it is asked for an item, and ends
+        with the vehicle's ``Ack``. False at a vehicle that was asked for its list: says ``Count`` once; a list that is
+        asked for again is answered again.
+    """
+
+    def __init__(
+        self, peer: Hashable, items: Sequence[Item], *, mission_type: int = 0, uploading: bool = True
+    ) -> None:
+        self.peer = peer
+        self.items = tuple(replace(item, seq=k, mission_type=mission_type) for k, item in enumerate(items))
+        self.mission_type = mission_type
+        self.result: int | None = None
+        self.timed_out = False
+        self._uploading = uploading
+        self._served = -1
+        self._hush_s = self._hushed_s = -math.inf
+        self._pace = Pace()
+
+    @property
+    def progress(self) -> float:
+        """Share of the items that were asked for, 0..1."""
+        return (self._served + 1) / len(self.items) if self.items else float(self.result is not None)
+
+    def start(self, now_s: float, *, hush: bool = False) -> Notes:
+        """Offer the items.
+
+        Parameters
+        ----------
+        now_s : float
+            Clock (s).
+        hush : bool
+            Another transfer to this peer was not ended in order less than `GIVE_UP_S` ago; stop it first.
+        """
+        self._pace.begin(now_s)
+        if not hush:
+            return [(self.peer, self._count())]
+        self._hush_s, self._hushed_s = now_s + HUSH_S, now_s
+        return [(self.peer, self._cancel_note())]
+
+    def receive(self, now_s: float, note: Note) -> Notes:
+        """Answer a note of the peer; notes that mean nothing here are passed over."""
+        if getattr(note, "mission_type", None) != self.mission_type:
+            return []
+        if self.result is not None:
+            # Somebody waits for items of a transfer that is over, perhaps begun by a Count that came twice.
+            return [(self.peer, self._cancel_note())] if isinstance(note, RequestItem) else []
+        if self._hush_s > -math.inf:
+            if isinstance(note, RequestItem):
+                self._hush_s = now_s + HUSH_S
+                return [(self.peer, self._cancel_note())]
+            return []
+        if isinstance(note, RequestList) and not self._uploading:
+            self._pace.moved(now_s)
+            return [(self.peer, self._count())]
+        if isinstance(note, RequestItem):
+            # Item by item: what is asked for out of turn is a question to another sender, before this one.
+            if not 0 <= note.seq < len(self.items) or note.seq > self._served + 1:
+                return []
+            if note.seq > self._served:
+                self._served = note.seq
+                self._pace.moved(now_s)
+            return [(self.peer, self.items[note.seq])]
+        return self._acknowledged(now_s, note) if isinstance(note, Ack) else []
+
+    def step(self, now_s: float) -> Notes:
+        """Repeat what may have been lost, or give up."""
+        if self.result is not None:
+            return []
+        if self._pace.hopeless(now_s):
+            self.timed_out, self.result = True, MissionResult.OPERATION_CANCELLED
+            return [(self.peer, self._cancel_note())] if self._uploading else []
+        if self._hush_s > -math.inf:
+            return self._hush(now_s)
+        if not self._uploading or not self._pace.again(now_s):
+            return []
+        if self._served < 0:
+            return [(self.peer, self._count())]
+        # In between the receiver asks again; after the last item it may be its Ack that was lost.
+        last = self._served == len(self.items) - 1
+        return [(self.peer, self.items[-1])] if last else []
+
+    def cancel(self) -> Notes:
+        """Stop; the receiver is told."""
+        if self.result is not None:
+            return []
+        self.result = MissionResult.OPERATION_CANCELLED
+        return [(self.peer, self._cancel_note())]
+
+    def _hush(self, now_s: float) -> Notes:
+        if now_s >= self._hush_s:
+            self._hush_s = -math.inf
+            return self.start(now_s)
+        if now_s - self._hushed_s < 0.2 * HUSH_S:
+            return []
+        self._hushed_s = now_s
+        return [(self.peer, self._cancel_note())]
+
+    def _acknowledged(self, now_s: float, note: Ack) -> Notes:
+        if note.result == MissionResult.INVALID_SEQUENCE:
+            return []  # some vehicles say so to an item that came twice, and go on
+        if note.result == MissionResult.ACCEPTED and self._served < len(self.items) - 1:
+            if self._served < 0 or not self._uploading:
+                return []  # the late answer to another transfer
+            # It counts on fewer items than there are: it never heard our Count. Say it again.
+            self._served = -1
+            self._pace.moved(now_s)
+            return [(self.peer, self._count())]
+        self.result = note.result
+        return []
+
+    def _count(self) -> Count:
+        return Count(len(self.items), self.mission_type)
+
+    def _cancel_note(self) -> Ack:
+        return Ack(MissionResult.OPERATION_CANCELLED, self.mission_type)

@@ -1,0 +1,398 @@
+"""A log as it was written: topics, each a table on its own clock, nothing resampled or renamed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import resample_poly
+
+from mufly.errors import InputError
+
+
+class LogWarning(UserWarning):
+    """Something about a log that its reader guessed or repaired, in words."""
+
+
+@dataclass(frozen=True)
+class RawTable:
+    """One topic of a log.
+
+    Attributes
+    ----------
+    name : str
+        Topic: ``"vehicle_attitude"``; a second instance is ``"battery_status:1"``.
+    time : (n,) float64 array
+        Seconds since the start of the log, as they were written: not necessarily increasing.
+    fields : dict of str to (n,) array
+        Numbers, or text (dtype str).
+    units : dict of str to str
+        Units of those fields for which the file says one.
+    """
+
+    name: str
+    time: NDArray[np.float64]
+    fields: dict[str, NDArray[Any]]
+    units: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def rate_hz(self) -> float:
+        """Rate of the median step of the clock; NaN for fewer than two different instants."""
+        steps = np.diff(self.time)
+        steps = steps[steps > 0]
+        return float(1 / np.median(steps)) if len(steps) else float("nan")
+
+
+@dataclass(frozen=True)
+class RawLog(Mapping[str, RawTable]):
+    """A whole log: a mapping from topic to :class:`RawTable`.
+
+    Attributes
+    ----------
+    path : str
+    kind : str
+        ``"MCAP"``, ``"CSV"``, ``"ULog"``, ``"DataFlash"``, ``"MAVLink tlog"``, ``"Parquet"`` or ``"NetCDF"``.
+    tables : dict of str to RawTable
+    start_time : str
+        Wall time of the instant 0 (ISO 8601, UTC), ``""`` where the file does not tell.
+    info : dict
+        What the file says of itself: vehicle, software, ...
+    messages : tuple of (time_s, level, text)
+        What the vehicle said.
+    dropouts : tuple of (time_s, duration_s)
+        Where the logger itself says that it lost data.
+    complete : bool
+        Whether the file ends as it should, without damage.
+    notes : tuple of str
+        What the reader repaired or guessed, in words.
+    """
+
+    path: str
+    kind: str
+    tables: dict[str, RawTable]
+    start_time: str = ""
+    info: dict[str, Any] = field(default_factory=dict)
+    messages: tuple[tuple[float, str, str], ...] = ()
+    dropouts: tuple[tuple[float, float], ...] = ()
+    complete: bool = True
+    notes: tuple[str, ...] = ()
+
+    def __getitem__(self, topic: str) -> RawTable:
+        return self.tables[topic]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.tables)
+
+    def __len__(self) -> int:
+        return len(self.tables)
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last instant of any topic whose clock runs (s); zeros for an empty log."""
+        ends = [
+            (np.nanmin(t.time), np.nanmax(t.time)) for t in self.tables.values() if np.isfinite(t.time).any()
+        ]
+        ends = [(a, b) for a, b in ends if b > a] or ends
+        return (float(min(a for a, _ in ends)), float(max(b for _, b in ends))) if ends else (0.0, 0.0)
+
+
+# ----------------------------------------------------------------------------
+# The clock of a table: whether it runs forward, where it has gaps, and how evenly it ticks.
+#
+# A logger repeats a stamp, swaps two messages, or loses some; a board that restarts begins to count again. The first
+# two
+# are repaired and said; a restart is two logs in one, which no sorting can mend, and is refused.
+
+
+_Array = NDArray[np.float64]
+# More steps back than this share, or a step back longer than this, is no matter of swapped messages.
+_BACK_SHARE, _BACK_S = 0.02, 2.0
+GAP_FACTOR = 5.0
+# What is said now and then has no rate, so no gaps.
+_FEWEST_STEPS = 15
+
+
+@dataclass(frozen=True)
+class ClockReport:
+    """What :func:`check_clock` found.
+
+    Attributes
+    ----------
+    samples : int
+    rate_hz : float
+        Of the median step; NaN for fewer than two different instants.
+    jitter : float
+        Standard deviation of the steps that are no gaps, over the median step.
+    missing, repeated, backward : int
+        Stamps that are not finite; equal to the one before; earlier than the one before.
+    back_s : float
+        The longest step back (s).
+    first_back : int
+        Sample at which time first runs backward, -1 if it never does.
+    gaps : (k, 2) array
+        Beginning and end of each gap (s).
+    """
+
+    samples: int
+    rate_hz: float
+    jitter: float
+    missing: int
+    repeated: int
+    backward: int
+    back_s: float
+    first_back: int
+    gaps: _Array
+
+    @property
+    def reset(self) -> bool:
+        """Whether time runs backward so that it cannot be repaired."""
+        few = max(3.0, _BACK_SHARE * self.samples)
+        return self.backward > 0 and (self.back_s > _BACK_S or self.backward > few)
+
+    def words(self) -> list[str]:
+        """The faults, a sentence each; empty for a sound clock."""
+        out = []
+        if self.samples > 1 and self.repeated == self.samples - self.missing - 1 > 0:
+            return ["the clock stands still"]
+        if self.missing:
+            out.append(f"{self.missing} of {self.samples} time stamps are missing")
+        if self.backward:
+            times = "once" if self.backward == 1 else f"{self.backward} times"
+            out.append(
+                f"time runs backward {times}, by {self.back_s:.3g} s at most, first at sample {self.first_back}"
+            )
+        if self.repeated:
+            out.append(f"{self.repeated} of {self.samples} time stamps repeat the one before")
+        if len(self.gaps):
+            length = self.gaps[:, 1] - self.gaps[:, 0]
+            k = int(length.argmax())
+            many = "1 gap" if len(length) == 1 else f"{len(length)} gaps"
+            out.append(
+                f"{many}, {length.sum():.3g} s in all, the longest {length[k]:.3g} s at {self.gaps[k, 0]:.2f} s "
+                f"(median step {1e3 / self.rate_hz:.3g} ms)"
+            )
+        return out
+
+
+def find_gaps(time: _Array, factor: float = GAP_FACTOR) -> _Array:
+    """Return beginning and end of every step longer than ``factor`` median steps; none for fewer than 16 samples.
+
+    Parameters
+    ----------
+    time : (n,) array
+        Increasing (s).
+    factor : float
+
+    Returns
+    -------
+    (k, 2) array
+    """
+    steps = np.diff(time)
+    if len(steps) < _FEWEST_STEPS:
+        return np.empty((0, 2))
+    wide = np.flatnonzero(steps > factor * np.median(steps))
+    return np.column_stack((time[wide], time[wide + 1]))
+
+
+def check_clock(time: _Array, gap_factor: float = GAP_FACTOR) -> ClockReport:
+    """Examine time stamps.
+
+    Parameters
+    ----------
+    time : (n,) array
+        As written (s).
+    gap_factor : float
+        A step longer than this many median steps is a gap.
+    """
+    finite = time[np.isfinite(time)]
+    steps = np.diff(finite)
+    back = steps < 0
+    forward = np.unique(finite)
+    ticks = np.diff(forward)
+    median = float(np.median(ticks)) if len(ticks) else float("nan")
+    even = ticks[ticks <= gap_factor * median]
+    return ClockReport(
+        samples=len(time),
+        rate_hz=1 / median if len(ticks) else float("nan"),
+        jitter=float(even.std() / median) if len(even) else 0.0,
+        missing=len(time) - len(finite),
+        repeated=int((steps == 0).sum()),
+        backward=int(back.sum()),
+        back_s=float(-steps.min()) if back.any() else 0.0,
+        first_back=int(back.argmax()) + 1 if back.any() else -1,
+        gaps=find_gaps(forward, gap_factor),
+    )
+
+
+def usable_samples(time: _Array, where: str, key: str) -> tuple[NDArray[np.int64], list[str]]:
+    """Return which samples, in which order, make a clock that increases, and what was repaired.
+
+    Samples without a stamp go; swapped ones are put in order; of several with one stamp the last is kept.
+
+    Returns
+    -------
+    index : (m,) int array
+    words : list of str
+        One sentence a repair; empty for a sound clock.
+
+    Raises
+    ------
+    InputError
+        If time was set back: by more than 2 s, or more often than at one sample in fifty.
+    """
+    report = check_clock(time)
+    if report.reset:
+        raise InputError(
+            where, key, report.words()[-1 if not report.repeated else 0 if not report.missing else 1],
+            "the clock was reset or the rows are mixed up: cut the log at that place, or give the right time column",
+        )  # fmt: skip
+    index = np.flatnonzero(np.isfinite(time))
+    order = index[np.argsort(time[index], kind="stable")]
+    last = np.append(np.diff(time[order]) > 0, True) if len(order) else np.empty(0, dtype=bool)
+    words = []
+    name = f"{key}: " if key else ""
+    if report.missing:
+        words.append(f"{name}{report.missing} samples without a time stamp are left out")
+    if report.backward:
+        words.append(f"{name}{report.backward} samples came in the wrong order and were sorted by time")
+    if not last.all():
+        words.append(f"{name}{int((~last).sum())} samples repeat a time stamp; the last of each is kept")
+    return order[last], words
+
+
+# ----------------------------------------------------------------------------
+# Signals with clocks of their own onto one common clock.
+#
+# Between samples a signal is interpolated linearly or, if it is held (an input, a reference), keeps its last value. A
+# signal that is sampled faster than the new clock is first low-pass filtered without phase shift (the Kaiser-window
+# FIR
+# filter of SciPy's ``resample_poly``, whose delay is taken out), so that noise above half the new rate does not fold
+# down; a held signal is not filtered. Where a signal has no sample within its own gap length the result is NaN: a gap
+# stays a gap.
+
+
+_MOST = 50_000_000
+
+
+def common_clock(spans: list[tuple[float, float]], rate_hz: float) -> _Array:
+    """Return instants at a rate from the first beginning to the last end, counted from the instant 0.
+
+    Parameters
+    ----------
+    spans : list of (begin_s, end_s)
+    rate_hz : float
+
+    Raises
+    ------
+    InputError
+        If that makes more than 50 million instants: then a time stamp is wrong.
+    """
+    first, last = min(a for a, _ in spans), max(b for _, b in spans)
+    if not (last - first) * rate_hz < _MOST:
+        problem = f"lasts from {first:.6g} to {last:.6g} s, at {rate_hz:.6g} Hz too many instants"
+        raise InputError("the log", "time", problem, "a time stamp is wrong, or give a lower rate")
+    tolerance = 1e-6
+    low, high = np.ceil(first * rate_hz - tolerance), np.floor(last * rate_hz + tolerance)
+    out: _Array = np.arange(low, high + 1) / rate_hz + 0.0  # no -0.0
+    return out
+
+
+def resample(
+    time: _Array, values: _Array, onto: _Array, *, hold: bool = False, gap_s: float | None = None
+) -> _Array:
+    """Bring a signal onto another clock.
+
+    Parameters
+    ----------
+    time : (n,) array
+        Increasing (s).
+    values : (n,) array
+        NaN counts as missing.
+    onto : (m,) array
+        Increasing and evenly spaced (s).
+    hold : bool
+        Keep the last value instead of interpolating.
+    gap_s : float, optional
+        Longest step that is bridged (s). Default: five median steps of the signal.
+
+    Returns
+    -------
+    (m,) array
+        NaN before the first and after the last sample, and in gaps.
+    """
+    known = np.isfinite(values)
+    t, x = time[known], values[known]
+    if len(t) < 2:
+        return np.full(len(onto), np.nan)
+    step = float(np.median(np.diff(t)))
+    longest = GAP_FACTOR * step if gap_s is None else gap_s
+    new_step = float(onto[1] - onto[0]) if len(onto) > 1 else step
+    slack = 1e-6 * min(step, new_step)
+    before = np.searchsorted(t, onto + slack, side="right") - 1
+    if hold:
+        out = x[np.clip(before, 0, None)].copy()
+    else:
+        if new_step > 1.5 * step:
+            t_even, x = _low_passed(t, x, new_step, step)
+            out = np.interp(onto, t_even, x)
+        else:
+            out = np.interp(onto, t, x)
+    # The instant is known if it lies on a sample or between two that are near each other.
+    left = t[np.clip(before, 0, None)]
+    right = t[np.clip(before + 1, None, len(t) - 1)]
+    on_sample = np.abs(onto - left) <= slack
+    bridged = right - left <= longest
+    if hold:
+        bridged |= (before == len(t) - 1) & (onto - left <= step)
+        out[before < 0] = np.nan
+    inside = (onto >= t[0] - slack) & (onto <= t[-1] + (step if hold else slack))
+    out[~(inside & (on_sample | bridged))] = np.nan
+    return out
+
+
+def _low_passed(t: _Array, x: _Array, new_step: float, step: float) -> tuple[_Array, _Array]:
+    """The signal without what lies above half the new rate, on an even clock of the new step."""
+    factor = max(int(np.ceil(new_step / step)), 2)
+    start = np.floor(t[0] / new_step) * new_step
+    n = int(np.ceil((t[-1] - start) / new_step)) * factor + 1
+    fine = start + np.arange(n) * (new_step / factor)
+    even = np.interp(fine, t, x)
+    low: _Array = np.asarray(resample_poly(even, 1, factor, padtype="line"), dtype=np.float64)
+    return fine[::factor], low
+
+
+def unwrap(angle: _Array) -> _Array:
+    """Take the jumps by a full turn out of an angle (rad) over the first axis, past missing values."""
+    out = angle.copy()
+    for column in out.reshape(len(out), -1).T:
+        known = np.isfinite(column)
+        column[known] = np.unwrap(column[known])
+    return out
+
+
+def euler_angles(quaternion: _Array) -> _Array:
+    """Return roll, pitch and yaw of quaternions that turn body axes into N-E-D.
+
+    Parameters
+    ----------
+    quaternion : (n, 4) array
+        w, x, y, z; need not be of length 1. One shorter than a half is no attitude.
+
+    Returns
+    -------
+    (n, 3) array
+        rad, in the aviation order (yaw, then pitch, then roll); NaN where there is no attitude. (Diebel 2006,
+        "Representing Attitude", eq. 290.)
+    """
+    length = np.linalg.norm(quaternion, axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        w, x, y, z = (quaternion / length[:, None]).T
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    out: _Array = np.column_stack((roll, pitch, yaw))
+    out[~(length > 0.5)] = np.nan
+    return out

@@ -1,0 +1,433 @@
+"""A coefficient map of a coaxial pair: every combination of mean speed, speed ratio and climb, one after the other.
+
+A point (s, r, m) of the map is the pair at
+
+    Omega_up = 2 s / (1 + r),    Omega_dw = r Omega_up,    V = m s R
+
+(:mod:`mufly.vehicle.coefficient_map` says why these three). Neighbours are solved one after the other, so that each
+starts from the inflow or the wake of the last one: the path turns round at the end of every row. Solved points are kept
+in a file beside the map as they come, and a run that is stopped goes on from there. Where the method gives no answer,
+as in descents in which the wakes blow back through the discs, a point takes the mean of its neighbours, from the known
+ones outwards, and is marked as not solved.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from mufly.errors import InputError, MuflyError
+from mufly.rotor.bemt import Air
+from mufly.rotor.blading import Blading
+from mufly.rotor.system import coaxial, coaxial_wake
+from mufly.rotor.wake import WakeSettings
+from mufly.vehicle import CoefficientMap, MapTables
+from mufly.vehicle.coefficient_map import MAP_NODES, table_text
+
+Array = NDArray[np.float64]
+Values = tuple[
+    float, float, float, float, bool
+]  # c_T, c_Q of upper and lower rotor; whether the method converged
+
+_LEAST_SOLVED = 0.5
+
+
+def climb_ratios(climb_m_s: Sequence[float], mean_speed_rad_s: Sequence[float], radius_m: float) -> Array:
+    """Return the climb axis of a map that holds these climb velocities (m/s) at every one of these mean speeds."""
+    return np.asarray(climb_m_s, dtype=np.float64) / (min(mean_speed_rad_s) * radius_m)
+
+
+def map_points(shape: tuple[int, int, int]) -> list[tuple[int, int, int]]:
+    """Return the points in an order in which each is a neighbour of the last."""
+    points: list[tuple[int, int, int]] = []
+    for k in range(shape[0]):
+        rows = range(shape[1]) if k % 2 == 0 else range(shape[1] - 1, -1, -1)
+        for j in rows:
+            # From fast climb, where wakes are washed away and settle at once, to descent, and back.
+            back = (len(points) // shape[2]) % 2 == 1
+            points += [(k, j, i) for i in (range(shape[2]) if back else range(shape[2] - 1, -1, -1))]
+    return points
+
+
+def coax_map(
+    upper: Blading,
+    lower: Blading,
+    *,
+    spacing_m: float,
+    upper_pitch_rad: float,
+    lower_pitch_rad: float,
+    mean_speed_rad_s: Sequence[float],
+    ratio: Sequence[float],
+    climb_ratio: Sequence[float],
+    method: Literal["bemt", "wake"] = "bemt",
+    air: Air | None = None,
+    settings: WakeSettings | None = None,
+    name: str = "",
+    note: str = "",
+    kept: Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> CoefficientMap:
+    """Compute a coefficient map.
+
+    Parameters
+    ----------
+    upper, lower : Blading
+        The first rotor of each is taken; both have the same radius.
+    spacing_m, upper_pitch_rad, lower_pitch_rad, air
+        As for :func:`mufly.rotor.coaxial`.
+    mean_speed_rad_s, ratio, climb_ratio : sequences of float
+        Axes, evenly spaced and rising; see :class:`mufly.vehicle.MapTables` and :func:`climb_ratios`.
+    method : 'bemt' or 'wake'
+        Blade elements (milliseconds a point) or vortex wakes (seconds).
+    settings : WakeSettings, optional
+        Of the wake method.
+    name, note : str
+        Name of the map, and what else its ``settings`` shall say.
+    kept : Path, optional
+        File of solved points; a run that was stopped goes on from it, and it is deleted at the end.
+    progress : callable, optional
+        ``progress(done, total)`` after each point.
+
+    Returns
+    -------
+    CoefficientMap
+
+    Raises
+    ------
+    InputError
+        If the radii differ, an axis is not possible, ``kept`` holds another map's points, or the rotors cannot be
+        solved together.
+    MuflyError
+        If fewer than half of the points are solved.
+    """
+    radius = float(upper.rotors[0].radius_m)
+    if abs(lower.rotors[0].radius_m / radius - 1.0) > 1e-6:
+        raise InputError(
+            "coax map", lower.rotors[0].name, f"has R {1e3 * lower.rotors[0].radius_m:g} mm, the upper rotor "
+            f"{1e3 * radius:g} mm", "a vehicle's rotors have one radius: give two of the same",
+        )  # fmt: skip
+    gas = air or Air()
+    axes = tuple(np.asarray(a, dtype=np.float64) for a in (mean_speed_rad_s, ratio, climb_ratio))
+    _check_axes(axes)
+    shape = (axes[0].size, axes[1].size, axes[2].size)
+    how = (settings or WakeSettings()) if method == "wake" else None
+    about: dict[str, Any] = {
+        "method": method,
+        "upper": upper.rotors[0].name,
+        "lower": lower.rotors[0].name,
+        "radius_m": radius,
+        "spacing_m": spacing_m,
+        "upper_pitch_deg": round(math.degrees(upper_pitch_rad), 9),
+        "lower_pitch_deg": round(math.degrees(lower_pitch_rad), 9),
+        "density_kg_m3": gas.density_kg_m3,
+        "viscosity_Pa_s": gas.viscosity_Pa_s,
+        "settings": "; ".join(filter(None, [note, "" if how is None else _shown(how)])),
+    }
+    solve = _solver(
+        upper, lower, spacing_m=spacing_m, upper_pitch_rad=upper_pitch_rad, lower_pitch_rad=lower_pitch_rad, air=gas,
+        radius=radius, how=how,
+    )  # fmt: skip
+    store = _Kept(kept, {**about, "axes": [a.tolist() for a in axes], "blades": _blades(upper, lower)})
+    points = map_points(shape)
+    values = np.full((*shape, 4), np.nan)
+    solved = np.zeros(shape, dtype=np.bool_)
+    reason = ""
+    for done, point in enumerate(points):
+        if progress is not None:
+            progress(done, len(points))
+        answer = store.known.get(point)
+        if answer is None:
+            try:
+                answer = solve(*(float(a[k]) for a, k in zip(axes, point, strict=True)))
+            except InputError:
+                raise
+            except MuflyError as error:
+                reason = str(error)
+                answer = (math.nan, math.nan, math.nan, math.nan, False)
+            store.add(point, answer)
+        values[point], solved[point] = answer[:4], answer[4] and np.all(np.isfinite(answer[:4]))
+    if progress is not None:
+        progress(len(points), len(points))
+    if np.mean(solved) < _LEAST_SOLVED:
+        store.discard()
+        raise MuflyError(
+            f"coax map: only {np.count_nonzero(solved)} of {solved.size} points are solved"
+            + (f" (last: {reason})" if reason else "; the wakes do not converge")
+            + "; ask for less descent, or for method 'bemt'"
+        )
+    values = _filled(values, solved)
+    c = np.moveaxis(values, -1, 0)
+    tables = MapTables(axes[0], axes[1], axes[2], c[0], c[1], c[2], c[3], solved=solved)
+    made = CoefficientMap(
+        name=name or f"{about['upper']}-{about['lower']}-{method}",
+        description=f"{about['upper']} above {about['lower']}, {1e3 * spacing_m:g} mm apart, "
+        f"{about['upper_pitch_deg']:g} and {about['lower_pitch_deg']:g} deg, by {method}; "
+        f"{np.count_nonzero(solved)} of {solved.size} points solved",
+        table=table_text(tables),
+        **about,
+    )
+    store.discard()
+    return made
+
+
+def _shown(how: WakeSettings) -> str:
+    return (
+        f"{how.model} wake, step {how.step_deg:g} deg, {how.turns:g} turns, tolerance {how.tolerance:g}, "
+        f"core {how.core:g}"
+    )
+
+
+def _check_axes(axes: Sequence[Array]) -> None:
+    for key, axis, least in zip(("mean speed", "ratio", "climb"), axes, (1, 2, 2), strict=True):
+        if axis.size < least:
+            raise InputError("coax map", key, f"has {axis.size} value", f"give {least} or more")
+        if not np.all(np.isfinite(axis)) or np.any(np.diff(axis) <= 0):
+            raise InputError("coax map", key, "does not rise", "give finite values, each above the last")
+        if key != "climb" and axis[0] <= 0:
+            raise InputError("coax map", key, f"{axis[0]:g} is not possible", "give numbers above 0")
+        if axis.size > 2 and np.ptp(np.diff(axis)) > 1e-6 * np.ptp(axis):
+            raise InputError("coax map", key, "is not evenly spaced", "give equal steps")
+    if not axes[2][0] <= 0.0 <= axes[2][-1]:
+        raise InputError("coax map", "climb", "leaves out 0, hover", "give a range that holds it")
+    nodes = math.prod(a.size for a in axes)
+    if nodes > MAP_NODES:
+        raise InputError("coax map", "", f"{nodes} points", f"take fewer ({MAP_NODES} at most)")
+
+
+def _solver(
+    upper: Blading,
+    lower: Blading,
+    *,
+    spacing_m: float,
+    upper_pitch_rad: float,
+    lower_pitch_rad: float,
+    air: Air,
+    radius: float,
+    how: WakeSettings | None,
+) -> Callable[[float, float, float], Values]:
+    """Return the function that solves a point, starting from the point it solved last."""
+    last: list[Any] = [None]
+
+    def solve(mean: float, ratio: float, climb_ratio: float) -> Values:
+        up = 2.0 * mean / (1.0 + ratio)
+        at: dict[str, Any] = {
+            "spacing_m": spacing_m, "upper_pitch_rad": upper_pitch_rad, "lower_pitch_rad": lower_pitch_rad,
+            "upper_speed_rad_s": up, "lower_speed_rad_s": ratio * up, "climb_m_s": climb_ratio * mean * radius,
+        }  # fmt: skip
+        if how is None:
+            try:
+                pair = coaxial(upper, lower, **at, air=air, start=last[0])
+            except MuflyError as error:
+                if isinstance(error, InputError) or last[0] is None:
+                    raise
+                last[0] = None
+                pair = coaxial(upper, lower, **at, air=air)
+            last[0] = pair.sent_up_m_s
+            a, b, converged = pair.upper, pair.lower, True
+        else:
+            wake = coaxial_wake(upper, lower, **at, air=air, settings=how, start=last[0])
+            if not wake.converged and last[0] is not None:
+                wake = coaxial_wake(upper, lower, **at, air=air, settings=how)
+            last[0] = wake if wake.converged else None
+            a, b, converged = *wake.rotors, wake.converged
+        return a.c_T, a.c_Q, b.c_T, b.c_Q, converged
+
+    return solve
+
+
+def _filled(values: Array, solved: NDArray[np.bool_]) -> Array:
+    """Fill what is not solved with the mean of its neighbours along the three axes, from the known ones outwards."""
+    found = np.where(solved[..., None], values, np.nan)
+    known = solved.copy()
+    while not known.all():
+        total, count = np.zeros_like(found), np.zeros(known.shape)
+        for axis in range(3):
+            for shift in (1, -1):
+                to = [slice(None)] * 3
+                source = [slice(None)] * 3
+                to[axis], source[axis] = (slice(1, None), slice(None, -1))[::shift]
+                there = known[tuple(source)]
+                total[tuple(to)] += np.where(there[..., None], found[tuple(source)], 0.0)
+                count[tuple(to)] += there
+        new = ~known & (count > 0)
+        found[new] = total[new] / count[new][:, None]
+        known |= new
+    return found
+
+
+def _blades(*bladings: Blading) -> str:
+    """Hash of what is solved: blades and polars."""
+    h = hashlib.sha256()
+    for b in bladings:
+        for part in (b.r_m, b.chord_m, b.twist_rad, b.polars.grid, b.blades):
+            h.update(np.ascontiguousarray(part).tobytes())
+        h.update(repr(b.corrections).encode())
+    return h.hexdigest()
+
+
+class _Kept:
+    """Solved points on disk: a line of JSON each, after one that says what they belong to."""
+
+    def __init__(self, path: Path | None, question: dict[str, Any]) -> None:
+        self.path = path
+        self.known: dict[tuple[int, int, int], Values] = {}
+        if path is None:
+            return
+        head = json.dumps({"question": question}, sort_keys=True)
+        if path.is_file():
+            self._recall(path, head)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            lines = [head, *(json.dumps([list(p), list(v)]) for p, v in self.known.items())]
+            path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise InputError(str(path), "", f"cannot be written ({error})", "give another place") from error
+
+    def _recall(self, path: Path, head: str) -> None:
+        first, *lines = path.read_text(encoding="utf-8").splitlines() or [""]
+        if first != head:
+            raise InputError(
+                str(path), "", "holds the points of another map that was stopped",
+                "go on with that one, delete this file, or write to another file",
+            )  # fmt: skip
+        for line in lines:
+            try:
+                point, values = json.loads(line)
+                self.known[tuple(point)] = tuple(values)
+            except ValueError:
+                break  # cut off in mid-write
+
+    def add(self, point: tuple[int, int, int], values: Values) -> None:
+        if self.path is not None:
+            with self.path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps([list(point), list(values)]) + "\n")
+                file.flush()
+
+    def discard(self) -> None:
+        if self.path is not None and self.path.is_file():
+            os.remove(self.path)
+
+
+# ----------------------------------------------------------------------------
+# Interpolation in a coefficient map: smooth enough to be linearised, quick enough for every Runge-Kutta stage.
+#
+# Over ratio and climb: Catmull-Rom cubics, which go through the points and have continuous slopes,
+#
+#     f(t) = f_0 + t (f_1 - f_-1)/2 + t^2 (f_-1 - 5/2 f_0 + 2 f_1 - f_2/2) + t^3 (3/2 (f_0 - f_1) + (f_2 - f_-1)/2)
+#
+# with the point that is missing beyond an edge on the line through the last two. Over the mean speed, where little
+# changes, straight lines. Beyond its edges a map keeps the value that it has there.
+
+
+@njit(cache=True, error_model="numpy")
+def _cubic(x, n):  # type: ignore[no-untyped-def]
+    """First of four neighbouring points, and their weights, at ``x`` in steps from the first point of ``n``."""
+    x = min(max(x, 0.0), n - 1.0)
+    i = min(int(x), n - 2)
+    t = x - i
+    a = t * (-0.5 + t * (1.0 - 0.5 * t))
+    b = 1.0 + t * t * (-2.5 + 1.5 * t)
+    c = t * (0.5 + t * (2.0 - 1.5 * t))
+    d = t * t * (-0.5 + 0.5 * t)
+    if i == 0:
+        b, c, a = b + 2.0 * a, c - a, 0.0
+    if i == n - 2:
+        c, b, d = c + 2.0 * d, b - d, 0.0
+    return i - 1, a, b, c, d
+
+
+@njit(cache=True, error_model="numpy")
+def interpolate(upper_t, upper_q, lower_t, lower_q, size, start, per_step, mean, ratio, climb_ratio):  # type: ignore[no-untyped-def]
+    """Interpolate four tables at one point.
+
+    Parameters
+    ----------
+    upper_t, upper_q, lower_t, lower_q : (nodes,) arrays
+        Thrust and torque of upper and lower rotor, in the order of C over (mean speed, ratio, climb).
+    size : (3,) integer array
+    start, per_step : (3,) arrays
+        First value of each axis, and one over its step.
+    mean, ratio, climb_ratio : float
+        Where.
+
+    Returns
+    -------
+    upper thrust, upper torque, lower thrust, lower torque : float
+    """
+    ns, nr, nc = size[0], size[1], size[2]
+    s = min(max((mean - start[0]) * per_step[0], 0.0), ns - 1.0)
+    k0 = min(int(s), max(ns - 2, 0))
+    s -= k0
+    j0, ra, rb, rc, rd = _cubic((ratio - start[1]) * per_step[1], nr)
+    i0, ca, cb, cc, cd = _cubic((climb_ratio - start[2]) * per_step[2], nc)
+    # At the edges a neighbour is not there; its weight is zero, so any other will do.
+    i_a, i_b, i_c, i_d = max(i0, 0), i0 + 1, i0 + 2, min(i0 + 3, nc - 1)
+    ut = uq = lt = lq = 0.0
+    for k in range(2):
+        w = s if k == 1 else 1.0 - s
+        if w == 0.0:
+            continue
+        for j in range(4):
+            v = w * (ra if j == 0 else rb if j == 1 else rc if j == 2 else rd)
+            row = ((k0 + k) * nr + min(max(j0 + j, 0), nr - 1)) * nc
+            a, b, c, d = row + i_a, row + i_b, row + i_c, row + i_d
+            ut += v * (ca * upper_t[a] + cb * upper_t[b] + cc * upper_t[c] + cd * upper_t[d])
+            uq += v * (ca * upper_q[a] + cb * upper_q[b] + cc * upper_q[c] + cd * upper_q[d])
+            lt += v * (ca * lower_t[a] + cb * lower_t[b] + cc * lower_t[c] + cd * lower_t[d])
+            lq += v * (ca * lower_q[a] + cb * lower_q[b] + cc * lower_q[c] + cd * lower_q[d])
+    return ut, uq, lt, lq
+
+
+@lru_cache(maxsize=32)
+def packed(coefficients: CoefficientMap) -> tuple[Any, ...]:
+    """Return the first seven arguments of :func:`interpolate` for a map; the tables hold c_T and c_Q."""
+    t = coefficients.tables()
+    axes = (t.mean_speed_rad_s, t.ratio, t.climb_ratio)
+    step = [float((a[-1] - a[0]) / (a.size - 1)) if a.size > 1 else np.inf for a in axes]
+    return (
+        t.cT_upper.ravel(), t.cQ_upper.ravel(), t.cT_lower.ravel(), t.cQ_lower.ravel(),
+        np.array(t.shape, dtype=np.int64), np.array([float(a[0]) for a in axes]), 1.0 / np.array(step),
+    )  # fmt: skip
+
+
+def at(
+    coefficients: CoefficientMap, mean_speed_rad_s: ArrayLike, ratio: ArrayLike, climb_ratio: ArrayLike
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Interpolate a map as the flight model does.
+
+    Parameters
+    ----------
+    coefficients : CoefficientMap
+    mean_speed_rad_s, ratio, climb_ratio : array_like
+        Points, broadcast against each other (shape ...); axes as in :class:`mufly.vehicle.MapTables`.
+
+    Returns
+    -------
+    values : (..., 4) array
+        c_T upper, c_Q upper, c_T lower, c_Q lower.
+    outside : (...) array of bool
+        True where a point lies beyond an edge of ratio or climb, or beyond the range of several mean speeds, and the
+        value of the edge is returned.
+    """
+    points = np.broadcast_arrays(
+        *(np.asarray(v, dtype=np.float64) for v in (mean_speed_rad_s, ratio, climb_ratio))
+    )
+    arguments = packed(coefficients)
+    flat = zip(*(p.ravel().tolist() for p in points), strict=True)
+    values = np.array([interpolate(*arguments, *point) for point in flat]).reshape(*points[0].shape, 4)
+    outside = np.zeros(points[0].shape, dtype=np.bool_)
+    for p, axis in zip(points, coefficients.tables()[:3], strict=True):
+        if axis.size > 1:
+            slack = 1e-9 * float(axis[-1] - axis[0])
+            outside |= (p < axis[0] - slack) | (p > axis[-1] + slack)
+    return values, outside

@@ -1,0 +1,244 @@
+"""Who may speak to the page: an ASGI layer around everything, web sockets and static files included.
+
+Two dangers on the loopback address: a foreign web page that opens a socket to us (the browser says so in ``Origin``),
+and one whose name resolves to 127.0.0.1 (the browser then sends its name as ``Host``). So the host must be one that
+we serve under, and an origin, where given, must be the same as the host. On any other address a token is needed too:
+it comes once, as ``?token=`` or typed into the form, and becomes a cookie that scripts cannot read and that other
+sites cannot send; after that it is in no address.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import ipaddress
+import secrets
+import socket
+from collections.abc import Awaitable, Callable, MutableMapping
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+from mufly.errors import InputError
+
+COOKIE = "mufly_station"
+_Scope = MutableMapping[str, Any]
+_Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
+_Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
+_App = Callable[[_Scope, _Receive, _Send], Awaitable[None]]
+MOST_FORM_BYTES = 4096
+
+_STYLE = (
+    "<style>body{font:16px system-ui,sans-serif;display:grid;place-items:center;min-height:90vh;margin:0;"
+    "background:#11161c;color:#e7ecf1}form,p{max-width:22rem}input,button{font:inherit;padding:.5rem .7rem;"
+    "width:100%;box-sizing:border-box;margin-top:.6rem;border-radius:4px;border:1px solid #44505c}</style>"
+)
+_ASK = (
+    "<!doctype html><html lang=en><meta charset=utf-8><title>mufly station</title>" + _STYLE
+    + "<form method=post action=/login>"
+    "<h1>mufly station</h1><label for=t>This station needs the token that it printed when it was started.</label>"
+    "<input id=t name=token type=password autocomplete=off autofocus><button>Open</button></form>"
+)  # fmt: skip
+_ENTER = (
+    "<!doctype html><html lang=en><meta charset=utf-8><title>mufly station</title>"
+    '<meta http-equiv=refresh content="0;url=/">' + _STYLE
+    + "<p><a href=/ style='color:inherit'>Open the station</a></p>"
+)  # fmt: skip
+
+
+def new_token() -> str:
+    """Return a token that nobody can guess."""
+    return secrets.token_urlsafe(18)
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address or name means this machine only."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
+class Guard:
+    """Let in whom the station serves.
+
+    Parameters
+    ----------
+    app : ASGI application
+    host : str
+        The address that is listened on.
+    token : str
+        "" asks for none: only for loopback.
+    """
+
+    def __init__(self, app: _App, *, host: str = "127.0.0.1", token: str = "") -> None:
+        self._app, self._host, self._token = app, host, token
+        # The cookie is not the token itself: whoever reads a browser's store cannot log in elsewhere with it.
+        self._cookie = hashlib.sha256(f"mufly station {token}".encode()).hexdigest() if token else ""
+
+    async def __call__(self, scope: _Scope, receive: _Receive, send: _Send) -> None:
+        """Answer one request or refuse it."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        headers = {k.decode("latin-1").lower(): v.decode("latin-1") for k, v in scope.get("headers", [])}
+        if not self._known_host(headers.get("host", "")):
+            await _refuse(scope, receive, send, 403, "this station does not serve under that name")
+        elif not self._own_origin(headers, scope["type"]):
+            await _refuse(scope, receive, send, 403, "this station answers its own pages only")
+        elif not self._token:
+            await self._app(scope, receive, send)
+        elif scope["type"] == "http" and await self._login(scope, receive, send):
+            pass
+        elif hmac.compare_digest(_cookie(headers.get("cookie", "")).encode(), self._cookie.encode()):
+            await self._app(scope, receive, send)
+        else:
+            await _refuse(scope, receive, send, 401, _ASK if scope["path"] == "/" else "a token is needed")
+
+    def _known_host(self, host: str) -> bool:
+        # A rebound name has no cookie of ours, so with a token any name will do.
+        return bool(self._token) or is_loopback(_name(host))
+
+    def _own_origin(self, headers: MutableMapping[str, str], kind: str) -> bool:
+        origin = headers.get("origin")
+        if origin is None:
+            # Browsers always name the origin of a web socket; for plain pages they tell where the click came from.
+            return headers.get("sec-fetch-site", "none") in ("none", "same-origin", "same-site") or (
+                kind == "http" and headers.get("sec-fetch-mode") == "navigate"
+            )
+        return urlsplit(origin).netloc == headers.get("host")
+
+    async def _login(self, scope: _Scope, receive: _Receive, send: _Send) -> bool:
+        """Answer an attempt to log in; False if this is none."""
+        given: str | None = None
+        if scope["path"] == "/login" and scope["method"] == "POST":
+            given = parse_qs((await _body(receive)).decode("latin-1")).get("token", [""])[0]
+        elif scope["path"] == "/" and b"token=" in scope.get("query_string", b""):
+            given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
+        if given is None:
+            return False
+        if not hmac.compare_digest(given.encode(), self._token.encode()):
+            await _refuse(scope, receive, send, 401, _ASK)
+            return True
+        cookie = f"{COOKIE}={self._cookie}; HttpOnly; SameSite=Strict; Path=/"
+        await _answer(send, 200, _ENTER, [(b"set-cookie", cookie.encode())])
+        return True
+
+
+def _name(host: str) -> str:
+    try:
+        return urlsplit(f"//{host}").hostname or ""
+    except ValueError:
+        return ""
+
+
+def _cookie(header: str) -> str:
+    for part in header.split(";"):
+        name, _, value = part.strip().partition("=")
+        if name == COOKIE:
+            return value
+    return ""
+
+
+async def _body(receive: _Receive) -> bytes:
+    body = b""
+    while len(body) <= MOST_FORM_BYTES:
+        message = await receive()
+        body += message.get("body", b"")
+        if not message.get("more_body"):
+            break
+    return body[:MOST_FORM_BYTES]
+
+
+async def _answer(send: _Send, status: int, text: str, more: list[tuple[bytes, bytes]] | None = None) -> None:
+    kind = b"text/html; charset=utf-8" if text.startswith("<") else b"text/plain; charset=utf-8"
+    headers = [
+        (b"content-type", kind),
+        (b"cache-control", b"no-store"),
+        (b"referrer-policy", b"no-referrer"),
+        *(more or []),
+    ]
+    await send({"type": "http.response.start", "status": status, "headers": headers})
+    await send({"type": "http.response.body", "body": text.encode()})
+
+
+async def _refuse(scope: _Scope, receive: _Receive, send: _Send, status: int, text: str) -> None:
+    if scope["type"] == "http":
+        await _answer(send, status, text)
+        return
+    await receive()  # websocket.connect
+    if "websocket.http.response" in scope.get("extensions", {}):
+        await send({"type": "websocket.http.response.start", "status": status, "headers": []})
+        await send({"type": "websocket.http.response.body", "body": text.encode()})
+    else:
+        await send({"type": "websocket.close", "code": 1008})
+
+
+# ----------------------------------------------------------------------------
+# Where the page is served: host, port and token, chosen and bound before anything heavy is loaded.
+
+
+PORT = 8080
+PORTS_TRIED = 40
+
+
+class Address:
+    """Where the page is: a bound socket, its host, port and token."""
+
+    def __init__(self, bound: socket.socket, host: str, token: str) -> None:
+        self.socket, self.host, self.token = bound, host, token
+        self.port = int(bound.getsockname()[1])
+
+    @property
+    def url(self) -> str:
+        """What to open; the token is in it, once, where one is needed."""
+        host = "127.0.0.1" if self.host in ("0.0.0.0", "::", "") else self.host
+        host = f"[{host}]" if ":" in host else host
+        return f"http://{host}:{self.port}/" + (f"?token={self.token}" if self.token else "")
+
+
+def choose_address(host: str = "127.0.0.1", port: int | None = None, token: str | None = None) -> Address:
+    """Bind the page's port.
+
+    Parameters
+    ----------
+    host : str
+        Any other than loopback needs a token; one is made if none is given.
+    port : int, optional
+        Default: 8080, or the next one that is free.
+    token : str, optional
+
+    Raises
+    ------
+    InputError
+        If the address is none of this machine, or the port that was asked for is taken.
+    """
+    if token is not None and len(token) < 8:
+        raise InputError(
+            "--token", "", "is shorter than 8 characters", "give a longer one, or none to have one made"
+        )
+    secret = token or ("" if is_loopback(host) else new_token())
+    tried = [port] if port is not None else [*range(PORT, PORT + PORTS_TRIED), 0]
+    try:
+        family, _, _, _, _ = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
+    except OSError as error:
+        raise InputError(
+            "--host", host, f"is no address ({error.strerror})", "give an address of this machine"
+        ) from None
+    for number in tried:
+        bound = socket.socket(family, socket.SOCK_STREAM)
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            bound.bind((host, number))
+            bound.listen(128)
+        except OSError as error:
+            bound.close()
+            if number == tried[-1]:
+                what = "--port" if port is not None else "--host"
+                problem = f"cannot listen on {host}:{number} ({error.strerror})"
+                raise InputError(what, "", problem, "give another one, or leave it out") from None
+            continue
+        bound.setblocking(False)
+        return Address(bound, host, secret)
+    raise AssertionError("a port was tried")

@@ -1,0 +1,636 @@
+"""A better rotor within limits, and what each change of it brought.
+
+Differential evolution (Storn and Price, J. Global Optimization 11, 1997; SciPy's, with a seed, so that it
+repeats) over what is free, the pitch always included. A generation is evaluated as one batch. The gear, where
+free, costs no search: for every candidate it is the one of least power in closed form (``drive.best_gear``).
+Airfoils are numbered in the order of a ranking on the rotor at the start, so that neighbours in number are
+neighbours in merit. Cases that fail or break a limit count as worse than every case that does not, the more so
+the more they break it.
+
+Goals, at a given thrust of each rotor: ``thrust-per-power`` is thrust over electrical power; ``endurance`` is
+the time that the drive's battery holds all its rotors (``drive.hover_endurance``). For endurance the gear is
+chosen for the battery's low voltage, not its nominal one, because a motor that needs more voltage ends the
+hover sooner.
+
+What each change brought: from the rotor at the start, at its own best pitch, the changes are made one after the
+other, each time the one that gains most, and the pitch is set anew (quarter of a degree). The gains depend on
+that order; they multiply to the whole.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import differential_evolution, minimize
+
+from mufly.drive import hover_endurance
+from mufly.errors import InputError, MuflyError
+from mufly.rotor import Blading, CoaxialResult, Rotor, coaxial, load_airfoil, replace_rotor
+from mufly.rotor.system import FASTEST_TIP_M_S
+from mufly.rotor.wake import Placed, WakeSolution
+from mufly.rotor.wake.result import check_rotors
+from mufly.study.evaluation import PairPoint, PairSetup, air_of, bladings_of, evaluate, solve_pair
+from mufly.study.parameters import GEOMETRY, PAIR, RANGES, Limit, bounds_of, parse_quantity
+from mufly.study.ranking import rank_airfoils
+from mufly.study.setup import Setup, reshape
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+
+_GENERATIONS = 60
+_POPULATION = 12  # times the number of unknowns
+
+
+@dataclass(frozen=True)
+class Step:
+    """One change: the parameter, its value (SI or name), the goal after it, and the pitch (rad) that it is best at."""
+
+    parameter: str
+    value: float | str
+    goal: float
+    gain: float
+    pitch_rad: float
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """A better rotor.
+
+    Attributes
+    ----------
+    rotor : Rotor
+    pitch_rad : float
+    changes : dict
+        Parameters that differ from the start, in SI units; the gear as found.
+    goal : str
+    before, after : float
+        The goal (N/W or s) at the start, at its best pitch, and now.
+    steps : tuple of Step
+        From the start to the end.
+    results : dict
+        What :func:`mufly.study.evaluate` answers for the better rotor, ``least_thickness_m`` and ``endurance_s``.
+    """
+
+    rotor: Rotor
+    pitch_rad: float
+    changes: dict[str, float | str]
+    goal: str
+    before: float
+    after: float
+    steps: tuple[Step, ...]
+    results: dict[str, float]
+
+
+def optimise(
+    setup: Setup,
+    goal: Goal,
+    free: Sequence[str],
+    *,
+    limits: Sequence[Limit] = (),
+    airfoils: Sequence[str] = (),
+    seed: int = 0,
+    generations: int = _GENERATIONS,
+    progress: Progress | None = None,
+) -> Optimum:
+    """Search for a better rotor.
+
+    Parameters
+    ----------
+    setup : Setup
+        Rotor to start from, drive, and ``thrust`` among what is fixed.
+    goal : {'thrust-per-power', 'endurance'}
+    free : sequence of str
+        What may change, of :data:`FREE`; the pitch always may, unless it is fixed.
+    limits : sequence of Limit
+        From :func:`mufly.study.parameters.parse_limit`; without, the ranges of :data:`mufly.study.parameters.RANGES`.
+    airfoils : sequence of str
+        Candidates, if the airfoil is free.
+    seed : int
+        Same seed, same answer.
+    generations : int
+        How long to search.
+    progress : callable, optional
+        ``progress(done, total)``, in generations.
+
+    Raises
+    ------
+    InputError
+        If something is not free, fixed or limited in a way that makes sense.
+    MuflyError
+        If no candidate meets the limits.
+    """
+    problem = Problem(setup, goal, tuple(free), tuple(limits), list(airfoils))
+    names, low, high, whole = problem.space()
+    done = 0
+
+    def cost(x: Array) -> Array:
+        return problem.cost(names, np.atleast_2d(x.T))
+
+    def after_generation(*_: Any, **__: Any) -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(min(done, generations), generations)
+
+    search: Callable[..., Any] = differential_evolution  # its types know no vectorised function
+    found = search(
+        cost, list(zip(low, high, strict=True)), integrality=whole, rng=np.random.default_rng(seed),
+        maxiter=generations, popsize=_POPULATION, tol=1e-6, mutation=(0.4, 0.9), recombination=0.8, polish=False,
+        vectorized=True, updating="deferred", init="sobol", callback=after_generation,
+    )  # fmt: skip
+    best = problem.case(names, found.x)
+    if found.fun >= problem.BROKEN:
+        raise MuflyError(f"no rotor within the limits was found; the best one breaks: {problem.why(best)}")
+    return _report(problem, best)
+
+
+def _report(problem: Problem, best: dict[str, float | str]) -> Optimum:
+    """Walk from the start to the best case, the greatest gain first."""
+    changes = {k: v for k, v in best.items() if k != "pitch"}
+    before, _ = problem.at_best_pitch({}, True)
+    goal, values, _ = problem.goals([best])
+    after = float(goal[0])
+    left, at, own = list(changes), before, "gear" in problem.free
+    made: dict[str, float | str] = {}
+    if own:
+        left.append("gear")
+    steps: list[Step] = []
+    while left:
+        tried = []
+        for name in left:
+            case = made if name == "gear" else {**made, name: changes[name]}
+            reached, pitch = problem.at_best_pitch(case, own and name != "gear")
+            tried.append((reached if math.isfinite(reached) else -math.inf, name, pitch))
+        reached, name, pitch = max(tried, key=lambda t: t[0])
+        if len(left) == 1:  # the last step ends where the search ended, at its own pitch
+            reached, pitch = after, float(best.get("pitch", pitch))
+        value: float | str = float(values["gear_ratio"][0]) if name == "gear" else changes[name]
+        steps.append(Step(name, value, reached, reached / at - 1.0 if at > 0 else math.nan, pitch))
+        at = reached
+        left.remove(name)
+        if name == "gear":
+            own = False
+        else:
+            made = {**made, name: changes[name]}
+    rotor = replace_rotor(problem.rotor(best), {"name": f"{problem.setup.rotor.name}-optimised"})
+    results = {k: float(v[0]) for k, v in values.items() if k != "outside_share"}
+    results["least_thickness_m"] = least_thickness_m(rotor)
+    if "gear" in problem.free:
+        changes["gear"] = results["gear_ratio"]
+    pitch = float(best.get("pitch", problem.setup.fixed.get("pitch", math.nan)))
+    return Optimum(rotor, pitch, changes, problem.goal, before, after, tuple(steps), results)
+
+
+# ----------------------------------------------------------------------------
+# An optimisation as a cost over numbers: what is free, what is limited, what is wanted (see ``optimise``).
+
+
+Goal = Literal["thrust-per-power", "endurance"]
+
+FREE = ("chord", "twist", "taper", "radius", "hub_cutout", "blades", "airfoil", "gear")
+_CANDIDATES = 30  # airfoils that the search looks at, the best of the ranking that the limits allow
+_RANK_PITCH = tuple(float(p) for p in np.radians(np.arange(8.0, 21.0, 2.0)))
+STEP_PITCH = np.radians(np.arange(2.0, 26.1, 0.25))
+
+
+@lru_cache(maxsize=4096)
+def _thickness_ratio(name: str) -> float:
+    return math.nan if name.lower().endswith(".csv") else load_airfoil(name).thickness_ratio
+
+
+def least_thickness_m(rotor: Rotor) -> float:
+    """Return the least of the blade's thicknesses along its span (m): chord times thickness ratio of the section."""
+    s = rotor.sections(np.linspace(float(rotor.hub_cutout), 1.0, 41))
+    ratio = np.array([_thickness_ratio(name) for name in s.names])
+    return float(np.min(s.chord_m * ((1 - s.weight) * ratio[s.first] + s.weight * ratio[s.second])))
+
+
+class Problem:
+    """Goal and limits as a cost over unknowns: what :func:`mufly.study.optimise` searches."""
+
+    BROKEN = 1e3  # costs of cases that fail or break a limit begin here
+
+    def __init__(
+        self, setup: Setup, goal: Goal, free: tuple[str, ...], limits: tuple[Limit, ...], airfoils: list[str]
+    ) -> None:
+        if setup.drive is None or "thrust" not in setup.fixed:
+            raise InputError(
+                "optimise", "", "drive or thrust is missing", "give a drive and thrust=0.4N or the like"
+            )
+        if goal not in ("thrust-per-power", "endurance"):
+            raise InputError("optimise", str(goal), "is no goal", "use thrust-per-power or endurance")
+        for name in free:
+            if name not in FREE:
+                raise InputError("optimise", name, "cannot be free", f"free some of: {', '.join(FREE)}")
+            if name in setup.fixed:
+                raise InputError("optimise", name, "is fixed and free", "leave one of the two out")
+        if len(set(free)) != len(free):
+            raise InputError("optimise", "", "frees something twice", "name each once")
+        fixed = dict(setup.fixed)
+        if goal == "endurance":
+            fixed.setdefault("voltage", float(setup.drive.battery.low_voltage))
+        self.setup = replace(setup, fixed=fixed, flags=False)
+        self.drive, self.goal, self.free, self.limits = setup.drive, goal, free, limits
+        self.candidates = self._ranked(airfoils) if "airfoil" in free else []
+
+    def _ranked(self, airfoils: list[str]) -> list[str]:
+        if not airfoils:
+            raise InputError(
+                "optimise", "airfoil", "is free without candidates", "name airfoils to choose from"
+            )
+        start = replace(
+            self.setup, fixed={k: v for k, v in self.setup.fixed.items() if k != "pitch"} | self._gear()
+        )
+        ranking = rank_airfoils(start, airfoils, _RANK_PITCH, by="thrust_per_power_N_W")
+        order = [str(n) for n, f in zip(ranking.airfoil.values, ranking.fault.values, strict=True) if not f]
+        least = max(
+            (lim.value for lim in self.limits if lim.name == "thickness_mm" and lim.at_least), default=0.0
+        )
+        widest = (
+            bounds_of("chord", self.limits)[1]
+            if "chord" in self.free
+            else float(np.max(self.setup.rotor.blade.chord.value))
+        )
+        order = [n for n in order if not _thickness_ratio(n) * widest * 1e3 < least]
+        if not order:
+            raise MuflyError("no airfoil of those named works on this rotor within the limits")
+        return order[:_CANDIDATES]
+
+    def _gear(self) -> dict[str, float | str]:
+        return {"gear": "best"} if "gear" in self.free else {}
+
+    def space(self) -> tuple[list[str], list[float], list[float], list[bool]]:
+        """Names, bounds and wholeness of the unknowns."""
+        names = [n for n in self.free if n != "gear"]
+        if "pitch" not in self.setup.fixed:
+            names.append("pitch")
+        if not names:
+            raise InputError("optimise", "", "leaves nothing to search", "free something, or the pitch")
+        low, high = [], []
+        for name in names:
+            bounds = (0.0, len(self.candidates) - 1.0) if name == "airfoil" else bounds_of(name, self.limits)
+            low.append(bounds[0])
+            # SciPy wants an interval; a single candidate is one all the same.
+            high.append(bounds[1] if bounds[1] > bounds[0] else bounds[0] + 1e-9)
+        return names, low, high, [n in ("airfoil", "blades") for n in names]
+
+    def case(self, names: Sequence[str], x: Array) -> dict[str, float | str]:
+        """Parameters of one point of the search."""
+        values: dict[str, float | str] = dict(zip(names, (float(v) for v in x), strict=True))
+        if "airfoil" in values:
+            values["airfoil"] = self.candidates[
+                min(round(float(values["airfoil"])), len(self.candidates) - 1)
+            ]
+        if "blades" in values:
+            values["blades"] = float(round(float(values["blades"])))
+        return values
+
+    def goals(
+        self, cases: Sequence[Mapping[str, float | str]], *, own_gear: bool = False
+    ) -> tuple[Array, dict[str, Array], list[str]]:
+        """Goal (nan where it fails), results and faults of cases."""
+        extra = {} if own_gear else self._gear()
+        results = evaluate(replace(self.setup, fixed={**self.setup.fixed, **extra}), cases)
+        per_power = results.values["thrust_per_power_N_W"]
+        voltage = float(self.setup.fixed.get("voltage", float(self.drive.battery.nominal_voltage)))
+        times = np.full(per_power.size, np.nan)
+        for k in np.flatnonzero(np.isfinite(per_power)):
+            try:
+                times[k] = hover_endurance(
+                    self.drive.battery,
+                    power_W=self.drive.rotors * float(results.values["electrical_power_W"][k]),
+                    motor_voltage_V=float(results.values["duty"][k]) * voltage,
+                ).time_s
+            except MuflyError:
+                continue
+        values = {**results.values, "endurance_s": times}
+        return (times if self.goal == "endurance" else per_power), values, results.fault
+
+    def rotor(self, case: Mapping[str, float | str]) -> Rotor:
+        """Return the rotor of a case."""
+        every = {**self.setup.fixed, **case}
+        return reshape(self.setup.rotor, {name: every[name] for name in GEOMETRY if name in every})
+
+    def _breaks(self, case: Mapping[str, float | str], values: Mapping[str, float]) -> float:
+        return sum(limit.breach(v) for limit, v in self._limited(case, values))
+
+    def _limited(
+        self, case: Mapping[str, float | str], values: Mapping[str, float]
+    ) -> list[tuple[Limit, float]]:
+        if not self.limits:
+            return []
+        rotor = self.rotor(case)
+        derived = {
+            "thickness_mm": lambda: 1e3 * least_thickness_m(rotor),
+            "tip_chord_mm": lambda: 1e3 * float(rotor.chord_m(1.0)),
+            "solidity": lambda: rotor.solidity,
+            "speed_rpm": lambda: values["speed_rad_s"] * 30 / math.pi,
+            "motor_current_A": lambda: values["motor_current_A"],
+            "gear": lambda: values["gear_ratio"],
+        }
+        return [(limit, derived[limit.name]()) for limit in self.limits if limit.name in derived]
+
+    def cost(self, names: Sequence[str], points: Array) -> Array:
+        """Cost of points (n, unknowns): less the goal, or above ``BROKEN``."""
+        cases = [self.case(names, x) for x in points]
+        goal, values, _ = self.goals(cases)
+        cost = np.where(np.isfinite(goal), -goal, 2.0 * self.BROKEN)
+        if self.goal == "endurance":
+            cost = np.where(np.isfinite(goal), cost / 3600.0, cost)
+        for k in np.flatnonzero(np.isfinite(goal)):
+            breach = self._breaks(cases[k], {n: float(v[k]) for n, v in values.items()})
+            if breach > 0.0:
+                cost[k] = self.BROKEN + min(breach, 0.9 * self.BROKEN)
+        return cost
+
+    def why(self, case: Mapping[str, float | str]) -> str:
+        """What a case breaks, in words."""
+        _, values, fault = self.goals([case])
+        if fault[0]:
+            return fault[0]
+        broken = [
+            f"{limit} (is {v:.4g})"
+            for limit, v in self._limited(case, {n: float(x[0]) for n, x in values.items()}) if limit.breach(v) > 0
+        ]  # fmt: skip
+        return "; ".join(broken) or "the battery cannot hold the hover"
+
+    def at_best_pitch(self, case: Mapping[str, float | str], own_gear: bool) -> tuple[float, float]:
+        """Greatest goal over the pitch, and that pitch."""
+        if "pitch" in self.setup.fixed:
+            goal, _, _ = self.goals([case], own_gear=own_gear)
+            return float(goal[0]), float(self.setup.fixed["pitch"])
+        low, high = bounds_of("pitch", self.limits)
+        pitches = [float(p) for p in STEP_PITCH if low <= p <= high] or [0.5 * (low + high)]
+        goal, _, _ = self.goals([{**case, "pitch": p} for p in pitches], own_gear=own_gear)
+        best = int(np.argmax(np.where(np.isfinite(goal), goal, -np.inf)))
+        return float(goal[best]), pitches[best]
+
+
+# ----------------------------------------------------------------------------
+# Blades and pitches of a coaxial pair for the least power at a thrust, torques balanced.
+#
+# Every candidate is brought to the thrust, both speeds found at which the torques cancel, by coaxial blade element
+# theory: (ln speed, ln speed ratio) follow ln(thrust) and ln(torque ratio) nearly in straight lines (slopes 2 and,
+# for
+# rotors that disturb each other, about 2.6), so three to five solutions do. Differential evolution (SciPy's, seeded)
+# searches, Nelder and Mead's simplex polishes. Start and optimum are then set beside each other by the wake method
+# (:func:`check_by_wake`), which the search never sees: where the two methods disagree about the gain, the user reads
+# so.
+#
+# Twist runs straight from hub to tip and is zero at the tip; chords are means (``study/setup.py``).
+
+
+PAIR_FREE = tuple(
+    f"{side}_{name}" for name in ("twist", "chord", "pitch", "taper") for side in ("upper", "lower")
+)
+_PAIR_POPULATION = 8  # times the number of unknowns
+_PAIR_OPTIMISE_GENERATIONS = 30
+_STATIONS = 16  # in the search
+_BROKEN = 1e3  # W; cost of what cannot be
+_CLOSE = 1e-4
+_CLEAR = 0.9  # of the spacing, that pitched blades may take up
+
+
+@dataclass(frozen=True)
+class PairOptimum:
+    """A better pair.
+
+    Attributes
+    ----------
+    upper, lower : Rotor
+    pitch_rad : (upper, lower)
+    before, pitched, after : PairPoint
+        By blade elements, at the thrust and balanced: the start; the start's blades at their best pitches, if the
+        pitches were free; the optimum.
+    changes : dict
+        What was free, and its value (SI).
+    at_limit : tuple of str
+        What ended at an end of its range.
+    evaluations : int
+    """
+
+    upper: Rotor
+    lower: Rotor
+    pitch_rad: tuple[float, float]
+    before: PairPoint
+    pitched: PairPoint | None
+    after: PairPoint
+    changes: dict[str, float]
+    at_limit: tuple[str, ...]
+    evaluations: int
+
+
+def pair_limit(text: str) -> Limit:
+    """Return a limit on what is searched from text as ``"upper_chord<=25mm"``.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    match = re.fullmatch(r"\s*(\w+)\s*(>=|<=)\s*(.+?)\s*", text)
+    if match is None:
+        raise InputError(text, "", "is no limit", "write for example upper_chord<=25mm")
+    if match[1] not in PAIR_FREE:
+        raise InputError(text, "", f"{match[1]!r} cannot be limited", f"use one of: {', '.join(PAIR_FREE)}")
+    return Limit(match[1], match[2] == ">=", float(parse_quantity(match[1], match[3], PAIR)))
+
+
+def _bounds(name: str, limits: Sequence[Limit]) -> tuple[float, float]:
+    low, high = RANGES[name.split("_", 1)[1]]
+    low = max([v.value for v in limits if v.name == name and v.at_least], default=low)
+    high = min([v.value for v in limits if v.name == name and not v.at_least], default=high)
+    if not low < high:
+        raise InputError(
+            "limit", name, f"{low:g} to {high:g} {PAIR[name].unit} holds nothing", "widen the limits"
+        )
+    return low, high
+
+
+def _balanced(
+    upper: Blading, lower: Blading, setup: PairSetup, case: Mapping[str, Any], start: list[float]
+) -> CoaxialResult | None:
+    """The pair at its thrust with torques balanced to 1e-4, quickly; ``start`` (upper speed, ratio) is moved along."""
+    every = {**setup.fixed, **case}
+    spacing, climb, air = float(every["spacing"]), float(every.get("climb", 0.0)), air_of(setup, every)
+    speed, ratio, slope = start[0], start[1], 2.6
+    last: tuple[float, float] | None = None
+    known: Array | None = None
+    for _ in range(15):
+        r = coaxial(
+            upper, lower, spacing_m=spacing, upper_pitch_rad=every["upper_pitch"], lower_pitch_rad=every["lower_pitch"],
+            upper_speed_rad_s=speed, lower_speed_rad_s=speed * ratio, climb_m_s=climb, air=air, start=known,
+        )  # fmt: skip
+        if not (r.thrust_N > 0.0 and r.upper.torque_Nm > 0.0 and r.lower.torque_Nm > 0.0):
+            return None
+        known = r.sent_up_m_s
+        fault, short = math.log(r.lower.torque_Nm / r.upper.torque_Nm), math.log(every["thrust"] / r.thrust_N)
+        if abs(fault) < _CLOSE and abs(short) < _CLOSE:
+            start[:] = [speed, ratio]
+            return r
+        at = math.log(ratio)
+        if last is not None and abs(at - last[0]) > 1e-6:
+            slope = min(max((fault - last[1]) / (at - last[0]), 1.0), 10.0)
+        last = (at, fault)
+        ratio = math.exp(at - max(min(fault / slope, 0.4), -0.4))
+        speed *= math.exp(max(min(0.5 * short, 1.0), -1.0))
+        if max(speed, speed * ratio) > 3e4:
+            return None
+    return None
+
+
+def optimise_pair(
+    setup: PairSetup,
+    free: Sequence[str],
+    *,
+    limits: Sequence[Limit] = (),
+    seed: int = 0,
+    generations: int = _PAIR_OPTIMISE_GENERATIONS,
+    progress: Callable[[int, int], None] | None = None,
+) -> PairOptimum:
+    """Search for a pair that needs less power.
+
+    Parameters
+    ----------
+    setup : PairSetup
+        The pair to start from; ``fixed`` holds thrust, spacing and both pitches. Its method plays no part.
+    free : sequence of str
+        Of :data:`PAIR_FREE`.
+    limits : sequence of Limit
+        From :func:`pair_limit`; without, the ranges of :data:`mufly.study.parameters.RANGES`.
+    seed, generations : int
+        Same seed, same answer; how long to search.
+    progress : callable, optional
+        ``progress(done, total)`` in generations.
+
+    Raises
+    ------
+    InputError
+        If something cannot be free, or thrust, spacing or a pitch is missing.
+    MuflyError
+        If the start cannot be balanced at the thrust.
+    """
+    fast = replace(setup, method="bemt", free="lower-speed")
+    names = list(dict.fromkeys(free))
+    for name in names:
+        if name not in PAIR_FREE:
+            raise InputError("optimise", name, "cannot be free", f"free some of: {', '.join(PAIR_FREE)}")
+    for name in ("thrust", "spacing", "upper_pitch", "lower_pitch"):
+        if name not in setup.fixed:
+            raise InputError("optimise", name, "is missing", "fix it")
+    if not names:
+        raise InputError("optimise", "", "nothing is free", f"free some of: {', '.join(PAIR_FREE)}")
+    before = solve_pair(fast)
+    rough = replace(fast, stations=min(_STATIONS, setup.stations))
+    bounds = [_bounds(n, limits) for n in names]
+    count, done = 0, 0
+    start = [before.upper.speed_rad_s, before.lower.speed_rad_s / before.upper.speed_rad_s]
+    still: tuple[Blading, Blading] | None = None  # both blades, where only pitches are free
+    if all(n.endswith("pitch") for n in names):
+        still = bladings_of(rough, {})
+
+    def power(x: Array) -> float:
+        nonlocal count
+        count += 1
+        case = dict(zip(names, map(float, np.clip(x, *np.transpose(bounds))), strict=True))
+        try:
+            upper, lower = still or bladings_of(rough, case)
+            every: dict[str, Any] = {**rough.fixed, **case}
+            above = Placed(upper, every["upper_pitch"], 1.0, 0.0, 1)
+            check_rotors(
+                (above, Placed(lower, every["lower_pitch"], 1.0, -_CLEAR * every["spacing"], -1)), 0.0
+            )
+            r = _balanced(upper, lower, rough, case, list(start))
+        except MuflyError:
+            return 2.0 * _BROKEN
+        if r is None:
+            return 2.0 * _BROKEN
+        tips = (
+            r.upper.speed_rad_s * upper.rotors[0].radius_m,
+            r.lower.speed_rad_s * lower.rotors[0].radius_m,
+        )
+        return r.power_W if max(tips) <= FASTEST_TIP_M_S else _BROKEN
+
+    def after_generation(*_: Any, **__: Any) -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(min(done, generations), generations)
+
+    search: Callable[..., Any] = differential_evolution
+    first = np.clip([_of_start(setup, n) for n in names], *np.transpose(bounds))
+    found = search(
+        power, bounds, rng=np.random.default_rng(seed), maxiter=generations, popsize=_PAIR_POPULATION,
+        tol=1e-4, x0=first,
+        mutation=(0.4, 0.9), recombination=0.8, polish=False, init="sobol", callback=after_generation,
+    )  # fmt: skip
+    effort = {"maxfev": 60 * len(names), "xatol": 1e-5, "fatol": 1e-5}
+    simplex: Callable[..., Any] = minimize  # its types know no plain dictionary
+    fine = simplex(power, found.x, method="Nelder-Mead", bounds=bounds, options=effort)
+    x = np.clip(fine.x if fine.fun < found.fun else found.x, *np.transpose(bounds))
+    changes = dict(zip(names, map(float, x), strict=True))
+    after = solve_pair(fast, changes)
+    pitched = None
+    both = [n for n in names if n.endswith("pitch")]
+    if both and len(both) < len(names):
+        pitched = optimise_pair(
+            fast, both, limits=limits, seed=seed, generations=max(generations // 3, 5)
+        ).after
+    edge = tuple(
+        n
+        for n, v, (low, high) in zip(names, x, bounds, strict=True)
+        if min(v - low, high - v) < 0.005 * (high - low)
+    )
+    upper, lower = (
+        replace_rotor(b.rotors[0], {"name": f"{b.rotors[0].name}-{side}"})
+        for b, side in zip(bladings_of(fast, changes), ("upper", "lower"), strict=True)
+    )
+    return PairOptimum(
+        upper,
+        lower,
+        (after.upper.pitch_rad, after.lower.pitch_rad),
+        before,
+        pitched,
+        after,
+        changes,
+        edge,
+        count,
+    )
+
+
+def _of_start(setup: PairSetup, name: str) -> float:
+    """Value of something free at the start."""
+    side, what = name.split("_", 1)
+    rotor = setup.upper if side == "upper" else setup.lower
+    if name in setup.fixed:
+        return float(setup.fixed[name])
+    hub, tip = float(rotor.hub_cutout), 1.0
+    if what == "chord":
+        return float(np.mean(rotor.chord_m(np.linspace(hub, tip, 101))))
+    if what == "taper":
+        return float(rotor.chord_m(tip) / rotor.chord_m(hub))
+    return float(rotor.twist_rad(hub) - rotor.twist_rad(tip))
+
+
+def check_by_wake(
+    setup: PairSetup, best: PairOptimum, progress: Callable[[int, float, float], None] | None = None
+) -> tuple[PairPoint | str, PairPoint | str]:
+    """Start and optimum at the same thrust, balanced, by the wake method; the reason where one cannot be had."""
+    slow = replace(setup, method="wake", free="lower-speed")
+    answers: list[PairPoint | str] = []
+    known: WakeSolution | None = None
+    for case in ({}, best.changes):
+        try:
+            point = solve_pair(slow, case, start=known, progress=progress)
+            known = point.solution
+            answers.append(point)
+        except MuflyError as error:
+            answers.append(str(error))
+    return answers[0], answers[1]

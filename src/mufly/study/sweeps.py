@@ -1,0 +1,556 @@
+"""Every combination of some parameters' values, on all cores or on a cluster, resumed where it was stopped.
+
+The combinations are cut into chunks. Each is evaluated at once (``evaluate``) and, when a folder is given, kept
+there as a file; a sweep that is run again in the same folder computes only what is missing. The folder belongs
+to one question: its ``sweep.json`` holds a hash of rotor, drive, parameters and program version, and another
+question is refused. Chunks are functions of their cases alone, so it does not matter who computes them: threads
+here, or, through ``concurrent.futures`` all the same, the workers of a dask.distributed cluster.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import importlib
+import itertools
+import json
+import os
+import zipfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from mufly.errors import InputError, MuflyError
+from mufly.rotor import RotorResult, load_airfoil
+from mufly.rotor.wake import WakeSettings, WakeSolution
+from mufly.study.evaluation import (
+    WAKE_LOCK,
+    Case,
+    PairPoint,
+    PairSetup,
+    Results,
+    check_pair,
+    evaluate,
+    remember,
+    solve_pair,
+)
+from mufly.study.parameters import PAIR, PARAMETERS, Value, known
+from mufly.study.setup import WAKE_OUTPUTS, Setup, check_names
+from mufly.version import __version__
+
+Progress = Callable[[int, int], None]
+
+CHUNK = 512
+_MOST_CASES = 50_000_000
+_PATIENCE = "10s"  # for a scheduler to answer
+
+
+def sweep(
+    setup: Setup,
+    vary: Mapping[str, Sequence[Value]],
+    *,
+    folder: str | Path | None = None,
+    progress: Progress | None = None,
+    cluster: str | None = None,
+    workers: int | None = None,
+    chunk: int = CHUNK,
+) -> xr.Dataset:
+    """Evaluate every combination.
+
+    Parameters
+    ----------
+    setup : Setup
+        Rotor, drive and what is fixed.
+    vary : mapping
+        Values (SI) of each parameter that is varied; the order gives the order of the dimensions.
+    folder : str or Path, optional
+        Where chunks are kept, so that a sweep that was stopped resumes.
+    progress : callable, optional
+        ``progress(done, total)`` is called with numbers of cases, from the thread that called ``sweep``.
+    cluster : str, optional
+        Address of a dask.distributed scheduler, as ``tcp://host:8786``; its workers need mufly.
+    workers : int, optional
+        Chunks computed at a time here; default: one a core.
+    chunk : int
+        Cases in a chunk.
+
+    Returns
+    -------
+    xarray.Dataset
+        Dimensions are the varied parameters. Variables are those of ``setup.outputs()`` with units in their
+        attributes, nan where a case failed, and ``fault``, the reason, empty where there is none.
+
+    Raises
+    ------
+    InputError
+        If parameters make no sense together, a value is listed twice, or the folder holds another sweep.
+    MuflyError
+        If the cluster cannot be reached or dask.distributed is not installed.
+    """
+    names = list(vary)
+    values = [list(vary[name]) for name in names]
+    check_names(setup, names)
+    for name, listed in zip(names, values, strict=True):
+        if not listed:
+            raise InputError("sweep", name, "has no value", "give at least one")
+        if len(set(listed)) != len(listed):
+            raise InputError("sweep", name, "lists a value twice", "give each value once")
+    if chunk < 1:
+        raise InputError("sweep", "chunk", f"{chunk} cases", "give 1 or more")
+    shape = tuple(len(v) for v in values)
+    total = int(np.prod(shape, dtype=np.int64))
+    if total > _MOST_CASES:
+        raise InputError("sweep", "", f"{total} cases", f"vary less ({_MOST_CASES} cases at most)")
+    if setup.method == "wake":
+        workers, chunk = 1, 1  # a wake runs on all cores by itself, and each is kept as soon as it is there
+    question = _question(setup, names, values, chunk)
+    parts = grid(
+        evaluate, setup, names, values, chunk, question, folder=folder, progress=progress, cluster=cluster,
+        workers=workers,
+    )  # fmt: skip
+    attributes = {
+        "rotor": setup.rotor.name,
+        "drive": setup.drive.name if setup.drive is not None else "",
+        "fixed": json.dumps(dict(setup.fixed), sort_keys=True),
+        "polars": f"{setup.engine} {setup.model}",
+        "corrections": json.dumps(vars(setup.corrections)),
+        "method": setup.method if setup.method == "bemt" else f"wake, {setup.wake.model}",
+        "mufly": __version__,
+    }
+    return dataset(setup.outputs(), names, values, parts, attributes)
+
+
+def grid(
+    answer: Callable[[Any, Sequence[Case]], Results],
+    setup: Any,
+    names: Sequence[str],
+    values: Sequence[Sequence[Value]],
+    chunk: int,
+    question: str,
+    *,
+    folder: str | Path | None = None,
+    progress: Progress | None = None,
+    cluster: str | None = None,
+    workers: int | None = None,
+) -> list[Results]:
+    """Answers to every combination, chunk by chunk, by ``answer(setup, cases)``; kept in and recalled from a folder.
+
+    Arguments as for :func:`sweep`; ``question`` is the hash of all that the answers depend on.
+    """
+    total = int(np.prod([len(v) for v in values], dtype=np.int64))
+    starts = list(range(0, total, chunk))
+    kept = _Kept(Path(folder), question) if folder is not None else None
+    answers: dict[int, Results] = {}
+    done = 0
+
+    def cases(start: int) -> list[Case]:
+        every = itertools.islice(itertools.product(*values), start, start + chunk)
+        return [dict(zip(names, combination, strict=True)) for combination in every]
+
+    for start in starts:
+        known = kept.recall(start) if kept is not None else None
+        if known is not None:
+            answers[start] = known
+            done += len(known.fault)
+    if progress is not None:
+        progress(done, total)
+    with executor_of(cluster, workers) as executor:
+        waiting = {}
+        todo = iter([s for s in starts if s not in answers])
+        # A few more than there are workers: enough to keep them busy, few enough to stop soon and to fit in memory.
+        for start in itertools.islice(todo, 4 * (os.cpu_count() or 1) if cluster is None else 256):
+            waiting[executor.submit(answer, setup, cases(start))] = start
+        try:
+            while waiting:
+                future = next(as_completed(waiting))
+                start = waiting.pop(future)
+                answers[start] = future.result()
+                if kept is not None:
+                    kept.store(start, answers[start])
+                done += len(answers[start].fault)
+                if progress is not None:
+                    progress(done, total)
+                following = next(todo, None)
+                if following is not None:
+                    waiting[executor.submit(answer, setup, cases(following))] = following
+        except BaseException:
+            for future in waiting:
+                future.cancel()
+            raise
+    return [answers[s] for s in starts]
+
+
+@contextmanager
+def executor_of(cluster: str | None, workers: int | None = None) -> Iterator[Executor]:
+    """Threads here, or the workers of the dask cluster whose scheduler has this address.
+
+    Raises
+    ------
+    MuflyError
+        If the cluster cannot be reached or dask.distributed is not installed.
+    """
+    if cluster is None:
+        with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
+            yield pool
+        return
+    try:
+        distributed = importlib.import_module("distributed")  # an extra, without types
+    except ImportError as error:
+        raise MuflyError(
+            "a cluster needs dask.distributed, which is not installed; pip install 'mufly[cluster]'"
+        ) from error
+    try:
+        client = distributed.Client(cluster, timeout=_PATIENCE)
+    except (OSError, ValueError) as error:
+        raise MuflyError(
+            f"no scheduler answers at {cluster} ({error}); start one with `dask scheduler`"
+        ) from error
+    try:
+        yield client.get_executor(pure=False)
+    finally:
+        client.close()
+
+
+def _question(setup: Setup, names: Sequence[str], values: Sequence[Sequence[Value]], chunk: int) -> str:
+    """Hash of everything that the answers depend on; airfoil files count by their contour."""
+    contours = contours_of(
+        str(n)
+        for n in (*setup.rotor.airfoil_names(), *(v for vs in values for v in vs if isinstance(v, str)))
+    )
+    content = {
+        "version": __version__,
+        "rotor": setup.rotor.model_dump(mode="json"),
+        "drive": setup.drive.model_dump(mode="json") if setup.drive is not None else None,
+        "fixed": dict(sorted(setup.fixed.items())),
+        "corrections": vars(setup.corrections),
+        "polars": [setup.engine, setup.model, setup.flags],
+        "method": [setup.method, setup.stations, vars(setup.wake) if setup.method == "wake" else None],
+        "vary": [names, values],
+        "chunk": chunk,
+        "contours": contours,
+    }
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def contours_of(names: Iterable[str]) -> dict[str, str]:
+    """Digests of the airfoils that are files."""
+    contours: dict[str, str] = {}
+    for name in sorted(set(names)):
+        if Path(name).is_file() and not name.lower().endswith(".csv"):
+            try:
+                contours[name] = load_airfoil(name).digest()
+            except InputError:
+                contours[name] = "faulty"
+        elif Path(name).is_file():
+            contours[name] = hashlib.sha256(Path(name).read_bytes()).hexdigest()
+    return contours
+
+
+class _Kept:
+    """Chunks on disk. A file appears whole or not at all."""
+
+    def __init__(self, folder: Path, question: str) -> None:
+        self.folder = folder / "chunks"
+        note = folder / "sweep.json"
+        if note.is_file():
+            try:
+                same = json.loads(note.read_text(encoding="utf-8")).get("question") == question
+            except (ValueError, AttributeError):
+                same = False
+            if not same:
+                raise InputError(
+                    str(folder),
+                    "",
+                    "holds the results of another sweep",
+                    "give another folder, or delete this one",
+                )
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            note.write_text(json.dumps({"question": question, "version": __version__}), encoding="utf-8")
+        except OSError as error:
+            raise InputError(
+                str(folder), "", f"cannot be written ({error})", "give another folder"
+            ) from error
+
+    def store(self, start: int, results: Results) -> None:
+        part = self.folder / f"{start:09d}.part"
+        with part.open("wb") as file:
+            np.savez(file, fault=np.array(results.fault, dtype=np.str_), **results.values)  # type: ignore[arg-type]
+        os.replace(part, self.folder / f"{start:09d}.npz")
+
+    def recall(self, start: int) -> Results | None:
+        file = self.folder / f"{start:09d}.npz"
+        if not file.is_file():
+            return None
+        try:
+            with np.load(file) as data:
+                content = {name: data[name] for name in data.files}
+        except (OSError, ValueError, zipfile.BadZipFile):
+            return None
+        fault = [str(reason) for reason in content.pop("fault")]
+        return Results(content, fault)
+
+
+def dataset(
+    outputs: Mapping[str, tuple[str, str]],
+    names: Sequence[str],
+    values: Sequence[Sequence[Value]],
+    parts: Sequence[Results],
+    attributes: Mapping[str, str],
+) -> xr.Dataset:
+    """Answers of a grid as labelled arrays; ``outputs``: name to unit and meaning."""
+    shape = tuple(len(v) for v in values)
+    variables: dict[str, Any] = {}
+    for name, (unit, meaning) in outputs.items():
+        whole = np.concatenate([part.values[name] for part in parts]).reshape(shape)
+        variables[name] = (names, whole, {"units": unit, "long_name": meaning})
+    fault = np.array([reason for part in parts for reason in part.fault], dtype=np.str_).reshape(shape)
+    variables["fault"] = (names, fault, {"long_name": "reason of a failed case; empty if there is none"})
+    coordinates = {
+        name: (name, np.asarray(listed), {"units": known(name).unit, "long_name": known(name).meaning})
+        for name, listed in zip(names, values, strict=True)
+    }
+    return xr.Dataset(variables, coordinates, dict(attributes))
+
+
+# ----------------------------------------------------------------------------
+# Sweeps of coaxial pairs: the grid of :mod:`mufly.study.sweep` over spacing, speeds, pitches and blades.
+#
+# By the wake method one case is solved at a time, on all cores, from the wake of the case before (see
+# :mod:`mufly.study.evaluation`), and is kept as soon as it is there. A case that fails holds nan and its reason.
+
+
+_EACH = {
+    "thrust_N": ("N", "thrust of the {} rotor"),
+    "torque_Nm": ("N m", "torque of the {} rotor"),
+    "power_W": ("W", "power of the {} rotor"),
+    "speed_rad_s": ("rad/s", "speed of the {} rotor"),
+    "pitch_rad": ("rad", "pitch setting of the {} rotor"),
+    "c_T": ("1", "c_T of the {} rotor"),
+    "c_Q": ("1", "c_Q of the {} rotor"),
+    "outside_share": ("1", "share of the {} rotor's thrust from sections beyond the polar's range"),
+}
+PAIR_OUTPUTS: dict[str, tuple[str, str]] = {
+    "thrust_N": ("N", "thrust of the pair"),
+    "power_W": ("W", "mechanical power of the pair"),
+    "yaw_torque_Nm": ("N m", "torque of the lower less that of the upper rotor"),
+    "figure_of_merit": ("1", "figure of merit of the pair, one disc"),
+    "thrust_ratio": ("1", "lower over upper thrust"),
+    "torque_ratio": ("1", "lower over upper torque"),
+    **{
+        f"{side}_{key}": (unit, text.format(side))
+        for side in ("upper", "lower")
+        for key, (unit, text) in _EACH.items()
+    },
+    "iterations": ("1", "iterations of the last wake"),
+    **WAKE_OUTPUTS,
+}
+
+_CHUNK = 16  # cases by blade elements
+_LAST: dict[WakeSettings, WakeSolution] = {}
+
+
+def _row(point: PairPoint) -> dict[str, float]:
+    up, low = point.upper, point.lower
+    row = {
+        "thrust_N": point.thrust_N,
+        "power_W": point.power_W,
+        "yaw_torque_Nm": point.yaw_torque_Nm,
+        "figure_of_merit": point.figure_of_merit,
+        "thrust_ratio": low.thrust_N / up.thrust_N,
+        "torque_ratio": low.torque_Nm / up.torque_Nm,
+        "iterations": float(point.solution.iterations) if point.solution is not None else np.nan,
+        "core_limit": np.nan,
+    }
+    if point.solution is not None and point.solution.settings.core_limit is not None:
+        row["core_limit"] = point.solution.settings.core_limit
+    for side, r in (("upper", up), ("lower", low)):
+        row |= {f"{side}_{key}": float(getattr(r, key)) for key in _EACH}
+    return row
+
+
+def _solved(setup: PairSetup, case: Case) -> PairPoint:
+    """A case, from the last wake if there is one, afresh if that does not converge."""
+    if setup.method != "wake":
+        return solve_pair(setup, case)
+    with WAKE_LOCK:
+        known = _LAST.get(setup.wake)
+        point: PairPoint | None = None
+        if known is not None:
+            try:
+                point = solve_pair(setup, case, start=known)
+            except InputError:
+                raise
+            except MuflyError:
+                point = None
+        if point is None or not point.converged:
+            point = solve_pair(setup, case)
+        if not point.converged:
+            raise MuflyError(f"wake {point.message}")
+        assert point.solution is not None
+        remember(_LAST, setup.wake, point.solution)
+        return point
+
+
+def evaluate_pairs(setup: PairSetup, cases: Sequence[Case]) -> Results:
+    """Solve cases of a pair; one that fails gets nan and its reason.
+
+    Raises
+    ------
+    InputError
+        If the parameters make no sense together.
+    """
+    check_pair(setup, list(cases[0]) if cases else [])
+    out = Results({name: np.full(len(cases), np.nan) for name in PAIR_OUTPUTS}, [""] * len(cases))
+    for k, case in enumerate(cases):
+        try:
+            row = _row(_solved(setup, case))
+        except MuflyError as error:
+            out.fault[k] = str(error)
+            continue
+        for name, value in row.items():
+            out.values[name][k] = value
+    return out
+
+
+def sweep_pairs(
+    setup: PairSetup,
+    vary: Mapping[str, Sequence[Value]],
+    *,
+    folder: str | Path | None = None,
+    progress: Progress | None = None,
+    cluster: str | None = None,
+) -> xr.Dataset:
+    """Evaluate every combination; arguments as for :func:`mufly.study.sweep`, parameters as in ``parameters.PAIR``.
+
+    Returns
+    -------
+    xarray.Dataset
+        Variables :data:`PAIR_OUTPUTS` with units, and ``fault``.
+
+    Raises
+    ------
+    InputError
+        If parameters make no sense together, a value is listed twice, or the folder holds another sweep.
+    """
+    names, values = list(vary), [list(v) for v in vary.values()]
+    both = [n for n in names if n in setup.fixed]
+    setup = replace(setup, fixed={k: v for k, v in setup.fixed.items() if k not in both})
+    check_pair(setup, names)
+    for name, listed in zip(names, values, strict=True):
+        if not listed or len(set(listed)) != len(listed):
+            raise InputError("coaxial", name, "lists a value twice, or none", "give each value once")
+    chunk = 1 if setup.method == "wake" else _CHUNK
+    content = {
+        "version": __version__,
+        "pair": [setup.upper.model_dump(mode="json"), setup.lower.model_dump(mode="json")],
+        "fixed": dict(sorted(setup.fixed.items())),
+        "method": [setup.method, setup.free, setup.stations, vars(setup.wake)],
+        "corrections": vars(setup.corrections),
+        "polars": [setup.engine, setup.model],
+        "vary": [names, values],
+        "contours": contours_of([*setup.upper.airfoil_names(), *setup.lower.airfoil_names()]),
+    }
+    question = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+    parts = grid(
+        evaluate_pairs, setup, names, values, chunk, question, folder=folder, progress=progress, cluster=cluster,
+        workers=1 if setup.method == "wake" else None,
+    )  # fmt: skip
+    attributes = {
+        "rotor": f"{setup.upper.name} over {setup.lower.name}",
+        "fixed": json.dumps(dict(setup.fixed), sort_keys=True),
+        "method": setup.method if setup.method == "bemt" else f"wake, {setup.wake.model}",
+        "balanced_by": setup.free,
+        "polars": f"{setup.engine} {setup.model}",
+        "corrections": json.dumps(vars(setup.corrections)),
+        "mufly": __version__,
+    }
+    return dataset(PAIR_OUTPUTS, names, values, parts, attributes)
+
+
+# ----------------------------------------------------------------------------
+# Results on disk: NetCDF for programs, CSV for people and spreadsheets.
+
+
+def write_results(data: xr.Dataset, folder: str | Path, name: str = "sweep") -> list[Path]:
+    """Write ``name.nc`` and ``name.csv`` into a folder, which is made if need be.
+
+    The CSV has one line a case; its columns are the coordinates, with the SI unit in the name, and the variables.
+
+    Returns
+    -------
+    list of Path
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be written.
+    """
+    target = Path(folder)
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        nc, table = target / f"{name}.nc", target / f"{name}.csv"
+        data.to_netcdf(nc, engine="scipy")
+        names = [str(d) for d in data.dims]
+        heads = [_head(d, str(data[d].attrs.get("units", ""))) for d in names]
+        columns = [np.asarray(data[v].transpose(*names)).ravel() for v in data.data_vars]
+        grid = np.meshgrid(*(data[d].values for d in names), indexing="ij")
+        with table.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow([*heads, *(str(v) for v in data.data_vars)])
+            for row in zip(*(g.ravel() for g in grid), *columns, strict=True):
+                writer.writerow([f"{x:.9g}" if isinstance(x, float) else x for x in row])
+    except OSError as error:
+        raise InputError(str(folder), "", f"cannot be written ({error})", "give another folder") from error
+    return [nc, table]
+
+
+def _head(name: str, unit: str) -> str:
+    known = (name in PARAMETERS or name in PAIR) and unit not in ("", "1", "text")
+    return f"{name}_{unit.replace(' ', '').replace('/', '_')}" if known else name
+
+
+def read_results(file: str | Path) -> xr.Dataset:
+    """Read a NetCDF file that :func:`write_results` wrote.
+
+    Raises
+    ------
+    InputError
+        If it is not there or not such a file.
+    """
+    try:
+        with xr.open_dataset(file, engine="scipy") as data:
+            return data.load()
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(
+            str(file), "", f"is no result file ({error})", "give a .nc file of a sweep"
+        ) from error
+
+
+def write_stations(result: RotorResult, folder: str | Path, name: str = "stations") -> Path:
+    """Write what happens along the blade as ``name.csv``, one line a station, SI units.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+    values = {f.name: getattr(result, f.name) for f in fields(result)}
+    columns = {k: v for k, v in values.items() if np.ndim(v) == 1}
+    path = Path(folder) / f"{name}.csv"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(columns)
+            for row in zip(*columns.values(), strict=True):
+                writer.writerow([f"{v:.9g}" for v in row])
+    except OSError as error:
+        raise InputError(str(folder), "", f"cannot be written ({error})", "give another folder") from error
+    return path

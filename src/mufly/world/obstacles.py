@@ -1,0 +1,370 @@
+"""What stands around the helicopter.
+
+All coordinates are N-E-D in metres: the floor is the plane D = 0 and heights are negative. Obstacles are solid:
+upright boxes that may be turned about the vertical, upright circular cylinders, and a `Room` whose walls and
+ceiling enclose the flight. Each has a name, so that a message can say which one is meant.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from mufly.errors import InputError
+
+_ROOM_FACES = ("south wall", "north wall", "west wall", "east wall", "ceiling")
+
+
+def _finite(where: str, key: str, *values: float) -> None:
+    for value in values:
+        if not math.isfinite(value):
+            raise InputError(where, key, f"{value} is not a number", "give finite metres and radians")
+
+
+def _positive(where: str, key: str, *values: float) -> None:
+    _finite(where, key, *values)
+    for value in values:
+        if value <= 0.0:
+            raise InputError(where, key, f"{value:g} is not positive", "give a length above zero")
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """An upright box.
+
+    Attributes
+    ----------
+    centre : (3,) tuple
+        N, E, D of its centre (m).
+    size : (3,) tuple
+        Full edge lengths (m) along its own x, y and z.
+    yaw : float
+        Turn of its x edge from north towards east (rad).
+    name : str
+        What messages call it.
+    """
+
+    centre: tuple[float, float, float]
+    size: tuple[float, float, float]
+    yaw: float = 0.0
+    name: str = "box"
+
+    def __post_init__(self) -> None:
+        _finite(self.name, "centre", *self.centre)
+        _positive(self.name, "size", *self.size)
+        _finite(self.name, "yaw", self.yaw)
+
+
+@dataclass(frozen=True, slots=True)
+class Cylinder:
+    """An upright circular cylinder.
+
+    Attributes
+    ----------
+    centre : (2,) tuple
+        N, E of its axis (m).
+    radius : float
+        Radius (m).
+    height : float
+        From its foot to its top (m).
+    foot : float
+        Height of its foot above the floor (m, positive up); 0 stands on the floor.
+    name : str
+        What messages call it.
+    """
+
+    centre: tuple[float, float]
+    radius: float
+    height: float
+    foot: float = 0.0
+    name: str = "cylinder"
+
+    def __post_init__(self) -> None:
+        _finite(self.name, "centre", *self.centre)
+        _positive(self.name, "radius", self.radius)
+        _positive(self.name, "height", self.height)
+        _finite(self.name, "foot", self.foot)
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """Four walls and a ceiling around the flight.
+
+    Attributes
+    ----------
+    north, east : (2,) tuples
+        Least and greatest N and E inside the walls (m).
+    height : float
+        Height of the ceiling above the floor (m); infinite when there is none.
+    """
+
+    north: tuple[float, float]
+    east: tuple[float, float]
+    height: float = math.inf
+
+    def __post_init__(self) -> None:
+        for key, (low, high) in (("north", self.north), ("east", self.east)):
+            _finite("room", key, low, high)
+            if low >= high:
+                raise InputError(
+                    "room", key, f"[{low:g}, {high:g}] encloses nothing", "give [least, greatest]"
+                )
+        if not self.height > 0.0:
+            raise InputError("room", "height", f"{self.height} is not positive", "give a height above zero")
+
+
+@dataclass(frozen=True)
+class World:
+    """Everything that stands still around the helicopter.
+
+    Attributes
+    ----------
+    boxes, cylinders : tuples
+        The obstacles.
+    room : Room or None
+        Walls and ceiling, or an open plain.
+    floor : bool
+        Whether beams see the plane D = 0. It is never an obstacle in `distance`.
+    names : tuple of str
+        Name of every obstacle in the order in which `distances` counts them: boxes, cylinders, then the walls
+        (south, north, west, east) and the ceiling.
+    """
+
+    boxes: tuple[Box, ...] = ()
+    cylinders: tuple[Cylinder, ...] = ()
+    room: Room | None = None
+    floor: bool = True
+    names: tuple[str, ...] = field(init=False, compare=False)
+    packed: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] = field(
+        init=False, repr=False, compare=False
+    )
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "boxes", tuple(self.boxes))
+        object.__setattr__(self, "cylinders", tuple(self.cylinders))
+        names = [*(b.name for b in self.boxes), *(c.name for c in self.cylinders)]
+        object.__setattr__(self, "names", (*names, *_ROOM_FACES))
+        object.__setattr__(self, "packed", _pack(self))
+
+    @property
+    def empty(self) -> bool:
+        """Whether there is nothing to hit but the floor."""
+        return not (self.boxes or self.cylinders or self.room)
+
+
+def _pack(world: World) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Flat tables for the compiled loops: boxes (n, 8), cylinders (n, 5), limits (6,)."""
+    boxes = np.array(
+        [(*b.centre, *(0.5 * s for s in b.size), math.cos(b.yaw), math.sin(b.yaw)) for b in world.boxes]
+    ).reshape(-1, 8)
+    cylinders = np.array(
+        [(*c.centre, c.radius, -(c.foot + c.height), -c.foot) for c in world.cylinders]
+    ).reshape(-1, 5)
+    r = world.room
+    inside = (*r.north, *r.east, -r.height) if r else (-math.inf, math.inf, -math.inf, math.inf, -math.inf)
+    limits = np.array([*inside, 0.0 if world.floor else math.inf])
+    return boxes, cylinders, limits
+
+
+def wall(
+    start: tuple[float, float],
+    end: tuple[float, float],
+    *,
+    height: float,
+    thickness: float = 0.1,
+    name: str = "wall",
+) -> Box:
+    """A free-standing wall on the floor, as a box.
+
+    Parameters
+    ----------
+    start, end : (2,) tuples
+        N, E of the two ends of its middle line (m).
+    height, thickness : float
+        Its height above the floor and its thickness (m).
+    name : str
+        What messages call it.
+
+    Raises
+    ------
+    InputError
+        The two ends coincide, or a length is not positive.
+    """
+    north, east = end[0] - start[0], end[1] - start[1]
+    length = math.hypot(north, east)
+    if not length > 0.0:
+        raise InputError(name, "end", f"{end} is where the wall starts", "give two different ends")
+    centre = (0.5 * (start[0] + end[0]), 0.5 * (start[1] + end[1]), -0.5 * height)
+    return Box(centre, (length, thickness, height), math.atan2(east, north), name)
+
+
+# ----------------------------------------------------------------------------
+# Seeing and touching the world: ray casting and signed distances.
+#
+# A ray x(t) = x0 + t u with unit vector u meets
+#
+# - a box, in its own axes, where it has entered all three slabs |x_i| <= h_i (slab method);
+# - an upright cylinder of radius R where |x0 + t u - c|^2 = R^2 in the horizontal plane, a quadratic in t, cut by
+#   the slab between its foot and its top;
+# - a wall, the ceiling or the floor where one coordinate reaches the plane.
+#
+# The signed distance to a box with half edges h of a point at q in its axes is |max(|q| - h, 0)| +
+# min(max_i(|q_i| - h_i), 0): Euclidean outside, minus the way to the nearest face inside. A cylinder is a box in the
+# two coordinates (distance from the axis, height). To a wall or ceiling it is the way to the plane. Own derivation.
+
+
+_Array = NDArray[np.float64]
+
+
+@njit(cache=True)
+def _slab(x: float, u: float, half: float, near: float, far: float) -> tuple[float, float]:
+    """Cut the stretch [near, far] of a ray to the part where |x + t u| <= half (an empty stretch has near > far)."""
+    if u == 0.0:
+        return (near, far) if abs(x) <= half else (1.0, -1.0)
+    a, b = (-half - x) / u, (half - x) / u
+    return max(near, min(a, b)), min(far, max(a, b))
+
+
+@njit(cache=True)
+def _cast(
+    x: _Array, directions: _Array, max_range: float, boxes: _Array, cylinders: _Array, limits: _Array
+) -> _Array:
+    out = np.empty(directions.shape[0])
+    for k in range(directions.shape[0]):
+        un, ue, ud = directions[k, 0], directions[k, 1], directions[k, 2]
+        best = max_range
+        for b in boxes:
+            dn, de = x[0] - b[0], x[1] - b[1]
+            near, far = _slab(b[6] * dn + b[7] * de, b[6] * un + b[7] * ue, b[3], 0.0, best)
+            near, far = _slab(-b[7] * dn + b[6] * de, -b[7] * un + b[6] * ue, b[4], near, far)
+            near, far = _slab(x[2] - b[2], ud, b[5], near, far)
+            if near <= far:
+                best = near
+        for c in cylinders:
+            mid, half = 0.5 * (c[3] + c[4]), 0.5 * (c[4] - c[3])
+            near, far = _slab(x[2] - mid, ud, half, 0.0, best)
+            dn, de = x[0] - c[0], x[1] - c[1]
+            uu, du, dd = un * un + ue * ue, dn * un + de * ue, dn * dn + de * de - c[2] * c[2]
+            if uu == 0.0:
+                if dd > 0.0:
+                    continue
+            else:
+                under = du * du - uu * dd
+                if under < 0.0:
+                    continue
+                root = math.sqrt(under)
+                near, far = max(near, (-du - root) / uu), min(far, (-du + root) / uu)
+            if near <= far:
+                best = near
+        for axis in range(2):
+            u = directions[k, axis]
+            if u < 0.0:
+                best = min(best, max(0.0, (limits[2 * axis] - x[axis]) / u))
+            elif u > 0.0:
+                best = min(best, max(0.0, (limits[2 * axis + 1] - x[axis]) / u))
+        if ud < 0.0:
+            best = min(best, max(0.0, (limits[4] - x[2]) / ud))
+        elif ud > 0.0:
+            best = min(best, max(0.0, (limits[5] - x[2]) / ud))
+        out[k] = best
+    return out
+
+
+@njit(cache=True)
+def _nearest(
+    points: _Array, boxes: _Array, cylinders: _Array, limits: _Array
+) -> tuple[_Array, NDArray[np.int64]]:
+    count = points.shape[0]
+    least, which = np.full(count, np.inf), np.full(count, -1, np.int64)
+    nb, nc = boxes.shape[0], cylinders.shape[0]
+    for k in range(count):
+        x = points[k]
+        for i in range(nb):
+            b = boxes[i]
+            dn, de = x[0] - b[0], x[1] - b[1]
+            qx = abs(b[6] * dn + b[7] * de) - b[3]
+            qy = abs(-b[7] * dn + b[6] * de) - b[4]
+            qz = abs(x[2] - b[2]) - b[5]
+            d = math.sqrt(max(qx, 0.0) ** 2 + max(qy, 0.0) ** 2 + max(qz, 0.0) ** 2)
+            d += min(max(qx, qy, qz), 0.0)
+            if d < least[k]:
+                least[k], which[k] = d, i
+        for i in range(nc):
+            c = cylinders[i]
+            qr = math.hypot(x[0] - c[0], x[1] - c[1]) - c[2]
+            qz = max(c[3] - x[2], x[2] - c[4])
+            d = math.sqrt(max(qr, 0.0) ** 2 + max(qz, 0.0) ** 2) + min(max(qr, qz), 0.0)
+            if d < least[k]:
+                least[k], which[k] = d, nb + i
+        for face in range(5):
+            d = x[face // 2] - limits[face]
+            if face == 1 or face == 3:
+                d = -d
+            if d < least[k]:
+                least[k], which[k] = d, nb + nc + face
+    return least, which
+
+
+def ranges(world: World, position: ArrayLike, directions: ArrayLike, max_range: float = math.inf) -> _Array:
+    """Distance along each beam to the first surface it meets.
+
+    Parameters
+    ----------
+    world : World
+        What there is to see, the floor included (unless ``world.floor`` is false).
+    position : (3,) array
+        Where the beams start, N, E, D (m).
+    directions : (n, 3) array
+        Unit vectors of the beams in N, E, D.
+    max_range : float
+        What a beam that meets nothing nearer returns (m).
+
+    Returns
+    -------
+    (n,) array
+        Ranges (m) in [0, max_range]; 0 for a beam that starts inside an obstacle or outside the room.
+    """
+    return _cast(
+        np.ascontiguousarray(position, dtype=np.float64),
+        np.ascontiguousarray(directions, dtype=np.float64),
+        float(max_range),
+        *world.packed,
+    )
+
+
+def distances(world: World, points: ArrayLike) -> tuple[_Array, NDArray[np.int64]]:
+    """Signed distance of many points to the nearest obstacle.
+
+    Parameters
+    ----------
+    world : World
+        The obstacles; walls and ceiling count, the floor does not.
+    points : (n, 3) array
+        N, E, D (m).
+
+    Returns
+    -------
+    distance : (n,) array
+        Metres, negative inside an obstacle or outside the room, infinite in an empty world.
+    which : (n,) array of int
+        Index of the nearest obstacle in ``world.names``, -1 in an empty world.
+    """
+    return _nearest(np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3), *world.packed)
+
+
+def distance(world: World, point: ArrayLike) -> tuple[float, str]:
+    """Signed distance (m) of one point (3,) to the nearest obstacle, and that obstacle's name ("" if none)."""
+    least, which = distances(world, point)
+    return float(least[0]), world.names[which[0]] if which[0] >= 0 else ""
+
+
+def contains(world: World, point: ArrayLike) -> str:
+    """Name of what the point (3,) is inside of: an obstacle, the wall it is beyond, "floor", or "" in free air."""
+    least, name = distance(world, point)
+    if least < 0.0:
+        return name
+    return "floor" if world.floor and float(np.asarray(point, dtype=np.float64)[2]) > 0.0 else ""
