@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 
 os.environ["MAVLINK20"] = "1"
 with contextlib.redirect_stdout(io.StringIO()):
-    from pymavlink.dialects.v20 import common as mavlink
+    from pymavlink.dialects.v20 import common
 
-
+mavlink = common
 MavMessage = Any
 """A message of pymavlink (``mavlink.MAVLink_message``), which carries no types worth checking."""
 MavlinkError: type[Exception] = mavlink.MAVError
