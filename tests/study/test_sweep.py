@@ -13,7 +13,7 @@ from mufly.errors import InputError, MuflyError
 from mufly.rotor import prepare
 from mufly.study import MODELS, Setup, evaluate, read_results, sweep, write_results
 
-MODULE = importlib.import_module("mufly.study.sweep")  # the package's name of it is the function
+MODULE = importlib.import_module("mufly.study.sweeps")
 PITCH = [float(p) for p in np.radians([8, 12, 16])]
 
 

@@ -32,19 +32,19 @@ import math
 from typing import cast
 
 import numpy as np
-from numba import njit
 
+from mufly.compiled import compiled
 from mufly.control.linear import Array
 from mufly.control.sampled import DiscreteController
 from mufly.errors import MuflyError
 
 
-@njit(cache=True)
+@compiled
 def _clip(value, low, high):  # type: ignore[no-untyped-def]
     return min(max(value, low), high)
 
 
-@njit(cache=True)
+@compiled
 def _output(g, x, e, u):  # type: ignore[no-untyped-def]
     for i in range(u.shape[0]):
         s = 0.0
@@ -55,7 +55,7 @@ def _output(g, x, e, u):  # type: ignore[no-untyped-def]
         u[i] = s
 
 
-@njit(cache=True)
+@compiled
 def _advance(g, x, e, excess, new):  # type: ignore[no-untyped-def]
     n = g.A.shape[0]
     for i in range(n):
@@ -69,7 +69,7 @@ def _advance(g, x, e, excess, new):  # type: ignore[no-untyped-def]
         new[i] = s
 
 
-@njit(cache=True)
+@compiled
 def _shape(value, rate, target, target_rate, bandwidth, acceleration, speed, period):  # type: ignore[no-untyped-def]
     """One step of the reference filter: critically damped near the target, on a braking parabola far from it."""
     gap = target - value
@@ -84,7 +84,7 @@ def _shape(value, rate, target, target_rate, bandwidth, acceleration, speed, per
     return value + period * rate, rate
 
 
-@njit(cache=True)
+@compiled
 def heave_wait(gains, state, z):  # type: ignore[no-untyped-def]
     """State of heave-yaw, in flight, with a filtered reference no further from the height z (m, down) than the slack.
 
@@ -108,7 +108,7 @@ def heave_wait(gains, state, z):  # type: ignore[no-untyped-def]
     return new
 
 
-@njit(cache=True)
+@compiled
 def heave_yaw_step(gains, state, reference, measurement, voltage):  # type: ignore[no-untyped-def]
     """One period of the heave-yaw controller.
 
@@ -179,7 +179,7 @@ def heave_yaw_step(gains, state, reference, measurement, voltage):  # type: igno
     return motor_input, new
 
 
-@njit(cache=True)
+@compiled
 def roll_pitch_step(gains, state, reference, measurement):  # type: ignore[no-untyped-def]
     """One period of the roll-pitch controller.
 
@@ -213,7 +213,7 @@ def roll_pitch_step(gains, state, reference, measurement):  # type: ignore[no-un
     return servo, new
 
 
-@njit(cache=True)
+@compiled
 def position_step(  # type: ignore[no-untyped-def]
     gains,
     state,

@@ -14,14 +14,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from mufly.compiled import compiled
 from mufly.errors import InputError, MuflyError
 from mufly.vehicle.schema import Battery
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def interpolate(table, fraction):  # type: ignore[no-untyped-def]
     """Interpolate ``table`` (n values at equal steps from 0 to 1) linearly; the ends hold outside."""
     last = table.shape[0] - 1
@@ -30,7 +30,7 @@ def interpolate(table, fraction):  # type: ignore[no-untyped-def]
     return table[k] + (position - k) * (table[k + 1] - table[k])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def terminal_voltage(open_circuit, resistance, conductance, source_current, electronics_current):  # type: ignore[no-untyped-def]
     """Return the terminal voltage (V) under load; never below zero (equation above)."""
     voltage = (open_circuit + resistance * (source_current - electronics_current)) / (

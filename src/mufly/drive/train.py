@@ -19,23 +19,23 @@ from typing import Any
 
 import numpy as np
 import tomli_w
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from mufly.compiled import compiled
 from mufly.tables import builtin_names, read_tables, validated
 from mufly.vehicle import Vehicle
 from mufly.vehicle.schema import Battery, Gear, Group, Motor, Quantity, parameter
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def armature_current(duty, voltage, speed, back_emf_constant, resistance, gear_ratio):  # type: ignore[no-untyped-def]
     """Return the armature current (A) of a motor whose rotor turns at ``speed`` (rad/s); eq. 4.24 without L."""
     return (duty * voltage - back_emf_constant * gear_ratio * speed) / resistance
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def rotor_acceleration(  # type: ignore[no-untyped-def]
     current, speed, drag_torque, torque_constant, friction, gear_ratio, gear_efficiency, inertia
 ):

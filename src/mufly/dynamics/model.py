@@ -29,9 +29,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from mufly.compiled import compiled
 from mufly.drive.battery import interpolate, terminal_voltage
 from mufly.drive.train import armature_current, rotor_acceleration
 from mufly.dynamics.parameters import GRAVITY
@@ -41,12 +41,12 @@ from mufly.rotor.maps import interpolate as maps_interpolate
 from mufly.vehicle import Vehicle
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _clip(value, low, high):  # type: ignore[no-untyped-def]
     return min(max(value, low), high)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def battery_state(x, motor_up, motor_dw, p):  # type: ignore[no-untyped-def]
     """Return terminal voltage (V) and supply current (A) for motor inputs 0..1 at state ``x``."""
     emf = p.kE * p.gear_ratio
@@ -59,7 +59,7 @@ def battery_state(x, motor_up, motor_dw, p):  # type: ignore[no-untyped-def]
 
 
 # Inlined by force: with a map in it LLVM finds it too long, and single flights would slow down by a tenth.
-@njit(cache=True, error_model="numpy", forceinline=True)
+@compiled(error_model="numpy", forceinline=True)
 def derivative(x, u, wind, p, dx):  # type: ignore[no-untyped-def]
     """Write the time derivative of the state into ``dx``.
 
@@ -182,7 +182,7 @@ def derivative(x, u, wind, p, dx):  # type: ignore[no-untyped-def]
 _STANDSTILL = 1e-3  # rad/s; below this a rotor makes no force that could be measured
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def climb_velocity(x, wind):  # type: ignore[no-untyped-def]
     """Return the velocity through the air along the mast, positive upwards (m/s), at state ``x``."""
     qw, qx, qy, qz = x[6], x[7], x[8], x[9]
@@ -190,7 +190,7 @@ def climb_velocity(x, wind):  # type: ignore[no-untyped-def]
     return up_n * (x[3] - wind[0]) + up_e * (x[4] - wind[1]) + up_d * (x[5] - wind[2])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def map_coefficients(speed_up, speed_dw, climb, p):  # type: ignore[no-untyped-def]
     """Return thrust over the speed's square (N s2) of upper and lower rotor, then torque (N m s2), by the map."""
     up, dw = abs(speed_up), abs(speed_dw)
@@ -288,7 +288,7 @@ def coefficient_bounds(p: np.void, name: str) -> tuple[float, float, float]:
 # The legs' compliance stands for legs and floor together. Own derivation; the thesis has no ground model.
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def contact_wrench(x, p):  # type: ignore[no-untyped-def]
     """Return the force of the floor (N-E-D, N) and its moment (body axes, N m) as six numbers."""
     a = rotation(x[6:10])
@@ -321,7 +321,7 @@ def contact_wrench(x, p):  # type: ignore[no-untyped-def]
     return f_n, f_e, f_d, m_x, m_y, m_z
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def lowest_point(x, p):  # type: ignore[no-untyped-def]
     """Return depth below the floor (m; negative: above) and index of the lowest contact point."""
     a = rotation(x[6:10])

@@ -15,11 +15,12 @@ from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
-from numba import njit, prange
+from numba import prange
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal import lfilter
 from scipy.special import gammainc
 
+from mufly.compiled import compiled
 from mufly.dynamics.model import battery_state, coefficient_bounds, derivative
 from mufly.dynamics.parameters import model_parameters
 from mufly.dynamics.state import INPUT_SIZE, STATE_SIZE, euler_from_quaternion
@@ -29,7 +30,7 @@ from mufly.vehicle import Vehicle
 DEFAULT_STEP_S = 1e-3
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def advance(x, u, wind, p, dt, steps):  # type: ignore[no-untyped-def]
     """Integrate the state ``x`` in place over ``steps`` steps of ``dt`` with input and wind held.
 
@@ -70,7 +71,7 @@ def advance(x, u, wind, p, dt, steps):  # type: ignore[no-untyped-def]
         x[20] = max(x[20], 0.0)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@compiled(parallel=True, error_model="numpy")
 def advance_batch(x, u, wind, p, dt, steps):  # type: ignore[no-untyped-def]
     """Integrate ``n`` vehicles in place, on all cores; see :func:`advance`.
 

@@ -23,14 +23,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
+
+from mufly.compiled import compiled
 
 STATE_SIZE = 21
 INPUT_SIZE = 4
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def rotation(quaternion):  # type: ignore[no-untyped-def]
     """Return the 3x3 matrix that turns body vectors into N-E-D, for a unit quaternion (w, x, y, z)."""
     w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]

@@ -26,8 +26,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from mufly.compiled import compiled
 
 _Array = NDArray[np.float64]
 
@@ -114,7 +115,7 @@ class Memory:
         return Memory(np.zeros((CAPACITY, 4)))
 
 
-@njit(cache=True)
+@compiled
 def _observe(
     old: _Array,
     used: int,
@@ -244,7 +245,7 @@ class Sight(NamedTuple):
     block_east: float
 
 
-@njit(cache=True)
+@compiled
 def _look(
     points: _Array,
     used: int,
@@ -290,7 +291,7 @@ def _look(
     return nearest, nn, ne, way, (total / count if count > 0 else 0.0), goal, block, bn, be
 
 
-@njit(cache=True)
+@compiled
 def _hold_off(
     points: _Array, used: int, n: float, e: float, d: float, vn: float, ve: float, keep: float
 ) -> tuple[float, float]:

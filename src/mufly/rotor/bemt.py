@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from mufly.compiled import compiled
 from mufly.errors import InputError
 from mufly.rotor.blading import Blading, as_blading
 from mufly.rotor.geometry import Rotor
@@ -378,7 +378,7 @@ _TOLERANCE = 1e-10  # rad
 _FADE_FROM, _FADE_TO = math.radians(30.0), math.radians(50.0)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def descent_inflow(x: float) -> float:
     """Induced over hover-induced velocity, g(x), at V / u_h = x, continuous for all x."""
     if x >= 0.0:
@@ -389,13 +389,13 @@ def descent_inflow(x: float) -> float:
     return -0.5 * x - math.sqrt(max(0.25 * x * x - 1.0, 0.0))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _prandtl(f: float) -> float:
     """Prandtl's loss factor; beyond f = 37 it is 1 to the last bit."""
     return 2.0 / math.pi * math.acos(math.exp(-f)) if f < 37.0 else 1.0
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def section_coefficients(
     alpha: float, log_re: float, first: int, second: int, weight: float,
     grid: Array, log_re0: float, per_log_re: float, zero_lift: Array, g: float, scale: Any,
@@ -417,7 +417,7 @@ def section_coefficients(
     return scale[0] * cl, scale[1] * cd
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _residual(
     alpha: float, e: float, theta: float, op: Any, st: Any, ix: Any, polars: Any, scale: Any
 ) -> Any:
@@ -460,7 +460,7 @@ def _residual(
     return normal - momentum / over, phi, cl, cd, wind, loss, normal * cosine, normal * sine, log_re
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _station(theta: float, e: float, zero: float, op: Any, st: Any, ix: Any, polars: Any, scale: Any) -> Any:
     """Solve one station; return alpha, e as used and the values at the root."""
     speed = op[4]
@@ -504,7 +504,7 @@ def _station(theta: float, e: float, zero: float, op: Any, st: Any, ix: Any, pol
     return x, e, out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def solve_cases(
     start: int, stop: int,
     which: Integers, pitch: Array, speed: Array, climb: Array, density: Array, viscosity: Array,

@@ -13,9 +13,9 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from mufly.compiled import compiled
 from mufly.errors import InputError
 from mufly.rotor import engines
 from mufly.rotor.engines import Engine
@@ -310,7 +310,7 @@ NEAR_WAKE_RAD = (
 _ARC_POINTS = 14  # thrust within 0.03 % of 96
 
 
-@njit(cache=True)
+@compiled
 def _segment_w(px: float, py: float, ax: float, ay: float, bx: float, by: float) -> float:
     """Velocity along +z at (px, py, 0) from a unit vortex from a to b in the same plane (Biot and Savart)."""
     ux, uy, vx, vy = px - ax, py - ay, px - bx, py - by
@@ -321,7 +321,7 @@ def _segment_w(px: float, py: float, ax: float, ay: float, bx: float, by: float)
     return (ux * vy - uy * vx) * (lu + lv) / depth / (4.0 * math.pi)
 
 
-@njit(cache=True)
+@compiled
 def near_wake_downwash(
     points: Array, edge_x: Array, edge_c: Array, turn: float, straight: float, arc_points: int
 ) -> Array:

@@ -23,9 +23,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from mufly.compiled import compiled
 from mufly.errors import InputError, MuflyError
 from mufly.rotor.bemt import Air
 from mufly.rotor.blading import Blading
@@ -329,7 +329,7 @@ class _Kept:
 # changes, straight lines. Beyond its edges a map keeps the value that it has there.
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _cubic(x, n):  # type: ignore[no-untyped-def]
     """First of four neighbouring points, and their weights, at ``x`` in steps from the first point of ``n``."""
     x = min(max(x, 0.0), n - 1.0)
@@ -346,7 +346,7 @@ def _cubic(x, n):  # type: ignore[no-untyped-def]
     return i - 1, a, b, c, d
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def interpolate(upper_t, upper_q, lower_t, lower_q, size, start, per_step, mean, ratio, climb_ratio):  # type: ignore[no-untyped-def]
     """Interpolate four tables at one point.
 

@@ -25,10 +25,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
+from mufly.compiled import compiled
 from mufly.errors import InputError, MuflyError
 from mufly.rotor.section import SectionData
 
@@ -106,7 +106,7 @@ class PolarStack(NamedTuple):
     alpha_valid_rad: Array  # (tables, nr, 2)
 
 
-@njit(cache=True)
+@compiled
 def coefficients(
     grid: Array, log_reynolds_min: float, per_log_reynolds: float, k: int, alpha: float, log_reynolds: float
 ) -> tuple[float, float]:
@@ -147,7 +147,7 @@ def coefficients(
     return cl_a + s * (cl_b - cl_a), cd_a + s * (cd_b - cd_a)
 
 
-@njit(cache=True)
+@compiled
 def _many(
     grid: Array, log_re_min: float, per_log_re: float, k: int, alpha: Array, log_re: Array, out: Array
 ) -> None:

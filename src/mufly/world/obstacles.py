@@ -11,9 +11,9 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from mufly.compiled import compiled
 from mufly.errors import InputError
 
 _ROOM_FACES = ("south wall", "north wall", "west wall", "east wall", "ceiling")
@@ -220,7 +220,7 @@ def wall(
 _Array = NDArray[np.float64]
 
 
-@njit(cache=True)
+@compiled
 def _slab(x: float, u: float, half: float, near: float, far: float) -> tuple[float, float]:
     """Cut the stretch [near, far] of a ray to the part where |x + t u| <= half (an empty stretch has near > far)."""
     if u == 0.0:
@@ -229,7 +229,7 @@ def _slab(x: float, u: float, half: float, near: float, far: float) -> tuple[flo
     return max(near, min(a, b)), min(far, max(a, b))
 
 
-@njit(cache=True)
+@compiled
 def _cast(
     x: _Array, directions: _Array, max_range: float, boxes: _Array, cylinders: _Array, limits: _Array
 ) -> _Array:
@@ -274,7 +274,7 @@ def _cast(
     return out
 
 
-@njit(cache=True)
+@compiled
 def _nearest(
     points: _Array, boxes: _Array, cylinders: _Array, limits: _Array
 ) -> tuple[_Array, NDArray[np.int64]]:

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, expm, solve_discrete_are
 from scipy.optimize import minimize
 
+from mufly.compiled import compiled
 from mufly.dynamics import (
     PARAMETERS,
     Trim,
@@ -373,7 +374,7 @@ def _sampled(A: Array, B: Array, sample_s: float, late: int) -> tuple[Array, Arr
     return a, b
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _deviation(x, hover, height, yaw, off):  # type: ignore[no-untyped-def]
     """Write the linear model's states but the charge, as deviations from the hover at the present heading."""
     a = rotation(x[6:10])
@@ -390,7 +391,7 @@ def _deviation(x, hover, height, yaw, off):  # type: ignore[no-untyped-def]
     off[16], off[17] = x[19] - hover[19], x[18] - hover[18]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _fly(x, hover, trimmed, gain, added, p, late, dt, steps, height, states, inputs, voltage):  # type: ignore[no-untyped-def]
     n, calm, off, yaw = added.shape[0], np.zeros(3), np.zeros(gain.shape[1]), 0.0
     for k in range(n):
@@ -411,7 +412,7 @@ def _fly(x, hover, trimmed, gain, added, p, late, dt, steps, height, states, inp
         advance(x, now, calm, p, dt, steps)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@compiled(parallel=True, error_model="numpy")
 def _fly_all(x, hover, trimmed, gain, added, p, late, dt, steps, height, states, inputs, voltage):  # type: ignore[no-untyped-def]
     for b in prange(x.shape[0]):
         _fly(

@@ -31,9 +31,10 @@ from contextvars import ContextVar
 from functools import partial
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
+from mufly.compiled import compiled
 from mufly.dynamics.model import battery_state, derivative
 from mufly.dynamics.parameters import GRAVITY
 from mufly.study.sweeps import executor_of
@@ -58,7 +59,7 @@ OUTPUT_UNITS: dict[str, str] = dict(
 _LOST = 1e6  # stands for the output of a flight that has diverged
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _lag_line(z):  # type: ignore[no-untyped-def]
     """Return ``A, B`` of the module docstring for ``z = h/T``."""
     if z < 0.05:
@@ -71,7 +72,7 @@ def _lag_line(z):  # type: ignore[no-untyped-def]
     return m0 - 0.5 * slope, slope
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _integrate(x, u, p, length, longest, calm, work):  # type: ignore[no-untyped-def]
     """Integrate ``x`` in place over ``length`` seconds with the input held."""
     k1, k2, k3, k4, y = work[0], work[1], work[2], work[3], work[4]
@@ -112,7 +113,7 @@ def _integrate(x, u, p, length, longest, calm, work):  # type: ignore[no-untyped
         x[20] = max(x[20], 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _set_attitude(x, roll, pitch, yaw):  # type: ignore[no-untyped-def]
     cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
     cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
@@ -123,7 +124,7 @@ def _set_attitude(x, roll, pitch, yaw):  # type: ignore[no-untyped-def]
     x[9] = cr * cp * sy - sr * sp * cy
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _observe(x, u, p, codes, last_yaw, y):  # type: ignore[no-untyped-def]
     """Write the outputs with these codes (positions in ``OUTPUTS``) into ``y``; return the continuous yaw."""
     w, i, j, k = x[6], x[7], x[8], x[9]
@@ -154,7 +155,7 @@ def _observe(x, u, p, codes, last_yaw, y):  # type: ignore[no-untyped-def]
     return yaw
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _fly(x, p, u, motor_hold, delay, dt, longest, starts, motion, mast, codes, y):  # type: ignore[no-untyped-def]
     n = u.shape[0]
     work = np.empty((5, 21))
@@ -200,7 +201,7 @@ def _fly(x, p, u, motor_hold, delay, dt, longest, starts, motion, mast, codes, y
             return
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@compiled(parallel=True, error_model="numpy")
 def _fly_batch(x, p, u, motor_hold, delay, dt, longest, starts, motion, mast, codes, y):  # type: ignore[no-untyped-def]
     for b in prange(x.shape[0]):
         _fly(x[b], p[b], u, motor_hold[b], delay[b], dt, longest, starts, motion[b], mast, codes, y[b])

@@ -20,13 +20,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 from scipy.optimize import minimize
 from scipy.signal import periodogram
 
+from mufly.compiled import compiled
 from mufly.errors import InputError
 from mufly.identify.linear.fit import LinearFit, fit_linear, predict_linear
 from mufly.identify.linear.structure import Structure, discretise
@@ -168,7 +168,7 @@ def disturbance_model(fit: LinearFit, residual: Array, dt: float) -> Disturbance
     return Disturbance(size * step * np.exp(best.x[: len(a)]), scale * np.exp(best.x[len(a) :]), phi, gain)
 
 
-@nb.njit(cache=True)
+@compiled
 def _filter(
     phi: Array, gain: Array, c: Array, e: Array
 ) -> tuple[Array, Array]:  # pragma: no cover (compiled)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from mufly.compiled import compiled
 from mufly.errors import InputError
 
 Array = NDArray[np.float64]
@@ -407,7 +407,7 @@ def delayed(u: Array, delay_s: Array, dt: float, *, hold: bool = False) -> Array
     return np.column_stack(columns)
 
 
-@nb.njit(cache=True)
+@compiled
 def _march(phi: Array, drive: Array, x0: Array) -> Array:  # pragma: no cover (compiled)
     n, nx = drive.shape[0] + 1, phi.shape[0]
     x = np.empty((n, nx))
@@ -421,7 +421,7 @@ def _march(phi: Array, drive: Array, x0: Array) -> Array:  # pragma: no cover (c
     return x
 
 
-@nb.njit(cache=True)
+@compiled
 def _free_motion(phi: Array, c: Array, first: Array, constant: Array, n: int) -> Array:  # pragma: no cover
     """Outputs (n, ny, m) of m motions that start at ``first`` (nx, m) under constant increments (nx, m)."""
     ny, nx, m = c.shape[0], phi.shape[0], first.shape[1]

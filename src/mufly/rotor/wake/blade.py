@@ -25,9 +25,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from mufly.compiled import compiled
 from mufly.errors import InputError
 from mufly.rotor.bemt import Air, section_coefficients
 from mufly.rotor.blading import Blading, panel_edges
@@ -159,7 +159,7 @@ def bound_influence(surface: Surface, points: Array) -> Array:
     return of_all_blades(points, surface.blades, lambda p: influence(p, paths, core))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _sections(alpha, log_re, first, second, weight, grid, log_re0, per_log_re, zero, g, scale, out):  # type: ignore[no-untyped-def]
     for i in range(alpha.size):
         out[i, 0], out[i, 1] = section_coefficients(

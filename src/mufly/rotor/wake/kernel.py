@@ -19,6 +19,8 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from mufly.compiled import compiled
+
 Array = NDArray[np.float64]
 
 TINY_M2 = 1e-30  # m2; keeps the ends of a segment finite
@@ -46,7 +48,7 @@ def contribution(px, py, pz, x0, y0, z0, x1, y1, z1, core):  # type: ignore[no-u
 _contribution = njit(inline="always", fastmath=True, error_model="numpy")(contribution)
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+@compiled(parallel=True, fastmath=True, error_model="numpy")
 def _induce(points, start, end, strength, core, out):  # type: ignore[no-untyped-def]
     for i in prange(points.shape[0]):
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
@@ -61,7 +63,7 @@ def _induce(points, start, end, strength, core, out):  # type: ignore[no-untyped
         out[i, 0], out[i, 1], out[i, 2] = sx, sy, sz
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+@compiled(parallel=True, fastmath=True, error_model="numpy")
 def _influence(points, paths, core, out):  # type: ignore[no-untyped-def]
     for i in prange(points.shape[0]):
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
