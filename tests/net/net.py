@@ -95,7 +95,12 @@ API = {
     }.items()
 }
 
-CHANGING = {"seconds", "realtime_factor", "start_time", "start_time_ns"}  # keys whose values no two runs share
+CHANGING = {
+    "seconds",
+    "realtime_factor",
+    "start_time",
+    "start_time_ns",
+}  # keys whose values no two runs share
 DIGITS = 9
 LONG = 8  # arrays longer than this are kept as a hash and a few numbers
 
