@@ -1,0 +1,65 @@
+"""An edited source is what runs: a change in a file that a compiled function only calls is seen at the next start."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import mufly
+from mufly.compiled import sources_of
+
+PACKAGE = Path(mufly.__file__).parent
+
+GAIN = "from mufly.compiled import compiled\nK = {k}\n\n\n@compiled\ndef gain(x):\n    return K * x\n"
+LOOP = """from mufly.compiled import compiled
+from mufly.gains import gain
+
+
+@compiled
+def loop(x):
+    return gain(x) + 1.0
+
+
+if __name__ == "__main__":
+    from mufly.loops import loop as kept
+
+    print(kept(2.0), sum(kept.stats.cache_hits.values()))
+"""
+
+
+def run(folder: Path) -> tuple[float, int]:
+    env = {**os.environ, "PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(folder / "cache")}
+    words = [sys.executable, "-m", "mufly.loops"]
+    done = subprocess.run(words, env=env, capture_output=True, text=True, check=True)
+    value, hits = done.stdout.split()
+    return float(value), int(hits)
+
+
+def test_a_constant_of_another_file_is_seen(tmp_path):
+    package = tmp_path / "mufly"
+    package.mkdir()
+    for name in ("compiled.py", "errors.py", "version.py"):
+        shutil.copy(PACKAGE / name, package)
+    (package / "__init__.py").write_text("")
+    (package / "loops.py").write_text(LOOP)
+    (package / "gains.py").write_text(GAIN.format(k=3.0))
+    assert run(tmp_path) == (7.0, 0)
+    assert run(tmp_path) == (7.0, 1), "what did not change is not compiled again"
+    (package / "gains.py").write_text(GAIN.format(k=5.0))
+    assert run(tmp_path) == (11.0, 0)
+    (package / "gains.py").write_text(GAIN.format(k=3.0))
+    assert run(tmp_path) == (7.0, 1), "the old sources have their old folder"
+
+
+def test_sources_follow_imports_through_rooms():
+    found = {p.relative_to(PACKAGE).as_posix() for p in sources_of(PACKAGE / "dynamics" / "simulation.py")}
+    assert {"dynamics/simulation.py", "dynamics/model.py", "drive/battery.py", "vehicle/schema.py"} <= found
+    assert not any(name.startswith(("control/", "flight/", "link/")) for name in found)
+
+
+def test_every_compiled_function_of_the_package_is_kept_by_its_sources():
+    """Numba's own decorator with its own cache would run stale code again."""
+    for path in PACKAGE.rglob("*.py"):
+        if path.name != "compiled.py":
+            assert "njit(cache" not in path.read_text(encoding="utf-8"), path
