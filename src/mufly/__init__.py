@@ -14,14 +14,19 @@ from mufly.version import __version__
 
 if TYPE_CHECKING:
     from mufly import (
+        bench,
+        cli,
         control,
         drive,
         dynamics,
         flight,
+        identify,
+        link,
         logs,
         mission,
         rotor,
         sensors,
+        station,
         study,
         thesis,
         vehicle,
@@ -33,27 +38,34 @@ __all__ = [
     "InputError",
     "MuflyError",
     "__version__",
+    "bench",
+    "cli",
     "control",
     "drive",
     "dynamics",
     "flight",
+    "identify",
+    "link",
     "load_vehicle",
     "logs",
     "mission",
     "rotor",
     "sensors",
+    "station",
     "study",
     "thesis",
     "vehicle",
     "world",
 ]
 
-_ROOMS = frozenset(__all__) - {"InputError", "MuflyError", "__version__", "load_vehicle"}
-
 
 def __getattr__(name: str) -> Any:
-    if name in _ROOMS:
-        return importlib.import_module(f"mufly.{name}")
     if name == "load_vehicle":
         return importlib.import_module("mufly.vehicle").load_vehicle
-    raise AttributeError(f"module 'mufly' has no attribute '{name}'")
+    if name in __all__:
+        return importlib.import_module(f"mufly.{name}")
+    raise AttributeError(f"module 'mufly' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,51 @@
+"""The package as its users see it: every room by its name, and no name that means two things."""
+
+import importlib
+import pkgutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import mufly
+
+_FILE = Path(__file__).parents[1] / "pyproject.toml"
+_LAYERS = tomllib.loads(_FILE.read_text())["tool"]["importlinter"]["contracts"][0]["layers"]
+# One level of the list may hold several rooms.
+NAMES = [name.strip() for layer in _LAYERS for name in layer.replace(":", "|").split("|")]
+_PACKAGE = Path(mufly.__file__).parent
+ROOMS = [name for name in NAMES if (_PACKAGE / name / "__init__.py").is_file()]
+
+
+def test_the_list_of_layers_holds_every_room():
+    assert sorted(p.parent.name for p in _PACKAGE.glob("*/__init__.py")) == sorted(ROOMS)
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_is_reached_by_its_name(room):
+    # In a process of its own: here other tests may have imported it.
+    code = f"import mufly; assert mufly.{room}.__name__ == 'mufly.{room}'; assert '{room}' in dir(mufly)"
+    subprocess.run([sys.executable, "-c", code], check=True)
+    assert room in mufly.__all__
+
+
+def test_a_name_that_is_not_there_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="module 'mufly' has no attribute 'rooms'"):
+        _ = mufly.rooms
+
+
+def _sub_rooms(room: str) -> list[str]:
+    module = importlib.import_module(room)
+    inner = [f"{room}.{m.name}" for m in pkgutil.iter_modules(module.__path__) if m.ispkg]
+    return [room, *(name for child in inner for name in _sub_rooms(child))]
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_no_name_that_a_room_exports_is_that_of_a_module(room):
+    for place in _sub_rooms(f"mufly.{room}"):
+        module = importlib.import_module(place)
+        modules = {m.name for m in pkgutil.iter_modules(module.__path__)}
+        exported = {n for n in getattr(module, "__all__", ()) if not hasattr(getattr(module, n), "__path__")}
+        assert not modules & exported, f"{place}: {sorted(modules & exported)} is a function and a module"
