@@ -18,6 +18,7 @@ from mufly.cli.options import (
     print_table,
     save_picture,
 )
+from mufly.units import RPM
 
 if TYPE_CHECKING:
     from mufly.drive import RotorLoad
@@ -27,7 +28,6 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 
-_RPM = math.pi / 30.0
 _DriveArgument = Annotated[
     str,
     typer.Argument(
@@ -51,7 +51,7 @@ _Supply = Annotated[
 ]
 _COLUMNS = {
     "thrust": ("thrust_N", "{:.3f} N", 1.0),
-    "rotor speed": ("speed_rad_s", "{:.0f} rpm", 1 / _RPM),
+    "rotor speed": ("speed_rad_s", "{:.0f} rpm", 1 / RPM),
     "duty": ("duty", "{:.3f}", 1.0),
     "input power": ("input_power_W", "{:.2f} W", 1.0),
     "mechanical power": ("mechanical_power_W", "{:.2f} W", 1.0),

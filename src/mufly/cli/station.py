@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from mufly.link import Endpoint, Report
-    from mufly.logs.signals import Event
+    from mufly.logs.layout import Event
     from mufly.station.page.access import Address
 
 

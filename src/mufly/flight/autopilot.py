@@ -14,7 +14,7 @@ from mufly.dynamics import hover_performance
 from mufly.errors import InputError
 from mufly.flight.parameters import Parameter, Parameters
 from mufly.flight.software import Actuators, FlightSoftware
-from mufly.logs.signals import Event
+from mufly.logs.layout import Event
 from mufly.mission import (
     GO_AROUND_M,
     HIGHEST_M,

@@ -18,6 +18,7 @@ from mufly.bench import BenchTable, Spread, spread
 from mufly.errors import InputError
 from mufly.identify.covariance import unseen_combinations
 from mufly.identify.result import Estimate
+from mufly.units import RPM
 from mufly.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -93,9 +94,8 @@ def parse_noise(text: str | None, channels: tuple[str, ...]) -> dict[str, Channe
 
 
 CHANNELS = ("voltage", "current", "speed", "torque")
-_RPM = math.pi / 30.0
 _SLIPS = {
-    "speed": (("rpm", _RPM), ("revolutions a second", 2 * math.pi)),
+    "speed": (("rpm", RPM), ("revolutions a second", 2 * math.pi)),
     "torque": (("mN m", 1e-3), ("N cm", 1e-2)),
     "current": (("mA", 1e-3),),
     "voltage": (("mV", 1e-3),),
@@ -191,7 +191,7 @@ def _efficiency(data: dict[str, Array]) -> float:
 def _check_units(table: BenchTable, data: dict[str, Array], notes: list[str]) -> dict[str, Array]:
     e = _efficiency(data)
     if "speed" in table.unitless:
-        unit, factor = ("rpm", _RPM) if e > 0.95 else ("rad/s", 1.0)
+        unit, factor = ("rpm", RPM) if e > 0.95 else ("rad/s", 1.0)
         notes.append(
             f"speed has no unit: taken as {unit}, with which {100 * e * factor:.0f} % of the electrical power comes "
             "out as mechanical power"

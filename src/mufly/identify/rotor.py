@@ -26,11 +26,11 @@ from mufly.bench import Loads, Spread, air_density, spread
 from mufly.errors import InputError
 from mufly.identify.covariance import unseen_combinations
 from mufly.identify.result import Estimate
+from mufly.units import RPM
 from mufly.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
-_RPM = math.pi / 30.0
 _ORDERED = 0.8  # rank correlation of speed and order from which drift and trend cannot be told apart
 _ALIKE = 0.02  # speeds closer than this share show no bend between them
 _AS_WELL = 2.0  # differences of AICc below which two explanations fit equally well
@@ -98,11 +98,11 @@ class Trend:
         """Say whether the coefficient is constant within its error."""
         low, high = self.range_rad_s
         change, doubt = self.change()
-        over = f"{100 * change:+.1f} +- {100 * doubt:.1f} % from {low / _RPM:.0f} to {high / _RPM:.0f} rpm"
+        over = f"{100 * change:+.1f} +- {100 * doubt:.1f} % from {low / RPM:.0f} to {high / RPM:.0f} rpm"
         if not self.significant:
             return f"{self.symbol} is constant within its error over a speed range of {high / low:.2g} : 1 ({over})"
         speeds = (low, math.sqrt(low * high), high)
-        shape = ", ".join(f"{float(self.value_at(w)):.5f} at {w / _RPM:.0f} rpm" for w in speeds)
+        shape = ", ".join(f"{float(self.value_at(w)):.5f} at {w / RPM:.0f} rpm" for w in speeds)
         text = f"{self.symbol} is not constant: {over} ({shape})"
         unit = "N" if self.channel.startswith("thrust") else "N m"
         offset = f"an offset of the load cell of {self.offset:.3g} +- {2 * self.offset_std:.2g} {unit}"
@@ -418,9 +418,9 @@ def _speed_unit(loads: Loads, radius: float) -> tuple[Loads, list[str]]:
         with np.errstate(divide="ignore", invalid="ignore"):
             c = loads.values[channel] / (1.2 * math.pi * radius**4 * table[name] ** 2)
         typical = float(np.nanmedian(np.abs(c)))
-        off, off_rpm = abs(math.log(typical / _TYPICAL)), abs(math.log(typical / _RPM**2 / _TYPICAL))
+        off, off_rpm = abs(math.log(typical / _TYPICAL)), abs(math.log(typical / RPM**2 / _TYPICAL))
         if name in table.unitless:
-            unit, factor = ("rpm", _RPM) if off_rpm < off else ("rad/s", 1.0)
+            unit, factor = ("rpm", RPM) if off_rpm < off else ("rad/s", 1.0)
             table = table.rescaled(name, factor, f"{table.headers[name]} has no unit: taken as {unit}")
             notes.append(table.notes[-1])
         elif not _ORDINARY[0] < typical < _ORDINARY[1]:

@@ -32,7 +32,7 @@ from mufly.link.vehicle import VehicleLink
 if TYPE_CHECKING:
     from mufly.control import FlightController
     from mufly.flight import Event, Flight
-    from mufly.logs.signals import Event as signals_Event
+    from mufly.logs.layout import Event as signals_Event
     from mufly.mission import Mission
     from mufly.vehicle import Vehicle
 

@@ -1,6 +1,7 @@
 """What was recorded? Logs of flights and benches, ours and others', as labelled tables on one clock."""
 
 from mufly.logs.delay import Delay, DelayReport, body_rates_of_attitude, check_delays, estimate_delay
+from mufly.logs.layout import Event, standard_layout
 from mufly.logs.mapping import ColumnMap, builtin_maps, load_map
 from mufly.logs.quality import (
     Channel,
@@ -17,7 +18,6 @@ from mufly.logs.quality import (
 from mufly.logs.read import FORMATS, kind_of, read_log, read_raw, write_log
 from mufly.logs.recording import events_of, read_attachments, read_recording, to_csv
 from mufly.logs.report import LogReport, channels, draw_channels, examine, grouped
-from mufly.logs.signals import Event, standard_layout
 from mufly.logs.topics import ClockReport, LogWarning, RawLog, RawTable, check_clock, find_gaps, resample
 
 __all__ = [

@@ -41,8 +41,8 @@ from pydantic_core import PydanticCustomError
 
 from mufly.errors import InputError
 from mufly.logs.quality import UnitGuess, guess_angle_units
-from mufly.logs.signals import our_name, signal_named, split_name
 from mufly.logs.topics import RawLog, RawTable, euler_angles, unwrap, usable_samples
+from mufly.quantities import our_name, quantity_named, split_name
 from mufly.tables import builtin_names, read_tables, validated
 from mufly.units import conversion, known_unit, split_header
 
@@ -212,7 +212,7 @@ class Series:
 
 
 def unit_of(variable: str) -> str:
-    signal = signal_named(variable)
+    signal = quantity_named(variable)
     return signal.units if signal is not None else ""
 
 
@@ -463,7 +463,7 @@ def _table_of(raw: RawLog, entry: SignalEntry, must: bool) -> RawTable | None:
 
 def _as_far_as_there(entry: SignalEntry, table: RawTable) -> SignalEntry:
     """Of a signal with any number of channels, the first ones that the topic has."""
-    signal = signal_named(entry.name)
+    signal = quantity_named(entry.name)
     if signal is None or signal.dim is None or signal.labels:
         return entry
     there = tuple(takewhile(lambda c: c in table.fields, entry.columns))

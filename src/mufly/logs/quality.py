@@ -11,8 +11,9 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter, percentile_filter
 
-from mufly.logs.signals import columns_of, is_held
+from mufly.logs.layout import columns_of
 from mufly.logs.topics import ClockReport, RawLog, check_clock
+from mufly.quantities import is_held
 
 _Array = NDArray[np.float64]
 _SAMPLES_EXAMINED = 400_000

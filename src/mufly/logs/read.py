@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from mufly.errors import InputError
 from mufly.logs.dataflash import MAGIC as DATAFLASH_MAGIC
 from mufly.logs.dataflash import is_text_log, read_dataflash
+from mufly.logs.layout import FlatColumn, columns_of, dataset_of, restore
 from mufly.logs.mapping import ColumnMap, Series, TimeEntry, load_map, map_signals
 from mufly.logs.mcap import MAGIC as MCAP_MAGIC
 from mufly.logs.mcap import read_mcap
 from mufly.logs.recording import is_recording, raw_mcap, read_recording, to_csv, write_mcap
-from mufly.logs.signals import FlatColumn, columns_of, dataset_of, is_held, restore
 from mufly.logs.tables import (
     NETCDF_MAGIC,
     PARQUET_MAGIC,
@@ -45,6 +45,7 @@ from mufly.logs.topics import (
 )
 from mufly.logs.ulog import MAGIC as ULOG_MAGIC
 from mufly.logs.ulog import read_ulog, write_ulog
+from mufly.quantities import is_held
 
 
 def kind_of(path: str | Path) -> str:

@@ -1,6 +1,6 @@
 """A recording: a labelled table on a clock, in memory, on disk and as CSV.
 
-:mod:`mufly.logs.signals` says what the columns of a flight are. :func:`to_dataset` gives them their names, and
+:mod:`mufly.logs.layout` says what the columns of a flight are. :func:`to_dataset` gives them their names, and
 :func:`read_recording` returns the same :class:`xarray.Dataset` from a file, equal to the last bit. JSON has no NaN
 and no infinity: both are written ``null`` and come back as NaN.
 """
@@ -20,9 +20,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
+from mufly.logs.layout import Event, Layout, plain
 from mufly.logs.mcap import McapContents, McapFile, read_mcap
-from mufly.logs.signals import LABELS, QUANTITIES, Event, Layout, Quantity, plain
 from mufly.logs.topics import RawLog, RawTable
+from mufly.quantities import LABELS, Quantity, kept_by
 
 FORMAT = 1
 CLOCK_TOPIC = "/mission"
@@ -369,7 +370,7 @@ _TOPICS = {"truth": "/truth", "measured": "/measured", "estimated": "/estimated"
 
 def layout_of(dataset: xr.Dataset) -> Layout:
     """Return the columns of a recording that holds a dataset's numbers over time."""
-    known = {q.name: q for q in QUANTITIES}
+    known = {q.name: q for q in kept_by("flight")}
     found: list[Quantity] = []
     labels: dict[str, tuple[Any, ...]] = {}
     beams = 0

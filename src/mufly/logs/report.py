@@ -14,11 +14,12 @@ from scipy.signal import detrend, welch
 
 from mufly.errors import InputError
 from mufly.logs.delay import DelayReport, check_delays
+from mufly.logs.layout import standard_layout
 from mufly.logs.mapping import ColumnMap, load_map, raw_field
 from mufly.logs.quality import Channel, ChannelReport, channels_of, check_channels, check_log
 from mufly.logs.read import joined, open_log, series_of
-from mufly.logs.signals import QUANTITIES, is_held
 from mufly.logs.topics import GAP_FACTOR, ClockReport, RawLog, resample
+from mufly.quantities import is_held
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -168,7 +169,11 @@ def channels(
     recording = recording if given is None else None
     if recording is not None:
         out = channels_of(recording)
-        where = {q.name: f"{q.topic}/{q.field}" for q in QUANTITIES} if raw.kind == "MCAP" else {}
+        where = (
+            {q.name: f"{q.topic}/{q.field}" for q in standard_layout().quantities}
+            if raw.kind == "MCAP"
+            else {}
+        )
         sources = {c.name: where.get(c.name.partition(".")[0], "") for c in out}
     else:
         try:

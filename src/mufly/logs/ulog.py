@@ -20,8 +20,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
+from mufly.logs.layout import columns_of, describe
 from mufly.logs.recording import events_of
-from mufly.logs.signals import columns_of, describe
 from mufly.logs.tables import TOPIC
 from mufly.logs.topics import RawLog, RawTable
 

@@ -36,10 +36,10 @@ from mufly.rotor.blading import Blading, as_blading
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.system import hover_wake, solve_thrust
 from mufly.rotor.wake.result import WakeSettings, WakeSolution
+from mufly.units import RPM
 
 Array = NDArray[np.float64]
 
-_RPM = math.pi / 30.0
 _TORQUE = ("torque_nm", "q_nm", "q(nm)", "q_meas_nm", "power_w", "p(w)", "cp")
 _NAMES = {
     "pitch_deg": ("pitch_deg",),
@@ -111,7 +111,7 @@ def read_measurements(
             [row.get("pitch_deg", 0.0), row["speed_rpm"], row["thrust_N"], row.get("torque_Nm", math.nan)]
         )
     pitch, rpm, thrust, torque = np.array(rows).T
-    speed = rpm * _RPM
+    speed = rpm * RPM
     named = header[columns["thrust_N"]].lower()
     to_thrust = _thrust_from(named, diameter_m or math.nan, density_kg_m3 or math.nan)
     if "torque_Nm" in columns:
@@ -217,7 +217,7 @@ class Comparison:
             if np.isfinite(m.torque_Nm[i]):
                 torque += f" {m.torque_Nm[i]:8.5f} {100 * self.torque_error[i]:+5.1f}%"
             lines.append(
-                f"{math.degrees(m.pitch_rad[i]):9.2f} {m.speed_rad_s[i] / _RPM:9.0f} {self.thrust_N[i]:9.4f} "
+                f"{math.degrees(m.pitch_rad[i]):9.2f} {m.speed_rad_s[i] / RPM:9.0f} {self.thrust_N[i]:9.4f} "
                 f"{m.thrust_N[i]:8.4f} {100 * self.thrust_error[i]:+5.1f}% {torque}"
             )
         mean = f"mean absolute error: thrust {100 * self.mean_thrust_error:.1f} %"
@@ -307,7 +307,7 @@ def calibrate(
         pass
     raise MuflyError(
         f"{measurements.source}: no factors on lift and drag between 0.2 and 5 meet point {point + 1} "
-        f"({math.degrees(pitch):g} deg, {speed / _RPM:.0f} rpm); check the rotor and the units"
+        f"({math.degrees(pitch):g} deg, {speed / RPM:.0f} rpm); check the rotor and the units"
     )
 
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from mufly.errors import InputError
 from mufly.flight.parameters import Parameter
 from mufly.logs import events_of, kind_of, read_attachments, read_log
-from mufly.logs.signals import columns_of
+from mufly.logs.layout import columns_of
 from mufly.mission import Mission, mission_from
 from mufly.station.view import Check, Message, MissionRow, Snapshot, unknown
 
@@ -43,7 +43,7 @@ class Recording:
     times : (n,) array
         s, increasing.
     columns : dict of str to (n,) array
-        Flat names as in :mod:`mufly.logs.signals` (``measured_attitude_roll``), SI units.
+        Flat names as in :mod:`mufly.logs.layout` (``measured_attitude_roll``), SI units.
     units : dict of str to str
     states : (n,) array of str
         State of the mission machine, or "".

@@ -20,7 +20,7 @@ import orjson
 from numpy.typing import NDArray
 from scipy.signal import detrend, welch
 
-from mufly.logs.signals import our_name
+from mufly.quantities import our_name
 from mufly.station.page.session import Source, View
 from mufly.station.view import Message, Snapshot
 
