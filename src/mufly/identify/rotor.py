@@ -24,8 +24,8 @@ from scipy import stats
 
 from mufly.bench import Loads, Spread, air_density, spread
 from mufly.errors import InputError
-from mufly.identify.covariance import unseen_combinations
-from mufly.identify.result import Estimate
+from mufly.identify.covariance import relative, unseen_combinations
+from mufly.identify.result import Estimate, Estimates
 from mufly.units import RPM
 from mufly.vehicle import Vehicle
 
@@ -220,7 +220,7 @@ class CoefficientFit:
 
 
 @dataclass(frozen=True, eq=False)
-class RotorFit:
+class RotorFit(Estimates):
     """Coefficients of the rotors of one bench file at one setting of the blades.
 
     Attributes
@@ -249,10 +249,6 @@ class RotorFit:
     unseen: tuple[str, ...]
     notes: tuple[str, ...] = field(default=())
 
-    def estimate(self, symbol: str) -> Estimate:
-        """Return an estimate by its symbol; KeyError if there is none."""
-        return {e.symbol: e for e in self.estimates}[symbol]
-
     def systematic_shares(self) -> dict[str, float]:
         """Return the part of each variance that calibration, zeros, density and radius make up."""
         return {s: float(v) for f in self.fits for s, v in zip(f.symbols, f.systematic_share, strict=True)}
@@ -264,23 +260,9 @@ def estimates_of(fit: CoefficientFit, vehicle: Vehicle | None) -> list[Estimate]
     for k, symbol in enumerate(fit.symbols):
         side = {"up": "upper", "dw": "lower"}.get(symbol.partition("_")[2], "")
         _, name, _ = COEFFICIENTS["thrust" if symbol.startswith("cT") else "torque"]
-        start = math.nan
-        if vehicle is not None and side:
-            start = float(getattr(getattr(vehicle.rotors, side), name))
-        value, std = float(fit.value[k]), math.sqrt(fit.covariance[k, k])
-        half = std * fit.spread.quantile
-        out.append(
-            Estimate(
-                symbol,
-                f"rotors.{side}.{name}" if side else "",
-                "1",
-                start,
-                value,
-                std,
-                value - half,
-                value + half,
-            )
-        )
+        key, std = f"rotors.{side}.{name}" if side else "", math.sqrt(fit.covariance[k, k])
+        quantile = fit.spread.quantile
+        out.append(Estimate.of(symbol, key, "1", vehicle, float(fit.value[k]), std, quantile=quantile))
     return out
 
 
@@ -547,4 +529,4 @@ def _unseen(fit: CoefficientFit) -> tuple[str, ...]:
         return (
             f"{' and '.join(fit.symbols)}: both rotors turn at one ratio of speeds, so only a weighted sum is seen",
         )
-    return unseen_combinations(fit.symbols, fit.covariance / np.outer(fit.value, fit.value))
+    return unseen_combinations(fit.symbols, relative(fit.covariance, fit.value))
