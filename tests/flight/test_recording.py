@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from mufly.errors import InputError
 from mufly.flight.recorder import Recorder
-from mufly.logs.layout import Layout, standard_layout
+from mufly.logs.layout import Layout, events_of, standard_layout, to_csv, to_dataset
 from mufly.logs.mcap import McapFile
-from mufly.logs.recording import events_of, read_recording, to_csv, to_dataset
+from mufly.logs.recording import read_recording
 from mufly.quantities import kept_by
 
 

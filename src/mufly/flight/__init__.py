@@ -8,8 +8,8 @@ from mufly.flight.plant import Demand, respond
 from mufly.flight.recorder import Recorder
 from mufly.flight.software import Actuators, Controllers, FlightSoftware
 from mufly.flight.summary import Summary, summarise, summary_rows
-from mufly.logs.layout import Event, standard_layout
-from mufly.logs.recording import events_of, read_attachments, read_recording, to_csv
+from mufly.logs.layout import Event, events_of, standard_layout, to_csv
+from mufly.logs.recording import read_attachments, read_recording
 from mufly.mission import Answer, SetPoint
 
 __all__ = [

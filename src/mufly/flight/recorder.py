@@ -24,7 +24,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from mufly.errors import InputError, MuflyError
-from mufly.logs.layout import Event, Layout, standard_layout
+from mufly.logs.layout import Event, Layout, standard_layout, to_dataset
 from mufly.logs.mcap import McapFile
 from mufly.logs.recording import (
     FORMAT,
@@ -36,7 +36,6 @@ from mufly.logs.recording import (
     json_schema,
     seal,
     stamp,
-    to_dataset,
 )
 from mufly.world import World
 

@@ -12,11 +12,13 @@ for it.
 
 from __future__ import annotations
 
+import csv
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,9 +26,12 @@ import orjson
 import xarray as xr
 from numpy.typing import NDArray
 
+from mufly.logs.topics import Channel
 from mufly.quantities import LABELS, Quantity, kept_by, quantity_named
 
 _TOLD = ("name", "topic", "field", "dim", "units", "long_name")  # what a file says of a quantity
+_TIME = {"units": "s", "long_name": "time"}
+_EVENT = ("event_time", "event_state", "event_text", "event_level")
 
 
 class Event(NamedTuple):
@@ -113,84 +118,116 @@ def standard_layout(beams: int = 8) -> Layout:
     return Layout(kept_by("flight"), beams)
 
 
-@dataclass(frozen=True)
-class FlatColumn:
-    """One component of one variable: ``label`` is None for a scalar; text has the dtype str."""
+def to_dataset(
+    rows: NDArray[np.float64],
+    states: Sequence[str],
+    layout: Layout,
+    *,
+    attributes: Mapping[str, Any] | None = None,
+    events: Sequence[Event] = (),
+) -> xr.Dataset:
+    """Give the columns of a flight their names.
 
-    variable: str
-    label: str | int | None
-    values: NDArray[Any]
-    units: str
+    Parameters
+    ----------
+    rows : (n, layout.width) array
+        One row an instant; column 0 is the time (s).
+    states : sequence of n str
+        Mission state at each instant.
+    layout : Layout
+        Which column is what.
+    attributes : mapping, optional
+        Attributes of the dataset (vehicle, mission, seed, ...).
+    events : sequence of Event, optional
+        Become ``event_time``, ``event_state``, ``event_text``, ``event_level`` over the dimension ``event``.
 
-    @property
-    def name(self) -> str:
-        """``variable_label``."""
-        return self.variable if self.label is None else f"{self.variable}_{self.label}"
+    Returns
+    -------
+    xarray.Dataset
+        Coordinate ``time`` (s); every variable has ``units`` and ``long_name``.
+    """
+    coords: dict[str, Any] = {"time": ("time", rows[:, 0].copy(), _TIME)}
+    variables: dict[str, Any] = {}
+    for quantity in layout.quantities:
+        block = rows[:, layout.columns[quantity.name]].copy()
+        attrs = {"units": quantity.units, "long_name": quantity.long_name}
+        if quantity.dim is None:
+            variables[quantity.name] = ("time", block[:, 0], attrs)
+        else:
+            coords[quantity.dim] = list(layout.labels(quantity))
+            variables[quantity.name] = (("time", quantity.dim), block, attrs)
+    variables["mission_state"] = ("time", np.array(states, dtype=str), {"long_name": "state of the mission"})
+    parts = zip(*events, strict=True) if events else [()] * len(_EVENT)
+    variables |= {name: _event_part(name, values) for name, values in zip(_EVENT, parts, strict=True)}
+    return xr.Dataset(variables, coords, dict(attributes or {}))
 
 
-def columns_of(dataset: xr.Dataset) -> list[FlatColumn]:
+def _event_part(name: str, values: Sequence[Any]) -> tuple[Any, ...]:
+    if name == "event_time":
+        attrs = {"units": "s", "long_name": "time of the event"}
+        return "event", np.array(values, dtype=np.float64), attrs
+    return "event", np.array(values, dtype=str)
+
+
+def events_of(dataset: xr.Dataset) -> list[Event]:
+    """The events of a recording, in order of time."""
+    parts = (dataset[name].values.tolist() for name in _EVENT)
+    return [Event(*values) for values in zip(*parts, strict=True)]
+
+
+def columns_of(dataset: xr.Dataset) -> list[Channel]:
     """Return the components of every variable over time, in order."""
+    time = dataset["time"].values
     out = []
     for key, variable in dataset.data_vars.items():
         name, units = str(key), str(variable.attrs.get("units", "1"))
         if "time" not in variable.dims or variable.ndim > 2:
             continue
         if variable.ndim == 1:
-            out.append(FlatColumn(name, None, variable.values, units))
+            out.append(Channel(name, units, time, variable.values))
             continue
         dim = next(d for d in variable.dims if d != "time")
         block = variable.transpose("time", dim)
         for k, label in enumerate(block[dim].values.tolist()):
-            out.append(FlatColumn(name, label, block.values[:, k], units))
+            out.append(Channel(f"{name}.{label}", units, time, block.values[:, k]))
     return out
 
 
-def dataset_of(
-    time: NDArray[np.float64],
-    columns: Sequence[FlatColumn],
-    attributes: Mapping[str, Any] | None = None,
-    notes: Mapping[str, Mapping[str, Any]] | None = None,
-) -> xr.Dataset:
-    """Put columns on one clock together as a dataset; components that are missing are NaN.
+def dataset_of(time: NDArray[np.float64], channels: Sequence[Channel]) -> xr.Dataset:
+    """Put channels whose values are on one clock together as a dataset; components that are missing are NaN.
 
     Parameters
     ----------
     time : (n,) array
         s.
-    columns : sequence of FlatColumn
-        With n values each.
-    attributes : mapping, optional
-        Of the dataset.
-    notes : mapping, optional
-        Further attributes, by variable.
+    channels : sequence of Channel
+        With n values each; their own clocks do not matter.
     """
-    coords: dict[str, Any] = {"time": ("time", time, {"units": "s", "long_name": "time"})}
+    coords: dict[str, Any] = {"time": ("time", time, _TIME)}
     variables: dict[str, Any] = {}
-    groups: dict[str, list[FlatColumn]] = {}
-    for column in columns:
-        groups.setdefault(column.variable, []).append(column)
+    groups: dict[str, list[Channel]] = {}
+    for channel in channels:
+        groups.setdefault(channel.variable, []).append(channel)
     # Variables that count their channels share that dimension, so it is as long as the longest of them.
     counted: dict[str, list[int]] = {}
     for name, group in groups.items():
-        signal = quantity_named(name)
-        if signal is not None and signal.dim and not signal.labels:
-            counted.setdefault(signal.dim, []).extend(int(str(c.label)) for c in group)
+        known = quantity_named(name)
+        if known is not None and known.dim and not known.labels:
+            counted.setdefault(known.dim, []).extend(int(str(c.label)) for c in group)
     for name, group in groups.items():
-        signal = quantity_named(name)
-        attrs = {"units": group[0].units, "long_name": signal.long_name if signal else name.replace("_", " ")}
-        attrs |= dict((notes or {}).get(name, {}))
-        if group[0].values.dtype.kind in "US":
-            attrs.pop("units")
-        if signal is None or signal.dim is None:
-            variables[name] = ("time", group[0].values, attrs)
+        known, values = quantity_named(name), group[0].values
+        attrs = {} if values.dtype.kind in "US" else {"units": group[0].units}
+        attrs["long_name"] = known.long_name if known else name.replace("_", " ")
+        if known is None or known.dim is None:
+            variables[name] = ("time", values, attrs)
             continue
-        labels: tuple[Any, ...] = signal.labels or tuple(sorted(set(counted[signal.dim])))
-        coords[signal.dim] = list(labels)
-        found = {str(c.label): c.values for c in group}
+        labels: tuple[Any, ...] = known.labels or tuple(sorted(set(counted[known.dim])))
+        coords[known.dim] = list(labels)
+        found = {c.label: c.values for c in group}
         missing = np.full(len(time), np.nan)
         block = np.column_stack([found.get(str(k), missing) for k in labels])
-        variables[name] = (("time", signal.dim), block, attrs)
-    return xr.Dataset(variables, coords, dict(attributes or {}))
+        variables[name] = (("time", known.dim), block, attrs)
+    return xr.Dataset(variables, coords)
 
 
 def plain(value: Any) -> Any:
@@ -228,7 +265,7 @@ def restore(time: NDArray[np.float64], columns: Mapping[str, NDArray[Any]], desc
         If columns and description do not belong together.
     """
     content = json.loads(description)
-    coords: dict[str, Any] = {"time": ("time", time, {"units": "s", "long_name": "time"})}
+    coords: dict[str, Any] = {"time": ("time", time, _TIME)}
     variables: dict[str, Any] = {}
     for name, about in content["variables"].items():
         dim, labels, attrs = about["dim"], about["labels"], about["attrs"]
@@ -240,7 +277,28 @@ def restore(time: NDArray[np.float64], columns: Mapping[str, NDArray[Any]], desc
         block = np.column_stack([columns[f"{name}_{label}"] for label in labels])
         variables[name] = (("time", dim), block, attrs)
     for name, values in content["events"].items():
-        kind: type = np.float64 if name == "event_time" else str
-        attrs = {"units": "s", "long_name": "time of the event"} if name == "event_time" else {}
-        variables[name] = ("event", np.array(values, dtype=kind), attrs)
+        variables[name] = _event_part(name, values)
     return xr.Dataset(variables, coords, content["attributes"])
+
+
+def to_csv(dataset: xr.Dataset, path: str | Path) -> Path:
+    """Write a recording as one comma-separated table, one row an instant.
+
+    The header names variable, label and unit, ``truth_position_N [m]``; a pure number has no unit. Values are
+    written with as many digits as bring back the same float64; NaN is an empty cell.
+
+    Returns
+    -------
+    Path
+        The file written.
+    """
+    channels = [Channel("time", "s", dataset["time"].values, dataset["time"].values), *columns_of(dataset)]
+    header = [c.column + (f" [{c.units}]" if c.units != "1" else "") for c in channels]
+    columns = [c.values.tolist() for c in channels]
+    target = Path(path)
+    with target.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(header)
+        # A value that differs from itself is NaN.
+        writer.writerows(["" if v != v else v for v in row] for row in zip(*columns, strict=True))
+    return target

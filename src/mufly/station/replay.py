@@ -92,7 +92,7 @@ def open_recording(path: str | Path, progress: Callable[[int, int], None] | None
     if not len(times):
         raise InputError(str(path), "", "holds no samples", "choose another recording")
     numbers = [c for c in columns_of(data) if c.values.dtype.kind in "fiub"]
-    columns = {c.name: c.values.astype(np.float64) for c in numbers}
+    columns = {c.column: c.values.astype(np.float64) for c in numbers}
     states = np.full(len(times), "")
     if "mission_state" in data:
         states = data["mission_state"].values.astype(str)
@@ -107,7 +107,7 @@ def open_recording(path: str | Path, progress: Callable[[int, int], None] | None
         name=Path(path).name,
         times=times,
         columns=columns,
-        units={c.name: c.units for c in numbers},
+        units={c.column: c.units for c in numbers},
         states=states,
         messages=tuple(sorted(messages, key=lambda m: m.time_s)),
         mission=mission,
