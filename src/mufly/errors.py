@@ -30,3 +30,22 @@ class InputError(MuflyError):
     def at(self, where: str) -> InputError:
         """The same fault, of a file that its finder knew only by the name of what is in it."""
         return InputError(where, self.key, self.problem, self.remedy)
+
+
+class ArgumentError(InputError):
+    """An argument of a function is wrong; the command line names the option that gave it.
+
+    Parameters
+    ----------
+    argument : str
+        Its name.
+    key : str
+        What in it is wrong, or ``""``.
+    problem : str
+    remedy : str
+        ``argument=value`` in it becomes ``--option value`` on the command line.
+    """
+
+    def __init__(self, argument: str, key: str, problem: str, remedy: str) -> None:
+        super().__init__(argument, key, problem, remedy)
+        self.argument = argument

@@ -25,11 +25,12 @@ from mufly.cli import (
 from mufly.cli import (
     station as link,
 )
+from mufly.cli.options import Commands
 from mufly.errors import MuflyError
 
 __all__ = ["app", "main"]
 
-app = typer.Typer(
+app = Commands(
     help="Coaxial micro helicopters, from blade geometry to autonomous flight.\n\n"
     "Start with [bold]mufly fly[/bold]; every command explains itself with --help.",
     no_args_is_help=True,

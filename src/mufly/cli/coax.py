@@ -22,6 +22,7 @@ from mufly.cli.coax_shared import (
     write_pair,
 )
 from mufly.cli.options import (
+    Commands,
     EngineOption,
     JsonOption,
     MethodOption,
@@ -30,10 +31,9 @@ from mufly.cli.options import (
     OutOption,
     WakeOption,
     WakeSetOption,
-    console,
-    print_json,
     wake_progress,
 )
+from mufly.cli.present import console, print_json
 from mufly.errors import InputError, MuflyError
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
     from mufly.study import PairSetup
 
-app = typer.Typer(
+app = Commands(
     help="Coaxial pairs: two rotors that turn against each other, by a free vortex wake or by blade elements. See "
     "docs/coax.md.",
     no_args_is_help=True,

@@ -10,18 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mufly.cli.options import (
-    angle,
-    console,
-    corrections_of,
-    engine_of,
-    print_table,
-    save_picture,
-    wake_of,
-    write_history,
-)
+from mufly.cli.options import angle, corrections_of, engine_of, wake_of
+from mufly.cli.present import console, print_table, save_picture, write_csv
 from mufly.errors import InputError
-from mufly.units import RPM
 
 if TYPE_CHECKING:
     from mufly.rotor import RotorResult
@@ -29,6 +20,7 @@ if TYPE_CHECKING:
     from mufly.study.parameters import Value
 
 THESIS = "naca0012-r60-c20"  # the dissertation's pair: this rotor twice at 14 degrees, 20 mm apart
+RPM = math.pi / 30.0
 
 UpperArgument = Annotated[
     str, typer.Argument(metavar="UPPER", help="Upper rotor: built-in name or rotor file (TOML).")
@@ -226,7 +218,7 @@ def write_pair(point: PairPoint, alone: tuple[RotorResult, RotorResult] | None, 
     s = point.solution
     if s is not None:
         heads = ("residual", "upper_thrust_N", "upper_torque_Nm", "lower_thrust_N", "lower_torque_Nm")
-        files.append(write_history(s.history, folder, heads))
+        files.append(write_csv(folder / "history.csv", heads, s.history))
         history = history_picture(s.history, residual=s.settings.residual, note=s.message)
         files.append(save_picture(history, folder, "history"))
         if s.converged:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mufly.cli.options import Commands
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
     from mufly.control import Design, FlightController
 
-app = typer.Typer(help="Design and analyse the controllers of a vehicle.", no_args_is_help=True)
+app = Commands(help="Design and analyse the controllers of a vehicle.", no_args_is_help=True)
 
 
 @app.callback()

@@ -8,26 +8,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mufly.cli.options import (
-    JsonOption,
-    ModelOption,
-    angle,
-    console,
-    corrections_of,
-    print_json,
-    print_table,
-    save_picture,
-)
-from mufly.units import RPM
+from mufly.cli.options import Commands, JsonOption, ModelOption, angle, corrections_of
+from mufly.cli.present import console, print_json, print_table, save_picture
 
 if TYPE_CHECKING:
     from mufly.drive import RotorLoad
 
-app = typer.Typer(
+app = Commands(
     help="Drive trains: motor, gear, battery, and where they meet a rotor. Everything is explained in docs/drive.md.",
     no_args_is_help=True,
 )
 
+_RPM = math.pi / 30.0
 _DriveArgument = Annotated[
     str,
     typer.Argument(
@@ -51,7 +43,7 @@ _Supply = Annotated[
 ]
 _COLUMNS = {
     "thrust": ("thrust_N", "{:.3f} N", 1.0),
-    "rotor speed": ("speed_rad_s", "{:.0f} rpm", 1 / RPM),
+    "rotor speed": ("speed_rad_s", "{:.0f} rpm", 1 / _RPM),
     "duty": ("duty", "{:.3f}", 1.0),
     "input power": ("input_power_W", "{:.2f} W", 1.0),
     "mechanical power": ("mechanical_power_W", "{:.2f} W", 1.0),

@@ -13,15 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mufly.cli import identify_bench
-from mufly.cli.options import (
-    JsonOption,
-    check_file,
-    check_folder,
-    console,
-    print_json,
-    print_table,
-    progress_bar,
-)
+from mufly.cli.options import Commands, JsonOption, one_of
+from mufly.cli.present import check_file, check_folder, console, print_json, print_table, progress_bar
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
@@ -174,12 +167,6 @@ def flight(
     for what, place in (("Vehicle", written), ("Report", page)):
         if place is not None:
             console().print(f"{what}: {place}", highlight=False)
-
-
-def one_of(option: str, value: str, known: tuple[str, ...]) -> None:
-    """InputError if an option has a value that is not known."""
-    if value not in known:
-        raise InputError(option, "", f"{value!r} is unknown", f"use one of: {', '.join(known)}")
 
 
 def _voltage(text: str) -> str | float:
@@ -562,7 +549,7 @@ def _identify_linear_json(r: LinearResult) -> dict[str, Any]:
 # ``mufly identify``: the parameters of a vehicle, from bench and flight data. Commands live in their own modules.
 
 
-app = typer.Typer(
+app = Commands(
     help="Find a vehicle's parameters: from bench data, from flights, and plan the flights that show them.",
     no_args_is_help=True,
 )

@@ -16,6 +16,12 @@ from mufly.cli.options import (
     VehicleOption,
     WriteOption,
     angle,
+    start_vehicle,
+    today,
+    with_doubt,
+    write_vehicle,
+)
+from mufly.cli.present import (
     check_folder,
     console,
     print_estimates,
@@ -24,15 +30,13 @@ from mufly.cli.options import (
     progress_bar,
     save_picture,
     say,
-    start_vehicle,
-    today,
-    with_doubt,
-    write_vehicle,
+    tell_files,
 )
-from mufly.units import RPM
 
 if TYPE_CHECKING:
     from mufly.identify.flight.plan import Candidate, Kind, Limits, Plan
+
+_RPM = math.pi / 30.0
 
 
 def rotor(
@@ -128,7 +132,7 @@ def rotor(
     by_file = [
         fit_rotor(
             one, radius_m=value, radius_std_m=std, density_kg_m3=rho, density_std_kg_m3=rho_std,
-            at_speed_rad_s=None if at_rpm is None else at_rpm * RPM, vehicle=start,
+            at_speed_rad_s=None if at_rpm is None else at_rpm * _RPM, vehicle=start,
         )
         for one in loads
     ]  # fmt: skip
@@ -166,19 +170,19 @@ def rotor(
         )  # fmt: skip
         return
     if cells is not None:
-        say([f"load cells, from {cells.source}:", *(f"  {line}" for line in cells.in_words())])
+        say(f"load cells, from {cells.source}:", *(f"  {line}" for line in cells.in_words()))
     for fit in fits:
         kind = "coaxial pair" if fit.coaxial else "single rotor"
         at = "" if math.isnan(fit.pitch_rad) else f" at {math.degrees(fit.pitch_rad):.3g} deg"
         print_estimates(
             fit.estimates, f"{fit.source}: {kind}{at}, R {1e3 * fit.radius_m:g} mm", fit.systematic_shares()
         )
-        say(t.in_words() for f in fit.fits for t in f.trends)
-        say(fit.unseen, mark="not seen")
-    say(dict.fromkeys(n for f in fits for n in f.notes), mark="note")
-    say(effects)
-    say(f"{source}: {line}" for source, p in predictions.items() for line in p.in_words())
-    say(f"written: {f}" for f in files)
+        say(*(t.in_words() for f in fit.fits for t in f.trends))
+        say(*fit.unseen, mark="not seen")
+    say(*dict.fromkeys(n for f in fits for n in f.notes), mark="note")
+    say(*effects)
+    say(*(f"{source}: {line}" for source, p in predictions.items() for line in p.in_words()))
+    tell_files(files)
 
 
 def _rotor_json(fit: Any) -> dict[str, Any]:
@@ -556,11 +560,7 @@ def motor(
         return
     print_estimates(fit.estimates, f"{table.source}: {fit.data.voltage_V.size} points")
     rms = [float((fit.residual[:, k] ** 2).mean() ** 0.5) for k in (0, 1)]
-    say(
-        [
-            f"residuals: {1e3 * rms[0]:.3g} mV in the voltage's balance, {1e3 * rms[1]:.3g} mN m in the torque's"
-        ]
-    )
-    say(fit.notes, mark="note")
-    say(fit.unseen, mark="not seen")
-    say(f"written: {f}" for f in files)
+    say(f"residuals: {1e3 * rms[0]:.3g} mV in the voltage's balance, {1e3 * rms[1]:.3g} mN m in the torque's")
+    say(*fit.notes, mark="note")
+    say(*fit.unseen, mark="not seen")
+    tell_files(files)

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mufly.cli.options import Commands
+
 if TYPE_CHECKING:
     from mufly.mission import Mission
 
-app = typer.Typer(
+app = Commands(
     help="List missions, show what one asks for, check a mission file. Every key of a mission file is explained in "
     "docs/missions.md.",
     no_args_is_help=True,

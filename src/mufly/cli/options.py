@@ -1,34 +1,70 @@
-"""What the commands about rotors, drives and studies share: options, tables, pictures, progress."""
+"""What commands share: options, what their texts say, and the options' names in place of a library's arguments."""
 
 from __future__ import annotations
 
-import csv
-import json
 import math
-import os
+import re
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast, get_args
 
-import numpy as np
 import typer
+from typer.core import TyperCommand
 
-from mufly.errors import InputError
+from mufly.cli.present import check_file, console, write_csv, writing
+from mufly.errors import ArgumentError, InputError
+from mufly.units import split_header
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-    from numpy.typing import NDArray
-    from rich.console import Console
-
     from mufly.drive import Drive
     from mufly.identify import Estimate
     from mufly.rotor import Corrections
     from mufly.rotor.engines import Engine
     from mufly.rotor.wake import WakeSettings
     from mufly.vehicle import Vehicle
+
+# Arguments of the library that an option of another name gives.
+_OPTIONS = {"estimates": "write", "kinds": "kind", "spectra": "spectrum"}
+
+
+class Command(TyperCommand):
+    """A command that says ``--radius`` where the library says ``radius_m``: who typed an option is told its name."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run it."""
+        try:
+            return super().invoke(ctx)
+        except ArgumentError as error:
+            raise self._by_option(error) from error
+
+    def _by_option(self, error: ArgumentError) -> InputError:
+        options = {
+            p.name: max(p.opts, key=len) for p in self.params if p.name and p.param_type_name == "option"
+        }
+
+        def option_of(argument: str) -> str | None:
+            name = _OPTIONS.get(argument, argument)
+            return options.get(name) or options.get(f"{name}_") or options.get(split_header(name)[0])
+
+        option = option_of(error.argument)
+        if option is None:
+            return error
+        remedy = re.sub(
+            r"\b(\w+)=(?=\S)", lambda m: f"{option_of(m[1])} " if option_of(m[1]) else m[0], error.remedy
+        )
+        return InputError(option, error.key, error.problem, remedy)
+
+
+class Commands(typer.Typer):
+    """A group of such commands."""
+
+    def command(self, name: str | None = None, **more: Any) -> Any:
+        """Register a command, as :meth:`typer.Typer.command` does."""
+        return super().command(name, **{"cls": Command, **more})
+
 
 RotorArgument = Annotated[
     str,
@@ -60,6 +96,13 @@ EngineOption = Annotated[
 ]
 
 
+def one_of(option: str, value: str, known: Iterable[str]) -> None:
+    """InputError if an option has a value that is not known."""
+    names = tuple(known)
+    if value not in names:
+        raise InputError(option, "", f"{value!r} is unknown", f"use one of: {', '.join(names)}")
+
+
 def engine_of(name: str) -> Engine:
     """Return the polar engine that ``--engine`` names."""
     from mufly.rotor.engines import Engine
@@ -69,51 +112,6 @@ def engine_of(name: str) -> Engine:
             "--engine", "", f"{name!r} is no polar engine", f"use one of: {', '.join(get_args(Engine))}"
         )
     return cast("Engine", name)
-
-
-def console() -> Console:
-    """Return a console for tables."""
-    from rich.console import Console
-
-    return Console()
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
-def print_json(content: Any) -> None:
-    """Print as JSON; arrays become lists, numbers that are not finite become null."""
-    typer.echo(json.dumps(_plain(content), indent=2, allow_nan=False))
-
-
-def print_table(
-    heads: Sequence[str], rows: Sequence[Sequence[str]], *, title: str = "", text: Sequence[int] = (0,)
-) -> None:
-    """Print a table; columns whose numbers are in ``text`` are text, the others numbers."""
-    from rich.table import Table
-
-    table = Table(
-        box=None, header_style="bold", title=title or None, title_justify="left", title_style="bold",
-        show_header=any(heads),
-    )  # fmt: skip
-    for k, head in enumerate(heads):
-        table.add_column(
-            head, justify="left" if k in text else "right", overflow="fold" if k in text else "ellipsis"
-        )
-    for row in rows:
-        table.add_row(*row)
-    console().print(table, highlight=False)
 
 
 def corrections_of(model: str) -> Corrections:
@@ -126,8 +124,7 @@ def corrections_of(model: str) -> Corrections:
     """
     from mufly.study import MODELS
 
-    if model not in MODELS:
-        raise InputError("--model", "", f"{model!r} is unknown", f"use one of: {', '.join(MODELS)}")
+    one_of("--model", model, MODELS)
     return MODELS[model]
 
 
@@ -156,40 +153,6 @@ def angle(option: str, text: str) -> float:
         return float(parse_quantity("pitch", text))
     except InputError as error:
         raise InputError(option, "", error.problem, error.remedy) from None
-
-
-def save_picture(figure: Figure, folder: Path, name: str) -> Path:
-    """Write a picture as PNG into a folder, which is made if need be.
-
-    Raises
-    ------
-    InputError
-        If it cannot be written.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        path = folder / f"{name}.png"
-        figure.savefig(path, dpi=150)
-    except OSError as error:
-        raise InputError(
-            "--out", str(folder), f"cannot be written ({error})", "give another folder"
-        ) from error
-    return path
-
-
-@contextmanager
-def progress_bar(label: str, shown: bool) -> Iterator[Callable[[int, int], None] | None]:
-    """Show a bar on standard error while cases are computed; yields the function that moves it."""
-    if not shown:
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn(label), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(label, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 # ----------------------------------------------------------------------------
@@ -225,8 +188,7 @@ def wake_of(method: str, wake: str, settings: list[str] | None) -> tuple[WakeSet
     from mufly.rotor.wake import WakeSettings
     from mufly.study import METHODS
 
-    if method not in METHODS:
-        raise InputError("--method", "", f"{method!r} is unknown", f"use one of: {', '.join(METHODS)}")
+    one_of("--method", method, METHODS)
     if wake not in ("free", "prescribed"):
         raise InputError("--wake", "", f"{wake!r} is unknown", "use free or prescribed")
     if method == "bemt" and wake != "free":
@@ -275,41 +237,14 @@ def wake_progress(label: str, shown: bool, folder: Path | None = None) -> Iterat
             progress = WakeProgress()
             yield progress
         else:
-            from rich.console import Console
-
-            with Console(stderr=True).status(label) as status:
+            with console(stderr=True).status(label) as status:
                 progress = WakeProgress(lambda text: status.update(f"{label}: {text}"))
                 yield progress
     except BaseException:
         if folder is not None and progress.rows:
-            rows = np.array(progress.rows, dtype=np.float64)
-            write_history(rows, folder, ("wake", "iteration", "residual", "thrust_N"), "progress")
+            heads = ("wake", "iteration", "residual", "thrust_N")
+            write_csv(folder / "progress.csv", heads, progress.rows)
         raise
-
-
-def write_history(
-    history: NDArray[np.float64], folder: Path, heads: tuple[str, ...], name: str = "history"
-) -> Path:
-    """Write iterations as CSV.
-
-    Raises
-    ------
-    InputError
-        If the folder cannot be written.
-    """
-    path = folder / f"{name}.csv"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(heads)
-            for row in history:
-                writer.writerow([f"{x:.9g}" for x in row])
-    except OSError as error:
-        raise InputError(
-            "--out", str(folder), f"cannot be written ({error})", "give another folder"
-        ) from error
-    return path
 
 
 # ----------------------------------------------------------------------------
@@ -339,48 +274,6 @@ PictureOption = Annotated[
 ]
 
 
-def check_folder(option: str, folder: Path | None) -> None:
-    """Make a folder that results will go to, so that a long fit does not end without a place for them.
-
-    Raises
-    ------
-    InputError
-        If it cannot be made or written to.
-    """
-    from mufly.errors import InputError
-
-    if folder is None:
-        return
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            option, str(folder), f"cannot be made ({error.strerror})", "give another folder"
-        ) from error
-    if not os.access(folder, os.W_OK):
-        raise InputError(option, str(folder), "cannot be written to", "give another folder")
-
-
-def check_file(option: str, file: Path | None) -> None:
-    """Look whether a file can be written, before the work that fills it.
-
-    Raises
-    ------
-    InputError
-        If its folder is not there, or either may not be written.
-    """
-    from mufly.errors import InputError
-
-    if file is None:
-        return
-    if file.is_dir():
-        raise InputError(option, str(file), "is a folder", "give the name of a file")
-    if not file.parent.is_dir():
-        raise InputError(option, str(file), "its folder is not there", "make it, or give another place")
-    if not os.access(file if file.exists() else file.parent, os.W_OK):
-        raise InputError(option, str(file), "cannot be written", "give another place")
-
-
 def with_doubt(option: str, text: str | None, *, above: float = 0.0) -> tuple[float | None, float]:
     """Return value and standard deviation of ``"0.84"`` or ``"0.84+-0.02"``; None for None or ``"free"``.
 
@@ -389,8 +282,6 @@ def with_doubt(option: str, text: str | None, *, above: float = 0.0) -> tuple[fl
     InputError
         If the text is no number above the limit.
     """
-    from mufly.errors import InputError
-
     if text is None or text == "free":
         return None, 0.0
     first, _, second = text.replace("±", "+-").partition("+-")
@@ -401,33 +292,6 @@ def with_doubt(option: str, text: str | None, *, above: float = 0.0) -> tuple[fl
     if not (math.isfinite(value) and value > above and math.isfinite(std) and std >= 0):
         raise InputError(option, "", f"{text} is not possible", f"give a number above {above:g}")
     return value, std
-
-
-def print_estimates(
-    estimates: Iterable[Estimate], title: str, shares: dict[str, float] | None = None
-) -> None:
-    """Print a table of estimates with intervals."""
-    rows = []
-    for e in estimates:
-        start = "-" if math.isnan(e.start) else f"{e.start:.4g}"
-        if math.isinf(e.std):
-            value, interval, doubt = "not seen", "-", "-"
-        elif e.at_bound:
-            value, interval, doubt = f"{e.value:.5g}", "at its bound", "-"
-        else:
-            value, interval = f"{e.value:.5g}", f"{e.low:.4g} to {e.high:.4g}"
-            doubt = f"{100 * e.std / abs(e.value):.2g} %" if e.value else "-"
-        row = [e.symbol, value, doubt, interval, e.unit if e.unit != "1" else "", start]
-        rows.append(row if shares is None else [*row, f"{100 * shares.get(e.symbol, 0.0):.0f} %"])
-    heads = ["symbol", "value", "std", "95 % interval", "unit", "start"]
-    print_table(heads if shares is None else [*heads, "systematic"], rows, title=title)
-
-
-def say(lines: Iterable[str], *, mark: str = "") -> None:
-    """Print lines without markup."""
-    out = console()
-    for line in lines:
-        out.print(f"{mark}: {line}" if mark else line, highlight=False, markup=False)
 
 
 def start_vehicle(name: str | None, write: Path | None) -> Vehicle | None:
@@ -447,19 +311,14 @@ def write_vehicle(
     start: Vehicle | None, estimates: Iterable[Estimate], write: Path | None, note: str
 ) -> list[Path]:
     """Write the vehicle with its estimates where ``--write`` says; return the files written."""
-    from mufly.errors import InputError
     from mufly.identify.result import with_estimates
     from mufly.vehicle import vehicle_toml
 
     if write is None or start is None:
         return []
     text = vehicle_toml(with_estimates(start, estimates, note))
-    try:
+    with writing(write, "give another place", "--write"):
         write.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(
-            "--write", str(write), f"cannot be written ({error})", "give another place"
-        ) from error
     return [write]
 
 

@@ -11,6 +11,7 @@ import typer
 
 from mufly.cli import rotor_study
 from mufly.cli.options import (
+    Commands,
     DriveOption,
     EngineOption,
     JsonOption,
@@ -22,19 +23,13 @@ from mufly.cli.options import (
     WakeOption,
     WakeSetOption,
     angle,
-    console,
     corrections_of,
     drive_or_none,
     engine_of,
-    print_json,
-    print_table,
-    progress_bar,
-    save_picture,
     wake_of,
     wake_progress,
-    write_history,
 )
-from mufly.units import RPM
+from mufly.cli.present import console, print_json, print_table, progress_bar, save_picture, write_csv
 
 if TYPE_CHECKING:
     from mufly.drive import OperatingPoint
@@ -123,13 +118,15 @@ def compare(
 # ``mufly rotor``: what a rotor is, what it does in hover, and how that compares with a measurement.
 
 
-app = typer.Typer(
+app = Commands(
     help="Rotors: what one is, what it does, which is best. Numbers of rotor files: docs/polars.md; of the theory: "
     "docs/bemt.md; of sweeps and rankings: docs/studies.md.",
     no_args_is_help=True,
 )
 rotor_study.add_to(app)
 app.command()(compare)
+
+_RPM = math.pi / 30.0
 
 
 @app.command("list")
@@ -188,7 +185,7 @@ def show(
     x = np.unique(np.concatenate(([float(r.hub_cutout)], r.blade.r_over_R.array(), [0.25, 0.5, 0.75, 1.0])))
     x = x[x >= float(r.hub_cutout)]
     chord, twist, thick = r.chord_m(x), r.twist_rad(x), blade_thickness_m(r, x)
-    reynolds = x * r.radius_m * rpm * RPM * chord * air.density_kg_m3 / air.viscosity_Pa_s
+    reynolds = x * r.radius_m * rpm * _RPM * chord * air.density_kg_m3 / air.viscosity_Pa_s
     picture = save_picture(blade_picture(r), out, "blade") if out is not None else None
     if as_json:
         print_json(
@@ -293,7 +290,7 @@ def hover(
     fixes = corrections_of(model)
     blading = prepare(r, n_crit=n_crit, engine=engine_of(engine), corrections=fixes, stations=count)
     theta = angle("--pitch", pitch) if pitch is not None else None
-    speed = rpm * RPM if rpm is not None else None
+    speed = rpm * _RPM if rpm is not None else None
     solution = None
     if method == "wake":
         with wake_progress("wake", not as_json, out) as progress:
@@ -302,7 +299,7 @@ def hover(
             )
         result = solution.rotors[0]
         if out is not None:
-            write_history(solution.history, out, ("residual", "thrust_N", "torque_Nm"))
+            write_csv(out / "history.csv", ("residual", "thrust_N", "torque_Nm"), solution.history)
         if not solution.converged:
             kept = "" if out is None else f"; its history lies in {out}"
             raise MuflyError(f"wake: {solution.message}{kept}")
@@ -345,7 +342,7 @@ def hover(
         return
     c = console()
     c.print(
-        f"[bold]{r.name}[/bold] at {math.degrees(result.pitch_rad):.2f}° and {result.speed_rad_s / RPM:.0f} rpm"
+        f"[bold]{r.name}[/bold] at {math.degrees(result.pitch_rad):.2f}° and {result.speed_rad_s / _RPM:.0f} rpm"
         + ("" if solution is None else f"; {settings.model} wake, {solution.message}"),
         highlight=False,
     )

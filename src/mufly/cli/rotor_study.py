@@ -18,15 +18,11 @@ from mufly.cli.options import (
     RotorArgument,
     WakeOption,
     WakeSetOption,
-    console,
     corrections_of,
     drive_or_none,
-    print_json,
-    print_table,
-    progress_bar,
-    save_picture,
     wake_of,
 )
+from mufly.cli.present import console, print_json, print_table, progress_bar, save_picture
 
 if TYPE_CHECKING:
     import xarray as xr

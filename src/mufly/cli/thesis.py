@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mufly.cli.options import JsonOption, console, print_json, print_table, progress_bar
+from mufly.cli.options import Commands, JsonOption
+from mufly.cli.present import console, print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
     from mufly.thesis import Outcome
 
-app = typer.Typer(
+app = Commands(
     help="Repeat the studies of the dissertation and say where we agree with it. What each assumes: docs/studies.md.",
     no_args_is_help=True,
 )

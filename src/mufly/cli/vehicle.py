@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mufly.cli.options import Commands
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from mufly.dynamics import HoverPerformance
     from mufly.vehicle import Parameter, Vehicle
 
-app = typer.Typer(
+app = Commands(
     help="List vehicles, show what one is made of, check a vehicle file. docs/vehicles.md says how to write one.",
     no_args_is_help=True,
 )

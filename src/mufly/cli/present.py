@@ -1,0 +1,288 @@
+"""What commands say and write: tables, JSON, CSV, pictures, and how far the work is.
+
+Results say themselves what their fields mean and which unit they have (:mod:`mufly.results`); here they become a table
+for people, with :class:`Column` where a unit is to be a readable one, or JSON.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from mufly.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.console import Console
+
+    from mufly.identify import Estimate
+
+Row = Sequence[str]
+
+
+def console(*, stderr: bool = False) -> Console:
+    """Return a console for tables."""
+    from rich.console import Console
+
+    return Console(stderr=stderr)
+
+
+def say(*lines: str, mark: str = "", style: str | None = None) -> None:
+    """Print lines as they stand, without markup."""
+    out = console()
+    for line in lines:
+        out.print(f"{mark}: {line}" if mark else line, style=style, highlight=False, markup=False)
+
+
+def print_json(content: Any) -> None:
+    """Print as JSON; results and arrays become tables and lists, numbers that are not finite null."""
+    from mufly.results import plain
+
+    typer.echo(json.dumps(plain(content), indent=2, allow_nan=False))
+
+
+def print_table(
+    heads: Sequence[str], rows: Iterable[Row], *, title: str = "", text: Sequence[int] = (0,)
+) -> None:
+    """Print a table; columns whose numbers are in ``text`` are text, the others numbers."""
+    from rich.table import Table
+
+    table = Table(
+        box=None, header_style="bold", title=title or None, title_justify="left", title_style="bold",
+        show_header=any(heads),
+    )  # fmt: skip
+    for k, head in enumerate(heads):
+        table.add_column(
+            head, justify="left" if k in text else "right", overflow="fold" if k in text else "ellipsis"
+        )
+    for row in rows:
+        table.add_row(*row)
+    console().print(table, highlight=False)
+
+
+@dataclass(frozen=True)
+class Column:
+    """A field of results as a column of a table, or as a line of a table of one result.
+
+    Parameters
+    ----------
+    name : str
+        The field, ``"speed_rad_s"``; of a part of the result with dots, ``"upper.thrust_N"``.
+    unit : str
+        The unit to print, ``"rpm"``; default the field's own.
+    form : str
+        As for :func:`format`.
+    head : str
+        Default: the field's name without its unit.
+    """
+
+    name: str
+    unit: str = ""
+    form: str = ".4g"
+    head: str = ""
+
+    def head_for(self, item: Any) -> str:
+        """The column's head, with the unit."""
+        label, unit = self._known(item)
+        unit = self.unit or unit
+        return f"{self.head or label} ({unit})" if unit else self.head or label
+
+    def text_for(self, item: Any, *, unit: bool = False) -> str:
+        """The value of one result, with its unit if asked."""
+        from mufly.results import number
+        from mufly.units import conversion
+
+        value: Any = item
+        for part in self.name.split("."):
+            value = value[part] if isinstance(value, dict) else getattr(value, part)
+        own = self._known(item)[1]
+        if self.unit and own and isinstance(value, float):
+            _, factor, offset = conversion(own, self.unit)
+            value = factor * value + offset
+        if isinstance(value, str):
+            return value
+        shown = number(value, self.form)
+        return shown if not unit or shown == "-" else f"{shown} {self.unit or own}".rstrip()
+
+    def _known(self, item: Any) -> tuple[str, str]:
+        from mufly.results import meaning_of
+
+        found = meaning_of(item, self.name)
+        return found.label, found.unit
+
+
+def show_table(
+    items: Sequence[Any], columns: Sequence[Column | str], *, title: str = "", names: Sequence[str] = ()
+) -> None:
+    """Print results as a table, one a line; with ``names`` before them."""
+    if not items:
+        return
+    wanted = [Column(c) if isinstance(c, str) else c for c in columns]
+    heads = [c.head_for(items[0]) for c in wanted]
+    lines = [[c.text_for(item) for c in wanted] for item in items]
+    if names:
+        heads, lines = ["", *heads], [[name, *line] for name, line in zip(names, lines, strict=True)]
+    texts = [k for k, _ in enumerate(heads) if (k == 0 and names) or not any(_is_number(x[k]) for x in lines)]
+    print_table(heads, lines, title=title, text=texts)
+
+
+def show_lines(item: Any, columns: Sequence[Column | str], *, title: str = "") -> None:
+    """Print one result as a table, a field a line."""
+    from mufly.results import meaning_of
+
+    wanted = [Column(c) if isinstance(c, str) else c for c in columns]
+    labels = [c.head or meaning_of(item, c.name).label for c in wanted]
+    lines = [(label, c.text_for(item, unit=True)) for label, c in zip(labels, wanted, strict=True)]
+    print_table(("", ""), lines, title=title, text=(0, 1))
+
+
+def _is_number(text: str) -> bool:
+    return text[-1:].isdigit() or text == "-"
+
+
+def print_estimates(
+    estimates: Iterable[Estimate], title: str, shares: dict[str, float] | None = None
+) -> None:
+    """Print a table of estimates with intervals."""
+    rows = []
+    for e in estimates:
+        start = "-" if math.isnan(e.start) else f"{e.start:.4g}"
+        if math.isinf(e.std):
+            value, interval, doubt = "not seen", "-", "-"
+        elif e.at_bound:
+            value, interval, doubt = f"{e.value:.5g}", "at its bound", "-"
+        else:
+            value, interval = f"{e.value:.5g}", f"{e.low:.4g} to {e.high:.4g}"
+            doubt = f"{100 * e.std / abs(e.value):.2g} %" if e.value else "-"
+        row = [e.symbol, value, doubt, interval, e.unit if e.unit != "1" else "", start]
+        rows.append(row if shares is None else [*row, f"{100 * shares.get(e.symbol, 0.0):.0f} %"])
+    heads = ["symbol", "value", "std", "95 % interval", "unit", "start"]
+    print_table(heads if shares is None else [*heads, "systematic"], rows, title=title)
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+
+
+def answer(
+    as_json: bool, content: Callable[[], dict[str, Any]], show: Callable[[], None], files: Sequence[Path] = ()
+) -> None:
+    """Answer a command: JSON with the files that were written, or what ``show`` prints and a line for each file."""
+    if as_json:
+        print_json({**content(), "files": [str(f) for f in files]})
+        return
+    show()
+    tell_files(files)
+
+
+def tell_files(files: Iterable[Path], label: str = "Written") -> None:
+    """Say which files were written."""
+    for file in files:
+        console().print(f"{label}: {file}", highlight=False, markup=False, soft_wrap=True)
+
+
+@contextmanager
+def writing(place: Path, remedy: str = "give another folder", option: str = "--out") -> Iterator[None]:
+    """Turn what goes wrong while a file is written into an InputError that names the option and the place."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(option, str(place), f"cannot be written ({error})", remedy) from error
+
+
+def save_picture(figure: Figure, folder: Path, name: str, endings: Sequence[str] = (".png",)) -> Path:
+    """Write a picture into a folder, which is made if need be; return the first file.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        for ending in endings:
+            figure.savefig(folder / f"{name}{ending}", dpi=150)
+    return folder / f"{name}{endings[0]}"
+
+
+def write_csv(
+    path: Path, heads: Sequence[str], rows: Iterable[Iterable[float | str]], first: str = ""
+) -> Path:
+    """Write a table as CSV, numbers with nine digits, after a comment if ``first`` is one.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+    with writing(path.parent):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("w", newline="", encoding="utf-8") as file:
+            file.write(f"# {first}\n" if first else "")
+            writer = csv.writer(file)
+            writer.writerow(heads)
+            writer.writerows([x if isinstance(x, str) else f"{x:.9g}" for x in row] for row in rows)
+    return path
+
+
+def check_folder(option: str, folder: Path | None) -> None:
+    """Make a folder that results will go to, so that a long fit does not end without a place for them.
+
+    Raises
+    ------
+    InputError
+        If it cannot be made or written to.
+    """
+    if folder is None:
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            option, str(folder), f"cannot be made ({error.strerror})", "give another folder"
+        ) from error
+    if not os.access(folder, os.W_OK):
+        raise InputError(option, str(folder), "cannot be written to", "give another folder")
+
+
+def check_file(option: str, file: Path | None) -> None:
+    """Look whether a file can be written, before the work that fills it.
+
+    Raises
+    ------
+    InputError
+        If its folder is not there, or either may not be written.
+    """
+    if file is None:
+        return
+    if file.is_dir():
+        raise InputError(option, str(file), "is a folder", "give the name of a file")
+    if not file.parent.is_dir():
+        raise InputError(option, str(file), "its folder is not there", "make it, or give another place")
+    if not os.access(file if file.exists() else file.parent, os.W_OK):
+        raise InputError(option, str(file), "cannot be written", "give another place")
+
+
+# --- how far the work is ----------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def progress_bar(label: str, shown: bool) -> Iterator[Callable[[int, int], None] | None]:
+    """Show a bar on standard error while cases are computed; yields the function that moves it."""
+    if not shown:
+        yield None
+        return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn(label), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console(stderr=True), transient=True) as bar:
+        task = bar.add_task(label, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)

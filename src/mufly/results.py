@@ -1,0 +1,241 @@
+"""Results that carry their units and their meaning.
+
+A class marked with :func:`result` is a frozen dataclass that can say what its fields are: the unit stands in a field's
+name (``thrust_N``, ``speed_rad_s``) or in the docstring, the meaning in the docstring's Attributes section, which is
+read once, when somebody asks. So one place writes a result as text (``print(result)``), in a notebook, as JSON
+(:func:`plain`), as CSV or as a report's table (:func:`rows`), and a result's fields are named nowhere twice.
+"""
+
+from __future__ import annotations
+
+import csv
+import html
+import inspect
+import io
+import math
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from enum import Enum
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar, dataclass_transform, overload
+
+import numpy as np
+
+from mufly.units import known_unit, split_header
+
+_T = TypeVar("_T")
+
+# What stands at the end of our names and in no header of a log.
+_SUFFIXES = {
+    "N_W": "N/W", "kg_m3": "kg/m3", "kg_m2": "kg m2", "Pa_s": "Pa s", "m2": "m2", "Ah": "A h", "As": "A s", "J": "J",
+    "dB": "dB", "percent": "%",
+}  # fmt: skip
+_UNITS = {"J", "dB", "N/W", "1"} | set(_SUFFIXES.values())
+_ATTRIBUTE = re.compile(r"^(?P<names>\w+(?:, \w+)*) *:(?P<type>.*)$")
+_LONG = 6  # arrays longer than this are told by their size and range
+
+
+class Meaning(NamedTuple):
+    """What a field of a result is.
+
+    Attributes
+    ----------
+    name : str
+        As in the code, ``"thrust_N"``.
+    label : str
+        Without the unit, ``"thrust"``.
+    unit : str
+        ``""`` where it has none.
+    meaning : str
+        A sentence or two; ``""`` where the docstring has none.
+    """
+
+    name: str
+    label: str
+    unit: str
+    meaning: str
+
+
+class Row(NamedTuple):
+    """A field of a result, to be printed: label, value in words, unit and meaning."""
+
+    label: str
+    value: str
+    unit: str
+    meaning: str
+
+
+@overload
+def result(cls: type[_T], /) -> type[_T]: ...
+@overload
+def result(*, eq: bool = True) -> Callable[[type[_T]], type[_T]]: ...
+@dataclass_transform(frozen_default=True)
+def result(cls: type[Any] | None = None, /, *, eq: bool = True) -> Any:
+    """Make a class a frozen dataclass that prints itself and knows units and meaning of its fields.
+
+    Parameters
+    ----------
+    cls : type
+        Its docstring's Attributes section, NumPy style, says what a field means.
+    eq : bool
+        As for :func:`dataclasses.dataclass`; arrays want False.
+    """
+
+    def made(one: type[Any]) -> type[Any]:
+        new = dataclass(frozen=True, eq=eq)(one)
+        if "__str__" not in one.__dict__:
+            new.__str__ = text  # type: ignore[method-assign, assignment]
+        if "_repr_html_" not in one.__dict__:
+            new._repr_html_ = html_table
+        return new
+
+    return made if cls is None else made(cls)
+
+
+@cache
+def meanings(cls: type[Any]) -> dict[str, Meaning]:
+    """Return what the fields of a dataclass are, and its documented properties; the docstring is read once."""
+    told: dict[str, tuple[str, str]] = {}
+    for base in reversed(cls.__mro__):
+        told |= _attributes(base.__dict__.get("__doc__") or "")
+    names = [f.name for f in fields(cls)] if is_dataclass(cls) else []
+    for name in dir(cls):
+        if isinstance(member := inspect.getattr_static(cls, name), property) and not name.startswith("_"):
+            first = inspect.getdoc(member) or ""
+            told.setdefault(name, ("", " ".join(first.partition("\n\n")[0].split())))
+            names.append(name)
+    return {name: _meaning(name, *told.get(name, ("", ""))) for name in dict.fromkeys(names)}
+
+
+def meaning_of(item: Any, name: str) -> Meaning:
+    """Return what a field of a result is; of a part of it with dots, ``"upper.thrust_N"``."""
+    *parts, last = name.split(".")
+    for part in parts:
+        item = item[part] if isinstance(item, dict) else getattr(item, part)
+    return meanings(type(item)).get(last) or _meaning(last, "", "")
+
+
+def _attributes(docstring: str) -> dict[str, tuple[str, str]]:
+    """Type and meaning of each name of an Attributes (or Parameters) section."""
+    lines = inspect.cleandoc(docstring).splitlines()
+    found: dict[str, tuple[str, str]] = {}
+    names: list[str] = []
+    inside = False
+    for k, line in enumerate(lines):
+        if k + 1 < len(lines) and re.fullmatch("-{3,}", lines[k + 1]):
+            inside = line.strip() in ("Attributes", "Parameters")
+            names = []
+        elif inside and (match := _ATTRIBUTE.match(line)):
+            names = match["names"].split(", ")
+            found |= {name: (match["type"].strip(), "") for name in names}
+        elif inside and line.startswith(" "):
+            for name in names:
+                kind, said = found[name]
+                found[name] = (kind, f"{said} {line.strip()}".strip())
+    return found
+
+
+def _meaning(name: str, kind: str, said: str) -> Meaning:
+    label, unit = split_header(name)
+    for suffix, its in _SUFFIXES.items():
+        if name.endswith(f"_{suffix}"):
+            label, unit = name.removesuffix(f"_{suffix}"), its
+    if not unit:
+        for text_ in (kind, said):
+            for inner in re.findall(r"\(([^()]*)\)", text_):
+                unit = unit or known_unit(inner) or (inner if inner in _UNITS else "")
+    return Meaning(name, label.replace("_", " "), "" if unit == "1" else unit, said)
+
+
+def plain(value: Any) -> Any:
+    """Return tables, lists, texts and numbers that JSON can hold.
+
+    A dataclass becomes a table of its fields, an array a list, a complex number a table of ``real`` and ``imag``, a
+    path its text, a number that is not finite None.
+    """
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(v) for v in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, complex):
+        return {"real": plain(value.real), "imag": plain(value.imag)}
+    if isinstance(value, Enum):
+        return plain(value.value)
+    return str(value) if isinstance(value, Path) else value
+
+
+def number(value: Any, form: str = ".6g") -> str:
+    """Return a value in words: numbers in ``form``, ``"-"`` for what is unknown, long arrays by size and range."""
+    if value is None or (isinstance(value, float | np.floating) and math.isnan(value)):
+        return "-"
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else "no"
+    if isinstance(value, int | float | np.number) and not isinstance(value, complex):
+        return f"{value:{form}}"
+    if isinstance(value, np.ndarray) and value.dtype.kind in "fiu":
+        if value.size <= _LONG:
+            return ", ".join(f"{x:{form}}" for x in value.ravel())
+        shape = " x ".join(map(str, value.shape))
+        good = value[np.isfinite(value)]
+        return f"{shape} values" + (f", {good.min():.4g} to {good.max():.4g}" if good.size else "")
+    if isinstance(value, tuple | list):
+        if len(value) > _LONG or any(is_dataclass(v) for v in value):
+            return f"{len(value)} entries" if value else "none"
+        return ", ".join(number(v, form) for v in value)
+    if isinstance(value, dict):
+        return ", ".join(map(str, value)) if len(value) <= _LONG else f"{len(value)} entries"
+    if is_dataclass(value):
+        named = getattr(value, "name", None)
+        return named if isinstance(named, str) else type(value).__name__
+    words = str(value)
+    return words if len(words) <= 60 and "\n" not in words else type(value).__name__
+
+
+def rows(value: Any, names: Iterable[str] | None = None) -> list[Row]:
+    """Return the fields of a result as they are printed; default all that are its own, in their order."""
+    known = meanings(type(value))
+    wanted = [f.name for f in fields(value)] if names is None else list(names)
+    told = [known.get(name) or _meaning(name, "", "") for name in wanted]
+    return [Row(m.label, number(getattr(value, m.name)), m.unit, m.meaning) for m in told]
+
+
+def text(value: Any) -> str:
+    """Return a result as a table in plain text, a field a line."""
+    lines = rows(value)
+    widths = [max((len(r[k]) for r in lines), default=0) for k in range(3)]
+    first = (inspect.getdoc(type(value)) or "").partition("\n")[0]
+    title = f"{type(value).__name__}: {first}".removesuffix(": ")
+    told = (
+        f"  {r.label:<{widths[0]}}  {r.value:>{min(widths[1], 36)}} {r.unit:<{widths[2]}}  {_sentence(r.meaning)}"
+        for r in lines
+    )
+    return "\n".join([title, *(line.rstrip() for line in told)])
+
+
+def html_table(value: Any) -> str:
+    """Return a result as a table for notebooks and reports."""
+    cells = ("".join(f"<td>{html.escape(c)}</td>" for c in row) for row in rows(value))
+    return f"<table>{''.join(f'<tr>{line}</tr>' for line in cells)}</table>"
+
+
+def csv_text(values: Sequence[Any], names: Iterable[str]) -> str:
+    """Return results as CSV, a result a line, the fields' names (which carry the units) as header."""
+    wanted, out = list(names), io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(wanted)
+    writer.writerows([plain(getattr(v, name)) for name in wanted] for v in values)
+    return out.getvalue()
+
+
+def _sentence(words: str) -> str:
+    """The first sentence, without what Sphinx needs."""
+    clear = re.sub(r":\w+:`~?([^`]*)`", r"\1", words).replace("``", "")
+    return re.split(r"(?<=[.;])\s", clear, maxsplit=1)[0].rstrip(";")
