@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from mufly.flight.recorder import Recorder
+from mufly.logs.layout import standard_layout
 from mufly.logs.recording import read_recording
-from mufly.logs.signals import standard_layout
 
 
 def best(work: Callable[[], object], times: int = 5) -> float:

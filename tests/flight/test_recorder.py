@@ -19,9 +19,9 @@ from mcap.records import Chunk, MessageIndex
 
 from mufly.errors import InputError, MuflyError
 from mufly.flight.recorder import Recorder, quaternions
+from mufly.logs.layout import standard_layout
 from mufly.logs.mcap import read_mcap
 from mufly.logs.recording import read_attachments, read_recording
-from mufly.logs.signals import standard_layout
 from mufly.world import Box, Cylinder, World
 
 START_NS = 1_700_000_000_000_000_000

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 
 from mufly.errors import InputError
 from mufly.flight.recorder import Recorder
+from mufly.logs.layout import Layout, events_of, standard_layout, to_csv, to_dataset
 from mufly.logs.mcap import McapFile
-from mufly.logs.recording import events_of, read_recording, to_csv, to_dataset
-from mufly.logs.signals import QUANTITIES, Layout, standard_layout
+from mufly.logs.recording import read_recording
+from mufly.quantities import kept_by
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +34,7 @@ def recorded(tmp_path_factory, short_flight):
 def test_the_columns_follow_the_table_without_gaps():
     layout = standard_layout(5)
     following = 1
-    for quantity in QUANTITIES:
+    for quantity in kept_by("flight"):
         part = layout.columns[quantity.name]
         assert part.start == following
         following = part.stop
@@ -47,7 +48,7 @@ def test_the_layout_survives_as_text():
 
 
 def test_a_torn_topic_is_refused():
-    first, *rest = QUANTITIES
+    first, *rest = kept_by("flight")
     with pytest.raises(ValueError, match="stand together"):
         Layout((*rest, first), 8)
 
@@ -188,7 +189,7 @@ def test_csv_has_units_and_every_digit(tmp_path, short_flight):
 def test_the_documentation_lists_the_table():
     page = (Path(__file__).parents[2] / "docs" / "recordings.md").read_text(encoding="utf-8")
     layout = standard_layout(8)
-    for q in QUANTITIES:
+    for q in kept_by("flight"):
         part = layout.columns[q.name]
         columns = f"{part.start}-{part.stop - 1}" if part.stop - part.start > 1 else f"{part.start}"
         units = "-" if q.units == "1" else q.units

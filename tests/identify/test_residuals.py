@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from mufly.identify import RecordFit
-from mufly.identify.covariance import coloured_covariance, correlation_of, parzen, unseen_directions
+from mufly.identify.covariance import coloured_covariance, parzen, relative, unseen_combinations
 from mufly.identify.residuals import (
     autocorrelation,
     cross_correlation,
@@ -166,7 +166,7 @@ def test_coloured_covariance_is_the_scatter_of_least_squares(colour):
         e = lfilter([np.sqrt(1 - colour**2)], [1.0, -colour], rng.normal(size=n))
         theta = np.linalg.lstsq(x, e, rcond=None)[0]
         left = e - x @ theta
-        cov, bound = coloured_covariance(x[:, None, :], left[:, None], np.array([1.0 / left.var()]))
+        cov, bound, _ = coloured_covariance([x[:, None, :] / left.std()], [left[:, None] / left.std()])
         found.append(theta)
         claimed.append(np.diag(cov))
         plain.append(np.diag(bound))
@@ -182,8 +182,6 @@ def test_parzen_window_has_no_negative_transform():
 
 def test_what_cannot_be_told_apart_is_said():
     cov = np.array([[1.0, 0.999, 0.0], [0.999, 1.0, 0.0], [0.0, 0.0, 100.0]])
-    words = unseen_directions(
-        ("a", "b", "c"), np.array([5.0, 5.0, 1.0]), np.sqrt(np.diag(cov)), correlation_of(cov)
-    )
-    assert any("a and b cannot be told apart" in w for w in words)
-    assert any("c is not determined" in w for w in words)
+    words = unseen_combinations(("a", "b", "c"), relative(cov, np.array([5.0, 5.0, 1.0])))
+    assert any("a and b are hardly told apart" in w for w in words)
+    assert any("c is hardly seen" in w for w in words)

@@ -61,7 +61,7 @@ def test_an_endpoint_reads_back_from_its_text():
     ],
 )
 def test_faults_are_one_line_with_an_example(text):
-    with pytest.raises(InputError, match=r"--link: .*; ") as caught:
+    with pytest.raises(InputError, match=r"endpoint: .*; ") as caught:
         parse_endpoint(text, "vehicle")
     assert "\n" not in str(caught.value)
 

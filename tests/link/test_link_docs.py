@@ -6,12 +6,11 @@ from pathlib import Path
 import pytest
 from link_rig import Rig
 
-from mufly.link.clients import STREAMS
 from mufly.link.codec import mavlink
-from mufly.link.commands import COMMANDS, ENQUIRIES
+from mufly.link.commands import COMMANDS, MESSAGE_REQUESTS
 from mufly.link.conventions import custom_mode, mode_of
 from mufly.link.parameters import LINK_PARAMETERS
-from mufly.link.telemetry import STATES
+from mufly.link.telemetry import STATES, STREAMS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "link.md").read_text(encoding="utf-8")
 
@@ -35,7 +34,7 @@ def test_messages_and_rates():
 
 def test_commands():
     said = {int(number): name for name, number, _ in table("command | number")}
-    assert set(said) == {*COMMANDS, *ENQUIRIES}
+    assert set(said) == {*COMMANDS, *MESSAGE_REQUESTS}
     for number, name in said.items():
         assert getattr(mavlink, f"MAV_CMD_{name}") == number
 
@@ -55,7 +54,7 @@ def test_modes():
 
 def test_parameters():
     said = {name: float(value.split()[0]) for name, value, _ in table("parameter | default")}
-    assert said == {name: row[0] for name, row in LINK_PARAMETERS.items()}
+    assert said == {name: p.value for name, p in LINK_PARAMETERS.items()}
 
 
 def test_states_are_numbered_as_they_are():

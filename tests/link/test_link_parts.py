@@ -7,15 +7,16 @@ import numpy as np
 import pytest
 from link_rig import Rig
 
-from mufly.link.authority import Failsafe, watch_link
-from mufly.link.clients import MOST_HZ, STREAMS, Wishes
+from mufly.link.authority import watch_link
+from mufly.link.clients import MOST_HZ, Wishes
 from mufly.link.codec import Texts
 from mufly.link.codec import mavlink as m
-from mufly.link.commands import Call, enquire
+from mufly.link.commands import Command, command_of, request_message
 from mufly.link.conventions import asked, custom_mode, mode_of, mode_of_custom
-from mufly.link.parameters import value_of
+from mufly.link.parameters import WHOLE_RANGE, decoded, encoded
 from mufly.link.process import TlogWriter
 from mufly.link.set_points import of_channels, of_manual_control, set_point_of
+from mufly.link.telemetry import STREAMS
 from mufly.logs.tlog import looks_like_tlog
 from mufly.mission import State
 from mufly.sensors import Measurement
@@ -72,16 +73,16 @@ def test_the_older_form_of_a_wish():
     assert got["DEBUG_FLOAT_ARRAY"] == 0
 
 
-def test_enquiries():
+def test_messages_are_requested():
     wishes = Wishes(0.0)
     list(wishes.due(0.0))
-    verdict, _ = enquire(0.0, Call(512, (148.0, *[0.0] * 6), None), wishes, False)
-    assert verdict.result == 0
+    result, _ = request_message(0.0, Command(512, (148.0, *[0.0] * 6), None), wishes, False)
+    assert result == 0
     assert [STREAMS[k].name for k in wishes.due(0.001)] == ["AUTOPILOT_VERSION"]
-    for number, result in ((242.0, 2), (99999.0, 3), (math.nan, 3), (-5.0, 3), (math.inf, 3)):
-        verdict, _ = enquire(0.0, Call(512, (number, *[0.0] * 6), None), wishes, False)
-        assert verdict.result == result
-    verdict, (answer,) = enquire(0.0, Call(510, (30.0, *[0.0] * 6), None), wishes, False)
+    for number, expected in ((242.0, 2), (99999.0, 3), (math.nan, 3), (-5.0, 3), (math.inf, 3)):
+        result, _ = request_message(0.0, Command(512, (number, *[0.0] * 6), None), wishes, False)
+        assert result == expected
+    _, (answer,) = request_message(0.0, Command(510, (30.0, *[0.0] * 6), None), wishes, False)
     assert (answer.message_id, answer.interval_us) == (30, 50_000)
 
 
@@ -89,10 +90,32 @@ def test_enquiries():
 
 
 def test_numbers_of_seven_digits_are_what_was_meant():
-    assert value_of(float(np.float32(0.6)), m.MAV_PARAM_TYPE_REAL32) == 0.6
+    assert decoded(float(np.float32(0.6)), m.MAV_PARAM_TYPE_REAL32) == 0.6
     as_bytes = struct.unpack("<f", struct.pack("<i", -7))[0]
-    assert value_of(as_bytes, m.MAV_PARAM_TYPE_INT32) == -7
-    assert value_of(struct.unpack("<f", b"\xff\0\0\0")[0], m.MAV_PARAM_TYPE_INT8) == -1
+    assert decoded(as_bytes, m.MAV_PARAM_TYPE_INT32) == -7
+    assert decoded(struct.unpack("<f", b"\xff\0\0\0")[0], m.MAV_PARAM_TYPE_INT8) == -1
+
+
+@pytest.mark.parametrize("kind", range(m.MAV_PARAM_TYPE_UINT8, m.MAV_PARAM_TYPE_REAL32 + 1))
+@pytest.mark.parametrize("bytewise", [True, False])
+def test_what_one_end_encodes_the_other_decodes(kind, bytewise):
+    least, greatest = WHOLE_RANGE.get(kind, (-5, 5))
+    for value in (least, 0, 1, 100, greatest):
+        if kind in WHOLE_RANGE or abs(value) < 10:
+            there = decoded(float(np.float32(encoded(value, kind, bytewise))), kind, bytewise)
+            assert there == (value if bytewise else pytest.approx(value, rel=1e-6))
+
+
+def test_a_command_is_the_same_at_both_ends():
+    for command in (
+        Command(400, (0.0, 21196.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
+        Command(192, (-1.0, 0.0, 0.0, math.nan, 1.5, -2.25, -1.0), frame=1),
+        Command(192, (-1.0, 1.0, 0.0, math.nan, 47.25, math.nan, 408.0), frame=0),
+    ):
+        assert command_of(command.message(1, 1)).packed == command.packed
+    assert Command(400, (0.0, 21196.0, 0.0, 0.0, 0.0, 0.0, 0.0)).stops
+    assert not Command(400, (1.0, 21196.0, 0.0, 0.0, 0.0, 0.0, 0.0)).stops
+    assert command_of(Command(400, (1.0,) * 7).message(1, 1, confirmation=3)).confirmation == 3
 
 
 def test_parameters_are_listed_read_and_set():
@@ -219,15 +242,15 @@ def test_long_lines_come_in_pieces_that_fit_together(length):
 
 
 def test_failsafe_once_each():
-    f, said = Failsafe(), []
+    f, said = "", []
     for k in range(400):
         silent = k * 0.1 if k < 350 else 0.0
         f, order = watch_link(f, silent_s=silent, flying=True, ending=False, loss_s=10.0, land_s=20.0)
         said += [(order, round(silent))] if order else []
     assert said == [("hover", 10), ("land", 30), ("back", 0)]
-    f, order = watch_link(Failsafe(), silent_s=99.0, flying=False, ending=False, loss_s=10.0, land_s=20.0)
+    f, order = watch_link("", silent_s=99.0, flying=False, ending=False, loss_s=10.0, land_s=20.0)
     assert order == ""
-    f, order = watch_link(Failsafe(), silent_s=99.0, flying=True, ending=True, loss_s=10.0, land_s=20.0)
+    f, order = watch_link("", silent_s=99.0, flying=True, ending=True, loss_s=10.0, land_s=20.0)
     assert order == ""
 
 
@@ -259,7 +282,7 @@ def test_every_message_can_be_packed_whatever_the_numbers(value):
     plant.wind = np.full(3, value)
     plant.voltage = plant.current = value
     for s in STREAMS:
-        rig.link._voice.clients.get("gcs").wishes.ask_once(s.number)
+        rig.link.clients.get("gcs").wishes.ask_once(s.number)
     for out in rig.link.step(rig.now_s):
         gcs.hear(out.data)
     heard = {x.get_type() for x in gcs.heard}

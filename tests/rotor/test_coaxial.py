@@ -9,11 +9,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor.bemt import hover
+from mufly.rotor import Condition, System, hover, solve
 from mufly.rotor.blading import Corrections, prepare
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.polar_table import ALPHA_GRID, PolarTable
-from mufly.rotor.system import balance_torque, coaxial, tube_speed
+from mufly.rotor.system import tube_speed
 
 R, SPEED, PITCH = 0.06, 600.0, 0.25
 
@@ -37,15 +37,9 @@ def blading(corrections=None, chord=0.02, stations=24):
     return prepare(rotor, {"s": table}, corrections=corrections, stations=stations)
 
 
-def pair(spacing=0.02, case=None, **change):
+def pair(spacing=0.02, case=None, pitch=PITCH, speed=SPEED, **given):
     case = case or blading()
-    kw = {
-        "upper_pitch_rad": PITCH,
-        "lower_pitch_rad": PITCH,
-        "upper_speed_rad_s": SPEED,
-        "lower_speed_rad_s": SPEED,
-    }
-    return coaxial(case, case, spacing_m=spacing, **(kw | change))
+    return solve(System.coaxial(case, case, spacing_m=spacing), Condition(pitch, speed, **given))
 
 
 def test_far_apart_the_upper_rotor_is_alone_and_the_lower_in_a_full_wake():
@@ -97,28 +91,17 @@ def test_stations_do_not_matter():
 
 @pytest.mark.parametrize("lower", [0.2, 0.25, 0.35])
 def test_trim_balances_torque_and_steeper_lower_blades_turn_slower(lower):
-    case = blading()
-    trim = balance_torque(
-        case, case, spacing_m=0.02, upper_pitch_rad=PITCH, lower_pitch_rad=lower, upper_speed_rad_s=SPEED
-    )
+    trim = pair(pitch=(PITCH, lower), speed=(SPEED, None))
     assert abs(trim.yaw_torque_Nm) < 1e-6 * trim.upper.torque_Nm
     assert trim.upper.speed_rad_s == SPEED
-    again = coaxial(
-        case, case, spacing_m=0.02, upper_pitch_rad=PITCH, lower_pitch_rad=lower, upper_speed_rad_s=SPEED,
-        lower_speed_rad_s=trim.lower.speed_rad_s,
-    )  # fmt: skip
+    again = pair(pitch=(PITCH, lower), speed=(SPEED, trim.lower.speed_rad_s))
     assert_allclose(again.thrust_N, trim.thrust_N, rtol=1e-6)
-    equal = balance_torque(
-        case, case, spacing_m=0.02, upper_pitch_rad=PITCH, lower_pitch_rad=0.25, upper_speed_rad_s=SPEED
-    )
+    equal = pair(pitch=0.25, speed=(SPEED, None))
     assert (trim.lower.speed_rad_s <= equal.lower.speed_rad_s) == (lower >= 0.25)
 
 
 def test_trim_for_a_thrust():
-    case = blading()
-    trim = balance_torque(
-        case, case, spacing_m=0.02, upper_pitch_rad=PITCH, lower_pitch_rad=PITCH, thrust_N=0.5
-    )
+    trim = pair(speed=None, thrust_N=0.5)
     assert_allclose(trim.thrust_N, 0.5, rtol=1e-6)
     assert abs(trim.yaw_torque_Nm) < 1e-6 * trim.upper.torque_Nm
 
@@ -128,7 +111,7 @@ def test_trim_for_a_thrust():
 def test_any_axial_flight_gives_finite_numbers_or_says_why_not(climb, pitch):
     against = climb * pitch < 0 or (climb < 0 and pitch == 0)  # the rotors push into the stream they stand in
     try:
-        both = pair(climb_m_s=climb, upper_pitch_rad=pitch, lower_pitch_rad=pitch)
+        both = pair(climb_m_s=climb, pitch=pitch)
     except MuflyError as error:
         if not against or "do not settle" not in str(error):
             raise
@@ -138,10 +121,36 @@ def test_any_axial_flight_gives_finite_numbers_or_says_why_not(climb, pitch):
 
 
 def test_faults_are_named():
-    case = blading()
     with pytest.raises(InputError, match="spacing_m: is 0"):
         pair(spacing=0.0)
     with pytest.raises(InputError, match="needs one of"):
-        balance_torque(case, case, spacing_m=0.02, upper_pitch_rad=0.2, lower_pitch_rad=0.2)
+        pair(pitch=0.2, speed=None)
     with pytest.raises(MuflyError, match="no thrust"):
-        balance_torque(case, case, spacing_m=0.02, upper_pitch_rad=-0.2, lower_pitch_rad=-0.2, thrust_N=1.0)
+        pair(pitch=-0.2, speed=None, thrust_N=1.0)
+    for given in ({"pitch": (0.2, 0.2, 0.2)}, {"pitch": None}, {"pitch": 0.2, "thrust_N": 0.5}):
+        with pytest.raises(InputError):
+            pair(**given)
+
+
+def test_one_rotor_is_a_system_too():
+    case, one = blading(), System.single(blading())
+    alone = hover(case, pitch_rad=PITCH, speed_rad_s=SPEED, climb_m_s=0.5)
+    found = solve(one, Condition(PITCH, SPEED, climb_m_s=0.5))
+    assert (found.thrust_N, found.power_W) == (alone.thrust_N, alone.power_W)
+    assert found.figure_of_merit == alone.figure_of_merit
+    for open_ in (Condition(PITCH, thrust_N=0.2), Condition(None, SPEED, 0.2)):
+        assert_allclose(solve(one, open_).thrust_N, 0.2, rtol=1e-9)
+    with pytest.raises(InputError, match="two of pitch, speed and thrust"):
+        solve(one, Condition(PITCH))
+
+
+def test_a_third_rotor_far_below_meets_both_streams_and_leaves_the_pair_alone():
+    case = blading()
+    two = pair()
+    three = solve(System((case,) * 3, (0.0, -0.02, -50.0), (1, -1, 1), (0,) * 3), Condition(PITCH, SPEED))
+    assert_allclose([r.thrust_N for r in three.rotors[:2]], [r.thrust_N for r in two.rotors], rtol=1e-4)
+    assert three.lower.thrust_N < two.lower.thrust_N
+    with pytest.raises(InputError, match="no trim"):
+        solve(System((case,) * 3, (0.0, -0.02, -50.0), (1, -1, 1), (0,) * 3), Condition(PITCH, None, 1.0))
+    with pytest.raises(InputError, match="uppermost"):
+        System((case, case), (0.0, 0.02), (1, -1), (0, 0))

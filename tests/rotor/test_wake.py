@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor import Air, hover, load_rotor, prepare
-from mufly.rotor.system import balance_torque_wake, coaxial_wake, hover_wake
-from mufly.rotor.wake import Placed, WakeSettings, induced_velocity, momentum_thrust, solve
+from mufly.rotor import Air, Condition, System, hover, load_rotor, prepare, solve
+from mufly.rotor.wake import Placed, WakeSettings, induced_velocity, momentum_thrust, solve_wake
 from mufly.rotor.wake.blade import ages_of, core_radii, extended, prescribed, surface_of
 from mufly.rotor.wake.field import blade_passing
 from mufly.rotor.wake.kernel import induce, influence, segments_of
 
 RPM = np.pi / 30
+PITCH = np.radians(14)
 COARSE = WakeSettings(step_deg=30.0, turns=2.0, far_turns=5.0, phases=3, tolerance=5e-3)
 
 
@@ -28,20 +28,33 @@ def blading():
 
 
 @pytest.fixture(scope="module")
-def single(blading):
-    return hover_wake(blading, pitch_rad=np.radians(14), speed_rad_s=6000 * RPM, settings=COARSE)
+def single_result(blading):
+    return one(blading)
 
 
 @pytest.fixture(scope="module")
-def pair(blading):
-    return coaxial_wake(blading, blading, settings=COARSE, **_pair(6000, 6000))
+def single(single_result):
+    return single_result.wake
 
 
-def _pair(up, low, spacing=0.02):
-    return {
-        "spacing_m": spacing, "upper_pitch_rad": np.radians(14), "lower_pitch_rad": np.radians(14),
-        "upper_speed_rad_s": up * RPM, "lower_speed_rad_s": low * RPM,
-    }  # fmt: skip
+@pytest.fixture(scope="module")
+def pair_result(blading):
+    return two(blading, (6000 * RPM, 6000 * RPM))
+
+
+@pytest.fixture(scope="module")
+def pair(pair_result):
+    return pair_result.wake
+
+
+def one(blading, pitch=PITCH, speed=6000 * RPM, settings=COARSE, start=None, progress=None, **given):
+    at = Condition(pitch, speed, **given)
+    return solve(System.single(blading), at, "wake", settings=settings, start=start, progress=progress)
+
+
+def two(blading, speed, spacing=0.02, settings=COARSE, start=None, **given):
+    system = System.coaxial(blading, blading, spacing_m=spacing)
+    return solve(system, Condition(PITCH, speed, **given), "wake", settings=settings, start=start)
 
 
 # The kernel
@@ -152,7 +165,7 @@ def test_contraction_costs_thrust_against_blade_elements(blading, single):
 
 
 def test_a_mirrored_rotor_is_a_mirror_image(blading, single):
-    other = solve([Placed(blading, np.radians(14), 6000 * RPM, hand=-1)], settings=COARSE)
+    other = solve_wake([Placed(blading, np.radians(14), 6000 * RPM, hand=-1)], settings=COARSE)
     assert other.rotors[0].thrust_N == single.rotors[0].thrust_N
     points = np.array([[0.03, 0.01, -0.02], [0.05, -0.02, -0.06]])
     mirrored = induced_velocity(other, points * [1, -1, 1])
@@ -169,7 +182,7 @@ def test_a_turned_rotor_has_a_turned_field(single):
 
 
 def test_a_lifted_rotor_takes_its_wake_along(blading, single):
-    high = solve([Placed(blading, np.radians(14), 6000 * RPM, height_m=0.5)], settings=COARSE)
+    high = solve_wake([Placed(blading, np.radians(14), 6000 * RPM, height_m=0.5)], settings=COARSE)
     assert high.rotors[0].thrust_N == pytest.approx(single.rotors[0].thrust_N, rel=1e-12)
     np.testing.assert_allclose(
         high.wakes[0].paths_m[..., 2] - 0.5, single.wakes[0].paths_m[..., 2], atol=1e-12
@@ -179,15 +192,7 @@ def test_a_lifted_rotor_takes_its_wake_along(blading, single):
 def test_without_a_boundary_layer_coefficients_do_not_depend_on_speed(blading):
     how = replace(COARSE, inviscid=True, model="prescribed")
     slow, fast = (
-        hover_wake(
-            blading,
-            pitch_rad=0.2,
-            speed_rad_s=s,
-            settings=how,
-            air=Air(1.2, 1e-12),
-            climb_m_s=0.02 * s * 0.06,
-        )
-        for s in (100.0, 900.0)
+        one(blading, 0.2, s, how, air=Air(1.2, 1e-12), climb_m_s=0.02 * s * 0.06) for s in (100.0, 900.0)
     )
     assert fast.rotors[0].c_T == pytest.approx(slow.rotors[0].c_T, rel=1e-5)
     assert fast.rotors[0].c_Q == pytest.approx(slow.rotors[0].c_Q, rel=1e-5)
@@ -195,7 +200,7 @@ def test_without_a_boundary_layer_coefficients_do_not_depend_on_speed(blading):
 
 def test_momentum_of_the_wake_is_the_thrust(blading):
     how = WakeSettings(inviscid=True, turns=3.0, step_deg=20.0)
-    solution = hover_wake(blading, pitch_rad=np.radians(12), speed_rad_s=5000 * RPM, settings=how)
+    solution = one(blading, np.radians(12), 5000 * RPM, how).wake
     assert solution.converged
     thrust = solution.rotors[0].thrust_N
     for height in (-0.018, -0.03):
@@ -204,18 +209,14 @@ def test_momentum_of_the_wake_is_the_thrust(blading):
         momentum_thrust(solution, 0.0)
 
 
-def test_climb_unloads_the_rotor(blading, single):
-    climbing = hover_wake(
-        blading, pitch_rad=np.radians(14), speed_rad_s=6000 * RPM, climb_m_s=1.0, settings=COARSE, start=single
-    )  # fmt: skip
+def test_climb_unloads_the_rotor(blading, single, single_result):
+    climbing = one(blading, climb_m_s=1.0, start=single_result)
     assert climbing.converged
     assert climbing.rotors[0].thrust_N < 0.95 * single.rotors[0].thrust_N
 
 
-def test_a_warm_start_saves_iterations_and_changes_nothing(blading, single):
-    again = hover_wake(
-        blading, pitch_rad=np.radians(14), speed_rad_s=6000 * RPM, settings=COARSE, start=single
-    )
+def test_a_warm_start_saves_iterations_and_changes_nothing(blading, single, single_result):
+    again = one(blading, start=single_result).wake
     assert again.iterations < 0.6 * single.iterations
     assert again.rotors[0].thrust_N == pytest.approx(single.rotors[0].thrust_N, rel=3e-3)
 
@@ -223,9 +224,7 @@ def test_a_warm_start_saves_iterations_and_changes_nothing(blading, single):
 def test_an_unfinished_run_says_so_and_keeps_its_history(blading):
     short = replace(COARSE, iterations=5, core_limit=0.2)
     seen = []
-    solution = hover_wake(
-        blading, pitch_rad=0.2, speed_rad_s=500.0, settings=short, progress=lambda *row: seen.append(row)
-    )
+    solution = one(blading, 0.2, 500.0, short, progress=lambda *row: seen.append(row)).wake
     assert not solution.converged
     assert "not converged in 5 iterations" in solution.message
     assert len(solution.history) == len(seen) == 5
@@ -233,7 +232,7 @@ def test_an_unfinished_run_says_so_and_keeps_its_history(blading):
 
 def test_a_run_that_diverges_stops(blading):
     wild = replace(COARSE, relaxation=1.0, core=0.001, core_limit=0.0, iterations=100, residual=1e-6)
-    solution = hover_wake(blading, pitch_rad=np.radians(2), speed_rad_s=500.0, settings=wild)
+    solution = one(blading, np.radians(2), 500.0, wild).wake
     assert not solution.converged
     assert solution.iterations == len(solution.history) <= 100
     assert "diverged" in solution.message or "not converged" in solution.message
@@ -252,7 +251,7 @@ def test_the_lower_rotor_works_in_the_upper_ones_stream(pair, single):
 
 
 def test_it_does_not_matter_which_rotor_is_named_first_or_turns_which_way(blading, pair):
-    turned = solve(
+    turned = solve_wake(
         [
             Placed(blading, np.radians(14), 6000 * RPM, 0.0, 1),
             Placed(blading, np.radians(14), 6000 * RPM, 0.02, -1),
@@ -271,15 +270,13 @@ def test_passing_blades_average_to_the_mean_loads(pair):
     assert passing.passing_hz == pytest.approx(2 * 2 * 6000 / 60)
 
 
-def test_trim_balances_the_torques(blading, pair):
-    arguments = _pair(6000, 6000)
-    arguments.pop("lower_speed_rad_s")
-    trim = balance_torque_wake(blading, blading, settings=COARSE, start=pair, **arguments)
+def test_trim_balances_the_torques(blading, pair_result):
+    trim = two(blading, (6000 * RPM, None), start=pair_result)
     upper, lower = trim.rotors
     assert lower.torque_Nm == pytest.approx(upper.torque_Nm, rel=6e-3)
     assert 1.03 < lower.speed_rad_s / upper.speed_rad_s < 1.2
     with pytest.raises(InputError, match="one of upper speed and thrust"):
-        balance_torque_wake(blading, blading, thrust_N=0.4, **arguments)
+        two(blading, (6000 * RPM, None), thrust_N=0.4)
 
 
 # Faults
@@ -298,9 +295,9 @@ def test_pairs_that_cannot_be(blading):
         ([Placed(blading, 0.2, 500.0, hand=2)], "hand"),
     ):
         with pytest.raises(InputError, match=words):
-            solve(rotors, settings=COARSE)
+            solve_wake(rotors, settings=COARSE)
     with pytest.raises(InputError, match="spacing_m"):
-        coaxial_wake(blading, blading, **_pair(6000, 6000, spacing=0.0))
+        two(blading, 6000 * RPM, spacing=0.0)
 
 
 @pytest.mark.parametrize(
@@ -337,4 +334,4 @@ def test_without_a_gpu_there_is_one_line(blading):
     if gpu_available():
         pytest.skip("there is a GPU")
     with pytest.raises(MuflyError, match="no CUDA device"):
-        hover_wake(blading, pitch_rad=0.2, speed_rad_s=500.0, settings=replace(COARSE, gpu=True))
+        one(blading, 0.2, 500.0, replace(COARSE, gpu=True))

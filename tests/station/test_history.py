@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mufly.logs.signals import our_name
+from mufly.quantities import our_name
 from mufly.station.history import History
 
 

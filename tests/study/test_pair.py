@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor import coaxial, hover, load_rotor, prepare
-from mufly.rotor.measurements import Measurements, compare_wake, solve_thrust_wake
-from mufly.rotor.system import balance_pitch
+from mufly.rotor import Condition, Measurements, System, compare, hover, load_rotor, prepare, solve
 from mufly.rotor.wake import WakeSettings
 from mufly.study import (
     PAIR,
@@ -57,10 +55,8 @@ def wake_point(pair: PairSetup):
 def test_a_given_point_is_what_the_rotor_room_answers(pair: PairSetup) -> None:
     point = solve_pair(pair, AT)
     upper, lower = bladings_of(pair, {})
-    direct = coaxial(
-        upper, lower, spacing_m=0.02, upper_pitch_rad=PITCH, lower_pitch_rad=PITCH,
-        upper_speed_rad_s=AT["upper_speed"], lower_speed_rad_s=AT["lower_speed"],
-    )  # fmt: skip
+    system = System.coaxial(upper, lower, spacing_m=0.02)
+    direct = solve(system, Condition(PITCH, (AT["upper_speed"], AT["lower_speed"])))
     assert point.thrust_N == direct.thrust_N
     assert point.yaw_torque_Nm == direct.yaw_torque_Nm
     assert point.figure_of_merit == pytest.approx(direct.figure_of_merit, rel=1e-12)
@@ -81,13 +77,9 @@ def test_torques_cancel_by_speed_and_by_pitch(pair: PairSetup) -> None:
 
 def test_balance_by_pitch_does_not_care_where_speeds_come_from(pair: PairSetup) -> None:
     upper, lower = bladings_of(pair, {})
-    given = {"spacing_m": 0.02, "upper_pitch_rad": PITCH}
-    slow = balance_pitch(
-        upper, lower, **given, upper_speed_rad_s=300.0, lower_speed_rad_s=330.0, thrust_N=0.4
-    )
-    fast = balance_pitch(
-        upper, lower, **given, upper_speed_rad_s=900.0, lower_speed_rad_s=990.0, thrust_N=0.4
-    )
+    system, pitch = System.coaxial(upper, lower, spacing_m=0.02), (PITCH, None)
+    slow = solve(system, Condition(pitch, (300.0, 330.0), 0.4))
+    fast = solve(system, Condition(pitch, (900.0, 990.0), 0.4))
     assert fast.lower.pitch_rad == pytest.approx(slow.lower.pitch_rad, rel=1e-5)
     assert fast.upper.speed_rad_s == pytest.approx(slow.upper.speed_rad_s, rel=1e-5)
 
@@ -232,7 +224,7 @@ def test_the_search_saves_power_and_keeps_thrust_balance_and_limits(pair: PairSe
 
 def test_single_rotors_by_the_wake_agree_with_asking_for_one(rotor) -> None:
     blading = prepare(rotor, stations=10)
-    found = solve_thrust_wake(blading, thrust_N=0.25, pitch_rad=PITCH, settings=COARSE)
+    found = solve(System.single(blading), Condition(PITCH, thrust_N=0.25), "wake", settings=COARSE)
     assert found.rotors[0].thrust_N == pytest.approx(0.25, rel=0.0101)
     setup = Setup(rotor, None, {"thrust": 0.25}, method="wake", wake=COARSE, stations=10)
     data = sweep(setup, {"pitch": [PITCH]})
@@ -245,17 +237,22 @@ def test_single_rotors_by_the_wake_agree_with_asking_for_one(rotor) -> None:
     bench = Measurements(
         np.array([PITCH]), np.array([r.speed_rad_s]), np.array([0.25]), np.array([r.torque_Nm]), "bench"
     )
-    beside, faults = compare_wake(blading, bench, settings=COARSE)
-    assert faults == [""]
+    beside = compare(blading, bench, method="wake", settings=COARSE)
+    assert beside.faults == ("",)
     assert abs(beside.thrust_error[0]) < 0.03
-    beside, faults = compare_wake(blading, bench, settings=replace(COARSE, iterations=5))
-    assert "not converged" in faults[0]
+    beside = compare(blading, bench, method="wake", settings=replace(COARSE, iterations=5))
+    assert "not converged" in beside.faults[0]
     assert math.isnan(beside.mean_thrust_error)
 
 
 def test_a_thrust_out_of_reach_is_named(rotor) -> None:
     with pytest.raises(MuflyError, match="out of reach"):
-        solve_thrust_wake(prepare(rotor, stations=10), thrust_N=1e4, pitch_rad=PITCH, settings=COARSE)
+        solve(
+            System.single(prepare(rotor, stations=10)),
+            Condition(PITCH, thrust_N=1e4),
+            "wake",
+            settings=COARSE,
+        )
 
 
 def test_the_wake_finds_the_lower_pitch_that_balances(pair: PairSetup) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
+from mufly.units import conversion, known_unit
 
 Array = NDArray[np.float64]
 
@@ -225,39 +226,24 @@ def _number(where: str, line: int, header: str, cell: str, delimiter: str) -> fl
 # calibrated: ``thrust_upper_N``, ``torque_raw_V``. Capitals do not matter.
 
 
-_RPM = math.pi / 30.0
-
-QUANTITIES: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
-    # quantity: its names; its units (in lower case) and what one of them is in SI, the SI unit first
-    "voltage": (("voltage", "u", "v", "volts", "supply_voltage", "motor_voltage"), {"v": 1.0, "mv": 1e-3}),
-    "duty": (("duty", "pwm", "throttle", "motor_input"), {"1": 1.0, "%": 1e-2, "percent": 1e-2}),
-    "current": (("current", "i", "motor_current", "amps"), {"a": 1.0, "ma": 1e-3}),
-    "supply_current": (("supply_current", "battery_current"), {"a": 1.0, "ma": 1e-3}),
-    "speed": (
-        ("speed", "rpm", "omega", "rotor_speed", "motor_speed", "w"),
-        {"rad/s": 1.0, "rad_s": 1.0, "rads": 1.0, "rpm": _RPM, "1/min": _RPM, "rps": 2 * math.pi, "hz": 2 * math.pi},
-    ),
-    "torque": (
-        ("torque", "q", "moment", "load"),
-        {"nm": 1.0, "n m": 1.0, "mnm": 1e-3, "mn m": 1e-3, "nmm": 1e-3, "n mm": 1e-3, "ncm": 1e-2, "n cm": 1e-2},
-    ),
-    "thrust": (
-        ("thrust", "t", "force", "lift", "t_meas"),
-        {"n": 1.0, "mn": 1e-3, "gf": 9.80665e-3, "g": 9.80665e-3, "kgf": 9.80665, "kg": 9.80665},
-    ),
-    "power": (("power", "p"), {"w": 1.0, "mw": 1e-3}),
-    "pitch": (("pitch", "blade_pitch"), {"rad": 1.0, "deg": math.pi / 180.0}),
-    "time": (("time", "t_s", "seconds"), {"s": 1.0, "ms": 1e-3, "min": 60.0}),
-    "run": (("run", "series", "test", "repeat"), {"1": 1.0}),
-    "density": (("density", "rho", "air_density"), {"kg/m3": 1.0, "kg_m3": 1.0}),
-    "temperature": (("temperature", "temp"), {"degc": 1.0, "c": 1.0, "k": 1.0}),
-    "pressure": (("pressure",), {"pa": 1.0, "hpa": 100.0, "mbar": 100.0, "kpa": 1000.0}),
-}  # fmt: skip
-SI_UNITS = {
-    "voltage": "V", "duty": "1", "current": "A", "supply_current": "A", "speed": "rad/s", "torque": "N m",
-    "thrust": "N", "power": "W", "pitch": "rad", "time": "s", "run": "1", "density": "kg/m3", "temperature": "degC",
-    "pressure": "Pa",
-}  # fmt: skip
+_NAMES = {
+    # quantity: its unit here, and its names
+    "voltage": ("V", "voltage u v volts supply_voltage motor_voltage"),
+    "duty": ("1", "duty pwm throttle motor_input"),
+    "current": ("A", "current i motor_current amps"),
+    "supply_current": ("A", "supply_current battery_current"),
+    "speed": ("rad/s", "speed rpm omega rotor_speed motor_speed w"),
+    "torque": ("N m", "torque q moment load"),
+    "thrust": ("N", "thrust t force lift t_meas"),
+    "power": ("W", "power p"),
+    "pitch": ("rad", "pitch blade_pitch"),
+    "time": ("s", "time t_s seconds"),
+    "run": ("1", "run series test repeat"),
+    "density": ("kg/m3", "density rho air_density"),
+    "temperature": ("degC", "temperature temp"),
+    "pressure": ("Pa", "pressure"),
+}
+SI_UNITS = {quantity: unit for quantity, (unit, _) in _NAMES.items()}
 
 _SIDES = {"upper": "upper", "up": "upper", "top": "upper", "lower": "lower", "dw": "lower", "low": "lower",
           "down": "lower", "bottom": "lower"}  # fmt: skip
@@ -318,20 +304,20 @@ def _named(name: str, unit: str) -> Column | None:
     raw = "raw" in words
     side = next((_SIDES[w] for w in words if w in _SIDES), "")
     stem = "_".join(w for w in words if w != "raw" and w not in _SIDES)
-    for quantity, (names, units) in QUANTITIES.items():
-        if stem not in names:
+    for quantity, (si, names) in _NAMES.items():
+        if stem not in names.split():
             continue
         full = quantity + (f"_{side}" if side else "") + ("_raw" if raw else "")
         if raw:
             return Column(full, 1.0, unit)
-        own = _OWN_UNIT.get(stem, "")
-        if unit == "" and (own or quantity in _NEEDS_NO_UNIT):
-            return Column(full, units[own] if own else 1.0, own or "1")
+        if unit == "" and (stem in _OWN_UNIT or quantity in _NEEDS_NO_UNIT):
+            unit = _OWN_UNIT.get(stem, "1")
         if unit == "":
             return Column(full, 1.0, "")
-        if unit in units:
-            offset = -273.15 if quantity == "temperature" and unit == "k" else 0.0
-            return Column(full, units[unit], unit, offset)
+        known = known_unit(unit, si)
+        if known:
+            _, factor, offset = conversion(known, si)
+            return Column(full, factor, unit, offset)
     return None
 
 
@@ -359,7 +345,7 @@ def renamed(headers: list[str], columns: str | None, where: str) -> list[str]:
                 "--columns",
                 new,
                 "is no quantity with a unit",
-                f"use one of {', '.join(QUANTITIES)} with its unit",
+                f"use one of {', '.join(_NAMES)} with its unit",
             )
         result[headers.index(old)] = new
     return result

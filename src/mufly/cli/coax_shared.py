@@ -13,6 +13,7 @@ import typer
 from mufly.cli.options import angle, corrections_of, engine_of, wake_of
 from mufly.cli.present import console, print_table, save_picture, write_csv
 from mufly.errors import InputError
+from mufly.units import RPM
 
 if TYPE_CHECKING:
     from mufly.rotor import RotorResult
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from mufly.study.parameters import Value
 
 THESIS = "naca0012-r60-c20"  # the dissertation's pair: this rotor twice at 14 degrees, 20 mm apart
-RPM = math.pi / 30.0
 
 UpperArgument = Annotated[
     str, typer.Argument(metavar="UPPER", help="Upper rotor: built-in name or rotor file (TOML).")

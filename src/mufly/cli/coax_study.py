@@ -37,6 +37,7 @@ from mufly.cli.options import (
 )
 from mufly.cli.present import console, print_json, print_table, progress_bar, save_picture
 from mufly.errors import InputError
+from mufly.units import RPM
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -45,7 +46,6 @@ if TYPE_CHECKING:
     from mufly.study.parameters import Value
     from mufly.vehicle import CoefficientMap
 
-_RPM = math.pi / 30.0
 _POINTS = {"--rpm": 3, "--ratio": 11, "--climb": 9}
 _WAKE_POINTS = {"--rpm": 1, "--ratio": 5, "--climb": 5}
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
@@ -131,7 +131,7 @@ def coax_map(
     if method not in ("bemt", "wake"):
         raise InputError("--method", "", f"{method!r} is unknown", "use 'bemt' or 'wake'")
     counts = _WAKE_POINTS if method == "wake" else _POINTS
-    speeds = _values("--rpm", rpm, counts, "rpm") * _RPM
+    speeds = _values("--rpm", rpm, counts, "rpm") * RPM
     ratios, climbs = _values("--ratio", ratio, counts, ""), _values("--climb", climb, counts, "m/s")
     if speeds[0] <= 0:
         raise InputError("--rpm", "", f"{rpm!r} is not possible", "give speeds above 0")
@@ -188,7 +188,7 @@ def _print(made: CoefficientMap) -> None:
     k, i = t.shape[0] // 2, int(np.argmin(np.abs(t.climb_ratio)))
     mean = float(t.mean_speed_rad_s[k])
     c.print(
-        f"{t.shape[0]} mean speeds, {t.shape[1]} ratios, {t.shape[2]} climbs; below: {mean / _RPM:.0f} rpm, climb "
+        f"{t.shape[0]} mean speeds, {t.shape[1]} ratios, {t.shape[2]} climbs; below: {mean / RPM:.0f} rpm, climb "
         f"{float(t.climb_ratio[i]) * mean * made.radius_m:.2f} m/s",
         highlight=False,
     )

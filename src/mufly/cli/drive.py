@@ -10,6 +10,7 @@ import typer
 
 from mufly.cli.options import Commands, JsonOption, ModelOption, angle, corrections_of
 from mufly.cli.present import console, print_json, print_table, save_picture
+from mufly.units import RPM
 
 if TYPE_CHECKING:
     from mufly.drive import RotorLoad
@@ -19,7 +20,6 @@ app = Commands(
     no_args_is_help=True,
 )
 
-_RPM = math.pi / 30.0
 _DriveArgument = Annotated[
     str,
     typer.Argument(
@@ -43,7 +43,7 @@ _Supply = Annotated[
 ]
 _COLUMNS = {
     "thrust": ("thrust_N", "{:.3f} N", 1.0),
-    "rotor speed": ("speed_rad_s", "{:.0f} rpm", 1 / _RPM),
+    "rotor speed": ("speed_rad_s", "{:.0f} rpm", 1 / RPM),
     "duty": ("duty", "{:.3f}", 1.0),
     "input power": ("input_power_W", "{:.2f} W", 1.0),
     "mechanical power": ("mechanical_power_W", "{:.2f} W", 1.0),

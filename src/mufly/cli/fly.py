@@ -73,7 +73,7 @@ def _start(order: Order, endpoints: Sequence[Endpoint], autostart: bool) -> Vehi
     return start_vehicle(
         order.vehicle, order.mission, endpoints=endpoints, path=order.recording,
         tlog=order.recording.with_name("link.tlog") if order.links else None,
-        wind=order.wind, gust=order.gust, seed=order.seed, autostart=autostart,
+        wind=order.wind, gust=order.gust, seed=order.seed, autostart=autostart, where="--link",
     )  # fmt: skip
 
 
@@ -429,7 +429,7 @@ def _write_results(
 def _endpoints(links: list[str] | None) -> list[Endpoint]:
     from mufly.link.ports import parse_endpoint
 
-    found = [parse_endpoint(text, "vehicle") for text in links or ()]
+    found = [parse_endpoint(text, "vehicle", "--link") for text in links or ()]
     for end in found:
         if found.count(end) > 1:
             raise InputError("--link", "", f"{end} is given twice", "give each link once")

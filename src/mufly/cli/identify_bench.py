@@ -32,11 +32,10 @@ from mufly.cli.present import (
     say,
     tell_files,
 )
+from mufly.units import RPM
 
 if TYPE_CHECKING:
     from mufly.identify.flight.plan import Candidate, Kind, Limits, Plan
-
-_RPM = math.pi / 30.0
 
 
 def rotor(
@@ -132,7 +131,7 @@ def rotor(
     by_file = [
         fit_rotor(
             one, radius_m=value, radius_std_m=std, density_kg_m3=rho, density_std_kg_m3=rho_std,
-            at_speed_rad_s=None if at_rpm is None else at_rpm * _RPM, vehicle=start,
+            at_speed_rad_s=None if at_rpm is None else at_rpm * RPM, vehicle=start,
         )
         for one in loads
     ]  # fmt: skip

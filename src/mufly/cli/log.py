@@ -251,7 +251,7 @@ def plot(
     Examples: mufly log plot flight.ulg --out pictures; mufly log plot flight.ulg measured_rates --spectrum;
     mufly log plot flight.ulg sensor_combined/gyro_rad[0] --from 10 --to 20
     """  # fmt: skip
-    from mufly.logs import channels, draw_channels, grouped
+    from mufly.logs import channels, chosen, draw_channels, grouped
 
     if from_s is not None and to_s is not None and not from_s < to_s:
         raise InputError("--from", f"{from_s:g}", f"is not before {to_s:g}", "give the earlier time first")
@@ -262,7 +262,9 @@ def plot(
         raw, found, _, notes = channels(log, columns, fields, progress)
     for note in notes:
         typer.secho(f"{log.name}: {note}", fg=typer.colors.YELLOW, err=True)
-    wanted = _selected(found, names, log) if names else found or _first_fields(raw)
+    wanted = (
+        chosen(found, names, str(log), "; or write topic/field") if names else found or _first_fields(raw)
+    )
     kept = []
     for channel in wanted:
         inside = (channel.time >= (from_s if from_s is not None else -1e300)) & (
@@ -290,25 +292,6 @@ def plot(
                 console().print(f"Written: {path}", style="dim", highlight=False)
             if progress is not None:
                 progress(k + 1, len(pictures))
-
-
-def _selected(found: Sequence[Any], names: Sequence[str], log: Path) -> list[Any]:
-    from mufly.logs.read import matches
-
-    out: dict[str, Any] = {}
-    for name in names:
-        mine = [
-            c
-            for c in found
-            if c.name == name or matches(c.name, name) or c.name.lstrip("/") == name.lstrip("/")
-        ]
-        if not mine:
-            known = ", ".join(dict.fromkeys(c.name.partition(".")[0] for c in found)) or "none"
-            raise InputError(
-                str(log), name, "there is no such signal", f"signals are: {known}; or write topic/field"
-            )
-        out |= {c.name: c for c in mine}
-    return list(out.values())
 
 
 def _first_fields(raw: Any) -> list[Any]:

@@ -30,6 +30,7 @@ from mufly.cli.options import (
     wake_progress,
 )
 from mufly.cli.present import console, print_json, print_table, progress_bar, save_picture, write_csv
+from mufly.units import RPM
 
 if TYPE_CHECKING:
     from mufly.drive import OperatingPoint
@@ -126,8 +127,6 @@ app = Commands(
 rotor_study.add_to(app)
 app.command()(compare)
 
-_RPM = math.pi / 30.0
-
 
 @app.command("list")
 def list_rotors(as_json: JsonOption = False) -> None:
@@ -185,7 +184,7 @@ def show(
     x = np.unique(np.concatenate(([float(r.hub_cutout)], r.blade.r_over_R.array(), [0.25, 0.5, 0.75, 1.0])))
     x = x[x >= float(r.hub_cutout)]
     chord, twist, thick = r.chord_m(x), r.twist_rad(x), blade_thickness_m(r, x)
-    reynolds = x * r.radius_m * rpm * _RPM * chord * air.density_kg_m3 / air.viscosity_Pa_s
+    reynolds = x * r.radius_m * rpm * RPM * chord * air.density_kg_m3 / air.viscosity_Pa_s
     picture = save_picture(blade_picture(r), out, "blade") if out is not None else None
     if as_json:
         print_json(
@@ -290,7 +289,7 @@ def hover(
     fixes = corrections_of(model)
     blading = prepare(r, n_crit=n_crit, engine=engine_of(engine), corrections=fixes, stations=count)
     theta = angle("--pitch", pitch) if pitch is not None else None
-    speed = rpm * _RPM if rpm is not None else None
+    speed = rpm * RPM if rpm is not None else None
     solution = None
     if method == "wake":
         with wake_progress("wake", not as_json, out) as progress:
@@ -342,7 +341,7 @@ def hover(
         return
     c = console()
     c.print(
-        f"[bold]{r.name}[/bold] at {math.degrees(result.pitch_rad):.2f}° and {result.speed_rad_s / _RPM:.0f} rpm"
+        f"[bold]{r.name}[/bold] at {math.degrees(result.pitch_rad):.2f}° and {result.speed_rad_s / RPM:.0f} rpm"
         + ("" if solution is None else f"; {settings.model} wake, {solution.message}"),
         highlight=False,
     )

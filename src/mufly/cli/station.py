@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from mufly.link import Endpoint, Report
-    from mufly.logs.signals import Event
+    from mufly.logs.layout import Event
     from mufly.station.page.access import Address
 
 
@@ -331,7 +331,7 @@ def link(
     from mufly.link.ports import parse_endpoint
 
     console = Console()
-    endpoints = [parse_endpoint(text, "vehicle") for text in ends or _DEFAULT]
+    endpoints = [parse_endpoint(text, "vehicle", "--link") for text in ends or _DEFAULT]
     _check_endpoints(endpoints)
     if not 1 <= system <= 255:
         raise InputError("--system", "", f"{system} is no MAVLink system", "give 1 to 255")
@@ -345,7 +345,7 @@ def link(
     from mufly.mission import Mission, load_mission, preflight
     from mufly.vehicle import load_vehicle
 
-    place = None if origin is None else parse_origin(origin)
+    place = None if origin is None else parse_origin(origin, "--origin")
     helicopter = load_vehicle(vehicle)
     plan = Mission(name="no mission") if mission is None else load_mission(mission)
     if mission is not None:
@@ -386,6 +386,7 @@ def link(
                 on_notice=display.notice,
                 on_open=lambda: console.print("Ctrl-C ends it.", style="dim"),
                 on_report=lambda report: display.now(_line_of(report)),
+                where="--link",
             )
     finally:
         if log is not None:

@@ -11,7 +11,6 @@ that the motor sees. The supply gives ``duty * I_A`` (mean of the chopped curren
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -25,6 +24,7 @@ from pydantic_core import PydanticCustomError
 
 from mufly.compiled import compiled
 from mufly.tables import builtin_names, read_tables, validated
+from mufly.units import RPM
 from mufly.vehicle import Vehicle
 from mufly.vehicle.schema import Battery, Gear, Group, Motor, Quantity, parameter
 
@@ -59,7 +59,6 @@ def rotor_acceleration(  # type: ignore[no-untyped-def]
 
 
 Values = float | NDArray[np.float64]
-_RPM = math.pi / 30.0
 
 
 def _fault(key: str, problem: str, remedy: str) -> PydanticCustomError:
@@ -111,7 +110,7 @@ class DatasheetMotor(Group):
     @field_validator("speed_constant", mode="before")
     @classmethod
     def _kv_to_si(cls, raw: Any, info: ValidationInfo) -> Any:
-        units = {"rad/s/V": 1.0, "rpm/V": _RPM}
+        units = {"rad/s/V": 1.0, "rpm/V": RPM}
         if isinstance(raw, Quantity):
             return raw
         value = raw.get("value") if isinstance(raw, dict) else None

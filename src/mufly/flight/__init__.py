@@ -1,6 +1,6 @@
 """All of it at once: the flight software, the closed loop, the recorder, pictures and numbers of a flight."""
 
-from mufly.flight.autopilot import Answer, Autopilot, Status
+from mufly.flight.autopilot import Autopilot, Status
 from mufly.flight.flight import Flight, FlightView, Progress, fly
 from mufly.flight.parameters import Parameter
 from mufly.flight.pictures import draw_flight
@@ -8,9 +8,9 @@ from mufly.flight.plant import Demand, respond
 from mufly.flight.recorder import Recorder
 from mufly.flight.software import Actuators, Controllers, FlightSoftware
 from mufly.flight.summary import Summary, summarise, summary_rows
-from mufly.logs.recording import events_of, read_attachments, read_recording, to_csv
-from mufly.logs.signals import Event, standard_layout
-from mufly.mission import SetPoint
+from mufly.logs.layout import Event, events_of, standard_layout, to_csv
+from mufly.logs.recording import read_attachments, read_recording
+from mufly.mission import Answer, SetPoint
 
 __all__ = [
     "Actuators",

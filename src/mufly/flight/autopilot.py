@@ -1,4 +1,14 @@
-"""What the autopilot answers, and how it is: the words between it and whoever commands it."""
+"""The autopilot: everything that a pilot, a program or a link may ask of the vehicle, and when it is refused.
+
+It stands between whoever commands and the flight software: it steps that, turns what was asked into its signals, keeps
+the clock on what has to be repeated, arms and disarms, and tells what happened. Each request answers at once, and what
+it asks for happens in the next step; the mission's state machine (:mod:`mufly.mission.machine`) hears it when its logic
+runs next, within 20 ms. Which state lets what happen is in :mod:`mufly.mission.answers`. The clock is that of the
+measurements. Nothing here knows of MAVLink or of the simulator.
+
+Motors run only while it is armed. It disarms by itself once it has landed, and ten seconds after arming if it has not
+taken off. Sticks have to be repeated within a second, set-points within half a second; without, it stops and hovers.
+"""
 
 from __future__ import annotations
 
@@ -14,58 +24,46 @@ from mufly.dynamics import hover_performance
 from mufly.errors import InputError
 from mufly.flight.parameters import Parameter, Parameters
 from mufly.flight.software import Actuators, FlightSoftware
-from mufly.logs.signals import Event
+from mufly.logs.layout import Event
 from mufly.mission import (
-    GO_AROUND_M,
+    ACCEPTED,
     HIGHEST_M,
     LOWEST_M,
     NO_SIGNAL,
-    OFF_FLOOR_M,
+    STOPPING,
+    Answer,
+    Ask,
     Command,
     Mission,
+    MissionState,
     SetPoint,
     check_geometry,
     check_mission,
     fault_of,
+    later,
+    may,
+    never,
     waypoint_fault,
 )
 from mufly.sensors import Measurement
 from mufly.vehicle import Vehicle
 from mufly.world import World, distance, distances
 
+UNUSED_S = 10.0
+"""After arming without a take-off it disarms (s)."""
 
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """Whether something asked for is done; ``bool(answer)`` says so.
+SET_POINT_S, STICKS_S = 0.5, 1.0
+"""For how long a set-point, and the position of the sticks, hold (s)."""
 
-    Attributes
-    ----------
-    accepted : bool
-    reason : str
-        Why not, with the remedy; or what to know about it.
-    temporary : bool
-        Refused for now; the same may be accepted later.
-    """
+KEPT_EVENTS = 1000
+_IDLE = Actuators.idle()
 
-    accepted: bool
-    reason: str = ""
-    temporary: bool = False
+BATTERY_MARGIN_V = 0.2
+"""Above the voltage that it lands at (V): what a cell gives back in rest is lost in the first seconds of hover."""
 
-    def __bool__(self) -> bool:
-        return self.accepted
-
-
-ACCEPTED = Answer(True)
-
-
-def never(reason: str) -> Answer:
-    """Refused, whenever it is asked."""
-    return Answer(False, reason)
-
-
-def later(reason: str) -> Answer:
-    """Refused for now."""
-    return Answer(False, reason, temporary=True)
+LEVEL = math.radians(10.0)
+STILL_M_S, STILL_RAD_S = 0.1, 0.2
+STALE_S = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,156 +129,23 @@ class Status:
     crashed: str
 
 
-# ----------------------------------------------------------------------------
-# May it be armed? What has to be so before the motors may run, each as a sentence with its remedy.
+class Autopilot:
+    """The flight software of one vehicle, armed and commanded.
 
-
-BATTERY_MARGIN_V = 0.2
-"""Above the voltage that it lands at (V): what a cell gives back in rest is lost in the first seconds of hover."""
-
-LEVEL = math.radians(10.0)
-STILL_M_S, STILL_RAD_S = 0.1, 0.2
-STALE_S = 0.5
-
-
-def not_ready(
-    m: Measurement | None, stale_s: float, low_V: float, world: World, radius_m: float, crashed: str
-) -> list[str]:
-    """Why it cannot be armed; empty if it can.
+    ``listeners`` are called with every event as it happens; ``crashed`` is set by a simulation that knows.
 
     Parameters
     ----------
-    m : Measurement or None
-        The latest, as received.
-    stale_s : float
-        For how long its clock has stood still (s).
-    low_V : float
-        Voltage that it lands at (V).
-    world : World
-        What is known to stand around it.
-    radius_m : float
-        Of its rotors (m).
-    crashed : str
-        What it hit, or "".
-    """
-    if crashed:
-        return [f"crashed ({crashed}); reset it first"]
-    if m is None:
-        return ["nothing is measured yet; wait a moment"]
-    why = []
-    missing = [
-        n for n in ("position", "velocity", "attitude", "rates") if not np.isfinite(getattr(m, n)).all()
-    ]
-    if missing:
-        why.append(f"{' and '.join(missing)} not measured; check the sensors")
-    if stale_s > STALE_S:
-        why.append(f"measurements are {stale_s:.1f} s old; check the link to the sensors")
-    volts = m.battery_voltage
-    if not volts > 0.0 or not math.isfinite(volts):
-        why.append("battery voltage not measured; check its monitor")
-    elif volts < low_V + BATTERY_MARGIN_V:
-        needed = low_V + BATTERY_MARGIN_V
-        why.append(
-            f"battery low: {volts:.2f} V at rest, and it lands at {low_V:.2f} V; charge it to {needed:.2f} V"
-        )
-    if missing:
-        return why
-    tilt = math.degrees(max(abs(float(m.attitude[0])), abs(float(m.attitude[1]))))
-    if tilt > math.degrees(LEVEL):
-        why.append(f"tilted by {tilt:.0f} deg; set it on level ground")
-    if np.linalg.norm(m.velocity) > STILL_M_S or np.abs(m.rates).max() > STILL_RAD_S:
-        why.append("it is being moved; set it down and let it rest")
-    near = place_fault(world, (float(m.position[0]), float(m.position[1]), float(m.position[2])), radius_m)
-    if near:
-        why.append(f"it stands {near}")
-    return why
-
-
-def place_fault(world: World, position: tuple[float, float, float], keep_m: float) -> str:
-    """Words for a place nearer than ``keep_m`` (m) to anything known; "" for a free one."""
-    if world.empty:
-        return ""
-    away, name = distance(world, position)
-    if away >= keep_m:
-        return ""
-    where = f"{away:.2f} m from the {name}" if away >= 0.0 else f"in or beyond the {name}"
-    return f"{where}; keep {keep_m:.2f} m from it"
-
-
-def column_fault(world: World, position: tuple[float, float, float], up_to_m: float, keep_m: float) -> str:
-    """Words for a climb to the height ``up_to_m`` (m) that passes anything known too closely; "" for a free one."""
-    if world.empty:
-        return ""
-    count = max(2, math.ceil((up_to_m + position[2]) / 0.05) + 1)
-    column = np.tile(np.array(position), (count, 1))
-    column[:, 2] = np.linspace(position[2], -up_to_m, count)
-    away, which = distances(world, column)
-    k = int(np.argmin(away))
-    if away[k] >= keep_m:
-        return ""
-    near, name = max(float(away[k]), 0.0), world.names[which[k]]
-    return f"at {-column[k, 2]:.2f} m it would be {near:.2f} m from the {name}; keep {keep_m:.2f} m"
-
-
-def mission_fault(
-    mission: Mission,
-    standing: tuple[float, float],
-    heading: float,
-    *,
-    hover_current_A: float,
-    capacity_Ah: float,
-) -> str:
-    """Why a mission cannot be flown from where the vehicle stands; "" if it can, or if there is none.
-
-    Parameters
-    ----------
+    vehicle : Vehicle
+    controller : FlightController
+        From :func:`mufly.control.design`.
     mission : Mission
-    standing : (2,) tuple
-        N, E (m).
-    heading : float
-        rad.
-    hover_current_A, capacity_Ah : float
-        What hovering takes from the battery, and what it holds.
-    """
-    if not mission.waypoint:
-        return ""
-    parts = {name: getattr(mission, name) for name in Mission.model_fields}
-    parts["start_m"] = standing
-    parts["start_heading_deg"] = math.degrees(math.remainder(heading, math.tau))
-    try:
-        here, name = Mission(**parts), mission.name or "mission"
-        check_geometry(here, name)
-        check_mission(here, hover_current_A=hover_current_A, capacity_Ah=capacity_Ah, where=name)
-    except InputError as error:
-        return str(error)
-    return ""
+        Checked; one without waypoints is no mission, but has limits and surroundings.
 
-
-# ----------------------------------------------------------------------------
-# The flight software, armed: motors run only while it is, and whoever asks learns why it cannot be.
-#
-# It steps the software, turns what was asked into its signals, keeps the clock on what has to be repeated, disarms,
-# and
-# tells what happened. What may be asked is in :mod:`mufly.flight.autopilot`, which this is one half of.
-
-
-UNUSED_S = 10.0
-"""After arming without a take-off it disarms (s)."""
-
-SET_POINT_S, STICKS_S = 0.5, 1.0
-"""For how long a set-point, and the position of the sticks, hold (s)."""
-
-STOPPING = "its motors are being stopped; ask again"
-"""Why nothing is taken between a stop and the step that carries it out."""
-
-KEPT_EVENTS = 1000
-_IDLE = Actuators.idle()
-
-
-class ArmedSoftware:
-    """A :class:`FlightSoftware` whose motors run only while it is armed.
-
-    Parameters as of :class:`mufly.flight.Autopilot`.
+    Raises
+    ------
+    InputError
+        If the mission does not suit the vehicle, or that cannot hover.
     """
 
     def __init__(self, vehicle: Vehicle, controller: FlightController, mission: Mission) -> None:
@@ -421,9 +286,9 @@ class ArmedSoftware:
         """Let the motors run. ``force`` skips all checks but that of a crash; ``quiet`` leaves no note of it."""
         if self._armed:
             return ACCEPTED
-        if self._stopping or self.software.motors != "off":
-            # Armed now, motors that still run would be given back what was taken from them.
-            return later(STOPPING)
+        answer = later(STOPPING) if self._stopping else self._may(Ask.ARM)
+        if not answer:
+            return answer
         why = self.not_ready() if not force else [self.crashed] if self.crashed else []
         if self._sticks is not None and self._sticks.climb > 0.0:
             why.append("the climb stick is up; lower it first")
@@ -441,10 +306,10 @@ class ArmedSoftware:
             return self.emergency_stop()
         if not self._armed:
             return ACCEPTED
-        if self._in_the_air():
-            return later("it flies; land first, or stop it by force")
-        self._stop("disarmed")
-        return ACCEPTED
+        answer = self._may(Ask.DISARM)
+        if answer:
+            self._stop("disarmed")
+        return answer
 
     def emergency_stop(self) -> Answer:
         """Motors off at once; it falls. Always accepted."""
@@ -542,41 +407,6 @@ class ArmedSoftware:
         for listener in self.listeners:
             listener(event)
 
-
-# ----------------------------------------------------------------------------
-# The autopilot: everything that a pilot, a program or a link may ask of the vehicle, and when it is refused.
-#
-# It stands between whoever commands and the flight software. Each request answers at once, and what it asks for
-# happens
-# in the next step; the mission's state machine (:mod:`mufly.mission.machine`) hears it when its logic runs next,
-# within
-# 20 ms. The clock is that of the measurements. Nothing here knows of MAVLink or of the simulator.
-#
-# Motors run only while it is armed. It disarms by itself once it has landed, and ten seconds after arming if it has
-# not
-# taken off. Sticks have to be repeated within a second, set-points within half a second; without, it stops and
-# hovers.
-
-
-class Autopilot(ArmedSoftware):
-    """The flight software of one vehicle, armed and commanded.
-
-    ``listeners`` are called with every event as it happens; ``crashed`` is set by a simulation that knows.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-    controller : FlightController
-        From :func:`mufly.control.design`.
-    mission : Mission
-        Checked; one without waypoints is no mission, but has limits and surroundings.
-
-    Raises
-    ------
-    InputError
-        If the mission does not suit the vehicle, or that cannot hover.
-    """
-
     # flight
 
     def take_off(self, height_m: float | None = None) -> Answer:
@@ -585,14 +415,14 @@ class Autopilot(ArmedSoftware):
             height_m = self.software.plan.mission.take_off.height_m
         if not (math.isfinite(height_m) and LOWEST_M <= height_m <= HIGHEST_M):
             return never(f"take-off height {height_m:g} m refused: give {LOWEST_M:g} to {HIGHEST_M:g} m")
-        answer = self._may_take_off(height_m)
+        answer = self._may_climb(Ask.TAKE_OFF, height_m)
         return self._ask(Command(take_off=float(height_m))) if answer else answer
 
-    def _may_take_off(self, height_m: float) -> Answer:
-        if self.software.motors != "off" or self.software.state != "init":
-            return later(f"it is in state {self.software.state!r} already")
-        if not self._armed:
-            return later("not armed; arm first")
+    def _may_climb(self, ask: Ask, height_m: float) -> Answer:
+        """May it, from where it stands, and is the way up free?"""
+        answer = self._may(ask)
+        if not answer:
+            return answer
         m, mission = self._measured, self.software.plan.mission
         if m is not None and np.isfinite(m.position).all():
             place = (float(m.position[0]), float(m.position[1]), float(m.position[2]))
@@ -609,23 +439,17 @@ class Autopilot(ArmedSoftware):
         if first is not None and not 0 <= first < n:
             return never(f"waypoint {first} refused: the mission has 0 to {n - 1}")
         if self.software.state == "init":
-            answer = self._may_take_off(self.software.plan.mission.take_off.height_m)
+            answer = self._may_climb(Ask.START, self.software.plan.mission.take_off.height_m)
             if answer and self._measured is not None:
                 fault = self._mission_fault(self._measured)
                 answer = later(fault) if fault else answer
         else:
-            # Set-points that have not lifted it off leave nothing to go on from.
-            answer = self._may_command(OFF_FLOOR_M if self.software.state == "offboard" else -math.inf)
+            answer = self._may(Ask.START)
         return self._ask(Command(start=True, first=first)) if answer else answer
 
     def pause(self) -> Answer:
         """Stop and hover; :meth:`start_mission` goes on. Breaks off a landing that is still above 0.4 m."""
-        state = self.software.state
-        if state == "landing" and self.software.outcome != "failed" and self.software.motors == "fly":
-            if self._height() <= GO_AROUND_M:
-                return later(f"landing, and below {GO_AROUND_M:g} m already")
-            return self._ask(Command(pause=True))
-        return self._do(Command(pause=True), OFF_FLOOR_M)
+        return self._do(Ask.PAUSE, Command(pause=True))
 
     def go_to(self, position_m: Sequence[float], heading_rad: float | None = None) -> Answer:
         """Fly to a place (N, E, D; m) and hold there, with a heading on the way if given; the mission waits."""
@@ -640,12 +464,12 @@ class Autopilot(ArmedSoftware):
         fault = place_fault(mission.world, place, mission.avoidance.clearance_m)
         if fault:
             return never(f"[{place[0]:g}, {place[1]:g}, {place[2]:g}] refused: {fault}")
-        return self._do(Command(waypoint=place, heading=heading), OFF_FLOOR_M)
+        return self._do(Ask.GO_TO, Command(waypoint=place, heading=heading))
 
     def turn_to(self, heading_rad: float) -> Answer:
         """Stop, and turn on the spot to a heading (rad, from north to east)."""
         fault = waypoint_fault(None, heading_rad)
-        return never(fault) if fault else self._do(Command(heading=float(heading_rad)), OFF_FLOOR_M)
+        return never(fault) if fault else self._do(Ask.GO_TO, Command(heading=float(heading_rad)))
 
     def set_speed(self, speed_m_s: float) -> Answer:
         """Horizontal speed from the next leg on: parameter LIM_SPEED."""
@@ -655,13 +479,13 @@ class Autopilot(ArmedSoftware):
 
     def return_home(self) -> Answer:
         """Fly to above where it took off, no lower than now, and land."""
-        return self._do(Command(home=True), OFF_FLOOR_M)
+        return self._do(Ask.RETURN, Command(home=True))
 
     def land(self) -> Answer:
         """Land where it comes to rest."""
         if self.software.state == "landing":
             return ACCEPTED
-        return self._do(Command(land=True), -math.inf)
+        return self._do(Ask.LAND, Command(land=True))
 
     def _ask(self, command: Command) -> Answer:
         """Hand a request to the mission logic, unless the motors are about to stop: nothing may take its place."""
@@ -671,26 +495,14 @@ class Autopilot(ArmedSoftware):
         self._command = command
         return ACCEPTED
 
-    def _do(self, command: Command, above_m: float) -> Answer:
-        answer = self._may_command(above_m)
+    def _do(self, ask: Ask, command: Command) -> Answer:
+        answer = self._may(ask)
         return self._ask(command) if answer else answer
 
-    def _may_command(self, above_m: float = -math.inf) -> Answer:
-        software = self.software
-        state = software.state
-        if state == "init":
-            return later("it does not fly; take off first")
-        if software.motors == "blind":
-            return later("measurements are lost; it comes down by itself")
-        if state == "rc":
-            return later("the pilot flies; let go of the sticks first")
-        if software.outcome == "failed":
-            return later(f"it lands: {software.reason}")
-        if state == "landing":
-            return later(f"it lands; pause first (above {GO_AROUND_M:g} m)")
-        if self._height() < above_m and state in ("take-off", "offboard"):
-            return later(f"taking off; wait until it is {above_m:g} m off the floor")
-        return ACCEPTED
+    def _may(self, ask: Ask) -> Answer:
+        """Whether its state lets it."""
+        s = self.software.mission_state or MissionState()
+        return may(ask, s, height_m=self._height(), armed=self._armed, flying=self._in_the_air())
 
     # set-points and sticks
 
@@ -714,20 +526,18 @@ class Autopilot(ArmedSoftware):
             return later(f"no set-point in the last {SET_POINT_S:g} s; stream them first")
         if self._stopping:
             return later(STOPPING)
-        if self.software.state not in ("init", "offboard"):
-            answer = self._may_command(OFF_FLOOR_M)
-            if not answer:
-                return answer
-        self._offboard = True
-        return ACCEPTED
+        answer = self._may(Ask.OFFBOARD)
+        self._offboard = self._offboard or answer.accepted
+        return answer
 
     def sticks(self, roll_rad: float, pitch_rad: float, yaw_rate_rad_s: float, climb_m_s: float) -> Answer:
         """The pilot's sticks (rad, rad/s, m/s upwards), limited by the STK_ parameters; the state is RC meanwhile."""
         values = (roll_rad, pitch_rad, yaw_rate_rad_s, climb_m_s)
         if not all(math.isfinite(v) for v in values):
             return never("sticks refused: give finite numbers")
-        if self.software.motors == "blind":
-            return later("measurements are lost; it comes down by itself")
+        answer = self._may(Ask.STICKS)
+        if not answer:
+            return answer
         most = self._parameters.sticks
         roll, pitch, turn, climb = (
             min(max(float(v), -limit), limit)
@@ -748,13 +558,9 @@ class Autopilot(ArmedSoftware):
     def load_mission(self, mission: Mission) -> Answer:
         """Take another mission, whole or not at all; on the floor, or in a hover in which none is being flown."""
         software = self.software
-        s = software.mission_state
-        if software.state not in ("init", "hover") or software.motors not in ("off", "fly"):
-            return later(f"in state {software.state!r} no mission is taken; pause or land first")
-        if s is not None and software.state == "hover" and not s.manual:
-            return later("a mission is being flown; pause it first")
-        if s is not None and software.state == "hover" and s.outcome == "failed":
-            return later(f"it lands: {s.reason}")
+        answer = self._may(Ask.LOAD)
+        if not answer:
+            return answer
         if self._command is not NO_SIGNAL:
             return later("another request is being carried out; ask again")
         m = self._measured
@@ -768,3 +574,119 @@ class Autopilot(ArmedSoftware):
         except InputError as error:
             return never(str(error))
         return ACCEPTED
+
+
+# May it be armed? What has to be so before the motors may run, each as a sentence with its remedy.
+
+
+def not_ready(
+    m: Measurement | None, stale_s: float, low_V: float, world: World, radius_m: float, crashed: str
+) -> list[str]:
+    """Why it cannot be armed; empty if it can.
+
+    Parameters
+    ----------
+    m : Measurement or None
+        The latest, as received.
+    stale_s : float
+        For how long its clock has stood still (s).
+    low_V : float
+        Voltage that it lands at (V).
+    world : World
+        What is known to stand around it.
+    radius_m : float
+        Of its rotors (m).
+    crashed : str
+        What it hit, or "".
+    """
+    if crashed:
+        return [f"crashed ({crashed}); reset it first"]
+    if m is None:
+        return ["nothing is measured yet; wait a moment"]
+    why = []
+    missing = [
+        n for n in ("position", "velocity", "attitude", "rates") if not np.isfinite(getattr(m, n)).all()
+    ]
+    if missing:
+        why.append(f"{' and '.join(missing)} not measured; check the sensors")
+    if stale_s > STALE_S:
+        why.append(f"measurements are {stale_s:.1f} s old; check the link to the sensors")
+    volts = m.battery_voltage
+    if not volts > 0.0 or not math.isfinite(volts):
+        why.append("battery voltage not measured; check its monitor")
+    elif volts < low_V + BATTERY_MARGIN_V:
+        needed = low_V + BATTERY_MARGIN_V
+        why.append(
+            f"battery low: {volts:.2f} V at rest, and it lands at {low_V:.2f} V; charge it to {needed:.2f} V"
+        )
+    if missing:
+        return why
+    tilt = math.degrees(max(abs(float(m.attitude[0])), abs(float(m.attitude[1]))))
+    if tilt > math.degrees(LEVEL):
+        why.append(f"tilted by {tilt:.0f} deg; set it on level ground")
+    if np.linalg.norm(m.velocity) > STILL_M_S or np.abs(m.rates).max() > STILL_RAD_S:
+        why.append("it is being moved; set it down and let it rest")
+    near = place_fault(world, (float(m.position[0]), float(m.position[1]), float(m.position[2])), radius_m)
+    if near:
+        why.append(f"it stands {near}")
+    return why
+
+
+def place_fault(world: World, position: tuple[float, float, float], keep_m: float) -> str:
+    """Words for a place nearer than ``keep_m`` (m) to anything known; "" for a free one."""
+    if world.empty:
+        return ""
+    away, name = distance(world, position)
+    if away >= keep_m:
+        return ""
+    where = f"{away:.2f} m from the {name}" if away >= 0.0 else f"in or beyond the {name}"
+    return f"{where}; keep {keep_m:.2f} m from it"
+
+
+def column_fault(world: World, position: tuple[float, float, float], up_to_m: float, keep_m: float) -> str:
+    """Words for a climb to the height ``up_to_m`` (m) that passes anything known too closely; "" for a free one."""
+    if world.empty:
+        return ""
+    count = max(2, math.ceil((up_to_m + position[2]) / 0.05) + 1)
+    column = np.tile(np.array(position), (count, 1))
+    column[:, 2] = np.linspace(position[2], -up_to_m, count)
+    away, which = distances(world, column)
+    k = int(np.argmin(away))
+    if away[k] >= keep_m:
+        return ""
+    near, name = max(float(away[k]), 0.0), world.names[which[k]]
+    return f"at {-column[k, 2]:.2f} m it would be {near:.2f} m from the {name}; keep {keep_m:.2f} m"
+
+
+def mission_fault(
+    mission: Mission,
+    standing: tuple[float, float],
+    heading: float,
+    *,
+    hover_current_A: float,
+    capacity_Ah: float,
+) -> str:
+    """Why a mission cannot be flown from where the vehicle stands; "" if it can, or if there is none.
+
+    Parameters
+    ----------
+    mission : Mission
+    standing : (2,) tuple
+        N, E (m).
+    heading : float
+        rad.
+    hover_current_A, capacity_Ah : float
+        What hovering takes from the battery, and what it holds.
+    """
+    if not mission.waypoint:
+        return ""
+    parts = {name: getattr(mission, name) for name in Mission.model_fields}
+    parts["start_m"] = standing
+    parts["start_heading_deg"] = math.degrees(math.remainder(heading, math.tau))
+    try:
+        here, name = Mission(**parts), mission.name or "mission"
+        check_geometry(here, name)
+        check_mission(here, hover_current_A=hover_current_A, capacity_Ah=capacity_Ah, where=name)
+    except InputError as error:
+        return str(error)
+    return ""

@@ -25,7 +25,7 @@ from mufly.flight.autopilot import Autopilot
 from mufly.flight.plant import Plant, row_writer
 from mufly.flight.recorder import Recorder
 from mufly.flight.software import Actuators
-from mufly.logs.signals import Event, standard_layout
+from mufly.logs.layout import Event, standard_layout
 from mufly.mission import Estimate, Mission, dump_mission, load_mission, preflight
 from mufly.sensors import Measurement
 from mufly.vehicle import Vehicle, load_vehicle, vehicle_toml

@@ -24,6 +24,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from mufly.errors import InputError, MuflyError
+from mufly.logs.layout import Event, Layout, standard_layout, to_dataset
 from mufly.logs.mcap import McapFile
 from mufly.logs.recording import (
     FORMAT,
@@ -35,9 +36,7 @@ from mufly.logs.recording import (
     json_schema,
     seal,
     stamp,
-    to_dataset,
 )
-from mufly.logs.signals import Event, Layout, standard_layout
 from mufly.world import World
 
 BODY_COLOUR = (0.20, 0.20, 0.20, 1.0)

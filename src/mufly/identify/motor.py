@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +15,9 @@ from scipy.optimize import least_squares
 
 from mufly.bench import BenchTable, Spread, spread
 from mufly.errors import InputError
-from mufly.identify.covariance import unseen_combinations
-from mufly.identify.result import Estimate
+from mufly.identify.covariance import relative, unseen_combinations
+from mufly.identify.result import Estimate, Estimates
+from mufly.units import RPM
 from mufly.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -93,9 +93,8 @@ def parse_noise(text: str | None, channels: tuple[str, ...]) -> dict[str, Channe
 
 
 CHANNELS = ("voltage", "current", "speed", "torque")
-_RPM = math.pi / 30.0
 _SLIPS = {
-    "speed": (("rpm", _RPM), ("revolutions a second", 2 * math.pi)),
+    "speed": (("rpm", RPM), ("revolutions a second", 2 * math.pi)),
     "torque": (("mN m", 1e-3), ("N cm", 1e-2)),
     "current": (("mA", 1e-3),),
     "voltage": (("mV", 1e-3),),
@@ -191,7 +190,7 @@ def _efficiency(data: dict[str, Array]) -> float:
 def _check_units(table: BenchTable, data: dict[str, Array], notes: list[str]) -> dict[str, Array]:
     e = _efficiency(data)
     if "speed" in table.unitless:
-        unit, factor = ("rpm", _RPM) if e > 0.95 else ("rad/s", 1.0)
+        unit, factor = ("rpm", RPM) if e > 0.95 else ("rad/s", 1.0)
         notes.append(
             f"speed has no unit: taken as {unit}, with which {100 * e * factor:.0f} % of the electrical power comes "
             "out as mechanical power"
@@ -409,7 +408,7 @@ class GearKnowledge:
 
 
 @dataclass(frozen=True, eq=False)
-class MotorFit:
+class MotorFit(Estimates):
     """Motor constants and what they rest on.
 
     Attributes
@@ -444,10 +443,6 @@ class MotorFit:
     spread: Spread
     unseen: tuple[str, ...]
     notes: tuple[str, ...]
-
-    def estimate(self, symbol: str) -> Estimate:
-        """Return an estimate by its symbol; KeyError if there is none."""
-        return {e.symbol: e for e in self.estimates}[symbol]
 
 
 def fit_motor(
@@ -589,24 +584,22 @@ def _constants(
         unseen.append(
             "kM and dR cannot be told from the gear's efficiency: only kM*eta_gear and dR*eta_gear are seen"
         )
-    start: dict[str, Any] = {}
-    if vehicle is not None:
-        m = vehicle.motor
-        start = {"kE": m.back_emf_constant, "kM": m.torque_constant, "Rohm": m.resistance, "dR": m.friction}
     estimates = []
-    for k, symbol in enumerate(KEYS):
-        key, unit = KEYS[symbol]
-        std, tail = math.sqrt(cov[k, k]), tails[symbol]
-        bound = symbol == "dR" and at_bound
-        estimates.append(
-            Estimate(
-                symbol=symbol + tail, key="" if tail else key, unit=unit,
-                start=float(start[symbol]) if symbol in start and not tail else math.nan, value=float(value[k]),
-                std=math.nan if bound else std, low=float(value[k] - quantile * std),
-                high=float(value[k] + quantile * std), at_bound=bound,
-            )
-        )  # fmt: skip
+    for k, (symbol, (key, unit)) in enumerate(KEYS.items()):
+        std, tail, bound = math.sqrt(cov[k, k]), tails[symbol], symbol == "dR" and at_bound
+        e = Estimate.of(
+            symbol + tail,
+            "" if tail else key,
+            unit,
+            vehicle,
+            float(value[k]),
+            std,
+            quantile=quantile,
+            at_bound=bound,
+        )
+        estimates.append(replace(e, std=math.nan) if bound else e)
     seen = [k for k in range(4) if value[k] != 0]
-    relative = cov[np.ix_(seen, seen)] / np.outer(value[seen], value[seen])
-    unseen += unseen_combinations([estimates[k].symbol for k in seen], relative)
+    unseen += unseen_combinations(
+        [estimates[k].symbol for k in seen], relative(cov, value)[np.ix_(seen, seen)]
+    )
     return tuple(estimates), cov, tuple(unseen)

@@ -22,6 +22,7 @@ from mufly.identify.motor import MotorFit
 from mufly.identify.residuals import autocorrelation, cross_correlation, qualities
 from mufly.identify.result import Fit, RecordFit
 from mufly.identify.rotor import CoefficientFit, RotorFit
+from mufly.units import RPM
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -299,7 +300,6 @@ def history_picture(fit: Fit) -> Figure | None:
 # Pictures of bench fits: the two plots of the dissertation's Fig. 5.1 and their residuals, coefficients over speed.
 
 
-_RPM = math.pi / 30.0
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito (2008)
 _MOST_LINES = 6
 
@@ -336,21 +336,19 @@ def motor_picture(fit: MotorFit, *, title: str = "") -> Figure:
             1e3 * torque, data.current_A[inside], "o", color=colour, markersize=4, label=f"{name}, measured"
         )
         axes[0, 1].plot(
-            data.speed_rad_s[inside] / _RPM, 1e3 * torque, "o", color=colour, markersize=4, label=f"{name}"
+            data.speed_rad_s[inside] / RPM, 1e3 * torque, "o", color=colour, markersize=4, label=f"{name}"
         )
         if lines:
             q = np.linspace(min(0.0, float(torque.min())), float(torque.max()), 50)
             w = (b * u / r - q) / (b * a / r + d)
             axes[0, 0].plot(1e3 * q, (u - a * w) / r, color=colour, linewidth=1.2, label=f"{name}, fitted")
-            axes[0, 1].plot(w / _RPM, 1e3 * q, color=colour, linewidth=1.2)
+            axes[0, 1].plot(w / RPM, 1e3 * q, color=colour, linewidth=1.2)
         else:
             better = fit.adjusted
             axes[0, 0].plot(
                 1e3 * better.torque_Nm, better.current_A, "x", color=colour, markersize=5, label="fitted"
             )
-            axes[0, 1].plot(
-                better.speed_rad_s / _RPM, 1e3 * better.torque_Nm, "x", color=colour, markersize=5
-            )
+            axes[0, 1].plot(better.speed_rad_s / RPM, 1e3 * better.torque_Nm, "x", color=colour, markersize=5)
         share = fit.residual[inside] / fit.expected[inside]
         axes[1, 0].plot(1e3 * torque, share[:, 0], "o", color=colour, markersize=4)
         axes[1, 1].plot(1e3 * torque, share[:, 1], "o", color=colour, markersize=4)
@@ -419,14 +417,14 @@ def _draw(
     axes: Sequence[Axes], fit: CoefficientFit, colour: str, name: str, predicted: tuple[Array, Array] | None
 ) -> None:
     top, middle, bottom = axes
-    rpm = np.abs(fit.speed_rad_s[:, 0]) / _RPM
+    rpm = np.abs(fit.speed_rad_s[:, 0]) / RPM
     order = np.argsort(rpm)
     top.plot(rpm, fit.load, "o", color=colour, markersize=4, label=name)
     top.plot(rpm[order], (fit.unit_load @ fit.value)[order], color=colour, linewidth=1.2)
     bottom.plot(rpm, fit.residual / fit.expected, "o", color=colour, markersize=4)
     if predicted is not None:
         p = np.argsort(predicted[0])
-        top.plot(predicted[0][p] / _RPM, predicted[1][p], ":", color=colour, label=f"{name}, predicted")
+        top.plot(predicted[0][p] / RPM, predicted[1][p], ":", color=colour, label=f"{name}, predicted")
     if len(fit.symbols) > 1:
         return
     middle.plot(rpm, fit.load / fit.unit_load[:, 0], "o", color=colour, markersize=4)
@@ -438,10 +436,10 @@ def _draw(
     for trend in fit.trends:
         if trend.significant:
             w = np.geomspace(*trend.range_rad_s, 60)
-            middle.plot(w / _RPM, trend.value_at(w), "--", color=colour, linewidth=1.2)
+            middle.plot(w / RPM, trend.value_at(w), "--", color=colour, linewidth=1.2)
     if predicted is not None:
         unit = np.interp(predicted[0], np.abs(fit.speed_rad_s[:, 0])[order], fit.unit_load[order, 0])
-        middle.plot(predicted[0][p] / _RPM, (predicted[1] / unit)[p], ":", color=colour)
+        middle.plot(predicted[0][p] / RPM, (predicted[1] / unit)[p], ":", color=colour)
 
 
 def _band(ax: Axes) -> None:

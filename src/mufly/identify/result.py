@@ -7,8 +7,10 @@ Intervals are at 95 % and two-sided; ``covariance`` is that of the estimates in 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, Literal
 
 import numpy as np
@@ -53,6 +55,37 @@ class Estimate:
     low: float
     high: float
     at_bound: bool = False
+
+    @classmethod
+    def of(
+        cls, symbol: str, key: str, unit: str, start: float | Vehicle | None, value: float, std: float, *,
+        quantile: float, at_bound: bool = False,
+    ) -> Estimate:  # fmt: skip
+        """Return an estimate whose interval is ``quantile`` deviations to either side.
+
+        ``start`` may be the vehicle that holds it under ``key``; NaN if there is none.
+        """
+        if not isinstance(start, float):
+            start = float(attrgetter(key)(start)) if start is not None and key else math.nan
+        return cls(
+            symbol, key, unit, start, value, std, value - quantile * std, value + quantile * std, at_bound
+        )
+
+
+class Estimates:
+    """What the results of all fits have: estimates that are found by their symbol."""
+
+    estimates: tuple[Estimate, ...]
+
+    def estimate(self, symbol: str) -> Estimate:
+        """Return the estimate of a parameter by its symbol.
+
+        Raises
+        ------
+        KeyError
+            If the fit has no such parameter.
+        """
+        return {e.symbol: e for e in self.estimates}[symbol]
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +135,7 @@ class RecordFit:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class Fit(Estimates):
     """Result of a fit.
 
     Attributes
@@ -145,19 +178,6 @@ class Fit:
     converged: bool
     message: str
     records: tuple[RecordFit, ...]
-
-    def estimate(self, symbol: str) -> Estimate:
-        """Return the estimate of a parameter by its symbol.
-
-        Raises
-        ------
-        KeyError
-            If the fit has no such parameter.
-        """
-        for e in self.estimates:
-            if e.symbol == symbol:
-                return e
-        raise KeyError(symbol)
 
     def records_of(self, role: Literal["fit", "held out"]) -> tuple[RecordFit, ...]:
         """Return the records of one role."""

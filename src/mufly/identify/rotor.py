@@ -24,13 +24,13 @@ from scipy import stats
 
 from mufly.bench import Loads, Spread, air_density, spread
 from mufly.errors import InputError
-from mufly.identify.covariance import unseen_combinations
-from mufly.identify.result import Estimate
+from mufly.identify.covariance import relative, unseen_combinations
+from mufly.identify.result import Estimate, Estimates
+from mufly.units import RPM
 from mufly.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
-_RPM = math.pi / 30.0
 _ORDERED = 0.8  # rank correlation of speed and order from which drift and trend cannot be told apart
 _ALIKE = 0.02  # speeds closer than this share show no bend between them
 _AS_WELL = 2.0  # differences of AICc below which two explanations fit equally well
@@ -98,11 +98,11 @@ class Trend:
         """Say whether the coefficient is constant within its error."""
         low, high = self.range_rad_s
         change, doubt = self.change()
-        over = f"{100 * change:+.1f} +- {100 * doubt:.1f} % from {low / _RPM:.0f} to {high / _RPM:.0f} rpm"
+        over = f"{100 * change:+.1f} +- {100 * doubt:.1f} % from {low / RPM:.0f} to {high / RPM:.0f} rpm"
         if not self.significant:
             return f"{self.symbol} is constant within its error over a speed range of {high / low:.2g} : 1 ({over})"
         speeds = (low, math.sqrt(low * high), high)
-        shape = ", ".join(f"{float(self.value_at(w)):.5f} at {w / _RPM:.0f} rpm" for w in speeds)
+        shape = ", ".join(f"{float(self.value_at(w)):.5f} at {w / RPM:.0f} rpm" for w in speeds)
         text = f"{self.symbol} is not constant: {over} ({shape})"
         unit = "N" if self.channel.startswith("thrust") else "N m"
         offset = f"an offset of the load cell of {self.offset:.3g} +- {2 * self.offset_std:.2g} {unit}"
@@ -220,7 +220,7 @@ class CoefficientFit:
 
 
 @dataclass(frozen=True, eq=False)
-class RotorFit:
+class RotorFit(Estimates):
     """Coefficients of the rotors of one bench file at one setting of the blades.
 
     Attributes
@@ -249,10 +249,6 @@ class RotorFit:
     unseen: tuple[str, ...]
     notes: tuple[str, ...] = field(default=())
 
-    def estimate(self, symbol: str) -> Estimate:
-        """Return an estimate by its symbol; KeyError if there is none."""
-        return {e.symbol: e for e in self.estimates}[symbol]
-
     def systematic_shares(self) -> dict[str, float]:
         """Return the part of each variance that calibration, zeros, density and radius make up."""
         return {s: float(v) for f in self.fits for s, v in zip(f.symbols, f.systematic_share, strict=True)}
@@ -264,23 +260,9 @@ def estimates_of(fit: CoefficientFit, vehicle: Vehicle | None) -> list[Estimate]
     for k, symbol in enumerate(fit.symbols):
         side = {"up": "upper", "dw": "lower"}.get(symbol.partition("_")[2], "")
         _, name, _ = COEFFICIENTS["thrust" if symbol.startswith("cT") else "torque"]
-        start = math.nan
-        if vehicle is not None and side:
-            start = float(getattr(getattr(vehicle.rotors, side), name))
-        value, std = float(fit.value[k]), math.sqrt(fit.covariance[k, k])
-        half = std * fit.spread.quantile
-        out.append(
-            Estimate(
-                symbol,
-                f"rotors.{side}.{name}" if side else "",
-                "1",
-                start,
-                value,
-                std,
-                value - half,
-                value + half,
-            )
-        )
+        key, std = f"rotors.{side}.{name}" if side else "", math.sqrt(fit.covariance[k, k])
+        quantile = fit.spread.quantile
+        out.append(Estimate.of(symbol, key, "1", vehicle, float(fit.value[k]), std, quantile=quantile))
     return out
 
 
@@ -418,9 +400,9 @@ def _speed_unit(loads: Loads, radius: float) -> tuple[Loads, list[str]]:
         with np.errstate(divide="ignore", invalid="ignore"):
             c = loads.values[channel] / (1.2 * math.pi * radius**4 * table[name] ** 2)
         typical = float(np.nanmedian(np.abs(c)))
-        off, off_rpm = abs(math.log(typical / _TYPICAL)), abs(math.log(typical / _RPM**2 / _TYPICAL))
+        off, off_rpm = abs(math.log(typical / _TYPICAL)), abs(math.log(typical / RPM**2 / _TYPICAL))
         if name in table.unitless:
-            unit, factor = ("rpm", _RPM) if off_rpm < off else ("rad/s", 1.0)
+            unit, factor = ("rpm", RPM) if off_rpm < off else ("rad/s", 1.0)
             table = table.rescaled(name, factor, f"{table.headers[name]} has no unit: taken as {unit}")
             notes.append(table.notes[-1])
         elif not _ORDINARY[0] < typical < _ORDINARY[1]:
@@ -547,4 +529,4 @@ def _unseen(fit: CoefficientFit) -> tuple[str, ...]:
         return (
             f"{' and '.join(fit.symbols)}: both rotors turn at one ratio of speeds, so only a weighted sum is seen",
         )
-    return unseen_combinations(fit.symbols, fit.covariance / np.outer(fit.value, fit.value))
+    return unseen_combinations(fit.symbols, relative(fit.covariance, fit.value))

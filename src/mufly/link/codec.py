@@ -1,7 +1,19 @@
-"""The MAVLink dialect that both ends of the link speak: ``common``, in the second version of the wire format.
+"""From bytes to messages and back: the dialect, frames, and lines of text.
 
-pymavlink decides by an environment variable, when it is first imported, which wire format it packs; so it is imported
-here and nowhere else in this room. Source of every message, field and enumeration: https://mavlink.io/en/messages/common.html
+Both ends of the link speak ``common``, in the second version of the wire format. pymavlink decides by an environment
+variable, when it is first imported, which wire format it packs; so it is imported here and nowhere else in this room.
+Source of every message, field and enumeration: https://mavlink.io/en/messages/common.html
+
+Each sender (system, component) numbers its packets from 0 to 255 on each channel, so that gaps tell what was lost
+(https://mavlink.io/en/guide/packet_loss.html). A number and checksum that were just heard are a duplicate, a number
+a little behind came out of order. Frames of MAVLink 1 and 2 are read, MAVLink 2 is sent
+(https://mavlink.io/en/guide/serialization.html).
+
+Nothing that arrives raises an error: bytes that are no frame are skipped one by one until a frame is found, and
+counted. The memory kept for a peer is bounded by the longest frame and by :data:`SENDERS` senders.
+
+A line for people (STATUSTEXT) is cut into pieces of 50 bytes where it is longer. The pieces carry the same id and count
+from 0; the last one is the first that is not full. Of pieces that were lost ``...`` stays in their place.
 """
 
 from __future__ import annotations
@@ -23,6 +35,26 @@ MavMessage = Any
 """A message of pymavlink (``mavlink.MAVLink_message``), which carries no types worth checking."""
 MavlinkError: type[Exception] = mavlink.MAVError
 
+FRAME_MOST = 280
+"""Length of the longest frame: ten bytes of header, 255 of payload, two of checksum, thirteen of signature."""
+SENDERS = 64
+"""So many senders are told apart on one channel; those beyond are heard, but their losses are not counted."""
+CHANNELS = 128
+"""So many peers are remembered; the one that was silent for longest is forgotten."""
+_WINDOW = 32  # numbers so far behind the newest are late, those further off are a jump
+_DUPLICATE_S = 1.0  # the same packet after this time is said anew, by a program that was started again
+_V1, _V2, _SIGNED = 0xFE, 0xFD, 0x01
+_PIECE = 50
+LONGEST = 400
+"""Bytes of the longest line; what is beyond is cut."""
+SEVERITY = {
+    "error": mavlink.MAV_SEVERITY_ERROR,
+    "warning": mavlink.MAV_SEVERITY_WARNING,
+    "info": mavlink.MAV_SEVERITY_INFO,
+}
+_TEXTS = 8  # so many texts of one vehicle may wait
+_WAIT_S = 2.0  # for so long a text waits for pieces that are missing
+
 FLOAT_MOST = 3.4028234663852886e38
 """The largest number that a ``float`` field can hold."""
 
@@ -39,38 +71,9 @@ def within(value: float, least: int, greatest: int, unknown: int = 0) -> int:
     return int(min(max(round(value), least), greatest))
 
 
-def message_name(number: int) -> str:
-    """Return the name of the message with an id, or ``"message 1234"`` if this dialect has none."""
-    kind = mavlink.mavlink_map.get(number)
-    return str(kind.msgname) if kind is not None else f"message {number}"
-
-
 def text_of(text: str, size: int = 50) -> bytes:
     """Return ``text`` as a ``char[size]`` field takes it: UTF-8, never cut inside a character."""
     return text.encode(errors="replace")[:size].decode(errors="ignore").encode()
-
-
-# ----------------------------------------------------------------------------
-# From bytes to messages and back, for every peer and every sender behind it.
-#
-# Each sender (system, component) numbers its packets from 0 to 255 on each channel, so that gaps tell what was lost
-# (https://mavlink.io/en/guide/packet_loss.html). A number and checksum that were just heard are a duplicate, a number
-# a little behind came out of order. Frames of MAVLink 1 and 2 are read, MAVLink 2 is sent
-# (https://mavlink.io/en/guide/serialization.html).
-#
-# Nothing that arrives raises an error: bytes that are no frame are skipped one by one until a frame is found, and
-# counted. The memory kept for a peer is bounded by the longest frame and by :data:`SENDERS` senders.
-
-
-FRAME_MOST = 280
-"""Length of the longest frame: ten bytes of header, 255 of payload, two of checksum, thirteen of signature."""
-SENDERS = 64
-"""So many senders are told apart on one channel; those beyond are heard, but their losses are not counted."""
-CHANNELS = 128
-"""So many peers are remembered; the one that was silent for longest is forgotten."""
-_WINDOW = 32  # numbers so far behind the newest are late, those further off are a jump
-_DUPLICATE_S = 1.0  # the same packet after this time is said anew, by a program that was started again
-_V1, _V2, _SIGNED = 0xFE, 0xFD, 0x01
 
 
 class Outgoing(NamedTuple):
@@ -289,23 +292,6 @@ def _unknown(frame: bytes, buffer: bytearray, end: int) -> bool:
     return end == len(buffer) or buffer[end] in (_V1, _V2)
 
 
-# ----------------------------------------------------------------------------
-# Lines for people: STATUSTEXT, cut into pieces of 50 bytes where a line is longer.
-#
-# The pieces of a line carry the same id and count from 0; the last one is the first that is not full
-# (https://mavlink.io/en/messages/common.html#STATUSTEXT).
-
-
-_PIECE = 50
-LONGEST = 400
-"""Bytes of the longest line; what is beyond is cut."""
-SEVERITY = {
-    "error": mavlink.MAV_SEVERITY_ERROR,
-    "warning": mavlink.MAV_SEVERITY_WARNING,
-    "info": mavlink.MAV_SEVERITY_INFO,
-}
-
-
 class Texts:
     """Makes messages of lines."""
 
@@ -326,3 +312,46 @@ class Texts:
             mavlink.MAVLink_statustext_message(severity, piece, self._last_id, k)
             for k, piece in enumerate(pieces)
         ]
+
+
+@dataclass(slots=True)
+class _Waiting:
+    """A text of which pieces are missing."""
+
+    since_s: float
+    severity: int
+    pieces: dict[int, str] = field(default_factory=dict)
+    last: int | None = None
+
+
+class TextPieces:
+    """Makes lines of messages, whatever becomes of the pieces: the inverse of :class:`Texts`."""
+
+    def __init__(self) -> None:
+        self._waiting: dict[tuple[int, int], _Waiting] = {}
+
+    def take(self, now_s: float, message: MavMessage) -> list[tuple[int, str]]:
+        """Take a STATUSTEXT; returns the lines (MAV_SEVERITY, text) that are whole with it, or given up for it."""
+        text = str(message.text).rstrip("\0")
+        if message.id == 0:
+            return [(message.severity, text)]
+        key, out = (message.get_srcComponent(), message.id), []
+        if key not in self._waiting and len(self._waiting) >= _TEXTS:
+            out.append(self._line(next(iter(self._waiting))))
+        waiting = self._waiting.setdefault(key, _Waiting(now_s, message.severity))
+        waiting.pieces[message.chunk_seq] = text
+        if len(text.encode()) < _PIECE:
+            waiting.last = message.chunk_seq
+        if waiting.last is not None and len(waiting.pieces) > waiting.last:
+            out.append(self._line(key))
+        return out
+
+    def overdue(self, now_s: float) -> list[tuple[int, str]]:
+        """What came of texts that have waited too long for a piece that was lost."""
+        return [self._line(key) for key, w in list(self._waiting.items()) if now_s - w.since_s > _WAIT_S]
+
+    def _line(self, key: tuple[int, int]) -> tuple[int, str]:
+        waiting = self._waiting.pop(key)
+        last = max(waiting.pieces) if waiting.last is None else waiting.last
+        text = "".join(waiting.pieces.get(k, "...") for k in range(last + 1))
+        return waiting.severity, text + ("..." if waiting.last is None else "")

@@ -1,7 +1,7 @@
-"""A place on the globe for a flight that knows only metres: north and east on the plane that touches it at an origin.
+"""What MAVLink's numbers stand for here: a place on the globe, and a flight mode.
 
-With the radii of curvature of the ellipsoid WGS 84 at the latitude phi of the origin (height h), meridional M and
-transverse N::
+A flight knows only metres: north and east on the plane that touches the globe at an origin. With the radii of curvature
+of the ellipsoid WGS 84 at the latitude phi of the origin (height h), meridional M and transverse N::
 
     M = a (1 - e^2) / (1 - e^2 sin^2 phi)^(3/2),   N = a / (1 - e^2 sin^2 phi)^(1/2)
     north = (M + h) d_phi,     east = (N + h) cos(phi) d_lambda,     down = h - altitude
@@ -10,6 +10,24 @@ What the plane leaves out grows with the square of the distance d: about d^2 tan
 in height, 8 cm each for a kilometre at 45 degrees, 8 micrometres for ten metres. MAVLink counts latitude and longitude
 in 1e-7 degrees, which is 1.1 cm. Source: P. D. Groves, Principles of GNSS, Inertial and Multisensor Integrated
 Navigation Systems, 2nd ed., Sec. 2.4.
+
+States of the mission are flight modes of PX4, whose words MAVLink programs know. MAVLink leaves ``custom_mode`` to each
+autopilot; PX4 puts a main mode in its third byte and a sub mode in its fourth (PX4-Autopilot,
+``src/modules/commander/px4_custom_mode.h``).
+
+============= ==================== =============================================================================
+mission state PX4's mode           asked for, it means
+============= ==================== =============================================================================
+init          AUTO READY (4, 1)    (not a thing to ask for)
+take-off      AUTO TAKEOFF (4, 2)  take off
+hover         AUTO LOITER (4, 3)   stop and hover
+waypoint      AUTO MISSION (4, 4)  fly the mission, or go on with it; AUTO LOITER while a single point is flown to
+obstacle      the one it returns to
+landing       AUTO LAND (4, 6)     land
+(return)      AUTO RTL (4, 5)      above where it took off, then land
+rc            ALTCTL (2, 0)        fly by sticks; MANUAL, POSCTL and STABILIZED mean the same here
+offboard      OFFBOARD (6, 0)      follow the stream of set-points
+============= ==================== =============================================================================
 """
 
 from __future__ import annotations
@@ -22,6 +40,8 @@ from typing import Literal, NamedTuple
 from mufly.errors import InputError
 from mufly.mission import State
 
+ABOVE_SEA, ABOVE_ORIGIN = (0, 5), (3, 6)
+"""Values of MAV_FRAME on the globe, with altitude above the sea, and above the origin."""
 _A = 6_378_137.0
 _E2 = 6.694379990141e-3
 
@@ -47,14 +67,17 @@ class Origin:
         n, e = self._metres_per_deg
         return self.lat_deg + north / n, self.lon_deg + east / e, self.alt_m - down
 
-    def to_local(self, lat_deg: float, lon_deg: float, alt_m: float) -> tuple[float, float, float]:
-        """Return N, E, D (m) of a place on the globe."""
+    def to_local(
+        self, lat_deg: float, lon_deg: float, alt_m: float, frame: int = 0
+    ) -> tuple[float, float, float]:
+        """Return N, E, D (m) of a place on the globe; its altitude is above the sea unless the MAV_FRAME says not."""
         n, e = self._metres_per_deg
         away = math.remainder(lon_deg - self.lon_deg, 360.0) if math.isfinite(lon_deg) else math.nan
-        return (lat_deg - self.lat_deg) * n, away * e, self.alt_m - alt_m
+        down = -alt_m if frame in ABOVE_ORIGIN else self.alt_m - alt_m
+        return (lat_deg - self.lat_deg) * n, away * e, down
 
 
-def parse_origin(text: str, where: str = "--origin") -> Origin:
+def parse_origin(text: str, where: str = "origin") -> Origin:
     """Read ``LAT,LON,ALT`` in degrees and metres.
 
     Raises
@@ -73,28 +96,6 @@ def parse_origin(text: str, where: str = "--origin") -> Origin:
     if abs(lat) > 85.0 or abs(lon) > 180.0 or not -500.0 <= alt <= 9000.0:
         raise InputError(where, "", f"{text!r} is outside of +-85, +-180 degrees and -500 to 9000 m", example)
     return Origin(lat, lon, alt)
-
-
-# ----------------------------------------------------------------------------
-# States of the mission as flight modes of PX4, whose words MAVLink programs know, and back.
-#
-# MAVLink leaves ``custom_mode`` to each autopilot. PX4 puts a main mode in its third byte and a sub mode in its
-# fourth
-# (PX4-Autopilot, ``src/modules/commander/px4_custom_mode.h``).
-#
-# ============= ==================== =============================================================================
-# mission state PX4's mode           asked for, it means
-# ============= ==================== =============================================================================
-# init          AUTO READY (4, 1)    (not a thing to ask for)
-# take-off      AUTO TAKEOFF (4, 2)  take off
-# hover         AUTO LOITER (4, 3)   stop and hover
-# waypoint      AUTO MISSION (4, 4)  fly the mission, or go on with it; AUTO LOITER while a single point is flown to
-# obstacle      the one it returns to
-# landing       AUTO LAND (4, 6)     land
-# (return)      AUTO RTL (4, 5)      above where it took off, then land
-# rc            ALTCTL (2, 0)        fly by sticks; MANUAL, POSCTL and STABILIZED mean the same here
-# offboard      OFFBOARD (6, 0)      follow the stream of set-points
-# ============= ==================== =============================================================================
 
 
 Ask = Literal["take-off", "hover", "mission", "return", "land", "rc", "offboard", ""]
@@ -165,34 +166,3 @@ def asked(mode: Mode) -> Ask:
     if mode.main in _BY_HAND:
         return "rc"
     return _ASKED.get(Mode(6, 0) if mode.main == 6 else mode, "")
-
-
-# ----------------------------------------------------------------------------
-# A flight mode that is chosen on the floor, before arming: what the vehicle does once it is armed.
-#
-# QGroundControl's "start mission" chooses PX4's mode AUTO MISSION first, waits until the heartbeat shows it, and arms
-# then; a PX4 begins at that moment. So does this vehicle, if it is armed within :data:`KEPT_S`; after that, and
-# whenever
-# another mode is chosen, the choice is forgotten. AUTO TAKEOFF works the same way.
-
-
-KEPT_S = 10.0
-"""For how long a choice holds (s)."""
-
-Choice = Literal["take-off", "mission", ""]
-
-
-class OnArming:
-    """What is chosen, and since when."""
-
-    def __init__(self) -> None:
-        self._choice: Choice = ""
-        self._since_s = -math.inf
-
-    def choose(self, now_s: float, choice: Choice) -> None:
-        """Choose, or forget ("")."""
-        self._choice, self._since_s = choice, now_s
-
-    def chosen(self, now_s: float) -> Choice:
-        """Return what is chosen now."""
-        return self._choice if now_s - self._since_s <= KEPT_S else ""

@@ -16,6 +16,9 @@ begins anew first lets the packets of the last transfer run dry (`SETTLE_S`), an
 receiver to stop (`HUSH_S`): else its items could be taken as the answer to the requests of the transfer before.
 
 An answer is expected after a round trip; the time after which it is asked for again follows the round trips seen.
+
+The machines deal in the notes below; MISSION_ITEM and MISSION_REQUEST, the older forms, become the same notes as
+MISSION_ITEM_INT and MISSION_REQUEST_INT.
 """
 
 from __future__ import annotations
@@ -24,16 +27,27 @@ import math
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Any
 
-from mufly.link.codec import mavlink
+from mufly.link.codec import MavMessage, mavlink
 
-# ----------------------------------------------------------------------------
-# What the two ends of a mission transfer say to each other, and how MAVLink puts it.
-#
-# :mod:`mufly.link.mission_transfer` deals in these notes; MISSION_ITEM and MISSION_REQUEST, the older forms, become
-# the same
-# notes as MISSION_ITEM_INT and MISSION_REQUEST_INT.
+RETRY_S = (0.25, 1.5)
+"""Least and greatest time before asking again (s); MAVLink recommends 0.25 s for items and 1.5 s for the rest."""
+FIRST_RETRY_S = 0.8
+"""Before any round trip was seen (s): longer than one over a link of 300 ms each way."""
+GIVE_UP_S = 12.0
+"""A transfer that has not moved for so long is given up (s).
+
+With 30 % lost and 300 ms each way an item is asked for 16 times by then; each time it comes with probability 0.49, so
+one item in 48 000 is given up.
+"""
+SETTLE_S = 1.0
+"""For how long packets of an earlier transfer may still be under way (s)."""
+LIMIT = 500
+"""Most items that a receiver takes."""
+HUSH_S = 2.0
+"""A sender that begins anew first tells the receiver to stop, until it has not asked for so long (s)."""
+_LOCAL_FRAMES = (1, 4, 7, 8, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21)
+_INT32 = 2**31
 
 
 class MissionResult(IntEnum):
@@ -118,9 +132,6 @@ Note = RequestList | Count | RequestItem | Item | Ack | ClearAll
 Notes = list[tuple[Hashable, Note]]
 """Notes to be sent, each with the peer that it is for."""
 
-_LOCAL_FRAMES = (1, 4, 7, 8, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21)
-_INT32 = 2**31
-
 
 def _scaled(value: float, frame: int) -> int:
     """x or y of a MISSION_ITEM as MISSION_ITEM_INT has it; what does not fit becomes the "not given" of that field."""
@@ -130,31 +141,34 @@ def _scaled(value: float, frame: int) -> int:
     return round(scaled)
 
 
-def note_of(message: Any) -> Note | None:
+def note_of(message: MavMessage) -> Note | None:
     """Return what a MAVLink message says about a transfer; None if nothing."""
-    kind = message.get_type()
-    if kind in ("MISSION_ITEM_INT", "MISSION_ITEM"):
-        m = message
-        x, y = (m.x, m.y) if kind == "MISSION_ITEM_INT" else (_scaled(m.x, m.frame), _scaled(m.y, m.frame))
-        params = (m.param1, m.param2, m.param3, m.param4)
-        return Item(m.seq, m.frame, m.command, m.current, m.autocontinue, params, x, y, m.z, m.mission_type)
-    if kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
-        return RequestItem(message.seq, message.mission_type, kind == "MISSION_REQUEST")
-    if kind == "MISSION_COUNT":
-        return Count(message.count, message.mission_type)
-    if kind == "MISSION_ACK":
-        return Ack(message.type, message.mission_type)
-    if kind == "MISSION_REQUEST_LIST":
-        return RequestList(message.mission_type)
-    return ClearAll(message.mission_type) if kind == "MISSION_CLEAR_ALL" else None
+    m, kind = message, message.get_type()
+    match kind:
+        case "MISSION_ITEM_INT" | "MISSION_ITEM":
+            x, y = (m.x, m.y) if kind == "MISSION_ITEM_INT" else (_scaled(v, m.frame) for v in (m.x, m.y))
+            params = (m.param1, m.param2, m.param3, m.param4)
+            return Item(
+                m.seq, m.frame, m.command, m.current, m.autocontinue, params, x, y, m.z, m.mission_type
+            )
+        case "MISSION_REQUEST_INT" | "MISSION_REQUEST":
+            return RequestItem(m.seq, m.mission_type, kind == "MISSION_REQUEST")
+        case "MISSION_COUNT":
+            return Count(m.count, m.mission_type)
+        case "MISSION_ACK":
+            return Ack(m.type, m.mission_type)
+        case "MISSION_REQUEST_LIST":
+            return RequestList(m.mission_type)
+        case "MISSION_CLEAR_ALL":
+            return ClearAll(m.mission_type)
+    return None
 
 
-def to_mavlink(note: Note, system: int, component: int) -> Any:
+def to_mavlink(note: Note, system: int, component: int) -> MavMessage:
     """Return a note as the MAVLink message to ``system`` and ``component``, ready for a codec to send."""
-    to = (system, component)
-    match note:
+    n, to = note, (system, component)
+    match n:
         case Item():
-            n = note
             return mavlink.MAVLink_mission_item_int_message(
                 *to,
                 n.seq,
@@ -169,35 +183,15 @@ def to_mavlink(note: Note, system: int, component: int) -> Any:
                 n.mission_type,
             )
         case RequestItem():
-            return mavlink.MAVLink_mission_request_int_message(*to, note.seq, note.mission_type)
+            return mavlink.MAVLink_mission_request_int_message(*to, n.seq, n.mission_type)
         case Count():
-            return mavlink.MAVLink_mission_count_message(*to, note.count, note.mission_type)
+            return mavlink.MAVLink_mission_count_message(*to, n.count, n.mission_type)
         case Ack():
-            return mavlink.MAVLink_mission_ack_message(*to, note.result, note.mission_type)
+            return mavlink.MAVLink_mission_ack_message(*to, n.result, n.mission_type)
         case RequestList():
-            return mavlink.MAVLink_mission_request_list_message(*to, note.mission_type)
+            return mavlink.MAVLink_mission_request_list_message(*to, n.mission_type)
         case ClearAll():
-            return mavlink.MAVLink_mission_clear_all_message(*to, note.mission_type)
-
-
-# ----------------------------------------------------------------------------
-# When to ask again in a transfer, and when to give it up.
-#
-# An answer is expected after a round trip; the time after which it is asked for again follows the round trips seen.
-
-
-RETRY_S = (0.25, 1.5)
-"""Least and greatest time before asking again (s); MAVLink recommends 0.25 s for items and 1.5 s for the rest."""
-
-FIRST_RETRY_S = 0.8
-"""Before any round trip was seen (s): longer than one over a link of 300 ms each way."""
-
-GIVE_UP_S = 12.0
-"""A transfer that has not moved for so long is given up (s).
-
-With 30 % lost and 300 ms each way an item is asked for 16 times by then; each time it comes with probability 0.49, so
-one item in 48 000 is given up.
-"""
+            return mavlink.MAVLink_mission_clear_all_message(*to, n.mission_type)
 
 
 class Pace:
@@ -235,17 +229,6 @@ class Pace:
     def hopeless(self, now_s: float) -> bool:
         """Whether nothing has moved for too long."""
         return now_s - self._moved_s > GIVE_UP_S
-
-
-# ----------------------------------------------------------------------------
-# The end of a mission transfer that wants the items (:mod:`mufly.link.mission_transfer`).
-
-
-SETTLE_S = 1.0
-"""For how long packets of an earlier transfer may still be under way (s)."""
-
-LIMIT = 500
-"""Most items that a receiver takes."""
 
 
 class Receiver:
@@ -407,14 +390,6 @@ class Receiver:
         self.peer, self.result, self._fetching = None, result, False
         self._items, self._count = [], None
         self._touched_s = max(self._touched_s, now_s)
-
-
-# ----------------------------------------------------------------------------
-# The end of a mission transfer that has the items (:mod:`mufly.link.mission_transfer`).
-
-
-HUSH_S = 2.0
-"""A sender that begins anew first tells the receiver to stop, until it has not asked for so long (s)."""
 
 
 class Sender:

@@ -1,4 +1,4 @@
-"""Mission items of MAVLink as a :class:`mufly.mission.Mission`, and back.
+"""Missions over the link: items of MAVLink as a :class:`mufly.mission.Mission` and back, and the vehicle's protocol.
 
 =========================  ======================================================================================
 item (MAV_CMD)             here
@@ -29,10 +29,12 @@ import math
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from mufly.link.clients import Sender as Station
-from mufly.link.conventions import Origin
+from mufly.flight import Autopilot, Status
+from mufly.link.authority import Authority
+from mufly.link.clients import Clients, Station
+from mufly.link.conventions import ABOVE_ORIGIN, ABOVE_SEA, Origin
 from mufly.link.mission_transfer import (
     Ack,
     ClearAll,
@@ -45,18 +47,16 @@ from mufly.link.mission_transfer import (
     RequestItem,
     RequestList,
     Sender,
+    to_mavlink,
 )
 from mufly.link.telemetry import Progress
-from mufly.mission import LOWEST_M, Mission, Waypoint
+from mufly.mission import ACCEPTED, LOWEST_M, Answer, Mission, Waypoint, never
 from mufly.mission.schema import TakeOff
-
-if TYPE_CHECKING:
-    from mufly.flight import Autopilot, Status
 
 _WAYPOINT, _UNLIMITED, _LOITER_TIME, _HOME, _LAND, _TAKE_OFF, _DELAY = 16, 17, 19, 20, 21, 22, 93
 _SPEED, _YAW = 178, 115
 _ENDS = {_UNLIMITED: "hover", _LAND: "land", _HOME: "return"}
-_NED, _ENU, _ABOVE_SEA, _ABOVE_ORIGIN = 1, 4, (0, 5), (3, 6)
+_NED, _ENU = 1, 4
 _NOT_GIVEN = 2**31 - 1
 _SAME_PLACE_M = 0.05
 
@@ -260,13 +260,13 @@ def _down(item: Item, origin: Origin | None) -> float:
     """D of an item (m)."""
     if item.frame == _NED:
         down = item.z
-    elif item.frame == _ENU or (item.frame in _ABOVE_ORIGIN and origin is not None):
+    elif item.frame == _ENU or (item.frame in ABOVE_ORIGIN and origin is not None):
         down = -item.z
-    elif item.frame in _ABOVE_SEA and origin is not None:
+    elif item.frame in ABOVE_SEA and origin is not None:
         down = origin.alt_m - item.z
     else:
         why = f"frame {item.frame} is not known; use LOCAL_NED (1)"
-        if item.frame in (*_ABOVE_SEA, *_ABOVE_ORIGIN):
+        if item.frame in (*ABOVE_SEA, *ABOVE_ORIGIN):
             why = f"frame {item.frame} needs a global origin; use LOCAL_NED (1), or start with --origin"
         raise _refuse(item, MissionResult.UNSUPPORTED_FRAME, why)
     if not math.isfinite(down) or down > -LOWEST_M:
@@ -307,55 +307,132 @@ def _above(item: Item, origin: Origin | None, last: Waypoint) -> Triple | None:
     return n, e, before[2]
 
 
-# ----------------------------------------------------------------------------
-# The vehicle's side of mission transfers: who uploads, who downloads, and where the mission stands.
-#
-# The transfers themselves are machines of :mod:`mufly.link.mission_transfer`. A mission that has come in whole is
-# judged,
-# loaded and acknowledged in one step: loaded whole, or refused with everything left as it was. Fences and rally
-# points
-# do not exist here: their lists are empty.
-
-
 _MISSION, _FENCE, _RALLY, _ALL = 0, 1, 2, 255
 _DOWNLOADS = 16
 _CLEAR_WITHIN_S = 3.0
 _NO_MISSION, _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE = 1, 2, 3, 4, 5
 
 
-def writes(note: Note) -> bool:
-    """Whether a note begins to change the mission, which only the commander may."""
-    return isinstance(note, Count | ClearAll)
+class MissionProtocol:
+    """The vehicle's side of the mission protocol: who uploads, who downloads, and where the mission stands.
 
-
-class MissionDesk:
-    """Serves missions.
-
-    Attributes
-    ----------
-    refused : str
-        Why the last mission was refused; whoever tells it empties it.
-    first : int
-        The item that the mission will begin with when it is started.
+    A mission that has come in whole is judged, loaded and acknowledged in one step: loaded whole, or refused with
+    everything left as it was. Fences and rally points do not exist here: their lists are empty.
 
     Parameters
     ----------
     autopilot : Autopilot
+    clients : Clients
+    authority : Authority
+        Who may change the mission.
     origin : Origin or None
+
+    Attributes
+    ----------
+    plan : Plan
+        The mission and its items.
     """
 
-    def __init__(self, autopilot: Autopilot, origin: Origin | None) -> None:
-        self._autopilot, self._origin = autopilot, origin
+    def __init__(
+        self, autopilot: Autopilot, clients: Clients, authority: Authority, origin: Origin | None
+    ) -> None:
+        self._autopilot, self._clients = autopilot, clients
+        self._authority, self._origin = authority, origin
         self.plan = items_of(autopilot.status.mission)
-        self.refused = ""
-        self.first = 0
+        self._refused = ""  # why the last mission was refused, until it is told
+        self._first = 0  # the item that the mission begins with when it is started
         self._receiver = Receiver(self._judge)
         self._senders: OrderedDict[tuple[Station, int], Sender] = OrderedDict()
         self._told = 0
         self._clearing: tuple[float, Station, int] | None = None
 
-    def receive(self, now_s: float, station: Station, note: Note) -> Notes:
-        """Take a note of a station that may do what it says; returns what to answer."""
+    def receive(self, now_s: float, station: Station, note: Note) -> None:
+        """Take a note of a station; what begins to change the mission, only from the commander."""
+        if isinstance(note, Count | ClearAll) and not self._authority.may(now_s, station):
+            self._send([(station, Ack(MissionResult.DENIED, note.mission_type))])
+        else:
+            self._send(self._only_from_commander())
+            self._send(self._answer(now_s, station, note))
+
+    def step(self, now_s: float) -> None:
+        """Repeat what may have been lost."""
+        self._send(self._only_from_commander())
+        out = [*self._receiver.step(now_s), *self._clear_at_rest(now_s)]
+        for giver in self._senders.values():
+            out += giver.step(now_s)
+        self._send(out)
+
+    def forget(self, peer: object) -> None:
+        """A peer has gone: its transfers end, the mission stays what it was."""
+        for key in [k for k in self._senders if k[0].peer == peer]:
+            del self._senders[key]
+        taker = self._receiver.peer
+        if isinstance(taker, Station) and taker.peer == peer:
+            self._receiver.cancel()
+
+    def start(self, item: float = 0.0) -> Answer:
+        """Start the mission, or go on with it; from an item on if one is given, above 0."""
+        if item > 0.0:
+            self._first = int(min(item, 65535.0))
+            if self._waypoint_of(self._first) is None:
+                self._first = 0
+                return _no_waypoint(item)
+        if not self._first:
+            running = self._autopilot.status.mission_running
+            return ACCEPTED if running else self._autopilot.start_mission()
+        answer = self._autopilot.start_mission(self._waypoint_of(self._first))
+        if answer:
+            self._first, self._told = 0, self._first  # items before it are skipped, not reached
+        return answer
+
+    def start_at(self, item: float) -> Answer:
+        """Go on with an item of the mission; on the floor, begin with it once the mission is started."""
+        first = self._waypoint_of(int(item)) if item >= 0.0 and item < 65535.0 else None
+        if first is None:
+            return _no_waypoint(item)
+        if self._autopilot.status.state == "init":
+            self._first = int(item)
+            return ACCEPTED
+        answer = self._autopilot.start_mission(first)
+        if answer:
+            self._first, self._told = 0, int(item)
+        return answer
+
+    def progress(self, status: Status) -> Progress:
+        """Where the mission stands."""
+        self._follow(status)
+        total = len(self.plan.items)
+        if not status.mission.waypoint:
+            return Progress(0, total, _NO_MISSION, 2)
+        if status.mission_running:
+            state = _ACTIVE
+        elif status.begun and status.waypoint >= len(self.plan.item_of_waypoint):
+            state = _COMPLETE
+        elif status.begun and status.flying:
+            state = _PAUSED
+        else:
+            state = _NOT_STARTED
+        return Progress(min(self._current(status), total - 1), total, state, 1 if state == _ACTIVE else 2)
+
+    def reached(self, status: Status) -> list[int]:
+        """Items that were completed since the last call, in order."""
+        self._follow(status)
+        if not status.begun:
+            self._told = 0
+            return []
+        out = list(range(self._told, self._done(status)))
+        self._told += len(out)
+        return out
+
+    def _send(self, notes: Notes) -> None:
+        for station, note in notes:
+            if isinstance(station, Station):
+                self._clients.send(station.peer, to_mavlink(note, station.system, station.component))
+        if self._refused:
+            self._clients.say(self._refused, "warning")
+            self._refused = ""
+
+    def _answer(self, now_s: float, station: Station, note: Note) -> Notes:
         kind = note.mission_type
         if kind not in (_MISSION, _FENCE, _RALLY) and not isinstance(note, ClearAll):
             return [] if isinstance(note, Ack) else [(station, Ack(MissionResult.UNSUPPORTED, kind))]
@@ -375,62 +452,14 @@ class MissionDesk:
                 return self._receiver.receive(now_s, station, note)
         return []
 
-    def step(self, now_s: float) -> Notes:
-        """Repeat what may have been lost."""
-        out = [*self._receiver.step(now_s), *self._clear_at_rest(now_s)]
-        for giver in self._senders.values():
-            out += giver.step(now_s)
-        return out
-
-    def only_from(self, commander: Station | None) -> Notes:
+    def _only_from_commander(self) -> Notes:
         """An upload ends, with nothing changed, when whoever began it does not command any more."""
         taker = self._receiver.peer
-        return [] if taker is None or taker == commander else self._receiver.cancel()
+        return [] if taker is None or taker == self._authority.commander else self._receiver.cancel()
 
-    def forget(self, peer: object) -> None:
-        """A peer has gone: its transfers end, the mission stays what it was."""
-        for key in [k for k in self._senders if k[0].peer == peer]:
-            del self._senders[key]
-        taker = self._receiver.peer
-        if isinstance(taker, Station) and taker.peer == peer:
-            self._receiver.cancel()
-
-    def progress(self, status: Status) -> Progress:
-        """Where the mission stands."""
-        self._follow(status)
-        total = len(self.plan.items)
-        if not status.mission.waypoint:
-            return Progress(0, total, _NO_MISSION, 2)
-        if status.mission_running:
-            state = _ACTIVE
-        elif self._begun() and status.waypoint >= len(self.plan.item_of_waypoint):
-            state = _COMPLETE
-        elif self._begun() and status.flying:
-            state = _PAUSED
-        else:
-            state = _NOT_STARTED
-        return Progress(min(self._current(status), total - 1), total, state, 1 if state == _ACTIVE else 2)
-
-    def reached(self, status: Status) -> list[int]:
-        """Items that were completed since the last call, in order."""
-        self._follow(status)
-        if not self._begun():
-            self._told = 0
-            return []
-        done = self._done(status)
-        if done <= self._told:
-            return []
-        out = list(range(self._told, done))
-        self._told = done
-        return out
-
-    def jump(self, item: int) -> int | None:
-        """The waypoint to begin with when item ``item`` is to come next; None if there is none."""
+    def _waypoint_of(self, item: int) -> int | None:
+        """The waypoint to begin with when an item is to come next; None if there is none."""
         return self.plan.waypoint_of(item) if 0 <= item < len(self.plan.items) else None
-
-    def begin_at(self, item: int) -> None:
-        """The mission goes on with an item: those before it are skipped, not reached."""
-        self.first, self._told = 0, item
 
     def _done(self, status: Status) -> int:
         """How many items, from the first, are completed."""
@@ -450,16 +479,11 @@ class MissionDesk:
 
     def _current(self, status: Status) -> int:
         places = self.plan.item_of_waypoint
-        if not self._begun():
-            return self.first
+        if not status.begun:
+            return self._first
         if status.waypoint < len(places):
             return 0 if status.state == "take-off" else places[status.waypoint]
         return len(self.plan.items) - 1
-
-    def _begun(self) -> bool:
-        """Whether the mission was started since the last take-off."""
-        s = self._autopilot.software.mission_state
-        return s is not None and s.begun
 
     def _follow(self, status: Status) -> None:
         """Somebody else may have loaded a mission, or tuned the one that is loaded."""
@@ -512,12 +536,16 @@ class MissionDesk:
         try:
             plan = plan_of(items, self._autopilot.status.mission, self._origin)
         except Refusal as refusal:
-            self.refused = str(refusal)
+            self._refused = str(refusal)
             return refusal.result
         answer = self._autopilot.load_mission(plan.mission)
         if not answer:
-            self.refused = f"mission refused: {answer.reason}"
+            self._refused = f"mission refused: {answer.reason}"
             return MissionResult.DENIED if answer.temporary else MissionResult.ERROR
-        self.first = 0
+        self._first = 0
         self.plan, self._told = Plan(self._autopilot.status.mission, items, plan.item_of_waypoint), 0
         return MissionResult.ACCEPTED
+
+
+def _no_waypoint(item: float) -> Answer:
+    return never(f"the mission has no waypoint from item {item:g} on")

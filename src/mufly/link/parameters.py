@@ -1,4 +1,4 @@
-"""Parameters over the link: the autopilot's and the link's own, listed, read and set.
+"""The parameter protocol: the autopilot's and the link's own, listed, read and set.
 
 All travel as ``float`` (MAV_PARAM_TYPE_REAL32), also whole numbers: the two ways in which autopilots pack integers
 into the field (cast, and byte by byte as PX4 does) then do not matter, and every program reads the same value. A
@@ -15,18 +15,33 @@ import math
 import struct
 from collections import OrderedDict
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
-from mufly.link.clients import Sender
+from mufly.flight import Autopilot, Parameter
+from mufly.link.authority import Authority
+from mufly.link.clients import Clients, Station
 from mufly.link.codec import MavMessage, mavlink, single, text_of
-
-if TYPE_CHECKING:
-    from mufly.flight import Autopilot, Parameter
 
 LIST_HZ = 100.0
 _LOOK_S = 0.5
 _LISTS = 16
-_BYTEWISE = {
+
+LINK_PARAMETERS: dict[str, Parameter] = {
+    p.name: p
+    for p in (
+        Parameter(
+            "COM_DL_LOSS_T",
+            10.0,
+            "s",
+            1.0,
+            300.0,
+            "commander not heard for so long in flight: stop and hover",
+        ),
+        Parameter("COM_DL_LAND_T", 20.0, "s", 0.0, 3600.0, "and for so much longer: land"),
+    )
+}
+"""The link's own, by name."""
+
+_LAYOUT = {
     mavlink.MAV_PARAM_TYPE_UINT8: "<B3x",
     mavlink.MAV_PARAM_TYPE_INT8: "<b3x",
     mavlink.MAV_PARAM_TYPE_UINT16: "<H2x",
@@ -34,131 +49,142 @@ _BYTEWISE = {
     mavlink.MAV_PARAM_TYPE_UINT32: "<I",
     mavlink.MAV_PARAM_TYPE_INT32: "<i",
 }
-
-LINK_PARAMETERS: dict[str, tuple[float, str, float, float, str]] = {
-    "COM_DL_LOSS_T": (10.0, "s", 1.0, 300.0, "commander not heard for so long in flight: stop and hover"),
-    "COM_DL_LAND_T": (20.0, "s", 0.0, 3600.0, "and for so much longer: land"),
+WHOLE_RANGE: dict[int, tuple[int, int]] = {
+    mavlink.MAV_PARAM_TYPE_UINT8: (0, 2**8 - 1),
+    mavlink.MAV_PARAM_TYPE_INT8: (-(2**7), 2**7 - 1),
+    mavlink.MAV_PARAM_TYPE_UINT16: (0, 2**16 - 1),
+    mavlink.MAV_PARAM_TYPE_INT16: (-(2**15), 2**15 - 1),
+    mavlink.MAV_PARAM_TYPE_UINT32: (0, 2**32 - 1),
+    mavlink.MAV_PARAM_TYPE_INT32: (-(2**31), 2**31 - 1),
 }
-"""The link's own: name -> value, unit, least, greatest, help."""
+"""Types of whole numbers (MAV_PARAM_TYPE): the least and the greatest."""
 
 
-def value_of(number: float, kind: int) -> float:
-    """Return the value that a PARAM_SET carries.
+def decoded(number: float, kind: int, bytewise: bool = True) -> float:
+    """Return the value that the ``float`` field of a PARAM_SET or PARAM_VALUE carries.
 
-    A ``float`` holds seven digits; 0.6 comes as 0.60000002, and is 0.6 again here.
+    A ``float`` holds seven digits; 0.6 comes as 0.60000002, and is 0.6 again here. Autopilots put whole numbers there
+    either as a number or, ``bytewise``, as the bytes of the integer.
     """
-    layout = _BYTEWISE.get(kind)
-    if layout is not None:
-        return float(struct.unpack(layout, struct.pack("<f", number))[0])
-    return float(f"{number:.7g}")
+    if bytewise and kind in _LAYOUT:
+        return float(struct.unpack(_LAYOUT[kind], struct.pack("<f", number))[0])
+    return float(f"{number:.7g}") if math.isfinite(number) else number
 
 
-class ParameterDesk:
-    """Answers whoever asks for parameters.
+def encoded(value: float, kind: int, bytewise: bool = True) -> float:
+    """Inverse of :func:`decoded`: what the ``float`` field carries."""
+    if bytewise and kind in _LAYOUT:
+        return float(struct.unpack("<f", struct.pack(_LAYOUT[kind], round(value)))[0])
+    return value
+
+
+class ParameterProtocol:
+    """The vehicle's side: answers whoever asks for parameters.
 
     Parameters
     ----------
     autopilot : Autopilot
+    clients : Clients
+    authority : Authority
+        Who may set them.
     """
 
-    def __init__(self, autopilot: Autopilot) -> None:
-        from mufly.flight import Parameter
-
-        self._autopilot = autopilot
-        self._own = {
-            name: Parameter(name, value, unit, least, greatest, text)
-            for name, (value, unit, least, greatest, text) in LINK_PARAMETERS.items()
-        }
+    def __init__(self, autopilot: Autopilot, clients: Clients, authority: Authority) -> None:
+        self._autopilot, self._clients, self._authority = autopilot, clients, authority
+        self._own = dict(LINK_PARAMETERS)
         self._names = sorted([*autopilot.parameters, *self._own])
         self._places = {name: k for k, name in enumerate(self._names)}
-        self._lists: OrderedDict[Sender, int] = OrderedDict()
+        self._lists: OrderedDict[Station, int] = OrderedDict()
         self._due_s = self._looked_s = -math.inf
-        self._told = {name: self.get(name).value for name in self._names}
+        self._told = {name: self[name] for name in self._names}
 
-    @property
-    def names(self) -> list[str]:
-        """All names, in the order of their index."""
-        return list(self._names)
+    def __getitem__(self, name: str) -> float:
+        """The value of a parameter."""
+        return (self._own[name] if name in self._own else self._autopilot.parameters[name]).value
 
-    def get(self, name: str) -> Parameter:
-        """Return a parameter."""
-        return self._own[name] if name in self._own else self._autopilot.parameters[name]
-
-    def request_list(self, sender: Sender) -> None:
-        """Begin a list, anew if one is under way."""
-        self._lists.pop(sender, None)
+    def request_list(self, now_s: float, station: Station, message: MavMessage) -> None:
+        """Take a PARAM_REQUEST_LIST: begin a list, anew if one is under way."""
+        self._lists.pop(station, None)
         if len(self._lists) < _LISTS:
-            self._lists[sender] = 0
+            self._lists[station] = 0
 
-    def read(self, message: MavMessage) -> MavMessage | None:
-        """Answer a PARAM_REQUEST_READ, by index or by name; None if there is no such parameter."""
+    def request_read(self, now_s: float, station: Station, message: MavMessage) -> None:
+        """Answer a PARAM_REQUEST_READ, by index or by name."""
         k = message.param_index
-        if k == -1:
-            name = message.param_id
-            return self._value(name) if name in self._places else None
-        return self._value(self._names[k]) if 0 <= k < len(self._names) else None
+        name = message.param_id if k == -1 else self._names[k] if 0 <= k < len(self._names) else ""
+        self._tell(station, name, message, k)
 
-    def no_such(self, sender: Sender, message: MavMessage) -> MavMessage:
-        """Say that there is no parameter of that name or index, so that nobody waits for it."""
-        index = getattr(message, "param_index", -1)
-        return mavlink.MAVLink_param_error_message(
-            sender.system,
-            sender.component,
-            text_of(message.param_id, 16),
-            index,
-            mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST,
-        )
-
-    def set(self, message: MavMessage) -> tuple[MavMessage | None, str]:
-        """Take a PARAM_SET; returns the answer, and why not (or "")."""
+    def set(self, now_s: float, station: Station, message: MavMessage) -> None:
+        """Take a PARAM_SET; everybody who watches learns of the value in force."""
         name = message.param_id
+        if not self._authority.may(now_s, station):
+            self._tell(station, name, message)
+            return
+        why = self._set(name, decoded(message.param_value, message.param_type))
+        if why:
+            self._clients.say(why, "warning", station.peer)
+        if name in self._places:
+            self._told[name] = self[name]
+            self._clients.send(None, self._value(name))
+        else:
+            self._tell(station, name, message)
+
+    def _set(self, name: str, value: float) -> str:
+        """Set one; returns why not, or ""."""
         if name not in self._places:
-            return None, f"there is no parameter {name[:16]!r}"
-        value = value_of(message.param_value, message.param_type)
-        if name in self._own:
-            p = self._own[name]
-            if not p.least <= value <= p.greatest:
-                return self._value(name), f"{name} has to be {p.least:g} to {p.greatest:g} {p.unit}"
-            self._own[name] = replace(p, value=value)
-            self._told[name] = value
-            return self._value(name), ""
-        answer = self._autopilot.set_parameter(name, value)
-        self._told[name] = self.get(name).value
-        return self._value(name), "" if answer else answer.reason
+            return f"there is no parameter {name[:16]!r}"
+        if name not in self._own:
+            answer = self._autopilot.set_parameter(name, value)
+            return "" if answer else answer.reason
+        p = self._own[name]
+        if not p.least <= value <= p.greatest:
+            return f"{name} has to be {p.least:g} to {p.greatest:g} {p.unit}"
+        self._own[name] = replace(p, value=value)
+        return ""
 
-    def step(self, now_s: float) -> list[tuple[Sender, MavMessage]]:
-        """The next messages of the lists that are under way, one for each who waits."""
-        if not self._lists or now_s < self._due_s:
-            return []
-        self._due_s = now_s + 1.0 / LIST_HZ
-        out = []
-        for sender, k in list(self._lists.items()):
-            out.append((sender, self._value(self._names[k])))
-            if k + 1 < len(self._names):
-                self._lists[sender] = k + 1
-            else:
-                del self._lists[sender]
-        return out
-
-    def changed(self, now_s: float) -> list[MavMessage]:
-        """Values that something other than a PARAM_SET of theirs has changed: a command, a mission, another limit."""
-        if now_s - self._looked_s < _LOOK_S:
-            return []
-        self._looked_s = now_s
-        now = {name: self.get(name).value for name in self._names}
-        names = [name for name in self._names if now[name] != self._told[name]]
-        self._told = now
-        return [self._value(name) for name in names]
+    def step(self, now_s: float) -> None:
+        """Send the next messages of the lists that are under way, one for each who waits, and what has changed."""
+        if self._lists and now_s >= self._due_s:
+            self._due_s = now_s + 1.0 / LIST_HZ
+            for station, k in list(self._lists.items()):
+                self._clients.send(station.peer, self._value(self._names[k]))
+                if k + 1 < len(self._names):
+                    self._lists[station] = k + 1
+                else:
+                    del self._lists[station]
+        # Something other than a PARAM_SET of theirs may have changed a value: a command, a mission, another limit.
+        if now_s - self._looked_s >= _LOOK_S:
+            self._looked_s = now_s
+            told, self._told = self._told, {name: self[name] for name in self._names}
+            for name in self._names:
+                if self._told[name] != told[name]:
+                    self._clients.send(None, self._value(name))
 
     def forget(self, peer: object) -> None:
         """A peer has gone."""
-        for sender in [s for s in self._lists if s.peer == peer]:
-            del self._lists[sender]
+        for station in [s for s in self._lists if s.peer == peer]:
+            del self._lists[station]
+
+    def _tell(self, station: Station, name: str, message: MavMessage, index: int = -1) -> None:
+        """Send a value, or say that there is no parameter of that name or index, so that nobody waits for it."""
+        if name in self._places:
+            self._clients.send(station.peer, self._value(name))
+            return
+        self._clients.send(
+            station.peer,
+            mavlink.MAVLink_param_error_message(
+                station.system,
+                station.component,
+                text_of(message.param_id, 16),
+                index,
+                mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST,
+            ),
+        )
 
     def _value(self, name: str) -> MavMessage:
         return mavlink.MAVLink_param_value_message(
             text_of(name, 16),
-            single(self.get(name).value),
+            single(self[name]),
             mavlink.MAV_PARAM_TYPE_REAL32,
             len(self._names),
             self._places[name],

@@ -4,6 +4,11 @@ Every port has a few peers; bytes come from a peer and go to one. A cable that i
 full buffer costs frames, which MAVLink is made to bear, but never parts of one: what is handed to :meth:`Port.send`
 goes out as a whole or not at all. What a user should know of (a call that fails, a device that is gone) is said once,
 until it changes.
+
+An endpoint says where the other end is: ``udp:127.0.0.1:14550``, ``serial:/dev/ttyUSB0:57600`` and their like. Programs
+for MAVLink have settled on these words (pymavlink, MAVProxy, MAVSDK): ``udpin`` and ``tcpin`` listen, ``udpout`` and
+``tcp`` call. Plain ``udp`` is what each side does by custom: a vehicle sends to the address, where ground stations wait
+for it; a station listens there.
 """
 
 from __future__ import annotations
@@ -24,15 +29,37 @@ from typing import Any, Literal, NamedTuple
 
 from mufly.errors import InputError
 
+PEERS = 32
+"""So many peers a listening port serves; the one that was silent for longest makes room."""
+READS, READ_BYTES = 256, 65_536
+"""Datagrams or blocks taken in one call, and the greatest size of one (bytes)."""
+RETRY_S = 1.0
+"""Time between two attempts to call a TCP server or to open a serial device (s)."""
+_QUEUE = 65_536  # bytes that may wait to go out
+_SERIAL_BLOCK = 4096
+_SERIAL_LAG_S = 0.3
+_RECEIVE_BUFFER = 1 << 20
+_LATER = {errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR, errno.ENOBUFS, errno.ECONNREFUSED}
 
-def open_port(endpoint: Endpoint, where: str = "--link") -> Port:
+Kind = Literal["udpin", "udpout", "tcp", "tcpin", "serial"]
+_KINDS: tuple[Kind, ...] = ("udpin", "udpout", "tcp", "tcpin", "serial")
+_EXAMPLES = (
+    "write for example udp:127.0.0.1:14550, udpin:0.0.0.0:14550, udpout:192.168.0.7:14550, tcp:127.0.0.1:5760, "
+    "tcpin:127.0.0.1:5760, udp:[::1]:14550 or serial:/dev/ttyUSB0:57600"
+)
+_SERIAL_EXAMPLE = "write for example serial:/dev/ttyUSB0:57600"
+_BAUD = 57_600  # the custom of telemetry radios
+_HOST_PORT = re.compile(r"(?:(?P<host>\[[^\]]*\]|[^:\[\]]*):)?(?P<port>[^:]*)")
+
+
+def open_port(endpoint: Endpoint, where: str = "endpoint") -> Port:
     """Open an endpoint.
 
     Parameters
     ----------
     endpoint : Endpoint
     where : str
-        Option or file that named it, for the message of an error.
+        What named it, for the message of an error.
 
     Raises
     ------
@@ -59,24 +86,6 @@ def wait(ports: Iterable[Port], timeout_s: float) -> None:
         for number in numbers:
             selector.register(number, selectors.EVENT_READ)
         selector.select(timeout_s)
-
-
-# ----------------------------------------------------------------------------
-# Where the other end of a link is: ``udp:127.0.0.1:14550``, ``serial:/dev/ttyUSB0:57600`` and their like.
-#
-# Programs for MAVLink have settled on these words (pymavlink, MAVProxy, MAVSDK): ``udpin`` and ``tcpin`` listen,
-# ``udpout`` and ``tcp`` call. Plain ``udp`` is what each side does by custom: a vehicle sends to the address, where
-# ground stations wait for it; a station listens there.
-
-
-Kind = Literal["udpin", "udpout", "tcp", "tcpin", "serial"]
-_KINDS: tuple[Kind, ...] = ("udpin", "udpout", "tcp", "tcpin", "serial")
-_EXAMPLES = (
-    "write for example udp:127.0.0.1:14550, udpin:0.0.0.0:14550, udpout:192.168.0.7:14550, tcp:127.0.0.1:5760, "
-    "tcpin:127.0.0.1:5760, udp:[::1]:14550 or serial:/dev/ttyUSB0:57600"
-)
-_BAUD = 57_600  # the custom of telemetry radios
-_HOST_PORT = re.compile(r"(?:(?P<host>\[[^\]]*\]|[^:\[\]]*):)?(?P<port>[^:]*)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +140,7 @@ class Endpoint:
 
 
 def parse_endpoint(
-    text: str, role: Literal["vehicle", "station"], where: str = "--link", least_port: int = 1
+    text: str, role: Literal["vehicle", "station"], where: str = "endpoint", least_port: int = 1
 ) -> Endpoint:
     """Read an endpoint.
 
@@ -143,7 +152,7 @@ def parse_endpoint(
     role : str
         Who asks: what plain ``udp`` means depends on it.
     where : str
-        Option or file that holds the text, for the message of an error.
+        What holds the text, for the message of an error.
     least_port : int
         0 lets a listening endpoint take any free port (tests).
 
@@ -152,55 +161,41 @@ def parse_endpoint(
     InputError
         If it is none.
     """
+
+    def wrong(problem: str, remedy: str = _EXAMPLES) -> InputError:
+        return InputError(where, "", f"{text!r}{problem}", remedy)
+
     word, colon, rest = text.strip().partition(":")
     kind = ("udpout" if role == "vehicle" else "udpin") if word.lower() == "udp" else word.lower()
     if kind not in _KINDS or not colon:
-        raise InputError(where, "", f"{text!r} is no MAVLink endpoint", _EXAMPLES)
+        raise wrong(" is no MAVLink endpoint")
     if kind == "serial":
-        return _serial(text, rest, where)
+        device, colon, baud = rest.rpartition(":")
+        # Names of devices may hold colons themselves (/dev/serial/by-path/pci-0000:00:14.0-usb-0:1).
+        if not colon or not (baud.isascii() and baud.isdigit()):
+            device, baud = rest, str(_BAUD)
+        if not device:
+            raise wrong(" names no device", _SERIAL_EXAMPLE)
+        if not 300 <= int(baud) <= 12_000_000:
+            raise wrong(f": {baud} is no baud rate", _SERIAL_EXAMPLE)
+        return Endpoint("serial", device, int(baud))
     found = _HOST_PORT.fullmatch(rest)
     if found is None:
-        remedy = (
-            "put an IPv6 address in brackets, as in udp:[::1]:14550" if rest.count(":") > 1 else _EXAMPLES
+        brackets = "put an IPv6 address in brackets, as in udp:[::1]:14550"
+        raise wrong(
+            " has no host and port that can be told apart", brackets if rest.count(":") > 1 else _EXAMPLES
         )
-        raise InputError(where, "", f"{text!r} has no host and port that can be told apart", remedy)
     number = found["port"]
     if not (number.isascii() and number.isdigit()) or not least_port <= int(number) <= 65535:
-        raise InputError(where, "", f"{text!r}: port {number!r} is no number from 1 to 65535", _EXAMPLES)
+        raise wrong(f": port {number!r} is no number from 1 to 65535")
     given = found["host"] or "127.0.0.1"
     host = given.strip("[]")
     if given.startswith("["):
         try:
             ipaddress.ip_address(host.partition("%")[0])
         except ValueError:
-            raise InputError(where, "", f"{text!r}: {host!r} is no IPv6 address", _EXAMPLES) from None
+            raise wrong(f": {host!r} is no IPv6 address") from None
     return Endpoint(kind, host, int(number))
-
-
-def _serial(text: str, rest: str, where: str) -> Endpoint:
-    device, colon, baud = rest.rpartition(":")
-    # Names of devices may hold colons themselves (/dev/serial/by-path/pci-0000:00:14.0-usb-0:1).
-    if not colon or not (baud.isascii() and baud.isdigit()):
-        device, baud = rest, str(_BAUD)
-    if not device:
-        raise InputError(
-            where, "", f"{text!r} names no device", "write for example serial:/dev/ttyUSB0:57600"
-        )
-    if not 300 <= int(baud) <= 12_000_000:
-        raise InputError(
-            where, "", f"{text!r}: {baud} is no baud rate", "write for example serial:/dev/ttyUSB0:57600"
-        )
-    return Endpoint("serial", device, int(baud))
-
-
-# ----------------------------------------------------------------------------
-# What every port is: a few peers, bytes from them and to them, never blocking, never raising into the loop.
-
-
-PEERS = 32
-"""So many peers a listening port serves; the one that was silent for longest makes room."""
-READS, READ_BYTES = 256, 65_536
-"""Datagrams or blocks taken in one call, and the greatest size of one (bytes)."""
 
 
 class Peer(NamedTuple):
@@ -301,14 +296,6 @@ def text_of_address(address: Any) -> str:
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
-# ----------------------------------------------------------------------------
-# Datagrams: to one address, or to whoever was heard.
-
-
-_RECEIVE_BUFFER = 1 << 20
-_LATER = {errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR, errno.ENOBUFS, errno.ECONNREFUSED}
-
-
 class UdpPort(Port):
     """Datagrams, to one address or to whoever was heard."""
 
@@ -371,20 +358,6 @@ class UdpPort(Port):
                 except OSError as error:
                     if error.errno not in _LATER:
                         self._say(f"cannot send to {name.address} ({error.strerror or error})")
-
-
-# ----------------------------------------------------------------------------
-# Connections that carry bytes in order: TCP, called or calling, and serial lines.
-#
-# A frame goes out as a whole or not at all: it waits until there is room for it, and is dropped when too much waits
-# already.
-
-
-RETRY_S = 1.0
-"""Time between two attempts to call a TCP server or to open a serial device (s)."""
-_QUEUE = 65_536  # bytes that may wait to go out
-_SERIAL_BLOCK = 4096
-_SERIAL_LAG_S = 0.3
 
 
 class Stream:

@@ -1,10 +1,15 @@
-"""The loop in real time: the flight ticks by the clock on the wall, and in between the link is served.
+"""The simulated vehicle in real time, in this process or in one of its own, and the telemetry log of its link.
 
-Tick ``k`` is due at ``start + k period``, counted from the start so that errors do not add up. Until it is due the
-loop sleeps in the ports, and hears at once what comes in. After a stall (the machine was busy, or asleep) of up to
-:data:`CATCH_UP_S` the ticks that were missed follow at no more than :data:`HURRY` times the normal pace, so that
-neither the flight nor its stations see a burst; a longer one is not made up for: the clock of the vehicle stood still
-meanwhile.
+:func:`run` is the loop: the flight ticks by the clock on the wall, and in between the link is served. Tick ``k`` is due
+at ``start + k period``, counted from the start so that errors do not add up. Until it is due the loop sleeps in the
+ports, and hears at once what comes in. After a stall (the machine was busy, or asleep) of up to :data:`CATCH_UP_S` the
+ticks that were missed follow at no more than :data:`HURRY` times the normal pace, so that neither the flight nor its
+stations see a burst; a longer one is not made up for: the clock of the vehicle stood still meanwhile.
+
+:func:`start_vehicle` gives it a process of its own: a page that draws and a vehicle that flies do not wait for each
+other. The parent holds one end of a pipe. What happens in the vehicle comes through it; ``None`` sent into it asks the
+vehicle to end. When the parent dies the pipe breaks, and the vehicle ends by itself. However it ends (asked, Ctrl-C,
+terminated, the parent gone), it finishes its recording.
 """
 
 from __future__ import annotations
@@ -17,24 +22,21 @@ import struct
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from mufly.control import FlightController, design
 from mufly.errors import InputError, MuflyError
+from mufly.flight import Event, Flight
 from mufly.link.conventions import Origin
 from mufly.link.ports import Endpoint, Peer, Port, open_port, wait
 from mufly.link.vehicle import VehicleLink
-
-if TYPE_CHECKING:
-    from mufly.control import FlightController
-    from mufly.flight import Event, Flight
-    from mufly.logs.signals import Event as signals_Event
-    from mufly.mission import Mission
-    from mufly.vehicle import Vehicle
+from mufly.mission import Mission, load_mission
+from mufly.vehicle import Vehicle, load_vehicle
 
 CATCH_UP_S = 1.0
 """Stalls up to so long are made up for (s)."""
@@ -44,6 +46,10 @@ _REPORT_S = 0.2
 _WARM_UP_S = 8.0
 _START_WITHIN_S = 3.0
 _LATE_BLEND = 0.02
+_KEPT_EVENTS = 1000
+_WAITING = 1000
+FLUSH_S = 1.0
+_STAMP = struct.Struct(">Q")
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,10 +154,6 @@ class _Wire:
                         logged.add(content)
                         self._tlog.write(out.data)
 
-    def close(self) -> None:
-        for port in self.ports:
-            port.close()
-
 
 def warm_up(vehicle: Vehicle, controller: FlightController) -> None:
     """Fly a few seconds that nobody sees, so that everything is compiled before the clock runs.
@@ -161,9 +163,6 @@ def warm_up(vehicle: Vehicle, controller: FlightController) -> None:
     vehicle : Vehicle
     controller : FlightController
     """
-    from mufly.flight import Flight
-    from mufly.mission import Mission
-
     flight = Flight(vehicle, Mission(name="warm-up"), controller=controller, keep=False)
     flight.autopilot.arm()
     flight.autopilot.take_off()
@@ -186,7 +185,7 @@ def run(
     on_notice: Callable[[str], None] | None = None,
     on_report: Callable[[Report], None] | None = None,
     autostart: bool = False,
-    where: str = "--link",
+    where: str = "endpoint",
 ) -> None:
     """Fly in real time behind a MAVLink link, until told to stop.
 
@@ -211,7 +210,7 @@ def run(
     autostart : bool
         Arm and fly the mission by itself, as soon as it is ready.
     where : str
-        Option that names the endpoints, for the message of an error.
+        What names the endpoints, for the message of an error.
 
     Raises
     ------
@@ -219,60 +218,44 @@ def run(
         If an endpoint cannot be opened.
     """
     link = VehicleLink(flight) if link is None else link
-    ports: list[Port] = []
-    try:
+    with contextlib.ExitStack() as stack:
+        ports = []
         for endpoint in endpoints:
             ports.append(open_port(endpoint, where))
+            stack.callback(ports[-1].close)
         if on_event is not None:
             flight.autopilot.listeners.append(on_event)
+            stack.callback(flight.autopilot.listeners.remove, on_event)
         if on_open is not None:
             on_open()
         if tlog is not None:
             link.on_received = tlog.write
-        _loop(flight, link, _Wire(ports, tlog), stop, on_notice, on_report, autostart)
-    finally:
-        if on_event is not None and on_event in flight.autopilot.listeners:
-            flight.autopilot.listeners.remove(on_event)
-        for port in ports:
-            port.close()
-
-
-def _loop(
-    flight: Flight,
-    link: VehicleLink,
-    wire: _Wire,
-    stop: Callable[[], bool],
-    on_notice: Callable[[str], None] | None,
-    on_report: Callable[[Report], None] | None,
-    autostart: bool,
-) -> None:
-    pace = Pace(time.monotonic(), flight.period_s)
-    report_s, counted = time.monotonic(), (0, 0)
-    while not stop():
-        now_s = time.monotonic()
-        rest = pace.wait_s(now_s)
-        while rest > 0.0:
-            wait(wire.ports, rest)
+        wire, period_s = _Wire(ports, tlog), flight.period_s
+        pace, report_s, counted = Pace(time.monotonic(), period_s), time.monotonic(), (0, 0)
+        while not stop():
             now_s = time.monotonic()
-            wire.receive(link, now_s)
             rest = pace.wait_s(now_s)
-        pace.tick(now_s)
-        wire.receive(link, now_s)
-        if autostart and (flight.time_s > _START_WITHIN_S or not flight.autopilot.not_ready()):
-            autostart = False
-            _start(flight)
-        flight.tick()
-        wire.send(link, now_s)
-        if now_s - report_s >= _REPORT_S:
-            spent, report_s = now_s - report_s, now_s
-            if on_notice is not None:
-                for port in wire.ports:
-                    for line in port.notices():
+            while rest > 0.0:
+                wait(ports, rest)
+                now_s = time.monotonic()
+                wire.receive(link, now_s)
+                rest = pace.wait_s(now_s)
+            pace.tick(now_s)
+            wire.receive(link, now_s)
+            if autostart and (flight.time_s > _START_WITHIN_S or not flight.autopilot.not_ready()):
+                autostart = False
+                _start(flight)
+            flight.tick()
+            wire.send(link, now_s)
+            if now_s - report_s >= _REPORT_S:
+                spent, report_s = now_s - report_s, now_s
+                if on_notice is not None:
+                    for line in (line for port in ports for line in port.notices()):
                         on_notice(line)
-            if on_report is not None:
-                on_report(_report(flight, link, pace, spent, counted))
-            counted = (link.received, link.sent)
-            pace.worst_s = 0.0
+                if on_report is not None:
+                    on_report(_report(flight, link, pace, spent, counted))
+                counted = (link.received, link.sent)
+                pace.worst_s = 0.0
 
 
 def _start(flight: Flight) -> None:
@@ -301,37 +284,6 @@ def _report(flight: Flight, link: VehicleLink, pace: Pace, spent_s: float, befor
     )
 
 
-# ----------------------------------------------------------------------------
-# The simulated vehicle in a process of its own: a page that draws and a vehicle that flies do not wait for each
-# other.
-#
-# The parent holds one end of a pipe. What happens in the vehicle comes through it; ``None`` sent into it asks the
-# vehicle to end. When the parent dies the pipe breaks, and the vehicle ends by itself. However it ends (asked,
-# Ctrl-C,
-# terminated, the parent gone), it finishes its recording.
-
-
-_KEPT_EVENTS = 1000
-_WAITING = 1000
-
-
-@dataclass(frozen=True, slots=True)
-class _Order:
-    """What the vehicle is to be; travels to the process."""
-
-    vehicle: Vehicle | str | Path
-    mission: Mission | str | Path
-    endpoints: tuple[Endpoint, ...]
-    path: Path | None
-    tlog: Path | None
-    wind: tuple[float, float, float] | None
-    gust: float | None
-    seed: int
-    autostart: bool
-    system: int
-    origin: Origin | None
-
-
 class VehicleProcess:
     """A vehicle that flies in a process of its own.
 
@@ -349,10 +301,10 @@ class VehicleProcess:
         Why it ended, if it could not go on.
     """
 
-    def __init__(self, order: _Order) -> None:
+    def __init__(self, order: Mapping[str, Any]) -> None:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        self.events: deque[signals_Event] = deque(maxlen=_KEPT_EVENTS)
+        self.events: deque[Event] = deque(maxlen=_KEPT_EVENTS)
         self.notices: deque[str] = deque(maxlen=_KEPT_EVENTS)
         self.report: Report | None = None
         self.outcome = self.reason = self.error = ""
@@ -442,6 +394,7 @@ def start_vehicle(
     autostart: bool = False,
     system: int = 1,
     origin: Origin | None = None,
+    where: str = "endpoint",
 ) -> VehicleProcess:
     """Start a simulated vehicle in a process of its own, behind a MAVLink link, in real time.
 
@@ -459,27 +412,26 @@ def start_vehicle(
         Its number, 1..255.
     origin : Origin, optional
         Where on the globe it is.
+    where : str
+        What named the endpoints, for the message of an error.
 
     Returns
     -------
     VehicleProcess
         Starting; :meth:`VehicleProcess.wait_ready` waits until it is up, or raises what is wrong.
     """
-    return VehicleProcess(
-        _Order(
-            vehicle,
-            mission,
-            tuple(endpoints),
-            None if path is None else Path(path),
-            None if tlog is None else Path(tlog),
-            None if wind is None else (float(wind[0]), float(wind[1]), float(wind[2])),
-            gust,
-            seed,
-            autostart,
-            system,
-            origin,
-        )
-    )
+    order = {
+        "vehicle": vehicle,
+        "mission": mission,
+        "endpoints": tuple(endpoints),
+        "tlog": tlog,
+        "autostart": autostart,
+        "system": system,
+        "origin": origin,
+        "where": where,
+        "flight": {"path": path, "wind": None if wind is None else tuple(wind), "gust": gust, "seed": seed},
+    }
+    return VehicleProcess(order)
 
 
 class _Teller:
@@ -509,7 +461,7 @@ class _Teller:
                 return  # nobody listens any more
 
 
-def _main(order: _Order, pipe: Connection) -> None:
+def _main(order: Mapping[str, Any], pipe: Connection) -> None:
     """The vehicle's process."""
     asked = threading.Event()
     # Ctrl-C reaches every process of a terminal; the parent decides what it means, and asks.
@@ -533,59 +485,37 @@ def _main(order: _Order, pipe: Connection) -> None:
         tell.close()
 
 
-def _fly(order: _Order, tell: _Teller, asked: threading.Event) -> None:
-    from mufly.control import design
-    from mufly.flight import Flight
-    from mufly.link.vehicle import VehicleLink
-    from mufly.mission import Mission, load_mission
-    from mufly.vehicle import Vehicle, load_vehicle
-
-    vehicle = order.vehicle if isinstance(order.vehicle, Vehicle) else load_vehicle(order.vehicle)
-    mission = order.mission if isinstance(order.mission, Mission) else load_mission(order.mission)
+def _fly(order: Mapping[str, Any], tell: _Teller, asked: threading.Event) -> None:
+    vehicle, mission = order["vehicle"], order["mission"]
+    vehicle = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
+    mission = mission if isinstance(mission, Mission) else load_mission(mission)
     controller = design(vehicle)
     warm_up(vehicle, controller)
-    flight = Flight(
-        vehicle,
-        mission,
-        controller=controller,
-        wind=order.wind,
-        gust=order.gust,
-        seed=order.seed,
-        path=order.path,
-        keep=False,
-    )
+    flight = Flight(vehicle, mission, controller=controller, keep=False, **order["flight"])
     with flight, contextlib.ExitStack() as stack:
-        log = None if order.tlog is None else stack.enter_context(TlogWriter(order.tlog))
-        flight.autopilot.listeners.append(lambda event: tell("event", event))
+        log = None if order["tlog"] is None else stack.enter_context(TlogWriter(order["tlog"]))
         run(
             flight,
-            order.endpoints,
-            link=VehicleLink(flight, system=order.system, origin=order.origin),
+            order["endpoints"],
+            link=VehicleLink(flight, system=order["system"], origin=order["origin"]),
             stop=asked.is_set,
             tlog=log,
+            on_event=lambda event: tell("event", event),
             on_open=lambda: tell("ready"),
             on_notice=lambda line: tell("notice", line),
             on_report=lambda report: tell("report", report),
-            autostart=order.autostart,
+            autostart=order["autostart"],
+            where=order["where"],
         )
         tell("done", flight.judge())
 
 
-# ----------------------------------------------------------------------------
-# Telemetry log, written as it comes: each packet behind the time of its arrival or departure.
-#
-# Eight bytes, big-endian, count microseconds since 1970; the packet follows as it is on the air. That is what every
-# ground station for MAVLink reads, and :func:`mufly.logs.read_log`. The file is flushed every second, so that a
-# process
-# that is killed loses no more.
-
-
-FLUSH_S = 1.0
-_STAMP = struct.Struct(">Q")
-
-
 class TlogWriter:
-    """An open telemetry log.
+    """Telemetry log, written as it comes: each packet behind the time of its arrival or departure.
+
+    Eight bytes, big-endian, count microseconds since 1970; the packet follows as it is on the air. That is what every
+    ground station for MAVLink reads, and :func:`mufly.logs.read_log`. The file is flushed every second, so that a
+    process that is killed loses no more.
 
     Parameters
     ----------

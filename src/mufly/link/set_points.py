@@ -1,4 +1,6 @@
-"""Set-points that a program streams: SET_POSITION_TARGET_LOCAL_NED and _GLOBAL_INT as a `SetPoint` of the mission.
+"""What is streamed to steer it: set-points from a program, and a pilot's sticks.
+
+Set-points are SET_POSITION_TARGET_LOCAL_NED and _GLOBAL_INT, here a `SetPoint` of the mission.
 
 ========================= ===========================================================================================
 frame                     position, velocity and heading are
@@ -14,28 +16,40 @@ GLOBAL_RELATIVE_ALT (3, 6)
 
 Fields that ``type_mask`` leaves out, and those that are no numbers, are not given. Accelerations and forces are not
 followed; a message that gives nothing else, or whose mask has bits that this vehicle does not know, says nothing.
+
+Sticks are RC_CHANNELS_OVERRIDE and MANUAL_CONTROL, the thesis's state "RC". An override is what its name says: while
+any of the channels 1 to 4 is given (not 0, not 65535), the pilot flies; when all are released, the helicopter hovers.
+MANUAL_CONTROL comes all the time from ground stations with a joystick, so it only counts once a mode for flying by
+hand has been asked for (DO_SET_MODE to ALTCTL and its like).
+
+======================= =============== ======================== ==============================
+stick                   channel         MANUAL_CONTROL           asks for, at its end
+======================= =============== ======================== ==============================
+right                   1 up            y = 1000                 roll to the right (STK_TILT)
+back                    2 up            x = -1000                nose up (STK_TILT)
+throttle up             3 up            z = 1000 (500: neither)  climb (STK_CLIMB)
+turn right              4 up            r = 1000                 turn to the right (STK_YAWRATE)
+======================= =============== ======================== ==============================
+
+Channels are 1000 to 2000 us, 1500 in the middle; a middle of 3 % to either side is dead. The directions are those of
+PX4 and ArduPilot (MAVLink's own text has r the other way round).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from mufly.flight import Autopilot
 from mufly.link.codec import MavMessage
-from mufly.link.conventions import Origin
-from mufly.mission import SetPoint
+from mufly.link.conventions import ABOVE_ORIGIN, ABOVE_SEA, Origin
+from mufly.mission import ACCEPTED, Answer, SetPoint, later
 from mufly.sensors import Measurement
-
-if TYPE_CHECKING:
-    from mufly.flight import Answer, Autopilot
 
 Triple = tuple[float, float, float]
 
 _NO_HEADING, _NO_YAW_RATE, _KNOWN_BITS = 0x400, 0x800, 0xFFF
 _LOCAL, _OFFSET, _BODY = 1, 7, (8, 9, 12)
-_ABOVE_SEA, _ABOVE_ORIGIN = (0, 5), (3, 6)
 _INT32_MAX = 2**31 - 1
 
 
@@ -92,34 +106,10 @@ def _turned(ahead_right_down: Triple, yaw: float) -> Triple:
 
 def _from_globe(message: MavMessage, origin: Origin | None) -> Triple | None:
     frame = message.coordinate_frame
-    if origin is None or frame not in (*_ABOVE_SEA, *_ABOVE_ORIGIN):
+    if origin is None or frame not in (*ABOVE_SEA, *ABOVE_ORIGIN):
         return None
     lat, lon = (math.nan if v == _INT32_MAX else v * 1e-7 for v in (message.lat_int, message.lon_int))
-    n, e, d = origin.to_local(lat, lon, message.alt)
-    return n, e, -message.alt if frame in _ABOVE_ORIGIN else d
-
-
-# ----------------------------------------------------------------------------
-# A pilot's sticks: RC_CHANNELS_OVERRIDE and MANUAL_CONTROL, as the thesis's state "RC".
-#
-# An override is what its name says: while any of the channels 1 to 4 is given (not 0, not 65535), the pilot flies;
-# when
-# all are released, the helicopter hovers. MANUAL_CONTROL comes all the time from ground stations with a joystick, so
-# it
-# only counts once a mode for flying by hand has been asked for (DO_SET_MODE to ALTCTL and its like).
-#
-# ======================= =============== ======================== ==============================
-# stick                   channel         MANUAL_CONTROL           asks for, at its end
-# ======================= =============== ======================== ==============================
-# right                   1 up            y = 1000                 roll to the right (STK_TILT)
-# back                    2 up            x = -1000                nose up (STK_TILT)
-# throttle up             3 up            z = 1000 (500: neither)  climb (STK_CLIMB)
-# turn right              4 up            r = 1000                 turn to the right (STK_YAWRATE)
-# ======================= =============== ======================== ==============================
-#
-# Channels are 1000 to 2000 us, 1500 in the middle; a middle of 3 % to either side is dead. The directions are those
-# of
-# PX4 and ArduPilot (MAVLink's own text has r the other way round).
+    return origin.to_local(lat, lon, message.alt, frame)
 
 
 FRESH_S = 1.0
@@ -160,7 +150,7 @@ def of_manual_control(message: MavMessage) -> Deflection:
     return _deflection(y or 0.0, -(x or 0.0), 0.0 if z is None else 2.0 * z - 1.0, r or 0.0)
 
 
-class Sticks:
+class ManualControl:
     """Whose sticks count, and what they ask of the autopilot.
 
     Parameters
@@ -179,7 +169,7 @@ class Sticks:
         """Whether they count because a mode for flying by hand was asked for."""
         return self._by_hand
 
-    def override(self, message: MavMessage) -> Answer | None:
+    def override(self, message: MavMessage) -> Answer:
         """Take an RC_CHANNELS_OVERRIDE."""
         wanted = of_channels(message)
         if wanted is not None:
@@ -188,19 +178,19 @@ class Sticks:
         if self._overridden:
             self._overridden = False
             return self._autopilot.sticks_off()
-        return None
+        return ACCEPTED
 
-    def manual(self, now_s: float, message: MavMessage) -> Answer | None:
+    def manual(self, now_s: float, message: MavMessage) -> Answer:
         """Take a MANUAL_CONTROL."""
         self._manual, self._heard_s = of_manual_control(message), now_s
-        return self._fly(self._manual) if self._by_hand else None
+        return self._fly(self._manual) if self._by_hand else ACCEPTED
 
-    def by_hand(self, now_s: float) -> Answer | str:
-        """A mode for flying by hand is asked for; returns why not where there are no sticks."""
+    def by_hand(self, now_s: float) -> Answer:
+        """A mode for flying by hand is asked for."""
         if self._overridden:
-            return ""
+            return ACCEPTED
         if now_s - self._heard_s > FRESH_S:
-            return "no sticks; stream MANUAL_CONTROL or RC_CHANNELS_OVERRIDE first"
+            return later("no sticks; stream MANUAL_CONTROL or RC_CHANNELS_OVERRIDE first")
         self._by_hand = True
         return self._fly(self._manual)
 
@@ -216,11 +206,8 @@ class Sticks:
         self._manual, self._heard_s = Deflection(), -math.inf
 
     def _fly(self, d: Deflection) -> Answer:
-        most: Mapping[str, float] = {
-            name: self._autopilot.parameters[name].value for name in ("STK_TILT", "STK_YAWRATE", "STK_CLIMB")
-        }
-        tilt = math.radians(most["STK_TILT"])
-        turn = math.radians(most["STK_YAWRATE"])
-        return self._autopilot.sticks(
-            d.roll * tilt, d.pitch * tilt, d.yaw * turn, d.climb * most["STK_CLIMB"]
+        tilt, turn, climb = (
+            self._autopilot.parameters[name].value for name in ("STK_TILT", "STK_YAWRATE", "STK_CLIMB")
         )
+        tilt, turn = math.radians(tilt), math.radians(turn)
+        return self._autopilot.sticks(d.roll * tilt, d.pitch * tilt, d.yaw * turn, d.climb * climb)

@@ -1,43 +1,31 @@
-"""What the messages of one instant are made from."""
+"""What the vehicle tells: each message from the state of the flight at one instant, and how often it goes out.
+
+Every function takes the :class:`Instant` and returns one message, or several. Units are the messages' own
+(https://mavlink.io/en/messages/common.html); axes N-E-D and body x-y-z, as here. :data:`STREAMS` is the table of all
+messages that can be streamed or asked for: a new message is a function and a row.
+
+``estimated_`` travels as ATTITUDE and LOCAL_POSITION_NED, ``reference_`` as POSITION_TARGET_LOCAL_NED and
+ATTITUDE_TARGET, ``measured_`` as VISION_POSITION_ESTIMATE, ``truth_`` and the wind as DEBUG_FLOAT_ARRAY "truth". The
+flight software has no estimator of its own yet: what it believes is what it measures.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mufly.dynamics import quaternion_from_euler
+from mufly.flight import FlightView, Status
 from mufly.link.codec import MavMessage, mavlink, single, within
-from mufly.link.conventions import MISSION, TAKE_OFF, Choice, Mode, Origin, custom_mode, mode_of
+from mufly.link.conventions import MISSION, TAKE_OFF, Mode, Origin, custom_mode, mode_of
 from mufly.mission import State
+from mufly.vehicle import Vehicle
 from mufly.version import __version__
-
-if TYPE_CHECKING:
-    from mufly.flight import FlightView, Status
-
-
-@dataclass(frozen=True, slots=True)
-class Airframe:
-    """What messages say of the vehicle that never changes.
-
-    Attributes
-    ----------
-    first_beam_rad, beams, min_range_m, max_range_m : float, int
-        The ring of range beams.
-    nominal_V, low_V : float
-        Battery.
-    """
-
-    first_beam_rad: float
-    beams: int
-    min_range_m: float
-    max_range_m: float
-    nominal_V: float
-    low_V: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,22 +39,20 @@ class Progress:
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
-    """One instant of the vehicle, as messages tell it.
+class Instant:
+    """What the messages of one instant are made from: the state of the flight, and what the link itself knows.
 
     Attributes
     ----------
+    vehicle : Vehicle
     view : FlightView
         What it measures, follows and does.
     status : Status
         What it is up to.
     ready : bool
         Whether it could be armed.
-    returning : bool
-        Whether it is on its way home.
     progress : Progress
         Of its mission.
-    airframe : Airframe
     origin : Origin or None
         Where on the globe it is.
     chosen : str
@@ -77,14 +63,13 @@ class Picture:
         Share of the packets from its stations that were lost, 0..1.
     """
 
+    vehicle: Vehicle
     view: FlightView
     status: Status
     ready: bool
-    returning: bool
     progress: Progress
-    airframe: Airframe
     origin: Origin | None
-    chosen: Choice
+    chosen: str
     commander: int
     loss: float
 
@@ -98,17 +83,10 @@ class Picture:
         """The vehicle's clock (us), never 0."""
         return max(1, round(self.view.time_s * 1e6))
 
-
-# ----------------------------------------------------------------------------
-# Messages about motion: what the vehicle believes, follows, measures and does, and in a simulation the truth.
-#
-# Every function takes the :class:`mufly.link.telemetry.Picture` of an instant and returns one message. Units are the
-# messages' own (https://mavlink.io/en/messages/common.html); axes N-E-D and body x-y-z, as here.
-#
-# ``estimated_`` travels as ATTITUDE and LOCAL_POSITION_NED, ``reference_`` as POSITION_TARGET_LOCAL_NED and
-# ATTITUDE_TARGET, ``measured_`` as VISION_POSITION_ESTIMATE, ``truth_`` and the wind as DEBUG_FLOAT_ARRAY "truth".
-# The
-# flight software has no estimator of its own yet: what it believes is what it measures.
+    @property
+    def battery_low(self) -> bool:
+        """Whether the battery's voltage is below the one to land at."""
+        return bool(self.view.battery_voltage < float(self.vehicle.battery.low_voltage))
 
 
 TRUTH = b"truth"
@@ -138,7 +116,7 @@ def _quaternion(angles: NDArray[np.floating[Any]]) -> list[float]:
     return _floats(quaternion_from_euler(roll, pitch, yaw))
 
 
-def attitude(p: Picture) -> MavMessage:
+def attitude(p: Instant) -> MavMessage:
     """ATTITUDE: roll, pitch, yaw (rad, yaw in +-pi) and body rates (rad/s)."""
     roll, pitch, yaw = _floats(p.view.measured.attitude)
     return mavlink.MAVLink_attitude_message(
@@ -146,19 +124,19 @@ def attitude(p: Picture) -> MavMessage:
     )
 
 
-def attitude_quaternion(p: Picture) -> MavMessage:
+def attitude_quaternion(p: Instant) -> MavMessage:
     """ATTITUDE_QUATERNION."""
     q = _quaternion(p.view.measured.attitude)
     return mavlink.MAVLink_attitude_quaternion_message(p.boot_ms, *q, *_floats(p.view.measured.rates))
 
 
-def local_position_ned(p: Picture) -> MavMessage:
+def local_position_ned(p: Instant) -> MavMessage:
     """LOCAL_POSITION_NED: position (m) and velocity (m/s)."""
     m = p.view.measured
     return mavlink.MAVLink_local_position_ned_message(p.boot_ms, *_floats(m.position), *_floats(m.velocity))
 
 
-def position_target_local_ned(p: Picture) -> MavMessage:
+def position_target_local_ned(p: Instant) -> MavMessage:
     """POSITION_TARGET_LOCAL_NED: the reference, with what is not followed now masked out."""
     v = p.view
     mask = _IGNORE_ACCELERATION | _IGNORE_YAW_RATE
@@ -180,7 +158,7 @@ def position_target_local_ned(p: Picture) -> MavMessage:
     )
 
 
-def attitude_target(p: Picture) -> MavMessage:
+def attitude_target(p: Instant) -> MavMessage:
     """ATTITUDE_TARGET: the attitude that is asked of the inner loop."""
     angles = p.view.reference_attitude
     mask = _IGNORE_RATES_AND_THRUST
@@ -190,7 +168,7 @@ def attitude_target(p: Picture) -> MavMessage:
     return mavlink.MAVLink_attitude_target_message(p.boot_ms, mask, q, 0.0, 0.0, 0.0, 0.0)
 
 
-def vision_position_estimate(p: Picture) -> MavMessage:
+def vision_position_estimate(p: Instant) -> MavMessage:
     """VISION_POSITION_ESTIMATE: position and attitude as they were measured."""
     m = p.view.measured
     roll, pitch, yaw = _floats(m.attitude)
@@ -199,49 +177,50 @@ def vision_position_estimate(p: Picture) -> MavMessage:
     )
 
 
-def actuator_output_status(p: Picture) -> MavMessage:
+def actuator_output_status(p: Instant) -> MavMessage:
     """ACTUATOR_OUTPUT_STATUS: motor upper, lower (0..1), servo 1, 2 (-1..1)."""
     outputs = _floats(p.view.actuators.array)
     return mavlink.MAVLink_actuator_output_status_message(p.usec, len(outputs), outputs + [0.0] * 28)
 
 
-def raw_rpm(p: Picture) -> list[MavMessage]:
+def raw_rpm(p: Instant) -> list[MavMessage]:
     """RAW_RPM of the upper (0) and the lower (1) rotor."""
     rpm = [single(w * 30.0 / math.pi) for w in np.asarray(p.view.rotor_speed).tolist()]
     return [mavlink.MAVLink_raw_rpm_message(k, speed) for k, speed in enumerate(rpm)]
 
 
-def obstacle_distance(p: Picture) -> MavMessage:
+def obstacle_distance(p: Instant) -> MavMessage:
     """OBSTACLE_DISTANCE: the ring of beams, clockwise from its first (cm); one more than the most: nothing in sight."""
-    a, ranges = p.airframe, np.asarray(p.view.measured.ranges)[:_OBSTACLES_MOST].tolist()
-    most = within(a.max_range_m * 100.0, 0, _NOTHING_CM - 2)
-    seen = [most + 1 if r >= a.max_range_m else within(r * 100.0, 0, most, _NOTHING_CM) for r in ranges]
-    spacing = 360.0 / max(1, a.beams)
+    ring, ranges = p.vehicle.range_ring, np.asarray(p.view.measured.ranges)[:_OBSTACLES_MOST].tolist()
+    most_m = float(ring.max_range)
+    most = within(most_m * 100.0, 0, _NOTHING_CM - 2)
+    seen = [most + 1 if r >= most_m else within(r * 100.0, 0, most, _NOTHING_CM) for r in ranges]
+    spacing = 360.0 / max(1, ring.count)
     return mavlink.MAVLink_obstacle_distance_message(
         p.usec,
         mavlink.MAV_DISTANCE_SENSOR_LASER,
         seen + [_NOTHING_CM] * (_OBSTACLES_MOST - len(seen)),
         within(spacing, 0, 255),
-        within(a.min_range_m * 100.0, 0, most),
+        within(float(ring.min_range) * 100.0, 0, most),
         most,
         spacing,
-        math.degrees(a.first_beam_rad),
+        math.degrees(float(ring.first_angle)),
         mavlink.MAV_FRAME_BODY_FRD,
     )
 
 
-def distance_sensors(p: Picture) -> list[MavMessage]:
+def distance_sensors(p: Instant) -> list[MavMessage]:
     """DISTANCE_SENSOR of every beam, with its direction."""
-    a, out = p.airframe, []
-    most = within(a.max_range_m * 100.0, 0, _NOTHING_CM - 1)
+    ring, out = p.vehicle.range_ring, []
+    least, most = (within(float(m) * 100.0, 0, _NOTHING_CM - 1) for m in (ring.min_range, ring.max_range))
     for k, r in enumerate(np.asarray(p.view.measured.ranges).tolist()[:255]):
-        angle = a.first_beam_rad + math.tau * k / a.beams
+        angle = float(ring.first_angle) + math.tau * k / ring.count
         turns = math.degrees(angle) / _YAW_ROTATIONS
         fits = abs(turns - round(turns)) < 1e-3
         out.append(
             mavlink.MAVLink_distance_sensor_message(
                 p.boot_ms,
-                within(a.min_range_m * 100.0, 0, most),
+                min(least, most),
                 most,
                 within(r * 100.0, 0, most),
                 mavlink.MAV_DISTANCE_SENSOR_LASER,
@@ -254,7 +233,7 @@ def distance_sensors(p: Picture) -> list[MavMessage]:
     return out
 
 
-def vfr_hud(p: Picture) -> MavMessage:
+def vfr_hud(p: Instant) -> MavMessage:
     """VFR_HUD: what a simple instrument shows; "airspeed" is the speed over ground, for there is no airspeed sensor."""
     m, motors = p.view.measured, np.asarray(p.view.actuators.motor_input)
     speed = single(math.hypot(m.velocity[0], m.velocity[1]))
@@ -267,7 +246,7 @@ def vfr_hud(p: Picture) -> MavMessage:
     )
 
 
-def truth(p: Picture) -> MavMessage:
+def truth(p: Instant) -> MavMessage:
     """DEBUG_FLOAT_ARRAY "truth" (see :data:`TRUTH`)."""
     v = p.view
     values = [*v.position, *v.velocity, *v.attitude, *v.rates, *v.rotor_speed, *v.wind]
@@ -276,9 +255,7 @@ def truth(p: Picture) -> MavMessage:
     )
 
 
-# ----------------------------------------------------------------------------
-# Messages about what the vehicle is up to: heartbeat, health, battery, mission, and its place on the globe.
-
+# What the vehicle is up to: heartbeat, health, battery, mission, and its place on the globe.
 
 MUFLY = b"mufly"
 """Begins ``flight_custom_version``: whoever reads it knows that this is no real PX4."""
@@ -288,14 +265,14 @@ STATES: tuple[str, ...] = tuple(str(s) for s in State)
 _UNKNOWN_16, _UNKNOWN_16S = 65535, 32767
 
 
-def shown_mode(p: Picture) -> Mode:
+def shown_mode(p: Instant) -> Mode:
     """Return the flight mode that shows what it is doing, or has been told to do once it is armed."""
     if p.chosen:
         return TAKE_OFF if p.chosen == "take-off" else MISSION
-    return mode_of(p.status.state, not p.status.mission_running, p.returning)
+    return mode_of(p.status.state, not p.status.mission_running, p.status.homing)
 
 
-def heartbeat(p: Picture) -> MavMessage:
+def heartbeat(p: Instant) -> MavMessage:
     """HEARTBEAT: a coaxial helicopter with the modes of PX4; armed, mode, and how well it is."""
     mode = shown_mode(p)
     base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
@@ -308,7 +285,7 @@ def heartbeat(p: Picture) -> MavMessage:
         base |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
     if p.view.crashed:
         state = mavlink.MAV_STATE_EMERGENCY
-    elif p.status.flying and p.view.battery_voltage < p.airframe.low_V:
+    elif p.status.flying and p.battery_low:
         state = mavlink.MAV_STATE_CRITICAL
     else:
         state = mavlink.MAV_STATE_ACTIVE if p.status.armed else mavlink.MAV_STATE_STANDBY
@@ -317,7 +294,7 @@ def heartbeat(p: Picture) -> MavMessage:
     )
 
 
-def sys_status(p: Picture) -> MavMessage:
+def sys_status(p: Instant) -> MavMessage:
     """SYS_STATUS: which sensors and controllers there are and work, and whether it could be armed.
 
     The heading that is measured counts as a magnetometer. There is a GPS bit only with a global origin.
@@ -344,7 +321,7 @@ def sys_status(p: Picture) -> MavMessage:
     well = here | mavlink.MAV_SYS_STATUS_GEOFENCE
     if not (p.ready or p.status.armed):
         well &= ~mavlink.MAV_SYS_STATUS_PREARM_CHECK
-    if p.view.battery_voltage < p.airframe.low_V:
+    if p.battery_low:
         well &= ~mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
     v = p.view
     return mavlink.MAVLink_sys_status_message(
@@ -364,12 +341,12 @@ def sys_status(p: Picture) -> MavMessage:
     )
 
 
-def battery_status(p: Picture) -> MavMessage:
+def battery_status(p: Instant) -> MavMessage:
     """BATTERY_STATUS: voltage, current, charge, and how long it will last."""
     v = p.view
     if v.battery_charge < 0.05:
         charge = mavlink.MAV_BATTERY_CHARGE_STATE_CRITICAL
-    elif v.battery_voltage < p.airframe.low_V:
+    elif p.battery_low:
         charge = mavlink.MAV_BATTERY_CHARGE_STATE_LOW
     else:
         charge = mavlink.MAV_BATTERY_CHARGE_STATE_OK
@@ -389,7 +366,7 @@ def battery_status(p: Picture) -> MavMessage:
     )
 
 
-def landed_state(p: Picture) -> int:
+def landed_state(p: Instant) -> int:
     """MAV_LANDED_STATE."""
     if not p.status.flying:
         return int(mavlink.MAV_LANDED_STATE_ON_GROUND)
@@ -400,45 +377,45 @@ def landed_state(p: Picture) -> int:
     return int(mavlink.MAV_LANDED_STATE_IN_AIR)
 
 
-def extended_sys_state(p: Picture) -> MavMessage:
+def extended_sys_state(p: Instant) -> MavMessage:
     """EXTENDED_SYS_STATE: on the floor, taking off, in the air, landing."""
     return mavlink.MAVLink_extended_sys_state_message(mavlink.MAV_VTOL_STATE_UNDEFINED, landed_state(p))
 
 
-def system_time(p: Picture) -> MavMessage:
+def system_time(p: Instant) -> MavMessage:
     """SYSTEM_TIME: the vehicle's clock; it knows no calendar."""
     return mavlink.MAVLink_system_time_message(0, p.boot_ms)
 
 
-def mission_current(p: Picture) -> MavMessage:
+def mission_current(p: Instant) -> MavMessage:
     """MISSION_CURRENT: the item that is flown to or comes next, and how far the mission is."""
     q = p.progress
     return mavlink.MAVLink_mission_current_message(q.item, q.total if q.total else 65535, q.state, q.mode)
 
 
-def mission_state(p: Picture) -> MavMessage:
+def mission_state(p: Instant) -> MavMessage:
     """NAMED_VALUE_INT "mstate": index of the mission's state in :data:`STATES`."""
     return mavlink.MAVLink_named_value_int_message(p.boot_ms, b"mstate", STATES.index(p.status.state))
 
 
-def command(p: Picture) -> MavMessage:
+def command(p: Instant) -> MavMessage:
     """NAMED_VALUE_INT "command": system * 256 + component of who commands; 0: nobody."""
     return mavlink.MAVLink_named_value_int_message(p.boot_ms, b"command", p.commander)
 
 
-def _globe(p: Picture, place: tuple[float, float, float]) -> tuple[int, int, int]:
+def _globe(p: Instant, place: tuple[float, float, float]) -> tuple[int, int, int]:
     assert p.origin is not None
     lat, lon, alt = p.origin.to_global(*place)
     most = 2**31 - 1
     return within(lat * 1e7, -most, most), within(lon * 1e7, -most, most), within(alt * 1e3, -most, most)
 
 
-def _place(p: Picture) -> tuple[float, float, float]:
+def _place(p: Instant) -> tuple[float, float, float]:
     n, e, d = p.view.measured.position.tolist()
     return n, e, d
 
 
-def global_position_int(p: Picture) -> MavMessage | None:
+def global_position_int(p: Instant) -> MavMessage | None:
     """GLOBAL_POSITION_INT; None without an origin."""
     if p.origin is None:
         return None
@@ -456,7 +433,7 @@ def global_position_int(p: Picture) -> MavMessage | None:
     )
 
 
-def gps_raw_int(p: Picture) -> MavMessage | None:
+def gps_raw_int(p: Instant) -> MavMessage | None:
     """GPS_RAW_INT: the simulated receiver that an origin stands for; None without one."""
     if p.origin is None:
         return None
@@ -475,7 +452,7 @@ def gps_raw_int(p: Picture) -> MavMessage | None:
     )
 
 
-def altitude(p: Picture) -> MavMessage:
+def altitude(p: Instant) -> MavMessage:
     """ALTITUDE: height above the floor, above where it took off, and with an origin above the sea."""
     _, _, d = _place(p)
     height = single(-d)
@@ -487,7 +464,7 @@ def altitude(p: Picture) -> MavMessage:
     )
 
 
-def home_position(p: Picture) -> MavMessage | None:
+def home_position(p: Instant) -> MavMessage | None:
     """HOME_POSITION: where it took off, or stands; None without an origin."""
     if p.origin is None:
         return None
@@ -498,14 +475,14 @@ def home_position(p: Picture) -> MavMessage | None:
     )
 
 
-def gps_global_origin(p: Picture) -> MavMessage | None:
+def gps_global_origin(p: Instant) -> MavMessage | None:
     """GPS_GLOBAL_ORIGIN: where N = E = D = 0 is; None without an origin."""
     return (
         None if p.origin is None else mavlink.MAVLink_gps_global_origin_message(*_globe(p, (0, 0, 0)), p.usec)
     )
 
 
-def autopilot_version(p: Picture) -> MavMessage:
+def autopilot_version(p: Instant) -> MavMessage:
     """AUTOPILOT_VERSION: what it can do, and who it really is."""
     can = (
         mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FLOAT
@@ -523,3 +500,70 @@ def autopilot_version(p: Picture) -> MavMessage:
     name = list(MUFLY.ljust(8, b"\0"))
     version = (major & 0xFF) << 24 | (minor & 0xFF) << 16 | (patch & 0xFF) << 8
     return mavlink.MAVLink_autopilot_version_message(can, version, 0, 0, 0, name, [0] * 8, [0] * 8, 0, 0, 0)
+
+
+Make = Callable[[Instant], MavMessage | list[MavMessage] | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """One message of the table.
+
+    Attributes
+    ----------
+    name : str
+        Of the message; where several share one, what tells them apart follows in brackets.
+    number : int
+        Id of the message.
+    default_Hz : float
+        Rate for a peer that does not ask; 0: only on request.
+    groups : tuple of int
+        MAV_DATA_STREAM groups that it belongs to.
+    make : callable
+        Instant -> message, several, or None where there is nothing to tell.
+    """
+
+    name: str
+    number: int
+    default_Hz: float
+    groups: tuple[int, ...]
+    make: Make
+
+
+_STATUS, _RC, _RAW, _POSITION, _EXTRA1, _EXTRA2, _EXTRA3 = 2, 3, 4, 6, 10, 11, 12
+
+
+def _stream(name: str, default_Hz: float, groups: tuple[int, ...], make: Make) -> Stream:
+    number = getattr(mavlink, f"MAVLINK_MSG_ID_{name.split(' ')[0]}")
+    return Stream(name, number, default_Hz, groups, make)
+
+
+STREAMS: tuple[Stream, ...] = (
+    _stream("HEARTBEAT", 1.0, (), heartbeat),
+    _stream("SYS_STATUS", 2.0, (_STATUS,), sys_status),
+    _stream("SYSTEM_TIME", 1.0, (_STATUS,), system_time),
+    _stream("BATTERY_STATUS", 1.0, (_STATUS,), battery_status),
+    _stream("EXTENDED_SYS_STATE", 2.0, (_STATUS,), extended_sys_state),
+    _stream("MISSION_CURRENT", 2.0, (_STATUS,), mission_current),
+    _stream("NAMED_VALUE_INT (mstate)", 5.0, (_STATUS,), mission_state),
+    _stream("NAMED_VALUE_INT (command)", 1.0, (_STATUS,), command),
+    _stream("ATTITUDE", 20.0, (_EXTRA1,), attitude),
+    _stream("ATTITUDE_QUATERNION", 5.0, (_EXTRA1,), attitude_quaternion),
+    _stream("LOCAL_POSITION_NED", 20.0, (_POSITION,), local_position_ned),
+    _stream("POSITION_TARGET_LOCAL_NED", 10.0, (_POSITION,), position_target_local_ned),
+    _stream("ATTITUDE_TARGET", 10.0, (_EXTRA1,), attitude_target),
+    _stream("VISION_POSITION_ESTIMATE", 5.0, (_RAW,), vision_position_estimate),
+    _stream("ACTUATOR_OUTPUT_STATUS", 10.0, (_RC,), actuator_output_status),
+    _stream("RAW_RPM", 5.0, (_RC,), raw_rpm),
+    _stream("OBSTACLE_DISTANCE", 5.0, (_EXTRA3,), obstacle_distance),
+    _stream("DISTANCE_SENSOR", 1.0, (_EXTRA3,), distance_sensors),
+    _stream("VFR_HUD", 5.0, (_EXTRA2,), vfr_hud),
+    _stream("ALTITUDE", 5.0, (_POSITION,), altitude),
+    _stream("DEBUG_FLOAT_ARRAY", 0.0, (), truth),
+    _stream("GLOBAL_POSITION_INT", 5.0, (_POSITION,), global_position_int),
+    _stream("GPS_RAW_INT", 2.0, (_POSITION,), gps_raw_int),
+    _stream("HOME_POSITION", 0.5, (_POSITION,), home_position),
+    _stream("GPS_GLOBAL_ORIGIN", 0.2, (_POSITION,), gps_global_origin),
+    _stream("AUTOPILOT_VERSION", 0.0, (), autopilot_version),
+)
+"""Everything that can be streamed or asked for, with the rates that a peer gets who says nothing."""

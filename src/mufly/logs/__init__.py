@@ -1,9 +1,9 @@
 """What was recorded? Logs of flights and benches, ours and others', as labelled tables on one clock."""
 
 from mufly.logs.delay import Delay, DelayReport, body_rates_of_attitude, check_delays, estimate_delay
+from mufly.logs.layout import Event, Layout, columns_of, events_of, standard_layout, to_csv, to_dataset
 from mufly.logs.mapping import ColumnMap, builtin_maps, load_map
 from mufly.logs.quality import (
-    Channel,
     ChannelReport,
     UnitGuess,
     channels_of,
@@ -14,11 +14,19 @@ from mufly.logs.quality import (
     find_saturation,
     guess_angle_units,
 )
-from mufly.logs.read import FORMATS, kind_of, read_log, read_raw, write_log
-from mufly.logs.recording import events_of, read_attachments, read_recording, to_csv
+from mufly.logs.read import FORMATS, chosen, kind_of, read_log, read_raw, write_log
+from mufly.logs.recording import read_attachments, read_recording
 from mufly.logs.report import LogReport, channels, draw_channels, examine, grouped
-from mufly.logs.signals import Event, standard_layout
-from mufly.logs.topics import ClockReport, LogWarning, RawLog, RawTable, check_clock, find_gaps, resample
+from mufly.logs.topics import (
+    Channel,
+    ClockReport,
+    LogWarning,
+    RawLog,
+    RawTable,
+    check_clock,
+    find_gaps,
+    resample,
+)
 
 __all__ = [
     "FORMATS",
@@ -29,6 +37,7 @@ __all__ = [
     "Delay",
     "DelayReport",
     "Event",
+    "Layout",
     "LogReport",
     "LogWarning",
     "RawLog",
@@ -42,6 +51,8 @@ __all__ = [
     "check_channels",
     "check_clock",
     "check_delays",
+    "chosen",
+    "columns_of",
     "draw_channels",
     "estimate_delay",
     "events_of",
@@ -61,5 +72,6 @@ __all__ = [
     "resample",
     "standard_layout",
     "to_csv",
+    "to_dataset",
     "write_log",
 ]

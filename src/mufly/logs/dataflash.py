@@ -1,15 +1,18 @@
-"""The binary form of DataFlash: messages found in a stream of bytes, and unpacked a kind at a time.
+"""DataFlash, the log of ArduPilot: the binary ``.bin`` and its text form ``.log``.
 
-Every message is ``0xA3 0x95 kind body``. The bodies of a kind are laid out as its FMT message says, one letter a field,
-little-endian and packed; FMTU gives each field a letter for its unit and one for its multiplier, which UNIT and MULT
-explain (ArduPilot, libraries/AP_Logger/README.md). The bodies of one kind are unpacked together by NumPy: one Python
-object a message would take minutes for a log of usual size.
+Messages of the kind FMT say what those of every other kind hold (ardupilot.org, "Understanding and Reading Logs"); the
+text form has the same, a message a line. Times (TimeUS, microseconds since the board started, or TimeMS) count in
+seconds from the earliest message.
+
+In the binary form every message is ``0xA3 0x95 kind body``. The bodies of a kind are laid out as its FMT message says,
+one letter a field, little-endian and packed; FMTU gives each field a letter for its unit and one for its multiplier,
+which UNIT and MULT explain (ArduPilot, libraries/AP_Logger/README.md). The bodies of one kind are unpacked together by
+NumPy: one Python object a message, as pymavlink's reader makes, would take minutes for a log of usual size.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.logs.topics import RawLog, RawTable
+from mufly.logs.topics import RawLog, RawTable, wall_time
 
 MAGIC = b"\xa3\x95"
 DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT")
@@ -191,15 +194,6 @@ def _unit(label: str) -> str:
     )
 
 
-# ----------------------------------------------------------------------------
-# DataFlash, the log of ArduPilot: the binary ``.bin`` and its text form ``.log``.
-#
-# Messages of the kind FMT say what those of every other kind hold (ardupilot.org, "Understanding and Reading Logs");
-# the
-# text form has the same, a message a line. Times (TimeUS, microseconds since the board started, or TimeMS) count in
-# seconds from the earliest message.
-
-
 # GPS time runs ahead of UTC by the leap seconds since 1980; 18 since 2017.
 _GPS_EPOCH, _LEAP_S = 315964800.0, 18.0
 
@@ -306,4 +300,4 @@ def _start_time(tables: dict[str, RawTable]) -> str:
         return ""
     k = known[0]
     at = _GPS_EPOCH + week[k] * 604800 + ms[k] / 1e3 - _LEAP_S - gps.time[k]
-    return datetime.fromtimestamp(float(at), UTC).isoformat(timespec="milliseconds")
+    return wall_time(float(at))

@@ -208,10 +208,6 @@ def body_rates_of_attitude(time: _Array, attitude: _Array) -> _Array:
     return out
 
 
-# ----------------------------------------------------------------------------
-# The delays that a flight's record shows: from references to measurements, from attitude to rates.
-
-
 _FEWEST = 30
 
 

@@ -1,4 +1,6 @@
-"""Column maps: which column of a foreign log is which of our signals, in which unit and with which sign.
+"""From topics to signals: column maps, units converted, and what was guessed said in words.
+
+A column map says which column of a foreign log is which of our signals, in which unit and with which sign.
 
 A map is a TOML file (or a dictionary of the same shape); the maps for PX4 and ArduPilot that come with the package are
 such files too. One table a signal::
@@ -28,7 +30,6 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from importlib.resources import files
 from itertools import takewhile
 from pathlib import Path
@@ -41,8 +42,8 @@ from pydantic_core import PydanticCustomError
 
 from mufly.errors import InputError
 from mufly.logs.quality import UnitGuess, guess_angle_units
-from mufly.logs.signals import our_name, signal_named, split_name
-from mufly.logs.topics import RawLog, RawTable, euler_angles, unwrap, usable_samples
+from mufly.logs.topics import Channel, RawLog, RawTable, euler_angles, unwrap, usable_samples
+from mufly.quantities import our_name, quantity_named, split_name
 from mufly.tables import builtin_names, read_tables, validated
 from mufly.units import conversion, known_unit, split_header
 
@@ -181,128 +182,88 @@ def _from_pairs(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
     return tables
 
 
-# ----------------------------------------------------------------------------
-# One component of a signal on its own clock, and its units: converted, or guessed for angles and said.
-
-
 _ANGLES, _RATES = ("roll", "pitch", "yaw"), ("p", "q", "r")
-_ALIASES = {"roll": _ANGLES[0], "phi": "roll", "pitch": "pitch", "theta": "pitch", "yaw": "yaw", "psi": "yaw"}
+_ALIASES = {"roll": "roll", "phi": "roll", "pitch": "pitch", "theta": "pitch", "yaw": "yaw", "psi": "yaw"}
+_Roles = dict[tuple[str, int], Channel]
 
 
-@dataclass(frozen=True)
-class Series:
-    """One component of a signal on its own, increasing clock.
-
-    ``unit`` is what the values are in, ``""`` as long as nobody has said; ``source`` names topic and column.
-    """
-
-    variable: str
-    label: str | None
-    time: NDArray[np.float64]
-    values: NDArray[Any]
-    unit: str
-    source: str
-    hold: bool = False
-    long_name: str = ""
-
-    @property
-    def key(self) -> str:
-        """``variable.label``."""
-        return self.variable if self.label is None else f"{self.variable}.{self.label}"
+def _unit_of(variable: str) -> str:
+    known = quantity_named(variable)
+    return known.units if known is not None else ""
 
 
-def unit_of(variable: str) -> str:
-    signal = signal_named(variable)
-    return signal.units if signal is not None else ""
+def _in_si(c: Channel) -> Channel:
+    """Convert to the signal's unit, angles without jumps; units that nobody knows stay as they are."""
+    if c.text:
+        return c
+    wanted = _unit_of(c.variable) or None
+    unit = c.units or wanted or "1"
+    values = c.values.astype(np.float64)
+    if unit != wanted and (wanted is not None or known_unit(unit)):
+        try:
+            unit, factor, offset = conversion(unit, wanted)
+        except InputError as error:
+            raise InputError(c.source, c.name, f"the unit {unit!r} {error.problem}", error.remedy) from None
+        values = values * factor + offset
+    angle = c.variable.endswith("_attitude") or (c.label is None and c.variable in _ALIASES)
+    return c._replace(units=unit, values=unwrap(values) if angle and unit == "rad" else values)
 
 
-def in_si(series: Series) -> Series:
-    """Convert to the signal's unit; units that nobody knows stay as they are."""
-    if series.values.dtype.kind in "US":
-        return series
-    wanted = unit_of(series.variable) or None
-    unit = series.unit or wanted or "1"
-    if unit == wanted or (wanted is None and not known_unit(unit)):
-        return replace(series, unit=unit, values=series.values.astype(np.float64))
-    if unit == "us" and wanted == "us":
-        return series
-    try:
-        reached, factor, offset = conversion(unit, wanted)
-    except InputError as error:
-        raise InputError(
-            series.source, series.key, f"the unit {unit!r} {error.problem}", error.remedy
-        ) from None
-    return replace(series, unit=reached, values=series.values.astype(np.float64) * factor + offset)
-
-
-def without_jumps(series: Series) -> Series:
-    angle = series.variable.endswith("_attitude") or (series.label is None and series.variable in _ALIASES)
-    if angle and series.unit == "rad":
-        return replace(series, values=unwrap(series.values))
-    return series
-
-
-def _role(series: Series) -> tuple[str, str, int] | None:
+def _role(c: Channel) -> tuple[str, str, int] | None:
     """("measured", "angle", 0) for the roll angle of measured_attitude or a column called roll or phi; else None."""
-    prefix, _, kind = series.variable.partition("_")
-    if kind == "attitude" and series.label in _ANGLES:
-        return prefix, "angle", _ANGLES.index(series.label)
-    if kind == "rates" and series.label in _RATES:
-        return prefix, "rate", _RATES.index(series.label)
-    if series.label is None and series.variable.lower() in _ALIASES:
-        return "", "angle", _ANGLES.index(_ALIASES[series.variable.lower()])
-    if series.label is None and series.variable in _RATES:
-        return "", "rate", _RATES.index(series.variable)
+    prefix, _, kind = c.variable.partition("_")
+    if kind == "attitude" and c.label in _ANGLES:
+        return prefix, "angle", _ANGLES.index(c.label)
+    if kind == "rates" and c.label in _RATES:
+        return prefix, "rate", _RATES.index(c.label)
+    if c.label is None and c.variable.lower() in _ALIASES:
+        return "", "angle", _ANGLES.index(_ALIASES[c.variable.lower()])
+    if c.label is None and c.variable in _RATES:
+        return "", "rate", _RATES.index(c.variable)
     return None
 
 
-def settle_angles(series: list[Series]) -> tuple[list[Series], list[str]]:
+def _settle_angles(channels: list[Channel]) -> tuple[list[Channel], list[str]]:
     """Guess the units of angles and rates that name none; check those that do. Says every guess."""
-    groups: dict[str, dict[tuple[str, int], Series]] = {}
-    for s in series:
-        role = _role(s)
-        if role is not None and s.values.dtype.kind not in "US":
-            groups.setdefault(role[0], {})[role[1], role[2]] = s
+    groups: dict[str, _Roles] = {}
+    for c in channels:
+        role = _role(c)
+        if role is not None and not c.text:
+            groups.setdefault(role[0], {})[role[1], role[2]] = c
     settled: dict[str, str] = {}
     words: list[str] = []
     for prefix in sorted(groups, key=lambda p: p != "measured"):
         group = groups[prefix]
-        for kind in ("angle", "rate"):
-            members = [s for (k, _), s in group.items() if k == kind]
+        for kind, named, si, deg in (
+            ("angle", "attitude", "rad", "deg"),
+            ("rate", "rates", "rad/s", "deg/s"),
+        ):
+            members = [c for (k, _), c in group.items() if k == kind]
             if not members:
                 continue
-            what = members[0].variable if prefix else ", ".join(s.variable for s in members)
+            what = members[0].variable if prefix else ", ".join(c.variable for c in members)
             guess, unit = _guess(group, kind)
-            unnamed = [s for s in members if not s.unit]
-            si = "rad" if kind == "angle" else "rad/s"
-            deg = "deg" if kind == "angle" else "deg/s"
+            unnamed = [c for c in members if not c.units]
             if unnamed:
-                like = settled.get(f"{groups.get('measured', {}).get((kind, 0), unnamed[0]).key}", "")
+                like = settled.get(groups.get("measured", {}).get((kind, 0), unnamed[0]).name, "")
                 chosen = {"deg": deg, "rad": si}.get(unit) or like or si
-                why = (
-                    guess.reason if unit else "as in measured_" + {"angle": "attitude", "rate": "rates"}[kind]
-                )
+                why = guess.reason if unit else f"as in measured_{named}"
                 if not unit and not like:
                     why = "nothing in the data tells otherwise"
                 words.append(f"{what} names no unit and is taken to be in {chosen} ({why})")
-                settled |= {s.key: chosen for s in unnamed}
-            for s in members:
-                if s.unit == si and unit == "deg":
+                settled |= {c.name: chosen for c in unnamed}
+            for c in members:
+                other = {(si, "deg"): deg, (deg, "rad"): si}.get((c.units, unit))
+                if other:
                     words.append(
-                        f"{s.key} ({s.source}) is said to be in {si} but looks like {deg} ({guess.reason}); "
-                        f'if it is, give unit = "{deg}" in a column map'
+                        f"{c.name} ({c.source}) is said to be in {c.units} but looks like {other} ({guess.reason}); "
+                        f'if it is, give unit = "{other}" in a column map'
                     )
                     break
-                if s.unit == deg and unit == "rad":
-                    words.append(
-                        f"{s.key} ({s.source}) is said to be in {deg} but looks like {si} ({guess.reason}); "
-                        f'if it is, give unit = "{si}" in a column map'
-                    )
-                    break
-    return [replace(s, unit=settled.get(s.key, s.unit)) for s in series], words
+    return [c._replace(units=settled.get(c.name, c.units)) for c in channels], words
 
 
-def _guess(group: dict[tuple[str, int], Series], kind: str) -> tuple[UnitGuess, str]:
+def _guess(group: _Roles, kind: str) -> tuple[UnitGuess, str]:
     """Judge by the first axis that tells."""
     last = UnitGuess("", "", "")
     for axis in range(3):
@@ -311,14 +272,16 @@ def _guess(group: dict[tuple[str, int], Series], kind: str) -> tuple[UnitGuess, 
         if main is None:
             continue
         clock = (angle or main).time
-        a = None if angle is None else _near_unwrapped(angle.values.astype(np.float64))
-        if rate is None:
-            r = None
-        elif rate.time is clock:
+        a = r = None
+        if angle is not None:  # jumps are by a full turn, be it 2 pi or 360
+            a = angle.values.astype(np.float64)
+            known = a[np.isfinite(a)]
+            a = unwrap(a, 360.0 if len(known) and np.ptp(known) > 4 * np.pi else 2 * np.pi)
+        if rate is not None and rate.time is clock:
             r = rate.values.astype(np.float64)
-        else:
-            known = np.isfinite(rate.values)
-            r = np.interp(clock, rate.time[known], rate.values[known]) if known.any() else None
+        elif rate is not None:
+            there = np.isfinite(rate.values)
+            r = np.interp(clock, rate.time[there], rate.values[there]) if there.any() else None
         last = guess_angle_units(clock, a, r, bounded=axis < 2)
         said = last.angle if kind == "angle" else last.rate
         if said:
@@ -326,23 +289,9 @@ def _guess(group: dict[tuple[str, int], Series], kind: str) -> tuple[UnitGuess, 
     return last, ""
 
 
-def _near_unwrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Take out jumps by a full turn, be it 2 pi or 360."""
-    known = np.isfinite(angle)
-    out = angle.copy()
-    if known.any():
-        period = 360.0 if np.ptp(angle[known]) > 4 * np.pi else 2 * np.pi
-        out[known] = np.unwrap(angle[known], period=period)
-    return out
-
-
-# ----------------------------------------------------------------------------
-# From topics to signals: a column map applied to a log, with units converted and what was guessed said in words.
-
-
 def map_signals(
     raw: RawLog, given: ColumnMap | None, standard: ColumnMap | None, wanted: tuple[str, ...] = ()
-) -> tuple[list[Series], list[str]]:
+) -> tuple[list[Channel], list[str]]:
     """Apply column maps to a log.
 
     Parameters
@@ -358,7 +307,7 @@ def map_signals(
 
     Returns
     -------
-    series : list of Series
+    channels : list of Channel
         In SI units, angles without jumps.
     words : list of str
         What was guessed or repaired.
@@ -368,7 +317,7 @@ def map_signals(
     InputError
         If the user's map names what is not there, a unit is unknown, or a clock cannot be repaired.
     """
-    out: dict[str, Series] = {}
+    out: dict[str, Channel] = {}
     words: list[str] = []
     clocks: dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]] = {}
 
@@ -383,16 +332,13 @@ def map_signals(
     entries += [(e, False) for e in (standard.signal if standard else ())]
     used: set[tuple[str, str]] = set()
     for entry, must in entries:
-        table = _table_of(raw, entry, must)
-        if table is not None and not must:
-            entry = _as_far_as_there(entry, table)
-        names = None if table is None else _resolve(raw, table, entry, must)
-        if table is None or names is None:
+        found = _found(raw, entry, must)
+        if found is None:
             continue
+        table, entry, names = found
         used |= {(table.name, n) for n in names}
-        index, time = clock_of(table)
-        for series in _entry_series(table, entry, names, index, time):
-            out.setdefault(series.key, series)
+        for channel in _entry_channels(table, entry, names, *clock_of(table)):
+            out.setdefault(channel.name, channel)
     if len(raw) == 1 and standard is None:
         table = next(iter(raw.values()))
         index, time = clock_of(table)
@@ -402,20 +348,20 @@ def map_signals(
                 continue
             variable, label = ours or (_identifier(name), None)
             unit = _spelled(table.units.get(name, ""))
-            unit = "1" if not unit and ours and unit_of(variable) == "1" else unit
-            one = Series(variable, label, time, values[index], unit, name, long_name="" if ours else name)
-            out.setdefault(one.key, one)
+            unit = "1" if not unit and ours and _unit_of(variable) == "1" else unit
+            key = f"{variable}.{label}" if label else variable
+            one = Channel(key, unit, time, values[index], name, long_name="" if ours else name)
+            out.setdefault(key, one)
     for name in wanted:
         if "/" in name:
             table, field = raw_field(raw, name)
             index, time = clock_of(table)
             unit = _spelled(table.units.get(field, ""))
             variable = _identifier(f"{table.name}_{field}")
-            out[variable] = Series(
-                variable, None, time, table.fields[field][index], unit, name, long_name=name
-            )
-    found, said = settle_angles(list(out.values()))
-    return [without_jumps(in_si(s)) for s in found], words + said
+            values = table.fields[field][index]
+            out[variable] = Channel(variable, unit, time, values, name, long_name=name)
+    settled, said = _settle_angles(list(out.values()))
+    return [_in_si(c) for c in settled], words + said
 
 
 def raw_field(raw: RawLog, name: str) -> tuple[RawTable, str]:
@@ -444,34 +390,24 @@ def _near(name: str, known: list[str], what: str) -> str:
     return f"{'did you mean' if near else f'{what} are:'} {', '.join(shown)}{more}{'?' if near else ''}"
 
 
-def _table_of(raw: RawLog, entry: SignalEntry, must: bool) -> RawTable | None:
-    if entry.topic is None:
-        if len(raw) == 1:
-            return next(iter(raw.values()))
+def _found(raw: RawLog, entry: SignalEntry, must: bool) -> tuple[RawTable, SignalEntry, list[str]] | None:
+    """The topic and the fields that an entry means; None if they need not be there and are not, or hold no value."""
+    if entry.topic is None and len(raw) != 1:
         problem = f"{entry.name} names no topic, and the log has {len(raw)}"
         raise InputError(
             raw.path, entry.name, problem, f"add topic = ..., one of: {', '.join(list(raw)[:8])}"
         )
-    if entry.topic in raw:
-        return raw[entry.topic]
-    if must:
-        raise InputError(
-            raw.path, entry.topic, "there is no such topic", _near(entry.topic, list(raw), "topics")
-        )
-    return None
-
-
-def _as_far_as_there(entry: SignalEntry, table: RawTable) -> SignalEntry:
-    """Of a signal with any number of channels, the first ones that the topic has."""
-    signal = signal_named(entry.name)
-    if signal is None or signal.dim is None or signal.labels:
-        return entry
-    there = tuple(takewhile(lambda c: c in table.fields, entry.columns))
-    return entry.model_copy(update={"columns": there}) if there else entry
-
-
-def _resolve(raw: RawLog, table: RawTable, entry: SignalEntry, must: bool) -> list[str] | None:
-    """The fields that an entry means; None if they are not there, or there without a single value."""
+    topic = entry.topic if entry.topic is not None else next(iter(raw))
+    if topic not in raw:
+        if must:
+            raise InputError(raw.path, topic, "there is no such topic", _near(topic, list(raw), "topics"))
+        return None
+    table = raw[topic]
+    known = quantity_named(entry.name)
+    if not must and known is not None and known.dim and not known.labels:
+        # Of a signal with any number of channels, the first ones that the topic has.
+        there = tuple(takewhile(lambda c: c in table.fields, entry.columns))
+        entry = entry.model_copy(update={"columns": there}) if there else entry
     low = {name.lower(): name for name in table.fields}
     names = []
     for column in entry.columns:
@@ -487,13 +423,14 @@ def _resolve(raw: RawLog, table: RawTable, entry: SignalEntry, must: bool) -> li
         names.append(name)
     if entry.quaternion and not must:
         block = np.column_stack([table.fields[n] for n in names])
-        return names if np.isfinite(euler_angles(block)).any() else None
-    return names
+        if not np.isfinite(euler_angles(block)).any():
+            return None
+    return table, entry, names
 
 
-def _entry_series(
+def _entry_channels(
     table: RawTable, entry: SignalEntry, names: list[str], index: NDArray[np.int64], time: NDArray[np.float64]
-) -> list[Series]:
+) -> list[Channel]:
     signal, variable, label = split_name(entry.name, "map")
     columns = [table.fields[n][index] for n in names]
     units = [
@@ -518,7 +455,8 @@ def _entry_series(
     for one, column, unit, sign, source in zip(labels, columns, units, signs, sources, strict=True):
         if column.dtype.kind not in "US":
             column = sign * entry.factor * column.astype(np.float64) + entry.offset
-        out.append(Series(variable, one, time, column, unit, source, entry.hold, entry.long_name))
+        name = f"{variable}.{one}" if one else variable
+        out.append(Channel(name, unit, time, column, source, entry.hold, entry.long_name))
     return out
 
 

@@ -1,7 +1,20 @@
-"""What is wrong with a channel: missing values, constant, frozen, saturated, outliers."""
+"""What is wrong with a channel: missing values, constant, frozen, saturated, outliers; degrees for radians.
+
+Outliers are found as Hampel's filter finds them (Hampel 1974; Pearson et al. 2016, "Generalized Hampel Filters"):
+further from the median of a short window than so many robust standard deviations. The spread is taken from a window ten
+times as long, since seven samples tell it badly, and is at least the typical step from sample to sample, so that the
+crest of a fast but smooth motion is none.
+
+Degrees or radians? Three tests. Roll and pitch never leave +-180 deg, so values beyond 2 pi are degrees; no small
+helicopter turns faster than 35 rad/s (2000 deg/s, the range of its gyroscopes), so a rate beyond is in deg/s. And the
+derivative of an angle is its rate (for small angles, d(phi)/dt = p): the slope of the one over the other, both
+low-passed, is near 1 if both have the same unit, near 57.3 if the angle is in degrees and the rate in rad/s, near
+1/57.3 the other way round.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
@@ -11,8 +24,9 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter, percentile_filter
 
-from mufly.logs.signals import columns_of, is_held
-from mufly.logs.topics import ClockReport, RawLog, check_clock
+from mufly.logs.layout import columns_of
+from mufly.logs.topics import Channel
+from mufly.quantities import is_held
 
 _Array = NDArray[np.float64]
 _SAMPLES_EXAMINED = 400_000
@@ -42,15 +56,15 @@ class ChannelReport:
     units: str
     samples: int
     missing: float
-    constant: bool
-    smallest: float
-    largest: float
-    mean: float
-    std: float
-    outliers: tuple[float, ...]
-    frozen: tuple[tuple[float, float], ...]
-    at_minimum: float
-    at_maximum: float
+    constant: bool = False
+    smallest: float = math.nan
+    largest: float = math.nan
+    mean: float = math.nan
+    std: float = math.nan
+    outliers: tuple[float, ...] = ()
+    frozen: tuple[tuple[float, float], ...] = ()
+    at_minimum: float = 0.0
+    at_maximum: float = 0.0
 
     def words(self) -> list[str]:
         """The faults but that it is constant, a sentence each; empty for a sound channel."""
@@ -98,10 +112,7 @@ def check_channel(time: _Array, x: _Array, name: str, units: str = "") -> Channe
     """
     known = x[np.isfinite(x)]
     if not len(known):
-        nan = float("nan")
-        return ChannelReport(
-            name, units, len(x), 1.0 if len(x) else 0.0, False, nan, nan, nan, nan, (), (), 0.0, 0.0
-        )
+        return ChannelReport(name, units, len(x), 1.0 if len(x) else 0.0)
     # A reference that stays at a limit was planned so, and the truth of a simulation has no faults.
     planned = name.startswith(("reference_", "truth_"))
     low, high = (0.0, 0.0) if planned else find_saturation(x)
@@ -123,28 +134,10 @@ def check_channel(time: _Array, x: _Array, name: str, units: str = "") -> Channe
     )
 
 
-class Channel(NamedTuple):
-    """One component of a signal on its own clock, for :func:`check_channels`."""
-
-    name: str
-    units: str
-    time: _Array
-    values: _Array
-
-
 def channels_of(data: xr.Dataset) -> list[Channel]:
     """Return the numbers of signals on one clock, component by component."""
-    time = data["time"].values
-    return [
-        Channel(
-            c.variable if c.label is None else f"{c.variable}.{c.label}",
-            c.units,
-            time,
-            c.values.astype(np.float64),
-        )
-        for c in columns_of(data)
-        if c.values.dtype.kind in "fiub"
-    ]
+    numbers = [c for c in columns_of(data) if c.values.dtype.kind in "fiub"]
+    return [c._replace(values=c.values.astype(np.float64)) for c in numbers]
 
 
 def check_channels(
@@ -158,22 +151,6 @@ def check_channels(
         if progress is not None:
             progress(k + 1, len(channels))
     return out
-
-
-def check_log(raw: RawLog) -> dict[str, ClockReport]:
-    """Examine the clock of every topic."""
-    return {name: check_clock(table.time) for name, table in raw.items()}
-
-
-# ----------------------------------------------------------------------------
-# Outliers, drop-outs and saturation of one channel. One function a fault.
-#
-# Outliers are found as Hampel's filter finds them (Hampel 1974; Pearson et al. 2016, "Generalized Hampel Filters"):
-# further from the median of a short window than so many robust standard deviations. The spread is taken from a window
-# ten
-# times as long, since seven samples tell it badly, and is at least the typical step from sample to sample, so that
-# the
-# crest of a fast but smooth motion is none.
 
 
 _MAD = 1.4826
@@ -280,18 +257,6 @@ def find_saturation(x: _Array, *, at_least: int = 5) -> tuple[float, float]:
         held = int((runs[:, 1] - runs[:, 0]).sum())
         shares.append(held / len(values) if held > 0.5 * near.sum() else 0.0)
     return shares[0], shares[1]
-
-
-# ----------------------------------------------------------------------------
-# Degrees or radians? A guess from the range of an angle and from its rate, with the reasons in words.
-#
-# Three tests. Roll and pitch never leave +-180 deg, so values beyond 2 pi are degrees; no small helicopter turns
-# faster
-# than 35 rad/s (2000 deg/s, the range of its gyroscopes), so a rate beyond is in deg/s. And the derivative of an
-# angle is
-# its rate (for small angles, d(phi)/dt = p): the slope of the one over the other, both low-passed, is near 1 if both
-# have
-# the same unit, near 57.3 if the angle is in degrees and the rate in rad/s, near 1/57.3 the other way round.
 
 
 Unit = Literal["deg", "rad", ""]

@@ -1,4 +1,7 @@
-"""Which format a log has, judged by its content, never by its name."""
+"""One door for all logs, in and out: what was written, or signals on one clock; a dataset as a file of any kind.
+
+Which format a log has is judged by its content, never by its name; which one is written, by the ending.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +20,11 @@ from numpy.typing import NDArray
 from mufly.errors import InputError
 from mufly.logs.dataflash import MAGIC as DATAFLASH_MAGIC
 from mufly.logs.dataflash import is_text_log, read_dataflash
-from mufly.logs.mapping import ColumnMap, Series, TimeEntry, load_map, map_signals
+from mufly.logs.layout import columns_of, dataset_of, restore, to_csv
+from mufly.logs.mapping import ColumnMap, TimeEntry, load_map, map_signals
 from mufly.logs.mcap import MAGIC as MCAP_MAGIC
 from mufly.logs.mcap import read_mcap
-from mufly.logs.recording import is_recording, raw_mcap, read_recording, to_csv, write_mcap
-from mufly.logs.signals import FlatColumn, columns_of, dataset_of, is_held, restore
+from mufly.logs.recording import is_recording, raw_mcap, recording_of, write_mcap
 from mufly.logs.tables import (
     NETCDF_MAGIC,
     PARQUET_MAGIC,
@@ -35,6 +38,7 @@ from mufly.logs.tables import (
 )
 from mufly.logs.tlog import looks_like_tlog, read_tlog
 from mufly.logs.topics import (
+    Channel,
     LogWarning,
     RawLog,
     RawTable,
@@ -45,6 +49,15 @@ from mufly.logs.topics import (
 )
 from mufly.logs.ulog import MAGIC as ULOG_MAGIC
 from mufly.logs.ulog import read_ulog, write_ulog
+from mufly.quantities import is_held
+
+_MAGIC = {
+    "MCAP": MCAP_MAGIC,
+    "ULog": ULOG_MAGIC,
+    "Parquet": PARQUET_MAGIC,
+    "NetCDF": NETCDF_MAGIC,
+    "DataFlash": DATAFLASH_MAGIC,
+}
 
 
 def kind_of(path: str | Path) -> str:
@@ -63,15 +76,10 @@ def kind_of(path: str | Path) -> str:
         raise InputError(where, "", f"cannot be read ({error.strerror})", "give the path of a log") from error
     if not head:
         raise InputError(where, "", "is empty", "give a log")
-    if head.startswith(MCAP_MAGIC):
-        return "MCAP"
-    if head.startswith(ULOG_MAGIC):
-        return "ULog"
-    if head.startswith(PARQUET_MAGIC):
-        return "Parquet"
-    if head.startswith(NETCDF_MAGIC):
-        return "NetCDF"
-    if head.startswith(DATAFLASH_MAGIC) or is_text_log(head):
+    for kind, magic in _MAGIC.items():
+        if head.startswith(magic):
+            return kind
+    if is_text_log(head):
         return "DataFlash"
     if looks_like_tlog(head):
         return "MAVLink tlog"
@@ -88,10 +96,6 @@ def kind_of(path: str | Path) -> str:
         where, "", "is no log that is known here",
         "give MCAP, ULog, DataFlash (.bin, .log), MAVLink tlog, CSV, Parquet or NetCDF",
     )  # fmt: skip
-
-
-# ----------------------------------------------------------------------------
-# One door for all logs: :func:`read_raw` gives what was written, :func:`read_log` signals on one clock.
 
 
 Progress = Callable[[int, int], None]
@@ -133,7 +137,9 @@ def open_log(
     kind = kind_of(path)
     where = str(path)
     if kind == "MCAP":
-        return raw_mcap(path), _our_mcap(path)
+        contents = read_mcap(path)
+        raw = raw_mcap(contents, where)
+        return raw, recording_of(contents, where) if is_recording(contents) else None
     if kind == "ULog":
         raw = read_ulog(path)
         return raw, _our_ulog(raw)
@@ -145,44 +151,22 @@ def open_log(
         return read_parquet(path, time)
     if kind == "NetCDF":
         data = read_netcdf(path)
-        table = RawTable(
-            TOPIC, data["time"].values.astype(np.float64), {c.name: c.values for c in columns_of(data)},
-            {c.name: c.units for c in columns_of(data)},
-        )  # fmt: skip
+        columns = columns_of(data)
+        fields, units = {c.column: c.values for c in columns}, {c.column: c.units for c in columns}
+        table = RawTable(TOPIC, data["time"].values.astype(np.float64), fields, units)
         return RawLog(where, "NetCDF", {TOPIC: table}, str(data.attrs.get("start_time", ""))), data
     return read_csv(path, time), None
 
 
-def series_of(
-    raw: RawLog, columns: str | Path | Mapping[str, Any] | Sequence[str] | ColumnMap | None = None
-) -> tuple[list[Series], list[str]]:
-    """Return the signals of a log, each component on its own clock in SI units, and what was guessed and repaired.
+def channels_in(
+    raw: RawLog, columns: ColumnMap | None = None, wanted: tuple[str, ...] = ()
+) -> tuple[list[Channel], list[str]]:
+    """Return the signals of a log by a column map and that of its format, in SI units, and what was guessed.
 
-    Parameters
-    ----------
-    raw : RawLog
-        From :func:`read_raw`.
-    columns : optional
-        Column map, as :func:`load_map` takes it.
-
-    Raises
-    ------
-    InputError
-        As :func:`read_log`.
+    Parameters and errors are those of :func:`mufly.logs.mapping.map_signals`.
     """
-    given = None if columns is None else load_map(columns)
     standard = load_map(_MAPS[raw.kind]) if raw.kind in _MAPS else None
-    return map_signals(raw, given, standard)
-
-
-def _our_mcap(path: str | Path) -> xr.Dataset | None:
-    """Return the dataset of a recording of ours, None for somebody else's MCAP file."""
-    try:
-        return read_recording(path)
-    except InputError:
-        if is_recording(read_mcap(path)):
-            raise
-        return None
+    return map_signals(raw, columns, standard, wanted)
 
 
 def _our_ulog(raw: RawLog) -> xr.Dataset | None:
@@ -257,34 +241,31 @@ def read_log(
     ready: xr.Dataset | None = None
     as_it_is = given is None and not any("/" in s for s in signals)
     if kind == "MCAP" and as_it_is:
-        ready = _our_mcap(path)
+        contents = read_mcap(path)
+        ready = recording_of(contents, str(path)) if is_recording(contents) else None
     if ready is None:
         raw, found = open_log(path, None if given is None else given.time, progress)
         ready = found if as_it_is else None
     if ready is not None:
         index, notes = usable_samples(ready["time"].values.astype(np.float64), str(path), "")
         ready = ready if len(index) == ready.sizes["time"] and not notes else ready.isel(time=index)
-        data = at_rate(choose_variables(ready, signals, str(path)), rate_hz)
+        data = at_rate(_part(ready, signals, str(path)), rate_hz)
     else:
         assert raw is not None
-        standard = load_map(_MAPS[kind]) if kind in _MAPS else None
-        series, notes = map_signals(raw, given, standard, tuple(signals))
-        notes = [*raw.notes, *notes]
-        series = choose_series(series, signals, raw)
-        if not series:
+        found_channels, said = channels_in(raw, given, tuple(signals))
+        notes = [*raw.notes, *said]
+        if signals:
+            found_channels = chosen(found_channels, signals, raw.path, "; or write topic/field")
+        if not found_channels:
             remedy = f"name some (topic/field), or give a column map; topics are: {', '.join(list(raw)[:10])}"
             raise InputError(str(path), "", "holds no signal with a name of ours", remedy)
-        data = put_together(series, rate_hz, notes)
+        data = put_together(found_channels, rate_hz, notes)
         data.attrs |= {"start_time": raw.start_time, "complete": raw.complete}
         notes += [] if raw.complete else ["the file is damaged or cut off; what could be read is here"]
     data.attrs |= {"source": Path(path).name, "format": kind, "notes": notes}
     for note in notes:
         warnings.warn(f"{Path(path).name}: {note}", LogWarning, stacklevel=2)
     return part_of(data, from_s, to_s, str(path))
-
-
-# ----------------------------------------------------------------------------
-# Signals chosen by name, put on one clock, brought to a rate, cut to a part.
 
 
 # Steps that vary by more than this share are said.
@@ -294,46 +275,39 @@ JITTER = 0.02
 def matches(name: str, pattern: str) -> bool:
     """Whether a component ``variable.label`` is meant by a name or pattern: its own, its variable's, or ``*``."""
     variable = name.partition(".")[0]
-    if pattern in (name, variable) or pattern == name.replace(".", "_"):
+    if pattern in (variable, name.replace(".", "_")) or pattern.lstrip("/") == name.lstrip("/"):
         return True
     return any(c in pattern for c in "*?") and (
         fnmatch.fnmatchcase(name, pattern) or fnmatch.fnmatchcase(variable, pattern)
     )
 
 
-def choose_series(series: list[Series], signals: Sequence[str], raw: RawLog) -> list[Series]:
-    if not signals:
-        return series
-    out: dict[str, Series] = {}
-    for pattern in signals:
-        found = [s for s in series if s.source == pattern] if "/" in pattern else []
-        found = found or [s for s in series if matches(s.key, pattern)]
+def chosen(channels: Sequence[Channel], patterns: Sequence[str], where: str, also: str = "") -> list[Channel]:
+    """Return the channels that names, patterns or sources mean, in their order.
+
+    Raises
+    ------
+    InputError
+        If one means none; ``also`` is added to the remedy.
+    """
+    out: dict[str, Channel] = {}
+    for pattern in patterns:
+        found = [c for c in channels if matches(c.name, pattern)]
+        found = found or [c for c in channels if "/" in pattern and c.source == pattern]
         if not found:
-            names = ", ".join(dict.fromkeys(s.variable for s in series)) or "none"
-            raise InputError(
-                raw.path, pattern, "there is no such signal", f"signals are: {names}; or write topic/field"
-            )
-        out |= {s.key: s for s in found}
+            names = ", ".join(dict.fromkeys(c.variable for c in channels)) or "none"
+            raise InputError(where, pattern, "there is no such signal", f"signals are: {names}{also}")
+        out |= {c.name: c for c in found}
     return list(out.values())
 
 
-def choose_variables(data: xr.Dataset, signals: Sequence[str], where: str) -> xr.Dataset:
+def _part(data: xr.Dataset, signals: Sequence[str], where: str) -> xr.Dataset:
     """Part of a dataset; a component becomes the variable with NaN beside it."""
     if not signals:
         return data
     keep: dict[str, set[str]] = {}
-    columns = columns_of(data)
-    for pattern in signals:
-        found = [
-            c
-            for c in columns
-            if matches(c.variable if c.label is None else f"{c.variable}.{c.label}", pattern)
-        ]
-        if not found:
-            names = ", ".join(dict.fromkeys(c.variable for c in columns))
-            raise InputError(where, pattern, "there is no such signal", f"signals are: {names}")
-        for c in found:
-            keep.setdefault(c.variable, set()).add(str(c.label))
+    for c in chosen(columns_of(data), signals, where):
+        keep.setdefault(c.variable, set()).add(str(c.label))
     out = data[list(keep)]
     for name, labels in keep.items():
         if out[name].ndim == 2:
@@ -342,58 +316,54 @@ def choose_variables(data: xr.Dataset, signals: Sequence[str], where: str) -> xr
     return out
 
 
-def joined(channels: Sequence[tuple[str, str, NDArray[np.float64], NDArray[np.float64]]]) -> xr.Dataset:
-    """Put channels (name with label, unit, time, values) on one even clock, at the highest rate among them."""
-    series = []
-    for name, unit, time, values in channels:
-        variable, _, label = name.partition(".")
-        hold = is_held(variable)
-        series.append(Series(variable, label or None, time, values, unit, "", hold))
-    highest = max((r for r in (_rate(s.time) for s in series) if np.isfinite(r)), default=1.0)
-    return put_together(series, highest, [])
+def joined(channels: Sequence[Channel]) -> xr.Dataset:
+    """Put channels on one even clock, at the highest rate among them; what is commanded keeps its last value."""
+    held = [c._replace(hold=is_held(c.variable)) for c in channels]
+    return put_together(held, _highest(held), [])
 
 
-def put_together(series: list[Series], rate_hz: float | None, notes: list[str]) -> xr.Dataset:
-    """Put series on one clock."""
-    first = series[0].time
-    shared = all(s.time is first or np.array_equal(s.time, first) for s in series)
+def put_together(channels: list[Channel], rate_hz: float | None, notes: list[str]) -> xr.Dataset:
+    """Put channels on one clock."""
+    time = channels[0].time
+    shared = all(c.time is time or np.array_equal(c.time, time) for c in channels)
+    on_clock = channels
     if shared and rate_hz is None:
-        time = first
         report = check_clock(time)
         if report.jitter > JITTER or len(report.gaps):
             holes = f"{len(report.gaps)} gap{'s' if len(report.gaps) > 1 else ''}" if len(report.gaps) else ""
             steps = f"steps vary by {100 * report.jitter:.2g} %" if report.jitter > JITTER else ""
             said = ", ".join(t for t in (steps, holes) if t)
             notes.append(f"the clock is uneven ({said}); give a rate to resample")
-        columns = [FlatColumn(s.variable, s.label, s.values, s.unit) for s in series]
     else:
-        rates = [_rate(s.time) for s in series]
-        highest = max((r for r in rates if np.isfinite(r)), default=1.0)
+        highest = _highest(channels)
         rate = rate_hz or (float(round(highest)) if highest >= 10 else float(f"{highest:.3g}"))
-        time = common_clock([(float(s.time[0]), float(s.time[-1])) for s in series if len(s.time)], rate)
-        columns = [FlatColumn(s.variable, s.label, _onto(s, time), s.unit) for s in series]
-    about: dict[str, dict[str, Any]] = {}
-    for s in series:
-        entry = about.setdefault(
-            s.variable, {"source": s.source, "source_rate_hz": float(f"{_rate(s.time):.4g}")}
-        )
-        if s.long_name:
-            entry["long_name"] = s.long_name
-    data = dataset_of(time, columns, notes=about)
+        time = common_clock([(float(c.time[0]), float(c.time[-1])) for c in channels if len(c.time)], rate)
+        on_clock = [c._replace(values=_onto(c, time)) for c in channels]
+    data = dataset_of(time, on_clock)
+    for c in channels:
+        attrs = data[c.variable].attrs
+        attrs.setdefault("source", c.source)
+        attrs.setdefault("source_rate_hz", float(f"{_rate(c.time):.4g}"))
+        if c.long_name:
+            attrs["long_name"] = c.long_name
     _align_turns(data)
     data.attrs["rate_hz"] = float(f"{_rate(time):.6g}")
     return data
+
+
+def _highest(channels: Sequence[Channel]) -> float:
+    return max((r for r in (_rate(c.time) for c in channels) if np.isfinite(r)), default=1.0)
 
 
 def _rate(time: NDArray[np.float64]) -> float:
     return float(1 / np.median(np.diff(time))) if len(time) > 1 else float("nan")
 
 
-def _onto(series: Series, time: NDArray[np.float64]) -> NDArray[Any]:
-    if series.values.dtype.kind not in "US":
-        return resample(series.time, series.values, time, hold=series.hold)
-    before = np.searchsorted(series.time, time, side="right") - 1
-    out: NDArray[Any] = np.where(before >= 0, series.values[np.clip(before, 0, None)], "")
+def _onto(c: Channel, time: NDArray[np.float64]) -> NDArray[Any]:
+    if not c.text:
+        return resample(c.time, c.values, time, hold=c.hold)
+    before = np.searchsorted(c.time, time, side="right") - 1
+    out: NDArray[Any] = np.where(before >= 0, c.values[np.clip(before, 0, None)], "")
     return out
 
 
@@ -445,16 +415,8 @@ def part_of(data: xr.Dataset, from_s: float | None, to_s: float | None, where: s
     return data.isel(time=kept)
 
 
-# ----------------------------------------------------------------------------
-# One door out: a dataset as CSV, Parquet, NetCDF, MCAP or ULog, told by the name of the file.
-
-
-def _csv(dataset: xr.Dataset, path: Path) -> None:
-    to_csv(dataset, path)
-
-
-FORMATS: dict[str, Callable[[xr.Dataset, Path], None]] = {
-    ".csv": _csv,
+FORMATS: dict[str, Callable[[xr.Dataset, Path], object]] = {
+    ".csv": to_csv,
     ".parquet": write_parquet,
     ".nc": write_netcdf,
     ".mcap": write_mcap,

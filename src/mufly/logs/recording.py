@@ -1,16 +1,20 @@
-"""A recording: a labelled table on a clock, in memory, on disk and as CSV.
+"""A recording on disk: MCAP, to be opened in Foxglove and PlotJuggler.
 
-:mod:`mufly.logs.signals` says what the columns of a flight are. :func:`to_dataset` gives them their names, and
-:func:`read_recording` returns the same :class:`xarray.Dataset` from a file, equal to the last bit. JSON has no NaN
-and no infinity: both are written ``null`` and come back as NaN.
+:mod:`mufly.logs.layout` says what the columns of a row are; :func:`read_recording` returns the same
+:class:`xarray.Dataset` as was recorded, equal to the last bit. JSON has no NaN and no infinity: both are written
+``null`` and come back as NaN. The numbers of a block are written as JSON in one call (orjson prints the shortest text
+that reads back to the same float64) and then fitted between constant pieces of text, which spares a dictionary for
+every message.
+
+Other people's logs become recordings too (:func:`write_mcap`): floating-point signals over time, the state of the
+mission and events go into the file; other text does not. Other people's MCAP files are read as topics.
 """
 
 from __future__ import annotations
 
-import csv
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +24,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
+from mufly.logs.layout import Event, Layout, events_of, plain, to_dataset
 from mufly.logs.mcap import McapContents, McapFile, read_mcap
-from mufly.logs.signals import LABELS, QUANTITIES, Event, Layout, Quantity, plain
-from mufly.logs.topics import RawLog, RawTable
+from mufly.logs.topics import RawLog, RawTable, wall_time
+from mufly.quantities import LABELS, SOURCES, Quantity, kept_by
 
 FORMAT = 1
 CLOCK_TOPIC = "/mission"
@@ -31,61 +36,6 @@ METADATA_FLIGHT = "mufly.flight"
 METADATA_LAYOUT = "mufly.layout"
 METADATA_OUTCOME = "mufly.outcome"
 LEVELS = {"info": 2, "warning": 3, "error": 4}  # of foxglove.Log
-
-
-def to_dataset(
-    rows: NDArray[np.float64],
-    states: Sequence[str],
-    layout: Layout,
-    *,
-    attributes: Mapping[str, Any] | None = None,
-    events: Sequence[Event] = (),
-) -> xr.Dataset:
-    """Give the columns of a flight their names.
-
-    Parameters
-    ----------
-    rows : (n, layout.width) array
-        One row an instant; column 0 is the time (s).
-    states : sequence of n str
-        Mission state at each instant.
-    layout : Layout
-        Which column is what.
-    attributes : mapping, optional
-        Attributes of the dataset (vehicle, mission, seed, ...).
-    events : sequence of Event, optional
-        Become ``event_time``, ``event_state``, ``event_text``, ``event_level`` over the dimension ``event``.
-
-    Returns
-    -------
-    xarray.Dataset
-        Coordinate ``time`` (s); every variable has ``units`` and ``long_name``.
-    """
-    coords: dict[str, Any] = {"time": ("time", rows[:, 0].copy(), {"units": "s", "long_name": "time"})}
-    variables: dict[str, Any] = {}
-    for quantity in layout.quantities:
-        block = rows[:, layout.columns[quantity.name]].copy()
-        attrs = {"units": quantity.units, "long_name": quantity.long_name}
-        if quantity.dim is None:
-            variables[quantity.name] = ("time", block[:, 0], attrs)
-        else:
-            coords[quantity.dim] = list(layout.labels(quantity))
-            variables[quantity.name] = (("time", quantity.dim), block, attrs)
-    variables["mission_state"] = ("time", np.array(states, dtype=str), {"long_name": "state of the mission"})
-    variables["event_time"] = (
-        "event",
-        np.array([event.time_s for event in events], dtype=np.float64),
-        {"units": "s", "long_name": "time of the event"},
-    )
-    for part in ("state", "text", "level"):
-        variables[f"event_{part}"] = ("event", np.array([getattr(e, part) for e in events], dtype=str))
-    return xr.Dataset(variables, coords, dict(attributes or {}))
-
-
-def events_of(dataset: xr.Dataset) -> list[Event]:
-    """The events of a recording, in order of time."""
-    parts = (dataset[f"event_{part}"].values.tolist() for part in ("time", "state", "text", "level"))
-    return [Event(*values) for values in zip(*parts, strict=True)]
 
 
 def read_recording(path: str | Path) -> xr.Dataset:
@@ -107,9 +57,17 @@ def read_recording(path: str | Path) -> xr.Dataset:
     InputError
         No such file, not an MCAP file, not a recording of mufly, or no whole chunk of rows in it.
     """
-    where = str(path)
-    contents = read_mcap(path)
-    if METADATA_LAYOUT not in contents.metadata or METADATA_FLIGHT not in contents.metadata:
+    return recording_of(read_mcap(path), str(path))
+
+
+def is_recording(contents: McapContents) -> bool:
+    """Whether this package wrote the file."""
+    return METADATA_LAYOUT in contents.metadata and METADATA_FLIGHT in contents.metadata
+
+
+def recording_of(contents: McapContents, where: str) -> xr.Dataset:
+    """Return the dataset in the contents of a recording; errors as :func:`read_recording`."""
+    if not is_recording(contents):
         remedy = "give a file written by mufly (its metadata say so)"
         raise InputError(where, "", "is an MCAP file, but no recording of mufly", remedy)
     try:
@@ -186,46 +144,6 @@ def read_attachments(path: str | Path) -> dict[str, bytes]:
         No such file, or not an MCAP file.
     """
     return read_mcap(path).attachments
-
-
-def to_csv(dataset: xr.Dataset, path: str | Path) -> Path:
-    """Write a recording as one comma-separated table, one row an instant.
-
-    The header names variable, label and unit, ``truth_position_N [m]``; a pure number has no unit. Values are
-    written with as many digits as bring back the same float64; NaN is an empty cell.
-
-    Returns
-    -------
-    Path
-        The file written.
-    """
-    header, columns = ["time [s]"], [dataset["time"].values.tolist()]
-    for name, variable in dataset.data_vars.items():
-        if "time" not in variable.dims:
-            continue
-        units = variable.attrs.get("units", "1")
-        unit = "" if units == "1" else f" [{units}]"
-        if variable.ndim == 1:
-            header.append(f"{name}{unit}")
-            columns.append(variable.values.tolist())
-        else:
-            for label in variable[variable.dims[1]].values:
-                header.append(f"{name}_{label}{unit}")
-                columns.append(variable.loc[:, label].values.tolist())
-    target = Path(path)
-    with target.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(header)
-        # A value that differs from itself is NaN.
-        writer.writerows(["" if v != v else v for v in row] for row in zip(*columns, strict=True))
-    return target
-
-
-# ----------------------------------------------------------------------------
-# From rows of numbers to the messages of a chunk: every topic of a layout, the clock and the events.
-#
-# The numbers of a block are written as JSON in one call (orjson prints the shortest text that reads back to the same
-# float64) and then fitted between constant pieces of text, which spares a dictionary for every message.
 
 
 def json_schema(properties: dict[str, Any], title: str = "") -> dict[str, Any]:
@@ -355,21 +273,12 @@ def _schema(layout: Layout, topic: str) -> dict[str, Any]:
     return json_schema(properties, f"mufly.{topic[1:]}")
 
 
-# ----------------------------------------------------------------------------
-# Signals of any log as a recording of ours: MCAP, to be opened in Foxglove and PlotJuggler.
-#
-# Floating-point signals over time, the state of the mission and events go into the file; other text does not (a
-# recording
-# has one text, the state). A variable without a name of ours travels in the topic ``/signals``.
-
-
 _BLOCK_ROWS = 1000
-_TOPICS = {"truth": "/truth", "measured": "/measured", "estimated": "/estimated", "reference": "/reference"}
 
 
 def layout_of(dataset: xr.Dataset) -> Layout:
     """Return the columns of a recording that holds a dataset's numbers over time."""
-    known = {q.name: q for q in QUANTITIES}
+    known = {q.name: q for q in kept_by("flight")}
     found: list[Quantity] = []
     labels: dict[str, tuple[Any, ...]] = {}
     beams = 0
@@ -380,19 +289,15 @@ def layout_of(dataset: xr.Dataset) -> Layout:
         dim = next((str(d) for d in variable.dims if d != "time"), None)
         here = () if dim is None else tuple(dataset[dim].values.tolist())
         units, meaning = str(variable.attrs.get("units", "1")), str(variable.attrs.get("long_name", name))
-        prefix, _, rest = name.partition("_")
+        source, _, rest = name.partition("_")
+        topic, field = (f"/{source}", rest) if source in SOURCES and rest else ("/signals", name)
         if name in known and known[name].dim == dim:
-            quantity = known[name]
-            quantity = Quantity(name, quantity.topic, quantity.field, dim, units, meaning)
-        elif prefix in _TOPICS and rest:
-            quantity = Quantity(name, _TOPICS[prefix], rest, dim, units, meaning)
-        else:
-            quantity = Quantity(name, "/signals", name, dim, units, meaning)
+            topic, field = known[name].topic, known[name].field
         if dim == "beam":
             beams = len(here)
         elif dim is not None and LABELS.get(dim) != here:
             labels[dim] = here
-        found.append(quantity)
+        found.append(Quantity(name, topic, field, dim, units, meaning))
     order = {topic: k for k, topic in enumerate(dict.fromkeys(q.topic for q in found))}
     found.sort(key=lambda q: order[q.topic])
     return Layout(tuple(found), beams, tuple(labels.items()))
@@ -455,34 +360,24 @@ def _start_ns(dataset: xr.Dataset) -> int:
         return 0
 
 
-# ----------------------------------------------------------------------------
-# An MCAP file as topics: ours before it becomes a table on one clock, or any other with JSON messages.
-
-
 # A list longer than this is a picture or a cloud of points, no signal.
 _LONGEST_LIST = 64
 # Topics of ours that hold drawings and words.
 _NO_SIGNALS = ("/tf", "/scene", "/track", "/reference_pose", "/events")
 
 
-def is_recording(contents: McapContents) -> bool:
-    """Whether this package wrote the file."""
-    return METADATA_LAYOUT in contents.metadata and METADATA_FLIGHT in contents.metadata
-
-
-def raw_mcap(path: str | Path) -> RawLog:
-    """Read the JSON messages of an MCAP file; numbers inside tables become fields ``position.N``.
+def raw_mcap(contents: McapContents, where: str) -> RawLog:
+    """Return the JSON messages of an MCAP file as topics; numbers inside tables become fields ``position.N``.
 
     Raises
     ------
     InputError
-        If it is no MCAP file, or none of its messages is JSON.
+        If there is no message, or none is JSON.
     """
-    contents = read_mcap(path)
     ours = is_recording(contents)
     stamps = [m[0] for messages in contents.messages.values() for m in messages]
     if not stamps:
-        raise InputError(str(path), "", "holds no messages", "the recording ended before its first second")
+        raise InputError(where, "", "holds no messages", "the recording ended before its first second")
     zero = min(stamps)
     units = _units(contents) if ours else {}
     tables: dict[str, RawTable] = {}
@@ -501,16 +396,14 @@ def raw_mcap(path: str | Path) -> RawLog:
         tables[topic] = RawTable(topic, time, fields, units.get(topic, {}))
     if not tables:
         problem = f"holds no JSON messages (topics: {', '.join(unread) or 'none'})"
-        raise InputError(str(path), "", problem, "convert its messages to JSON first")
+        raise InputError(where, "", problem, "convert its messages to JSON first")
     notes = (f"topics in another encoding than JSON are left out: {', '.join(unread)}",) if unread else ()
     return RawLog(
-        path=str(path),
+        path=where,
         kind="MCAP",
         tables=tables,
         # A log whose wall time nobody knew begins in 1970.
-        start_time=datetime.fromtimestamp(zero / 1e9, UTC).isoformat(timespec="milliseconds")
-        if zero > 10**18 // 2
-        else "",
+        start_time=wall_time(zero / 1e9) if zero > 10**18 // 2 else "",
         info={"recorded by": "mufly"} if ours else {},
         complete=contents.complete,
         notes=notes,

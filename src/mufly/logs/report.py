@@ -14,11 +14,12 @@ from scipy.signal import detrend, welch
 
 from mufly.errors import InputError
 from mufly.logs.delay import DelayReport, check_delays
+from mufly.logs.layout import standard_layout
 from mufly.logs.mapping import ColumnMap, load_map, raw_field
-from mufly.logs.quality import Channel, ChannelReport, channels_of, check_channels, check_log
-from mufly.logs.read import joined, open_log, series_of
-from mufly.logs.signals import QUANTITIES, is_held
-from mufly.logs.topics import GAP_FACTOR, ClockReport, RawLog, resample
+from mufly.logs.quality import ChannelReport, channels_of, check_channels
+from mufly.logs.read import channels_in, joined, open_log
+from mufly.logs.topics import GAP_FACTOR, Channel, ClockReport, RawLog, check_clock, resample
+from mufly.quantities import is_held
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -93,25 +94,18 @@ class LogReport:
             {
                 "name": name,
                 "messages": len(table.time),
-                "rate_hz": self.clocks[name].rate_hz,
-                "jitter": self.clocks[name].jitter,
-                "gaps_s": self.clocks[name].gaps,
-                "backward": self.clocks[name].backward,
-                "repeated": self.clocks[name].repeated,
+                "rate_hz": clock.rate_hz,
+                "jitter": clock.jitter,
+                "gaps_s": clock.gaps,
+                "backward": clock.backward,
+                "repeated": clock.repeated,
                 "fields": {f: table.units.get(f, "") for f in table.fields},
             }
-            for name, table in self.raw.items()
+            for (name, table), clock in zip(self.raw.items(), self.clocks.values(), strict=True)
         ]
+        told = ("delay_s", "std_s", "low_s", "high_s", "correlation")
         delays = [
-            {
-                "reference": d.reference,
-                "response": d.response,
-                "delay_s": d.delay.delay_s,
-                "std_s": d.delay.std_s,
-                "low_s": d.delay.low_s,
-                "high_s": d.delay.high_s,
-                "correlation": d.delay.correlation,
-            }
+            {"reference": d.reference, "response": d.response, **{k: getattr(d.delay, k) for k in told}}
             for d in self.delays
         ]
         return {
@@ -162,38 +156,29 @@ def channels(
     """
     given = None if columns is None else load_map(columns)
     raw, recording = open_log(path, None if given is None else given.time, progress)
-    out: list[Channel] = []
-    sources: dict[str, str] = {}
     notes = list(raw.notes)
-    recording = recording if given is None else None
-    if recording is not None:
-        out = channels_of(recording)
-        where = {q.name: f"{q.topic}/{q.field}" for q in QUANTITIES} if raw.kind == "MCAP" else {}
-        sources = {c.name: where.get(c.name.partition(".")[0], "") for c in out}
+    if recording is not None and given is None:
+        ours = standard_layout().quantities if raw.kind == "MCAP" else ()
+        where = {q.name: f"{q.topic}/{q.field}" for q in ours}
+        out = [c._replace(source=where.get(c.variable, "")) for c in channels_of(recording)]
     else:
         try:
-            series, said = series_of(raw, given)
+            out, said = channels_in(raw, given)
         except InputError as error:
             if given is not None:
                 raise
-            series, said = [], [f"{error.key + ': ' if error.key else ''}{error.problem}; {error.remedy}"]
+            out, said = [], [f"{error.key + ': ' if error.key else ''}{error.problem}; {error.remedy}"]
         notes += said
-        out = [Channel(s.key, s.unit, s.time, s.values) for s in series if s.values.dtype.kind not in "US"]
-        sources = {s.key: s.source for s in series}
+    sources = {c.name: c.source for c in out}
+    out = [c for c in out if not c.text]
     for name in fields:
         table, field = raw_field(raw, name)
         values = table.fields[field]
         if values.dtype.kind in "US":
             raise InputError(str(path), name, "is text", "choose a number")
         order = np.argsort(table.time, kind="stable")
-        out.append(
-            Channel(
-                f"{table.name}/{field}",
-                table.units.get(field, ""),
-                table.time[order],
-                values[order].astype(float),
-            )
-        )
+        units = table.units.get(field, "")
+        out.append(Channel(f"{table.name}/{field}", units, table.time[order], values[order].astype(float)))
     return raw, out, sources, notes
 
 
@@ -221,25 +206,20 @@ def examine(
     between: list[DelayReport] = []
     if delays and found:
         wanted = ("attitude", "rates", "velocity", "position")
-        pairs = [
-            c for c in found if c.name.partition(".")[0].partition("_")[2] in wanted and len(c.time) > 30
-        ]
+        pairs = [c for c in found if c.variable.partition("_")[2] in wanted and len(c.time) > 30]
         if pairs:
             try:
                 between = check_delays(joined(pairs))
             except InputError as error:  # a wild time stamp: all else can still be said
                 notes.append(f"no delays: {error.problem}; {error.remedy}")
     reports = check_channels(found, progress)
-    return LogReport(raw, check_log(raw), reports, sources, between, notes)
+    clocks = {name: check_clock(table.time) for name, table in raw.items()}
+    return LogReport(raw, clocks, reports, sources, between, notes)
 
 
-# ----------------------------------------------------------------------------
-# Pictures of a log: signals over time, each on its own clock, and their spectra.
-#
-# Signals of one kind share a picture, their components a panel each, so that reference, measurement and truth of one
-# component lie on each other. Angles are drawn in degrees. Colours are those of Okabe and Ito (2008), which the
-# colour-blind can tell apart.
-
+# Pictures: signals over time, each on its own clock, and their spectra. Signals of one kind share a picture, their
+# components a panel each, so that reference, measurement and truth of one component lie on each other. Angles are drawn
+# in degrees. Colours are those of Okabe and Ito (2008), which the colour-blind can tell apart.
 
 _Array = NDArray[np.float64]
 _STYLE: Any = {

@@ -1,8 +1,10 @@
-"""Tables of text: comma, semicolon, tab or blanks between the cells, with or without a header.
+"""Tables in files of other programs, and logs that were converted once: CSV, Parquet, NetCDF.
 
-What is recognised: a header line, also behind comments (``#``, ``%``, ``//``); units in the header (``roll (deg)``,
-``T [N]``, ``speed_rpm``) or in a line of their own below it; decimal commas where semicolons separate; times as
-numbers or as ISO 8601. Cells that are no number are missing values, and counted.
+Of a table of text is recognised: comma, semicolon, tab or blanks between the cells; a header line, also behind
+comments (``#``, ``%``, ``//``); units in the header (``roll (deg)``, ``T [N]``, ``speed_rpm``) or in a line of their
+own below it; decimal commas where semicolons separate; times as numbers or as ISO 8601. Cells that are no number are
+missing values, and counted. A Parquet file is such a table too; NetCDF (version 3) needs a dimension ``time``. What
+``mufly log convert`` wrote comes back as it was.
 """
 
 from __future__ import annotations
@@ -22,8 +24,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
+from mufly.logs.layout import columns_of, describe, plain, restore
 from mufly.logs.mapping import TimeEntry
-from mufly.logs.signals import columns_of, describe, plain, restore
 from mufly.logs.topics import RawLog, RawTable
 from mufly.units import conversion, known_unit, split_header
 
@@ -302,13 +304,6 @@ def _few(names: Any) -> str:
     return ", ".join(shown[:12]) + (f" and {len(shown) - 12} more" if len(shown) > 12 else "")
 
 
-# ----------------------------------------------------------------------------
-# NetCDF and Parquet: logs that were converted once, and tables that other programs wrote.
-#
-# What ``mufly log convert`` wrote comes back as it was. Any other NetCDF (version 3) needs a dimension ``time``; any
-# other Parquet file is a table whose columns are read like those of a CSV file.
-
-
 NETCDF_MAGIC = (b"CDF\x01", b"CDF\x02")
 PARQUET_MAGIC = b"PAR1"
 _KEY = b"mufly"
@@ -334,7 +329,7 @@ def write_parquet(dataset: xr.Dataset, path: Path) -> None:
     arrays = [pyarrow.array(dataset["time"].values)]
     for column in columns:
         array = pyarrow.array(column.values.tolist() if column.values.dtype.kind in "US" else column.values)
-        fields.append(pyarrow.field(column.name, array.type, metadata={"units": column.units}))
+        fields.append(pyarrow.field(column.column, array.type, metadata={"units": column.units}))
         arrays.append(array)
     schema = pyarrow.schema(fields, metadata={_KEY: describe(dataset).encode()})
     module.write_table(pyarrow.Table.from_arrays(arrays, schema=schema), path)

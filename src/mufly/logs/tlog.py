@@ -15,7 +15,6 @@ import struct
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.logs.topics import RawLog, RawTable
+from mufly.logs.topics import RawLog, RawTable, wall_time
 
 _STAMP = struct.Struct(">Q")
 _YEAR_2000_US, _YEAR_2100_US = 946_684_800 * 10**6, 4_102_444_800 * 10**6
@@ -152,7 +151,7 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
         path=where,
         kind="MAVLink tlog",
         tables=dict(sorted(tables.items())),
-        start_time=datetime.fromtimestamp(zero / 1e6, UTC).isoformat(timespec="milliseconds"),
+        start_time=wall_time(zero / 1e6),
         info={"system": f"{vehicle[0]}.{vehicle[1]}", "parameters": parameters},
         messages=tuple(sorted(said)),
         complete=read == len(data),

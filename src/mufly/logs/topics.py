@@ -1,10 +1,21 @@
-"""A log as it was written: topics, each a table on its own clock, nothing resampled or renamed."""
+"""A log as it was written: topics, each on its own clock; whether the clocks run; and how all come onto one.
+
+A logger repeats a stamp, swaps two messages, or loses some; a board that restarts begins to count again. The first two
+are repaired and said; a restart is two logs in one, which no sorting can mend, and is refused.
+
+Onto a common clock a signal is interpolated linearly or, if it is held (an input, a reference), keeps its last value. A
+signal that is sampled faster than the new clock is first low-pass filtered without phase shift (the Kaiser-window FIR
+filter of SciPy's ``resample_poly``, whose delay is taken out), so that noise above half the new rate does not fold
+down; a held signal is not filtered. Where a signal has no sample within its own gap length the result is NaN: a gap
+stays a gap.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from datetime import UTC, datetime
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,12 +110,56 @@ class RawLog(Mapping[str, RawTable]):
         return (float(min(a for a, _ in ends)), float(max(b for _, b in ends))) if ends else (0.0, 0.0)
 
 
-# ----------------------------------------------------------------------------
-# The clock of a table: whether it runs forward, where it has gaps, and how evenly it ticks.
-#
-# A logger repeats a stamp, swaps two messages, or loses some; a board that restarts begins to count again. The first
-# two
-# are repaired and said; a restart is two logs in one, which no sorting can mend, and is refused.
+def wall_time(unix_s: float) -> str:
+    """Return seconds since 1970 as ISO 8601, UTC, to the millisecond."""
+    return datetime.fromtimestamp(unix_s, UTC).isoformat(timespec="milliseconds")
+
+
+class Channel(NamedTuple):
+    """One component of a signal on its own clock.
+
+    Attributes
+    ----------
+    name : str
+        ``measured_attitude.roll``, the variable alone for a scalar, or ``topic/field`` for a field as it is.
+    units : str
+        ``""`` as long as nobody has said.
+    time, values : (n,) array
+        s; numbers, or text (dtype str).
+    source : str
+        Topic and field that it comes from.
+    hold : bool
+        Whether it keeps its last value between samples.
+    long_name : str
+    """
+
+    name: str
+    units: str
+    time: NDArray[np.float64]
+    values: NDArray[Any]
+    source: str = ""
+    hold: bool = False
+    long_name: str = ""
+
+    @property
+    def variable(self) -> str:
+        """The signal that it is a component of."""
+        return self.name.partition(".")[0]
+
+    @property
+    def label(self) -> str | None:
+        """Which component, None for a scalar."""
+        return self.name.partition(".")[2] or None
+
+    @property
+    def column(self) -> str:
+        """Name as a column of a table, ``measured_attitude_roll``."""
+        return self.name.replace(".", "_")
+
+    @property
+    def text(self) -> bool:
+        """Whether the values are text."""
+        return self.values.dtype.kind in "US"
 
 
 _Array = NDArray[np.float64]
@@ -263,17 +318,6 @@ def usable_samples(time: _Array, where: str, key: str) -> tuple[NDArray[np.int64
     return order[last], words
 
 
-# ----------------------------------------------------------------------------
-# Signals with clocks of their own onto one common clock.
-#
-# Between samples a signal is interpolated linearly or, if it is held (an input, a reference), keeps its last value. A
-# signal that is sampled faster than the new clock is first low-pass filtered without phase shift (the Kaiser-window
-# FIR
-# filter of SciPy's ``resample_poly``, whose delay is taken out), so that noise above half the new rate does not fold
-# down; a held signal is not filtered. Where a signal has no sample within its own gap length the result is NaN: a gap
-# stays a gap.
-
-
 _MOST = 50_000_000
 
 
@@ -364,12 +408,12 @@ def _low_passed(t: _Array, x: _Array, new_step: float, step: float) -> tuple[_Ar
     return fine[::factor], low
 
 
-def unwrap(angle: _Array) -> _Array:
+def unwrap(angle: _Array, period: float = 2 * np.pi) -> _Array:
     """Take the jumps by a full turn out of an angle (rad) over the first axis, past missing values."""
     out = angle.copy()
     for column in out.reshape(len(out), -1).T:
         known = np.isfinite(column)
-        column[known] = np.unwrap(column[known])
+        column[known] = np.unwrap(column[known], period=period)
     return out
 
 

@@ -1,7 +1,13 @@
-"""ULog, the log of PX4 (docs.px4.io, "ULog File Format"), read with pyulog.
+"""ULog, the log of PX4 (docs.px4.io, "ULog File Format", version 1): read with pyulog, and written.
 
 Times are microseconds since the board started; here they count in seconds from the time stamp in the file's header.
 Topics carry no units.
+
+Signals of ours are written as one topic, ``table``: its clock in whole microseconds, as the format wants, and once more
+as a double, so that it comes back to the bit; text becomes a number whose meaning stands in the information
+``mufly_dataset``, with whatever else columns do not say. A file is the header (magic, version, time stamp); definitions
+(flags B, format F, information I); then data (subscription A, data D, logged text L), each message
+``size (u16), type (u8), body``, all little-endian.
 """
 
 from __future__ import annotations
@@ -11,7 +17,6 @@ import io
 import json
 import re
 import struct
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +25,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.logs.recording import events_of
-from mufly.logs.signals import columns_of, describe
+from mufly.logs.layout import columns_of, describe, events_of
 from mufly.logs.tables import TOPIC
-from mufly.logs.topics import RawLog, RawTable
+from mufly.logs.topics import RawLog, RawTable, wall_time
 
 MAGIC = b"ULog\x01\x12\x35"
 _LEVELS = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
@@ -125,20 +129,8 @@ def _start_time(tables: dict[str, RawTable], info: dict[str, Any]) -> str:
         known = np.flatnonzero(utc.astype(np.int64) > 10**15)
         if len(known):
             at = int(utc[known[0]]) / 1e6 - table.time[known[0]]
-            return datetime.fromtimestamp(at, UTC).isoformat(timespec="milliseconds")
+            return wall_time(at)
     return ""
-
-
-# ----------------------------------------------------------------------------
-# Signals as a ULog file, for the programs that know PX4's logs.
-#
-# The format is PX4's published one (docs.px4.io, "ULog File Format", version 1): the header (magic, version, time
-# stamp);
-# definitions (flags B, format F, information I); then data (subscription A, data D, logged text L), each message
-# ``size (u16), type (u8), body``, all little-endian. The signals become one topic, ``table``: its clock in whole
-# microseconds, as the format wants, and once more as a double, so that it comes back to the bit; text becomes a
-# number
-# whose meaning stands in the information ``mufly_dataset``, with whatever else columns do not say.
 
 
 TEXTS = "mufly_texts"
@@ -191,19 +183,19 @@ def write_ulog(dataset: xr.Dataset, path: Path) -> None:
     values: list[NDArray[Any]] = []
     declared = ["uint64_t timestamp", "double time"]
     for column in columns:
-        if not _NAME.fullmatch(column.name):
+        if not _NAME.fullmatch(column.column):
             raise InputError(
-                str(path), column.name, "is no name for ULog", "use letters, digits and underscores"
+                str(path), column.column, "is no name for ULog", "use letters, digits and underscores"
             )
         if column.values.dtype.kind in "US":
             known, number = np.unique(column.values, return_inverse=True)
-            texts[column.name] = known.tolist()
-            declared.append(f"uint16_t {column.name}")
-            layout.append((column.name, "<u2"))
+            texts[column.column] = known.tolist()
+            declared.append(f"uint16_t {column.column}")
+            layout.append((column.column, "<u2"))
             values.append(number)
         else:
-            declared.append(f"double {column.name}")
-            layout.append((column.name, "<f8"))
+            declared.append(f"double {column.column}")
+            layout.append((column.column, "<f8"))
             values.append(column.values)
     format_text = f"{TOPIC}:{';'.join(declared)};".encode()
     rows = np.zeros(len(time), dtype=np.dtype(layout))
@@ -215,7 +207,7 @@ def write_ulog(dataset: xr.Dataset, path: Path) -> None:
     rows["stamp"] = np.rint(np.where(np.isfinite(time), time, 0) * 1e6).astype(np.uint64)
     rows["time"] = time
     for column, value in zip(columns, values, strict=True):
-        rows[column.name] = value
+        rows[column.column] = value
     head = MAGIC + b"\x01" + struct.pack("<Q", 0) + _message(b"B", bytes(40))
     head += _message(b"F", format_text)
     head += _information("sys_name", "mufly") + _information(

@@ -1,5 +1,6 @@
 """What does it intend? Mission files, trajectories, obstacle avoidance and the mission state machine."""
 
+from mufly.mission.answers import ACCEPTED, GO_AROUND_M, OFF_FLOOR_M, STOPPING, Answer, Ask, later, may, never
 from mufly.mission.check import (
     SHARE,
     Estimate,
@@ -12,7 +13,7 @@ from mufly.mission.check import (
     preflight,
     slowed,
 )
-from mufly.mission.machine import GO_AROUND_M, OFF_FLOOR_M, step, stop_at_once, waypoint_fault
+from mufly.mission.machine import step, stop_at_once, waypoint_fault
 from mufly.mission.offboard import HIGHEST_M, SetPoint, fault_of, wants_up
 from mufly.mission.phases import RAMP_DOWN_S, blind, down_blind
 from mufly.mission.schema import LOWEST_M, SPIN_UP_S, Leg, Mission, Waypoint, legs
@@ -31,6 +32,7 @@ from mufly.mission.state import (
 from mufly.mission.trajectory import Limits, Spline, Trajectory, curved, spline, straight
 
 __all__ = [
+    "ACCEPTED",
     "GO_AROUND_M",
     "HIGHEST_M",
     "LOWEST_M",
@@ -39,6 +41,9 @@ __all__ = [
     "RAMP_DOWN_S",
     "SHARE",
     "SPIN_UP_S",
+    "STOPPING",
+    "Answer",
+    "Ask",
     "Command",
     "Estimate",
     "Event",
@@ -62,10 +67,13 @@ __all__ = [
     "down_blind",
     "dump_mission",
     "fault_of",
+    "later",
     "legs",
     "load_mission",
     "log",
+    "may",
     "mission_from",
+    "never",
     "preflight",
     "prepare",
     "slowed",

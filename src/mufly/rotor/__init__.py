@@ -18,10 +18,23 @@ from mufly.rotor.geometry import (
 from mufly.rotor.maps import climb_ratios, coax_map
 from mufly.rotor.measurements import Comparison, Measurements, calibrate, compare, read_measurements
 from mufly.rotor.polar_table import PolarStack, PolarTable, lookup, outside, stack_polars
-from mufly.rotor.system import CoaxialResult, balance_torque, coaxial, solve_thrust
+from mufly.rotor.system import (
+    FASTEST_TIP_M_S,
+    METHODS,
+    CoaxialResult,
+    Condition,
+    Result,
+    System,
+    balance_torque,
+    coaxial,
+    solve,
+    solve_thrust,
+)
 from mufly.rotor.uncertainty import Band, Doubt, interval
 
 __all__ = [
+    "FASTEST_TIP_M_S",
+    "METHODS",
     "PLAIN",
     "Air",
     "Airfoil",
@@ -31,13 +44,16 @@ __all__ = [
     "Blading",
     "CoaxialResult",
     "Comparison",
+    "Condition",
     "Corrections",
     "Doubt",
     "Measurements",
     "PolarStack",
     "PolarTable",
+    "Result",
     "Rotor",
     "RotorResult",
+    "System",
     "balance_torque",
     "blade_thickness_m",
     "builtin_rotors",
@@ -62,6 +78,7 @@ __all__ = [
     "replace_rotor",
     "rotor_from",
     "rotor_toml",
+    "solve",
     "solve_thrust",
     "stack_polars",
 ]

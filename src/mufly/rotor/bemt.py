@@ -274,15 +274,17 @@ def result_of(
 
 def induced_velocities(
     blading: Blading,
+    *,
     pitch_rad: float,
     speed_rad_s: float,
     climb_m_s: float,
     air: Air,
     stream: tuple[Array, Array],
+    which: int = 0,
 ) -> tuple[Array, Array]:
-    """Axial and tangential velocity (m/s) that the first rotor induces at its stations; quick, for iterations."""
+    """Axial and tangential velocity (m/s) that a rotor induces at its stations; quick, for iterations."""
     pitch, speed, climb = (np.array([float(v)]) for v in (pitch_rad, speed_rad_s, climb_m_s))
-    _, stations = _solve(blading, 0, pitch, speed, climb, air, True, np.stack(stream, axis=-1)[None])
+    _, stations = _solve(blading, which, pitch, speed, climb, air, True, np.stack(stream, axis=-1)[None])
     return stations[0, :, FIELDS.index("inflow_m_s")], stations[0, :, FIELDS.index("swirl_m_s")]
 
 

@@ -20,7 +20,7 @@ import os
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,7 +29,7 @@ from mufly.compiled import compiled
 from mufly.errors import InputError, MuflyError
 from mufly.rotor.bemt import Air
 from mufly.rotor.blading import Blading
-from mufly.rotor.system import coaxial, coaxial_wake
+from mufly.rotor.system import Condition, Method, Result, System, solve
 from mufly.rotor.wake import WakeSettings
 from mufly.vehicle import CoefficientMap, MapTables
 from mufly.vehicle.coefficient_map import MAP_NODES, table_text
@@ -69,7 +69,7 @@ def coax_map(
     mean_speed_rad_s: Sequence[float],
     ratio: Sequence[float],
     climb_ratio: Sequence[float],
-    method: Literal["bemt", "wake"] = "bemt",
+    method: Method = "bemt",
     air: Air | None = None,
     settings: WakeSettings | None = None,
     name: str = "",
@@ -133,26 +133,27 @@ def coax_map(
         "viscosity_Pa_s": gas.viscosity_Pa_s,
         "settings": "; ".join(filter(None, [note, "" if how is None else _shown(how)])),
     }
-    solve = _solver(
-        upper, lower, spacing_m=spacing_m, upper_pitch_rad=upper_pitch_rad, lower_pitch_rad=lower_pitch_rad, air=gas,
-        radius=radius, how=how,
-    )  # fmt: skip
+    system = System.coaxial(upper, lower, spacing_m=spacing_m)
     store = _Kept(kept, {**about, "axes": [a.tolist() for a in axes], "blades": _blades(upper, lower)})
     points = map_points(shape)
     values = np.full((*shape, 4), np.nan)
     solved = np.zeros(shape, dtype=np.bool_)
     reason = ""
+    last: Result | None = None
     for done, point in enumerate(points):
         if progress is not None:
             progress(done, len(points))
         answer = store.known.get(point)
         if answer is None:
+            mean, r, m = (float(a[k]) for a, k in zip(axes, point, strict=True))
+            up = 2.0 * mean / (1.0 + r)
+            at = Condition((upper_pitch_rad, lower_pitch_rad), (up, r * up), None, m * mean * radius, gas)
             try:
-                answer = solve(*(float(a[k]) for a, k in zip(axes, point, strict=True)))
+                answer, last = _values(system, at, method, how, last)
             except InputError:
                 raise
             except MuflyError as error:
-                reason = str(error)
+                reason, last = str(error), None
                 answer = (math.nan, math.nan, math.nan, math.nan, False)
             store.add(point, answer)
         values[point], solved[point] = answer[:4], answer[4] and np.all(np.isfinite(answer[:4]))
@@ -204,45 +205,27 @@ def _check_axes(axes: Sequence[Array]) -> None:
         raise InputError("coax map", "", f"{nodes} points", f"take fewer ({MAP_NODES} at most)")
 
 
-def _solver(
-    upper: Blading,
-    lower: Blading,
-    *,
-    spacing_m: float,
-    upper_pitch_rad: float,
-    lower_pitch_rad: float,
-    air: Air,
-    radius: float,
-    how: WakeSettings | None,
-) -> Callable[[float, float, float], Values]:
-    """Return the function that solves a point, starting from the point it solved last."""
-    last: list[Any] = [None]
+def _values(
+    system: System, condition: Condition, method: Method, settings: WakeSettings | None, last: Result | None
+) -> tuple[Values, Result | None]:
+    """Coefficients at a point, solved from the last one, or afresh where that leads nowhere; what the next starts from.
 
-    def solve(mean: float, ratio: float, climb_ratio: float) -> Values:
-        up = 2.0 * mean / (1.0 + ratio)
-        at: dict[str, Any] = {
-            "spacing_m": spacing_m, "upper_pitch_rad": upper_pitch_rad, "lower_pitch_rad": lower_pitch_rad,
-            "upper_speed_rad_s": up, "lower_speed_rad_s": ratio * up, "climb_m_s": climb_ratio * mean * radius,
-        }  # fmt: skip
-        if how is None:
-            try:
-                pair = coaxial(upper, lower, **at, air=air, start=last[0])
-            except MuflyError as error:
-                if isinstance(error, InputError) or last[0] is None:
-                    raise
-                last[0] = None
-                pair = coaxial(upper, lower, **at, air=air)
-            last[0] = pair.sent_up_m_s
-            a, b, converged = pair.upper, pair.lower, True
-        else:
-            wake = coaxial_wake(upper, lower, **at, air=air, settings=how, start=last[0])
-            if not wake.converged and last[0] is not None:
-                wake = coaxial_wake(upper, lower, **at, air=air, settings=how)
-            last[0] = wake if wake.converged else None
-            a, b, converged = *wake.rotors, wake.converged
-        return a.c_T, a.c_Q, b.c_T, b.c_Q, converged
-
-    return solve
+    Raises
+    ------
+    MuflyError
+        If the method finds no answer.
+    """
+    for start in (last, None) if last is not None else (None,):
+        try:
+            pair = solve(system, condition, method, settings=settings, start=start)
+        except MuflyError as error:
+            if isinstance(error, InputError) or start is None:
+                raise
+            continue
+        if pair.converged:
+            break
+    a, b = pair.rotors
+    return (a.c_T, a.c_Q, b.c_T, b.c_Q, pair.converged), pair if pair.converged else None
 
 
 def _filled(values: Array, solved: NDArray[np.bool_]) -> Array:

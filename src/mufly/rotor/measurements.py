@@ -25,6 +25,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,12 +35,12 @@ from mufly.errors import InputError, MuflyError
 from mufly.rotor.bemt import Air, hover_batch
 from mufly.rotor.blading import Blading, as_blading
 from mufly.rotor.geometry import Rotor
-from mufly.rotor.system import hover_wake, solve_thrust
-from mufly.rotor.wake.result import WakeSettings, WakeSolution
+from mufly.rotor.system import Condition, Method, Result, System, solve, solve_thrust_wake  # noqa: F401
+from mufly.rotor.wake.result import WakeSettings
+from mufly.units import RPM
 
 Array = NDArray[np.float64]
 
-_RPM = math.pi / 30.0
 _TORQUE = ("torque_nm", "q_nm", "q(nm)", "q_meas_nm", "power_w", "p(w)", "cp")
 _NAMES = {
     "pitch_deg": ("pitch_deg",),
@@ -111,7 +112,7 @@ def read_measurements(
             [row.get("pitch_deg", 0.0), row["speed_rpm"], row["thrust_N"], row.get("torque_Nm", math.nan)]
         )
     pitch, rpm, thrust, torque = np.array(rows).T
-    speed = rpm * _RPM
+    speed = rpm * RPM
     named = header[columns["thrust_N"]].lower()
     to_thrust = _thrust_from(named, diameter_m or math.nan, density_kg_m3 or math.nan)
     if "torque_Nm" in columns:
@@ -184,6 +185,8 @@ class Comparison:
         Prediction / measurement - 1; nan without a measurement.
     calibrated : bool
         True if the prediction was scaled to a measurement.
+    faults : tuple of str
+        Why a point has no prediction, for each point; empty where it has.
     """
 
     measured: Measurements
@@ -192,6 +195,7 @@ class Comparison:
     thrust_error: Array
     torque_error: Array
     calibrated: bool
+    faults: tuple[str, ...] = ()
 
     @property
     def mean_thrust_error(self) -> float:
@@ -217,7 +221,7 @@ class Comparison:
             if np.isfinite(m.torque_Nm[i]):
                 torque += f" {m.torque_Nm[i]:8.5f} {100 * self.torque_error[i]:+5.1f}%"
             lines.append(
-                f"{math.degrees(m.pitch_rad[i]):9.2f} {m.speed_rad_s[i] / _RPM:9.0f} {self.thrust_N[i]:9.4f} "
+                f"{math.degrees(m.pitch_rad[i]):9.2f} {m.speed_rad_s[i] / RPM:9.0f} {self.thrust_N[i]:9.4f} "
                 f"{m.thrust_N[i]:8.4f} {100 * self.thrust_error[i]:+5.1f}% {torque}"
             )
         mean = f"mean absolute error: thrust {100 * self.mean_thrust_error:.1f} %"
@@ -227,7 +231,13 @@ class Comparison:
 
 
 def compare(
-    blading: Blading | Rotor, measurements: Measurements | str | Path, *, air: Air | None = None
+    blading: Blading | Rotor,
+    measurements: Measurements | str | Path,
+    *,
+    air: Air | None = None,
+    method: Method = "bemt",
+    settings: WakeSettings | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
     """Predict every measured point.
 
@@ -239,26 +249,60 @@ def compare(
         Points, or the file that holds them.
     air : Air, optional
         Density and viscosity at the bench.
+    method : 'bemt' or 'wake'
+        Blade elements, or a wake a point (seconds each).
+    settings : WakeSettings, optional
+        Of the wakes.
+    progress : callable, optional
+        Of the wakes: points done, and points in all.
     """
-    blading = as_blading(blading)
-    bench = (
-        measurements
-        if isinstance(measurements, Measurements)
-        else read_measurements(
-            measurements,
-            diameter_m=2.0 * float(blading.radius_m[0]),
-            density_kg_m3=(air or Air()).density_kg_m3,
+    case, gas = as_blading(blading), air or Air()
+    bench = measurements
+    if not isinstance(bench, Measurements):
+        bench = read_measurements(
+            bench, diameter_m=2.0 * float(case.radius_m[0]), density_kg_m3=gas.density_kg_m3
         )
-    )
-    out = hover_batch(blading, pitch_rad=bench.pitch_rad, speed_rad_s=bench.speed_rad_s, air=air)
+    faults = [""] * bench.thrust_N.size
+    if method == "bemt":
+        out = hover_batch(case, pitch_rad=bench.pitch_rad, speed_rad_s=bench.speed_rad_s, air=gas)
+        thrust, torque = out.thrust_N, out.torque_Nm
+    else:
+        thrust, torque = _by_wake(case, bench, gas, settings, faults, progress)
     return Comparison(
         bench,
-        out.thrust_N,
-        out.torque_Nm,
-        out.thrust_N / bench.thrust_N - 1.0,
-        out.torque_Nm / bench.torque_Nm - 1.0,
-        blading.corrections.calibrated,
+        thrust,
+        torque,
+        thrust / bench.thrust_N - 1.0,
+        torque / bench.torque_Nm - 1.0,
+        case.corrections.calibrated,
+        tuple(faults),
     )
+
+
+def _by_wake(
+    case: Blading, bench: Measurements, air: Air, settings: WakeSettings | None, faults: list[str],
+    progress: Callable[[int, int], None] | None,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Thrust and torque of every point, nan where its wake does not converge; why not goes into ``faults``."""
+    system, n = System.single(case), bench.thrust_N.size
+    thrust, torque = np.full(n, np.nan), np.full(n, np.nan)
+    known: Result | None = None
+    # Neighbours in pitch and speed one after the other: each wake starts from the one before.
+    for done, k in enumerate(np.lexsort((bench.speed_rad_s, bench.pitch_rad)).tolist()):
+        if progress is not None:
+            progress(done, n)
+        point = Condition(float(bench.pitch_rad[k]), float(bench.speed_rad_s[k]), air=air)
+        now = solve(system, point, "wake", settings=settings, start=known)
+        if not now.converged and known is not None:
+            now = solve(system, point, "wake", settings=settings)
+        if now.converged:
+            known = now
+            thrust[k], torque[k] = now.rotors[0].thrust_N, now.rotors[0].torque_Nm
+        else:
+            faults[k] = now.message
+    if progress is not None:
+        progress(n, n)
+    return thrust, torque
 
 
 def calibrate(
@@ -307,127 +351,13 @@ def calibrate(
         pass
     raise MuflyError(
         f"{measurements.source}: no factors on lift and drag between 0.2 and 5 meet point {point + 1} "
-        f"({math.degrees(pitch):g} deg, {speed / _RPM:.0f} rpm); check the rotor and the units"
-    )
-
-
-# ----------------------------------------------------------------------------
-# What is asked of a wake other than one point: a thrust, or every point of a measurement.
-#
-# The wake is dear and blade element momentum theory (BEMT) is not, and the ratio of the two hardly changes from one
-# point to a near one. So BEMT, scaled to the wake at the last point, finds the next one: with T_w / T_b the ratio
-# there,
-# the point is sought at which BEMT gives T_wanted T_b / T_w. Two or three wakes are enough.
-
-
-Progress = Callable[[int, float, float], None]
-
-_REACHED = 1e-3  # of the thrust: what a converged wake can tell
-_TRIES = 8
-
-
-def solve_thrust_wake(
-    blading: Blading | Rotor,
-    *,
-    thrust_N: float,
-    pitch_rad: float | None = None,
-    speed_rad_s: float | None = None,
-    climb_m_s: float = 0.0,
-    air: Air | None = None,
-    which: int = 0,
-    settings: WakeSettings | None = None,
-    progress: Progress | None = None,
-) -> WakeSolution:
-    """Find the speed (at given pitch) or the pitch (at given speed) for a thrust, to 0.1 % or the wake's tolerance.
-
-    Arguments as for :func:`mufly.rotor.solve_thrust`. A wake on the way that does not converge is returned as it is,
-    marked so.
-
-    Raises
-    ------
-    InputError
-        If neither or both of pitch and speed are given, or the thrust is out of reach.
-    MuflyError
-        If eight tries do not find it.
-    """
-    if not 0.0 < thrust_N < math.inf:
-        raise InputError("rotor", "thrust", f"is {thrust_N:g} N", "give a number above 0")
-    case, how = as_blading(blading), settings or WakeSettings()
-    enough = max(_REACHED, how.tolerance)
-    wanted, known, reached = thrust_N, None, math.nan
-    for _ in range(_TRIES):
-        b = solve_thrust(
-            case, thrust_N=wanted, pitch_rad=pitch_rad, speed_rad_s=speed_rad_s, climb_m_s=climb_m_s, air=air,
-            which=which,
-        )  # fmt: skip
-        known = hover_wake(
-            case, pitch_rad=b.pitch_rad, speed_rad_s=b.speed_rad_s, climb_m_s=climb_m_s, air=air, which=which,
-            settings=how, start=known, progress=progress,
-        )  # fmt: skip
-        reached = known.rotors[0].thrust_N
-        if not known.converged or abs(reached / thrust_N - 1.0) <= enough:
-            return known
-        if not reached > 0.0:
-            break
-        wanted = thrust_N * b.thrust_N / reached
-    raise MuflyError(
-        f"rotor: {thrust_N:g} N is not found in {_TRIES} tries; the last wake gives {reached:.4g} N"
+        f"({math.degrees(pitch):g} deg, {speed / RPM:.0f} rpm); check the rotor and the units"
     )
 
 
 def compare_wake(
-    blading: Blading | Rotor,
-    measured: Measurements,
-    *,
-    air: Air | None = None,
-    settings: WakeSettings | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    blading: Blading | Rotor, measured: Measurements, **more: Any
 ) -> tuple[Comparison, list[str]]:
-    """Predict every measured point by the wake method.
-
-    Parameters
-    ----------
-    blading : Blading or Rotor
-    measured : Measurements
-    air : Air, optional
-        Density and viscosity at the bench.
-    settings : WakeSettings, optional
-    progress : callable, optional
-        Called with points done and points in all.
-
-    Returns
-    -------
-    comparison : Comparison
-        Points whose wake did not converge hold nan.
-    faults : list of str
-        Why not, for each point; empty where it did.
-    """
-    case, n = as_blading(blading), measured.thrust_N.size
-    thrust, torque, faults = np.full(n, np.nan), np.full(n, np.nan), [""] * n
-    known: WakeSolution | None = None
-    # Neighbours in pitch and speed one after the other: each wake starts from the one before.
-    for done, k in enumerate(np.lexsort((measured.speed_rad_s, measured.pitch_rad)).tolist()):
-        if progress is not None:
-            progress(done, n)
-        pitch, speed = float(measured.pitch_rad[k]), float(measured.speed_rad_s[k])
-        now = hover_wake(case, pitch_rad=pitch, speed_rad_s=speed, air=air, settings=settings, start=known)
-        if not now.converged and known is not None:
-            now = hover_wake(case, pitch_rad=pitch, speed_rad_s=speed, air=air, settings=settings)
-        if now.converged:
-            known = now
-            thrust[k], torque[k] = now.rotors[0].thrust_N, now.rotors[0].torque_Nm
-        else:
-            faults[k] = now.message
-    if progress is not None:
-        progress(n, n)
-    return (
-        Comparison(
-            measured,
-            thrust,
-            torque,
-            thrust / measured.thrust_N - 1.0,
-            torque / measured.torque_Nm - 1.0,
-            case.corrections.calibrated,
-        ),
-        faults,
-    )
+    """Former name."""
+    found = compare(blading, measured, method="wake", **more)
+    return found, list(found.faults)

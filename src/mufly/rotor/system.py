@@ -1,31 +1,34 @@
-"""Two rotors above each other, turning against each other: blade element momentum theory, both ways.
+"""Rotors on one shaft, solved together: what is given, what is found, by which method.
 
-The wake of a rotor is a tube of ring vortices, semi-infinite, that starts at its disc. On a disc of radius R
-with induced velocity v, such a tube moves the air at distance z below the disc (above: z < 0) at (Leishman,
-sec. 2.2; exact on the axis of a uniform tube)
+:func:`solve` takes a :class:`System` (which rotors, where, turning which way), a :class:`Condition` (pitch, speed,
+thrust, climb, air) and the name of a method: ``"bemt"``, blade element momentum theory, milliseconds; ``"wake"``,
+vortex wakes, seconds. What a condition leaves open is found: the speed or the pitch at which a rotor gives a thrust,
+the speed or the pitch of the lower rotor of a pair at which the torques cancel.
+
+Blade elements, several rotors (both ways). The wake of a rotor is a tube of ring vortices, semi-infinite, that starts
+at its disc. On a disc of radius R with induced velocity v, such a tube moves the air at distance z below the disc
+(above: z < 0) at (Leishman, sec. 2.2; exact on the axis of a uniform tube)
 
     v(z) = v k(z),   k(z) = 1 + z / sqrt(R^2 + z^2)      0 far above, 1 at the disc, 2 far below
 
-and continuity moves the stream surface from r to r / sqrt(k). So, with h the distance between the discs:
+and continuity moves the stream surface from r to r / sqrt(k). So, with h the distance between two discs:
 
-* The lower rotor meets, inside R / sqrt(k(h)), the upper one's stream: down k v_u, and round 2 u_t,u sqrt(k)
-(angular
-  momentum, twice the swirl in the disc), against its own motion because it turns the other way. Outside it
-  meets still air.
-* The upper rotor meets k(-h) v_l of the lower one, over its whole disc as the stream widens upwards; swirl does
-not reach up.
+* The lower rotor meets, inside R / sqrt(k(h)), the upper one's stream: down k v_u, and round 2 u_t,u sqrt(k) (angular
+  momentum, twice the swirl in the disc), against its own motion if it turns the other way. Outside it meets still air.
+* The upper rotor meets k(-h) v_l of the lower one, over its whole disc as the stream widens upwards; swirl does not
+  reach up.
 
-The two are solved in turn until the inflow stands still; each turn is one BEMT solution of each rotor. The tube
-is that of the undisturbed upper rotor: the lower rotor's pull on the shape of the upper wake is left out, as is
-the passing of blades.
+They are solved from the top down until the inflow from below stands still; each turn is one BEMT solution of each
+rotor. The tube is that of the undisturbed upper rotor: the lower rotor's pull on the shape of the upper wake is left
+out, as is the passing of blades. Of three rotors or more the streams add up; that is compared with nothing yet.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,43 +38,287 @@ from mufly.rotor.bemt import Air, RotorResult, hover, hover_batch, induced_veloc
 from mufly.rotor.blading import Blading, as_blading
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.wake.result import Placed, WakeSettings, WakeSolution
-from mufly.rotor.wake.solver import solve
+from mufly.rotor.wake.solver import solve_wake
 
 Array = NDArray[np.float64]
+Method = Literal["bemt", "wake"]
+Progress = Callable[[int, float, float], None]
 
 _TURNS = 200
-_BALANCED = 1e-7  # of the upper rotor's torque, or of the thrust asked for
 _SETTLED = 1e-8  # of the greatest induced velocity
+_CLOSE = 1e-7  # of the upper rotor's torque, or of the thrust asked for
+_WAKE_CLOSE = 1e-3  # of the same: what a converged wake can tell
+_FIRST_SPEED = 300.0  # rad/s, of the upper rotor, where a thrust finds it
+_THRUST_TRIES, _SPEED_TRIES, _PITCH_TRIES = 8, 12, 25
+_FIRST_SLOPE = 8.0  # 1/rad: torque grows like pitch^1.5 or so
+_SLOPES = (1.0, 80.0)  # what a secant may say of blades that do not stall
+_LONGEST_STEP = math.radians(4.0)
+_RANGE = (math.radians(-10.0), math.radians(45.0))
+
+FASTEST_TIP_M_S = 240.0
+"""Tip speed (m/s) above which air is no longer incompressible, as polars and theory take it to be: Mach 0.7."""
 
 
 @dataclass(frozen=True, eq=False)
-class CoaxialResult:
-    """A coaxial pair at one point.
+class System:
+    """Rotors on one shaft, the uppermost first. Make it with :meth:`single` or :meth:`coaxial`.
 
     Attributes
     ----------
-    upper, lower : RotorResult
-        Each rotor in the presence of the other.
-    thrust_N, power_W : float
-        Of the pair.
-    yaw_torque_Nm : float
-        Torque of the lower less that of the upper rotor; 0 in trim.
-    figure_of_merit : float
-        T sqrt(T / (2 rho A)) / P with one disc area, the larger; nan unless thrust and power are positive.
-    turns : int
-        How often the pair was solved.
-    sent_up_m_s : (stations,) array
-        Axial velocity that the lower rotor sends to the stations of the upper.
+    bladings : tuple of Blading
+    height_m : tuple of float
+        Of each disc, along the shaft.
+    hand : tuple of int
+        Sense of rotation: 1 or -1.
+    which : tuple of int
+        Which of its blading's rotors each one is.
     """
 
-    upper: RotorResult
-    lower: RotorResult
-    thrust_N: float
-    power_W: float
-    yaw_torque_Nm: float
-    figure_of_merit: float
-    turns: int
-    sent_up_m_s: Array
+    bladings: tuple[Blading, ...]
+    height_m: tuple[float, ...]
+    hand: tuple[int, ...]
+    which: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        if not self.bladings or any(b >= a for a, b in zip(self.height_m, self.height_m[1:], strict=False)):
+            raise InputError("rotor", "height_m", "does not fall", "give the uppermost rotor first")
+
+    @classmethod
+    def single(cls, blading: Blading | Rotor, *, which: int = 0) -> System:
+        """Return one rotor; a :class:`Rotor` is prepared with all defaults."""
+        return cls((as_blading(blading),), (0.0,), (1,), (which,))
+
+    @classmethod
+    def coaxial(cls, upper: Blading, lower: Blading, *, spacing_m: float) -> System:
+        """Return two rotors that turn against each other; the first rotor of each blading is taken.
+
+        Raises
+        ------
+        InputError
+            If the distance between the discs is not above zero.
+        """
+        if not 0.0 < spacing_m < math.inf:
+            raise InputError("coaxial", "spacing_m", f"is {spacing_m:g}", "give a distance above 0")
+        return cls((upper, lower), (0.0, -spacing_m), (1, -1), (0, 0))
+
+    def at(self, pitch_rad: Sequence[float], speed_rad_s: Sequence[float]) -> tuple[Placed, ...]:
+        """Return the rotors in their places, with the pitch and speed of each."""
+        return tuple(
+            Placed(b, p, s, h, hand, which)
+            for b, p, s, h, hand, which in zip(
+                self.bladings, pitch_rad, speed_rad_s, self.height_m, self.hand, self.which, strict=True
+            )
+        )
+
+
+Each = float | None | Sequence[float | None]
+
+
+@dataclass(frozen=True)
+class Condition:
+    """An operating point: what is given; what is None is found.
+
+    Attributes
+    ----------
+    pitch_rad, speed_rad_s : float or None, or a sequence with one for each rotor
+        Pitch settings, added to the twist (rad), and speeds (rad/s).
+    thrust_N : float, optional
+        Of all rotors together.
+    climb_m_s : float
+        Axial speed through the air, positive in climb; 0 is hover.
+    air : Air
+    """
+
+    pitch_rad: Each
+    speed_rad_s: Each = None
+    thrust_N: float | None = None
+    climb_m_s: float = 0.0
+    air: Air = field(default_factory=Air)
+
+
+def _each(name: str, value: Each, count: int) -> tuple[float | None, ...]:
+    """One value a rotor."""
+    values = [value] * count if value is None or np.ndim(value) == 0 else list(value)  # type: ignore[arg-type, list-item]
+    if len(values) != count:
+        raise InputError(
+            "rotor", name, f"has {len(values)} values for {count} rotors", "give one, or one for each rotor"
+        )
+    return tuple(None if v is None else float(v) for v in values)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """A system at one operating point.
+
+    Attributes
+    ----------
+    rotors : tuple of RotorResult
+        Each rotor in the presence of the others, the uppermost first.
+    placed : tuple of Placed
+        Their blades, places, pitches and speeds.
+    climb_m_s : float
+    air : Air
+    method : 'bemt' or 'wake'
+    converged : bool
+    message : str
+        How it converged, or why not.
+    turns : int
+        How often the rotors were solved in turn; iterations of the wake.
+    from_below_m_s : tuple of (stations,) arrays
+        By blade elements: axial velocity that each rotor but the last gets from those below it.
+    wake : WakeSolution or None
+        The wake, if that was the method: what :func:`mufly.rotor.wake.induced_velocity` and its companions take.
+    """
+
+    rotors: tuple[RotorResult, ...]
+    placed: tuple[Placed, ...]
+    climb_m_s: float
+    air: Air
+    method: Method
+    converged: bool = True
+    message: str = ""
+    turns: int = 1
+    from_below_m_s: tuple[Array, ...] = ()
+    wake: WakeSolution | None = None
+
+    @property
+    def sent_up_m_s(self) -> Array:
+        """Former name."""
+        return self.from_below_m_s[0]
+
+    @property
+    def upper(self) -> RotorResult:
+        """The uppermost rotor."""
+        return self.rotors[0]
+
+    @property
+    def lower(self) -> RotorResult:
+        """The lowest rotor."""
+        return self.rotors[-1]
+
+    @property
+    def spacing_m(self) -> float:
+        """Distance between the uppermost and the lowest disc."""
+        return self.placed[0].height_m - self.placed[-1].height_m
+
+    @property
+    def thrust_N(self) -> float:
+        """Thrust of all rotors."""
+        return sum(r.thrust_N for r in self.rotors)
+
+    @property
+    def power_W(self) -> float:
+        """Mechanical power of all rotors."""
+        return sum(r.power_W for r in self.rotors)
+
+    @property
+    def yaw_torque_Nm(self) -> float:
+        """What the rotors turn their vehicle with: torque of the lower less that of the upper rotor; 0 in trim."""
+        return sum(-p.hand * r.torque_Nm for p, r in zip(self.placed, self.rotors, strict=True))
+
+    @property
+    def figure_of_merit(self) -> float:
+        """T sqrt(T / (2 rho A)) / P with one disc, the largest; nan unless thrust and power are positive."""
+        thrust, power = self.thrust_N, self.power_W
+        if not (thrust > 0.0 and power > 0.0):
+            return math.nan
+        area = math.pi * max(p.blading.rotors[p.which].radius_m for p in self.placed) ** 2
+        return thrust * math.sqrt(thrust / (2.0 * self.air.density_kg_m3 * area)) / power
+
+
+_At = Callable[[Sequence[float], Sequence[float], Result | None], Result]  # pitches, speeds, similar result
+
+
+def solve(
+    system: System,
+    condition: Condition,
+    method: Method = "bemt",
+    *,
+    settings: WakeSettings | None = None,
+    start: Result | None = None,
+    progress: Progress | None = None,
+) -> Result:
+    """Solve a system of rotors.
+
+    ======================  =========================  ==========================================================
+    one rotor               ``pitch``, ``speed``       the point
+    .                       one of them, ``thrust_N``  the other one
+    a pair                  pitches, speeds            the point
+    .                       pitches, upper speed       the lower speed at which the torques cancel
+    .                       pitches, ``thrust_N``      both speeds, torques cancelled
+    .                       upper pitch, speeds        the lower pitch at which the torques cancel; with ``thrust_N``
+                                                       the speeds are scaled to it, their ratio kept
+    ======================  =========================  ==========================================================
+
+    Parameters
+    ----------
+    system : System
+    condition : Condition
+        What is given.
+    method : 'bemt' or 'wake'
+    settings : WakeSettings, optional
+        Of the wake.
+    start : Result, optional
+        A similar result to start from; saves time, not more.
+    progress : callable, optional
+        Of the wake: iteration, residual and thrust (N) of all rotors.
+
+    Returns
+    -------
+    Result
+        A wake at a given point that does not converge is returned, marked so, with its history.
+
+    Raises
+    ------
+    InputError
+        If a condition gives too little or too much, a number is not possible, a thrust is out of reach, or wakes cannot
+        be solved together (see :func:`mufly.rotor.wake.check_rotors`).
+    MuflyError
+        If blade elements do not settle, which happens in descents in which the wakes blow back through the discs; if no
+        balance is found, or a wake on the way to it does not converge.
+
+    Examples
+    --------
+    >>> pair = System.coaxial(upper, lower, spacing_m=0.02)  # doctest: +SKIP
+    >>> solve(pair, Condition(0.24, thrust_N=0.9)).power_W  # doctest: +SKIP
+    """
+    if method not in _METHODS:
+        raise InputError("rotor", "method", f"{method!r} is unknown", f"use one of: {', '.join(_METHODS)}")
+    count = len(system.bladings)
+    pitch = _each("pitch_rad", condition.pitch_rad, count)
+    speed = _each("speed_rad_s", condition.speed_rad_s, count)
+    thrust = condition.thrust_N
+
+    def at(pitches: Sequence[float], speeds: Sequence[float], start: Result | None) -> Result:
+        return _METHODS[method](
+            system.at(pitches, speeds), condition.climb_m_s, condition.air, settings, start, progress
+        )
+
+    known_pitch = tuple(p for p in pitch if p is not None)
+    known_speed = tuple(s for s in speed if s is not None)
+    if len(known_pitch) == len(known_speed) == count and thrust is None:
+        return at(known_pitch, known_speed, start)
+    enough = _CLOSE if method == "bemt" else max(_WAKE_CLOSE, (settings or WakeSettings()).tolerance)
+    if count == 1:
+        return _for_thrust(at, system, condition, pitch[0], speed[0], enough, start)
+    if count != 2:
+        raise InputError("rotor", "", f"{count} rotors have no trim", "give pitch and speed of each")
+    if len(known_pitch) == 2:
+        if thrust is not None and not 0.0 < thrust < math.inf:
+            raise InputError("coaxial", "thrust_N", f"is {thrust:g}", "give a number above 0")
+        if speed[1] is not None or (speed[0] is None) == (thrust is None):
+            raise InputError(
+                "coaxial", "", "needs one of upper speed and thrust", "give one; the other is found"
+            )
+        if method == "bemt":
+            return _balance_by_roots(at, known_pitch, speed[0], thrust, start)
+        return _balance_by_steps(at, known_pitch, speed[0], thrust, enough, start)
+    if pitch[0] is None or len(known_speed) != 2:
+        raise InputError("coaxial", "", "leaves too much open", "give the upper pitch and both speeds")
+    return _balance_pitch(at, pitch[0], known_speed, thrust, enough, start)
+
+
+# Blade elements and wakes: rotors at a point
 
 
 def tube_speed(distance_m: float, radius_m: float) -> float:
@@ -79,79 +326,69 @@ def tube_speed(distance_m: float, radius_m: float) -> float:
     return 1.0 + distance_m / math.hypot(radius_m, distance_m)
 
 
-def _carried(
-    r_m: Array, induced: tuple[Array, Array], at_r: Array, at_dr: Array, disc_radius: float, k: float
-) -> tuple[Array, Array]:
-    """Axial and tangential velocity that a rotor's stream has at radii ``at_r`` where it moves k times as fast.
+def _carried(source: Placed, induced: tuple[Array, Array], target: Placed, k: float) -> tuple[Array, Array]:
+    """Axial and tangential velocity that a rotor's stream has at another's stations, where it moves k times as fast.
 
-    A station of width ``at_dr`` across the edge of the stream gets the part that lies inside.
+    A station across the edge of the stream gets the part that lies inside.
     """
+    r_m, disc_radius = source.blading.r_m[source.which], source.blading.rotors[source.which].radius_m
+    at_r, at_dr = target.blading.r_m[target.which], target.blading.dr_m[target.which]
     shrink = 1.0 / math.sqrt(k)
     inside = np.clip((disc_radius * shrink - at_r) / at_dr + 0.5, 0.0, 1.0)
     r = at_r / shrink
     axial = inside * k * np.interp(r, r_m, induced[0])
     around = inside * 2.0 * np.interp(r, r_m, induced[1]) / shrink
-    return axial, around
+    return axial, -source.hand * target.hand * around
 
 
-def coaxial(
-    upper: Blading,
-    lower: Blading,
-    *,
-    spacing_m: float,
-    upper_pitch_rad: float,
-    lower_pitch_rad: float,
-    upper_speed_rad_s: float,
-    lower_speed_rad_s: float,
-    climb_m_s: float = 0.0,
-    air: Air | None = None,
-    start: Array | None = None,
-) -> CoaxialResult:
-    """Solve a coaxial pair.
+def _bemt(
+    rotors: tuple[Placed, ...], climb_m_s: float, air: Air, settings: WakeSettings | None, start: Result | None,
+    progress: Progress | None,
+) -> Result:  # fmt: skip
+    """Solve rotors in their places by blade elements; the method is that of the module docstring."""
+    at = [
+        {
+            "pitch_rad": p.pitch_rad,
+            "speed_rad_s": p.speed_rad_s,
+            "climb_m_s": climb_m_s,
+            "air": air,
+            "which": p.which,
+        }
+        for p in rotors
+    ]
+    if len(rotors) == 1:
+        return Result((hover(rotors[0].blading, **at[0]),), rotors, climb_m_s, air, "bemt")  # type: ignore[arg-type]
+    radius = [p.blading.rotors[p.which].radius_m for p in rotors]
+    k = [
+        [tube_speed(a.height_m - b.height_m, big) for b in rotors]
+        for a, big in zip(rotors, radius, strict=True)
+    ]
+    stations = [p.blading.r_m.shape[1] for p in rotors]
+    cuts = np.cumsum(stations[:-1])[:-1]
 
-    Parameters
-    ----------
-    upper, lower : Blading
-        The first rotor of each is taken.
-    spacing_m : float
-        Distance between the discs, above 0.
-    upper_pitch_rad, lower_pitch_rad, upper_speed_rad_s, lower_speed_rad_s : float
-        Pitch settings (rad) and speeds (rad/s); the rotors turn against each other.
-    climb_m_s : float
-        Axial speed of the pair, positive in climb.
-    air : Air, optional
-        Density and viscosity.
-    start : (stations,) array, optional
-        First guess of what the lower rotor sends up, ``sent_up_m_s`` of a similar result; saves time, not more.
+    def turn_of_all(x: Array) -> tuple[Array, list[tuple[Array, Array]], float]:
+        """Solve from the top in the inflow ``x`` from below: what it becomes, what each rotor meets, size of all."""
+        met, induced = [], []
+        for b, p in enumerate(rotors):
+            axial = np.split(x, cuts)[b] if b < len(stations) - 1 else np.zeros(stations[b])
+            around = np.zeros(stations[b])
+            for a in range(b):
+                sent = _carried(rotors[a], induced[a], p, k[a][b])
+                axial, around = axial + sent[0], around + sent[1]
+            met.append((axial, around))
+            induced.append(induced_velocities(p.blading, **at[b], stream=met[b]))  # type: ignore[arg-type]
+        pulled = [
+            sum(_carried(rotors[b], induced[b], p, k[b][a])[0] for b in range(a + 1, len(rotors)))
+            for a, p in enumerate(rotors[:-1])
+        ]
+        return np.concatenate(pulled), met, sum(float(np.max(np.abs(v[0]))) for v in induced)
 
-    Raises
-    ------
-    InputError
-        If the spacing or a speed is not above zero.
-    MuflyError
-        If the thrusts do not settle, which happens in descents in which the wakes blow back through the discs.
-    """
-    if not 0.0 < spacing_m < math.inf:
-        raise InputError("coaxial", "spacing_m", f"is {spacing_m:g}", "give a distance above 0")
-    gas = air or Air()
-    radius_u, radius_l = upper.rotors[0].radius_m, lower.rotors[0].radius_m
-    down, up = tube_speed(spacing_m, radius_u), tube_speed(-spacing_m, radius_l)
-    n_u = upper.r_m[0].size
-
-    def both(to_upper: Array) -> tuple[Array, tuple[Array, Array], float]:
-        """Upper rotor in the inflow ``to_upper``, lower rotor below it; the inflow that this sends up again."""
-        above = induced_velocities(
-            upper, upper_pitch_rad, upper_speed_rad_s, climb_m_s, gas, (to_upper, np.zeros(n_u))
-        )
-        sent = _carried(upper.r_m[0], above, lower.r_m[0], lower.dr_m[0], radius_u, down)
-        below = induced_velocities(lower, lower_pitch_rad, lower_speed_rad_s, climb_m_s, gas, sent)
-        pulled = _carried(lower.r_m[0], below, upper.r_m[0], upper.dr_m[0], radius_l, up)[0]
-        return pulled, sent, float(np.max(np.abs(above[0])) + np.max(np.abs(below[0])))
-
-    x = np.zeros(n_u) if start is None else start
+    x = np.zeros(sum(stations[:-1]))
+    if start is not None and [v.size for v in start.from_below_m_s] == stations[:-1]:
+        x = np.concatenate(start.from_below_m_s)
     last_step, last_image = np.empty(0), np.empty(0)
     for turn in range(1, _TURNS + 1):
-        image, sent, size = both(x)
+        image, met, size = turn_of_all(x)
         step = image - x
         if np.max(np.abs(step)) <= _SETTLED * size:
             break
@@ -169,155 +406,37 @@ def coaxial(
             f"coaxial: the two rotors do not settle at {climb_m_s:g} m/s climb; "
             f"the inflow still changes by {np.max(np.abs(step)) / size:.1e} of itself a turn"
         )
-    above = hover(
-        upper,
-        pitch_rad=upper_pitch_rad,
-        speed_rad_s=upper_speed_rad_s,
-        climb_m_s=climb_m_s,
-        air=gas,
-        stream=(x, np.zeros(n_u)),
-    )
-    below = hover(
-        lower,
-        pitch_rad=lower_pitch_rad,
-        speed_rad_s=lower_speed_rad_s,
-        climb_m_s=climb_m_s,
-        air=gas,
-        stream=sent,
-    )
-    thrust = above.thrust_N + below.thrust_N
-    power = above.power_W + below.power_W
-    area = math.pi * max(radius_u, radius_l) ** 2
-    useful = thrust > 0 and power > 0
-    return CoaxialResult(
-        upper=above,
-        lower=below,
-        thrust_N=thrust,
-        power_W=power,
-        yaw_torque_Nm=below.torque_Nm - above.torque_Nm,
-        figure_of_merit=thrust * math.sqrt(thrust / (2 * gas.density_kg_m3 * area)) / power
-        if useful
-        else math.nan,
-        turns=turn,
-        sent_up_m_s=x,
+    found = tuple(hover(p.blading, **a, stream=m) for p, a, m in zip(rotors, at, met, strict=True))  # type: ignore[arg-type]
+    return Result(
+        found,
+        rotors,
+        climb_m_s,
+        air,
+        "bemt",
+        True,
+        f"settled in {turn} turns",
+        turn,
+        tuple(np.split(x, cuts)),
     )
 
 
-def balance_torque(
-    upper: Blading,
-    lower: Blading,
-    *,
-    spacing_m: float,
-    upper_pitch_rad: float,
-    lower_pitch_rad: float,
-    upper_speed_rad_s: float | None = None,
-    thrust_N: float | None = None,
-    climb_m_s: float = 0.0,
-    air: Air | None = None,
-) -> CoaxialResult:
-    """Find the speeds at which the torques cancel.
-
-    Give ``upper_speed_rad_s``, and the lower speed is found; or ``thrust_N``, and both are, so that the pair
-    gives this thrust.
-
-    Raises
-    ------
-    InputError
-        If neither or both are given.
-    MuflyError
-        If no speed balances the torques within a factor of 10, or no speed gives the thrust.
-    """
-    if (upper_speed_rad_s is None) == (thrust_N is None):
-        raise InputError("coaxial", "", "needs one of upper speed and thrust", "give one; the other is found")
-
-    known: list[Array | None] = [None]
-
-    def pair(up: float, low: float) -> CoaxialResult:
-        result = coaxial(
-            upper, lower, spacing_m=spacing_m, upper_pitch_rad=upper_pitch_rad, lower_pitch_rad=lower_pitch_rad,
-            upper_speed_rad_s=up, lower_speed_rad_s=low, climb_m_s=climb_m_s, air=air, start=known[0],
-        )  # fmt: skip
-        known[0] = result.sent_up_m_s
-        return result
-
-    def balanced(up: float, guess: float) -> CoaxialResult:
-        return _root(
-            lambda x: pair(up, up * x),
-            lambda p: p.yaw_torque_Nm / abs(p.upper.torque_Nm),
-            guess,
-            "balances the torques",
-        )
-
-    if upper_speed_rad_s is not None:
-        return balanced(upper_speed_rad_s, 1.0)
-    assert thrust_N is not None
-    if not thrust_N > 0.0:
-        raise InputError("coaxial", "thrust_N", f"is {thrust_N:g}", "give a number above 0")
-    first = balanced(300.0, 1.0)
-    if not first.thrust_N > 0.0:
-        raise MuflyError(
-            f"coaxial: no thrust at 300 rad/s and these pitches, so {thrust_N:g} N is out of reach"
-        )
-    ratio = first.lower.speed_rad_s / first.upper.speed_rad_s
-    start = 300.0 * math.sqrt(thrust_N / first.thrust_N)
-    return _root(
-        lambda x: balanced(start * x, ratio),
-        lambda p: p.thrust_N / thrust_N - 1.0,
-        1.0,
-        f"gives {thrust_N:g} N",
-    )
+def _wake(
+    rotors: tuple[Placed, ...], climb_m_s: float, air: Air, settings: WakeSettings | None, start: Result | None,
+    progress: Progress | None,
+) -> Result:  # fmt: skip
+    """Solve rotors in their places by vortex wakes."""
+    w = solve_wake(
+        rotors, air=air, climb_m_s=climb_m_s, settings=settings, start=None if start is None else start.wake,
+        progress=progress,
+    )  # fmt: skip
+    return Result(w.rotors, rotors, climb_m_s, air, "wake", w.converged, w.message, w.iterations, wake=w)
 
 
-def _root(
-    solve: Callable[[float], CoaxialResult],
-    fault: Callable[[CoaxialResult], float],
-    guess: float,
-    what: str,
-) -> CoaxialResult:
-    """Factor at which ``fault`` vanishes: bracket by steps of 1.15 from the guess, then Illinois."""
-    a = b = guess
-    at_a = at_b = solve(guess)
-    fa = fb = fault(at_a)
-    while fa > 0.0 and a > 0.1:
-        b, at_b, fb = a, at_a, fa
-        a /= 1.15
-        at_a = solve(a)
-        fa = fault(at_a)
-    while fb < 0.0 and b < 10.0:
-        a, at_a, fa = b, at_b, fb
-        b *= 1.15
-        at_b = solve(b)
-        fb = fault(at_b)
-    if fa * fb > 0.0:
-        raise MuflyError(f"coaxial: no speed {what} between a tenth and ten times the first guess")
-    side = 0
-    for _ in range(60):
-        if abs(fa) < _BALANCED:
-            return at_a
-        if abs(fb) < _BALANCED:
-            return at_b
-        x = b - fb * (b - a) / (fb - fa)
-        now = solve(x)
-        f = fault(now)
-        if abs(f) < _BALANCED:
-            return now
-        if f * fb > 0.0:
-            b, at_b, fb = x, now, f
-            fa *= 0.5 if side == 1 else 1.0
-            side = 1
-        else:
-            a, at_a, fa = x, now, f
-            fb *= 0.5 if side == -1 else 1.0
-            side = -1
-    return now
+_METHODS = {"bemt": _bemt, "wake": _wake}
+METHODS = tuple(_METHODS)
 
 
-# ----------------------------------------------------------------------------
-# The speed or the pitch at which a rotor gives a thrust.
-
-
-FASTEST_TIP_M_S = 240.0
-"""Tip speed (m/s) above which air is no longer incompressible, as polars and theory take it to be: Mach 0.7."""
+# One rotor: the speed or the pitch for a thrust
 
 
 def solve_thrust(
@@ -332,7 +451,7 @@ def solve_thrust(
     pitch_limits_rad: tuple[float, float] = (-0.35, 0.7),
     which: int = 0,
 ) -> RotorResult:
-    """Find the speed (at given pitch) or the pitch (at given speed) that gives a thrust.
+    """Find the speed (at given pitch) or the pitch (at given speed) that gives a thrust, by blade elements.
 
     Give exactly one of ``pitch_rad`` and ``speed_rad_s``; the other is found, to 1e-9 of its range. The unknown
     is sought on 64 points between its limits first, and then between the two lowest ones that enclose the
@@ -352,16 +471,12 @@ def solve_thrust(
     low, high = (speed_limits_rad_s or (1.0, fastest)) if by_speed else pitch_limits_rad
     grid = np.geomspace(low, high, 64) if by_speed else np.linspace(low, high, 64)
 
-    def thrust(values: Array) -> Array:
-        pitch, speed = (pitch_rad, values) if by_speed else (values, speed_rad_s)
-        assert pitch is not None
-        assert speed is not None
-        return hover_batch(
-            case, pitch_rad=pitch, speed_rad_s=speed, climb_m_s=climb_m_s, air=air, which=which
-        ).thrust_N
+    def point(value: Any) -> dict[str, Any]:
+        pitch, speed = (pitch_rad, value) if by_speed else (value, speed_rad_s)
+        return {"pitch_rad": pitch, "speed_rad_s": speed, "climb_m_s": climb_m_s, "air": air, "which": which}
 
     for _ in range(8):  # each pass narrows the interval by 63, to below 1e-13 of the first
-        short = thrust(grid) - thrust_N
+        short = hover_batch(case, **point(grid)).thrust_N - thrust_N
         cross = np.flatnonzero((short[:-1] <= 0.0) & (short[1:] >= 0.0))
         if cross.size == 0:
             key, unit = ("speed", "rad/s") if by_speed else ("pitch", "rad")
@@ -374,137 +489,146 @@ def solve_thrust(
         if grid[i + 1] - grid[i] <= 1e-12 * max(abs(grid[i]), 1e-3):
             break
         grid = np.linspace(grid[i], grid[i + 1], 64)
-    x = float(grid[i] if abs(short[i]) <= abs(short[i + 1]) else grid[i + 1])
-    if by_speed:
-        assert pitch_rad is not None
-        return hover(case, pitch_rad=pitch_rad, speed_rad_s=x, climb_m_s=climb_m_s, air=air, which=which)
-    assert speed_rad_s is not None
-    return hover(case, pitch_rad=x, speed_rad_s=speed_rad_s, climb_m_s=climb_m_s, air=air, which=which)
+    return hover(case, **point(float(grid[i] if abs(short[i]) <= abs(short[i + 1]) else grid[i + 1])))
 
 
-# ----------------------------------------------------------------------------
-# Hover and axial flight by the wake method, with the arguments of the blade element functions they stand beside.
+def _for_thrust(
+    at: _At, system: System, condition: Condition, pitch: float | None, speed: float | None, close: float,
+    known: Result | None,
+) -> Result:  # fmt: skip
+    """Find what a condition of one rotor leaves open.
 
-
-Progress = Callable[[int, float, float], None]
-
-_PAIR_BALANCED = (
-    1e-3  # of the upper rotor's torque, or of the thrust asked for: what a converged wake can tell
-)
-_TRIES = 12
-
-
-def hover_wake(
-    blading: Blading | Rotor,
-    *,
-    pitch_rad: float,
-    speed_rad_s: float,
-    climb_m_s: float = 0.0,
-    air: Air | None = None,
-    which: int = 0,
-    settings: WakeSettings | None = None,
-    start: WakeSolution | None = None,
-    progress: Progress | None = None,
-) -> WakeSolution:
-    """One rotor in hover or axial flight; arguments as for :func:`mufly.rotor.hover`, ``rotors[0]`` is the answer.
-
-    See Also
-    --------
-    solve : the method, its settings, and when a solution is marked as not converged.
+    A wake is dear and blade element momentum theory (BEMT) is not, and the ratio of the two hardly changes from one
+    point to a near one. So BEMT, scaled to the wake at the last point, finds the next one: with T_w / T_b the ratio
+    there, the point is sought at which BEMT gives T_wanted T_b / T_w. Two or three wakes are enough.
     """
-    placed = Placed(as_blading(blading), pitch_rad, speed_rad_s, which=which)
-    return solve([placed], air=air, climb_m_s=climb_m_s, settings=settings, start=start, progress=progress)
-
-
-def coaxial_wake(
-    upper: Blading,
-    lower: Blading,
-    *,
-    spacing_m: float,
-    upper_pitch_rad: float,
-    lower_pitch_rad: float,
-    upper_speed_rad_s: float,
-    lower_speed_rad_s: float,
-    climb_m_s: float = 0.0,
-    air: Air | None = None,
-    settings: WakeSettings | None = None,
-    start: WakeSolution | None = None,
-    progress: Progress | None = None,
-) -> WakeSolution:
-    """A coaxial pair; arguments as for :func:`mufly.rotor.coaxial`, ``rotors`` are (upper, lower).
-
-    Raises
-    ------
-    InputError
-        If spacing or a speed is not above zero, or the blades would touch.
-    """
-    if not 0.0 < spacing_m < math.inf:
-        raise InputError("coaxial", "spacing_m", f"is {spacing_m:g}", "give a distance above 0")
-    rotors = (
-        Placed(upper, upper_pitch_rad, upper_speed_rad_s, 0.0, 1),
-        Placed(lower, lower_pitch_rad, lower_speed_rad_s, -spacing_m, -1),
-    )
-    return solve(rotors, air=air, climb_m_s=climb_m_s, settings=settings, start=start, progress=progress)
-
-
-def balance_torque_wake(
-    upper: Blading,
-    lower: Blading,
-    *,
-    spacing_m: float,
-    upper_pitch_rad: float,
-    lower_pitch_rad: float,
-    upper_speed_rad_s: float | None = None,
-    thrust_N: float | None = None,
-    climb_m_s: float = 0.0,
-    air: Air | None = None,
-    settings: WakeSettings | None = None,
-    start: WakeSolution | None = None,
-    progress: Progress | None = None,
-) -> WakeSolution:
-    """Find the speeds at which the torques cancel, as :func:`mufly.rotor.balance_torque` does with blade elements.
-
-    Give ``upper_speed_rad_s``, and the lower speed is found; or ``thrust_N``, and both are. Each try starts from the
-    wake of the last one.
-
-    Raises
-    ------
-    InputError
-        If neither or both are given.
-    MuflyError
-        If no balance is found, or a wake on the way there does not converge.
-    """
-    if (upper_speed_rad_s is None) == (thrust_N is None):
-        raise InputError("coaxial", "", "needs one of upper speed and thrust", "give one; the other is found")
-    if thrust_N is not None and not 0.0 < thrust_N < math.inf:
-        raise InputError("coaxial", "thrust_N", f"is {thrust_N:g}", "give a number above 0")
-    how = settings or WakeSettings()
-    enough = max(_PAIR_BALANCED, how.tolerance)
-    up = upper_speed_rad_s if upper_speed_rad_s is not None else 300.0
-    ratio = 1.1
-    known = start
-    torque_slope, tries = None, 0
-    last: tuple[float, float] | None = None
-    while tries < _TRIES:
-        tries += 1
-        now = coaxial_wake(
-            upper, lower, spacing_m=spacing_m, upper_pitch_rad=upper_pitch_rad, lower_pitch_rad=lower_pitch_rad,
-            upper_speed_rad_s=up, lower_speed_rad_s=up * ratio, climb_m_s=climb_m_s, air=air, settings=how,
-            start=known, progress=progress,
+    thrust = condition.thrust_N
+    if thrust is None or not math.isfinite(thrust):
+        raise InputError("rotor", "", "needs two of pitch, speed and thrust", "give two; the third is found")
+    wanted, reached = thrust, math.nan
+    for _ in range(_THRUST_TRIES):
+        b = solve_thrust(
+            system.bladings[0], thrust_N=wanted, pitch_rad=pitch, speed_rad_s=speed, climb_m_s=condition.climb_m_s,
+            air=condition.air, which=system.which[0],
         )  # fmt: skip
-        if not now.converged:
+        known = at((b.pitch_rad,), (b.speed_rad_s,), known)
+        if known.method == "bemt":
+            return known
+        if not thrust > 0.0:
+            raise InputError("rotor", "thrust", f"is {thrust:g} N", "give a number above 0")
+        reached = known.thrust_N
+        if not known.converged or abs(reached / thrust - 1.0) <= close:
+            return known
+        if not reached > 0.0:
+            break
+        wanted = thrust * b.thrust_N / reached
+    raise MuflyError(
+        f"rotor: {thrust:g} N is not found in {_THRUST_TRIES} tries; the last wake gives {reached:.4g} N"
+    )
+
+
+# Two rotors: speeds or a pitch at which the torques cancel
+
+
+def _balance_by_roots(
+    at: _At, pitch: Sequence[float], upper_speed: float | None, thrust_N: float | None, start: Result | None
+) -> Result:
+    """Find the lower speed, or with a thrust both, by bracketed roots: a point is quick."""
+    known = [start]
+
+    def pair(up: float, low: float) -> Result:
+        known[0] = at(pitch, (up, low), known[0])
+        return known[0]
+
+    def balanced(up: float, guess: float) -> Result:
+        return _root(
+            lambda x: pair(up, up * x),
+            lambda p: p.yaw_torque_Nm / abs(p.upper.torque_Nm),
+            guess,
+            "balances the torques",
+        )
+
+    if thrust_N is None:
+        assert upper_speed is not None
+        return balanced(upper_speed, 1.0)
+    first = balanced(_FIRST_SPEED, 1.0)
+    if not first.thrust_N > 0.0:
+        raise MuflyError(
+            f"coaxial: no thrust at 300 rad/s and these pitches, so {thrust_N:g} N is out of reach"
+        )
+    ratio = first.lower.speed_rad_s / first.upper.speed_rad_s
+    guess = _FIRST_SPEED * math.sqrt(thrust_N / first.thrust_N)
+    return _root(
+        lambda x: balanced(guess * x, ratio),
+        lambda p: p.thrust_N / thrust_N - 1.0,
+        1.0,
+        f"gives {thrust_N:g} N",
+    )
+
+
+def _root(
+    solve_at: Callable[[float], Result], fault: Callable[[Result], float], guess: float, what: str
+) -> Result:
+    """Factor at which ``fault`` vanishes: bracket by steps of 1.15 from the guess, then Illinois."""
+    a = b = guess
+    at_a = at_b = solve_at(guess)
+    fa = fb = fault(at_a)
+    while fa > 0.0 and a > 0.1:
+        b, at_b, fb = a, at_a, fa
+        a /= 1.15
+        at_a = solve_at(a)
+        fa = fault(at_a)
+    while fb < 0.0 and b < 10.0:
+        a, at_a, fa = b, at_b, fb
+        b *= 1.15
+        at_b = solve_at(b)
+        fb = fault(at_b)
+    if fa * fb > 0.0:
+        raise MuflyError(f"coaxial: no speed {what} between a tenth and ten times the first guess")
+    side = 0
+    for _ in range(60):
+        if abs(fa) < _CLOSE:
+            return at_a
+        if abs(fb) < _CLOSE:
+            return at_b
+        x = b - fb * (b - a) / (fb - fa)
+        now = solve_at(x)
+        f = fault(now)
+        if abs(f) < _CLOSE:
+            return now
+        if f * fb > 0.0:
+            b, at_b, fb = x, now, f
+            fa *= 0.5 if side == 1 else 1.0
+            side = 1
+        else:
+            a, at_a, fa = x, now, f
+            fb *= 0.5 if side == -1 else 1.0
+            side = -1
+    return now
+
+
+def _balance_by_steps(
+    at: _At, pitch: Sequence[float], upper_speed: float | None, thrust_N: float | None, close: float,
+    known: Result | None,
+) -> Result:  # fmt: skip
+    """Find the same by secant steps, each from the wake of the last one: a point is dear."""
+    up = upper_speed if upper_speed is not None else _FIRST_SPEED
+    ratio = 1.1
+    torque_slope = None
+    last: tuple[float, float] | None = None
+    for _ in range(_SPEED_TRIES):
+        known = at(pitch, (up, up * ratio), known)
+        if not known.converged:
             raise MuflyError(
-                f"coaxial: at {up:.4g} and {up * ratio:.4g} rad/s the wake is {now.message}; try a larger core_limit"
+                f"coaxial: at {up:.4g} and {up * ratio:.4g} rad/s the wake is {known.message}; try a larger core_limit"
             )
-        known = now
-        a, b = now.rotors
-        fault = math.log(max(b.torque_Nm, 1e-12) / max(a.torque_Nm, 1e-12))
-        total = a.thrust_N + b.thrust_N
+        total = known.thrust_N
+        fault = math.log(max(known.lower.torque_Nm, 1e-12) / max(known.upper.torque_Nm, 1e-12))
         short = 0.0 if thrust_N is None else math.log(thrust_N / total) if total > 0.0 else math.nan
         if not (math.isfinite(fault) and math.isfinite(short)):
             raise MuflyError("coaxial: no thrust at these pitches, so no speed gives the one asked for")
-        if abs(fault) <= enough and abs(short) <= enough:
-            return now
+        if abs(fault) <= close and abs(short) <= close:
+            return known
         # ln(torque ratio) over ln(speed ratio) is close to a line; for isolated rotors its slope is 2.
         here = (math.log(ratio), fault)
         if last is not None and abs(here[0] - last[0]) > 1e-4:
@@ -515,60 +639,44 @@ def balance_torque_wake(
         ratio = math.exp(here[0] - max(min(fault / (torque_slope or 2.6), 0.3), -0.3))
         up *= math.exp(max(min(0.5 * short, 1.0), -1.0))
     raise MuflyError(
-        f"coaxial: no balance found in {_TRIES} tries; the torques still differ by {100 * fault:.2g} %"
+        f"coaxial: no balance found in {_SPEED_TRIES} tries; the torques still differ by {100 * fault:.2g} %"
     )
 
 
-# ----------------------------------------------------------------------------
-# The pitch of the lower rotor at which the torques of a coaxial pair cancel, by either method.
-#
-# At given speeds a pair is balanced by pitch: ln(Q_lower / Q_upper) is a smooth, rising function of the lower pitch,
-# close to a line, so secant steps find its root in three to six solutions. With a thrust both speeds are scaled by
-# sqrt(T_wanted / T) after every step, their ratio kept: coefficients depend on speed through the Reynolds number
-# only.
-
-
-_TRIM_PITCH_TRIES = 25
-_FIRST_SLOPE = 8.0  # 1/rad: torque grows like pitch^1.5 or so
-_SLOPES = (1.0, 80.0)  # what a secant may say of blades that do not stall
-_LONGEST_STEP = math.radians(4.0)
-_RANGE = (math.radians(-10.0), math.radians(45.0))
-
-
-class _Loaded(Protocol):
-    @property
-    def thrust_N(self) -> float: ...
-    @property
-    def torque_Nm(self) -> float: ...
-
-
-_T = TypeVar("_T")
-
-
-def _balanced(
-    solve: Callable[[float, float], tuple[_T, _Loaded, _Loaded]],
-    start_rad: float,
+def _balance_pitch(
+    at: _At,
+    upper_pitch: float,
+    speed: Sequence[float],
     thrust_N: float | None,
-    tolerance: float,
-) -> _T:
-    """Solution at which torques cancel; ``solve(lower pitch, factor on both speeds)``."""
+    close: float,
+    start: Result | None,
+) -> Result:
+    """Find the lower pitch at which the torques cancel.
+
+    ln(Q_lower / Q_upper) is a smooth, rising function of the lower pitch, close to a line, so secant steps find its
+    root in three to six solutions. With a thrust both speeds are scaled by sqrt(T_wanted / T) after every step, their
+    ratio kept: coefficients depend on speed through the Reynolds number only.
+    """
     if thrust_N is not None and not 0.0 < thrust_N < math.inf:
         raise InputError("coaxial", "thrust_N", f"is {thrust_N:g}", "give a number above 0")
-    pitch, factor, slope = start_rad, 1.0, _FIRST_SLOPE
+    pitch, factor, slope = upper_pitch, 1.0, _FIRST_SLOPE
     last: tuple[float, float] | None = None
     fault = math.nan
-    for _ in range(_TRIM_PITCH_TRIES):
-        now, upper, lower = solve(pitch, factor)
-        total = upper.thrust_N + lower.thrust_N
-        if not upper.torque_Nm > 0.0:
+    for _ in range(_PITCH_TRIES):
+        now = at((upper_pitch, pitch), (factor * speed[0], factor * speed[1]), start)
+        if not now.converged:
+            raise MuflyError(f"coaxial: at {math.degrees(pitch):.2f} degrees below the wake is {now.message}")
+        if now.method == "wake":
+            start = now
+        if not now.upper.torque_Nm > 0.0:
             raise MuflyError(
                 "coaxial: the upper rotor takes no torque at this pitch, so nothing is to be balanced"
             )
-        if thrust_N is not None and not total > 0.0:
+        if thrust_N is not None and not now.thrust_N > 0.0:
             raise MuflyError("coaxial: no thrust at these pitches, so no speed gives the one asked for")
-        fault = math.log(max(lower.torque_Nm / upper.torque_Nm, 1e-3))
-        short = 0.0 if thrust_N is None else math.log(thrust_N / total)
-        if abs(fault) <= tolerance and abs(short) <= tolerance:
+        fault = math.log(max(now.lower.torque_Nm / now.upper.torque_Nm, 1e-3))
+        short = 0.0 if thrust_N is None else math.log(thrust_N / now.thrust_N)
+        if abs(fault) <= close and abs(short) <= close:
             return now
         if last is not None and abs(pitch - last[0]) > 1e-7:
             slope = min(max((fault - last[1]) / (pitch - last[0]), _SLOPES[0]), _SLOPES[1])
@@ -578,86 +686,99 @@ def _balanced(
         factor *= math.exp(max(min(0.5 * short, 1.0), -1.0))
     raise MuflyError(
         f"coaxial: no lower pitch between {math.degrees(_RANGE[0]):.0f} and {math.degrees(_RANGE[1]):.0f} degrees "
-        f"balances the torques in {_TRIM_PITCH_TRIES} tries; they still differ by {100 * abs(math.expm1(fault)):.2g} %"
+        f"balances the torques in {_PITCH_TRIES} tries; they still differ by {100 * abs(math.expm1(fault)):.2g} %"
     )
 
 
+# Former names, until their callers are moved
+
+
+def _pair_start(upper: Blading, lower: Blading, start: Any) -> Result | None:
+    if isinstance(start, WakeSolution):
+        return Result(start.rotors, (), start.climb_m_s, start.air, "wake", wake=start)
+    return None if start is None else Result((), (), 0.0, Air(), "bemt", from_below_m_s=(start,))
+
+
+def _former(
+    method: Method, upper: Blading, lower: Blading, spacing_m: float, pitch: Each, speed: Each,
+    thrust_N: float | None = None, climb_m_s: float = 0.0, air: Air | None = None, start: Any = None, **more: Any,
+) -> Result:  # fmt: skip
+    return solve(
+        System.coaxial(upper, lower, spacing_m=spacing_m), Condition(pitch, speed, thrust_N, climb_m_s, air or Air()),
+        method, start=_pair_start(upper, lower, start), **more,
+    )  # fmt: skip
+
+
+CoaxialResult = Result
+
+
+def coaxial(
+    upper: Blading, lower: Blading, *, spacing_m: float, upper_pitch_rad: float, lower_pitch_rad: float,
+    upper_speed_rad_s: float, lower_speed_rad_s: float, **more: Any,
+) -> Result:  # fmt: skip
+    speeds = (upper_speed_rad_s, lower_speed_rad_s)
+    return _former("bemt", upper, lower, spacing_m, (upper_pitch_rad, lower_pitch_rad), speeds, **more)
+
+
+def balance_torque(
+    upper: Blading, lower: Blading, *, spacing_m: float, upper_pitch_rad: float, lower_pitch_rad: float,
+    upper_speed_rad_s: float | None = None, **more: Any,
+) -> Result:  # fmt: skip
+    speeds = (upper_speed_rad_s, None)
+    return _former("bemt", upper, lower, spacing_m, (upper_pitch_rad, lower_pitch_rad), speeds, **more)
+
+
 def balance_pitch(
-    upper: Blading,
-    lower: Blading,
-    *,
-    spacing_m: float,
-    upper_pitch_rad: float,
-    upper_speed_rad_s: float,
-    lower_speed_rad_s: float,
-    thrust_N: float | None = None,
-    climb_m_s: float = 0.0,
-    air: Air | None = None,
-) -> CoaxialResult:
-    """Find the lower pitch at which the torques cancel, by blade element momentum theory.
+    upper: Blading, lower: Blading, *, spacing_m: float, upper_pitch_rad: float, upper_speed_rad_s: float,
+    lower_speed_rad_s: float, **more: Any,
+) -> Result:  # fmt: skip
+    speeds = (upper_speed_rad_s, lower_speed_rad_s)
+    return _former("bemt", upper, lower, spacing_m, (upper_pitch_rad, None), speeds, **more)
 
-    Parameters
-    ----------
-    upper, lower, spacing_m, upper_pitch_rad, climb_m_s, air
-        As for :func:`mufly.rotor.coaxial`.
-    upper_speed_rad_s, lower_speed_rad_s : float
-        Speeds; with a thrust, only their ratio counts.
-    thrust_N : float, optional
-        Thrust of the pair; both speeds are scaled until it is there.
 
-    Raises
-    ------
-    InputError
-        If the thrust is not above zero.
-    MuflyError
-        If no pitch between -10 and 45 degrees balances the torques, to 1e-7 of the upper one.
-    """
+def coaxial_wake(
+    upper: Blading, lower: Blading, *, spacing_m: float, upper_pitch_rad: float, lower_pitch_rad: float,
+    upper_speed_rad_s: float, lower_speed_rad_s: float, **more: Any,
+) -> WakeSolution:  # fmt: skip
+    speeds = (upper_speed_rad_s, lower_speed_rad_s)
+    r = _former("wake", upper, lower, spacing_m, (upper_pitch_rad, lower_pitch_rad), speeds, **more)
+    assert r.wake is not None
+    return r.wake
 
-    def solve(pitch: float, factor: float) -> tuple[CoaxialResult, _Loaded, _Loaded]:
-        r = coaxial(
-            upper, lower, spacing_m=spacing_m, upper_pitch_rad=upper_pitch_rad, lower_pitch_rad=pitch,
-            upper_speed_rad_s=factor * upper_speed_rad_s, lower_speed_rad_s=factor * lower_speed_rad_s,
-            climb_m_s=climb_m_s, air=air,
-        )  # fmt: skip
-        return r, r.upper, r.lower
 
-    return _balanced(solve, upper_pitch_rad, thrust_N, 1e-7)
+def balance_torque_wake(
+    upper: Blading, lower: Blading, *, spacing_m: float, upper_pitch_rad: float, lower_pitch_rad: float,
+    upper_speed_rad_s: float | None = None, **more: Any,
+) -> WakeSolution:  # fmt: skip
+    speeds = (upper_speed_rad_s, None)
+    r = _former("wake", upper, lower, spacing_m, (upper_pitch_rad, lower_pitch_rad), speeds, **more)
+    assert r.wake is not None
+    return r.wake
 
 
 def balance_pitch_wake(
-    upper: Blading,
-    lower: Blading,
-    *,
-    spacing_m: float,
-    upper_pitch_rad: float,
-    upper_speed_rad_s: float,
-    lower_speed_rad_s: float,
-    thrust_N: float | None = None,
-    climb_m_s: float = 0.0,
-    air: Air | None = None,
-    settings: WakeSettings | None = None,
-    start: WakeSolution | None = None,
-    progress: Callable[[int, float, float], None] | None = None,
-) -> WakeSolution:
-    """Find the same by the wake method, to 1e-3 or the wake's tolerance; each try starts from the last wake.
+    upper: Blading, lower: Blading, *, spacing_m: float, upper_pitch_rad: float, upper_speed_rad_s: float,
+    lower_speed_rad_s: float, **more: Any,
+) -> WakeSolution:  # fmt: skip
+    speeds = (upper_speed_rad_s, lower_speed_rad_s)
+    r = _former("wake", upper, lower, spacing_m, (upper_pitch_rad, None), speeds, **more)
+    assert r.wake is not None
+    return r.wake
 
-    Raises
-    ------
-    InputError, MuflyError
-        As :func:`balance_pitch`, and if a wake on the way does not converge.
-    """
-    how = settings or WakeSettings()
-    known = [start]
 
-    def solve(pitch: float, factor: float) -> tuple[WakeSolution, _Loaded, _Loaded]:
-        s = coaxial_wake(
-            upper, lower, spacing_m=spacing_m, upper_pitch_rad=upper_pitch_rad, lower_pitch_rad=pitch,
-            upper_speed_rad_s=factor * upper_speed_rad_s, lower_speed_rad_s=factor * lower_speed_rad_s,
-            climb_m_s=climb_m_s, air=air, settings=how, start=known[0], progress=progress,
-        )  # fmt: skip
-        if not s.converged:
-            raise MuflyError(f"coaxial: at {math.degrees(pitch):.2f} degrees below the wake is {s.message}")
-        known[0] = s
-        return s, s.rotors[0], s.rotors[1]
+def hover_wake(
+    blading: Blading | Rotor, *, pitch_rad: float | None, speed_rad_s: float | None, climb_m_s: float = 0.0,
+    air: Air | None = None, which: int = 0, thrust_N: float | None = None, start: Any = None, **more: Any,
+) -> WakeSolution:  # fmt: skip
+    at = Condition(pitch_rad, speed_rad_s, thrust_N, climb_m_s, air or Air())
+    system = System.single(blading, which=which)
+    r = solve(system, at, "wake", start=_pair_start(system.bladings[0], system.bladings[0], start), **more)
+    assert r.wake is not None
+    return r.wake
 
-    return _balanced(solve, upper_pitch_rad, thrust_N, max(1e-3, how.tolerance))
+
+def solve_thrust_wake(
+    blading: Blading | Rotor, *, thrust_N: float, pitch_rad: float | None = None, speed_rad_s: float | None = None,
+    **more: Any,
+) -> WakeSolution:  # fmt: skip
+    return hover_wake(blading, pitch_rad=pitch_rad, speed_rad_s=speed_rad_s, thrust_N=thrust_N, **more)

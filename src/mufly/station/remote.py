@@ -138,7 +138,7 @@ def _ours() -> dict[str, Parameter]:
     from mufly.link.parameters import LINK_PARAMETERS
 
     known = [Parameter(r.name, math.nan, r.unit, r.least, r.greatest, r.help, r.whole) for r in TABLE]
-    known += [Parameter(name, math.nan, *row[1:]) for name, row in LINK_PARAMETERS.items()]
+    known += LINK_PARAMETERS.values()
     return {p.name: p for p in known}
 
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from mufly.errors import InputError
 from mufly.flight.parameters import Parameter
 from mufly.logs import events_of, kind_of, read_attachments, read_log
-from mufly.logs.signals import columns_of
+from mufly.logs.layout import columns_of
 from mufly.mission import Mission, mission_from
 from mufly.station.view import Check, Message, MissionRow, Snapshot, unknown
 
@@ -43,7 +43,7 @@ class Recording:
     times : (n,) array
         s, increasing.
     columns : dict of str to (n,) array
-        Flat names as in :mod:`mufly.logs.signals` (``measured_attitude_roll``), SI units.
+        Flat names as in :mod:`mufly.logs.layout` (``measured_attitude_roll``), SI units.
     units : dict of str to str
     states : (n,) array of str
         State of the mission machine, or "".
@@ -92,7 +92,7 @@ def open_recording(path: str | Path, progress: Callable[[int, int], None] | None
     if not len(times):
         raise InputError(str(path), "", "holds no samples", "choose another recording")
     numbers = [c for c in columns_of(data) if c.values.dtype.kind in "fiub"]
-    columns = {c.name: c.values.astype(np.float64) for c in numbers}
+    columns = {c.column: c.values.astype(np.float64) for c in numbers}
     states = np.full(len(times), "")
     if "mission_state" in data:
         states = data["mission_state"].values.astype(str)
@@ -107,7 +107,7 @@ def open_recording(path: str | Path, progress: Callable[[int, int], None] | None
         name=Path(path).name,
         times=times,
         columns=columns,
-        units={c.name: c.units for c in numbers},
+        units={c.column: c.units for c in numbers},
         states=states,
         messages=tuple(sorted(messages, key=lambda m: m.time_s)),
         mission=mission,

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from mufly.link.codec import MavMessage
 from mufly.link.conventions import Origin
 from mufly.link.telemetry import STATES
+from mufly.quantities import told_by
 from mufly.station.autopilots import mode_words
 from mufly.station.history import Board, History
 from mufly.station.view import unknown
 
-_RPM = 2.0 * math.pi / 60.0
 _UNKNOWN = 65535
 
 
@@ -47,41 +47,16 @@ class Fields:
     unknown: float | None = None
 
 
-def _same(fields: str, signal: str, labels: str, factor: float = 1.0) -> tuple[tuple[str, str, float], ...]:
-    pairs = zip(fields.split(), labels.split(), strict=True)
-    return tuple((field, f"{signal}_{label}", factor) for field, label in pairs)
-
-
-_PILOT = _same(
-    " ".join(f"chan{k}_raw" for k in range(1, 9)), "pilot_input", " ".join(str(k) for k in range(1, 9))
-)
 FIELDS: dict[str, Fields] = {
-    "ATTITUDE": Fields(
-        "attitude",
-        0,
-        _same("roll pitch yaw", "estimated_attitude", "roll pitch yaw")
-        + _same("rollspeed pitchspeed yawspeed", "estimated_rates", "p q r"),
-    ),
-    "LOCAL_POSITION_NED": Fields(
-        "position",
-        0,
-        _same("x y z", "estimated_position", "N E D") + _same("vx vy vz", "estimated_velocity", "N E D"),
-    ),
-    "VISION_POSITION_ESTIMATE": Fields(
-        "measured",
-        0,
-        _same("x y z", "measured_position", "N E D")
-        + _same("roll pitch yaw", "measured_attitude", "roll pitch yaw"),
-    ),
-    "RC_CHANNELS": Fields("pilot", 0, _PILOT, _UNKNOWN),
-    "RC_CHANNELS_RAW": Fields("pilot", 1, _PILOT, _UNKNOWN),
+    "ATTITUDE": Fields("attitude", 0, told_by("ATTITUDE")),
+    "LOCAL_POSITION_NED": Fields("position", 0, told_by("LOCAL_POSITION_NED")),
+    "VISION_POSITION_ESTIMATE": Fields("measured", 0, told_by("VISION_POSITION_ESTIMATE")),
+    "RC_CHANNELS": Fields("pilot", 0, told_by("RC_CHANNELS"), _UNKNOWN),
+    "RC_CHANNELS_RAW": Fields("pilot", 1, told_by("RC_CHANNELS_RAW"), _UNKNOWN),
 }
 """Message -> its plain fields."""
 
-RPM = {
-    0: (("frequency", "measured_rotor_speed_upper", _RPM),),
-    1: (("frequency", "measured_rotor_speed_lower", _RPM),),
-}
+RPM = {index: (field,) for index, field in enumerate(told_by("RAW_RPM"))}
 """RAW_RPM: index -> its field."""
 
 

@@ -172,3 +172,10 @@ class Request:
     def done(self) -> bool:
         """Whether there is an answer."""
         return self.outcome is not Outcome.WAITING
+
+    def end(self, outcome: Outcome, answer: str = "") -> None:
+        """Give it its answer, once."""
+        if not self.done:
+            self.outcome, self.answer = outcome, answer
+            if outcome is Outcome.ACCEPTED:
+                self.progress = 1.0

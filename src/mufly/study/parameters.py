@@ -15,14 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from mufly.errors import InputError
+from mufly.units import factor_of
 
 Value = float | str
 
-_RPM = math.pi / 30.0
-_LENGTH = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
-_ANGLE = {"deg": math.pi / 180.0, "rad": 1.0}
-_SPEED = {"rpm": _RPM, "rad/s": 1.0}
-_RATIO = {"": 1.0, "%": 1e-2}
+_LENGTH = ("mm", "cm", "m")
+_ANGLE = ("deg", "rad")
+_SPEED = ("rpm", "rad/s")
+_RATIO = ("", "%")
 _MOST_VALUES = 100_000
 
 
@@ -34,8 +34,8 @@ class Parameter:
     ----------
     unit : str
         SI unit of the value; ``"text"`` for names.
-    units : dict
-        Accepted spellings, and what one of them is in SI; the first is the one that plots use.
+    units : tuple of str
+        Accepted spellings, ``""`` for a bare number; the first is the one that plots use.
     meaning : str
     whole : bool
         True for counts.
@@ -44,14 +44,14 @@ class Parameter:
     """
 
     unit: str
-    units: Mapping[str, float]
+    units: tuple[str, ...]
     meaning: str
     whole: bool = False
     positive: bool = False
 
 
 GEOMETRY: dict[str, Parameter] = {
-    "blades": Parameter("1", {"": 1.0}, "number of blades", whole=True, positive=True),
+    "blades": Parameter("1", ("",), "number of blades", whole=True, positive=True),
     "radius": Parameter("m", _LENGTH, "radius; chords stay as they are", positive=True),
     "chord": Parameter("m", _LENGTH, "mean chord; all chords are scaled to it", positive=True),
     "taper": Parameter(
@@ -59,38 +59,28 @@ GEOMETRY: dict[str, Parameter] = {
     ),
     "twist": Parameter("rad", _ANGLE, "twist from hub to tip, straight, zero at the tip"),
     "hub_cutout": Parameter("1", _RATIO, "radius over R at which the blade begins"),
-    "airfoil": Parameter("text", {}, "airfoil of the whole blade: NACA number, database name or file"),
-    "thickness": Parameter("1", {"%": 1e-2, "": 1.0}, "thickness over chord of a four-digit NACA section"),
-    "camber": Parameter("1", {"%": 1e-2, "": 1.0}, "camber over chord of a four-digit NACA section"),
-    "camber_position": Parameter(
-        "1", {"%": 1e-2, "": 1.0}, "place of the camber, x/c, of a four-digit NACA section"
-    ),
+    "airfoil": Parameter("text", (), "airfoil of the whole blade: NACA number, database name or file"),
+    "thickness": Parameter("1", ("%", ""), "thickness over chord of a four-digit NACA section"),
+    "camber": Parameter("1", ("%", ""), "camber over chord of a four-digit NACA section"),
+    "camber_position": Parameter("1", ("%", ""), "place of the camber, x/c, of a four-digit NACA section"),
 }
 OPERATION: dict[str, Parameter] = {
     "pitch": Parameter("rad", _ANGLE, "pitch setting, added to the twist"),
     "speed": Parameter("rad/s", _SPEED, "rotor speed", positive=True),
-    "thrust": Parameter("N", {"N": 1.0, "mN": 1e-3}, "thrust, for which the speed is found", positive=True),
+    "thrust": Parameter("N", ("N", "mN"), "thrust, for which the speed is found", positive=True),
     "duty": Parameter("1", _RATIO, "share of the supply voltage at the motor", positive=True),
-    "climb": Parameter("m/s", {"m/s": 1.0}, "axial speed, positive in climb"),
-    "density": Parameter("kg/m3", {"kg/m3": 1.0}, "density of the air", positive=True),
-    "viscosity": Parameter(
-        "Pa s", {"uPa s": 1e-6, "Pa s": 1.0}, "dynamic viscosity of the air", positive=True
-    ),
-    "n_crit": Parameter("1", {"": 1.0}, "amplification exponent of transition in the polars"),
+    "climb": Parameter("m/s", ("m/s",), "axial speed, positive in climb"),
+    "density": Parameter("kg/m3", ("kg/m3",), "density of the air", positive=True),
+    "viscosity": Parameter("Pa s", ("uPa s", "Pa s"), "dynamic viscosity of the air", positive=True),
+    "n_crit": Parameter("1", ("",), "amplification exponent of transition in the polars"),
 }
 DRIVE: dict[str, Parameter] = {
-    "gear": Parameter(
-        "1", {"": 1.0}, "gear ratio; 'adapted' and 'best' find it for the thrust", positive=True
-    ),
-    "voltage": Parameter("V", {"V": 1.0}, "supply voltage", positive=True),
-    "back_emf": Parameter("V s", {"mV s": 1e-3, "V s": 1.0}, "back-EMF constant of the motor", positive=True),
-    "torque_constant": Parameter(
-        "N m/A", {"mN m/A": 1e-3, "N m/A": 1.0}, "torque constant of the motor", positive=True
-    ),
-    "resistance": Parameter(
-        "ohm", {"ohm": 1.0, "mohm": 1e-3}, "motor and controller resistance", positive=True
-    ),
-    "friction": Parameter("N m s", {"uN m s": 1e-6, "N m s": 1.0}, "viscous friction of the motor"),
+    "gear": Parameter("1", ("",), "gear ratio; 'adapted' and 'best' find it for the thrust", positive=True),
+    "voltage": Parameter("V", ("V",), "supply voltage", positive=True),
+    "back_emf": Parameter("V s", ("mV s", "V s"), "back-EMF constant of the motor", positive=True),
+    "torque_constant": Parameter("N m/A", ("mN m/A", "N m/A"), "torque constant of the motor", positive=True),
+    "resistance": Parameter("ohm", ("ohm", "mohm"), "motor and controller resistance", positive=True),
+    "friction": Parameter("N m s", ("uN m s", "N m s"), "viscous friction of the motor"),
     "gear_efficiency": Parameter("1", _RATIO, "efficiency of the gear", positive=True),
     "controller_efficiency": Parameter("1", _RATIO, "efficiency of the speed controller", positive=True),
 }
@@ -105,7 +95,7 @@ PAIR: dict[str, Parameter] = {
     ),
     "speed_ratio": Parameter("1", _RATIO, "lower over upper speed", positive=True),
     "thrust": Parameter(
-        "N", {"N": 1.0, "mN": 1e-3}, "thrust of the pair, for which both speeds are found, torques balanced",
+        "N", ("N", "mN"), "thrust of the pair, for which both speeds are found, torques balanced",
         positive=True,
     ),
     "pitch": Parameter("rad", _ANGLE, "pitch setting of both rotors, added to the twist"),
@@ -150,12 +140,12 @@ def _split_unit(text: str, where: str) -> tuple[str, str]:
     return match[1].strip(), match[2]
 
 
-def _factor(name: str, unit: str, where: str, units: Mapping[str, float]) -> float:
-    if unit not in units:
-        accepted = ", ".join(u or "none" for u in units)
+def _factor(name: str, unit: str, where: str, p: Parameter) -> float:
+    if unit not in p.units:
+        accepted = ", ".join(u or "none" for u in p.units)
         problem = f"{name} has no unit" if not unit else f"{name} is not measured in {unit!r}"
         raise InputError(where, "", problem, f"use one of: {accepted}")
-    return units[unit]
+    return factor_of(unit or "1", p.unit)
 
 
 def parse_quantity(name: str, text: str, table: Mapping[str, Parameter] = PARAMETERS) -> Value:
@@ -189,7 +179,7 @@ def parse_values(text: str, table: Mapping[str, Parameter] = PARAMETERS) -> tupl
     if name == "gear" and listed in ("adapted", "best"):
         return name, (listed,)
     numbers, unit = _split_unit(listed, text)
-    factor = _factor(name, unit, text, p.units)
+    factor = _factor(name, unit, text, p)
     values: list[float] = []
     for part in numbers.split(","):
         parts = [float(x) for x in part.split(":")] if part.strip() else []
@@ -250,8 +240,8 @@ def in_unit(name: str, values: Iterable[Value]) -> tuple[np.ndarray, str]:
     listed = list(values)
     if p.unit == "text" or any(isinstance(v, str) for v in listed):
         return np.array([str(v) for v in listed]), ""
-    unit = next(iter(p.units))
-    return np.round(np.array(listed, dtype=np.float64) / p.units[unit], 9), unit
+    unit = p.units[0]
+    return np.round(np.array(listed, dtype=np.float64) / factor_of(unit or "1", p.unit), 9), unit
 
 
 # ----------------------------------------------------------------------------

@@ -25,12 +25,12 @@ from mufly.rotor.system import balance_torque_wake, coaxial_wake, hover_wake
 from mufly.rotor.wake import WakeSettings, WakeSolution
 from mufly.study.sweeps import Progress
 from mufly.thesis.claims import CLAIMS, TABLE_3_4_VALUES, Verdict
+from mufly.units import RPM
 
 COAXIAL_MODELS = ("wake", "full")
 PITCH_DEG = 14.0
 SPACING_M = 0.02
 UPPER_RPM = 6000.0
-_RPM = math.pi / 30.0
 _FIELDS = {"thrust_N": "N", "torque_Nm": "N m", "power_W": "W", "c_T": "1", "c_Q": "1"}
 
 
@@ -53,7 +53,7 @@ def _pair(
 ) -> tuple[Sequence[RotorResult], WakeSolution | None, str]:
     """Upper and lower rotor, the wake to start the next case from, and what went wrong."""
     up, low = math.radians(PITCH_DEG), math.radians(point.lower_pitch_deg)
-    upper = point.upper_rpm * _RPM
+    upper = point.upper_rpm * RPM
     try:
         if model == "wake":
             if point.balance:
@@ -64,7 +64,7 @@ def _pair(
             else:
                 wake = coaxial_wake(
                     blade, blade, spacing_m=point.spacing_m, upper_pitch_rad=up, lower_pitch_rad=low,
-                    upper_speed_rad_s=upper, lower_speed_rad_s=point.lower_rpm * _RPM, settings=settings, start=known,
+                    upper_speed_rad_s=upper, lower_speed_rad_s=point.lower_rpm * RPM, settings=settings, start=known,
                 )  # fmt: skip
             if wake.converged:
                 return wake.rotors, wake, ""
@@ -77,7 +77,7 @@ def _pair(
         else:
             both = coaxial(
                 blade, blade, spacing_m=point.spacing_m, upper_pitch_rad=up, lower_pitch_rad=low,
-                upper_speed_rad_s=upper, lower_speed_rad_s=point.lower_rpm * _RPM,
+                upper_speed_rad_s=upper, lower_speed_rad_s=point.lower_rpm * RPM,
             )  # fmt: skip
         return (both.upper, both.lower), known, ""
     except MuflyError as error:
@@ -105,7 +105,7 @@ def _solve(
         for who, rotor in zip(("upper", "lower"), rotors, strict=False):
             for field in _FIELDS:
                 data[f"{who}_{field}"][index] = getattr(rotor, field)
-            data[f"{who}_rpm"][index] = rotor.speed_rad_s / _RPM
+            data[f"{who}_rpm"][index] = rotor.speed_rad_s / RPM
         if progress is not None:
             progress(done + 1, math.prod(shape))
     names = tuple(axes)
@@ -134,12 +134,10 @@ def equal_speeds(
     single: dict[str, list[float]] = {field: [] for field in _FIELDS}
     for speed in rpm:
         if model == "wake":
-            wake = hover_wake(
-                blade, pitch_rad=pitch, speed_rad_s=speed * _RPM, settings=settings, start=known
-            )
+            wake = hover_wake(blade, pitch_rad=pitch, speed_rad_s=speed * RPM, settings=settings, start=known)
             known, alone = (wake, wake.rotors[0]) if wake.converged else (known, None)
         else:
-            alone = hover(blade, pitch_rad=pitch, speed_rad_s=speed * _RPM)
+            alone = hover(blade, pitch_rad=pitch, speed_rad_s=speed * RPM)
         for field, values in single.items():
             values.append(float(getattr(alone, field)) if alone is not None else math.nan)
     return both.assign({f"single_{k}": ("rpm", v, {"units": _FIELDS[k]}) for k, v in single.items()})

@@ -9,7 +9,6 @@ Values are converted to SI when the file is read; the unit must be given, so tha
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path
@@ -23,33 +22,10 @@ from pydantic_core import PydanticCustomError
 
 from mufly.errors import InputError
 from mufly.tables import builtin_names, read_tables, validated
+from mufly.units import units_of
 from mufly.vehicle.coefficient_map import CoefficientMap, named_maps
 
 Source = Literal["measured", "CAD", "datasheet", "estimated", "identified", "specified"]
-
-# Accepted spellings of each SI unit, and what one of them is in SI.
-UNITS: dict[str, dict[str, float]] = {
-    "kg": {"kg": 1.0, "g": 1e-3},
-    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
-    "m2": {"m2": 1.0, "cm2": 1e-4, "mm2": 1e-6},
-    "s": {"s": 1.0, "ms": 1e-3},
-    "rad": {"rad": 1.0, "deg": math.pi / 180.0},
-    "kg m2": {"kg m2": 1.0, "g cm2": 1e-7},
-    "kg/m3": {"kg/m3": 1.0},
-    "N": {"N": 1.0, "mN": 1e-3},
-    "N/m": {"N/m": 1.0},
-    "N s/m": {"N s/m": 1.0},
-    "N m s": {"N m s": 1.0},
-    "N m/A": {"N m/A": 1.0, "mN m/A": 1e-3},
-    "V s": {"V s": 1.0, "mV s": 1e-3},
-    "V": {"V": 1.0},
-    "A": {"A": 1.0, "mA": 1e-3},
-    "A s": {"A s": 1.0, "A h": 3600.0, "mA h": 3.6},
-    "ohm": {"ohm": 1.0, "mohm": 1e-3},
-    "m/s": {"m/s": 1.0},
-    "1": {"1": 1.0, "%": 1e-2},
-}
-
 
 _ABSURD = 1e9  # no parameter of a vehicle is as large in SI units; powers of larger ones overflow
 
@@ -169,12 +145,12 @@ class Group(_Frozen):
             raise _fault(f"{raw!r} has no unit and no source", f"write {info.field_name} = {example}")
         if "unit" not in raw:
             raise _fault("the unit is missing", f"write {info.field_name} = {example}")
-        if not isinstance(raw["unit"], str) or raw["unit"] not in UNITS[si]:
-            accepted = ", ".join(UNITS[si])
+        if not isinstance(raw["unit"], str) or raw["unit"] not in units_of(si):
+            accepted = ", ".join(units_of(si))
             raise _fault(f"unit {raw['unit']!r} does not fit here", f"use one of: {accepted}")
         if "value" not in raw:
             raise _fault("the value is missing", f"write {info.field_name} = {example}")
-        value = _scaled(raw["value"], UNITS[si][raw["unit"]])
+        value = _scaled(raw["value"], units_of(si)[raw["unit"]])
         for v in _flat(value):
             _check_limits(v, si, declared)
         return {**raw, "value": value, "unit": si}

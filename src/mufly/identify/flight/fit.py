@@ -17,7 +17,12 @@ from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from mufly.errors import InputError
-from mufly.identify.covariance import covariance_of, unseen_in_words
+from mufly.identify.covariance import (
+    coloured_covariance,
+    correlation_of,
+    relative_covariance,
+    unseen_combinations,
+)
 from mufly.identify.flight.minimise import (
     Course,
     Point,
@@ -95,7 +100,7 @@ def outcome(
         sensitivities.append(np.concatenate(rows))
         residuals.append(linear.residual)
         records.append(_record_fit(problem, i, point, "fit"))
-    covariance, coloured = covariance_of(sensitivities, residuals, problem.prior_std)
+    covariance, _, coloured = coloured_covariance(sensitivities, residuals, problem.prior_std)
     bend = bend_of_valley(problem, point, reduced)
     flown = point.simulations + flights_of(problem)
     flown += sum(1 + len(free) + s.shape[1] for s in point.states)
@@ -127,8 +132,8 @@ def outcome(
         vehicle=problem.vehicle.name,
         estimates=estimates,
         covariance=covariance * np.outer(slope, slope),
-        correlation=covariance / np.outer(std, std) * np.sign(np.outer(slope, slope)),
-        unseen=unseen_in_words(free, data, covariance),
+        correlation=correlation_of(covariance) * np.sign(np.outer(slope, slope)),
+        unseen=unseen_combinations([f.symbol for f in free], relative_covariance(data.T @ data), covariance),
         cost=point.cost,
         history=tuple(history),
         method=f"output error, {method}, {problem.part}",

@@ -663,8 +663,7 @@ def together(plans: Sequence[Plan], candidates: Sequence[Candidate]) -> tuple[Ar
     """Return what flights tell together: relative standard deviations (p,), and what they do not, in words."""
     information = np.sum([c.information for c in candidates], axis=0)
     symbols = [f.symbol for f in plans[0].free]
-    covariance = relative_covariance(information, np.ones(len(symbols)))
-    return _accuracy(information)[0], unseen_combinations(symbols, covariance)
+    return _accuracy(information)[0], unseen_combinations(symbols, relative_covariance(information))
 
 
 def _modes(vehicle: Vehicle, support: Support, part: Part, sample_s: float) -> Array:

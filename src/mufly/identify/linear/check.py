@@ -28,6 +28,7 @@ from scipy.signal import periodogram
 
 from mufly.compiled import compiled
 from mufly.errors import InputError
+from mufly.identify.covariance import coloured_covariance
 from mufly.identify.linear.fit import LinearFit, fit_linear, predict_linear
 from mufly.identify.linear.structure import Structure, discretise
 from mufly.identify.record import lowpassed
@@ -439,9 +440,6 @@ def equation_error(
     dict of symbol to (value, standard deviation)
         ``{"L_p": (-3.1, 0.2), "L_lat": ...}``; the deviations are corrected for coloured residuals.
     """
-    from mufly.identify.covariance import coloured_covariance
-    from mufly.identify.record import lowpassed
-
     used = u.std(axis=0) > 0.0
     names = rate_names + tuple(n for n, k in zip(input_names, used, strict=True) if k)
     smooth = lowpassed(np.column_stack([rates, u[:, used]]), dt, cut_hz)
@@ -451,7 +449,8 @@ def equation_error(
     for j, rate in enumerate(rate_names):
         theta = np.linalg.lstsq(rows, slope[:, j], rcond=None)[0]
         missed = slope[:, j] - rows @ theta
-        cov = coloured_covariance(rows[:, None, :], missed[:, None], np.array([1.0 / missed.var()]))[0]
+        size = missed.std()
+        cov, _, _ = coloured_covariance([rows[:, None, :] / size], [missed[:, None] / size])
         for k, name in enumerate(names):
             symbol = f"{ {'p': 'L', 'q': 'M', 'r': 'N'}.get(rate, rate) }_{name}"
             found[symbol] = (float(theta[k]), float(np.sqrt(cov[k, k])))

@@ -14,9 +14,9 @@ from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from mufly.errors import InputError
-from mufly.identify.covariance import coloured_covariance
+from mufly.identify.covariance import coloured_covariance, parzen
 from mufly.identify.linear.structure import Structure, responses, simulate_linear
-from mufly.identify.residuals import Quality
+from mufly.identify.residuals import Quality, autocorrelation
 from mufly.identify.result import Fit
 
 if TYPE_CHECKING:
@@ -412,9 +412,8 @@ def _covariance(problem: _Problem, z: Array, rows: Array) -> tuple[Array, Array]
     q = q[:, :rank]
     jacobian -= q @ (q.T @ jacobian)
     sensitivity = np.zeros((n, m, z.size))
-    sensitivity[problem.good] = -jacobian
-    sensitivity /= root[None, :, None]
-    cov, bound = coloured_covariance(sensitivity, np.nan_to_num(rows), problem.weight)
+    sensitivity[problem.good] = jacobian
+    cov, bound, _ = coloured_covariance([sensitivity], [root * np.nan_to_num(rows)])
     to_values = np.where(problem.log, problem.values(z), problem.scale)
     outer = np.outer(to_values, to_values)
     return cov * outer, bound * outer
@@ -422,9 +421,6 @@ def _covariance(problem: _Problem, z: Array, rows: Array) -> tuple[Array, Array]
 
 def _effective(rows: Array) -> float:
     """Independent samples: n over the integrated autocorrelation time, the mean over the outputs."""
-    from mufly.identify.covariance import parzen
-    from mufly.identify.residuals import autocorrelation
-
     n = len(rows)
     counts = []
     for e in rows.T:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfilt
 
 from mufly.errors import InputError
-from mufly.identify.covariance import correlation_of, unseen_directions
+from mufly.identify.covariance import correlation_of, relative, unseen_combinations
 from mufly.identify.linear.check import (
     CrossValidation,
     Disturbance,
@@ -375,26 +375,16 @@ def _fit(linear: LinearFit, records: tuple[RecordFit, ...], notes: tuple[str, ..
     std = np.sqrt(np.maximum(np.diag(linear.covariance), 0.0))
     correlation = correlation_of(linear.covariance)
     estimates = tuple(
-        Estimate(
-            p.symbol,
-            "",
-            p.unit,
-            float(s),
-            float(v),
-            float(d),
-            float(v - 1.96 * d),
-            float(v + 1.96 * d),
-            bool(b),
-        )
+        Estimate.of(p.symbol, "", p.unit, float(s), float(v), float(d), quantile=1.96, at_bound=bool(b))
         for p, s, v, d, b in zip(
             linear.structure.parameters, linear.start, linear.values, std, linear.at_bound, strict=True
         )
     )
-    free = ~linear.at_bound
-    unseen = unseen_directions(
-        tuple(np.array(linear.structure.symbols)[free].tolist()), linear.values[free], std[free],
-        correlation[np.ix_(free, free)],
-    )  # fmt: skip
+    free = np.flatnonzero(~linear.at_bound)
+    unseen = unseen_combinations(
+        [linear.structure.symbols[k] for k in free],
+        relative(linear.covariance, linear.values)[np.ix_(free, free)],
+    )
     return Fit(
         linear.structure.name, estimates, linear.covariance, correlation,
         unseen + tuple(n for n in notes if "never moved" in n), linear.history[-1]["cost"], linear.history,

@@ -102,7 +102,7 @@ def first_shape(units: Sequence[Unit], start: WakeSolution | None, climb: float)
             unit.free = prescribed(s, unit.age, 0.06 * sigma, None, climb)
 
 
-def solve(
+def solve_wake(
     rotors: Sequence[Placed],
     *,
     air: Air | None = None,

@@ -10,17 +10,18 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from nicegui import ui
+from nicegui.element import Element
 from nicegui.events import GenericEventArguments
 
-from mufly.station.page.panels import Panel
-from mufly.station.page.session import Vehicle, View, availability, mission_label
+from mufly.station.page.panels import Panel, element
+from mufly.station.page.session import View, availability, mission_label
+from mufly.station.remote import RemoteVehicle
 from mufly.station.view import Outcome, Request, Snapshot
 
 CONFIRM_S = 3.0
 HEIGHT_M = (0.2, 50.0)
 OWN_CHECK = "vehicle's own checks"
-_WORDS = {
+_MARKS = {
     Outcome.WAITING: "…",
     Outcome.ACCEPTED: "✓",
     Outcome.REFUSED: "✕ refused",
@@ -31,194 +32,167 @@ _WORDS = {
 def _facts(facts: dict[str, Any]) -> str:
     """What a recording says of itself, in a line."""
     outcome = " ".join(str(facts[k]) for k in ("outcome", "reason") if facts.get(k))
-    parts = [
-        str(facts.get("vehicle", "")),
-        str(facts.get("mission", "")),
-        outcome,
-        str(facts.get("start_time", ""))[:19],
-    ]
+    start = str(facts.get("start_time", ""))[:19].replace("T", " ")
     whole = "" if facts.get("complete", True) else "cut off: shown as far as it goes"
-    return "Recording: " + "; ".join(
-        p.replace("T", " ") if p[:2] == "20" else p for p in (*parts, whole) if p
-    )
+    parts = (str(facts.get("vehicle", "")), str(facts.get("mission", "")), outcome, start, whole)
+    return "Recording: " + "; ".join(p for p in parts if p)
+
+
+def _hide(element: Element, hidden: bool, name: str = "mf-hidden") -> None:
+    element.classes(add=name if hidden else "", remove="" if hidden else name)
 
 
 class _Action:
     """A button of two lines: what it does, and why it cannot."""
 
-    def __init__(
-        self, label: str, test_id: str, key: str, press: Callable[[], None], classes: str = ""
-    ) -> None:
-        self.element = (
-            ui.element("button")
-            .classes(f"mf-action {classes}")
-            .on("click", lambda: self._click(press), args=[])
-        )
-        self.element.props(f'type=button data-testid={test_id} data-key="{key}"')
-        with self.element:
-            self._label = ui.element("span").classes("mf-action-label")
-            self._reason = ui.element("span").classes("mf-action-reason")
+    def __init__(self, label: str, test_id: str, key: str, press: Callable[[], None], classes: str) -> None:
+        self.label, self._key = label, key
         self._state: tuple[str, str] = ("", "?")
-        self._key = key
+        self._button = element("button", classes=f"mf-action {classes}")
+        self._button.props(f'type=button data-testid={test_id} data-key="{key}"')
+        # A click may have been under way when it was disabled.
+        self._button.on("click", lambda: None if self._state[1] else press(), args=[])
+        with self._button:
+            self._lines = (
+                element("span", classes="mf-action-label"),
+                element("span", classes="mf-action-reason"),
+            )
         self.show(label, "")
-
-    def _click(self, press: Callable[[], None]) -> None:
-        if not self._state[1]:  # a click that was under way when it was disabled
-            press()
 
     def show(self, label: str, reason: str) -> None:
         """Say what it does, and why it cannot be used ("": it can)."""
         if (label, reason) == self._state:
             return
         self._state = (label, reason)
-        self._label._text = label
-        self._reason._text = reason or self._key.replace("Backspace", "⌫")
-        self._label.update()
-        self._reason.update()
-        if reason:
-            self.element.props("disabled")
-        else:
-            self.element.props(remove="disabled")
-        self.element.props["title"] = reason or f"{label} ({self._key})"
-        self.element.update()
+        for line, text in zip(
+            self._lines, (label, reason or self._key.replace("Backspace", "⌫")), strict=True
+        ):
+            line._text = text
+            line.update()
+        self._button.props("disabled") if reason else self._button.props(remove="disabled")
+        self._button.props["title"] = reason or f"{label} ({self._key})"
+        self._button.update()
 
 
 class _Field:
     """A number that is typed."""
 
-    def __init__(
-        self,
-        label: str,
-        value: float,
-        meaning: str,
-        unit: str,
-        on_change: Callable[[float], None] | None,
-        on_enter: Callable[[], None],
-    ) -> None:
-        self.value, self._on_change = value, on_change
+    def __init__(self, label: str, value: float, meaning: str, unit: str = "") -> None:
+        self.value = value
+        self.on_change: Callable[[float], None] = lambda _: None
         test = "field-" + meaning.split()[0]
         options = {"label": label, "value": value, "meaning": meaning, "unit": unit, "test": test}
-        self._panel = Panel("field", options)
-        self._panel.on("change", self._changed)
-        if not unit:
-            self._panel.on("enter", on_enter, args=[])
+        self.panel = Panel("field", options)
+        self.panel.on("change", self._changed)
 
     def _changed(self, e: GenericEventArguments) -> None:
         if isinstance(e.args, int | float) and math.isfinite(e.args):
             self.value = float(e.args)
-            if self._on_change is not None:
-                self._on_change(self.value)
+            self.on_change(self.value)
 
     def show(self, value: float) -> None:
         """Show another number."""
-        self.value = value
-        self._panel.call("set", value)
+        if value != self.value:
+            self.value = value
+            self.panel.call("set", value)
 
 
 class CommandBar:
-    """Commands of one window."""
+    """Commands of one window.
+
+    Parameters
+    ----------
+    view : View
+    place : callable
+        Told the height (m) that was typed for the waypoint.
+    """
 
     def __init__(self, view: View, place: Callable[[float], None]) -> None:
-        self._view, self._place = view, place
+        self._view = view
         self._stop_armed = 0.0
-        self._section = ui.element("section").classes("mf-commands").props('aria-label="commands"')
-        with self._section:
-            self._banner = ui.element("div").classes("mf-banner").props("role=status")
-            with self._banner:
-                self._banner_text = ui.element("span")
-                self._banner_button = ui.element("button").props("type=button data-testid=take-controls")
-                self._banner_button.on("click", self._take, args=[])
-            self._mission = _Action(
-                "Fly the mission", "mission", "Shift+M", self._do("start_mission"), "mf-primary"
-            )
-            with ui.element("div").classes("mf-row"):
-                self._take_off = _Action("Take off", "take-off", "Shift+T", self._go_up)
-                self._height = self._field("to", 1.0, "height of take-off in m", "m")
-            with ui.element("div").classes("mf-row"):
-                self._pause = _Action("Hover", "pause", "Shift+H", self._do("pause"))
-                self._land = _Action("Land", "land", "Shift+L", self._do("land"))
-                self._return = _Action("Return", "return", "Shift+R", self._do("return_home"))
-            with ui.element("div").classes("mf-row mf-goto"):
-                self._north = self._field("N", 0.0, "north in m")
-                self._east = self._field("E", 0.0, "east in m")
-                self._high = self._field("height", 1.0, "height of the waypoint in m", on_change=self._moved)
-                self._go = _Action("Go", "goto", "Shift+G", self._go_there)
-            with ui.element("div").classes("mf-row"):
-                self._arm = _Action("Arm", "arm", "Shift+A", self._toggle_arm, "mf-small")
-                self._stop = _Action(
-                    "EMERGENCY STOP", "emergency-stop", "Shift+Backspace", self._emergency, "mf-stop"
-                )
-            self._log = ui.element("ol").classes("mf-requests").props('role=status aria-label="requests"')
         self._shown: list[str] = []
-        self._banner_state = ("?", "")
+        self._banner_shown = ("?", "")
+        self._actions: dict[str, _Action] = {}
+        row = "mf-row"
+        with element("section", classes="mf-commands").props('aria-label="commands"') as self._section:
+            with element("div", classes="mf-banner").props("role=status") as self._banner:
+                self._banner_text, self._banner_button = element("span"), element("button")
+                self._banner_button.props("type=button data-testid=take-controls")
+                self._banner_button.on("click", self._take, args=[])
+            self._action("mission", "Fly the mission", "M", self._do("start_mission"), classes="mf-primary")
+            with element("div", classes=row):
+                self._action("take_off", "Take off", "T", self._go_up, "take-off")
+                self._height = _Field("to", 1.0, "height of take-off in m", "m")
+            with element("div", classes=row):
+                self._action("pause", "Hover", "H", self._do("pause"))
+                self._action("land", "Land", "L", self._do("land"))
+                self._action("return", "Return", "R", self._do("return_home"))
+            with element("div", classes=f"{row} mf-goto"):
+                self._place = (
+                    _Field("N", 0.0, "north in m"),
+                    _Field("E", 0.0, "east in m"),
+                    _Field("height", 1.0, "height of the waypoint in m"),
+                )
+                for field in self._place:
+                    field.panel.on("enter", self._go_there, args=[])
+                self._place[2].on_change = place
+                self._action("go_to", "Go", "G", self._go_there, "goto")
+            with element("div", classes=row):
+                self._action("arm", "Arm", "A", self._toggle_arm, classes="mf-small")
+                self._action(
+                    "stop", "EMERGENCY STOP", "Backspace", self._emergency, "emergency-stop", "mf-stop"
+                )
+            self._log = element("ol", classes="mf-requests").props('role=status aria-label="requests"')
         self.refresh()
 
-    def _field(
-        self,
-        label: str,
-        value: float,
-        meaning: str,
-        unit: str = "",
-        on_change: Callable[[float], None] | None = None,
-    ) -> _Field:
-        return _Field(label, value, meaning, unit, on_change, lambda: self._go_there())
+    def _action(
+        self, name: str, label: str, key: str, press: Callable[[], None], test_id: str = "", classes: str = ""
+    ) -> None:
+        self._actions[name] = _Action(label, test_id or name, f"Shift+{key}", press, classes)
 
     # ---- what the buttons do
 
-    def _vehicle(self) -> Vehicle | None:
-        return self._view.vehicle()
+    def _ask(self, ask: Callable[[RemoteVehicle], Request]) -> None:
+        vehicle = self._view.vehicle()
+        if vehicle is not None:
+            self._view.ask(ask(vehicle))
+        self.refresh()
 
     def _do(self, name: str) -> Callable[[], None]:
-        def press() -> None:
-            vehicle = self._vehicle()
-            if vehicle is not None:
-                self._view.ask(getattr(vehicle, name)())
-            self.refresh()
-
-        return press
+        return lambda: self._ask(lambda vehicle: getattr(vehicle, name)())
 
     def _refuse(self, text: str, why: str) -> None:
         self._view.ask(Request(text, Outcome.REFUSED, why))
         self.refresh()
 
     def _go_up(self) -> None:
-        vehicle, height = self._vehicle(), self._height.value
-        if not HEIGHT_M[0] <= height <= HEIGHT_M[1]:
+        height = self._height.value
+        if HEIGHT_M[0] <= height <= HEIGHT_M[1]:
+            self._ask(lambda vehicle: vehicle.take_off(height))
+        else:
             self._refuse(f"take off to {height:g} m", f"give {HEIGHT_M[0]:g} to {HEIGHT_M[1]:g} m")
-        elif vehicle is not None:
-            self._view.ask(vehicle.take_off(height))
-            self.refresh()
 
     def _go_there(self) -> None:
-        self.go_to(self._north.value, self._east.value, self._high.value)
+        self.go_to(*(field.value for field in self._place))
 
     def go_to(self, north: float, east: float, height: float) -> None:
         """Send the vehicle to a point (m; height above the floor), if that can be done now."""
         self.choose(north, east, height)
-        vehicle, text = self._vehicle(), f"go to N {north:.2f}, E {east:.2f}, height {height:.2f} m"
         why = self._reasons()["go_to"]
         if not all(math.isfinite(x) and abs(x) < 1e5 for x in (north, east, height)) or height <= 0.0:
             why = "give finite metres and a height above the floor"
-        if why or vehicle is None:
-            self._refuse(text, why or "no vehicle heard")
-            return
-        self._view.ask(vehicle.go_to((north, east, -height)))
-        self.refresh()
+        if why:
+            self._refuse(f"go to N {north:.2f}, E {east:.2f}, height {height:.2f} m", why)
+        else:
+            self._ask(lambda vehicle: vehicle.go_to((north, east, -height)))
 
-    def choose(self, north: float, east: float, height: float) -> None:
-        """Show a point in the fields, without flying there."""
-        for field, value in ((self._north, north), (self._east, east), (self._high, height)):
-            if field.value != value:
-                field.show(value)
-
-    def _moved(self, height: float) -> None:
-        self._place(height)
+    def choose(self, *place: float) -> None:
+        """Show a point (north, east, height; m) in the fields, without flying there."""
+        for field, value in zip(self._place, place, strict=True):
+            field.show(value)
 
     def _toggle_arm(self) -> None:
-        vehicle = self._vehicle()
-        if vehicle is not None:
-            self._view.ask(vehicle.disarm() if vehicle.snapshot.armed else vehicle.arm())
-            self.refresh()
+        self._ask(lambda vehicle: vehicle.disarm() if vehicle.snapshot.armed else vehicle.arm())
 
     def _emergency(self) -> None:
         now = time.monotonic()
@@ -230,23 +204,20 @@ class CommandBar:
             self.refresh()
 
     def _take(self) -> None:
-        vehicle = self._vehicle()
         if not self._view.has_controls:
             self._view.take_controls()
-        elif vehicle is not None:
-            self._view.ask(vehicle.take_command())
-        self.refresh()
+            self.refresh()
+        else:
+            self._do("take_command")()
 
     # ---- what they show
 
     def _reasons(self) -> dict[str, str]:
-        vehicle = self._vehicle()
-        source = self._view.source()
+        vehicle, source = self._view.vehicle(), self._view.source()
         unready = ""
-        if vehicle is not None:
+        if vehicle is not None and not vehicle.snapshot.flying:
             # The station's other checks advise; whether it can be armed is for the vehicle to say.
-            bad = [c.text for c in vehicle.checks if c.ok is False and c.name == OWN_CHECK]
-            unready = bad[0] if bad and not vehicle.snapshot.flying else ""
+            unready = next((c.text for c in vehicle.checks if c.ok is False and c.name == OWN_CHECK), "")
         return availability(
             vehicle.snapshot if vehicle is not None else None,
             kind=source.kind if source is not None else "other",
@@ -257,27 +228,24 @@ class CommandBar:
 
     def refresh(self) -> None:
         """Bring the buttons up to date; what has not changed is not sent."""
-        vehicle = self._vehicle()
+        vehicle = self._view.vehicle()
         snapshot = vehicle.snapshot if vehicle is not None else None
         why = self._reasons()
         begun = vehicle is not None and any(r.reached for r in vehicle.mission if r.action == "waypoint")
-        self._mission.show(mission_label(snapshot, begun), why["mission"])
-        self._take_off.show("Take off", why["take_off"])
-        self._pause.show("Hover", why["pause"])
-        self._land.show("Land", why["land"])
-        self._return.show("Return", why["return"])
-        self._go.show("Go", why["go_to"])
-        armed = snapshot is not None and snapshot.armed
-        self._arm.show("Disarm" if armed else "Arm", why["disarm"] if armed else why["arm"])
-        waiting = time.monotonic() - self._stop_armed < CONFIRM_S
-        self._stop.show("PRESS AGAIN TO STOP" if waiting else "EMERGENCY STOP", why["stop"])
+        labels = {"mission": mission_label(snapshot, begun)}
+        if snapshot is not None and snapshot.armed:
+            labels["arm"], why["arm"] = "Disarm", why["disarm"]
+        if time.monotonic() - self._stop_armed < CONFIRM_S:
+            labels["stop"] = "PRESS AGAIN TO STOP"
+        for name, action in self._actions.items():
+            action.show(labels.get(name, action.label), why[name])
         self._show_banner(vehicle, snapshot)
         self._show_requests()
 
-    def _show_banner(self, vehicle: Vehicle | None, s: Snapshot | None) -> None:
-        text, button = "", ""
-        if self._view.replay is not None:
-            text = _facts(self._view.replay.recording.facts)
+    def _show_banner(self, vehicle: RemoteVehicle | None, s: Snapshot | None) -> None:
+        text, button, replay = "", "", self._view.replay
+        if replay is not None:
+            text = _facts(replay.recording.facts)
         elif vehicle is None:
             text = "Waiting for a vehicle on the link"
         elif not self._view.has_controls:
@@ -286,33 +254,29 @@ class CommandBar:
             button = "Take the controls"
         elif s is not None and s.commander and not s.in_command:
             text, button = f"Watching: commanded by {s.commander}", "Take command"
-        if (text, button) == self._banner_state:
+        if (text, button) == self._banner_shown:
             return
-        self._banner_state = (text, button)
-        watching = self._view.replay is not None
-        self._section.classes(add="mf-watching" if watching else "", remove="" if watching else "mf-watching")
-        self._banner_text._text = text
-        self._banner_button._text = button
-        self._banner_button.classes(
-            add="mf-hidden" if not button else "", remove="mf-hidden" if button else ""
-        )
-        self._banner.classes(add="mf-hidden" if not text else "", remove="mf-hidden" if text else "")
+        self._banner_shown = (text, button)
+        _hide(self._section, replay is not None, "mf-watching")
+        self._banner_text._text, self._banner_button._text = text, button
+        _hide(self._banner_button, not button)
+        _hide(self._banner, not text)
         for e in (self._banner_text, self._banner_button, self._banner):
             e.update()
 
     def _show_requests(self) -> None:
-        lines = [self._line(r) for r in list(self._view.requests)[-3:]]
+        requests = list(self._view.requests)[-3:]
+        lines = [_line(r) for r in requests]
         if lines == self._shown:
             return
         self._shown = lines
         self._log.clear()
         with self._log:
-            for line, request in zip(lines, list(self._view.requests)[-3:], strict=True):
-                item = ui.element("li").classes(f"mf-request-{request.outcome.value.replace(' ', '-')}")
-                item._text = line
+            for line, request in zip(lines, requests, strict=True):
+                element("li", line, f"mf-request-{request.outcome.value.replace(' ', '-')}")
 
-    @staticmethod
-    def _line(r: Request) -> str:
-        progress = f" {r.progress:.0%}" if not r.done and r.progress else ""
-        answer = f": {r.answer}" if r.answer else ""
-        return f"{_WORDS[r.outcome]} {r.text}{progress}{answer}"
+
+def _line(r: Request) -> str:
+    progress = f" {r.progress:.0%}" if not r.done and r.progress else ""
+    answer = f": {r.answer}" if r.answer else ""
+    return f"{_MARKS[r.outcome]} {r.text}{progress}{answer}"

@@ -1,86 +1,278 @@
-"""What the page reads of a vehicle or a recording: the reading half of the seam, as a protocol."""
+"""What one window of the page is told, and how much of it.
+
+The window asks for what it shows (:class:`Want`); a frame holds the present, the samples since the last frame of the
+signals asked for, and each table only when it has changed. Nothing is kept for a window that does not keep up: a
+frame is made when the window has said that it drew the one before the last (:meth:`Feed.ready`), out of whatever is
+then present. A stalled or hidden window thus costs nothing, and gets the gap filled from the history when it comes
+back.
+"""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import orjson
 from numpy.typing import NDArray
 from scipy.signal import detrend, welch
 
-from mufly.flight.parameters import Parameter
-from mufly.logs.signals import our_name
-from mufly.station.view import Check, Message, MissionRow, Snapshot
+from mufly.quantities import our_name
+from mufly.station.page.session import Source, View
+from mufly.station.view import Message, Snapshot
 
-_Array = NDArray[np.floating[Any]]
+IN_FLIGHT = 2
+MOST_POINTS = 6000
+MOST_SIGNALS = 64
+MOST_SECONDS = 36_000.0
+SLOW_S = 0.25  # tables are looked at this often
+SPECTRUM_S = 0.5
+TRAIL_S = 600.0
+ALIVE_S = 2.0
+MOST_TRAIL = 3000
+BLADES = 2
+LEAST_SAMPLES = 64
+_SECTIONS = frozenset({"scene", "messages", "mission", "checks", "parameters", "catalog"})
+_FIELDS = tuple(f.name for f in fields(Snapshot))
+_Array = NDArray[np.float64]
 
 
-class SignalHistory(Protocol):
-    """Signals over time; see :class:`mufly.station.replay.ReplayHistory`."""
+@dataclass(frozen=True, slots=True)
+class Want:
+    """What a window shows: tables, signals, the length of its plots (s), and the signal of its spectrum."""
+
+    sections: frozenset[str] = frozenset()
+    signals: tuple[str, ...] = ()
+    window_s: float = 30.0
+    spectrum: str = ""
+    spectrum_s: float = 10.0
+
+    @classmethod
+    def of(cls, content: Mapping[str, Any]) -> Want:
+        """Read what a browser sent; what makes no sense is left out."""
+
+        def texts(key: str) -> list[str]:
+            found = content.get(key)
+            return (
+                [t for t in found if isinstance(t, str) and len(t) < 200] if isinstance(found, list) else []
+            )
+
+        def seconds(key: str, otherwise: float) -> float:
+            value = content.get(key)
+            good = isinstance(value, int | float) and math.isfinite(value) and value > 0
+            return min(float(value), MOST_SECONDS) if good and value is not None else otherwise
+
+        chosen = content.get("spectrum", "")
+        return cls(
+            frozenset(texts("sections")) & _SECTIONS,
+            tuple(dict.fromkeys(texts("signals")))[:MOST_SIGNALS],
+            seconds("window_s", 30.0),
+            chosen if isinstance(chosen, str) else "",
+            seconds("spectrum_s", 10.0),
+        )
+
+
+def encode_snapshot(s: Snapshot) -> dict[str, Any]:
+    """Return a snapshot with arrays in single precision: seven digits are more than a page can show."""
+    values = ((name, getattr(s, name)) for name in _FIELDS)
+    return {name: v.astype(np.float32) if isinstance(v, np.ndarray) else v for name, v in values}
+
+
+class Feed:
+    """The stream of frames to one window."""
+
+    def __init__(self, view: View) -> None:
+        self._view = view
+        self.want = Want()
+        self.sent = self.drawn = 0
+        self._epoch = ""
+        self._begin()
+
+    def _begin(self) -> None:
+        """Forget what was sent: another source is shown, or a slider jumped."""
+        self._filled: tuple[Any, ...] = ()
+        self._last_s = -math.inf
+        self._said: Message | None = None
+        self._tables: dict[str, Any] = {}
+        self._alive: set[str] = set()
+        self._slow_at = self._spectrum_at = -math.inf
 
     @property
-    def names(self) -> Sequence[str]:
-        """Flat names of all signals."""
+    def ready(self) -> bool:
+        """Whether the window can take a frame."""
+        return self.sent - self.drawn < IN_FLIGHT
 
-    def unit(self, name: str) -> str:
-        """SI unit of a signal."""
+    def hear(self, text: str | bytes) -> None:
+        """Take what the window says: ``{"drawn": n}``, ``{"want": {...}}``. Anything else is not understood."""
+        try:
+            content = orjson.loads(text)
+        except orjson.JSONDecodeError:
+            return
+        if not isinstance(content, dict):
+            return
+        if isinstance(content.get("want"), dict):
+            self.want = Want.of(content["want"])
+            self._slow_at = self._spectrum_at = -math.inf
+        drawn = content.get("drawn")
+        if isinstance(drawn, int) and self.drawn < drawn <= self.sent:
+            self.drawn = drawn
 
-    def since(self, time_s: float, names: Sequence[str]) -> tuple[_Array, _Array]:
-        """Return times (n,) later than ``time_s`` and values (n, k)."""
+    def frame(self, now_s: float) -> bytes:
+        """Return the next frame as JSON; NaN is null.
 
-    def window(self, seconds: float, names: Sequence[str]) -> tuple[_Array, _Array]:
-        """Return the last ``seconds``."""
+        Parameters
+        ----------
+        now_s : float
+            Monotonic clock (s).
+        """
+        self.sent += 1
+        out: dict[str, Any] = {"n": self.sent, "wall": time.time() * 1e3, "about": self._view.about()}
+        source, epoch = self._view.source(), self._view.epoch()
+        if epoch != self._epoch:
+            self._epoch, out["new"] = epoch, True
+            self._begin()
+        if source is not None:
+            snapshot = source.snapshot
+            if snapshot.time_s < self._last_s - 1.0:  # the vehicle's clock began anew
+                self._filled, self._last_s, out["new"] = (), -math.inf, True
+            out["s"] = encode_snapshot(snapshot)
+            if self.want.signals:
+                out["h"] = self._samples(source)
+            if "messages" in self.want.sections:
+                self._messages(source, out)
+            if now_s - self._slow_at >= SLOW_S:
+                self._slow_at = now_s
+                self._slowly(source, out)
+            if self.want.spectrum and now_s - self._spectrum_at >= SPECTRUM_S:
+                self._spectrum_at = now_s
+                out["spectrum"] = self._spectrum(source, snapshot)
+        if "scene" in self.want.sections:
+            out["others"] = [_other(v.name, v.color, v.snapshot) for v in self._view.others()]
+        return orjson.dumps(out, option=orjson.OPT_SERIALIZE_NUMPY)
+
+    def _samples(self, source: Source) -> dict[str, Any]:
+        names = list(self.want.signals)
+        asked = (*names, self.want.window_s)
+        fill = asked != self._filled
+        self._filled = asked
+        if fill:
+            times, values = source.history.window(self.want.window_s, names)
+            self._last_s = -math.inf
+        else:
+            times, values = source.history.since(self._last_s, names)
+        if len(times):
+            self._last_s = float(times[-1])
+        step = max(1, math.ceil(len(times) / MOST_POINTS))
+        # From the end, so that the newest sample is always among them.
+        times, values = times[::-1][::step][::-1], values[::-1][::step][::-1]
+        out: dict[str, Any] = {
+            "t": np.round(times.astype(np.float64), 4),
+            "v": np.ascontiguousarray(values.T, dtype=np.float32),
+        }
+        return out | {"names": names} if fill else out
+
+    def _messages(self, source: Source, out: dict[str, Any]) -> None:
+        known = source.messages
+        fresh: list[Message] = []
+        if "messages" not in self._tables:
+            self._tables["messages"] = out["messages_new"] = True
+            self._said = None
+        for message in reversed(known):
+            if message is self._said:
+                break
+            fresh.append(message)
+        if fresh:
+            self._said = fresh[0]
+            out["messages"] = [(m.time_s, m.level, m.text) for m in reversed(fresh)]
+
+    def _slowly(self, source: Source, out: dict[str, Any]) -> None:
+        """Add the tables that have changed since they were sent."""
+        sections = self.want.sections
+        for gone in [k for k in self._tables if k not in sections]:
+            del self._tables[gone]  # it is hidden; when shown again it needs all of it
+
+        def changed(key: str, now: Callable[[], Any]) -> Any:
+            """What a table holds, if it is shown and has changed; else None."""
+            value = now() if key in sections else None
+            if value is None or self._tables.get(key) == value:
+                return None
+            self._tables[key] = value
+            return value
+
+        if (scenery := changed("scene", self._view.scenery)) is not None:
+            out["scenery"] = scenery
+            out["trail"] = _trail(source)
+        if (rows := changed("mission", lambda: list(source.mission))) is not None:
+            out["mission"] = [
+                {"action": r.action, "p": r.position, "heading": r.heading_rad, "wait": r.wait_s,
+                 "reached": r.reached, "text": r.text} for r in rows
+            ]  # fmt: skip
+        if (checks := changed("checks", lambda: list(source.checks))) is not None:
+            out["checks"] = [(c.name, c.ok, c.text) for c in checks]
+        if (names := changed("catalog", lambda: self._known_names(source))) is not None:
+            out["catalog"] = catalog(names, source.history.unit)
+        sent = self._tables.get("parameters")
+        base = self._view.baseline() if "parameters" in sections else {}
+        known = changed(
+            "parameters", lambda: {n: (p, base.get(n, p.value)) for n, p in source.parameters.items()}
+        )
+        if known is not None:
+            out["parameters_new"] = sent is None or not sent.keys() <= known.keys()
+            out["parameters"] = [
+                (p.name, p.value, p.unit, p.least, p.greatest, p.help, p.whole, was)
+                for n, (p, was) in known.items()
+                if sent is None or sent.get(n) != (p, was)
+            ]
+
+    def _known_names(self, source: Source) -> list[str]:
+        """Signals that have had a value since the source is shown; a real vehicle has no truth to offer."""
+        names = list(source.history.names)
+        _, values = source.history.window(ALIVE_S, names)
+        alive = np.asarray(np.isfinite(values).any(axis=0)).tolist()
+        self._alive |= {n for n, yes in zip(names, alive, strict=True) if yes}
+        return [n for n in names if n in self._alive]
+
+    def _spectrum(self, source: Source, snapshot: Snapshot) -> dict[str, Any]:
+        name, history = self.want.spectrum, source.history
+        times, values = history.window(self.want.spectrum_s, [name])
+        found = (
+            spectrum(times.astype(np.float64), values[:, 0].astype(np.float64))
+            if name in history.names
+            else None
+        )
+        if found is None:
+            return {"signal": name, "rate": None}
+        rate, frequency, density = found
+        return {
+            "signal": name, "unit": history.unit(name), "rate": rate, "f": frequency.astype(np.float32),
+            "d": density.astype(np.float32), "marks": marks(snapshot.rotor_speed, rate),
+        }  # fmt: skip
 
 
-class Source(Protocol):
-    """A vehicle or a recording, as the page reads it."""
-
-    @property
-    def name(self) -> str:
-        """What it is called."""
-
-    @property
-    def kind(self) -> str:
-        """One of "mufly", "other" and "recording"."""
-
-    @property
-    def snapshot(self) -> Snapshot:
-        """The present."""
-
-    @property
-    def history(self) -> SignalHistory:
-        """The past."""
-
-    @property
-    def messages(self) -> Sequence[Message]:
-        """What it said."""
-
-    @property
-    def mission(self) -> Sequence[MissionRow]:
-        """Its mission table."""
-
-    @property
-    def parameters(self) -> Mapping[str, Parameter]:
-        """Its parameters, by name."""
-
-    @property
-    def checks(self) -> Sequence[Check]:
-        """Its pre-flight checks."""
+def _trail(source: Source) -> Any:
+    """Where it has been, (n, 3), as far as its history goes back; nothing where that is not known."""
+    names = source.history.names
+    for believed in ("estimated", "measured", "truth"):
+        wanted = [f"{believed}_position_{axis}" for axis in "NED"]
+        if set(wanted) <= set(names):
+            _, values = source.history.window(TRAIL_S, wanted)
+            if np.isfinite(values).any():
+                step = max(1, math.ceil(len(values) / MOST_TRAIL))
+                return np.ascontiguousarray(values[::step], dtype=np.float32)
+    return []
 
 
-# ----------------------------------------------------------------------------
-# Which signals belong together in one axis: a quantity, its components, and who says so.
-#
-# A flat name is ``source_quantity_component`` (``measured_attitude_roll``) or, for what only one side knows,
-# ``quantity_component`` (``motor_input_upper``). A plot shows one quantity: the colour tells the component, the kind
-# of
-# line tells the source. Angles and rates are shown in degrees, rotor speeds in rpm: this is the edge.
+def _other(name: str, color: int, s: Snapshot) -> dict[str, Any]:
+    place = {"p": s.position, "a": s.attitude, "w": s.rotor_speed}
+    return {"name": name, "color": color} | {k: v.astype(np.float32) for k, v in place.items()}
 
+
+# Which signals belong together in one axis: a quantity, its components, and who says so. A flat name is
+# ``source_quantity_component`` (``measured_attitude_roll``) or, for what only one side knows, ``quantity_component``
+# (``motor_input_upper``). A plot shows one quantity: the colour tells the component, the kind of line tells the source.
 
 SOURCES = ("estimated", "measured", "reference", "truth")
 _TITLES = {
@@ -160,20 +352,7 @@ def catalog(names: Iterable[str], unit: Callable[[str], str]) -> list[dict[str, 
     return sorted(found.values(), key=lambda e: (rank.get(e["key"], len(rank)), e["key"]))
 
 
-# ----------------------------------------------------------------------------
 # The spectrum of a signal, with marks where the rotors would show.
-#
-# Power spectral density by Welch's method (Hann window, halves overlapping), one-sided, so that its integral over
-# frequency is the variance. A rotor of speed Omega shakes the fuselage at its rate of turn f = Omega / 2 pi and, with
-# b
-# blades, at b f. The link samples at f_s; what lies above f_s / 2 shows, folded, at |f - round(f / f_s) f_s|, and is
-# marked there.
-
-
-BLADES = 2
-LEAST_SAMPLES = 64
-
-_spectrum_Array = NDArray[np.float64]
 
 
 def folded(frequency_hz: float, rate_hz: float) -> float:
@@ -181,12 +360,12 @@ def folded(frequency_hz: float, rate_hz: float) -> float:
     return abs(frequency_hz - round(frequency_hz / rate_hz) * rate_hz)
 
 
-def spectrum(
-    times: _spectrum_Array, values: _spectrum_Array
-) -> tuple[float, _spectrum_Array, _spectrum_Array] | None:
+def spectrum(times: _Array, values: _Array) -> tuple[float, _Array, _Array] | None:
     """Return sampling rate (Hz), frequencies (m,) and densities (m,; unit^2/Hz) of samples (n,) at times (n,; s).
 
-    Gaps are bridged by straight lines, onto an even clock at the median step. None if there is too little to say.
+    Power spectral density by Welch's method (Hann window, halves overlapping), one-sided, so that its integral over
+    frequency is the variance. Gaps are bridged by straight lines, onto an even clock at the median step. None if there
+    is too little to say.
     """
     good = np.isfinite(values)
     times, values = times[good], values[good]
@@ -204,8 +383,12 @@ def spectrum(
     return 1.0 / step, frequency[1:], density[1:]
 
 
-def marks(rotor_speed: _spectrum_Array, rate_hz: float) -> list[dict[str, Any]]:
-    """Return where rotors (upper, lower; rad/s) show: ``name``, ``hz`` (true), ``at`` (in the picture), ``folded``."""
+def marks(rotor_speed: _Array, rate_hz: float) -> list[dict[str, Any]]:
+    """Return where rotors (upper, lower; rad/s) show: ``name``, ``hz`` (true), ``at`` (in the picture), ``folded``.
+
+    A rotor of speed Omega shakes the fuselage at its rate of turn f = Omega / 2 pi and, with b blades, at b f. The link
+    samples at f_s; what lies above f_s / 2 shows, folded, at |f - round(f / f_s) f_s|, and is marked there.
+    """
     out = []
     for name, speed in zip(("upper", "lower"), rotor_speed.tolist(), strict=True):
         if not (math.isfinite(speed) and speed > 1.0):
@@ -215,287 +398,3 @@ def marks(rotor_speed: _spectrum_Array, rate_hz: float) -> list[dict[str, Any]]:
             at = folded(true, rate_hz)
             out.append({"name": label, "hz": true, "at": at, "folded": true > 0.5 * rate_hz})
     return out
-
-
-# ----------------------------------------------------------------------------
-# What one window of the page is told, and how much of it.
-#
-# The window asks for what it shows (:class:`Want`); a frame holds the present, the samples since the last frame of
-# the
-# signals asked for, and each table only when it has changed. Nothing is kept for a window that does not keep up: a
-# frame is made when the window has said that it drew the one before the last (:meth:`Feed.ready`), out of whatever is
-# then present. A stalled or hidden window thus costs nothing, and gets the gap filled from the history when it comes
-# back.
-
-
-IN_FLIGHT = 2
-MOST_POINTS = 6000
-MOST_SIGNALS = 64
-MOST_SECONDS = 36_000.0
-SLOW_S = 0.25  # tables are looked at this often
-SPECTRUM_S = 0.5
-TRAIL_S = 600.0
-ALIVE_S = 2.0
-MOST_TRAIL = 3000
-_SECTIONS = frozenset({"scene", "messages", "mission", "checks", "parameters", "catalog"})
-_FIELDS = tuple(f.name for f in fields(Snapshot))
-
-
-class Viewer(Protocol):
-    """What a feed needs to know of the window that it serves."""
-
-    def source(self) -> Source | None:
-        """The vehicle or recording that is shown; None while there is none."""
-
-    def epoch(self) -> str:
-        """Changes when another source is shown or a slider jumps."""
-
-    def others(self) -> Sequence[tuple[Source, int]]:
-        """Further vehicles in the scene, with their colours."""
-
-    def scenery(self) -> dict[str, Any]:
-        """World, rotor radius, and whatever else the scene draws once."""
-
-    def about(self) -> dict[str, Any]:
-        """Small facts of every frame: replay, recorder, controls."""
-
-    def baseline(self) -> Mapping[str, float]:
-        """Values of parameters before anybody changed them here."""
-
-
-@dataclass(frozen=True, slots=True)
-class Want:
-    """What a window shows: tables, signals, the length of its plots (s), and the signal of its spectrum."""
-
-    sections: frozenset[str] = frozenset()
-    signals: tuple[str, ...] = ()
-    window_s: float = 30.0
-    spectrum: str = ""
-    spectrum_s: float = 10.0
-
-    @classmethod
-    def of(cls, content: Mapping[str, Any]) -> Want:
-        """Read what a browser sent; what makes no sense is left out."""
-
-        def texts(key: str) -> list[str]:
-            found = content.get(key, [])
-            return (
-                [t for t in found if isinstance(t, str) and len(t) < 200] if isinstance(found, list) else []
-            )
-
-        def seconds(key: str, otherwise: float) -> float:
-            value = content.get(key)
-            good = isinstance(value, int | float) and math.isfinite(value) and value > 0
-            return min(float(value), MOST_SECONDS) if good and value is not None else otherwise
-
-        chosen = content.get("spectrum", "")
-        return cls(
-            frozenset(texts("sections")) & _SECTIONS,
-            tuple(dict.fromkeys(texts("signals")))[:MOST_SIGNALS],
-            seconds("window_s", 30.0),
-            chosen if isinstance(chosen, str) else "",
-            seconds("spectrum_s", 10.0),
-        )
-
-
-def encode_snapshot(s: Snapshot) -> dict[str, Any]:
-    """Return a snapshot with arrays in single precision: seven digits are more than a page can show."""
-    out: dict[str, Any] = {}
-    for name in _FIELDS:
-        value = getattr(s, name)
-        out[name] = value.astype(np.float32) if isinstance(value, np.ndarray) else value
-    return out
-
-
-class Feed:
-    """The stream of frames to one window."""
-
-    def __init__(self, viewer: Viewer) -> None:
-        self.viewer = viewer
-        self.want = Want()
-        self.sent = self.drawn = 0
-        self._epoch = ""
-        self._filled: tuple[Any, ...] = ()
-        self._last_s = -math.inf
-        self._said: Message | None = None
-        self._tables: dict[str, Any] = {}
-        self._alive: set[str] = set()
-        self._slow_at = self._spectrum_at = -math.inf
-
-    @property
-    def ready(self) -> bool:
-        """Whether the window can take a frame."""
-        return self.sent - self.drawn < IN_FLIGHT
-
-    def hear(self, text: str | bytes) -> None:
-        """Take what the window says: ``{"drawn": n}``, ``{"want": {...}}``. Anything else is not understood."""
-        try:
-            content = orjson.loads(text)
-        except orjson.JSONDecodeError:
-            return
-        if not isinstance(content, dict):
-            return
-        if isinstance(content.get("want"), dict):
-            self.want = Want.of(content["want"])
-            self._slow_at = self._spectrum_at = -math.inf
-        drawn = content.get("drawn")
-        if isinstance(drawn, int) and self.drawn < drawn <= self.sent:
-            self.drawn = drawn
-
-    def frame(self, now_s: float) -> bytes:
-        """Return the next frame as JSON; NaN is null.
-
-        Parameters
-        ----------
-        now_s : float
-            Monotonic clock (s).
-        """
-        self.sent += 1
-        out: dict[str, Any] = {"n": self.sent, "wall": time.time() * 1e3}
-        source, epoch = self.viewer.source(), self.viewer.epoch()
-        if epoch != self._epoch:
-            self._epoch, self._filled, self._said, self._last_s = epoch, (), None, -math.inf
-            self._tables.clear()
-            self._alive.clear()
-            self._slow_at = self._spectrum_at = -math.inf
-            out["new"] = True
-        out["about"] = self.viewer.about()
-        if source is not None:
-            snapshot = source.snapshot
-            if snapshot.time_s < self._last_s - 1.0:  # the vehicle's clock began anew
-                self._filled, self._last_s, out["new"] = (), -math.inf, True
-            out["s"] = encode_snapshot(snapshot)
-            if self.want.signals:
-                out["h"] = self._samples(source)
-            if "messages" in self.want.sections:
-                self._messages(source, out)
-            if now_s - self._slow_at >= SLOW_S:
-                self._slow_at = now_s
-                self._slowly(source, out)
-            if self.want.spectrum and now_s - self._spectrum_at >= SPECTRUM_S:
-                self._spectrum_at = now_s
-                out["spectrum"] = self._spectrum(source, snapshot)
-        if "scene" in self.want.sections:
-            out["others"] = [_other(s, colour) for s, colour in self.viewer.others()]
-        return orjson.dumps(out, option=orjson.OPT_SERIALIZE_NUMPY)
-
-    def _samples(self, source: Source) -> dict[str, Any]:
-        names = list(self.want.signals)
-        asked = (*names, self.want.window_s)
-        fill = asked != self._filled
-        if fill:
-            times, values = source.history.window(self.want.window_s, names)
-            self._filled = asked
-        else:
-            times, values = source.history.since(self._last_s, names)
-        if len(times):
-            self._last_s = float(times[-1])
-        elif fill:
-            self._last_s = -math.inf
-        step = max(1, math.ceil(len(times) / MOST_POINTS))
-        # From the end, so that the newest sample is always among them.
-        times, values = times[::-1][::step][::-1], values[::-1][::step][::-1]
-        out: dict[str, Any] = {
-            "t": np.round(times.astype(np.float64), 4),
-            "v": np.ascontiguousarray(values.T, dtype=np.float32),
-        }
-        if fill:
-            out["names"] = names
-        return out
-
-    def _messages(self, source: Source, out: dict[str, Any]) -> None:
-        known = source.messages
-        fresh: list[Message] = []
-        for message in reversed(known):
-            if message is self._said:
-                break
-            fresh.append(message)
-        if "messages" not in self._tables:
-            self._tables["messages"] = True
-            out["messages_new"] = True
-            fresh = list(reversed(known))
-        if fresh:
-            self._said = fresh[0]
-            out["messages"] = [(m.time_s, m.level, m.text) for m in reversed(fresh)]
-
-    def _slowly(self, source: Source, out: dict[str, Any]) -> None:
-        """Add the tables that have changed since they were sent."""
-        sections = self.want.sections
-        for gone in [k for k in self._tables if k not in sections]:
-            del self._tables[gone]  # it is hidden; when shown again it needs all of it
-
-        def changed(key: str, value: Any) -> bool:
-            if self._tables.get(key) == value:
-                return False
-            self._tables[key] = value
-            return True
-
-        if "scene" in sections and changed("scene", scenery := self.viewer.scenery()):
-            out["scenery"] = scenery
-            out["trail"] = _trail(source)
-        if "mission" in sections and changed("mission", rows := list(source.mission)):
-            out["mission"] = [
-                {"action": r.action, "p": r.position, "heading": r.heading_rad, "wait": r.wait_s,
-                 "reached": r.reached, "text": r.text} for r in rows
-            ]  # fmt: skip
-        if "checks" in sections and changed("checks", checks := list(source.checks)):
-            out["checks"] = [(c.name, c.ok, c.text) for c in checks]
-        if "catalog" in sections and changed("catalog", names := self._known_names(source)):
-            out["catalog"] = catalog(names, source.history.unit)
-        if "parameters" in sections:
-            base = self.viewer.baseline()
-            known = {n: (p, base.get(n, p.value)) for n, p in source.parameters.items()}
-            sent = self._tables.get("parameters")
-            if known != sent:
-                out["parameters_new"] = sent is None or not sent.keys() <= known.keys()
-                fresh = [entry for n, entry in known.items() if sent is None or sent.get(n) != entry]
-                out["parameters"] = [
-                    (p.name, p.value, p.unit, p.least, p.greatest, p.help, p.whole, was) for p, was in fresh
-                ]
-                self._tables["parameters"] = known
-
-    def _known_names(self, source: Source) -> list[str]:
-        """Signals that have had a value since the source is shown; a real vehicle has no truth to offer."""
-        names = list(source.history.names)
-        _, values = source.history.window(ALIVE_S, names)
-        alive = np.asarray(np.isfinite(values).any(axis=0)).tolist()
-        self._alive |= {n for n, yes in zip(names, alive, strict=True) if yes}
-        return [n for n in names if n in self._alive]
-
-    def _spectrum(self, source: Source, snapshot: Snapshot) -> dict[str, Any]:
-        times, values = source.history.window(self.want.spectrum_s, [self.want.spectrum])
-        found = None
-        if self.want.spectrum in source.history.names:
-            found = spectrum(times.astype(np.float64), values[:, 0].astype(np.float64))
-        if found is None:
-            return {"signal": self.want.spectrum, "rate": None}
-        rate, frequency, density = found
-        return {
-            "signal": self.want.spectrum,
-            "unit": source.history.unit(self.want.spectrum),
-            "rate": rate,
-            "f": frequency.astype(np.float32),
-            "d": density.astype(np.float32),
-            "marks": marks(snapshot.rotor_speed, rate),
-        }
-
-
-def _trail(source: Source) -> Any:
-    """Where it has been, (n, 3), as far as its history goes back; nothing where that is not known."""
-    names = source.history.names
-    for believed in ("estimated", "measured", "truth"):
-        wanted = [f"{believed}_position_{axis}" for axis in "NED"]
-        if set(wanted) <= set(names):
-            _, values = source.history.window(TRAIL_S, wanted)
-            if np.isfinite(values).any():
-                step = max(1, math.ceil(len(values) / MOST_TRAIL))
-                return np.ascontiguousarray(values[::step], dtype=np.float32)
-    return []
-
-
-def _other(source: Source, colour: int) -> dict[str, Any]:
-    s = source.snapshot
-    return {
-        "name": source.name, "color": colour, "p": s.position.astype(np.float32), "a": s.attitude.astype(np.float32),
-        "w": s.rotor_speed.astype(np.float32),
-    }  # fmt: skip

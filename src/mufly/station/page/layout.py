@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 
 from nicegui import ui
+from nicegui.element import Element
 from nicegui.events import GenericEventArguments
 
 from mufly.station.page.command_bar import CommandBar
@@ -13,6 +14,7 @@ from mufly.station.page.panels import (
     Panel,
     button,
     check_drawer,
+    element,
     mission_drawer,
     parameter_drawer,
     recording_drawer,
@@ -49,21 +51,24 @@ def build(view: View) -> None:
     ui.add_head_html(f'<link rel="stylesheet" href="{static_url()}/station.css">')
     dark = ui.dark_mode(None)
     ui.colors(primary="#2f7fb8")
-    with ui.element("div").classes("mf-page"):
+    with element("div", classes="mf-page"):
         _header(view, dark)
-        with ui.element("aside").classes("mf-left").props('aria-label="instruments"'):
-            with _card("mf-card-flight"):
-                Panel("flight")
-            with _card("mf-card-actuators", "Motors and servos"):
-                Panel("actuators")
-            with _card("mf-card-ranges", "Ranges, nose up"):
-                Panel("ranges")
-        with ui.element("main").classes("mf-centre"):
+        with _labelled("aside", "instruments", "mf-left"):
+            for module, title in (
+                ("flight", ""),
+                ("actuators", "Motors and servos"),
+                ("ranges", "Ranges, nose up"),
+            ):
+                with _labelled("section", title, f"mf-card mf-card-{module}"):
+                    if title:
+                        element("h2", title)
+                    Panel(module)
+        with element("main", classes="mf-centre"):
             scene = Panel("scene")
-            with ui.element("div").classes("mf-replay-row").props("hidden"):
+            with element("div", classes="mf-replay-row").props("hidden"):
                 Panel("replaybar").on("replay", lambda e: _replay(view, e))
         refresh_parameters = _dock(view)
-        with ui.element("aside").classes("mf-right").props('aria-label="commands and mission"'):
+        with _labelled("aside", "commands and mission", "mf-right"):
             bar = CommandBar(view, lambda height: scene.call("setHeight", height))
             _right_tabs(view)
     Panel("keys")
@@ -77,67 +82,54 @@ def build(view: View) -> None:
     ui.timer(REFRESH_S, refresh)
 
 
-def _card(classes: str, title: str = "") -> ui.element:
-    card = ui.element("section").classes(f"mf-card {classes}")
-    if title:
-        card.props(f'aria-label="{title}"')
-        with card:
-            head = ui.element("h2")
-            head._text = title
-    return card
+def _labelled(tag: str, label: str, classes: str) -> Element:
+    made = element(tag, classes=classes)
+    return made.props(f'aria-label="{label}"') if label else made
 
 
 def _point(e: GenericEventArguments, take: Callable[[float, float, float], None]) -> None:
     content = e.args if isinstance(e.args, dict) else {}
     try:
-        values = [float(content[k]) for k in ("north", "east", "height")]
+        north, east, height = (float(content[k]) for k in ("north", "east", "height"))
     except (KeyError, TypeError, ValueError):
         return
-    if all(math.isfinite(v) for v in values):
-        take(*values)
+    if all(map(math.isfinite, (north, east, height))):
+        take(north, east, height)
 
 
 def _header(view: View, dark: ui.dark_mode) -> None:
-    with ui.element("header").classes("mf-header"):
-        with ui.element("div").classes("mf-brand"):
-            name = ui.element("span").classes("mf-brand-name")
-            name._text = "mufly"
-            Panel("vehicles").on("select", lambda e: view.select(str(e.args)))
-        Panel("status")
-        with ui.element("div").classes("mf-header-tools"):
-            _recorder(view)
-            switch = button("◐", lambda: _switch(dark), title="dark or light (d)").props(
-                'data-key="d" aria-label="dark or light"'
-            )
-            switch.classes("mf-icon-button")
-            with ui.dialog() as keys, ui.element("div").classes("mf-help"):
-                _help_text()
-            ask = button("?", keys.open, title="keyboard and help (?)").props(
-                'data-key="?" aria-label="help"'
-            )
-            ask.classes("mf-icon-button")
-
-
-def _help_text() -> None:
-    head = ui.element("h2")
-    head._text = "Keyboard"
-    with ui.element("dl"):
-        for key, meaning in _KEYS:
-            ui.element("dt")._text = key
-            ui.element("dd")._text = meaning
-    head = ui.element("h2")
-    head._text = "Pointer"
-    with ui.element("ul"):
-        for hint in _HINTS:
-            ui.element("li")._text = hint
-
-
-def _switch(dark: ui.dark_mode) -> None:
-    async def turn() -> None:
+    async def switch() -> None:
         now = await ui.run_javascript("document.body.classList.contains('body--dark')")
         dark.set_value(not now)
 
-    ui.timer(0.0, turn, once=True)
+    with element("header", classes="mf-header"):
+        with element("div", classes="mf-brand"):
+            element("span", "mufly", "mf-brand-name")
+            Panel("vehicles").on("select", lambda e: view.select(str(e.args)))
+        Panel("status")
+        with element("div", classes="mf-header-tools"):
+            _recorder(view)
+            _icon("◐", switch, "d", "dark or light", "dark or light (d)")
+            with ui.dialog() as keys, element("div", classes="mf-help"):
+                _help()
+            _icon("?", keys.open, "?", "help", "keyboard and help (?)")
+
+
+def _icon(text: str, press: Callable[[], object], key: str, label: str, title: str) -> None:
+    made = button(text, press, title=title, classes="mf-icon-button")
+    made.props(f'data-key="{key}" aria-label="{label}"')
+
+
+def _help() -> None:
+    element("h2", "Keyboard")
+    with element("dl"):
+        for key, meaning in _KEYS:
+            element("dt", key)
+            element("dd", meaning)
+    element("h2", "Pointer")
+    with element("ul"):
+        for hint in _HINTS:
+            element("li", hint)
 
 
 def _recorder(view: View) -> None:
@@ -147,30 +139,25 @@ def _recorder(view: View) -> None:
 
     def mark() -> None:
         text = (field.value or "").strip() or "mark"
-        vehicle = view.vehicle()
         recorder.mark(text)
-        if vehicle is not None:
+        if view.vehicle() is not None:
             view.ask(Request(f"mark: {text}", Outcome.ACCEPTED))
         field.value = ""
         marks.close()
 
     def toggle() -> None:
-        if recorder.recording:
-            recorder.stop()
-        else:
-            recorder.start()
+        recorder.stop() if recorder.recording else recorder.start()
         show()
 
-    with ui.dialog() as marks, ui.element("div").classes("mf-help"):
-        head = ui.element("h2")
-        head._text = "Mark this moment"
+    with ui.dialog() as marks, element("div", classes="mf-help"):
+        element("h2", "Mark this moment")
         field = (
             ui.input("text", placeholder="gust from the left").props("autofocus").on("keydown.enter", mark)
         )
         button("Set the mark", mark, classes="mf-primary-button")
     record = button("● Record", toggle, test="record")
     button("Mark", marks.open, title="put a mark into the recording (m)").props('data-key="m"')
-    state: list[object] = [None]
+    state: list[bool | None] = [None]
 
     def show() -> None:
         on = bool(recorder.recording)
@@ -178,9 +165,8 @@ def _recorder(view: View) -> None:
             return
         state[0] = on
         record._text = "■ Recording" if on else "● Record"
-        record.props(
-            f'aria-pressed={str(on).lower()} title="{"recording; press to stop" if on else "record"}"'
-        )
+        title = "recording; press to stop" if on else "record"
+        record.props(f'aria-pressed={str(on).lower()} title="{title}"')
         record.classes(add="mf-recording" if on else "", remove="" if on else "mf-recording")
         record.update()
 
@@ -189,12 +175,10 @@ def _recorder(view: View) -> None:
 
 
 def _dock(view: View) -> Callable[[], None]:
-    with (
-        ui.element("section").classes("mf-dock").props('aria-label="plots, spectrum, parameters, recordings"')
-    ):
+    with _labelled("section", "plots, spectrum, parameters, recordings", "mf-dock"):
         with ui.tabs().props("dense no-caps align=left inline-label").classes("mf-tabs") as tabs:
-            plots, spectrum, parameters, recordings = (
-                ui.tab(n) for n in ("Plots", "Spectrum", "Parameters", "Recordings")
+            plots, spectrum, parameters, recordings = map(
+                ui.tab, ("Plots", "Spectrum", "Parameters", "Recordings")
             )
         with ui.tab_panels(tabs, value=plots, animated=False, keep_alive=False) as panels:
             panels.classes("mf-tab-panels")
@@ -212,7 +196,7 @@ def _dock(view: View) -> Callable[[], None]:
 
 def _right_tabs(view: View) -> None:
     with ui.tabs().props("dense no-caps align=left").classes("mf-tabs") as tabs:
-        checks, mission, messages = (ui.tab(n) for n in ("Checks", "Mission", "Messages"))
+        checks, mission, messages = map(ui.tab, ("Checks", "Mission", "Messages"))
     recording = view.session.to_open is not None
     with ui.tab_panels(tabs, value=mission if recording else checks, animated=False).classes("mf-tab-panels"):
         with ui.tab_panel(checks):

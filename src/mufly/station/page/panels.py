@@ -1,9 +1,10 @@
-"""A panel that the browser draws by itself from the stream of frames."""
+"""What the page is put together from: panels that the browser draws, buttons, and the drawers with tables and files."""
 
 from __future__ import annotations
 
 import asyncio
 import hashlib
+import tempfile
 import time
 import tomllib
 from collections.abc import Callable
@@ -19,10 +20,12 @@ from nicegui.events import GenericEventArguments, UploadEventArguments
 from mufly.errors import MuflyError
 from mufly.mission import Mission, dump_mission, mission_from
 from mufly.station.page.session import View, find_recordings, parameter_file, read_parameter_file, refused
+from mufly.station.remote import RemoteVehicle
 from mufly.station.replay import open_recording
 from mufly.station.view import MissionRow, Outcome, Request
 
 STATIC = Path(__file__).parent / "static"
+MOST_BYTES, MOST_RECORDING_BYTES = 2_000_000, 1_000_000_000
 _THREE = Path(nicegui.__file__).parent / "elements" / "scene" / "dist"
 
 
@@ -38,7 +41,7 @@ _URL = static_url()
 
 
 class Panel(Element, component=STATIC / "mufly_panel.js", esm={"nicegui-scene": str(_THREE)}):
-    """One of the modules in ``static/`` on the page.
+    """A panel that the browser draws by itself from the stream of frames: one of the modules in ``static/``.
 
     Parameters
     ----------
@@ -50,9 +53,7 @@ class Panel(Element, component=STATIC / "mufly_panel.js", esm={"nicegui-scene": 
 
     def __init__(self, module: str, options: dict[str, Any] | None = None) -> None:
         super().__init__()
-        self._props["module"] = module
-        self._props["base"] = _URL
-        self._props["options"] = options or {}
+        self._props.update(module=module, base=_URL, options=options or {})
         self.classes(f"mf-{module}")
 
     def call(self, name: str, *arguments: Any) -> None:
@@ -60,42 +61,20 @@ class Panel(Element, component=STATIC / "mufly_panel.js", esm={"nicegui-scene": 
         self.run_method("call", name, *arguments)
 
 
-# ----------------------------------------------------------------------------
-# The slower parts of the page: mission, parameters, recordings, and what their buttons do.
-
-
-MOST_BYTES = 2_000_000
+def element(tag: str, text: str = "", classes: str = "") -> Element:
+    """Return an element with a text."""
+    made = ui.element(tag).classes(classes)
+    if text:
+        made._text = text
+    return made
 
 
 def button(
     text: str, press: Callable[..., object], *, test: str = "", title: str = "", classes: str = ""
 ) -> Element:
     """Return a plain button."""
-    made = (
-        ui.element("button")
-        .props(f'type=button data-testid="{test}" title="{title or text}"')
-        .classes(classes)
-    )
-    made._text = text
-    made.on("click", press, args=[])
-    return made
-
-
-def _say(text: str, good: bool = True) -> None:
-    ui.notify(
-        text, type="positive" if good else "warning", position="bottom", timeout=4000, close_button="OK"
-    )
-
-
-def _blocked(view: View) -> str:
-    """Why this window may not change the vehicle; "" if it may."""
-    vehicle = view.vehicle()
-    if vehicle is None:
-        return "no vehicle is shown"
-    if not view.has_controls:
-        return "another window has the controls"
-    s = vehicle.snapshot
-    return f"commanded by {s.commander}" if s.commander and not s.in_command else ""
+    made = element("button", text, classes).props(f'type=button data-testid="{test}" title="{title or text}"')
+    return made.on("click", press, args=[])
 
 
 def _pick(
@@ -109,12 +88,40 @@ def _pick(
     """Add a button that opens a file: the uploader itself stays out of sight."""
     upload = ui.upload(auto_upload=True, max_file_size=most_bytes, on_upload=taken)
     upload.props(f'accept="{ending}" data-testid="{test}"').classes("mf-hidden")
-    upload.on_rejected(lambda: _say("that file is too large or of another kind", good=False))
+    upload.on_rejected(lambda: _refuse("that file is too large or of another kind"))
 
-    async def taken_and_ready() -> None:
+    async def pick() -> None:
         upload.run_method("pickFiles")
 
-    button(label, taken_and_ready, title=f"{label} ({ending})", classes=classes)
+    button(label, pick, title=f"{label} ({ending})", classes=classes)
+
+
+def _say(text: str, good: bool = True) -> None:
+    kind: Any = "positive" if good else "warning"
+    ui.notify(text, type=kind, position="bottom", timeout=4000, close_button="OK")
+
+
+def _refuse(text: str) -> None:
+    _say(text, good=False)
+
+
+def _blocked(view: View) -> str:
+    """Why this window may not change the vehicle; "" if it may."""
+    vehicle = view.vehicle()
+    if vehicle is None:
+        return "no vehicle is shown"
+    if not view.has_controls:
+        return "another window has the controls"
+    s = vehicle.snapshot
+    return f"commanded by {s.commander}" if s.commander and not s.in_command else ""
+
+
+def _may_change(view: View, what: str) -> RemoteVehicle | None:
+    """The vehicle, if this window may change it; else None, and why ``what`` was not done is said."""
+    if why := _blocked(view):
+        _refuse(f"not {what}: {why}")
+        return None
+    return view.vehicle()
 
 
 def check_drawer(view: View) -> None:
@@ -123,22 +130,19 @@ def check_drawer(view: View) -> None:
     def release() -> None:
         vehicle = view.vehicle()
         if vehicle is None or not view.has_controls:
-            _say("not released: " + _blocked(view), good=False)
+            _refuse("not released: " + _blocked(view))
         else:
             view.ask(vehicle.release_command())
 
     def restart() -> None:
-        vehicle = view.vehicle()
-        why = _blocked(view)
-        if vehicle is None or why:
-            _say(f"not started anew: {why}", good=False)
-        elif vehicle.snapshot.flying:
-            _say("not started anew: it flies", good=False)
-        else:
+        vehicle = _may_change(view, "started anew")
+        if vehicle is not None and vehicle.snapshot.flying:
+            _refuse("not started anew: it flies")
+        elif vehicle is not None:
             view.ask(vehicle.reboot())
 
     Panel("checks")
-    with ui.element("div").classes("mf-tools mf-foot mf-live-only"):
+    with element("div", classes="mf-tools mf-foot mf-live-only"):
         button("Release command", release, title="let another station command the vehicle")
         button("Start anew", restart, title="reboot the vehicle; a simulation stands at its start again")
 
@@ -147,31 +151,25 @@ def mission_drawer(view: View) -> None:
     """Table of the mission, with files up and down."""
 
     async def upload(e: UploadEventArguments) -> None:
-        if why := _blocked(view):
-            _say(f"not sent: {why}", good=False)
+        vehicle = _may_change(view, "sent")
+        if vehicle is None:
             return
         try:
             text = (await e.file.read()).decode()
             mission = mission_from({"name": Path(e.file.name).stem, **tomllib.loads(text)}, e.file.name)
         except (MuflyError, ValueError) as error:
-            _say(str(error), good=False)
+            _refuse(str(error))
             return
-        vehicle = view.vehicle()
-        if vehicle is not None:
-            view.ask(vehicle.upload_mission(mission))
-            vehicle.show_mission(mission)
-            view.session.mission = mission
+        view.ask(vehicle.upload_mission(mission))
+        vehicle.show_mission(mission)
+        view.session.mission = mission
 
     def download() -> None:
-        vehicle = view.vehicle()
-        if vehicle is not None:
+        if (vehicle := view.vehicle()) is not None:
             view.ask(vehicle.download_mission())
 
     def clear() -> None:
-        vehicle = view.vehicle()
-        if why := _blocked(view):
-            _say(f"not cleared: {why}", good=False)
-        elif vehicle is not None:
+        if (vehicle := _may_change(view, "cleared")) is not None:
             view.ask(vehicle.clear_mission())
 
     def save() -> None:
@@ -179,11 +177,11 @@ def mission_drawer(view: View) -> None:
         rows = list(source.mission) if source is not None else []
         mission = view.replay.recording.mission if view.replay is not None else _mission_of(rows)
         if mission is None:
-            _say("there is no mission to save", good=False)
+            _refuse("there is no mission to save")
             return
         ui.download.content(dump_mission(mission), f"{mission.name or 'mission'}.toml")
 
-    with ui.element("div").classes("mf-tools"):
+    with element("div", classes="mf-tools"):
         _pick("Upload…", ".toml", upload, "mission-file", classes="mf-live-only")
         button("Fetch", download, title="fetch the mission that is in the vehicle", classes="mf-live-only")
         button("Save", save, title="save the mission as a file")
@@ -193,10 +191,10 @@ def mission_drawer(view: View) -> None:
 
 def _mission_of(rows: list[MissionRow]) -> Mission | None:
     """Return a mission file's content of a vehicle's table; None if it does not begin with a take-off."""
-    points = [r for r in rows if r.action == "waypoint"]
-    first = next((r for r in rows if r.action == "take off"), None)
     if not rows:
         return None
+    points = [r for r in rows if r.action == "waypoint"]
+    first = next((r for r in rows if r.action == "take off"), None)
     tables: dict[str, object] = {
         "name": "from-vehicle",
         "waypoint": [{"position_m": list(p.position), "wait_s": p.wait_s} for p in points],
@@ -212,45 +210,43 @@ def _mission_of(rows: list[MissionRow]) -> Mission | None:
 def parameter_drawer(view: View) -> Callable[[], None]:
     """Table of the parameters, undo, files. Returns the function that brings its buttons up to date."""
 
-    def write(name: str, value: float) -> str:
+    def write(name: str, value: float, undoable: bool = True) -> str:
         """Write one parameter; return why not, "" if it was sent."""
-        vehicle = view.vehicle()
-        why = _blocked(view)
+        vehicle, why = view.vehicle(), _blocked(view)
         if why or vehicle is None:
             return f"{name} not written: {why}"
-        if why := refused(vehicle.parameters.get(name), name, value):
+        known = vehicle.parameters.get(name)
+        if why := refused(known, name, value):
             return why
         view.ask(vehicle.set_parameter(name, value))
+        if undoable and known is not None:
+            view.session.sheet(vehicle).wrote(name, known.value, value)
         return ""
 
     def edited(e: GenericEventArguments) -> None:
-        vehicle, content = view.vehicle(), e.args if isinstance(e.args, dict) else {}
+        content = e.args if isinstance(e.args, dict) else {}
         name, value = content.get("name"), content.get("value")
-        if vehicle is None or not isinstance(name, str) or not isinstance(value, int | float):
+        if view.vehicle() is None or not isinstance(name, str) or not isinstance(value, int | float):
             return
-        known = vehicle.parameters.get(name)
         if why := write(name, float(value)):
-            _say(why, good=False)
-        elif known is not None:
-            view.session.sheet(vehicle).wrote(name, known.value, float(value))
+            _refuse(why)
         refresh()
 
     def step(which: str) -> None:
         vehicle = view.vehicle()
         if vehicle is None:
             return
-        if why := _blocked(view):
-            _say(why, good=False)
-            return
-        found = getattr(view.session.sheet(vehicle), which)()
-        if found is not None and (why := write(*found)):
-            _say(why, good=False)
+        why = _blocked(view)
+        if not why and (found := getattr(view.session.sheet(vehicle), which)()) is not None:
+            why = write(*found, undoable=False)
+        if why:
+            _refuse(why)
         refresh()
 
     def save() -> None:
         vehicle = view.vehicle()
         if vehicle is None or not vehicle.parameters:
-            _say("there are no parameters to save", good=False)
+            _refuse("there are no parameters to save")
             return
         text = parameter_file(vehicle.parameters, vehicle.system)
         ui.download.content(text, f"{vehicle.name.split(',')[0].replace(' ', '-')}.params")
@@ -260,29 +256,26 @@ def parameter_drawer(view: View) -> Callable[[], None]:
         try:
             values = read_parameter_file((await e.file.read()).decode(), e.file.name)
         except (MuflyError, ValueError) as error:
-            _say(str(error), good=False)
+            _refuse(str(error))
             return
         if vehicle is None:
             return
         # All or nothing: a file with one bad line changes nothing.
         faults = [w for n, v in values.items() if (w := refused(vehicle.parameters.get(n), n, v))]
         if why := _blocked(view) or (faults[0] if faults else ""):
-            _say(f"nothing was written: {why}", good=False)
+            _refuse(f"nothing was written: {why}")
             return
         changed = {n: v for n, v in values.items() if vehicle.parameters[n].value != v}
         for name, value in changed.items():
-            before = vehicle.parameters[name].value
-            if not write(name, value):
-                view.session.sheet(vehicle).wrote(name, before, value)
+            write(name, value)
         _say(f"{len(changed)} of {len(values)} parameters differed and were written")
         refresh()
 
     def fetch() -> None:
-        vehicle = view.vehicle()
-        if vehicle is not None:
+        if (vehicle := view.vehicle()) is not None:
             view.ask(vehicle.refresh_parameters())
 
-    with ui.element("div").classes("mf-tools"):
+    with element("div", classes="mf-tools"):
         undo = button("↶ Undo", lambda: step("undo"), test="undo")
         redo = button("↷ Redo", lambda: step("redo"), test="redo")
         button("Fetch", fetch, title="fetch all parameters again")
@@ -298,10 +291,10 @@ def parameter_drawer(view: View) -> Callable[[], None]:
         if state == shown[0]:
             return
         shown[0] = state
-        for element, name, word in ((undo, state[0], "undo"), (redo, state[1], "redo")):
-            element.props["title"] = f"{word} the change of {name}" if name else f"nothing to {word}"
-            element.props(*([] if name else ["disabled"]), remove="disabled" if name else "")
-            element.update()
+        for made, name, word in ((undo, state[0], "undo"), (redo, state[1], "redo")):
+            made.props["title"] = f"{word} the change of {name}" if name else f"nothing to {word}"
+            made.props(*([] if name else ["disabled"]), remove="disabled" if name else "")
+            made.update()
 
     refresh()
     return refresh
@@ -309,18 +302,7 @@ def parameter_drawer(view: View) -> Callable[[], None]:
 
 def recording_drawer(view: View) -> Callable[[], None]:
     """List of recordings; one is opened in the same page. Returns the function that looks for them again."""
-    with ui.element("div").classes("mf-tools"):
-        button("Refresh", lambda: fill(), title="look for recordings again")
-        _pick(
-            "Open a file…",
-            ".mcap,.tlog,.ulg,.csv,.bin",
-            lambda e: uploaded(e),
-            "recording-file",
-            1_000_000_000,
-        )
-        note = ui.element("span").classes("mf-dim mf-note")
-        note._text = f"in {view.session.folder}"
-    holder = ui.element("div").classes("mf-scroll")
+    folder = view.session.folder
 
     async def show(path: Path) -> None:
         request = Request(f"open {path.name}")
@@ -329,44 +311,43 @@ def recording_drawer(view: View) -> Callable[[], None]:
         try:
             recording = await asyncio.to_thread(open_recording, path)
         except MuflyError as error:
-            request.outcome, request.answer = Outcome.REFUSED, str(error)
-            _say(str(error), good=False)
+            request.end(Outcome.REFUSED, str(error))
+            _refuse(str(error))
             return
-        request.outcome = Outcome.ACCEPTED
-        request.answer = (
-            f"{recording.times[-1] - recording.times[0]:.0f} s, read in {time.monotonic() - began:.1f} s"
-        )
+        long_s = recording.times[-1] - recording.times[0]
+        request.end(Outcome.ACCEPTED, f"{long_s:.0f} s, read in {time.monotonic() - began:.1f} s")
         view.show_recording(recording)
 
     async def uploaded(e: UploadEventArguments) -> None:
-        import tempfile
-
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / Path(e.file.name).name
+        with tempfile.TemporaryDirectory() as place:
+            path = Path(place) / Path(e.file.name).name
             await e.file.save(path)
             await show(path)
 
+    def row(path: Path) -> None:
+        about = path.stat()
+        with element("tr"):
+            with element("td"):
+                button("Open", lambda: show(path), test="open-recording", title=f"open {path}")
+            element("td", str(path.relative_to(folder)))
+            element("td", datetime.fromtimestamp(about.st_mtime).strftime("%Y-%m-%d %H:%M:%S"))
+            element("td", f"{about.st_size / 1e6:.1f} MB")
+
     def fill() -> None:
         holder.clear()
-        found = find_recordings(view.session.folder)
-        with holder, ui.element("table").classes("mf-table"), ui.element("tbody"):
+        found = find_recordings(folder)
+        with holder, element("table", classes="mf-table"), element("tbody"):
             for path in found:
-                about = path.stat()
-                with ui.element("tr"):
-                    with ui.element("td"):
-                        button(
-                            "Open", lambda path=path: show(path), test="open-recording", title=f"open {path}"
-                        )
-                    for text in (
-                        str(path.relative_to(view.session.folder)),
-                        datetime.fromtimestamp(about.st_mtime).strftime("%Y-%m-%d %H:%M:%S"),
-                        f"{about.st_size / 1e6:.1f} MB",
-                    ):
-                        ui.element("td")._text = text
+                row(path)
             if not found:
-                with ui.element("tr"):
-                    cell = ui.element("td").classes("mf-empty")
-                    cell._text = "no recordings there yet"
+                with element("tr"):
+                    element("td", "no recordings there yet", "mf-empty")
 
+    with element("div", classes="mf-tools"):
+        button("Refresh", fill, title="look for recordings again")
+        endings = ".mcap,.tlog,.ulg,.csv,.bin"
+        _pick("Open a file…", endings, uploaded, "recording-file", MOST_RECORDING_BYTES)
+        element("span", f"in {folder}", "mf-dim mf-note")
+    holder = element("div", classes="mf-scroll")
     fill()
     return fill

@@ -1,4 +1,9 @@
-"""Which commands make sense now, and why the others do not: shown on the buttons themselves."""
+"""What all windows share, and what belongs to each: who holds the controls, what is shown, what was asked.
+
+A window is one tab of a browser. The first holds the controls, the others watch until they take them. When the window
+that held them is gone, the only one left gets them; of several none does until it asks. The vehicle does not notice.
+What may be commanded now, and what was done to the parameters, is here too.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +13,229 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from mufly.errors import InputError
-from mufly.flight.parameters import Parameter
+from mufly.flight import Parameter
 from mufly.mission import Mission
-from mufly.station.page.feed import Source
+from mufly.station.recorder import StationRecorder
+from mufly.station.remote import RemoteVehicle
 from mufly.station.replay import Recording, Replay
 from mufly.station.view import Request, Snapshot
 from mufly.world import World
+
+ENDINGS = (".mcap", ".tlog", ".ulg", ".csv", ".bin", ".parquet", ".nc")
+MOST_RECORDINGS = 200
+MOST_STEPS = 200
+GRACE_S = 1.0
+INT32, REAL32 = 6, 9  # MAV_PARAM_TYPE
+
+Source = RemoteVehicle | Replay
+"""What the panels show: both have name, kind, snapshot, history, messages, mission, parameters and checks."""
+
+
+@dataclass
+class Session:
+    """The station as its windows see it.
+
+    Attributes
+    ----------
+    vehicles : callable
+        Returns all vehicles heard so far, in order.
+    folder : Path
+        Where recordings are looked for.
+    mission : Mission or None
+        The world to draw around vehicles; of a mission loaded later, that one's.
+    rotor_radius_m : float
+        Size of the vehicles in the scene.
+    recorder : StationRecorder or None
+    title : str
+    to_open : Recording or None
+        Shown by every window at first.
+    """
+
+    vehicles: Callable[[], Sequence[RemoteVehicle]]
+    folder: Path
+    mission: Mission | None = None
+    rotor_radius_m: float = 0.0875
+    recorder: StationRecorder | None = None
+    title: str = "mufly station"
+    views: dict[str, View] = field(default_factory=dict)
+    holder: str = ""
+    sheets: dict[str, ParameterSheet] = field(default_factory=dict)
+    to_open: Recording | None = None
+    clock: Callable[[], float] = time.monotonic
+
+    def open(self, client_id: str) -> View:
+        """A window was opened."""
+        view = self.views[client_id] = View(client_id, self)
+        if self.to_open is not None:
+            view.show_recording(self.to_open)
+        return view
+
+    def close(self, client_id: str) -> None:
+        """A window was closed for good."""
+        self.views.pop(client_id, None)
+
+    @property
+    def watching(self) -> int:
+        """How many windows are open and hear us."""
+        return sum(view.live for view in self.views.values())
+
+    def settle(self) -> None:
+        """Give the controls to the only window there is, once whoever held them has been gone for a second."""
+        holder = self.views.get(self.holder)
+        if holder is not None and (holder.live or self.clock() - holder.left_s < GRACE_S):
+            return
+        live = [view for view in self.views.values() if view.live]
+        # The first of all windows gets them without asking; of several that are left, none does.
+        self.holder = live[0].client_id if live and (len(live) == 1 or not self.holder) else ""
+
+    def sheet(self, vehicle: Source) -> ParameterSheet:
+        """What was done to a vehicle's parameters."""
+        sheet = self.sheets.setdefault(vehicle.name, ParameterSheet())
+        sheet.observe(vehicle.parameters)
+        return sheet
+
+
+class View:
+    """One window: what it shows and what it asked for."""
+
+    def __init__(self, client_id: str, session: Session) -> None:
+        self.client_id, self.session = client_id, session
+        self.selected = ""
+        self.replay: Replay | None = None
+        self.requests: deque[Request] = deque(maxlen=20)
+        self._shows = 0
+        self._streams = 0
+        self.left_s = math.inf  # its stream was never open yet: whoever presses so early is about to open it
+
+    @property
+    def live(self) -> bool:
+        """Whether its stream of frames is open."""
+        return self._streams > 0
+
+    def connected(self) -> None:
+        """Its stream of frames was opened."""
+        self._streams += 1
+        self.session.settle()
+
+    def disconnected(self) -> None:
+        """Its stream of frames was closed; it may come back."""
+        self._streams -= 1
+        self.left_s = self.session.clock()
+
+    # ---- what is shown
+
+    def vehicle(self) -> RemoteVehicle | None:
+        """The vehicle that is selected: the first one unless another was chosen; None in a recording."""
+        if self.replay is not None:
+            return None
+        known = self.session.vehicles()
+        return next((v for v in known if v.name == self.selected), known[0] if known else None)
+
+    def source(self) -> Source | None:
+        """What the panels show."""
+        return self.replay or self.vehicle()
+
+    def select(self, name: str) -> None:
+        """Show another vehicle."""
+        self.selected = name
+        self.close_recording()
+
+    def show_recording(self, recording: Recording) -> None:
+        """Show a recording instead of the vehicles."""
+        self.replay = Replay(recording)
+        self._shows += 1
+
+    def close_recording(self) -> None:
+        """Go back to the vehicles."""
+        self.replay = None
+        self._shows += 1
+
+    # ---- for the frames
+
+    def epoch(self) -> str:
+        """Changes when another source is shown or the slider jumps."""
+        jumps = self.replay.jumps if self.replay is not None else 0
+        return f"{self._shows}/{id(self.source())}/{jumps}"
+
+    def others(self) -> list[RemoteVehicle]:
+        """The vehicles in the scene that are not selected."""
+        chosen = self.vehicle()
+        return [v for v in self.session.vehicles() if v is not chosen] if self.replay is None else []
+
+    def scenery(self) -> dict[str, Any]:
+        """World and size of the vehicle; with the epoch, because after a jump the trail is drawn anew."""
+        mission = self.replay.recording.mission if self.replay is not None else self.session.mission
+        world = drawn_world(mission.world if mission is not None else None)
+        return {"world": world, "rotor_radius": self.session.rotor_radius_m, "epoch": self.epoch()}
+
+    def about(self) -> dict[str, Any]:
+        """Replay and recorder, in every frame."""
+        r, v, recorder = self.replay, self.vehicle(), self.session.recorder
+        return {
+            "replay": r and {
+                "t": r.time_s, "from": r.start_s, "to": r.end_s, "playing": r.playing, "speed": r.speed, "name": r.name,
+            },
+            "recording": recorder is not None and recorder.recording,
+            "vehicles": [v.name for v in self.session.vehicles()],
+            "selected": "" if v is None else v.name,
+            "color": 0 if v is None else v.color,
+        }  # fmt: skip
+
+    def baseline(self) -> Mapping[str, float]:
+        """Values of the parameters before anybody changed them here."""
+        vehicle = self.vehicle()
+        return {} if vehicle is None else self.session.sheet(vehicle).baseline
+
+    # ---- the controls
+
+    @property
+    def has_controls(self) -> bool:
+        """Whether this window may command."""
+        self.session.settle()
+        return self.session.holder == self.client_id
+
+    def take_controls(self) -> None:
+        """Hold the controls; whichever window had them watches from now on."""
+        self.session.holder = self.client_id
+
+    def ask(self, request: Request) -> None:
+        """Keep a request, to show what becomes of it."""
+        self.requests.append(request)
+
+
+def find_recordings(folder: Path) -> list[Path]:
+    """Return the recordings in a folder and its sub-folders, newest first."""
+    if not folder.is_dir():
+        return []
+    found = [p for p in folder.rglob("*") if p.suffix.lower() in ENDINGS and p.is_file()]
+    return sorted(found, key=lambda p: p.stat().st_mtime, reverse=True)[:MOST_RECORDINGS]
+
+
+def drawn_world(world: World | None) -> dict[str, Any]:
+    """Return what stands in the world, as the 3-D scene draws it: N-E-D metres, lists and numbers only.
+
+    Boxes are ``{name, c: [N, E, D], s: [x, y, z], yaw}``, cylinders ``{name, c: [N, E], r, h, foot}``, the room
+    ``{n: [least, greatest], e: [...], h: height or None}``.
+    """
+    if world is None:
+        return {"boxes": [], "cylinders": [], "room": None}
+    room = world.room
+    return {
+        "boxes": [{"name": b.name, "c": list(b.centre), "s": list(b.size), "yaw": b.yaw} for b in world.boxes],
+        "cylinders": [
+            {"name": c.name, "c": list(c.centre), "r": c.radius, "h": c.height, "foot": c.foot}
+            for c in world.cylinders
+        ],
+        "room": room and {
+            "n": list(room.north), "e": list(room.east), "h": room.height if math.isfinite(room.height) else None,
+        },
+    }  # fmt: skip
+
+
+# Which commands make sense now, and why the others do not: shown on the buttons themselves.
 
 COMMANDS = ("arm", "disarm", "take_off", "pause", "mission", "go_to", "land", "return", "stop")
 _UNDER_WAY = frozenset({"waypoint", "obstacle"})
@@ -82,16 +301,9 @@ def mission_label(s: Snapshot | None, begun: bool) -> str:
     return "Resume mission" if s is not None and s.flying and begun else "Fly the mission"
 
 
-# ----------------------------------------------------------------------------
-# What was done to a vehicle's parameters here: changes, undo, redo, and files of them.
-#
-# Files are those that other ground stations write too: one parameter a line, ``system component NAME value type``
-# with
-# tabs (QGroundControl), or ``NAME,value`` (Mission Planner); both are read, the first is written.
-
-
-MAV_PARAM_TYPE_INT32, MAV_PARAM_TYPE_REAL32 = 6, 9
-MOST_STEPS = 200
+# Parameters: what was done to them here, and files of them. Files are those that other ground stations write too: one
+# parameter a line, ``system component NAME value type`` with tabs (QGroundControl), or ``NAME,value`` (Mission
+# Planner); both are read, the first is written.
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,8 +326,8 @@ class ParameterSheet:
     """
 
     baseline: dict[str, float] = field(default_factory=dict)
-    _undo: list[Change] = field(default_factory=list)
-    _redo: list[Change] = field(default_factory=list)
+    _undo: deque[Change] = field(default_factory=lambda: deque(maxlen=MOST_STEPS))
+    _redo: deque[Change] = field(default_factory=deque)
 
     def observe(self, parameters: Mapping[str, Parameter]) -> None:
         """Remember the first value of parameters not seen before."""
@@ -125,7 +337,7 @@ class ParameterSheet:
 
     def wrote(self, name: str, before: float, after: float) -> None:
         """Note a change that was made; what had been undone can no longer be redone."""
-        self._undo = [*self._undo, Change(name, before, after)][-MOST_STEPS:]
+        self._undo.append(Change(name, before, after))
         self._redo.clear()
 
     @property
@@ -142,16 +354,14 @@ class ParameterSheet:
         """Take the last change back: the name and value to write, None if there is none."""
         if not self._undo:
             return None
-        change = self._undo.pop()
-        self._redo.append(change)
+        self._redo.append(change := self._undo.pop())
         return change.name, change.before
 
     def redo(self) -> tuple[str, float] | None:
         """Make the last undone change again."""
         if not self._redo:
             return None
-        change = self._redo.pop()
-        self._undo.append(change)
+        self._undo.append(change := self._redo.pop())
         return change.name, change.after
 
 
@@ -173,11 +383,7 @@ def parameter_file(parameters: Mapping[str, Parameter], system: int) -> str:
     lines = ["# Vehicle-Id Component-Id Name Value Type, as QGroundControl and mufly write them"]
     for name in sorted(parameters):
         p = parameters[name]
-        kind, value = (
-            (MAV_PARAM_TYPE_INT32, str(round(p.value)))
-            if p.whole
-            else (MAV_PARAM_TYPE_REAL32, f"{p.value:.9g}")
-        )
+        value, kind = (f"{round(p.value)}", INT32) if p.whole else (f"{p.value:.9g}", REAL32)
         lines.append(f"{system}\t1\t{name}\t{value}\t{kind}")
     return "\n".join(lines) + "\n"
 
@@ -191,14 +397,11 @@ def read_parameter_file(text: str, where: str) -> dict[str, float]:
         Naming the line that is no parameter.
     """
     out: dict[str, float] = {}
-    for k, line in enumerate(text.splitlines(), 1):
-        line = line.strip()
+    for k, line in enumerate(map(str.strip, text.splitlines()), 1):
         if not line or line.startswith(("#", "//")):
             continue
         parts = line.replace(",", " ").replace("=", " ").split()
-        name, value = (
-            (parts[2], parts[3]) if len(parts) == 5 else (parts[0], parts[1] if len(parts) == 2 else "")
-        )
+        name, value = parts[2:4] if len(parts) == 5 else (parts[0], parts[1] if len(parts) == 2 else "")
         try:
             out[name] = float(value)
         except ValueError:
@@ -207,300 +410,3 @@ def read_parameter_file(text: str, where: str) -> dict[str, float]:
     if not out:
         raise InputError(where, "", "holds no parameters", "choose another file")
     return out
-
-
-# ----------------------------------------------------------------------------
-# The world as the 3-D scene draws it: boxes, cylinders and a room, in N-E-D metres.
-
-
-def drawn_world(world: World | None) -> dict[str, Any]:
-    """Return what stands in the world, with lists and numbers only.
-
-    Boxes are ``{name, c: [N, E, D], s: [x, y, z], yaw}``, cylinders ``{name, c: [N, E], r, h, foot}``, the room
-    ``{n: [least, greatest], e: [...], h: height or None}``.
-    """
-    if world is None:
-        return {"boxes": [], "cylinders": [], "room": None}
-    room = world.room
-    return {
-        "boxes": [{"name": b.name, "c": list(b.centre), "s": list(b.size), "yaw": b.yaw} for b in world.boxes],
-        "cylinders": [
-            {"name": c.name, "c": list(c.centre), "r": c.radius, "h": c.height, "foot": c.foot}
-            for c in world.cylinders
-        ],
-        "room": room and {
-            "n": list(room.north), "e": list(room.east), "h": room.height if math.isfinite(room.height) else None,
-        },
-    }  # fmt: skip
-
-
-# ----------------------------------------------------------------------------
-# What all windows share, and what belongs to each: who holds the controls, what is shown, what was asked.
-#
-# A window is one tab of a browser. The first holds the controls, the others watch until they take them. When the
-# window
-# that held them is gone, the only one left gets them; of several none does until it asks. The vehicle does not
-# notice.
-
-
-ENDINGS = (".mcap", ".tlog", ".ulg", ".csv", ".bin", ".parquet", ".nc")
-MOST_RECORDINGS = 200
-GRACE_S = 1.0
-
-
-class Vehicle(Source, Protocol):
-    """A vehicle, as the page reads and commands it (:class:`mufly.station.remote.RemoteVehicle`)."""
-
-    @property
-    def system(self) -> int:
-        """MAVLink system number."""
-
-    @property
-    def color(self) -> int:
-        """Which of the page's colours is its."""
-
-    def arm(self) -> Request:
-        """Let the motors run."""
-
-    def disarm(self) -> Request:
-        """Switch the motors off, on the floor."""
-
-    def take_off(self, height_m: float) -> Request:
-        """Arm, take off and hover."""
-
-    def start_mission(self) -> Request:
-        """Fly the mission, or go on with it."""
-
-    def pause(self) -> Request:
-        """Stop and hover."""
-
-    def go_to(self, position: Any, heading_rad: float | None = None) -> Request:
-        """Fly to N, E, D (m) and hover."""
-
-    def return_home(self) -> Request:
-        """Fly back to where it took off, and land."""
-
-    def land(self) -> Request:
-        """Land where it is."""
-
-    def emergency_stop(self) -> Request:
-        """Motors off at once."""
-
-    def take_command(self) -> Request:
-        """Ask for command of the vehicle."""
-
-    def release_command(self) -> Request:
-        """Give command up."""
-
-    def upload_mission(self, rows_or_mission: Any) -> Request:
-        """Send a mission."""
-
-    def download_mission(self) -> Request:
-        """Fetch the vehicle's mission."""
-
-    def clear_mission(self) -> Request:
-        """Delete the vehicle's mission."""
-
-    def show_mission(self, mission: Mission | None) -> None:
-        """Say which mission the page shows, for the check that the vehicle holds the same."""
-
-    def set_parameter(self, name: str, value: float) -> Request:
-        """Write one parameter."""
-
-    def refresh_parameters(self) -> Request:
-        """Fetch all parameters again."""
-
-    def mark(self, text: str) -> Request | None:
-        """Put a mark into the recording."""
-
-    def reboot(self) -> Request:
-        """Begin anew (a simulation stands on the floor again)."""
-
-
-@dataclass
-class Session:
-    """The station as its windows see it.
-
-    Attributes
-    ----------
-    vehicles : callable
-        Returns all vehicles heard so far, in order.
-    folder : Path
-        Where recordings are looked for.
-    mission : Mission or None
-        The world to draw around vehicles; of a mission loaded later, that one's.
-    rotor_radius_m : float
-        Size of the vehicles in the scene.
-    recorder : object or None
-        A :class:`mufly.station.recorder.StationRecorder`: ``recording``, ``start()``, ``stop()``, ``mark(text)``.
-    title : str
-    """
-
-    vehicles: Callable[[], Sequence[Vehicle]]
-    folder: Path
-    mission: Mission | None = None
-    rotor_radius_m: float = 0.0875
-    recorder: Any = None
-    title: str = "mufly station"
-    views: dict[str, View] = field(default_factory=dict)
-    holder: str = ""
-    sheets: dict[str, ParameterSheet] = field(default_factory=dict)
-    to_open: Recording | None = None
-    clock: Callable[[], float] = time.monotonic
-
-    def open(self, client_id: str) -> View:
-        """A window was opened."""
-        view = self.views[client_id] = View(client_id, self)
-        if self.to_open is not None:
-            view.show_recording(self.to_open)
-        return view
-
-    def close(self, client_id: str) -> None:
-        """A window was closed for good."""
-        self.views.pop(client_id, None)
-
-    @property
-    def watching(self) -> int:
-        """How many windows are open and hear us."""
-        return sum(view.live for view in self.views.values())
-
-    def settle(self) -> None:
-        """Give the controls to the only window there is, once whoever held them has been gone for a second."""
-        holder = self.views.get(self.holder)
-        if holder is not None and (holder.live or self.clock() - holder.left_s < GRACE_S):
-            return
-        live = [view for view in self.views.values() if view.live]
-        # The first of all windows gets them without asking; of several that are left, none does.
-        self.holder = live[0].client_id if live and (len(live) == 1 or not self.holder) else ""
-
-    def sheet(self, vehicle: Source) -> ParameterSheet:
-        """What was done to a vehicle's parameters."""
-        sheet = self.sheets.setdefault(vehicle.name, ParameterSheet())
-        sheet.observe(vehicle.parameters)
-        return sheet
-
-
-class View:
-    """One window: what it shows and what it asked for (:class:`mufly.station.page.feed.Viewer`)."""
-
-    def __init__(self, client_id: str, session: Session) -> None:
-        self.client_id, self.session = client_id, session
-        self.selected = ""
-        self.replay: Replay | None = None
-        self.requests: deque[Request] = deque(maxlen=20)
-        self._shows = 0
-        self._streams = 0
-        self.left_s = math.inf  # its stream was never open yet: whoever presses so early is about to open it
-
-    @property
-    def live(self) -> bool:
-        """Whether its stream of frames is open."""
-        return self._streams > 0
-
-    def connected(self) -> None:
-        """Its stream of frames was opened."""
-        self._streams += 1
-        self.session.settle()
-
-    def disconnected(self) -> None:
-        """Its stream of frames was closed; it may come back."""
-        self._streams -= 1
-        self.left_s = self.session.clock()
-
-    # ---- what is shown
-
-    def vehicle(self) -> Vehicle | None:
-        """The vehicle that is selected: the first one unless another was chosen; None in a recording."""
-        if self.replay is not None:
-            return None
-        known = self.session.vehicles()
-        return next((v for v in known if v.name == self.selected), known[0] if known else None)
-
-    def source(self) -> Source | None:
-        """What the panels show."""
-        return self.replay or self.vehicle()
-
-    def select(self, name: str) -> None:
-        """Show another vehicle."""
-        self.selected = name
-        self.close_recording()
-
-    def show_recording(self, recording: Recording) -> None:
-        """Show a recording instead of the vehicles."""
-        self.replay = Replay(recording)
-        self._shows += 1
-
-    def close_recording(self) -> None:
-        """Go back to the vehicles."""
-        self.replay = None
-        self._shows += 1
-
-    # ---- for the feed
-
-    def epoch(self) -> str:
-        """Changes when another source is shown or the slider jumps."""
-        source = self.source()
-        jumps = self.replay.jumps if self.replay is not None else 0
-        return f"{self._shows}/{id(source)}/{jumps}"
-
-    def others(self) -> list[tuple[Source, int]]:
-        """The vehicles that are not selected."""
-        if self.replay is not None:
-            return []
-        chosen = self.vehicle()
-        return [(v, v.color) for v in self.session.vehicles() if v is not chosen]
-
-    def scenery(self) -> dict[str, Any]:
-        """World and size of the vehicle."""
-        mission = self.replay.recording.mission if self.replay is not None else self.session.mission
-        world = mission.world if mission is not None else None
-        # The epoch belongs to it: after a jump the trail is drawn anew.
-        return {
-            "world": drawn_world(world),
-            "rotor_radius": self.session.rotor_radius_m,
-            "epoch": self.epoch(),
-        }
-
-    def about(self) -> dict[str, Any]:
-        """Replay and recorder, in every frame."""
-        r = self.replay
-        recorder = self.session.recorder
-        return {
-            "replay": r and {
-                "t": r.time_s, "from": r.start_s, "to": r.end_s, "playing": r.playing, "speed": r.speed, "name": r.name,
-            },
-            "recording": bool(recorder is not None and recorder.recording),
-            "vehicles": [v.name for v in self.session.vehicles()],
-            "selected": "" if (v := self.vehicle()) is None else v.name,
-            "color": 0 if v is None else v.color,
-        }  # fmt: skip
-
-    def baseline(self) -> Mapping[str, float]:
-        """First values of the parameters."""
-        source = self.source()
-        return self.session.sheet(source).baseline if source is not None and self.replay is None else {}
-
-    # ---- the controls
-
-    @property
-    def has_controls(self) -> bool:
-        """Whether this window may command."""
-        self.session.settle()
-        return self.session.holder == self.client_id
-
-    def take_controls(self) -> None:
-        """Hold the controls; whichever window had them watches from now on."""
-        self.session.holder = self.client_id
-
-    def ask(self, request: Request | None) -> None:
-        """Keep a request, to show what becomes of it."""
-        if request is not None:
-            self.requests.append(request)
-
-
-def find_recordings(folder: Path) -> list[Path]:
-    """Return the recordings in a folder and its sub-folders, newest first."""
-    if not folder.is_dir():
-        return []
-    found = [p for p in folder.rglob("*") if p.suffix.lower() in ENDINGS and p.is_file()]
-    return sorted(found, key=lambda p: p.stat().st_mtime, reverse=True)[:MOST_RECORDINGS]

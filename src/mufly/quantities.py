@@ -1,0 +1,227 @@
+"""One table of quantities: name, axes, unit, meaning, and the MAVLink field that tells it.
+
+What a vehicle does is known from several sides, and the name says whose: ``truth_``, ``measured_``, ``estimated_`` or
+``reference_`` before ``position``, ``velocity``, ... Recorder, logs, station, link and identification read this table;
+a new signal is a new row. A name alone means a whole variable, ``measured_attitude.roll`` one component of it, and
+``measured_attitude_roll`` the same as a column of a table.
+
+Labels of axes: N-E-D for places and velocities, roll-pitch-yaw for angles, p-q-r for body rates. Beams count from 0,
+channels from 1; how many there are is not known here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+from mufly.errors import InputError
+from mufly.units import conversion
+
+LABELS: Mapping[str, tuple[str, ...] | tuple[int, ...]] = {
+    "axis": ("N", "E", "D"),
+    "angle": ("roll", "pitch", "yaw"),
+    "rate": ("p", "q", "r"),
+    "rotor": ("upper", "lower"),
+    "servo": (1, 2),
+    "body": ("x", "y", "z"),
+    "control": ("roll", "pitch", "yaw", "thrust"),
+}
+"""Labels of every dimension but ``beam`` and ``channel``, which count from 0 and from 1."""
+
+SOURCES: Mapping[str, str] = {
+    "truth": "true",
+    "measured": "measured",
+    "estimated": "estimated",
+    "reference": "reference",
+}
+"""Who says so: prefix of a name, and the word for it. Each has the topic ``/prefix`` in a recording."""
+
+
+class Wire(NamedTuple):
+    """MAVLink fields that tell a quantity: message, fields (one a component, blanks between), their unit."""
+
+    message: str
+    fields: str
+    unit: str
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One quantity.
+
+    Attributes
+    ----------
+    name : str
+        Variable of a dataset (``truth_position``).
+    topic, field : str
+        Where it travels in a recording (``/truth``, ``position``).
+    dim : str or None
+        Its labelled dimension besides time (see :data:`LABELS`), None for a scalar.
+    units, long_name : str
+        Written to the variable's attributes, the schema and the CSV header; ``"1"`` is a pure number.
+    kept : str
+        ``"flight"``: every recording has it; ``"station"``: a station's has it besides; ``""``: only logs of others.
+    mavlink : tuple of Wire
+        Fields that are plainly it, but for their unit (https://mavlink.io/en/messages/common.html).
+    """
+
+    name: str
+    topic: str
+    field: str
+    dim: str | None
+    units: str
+    long_name: str
+    kept: str = field(default="flight", compare=False)
+    mavlink: tuple[Wire, ...] = field(default=(), compare=False)
+
+    @property
+    def labels(self) -> tuple[str, ...] | tuple[int, ...]:
+        """Labels of its components; empty for a scalar, and for beams and channels (any number)."""
+        return LABELS.get(self.dim or "", ())
+
+
+def _channels(pattern: str) -> str:
+    return " ".join(pattern.format(k) for k in range(1, 9))
+
+
+_cg = "of the centre of gravity"
+_PULSES = _channels("chan{}_raw")
+QUANTITIES: tuple[Quantity, ...] = (
+    Quantity("truth_position", "/truth", "position", "axis", "m", f"true position {_cg}"),
+    Quantity("truth_velocity", "/truth", "velocity", "axis", "m/s", f"true velocity {_cg}"),
+    Quantity("truth_attitude", "/truth", "attitude", "angle", "rad", "true attitude"),
+    Quantity("truth_rates", "/truth", "rates", "rate", "rad/s", "true body rates"),
+    Quantity("truth_rotor_speed", "/truth", "rotor_speed", "rotor", "rad/s", "true rotor speed"),
+    Quantity("wind", "/truth", "wind", "axis", "m/s", "velocity of the air"),
+    Quantity("measured_position", "/measured", "position", "axis", "m", f"measured position {_cg}",
+             mavlink=(Wire("VISION_POSITION_ESTIMATE", "x y z", "m"),)),
+    Quantity("measured_velocity", "/measured", "velocity", "axis", "m/s", f"measured velocity {_cg}"),
+    Quantity("measured_attitude", "/measured", "attitude", "angle", "rad", "measured attitude",
+             mavlink=(Wire("VISION_POSITION_ESTIMATE", "roll pitch yaw", "rad"),)),
+    Quantity("measured_rates", "/measured", "rates", "rate", "rad/s", "measured body rates"),
+    Quantity("measured_rotor_speed", "/measured", "rotor_speed", "rotor", "rad/s", "measured rotor speed",
+             "station", (Wire("RAW_RPM", "frequency frequency", "rpm"),)),
+    Quantity("estimated_position", "/estimated", "position", "axis", "m", "position as estimated on board",
+             "station", (Wire("LOCAL_POSITION_NED", "x y z", "m"),)),
+    Quantity("estimated_velocity", "/estimated", "velocity", "axis", "m/s", "velocity as estimated on board",
+             "station", (Wire("LOCAL_POSITION_NED", "vx vy vz", "m/s"),)),
+    Quantity("estimated_attitude", "/estimated", "attitude", "angle", "rad", "attitude as estimated on board",
+             "station", (Wire("ATTITUDE", "roll pitch yaw", "rad"),)),
+    Quantity("estimated_rates", "/estimated", "rates", "rate", "rad/s", "body rates as estimated on board",
+             "station", (Wire("ATTITUDE", "rollspeed pitchspeed yawspeed", "rad/s"),)),
+    Quantity("reference_position", "/reference", "position", "axis", "m", "reference position",
+             mavlink=(Wire("POSITION_TARGET_LOCAL_NED", "x y z", "m"),)),
+    Quantity("reference_velocity", "/reference", "velocity", "axis", "m/s", "reference velocity",
+             mavlink=(Wire("POSITION_TARGET_LOCAL_NED", "vx vy vz", "m/s"),)),
+    Quantity("reference_attitude", "/reference", "attitude", "angle", "rad", "commanded attitude"),
+    Quantity("motor_input", "/actuators", "motor_input", "rotor", "1", "motor input, 0 to 1",
+             mavlink=(Wire("ACTUATOR_OUTPUT_STATUS", "actuator[0] actuator[1]", "1"),)),
+    Quantity("servo_input", "/actuators", "servo_input", "servo", "1", "servo input, -1 to 1",
+             mavlink=(Wire("ACTUATOR_OUTPUT_STATUS", "actuator[2] actuator[3]", "1"),)),
+    Quantity("battery_voltage", "/battery", "voltage", None, "V", "battery terminal voltage",
+             mavlink=(Wire("SYS_STATUS", "voltage_battery", "mV"),)),
+    Quantity("battery_current", "/battery", "current", None, "A", "battery current",
+             mavlink=(Wire("SYS_STATUS", "current_battery", "cA"),)),
+    Quantity("battery_charge", "/battery", "charge", None, "1", "battery charge left, 0 to 1",
+             mavlink=(Wire("SYS_STATUS", "battery_remaining", "%"),)),
+    Quantity("range", "/ranges", "range", "beam", "m", "distance to the nearest obstacle along a beam"),
+    Quantity("pilot_input", "/pilot", "input", "channel", "us", "channel of the pilot's remote control, pulse length",
+             "station", (Wire("RC_CHANNELS", _PULSES, "us"), Wire("RC_CHANNELS_RAW", _PULSES, "us"))),
+    Quantity("link_loss", "/link", "loss", None, "1", "share of packets lost of late, 0 to 1", "station"),
+    Quantity("link_rate", "/link", "rate", None, "Hz", "messages a second", "station"),
+    Quantity("measured_acceleration", "/measured", "acceleration", "body", "m/s^2",
+             "measured specific force along the body axes", ""),
+    Quantity("actuator_control", "/signals", "actuator_control", "control", "1",
+             "control to the mixer, -1 to 1", ""),
+    Quantity("actuator_output", "/signals", "actuator_output", "channel", "us",
+             "output to the actuators, pulse length", "", (Wire("SERVO_OUTPUT_RAW", _channels("servo{}_raw"), "us"),)),
+)  # fmt: skip
+"""The table. What a flight keeps stands in the order of its columns (column 0 is the time)."""
+
+_BY_NAME = {quantity.name: quantity for quantity in QUANTITIES}
+
+
+def quantity_named(name: str) -> Quantity | None:
+    """Return what is known of a variable by its name, None for a name of the user's own.
+
+    Every source may tell what one of them tells: ``reference_rates`` is known from ``measured_rates``.
+    """
+    if name in _BY_NAME:
+        return _BY_NAME[name]
+    source, _, rest = name.partition("_")
+    like = _BY_NAME.get(f"measured_{rest}")
+    if source not in SOURCES or like is None:
+        return None
+    meaning = like.long_name.replace("measured", SOURCES[source])
+    return replace(like, name=name, topic=f"/{source}", long_name=meaning, kept="", mavlink=())
+
+
+def kept_by(*keepers: str) -> tuple[Quantity, ...]:
+    """Return the quantities that recordings keep: ``kept_by("flight")``, ``kept_by("flight", "station")``."""
+    return tuple(quantity for quantity in QUANTITIES if quantity.kept in keepers)
+
+
+def told_by(message: str) -> tuple[tuple[str, str, float], ...]:
+    """Return (field, column, factor) of the fields of a MAVLink message that are plainly quantities of ours.
+
+    ``column`` is the name with its label (``estimated_attitude_roll``); number times factor is its value.
+    """
+    out: list[tuple[str, str, float]] = []
+    for quantity in QUANTITIES:
+        for wire in quantity.mavlink:
+            if wire.message == message:
+                fields = wire.fields.split()
+                labels = quantity.labels or range(1, len(fields) + 1)
+                names = [f"{quantity.name}_{k}" for k in labels] if quantity.dim else [quantity.name]
+                factor = 1.0 if wire.unit == quantity.units else conversion(wire.unit, quantity.units)[1]
+                out += [(f, name, factor) for f, name in zip(fields, names, strict=True)]
+    return tuple(out)
+
+
+def split_name(text: str, where: str) -> tuple[Quantity | None, str, str | None]:
+    """Split ``"measured_attitude.roll"`` into quantity, variable and label.
+
+    Returns
+    -------
+    quantity : Quantity or None
+        What is known of the variable.
+    variable : str
+    label : str or None
+        None for the whole variable.
+
+    Raises
+    ------
+    InputError
+        If a known variable has no such label.
+    """
+    variable, _, label = text.partition(".")
+    known = quantity_named(variable)
+    if known is not None and label and known.labels and label not in map(str, known.labels):
+        wanted = ", ".join(f"{variable}.{k}" for k in known.labels)
+        raise InputError(where, text, "is no component of this signal", f"use one of: {wanted}")
+    if known is not None and label and known.dim is None:
+        raise InputError(where, text, "is a scalar", f"write {variable}")
+    if known is None and not variable.isidentifier():
+        raise InputError(where, text, "is no name for a signal", "use letters, digits and underscores")
+    if label and known is None:
+        raise InputError(where, text, "is not a signal with components", f"write {variable}_{label}")
+    return known, variable, label or None
+
+
+def our_name(column: str) -> tuple[str, str | None] | None:
+    """Split a column ``measured_attitude_roll`` into our variable and label; None if it is none of ours."""
+    whole = quantity_named(column)
+    if whole is not None:
+        return (column, None) if whole.dim is None else None
+    name, _, label = column.rpartition("_")
+    known = quantity_named(name) if name else None
+    if known is None or known.dim is None:
+        return None
+    ours = label in map(str, known.labels) if known.labels else label.isdigit()
+    return (name, label) if ours else None
+
+
+def is_held(name: str) -> bool:
+    """Whether a signal is commanded: it jumps and stands still as it likes, and no outlier or drop-out can be told."""
+    return name.startswith(("reference_", "motor_input", "servo_input", "actuator_", "pilot_input"))
