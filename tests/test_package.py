@@ -1,5 +1,6 @@
 """The package as its users see it: every room by its name, and no name that means two things."""
 
+import ast
 import importlib
 import pkgutil
 import subprocess
@@ -7,6 +8,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import mufly
@@ -49,3 +51,29 @@ def test_no_name_that_a_room_exports_is_that_of_a_module(room):
         modules = {m.name for m in pkgutil.iter_modules(module.__path__)}
         exported = {n for n in getattr(module, "__all__", ()) if not hasattr(getattr(module, n), "__path__")}
         assert not modules & exported, f"{place}: {sorted(modules & exported)} is a function and a module"
+
+
+def test_gravity_is_written_once():
+    """Both accelerations, that of flights and that in the definition of units, stand in ``mufly.units`` alone."""
+    found = [
+        path.relative_to(_PACKAGE)
+        for path in sorted(_PACKAGE.rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Constant) and f"{node.value!r}".replace(".", "").startswith(("981", "980665"))
+    ]
+    assert set(map(str, found)) == {"units.py"}
+
+
+def test_hover_is_solved_once():
+    """Eq. 5.1: trim, the level of a coefficient map and the start of an identified record take one solution of it."""
+    vehicle = mufly.load_vehicle("mufly-1.1")
+    p = mufly.dynamics.model_parameters(vehicle)
+    speeds = mufly.dynamics.hover_speeds(p)
+    thrust = p["thrust_up"] * speeds[0] ** 2 + p["thrust_dw"] * speeds[1] ** 2
+    assert thrust == pytest.approx(p["mass"] * mufly.dynamics.GRAVITY + p["downwash"], rel=1e-14)
+    assert p["torque_up"] * speeds[0] ** 2 == pytest.approx(p["torque_dw"] * speeds[1] ** 2, rel=1e-14)
+    assert mufly.dynamics.trim(vehicle).rotor_speed == pytest.approx(speeds, rel=1e-9)
+    batch = np.array([p, p])
+    batch["mass"][1] *= 4.0
+    batch["downwash"][1] *= 4.0
+    assert mufly.dynamics.hover_speeds(batch) == pytest.approx(np.array([speeds, 2.0 * speeds]), rel=1e-14)

@@ -14,6 +14,11 @@ from mufly.errors import InputError
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 """Standard acceleration of free fall (m/s2; 3rd CGPM, 1901)."""
+GRAVITY = 9.81
+"""Acceleration of free fall where vehicles fly (m/s2): mid-latitude, as the thesis's hover point implies.
+
+The standard one is a definition: it says what a kilogram-force is, not how fast something falls.
+"""
 RPM = pi / 30.0
 """One revolution a minute in rad/s."""
 

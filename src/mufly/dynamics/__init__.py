@@ -3,7 +3,7 @@
 from mufly.dynamics.equilibrium import HoverPerformance, Trim, hover_performance, trim
 from mufly.dynamics.linearisation import Linearisation, linearise
 from mufly.dynamics.model import battery_state, derivative, lowest_point, standing_height
-from mufly.dynamics.parameters import GRAVITY, PARAMETERS, model_parameters
+from mufly.dynamics.parameters import PARAMETERS, hover_speeds, model_parameters
 from mufly.dynamics.simulation import (
     DEFAULT_STEP_S,
     DrydenWind,
@@ -21,6 +21,7 @@ from mufly.dynamics.state import (
     quaternion_from_euler,
     rotation,
 )
+from mufly.units import GRAVITY
 
 __all__ = [
     "DEFAULT_STEP_S",
@@ -38,6 +39,7 @@ __all__ = [
     "derivative",
     "euler_from_quaternion",
     "hover_performance",
+    "hover_speeds",
     "initial_state",
     "linearise",
     "longest_step",

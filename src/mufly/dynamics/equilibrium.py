@@ -19,9 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import root
 
 from mufly.dynamics.model import battery_state, climb_velocity, derivative, inside_map, rotor_loads
-from mufly.dynamics.parameters import GRAVITY, model_parameters
+from mufly.dynamics.parameters import hover_speeds, model_parameters
 from mufly.dynamics.state import STATE_SIZE, euler_from_quaternion, initial_state
 from mufly.errors import InputError, MuflyError
+from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 
 _HOVER_ROUNDS = 30
@@ -204,11 +205,8 @@ def _hover_estimate(
     """Return rotor speeds, motor inputs (not limited to 1) and voltage in hover."""
     thrust = np.array([p["thrust_up"], p["thrust_dw"]])  # over the squares of the speeds
     drag = np.array([p["torque_up"], p["torque_dw"]])
-    load = p["mass"] * GRAVITY + p["downwash"]
     for _ in range(_HOVER_ROUNDS if p["map_nodes"] else 1):
-        ratio = drag[0] / drag[1]  # (lower speed / upper speed)^2
-        upper = math.sqrt(load / (thrust[0] + thrust[1] * ratio))
-        speed = np.array([upper, upper * math.sqrt(ratio)])
+        speed = hover_speeds(p, thrust, drag)
         if p["map_nodes"]:
             loads = np.array(rotor_loads(p, speed[0], speed[1])).reshape(2, 2) / speed**2
             if not np.all(loads > 0.0):

@@ -34,10 +34,10 @@ from numpy.typing import NDArray
 from mufly.compiled import compiled
 from mufly.drive.battery import interpolate, terminal_voltage
 from mufly.drive.train import armature_current, rotor_acceleration
-from mufly.dynamics.parameters import GRAVITY
 from mufly.dynamics.state import rotation
 from mufly.rotor.maps import at
 from mufly.rotor.maps import interpolate as maps_interpolate
+from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 
 

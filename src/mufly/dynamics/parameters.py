@@ -6,81 +6,85 @@ batch of different vehicles.
 
 from __future__ import annotations
 
+from operator import attrgetter
 from typing import Any, cast
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from mufly.errors import InputError
 from mufly.rotor.maps import at, packed
+from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 from mufly.vehicle.coefficient_map import MAP_NODES
 from mufly.vehicle.schema import MAX_LEGS
-
-GRAVITY = 9.81  # m/s2, mid-latitude, as the thesis's hover point implies
 
 _CURVE_POINTS = 101
 _RIM_POINTS = 8
 _MAX_POINTS = MAX_LEGS + _RIM_POINTS
 _FASTEST_FRICTION = 2000.0  # 1/s, resolved by Runge-Kutta steps of 1 ms
 
-_f8 = np.float64
+# Field, and the parameter of a vehicle file that it takes as it is; "" for what is worked out below, or a shape.
+_FIELDS: dict[str, str | tuple[int, ...]] = {
+    "mass": "body.mass",  # kg
+    "Ixx": "body.inertia_xx",  # kg m2
+    "Iyy": "body.inertia_yy",
+    "Izz": "body.inertia_zz",
+    "thrust_up": "",  # N s2, T = thrust_up * Omega^2
+    "thrust_dw": "",
+    "torque_up": "",  # N m s2, Q = torque_up * Omega^2
+    "torque_dw": "",
+    "z_up": "rotors.upper.hub_z",  # m, hub in body axes
+    "z_dw": "rotors.lower.hub_z",
+    "J_up": "rotors.upper.drive_inertia",  # kg m2, as the motor sees it
+    "J_dw": "rotors.lower.drive_inertia",
+    "Jreact_up": "rotors.upper.reaction_inertia",  # kg m2, reacting on the fuselage
+    "Jreact_dw": "rotors.lower.reaction_inertia",
+    "kE": "motor.back_emf_constant",  # V s
+    "kM": "motor.torque_constant",  # N m/A
+    "dR": "motor.friction",  # N m s
+    "R_ohm": "motor.resistance",  # ohm
+    "gear_ratio": "gear.ratio",
+    "gear_efficiency": "gear.efficiency",
+    "swash_rate": "",  # 1/s, 1 / T_f,dw
+    "swash_gain": "",  # rad at full servo input
+    "bar_rate": "",  # 1/s, 1 / T_f,up
+    "bar_gain": "stabiliser_bar.linkage",  # l_up
+    "downwash": "body.downwash_drag",  # N
+    "drag_x": "",  # N s2/m2, rho cD A / 2
+    "drag_y": "",
+    "drag_z": "",
+    "battery_capacity": "battery.capacity",  # A s
+    "battery_resistance": "",  # ohm
+    "electronics_current": "battery.electronics_current",  # A
+    "battery_curve": (_CURVE_POINTS,),  # V over charge 0..1
+    "leg_stiffness": "contact.stiffness",  # N/m
+    "leg_damping": "contact.damping",  # N s/m
+    "leg_friction": "contact.friction",
+    "slip_speed": "contact.slip_speed",  # m/s
+    "friction_bound": (_MAX_POINTS,),  # N s/m, see mufly.dynamics.model.contact_wrench
+    "contact_reach": "",  # m, farthest contact point from the centre of gravity
+    "contact_count": "",
+    "contact_points": (_MAX_POINTS, 3),  # m, body axes: legs first, then the rim of the upper rotor
+    # Coefficient map, see mufly.dynamics.model: what stands above as thrust_up ... torque_dw is not used with one.
+    "map_nodes": "",  # 0: no map
+    "map_size": (3,),  # mean speeds, ratios, climbs
+    "map_start": (3,),
+    "map_per_step": (3,),
+    "map_radius": "",  # m
+    "map_thrust_up": (MAP_NODES,),  # N s2
+    "map_torque_up": (MAP_NODES,),  # N m s2
+    "map_thrust_dw": (MAP_NODES,),
+    "map_torque_dw": (MAP_NODES,),
+}
 PARAMETERS = np.dtype(
     [
-        ("mass", _f8),  # kg
-        ("Ixx", _f8),  # kg m2
-        ("Iyy", _f8),
-        ("Izz", _f8),
-        ("thrust_up", _f8),  # N s2, T = thrust_up * Omega^2
-        ("thrust_dw", _f8),
-        ("torque_up", _f8),  # N m s2, Q = torque_up * Omega^2
-        ("torque_dw", _f8),
-        ("z_up", _f8),  # m, hub in body axes
-        ("z_dw", _f8),
-        ("J_up", _f8),  # kg m2, as the motor sees it
-        ("J_dw", _f8),
-        ("Jreact_up", _f8),  # kg m2, reacting on the fuselage
-        ("Jreact_dw", _f8),
-        ("kE", _f8),  # V s
-        ("kM", _f8),  # N m/A
-        ("dR", _f8),  # N m s
-        ("R_ohm", _f8),  # ohm
-        ("gear_ratio", _f8),
-        ("gear_efficiency", _f8),
-        ("swash_rate", _f8),  # 1/s, 1 / T_f,dw
-        ("swash_gain", _f8),  # rad at full servo input
-        ("bar_rate", _f8),  # 1/s, 1 / T_f,up
-        ("bar_gain", _f8),  # l_up
-        ("downwash", _f8),  # N
-        ("drag_x", _f8),  # N s2/m2, rho cD A / 2
-        ("drag_y", _f8),
-        ("drag_z", _f8),
-        ("battery_capacity", _f8),  # A s
-        ("battery_resistance", _f8),  # ohm
-        ("electronics_current", _f8),  # A
-        ("battery_curve", _f8, (_CURVE_POINTS,)),  # V over charge 0..1
-        ("leg_stiffness", _f8),  # N/m
-        ("leg_damping", _f8),  # N s/m
-        ("leg_friction", _f8),
-        ("slip_speed", _f8),  # m/s
-        ("friction_bound", _f8, (_MAX_POINTS,)),  # N s/m, see mufly.dynamics.model
-        ("contact_reach", _f8),  # m, farthest contact point from the centre of gravity
-        ("contact_count", np.int64),
         (
-            "contact_points",
-            _f8,
-            (_MAX_POINTS, 3),
-        ),  # m, body axes: legs first, then the rim of the upper rotor
-        # Coefficient map, see mufly.dynamics.model: what stands above as thrust_up ... torque_dw is not used with
-        # one.
-        ("map_nodes", np.int64),  # 0: no map
-        ("map_size", np.int64, (3,)),  # mean speeds, ratios, climbs
-        ("map_start", _f8, (3,)),
-        ("map_per_step", _f8, (3,)),
-        ("map_radius", _f8),  # m
-        ("map_thrust_up", _f8, (MAP_NODES,)),  # N s2
-        ("map_torque_up", _f8, (MAP_NODES,)),  # N m s2
-        ("map_thrust_dw", _f8, (MAP_NODES,)),
-        ("map_torque_dw", _f8, (MAP_NODES,)),
+            name,
+            np.int64 if name in ("contact_count", "map_nodes", "map_size") else np.float64,
+            source if isinstance(source, tuple) else (),
+        )
+        for name, source in _FIELDS.items()
     ]
 )
 
@@ -108,18 +112,11 @@ def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
     """
     if voltage is not None and not (np.isfinite(voltage) and voltage > 0):
         raise InputError(vehicle.name, "voltage", f"{voltage} V is not possible", "give a positive voltage")
-    b, r, m, c = vehicle.body, vehicle.rotors, vehicle.motor, vehicle.contact
+    b, r, c = vehicle.body, vehicle.rotors, vehicle.contact
     rho, radius = float(vehicle.air.density), float(r.radius)
-    thrust_unit = np.pi * rho * radius**4  # eq. 4.11
-    torque_unit = np.pi * rho * radius**5  # eq. 4.12
-
     constant = voltage if voltage is not None else float(vehicle.battery.nominal_voltage)
     sags = voltage is None and vehicle.battery.model == "lithium-polymer"
-    curve = (
-        vehicle.battery.open_circuit_voltage.sample(_CURVE_POINTS)
-        if sags
-        else np.full(_CURVE_POINTS, constant)
-    )
+    curve = vehicle.battery.open_circuit_voltage
 
     legs = c.legs.array()
     angle = np.arange(_RIM_POINTS) * 2 * np.pi / _RIM_POINTS
@@ -137,56 +134,59 @@ def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
     bound[: len(points)] = _FASTEST_FRICTION * float(b.inertia_zz) / np.maximum(share, 1e-12)
 
     values: dict[str, Any] = {
-        "mass": float(b.mass),
-        "Ixx": float(b.inertia_xx),
-        "Iyy": float(b.inertia_yy),
-        "Izz": float(b.inertia_zz),
-        "thrust_up": float(r.upper.thrust_coefficient) * thrust_unit,
-        "thrust_dw": float(r.lower.thrust_coefficient) * thrust_unit,
-        "torque_up": float(r.upper.torque_coefficient) * torque_unit,
-        "torque_dw": float(r.lower.torque_coefficient) * torque_unit,
-        "z_up": float(r.upper.hub_z),
-        "z_dw": float(r.lower.hub_z),
-        "J_up": float(r.upper.drive_inertia),
-        "J_dw": float(r.lower.drive_inertia),
-        "Jreact_up": float(r.upper.reaction_inertia),
-        "Jreact_dw": float(r.lower.reaction_inertia),
-        "kE": float(m.back_emf_constant),
-        "kM": float(m.torque_constant),
-        "dR": float(m.friction),
-        "R_ohm": float(m.resistance),
-        "gear_ratio": float(vehicle.gear.ratio),
-        "gear_efficiency": float(vehicle.gear.efficiency),
+        name: float(attrgetter(source)(vehicle))
+        for name, source in _FIELDS.items()
+        if source and isinstance(source, str)
+    }
+    for side, rotor in (("up", r.upper), ("dw", r.lower)):
+        values[f"thrust_{side}"] = float(rotor.thrust_coefficient) * (np.pi * rho * radius**4)  # eq. 4.11
+        values[f"torque_{side}"] = float(rotor.torque_coefficient) * (np.pi * rho * radius**5)  # eq. 4.12
+    values |= {
         "swash_rate": 1.0 / float(vehicle.swash_plate.time_constant),
         "swash_gain": float(vehicle.swash_plate.linkage) * float(vehicle.swash_plate.max_tilt),
         "bar_rate": 1.0 / float(vehicle.stabiliser_bar.time_constant),
-        "bar_gain": float(vehicle.stabiliser_bar.linkage),
-        "downwash": float(b.downwash_drag),
         "drag_x": 0.5 * rho * float(b.drag_area_x),
         "drag_y": 0.5 * rho * float(b.drag_area_y),
         "drag_z": 0.5 * rho * float(b.drag_area_z),
-        "battery_capacity": float(vehicle.battery.capacity),
         "battery_resistance": float(vehicle.battery.internal_resistance) if sags else 0.0,
-        "electronics_current": float(vehicle.battery.electronics_current),
-        "battery_curve": curve,
-        "leg_stiffness": float(c.stiffness),
-        "leg_damping": float(c.damping),
-        "leg_friction": float(c.friction),
-        "slip_speed": float(c.slip_speed),
+        "battery_curve": curve.sample(_CURVE_POINTS) if sags else np.full(_CURVE_POINTS, constant),
         "friction_bound": bound,
         "contact_reach": float(np.max(np.linalg.norm(points, axis=1))),
         "contact_count": len(points),
         "contact_points": padded,
-        **_map_numbers(vehicle),
     }
+    values |= _map_numbers(vehicle, values)
     record = np.zeros((), dtype=PARAMETERS)
     for name, value in values.items():
         record[name] = value
     return cast(np.void, record[()])
 
 
-def _map_numbers(vehicle: Vehicle) -> dict[str, Any]:
-    """Return what a record holds of a vehicle's map; nothing without one.
+def hover_speeds(
+    p: Any, thrust: ArrayLike | None = None, torque: ArrayLike | None = None
+) -> NDArray[np.float64]:
+    """Return the rotor speeds (upper, lower; rad/s; shape (..., 2)) in hover: eq. 5.1.
+
+    The rotors carry weight and downwash drag, and their torques balance::
+
+        cT_up k_T Wu^2 + cT_dw k_T Wd^2 = m g + W_hub        cQ_up Wu^2 = cQ_dw Wd^2
+
+    Parameters
+    ----------
+    p : record of type :data:`PARAMETERS`, or array of them
+        A mapping with its fields will do.
+    thrust, torque : (2, ...) array_like, optional
+        Of upper and lower rotor over the squares of their speeds (N s2, N m s2); the constants of ``p`` by default.
+    """
+    t_up, t_dw = (p["thrust_up"], p["thrust_dw"]) if thrust is None else np.asarray(thrust)
+    q_up, q_dw = (p["torque_up"], p["torque_dw"]) if torque is None else np.asarray(torque)
+    ratio = q_up / q_dw  # (lower speed / upper speed)^2
+    upper = np.sqrt((p["mass"] * GRAVITY + p["downwash"]) / (t_up + t_dw * ratio))
+    return np.stack([upper, upper * np.sqrt(ratio)], axis=-1)
+
+
+def _map_numbers(vehicle: Vehicle, constants: dict[str, float]) -> dict[str, Any]:
+    """Return what a record holds of a vehicle's map, beside its constants; nothing without one.
 
     Tables hold thrust and torque over ``Omega^2`` (N s2, N m s2), the rest of a table its last value. With
     ``rotors.map_level = "constants"`` each table is scaled so that at the hover point of the constant coefficients
@@ -197,21 +197,17 @@ def _map_numbers(vehicle: Vehicle) -> dict[str, Any]:
         return {}
     rho, radius = float(vehicle.air.density), float(r.radius)
     unit = np.pi * rho * radius**4 * np.array([1.0, radius, 1.0, radius])
-    constants = np.array(
-        [float(c) for q in (r.upper, r.lower) for c in (q.thrust_coefficient, q.torque_coefficient)]
-    )
+    each = [f"{what}_{side}" for side in ("up", "dw") for what in ("thrust", "torque")]
     level = np.ones(4)
     if r.map_level == "constants":
-        ratio = np.sqrt(constants[1] / constants[3])
-        load = float(vehicle.body.mass) * GRAVITY + float(vehicle.body.downwash_drag)
-        speed = np.sqrt(load / (unit[0] * (constants[0] + constants[2] * ratio**2)))
-        there, _ = at(m, 0.5 * speed * (1.0 + ratio), ratio, 0.0)
+        up, dw = hover_speeds(constants)
+        there, _ = at(m, 0.5 * (up + dw), dw / up, 0.0)
         if not np.all(there > 0.0):
             raise InputError(
                 vehicle.name, "rotors.map_level", f"map {m.name!r} has no lift or no drag at hover to be scaled",
                 "use 'computed', or another map",
             )  # fmt: skip
-        level = constants / there
+        level = np.array([constants[name] for name in each]) / unit / there
     *tables, size, start, per_step = packed(m)
     full = np.array([np.concatenate([t, np.full(MAP_NODES - t.size, t[-1])]) for t in tables])
     full *= (level * unit)[:, None]
@@ -221,8 +217,5 @@ def _map_numbers(vehicle: Vehicle) -> dict[str, Any]:
         "map_start": start,
         "map_per_step": per_step,
         "map_radius": radius,
-        "map_thrust_up": full[0],
-        "map_torque_up": full[1],
-        "map_thrust_dw": full[2],
-        "map_torque_dw": full[3],
+        **{f"map_{name}": row for name, row in zip(each, full, strict=True)},
     }

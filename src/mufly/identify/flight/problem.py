@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from mufly.dynamics import PARAMETERS, model_parameters
-from mufly.dynamics.parameters import GRAVITY
 from mufly.errors import InputError
 from mufly.identify.flight.simulate import (
     LONGEST_STEP_S,
@@ -36,6 +35,7 @@ from mufly.identify.flight.simulate import (
     steady_speed,
 )
 from mufly.identify.record import Record, difference_noise, smoothed, smoothed_motion
+from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle, parameters, replace
 
 _Array = NDArray[np.float64]

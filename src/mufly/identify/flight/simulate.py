@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.dynamics.model import battery_state, derivative
-from mufly.dynamics.parameters import GRAVITY
+from mufly.dynamics.parameters import hover_speeds
 from mufly.study.sweeps import executor_of
 
 _CLUSTER: ContextVar[Executor | None] = ContextVar("cluster", default=None)
@@ -314,11 +314,7 @@ def steady_speed(p: NDArray[np.void], duty: _Array, volts: float) -> _Array:
 
 def hover(p: NDArray[np.void]) -> tuple[_Array, _Array]:
     """Return hover speeds (b, 2) by eq. 5.1 and the motor inputs that hold them."""
-    ratio = p["torque_up"] / p["torque_dw"]
-    up = np.sqrt(
-        (p["mass"] * GRAVITY + p["downwash"]) / (p["thrust_up"] + p["thrust_dw"] * ratio)
-    )  # fmt: skip
-    speed = np.column_stack([up, up * np.sqrt(ratio)])
+    speed = hover_speeds(p)
     gear = p["gear_ratio"][:, None]
     torque = np.column_stack([p["torque_up"], p["torque_dw"]]) * speed**2
     current = p["dR"][:, None] * speed + torque / (gear**2 * p["gear_efficiency"][:, None])

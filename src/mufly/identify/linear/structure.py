@@ -11,6 +11,7 @@ from scipy.linalg import expm
 
 from mufly.compiled import compiled
 from mufly.errors import InputError
+from mufly.units import GRAVITY
 
 Array = NDArray[np.float64]
 
@@ -154,7 +155,6 @@ class Builder:
 # Coupling terms (L_q, M_p, L_a, M_b, A_b, B_a, off-axis sticks) belong to the ``-coupled`` variants.
 
 
-GRAVITY = 9.80665
 ANGULAR = ("first-order", "second-order", "hybrid")
 EXTRAS = ("coupled", "collective", "gyro", "speed", "skew")
 _SKEW_S = 0.3
