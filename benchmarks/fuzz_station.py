@@ -99,7 +99,7 @@ def asks(vehicle: RemoteVehicle) -> list[Callable[[], Any]]:
 
 def look(vehicle: RemoteVehicle) -> None:
     """Read everything that a page shows."""
-    _ = vehicle.name, vehicle.kind, vehicle.dialect, vehicle.connected, vehicle.in_command, vehicle.commander
+    _ = vehicle.name, vehicle.kind, vehicle.firmware, vehicle.connected, vehicle.in_command, vehicle.commander
     _ = (
         vehicle.snapshot,
         vehicle.mission,

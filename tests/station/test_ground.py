@@ -9,8 +9,8 @@ import pytest
 from mock_vehicle import MockVehicle, World, as_float
 
 from mufly.link.codec import Encoder, mavlink
-from mufly.station.checks import judge, same_mission
 from mufly.station.ground import GroundLink
+from mufly.station.missions import same_mission
 from mufly.station.view import MissionRow, Outcome
 
 ROWS = [
@@ -314,7 +314,7 @@ def test_who_commands_is_told():
 
 def test_the_checks_of_a_vehicle_that_tells_little_judge_little():
     vehicle = met(World(MockVehicle()))
-    found = {check.name: check.ok for check in judge(vehicle, vehicle.surroundings)}
+    found = {check.name: check.ok for check in vehicle.checks}
     assert found["heard"] is True
     assert found["position"] is True
     assert found["level and still"] is False  # it flies past at 1 m/s

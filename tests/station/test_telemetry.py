@@ -9,10 +9,11 @@ import pytest
 
 from mufly.link.codec import mavlink
 from mufly.link.telemetry import STATES
+from mufly.quantities import told_by
 from mufly.station.autopilots import mode_words
-from mufly.station.commands import Texts
+from mufly.station.commands import StatusTexts
 from mufly.station.history import HOLD_S, History
-from mufly.station.telemetry import FIELDS, Telemetry, VehicleClock
+from mufly.station.telemetry import PLAIN, Telemetry, VehicleClock
 
 
 def sent(message):
@@ -34,9 +35,9 @@ def attitude(boot_ms, yaw=0.0):
 
 def test_every_field_of_the_table_is_a_field_of_its_message_and_a_signal_of_the_history():
     names = set(History(seconds=1.0).names)
-    for name, table in FIELDS.items():
+    for name in PLAIN:
         fields = mavlink.mavlink_map[getattr(mavlink, f"MAVLINK_MSG_ID_{name}")].fieldnames
-        for field, signal, _ in table.fields:
+        for field, signal, _ in told_by(name):
             assert field in fields
             assert signal in names
 
@@ -223,7 +224,10 @@ def text(content, number=0, chunk=0):
 
 
 def test_a_long_text_is_put_together_in_any_order():
-    texts, words = Texts(), b"a text that is so long that it comes in more than one piece, and then some more"
+    texts, words = (
+        StatusTexts(),
+        b"a text that is so long that it comes in more than one piece, and then some more",
+    )
     texts.handle(1.0, 5.0, text(words[50:], 7, 1))
     assert not texts.messages
     texts.handle(1.0, 5.0, text(words[:50], 7, 0))
@@ -232,16 +236,16 @@ def test_a_long_text_is_put_together_in_any_order():
 
 
 def test_a_text_whose_piece_was_lost_is_told_with_a_gap():
-    texts = Texts()
+    texts = StatusTexts()
     texts.handle(1.0, 5.0, text(b"the end", 7, 1))
     texts.step(4.0, 8.0)
     assert texts.messages[-1].text == "...the end"
 
 
 def test_messages_are_bounded():
-    texts = Texts()
+    texts = StatusTexts()
     for k in range(2000):
         texts.handle(1.0, 5.0, text(b"x" * 50, 1 + k % 65535, 0))
         texts.handle(1.0, 5.0, text(b"%d" % k))
     assert len(texts.messages) == 500
-    assert len(texts._open) <= 8
+    assert len(texts._pieces._waiting) <= 8

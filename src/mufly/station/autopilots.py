@@ -1,69 +1,133 @@
-"""Flight modes in words, for the autopilots that people have."""
+"""How the autopilots that people have want to be asked, and what their flight modes are called.
+
+MAVLink has one command for most things, but autopilots differ in how they want to be asked: a mufly vehicle takes
+metres in LOCAL_NED and needs no modes; PX4 and ArduPilot fly by modes (DO_SET_MODE), ArduPilot takes points in its
+mode "guided". Commands: https://mavlink.io/en/messages/common.html#mav_commands.
+"""
 
 from __future__ import annotations
 
 import math
 from typing import Literal
 
+from mufly.link.commands import Command
 from mufly.link.conventions import Origin
-from mufly.station.commands import Order
 
 PX4, ARDUPILOT = 12, 3  # MAV_AUTOPILOT
+NAN = math.nan
+LOCAL_NED, GLOBAL = 1, 0  # MAV_FRAME
+FORCE = 21196.0
+"""MAVLink's number for disarming in flight."""
 _CUSTOM_MODE_ENABLED = 1  # MAV_MODE_FLAG
+_ROTORCRAFT = (2, 3, 4, 13, 14, 15, 29, 35, 43)  # MAV_TYPE
+
+Firmware = Literal["mufly", "PX4", "ArduPilot", "other"]
+
+
+def firmware_of(autopilot: int, ours: bool) -> Firmware:
+    """Return whose vehicle it is, which says how it wants to be asked.
+
+    Parameters
+    ----------
+    autopilot : int
+        MAV_AUTOPILOT.
+    ours : bool
+        Whether it says of itself that it is a mufly vehicle.
+    """
+    if ours:
+        return "mufly"
+    return "PX4" if autopilot == PX4 else "ArduPilot" if autopilot == ARDUPILOT else "other"
+
+
+def _command(number: int, *params: float) -> Command:
+    return Command(number, (*params, *(0.0,) * (7 - len(params))))
+
+
+def _mode(main: int, sub: int = 0) -> Command:
+    return _command(176, 1.0, main, sub)  # DO_SET_MODE
+
+
+ARM, DISARM = _command(400, 1.0), _command(400)  # COMPONENT_ARM_DISARM; disarming is refused in flight
+EMERGENCY_STOP = _command(400, 0.0, FORCE)
+"""Disarming by force: the motors stop at once."""
+REBOOT = _command(246, 1.0)
+"""PREFLIGHT_REBOOT_SHUTDOWN of the autopilot; a simulation begins anew."""
+
+_Table = dict[str, tuple[Command, ...]]
+BEFORE_ARMING: _Table = {"ArduPilot": (_mode(4),), "": ()}
+"""What has to come before arming for a take-off: ArduPilot must be in its mode "guided"."""
+START_MISSION: _Table = {"PX4": (_mode(4, 4),), "ArduPilot": (_command(300), _mode(3)), "": (_command(300),)}
+"""What makes an armed vehicle fly its mission, or go on with it."""
+PAUSE: _Table = {"PX4": (_mode(4, 3),), "ArduPilot": (_mode(17),), "": (_command(193),)}
+"""Stop and hover."""
+RETURN: _Table = {"ArduPilot": (_mode(6),), "": (_command(20),)}
+"""Return to where it took off and land."""
+LAND: _Table = {"ArduPilot": (_mode(9),), "": (Command(21, (0.0, 0.0, 0.0, NAN, NAN, NAN, NAN)),)}
+"""Land here."""
+
+
+def commands_of(table: _Table, firmware: Firmware) -> tuple[Command, ...]:
+    """Return what such a vehicle is asked with."""
+    return table.get(firmware, table[""])
+
+
+def take_off(firmware: Firmware, height_m: float) -> Command:
+    """What makes an armed vehicle take off to a height above where it stands; PX4 takes the height from a parameter."""
+    if firmware == "mufly":
+        return Command(22, (NAN,) * 6 + (-height_m,), frame=LOCAL_NED)
+    return Command(22) if firmware == "PX4" else _command(22, 0.0, 0.0, 0.0, NAN, 0.0, 0.0, height_m)
+
+
+def go_to(
+    firmware: Firmware, position_m: tuple[float, float, float], heading_rad: float, origin: Origin | None
+) -> Command | str:
+    """Fly to N, E, D and hold; text if that cannot be asked of this vehicle.
+
+    Parameters
+    ----------
+    firmware : str
+    position_m : (3,) tuple
+    heading_rad : float
+        NaN: as the vehicle likes.
+    origin : Origin or None
+        Where N, E, D are 0, as far as the vehicle has told.
+    """
+    if firmware == "mufly":
+        return Command(192, (-1.0, 0.0, 0.0, heading_rad, *position_m), frame=LOCAL_NED)
+    if origin is None:
+        return "this autopilot flies to places on the globe only, and has told no origin"
+    # Flag 1: change to the mode that it takes.
+    return Command(192, (-1.0, 1.0, 0.0, heading_rad, *origin.to_global(*position_m)), frame=GLOBAL)
+
+
+def request_message(number: int) -> Command:
+    """REQUEST_MESSAGE."""
+    return _command(512, number)
+
+
+def message_interval(number: int, rate_Hz: float) -> Command:
+    """SET_MESSAGE_INTERVAL; a rate of 0 is never."""
+    return _command(511, number, 1e6 / rate_Hz if rate_Hz > 0 else -1.0)
+
+
+def _numbered(words: str) -> dict[int, str]:
+    """Number -> word, of words in the order of their numbers from 0; "-" stands for none."""
+    return {k: word for k, word in enumerate(words.split(", ")) if word != "-"}
+
 
 # PX4, src/modules/commander/px4_custom_mode.h
-_PX4_MAIN = {
-    1: "manual",
-    2: "altitude control",
-    3: "position control",
-    5: "acro",
-    6: "offboard",
-    7: "stabilised",
-    8: "rattitude",
-    9: "simple",
-    10: "termination",
-}
-_PX4_AUTO = {
-    1: "ready",
-    2: "take-off",
-    3: "hold",
-    4: "mission",
-    5: "return",
-    6: "landing",
-    8: "follow me",
-    9: "precision landing",
-    10: "transition",
-}
+_PX4_MAIN = _numbered(
+    "-, manual, altitude control, position control, -, acro, offboard, stabilised, rattitude, simple, termination"
+)
+_PX4_AUTO = _numbered(
+    "-, ready, take-off, hold, mission, return, landing, -, follow me, precision landing, transition"
+)
 # ArduPilot, ArduCopter/mode.h: multicopters and helicopters
-_COPTER = {
-    0: "stabilise",
-    1: "acro",
-    2: "altitude hold",
-    3: "auto",
-    4: "guided",
-    5: "loiter",
-    6: "return",
-    7: "circle",
-    9: "landing",
-    11: "drift",
-    13: "sport",
-    14: "flip",
-    15: "autotune",
-    16: "position hold",
-    17: "brake",
-    18: "throw",
-    19: "avoid aircraft",
-    20: "guided without GPS",
-    21: "smart return",
-    22: "flow hold",
-    23: "follow",
-    24: "zigzag",
-    25: "system identification",
-    26: "autorotation",
-    27: "auto return",
-    28: "turtle",
-}
-_ROTORCRAFT = (2, 3, 4, 13, 14, 15, 29, 35, 43)  # MAV_TYPE
+_COPTER = _numbered(
+    "stabilise, acro, altitude hold, auto, guided, loiter, return, circle, -, landing, -, drift, -, sport, flip, "
+    "autotune, position hold, brake, throw, avoid aircraft, guided without GPS, smart return, flow hold, follow, "
+    "zigzag, system identification, autorotation, auto return, turtle"
+)
 
 
 def mode_words(autopilot: int, vehicle_type: int, base_mode: int, custom_mode: int) -> str:
@@ -85,133 +149,3 @@ def mode_words(autopilot: int, vehicle_type: int, base_mode: int, custom_mode: i
     if autopilot == ARDUPILOT and vehicle_type in _ROTORCRAFT:
         return _COPTER.get(custom_mode, f"mode {custom_mode}")
     return f"mode {custom_mode}"
-
-
-# ----------------------------------------------------------------------------
-# What is asked of a vehicle, in the words of its autopilot.
-#
-# MAVLink has one command for most things, but autopilots differ in how they want to be asked: a mufly vehicle takes
-# metres in LOCAL_NED and needs no modes; PX4 and ArduPilot fly by modes (DO_SET_MODE), ArduPilot takes points in its
-# mode "guided". Commands: https://mavlink.io/en/messages/common.html#mav_commands; modes: see
-# :mod:`mufly.station.autopilots`.
-
-
-Dialect = Literal["mufly", "PX4", "ArduPilot", "other"]
-NAN = math.nan
-LOCAL_NED, GLOBAL = 1, 0
-FORCE = 21196.0
-"""MAVLink's number for disarming in flight."""
-
-
-def dialect_of(autopilot: int, ours: bool) -> Dialect:
-    """Return how a vehicle wants to be asked.
-
-    Parameters
-    ----------
-    autopilot : int
-        MAV_AUTOPILOT.
-    ours : bool
-        Whether it says of itself that it is a mufly vehicle.
-    """
-    if ours:
-        return "mufly"
-    return "PX4" if autopilot == PX4 else "ArduPilot" if autopilot == ARDUPILOT else "other"
-
-
-def arm() -> Order:
-    """COMPONENT_ARM_DISARM."""
-    return Order(400, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-
-
-def disarm() -> Order:
-    """COMPONENT_ARM_DISARM; refused in flight."""
-    return Order(400, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-
-
-def emergency_stop() -> Order:
-    """COMPONENT_ARM_DISARM by force: the motors stop at once."""
-    return Order(400, (0.0, FORCE, 0.0, 0.0, 0.0, 0.0, 0.0), urgent=True)
-
-
-def take_off(dialect: Dialect, height_m: float) -> list[Order]:
-    """What makes an armed vehicle take off to a height above where it stands; PX4 takes the height from a parameter."""
-    if dialect == "mufly":
-        return [Order(22, (NAN, NAN, NAN, NAN, NAN, NAN, -height_m), frame=LOCAL_NED)]
-    if dialect == "PX4":
-        return [Order(22, (NAN,) * 7)]
-    return [Order(22, (0.0, 0.0, 0.0, NAN, 0.0, 0.0, height_m))]
-
-
-def before_arming(dialect: Dialect) -> list[Order]:
-    """What has to come before arming for a take-off: ArduPilot must be in its mode "guided"."""
-    return [_mode(4)] if dialect == "ArduPilot" else []
-
-
-def mission_start(dialect: Dialect) -> list[Order]:
-    """What makes an armed vehicle fly its mission, or go on with it."""
-    if dialect == "PX4":
-        return [_mode(4, 4)]
-    if dialect == "ArduPilot":
-        return [Order(300, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)), _mode(3)]
-    return [Order(300, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))]
-
-
-def pause(dialect: Dialect) -> Order:
-    """Stop and hover."""
-    if dialect == "PX4":
-        return _mode(4, 3)
-    return _mode(17) if dialect == "ArduPilot" else Order(193, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-
-
-def go_to(
-    dialect: Dialect,
-    position_m: tuple[float, float, float],
-    heading_rad: float,
-    origin: Origin | None,
-) -> Order | str:
-    """Fly to N, E, D and hold; text if that cannot be asked of this vehicle.
-
-    Parameters
-    ----------
-    dialect : str
-    position_m : (3,) tuple
-    heading_rad : float
-        NaN: as the vehicle likes.
-    origin : Origin or None
-        Where N, E, D are 0, as far as the vehicle has told.
-    """
-    if dialect == "mufly":
-        return Order(192, (-1.0, 0.0, 0.0, heading_rad, *position_m), frame=LOCAL_NED)
-    if origin is None:
-        return "this autopilot flies to places on the globe only, and has told no origin"
-    # Flag 1: change to the mode that it takes.
-    return Order(192, (-1.0, 1.0, 0.0, heading_rad, *origin.to_global(*position_m)), frame=GLOBAL)
-
-
-def home(dialect: Dialect) -> Order:
-    """Return to where it took off and land."""
-    return _mode(6) if dialect == "ArduPilot" else Order(20, (0.0,) * 7)
-
-
-def land(dialect: Dialect) -> Order:
-    """Land here."""
-    return _mode(9) if dialect == "ArduPilot" else Order(21, (0.0, 0.0, 0.0, NAN, NAN, NAN, NAN))
-
-
-def reboot() -> Order:
-    """PREFLIGHT_REBOOT_SHUTDOWN of the autopilot; a simulation begins anew."""
-    return Order(246, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-
-
-def request_message(number: int) -> Order:
-    """REQUEST_MESSAGE."""
-    return Order(512, (float(number), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-
-
-def interval(number: int, rate_Hz: float) -> Order:
-    """SET_MESSAGE_INTERVAL; a rate of 0 is never."""
-    return Order(511, (float(number), 1e6 / rate_Hz if rate_Hz > 0 else -1.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-
-
-def _mode(main: int, sub: int = 0) -> Order:
-    return Order(176, (1.0, float(main), float(sub), 0.0, 0.0, 0.0, 0.0))

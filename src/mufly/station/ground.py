@@ -37,7 +37,6 @@ class _Heard:
 
     vehicle: RemoteVehicle
     peer: Hashable
-    encoder: Encoder
     heard_s: float
     messages: int = 0
     counted: tuple[float, int, int, int] = (0.0, 0, 0, 0)
@@ -162,7 +161,7 @@ class GroundLink:
         if len(self._heard) >= MOST_VEHICLES:
             return None
         vehicle = RemoteVehicle(system, component, us=self.us, color=self._color(), rate_Hz=self.rate_Hz)
-        new = self._heard[peer, system] = _Heard(vehicle, peer, Encoder(*self.us), now_s)
+        new = self._heard[peer, system] = _Heard(vehicle, peer, now_s)
         if self._on_vehicle is not None:
             self._on_vehicle(vehicle)
         return new
@@ -183,7 +182,7 @@ class GroundLink:
         text = f"{heard.vehicle.name}: {where} could not be handled ({type(error).__name__}: {error})"
         if where not in heard.faults:  # once of each kind, or a fault at 100 Hz fills the log
             heard.faults.add(where)
-            heard.vehicle.texts.note(heard.vehicle.telemetry.time_s, "error", text)
+            heard.vehicle.note("error", text)
             _LOG.error(text, exc_info=error)
             if self._on_fault is not None:
                 self._on_fault(text)

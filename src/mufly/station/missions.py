@@ -1,8 +1,12 @@
-"""A mission as rows of a table, and as items of MAVLink.
+"""The missions of a vehicle: as rows of a table, as items of MAVLink, and sent, fetched and cleared.
 
 Rows are what a page shows (:class:`mufly.station.view.MissionRow`); items are what travels. Ours go in metres, in the
 frame LOCAL_NED (x and y in 1e-4 m); items in a global frame are shown in metres from the vehicle's origin. A mission
 file becomes items in :mod:`mufly.link.missions`.
+
+One transfer follows the other; the machines are those of :mod:`mufly.link.mission_transfer`. What the vehicle holds is
+known from the last transfer that ended well; when the vehicle counts another number of items (somebody else sent it a
+mission) they are fetched anew.
 """
 
 from __future__ import annotations
@@ -11,7 +15,7 @@ import math
 import re
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from mufly.errors import InputError
 from mufly.link.codec import MavMessage
@@ -28,7 +32,7 @@ from mufly.link.mission_transfer import (
     note_of,
     to_mavlink,
 )
-from mufly.station.commands import Texts, end
+from mufly.station.commands import Repeated, StatusTexts
 from mufly.station.view import MissionRow, Outcome, Request
 
 LOCAL_NED = 1
@@ -52,10 +56,23 @@ _OTHERS = {
     112: "wait",
     177: "jump",
 }
+_HOLDS = (WAYPOINT, 19, 82, 93, 112)
 _COMMANDS = {action: command for command, action in _ACTIONS.items()}
 _GLOBAL = {0: 0, 5: 0, 3: 1, 6: 1, 10: 1, 11: 1}  # MAV_FRAME: 0 height over the sea, 1 over home
 _NOT_GIVEN = 2**31 - 1
+_NOWHERE = (math.nan, math.nan, math.nan)
 _NUMBER = re.compile(r"[-+]?\d*\.?\d+(?:[eE][-+]?\d+)?")
+_PEER = "vehicle"
+_RESULTS = {
+    1: "the vehicle cannot take a mission now",
+    2: "the vehicle does not fly in this frame of reference",
+    3: "the vehicle does not know one of the commands",
+    4: "too many items",
+    5: "one of the items is not valid",
+    13: "items came out of order",
+    14: "the vehicle does not take missions from this station now",
+    15: "stopped by the vehicle",
+} | {6 + k: f"parameter {k + 1} of an item is not valid" for k in range(7)}
 
 
 def items_of(rows: Sequence[MissionRow], where: str = "mission") -> list[Item]:
@@ -66,27 +83,28 @@ def items_of(rows: Sequence[MissionRow], where: str = "mission") -> list[Item]:
     InputError
         If a row cannot be sent.
     """
-    items = []
-    for k, row in enumerate(rows):
-        command = _COMMANDS.get(row.action)
-        if command is None:
-            raise InputError(
-                where, f"row {k + 1}", f"{row.action!r} cannot be sent", f"use {', '.join(_COMMANDS)}"
-            )
-        if command in (WAYPOINT, TAKE_OFF) and not all(map(math.isfinite, row.position)):
-            raise InputError(where, f"row {k + 1}", "has no place", "give N, E and D in metres")
-        heading_deg = math.degrees(row.heading_rad)
-        if command == SPEED:
-            number = _NUMBER.search("-2" if row.text == OWN_SPEED else row.text)
-            if number is None:
-                raise InputError(where, f"row {k + 1}", "has no speed", 'write for example "0.4 m/s"')
-            items.append(_speed(float(number[0])))
-        elif command == HEADING:
-            items.append(replace(_item(HEADING, (0.0, 0.0, 0.0)), params=(heading_deg, 0.0, 0.0, 0.0)))
-        else:
-            place = row.position if all(map(math.isfinite, row.position)) else (0.0, 0.0, 0.0)
-            items.append(_item(command, place, row.wait_s, heading_deg))
-    return _numbered(items)
+    return [_item(row, k, where) for k, row in enumerate(rows)]
+
+
+def _item(row: MissionRow, k: int, where: str) -> Item:
+    command, at = _COMMANDS.get(row.action), f"row {k + 1}"
+    placed = all(map(math.isfinite, row.position))
+    if command is None:
+        raise InputError(where, at, f"{row.action!r} cannot be sent", f"use {', '.join(_COMMANDS)}")
+    if command in (WAYPOINT, TAKE_OFF) and not placed:
+        raise InputError(where, at, "has no place", "give N, E and D in metres")
+    heading_deg, place = math.degrees(row.heading_rad), row.position if placed else (0.0, 0.0, 0.0)
+    params = (row.wait_s, 0.0, 0.0, heading_deg)
+    if command == SPEED:
+        number = _NUMBER.search("-2" if row.text == OWN_SPEED else row.text)
+        if number is None:
+            raise InputError(where, at, "has no speed", 'write for example "0.4 m/s"')
+        # 1: over ground, -1: throttle as it is
+        params, place = (1.0, float(number[0]), -1.0, 0.0), (0.0, 0.0, 0.0)
+    elif command == HEADING:
+        params, place = (heading_deg, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    x, y = (round(v * 1e4) for v in place[:2])
+    return Item(k, LOCAL_NED, command, params=params, x=x, y=y, z=place[2])
 
 
 def rows_of(items: Sequence[Item], origin: Origin | None = None, reached: int = 0) -> list[MissionRow]:
@@ -106,7 +124,7 @@ def rows_of(items: Sequence[Item], origin: Origin | None = None, reached: int = 
 def _row(item: Item, origin: Origin | None, reached: bool) -> MissionRow:
     command = item.command
     action = _ACTIONS.get(command) or _OTHERS.get(command, f"command {command}")
-    position, text = (math.nan,) * 3, ""
+    position, text = _NOWHERE, ""
     if command == SPEED:
         speed = item.params[1]
         return MissionRow(action, reached=reached, text=OWN_SPEED if speed == -2.0 else f"{speed:g} m/s")
@@ -118,8 +136,7 @@ def _row(item: Item, origin: Origin | None, reached: bool) -> MissionRow:
         position, text = _from_global(item, origin)
     elif command not in _ACTIONS:
         text = " ".join(f"{p:g}" for p in (*item.params, item.x, item.y, item.z))
-    has_hold = command in (WAYPOINT, 19, 82, 93, 112)
-    wait_s = item.params[0] if has_hold and math.isfinite(item.params[0]) else 0.0
+    wait_s = item.params[0] if command in _HOLDS and math.isfinite(item.params[0]) else 0.0
     heading = math.radians(item.params[3]) if command in (WAYPOINT, TAKE_OFF, LAND) else math.nan
     return MissionRow(action, position, heading, wait_s, reached, text)
 
@@ -127,70 +144,38 @@ def _row(item: Item, origin: Origin | None, reached: bool) -> MissionRow:
 def _from_global(item: Item, origin: Origin | None) -> tuple[tuple[float, float, float], str]:
     latitude, longitude = item.x / 1e7, item.y / 1e7
     if (item.x, item.y) == (0, 0):
-        return (math.nan,) * 3, ""
+        return _NOWHERE, ""
     if origin is None:
-        return (math.nan,) * 3, f"{latitude:.6f} {longitude:.6f} deg, {item.z:g} m"
+        return _NOWHERE, f"{latitude:.6f} {longitude:.6f} deg, {item.z:g} m"
     north, east, down = origin.to_local(latitude, longitude, item.z)
     return (north, east, -item.z if _GLOBAL[item.frame] else down), ""
 
 
-def _item(
-    command: int, position: tuple[float, float, float], wait_s: float = 0.0, heading_deg: float = math.nan
-) -> Item:
-    x, y = (round(v * 1e4) for v in position[:2])
-    return Item(0, LOCAL_NED, command, params=(wait_s, 0.0, 0.0, heading_deg), x=x, y=y, z=position[2])
+def same_mission(a: Sequence[Item], b: Sequence[Item]) -> bool:
+    """Whether two missions would be flown alike; which item is current does not matter, NaN equals NaN."""
+    return [_flown(item) for item in a] == [_flown(item) for item in b]
 
 
-def _speed(speed_m_s: float) -> Item:
-    return Item(
-        0, LOCAL_NED, SPEED, params=(1.0, speed_m_s, -1.0, 0.0)
-    )  # 1: over ground, -1: throttle as it is
+def _flown(item: Item) -> tuple[object, ...]:
+    numbers = (None if math.isnan(v) else round(v, 4) for v in (*item.params, item.z))
+    return item.frame, item.command, item.x, item.y, *numbers
 
 
-def _numbered(items: Sequence[Item]) -> list[Item]:
-    return [replace(item, seq=k) for k, item in enumerate(items)]
+@dataclass(slots=True, kw_only=True)
+class _Job(Repeated):
+    """A transfer; ``items`` are to be sent, None: fetch or clear. What is repeated is a clearing."""
 
-
-# ----------------------------------------------------------------------------
-# Missions sent to a vehicle, fetched from it and cleared: one transfer after the other.
-#
-# The machines are those of :mod:`mufly.link.mission_transfer`. What the vehicle holds is known from the last
-# transfer that
-# ended
-# well; when the vehicle counts another number of items (somebody else sent it a mission) they are fetched anew.
-
-
-CLEAR_RETRY_S = 0.8
-CLEAR_TRIES = 12
-_PEER = "vehicle"
-_WORDS = {
-    1: "the vehicle cannot take a mission now",
-    2: "the vehicle does not fly in this frame of reference",
-    3: "the vehicle does not know one of the commands",
-    4: "too many items",
-    5: "one of the items is not valid",
-    13: "items came out of order",
-    14: "the vehicle does not take missions from this station now",
-    15: "stopped by the vehicle",
-} | {6 + k: f"parameter {k + 1} of an item is not valid" for k in range(7)}
-
-
-@dataclass(slots=True)
-class _Job:
-    request: Request
-    items: tuple[Item, ...] | None  # to be sent; None: fetch or clear
+    items: tuple[Item, ...] | None = None
     clear: bool = False
     begun_s: float = math.nan
-    asked_s: float = -math.inf
-    tries: int = 0
 
 
-class Transfers:
-    """The missions of one vehicle.
+class RemoteMission:
+    """The mission of one vehicle.
 
     Parameters
     ----------
-    texts : Texts
+    texts : StatusTexts
         Where the vehicle's reasons are found.
     target : (system, component)
 
@@ -200,7 +185,7 @@ class Transfers:
         What the vehicle holds; None while that is not known.
     """
 
-    def __init__(self, texts: Texts, target: tuple[int, int]) -> None:
+    def __init__(self, texts: StatusTexts, target: tuple[int, int]) -> None:
         self._texts, self.target = texts, target
         self.items: tuple[Item, ...] | None = None
         self._jobs: deque[_Job] = deque()
@@ -212,21 +197,19 @@ class Transfers:
 
     def upload(self, items: Sequence[Item]) -> Request:
         """Send items; accepted once the vehicle has taken all of them."""
-        request = Request(f"send a mission of {len(items)} items")
-        self._jobs.append(_Job(request, tuple(items)))
-        return request
+        return self._queue(_Job(Request(f"send a mission of {len(items)} items"), items=tuple(items)))
 
     def download(self) -> Request:
         """Fetch the vehicle's items; they become the ``result``."""
-        request = Request("fetch the mission")
-        self._jobs.append(_Job(request, None))
-        return request
+        return self._queue(_Job(Request("fetch the mission")))
 
     def clear(self) -> Request:
         """Let the vehicle forget its mission."""
-        request = Request("clear the mission")
-        self._jobs.append(_Job(request, None, clear=True))
-        return request
+        return self._queue(_Job(Request("clear the mission"), clear=True))
+
+    def _queue(self, job: _Job) -> Request:
+        self._jobs.append(job)
+        return job.request
 
     @property
     def busy(self) -> bool:
@@ -239,14 +222,13 @@ class Transfers:
         if note is None:
             return
         job = self._jobs[0] if self._jobs else None
-        if (
-            job is not None
-            and job.clear
-            and isinstance(note, Ack)
-            and job.tries
-            and note.mission_type in (0, 255)
-        ):
-            self._cleared(now_s, job, note.result)
+        clearing = job is not None and job.clear and job.tries
+        if job is not None and clearing and isinstance(note, Ack) and note.mission_type in (0, 255):
+            if note.result == MissionResult.ACCEPTED:
+                self.items = ()
+                job.request.end(Outcome.ACCEPTED)
+            else:
+                self._refused(job, note.result)
         elif self._sender is not None:
             self._out += self._sender.receive(now_s, note)
         else:
@@ -256,19 +238,24 @@ class Transfers:
         """Return what is to be sent now."""
         if self._messy_s is None:
             self._messy_s = now_s  # a station before us may have left one open
-        job = self._jobs[0] if self._jobs else None
-        if job is not None:
+        if self._jobs:
+            job = self._jobs[0]
             if math.isnan(job.begun_s):
                 job.begun_s = now_s
                 self._begin(now_s, job)
-            self._go_on(now_s, job)
+            if job.clear and job.due(now_s):
+                self._out.append((_PEER, ClearAll()))
+            elif not job.clear:
+                self._go_on(now_s, job)
+            if job.request.done:
+                self._jobs.popleft()
         notes, self._out = self._out, []
         return [to_mavlink(note, *self.target) for _, note in notes]
 
     def give_up(self, answer: str) -> None:
         """End everything that is open."""
         for job in self._jobs:
-            end(job.request, Outcome.TIMED_OUT, answer)
+            job.request.end(Outcome.TIMED_OUT, answer)
         self._jobs.clear()
         self._sender = None
         self._receiver.cancel()
@@ -276,61 +263,36 @@ class Transfers:
         self._messy_s = None
 
     def _begin(self, now_s: float, job: _Job) -> None:
-        if job.clear:
-            return
         if job.items is not None:
             self._sender = Sender(_PEER, job.items)
             messy = self._messy_s is not None and now_s - self._messy_s < GIVE_UP_S
             self._out += self._sender.start(now_s, hush=messy)
-        else:
+        elif not job.clear:
             self._fetched = None
             self._out += self._receiver.fetch(now_s, _PEER)
 
     def _go_on(self, now_s: float, job: _Job) -> None:
-        if job.clear:
-            self._ask_to_clear(now_s, job)
-            return
         machine = self._sender if self._sender is not None else self._receiver
         self._out += machine.step(now_s)
         job.request.progress = max(job.request.progress, machine.progress)
         if machine.result is None:
             return
-        self._jobs.popleft()
         self._sender = None
-        if machine.result != MissionResult.ACCEPTED:
-            self._messy_s = now_s
-            self._failed(job, int(machine.result), machine.timed_out)
+        if machine.result == MissionResult.ACCEPTED:
+            self._messy_s = -math.inf
+            self.items = job.items if job.items is not None else self._fetched
+            job.request.result = self.items
+            job.request.end(Outcome.ACCEPTED, f"{len(self.items or ())} items")
             return
-        self._messy_s = -math.inf
-        self.items = job.items if job.items is not None else self._fetched
-        job.request.result = self.items
-        end(job.request, Outcome.ACCEPTED, f"{len(self.items or ())} items")
-
-    def _failed(self, job: _Job, result: int, timed_out: bool) -> None:
-        if timed_out:
-            end(job.request, Outcome.TIMED_OUT, f"nothing was heard of it for {GIVE_UP_S:.0f} s")
+        self._messy_s = now_s
+        if machine.timed_out:
+            job.request.end(Outcome.TIMED_OUT, f"nothing was heard of it for {GIVE_UP_S:.0f} s")
         else:
-            words = _WORDS.get(result, f"result {result}")
-            end(job.request, Outcome.REFUSED, self._texts.since(job.begun_s) or words)
+            self._refused(job, int(machine.result))
 
-    def _ask_to_clear(self, now_s: float, job: _Job) -> None:
-        if job.request.done:
-            self._jobs.popleft()
-        elif now_s - job.asked_s >= CLEAR_RETRY_S:
-            if job.tries >= CLEAR_TRIES:
-                self._jobs.popleft()
-                end(job.request, Outcome.TIMED_OUT, f"no answer in {now_s - job.begun_s:.0f} s")
-                return
-            job.asked_s = now_s
-            job.tries += 1
-            self._out.append((_PEER, ClearAll()))
-
-    def _cleared(self, now_s: float, job: _Job, result: int) -> None:
-        if result == MissionResult.ACCEPTED:
-            self.items = ()
-            end(job.request, Outcome.ACCEPTED)
-        else:
-            self._failed(job, result, False)
+    def _refused(self, job: _Job, result: int) -> None:
+        words = _RESULTS.get(result, f"result {result}")
+        job.request.end(Outcome.REFUSED, self._texts.since(job.begun_s) or words)
 
     def _take(self, items: tuple[Item, ...]) -> int:
         self._fetched = items

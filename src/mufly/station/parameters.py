@@ -13,13 +13,12 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from mufly.flight.parameters import Parameter
+from mufly.flight import Parameter
 from mufly.link.codec import MavMessage, mavlink
-from mufly.station.commands import Texts, end
+from mufly.link.parameters import WHOLE_RANGE, decoded, encoded
+from mufly.station.commands import RETRY_S, Repeated, StatusTexts
 from mufly.station.view import Outcome, Request
 
-RETRY_S = 0.8
-SET_TRIES = 12
 REASON_S, STAYS_S = 0.3, 1.2
 """A value that is not the one asked for is a refusal after so long, with and without words (s)."""
 LIST_TRIES = 8
@@ -27,35 +26,34 @@ BATCH = 12
 """So many missing ones are asked for at a time."""
 MOST = 5000
 """More than any autopilot has; beyond it the list is not believed."""
-_REAL32 = 9  # MAV_PARAM_TYPE
-_WHOLE = {1: "<Bxxx", 2: "<bxxx", 3: "<Hxx", 4: "<hxx", 5: "<I", 6: "<i"}
-_RANGE = {
-    1: (0, 255),
-    2: (-128, 127),
-    3: (0, 65535),
-    4: (-32768, 32767),
-    5: (0, 2**32 - 1),
-    6: (-(2**31), 2**31 - 1),
-}
+_UNBOUNDED = (-math.inf, math.inf)
 
 
-@dataclass(slots=True)
-class _Set:
-    request: Request
-    name: str
+def refused(known: Parameter | None, name: str, value: float) -> str:
+    """Return why a value cannot be sent, "" if it can."""
+    if known is None:
+        return f"the vehicle has no parameter {name}"
+    if not math.isfinite(value):
+        return "that is no number"
+    if not known.least <= value <= known.greatest:
+        return f"from {known.least:g} to {known.greatest:g} {known.unit}".rstrip()
+    return "a whole number is needed" if known.whole and value != round(value) else ""
+
+
+@dataclass(slots=True, kw_only=True)
+class _Set(Repeated):
+    """A value that is being set; since when the vehicle has said another."""
+
     value: float
-    asked_s: float = -math.inf
-    first_s: float = -math.inf
-    tries: int = 0
     differs_s: float = math.inf
 
 
-class Parameters:
+class RemoteParameters:
     """The parameters of one vehicle.
 
     Parameters
     ----------
-    texts : Texts
+    texts : StatusTexts
         Where the vehicle says why it keeps a value.
     target : (system, component)
 
@@ -67,7 +65,7 @@ class Parameters:
         Whether whole numbers travel as the bytes of an integer.
     """
 
-    def __init__(self, texts: Texts, target: tuple[int, int]) -> None:
+    def __init__(self, texts: StatusTexts, target: tuple[int, int]) -> None:
         self._texts, self.target = texts, target
         self.bytewise = False
         self._about: Mapping[str, Parameter] = {}
@@ -103,11 +101,10 @@ class Parameters:
 
     def refresh(self) -> Request:
         """Read all of them anew."""
-        if self._list is not None and not self._list.done:
-            return self._list
-        self._list = Request("read all parameters")
-        self._indices, self._count = {}, None
-        self._asked_s, self._tries = -math.inf, 0
+        if self._list is None or self._list.done:
+            self._list = Request("read all parameters")
+            self._indices, self._count = {}, None
+            self._asked_s, self._tries = -math.inf, 0
         return self._list
 
     def set(self, name: str, value: float) -> Request:
@@ -119,21 +116,12 @@ class Parameters:
         value : float
         """
         request = Request(f"set {name} to {value:g}")
-        known = self.table.get(name)
-        if known is None:
-            end(request, Outcome.REFUSED, f"the vehicle has no parameter {name}")
-        elif not math.isfinite(value):
-            end(request, Outcome.REFUSED, "that is no number")
-        elif not known.least <= value <= known.greatest:
-            unit = f" {known.unit}" if known.unit else ""
-            end(request, Outcome.REFUSED, f"from {known.least:g} to {known.greatest:g}{unit}")
-        elif known.whole and value != round(value):
-            end(request, Outcome.REFUSED, "a whole number is needed")
-        else:
-            before = self._sets.get(name)
-            if before is not None:
-                end(before.request, Outcome.REFUSED, "given up for another value")
-            self._sets[name] = _Set(request, name, value)
+        if why := refused(self.table.get(name), name, value):
+            request.end(Outcome.REFUSED, why)
+            return request
+        if name in self._sets:
+            self._sets[name].request.end(Outcome.REFUSED, "given up for another value")
+        self._sets[name] = _Set(request, value=value)
         return request
 
     def handle(self, now_s: float, message: MavMessage) -> None:
@@ -144,24 +132,20 @@ class Parameters:
         raw = (message.param_value, message.param_type)
         if not _same(raw, self._raw.get(name)):
             self._raw[name] = raw
-            if self._table is not None:
-                if name in self._table:
-                    self._table[name] = self._known(name)
-                else:
-                    self._table = None
+            if self._table is not None and name in self._table:
+                self._table[name] = self._known(name)
+            else:
+                self._table = None
         if self._count != message.param_count and 0 < message.param_count <= MOST:
             if self._count is not None:
                 self._indices = {}  # another list: the vehicle has learned or lost some
             self._count = message.param_count
-        if (
-            self._count is not None
-            and message.param_index < self._count
-            and name not in self._indices.values()
-        ):
+        count = self._count or 0
+        if message.param_index < count and name not in self._indices.values():
             self._indices[message.param_index] = name
             self._came_s, self._tries = now_s, 0
-        if self._list is not None and self._count:
-            self._list.progress = len(self._indices) / self._count
+        if self._list is not None and count:
+            self._list.progress = len(self._indices) / count
         self._answered(now_s, name)
 
     def step(self, now_s: float) -> list[MavMessage]:
@@ -170,26 +154,22 @@ class Parameters:
 
     def give_up(self, answer: str) -> None:
         """End everything that is open."""
-        for entry in self._sets.values():
-            end(entry.request, Outcome.TIMED_OUT, answer)
+        for request in (*(entry.request for entry in self._sets.values()), self._list):
+            if request is not None:
+                request.end(Outcome.TIMED_OUT, answer)
         self._sets.clear()
-        if self._list is not None:
-            end(self._list, Outcome.TIMED_OUT, answer)
 
     def _read(self, now_s: float) -> list[MavMessage]:
         if self._list is None or self._list.done:
             return []
         if self._count is not None and not self.missing:
-            end(self._list, Outcome.ACCEPTED, f"{self._count} parameters")
+            self._list.end(Outcome.ACCEPTED, f"{self._count} parameters")
             return []
         if now_s - max(self._asked_s, self._came_s) < RETRY_S:
             return []
         if self._tries >= LIST_TRIES:
-            end(
-                self._list,
-                Outcome.TIMED_OUT,
-                f"{self.missing or 'all'} parameters are missing; read them again",
-            )
+            words = f"{self.missing or 'all'} parameters are missing; read them again"
+            self._list.end(Outcome.TIMED_OUT, words)
             return []
         self._asked_s = now_s
         self._tries += 1
@@ -204,53 +184,35 @@ class Parameters:
             if entry.differs_s < math.inf:
                 reason = self._texts.since(entry.first_s)
                 if now_s - entry.differs_s > (REASON_S if reason else STAYS_S):
-                    del self._sets[name]
-                    known = self._known(name)
-                    end(entry.request, Outcome.REFUSED, reason or f"the vehicle keeps {known.value:g}")
-            elif now_s - entry.asked_s >= RETRY_S:
-                if entry.tries >= SET_TRIES:
-                    del self._sets[name]
-                    end(entry.request, Outcome.TIMED_OUT, f"no answer in {now_s - entry.first_s:.0f} s")
-                    continue
-                if not entry.tries:
-                    entry.first_s = now_s
-                entry.asked_s = now_s
-                entry.tries += 1
+                    words = reason or f"the vehicle keeps {self._known(name).value:g}"
+                    entry.request.end(Outcome.REFUSED, words)
+            elif entry.due(now_s):
                 kind = self._raw[name][1]
-                value = self._encoded(entry.value, kind)
+                value = encoded(entry.value, kind, self.bytewise)
                 out.append(mavlink.MAVLink_param_set_message(*self.target, name.encode(), value, kind))
+            if entry.request.done:
+                del self._sets[name]
         return out
 
     def _answered(self, now_s: float, name: str) -> None:
         entry = self._sets.get(name)
         if entry is None or not entry.tries:
             return
-        value = self._known(name).value
-        if value == entry.value or math.isclose(value, entry.value, rel_tol=2e-7):
+        if math.isclose(self._known(name).value, entry.value, rel_tol=2e-7):
             del self._sets[name]
-            end(entry.request, Outcome.ACCEPTED)
+            entry.request.end(Outcome.ACCEPTED)
         else:
             # It may belong to a list that was under way; only a value that stays is a refusal.
             entry.differs_s = min(entry.differs_s, now_s)
 
     def _known(self, name: str) -> Parameter:
-        value, kind = self._decoded(*self._raw[name]), self._raw[name][1]
+        number, kind = self._raw[name]
+        value = decoded(number, kind, self.bytewise)
         about = self._about.get(name)
         if about is not None:
             return replace(about, value=value)
-        least, greatest = _RANGE.get(kind, (-math.inf, math.inf))
-        return Parameter(name, value, least=least, greatest=greatest, whole=kind in _RANGE)
-
-    def _decoded(self, value: float, kind: int) -> float:
-        if not self.bytewise or kind not in _WHOLE:
-            # Seven digits are all that the field holds: 0.1 is meant, not 0.10000000149.
-            return float(f"{value:.7g}") if math.isfinite(value) else value
-        return float(struct.unpack(_WHOLE[kind], struct.pack("<f", value))[0])
-
-    def _encoded(self, value: float, kind: int) -> float:
-        if not self.bytewise or kind not in _WHOLE:
-            return value
-        return float(struct.unpack("<f", struct.pack(_WHOLE[kind], round(value)))[0])
+        least, greatest = WHOLE_RANGE.get(kind, _UNBOUNDED)
+        return Parameter(name, value, least=least, greatest=greatest, whole=kind in WHOLE_RANGE)
 
 
 def _same(a: tuple[float, int], b: tuple[float, int] | None) -> bool:

@@ -236,7 +236,7 @@ class StationRecorder:
         self.stop("interrupted", why)
         text = f"the recording has ended: {why}"
         for track in self._tracks.values():
-            track.vehicle.texts.note(track.vehicle.telemetry.time_s, "error", text)
+            track.vehicle.note("error", text)
         if self._on_end is not None:
             self._on_end(text)
 

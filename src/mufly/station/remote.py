@@ -1,321 +1,47 @@
-"""What a station asks of a vehicle that it has just found, or found again.
+"""A vehicle at the other end of a link: what it tells, and what is asked of it.
 
-First who it is (AUTOPILOT_VERSION); then how often it is to tell what (SET_MESSAGE_INTERVAL, or REQUEST_DATA_STREAM
-if it does not know that); then its parameters and its mission.
+Pure: messages in (:meth:`RemoteVehicle.handle`), messages out (:meth:`RemoteVehicle.step`), the clock is passed in.
+Its parts: telemetry with history, status texts, commands, parameters, mission, operator control, connection, checks.
+Everything that is asked for returns a :class:`mufly.station.view.Request` at once, which tells what becomes of it. What
+a vehicle could never do is refused here; all else is for the vehicle to judge.
 """
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from mufly.errors import InputError
-from mufly.flight.parameters import Parameter
+from mufly.flight import Parameter
+from mufly.flight.parameters import TABLE
 from mufly.link.codec import MavMessage, mavlink
+from mufly.link.commands import Command
 from mufly.link.missions import items_of as items_of_mission
+from mufly.link.parameters import LINK_PARAMETERS
 from mufly.mission import Mission, load_mission
 from mufly.station import autopilots
-from mufly.station.autopilots import ARDUPILOT, PX4
+from mufly.station.autopilots import ARDUPILOT, PX4, commands_of
 from mufly.station.checks import Surroundings, judge
-from mufly.station.commands import Chain, CommandDesk, Commands, Order, Texts, end
+from mufly.station.commands import Chain, OperatorControl, RemoteCommands, StatusTexts
 from mufly.station.history import History
-from mufly.station.missions import Transfers, items_of, rows_of
-from mufly.station.parameters import Parameters
+from mufly.station.missions import RemoteMission, items_of, rows_of
+from mufly.station.parameters import RemoteParameters
 from mufly.station.telemetry import Telemetry
 from mufly.station.view import Check, Message, MissionRow, Outcome, Request, Snapshot
-
-WISHES: tuple[tuple[str, float], ...] = (
-    ("ATTITUDE", 1.0),
-    ("LOCAL_POSITION_NED", 1.0),
-    ("POSITION_TARGET_LOCAL_NED", 1.0),
-    ("ATTITUDE_TARGET", 1.0),
-    ("ACTUATOR_OUTPUT_STATUS", 1.0),
-    ("VISION_POSITION_ESTIMATE", 0.5),
-    ("RAW_RPM", 0.5),
-    ("DEBUG_FLOAT_ARRAY", 0.5),
-    ("OBSTACLE_DISTANCE", 0.25),
-    ("DISTANCE_SENSOR", 0.0),
-)
-"""Messages, and their rates as a share of the fastest."""
-_FOREIGN = (
-    ("SERVO_OUTPUT_RAW", 0.1),
-    ("RC_CHANNELS", 0.05),
-    ("BATTERY_STATUS", 0.01),
-    ("EXTENDED_SYS_STATE", 0.02),
-)
-_STREAM_HZ = 10
-_BYTEWISE, _C_CAST = 16, 131072  # MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_*
-_PATIENCE_S = 3.0
-
-
-class Greeting:
-    """The first questions to one vehicle.
-
-    Parameters
-    ----------
-    commands, parameters, transfers
-        What does the asking.
-    rate_Hz : float
-        Fastest rate.
-
-    Attributes
-    ----------
-    ours : bool
-        Whether it said that it is a mufly vehicle.
-    """
-
-    def __init__(
-        self, commands: Commands, parameters: Parameters, transfers: Transfers, rate_Hz: float
-    ) -> None:
-        self._commands, self._parameters, self._transfers = commands, parameters, transfers
-        self._rate_Hz = rate_Hz
-        self.ours = False
-        self._version: MavMessage | None = None
-        self._asked_s = math.nan
-        self._streams: list[Request] = []
-        self._wished = self._read = self._older = False
-        self._group: list[MavMessage] = []
-
-    def again(self) -> None:
-        """Wish anew: it was away, or is heard from elsewhere."""
-        self._wished = self._older = False
-
-    def anew(self) -> None:
-        """Ask everything anew: it was started anew."""
-        self._version, self._asked_s = None, math.nan
-        self._wished = self._read = self._older = False
-
-    def version(self, message: MavMessage) -> None:
-        """Take AUTOPILOT_VERSION."""
-        self._version = message
-        self.ours = bytes(message.flight_custom_version).startswith(b"mufly")
-        if self.ours:
-            self._parameters.describe(_ours())
-
-    def step(self, now_s: float, telemetry: Telemetry) -> None:
-        """Ask for what comes next."""
-        if math.isnan(self._asked_s):
-            self._asked_s = now_s
-            self._commands.ask(
-                "who are you?", autopilots.request_message(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
-            )
-        if self._version is None and now_s - self._asked_s < _PATIENCE_S:
-            return
-        if not self._wished:
-            self._wished = True
-            self._wish()
-        if not self._read:
-            self._read = True
-            known = self._version.capabilities if self._version is not None else 0
-            guess = telemetry.autopilot == PX4
-            self._parameters.encode_bytewise(bool(known & _BYTEWISE) or (guess and not known & _C_CAST))
-            self._parameters.refresh()
-            self._transfers.download()
-        if not self._older and any(r.outcome is Outcome.REFUSED for r in self._streams):
-            self._older = True
-            self._streams = []
-            everything = mavlink.MAV_DATA_STREAM_ALL
-            self._commands.send(
-                mavlink.MAVLink_request_data_stream_message(*self._commands.target, everything, _STREAM_HZ, 1)
-            )
-
-    def _wish(self) -> None:
-        wanted = WISHES if self.ours else (*WISHES[:-1], *_FOREIGN)
-        self._streams = []
-        for name, share in wanted:
-            number = getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
-            request = self._commands.ask(f"tell {name}", autopilots.interval(number, share * self._rate_Hz))
-            if name == "ATTITUDE":  # every vehicle has it: if it refuses this, it does not know the command
-                self._streams.append(request)
-
-
-def _ours() -> dict[str, Parameter]:
-    """What is known of the parameters of our own vehicles: unit, bounds, help."""
-    from mufly.flight.parameters import TABLE
-    from mufly.link.parameters import LINK_PARAMETERS
-
-    known = [Parameter(r.name, math.nan, r.unit, r.least, r.greatest, r.help, r.whole) for r in TABLE]
-    known += LINK_PARAMETERS.values()
-    return {p.name: p for p in known}
-
-
-# ----------------------------------------------------------------------------
-# What may be asked of a vehicle: the commanding half of :class:`mufly.station.remote.RemoteVehicle`.
-#
-# Everything returns a :class:`mufly.station.view.Request` at once, which tells what becomes of it. What a vehicle
-# could
-# never do is refused here; all else is for the vehicle to judge.
-
-
-class Asking(ABC):
-    """The requests of a vehicle; the parts that carry them out are those of the vehicle."""
-
-    telemetry: Telemetry
-    texts: Texts
-    commands: Commands
-    transfers: Transfers
-    surroundings: Surroundings
-    on_mark: Callable[[str], bool] | None
-    _parameters: Parameters
-    _desk: CommandDesk
-    _chains: list[Chain]
-    _reached: int
-
-    @property
-    @abstractmethod
-    def dialect(self) -> autopilots.Dialect:
-        """How the vehicle wants to be asked."""
-
-    def arm(self) -> Request:
-        """Let the motors run."""
-        return self._ask("arm", autopilots.arm())
-
-    def disarm(self) -> Request:
-        """Stop the motors; it refuses in flight."""
-        return self._ask("disarm", autopilots.disarm())
-
-    def take_off(self, height_m: float) -> Request:
-        """Arm if needed, take off to a height above where it stands (m), and hover."""
-        text = f"take off to {height_m:g} m"
-        if not (math.isfinite(height_m) and height_m > 0.0):
-            return _refused(text, "a height above the floor is needed")
-        return self._chain(text, self._armed_first(autopilots.take_off(self.dialect, height_m), height_m))
-
-    def start_mission(self) -> Request:
-        """Fly the mission, or go on with it; arms if needed."""
-        if self.transfers.items is not None and not self.transfers.items:
-            return _refused("fly the mission", "the vehicle holds no mission; send one first")
-        return self._chain("fly the mission", self._armed_first(autopilots.mission_start(self.dialect)))
-
-    def pause(self) -> Request:
-        """Stop and hover."""
-        return self._ask("hover here", autopilots.pause(self.dialect))
-
-    def go_to(self, position: Sequence[float], heading_rad: float | None = None) -> Request:
-        """Fly to a place (N, E, D; m) and hold."""
-        n, e, d = (float(v) for v in position)
-        text = f"fly to N {n:.2f}, E {e:.2f}, D {d:.2f} m"
-        if not all(map(math.isfinite, (n, e, d))):
-            return _refused(text, "N, E and D are needed")
-        heading = math.nan if heading_rad is None else heading_rad
-        order = autopilots.go_to(self.dialect, (n, e, d), heading, self.telemetry.origin)
-        return _refused(text, order) if isinstance(order, str) else self._ask(text, order)
-
-    def return_home(self) -> Request:
-        """Return to where it took off, and land."""
-        return self._ask("return and land", autopilots.home(self.dialect))
-
-    def land(self) -> Request:
-        """Land here."""
-        return self._ask("land", autopilots.land(self.dialect))
-
-    def emergency_stop(self) -> Request:
-        """Stop the motors at once, in flight too; nothing that was asked for before goes on after it."""
-        for chain in self._chains:
-            end(chain.request, Outcome.REFUSED, "given up for: EMERGENCY STOP")
-        return self._ask("EMERGENCY STOP", autopilots.emergency_stop())
-
-    def reboot(self) -> Request:
-        """Start the autopilot anew; a simulation begins anew."""
-        return self._ask("start anew", autopilots.reboot())
-
-    def take_command(self) -> Request:
-        """Become the station that commands it."""
-        return self._desk.take()
-
-    def release_command(self) -> Request:
-        """Let another station command it."""
-        return self._desk.release()
-
-    def upload_mission(self, mission: Mission | Sequence[MissionRow] | str | Path) -> Request:
-        """Send a mission: one of ours, rows of the table, or the name of a file."""
-        try:
-            if isinstance(mission, str | Path):
-                mission = load_mission(mission)
-            items = items_of_mission(mission).items if isinstance(mission, Mission) else items_of(mission)
-        except InputError as error:
-            return _refused("send a mission", str(error))
-        self._reached = -1
-        return self.transfers.upload(items)
-
-    def download_mission(self) -> Request:
-        """Fetch the mission that it holds."""
-        return self.transfers.download()
-
-    def clear_mission(self) -> Request:
-        """Let it forget its mission."""
-        return self.transfers.clear()
-
-    def set_parameter(self, name: str, value: float) -> Request:
-        """Set a parameter."""
-        return self._parameters.set(name, value)
-
-    def refresh_parameters(self) -> Request:
-        """Read all parameters anew."""
-        return self._parameters.refresh()
-
-    def show_mission(self, mission: Mission | None) -> None:
-        """Say which mission the page shows, for the check that the vehicle holds the same."""
-        self.surroundings.shown = None if mission is None else tuple(items_of_mission(mission).items)
-
-    def mark(self, text: str) -> Request:
-        """Put a mark into the recording, and among the messages."""
-        request = Request(f"mark: {text}")
-        recorded = self.on_mark is not None and self.on_mark(text)
-        self.texts.note(self.telemetry.time_s, "info", f"mark: {text}")
-        end(request, Outcome.ACCEPTED, "" if recorded else "not recorded: the recorder is off")
-        return request
-
-    def _ask(self, text: str, order: Order) -> Request:
-        return self.commands.ask(text, order)
-
-    def _chain(self, text: str, links: Sequence[Callable[[], Request | None]]) -> Request:
-        chain = Chain(text, links)
-        self._chains.append(chain)
-        return chain.request
-
-    def _armed_first(
-        self, then: Sequence[Order], height_m: float | None = None
-    ) -> list[Callable[[], Request | None]]:
-        """Links of a chain: what comes before arming, arming unless it is armed, and the orders."""
-
-        def arm() -> Request | None:
-            return None if self.telemetry.armed else self._ask("arm", autopilots.arm())
-
-        def ask(order: Order) -> Callable[[], Request]:
-            return lambda: self._ask("take off" if height_m is not None else "start", order)
-
-        links: list[Callable[[], Request | None]] = []
-        if height_m is not None:
-            if self.dialect == "PX4":
-                links.append(lambda: self._parameters.set("MIS_TAKEOFF_ALT", height_m))
-            links += [ask(order) for order in autopilots.before_arming(self.dialect)]
-        return [*links, arm, *(ask(order) for order in then)]
-
-
-def _refused(text: str, answer: str) -> Request:
-    return Request(text, Outcome.REFUSED, answer)
-
-
-# ----------------------------------------------------------------------------
-# A vehicle at the other end of a link: what it tells, and what is asked of it.
-#
-# Pure: messages in (:meth:`RemoteVehicle.handle`), messages out (:meth:`RemoteVehicle.step`), the clock is passed in.
-# Parts, each in a file of its own: telemetry and history, texts, commands, parameters, mission transfers, command of
-# the vehicle, checks. Everything that is asked for returns a :class:`mufly.station.view.Request` at once.
-
 
 LOST_S = 3.0
 """A vehicle that was silent for so long is lost (s)."""
 
 _TYPES = {1: "aeroplane", 2: "quadrotor", 3: "coaxial helicopter", 4: "helicopter", 10: "rover", 12: "submarine",
           13: "hexarotor", 14: "octorotor"}  # fmt: skip
+_Link = Callable[[], Request | None]
 
 
-class RemoteVehicle(Asking):
+class RemoteVehicle:
     """One vehicle, as a page draws and commands it.
 
     Parameters
@@ -353,12 +79,12 @@ class RemoteVehicle(Asking):
         target = (system, component)
         self.history = History()
         self.telemetry = Telemetry(self.history)
-        self.texts = Texts()
-        self.commands = Commands(self.texts, target)
-        self.transfers = Transfers(self.texts, target)
-        self._parameters = Parameters(self.texts, target)
-        self._desk = CommandDesk(system, us)
-        self._greeting = Greeting(self.commands, self._parameters, self.transfers, rate_Hz)
+        self.texts = StatusTexts()
+        self.commands = RemoteCommands(self.texts, target)
+        self.transfers = RemoteMission(self.texts, target)
+        self._parameters = RemoteParameters(self.texts, target)
+        self._control = OperatorControl(system, us)
+        self._connection = Connection(self.commands, self._parameters, self.transfers, rate_Hz)
         self.surroundings = Surroundings()
         self.on_mark: Callable[[str], bool] | None = None
         self._chains: list[Chain] = []
@@ -374,21 +100,19 @@ class RemoteVehicle(Asking):
     @property
     def kind(self) -> str:
         """``"mufly"`` or ``"other"``."""
-        return "mufly" if self._greeting.ours else "other"
+        return "mufly" if self._connection.ours else "other"
 
     @property
-    def dialect(self) -> autopilots.Dialect:
-        """How it wants to be asked."""
-        return autopilots.dialect_of(self.telemetry.autopilot, self._greeting.ours)
+    def firmware(self) -> autopilots.Firmware:
+        """Whose vehicle it is, which says how it wants to be asked."""
+        return autopilots.firmware_of(self.telemetry.autopilot, self._connection.ours)
 
     @property
     def name(self) -> str:
         """What to call it: "mufly, system 1"."""
-        maker = self.dialect if self.dialect != "other" else "vehicle"
-        what = (
-            maker if self._greeting.ours else f"{maker} {_TYPES.get(self.telemetry.vehicle_type, '')}".strip()
-        )
-        return f"{what}, system {self.system}"
+        maker = self.firmware if self.firmware != "other" else "vehicle"
+        what = "" if self._connection.ours else _TYPES.get(self.telemetry.vehicle_type, "")
+        return f"{f'{maker} {what}'.strip()}, system {self.system}"
 
     @property
     def connected(self) -> bool:
@@ -413,11 +137,10 @@ class RemoteVehicle(Asking):
     @property
     def snapshot(self) -> Snapshot:
         """The present."""
-        t = self.telemetry
-        rotor_speed = t.believes("measured_rotor_speed")
-        if not all(map(math.isfinite, rotor_speed)):
-            rotor_speed = t.believes("truth_rotor_speed")
-        return Snapshot(
+        t, items = self.telemetry, self.transfers.items
+        return Snapshot.of(
+            t.believes,
+            ("estimated",),
             time_s=t.time_s,
             connected=self.connected,
             silent_s=self._now_s - self._heard_s,
@@ -426,24 +149,11 @@ class RemoteVehicle(Asking):
             in_command=self.in_command,
             commander=self.commander,
             state=t.state,
-            position=t.believes("estimated_position"),
-            velocity=t.believes("estimated_velocity"),
-            attitude=t.believes("estimated_attitude"),
-            rates=t.believes("estimated_rates"),
-            reference_position=t.believes("reference_position"),
-            reference_velocity=t.believes("reference_velocity"),
-            reference_attitude=t.believes("reference_attitude"),
-            motor_input=t.believes("motor_input"),
-            servo_input=t.believes("servo_input"),
-            rotor_speed=rotor_speed,
             ranges=t.ranges.ranges,
             range_angles=t.ranges.angles,
             range_max_m=t.ranges.most_m,
-            battery_voltage=float(t.believes("battery_voltage")[0]),
-            battery_current=float(t.believes("battery_current")[0]),
-            battery_charge=float(t.believes("battery_charge")[0]),
             battery_left_s=t.battery_left_s,
-            waypoint=self._waypoint,
+            waypoint=t.mission_current if t.mission_current in range(len(items or ())) else None,
             link_loss=self._loss,
             link_rate_Hz=self._rate_Hz,
         )
@@ -479,7 +189,133 @@ class RemoteVehicle(Asking):
     @property
     def checks(self) -> list[Check]:
         """What to look at before it flies."""
-        return judge(self, self.surroundings)
+        parts = (self.telemetry, self.texts, self.transfers, self._parameters)
+        return judge(self.snapshot, *parts, self.surroundings)
+
+    # What is asked of it
+
+    def arm(self) -> Request:
+        """Let the motors run."""
+        return self._ask("arm", autopilots.ARM)
+
+    def disarm(self) -> Request:
+        """Stop the motors; it refuses in flight."""
+        return self._ask("disarm", autopilots.DISARM)
+
+    def take_off(self, height_m: float) -> Request:
+        """Arm if needed, take off to a height above where it stands (m), and hover."""
+        text = f"take off to {height_m:g} m"
+        if not (math.isfinite(height_m) and height_m > 0.0):
+            return _refused(text, "a height above the floor is needed")
+        links: list[_Link] = []
+        if self.firmware == "PX4":
+            links.append(lambda: self._parameters.set("MIS_TAKEOFF_ALT", height_m))
+        links += self._links("take off", commands_of(autopilots.BEFORE_ARMING, self.firmware))
+        climb = self._links("take off", (autopilots.take_off(self.firmware, height_m),))
+        return self._chain(text, [*links, self._arm_if_needed, *climb])
+
+    def start_mission(self) -> Request:
+        """Fly the mission, or go on with it; arms if needed."""
+        if self.transfers.items is not None and not self.transfers.items:
+            return _refused("fly the mission", "the vehicle holds no mission; send one first")
+        start = self._links("start", commands_of(autopilots.START_MISSION, self.firmware))
+        return self._chain("fly the mission", [self._arm_if_needed, *start])
+
+    def pause(self) -> Request:
+        """Stop and hover."""
+        return self._ask("hover here", *commands_of(autopilots.PAUSE, self.firmware))
+
+    def go_to(self, position: Sequence[float], heading_rad: float | None = None) -> Request:
+        """Fly to a place (N, E, D; m) and hold."""
+        n, e, d = (float(v) for v in position)
+        text = f"fly to N {n:.2f}, E {e:.2f}, D {d:.2f} m"
+        if not all(map(math.isfinite, (n, e, d))):
+            return _refused(text, "N, E and D are needed")
+        heading = math.nan if heading_rad is None else heading_rad
+        command = autopilots.go_to(self.firmware, (n, e, d), heading, self.telemetry.origin)
+        return _refused(text, command) if isinstance(command, str) else self._ask(text, command)
+
+    def return_home(self) -> Request:
+        """Return to where it took off, and land."""
+        return self._ask("return and land", *commands_of(autopilots.RETURN, self.firmware))
+
+    def land(self) -> Request:
+        """Land here."""
+        return self._ask("land", *commands_of(autopilots.LAND, self.firmware))
+
+    def emergency_stop(self) -> Request:
+        """Stop the motors at once, in flight too; nothing that was asked for before goes on after it."""
+        for chain in self._chains:
+            chain.request.end(Outcome.REFUSED, "given up for: EMERGENCY STOP")
+        return self._ask("EMERGENCY STOP", autopilots.EMERGENCY_STOP)
+
+    def reboot(self) -> Request:
+        """Start the autopilot anew; a simulation begins anew."""
+        return self._ask("start anew", autopilots.REBOOT)
+
+    def take_command(self) -> Request:
+        """Become the station that commands it."""
+        return self._control.take()
+
+    def release_command(self) -> Request:
+        """Let another station command it."""
+        return self._control.release()
+
+    def upload_mission(self, mission: Mission | Sequence[MissionRow] | str | Path) -> Request:
+        """Send a mission: one of ours, rows of the table, or the name of a file."""
+        try:
+            if isinstance(mission, str | Path):
+                mission = load_mission(mission)
+            items = items_of_mission(mission).items if isinstance(mission, Mission) else items_of(mission)
+        except InputError as error:
+            return _refused("send a mission", str(error))
+        self._reached = -1
+        return self.transfers.upload(items)
+
+    def download_mission(self) -> Request:
+        """Fetch the mission that it holds."""
+        return self.transfers.download()
+
+    def clear_mission(self) -> Request:
+        """Let it forget its mission."""
+        return self.transfers.clear()
+
+    def set_parameter(self, name: str, value: float) -> Request:
+        """Set a parameter."""
+        return self._parameters.set(name, value)
+
+    def refresh_parameters(self) -> Request:
+        """Read all parameters anew."""
+        return self._parameters.refresh()
+
+    def show_mission(self, mission: Mission | None) -> None:
+        """Say which mission the page shows, for the check that the vehicle holds the same."""
+        self.surroundings.shown = None if mission is None else tuple(items_of_mission(mission).items)
+
+    def mark(self, text: str) -> Request:
+        """Put a mark into the recording, and among the messages."""
+        request = Request(f"mark: {text}")
+        recorded = self.on_mark is not None and self.on_mark(text)
+        self.note("info", f"mark: {text}")
+        request.end(Outcome.ACCEPTED, "" if recorded else "not recorded: the recorder is off")
+        return request
+
+    def note(self, level: str, text: str) -> None:
+        """Put a line of the station's own among the messages."""
+        self.texts.note(self.telemetry.time_s, level, text)
+
+    def _ask(self, text: str, command: Command) -> Request:
+        return self.commands.ask(text, command)
+
+    def _links(self, text: str, commands: Iterable[Command]) -> list[_Link]:
+        return [partial(self._ask, text, command) for command in commands]
+
+    def _arm_if_needed(self) -> Request | None:
+        return None if self.telemetry.armed else self.arm()
+
+    def _chain(self, text: str, links: Sequence[_Link]) -> Request:
+        self._chains.append(chain := Chain(text, links))
+        return chain.request
 
     # The machine
 
@@ -507,12 +343,16 @@ class RemoteVehicle(Asking):
             self.commands.handle(now_s, message)
         elif name == "PARAM_VALUE":
             self._parameters.handle(now_s, message)
+        elif name == "MISSION_CURRENT":
+            self._mission_current(message)
+        elif name == "MISSION_ITEM_REACHED":
+            self._reached = max(self._reached, message.seq)
         elif name.startswith("MISSION_"):
-            self._mission_message(now_s, message)
+            self.transfers.handle(now_s, message)
         elif name == "AUTOPILOT_VERSION":
-            self._greeting.version(message)
+            self._connection.version(message)
         elif name == "CHANGE_OPERATOR_CONTROL_ACK":
-            self._desk.handle(now_s, message)
+            self._control.handle(now_s, message)
 
     def step(self, now_s: float) -> list[MavMessage]:
         """Return what is to be sent to it now."""
@@ -523,9 +363,9 @@ class RemoteVehicle(Asking):
         for chain in self._chains:
             chain.step()
         self._chains = [c for c in self._chains if not c.request.done]
-        self._greeting.step(now_s, self.telemetry)
+        self._connection.step(now_s, self.telemetry)
         out = self.commands.step(now_s) + self._parameters.step(now_s) + self.transfers.step(now_s)
-        return out + self._desk.step(now_s, self.telemetry.commander)
+        return out + self._control.step(now_s, self.telemetry.commander)
 
     def note_link(self, now_s: float, loss: float, rate_Hz: float) -> None:
         """Take how good the link is: share of packets lost, messages a second."""
@@ -534,50 +374,146 @@ class RemoteVehicle(Asking):
 
     def moved(self) -> None:
         """Note that it is heard from another address, where it knows nothing of our wishes."""
-        self._greeting.again()
+        self._connection.again()
 
     def _look_after_link(self, now_s: float) -> None:
         lost = now_s - self._heard_s >= LOST_S
         if lost and not self._lost:
-            self.texts.note(self.telemetry.time_s, "warning", f"{self.name} is not heard any more")
+            self.note("warning", f"{self.name} is not heard any more")
         elif self._lost and not lost:
-            self.texts.note(self.telemetry.time_s, "info", f"{self.name} is heard again")
-            self._greeting.again()
+            self.note("info", f"{self.name} is heard again")
+            self._connection.again()
         self._lost = lost
         if self.telemetry.clock.restarts != self._restarts:
             self._restarts = self.telemetry.clock.restarts
-            self.texts.note(self.telemetry.time_s, "warning", f"{self.name} was started anew")
+            self.note("warning", f"{self.name} was started anew")
             for part in (self.commands, self._parameters, self.transfers):
                 part.give_up("the vehicle was started anew")
             self._reached = -1
-            self._greeting.anew()
+            self._connection.anew()
 
-    def _mission_message(self, now_s: float, message: MavMessage) -> None:
-        name = message.get_type()
-        if name == "MISSION_CURRENT":
-            if message.seq < self._reached:
-                self._reached = -1  # it flies the mission again, or another
-            items = self.transfers.items
-            counted = 0 < message.total < 65535 or (message.total == 0 and self._greeting.ours)
-            # ArduPilot's first item is its home, which this total leaves out.
-            own = 1 if self.telemetry.autopilot == ARDUPILOT else 0
-            if (
-                items is not None
-                and counted
-                and message.total != max(0, len(items) - own)
-                and not self.transfers.busy
-            ):
-                self.transfers.download()  # somebody else has sent it another
-        elif name == "MISSION_ITEM_REACHED":
-            self._reached = max(self._reached, message.seq)
-        else:
-            self.transfers.handle(now_s, message)
+    def _mission_current(self, message: MavMessage) -> None:
+        if message.seq < self._reached:
+            self._reached = -1  # it flies the mission again, or another
+        items = self.transfers.items
+        counted = 0 < message.total < 65535 or (message.total == 0 and self._connection.ours)
+        if items is None or not counted or self.transfers.busy:
+            return
+        # ArduPilot's first item is its home, which this total leaves out.
+        own = 1 if self.telemetry.autopilot == ARDUPILOT else 0
+        if message.total != max(0, len(items) - own):
+            self.transfers.download()  # somebody else has sent it another
 
     @property
     def _us_number(self) -> int:
         return self.us[0] * 256 + self.us[1]
 
-    @property
-    def _waypoint(self) -> int | None:
-        current, items = self.telemetry.mission_current, self.transfers.items
-        return current if current is not None and items and current < len(items) else None
+
+def _refused(text: str, answer: str) -> Request:
+    return Request(text, Outcome.REFUSED, answer)
+
+
+WISHES: tuple[tuple[str, float], ...] = (
+    ("ATTITUDE", 1.0),
+    ("LOCAL_POSITION_NED", 1.0),
+    ("POSITION_TARGET_LOCAL_NED", 1.0),
+    ("ATTITUDE_TARGET", 1.0),
+    ("ACTUATOR_OUTPUT_STATUS", 1.0),
+    ("VISION_POSITION_ESTIMATE", 0.5),
+    ("RAW_RPM", 0.5),
+    ("DEBUG_FLOAT_ARRAY", 0.5),
+    ("OBSTACLE_DISTANCE", 0.25),
+    ("DISTANCE_SENSOR", 0.0),
+)
+"""Messages, and their rates as a share of the fastest."""
+_FOREIGN = (
+    ("SERVO_OUTPUT_RAW", 0.1),
+    ("RC_CHANNELS", 0.05),
+    ("BATTERY_STATUS", 0.01),
+    ("EXTENDED_SYS_STATE", 0.02),
+)
+_STREAM_HZ = 10
+_BYTEWISE, _C_CAST = 16, 131072  # MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_*
+_PATIENCE_S = 3.0
+
+
+class Connection:
+    """What is asked of a vehicle that was just found, or found again.
+
+    First who it is (AUTOPILOT_VERSION); then how often it is to tell what (SET_MESSAGE_INTERVAL, or REQUEST_DATA_STREAM
+    if it does not know that); then its parameters and its mission.
+
+    Parameters
+    ----------
+    commands, parameters, mission
+        What does the asking.
+    rate_Hz : float
+        Fastest rate.
+
+    Attributes
+    ----------
+    ours : bool
+        Whether it said that it is a mufly vehicle.
+    """
+
+    def __init__(
+        self, commands: RemoteCommands, parameters: RemoteParameters, mission: RemoteMission, rate_Hz: float
+    ) -> None:
+        self._commands, self._parameters, self._mission = commands, parameters, mission
+        self._rate_Hz = rate_Hz
+        self.ours = False
+        self.anew()
+
+    def again(self) -> None:
+        """Wish anew: it was away, or is heard from elsewhere."""
+        self._wished: Request | None = None
+        self._older = False
+
+    def anew(self) -> None:
+        """Ask everything anew: it was started anew."""
+        self._version: MavMessage | None = None
+        self._asked_s = math.nan
+        self._read = False
+        self.again()
+
+    def version(self, message: MavMessage) -> None:
+        """Take AUTOPILOT_VERSION."""
+        self._version = message
+        self.ours = bytes(message.flight_custom_version).startswith(b"mufly")
+        if self.ours:
+            self._parameters.describe(_ours())
+
+    def step(self, now_s: float, telemetry: Telemetry) -> None:
+        """Ask for what comes next."""
+        if math.isnan(self._asked_s):
+            self._asked_s = now_s
+            version = autopilots.request_message(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+            self._commands.ask("who are you?", version)
+        if self._version is None and now_s - self._asked_s < _PATIENCE_S:
+            return
+        if self._wished is None:
+            for name, share in WISHES if self.ours else (*WISHES[:-1], *_FOREIGN):
+                number = getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
+                command = autopilots.message_interval(number, share * self._rate_Hz)
+                request = self._commands.ask(f"tell {name}", command)
+                # Every vehicle has the first: if it refuses that, it does not know the command.
+                self._wished = self._wished or request
+        if not self._read:
+            self._read = True
+            known = self._version.capabilities if self._version is not None else 0
+            guess = telemetry.autopilot == PX4
+            self._parameters.encode_bytewise(bool(known & _BYTEWISE) or (guess and not known & _C_CAST))
+            self._parameters.refresh()
+            self._mission.download()
+        if not self._older and self._wished is not None and self._wished.outcome is Outcome.REFUSED:
+            self._older = True
+            everything = mavlink.MAV_DATA_STREAM_ALL
+            self._commands.send(
+                mavlink.MAVLink_request_data_stream_message(*self._commands.target, everything, _STREAM_HZ, 1)
+            )
+
+
+def _ours() -> dict[str, Parameter]:
+    """What is known of the parameters of our own vehicles: unit, bounds, help."""
+    own = {r.name: Parameter(r.name, math.nan, r.unit, r.least, r.greatest, r.help, r.whole) for r in TABLE}
+    return own | {name: replace(p, value=math.nan) for name, p in LINK_PARAMETERS.items()}

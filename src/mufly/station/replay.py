@@ -12,7 +12,8 @@ import math
 import tomllib
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +25,11 @@ from mufly.flight.parameters import Parameter
 from mufly.logs import events_of, kind_of, read_attachments, read_log
 from mufly.logs.layout import columns_of
 from mufly.mission import Mission, mission_from
+from mufly.quantities import quantity_named
 from mufly.station.view import Check, Message, MissionRow, Snapshot, unknown
 
-SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+SOURCES = ("estimated", "measured", "truth")
+"""Whom to believe of the vehicle's motion, in this order."""
 AIRBORNE_M = 0.02
 
 _Array = NDArray[np.float64]
@@ -43,7 +46,7 @@ class Recording:
     times : (n,) array
         s, increasing.
     columns : dict of str to (n,) array
-        Flat names as in :mod:`mufly.logs.layout` (``measured_attitude_roll``), SI units.
+        Flat names as in :mod:`mufly.logs.signals` (``measured_attitude_roll``), SI units.
     units : dict of str to str
     states : (n,) array of str
         State of the mission machine, or "".
@@ -168,16 +171,12 @@ def mission_rows(mission: Mission, reached: int = 0) -> list[MissionRow]:
 
 
 class ReplayHistory:
-    """The history of a recording up to the moment that is shown (:class:`mufly.station.history.History`)."""
+    """The history of a recording up to the moment that is shown, as :class:`mufly.station.history.History`."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
+        self.names = tuple(recording.columns)
         self.end = len(recording.times)
-
-    @property
-    def names(self) -> list[str]:
-        """Names of all signals."""
-        return list(self._recording.columns)
 
     def unit(self, name: str) -> str:
         """Unit of a signal, "1" for a pure number."""
@@ -189,16 +188,14 @@ class ReplayHistory:
         times = self._recording.times[first : self.end]
         values = np.full((len(times), len(names)), math.nan)
         for k, name in enumerate(names):
-            column = self._recording.columns.get(name)
-            if column is not None:
-                values[:, k] = column[first : self.end]
+            if name in self._recording.columns:
+                values[:, k] = self._recording.columns[name][first : self.end]
         return times, values
 
     def window(self, seconds: float, names: Sequence[str]) -> tuple[_Array, _Array]:
         """Return the last ``seconds``, as :meth:`since`."""
-        if not self.end:
-            return np.empty(0), np.empty((0, len(names)))
-        return self.since(float(self._recording.times[self.end - 1]) - seconds - 1e-9, names)
+        newest_s = self._recording.times[self.end - 1] if self.end else 0.0
+        return self.since(float(newest_s) - seconds - 1e-9, names)
 
 
 class Replay:
@@ -207,6 +204,10 @@ class Replay:
     Attributes
     ----------
     recording : Recording
+    name : str
+        Of its file.
+    start_s, end_s, time_s : float
+        First and last instant, and the moment that is shown (s).
     history : ReplayHistory
     playing : bool
     speed : float
@@ -221,7 +222,8 @@ class Replay:
     parameters_missing = 0
 
     def __init__(self, recording: Recording) -> None:
-        self.recording = recording
+        self.recording, self.name = recording, recording.name
+        self.start_s, self.end_s = float(recording.times[0]), float(recording.times[-1])
         self.history = ReplayHistory(recording)
         self.playing = False
         self.speed = 1.0
@@ -234,28 +236,7 @@ class Replay:
         legs = {"waypoint", "obstacle", "take-off"}
         turned = [k for k in range(1, len(states)) if states[k] == "hover" and states[k - 1] in legs]
         self._reached_at = [float(recording.times[k]) for k in turned]
-        self._time = self.start_s
         self.seek(self.start_s)
-
-    @property
-    def name(self) -> str:
-        """Name of the file."""
-        return self.recording.name
-
-    @property
-    def start_s(self) -> float:
-        """First instant (s)."""
-        return float(self.recording.times[0])
-
-    @property
-    def end_s(self) -> float:
-        """Last instant (s)."""
-        return float(self.recording.times[-1])
-
-    @property
-    def time_s(self) -> float:
-        """The moment that is shown (s)."""
-        return self._time
 
     def seek(self, time_s: float) -> None:
         """Show another moment (s), held within the recording."""
@@ -264,7 +245,7 @@ class Replay:
 
     def play(self) -> None:
         """Go on; from the beginning if it is over."""
-        if self._time >= self.end_s:
+        if self.time_s >= self.end_s:
             self.seek(self.start_s)
         self.playing = True
 
@@ -275,88 +256,71 @@ class Replay:
     def advance(self, seconds: float) -> None:
         """Let ``seconds`` of wall-clock time pass."""
         if self.playing:
-            self._move(self._time + seconds * self.speed)
-            if self._time >= self.end_s:
+            self._move(self.time_s + seconds * self.speed)
+            if self.time_s >= self.end_s:
                 self.playing = False
 
     def _move(self, time_s: float) -> None:
-        self._time = min(max(time_s, self.start_s), self.end_s) if math.isfinite(time_s) else self.start_s
-        self.history.end = int(np.searchsorted(self.recording.times, self._time, side="right"))
+        self.time_s = min(max(time_s, self.start_s), self.end_s) if math.isfinite(time_s) else self.start_s
+        self.history.end = int(np.searchsorted(self.recording.times, self.time_s, side="right"))
 
     @property
     def messages(self) -> list[Message]:
         """What had been said by then."""
         known = self.recording.messages
-        return list(known[: bisect.bisect_right([m.time_s for m in known], self._time)])
+        return list(known[: bisect.bisect_right([m.time_s for m in known], self.time_s)])
 
     @property
     def mission_progress(self) -> int:
         """How many rows of the mission had been reached by then."""
-        return min(bisect.bisect_right(self._reached_at, self._time), len(self._rows))
+        return min(bisect.bisect_right(self._reached_at, self.time_s), len(self._rows))
 
     @property
     def mission(self) -> list[MissionRow]:
         """The mission table as it stood then."""
         if self.recording.mission is None:
             return []
-        landed = self._time >= self.end_s and self.recording.facts.get("outcome") == "succeeded"
+        landed = self.time_s >= self.end_s and self.recording.facts.get("outcome") == "succeeded"
         return mission_rows(self.recording.mission, len(self._rows) if landed else self.mission_progress)
 
     @property
     def snapshot(self) -> Snapshot:
         """The moment that is shown."""
-        k = max(self.history.end - 1, 0)
-        columns = self.recording.columns
-
-        def one(name: str) -> float:
-            column = columns.get(name)
-            return math.nan if column is None else float(column[k])
-
-        def several(name: str, labels: str) -> _Array:
-            return np.array([one(f"{name}_{label}") for label in labels.split()])
-
-        def believed(name: str, labels: str) -> _Array:
-            for source in ("estimated", "measured", "truth"):
-                found = several(f"{source}_{name}", labels)
-                if np.isfinite(found).any():
-                    return found
-            return unknown(len(labels.split()))
-
-        motors = several("motor_input", "upper lower")
-        position = believed("position", "N E D")
-        stood = self._stood
-        progress = self.mission_progress
-        return Snapshot(
-            time_s=self._time,
+        recording, progress = self.recording, self.mission_progress
+        beams = [f"range_{b}" for b in range(len(recording.range_angles))]
+        motors = self._signal("motor_input")
+        s = Snapshot.of(
+            self._signal,
+            SOURCES,
+            time_s=self.time_s,
             connected=True,
             silent_s=0.0,
             armed=bool(np.nanmax(np.nan_to_num(motors)) > 0.0),
-            flying=bool(math.isfinite(stood) and position[2] < stood - AIRBORNE_M),
-            state=str(self.recording.states[k]),
-            position=position,
-            velocity=believed("velocity", "N E D"),
-            attitude=believed("attitude", "roll pitch yaw"),
-            rates=believed("rates", "p q r"),
-            reference_position=several("reference_position", "N E D"),
-            reference_velocity=several("reference_velocity", "N E D"),
-            reference_attitude=several("reference_attitude", "roll pitch yaw"),
-            motor_input=motors,
-            servo_input=several("servo_input", "1 2"),
-            rotor_speed=believed("rotor_speed", "upper lower"),
-            ranges=np.array([one(f"range_{b}") for b in range(len(self.recording.range_angles))]),
-            range_angles=self.recording.range_angles,
-            range_max_m=self.recording.range_max_m,
-            battery_voltage=one("battery_voltage"),
-            battery_current=one("battery_current"),
-            battery_charge=one("battery_charge"),
+            state=str(recording.states[self._row]),
+            ranges=self._values(beams),
+            range_angles=recording.range_angles,
+            range_max_m=recording.range_max_m,
             waypoint=progress if progress < len(self._rows) else None,
         )
+        # Not flying where the recording does not say how high it stood.
+        return replace(s, flying=bool(s.position[2] < self._stood - AIRBORNE_M))
 
     @property
+    def _row(self) -> int:
+        return max(self.history.end - 1, 0)
+
+    def _signal(self, name: str) -> _Array:
+        """A variable at the moment that is shown; NaN where it was not recorded."""
+        known = quantity_named(name)
+        labels = known.labels if known is not None else ()
+        return self._values([f"{name}_{label}" for label in labels] or [name])
+
+    def _values(self, names: Sequence[str]) -> _Array:
+        columns = self.recording.columns
+        return np.array([columns[name][self._row] if name in columns else math.nan for name in names])
+
+    @cached_property
     def _stood(self) -> float:
         """Where it stood at first, D (m); NaN if the recording does not say."""
-        for source in ("estimated", "measured", "truth"):
-            column = self.recording.columns.get(f"{source}_position_D")
-            if column is not None and np.isfinite(column).any():
-                return float(column[np.isfinite(column)][0])
-        return math.nan
+        columns = [self.recording.columns.get(f"{source}_position_D", unknown(0)) for source in SOURCES]
+        return next((float(c[np.isfinite(c)][0]) for c in columns if np.isfinite(c).any()), math.nan)

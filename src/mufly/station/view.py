@@ -8,7 +8,7 @@ known is NaN (arrays), None or empty text.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
@@ -90,6 +90,36 @@ class Snapshot:
     waypoint: int | None = None
     link_loss: float = math.nan
     link_rate_Hz: float = math.nan
+
+    @classmethod
+    def of(cls, signal: Callable[[str], _Array], sources: Sequence[str], **others: Any) -> Snapshot:
+        """Return the snapshot of what is told or recorded.
+
+        Parameters
+        ----------
+        signal : callable
+            Value of a variable of :mod:`mufly.quantities` at that moment, NaN where it is not known.
+        sources : sequence of str
+            Whom to believe of the motion, in this order: "estimated", "measured", "truth".
+        **others
+            Fields that are no such variables.
+        """
+
+        def believed(name: str, sources: Sequence[str]) -> _Array:
+            told = [signal(f"{source}_{name}") for source in sources]
+            # Of those that know something the first; better one that knows all of it.
+            return max(told, key=lambda v: np.isfinite(v).any() + 2 * np.isfinite(v).all())
+
+        motion = {name: believed(name, sources) for name in ("position", "velocity", "attitude", "rates")}
+        plain = {
+            f"reference_{name}": signal(f"reference_{name}") for name in ("position", "velocity", "attitude")
+        }
+        plain |= {name: signal(name) for name in ("motor_input", "servo_input")}
+        battery = {
+            name: float(signal(name)[0]) for name in ("battery_voltage", "battery_current", "battery_charge")
+        }
+        rotor_speed = believed("rotor_speed", ("measured", "truth"))
+        return cls(**motion, **plain, **battery, rotor_speed=rotor_speed, **others)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,8 @@ from mufly.station.page.session import (
     mission_label,
     parameter_file,
     read_parameter_file,
-    refused,
 )
+from mufly.station.parameters import refused
 from mufly.station.view import Snapshot
 
 
@@ -107,6 +107,35 @@ def test_on_the_floor_one_takes_off_and_in_the_air_one_lands() -> None:
     assert air["take_off"]
     assert air["disarm"]
     assert not any(air[c] for c in ("land", "return", "go_to", "pause", "mission", "stop"))
+
+
+SITUATIONS = [
+    # state, flying, and what cannot be asked of the vehicle then (emergency stop and disarming aside)
+    ("init", False, {"pause", "go_to", "land", "return"}),
+    ("take-off", False, {"take_off", "pause", "go_to", "return"}),
+    ("landing", True, {"take_off", "mission", "go_to", "return"}),
+    ("rc", True, {"take_off", "mission", "pause", "go_to", "land", "return"}),
+    ("offboard", True, {"take_off"}),
+]
+
+
+@pytest.mark.parametrize(("state", "flying", "refused_then"), SITUATIONS)
+def test_a_button_offers_what_the_autopilot_accepts_in_that_state(
+    state: str, flying: bool, refused_then: set[str]
+) -> None:
+    """One table for all three: while it lands it could be sent elsewhere by the page, and the vehicle refused."""
+    found = ask(Snapshot(connected=True, armed=True, flying=flying, state=state))
+    assert {c for c, why in found.items() if why} - {"arm", "disarm"} == refused_then
+    assert all(len(why) < 30 for why in found.values())
+
+
+@pytest.mark.parametrize("mode", ["landing", "take-off", "return", "offboard", "stabilise", ""])
+def test_a_flight_mode_of_another_autopilot_is_no_state_of_ours(mode: str) -> None:
+    air = ask(Snapshot(connected=True, armed=True, flying=True, state=mode), kind="other")
+    assert not any(air[c] for c in ("land", "return", "go_to", "pause", "stop"))
+    floor = ask(Snapshot(connected=True, state=mode), kind="other")
+    assert not any(floor[c] for c in ("arm", "take_off", "mission"))
+    assert floor["land"] == "on the floor"
 
 
 def test_every_command_is_always_judged_and_the_reasons_are_words() -> None:

@@ -13,6 +13,7 @@ from typing import Any
 from nicegui.element import Element
 from nicegui.events import GenericEventArguments
 
+from mufly.station.checks import OWN_CHECKS
 from mufly.station.page.panels import Panel, element
 from mufly.station.page.session import View, availability, mission_label
 from mufly.station.remote import RemoteVehicle
@@ -20,7 +21,6 @@ from mufly.station.view import Outcome, Request, Snapshot
 
 CONFIRM_S = 3.0
 HEIGHT_M = (0.2, 50.0)
-OWN_CHECK = "vehicle's own checks"
 _MARKS = {
     Outcome.WAITING: "…",
     Outcome.ACCEPTED: "✓",
@@ -217,7 +217,7 @@ class CommandBar:
         unready = ""
         if vehicle is not None and not vehicle.snapshot.flying:
             # The station's other checks advise; whether it can be armed is for the vehicle to say.
-            unready = next((c.text for c in vehicle.checks if c.ok is False and c.name == OWN_CHECK), "")
+            unready = next((c.text for c in vehicle.checks if c.ok is False and c.name == OWN_CHECKS), "")
         return availability(
             vehicle.snapshot if vehicle is not None else None,
             kind=source.kind if source is not None else "other",

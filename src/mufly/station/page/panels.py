@@ -19,7 +19,8 @@ from nicegui.events import GenericEventArguments, UploadEventArguments
 
 from mufly.errors import MuflyError
 from mufly.mission import Mission, dump_mission, mission_from
-from mufly.station.page.session import View, find_recordings, parameter_file, read_parameter_file, refused
+from mufly.station.page.session import View, find_recordings, parameter_file, read_parameter_file
+from mufly.station.parameters import refused
 from mufly.station.remote import RemoteVehicle
 from mufly.station.replay import open_recording
 from mufly.station.view import MissionRow, Outcome, Request
@@ -217,7 +218,7 @@ def parameter_drawer(view: View) -> Callable[[], None]:
             return f"{name} not written: {why}"
         known = vehicle.parameters.get(name)
         if why := refused(known, name, value):
-            return why
+            return f"{name}: {why}"
         view.ask(vehicle.set_parameter(name, value))
         if undoable and known is not None:
             view.session.sheet(vehicle).wrote(name, known.value, value)
@@ -261,7 +262,7 @@ def parameter_drawer(view: View) -> Callable[[], None]:
         if vehicle is None:
             return
         # All or nothing: a file with one bad line changes nothing.
-        faults = [w for n, v in values.items() if (w := refused(vehicle.parameters.get(n), n, v))]
+        faults = [f"{n}: {w}" for n, v in values.items() if (w := refused(vehicle.parameters.get(n), n, v))]
         if why := _blocked(view) or (faults[0] if faults else ""):
             _refuse(f"nothing was written: {why}")
             return

@@ -13,11 +13,11 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from mufly.errors import InputError
 from mufly.flight import Parameter
-from mufly.mission import Mission
+from mufly.mission import Ask, Mission, may
 from mufly.station.recorder import StationRecorder
 from mufly.station.remote import RemoteVehicle
 from mufly.station.replay import Recording, Replay
@@ -237,14 +237,38 @@ def drawn_world(world: World | None) -> dict[str, Any]:
 
 # Which commands make sense now, and why the others do not: shown on the buttons themselves.
 
-COMMANDS = ("arm", "disarm", "take_off", "pause", "mission", "go_to", "land", "return", "stop")
+_ASKS = {
+    "arm": Ask.ARM,
+    "disarm": Ask.DISARM,
+    "take_off": Ask.TAKE_OFF,
+    "pause": Ask.PAUSE,
+    "mission": Ask.START,
+    "go_to": Ask.GO_TO,
+    "land": Ask.LAND,
+    "return": Ask.RETURN,
+    "stop": Ask.STOP,
+}
+COMMANDS = tuple(_ASKS)
 _UNDER_WAY = frozenset({"waypoint", "obstacle"})
+
+
+class _Situation(NamedTuple):
+    """What a vehicle tells of what decides which commands it takes."""
+
+    state: str
+    motors: str = ""
+    outcome: str = ""
+    reason: str = ""
+    manual: bool = True
 
 
 def availability(
     s: Snapshot | None, *, kind: str, has_controls: bool, rows: int, unready: str = ""
 ) -> dict[str, str]:
     """Return for every command why it cannot be given now, "" if it can.
+
+    What the state of a vehicle lets it do is decided by :func:`mufly.mission.may`; of another autopilot's vehicle only
+    whether it flies is known.
 
     Parameters
     ----------
@@ -259,39 +283,27 @@ def availability(
     unready : str
         Why it cannot be armed, "" if it can.
     """
-
-    def all_of(reason: str, stop: str | None = None) -> dict[str, str]:
-        return dict.fromkeys(COMMANDS, reason) | {"stop": reason if stop is None else stop}
-
-    if kind == "recording":
-        return all_of("a recording")
-    if s is None:
-        return all_of("no vehicle heard")
-    if not s.connected:
-        return all_of("no link", stop="")  # it may still hear us
-    if not has_controls:
-        return all_of("watching only", stop="")
-    if s.commander and not s.in_command:
-        return all_of("watching only", stop="")
-    up = "on the floor"
-    flying = s.flying
-    return {
-        "arm": "armed" if s.armed else unready,
-        "disarm": "in flight" if flying else "" if s.armed else "not armed",
-        "take_off": "in the air" if flying else "" if s.armed else unready,
-        "pause": "" if flying else up,
-        "mission": "no mission loaded" if not rows else _mission(s, unready),
-        "go_to": "" if flying else up,
-        "land": "" if flying else "on the floor",
-        "return": "" if flying else "on the floor",
-        "stop": "",
+    if kind == "recording" or s is None:
+        return dict.fromkeys(COMMANDS, "a recording" if kind == "recording" else "no vehicle heard")
+    watching = not has_controls or (s.commander and not s.in_command)
+    if not s.connected or watching:  # it may still hear us
+        return dict.fromkeys(COMMANDS, "watching only" if s.connected else "no link") | {"stop": ""}
+    situation = _Situation(s.state if kind == "mufly" else "")
+    height_m = math.nan if s.flying else 0.0
+    why = {
+        name: may(
+            ask, situation, height_m=height_m, armed=s.armed or ask is not Ask.ARM, flying=s.flying
+        ).brief
+        for name, ask in _ASKS.items()
     }
-
-
-def _mission(s: Snapshot, unready: str) -> str:
-    if s.flying:
-        return "Hover interrupts it" if s.state in _UNDER_WAY else "landing" if s.state == "landing" else ""
-    return "" if s.armed else unready
+    if s.flying and s.state in _UNDER_WAY:
+        why["mission"] = "Hover interrupts it"
+    if s.armed:
+        why["arm"] = "armed"
+    else:  # taking off and the mission arm it first
+        why |= {name: why[name] or unready for name in ("arm", "take_off", "mission")}
+        why["disarm"] = why["disarm"] or "not armed"
+    return why if rows else why | {"mission": "no mission loaded"}
 
 
 def mission_label(s: Snapshot | None, begun: bool) -> str:
@@ -363,19 +375,6 @@ class ParameterSheet:
             return None
         self._undo.append(change := self._redo.pop())
         return change.name, change.after
-
-
-def refused(parameter: Parameter | None, name: str, value: float) -> str:
-    """Return why a value cannot be written, "" if it can."""
-    if parameter is None:
-        return f"{name} is no parameter of this vehicle"
-    if not math.isfinite(value):
-        return f"{name}: {value} is no number"
-    if not parameter.least <= value <= parameter.greatest:
-        return f"{name}: {value:g} is outside {parameter.least:g} to {parameter.greatest:g} {parameter.unit}".rstrip()
-    if parameter.whole and value != round(value):
-        return f"{name}: {value:g} is not whole"
-    return ""
 
 
 def parameter_file(parameters: Mapping[str, Parameter], system: int) -> str:
