@@ -34,7 +34,7 @@ def blow(vehicle: Vehicle, controller: FlightController, sink_m_s: float) -> tup
     heights = []
     for _ in range(round(WATCH_S / flight.period_s)):
         flight.tick()
-        heights.append(-float(flight.view.position[2]))
+        heights.append(-float(flight.status.truth.position[2]))
     last = np.array(heights[-round(3.0 / flight.period_s) :])
     return float(last.min()), float(last.max())
 

@@ -9,10 +9,10 @@ import pytest
 
 from mufly.control import FlightController, design
 from mufly.dynamics import quaternion_from_euler
+from mufly.estimate import Estimate
 from mufly.flight import Flight, SetPoint
 from mufly.flight.autopilot import BATTERY_MARGIN_V, SET_POINT_S, STICKS_S, UNUSED_S, not_ready
 from mufly.mission import Mission, load_mission, mission_from
-from mufly.sensors import Measurement
 from mufly.vehicle import Vehicle, load_vehicle
 from mufly.world import World
 
@@ -57,7 +57,7 @@ class Pilot:
             if each is not None:
                 each()
             self.flight.tick()
-            self.sent.append(self.flight.view.actuators.array)
+            self.sent.append(self.flight.status.actuators.array)
         self.texts += [e.text for e in self.autopilot.events()]
 
     def fly_to(self, state: str, seconds: float = 20.0) -> None:
@@ -71,7 +71,7 @@ class Pilot:
 
     @property
     def position(self) -> np.ndarray:
-        return self.flight.view.position
+        return self.flight.status.truth.position
 
 
 @pytest.fixture
@@ -160,10 +160,10 @@ def test_goes_turns_and_returns(pilot: Pilot) -> None:
     )
     pilot.run(8.0)
     np.testing.assert_allclose(pilot.position, (0.5, 0.2, -0.8), atol=0.03)
-    assert pilot.flight.view.attitude[2] == pytest.approx(0.5, abs=0.03)
+    assert pilot.flight.status.truth.attitude[2] == pytest.approx(0.5, abs=0.03)
     assert a.turn_to(-1.0)
     pilot.run(5.0)
-    assert pilot.flight.view.attitude[2] == pytest.approx(-1.0, abs=0.03)
+    assert pilot.flight.status.truth.attitude[2] == pytest.approx(-1.0, abs=0.03)
     assert a.return_home()
     pilot.run(0.1)
     assert a.status.homing
@@ -218,7 +218,7 @@ def test_disarming_and_stopping(pilot: Pilot) -> None:
     assert a.status.motors == "spin_up"
     assert a.disarm(), "on the floor it may"
     pilot.run(0.02)
-    assert np.all(pilot.flight.view.actuators.array == 0.0)
+    assert np.all(pilot.flight.status.actuators.array == 0.0)
     assert a.status.outcome == "failed"
     pilot.take_off()
     answer = a.disarm()
@@ -244,9 +244,9 @@ def test_disarms_when_it_is_not_used(pilot: Pilot) -> None:
 # arming rules
 
 
-def standing() -> Measurement:
+def standing() -> Estimate:
     z = np.zeros(3)
-    return Measurement(1.0, np.array([0.0, 0.0, -0.07]), z, z, z, np.full(8, 1.5), 8.2)
+    return Estimate(1.0, np.array([0.0, 0.0, -0.07]), z, z, z, np.full(8, 1.5), 8.2)
 
 
 @pytest.mark.parametrize(
@@ -284,7 +284,7 @@ def test_arming_needs_measurements_that_are_fresh() -> None:
 def test_arming_needs_room_and_a_mission_that_suits(vehicle: Vehicle, controller: FlightController) -> None:
     a = Pilot(vehicle, controller, load_mission("box-on-leg")).autopilot
     assert a.not_ready() == []
-    m = a._measured
+    m = a.status.estimate
     beside = np.array([*load_mission("box-on-leg").box[0].centre_m[:2], -0.07])
     a.observe(replace(m, time_s=m.time_s + 0.005, position=beside))
     why = a.not_ready()
@@ -297,10 +297,10 @@ def test_arming_needs_room_and_a_mission_that_suits(vehicle: Vehicle, controller
 
 def test_a_used_battery_is_not_armed_with(pilot: Pilot) -> None:
     a = pilot.autopilot
-    volts = pilot.flight.view.battery_voltage
+    volts = pilot.flight.status.truth.voltage
     pilot.flight.plant.state[20] = 0.0
     pilot.run(0.1)
-    empty = pilot.flight.view.battery_voltage
+    empty = pilot.flight.status.truth.voltage
     assert empty < volts - 1.0
     assert a.set_parameter("BAT_LOW_V", round(empty - 0.5 * BATTERY_MARGIN_V, 3))
     assert "battery low" in a.arm().reason
@@ -323,13 +323,13 @@ def test_offboard_needs_a_stream_and_hovers_without(pilot: Pilot) -> None:
     assert a.offboard(True)
     pilot.run(4.0, each=stream)
     assert a.status.state == "offboard"
-    assert pilot.flight.view.velocity[0] == pytest.approx(0.3, abs=0.03)
+    assert pilot.flight.status.truth.velocity[0] == pytest.approx(0.3, abs=0.03)
     pilot.run(SET_POINT_S + 0.05)
     assert a.status.state == "hover"
     assert not a.status.offboard
     assert "set-points lost: none for 0.5 s" in pilot.texts
     pilot.run(3.0)
-    assert np.linalg.norm(pilot.flight.view.velocity) < 0.02
+    assert np.linalg.norm(pilot.flight.status.truth.velocity) < 0.02
 
 
 def test_offboard_flies_a_square_from_the_floor(pilot: Pilot) -> None:
@@ -384,7 +384,7 @@ def test_sticks_are_limited_by_their_parameters(pilot: Pilot) -> None:
     pilot.take_off(0.6)
     assert a.set_parameter("STK_TILT", 2.0)
     pilot.run(0.5, each=lambda: a.sticks(1.0, 0.0, 0.0, 0.0))
-    assert pilot.flight.view.reference[2][0] == pytest.approx(math.radians(2.0))
+    assert pilot.flight.status.reference_attitude[0] == pytest.approx(math.radians(2.0))
 
 
 # missions

@@ -66,37 +66,37 @@ def test_what_is_seen_is_what_is_recorded(vehicle, controller) -> None:
     flight.autopilot.start_mission()
     run(flight, 6.0)
     flight.tick()
-    view = flight.view
+    now = flight.status
     flight.close()
     row = flight.recorder.dataset().isel(time=-1)
-    assert float(row.time) == view.time_s == flight.time_s
+    assert float(row.time) == now.time_s == flight.time_s
     for name, value in {
-        "truth_position": view.position,
-        "truth_velocity": view.velocity,
-        "truth_rates": view.rates,
-        "truth_rotor_speed": view.rotor_speed,
-        "measured_position": view.measured.position,
-        "reference_position": view.reference_position,
-        "reference_velocity": view.reference_velocity,
-        "reference_attitude": view.reference_attitude,
-        "motor_input": view.actuators.motor_input,
-        "servo_input": view.actuators.servo_input,
-        "battery_voltage": view.battery_voltage,
-        "battery_charge": view.battery_charge,
-        "wind": view.wind,
-        "range": view.measured.ranges,
+        "truth_position": now.truth.position,
+        "truth_velocity": now.truth.velocity,
+        "truth_rates": now.truth.rates,
+        "truth_rotor_speed": now.truth.rotor_speed,
+        "measured_position": now.readings["position"].value,
+        "reference_position": now.reference_position,
+        "reference_velocity": now.reference_velocity,
+        "reference_attitude": now.reference_attitude,
+        "motor_input": now.actuators.motor_input,
+        "servo_input": now.actuators.servo_input,
+        "battery_voltage": now.truth.voltage,
+        "battery_charge": now.battery_charge,
+        "wind": now.truth.wind,
+        "range": now.readings["ranges"].value,
     }.items():
         np.testing.assert_array_equal(row[name].values, value, err_msg=name)
-    np.testing.assert_allclose(row.truth_attitude.values, view.attitude, atol=1e-12)
+    np.testing.assert_allclose(row.truth_attitude.values, now.truth.attitude, atol=1e-12)
 
 
-def test_a_view_does_not_change_afterwards(vehicle, controller) -> None:
+def test_a_state_does_not_change_afterwards(vehicle, controller) -> None:
     flight = Flight(vehicle, HOP, controller=controller, keep=False, gust=0.5)
     flight.tick()
-    view = flight.view
-    before = view.state.copy(), view.wind.copy(), view.reference[0].copy()
+    now = flight.status
+    before = now.truth.state.copy(), now.truth.wind.copy(), now.reference_position.copy()
     run(flight, 0.5)
-    for a, b in zip(before, (view.state, view.wind, view.reference[0]), strict=True):
+    for a, b in zip(before, (now.truth.state, now.truth.wind, now.reference_position), strict=True):
         np.testing.assert_array_equal(a, b)
 
 
@@ -104,13 +104,13 @@ def test_time_left_is_about_what_the_battery_lasts(vehicle, controller) -> None:
     """Predicted at the start of a hover, and again later: the two have to differ by the time in between."""
     flight = Flight(vehicle, HOP, controller=controller, keep=False)
     run(flight, 0.05)
-    assert 200.0 < flight.view.battery_left_s < 600.0
+    assert 200.0 < flight.status.battery_left_s < 600.0
     assert flight.autopilot.arm()
     assert flight.autopilot.take_off(1.0)
     run(flight, 40.0)
-    first = flight.view.battery_left_s
+    first = flight.status.battery_left_s
     run(flight, 60.0)
-    assert first - flight.view.battery_left_s == pytest.approx(60.0, abs=12.0)
+    assert first - flight.status.battery_left_s == pytest.approx(60.0, abs=12.0)
 
 
 def test_commands_fly_it_and_the_recording_says_so(vehicle, controller, tmp_path) -> None:
@@ -173,11 +173,11 @@ def test_reset_goes_back_to_the_start_and_the_clock_goes_on(vehicle, controller,
     with Flight(vehicle, HOP, controller=controller, path=path, keep=False) as flight:
         assert flight.autopilot.set_parameter("LIM_SPEED", 0.3)
         fly_it(flight)
-        used = flight.view.battery_charge
+        used = flight.status.battery_charge
         flight.reset()
         run(flight, 0.05)
-        assert flight.view.battery_charge > used
-        np.testing.assert_allclose(flight.view.position[:2], 0.0, atol=1e-3)
+        assert flight.status.battery_charge > used
+        np.testing.assert_allclose(flight.status.truth.position[:2], 0.0, atol=1e-3)
         assert flight.autopilot.parameters["LIM_SPEED"].value == pytest.approx(0.3)
         fly_it(flight)
     read = read_recording(path)

@@ -40,7 +40,7 @@ def run(flight: Flight, seconds: float) -> np.ndarray:
     sent = []
     for _ in range(round(seconds / flight.period_s)):
         flight.tick()
-        sent.append(flight.view.actuators.array)
+        sent.append(flight.status.actuators.array)
     return np.array(sent)
 
 
@@ -114,7 +114,7 @@ def test_a_speed_set_in_a_hover_is_flown_with(flight: Flight) -> None:
     top = 0.0
     for _ in range(80):
         run(flight, 0.1)
-        top = max(top, float(np.hypot(*flight.view.reference_velocity[:2])))
+        top = max(top, float(np.hypot(*flight.status.reference_velocity[:2])))
     assert top == pytest.approx(0.25, abs=1e-6)
     answer = a.set_speed(0.5)
     assert answer.reason == "from the next leg on"
@@ -135,7 +135,7 @@ def test_the_take_off_height(flight: Flight) -> None:
     assert a.arm()
     assert a.take_off()
     run(flight, 10.0)
-    assert flight.view.position[2] == pytest.approx(-0.7, abs=0.02)
+    assert flight.status.truth.position[2] == pytest.approx(-0.7, abs=0.02)
 
 
 # no bump
@@ -245,7 +245,7 @@ def test_a_pushed_helicopter_comes_back_at_the_bounds(flight: Flight, name: str,
     run(flight, 3.0)
     flight.plant.state[0] += 1.0  # a metre off, at once
     run(flight, 14.0)
-    np.testing.assert_allclose(flight.view.position, (0.0, 0.0, -1.0), atol=0.05)
+    np.testing.assert_allclose(flight.status.truth.position, (0.0, 0.0, -1.0), atol=0.05)
 
 
 def test_every_parameter_is_documented_with_its_bounds() -> None:

@@ -23,14 +23,14 @@ def plant_at(position, attitude=(0.0, 0.0, 0.0), world=EMPTY) -> Plant:
 def test_a_rotor_nearer_to_a_box_than_its_radius_has_hit_it(gap: float, hit: bool) -> None:
     box = Box((1.0, 0.0, -1.0), (1.0, 1.0, 2.0), 0.0, "crate")
     plant = plant_at((0.5 - gap, 0.0, -1.0), world=World((box,)))
-    plant.look()
+    plant.collide()
     assert ("a rotor hit the crate" in plant.crashed) is hit
 
 
 @pytest.mark.parametrize(("roll", "tipped"), [(np.radians(100.0), True), (np.radians(10.0), False)])
 def test_a_rotor_on_the_floor_is_tipped_over(roll: float, tipped: bool) -> None:
     plant = plant_at((0.0, 0.0, -0.07), (roll, 0.0, 0.0))
-    plant.look()
+    plant.collide()
     assert ("tipped over" in plant.crashed) is tipped
 
 

@@ -9,11 +9,12 @@ import pytest
 
 from mufly.control import FlightController, design
 from mufly.dynamics import DrydenWind, initial_state, standing_height
+from mufly.estimate import Estimate, IdealEstimator
 from mufly.flight import Actuators, Controllers, FlightSoftware
 from mufly.flight.plant import Plant
 from mufly.flight.software import able
 from mufly.mission import Command, Mission, mission_from
-from mufly.sensors import Measurement
+from mufly.sensors import ideal_sensors
 from mufly.vehicle import Vehicle, load_vehicle
 from mufly.world import World
 
@@ -40,9 +41,10 @@ class Bench:
         air = DrydenWind(step_s=controller.period_s)
         state = initial_state(position=(0.0, 0.0, -standing_height(vehicle)))
         self.plant = Plant(vehicle, World(), air, controller.rate_Hz, state)
+        self.sensors, self.estimator = ideal_sensors(vehicle, World(), 8), IdealEstimator()
         self.software = FlightSoftware(vehicle, controller, mission)
         self.pending = Actuators.idle()
-        self.seen: list[Measurement] = []
+        self.seen: list[Estimate] = []
         self.given: list[Command] = []
         self.sent: list[np.ndarray] = []
 
@@ -54,14 +56,14 @@ class Bench:
         self,
         seconds: float,
         command: Command | Callable[[float], Command] = NO_SIGNAL,
-        spoil: Callable[[Measurement], Measurement] = lambda m: m,
+        spoil: Callable[[Estimate], Estimate] = lambda m: m,
         until: Callable[[], bool] = lambda: False,
     ) -> None:
         end = self.plant.time_s + seconds
         while self.plant.time_s < end - 1e-9 and not until():
             if self.plant.ticks % 8 == 0:
-                self.plant.look()
-            m = spoil(self.plant.measure())
+                self.plant.collide()
+            m = spoil(self.estimator.update(self.sensors.read(self.plant.truth)))
             c = command(m.time_s) if callable(command) else command
             actuators = self.software.step(m, c)
             self.seen.append(m)
@@ -137,7 +139,7 @@ def test_spins_up_to_a_little_less_than_it_takes_to_lift_off(
 def test_on_its_legs_the_servos_stay_neutral(bench: Bench) -> None:
     """A slope, or a biased attitude, cannot be steered away there; trying to would wind the integrators up."""
 
-    def leaning(m: Measurement) -> Measurement:
+    def leaning(m: Estimate) -> Estimate:
         return replace(m, attitude=m.attitude + np.array([0.05, 0.0, 0.0]))
 
     floor = bench.height
@@ -207,7 +209,7 @@ def test_the_same_measurements_give_the_same_actuators(
 NAN = np.full(3, math.nan)
 
 
-def _without(name: str) -> Callable[[Measurement], Measurement]:
+def _without(name: str) -> Callable[[Estimate], Estimate]:
     return lambda m: replace(m, **{name: NAN})
 
 
@@ -222,10 +224,10 @@ def test_a_short_gap_is_bridged(bench: Bench, name: str) -> None:
     assert np.linalg.norm(away) < 0.05
 
 
-def _freezer() -> Callable[[Measurement], Measurement]:
-    first: list[Measurement] = []
+def _freezer() -> Callable[[Estimate], Estimate]:
+    first: list[Estimate] = []
 
-    def freeze(m: Measurement) -> Measurement:
+    def freeze(m: Estimate) -> Estimate:
         first.append(m)
         return replace(first[0], time_s=m.time_s)
 
@@ -257,7 +259,7 @@ def test_lost_for_good_it_comes_down_without_railing(bench: Bench, spoil) -> Non
 
 
 def test_what_it_does_not_need_may_be_missing(bench: Bench) -> None:
-    def spoil(m: Measurement) -> Measurement:
+    def spoil(m: Estimate) -> Estimate:
         return replace(m, ranges=np.full_like(m.ranges, math.nan), battery_voltage=math.nan)
 
     bench.take_off()

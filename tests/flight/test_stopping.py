@@ -51,7 +51,7 @@ def hovering(flight: Flight, height: float = 0.5) -> Autopilot:
 
 
 def motors(flight: Flight) -> float:
-    return float(np.abs(flight.view.actuators.array).max())
+    return float(np.abs(flight.status.actuators.array).max())
 
 
 REQUESTS: list[Callable[[Autopilot], Answer]] = [
@@ -120,7 +120,7 @@ def test_offboard_during_a_take_off_is_refused_rather_than_forgotten(flight: Fli
         assert not answer
         assert answer.temporary
         assert "0.2 m off the floor" in answer.reason
-    assert run(flight, 6.0, until=lambda: flight.view.position[2] < -0.35)
+    assert run(flight, 6.0, until=lambda: flight.status.truth.position[2] < -0.35)
     assert a.set_point(UP)
     assert a.offboard(True)
     run(flight, 0.1)
@@ -164,7 +164,7 @@ def test_a_failed_flight_takes_no_mission_instead_of_landing(flight: Flight) -> 
 
 def test_a_clock_of_measurements_that_was_set_back_is_no_reason_not_to_arm(flight: Flight) -> None:
     a = flight.autopilot
-    m = flight.view.measured
+    m = flight.status.estimate
     a.observe(replace(m, time_s=1000.0))
     for k in range(1, 200):
         a.observe(replace(m, time_s=k * flight.period_s))
@@ -189,7 +189,7 @@ def test_a_pilot_by_hand_is_told_of_a_low_battery(flight: Flight) -> None:
 def test_tipped_over_by_hand_stops_the_motors(flight: Flight) -> None:
     a = hovering(flight, 0.25)
     run(flight, 0.2, each=lambda: a.sticks(0.0, 0.0, 0.0, 0.0))
-    m = flight.view.measured
+    m = flight.status.estimate
     tipped = replace(m, time_s=m.time_s + 0.02, attitude=np.array([1.2, 0.0, 0.0]))
     for k in range(8):
         a.sticks(0.0, 0.0, 0.0, 0.0)

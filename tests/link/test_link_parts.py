@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from link_rig import Rig
 
+from mufly.estimate import Estimate
 from mufly.link.authority import watch_link
 from mufly.link.clients import MOST_HZ, Wishes
 from mufly.link.codec import Texts
@@ -19,7 +20,6 @@ from mufly.link.set_points import of_channels, of_manual_control, set_point_of
 from mufly.link.telemetry import STREAMS
 from mufly.logs.tlog import looks_like_tlog
 from mufly.mission import State
-from mufly.sensors import Measurement
 
 # streams
 
@@ -167,7 +167,7 @@ def test_every_state_has_a_mode_and_numbers_go_both_ways():
 
 
 def measured(yaw=0.0):
-    return Measurement(
+    return Estimate(
         0.0, np.array([1.0, 2.0, -3.0]), np.zeros(3), np.array([0, 0, yaw]), np.zeros(3), np.zeros(8), 7.4
     )
 

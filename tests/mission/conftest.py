@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from mufly.estimate import Estimate
 from mufly.mission import Command, MissionPlan, begin, step
 from mufly.mission.avoidance import ring
-from mufly.sensors import Measurement
 from mufly.world import distance, ranges
 
 STANDING = -0.07
@@ -84,7 +84,7 @@ def fly(
             world() if callable(world) else world, x, beams_from(x, attitude, plan.ring), plan.ring.max_range
         )
         volts = voltage(t) if voltage else 7.4
-        return Measurement(t, x.copy(), v.copy(), attitude, np.zeros(3), seen, volts)
+        return Estimate(t, x.copy(), v.copy(), attitude, np.zeros(3), seen, volts)
 
     m = measure(0.0)
     s = begin(plan, m)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mufly.estimate import Estimate
 from mufly.mission import (
     NO_SIGNAL,
     Ask,
@@ -18,7 +19,6 @@ from mufly.mission import (
     prepare,
     step,
 )
-from mufly.sensors import Measurement
 from mufly.vehicle import load_vehicle
 
 MISSION = load_mission("demonstration")
@@ -34,8 +34,8 @@ SIGNALS = {
 }
 
 
-def at_height(height: float, time: float = 0.0) -> Measurement:
-    return Measurement(
+def at_height(height: float, time: float = 0.0) -> Estimate:
+    return Estimate(
         time, np.array([0.0, 0.0, -height]), np.zeros(3), np.zeros(3), np.zeros(3), np.full(8, 1.5), 7.4
     )
 

@@ -6,9 +6,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from mufly.estimate import Estimate
 from mufly.mission import Command, State, begin, load_mission, mission_from, step
 from mufly.mission.schema import SPIN_UP_S
-from mufly.sensors import Measurement
 
 SQUARE = load_mission("demonstration")
 HOP = mission_from(
@@ -17,7 +17,7 @@ HOP = mission_from(
 
 
 def measurement(t=0.0, x=(0.0, 0.0, -0.07), v=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), volts=7.4):
-    return Measurement(t, np.array(x), np.array(v), np.array(attitude), np.zeros(3), np.full(8, 1.5), volts)
+    return Estimate(t, np.array(x), np.array(v), np.array(attitude), np.zeros(3), np.full(8, 1.5), volts)
 
 
 def after(flight, state):

@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mufly.estimate import Estimate
 from mufly.mission.machine import from_hand
 from mufly.mission.state import MissionState, State
-from mufly.sensors import Measurement
 
 FLYING = MissionState(state=State.RC, motors="fly", started=True, standing=(0.0, 0.0, -0.07), manual=True)
 
 
 def measured(height, sink):
     zero = np.zeros(3)
-    return Measurement(
+    return Estimate(
         0.0, np.array([0.0, 0.0, -height]), np.array([0.1, 0.0, sink]), zero, zero, np.ones(8), 8.0
     )
 

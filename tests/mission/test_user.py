@@ -6,10 +6,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from mufly.estimate import Estimate
 from mufly.mission import Command, SetPoint, State, begin, load_mission, mission_from, step
 from mufly.mission.schema import SPIN_UP_S, homeward
 from mufly.mission.state import LOG_KEPT
-from mufly.sensors import Measurement
 
 SQUARE = load_mission("demonstration")
 HOP = mission_from(
@@ -368,14 +368,14 @@ def test_set_points_into_a_wall_stop_at_the_clearance(rig):
 
 def test_the_log_stays_short_and_counts_on(rig):
     plan = rig.plan_for(SQUARE)
-    m = Measurement(0.0, np.array([0, 0, -0.07]), np.zeros(3), np.zeros(3), np.zeros(3), np.full(8, 1.5), 7.4)
+    m = Estimate(0.0, np.array([0, 0, -0.07]), np.zeros(3), np.zeros(3), np.zeros(3), np.full(8, 1.5), 7.4)
     s = begin(plan, m)
     for k in range(1000):
         t = 0.04 * k
         s, _ = step(
             plan,
             s,
-            Measurement(t, *([*map(np.copy, (m.position, m.velocity, m.attitude, m.rates))]), m.ranges, 7.4),
+            Estimate(t, *([*map(np.copy, (m.position, m.velocity, m.attitude, m.rates))]), m.ranges, 7.4),
             Command(rc=bool(k % 2)),
         )
     assert s.logged == 1000

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from mufly import load_vehicle
-from mufly.dynamics import initial_state
-from mufly.sensors import beam_angles, beam_directions, ideal_measurement, ideal_ranges, nearest_turn
+from mufly.dynamics import DrydenWind, initial_state
+from mufly.flight import Actuators, Plant
+from mufly.sensors import beam_angles, beam_directions, ideal_ranges, ideal_sensors, nearest_turn
 from mufly.vehicle import replace
 from mufly.world import Box, World
 
@@ -39,10 +40,25 @@ def test_a_beam_ahead_sees_the_wall_ahead_and_turns_with_the_heading() -> None:
     assert close[0] == 0.3
 
 
-def test_measured_yaw_is_continuous() -> None:
+def test_true_yaw_is_continuous_and_readings_do_not_change_afterwards() -> None:
     assert nearest_turn(-3.1, 3.1) == pytest.approx(2 * math.pi - 3.1)
-    state = initial_state(attitude=(0.0, 0.0, -3.1))
-    m = ideal_measurement(0.0, state, ranges=np.ones(8), battery_voltage=7.0, last_yaw=3.1)
-    assert m.attitude[2] == pytest.approx(2 * math.pi - 3.1)
-    state[0] = 99.0
-    assert m.position[0] == 0.0  # a measurement does not change afterwards
+    vehicle = load_vehicle("mufly-2.0")
+    plant = Plant(vehicle, World(), DrydenWind(step_s=0.005), 200.0, initial_state(attitude=(0.0, 0.0, 3.1)))
+    plant.state[6:10] = initial_state(attitude=(0.0, 0.0, -3.1))[6:10]
+    readings = ideal_sensors(vehicle, World()).read(plant.truth)
+    assert readings["attitude"].value[2] == pytest.approx(2 * math.pi - 3.1)
+    plant.state[0] = 99.0
+    assert readings["position"].value[0] == 0.0
+
+
+def test_the_ring_is_read_at_its_own_rate_and_says_when() -> None:
+    vehicle = load_vehicle("mufly-2.0")
+    plant = Plant(vehicle, World(), DrydenWind(step_s=0.005), 200.0, initial_state(position=(0, 0, -1)))
+    sensors = ideal_sensors(vehicle, World(), ring_every=8)
+    seen = []
+    for _ in range(17):
+        seen.append(sensors.read(plant.truth))
+        plant.advance(Actuators.idle())
+    assert [r["ranges"].time_s for r in seen] == [0.0] * 8 + [0.04] * 8 + [0.08]
+    assert seen[1]["ranges"] is seen[0]["ranges"]
+    assert all(r["position"].time_s == r.time_s for r in seen)

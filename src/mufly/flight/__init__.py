@@ -1,12 +1,13 @@
 """All of it at once: the flight software, the closed loop, the recorder, pictures and numbers of a flight."""
 
-from mufly.flight.autopilot import Autopilot, Status
+from mufly.flight.autopilot import Autopilot
 from mufly.flight.flight import Flight, FlightView, Progress, fly
 from mufly.flight.parameters import Parameter
 from mufly.flight.pictures import draw_flight
-from mufly.flight.plant import Demand, respond
+from mufly.flight.plant import Demand, Plant, respond
 from mufly.flight.recorder import Recorder
 from mufly.flight.software import Actuators, Controllers, FlightSoftware
+from mufly.flight.state import FlightState
 from mufly.flight.summary import Summary, summarise, summary_rows
 from mufly.logs.layout import Event, events_of, standard_layout, to_csv
 from mufly.logs.recording import read_attachments, read_recording
@@ -21,12 +22,13 @@ __all__ = [
     "Event",
     "Flight",
     "FlightSoftware",
+    "FlightState",
     "FlightView",
     "Parameter",
+    "Plant",
     "Progress",
     "Recorder",
     "SetPoint",
-    "Status",
     "Summary",
     "draw_flight",
     "events_of",

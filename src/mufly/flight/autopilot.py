@@ -15,15 +15,17 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mufly.control import FlightController
 from mufly.dynamics import hover_performance
 from mufly.errors import InputError
+from mufly.estimate import Estimate
 from mufly.flight.parameters import Parameter, Parameters
 from mufly.flight.software import Actuators, FlightSoftware
+from mufly.flight.state import FlightState
 from mufly.logs.layout import Event
 from mufly.mission import (
     ACCEPTED,
@@ -37,15 +39,14 @@ from mufly.mission import (
     Mission,
     MissionState,
     SetPoint,
+    State,
     check_geometry,
     check_mission,
     fault_of,
     later,
-    may,
     never,
     waypoint_fault,
 )
-from mufly.sensors import Measurement
 from mufly.vehicle import Vehicle
 from mufly.world import World, distance, distances
 
@@ -64,69 +65,6 @@ BATTERY_MARGIN_V = 0.2
 LEVEL = math.radians(10.0)
 STILL_M_S, STILL_RAD_S = 0.1, 0.2
 STALE_S = 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class Status:
-    """How the vehicle is.
-
-    Attributes
-    ----------
-    armed : bool
-        Whether its motors may run.
-    flying : bool
-        Whether it is off the floor.
-    landed : bool
-        On the floor with the motors off or running down.
-    state : str
-        State of the mission machine ("take-off", "hover", ...; `mufly.mission.State`).
-    motors : str
-        "off", "spin_up", "fly", "ramp_down" or "blind" (:mod:`mufly.flight.software`).
-    mission_running : bool
-        Whether the waypoints of the mission are being flown, and nothing has interrupted that.
-    begun : bool
-        The mission has been started since take-off.
-    manual : bool
-        The user has taken over from the mission, which waits.
-    homing : bool
-        It is on its way home.
-    waypoint : int
-        The one that is flown to or comes next (from 0); the number of waypoints when all are reached.
-    reached : int
-        How many were reached since take-off.
-    offboard, sticks : bool
-        Whether a program's set-points, or the pilot's sticks, are in command.
-    outcome, reason : str
-        Of the flight: "" while it is open, "succeeded" or "failed", and why.
-    mission : Mission
-        As loaded, with the limits as tuned.
-    home : (3,) tuple or None
-        Where it took off (N, E, D; m); None before it has.
-    goal : (3,) tuple or None
-        Where it is going or holds (N, E, D; m); None on the floor and by hand.
-    crashed : str
-        What it hit; "" if nothing.
-    """
-
-    armed: bool
-    flying: bool
-    landed: bool
-    state: str
-    motors: str
-    mission_running: bool
-    begun: bool
-    manual: bool
-    homing: bool
-    waypoint: int
-    reached: int
-    offboard: bool
-    sticks: bool
-    outcome: str
-    reason: str
-    mission: Mission
-    home: tuple[float, float, float] | None
-    goal: tuple[float, float, float] | None
-    crashed: str
 
 
 class Autopilot:
@@ -163,13 +101,14 @@ class Autopilot:
         self.crashed = ""
         self._armed, self._armed_s = False, 0.0
         self._ran = False
+        self._sent = _IDLE
         self._command = NO_SIGNAL
         self._sticks: Command | None = None
         self._sticks_s = 0.0
         self._set_point: SetPoint | None = None
         self._set_point_s = -math.inf
         self._offboard = False
-        self._measured: Measurement | None = None
+        self._estimate: Estimate | None = None
         self._now, self._heard_s = 0.0, -math.inf
         self._stale_s = 0.0
         self._logged = 0
@@ -182,9 +121,9 @@ class Autopilot:
 
     # one period
 
-    def observe(self, measured: Measurement) -> None:
+    def observe(self, estimate: Estimate) -> None:
         """Take notice of a measurement without a step: what arming is judged by before the first one."""
-        t = measured.time_s
+        t = estimate.time_s
         # A clock that was set back goes on; one that stands still has nothing new to say.
         alive = math.isfinite(t) and t != self._heard_s
         self._stale_s = 0.0 if alive else self._stale_s + self._period_s
@@ -192,30 +131,31 @@ class Autopilot:
         self._now = t if alive and t >= self._now else self._now + self._period_s
         if alive:
             self._heard_s = t
-        self._measured = measured
+        self._estimate = estimate
 
-    def step(self, measured: Measurement) -> Actuators:
+    def step(self, estimate: Estimate) -> Actuators:
         """Advance by one period.
 
         Parameters
         ----------
-        measured : Measurement
+        estimate : Estimate
 
         Returns
         -------
         Actuators
             All zero while it is not armed.
         """
-        self.observe(measured)
+        self.observe(estimate)
         software = self.software
         due = software.due
-        actuators = software.step(measured, self._wanted() if due or self._command.stop else NO_SIGNAL)
+        actuators = software.step(estimate, self._wanted() if due or self._command.stop else NO_SIGNAL)
         if due:
             if software.logged != self._logged:
                 self._report()
             self._look_after()
         # While the software has its motors off, what it gives is zero too.
-        return actuators if self._armed or software.motors == "off" else _IDLE
+        self._sent = actuators if self._armed or software.motors == "off" else _IDLE
+        return self._sent
 
     def _wanted(self) -> Command:
         """The signals for the mission logic: what was asked once, and what holds for as long as it is repeated."""
@@ -260,14 +200,14 @@ class Autopilot:
     def not_ready(self) -> list[str]:
         """Why it cannot be armed, each a sentence with its remedy; empty: it can."""
         plan = self.software.plan
-        m = self._measured
+        m = self._estimate
         why = not_ready(m, self._stale_s, plan.low_V, plan.mission.world, self._radius_m, self.crashed)
         if m is not None and not self.crashed and np.isfinite(m.position).all():
             fault = self._mission_fault(m)
             why += [fault] if fault else []
         return why
 
-    def _mission_fault(self, m: Measurement) -> str:
+    def _mission_fault(self, m: Estimate) -> str:
         """Whether the mission suits the place where it stands; asked again only when either has changed."""
         mission = self.software.plan.mission
         north, east = round(float(m.position[0]), 2), round(float(m.position[1]), 2)
@@ -332,16 +272,12 @@ class Autopilot:
 
     def _in_the_air(self) -> bool:
         """Off the floor: by how it is flown, and by height unless that is not known."""
-        m, s = self._measured, self.software.mission_state
+        m, s = self._estimate, self.software.mission_state
         if not self.software.flying or m is None or s is None:
             return False
         height = s.standing[2] - float(m.position[2])
         lies = height < 0.05 and float(np.abs(m.velocity).max()) < 0.1
         return not lies
-
-    def _height(self) -> float:
-        m, s = self._measured, self.software.mission_state
-        return 0.0 if m is None or s is None else s.standing[2] - float(m.position[2])
 
     @property
     def parameters(self) -> Mapping[str, Parameter]:
@@ -356,33 +292,39 @@ class Autopilot:
     # what there is to know
 
     @property
-    def status(self) -> Status:
-        """How the vehicle is, now."""
+    def status(self) -> FlightState:
+        """How the vehicle is now, as far as it is known on board."""
         software = self.software
-        s = software.mission_state
-        state = software.state
-        home = None if s is None or not s.started else s.standing
-        in_air = state not in ("init", "rc")
-        return Status(
+        s = software.mission_state or MissionState()
+        in_air = s.state not in (State.INIT, State.RC)
+        position, velocity, attitude = software.reference
+        estimate = self._estimate or Estimate()
+        return FlightState(
+            time_s=estimate.time_s,
             armed=self._armed,
             flying=self._in_the_air(),
             landed=software.motors in ("off", "ramp_down"),
-            state=state,
+            state=str(s.state),
             motors=software.motors,
-            mission_running=bool(s is not None and s.begun and not s.manual and in_air and not s.outcome),
-            begun=s is not None and s.begun,
-            manual=s is not None and s.manual,
-            homing=s is not None and s.homing,
-            waypoint=0 if s is None else s.index,
-            reached=0 if s is None else s.reached,
+            mission_running=s.begun and not s.manual and in_air and not s.outcome,
+            begun=s.begun,
+            manual=s.manual,
+            homing=s.homing,
+            waypoint=s.index,
+            reached=s.reached,
             offboard=self._offboard,
             sticks=self._sticks is not None,
-            outcome=software.outcome,
-            reason=software.reason,
-            mission=software.asked,
-            home=home,
-            goal=s.goal if s is not None and in_air else None,
+            outcome=s.outcome,
+            reason=s.reason,
             crashed=self.crashed,
+            mission=software.asked,
+            home=s.standing if s.started else None,
+            goal=s.goal if in_air else None,
+            estimate=estimate,
+            reference_position=position,
+            reference_velocity=velocity,
+            reference_attitude=attitude,
+            actuators=self._sent,
         )
 
     def note(self, text: str, level: str = "info") -> None:
@@ -423,7 +365,7 @@ class Autopilot:
         answer = self._may(ask)
         if not answer:
             return answer
-        m, mission = self._measured, self.software.plan.mission
+        m, mission = self._estimate, self.software.plan.mission
         if m is not None and np.isfinite(m.position).all():
             place = (float(m.position[0]), float(m.position[1]), float(m.position[2]))
             fault = column_fault(mission.world, place, height_m, mission.avoidance.clearance_m)
@@ -440,8 +382,8 @@ class Autopilot:
             return never(f"waypoint {first} refused: the mission has 0 to {n - 1}")
         if self.software.state == "init":
             answer = self._may_climb(Ask.START, self.software.plan.mission.take_off.height_m)
-            if answer and self._measured is not None:
-                fault = self._mission_fault(self._measured)
+            if answer and self._estimate is not None:
+                fault = self._mission_fault(self._estimate)
                 answer = later(fault) if fault else answer
         else:
             answer = self._may(Ask.START)
@@ -501,8 +443,7 @@ class Autopilot:
 
     def _may(self, ask: Ask) -> Answer:
         """Whether its state lets it."""
-        s = self.software.mission_state or MissionState()
-        return may(ask, s, height_m=self._height(), armed=self._armed, flying=self._in_the_air())
+        return self.status.may(ask)
 
     # set-points and sticks
 
@@ -563,7 +504,7 @@ class Autopilot:
             return answer
         if self._command is not NO_SIGNAL:
             return later("another request is being carried out; ask again")
-        m = self._measured
+        m = self._estimate
         known = m is not None and bool(np.isfinite(m.position).all())
         n, e = (float(m.position[0]), float(m.position[1])) if m is not None and known else mission.start_m
         fault = self._fault_of(mission, (n, e), float(m.attitude[2]) if m is not None and known else 0.0)
@@ -580,13 +521,13 @@ class Autopilot:
 
 
 def not_ready(
-    m: Measurement | None, stale_s: float, low_V: float, world: World, radius_m: float, crashed: str
+    m: Estimate | None, stale_s: float, low_V: float, world: World, radius_m: float, crashed: str
 ) -> list[str]:
     """Why it cannot be armed; empty if it can.
 
     Parameters
     ----------
-    m : Measurement or None
+    m : Estimate or None
         The latest, as received.
     stale_s : float
         For how long its clock has stood still (s).

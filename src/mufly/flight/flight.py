@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -21,13 +21,15 @@ from mufly.dynamics import (
     initial_state,
     standing_height,
 )
+from mufly.estimate import Estimate, Estimator, IdealEstimator
 from mufly.flight.autopilot import Autopilot
 from mufly.flight.plant import Plant, row_writer
 from mufly.flight.recorder import Recorder
 from mufly.flight.software import Actuators
+from mufly.flight.state import FlightState
 from mufly.logs.layout import Event, standard_layout
-from mufly.mission import Estimate, Mission, dump_mission, load_mission, preflight
-from mufly.sensors import Measurement
+from mufly.mission import Mission, MissionEstimate, dump_mission, load_mission, preflight
+from mufly.sensors import Sensors, ideal_sensors
 from mufly.vehicle import Vehicle, load_vehicle, vehicle_toml
 from mufly.version import __version__
 
@@ -41,7 +43,7 @@ class FlightView:
     Attributes
     ----------
     time_s : float
-    measured : Measurement
+    measured : Estimate
     actuators : Actuators
         What acts at this instant.
     reference : tuple of three (3,) arrays
@@ -61,7 +63,7 @@ class FlightView:
     """
 
     time_s: float
-    measured: Measurement
+    measured: Estimate
     actuators: Actuators
     reference: tuple[_Array, _Array, _Array]
     state: _Array
@@ -115,7 +117,7 @@ class FlightView:
 # One period at time ``t_k``::
 #
 #     plant integrated from t_(k-1) to t_k under a_(k-2) and the wind
-#     measurement(t_k) --> autopilot.step --> actuators a_k         takes effect at t_(k+1)
+#     truth(t_k) --> sensors --> readings --> estimator --> estimate --> autopilot.step --> actuators a_k
 #     a row of the recording, every second period
 #
 # The delay of one period is that of a processor that needs the period to compute. Nothing here knows of the clock on
@@ -152,6 +154,10 @@ class Flight:
         MCAP file to record to; without it nothing reaches the disk.
     keep : bool
         Keep every row in memory for :meth:`Recorder.dataset`; without it, memory does not grow.
+    sensors : Sensors, optional
+        By default ideal ones, the ring of beams read at 25 Hz.
+    estimator : Estimator, optional
+        By default the ideal one, which believes its readings.
 
     Raises
     ------
@@ -174,6 +180,8 @@ class Flight:
         seed: int = 0,
         path: str | Path | None = None,
         keep: bool = True,
+        sensors: Sensors | None = None,
+        estimator: Estimator | None = None,
     ) -> None:
         vehicle = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
         mission = mission if isinstance(mission, Mission) else load_mission(mission)
@@ -210,27 +218,36 @@ class Flight:
             },
             keep=keep,
         )
-        self._write = row_writer(self.recorder, self.plant)
+        self._write = row_writer(self.recorder)
         self._every = max(1, round(controller.rate_Hz / RECORD_HZ))
         self._look = max(1, round(controller.rate_Hz / RING_HZ))
+        self.sensors = sensors or ideal_sensors(vehicle, mission.world, self._look)
+        self.estimator = estimator or IdealEstimator()
         self._acting = self._sent = Actuators.idle()
-        self._measured = self._first_look()
+        self._first_look()
         self._crash_s = math.inf
         self._current_A = self.autopilot.hover_A
         self._finished = self._mission_flown = False
         self.autopilot.listeners.append(self._record)
 
-    def _first_look(self) -> Measurement:
-        self.plant.look()
-        measured = self.plant.measure()
-        self.autopilot.observe(measured)
+    def _first_look(self) -> None:
+        self.sensors.reset()
+        self.estimator.reset()
+        self.plant.collide()
+        self._measure()
+        self.autopilot.observe(self._estimate)
         self._fresh = True
-        return measured
+
+    def _measure(self) -> None:
+        """From the truth of this instant to what the vehicle believes of it."""
+        self._truth = self.plant.truth
+        self._readings = self.sensors.read(self._truth)
+        self._estimate = self.estimator.update(self._readings)
 
     @property
     def time_s(self) -> float:
-        """Time of the last measurement (s)."""
-        return self._measured.time_s
+        """Time of the last readings (s)."""
+        return self._truth.time_s
 
     def tick(self) -> None:
         """Advance by one period of the controllers."""
@@ -242,17 +259,17 @@ class Flight:
             self._acting = self._sent
         k = plant.ticks
         if k % self._look == 0:
-            plant.look()
+            plant.collide()
             flying = autopilot.software.motors == "fly"
             blend = self._look * self.period_s / _CURRENT_LAG_S
             self._current_A += blend * (
                 (float(plant.current) if flying else autopilot.hover_A) - self._current_A
             )
-        self._measured = measured = plant.measure()
-        self._sent = autopilot.step(measured)
+        self._measure()
+        self._sent = autopilot.step(self._estimate)
         if k % self._every == 0:
             software = autopilot.software
-            self._write(measured, self._acting, software.reference, software.state)
+            self._write(self._truth, self._readings, self._acting, software.reference, software.state)
         if plant.crashed:
             self._after_crash()
 
@@ -280,7 +297,7 @@ class Flight:
         x = plant.state.copy()
         return FlightView(
             time_s=self.time_s,
-            measured=self._measured,
+            measured=self._estimate,
             actuators=self._acting,
             reference=self.autopilot.software.reference,
             state=x,
@@ -291,6 +308,21 @@ class Flight:
             battery_charge=float(x[20]),
             battery_left_s=self._left_s(),
             crashed=plant.crashed,
+        )
+
+    @property
+    def status(self) -> FlightState:
+        """How everything is now."""
+        plant, truth = self.plant, self._truth
+        return replace(
+            self.autopilot.status,
+            crashed=plant.crashed,
+            readings=self._readings,
+            actuators=self._acting,
+            battery_current=float(truth.current),
+            battery_charge=truth.charge,
+            battery_left_s=self._left_s(),
+            truth=truth,
         )
 
     def _left_s(self) -> float:
@@ -307,7 +339,7 @@ class Flight:
         self.autopilot.reset()
         self._acting = self._sent = Actuators.idle()
         self._crash_s = math.inf
-        self._measured = self._first_look()
+        self._first_look()
         self.note("back at the start")
 
     def close(self, outcome: str | None = None, reason: str = "", **attributes: Any) -> None:
@@ -375,6 +407,8 @@ def fly(
     path: str | Path | None = None,
     on_progress: Callable[[Progress], None] | None = None,
     on_event: Callable[[Event], None] | None = None,
+    sensors: Sensors | None = None,
+    estimator: Estimator | None = None,
 ) -> xr.Dataset:
     """Fly a mission on the full nonlinear model.
 
@@ -400,6 +434,8 @@ def fly(
         Called with a :class:`Progress` about ten times a second.
     on_event : callable, optional
         Called with every :class:`Event`: changes of the mission's state, with the reason, and what went wrong.
+    sensors, estimator : optional
+        As for :class:`Flight`.
 
     Returns
     -------
@@ -416,31 +452,39 @@ def fly(
         vehicle = load_vehicle(vehicle)
     if not isinstance(mission, Mission):
         mission = load_mission(mission)
-    estimate = preflight(vehicle, mission)
+    expected = preflight(vehicle, mission)
     with Flight(
-        vehicle, mission, controller=controller, wind=wind, gust=gust, seed=seed, path=path
+        vehicle,
+        mission,
+        controller=controller,
+        wind=wind,
+        gust=gust,
+        seed=seed,
+        path=path,
+        sensors=sensors,
+        estimator=estimator,
     ) as flight:
         if on_event is not None:
             flight.autopilot.listeners.append(on_event)
         slower = flight.autopilot.software.slower
         if slower:
             flight.note(f"slower than asked, as the controllers can: {slower}", "warning")
-        wall_s = _run(flight, estimate, _time_limit(mission, estimate), realtime, on_progress)
+        wall_s = _run(flight, expected, _time_limit(mission, expected), realtime, on_progress)
         outcome, reason = _judge(flight)
         flight.close(outcome, reason, realtime_factor=flight.time_s / max(wall_s, 1e-9))
     return flight.recorder.dataset()
 
 
-def _time_limit(mission: Mission, estimate: Estimate) -> float:
+def _time_limit(mission: Mission, expected: MissionEstimate) -> float:
     """When a flight is taken to be stuck (s)."""
-    limit = 3.0 * estimate.duration_s + 60.0 + len(mission.waypoint) * mission.avoidance.give_up_s
+    limit = 3.0 * expected.duration_s + 60.0 + len(mission.waypoint) * mission.avoidance.give_up_s
     # One that holds at the end does so until its battery is low.
-    return limit + estimate.duration_s / estimate.fraction if mission.at_end == "hover" else limit
+    return limit + expected.duration_s / expected.fraction if mission.at_end == "hover" else limit
 
 
 def _run(
     flight: Flight,
-    estimate: Estimate,
+    expected: MissionEstimate,
     time_limit: float,
     realtime: bool,
     on_progress: Callable[[Progress], None] | None,
@@ -457,7 +501,7 @@ def _run(
         now = time.perf_counter()
         if on_progress is not None and now - shown > PROGRESS_S:
             shown = now
-            on_progress(_progress(flight, estimate.duration_s, now - began))
+            on_progress(_progress(flight, expected.duration_s, now - began))
         if realtime and flight.time_s > now - began:
             time.sleep(flight.time_s - (now - began))
         if ended_at == math.inf and (software.finished or plant.crashed or flight.time_s > time_limit):

@@ -23,9 +23,10 @@ from mufly.dynamics import (
     trim,
 )
 from mufly.errors import InputError, MuflyError
+from mufly.estimate import IdealEstimator
 from mufly.flight.recorder import Recorder
 from mufly.flight.software import Actuators, Controllers
-from mufly.sensors import Measurement, beam_directions, ideal_measurement, ideal_ranges
+from mufly.sensors import Readings, Truth, ideal_sensors, nearest_turn
 from mufly.vehicle import Vehicle
 from mufly.world import World, distance
 
@@ -67,9 +68,6 @@ class Plant:
             )
         self._steps = math.ceil(1.0 / rate_Hz / longest - 1e-9)
         self._step_s = 1.0 / rate_Hz / self._steps
-        self._directions = beam_directions(vehicle)
-        self._ring = vehicle.range_ring
-        self._ranges = np.full(vehicle.range_ring.count, float(vehicle.range_ring.max_range))
         self._legs = len(vehicle.contact.legs.value)
         self._radius = float(vehicle.rotors.radius)
         self._yaw = float(euler_from_quaternion(state[6:10])[2])
@@ -86,15 +84,8 @@ class Plant:
     def time_s(self) -> float:
         return self.ticks / self.rate_Hz
 
-    def look(self) -> None:
-        """Read the ring of beams, and see whether anything was hit."""
-        self._ranges = ideal_ranges(
-            self.state,
-            self.world,
-            self._directions,
-            min_range_m=float(self._ring.min_range),
-            max_range_m=float(self._ring.max_range),
-        )
+    def collide(self) -> None:
+        """See whether anything was hit."""
         if self.crashed:
             return
         if not self.world.empty:
@@ -110,12 +101,14 @@ class Plant:
         n, e, d = self.state[0:3]
         return f"[{n:.2f}, {e:.2f}, {d:.2f}] m, {self.time_s:.1f} s"
 
-    def measure(self) -> Measurement:
-        m = ideal_measurement(
-            self.time_s, self.state, ranges=self._ranges, battery_voltage=self.voltage, last_yaw=self._yaw
+    @property
+    def truth(self) -> Truth:
+        """All that there is to know of this instant; the state is copied."""
+        attitude = euler_from_quaternion(self.state[6:10])
+        self._yaw = attitude[2] = nearest_turn(float(attitude[2]), self._yaw)
+        return Truth(
+            self.time_s, self.ticks, self.state.copy(), attitude, self.wind, self.voltage, self.current
         )
-        self._yaw = float(m.attitude[2])
-        return m
 
     def advance(self, actuators: Actuators) -> None:
         self.wind = next(self._air)
@@ -140,41 +133,42 @@ def _stream(air: DrydenWind, block: int) -> Iterator[NDArray[np.float64]]:
 
 
 _Array = NDArray[np.float64]
-_Reference = tuple[_Array, _Array, _Array]  # position, velocity, attitude
 
 
-def row_writer(recorder: Recorder, plant: Plant) -> Callable[[Measurement, Actuators, _Reference, str], None]:
-    """Return the function that appends a row: ``write(measured, actuators, reference, state)``.
+def row_writer(
+    recorder: Recorder,
+) -> Callable[[Truth, Readings, Actuators, tuple[_Array, _Array, _Array], str], None]:
+    """Return the function that appends a row: ``write(truth, readings, actuators, reference, state)``.
 
     ``reference`` is position and velocity (N-E-D) and attitude; ``state`` the state of the mission. What the table
-    of quantities holds beyond that stays NaN.
+    of quantities holds beyond that stays NaN, and so does what no sensor reads.
     """
-    columns = recorder.layout.columns
     row = np.full(recorder.layout.width, np.nan)
+    part = {name: row[column] for name, column in recorder.layout.columns.items()}
+    true = {
+        name: part[f"truth_{name}"] for name in ("position", "velocity", "attitude", "rates", "rotor_speed")
+    }
+    seen = {name: part[f"measured_{name}"] for name in ("position", "velocity", "attitude", "rates")}
+    seen["ranges"] = part["range"]
+    wanted = [part[f"reference_{name}"] for name in ("position", "velocity", "attitude")]
 
-    def part(name: str) -> _Array:
-        return row[columns[name]]
-
-    truth = [part(f"truth_{name}") for name in ("position", "velocity", "attitude", "rates", "rotor_speed")]
-    seen = [part(f"measured_{name}") for name in ("position", "velocity", "attitude", "rates")]
-    wanted = [part(f"reference_{name}") for name in ("position", "velocity", "attitude")]
-    wind, motor, servo, beams = part("wind"), part("motor_input"), part("servo_input"), part("range")
-    voltage, current, charge = part("battery_voltage"), part("battery_current"), part("battery_charge")
-
-    def write(m: Measurement, actuators: Actuators, reference: _Reference, state: str) -> None:
-        x = plant.state
-        row[0] = m.time_s
-        true = (x[0:3], x[3:6], m.attitude, x[10:13], x[18:20])
-        measured = (m.position, m.velocity, m.attitude, m.rates)
-        for target, value in zip(truth, true, strict=True):
-            target[:] = value
-        for target, value in zip(seen, measured, strict=True):
-            target[:] = value
+    def write(
+        truth: Truth,
+        readings: Readings,
+        actuators: Actuators,
+        reference: tuple[_Array, _Array, _Array],
+        state: str,
+    ) -> None:
+        row[0] = truth.time_s
+        for name, target in true.items():
+            target[:] = getattr(truth, name)
+        for name, target in seen.items():
+            target[:] = readings[name].value if name in readings else math.nan
         for target, value in zip(wanted, reference, strict=True):
             target[:] = value
-        wind[:], motor[:], servo[:] = plant.wind, actuators.motor_input, actuators.servo_input
-        voltage[:], current[:], charge[:] = plant.voltage, plant.current, x[20]
-        beams[:] = m.ranges
+        part["wind"][:], part["battery_charge"][:] = truth.wind, truth.charge
+        part["battery_voltage"][:], part["battery_current"][:] = truth.voltage, truth.current
+        part["motor_input"][:], part["servo_input"][:] = actuators.motor_input, actuators.servo_input
         recorder.append(row, state)
 
     return write
@@ -245,20 +239,23 @@ def respond(
     plant.voltage, plant.current = hover.voltage_V, hover.current_A
     controllers = Controllers(controller)
     recorder = Recorder(None, {"vehicle": vehicle.name, "rate_Hz": controller.rate_Hz})
-    write = row_writer(recorder, plant)
-    controllers.engage(plant.measure(), hover.motor_input)
-    controllers.lift_off(plant.measure())
+    write = row_writer(recorder)
+    sensors, estimator = ideal_sensors(vehicle, World(), round(controller.rate_Hz)), IdealEstimator()
+    start_estimate = estimator.update(sensors.read(plant.truth))
+    controllers.engage(start_estimate, hover.motor_input)
+    controllers.lift_off(start_estimate)
     pending = Actuators(hover.motor_input, hover.servo_input)
     zero = np.zeros(3)
     for _ in range(round(duration_s * controller.rate_Hz) + 1):
-        measured = plant.measure()
-        s = demand(measured.time_s)
+        truth = plant.truth
+        readings = sensors.read(truth)
+        s = demand(truth.time_s)
         z = s.z - START_HEIGHT_M
         actuators = controllers.step(
-            measured, np.array([z, s.heading, 0.0, 0.0]), np.array([s.roll, s.pitch])
+            estimator.update(readings), np.array([z, s.heading, 0.0, 0.0]), np.array([s.roll, s.pitch])
         )
         wanted = np.array([0.0, 0.0, z]), zero, np.array([s.roll, s.pitch, s.heading])
-        write(measured, pending, wanted, "follow")
+        write(truth, readings, pending, wanted, "follow")
         plant.advance(pending)
         pending = actuators
     recorder.finish("succeeded")

@@ -19,6 +19,7 @@ from mufly.control import (
     roll_pitch_initial,
     roll_pitch_step,
 )
+from mufly.estimate import Estimate, Watch, watch
 from mufly.mission import (
     NO_SIGNAL,
     RAMP_DOWN_S,
@@ -40,7 +41,6 @@ from mufly.mission import (
     step,
     stop_at_once,
 )
-from mufly.sensors import Measurement
 from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.floating[Any]]
@@ -143,25 +143,25 @@ class Controllers:
         if not far:
             self._design, self._settled = self._target, True
 
-    def engage(self, measured: Measurement, motor_input: _Array) -> None:
+    def engage(self, estimate: Estimate, motor_input: _Array) -> None:
         """Let heave-yaw take over, without a bump, from motors that run at ``motor_input`` (upper, lower)."""
         self._heave_yaw = heave_yaw_initial(
-            self._design.heave_yaw_gains, _heave_yaw(measured), motor_input, measured.battery_voltage
+            self._design.heave_yaw_gains, _heave_yaw(estimate), motor_input, estimate.battery_voltage
         )
 
-    def lift_off(self, measured: Measurement) -> None:
+    def lift_off(self, estimate: Estimate) -> None:
         """Let roll-pitch and position take over, from neutral servos."""
-        self._roll_pitch = roll_pitch_initial(self._design.roll_pitch_gains, _roll_pitch(measured))
+        self._roll_pitch = roll_pitch_initial(self._design.roll_pitch_gains, _roll_pitch(estimate))
         self._position = position_initial(self._design.position_gains)
 
     def tilt_for(
-        self, measured: Measurement, position: _Array, velocity: _Array, acceleration: _Array
+        self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array
     ) -> _Array:
         """Advance the position cascade by one of its periods.
 
         Parameters
         ----------
-        measured : Measurement
+        estimate : Estimate
         position, velocity, acceleration : (3,) array
             References, N-E-D (m, m/s, m/s2).
 
@@ -176,18 +176,18 @@ class Controllers:
             position,
             velocity,
             acceleration,
-            measured.position,
-            measured.velocity,
-            measured.attitude[2],
+            estimate.position,
+            estimate.velocity,
+            estimate.attitude[2],
         )
         return tilt
 
-    def step(self, measured: Measurement, heave_yaw: _Array, tilt: _Array | None) -> Actuators:
+    def step(self, estimate: Estimate, heave_yaw: _Array, tilt: _Array | None) -> Actuators:
         """Advance heave-yaw, and roll-pitch unless ``tilt`` is None, by one period.
 
         Parameters
         ----------
-        measured : Measurement
+        estimate : Estimate
         heave_yaw : (4,) array
             References: z (m, down), psi (rad, continuous) and their rates.
         tilt : (2,) array or None
@@ -203,17 +203,17 @@ class Controllers:
         servo: _Array = np.zeros(2)
         if tilt is not None:
             self._heave_yaw = heave_wait(
-                self._design.heave_yaw_gains, self._heave_yaw, float(measured.position[2])
+                self._design.heave_yaw_gains, self._heave_yaw, float(estimate.position[2])
             )
             servo, self._roll_pitch = roll_pitch_step(
-                self._design.roll_pitch_gains, self._roll_pitch, tilt, _roll_pitch(measured)
+                self._design.roll_pitch_gains, self._roll_pitch, tilt, _roll_pitch(estimate)
             )
         motor, self._heave_yaw = heave_yaw_step(
             self._design.heave_yaw_gains,
             self._heave_yaw,
             heave_yaw,
-            _heave_yaw(measured),
-            measured.battery_voltage,
+            _heave_yaw(estimate),
+            estimate.battery_voltage,
         )
         return Actuators(motor, servo)
 
@@ -225,11 +225,11 @@ def copied(record: np.void) -> np.void:
     return cast(np.void, own[()])
 
 
-def _heave_yaw(m: Measurement) -> _Array:
+def _heave_yaw(m: Estimate) -> _Array:
     return np.array([m.position[2], m.attitude[2], m.rates[2]])
 
 
-def _roll_pitch(m: Measurement) -> _Array:
+def _roll_pitch(m: Estimate) -> _Array:
     return np.array([m.attitude[0], m.attitude[1], m.rates[0], m.rates[1]])
 
 
@@ -276,97 +276,6 @@ def sink(held_up_V: _Array, left_s: float, battery_V: float) -> _Array:
 def way_down_s(height_m: float, gravity: float) -> float:
     """How long a blind way down takes from a height (m), with a second to spare (s); ``gravity`` in m/s2."""
     return math.sqrt(2.0 * max(0.0, height_m) / ((1.0 - SINK_SHARE**2) * gravity)) + _MARGIN_S
-
-
-# ----------------------------------------------------------------------------
-# Measurements that cannot be right: bridged for a moment, then reported as lost.
-#
-# A value that is not finite, or all of position, velocity, attitude and rates repeated to the last bit (a sensor or
-# link
-# that hangs; in flight the battery alone sees to it that something moves), is a fault. The last good values stand in
-# for
-# it. That is good for as long as they are nearly true; how long it has lasted is told to the flight software.
-#
-# Ranges that are not finite count as nothing seen. A voltage that is not positive is replaced by the last good one,
-# for
-# as long as it takes: the battery changes slowly, and the control law bounds what it believes.
-
-
-_VITAL = ("position", "velocity", "attitude", "rates")
-
-
-@dataclass(frozen=True, slots=True)
-class Watch:
-    """What is remembered from one measurement to the next.
-
-    Attributes
-    ----------
-    values : list of 12 floats
-        Position, velocity, attitude and rates as they came last.
-    good : Measurement
-        The last good value of each quantity.
-    lost_s : float
-        For how long position, velocity, attitude or rates have been missing or frozen (s).
-    what : str
-        Which, in words.
-    """
-
-    values: list[float]
-    good: Measurement
-    lost_s: float = 0.0
-    what: str = ""
-
-
-def watch(before: Watch | None, m: Measurement, period_s: float, max_range_m: float) -> Watch:
-    """Judge a measurement.
-
-    Parameters
-    ----------
-    before : Watch or None
-        From the measurement before; None at the first.
-    m : Measurement
-        As received.
-    period_s : float
-        Time since the one before (s), by the clock of the flight software.
-    max_range_m : float
-        What a beam that sees nothing returns (m).
-
-    Returns
-    -------
-    Watch
-        Its ``good`` is the measurement to work with: finite, and on a clock that moves on.
-    """
-    values = [*m.position.tolist(), *m.velocity.tolist(), *m.attitude.tolist(), *m.rates.tolist()]
-    frozen = before is not None and values == before.values
-    later = before is None or m.time_s > before.good.time_s
-    # The sum of finite numbers of any sensible size is finite: one question for all, since this runs in every period.
-    whole = math.isfinite(sum(values)) and math.isfinite(m.time_s) and later
-    seen = (before is not None and m.ranges is before.good.ranges) or math.isfinite(sum(m.ranges.tolist()))
-    if whole and seen and 0.0 < m.battery_voltage < math.inf and not frozen:
-        return Watch(values, m)
-    bad = [name for name in _VITAL if not np.all(np.isfinite(getattr(m, name)))]
-    good = _mended(before, m, bad, period_s, max_range_m)
-    if not bad and not frozen:
-        return Watch(values, good)
-    lost_s = 0.0 if before is None else before.lost_s
-    return Watch(values, good, lost_s + period_s, " and ".join(bad) or "all, which is frozen")
-
-
-def _mended(
-    before: Watch | None, m: Measurement, bad: list[str], period_s: float, max_range_m: float
-) -> Measurement:
-    """The measurement with the last good values in place of bad ones; zero where there are none yet."""
-    replaced: dict[str, Any] = {
-        name: np.zeros(3) if before is None else getattr(before.good, name) for name in bad
-    }
-    last_s = 0.0 if before is None else before.good.time_s
-    if not math.isfinite(m.time_s) or (before is not None and m.time_s <= last_s):
-        replaced["time_s"] = last_s + period_s
-    if not np.all(np.isfinite(m.ranges)):
-        replaced["ranges"] = np.where(np.isfinite(m.ranges), m.ranges, max_range_m)
-    if not 0.0 < m.battery_voltage < math.inf:
-        replaced["battery_voltage"] = 1.0 if before is None else before.good.battery_voltage
-    return replace(m, **replaced)
 
 
 # ----------------------------------------------------------------------------
@@ -544,12 +453,12 @@ class FlightSoftware:
         heading = r.heading + self._late_s * r.heading_rate
         return r.position + self._late_s * r.velocity, r.velocity, np.array([*self._tilt, heading])
 
-    def step(self, measured: Measurement, command: Command) -> Actuators:
+    def step(self, estimate: Estimate, command: Command) -> Actuators:
         """Advance by one period.
 
         Parameters
         ----------
-        measured : Measurement
+        estimate : Estimate
         command : Command
             The user's signals; one given between two steps of the mission logic is kept for the next.
 
@@ -557,7 +466,7 @@ class FlightSoftware:
         -------
         Actuators
         """
-        self._watch = watch(self._watch, measured, self._period_s, self._plan.ring.max_range)
+        self._watch = watch(self._watch, estimate, self._period_s, self._plan.ring.max_range)
         m = self._watch.good
         if self._mission is None:
             self._mission = begin(self._plan, m)
@@ -579,7 +488,7 @@ class FlightSoftware:
             return self._fly(r, m)
         return self._on_the_floor(r.motors, m)
 
-    def _stop_at_once(self, why: str, m: Measurement) -> Actuators:
+    def _stop_at_once(self, why: str, m: Estimate) -> Actuators:
         assert self._mission is not None
         self._ticks += 1
         self._mission = stop_at_once(replace(self._mission, time_s=m.time_s), why)
@@ -616,12 +525,12 @@ class FlightSoftware:
             self._motor_input = sink(self._held_up, left_s, w.good.battery_voltage)
         return Actuators(self._motor_input, np.zeros(2))
 
-    def _way_down_s(self, m: Measurement) -> float:
+    def _way_down_s(self, m: Estimate) -> float:
         assert self._mission is not None
         height = self._mission.standing[2] - float(m.position[2])
         return way_down_s(height, float(self._controller.position_gains["gravity"]))
 
-    def _switch(self, motors: str, m: Measurement) -> None:
+    def _switch(self, motors: str, m: Estimate) -> None:
         """Engage or release the controllers without a bump."""
         if motors == "fly":
             self._controllers.engage(m, self._motor_input)
@@ -632,7 +541,7 @@ class FlightSoftware:
         self._motors, self._since_s = motors, m.time_s
         self._released = self._motor_input
 
-    def _on_the_floor(self, motors: str, m: Measurement) -> Actuators:
+    def _on_the_floor(self, motors: str, m: Estimate) -> Actuators:
         elapsed = m.time_s - self._since_s
         if motors == "spin_up":
             hover_V = self._controller.motor_trim * self._controller.voltage_V
@@ -644,7 +553,7 @@ class FlightSoftware:
         self._tilt = np.zeros(2)
         return Actuators(self._motor_input, np.zeros(2))
 
-    def _fly(self, r: Reference, m: Measurement) -> Actuators:
+    def _fly(self, r: Reference, m: Estimate) -> Actuators:
         if not self._lifted and m.position[2] < self._floor - LIFT_OFF_M:
             self._lifted = True
             self._controllers.lift_off(m)

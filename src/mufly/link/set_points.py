@@ -40,11 +40,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from mufly.estimate import Estimate
 from mufly.flight import Autopilot
 from mufly.link.codec import MavMessage
 from mufly.link.conventions import ABOVE_ORIGIN, ABOVE_SEA, Origin
 from mufly.mission import ACCEPTED, Answer, SetPoint, later
-from mufly.sensors import Measurement
 
 Triple = tuple[float, float, float]
 
@@ -53,13 +53,13 @@ _LOCAL, _OFFSET, _BODY = 1, 7, (8, 9, 12)
 _INT32_MAX = 2**31 - 1
 
 
-def set_point_of(message: MavMessage, measured: Measurement, origin: Origin | None) -> SetPoint | None:
+def set_point_of(message: MavMessage, measured: Estimate, origin: Origin | None) -> SetPoint | None:
     """Return what a message asks for; None if that is nothing, or nothing that is understood here.
 
     Parameters
     ----------
     message : SET_POSITION_TARGET_LOCAL_NED or SET_POSITION_TARGET_GLOBAL_INT
-    measured : Measurement
+    measured : Estimate
         Where it is now, for frames that start there.
     origin : Origin or None
         For frames on the globe.

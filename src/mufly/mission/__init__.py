@@ -3,7 +3,7 @@
 from mufly.mission.answers import ACCEPTED, GO_AROUND_M, OFF_FLOOR_M, STOPPING, Answer, Ask, later, may, never
 from mufly.mission.check import (
     SHARE,
-    Estimate,
+    MissionEstimate,
     builtin_missions,
     check_geometry,
     check_mission,
@@ -45,11 +45,11 @@ __all__ = [
     "Answer",
     "Ask",
     "Command",
-    "Estimate",
     "Event",
     "Leg",
     "Limits",
     "Mission",
+    "MissionEstimate",
     "MissionPlan",
     "MissionState",
     "Reference",

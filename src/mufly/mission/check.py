@@ -153,7 +153,7 @@ _SEEN_M = 0.15
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class MissionEstimate:
     """What a mission takes, as planned.
 
     Attributes
@@ -174,7 +174,7 @@ class Estimate:
 
 def check_mission(
     mission: Mission, *, hover_current_A: float, capacity_Ah: float, where: str = ""
-) -> Estimate:
+) -> MissionEstimate:
     """Estimate time and charge of a mission and refuse it if the battery does not last.
 
     Parameters
@@ -190,7 +190,7 @@ def check_mission(
 
     Returns
     -------
-    Estimate
+    MissionEstimate
         Time, length and charge.
 
     Raises
@@ -254,7 +254,7 @@ def check_mission(
             raise InputError(where, "at_end", problem, remedy + 'end with "land", or fly less far')
     length -= mission.waypoint[-1].position_m[2]
     charge = time * hover_current_A / 3600.0
-    return Estimate(time, length, charge, charge / capacity_Ah)
+    return MissionEstimate(time, length, charge, charge / capacity_Ah)
 
 
 def _seconds(t: float) -> str:
@@ -337,7 +337,7 @@ def dump_mission(mission: Mission) -> str:
 
 def preflight(
     vehicle: Vehicle, mission: Mission, *, vehicle_file: str = "", mission_file: str = ""
-) -> Estimate:
+) -> MissionEstimate:
     """Check that the vehicle hovers, that the mission suits it and that its battery lasts.
 
     Parameters
@@ -350,7 +350,7 @@ def preflight(
 
     Returns
     -------
-    Estimate
+    MissionEstimate
         Time, length and charge.
 
     Raises

@@ -30,6 +30,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from mufly.estimate import Estimate
 from mufly.mission import phases
 from mufly.mission.answers import Ask, may
 from mufly.mission.avoidance import BRAKE_M_S2, hold_off, observe
@@ -49,7 +50,6 @@ from mufly.mission.phases import (
 from mufly.mission.schema import LOWEST_M, SPIN_UP_S
 from mufly.mission.state import Command, MissionPlan, MissionState, Reference, State, Triple, enter, fail, log
 from mufly.mission.trajectory import Trajectory, stop, straight
-from mufly.sensors import Measurement
 
 _FLYING = frozenset({State.TAKE_OFF, State.HOVER, State.WAYPOINT, State.OBSTACLE, State.OFFBOARD})
 _TIPPED = math.radians(60.0)
@@ -69,7 +69,7 @@ _PHASES = {
 
 
 def step(
-    plan: MissionPlan, state: MissionState, measured: Measurement, command: Command
+    plan: MissionPlan, state: MissionState, estimate: Estimate, command: Command
 ) -> tuple[MissionState, Reference]:
     """Advance the mission by one step.
 
@@ -79,7 +79,7 @@ def step(
         From `prepare`: the mission and the vehicle's numbers.
     state : MissionState
         From `begin` or the step before.
-    measured : Measurement
+    estimate : Estimate
         Measured now; the time step is the difference of its time and the state's (half a second at most).
     command : Command
         The user's signals.
@@ -91,18 +91,18 @@ def step(
     reference : Reference
         What the controllers have to follow now.
     """
-    dt = min(max(measured.time_s - state.time_s, 0.0), 0.5)
-    s = _sense(plan, state, measured, dt)
-    s = _signals(plan, s, measured, command, dt)
+    dt = min(max(estimate.time_s - state.time_s, 0.0), 0.5)
+    s = _sense(plan, state, estimate, dt)
+    s = _signals(plan, s, estimate, command, dt)
     if s.state is State.OFFBOARD:
-        s = track(plan, s, measured, command, dt)
+        s = track(plan, s, estimate, command, dt)
     phase = _PHASES.get(s.state)
     if phase is not None:
-        s = phase(plan, s, measured, dt)
-    return s, reference(plan, s, measured, command)
+        s = phase(plan, s, estimate, dt)
+    return s, reference(plan, s, estimate, command)
 
 
-def _sense(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> MissionState:
+def _sense(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
     """Move the clocks, watch the battery, remember what the beams see."""
     clock = s.clock_s + dt
     if s.state is State.WAYPOINT and isinstance(s.motion, Trajectory):
@@ -128,7 +128,7 @@ def _sense(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> Mis
     )
 
 
-def _gate_open(plan: MissionPlan, s: MissionState, m: Measurement, way: Trajectory) -> bool:
+def _gate_open(plan: MissionPlan, s: MissionState, m: Estimate, way: Trajectory) -> bool:
     """Whether height and heading are adapted in fact, and the beams have had a look around."""
     at = way.at(way.gate_s)
     angle, _ = swing(plan, s)
@@ -139,7 +139,7 @@ def _gate_open(plan: MissionPlan, s: MissionState, m: Measurement, way: Trajecto
     )
 
 
-def _signals(plan: MissionPlan, s: MissionState, m: Measurement, c: Command, dt: float) -> MissionState:
+def _signals(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, dt: float) -> MissionState:
     """Transitions that do not depend on what the present state is busy with."""
     if c.stop:
         return stop_at_once(s, c.stop)
@@ -158,7 +158,7 @@ def _signals(plan: MissionPlan, s: MissionState, m: Measurement, c: Command, dt:
     return s if s.state is State.INIT and s.motors != "off" else _asked(plan, s, m, c)
 
 
-def _asked(plan: MissionPlan, s: MissionState, m: Measurement, c: Command) -> MissionState:
+def _asked(plan: MissionPlan, s: MissionState, m: Estimate, c: Command) -> MissionState:
     """What the user wants, where the state lets it."""
 
     def granted(ask: Ask) -> bool:
@@ -190,7 +190,7 @@ def _asked(plan: MissionPlan, s: MissionState, m: Measurement, c: Command) -> Mi
     return s
 
 
-def _tipped_over(s: MissionState, m: Measurement) -> bool:
+def _tipped_over(s: MissionState, m: Estimate) -> bool:
     near = m.position[2] > s.standing[2] - 0.3
     return bool(near and s.motors != "off" and max(abs(m.attitude[0]), abs(m.attitude[1])) > _TIPPED)
 
@@ -331,7 +331,7 @@ def _broken_off(plan: MissionPlan, s: MissionState, signal: str) -> MissionState
 # RC
 
 
-def to_hand(s: MissionState, m: Measurement) -> MissionState:
+def to_hand(s: MissionState, m: Estimate) -> MissionState:
     """RC signal: the pilot takes over, from any state."""
     x, psi = measured_at(m), float(m.attitude[2])
     return enter(
@@ -348,7 +348,7 @@ def to_hand(s: MissionState, m: Measurement) -> MissionState:
     )
 
 
-def by_hand(s: MissionState, m: Measurement, c: Command, dt: float) -> MissionState:
+def by_hand(s: MissionState, m: Estimate, c: Command, dt: float) -> MissionState:
     """The pilot's sticks move the references of height and heading; a climb from the floor starts the rotors."""
     if s.motors == "off":
         x = measured_at(m)
@@ -365,7 +365,7 @@ def by_hand(s: MissionState, m: Measurement, c: Command, dt: float) -> MissionSt
     return replace(s, hold=(n, e, depth), heading=s.heading + c.yaw_rate * dt, sink=-c.climb)
 
 
-def from_hand(s: MissionState, m: Measurement) -> MissionState:
+def from_hand(s: MissionState, m: Estimate) -> MissionState:
     """RC off: hover where it is, or back to init on the floor."""
     x, psi = measured_at(m), float(m.attitude[2])
     if s.motors != "fly" or _lies(s, m):
@@ -386,7 +386,7 @@ def from_hand(s: MissionState, m: Measurement) -> MissionState:
     return enter(s, State.HOVER, "RC off", motion=brake, hold=at, goal=at, heading=psi, manual=True)
 
 
-def _lies(s: MissionState, m: Measurement) -> bool:
+def _lies(s: MissionState, m: Estimate) -> bool:
     return bool(m.position[2] > s.standing[2] - 0.1 and abs(m.velocity[2]) < 0.1)
 
 
@@ -406,7 +406,7 @@ def _down(s: MissionState, why: str) -> MissionState:
 # set-points
 
 
-def to_set_points(s: MissionState, m: Measurement, wanted: SetPoint) -> MissionState:
+def to_set_points(s: MissionState, m: Estimate, wanted: SetPoint) -> MissionState:
     """A program takes over in flight; or on the floor, once it wants to go up."""
     if fault_of(wanted):
         return s
@@ -438,7 +438,7 @@ def to_set_points(s: MissionState, m: Measurement, wanted: SetPoint) -> MissionS
     return enter(fresh, State.OFFBOARD, "offboard: set-points, taking off", motors="spin_up")
 
 
-def track(plan: MissionPlan, s: MissionState, m: Measurement, c: Command, dt: float) -> MissionState:
+def track(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, dt: float) -> MissionState:
     """Follow the set-point, no faster than the mission's limits and into nothing that the beams have seen."""
     if s.motors == "spin_up":
         if s.clock_s < SPIN_UP_S:
@@ -457,7 +457,7 @@ def track(plan: MissionPlan, s: MissionState, m: Measurement, c: Command, dt: fl
     return replace(s, tracker=t, hold=t.position, goal=t.position, heading=t.heading)
 
 
-def from_set_points(plan: MissionPlan, s: MissionState, m: Measurement) -> MissionState:
+def from_set_points(plan: MissionPlan, s: MissionState, m: Estimate) -> MissionState:
     """No more set-points: hover where the reference comes to rest, or stay on the floor."""
     if s.motors != "fly" or _lies(s, m):
         s = replace(s, outcome="succeeded", reason="landed") if s.outcome == "" else s

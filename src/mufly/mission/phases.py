@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from mufly.estimate import Estimate
 from mufly.mission.avoidance import BRAKE_M_S2, begin_detour, blocked, go_round, look
 from mufly.mission.schema import LOWEST_M, SLOW_FROM_M, SPIN_UP_S, leg_trajectory
 from mufly.mission.state import Command, MissionPlan, MissionState, Reference, State, Triple, enter, fail, log
 from mufly.mission.trajectory import Point, Stop, Trajectory, stop, straight
-from mufly.sensors import Measurement
 
 SWEEP_PERIOD_S = 4.0
 """Period of the nose's swing while scanning; every direction is looked at once in half of it (s)."""
@@ -64,7 +64,7 @@ def swing(plan: MissionPlan, s: MissionState) -> tuple[float, float]:
     return size * math.sin(omega * s.time_s), size * omega * math.cos(omega * s.time_s)
 
 
-def reference(plan: MissionPlan, s: MissionState, m: Measurement, c: Command) -> Reference:
+def reference(plan: MissionPlan, s: MissionState, m: Estimate, c: Command) -> Reference:
     """What the controllers have to follow now."""
     if s.state is State.RC:
         position = np.array((m.position[0], m.position[1], s.hold[2]))
@@ -122,7 +122,7 @@ def land(s: MissionState, why: str, *, level: str = "info") -> MissionState:
     )
 
 
-def sink(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> MissionState:
+def sink(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
     """Sink, slower before the floor, and go on below it until the legs carry the weight; then stop the rotors."""
     if s.motors == "ramp_down":
         if s.clock_s < RAMP_DOWN_S:
@@ -182,7 +182,7 @@ def _triple(x: tuple[float, ...]) -> Triple:
     return x[0], x[1], x[2]
 
 
-def measured_at(m: Measurement) -> Triple:
+def measured_at(m: Estimate) -> Triple:
     """Position as three numbers (N, E, D; m)."""
     n, e, d = m.position.tolist()
     return n, e, d
@@ -191,7 +191,7 @@ def measured_at(m: Measurement) -> Triple:
 # init and take-off
 
 
-def stand(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> MissionState:
+def stand(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
     """On the floor; the motors run down after a flight."""
     if s.motors == "ramp_down" and s.clock_s > RAMP_DOWN_S:
         return replace(s, motors="off", finished=s.outcome != "")
@@ -201,7 +201,7 @@ def stand(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> Miss
 def start(
     plan: MissionPlan,
     s: MissionState,
-    m: Measurement,
+    m: Estimate,
     *,
     height: float | None = None,
     first: int | None = None,
@@ -228,7 +228,7 @@ def start(
     return enter(fresh, State.TAKE_OFF, why, motors="spin_up", goal=goal, motion=motion)
 
 
-def take_off(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> MissionState:
+def take_off(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
     """Spin up, climb, and judge whether that works."""
     if s.motors == "spin_up":
         return s if s.clock_s < SPIN_UP_S else replace(s, motors="fly", clock_s=0.0, entered_s=s.time_s)
@@ -254,7 +254,7 @@ def take_off(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> M
 # hover and waypoint
 
 
-def hover(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> MissionState:
+def hover(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
     """Wait, and give the next signal when it is time."""
     if s.outcome == "failed":
         return land(s, s.reason, level="warning") if s.time_s >= s.ready_s else s
@@ -343,7 +343,7 @@ def go_home(plan: MissionPlan, s: MissionState, why: str) -> MissionState:
     return set_out(plan, s, why, way, manual=True, homing=True)
 
 
-def fly_leg(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> MissionState:
+def fly_leg(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
     """Fly to the goal and judge whether it is reached."""
     way = s.motion
     assert isinstance(way, Trajectory)
@@ -413,7 +413,7 @@ def _watch(plan: MissionPlan, s: MissionState) -> MissionState:
     return enter(s, State.OBSTACLE, why, back=s.state, detour=detour, heading=at.heading, motion=None)
 
 
-def avoid(plan: MissionPlan, s: MissionState, m: Measurement, dt: float) -> MissionState:
+def avoid(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
     """Go round the obstacle, then back to what it was doing."""
     assert s.detour is not None
     q = plan.mission.avoidance

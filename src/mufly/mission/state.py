@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
+from mufly.estimate import Estimate
 from mufly.mission.avoidance import Detour, Memory, Ring, ring
 from mufly.mission.offboard import SetPoint, Tracker
 from mufly.mission.schema import Mission
 from mufly.mission.trajectory import Limits, Stop, Trajectory
-from mufly.sensors import Measurement
 from mufly.vehicle import Vehicle
 
 Motors = Literal["off", "spin_up", "fly", "ramp_down", "blind"]
@@ -304,25 +304,25 @@ class MissionState:
     tracker: Tracker | None = None
 
 
-def begin(plan: MissionPlan, measured: Measurement) -> MissionState:
+def begin(plan: MissionPlan, estimate: Estimate) -> MissionState:
     """State before the start signal: on the floor, motors off.
 
     Parameters
     ----------
     plan : MissionPlan
         From `prepare`.
-    measured : Measurement
+    estimate : Estimate
         Where it stands.
     """
-    n, e, d = measured.position.tolist()
+    n, e, d = estimate.position.tolist()
     return MissionState(
-        time_s=measured.time_s,
-        entered_s=measured.time_s,
+        time_s=estimate.time_s,
+        entered_s=estimate.time_s,
         hold=(n, e, d),
         standing=(n, e, d),
-        heading=float(measured.attitude[2]),
-        battery_V=float(measured.battery_voltage),
-        events=(Event(measured.time_s, State.INIT, f"ready for {plan.mission.name}"),),
+        heading=float(estimate.attitude[2]),
+        battery_V=float(estimate.battery_voltage),
+        events=(Event(estimate.time_s, State.INIT, f"ready for {plan.mission.name}"),),
         logged=1,
     )
 

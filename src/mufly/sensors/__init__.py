@@ -1,19 +1,33 @@
-"""What does it feel? Measurements made from the true state and the world."""
+"""What does it feel? Readings made from the true state and the world."""
 
 from mufly.sensors.readings import (
-    Measurement,
+    IdealBattery,
+    IdealMotion,
+    IdealRing,
+    Reading,
+    Readings,
+    Sensor,
+    Sensors,
+    Truth,
     beam_angles,
     beam_directions,
-    ideal_measurement,
     ideal_ranges,
+    ideal_sensors,
     nearest_turn,
 )
 
 __all__ = [
-    "Measurement",
+    "IdealBattery",
+    "IdealMotion",
+    "IdealRing",
+    "Reading",
+    "Readings",
+    "Sensor",
+    "Sensors",
+    "Truth",
     "beam_angles",
     "beam_directions",
-    "ideal_measurement",
     "ideal_ranges",
+    "ideal_sensors",
     "nearest_turn",
 ]

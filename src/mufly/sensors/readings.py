@@ -1,55 +1,190 @@
-"""What the flight software is told at one instant: a table of measured values on the clock of the vehicle."""
+"""What does it feel? Readings, as a processor would get them, and the ideal sensors: the truth, sampled.
+
+A sensor turns the :class:`Truth` of a simulation into :class:`Reading` s, by the names of the table of quantities
+("position", "ranges", "battery_voltage", ...) or by its own; all of one instant are the :class:`Readings` that an
+estimator gets (:mod:`mufly.estimate`). Real sensors with noise, delay and clipping take the place of ideal ones one by
+one: a sensor of a name that is there already hides the one before it.
+
+The ring of beams (Fig. 6.18) turns and tilts with the fuselage: beam ``i`` of ``n`` points along
+``alpha_i = alpha_0 + 2 pi i / n`` from x towards y, in the x-y plane of the body.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.dynamics import euler_from_quaternion, rotation
+from mufly.dynamics import rotation
 from mufly.vehicle import Vehicle
 from mufly.world import World, ranges
 
+_Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True, slots=True)
-class Measurement:
-    """Measured values at one instant.
+class Truth:
+    """What only a simulation knows of one instant.
 
     Attributes
     ----------
     time_s : float
-        Time since the start of the recording.
-    position : (3,) array
-        N, E, D (m), of the centre of gravity.
-    velocity : (3,) array
-        N, E, D (m/s).
+    tick : int
+        Periods of the flight software since the start.
+    state : (21,) array
+        State of the flight model (:mod:`mufly.dynamics.state`), at this instant and for good.
     attitude : (3,) array
-        Roll, pitch, yaw (rad); yaw is continuous (it does not jump at +-pi).
-    rates : (3,) array
-        p, q, r (rad/s), body axes.
-    ranges : (n,) array
-        Distance to the nearest obstacle along each beam of the range ring (m); the ring's greatest range
-        where nothing was seen.
-    battery_voltage : float
-        Terminal voltage (V).
+        Of it: roll, pitch, yaw (rad); yaw is continuous (it does not jump at +-pi).
+    wind : (3,) array
+        Velocity of the air, N-E-D (m/s).
+    voltage, current : float
+        Of the battery (V, A).
     """
 
     time_s: float
-    position: NDArray[np.float64]
-    velocity: NDArray[np.float64]
-    attitude: NDArray[np.float64]
-    rates: NDArray[np.float64]
-    ranges: NDArray[np.float64]
-    battery_voltage: float
+    tick: int
+    state: _Array
+    attitude: _Array
+    wind: _Array
+    voltage: float
+    current: float
+
+    @property
+    def position(self) -> _Array:
+        """N, E, D (m), of the centre of gravity."""
+        return self.state[0:3]
+
+    @property
+    def velocity(self) -> _Array:
+        """N, E, D (m/s)."""
+        return self.state[3:6]
+
+    @property
+    def rates(self) -> _Array:
+        """p, q, r (rad/s), body axes."""
+        return self.state[10:13]
+
+    @property
+    def rotor_speed(self) -> _Array:
+        """Upper, lower (rad/s)."""
+        return self.state[18:20]
+
+    @property
+    def charge(self) -> float:
+        """Of the battery (0..1)."""
+        return float(self.state[20])
 
 
-# ----------------------------------------------------------------------------
-# Ideal sensors: the truth, sampled. Real ones with noise, delay and clipping take their place one by one.
-#
-# The ring of beams (Fig. 6.18) turns and tilts with the fuselage: beam ``i`` of ``n`` points along
-# ``alpha_i = alpha_0 + 2 pi i / n`` from x towards y, in the x-y plane of the body.
+class Reading(NamedTuple):
+    """What one sensor said last, as it came: a value in SI units, when it was taken (s), whether it can be right."""
+
+    value: Any
+    time_s: float
+    valid: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """The latest of every sensor, at one instant.
+
+    Attributes
+    ----------
+    time_s : float
+        The processor's clock.
+    latest : mapping
+        Name to :class:`Reading`; one that has not come anew is the same object as before.
+    """
+
+    time_s: float
+    latest: Mapping[str, Reading]
+
+    def __getitem__(self, name: str) -> Reading:
+        return self.latest[name]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.latest
+
+
+class Sensor:
+    """One sensor, or several in one housing."""
+
+    def read(self, truth: Truth) -> Mapping[str, Reading]:
+        """What it says at this instant, by name; asked in every period of the flight software."""
+        raise NotImplementedError
+
+    def reset(self) -> None:
+        """The simulation is back at its start."""
+
+
+class Sensors:
+    """All sensors of a vehicle."""
+
+    def __init__(self, *sensors: Sensor) -> None:
+        self._sensors = sensors
+
+    def read(self, truth: Truth) -> Readings:
+        """Ask them all."""
+        latest: dict[str, Reading] = {}
+        for sensor in self._sensors:
+            latest.update(sensor.read(truth))
+        return Readings(truth.time_s, latest)
+
+    def reset(self) -> None:
+        """The simulation is back at its start."""
+        for sensor in self._sensors:
+            sensor.reset()
+
+
+# Ideal sensors
+
+
+def ideal_sensors(vehicle: Vehicle, world: World, ring_every: int = 1) -> Sensors:
+    """Everything that the flight software needs, without error; the ring is read in every ``ring_every``-th period."""
+    return Sensors(IdealMotion(), IdealRing(vehicle, world, ring_every), IdealBattery())
+
+
+class IdealMotion(Sensor):
+    """Position, velocity, attitude and rates."""
+
+    def read(self, truth: Truth) -> Mapping[str, Reading]:
+        t, x = truth.time_s, truth.state
+        return {
+            "position": Reading(x[0:3], t),
+            "velocity": Reading(x[3:6], t),
+            "attitude": Reading(truth.attitude, t),
+            "rates": Reading(x[10:13], t),
+        }
+
+
+class IdealBattery(Sensor):
+    """Voltage at the terminals (V)."""
+
+    def read(self, truth: Truth) -> Mapping[str, Reading]:
+        return {"battery_voltage": Reading(truth.voltage, truth.time_s)}
+
+
+class IdealRing(Sensor):
+    """Distances along the ring of beams (m), the ring's greatest range where nothing is seen."""
+
+    def __init__(self, vehicle: Vehicle, world: World, every: int = 1) -> None:
+        self._world, self._every = world, every
+        self._directions = beam_directions(vehicle)
+        ring = vehicle.range_ring
+        self._limits = {"min_range_m": float(ring.min_range), "max_range_m": float(ring.max_range)}
+        self._last: Reading | None = None
+
+    def read(self, truth: Truth) -> Mapping[str, Reading]:
+        if self._last is None or truth.tick % self._every == 0:
+            seen = ideal_ranges(truth.state, self._world, self._directions, **self._limits)
+            self._last = Reading(seen, truth.time_s)
+        return {"ranges": self._last}
+
+    def reset(self) -> None:
+        self._last = None
 
 
 def beam_angles(vehicle: Vehicle) -> NDArray[np.float64]:
@@ -91,31 +226,3 @@ def ideal_ranges(
     """
     seen = ranges(world, state[0:3], directions @ rotation(state[6:10]).T, max_range_m)
     return np.maximum(seen, min_range_m)
-
-
-def ideal_measurement(
-    time_s: float,
-    state: NDArray[np.float64],
-    *,
-    ranges: NDArray[np.float64],
-    battery_voltage: float,
-    last_yaw: float,
-) -> Measurement:
-    """Return the true state as a measurement.
-
-    Parameters
-    ----------
-    time_s : float
-    state : (21,) array
-    ranges : (n,) array
-        Latest readings of the ring (m).
-    battery_voltage : float
-        (V).
-    last_yaw : float
-        Yaw of the measurement before (rad), which this one continues.
-    """
-    attitude = euler_from_quaternion(state[6:10])
-    attitude[2] = nearest_turn(float(attitude[2]), last_yaw)
-    return Measurement(
-        time_s, state[0:3].copy(), state[3:6].copy(), attitude, state[10:13].copy(), ranges, battery_voltage
-    )
