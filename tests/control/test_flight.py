@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 from types import ModuleType
 
@@ -215,3 +216,18 @@ def test_landing(vehicle: Vehicle, controller: FlightController, closed_loop: Mo
     assert flight.velocity[touch - 60 : touch, 2].max() < 0.21
     assert np.abs(flight.attitude[:, :2]).max() < 0.02
     assert flight.motor[-1].mean() < 0.5
+
+
+def test_a_flight_controller_travels_to_another_process(controller: FlightController) -> None:
+    there = pickle.loads(pickle.dumps(controller))
+    assert there.to_dict() == controller.to_dict()
+    for mine, its in (
+        (controller.heave_yaw.reduced, there.heave_yaw.reduced),
+        (controller.velocity.plant, there.velocity.plant),
+    ):
+        for name in ("A", "B", "C", "D"):
+            np.testing.assert_array_equal(getattr(mine, name), getattr(its, name))
+        assert (mine.input_labels, mine.output_labels, mine.state_labels) == (
+            its.input_labels, its.output_labels, its.state_labels)  # fmt: skip
+        assert mine.dt == its.dt
+    assert there.heave_yaw_gains == controller.heave_yaw_gains

@@ -12,8 +12,10 @@ Boyd, Balakrishnan and Kabamba (1989): a frequency on the imaginary axis is wher
 
 from __future__ import annotations
 
+import copyreg
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import control
@@ -43,6 +45,15 @@ def state_space(
     return control.StateSpace(
         A, B, C, D, dt, remove_useless_states=False, inputs=list(inputs), outputs=list(outputs), **keywords
     )
+
+
+def _pickled(g: control.StateSpace) -> tuple[Any, ...]:
+    """python-control keeps functions of its own in a system, which pickle does not take; the rest makes it anew."""
+    names = {"inputs": g.input_labels, "outputs": g.output_labels, "states": g.state_labels, "dt": g.dt}
+    return partial(state_space, **names), (g.A, g.B, g.C, g.D)
+
+
+copyreg.pickle(control.StateSpace, _pickled)
 
 
 def connect(
