@@ -13,6 +13,8 @@ from mufly.logs.layout import Event, events_of, standard_layout, to_csv
 from mufly.logs.recording import read_attachments, read_recording
 from mufly.mission import Answer, SetPoint
 
+Status = FlightState  # until the link reads the one record
+
 __all__ = [
     "Actuators",
     "Answer",
