@@ -15,10 +15,18 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mufly.rotor import load_rotor, polars, replace_rotor
-from mufly.rotor.bemt import hover, hover_batch
-from mufly.rotor.blading import PLAIN, prepare
-from mufly.rotor.system import balance_torque, coaxial
+from mufly.rotor import (
+    PLAIN,
+    Condition,
+    System,
+    hover,
+    hover_batch,
+    load_rotor,
+    polars,
+    prepare,
+    replace_rotor,
+    solve,
+)
 
 
 def best(task: Callable[[], object], repeats: int = 5) -> float:
@@ -64,21 +72,13 @@ def main() -> None:
     t = best(sweep, 3)
     print(f"200 chords x 16 pitches, blades laid out {1e3 * t / 3200:8.4f} ms a point")
 
+    both = System.coaxial(case, case, spacing_m=0.02)
+
     def pair() -> None:
-        coaxial(
-            case, case, spacing_m=0.02, upper_pitch_rad=0.25, lower_pitch_rad=0.25, upper_speed_rad_s=600.0,
-            lower_speed_rad_s=600.0,
-        )  # fmt: skip
+        solve(both, Condition(0.25, 600.0))
 
     def trim() -> None:
-        balance_torque(
-            case,
-            case,
-            spacing_m=0.02,
-            upper_pitch_rad=0.25,
-            lower_pitch_rad=math.radians(16),
-            upper_speed_rad_s=600.0,
-        )
+        solve(both, Condition((0.25, math.radians(16)), (600.0, None)))
 
     print(f"coaxial pair                             {1e3 * best(pair, 20):8.2f} ms")
     print(f"coaxial pair, torque balanced            {1e3 * best(trim, 10):8.2f} ms")

@@ -24,8 +24,7 @@ import numba
 import numpy as np
 from numba import njit
 
-from mufly.rotor import load_rotor, prepare
-from mufly.rotor.system import coaxial_wake, hover_wake
+from mufly.rotor import Condition, System, load_rotor, prepare, solve
 from mufly.rotor.wake import WakeSettings
 from mufly.rotor.wake.kernel import induce, segments_of
 
@@ -146,8 +145,9 @@ def report_iteration() -> None:
         def tick(*_: object, clock: list[float] = clock) -> None:
             clock.append(time.perf_counter())
 
-        out = hover_wake(rotor, pitch_rad=0.25, speed_rad_s=600.0, settings=how, progress=tick)
-        wake = out.wakes[0]
+        out = solve(System.single(rotor), Condition(0.25, 600.0), "wake", settings=how, progress=tick)
+        assert out.wake is not None
+        wake = out.wake.wakes[0]
         elements = wake.paths_m.shape[0] * (wake.paths_m.shape[1] - 1) * wake.surface.blades
         rows.append((elements, float(np.min(np.diff(clock)[7:]))))
     n, t = np.array(rows).T
@@ -161,22 +161,20 @@ def report_iteration() -> None:
 def report_solutions() -> None:
     """Time to a converged rotor and pair, from nothing, and from a neighbour."""
     blade, pitch = prepare(load_rotor("naca0012-r60-c20")), math.radians(14)
+    single, pair = System.single(blade), System.coaxial(blade, blade, spacing_m=0.02)
     start = time.perf_counter()
-    one = hover_wake(blade, pitch_rad=pitch, speed_rad_s=6000 * RPM)
+    one = solve(single, Condition(pitch, 6000 * RPM), "wake")
     first = time.perf_counter() - start
     start = time.perf_counter()
-    near = hover_wake(blade, pitch_rad=1.03 * pitch, speed_rad_s=6000 * RPM, start=one)
+    near = solve(single, Condition(1.03 * pitch, 6000 * RPM), "wake", start=one)
     again = time.perf_counter() - start
     print(f"\none rotor                                {first:8.1f} s (target 10): {one.message}")
     print(f"from a neighbour, 3 % more pitch         {again:8.1f} s: {near.message}")
-    pair = {
-        "spacing_m": 0.02, "upper_pitch_rad": pitch, "lower_pitch_rad": pitch, "upper_speed_rad_s": 6000 * RPM
-    }  # fmt: skip
     start = time.perf_counter()
-    two = coaxial_wake(blade, blade, lower_speed_rad_s=6650 * RPM, **pair)
+    two = solve(pair, Condition(pitch, (6000 * RPM, 6650 * RPM)), "wake")
     first = time.perf_counter() - start
     start = time.perf_counter()
-    near = coaxial_wake(blade, blade, lower_speed_rad_s=6500 * RPM, start=two, **pair)
+    near = solve(pair, Condition(pitch, (6000 * RPM, 6500 * RPM)), "wake", start=two)
     again = time.perf_counter() - start
     print(f"a pair                                   {first:8.1f} s (target 60): {two.message}")
     print(f"from a neighbour, 2 % less speed below   {again:8.1f} s: {near.message}")

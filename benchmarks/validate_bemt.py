@@ -32,7 +32,7 @@ from rotor_cases import (
 from mufly.rotor.bemt import hover_batch
 from mufly.rotor.blading import PLAIN, Blading, Corrections
 from mufly.rotor.measurements import calibrate, compare
-from mufly.rotor.system import balance_torque, coaxial
+from mufly.rotor.system import Condition, System, solve
 from mufly.rotor.uncertainty import Doubt, interval
 
 
@@ -204,20 +204,13 @@ def report_coaxial(case: Case, data: Path = DATA) -> None:
     rows = []
     alone = hover_batch(pair, pitch_rad=deg(14), speed_rad_s=6000 * RPM)
     for h in (0.01, 0.02, 0.03, 0.04):
-        both = coaxial(pair, pair, spacing_m=h, upper_pitch_rad=deg(14), lower_pitch_rad=deg(14),
-                       upper_speed_rad_s=6000 * RPM, lower_speed_rad_s=6000 * RPM)  # fmt: skip
+        system = System.coaxial(pair, pair, spacing_m=h)
+        both = solve(system, Condition(deg(14), 6000 * RPM))
         row = [f"{1e3 * h:.0f} mm", f"{both.upper.thrust_N / alone.thrust_N:.2f}",
                f"{both.lower.thrust_N / both.upper.thrust_N:.2f}",
                f"{both.lower.torque_Nm / both.upper.torque_Nm:.2f}"]  # fmt: skip
         for lower in (14, 16, 18):
-            trim = balance_torque(
-                pair,
-                pair,
-                spacing_m=h,
-                upper_pitch_rad=deg(14),
-                lower_pitch_rad=deg(lower),
-                upper_speed_rad_s=6000 * RPM,
-            )
+            trim = solve(system, Condition((deg(14), deg(lower)), (6000 * RPM, None)))
             row.append(
                 f"{trim.lower.speed_rad_s / RPM:.0f} rpm, {trim.lower.thrust_N:.3f} N, {trim.lower.power_W:.2f} W"
             )
@@ -251,10 +244,9 @@ def report_coaxial(case: Case, data: Path = DATA) -> None:
 
 
 def _report_28_inch(big: Blading, label: str, data: Path) -> None:
-    found = []
+    found, system = [], System.coaxial(big, big, spacing_m=0.115)
     for rpm_l, t_l, q_l, _, t_u, q_u, _, rpm_u in rows_of(data / "tmotor28_coaxial.csv"):
-        r = coaxial(big, big, spacing_m=0.115, upper_pitch_rad=0, lower_pitch_rad=0,
-                    upper_speed_rad_s=rpm_u * RPM, lower_speed_rad_s=rpm_l * RPM, air=T_MOTOR_AIR)  # fmt: skip
+        r = solve(system, Condition(0.0, (rpm_u * RPM, rpm_l * RPM), air=T_MOTOR_AIR))
         found.append([r.upper.thrust_N / t_u, r.upper.torque_Nm / q_u, r.lower.thrust_N / t_l, r.lower.torque_Nm / q_l,
                       r.thrust_N / (t_u + t_l), (r.upper.torque_Nm + r.lower.torque_Nm) / (q_u + q_l)])  # fmt: skip
     error = 100 * (np.array(found) - 1)

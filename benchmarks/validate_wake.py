@@ -19,8 +19,7 @@ import numpy as np
 from rotor_cases import DATA, RPM, blading_of, others, propellers, rows_of, table_3_2
 from wake_cases import Answer, Solver, arguments, farewell, percent, table
 
-from mufly.rotor import hover_batch
-from mufly.rotor.system import hover_wake
+from mufly.rotor import Condition, System, hover_batch, solve
 from mufly.rotor.wake import WakeSettings, momentum_thrust
 
 OFFSET_DEG = 0.8  # pitch error of the bench that would explain Table 3.2; shown, never applied
@@ -149,7 +148,8 @@ def report_momentum(folder: Path) -> None:
     dji, slender, *_ = others(folder)
     for case, i in ((table_3_2(), 0), (table_3_2(), 3), (slender, 1), (slender, 2), (dji, 0)):
         m, air = case.measured, case.air
-        found = hover_wake(blading_of(case), pitch_rad=m.pitch_rad[i], speed_rad_s=m.speed_rad_s[i], air=air)
+        point = Condition(float(m.pitch_rad[i]), float(m.speed_rad_s[i]), air=air)
+        found = solve(System.single(blading_of(case)), point, "wake").wake
         r = found.rotors[0]
         wind = r.reynolds * air.viscosity_Pa_s / air.density_kg_m3 / r.chord_m
         drag = 0.5 * air.density_kg_m3 * wind**2 * r.chord_m * r.cd * np.sin(r.phi_rad) * r.dr_m

@@ -15,8 +15,8 @@ import numpy as np
 from rotor_cases import AIR, DATA, RPM, T_MOTOR_AIR, Case, blading_of, rows_of, t_motor, table_3_2
 from wake_cases import Answer, Solver, arguments, farewell, percent, table
 
+from mufly.rotor import Condition, Result, System, solve
 from mufly.rotor.blading import Blading
-from mufly.rotor.system import CoaxialResult, coaxial
 
 PITCH = float(np.radians(14))
 TABLE_3_4 = ((14, 6650, 0.1949, 2.0531), (16, 5750, 0.1820, 1.7413), (18, 5025, 0.1709, 1.5286))
@@ -100,10 +100,7 @@ def report_big(solver: Solver) -> None:
             a = solver.pair(
                 "28 inch", rotor, spacing=0.115, pitch=(0.0, 0.0), speed=speed, air=T_MOTOR_AIR, n_crit=n_crit
             )
-            b = coaxial(
-                rotor, rotor, spacing_m=0.115, upper_pitch_rad=0.0, lower_pitch_rad=0.0,
-                upper_speed_rad_s=speed[0], lower_speed_rad_s=speed[1], air=T_MOTOR_AIR,
-            )  # fmt: skip
+            b = solve(System.coaxial(rotor, rotor, spacing_m=0.115), Condition(0.0, speed, air=T_MOTOR_AIR))
             marks.append(a.mark())
             measured = np.array([t_u, q_u, t_l, q_l, t_l / t_u])
             mine = [a.thrust[0], a.torque[0], a.thrust[1], a.torque[1], _ratio(a, "thrust")]
@@ -119,7 +116,7 @@ def report_big(solver: Solver) -> None:
           ["", "upper thrust", "upper torque", "lower thrust", "lower torque", "lower / upper"], rows)  # fmt: skip
 
 
-def _loads(b: CoaxialResult) -> list[float]:
+def _loads(b: Result) -> list[float]:
     return [b.upper.thrust_N, b.upper.torque_Nm, b.lower.thrust_N, b.lower.torque_Nm]
 
 
@@ -136,10 +133,7 @@ def report_bemt(solver: Solver) -> None:
         for j, ratio in enumerate(RATIOS):
             speed = (upper, upper * ratio)
             a = solver.pair("ratios", pair, spacing=h, pitch=(PITCH, PITCH), speed=speed, air=AIR)
-            b = coaxial(
-                pair, pair, spacing_m=h, upper_pitch_rad=PITCH, lower_pitch_rad=PITCH, upper_speed_rad_s=upper,
-                lower_speed_rad_s=speed[1],
-            )  # fmt: skip
+            b = solve(System.coaxial(pair, pair, spacing_m=h), Condition(PITCH, speed))
             ours = np.array([a.thrust[0], a.torque[0], a.thrust[1], a.torque[1]])
             # The lower rotor may carry next to nothing: deviations are over what a rotor does alone at its speed.
             found[i, j] = 100 * (np.array(_loads(b)) - ours) / (scale * np.array([1, 1, ratio**2, ratio**2]))

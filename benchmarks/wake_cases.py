@@ -19,9 +19,8 @@ import numpy as np
 from rotor_cases import REYNOLDS, Case, blading_of
 
 from mufly.errors import MuflyError
-from mufly.rotor import Air, polars, replace_rotor
+from mufly.rotor import Air, Condition, Result, System, polars, replace_rotor, solve
 from mufly.rotor.blading import Blading, prepare
-from mufly.rotor.system import balance_torque_wake, coaxial_wake, hover_wake
 from mufly.rotor.wake import WakeSettings, WakeSolution
 
 RPM = np.pi / 30
@@ -60,12 +59,12 @@ class Solver:
 
     def __init__(self, folder: Path | None = None) -> None:
         self.folder = folder
-        self.wakes: dict[str, WakeSolution] = {}
+        self.wakes: dict[str, Result] = {}
         self.broken: list[str] = []
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
 
-    def _kept(self, question: object, family: str, solve: Callable[[], WakeSolution]) -> Answer:
+    def _kept(self, question: object, family: str, solved: Callable[[], Result]) -> Answer:
         key = json.dumps(question, sort_keys=True, default=str)
         path = self.folder and self.folder / f"{hashlib.sha256(key.encode()).hexdigest()[:24]}.json"
         if path and path.is_file():
@@ -73,15 +72,16 @@ class Solver:
             return Answer(**{k: tuple(v) if isinstance(v, list) else v for k, v in kept.items()})
         begin = time.perf_counter()
         try:
-            found = solve()
+            found = solved()
         except MuflyError as error:
             self.broken.append(f"{key}: {error}")
             return FAILED
-        rotors = found.rotors
+        rotors, wake = found.rotors, found.wake
+        assert wake is not None
         answer = Answer(
             tuple(r.thrust_N for r in rotors), tuple(r.torque_Nm for r in rotors),
-            tuple(r.speed_rad_s for r in rotors), found.converged, found.iterations, found.residual,
-            time.perf_counter() - begin, _wobble(found), float(found.settings.core_limit or 0.0),
+            tuple(r.speed_rad_s for r in rotors), found.converged, wake.iterations, wake.residual,
+            time.perf_counter() - begin, _wobble(wake), float(wake.settings.core_limit or 0.0),
         )  # fmt: skip
         if found.converged:
             self.wakes[family] = found
@@ -108,14 +108,13 @@ class Solver:
         how = settings or WakeSettings()
         question = ("single", case.name, pitch, speed, n_crit, cutout, panels, asdict(how), asdict(case.air))
 
-        def solve() -> WakeSolution:
+        def solved() -> Result:
             rotor = laid_out(case, n_crit, cutout, panels)
             start = self.wakes.get(case.name) if warm else None
-            return hover_wake(
-                rotor, pitch_rad=pitch, speed_rad_s=speed, air=case.air, settings=how, start=start
-            )
+            point = Condition(pitch, speed, air=case.air)
+            return solve(System.single(rotor), point, "wake", settings=how, start=start)
 
-        return self._kept(question, case.name, solve)
+        return self._kept(question, case.name, solved)
 
     def pair(
         self,
@@ -134,14 +133,12 @@ class Solver:
         how = settings or WakeSettings()
         question = ("pair", name, spacing, pitch, speed, asdict(air), n_crit, asdict(how))
 
-        def solve() -> WakeSolution:
-            return coaxial_wake(
-                rotor, rotor, spacing_m=spacing, upper_pitch_rad=pitch[0], lower_pitch_rad=pitch[1],
-                upper_speed_rad_s=speed[0], lower_speed_rad_s=speed[1], air=air, settings=how,
-                start=self.wakes.get(name) if warm else None,
-            )  # fmt: skip
+        def solved() -> Result:
+            both = System.coaxial(rotor, rotor, spacing_m=spacing)
+            start = self.wakes.get(name) if warm else None
+            return solve(both, Condition(pitch, speed, air=air), "wake", settings=how, start=start)
 
-        return self._kept(question, name, solve)
+        return self._kept(question, name, solved)
 
     def balanced(
         self,
@@ -156,13 +153,13 @@ class Solver:
         """Two rotors alike at the lower speed that balances the torques."""
         question = ("balanced", name, spacing, pitch, upper_speed, asdict(air))
 
-        def solve() -> WakeSolution:
-            return balance_torque_wake(
-                rotor, rotor, spacing_m=spacing, upper_pitch_rad=pitch[0], lower_pitch_rad=pitch[1],
-                upper_speed_rad_s=upper_speed, air=air, start=self.wakes.get(name),
-            )  # fmt: skip
+        def solved() -> Result:
+            both = System.coaxial(rotor, rotor, spacing_m=spacing)
+            return solve(
+                both, Condition(pitch, (upper_speed, None), air=air), "wake", start=self.wakes.get(name)
+            )
 
-        return self._kept(question, name, solve)
+        return self._kept(question, name, solved)
 
 
 def _wobble(found: WakeSolution, last: int = 60) -> float:

@@ -1,14 +1,14 @@
 """Coefficient maps: against the solver point by point, resumed, filled, refused; interpolation against closed forms."""
 
 import json
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor import Air, climb_ratios, coax_map, coaxial, load_rotor, prepare
+from mufly.rotor import Condition, System, climb_ratios, coax_map, load_rotor, prepare, solve
 from mufly.rotor import coax_map as room_function
 from mufly.rotor.maps import _filled, at, map_points
 from mufly.rotor.wake import WakeSettings
@@ -52,10 +52,10 @@ def test_points_are_the_solver_s(made, blading) -> None:
     for k, j, i in ((0, 2, 1), (1, 2, 3), (1, 1, 2), (0, 0, 0)):
         mean, r, m = t.mean_speed_rad_s[k], t.ratio[j], t.climb_ratio[i]
         up = 2 * mean / (1 + r)
-        alone = coaxial(
-            blading, blading, **PAIR, upper_speed_rad_s=up, lower_speed_rad_s=r * up,
-            climb_m_s=m * mean * 0.0875, air=Air(),
-        )  # fmt: skip
+        alone = solve(
+            System.coaxial(blading, blading, spacing_m=0.04),
+            Condition(PITCH, (up, r * up), climb_m_s=m * mean * 0.0875),
+        )
         found = [t[c][k, j, i] for c in range(3, 7)]
         expected = [alone.upper.c_T, alone.upper.c_Q, alone.lower.c_T, alone.lower.c_Q]
         # A solution depends a little on where it starts from: sections that hardly lift have more than one.
@@ -170,13 +170,13 @@ def test_wakes_start_from_their_neighbours_and_are_marked_where_they_do_not_sett
     # The wake method itself takes seconds a point and has its own tests; blade elements stand in for it here.
     calls = []
 
-    def stands_in(upper, lower, *, settings, start=None, **at):
-        pair = coaxial(upper, lower, **at)
-        fast_descent = at["climb_m_s"] < -0.5
-        calls.append((at["climb_m_s"], at["lower_speed_rad_s"] / at["upper_speed_rad_s"], start))
-        return SimpleNamespace(rotors=(pair.upper, pair.lower), converged=not fast_descent)
+    def stands_in(system, condition, method, *, settings, start):
+        assert method == "wake"
+        climb, (upper, lower) = condition.climb_m_s, condition.speed_rad_s
+        calls.append((climb, lower / upper, start))
+        return replace(solve(system, condition), converged=not climb < -0.5)
 
-    monkeypatch.setitem(room_function.__globals__, "coaxial_wake", stands_in)
+    monkeypatch.setitem(room_function.__globals__, "solve", stands_in)
     small = {"mean_speed_rad_s": [420.0], "ratio": [1.0, 1.2], "climb_ratio": [-0.03, 0.0, 0.03]}
     made = coax_map(blading, blading, **PAIR, **small, method="wake", settings=WakeSettings(step_deg=30.0))
     t = made.tables()
@@ -217,6 +217,6 @@ def test_a_map_that_is_mostly_guessed_is_refused(blading, axes, monkeypatch) -> 
     def fails(*_, **__):
         raise MuflyError("no answer")
 
-    monkeypatch.setitem(room_function.__globals__, "coaxial", fails)
+    monkeypatch.setitem(room_function.__globals__, "solve", fails)
     with pytest.raises(MuflyError, match=r"only 0 of 24 .*no answer"):
         coax_map(blading, blading, **PAIR, **axes)

@@ -22,7 +22,7 @@ from mufly.bench.calibration import Calibration, ZeroDrift, fit_drift
 from mufly.bench.covariance import joined
 from mufly.bench.table import SI_UNITS, BenchTable
 from mufly.errors import InputError
-from mufly.rotor import Air, Blading, coaxial, hover_batch
+from mufly.rotor import Air, Blading, Condition, System, hover_batch, solve
 
 Array = NDArray[np.float64]
 
@@ -266,15 +266,12 @@ def predict(
             raise InputError(
                 "--spacing", "", "is missing for a coaxial pair", "give the distance between the discs in m"
             )
+        system = System.coaxial(blading, blading, spacing_m=spacing_m)
         up, dw = table["speed_upper"], table["speed_lower"]
         found = np.full((len(table), 4), np.nan)
         both = np.flatnonzero((up > 0) & (dw > 0))
         for done, k in enumerate(both):
-            pair = coaxial(
-                blading, blading, spacing_m=spacing_m, upper_pitch_rad=pitch[k], lower_pitch_rad=pitch[k],
-                upper_speed_rad_s=up[k], lower_speed_rad_s=dw[k], air=air,
-            )  # fmt: skip
-            u, d = pair.upper, pair.lower
+            u, d = solve(system, Condition(float(pitch[k]), (up[k], dw[k]), air=air)).rotors
             found[k] = u.thrust_N, u.torque_Nm, d.thrust_N, d.torque_Nm
             if progress is not None:
                 progress(done + 1, both.size)
