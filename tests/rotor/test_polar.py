@@ -80,9 +80,7 @@ def test_stack_reads_like_its_tables():
         for a, re in zip(
             rng.uniform(-4, 4, 50), np.exp(rng.uniform(math.log(2e3), math.log(3e5), 50)), strict=True
         ):
-            got = coefficients(
-                stack.grid, stack.log_reynolds_min, stack.per_log_reynolds, k, a, math.log(re)
-            )  # fmt: skip
+            got = coefficients(stack, k, a, math.log(re))
             # Where a table of another range is clamped, its edge falls between the points of the common grid.
             assert np.allclose(got, lookup(t, a, re), atol=1e-9 if k < 2 else 0.02)
     assert np.allclose(stack.log_reynolds_range[2], np.log([1e4, 1e5]))

@@ -1,7 +1,32 @@
-"""Thrust, torque and power of a rotor in hover and axial flight: one point, or many at once.
+"""Blade element momentum theory: thrust, torque and power of a rotor in hover, climb and descent.
 
-Coefficients are Leishman's: c_T = T / (rho pi R^4 Omega^2), c_Q = Q / (rho pi R^5 Omega^2); the figure of merit is
-T sqrt(T / (2 rho A)) / P.
+One unknown a station, bracketed whatever is asked; one point, or many at once. Coefficients are Leishman's: c_T = T /
+(rho pi R^4 Omega^2), c_Q = Q / (rho pi R^5 Omega^2); the figure of merit is T sqrt(T / (2 rho A)) / P.
+
+At radius r the blade meets V (axial, positive in climb) and Omega r; U and phi_U are size and angle of their
+sum. The induced velocity u_n stands at right angles to the relative wind W (Betz; a lifting line induces no
+velocity along W), so with phi the angle of W against the disc, everything follows from phi alone:
+
+    W = U cos(phi - phi_U)         u_n = U sin(phi - phi_U)        axial u = u_n cos phi, swirl u_t = u_n sin phi
+
+Blade: the section works at alpha, phi = theta - alpha - e c_l(alpha) (e c_l: finite chord, see
+:mod:`mufly.rotor.blading`). Momentum through the annulus with loss factor F, lift only (profile drag leaves no bound
+vorticity):
+
+    N c W^2 c_l cos phi / 2 = 4 pi r F |V + u| u  =>  u_h^2 = N c W^2 c_l cos phi / (8 pi r F),   u = u_h g(V / u_h)
+
+g is 1 in hover and -x/2 + sqrt(x^2/4 + 1) in climb; in descent momentum theory has no answer between x = 0 and
+-2 and g is the polynomial through measurements of Leishman, eq. 2.99, brought to 1 at x = -2 to meet the
+windmill branch -x/2 - sqrt(x^2/4 - 1). Negative lift is the mirror image.
+
+Residual: R(alpha) = u_n - u / cos phi. With e = 0 it is -U at phi = phi_U - pi/2 and +U at phi_U + pi/2,
+because W and with it the blade force vanish there, and it has the sign of -c_l at phi = phi_U: a root always
+lies in the half that this sign tells, and Illinois steps with bisection find it. With e > 0 the root lies
+between the zero-lift angle (R has the sign of theta - alpha_0 - phi_U) and alpha = theta - phi_U (R has the
+sign of -c_l); where these signs agree, at angles at which the lift has already turned over, e is dropped for
+that station.
+
+Forces per span:  dT = rho/2 W^2 c N (c_l cos phi - c_d sin phi),  dQ = rho/2 W^2 c N (c_l sin phi + c_d cos phi) r.
 """
 
 from __future__ import annotations
@@ -11,21 +36,27 @@ import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mufly.compiled import compiled
 from mufly.errors import InputError
-from mufly.rotor.blading import Blading, as_blading
+from mufly.rotor.blading import Blades, Blading, as_blading
 from mufly.rotor.geometry import Rotor
-from mufly.rotor.polar_table import OUTSIDE_ALPHA, OUTSIDE_REYNOLDS, coefficients
+from mufly.rotor.polar_table import OUTSIDE_ALPHA, OUTSIDE_REYNOLDS, PolarStack, coefficients
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 _MODES = {"none": 0, "prandtl": 1, "effective_radius": 2}
 _CHUNK = 128  # cases below which a second thread costs more than it brings
+# Columns of the station table.
+FIELDS = ("alpha_rad", "phi_rad", "inflow_m_s", "swirl_m_s", "cl", "cd", "reynolds", "loss", "dT_N", "dQ_Nm")
+_MAX_STEPS = 80
+_TOLERANCE = 1e-10  # rad
+_FADE_FROM, _FADE_TO = math.radians(30.0), math.radians(50.0)
 
 
 @dataclass(frozen=True)
@@ -129,22 +160,27 @@ def _solve(
     keep: bool,
     stream: Array | None = None,
 ) -> tuple[Array, Array]:
-    b, n = blading, pitch.size
-    fixes = b.corrections
+    n, fixes = pitch.size, blading.corrections
+    cases = Cases(
+        np.ascontiguousarray(np.broadcast_to(np.asarray(which, dtype=np.int64), pitch.shape).ravel()),
+        pitch,
+        speed,
+        climb,
+        np.empty((0, 0, 2)) if stream is None else np.ascontiguousarray(stream),
+        float(air.density_kg_m3),
+        float(air.viscosity_Pa_s / air.density_kg_m3),
+    )
+    on = Switches(
+        _MODES[fixes.tip_loss],
+        int(fixes.hub_loss),
+        int(fixes.swirl),
+        int(fixes.rotation == "chaviaropoulos-hansen"),
+        float(fixes.lift_factor),
+        float(fixes.drag_factor),
+    )
     totals = np.empty((n, 2))
-    stations = np.empty((n if keep else 0, b.r_m.shape[1], len(FIELDS)))
-    index = np.ascontiguousarray(np.broadcast_to(np.asarray(which, dtype=np.int64), pitch.shape).ravel())
-    nu = air.viscosity_Pa_s / air.density_kg_m3
-    wind = np.empty((0, 0, 2)) if stream is None else np.ascontiguousarray(stream)
-    cos4 = int(fixes.rotation == "chaviaropoulos-hansen")
-    args = (
-        index, pitch, speed, climb, np.full(n, air.density_kg_m3), np.full(n, nu), wind,
-        b.r_m, b.dr_m, b.chord_m, b.twist_rad, b.first, b.second, b.weight, b.chord_factor, b.rotation,
-        b.blades, b.radius_m, b.hub_radius_m,
-        b.polars.grid, b.polars.log_reynolds_min, b.polars.per_log_reynolds, b.zero_lift_rad,
-        _MODES[fixes.tip_loss], int(fixes.hub_loss), int(fixes.swirl), cos4,
-        np.array([fixes.lift_factor, fixes.drag_factor]), totals, stations,
-    )  # fmt: skip
+    stations = np.empty((n if keep else 0, blading.r_m.shape[1], len(FIELDS)))
+    args = (cases, blading.record, on, totals, stations)
     workers = min(os.cpu_count() or 1, n // _CHUNK)
     if workers < 2:
         solve_cases(0, n, *args)
@@ -342,42 +378,52 @@ def hover_batch(
     )
 
 
-# ----------------------------------------------------------------------------
-# Blade element momentum theory in hover, climb and descent: one unknown a station, bracketed whatever is asked.
-#
-# At radius r the blade meets V (axial, positive in climb) and Omega r; U and phi_U are size and angle of their
-# sum. The induced velocity u_n stands at right angles to the relative wind W (Betz; a lifting line induces no
-# velocity along W), so with phi the angle of W against the disc, everything follows from phi alone:
-#
-#     W = U cos(phi - phi_U)         u_n = U sin(phi - phi_U)        axial u = u_n cos phi, swirl u_t = u_n sin phi
-#
-# Blade: the section works at alpha, phi = theta - alpha - e c_l(alpha) (e c_l: finite chord, module
-# ``lifting_surface``). Momentum through the annulus with loss factor F, lift only (profile drag leaves no bound
-# vorticity):
-#
-#     N c W^2 c_l cos phi / 2 = 4 pi r F |V + u| u  =>  u_h^2 = N c W^2 c_l cos phi / (8 pi r F),   u = u_h g(V / u_h)
-#
-# g is 1 in hover and -x/2 + sqrt(x^2/4 + 1) in climb; in descent momentum theory has no answer between x = 0 and
-# -2 and g is the polynomial through measurements of Leishman, eq. 2.99, brought to 1 at x = -2 to meet the
-# windmill branch -x/2 - sqrt(x^2/4 - 1). Negative lift is the mirror image.
-#
-# Residual: R(alpha) = u_n - u / cos phi. With e = 0 it is -U at phi = phi_U - pi/2 and +U at phi_U + pi/2,
-# because W and with it the blade force vanish there, and it has the sign of -c_l at phi = phi_U: a root always
-# lies in the half that this sign tells, and Illinois steps with bisection find it. With e > 0 the root lies
-# between the zero-lift angle (R has the sign of theta - alpha_0 - phi_U) and alpha = theta - phi_U (R has the
-# sign of -c_l); where these signs agree, at angles at which the lift has already turned over, e is dropped for
-# that station.
-#
-# Forces per span:  dT = rho/2 W^2 c N (c_l cos phi - c_d sin phi),  dQ = rho/2 W^2 c N (c_l sin phi + c_d cos phi) r.
+# The kernel
 
 
-Integers = NDArray[np.int64]
+class Cases(NamedTuple):
+    """What is to be solved.
 
-# Columns of the station table.
-FIELDS = ("alpha_rad", "phi_rad", "inflow_m_s", "swirl_m_s", "cl", "cd", "reynolds", "loss", "dT_N", "dQ_Nm")
-_MAX_STEPS = 80
-_TOLERANCE = 1e-10  # rad
-_FADE_FROM, _FADE_TO = math.radians(30.0), math.radians(50.0)
+    Attributes
+    ----------
+    which : (cases,) ints
+        Rotor of each case: first index of the arrays of the blades.
+    pitch_rad, speed_rad_s, climb_m_s : (cases,) arrays
+        Speeds above 0.
+    stream_m_s : (cases, stations, 2) array or (0, ...)
+        Axial (down) and tangential (against the blade) velocity of the air that another rotor sends.
+    density_kg_m3, viscosity_m2_s : float
+        The air; kinematic viscosity.
+    """
+
+    which: Integers
+    pitch_rad: Array
+    speed_rad_s: Array
+    climb_m_s: Array
+    stream_m_s: Array
+    density_kg_m3: float
+    viscosity_m2_s: float
+
+
+class Switches(NamedTuple):
+    """The corrections in numbers.
+
+    Attributes
+    ----------
+    tip_loss : int
+        0 none, 1 Prandtl, 2 effective radius.
+    hub_loss, swirl, cos4 : int
+        1 for hub loss, for swirl, and for the factor cos^4 theta on the strength of rotation.
+    lift, drag : float
+        Factors on the section coefficients.
+    """
+
+    tip_loss: int
+    hub_loss: int
+    swirl: int
+    cos4: int
+    lift: float
+    drag: float
 
 
 @compiled(error_model="numpy")
@@ -397,42 +443,82 @@ def _prandtl(f: float) -> float:
     return 2.0 / math.pi * math.acos(math.exp(-f)) if f < 37.0 else 1.0
 
 
+class Section(NamedTuple):
+    """A blade section, as a kernel sees it.
+
+    Attributes
+    ----------
+    first, second : int
+        Its polars.
+    weight : float
+        Of the second one.
+    zero_lift, rotation : float
+        Zero-lift angle (rad), strength of the rotation model.
+    lift, drag : float
+        Factors on the coefficients.
+    """
+
+    first: int
+    second: int
+    weight: float
+    zero_lift: float
+    rotation: float
+    lift: float
+    drag: float
+
+
+class Station(NamedTuple):
+    """Where a section stands: radius and chord (m), pitch theta (rad), number of blades, R, hub radius (m)."""
+
+    r: float
+    chord: float
+    theta: float
+    blades: float
+    radius: float
+    hub_radius: float
+
+
+class Flow(NamedTuple):
+    """What a station meets: V (m/s), size (m/s) and angle phi_U of U (rad), log of Reynolds number at U."""
+
+    axial: float
+    speed: float
+    phi: float
+    log_re: float
+
+
 @compiled(error_model="numpy")
 def section_coefficients(
-    alpha: float, log_re: float, first: int, second: int, weight: float,
-    grid: Array, log_re0: float, per_log_re: float, zero_lift: Array, g: float, scale: Any,
-) -> tuple[float, float]:  # fmt: skip
-    """Lift and drag coefficient of a station: mixed polars, rotation, calibration."""
-    cl, cd = coefficients(grid, log_re0, per_log_re, first, alpha, log_re)
+    alpha: float, log_re: float, section: Section, polars: PolarStack
+) -> tuple[float, float]:
+    """Lift and drag coefficient of a section: mixed polars, rotation, calibration."""
+    weight, rotation = section.weight, section.rotation
+    cl, cd = coefficients(polars, section.first, alpha, log_re)
     if weight > 0.0:
-        cl2, cd2 = coefficients(grid, log_re0, per_log_re, second, alpha, log_re)
+        cl2, cd2 = coefficients(polars, section.second, alpha, log_re)
         cl, cd = cl + weight * (cl2 - cl), cd + weight * (cd2 - cd)
-    if g > 0.0:
+    if rotation > 0.0:
         fade = min(max((_FADE_TO - abs(alpha)) / (_FADE_TO - _FADE_FROM), 0.0), 1.0)
         if fade > 0.0:
-            a = alpha - (zero_lift[first] + weight * (zero_lift[second] - zero_lift[first]))
+            a = alpha - section.zero_lift
             attached = 2.0 * math.pi * math.sin(a) * math.cos(a) ** 2
             if attached * (attached - cl) > 0.0:
-                gain = g * fade * (attached - cl)
+                gain = rotation * fade * (attached - cl)
                 cl += gain
                 cd += max(gain * math.tan(alpha), 0.0)  # the recovered force is normal to the chord
-    return scale[0] * cl, scale[1] * cd
+    return section.lift * cl, section.drag * cd
 
 
 @compiled(error_model="numpy")
 def _residual(
-    alpha: float, e: float, theta: float, op: Any, st: Any, ix: Any, polars: Any, scale: Any
+    alpha: float, e: float, flow: Flow, at: Station, section: Section, polars: PolarStack, on: Switches
 ) -> Any:
     """Return R of the module docstring and what comes with it: phi, c_l, c_d, W, F, u, u_t, log Re."""
-    climb, mode, hub, swirl, speed, phi_u, log_unit = op
-    r, chord, weight, g, blades, radius, hub_r = st
-    grid, log_re0, per_log_re, zero_lift = polars
-    log_re = log_unit + math.log(max(math.cos(theta - alpha - phi_u), 1e-3))
-    cl, cd = section_coefficients(
-        alpha, log_re, ix[0], ix[1], weight, grid, log_re0, per_log_re, zero_lift, g, scale
-    )
-    phi = theta - alpha - e * cl
-    turn = phi - phi_u
+    speed = flow.speed
+    log_re = flow.log_re + math.log(max(math.cos(at.theta - alpha - flow.phi), 1e-3))
+    cl, cd = section_coefficients(alpha, log_re, section, polars)
+    phi = at.theta - alpha - e * cl
+    turn = phi - flow.phi
     if turn >= 0.5 * math.pi:
         return speed, phi, cl, cd, 0.0, 1.0, speed, 0.0, log_re
     if turn <= -0.5 * math.pi:
@@ -441,20 +527,20 @@ def _residual(
     cosine, sine = math.cos(phi), math.sin(phi)
     loss, size = 1.0, abs(sine)
     if size > 1e-12:
-        if mode == 1:
-            loss = _prandtl(0.5 * blades * (radius - r) / (r * size))
-        if hub == 1 and hub_r > 0.0:
-            loss *= _prandtl(0.5 * blades * (r - hub_r) / (hub_r * size))
+        if on.tip_loss == 1:
+            loss = _prandtl(0.5 * at.blades * (at.radius - at.r) / (at.r * size))
+        if on.hub_loss == 1 and at.hub_radius > 0.0:
+            loss *= _prandtl(0.5 * at.blades * (at.r - at.hub_radius) / (at.hub_radius * size))
         loss = max(loss, 1e-6)
-    if swirl == 0 and cosine > 1e-9:
-        wind = speed * math.cos(phi_u) / cosine
-    load = blades * chord * wind * wind * cl * cosine / (8.0 * math.pi * r * loss)
+    if on.swirl == 0 and cosine > 1e-9:
+        wind = speed * math.cos(flow.phi) / cosine
+    load = at.blades * at.chord * wind * wind * cl * cosine / (8.0 * math.pi * at.r * loss)
     hover = math.sqrt(abs(load))
     momentum = 0.0
     if hover > 0.0:
         sign = 1.0 if load > 0.0 else -1.0
-        momentum = sign * hover * descent_inflow(sign * climb / hover)
-    if swirl == 0:
+        momentum = sign * hover * descent_inflow(sign * flow.axial / hover)
+    if on.swirl == 0:
         axial = normal
         u = axial / cosine if cosine > 1e-9 else 0.0
         return axial - momentum * cosine, phi, cl, cd, wind, loss, u, 0.0, log_re
@@ -463,19 +549,19 @@ def _residual(
 
 
 @compiled(error_model="numpy")
-def _station(theta: float, e: float, zero: float, op: Any, st: Any, ix: Any, polars: Any, scale: Any) -> Any:
-    """Solve one station; return alpha, e as used and the values at the root."""
-    speed = op[4]
-    middle = theta - op[5]
+def _station(e: float, flow: Flow, at: Station, section: Section, polars: PolarStack, on: Switches) -> Any:
+    """Solve one station; return alpha and the values at the root."""
+    speed = flow.speed
+    middle = at.theta - flow.phi
     b = x = middle
-    out = _residual(b, e, theta, op, st, ix, polars, scale)
+    out = _residual(b, e, flow, at, section, polars, on)
     a, fa, fb = b, out[0], out[0]
     if e > 0.0:
-        a = zero
-        fa = _residual(a, e, theta, op, st, ix, polars, scale)[0]
+        a = section.zero_lift
+        fa = _residual(a, e, flow, at, section, polars, on)[0]
         if fa * fb > 0.0 or abs(a - b) > 0.5 * math.pi:
             e = 0.0
-            out = _residual(b, e, theta, op, st, ix, polars, scale)
+            out = _residual(b, e, flow, at, section, polars, on)
             fb = out[0]
     if e <= 0.0:
         # phi grows as alpha falls: R < 0 at phi_U puts the root at smaller alpha.
@@ -490,7 +576,7 @@ def _station(theta: float, e: float, zero: float, op: Any, st: Any, ix: Any, pol
             if abs(b - a) > 0.5 * width:
                 x = 0.5 * (a + b)
             width = abs(b - a)
-        out = _residual(x, e, theta, op, st, ix, polars, scale)
+        out = _residual(x, e, flow, at, section, polars, on)
         if out[0] * fb > 0.0:
             b, fb = x, out[0]
             if side == 1:
@@ -503,95 +589,71 @@ def _station(theta: float, e: float, zero: float, op: Any, st: Any, ix: Any, pol
             side = -1
         if abs(b - a) < _TOLERANCE:
             break
-    return x, e, out
+    return x, out
 
 
 @compiled(nogil=True, error_model="numpy")
 def solve_cases(
-    start: int, stop: int,
-    which: Integers, pitch: Array, speed: Array, climb: Array, density: Array, viscosity: Array,
-    stream: Array,
-    r: Array, dr: Array, chord: Array, twist: Array, first: Integers, second: Integers,
-    weight: Array, e: Array, g: Array,
-    blades: Array, radius: Array, hub_r: Array,
-    grid: Array, log_re0: float, per_log_re: float, zero_lift: Array,
-    mode: int, hub: int, swirl: int, cos4: int, scale: Array,
-    totals: Array, stations: Array,
-) -> None:  # fmt: skip
+    start: int, stop: int, cases: Cases, blades: Blades, on: Switches, totals: Array, stations: Array
+) -> None:
     """Thrust and torque of the cases ``start`` to ``stop``.
 
     Parameters
     ----------
-    which : (cases,) ints
-        Blade of each case: first index of ``r`` and its companions.
-    pitch, speed, climb, density, viscosity : (cases,) arrays
-        rad, rad/s (above 0), m/s, kg/m3, kinematic m2/s.
-    stream : (cases, stations, 2) array or (0, ...)
-        Axial (down) and tangential (against the blade) velocity of the air that another rotor sends, m/s.
-    r, dr, chord, twist, first, second, weight, e, g : (blades, stations) arrays
-        Stations: radius and width (m), chord (m), twist (rad), polars and their mix, finite-chord factor,
-        strength of rotation.
-    blades, radius, hub_r : (blades,) arrays
-        Number of blades, radius, hub radius (m).
-    grid, log_re0, per_log_re, zero_lift
-        Polars as stacked, and their zero-lift angles (rad).
-    mode, hub, swirl, cos4, scale
-        0 no tip loss, 1 Prandtl, 2 effective radius; hub loss; swirl; factor cos^4 theta on g; factors on lift and
-        drag.
+    cases : Cases
+    blades : Blades
+        As :attr:`mufly.rotor.Blading.record` holds them.
+    on : Switches
     totals : (cases, 2) array
         Filled with thrust (N) and torque (N m).
     stations : (cases, stations, 10) array or (0, ...)
         Filled with :data:`FIELDS` unless its first axis is empty.
     """
-    polars = (grid, log_re0, per_log_re, zero_lift)
-    keep, meets = stations.shape[0] > 0, stream.shape[0] > 0
+    polars, density = blades.polars, cases.density_kg_m3
+    keep, meets = stations.shape[0] > 0, cases.stream_m_s.shape[0] > 0
     for case in range(start, stop):
-        k = which[case]
-        effective = radius[k]
+        k = cases.which[case]
+        pitch, speed, climb = cases.pitch_rad[case], cases.speed_rad_s[case], cases.climb_m_s[case]
+        count, radius = blades.blades[k], blades.radius_m[k]
+        effective = radius
         # The effective radius depends on the mean inflow: four passes settle it to 1e-4 R.
-        for _ in range(4 if mode == 2 else 1):
+        for _ in range(4 if on.tip_loss == 2 else 1):
             thrust, torque, inflow, area = 0.0, 0.0, 0.0, 0.0
-            for i in range(r.shape[1]):
-                theta = pitch[case] + twist[k, i]
-                rotation = g[k, i]
-                if cos4 == 1:
+            for i in range(blades.r_m.shape[1]):
+                r, dr, chord = blades.r_m[k, i], blades.dr_m[k, i], blades.chord_m[k, i]
+                theta = pitch + blades.twist_rad[k, i]
+                rotation = blades.rotation[k, i]
+                if on.cos4 == 1:
                     rotation *= math.cos(theta) ** 4
                 share = 1.0
-                if mode == 2:
-                    share = min(max((effective - r[k, i]) / dr[k, i] + 0.5, 0.0), 1.0)
-                factors = (scale[0] * share, scale[1])
-                st = (
-                    r[k, i],
-                    chord[k, i],
-                    weight[k, i],
-                    rotation,
-                    blades[k],
-                    radius[k],
-                    hub_r[k],
-                )
-                ix = (first[k, i], second[k, i])
-                zero = zero_lift[ix[0]] + weight[k, i] * (zero_lift[ix[1]] - zero_lift[ix[0]])
-                axial, across = climb[case], speed[case] * r[k, i]
+                if on.tip_loss == 2:
+                    share = min(max((effective - r) / dr + 0.5, 0.0), 1.0)
+                first, second, weight = blades.first[k, i], blades.second[k, i], blades.weight[k, i]
+                zero = blades.zero_lift_rad[first]
+                zero += weight * (blades.zero_lift_rad[second] - zero)
+                section = Section(first, second, weight, zero, rotation, on.lift * share, on.drag)
+                at = Station(r, chord, theta, count, radius, blades.hub_radius_m[k])
+                axial, across = climb, speed * r
                 if meets:
-                    axial += stream[case, i, 0]
-                    across += stream[case, i, 1]
-                u_total = math.hypot(axial, across)
-                log_unit = math.log(max(u_total * chord[k, i] / viscosity[case], 1e-3))
-                op = (axial, mode, hub, swirl, u_total, math.atan2(axial, across), log_unit)
-                alpha, _e, out = _station(theta, e[k, i], zero, op, st, ix, polars, factors)
+                    axial += cases.stream_m_s[case, i, 0]
+                    across += cases.stream_m_s[case, i, 1]
+                total = math.hypot(axial, across)
+                log_unit = math.log(max(total * chord / cases.viscosity_m2_s, 1e-3))
+                flow = Flow(axial, total, math.atan2(axial, across), log_unit)
+                alpha, out = _station(blades.chord_factor[k, i], flow, at, section, polars, on)
                 _, phi, cl, cd, wind, loss, u, u_t, log_re = out
-                push = 0.5 * density[case] * wind * wind * chord[k, i] * blades[k] * dr[k, i]
+                push = 0.5 * density * wind * wind * chord * count * dr
                 d_thrust = push * (cl * math.cos(phi) - cd * math.sin(phi))
-                d_torque = push * (cl * math.sin(phi) + cd * math.cos(phi)) * r[k, i]
+                d_torque = push * (cl * math.sin(phi) + cd * math.cos(phi)) * r
                 thrust += d_thrust
                 torque += d_torque
-                inflow += u * r[k, i] * dr[k, i]
-                area += r[k, i] * dr[k, i]
+                inflow += u * r * dr
+                area += r * dr
                 if keep:
                     row = stations[case, i]
                     row[0], row[1], row[2], row[3], row[4] = alpha, phi, u, u_t, cl
                     row[5], row[6], row[7], row[8], row[9] = cd, math.exp(log_re), loss, d_thrust, d_torque
-            if mode == 2:
-                lam = max(inflow / area + climb[case], 0.0) / (speed[case] * radius[k])
-                effective = radius[k] * (1.0 - 1.386 / blades[k] * lam / math.sqrt(1.0 + lam * lam))
+            if on.tip_loss == 2:
+                lam = max(inflow / area + climb, 0.0) / (speed * radius)
+                effective = radius * (1.0 - 1.386 / count * lam / math.sqrt(1.0 + lam * lam))
         totals[case, 0], totals[case, 1] = thrust, torque

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Literal
+from functools import cached_property, lru_cache
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,6 +138,25 @@ Integers = NDArray[np.int64]
 STATIONS = 24
 
 
+class Blades(NamedTuple):
+    """Blades as kernels take them: what a :class:`Blading` holds under the same names, one row a rotor."""
+
+    r_m: Array
+    dr_m: Array
+    chord_m: Array
+    twist_rad: Array
+    chord_factor: Array
+    rotation: Array
+    first: Integers
+    second: Integers
+    weight: Array
+    polars: PolarStack
+    zero_lift_rad: Array
+    radius_m: Array
+    hub_radius_m: Array
+    blades: Array
+
+
 @dataclass(frozen=True, eq=False)
 class Blading:
     """One or several rotors, ready to be solved. Make it with :func:`prepare`.
@@ -171,6 +190,11 @@ class Blading:
     weight: Array
     polars: PolarStack
     zero_lift_rad: Array
+
+    @cached_property
+    def record(self) -> Blades:
+        """All of it for a kernel."""
+        return Blades(*(getattr(self, name) for name in Blades._fields))
 
     @property
     def radius_m(self) -> Array:

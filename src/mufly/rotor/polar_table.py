@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -107,15 +107,12 @@ class PolarStack(NamedTuple):
 
 
 @compiled
-def coefficients(
-    grid: Array, log_reynolds_min: float, per_log_reynolds: float, k: int, alpha: float, log_reynolds: float
-) -> tuple[float, float]:
+def coefficients(stack: PolarStack, k: int, alpha: float, log_reynolds: float) -> tuple[float, float]:
     """Lift and drag coefficient of table ``k`` of a stack at one point; for use inside kernels.
 
     Parameters
     ----------
-    grid, log_reynolds_min, per_log_reynolds
-        Fields of a :class:`PolarStack`.
+    stack : PolarStack
     k : int
         Table.
     alpha : float
@@ -123,6 +120,7 @@ def coefficients(
     log_reynolds : float
         Natural logarithm of the Reynolds number; clamped to the table.
     """
+    grid = stack.grid
     u = (alpha + math.pi) * _PER_RADIAN
     u -= _CELLS * math.floor(u / _CELLS)
     i = int(u)
@@ -135,7 +133,7 @@ def coefficients(
     w2 = 0.5 * (-3.0 * t3 + 4.0 * t2 + t)
     w3 = 0.5 * (t3 - t2)
     last = grid.shape[1] - 1
-    v = min(max((log_reynolds - log_reynolds_min) * per_log_reynolds, 0.0), float(last))
+    v = min(max((log_reynolds - stack.log_reynolds_min) * stack.per_log_reynolds, 0.0), float(last))
     j = min(int(v), max(last - 1, 0))
     s = v - j
     a = grid[k, j]
@@ -148,11 +146,9 @@ def coefficients(
 
 
 @compiled
-def _many(
-    grid: Array, log_re_min: float, per_log_re: float, k: int, alpha: Array, log_re: Array, out: Array
-) -> None:
+def _many(stack: PolarStack, alpha: Array, log_re: Array, out: Array) -> None:
     for n in range(alpha.size):
-        out[n, 0], out[n, 1] = coefficients(grid, log_re_min, per_log_re, k, alpha[n], log_re[n])
+        out[n, 0], out[n, 1] = coefficients(stack, 0, alpha[n], log_re[n])
 
 
 def stack_polars(tables: Sequence[PolarTable]) -> PolarStack:
@@ -203,26 +199,14 @@ def _at_log_reynolds(rows: Array, own: Array, wanted: Array) -> Array:
     return rows[j] * (1 - s) + rows[j + 1] * s
 
 
-def _padded(table: PolarTable, first: Array, second: Array) -> Array:
-    grid = np.empty((1, table.reynolds.size, _CELLS + 3, 2))
-    for c, rows in enumerate((first, second)):
-        grid[0, :, 1:-1, c], grid[0, :, 0, c], grid[0, :, -1, c] = rows, rows[:, -2], rows[:, 1]
-    return grid
-
-
-def _read(
-    table: PolarTable, first: Array, second: Array, alpha: ArrayLike, reynolds: ArrayLike
-) -> tuple[Array, Array]:
+def _read(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> tuple[Array, Array]:
     a, re = np.broadcast_arrays(np.asarray(alpha, dtype=np.float64), np.asarray(reynolds, dtype=np.float64))
     if not (np.all(np.isfinite(a)) and np.all(re > 0)):
         raise MuflyError(
             f"polar {table.name}: angle of attack has to be finite and the Reynolds number above 0"
         )
-    log_re = np.log(table.reynolds)
-    per_step = (log_re.size - 1) / (log_re[-1] - log_re[0]) if log_re.size > 1 else 0.0
     out = np.empty((a.size, 2))
-    grid = _padded(table, first, second)
-    _many(grid, float(log_re[0]), float(per_step), 0, a.ravel(), np.log(re).ravel(), out)
+    _many(stack_polars([table]), a.ravel(), np.log(re).ravel(), out)
     return out[:, 0].reshape(a.shape), out[:, 1].reshape(a.shape)
 
 
@@ -247,12 +231,12 @@ def lookup(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> tuple[Ar
     MuflyError
         If an angle is not finite or a Reynolds number not above zero.
     """
-    return _read(table, table.cl, table.cd, alpha, reynolds)
+    return _read(table, alpha, reynolds)
 
 
 def lookup_cm(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> Array:
     """Moment coefficient about the quarter chord; arguments as for :func:`lookup`."""
-    return _read(table, table.cm, table.cd, alpha, reynolds)[0]
+    return _read(replace(table, cl=table.cm), alpha, reynolds)[0]
 
 
 def outside(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> NDArray[np.uint8]:

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.errors import InputError
-from mufly.rotor.bemt import Air, section_coefficients
+from mufly.rotor.bemt import Air, Section, section_coefficients
 from mufly.rotor.blading import Blading, panel_edges
 from mufly.rotor.wake.kernel import influence
 
@@ -160,11 +160,13 @@ def bound_influence(surface: Surface, points: Array) -> Array:
 
 
 @compiled(error_model="numpy")
-def _sections(alpha, log_re, first, second, weight, grid, log_re0, per_log_re, zero, g, scale, out):  # type: ignore[no-untyped-def]
+def _sections(alpha, log_re, blades, which, rotation, lift, drag, out):  # type: ignore[no-untyped-def]
     for i in range(alpha.size):
-        out[i, 0], out[i, 1] = section_coefficients(
-            alpha[i], log_re[i], first[i], second[i], weight[i], grid, log_re0, per_log_re, zero, g[i], scale
-        )
+        first, second, weight = blades.first[which, i], blades.second[which, i], blades.weight[which, i]
+        zero = blades.zero_lift_rad[first]
+        zero += weight * (blades.zero_lift_rad[second] - zero)
+        section = Section(first, second, weight, zero, rotation[i], lift, drag)
+        out[i, 0], out[i, 1] = section_coefficients(alpha[i], log_re[i], section, blades.polars)
 
 
 def solve_circulation(
@@ -204,21 +206,18 @@ def solve_circulation(
     normal_wind = np.sum(wind * surface.normal, axis=1)
     tangent_wind = np.sum(wind * surface.tangent, axis=1)
     log_unit = math.log(air.density_kg_m3 / air.viscosity_Pa_s) + np.log(c)
-    fixes, stack = blading.corrections, blading.polars
+    fixes = blading.corrections
     g = blading.rotation[which]
     if fixes.rotation == "chaviaropoulos-hansen":
         g = g * np.cos(surface.theta_rad) ** 4
-    scale = np.array([fixes.lift_factor, fixes.drag_factor])
+    factors = float(fixes.lift_factor), float(fixes.drag_factor)
     out = np.empty((c.size, 2))
 
     def section(alpha: Array, speed: Array) -> tuple[Array, Array]:
         if inviscid:
             return 2.0 * math.pi * np.sin(alpha), np.zeros_like(alpha)
-        _sections(
-            alpha, log_unit + np.log(np.maximum(speed, 1e-6)), blading.first[which], blading.second[which],
-            blading.weight[which], stack.grid, stack.log_reynolds_min, stack.per_log_reynolds,
-            blading.zero_lift_rad, g, scale, out,
-        )  # fmt: skip
+        log_re = log_unit + np.log(np.maximum(speed, 1e-6))
+        _sections(alpha, log_re, blading.record, which, g, *factors, out)
         return out[:, 0].copy(), out[:, 1].copy()
 
     gamma = np.zeros(c.size) if start is None else start.copy()
