@@ -135,7 +135,7 @@ def test_a_serial_cable_that_is_pulled_and_put_back(tmp_path):
     assert os.read(cable, 100) == b"\xfdxyz\n"
     for _ in range(2000):  # nobody reads: the line fills, and send returns
         port.send(None, bytes(250))
-    assert len(port._stream._waiting) <= 0.3 * 57600 / 10 + 1  # nothing grows old in here
+    assert len(port._lines[port.peers[0]]._waiting) <= 0.3 * 57600 / 10 + 1  # nothing grows old in here
     os.close(cable)
     gather(port, lambda _: not port.peers)
     assert not port.peers

@@ -37,6 +37,7 @@ RETRY_S = 1.0
 """Time between two attempts to call a TCP server or to open a serial device (s)."""
 _QUEUE = 65_536  # bytes that may wait to go out
 _SERIAL_BLOCK = 4096
+_LOST = "the connection was lost; trying again"
 _SERIAL_LAG_S = 0.3
 _RECEIVE_BUFFER = 1 << 20
 _LATER = {errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR, errno.ENOBUFS, errno.ECONNREFUSED}
@@ -215,6 +216,7 @@ class Port(ABC):
 
     def __init__(self, endpoint: Endpoint) -> None:
         self.endpoint = endpoint
+        self._lines: OrderedDict[Peer, Any] = OrderedDict()  # those who can be sent to, each with its line
         self._selector = selectors.DefaultSelector()
         self._notices: list[str] = []
         self._said = ""
@@ -224,13 +226,26 @@ class Port(ABC):
         """Return what came in since the last call, a bounded amount of it. Also calls again where a call failed."""
 
     @abstractmethod
+    def _send(self, peer: Peer, data: bytes) -> None:
+        """Send a frame to a peer that can be sent to; raises OSError."""
+
+    @abstractmethod
+    def _failed(self, peer: Peer, error: OSError) -> None:
+        """A frame could not be sent."""
+
     def send(self, peer: Peer | None, data: bytes) -> None:
         """Send a frame to a peer; to all of the port's peers if None."""
+        for name in self.peers if peer is None else [peer]:
+            if name in self._lines:
+                try:
+                    self._send(name, data)
+                except OSError as error:
+                    self._failed(name, error)
 
     @property
-    @abstractmethod
     def peers(self) -> list[Peer]:
         """Those who can be sent to: whom it was told to call, and who was heard."""
+        return list(self._lines)
 
     @property
     def targets(self) -> list[Peer]:
@@ -303,7 +318,6 @@ class UdpPort(Port):
         super().__init__(endpoint)
         family, address = resolve(endpoint, socket.SOCK_DGRAM, where)
         self._target = Peer(str(endpoint), text_of_address(address))
-        self._addresses: OrderedDict[Peer, Any] = OrderedDict()
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         for option in (socket.SO_RCVBUF, socket.SO_BROADCAST):
@@ -315,17 +329,13 @@ class UdpPort(Port):
             bind(self._socket, address, endpoint, where)
         else:
             self._socket.bind(("", 0))
-            self._addresses[self._target] = address
+            self._lines[self._target] = address
         self._selector.register(self._socket, selectors.EVENT_READ)
 
     @property
     def port(self) -> int:
         """Number of the port it is bound to."""
         return int(self._socket.getsockname()[1])
-
-    @property
-    def peers(self) -> list[Peer]:
-        return list(self._addresses)
 
     @property
     def targets(self) -> list[Peer]:
@@ -341,23 +351,20 @@ class UdpPort(Port):
             except OSError:  # an earlier datagram found nobody there: its sender is told here
                 continue
             peer = Peer(str(self.endpoint), text_of_address(address))
-            if peer not in self._addresses and len(self._addresses) >= PEERS:
-                oldest = next(p for p in self._addresses if self.endpoint.listens or p != self._target)
-                del self._addresses[oldest]
-            self._addresses[peer] = address
-            self._addresses.move_to_end(peer)
+            if peer not in self._lines and len(self._lines) >= PEERS:
+                oldest = next(p for p in self._lines if self.endpoint.listens or p != self._target)
+                del self._lines[oldest]
+            self._lines[peer] = address
+            self._lines.move_to_end(peer)
             out.append((peer, data))
         return out
 
-    def send(self, peer: Peer | None, data: bytes) -> None:
-        for name in self.peers if peer is None else [peer]:
-            address = self._addresses.get(name)
-            if address is not None:
-                try:
-                    self._socket.sendto(data, address)
-                except OSError as error:
-                    if error.errno not in _LATER:
-                        self._say(f"cannot send to {name.address} ({error.strerror or error})")
+    def _send(self, peer: Peer, data: bytes) -> None:
+        self._socket.sendto(data, self._lines[peer])
+
+    def _failed(self, peer: Peer, error: OSError) -> None:
+        if error.errno not in _LATER:
+            self._say(f"cannot send to {peer.address} ({error.strerror or error})")
 
 
 class Stream:
@@ -414,36 +421,29 @@ class TcpServer(Port):
         bind(self._server, address, endpoint, where)
         self._server.listen(8)
         self._selector.register(self._server, selectors.EVENT_READ)
-        self._streams: OrderedDict[Peer, tuple[socket.socket, Stream]] = OrderedDict()
 
     @property
     def port(self) -> int:
         """Number of the port it is bound to."""
         return int(self._server.getsockname()[1])
 
-    @property
-    def peers(self) -> list[Peer]:
-        return list(self._streams)
-
     def receive(self) -> list[tuple[Peer, bytes]]:
         self._accept()
         out = []
-        for peer, (_, stream) in list(self._streams.items()):
+        for peer, (_, stream) in list(self._lines.items()):
             data, gone = stream.receive()
             if data:
-                self._streams.move_to_end(peer)
+                self._lines.move_to_end(peer)
                 out.append((peer, data))
             if gone:
                 self._drop(peer)
         return out
 
-    def send(self, peer: Peer | None, data: bytes) -> None:
-        for name in self.peers if peer is None else [peer]:
-            if name in self._streams:
-                try:
-                    self._streams[name][1].send(data)
-                except OSError:
-                    self._drop(name)
+    def _send(self, peer: Peer, data: bytes) -> None:
+        self._lines[peer][1].send(data)
+
+    def _failed(self, peer: Peer, error: OSError) -> None:
+        self._drop(peer)
 
     def _accept(self) -> None:
         for _ in range(PEERS):
@@ -451,16 +451,16 @@ class TcpServer(Port):
                 connection, address = self._server.accept()
             except OSError:
                 return
-            if len(self._streams) >= PEERS:
-                self._drop(next(iter(self._streams)))
+            if len(self._lines) >= PEERS:
+                self._drop(next(iter(self._lines)))
             _prepare(connection)
             self._selector.register(connection, selectors.EVENT_READ)
             peer = Peer(str(self.endpoint), text_of_address(address))
-            self._streams[peer] = (connection, Stream(connection.recv, connection.send))
+            self._lines[peer] = (connection, Stream(connection.recv, connection.send))
             self._notices.append(f"{self.endpoint}: {peer.address} has called")
 
     def _drop(self, peer: Peer) -> None:
-        connection, _ = self._streams.pop(peer)
+        connection, _ = self._lines.pop(peer)
         self._selector.unregister(connection)
         connection.close()
         self._notices.append(f"{self.endpoint}: {peer.address} has hung up")
@@ -473,7 +473,6 @@ class Caller(Port):
         super().__init__(endpoint)
         self._peer = Peer(str(endpoint), f"{endpoint.host}:{endpoint.port}")
         self._line: Any = None
-        self._stream: Stream | None = None
         self._retry_s = -RETRY_S
 
     @abstractmethod
@@ -481,29 +480,24 @@ class Caller(Port):
         """Try to connect; raises OSError. Sets the line, and the stream once it stands."""
 
     @property
-    def peers(self) -> list[Peer]:
-        return [] if self._stream is None else [self._peer]
-
-    @property
     def targets(self) -> list[Peer]:
         return self.peers
 
     def receive(self) -> list[tuple[Peer, bytes]]:
-        if self._stream is None:
+        if self._peer not in self._lines:
             self._try()
-        if self._stream is None:
+        if self._peer not in self._lines:
             return []
-        data, gone = self._stream.receive()
+        data, gone = self._lines[self._peer].receive()
         if gone:
-            self._lose("the connection was lost; trying again")
+            self._lose(_LOST)
         return [(self._peer, data)] if data else []
 
-    def send(self, peer: Peer | None, data: bytes) -> None:
-        if self._stream is not None and peer in (None, self._peer):
-            try:
-                self._stream.send(data)
-            except OSError:
-                self._lose("the connection was lost; trying again")
+    def _send(self, peer: Peer, data: bytes) -> None:
+        self._lines[peer].send(data)
+
+    def _failed(self, peer: Peer, error: OSError) -> None:
+        self._lose(_LOST)
 
     def _try(self) -> None:
         now_s = time.monotonic()
@@ -517,7 +511,7 @@ class Caller(Port):
             self._lose(f"cannot connect ({error.strerror or error}); trying again")
 
     def _up(self, stream: Stream) -> None:
-        self._stream = stream
+        self._lines[self._peer] = stream
         self._say("connected")
 
     def _lose(self, why: str) -> None:
@@ -525,7 +519,8 @@ class Caller(Port):
             with contextlib.suppress(KeyError, ValueError):
                 self._selector.unregister(self._line)
             self._line.close()
-        self._line = self._stream = None
+        self._line = None
+        self._lines.clear()
         self._say(why)
 
 
@@ -555,7 +550,11 @@ class SerialPort(Caller):
 
         try:
             line = serial.Serial(
-                self.endpoint.host, self.endpoint.port, timeout=0, write_timeout=0, exclusive=_exclusive()
+                self.endpoint.host,
+                self.endpoint.port,
+                timeout=0,
+                write_timeout=0,
+                exclusive=True if os.name == "posix" else None,
             )
         except ValueError as error:
             raise OSError(errno.EINVAL, str(error)) from error
@@ -580,7 +579,3 @@ class SerialPort(Caller):
 def _prepare(line: socket.socket) -> None:
     line.setblocking(False)
     line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-
-
-def _exclusive() -> bool | None:
-    return True if os.name == "posix" else None
