@@ -345,7 +345,7 @@ def link(
     from mufly.mission import Mission, load_mission, preflight
     from mufly.vehicle import load_vehicle
 
-    place = None if origin is None else parse_origin(origin, "--origin")
+    place = None if origin is None else parse_origin(origin)
     helicopter = load_vehicle(vehicle)
     plan = Mission(name="no mission") if mission is None else load_mission(mission)
     if mission is not None:

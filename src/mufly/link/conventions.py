@@ -37,7 +37,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, NamedTuple
 
-from mufly.errors import InputError
+from mufly.errors import ArgumentError
 from mufly.mission import State
 
 ABOVE_SEA, ABOVE_ORIGIN = (0, 5), (3, 6)
@@ -77,7 +77,7 @@ class Origin:
         return (lat_deg - self.lat_deg) * n, away * e, down
 
 
-def parse_origin(text: str, where: str = "origin") -> Origin:
+def parse_origin(text: str) -> Origin:
     """Read ``LAT,LON,ALT`` in degrees and metres.
 
     Raises
@@ -91,10 +91,11 @@ def parse_origin(text: str, where: str = "origin") -> Origin:
         numbers = []
     example = "give LAT,LON,ALT in degrees and metres, as in 47.3769,8.5417,408"
     if len(numbers) != 3 or not all(math.isfinite(x) for x in numbers):
-        raise InputError(where, "", f"{text!r} is no place on the globe", example)
+        raise ArgumentError("origin", "", f"{text!r} is no place on the globe", example)
     lat, lon, alt = numbers
     if abs(lat) > 85.0 or abs(lon) > 180.0 or not -500.0 <= alt <= 9000.0:
-        raise InputError(where, "", f"{text!r} is outside of +-85, +-180 degrees and -500 to 9000 m", example)
+        problem = f"{text!r} is outside of +-85, +-180 degrees and -500 to 9000 m"
+        raise ArgumentError("origin", "", problem, example)
     return Origin(lat, lon, alt)
 
 

@@ -27,7 +27,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
-from mufly.errors import InputError
+from mufly.errors import ArgumentError
 
 PEERS = 32
 """So many peers a listening port serves; the one that was silent for longest makes room."""
@@ -68,13 +68,17 @@ def open_port(endpoint: Endpoint, where: str = "endpoint") -> Port:
         If its host is unknown or its port is in use. A server that does not answer or a device that is not there is
         no error: the port tries again, and says so.
     """
-    if endpoint.kind in ("udpin", "udpout"):
-        return UdpPort(endpoint, where)
-    if endpoint.kind == "tcpin":
-        return TcpServer(endpoint, where)
-    if endpoint.kind == "tcp":
-        return TcpClient(endpoint, where)
-    return SerialPort(endpoint)
+    kinds: dict[Kind, Callable[[Endpoint], Port]] = {
+        "udpin": UdpPort,
+        "udpout": UdpPort,
+        "tcp": TcpClient,
+        "tcpin": TcpServer,
+        "serial": SerialPort,
+    }
+    try:
+        return kinds[endpoint.kind](endpoint)
+    except ArgumentError as error:
+        raise error.at(where) from error
 
 
 def wait(ports: Iterable[Port], timeout_s: float) -> None:
@@ -163,8 +167,8 @@ def parse_endpoint(
         If it is none.
     """
 
-    def wrong(problem: str, remedy: str = _EXAMPLES) -> InputError:
-        return InputError(where, "", f"{text!r}{problem}", remedy)
+    def wrong(problem: str, remedy: str = _EXAMPLES) -> ArgumentError:
+        return ArgumentError(where, "", f"{text!r}{problem}", remedy)
 
     word, colon, rest = text.strip().partition(":")
     kind = ("udpout" if role == "vehicle" else "udpin") if word.lower() == "udp" else word.lower()
@@ -281,32 +285,32 @@ class Port(ABC):
             self._notices.append(f"{self.endpoint}: {text}")
 
 
-def resolve(endpoint: Endpoint, kind: int, where: str) -> tuple[int, Any]:
+def _resolve(endpoint: Endpoint, kind: int) -> tuple[int, Any]:
     try:
         found = socket.getaddrinfo(endpoint.host, endpoint.port, type=kind)
     except (OSError, UnicodeError) as error:
-        raise InputError(
-            where, "", f"host {endpoint.host!r} of {endpoint} is not known ({error})", "give its address"
+        raise ArgumentError(
+            "endpoint", "", f"host {endpoint.host!r} of {endpoint} is not known ({error})", "give its address"
         ) from error
     # IPv4 first: the other end of a link that says "localhost" is an old program more often than a new one.
     family, _, _, _, address = min(found, key=lambda f: f[0] != socket.AF_INET)
     return family, address
 
 
-def bind(line: socket.socket, address: Any, endpoint: Endpoint, where: str) -> None:
+def _bind(line: socket.socket, address: Any, endpoint: Endpoint) -> None:
     try:
         line.bind(address)
     except OSError as error:
         line.close()
-        raise InputError(
-            where,
+        raise ArgumentError(
+            "endpoint",
             "",
             f"cannot listen at {endpoint} ({error.strerror or error})",
             "end the program that does, or give another port",
         ) from error
 
 
-def text_of_address(address: Any) -> str:
+def _text_of(address: Any) -> str:
     host, port = address[0], address[1]
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
@@ -314,10 +318,10 @@ def text_of_address(address: Any) -> str:
 class UdpPort(Port):
     """Datagrams, to one address or to whoever was heard."""
 
-    def __init__(self, endpoint: Endpoint, where: str) -> None:
+    def __init__(self, endpoint: Endpoint) -> None:
         super().__init__(endpoint)
-        family, address = resolve(endpoint, socket.SOCK_DGRAM, where)
-        self._target = Peer(str(endpoint), text_of_address(address))
+        family, address = _resolve(endpoint, socket.SOCK_DGRAM)
+        self._target = Peer(str(endpoint), _text_of(address))
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         for option in (socket.SO_RCVBUF, socket.SO_BROADCAST):
@@ -326,7 +330,7 @@ class UdpPort(Port):
                     socket.SOL_SOCKET, option, _RECEIVE_BUFFER if option == socket.SO_RCVBUF else 1
                 )
         if endpoint.listens:
-            bind(self._socket, address, endpoint, where)
+            _bind(self._socket, address, endpoint)
         else:
             self._socket.bind(("", 0))
             self._lines[self._target] = address
@@ -350,7 +354,7 @@ class UdpPort(Port):
                 break
             except OSError:  # an earlier datagram found nobody there: its sender is told here
                 continue
-            peer = Peer(str(self.endpoint), text_of_address(address))
+            peer = Peer(str(self.endpoint), _text_of(address))
             if peer not in self._lines and len(self._lines) >= PEERS:
                 oldest = next(p for p in self._lines if self.endpoint.listens or p != self._target)
                 del self._lines[oldest]
@@ -412,13 +416,13 @@ class Stream:
 class TcpServer(Port):
     """Waits for calls and serves several at once."""
 
-    def __init__(self, endpoint: Endpoint, where: str) -> None:
+    def __init__(self, endpoint: Endpoint) -> None:
         super().__init__(endpoint)
-        family, address = resolve(endpoint, socket.SOCK_STREAM, where)
+        family, address = _resolve(endpoint, socket.SOCK_STREAM)
         self._server = socket.socket(family, socket.SOCK_STREAM)
         self._server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self._server.setblocking(False)
-        bind(self._server, address, endpoint, where)
+        _bind(self._server, address, endpoint)
         self._server.listen(8)
         self._selector.register(self._server, selectors.EVENT_READ)
 
@@ -455,7 +459,7 @@ class TcpServer(Port):
                 self._drop(next(iter(self._lines)))
             _prepare(connection)
             self._selector.register(connection, selectors.EVENT_READ)
-            peer = Peer(str(self.endpoint), text_of_address(address))
+            peer = Peer(str(self.endpoint), _text_of(address))
             self._lines[peer] = (connection, Stream(connection.recv, connection.send))
             self._notices.append(f"{self.endpoint}: {peer.address} has called")
 
@@ -525,9 +529,9 @@ class Caller(Port):
 
 
 class TcpClient(Caller):
-    def __init__(self, endpoint: Endpoint, where: str) -> None:
+    def __init__(self, endpoint: Endpoint) -> None:
         super().__init__(endpoint)
-        self._family, self._address = resolve(endpoint, socket.SOCK_STREAM, where)
+        self._family, self._address = _resolve(endpoint, socket.SOCK_STREAM)
 
     def _open(self) -> None:
         if self._line is None:
