@@ -275,7 +275,7 @@ def test_every_message_can_be_packed_whatever_the_numbers(value):
     rig = Rig(origin=(47.3769, 8.5417, 408.0))
     gcs = rig.station()
     rig.run(0.1)
-    measurement, plant = rig.flight._measured, rig.flight.plant
+    measurement, plant = rig.flight.status.estimate, rig.flight.plant
     for part in (measurement.position, measurement.velocity, measurement.attitude, measurement.rates):
         part[:] = value
     measurement.ranges[:] = value
