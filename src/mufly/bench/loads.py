@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from mufly.bench.calibration import Calibration, ZeroDrift, fit_drift
 from mufly.bench.covariance import joined
 from mufly.bench.table import SI_UNITS, BenchTable
-from mufly.errors import InputError
+from mufly.errors import ArgumentError, InputError
 from mufly.rotor import Air, Blading, Condition, System, hover_batch, solve
 
 Array = NDArray[np.float64]
@@ -263,8 +263,8 @@ def predict(
     speeds: dict[str, Array] = {}
     if "speed_upper" in table and "speed_lower" in table:
         if spacing_m is None:
-            raise InputError(
-                "--spacing", "", "is missing for a coaxial pair", "give the distance between the discs in m"
+            raise ArgumentError(
+                "spacing_m", "", "is missing for a coaxial pair", "give the distance between the discs in m"
             )
         system = System.coaxial(blading, blading, spacing_m=spacing_m)
         up, dw = table["speed_upper"], table["speed_lower"]

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.errors import InputError
+from mufly.errors import ArgumentError, InputError
 from mufly.units import conversion, known_unit
 
 Array = NDArray[np.float64]
@@ -335,14 +335,14 @@ def renamed(headers: list[str], columns: str | None, where: str) -> list[str]:
             continue
         old, equals, new = (t.strip() for t in part.partition("="))
         if not equals or not old or not new:
-            raise InputError(
-                "--columns", part.strip(), "is no OLD=NEW", "write --columns 'RPM=speed_upper_rpm'"
+            raise ArgumentError(
+                "columns", part.strip(), "is no OLD=NEW", "write columns='RPM=speed_upper_rpm'"
             )
         if old not in headers:
             raise InputError(where, old, "is not among the columns", f"the header is {', '.join(headers)}")
         if parse_header(new) is None:
-            raise InputError(
-                "--columns",
+            raise ArgumentError(
+                "columns",
                 new,
                 "is no quantity with a unit",
                 f"use one of {', '.join(_NAMES)} with its unit",

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from mufly.vehicle import Vehicle
 
 # Arguments of the library that an option of another name gives.
-_OPTIONS = {"estimates": "write", "kinds": "kind", "spectra": "spectrum"}
+_OPTIONS = {"columns": "column", "estimates": "write", "kinds": "kind", "spectra": "spectrum"}
 
 
 class Command(TyperCommand):
@@ -46,8 +46,9 @@ class Command(TyperCommand):
         }
 
         def option_of(argument: str) -> str | None:
-            name = _OPTIONS.get(argument, argument)
-            return options.get(name) or options.get(f"{name}_") or options.get(split_header(name)[0])
+            other = _OPTIONS.get(argument, argument)
+            names = (argument, other, f"{other}_", split_header(other)[0])
+            return next((options[n] for n in names if n in options), None)
 
         option = option_of(error.argument)
         if option is None:

@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from mufly.errors import InputError
+from mufly.errors import ArgumentError, InputError
 from mufly.logs.quality import UnitGuess, guess_angle_units
 from mufly.logs.topics import Channel, RawLog, RawTable, euler_angles, unwrap, usable_samples
 from mufly.quantities import our_name, quantity_named, split_name
@@ -154,8 +154,8 @@ def load_map(columns: str | Path | Mapping[str, Any] | Sequence[str] | ColumnMap
             name, found, column = text.partition("=")
             if not found:
                 problem = "does not say which column"
-                raise InputError(
-                    "--column", text, problem, "write NAME=COLUMN, measured_rates.p=gyro_x[deg/s]"
+                raise ArgumentError(
+                    "columns", text, problem, "write NAME=COLUMN, measured_rates.p=gyro_x[deg/s]"
                 )
             pairs.append((name.strip(), column.strip()))
     return validated(ColumnMap, _from_pairs(pairs), "column map")
@@ -169,7 +169,7 @@ def _from_pairs(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
             continue
         match = _SHORT.match(str(value))
         if match is None:
-            raise InputError("--column", name, f"{value!r} names no column", "write COLUMN or COLUMN[unit]")
+            raise ArgumentError("columns", name, f"{value!r} names no column", "write COLUMN or COLUMN[unit]")
         if name == "time":
             tables["time"] = {"column": match["column"], "unit": match["unit"]}
             continue

@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from mufly.errors import InputError
+from mufly.errors import ArgumentError, InputError
 from mufly.logs.dataflash import MAGIC as DATAFLASH_MAGIC
 from mufly.logs.dataflash import is_text_log, read_dataflash
 from mufly.logs.layout import columns_of, dataset_of, restore, to_csv
@@ -232,9 +232,9 @@ def read_log(
     >>> data = read_log("bench.csv", columns={"battery_voltage": "U[mV]", "time": "t[ms]"})  # doctest: +SKIP
     """
     if rate_hz is not None and not 0 < rate_hz < 1e6:
-        raise InputError("rate", "", f"{rate_hz:g} Hz is not sensible", "give a rate above 0")
+        raise ArgumentError("rate_hz", "", f"{rate_hz:g} Hz is not sensible", "give a rate above 0")
     if from_s is not None and to_s is not None and not from_s < to_s:
-        raise InputError("--from", f"{from_s:g}", f"is not before {to_s:g}", "give the earlier time first")
+        raise ArgumentError("from_s", f"{from_s:g}", f"is not before {to_s:g}", "give the earlier time first")
     given = None if columns is None else load_map(columns)
     kind = kind_of(path)
     raw: RawLog | None = None
@@ -411,7 +411,7 @@ def part_of(data: xr.Dataset, from_s: float | None, to_s: float | None, where: s
     kept = (time >= (-np.inf if from_s is None else from_s)) & (time <= (np.inf if to_s is None else to_s))
     if not kept.any():
         span = f"the log lasts from {time[0]:.3f} to {time[-1]:.3f} s"
-        raise InputError(where, "--from", "nothing lies in that part", span)
+        raise ArgumentError("from_s", "", f"nothing of {where} lies in that part", span)
     return data.isel(time=kept)
 
 

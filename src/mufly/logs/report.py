@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import detrend, welch
 
-from mufly.errors import InputError
+from mufly.errors import ArgumentError, InputError
 from mufly.logs.delay import DelayReport, check_delays
 from mufly.logs.layout import standard_layout
 from mufly.logs.mapping import ColumnMap, load_map, raw_field
@@ -378,7 +378,7 @@ def draw_channels(channels: Sequence[Channel], *, title: str = "", spectra: bool
                 _legend(ax)
             above = labels
         if spectra and not drawn:
-            raise InputError("--spectrum", "", "no channel is long enough", "choose a longer part")
+            raise ArgumentError("spectra", "", "no channel is long enough", "choose a longer part")
         axes[-1].set_xlabel("Frequency (Hz)" if spectra else "Time (s)")
         axes[0].set_title(title)
     return figure
