@@ -13,10 +13,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mufly.errors import InputError
 from mufly.units import conversion
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 LABELS: Mapping[str, tuple[str, ...] | tuple[int, ...]] = {
     "axis": ("N", "E", "D"),
@@ -220,6 +226,21 @@ def our_name(column: str) -> tuple[str, str | None] | None:
         return None
     ours = label in map(str, known.labels) if known.labels else label.isdigit()
     return (name, label) if ours else None
+
+
+def labelled(time_s: NDArray[np.float64], values: Mapping[str, NDArray[np.float64]]) -> xr.Dataset:
+    """Return a dataset over ``time`` of values (n,) or (n, components) by their names here, with units and labels."""
+    import xarray as xr
+
+    coords: dict[str, Any] = {"time": ("time", time_s, {"units": "s", "long_name": "time"})}
+    variables: dict[str, Any] = {}
+    for name, block in values.items():
+        known = quantity_named(name)
+        assert known is not None, name
+        attrs = {"units": known.units, "long_name": known.long_name}
+        variables[name] = (("time", known.dim) if known.dim else "time", block, attrs)
+        coords |= {known.dim: list(known.labels)} if known.dim else {}
+    return xr.Dataset(variables, coords)
 
 
 def is_held(name: str) -> bool:

@@ -25,6 +25,7 @@ from mufly.dynamics.model import battery_state, coefficient_bounds, derivative
 from mufly.dynamics.parameters import model_parameters
 from mufly.dynamics.state import INPUT_SIZE, STATE_SIZE, euler_from_quaternion
 from mufly.errors import InputError
+from mufly.quantities import labelled
 from mufly.vehicle import Vehicle
 
 DEFAULT_STEP_S = 1e-3
@@ -222,30 +223,18 @@ def state_dataset(
     duty = np.clip(inputs[:, 0:2], 0.0, 1.0)
     voltage = np.array([battery_state(s, d[0], d[1], p)[0] for s, d in zip(states, duty, strict=True)])
 
-    def table(dim: str, values: NDArray[np.float64], unit: str, name: str) -> tuple[object, ...]:
-        return ("time", dim), values, {"units": unit, "long_name": name}
-
-    return xr.Dataset(
-        {
-            "truth_position": table("axis", states[:, 0:3], "m", "position"),
-            "truth_velocity": table("axis", states[:, 3:6], "m/s", "velocity"),
-            "truth_attitude": table("angle", attitude, "rad", "attitude"),
-            "truth_rates": table("rate", states[:, 10:13], "rad/s", "body rates"),
-            "truth_rotor_speed": table("rotor", states[:, 18:20], "rad/s", "rotor speed"),
-            "motor_input": table("rotor", inputs[:, 0:2], "1", "motor input"),
-            "servo_input": table("servo", inputs[:, 2:4], "1", "servo input"),
-            "battery_voltage": ("time", voltage, {"units": "V", "long_name": "battery voltage"}),
-            "battery_charge": ("time", states[:, 20], {"units": "1", "long_name": "battery charge"}),
-        },
-        coords={
-            "time": ("time", time_s, {"units": "s", "long_name": "time"}),
-            "axis": ["N", "E", "D"],
-            "angle": ["roll", "pitch", "yaw"],
-            "rate": ["p", "q", "r"],
-            "rotor": ["upper", "lower"],
-            "servo": [1, 2],
-        },
-    )
+    values = {
+        "truth_position": states[:, 0:3],
+        "truth_velocity": states[:, 3:6],
+        "truth_attitude": attitude,
+        "truth_rates": states[:, 10:13],
+        "truth_rotor_speed": states[:, 18:20],
+        "motor_input": inputs[:, 0:2],
+        "servo_input": inputs[:, 2:4],
+        "battery_voltage": voltage,
+        "battery_charge": states[:, 20],
+    }
+    return labelled(time_s, values)
 
 
 # ----------------------------------------------------------------------------

@@ -21,6 +21,7 @@ from scipy.signal import savgol_filter
 
 from mufly.errors import InputError
 from mufly.identify.flight.simulate import OUTPUT_UNITS, OUTPUTS
+from mufly.quantities import labelled
 
 _Array = NDArray[np.float64]
 
@@ -135,33 +136,18 @@ def record_from(data: xr.Dataset, name: str, *, prefix: str = "measured") -> Rec
 
 def dataset_of(r: Record) -> xr.Dataset:
     """Return a record as a recording, with the names that :func:`record_from` reads."""
-    data: dict[str, tuple[tuple[str, ...], _Array, dict[str, str]]] = {}
-    dims = {
-        "position": "axis",
-        "velocity": "axis",
-        "attitude": "angle",
-        "rates": "rate",
-        "rotor_speed": "rotor",
-    }
-    labels = {"axis": ["N", "E", "D"], "angle": ["roll", "pitch", "yaw"], "rate": ["p", "q", "r"],
-              "rotor": ["upper", "lower"], "servo": ["1", "2"]}  # fmt: skip
+    data: dict[str, _Array] = {}
     for suffix, parts in _SOURCES.items():
         if not any(o in r.outputs for o, _, _ in parts):
             continue
-        values = np.full((len(r.time_s), len(labels[dims[suffix]])), np.nan)
+        data[f"measured_{suffix}"] = values = np.full((len(r.time_s), len(parts)), np.nan)
         for output, k, sign in parts:
             if output in r.outputs:
                 values[:, k] = sign * r.measured[:, r.outputs.index(output)]
-        unit = OUTPUT_UNITS[parts[0][0]]
-        data[f"measured_{suffix}"] = (("time", dims[suffix]), values, {"units": unit})
-    data["motor_input"] = (("time", "rotor"), r.inputs[:, :2], {"units": "1"})
-    data["servo_input"] = (("time", "servo"), r.inputs[:, 2:], {"units": "1"})
+    data |= {"motor_input": r.inputs[:, :2], "servo_input": r.inputs[:, 2:]}
     if r.voltage is not None:
-        data["battery_voltage"] = (("time",), r.voltage, {"units": "V"})
-    used = {d for dims_, _, _ in data.values() for d in dims_} - {"time"}
-    coords: dict[str, object] = {d: labels[d] for d in used}
-    coords["time"] = ("time", r.time_s, {"units": "s"})
-    return xr.Dataset(data, coords=coords)
+        data["battery_voltage"] = r.voltage
+    return labelled(r.time_s, data)
 
 
 def _check_clock(r: Record) -> None:
