@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mufly.cli.options import Commands
+from mufly.cli.options import Commands, JsonOption
+from mufly.cli.present import console, print_json, print_table, say, tell_files, writing
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from mufly.control import Design, FlightController
 
 app = Commands(help="Design and analyse the controllers of a vehicle.", no_args_is_help=True)
@@ -49,7 +48,7 @@ def design(
             help="Write singular value plots (PNG, as thesis Figs 6.3 to 6.8) and design.json there.",
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON and nothing else.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Design heave-yaw, roll-pitch and position control, and set them beside the thesis's.
 
@@ -73,90 +72,63 @@ input, with the controller of full order, of reduced order, and sampled with one
         raise error.at(vehicle if error.where == loaded.name else error.where) from None
     written = _write(controller, out) if out is not None else []
     if as_json:
-        typer.echo(json.dumps(controller.to_dict(), indent=2))
+        print_json(controller.to_dict())
         return
-    from rich.console import Console
-
-    console = Console()
-    console.print(
+    console().print(
         f"[bold]{controller.vehicle_name}[/bold] at {controller.voltage_V:g} V: hover motor inputs "
         f"{controller.motor_trim[0]:.2f} upper, {controller.motor_trim[1]:.2f} lower; "
         f"law at {controller.rate_Hz:g} Hz, position at {controller.rate_Hz / controller.position_divider:g} Hz",
         highlight=False,
     )
     for one in (controller.heave_yaw, controller.roll_pitch, controller.velocity):
-        console.print(_table(one))
-    console.print("* with one sample of delay", style="dim")
+        _print(one)
+    say("* with one sample of delay", style="dim")
     c = controller.cascade
-    console.print(
+    say(
         f"Position cascade with the real attitude loop: S {c.sensitivity_peak_dB:.2f} dB, "
         f"T {c.complementary_peak_dB:.2f} dB, phase margin {c.phase_margin_deg:.0f} deg, "
-        f"delay margin {1e3 * c.delay_margin_s:.0f} ms",
-        highlight=False,
+        f"delay margin {1e3 * c.delay_margin_s:.0f} ms"
     )
-    for text in controller.warnings:
-        console.print(f"Warning: {text}", style="yellow", highlight=False)
-    for path in written:
-        console.print(f"wrote {path}", style="dim", highlight=False, soft_wrap=True)
+    say(*controller.warnings, mark="Warning", style="yellow")
+    tell_files(written)
 
 
 def _write(controller: FlightController, folder: Path) -> list[Path]:
     from mufly.control.plots import draw_designs
 
-    try:
-        written = draw_designs(controller, folder)
+    with writing(folder, "give a folder that can be written"):
         target = folder / "design.json"
+        written = [*draw_designs(controller, folder), target]
         target.write_text(json.dumps(controller.to_dict(), indent=2) + "\n")
-    except OSError as error:
-        raise InputError(
-            "--out", str(folder), error.strerror or str(error), "give a folder that can be written"
-        ) from None
-    return [*written, target]
+    return written
 
 
 def _number(value: float | None, form: str = ".2f") -> str:
     return "-" if value is None else format(value, form)
 
 
-def _table(one: Design) -> Table:
-    from rich.table import Table
-
+def _print(one: Design) -> None:
     thesis = one.published
-    table = Table(
-        title=one.name,
-        title_justify="left",
-        title_style="bold",
-        box=None,
-        header_style="bold",
-        padding=(0, 2),
-    )
-    table.add_column("")
-    for heading in ("full order", "reduced", f"{1 / one.discrete.period_s:g} Hz*", "thesis"):
-        table.add_column(heading, justify="right")
     loops = (one.full_loop, one.reduced_loop, one.sampled_loop)
     orders = (one.controller.nstates, one.reduced.nstates, one.discrete.order)
-    table.add_row("order", *(str(n) for n in orders), _number(thesis.order, "d"))
-    table.add_row("gamma claimed", f"{one.gamma:.3f}", "", "", _number(thesis.gamma))
-    table.add_row("norm achieved", f"{one.norm:.3f}", f"{one.reduction.chosen.norm:.3f}", "", "-")
     plant = ", ".join(f"{w:.3g}" for w in one.plant_crossovers)
     printed = ", ".join(f"{w:g}" for w in thesis.plant_crossovers or ()) or "-"
-    table.add_row("plant's crossovers (rad/s)", plant, "", "", printed)
-    table.add_row(
-        "loop's crossovers (rad/s)",
-        *(", ".join(f"{w:.1f}" for w in loop.crossovers) for loop in loops),
-        _number(thesis.crossover, "g"),
-    )
-    table.add_row(
-        "peak of S_u (dB)",
-        *(f"{loop.sensitivity_peak_dB:.2f}" for loop in loops),
-        _number(thesis.sensitivity_peak_dB),
-    )
-    table.add_row(
-        "peak of T_u (dB)",
-        *(f"{loop.complementary_peak_dB:.2f}" for loop in loops),
-        _number(thesis.complementary_peak_dB),
-    )
-    table.add_row("gain margin (dB)", *(f"{loop.gain_margin_dB:.1f}" for loop in loops), "-")
-    table.add_row("phase margin (deg)", *(f"{loop.phase_margin_deg:.1f}" for loop in loops), "-")
-    table.add_row("delay margin (ms)", *(f"{1e3 * loop.delay_margin_s:.0f}" for loop in loops), "-")
-    return table
+
+    def each(label: str, field: str, form: str, theirs: str = "-", factor: float = 1.0) -> tuple[str, ...]:
+        return (label, *(f"{factor * getattr(loop, field):{form}}" for loop in loops), theirs)
+
+    rows = [
+        ("order", *map(str, orders), _number(thesis.order, "d")),
+        ("gamma claimed", f"{one.gamma:.3f}", "", "", _number(thesis.gamma)),
+        ("norm achieved", f"{one.norm:.3f}", f"{one.reduction.chosen.norm:.3f}", "", "-"),
+        ("plant's crossovers (rad/s)", plant, "", "", printed),
+        ("loop's crossovers (rad/s)", *(", ".join(f"{w:.1f}" for w in loop.crossovers) for loop in loops),
+         _number(thesis.crossover, "g")),
+        each("peak of S_u (dB)", "sensitivity_peak_dB", ".2f", _number(thesis.sensitivity_peak_dB)),
+        each("peak of T_u (dB)", "complementary_peak_dB", ".2f", _number(thesis.complementary_peak_dB)),
+        each("gain margin (dB)", "gain_margin_dB", ".1f"),
+        each("phase margin (deg)", "phase_margin_deg", ".1f"),
+        each("delay margin (ms)", "delay_margin_s", ".0f", factor=1e3),
+    ]  # fmt: skip
+    heads = ("", "full order", "reduced", f"{1 / one.discrete.period_s:g} Hz*", "thesis")
+    print_table(heads, rows, title=one.name)

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mufly.cli.options import Commands, JsonOption, ModelOption, angle, corrections_of
-from mufly.cli.present import console, print_json, print_table, save_picture
-from mufly.units import RPM
+from mufly.cli.present import Column, answer, console, print_json, save_picture, say, show_table
 
 if TYPE_CHECKING:
     from mufly.drive import RotorLoad
@@ -41,16 +40,11 @@ _Pitch = Annotated[
 _Supply = Annotated[
     float | None, typer.Option("--voltage", metavar="V", help="Supply voltage; nominal if not given.")
 ]
-_COLUMNS = {
-    "thrust": ("thrust_N", "{:.3f} N", 1.0),
-    "rotor speed": ("speed_rad_s", "{:.0f} rpm", 1 / RPM),
-    "duty": ("duty", "{:.3f}", 1.0),
-    "input power": ("input_power_W", "{:.2f} W", 1.0),
-    "mechanical power": ("mechanical_power_W", "{:.2f} W", 1.0),
-    "efficiency": ("efficiency", "{:.1%}", 1.0),
-    "thrust per power": ("thrust_per_power_N_W", "{:.4f} N/W", 1.0),
-    "motor current": ("motor_current_A", "{:.2f} A", 1.0),
-}
+_POINT = (
+    Column("thrust_N", form=".3f"), Column("speed_rad_s", "rpm", ".0f", "rotor speed"), Column("duty", form=".3f"),
+    Column("input_power_W", form=".2f"), Column("mechanical_power_W", form=".2f"), Column("efficiency", "%", ".1f"),
+    Column("thrust_per_power_N_W", form=".4f"), Column("motor_current_A", form=".2f"),
+)  # fmt: skip
 
 
 def _load(rotor: str, vehicle: str, pitch: str | None, model: str) -> tuple[RotorLoad, str]:
@@ -134,31 +128,20 @@ def show(
             }
         )  # fmt: skip
         return
-    out = console()
-    out.print(f"[bold]{d.name}[/bold]  {d.description}", highlight=False)
-    k_e, k_m, r, friction, ratio, efficiency = (
-        float(np.asarray(v))
-        for v in (
-            c.back_emf_V_s, c.torque_Nm_A, c.resistance_ohm, c.friction_Nm_s, c.gear_ratio, c.gear_efficiency,
-        )
-    )  # fmt: skip
-    out.print(
-        f"kE {1e3 * k_e:.4g} mV s, kM {1e3 * k_m:.4g} mN m/A, R {r:.4g} ohm, dR {1e6 * friction:.4g} uN m s, "
-        f"gear {ratio:g} with efficiency {efficiency:.0%}; {d.rotors} rotor{'s' if d.rotors > 1 else ''} on "
-        f"{float(d.battery.capacity) / 3.6:.0f} mA h",
-        highlight=False,
+    console().print(f"[bold]{d.name}[/bold]  {d.description}", highlight=False)
+    say(
+        f"kE {1e3 * float(c.back_emf_V_s):.4g} mV s, kM {1e3 * float(c.torque_Nm_A):.4g} mN m/A, "
+        f"R {float(c.resistance_ohm):.4g} ohm, dR {1e6 * float(c.friction_Nm_s):.4g} uN m s, "
+        f"gear {float(c.gear_ratio):g} with efficiency {float(c.gear_efficiency):.0%}; "
+        f"{d.rotors} rotor{'s' if d.rotors > 1 else ''} on {float(d.battery.capacity) / 3.6:.0f} mA h"
     )
     rows = [
-        [
-            *(form.format(float(getattr(point, key)[k]) * factor) for key, form, factor in _COLUMNS.values()),
-            "-" if e is None else f"{e.time_s / 60:.1f} min",
-        ]
+        {**{key: float(v[k]) for key, v in vars(point).items() if np.ndim(v)},
+         "endurance*": "-" if e is None else f"{e.time_s / 60:.1f} min"}
         for k, e in enumerate(lasts)
-    ]
-    print_table([*_COLUMNS, "endurance*"], rows, title=name)
-    out.print(
-        "* from a full battery, all rotors at this thrust, electronics on; - where it cannot", style="dim"
-    )
+    ]  # fmt: skip
+    show_table(rows, [*_POINT, "endurance*"], title=name)
+    say("* from a full battery, all rotors at this thrust, electronics on; - where it cannot", style="dim")
 
 
 @app.command()
@@ -196,29 +179,19 @@ def sweep(
     if out is not None:
         picture = gear_picture(curve, marks=marks, thrust_N=thrust, title=f"{d.name}, {name}")
         files = [*write_results(curve, out, "gear"), save_picture(picture, out, "gear")]
-    if as_json:
-        print_json({**curve.to_dict(), "optima": vars(best), "rotor": name, "files": [str(f) for f in files]})
-        return
-    step = max(1, curve.sizes["gear_ratio"] // 16)
-    units = {"input_power_W": "W", "mechanical_power_W": "W", "thrust_N": "N", "efficiency": ""}
-    units["thrust_per_power_N_W"] = "N/W"
-    print_table(
-        ("gear ratio", "input power", "mechanical power", "thrust", "efficiency", "thrust per power"),
-        [
-            (
-                f"{float(curve.gear_ratio[k]):.2f}",
-                *(f"{float(curve[n][k]):.4g} {u}".strip() for n, u in units.items()),
-            )
-            for k in range(0, curve.sizes["gear_ratio"], step)
-        ],
-        title=f"{d.name}, {name}, {curve.attrs['motor_voltage_V']:.3g} V at the motor",
-    )
-    c = console()
-    c.print(
-        "Greatest at gear ratio: " + ", ".join(f"{k} {v:.2f}" for k, v in marks.items() if k != "for thrust")
-    )
-    if thrust is not None:
-        found = f"{best.for_thrust:.2f}" if math.isfinite(best.for_thrust) else "none"
-        c.print(f"Largest gear ratio that gives {thrust:g} N: {found}")
-    for file in files:
-        c.print(f"Written: {file}")
+
+    def told() -> None:
+        shown = [Column("gear_ratio", form=".2f"), *(c for c in _POINT if c.name in curve.data_vars)]
+        rows = [
+            {c.name: float(curve[c.name][k]) for c in shown}
+            for k in range(0, curve.sizes["gear_ratio"], max(1, curve.sizes["gear_ratio"] // 16))
+        ]
+        at = f"{curve.attrs['motor_voltage_V']:.3g} V at the motor"
+        show_table(rows, shown, title=f"{d.name}, {name}, {at}")
+        greatest = ", ".join(f"{k} {v:.2f}" for k, v in marks.items() if k != "for thrust")
+        say(f"Greatest at gear ratio: {greatest}")
+        if thrust is not None:
+            found = f"{best.for_thrust:.2f}" if math.isfinite(best.for_thrust) else "none"
+            say(f"Largest gear ratio that gives {thrust:g} N: {found}")
+
+    answer(as_json, lambda: {**curve.to_dict(), "optima": best, "rotor": name}, told, files)

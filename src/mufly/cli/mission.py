@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mufly.cli.options import Commands
+from mufly.cli.options import Commands, JsonOption
+from mufly.cli.present import Column, console, print_json, print_table, say, show_table
 
 if TYPE_CHECKING:
     from mufly.mission import Mission
@@ -24,12 +24,11 @@ _Mission = Annotated[
 _VehicleOption = Annotated[
     str, typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle whose battery has to last.")
 ]
-_Json = Annotated[bool, typer.Option("--json", help="Print JSON, in SI units, and nothing else.")]
 _Toml = Annotated[bool, typer.Option("--toml", help="Print the whole file, every default written out.")]
 
 
 @app.command("list")
-def list_missions(as_json: _Json = False) -> None:
+def list_missions(as_json: JsonOption = False) -> None:
     """List the built-in missions."""
     from mufly.mission import builtin_missions, legs, load_mission
 
@@ -44,21 +43,13 @@ def list_missions(as_json: _Json = False) -> None:
         for m in missions
     ]
     if as_json:
-        print(json.dumps(rows, indent=2))
-        return
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table("name", "description", box=None, header_style="bold")
-    table.add_column("waypoints", justify="right")
-    table.add_column("way", justify="right")
-    for row in rows:
-        table.add_row(row["name"], row["description"], str(row["waypoints"]), f"{row['way_m']:.1f} m")
-    Console().print(table)
+        print_json(rows)
+    else:
+        show_table(rows, ["name", "description", "waypoints", Column("way_m", form=".1f")])
 
 
 @app.command()
-def show(mission: _Mission = "demonstration", as_json: _Json = False, toml: _Toml = False) -> None:
+def show(mission: _Mission = "demonstration", as_json: JsonOption = False, toml: _Toml = False) -> None:
     """Show the waypoints of a mission, how long the way is, and when each is reckoned to be reached.
 
     Times are those of the reference trajectories, with one second for settling at each waypoint; \
@@ -72,50 +63,39 @@ going around an obstacle takes longer.
         return
     rows = _rows(m)
     if as_json:
-        answer = {"name": m.name, "description": m.description, "waypoints": rows, "at_end": m.at_end}
-        print(json.dumps(answer, indent=2))
+        print_json({"name": m.name, "description": m.description, "waypoints": rows, "at_end": m.at_end})
         return
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console()
-    console.print(f"[bold]{m.name}[/bold]  {m.description}")
-    table = Table(box=None, header_style="bold")
-    for heading in ("", "N", "E", "D", "wait", "heading", "way", "reached after"):
-        table.add_column(heading, justify="right")
-    if any(w.speed_m_s is not None for w in m.waypoint):
-        table.add_column("speed", justify="right")
-    n, e = m.start_m
-    take_off = m.take_off
-    table.add_row(
+    console().print(f"[bold]{m.name}[/bold]  {m.description}")
+    speeds = any(w.speed_m_s is not None for w in m.waypoint)
+    heads = ["", "N", "E", "D", "wait", "heading", "way", "reached after", *(["speed"] if speeds else [])]
+    place = (*m.start_m, -m.take_off.height_m)
+    start = [
         "take-off",
-        f"{n:.2f} m",
-        f"{e:.2f} m",
-        f"{-take_off.height_m:.2f} m",
-        f"{take_off.wait_s:.1f} s",
+        *(f"{x:.2f} m" for x in place),
+        f"{m.take_off.wait_s:.1f} s",
         f"{m.start_heading_deg:.0f}°",
-    )
+    ]
+    lines = [start + [""] * (len(heads) - len(start))]
     for row in rows:
-        north, east, down = row["position_m"]
-        table.add_row(
-            str(row["number"]),
-            f"{north:.2f} m",
-            f"{east:.2f} m",
-            f"{down:.2f} m",
-            f"{row['wait_s']:.1f} s",
-            "along the way" if row["heading_deg"] is None else f"{row['heading_deg']:.0f}°",
-            f"{row['way_m']:.2f} m",
-            f"{row['reached_s']:.1f} s",
-            *([] if row["speed_m_s"] is None else [f"{row['speed_m_s']:g} m/s"]),
+        heading, speed = row["heading_deg"], row["speed_m_s"]
+        lines.append(
+            [
+                str(row["number"]),
+                *(f"{x:.2f} m" for x in row["position_m"]),
+                f"{row['wait_s']:.1f} s",
+                "along the way" if heading is None else f"{heading:.0f}°",
+                f"{row['way_m']:.2f} m",
+                f"{row['reached_s']:.1f} s",
+                *(["" if speed is None else f"{speed:g} m/s"] if speeds else []),
+            ]
         )
-    console.print(table)
+    print_table(heads, lines, text=())
     obstacles = m.world.names[: len(m.world.boxes) + len(m.world.cylinders)]
     if obstacles or m.room:
-        named = [*obstacles, *(["a room"] if m.room else [])]
-        console.print(f"In the world: {', '.join(named)}.")
+        say(f"In the world: {', '.join([*obstacles, *(['a room'] if m.room else [])])}.")
     end = {"land": "lands there", "hover": "hovers there", "return": "returns and lands"}[m.at_end]
     how = "scanning for obstacles" if m.scans else "avoiding obstacles" if m.avoidance.enabled else "blindly"
-    console.print(
+    say(
         f"Way: {m.path.kind}, at most {m.trajectory_limits.speed:g} m/s, {how}; at the end it {end}.",
         style="dim",
     )
@@ -139,7 +119,7 @@ def _rows(m: Mission) -> list[dict[str, Any]]:
 
 
 @app.command()
-def check(mission: _Mission, vehicle: _VehicleOption = "mufly-1.1", as_json: _Json = False) -> None:
+def check(mission: _Mission, vehicle: _VehicleOption = "mufly-1.1", as_json: JsonOption = False) -> None:
     """Check a mission file, and whether the vehicle's battery lasts for it. Exit status 1 and the reason if not."""
     from mufly.mission import load_mission, preflight
     from mufly.vehicle import load_vehicle
@@ -147,19 +127,18 @@ def check(mission: _Mission, vehicle: _VehicleOption = "mufly-1.1", as_json: _Js
     m, v = load_mission(mission), load_vehicle(vehicle)
     estimate = preflight(v, m, vehicle_file=vehicle, mission_file=mission)
     if as_json:
-        answer = {
-            "name": m.name,
-            "vehicle": v.name,
-            "duration_s": estimate.duration_s,
-            "path_m": estimate.path_m,
-            "charge_As": 3600.0 * estimate.charge_Ah,
-            "charge_fraction": estimate.fraction,
-        }
-        print(json.dumps(answer, indent=2))
+        print_json(
+            {
+                "name": m.name,
+                "vehicle": v.name,
+                "duration_s": estimate.duration_s,
+                "path_m": estimate.path_m,
+                "charge_As": 3600.0 * estimate.charge_Ah,
+                "charge_fraction": estimate.fraction,
+            }
+        )
         return
-    from rich.console import Console
-
-    Console().print(
+    console().print(
         f"[bold]{m.name}[/bold] can be flown by [bold]{v.name}[/bold]: {len(m.waypoint)} waypoints, "
         f"{estimate.path_m:.1f} m, about {estimate.duration_s:.0f} s, {estimate.fraction:.0%} of the battery."
     )

@@ -105,9 +105,13 @@ class Column:
         for part in self.name.split("."):
             value = value[part] if isinstance(value, dict) else getattr(value, part)
         own = self._known(item)[1]
-        if self.unit and own and isinstance(value, float):
-            _, factor, offset = conversion(own, self.unit)
-            value = factor * value + offset
+        if self.unit and value is not None:
+            _, factor, offset = conversion(own or "1", self.unit)
+            value = (
+                [factor * v + offset for v in value]
+                if isinstance(value, tuple | list)
+                else factor * value + offset
+            )
         if isinstance(value, str):
             return value
         shown = number(value, self.form)

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import json
-import math
-from dataclasses import asdict
 from itertools import groupby
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mufly.cli.options import Commands
+from mufly.cli.options import Commands, JsonOption
+from mufly.cli.present import Column, console, print_json, print_table, say, show_lines, show_table
 from mufly.errors import InputError
+from mufly.units import conversion
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from mufly.dynamics import HoverPerformance
     from mufly.vehicle import Parameter, Vehicle
 
@@ -24,25 +21,16 @@ app = Commands(
     no_args_is_help=True,
 )
 
-# SI unit -> the unit that people read, and how many of those one SI unit is.
+# SI unit -> the unit that people read.
 _READABLE = {
-    "kg": ("g", 1e3),
-    "m": ("mm", 1e3),
-    "m2": ("cm2", 1e4),
-    "kg m2": ("g cm2", 1e7),
-    "rad": ("deg", 180 / math.pi),
-    "A s": ("mA h", 1 / 3.6),
-    "V s": ("mV s", 1e3),
-    "N m/A": ("mN m/A", 1e3),
-    "1": ("", 1.0),
-}
+    "kg": "g", "m": "mm", "m2": "cm2", "kg m2": "g cm2", "rad": "deg", "A s": "mA h", "V s": "mV s",
+    "N m/A": "mN m/A",
+}  # fmt: skip
 _BUDGET = "mass_budget"
-_RPM = 30 / math.pi
 
 _Vehicle = Annotated[
     str, typer.Argument(metavar="NAME|FILE", help="A built-in vehicle, or a vehicle file (TOML).")
 ]
-_Json = Annotated[bool, typer.Option("--json", help="Print JSON, in SI units, and nothing else.")]
 _Toml = Annotated[
     bool,
     typer.Option("--toml", help="Print the whole file, in SI units: a vehicle of your own starts from it."),
@@ -50,46 +38,36 @@ _Toml = Annotated[
 
 
 @app.command("list")
-def list_vehicles(as_json: _Json = False) -> None:
+def list_vehicles(as_json: JsonOption = False) -> None:
     """List the built-in vehicles."""
     from mufly.dynamics import hover_performance
     from mufly.vehicle import builtin_vehicles, load_vehicle
 
     vehicles = [load_vehicle(name) for name in builtin_vehicles()]
     hovers = [hover_performance(v) for v in vehicles]
+    rows = [
+        {
+            "name": v.name,
+            "description": v.description,
+            "mass_kg": float(v.body.mass),
+            "rotor_diameter_m": 2 * float(v.rotors.radius),
+            "hover_motor_input": h.motor_input,
+        }
+        for v, h in zip(vehicles, hovers, strict=True)
+    ]
     if as_json:
-        _print_json(
-            [
-                {
-                    "name": v.name,
-                    "description": v.description,
-                    "mass_kg": float(v.body.mass),
-                    "rotor_diameter_m": 2 * float(v.rotors.radius),
-                    "hover_motor_input": h.motor_input,
-                }
-                for v, h in zip(vehicles, hovers, strict=True)
-            ]
-        )
+        print_json(rows)
         return
-    from rich.table import Table
-
-    table = Table("name", "description", box=None, header_style="bold")
-    for heading in ("mass", "rotor diameter", "hover inputs\nupper, lower"):
-        table.add_column(heading, justify="right")
-    for v, h in zip(vehicles, hovers, strict=True):
-        table.add_row(
-            v.name,
-            v.description,
-            f"{float(v.body.mass) * 1e3:.0f} g",
-            f"{2e3 * float(v.rotors.radius):.0f} mm",
-            f"{h.motor_input[0]:.2f}, {h.motor_input[1]:.2f}",
-        )
-    _console().print(table)
-    _console().print("Hover inputs with the battery half full.", style="dim")
+    show_table(
+        rows,
+        ["name", "description", Column("mass_kg", "g", ".0f"), Column("rotor_diameter_m", "mm", ".0f"),
+         Column("hover_motor_input", form=".2f", head="hover inputs\nupper, lower")],
+    )  # fmt: skip
+    say("Hover inputs with the battery half full.", style="dim")
 
 
 @app.command()
-def show(vehicle: _Vehicle = "mufly-1.1", as_json: _Json = False, toml: _Toml = False) -> None:
+def show(vehicle: _Vehicle = "mufly-1.1", as_json: JsonOption = False, toml: _Toml = False) -> None:
     """Show every parameter: symbol, value, unit, where it comes from, and what it means."""
     from mufly.vehicle import load_vehicle, parameters, vehicle_toml
 
@@ -99,7 +77,7 @@ def show(vehicle: _Vehicle = "mufly-1.1", as_json: _Json = False, toml: _Toml = 
         return
     rows = parameters(v)
     if as_json:
-        _print_json(
+        print_json(
             {
                 "name": v.name,
                 "description": v.description,
@@ -113,21 +91,17 @@ def show(vehicle: _Vehicle = "mufly-1.1", as_json: _Json = False, toml: _Toml = 
             }
         )
         return
-    console = _console()
-    console.print(f"[bold]{v.name}[/bold]  {v.description}", highlight=False)
+    console().print(f"[bold]{v.name}[/bold]  {v.description}", highlight=False)
     for group, members in groupby(rows, lambda row: row.key.rpartition(".")[0]):
         if group == _BUDGET:
-            _print_budget(console, list(members), float(v.body.mass))
+            _print_budget(list(members), float(v.body.mass))
         else:
-            _print_group(console, group, list(members))
-    console.print(
-        f"\nbattery.model = {v.battery.model!r}, range_ring.count = {v.range_ring.count}", highlight=False
-    )
-    console.print(_coefficients(v), highlight=False, soft_wrap=True)
+            _print_group(group, list(members))
+    say(f"\nbattery.model = {v.battery.model!r}, range_ring.count = {v.range_ring.count}", _coefficients(v))
 
 
 @app.command()
-def check(vehicle: _Vehicle, as_json: _Json = False) -> None:
+def check(vehicle: _Vehicle, as_json: JsonOption = False) -> None:
     """Read a vehicle file, check every value, and find out whether it can hover and for how long."""
     from mufly.dynamics import DEFAULT_STEP_S, hover_performance, longest_step, model_parameters
     from mufly.vehicle import load_vehicle
@@ -139,14 +113,13 @@ def check(vehicle: _Vehicle, as_json: _Json = False) -> None:
         raise error.at(vehicle) from None
     step = longest_step(model_parameters(v))
     if as_json:
-        _print_json({"name": v.name, "valid": True, "hover": asdict(h), "longest_step_s": step})
+        print_json({"name": v.name, "valid": True, "hover": h, "longest_step_s": step})
         return
-    console = _console()
-    _print_hover(console, v, h)
+    _print_hover(v, h)
     if h.thrust_to_weight_half < 1.15:
-        console.print("Little thrust is left to climb or to fight gusts with.", style="yellow")
+        say("Little thrust is left to climb or to fight gusts with.", style="yellow")
     if step < DEFAULT_STEP_S:
-        console.print(
+        say(
             f"Its fastest part needs steps below {step * 1e3:.2g} ms: too fast to be simulated at the usual "
             f"{DEFAULT_STEP_S * 1e3:g} ms.",
             style="yellow",
@@ -169,52 +142,37 @@ def _coefficients(v: Vehicle) -> str:
     )
 
 
-def _print_hover(console: Console, v: Vehicle, h: HoverPerformance) -> None:
-    from rich.table import Table
-
-    def pair(values: tuple[float, float], form: str, unit: str = "") -> str:
-        return f"{values[0]:{form}} upper, {values[1]:{form}} lower{unit}"
-
-    rpm = (h.rotor_speed_rad_s[0] * _RPM, h.rotor_speed_rad_s[1] * _RPM)
-    table = Table(box=None, show_header=False)
-    for name, value in (
-        ("rotor speed", pair(rpm, ".0f", " rpm")),
-        ("motor input", pair(h.motor_input, ".3f")),
-        ("thrust", pair(h.thrust_N, ".3f", " N")),
-        ("battery", f"{h.voltage_V:.2f} V, {h.current_A:.2f} A, {h.power_W:.1f} W with electronics"),
-        ("endurance", f"{h.endurance_s / 60:.1f} min of hover from a full battery"),
-        (
-            "thrust to weight",
-            f"{h.thrust_to_weight_full:.2f} at full input, {h.thrust_to_weight_half:.2f} on a half-full battery",
-        ),
-    ):
-        table.add_row(name, value)
-    console.print(
+def _print_hover(v: Vehicle, h: HoverPerformance) -> None:
+    console().print(
         f"[bold]{v.name}[/bold] is valid and hovers, here with the battery half full:", highlight=False
     )
-    console.print(table)
-
-
-def _print_group(console: Console, group: str, rows: list[Parameter]) -> None:
-    from rich.table import Table
-
-    table = Table(
-        title=f"\n[{group}]".replace("[", r"\["), title_justify="left", title_style="bold", box=None
+    show_lines(
+        h,
+        [
+            Column("rotor_speed_rad_s", "rpm", ".0f", "rotor speed, upper and lower"),
+            Column("motor_input", form=".3f", head="motor input"),
+            Column("thrust_N", form=".3f"),
+            Column("voltage_V", form=".2f", head="battery"),
+            Column("current_A", form=".2f"),
+            Column("power_W", form=".1f", head="power with electronics"),
+            Column("endurance_s", "min", ".1f", head="endurance from a full battery"),
+            Column("thrust_to_weight_full", form=".2f", head="thrust to weight at full input"),
+            Column("thrust_to_weight_half", form=".2f", head="on a half-full battery"),
+        ],
     )
-    for heading in ("key", "symbol"):
-        table.add_column(heading, style="cyan" if heading == "key" else "", no_wrap=True)
-    table.add_column("value", justify="right")
-    for heading in ("unit", "source"):
-        table.add_column(heading, no_wrap=True)
-    table.add_column("meaning", overflow="fold")
-    for row in rows:
-        value, unit = _readable(row.value, row.unit)
-        meaning = row.description + (f" ({row.note})" if row.note else "")
-        table.add_row(row.key.rpartition(".")[2], row.symbol, value, unit, row.source, meaning)
-    console.print(table)
 
 
-def _print_budget(console: Console, rows: list[Parameter], mass: float) -> None:
+def _print_group(group: str, rows: list[Parameter]) -> None:
+    lines = [
+        (row.key.rpartition(".")[2], row.symbol, *_readable(row.value, row.unit), row.source,
+         row.description + (f" ({row.note})" if row.note else ""))
+        for row in rows
+    ]  # fmt: skip
+    heads = ("key", "symbol", "value", "unit", "source", "meaning")
+    print_table(heads, lines, title=f"\n\\[{group}]", text=(0, 1, 3, 4, 5))
+
+
+def _print_budget(rows: list[Parameter], mass: float) -> None:
     from rich.bar import Bar
     from rich.table import Table
 
@@ -231,11 +189,12 @@ def _print_budget(console: Console, rows: list[Parameter], mass: float) -> None:
             row.source,
         )
     table.add_row("total", f"{sum(r.value for r in rows) * 1e3:.1f} g", style="bold")
-    console.print(table)
+    console().print(table)
 
 
 def _readable(value: Any, unit: str) -> tuple[str, str]:
-    name, factor = _READABLE.get(unit, (unit, 1.0))
+    name = _READABLE.get(unit, unit)
+    factor = conversion(unit, name)[1] if name != unit else 1.0
 
     def text(v: Any) -> str:
         if isinstance(v, tuple):
@@ -243,14 +202,4 @@ def _readable(value: Any, unit: str) -> tuple[str, str]:
             return (brackets[0] + ", ".join(text(x) for x in v) + brackets[1]).strip()
         return f"{v * factor:.5g}"
 
-    return text(value), name
-
-
-def _print_json(content: Any) -> None:
-    typer.echo(json.dumps(content, indent=2, allow_nan=False))
-
-
-def _console() -> Console:
-    from rich.console import Console
-
-    return Console()
+    return text(value), "" if name == "1" else name
