@@ -28,7 +28,8 @@ def test_list_names_every_vehicle() -> None:
     for name in builtin_vehicles():
         assert name in text
     assert "95 g" in text
-    assert "175 mm" in text
+    assert "rotor diameter (mm)" in text
+    assert "175" in text
     assert "0.72, 0.79" in text
 
 

@@ -83,12 +83,15 @@ class Column:
         As for :func:`format`.
     head : str
         Default: the field's name without its unit.
+    each : tuple of str
+        What the entries of a pair are, ``("upper", "lower")``.
     """
 
     name: str
     unit: str = ""
     form: str = ".4g"
     head: str = ""
+    each: tuple[str, ...] = ()
 
     def head_for(self, item: Any) -> str:
         """The column's head, with the unit."""
@@ -115,6 +118,8 @@ class Column:
         if isinstance(value, str):
             return value
         shown = number(value, self.form)
+        if self.each:
+            shown = ", ".join(f"{number(v, self.form)} {n}" for v, n in zip(value, self.each, strict=True))
         return shown if not unit or shown == "-" else f"{shown} {self.unit or own}".rstrip()
 
     def _known(self, item: Any) -> tuple[str, str]:
@@ -139,13 +144,17 @@ def show_table(
     print_table(heads, lines, title=title, text=texts)
 
 
-def show_lines(item: Any, columns: Sequence[Column | str], *, title: str = "") -> None:
-    """Print one result as a table, a field a line."""
+def show_lines(item: Any, columns: Sequence[Column | str | tuple[str, str]], *, title: str = "") -> None:
+    """Print one result as a table, a field a line; a pair is a label and its text."""
     from mufly.results import meaning_of
 
-    wanted = [Column(c) if isinstance(c, str) else c for c in columns]
-    labels = [c.head or meaning_of(item, c.name).label for c in wanted]
-    lines = [(label, c.text_for(item, unit=True)) for label, c in zip(labels, wanted, strict=True)]
+    lines: list[tuple[str, str]] = []
+    for one in columns:
+        if isinstance(one, tuple):
+            lines.append(one)
+        else:
+            c = Column(one) if isinstance(one, str) else one
+            lines.append((c.head or meaning_of(item, c.name).label, c.text_for(item, unit=True)))
     print_table(("", ""), lines, title=title, text=(0, 1))
 
 

@@ -143,21 +143,22 @@ def _coefficients(v: Vehicle) -> str:
 
 
 def _print_hover(v: Vehicle, h: HoverPerformance) -> None:
+    both = ("upper", "lower")
     console().print(
         f"[bold]{v.name}[/bold] is valid and hovers, here with the battery half full:", highlight=False
     )
     show_lines(
         h,
         [
-            Column("rotor_speed_rad_s", "rpm", ".0f", "rotor speed, upper and lower"),
-            Column("motor_input", form=".3f", head="motor input"),
-            Column("thrust_N", form=".3f"),
-            Column("voltage_V", form=".2f", head="battery"),
-            Column("current_A", form=".2f"),
-            Column("power_W", form=".1f", head="power with electronics"),
-            Column("endurance_s", "min", ".1f", head="endurance from a full battery"),
-            Column("thrust_to_weight_full", form=".2f", head="thrust to weight at full input"),
-            Column("thrust_to_weight_half", form=".2f", head="on a half-full battery"),
+            Column("rotor_speed_rad_s", "rpm", ".0f", each=both),
+            Column("motor_input", form=".3f", each=both),
+            Column("thrust_N", form=".3f", each=both),
+            ("battery", f"{h.voltage_V:.2f} V, {h.current_A:.2f} A, {h.power_W:.1f} W with electronics"),
+            ("endurance", f"{h.endurance_s / 60:.1f} min of hover from a full battery"),
+            (
+                "thrust to weight",
+                f"{h.thrust_to_weight_full:.2f} at full input, {h.thrust_to_weight_half:.2f} on a half-full battery",
+            ),
         ],
     )
 
