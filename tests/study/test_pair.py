@@ -11,10 +11,8 @@ from mufly.rotor import Condition, Measurements, System, compare, hover, load_ro
 from mufly.rotor.wake import WakeSettings
 from mufly.study import (
     PAIR,
-    PairSetup,
     Setup,
     alone,
-    bladings_of,
     field_picture,
     history_picture,
     optimise_pair,
@@ -22,9 +20,9 @@ from mufly.study import (
     parse_settings,
     read_results,
     rotor_loads_picture,
-    solve_pair,
+    solve_case,
     sweep,
-    sweep_pairs,
+    system_of,
     wake_picture,
     write_results,
 )
@@ -43,29 +41,27 @@ def rotor(thin_plate: str):
 
 
 @pytest.fixture(scope="module")
-def pair(rotor) -> PairSetup:
-    return PairSetup(rotor, rotor, {"spacing": 0.02, "pitch": PITCH}, "bemt", COARSE, stations=10)
+def pair(rotor) -> Setup:
+    return Setup(rotor, None, {"spacing": 0.02, "pitch": PITCH}, wake=COARSE, stations=10, lower=rotor)
 
 
 @pytest.fixture(scope="module")
-def wake_point(pair: PairSetup):
-    return solve_pair(replace(pair, method="wake"), AT)
+def wake_point(pair: Setup):
+    return solve_case(replace(pair, method="wake"), AT)
 
 
-def test_a_given_point_is_what_the_rotor_room_answers(pair: PairSetup) -> None:
-    point = solve_pair(pair, AT)
-    upper, lower = bladings_of(pair, {})
-    system = System.coaxial(upper, lower, spacing_m=0.02)
-    direct = solve(system, Condition(PITCH, (AT["upper_speed"], AT["lower_speed"])))
+def test_a_given_point_is_what_the_rotor_room_answers(pair: Setup) -> None:
+    point = solve_case(pair, AT)
+    direct = solve(system_of(pair), Condition(PITCH, (AT["upper_speed"], AT["lower_speed"])))
     assert point.thrust_N == direct.thrust_N
     assert point.yaw_torque_Nm == direct.yaw_torque_Nm
     assert point.figure_of_merit == pytest.approx(direct.figure_of_merit, rel=1e-12)
 
 
-def test_torques_cancel_by_speed_and_by_pitch(pair: PairSetup) -> None:
-    by_speed = solve_pair(pair, {"thrust": 0.5})
+def test_torques_cancel_by_speed_and_by_pitch(pair: Setup) -> None:
+    by_speed = solve_case(pair, {"thrust": 0.5})
     assert by_speed.thrust_N == pytest.approx(0.5, rel=1e-6)
-    by_pitch = solve_pair(replace(pair, free="lower-pitch"), {"thrust": 0.5, "speed_ratio": 1.0})
+    by_pitch = solve_case(replace(pair, free="lower-pitch"), {"thrust": 0.5, "speed_ratio": 1.0})
     assert by_pitch.thrust_N == pytest.approx(0.5, rel=1e-6)
     assert by_pitch.lower.speed_rad_s == pytest.approx(by_pitch.upper.speed_rad_s, rel=1e-12)
     for point in (by_speed, by_pitch):
@@ -75,28 +71,27 @@ def test_torques_cancel_by_speed_and_by_pitch(pair: PairSetup) -> None:
     assert by_pitch.lower.pitch_rad > PITCH
 
 
-def test_balance_by_pitch_does_not_care_where_speeds_come_from(pair: PairSetup) -> None:
-    upper, lower = bladings_of(pair, {})
-    system, pitch = System.coaxial(upper, lower, spacing_m=0.02), (PITCH, None)
-    slow = solve(system, Condition(pitch, (300.0, 330.0), 0.4))
-    fast = solve(system, Condition(pitch, (900.0, 990.0), 0.4))
+def test_balance_by_pitch_does_not_care_where_speeds_come_from(pair: Setup) -> None:
+    system = system_of(pair)
+    slow = solve(system, Condition((PITCH, None), (300.0, 330.0), thrust_N=0.4))
+    fast = solve(system, Condition((PITCH, None), (900.0, 990.0), thrust_N=0.4))
     assert fast.lower.pitch_rad == pytest.approx(slow.lower.pitch_rad, rel=1e-5)
     assert fast.upper.speed_rad_s == pytest.approx(slow.upper.speed_rad_s, rel=1e-5)
 
 
-def test_a_pair_far_apart_is_two_rotors(pair: PairSetup) -> None:
+def test_a_pair_far_apart_is_two_rotors(pair: Setup) -> None:
     """The upper rotor then feels nothing; the lower one still stands in its stream."""
     far = replace(pair, fixed={**pair.fixed, "spacing": 50.0})
-    point = solve_pair(far, AT)
-    single = alone(far, point, bladings_of(far, {}))
+    point = solve_case(far, AT)
+    single = alone(far, point)
     assert point.upper.thrust_N == pytest.approx(single[0].thrust_N, rel=1e-5)
     assert point.lower.thrust_N < 0.8 * single[1].thrust_N
 
 
-def test_the_wake_puts_the_loss_on_the_lower_rotor(pair: PairSetup, wake_point) -> None:
+def test_the_wake_puts_the_loss_on_the_lower_rotor(pair: Setup, wake_point) -> None:
     setup = replace(pair, method="wake")
     assert wake_point.converged
-    single = alone(setup, wake_point, bladings_of(setup, {}))
+    single = alone(setup, wake_point)
     assert wake_point.lower.thrust_N < 0.8 * single[1].thrust_N
     assert wake_point.upper.thrust_N > 0.85 * single[0].thrust_N
     assert wake_point.power_W / wake_point.thrust_N > sum(r.power_W for r in single) / sum(
@@ -106,7 +101,7 @@ def test_the_wake_puts_the_loss_on_the_lower_rotor(pair: PairSetup, wake_point) 
 
 def test_mean_air_is_symmetric_about_the_shaft_and_blows_down(wake_point) -> None:
     x = np.array([-0.04, -0.02, 0.02, 0.04])
-    u, v, w = plane_velocity(wake_point.solution, x, np.array([-0.06, 0.03]), phases=24)
+    u, v, w = plane_velocity(wake_point.wake, x, np.array([-0.06, 0.03]), phases=24)
     np.testing.assert_allclose(w, w[:, ::-1], rtol=1e-6)
     np.testing.assert_allclose(u, -u[:, ::-1], rtol=1e-6, atol=1e-9)
     assert (w < 0).all()
@@ -116,7 +111,7 @@ def test_mean_air_is_symmetric_about_the_shaft_and_blows_down(wake_point) -> Non
 
 
 def test_pictures_are_drawn(wake_point, tmp_path) -> None:
-    s = wake_point.solution
+    s = wake_point.wake
     for k, figure in enumerate(
         (
             wake_picture(s), field_picture(s, points=24, phases=2), field_picture(s, mean=False, points=24),
@@ -130,10 +125,10 @@ def test_pictures_are_drawn(wake_point, tmp_path) -> None:
         field_picture(s, points=2)
 
 
-def test_sweep_of_pairs_has_units_faults_and_resumes(pair: PairSetup, tmp_path) -> None:
+def test_sweep_of_pairs_has_units_faults_and_resumes(pair: Setup, tmp_path) -> None:
     vary = parse_settings(["spacing=4,20mm", "speed_ratio=0.9,1.1"], PAIR)
     setup = replace(pair, fixed={**pair.fixed, "upper_speed": 600.0})
-    data = sweep_pairs(setup, vary, folder=tmp_path)
+    data = sweep(setup, vary, folder=tmp_path)
     assert data.lower_thrust_N.attrs["units"] == "N"
     assert all("overlap" in str(f) for f in data.fault.values[0])
     assert np.isnan(data.power_W.values[0]).all()
@@ -142,17 +137,17 @@ def test_sweep_of_pairs_has_units_faults_and_resumes(pair: PairSetup, tmp_path) 
     np.testing.assert_allclose(data.power_W, data.upper_power_W + data.lower_power_W)
     assert data.torque_ratio.values[1, 1] > data.torque_ratio.values[1, 0]
     calls: list[tuple[int, int]] = []
-    again = sweep_pairs(setup, vary, folder=tmp_path, progress=lambda a, b: calls.append((a, b)))
+    again = sweep(setup, vary, folder=tmp_path, progress=lambda a, b: calls.append((a, b)))
     assert calls[0] == (4, 4)
     np.testing.assert_array_equal(again.power_W, data.power_W)
     nc, table = write_results(again, tmp_path)
     assert read_results(nc).attrs["method"] == "bemt"
     assert table.read_text().startswith("spacing_m,speed_ratio,thrust_N")
     with pytest.raises(InputError, match="another sweep"):
-        sweep_pairs(replace(setup, fixed={**setup.fixed, "upper_speed": 500.0}), vary, folder=tmp_path)
+        sweep(replace(setup, fixed={**setup.fixed, "upper_speed": 500.0}), vary, folder=tmp_path)
 
 
-def test_wakes_in_a_sweep_are_kept_one_by_one_and_failures_are_named(pair: PairSetup, tmp_path) -> None:
+def test_wakes_in_a_sweep_are_kept_one_by_one_and_failures_are_named(pair: Setup, tmp_path) -> None:
     setup = replace(pair, method="wake", fixed={**pair.fixed, **AT})
     done: list[int] = []
 
@@ -166,14 +161,14 @@ def test_wakes_in_a_sweep_are_kept_one_by_one_and_failures_are_named(pair: PairS
 
     vary = parse_settings(["spacing=20,25mm"], PAIR)
     with pytest.raises(Stopped):
-        sweep_pairs(setup, vary, folder=tmp_path, progress=stop)
+        sweep(setup, vary, folder=tmp_path, progress=stop)
     done.clear()
-    data = sweep_pairs(setup, vary, folder=tmp_path, progress=lambda a, _: done.append(a))
+    data = sweep(setup, vary, folder=tmp_path, progress=lambda a, _: done.append(a))
     assert done[0] >= 1  # what was there before the stop is not computed again
-    afresh = solve_pair(setup, {"spacing": 0.025})
+    afresh = solve_case(setup, {"spacing": 0.025})
     assert float(data.lower_thrust_N[1]) == pytest.approx(afresh.lower.thrust_N, rel=0.03)
     short = replace(setup, wake=replace(COARSE, iterations=12))
-    failed = sweep_pairs(short, parse_settings(["spacing=20mm"], PAIR))
+    failed = sweep(short, parse_settings(["spacing=20mm"], PAIR))
     assert "not converged in 12 iterations" in str(failed.fault.values[0])
     assert np.isnan(failed.thrust_N.values).all()
 
@@ -192,12 +187,12 @@ def test_wakes_in_a_sweep_are_kept_one_by_one_and_failures_are_named(pair: PairS
         ({"spacing": 0.02, "pitch": 0.2, "upper_speed": 600.0, "chord": 0.01}, "chord"),
     ],
 )
-def test_what_makes_no_sense_is_refused(pair: PairSetup, fixed: dict, key: str) -> None:
+def test_what_makes_no_sense_is_refused(pair: Setup, fixed: dict, key: str) -> None:
     with pytest.raises(InputError, match=key):
-        solve_pair(replace(pair, fixed=fixed))
+        solve_case(replace(pair, fixed=fixed))
 
 
-def test_the_search_saves_power_and_keeps_thrust_balance_and_limits(pair: PairSetup) -> None:
+def test_the_search_saves_power_and_keeps_thrust_balance_and_limits(pair: Setup) -> None:
     setup = replace(pair, fixed={"spacing": 0.03, "upper_pitch": PITCH, "lower_pitch": PITCH, "thrust": 0.4})
     free = ["upper_pitch", "lower_pitch", "lower_chord"]
     best = optimise_pair(setup, free, limits=[pair_limit("lower_chord<=18mm")], generations=4)
@@ -207,9 +202,9 @@ def test_the_search_saves_power_and_keeps_thrust_balance_and_limits(pair: PairSe
         assert point.thrust_N == pytest.approx(0.4, rel=1e-6)
         assert abs(point.yaw_torque_Nm) < 1e-6 * point.upper.torque_Nm
     assert best.changes["lower_chord"] <= 0.018 + 1e-12
-    again = solve_pair(
+    again = solve_case(
         replace(
-            setup, upper=best.upper, lower=best.lower,
+            setup, rotor=best.upper, lower=best.lower,
             fixed={**setup.fixed, "upper_pitch": best.pitch_rad[0], "lower_pitch": best.pitch_rad[1]},
         )
     )  # fmt: skip
@@ -224,7 +219,8 @@ def test_the_search_saves_power_and_keeps_thrust_balance_and_limits(pair: PairSe
 
 def test_single_rotors_by_the_wake_agree_with_asking_for_one(rotor) -> None:
     blading = prepare(rotor, stations=10)
-    found = solve(System.single(blading), Condition(PITCH, thrust_N=0.25), "wake", settings=COARSE)
+    at = Condition(PITCH, thrust_N=0.25)
+    found = solve(System.single(blading), at, "wake", settings=COARSE)
     assert found.rotors[0].thrust_N == pytest.approx(0.25, rel=0.0101)
     setup = Setup(rotor, None, {"thrust": 0.25}, method="wake", wake=COARSE, stations=10)
     data = sweep(setup, {"pitch": [PITCH]})
@@ -255,9 +251,9 @@ def test_a_thrust_out_of_reach_is_named(rotor) -> None:
         )
 
 
-def test_the_wake_finds_the_lower_pitch_that_balances(pair: PairSetup) -> None:
+def test_the_wake_finds_the_lower_pitch_that_balances(pair: Setup) -> None:
     setup = replace(pair, method="wake", free="lower-pitch")
-    point = solve_pair(setup, {"upper_speed": 600.0, "speed_ratio": 1.0})
+    point = solve_case(setup, {"upper_speed": 600.0, "speed_ratio": 1.0})
     assert point.lower.torque_Nm == pytest.approx(point.upper.torque_Nm, rel=0.0101)
     assert PITCH < point.lower.pitch_rad < PITCH + math.radians(5.0)
     assert point.lower.speed_rad_s == point.upper.speed_rad_s == 600.0

@@ -2,25 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+import math
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 
-from mufly.cli import coax_study
-from mufly.cli.coax_shared import (
-    DENSITY,
-    SPACING,
-    THESIS,
-    LowerArgument,
-    UpperArgument,
-    angles,
-    length,
-    pair_json,
-    pair_of,
-    print_pair,
-    speeds,
-    write_pair,
-)
 from mufly.cli.options import (
     Commands,
     EngineOption,
@@ -31,15 +19,234 @@ from mufly.cli.options import (
     OutOption,
     WakeOption,
     WakeSetOption,
+    angle,
+    corrections_of,
+    engine_of,
+    wake_of,
     wake_progress,
 )
-from mufly.cli.present import console, print_json
+from mufly.cli.present import (
+    answer,
+    console,
+    print_table,
+    progress_bar,
+    save_picture,
+    write_csv,
+)
 from mufly.errors import InputError, MuflyError
+from mufly.units import RPM
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    import numpy as np
+    from numpy.typing import NDArray
 
-    from mufly.study import PairSetup
+    from mufly.rotor import Result, RotorResult
+    from mufly.study import Setup
+    from mufly.study.parameters import Value
+    from mufly.vehicle import CoefficientMap
+
+THESIS = "naca0012-r60-c20"  # the dissertation's pair: this rotor twice at 14 degrees, 20 mm apart
+
+UpperArgument = Annotated[
+    str, typer.Argument(metavar="UPPER", help="Upper rotor: built-in name or rotor file (TOML).")
+]
+LowerArgument = Annotated[
+    str | None, typer.Argument(metavar="LOWER", help="Lower rotor; if not given, the upper one again.")
+]
+SPACING = typer.Option("--spacing", metavar="LENGTH", help="Distance between the discs: 20mm, 2cm, 0.02m.")
+DENSITY = typer.Option("--density", metavar="KG/M3", help="Density of the air.")
+
+
+def _both(option: str, text: str) -> list[str]:
+    parts = [p.strip() for p in text.split(",")]
+    if len(parts) not in (1, 2) or not all(parts):
+        raise InputError(
+            option, "", f"{text!r} is neither one value nor two", "write one, or UPPER,LOWER as 14,12"
+        )
+    return parts if len(parts) == 2 else parts * 2
+
+
+def speeds(text: str) -> tuple[float, float]:
+    """Upper and lower speed (rad/s) of ``"6000,6650"`` or ``"6000"`` rpm."""
+    out = []
+    for part in _both("--rpm", text):
+        try:
+            value = float(part.removesuffix("rpm"))
+        except ValueError:
+            raise InputError("--rpm", "", f"{part!r} is no number", "write for example 6000,6650") from None
+        if not 0.0 < value < math.inf:
+            raise InputError("--rpm", "", f"{part} is not possible", "give a number above 0")
+        out.append(value * RPM)
+    return out[0], out[1]
+
+
+def angles(text: str) -> tuple[float, float]:
+    """Upper and lower pitch (rad) of ``"14,12"``, ``"14"`` degrees."""
+    upper, lower = (angle("--pitch", part) for part in _both("--pitch", text))
+    return upper, lower
+
+
+def length(text: str) -> float:
+    """Distance (m) of ``"20mm"``."""
+    from mufly.study.parameters import PAIR, parse_quantity
+
+    try:
+        return float(parse_quantity("spacing", text, PAIR))
+    except InputError as error:
+        raise InputError("--spacing", "", error.problem, error.remedy) from None
+
+
+def pair_of(
+    upper: str, lower: str | None, fixed: dict[str, Value], *, method: str, wake: str, wake_set: list[str] | None,
+    model: str, engine: str, balance: str = "lower-speed",
+) -> Setup:  # fmt: skip
+    """The pair that the options describe.
+
+    Raises
+    ------
+    InputError
+        If one of them is wrong.
+    """
+    from mufly.rotor import load_rotor
+    from mufly.study import Setup
+
+    settings, stations = wake_of(method, wake, wake_set)
+    above = load_rotor(upper)
+    below = above if lower is None else load_rotor(lower)
+    return Setup(
+        above, None, fixed, corrections_of(model), engine_of(engine), method=method, wake=settings, stations=stations,
+        lower=below, free=balance,  # type: ignore[arg-type]
+    )  # fmt: skip
+
+
+def _plain(result: RotorResult) -> dict[str, Any]:
+    values = vars(result)
+    stations = {k: v for k, v in values.items() if getattr(v, "ndim", 0) == 1}
+    return {**{k: v for k, v in values.items() if k not in stations}, "stations": stations}
+
+
+def losses(point: Result, alone: tuple[RotorResult, ...]) -> dict[str, float]:
+    """What the pair does compared with its rotors alone at the same pitch and speed: ratios less one."""
+    thrust = sum(r.thrust_N for r in alone)
+    power = sum(r.power_W for r in alone)
+    each = zip(("upper", "lower"), (point.upper, point.lower), alone, strict=True)
+    return {
+        **{
+            f"{side}_{key}": getattr(r, name) / getattr(a, name) - 1.0
+            for side, r, a in each
+            for key, name in (("thrust", "thrust_N"), ("torque", "torque_Nm"))
+        },
+        "thrust": point.thrust_N / thrust - 1.0,
+        "power": point.power_W / power - 1.0,
+        "thrust_per_power": (point.thrust_N / point.power_W) / (thrust / power) - 1.0,
+    }
+
+
+def pair_json(setup: Setup, point: Result, alone: tuple[RotorResult, ...] | None) -> dict[str, Any]:
+    """A point as JSON; SI units."""
+    s = point.wake
+    return {
+        "upper": {"rotor": setup.rotors[0].name, **_plain(point.upper)},
+        "lower": {"rotor": setup.rotors[1].name, **_plain(point.lower)},
+        "spacing_m": point.spacing_m,
+        "thrust_N": point.thrust_N,
+        "power_W": point.power_W,
+        "yaw_torque_Nm": point.yaw_torque_Nm,
+        "figure_of_merit": point.figure_of_merit,
+        "lower_over_upper": {
+            "speed": point.lower.speed_rad_s / point.upper.speed_rad_s,
+            "thrust": point.lower.thrust_N / point.upper.thrust_N,
+            "torque": point.lower.torque_Nm / point.upper.torque_Nm,
+            "power": point.lower.power_W / point.upper.power_W,
+        },
+        "isolated": None if alone is None else dict(zip(("upper", "lower"), map(_plain, alone), strict=True)),
+        "change_from_isolated": None if alone is None else losses(point, alone),
+        "method": setup.method,
+        "wake": None
+        if s is None
+        else {
+            "converged": s.converged, "message": s.message, "iterations": s.iterations, "residual": s.residual,
+            "settings": vars(s.settings),
+        },
+    }  # fmt: skip
+
+
+def print_pair(setup: Setup, point: Result, alone: tuple[RotorResult, ...] | None) -> None:
+    """Print a point as tables."""
+    c = console()
+    how = (
+        "blade element momentum theory" if point.wake is None else f"{setup.wake.model} wake, {point.message}"
+    )
+    c.print(
+        f"[bold]{setup.rotors[0].name} over {setup.rotors[1].name}[/bold], {1e3 * point.spacing_m:g} mm apart; {how}",
+        highlight=False,
+    )
+
+    def row(name: str, r: RotorResult) -> tuple[str, ...]:
+        merit = f"{r.figure_of_merit:.3f}" if math.isfinite(r.figure_of_merit) else "-"
+        return (
+            name, f"{r.speed_rad_s / RPM:.0f}", f"{math.degrees(r.pitch_rad):.2f}°", f"{r.thrust_N:.4g}",
+            f"{1e3 * r.torque_Nm:.4g}", f"{r.power_W:.4g}", f"{r.c_T:.5f}", f"{r.c_Q:.6f}", merit,
+        )  # fmt: skip
+
+    rows = [row("upper", point.upper), row("lower", point.lower)]
+    merit = f"{point.figure_of_merit:.3f}" if math.isfinite(point.figure_of_merit) else "-"
+    balanced = abs(point.yaw_torque_Nm) < 1e-6 * abs(point.upper.torque_Nm)
+    yaw, power = "0" if balanced else f"{1e3 * point.yaw_torque_Nm:+.3g}", f"{point.power_W:.4g}"
+    rows.append(("pair", "", "", f"{point.thrust_N:.4g}", yaw, power, "", "", merit))
+    if alone is not None:
+        rows += [row("upper alone", alone[0]), row("lower alone", alone[1])]
+    print_table(("", "rpm", "pitch", "thrust (N)", "torque (mN m)", "power (W)", "c_T", "c_Q", "merit"), rows)
+    up, low = point.upper, point.lower
+    lines = [
+        f"lower over upper: thrust {low.thrust_N / up.thrust_N:.3f}, torque {low.torque_Nm / up.torque_Nm:.3f}, power "
+        f"{low.power_W / up.power_W:.3f}, speed {low.speed_rad_s / up.speed_rad_s:.3f}; "
+        f"{point.thrust_N / point.power_W:.4g} N/W"
+    ]
+    if alone is not None:
+        x = losses(point, alone)
+        lines.append(
+            f"against the rotors alone at these speeds: upper thrust {x['upper_thrust']:+.1%}, torque "
+            f"{x['upper_torque']:+.1%}; lower thrust {x['lower_thrust']:+.1%}, torque {x['lower_torque']:+.1%}; the "
+            f"pair's thrust {x['thrust']:+.1%}, power {x['power']:+.1%}, thrust per power {x['thrust_per_power']:+.1%}"
+        )
+    for line in lines:
+        c.print(line, highlight=False)
+    share = max(up.outside_share, low.outside_share)
+    if share > 0.0:
+        c.print(
+            f"sections beyond what the polars' engine computed carry up to {share:.0%} of a rotor's thrust",
+            style="yellow", highlight=False,
+        )  # fmt: skip
+
+
+def write_pair(point: Result, alone: tuple[RotorResult, ...] | None, folder: Path) -> list[Path]:
+    """Write stations and pictures of a point; of a wake, its geometry, the air around it and its history too."""
+    from mufly.study import (
+        field_picture,
+        history_picture,
+        rotor_loads_picture,
+        wake_picture,
+        write_stations,
+    )
+
+    files = [
+        write_stations(point.upper, folder, "stations-upper"),
+        write_stations(point.lower, folder, "stations-lower"),
+        save_picture(rotor_loads_picture(point.upper, point.lower, alone), folder, "loads"),
+    ]
+    s = point.wake
+    if s is not None:
+        heads = ("residual", "upper_thrust_N", "upper_torque_Nm", "lower_thrust_N", "lower_torque_Nm")
+        files.append(write_csv(folder / "history.csv", heads, s.history))
+        history = history_picture(s.history, residual=s.settings.residual, note=s.message)
+        files.append(save_picture(history, folder, "history"))
+        if s.converged:
+            files.append(save_picture(wake_picture(s), folder, "wake"))
+            files.append(save_picture(field_picture(s), folder, "air"))
+            files.append(save_picture(field_picture(s, mean=False), folder, "air-instant"))
+    return files
+
 
 app = Commands(
     help="Coaxial pairs: two rotors that turn against each other, by a free vortex wake or by blade elements. See "
@@ -176,13 +383,12 @@ def trim(
     _answer(setup, isolated, out, as_json)
 
 
-def _answer(setup: PairSetup, isolated: bool, out: Path | None, as_json: bool) -> None:
-    from mufly.study import alone, bladings_of, solve_pair
+def _answer(setup: Setup, isolated: bool, out: Path | None, as_json: bool) -> None:
+    from mufly.study import alone, solve_case
 
-    bladings = bladings_of(setup, {})
     wakes = setup.method == "wake"
     with wake_progress("coaxial pair", wakes and not as_json, out) as progress:
-        point = solve_pair(setup, bladings=bladings, progress=progress if wakes else None)
+        point = solve_case(setup, progress=progress if wakes else None)
     if not point.converged:
         if out is not None:
             write_pair(point, None, out)
@@ -192,16 +398,193 @@ def _answer(setup: PairSetup, isolated: bool, out: Path | None, as_json: bool) -
     single = None
     if isolated:
         with wake_progress("each rotor alone", wakes and not as_json, out) as progress:
-            single = alone(setup, point, bladings, progress if wakes else None)
+            single = alone(setup, point, progress if wakes else None)
     files = write_pair(point, single, out) if out is not None else []
-    if as_json:
-        print_json(pair_json(setup, point, single, files))
-        return
-    print_pair(setup, point, single)
-    for file in files:
-        console().print(f"Written: {file}", highlight=False)
+    answer(as_json, lambda: pair_json(setup, point, single), lambda: print_pair(setup, point, single), files)
 
 
-coax_study.add_sweep(app)
-coax_study.add_optimise(app)
-coax_study.add_map(app)
+# ----------------------------------------------------------------------------
+# ``mufly coax map``: coefficients over both speeds and the climb velocity, for a vehicle to fly with.
+
+
+_POINTS = {"--rpm": 3, "--ratio": 11, "--climb": 9}
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_WAKE_POINTS = {"--rpm": 1, "--ratio": 5, "--climb": 5}
+
+
+def coax_map(
+    upper: Annotated[str, typer.Argument(metavar="UPPER", help="Upper rotor: built-in name or rotor file.")],
+    lower: Annotated[
+        str | None, typer.Argument(metavar="[LOWER]", help="Lower rotor; by default the upper one once more.")
+    ] = None,
+    spacing: Annotated[
+        str, typer.Option(metavar="LENGTH", help="Distance between the discs: 20mm, 0.02m.")
+    ] = "40mm",
+    pitch: Annotated[
+        str, typer.Option(metavar="ANGLE[,ANGLE]", help="Pitch of both rotors, or of upper and lower.")
+    ] = "14",
+    rpm: Annotated[
+        str,
+        typer.Option(
+            metavar="FIRST:LAST[:STEP]",
+            help="Mean of both speeds (it sets the Reynolds number); one value will do. 3 values by default, 1 for "
+            "wakes: the middle.",
+        ),
+    ] = "2500:6000",
+    ratio: Annotated[
+        str,
+        typer.Option(
+            metavar="FIRST:LAST[:STEP]", help="Lower over upper speed. 11 values by default, 5 for wakes."
+        ),
+    ] = "0.6:1.6",
+    climb: Annotated[
+        str,
+        typer.Option(
+            metavar="FIRST:LAST[:STEP]", help="Climb velocity in m/s at the lowest of the mean speeds, scaled with "
+            "speed above; 0 lies inside. 9 values by default, 5 for wakes.",
+        ),
+    ] = "-1:3",
+    method: Annotated[str, typer.Option(metavar="bemt|wake", help="Blade elements, or vortex wakes.")] = "bemt",
+    wake: Annotated[
+        str, typer.Option("--wake", metavar="free|prescribed", help="Shape of the wakes of --method wake.")
+    ] = "free",
+    wake_step: Annotated[
+        float, typer.Option("--wake-step", metavar="DEG", help="Azimuth step of --method wake.")
+    ] = 30.0,
+    wake_turns: Annotated[
+        float, typer.Option("--wake-turns", metavar="N", help="Free turns of --method wake.")
+    ] = 3.0,
+    wake_tolerance: Annotated[
+        float, typer.Option("--wake-tolerance", metavar="X", help="Settled when the loads change by less.")
+    ] = 3e-3,
+    wake_iterations: Annotated[
+        int, typer.Option("--wake-iterations", metavar="N", help="At most, a point; what has not settled is marked.")
+    ] = 150,
+    density: Annotated[float, typer.Option(metavar="KG/M3", help="Density of the air.")] = 1.2,
+    n_crit: NCritOption = 0.1,
+    engine: EngineOption = "neuralfoil",
+    model: ModelOption = "full",
+    name: Annotated[str, typer.Option(metavar="NAME", help="Name of the map.")] = "",
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Map file (TOML); a picture of the same name (PNG) is drawn beside it."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:  # fmt: skip
+    """Compute c_T and c_Q of both rotors over their speeds and the climb velocity, as a file that a vehicle can name.
+
+    A line `coefficient_map = "pair.toml"` in the table `rotors` of a vehicle file makes the flight model use it in
+    place of the constant coefficients (docs/coax-map.md). A run that is stopped goes on when the same command is given
+    again. Blade elements take seconds, wakes minutes.
+    Example: mufly coax map walkera-5g6 --spacing 40mm --pitch 14 --rpm 2500:6000 --climb -1:3 --out pair.toml
+    """
+    from mufly.rotor import Air, climb_ratios, load_rotor, prepare
+    from mufly.rotor.maps import coax_map as compute
+    from mufly.rotor.wake import WakeSettings
+    from mufly.study import map_picture
+    from mufly.vehicle import map_toml
+
+    if method not in ("bemt", "wake"):
+        raise InputError("--method", "", f"{method!r} is unknown", "use 'bemt' or 'wake'")
+    counts = _WAKE_POINTS if method == "wake" else _POINTS
+    speeds = _range("--rpm", rpm, counts, "rpm") * RPM
+    ratios, climbs = _range("--ratio", ratio, counts, ""), _range("--climb", climb, counts, "m/s")
+    if speeds[0] <= 0:
+        raise InputError("--rpm", "", f"{rpm!r} is not possible", "give speeds above 0")
+    if out is not None and out.suffix != ".toml":
+        raise InputError("--out", str(out), "is no name of a map file", "let it end in .toml")
+    pitches = [angle("--pitch", part) for part in pitch.split(",")]
+    if len(pitches) not in (1, 2):
+        raise InputError("--pitch", "", f"{len(pitches)} angles", "give one, or one each for upper and lower")
+    fixes, polars = corrections_of(model), engine_of(engine)
+    blades = [
+        prepare(load_rotor(r), n_crit=n_crit, engine=polars, corrections=fixes)
+        for r in (upper, upper if lower is None else lower)
+    ]
+    settings = None
+    if method == "wake":
+        settings = WakeSettings(
+            model=cast("Literal['free', 'prescribed']", wake), step_deg=wake_step, turns=wake_turns,
+            tolerance=wake_tolerance, iterations=wake_iterations,
+        )  # fmt: skip
+    kept = out.with_suffix(".points") if out is not None else None
+    try:
+        with progress_bar("points", not as_json) as progress:
+            made = compute(
+                blades[0], blades[1], spacing_m=length(spacing), upper_pitch_rad=pitches[0],
+                lower_pitch_rad=pitches[-1], mean_speed_rad_s=speeds.tolist(), ratio=ratios.tolist(),
+                climb_ratio=climb_ratios(climbs.tolist(), speeds.tolist(), blades[0].rotors[0].radius_m).tolist(),
+                method=cast("Literal['bemt', 'wake']", method), air=Air(density_kg_m3=density), settings=settings,
+                name=name or (out.stem if out is not None else ""),
+                note=f"polars {engine}, n_crit {n_crit:g}, corrections {model}", kept=kept, progress=progress,
+            )  # fmt: skip
+    except KeyboardInterrupt:
+        if kept is not None:
+            typer.echo(f"stopped; the points so far are in {kept}, and the same command goes on", err=True)
+        raise
+    files = []
+    if out is not None:
+        partial = out.with_suffix(".toml.part")
+        partial.write_text(map_toml(made), encoding="utf-8")
+        partial.replace(out)
+        files = [out, save_picture(map_picture(made), out.parent, out.stem)]
+    content = {**made.model_dump(exclude={"table"}), **made.tables()._asdict()}
+    answer(as_json, lambda: content, lambda: _print_map(made), files)
+
+
+def _print_map(made: CoefficientMap) -> None:
+    t = made.tables()
+    c = console()
+    c.print(f"[bold]{made.name}[/bold]  {made.description}", highlight=False)
+    k, i = t.shape[0] // 2, int(np.argmin(np.abs(t.climb_ratio)))
+    mean = float(t.mean_speed_rad_s[k])
+    c.print(
+        f"{t.shape[0]} mean speeds, {t.shape[1]} ratios, {t.shape[2]} climbs; below: {mean / RPM:.0f} rpm, climb "
+        f"{float(t.climb_ratio[i]) * mean * made.radius_m:.2f} m/s",
+        highlight=False,
+    )
+    print_table(
+        ("lower/upper speed", "cT upper", "cQ upper", "cT lower", "cQ lower", ""),
+        [
+            (f"{t.ratio[j]:.3g}", f"{t.cT_upper[k, j, i]:.5f}", f"{t.cQ_upper[k, j, i]:.6f}",
+             f"{t.cT_lower[k, j, i]:.5f}", f"{t.cQ_lower[k, j, i]:.6f}", "" if t.solved[k, j, i] else "from neighbours")
+            for j in range(t.shape[1])
+        ],
+        text=(0, 5),
+    )  # fmt: skip
+    if t.climb_ratio[0] == 0.0 or t.climb_ratio[-1] == 0.0:
+        c.print(
+            "Hover lies at the edge of the map, where it is held: damping in heave shows on one side only. Let --climb "
+            "reach beyond 0 on both sides.",
+            style="yellow",
+        )
+    missing = int(np.count_nonzero(~t.solved))
+    if missing:
+        c.print(
+            f"{missing} of {t.solved.size} points have no solution and take the mean of their neighbours.",
+            style="yellow",
+        )
+
+
+def _range(option: str, text: str, counts: dict[str, int], unit: str) -> NDArray[np.float64]:
+    """Return the values of FIRST:LAST[:STEP], which may end in the unit."""
+    body = text.strip().removesuffix(unit).strip() if unit else text.strip()
+    match = re.fullmatch(rf"({_NUMBER})(?::({_NUMBER})(?::({_NUMBER}))?)?", body)
+    if match is None:
+        example = {"--rpm": "2500:6000", "--ratio": "0.6:1.6:0.1", "--climb": "-1:3m/s"}[option]
+        raise InputError(
+            option, "", f"{text!r} is no range", f"write first:last or first:last:step, as {example}"
+        )
+    first, last, step = (float(g) if g is not None else None for g in match.groups())
+    assert first is not None
+    if last is None:
+        return np.array([first])
+    if last <= first or (step is not None and not 0 < step <= (last - first) * (1 + 1e-9)):
+        raise InputError(
+            option, "", f"{text!r} holds no two values", "let it rise, by a step no longer than that"
+        )
+    if step is not None:
+        n = math.floor((last - first) / step + 1e-9) + 1
+        return np.array([round(first + k * step, 12) for k in range(n)])
+    n = counts[option]
+    return np.array([0.5 * (first + last)] if n == 1 else np.linspace(first, last, n).round(12).tolist())

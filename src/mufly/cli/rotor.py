@@ -1,4 +1,4 @@
-"""``mufly rotor compare``: prediction beside measurement."""
+"""``mufly rotor``: what a rotor is, what it does in hover, and how that compares with a measurement."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mufly.cli import rotor_study
+from mufly.cli import study
 from mufly.cli.options import (
     Commands,
     DriveOption,
@@ -34,8 +34,7 @@ from mufly.units import RPM
 
 if TYPE_CHECKING:
     from mufly.drive import OperatingPoint
-    from mufly.rotor import Band, Blading, Rotor, RotorResult
-    from mufly.rotor.wake import WakeSolution
+    from mufly.rotor import Band, Rotor, RotorResult
 
 
 def compare(
@@ -71,7 +70,6 @@ def compare(
     from mufly.rotor import Air, load_rotor, prepare, read_measurements
     from mufly.rotor import calibrate as scale
     from mufly.rotor import compare as beside
-    from mufly.rotor.measurements import compare_wake
 
     r, air = load_rotor(rotor), Air(density_kg_m3=density)
     bench = read_measurements(measurements, diameter_m=2.0 * float(r.radius), density_kg_m3=density)
@@ -85,19 +83,17 @@ def compare(
         if not 1 <= calibrate <= bench.thrust_N.size:
             raise InputError("--calibrate", "", f"there are {bench.thrust_N.size} points", "count from 1")
         blading = scale(blading, bench, calibrate - 1, air=air)
-    faults = [""] * bench.thrust_N.size
-    if method == "wake":
-        with progress_bar("points", not as_json) as progress:
-            c, faults = compare_wake(blading, bench, air=air, settings=settings, progress=progress)
-    else:
-        c = beside(blading, bench, air=air)
+    with progress_bar("points", method == "wake" and not as_json) as progress:
+        c = beside(
+            blading, bench, air=air, method=method, settings=settings, progress=progress,  # type: ignore[arg-type]
+        )  # fmt: skip
     if as_json:
         points = [
             {
                 "pitch_rad": bench.pitch_rad[k], "speed_rad_s": bench.speed_rad_s[k],
                 "thrust_N": c.thrust_N[k], "measured_thrust_N": bench.thrust_N[k], "thrust_error": c.thrust_error[k],
                 "torque_Nm": c.torque_Nm[k], "measured_torque_Nm": bench.torque_Nm[k],
-                "torque_error": c.torque_error[k], "fault": faults[k],
+                "torque_error": c.torque_error[k], "fault": c.faults[k],
             }
             for k in range(bench.thrust_N.size)
         ]  # fmt: skip
@@ -110,13 +106,9 @@ def compare(
         )  # fmt: skip
         return
     typer.echo(str(c))
-    for k, fault in enumerate(faults):
+    for k, fault in enumerate(c.faults):
         if fault:
             typer.secho(f"point {k + 1}: wake {fault}", fg=typer.colors.YELLOW)
-
-
-# ----------------------------------------------------------------------------
-# ``mufly rotor``: what a rotor is, what it does in hover, and how that compares with a measurement.
 
 
 app = Commands(
@@ -124,7 +116,7 @@ app = Commands(
     "docs/bemt.md; of sweeps and rankings: docs/studies.md.",
     no_args_is_help=True,
 )
-rotor_study.add_to(app)
+study.add_to(app)
 app.command()(compare)
 
 
@@ -272,8 +264,7 @@ def hover(
 
     from mufly.drive import blade_load, operating_point, scaled_load
     from mufly.errors import InputError, MuflyError
-    from mufly.rotor import Air, interval, load_rotor, prepare, solve_thrust
-    from mufly.rotor import hover as solve
+    from mufly.rotor import Air, Condition, System, interval, load_rotor, prepare, solve
     from mufly.study import field_picture, history_picture, stations_picture, wake_picture, write_stations
 
     if sum(v is not None for v in (pitch, rpm, thrust)) != 2:
@@ -290,26 +281,17 @@ def hover(
     blading = prepare(r, n_crit=n_crit, engine=engine_of(engine), corrections=fixes, stations=count)
     theta = angle("--pitch", pitch) if pitch is not None else None
     speed = rpm * RPM if rpm is not None else None
-    solution = None
-    if method == "wake":
-        with wake_progress("wake", not as_json, out) as progress:
-            solution = solve_wake(
-                blading, thrust, theta, speed, climb_m_s=climb, air=air, settings=settings, progress=progress
-            )
-        result = solution.rotors[0]
-        if out is not None:
-            write_csv(out / "history.csv", ("residual", "thrust_N", "torque_Nm"), solution.history)
-        if not solution.converged:
-            kept = "" if out is None else f"; its history lies in {out}"
-            raise MuflyError(f"wake: {solution.message}{kept}")
-    elif thrust is not None:
-        result = solve_thrust(
-            blading, thrust_N=thrust, pitch_rad=theta, speed_rad_s=speed, climb_m_s=climb, air=air
-        )
-    else:
-        assert theta is not None
-        assert speed is not None
-        result = solve(blading, pitch_rad=theta, speed_rad_s=speed, climb_m_s=climb, air=air)
+    with wake_progress("wake", method == "wake" and not as_json, out) as progress:
+        found = solve(
+            System.single(blading), Condition(theta, speed, thrust, climb, air), method,  # type: ignore[arg-type]
+            settings=settings, progress=progress,
+        )  # fmt: skip
+    result, solution = found.rotors[0], found.wake
+    if solution is not None and out is not None:
+        write_csv(out / "history.csv", ("residual", "thrust_N", "torque_Nm"), solution.history)
+    if not found.converged:
+        kept = "" if out is None else f"; its history lies in {out}"
+        raise MuflyError(f"wake: {found.message}{kept}")
     point = None
     if d is not None and result.thrust_N > 0:
         load = blade_load(blading, pitch_rad=result.pitch_rad, climb_m_s=climb, air=air)
@@ -389,20 +371,6 @@ def hover(
         )
     for file in files:
         c.print(f"Written: {file}")
-
-
-def solve_wake(
-    blading: Blading, thrust: float | None, pitch: float | None, speed: float | None, **more: Any
-) -> WakeSolution:
-    """A wake at two of thrust, pitch and speed."""
-    from mufly.rotor.measurements import solve_thrust_wake
-    from mufly.rotor.system import hover_wake
-
-    if thrust is not None:
-        return solve_thrust_wake(blading, thrust_N=thrust, pitch_rad=pitch, speed_rad_s=speed, **more)
-    assert pitch is not None
-    assert speed is not None
-    return hover_wake(blading, pitch_rad=pitch, speed_rad_s=speed, **more)
 
 
 def _hover_json(

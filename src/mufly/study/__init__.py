@@ -1,6 +1,6 @@
 """Which rotor and which drive are best? Sweeps over any parameter, rankings of airfoils, optimisation."""
 
-from mufly.study.evaluation import PairPoint, PairSetup, Results, alone, bladings_of, evaluate, solve_pair
+from mufly.study.evaluation import Results, alone, condition_of, evaluate, solve_case, system_of
 from mufly.study.optimisation import (
     PAIR_FREE,
     Optimum,
@@ -25,7 +25,7 @@ from mufly.study.pictures import (
 )
 from mufly.study.ranking import TABLE_3_3, choose_airfoils, rank_airfoils, thesis_airfoils
 from mufly.study.setup import METHODS, MODELS, Setup, reshape
-from mufly.study.sweeps import read_results, sweep, sweep_pairs, write_results, write_stations
+from mufly.study.sweeps import read_results, sweep, write_results, write_stations
 
 __all__ = [
     "METHODS",
@@ -36,15 +36,13 @@ __all__ = [
     "TABLE_3_3",
     "Optimum",
     "PairOptimum",
-    "PairPoint",
-    "PairSetup",
     "Results",
     "Setup",
     "alone",
     "blade_picture",
-    "bladings_of",
     "check_by_wake",
     "choose_airfoils",
+    "condition_of",
     "evaluate",
     "field_picture",
     "gear_picture",
@@ -63,10 +61,10 @@ __all__ = [
     "read_results",
     "reshape",
     "rotor_loads_picture",
-    "solve_pair",
+    "solve_case",
     "stations_picture",
     "sweep",
-    "sweep_pairs",
+    "system_of",
     "thesis_airfoils",
     "wake_picture",
     "write_results",

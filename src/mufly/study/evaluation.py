@@ -1,24 +1,34 @@
-"""Many cases at once: rotor, polars, blade elements or a wake, and the drive train where there is one.
+"""Cases of a study: rotor or pair, polars, blade elements or a wake, and the drive train where there is one.
 
-A case is a dictionary of parameters (``parameters.PARAMETERS``, SI values): what it does not name comes from the
-rotor and the drive of the study. It says the pitch and one of
+A case is a dictionary of parameters (SI values): what it does not name comes from the rotors and the drive of the
+study. Of a single rotor (``parameters.PARAMETERS``) it says the pitch and one of
 
 * ``speed``: the rotor is evaluated at it;
 * ``thrust``: the speed is found that gives it;
 * ``duty``: the speed is found at which rotor and motor settle (eq. 3.18), at ``voltage`` times duty.
 
 With a thrust the gear may be ``"adapted"`` (full voltage gives just the thrust, as in the dissertation's Sec. 3.4) or
-``"best"`` (least power at any duty); see ``drive.gear``. A case that cannot be solved gets nan and a reason, and does
-not disturb the others.
+``"best"`` (least power at any duty); see ``drive.gear``. Of a coaxial pair (``parameters.PAIR``) it says spacing, pitch
+(or the pitch of each rotor) and one of
+
+* ``upper_speed`` with ``lower_speed`` or ``speed_ratio``: the pair is evaluated at these speeds;
+* ``upper_speed`` alone: the lower speed is found at which the torques cancel;
+* ``thrust``: both speeds are found, torques cancelled.
+
+With ``free = "lower-pitch"`` the lower pitch cancels the torques instead, at the speeds given, or, with a thrust, at
+speeds of the ratio given (1 if none is).
+
+Single rotors by blade elements are solved many at once; wakes and pairs one after the other. A case that cannot be
+solved gets nan and a reason, and does not disturb the others.
 """
 
 from __future__ import annotations
 
-import math
 import threading
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
-from typing import Any, Literal, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,33 +46,26 @@ from mufly.drive import (
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import (
     Air,
-    Blading,
-    Corrections,
+    Condition,
     PolarTable,
+    Result,
     Rotor,
     RotorResult,
-    balance_torque,
-    coaxial,
+    System,
     hover,
     polars,
     prepare,
+    solve,
 )
-from mufly.rotor.blading import STATIONS
-from mufly.rotor.system import (
-    FASTEST_TIP_M_S,
-    balance_pitch,
-    balance_pitch_wake,
-    balance_torque_wake,
-    coaxial_wake,
-    hover_wake,
-)
-from mufly.rotor.wake import Placed, WakeSettings, WakeSolution
+from mufly.rotor.system import FASTEST_TIP_M_S
+from mufly.rotor.wake import WakeSettings
 from mufly.rotor.wake.result import check_rotors
-from mufly.study.parameters import GEOMETRY, PAIR, Value
-from mufly.study.setup import METHODS, Setup, check_names, reshape
+from mufly.study.parameters import GEOMETRY, Value
+from mufly.study.setup import EACH_OUTPUTS, Setup, check_names, reshape
 
 Array = NDArray[np.float64]
 Case = Mapping[str, Value]
+Progress = Callable[[int, float, float], None]
 
 _CONSTANTS = {
     "back_emf": "back_emf_V_s",
@@ -82,21 +85,12 @@ class Results:
     fault: list[str]
 
 
-class PolarSource(Protocol):
-    """What says where polars come from: a setup of rotors, or of pairs."""
-
-    @property
-    def engine(self) -> str: ...
-    @property
-    def model(self) -> str: ...
-
-
 _TABLES: dict[tuple[str, float, str, str], PolarTable | str] = {}  # polars that were used last
 _KEPT = 300  # a third of a megabyte each
 _LOCK = threading.Lock()
 
 
-def polar_tables(names: Sequence[str], n_crit: float, setup: PolarSource) -> dict[str, PolarTable | str]:
+def polar_tables(names: Sequence[str], n_crit: float, setup: Setup) -> dict[str, PolarTable | str]:
     """Polars of airfoils, or the reason why there is none; those not at hand are computed together, on all cores."""
     key = {name: (name, n_crit, setup.engine, setup.model) for name in names}
     with _LOCK:
@@ -125,8 +119,8 @@ def evaluate(setup: Setup, cases: Sequence[Case]) -> Results:
     Returns
     -------
     Results
-        By blade elements, bit by bit the same however the cases are grouped into calls; by the wake method, within
-        its tolerance (see :mod:`mufly.study.evaluation`).
+        By blade elements, bit by bit the same however the cases are grouped into calls; by the wake method, which
+        starts from the last wake, within its tolerance.
 
     Raises
     ------
@@ -138,6 +132,16 @@ def evaluate(setup: Setup, cases: Sequence[Case]) -> Results:
     check_names(setup, list(cases[0]) if cases else [])
     out = Results({name: np.full(len(cases), np.nan) for name in setup.outputs()}, [""] * len(cases))
     full = [{**setup.fixed, **case} for case in cases]
+    if setup.lower is not None:
+        for k, case in enumerate(full):
+            try:
+                row = _pair_row(_from_last(setup, partial(solve_case, setup, case)))
+            except MuflyError as error:
+                out.fault[k] = str(error)
+                continue
+            for name, value in row.items():
+                out.values[name][k] = value
+        return out
     rotors: dict[Any, Rotor | str] = {}
     keys = []
     groups: dict[tuple[float, float, float], list[int]] = {}
@@ -233,12 +237,20 @@ def _group(
         speed, why = find(load), "rotor and motor settle at no speed"
     good = np.isfinite(speed) & (speed > 0)
     thrust, torque = np.full(index.size, np.nan), np.full(index.size, np.nan)
-    by_wake = None
+    reasons = np.where(good, "", why).astype(object)
+    share, core = np.full(index.size, np.nan), np.full(index.size, np.nan)
     if setup.method == "wake":
-        by_wake = solve_wakes(
-            blading, which, pitch, climb, air, setup.wake, load, speed, None if "speed" in first else find
-        )
-        thrust, torque, speed = by_wake.thrust_N, by_wake.torque_Nm, by_wake.speed_rad_s
+        for k in np.flatnonzero(good).tolist():
+            at = Condition(float(pitch[k]), float(speed[k]), climb_m_s=float(climb[k]), air=air)
+            system = System.single(blading, which=int(which[k]))
+            try:
+                now = _by_wake(setup, system, at, load, k, None if "speed" in first else find)
+            except MuflyError as error:
+                reasons[k] = str(error)
+                continue
+            r = now.rotors[0]
+            speed[k], thrust[k], torque[k], share[k] = r.speed_rad_s, r.thrust_N, r.torque_Nm, r.outside_share
+            core[k] = _core_limit(now)
     elif good.any():
         thrust[good], torque[good] = load(speed[good], everyone[good])
     scale = air.density_kg_m3 * np.pi * radius**4 * speed**2
@@ -256,27 +268,20 @@ def _group(
         "c_Q": torque / (scale * radius),
         "reynolds_75": 0.75 * speed * radius * chord * air.density_kg_m3 / air.viscosity_Pa_s,
     }
-    reasons = np.where(good, "", why).astype(object)
-    if by_wake is not None:
-        reasons = np.array([r or w for r, w in zip(reasons, by_wake.reason, strict=True)], dtype=object)
     if constants is not None:
         _with_drive(first.get("gear"), constants, voltage, answers, reasons)
-    if by_wake is not None:
-        answers["core_limit"] = by_wake.core_limit
-    if setup.flags and by_wake is not None:
-        answers["outside_share"] = by_wake.outside_share
+    if setup.method == "wake":
+        answers["core_limit"] = core
     elif setup.flags:
-        share = np.full(index.size, np.nan)
         for k in np.flatnonzero(reasons == "").tolist():
-            one = hover(
-                blading,
-                pitch_rad=pitch[k],
-                speed_rad_s=speed[k],
-                climb_m_s=climb[k],
-                air=air,
-                which=int(which[k]),
-            )
-            share[k] = one.outside_share
+            at_k = {
+                "pitch_rad": pitch[k],
+                "speed_rad_s": speed[k],
+                "climb_m_s": climb[k],
+                "which": int(which[k]),
+            }
+            share[k] = hover(blading, air=air, **at_k).outside_share
+    if setup.flags:
         answers["outside_share"] = share
     for name, values in answers.items():
         out.values[name][index] = np.where(reasons == "", values, np.nan)
@@ -337,343 +342,171 @@ def _with_drive(
 
 
 # ----------------------------------------------------------------------------
-# Cases of a study of single rotors by the wake method: one wake a case, and a search where a thrust or duty is given.
-#
-# The speed that gives a thrust, or at which a motor settles, is found with blade element momentum theory scaled to
-# the
-# wake at the last speed (as in :mod:`mufly.rotor.measurements`), until the speed stands still.
+# One case at a time: a wake, or a pair.
 #
 # Neighbouring cases start from each other's wake. A wake so begun agrees with one begun afresh within the tolerance
 # of convergence, not bit by bit; a case that does not converge that way is begun afresh before it is called failed. A
 # wake that settled only with thicker cores than the one remembered is no start for others: they would inherit them.
 
-
 # The wake's sums run on all cores by themselves, and Numba's plain threading layer serves one caller at a time.
-WAKE_LOCK = threading.Lock()
-
+_WAKE_LOCK = threading.Lock()
+_LAST: dict[int, tuple[WakeSettings, Result]] = {}  # by number of rotors: the last converged wake
 _STILL = 5e-4  # of the speed: 0.1 % of the thrust
 _TRIES = 8
-_LAST: dict[WakeSettings, WakeSolution] = {}  # the last converged wake, for the next case
 
 
-@dataclass(frozen=True, eq=False)
-class WakeAnswers:
-    """(n,) arrays, nan where ``reason`` is not empty."""
-
-    speed_rad_s: Array
-    thrust_N: Array
-    torque_Nm: Array
-    outside_share: Array
-    core_limit: Array
-    reason: list[str]
+def _core_limit(result: Result) -> float:
+    limit = None if result.wake is None else result.wake.settings.core_limit
+    return np.nan if limit is None else limit
 
 
-def remember(last: dict[WakeSettings, WakeSolution], settings: WakeSettings, now: WakeSolution) -> None:
-    """Keep a converged wake as the start of the next case, unless its cores are thicker than those of the one kept."""
-    known = last.get(settings)
-    if known is None or (now.settings.core_limit or 0.0) <= (known.settings.core_limit or 0.0):
-        last.clear()
-        last[settings] = now
-
-
-def _one(
-    blading: Blading, which: int, pitch: float, speed: float, climb: float, air: Air, settings: WakeSettings
-) -> WakeSolution:
-    known = _LAST.get(settings)
-    now: WakeSolution | None = None
-    for start in [known, None] if known is not None else [None]:
-        now = hover_wake(
-            blading, pitch_rad=pitch, speed_rad_s=speed, climb_m_s=climb, air=air, which=which, settings=settings,
-            start=start,
-        )  # fmt: skip
-        if now.converged:
-            remember(_LAST, settings, now)
-            return now
-    assert now is not None
-    return now
-
-
-def solve_wakes(
-    blading: Blading,
-    which: NDArray[np.int64],
-    pitch_rad: Array,
-    climb_m_s: Array,
-    air: Air,
-    settings: WakeSettings,
-    load: RotorLoad,
-    speed_rad_s: Array,
-    find: Callable[[RotorLoad], Array] | None,
-) -> WakeAnswers:
-    """Solve cases by the wake method.
-
-    Parameters
-    ----------
-    blading : Blading
-    which, pitch_rad, climb_m_s : (n,) arrays
-        Rotor, pitch and axial speed of each case.
-    air : Air
-    settings : WakeSettings
-    load : RotorLoad
-        Of blade element theory.
-    speed_rad_s : (n,) array
-        Speeds, or what blade element theory takes for them; nan where it finds none.
-    find : callable, optional
-        Speeds of all cases for a load, if they are sought.
-    """
-    n = pitch_rad.size
-    speed_, thrust_, torque_, share_, core_ = (np.full(n, np.nan) for _ in range(5))
-    out = WakeAnswers(speed_, thrust_, torque_, share_, core_, [""] * n)
-    factors = np.ones((2, n))
-    speed, todo = (
-        speed_rad_s.copy(),
-        [k for k in range(n) if np.isfinite(speed_rad_s[k]) and speed_rad_s[k] > 0],
-    )
-
-    def scaled(omega: Array, index: NDArray[np.int64]) -> tuple[Array, Array]:
-        thrust, torque = load(omega, index)
-        return thrust * factors[0, index], torque * factors[1, index]
-
-    for _ in range(_TRIES):
-        for k in list(todo):
-            try:
-                with WAKE_LOCK:
-                    now = _one(blading, int(which[k]), pitch_rad[k], speed[k], climb_m_s[k], air, settings)
-            except InputError as error:
-                out.reason[k] = str(error)
-                todo.remove(k)
-                continue
-            r = now.rotors[0]
-            if not now.converged:
-                out.reason[k] = f"wake {now.message}"
-                todo.remove(k)
-                continue
-            out.speed_rad_s[k], out.thrust_N[k], out.torque_Nm[k] = speed[k], r.thrust_N, r.torque_Nm
-            out.outside_share[k] = r.outside_share
-            out.core_limit[k] = now.settings.core_limit if now.settings.core_limit is not None else np.nan
-            if find is None:
-                todo.remove(k)
-                continue
-            thrust, torque = load(speed[k : k + 1], np.array([k]))
-            factors[:, k] = r.thrust_N / thrust[0], r.torque_Nm / torque[0]
-            if not np.all((factors[:, k] > 0.1) & (factors[:, k] < 10.0)):
-                out.reason[k] = "wake and blade element theory are too far apart to look for a speed"
-                todo.remove(k)
-        if not todo or find is None:
-            break
-        following = find(scaled)
-        for k in list(todo):
-            if not np.isfinite(following[k]):
-                out.reason[k] = "the wake method finds no speed for it"
-                todo.remove(k)
-            elif abs(following[k] / speed[k] - 1.0) <= max(_STILL, 0.5 * settings.tolerance):
-                todo.remove(k)
-            else:
-                speed[k] = following[k]
-    for k in todo:
-        out.reason[k] = f"the speed does not stand still in {_TRIES} wakes"
-    return out
-
-
-# ----------------------------------------------------------------------------
-# One coaxial pair at one point, by either method: what is given, what is found, what the pair costs.
-#
-# A case is a dictionary of parameters (``parameters.PAIR``, SI values). It says spacing, pitch (or the pitch of each
-# rotor) and one of
-#
-# * ``upper_speed`` with ``lower_speed`` or ``speed_ratio``: the pair is evaluated at these speeds;
-# * ``upper_speed`` alone: the lower speed is found at which the torques cancel;
-# * ``thrust``: both speeds are found, torques cancelled.
-#
-# With ``free = "lower-pitch"`` the lower pitch cancels the torques instead, at the speeds given, or, with a thrust,
-# at
-# speeds of the ratio given (1 if none is).
-
-
-Free = Literal["lower-speed", "lower-pitch"]
-Progress = Callable[[int, float, float], None]
-
-
-@dataclass(frozen=True)
-class PairSetup:
-    """What all cases of a pair share.
-
-    Attributes
-    ----------
-    upper, lower : Rotor
-    fixed : mapping
-        Parameters that hold in every case unless it names them itself.
-    method : 'bemt' or 'wake'
-    wake : WakeSettings
-    corrections : Corrections
-    engine, model : str
-        Of the polars.
-    stations : int
-        Along each blade.
-    free : 'lower-speed' or 'lower-pitch'
-        What cancels the torques.
-    """
-
-    upper: Rotor
-    lower: Rotor
-    fixed: Mapping[str, Value] = field(default_factory=dict)
-    method: str = "wake"
-    wake: WakeSettings = field(default_factory=WakeSettings)
-    corrections: Corrections = field(default_factory=Corrections)
-    engine: str = "neuralfoil"
-    model: str = "xlarge"
-    stations: int = STATIONS
-    free: Free = "lower-speed"
-
-    def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise InputError(
-                "coaxial", "method", f"{self.method!r} is unknown", f"use one of: {', '.join(METHODS)}"
-            )
-        if self.free not in ("lower-speed", "lower-pitch"):
-            raise InputError(
-                "coaxial",
-                "free",
-                f"{self.free!r} cannot balance the torques",
-                "use lower-speed or lower-pitch",
-            )
-
-
-@dataclass(frozen=True, eq=False)
-class PairPoint:
-    """A pair at a point.
-
-    Attributes
-    ----------
-    upper, lower : RotorResult
-        Each rotor in the presence of the other.
-    spacing_m, disc_m2 : float
-        Distance of the discs, and the area of the larger one.
-    air : Air
-    solution : WakeSolution or None
-        The wake, if that was the method.
-    converged : bool
-    message : str
-        How it converged, or why not.
-    """
-
-    upper: RotorResult
-    lower: RotorResult
-    spacing_m: float
-    disc_m2: float
-    air: Air
-    solution: WakeSolution | None
-    converged: bool
-    message: str
-
-    @property
-    def thrust_N(self) -> float:
-        return self.upper.thrust_N + self.lower.thrust_N
-
-    @property
-    def power_W(self) -> float:
-        return self.upper.power_W + self.lower.power_W
-
-    @property
-    def yaw_torque_Nm(self) -> float:
-        """Torque of the lower less that of the upper rotor; 0 in trim."""
-        return self.lower.torque_Nm - self.upper.torque_Nm
-
-    @property
-    def figure_of_merit(self) -> float:
-        """T sqrt(T / (2 rho A)) / P with one disc, the larger; nan unless thrust and power are positive."""
-        if not (self.thrust_N > 0.0 and self.power_W > 0.0):
-            return math.nan
-        return (
-            self.thrust_N
-            * math.sqrt(self.thrust_N / (2.0 * self.air.density_kg_m3 * self.disc_m2))
-            / self.power_W
-        )
-
-
-def check_pair(setup: PairSetup, names: Iterable[str]) -> None:
-    """Refuse a study of a pair whose parameters make no sense together.
+def _from_last(setup: Setup, solved: Callable[..., Result]) -> Result:
+    """Solve from the last wake of this kind, afresh if that does not converge; by blade elements just solve.
 
     Raises
     ------
-    InputError
-        If spacing, a pitch or an operating point is missing, or there are two.
+    MuflyError
+        If it does not converge afresh either.
     """
-    every = {*names, *setup.fixed}
-    for name in every:
-        if name not in PAIR:
-            raise InputError("coaxial", name, "cannot be varied or set", f"use one of: {', '.join(PAIR)}")
-    if "spacing" not in every:
-        raise InputError("coaxial", "spacing", "is missing", "give it, as spacing=20mm")
-    each = [n for n in ("upper_pitch", "lower_pitch") if n in every]
-    if not ("pitch" in every or len(each) == 2 or (each == ["upper_pitch"] and setup.free == "lower-pitch")):
-        raise InputError("coaxial", "pitch", "is missing", "give pitch=14deg, or upper_pitch and lower_pitch")
-    if "pitch" in every and len(each) == 2:
-        raise InputError("coaxial", "pitch", "is given beside both pitches", "leave it out")
-    if setup.free == "lower-pitch" and "lower_pitch" in every:
-        raise InputError(
-            "coaxial", "lower_pitch", "is given and sought", "leave it out, or balance by lower-speed"
-        )
-    if ("thrust" in every) == ("upper_speed" in every):
-        raise InputError(
-            "coaxial", "", "needs one of thrust and upper_speed", "give thrust=0.9N or upper_speed=6000rpm"
-        )
-    below = [n for n in ("lower_speed", "speed_ratio") if n in every]
-    if len(below) == 2:
-        raise InputError("coaxial", "speed_ratio", "is given beside lower_speed", "leave one of the two out")
-    if "thrust" in every and (below == ["lower_speed"] or (below and setup.free == "lower-speed")):
-        raise InputError(
-            "coaxial", below[0], "is given beside a thrust, which finds it", "leave one of the two out"
-        )
+    if setup.method != "wake":
+        return solved(start=None)
+    kind = len(setup.rotors)
+    with _WAKE_LOCK:
+        settings, known = _LAST.get(kind, (None, None))
+        known = known if settings == setup.wake else None
+        now: Result | None = None
+        if known is not None:
+            try:
+                now = solved(start=known)
+            except InputError:
+                raise
+            except MuflyError:
+                now = None
+        if now is None or not now.converged:
+            now = solved(start=None)
+        if not now.converged:
+            raise MuflyError(f"wake {now.message}")
+        if known is None or np.nan_to_num(_core_limit(now)) <= np.nan_to_num(_core_limit(known)):
+            _LAST[kind] = (setup.wake, now)
+        return now
 
 
-def bladings_of(setup: PairSetup, case: Mapping[str, Value]) -> tuple[Blading, Blading]:
-    """Both rotors of a case, reshaped and laid out.
+def _by_wake(
+    setup: Setup, system: System, at: Condition, load: RotorLoad, k: int, find: Callable[[RotorLoad], Array] | None
+) -> Result:  # fmt: skip
+    """Solve case ``k`` by the wake method, at its speed or, with ``find``, at the speed sought.
+
+    That speed is found with blade element theory (``load``) scaled to the wake at the last speed, until it stands
+    still.
+    """
+    omega = float(np.asarray(at.speed_rad_s))
+    for _ in range(_TRIES):
+        point = replace(at, speed_rad_s=omega)
+        now = _from_last(setup, partial(solve, system, point, "wake", settings=setup.wake))
+        if find is None:
+            return now
+        thrust, torque = load(np.array([omega]), np.array([k]))
+        r = now.rotors[0]
+        by_thrust, by_torque = float(r.thrust_N / thrust[0]), float(r.torque_Nm / torque[0])
+        if not (0.1 < by_thrust < 10.0 and 0.1 < by_torque < 10.0):
+            raise MuflyError("wake and blade element theory are too far apart to look for a speed")
+
+        def scaled(
+            speed: Array, index: NDArray[np.int64], f: tuple[float, float] = (by_thrust, by_torque)
+        ) -> tuple[Array, Array]:
+            thrust, torque = load(speed, index)
+            return thrust * f[0], torque * f[1]
+
+        following = float(find(scaled)[k])
+        if not np.isfinite(following):
+            raise MuflyError("the wake method finds no speed for it")
+        if abs(following / omega - 1.0) <= max(_STILL, 0.5 * setup.wake.tolerance):
+            return now
+        omega = following
+    raise MuflyError(f"the speed does not stand still in {_TRIES} wakes")
+
+
+def system_of(setup: Setup, case: Case | None = None) -> System:
+    """Return the rotors of a case, reshaped, laid out and placed.
 
     Raises
     ------
     MuflyError
         If a shape is impossible or an airfoil has no polar.
     """
-    every = {**setup.fixed, **case}
-    shapes = []
-    for side, rotor in (("upper", setup.upper), ("lower", setup.lower)):
-        own = {n: every[f"{side}_{n}"] for n in ("chord", "taper", "twist") if f"{side}_{n}" in every}
-        shapes.append(reshape(rotor, own))
+    every = {**setup.fixed, **(case or {})}
+    if setup.lower is None:
+        shapes = [reshape(setup.rotor, {n: every[n] for n in GEOMETRY if n in every})]
+    else:
+        shapes = [
+            reshape(
+                r, {n: every[f"{side}_{n}"] for n in ("chord", "taper", "twist") if f"{side}_{n}" in every}
+            )
+            for side, r in zip(("upper", "lower"), setup.rotors, strict=True)
+        ]
     names = list(dict.fromkeys(n for r in shapes for n in r.airfoil_names()))
-    found = polar_tables(names, float(every.get("n_crit", 0.1)), setup)
-    good = {}
-    for name, table in found.items():
+    tables = {}
+    for name, table in polar_tables(names, float(every.get("n_crit", 0.1)), setup).items():
         if isinstance(table, str):
             raise MuflyError(table)
-        good[name] = table
-    upper, lower = (prepare(r, good, corrections=setup.corrections, stations=setup.stations) for r in shapes)
-    return upper, lower
+        tables[name] = table
+    laid = [prepare(r, tables, corrections=setup.corrections, stations=setup.stations) for r in shapes]
+    return (
+        System.single(laid[0])
+        if setup.lower is None
+        else System.coaxial(*laid, spacing_m=float(every["spacing"]))
+    )
 
 
-def air_of(setup: PairSetup, case: Mapping[str, Value]) -> Air:
-    """The air of a case."""
-    return Air(float({**setup.fixed, **case}.get("density", Air().density_kg_m3)))
+def condition_of(setup: Setup, case: Case | None = None) -> Condition:
+    """Return what a case gives, and by leaving it out, what is to be found.
+
+    Raises
+    ------
+    InputError
+        If the parameters make no sense together, or the case gives a duty, which :func:`evaluate` takes.
+    """
+    every = {**setup.fixed, **(case or {})}
+    check_names(setup, every)
+    number = {k: float(v) for k, v in every.items() if not isinstance(v, str)}
+    still = Air()
+    air = Air(number.get("density", still.density_kg_m3), number.get("viscosity", still.viscosity_Pa_s))
+    thrust, climb = number.get("thrust"), number.get("climb", 0.0)
+    if setup.lower is None:
+        if "duty" in number:
+            raise InputError(
+                "study", "duty", "is no condition of the rotor alone", "give a speed or a thrust"
+            )
+        return Condition(number["pitch"], number.get("speed"), thrust, climb, air)
+    above = number.get("upper_pitch", number.get("pitch"))
+    below = None if setup.free == "lower-pitch" else number.get("lower_pitch", number.get("pitch", above))
+    first = number.get("upper_speed")
+    if setup.free == "lower-pitch" or "lower_speed" in number or "speed_ratio" in number:
+        start = 300.0 if first is None else first
+        second = number.get("lower_speed", start * number.get("speed_ratio", 1.0))
+        return Condition((above, below), (start, second), thrust, climb, air)
+    return Condition((above, below), None if first is None else (first, None), thrust, climb, air)
 
 
-def solve_pair(
-    setup: PairSetup,
-    case: Mapping[str, Value] | None = None,
+def solve_case(
+    setup: Setup,
+    case: Case | None = None,
     *,
-    bladings: tuple[Blading, Blading] | None = None,
-    start: WakeSolution | None = None,
+    system: System | None = None,
+    start: Result | None = None,
     progress: Progress | None = None,
-) -> PairPoint:
-    """Solve a pair at a point.
+) -> Result:
+    """Solve one case, with all that :func:`mufly.rotor.solve` answers.
 
     Parameters
     ----------
-    setup : PairSetup
+    setup : Setup
     case : mapping, optional
         What changes from ``setup.fixed``; see the module docstring.
-    bladings : (upper, lower), optional
-        From :func:`bladings_of`, if they are at hand.
-    start : WakeSolution, optional
-        A similar wake to start from.
+    system : System, optional
+        From :func:`system_of`, if it is at hand.
+    start : Result, optional
+        A similar one to start from.
     progress : callable, optional
         Of the wake: iteration, residual, thrust (N).
 
@@ -684,55 +517,20 @@ def solve_pair(
     MuflyError
         If no balance is found. A single wake that does not converge is returned, marked so.
     """
-    every = {**setup.fixed, **(case or {})}
-    check_pair(setup, every)
-    upper, lower = bladings or bladings_of(setup, every)
-    air = air_of(setup, every)
-    number = {k: float(v) for k, v in every.items() if not isinstance(v, str)}
-    spacing, climb, thrust = number["spacing"], number.get("climb", 0.0), number.get("thrust")
-    above = number.get("upper_pitch", number.get("pitch", math.nan))
-    below = number.get("lower_pitch", number.get("pitch", above))
-    first = number.get("upper_speed", 300.0)
-    second = number.get("lower_speed", first * number.get("speed_ratio", 1.0))
-    check_rotors((Placed(upper, above, first, 0.0, 1), Placed(lower, below, second, -spacing, -1)), climb)
-    common = {"spacing_m": spacing, "upper_pitch_rad": above, "climb_m_s": climb}
-    wake = setup.method == "wake"
-    more = {"settings": setup.wake, "start": start, "progress": progress}
-    fixed = "lower_speed" in number or "speed_ratio" in number
-    if setup.free == "lower-pitch":
-        speeds = {"upper_speed_rad_s": first, "lower_speed_rad_s": second, "thrust_N": thrust}
-        answer = (
-            balance_pitch_wake(upper, lower, **common, **speeds, air=air, **more)  # type: ignore[arg-type]
-            if wake
-            else balance_pitch(upper, lower, **common, **speeds, air=air)  # type: ignore[arg-type]
-        )
-    elif fixed:
-        at = {"lower_pitch_rad": below, "upper_speed_rad_s": first, "lower_speed_rad_s": second}
-        answer = (
-            coaxial_wake(upper, lower, **common, **at, air=air, **more)  # type: ignore[arg-type]
-            if wake
-            else coaxial(upper, lower, **common, **at, air=air)  # type: ignore[arg-type]
-        )
-    else:
-        given = {"thrust_N": thrust} if thrust is not None else {"upper_speed_rad_s": first}
-        answer = (
-            balance_torque_wake(upper, lower, **common, **given, lower_pitch_rad=below, air=air, **more)  # type: ignore[arg-type]
-            if wake
-            else balance_torque(upper, lower, **common, **given, lower_pitch_rad=below, air=air)
-        )
-    disc = math.pi * max(upper.rotors[0].radius_m, lower.rotors[0].radius_m) ** 2
-    if isinstance(answer, WakeSolution):
-        a, b = answer.rotors
-        return PairPoint(a, b, spacing, disc, air, answer, answer.converged, answer.message)
-    return PairPoint(
-        answer.upper, answer.lower, spacing, disc, air, None, True, f"settled in {answer.turns} turns"
-    )
+    condition = condition_of(setup, case)
+    system = system or system_of(setup, case)
+    if setup.lower is not None:
+        above, below = condition.pitch_rad  # type: ignore[misc]
+        first, second = condition.speed_rad_s or (300.0, None)  # type: ignore[misc]
+        pitches = (above, above if below is None else below)
+        speeds = (first, first if second is None else second)
+        check_rotors(system.at(pitches, speeds), condition.climb_m_s)  # type: ignore[arg-type]
+    method = setup.method
+    return solve(system, condition, method, settings=setup.wake, start=start, progress=progress)  # type: ignore[arg-type]
 
 
-def alone(
-    setup: PairSetup, point: PairPoint, bladings: tuple[Blading, Blading], progress: Progress | None = None
-) -> tuple[RotorResult, RotorResult]:
-    """Both rotors of a point without each other: same pitch, speed and climb.
+def alone(setup: Setup, point: Result, progress: Progress | None = None) -> tuple[RotorResult, ...]:
+    """Return each rotor of a point without the others: same pitch, speed and climb.
 
     Raises
     ------
@@ -740,19 +538,37 @@ def alone(
         If a wake does not converge.
     """
     out: list[RotorResult] = []
-    for blading, r in zip(bladings, (point.upper, point.lower), strict=True):
-        same = out and blading.rotors == bladings[0].rotors
-        if same and (r.pitch_rad, r.speed_rad_s) == (out[0].pitch_rad, out[0].speed_rad_s):
-            out.append(out[0])
-            continue
-        at = {"pitch_rad": r.pitch_rad, "speed_rad_s": r.speed_rad_s, "climb_m_s": r.climb_m_s}
-        if point.solution is None:
-            out.append(hover(blading, **at, air=point.air))  # type: ignore[arg-type]
-            continue
-        s = hover_wake(blading, **at, air=point.air, settings=setup.wake, progress=progress)  # type: ignore[arg-type]
-        if not s.converged:
-            raise MuflyError(
-                f"coaxial: the wake of the {('upper', 'lower')[len(out)]} rotor alone is {s.message}"
-            )
-        out.append(s.rotors[0])
-    return out[0], out[1]
+    keys: list[Any] = []
+    for k, (r, placed) in enumerate(zip(point.rotors, point.placed, strict=True)):
+        blading = placed.blading
+        key = (blading.rotors, r.pitch_rad, r.speed_rad_s)
+        if key in keys:
+            out.append(out[keys.index(key)])
+        else:
+            at = Condition(r.pitch_rad, r.speed_rad_s, climb_m_s=r.climb_m_s, air=point.air)
+            now = solve(System.single(blading), at, point.method, settings=setup.wake, progress=progress)
+            if not now.converged:
+                raise MuflyError(
+                    f"coaxial: the wake of the {('upper', 'lower')[k]} rotor alone is {now.message}"
+                )
+            out.append(now.rotors[0])
+        keys.append(key)
+    return tuple(out)
+
+
+def _pair_row(point: Result) -> dict[str, float]:
+    """Return what a study of pairs keeps of a point."""
+    up, low = point.upper, point.lower
+    row = {
+        "thrust_N": point.thrust_N,
+        "power_W": point.power_W,
+        "yaw_torque_Nm": point.yaw_torque_Nm,
+        "figure_of_merit": point.figure_of_merit,
+        "thrust_ratio": low.thrust_N / up.thrust_N,
+        "torque_ratio": low.torque_Nm / up.torque_Nm,
+        "iterations": float(point.wake.iterations) if point.wake is not None else np.nan,
+        "core_limit": _core_limit(point),
+    }
+    for side, r in (("upper", up), ("lower", low)):
+        row |= {f"{side}_{key}": float(getattr(r, key)) for key in EACH_OUTPUTS}
+    return row

@@ -32,11 +32,10 @@ from scipy.optimize import differential_evolution, minimize
 
 from mufly.drive import hover_endurance
 from mufly.errors import InputError, MuflyError
-from mufly.rotor import Blading, CoaxialResult, Rotor, coaxial, load_airfoil, replace_rotor
+from mufly.rotor import Condition, Result, Rotor, System, load_airfoil, replace_rotor, solve
 from mufly.rotor.system import FASTEST_TIP_M_S
-from mufly.rotor.wake import Placed, WakeSolution
 from mufly.rotor.wake.result import check_rotors
-from mufly.study.evaluation import PairPoint, PairSetup, air_of, bladings_of, evaluate, solve_pair
+from mufly.study.evaluation import condition_of, evaluate, solve_case, system_of
 from mufly.study.parameters import GEOMETRY, PAIR, RANGES, Limit, bounds_of, parse_quantity
 from mufly.study.ranking import rank_airfoils
 from mufly.study.setup import Setup, reshape
@@ -391,7 +390,7 @@ PAIR_FREE = tuple(
     f"{side}_{name}" for name in ("twist", "chord", "pitch", "taper") for side in ("upper", "lower")
 )
 _PAIR_POPULATION = 8  # times the number of unknowns
-_PAIR_OPTIMISE_GENERATIONS = 30
+_PAIR_GENERATIONS = 30
 _STATIONS = 16  # in the search
 _BROKEN = 1e3  # W; cost of what cannot be
 _CLOSE = 1e-4
@@ -406,7 +405,7 @@ class PairOptimum:
     ----------
     upper, lower : Rotor
     pitch_rad : (upper, lower)
-    before, pitched, after : PairPoint
+    before, pitched, after : Result
         By blade elements, at the thrust and balanced: the start; the start's blades at their best pitches, if the
         pitches were free; the optimum.
     changes : dict
@@ -419,9 +418,9 @@ class PairOptimum:
     upper: Rotor
     lower: Rotor
     pitch_rad: tuple[float, float]
-    before: PairPoint
-    pitched: PairPoint | None
-    after: PairPoint
+    before: Result
+    pitched: Result | None
+    after: Result
     changes: dict[str, float]
     at_limit: tuple[str, ...]
     evaluations: int
@@ -454,32 +453,25 @@ def _bounds(name: str, limits: Sequence[Limit]) -> tuple[float, float]:
     return low, high
 
 
-def _balanced(
-    upper: Blading, lower: Blading, setup: PairSetup, case: Mapping[str, Any], start: list[float]
-) -> CoaxialResult | None:
+def _balanced(system: System, at: Condition, start: list[float]) -> Result | None:
     """The pair at its thrust with torques balanced to 1e-4, quickly; ``start`` (upper speed, ratio) is moved along."""
-    every = {**setup.fixed, **case}
-    spacing, climb, air = float(every["spacing"]), float(every.get("climb", 0.0)), air_of(setup, every)
+    assert at.thrust_N is not None
     speed, ratio, slope = start[0], start[1], 2.6
     last: tuple[float, float] | None = None
-    known: Array | None = None
+    r: Result | None = None
     for _ in range(15):
-        r = coaxial(
-            upper, lower, spacing_m=spacing, upper_pitch_rad=every["upper_pitch"], lower_pitch_rad=every["lower_pitch"],
-            upper_speed_rad_s=speed, lower_speed_rad_s=speed * ratio, climb_m_s=climb, air=air, start=known,
-        )  # fmt: skip
+        r = solve(system, replace(at, speed_rad_s=(speed, speed * ratio), thrust_N=None), start=r)
         if not (r.thrust_N > 0.0 and r.upper.torque_Nm > 0.0 and r.lower.torque_Nm > 0.0):
             return None
-        known = r.sent_up_m_s
-        fault, short = math.log(r.lower.torque_Nm / r.upper.torque_Nm), math.log(every["thrust"] / r.thrust_N)
+        fault, short = math.log(r.lower.torque_Nm / r.upper.torque_Nm), math.log(at.thrust_N / r.thrust_N)
         if abs(fault) < _CLOSE and abs(short) < _CLOSE:
             start[:] = [speed, ratio]
             return r
-        at = math.log(ratio)
-        if last is not None and abs(at - last[0]) > 1e-6:
-            slope = min(max((fault - last[1]) / (at - last[0]), 1.0), 10.0)
-        last = (at, fault)
-        ratio = math.exp(at - max(min(fault / slope, 0.4), -0.4))
+        place = math.log(ratio)
+        if last is not None and abs(place - last[0]) > 1e-6:
+            slope = min(max((fault - last[1]) / (place - last[0]), 1.0), 10.0)
+        last = (place, fault)
+        ratio = math.exp(place - max(min(fault / slope, 0.4), -0.4))
         speed *= math.exp(max(min(0.5 * short, 1.0), -1.0))
         if max(speed, speed * ratio) > 3e4:
             return None
@@ -487,19 +479,19 @@ def _balanced(
 
 
 def optimise_pair(
-    setup: PairSetup,
+    setup: Setup,
     free: Sequence[str],
     *,
     limits: Sequence[Limit] = (),
     seed: int = 0,
-    generations: int = _PAIR_OPTIMISE_GENERATIONS,
+    generations: int = _PAIR_GENERATIONS,
     progress: Callable[[int, int], None] | None = None,
 ) -> PairOptimum:
     """Search for a pair that needs less power.
 
     Parameters
     ----------
-    setup : PairSetup
+    setup : Setup
         The pair to start from; ``fixed`` holds thrust, spacing and both pitches. Its method plays no part.
     free : sequence of str
         Of :data:`PAIR_FREE`.
@@ -527,35 +519,29 @@ def optimise_pair(
             raise InputError("optimise", name, "is missing", "fix it")
     if not names:
         raise InputError("optimise", "", "nothing is free", f"free some of: {', '.join(PAIR_FREE)}")
-    before = solve_pair(fast)
+    before = solve_case(fast)
     rough = replace(fast, stations=min(_STATIONS, setup.stations))
     bounds = [_bounds(n, limits) for n in names]
     count, done = 0, 0
     start = [before.upper.speed_rad_s, before.lower.speed_rad_s / before.upper.speed_rad_s]
-    still: tuple[Blading, Blading] | None = None  # both blades, where only pitches are free
-    if all(n.endswith("pitch") for n in names):
-        still = bladings_of(rough, {})
+    # The rotors once for all, where only pitches are free.
+    still = system_of(rough) if all(n.endswith("pitch") for n in names) else None
+    spacing = float(setup.fixed["spacing"])
 
     def power(x: Array) -> float:
         nonlocal count
         count += 1
         case = dict(zip(names, map(float, np.clip(x, *np.transpose(bounds))), strict=True))
         try:
-            upper, lower = still or bladings_of(rough, case)
-            every: dict[str, Any] = {**rough.fixed, **case}
-            above = Placed(upper, every["upper_pitch"], 1.0, 0.0, 1)
-            check_rotors(
-                (above, Placed(lower, every["lower_pitch"], 1.0, -_CLEAR * every["spacing"], -1)), 0.0
-            )
-            r = _balanced(upper, lower, rough, case, list(start))
+            system, at = still or system_of(rough, case), condition_of(rough, case)
+            near = System.coaxial(*system.bladings, spacing_m=_CLEAR * spacing)
+            check_rotors(near.at(tuple(at.pitch_rad), (1.0, 1.0)), 0.0)  # type: ignore[arg-type]
+            r = _balanced(system, at, list(start))
         except MuflyError:
             return 2.0 * _BROKEN
         if r is None:
             return 2.0 * _BROKEN
-        tips = (
-            r.upper.speed_rad_s * upper.rotors[0].radius_m,
-            r.lower.speed_rad_s * lower.rotors[0].radius_m,
-        )
+        tips = [p.speed_rad_s * b.rotors[0].radius_m for p, b in zip(r.rotors, system.bladings, strict=True)]
         return r.power_W if max(tips) <= FASTEST_TIP_M_S else _BROKEN
 
     def after_generation(*_: Any, **__: Any) -> None:
@@ -576,7 +562,7 @@ def optimise_pair(
     fine = simplex(power, found.x, method="Nelder-Mead", bounds=bounds, options=effort)
     x = np.clip(fine.x if fine.fun < found.fun else found.x, *np.transpose(bounds))
     changes = dict(zip(names, map(float, x), strict=True))
-    after = solve_pair(fast, changes)
+    after = solve_case(fast, changes)
     pitched = None
     both = [n for n in names if n.endswith("pitch")]
     if both and len(both) < len(names):
@@ -590,7 +576,7 @@ def optimise_pair(
     )
     upper, lower = (
         replace_rotor(b.rotors[0], {"name": f"{b.rotors[0].name}-{side}"})
-        for b, side in zip(bladings_of(fast, changes), ("upper", "lower"), strict=True)
+        for b, side in zip(system_of(fast, changes).bladings, ("upper", "lower"), strict=True)
     )
     return PairOptimum(
         upper,
@@ -605,10 +591,10 @@ def optimise_pair(
     )
 
 
-def _of_start(setup: PairSetup, name: str) -> float:
+def _of_start(setup: Setup, name: str) -> float:
     """Value of something free at the start."""
     side, what = name.split("_", 1)
-    rotor = setup.upper if side == "upper" else setup.lower
+    rotor = setup.rotors[0 if side == "upper" else 1]
     if name in setup.fixed:
         return float(setup.fixed[name])
     hub, tip = float(rotor.hub_cutout), 1.0
@@ -620,17 +606,16 @@ def _of_start(setup: PairSetup, name: str) -> float:
 
 
 def check_by_wake(
-    setup: PairSetup, best: PairOptimum, progress: Callable[[int, float, float], None] | None = None
-) -> tuple[PairPoint | str, PairPoint | str]:
+    setup: Setup, best: PairOptimum, progress: Callable[[int, float, float], None] | None = None
+) -> tuple[Result | str, Result | str]:
     """Start and optimum at the same thrust, balanced, by the wake method; the reason where one cannot be had."""
     slow = replace(setup, method="wake", free="lower-speed")
-    answers: list[PairPoint | str] = []
-    known: WakeSolution | None = None
+    answers: list[Result | str] = []
+    known: Result | None = None
     for case in ({}, best.changes):
         try:
-            point = solve_pair(slow, case, start=known, progress=progress)
-            known = point.solution
-            answers.append(point)
+            known = solve_case(slow, case, start=known, progress=progress)
+            answers.append(known)
         except MuflyError as error:
             answers.append(str(error))
     return answers[0], answers[1]

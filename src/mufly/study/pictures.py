@@ -470,7 +470,7 @@ def field_picture(solution: WakeSolution, *, mean: bool = True, points: int = 80
 
 
 def rotor_loads_picture(
-    upper: RotorResult, lower: RotorResult, alone: tuple[RotorResult, RotorResult] | None = None
+    upper: RotorResult, lower: RotorResult, alone: Sequence[RotorResult] | None = None
 ) -> Figure:
     """Draw inflow, angle of attack, lift, thrust and torque along the blades of both rotors, isolated rotors dashed."""
     figure = _wake_pictures_figure(10.0, 6.0)

@@ -1,10 +1,11 @@
-"""What all cases of a study share, what they answer, and which parameters go together."""
+"""What all cases of a study share, what they answer, and which parameters go together; a rotor reshaped."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from mufly.errors import InputError
 from mufly.rotor import PLAIN, Corrections, Rotor, rotor_from
 from mufly.rotor.blading import STATIONS
 from mufly.rotor.wake import WakeSettings
-from mufly.study.parameters import DRIVE, GEOMETRY, PARAMETERS, Value
+from mufly.study.parameters import DRIVE, GEOMETRY, PAIR, PARAMETERS, Parameter, Value
 
 # Blade element momentum theory as recommended here, as in textbooks, and as the dissertation has it (Sec. 3.3.1:
 # effective radius of eq. 3.13, no swirl, no hub loss; its tuning to one rotor is not given).
@@ -47,7 +48,33 @@ DRIVE_OUTPUTS: dict[str, tuple[str, str]] = {
 WAKE_OUTPUTS: dict[str, tuple[str, str]] = {
     "core_limit": ("1", "core radius of the old wake over R at which the wake settled"),
 }
+EACH_OUTPUTS: dict[str, tuple[str, str]] = {
+    "thrust_N": ("N", "thrust of the {} rotor"),
+    "torque_Nm": ("N m", "torque of the {} rotor"),
+    "power_W": ("W", "power of the {} rotor"),
+    "speed_rad_s": ("rad/s", "speed of the {} rotor"),
+    "pitch_rad": ("rad", "pitch setting of the {} rotor"),
+    "c_T": ("1", "c_T of the {} rotor"),
+    "c_Q": ("1", "c_Q of the {} rotor"),
+    "outside_share": ("1", "share of the {} rotor's thrust from sections beyond the polar's range"),
+}
+PAIR_OUTPUTS: dict[str, tuple[str, str]] = {
+    "thrust_N": ("N", "thrust of the pair"),
+    "power_W": ("W", "mechanical power of the pair"),
+    "yaw_torque_Nm": ("N m", "torque of the lower less that of the upper rotor"),
+    "figure_of_merit": ("1", "figure of merit of the pair, one disc"),
+    "thrust_ratio": ("1", "lower over upper thrust"),
+    "torque_ratio": ("1", "lower over upper torque"),
+    **{
+        f"{side}_{key}": (unit, text.format(side))
+        for side in ("upper", "lower")
+        for key, (unit, text) in EACH_OUTPUTS.items()
+    },
+    "iterations": ("1", "iterations of the last wake"),
+    **WAKE_OUTPUTS,
+}
 METHODS = ("bemt", "wake")
+Free = Literal["lower-speed", "lower-pitch"]
 _GIVEN = ("speed", "thrust", "duty")
 
 
@@ -58,7 +85,9 @@ class Setup:
     Attributes
     ----------
     rotor : Rotor
+        The rotor, or the upper one of a coaxial pair.
     drive : Drive, optional
+        Of a single rotor.
     fixed : mapping
         Parameters that hold in every case unless it names them itself.
     corrections : Corrections
@@ -66,13 +95,17 @@ class Setup:
     engine, model : str
         Of the polars.
     flags : bool
-        Whether ``outside_share`` is computed, which takes as long as the rest.
+        Whether ``outside_share`` of single rotors is computed, which takes as long as the rest.
     method : 'bemt' or 'wake'
         Blade element momentum theory, or the wake method: a thousand to ten thousand times as long a case.
     wake : WakeSettings
         Of the wake method.
     stations : int
         Along a blade.
+    lower : Rotor, optional
+        The lower rotor; with it the study is one of a coaxial pair.
+    free : 'lower-speed' or 'lower-pitch'
+        What cancels the torques of a pair.
     """
 
     rotor: Rotor
@@ -85,15 +118,36 @@ class Setup:
     method: str = "bemt"
     wake: WakeSettings = field(default_factory=WakeSettings)
     stations: int = STATIONS
+    lower: Rotor | None = None
+    free: Free = "lower-speed"
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
-            raise InputError(
-                "study", "method", f"{self.method!r} is unknown", f"use one of: {', '.join(METHODS)}"
-            )
+            known = f"use one of: {', '.join(METHODS)}"
+            raise InputError(self.subject, "method", f"{self.method!r} is unknown", known)
+        if self.free not in ("lower-speed", "lower-pitch"):
+            problem = f"{self.free!r} cannot balance the torques"
+            raise InputError(self.subject, "free", problem, "use lower-speed or lower-pitch")
+
+    @property
+    def subject(self) -> str:
+        """What faults of the study are reported about."""
+        return "study" if self.lower is None else "coaxial"
+
+    @property
+    def rotors(self) -> tuple[Rotor, ...]:
+        """The rotor, or both of a pair, the upper one first."""
+        return (self.rotor,) if self.lower is None else (self.rotor, self.lower)
+
+    @property
+    def parameters(self) -> Mapping[str, Parameter]:
+        """What can be varied or set."""
+        return PARAMETERS if self.lower is None else PAIR
 
     def outputs(self) -> dict[str, tuple[str, str]]:
         """Return name, unit and meaning of what :func:`evaluate` answers."""
+        if self.lower is not None:
+            return PAIR_OUTPUTS
         more = DRIVE_OUTPUTS if self.drive is not None else {}
         return {**OUTPUTS, **more, **(WAKE_OUTPUTS if self.method == "wake" else {})}
 
@@ -104,27 +158,56 @@ def check_names(setup: Setup, names: Iterable[str]) -> None:
     Raises
     ------
     InputError
-        If the pitch is missing, or not exactly one of speed, thrust and duty is there, or a drive is.
+        If the pitch is missing, or not exactly one of speed, thrust and duty is there, or a drive is; of a pair, if
+        spacing, a pitch or an operating point is missing, or there are two.
     """
     every = {*names, *setup.fixed}
+    table = setup.parameters
     for name in every:
-        if name not in PARAMETERS:
-            raise InputError("study", name, "cannot be varied or set", f"use one of: {', '.join(PARAMETERS)}")
+        if name not in table:
+            remedy = f"use one of: {', '.join(table)}"
+            raise InputError(setup.subject, name, "cannot be varied or set", remedy)
+    fault = _single_fault(setup, every) if setup.lower is None else _pair_fault(setup, every)
+    if fault is not None:
+        raise InputError(setup.subject, *fault)
+
+
+def _single_fault(setup: Setup, every: set[str]) -> tuple[str, str, str] | None:
+    """Key, problem and remedy of what does not go together for a single rotor."""
     if "pitch" not in every:
-        raise InputError("study", "pitch", "is missing", "fix it (pitch=12deg) or vary it (pitch=6:20:1deg)")
+        return "pitch", "is missing", "fix it (pitch=12deg) or vary it (pitch=6:20:1deg)"
     given = [g for g in _GIVEN if g in every]
     if len(given) != 1:
-        raise InputError(
-            "study", "", f"{' and '.join(given) or 'no operating point'} given",
-            "give one of speed (5000rpm), thrust (0.4N) and duty (100%)",
-        )  # fmt: skip
+        problem = f"{' and '.join(given) or 'no operating point'} given"
+        return "", problem, "give one of speed (5000rpm), thrust (0.4N) and duty (100%)"
     needs = [name for name in every if name in DRIVE or name == "duty"]
     if setup.drive is None and needs:
-        raise InputError("study", needs[0], "needs a drive train", "give a drive, as mufly")
+        return needs[0], "needs a drive train", "give a drive, as mufly"
     if setup.drive is not None and setup.fixed.get("gear") in ("adapted", "best") and "thrust" not in every:
-        raise InputError(
-            "study", "gear", "can only be found for a thrust", "give the thrust, or a gear ratio"
-        )
+        return "gear", "can only be found for a thrust", "give the thrust, or a gear ratio"
+    return None
+
+
+def _pair_fault(setup: Setup, every: set[str]) -> tuple[str, str, str] | None:
+    """Key, problem and remedy of what does not go together for a pair."""
+    if "spacing" not in every:
+        return "spacing", "is missing", "give it, as spacing=20mm"
+    each = [n for n in ("upper_pitch", "lower_pitch") if n in every]
+    by_pitch = setup.free == "lower-pitch"
+    if not ("pitch" in every or len(each) == 2 or (each == ["upper_pitch"] and by_pitch)):
+        return "pitch", "is missing", "give pitch=14deg, or upper_pitch and lower_pitch"
+    if "pitch" in every and len(each) == 2:
+        return "pitch", "is given beside both pitches", "leave it out"
+    if by_pitch and "lower_pitch" in every:
+        return "lower_pitch", "is given and sought", "leave it out, or balance by lower-speed"
+    if ("thrust" in every) == ("upper_speed" in every):
+        return "", "needs one of thrust and upper_speed", "give thrust=0.9N or upper_speed=6000rpm"
+    below = [n for n in ("lower_speed", "speed_ratio") if n in every]
+    if len(below) == 2:
+        return "speed_ratio", "is given beside lower_speed", "leave one of the two out"
+    if "thrust" in every and (below == ["lower_speed"] or (below and not by_pitch)):
+        return below[0], "is given beside a thrust, which finds it", "leave one of the two out"
+    return None
 
 
 # ----------------------------------------------------------------------------

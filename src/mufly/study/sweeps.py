@@ -28,25 +28,15 @@ import xarray as xr
 
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import RotorResult, load_airfoil
-from mufly.rotor.wake import WakeSettings, WakeSolution
-from mufly.study.evaluation import (
-    WAKE_LOCK,
-    Case,
-    PairPoint,
-    PairSetup,
-    Results,
-    check_pair,
-    evaluate,
-    remember,
-    solve_pair,
-)
+from mufly.study.evaluation import Case, Results, evaluate
 from mufly.study.parameters import PAIR, PARAMETERS, Value, known
-from mufly.study.setup import WAKE_OUTPUTS, Setup, check_names
+from mufly.study.setup import Setup, check_names
 from mufly.version import __version__
 
 Progress = Callable[[int, int], None]
 
-CHUNK = 512
+CHUNK = 512  # cases of a single rotor by blade elements
+_CHUNK_OF_PAIRS = 16
 _MOST_CASES = 50_000_000
 _PATIENCE = "10s"  # for a scheduler to answer
 
@@ -59,14 +49,14 @@ def sweep(
     progress: Progress | None = None,
     cluster: str | None = None,
     workers: int | None = None,
-    chunk: int = CHUNK,
+    chunk: int | None = None,
 ) -> xr.Dataset:
     """Evaluate every combination.
 
     Parameters
     ----------
     setup : Setup
-        Rotor, drive and what is fixed.
+        Rotor or pair, drive and what is fixed; a varied parameter need not be.
     vary : mapping
         Values (SI) of each parameter that is varied; the order gives the order of the dimensions.
     folder : str or Path, optional
@@ -77,8 +67,9 @@ def sweep(
         Address of a dask.distributed scheduler, as ``tcp://host:8786``; its workers need mufly.
     workers : int, optional
         Chunks computed at a time here; default: one a core.
-    chunk : int
-        Cases in a chunk.
+    chunk : int, optional
+        Cases in a chunk; default: 512, of pairs 16. A wake is a chunk of its own: it runs on all cores by itself, and
+        each is kept as soon as it is there.
 
     Returns
     -------
@@ -95,54 +86,45 @@ def sweep(
     """
     names = list(vary)
     values = [list(vary[name]) for name in names]
+    subject = "sweep" if setup.lower is None else setup.subject
     check_names(setup, names)
     for name, listed in zip(names, values, strict=True):
         if not listed:
-            raise InputError("sweep", name, "has no value", "give at least one")
+            raise InputError(subject, name, "has no value", "give at least one")
         if len(set(listed)) != len(listed):
-            raise InputError("sweep", name, "lists a value twice", "give each value once")
+            raise InputError(subject, name, "lists a value twice", "give each value once")
+    if setup.lower is not None:
+        setup = replace(setup, fixed={k: v for k, v in setup.fixed.items() if k not in names})
+    chunk = chunk if chunk is not None else CHUNK if setup.lower is None else _CHUNK_OF_PAIRS
     if chunk < 1:
-        raise InputError("sweep", "chunk", f"{chunk} cases", "give 1 or more")
-    shape = tuple(len(v) for v in values)
-    total = int(np.prod(shape, dtype=np.int64))
+        raise InputError(subject, "chunk", f"{chunk} cases", "give 1 or more")
+    total = int(np.prod([len(v) for v in values], dtype=np.int64))
     if total > _MOST_CASES:
-        raise InputError("sweep", "", f"{total} cases", f"vary less ({_MOST_CASES} cases at most)")
+        raise InputError(subject, "", f"{total} cases", f"vary less ({_MOST_CASES} cases at most)")
     if setup.method == "wake":
-        workers, chunk = 1, 1  # a wake runs on all cores by itself, and each is kept as soon as it is there
+        workers, chunk = 1, 1
     question = _question(setup, names, values, chunk)
-    parts = grid(
-        evaluate, setup, names, values, chunk, question, folder=folder, progress=progress, cluster=cluster,
-        workers=workers,
-    )  # fmt: skip
+    parts = _grid(setup, names, values, chunk, question, folder, progress, cluster, workers)
+    pair = {} if setup.lower is None else {"balanced_by": setup.free}
+    drive = {} if setup.lower is not None else {"drive": setup.drive.name if setup.drive is not None else ""}
     attributes = {
-        "rotor": setup.rotor.name,
-        "drive": setup.drive.name if setup.drive is not None else "",
+        "rotor": " over ".join(r.name for r in setup.rotors),
+        **drive,
         "fixed": json.dumps(dict(setup.fixed), sort_keys=True),
         "polars": f"{setup.engine} {setup.model}",
         "corrections": json.dumps(vars(setup.corrections)),
         "method": setup.method if setup.method == "bemt" else f"wake, {setup.wake.model}",
+        **pair,
         "mufly": __version__,
     }
-    return dataset(setup.outputs(), names, values, parts, attributes)
+    return _dataset(setup.outputs(), names, values, parts, attributes)
 
 
-def grid(
-    answer: Callable[[Any, Sequence[Case]], Results],
-    setup: Any,
-    names: Sequence[str],
-    values: Sequence[Sequence[Value]],
-    chunk: int,
-    question: str,
-    *,
-    folder: str | Path | None = None,
-    progress: Progress | None = None,
-    cluster: str | None = None,
-    workers: int | None = None,
-) -> list[Results]:
-    """Answers to every combination, chunk by chunk, by ``answer(setup, cases)``; kept in and recalled from a folder.
-
-    Arguments as for :func:`sweep`; ``question`` is the hash of all that the answers depend on.
-    """
+def _grid(
+    setup: Setup, names: Sequence[str], values: Sequence[Sequence[Value]], chunk: int, question: str,
+    folder: str | Path | None, progress: Progress | None, cluster: str | None, workers: int | None,
+) -> list[Results]:  # fmt: skip
+    """Answers to every combination, chunk by chunk; kept in and recalled from a folder."""
     total = int(np.prod([len(v) for v in values], dtype=np.int64))
     starts = list(range(0, total, chunk))
     kept = _Kept(Path(folder), question) if folder is not None else None
@@ -165,7 +147,7 @@ def grid(
         todo = iter([s for s in starts if s not in answers])
         # A few more than there are workers: enough to keep them busy, few enough to stop soon and to fit in memory.
         for start in itertools.islice(todo, 4 * (os.cpu_count() or 1) if cluster is None else 256):
-            waiting[executor.submit(answer, setup, cases(start))] = start
+            waiting[executor.submit(evaluate, setup, cases(start))] = start
         try:
             while waiting:
                 future = next(as_completed(waiting))
@@ -178,7 +160,7 @@ def grid(
                     progress(done, total)
                 following = next(todo, None)
                 if following is not None:
-                    waiting[executor.submit(answer, setup, cases(following))] = following
+                    waiting[executor.submit(evaluate, setup, cases(following))] = following
         except BaseException:
             for future in waiting:
                 future.cancel()
@@ -219,37 +201,40 @@ def executor_of(cluster: str | None, workers: int | None = None) -> Iterator[Exe
 
 def _question(setup: Setup, names: Sequence[str], values: Sequence[Sequence[Value]], chunk: int) -> str:
     """Hash of everything that the answers depend on; airfoil files count by their contour."""
-    contours = contours_of(
-        str(n)
-        for n in (*setup.rotor.airfoil_names(), *(v for vs in values for v in vs if isinstance(v, str)))
-    )
+    listed = (v for vs in values for v in vs if isinstance(v, str))
     content = {
         "version": __version__,
-        "rotor": setup.rotor.model_dump(mode="json"),
+        "rotors": [r.model_dump(mode="json") for r in setup.rotors],
         "drive": setup.drive.model_dump(mode="json") if setup.drive is not None else None,
         "fixed": dict(sorted(setup.fixed.items())),
         "corrections": vars(setup.corrections),
         "polars": [setup.engine, setup.model, setup.flags],
-        "method": [setup.method, setup.stations, vars(setup.wake) if setup.method == "wake" else None],
+        "method": [
+            setup.method,
+            setup.free,
+            setup.stations,
+            vars(setup.wake) if setup.method == "wake" else None,
+        ],
         "vary": [names, values],
         "chunk": chunk,
-        "contours": contours,
+        "contours": _contours([*(n for r in setup.rotors for n in r.airfoil_names()), *listed]),
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def contours_of(names: Iterable[str]) -> dict[str, str]:
+def _contours(names: Iterable[str]) -> dict[str, str]:
     """Digests of the airfoils that are files."""
-    contours: dict[str, str] = {}
+    found: dict[str, str] = {}
     for name in sorted(set(names)):
-        if Path(name).is_file() and not name.lower().endswith(".csv"):
+        path = Path(name)
+        if path.is_file() and path.suffix.lower() == ".csv":
+            found[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+        elif path.is_file():
             try:
-                contours[name] = load_airfoil(name).digest()
+                found[name] = load_airfoil(name).digest()
             except InputError:
-                contours[name] = "faulty"
-        elif Path(name).is_file():
-            contours[name] = hashlib.sha256(Path(name).read_bytes()).hexdigest()
-    return contours
+                found[name] = "faulty"
+    return found
 
 
 class _Kept:
@@ -297,7 +282,7 @@ class _Kept:
         return Results(content, fault)
 
 
-def dataset(
+def _dataset(
     outputs: Mapping[str, tuple[str, str]],
     names: Sequence[str],
     values: Sequence[Sequence[Value]],
@@ -317,161 +302,6 @@ def dataset(
         for name, listed in zip(names, values, strict=True)
     }
     return xr.Dataset(variables, coordinates, dict(attributes))
-
-
-# ----------------------------------------------------------------------------
-# Sweeps of coaxial pairs: the grid of :mod:`mufly.study.sweep` over spacing, speeds, pitches and blades.
-#
-# By the wake method one case is solved at a time, on all cores, from the wake of the case before (see
-# :mod:`mufly.study.evaluation`), and is kept as soon as it is there. A case that fails holds nan and its reason.
-
-
-_EACH = {
-    "thrust_N": ("N", "thrust of the {} rotor"),
-    "torque_Nm": ("N m", "torque of the {} rotor"),
-    "power_W": ("W", "power of the {} rotor"),
-    "speed_rad_s": ("rad/s", "speed of the {} rotor"),
-    "pitch_rad": ("rad", "pitch setting of the {} rotor"),
-    "c_T": ("1", "c_T of the {} rotor"),
-    "c_Q": ("1", "c_Q of the {} rotor"),
-    "outside_share": ("1", "share of the {} rotor's thrust from sections beyond the polar's range"),
-}
-PAIR_OUTPUTS: dict[str, tuple[str, str]] = {
-    "thrust_N": ("N", "thrust of the pair"),
-    "power_W": ("W", "mechanical power of the pair"),
-    "yaw_torque_Nm": ("N m", "torque of the lower less that of the upper rotor"),
-    "figure_of_merit": ("1", "figure of merit of the pair, one disc"),
-    "thrust_ratio": ("1", "lower over upper thrust"),
-    "torque_ratio": ("1", "lower over upper torque"),
-    **{
-        f"{side}_{key}": (unit, text.format(side))
-        for side in ("upper", "lower")
-        for key, (unit, text) in _EACH.items()
-    },
-    "iterations": ("1", "iterations of the last wake"),
-    **WAKE_OUTPUTS,
-}
-
-_CHUNK = 16  # cases by blade elements
-_LAST: dict[WakeSettings, WakeSolution] = {}
-
-
-def _row(point: PairPoint) -> dict[str, float]:
-    up, low = point.upper, point.lower
-    row = {
-        "thrust_N": point.thrust_N,
-        "power_W": point.power_W,
-        "yaw_torque_Nm": point.yaw_torque_Nm,
-        "figure_of_merit": point.figure_of_merit,
-        "thrust_ratio": low.thrust_N / up.thrust_N,
-        "torque_ratio": low.torque_Nm / up.torque_Nm,
-        "iterations": float(point.solution.iterations) if point.solution is not None else np.nan,
-        "core_limit": np.nan,
-    }
-    if point.solution is not None and point.solution.settings.core_limit is not None:
-        row["core_limit"] = point.solution.settings.core_limit
-    for side, r in (("upper", up), ("lower", low)):
-        row |= {f"{side}_{key}": float(getattr(r, key)) for key in _EACH}
-    return row
-
-
-def _solved(setup: PairSetup, case: Case) -> PairPoint:
-    """A case, from the last wake if there is one, afresh if that does not converge."""
-    if setup.method != "wake":
-        return solve_pair(setup, case)
-    with WAKE_LOCK:
-        known = _LAST.get(setup.wake)
-        point: PairPoint | None = None
-        if known is not None:
-            try:
-                point = solve_pair(setup, case, start=known)
-            except InputError:
-                raise
-            except MuflyError:
-                point = None
-        if point is None or not point.converged:
-            point = solve_pair(setup, case)
-        if not point.converged:
-            raise MuflyError(f"wake {point.message}")
-        assert point.solution is not None
-        remember(_LAST, setup.wake, point.solution)
-        return point
-
-
-def evaluate_pairs(setup: PairSetup, cases: Sequence[Case]) -> Results:
-    """Solve cases of a pair; one that fails gets nan and its reason.
-
-    Raises
-    ------
-    InputError
-        If the parameters make no sense together.
-    """
-    check_pair(setup, list(cases[0]) if cases else [])
-    out = Results({name: np.full(len(cases), np.nan) for name in PAIR_OUTPUTS}, [""] * len(cases))
-    for k, case in enumerate(cases):
-        try:
-            row = _row(_solved(setup, case))
-        except MuflyError as error:
-            out.fault[k] = str(error)
-            continue
-        for name, value in row.items():
-            out.values[name][k] = value
-    return out
-
-
-def sweep_pairs(
-    setup: PairSetup,
-    vary: Mapping[str, Sequence[Value]],
-    *,
-    folder: str | Path | None = None,
-    progress: Progress | None = None,
-    cluster: str | None = None,
-) -> xr.Dataset:
-    """Evaluate every combination; arguments as for :func:`mufly.study.sweep`, parameters as in ``parameters.PAIR``.
-
-    Returns
-    -------
-    xarray.Dataset
-        Variables :data:`PAIR_OUTPUTS` with units, and ``fault``.
-
-    Raises
-    ------
-    InputError
-        If parameters make no sense together, a value is listed twice, or the folder holds another sweep.
-    """
-    names, values = list(vary), [list(v) for v in vary.values()]
-    both = [n for n in names if n in setup.fixed]
-    setup = replace(setup, fixed={k: v for k, v in setup.fixed.items() if k not in both})
-    check_pair(setup, names)
-    for name, listed in zip(names, values, strict=True):
-        if not listed or len(set(listed)) != len(listed):
-            raise InputError("coaxial", name, "lists a value twice, or none", "give each value once")
-    chunk = 1 if setup.method == "wake" else _CHUNK
-    content = {
-        "version": __version__,
-        "pair": [setup.upper.model_dump(mode="json"), setup.lower.model_dump(mode="json")],
-        "fixed": dict(sorted(setup.fixed.items())),
-        "method": [setup.method, setup.free, setup.stations, vars(setup.wake)],
-        "corrections": vars(setup.corrections),
-        "polars": [setup.engine, setup.model],
-        "vary": [names, values],
-        "contours": contours_of([*setup.upper.airfoil_names(), *setup.lower.airfoil_names()]),
-    }
-    question = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-    parts = grid(
-        evaluate_pairs, setup, names, values, chunk, question, folder=folder, progress=progress, cluster=cluster,
-        workers=1 if setup.method == "wake" else None,
-    )  # fmt: skip
-    attributes = {
-        "rotor": f"{setup.upper.name} over {setup.lower.name}",
-        "fixed": json.dumps(dict(setup.fixed), sort_keys=True),
-        "method": setup.method if setup.method == "bemt" else f"wake, {setup.wake.model}",
-        "balanced_by": setup.free,
-        "polars": f"{setup.engine} {setup.model}",
-        "corrections": json.dumps(vars(setup.corrections)),
-        "mufly": __version__,
-    }
-    return dataset(PAIR_OUTPUTS, names, values, parts, attributes)
 
 
 # ----------------------------------------------------------------------------

@@ -19,15 +19,15 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.errors import MuflyError
-from mufly.rotor import RotorResult, balance_torque, coaxial, hover, load_rotor, prepare
-from mufly.rotor.blading import Blading
-from mufly.rotor.system import balance_torque_wake, coaxial_wake, hover_wake
-from mufly.rotor.wake import WakeSettings, WakeSolution
+from mufly.rotor import Blading, Condition, Result, System, load_rotor, prepare, solve
+from mufly.rotor.system import Method
+from mufly.rotor.wake import WakeSettings
 from mufly.study.sweeps import Progress
 from mufly.thesis.claims import CLAIMS, TABLE_3_4_VALUES, Verdict
 from mufly.units import RPM
 
 COAXIAL_MODELS = ("wake", "full")
+_METHOD: dict[str, Method] = {"wake": "wake", "full": "bemt"}
 PITCH_DEG = 14.0
 SPACING_M = 0.02
 UPPER_RPM = 6000.0
@@ -49,39 +49,17 @@ def _blade() -> Blading:
 
 
 def _pair(
-    model: str, blade: Blading, point: _Point, settings: WakeSettings | None, known: WakeSolution | None
-) -> tuple[Sequence[RotorResult], WakeSolution | None, str]:
-    """Upper and lower rotor, the wake to start the next case from, and what went wrong."""
-    up, low = math.radians(PITCH_DEG), math.radians(point.lower_pitch_deg)
-    upper = point.upper_rpm * RPM
+    model: str, blade: Blading, point: _Point, settings: WakeSettings | None, known: Result | None
+) -> tuple[Result | None, str]:
+    """Both rotors, or what went wrong."""
+    pitch = (math.radians(PITCH_DEG), math.radians(point.lower_pitch_deg))
+    speed = (point.upper_rpm * RPM, None if point.balance else point.lower_rpm * RPM)
     try:
-        if model == "wake":
-            if point.balance:
-                wake = balance_torque_wake(
-                    blade, blade, spacing_m=point.spacing_m, upper_pitch_rad=up, lower_pitch_rad=low,
-                    upper_speed_rad_s=upper, settings=settings, start=known,
-                )  # fmt: skip
-            else:
-                wake = coaxial_wake(
-                    blade, blade, spacing_m=point.spacing_m, upper_pitch_rad=up, lower_pitch_rad=low,
-                    upper_speed_rad_s=upper, lower_speed_rad_s=point.lower_rpm * RPM, settings=settings, start=known,
-                )  # fmt: skip
-            if wake.converged:
-                return wake.rotors, wake, ""
-            return (), known, wake.message
-        if point.balance:
-            both = balance_torque(
-                blade, blade, spacing_m=point.spacing_m, upper_pitch_rad=up, lower_pitch_rad=low,
-                upper_speed_rad_s=upper,
-            )  # fmt: skip
-        else:
-            both = coaxial(
-                blade, blade, spacing_m=point.spacing_m, upper_pitch_rad=up, lower_pitch_rad=low,
-                upper_speed_rad_s=upper, lower_speed_rad_s=point.lower_rpm * RPM,
-            )  # fmt: skip
-        return (both.upper, both.lower), known, ""
+        pair = System.coaxial(blade, blade, spacing_m=point.spacing_m)
+        found = solve(pair, Condition(pitch, speed), _METHOD[model], settings=settings, start=known)
     except MuflyError as error:
-        return (), known, str(error)
+        return None, str(error)
+    return (found, "") if found.converged else (None, found.message)
 
 
 def _solve(
@@ -98,11 +76,13 @@ def _solve(
         f"{who}_{field}": np.full(shape, np.nan) for who in ("upper", "lower") for field in (*_FIELDS, "rpm")
     }
     fault = np.full(shape, "", dtype=object)
-    known: WakeSolution | None = None
+    known: Result | None = None
     for done, index in enumerate(np.ndindex(shape)):
         point = at(**{name: values[i] for (name, values), i in zip(axes.items(), index, strict=True)})
-        rotors, known, fault[index] = _pair(model, blade, point, settings, known)
-        for who, rotor in zip(("upper", "lower"), rotors, strict=False):
+        found, fault[index] = _pair(model, blade, point, settings, known)
+        if found is not None and model == "wake":
+            known = found
+        for who, rotor in zip(("upper", "lower"), found.rotors if found is not None else (), strict=False):
             for field in _FIELDS:
                 data[f"{who}_{field}"][index] = getattr(rotor, field)
             data[f"{who}_rpm"][index] = rotor.speed_rad_s / RPM
@@ -129,17 +109,15 @@ def equal_speeds(
         model, {"rpm": list(rpm)}, lambda rpm: _Point(upper_rpm=rpm, lower_rpm=rpm), settings, progress
     )
     blade, pitch = _blade(), math.radians(PITCH_DEG)
-    known: WakeSolution | None = None
-    alone: RotorResult | None
+    known: Result | None = None
     single: dict[str, list[float]] = {field: [] for field in _FIELDS}
     for speed in rpm:
-        if model == "wake":
-            wake = hover_wake(blade, pitch_rad=pitch, speed_rad_s=speed * RPM, settings=settings, start=known)
-            known, alone = (wake, wake.rotors[0]) if wake.converged else (known, None)
-        else:
-            alone = hover(blade, pitch_rad=pitch, speed_rad_s=speed * RPM)
+        at = Condition(pitch, speed * RPM)
+        alone = solve(System.single(blade), at, _METHOD[model], settings=settings, start=known)
+        if alone.converged and model == "wake":
+            known = alone
         for field, values in single.items():
-            values.append(float(getattr(alone, field)) if alone is not None else math.nan)
+            values.append(float(getattr(alone.rotors[0], field)) if alone.converged else math.nan)
     return both.assign({f"single_{k}": ("rpm", v, {"units": _FIELDS[k]}) for k, v in single.items()})
 
 
