@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt on an output-error problem, with the start values of the windows eliminated.
+"""Ways to the minimum of an output-error problem, with the start values of the windows eliminated.
 
 Linearised, the residual of one window is ``e + J d_theta + S d_s``. Its own start values enter no other window, so
 with the thin factorisation ``S = Q R`` they are removed first and exactly::
@@ -6,7 +6,9 @@ with the thin factorisation ``S = Q R`` they are removed first and exactly::
     (1 - Q Q^T) (e + J d_theta)   least squares in theta alone,      d_s = -R^-1 Q^T (e + J d_theta)
 
 (variable projection; the priors of ``s`` are rows of ``S`` and ``e``). What is left has as many unknowns as free
-parameters, however many windows there are. Marquardt's damping scales with the diagonal of ``J^T J``; four dampings
+parameters, however many windows there are.
+
+**Levenberg-Marquardt** (:func:`descend`). Marquardt's damping scales with the diagonal of ``J^T J``; four dampings
 are tried at once, as a batch. A parameter that runs into a bound is held there, and let go when the slope points
 inwards. The step in ``theta`` is limited to a factor of two, that of the start values to a quarter of their spread.
 
@@ -14,6 +16,16 @@ A whole record holds height and yaw, which integrate the rotors' forces twice: o
 torques) is seen ten thousand times better than others, along a valley that is curved. A step along the valley leaves
 it by the square of its length, so each trial is followed by corrections with the Jacobian at hand (chord steps),
 which cost one flight each and bring it back to the valley's floor.
+
+**CMA-ES** (:func:`evolve`; Hansen 2001; the dissertation's Sec. 5.3.1), with pycma. The same problem in the same
+windows. For every trial the best start values follow from the derivatives at the best point so far, by linear least
+squares; that point and its derivatives are renewed each generation. Away from the solution this is an approximation, at
+the solution it is exact, so both methods have the same minimum. Search starts in coordinates in which the linearised
+problem is a sphere (``theta = theta_0 + R^-1 z`` with the triangular factor of the Jacobian there), as far as the prior
+is not narrower. Bounds: trials are brought back to the box and pay for how far they were out. Restarts double the
+population (Auger and Hansen 2005). A run can be repeated from the costs it was told, without a simulation: random
+numbers come from a seeded generator of the run's own. A checkpoint therefore holds these costs, and the point that
+start values are counted from.
 """
 
 from __future__ import annotations
@@ -21,11 +33,12 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.identify.flight.problem import Linear, Problem
+from mufly.identify.flight.problem import Problem
 
 _Array = NDArray[np.float64]
 
@@ -35,6 +48,7 @@ _LEAST, _GREATEST = 1e-9, 1e9
 _LEAST_SHARE = 1e-4
 _REACH = 0.25
 _CHORDS, _MANY_WINDOWS = 3, 100
+_CURVATURE_CHORDS = 4
 _HOPELESS = 1e6  # a trial that is worse by this is not worth correcting
 
 
@@ -61,73 +75,125 @@ class Point:
     simulations: int = 0
 
 
-@dataclass(frozen=True, eq=False)
 class Reduced:
-    """A linearised record without its start values.
+    """A record linearised at a point, without its start values.
 
     Attributes
     ----------
+    raw : (n, m) array
+        The whitened residual.
     jacobian : (rows, t) array
         ``(1 - Q Q^T) J``; rows of one window after the other, in a window sample after sample, its priors last.
-    residual : (rows,) array
-    back : list of (a, b, Q, R, Q^T J)
-        One a window: its first sample and the one after its last, and what start values follow from.
-    spread : (k,) array
-        Of the start values.
+    rows : list of (rows,) array
+        ``e`` of every window.
     """
 
-    jacobian: _Array
-    residual: _Array
-    back: list[tuple[int, int, _Array, _Array, _Array]]
-    spread: _Array
+    def __init__(self, problem: Problem, i: int, point: Point) -> None:
+        linear = problem.linearise(i, point.theta, point.states[i])
+        n, m, t = linear.by_theta.shape
+        self._spread, self.raw, jacobians = problem.spread(i), linear.residual, []
+        # One a window: its first sample and the one after its last, and what start values follow from: Q, R, Q^T J.
+        self._back: list[tuple[int, int, _Array, _Array, _Array]] = []
+        for a, b in zip(problem.starts[i], [*problem.starts[i][1:], n], strict=True):
+            s = np.vstack([linear.by_state[a:b].reshape((b - a) * m, -1), np.diag(1.0 / self._spread)])
+            j = np.vstack([linear.by_theta[a:b].reshape(-1, t), np.zeros((len(self._spread), t))])
+            q, r = np.linalg.qr(s)
+            qj = q.T @ j
+            jacobians.append(j - q @ qj)
+            self._back.append((int(a), int(b), q, r, qj))
+        self.jacobian = np.vstack(jacobians)
+        self.rows = self.rows_of(linear.residual, point.states[i])
 
-    def rows(self, residual: _Array, states: _Array) -> list[_Array]:
+    def rows_of(self, residual: _Array, states: _Array) -> list[_Array]:
         """Return the rows ``e`` of every window for a residual (n, m) at start values (windows, k)."""
         return [
-            np.concatenate([residual[a:b].ravel(), s / self.spread])
-            for (a, b, *_), s in zip(self.back, states, strict=True)
+            np.concatenate([residual[a:b].ravel(), s / self._spread])
+            for (a, b, *_), s in zip(self._back, states, strict=True)
         ]
 
     def project(self, rows: list[_Array]) -> _Array:
         """Return ``(1 - Q Q^T) e``, window after window."""
-        return np.concatenate([e - q @ (q.T @ e) for (_, _, q, _, _), e in zip(self.back, rows, strict=True)])
-
-    def states(self, rows: list[_Array], step: _Array) -> _Array:
-        """Return the change of the start values (windows, k) that belongs to a step in theta."""
-        return np.array(
-            [
-                -np.linalg.solve(r, q.T @ e + j @ step)
-                for (_, _, q, r, j), e in zip(self.back, rows, strict=True)
-            ]
+        return np.concatenate(
+            [e - q @ (q.T @ e) for (_, _, q, _, _), e in zip(self._back, rows, strict=True)]
         )
 
+    def states(self, rows: Sequence[_Array | float], step: _Array) -> _Array:
+        """Return the change of the start values (windows, k) that belongs to a step in theta."""
+        found = []
+        for (_, _, q, r, j), e in zip(self._back, rows, strict=True):
+            found.append(-np.linalg.solve(r, q.T @ e + j @ step))
+        return np.array(found)
 
-def reduce_record(problem: Problem, i: int, linear: Linear, states: _Array) -> Reduced:
-    """Eliminate the start values of record ``i``."""
-    n, m, t = linear.by_theta.shape
-    spread = problem.spread(i)
-    ends = [*problem.starts[i][1:], n]
-    jacobians, back = [], []
-    for a, b in zip(problem.starts[i], ends, strict=True):
-        s = np.vstack([linear.by_state[a:b].reshape((b - a) * m, -1), np.diag(1.0 / spread)])
-        j = np.vstack([linear.by_theta[a:b].reshape(-1, t), np.zeros((len(spread), t))])
-        q, r = np.linalg.qr(s)
-        qj = q.T @ j
-        jacobians.append(j - q @ qj)
-        back.append((int(a), int(b), q, r, qj))
-    reduced = Reduced(np.vstack(jacobians), np.zeros(0), back, spread)
-    return replace(reduced, residual=reduced.project(reduced.rows(linear.residual, states)))
+    def following(self, step: _Array) -> _Array:
+        """Return the change of the start values that a step in theta alone brings about."""
+        return np.array([-np.linalg.solve(r, j @ step) for _, _, _, r, j in self._back])
+
+    def reach(self, moved: _Array) -> float:
+        """Return the largest change of a start value over its spread."""
+        return float(np.max(np.abs(moved / self._spread)))
+
+    def sensitivities(self) -> _Array:
+        """Return the Jacobian (n, m, t) of the samples alone."""
+        m, at, found = self.raw.shape[1], 0, []
+        for a, b, *_ in self._back:
+            found.append(self.jacobian[at : at + (b - a) * m].reshape(b - a, m, -1))
+            at += (b - a) * m + len(self._spread)
+        return np.concatenate(found)
+
+
+class Linearised:
+    """A problem linearised at a point: all records without their start values, priors and hover."""
+
+    def __init__(self, problem: Problem, point: Point) -> None:
+        self.problem, self.point = problem, point
+        self.records = [Reduced(problem, i, point) for i in range(len(point.states))]
+        self.flights = sum(1 + len(point.theta) + s.shape[1] for s in point.states)
+
+    @cached_property
+    def jacobian(self) -> _Array:
+        """Of the problem in theta alone: records, priors, hover."""
+        problem, theta = self.problem, self.point.theta
+        jacobians = [r.jacobian for r in self.records] + [np.diag(1.0 / problem.prior_std)]
+        if problem.hover:
+            h = problem.hover_residual(np.vstack([theta, theta + 1e-5 * np.eye(len(theta))]))
+            jacobians.append((h[1:] - h[0]).T / 1e-5)
+        return np.vstack(jacobians)
+
+    def residual(self, theta: _Array, rows: Sequence[list[_Array]]) -> _Array:
+        """Return the residual in theta alone that belongs to the Jacobian's rows."""
+        parts = [r.project(e) for r, e in zip(self.records, rows, strict=True)]
+        hover = self.problem.hover_residual(theta[None])[0]
+        return np.concatenate([*parts, theta / self.problem.prior_std, hover])
+
+    def rows(self, b: int, residuals: Sequence[_Array], states: Sequence[_Array]) -> list[list[_Array]]:
+        """Return the rows of every record for the ``b``-th of a batch of trials."""
+        return [r.rows_of(e[b], s[b]) for r, e, s in zip(self.records, residuals, states, strict=True)]
+
+    @cached_property
+    def here(self) -> _Array:
+        """The residual at the point."""
+        return self.residual(self.point.theta, [r.rows for r in self.records])
+
+    def promise(self) -> float:
+        """Return by how much the linearised cost falls to its minimum, parameters at a bound held there."""
+        low, high = self.problem.bounds
+        free = (self.point.theta > low) & (self.point.theta < high)
+        if not free.any():
+            return 0.0
+        q, triangle = self.factors
+        return 0.5 * float(np.sum((np.linalg.qr(triangle[:, free])[0].T @ (q.T @ self.here)) ** 2))
+
+    @cached_property
+    def factors(self) -> tuple[_Array, _Array]:
+        """Orthogonal factors of the Jacobian, not normal equations, which would square the condition number."""
+        q, triangle = np.linalg.qr(self.jacobian)
+        return q, triangle
 
 
 def descend(
-    problem: Problem,
-    point: Point,
-    *,
-    iterations: int,
-    tolerance: float = 1e-5,
-    least_gain: float = 0.0,
+    problem: Problem, point: Point, *, iterations: int, tolerance: float = 1e-5, least_gain: float = 0.0,
     on_iteration: Callable[[Point], None] | None = None,
-) -> tuple[Point, bool]:
+) -> tuple[Point, bool]:  # fmt: skip
     """Run Levenberg-Marquardt.
 
     Parameters
@@ -151,23 +217,13 @@ def descend(
         False if the iterations ran out.
     """
     cost = float(problem.cost(point.theta[None], [s[None] for s in point.states])[0])
-    count = len(problem.records)
-    now = Point(point.theta, point.states, cost, point.damping, point.simulations + count)
+    now = replace(point, cost=cost, simulations=point.simulations + len(problem.records))
     small = 0
     for _ in range(iterations):
-        reduced, rows = [], []
-        flown = now.simulations
-        for i in range(count):
-            linear = problem.linearise(i, now.theta, now.states[i])
-            reduced.append(reduce_record(problem, i, linear, now.states[i]))
-            rows.append(reduced[i].rows(linear.residual, now.states[i]))
-            flown += 1 + len(now.theta) + now.states[i].shape[1]
-        q, triangle = np.linalg.qr(stacked_jacobian(problem, now.theta, reduced))
-        trial, flown, gain = _best_step(problem, now, reduced, rows, q, triangle, flown)
-        if gain < least_gain:
-            return Point(now.theta, now.states, now.cost, now.damping, flown), True
-        if trial is None:
-            return Point(now.theta, now.states, now.cost, now.damping, flown), True
+        linear = Linearised(problem, now)
+        trial, flown = _best_step(linear)
+        if trial is None or linear.promise() < least_gain:
+            return replace(now, simulations=flown), True
         fall = now.cost - trial.cost
         now = trial
         if on_iteration is not None:
@@ -178,46 +234,23 @@ def descend(
     return now, False
 
 
-def stacked_jacobian(problem: Problem, theta: _Array, reduced: Sequence[Reduced]) -> _Array:
-    """Return the Jacobian of the problem in theta alone: records, priors, hover."""
-    jacobians = [r.jacobian for r in reduced]
-    jacobians.append(np.diag(1.0 / problem.prior_std))
-    if problem.hover:
-        h = problem.hover_residual(np.vstack([theta, theta + 1e-5 * np.eye(len(theta))]))
-        jacobians.append((h[1:] - h[0]).T / 1e-5)
-    return np.vstack(jacobians)
-
-
-def _best_step(
-    problem: Problem,
-    now: Point,
-    reduced: Sequence[Reduced],
-    rows: Sequence[list[_Array]],
-    q: _Array,
-    triangle: _Array,
-    flown: int,
-) -> tuple[Point | None, int, float]:
-    """Return the best trial (None if none is better), flights so far, and what a linear step promises.
-
-    Orthogonal factors ``q, triangle``, not normal equations, which would square the condition number.
-    """
-
-    def target(theta: _Array, at: Sequence[list[_Array]]) -> _Array:
-        parts = [r.project(e) for r, e in zip(reduced, at, strict=True)]
-        return q.T @ np.concatenate(
-            [*parts, theta / problem.prior_std, problem.hover_residual(theta[None])[0]]
-        )  # fmt: skip
-
-    start = target(now.theta, rows)
-    gain = _promise(problem, now.theta, triangle, start)
+def _best_step(linear: Linearised) -> tuple[Point | None, int]:
+    """Return the best trial (None if none is better) and flights so far."""
+    problem, now, reduced = linear.problem, linear.point, linear.records
+    q, triangle = linear.factors
+    start = q.T @ linear.here
+    flown = now.simulations + linear.flights
     chords = _CHORDS if sum(len(s) for s in problem.starts) <= _MANY_WINDOWS else 0
     damping, share = now.damping, 1.0
     while damping <= _GREATEST and share > _LEAST_SHARE:
         dampings = np.clip(damping * _DAMPINGS, _LEAST, _GREATEST)
         steps = [_step(problem, now.theta, triangle, start, d) for d in dampings]
-        moves = [[r.states(e, step) for step in steps] for r, e in zip(reduced, rows, strict=True)]
-        parts = [share * _within_reach([m[c] / r.spread for m, r in zip(moves, reduced, strict=True)])
-                 for c in range(len(steps))]  # fmt: skip
+        moves = [[r.states(r.rows, step) for step in steps] for r in reduced]
+        # No start value moves by more than a quarter of its spread.
+        parts = [
+            share * min(1.0, _REACH / max(r.reach(m[c]) for m, r in zip(moves, reduced, strict=True)))
+            for c in range(len(steps))
+        ]
         thetas = np.array([now.theta + part * step for part, step in zip(parts, steps, strict=True)])
         states = [
             np.array([s + part * move for part, move in zip(parts, m, strict=True)])
@@ -225,7 +258,7 @@ def _best_step(
         ]
         best = Point(now.theta, now.states, np.inf)
         for chord in range(chords + 1):
-            residuals = [problem.residual(i, thetas, s) for i, s in enumerate(states)]
+            residuals = problem.residuals(thetas, states)
             costs = problem.cost_of(thetas, states, residuals)
             flown += len(steps) * len(reduced)
             k = int(np.nanargmin(costs))
@@ -234,31 +267,16 @@ def _best_step(
             if chord == chords or not np.any(costs < _HOPELESS * max(now.cost, 1.0)):
                 break
             for c, d in enumerate(dampings):
-                at = [r.rows(e[c], s[c]) for r, e, s in zip(reduced, residuals, states, strict=True)]
-                step = _step(problem, thetas[c], triangle, target(thetas[c], at), d)
+                at = linear.rows(c, residuals, states)
+                step = _step(problem, thetas[c], triangle, q.T @ linear.residual(thetas[c], at), d)
                 thetas[c] += step
                 for s, r, e in zip(states, reduced, at, strict=True):
                     s[c] += r.states(e, step)
         if best.cost < now.cost:
-            return replace(best, simulations=flown), flown, gain
+            return replace(best, simulations=flown), flown
         # Start values follow theta undamped; a part of the whole step goes downhill if the step itself does not.
         damping, share = damping * 10.0, share * 0.3
-    return None, flown, gain
-
-
-def _promise(problem: Problem, theta: _Array, triangle: _Array, target: _Array) -> float:
-    """Return by how much the linearised cost falls to its minimum, parameters at a bound held there."""
-    low, high = problem.bounds
-    free = (theta > low) & (theta < high)
-    if not free.any():
-        return 0.0
-    q = np.linalg.qr(triangle[:, free])[0]
-    return 0.5 * float(np.sum((q.T @ target) ** 2))
-
-
-def _within_reach(moves: Sequence[_Array]) -> float:
-    """Return the share of a step that moves no start value by more than a quarter of its spread."""
-    return min(1.0, _REACH / max(float(np.max(np.abs(m))) for m in moves))
+    return None, flown
 
 
 def _step(problem: Problem, theta: _Array, triangle: _Array, target: _Array, damping: float) -> _Array:
@@ -287,93 +305,46 @@ def _step(problem: Problem, theta: _Array, triangle: _Array, target: _Array, dam
     return np.clip(theta + step, low, high) - theta
 
 
-# ----------------------------------------------------------------------------
-# How far do second-order terms widen the estimates' spread?
-#
-# Cramer-Rao takes the valley in which the cost lies to be straight. Whole records see one direction ten thousand
-# times
-# better than others, and there a valley that bends by a ten-thousandth within the spread of the others matters. In
-# coordinates ``z`` in which the linearised cost is ``|z|^2 / 2`` the floor of the valley along axis ``k`` is, to
-# second
-# order, ``theta(z_k) = theta + a_k z_k + c_k z_k^2``. It is found at ``z_k = +1`` and ``-1`` by correcting all other
-# coordinates (chord steps), and, ``z_k`` being normal,
-#
-#     covariance = sum_k a_k a_k^T + 2 sum_k c_k c_k^T                       (own derivation; the variance of z^2 is
-# 2)
+def bend_of_valley(linear: Linearised) -> tuple[_Array, int]:
+    """Return how far second-order terms widen the spread, ``c_k`` as rows (t, t), and the flights it took.
 
+    Cramer-Rao takes the valley in which the cost lies to be straight. Whole records see one direction ten thousand
+    times better than others, and there a valley that bends by a ten-thousandth within the spread of the others matters.
+    In coordinates ``z`` in which the linearised cost is ``|z|^2 / 2`` the floor of the valley along axis ``k`` is, to
+    second order, ``theta(z_k) = theta + a_k z_k + c_k z_k^2``. It is found at ``z_k = +1`` and ``-1`` by correcting all
+    other coordinates (chord steps), and, ``z_k`` being normal,
 
-_CURVATURE_CHORDS = 4
-
-
-def flights_of(problem: Problem) -> int:
-    """Return how many flights :func:`bend_of_valley` takes."""
-    return _CURVATURE_CHORDS * (2 * len(problem.free) + 1) * len(problem.records)
-
-
-def bend_of_valley(problem: Problem, point: Point, reduced: Sequence[Reduced]) -> _Array:
-    """Return ``c_k`` as rows, (t, t), at a minimum.
+        covariance = sum_k a_k a_k^T + 2 sum_k c_k c_k^T                   (own derivation; the variance of z^2 is 2)
 
     Parameters
     ----------
-    problem : Problem
-    point : Point
-        The minimum.
-    reduced : sequence of Reduced
-        Its records, linearised there, without their start values.
+    linear : Linearised
+        At the minimum.
     """
-    u, s, vt = np.linalg.svd(stacked_jacobian(problem, point.theta, reduced), full_matrices=False)
+    problem, point = linear.problem, linear.point
+    u, s, vt = np.linalg.svd(linear.jacobian, full_matrices=False)
     t = len(point.theta)
     axes = vt.T / np.maximum(s, 2.0)  # an axis that is hardly seen is followed for half its unit at most
     # The last one has nothing held: it goes to the minimum itself, from which bends are counted.
     sides = np.concatenate([np.eye(t), -np.eye(t), np.zeros((1, t))])
     low, high = problem.bounds
-
-    def linear_states(theta: _Array) -> list[_Array]:
-        return [
-            np.array([x - _back(r, step) for step in theta - point.theta])
-            for r, x in zip(reduced, point.states, strict=True)
-        ]
-
     thetas = point.theta + sides @ axes.T
-    states = linear_states(thetas)
-    hold = sides != 0.0
+    states = [
+        np.array([x + r.following(step) for step in thetas - point.theta])
+        for r, x in zip(linear.records, point.states, strict=True)
+    ]
     for _ in range(_CURVATURE_CHORDS):
-        residuals = [problem.residual(i, thetas, x) for i, x in enumerate(states)]
+        residuals = problem.residuals(thetas, states)
         for b in range(2 * t + 1):
-            rows = [r.rows(e[b], x[b]) for r, e, x in zip(reduced, residuals, states, strict=True)]
-            parts = [r.project(e) for r, e in zip(reduced, rows, strict=True)]
-            rest = np.concatenate(
-                [*parts, thetas[b] / problem.prior_std, problem.hover_residual(thetas[b][None])[0]]
-            )
-            step = -(u.T @ rest) * np.where(hold[b], 0.0, 1.0)
+            rows = linear.rows(b, residuals, states)
+            step = -(u.T @ linear.residual(thetas[b], rows)) * np.where(sides[b] != 0.0, 0.0, 1.0)
             move = (vt.T / s) @ step
             thetas[b] = np.clip(thetas[b] + move, low, high)
-            for r, e, x in zip(reduced, rows, states, strict=True):
+            for r, e, x in zip(linear.records, rows, states, strict=True):
                 x[b] += r.states(e, move)
     bend = 0.5 * (thetas[:t] + thetas[t : 2 * t]) - thetas[-1]
-    return np.where(np.all(np.isfinite(bend), axis=1, keepdims=True), bend, 0.0)
-
-
-def _back(r: Reduced, step: _Array) -> _Array:
-    """Return how start values answer a step in theta, with the sign of :meth:`Reduced.states` turned."""
-    return np.array([np.linalg.solve(tri, j @ step) for _, _, _, tri, j in r.back])
-
-
-# ----------------------------------------------------------------------------
-# CMA-ES on an output-error problem (Hansen 2001; the dissertation's Sec. 5.3.1), with pycma.
-#
-# The same problem as Levenberg-Marquardt's, in the same windows. Start values of the windows are eliminated as there:
-# for every trial the best start values follow from the derivatives at the best point so far, by linear least squares;
-# that point and its derivatives are renewed each generation. Away from the solution this is an approximation, at the
-# solution it is exact, so both methods have the same minimum.
-#
-# Search starts in coordinates in which the linearised problem is a sphere (``theta = theta_0 + R^-1 z`` with the
-# triangular factor of the Jacobian there), as far as the prior is not narrower. Bounds: trials are brought back to
-# the
-# box and pay for how far they were out. Restarts double the population (Auger and Hansen 2005).
-#
-# A run can be repeated from the costs it was told, without a simulation: random numbers come from a seeded generator
-# of the run's own. A checkpoint therefore holds these costs, and the point that start values are counted from.
+    bend = np.where(np.all(np.isfinite(bend), axis=1, keepdims=True), bend, 0.0)
+    return bend, _CURVATURE_CHORDS * (2 * t + 1) * len(problem.records)
 
 
 @dataclass
@@ -386,17 +357,9 @@ class Course:
 
 
 def evolve(
-    problem: Problem,
-    point: Point,
-    *,
-    seed: int,
-    generations: int,
-    restarts: int = 0,
-    population: int | None = None,
-    tolerance: float = 0.05,
-    course: Course | None = None,
-    on_generation: Callable[[Point, Course], None] | None = None,
-) -> tuple[Point, bool]:
+    problem: Problem, point: Point, *, seed: int, generations: int, restarts: int = 0, population: int | None = None,
+    tolerance: float = 0.05, course: Course | None = None, on_generation: Callable[[Point, Course], None] | None = None,
+) -> tuple[Point, bool]:  # fmt: skip
     """Run CMA-ES.
 
     Parameters
@@ -442,8 +405,9 @@ def evolve(
         if restart < len(course.told) - 1:
             continue
         told = course.told[restart]
-        reduced = _reduced(problem, course.origin)
-        spread = np.linalg.inv(np.linalg.qr(_with_prior(problem, course.origin, reduced), mode="r"))
+        # A row a parameter keeps the first step below a factor of e or so.
+        first = np.vstack([Linearised(problem, course.origin).jacobian, np.eye(t)])
+        spread = np.linalg.inv(np.linalg.qr(first, mode="r"))
         random = np.random.default_rng([seed, restart])
         options = {
             "popsize": size * 2**restart, "verbose": -9, "maxiter": generations, "tolfun": tolerance,
@@ -453,14 +417,14 @@ def evolve(
         strategy = cma.CMAEvolutionStrategy(np.zeros(t), 3.0, options)
         for before in told:
             strategy.tell(strategy.ask(), before)
-        reduced = _reduced(problem, best)
+        linear = Linearised(problem, best)
+        low, high = problem.bounds
         while not strategy.stop():
             z = strategy.ask()
             wanted = course.origin.theta + np.array(z) @ spread.T
-            low, high = problem.bounds
             theta = np.clip(wanted, low, high)
             out = np.sum(((wanted - theta) / 0.1) ** 2, axis=1)
-            costs, states = _profile(problem, theta, best, reduced)
+            costs, states = _profile(linear, theta)
             flown = best.simulations + len(theta) * len(problem.records)
             k = int(np.argmin(costs))
             # Is the best trial as good as it seems? Then start values are counted from there.
@@ -470,44 +434,30 @@ def evolve(
                 flown += len(problem.records)
                 if cost < best.cost:
                     best = Point(theta[k], own, cost, best.damping, flown)
-                    reduced = _reduced(problem, best)
+                    linear = Linearised(problem, best)
                     flown += sum(1 + s.shape[1] for s in own)
-            best = Point(best.theta, best.states, best.cost, best.damping, flown)
+            best = replace(best, simulations=flown)
             pay = [float(c) for c in costs + out]
             strategy.tell(z, pay)
             told.append(pay)
             course.reference = best
             if on_generation is not None:
                 on_generation(best, course)
-        reasons = strategy.stop()
-        converged = "maxiter" not in reasons
+        converged = "maxiter" not in strategy.stop()
     return best, converged
 
 
-def _reduced(problem: Problem, point: Point) -> list[Reduced]:
-    return [
-        reduce_record(problem, i, problem.linearise(i, point.theta, s), s) for i, s in enumerate(point.states)
-    ]  # fmt: skip
-
-
-def _with_prior(problem: Problem, point: Point, reduced: list[Reduced]) -> _Array:
-    """Return the Jacobian with a row a parameter that keeps the first step below a factor of e or so."""
-    return np.vstack([stacked_jacobian(problem, point.theta, reduced), np.eye(len(point.theta))])
-
-
-def _profile(
-    problem: Problem, theta: _Array, best: Point, reduced: list[Reduced]
-) -> tuple[_Array, list[_Array]]:
+def _profile(linear: Linearised, theta: _Array) -> tuple[_Array, list[_Array]]:
     """Return costs (b,) at the best start values of the linearised problem, and those, (b, windows, k) a record."""
-    b = len(theta)
+    problem, b = linear.problem, len(theta)
     costs = 0.5 * np.sum((theta / problem.prior_std) ** 2, axis=1)
     costs = costs + 0.5 * np.sum(problem.hover_residual(theta) ** 2, axis=1)
     none, found = np.zeros(theta.shape[1]), []
-    for i, (s, r) in enumerate(zip(best.states, reduced, strict=True)):
+    for i, (s, r) in enumerate(zip(linear.point.states, linear.records, strict=True)):
         e = problem.residual(i, theta, np.repeat(s[None], b, axis=0))
         states = np.empty((b, *s.shape))
         for c in range(b):
-            rows = r.rows(e[c], s)
+            rows = r.rows_of(e[c], s)
             rest = r.project(rows)
             costs[c] += 0.5 * float(rest @ rest)
             states[c] = s + r.states(rows, none)

@@ -1,10 +1,27 @@
-"""Free parameters: from symbols to the numbers of the equations of motion, with bounds and priors.
+"""One description of an output-error problem, for every method that solves it; and what may be free in it.
 
-Every number of the equations is a product of powers of vehicle parameters (``thrust_up = cT_up pi rho R^4``), so a
-batch of parameter sets is made from one record of :data:`mufly.dynamics.PARAMETERS` by multiplying its fields; the
-powers are found by halving each free parameter once and looking at what :func:`mufly.dynamics.model_parameters`
-makes of it. Vehicle parameters are fitted as ``theta = ln(value / start)``, which keeps their signs and makes a factor
-of two the same step for each; delays and biases, which may be zero, as ``theta = (value - start) / scale``.
+Free parameters ``theta`` and, for every window of every record, the motion ``s`` at its start are sought such that the
+simulated outputs come nearest to the measured ones::
+
+    J = 1/2 sum ((y_measured - y_simulated(theta, s)) / noise)^2 + 1/2 |theta / prior|^2 + 1/2 |s / spread|^2
+
+(Maine and Iliff, NASA RP 1168; Jategaonkar, ch. 4). ``s`` is counted from the smoothed measurement, and its
+``spread`` is so wide that it only keeps unmeasured states from running away. Short windows (multiple shooting) keep
+the sum of squares smooth far from the solution; a record with one window is the problem that is meant. In that one
+the rotors' speeds and the bar at the start are sought too, counted from steady motors and a bar square to the mast.
+
+Hover (thesis eq. 5.1): on average over a flight thrust carries weight and drag, and the rotors' torques are equal.
+At the mean motor inputs these two equations are added as measurements of one per cent or so, while windows are short.
+
+Parts (thesis Sec. 5.3.3): ``heave-yaw`` keeps the vehicle upright and servos at rest; ``roll-pitch`` lets the rotors
+turn at the hover speed of the parameters at hand; ``both`` flies the whole model.
+
+**Free parameters.** Every number of the equations is a product of powers of vehicle parameters (``thrust_up = cT_up pi
+rho R^4``), so a batch of parameter sets is made from one record of :data:`mufly.dynamics.PARAMETERS` by multiplying its
+fields; the powers are found by halving each free parameter once and looking at what
+:func:`mufly.dynamics.model_parameters` makes of it. Vehicle parameters are fitted as ``theta = ln(value / start)``,
+which keeps their signs and makes a factor of two the same step for each; delays and biases, which may be zero, as
+``theta = (value - start) / scale``.
 
 Provenance says how far the data may pull a parameter: the standard deviation of its prior (of ``ln value``) and the
 factor that bounds it. Priors are wide on purpose: they decide only where the data do not.
@@ -15,7 +32,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from dataclasses import replace as dataclasses_replace
 from typing import Any, Literal
 
@@ -233,29 +250,6 @@ def _limits(vehicle: BaseModel, prefix: str = "") -> dict[str, list[float]]:
     return found
 
 
-# ----------------------------------------------------------------------------
-# One description of an output-error problem, for every method that solves it.
-#
-# Free parameters ``theta`` and, for every window of every record, the motion ``s`` at its start are sought such that
-# the
-# simulated outputs come nearest to the measured ones::
-#
-#     J = 1/2 sum ((y_measured - y_simulated(theta, s)) / noise)^2 + 1/2 |theta / prior|^2 + 1/2 |s / spread|^2
-#
-# (Maine and Iliff, NASA RP 1168; Jategaonkar, ch. 4). ``s`` is counted from the smoothed measurement, and its
-# ``spread`` is so wide that it only keeps unmeasured states from running away. Short windows (multiple shooting) keep
-# the sum of squares smooth far from the solution; a record with one window is the problem that is meant. In that one
-# the rotors' speeds and the bar at the start are sought too, counted from steady motors and a bar square to the mast.
-#
-# Hover (thesis eq. 5.1): on average over a flight thrust carries weight and drag, and the rotors' torques are equal.
-# At the mean motor inputs these two equations are added as measurements of one per cent or so, while windows are
-# short.
-#
-# Parts (thesis Sec. 5.3.3): ``heave-yaw`` keeps the vehicle upright and servos at rest; ``roll-pitch`` lets the
-# rotors
-# turn at the hover speed of the parameters at hand; ``both`` flies the whole model.
-
-
 Part = Literal["both", "heave-yaw", "roll-pitch"]
 
 PART_OUTPUTS: dict[str, tuple[str, ...]] = {
@@ -297,36 +291,64 @@ class Linear:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
-    """What :func:`make_problem` returns: records, parameters and how they are compared.
+class Prepared:
+    """A record made ready for the simulation: what is compared, and what its windows start from.
 
-    ``starts[i]`` are the first samples of record ``i``'s windows; ``sought[i]`` the start values that are sought, as
-    positions in ``MOTION + ACTUATOR``; ``noise[i]`` the standard deviation of its outputs.
+    Attributes
+    ----------
+    record : Record
+    noise : (m,) array
+        Standard deviation of its outputs.
+    motion, mast : (n, 12), (n, 3) array
+        Smoothed measurement, and the direction of the mast in it.
+    inputs : (n, 4) array
+    base, powers
+        Of :func:`batch_parameters`.
+    charge : float
+        Of the battery at the start, as far as it is not sought.
+    volts : (float, float)
+        Voltage in the first moments and on average.
+    starts : (windows,) array
+        First samples of the windows.
+    sought : (k,) array
+        Start values that are sought, as positions in ``MOTION + ACTUATOR``.
     """
+
+    record: Record
+    noise: _Array
+    motion: _Array
+    mast: _Array
+    inputs: _Array
+    base: NDArray[np.void]
+    powers: dict[str, _Array]
+    charge: float
+    volts: tuple[float, float]
+    starts: NDArray[np.int64]
+    sought: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What :func:`make_problem` returns: records, parameters and how they are compared."""
 
     vehicle: Vehicle
     free: tuple[Free, ...]
-    records: tuple[Record, ...]
-    noise: tuple[_Array, ...]
-    starts: tuple[NDArray[np.int64], ...]
-    sought: tuple[NDArray[np.int64], ...]
+    flights: tuple[Prepared, ...]
     part: Part
     hover: bool
     prior: bool
     delay_s: float
     longest_step_s: float
-    _motion: tuple[_Array, ...] = field(repr=False)
-    _mast: tuple[_Array, ...] = field(repr=False)
-    _inputs: tuple[_Array, ...] = field(repr=False)
-    _base: tuple[NDArray[np.void], ...] = field(repr=False)
-    _powers: tuple[dict[str, _Array], ...] = field(repr=False)
-    _charge: tuple[float, ...] = field(repr=False)
-    _volts: tuple[tuple[float, float], ...] = field(repr=False)
 
     @property
-    def seconds(self) -> float:
-        """Length of all records together (s)."""
-        return sum(float(r.time_s[-1] - r.time_s[0]) for r in self.records)
+    def records(self) -> tuple[Record, ...]:
+        """The records, with the outputs that are compared."""
+        return tuple(f.record for f in self.flights)
+
+    @property
+    def starts(self) -> tuple[NDArray[np.int64], ...]:
+        """First samples of the windows of every record."""
+        return tuple(f.starts for f in self.flights)
 
     @property
     def bounds(self) -> tuple[_Array, _Array]:
@@ -341,11 +363,17 @@ class Problem:
 
     def rest(self) -> list[_Array]:
         """Return start values that are those of the smoothed measurement: zeros, (windows, k) a record."""
-        return [np.zeros((len(w), len(k))) for w, k in zip(self.starts, self.sought, strict=True)]
+        return [np.zeros((len(f.starts), len(f.sought))) for f in self.flights]
 
     def spread(self, i: int) -> _Array:
         """Return the spread of the start values sought in record ``i``, (k,)."""
-        return _SPREAD[self.sought[i]]
+        return _SPREAD[self.flights[i].sought]
+
+    def _each(self, **changed: Sequence[Any]) -> Problem:
+        """Return the problem with fields of its records changed, a value a record."""
+        rows = [dict(zip(changed, values, strict=True)) for values in zip(*changed.values(), strict=True)]
+        flights = tuple(dataclasses_replace(f, **row) for f, row in zip(self.flights, rows, strict=True))
+        return dataclasses_replace(self, flights=flights)
 
     def in_windows(self, length_s: float | None, *, hover: bool = False) -> Problem:
         """Return the same problem with windows of this length (None: each record is one), hover added or not."""
@@ -354,90 +382,63 @@ class Problem:
             n = len(r.time_s)
             count = 1 if length_s is None else max(1, round((n - 1) * r.sample_s / length_s))
             starts.append(np.round(np.linspace(0, n, count + 1)[:-1]).astype(np.int64))
-            sought.append(_sought(r.outputs, self.part, whole=count == 1, charge="voltage" in r.outputs))
-        return dataclasses_replace(self, starts=tuple(starts), sought=tuple(sought), hover=hover)
-
-    def of_records(self, chosen: Sequence[int]) -> Problem:
-        """Return the problem with some of its records only."""
-        names = (
-            "records",
-            "noise",
-            "starts",
-            "sought",
-            "_motion",
-            "_inputs",
-            "_base",
-            "_powers",
-            "_charge",
-            "_volts",
-        )
-        parts: dict[str, Any] = {n: tuple(getattr(self, n)[i] for i in chosen) for n in names}
-        return dataclasses_replace(self, **parts)
+            sought.append(_sought(r.outputs, self.part, whole=count == 1))
+        return dataclasses_replace(self._each(starts=starts, sought=sought), hover=hover)
 
     def with_noise(self, noise: Sequence[_Array]) -> Problem:
         """Return the problem with other noise."""
-        return dataclasses_replace(self, noise=tuple(noise))
-
-    @property
-    def charge(self) -> tuple[float, ...]:
-        """Charge of the battery at the start of every record, as far as it is not sought."""
-        return self._charge
+        return self._each(noise=noise)
 
     def charged(self, charge: Sequence[float]) -> Problem:
-        """Return the problem with these charges."""
-        return dataclasses_replace(self, _charge=tuple(charge))
+        """Return the problem with these charges of the batteries."""
+        return self._each(charge=charge)
 
     def with_charge(self, theta: _Array) -> Problem:
         """Return the problem with batteries charged such that the mean voltage is the measured one at ``theta``."""
-        charges = []
-        for i, r in enumerate(self.records):
-            charge = self._charge[i]
-            if "voltage" in r.outputs:
-                k = r.outputs.index("voltage")
-                curve = self.vehicle.battery.open_circuit_voltage
-                for _ in range(5):
-                    one = dataclasses_replace(
-                        self, _charge=(*self._charge[:i], charge, *self._charge[i + 1 :])
-                    )
-                    error = (
-                        one.residual(i, theta[None], self.rest()[i][None])[0, :, k].mean() * self.noise[i][k]
-                    )
-                    rest = float(np.interp(charge, curve.fraction, curve.value)) - error
-                    charge = float(np.clip(np.interp(rest, curve.value, curve.fraction), 0.02, 0.99))
-            charges.append(charge)
-        return dataclasses_replace(self, _charge=tuple(charges))
+        curve = self.vehicle.battery.open_circuit_voltage
+        charges = [f.charge for f in self.flights]
+        for i, f in enumerate(self.flights):
+            if "voltage" not in f.record.outputs:
+                continue
+            k = f.record.outputs.index("voltage")
+            for _ in range(5):
+                e = self.charged(charges).residual(i, theta[None], self.rest()[i][None])[0, :, k]
+                error = e.mean() * f.noise[k]
+                rest = float(np.interp(charges[i], curve.fraction, curve.value)) - error
+                charges[i] = float(np.clip(np.interp(rest, curve.value, curve.fraction), 0.02, 0.99))
+        return self.charged(charges)
 
     def simulate(self, i: int, theta: _Array, states: _Array) -> _Array:
         """Return the outputs of record ``i`` (b, n, m) for ``theta`` (b, t) and start values (b, windows, k)."""
-        r, b = self.records[i], len(theta)
-        p = numbers_at(self._base[i], self._powers[i], theta)
+        f, r, b = self.flights[i], self.records[i], len(theta)
+        p = numbers_at(f.base, f.powers, theta)
         values = physical(self.free, theta)
-        symbols = [f.symbol for f in self.free]
+        symbols = [one.symbol for one in self.free]
         delay = values[:, symbols.index("delay")] if "delay" in symbols else np.full(b, self.delay_s)
         offset = np.zeros((b, len(MOTION) + len(ACTUATOR)))
-        motion = np.repeat(self._motion[i][self.starts[i]][None], b, axis=0)
-        inner = self.sought[i] < len(MOTION)
-        motion[:, :, self.sought[i][inner]] += states[:, :, inner]
-        offset[:, self.sought[i]] = states[:, 0, :]
+        motion = np.repeat(f.motion[f.starts][None], b, axis=0)
+        inner = f.sought < len(MOTION)
+        motion[:, :, f.sought[inner]] += states[:, :, inner]
+        offset[:, f.sought] = states[:, 0, :]
         actuator = offset[:, len(MOTION) :]
 
         hold = np.full((b, 2), -1.0)
         if self.part == "roll-pitch":
             speeds, hold = hover(p)
         else:
-            first = self._inputs[i][: max(1, round(0.3 / r.sample_s)), :2].mean(axis=0)
-            speeds = steady_speed(p, np.clip(first, 0.0, 1.0), self._volts[i][0])
+            first = f.inputs[: max(1, round(0.3 / r.sample_s)), :2].mean(axis=0)
+            speeds = steady_speed(p, np.clip(first, 0.0, 1.0), f.volts[0])
         x = np.zeros((b, 21))
         x[:, 6] = 1.0
-        x[:, 13] = p["swash_gain"] * np.clip(self._inputs[i][0, 3], -1, 1)
-        x[:, 14] = -p["swash_gain"] * np.clip(self._inputs[i][0, 2], -1, 1)
+        x[:, 13] = p["swash_gain"] * np.clip(f.inputs[0, 3], -1, 1)
+        x[:, 14] = -p["swash_gain"] * np.clip(f.inputs[0, 2], -1, 1)
         x[:, 15:18] = bar_normal(motion[:, 0, 6:9], actuator[:, 2:4])
         x[:, 18:20] = speeds * np.maximum(1.0 + actuator[:, 0:2], 0.01)
-        x[:, 20] = np.clip(self._charge[i] + actuator[:, 4], 0.0, 1.0)
+        x[:, 20] = np.clip(f.charge + actuator[:, 4], 0.0, 1.0)
         codes = np.array([OUTPUTS.index(o) for o in r.outputs], dtype=np.int64)
         y = fly_batch(
-            x, p, self._inputs[i], sample_s=r.sample_s, codes=codes, starts=self.starts[i], motion=motion,
-            mast=self._mast[i],            delay_s=delay, motor_hold=hold, longest_step_s=self.longest_step_s,
+            x, p, f.inputs, sample_s=r.sample_s, codes=codes, starts=f.starts, motion=motion, mast=f.mast,
+            delay_s=delay, motor_hold=hold, longest_step_s=self.longest_step_s,
         )  # fmt: skip
         for j, symbol in enumerate(symbols):
             if symbol.startswith("bias_") and symbol[5:] in r.outputs:
@@ -448,12 +449,16 @@ class Problem:
         """Return (simulated - measured) / noise of record ``i``, (b, n, m); zero where nothing was measured."""
         y = self.simulate(i, theta, states)
         y -= self.records[i].measured
-        y /= self.noise[i]
+        y /= self.flights[i].noise
         return np.nan_to_num(y, copy=False, nan=0.0)
+
+    def residuals(self, theta: _Array, states: Sequence[_Array]) -> list[_Array]:
+        """Return the residuals (b, n, m) of all records."""
+        return [self.residual(i, theta, s) for i, s in enumerate(states)]
 
     def cost(self, theta: _Array, states: Sequence[_Array]) -> _Array:
         """Return ``J`` (b,) for ``theta`` (b, t) and, a record, start values (b, windows, k)."""
-        return self.cost_of(theta, states, [self.residual(i, theta, s) for i, s in enumerate(states)])
+        return self.cost_of(theta, states, self.residuals(theta, states))
 
     def cost_of(self, theta: _Array, states: Sequence[_Array], residuals: Sequence[_Array]) -> _Array:
         """Return ``J`` (b,) when the residuals (b, n, m) of the records are known."""
@@ -482,10 +487,10 @@ class Problem:
         if not self.hover or self.part == "roll-pitch":
             return np.zeros((len(theta), 0))
         out = []
-        for i in range(len(self.records)):
-            p = numbers_at(self._base[i], self._powers[i], theta)
-            duty = np.clip(self._inputs[i][:, :2], 0.0, 1.0).mean(axis=0)
-            speed = steady_speed(p, duty, self._volts[i][1])
+        for f in self.flights:
+            p = numbers_at(f.base, f.powers, theta)
+            duty = np.clip(f.inputs[:, :2], 0.0, 1.0).mean(axis=0)
+            speed = steady_speed(p, duty, f.volts[1])
             weight = p["mass"] * GRAVITY + p["downwash"]
             up, dw = p["torque_up"] * speed[:, 0] ** 2, p["torque_dw"] * speed[:, 1] ** 2
             lift = p["thrust_up"] * speed[:, 0] ** 2 + p["thrust_dw"] * speed[:, 1] ** 2
@@ -494,17 +499,10 @@ class Problem:
 
 
 def make_problem(
-    vehicle: Vehicle,
-    free: Sequence[Free],
-    records: Sequence[Record],
-    *,
-    part: Part = "both",
-    outputs: Sequence[str] | None = None,
-    voltage: str | float = "measured",
-    delay_s: float = 0.0,
-    prior: bool = True,
+    vehicle: Vehicle, free: Sequence[Free], records: Sequence[Record], *, part: Part = "both",
+    outputs: Sequence[str] | None = None, voltage: str | float = "measured", delay_s: float = 0.0, prior: bool = True,
     longest_step_s: float = LONGEST_STEP_S,
-) -> Problem:
+) -> Problem:  # fmt: skip
     """Set up the fit of a vehicle to records.
 
     Parameters
@@ -512,7 +510,7 @@ def make_problem(
     vehicle : Vehicle
         Start values, and everything that is not free.
     free : sequence of Free
-        See :func:`mufly.identify.flight.problem.choose_free`.
+        See :func:`choose_free`.
     records : sequence of Record
         Checked by :func:`mufly.identify.check_record`.
     part : {"both", "heave-yaw", "roll-pitch"}
@@ -533,66 +531,60 @@ def make_problem(
     InputError
         If a record holds none of the outputs.
     """
-    kept: list[Record] = []
+    # A measured voltage that is an input cannot be an output as well.
+    wanted = [o for o in PART_OUTPUTS[part] if (outputs is None or o in outputs)]
+    wanted = [o for o in wanted if o != "voltage" or voltage == "model"]
+    flights = []
     for r in records:
-        wanted = [o for o in PART_OUTPUTS[part] if outputs is None or o in outputs]
-        # A measured voltage that is an input cannot be an output as well.
-        if voltage != "model":
-            wanted = [o for o in wanted if o != "voltage"]
         used = r.of(wanted)
         if not used.outputs or used.outputs == ("voltage",):
             have = ", ".join(r.outputs)
             raise InputError(
                 r.name, "", f"holds none of {', '.join(wanted)} (but {have})", "choose other outputs"
             )
-        kept.append(used)
-    inputs, base, powers, motion, charge, steady = [], [], [], [], [], []
-    for r in kept:
-        u, volts = r.inputs.copy(), _volts(vehicle, r, voltage)
-        if part == "heave-yaw":
-            u[:, 2:] = 0.0
-        if volts is not None and np.ndim(volts) > 0:
-            # Only duty times voltage counts, so a voltage that varies is put into the duty, exactly.
-            top = float(np.max(volts))
-            u[:, :2] = np.clip(u[:, :2], 0.0, 1.0) * (np.asarray(volts) / top)[:, None]
-            volts = top
-        if part == "roll-pitch":
-            volts = _HELD_VOLTAGE
-        b, w = batch_parameters(vehicle, free, None if volts is None else float(np.max(volts)))
-        m = smoothed_motion(r)
-        if part == "heave-yaw":
-            m[:, [6, 7, 9, 10]] = 0.0
-        if part == "roll-pitch":
-            m[:, [0, 1, 2, 3, 4, 5, 8, 11]] = 0.0
-        inputs.append(u)
-        base.append(b)
-        powers.append(w)
-        motion.append(m)
-        charge.append(_start_charge(vehicle, r) if volts is None else 1.0)
-        # Voltage in the first moments, and on average.
+        flights.append(_prepared(vehicle, free, used, part, _volts(vehicle, used, voltage)))
+    whole = Problem(vehicle, tuple(free), tuple(flights), part, False, prior, delay_s, longest_step_s)
+    return whole.in_windows(None)
+
+
+def _prepared(
+    vehicle: Vehicle, free: Sequence[Free], r: Record, part: Part, volts: _Array | float | None
+) -> Prepared:
+    """Make a record ready; ``volts`` None for the vehicle's battery model."""
+    u, motion, charge = r.inputs.copy(), smoothed_motion(r), 1.0
+    if part == "heave-yaw":
+        u[:, 2:] = 0.0
+        motion[:, [6, 7, 9, 10]] = 0.0
+    if volts is None:
+        charge = _start_charge(vehicle, r)
+    elif np.ndim(volts) > 0:
+        # Only duty times voltage counts, so a voltage that varies is put into the duty, exactly.
+        top = float(np.max(volts))
+        u[:, :2] = np.clip(u[:, :2], 0.0, 1.0) * (np.asarray(volts) / top)[:, None]
+        volts = top
+    if part == "roll-pitch":
+        volts, charge = _HELD_VOLTAGE, 1.0
+        motion[:, [0, 1, 2, 3, 4, 5, 8, 11]] = 0.0
+    if volts is None:
         known = np.full(2, float(vehicle.battery.nominal_voltage)) if r.voltage is None else r.voltage
         first = known[: max(1, round(0.3 / r.sample_s))]
-        held = (float(first.mean()), float(known.mean())) if volts is None else (float(np.max(volts)),) * 2
-        steady.append(held)
-    problem = Problem(
-        vehicle=vehicle, free=tuple(free), records=tuple(kept), noise=tuple(difference_noise(r) for r in kept),
-        starts=(), sought=(), part=part, hover=False, prior=prior, delay_s=delay_s, longest_step_s=longest_step_s,
-        _motion=tuple(motion), _mast=tuple(bar_normal(m[:, 6:9], np.zeros((len(m), 2))) for m in motion),
-        _inputs=tuple(inputs), _base=tuple(base), _powers=tuple(powers),
-        _charge=tuple(charge), _volts=tuple(steady),
-    )  # fmt: skip
-    return problem.in_windows(None)
+        held, constant = (float(first.mean()), float(known.mean())), None
+    else:
+        constant = float(np.max(volts))
+        held = (constant, constant)
+    base, powers = batch_parameters(vehicle, free, constant)
+    mast = bar_normal(motion[:, 6:9], np.zeros((len(motion), 2)))
+    none = np.zeros(0, dtype=np.int64)
+    return Prepared(r, difference_noise(r), motion, mast, u, base, powers, charge, held, none, none)
 
 
 def _volts(vehicle: Vehicle, r: Record, voltage: str | float) -> _Array | float | None:
     if voltage == "model":
         return None
-    if voltage == "measured":
-        return (
-            float(vehicle.battery.nominal_voltage) if r.voltage is None else smoothed(r.voltage, r.sample_s)
-        )
-    if voltage == "nominal":
+    if voltage == "nominal" or (voltage == "measured" and r.voltage is None):
         return float(vehicle.battery.nominal_voltage)
+    if voltage == "measured" and r.voltage is not None:
+        return smoothed(r.voltage, r.sample_s)
     if isinstance(voltage, str) or not 0.0 < voltage < 1e3:
         raise InputError(
             "--voltage", "", f"{voltage!r} is no voltage", "give measured, model, nominal or a number (V)"
@@ -604,25 +596,23 @@ def _start_charge(vehicle: Vehicle, r: Record) -> float:
     """Return the charge at which the open-circuit voltage is what was measured first, plus a usual sag."""
     if r.voltage is None:
         return 0.5
-    curve = vehicle.battery.open_circuit_voltage
-    rest = float(np.mean(r.voltage[: max(1, len(r.voltage) // 20)])) + 3.0 * float(
-        vehicle.battery.internal_resistance
-    )
+    curve, sag = vehicle.battery.open_circuit_voltage, 3.0 * float(vehicle.battery.internal_resistance)
+    rest = float(np.mean(r.voltage[: max(1, len(r.voltage) // 20)])) + sag
     return float(np.clip(np.interp(rest, curve.value, curve.fraction), 0.05, 0.98))
 
 
-def _sought(outputs: Sequence[str], part: Part, *, whole: bool, charge: bool) -> NDArray[np.int64]:
+def _sought(outputs: Sequence[str], part: Part, *, whole: bool) -> NDArray[np.int64]:
     """Return which start values of ``MOTION + ACTUATOR`` are sought, given what is measured."""
     chosen = {k for o in outputs for k in _SEEN_BY.get(o, ())}
+    n = len(MOTION)
     if whole:
-        n = len(MOTION)
         if set(outputs) & {"height", "climb", "yaw", "r", "speed_up", "speed_dw"}:
             chosen |= {n, n + 1}
         chosen |= {n + 2} if 9 in chosen else set()
         chosen |= {n + 3} if 10 in chosen else set()
-        chosen |= {n + 4} if charge else set()
+        chosen |= {n + 4} if "voltage" in outputs else set()
     if part == "heave-yaw":
-        chosen -= {6, 7, 9, 10, len(MOTION) + 2, len(MOTION) + 3}
+        chosen -= {6, 7, 9, 10, n + 2, n + 3}
     if part == "roll-pitch":
-        chosen -= {0, 1, 2, 3, 4, 5, 8, 11, len(MOTION), len(MOTION) + 1, len(MOTION) + 4}
+        chosen -= {0, 1, 2, 3, 4, 5, 8, 11, n, n + 1, n + 4}
     return np.array(sorted(chosen), dtype=np.int64)
