@@ -290,7 +290,7 @@ def test_auto_chooses_inside_the_fitted_part(log):
     )
     assert a.fit.vehicle == b.fit.vehicle == "first-order-coupled"
     assert a.linear.values == pytest.approx(b.linear.values)  # the held-out part has no say
-    assert a.floors["fit"] == b.floors["fit"]
+    assert [c.floor for c in a.checks["fit"]] == [c.floor for c in b.checks["fit"]]
 
 
 def test_degrees_are_refused_or_converted_where_the_header_says_so(tmp_path):
@@ -391,8 +391,8 @@ def test_trex_550_second_half_is_predicted_as_documented():
         split_at_s=42.95,
         starts=1,
     )
-    p, q = r.quality_slow["held out"]
+    p, q = (c.slow for c in r.checks["held out"])
     assert p.fit_percent > 30.0
     assert q.fit_percent > 35.0
-    assert r.against_angle["held out"][0] > 30.0
+    assert r.checks["held out"][0].against_angle > 30.0
     assert not any("correlates" in w for w in r.missing)

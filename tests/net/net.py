@@ -545,7 +545,7 @@ def _fit_linear() -> Any:
     return {
         "estimates": [fields(e) for e in r.fit.estimates],
         "poles": np.asarray(r.linear.poles).view(float),
-        "quality": {k: [fields(q) for q in v] for k, v in r.quality.items()},
+        "quality": {k: [fields(c.quality) for c in v] for k, v in r.checks.items()},
         "missing": list(r.missing),
         "message": r.linear.message,
     }

@@ -18,8 +18,7 @@ from mufly.cli.present import check_file, check_folder, console, print_json, pri
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
-    from mufly.identify import Demo, Estimate, Fit, Progress, Record
-    from mufly.identify.linear.fit import LinearResult
+    from mufly.identify import Demo, Estimate, Fit, LinearResult, Progress, Record
     from mufly.vehicle import Vehicle
 
 _PARTS = ("both", "heave-yaw", "roll-pitch", "split")
@@ -531,12 +530,15 @@ def _identify_linear_json(r: LinearResult) -> dict[str, Any]:
         "poles_rad_s": [{"real": p.real, "imag": p.imag} for p in r.linear.poles.tolist()],
         "candidates": [asdict(c) for c in r.candidates],
         "outputs": list(r.linear.structure.outputs),
-        "quality": {role: [asdict(q) for q in qs] for role, qs in r.quality.items()},
-        "quality_slow": {role: [asdict(q) for q in qs] for role, qs in r.quality_slow.items()},
+        "quality": {role: [asdict(c.quality) for c in cs] for role, cs in r.checks.items()},
+        "quality_slow": {role: [asdict(c.slow) for c in cs] for role, cs in r.checks.items()},
         "slow_hz": r.slow_hz,
-        "noise_floor": {role: [{**asdict(f), "total": f.total} for f in fs] for role, fs in r.floors.items()},
-        "ceiling_percent": dict(r.ceiling), "ceiling_slow_percent": dict(r.ceiling_slow),
-        "against_angle_percent": dict(r.against_angle),
+        "noise_floor": {
+            role: [{**asdict(c.floor), "total": c.floor.total} for c in cs] for role, cs in r.checks.items()
+        },
+        "ceiling_percent": {role: [c.ceiling for c in cs] for role, cs in r.checks.items()},
+        "ceiling_slow_percent": {role: [c.ceiling_slow for c in cs] for role, cs in r.checks.items()},
+        "against_angle_percent": {role: [c.against_angle for c in cs] for role, cs in r.checks.items()},
         "ahead": [
             {**asdict(a), "horizon_s": None if math.isinf(a.horizon_s) else a.horizon_s} for a in r.ahead
         ],

@@ -4,8 +4,8 @@ from mufly.identify.flight.demo import Demo, run_demo
 from mufly.identify.flight.fit import Progress, fit_flights, fit_split
 from mufly.identify.flight.plan import Excitation, Limits, Plan, design, excitation
 from mufly.identify.flight.problem import Free, choose_free
-from mufly.identify.linear.fit import LinearFit, LinearResult
-from mufly.identify.linear.identification import identify_linear
+from mufly.identify.linear.fit import LinearFit
+from mufly.identify.linear.identification import LinearResult, identify_linear
 from mufly.identify.motor import GearKnowledge, MotorFit, fit_motor
 from mufly.identify.record import Columns, Record, check_record, read_columns, record_from, split
 from mufly.identify.report import Section, write_report

@@ -18,8 +18,8 @@ import numpy as np
 
 from mufly.errors import InputError
 from mufly.identify import pictures
-from mufly.identify.linear.fit import LinearResult
 from mufly.identify.linear.frequency import FrequencyResponse, SpectralFit, response_of
+from mufly.identify.linear.identification import LinearResult
 from mufly.identify.residuals import determinant_of_fit, ljung_box, qualities, what_is_missing
 from mufly.identify.result import Fit, RecordFit
 
@@ -379,16 +379,12 @@ def estimate_rows(r: LinearResult) -> Rows:
 def quality_rows(r: LinearResult) -> Rows:
     """Return heads and rows of how well every output is simulated, as recorded and low-passed."""
     rows = []
-    for role, qs in r.quality.items():
-        for k, name in enumerate(r.linear.structure.outputs):
-            q, s, f = qs[k], r.quality_slow[role][k], r.floors[role][k]
-            rows.append(
-                (
-                    role, name, _percent(q.fit_percent), _percent(r.ceiling[role][k]), _percent(s.fit_percent),
-                    _percent(r.ceiling_slow[role][k]), _percent(r.against_angle[role][k]), f"{s.theil:.2f}",
-                    f"{s.rms:.3f}", f"{f.below:.3f}" if f.below > 0.0 else "–", f"{f.above:.3f}",
-                )
-            )  # fmt: skip
+    for role, checks in r.checks.items():
+        for name, c in zip(r.linear.structure.outputs, checks, strict=True):
+            percents = (c.quality.fit_percent, c.ceiling, c.slow.fit_percent, c.ceiling_slow, c.against_angle)
+            below = f"{c.floor.below:.3f}" if c.floor.below > 0.0 else "–"
+            sizes = (f"{c.slow.theil:.2f}", f"{c.slow.rms:.3f}", below, f"{c.floor.above:.3f}")
+            rows.append((role, name, *map(_percent, percents), *sizes))
     heads = (
         "part", "output", "fit", "at most", f"fit < {r.slow_hz:g} Hz", "at most", "to angle", "Theil", "error",
         "noise <", "noise >",
@@ -516,7 +512,7 @@ def slow_picture(r: LinearResult) -> Figure:
             if not first:
                 axes.axvspan(t[0], t[-1], color=rcParams["text.color"], alpha=0.05, linewidth=0)
             place, side = (t[0], "left") if first else (t[-1], "right")
-            percent = r.quality_slow[record.role][j].fit_percent
+            percent = r.checks[record.role][j].slow.fit_percent
             axes.text(
                 place, 1.02, f"{record.role}: {percent:.1f} %", ha=side, va="bottom",
                 transform=axes.get_xaxis_transform(), fontsize=8.5,
@@ -552,8 +548,8 @@ def write_linear_report(
             (f"Fits in per cent: as recorded, with both low-passed at {r.slow_hz:g} Hz, and of the latter against the "
              "derivative of the measured angle instead of the gyro. At most: what a model would reach whose only error "
              f"is the noise floor, which is what the output holds above {r.slow_hz:g} Hz (noise >; the inputs have "
-             f"{100 * min(f.input_share for f in r.floors['fit']):.1f} % of their power below) and what disagrees with "
-             "the angle's derivative below (noise <). Error and noise in the output's unit.",),
+             f"{100 * min(c.floor.input_share for c in r.checks['fit']):.1f} % of their power below) and what disagrees "
+             "with the angle's derivative below (noise <). Error and noise in the output's unit.",),
             heads, rows, partial(slow_picture, r), "slow",
         )
     )  # fmt: skip

@@ -1,11 +1,19 @@
-"""What a linear identification returns: the fitted model, and how it did on what it had not seen."""
+"""Output-error fit of a linear model: Gauss-Newton in a trust region, several starts, the whole record in one piece.
+
+The prediction is a pure simulation from the inputs. Its residuals are weighted by the inverse of their own variance,
+which is re-estimated until it stands still: the maximum-likelihood estimate for unknown noise (Maine and Iliff 1985,
+NASA RP-1138; Jategaonkar, ch. 4). Initial state, trim of the inputs and bias of the outputs enter linearly and are
+eliminated exactly at every step (variable projection), so the search has only the parameters of the dynamics, and
+their covariance counts what those unknowns cost. A mask leaves out samples for cross-validation while the simulation
+runs through them.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,15 +23,12 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from mufly.errors import InputError
 from mufly.identify.covariance import coloured_covariance, parzen
-from mufly.identify.linear.structure import Structure, responses, simulate_linear
-from mufly.identify.residuals import Quality, autocorrelation
-from mufly.identify.result import Fit
-
-if TYPE_CHECKING:
-    from mufly.identify.linear.check import CrossValidation, Disturbance, NoiseFloor, Subspace
-    from mufly.identify.linear.frequency import SpectralFit
+from mufly.identify.linear.structure import Coordinates, Structure, responses, simulate_linear
+from mufly.identify.residuals import autocorrelation
 
 Array = NDArray[np.float64]
+
+_ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,98 +98,6 @@ class LinearFit:
         return n * per_sample + free * (2.0 if kind == "aic" else float(np.log(max(n, 2.0))))
 
 
-@dataclass(frozen=True)
-class Ahead:
-    """Prediction a time ahead on the held-out part, of every output.
-
-    ``horizon_s`` is infinite for the pure simulation. ``fit_percent`` is against the measurement as recorded,
-    ``fit_percent_slow`` against both low-passed at ``LinearResult.slow_hz``, ``persistence_percent`` what the last
-    measured value would reach, causally low-passed (NaN for the simulation).
-    """
-
-    horizon_s: float
-    fit_percent: tuple[float, ...]
-    fit_percent_slow: tuple[float, ...]
-    rms_over_noise: tuple[float, ...]
-    persistence_percent: tuple[float, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class LinearResult:
-    """A linear identification.
-
-    Attributes
-    ----------
-    fit : Fit
-        As a report wants it, with the fitted and the held-out part.
-    linear : LinearFit
-        The model itself.
-    candidates : tuple of CrossValidation
-        Structures tried, best first; empty if one was asked for.
-    floors : dict of role to tuple of NoiseFloor
-        Of every output, from that part.
-    disturbance : Disturbance
-    ahead : tuple of Ahead
-        Empty without held-out part.
-    quality, quality_slow : dict of role to tuple of Quality
-        Of the simulation, against the record and against both low-passed at ``slow_hz``.
-    ceiling, ceiling_slow : dict of role to tuple of float
-        Fit (per cent) of a model whose error is the noise floor alone, as recorded and below ``slow_hz``; the latter is
-        NaN where no angle was measured beside a rate.
-    against_angle : dict of role to tuple of float
-        Fit (per cent) below ``slow_hz`` against the derivative of the measured angle instead of the gyro; NaN without.
-    slow_hz : float
-    missing : tuple of str
-        What the residuals of the fitted part show.
-    equation_error : dict of symbol to (value, std)
-        Cross-check; empty where no rate was measured.
-    subspace : Subspace or None
-        Cross-check of the same number of states, fitted to the same samples.
-    subspace_percent : tuple of float
-        Its pure simulation on the held-out part, low-passed.
-    spectral : SpectralFit or None
-        Cross-check: fitted to frequency responses; None where too little is coherent.
-    notes : tuple of str
-        About the record.
-    """
-
-    fit: Fit
-    linear: LinearFit
-    candidates: tuple[CrossValidation, ...]
-    floors: Mapping[str, tuple[NoiseFloor, ...]]
-    disturbance: Disturbance
-    ahead: tuple[Ahead, ...]
-    quality: Mapping[str, tuple[Quality, ...]]
-    quality_slow: Mapping[str, tuple[Quality, ...]]
-    ceiling: Mapping[str, tuple[float, ...]]
-    ceiling_slow: Mapping[str, tuple[float, ...]]
-    against_angle: Mapping[str, tuple[float, ...]]
-    slow_hz: float
-    missing: tuple[str, ...]
-    equation_error: Mapping[str, tuple[float, float]]
-    subspace: Subspace | None
-    subspace_percent: tuple[float, ...]
-    spectral: SpectralFit | None
-    notes: tuple[str, ...]
-
-
-# ----------------------------------------------------------------------------
-# Output-error fit of a linear model: Gauss-Newton in a trust region, several starts, the whole record in one piece.
-#
-# The prediction is a pure simulation from the inputs. Its residuals are weighted by the inverse of their own
-# variance,
-# which is re-estimated until it stands still: the maximum-likelihood estimate for unknown noise (Maine and Iliff
-# 1985,
-# NASA RP-1138; Jategaonkar, ch. 4). Initial state, trim of the inputs and bias of the outputs enter linearly and are
-# eliminated exactly at every step (variable projection), so the search has only the parameters of the dynamics, and
-# their covariance counts what those unknowns cost. A mask leaves out samples for cross-validation while the
-# simulation
-# runs through them.
-
-
-_ROUNDS = 3
-
-
 class _Problem:
     """Residual of the parameters in search coordinates, with the linear unknowns eliminated."""
 
@@ -195,20 +108,8 @@ class _Problem:
         self.good = np.isfinite(y) & (np.ones(len(y), dtype=bool) if mask is None else mask)[:, None]
         self.weight = np.ones(y.shape[1])
         self.simulations = 0
-        p = structure.parameters
-        self.low, self.high = np.array([q.low for q in p]), np.array([q.high for q in p])
-        self.log = self.low > 0.0
-        start = np.array([q.start for q in p])
-        self.scale = np.where(self.log, 1.0, np.maximum(np.abs(start), 0.02 * (self.high - self.low)))
-
-    def coordinates(self, values: Array) -> Array:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(self.log, np.log(np.where(self.log, values, 1.0)), values / self.scale)
-
-    def values(self, z: Array) -> Array:
-        return np.clip(
-            np.where(self.log, np.exp(np.where(self.log, z, 0.0)), z * self.scale), self.low, self.high
-        )
+        self.nominal = np.array([q.start for q in structure.parameters])
+        self.at = Coordinates(structure.parameters, self.nominal)
 
     def predict(self, values: Array) -> tuple[Array, Array, Array] | None:
         """Prediction without linear unknowns, what one unit of each adds, and their estimate; None on overflow."""
@@ -232,24 +133,64 @@ class _Problem:
         return forced, added, inverse @ (rows.T @ right) / size
 
     def residual(self, z: Array) -> Array:
-        got = self.predict(self.values(z))
+        got = self.predict(self.at.values(z))
         if got is None:
             return np.full(int(self.good.sum()), 1e6)
         forced, added, linear = got
         return ((self.y - forced - added @ linear) * np.sqrt(self.weight))[self.good]
 
-    def jacobian(self, z: Array, base: Array | None = None) -> Array:
-        base = self.residual(z) if base is None else base
+    def found(self, z: Array) -> tuple[Array, Array, Array]:
+        """Residuals (n, outputs), NaN where they do not count; what the linear unknowns add; and their estimate."""
+        got = self.predict(self.at.values(z))
+        if got is None:
+            raise InputError("--model", self.structure.name, "cannot be simulated", "try a simpler one")
+        forced, added, linear = got
+        return np.where(self.good, self.y - forced - added @ linear, np.nan), added, linear
+
+    def jacobian(self, z: Array) -> Array:
+        base = self.residual(z)
         columns = np.empty((base.size, z.size))
         for k in range(z.size):
             step = 1e-5 * max(1.0, abs(z[k]))
             moved = z.copy()
             moved[k] += step
-            if self.values(moved)[k] == self.values(z)[k]:
+            if self.at.values(moved)[k] == self.at.values(z)[k]:
                 step = -step
                 moved[k] = z[k] + step
             columns[:, k] = (self.residual(moved) - base) / step
         return columns
+
+    def search(self, z0: Array, most: int, tolerance: float = 1e-8) -> Any:
+        low, high = self.at.bounds
+        inside = np.clip(z0, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
+        return least_squares(
+            self.residual, inside, jac=self.jacobian, bounds=(low, high), method="trf", x_scale="jac",
+            ftol=tolerance, xtol=tolerance, gtol=1e-10, max_nfev=most,
+        )  # fmt: skip
+
+    def random_start(self, generator: np.random.Generator) -> Array:
+        """Logarithmic parameters within a factor of ten of their start, the others within three times their scale."""
+        at, nominal, p = self.at, self.nominal, self.nominal.size
+        factor = np.exp(generator.uniform(-2.3, 2.3, p))
+        shift = nominal * np.exp(generator.normal(0.0, 1.0, p)) + 0.5 * at.size * generator.normal(size=p)
+        return np.clip(np.where(at.log, nominal * factor, shift), at.low, at.high)
+
+    def covariance(self, z: Array) -> tuple[Array, Array]:
+        """Return the covariance of the parameters, and its bound for white residuals."""
+        rows, added, _ = self.found(z)
+        n, m = rows.shape
+        root = np.sqrt(self.weight)
+        jacobian = self.jacobian(z)
+        # What is left of the sensitivities once the linear unknowns had their say.
+        basis = (added * root[None, :, None])[self.good]
+        basis = basis / np.maximum(np.linalg.norm(basis, axis=0), 1e-300)
+        q, r, _ = qr(basis, mode="economic", pivoting=True)
+        q = q[:, : int((np.abs(np.diag(r)) > 1e-7 * abs(r[0, 0])).sum())]
+        sensitivity = np.zeros((n, m, z.size))
+        sensitivity[self.good] = jacobian - q @ (q.T @ jacobian)
+        cov, bound, _ = coloured_covariance([sensitivity], [root * np.nan_to_num(rows)])
+        slope = self.at.slope(z)
+        return cov * np.outer(slope, slope), bound * np.outer(slope, slope)
 
 
 def fit_linear(
@@ -288,15 +229,6 @@ def fit_linear(
     InputError
         If no start leads to a model that can be simulated, or there are fewer samples than parameters.
     """
-    # The products are small: threads of a linear algebra library cost more than they bring.
-    with threadpool_limits(1, "blas"):
-        return _fitted(structure, u, y, dt, starts, seed, hold, mask, first, progress, covariance)
-
-
-def _fitted(
-    structure: Structure, u: Array, y: Array, dt: float, starts: int, seed: int, hold: bool, mask: Array | None,
-    first: Array | None, progress: Callable[[int, int], None] | None, covariance: bool,
-) -> LinearFit:  # fmt: skip
     begun = time.perf_counter()
     problem = _Problem(structure, u, y, dt, hold, mask)
     spread = np.array([np.std(y[problem.good[:, k], k]) for k in range(y.shape[1])])
@@ -305,118 +237,75 @@ def _fitted(
         raise InputError("record", name, "is constant or too short", "give a record in which it moves")
     problem.weight = 1.0 / spread**2
     generator = np.random.default_rng(seed)
-    nominal = np.array([p.start for p in structure.parameters])
-    trials = [nominal if first is None else np.clip(first, problem.low, problem.high)]
-    trials += [_random_start(problem, nominal, generator) for _ in range(starts - 1)]
-    best, costs, history = None, [], []
-    for done, trial in enumerate(trials):
-        solution = _search(problem, problem.coordinates(trial), 25 if starts > 1 else 200, 1e-5)
-        costs.append(float(2.0 * solution.cost))
-        if best is None or solution.cost < best[0].cost:
-            best = (solution, trial)
-        history.append(_row(structure, problem, done, costs[-1], solution.x))
+    at = problem.at
+    trials = [problem.nominal if first is None else np.clip(first, at.low, at.high)]
+    trials += [problem.random_start(generator) for _ in range(starts - 1)]
+    costs: list[float] = []
+    history: list[dict[str, Any]] = []
+
+    def searched(z0: Array, most: int, tolerance: float = 1e-8) -> Any:
+        solution = problem.search(z0, most, tolerance)
+        values = zip(structure.symbols, at.values(solution.x).tolist(), strict=True)
+        history.append({"iteration": len(history), "cost": float(2.0 * solution.cost), **dict(values)})
         if progress is not None:
-            progress(done + 1, starts + _ROUNDS)
-    assert best is not None
-    solution, start = best
-    if not np.isfinite(solution.cost) or solution.cost >= 0.4e12 * problem.good.sum():
-        raise InputError("--model", structure.name, "cannot be simulated from any start", "try a simpler one")
-    z = solution.x
-    for k in range(_ROUNDS):
-        # Maximum likelihood: weights from the residuals, then the parameters again.
-        rows = _rows(problem, z)
-        weight = 1.0 / np.maximum(np.nanvar(rows, axis=0), (1e-9 * spread) ** 2)
-        if k and (np.abs(weight / problem.weight - 1.0) < 1e-3).all():
-            break
-        problem.weight = weight
-        solution = _search(problem, z, 100)
-        z = solution.x
-        history.append(_row(structure, problem, starts + k, float(2.0 * solution.cost), z))
-        if progress is not None:
-            progress(starts + k + 1, starts + _ROUNDS)
-    return _finish(structure, problem, solution, start, costs, history, begun, covariance)
+            progress(len(history), starts + _ROUNDS)
+        return solution
 
-
-def _search(problem: _Problem, z0: Array, most: int, tolerance: float = 1e-8) -> Any:
-    low, high = problem.coordinates(problem.low), problem.coordinates(problem.high)
-    inside = np.clip(z0, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
-    return least_squares(
-        problem.residual, inside, jac=problem.jacobian, bounds=(low, high), method="trf", x_scale="jac",
-        ftol=tolerance, xtol=tolerance, gtol=1e-10, max_nfev=most,
-    )  # fmt: skip
-
-
-def _random_start(problem: _Problem, nominal: Array, generator: np.random.Generator) -> Array:
-    """Logarithmic parameters within a factor of ten of their start, the others within three times their scale."""
-    p = nominal.size
-    factor = np.exp(generator.uniform(-2.3, 2.3, p))
-    shift = nominal * np.exp(generator.normal(0.0, 1.0, p)) + 0.5 * problem.scale * generator.normal(size=p)
-    return np.clip(np.where(problem.log, nominal * factor, shift), problem.low, problem.high)
-
-
-def _row(structure: Structure, problem: _Problem, k: int, cost: float, z: Array) -> dict[str, Any]:
-    values = problem.values(z)
-    return {"iteration": k, "cost": cost, **dict(zip(structure.symbols, values.tolist(), strict=True))}
-
-
-def _rows(problem: _Problem, z: Array) -> Array:
-    """Residuals (n, outputs), NaN where they do not count."""
-    got = problem.predict(problem.values(z))
-    if got is None:
-        raise InputError("--model", problem.structure.name, "cannot be simulated", "try a simpler one")
-    forced, added, linear = got
-    return np.where(problem.good, problem.y - forced - added @ linear, np.nan)
-
-
-def _finish(
-    structure: Structure, problem: _Problem, solution: Any, start: Array, costs: list[float],
-    history: list[dict[str, Any]], begun: float, covariance: bool,
-) -> LinearFit:  # fmt: skip
-    z = solution.x
-    values = problem.values(z)
-    got = problem.predict(values)
-    assert got is not None
-    linear = got[2]
-    rows = _rows(problem, z)
+    # The products are small: threads of a linear algebra library cost more than they bring.
+    with threadpool_limits(1, "blas"):
+        best = None
+        for trial in trials:
+            solution = searched(at.of(trial), 25 if starts > 1 else 200, 1e-5)
+            costs.append(history[-1]["cost"])
+            if best is None or solution.cost < best[0].cost:
+                best = (solution, trial)
+        assert best is not None
+        solution, start = best
+        if not np.isfinite(solution.cost) or solution.cost >= 0.4e12 * problem.good.sum():
+            raise InputError(
+                "--model", structure.name, "cannot be simulated from any start", "try a simpler one"
+            )
+        for k in range(_ROUNDS):
+            # Maximum likelihood: weights from the residuals, then the parameters again.
+            variance = np.nanvar(problem.found(solution.x)[0], axis=0)
+            weight = 1.0 / np.maximum(variance, (1e-9 * spread) ** 2)
+            if k and (np.abs(weight / problem.weight - 1.0) < 1e-3).all():
+                break
+            problem.weight = weight
+            solution = searched(solution.x, 100)
+        z, values = solution.x, at.values(solution.x)
+        rows, _, linear = problem.found(z)
+        cov = bound = np.full((z.size, z.size), np.nan)
+        if covariance:
+            cov, bound = problem.covariance(z)
     variance = np.nanvar(rows, axis=0)
-    likelihood = -0.5 * float(np.sum(np.log(2.0 * np.pi * np.maximum(variance, 1e-300)) + 1.0))
-    p, nx, nu = values.size, len(structure.states), len(structure.inputs)
-    cov = bound = np.full((p, p), np.nan)
-    if covariance:
-        cov, bound = _covariance(problem, z, rows)
-    low, high = problem.coordinates(problem.low), problem.coordinates(problem.high)
-    at_bound = (z - low < 1e-4 * (high - low)) | (high - z < 1e-4 * (high - low))
+    nx, nu = len(structure.states), len(structure.inputs)
+    low, high = at.bounds
     near = sum(c < 1.02 * min(costs) for c in costs)
-    message = (
-        f"{'search settled' if solution.status > 0 else 'search ran out of steps'}; {near} of {len(costs)} starts "
-        "reached the best cost within 2 %"
-    )
     return LinearFit(
-        structure, values, start, cov, bound, at_bound, linear[:nx], linear[nx : nx + nu], linear[nx + nu :],
-        1.0 / np.maximum(variance, 1e-300), likelihood, _effective(rows), tuple(history), tuple(sorted(costs)),
-        problem.simulations, time.perf_counter() - begun, bool(solution.status > 0), message, problem.hold,
-    )  # fmt: skip
-
-
-def _covariance(problem: _Problem, z: Array, rows: Array) -> tuple[Array, Array]:
-    n, m = rows.shape
-    root = np.sqrt(problem.weight)
-    jacobian = problem.jacobian(z)
-    # What is left of the sensitivities once the linear unknowns had their say.
-    got = problem.predict(problem.values(z))
-    assert got is not None
-    basis = (got[1] * root[None, :, None])[problem.good]
-    basis = basis / np.maximum(np.linalg.norm(basis, axis=0), 1e-300)
-    q, r, _ = qr(basis, mode="economic", pivoting=True)
-    rank = int((np.abs(np.diag(r)) > 1e-7 * abs(r[0, 0])).sum())
-    q = q[:, :rank]
-    jacobian -= q @ (q.T @ jacobian)
-    sensitivity = np.zeros((n, m, z.size))
-    sensitivity[problem.good] = jacobian
-    cov, bound, _ = coloured_covariance([sensitivity], [root * np.nan_to_num(rows)])
-    to_values = np.where(problem.log, problem.values(z), problem.scale)
-    outer = np.outer(to_values, to_values)
-    return cov * outer, bound * outer
+        structure=structure,
+        values=values,
+        start=start,
+        covariance=cov,
+        bound=bound,
+        at_bound=(z - low < 1e-4 * (high - low)) | (high - z < 1e-4 * (high - low)),
+        x0=linear[:nx],
+        input_trim=linear[nx : nx + nu],
+        output_bias=linear[nx + nu :],
+        weight=1.0 / np.maximum(variance, 1e-300),
+        log_likelihood=-0.5 * float(np.sum(np.log(2.0 * np.pi * np.maximum(variance, 1e-300)) + 1.0)),
+        effective_samples=_effective(rows),
+        history=tuple(history),
+        costs=tuple(sorted(costs)),
+        simulations=problem.simulations,
+        seconds=time.perf_counter() - begun,
+        converged=bool(solution.status > 0),
+        message=(
+            f"{'search settled' if solution.status > 0 else 'search ran out of steps'}; {near} of {len(costs)} starts "
+            "reached the best cost within 2 %"
+        ),
+        hold=hold,
+    )
 
 
 def _effective(rows: Array) -> float:

@@ -33,7 +33,7 @@ from scipy.optimize import least_squares
 from scipy.signal import ZoomFFT, get_window
 
 from mufly.errors import InputError
-from mufly.identify.linear.structure import Structure
+from mufly.identify.linear.structure import Coordinates, Structure
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -319,41 +319,25 @@ def fit_spectral(
     weight = 1.58 * (1.0 - np.exp(-data.partial))
     share = 20.0 / np.maximum(good.sum(0), 1)
 
-    low, high = (np.array([getattr(p, side) for p in structure.parameters]) for side in ("low", "high"))
-    log = low > 0.0
-    size = np.maximum(np.abs(first), 0.02 * (high - low))
-
-    def values(z: Array) -> Array:
-        return np.clip(np.where(log, np.exp(np.where(log, z, 0.0)), z * size), low, high)
-
-    def coordinates(v: Array) -> Array:
-        return np.where(log, np.log(np.where(log, np.maximum(v, 1e-300), 1.0)), v / size)
+    at = Coordinates(structure.parameters, first)
 
     def residual(z: Array) -> Array:
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = response_of(structure, values(z), data.frequency_hz) / data.response
+            ratio = response_of(structure, at.values(z), data.frequency_hz) / data.response
             level, phase = 20.0 * np.log10(np.maximum(np.abs(ratio), 1e-12)), np.degrees(np.angle(ratio))
         scaled = np.sqrt(share) * weight
         rows = np.stack([scaled * level, np.sqrt(0.01745) * scaled * phase])
         return np.asarray(rows[:, good].ravel())
 
-    lower, upper = coordinates(low), coordinates(high)
-    start = np.clip(coordinates(np.clip(first, low, high)), lower + 1e-9, upper - 1e-9)
+    lower, upper = at.bounds
+    start = np.clip(at.of(np.clip(first, at.low, at.high)), lower + 1e-9, upper - 1e-9)
     solution = least_squares(residual, start, bounds=(lower, upper), x_scale="jac", max_nfev=200)
-    found = values(solution.x)
+    found = at.values(solution.x)
     model = response_of(structure, found, data.frequency_hz)
     used = np.where(good.any(axis=0), 1.0, np.nan)
     before = used * misfit(data, response_of(structure, first, data.frequency_hz), least=least)
     jacobian = np.asarray(solution.jac, dtype=np.float64)
     curvature = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
-    spread = np.sqrt(
-        np.maximum(np.diag(curvature), 0.0) * 2.0 * solution.cost / max(solution.fun.size - found.size, 1)
-    )
-    return SpectralFit(
-        found,
-        spread * np.where(log, found, size),
-        data,
-        model,
-        used * misfit(data, model, least=least),
-        before,
-    )
+    error = 2.0 * solution.cost / max(solution.fun.size - found.size, 1)
+    std = np.sqrt(np.maximum(np.diag(curvature), 0.0) * error) * at.slope(solution.x)
+    return SpectralFit(found, std, data, model, used * misfit(data, model, least=least), before)

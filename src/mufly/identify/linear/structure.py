@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -73,6 +73,40 @@ class Structure:
     def matrices(self, values: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Return A, B, C, D and the delays (s) at the values (p,) of the parameters."""
         return self.fill(dict(zip(self.symbols, values.tolist(), strict=True)))
+
+
+class Coordinates:
+    """Search coordinates of parameters: the logarithm of those that are positive, the others over their size.
+
+    Attributes
+    ----------
+    low, high, size : (p,) array
+        Bounds, and the size: that of ``values``, or a fiftieth of what the bounds leave.
+    log : (p,) array of bool
+    """
+
+    def __init__(self, parameters: Sequence[Parameter], values: Array) -> None:
+        self.low, self.high = (np.array([getattr(p, side) for p in parameters]) for side in ("low", "high"))
+        self.log = self.low > 0.0
+        self.size = np.maximum(np.abs(values), 0.02 * (self.high - self.low))
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Of the coordinates."""
+        return self.of(self.low), self.of(self.high)
+
+    def of(self, values: Array) -> Array:
+        """Return the coordinates of values."""
+        return np.where(self.log, np.log(np.where(self.log, values, 1.0)), values / self.size)
+
+    def values(self, z: Array) -> Array:
+        """Return the values, within their bounds, at coordinates."""
+        values = np.where(self.log, np.exp(np.where(self.log, z, 0.0)), z * self.size)
+        return np.clip(values, self.low, self.high)
+
+    def slope(self, z: Array) -> Array:
+        """Return the derivatives of the values by the coordinates."""
+        return np.where(self.log, self.values(z), self.size)
 
 
 class Builder:
