@@ -22,7 +22,7 @@ Moving all parameters along one of them, each by its share, changes nothing that
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,7 @@ _SHARE = 0.15  # of the largest part of a direction, below which a parameter is 
 _CLOSE = 0.98  # correlation of a pair that is hardly told apart ...
 _MATTERS = 0.005  # ... if that leaves each of them open by more than this
 _QUIET_LAGS = 10
+_CLEARLY = 4.0  # difference of 2 log L, as by AIC
 _WINDOW = 4  # times that reach; 2 leaves out a quarter of the variance of a slowly varying sensitivity
 _STANDS_OUT = 3.9  # deviations; some 300 lags of a fit are looked at, and none should by chance
 
@@ -209,3 +210,25 @@ def _direction(names: Sequence[str], share: Array, std: float) -> str:
     moves = " with ".join(f"{n} {10 * s:+.0f} %" for n, s in zip(names, share, strict=True))
     what = f"{moves} changes nothing that the data show ({doubt} along it)"
     return f"{', '.join(names)} are seen only in combination: {what}"
+
+
+def likeliest_errors(
+    shapes: Sequence[tuple[float, float]], tried: Callable[[float, float], tuple[Array, float]]
+) -> tuple[Array, str]:
+    """Return the likeliest shape of errors, not yet scaled, and what it is in words.
+
+    Parameters
+    ----------
+    shapes : sequence of (% of reading, % of full scale)
+        The first holds unless another is clearly likelier.
+    tried : callable
+        From a shape to expected errors and minus twice the logarithm of the data's likelihood with them.
+    """
+    best, shape, least = np.empty(0), shapes[0], np.inf
+    for k, one in enumerate(shapes):
+        std, minus_log = tried(*one)
+        minus_log -= 0.0 if k else _CLEARLY
+        if minus_log < least:
+            best, shape, least = std, one, minus_log
+    parts = zip(shape, ("the reading", "full scale"), strict=True)
+    return best, " and ".join(f"{v:g} % of {what}" for v, what in parts if v)

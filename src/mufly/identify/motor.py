@@ -1,7 +1,28 @@
-"""What is assumed of the errors of a channel: a share of the reading, a share of full scale, an absolute part.
+"""Motor constants from a bench: the stationary motor equations, fitted with errors in every channel.
 
-``"1%"`` is of the reading, ``"0.5%fs"`` of the largest reading, a bare number is in SI units; parts are added with
-``+`` and count as independent: ``"1%+0.02"``.
+At rest eqs. 4.24, 4.25, 4.27 and 4.28 of the dissertation say, with the voltage ``U = duty * supply`` at the motor,
+its current I, the speed W and the torque Q where they were measured (behind a gear of ratio i and efficiency eta, or
+i = 1 and eta = 1 at the motor's own shaft),
+
+    e1 = U - R I - a W = 0        a = kE i
+    e2 = b I - d W - Q = 0        b = kM i eta,    d = dR i^2 eta.
+
+All four readings y = (U, I, W, Q) of a point err, with covariance N. To first order ``(e1, e2)`` then have the
+covariance ``S = E N E'`` with ``E = [[1, -R, -a, 0], [0, b, -d, -1]]``, and the most likely constants minimise
+
+    sum over points of  e' S^-1 e
+
+(Deming's adjustment, Statistical Adjustment of Data, 1943; Fuller, Measurement Error Models, 1987, sec. 1.3: plain
+least squares on noisy I and W would be biased low). The expected errors are needed up to one factor for each
+equation, which the residuals give. Covariance: :mod:`mufly.bench.covariance`, with the sensitivities at the adjusted
+readings.
+
+From a, b, R, d the constants follow once i and eta are known; their own doubt is passed on. If they are not, only the
+products are seen, and only they are returned. Intervals are at 95 %.
+
+Mistaken units break the balance of energy: over all points ``sum Q W`` cannot exceed ``sum U I``. Where it does, the
+usual slips (rpm for rad/s, mN m for N m) are tried, and the one that mends it is named; where the file does not state
+the unit of the speed, it is taken.
 """
 
 from __future__ import annotations
@@ -15,17 +36,33 @@ from scipy.optimize import least_squares
 
 from mufly.bench import BenchTable, Spread, spread
 from mufly.errors import InputError
-from mufly.identify.covariance import relative, unseen_combinations
+from mufly.identify.covariance import likeliest_errors, relative, unseen_combinations
 from mufly.identify.result import Estimate, Estimates
 from mufly.units import RPM
 from mufly.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
+CHANNELS = ("voltage", "current", "speed", "torque")
+KEYS = {
+    "kE": ("motor.back_emf_constant", "V s"),
+    "kM": ("motor.torque_constant", "N m/A"),
+    "Rohm": ("motor.resistance", "ohm"),
+    "dR": ("motor.friction", "N m s"),
+}
+_LEAST_POINTS = 6
+_EXACT = 1e-6  # residuals this small against the expected errors are rounding, not measurement
+_SLIPS = (
+    ("speed", "rpm", RPM), ("speed", "revolutions a second", 2 * math.pi), ("torque", "mN m", 1e-3),
+    ("torque", "N cm", 1e-2),
+)  # fmt: skip
+_POOR, _MOST = 0.02, 1.02  # efficiency below which units are doubtful, and above which they are wrong
+_SHAPES = ((1.0, 0.2), (1.0, 0.05), (1.0, 0.5), (1.0, 2.0), (0.0, 1.0))  # % of reading, % of full scale
+
 
 @dataclass(frozen=True)
 class ChannelNoise:
-    """Standard deviation of a channel's errors.
+    """What is assumed of the errors of a channel: a share of the reading, a share of full scale, an absolute part.
 
     Attributes
     ----------
@@ -47,6 +84,9 @@ class ChannelNoise:
 
 def parse_noise(text: str | None, channels: tuple[str, ...]) -> dict[str, ChannelNoise]:
     """Read ``"current=1%+0.01,voltage=0.02"``; channels that are not named keep the default.
+
+    ``"1%"`` is of the reading, ``"0.5%fs"`` of the largest reading, a bare number is in SI units; parts are added with
+    ``+`` and count as independent.
 
     Raises
     ------
@@ -82,26 +122,6 @@ def parse_noise(text: str | None, channels: tuple[str, ...]) -> dict[str, Channe
     return result
 
 
-# ----------------------------------------------------------------------------
-# From a bench file to the four readings of a motor, checked: columns, constant channels, mistaken units.
-#
-# Mistaken units break the balance of energy: over all points ``sum Q W`` cannot exceed ``sum U I``. Where it does,
-# the
-# usual slips (rpm for rad/s, mN m for N m) are tried, and the one that mends it is named; where the file does not
-# state
-# the unit of the speed, it is taken.
-
-
-CHANNELS = ("voltage", "current", "speed", "torque")
-_SLIPS = {
-    "speed": (("rpm", RPM), ("revolutions a second", 2 * math.pi)),
-    "torque": (("mN m", 1e-3), ("N cm", 1e-2)),
-    "current": (("mA", 1e-3),),
-    "voltage": (("mV", 1e-3),),
-}
-_POOR, _MOST = 0.02, 1.02  # efficiency below which units are doubtful, and above which they are wrong
-
-
 @dataclass(frozen=True, eq=False)
 class MotorData:
     """Stationary points of a motor, arrays (n,): voltage at the motor, its current, speed and torque, and the run."""
@@ -115,278 +135,6 @@ class MotorData:
     def channels(self) -> tuple[Array, Array, Array, Array]:
         """Return voltage, current, speed, torque."""
         return self.voltage_V, self.current_A, self.speed_rad_s, self.torque_Nm
-
-
-def motor_data(table: BenchTable) -> tuple[MotorData, list[str]]:
-    """Return the readings of a motor bench and notes on what was guessed.
-
-    Raises
-    ------
-    InputError
-        If a column is missing, constant, or its unit cannot be right.
-    """
-    notes = list(table.notes)
-    table.require(("voltage", "speed", "torque"))
-    voltage = table["voltage"]
-    if "duty" in table:
-        table.require(("duty",))
-        duty = table["duty"]
-        outside = np.flatnonzero((duty < 0) | (duty > 1))
-        if outside.size:
-            raise InputError(
-                table.source, f"line {table.line[outside[0]]}, {table.headers['duty']}",
-                f"{duty[outside[0]]:g} is no share of the voltage", "give duty from 0 to 1, or duty_% up to 100",
-            )  # fmt: skip
-        voltage = duty * voltage
-        notes.append("voltage at the motor = duty * voltage")
-    if "current" in table or "supply_current" not in table:
-        table.require(("current",))
-        current = table["current"]
-    elif "duty" in table:
-        table.require(("supply_current",))
-        if np.any(table["duty"] == 0):
-            raise InputError(table.source, table.headers["duty"], "is 0 in a line", "leave that line out")
-        current = table["supply_current"] / table["duty"]
-        notes.append("motor current = supply current / duty (mean of the chopped current)")
-    else:
-        raise InputError(
-            table.source, table.headers["supply_current"], "is not the motor's current", "add the column duty"
-        )
-    turning = (np.abs(table["speed"]) > 0) | (np.abs(current) > 0)
-    if not turning.all():
-        notes.append(f"{int(np.sum(~turning))} lines without speed and current are left out")
-    run = table["run"].astype(np.int64) if "run" in table else np.zeros(len(table), dtype=np.int64)
-    data = {"voltage": voltage, "current": current, "speed": table["speed"], "torque": table["torque"]}
-    data = {k: v[turning] for k, v in data.items()}
-    _check_varied(table, data)
-    data = _check_units(table, data, notes)
-    return MotorData(data["voltage"], data["current"], data["speed"], data["torque"], run[turning]), notes
-
-
-def _check_varied(table: BenchTable, data: dict[str, Array]) -> None:
-    for name in ("current", "speed"):
-        v = data[name]
-        size = float(np.max(np.abs(v), initial=0.0))
-        if v.size and float(np.ptp(v)) <= 1e-3 * size:
-            header = table.headers.get(name, name)
-            raise InputError(
-                table.source,
-                header,
-                f"is constant ({v[0]:.4g} in SI units)",
-                "vary the load or the voltage between lines",
-            )
-    if data["torque"].size and not np.any(data["torque"]):
-        raise InputError(
-            table.source, table.headers["torque"], "is zero in every line",
-            "load the motor: without load only the ratio of dR and kM is seen",
-        )  # fmt: skip
-
-
-def _efficiency(data: dict[str, Array]) -> float:
-    electrical = float(np.sum(data["voltage"] * data["current"]))
-    return float(np.sum(data["torque"] * data["speed"])) / electrical if electrical > 0 else math.inf
-
-
-def _check_units(table: BenchTable, data: dict[str, Array], notes: list[str]) -> dict[str, Array]:
-    e = _efficiency(data)
-    if "speed" in table.unitless:
-        unit, factor = ("rpm", RPM) if e > 0.95 else ("rad/s", 1.0)
-        notes.append(
-            f"speed has no unit: taken as {unit}, with which {100 * e * factor:.0f} % of the electrical power comes "
-            "out as mechanical power"
-        )
-        data = {**data, "speed": data["speed"] * factor}
-        e = _efficiency(data)
-    if e < 0:
-        raise InputError(
-            table.source,
-            "",
-            "the motor delivers no power (torque against speed)",
-            "give both with the same sign",
-        )
-    if e > _MOST:
-        # The slip that mends the balance and leaves the most power is the likeliest.
-        mended = [
-            (e * f, name, unit)
-            for name, slips in _SLIPS.items()
-            for unit, f in slips
-            if name in ("speed", "torque") and _POOR < e * f <= 1.0
-        ]
-        guess = "check the units"
-        if mended:
-            best = max(mended, key=lambda m: m[0] if m[1] == "speed" else 0.5 * m[0])
-            guess = (
-                f"{table.headers[best[1]]} is probably in {best[2]} (efficiency {100 * best[0]:.0f} %): "
-                "correct the header, or map it with --columns"
-            )
-        raise InputError(
-            table.source, "", f"the motor would deliver {e:.3g} times the power that it takes", guess
-        )
-    if e < _POOR:
-        notes.append(
-            f"only {100 * e:.2g} % of the electrical power comes out: unless the motor ran without load, a unit is "
-            "wrong (rad/s for rpm, N m for mN m)"
-        )
-    return data
-
-
-# ----------------------------------------------------------------------------
-# The stationary motor equations with errors in every reading: the likeliest constants, and the adjusted readings.
-#
-# Derivation: :mod:`mufly.identify.motor`. Constants are ``x = (R, a, b, d)`` as defined there; ``std`` (n, 4) are
-# expected errors of voltage, current, speed and torque; ``scales`` (2,) are the factors by which the residuals of the
-# two equations exceed what those errors lead to.
-
-
-# % of reading, % of full scale; the first holds unless another is clearly likelier (2 log L, as by AIC).
-_SHAPES = ((1.0, 0.2), (1.0, 0.05), (1.0, 0.5), (1.0, 2.0), (0.0, 1.0))
-_CLEARLY = 4.0
-
-
-def expected_errors(data: MotorData, noise: dict[str, ChannelNoise] | None) -> tuple[Array, str]:
-    """Return expected errors (n, 4) of the readings and what was assumed.
-
-    Without knowledge of the sensors, the likeliest of some shapes between errors that grow with the reading and errors
-    that do not; their size is found afterwards.
-    """
-    if noise is not None:
-        std = np.column_stack([noise[c].std(v) for c, v in zip(CHANNELS, data.channels(), strict=True)])
-        return std, "shape of the errors as given; their size from the residuals"
-    best, shape, least = np.empty(0), (0.0, 0.0), np.inf
-    for reading, full_scale in _SHAPES:
-        channel = ChannelNoise(0.01 * reading, 0.01 * full_scale)
-        std = np.column_stack([channel.std(v) for v in data.channels()])
-        x, scales = solve_constants(data, std, friction=True)
-        w = whitening_of(x, std, scales)
-        white = np.einsum("nij,nj->ni", w, equations(data, x))
-        minus_log = float(np.sum(white**2) - 2 * np.sum(np.log(w[:, 0, 0] * w[:, 1, 1])))
-        minus_log -= _CLEARLY if (reading, full_scale) == _SHAPES[0] else 0.0
-        if minus_log < least:
-            best, shape, least = std, (reading, full_scale), minus_log
-    words = " and ".join(
-        f"{v:g} % of {what}" for v, what in zip(shape, ("the reading", "full scale"), strict=True) if v
-    )
-    return (
-        best,
-        f"errors in all four channels taken in proportion to {words} (the likeliest shape); size from the residuals",
-    )
-
-
-def equations(data: MotorData, x: Array) -> Array:
-    r, a, b, d = x
-    u, i, w, q = data.channels()
-    return np.column_stack([u - r * i - a * w, b * i - d * w - q])
-
-
-def whitening_of(x: Array, std: Array, scales: Array) -> Array:
-    """Return for every point the inverse Cholesky factor of S, (n, 2, 2)."""
-    r, a, b, d = x
-    vu, vi, vw, vq = (std**2).T
-    s11 = (vu + r**2 * vi + a**2 * vw) * scales[0] ** 2
-    s22 = (vq + b**2 * vi + d**2 * vw) * scales[1] ** 2
-    s12 = (-r * b * vi + a * d * vw) * scales[0] * scales[1]
-    l11 = np.sqrt(s11)
-    l21 = s12 / l11
-    l22 = np.sqrt(s22 - l21**2)
-    out = np.zeros((len(std), 2, 2))
-    out[:, 0, 0], out[:, 1, 1], out[:, 1, 0] = 1 / l11, 1 / l22, -l21 / (l11 * l22)
-    return out
-
-
-def expected_residuals(x: Array, std: Array, scales: Array) -> Array:
-    """Return the standard deviations of e1 and e2, (n, 2)."""
-    return np.linalg.norm(np.linalg.inv(whitening_of(x, std, scales)), axis=2)
-
-
-def solve_constants(data: MotorData, std: Array, *, friction: bool) -> tuple[Array, Array]:
-    """Return (R, a, b, d) and how much larger the errors of the two equations are than expected."""
-    u, i, w, q = data.channels()
-    electrical = np.linalg.lstsq(np.column_stack([i, w]), u, rcond=None)[0]
-    side = np.column_stack([i, -w]) if friction else i[:, None]
-    mechanical = np.linalg.lstsq(side, q, rcond=None)[0]
-    start = np.r_[electrical, mechanical, [] if friction else 0.0]
-    size = np.abs(start) + 1e-12 * np.max(np.abs(start))
-    size[3] = max(size[3], 1e-3 * float(np.max(np.abs(q)) / np.max(np.abs(w))))
-    free = np.array([True, True, True, friction])
-    scales = np.ones(2)
-    x = start
-    for _ in range(3):
-
-        def white(z: Array, scales: Array = scales) -> Array:
-            full = np.where(free, 0.0, start)
-            full[free] = z * size[free]
-            e = np.einsum("nij,nj->ni", whitening_of(full, std, scales), equations(data, full))
-            return e.ravel()
-
-        found = least_squares(white, x[free] / size[free], method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14)
-        x = np.where(free, 0.0, start)
-        x[free] = found.x * size[free]
-        # Each equation's own scale, from its residuals over its own expected error; two constants went into each.
-        e = equations(data, x) / expected_residuals(x, std, np.ones(2))
-        scales = np.maximum(np.sqrt(np.sum(e**2, axis=0) / (len(e) - np.array([2, 1 + friction]))), 1e-9)
-    return x, scales
-
-
-def adjusted_readings(data: MotorData, std: Array, x: Array, scales: Array) -> tuple[Array, Array, MotorData]:
-    """Return residuals (n, 2), whitening (n, 2, 2) and the most likely true readings."""
-    r, a, b, d = x
-    e = equations(data, x)
-    plain = whitening_of(x, std, np.ones(2))
-    weighted = np.einsum("nji,njk,nk->ni", plain, plain, e)  # S^-1 e
-    # With this shift both equations hold exactly at the adjusted readings.
-    y = np.column_stack(data.channels()) - std**2 * (
-        weighted @ np.array([[1.0, -r, -a, 0.0], [0.0, b, -d, -1.0]])
-    )
-    return (
-        e,
-        whitening_of(x, std, scales),
-        replace(data, voltage_V=y[:, 0], current_A=y[:, 1], speed_rad_s=y[:, 2], torque_Nm=y[:, 3]),
-    )
-
-
-def sensitivities(adjusted: MotorData, whitening: Array) -> Array:
-    """Return the whitened derivatives of e1 and e2 by (R, a, b, d), (2 n, 4)."""
-    _, i, w, _ = adjusted.channels()
-    raw = np.zeros((i.size, 2, 4))
-    raw[:, 0, 0], raw[:, 0, 1], raw[:, 1, 2], raw[:, 1, 3] = -i, -w, i, -w
-    return np.einsum("nij,njk->nik", whitening, raw).reshape(-1, 4)
-
-
-# ----------------------------------------------------------------------------
-# Motor constants from a bench: the stationary motor equations, fitted with errors in every channel.
-#
-# At rest eqs. 4.24, 4.25, 4.27 and 4.28 of the dissertation say, with the voltage ``U = duty * supply`` at the motor,
-# its current I, the speed W and the torque Q where they were measured (behind a gear of ratio i and efficiency eta,
-# or
-# i = 1 and eta = 1 at the motor's own shaft),
-#
-#     e1 = U - R I - a W = 0        a = kE i
-#     e2 = b I - d W - Q = 0        b = kM i eta,    d = dR i^2 eta.
-#
-# All four readings y = (U, I, W, Q) of a point err, with covariance N. To first order ``(e1, e2)`` then have the
-# covariance ``S = E N E'`` with ``E = [[1, -R, -a, 0], [0, b, -d, -1]]``, and the most likely constants minimise
-#
-#     sum over points of  e' S^-1 e
-#
-# (Deming's adjustment, Statistical Adjustment of Data, 1943; Fuller, Measurement Error Models, 1987, sec. 1.3: plain
-# least squares on noisy I and W would be biased low). The expected errors are needed up to one factor for each
-# equation, which the residuals give. Covariance: :mod:`mufly.bench.covariance`, with the sensitivities at the
-# adjusted
-# readings.
-#
-# From a, b, R, d the constants follow once i and eta are known; their own doubt is passed on. If they are not, only
-# the
-# products are seen, and only they are returned. Intervals are at 95 %.
-
-
-KEYS = {
-    "kE": ("motor.back_emf_constant", "V s"),
-    "kM": ("motor.torque_constant", "N m/A"),
-    "Rohm": ("motor.resistance", "ohm"),
-    "dR": ("motor.friction", "N m s"),
-}
-_LEAST_POINTS = 6
-_EXACT = 1e-6  # residuals this small against the expected errors are rounding, not measurement
 
 
 @dataclass(frozen=True)
@@ -475,19 +223,18 @@ def fit_motor(
     n = data.voltage_V.size
     if n < _LEAST_POINTS:
         raise InputError(table.source, "", f"{n} points are too few", f"give {_LEAST_POINTS} or more")
-    std, words = expected_errors(data, noise)
+    std, words = _expected_errors(data, noise)
     notes.append(words)
-    effective, scales = solve_constants(data, std, friction=True)
+    same = _Equations(data, std)
+    effective, scales = same.solve(friction=True)
     friction_free = bool(effective[3] < 0)
     if friction_free:
-        effective, scales = solve_constants(data, std, friction=False)
+        effective, scales = same.solve(friction=False)
         notes.append(
             "the friction dR would be below zero and was held at 0: torque or current may have an offset"
         )
-    residual, whitening, adjusted = adjusted_readings(data, std, effective, scales)
-    jacobian = sensitivities(adjusted, whitening)
+    jacobian, white = same.sensitivities(effective, scales), same.white(effective, scales)
     columns = [0, 1, 2] if friction_free else [0, 1, 2, 3]
-    white = np.einsum("nij,nj->ni", whitening, residual)
     found = spread(
         jacobian[:, columns], white.ravel(), channel=np.tile([0, 1], n), run=np.repeat(data.run, 2),
         group=np.repeat(_settings(data, std), 2),
@@ -497,14 +244,218 @@ def fit_motor(
     if np.max(scales) > _EXACT:
         if found.pattern != "white":
             notes.append(found.in_words())
-        notes += _missing_terms(jacobian[:, columns], white, whitening, found)
+        notes += _missing_terms(jacobian[:, columns], white, same.whitening(effective, scales), found)
     estimates, cov, unseen = _constants(effective, covariance, gear, found.quantile, friction_free, vehicle)
     notes += _energy(effective, gear)
     return MotorFit(
-        estimates, cov, effective, data, adjusted, residual,
-        expected_residuals(effective, std, scales) * found.scale,
-        scales, found, unseen, tuple(notes),
+        estimates, cov, effective, data, same.adjusted(effective), same.residual(effective),
+        same.expected(effective, scales) * found.scale, scales, found, unseen, tuple(notes),
     )  # fmt: skip
+
+
+def motor_data(table: BenchTable) -> tuple[MotorData, list[str]]:
+    """Return the readings of a motor bench and notes on what was guessed.
+
+    Raises
+    ------
+    InputError
+        If a column is missing, constant, or its unit cannot be right.
+    """
+    notes = list(table.notes)
+    table.require(("voltage", "speed", "torque"))
+    voltage = table["voltage"]
+    if "duty" in table:
+        table.require(("duty",))
+        duty = table["duty"]
+        outside = np.flatnonzero((duty < 0) | (duty > 1))
+        if outside.size:
+            raise InputError(
+                table.source, f"line {table.line[outside[0]]}, {table.headers['duty']}",
+                f"{duty[outside[0]]:g} is no share of the voltage", "give duty from 0 to 1, or duty_% up to 100",
+            )  # fmt: skip
+        voltage = duty * voltage
+        notes.append("voltage at the motor = duty * voltage")
+    if "current" in table or "supply_current" not in table:
+        table.require(("current",))
+        current = table["current"]
+    elif "duty" in table:
+        table.require(("supply_current",))
+        if np.any(table["duty"] == 0):
+            raise InputError(table.source, table.headers["duty"], "is 0 in a line", "leave that line out")
+        current = table["supply_current"] / table["duty"]
+        notes.append("motor current = supply current / duty (mean of the chopped current)")
+    else:
+        header = table.headers["supply_current"]
+        raise InputError(table.source, header, "is not the motor's current", "add the column duty")
+    turning = (np.abs(table["speed"]) > 0) | (np.abs(current) > 0)
+    if not turning.all():
+        notes.append(f"{int(np.sum(~turning))} lines without speed and current are left out")
+    run = table["run"].astype(np.int64) if "run" in table else np.zeros(len(table), dtype=np.int64)
+    data = MotorData(*(v[turning] for v in (voltage, current, table["speed"], table["torque"])), run[turning])
+    _check_varied(table, data)
+    return _in_si(table, data, notes), notes
+
+
+def _check_varied(table: BenchTable, data: MotorData) -> None:
+    for name, v in (("current", data.current_A), ("speed", data.speed_rad_s)):
+        if v.size and float(np.ptp(v)) <= 1e-3 * float(np.max(np.abs(v), initial=0.0)):
+            constant = f"is constant ({v[0]:.4g} in SI units)"
+            remedy = "vary the load or the voltage between lines"
+            raise InputError(table.source, table.headers.get(name, name), constant, remedy)
+    if data.torque_Nm.size and not np.any(data.torque_Nm):
+        raise InputError(
+            table.source, table.headers["torque"], "is zero in every line",
+            "load the motor: without load only the ratio of dR and kM is seen",
+        )  # fmt: skip
+
+
+def _efficiency(data: MotorData) -> float:
+    electrical = float(np.sum(data.voltage_V * data.current_A))
+    return float(np.sum(data.torque_Nm * data.speed_rad_s)) / electrical if electrical > 0 else math.inf
+
+
+def _in_si(table: BenchTable, data: MotorData, notes: list[str]) -> MotorData:
+    """Take a speed without a unit as what the balance of energy allows, and refuse units that break it."""
+    e = _efficiency(data)
+    if "speed" in table.unitless:
+        unit, factor = ("rpm", RPM) if e > 0.95 else ("rad/s", 1.0)
+        notes.append(
+            f"speed has no unit: taken as {unit}, with which {100 * e * factor:.0f} % of the electrical power comes "
+            "out as mechanical power"
+        )
+        data = replace(data, speed_rad_s=data.speed_rad_s * factor)
+        e = _efficiency(data)
+    if e < 0:
+        against = "the motor delivers no power (torque against speed)"
+        raise InputError(table.source, "", against, "give both with the same sign")
+    if e > _MOST:
+        # The slip that mends the balance and leaves the most power is the likeliest.
+        mended = [(e * f, name, unit) for name, unit, f in _SLIPS if _POOR < e * f <= 1.0]
+        guess = "check the units"
+        if mended:
+            best = max(mended, key=lambda m: m[0] if m[1] == "speed" else 0.5 * m[0])
+            guess = (
+                f"{table.headers[best[1]]} is probably in {best[2]} (efficiency {100 * best[0]:.0f} %): "
+                "correct the header, or map it with --columns"
+            )
+        much = f"the motor would deliver {e:.3g} times the power that it takes"
+        raise InputError(table.source, "", much, guess)
+    if e < _POOR:
+        notes.append(
+            f"only {100 * e:.2g} % of the electrical power comes out: unless the motor ran without load, a unit is "
+            "wrong (rad/s for rpm, N m for mN m)"
+        )
+    return data
+
+
+class _Equations:
+    """The stationary motor equations with errors in every reading.
+
+    Constants are ``x = (R, a, b, d)`` of the module docstring; ``std`` (n, 4) are expected errors of voltage, current,
+    speed and torque; ``scales`` (2,) are the factors by which the residuals of the two equations exceed what those
+    errors lead to.
+    """
+
+    def __init__(self, data: MotorData, std: Array) -> None:
+        self.data, self.std = data, std
+
+    def residual(self, x: Array) -> Array:
+        """Return e1 and e2, (n, 2)."""
+        r, a, b, d = x
+        u, i, w, q = self.data.channels()
+        return np.column_stack([u - r * i - a * w, b * i - d * w - q])
+
+    def whitening(self, x: Array, scales: Array) -> Array:
+        """Return for every point the inverse Cholesky factor of S, (n, 2, 2)."""
+        r, a, b, d = x
+        vu, vi, vw, vq = (self.std**2).T
+        s11 = (vu + r**2 * vi + a**2 * vw) * scales[0] ** 2
+        s22 = (vq + b**2 * vi + d**2 * vw) * scales[1] ** 2
+        s12 = (-r * b * vi + a * d * vw) * scales[0] * scales[1]
+        l11 = np.sqrt(s11)
+        l21 = s12 / l11
+        l22 = np.sqrt(s22 - l21**2)
+        out = np.zeros((len(self.std), 2, 2))
+        out[:, 0, 0], out[:, 1, 1], out[:, 1, 0] = 1 / l11, 1 / l22, -l21 / (l11 * l22)
+        return out
+
+    def white(self, x: Array, scales: Array) -> Array:
+        """Return the residuals over their expected errors, (n, 2)."""
+        return np.einsum("nij,nj->ni", self.whitening(x, scales), self.residual(x))
+
+    def expected(self, x: Array, scales: Array) -> Array:
+        """Return the standard deviations of e1 and e2, (n, 2)."""
+        return np.linalg.norm(np.linalg.inv(self.whitening(x, scales)), axis=2)
+
+    def solve(self, *, friction: bool) -> tuple[Array, Array]:
+        """Return (R, a, b, d) and how much larger the errors of the two equations are than expected."""
+        u, i, w, q = self.data.channels()
+        electrical = np.linalg.lstsq(np.column_stack([i, w]), u, rcond=None)[0]
+        side = np.column_stack([i, -w]) if friction else i[:, None]
+        mechanical = np.linalg.lstsq(side, q, rcond=None)[0]
+        start = np.r_[electrical, mechanical, [] if friction else 0.0]
+        size = np.abs(start) + 1e-12 * np.max(np.abs(start))
+        size[3] = max(size[3], 1e-3 * float(np.max(np.abs(q)) / np.max(np.abs(w))))
+        free = np.array([True, True, True, friction])
+
+        def whole(z: Array) -> Array:
+            full = np.where(free, 0.0, start)
+            full[free] = z * size[free]
+            return full
+
+        scales, x = np.ones(2), start
+        for _ in range(3):
+
+            def white(z: Array, scales: Array = scales) -> Array:
+                return self.white(whole(z), scales).ravel()
+
+            found = least_squares(
+                white, x[free] / size[free], method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14
+            )
+            x = whole(found.x)
+            # Each equation's own scale, from its residuals over its own expected error; two constants went into each.
+            e = self.residual(x) / self.expected(x, np.ones(2))
+            scales = np.maximum(np.sqrt(np.sum(e**2, axis=0) / (len(e) - np.array([2, 1 + friction]))), 1e-9)
+        return x, scales
+
+    def adjusted(self, x: Array) -> MotorData:
+        """Return the most likely true readings, at which both equations hold exactly."""
+        r, a, b, d = x
+        plain = self.whitening(x, np.ones(2))
+        weighted = np.einsum("nji,njk,nk->ni", plain, plain, self.residual(x))  # S^-1 e
+        shift = self.std**2 * (weighted @ np.array([[1.0, -r, -a, 0.0], [0.0, b, -d, -1.0]]))
+        return MotorData(*(np.column_stack(self.data.channels()) - shift).T, self.data.run)
+
+    def sensitivities(self, x: Array, scales: Array) -> Array:
+        """Return the whitened derivatives of e1 and e2 by (R, a, b, d) at the adjusted readings, (2 n, 4)."""
+        _, i, w, _ = self.adjusted(x).channels()
+        raw = np.zeros((i.size, 2, 4))
+        raw[:, 0, 0], raw[:, 0, 1], raw[:, 1, 2], raw[:, 1, 3] = -i, -w, i, -w
+        return np.einsum("nij,njk->nik", self.whitening(x, scales), raw).reshape(-1, 4)
+
+
+def _expected_errors(data: MotorData, noise: dict[str, ChannelNoise] | None) -> tuple[Array, str]:
+    """Return expected errors (n, 4) of the readings and what was assumed.
+
+    Without knowledge of the sensors, the likeliest of some shapes between errors that grow with the reading and errors
+    that do not; their size is found afterwards.
+    """
+    if noise is not None:
+        std = np.column_stack([noise[c].std(v) for c, v in zip(CHANNELS, data.channels(), strict=True)])
+        return std, "shape of the errors as given; their size from the residuals"
+
+    def tried(reading: float, full_scale: float) -> tuple[Array, float]:
+        channel = ChannelNoise(0.01 * reading, 0.01 * full_scale)
+        std = np.column_stack([channel.std(v) for v in data.channels()])
+        same = _Equations(data, std)
+        x, scales = same.solve(friction=True)
+        w = same.whitening(x, scales)
+        size = np.sum(same.white(x, scales) ** 2)
+        return std, float(size - 2 * np.sum(np.log(w[:, 0, 0] * w[:, 1, 1])))
+
+    std, words = likeliest_errors(_SHAPES, tried)
+    shape = f"errors in all four channels taken in proportion to {words} (the likeliest shape)"
+    return std, f"{shape}; size from the residuals"
 
 
 def _settings(data: MotorData, std: Array) -> NDArray[np.int64]:
@@ -569,18 +520,15 @@ def _constants(
     whole[4, 4] = gear.ratio_std**2 if i is not None else 0.0
     whole[5, 5] = gear.efficiency_std**2 if eta is not None else 0.0
     cov = jacobian @ whole @ jacobian.T
-    tails = {"kE": "", "kM": "", "Rohm": "", "dR": ""}
+    tails = dict.fromkeys(KEYS, "")
     unseen: list[str] = []
     if i is None:
-        tails["kE"] += "*igear"
-        tails["kM"] += "*igear"
-        tails["dR"] += "*igear^2"
+        tails |= {"kE": "*igear", "kM": "*igear", "dR": "*igear^2"}
         unseen.append(
             "kE, kM and dR cannot be told from the gear ratio: only kE*igear, kM*igear and dR*igear^2 are seen"
         )
     if eta is None:
-        tails["kM"] += "*eta_gear"
-        tails["dR"] += "*eta_gear"
+        tails |= {k: tails[k] + "*eta_gear" for k in ("kM", "dR")}
         unseen.append(
             "kM and dR cannot be told from the gear's efficiency: only kM*eta_gear and dR*eta_gear are seen"
         )

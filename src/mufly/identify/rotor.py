@@ -1,15 +1,18 @@
-"""Is a rotor's coefficient constant over speed? The Reynolds trend, and the offset that looks like it.
+"""Thrust and torque coefficients of rotors from a bench, single and coaxial, with what they rest on.
 
-With ``x = ln(W / W_0)`` and ``W_0`` the weighted geometric mean of the speeds,
+    T = c_T rho pi R^4 W^2,      Q = c_Q rho pi R^5 W^2        (eq. 3.3 of the dissertation)
 
-    load = q (p_0 + p_1 x + p_2 x^2)
+With ``q = rho pi R^4 W^2`` (torque: ``R^5``) each coefficient is a weighted linear least-squares fit ``load = c q``.
+Where a coaxial bench measures only the total thrust, both coefficients are fitted to ``T = c_up q_up + c_dw q_dw``.
+The expected error of a load is taken in proportion to the likeliest shape between a share of the reading and a share
+of full scale; its size follows from the residuals, whose pattern widens the intervals
+(:mod:`mufly.bench.covariance`). Errors that all readings share do not average out and are added:
 
-is linear in p; its degree, up to 2, has the least AICc (Hurvich and Tsai, Biometrika 76, 1989), and the coefficient
-is not constant if ``p_1, p_2`` differ from zero by Wald's test at 5 %. With the Reynolds number proportional to the
-speed, ``p_1 / p_0`` is the power with which the coefficient goes with Re. The rival ``load = c q + F_0`` is a load
-cell that does not read zero; which of the two the data prefer is said, and that is all that they can say. Where the
-speed rose or fell all through the measurement, a drift of the sensors would look like a trend as well; that too is
-said.
+    cov(c) = cov_scatter + G C G' + c c' (var(rho) / rho^2 + k^2 var(R) / R^2),      G = dc/d(calibration, zeros),
+
+with k = 4 for thrust and 5 for torque. Whether a coefficient is constant over speed, as the flight model takes it, is
+tested (:class:`Trend`). If it is not, the estimate is still the best single number, and its variance grows by the mean
+square of the coefficient's distance from it over the measured speeds.
 """
 
 from __future__ import annotations
@@ -24,13 +27,19 @@ from scipy import stats
 
 from mufly.bench import Loads, Spread, air_density, spread
 from mufly.errors import InputError
-from mufly.identify.covariance import relative, unseen_combinations
+from mufly.identify.covariance import likeliest_errors, relative, unseen_combinations
 from mufly.identify.result import Estimate, Estimates
 from mufly.units import RPM
 from mufly.vehicle import Vehicle
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
+SIDES = {"upper": "_up", "lower": "_dw", "": ""}
+COEFFICIENTS = {"thrust": ("cT", "thrust_coefficient", 4), "torque": ("cQ", "torque_coefficient", 5)}
+_SHAPES = ((1.0, 0.3), (1.0, 0.02), (1.0, 0.1), (1.0, 1.0), (0.0, 1.0))  # % of reading, % of full scale
+_TYPICAL, _ORDINARY = 0.01, (0.0005, 0.06)  # thrust coefficients of hovering rotors
+_PITCH = math.radians(0.05)  # settings of the blades closer than this are one
 _ORDERED = 0.8  # rank correlation of speed and order from which drift and trend cannot be told apart
 _ALIKE = 0.02  # speeds closer than this share show no bend between them
 _AS_WELL = 2.0  # differences of AICc below which two explanations fit equally well
@@ -38,7 +47,18 @@ _AS_WELL = 2.0  # differences of AICc below which two explanations fit equally w
 
 @dataclass(frozen=True, eq=False)
 class Trend:
-    """A coefficient over speed.
+    """Is a rotor's coefficient constant over speed? The Reynolds trend, and the offset that looks like it.
+
+    With ``x = ln(W / W_0)`` and ``W_0`` the weighted geometric mean of the speeds,
+
+        load = q (p_0 + p_1 x + p_2 x^2)
+
+    is linear in p; its degree, up to 2, has the least AICc (Hurvich and Tsai, Biometrika 76, 1989), and the coefficient
+    is not constant if ``p_1, p_2`` differ from zero by Wald's test at 5 %. With the Reynolds number proportional to the
+    speed, ``p_1 / p_0`` is the power with which the coefficient goes with Re. The rival ``load = c q + F_0`` is a load
+    cell that does not read zero; which of the two the data prefer is said, and that is all that they can say. Where the
+    speed rose or fell all through the measurement, a drift of the sensors would look like a trend as well; that too is
+    said.
 
     Attributes
     ----------
@@ -129,52 +149,41 @@ def fit_trend(
         rad/s; q; N or N m; expected error of the load, up to a factor. In the order of measurement, five or more.
     run : (n,) int array, optional
     """
-    n = load.size
+    n, speed, b = load.size, np.abs(speed), load / expected
     weight = (unit / expected) ** 2
-    speed = np.abs(speed)
     reference = float(np.exp(np.sum(weight * np.log(speed)) / np.sum(weight)))
     x = np.log(speed / reference)
     ordered = (
-        abs(float(stats.spearmanr(np.arange(n), speed).statistic)) > _ORDERED if np.ptp(speed) > 0 else False
+        bool(np.ptp(speed) > 0) and abs(float(stats.spearmanr(np.arange(n), speed).statistic)) > _ORDERED
     )
-    chosen, least = 1, math.inf
-    bends = n >= 8 and np.unique(np.round(x / _ALIKE)).size >= 4
-    for degree in range(1, 3 if bends else 2):
-        score = _aicc(_columns(unit, x, degree, expected), load / expected)
-        if score < least - (_AS_WELL if degree > 1 else 0.0):
-            chosen, least = degree, score
-    a = _columns(unit, x, chosen, expected)
-    p = np.asarray(np.linalg.lstsq(a, load / expected, rcond=None)[0], dtype=np.float64)
     # Correlated errors along an ordered measurement and a trend over speed are one and the same to the data.
-    found = spread(a, load / expected - a @ p, run=np.arange(n) if ordered else run)
+    runs = np.arange(n) if ordered else run
+    bends = n >= 8 and np.unique(np.round(x / _ALIKE)).size >= 4
+    columns = [np.vander(x, d + 1, increasing=True) * (unit / expected)[:, None] for d in (1, 2)]
+    scores = [_aicc(a, b) for a in columns[: 1 + bends]]
+    chosen = 2 if bends and scores[1] < scores[0] - _AS_WELL else 1
+    p, found = _line(columns[chosen - 1], b, runs)
     tail = found.covariance[1:, 1:]
     wald = float(p[1:] @ np.linalg.solve(tail, p[1:])) / chosen if np.all(np.diag(tail) > 0) else 0.0
-    b = np.column_stack([unit, np.ones(n)]) / expected[:, None]
-    both = np.linalg.lstsq(b, load / expected, rcond=None)[0]
-    rival = spread(b, load / expected - b @ both, run=np.arange(n) if ordered else run)
+    offset = np.column_stack([unit, np.ones(n)]) / expected[:, None]
+    both, rival = _line(offset, b, runs)
     return Trend(
         channel, symbol, reference, p, found, wald > float(stats.f.ppf(0.95, chosen, max(found.dof, 1.0))),
-        float(both[1]), math.sqrt(rival.covariance[1, 1]), _aicc(b, load / expected) - least,
+        float(both[1]), math.sqrt(rival.covariance[1, 1]), _aicc(offset, b) - scores[chosen - 1],
         (float(speed.min()), float(speed.max())), ordered,
     )  # fmt: skip
 
 
-def _columns(unit: Array, x: Array, degree: int, expected: Array) -> Array:
-    return np.vander(x, degree + 1, increasing=True) * (unit / expected)[:, None]
+def _line(a: Array, b: Array, run: Integers | None, group: Integers | None = None) -> tuple[Array, Spread]:
+    """Return the least-squares estimate of ``a x = b``, rows in the order of measurement, and how far it may be off."""
+    x = np.asarray(np.linalg.lstsq(a, b, rcond=None)[0], dtype=np.float64)
+    return x, spread(a, b - a @ x, run=run, group=group)
 
 
 def _aicc(a: Array, b: Array) -> float:
     n, k = a.shape[0], a.shape[1] + 1
     rest = b - a @ np.linalg.lstsq(a, b, rcond=None)[0]
     return n * math.log(max(float(rest @ rest), 1e-300)) + 2 * k + 2 * k * (k + 1) / max(n - k - 1, 0.5)
-
-
-# ----------------------------------------------------------------------------
-# What a fit of rotor coefficients returns, and what a single rotor and a pair say of each other.
-
-
-SIDES = {"upper": "_up", "lower": "_dw", "": ""}
-COEFFICIENTS = {"thrust": ("cT", "thrust_coefficient", 4), "torque": ("cQ", "torque_coefficient", 5)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,34 +310,6 @@ def interference(fits: Sequence[RotorFit]) -> list[str]:
     return words
 
 
-# ----------------------------------------------------------------------------
-# Thrust and torque coefficients of rotors from a bench, single and coaxial, with what they rest on.
-#
-#     T = c_T rho pi R^4 W^2,      Q = c_Q rho pi R^5 W^2        (eq. 3.3 of the dissertation)
-#
-# With ``q = rho pi R^4 W^2`` (torque: ``R^5``) each coefficient is a weighted linear least-squares fit ``load = c
-# q``.
-# Where a coaxial bench measures only the total thrust, both coefficients are fitted to ``T = c_up q_up + c_dw q_dw``.
-# The expected error of a load is taken in proportion to the likeliest shape between a share of the reading and a
-# share
-# of full scale; its size follows from the residuals, whose pattern widens the intervals
-# (:mod:`mufly.bench.covariance`). Errors that all readings share do not average out and are added:
-#
-#     cov(c) = cov_scatter + G C G' + c c' (var(rho) / rho^2 + k^2 var(R) / R^2),      G = dc/d(calibration, zeros),
-#
-# with k = 4 for thrust and 5 for torque. Whether a coefficient is constant over speed, as the flight model takes it,
-# is
-# tested (:mod:`mufly.identify.rotor`). If it is not, the estimate is still the best single number, and its
-# variance grows by the mean square of the coefficient's distance from it over the measured speeds.
-
-
-# % of reading, % of full scale; the first holds unless another is clearly likelier (2 log L, as by AIC).
-_SHAPES = ((1.0, 0.3), (1.0, 0.02), (1.0, 0.1), (1.0, 1.0), (0.0, 1.0))
-_CLEARLY = 4.0
-_TYPICAL, _ORDINARY = 0.01, (0.0005, 0.06)  # thrust coefficients of hovering rotors
-_PITCH = math.radians(0.05)  # settings of the blades closer than this are one
-
-
 def fit_rotor(
     loads: Loads, *, radius_m: float, radius_std_m: float = 0.0, density_kg_m3: float | None = None,
     density_std_kg_m3: float = 0.0, at_speed_rad_s: float | None = None, vehicle: Vehicle | None = None,
@@ -413,17 +394,12 @@ def _speed_unit(loads: Loads, radius: float) -> tuple[Loads, list[str]]:
     return replace(loads, table=table), notes
 
 
-def _rotors_of(channel: str, coaxial: bool) -> tuple[str, tuple[str, ...]]:
-    """Return the quantity of a channel and the rotors whose loads it holds."""
-    quantity, _, side = channel.partition("_")
-    return quantity, (side,) if side or not coaxial else ("upper", "lower")
-
-
 def _fit_channel(
     loads: Loads, channel: str, chosen: NDArray[np.bool_], density: Array, radius: float, *, coaxial: bool,
     at_speed: float | None, common: tuple[float, float], notes: list[str],
 ) -> CoefficientFit | None:  # fmt: skip
-    quantity, sides = _rotors_of(channel, coaxial)
+    quantity, _, side = channel.partition("_")
+    sides = (side,) if side or not coaxial else ("upper", "lower")  # whose loads it holds
     if quantity == "torque" and len(sides) == 2:
         notes.append("the total torque of a coaxial pair is the difference of two and is not used; give torque_upper "
                      "and torque_lower, for example from the motors' currents")  # fmt: skip
@@ -445,12 +421,8 @@ def _fit_channel(
     load = loads.values[channel][measured]
     if np.median(load) < 0:
         load = -load
-        why = (
-            "is that of the sense of rotation"
-            if quantity == "torque"
-            else "is taken for that of the load cell"
-        )
-        notes.append(f"{channel} is negative and was turned round: its sign {why}")
+        why = "that of the sense of rotation" if quantity == "torque" else "taken for that of the load cell"
+        notes.append(f"{channel} is negative and was turned round: its sign is {why}")
     run = table["run"].astype(np.int64)[measured] if "run" in table else None
     expected, words = _expected(unit, load)
     notes.append(f"{channel}: scatter taken in proportion to {words}")
@@ -461,13 +433,11 @@ def _fit_channel(
         # Both rotors at one ratio of speeds: only one sum is seen. The shortest vector is returned with infinite
         # doubt.
         value = np.linalg.lstsq(a / size, b, rcond=1e-4)[0] / size
-        spread_ = Spread(np.full((p, p), np.inf), math.nan, 1.0, "white", 0.0)
-        infinite = np.full((p, p), np.inf)
+        none = Spread(np.full((p, p), np.inf), math.nan, 1.0, "white", 0.0)
         return CoefficientFit(
-            channel, symbols, value, infinite, np.zeros(p), speed, unit, load, expected, spread_, ()
+            channel, symbols, value, none.covariance, np.zeros(p), speed, unit, load, expected, none, ()
         )
-    value = np.linalg.lstsq(a, b, rcond=None)[0]
-    found = spread(a, b - a @ value, run=run, group=_settings(speed, run))
+    value, found = _line(a, b, run, _settings(speed, run))
     trends: tuple[Trend, ...] = ()
     scatter = found.covariance
     speeds_seen = np.unique(_settings(speed, None)).size
@@ -500,21 +470,16 @@ def _fit_channel(
 
 def _expected(unit: Array, load: Array) -> tuple[Array, str]:
     """Return the likeliest shape of errors (n,), not yet scaled, and what it is in words."""
-    best, shape, least = np.empty(0), _SHAPES[0], math.inf
-    n = load.size
-    for reading, full_scale in _SHAPES:
+
+    def tried(reading: float, full_scale: float) -> tuple[Array, float]:
         fitted = np.abs(unit @ np.linalg.lstsq(unit, load, rcond=None)[0])
         std = 0.01 * np.hypot(reading * fitted, full_scale * np.max(np.abs(load)))
-        r = (
-            load / std
-            - (unit / std[:, None]) @ np.linalg.lstsq(unit / std[:, None], load / std, rcond=None)[0]
-        )
-        minus_log = n * np.log(max(float(r @ r), 1e-300)) + 2 * float(np.sum(np.log(std)))
-        minus_log -= _CLEARLY if (reading, full_scale) == _SHAPES[0] else 0.0
-        if minus_log < least:
-            best, shape, least = std, (reading, full_scale), minus_log
-    parts = zip(shape, ("the reading", "full scale"), strict=True)
-    return best, " and ".join(f"{v:g} % of {what}" for v, what in parts if v)
+        a, b = unit / std[:, None], load / std
+        r = b - a @ np.linalg.lstsq(a, b, rcond=None)[0]
+        size = load.size * np.log(max(float(r @ r), 1e-300))
+        return std, size + 2 * float(np.sum(np.log(std)))
+
+    return likeliest_errors(_SHAPES, tried)
 
 
 def _settings(speed: Array, run: NDArray[np.int64] | None) -> NDArray[np.int64]:
