@@ -1,9 +1,8 @@
-"""A station's end of one link: it hears all vehicles there, keeps them apart, and speaks to each.
+"""The station's ends of its links, and the station at work around them.
 
-Pure: bytes and the clock are passed in (:meth:`GroundLink.receive`, :meth:`GroundLink.step`), bytes to be sent come
-out. A vehicle is whoever sends a heartbeat of an autopilot; it is known by its system number and the address it is
-heard from. When a vehicle that was lost is heard again under the same number, from another address too, it is the
-same one.
+:class:`GroundLink` thinks and is pure: bytes and the clock are passed in, bytes to be sent come out. :class:`Station`
+has the ports, links, vehicles and the recorder in one asyncio loop and carries bytes between sockets and links. It
+sleeps until a port has something to say, and wakes by itself fifty times a second to see to what is due.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
 
+from mufly.errors import ArgumentError, InputError
 from mufly.link.codec import Codec, Encoder, MavMessage, Outgoing, mavlink
 from mufly.link.ports import Endpoint, Port, open_port, parse_endpoint
 from mufly.station.recorder import StationRecorder
@@ -44,7 +44,11 @@ class _Heard:
 
 
 class GroundLink:
-    """One link of a station.
+    """A station's end of one link: it hears all vehicles there, keeps them apart, and speaks to each.
+
+    A vehicle is whoever sends a heartbeat of an autopilot; it is known by its system number and the address it is
+    heard from. When a vehicle that was lost is heard again under the same number, from another address too, it is the
+    same one.
 
     Parameters
     ----------
@@ -188,16 +192,6 @@ class GroundLink:
                 self._on_fault(text)
 
 
-# ----------------------------------------------------------------------------
-# The station at work: ports, links, vehicles and the recorder, in one asyncio loop.
-#
-# Everything that thinks is pure and elsewhere (:mod:`mufly.station.ground`); here bytes are carried between sockets
-# and
-# those machines. The loop sleeps until a port has something to say, and wakes by itself fifty times a second to see
-# to
-# what is due.
-
-
 STEP_S = 0.02
 REACT_S = 0.004
 """After bytes have come, what is due goes out at once, but no more often than this (s)."""
@@ -221,6 +215,13 @@ def rate_for(endpoint: Endpoint, rate_Hz: float = 100.0) -> float:
         return rate_Hz
     share = _SHARE_OF_LINE * endpoint.port / 10.0 / _FULL_RATE_BYTES_S
     return max(1.0, min(rate_Hz, 100.0 * share))
+
+
+def _opened(endpoint: Endpoint) -> Port:
+    try:
+        return open_port(endpoint)
+    except InputError as error:
+        raise ArgumentError("endpoints", error.key, error.problem, error.remedy) from error
 
 
 def _address_of(process: int) -> tuple[int, int]:
@@ -273,9 +274,7 @@ class Station:
         rate_Hz: float = 100.0,
         on_vehicle: Callable[[RemoteVehicle], None] | None = None,
     ) -> None:
-        self.endpoints = [
-            parse_endpoint(e, "station", "--connect") if isinstance(e, str) else e for e in endpoints
-        ]
+        self.endpoints = [parse_endpoint(e, "station") if isinstance(e, str) else e for e in endpoints]
         self.us = us or _address_of(os.getpid())
         self.notices: deque[tuple[float, str]] = deque(maxlen=200)
         self.recorder = StationRecorder(folder, first_here=record_here, on_end=self._notice)
@@ -308,7 +307,7 @@ class Station:
         """
         try:
             for endpoint in self.endpoints:
-                self._links.append((open_port(endpoint, "--connect"), self._link(endpoint)))
+                self._links.append((_opened(endpoint), self._link(endpoint)))
             if self._record:
                 self.recorder.start()
         except Exception:

@@ -134,7 +134,7 @@ class History:
             for part in (self._times[older], self._times[: self._next])
         )
         rows = np.arange(self._next - newer, self._next) % self._size
-        return self._times[rows], self._values[np.ix_(rows, picked)]
+        return self._times[rows], self._values[rows[:, None], picked]
 
     def window(
         self, seconds: float, names: Sequence[str] | None = None

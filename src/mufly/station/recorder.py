@@ -106,7 +106,7 @@ class StationRecorder:
             self._tlog = TlogWriter(path / "station.tlog")
         except OSError as error:
             problem = f"cannot be written ({error.strerror})"
-            raise InputError(str(path), "", problem, "choose another folder with --out") from error
+            raise InputError(str(path), "", problem, "choose another folder") from error
         self.path, self.recording = path, True
         self._looked_s = -math.inf
 

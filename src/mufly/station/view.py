@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 _Array = NDArray[np.float64]
+_ACTUATORS = ("motor_input", "servo_input")
+_BATTERY = ("battery_voltage", "battery_current", "battery_charge")
 
 
 def unknown(n: int) -> _Array:
@@ -110,16 +112,11 @@ class Snapshot:
             # Of those that know something the first; better one that knows all of it.
             return max(told, key=lambda v: np.isfinite(v).any() + 2 * np.isfinite(v).all())
 
-        motion = {name: believed(name, sources) for name in ("position", "velocity", "attitude", "rates")}
-        plain = {
-            f"reference_{name}": signal(f"reference_{name}") for name in ("position", "velocity", "attitude")
-        }
-        plain |= {name: signal(name) for name in ("motor_input", "servo_input")}
-        battery = {
-            name: float(signal(name)[0]) for name in ("battery_voltage", "battery_current", "battery_charge")
-        }
-        rotor_speed = believed("rotor_speed", ("measured", "truth"))
-        return cls(**motion, **plain, **battery, rotor_speed=rotor_speed, **others)
+        places = ("position", "velocity", "attitude")
+        fields: dict[str, Any] = {name: believed(name, sources) for name in (*places, "rates")}
+        fields |= {name: signal(name) for name in (*(f"reference_{name}" for name in places), *_ACTUATORS)}
+        fields |= {name: float(signal(name)[0]) for name in _BATTERY}
+        return cls(**fields, rotor_speed=believed("rotor_speed", ("measured", "truth")), **others)
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,19 +17,18 @@ import hmac
 import ipaddress
 import secrets
 import socket
-from collections.abc import Awaitable, Callable, MutableMapping
-from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from mufly.errors import InputError
+from starlette.datastructures import Headers
+from starlette.requests import HTTPConnection
+from starlette.responses import Response
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from mufly.errors import ArgumentError
 
 PORT = 8080
 PORTS_TRIED = 40
 COOKIE = "mufly_station"
-_Scope = MutableMapping[str, Any]
-_Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
-_Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
-_App = Callable[[_Scope, _Receive, _Send], Awaitable[None]]
 MOST_FORM_BYTES = 4096
 
 _STYLE = (
@@ -93,21 +92,19 @@ def choose_address(host: str = "127.0.0.1", port: int | None = None, token: str 
 
     Raises
     ------
-    InputError
+    ArgumentError
         If the address is none of this machine, or the port that was asked for is taken.
     """
     if token is not None and len(token) < 8:
-        raise InputError(
-            "--token", "", "is shorter than 8 characters", "give a longer one, or none to have one made"
-        )
+        remedy = "give a longer one, or none to have one made"
+        raise ArgumentError("token", "", "is shorter than 8 characters", remedy)
     secret = token or ("" if is_loopback(host) else new_token())
     tried = [port] if port is not None else [*range(PORT, PORT + PORTS_TRIED), 0]
     try:
         family, _, _, _, _ = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
     except OSError as error:
-        raise InputError(
-            "--host", host, f"is no address ({error.strerror})", "give an address of this machine"
-        ) from None
+        problem = f"is no address ({error.strerror})"
+        raise ArgumentError("host", host, problem, "give an address of this machine") from None
     for number in tried:
         bound = socket.socket(family, socket.SOCK_STREAM)
         bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -117,9 +114,9 @@ def choose_address(host: str = "127.0.0.1", port: int | None = None, token: str 
         except OSError as error:
             bound.close()
             if number == tried[-1]:
-                what = "--port" if port is not None else "--host"
+                what = "port" if port is not None else "host"
                 problem = f"cannot listen on {host}:{number} ({error.strerror})"
-                raise InputError(what, "", problem, "give another one, or leave it out") from None
+                raise ArgumentError(what, "", problem, "give another one, or leave it out") from None
             continue
         bound.setblocking(False)
         return Address(bound, host, secret)
@@ -138,26 +135,26 @@ class Guard:
         "" asks for none: only for loopback.
     """
 
-    def __init__(self, app: _App, *, host: str = "127.0.0.1", token: str = "") -> None:
-        self._app, self._host, self._token = app, host, token
+    def __init__(self, app: ASGIApp, *, host: str = "127.0.0.1", token: str = "") -> None:
+        self._app, self._token = app, token
         # The cookie is not the token itself: whoever reads a browser's store cannot log in elsewhere with it.
         self._cookie = hashlib.sha256(f"mufly station {token}".encode()).hexdigest() if token else ""
 
-    async def __call__(self, scope: _Scope, receive: _Receive, send: _Send) -> None:
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request or refuse it."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        headers = {k.decode("latin-1").lower(): v.decode("latin-1") for k, v in scope.get("headers", [])}
-        if not self._known_host(headers.get("host", "")):
+        asked = HTTPConnection(scope)
+        if not self._known_host(asked.headers.get("host", "")):
             await _refuse(scope, receive, send, 403, "this station does not serve under that name")
-        elif not self._own_origin(headers, scope["type"]):
+        elif not self._own_origin(asked.headers, scope["type"]):
             await _refuse(scope, receive, send, 403, "this station answers its own pages only")
         elif not self._token:
             await self._app(scope, receive, send)
         elif scope["type"] == "http" and await self._login(scope, receive, send):
             pass
-        elif hmac.compare_digest(_cookie(headers.get("cookie", "")).encode(), self._cookie.encode()):
+        elif hmac.compare_digest(asked.cookies.get(COOKIE, "").encode(), self._cookie.encode()):
             await self._app(scope, receive, send)
         else:
             await _refuse(scope, receive, send, 401, _ASK if scope["path"] == "/" else "a token is needed")
@@ -166,7 +163,7 @@ class Guard:
         # A rebound name has no cookie of ours, so with a token any name will do.
         return bool(self._token) or is_loopback(_name(host))
 
-    def _own_origin(self, headers: MutableMapping[str, str], kind: str) -> bool:
+    def _own_origin(self, headers: Headers, kind: str) -> bool:
         origin = headers.get("origin")
         if origin is None:
             # Browsers always name the origin of a web socket; for plain pages they tell where the click came from.
@@ -175,20 +172,21 @@ class Guard:
             )
         return urlsplit(origin).netloc == headers.get("host")
 
-    async def _login(self, scope: _Scope, receive: _Receive, send: _Send) -> bool:
+    async def _login(self, scope: Scope, receive: Receive, send: Send) -> bool:
         """Answer an attempt to log in; False if this is none."""
-        given: str | None = None
         if scope["path"] == "/login" and scope["method"] == "POST":
-            given = parse_qs((await _body(receive)).decode("latin-1")).get("token", [""])[0]
+            form = await _body(receive)
         elif scope["path"] == "/" and b"token=" in scope.get("query_string", b""):
-            given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
-        if given is None:
+            form = scope["query_string"].decode("latin-1")
+        else:
             return False
+        given = parse_qs(form).get("token", [""])[0]
         if not hmac.compare_digest(given.encode(), self._token.encode()):
             await _refuse(scope, receive, send, 401, _ASK)
             return True
-        cookie = f"{COOKIE}={self._cookie}; HttpOnly; SameSite=Strict; Path=/"
-        await _answer(send, 200, _ENTER, [(b"set-cookie", cookie.encode())])
+        answer = _answer(200, _ENTER)
+        answer.headers["set-cookie"] = f"{COOKIE}={self._cookie}; HttpOnly; SameSite=Strict; Path=/"
+        await answer(scope, receive, send)
         return True
 
 
@@ -199,43 +197,24 @@ def _name(host: str) -> str:
         return ""
 
 
-def _cookie(header: str) -> str:
-    for part in header.split(";"):
-        name, _, value = part.strip().partition("=")
-        if name == COOKIE:
-            return value
-    return ""
-
-
-async def _body(receive: _Receive) -> bytes:
-    body = b""
-    while len(body) <= MOST_FORM_BYTES:
+async def _body(receive: Receive) -> str:
+    body, more = b"", True
+    while more and len(body) <= MOST_FORM_BYTES:
         message = await receive()
-        body += message.get("body", b"")
-        if not message.get("more_body"):
-            break
-    return body[:MOST_FORM_BYTES]
+        body, more = body + message.get("body", b""), bool(message.get("more_body"))
+    return body[:MOST_FORM_BYTES].decode("latin-1")
 
 
-async def _answer(send: _Send, status: int, text: str, more: list[tuple[bytes, bytes]] | None = None) -> None:
-    kind = b"text/html; charset=utf-8" if text.startswith("<") else b"text/plain; charset=utf-8"
-    headers = [
-        (b"content-type", kind),
-        (b"cache-control", b"no-store"),
-        (b"referrer-policy", b"no-referrer"),
-        *(more or []),
-    ]
-    await send({"type": "http.response.start", "status": status, "headers": headers})
-    await send({"type": "http.response.body", "body": text.encode()})
+def _answer(status: int, text: str) -> Response:
+    headers = {"cache-control": "no-store", "referrer-policy": "no-referrer"}
+    kind = "text/html" if text.startswith("<") else "text/plain"
+    return Response(text, status, headers, kind)
 
 
-async def _refuse(scope: _Scope, receive: _Receive, send: _Send, status: int, text: str) -> None:
-    if scope["type"] == "http":
-        await _answer(send, status, text)
-        return
-    await receive()  # websocket.connect
-    if "websocket.http.response" in scope.get("extensions", {}):
-        await send({"type": "websocket.http.response.start", "status": status, "headers": []})
-        await send({"type": "websocket.http.response.body", "body": text.encode()})
-    else:
-        await send({"type": "websocket.close", "code": 1008})
+async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, text: str) -> None:
+    if scope["type"] == "websocket":
+        await receive()  # websocket.connect
+        if "websocket.http.response" not in scope.get("extensions", {}):
+            await send({"type": "websocket.close", "code": 1008})
+            return
+    await _answer(status, text)(scope, receive, send)

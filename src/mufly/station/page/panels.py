@@ -239,7 +239,8 @@ def parameter_drawer(view: View) -> Callable[[], None]:
             return
         why = _blocked(view)
         if not why and (found := getattr(view.session.sheet(vehicle), which)()) is not None:
-            why = write(*found, undoable=False)
+            name, value = found
+            why = write(name, value, undoable=False)
         if why:
             _refuse(why)
         refresh()

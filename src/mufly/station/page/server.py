@@ -98,10 +98,6 @@ async def _stream(web: WebSocket, feed: Feed) -> None:
             await listener
 
 
-async def _wait(event: asyncio.Event) -> None:
-    await event.wait()
-
-
 async def _replays(session: Session) -> None:
     """Let time pass in the recordings that are played."""
     last = time.monotonic()
@@ -156,17 +152,16 @@ async def serve(
     server = _Server(config)
     replays = asyncio.create_task(_replays(session))
     serving = asyncio.create_task(server.serve(sockets=[address.socket]))
-    tasks = {serving}
+    tasks: set[asyncio.Future[Any]] = {serving}
     if beside is not None:
         tasks.add(asyncio.ensure_future(beside()))
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
-    with contextlib.suppress(
-        NotImplementedError, RuntimeError, ValueError
-    ):  # no main thread, or no such signals
+    # No main thread, or no such signals:
+    with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, ended.set)
-    tasks.add(loop.create_task(_wait(ended)))
+    tasks.add(loop.create_task(ended.wait()))
     try:
         while not server.started and not serving.done():
             await asyncio.sleep(0.02)
