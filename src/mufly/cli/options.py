@@ -27,7 +27,13 @@ if TYPE_CHECKING:
     from mufly.vehicle import Vehicle
 
 # Arguments of the library that an option of another name gives.
-_OPTIONS = {"columns": "column", "endpoints": "connect", "estimates": "write", "kinds": "kind", "spectra": "spectrum"}
+_OPTIONS = {
+    "columns": "column",
+    "endpoints": "connect",
+    "estimates": "write",
+    "kinds": "kind",
+    "spectra": "spectrum",
+}
 
 
 class Command(TyperCommand):
