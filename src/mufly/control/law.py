@@ -1,6 +1,6 @@
 """The control law that runs on board: pure functions of gains, state, reference and measurement, one call a period.
 
-Each controller is ``u = C x + D e``, ``x+ = A x + B e + M (sat(u) - u)`` (:mod:`mufly.control.discretise`).
+Each controller is ``u = C x + D e``, ``x+ = A x + B e + M (sat(u) - u)`` (:mod:`mufly.control.sampled`).
 
 Heave-yaw. The reference passes a second-order filter whose acceleration and speed are limited to what the motors can
 give, so that a step does not rail them. A reference that comes with its rate and stays within the limits passes
@@ -22,8 +22,14 @@ is turned by the heading. The thesis turns the velocity errors into body axes in
 that is the same, since the controller treats both directions alike; but here its integrators stay with the wind,
 which does not turn with the fuselage, and climb does not leak into the horizontal axes.
 
-Gains are records (:mod:`mufly.control.law`), first states come from :mod:`mufly.control.law`. Units SI and
-radians, motor inputs 0..1 as (upper, lower), servo inputs -1..1.
+Gains are NumPy records, padded with zero states to a fixed order: that makes the compiled law the same for every
+vehicle, and Numba reads ``gains.A`` as fast as a C struct. Units SI and radians, motor inputs 0..1 as (upper, lower),
+servo inputs -1..1. The states of the law are flat arrays; that of heave-yaw holds, behind the controller's own, the
+filtered references, the origins of height and heading, and the filtered battery voltage.
+
+The law starts without a bump, whatever the actuators do at the moment: the controller's first state is the one whose
+output is the present input and which moves least from there: least squares of ``(I - A) x - B e`` subject to ``C x +
+D e = output``. The slow modes then carry the offset.
 """
 
 from __future__ import annotations
@@ -263,14 +269,6 @@ def position_step(  # type: ignore[no-untyped-def]
     return tilt, new
 
 
-# ----------------------------------------------------------------------------
-# Numbers of the control law as NumPy records, padded with zero states to a fixed order.
-#
-# The padding makes the compiled law the same for every vehicle; Numba reads ``gains.A`` as fast as a C struct. Units
-# SI and radians. The states of the law are flat arrays; that of heave-yaw holds, behind the controller's own, the
-# filtered references, the origins of height and heading, and the filtered battery voltage.
-
-
 HEAVE_YAW_ORDER, ROLL_PITCH_ORDER, VELOCITY_ORDER = 10, 8, 6
 _f8 = np.float64
 
@@ -347,14 +345,6 @@ def pack(dtype: np.dtype, controller: DiscreteController, **values: object) -> n
     for name, value in values.items():
         record[name] = value
     return cast(np.void, record[()])
-
-
-# ----------------------------------------------------------------------------
-# States with which the control law starts: without a bump, whatever the actuators do at the moment.
-#
-# The controller's state is the one whose output is the present input and which moves least from there: least squares
-# of
-# ``(I - A) x - B e`` subject to ``C x + D e = output``. The slow modes then carry the offset.
 
 
 def _at_rest(gains: np.void, e: Array, output: Array) -> Array:

@@ -1,10 +1,34 @@
-"""Battery: open-circuit voltage over charge, internal resistance, and the loads that hang on it.
+"""Battery: open-circuit voltage over charge, internal resistance, the loads that hang on it, how long it lasts.
 
-Loads are the electronics (constant current ``I_el``) and motors that draw ``duty * I_A`` (see ``motor.py``). The
-supply current is linear in the terminal voltage, so voltage and current follow in closed form (own derivation)::
+Loads are the electronics (constant current ``I_el``) and motors that draw ``duty * I_A`` (see
+:mod:`mufly.drive.train`). The supply current is linear in the terminal voltage, so voltage and current follow in
+closed form (own derivation)::
 
     I = I_el + G U - S,   G = sum(duty^2) / R,   S = sum(duty * kE * i * Omega) / R
     U = U_oc - R_bat I    =>   U = (U_oc + R_bat (S - I_el)) / (1 + R_bat G)
+
+Motors of constant power: n motors that draw P each and electronics I_el at the terminal voltage U make U = U_oc - R_b
+(n P / U + I_el), hence
+
+    U = (E + sqrt(E^2 - 4 R_b n P)) / 2,       E = U_oc - R_b I_el,
+
+and the battery breaks down where the root has no value. With given duty instead, the terminal voltage is the closed
+form of :func:`terminal_voltage`.
+
+How long a battery holds a hover. It needs the same speed and torque to the end, so the motors need the same power P
+and the same motor voltage U_m. With z the charge left (1 to 0) and C the capacity
+
+    -C dz/dt = I(z) = P / U(z) + I_el,       U(z) = U_oc(z) - R_b I(z)            (:func:`battery_voltage`)
+    t = C int_z_end^1 dz / I(z)
+
+U_oc is linear between the points of its table, and the integrand is smooth on each piece: eight Gauss points a
+piece are exact to rounding. The hover ends when the terminal voltage falls to the larger of the battery's low
+voltage and U_m (then duty is 1), or to sqrt(R_b P), where the battery breaks down; by the same balance that is
+at
+
+    U_oc,end = U_end + R_b (P / U_end + I_el).
+
+Own derivation. Limit without resistance and with flat U_oc: t = C / (P / U_oc + I_el).
 """
 
 from __future__ import annotations
@@ -39,17 +63,6 @@ def terminal_voltage(open_circuit, resistance, conductance, source_current, elec
     return max(voltage, 0.0)
 
 
-# ----------------------------------------------------------------------------
-# The battery as a supply: voltage at rest, resistance, and terminal voltage under motors of constant power.
-#
-# n motors that draw P each and electronics I_el at the terminal voltage U make U = U_oc - R_b (n P / U + I_el), hence
-#
-#     U = (E + sqrt(E^2 - 4 R_b n P)) / 2,       E = U_oc - R_b I_el,
-#
-# and the battery breaks down where the root has no value. With given duty instead, the terminal voltage is the closed
-# form of ``battery.terminal_voltage``.
-
-
 Array = NDArray[np.float64]
 
 
@@ -82,25 +95,6 @@ def battery_voltage(battery: Battery, open_circuit_V: ArrayLike, power_W: ArrayL
     e = np.asarray(open_circuit_V, dtype=np.float64) - r * float(battery.electronics_current)
     inside = e**2 - 4.0 * r * np.asarray(power_W, dtype=np.float64)
     return np.where((inside >= 0) & (e > 0), 0.5 * (e + np.sqrt(np.maximum(inside, 0.0))), np.nan)
-
-
-# ----------------------------------------------------------------------------
-# How long a battery holds a hover: motors of constant power, electronics of constant current, sagging voltage.
-#
-# Hover needs the same speed and torque to the end, so the motors need the same power P and the same motor voltage
-# U_m. With z the charge left (1 to 0) and C the capacity
-#
-#     -C dz/dt = I(z) = P / U(z) + I_el,       U(z) = U_oc(z) - R_b I(z)            (``supply.battery_voltage``)
-#     t = C int_z_end^1 dz / I(z)
-#
-# U_oc is linear between the points of its table, and the integrand is smooth on each piece: eight Gauss points a
-# piece are exact to rounding. The hover ends when the terminal voltage falls to the larger of the battery's low
-# voltage and U_m (then duty is 1), or to sqrt(R_b P), where the battery breaks down; by the same balance that is
-# at
-#
-#     U_oc,end = U_end + R_b (P / U_end + I_el).
-#
-# Own derivation. Limit without resistance and with flat U_oc: t = C / (P / U_oc + I_el).
 
 
 _POINTS = 8

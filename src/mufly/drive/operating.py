@@ -9,12 +9,22 @@ At rest eq. 4.29 says, with motor speed w = i Omega and the torque Q(Omega) of t
 so the point follows in closed form from speed and torque. What is left to find is the speed, one bracketed unknown:
 
 * given thrust: T(Omega) = T;
-* given motor voltage or duty: dOmega/dt of eq. 4.29 (``motor.rotor_acceleration``) is zero. It falls with the speed
+* given motor voltage or duty: dOmega/dt of eq. 4.29 (:func:`rotor_acceleration`) is zero. It falls with the speed
   from stall to the speed at which the motor would run free.
 
-The supply is a fixed voltage, or the battery at a charge, sagging under all motors (module ``supply``). The motor needs
-duty = U_m / U, at most 1. Where the power goes: R I^2 copper, (kE - kM) w I what the motor's two constants do not
-account for (iron), dR w^2 friction, (1 - eta) of what enters the gear, (1 - eta_c) P_in the controller.
+The supply is a fixed voltage, or the battery at a charge, sagging under all motors (:func:`battery_voltage`). The
+motor needs duty = U_m / U, at most 1. Where the power goes: R I^2 copper, (kE - kM) w I what the motor's two
+constants do not account for (iron), dR w^2 friction, (1 - eta) of what enters the gear, (1 - eta_c) P_in the
+controller.
+
+What a rotor asks of its drive is a load, a function ``load(speed_rad_s, case)``: speeds (m,) of the cases with the
+numbers ``case`` (m,), answered with thrust (N) and torque (N m), each (m,). The numbers select among arrays that the
+load may hold, one entry a case; a load of a single rotor has no need of them.
+
+The speeds of all cases are found together. The unknown is positive, so that the search runs in its logarithm: thrust
+and torque are close to straight lines there when they are powers of the speed. From a guess the bracket grows by
+factors until the sign changes; then Illinois steps (regula falsi with the stale end halved), every third one a
+bisection, close it. A case that is done costs no more evaluations. Own derivation.
 """
 
 from __future__ import annotations
@@ -340,16 +350,6 @@ def _at_voltage(
     return point
 
 
-# ----------------------------------------------------------------------------
-# What a rotor asks of its drive: thrust and torque over speed, for one rotor or for many at once.
-#
-# A load is a function ``load(speed_rad_s, case)``: speeds (m,) of the cases with the numbers ``case`` (m,), answered
-# with
-# thrust (N) and torque (N m), each (m,). The numbers select among arrays that the load may hold, one entry a case; a
-# load
-# of a single rotor has no need of them.
-
-
 RotorLoad = Callable[[Array, Integers], tuple[Array, Array]]
 
 
@@ -432,15 +432,6 @@ def scaled_load(load: RotorLoad, speed_rad_s: float, thrust_N: float, torque_Nm:
         return factors[0] * thrust, factors[1] * torque
 
     return scaled
-
-
-# ----------------------------------------------------------------------------
-# One unknown in each of many cases: a bracketed root where the function rises, found for all cases together.
-#
-# The unknown is positive (a speed), so that the search runs in its logarithm: thrust and torque are close to
-# straight lines there when they are powers of the speed. From a guess the bracket grows by factors until the sign
-# changes; then Illinois steps (regula falsi with the stale end halved), every third one a bisection, close it. A
-# case that is done costs no more evaluations. Own derivation.
 
 
 _GROWTH = (0.05, 0.2, 0.5, 1.0)  # logarithms; the last one repeats

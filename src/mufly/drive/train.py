@@ -1,4 +1,4 @@
-"""Brushless motor with gear and rotor (thesis Secs 3.1.4 and 4.4.2).
+"""Brushless motor with gear and rotor (thesis Secs 3.1.4 and 4.4.2), and the drive train as a file states it.
 
 The controller applies the mean voltage ``duty * voltage``; the inductance is neglected (eq. 4.26)::
 
@@ -7,6 +7,16 @@ The controller applies the mean voltage ``duty * voltage``; the inductance is ne
 
 with gear ratio ``i = motor speed / rotor speed`` and the drag torque ``Q`` of the rotor. ``J`` is the inertia
 that the motor sees. The supply gives ``duty * I_A`` (mean of the chopped current).
+
+In a file the motor is given by the constants of eqs. 4.24 and 4.25, ``[motor]``, or by what a data sheet prints,
+``[datasheet]``: speed constant Kv, resistance R, and the current I0 that it draws when it runs free at the
+voltage U0. Then
+
+    kE = 1 / Kv,    kM = kE,    dR = kM I0 / w0,    w0 = (U0 - R I0) / kE,
+
+because the power of an ideal converter is conserved (kE w I = kM I w) and a free motor's torque only overcomes
+its friction. Motors identified from measurements may have kM < kE (muFly's has 0.0035 N m/A against 0.0045 V
+s): iron losses that grow with the current are then counted in kM.
 """
 
 from __future__ import annotations
@@ -42,20 +52,6 @@ def rotor_acceleration(  # type: ignore[no-untyped-def]
     """Return dOmega/dt (rad/s2) of a rotor at ``speed`` (rad/s) under ``drag_torque`` (N m); eq. 4.29."""
     drive = torque_constant * current / gear_ratio - friction * speed
     return (drive - drag_torque / (gear_ratio * gear_ratio * gear_efficiency)) / inertia
-
-
-# ----------------------------------------------------------------------------
-# A drive train as a file states it: motor, speed controller, gear and battery, with units and provenance.
-#
-# The motor is given by the constants of eqs. 4.24 and 4.25, ``[motor]``, or by what a data sheet prints,
-# ``[datasheet]``: speed constant Kv, resistance R, and the current I0 that it draws when it runs free at the
-# voltage U0. Then
-#
-#     kE = 1 / Kv,    kM = kE,    dR = kM I0 / w0,    w0 = (U0 - R I0) / kE,
-#
-# because the power of an ideal converter is conserved (kE w I = kM I w) and a free motor's torque only overcomes
-# its friction. Motors identified from measurements may have kM < kE (muFly's has 0.0035 N m/A against 0.0045 V
-# s): iron losses that grow with the current are then counted in kM.
 
 
 Values = float | NDArray[np.float64]
@@ -209,10 +205,6 @@ class Drive(Group):
         }
         values.update({key: value for key, value in overrides.items() if value is not None})
         return Constants(**values)
-
-
-# ----------------------------------------------------------------------------
-# From a drive file or a vehicle to a checked :class:`Drive`, and back.
 
 
 _VEHICLES = resources.files("mufly.vehicle") / "builtin"

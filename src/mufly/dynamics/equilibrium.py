@@ -1,4 +1,4 @@
-"""Trim: inputs, rotor speeds and attitude at which nothing accelerates.
+"""Trim, and what hovering costs. Trim is inputs, rotor speeds and attitude at which nothing accelerates.
 
 Unknowns: both rotor speeds, both motor inputs, both tilts of the lower rotor (through the servos), roll and pitch.
 Equations: the six accelerations and the two rotor accelerations of :func:`mufly.dynamics.model.derivative` vanish.
@@ -7,6 +7,11 @@ In steady flight the stabiliser bar is square to the mast. Hover in closed form 
     cT_up k_T Wu^2 + cT_dw k_T Wd^2 = m g + W_hub        cQ_up Wu^2 = cQ_dw Wd^2        (eq. 5.1)
 
 with a coefficient map by repeating it with the coefficients at the speeds that it gave last.
+
+Endurance is the time that hovering takes to use up the battery: ``C d(charge)/dt = -I(charge)``, with the current of
+the trim at each charge, down to the charge at which the terminal voltage falls to ``battery.low_voltage`` or the
+motors reach full input. Thrust to weight is that of both motors at full input once their rotors have settled, the
+battery sagging under the load. Own derivation.
 """
 
 from __future__ import annotations
@@ -224,16 +229,6 @@ def _hover_estimate(
     source = open_circuit - r * p["electronics_current"]
     voltage = source / 2 + math.sqrt(max(source * source / 4 - r * drive_power, 0.0))
     return speed, armature_voltage / voltage, voltage
-
-
-# ----------------------------------------------------------------------------
-# What a vehicle's hover costs and how much more its rotors can lift.
-#
-# Endurance is the time that hovering takes to use up the battery: ``C d(charge)/dt = -I(charge)``, with the current
-# of
-# the trim at each charge, down to the charge at which the terminal voltage falls to ``battery.low_voltage`` or the
-# motors reach full input. Thrust to weight is that of both motors at full input once their rotors have settled, the
-# battery sagging under the load. Own derivation.
 
 
 _CHARGES = 21

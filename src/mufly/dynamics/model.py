@@ -8,8 +8,8 @@ Rigid body, N-E-D velocity ``v``, body rates ``W``, attitude ``A`` (body to N-E-
     m dv/dt = A F + m g e_D                                   F, M in body axes
     I dW/dt = M - W x I W                                     (A.6)
 
-Rotors, ``T = cT pi rho R^4 Omega^2`` and ``Q`` alike (:mod:`mufly.dynamics.model`: constants, or a map over speeds
-and climb), thrust along the tilted disc normal ``n``::
+Rotors, ``T = cT pi rho R^4 Omega^2`` and ``Q`` alike (constants, or a map over speeds and climb: see below), thrust
+along the tilted disc normal ``n``::
 
     F = T_up n_up + T_dw n_dw + fuselage drag
     M = sum r_i x T_i n_i + z_B [(Q_up + Jr_up dOmega_up) - (Q_dw + Jr_dw dOmega_dw)]          (A.8, 4.13)
@@ -21,7 +21,26 @@ sign that pitches the nose down for positive servo 1. Stabiliser bar: its normal
 axis ``u``: ``T_f,up ds/dt = u - (u.s) s``. Motors and battery: :mod:`mufly.drive`. Fuselage: downwash drag,
 constant in flight (eq. 4.19) and fading with the thrust once that is below half the weight, and
 ``-rho/2 cD_i A_i |w_i| w_i`` along each body axis, ``w`` the velocity through the air (eq. 4.18).
-Floor: :mod:`mufly.dynamics.model`.
+
+Thrust and torque by constants (eqs 4.11, 4.12): ``T = cT pi rho R^4 Omega^2``, ``Q = cQ pi rho R^5 Omega |Omega|``.
+With a map (Sec. 4.3.1 asks for one beyond 0.5 m/s) ``cT`` and ``cQ`` of each rotor are functions of
+
+    mean speed (Omega_up + Omega_dw)/2,    Omega_dw / Omega_up,    climb velocity / (mean speed R)
+
+with the climb velocity that of the mast through the air, along the mast. The map is held at its edges, so thrust and
+torque go to zero with the speeds as ``Omega^2`` does, whatever the ratios are then.
+
+Contact with the floor (D = 0): compliant legs, and the rim of the upper rotor once it has tipped over. Every contact
+point below the floor by ``d`` is pushed up as a spring with damper that cannot pull, and rubs by Coulomb friction,
+smoothed around rest so that the equations stay integrable::
+
+    N = max(0, k d + c dd/dt)            F_t = -min(mu N / sqrt(v_t^2 + v_slip^2), c_t) v_t
+
+Around rest friction is viscous, so a steady push ``F < mu N`` lets the vehicle creep at about
+``v_slip F / (mu N)``. The bound ``c_t`` keeps the viscous yaw mode ``sum(c_t r^2) / Izz`` slower than 2000 1/s, which
+steps of 1 ms resolve even when a hard landing presses a point down with many times its share of the weight.
+
+The legs' compliance stands for legs and floor together. Own derivation; the thesis has no ground model.
 """
 
 from __future__ import annotations
@@ -165,20 +184,6 @@ def derivative(x, u, wind, p, dx):  # type: ignore[no-untyped-def]
     dx[20] = -supply_current / p.battery_capacity
 
 
-# ----------------------------------------------------------------------------
-# Thrust and torque of both rotors: by constant coefficients, or by a map over speeds and axial velocity.
-#
-# Constants (eqs 4.11, 4.12): ``T = cT pi rho R^4 Omega^2``, ``Q = cQ pi rho R^5 Omega |Omega|``. With a map (Sec.
-# 4.3.1
-# asks for one beyond 0.5 m/s) ``cT`` and ``cQ`` of each rotor are functions of
-#
-#     mean speed (Omega_up + Omega_dw)/2,    Omega_dw / Omega_up,    climb velocity / (mean speed R)
-#
-# with the climb velocity that of the mast through the air, along the mast. The map is held at its edges, so thrust
-# and
-# torque go to zero with the speeds as ``Omega^2`` does, whatever the ratios are then.
-
-
 _STANDSTILL = 1e-3  # rad/s; below this a rotor makes no force that could be measured
 
 
@@ -270,22 +275,6 @@ def coefficient_bounds(p: np.void, name: str) -> tuple[float, float, float]:
     ]
     greatest = float(np.max(np.abs(table)))
     return greatest, 2 * greatest + float(reach @ slopes), 2 * slopes[2] / float(p["map_radius"])
-
-
-# ----------------------------------------------------------------------------
-# Contact with the floor (D = 0): compliant legs, and the rim of the upper rotor once it has tipped over.
-#
-# Every contact point below the floor by ``d`` is pushed up as a spring with damper that cannot pull, and rubs by
-# Coulomb friction, smoothed around rest so that the equations stay integrable::
-#
-#     N = max(0, k d + c dd/dt)            F_t = -min(mu N / sqrt(v_t^2 + v_slip^2), c_t) v_t
-#
-# Around rest friction is viscous, so a steady push ``F < mu N`` lets the vehicle creep at about
-# ``v_slip F / (mu N)``. The bound ``c_t`` keeps the viscous yaw mode ``sum(c_t r^2) / Izz`` slower than 2000 1/s,
-# which
-# steps of 1 ms resolve even when a hard landing presses a point down with many times its share of the weight.
-#
-# The legs' compliance stands for legs and floor together. Own derivation; the thesis has no ground model.
 
 
 @compiled(error_model="numpy")

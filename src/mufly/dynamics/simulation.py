@@ -1,4 +1,4 @@
-"""Fixed-step Runge-Kutta integration of the flight model: one vehicle, or a batch of them on all cores.
+"""Fixed-step Runge-Kutta integration of the flight model, one vehicle or a batch on all cores; wind.
 
 Both run the same compiled step on the same memory layout, so a vehicle in a batch moves exactly as it does alone.
 After every step the attitude quaternion and the bar's normal are made unit again; the fourth-order method keeps
@@ -6,6 +6,23 @@ them unit to about 1e-12 by itself at the default step.
 
 The default step of 1 ms keeps the fastest mode (swash plate, -1000 rad/s) stable with a margin of 2.8, and everything
 slower accurate. Numba's ``error_model="numpy"`` (a division by zero gives infinity) saves a sixth of the time.
+
+Wind has a steady part and Dryden turbulence. Dryden's spectra (MIL-F-8785C) come from white noise through
+
+    longitudinal  H = sigma sqrt(2 T / pi) / (1 + T s)                        T = L / V
+    lateral, vertical  H = sigma sqrt(T / pi) (1 + sqrt(3) T s) / (1 + T s)^2
+
+for turbulence of length scale ``L`` carried past at speed ``V`` (Taylor's hypothesis). The standard's low-altitude
+scales are meant for aeroplanes above 10 ft; in a room the eddies are as large as the furniture, so ``L`` is given
+(1 m by default) and ``V`` is the steady wind speed, at least 0.5 m/s.
+
+The filters are sampled exactly, so the variance is ``sigma^2`` at any time step (own derivation). In the time unit
+``T`` the lateral filter for unit variance is
+
+    d/dt (s1, s2) = (s2, -s1 - 2 s2 + 2 n)      gust = (s1 + sqrt(3) s2) / 2      covariance of (s1, s2): identity
+
+and over a step ``h`` the state moves by ``F = exp(-h) [[1 + h, h], [-h, 1 - h]]`` and gains noise of covariance
+``Q = I - F F^T``, written below without the cancellation that spoils it for small ``h``.
 """
 
 from __future__ import annotations
@@ -235,27 +252,6 @@ def state_dataset(
         "battery_charge": states[:, 20],
     }
     return labelled(time_s, values)
-
-
-# ----------------------------------------------------------------------------
-# Wind: a steady part and Dryden turbulence.
-#
-# Dryden's spectra (MIL-F-8785C) come from white noise through
-#
-#     longitudinal  H = sigma sqrt(2 T / pi) / (1 + T s)                        T = L / V
-#     lateral, vertical  H = sigma sqrt(T / pi) (1 + sqrt(3) T s) / (1 + T s)^2
-#
-# for turbulence of length scale ``L`` carried past at speed ``V`` (Taylor's hypothesis). The standard's low-altitude
-# scales are meant for aeroplanes above 10 ft; in a room the eddies are as large as the furniture, so ``L`` is given
-# (1 m by default) and ``V`` is the steady wind speed, at least 0.5 m/s.
-#
-# The filters are sampled exactly, so the variance is ``sigma^2`` at any time step (own derivation). In the time unit
-# ``T`` the lateral filter for unit variance is
-#
-#     d/dt (s1, s2) = (s2, -s1 - 2 s2 + 2 n)      gust = (s1 + sqrt(3) s2) / 2      covariance of (s1, s2): identity
-#
-# and over a step ``h`` the state moves by ``F = exp(-h) [[1 + h, h], [-h, 1 - h]]`` and gains noise of covariance
-# ``Q = I - F F^T``, written below without the cancellation that spoils it for small ``h``.
 
 
 _LEAST_SPEED = 0.5  # m/s

@@ -1,10 +1,13 @@
-"""A parameter as a vehicle file states it: value, unit and where the number came from.
+"""What a coaxial micro helicopter is made of: every parameter of the flight model, declared once; vehicle files.
 
-In a file::
+A file states each with value, unit and where the number came from::
 
     mass = { value = 95, unit = "g", source = "measured", note = "on a scale" }
 
 Values are converted to SI when the file is read; the unit must be given, so that no number is ever guessed at.
+
+Symbols are the thesis's (Table 5.3) in ASCII; ``up`` is the upper rotor (stabiliser bar), ``dw`` the lower
+(swash plate). Positions are in body axes from the centre of gravity: x forward, y right, z down.
 """
 
 from __future__ import annotations
@@ -154,13 +157,6 @@ class Group(_Frozen):
         for v in _flat(value):
             _check_limits(v, si, declared)
         return {**raw, "value": value, "unit": si}
-
-
-# ----------------------------------------------------------------------------
-# What a coaxial micro helicopter is made of: every parameter of the flight model, declared once.
-#
-# Symbols are the thesis's (Table 5.3) in ASCII; ``up`` is the upper rotor (stabiliser bar), ``dw`` the lower
-# (swash plate). Positions are in body axes from the centre of gravity: x forward, y right, z down.
 
 
 MAX_LEGS = 16
@@ -362,10 +358,6 @@ class Vehicle(Group):
                     "correct a group or body.mass (0.1 g apart at most)",
                 )
         return self
-
-
-# ----------------------------------------------------------------------------
-# From a vehicle file (TOML) to a checked :class:`Vehicle`, and back.
 
 
 _BUILTIN = resources.files("mufly.vehicle") / "builtin"

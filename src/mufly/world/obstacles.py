@@ -3,6 +3,17 @@
 All coordinates are N-E-D in metres: the floor is the plane D = 0 and heights are negative. Obstacles are solid:
 upright boxes that may be turned about the vertical, upright circular cylinders, and a `Room` whose walls and
 ceiling enclose the flight. Each has a name, so that a message can say which one is meant.
+
+Seeing and touching. A ray x(t) = x0 + t u with unit vector u meets
+
+- a box, in its own axes, where it has entered all three slabs |x_i| <= h_i (slab method);
+- an upright cylinder of radius R where |x0 + t u - c|^2 = R^2 in the horizontal plane, a quadratic in t, cut by
+  the slab between its foot and its top;
+- a wall, the ceiling or the floor where one coordinate reaches the plane.
+
+The signed distance to a box with half edges h of a point at q in its axes is |max(|q| - h, 0)| +
+min(max_i(|q_i| - h_i), 0): Euclidean outside, minus the way to the nearest face inside. A cylinder is a box in the
+two coordinates (distance from the axis, height). To a wall or ceiling it is the way to the plane. Own derivation.
 """
 
 from __future__ import annotations
@@ -200,21 +211,6 @@ def wall(
         raise InputError(name, "end", f"{end} is where the wall starts", "give two different ends")
     centre = (0.5 * (start[0] + end[0]), 0.5 * (start[1] + end[1]), -0.5 * height)
     return Box(centre, (length, thickness, height), math.atan2(east, north), name)
-
-
-# ----------------------------------------------------------------------------
-# Seeing and touching the world: ray casting and signed distances.
-#
-# A ray x(t) = x0 + t u with unit vector u meets
-#
-# - a box, in its own axes, where it has entered all three slabs |x_i| <= h_i (slab method);
-# - an upright cylinder of radius R where |x0 + t u - c|^2 = R^2 in the horizontal plane, a quadratic in t, cut by
-#   the slab between its foot and its top;
-# - a wall, the ceiling or the floor where one coordinate reaches the plane.
-#
-# The signed distance to a box with half edges h of a point at q in its axes is |max(|q| - h, 0)| +
-# min(max_i(|q_i| - h_i), 0): Euclidean outside, minus the way to the nearest face inside. A cylinder is a box in the
-# two coordinates (distance from the axis, height). To a wall or ceiling it is the way to the plane. Own derivation.
 
 
 _Array = NDArray[np.float64]
