@@ -1,15 +1,19 @@
-"""What the thesis prints about its controllers, to stand beside ours (Sec. 6.1; facts.csv, keys S6.1-*)."""
+"""All controllers of a vehicle: synthesis, reduction, discretisation, analysis, and the gains for the law on board.
+
+Choices, with their reasons, stand in docs/control.md; weights, scaling and limits in :class:`Settings`. What the thesis
+prints about its controllers stands beside ours (Sec. 6.1; facts.csv, keys S6.1-*).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import control
 import numpy as np
 
-from mufly.control.hinf import HinfResult, hinfsyn
+from mufly.control.hinf import hinfsyn
 from mufly.control.law import (
     HEAVE_YAW_GAINS,
     HEAVE_YAW_ORDER,
@@ -23,6 +27,7 @@ from mufly.control.linear import (
     Array,
     LoopAnalysis,
     analyse,
+    crossovers,
     feedback_part,
     frequency_response,
     sample_plant,
@@ -44,6 +49,9 @@ from mufly.control.schemes import (
 from mufly.dynamics import GRAVITY, Linearisation, battery_state, linearise, model_parameters
 from mufly.errors import InputError, MuflyError
 from mufly.vehicle import Vehicle
+
+DEFAULT_RATE_HZ = 200.0
+POSITION_DIVIDER = 4  # the position cascade runs in every fourth period
 
 
 @dataclass(frozen=True)
@@ -85,10 +93,6 @@ HEAVE_YAW = PublishedDesign(
 )
 ROLL_PITCH = PublishedDesign(crossover=36.0, complementary_peak_dB=1.9, resonance=14.5, order=8)
 VELOCITY = PublishedDesign()
-
-
-# ----------------------------------------------------------------------------
-# What a design yields: the controller in its three forms, its figures, and the gains for the law on board.
 
 
 def _loop_dict(loop: LoopAnalysis) -> dict[str, Any]:
@@ -279,222 +283,6 @@ class FlightController:
         return "\n".join([head, *designs, tail, *(f"warning: {text}" for text in self.warnings)])
 
 
-# ----------------------------------------------------------------------------
-# How fast a reference of height may be, and by how much the loop trails it: numbers of the law's reference filter.
-
-
-def reference_lags(heave_yaw: Design) -> tuple[float, float]:
-    """Time (s) by which height and heading trail a reference of constant rate: phase lag over a low frequency."""
-    frequency = np.array([0.05])
-    sampled = sample_plant(heave_yaw.plant, heave_yaw.discrete.period_s, 1)
-    g = frequency_response(sampled, frequency)[0]
-    k = frequency_response(heave_yaw.discrete.system(), frequency)[0]
-    response = np.linalg.solve(np.eye(g.shape[0]) + g @ k[:, 2:], g @ k[:, :2])
-    z, psi = (max(0.0, float(-np.angle(response[i, i]) / frequency[0])) for i in (0, 1))
-    return z, psi
-
-
-def heave_acceleration(vehicle: Vehicle, linear: Linearisation, settings: Settings) -> float:
-    """Acceleration (m/s2) of a heave reference that the motors follow, with the battery run down and sagging.
-
-    A step of ``du`` on both motors ends in ``per_input * du``; ``du`` is what the battery's voltage at full input, with
-    ``planning_charge`` left, has above hover. The motors' lag asks for several times the input at the start of a climb
-    that its end needs, hence ``heave_share``.
-    """
-    plant = linear.heave_yaw
-    states = list(plant.state_labels)
-    motors = [states.index("Omega_dw"), states.index("Omega_up")]
-    gain = -np.linalg.solve(plant.A[np.ix_(motors, motors)], plant.B[motors])  # rotor speed per input
-    per_input = plant.A[states.index("w"), motors] @ gain
-    state = linear.trim.state.copy()
-    state[20] = settings.planning_charge
-    sagged = float(battery_state(state, 1.0, 1.0, model_parameters(vehicle))[0])
-    lower_upper = linear.trim.motor_input[::-1]
-    headroom = np.maximum(sagged / linear.trim.voltage_V - lower_upper, 0.0)
-    available = abs(float(per_input @ headroom))
-    return float(np.clip(settings.heave_share * available, 0.1, settings.heave_acceleration_max))
-
-
-# ----------------------------------------------------------------------------
-# All controllers of a vehicle: synthesis, reduction, discretisation, analysis, and the gains for the law on board.
-#
-# Choices, with their reasons, stand in docs/control.md; weights, scaling and limits in :mod:`mufly.control.schemes`.
-
-
-DEFAULT_RATE_HZ = 200.0
-POSITION_DIVIDER = 4  # the position cascade runs in every fourth period
-
-
-def _finish(
-    name: str,
-    plant: control.StateSpace,
-    scaling: Scaling,
-    scaled: control.StateSpace,
-    generalised: control.StateSpace,
-    result: HinfResult,
-    references: Sequence[int],
-    orders: tuple[int, int],
-    slow: Sequence[float],
-    period_s: float,
-    published: PublishedDesign,
-) -> Design:
-    """Everything after the synthesis; the controller's inputs are ``references`` (output indices), then all errors."""
-    first = len(references)
-    rows = tuple(range(first, first + plant.noutputs))
-    output_scale, input_scale = np.array(scaling.outputs), np.array(scaling.inputs)
-    read = np.concatenate([output_scale[list(references)], output_scale])
-    reduction = reduce_controller(
-        generalised,
-        result.controller,
-        result.actuation,
-        scaled,
-        rows,
-        order_min=orders[0],
-        order_max=orders[1],
-        slow=slow,
-    )
-    full = unscale_controller(result.controller, read, input_scale)
-    reduced = unscale_controller(reduction.controller, read, input_scale)
-    discrete = discretise(reduced, reduction.actuation / input_scale, period_s)
-    loops = [
-        analyse(plant, feedback_part(K, plant, rows), output_scale=output_scale) for K in (full, reduced)
-    ]
-    sampled = analyse(
-        sample_plant(plant, period_s, 1),
-        feedback_part(discrete.system(), plant, rows),
-        output_scale=output_scale,
-    )
-    if not sampled.stable:
-        raise MuflyError(
-            f"{name} design: stable in continuous time, but not at {1 / period_s:g} Hz with one sample of delay "
-            f"(delay margin {1e3 * loops[1].delay_margin_s:.1f} ms); raise the rate"
-        )
-    return Design(
-        name=name,
-        plant=plant,
-        scaling=scaling,
-        generalised=generalised,
-        controller=full,
-        gamma=result.gamma,
-        gamma_optimal=result.gamma_optimal,
-        norm=result.norm,
-        reduction=reduction,
-        reduced=reduced,
-        discrete=discrete,
-        full_loop=loops[0],
-        reduced_loop=loops[1],
-        sampled_loop=sampled,
-        plant_crossovers=_plant_crossovers(plant),
-        feedback_inputs=rows,
-        published=published,
-    )
-
-
-def _plant_crossovers(plant: control.StateSpace) -> tuple[float, ...]:
-    frequency = np.geomspace(1e-2, 1e5, 1500)
-    found = []
-    for column in np.log(np.maximum(singular_values(plant, frequency), 1e-300)).T:
-        for i in np.nonzero((column[:-1] > 0) != (column[1:] > 0))[0]:
-            t = -column[i] / (column[i + 1] - column[i])
-            found.append(float(frequency[i] * (frequency[i + 1] / frequency[i]) ** t))
-    return tuple(sorted(found))
-
-
-def _named(name: str, action: str, error: MuflyError) -> MuflyError:
-    return MuflyError(f"{name} design, {action}: {error}")
-
-
-def design_heave_yaw(plant: control.StateSpace, settings: Settings, period_s: float) -> Design:
-    """Heave-yaw: two degrees of freedom (Sec. 6.1.4). Inputs of the controller: z, psi references, then errors."""
-    s = settings
-    scaling = s.heave_yaw_scaling or heave_yaw_scaling(plant)
-    scaled = scale_plant(plant, scaling)
-    generalised = two_degree_plant(scaled, ("z", "psi"), s.heave_yaw_weights)
-    try:
-        result = hinfsyn(generalised, 5, 2, relaxation=s.heave_yaw_relaxation)
-        return _finish(
-            "heave-yaw",
-            plant,
-            scaling,
-            scaled,
-            generalised,
-            result,
-            (0, 1),
-            (6, HEAVE_YAW_ORDER),
-            (0.1, 3.0),
-            period_s,
-            HEAVE_YAW,
-        )
-    except MuflyError as error:
-        raise _named("heave-yaw", "weights of eq. 6.4", error) from None
-
-
-def design_roll_pitch(plant: control.StateSpace, settings: Settings, period_s: float) -> Design:
-    """Roll-pitch: one degree of freedom (Sec. 6.1.5). Inputs of the controller: errors of phi, theta, p, q."""
-    s = settings
-    scaling = s.roll_pitch_scaling or roll_pitch_scaling(plant)
-    scaled = scale_plant(plant, scaling)
-    generalised = one_degree_plant(scaled, ("phi", "theta"), s.roll_pitch_weights)
-    try:
-        result = hinfsyn(generalised, 4, 2, relaxation=s.roll_pitch_relaxation)
-        return _finish(
-            "roll-pitch",
-            plant,
-            scaling,
-            scaled,
-            generalised,
-            result,
-            (),
-            (4, ROLL_PITCH_ORDER),
-            (0.1,),
-            period_s,
-            ROLL_PITCH,
-        )
-    except MuflyError as error:
-        raise _named("roll-pitch", "one-degree scheme", error) from None
-
-
-def velocity_plant(gravity: float = GRAVITY) -> control.StateSpace:
-    """Horizontal velocity under ideal tilt (eq. 6.10): ``udot = -g theta``, ``vdot = g phi``."""
-    return state_space(
-        np.zeros((2, 2)),
-        np.array([[0.0, -gravity], [gravity, 0.0]]),
-        np.eye(2),
-        np.zeros((2, 2)),
-        inputs=("phi", "theta"),
-        outputs=("u", "v"),
-        states=("u", "v"),
-    )
-
-
-def design_velocity(settings: Settings, period_s: float) -> Design:
-    """Velocity: one degree of freedom on eq. 6.10 (Sec. 6.1.6). Inputs of the controller: errors of u, v."""
-    s = settings
-    plant = velocity_plant()
-    scaled = scale_plant(plant, s.velocity_scaling)
-    generalised = one_degree_plant(scaled, ("u", "v"), s.velocity_weights)
-    try:
-        result = hinfsyn(generalised, 2, 2, relaxation=s.velocity_relaxation)
-        return _finish(
-            "velocity",
-            plant,
-            s.velocity_scaling,
-            scaled,
-            generalised,
-            result,
-            (),
-            (
-                4,
-                VELOCITY_ORDER,
-            ),  # two are enough for the peaks, but lose the roll-off that keeps noise off the tilt
-            (0.05,),
-            period_s,
-            VELOCITY,
-        )
-    except MuflyError as error:
-        raise _named("velocity", "one-degree scheme", error) from None
-
-
 def design(
     vehicle: Vehicle,
     *,
@@ -537,13 +325,12 @@ def design(
         raise InputError(
             "design", "voltage", f"{voltage:g} V is not possible", "give a positive voltage in V"
         )
-    linear: Linearisation = linearise(vehicle, voltage=voltage)
+    linear = linearise(vehicle, voltage=voltage)
     period = 1.0 / rate
-    slow_period = POSITION_DIVIDER * period
     try:
         heave_yaw = design_heave_yaw(linear.heave_yaw, s, period)
         roll_pitch = design_roll_pitch(linear.roll_pitch, s, period)
-        velocity = design_velocity(s, slow_period)
+        velocity = design_velocity(s, POSITION_DIVIDER * period)
         cascade = analyse_cascade(
             linear.full, roll_pitch.discrete, velocity.discrete, s.position_gain, POSITION_DIVIDER
         )
@@ -604,3 +391,171 @@ def design(
         ),
         settings=s,
     )
+
+
+def _designed(
+    name: str,
+    plant: control.StateSpace,
+    scaling: Scaling,
+    generalise: Callable[[control.StateSpace], control.StateSpace],
+    relaxation: float,
+    period_s: float,
+    *,
+    references: tuple[int, ...] = (),
+    orders: tuple[int, int],
+    slow: tuple[float, ...],
+    published: PublishedDesign,
+    scheme: str = "one-degree scheme",
+) -> Design:
+    """Synthesise, reduce, discretise, analyse; it reads the outputs ``references``, then all errors."""
+    rows = tuple(range(len(references), len(references) + plant.noutputs))
+    output_scale, input_scale = np.array(scaling.outputs), np.array(scaling.inputs)
+    read = np.concatenate([output_scale[list(references)], output_scale])
+    scaled = scale_plant(plant, scaling)
+    generalised = generalise(scaled)
+    try:
+        result = hinfsyn(generalised, read.size, plant.ninputs, relaxation=relaxation)
+        reduction = reduce_controller(
+            generalised,
+            result.controller,
+            result.actuation,
+            scaled,
+            rows,
+            order_min=orders[0],
+            order_max=orders[1],
+            slow=slow,
+        )
+        full = unscale_controller(result.controller, read, input_scale)
+        reduced = unscale_controller(reduction.controller, read, input_scale)
+        discrete = discretise(reduced, reduction.actuation / input_scale, period_s)
+        full_loop, reduced_loop, sampled_loop = (
+            analyse(G, feedback_part(K, plant, rows), output_scale=output_scale)
+            for G, K in (
+                (plant, full),
+                (plant, reduced),
+                (sample_plant(plant, period_s, 1), discrete.system()),
+            )
+        )
+        if not sampled_loop.stable:
+            raise MuflyError(
+                f"{name} design: stable in continuous time, but not at {1 / period_s:g} Hz with one sample of delay "
+                f"(delay margin {1e3 * reduced_loop.delay_margin_s:.1f} ms); raise the rate"
+            )
+    except MuflyError as error:
+        raise MuflyError(f"{name} design, {scheme}: {error}") from None
+    return Design(
+        name=name,
+        plant=plant,
+        scaling=scaling,
+        generalised=generalised,
+        controller=full,
+        gamma=result.gamma,
+        gamma_optimal=result.gamma_optimal,
+        norm=result.norm,
+        reduction=reduction,
+        reduced=reduced,
+        discrete=discrete,
+        full_loop=full_loop,
+        reduced_loop=reduced_loop,
+        sampled_loop=sampled_loop,
+        plant_crossovers=_plant_crossovers(plant),
+        feedback_inputs=rows,
+        published=published,
+    )
+
+
+def _plant_crossovers(plant: control.StateSpace) -> tuple[float, ...]:
+    frequency = np.geomspace(1e-2, 1e5, 1500)
+    return crossovers(frequency, singular_values(plant, frequency))
+
+
+def design_heave_yaw(plant: control.StateSpace, settings: Settings, period_s: float) -> Design:
+    """Heave-yaw: two degrees of freedom (Sec. 6.1.4). Inputs of the controller: z, psi references, then errors."""
+    return _designed(
+        "heave-yaw",
+        plant,
+        settings.heave_yaw_scaling or heave_yaw_scaling(plant),
+        lambda scaled: two_degree_plant(scaled, ("z", "psi"), settings.heave_yaw_weights),
+        settings.heave_yaw_relaxation,
+        period_s,
+        references=(0, 1),
+        orders=(6, HEAVE_YAW_ORDER),
+        slow=(0.1, 3.0),
+        published=HEAVE_YAW,
+        scheme="weights of eq. 6.4",
+    )
+
+
+def design_roll_pitch(plant: control.StateSpace, settings: Settings, period_s: float) -> Design:
+    """Roll-pitch: one degree of freedom (Sec. 6.1.5). Inputs of the controller: errors of phi, theta, p, q."""
+    return _designed(
+        "roll-pitch",
+        plant,
+        settings.roll_pitch_scaling or roll_pitch_scaling(plant),
+        lambda scaled: one_degree_plant(scaled, ("phi", "theta"), settings.roll_pitch_weights),
+        settings.roll_pitch_relaxation,
+        period_s,
+        orders=(4, ROLL_PITCH_ORDER),
+        slow=(0.1,),
+        published=ROLL_PITCH,
+    )
+
+
+def design_velocity(settings: Settings, period_s: float) -> Design:
+    """Velocity under ideal tilt (eq. 6.10): ``udot = -g theta``, ``vdot = g phi``; one degree of freedom (Sec. 6.1.6).
+
+    Inputs of the controller: errors of u, v.
+    """
+    plant = state_space(
+        np.zeros((2, 2)),
+        np.array([[0.0, -GRAVITY], [GRAVITY, 0.0]]),
+        np.eye(2),
+        np.zeros((2, 2)),
+        inputs=("phi", "theta"),
+        outputs=("u", "v"),
+        states=("u", "v"),
+    )
+    return _designed(
+        "velocity",
+        plant,
+        settings.velocity_scaling,
+        lambda scaled: one_degree_plant(scaled, ("u", "v"), settings.velocity_weights),
+        settings.velocity_relaxation,
+        period_s,
+        # Order two is enough for the peaks, but loses the roll-off that keeps noise off the tilt.
+        orders=(4, VELOCITY_ORDER),
+        slow=(0.05,),
+        published=VELOCITY,
+    )
+
+
+def reference_lags(heave_yaw: Design) -> tuple[float, float]:
+    """Time (s) by which height and heading trail a reference of constant rate: phase lag over a low frequency."""
+    frequency = np.array([0.05])
+    sampled = sample_plant(heave_yaw.plant, heave_yaw.discrete.period_s, 1)
+    g = frequency_response(sampled, frequency)[0]
+    k = frequency_response(heave_yaw.discrete.system(), frequency)[0]
+    response = np.linalg.solve(np.eye(g.shape[0]) + g @ k[:, 2:], g @ k[:, :2])
+    z, psi = (max(0.0, float(-np.angle(response[i, i]) / frequency[0])) for i in (0, 1))
+    return z, psi
+
+
+def heave_acceleration(vehicle: Vehicle, linear: Linearisation, settings: Settings) -> float:
+    """Acceleration (m/s2) of a heave reference that the motors follow, with the battery run down and sagging.
+
+    A step of ``du`` on both motors ends in ``per_input * du``; ``du`` is what the battery's voltage at full input, with
+    ``planning_charge`` left, has above hover. The motors' lag asks for several times the input at the start of a climb
+    that its end needs, hence ``heave_share``.
+    """
+    plant = linear.heave_yaw
+    states = list(plant.state_labels)
+    motors = [states.index("Omega_dw"), states.index("Omega_up")]
+    gain = -np.linalg.solve(plant.A[np.ix_(motors, motors)], plant.B[motors])  # rotor speed per input
+    per_input = plant.A[states.index("w"), motors] @ gain
+    state = linear.trim.state.copy()
+    state[20] = settings.planning_charge
+    sagged = float(battery_state(state, 1.0, 1.0, model_parameters(vehicle))[0])
+    lower_upper = linear.trim.motor_input[::-1]
+    headroom = np.maximum(sagged / linear.trim.voltage_V - lower_upper, 0.0)
+    available = abs(float(per_input @ headroom))
+    return float(np.clip(settings.heave_share * available, 0.1, settings.heave_acceleration_max))

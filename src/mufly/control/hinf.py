@@ -10,7 +10,7 @@ level gamma, two Riccati equations (one for full information, one for the filter
 X, Y >= 0 with spectral radius rho(X Y) < gamma^2 exactly when a controller with norm below gamma exists.
 Bisection on gamma; general D11 and D22 (the latter by the loop shift K = (I + K0 D22)^-1 K0).
 
-The assumptions of the theorem are checked, and named when violated: :mod:`mufly.control.hinf`.
+The assumptions of the theorem are checked, and named when violated.
 ``regularisation`` makes those on D12, D21 and the zeros hold by small weights on x and u and small noises on x and y.
 
 The states are scaled first (diagonal balancing of the plant), since weights with corners from 1e-4 to 1e3 rad/s would
@@ -21,6 +21,7 @@ closed with the controller found; it is computed independently, on the plant as 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import control
 import numpy as np
@@ -65,9 +66,8 @@ class HinfResult:
     iterations: int
 
 
-@dataclass(frozen=True)
-class _Plant:
-    """Normalised: D12 = [0; I], D21 = [0, I], D22 = 0; u = Ru u~, y~ = Ry y, states x = diag(t) x~."""
+class _Parts(NamedTuple):
+    """A generalised plant by its signals."""
 
     A: Array
     B1: Array
@@ -75,9 +75,18 @@ class _Plant:
     C1: Array
     C2: Array
     D11: Array
-    Ru: Array
-    Ry: Array
+    D12: Array
+    D21: Array
     D22: Array
+
+
+def _parts(A: Array, B: Array, C: Array, D: Array, ny: int, nu: int) -> _Parts:
+    """Part the matrices of a plant before its last ``ny`` outputs and ``nu`` inputs."""
+    nz, nw = D.shape[0] - ny, D.shape[1] - nu
+    rows = D[:nz], D[nz:]
+    return _Parts(
+        A, B[:, :nw], B[:, nw:], C[:nz], C[nz:], *(part for d in rows for part in (d[:, :nw], d[:, nw:]))
+    )
 
 
 def close_loop(P: control.StateSpace, K: control.StateSpace) -> control.StateSpace:
@@ -88,11 +97,8 @@ def close_loop(P: control.StateSpace, K: control.StateSpace) -> control.StateSpa
     MuflyError
         If the loop is not well posed (I - D22 Dk singular).
     """
-    nu, ny = K.noutputs, K.ninputs
-    nw, nz = P.ninputs - nu, P.noutputs - ny
-    B1, B2 = P.B[:, :nw], P.B[:, nw:]
-    C1, C2 = P.C[:nz], P.C[nz:]
-    D11, D12, D21, D22 = P.D[:nz, :nw], P.D[:nz, nw:], P.D[nz:, :nw], P.D[nz:, nw:]
+    A, B1, B2, C1, C2, D11, D12, D21, D22 = _parts(P.A, P.B, P.C, P.D, K.ninputs, K.noutputs)
+    (nz, nw), ny = D11.shape, K.ninputs
     loop = np.eye(ny) - D22 @ K.D
     if np.linalg.cond(loop) > 1e12:
         raise MuflyError("closed loop is not well posed: I - D22 Dk is singular")
@@ -100,18 +106,17 @@ def close_loop(P: control.StateSpace, K: control.StateSpace) -> control.StateSpa
     Cu = np.hstack([K.D @ E @ C2, K.C + K.D @ E @ D22 @ K.C])
     Cy = np.hstack([E @ C2, E @ D22 @ K.C])
     Du, Dy = K.D @ E @ D21, E @ D21
-    A = linalg.block_diag(P.A, K.A) + np.vstack([B2 @ Cu, K.B @ Cy])
+    A = linalg.block_diag(A, K.A) + np.vstack([B2 @ Cu, K.B @ Cy])
     B = np.vstack([B1 + B2 @ Du, K.B @ Dy])
     C = np.hstack([C1, np.zeros((nz, K.nstates))]) + D12 @ Cu
     return state_space(A, B, C, D11 + D12 @ Du, inputs=P.input_labels[:nw], outputs=P.output_labels[:nz])
 
 
-def _normalise(P: control.StateSpace, ny: int, nu: int, regularisation: float) -> _Plant:
-    A, B, C = P.A.copy(), P.B.copy(), P.C.copy()
-    n = A.shape[0]
+def _normalise(P: control.StateSpace, ny: int, nu: int, regularisation: float) -> tuple[_Parts, Array, Array]:
+    """Return the plant with balanced states, D12 = [0; I], D21 = [0, I]; Ru, Ry of u = Ru u~, y~ = Ry y."""
+    n = P.nstates
     # Diagonal similarity that evens out rows and columns of [A B; C 0].
-    whole = np.block([[A, B], [C, np.zeros((C.shape[0], B.shape[1]))]])
-    t = np.ones(n)
+    whole = np.block([[P.A, P.B], [P.C, np.zeros(P.D.shape)]])
     for _ in range(20):
         for i in range(n):
             r = np.sqrt(np.sum(whole[i] ** 2) - whole[i, i] ** 2)
@@ -120,26 +125,34 @@ def _normalise(P: control.StateSpace, ny: int, nu: int, regularisation: float) -
                 f = np.exp2(np.round(np.log2(np.sqrt(c / r))))
                 whole[i] *= f
                 whole[:, i] /= f
-                t[i] *= f
-    A, B, C = whole[:n, :n], whole[:n, n:], whole[n:, :n]
-    nw, nz = P.ninputs - nu, P.noutputs - ny
-    B1, B2, C1, C2 = B[:, :nw], B[:, nw:], C[:nz], C[nz:]
-    D11, D12, D21, D22 = P.D[:nz, :nw], P.D[:nz, nw:], P.D[nz:, :nw], P.D[nz:, nw:]
+    p = _parts(whole[:n, :n], whole[:n, n:], whole[n:, :n], P.D, ny, nu)
     if regularisation > 0.0:
         eps = regularisation
-        B1 = np.hstack([B1, eps * np.eye(n), np.zeros((n, ny))])
-        C1 = np.vstack([C1, eps * np.eye(n), np.zeros((nu, n))])
-        D12 = np.vstack([D12, np.zeros((n, nu)), eps * np.eye(nu)])
-        D21 = np.hstack([D21, np.zeros((ny, n)), eps * np.eye(ny)])
-        D11 = np.pad(D11, ((0, n + nu), (0, n + ny)))
-    check_assumptions(A, B1, B2, C1, C2, D12, D21, P)
-    U, s, Vt = np.linalg.svd(D12)
+        p = p._replace(
+            B1=np.hstack([p.B1, eps * np.eye(n), np.zeros((n, ny))]),
+            C1=np.vstack([p.C1, eps * np.eye(n), np.zeros((nu, n))]),
+            D12=np.vstack([p.D12, np.zeros((n, nu)), eps * np.eye(nu)]),
+            D21=np.hstack([p.D21, np.zeros((ny, n)), eps * np.eye(ny)]),
+            D11=np.pad(p.D11, ((0, n + nu), (0, n + ny))),
+        )
+    _check_assumptions(p, P)
+    U, s, Vt = np.linalg.svd(p.D12)
     z_turn = np.hstack([U[:, nu:], U[:, :nu]])  # z = z_turn z~ puts the controls last
     Ru = Vt.T / s
-    U, s, Vt = np.linalg.svd(D21)
+    U, s, Vt = np.linalg.svd(p.D21)
     w_turn = np.hstack([Vt[ny:].T, Vt[:ny].T])
     Ry = (U / s).T
-    return _Plant(A, B1 @ w_turn, B2 @ Ru, z_turn.T @ C1, Ry @ C2, z_turn.T @ D11 @ w_turn, Ru, Ry, D22)
+    a, b = len(p.C1) - nu, p.B1.shape[1] - ny
+    normal = p._replace(
+        B1=p.B1 @ w_turn,
+        B2=p.B2 @ Ru,
+        C1=z_turn.T @ p.C1,
+        C2=Ry @ p.C2,
+        D11=z_turn.T @ p.D11 @ w_turn,
+        D12=np.vstack([np.zeros((a, nu)), np.eye(nu)]),
+        D21=np.hstack([np.zeros((ny, b)), np.eye(ny)]),
+    )
+    return normal, Ru, Ry
 
 
 def _riccati(H: Array) -> Array | None:
@@ -162,7 +175,7 @@ def _riccati(H: Array) -> Array | None:
     return symmetric
 
 
-def _central(p: _Plant, gamma: float) -> tuple[Array, Array, Array, Array] | None:
+def _central(p: _Parts, gamma: float) -> tuple[Array, Array, Array, Array] | None:
     """Central controller of level ``gamma`` for the normalised plant, or None where there is none."""
     n, nw, nu = p.A.shape[0], p.B1.shape[1], p.B2.shape[1]
     nz, ny = p.C1.shape[0], p.C2.shape[0]
@@ -171,8 +184,7 @@ def _central(p: _Plant, gamma: float) -> tuple[Array, Array, Array, Array] | Non
     D1111, D1112, D1121, D1122 = p.D11[:a, :b], p.D11[:a, b:], p.D11[a:, :b], p.D11[a:, b:]
     B = np.hstack([p.B1, p.B2])
     C = np.vstack([p.C1, p.C2])
-    D12, D21 = np.vstack([np.zeros((a, nu)), np.eye(nu)]), np.hstack([np.zeros((ny, b)), np.eye(ny)])
-    Drow, Dcol = np.hstack([p.D11, D12]), np.vstack([p.D11, D21])
+    Drow, Dcol = np.hstack([p.D11, p.D12]), np.vstack([p.D11, p.D21])
     R = Drow.T @ Drow - linalg.block_diag(g2 * np.eye(nw), np.zeros((nu, nu)))
     S = Dcol @ Dcol.T - linalg.block_diag(g2 * np.eye(nz), np.zeros((ny, ny)))
     M = np.linalg.solve(R, np.hstack([Drow.T @ p.C1, B.T]))
@@ -215,28 +227,23 @@ def _central(p: _Plant, gamma: float) -> tuple[Array, Array, Array, Array] | Non
 
 
 def _controller(
-    p: _Plant, gamma: float, P: control.StateSpace, ny: int, nu: int
+    p: _Parts, Ru: Array, Ry: Array, gamma: float, P: control.StateSpace
 ) -> control.StateSpace | None:
+    """Central controller of level ``gamma`` for the plant as given: turned back, and shifted by D22."""
     matrices = _central(p, gamma)
     if matrices is None:
         return None
+    (ny, nu), D22 = p.D22.shape, p.D22
     Ak, Bk, Ck, Dk = matrices
-    Bk, Ck, Dk = Bk @ p.Ry, p.Ru @ Ck, p.Ru @ Dk @ p.Ry
-    E = np.eye(nu) + Dk @ p.D22
+    Bk, Ck, Dk = Bk @ Ry, Ru @ Ck, Ru @ Dk @ Ry
+    E = np.eye(nu) + Dk @ D22
     if np.linalg.cond(E) > 1e12:
         return None
     Ck, Dk = np.linalg.solve(E, Ck), np.linalg.solve(E, Dk)
-    Ak, Bk = Ak - Bk @ p.D22 @ Ck, Bk - Bk @ p.D22 @ Dk
+    Ak, Bk = Ak - Bk @ D22 @ Ck, Bk - Bk @ D22 @ Dk
     if not all(np.isfinite(M).all() for M in (Ak, Bk, Ck, Dk)):
         return None
-    return state_space(
-        Ak,
-        Bk,
-        Ck,
-        Dk,
-        inputs=P.output_labels[P.noutputs - ny :],
-        outputs=P.input_labels[P.ninputs - nu :],
-    )
+    return state_space(Ak, Bk, Ck, Dk, inputs=P.output_labels[-ny:], outputs=P.input_labels[-nu:])
 
 
 def hinfsyn(
@@ -294,7 +301,7 @@ def hinfsyn(
         )
     if not all(np.isfinite(M).all() for M in (P.A, P.B, P.C, P.D)):
         raise MuflyError("H-infinity synthesis: the plant holds a number that is not finite")
-    p = _normalise(P, n_measurements, n_controls, regularisation)
+    p, Ru, Ry = _normalise(P, n_measurements, n_controls, regularisation)
     a, b = p.C1.shape[0] - n_controls, p.B1.shape[1] - n_measurements
     floor = float(
         max(np.linalg.norm(p.D11[:a], 2) if a else 0.0, np.linalg.norm(p.D11[:, :b], 2) if b else 0.0)
@@ -330,12 +337,12 @@ def hinfsyn(
     best = upper
     gamma = best * max(relaxation, 1.0)
     for _ in range(30):
-        K = _controller(p, gamma, P, n_measurements, n_controls)
+        K = _controller(p, Ru, Ry, gamma, P)
         if K is not None:
             loop = close_loop(P, K)
             norm, where = hinf_norm(loop)
             if norm <= gamma * (1 + 1e-6):
-                actuation = p.B2 @ np.linalg.inv(p.Ru) - K.B @ p.D22
+                actuation = p.B2 @ np.linalg.inv(Ru) - K.B @ p.D22
                 return HinfResult(K, gamma, best, norm, where, loop, actuation, iterations)
         gamma *= 1.0 + gamma_tolerance if gamma < 1.005 * best else 1.02
     raise MuflyError(
@@ -344,98 +351,70 @@ def hinfsyn(
     )
 
 
-# ----------------------------------------------------------------------------
-# The assumptions of H-infinity synthesis, checked, and named when they fail.
-#
-# (A, B2) stabilisable, (C2, A) detectable; D12 of full column rank, D21 of full row rank; no invariant zero of
-# (A, B2, C1, D12) or (A, B1, C2, D21) on the imaginary axis.
-#
-# With D12 of full column rank the invariant zeros of (A, B2, C1, D12) are the unobservable modes of
-# ``(A - B2 D12^+ C1, (I - D12 D12^+) C1)``: what the control can hide from the errors. Dually for the other.
+def _uncontrollable(A: Array, B: Array, which: str) -> tuple[complex, int] | None:
+    """First mode of A that is not controllable by B, and its main state, counted.
 
-
-def _rank_deficient(M: Array) -> bool:
-    s = np.linalg.svd(M, compute_uv=False)
-    return bool(s.size and s[-1] <= 1e-10 * max(s[0], 1e-300))
-
-
-def _describe(mode: complex, vector: Array, labels: list[str]) -> str:
-    share = np.abs(vector)
-    state = labels[int(np.argmax(share))] if labels else "?"
-    value = f"{mode.real:.4g}" if abs(mode.imag) < 1e-12 else f"{mode.real:.4g}{mode.imag:+.4g}j"
-    return f"mode {value} rad/s (mainly state {state!r})"
-
-
-def _uncontrollable(A: Array, B: Array, which: str) -> tuple[complex, Array] | None:
-    """First mode of A that is not controllable by B: among those not stable ("unstable") or on the axis ("axis").
-
-    Popov-Belevitch-Hautus: the mode is uncontrollable when a left eigenvector is orthogonal to B.
+    Among those not stable ("unstable") or on the axis ("axis"). Popov-Belevitch-Hautus: the mode is uncontrollable when
+    a left eigenvector is orthogonal to B.
     """
-    values = np.linalg.eigvals(A)
     scale = max(float(np.linalg.norm(A, 2)), 1e-300)
-    for value in values:
+    for value in np.linalg.eigvals(A):
         if value.real < -1e-9 * max(scale, 1.0) if which == "unstable" else abs(value.real) > 1e-9 * scale:
             continue
-        pencil = np.hstack([A - value * np.eye(A.shape[0]), B])
-        U, s, _ = np.linalg.svd(pencil)
+        U, s, _ = np.linalg.svd(np.hstack([A - value * np.eye(A.shape[0]), B]))
         if s[-1] < 1e-11 * s[0]:
-            return complex(value), U[:, -1]
+            return complex(value), int(np.argmax(np.abs(U[:, -1])))
     return None
 
 
-def check_assumptions(
-    A: Array, B1: Array, B2: Array, C1: Array, C2: Array, D12: Array, D21: Array, P: control.StateSpace
-) -> None:
-    """Raise a MuflyError that names the first assumption violated.
+def _check_assumptions(p: _Parts, P: control.StateSpace) -> None:
+    """Raise a MuflyError that names the first assumption of the synthesis that the plant violates.
+
+    (A, B2) stabilisable, (C2, A) detectable; D12 of full column rank, D21 of full row rank; no invariant zero of
+    (A, B2, C1, D12) or (A, B1, C2, D21) on the imaginary axis. With D12 of full column rank the invariant zeros of
+    (A, B2, C1, D12) are the unobservable modes of ``(A - B2 D12^+ C1, (I - D12 D12^+) C1)``: what the control can hide
+    from the errors. Dually for the other.
 
     Parameters
     ----------
-    A, B1, B2, C1, C2, D12, D21 : array
+    p : _Parts
         The plant in the coordinates of the synthesis (balanced, regularised if asked for).
     P : control.StateSpace
         The plant as given: its labels name states and signals.
     """
-    labels = list(P.state_labels)
-    nz, nw = C1.shape[0], B1.shape[1]
-    outputs, inputs = list(P.output_labels), list(P.input_labels)
-    found = _uncontrollable(A, B2, "unstable")
-    if found:
-        raise MuflyError(
-            f"H-infinity synthesis: not stabilisable by {', '.join(inputs[nw:])}: "
-            f"{_describe(*found, labels)} cannot be moved; remove it or make its weight stable"
-        )
-    found = _uncontrollable(A.T, C2.T, "unstable")
-    if found:
-        raise MuflyError(
-            f"H-infinity synthesis: not detectable from {', '.join(outputs[nz:])}: "
-            f"{_describe(*found, labels)} is not seen; measure it or make its weight stable"
-        )
-    for D, name, names, remedy in (
-        (D12, "D12 (controls to errors)", inputs[nw:], "give every control a weight at high frequency"),
-        (D21.T, "D21 (disturbances to measurements)", outputs[nz:], "give every measurement some noise"),
+    ny, nu = p.D22.shape
+    measured, controls, states = P.output_labels[-ny:], P.input_labels[-nu:], P.state_labels
+    for A, B, start, end in (
+        (p.A, p.B2, f"not stabilisable by {', '.join(controls)}", "cannot be moved; remove it"),
+        (p.A.T, p.C2.T, f"not detectable from {', '.join(measured)}", "is not seen; measure it"),
     ):
-        if D.shape[0] < D.shape[1] or _rank_deficient(D):
-            direction = np.abs(np.linalg.svd(D)[2][-1])
+        found = _uncontrollable(A, B, "unstable")
+        if found:
+            mode, state = found
+            value = f"{mode.real:.4g}" if abs(mode.imag) < 1e-12 else f"{mode.real:.4g}{mode.imag:+.4g}j"
             raise MuflyError(
-                f"H-infinity synthesis: {name} loses rank at signal {names[int(np.argmax(direction))]!r}; {remedy} "
-                "or set regularisation"
+                f"H-infinity synthesis: {start}: mode {value} rad/s (mainly state {states[state]!r}) {end} or make "
+                "its weight stable"
             )
-    for F, G, name in (
-        (
-            A - B2 @ np.linalg.pinv(D12) @ C1,
-            (np.eye(nz) - D12 @ np.linalg.pinv(D12)) @ C1,
-            "(A, B2, C1, D12)",
-        ),
-        (
-            (A - B1 @ np.linalg.pinv(D21) @ C2).T,
-            (B1 @ (np.eye(nw) - np.linalg.pinv(D21) @ D21)).T,
-            "(A, B1, C2, D21)",
-        ),
+    for D, name, names, remedy in (
+        (p.D12, "D12 (controls to errors)", controls, "give every control a weight at high frequency"),
+        (p.D21.T, "D21 (disturbances to measurements)", measured, "give every measurement some noise"),
     ):
-        found = _uncontrollable(F.T, G.T, "axis")
+        _, s, Vt = np.linalg.svd(D)
+        if D.shape[0] < D.shape[1] or s[-1] <= 1e-10 * max(s[0], 1e-300):
+            raise MuflyError(
+                f"H-infinity synthesis: {name} loses rank at signal {names[int(np.argmax(np.abs(Vt[-1])))]!r}; "
+                f"{remedy} or set regularisation"
+            )
+    D12i, D21i = np.linalg.pinv(p.D12), np.linalg.pinv(p.D21)
+    nz, nw = p.D11.shape
+    for F, G, name in (
+        ((p.A - p.B2 @ D12i @ p.C1).T, ((np.eye(nz) - p.D12 @ D12i) @ p.C1).T, "(A, B2, C1, D12)"),
+        (p.A - p.B1 @ D21i @ p.C2, p.B1 @ (np.eye(nw) - D21i @ p.D21), "(A, B1, C2, D21)"),
+    ):
+        found = _uncontrollable(F, G, "axis")
         if found:
             raise MuflyError(
                 f"H-infinity synthesis: {name} has an invariant zero on the imaginary axis at {abs(found[0].imag):.4g} "
-                f"rad/s (mainly state {labels[int(np.argmax(np.abs(found[1])))]!r}); let a weight act on it or set "
-                "regularisation"
+                f"rad/s (mainly state {states[found[1]]!r}); let a weight act on it or set regularisation"
             )

@@ -1,4 +1,4 @@
-"""Tools on linear systems that the designs share: block diagrams, frequency responses and the H-infinity norm.
+"""Linear systems and the loops they close: block diagrams, frequency responses, the H-infinity norm, margins.
 
 A system is ``(A, B, C, D)`` with ``xdot = A x + B u``, ``y = C x + D u``, held as ``control.StateSpace`` with labelled
 signals. A block diagram is closed once, for all its signals together: with the blocks side by side,
@@ -8,6 +8,19 @@ signals. A block diagram is closed once, for all its signals together: with the 
 
 The norm is Bruinsma and Steinbuch's two-step iteration (Syst. Control Lett. 14, 1990) on the Hamiltonian matrix of
 Boyd, Balakrishnan and Kabamba (1989): a frequency on the imaginary axis is where a singular value equals the level.
+
+What a loop is worth, continuous or sampled. With plant ``G`` and feedback ``u = -K y`` the loop at the plant's input is
+``L_u = K G``, and
+
+    S_u = (I + L_u)^-1,   T_u = L_u (I + L_u)^-1,   S_o = (I + G K)^-1.
+
+Peaks are largest singular values over frequency. Margins: a factor or a delay common to all inputs moves the
+eigenvalues of L_u alone, so gain, phase and delay margin follow exactly from where an eigenvalue of L_u crosses the
+negative real axis or the unit circle (generalised Nyquist criterion). Independent changes in the inputs are covered by
+the guaranteed phase margin 2 asin(1 / 2 M), M the smaller of the peaks of S_u and T_u (Safonov and Athans 1981).
+
+A sampled loop is analysed in discrete time: plant behind a zero-order hold, controller, and whole samples of delay
+between measurement and actuation.
 """
 
 from __future__ import annotations
@@ -54,6 +67,15 @@ def _pickled(g: control.StateSpace) -> tuple[Any, ...]:
 
 
 copyreg.pickle(control.StateSpace, _pickled)
+
+
+def altered(system: control.StateSpace, **changes: Any) -> control.StateSpace:
+    """The system with some of its matrices ``A`` to ``D`` or ``inputs``, ``outputs``, ``states``, ``dt`` replaced."""
+    own = {name: getattr(system, name) for name in "ABCD"} | {"dt": system.dt or 0.0}
+    own |= {"inputs": system.input_labels, "outputs": system.output_labels}
+    if len(changes.get("A", system.A)) == system.nstates:
+        own["states"] = system.state_labels
+    return state_space(**(own | changes))
 
 
 def connect(
@@ -227,23 +249,6 @@ def hinf_norm(system: control.StateSpace, *, tolerance: float = 1e-6) -> tuple[f
     return lower, where
 
 
-# ----------------------------------------------------------------------------
-# What a loop is worth: crossovers, sensitivity peaks and margins, of continuous and of sampled loops.
-#
-# With plant ``G`` and feedback ``u = -K y`` the loop at the plant's input is ``L_u = K G``, and
-#
-#     S_u = (I + L_u)^-1,   T_u = L_u (I + L_u)^-1,   S_o = (I + G K)^-1.
-#
-# Peaks are largest singular values over frequency. Margins: a factor or a delay common to all inputs moves the
-# eigenvalues of L_u alone, so gain, phase and delay margin follow exactly from where an eigenvalue of L_u crosses the
-# negative real axis or the unit circle (generalised Nyquist criterion). Independent changes in the inputs are covered
-# by
-# the guaranteed phase margin 2 asin(1 / 2 M), M the smaller of the peaks of S_u and T_u (Safonov and Athans 1981).
-#
-# A sampled loop is analysed in discrete time: plant behind a zero-order hold, controller, and whole samples of delay
-# between measurement and actuation.
-
-
 @dataclass(frozen=True)
 class LoopAnalysis:
     """Figures of one loop, broken at the plant's input.
@@ -310,7 +315,7 @@ def sample_plant(plant: control.StateSpace, period_s: float, delay_samples: int 
         A = np.block([[A, B], [np.zeros((m, n + m))]])
         B = np.vstack([np.zeros((n, m)), np.eye(m)])
         C, D = np.hstack([C, D]), np.zeros_like(D)
-    return state_space(A, B, C, D, inputs=plant.input_labels, outputs=plant.output_labels, dt=period_s)
+    return altered(plant, A=A, B=B, C=C, D=D, dt=period_s)
 
 
 def feedback_part(
@@ -318,15 +323,8 @@ def feedback_part(
 ) -> control.StateSpace:
     """The part of a controller that reads the plant's outputs: its inputs ``rows``, in the order of the outputs."""
     columns = list(rows)
-    return state_space(
-        controller.A,
-        controller.B[:, columns],
-        controller.C,
-        controller.D[:, columns],
-        inputs=plant.output_labels,
-        outputs=plant.input_labels,
-        dt=controller.dt or 0.0,
-    )
+    labels = {"inputs": plant.output_labels, "outputs": plant.input_labels}
+    return altered(controller, B=controller.B[:, columns], D=controller.D[:, columns], **labels)
 
 
 def is_stable_loop(plant: control.StateSpace, feedback: control.StateSpace) -> bool:
@@ -360,17 +358,24 @@ def _grid(plant: control.StateSpace, feedback: control.StateSpace, points: int) 
     return np.unique(np.concatenate([np.geomspace(1e-4, top, points), size]))
 
 
-def _closed(L: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+def sensitivities(L: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Sensitivity ``(I + L)^-1`` and complementary sensitivity of a loop gain, shape (..., n, n)."""
     S = np.linalg.inv(np.eye(L.shape[-1]) + L)
     return S, S @ L
 
 
-def _crossings(x: Array, y: Array, level: float) -> Array:
-    """Abscissae (log-interpolated) where ``y`` passes ``level``."""
-    above = y > level
-    i = np.nonzero(above[:-1] != above[1:])[0]
-    t = (level - y[i]) / (y[i + 1] - y[i])
-    return np.exp(np.log(x[i]) + t * (np.log(x[i + 1]) - np.log(x[i])))
+def largest_gain(response: ComplexArray) -> Array:
+    """Largest singular value of each matrix."""
+    return np.linalg.svd(response, compute_uv=False)[..., 0]
+
+
+def crossovers(frequency: Array, gains: Array) -> tuple[float, ...]:
+    """Frequencies at which a column of ``gains`` (n, k) passes 0 dB, interpolated on logarithmic axes, ascending."""
+    found: list[float] = []
+    for y in np.log(np.maximum(gains, 1e-300)).T:
+        i = np.nonzero((y[:-1] > 0) != (y[1:] > 0))[0]
+        found += list(frequency[i] * (frequency[i + 1] / frequency[i]) ** (-y[i] / (y[i + 1] - y[i])))
+    return tuple(float(w) for w in sorted(found))
 
 
 def _refined_peak(function: Callable[[Array], Array], frequency: Array, values: Array) -> tuple[float, float]:
@@ -451,22 +456,18 @@ def analyse(
     frequency = _grid(plant, feedback, points)
     g, k = frequency_response(plant, frequency), frequency_response(feedback, frequency)
     L = k @ g
-    sv = np.linalg.svd(L, compute_uv=False)
-    crossovers = np.sort(np.concatenate([_crossings(frequency, np.log(column), 0.0) for column in sv.T]))
-    S, T = _closed(L)
 
-    def peak(which: int) -> Callable[[Array], Array]:
-        def value(w: Array) -> Array:
-            loop = frequency_response(feedback, w) @ frequency_response(plant, w)
-            return np.linalg.svd(_closed(loop)[which], compute_uv=False)[:, 0]
+    def gain(which: int, w: Array) -> Array:
+        return largest_gain(
+            sensitivities(frequency_response(feedback, w) @ frequency_response(plant, w))[which]
+        )
 
-        return value
-
-    s_peak, s_at = _refined_peak(peak(0), frequency, np.linalg.svd(S, compute_uv=False)[:, 0])
-    t_peak, t_at = _refined_peak(peak(1), frequency, np.linalg.svd(T, compute_uv=False)[:, 0])
+    S, T = sensitivities(L)
+    s_peak, s_at = _refined_peak(partial(gain, 0), frequency, largest_gain(S))
+    t_peak, t_at = _refined_peak(partial(gain, 1), frequency, largest_gain(T))
     scale = np.ones(plant.noutputs) if output_scale is None else np.asarray(output_scale, dtype=float)
     So = np.linalg.inv(np.eye(plant.noutputs) + g @ k) * scale / scale[:, None]
-    o_peak = float(np.linalg.svd(So, compute_uv=False)[:, 0].max())
+    o_peak = float(largest_gain(So).max())
     gain_up, gain_down, phase, delay = _margins(frequency, L)
     if not stable:
         s_peak = t_peak = o_peak = np.inf
@@ -475,7 +476,7 @@ def analyse(
     guaranteed = 2 * np.degrees(np.arcsin(min(1.0, 0.5 / smaller))) if np.isfinite(smaller) else 0.0
     return LoopAnalysis(
         stable=stable,
-        crossovers=tuple(float(w) for w in crossovers),
+        crossovers=crossovers(frequency, np.linalg.svd(L, compute_uv=False)),
         sensitivity_peak_dB=_dB(s_peak),
         complementary_peak_dB=_dB(t_peak),
         sensitivity_peak_frequency=s_at,
@@ -493,6 +494,5 @@ def loop_curves(plant: control.StateSpace, feedback: control.StateSpace, frequen
     """Singular values of plant, L_u, S_u and T_u over ``frequency`` (rad/s)."""
     g, k = frequency_response(plant, frequency), frequency_response(feedback, frequency)
     L = k @ g
-    S, T = _closed(L)
-    values = [np.linalg.svd(M, compute_uv=False) for M in (g, L, S, T)]
+    values = [np.linalg.svd(M, compute_uv=False) for M in (g, L, *sensitivities(L))]
     return LoopCurves(np.asarray(frequency, dtype=float), *values)

@@ -34,11 +34,13 @@ from scipy import linalg
 from mufly.control.hinf import close_loop
 from mufly.control.linear import (
     Array,
+    altered,
     feedback_part,
     frequency_response,
     hinf_norm,
     is_stable_loop,
-    state_space,
+    largest_gain,
+    sensitivities,
 )
 from mufly.errors import MuflyError
 
@@ -156,8 +158,7 @@ def _remove(
     else:
         A, B, C = A[:order, :order], B[:order], C[:, :order]
     m = K.ninputs
-    small = state_space(A, B[:, :m], C, D[:, :m], inputs=K.input_labels, outputs=K.output_labels)
-    return small, B[:, m:]
+    return altered(K, A=A, B=B[:, :m], C=C, D=D[:, :m]), B[:, m:]
 
 
 def reduce_controller(
@@ -270,9 +271,8 @@ class _Judge:
         feedback = feedback_part(K, self.plant, self.rows)
         if not is_stable_loop(self.plant, feedback):
             return np.inf, np.inf
-        L = frequency_response(feedback, self.frequency) @ self.response
-        S = np.linalg.inv(np.eye(L.shape[-1]) + L)
-        s, t = (np.linalg.svd(X, compute_uv=False)[:, 0].max() for X in (S, S @ L))
+        loop = frequency_response(feedback, self.frequency) @ self.response
+        s, t = (largest_gain(X).max() for X in sensitivities(loop))
         return float(20 * np.log10(s)), float(20 * np.log10(t))
 
 
@@ -296,15 +296,7 @@ def _realisations(
     for name, (P, Q) in gramians.items():
         T, Tinv = _balance(P, Q)
         T, Tinv = linalg.block_diag(np.eye(kept), T), linalg.block_diag(np.eye(kept), Tinv)
-        K = state_space(
-            Tinv @ A @ T,
-            Tinv @ B,
-            C @ T,
-            controller.D,
-            inputs=controller.input_labels,
-            outputs=controller.output_labels,
-        )
-        found[name] = K, Tinv @ M
+        found[name] = altered(controller, A=Tinv @ A @ T, B=Tinv @ B, C=C @ T), Tinv @ M
     return found
 
 
@@ -319,13 +311,11 @@ def _loop_gramians(
     nu = controller.noutputs
     nw, nz = generalised.ninputs - nu, generalised.noutputs - controller.ninputs
     G = generalised
-    opened = state_space(
-        G.A,
-        np.hstack([G.B, G.B[:, nw:]]),
-        G.C,
-        np.hstack([G.D, G.D[:, nw:]]),
+    opened = altered(
+        G,
+        B=np.hstack([G.B, G.B[:, nw:]]),
+        D=np.hstack([G.D, G.D[:, nw:]]),
         inputs=[*G.input_labels[:nw], *(f"added[{i}]" for i in range(nu)), *G.input_labels[nw:]],
-        outputs=G.output_labels,
     )
     loop = close_loop(opened, controller)
     P = linalg.solve_continuous_lyapunov(loop.A, -_outer(loop.B[:, :nw]))[G.nstates :, G.nstates :]

@@ -1,4 +1,4 @@
-"""Weighting schemes: what the H-infinity synthesis is asked for. GS/T with one and with two degrees of freedom.
+"""What the H-infinity synthesis is asked for: weighting schemes, GS/T with one and two degrees of freedom; settings.
 
 All signals are scaled first. With the output scale ``s_y`` (an error worth one) and the input scale ``s_u`` (an
 actuation worth one) the plant is ``G = diag(1/s_y) G_physical diag(s_u)``, and the controller found for it goes back as
@@ -29,7 +29,7 @@ import control
 import numpy as np
 from scipy import signal
 
-from mufly.control.linear import Array, connect, state_space
+from mufly.control.linear import Array, altered, connect, state_space
 from mufly.errors import MuflyError
 
 
@@ -115,43 +115,40 @@ def scale_plant(plant: control.StateSpace, scaling: Scaling) -> control.StateSpa
         )
     if not (np.all(sy > 0) and np.all(su > 0)):
         raise MuflyError("scaling: every scale must be positive")
-    return state_space(
-        plant.A,
-        plant.B * su,
-        plant.C / sy[:, None],
-        plant.D * su / sy[:, None],
-        inputs=plant.input_labels,
-        outputs=plant.output_labels,
-        states=plant.state_labels,
-    )
+    return altered(plant, B=plant.B * su, C=plant.C / sy[:, None], D=plant.D * su / sy[:, None])
 
 
 def unscale_controller(
     controller: control.StateSpace, input_scale: Array, output_scale: Array
 ) -> control.StateSpace:
     """Controller in physical units: its inputs are divided by ``input_scale``, its outputs times ``output_scale``."""
-    return state_space(
-        controller.A,
-        controller.B / input_scale,
-        controller.C * output_scale[:, None],
-        controller.D * output_scale[:, None] / input_scale,
-        inputs=controller.input_labels,
-        outputs=controller.output_labels,
-        states=controller.state_labels,
-        dt=controller.dt or 0.0,
+    out = output_scale[:, None]
+    return altered(
+        controller, B=controller.B / input_scale, C=controller.C * out, D=controller.D * out / input_scale
     )
 
 
-def _inner_plant(plant: control.StateSpace) -> control.StateSpace:
-    return state_space(
-        plant.A,
-        plant.B,
-        plant.C,
-        plant.D,
-        inputs=[f"plant[{u}]" for u in plant.input_labels],
-        outputs=list(plant.output_labels),
-        states=plant.state_labels,
-    )
+def _each(name: str, signals: Sequence[str]) -> list[str]:
+    return [f"{name}[{i}]" for i in signals]
+
+
+class _Diagram:
+    """A scaled plant with weights around it; signals are called ``name[signal of the plant]``."""
+
+    def __init__(self, plant: control.StateSpace) -> None:
+        self.blocks = [altered(plant, inputs=_each("plant", plant.input_labels))]
+        self.wiring: dict[str, dict[str, float]] = {}
+
+    def weigh(self, weight: TransferFunction, name: str, sink: str, source: str, over: Sequence[str]) -> None:
+        """Put a weight between ``source`` ("" for the signal itself) and ``sink`` of every signal in ``over``."""
+        for i in over:
+            self.blocks.append(weight.block(f"{name}[{i}]", f"{name}_in[{i}]", f"{sink}[{i}]"))
+            self.wiring[f"{name}_in[{i}]"] = {f"{source}[{i}]" if source else i: 1.0}
+
+    def add(self, name: str, over: Sequence[str], **terms: float) -> None:
+        """Define a signal of every plant signal in ``over``: a sum of others, ``own`` the plant signal itself."""
+        for i in over:
+            self.wiring[f"{name}[{i}]"] = {i if k == "own" else f"{k}[{i}]": v for k, v in terms.items()}
 
 
 def two_degree_plant(
@@ -177,34 +174,24 @@ def two_degree_plant(
     unknown = [name for name in ref if name not in y]
     if unknown:
         raise MuflyError(f"scheme: reference {unknown[0]!r} is no output of the plant ({', '.join(y)})")
-    w = weights
-    blocks = [_inner_plant(plant)]
-    blocks += [w.input_disturbance.block(f"W_dbar[{i}]", f"Wdbar_in[{i}]", f"dbar[{i}]") for i in u]
-    blocks += [w.reference_rolloff.block(f"W_rbar[{i}]", f"Wrbar_in[{i}]", f"rbar[{i}]") for i in ref]
-    blocks += [w.model_matching.block(f"W_r[{i}]", f"Wr_in[{i}]", f"r[{i}]") for i in ref]
-    blocks += [w.reference_model.block(f"W_M[{i}]", f"WM_in[{i}]", f"model[{i}]") for i in ref]
-    blocks += [w.output_noise.block(f"W_d[{i}]", f"Wd_in[{i}]", f"d[{i}]") for i in y]
-    blocks += [w.control.block(f"W_u[{i}]", f"Wu_in[{i}]", f"z_u[{i}]") for i in u]
-    wiring: dict[str, dict[str, float]] = {}
-    for i in u:
-        wiring |= {f"plant[{i}]": {i: 1.0, f"dbar[{i}]": 1.0}, f"Wdbar_in[{i}]": {f"w_dbar[{i}]": 1.0}}
-        wiring[f"Wu_in[{i}]"] = {i: 1.0}
-    for i in ref:
-        wiring |= {f"Wrbar_in[{i}]": {f"w_rbar[{i}]": 1.0}, f"Wr_in[{i}]": {f"w_r[{i}]": 1.0}}
-        wiring |= {f"WM_in[{i}]": {f"r[{i}]": 1.0}, f"z_y[{i}]": {i: 1.0, f"model[{i}]": -1.0}}
-        wiring[f"reference[{i}]"] = {f"rbar[{i}]": 1.0, f"r[{i}]": 1.0}
+    w, d = weights, _Diagram(plant)
+    d.weigh(w.input_disturbance, "W_dbar", "dbar", "w_dbar", u)
+    d.weigh(w.reference_rolloff, "W_rbar", "rbar", "w_rbar", ref)
+    d.weigh(w.model_matching, "W_r", "r", "w_r", ref)
+    d.weigh(w.reference_model, "W_M", "model", "r", ref)
+    d.weigh(w.output_noise, "W_d", "d", "w_d", y)
+    d.weigh(w.control, "W_u", "z_u", "", u)
     shown = [i for i in y if i in ref or w.auxiliary != 0.0]
-    for i in y:
-        wiring |= {f"Wd_in[{i}]": {f"w_d[{i}]": 1.0}, f"error[{i}]": {f"d[{i}]": 1.0, i: -1.0}}
-        if i not in ref and i in shown:
-            wiring[f"z_y[{i}]"] = {i: w.auxiliary}
-    inputs = [f"w_dbar[{i}]" for i in u] + [f"w_rbar[{i}]" for i in ref] + [f"w_r[{i}]" for i in ref]
-    outputs = [f"z_u[{i}]" for i in u] + [f"z_y[{i}]" for i in shown]
+    d.add("plant", u, own=1.0, dbar=1.0)
+    d.add("z_y", [i for i in shown if i not in ref], own=w.auxiliary)
+    d.add("z_y", ref, own=1.0, model=-1.0)
+    d.add("reference", ref, rbar=1.0, r=1.0)
+    d.add("error", y, d=1.0, own=-1.0)
     return connect(
-        blocks,
-        wiring,
-        [*inputs, *(f"w_d[{i}]" for i in y), *u],
-        [*outputs, *(f"reference[{i}]" for i in ref), *(f"error[{i}]" for i in y)],
+        d.blocks,
+        d.wiring,
+        [*_each("w_dbar", u), *_each("w_rbar", ref), *_each("w_r", ref), *_each("w_d", y), *u],
+        [*_each("z_u", u), *_each("z_y", shown), *_each("reference", ref), *_each("error", y)],
     )
 
 
@@ -227,39 +214,25 @@ def one_degree_plant(
         Inputs ``w_v[u]``, ``w_r[y]``, then the controls ``u``; outputs ``z_u[u]``, ``z_y[y]``, then ``error[y]``.
     """
     y, u, ref = list(plant.output_labels), list(plant.input_labels), list(references)
-    w = weights
+    w, d = weights, _Diagram(plant)
     shown = [i for i in y if i in ref or w.auxiliary != 0.0]
-    blocks = [_inner_plant(plant)]
-    blocks += [w.input_disturbance.block(f"W_v[{i}]", f"Wv_in[{i}]", f"v[{i}]") for i in u]
-    blocks += [w.output_noise.block(f"W_r[{i}]", f"Wr_in[{i}]", f"r[{i}]") for i in y]
-    blocks += [w.control.block(f"W_u[{i}]", f"Wu_in[{i}]", f"z_u[{i}]") for i in u]
-    blocks += [w.output.block(f"W_y[{i}]", f"Wy_in[{i}]", f"z_y[{i}]") for i in shown]
-    wiring: dict[str, dict[str, float]] = {}
-    for i in u:
-        wiring |= {
-            f"plant[{i}]": {i: 1.0, f"v[{i}]": 1.0},
-            f"Wv_in[{i}]": {f"w_v[{i}]": 1.0},
-            f"Wu_in[{i}]": {i: 1.0},
-        }
-    for i in y:
-        wiring |= {f"Wr_in[{i}]": {f"w_r[{i}]": 1.0}, f"error[{i}]": {f"r[{i}]": 1.0, i: -1.0}}
-    for i in shown:
-        wiring[f"Wy_in[{i}]"] = {i: 1.0 if i in ref else w.auxiliary}
+    d.weigh(w.input_disturbance, "W_v", "v", "w_v", u)
+    d.weigh(w.output_noise, "W_r", "r", "w_r", y)
+    d.weigh(w.control, "W_u", "z_u", "", u)
+    d.weigh(w.output, "W_y", "z_y", "", shown)
+    d.add("plant", u, own=1.0, v=1.0)
+    d.add("error", y, r=1.0, own=-1.0)
+    d.add("W_y_in", [i for i in shown if i not in ref], own=w.auxiliary)
     return connect(
-        blocks,
-        wiring,
-        [*(f"w_v[{i}]" for i in u), *(f"w_r[{i}]" for i in y), *u],
-        [*(f"z_u[{i}]" for i in u), *(f"z_y[{i}]" for i in shown), *(f"error[{i}]" for i in y)],
+        d.blocks,
+        d.wiring,
+        [*_each("w_v", u), *_each("w_r", y), *u],
+        [*_each("z_u", u), *_each("z_y", shown), *_each("error", y)],
     )
 
 
-# ----------------------------------------------------------------------------
-# What shapes the designs: weights, scaling, limits. The defaults, and how scaling follows from a vehicle's authority.
-#
-# Reasons stand in docs/control.md. The weights of heave-yaw are eq. 6.4 but for W_r and W_M; those of roll-pitch and
-# velocity, which the thesis does not print, are chosen here.
-
-
+# The weights of heave-yaw are eq. 6.4 but for W_r and W_M; those of roll-pitch and velocity, which the thesis does not
+# print, are chosen here. Reasons stand in docs/control.md.
 # W_r without its factor 1e-4, and its zero at 4 instead of 1 rad/s; W_M at 9 instead of 14 rad/s.
 HEAVE_YAW_WEIGHTS = TwoDegreeWeights(
     model_matching=TransferFunction((1.0, 18.0, 56.0), (1.0, 14.0, 0.0014)),

@@ -1,7 +1,7 @@
 """How does it move? Equations of motion, trim, linearisation, simulation, wind and ground."""
 
 from mufly.dynamics.equilibrium import HoverPerformance, Trim, hover_performance, trim
-from mufly.dynamics.linearisation import Linearisation, linearise
+from mufly.dynamics.linearisation import Linearisation, linearise, submodel
 from mufly.dynamics.model import battery_state, derivative, lowest_point, standing_height
 from mufly.dynamics.parameters import PARAMETERS, hover_speeds, model_parameters
 from mufly.dynamics.simulation import (
@@ -50,5 +50,6 @@ __all__ = [
     "simulate",
     "standing_height",
     "state_dataset",
+    "submodel",
     "trim",
 ]

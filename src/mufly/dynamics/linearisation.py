@@ -13,6 +13,7 @@ that rolls (tilt_roll).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import control
@@ -104,38 +105,33 @@ def linearise(vehicle: Vehicle, at: Trim | None = None, *, voltage: float | None
     full = control.ss(
         A, B, np.eye(n), np.zeros((n, 4)), states=STATES, inputs=INPUTS, outputs=STATES, name="full"
     )
+    vertical = ["z", "w", "psi", "r", "Omega_dw", "Omega_up"]
+    tilting = ["phi", "theta", "p", "q", "a_dw", "b_dw", "bar_roll", "bar_pitch"]
     return Linearisation(
         trim=point,
         full=full,
-        heave_yaw=_part(
-            A, B, "heave_yaw", ["z", "w", "psi", "r", "Omega_dw", "Omega_up"], INPUTS[:2], ["z", "psi", "r"]
-        ),
-        roll_pitch=_part(
-            A,
-            B,
-            "roll_pitch",
-            ["phi", "theta", "p", "q", "a_dw", "b_dw", "bar_roll", "bar_pitch"],
-            INPUTS[2:],
-            ["phi", "theta", "p", "q"],
-        ),
+        heave_yaw=submodel(full, vertical, INPUTS[:2], ["z", "psi", "r"], name="heave_yaw"),
+        roll_pitch=submodel(full, tilting, INPUTS[2:], ["phi", "theta", "p", "q"], name="roll_pitch"),
     )
 
 
-def _part(
-    A: NDArray[np.float64],
-    B: NDArray[np.float64],
-    name: str,
-    states: list[str],
-    inputs: list[str],
-    outputs: list[str],
+def submodel(
+    full: control.StateSpace,
+    states: Sequence[str],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    *,
+    name: str | None = None,
 ) -> control.StateSpace:
-    i = [STATES.index(s) for s in states]
-    j = [INPUTS.index(s) for s in inputs]
+    """Return the part of a linear model that some states and inputs make, the others held; outputs are states."""
+    i, j = (
+        [known.index(s) for s in some]
+        for known, some in ((full.state_labels, states), (full.input_labels, inputs))
+    )
     C = np.array([[float(s == o) for s in states] for o in outputs])
     D = np.zeros((len(outputs), len(inputs)))
-    return control.ss(
-        A[np.ix_(i, i)], B[np.ix_(i, j)], C, D, states=states, inputs=inputs, outputs=outputs, name=name
-    )
+    labels = {"states": list(states), "inputs": list(inputs), "outputs": list(outputs), "name": name}
+    return control.ss(full.A[np.ix_(i, i)], full.B[np.ix_(i, j)], C, D, **labels)
 
 
 def _minimal(x: NDArray[np.float64], heading: float) -> NDArray[np.float64]:
