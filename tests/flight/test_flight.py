@@ -45,7 +45,7 @@ def fly_it(flight: Flight) -> None:
     ended = None
     while ended is None or flight.time_s < ended + 0.5:
         flight.tick()
-        if ended is None and flight.autopilot.software.finished:
+        if ended is None and flight.autopilot.software.mission_state.finished:
             ended = flight.time_s
 
 

@@ -74,12 +74,12 @@ class Bench:
 
     def take_off(self) -> None:
         self.run(0.02, START)
-        self.run(15.0, until=lambda: self.software.state == "hover")
-        assert self.software.state == "hover"
+        self.run(15.0, until=lambda: self.software.mission_state.state == "hover")
+        assert self.software.mission_state.state == "hover"
         assert self.height == pytest.approx(1.0, abs=0.05)
 
     def texts(self) -> str:
-        return " | ".join(f"{e.state}: {e.text}" for e in self.software.events)
+        return " | ".join(f"{e.state}: {e.text}" for e in self.software.mission_state.events)
 
 
 @pytest.fixture
@@ -90,7 +90,7 @@ def bench(vehicle: Vehicle, controller: FlightController) -> Bench:
 def test_a_pilot_takes_off_steers_and_lets_go(bench: Bench) -> None:
     hands_off = Command(rc=True)
     bench.run(1.0, hands_off)
-    assert bench.software.state == "rc"
+    assert bench.software.mission_state.state == "rc"
     assert np.all(np.array(bench.sent) == 0.0), "the rotors wait for the stick"
     bench.run(9.0, Command(rc=True, climb=0.3))
     assert bench.height > 0.8
@@ -106,10 +106,10 @@ def test_a_pilot_takes_off_steers_and_lets_go(bench: Bench) -> None:
     bench.run(2.0, Command(rc=True, yaw_rate=0.5))
     assert bench.seen[-1].attitude[2] - heading == pytest.approx(1.0, abs=0.15)
     bench.run(5.0)
-    assert bench.software.state == "hover"
+    assert bench.software.mission_state.state == "hover"
     assert np.linalg.norm(bench.plant.state[3:6]) < 0.02
-    bench.run(30.0, LAND, until=lambda: bench.software.finished)
-    assert bench.software.state == "init"
+    bench.run(30.0, LAND, until=lambda: bench.software.mission_state.finished)
+    assert bench.software.mission_state.state == "init"
     assert bench.height == pytest.approx(standing_height(load_vehicle("mufly-1.1")), abs=0.01)
     assert bench.plant.crashed == ""
 
@@ -118,7 +118,7 @@ def test_a_pilot_interrupts_a_mission_and_hands_it_back(bench: Bench) -> None:
     bench.take_off()
     bench.run(1.0, Command(rc=True))
     bench.run(3.0)
-    assert bench.software.state == "hover"
+    assert bench.software.mission_state.state == "hover"
     bench.run(0.02, START)
     bench.run(20.0, until=lambda: "waypoint 1 reached" in bench.texts())
     assert bench.plant.state[0] == pytest.approx(1.0, abs=0.05)
@@ -175,7 +175,7 @@ def test_users_waypoint_is_flown_to_and_held(bench: Bench) -> None:
     bench.take_off()
     bench.run(0.02, Command(waypoint=(0.0, -1.0, -0.6)))
     bench.run(20.0)
-    assert bench.software.state == "hover"
+    assert bench.software.mission_state.state == "hover"
     np.testing.assert_allclose(bench.plant.state[0:3], [0.0, -1.0, -0.6], atol=0.02)
     bench.run(0.1, Command(waypoint=(0.0, 0.0, 0.5)))
     assert "refused" in bench.texts()
@@ -186,11 +186,15 @@ def test_users_waypoint_is_flown_to_and_held(bench: Bench) -> None:
 def test_lands_on_the_signal_and_flies_again(bench: Bench) -> None:
     bench.take_off()
     bench.run(0.02, LAND)
-    bench.run(20.0, until=lambda: bench.software.finished)
-    assert (bench.software.outcome, bench.software.reason) == ("failed", "land signal with 1 waypoint to go")
+    bench.run(20.0, until=lambda: bench.software.mission_state.finished)
+    s = bench.software.mission_state
+    assert (s.outcome, s.reason) == (
+        "failed",
+        "land signal with 1 waypoint to go",
+    )
     assert np.all(bench.sent[-1] == 0.0)
     bench.take_off()
-    assert bench.software.outcome == ""
+    assert bench.software.mission_state.outcome == ""
     assert bench.plant.crashed == ""
 
 
@@ -218,7 +222,7 @@ def test_a_short_gap_is_bridged(bench: Bench, name: str) -> None:
     bench.take_off()
     bench.run(0.3, spoil=_without(name))
     bench.run(4.0)
-    assert bench.software.state in ("hover", "waypoint")
+    assert bench.software.mission_state.state in ("hover", "waypoint")
     assert np.all(np.isfinite(bench.sent))
     away = bench.plant.state[0:3] - bench.software.reference[0]
     assert np.linalg.norm(away) < 0.05
@@ -244,15 +248,15 @@ def test_lost_for_good_it_comes_down_without_railing(bench: Bench, spoil) -> Non
     def down() -> bool:
         if not touchdown and bench.height < 0.075:
             touchdown.append(float(np.linalg.norm(bench.plant.state[3:6])))
-        return bench.software.finished
+        return bench.software.mission_state.finished
 
     bench.run(20.0, spoil=spoil, until=down)
     sent = np.array(bench.sent[lost_at:])
     assert np.all(np.isfinite(sent))
     assert np.abs(sent[:, :2]).max() < 0.95
     assert np.abs(sent[:, 2:]).max() < 0.5
-    assert bench.software.outcome == "failed"
-    assert "measurement lost" in bench.software.reason
+    assert bench.software.mission_state.outcome == "failed"
+    assert "measurement lost" in bench.software.mission_state.reason
     assert bench.plant.crashed == ""
     assert touchdown[0] < 1.5
     np.testing.assert_array_equal(sent[-1], 0.0)
@@ -270,8 +274,8 @@ def test_what_it_does_not_need_may_be_missing(bench: Bench) -> None:
 def test_does_not_leave_the_floor_without_measurements(bench: Bench) -> None:
     bench.run(0.02, START)
     bench.run(0.5)
-    bench.run(10.0, spoil=_without("position"), until=lambda: bench.software.finished)
-    assert bench.software.outcome == "failed"
+    bench.run(10.0, spoil=_without("position"), until=lambda: bench.software.mission_state.finished)
+    assert bench.software.mission_state.outcome == "failed"
     assert bench.height < 0.08
 
 
@@ -314,7 +318,7 @@ def test_a_hover_survives_a_vertical_blow(
         gains["heave_slack"] = slack
         bench = Bench(vehicle, replace(controller, heave_yaw_gains=gains), high)
         bench.run(0.02, START)
-        bench.run(20.0, until=lambda bench=bench: bench.software.state == "hover")
+        bench.run(20.0, until=lambda bench=bench: bench.software.mission_state.state == "hover")
         bench.run(2.0)
         bench.plant.state[DOWN_SPEED] += blow_m_s
         bench.run(12.0)

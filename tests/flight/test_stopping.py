@@ -152,8 +152,7 @@ def test_another_first_waypoint_may_be_asked_for_during_the_take_off(flight: Fli
 def test_a_failed_flight_takes_no_mission_instead_of_landing(flight: Flight) -> None:
     a = hovering(flight)
     software = a.software
-    assert software.mission_state is not None
-    software._mission = replace(
+    software.mission_state = replace(
         software.mission_state, outcome="failed", reason="no way around", ready_s=flight.time_s + 1.0
     )
     answer = a.load_mission(Mission(name="other"))

@@ -40,11 +40,11 @@ class Flight:
 
     @property
     def visited(self):
-        return [e.state.value for e in self.state.events]
+        return [e.state for e in self.state.events]
 
     @property
     def text(self):
-        return " | ".join(f"{e.time_s:.1f} {e.state.value}: {e.text}" for e in self.state.events)
+        return " | ".join(f"{e.time_s:.1f} {e.state}: {e.text}" for e in self.state.events)
 
 
 def beams_from(x, attitude, beams):

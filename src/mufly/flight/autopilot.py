@@ -37,7 +37,6 @@ from mufly.mission import (
     Ask,
     Command,
     Mission,
-    MissionState,
     SetPoint,
     State,
     check_geometry,
@@ -150,7 +149,7 @@ class Autopilot:
         due = software.due
         actuators = software.step(estimate, self._wanted() if due or self._command.stop else NO_SIGNAL)
         if due:
-            if software.logged != self._logged:
+            if software.mission_state.logged != self._logged:
                 self._report()
             self._look_after()
         # While the software has its motors off, what it gives is zero too.
@@ -179,7 +178,7 @@ class Autopilot:
         """What follows from how the step went: disarming, and leaving offboard."""
         software = self.software
         ran, self._ran = self._ran, software.motors != "off"
-        if self._offboard and software.state not in ("offboard", "init"):
+        if self._offboard and software.mission_state.state not in ("offboard", "init"):
             self._offboard = False
         if not self._armed:
             return
@@ -262,7 +261,7 @@ class Autopilot:
         return bool(self._command.stop)
 
     def _stop(self, why: str) -> None:
-        idle = self.software.motors == "off" and self.software.state == "init"
+        idle = self.software.motors == "off" and self.software.mission_state.state == "init"
         self._disarm()
         self._sticks = None
         if idle:
@@ -273,7 +272,7 @@ class Autopilot:
     def _in_the_air(self) -> bool:
         """Off the floor: by how it is flown, and by height unless that is not known."""
         m, s = self._estimate, self.software.mission_state
-        if not self.software.flying or m is None or s is None:
+        if not self.software.flying or m is None:
             return False
         height = s.standing[2] - float(m.position[2])
         lies = height < 0.05 and float(np.abs(m.velocity).max()) < 0.1
@@ -295,7 +294,7 @@ class Autopilot:
     def status(self) -> FlightState:
         """How the vehicle is now, as far as it is known on board."""
         software = self.software
-        s = software.mission_state or MissionState()
+        s = software.mission_state
         in_air = s.state not in (State.INIT, State.RC)
         position, velocity, attitude = software.reference
         estimate = self._estimate or Estimate()
@@ -329,7 +328,7 @@ class Autopilot:
 
     def note(self, text: str, level: str = "info") -> None:
         """Put a line into the log of events."""
-        self._emit(Event(self._now, self.software.state, text, level))
+        self._emit(Event(self._now, str(self.software.mission_state.state), text, level))
 
     def events(self) -> list[Event]:
         """What happened since the last call; the latest thousand if nobody asked for long."""
@@ -338,11 +337,11 @@ class Autopilot:
         return out
 
     def _report(self) -> None:
-        events, logged = self.software.events, self.software.logged
+        events, logged = self.software.mission_state.events, self.software.mission_state.logged
         fresh = min(logged - self._logged, len(events)) if logged > self._logged else len(events)
         self._logged = logged
         for e in events[len(events) - fresh :]:
-            self._emit(Event(e.time_s, str(e.state), e.text, e.level))
+            self._emit(e)
 
     def _emit(self, event: Event) -> None:
         self._outbox.append(event)
@@ -380,7 +379,7 @@ class Autopilot:
             return later("no mission loaded; load one first")
         if first is not None and not 0 <= first < n:
             return never(f"waypoint {first} refused: the mission has 0 to {n - 1}")
-        if self.software.state == "init":
+        if self.software.mission_state.state == "init":
             answer = self._may_climb(Ask.START, self.software.plan.mission.take_off.height_m)
             if answer and self._estimate is not None:
                 fault = self._mission_fault(self._estimate)
@@ -416,7 +415,7 @@ class Autopilot:
     def set_speed(self, speed_m_s: float) -> Answer:
         """Horizontal speed from the next leg on: parameter LIM_SPEED."""
         answer = self.set_parameter("LIM_SPEED", speed_m_s)
-        underway = answer and self.software.state in ("waypoint", "obstacle")
+        underway = answer and self.software.mission_state.state in ("waypoint", "obstacle")
         return Answer(True, "from the next leg on") if underway else answer
 
     def return_home(self) -> Answer:
@@ -425,7 +424,7 @@ class Autopilot:
 
     def land(self) -> Answer:
         """Land where it comes to rest."""
-        if self.software.state == "landing":
+        if self.software.mission_state.state == "landing":
             return ACCEPTED
         return self._do(Ask.LAND, Command(land=True))
 
@@ -460,7 +459,7 @@ class Autopilot:
         if not on:
             if self._offboard:
                 self._offboard = False
-                if self.software.state == "offboard" and self._command == NO_SIGNAL:
+                if self.software.mission_state.state == "offboard" and self._command == NO_SIGNAL:
                     self._command = Command(pause=True)
             return ACCEPTED
         if self._now - self._set_point_s > SET_POINT_S or self._set_point is None:

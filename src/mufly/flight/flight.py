@@ -1,4 +1,14 @@
-"""Everything there is to see of a flight at one instant, for links and pictures."""
+"""A flight that ticks: the true helicopter, its autopilot and the recorder, one period of the controllers at a time.
+
+One period at time ``t_k``::
+
+    plant integrated from t_(k-1) to t_k under a_(k-2) and the wind
+    truth(t_k) --> sensors --> readings --> estimator --> estimate --> autopilot.step --> actuators a_k
+    a row of the recording, every second period
+
+The actuators a_k take effect at t_(k+1): the delay of one period is that of a processor that needs the period to
+compute. Nothing here knows of the clock on the wall: :func:`fly` ticks as fast as it can, a link in real time.
+"""
 
 from __future__ import annotations
 
@@ -34,94 +44,6 @@ from mufly.vehicle import Vehicle, load_vehicle, vehicle_toml
 from mufly.version import __version__
 
 _Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class FlightView:
-    """Everything there is to see of a flight at one instant; SI units, N-E-D.
-
-    Attributes
-    ----------
-    time_s : float
-    measured : Estimate
-    actuators : Actuators
-        What acts at this instant.
-    reference : tuple of three (3,) arrays
-        What is being followed: position, velocity, and roll, pitch, yaw.
-    state : (21,) array
-        The truth: state of the flight model (:mod:`mufly.dynamics.state`).
-    rotor_speed : (2,) array
-        Of it: upper, lower (rad/s).
-    wind : (3,) array
-        Velocity of the air (m/s).
-    battery_voltage, battery_current, battery_charge : float
-        V, A, 0..1.
-    battery_left_s : float
-        How long it will last until it lands for low voltage (s), with the current of late; on the floor, of hover.
-    crashed : str
-        What it hit, or "".
-    """
-
-    time_s: float
-    measured: Estimate
-    actuators: Actuators
-    reference: tuple[_Array, _Array, _Array]
-    state: _Array
-    rotor_speed: _Array
-    wind: _Array
-    battery_voltage: float
-    battery_current: float
-    battery_charge: float
-    battery_left_s: float
-    crashed: str
-
-    @property
-    def reference_position(self) -> _Array:
-        """N, E, D that is followed (m)."""
-        return self.reference[0]
-
-    @property
-    def reference_velocity(self) -> _Array:
-        """N, E, D that is followed (m/s)."""
-        return self.reference[1]
-
-    @property
-    def reference_attitude(self) -> _Array:
-        """Roll, pitch, yaw that is followed (rad)."""
-        return self.reference[2]
-
-    @property
-    def position(self) -> _Array:
-        """True N, E, D (m)."""
-        return self.state[0:3]
-
-    @property
-    def velocity(self) -> _Array:
-        """True N, E, D (m/s)."""
-        return self.state[3:6]
-
-    @property
-    def attitude(self) -> _Array:
-        """True roll, pitch, yaw (rad, yaw in +-pi)."""
-        return euler_from_quaternion(self.state[6:10])
-
-    @property
-    def rates(self) -> _Array:
-        """True p, q, r (rad/s)."""
-        return self.state[10:13]
-
-
-# ----------------------------------------------------------------------------
-# A flight that ticks: the true helicopter, its autopilot and the recorder, one period of the controllers at a time.
-#
-# One period at time ``t_k``::
-#
-#     plant integrated from t_(k-1) to t_k under a_(k-2) and the wind
-#     truth(t_k) --> sensors --> readings --> estimator --> estimate --> autopilot.step --> actuators a_k
-#     a row of the recording, every second period
-#
-# The delay of one period is that of a processor that needs the period to compute. Nothing here knows of the clock on
-# the wall: :func:`mufly.flight.fly` ticks as fast as it can, a link in real time.
 
 
 RECORD_HZ = 100.0
@@ -269,7 +191,13 @@ class Flight:
         self._sent = autopilot.step(self._estimate)
         if k % self._every == 0:
             software = autopilot.software
-            self._write(self._truth, self._readings, self._acting, software.reference, software.state)
+            self._write(
+                self._truth,
+                self._readings,
+                self._acting,
+                software.reference,
+                str(software.mission_state.state),
+            )
         if plant.crashed:
             self._after_crash()
 
@@ -286,8 +214,7 @@ class Flight:
         self.autopilot.note(text, level)
 
     def _record(self, event: Event) -> None:
-        mission = self.autopilot.software.mission_state
-        self._mission_flown |= mission is not None and mission.begun
+        self._mission_flown |= self.autopilot.software.mission_state.begun
         self.recorder.event(event.time_s, event.state, event.text, event.level)
 
     @property
@@ -354,12 +281,12 @@ class Flight:
 
     def judge(self) -> tuple[str, str]:
         """Outcome and reason of the flight as it stands."""
-        software = self.autopilot.software
+        s = self.autopilot.software.mission_state
         if self.plant.crashed:
             return "failed", self.plant.crashed
-        if software.outcome == "":
-            return "unfinished", f"in state {software.state!r} when it was ended"
-        return software.outcome, software.reason
+        return (
+            (s.outcome, s.reason) if s.outcome else ("unfinished", f"in state '{s.state}' when it was ended")
+        )
 
     def __enter__(self) -> Flight:
         return self
@@ -374,8 +301,82 @@ class Flight:
             self.recorder.__exit__(kind, error, trace)
 
 
-# ----------------------------------------------------------------------------
-# A mission flown to its end: a :class:`mufly.flight.Flight` that is armed, started and ticked until it is over.
+@dataclass(frozen=True, slots=True)
+class FlightView:
+    """Everything there is to see of a flight at one instant; SI units, N-E-D.
+
+    Attributes
+    ----------
+    time_s : float
+    measured : Estimate
+    actuators : Actuators
+        What acts at this instant.
+    reference : tuple of three (3,) arrays
+        What is being followed: position, velocity, and roll, pitch, yaw.
+    state : (21,) array
+        The truth: state of the flight model (:mod:`mufly.dynamics.state`).
+    rotor_speed : (2,) array
+        Of it: upper, lower (rad/s).
+    wind : (3,) array
+        Velocity of the air (m/s).
+    battery_voltage, battery_current, battery_charge : float
+        V, A, 0..1.
+    battery_left_s : float
+        How long it will last until it lands for low voltage (s), with the current of late; on the floor, of hover.
+    crashed : str
+        What it hit, or "".
+    """
+
+    time_s: float
+    measured: Estimate
+    actuators: Actuators
+    reference: tuple[_Array, _Array, _Array]
+    state: _Array
+    rotor_speed: _Array
+    wind: _Array
+    battery_voltage: float
+    battery_current: float
+    battery_charge: float
+    battery_left_s: float
+    crashed: str
+
+    @property
+    def reference_position(self) -> _Array:
+        """N, E, D that is followed (m)."""
+        return self.reference[0]
+
+    @property
+    def reference_velocity(self) -> _Array:
+        """N, E, D that is followed (m/s)."""
+        return self.reference[1]
+
+    @property
+    def reference_attitude(self) -> _Array:
+        """Roll, pitch, yaw that is followed (rad)."""
+        return self.reference[2]
+
+    @property
+    def position(self) -> _Array:
+        """True N, E, D (m)."""
+        return self.state[0:3]
+
+    @property
+    def velocity(self) -> _Array:
+        """True N, E, D (m/s)."""
+        return self.state[3:6]
+
+    @property
+    def attitude(self) -> _Array:
+        """True roll, pitch, yaw (rad, yaw in +-pi)."""
+        return euler_from_quaternion(self.state[6:10])
+
+    @property
+    def rates(self) -> _Array:
+        """True p, q, r (rad/s)."""
+        return self.state[10:13]
+
+
+# A mission flown to its end
 
 
 PROGRESS_S = 0.1  # wall-clock time between two calls of on_progress
@@ -504,7 +505,9 @@ def _run(
             on_progress(_progress(flight, expected.duration_s, now - began))
         if realtime and flight.time_s > now - began:
             time.sleep(flight.time_s - (now - began))
-        if ended_at == math.inf and (software.finished or plant.crashed or flight.time_s > time_limit):
+        if ended_at == math.inf and (
+            software.mission_state.finished or plant.crashed or flight.time_s > time_limit
+        ):
             ended_at = flight.time_s
     return time.perf_counter() - began
 
@@ -514,7 +517,7 @@ def _progress(flight: Flight, expected_s: float, wall_s: float) -> Progress:
     return Progress(
         time_s=flight.time_s,
         expected_s=expected_s,
-        state=flight.autopilot.software.state,
+        state=str(flight.autopilot.software.mission_state.state),
         position=plant.state[0:3].copy(),
         battery_V=float(plant.voltage),
         battery_charge=float(plant.state[20]),
@@ -525,6 +528,6 @@ def _progress(flight: Flight, expected_s: float, wall_s: float) -> Progress:
 def _judge(flight: Flight) -> tuple[str, str]:
     outcome, reason = flight.judge()
     if outcome == "unfinished":
-        state = flight.autopilot.software.state
+        state = flight.autopilot.software.mission_state.state
         return "failed", f"the mission was not over after {flight.time_s:.0f} s (state: {state})"
     return outcome, reason

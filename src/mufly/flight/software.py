@@ -1,4 +1,22 @@
-"""The low level of the flight software: controllers with their state, from references to actuators."""
+"""The flight software: what runs on board, as a function of time steps.
+
+``step(estimate, command) -> actuators``, called at the control design's rate. It knows nothing of the simulator.
+The mission logic runs in every n-th step, with the position cascade (50 Hz), and says what the motors are to do and
+what to follow:
+
+=========== =========================================================================================
+off         motors and servos at rest
+spin_up     motor inputs rise to 0.9 of hover, too little to lift off; servos at trim
+fly         heave-yaw controller; from 2 cm above the floor also roll-pitch and, every n-th step, position
+ramp_down   after touchdown motor inputs fall to zero
+blind       the estimate is lost: servos at trim, which the stabiliser bar makes a level attitude, and motor
+            voltages a little below those of the last second, until the floor has come
+=========== =========================================================================================
+
+Between two steps of the mission logic its reference is carried on at the reference velocity. Where the mission asks
+for more than the controllers can follow, it is flown more slowly (:mod:`mufly.mission.check`). Estimates that are
+missing or frozen are bridged for half a second (:func:`mufly.estimate.watch`), then the flight is given up.
+"""
 
 from __future__ import annotations
 
@@ -25,10 +43,8 @@ from mufly.mission import (
     RAMP_DOWN_S,
     SPIN_UP_S,
     Command,
-    Event,
     Limits,
     Mission,
-    MissionPlan,
     MissionState,
     Reference,
     State,
@@ -45,19 +61,11 @@ from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.floating[Any]]
 
-HEAVE_YAW_TUNED = (
-    "heave_bandwidth",
-    "heave_acceleration",
-    "heave_speed",
-    "yaw_bandwidth",
-    "yaw_acceleration",
-    "yaw_rate",
-)
-POSITION_TUNED = ("position_gain", "speed_limit", "tilt_limit")
-"""Numbers of the control law that may change in flight: limits, and gains outside of the H-infinity controllers."""
+LIFT_OFF_M = 0.02
+LOST_S = 0.5
+"""How long a measurement may be missing or frozen in flight (s)."""
 
-RETUNE_S = 0.5
-"""Time constant with which a changed number is gone over to (s): a step of a gain would be a step of the output."""
+_LEARN_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +92,252 @@ class Actuators:
     def array(self) -> _Array:
         """The input of the flight model: motor upper, motor lower, servo 1, servo 2."""
         return np.concatenate((self.motor_input, self.servo_input))
+
+
+class FlightSoftware:
+    """Mission logic and controllers of one vehicle.
+
+    ``plan`` is the mission as it is flown, ``asked`` as it was loaded; ``slower`` says in words which of its limits
+    were brought down to what the controllers can follow. ``mission_state`` is what the state machine remembers.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        For its range ring and battery limit.
+    controller : FlightController
+        From :func:`mufly.control.design`.
+    mission : Mission
+        Checked.
+
+    Raises
+    ------
+    InputError
+        If the mission does not suit the vehicle.
+    """
+
+    def __init__(self, vehicle: Vehicle, controller: FlightController, mission: Mission) -> None:
+        self._vehicle = vehicle
+        self._controller = controller
+        self.change(mission)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the flight: before the first step."""
+        controller = self._controller
+        self._period_s = 1.0 / controller.rate_Hz
+        self._every = controller.position_divider
+        self.mission_state = MissionState()
+        self._reference = Reference(np.zeros(3), np.zeros(3), np.zeros(3), 0.0, 0.0, "off")
+        self._command = NO_SIGNAL
+        self._ticks = 0
+        self._motors = "off"
+        self._since_s = 0.0
+        self._motor_input: _Array = np.zeros(2)
+        self._tilt: _Array = np.zeros(2)
+        self._controllers = Controllers(controller)
+        self._released: _Array = np.zeros(2)
+        self._floor, self._lifted = 0.0, False
+        self._late_s = 0.0
+        self._watch: Watch | None = None
+        # Motor voltages, averaged over the last second of flight.
+        self._held_up: _Array = np.zeros(2)
+
+    def change(self, mission: Mission) -> None:
+        """Fly by another mission's limits from now on; its waypoints and index have to be those of the present one.
+
+        Raises
+        ------
+        InputError
+            If it does not suit the vehicle; nothing has changed then.
+        """
+        flown, slower = slowed(mission, able(self._controller))
+        self.plan = prepare(flown, self._vehicle)
+        self.asked, self.slower = mission, slower
+
+    def load(self, mission: Mission) -> None:
+        """Take another mission, from its first waypoint on, when it is started.
+
+        Raises
+        ------
+        InputError
+            If it does not suit the vehicle; nothing has changed then.
+        """
+        self.change(mission)
+        if self._watch is not None:
+            n = len(mission.waypoint)
+            s = log(
+                self.mission_state,
+                f"{mission.name or 'a mission'}: {n} waypoint{'s' if n != 1 else ''} loaded",
+            )
+            s = replace(s, index=0, begun=False)
+            # A flight that goes on is one without a mission until that is started.
+            flying = s.state is not State.INIT
+            self.mission_state = replace(s, outcome="", reason="", manual=True, quit="") if flying else s
+
+    def retune(self, controller: FlightController) -> None:
+        """Go over to other numbers of the same control law, without a bump."""
+        self._controller = controller
+        self._controllers.retune(controller)
+        self.change(self.asked)
+
+    @property
+    def due(self) -> bool:
+        """Whether the next step runs the mission logic, which hears the user's signals."""
+        return self._ticks % self._every == 0
+
+    @property
+    def motors(self) -> str:
+        """What the motors do: the table above."""
+        return self._motors
+
+    @property
+    def flying(self) -> bool:
+        """Whether it is off the floor."""
+        return self._lifted and self._motors in ("fly", "blind")
+
+    @property
+    def reference(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """What is being followed: position, velocity (N-E-D), and roll, pitch, yaw."""
+        r = self._reference
+        heading = r.heading + self._late_s * r.heading_rate
+        return r.position + self._late_s * r.velocity, r.velocity, np.array([*self._tilt, heading])
+
+    def step(self, estimate: Estimate, command: Command) -> Actuators:
+        """Advance by one period.
+
+        Parameters
+        ----------
+        estimate : Estimate
+        command : Command
+            The user's signals; one given between two steps of the mission logic is kept for the next.
+
+        Returns
+        -------
+        Actuators
+        """
+        first = self._watch is None
+        self._watch = watch(self._watch, estimate, self._period_s, self.plan.ring.max_range)
+        m = self._watch.good
+        if first:
+            self.mission_state = begin(self.plan, m)
+        if command is not NO_SIGNAL and command != NO_SIGNAL:
+            self._command = command
+        if command.stop:
+            return self._stop_at_once(command.stop, m)
+        self._late_s = (self._ticks % self._every) * self._period_s
+        self._ticks += 1
+        if self._lost(self._watch):
+            return self._sink_blindly(self._watch)
+        if self._late_s == 0.0:
+            self.mission_state, self._reference = step(self.plan, self.mission_state, m, self._command)
+            self._command = NO_SIGNAL
+        r = self._reference
+        if r.motors != self._motors:
+            self._switch(r.motors, m)
+        if r.motors == "fly":
+            return self._fly(r, m)
+        return self._on_the_floor(r.motors, m)
+
+    def _stop_at_once(self, why: str, m: Estimate) -> Actuators:
+        self._ticks += 1
+        self.mission_state = stop_at_once(replace(self.mission_state, time_s=m.time_s), why)
+        self._reference = replace(
+            self._reference, velocity=np.zeros(3), heading_rate=0.0, motors="off", rc=False
+        )
+        self._command, self._motors, self._lifted, self._late_s = NO_SIGNAL, "off", False, 0.0
+        self._motor_input, self._tilt = np.zeros(2), np.zeros(2)
+        return Actuators.idle()
+
+    def _lost(self, w: Watch) -> bool:
+        """Whether it flies without knowing where it is or how it moves; it does not come back from that."""
+        if self._motors == "blind":
+            return True
+        # While the motors are off it stands still, and a repeated measurement is no fault.
+        running_s = w.good.time_s - self._since_s if self._motors in ("spin_up", "fly") else 0.0
+        return min(w.lost_s, running_s) > LOST_S
+
+    def _sink_blindly(self, w: Watch) -> Actuators:
+        now = w.good.time_s
+        if self._motors != "blind":
+            self._motors = "blind"
+            self._since_s = now + (self._way_down_s(w.good) if self._lifted else 0.0)
+            self.mission_state = blind(self.mission_state, now, f"measurement lost: {w.what}")
+            self._reference = replace(self._reference, motors="blind", velocity=np.zeros(3), heading_rate=0.0)
+            self._tilt, self._command = np.zeros(2), NO_SIGNAL
+        left_s = self._since_s + RAMP_DOWN_S - now
+        if left_s <= 0.0:
+            self.mission_state = down_blind(self.mission_state, now)
+            self._reference = replace(self._reference, motors="off")
+            self._motors, self._motor_input = "off", np.zeros(2)
+        else:
+            self._motor_input = sink(self._held_up, left_s, w.good.battery_voltage)
+        return Actuators(self._motor_input, np.zeros(2))
+
+    def _way_down_s(self, m: Estimate) -> float:
+        height = self.mission_state.standing[2] - float(m.position[2])
+        return way_down_s(height, float(self._controller.position_gains["gravity"]))
+
+    def _switch(self, motors: str, m: Estimate) -> None:
+        """Engage or release the controllers without a bump."""
+        if motors == "fly":
+            self._controllers.engage(m, self._motor_input)
+            self._floor, self._lifted = float(m.position[2]), False
+            self._held_up = self._controller.motor_trim * self._controller.voltage_V
+        elif motors == "spin_up":
+            self._held_up, self._lifted = np.zeros(2), False
+        self._motors, self._since_s = motors, m.time_s
+        self._released = self._motor_input
+
+    def _on_the_floor(self, motors: str, m: Estimate) -> Actuators:
+        elapsed = m.time_s - self._since_s
+        if motors == "spin_up":
+            hover_V = self._controller.motor_trim * self._controller.voltage_V
+            self._motor_input = spin_up(hover_V, elapsed, m.battery_voltage)
+        elif motors == "ramp_down":
+            self._motor_input = ramp_down(self._released, elapsed)
+        else:
+            self._motor_input = np.zeros(2)
+        self._tilt = np.zeros(2)
+        return Actuators(self._motor_input, np.zeros(2))
+
+    def _fly(self, r: Reference, m: Estimate) -> Actuators:
+        if not self._lifted and m.position[2] < self._floor - LIFT_OFF_M:
+            self._lifted = True
+            self._controllers.lift_off(m)
+        if not self._lifted:
+            self._tilt = np.zeros(2)
+        elif r.rc:
+            self._tilt = np.array([r.roll, r.pitch])
+        elif self._late_s == 0.0:
+            self._tilt = self._controllers.tilt_for(m, r.position, r.velocity, r.acceleration)
+        down, turn = float(r.velocity[2]), r.heading_rate
+        heave_yaw = np.array(
+            [r.position[2] + self._late_s * down, r.heading + self._late_s * turn, down, turn]
+        )
+        actuators = self._controllers.step(m, heave_yaw, self._tilt if self._lifted else None)
+        self._motor_input = actuators.motor_input
+        if self._late_s == 0.0:
+            blend = self._every * self._period_s / _LEARN_S
+            self._held_up += blend * (actuators.motor_input * m.battery_voltage - self._held_up)
+        return actuators
+
+
+# Controllers with their state, from references to actuators
+
+
+HEAVE_YAW_TUNED = (
+    "heave_bandwidth",
+    "heave_acceleration",
+    "heave_speed",
+    "yaw_bandwidth",
+    "yaw_acceleration",
+    "yaw_rate",
+)
+POSITION_TUNED = ("position_gain", "speed_limit", "tilt_limit")
+"""Numbers of the control law that may change in flight: limits, and gains outside of the H-infinity controllers."""
+
+RETUNE_S = 0.5
+"""Time constant with which a changed number is gone over to (s): a step of a gain would be a step of the output."""
 
 
 def able(controller: FlightController) -> Limits:
@@ -233,13 +487,11 @@ def _roll_pitch(m: Estimate) -> _Array:
     return np.array([m.attitude[0], m.attitude[1], m.rates[0], m.rates[1]])
 
 
-# ----------------------------------------------------------------------------
-# Motors without a controller: speeding up and running down on the floor, and coming down when measurements are lost.
+# Motors without a controller: speeding up and running down on the floor, and coming down when the estimate is lost
 #
 # Two rotors at a share s of the voltages that hold the helicopter up turn s times as fast and lift s^2 times as much.
 # Speeding up to 0.9 leaves a fifth of the weight on the legs. Sinking blindly at 0.98 the weight is 0.04 short: it
-# falls
-# at 0.04 g and touches down from 2 m at 1.3 m/s (drag left out).
+# falls at 0.04 g and touches down from 2 m at 1.3 m/s (drag left out).
 
 
 SPIN_UP_SHARE = 0.9
@@ -276,300 +528,3 @@ def sink(held_up_V: _Array, left_s: float, battery_V: float) -> _Array:
 def way_down_s(height_m: float, gravity: float) -> float:
     """How long a blind way down takes from a height (m), with a second to spare (s); ``gravity`` in m/s2."""
     return math.sqrt(2.0 * max(0.0, height_m) / ((1.0 - SINK_SHARE**2) * gravity)) + _MARGIN_S
-
-
-# ----------------------------------------------------------------------------
-# The flight software: what runs on board, as a function of time steps.
-#
-# ``step(measurement, command) -> actuators``, called at the control design's rate. It knows nothing of the simulator.
-# The mission logic runs in every n-th step, with the position cascade (50 Hz), and says what the motors are to do and
-# what to follow:
-#
-# =========== =========================================================================================
-# off         motors and servos at rest
-# spin_up     motor inputs rise to 0.9 of hover, too little to lift off; servos at trim
-# fly         heave-yaw controller; from 2 cm above the floor also roll-pitch and, every n-th step, position
-# ramp_down   after touchdown motor inputs fall to zero
-# blind       measurements are lost: servos at trim, which the stabiliser bar makes a level attitude, and motor
-#             voltages a little below those of the last second, until the floor has come
-# =========== =========================================================================================
-#
-# Between two steps of the mission logic its reference is carried on at the reference velocity. Where the mission asks
-# for more than the controllers can follow, it is flown more slowly (:mod:`mufly.mission.check`). Measurements that
-# are
-# missing or frozen are bridged for half a second (:mod:`mufly.flight.software`), then the flight is given up.
-
-
-LIFT_OFF_M = 0.02
-LOST_S = 0.5
-"""How long a measurement may be missing or frozen in flight (s)."""
-
-_LEARN_S = 1.0
-
-
-class FlightSoftware:
-    """Mission logic and controllers of one vehicle.
-
-    ``slower`` says in words which of the mission's limits were brought down to what the controllers can follow.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        For its range ring and battery limit.
-    controller : FlightController
-        From :func:`mufly.control.design`.
-    mission : Mission
-        Checked.
-
-    Raises
-    ------
-    InputError
-        If the mission does not suit the vehicle.
-    """
-
-    def __init__(self, vehicle: Vehicle, controller: FlightController, mission: Mission) -> None:
-        self._vehicle = vehicle
-        self._controller = controller
-        self.change(mission)
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the flight: before the first step."""
-        controller = self._controller
-        self._period_s = 1.0 / controller.rate_Hz
-        self._every = controller.position_divider
-        self._mission: MissionState | None = None
-        self._reference = Reference(np.zeros(3), np.zeros(3), np.zeros(3), 0.0, 0.0, "off")
-        self._command = NO_SIGNAL
-        self._ticks = 0
-        self._motors = "off"
-        self._since_s = 0.0
-        self._motor_input: NDArray[np.floating[Any]] = np.zeros(2)
-        self._tilt: NDArray[np.floating[Any]] = np.zeros(2)
-        self._controllers = Controllers(controller)
-        self._released: NDArray[np.floating[Any]] = np.zeros(2)
-        self._floor, self._lifted = 0.0, False
-        self._late_s = 0.0
-        self._watch: Watch | None = None
-        # Motor voltages, averaged over the last second of flight.
-        self._held_up: NDArray[np.floating[Any]] = np.zeros(2)
-
-    def change(self, mission: Mission) -> None:
-        """Fly by another mission's limits from now on; its waypoints and index have to be those of the present one.
-
-        Raises
-        ------
-        InputError
-            If it does not suit the vehicle; nothing has changed then.
-        """
-        flown, slower = slowed(mission, able(self._controller))
-        self._plan = prepare(flown, self._vehicle)
-        self.asked, self.slower = mission, slower
-
-    def load(self, mission: Mission) -> None:
-        """Take another mission, from its first waypoint on, when it is started.
-
-        Raises
-        ------
-        InputError
-            If it does not suit the vehicle; nothing has changed then.
-        """
-        self.change(mission)
-        if self._mission is not None:
-            n = len(mission.waypoint)
-            s = log(
-                self._mission, f"{mission.name or 'a mission'}: {n} waypoint{'s' if n != 1 else ''} loaded"
-            )
-            s = replace(s, index=0, begun=False)
-            # A flight that goes on is one without a mission until that is started.
-            flying = s.state is not State.INIT
-            self._mission = replace(s, outcome="", reason="", manual=True, quit="") if flying else s
-
-    def retune(self, controller: FlightController) -> None:
-        """Go over to other numbers of the same control law, without a bump."""
-        self._controller = controller
-        self._controllers.retune(controller)
-        self.change(self.asked)
-
-    @property
-    def plan(self) -> MissionPlan:
-        """The mission as it is flown."""
-        return self._plan
-
-    @property
-    def mission_state(self) -> MissionState | None:
-        """What the mission's state machine remembers; None before the first step."""
-        return self._mission
-
-    @property
-    def due(self) -> bool:
-        """Whether the next step runs the mission logic, which hears the user's signals."""
-        return self._ticks % self._every == 0
-
-    @property
-    def motors(self) -> str:
-        """What the motors do: the table above."""
-        return self._motors
-
-    @property
-    def flying(self) -> bool:
-        """Whether it is off the floor."""
-        return self._lifted and self._motors in ("fly", "blind")
-
-    @property
-    def state(self) -> str:
-        """State of the mission (Fig. 6.15)."""
-        return "init" if self._mission is None else str(self._mission.state)
-
-    @property
-    def finished(self) -> bool:
-        """Whether the mission is over and the motors are off."""
-        return self._mission is not None and self._mission.finished
-
-    @property
-    def outcome(self) -> str:
-        """``"succeeded"``, ``"failed"``, or ``""`` while it is open."""
-        return "" if self._mission is None else self._mission.outcome
-
-    @property
-    def reason(self) -> str:
-        """Why it failed."""
-        return "" if self._mission is None else self._mission.reason
-
-    @property
-    def events(self) -> tuple[Event, ...]:
-        """The latest changes of state, with their reasons; a mission of some dozens of waypoints has no more."""
-        return () if self._mission is None else self._mission.events
-
-    @property
-    def logged(self) -> int:
-        """How many events there have been in all."""
-        return 0 if self._mission is None else self._mission.logged
-
-    @property
-    def reference(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """What is being followed: position, velocity (N-E-D), and roll, pitch, yaw."""
-        r = self._reference
-        heading = r.heading + self._late_s * r.heading_rate
-        return r.position + self._late_s * r.velocity, r.velocity, np.array([*self._tilt, heading])
-
-    def step(self, estimate: Estimate, command: Command) -> Actuators:
-        """Advance by one period.
-
-        Parameters
-        ----------
-        estimate : Estimate
-        command : Command
-            The user's signals; one given between two steps of the mission logic is kept for the next.
-
-        Returns
-        -------
-        Actuators
-        """
-        self._watch = watch(self._watch, estimate, self._period_s, self._plan.ring.max_range)
-        m = self._watch.good
-        if self._mission is None:
-            self._mission = begin(self._plan, m)
-        if command is not NO_SIGNAL and command != NO_SIGNAL:
-            self._command = command
-        if command.stop:
-            return self._stop_at_once(command.stop, m)
-        self._late_s = (self._ticks % self._every) * self._period_s
-        self._ticks += 1
-        if self._lost(self._watch):
-            return self._sink_blindly(self._watch)
-        if self._late_s == 0.0:
-            self._mission, self._reference = step(self._plan, self._mission, m, self._command)
-            self._command = NO_SIGNAL
-        r = self._reference
-        if r.motors != self._motors:
-            self._switch(r.motors, m)
-        if r.motors == "fly":
-            return self._fly(r, m)
-        return self._on_the_floor(r.motors, m)
-
-    def _stop_at_once(self, why: str, m: Estimate) -> Actuators:
-        assert self._mission is not None
-        self._ticks += 1
-        self._mission = stop_at_once(replace(self._mission, time_s=m.time_s), why)
-        self._reference = replace(
-            self._reference, velocity=np.zeros(3), heading_rate=0.0, motors="off", rc=False
-        )
-        self._command, self._motors, self._lifted, self._late_s = NO_SIGNAL, "off", False, 0.0
-        self._motor_input, self._tilt = np.zeros(2), np.zeros(2)
-        return Actuators.idle()
-
-    def _lost(self, w: Watch) -> bool:
-        """Whether it flies without knowing where it is or how it moves; it does not come back from that."""
-        if self._motors == "blind":
-            return True
-        # While the motors are off it stands still, and a repeated measurement is no fault.
-        running_s = w.good.time_s - self._since_s if self._motors in ("spin_up", "fly") else 0.0
-        return min(w.lost_s, running_s) > LOST_S
-
-    def _sink_blindly(self, w: Watch) -> Actuators:
-        assert self._mission is not None
-        now = w.good.time_s
-        if self._motors != "blind":
-            self._motors = "blind"
-            self._since_s = now + (self._way_down_s(w.good) if self._lifted else 0.0)
-            self._mission = blind(self._mission, now, f"measurement lost: {w.what}")
-            self._reference = replace(self._reference, motors="blind", velocity=np.zeros(3), heading_rate=0.0)
-            self._tilt, self._command = np.zeros(2), NO_SIGNAL
-        left_s = self._since_s + RAMP_DOWN_S - now
-        if left_s <= 0.0:
-            self._mission = down_blind(self._mission, now)
-            self._reference = replace(self._reference, motors="off")
-            self._motors, self._motor_input = "off", np.zeros(2)
-        else:
-            self._motor_input = sink(self._held_up, left_s, w.good.battery_voltage)
-        return Actuators(self._motor_input, np.zeros(2))
-
-    def _way_down_s(self, m: Estimate) -> float:
-        assert self._mission is not None
-        height = self._mission.standing[2] - float(m.position[2])
-        return way_down_s(height, float(self._controller.position_gains["gravity"]))
-
-    def _switch(self, motors: str, m: Estimate) -> None:
-        """Engage or release the controllers without a bump."""
-        if motors == "fly":
-            self._controllers.engage(m, self._motor_input)
-            self._floor, self._lifted = float(m.position[2]), False
-            self._held_up = self._controller.motor_trim * self._controller.voltage_V
-        elif motors == "spin_up":
-            self._held_up, self._lifted = np.zeros(2), False
-        self._motors, self._since_s = motors, m.time_s
-        self._released = self._motor_input
-
-    def _on_the_floor(self, motors: str, m: Estimate) -> Actuators:
-        elapsed = m.time_s - self._since_s
-        if motors == "spin_up":
-            hover_V = self._controller.motor_trim * self._controller.voltage_V
-            self._motor_input = spin_up(hover_V, elapsed, m.battery_voltage)
-        elif motors == "ramp_down":
-            self._motor_input = ramp_down(self._released, elapsed)
-        else:
-            self._motor_input = np.zeros(2)
-        self._tilt = np.zeros(2)
-        return Actuators(self._motor_input, np.zeros(2))
-
-    def _fly(self, r: Reference, m: Estimate) -> Actuators:
-        if not self._lifted and m.position[2] < self._floor - LIFT_OFF_M:
-            self._lifted = True
-            self._controllers.lift_off(m)
-        if not self._lifted:
-            self._tilt = np.zeros(2)
-        elif r.rc:
-            self._tilt = np.array([r.roll, r.pitch])
-        elif self._late_s == 0.0:
-            self._tilt = self._controllers.tilt_for(m, r.position, r.velocity, r.acceleration)
-        down, turn = float(r.velocity[2]), r.heading_rate
-        heave_yaw = np.array(
-            [r.position[2] + self._late_s * down, r.heading + self._late_s * turn, down, turn]
-        )
-        actuators = self._controllers.step(m, heave_yaw, self._tilt if self._lifted else None)
-        self._motor_input = actuators.motor_input
-        if self._late_s == 0.0:
-            blend = self._every * self._period_s / _LEARN_S
-            self._held_up += blend * (actuators.motor_input * m.battery_voltage - self._held_up)
-        return actuators

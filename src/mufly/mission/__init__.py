@@ -20,7 +20,6 @@ from mufly.mission.schema import LOWEST_M, SPIN_UP_S, Leg, Mission, Waypoint, le
 from mufly.mission.state import (
     NO_SIGNAL,
     Command,
-    Event,
     MissionPlan,
     MissionState,
     Reference,
@@ -45,7 +44,6 @@ __all__ = [
     "Answer",
     "Ask",
     "Command",
-    "Event",
     "Leg",
     "Limits",
     "Mission",

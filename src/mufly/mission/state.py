@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError
 from mufly.estimate import Estimate
+from mufly.logs.layout import Event
 from mufly.mission.avoidance import Detour, Memory, Ring, ring
 from mufly.mission.offboard import SetPoint, Tracker
 from mufly.mission.schema import Mission
@@ -118,16 +119,6 @@ class Reference:
     rc: bool = False
     roll: float = 0.0
     pitch: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """One entry of the mission's log: when, the state from then on, why, and "info", "warning" or "error"."""
-
-    time_s: float
-    state: State
-    text: str
-    level: str = "info"
 
 
 # ----------------------------------------------------------------------------
@@ -322,7 +313,7 @@ def begin(plan: MissionPlan, estimate: Estimate) -> MissionState:
         standing=(n, e, d),
         heading=float(estimate.attitude[2]),
         battery_V=float(estimate.battery_voltage),
-        events=(Event(estimate.time_s, State.INIT, f"ready for {plan.mission.name}"),),
+        events=(Event(estimate.time_s, str(State.INIT), f"ready for {plan.mission.name}"),),
         logged=1,
     )
 
@@ -333,7 +324,7 @@ LOG_KEPT = 256
 
 def log(s: MissionState, text: str, state: State | None = None, level: str = "info") -> MissionState:
     """The state with one more entry in its log."""
-    entry = Event(s.time_s, state or s.state, text, level)
+    entry = Event(s.time_s, str(state or s.state), text, level)
     return replace(s, events=(*s.events[1 - LOG_KEPT :], entry), logged=s.logged + 1)
 
 
