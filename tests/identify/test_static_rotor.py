@@ -231,7 +231,7 @@ def test_predictions_stand_beside_what_they_predict():
     p = predict(loads, blading, density_kg_m3=1.2)
     assert_allclose(p.error["thrust"], 0.1, rtol=1e-9)
     assert_allclose(p.error["torque"], 0.0, atol=1e-9)
-    with pytest.raises(InputError, match="--spacing"):
+    with pytest.raises(InputError, match="spacing_m"):
         predict(corrected_loads(table(pair(1.1))), blading, density_kg_m3=1.2)
     two = {k: v[:2] for k, v in pair(1.1).items()}
     both = predict(corrected_loads(table(two)), blading, density_kg_m3=1.2, pitch_rad=0.2, spacing_m=0.04)

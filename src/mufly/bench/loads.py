@@ -112,62 +112,38 @@ def corrected_loads(table: BenchTable, calibration: Calibration | None = None) -
     if not drifts:
         notes.append("no reading at zero speed: the zero of the load cells is taken on trust")
     running, t = table.where(turning), time[turning]
-    values: dict[str, Array] = {}
-    slopes: dict[str, list[tuple[int, Array]]] = {}
-    blocks: list[Array] = []
-    at = 0
+    values = {name: running[name] for name in direct}
+    inverse, blocks = np.eye(len(direct)), []
     if calibration is not None:
-        at = _calibrated(calibration, running, t, drifts, values, slopes, blocks)
-    for channel in direct:
-        y = running[channel]
-        values[channel], slopes[channel] = y, []
-        if channel in drifts:
-            d = drifts[channel]
-            values[channel] = y - d.at(t)
-            slopes[channel] = [(at, -d.basis(t))]
-            blocks.append(d.spread.covariance)
-            at += d.coefficients.size
-    by = {}
-    for channel, parts in slopes.items():
-        by[channel] = np.zeros((t.size, at))
-        for first, part in parts:
-            by[channel][:, first : first + part.shape[1]] = part
-    systematic = joined(*blocks) if blocks else np.zeros((0, 0))
-    return Loads(running, values, by, systematic, drifts, table.where(at_rest), tuple(notes))
-
-
-def _calibrated(
-    c: Calibration, running: BenchTable, t: Array, drifts: dict[str, ZeroDrift], values: dict[str, Array],
-    slopes: dict[str, list[tuple[int, Array]]], blocks: list[Array],
-) -> int:  # fmt: skip
-    """Add the calibrated channels; return how many common numbers there are."""
-    n, k = len(running), len(c.channels)
-    readings = np.column_stack([running[f"{name}_raw"] for name in c.channels])
-    zero = np.column_stack(
-        [
-            drifts[name].at(t) if name in drifts else np.full(n, c.offset[i])
-            for i, name in enumerate(c.channels)
+        zero = [
+            drifts[c].at(t) if c in drifts else np.full(t.size, b)
+            for c, b in zip(known, calibration.offset, strict=True)
         ]
-    )
-    loads = c.loads(readings, zero)
-    inverse = np.linalg.inv(c.sensitivity)
-    blocks.append(c.covariance)
-    at = c.covariance.shape[0]
-    for j, name in enumerate(c.channels):
-        values[name] = loads[:, j]
-        part = np.zeros((n, k, k + 1))
-        for i, sensor in enumerate(c.channels):
-            if sensor not in drifts:
-                part[:, i, 0] = -inverse[j, i]
+        loads = calibration.loads(
+            np.column_stack([running[f"{c}_raw"] for c in known]), np.column_stack(zero)
+        )
+        values = dict(zip(known, loads.T, strict=True)) | values
+        inverse = joined(np.linalg.inv(calibration.sensitivity), inverse)
+        blocks = [calibration.covariance]
+    k, start = len(known), sum(len(b) for b in blocks)
+    blocks += [drifts[c].spread.covariance for c in values if c in drifts]
+    systematic = joined(*blocks) if blocks else np.zeros((0, 0))
+    by = {name: np.zeros((t.size, len(systematic))) for name in values}
+    for j, name in enumerate(known):
+        part = by[name][:, :start].reshape(t.size, k, k + 1)
+        for i, sensor in enumerate(known):
+            part[:, i, 0] = 0.0 if sensor in drifts else -inverse[j, i]
             part[:, i, 1:] = -inverse[j, i] * loads
-        slopes[name] = [(0, part.reshape(n, -1))]
-    for i, sensor in enumerate(c.channels):
+        by[name][:, :start] = part.reshape(t.size, start)
+    for i, sensor in enumerate(values):
         if sensor in drifts:
-            for j, name in enumerate(c.channels):
-                slopes[name].append((at, -inverse[j, i] * drifts[sensor].basis(t)))
-            blocks.append(drifts[sensor].spread.covariance)
-            at += drifts[sensor].coefficients.size
-    return at
+            d = drifts[sensor]
+            if sensor in direct:
+                values[sensor] = values[sensor] - d.at(t)
+            for j, name in enumerate(values):
+                by[name][:, start : start + d.coefficients.size] = -inverse[j, i] * d.basis(t)
+            start += d.coefficients.size
+    return Loads(running, values, by, systematic, drifts, table.where(at_rest), tuple(notes))
 
 
 def _drift_words(table: BenchTable, channel: str, d: ZeroDrift, t: Array, *, raw: bool) -> str:
@@ -198,10 +174,6 @@ def air_density(table: BenchTable, density_kg_m3: float | None) -> tuple[Array, 
         rho = table["pressure"] / (287.05 * (table["temperature"] + 273.15))
         return rho, f"density {rho.mean():.4g} kg/m3 from temperature and pressure (dry air)"
     return np.full(n, 1.2), "density 1.2 kg/m3 assumed: every coefficient is wrong by as much as it is"
-
-
-# ----------------------------------------------------------------------------
-# What blade element momentum theory says of the very points that the bench measured: single rotors and pairs.
 
 
 @dataclass(frozen=True, eq=False)

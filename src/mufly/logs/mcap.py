@@ -15,7 +15,7 @@ import struct
 import zlib
 from array import array
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -229,43 +229,25 @@ def read_mcap(path: str | Path) -> McapContents:
         raise InputError(where, "", "is empty", "give a recording (.mcap)")
     if not data.startswith(MAGIC):
         raise InputError(where, "", "is not an MCAP file", "give a recording (.mcap)")
-    contents, topics = McapContents(), {}
-    take: dict[int, Callable[[bytes], Any]] = {}
-
-    def channel(content: bytes) -> None:
-        record = records.Channel.read(_stream(content))
-        topics[record.id] = contents.messages.setdefault(record.topic, [])
-
-    def message(content: bytes) -> None:
-        number, _, time_ns, _ = struct.unpack_from("<HIQQ", content)
-        topics[number].append((time_ns, content[_MESSAGE_HEAD:]))
-
-    def chunk(content: bytes) -> None:
-        record = records.Chunk.read(_stream(content))
-        plain = _unpack(record)
-        if record.uncompressed_crc and zlib.crc32(plain) != record.uncompressed_crc:
-            raise ValueError("checksum")
-        for opcode, inner in _walk(plain, 0):
-            if opcode in (Opcode.CHANNEL, Opcode.MESSAGE):
-                take[opcode](inner)
-
-    def metadata(content: bytes) -> None:
-        record = records.Metadata.read(_stream(content))
-        contents.metadata[record.name] = record.metadata
-
-    def attachment(content: bytes) -> None:
-        record = records.Attachment.read(_stream(content))
-        contents.attachments[record.name] = record.data
-
-    take |= {Opcode.CHANNEL: channel, Opcode.MESSAGE: message, Opcode.CHUNK: chunk}
-    take |= {Opcode.METADATA: metadata, Opcode.ATTACHMENT: attachment}
+    contents = McapContents()
+    topics: dict[int, list[tuple[int, bytes]]] = {}
     try:
         for opcode, content in _walk(data, len(MAGIC)):
-            if opcode == Opcode.FOOTER:
+            if opcode == Opcode.MESSAGE:
+                number, _, time_ns, _ = struct.unpack_from("<HIQQ", content)
+                topics[number].append((time_ns, content[_MESSAGE_HEAD:]))
+            elif opcode == Opcode.CHANNEL:
+                channel = records.Channel.read(_stream(content))
+                topics[channel.id] = contents.messages.setdefault(channel.topic, [])
+            elif opcode == Opcode.METADATA:
+                metadata = records.Metadata.read(_stream(content))
+                contents.metadata[metadata.name] = metadata.metadata
+            elif opcode == Opcode.ATTACHMENT:
+                attachment = records.Attachment.read(_stream(content))
+                contents.attachments[attachment.name] = attachment.data
+            elif opcode == Opcode.FOOTER:
                 contents.complete = data.endswith(MAGIC)
                 break
-            if opcode in take:
-                take[opcode](content)
     except Exception:  # A damaged record can fail in any way; what came before it is sound.
         contents.complete = False
     return contents
@@ -275,20 +257,26 @@ def _stream(content: bytes) -> ReadDataStream:
     return ReadDataStream(BytesIO(content))
 
 
-def _unpack(record: records.Chunk) -> bytes:
-    if record.compression == "zstd":
-        return zstandard.ZstdDecompressor().decompress(record.data, max_output_size=record.uncompressed_size)
-    if record.compression:
-        raise ValueError(f"compression {record.compression}")
-    return bytes(record.data)
-
-
 def _walk(data: bytes, offset: int) -> Iterator[tuple[int, bytes]]:
-    """Yield (opcode, content) of each whole record; stops where the data end."""
+    """Yield (opcode, content) of each whole record, those inside chunks too; stops where the data end."""
     while offset + 9 <= len(data):
         opcode, length = struct.unpack_from("<BQ", data, offset)
-        stop = offset + 9 + length
-        if stop > len(data):
+        start, offset = offset + 9, offset + 9 + length
+        if offset > len(data):
             return
-        yield opcode, data[offset + 9 : stop]
-        offset = stop
+        if opcode == Opcode.CHUNK:
+            yield from _walk(_unpack(records.Chunk.read(_stream(data[start:offset]))), 0)
+        else:
+            yield opcode, data[start:offset]
+
+
+def _unpack(chunk: records.Chunk) -> bytes:
+    """Return the records of a chunk; ValueError if its checksum or its compression is none of ours."""
+    plain = bytes(chunk.data)
+    if chunk.compression == "zstd":
+        plain = zstandard.ZstdDecompressor().decompress(plain, max_output_size=chunk.uncompressed_size)
+    elif chunk.compression:
+        raise ValueError(f"compression {chunk.compression}")
+    if chunk.uncompressed_crc and zlib.crc32(plain) != chunk.uncompressed_crc:
+        raise ValueError("checksum")
+    return plain

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +19,10 @@ from mufly.logs.mapping import ColumnMap, load_map, raw_field
 from mufly.logs.quality import ChannelReport, channels_of, check_channels
 from mufly.logs.read import channels_in, joined, open_log
 from mufly.logs.topics import GAP_FACTOR, Channel, ClockReport, RawLog, check_clock, resample
-from mufly.quantities import is_held
+from mufly.quantities import SOURCES, is_held
+from mufly.units import factor_of
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _Columns = str | Path | Mapping[str, Any] | Sequence[str] | ColumnMap | None
@@ -233,50 +233,42 @@ _LOOK = {
     "truth": ("#222222", "-"), "measured": ("#0072B2", "-"), "estimated": ("#009E73", "-"),
     "reference": ("#D55E00", "--"),
 }  # fmt: skip
-_WORDS = {"truth": "true"}
-_DEGREES = {"rad": ("deg", 180 / math.pi), "rad/s": ("deg/s", 180 / math.pi)}
+_DEGREES = {"rad": "deg", "rad/s": "deg/s"}
 # More points than a picture has columns are drawn as the extremes of each column.
 _COLUMNS = 3000
 _ORDER = ("attitude", "rates", "position", "velocity", "acceleration", "rotor_speed", "inputs", "battery")
 _INPUTS = ("motor_input", "servo_input", "actuator_control", "actuator_output", "pilot_input")
 
 
-def _kind(name: str) -> str:
-    """The picture that a channel belongs to."""
-    if "/" in name:
-        return name.rpartition("/")[0].strip("/").replace("/", "_")
-    variable = name.partition(".")[0]
-    prefix, _, rest = variable.partition("_")
-    if prefix in _LOOK and rest:
-        return rest
-    if variable in _INPUTS:
-        return "inputs"
-    return "battery" if prefix == "battery" else "others" if "." not in name else variable
+class _Place(NamedTuple):
+    """Where a channel is drawn: the picture, the panel in it, whose it is ("" if only one side knows), its legend."""
+
+    picture: str
+    panel: str
+    source: str
+    legend: str
+
+
+def _place(c: Channel) -> _Place:
+    if "/" in c.name:
+        topic, _, field = c.name.rpartition("/")
+        return _Place(topic.strip("/").replace("/", "_"), re.split(r"[\[.]", field)[0], "", field)
+    source, _, rest = c.variable.partition("_")
+    panel = c.label or c.variable.replace("_", " ")
+    if source in SOURCES and rest:
+        return _Place(rest, panel, source, SOURCES[source])
+    alone = "battery" if source == "battery" else c.variable if c.label else "others"
+    picture = "inputs" if c.variable in _INPUTS else alone
+    return _Place(picture, c.variable.replace("_", " "), "", panel)
 
 
 def grouped(channels: Sequence[Channel]) -> dict[str, list[Channel]]:
     """Sort channels into pictures: ``{"attitude": [...], "inputs": [...], ...}``, in a fixed order."""
     groups: dict[str, list[Channel]] = {}
     for channel in channels:
-        groups.setdefault(_kind(channel.name), []).append(channel)
+        groups.setdefault(_place(channel).picture, []).append(channel)
     rank = {k: i for i, k in enumerate(_ORDER)}
     return dict(sorted(groups.items(), key=lambda g: rank.get(g[0], len(_ORDER))))
-
-
-def _panels(channels: Sequence[Channel]) -> dict[tuple[str, str], list[Channel]]:
-    """Panels of a picture: one a component for signals that lie on each other, one a variable or unit otherwise."""
-    panels: dict[tuple[str, str], list[Channel]] = {}
-    for c in channels:
-        variable, _, label = c.name.partition(".")
-        unit = "" if c.units == "1" else c.units
-        if "/" in c.name:
-            key = (c.name.rpartition("/")[2].partition("[")[0].partition(".")[0], unit)
-        elif variable.partition("_")[0] in _LOOK and label:
-            key = (label, unit)
-        else:
-            key = (variable.replace("_", " "), unit)
-        panels.setdefault(key, []).append(c)
-    return panels
 
 
 def spectrum(time: _Array, values: _Array) -> tuple[_Array, _Array]:
@@ -344,16 +336,24 @@ def draw_channels(channels: Sequence[Channel], *, title: str = "", spectra: bool
     import matplotlib
     from matplotlib.figure import Figure
 
-    panels = _panels(channels)
+    # One panel a component for signals that lie on each other, one a variable or unit otherwise.
+    panels: dict[tuple[str, str], list[Channel]] = {}
+    for c in channels:
+        panels.setdefault((_place(c).panel, "" if c.units == "1" else c.units), []).append(c)
     with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=(8.5, 0.7 + 1.75 * len(panels)), layout="constrained")
         axes = np.atleast_1d(figure.subplots(len(panels), 1, sharex=True))
         drawn, above = 0, [""]
         for ax, ((name, unit), members) in zip(axes, panels.items(), strict=True):
-            shown, scale = _DEGREES.get(unit, (unit, 1.0))
-            several = len({c.name.partition(".")[0] for c in members}) > 1 or len(members) == 1
+            shown = _DEGREES.get(unit, unit)
+            scale = factor_of(unit, shown) if shown != unit else 1.0
+            several = len({c.variable for c in members}) > 1 or len(members) == 1
+            legends = [_place(c).legend for c in members]
             for k, c in enumerate(members):
-                colour, dash = _look(c, k, several)
+                source = _place(c).source
+                colour, dash = _COLOURS[k % len(_COLOURS)], "-" if k < len(_COLOURS) else "--"
+                if several and source:
+                    colour, dash = _LOOK[source]
                 if spectra:
                     try:
                         x, y = spectrum(c.time, c.values * scale)
@@ -362,46 +362,22 @@ def draw_channels(channels: Sequence[Channel], *, title: str = "", spectra: bool
                     keep = y > 0
                     if not keep.any():
                         continue
-                    ax.loglog(x[keep], y[keep], dash, color=colour, label=_label(c))
+                    ax.loglog(x[keep], y[keep], dash, color=colour, label=legends[k])
                 else:
                     t, y = _thinned(c.time, c.values * scale)
                     style = "steps-post" if is_held(c.name) and len(t) <= 2 * _COLUMNS else "default"
-                    ax.plot(t, y, dash, color=colour, label=_label(c), drawstyle=style)
+                    ax.plot(t, y, dash, color=colour, label=legends[k], drawstyle=style)
                 drawn += 1
             text = name[:1].upper() + name[1:] if len(name) > 1 else name
             density = f"(({shown})²/Hz)" if "/" in shown else f"({shown}²/Hz)" if shown else "(1/Hz)"
             inner = density if spectra else f"({shown})" if shown else ""
             ax.set_ylabel(f"{text}\n{inner}".rstrip())
-            labels = [_label(c) for c in members]
-            named = len(labels) == 1 and labels[0].lower() == name.lower()
-            if labels != above and not named:  # what holds for every panel is said once
-                _legend(ax)
-            above = labels
+            named = len(legends) == 1 and legends[0].lower() == name.lower()
+            if legends != above and not named and ax.get_lines():  # what holds for every panel is said once
+                ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
+            above = legends
         if spectra and not drawn:
             raise ArgumentError("spectra", "", "no channel is long enough", "choose a longer part")
         axes[-1].set_xlabel("Frequency (Hz)" if spectra else "Time (s)")
         axes[0].set_title(title)
     return figure
-
-
-def _look(channel: Channel, number: int, overlay: bool) -> tuple[str, str]:
-    prefix = channel.name.partition("_")[0]
-    if overlay and prefix in _LOOK and "/" not in channel.name:
-        return _LOOK[prefix]
-    return _COLOURS[number % len(_COLOURS)], "-" if number < len(_COLOURS) else "--"
-
-
-def _label(channel: Channel) -> str:
-    if "/" in channel.name:
-        return channel.name.rpartition("/")[2]
-    variable, _, label = channel.name.partition(".")
-    prefix = variable.partition("_")[0]
-    if prefix in _LOOK:
-        return _WORDS.get(prefix, prefix)
-    return label or variable.replace("_", " ")
-
-
-def _legend(ax: Axes) -> None:
-    handles, labels = ax.get_legend_handles_labels()
-    if handles:
-        ax.legend(handles, labels, loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)

@@ -140,15 +140,16 @@ def _separator(lines: list[str]) -> str:
     return max(found, key=lambda c: found[c], default=",")
 
 
-def _is_number(cell: str, decimal: str = ".") -> bool:
-    text = cell.replace(",", ".") if decimal == "," else cell
-    if text.lower() in _MISSING:
-        return True
+def _number(cell: str, decimal: str = ".") -> float:
+    """Return the number in a cell, NaN if there is none."""
     try:
-        float(text)
+        return float(cell.replace(",", ".") if decimal == "," else cell)
     except ValueError:
-        return False
-    return True
+        return float("nan")
+
+
+def _is_number(cell: str, decimal: str) -> bool:
+    return cell.lower() in _MISSING or not np.isnan(_number(cell, decimal))
 
 
 def _parse(where: str, body: str, separator: str, width: int) -> Any:
@@ -186,20 +187,12 @@ def _column(series: Any, decimal: str) -> tuple[NDArray[Any], int]:
     except ValueError:
         pass
     texts = [str(c).strip() for c in cells]
-    swapped = [t.replace(",", ".") for t in texts] if decimal == "," else texts
-    numbers = np.array([_number(t) for t in swapped])
+    numbers = np.array([_number(t, decimal) for t in texts])
     filled = np.array([t.lower() not in _MISSING for t in texts])
     bad = int((filled & np.isnan(numbers)).sum())
     if bad > 0.5 * filled.sum():
         return np.array(texts, dtype=str), 0
     return numbers, bad
-
-
-def _number(cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        return float("nan")
 
 
 def table_clock(
