@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mufly.cli.options import Commands, JsonOption
+from mufly.cli.options import Commands
 from mufly.cli.present import console, print_json, print_table, say, tell_files, writing
 from mufly.errors import InputError
 
@@ -48,7 +48,7 @@ def design(
             help="Write singular value plots (PNG, as thesis Figs 6.3 to 6.8) and design.json there.",
         ),
     ] = None,
-    as_json: JsonOption = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON and nothing else.")] = False,
 ) -> None:
     """Design heave-yaw, roll-pitch and position control, and set them beside the thesis's.
 

@@ -1,9 +1,7 @@
-"""``mufly identify flight``: the flight model fitted to flight records."""
+"""``mufly identify``: a vehicle's parameters from flights: the flight model, a known vehicle flown, linear models."""
 
 from __future__ import annotations
 
-import datetime
-import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -13,22 +11,34 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mufly.cli import identify_bench
-from mufly.cli.options import Commands, JsonOption, one_of
-from mufly.cli.present import check_file, check_folder, console, print_json, print_table, progress_bar
+from mufly.cli.options import Commands, JsonOption, one_of, today, write_vehicle
+from mufly.cli.present import (
+    check_file,
+    check_folder,
+    console,
+    print_estimates,
+    print_json,
+    print_table,
+    progress_bar,
+    say,
+    tell_files,
+)
 from mufly.errors import InputError
+from mufly.results import plain
 
 if TYPE_CHECKING:
-    from mufly.identify import Demo, Estimate, Fit, LinearResult, Progress, Record
-    from mufly.vehicle import Vehicle
+    from mufly.identify import Demo, Fit, LinearResult, Progress, Record
 
 _PARTS = ("both", "heave-yaw", "roll-pitch", "split")
 
 
-def add_flight(app: typer.Typer) -> None:
-    """Register the command with the group ``mufly identify``."""
-    app.command("flight")(flight)
+app = Commands(
+    help="Find a vehicle's parameters: from bench data, from flights, and plan the flights that show them.",
+    no_args_is_help=True,
+)
 
 
+@app.command()
 def flight(
     logs: Annotated[
         list[Path], typer.Argument(metavar="LOG...", help="Flight records that `mufly log` reads: MCAP, CSV, ULog, ...")
@@ -128,8 +138,7 @@ def flight(
         parts = [cut(r, hold_out_share) for r in records]
         records, held = [p[0] for p in parts], [p[1] for p in parts]
     if not as_json:
-        for w in (*said, *more):
-            console().print(f"Note: {w}", style="yellow", highlight=False)
+        say(*said, *more, mark="Note", style="yellow")
     measured = sorted({o for r in records for o in r.outputs})
     symbols = [s.strip() for s in free.split(",") if s.strip()]
     wanted = choose_free(start, symbols, measured, delay_s=delay_ms / 1e3)
@@ -139,14 +148,14 @@ def flight(
         for path in kept:
             path.unlink(missing_ok=True)
     elif any(p.exists() for p in kept) and not as_json:
-        console().print(f"Going on from {keep}.", highlight=False)
+        say(f"Going on from {keep}.")
     options: dict[str, Any] = {
         "held_out": held, "voltage": _voltage(voltage), "delay_s": delay_ms / 1e3, "prior": not no_prior,
         "window_s": window, "method": method, "seed": seed, "restarts": restarts, "checkpoint": keep,
         "outputs": chosen,
     }  # fmt: skip
     try:
-        with on_cluster(cluster), fit_progress(not as_json) as on_progress:
+        with on_cluster(cluster), _fit_progress(not as_json) as on_progress:
             if part == "split":
                 fit = fit_split(start, wanted, records, on_progress=on_progress, **options)
             else:
@@ -155,17 +164,18 @@ def flight(
         where = "" if keep is None else f"; the same command goes on from {keep}"
         typer.secho(f"mufly: stopped{where}", fg=typer.colors.YELLOW, err=True)
         raise typer.Exit(130) from None
-    written = _write(start, fit, logs, out)
-    page = written_report(fit, report, not as_json)
+    note = f"identified {today()} from {', '.join(p.name for p in logs)}"
+    written = write_vehicle(start, fit.estimates, out, note, "--out")
+    page = _report(fit, report, not as_json)
     for path in kept:
         path.unlink(missing_ok=True)
     if as_json:
         print_json(_json(fit))
         return
-    _print(fit)
-    for what, place in (("Vehicle", written), ("Report", page)):
-        if place is not None:
-            console().print(f"{what}: {place}", highlight=False)
+    print_estimates(fit.estimates, fit.vehicle)
+    _print_rest(fit)
+    tell_files(written, "Vehicle")
+    tell_files(page, "Report")
 
 
 def _voltage(text: str) -> str | float:
@@ -193,12 +203,11 @@ def _read(paths: list[Path], columns: Path | None, prefix: str) -> tuple[list[Re
 
 
 @contextmanager
-def fit_progress(shown: bool) -> Iterator[Callable[[Progress], None] | None]:
+def _fit_progress(shown: bool) -> Iterator[Callable[[Progress], None] | None]:
     """Show stage, iteration, cost, parameters and an upper bound of the time left, on standard error."""
     if not shown:
         yield None
         return
-    from rich.console import Console
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
@@ -206,7 +215,7 @@ def fit_progress(shown: bool) -> Iterator[Callable[[Progress], None] | None]:
         TextColumn("{task.description}"), BarColumn(bar_width=20), TimeElapsedColumn(), TextColumn("at most"),
         TimeRemainingColumn(), TextColumn("left"),
     )  # fmt: skip
-    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+    with Bar(*columns, console=console(stderr=True), transient=True) as bar:
         task, values = bar.add_task("start", total=None), bar.add_task("", total=None, visible=False)
 
         def show(p: Progress) -> None:
@@ -219,66 +228,30 @@ def fit_progress(shown: bool) -> Iterator[Callable[[Progress], None] | None]:
         yield show
 
 
-def _write(start: Vehicle, fit: Fit, logs: list[Path], out: Path | None) -> Path | None:
-    if out is None:
-        return None
-    from mufly.identify import with_estimates
-    from mufly.vehicle import vehicle_toml
-
-    today = datetime.date.today().isoformat()
-    note = f"identified {today} from {', '.join(p.name for p in logs)}"
-    made = with_estimates(start, fit.estimates, note)
-    try:
-        out.write_text(vehicle_toml(made), encoding="utf-8")
-    except OSError as error:
-        raise InputError("--out", str(out), f"cannot be written ({error})", "give another file") from error
-    return out
-
-
-def written_report(fit: Fit, folder: Path | None, shown: bool) -> Path | None:
-    """Write the report of a fit, with a bar if ``shown``; return its page, None without a folder."""
+def _report(fit: Fit, folder: Path | None, shown: bool) -> list[Path]:
+    """Write the report of a fit, with a bar if ``shown``; return its page, nothing without a folder."""
     if folder is None:
-        return None
-
+        return []
     from mufly.identify import write_report
 
     with progress_bar("pictures", shown) as progress:
-        return write_report(fit, folder, progress=progress)
+        return [write_report(fit, folder, progress=progress)]
 
 
-def estimate_row(e: Estimate) -> tuple[str, ...]:
-    """Return a line of the table of estimates."""
-    share = f"{100 * e.std / abs(e.value):.2g} %" if e.value else f"{e.std:.2g}"
-    unit = "" if e.unit == "1" else e.unit
-    flag = "at bound" if e.at_bound else ""
-    return (e.symbol, unit, f"{e.start:.4g}", f"{e.value:.5g}", share, f"{e.low:.5g}", f"{e.high:.5g}", flag)
-
-
-_HEADS = ("parameter", "unit", "start", "estimate", "std", "95 % from", "to", "")
-
-
-def _print(fit: Fit) -> None:
-    print_table(_HEADS, [estimate_row(e) for e in fit.estimates], title=fit.vehicle, text=(0, 1, 7))
-    print_rest(fit)
-
-
-def print_rest(fit: Fit) -> None:
+def _print_rest(fit: Fit) -> None:
     """Print what stands below the table: what is not seen, errors by record, how the fit ended."""
-    say = console().print
-    for text in fit.unseen:
-        say(f"Not told apart: {text}.", style="yellow", highlight=False)
+    say(*(f"{text}." for text in fit.unseen), mark="Not told apart", style="yellow")
     rows = []
     for r in fit.records:
         ratios = zip(r.outputs, r.rms_over_noise(), strict=True)
         rows.append((r.name, r.role, ", ".join(f"{o} {v:.2f}" for o, v in ratios)))
     print_table(("record", "", "error over the sensor's noise (1: nothing else)"), rows, text=(0, 1, 2))
-    style = "green" if fit.converged else "red"
     state = "Converged" if fit.converged else "NOT converged"
     detail = "" if fit.message == "converged" else f" ({fit.message})"
     say(
         f"{state}{detail}: cost {fit.cost:.6g}, {fit.simulations} simulated flights, {fit.seconds:.1f} s",
-        style=style, highlight=False,
-    )  # fmt: skip
+        style="green" if fit.converged else "red",
+    )
 
 
 def _json(fit: Fit) -> dict[str, Any]:
@@ -287,11 +260,11 @@ def _json(fit: Fit) -> dict[str, Any]:
         "method": fit.method,
         "converged": fit.converged,
         "message": fit.message,
-        "parameters": [vars(e) for e in fit.estimates],
+        "parameters": fit.estimates,
         "correlation": fit.correlation,
-        "unseen": list(fit.unseen),
+        "unseen": fit.unseen,
         "records": [
-            {"name": r.name, "role": r.role, "outputs": list(r.outputs), "noise_std": r.noise_std,
+            {"name": r.name, "role": r.role, "outputs": r.outputs, "noise_std": r.noise_std,
              "error_over_noise": r.rms_over_noise()}
             for r in fit.records
         ],
@@ -301,15 +274,7 @@ def _json(fit: Fit) -> dict[str, Any]:
     }  # fmt: skip
 
 
-# ----------------------------------------------------------------------------
-# ``mufly identify demo``: a known vehicle flown, forgotten and found again.
-
-
-def add_demo(app: typer.Typer) -> None:
-    """Register the command with the group ``mufly identify``."""
-    app.command("demo")(demo)
-
-
+@app.command()
 def demo(
     seed: Annotated[int, typer.Option(metavar="K", help="Of pilot, noise and starts.", min=0)] = 0,
     method: Annotated[str, typer.Option(metavar="NAME", help="lm or cma.")] = "lm",
@@ -332,15 +297,14 @@ def demo(
     check_folder("--logs", logs)
     if logs is not None:
         _write_flights(logs, seed)
-    with fit_progress(not as_json) as on_progress:
+    with _fit_progress(not as_json) as on_progress:
         shown = run_demo(seed=seed, method=method, on_progress=on_progress)  # type: ignore[arg-type]
-    page = written_report(shown.fit, report, not as_json)
+    page = _report(shown.fit, report, not as_json)
     if as_json:
         print_json(shown.as_dict())
         return
     _print_demo(shown)
-    if page is not None:
-        console().print(f"Report: {page}", highlight=False)
+    tell_files(page, "Report")
 
 
 def _write_flights(folder: Path, seed: int) -> None:
@@ -355,40 +319,24 @@ def _write_flights(folder: Path, seed: int) -> None:
 
 
 def _print_demo(shown: Demo) -> None:
-    inside = shown.inside()
-    rows = []
-    for e in shown.fit.estimates:
-        true = shown.truth[e.symbol]
-        off = f"{100 * (e.value / true - 1):+.2f} %"
-        rows.append(
-            (
-                *estimate_row(e)[:4],
-                f"{true:.5g}",
-                off,
-                *estimate_row(e)[5:7],
-                "" if inside[e.symbol] else "outside",
-            )
-        )
-    heads = ("parameter", "unit", "start", "estimate", "truth", "off", "95 % from", "to", "")
-    print_table(heads, rows, title=f"Demonstration, seed {shown.seed}", text=(0, 1, 8))
-    print_rest(shown.fit)
-    say = console().print
+    inside, estimates = shown.inside(), shown.fit.estimates
+    beside = {
+        "truth": {k: f"{v:.5g}" for k, v in shown.truth.items()},
+        "off": {e.symbol: f"{100 * (e.value / shown.truth[e.symbol] - 1):+.2f} %" for e in estimates},
+        "": {k: "" if held else "outside" for k, held in inside.items()},
+    }
+    print_estimates(estimates, f"Demonstration, seed {shown.seed}", beside)
+    _print_rest(shown.fit)
     say(
         f"{sum(inside.values())} of {len(inside)} intervals hold the truth; prediction error of the flight that was "
-        f"not fitted is {shown.held_out_over_noise:.3f} of the sensors' noise.",
-        highlight=False,
+        f"not fitted is {shown.held_out_over_noise:.3f} of the sensors' noise."
     )
 
 
-# ----------------------------------------------------------------------------
-# ``mufly identify linear``: a linear model from a flight record, and how it predicts what it has not seen.
+identify_bench.add_to(app)
 
 
-def add_linear(app: typer.Typer) -> None:
-    """Register the command with the group ``mufly identify``."""
-    app.command("linear")(linear)
-
-
+@app.command()
 def linear(
     log: Annotated[
         Path, typer.Argument(metavar="LOG", help="CSV, MATLAB file, or any flight log that `mufly log` reads.")
@@ -438,7 +386,6 @@ def linear(
 
     Example: mufly identify linear flight.csv --inputs lat,lon,ped,col --outputs p,q,r --split 0.5 --out report
     """
-    from mufly.errors import InputError
     from mufly.identify.linear.identification import identify_linear
     from mufly.identify.record import read_columns
 
@@ -461,18 +408,17 @@ def linear(
             record, _names(inputs), _names(outputs), model=model, split=split, split_at_s=split_at,
             lowpass_hz=lowpass or None, rate_hz=rate or None, starts=starts, seed=seed, hold=hold, progress=progress,
         )  # fmt: skip
-    report = None
+    report = []
     if out is not None:
         from mufly.identify.report import write_linear_report
 
         with progress_bar("pictures", not as_json) as progress:
-            report = write_linear_report(result, out, progress=progress)
+            report.append(write_linear_report(result, out, progress=progress))
     if as_json:
-        print_json(_identify_linear_json(result))
-    else:
-        _identify_linear_print(result)
-        if report is not None:
-            console().print(f"Report: {report}", highlight=False)
+        print_json(_linear_json(result))
+        return
+    _print_linear(result)
+    tell_files(report, "Report")
 
 
 def _names(text: str) -> dict[str, str]:
@@ -489,73 +435,43 @@ def _columns(given: Sequence[str]) -> Mapping[str, Sequence[str]] | Sequence[str
     return arrays if arrays else [n for g in given for n in g.split(",")]
 
 
-def _identify_linear_print(r: LinearResult) -> None:
+def _print_linear(r: LinearResult) -> None:
     from mufly.identify.report import ahead_rows, candidate_rows, estimate_rows, pole_text, quality_rows
 
-    say = console().print
-    for note in r.notes:
-        say(f"Note: {note}", highlight=False)
+    say(*r.notes, mark="Note")
     if r.candidates:
         print_table(*candidate_rows(r), title="Structures, cross-validated inside the fitted part")
     print_table(*estimate_rows(r), title=f"Model {r.fit.vehicle}")
-    poles = ", ".join(pole_text(p) for p in r.linear.poles)
-    say(f"Poles: {poles} rad/s\n{r.linear.message}", highlight=False)
+    say(f"Poles: {', '.join(pole_text(p) for p in r.linear.poles)} rad/s", r.linear.message)
     print_table(*quality_rows(r), title="Pure simulation from inputs", text=(0, 1))
     say(
         "at most: with no error but the noise floor; to angle: against the derivative of the measured angle; error and "
         f"noise: rms below {r.slow_hz:g} Hz (noise >: above it), in the output's unit; Theil: 0 exact, 1 no relation",
-        style="dim", highlight=False,
-    )  # fmt: skip
+        style="dim",
+    )
     if r.ahead:
         print_table(
             *ahead_rows(r), title=f"Held-out part, predicted a time ahead (low-passed at {r.slow_hz:g} Hz)"
         )
-    if r.missing:
-        say(
-            "What the residuals of the fitted part show:",
-            *(f"- {w}" for w in r.missing),
-            sep="\n",
-            highlight=False,
-        )
-    if r.fit.unseen:
-        say("What the data cannot tell:", *(f"- {w}" for w in r.fit.unseen), sep="\n", highlight=False)
+    for title, words in (
+        ("What the residuals of the fitted part show:", r.missing),
+        ("What the data cannot tell:", r.fit.unseen),
+    ):
+        if words:
+            say(title, *(f"- {w}" for w in words))
 
 
-def _identify_linear_json(r: LinearResult) -> dict[str, Any]:
-    from dataclasses import asdict
+def _linear_json(r: LinearResult) -> dict[str, Any]:
+    def each(name: str) -> dict[str, list[Any]]:
+        return {role: [getattr(c, name) for c in checks] for role, checks in r.checks.items()}
 
+    floors = {role: [{**plain(f), "total": f.total} for f in found] for role, found in each("floor").items()}
     return {
-        "model": r.fit.vehicle,
-        "estimates": [asdict(e) for e in r.fit.estimates],
-        "poles_rad_s": [{"real": p.real, "imag": p.imag} for p in r.linear.poles.tolist()],
-        "candidates": [asdict(c) for c in r.candidates],
-        "outputs": list(r.linear.structure.outputs),
-        "quality": {role: [asdict(c.quality) for c in cs] for role, cs in r.checks.items()},
-        "quality_slow": {role: [asdict(c.slow) for c in cs] for role, cs in r.checks.items()},
-        "slow_hz": r.slow_hz,
-        "noise_floor": {
-            role: [{**asdict(c.floor), "total": c.floor.total} for c in cs] for role, cs in r.checks.items()
-        },
-        "ceiling_percent": {role: [c.ceiling for c in cs] for role, cs in r.checks.items()},
-        "ceiling_slow_percent": {role: [c.ceiling_slow for c in cs] for role, cs in r.checks.items()},
-        "against_angle_percent": {role: [c.against_angle for c in cs] for role, cs in r.checks.items()},
-        "ahead": [
-            {**asdict(a), "horizon_s": None if math.isinf(a.horizon_s) else a.horizon_s} for a in r.ahead
-        ],
-        "missing": list(r.missing), "unseen": list(r.fit.unseen), "notes": list(r.notes),
-        "subspace_fit_percent": list(r.subspace_percent), "message": r.linear.message,
+        "model": r.fit.vehicle, "estimates": r.fit.estimates, "poles_rad_s": r.linear.poles,
+        "candidates": r.candidates, "outputs": r.linear.structure.outputs, "quality": each("quality"),
+        "quality_slow": each("slow"), "slow_hz": r.slow_hz, "noise_floor": floors,
+        "ceiling_percent": each("ceiling"), "ceiling_slow_percent": each("ceiling_slow"),
+        "against_angle_percent": each("against_angle"), "ahead": r.ahead, "missing": r.missing,
+        "unseen": r.fit.unseen, "notes": r.notes, "subspace_fit_percent": r.subspace_percent,
+        "message": r.linear.message,
     }  # fmt: skip
-
-
-# ----------------------------------------------------------------------------
-# ``mufly identify``: the parameters of a vehicle, from bench and flight data. Commands live in their own modules.
-
-
-app = Commands(
-    help="Find a vehicle's parameters: from bench data, from flights, and plan the flights that show them.",
-    no_args_is_help=True,
-)
-add_flight(app)
-add_demo(app)
-identify_bench.add_to(app)
-add_linear(app)

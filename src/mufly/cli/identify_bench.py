@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
@@ -22,16 +21,16 @@ from mufly.cli.options import (
     write_vehicle,
 )
 from mufly.cli.present import (
+    answer,
     check_folder,
-    console,
     print_estimates,
-    print_json,
     print_table,
     progress_bar,
     save_picture,
     say,
-    tell_files,
+    write_csv,
 )
+from mufly.errors import InputError
 from mufly.units import RPM
 
 if TYPE_CHECKING:
@@ -98,7 +97,6 @@ def rotor(
     Example: mufly identify rotor bench.csv --radius 0.0875 --calibration cells.csv --out rotor
     """
     from mufly.bench import Calibration, calibrate_cells, corrected_loads, predict, read_bench
-    from mufly.errors import InputError
     from mufly.identify.pictures import rotor_picture
     from mufly.identify.rotor import RotorFit, fit_rotor, interference, placed
     from mufly.rotor import load_rotor, prepare
@@ -110,17 +108,12 @@ def rotor(
     blades = load_rotor(predict_with) if predict_with is not None else None
     value, std = with_doubt("--radius", radius)
     if value is None:
-        if blades is None and start is None:
+        known = [*([blades.radius_m] if blades else []), *([float(start.rotors.radius)] if start else [])]
+        if not known:
             raise InputError(
                 "--radius", "", "is missing", "give the rotor's radius in metres, or --rotor or --vehicle"
             )
-        value = (
-            blades.radius_m
-            if blades is not None
-            else float(start.rotors.radius)
-            if start is not None
-            else math.nan
-        )
+        value = known[0]
     rho, rho_std = with_doubt("--density", density)
     cells: Calibration | None = None
     if calibration is not None:
@@ -158,36 +151,39 @@ def rotor(
     if out is not None:
         files.append(save_picture(rotor_picture(fits, predicted=drawn, title=sources), out, "rotor"))
     effects = interference(fits)
-    if as_json:
-        print_json(
-            {
-                "calibration": None if cells is None else cells.in_words(),
-                "results": [_rotor_json(f) for f in fits], "interference": effects,
-                "prediction": {k: {"load": p.load, "error": p.error} for k, p in predictions.items()},
-                "files": [str(f) for f in files],
-            }
-        )  # fmt: skip
-        return
-    if cells is not None:
-        say(f"load cells, from {cells.source}:", *(f"  {line}" for line in cells.in_words()))
-    for fit in fits:
-        kind = "coaxial pair" if fit.coaxial else "single rotor"
-        at = "" if math.isnan(fit.pitch_rad) else f" at {math.degrees(fit.pitch_rad):.3g} deg"
-        print_estimates(
-            fit.estimates, f"{fit.source}: {kind}{at}, R {1e3 * fit.radius_m:g} mm", fit.systematic_shares()
-        )
-        say(*(t.in_words() for f in fit.fits for t in f.trends))
-        say(*fit.unseen, mark="not seen")
-    say(*dict.fromkeys(n for f in fits for n in f.notes), mark="note")
-    say(*effects)
-    say(*(f"{source}: {line}" for source, p in predictions.items() for line in p.in_words()))
-    tell_files(files)
+
+    def told() -> None:
+        if cells is not None:
+            say(f"load cells, from {cells.source}:", *(f"  {line}" for line in cells.in_words()))
+        for fit in fits:
+            kind = "coaxial pair" if fit.coaxial else "single rotor"
+            at = "" if math.isnan(fit.pitch_rad) else f" at {math.degrees(fit.pitch_rad):.3g} deg"
+            shares = fit.systematic_shares()
+            print_estimates(
+                fit.estimates, f"{fit.source}: {kind}{at}, R {1e3 * fit.radius_m:g} mm",
+                {"systematic": {e.symbol: f"{100 * shares.get(e.symbol, 0.0):.0f} %" for e in fit.estimates}},
+            )  # fmt: skip
+            say(*(t.in_words() for f in fit.fits for t in f.trends))
+            say(*fit.unseen, mark="not seen")
+        say(*dict.fromkeys(n for f in fits for n in f.notes), mark="note")
+        say(*effects)
+        say(*(f"{source}: {line}" for source, p in predictions.items() for line in p.in_words()))
+
+    def content() -> dict[str, Any]:
+        return {
+            "calibration": None if cells is None else cells.in_words(),
+            "results": [_rotor_json(f) for f in fits],
+            "interference": effects,
+            "prediction": {k: {"load": p.load, "error": p.error} for k, p in predictions.items()},
+        }
+
+    answer(as_json, content, told, files)
 
 
 def _rotor_json(fit: Any) -> dict[str, Any]:
     return {
         "source": fit.source, "coaxial": fit.coaxial, "pitch_rad": fit.pitch_rad, "radius_m": fit.radius_m,
-        "density_kg_m3": float(fit.density_kg_m3.mean()), "estimates": [vars(e) for e in fit.estimates],
+        "density_kg_m3": float(fit.density_kg_m3.mean()), "estimates": fit.estimates,
         "trends": [t.in_words() for f in fit.fits for t in f.trends], "unseen": fit.unseen, "notes": fit.notes,
     }  # fmt: skip
 
@@ -201,7 +197,6 @@ def _maps(columns: list[str], files: list[Path]) -> list[str | None]:
         If a map fits no file.
     """
     from mufly.bench import header_of
-    from mufly.errors import InputError
 
     chosen: list[str | None] = [None] * len(files)
     headers = [set(header_of(file)) for file in files]
@@ -309,62 +304,53 @@ def plan(
         for p, c in zip(plans, chosen, strict=True):
             files.append(save_picture(plan_picture(p, c), out, f"plan_{p.channel}"))
             files.append(_write_signal(out / f"signal_{p.channel}_{c.signal.kind}.csv", c))
-    if as_json:
-        print_json(
-            {
-                "vehicle": v.name, "free": symbols,
-                "channels": [_plan_json(p) for p in plans],
-                "together": dict(zip(symbols, relative.tolist(), strict=True)), "unseen": unseen,
-                "files": [str(f) for f in files],
-            }
-        )  # fmt: skip
-        return
-    for p in plans:
-        _print(p)
-    say = console()
-    if len(plans) > 1:
-        print_table(
-            ["", *symbols], [["all flights", *(_percent(s) for s in relative)]],
-            title="Expected standard deviation, together",
-        )  # fmt: skip
-    for words in unseen:
-        say.print(f"not seen: {words}", highlight=False, markup=False)
-    say.print(
-        "These are bounds for the model as it is and white sensor noise; what the model leaves out makes real fits "
-        "worse, often several times.",
-        style="dim",
-    )
-    for file in files:
-        say.print(f"written: {file}", highlight=False, markup=False)
+
+    def told() -> None:
+        for p in plans:
+            _print(p)
+        if len(plans) > 1:
+            print_table(
+                ["", *symbols], [["all flights", *(_percent(s) for s in relative)]],
+                title="Expected standard deviation, together",
+            )  # fmt: skip
+        say(*unseen, mark="not seen")
+        say(
+            "These are bounds for the model as it is and white sensor noise; what the model leaves out makes real fits "
+            "worse, often several times.",
+            style="dim",
+        )
+
+    def content() -> dict[str, Any]:
+        return {
+            "vehicle": v.name,
+            "free": symbols,
+            "channels": [_plan_json(p) for p in plans],
+            "together": dict(zip(symbols, relative, strict=True)),
+            "unseen": unseen,
+        }
+
+    answer(as_json, content, told, files)
 
 
 def _check_times(duration: float, delay: float, sample: float, window: float) -> None:
-    from mufly.errors import InputError
+    def whole(time: float, of: float) -> bool:
+        return abs(time / of - round(time / of)) <= 1e-6
 
-    if (
-        not (math.isfinite(sample) and 1e-3 <= sample <= 0.1)
-        or abs(sample / 1e-3 - round(sample / 1e-3)) > 1e-6
-    ):
-        raise InputError(
-            "--sample", "", f"{sample:g} s is not possible", "give whole milliseconds from 0.001 to 0.1"
-        )
-    if not (math.isfinite(delay) and 0 <= delay <= 0.2) or abs(delay / sample - round(delay / sample)) > 1e-6:
-        raise InputError(
-            "--delay", "", f"{delay:g} s is not possible", f"give a multiple of {sample:g} s up to 0.2"
-        )
-    if not (math.isfinite(window) and (window == 0 or window >= 10 * sample)):
-        raise InputError(
-            "--window", "", f"{window:g} s is not possible", f"give 0, or {10 * sample:g} s or more"
-        )
-    if not (math.isfinite(duration) and 2.0 <= duration <= 300.0):
-        raise InputError("--duration", "", f"{duration:g} s is not possible", "give 2 to 300 s")
+    sampled = 1e-3 <= sample <= 0.1 and whole(sample, 1e-3)
+    for option, value, fine, remedy in (
+        ("--sample", sample, sampled, "give whole milliseconds from 0.001 to 0.1"),
+        ("--delay", delay, sampled and 0 <= delay <= 0.2 and whole(delay, sample),
+         f"give a multiple of {sample:g} s up to 0.2"),
+        ("--window", window, window == 0 or 10 * sample <= window < math.inf, f"give 0, or {10 * sample:g} s or more"),
+        ("--duration", duration, 2.0 <= duration <= 300.0, "give 2 to 300 s"),
+    ):  # fmt: skip
+        if not fine:
+            raise InputError(option, "", f"{value:g} s is not possible", remedy)
 
 
 def _numbers(
     option: str, text: str | None, known: tuple[str, ...], *, none: bool = False
 ) -> dict[str, float | None]:
-    from mufly.errors import InputError
-
     found: dict[str, float | None] = {}
     for part in (text or "").split(","):
         if not part.strip():
@@ -385,7 +371,6 @@ def _numbers(
 
 
 def _limits(text: str | None) -> Limits:
-    from mufly.errors import InputError
     from mufly.identify.flight.plan import Limits
 
     names = {
@@ -408,8 +393,6 @@ def _noise(text: str | None, default: dict[str, float]) -> dict[str, float]:
 
 
 def _band(text: str | None) -> tuple[float, float] | None:
-    from mufly.errors import InputError
-
     if text is None:
         return None
     try:
@@ -443,19 +426,18 @@ def _print(p: Plan) -> None:
         ["kind", "amplitude", "bound by", "crest", *symbols, "mean"], rows,
         title=f"{p.vehicle}, {p.channel}: expected standard deviations; {frequencies}, modes at {modes} Hz",
     )  # fmt: skip
-    best = p.best
-    console().print(f"{best.signal.kind}: {best.signal.words}", highlight=False, markup=False)
+    say(f"{p.best.signal.kind}: {p.best.signal.words}")
 
 
 def _plan_json(p: Plan) -> dict[str, Any]:
     return {
         "channel": p.channel, "band_Hz": [w / (2 * math.pi) for w in p.band_rad_s],
-        "modes_Hz": [w / (2 * math.pi) for w in p.modes_rad_s], "noise": p.noise, "limits": vars(p.limits),
+        "modes_Hz": [w / (2 * math.pi) for w in p.modes_rad_s], "noise": p.noise, "limits": p.limits,
         "candidates": [
             {
                 "kind": c.signal.kind, "amplitude": c.amplitude, "bound_by": c.bound_by, "limit_used": c.share,
                 "crest_factor": c.signal.crest, "signal": c.signal.words, "mean": c.figure,
-                "relative_std": dict(zip((f.symbol for f in p.free), c.relative_std.tolist(), strict=True)),
+                "relative_std": dict(zip((f.symbol for f in p.free), c.relative_std, strict=True)),
             }
             for c in p.candidates
         ],
@@ -463,18 +445,12 @@ def _plan_json(p: Plan) -> dict[str, Any]:
 
 
 def _write_signal(path: Path, c: Candidate) -> Path:
-    from mufly.errors import InputError
-
-    try:
-        with path.open("w", newline="", encoding="utf-8") as file:
-            file.write(f"# {c.channel}, {c.signal.kind}: {c.signal.words}; add the columns to the inputs\n")
-            writer = csv.writer(file)
-            writer.writerow(["time_s", "signal", "motor_upper", "motor_lower", "servo_1", "servo_2"])
-            for t, s, row in zip(c.signal.time_s, c.amplitude * c.signal.value, c.added, strict=True):
-                writer.writerow([f"{t:.6g}", f"{s:.6g}", *(f"{u + 0.0:.6g}" for u in row)])
-    except OSError as error:
-        raise InputError("--out", str(path), f"cannot be written ({error})", "give another folder") from error
-    return path
+    heads = ("time_s", "signal", "motor_upper", "motor_lower", "servo_1", "servo_2")
+    values = zip(c.signal.time_s, c.amplitude * c.signal.value, c.added, strict=True)
+    rows = ([f"{x + 0.0:.6g}" for x in (t, s, *row)] for t, s, row in values)
+    return write_csv(
+        path, heads, rows, f"{c.channel}, {c.signal.kind}: {c.signal.words}; add the columns to the inputs"
+    )
 
 
 # ----------------------------------------------------------------------------
@@ -483,7 +459,6 @@ def _write_signal(path: Path, c: Candidate) -> Path:
 
 def add_to(app: typer.Typer) -> None:
     """Register the commands of this module."""
-
     app.command()(motor)
     app.command()(rotor)
     app.command()(plan)
@@ -525,7 +500,6 @@ def motor(
     Example: mufly identify motor motor.csv --vehicle mufly-1.1 --write mine.toml --out motor
     """
     from mufly.bench import read_bench
-    from mufly.errors import InputError
     from mufly.identify.motor import CHANNELS, GearKnowledge, fit_motor, parse_noise
     from mufly.identify.pictures import motor_picture
 
@@ -542,24 +516,23 @@ def motor(
     )  # fmt: skip
     files = write_vehicle(start, fit.estimates, write, f"mufly identify motor {table.source}, {today()}")
     if out is not None:
-        files.append(
-            save_picture(
-                motor_picture(fit, title=f"{table.source}: motor constants by least squares"), out, "motor"
-            )
+        picture = motor_picture(fit, title=f"{table.source}: motor constants by least squares")
+        files.append(save_picture(picture, out, "motor"))
+
+    def told() -> None:
+        print_estimates(fit.estimates, f"{table.source}: {fit.data.voltage_V.size} points")
+        rms = [float((fit.residual[:, k] ** 2).mean() ** 0.5) for k in (0, 1)]
+        say(
+            f"residuals: {1e3 * rms[0]:.3g} mV in the voltage's balance, {1e3 * rms[1]:.3g} mN m in the torque's"
         )
-    if as_json:
-        print_json(
-            {
-                "source": table.source, "points": fit.data.voltage_V.size,
-                "estimates": [vars(e) for e in fit.estimates], "covariance": fit.covariance,
-                "scales": fit.scales, "pattern": fit.spread.pattern, "unseen": fit.unseen, "notes": fit.notes,
-                "files": [str(f) for f in files],
-            }
-        )  # fmt: skip
-        return
-    print_estimates(fit.estimates, f"{table.source}: {fit.data.voltage_V.size} points")
-    rms = [float((fit.residual[:, k] ** 2).mean() ** 0.5) for k in (0, 1)]
-    say(f"residuals: {1e3 * rms[0]:.3g} mV in the voltage's balance, {1e3 * rms[1]:.3g} mN m in the torque's")
-    say(*fit.notes, mark="note")
-    say(*fit.unseen, mark="not seen")
-    tell_files(files)
+        say(*fit.notes, mark="note")
+        say(*fit.unseen, mark="not seen")
+
+    def content() -> dict[str, Any]:
+        return {
+            "source": table.source, "points": fit.data.voltage_V.size, "estimates": fit.estimates,
+            "covariance": fit.covariance, "scales": fit.scales, "pattern": fit.spread.pattern, "unseen": fit.unseen,
+            "notes": fit.notes,
+        }  # fmt: skip
+
+    answer(as_json, content, told, files)

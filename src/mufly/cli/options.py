@@ -315,16 +315,20 @@ def start_vehicle(name: str | None, write: Path | None) -> Vehicle | None:
 
 
 def write_vehicle(
-    start: Vehicle | None, estimates: Iterable[Estimate], write: Path | None, note: str
+    start: Vehicle | None,
+    estimates: Iterable[Estimate],
+    write: Path | None,
+    note: str,
+    option: str = "--write",
 ) -> list[Path]:
-    """Write the vehicle with its estimates where ``--write`` says; return the files written."""
-    from mufly.identify.result import with_estimates
+    """Write the vehicle with its estimates where the option says; return the files written."""
+    from mufly.identify import with_estimates
     from mufly.vehicle import vehicle_toml
 
     if write is None or start is None:
         return []
     text = vehicle_toml(with_estimates(start, estimates, note))
-    with writing(write, "give another place", "--write"):
+    with writing(write, "give another place", option):
         write.write_text(text, encoding="utf-8")
     return [write]
 

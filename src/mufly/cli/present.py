@@ -10,7 +10,7 @@ import csv
 import json
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -163,9 +163,10 @@ def _is_number(text: str) -> bool:
 
 
 def print_estimates(
-    estimates: Iterable[Estimate], title: str, shares: dict[str, float] | None = None
+    estimates: Iterable[Estimate], title: str, beside: Mapping[str, Mapping[str, str]] | None = None
 ) -> None:
-    """Print a table of estimates with intervals."""
+    """Print a table of estimates with intervals; ``beside`` them further columns, by head and symbol."""
+    more = beside or {}
     rows = []
     for e in estimates:
         start = "-" if math.isnan(e.start) else f"{e.start:.4g}"
@@ -176,10 +177,11 @@ def print_estimates(
         else:
             value, interval = f"{e.value:.5g}", f"{e.low:.4g} to {e.high:.4g}"
             doubt = f"{100 * e.std / abs(e.value):.2g} %" if e.value else "-"
-        row = [e.symbol, value, doubt, interval, e.unit if e.unit != "1" else "", start]
-        rows.append(row if shares is None else [*row, f"{100 * shares.get(e.symbol, 0.0):.0f} %"])
-    heads = ["symbol", "value", "std", "95 % interval", "unit", "start"]
-    print_table(heads if shares is None else [*heads, "systematic"], rows, title=title)
+        unit = "" if e.unit == "1" else e.unit
+        rows.append(
+            [e.symbol, value, doubt, interval, unit, start, *(m.get(e.symbol, "") for m in more.values())]
+        )
+    print_table(["symbol", "value", "std", "95 % interval", "unit", "start", *more], rows, title=title)
 
 
 # --- files ------------------------------------------------------------------------------------------------------------
