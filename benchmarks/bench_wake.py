@@ -146,8 +146,7 @@ def report_iteration() -> None:
             clock.append(time.perf_counter())
 
         out = solve(System.single(rotor), Condition(0.25, 600.0), "wake", settings=how, progress=tick)
-        assert out.wake is not None
-        wake = out.wake.wakes[0]
+        wake = out.wakes[0]
         elements = wake.paths_m.shape[0] * (wake.paths_m.shape[1] - 1) * wake.surface.blades
         rows.append((elements, float(np.min(np.diff(clock)[7:]))))
     n, t = np.array(rows).T

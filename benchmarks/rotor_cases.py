@@ -14,9 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mufly.rotor import Rotor, load_airfoil, polars
+from mufly.rotor import Air, Rotor, load_airfoil, polars
 from mufly.rotor.airfoil import sides
-from mufly.rotor.bemt import Air
 from mufly.rotor.blading import Blading, Corrections, prepare
 from mufly.rotor.measurements import Measurements, compare
 

@@ -29,10 +29,9 @@ from rotor_cases import (
     table_3_2,
 )
 
-from mufly.rotor.bemt import hover_batch
+from mufly.rotor import Condition, System, hover_batch, solve
 from mufly.rotor.blading import PLAIN, Blading, Corrections
 from mufly.rotor.measurements import calibrate, compare
-from mufly.rotor.system import Condition, System, solve
 from mufly.rotor.uncertainty import Doubt, interval
 
 

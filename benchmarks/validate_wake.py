@@ -149,7 +149,7 @@ def report_momentum(folder: Path) -> None:
     for case, i in ((table_3_2(), 0), (table_3_2(), 3), (slender, 1), (slender, 2), (dji, 0)):
         m, air = case.measured, case.air
         point = Condition(float(m.pitch_rad[i]), float(m.speed_rad_s[i]), air=air)
-        found = solve(System.single(blading_of(case)), point, "wake").wake
+        found = solve(System.single(blading_of(case)), point, "wake")
         r = found.rotors[0]
         wind = r.reynolds * air.viscosity_Pa_s / air.density_kg_m3 / r.chord_m
         drag = 0.5 * air.density_kg_m3 * wind**2 * r.chord_m * r.cd * np.sin(r.phi_rad) * r.dr_m

@@ -21,7 +21,7 @@ from rotor_cases import REYNOLDS, Case, blading_of
 from mufly.errors import MuflyError
 from mufly.rotor import Air, Condition, Result, System, polars, replace_rotor, solve
 from mufly.rotor.blading import Blading, prepare
-from mufly.rotor.wake import WakeSettings, WakeSolution
+from mufly.rotor.wake import WakeSettings
 
 RPM = np.pi / 30
 
@@ -76,12 +76,12 @@ class Solver:
         except MuflyError as error:
             self.broken.append(f"{key}: {error}")
             return FAILED
-        rotors, wake = found.rotors, found.wake
-        assert wake is not None
+        rotors = found.rotors
+        assert found.settings is not None
         answer = Answer(
             tuple(r.thrust_N for r in rotors), tuple(r.torque_Nm for r in rotors),
-            tuple(r.speed_rad_s for r in rotors), found.converged, wake.iterations, wake.residual,
-            time.perf_counter() - begin, _wobble(wake), float(wake.settings.core_limit or 0.0),
+            tuple(r.speed_rad_s for r in rotors), found.converged, found.iterations, found.residual,
+            time.perf_counter() - begin, _wobble(found), float(found.settings.core_limit or 0.0),
         )  # fmt: skip
         if found.converged:
             self.wakes[family] = found
@@ -162,7 +162,8 @@ class Solver:
         return self._kept(question, name, solved)
 
 
-def _wobble(found: WakeSolution, last: int = 60) -> float:
+def _wobble(found: Result, last: int = 60) -> float:
+    assert found.history is not None
     loads = found.history[-min(last, max(10, len(found.history) // 2)) :, 1:]
     return float(np.max(np.ptp(loads, axis=0) / 2 / np.abs(loads.mean(axis=0))))
 

@@ -72,12 +72,10 @@ API = {
         "hover": "rotor:hover",
         "hover_batch": "rotor:hover_batch",
         "solve_thrust": "rotor:solve_thrust",
-        "coaxial": "rotor:coaxial",
-        "balance_torque": "rotor:balance_torque",
+        "solve": "rotor:solve",
+        "System": "rotor:System",
+        "Condition": "rotor:Condition",
         "interval": "rotor:interval",
-        "hover_wake": "rotor.wake:hover_wake",
-        "coaxial_wake": "rotor.wake:coaxial_wake",
-        "balance_torque_wake": "rotor.wake:balance_torque_wake",
         "WakeSettings": "rotor.wake:WakeSettings",
         "Setup": "study:Setup",
         "evaluate": "study:evaluate",
@@ -569,27 +567,33 @@ def solved(solution: Any) -> Any:
     }
 
 
+def rotor_system(
+    bladings: Any, pitch: Any, speed: Any, method: str = "bemt", *, spacing_m: float = 0.02,
+    settings: Any = None, **given: Any,
+) -> Any:  # fmt: skip
+    """One rotor, or a pair, at a point."""
+    make = api("System")
+    system = (
+        make.coaxial(*bladings, spacing_m=spacing_m) if isinstance(bladings, tuple) else make.single(bladings)
+    )
+    return api("solve")(system, api("Condition")(pitch, speed, **given), method, settings=settings)
+
+
 @case("wake.single")
 def _wake_single() -> Any:
     blades, s = bladed("naca0012-r60-c20", stations=10), api("WakeSettings")(**COARSE_WAKE)
     out = {}
     for model in ("free", "prescribed"):
         settings = api("WakeSettings")(model=model, **COARSE_WAKE)
-        out[model] = solved(api("hover_wake")(blades, pitch_rad=0.21, speed_rad_s=520.0, settings=settings))
-    out["climb"] = solved(
-        api("hover_wake")(blades, pitch_rad=0.25, speed_rad_s=520.0, climb_m_s=1.0, settings=s)
-    )
+        out[model] = solved(rotor_system(blades, 0.21, 520.0, "wake", settings=settings))
+    out["climb"] = solved(rotor_system(blades, 0.25, 520.0, "wake", climb_m_s=1.0, settings=s))
     return out
 
 
 @case("wake.pair")
 def _wake_pair() -> Any:
     blades, s = bladed("naca0012-r60-c20", stations=10), api("WakeSettings")(**COARSE_WAKE)
-    pair = api("coaxial_wake")(
-        blades, blades, spacing_m=0.02, upper_pitch_rad=0.24, lower_pitch_rad=0.23, upper_speed_rad_s=600.0,
-        lower_speed_rad_s=650.0, settings=s,
-    )  # fmt: skip
-    return solved(pair)
+    return solved(rotor_system((blades, blades), (0.24, 0.23), (600.0, 650.0), "wake", settings=s))
 
 
 @case("bemt.single", quick=True)
@@ -610,18 +614,17 @@ def _bemt_single() -> Any:
 @case("bemt.coaxial", quick=True)
 def _bemt_coaxial() -> Any:
     a, b = bladed("naca0012-r60-c20"), bladed("naca4412-r60-c20")
-    at = {"spacing_m": 0.02, "upper_pitch_rad": 0.24, "lower_pitch_rad": 0.2}
     out = {}
-    for name, r in (
-        ("hover", api("coaxial")(a, b, upper_speed_rad_s=600.0, lower_speed_rad_s=620.0, **at)),
-        (
-            "climb",
-            api("coaxial")(a, b, upper_speed_rad_s=600.0, lower_speed_rad_s=620.0, climb_m_s=1.0, **at),
-        ),
-        ("balanced", api("balance_torque")(a, b, upper_speed_rad_s=600.0, **at)),
-        ("balanced at thrust", api("balance_torque")(a, b, thrust_N=0.8, **at)),
+    for name, speed, given in (
+        ("hover", (600.0, 620.0), {}),
+        ("climb", (600.0, 620.0), {"climb_m_s": 1.0}),
+        ("balanced", (600.0, None), {}),
+        ("balanced at thrust", None, {"thrust_N": 0.8}),
     ):
-        out[name] = {"pair": fields(r), "upper": fields(r.upper), "lower": fields(r.lower)}
+        r = rotor_system((a, b), (0.24, 0.2), speed, **given)
+        whole = ("thrust_N", "power_W", "yaw_torque_Nm", "figure_of_merit")
+        pair = {k: getattr(r, k) for k in whole} | {"turns": r.iterations, "sent_up_m_s": r.from_below_m_s[0]}
+        out[name] = {"pair": pair, "upper": fields(r.upper), "lower": fields(r.lower)}
     return out
 
 
@@ -789,12 +792,6 @@ def wrong_calls() -> dict[str, Callable[[], Any]]:
     v = api("load_vehicle")("mufly-1.1")
     blades = bladed("naca4412-r60-c20")
     thesis = api("load_rotor")("naca0012-r60-c20")
-    pair = {
-        "upper_pitch_rad": 0.2,
-        "lower_pitch_rad": 0.2,
-        "upper_speed_rad_s": 500.0,
-        "lower_speed_rad_s": 500.0,
-    }
     names = {"lat": "lat"}, {"p": "p"}
     return {
         "vehicle": lambda: api("load_vehicle")("nowhere"),
@@ -810,14 +807,12 @@ def wrong_calls() -> dict[str, Callable[[], Any]]:
         "thrust too much": lambda: api("solve_thrust")(blades, thrust_N=1e4, pitch_rad=0.2),
         "stations": lambda: api("prepare")(thesis, stations=1),
         "n_crit": lambda: api("prepare")(thesis, n_crit=-3.0),
-        "coaxial spacing": lambda: api("coaxial")(blades, blades, spacing_m=0.0, **pair),
-        "balance": lambda: api("balance_torque")(
-            blades, blades, spacing_m=0.02, upper_pitch_rad=0.2, lower_pitch_rad=0.2
-        ),
+        "coaxial spacing": lambda: rotor_system((blades, blades), 0.2, 500.0, spacing_m=0.0),
+        "balance": lambda: rotor_system((blades, blades), 0.2, None),
         "interval": lambda: api("interval")(thesis, pitch_rad=0.2, speed_rad_s=500.0, level=3.0),
         "wake step": lambda: api("WakeSettings")(step_deg=90.0),
         "wake turns": lambda: api("WakeSettings")(turns=-1.0),
-        "wake close": lambda: api("coaxial_wake")(blades, blades, spacing_m=0.001, **pair),
+        "wake close": lambda: rotor_system((blades, blades), 0.2, 500.0, "wake", spacing_m=0.001),
         "design rate": lambda: api("design")(v, rate_Hz=5.0),
         "fly wind": lambda: api("fly")(v, "hop.toml", wind=[1.0, 2.0]),
         "fly gust": lambda: api("fly")(v, "hop.toml", gust=-1.0),

@@ -13,7 +13,7 @@ from mufly.rotor import Condition, System, hover, solve
 from mufly.rotor.blading import Corrections, prepare
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.polar_table import ALPHA_GRID, PolarTable
-from mufly.rotor.system import tube_speed
+from mufly.rotor.solution import tube_speed
 
 R, SPEED, PITCH = 0.06, 600.0, 0.25
 

@@ -17,7 +17,7 @@ from mufly.rotor import load_rotor
 from mufly.rotor.bemt import hover, hover_batch
 from mufly.rotor.blading import prepare
 from mufly.rotor.measurements import Measurements, calibrate, compare, read_measurements
-from mufly.rotor.system import solve_thrust
+from mufly.rotor.solution import solve_thrust
 from mufly.rotor.uncertainty import Doubt, interval
 
 ROOT = Path(__file__).resolve().parents[2]

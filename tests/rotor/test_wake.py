@@ -28,23 +28,13 @@ def blading():
 
 
 @pytest.fixture(scope="module")
-def single_result(blading):
+def single(blading):
     return one(blading)
 
 
 @pytest.fixture(scope="module")
-def single(single_result):
-    return single_result.wake
-
-
-@pytest.fixture(scope="module")
-def pair_result(blading):
+def pair(blading):
     return two(blading, (6000 * RPM, 6000 * RPM))
-
-
-@pytest.fixture(scope="module")
-def pair(pair_result):
-    return pair_result.wake
 
 
 def one(blading, pitch=PITCH, speed=6000 * RPM, settings=COARSE, start=None, progress=None, **given):
@@ -200,23 +190,25 @@ def test_without_a_boundary_layer_coefficients_do_not_depend_on_speed(blading):
 
 def test_momentum_of_the_wake_is_the_thrust(blading):
     how = WakeSettings(inviscid=True, turns=3.0, step_deg=20.0)
-    solution = one(blading, np.radians(12), 5000 * RPM, how).wake
+    solution = one(blading, np.radians(12), 5000 * RPM, how)
     assert solution.converged
     thrust = solution.rotors[0].thrust_N
     for height in (-0.018, -0.03):
         assert momentum_thrust(solution, height) == pytest.approx(thrust, rel=0.05)
     with pytest.raises(InputError, match="not below"):
         momentum_thrust(solution, 0.0)
+    with pytest.raises(InputError, match="has no wakes"):
+        induced_velocity(solve(System.single(blading), Condition(0.2, 500.0)), [0.0, 0.0, -0.1])
 
 
-def test_climb_unloads_the_rotor(blading, single, single_result):
-    climbing = one(blading, climb_m_s=1.0, start=single_result)
+def test_climb_unloads_the_rotor(blading, single):
+    climbing = one(blading, climb_m_s=1.0, start=single)
     assert climbing.converged
     assert climbing.rotors[0].thrust_N < 0.95 * single.rotors[0].thrust_N
 
 
-def test_a_warm_start_saves_iterations_and_changes_nothing(blading, single, single_result):
-    again = one(blading, start=single_result).wake
+def test_a_warm_start_saves_iterations_and_changes_nothing(blading, single):
+    again = one(blading, start=single)
     assert again.iterations < 0.6 * single.iterations
     assert again.rotors[0].thrust_N == pytest.approx(single.rotors[0].thrust_N, rel=3e-3)
 
@@ -224,7 +216,7 @@ def test_a_warm_start_saves_iterations_and_changes_nothing(blading, single, sing
 def test_an_unfinished_run_says_so_and_keeps_its_history(blading):
     short = replace(COARSE, iterations=5, core_limit=0.2)
     seen = []
-    solution = one(blading, 0.2, 500.0, short, progress=lambda *row: seen.append(row)).wake
+    solution = one(blading, 0.2, 500.0, short, progress=lambda *row: seen.append(row))
     assert not solution.converged
     assert "not converged in 5 iterations" in solution.message
     assert len(solution.history) == len(seen) == 5
@@ -232,7 +224,7 @@ def test_an_unfinished_run_says_so_and_keeps_its_history(blading):
 
 def test_a_run_that_diverges_stops(blading):
     wild = replace(COARSE, relaxation=1.0, core=0.001, core_limit=0.0, iterations=100, residual=1e-6)
-    solution = one(blading, np.radians(2), 500.0, wild).wake
+    solution = one(blading, np.radians(2), 500.0, wild)
     assert not solution.converged
     assert solution.iterations == len(solution.history) <= 100
     assert "diverged" in solution.message or "not converged" in solution.message
@@ -270,8 +262,8 @@ def test_passing_blades_average_to_the_mean_loads(pair):
     assert passing.passing_hz == pytest.approx(2 * 2 * 6000 / 60)
 
 
-def test_trim_balances_the_torques(blading, pair_result):
-    trim = two(blading, (6000 * RPM, None), start=pair_result)
+def test_trim_balances_the_torques(blading, pair):
+    trim = two(blading, (6000 * RPM, None), start=pair)
     upper, lower = trim.rotors
     assert lower.torque_Nm == pytest.approx(upper.torque_Nm, rel=6e-3)
     assert 1.03 < lower.speed_rad_s / upper.speed_rad_s < 1.2

@@ -101,7 +101,7 @@ def test_the_wake_puts_the_loss_on_the_lower_rotor(pair: Setup, wake_point) -> N
 
 def test_mean_air_is_symmetric_about_the_shaft_and_blows_down(wake_point) -> None:
     x = np.array([-0.04, -0.02, 0.02, 0.04])
-    u, v, w = plane_velocity(wake_point.wake, x, np.array([-0.06, 0.03]), phases=24)
+    u, v, w = plane_velocity(wake_point, x, np.array([-0.06, 0.03]), phases=24)
     np.testing.assert_allclose(w, w[:, ::-1], rtol=1e-6)
     np.testing.assert_allclose(u, -u[:, ::-1], rtol=1e-6, atol=1e-9)
     assert (w < 0).all()
@@ -111,7 +111,7 @@ def test_mean_air_is_symmetric_about_the_shaft_and_blows_down(wake_point) -> Non
 
 
 def test_pictures_are_drawn(wake_point, tmp_path) -> None:
-    s = wake_point.wake
+    s = wake_point
     for k, figure in enumerate(
         (
             wake_picture(s), field_picture(s, points=24, phases=2), field_picture(s, mean=False, points=24),

@@ -144,7 +144,6 @@ def losses(point: Result, alone: tuple[RotorResult, ...]) -> dict[str, float]:
 
 def pair_json(setup: Setup, point: Result, alone: tuple[RotorResult, ...] | None) -> dict[str, Any]:
     """A point as JSON; SI units."""
-    s = point.wake
     return {
         "upper": {"rotor": setup.rotors[0].name, **_plain(point.upper)},
         "lower": {"rotor": setup.rotors[1].name, **_plain(point.lower)},
@@ -163,10 +162,10 @@ def pair_json(setup: Setup, point: Result, alone: tuple[RotorResult, ...] | None
         "change_from_isolated": None if alone is None else losses(point, alone),
         "method": setup.method,
         "wake": None
-        if s is None
+        if not point.wakes
         else {
-            "converged": s.converged, "message": s.message, "iterations": s.iterations, "residual": s.residual,
-            "settings": vars(s.settings),
+            "converged": point.converged, "message": point.message, "iterations": point.iterations,
+            "residual": point.residual, "settings": vars(point.settings),
         },
     }  # fmt: skip
 
@@ -235,16 +234,15 @@ def write_pair(point: Result, alone: tuple[RotorResult, ...] | None, folder: Pat
         write_stations(point.lower, folder, "stations-lower"),
         save_picture(rotor_loads_picture(point.upper, point.lower, alone), folder, "loads"),
     ]
-    s = point.wake
-    if s is not None:
+    if point.settings is not None:
         heads = ("residual", "upper_thrust_N", "upper_torque_Nm", "lower_thrust_N", "lower_torque_Nm")
-        files.append(write_csv(folder / "history.csv", heads, s.history))
-        history = history_picture(s.history, residual=s.settings.residual, note=s.message)
+        files.append(write_csv(folder / "history.csv", heads, point.history))
+        history = history_picture(point.history, residual=point.settings.residual, note=point.message)
         files.append(save_picture(history, folder, "history"))
-        if s.converged:
-            files.append(save_picture(wake_picture(s), folder, "wake"))
-            files.append(save_picture(field_picture(s), folder, "air"))
-            files.append(save_picture(field_picture(s, mean=False), folder, "air-instant"))
+        if point.converged:
+            files.append(save_picture(wake_picture(point), folder, "wake"))
+            files.append(save_picture(field_picture(point), folder, "air"))
+            files.append(save_picture(field_picture(point, mean=False), folder, "air-instant"))
     return files
 
 

@@ -286,7 +286,7 @@ def hover(
             System.single(blading), Condition(theta, speed, thrust, climb, air), method,  # type: ignore[arg-type]
             settings=settings, progress=progress,
         )  # fmt: skip
-    result, solution = found.rotors[0], found.wake
+    result, solution = found.rotors[0], found if found.wakes else None
     if solution is not None and out is not None:
         write_csv(out / "history.csv", ("residual", "thrust_N", "torque_Nm"), solution.history)
     if not found.converged:

@@ -1,7 +1,7 @@
 """How do its rotors lift? Airfoils, polars, blade geometry, blade element momentum theory, the coaxial pair."""
 
 from mufly.rotor.airfoil import Airfoil, database_airfoils, load_airfoil
-from mufly.rotor.bemt import Air, BatchResult, RotorResult, hover, hover_batch
+from mufly.rotor.bemt import BatchResult, hover, hover_batch
 from mufly.rotor.blading import PLAIN, Blading, Corrections, prepare
 from mufly.rotor.engines import polar, polars
 from mufly.rotor.geometry import (
@@ -18,18 +18,8 @@ from mufly.rotor.geometry import (
 from mufly.rotor.maps import climb_ratios, coax_map
 from mufly.rotor.measurements import Comparison, Measurements, calibrate, compare, read_measurements
 from mufly.rotor.polar_table import PolarStack, PolarTable, lookup, outside, stack_polars
-from mufly.rotor.system import (
-    FASTEST_TIP_M_S,
-    METHODS,
-    CoaxialResult,
-    Condition,
-    Result,
-    System,
-    balance_torque,
-    coaxial,
-    solve,
-    solve_thrust,
-)
+from mufly.rotor.solution import FASTEST_TIP_M_S, METHODS, solve, solve_thrust
+from mufly.rotor.system import Air, Condition, Method, Result, RotorResult, System
 from mufly.rotor.uncertainty import Band, Doubt, interval
 
 __all__ = [
@@ -42,25 +32,23 @@ __all__ = [
     "BatchResult",
     "BladeSections",
     "Blading",
-    "CoaxialResult",
     "Comparison",
     "Condition",
     "Corrections",
     "Doubt",
     "Measurements",
+    "Method",
     "PolarStack",
     "PolarTable",
     "Result",
     "Rotor",
     "RotorResult",
     "System",
-    "balance_torque",
     "blade_thickness_m",
     "builtin_rotors",
     "calibrate",
     "climb_ratios",
     "coax_map",
-    "coaxial",
     "compare",
     "database_airfoils",
     "hover",

@@ -46,6 +46,7 @@ from mufly.errors import InputError
 from mufly.rotor.blading import Blades, Blading, as_blading
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.polar_table import OUTSIDE_ALPHA, OUTSIDE_REYNOLDS, PolarStack, coefficients
+from mufly.rotor.system import Air, RotorResult
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -57,71 +58,6 @@ FIELDS = ("alpha_rad", "phi_rad", "inflow_m_s", "swirl_m_s", "cl", "cd", "reynol
 _MAX_STEPS = 80
 _TOLERANCE = 1e-10  # rad
 _FADE_FROM, _FADE_TO = math.radians(30.0), math.radians(50.0)
-
-
-@dataclass(frozen=True)
-class Air:
-    """The air: density (kg/m3) and dynamic viscosity (Pa s). Default: 1.2 kg/m3, as in the dissertation, at 20 C."""
-
-    density_kg_m3: float = 1.2
-    viscosity_Pa_s: float = 1.81e-5
-
-    def __post_init__(self) -> None:
-        for key in ("density_kg_m3", "viscosity_Pa_s"):
-            if not 0.0 < getattr(self, key) < math.inf:
-                raise InputError("air", key, f"is {getattr(self, key):g}", "give a number above 0")
-
-
-@dataclass(frozen=True, eq=False)
-class RotorResult:
-    """One operating point.
-
-    Attributes
-    ----------
-    pitch_rad, speed_rad_s, climb_m_s : float
-        The point.
-    thrust_N, torque_Nm, power_W, figure_of_merit, c_T, c_Q : float
-        Of the whole rotor; the figure of merit is nan unless thrust and power are positive.
-    r_m, dr_m, chord_m, theta_rad : (stations,) arrays
-        Blade.
-    alpha_rad, phi_rad, inflow_m_s, swirl_m_s, cl, cd, reynolds, loss, dT_N, dQ_Nm : (stations,) arrays
-        Angle of attack of the section, inflow angle, axial and tangential induced velocity, section
-        coefficients, Reynolds number, loss factor F, and thrust and torque of the annulus (all blades).
-    outside : (stations,) array of uint8
-        0 where the polar answers from what its engine computed; bits ``OUTSIDE_ALPHA``, ``OUTSIDE_REYNOLDS``
-        elsewhere.
-    outside_share : float
-        Part of the thrust, by size, that such stations carry.
-    calibrated : bool
-        True if the section coefficients were scaled to a measurement.
-    """
-
-    pitch_rad: float
-    speed_rad_s: float
-    climb_m_s: float
-    thrust_N: float
-    torque_Nm: float
-    power_W: float
-    figure_of_merit: float
-    c_T: float
-    c_Q: float
-    r_m: Array
-    dr_m: Array
-    chord_m: Array
-    theta_rad: Array
-    alpha_rad: Array
-    phi_rad: Array
-    inflow_m_s: Array
-    swirl_m_s: Array
-    cl: Array
-    cd: Array
-    reynolds: Array
-    loss: Array
-    dT_N: Array
-    dQ_Nm: Array
-    outside: NDArray[np.uint8]
-    outside_share: float
-    calibrated: bool
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,10 +27,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from mufly.compiled import compiled
 from mufly.errors import InputError, MuflyError
-from mufly.rotor.bemt import Air
 from mufly.rotor.blading import Blading
-from mufly.rotor.system import Condition, Method, Result, System, solve
-from mufly.rotor.wake import WakeSettings
+from mufly.rotor.solution import solve
+from mufly.rotor.system import Air, Condition, Method, Result, System, WakeSettings
 from mufly.vehicle import CoefficientMap, MapTables
 from mufly.vehicle.coefficient_map import MAP_NODES, table_text
 

@@ -25,18 +25,17 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor.bemt import Air, hover_batch
+from mufly.rotor.bemt import hover_batch
 from mufly.rotor.blading import Blading, as_blading
 from mufly.rotor.geometry import Rotor
-from mufly.rotor.system import Condition, Method, Result, System, solve, solve_thrust_wake  # noqa: F401
-from mufly.rotor.wake.result import WakeSettings
+from mufly.rotor.solution import solve
+from mufly.rotor.system import Air, Condition, Method, Result, System, WakeSettings
 from mufly.units import RPM
 
 Array = NDArray[np.float64]
@@ -353,11 +352,3 @@ def calibrate(
         f"{measurements.source}: no factors on lift and drag between 0.2 and 5 meet point {point + 1} "
         f"({math.degrees(pitch):g} deg, {speed / RPM:.0f} rpm); check the rotor and the units"
     )
-
-
-def compare_wake(
-    blading: Blading | Rotor, measured: Measurements, **more: Any
-) -> tuple[Comparison, list[str]]:
-    """Former name."""
-    found = compare(blading, measured, method="wake", **more)
-    return found, list(found.faults)

@@ -1,62 +1,51 @@
-"""Rotors on one shaft, solved together: what is given, what is found, by which method.
+"""What is solved and what comes out: rotors on one shaft, an operating point, the wakes, the result.
 
-:func:`solve` takes a :class:`System` (which rotors, where, turning which way), a :class:`Condition` (pitch, speed,
-thrust, climb, air) and the name of a method: ``"bemt"``, blade element momentum theory, milliseconds; ``"wake"``,
-vortex wakes, seconds. What a condition leaves open is found: the speed or the pitch at which a rotor gives a thrust,
-the speed or the pitch of the lower rotor of a pair at which the torques cancel.
-
-Blade elements, several rotors (both ways). The wake of a rotor is a tube of ring vortices, semi-infinite, that starts
-at its disc. On a disc of radius R with induced velocity v, such a tube moves the air at distance z below the disc
-(above: z < 0) at (Leishman, sec. 2.2; exact on the axis of a uniform tube)
-
-    v(z) = v k(z),   k(z) = 1 + z / sqrt(R^2 + z^2)      0 far above, 1 at the disc, 2 far below
-
-and continuity moves the stream surface from r to r / sqrt(k). So, with h the distance between two discs:
-
-* The lower rotor meets, inside R / sqrt(k(h)), the upper one's stream: down k v_u, and round 2 u_t,u sqrt(k) (angular
-  momentum, twice the swirl in the disc), against its own motion if it turns the other way. Outside it meets still air.
-* The upper rotor meets k(-h) v_l of the lower one, over its whole disc as the stream widens upwards; swirl does not
-  reach up.
-
-They are solved from the top down until the inflow from below stands still; each turn is one BEMT solution of each
-rotor. The tube is that of the undisturbed upper rotor: the lower rotor's pull on the shape of the upper wake is left
-out, as is the passing of blades. Of three rotors or more the streams add up; that is compared with nothing yet.
+A :class:`System` says which rotors stand where and turn which way, a :class:`Condition` what is given of the operating
+point. :func:`mufly.rotor.solve` answers with a :class:`Result`, whatever the method.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.errors import InputError, MuflyError
-from mufly.rotor.bemt import Air, RotorResult, hover, hover_batch, induced_velocities
+from mufly.errors import InputError
+from mufly.results import result
 from mufly.rotor.blading import Blading, as_blading
 from mufly.rotor.geometry import Rotor
-from mufly.rotor.wake.result import Placed, WakeSettings, WakeSolution
-from mufly.rotor.wake.solver import solve_wake
 
 Array = NDArray[np.float64]
 Method = Literal["bemt", "wake"]
-Progress = Callable[[int, float, float], None]
 
-_TURNS = 200
-_SETTLED = 1e-8  # of the greatest induced velocity
-_CLOSE = 1e-7  # of the upper rotor's torque, or of the thrust asked for
-_WAKE_CLOSE = 1e-3  # of the same: what a converged wake can tell
-_FIRST_SPEED = 300.0  # rad/s, of the upper rotor, where a thrust finds it
-_THRUST_TRIES, _SPEED_TRIES, _PITCH_TRIES = 8, 12, 25
-_FIRST_SLOPE = 8.0  # 1/rad: torque grows like pitch^1.5 or so
-_SLOPES = (1.0, 80.0)  # what a secant may say of blades that do not stall
-_LONGEST_STEP = math.radians(4.0)
-_RANGE = (math.radians(-10.0), math.radians(45.0))
 
-FASTEST_TIP_M_S = 240.0
-"""Tip speed (m/s) above which air is no longer incompressible, as polars and theory take it to be: Mach 0.7."""
+@dataclass(frozen=True)
+class Air:
+    """The air: density (kg/m3) and dynamic viscosity (Pa s). Default: 1.2 kg/m3, as in the dissertation, at 20 C."""
+
+    density_kg_m3: float = 1.2
+    viscosity_Pa_s: float = 1.81e-5
+
+    def __post_init__(self) -> None:
+        for key in ("density_kg_m3", "viscosity_Pa_s"):
+            if not 0.0 < getattr(self, key) < math.inf:
+                raise InputError("air", key, f"is {getattr(self, key):g}", "give a number above 0")
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """A rotor in its place: pitch, speed, height of the disc along the shaft, sense of rotation (+1 or -1)."""
+
+    blading: Blading
+    pitch_rad: float
+    speed_rad_s: float
+    height_m: float = 0.0
+    hand: int = 1
+    which: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,17 +125,198 @@ class Condition:
     air: Air = field(default_factory=Air)
 
 
-def _each(name: str, value: Each, count: int) -> tuple[float | None, ...]:
-    """One value a rotor."""
-    values = [value] * count if value is None or np.ndim(value) == 0 else list(value)  # type: ignore[arg-type, list-item]
-    if len(values) != count:
-        raise InputError(
-            "rotor", name, f"has {len(values)} values for {count} rotors", "give one, or one for each rotor"
-        )
-    return tuple(None if v is None else float(v) for v in values)  # type: ignore[arg-type]
+@result(eq=False)
+class RotorResult:
+    """One operating point.
+
+    Attributes
+    ----------
+    pitch_rad, speed_rad_s, climb_m_s : float
+        The point.
+    thrust_N, torque_Nm, power_W, figure_of_merit, c_T, c_Q : float
+        Of the whole rotor; the figure of merit is nan unless thrust and power are positive.
+    r_m, dr_m, chord_m, theta_rad : (stations,) arrays
+        Blade.
+    alpha_rad, phi_rad, inflow_m_s, swirl_m_s, cl, cd, reynolds, loss, dT_N, dQ_Nm : (stations,) arrays
+        Angle of attack of the section, inflow angle, axial and tangential induced velocity, section
+        coefficients, Reynolds number, loss factor F, and thrust and torque of the annulus (all blades).
+    outside : (stations,) array of uint8
+        0 where the polar answers from what its engine computed; bits ``OUTSIDE_ALPHA``, ``OUTSIDE_REYNOLDS``
+        elsewhere.
+    outside_share : float
+        Part of the thrust, by size, that such stations carry.
+    calibrated : bool
+        True if the section coefficients were scaled to a measurement.
+    """
+
+    pitch_rad: float
+    speed_rad_s: float
+    climb_m_s: float
+    thrust_N: float
+    torque_Nm: float
+    power_W: float
+    figure_of_merit: float
+    c_T: float
+    c_Q: float
+    r_m: Array
+    dr_m: Array
+    chord_m: Array
+    theta_rad: Array
+    alpha_rad: Array
+    phi_rad: Array
+    inflow_m_s: Array
+    swirl_m_s: Array
+    cl: Array
+    cd: Array
+    reynolds: Array
+    loss: Array
+    dT_N: Array
+    dQ_Nm: Array
+    outside: NDArray[np.uint8]
+    outside_share: float
+    calibrated: bool
+
+
+@dataclass(frozen=True)
+class WakeSettings:
+    """How a wake is solved; docs/wake.md shows what each number does to the answer.
+
+    Attributes
+    ----------
+    model : 'free' or 'prescribed'
+        Free: the vortices go where the air takes them. Prescribed: Landgrebe's measured shape.
+    step_deg : float
+        Azimuth between the points of a filament.
+    turns, far_turns : float
+        Turns of free wake, and of helices below it.
+    far_step_deg : float
+        Azimuth between their points.
+    core : float
+        First core radius over the local chord.
+    core_limit : float, optional
+        Core radius of an old wake over R. By default 0.15 for one rotor and 0.2 for two, and more, in two steps, where
+        the wake does not settle with it; the solution's settings and message say which.
+    phases : int
+        Relative azimuths over which two rotors' influence on each other is averaged.
+    relaxation : float
+        Part of the way that the points go in one iteration; less with age, by 1 / (1 + zeta / (4 pi)): what is wrong
+        above adds up below.
+    tolerance : float
+        Converged when thrust and torque of the last ten iterations lie within this part of their mean.
+    residual : float
+        ... and the wake follows the air within this part of its velocity.
+    iterations : int
+        At most, with each core limit.
+    inviscid : bool
+        No boundary layer: c_l = 2 pi sin(alpha), no drag.
+    gpu : bool
+        Sum the velocities of the wake on a CUDA device.
+    """
+
+    model: Literal["free", "prescribed"] = "free"
+    step_deg: float = 15.0
+    turns: float = 4.0
+    far_turns: float = 10.0
+    far_step_deg: float = 30.0
+    core: float = 0.1
+    core_limit: float | None = None
+    phases: int = 6
+    relaxation: float = 0.35
+    tolerance: float = 1e-3
+    residual: float = 0.05
+    iterations: int = 150
+    inviscid: bool = False
+    gpu: bool = False
+
+    def __post_init__(self) -> None:
+        if self.model not in ("free", "prescribed"):
+            raise InputError("wake", "model", f"{self.model!r} is unknown", "use 'free' or 'prescribed'")
+        coarse = "too coarse a wake; "
+        for key, low, high, remedy in (
+            ("step_deg", 1.0, 30.0, coarse + "give 1 to 30 degrees"),
+            ("turns", 1.5, 40.0, coarse + "give 1.5 to 40 turns"),
+            ("far_turns", 0.0, 100.0, "give 0 to 100 turns"),
+            ("far_step_deg", 1.0, 45.0, coarse + "give 1 to 45 degrees"),
+            ("core", 1e-3, 1.0, "give 0.001 to 1 of the chord"),
+            ("phases", 2, 72, "give 2 to 72"),
+            ("relaxation", 0.01, 1.0, "give 0.01 to 1"),
+            ("tolerance", 1e-7, 0.1, "give 1e-7 to 0.1"),
+            ("residual", 1e-6, 0.5, "give 1e-6 to 0.5"),
+            ("iterations", 1, 100_000, "give 1 to 100000"),
+        ):
+            if not low <= getattr(self, key) <= high:
+                raise InputError("wake", key, f"is {getattr(self, key):g}", remedy)
+        if self.core_limit is not None and not 0.0 <= self.core_limit <= 0.5:
+            raise InputError("wake", "core_limit", f"is {self.core_limit:g}", "give 0 to 0.5 of the radius")
 
 
 @dataclass(frozen=True, eq=False)
+class Surface:
+    """One blade of a rotor at a pitch setting, in its own frame.
+
+    Attributes
+    ----------
+    blades : int
+    radius_m, speed_rad_s : float
+    chord_m, theta_rad : (n,) arrays
+        Chord and angle of the chord to the disc, panels from root to tip.
+    width_m : (n,) array
+        Width of the panels.
+    quarter_m, control_m : (n, 3) arrays
+        Panel middles at one and three quarters of the chord.
+    normal, tangent : (n, 3) arrays
+        Directions normal to the chord (up) and along it (towards the tail).
+    edge_quarter_m, edge_tail_m : (n + 1, 3) arrays
+        Panel edges on the quarter chord line and at the trailing edge.
+    edge_chord_m, spacing_m : (n + 1,) arrays
+        Chord, and distance of the trailing vortices, at the edges.
+    """
+
+    blades: int
+    radius_m: float
+    speed_rad_s: float
+    chord_m: Array
+    theta_rad: Array
+    width_m: Array
+    quarter_m: Array
+    control_m: Array
+    normal: Array
+    tangent: Array
+    edge_quarter_m: Array
+    edge_tail_m: Array
+    edge_chord_m: Array
+    spacing_m: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Wake:
+    """The vortices of one rotor, blade 1 on the x axis.
+
+    Attributes
+    ----------
+    paths_m : (n + 1, points, 3) array
+        Filaments from the quarter chord line down, in space (z up, the mirror image undone), blade 1 at azimuth 0.
+    age_rad : (points,) array
+    strength_m2_s : (n + 1,) array
+        Circulation of the trailing filaments, along the path, in the rotor's own (unmirrored) frame.
+    core_m : (n + 1, points - 1) array
+    circulation_m2_s : (n,) array
+        Of the panels.
+    free_points : int
+        Points that are free (the first ones after the quarter chord line).
+    """
+
+    placed: Placed
+    surface: Surface
+    paths_m: Array
+    age_rad: Array
+    strength_m2_s: Array
+    core_m: Array
+    circulation_m2_s: Array
+    free_points: int
+
+
+@result(eq=False)
 class Result:
     """A system at one operating point.
 
@@ -162,29 +332,33 @@ class Result:
     converged : bool
     message : str
         How it converged, or why not.
-    turns : int
+    iterations : int
         How often the rotors were solved in turn; iterations of the wake.
     from_below_m_s : tuple of (stations,) arrays
         By blade elements: axial velocity that each rotor but the last gets from those below it.
-    wake : WakeSolution or None
-        The wake, if that was the method: what :func:`mufly.rotor.wake.induced_velocity` and its companions take.
+    wakes : tuple of Wake
+        Of each rotor, if that was the method, as what follows.
+    settings : WakeSettings or None
+        As used: with the core limit that the wakes settled with.
+    residual : float
+        Mismatch of the wakes' shape and the velocity of the air, over the velocity (root mean squares).
+    history : (iterations, 1 + 2 rotors) array
+        Residual, then thrust (N) and torque (N m) of each rotor.
     """
 
     rotors: tuple[RotorResult, ...]
     placed: tuple[Placed, ...]
     climb_m_s: float
     air: Air
-    method: Method
+    method: Method = "bemt"
     converged: bool = True
     message: str = ""
-    turns: int = 1
+    iterations: int = 1
     from_below_m_s: tuple[Array, ...] = ()
-    wake: WakeSolution | None = None
-
-    @property
-    def sent_up_m_s(self) -> Array:
-        """Former name."""
-        return self.from_below_m_s[0]
+    wakes: tuple[Wake, ...] = ()
+    settings: WakeSettings | None = None
+    residual: float = math.nan
+    history: Array | None = None
 
     @property
     def upper(self) -> RotorResult:
@@ -226,559 +400,38 @@ class Result:
         return thrust * math.sqrt(thrust / (2.0 * self.air.density_kg_m3 * area)) / power
 
 
-_At = Callable[[Sequence[float], Sequence[float], Result | None], Result]  # pitches, speeds, similar result
-
-
-def solve(
-    system: System,
-    condition: Condition,
-    method: Method = "bemt",
-    *,
-    settings: WakeSettings | None = None,
-    start: Result | None = None,
-    progress: Progress | None = None,
-) -> Result:
-    """Solve a system of rotors.
-
-    ======================  =========================  ==========================================================
-    one rotor               ``pitch``, ``speed``       the point
-    .                       one of them, ``thrust_N``  the other one
-    a pair                  pitches, speeds            the point
-    .                       pitches, upper speed       the lower speed at which the torques cancel
-    .                       pitches, ``thrust_N``      both speeds, torques cancelled
-    .                       upper pitch, speeds        the lower pitch at which the torques cancel; with ``thrust_N``
-                                                       the speeds are scaled to it, their ratio kept
-    ======================  =========================  ==========================================================
-
-    Parameters
-    ----------
-    system : System
-    condition : Condition
-        What is given.
-    method : 'bemt' or 'wake'
-    settings : WakeSettings, optional
-        Of the wake.
-    start : Result, optional
-        A similar result to start from; saves time, not more.
-    progress : callable, optional
-        Of the wake: iteration, residual and thrust (N) of all rotors.
-
-    Returns
-    -------
-    Result
-        A wake at a given point that does not converge is returned, marked so, with its history.
-
-    Raises
-    ------
-    InputError
-        If a condition gives too little or too much, a number is not possible, a thrust is out of reach, or wakes cannot
-        be solved together (see :func:`mufly.rotor.wake.check_rotors`).
-    MuflyError
-        If blade elements do not settle, which happens in descents in which the wakes blow back through the discs; if no
-        balance is found, or a wake on the way to it does not converge.
-
-    Examples
-    --------
-    >>> pair = System.coaxial(upper, lower, spacing_m=0.02)  # doctest: +SKIP
-    >>> solve(pair, Condition(0.24, thrust_N=0.9)).power_W  # doctest: +SKIP
-    """
-    if method not in _METHODS:
-        raise InputError("rotor", "method", f"{method!r} is unknown", f"use one of: {', '.join(_METHODS)}")
-    count = len(system.bladings)
-    pitch = _each("pitch_rad", condition.pitch_rad, count)
-    speed = _each("speed_rad_s", condition.speed_rad_s, count)
-    thrust = condition.thrust_N
-
-    def at(pitches: Sequence[float], speeds: Sequence[float], start: Result | None) -> Result:
-        return _METHODS[method](
-            system.at(pitches, speeds), condition.climb_m_s, condition.air, settings, start, progress
-        )
-
-    known_pitch = tuple(p for p in pitch if p is not None)
-    known_speed = tuple(s for s in speed if s is not None)
-    if len(known_pitch) == len(known_speed) == count and thrust is None:
-        return at(known_pitch, known_speed, start)
-    enough = _CLOSE if method == "bemt" else max(_WAKE_CLOSE, (settings or WakeSettings()).tolerance)
-    if count == 1:
-        return _for_thrust(at, system, condition, pitch[0], speed[0], enough, start)
-    if count != 2:
-        raise InputError("rotor", "", f"{count} rotors have no trim", "give pitch and speed of each")
-    if len(known_pitch) == 2:
-        if thrust is not None and not 0.0 < thrust < math.inf:
-            raise InputError("coaxial", "thrust_N", f"is {thrust:g}", "give a number above 0")
-        if speed[1] is not None or (speed[0] is None) == (thrust is None):
+def check_rotors(rotors: Sequence[Placed], climb: float) -> None:
+    """Raise :class:`InputError` with one line if the rotors cannot be solved together."""
+    if len(rotors) not in (1, 2):
+        raise InputError("wake", "rotors", f"{len(rotors)} given", "give one rotor, or two")
+    if not math.isfinite(climb):
+        raise InputError("wake", "climb_m_s", f"is {climb:g}", "give a finite number")
+    for p in rotors:
+        if not (math.isfinite(p.speed_rad_s) and p.speed_rad_s > 0.0):
+            raise InputError("wake", "speed_rad_s", f"is {p.speed_rad_s:g}", "give a number above 0")
+        if not math.isfinite(p.pitch_rad):
+            raise InputError("wake", "pitch_rad", f"is {p.pitch_rad:g}", "give a finite number")
+        if p.hand not in (1, -1):
+            raise InputError("wake", "hand", f"is {p.hand}", "give 1 or -1")
+    if len(rotors) == 2:
+        a, b = rotors
+        if a.hand == b.hand:
             raise InputError(
-                "coaxial", "", "needs one of upper speed and thrust", "give one; the other is found"
-            )
-        if method == "bemt":
-            return _balance_by_roots(at, known_pitch, speed[0], thrust, start)
-        return _balance_by_steps(at, known_pitch, speed[0], thrust, enough, start)
-    if pitch[0] is None or len(known_speed) != 2:
-        raise InputError("coaxial", "", "leaves too much open", "give the upper pitch and both speeds")
-    return _balance_pitch(at, pitch[0], known_speed, thrust, enough, start)
-
-
-# Blade elements and wakes: rotors at a point
-
-
-def tube_speed(distance_m: float, radius_m: float) -> float:
-    """k(z) of the module docstring: speed on the axis of a wake tube over that in the disc, 0 to 2."""
-    return 1.0 + distance_m / math.hypot(radius_m, distance_m)
-
-
-def _carried(source: Placed, induced: tuple[Array, Array], target: Placed, k: float) -> tuple[Array, Array]:
-    """Axial and tangential velocity that a rotor's stream has at another's stations, where it moves k times as fast.
-
-    A station across the edge of the stream gets the part that lies inside.
-    """
-    r_m, disc_radius = source.blading.r_m[source.which], source.blading.rotors[source.which].radius_m
-    at_r, at_dr = target.blading.r_m[target.which], target.blading.dr_m[target.which]
-    shrink = 1.0 / math.sqrt(k)
-    inside = np.clip((disc_radius * shrink - at_r) / at_dr + 0.5, 0.0, 1.0)
-    r = at_r / shrink
-    axial = inside * k * np.interp(r, r_m, induced[0])
-    around = inside * 2.0 * np.interp(r, r_m, induced[1]) / shrink
-    return axial, -source.hand * target.hand * around
-
-
-def _bemt(
-    rotors: tuple[Placed, ...], climb_m_s: float, air: Air, settings: WakeSettings | None, start: Result | None,
-    progress: Progress | None,
-) -> Result:  # fmt: skip
-    """Solve rotors in their places by blade elements; the method is that of the module docstring."""
-    at = [
-        {
-            "pitch_rad": p.pitch_rad,
-            "speed_rad_s": p.speed_rad_s,
-            "climb_m_s": climb_m_s,
-            "air": air,
-            "which": p.which,
-        }
-        for p in rotors
-    ]
-    if len(rotors) == 1:
-        return Result((hover(rotors[0].blading, **at[0]),), rotors, climb_m_s, air, "bemt")  # type: ignore[arg-type]
-    radius = [p.blading.rotors[p.which].radius_m for p in rotors]
-    k = [
-        [tube_speed(a.height_m - b.height_m, big) for b in rotors]
-        for a, big in zip(rotors, radius, strict=True)
-    ]
-    stations = [p.blading.r_m.shape[1] for p in rotors]
-    cuts = np.cumsum(stations[:-1])[:-1]
-
-    def turn_of_all(x: Array) -> tuple[Array, list[tuple[Array, Array]], float]:
-        """Solve from the top in the inflow ``x`` from below: what it becomes, what each rotor meets, size of all."""
-        met, induced = [], []
-        for b, p in enumerate(rotors):
-            axial = np.split(x, cuts)[b] if b < len(stations) - 1 else np.zeros(stations[b])
-            around = np.zeros(stations[b])
-            for a in range(b):
-                sent = _carried(rotors[a], induced[a], p, k[a][b])
-                axial, around = axial + sent[0], around + sent[1]
-            met.append((axial, around))
-            induced.append(induced_velocities(p.blading, **at[b], stream=met[b]))  # type: ignore[arg-type]
-        pulled = [
-            sum(_carried(rotors[b], induced[b], p, k[b][a])[0] for b in range(a + 1, len(rotors)))
-            for a, p in enumerate(rotors[:-1])
-        ]
-        return np.concatenate(pulled), met, sum(float(np.max(np.abs(v[0]))) for v in induced)
-
-    x = np.zeros(sum(stations[:-1]))
-    if start is not None and [v.size for v in start.from_below_m_s] == stations[:-1]:
-        x = np.concatenate(start.from_below_m_s)
-    last_step, last_image = np.empty(0), np.empty(0)
-    for turn in range(1, _TURNS + 1):
-        image, met, size = turn_of_all(x)
-        step = image - x
-        if np.max(np.abs(step)) <= _SETTLED * size:
-            break
-        # Anderson's acceleration with one memory; held to the plain half step where it would leap.
-        following = image
-        if last_step.size:
-            bend = step - last_step
-            weight = float(bend @ step) / max(float(bend @ bend), 1e-300)
-            following = image - weight * (image - last_image) if abs(weight) < 5.0 else x + 0.5 * step
-        if turn > _TURNS // 4:
-            following = x + 0.2 * step
-        last_step, last_image, x = step, image, following
-    else:
-        raise MuflyError(
-            f"coaxial: the two rotors do not settle at {climb_m_s:g} m/s climb; "
-            f"the inflow still changes by {np.max(np.abs(step)) / size:.1e} of itself a turn"
-        )
-    found = tuple(hover(p.blading, **a, stream=m) for p, a, m in zip(rotors, at, met, strict=True))  # type: ignore[arg-type]
-    return Result(
-        found,
-        rotors,
-        climb_m_s,
-        air,
-        "bemt",
-        True,
-        f"settled in {turn} turns",
-        turn,
-        tuple(np.split(x, cuts)),
-    )
-
-
-def _wake(
-    rotors: tuple[Placed, ...], climb_m_s: float, air: Air, settings: WakeSettings | None, start: Result | None,
-    progress: Progress | None,
-) -> Result:  # fmt: skip
-    """Solve rotors in their places by vortex wakes."""
-    w = solve_wake(
-        rotors, air=air, climb_m_s=climb_m_s, settings=settings, start=None if start is None else start.wake,
-        progress=progress,
-    )  # fmt: skip
-    return Result(w.rotors, rotors, climb_m_s, air, "wake", w.converged, w.message, w.iterations, wake=w)
-
-
-_METHODS = {"bemt": _bemt, "wake": _wake}
-METHODS = tuple(_METHODS)
-
-
-# One rotor: the speed or the pitch for a thrust
-
-
-def solve_thrust(
-    blading: Blading | Rotor,
-    *,
-    thrust_N: float,
-    pitch_rad: float | None = None,
-    speed_rad_s: float | None = None,
-    climb_m_s: float = 0.0,
-    air: Air | None = None,
-    speed_limits_rad_s: tuple[float, float] | None = None,
-    pitch_limits_rad: tuple[float, float] = (-0.35, 0.7),
-    which: int = 0,
-) -> RotorResult:
-    """Find the speed (at given pitch) or the pitch (at given speed) that gives a thrust, by blade elements.
-
-    Give exactly one of ``pitch_rad`` and ``speed_rad_s``; the other is found, to 1e-9 of its range. The unknown
-    is sought on 64 points between its limits first, and then between the two lowest ones that enclose the
-    thrust, so that of two pitches with the same thrust, below and beyond stall, the lower is returned. Speeds are
-    sought up to :data:`FASTEST_TIP_M_S` at the tip.
-
-    Raises
-    ------
-    InputError
-        If neither or both are given, or no value within the limits gives the thrust; the message names the
-        greatest thrust there is.
-    """
-    if (pitch_rad is None) == (speed_rad_s is None):
-        raise InputError("rotor", "thrust", "needs one of pitch and speed", "give one; the other is found")
-    by_speed, case = speed_rad_s is None, as_blading(blading)
-    fastest = FASTEST_TIP_M_S / float(case.radius_m[which])
-    low, high = (speed_limits_rad_s or (1.0, fastest)) if by_speed else pitch_limits_rad
-    grid = np.geomspace(low, high, 64) if by_speed else np.linspace(low, high, 64)
-
-    def point(value: Any) -> dict[str, Any]:
-        pitch, speed = (pitch_rad, value) if by_speed else (value, speed_rad_s)
-        return {"pitch_rad": pitch, "speed_rad_s": speed, "climb_m_s": climb_m_s, "air": air, "which": which}
-
-    for _ in range(8):  # each pass narrows the interval by 63, to below 1e-13 of the first
-        short = hover_batch(case, **point(grid)).thrust_N - thrust_N
-        cross = np.flatnonzero((short[:-1] <= 0.0) & (short[1:] >= 0.0))
-        if cross.size == 0:
-            key, unit = ("speed", "rad/s") if by_speed else ("pitch", "rad")
-            reached = float(short.max() + thrust_N)
-            raise InputError(
-                "rotor", "thrust", f"{thrust_N:g} N is out of reach: at most {reached:.4g} N",
-                f"ask for less, or widen the {key} limits ({low:g} to {high:g} {unit})",
+                "wake", "hand", "both rotors turn the same way",
+                "let them turn against each other; a co-rotating pair has a wake that is not steady in any mean",
             )  # fmt: skip
-        i = int(cross[0])
-        if grid[i + 1] - grid[i] <= 1e-12 * max(abs(grid[i]), 1e-3):
-            break
-        grid = np.linspace(grid[i], grid[i + 1], 64)
-    return hover(case, **point(float(grid[i] if abs(short[i]) <= abs(short[i + 1]) else grid[i + 1])))
+        gap = abs(a.height_m - b.height_m)
+        if not gap > 0.0:
+            raise InputError("wake", "spacing", "is zero", "give a distance above 0")
+        reach = sum(_depth(p) for p in rotors)
+        if gap <= reach:
+            raise InputError(
+                "wake", "spacing", f"{1e3 * gap:.3g} mm lets the blades overlap",
+                f"give more than {1e3 * reach:.3g} mm, what the pitched blades take up",
+            )  # fmt: skip
 
 
-def _for_thrust(
-    at: _At, system: System, condition: Condition, pitch: float | None, speed: float | None, close: float,
-    known: Result | None,
-) -> Result:  # fmt: skip
-    """Find what a condition of one rotor leaves open.
-
-    A wake is dear and blade element momentum theory (BEMT) is not, and the ratio of the two hardly changes from one
-    point to a near one. So BEMT, scaled to the wake at the last point, finds the next one: with T_w / T_b the ratio
-    there, the point is sought at which BEMT gives T_wanted T_b / T_w. Two or three wakes are enough.
-    """
-    thrust = condition.thrust_N
-    if thrust is None or not math.isfinite(thrust):
-        raise InputError("rotor", "", "needs two of pitch, speed and thrust", "give two; the third is found")
-    wanted, reached = thrust, math.nan
-    for _ in range(_THRUST_TRIES):
-        b = solve_thrust(
-            system.bladings[0], thrust_N=wanted, pitch_rad=pitch, speed_rad_s=speed, climb_m_s=condition.climb_m_s,
-            air=condition.air, which=system.which[0],
-        )  # fmt: skip
-        known = at((b.pitch_rad,), (b.speed_rad_s,), known)
-        if known.method == "bemt":
-            return known
-        if not thrust > 0.0:
-            raise InputError("rotor", "thrust", f"is {thrust:g} N", "give a number above 0")
-        reached = known.thrust_N
-        if not known.converged or abs(reached / thrust - 1.0) <= close:
-            return known
-        if not reached > 0.0:
-            break
-        wanted = thrust * b.thrust_N / reached
-    raise MuflyError(
-        f"rotor: {thrust:g} N is not found in {_THRUST_TRIES} tries; the last wake gives {reached:.4g} N"
-    )
-
-
-# Two rotors: speeds or a pitch at which the torques cancel
-
-
-def _balance_by_roots(
-    at: _At, pitch: Sequence[float], upper_speed: float | None, thrust_N: float | None, start: Result | None
-) -> Result:
-    """Find the lower speed, or with a thrust both, by bracketed roots: a point is quick."""
-    known = [start]
-
-    def pair(up: float, low: float) -> Result:
-        known[0] = at(pitch, (up, low), known[0])
-        return known[0]
-
-    def balanced(up: float, guess: float) -> Result:
-        return _root(
-            lambda x: pair(up, up * x),
-            lambda p: p.yaw_torque_Nm / abs(p.upper.torque_Nm),
-            guess,
-            "balances the torques",
-        )
-
-    if thrust_N is None:
-        assert upper_speed is not None
-        return balanced(upper_speed, 1.0)
-    first = balanced(_FIRST_SPEED, 1.0)
-    if not first.thrust_N > 0.0:
-        raise MuflyError(
-            f"coaxial: no thrust at 300 rad/s and these pitches, so {thrust_N:g} N is out of reach"
-        )
-    ratio = first.lower.speed_rad_s / first.upper.speed_rad_s
-    guess = _FIRST_SPEED * math.sqrt(thrust_N / first.thrust_N)
-    return _root(
-        lambda x: balanced(guess * x, ratio),
-        lambda p: p.thrust_N / thrust_N - 1.0,
-        1.0,
-        f"gives {thrust_N:g} N",
-    )
-
-
-def _root(
-    solve_at: Callable[[float], Result], fault: Callable[[Result], float], guess: float, what: str
-) -> Result:
-    """Factor at which ``fault`` vanishes: bracket by steps of 1.15 from the guess, then Illinois."""
-    a = b = guess
-    at_a = at_b = solve_at(guess)
-    fa = fb = fault(at_a)
-    while fa > 0.0 and a > 0.1:
-        b, at_b, fb = a, at_a, fa
-        a /= 1.15
-        at_a = solve_at(a)
-        fa = fault(at_a)
-    while fb < 0.0 and b < 10.0:
-        a, at_a, fa = b, at_b, fb
-        b *= 1.15
-        at_b = solve_at(b)
-        fb = fault(at_b)
-    if fa * fb > 0.0:
-        raise MuflyError(f"coaxial: no speed {what} between a tenth and ten times the first guess")
-    side = 0
-    for _ in range(60):
-        if abs(fa) < _CLOSE:
-            return at_a
-        if abs(fb) < _CLOSE:
-            return at_b
-        x = b - fb * (b - a) / (fb - fa)
-        now = solve_at(x)
-        f = fault(now)
-        if abs(f) < _CLOSE:
-            return now
-        if f * fb > 0.0:
-            b, at_b, fb = x, now, f
-            fa *= 0.5 if side == 1 else 1.0
-            side = 1
-        else:
-            a, at_a, fa = x, now, f
-            fb *= 0.5 if side == -1 else 1.0
-            side = -1
-    return now
-
-
-def _balance_by_steps(
-    at: _At, pitch: Sequence[float], upper_speed: float | None, thrust_N: float | None, close: float,
-    known: Result | None,
-) -> Result:  # fmt: skip
-    """Find the same by secant steps, each from the wake of the last one: a point is dear."""
-    up = upper_speed if upper_speed is not None else _FIRST_SPEED
-    ratio = 1.1
-    torque_slope = None
-    last: tuple[float, float] | None = None
-    for _ in range(_SPEED_TRIES):
-        known = at(pitch, (up, up * ratio), known)
-        if not known.converged:
-            raise MuflyError(
-                f"coaxial: at {up:.4g} and {up * ratio:.4g} rad/s the wake is {known.message}; try a larger core_limit"
-            )
-        total = known.thrust_N
-        fault = math.log(max(known.lower.torque_Nm, 1e-12) / max(known.upper.torque_Nm, 1e-12))
-        short = 0.0 if thrust_N is None else math.log(thrust_N / total) if total > 0.0 else math.nan
-        if not (math.isfinite(fault) and math.isfinite(short)):
-            raise MuflyError("coaxial: no thrust at these pitches, so no speed gives the one asked for")
-        if abs(fault) <= close and abs(short) <= close:
-            return known
-        # ln(torque ratio) over ln(speed ratio) is close to a line; for isolated rotors its slope is 2.
-        here = (math.log(ratio), fault)
-        if last is not None and abs(here[0] - last[0]) > 1e-4:
-            slope = (here[1] - last[1]) / (here[0] - last[0])
-            if 1.0 < slope < 10.0:
-                torque_slope = slope
-        last = here
-        ratio = math.exp(here[0] - max(min(fault / (torque_slope or 2.6), 0.3), -0.3))
-        up *= math.exp(max(min(0.5 * short, 1.0), -1.0))
-    raise MuflyError(
-        f"coaxial: no balance found in {_SPEED_TRIES} tries; the torques still differ by {100 * fault:.2g} %"
-    )
-
-
-def _balance_pitch(
-    at: _At,
-    upper_pitch: float,
-    speed: Sequence[float],
-    thrust_N: float | None,
-    close: float,
-    start: Result | None,
-) -> Result:
-    """Find the lower pitch at which the torques cancel.
-
-    ln(Q_lower / Q_upper) is a smooth, rising function of the lower pitch, close to a line, so secant steps find its
-    root in three to six solutions. With a thrust both speeds are scaled by sqrt(T_wanted / T) after every step, their
-    ratio kept: coefficients depend on speed through the Reynolds number only.
-    """
-    if thrust_N is not None and not 0.0 < thrust_N < math.inf:
-        raise InputError("coaxial", "thrust_N", f"is {thrust_N:g}", "give a number above 0")
-    pitch, factor, slope = upper_pitch, 1.0, _FIRST_SLOPE
-    last: tuple[float, float] | None = None
-    fault = math.nan
-    for _ in range(_PITCH_TRIES):
-        now = at((upper_pitch, pitch), (factor * speed[0], factor * speed[1]), start)
-        if not now.converged:
-            raise MuflyError(f"coaxial: at {math.degrees(pitch):.2f} degrees below the wake is {now.message}")
-        if now.method == "wake":
-            start = now
-        if not now.upper.torque_Nm > 0.0:
-            raise MuflyError(
-                "coaxial: the upper rotor takes no torque at this pitch, so nothing is to be balanced"
-            )
-        if thrust_N is not None and not now.thrust_N > 0.0:
-            raise MuflyError("coaxial: no thrust at these pitches, so no speed gives the one asked for")
-        fault = math.log(max(now.lower.torque_Nm / now.upper.torque_Nm, 1e-3))
-        short = 0.0 if thrust_N is None else math.log(thrust_N / now.thrust_N)
-        if abs(fault) <= close and abs(short) <= close:
-            return now
-        if last is not None and abs(pitch - last[0]) > 1e-7:
-            slope = min(max((fault - last[1]) / (pitch - last[0]), _SLOPES[0]), _SLOPES[1])
-        last = (pitch, fault)
-        pitch -= max(min(fault / slope, _LONGEST_STEP), -_LONGEST_STEP)
-        pitch = min(max(pitch, _RANGE[0]), _RANGE[1])
-        factor *= math.exp(max(min(0.5 * short, 1.0), -1.0))
-    raise MuflyError(
-        f"coaxial: no lower pitch between {math.degrees(_RANGE[0]):.0f} and {math.degrees(_RANGE[1]):.0f} degrees "
-        f"balances the torques in {_PITCH_TRIES} tries; they still differ by {100 * abs(math.expm1(fault)):.2g} %"
-    )
-
-
-# Former names, until their callers are moved
-
-
-def _pair_start(upper: Blading, lower: Blading, start: Any) -> Result | None:
-    if isinstance(start, WakeSolution):
-        return Result(start.rotors, (), start.climb_m_s, start.air, "wake", wake=start)
-    return None if start is None else Result((), (), 0.0, Air(), "bemt", from_below_m_s=(start,))
-
-
-def _former(
-    method: Method, upper: Blading, lower: Blading, spacing_m: float, pitch: Each, speed: Each,
-    thrust_N: float | None = None, climb_m_s: float = 0.0, air: Air | None = None, start: Any = None, **more: Any,
-) -> Result:  # fmt: skip
-    return solve(
-        System.coaxial(upper, lower, spacing_m=spacing_m), Condition(pitch, speed, thrust_N, climb_m_s, air or Air()),
-        method, start=_pair_start(upper, lower, start), **more,
-    )  # fmt: skip
-
-
-CoaxialResult = Result
-
-
-def coaxial(
-    upper: Blading, lower: Blading, *, spacing_m: float, upper_pitch_rad: float, lower_pitch_rad: float,
-    upper_speed_rad_s: float, lower_speed_rad_s: float, **more: Any,
-) -> Result:  # fmt: skip
-    speeds = (upper_speed_rad_s, lower_speed_rad_s)
-    return _former("bemt", upper, lower, spacing_m, (upper_pitch_rad, lower_pitch_rad), speeds, **more)
-
-
-def balance_torque(
-    upper: Blading, lower: Blading, *, spacing_m: float, upper_pitch_rad: float, lower_pitch_rad: float,
-    upper_speed_rad_s: float | None = None, **more: Any,
-) -> Result:  # fmt: skip
-    speeds = (upper_speed_rad_s, None)
-    return _former("bemt", upper, lower, spacing_m, (upper_pitch_rad, lower_pitch_rad), speeds, **more)
-
-
-def balance_pitch(
-    upper: Blading, lower: Blading, *, spacing_m: float, upper_pitch_rad: float, upper_speed_rad_s: float,
-    lower_speed_rad_s: float, **more: Any,
-) -> Result:  # fmt: skip
-    speeds = (upper_speed_rad_s, lower_speed_rad_s)
-    return _former("bemt", upper, lower, spacing_m, (upper_pitch_rad, None), speeds, **more)
-
-
-def coaxial_wake(
-    upper: Blading, lower: Blading, *, spacing_m: float, upper_pitch_rad: float, lower_pitch_rad: float,
-    upper_speed_rad_s: float, lower_speed_rad_s: float, **more: Any,
-) -> WakeSolution:  # fmt: skip
-    speeds = (upper_speed_rad_s, lower_speed_rad_s)
-    r = _former("wake", upper, lower, spacing_m, (upper_pitch_rad, lower_pitch_rad), speeds, **more)
-    assert r.wake is not None
-    return r.wake
-
-
-def balance_torque_wake(
-    upper: Blading, lower: Blading, *, spacing_m: float, upper_pitch_rad: float, lower_pitch_rad: float,
-    upper_speed_rad_s: float | None = None, **more: Any,
-) -> WakeSolution:  # fmt: skip
-    speeds = (upper_speed_rad_s, None)
-    r = _former("wake", upper, lower, spacing_m, (upper_pitch_rad, lower_pitch_rad), speeds, **more)
-    assert r.wake is not None
-    return r.wake
-
-
-def balance_pitch_wake(
-    upper: Blading, lower: Blading, *, spacing_m: float, upper_pitch_rad: float, upper_speed_rad_s: float,
-    lower_speed_rad_s: float, **more: Any,
-) -> WakeSolution:  # fmt: skip
-    speeds = (upper_speed_rad_s, lower_speed_rad_s)
-    r = _former("wake", upper, lower, spacing_m, (upper_pitch_rad, None), speeds, **more)
-    assert r.wake is not None
-    return r.wake
-
-
-def hover_wake(
-    blading: Blading | Rotor, *, pitch_rad: float | None, speed_rad_s: float | None, climb_m_s: float = 0.0,
-    air: Air | None = None, which: int = 0, thrust_N: float | None = None, start: Any = None, **more: Any,
-) -> WakeSolution:  # fmt: skip
-    at = Condition(pitch_rad, speed_rad_s, thrust_N, climb_m_s, air or Air())
-    system = System.single(blading, which=which)
-    r = solve(system, at, "wake", start=_pair_start(system.bladings[0], system.bladings[0], start), **more)
-    assert r.wake is not None
-    return r.wake
-
-
-def solve_thrust_wake(
-    blading: Blading | Rotor, *, thrust_N: float, pitch_rad: float | None = None, speed_rad_s: float | None = None,
-    **more: Any,
-) -> WakeSolution:  # fmt: skip
-    return hover_wake(blading, pitch_rad=pitch_rad, speed_rad_s=speed_rad_s, thrust_N=thrust_N, **more)
+def _depth(placed: Placed) -> float:
+    """How far a blade reaches above or below its disc: the greater part of its chord, pitched."""
+    b, k = placed.blading, placed.which
+    return float(np.max(0.75 * b.chord_m[k] * np.abs(np.sin(b.twist_rad[k] + placed.pitch_rad))))

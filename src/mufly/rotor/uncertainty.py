@@ -24,10 +24,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mufly.errors import InputError
-from mufly.rotor.bemt import Air, hover_batch
+from mufly.rotor.bemt import hover_batch
 from mufly.rotor.blading import Corrections, prepare
 from mufly.rotor.engines import Engine
 from mufly.rotor.geometry import Rotor
+from mufly.rotor.system import Air
 
 Array = NDArray[np.float64]
 

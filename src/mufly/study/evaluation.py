@@ -45,6 +45,7 @@ from mufly.drive import (
 )
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import (
+    FASTEST_TIP_M_S,
     Air,
     Condition,
     PolarTable,
@@ -57,9 +58,7 @@ from mufly.rotor import (
     prepare,
     solve,
 )
-from mufly.rotor.system import FASTEST_TIP_M_S
-from mufly.rotor.wake import WakeSettings
-from mufly.rotor.wake.result import check_rotors
+from mufly.rotor.wake import WakeSettings, check_rotors
 from mufly.study.parameters import GEOMETRY, Value
 from mufly.study.setup import EACH_OUTPUTS, Setup, check_names, reshape
 
@@ -356,7 +355,7 @@ _TRIES = 8
 
 
 def _core_limit(result: Result) -> float:
-    limit = None if result.wake is None else result.wake.settings.core_limit
+    limit = None if result.settings is None else result.settings.core_limit
     return np.nan if limit is None else limit
 
 
@@ -566,7 +565,7 @@ def _pair_row(point: Result) -> dict[str, float]:
         "figure_of_merit": point.figure_of_merit,
         "thrust_ratio": low.thrust_N / up.thrust_N,
         "torque_ratio": low.torque_Nm / up.torque_Nm,
-        "iterations": float(point.wake.iterations) if point.wake is not None else np.nan,
+        "iterations": float(point.iterations) if point.wakes else np.nan,
         "core_limit": _core_limit(point),
     }
     for side, r in (("upper", up), ("lower", low)):

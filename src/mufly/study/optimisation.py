@@ -32,9 +32,8 @@ from scipy.optimize import differential_evolution, minimize
 
 from mufly.drive import hover_endurance
 from mufly.errors import InputError, MuflyError
-from mufly.rotor import Condition, Result, Rotor, System, load_airfoil, replace_rotor, solve
-from mufly.rotor.system import FASTEST_TIP_M_S
-from mufly.rotor.wake.result import check_rotors
+from mufly.rotor import FASTEST_TIP_M_S, Condition, Result, Rotor, System, load_airfoil, replace_rotor, solve
+from mufly.rotor.wake import check_rotors
 from mufly.study.evaluation import condition_of, evaluate, solve_case, system_of
 from mufly.study.parameters import GEOMETRY, PAIR, RANGES, Limit, bounds_of, parse_quantity
 from mufly.study.ranking import rank_airfoils

@@ -11,9 +11,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor import Rotor, RotorResult, load_airfoil
+from mufly.rotor import Result, Rotor, RotorResult, load_airfoil
 from mufly.rotor.maps import at
-from mufly.rotor.wake import WakeSolution, induced_velocity
+from mufly.rotor.wake import induced_velocity
 from mufly.study.parameters import PARAMETERS, in_unit
 
 if TYPE_CHECKING:
@@ -321,12 +321,12 @@ def _names(count: int) -> Sequence[str]:
     return _SIDES if count == 2 else ("rotor",)
 
 
-def wake_picture(solution: WakeSolution, *, turns: float = 2.0) -> Figure:
+def wake_picture(solution: Result, *, turns: float = 2.0) -> Figure:
     """Draw the vortices that leave the blades in 3-D, coloured by the size of their circulation, one panel a rotor.
 
     Parameters
     ----------
-    solution : WakeSolution
+    solution : Result
     turns : float
         How much of the wake is drawn, in turns of its rotor.
     """
@@ -383,13 +383,13 @@ def wake_picture(solution: WakeSolution, *, turns: float = 2.0) -> Figure:
 
 
 def plane_velocity(
-    solution: WakeSolution, x_m: Array, z_m: Array, *, phases: int = 12
+    solution: Result, x_m: Array, z_m: Array, *, phases: int = 12
 ) -> tuple[Array, Array, Array]:
     """Velocity of the air in the plane y = 0.
 
     Parameters
     ----------
-    solution : WakeSolution
+    solution : Result
     x_m, z_m : (nx,), (nz,) arrays
     phases : int
         Azimuths of the blades that are averaged over, evenly from one blade to the next; 1 is the instant at which the
@@ -411,7 +411,7 @@ def plane_velocity(
     return total[..., 0], total[..., 1], total[..., 2]
 
 
-def field_picture(solution: WakeSolution, *, mean: bool = True, points: int = 80, phases: int = 12) -> Figure:
+def field_picture(solution: Result, *, mean: bool = True, points: int = 80, phases: int = 12) -> Figure:
     """Draw the air in a vertical plane through the shaft.
 
     With ``mean``, speed and streamlines averaged over the azimuth; without, an instant: vorticity through the plane,
@@ -512,7 +512,7 @@ def history_picture(history: Array, *, residual: float | None = None, note: str 
     Parameters
     ----------
     history : (iterations, 1 + 2 rotors) array
-        As in ``WakeSolution.history``.
+        As in ``Result.history``.
     residual : float, optional
         Where it counts as settled, drawn as a line.
     note : str

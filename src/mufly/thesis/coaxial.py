@@ -19,8 +19,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.errors import MuflyError
-from mufly.rotor import Blading, Condition, Result, System, load_rotor, prepare, solve
-from mufly.rotor.system import Method
+from mufly.rotor import Blading, Condition, Method, Result, System, load_rotor, prepare, solve
 from mufly.rotor.wake import WakeSettings
 from mufly.study.sweeps import Progress
 from mufly.thesis.claims import CLAIMS, TABLE_3_4_VALUES, Verdict

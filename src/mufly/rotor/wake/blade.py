@@ -29,8 +29,9 @@ from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.errors import InputError
-from mufly.rotor.bemt import Air, Section, section_coefficients
+from mufly.rotor.bemt import Section, section_coefficients
 from mufly.rotor.blading import Blading, panel_edges
+from mufly.rotor.system import Air, Surface
 from mufly.rotor.wake.kernel import influence
 
 Array = NDArray[np.float64]
@@ -38,44 +39,6 @@ Array = NDArray[np.float64]
 _LARGEST_STEP = 0.05  # rad of angle of attack, one Newton step: keeps a panel on the branch it is on
 _TOLERANCE = 1e-9  # of the greatest circulation
 _STEPS = 200
-
-
-@dataclass(frozen=True, eq=False)
-class Surface:
-    """One blade of a rotor at a pitch setting, in its own frame.
-
-    Attributes
-    ----------
-    blades : int
-    radius_m, speed_rad_s : float
-    chord_m, theta_rad : (n,) arrays
-        Chord and angle of the chord to the disc, panels from root to tip.
-    width_m : (n,) array
-        Width of the panels.
-    quarter_m, control_m : (n, 3) arrays
-        Panel middles at one and three quarters of the chord.
-    normal, tangent : (n, 3) arrays
-        Directions normal to the chord (up) and along it (towards the tail).
-    edge_quarter_m, edge_tail_m : (n + 1, 3) arrays
-        Panel edges on the quarter chord line and at the trailing edge.
-    edge_chord_m, spacing_m : (n + 1,) arrays
-        Chord, and distance of the trailing vortices, at the edges.
-    """
-
-    blades: int
-    radius_m: float
-    speed_rad_s: float
-    chord_m: Array
-    theta_rad: Array
-    width_m: Array
-    quarter_m: Array
-    control_m: Array
-    normal: Array
-    tangent: Array
-    edge_quarter_m: Array
-    edge_tail_m: Array
-    edge_chord_m: Array
-    spacing_m: Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mufly.errors import InputError
+from mufly.rotor.system import Result, Wake, WakeSettings
 from mufly.rotor.wake.blade import turned
 from mufly.rotor.wake.kernel import induce
-from mufly.rotor.wake.result import Wake, WakeSolution
 from mufly.rotor.wake.solver import Unit, first_shape, from_other_at, solve_blade, vortices_of
 
 Array = NDArray[np.float64]
@@ -25,17 +25,19 @@ def _own_frame(wake: Wake) -> tuple[Array, Array, Array, Array]:
     return vortices_of(wake.surface, paths, wake.core_m, wake.strength_m2_s, wake.circulation_m2_s)
 
 
-def induced_velocity(solution: WakeSolution, points_m: ArrayLike, azimuth_rad: ArrayLike = 0.0) -> Array:
+def induced_velocity(solution: Result, points_m: ArrayLike, azimuth_rad: ArrayLike = 0.0) -> Array:
     """Velocity that all rotors induce (m/s); in climb the air's own, -V_climb along z, comes on top.
 
     Parameters
     ----------
-    solution : WakeSolution
+    solution : Result
     points_m : (..., 3) array_like
         In space: z up along the shaft, blade 1 of every rotor on the x axis at azimuth 0.
     azimuth_rad : float or one a rotor
         How far each rotor has turned, in its own sense of rotation.
     """
+    if not solution.wakes:
+        raise InputError("wake", "solution", "has no wakes", "solve by the method 'wake'")
     points = np.asarray(points_m, dtype=np.float64)
     flat = points.reshape(-1, 3)
     if flat.shape[0] and not np.all(np.isfinite(flat)):
@@ -56,7 +58,7 @@ def induced_velocity(solution: WakeSolution, points_m: ArrayLike, azimuth_rad: A
     return total.reshape(points.shape)
 
 
-def momentum_thrust(solution: WakeSolution, height_m: float, *, reach: float = 6.0) -> float:
+def momentum_thrust(solution: Result, height_m: float, *, reach: float = 6.0) -> float:
     """Thrust (N) that the momentum through a plane below the rotors shows; equal to the loads' if the wake is sound.
 
     Momentum of the air above the plane, per unit of time, with the pressure of the unsteady Bernoulli equation: a
@@ -72,7 +74,7 @@ def momentum_thrust(solution: WakeSolution, height_m: float, *, reach: float = 6
 
     Parameters
     ----------
-    solution : WakeSolution
+    solution : Result
     height_m : float
         Height of the plane; below all discs and above the end of the free wakes.
     reach : float
@@ -147,12 +149,12 @@ class BladePassing:
     passing_hz: float
 
 
-def blade_passing(solution: WakeSolution, *, points: int = 24) -> BladePassing:
+def blade_passing(solution: Result, *, points: int = 24) -> BladePassing:
     """Loads of a solved pair over one passing of blades.
 
     Parameters
     ----------
-    solution : WakeSolution
+    solution : Result
         Of two rotors with as many blades each.
     points : int
         Relative azimuths.
@@ -165,7 +167,7 @@ def blade_passing(solution: WakeSolution, *, points: int = 24) -> BladePassing:
     if len(solution.wakes) != 2:
         raise InputError("wake", "solution", "is not one of a pair", "solve two rotors")
     rotors = [wake.placed for wake in solution.wakes]
-    settings, air, climb = solution.settings, solution.air, solution.climb_m_s
+    settings, air, climb = solution.settings or WakeSettings(), solution.air, solution.climb_m_s
     units = [Unit(p, settings) for p in rotors]
     if units[0].surface.blades != units[1].surface.blades:
         raise InputError("wake", "blades", "differ between the rotors", "give rotors of as many blades")

@@ -26,10 +26,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.rotor.bemt import Air, RotorResult, result_of
+from mufly.rotor.bemt import result_of
+from mufly.rotor.system import Air, Placed, Result, RotorResult, Surface, Wake, WakeSettings, check_rotors
 from mufly.rotor.wake.blade import (
     BladeState,
-    Surface,
     ages_of,
     blade_loads,
     bound_influence,
@@ -43,7 +43,6 @@ from mufly.rotor.wake.blade import (
     turned,
 )
 from mufly.rotor.wake.kernel import induce, influence, segments_of
-from mufly.rotor.wake.result import Placed, Wake, WakeSettings, WakeSolution, check_rotors
 
 Array = NDArray[np.float64]
 
@@ -82,7 +81,7 @@ def _c_T(unit: Unit, air: Air) -> float:
     return unit.thrust / (air.density_kg_m3 * math.pi * s.radius_m**4 * s.speed_rad_s**2)
 
 
-def first_shape(units: Sequence[Unit], start: WakeSolution | None, climb: float) -> None:
+def first_shape(units: Sequence[Unit], start: Result | None, climb: float) -> None:
     """Give units the wakes of a similar solution, scaled, or prescribed ones."""
     for k, unit in enumerate(units):
         s = unit.surface
@@ -104,25 +103,24 @@ def first_shape(units: Sequence[Unit], start: WakeSolution | None, climb: float)
 
 def solve_wake(
     rotors: Sequence[Placed],
-    *,
-    air: Air | None = None,
     climb_m_s: float = 0.0,
+    air: Air | None = None,
     settings: WakeSettings | None = None,
-    start: WakeSolution | None = None,
+    start: Result | None = None,
     progress: Callable[[int, float, float], None] | None = None,
-) -> WakeSolution:
-    """Solve one rotor, or two around each other.
+) -> Result:
+    """Solve one rotor, or two around each other, in their places; :func:`mufly.rotor.solve` is the way to it.
 
     Parameters
     ----------
     rotors : sequence of Placed
         One, or two with opposite hands and different heights.
-    air : Air, optional
     climb_m_s : float
         Axial speed through the air, positive in climb.
+    air : Air, optional
     settings : WakeSettings, optional
-    start : WakeSolution, optional
-        A similar solution to start from; saves iterations.
+    start : Result, optional
+        A similar result to start from, if it has wakes; saves iterations.
     progress : callable, optional
         Called with iteration, residual and thrust (N) of all rotors.
 
@@ -136,12 +134,13 @@ def solve_wake(
     A solution that does not converge is returned, marked so, with its history.
     """
     gas, how = air or Air(), settings or WakeSettings()
+    start = start if start is not None and start.wakes else None
     check_rotors(rotors, climb_m_s)
     if how.core_limit is not None or how.model == "prescribed":
         how = replace(how, core_limit=how.core_limit if how.core_limit is not None else _CORE_LIMITS[0])
         return _attempt(rotors, gas, climb_m_s, how, start, progress)
     limits: tuple[float, ...] = _CORE_LIMITS if len(rotors) == 1 else _PAIR_CORE_LIMITS
-    if start is not None and start.settings.core_limit in limits:
+    if start is not None and start.settings is not None and start.settings.core_limit in limits:
         limits = limits[limits.index(start.settings.core_limit) :]
     for limit in limits:
         solution = _attempt(rotors, gas, climb_m_s, replace(how, core_limit=limit), start, progress)
@@ -152,9 +151,9 @@ def solve_wake(
 
 
 def _attempt(
-    rotors: Sequence[Placed], gas: Air, climb_m_s: float, how: WakeSettings, start: WakeSolution | None,
+    rotors: Sequence[Placed], gas: Air, climb_m_s: float, how: WakeSettings, start: Result | None,
     progress: Callable[[int, float, float], None] | None,
-) -> WakeSolution:  # fmt: skip
+) -> Result:  # fmt: skip
     """Solve with one core limit, from a similar solution or from a prescribed wake."""
     nu = gas.viscosity_Pa_s / gas.density_kg_m3
     units = [Unit(p, how) for p in rotors]
@@ -223,18 +222,19 @@ def _attempt(
             f"not converged in {how.iterations} iterations: the wake misses the air by {100 * residual:.1f} % of its "
             f"velocity, thrust or torque moves by {100 * _spread(history):.2f} %"
         )
-    rows = np.array(history)
-    return WakeSolution(
+    return Result(
         rotors=tuple(rotor_result(u, gas, climb_m_s) for u in units),
-        wakes=tuple(wake_of(u) for u in units),
+        placed=tuple(rotors),
+        climb_m_s=climb_m_s,
+        air=gas,
+        method="wake",
         converged=converged,
         message=message,
-        residual=residual,
         iterations=len(history),
-        history=rows,
+        wakes=tuple(wake_of(u) for u in units),
         settings=how,
-        air=gas,
-        climb_m_s=climb_m_s,
+        residual=residual,
+        history=np.array(history),
     )
 
 
