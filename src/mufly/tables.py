@@ -3,7 +3,7 @@
 Vehicles, missions and rotors are all read the same way: by the name of a built-in file or by path, parsed, and
 validated by a pydantic model. This module holds the parts that they share: finding and reading the file, and turning
 pydantic's list of faults into the one line that a user can act on. A model's own checks raise
-``PydanticCustomError("mufly", ...)`` with ``problem`` and ``remedy`` (and ``key``) in its context, which is kept.
+:func:`fault`, whose words are kept.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
+from pydantic_core import PydanticCustomError
 
 from mufly.errors import InputError
 
@@ -90,6 +91,12 @@ def validated(model: type[M], tables: Mapping[str, Any], where: str) -> M:
         return model.model_validate(tables)
     except ValidationError as error:
         raise _first_fault(error, model, where) from None
+
+
+def fault(problem: str, remedy: str, key: str = "") -> PydanticCustomError:
+    """Return what a model's own check raises; ``key`` where that of the field checked would not do."""
+    context = {"problem": problem, "remedy": remedy} | ({"key": key} if key else {})
+    return PydanticCustomError("mufly", "{problem}; {remedy}", context)
 
 
 def _first_fault(error: ValidationError, model: type[BaseModel], where: str) -> InputError:

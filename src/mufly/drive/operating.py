@@ -40,6 +40,7 @@ from mufly.drive.battery import battery_voltage, internal_resistance, open_circu
 from mufly.drive.train import Constants, Drive, armature_current, rotor_acceleration
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import Air, Blading, hover_batch
+from mufly.units import RPM
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -196,16 +197,13 @@ def operating_point(
     MuflyError
         If a thrust is out of the motor's or battery's reach; the message says what can be reached.
     """
+    place = "operating point"
     given = [("thrust_N", thrust_N), ("duty", duty), ("motor_voltage_V", motor_voltage_V)]
     asked = [(k, v) for k, v in given if v is not None]
     if len(asked) != 1:
-        raise InputError(
-            "operating point", "", f"{len(asked)} quantities are given", "give thrust, duty or voltage"
-        )
+        raise InputError(place, "", f"{len(asked)} quantities are given", "give thrust, duty or voltage")
     if supply_V is not None and charge is not None:
-        raise InputError(
-            "operating point", "supply", "both a voltage and a charge are given", "give one of the two"
-        )
+        raise InputError(place, "supply", "both a voltage and a charge are given", "give one of the two")
     key, raw = asked[0]
     own = drive.constants()
     values, ratio = np.broadcast_arrays(
@@ -214,58 +212,95 @@ def operating_point(
     )
     shape, value = values.shape, values.ravel()
     if not (np.all(np.isfinite(value)) and np.all(value > 0)) or (key == "duty" and np.any(value > 1)):
-        raise InputError(
-            "operating point", key, f"{np.array2string(value[:3])} is not possible",
-            "give a number above 0 and up to 1" if key == "duty" else "give a number above 0",
-        )  # fmt: skip
+        remedy = "give a number above 0 and up to 1" if key == "duty" else "give a number above 0"
+        raise InputError(place, key, f"{np.array2string(value[:3])} is not possible", remedy)
     if not (np.all(np.isfinite(ratio)) and np.all(ratio > 0)):
-        raise InputError(
-            "operating point", "gear_ratio", "is not above 0", "give motor speed over rotor speed"
-        )
-    c = replace(own, gear_ratio=ratio.ravel().copy())
+        raise InputError(place, "gear_ratio", "is not above 0", "give motor speed over rotor speed")
     if supply_V is not None and not supply_V > 0:
-        raise InputError(
-            "operating point", "supply_V", f"{supply_V:g} V is not possible", "give a voltage above 0"
-        )
-    fixed = None if charge is not None else float(supply_V or float(drive.battery.nominal_voltage))
-    rest = open_circuit_voltage(drive.battery, charge) if charge is not None else 0.0
-    if key == "thrust_N":
-        point = _at_thrust(drive, c, load, value, fixed, rest)
+        raise InputError(place, "supply_V", f"{supply_V:g} V is not possible", "give a voltage above 0")
+    c = replace(own, gear_ratio=ratio.ravel().copy())
+    if charge is None:
+        supply = _Supply(drive, float(supply_V or float(drive.battery.nominal_voltage)), sags=False)
     else:
-        point = _at_voltage(drive, c, load, value, key, fixed, rest)
+        supply = _Supply(drive, open_circuit_voltage(drive.battery, charge), sags=True)
+    find = {"thrust_N": _at_thrust, "duty": _at_duty, "motor_voltage_V": _at_voltage}[key]
+    point = find(supply, c, load, value)
     return replace(point, **{k: v.reshape(shape) for k, v in vars(point).items()})
 
 
-def _supply(drive: Drive, power: Array, fixed: float | None, rest: float) -> Array:
-    if fixed is not None:
-        return np.full(power.shape, fixed)
-    return battery_voltage(drive.battery, rest, drive.rotors * power)
+@dataclass(frozen=True)
+class _Supply:
+    """What feeds the drive: a fixed voltage, or a battery of that voltage at rest, sagging under all motors."""
+
+    drive: Drive
+    voltage_V: float
+    sags: bool
+
+    def under_power(self, power: Array) -> Array:
+        """Voltage while each motor draws a power (W)."""
+        if not self.sags:
+            return np.full(power.shape, self.voltage_V)
+        return battery_voltage(self.drive.battery, self.voltage_V, self.drive.rotors * power)
+
+    def at_duty(self, c: Constants, duty: Array, speed: Array) -> Array:
+        """Voltage while the rotors turn at a speed (rad/s) with the motors at a duty."""
+        if not self.sags:
+            return np.full(speed.shape, self.voltage_V)
+        battery = self.drive.battery
+        share = self.drive.rotors * duty / (c.resistance_ohm * c.controller_efficiency)
+        source = share * c.back_emf_V_s * c.gear_ratio * speed
+        electronics = float(battery.electronics_current)
+        return np.asarray(
+            _terminal(self.voltage_V, internal_resistance(battery), share * duty, source, electronics)
+        )
 
 
-def _at_thrust(
-    drive: Drive, c: Constants, load: RotorLoad, thrust: Array, fixed: float | None, rest: float
-) -> OperatingPoint:
+def _at_thrust(supply: _Supply, c: Constants, load: RotorLoad, thrust: Array) -> OperatingPoint:
     speed, _ = speed_for_thrust(load, thrust)
     _, torque = load(np.where(np.isfinite(speed), speed, 1.0), np.arange(thrust.size))
-    point = steady(c, speed, thrust, torque, 1.0)
-    voltage = _supply(drive, point.input_power_W, fixed, rest)
+    voltage = supply.under_power(steady(c, speed, thrust, torque, 1.0).input_power_W)
     point = steady(c, speed, thrust, torque, voltage)
     short = ~(point.duty <= 1.0 + 1e-9)
     if np.any(short):
         k = int(np.argmax(short))
-        one = replace(c, gear_ratio=np.atleast_1d(c.gear_ratio)[k : k + 1])
-
-        def of_case(s: Array, case: NDArray[np.intp]) -> tuple[Array, Array]:
-            return load(s, np.full(s.shape, k))
-
-        most = _at_voltage(drive, one, of_case, np.ones(1), "duty", fixed, rest)
-        ratio = float(np.atleast_1d(c.gear_ratio)[k])
+        one = c.of(np.array([k]))
+        most = _at_duty(supply, one, lambda s, case: load(s, np.full(s.shape, k)), np.ones(1))
         raise MuflyError(
-            f"a thrust of {thrust[k]:.4g} N is out of reach: at full duty and gear ratio {ratio:.4g} the drive "
-            f"{drive.name!r} turns this rotor at {float(most.speed_rad_s[0]) * 30 / np.pi:.0f} rpm, which gives "
-            f"{float(most.thrust_N[0]):.4g} N"
+            f"a thrust of {thrust[k]:.4g} N is out of reach: at full duty and gear ratio "
+            f"{float(most.gear_ratio[0]):.4g} the drive {supply.drive.name!r} turns this rotor at "
+            f"{float(most.speed_rad_s[0]) / RPM:.0f} rpm, which gives {float(most.thrust_N[0]):.4g} N"
         )
     return point
+
+
+def _at_duty(supply: _Supply, c: Constants, load: RotorLoad, duty: Array) -> OperatingPoint:
+    def terminal(speed: Array, case: Integers) -> Array:
+        return supply.at_duty(c.of(case), duty[case], speed)
+
+    speed, found = _settled(c, load, lambda s, case: duty[case] * terminal(s, case), duty * supply.voltage_V)
+    thrust, torque = _load_of(supply.drive, load, speed, found)
+    return steady(c, speed, thrust, torque, terminal(speed, np.arange(duty.size)))
+
+
+def _at_voltage(supply: _Supply, c: Constants, load: RotorLoad, voltage: Array) -> OperatingPoint:
+    speed, found = speed_at_voltage(c, load, voltage)
+    thrust, torque = _load_of(supply.drive, load, speed, found)
+    fed = supply.under_power(steady(c, speed, thrust, torque, 1.0).input_power_W)
+    point = steady(c, speed, thrust, torque, fed)
+    if not np.all(point.duty <= 1.0 + 1e-9):
+        least = float(np.nanmin(fed)) if np.any(np.isfinite(fed)) else 0.0
+        raise MuflyError(
+            f"{float(voltage.max()):.3g} V at the motor is out of reach: the supply gives {least:.3g} V"
+        )
+    return point
+
+
+def _load_of(drive: Drive, load: RotorLoad, speed: Array, found: NDArray[np.bool_]) -> tuple[Array, Array]:
+    if not np.all(found):
+        raise MuflyError(
+            f"drive {drive.name!r} finds no steady speed with this rotor; is its torque negative?"
+        )
+    return load(speed, np.arange(speed.size))
 
 
 def speed_at_voltage(c: Constants, load: RotorLoad, voltage_V: Array) -> tuple[Array, NDArray[np.bool_]]:
@@ -303,51 +338,6 @@ def _settled(
     top = np.broadcast_to(free_speed(c, at_most), at_most.shape)
     # A rotor that is driven by the air (in descent) may run beyond the free speed.
     return rising_root(slowing, 0.6 * top, lowest=LOWEST_SPEED, highest=np.maximum(20.0 * top, 1.0))
-
-
-def _at_voltage(
-    drive: Drive, c: Constants, load: RotorLoad, value: Array, key: str, fixed: float | None, rest: float
-) -> OperatingPoint:
-    battery, n = drive.battery, drive.rotors
-    k_e, resistance, efficiency = (
-        float(np.asarray(v)) for v in (c.back_emf_V_s, c.resistance_ohm, c.controller_efficiency)
-    )
-    ratio = np.broadcast_to(np.asarray(c.gear_ratio, dtype=np.float64), value.shape)
-
-    def terminal(speed: Array, case: Integers) -> Array:
-        """Supply voltage while the rotor turns at a speed, at the asked duty."""
-        if fixed is not None:
-            return np.full(speed.shape, fixed)
-        share = n * value[case] / (resistance * efficiency)
-        return np.asarray(
-            _terminal(
-                rest, internal_resistance(battery), share * value[case], share * k_e * ratio[case] * speed,
-                float(battery.electronics_current),
-            )
-        )  # fmt: skip
-
-    if key == "duty":
-        at_most = value * (fixed if fixed is not None else rest)
-        speed, found = _settled(c, load, lambda s, case: value[case] * terminal(s, case), at_most)
-    else:
-        speed, found = speed_at_voltage(c, load, value)
-    if not np.all(found):
-        raise MuflyError(
-            f"drive {drive.name!r} finds no steady speed with this rotor; is its torque negative?"
-        )
-    cases = np.arange(value.size)
-    thrust, torque = load(speed, cases)
-    if key == "duty":
-        supply = terminal(speed, cases)
-    else:
-        supply = _supply(drive, steady(c, speed, thrust, torque, 1.0).input_power_W, fixed, rest)
-    point = steady(c, speed, thrust, torque, supply)
-    if key != "duty" and not np.all(point.duty <= 1.0 + 1e-9):
-        least = float(np.nanmin(supply)) if np.any(np.isfinite(supply)) else 0.0
-        raise MuflyError(
-            f"{float(value.max()):.3g} V at the motor is out of reach: the supply gives {least:.3g} V"
-        )
-    return point
 
 
 RotorLoad = Callable[[Array, Integers], tuple[Array, Array]]

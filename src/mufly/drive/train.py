@@ -30,12 +30,11 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
-from pydantic_core import PydanticCustomError
 
 from mufly.compiled import compiled
-from mufly.tables import builtin_names, read_tables, validated
+from mufly.tables import builtin_names, fault, read_tables, validated
 from mufly.units import RPM
-from mufly.vehicle import Vehicle
+from mufly.vehicle import Vehicle, load_vehicle
 from mufly.vehicle.schema import Battery, Gear, Group, Motor, Quantity, parameter
 
 
@@ -55,11 +54,6 @@ def rotor_acceleration(  # type: ignore[no-untyped-def]
 
 
 Values = float | NDArray[np.float64]
-
-
-def _fault(key: str, problem: str, remedy: str) -> PydanticCustomError:
-    context = {"key": key, "problem": problem, "remedy": remedy}
-    return PydanticCustomError("mufly", "{problem}; {remedy}", context)
 
 
 @dataclass(frozen=True)
@@ -111,24 +105,23 @@ class DatasheetMotor(Group):
             return raw
         value = raw.get("value") if isinstance(raw, dict) else None
         if not isinstance(raw, dict) or raw.get("unit") not in units:
-            raise _fault(
-                f"datasheet.{info.field_name}", f"{raw!r} has no unit that fits",
+            raise fault(
+                f"{raw!r} has no unit that fits",
                 f'write {info.field_name} = {{ value = ..., unit = "rpm/V", source = "datasheet" }}',
-            )  # fmt: skip
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1e6:
-            raise _fault(
-                f"datasheet.{info.field_name}", f"{value!r} is not possible", "give a number above 0"
             )
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1e6:
+            raise fault(f"{value!r} is not possible", "give a number above 0")
         return {**raw, "value": value * units[raw["unit"]], "unit": "rad/s/V"}
 
     @model_validator(mode="after")
     def _runs_free(self) -> DatasheetMotor:
         drop = float(self.resistance) * float(self.no_load_current)
         if drop >= float(self.no_load_voltage):
-            raise _fault(
-                "datasheet.no_load_current", f"the resistance alone takes {drop:g} V",
+            raise fault(
+                f"the resistance alone takes {drop:g} V",
                 "correct no_load_current, resistance or no_load_voltage",
-            )  # fmt: skip
+                "datasheet.no_load_current",
+            )
         return self
 
     def constants(self) -> tuple[float, float, float, float]:
@@ -173,7 +166,7 @@ class Drive(Group):
             given = (
                 "neither [motor] nor [datasheet]" if self.motor is None else "both [motor] and [datasheet]"
             )
-            raise _fault("motor", f"{given} is given", "give one of the two")
+            raise fault(f"{given} is given", "give one of the two", "motor")
         return self
 
     def constants(self, **overrides: Values | None) -> Constants:
@@ -245,7 +238,7 @@ def load_drive(name_or_path: str | Path) -> Drive:
     name = _MUFLY if str(name_or_path) == "mufly" else name_or_path
     tables, where = read_tables(name, _VEHICLES, "drive or vehicle")
     if "body" in tables or ("rotors" in tables and isinstance(tables["rotors"], dict)):
-        return drive_of(validated(Vehicle, tables, where))
+        return drive_of(load_vehicle(name))
     return validated(Drive, {"name": Path(where).stem, **tables}, where)
 
 

@@ -12,7 +12,7 @@ map, so a recording or a copied vehicle file needs nothing beside it.
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -21,10 +21,9 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
-from pydantic_core import PydanticCustomError
 
 from mufly.errors import InputError
-from mufly.tables import builtin_names, read_tables, validated
+from mufly.tables import builtin_names, fault, read_tables, validated
 
 MAP_NODES = 512  # of the flight model's record: 3 mean speeds x 13 ratios x 13 climbs, say
 COLUMNS = (
@@ -70,9 +69,7 @@ class MapTables(NamedTuple):
         return self.mean_speed_rad_s.size, self.ratio.size, self.climb_ratio.size
 
 
-def _fault(problem: str, remedy: str) -> PydanticCustomError:
-    context = {"key": "table", "problem": problem, "remedy": remedy}
-    return PydanticCustomError("mufly", "{problem}; {remedy}", context)
+_table_fault = partial(fault, key="table")
 
 
 class CoefficientMap(BaseModel):
@@ -108,41 +105,41 @@ class CoefficientMap(BaseModel):
 def _parsed(text: str) -> MapTables:
     lines = [line.split() for line in text.strip().splitlines() if line.strip()]
     if not lines or tuple(lines[0]) != COLUMNS:
-        raise _fault("the first line does not name the columns", f"begin with: {' '.join(COLUMNS)}")
+        raise _table_fault("the first line does not name the columns", f"begin with: {' '.join(COLUMNS)}")
     try:
         rows = np.array([[float(v) for v in line] for line in lines[1:]], dtype=np.float64)
     except ValueError as error:
-        raise _fault(f"a line is not {len(COLUMNS)} numbers ({error})", "correct that line") from None
+        raise _table_fault(f"a line is not {len(COLUMNS)} numbers ({error})", "correct that line") from None
     if rows.ndim != 2 or rows.shape[1] != len(COLUMNS) or not np.all(np.isfinite(rows)):
-        raise _fault(f"a line is not {len(COLUMNS)} finite numbers", "correct that line")
+        raise _table_fault(f"a line is not {len(COLUMNS)} finite numbers", "correct that line")
     axes = [np.unique(rows[:, k]) for k in range(3)]
     shape = tuple(a.size for a in axes)
     full = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     if len(full) != len(rows) or len(np.unique(rows[:, :3], axis=0)) != len(rows):
-        raise _fault(
+        raise _table_fault(
             f"{len(rows)} points are no full grid of {shape[0]} mean speeds, {shape[1]} ratios and {shape[2]} climbs",
             "give every combination once",
         )
     if len(rows) > MAP_NODES:
-        raise _fault(f"{len(rows)} points", f"give {MAP_NODES} at most")
+        raise _table_fault(f"{len(rows)} points", f"give {MAP_NODES} at most")
     for name, axis, least, positive in zip(
         COLUMNS, axes, (1, 2, 2), (True, True, False), strict=False
     ):  # fmt: skip
         step = np.diff(axis)
         if axis.size < least:
-            raise _fault(f"{name} has {axis.size} value", f"give {least} or more")
+            raise _table_fault(f"{name} has {axis.size} value", f"give {least} or more")
         if positive and not axis[0] > 0:
-            raise _fault(f"{name} {axis[0]:g} is not possible", "give numbers above 0")
+            raise _table_fault(f"{name} {axis[0]:g} is not possible", "give numbers above 0")
         if step.size and float(np.ptp(step)) > _UNEVEN * float(step.mean()) + 1e-5 * float(
             np.abs(axis).max()
         ):
-            raise _fault(f"{name} is not evenly spaced", "give equal steps")
+            raise _table_fault(f"{name} is not evenly spaced", "give equal steps")
     if not axes[2][0] <= 0.0 <= axes[2][-1]:
-        raise _fault("climb_ratio leaves out 0, hover", "give a range that holds it")
+        raise _table_fault("climb_ratio leaves out 0, hover", "give a range that holds it")
     ordered = rows[np.lexsort(rows[:, 2::-1].T)]
     grids = [np.ascontiguousarray(ordered[:, k].reshape(shape)) for k in range(3, 8)]
     if float(np.max(np.abs(grids[0]))) > 1.0 or float(np.max(np.abs(grids[2]))) > 1.0:
-        raise _fault("a thrust coefficient is above 1", "use c_T = T / (rho pi R^4 Omega^2)")
+        raise _table_fault("a thrust coefficient is above 1", "use c_T = T / (rho pi R^4 Omega^2)")
     result = MapTables(
         axes[0], axes[1], axes[2], grids[0], grids[1], grids[2], grids[3], solved=grids[4] > 0.5
     )

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from importlib import resources
+from operator import ge, gt, le, lt
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -21,22 +22,16 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
-from pydantic_core import PydanticCustomError
 
 from mufly.errors import InputError
-from mufly.tables import builtin_names, read_tables, validated
+from mufly.tables import builtin_names, fault, read_tables, validated
 from mufly.units import units_of
 from mufly.vehicle.coefficient_map import CoefficientMap, named_maps
 
 Source = Literal["measured", "CAD", "datasheet", "estimated", "identified", "specified"]
 
+_LIMITS = {"above": gt, "at_least": ge, "below": lt, "at_most": le}
 _ABSURD = 1e9  # no parameter of a vehicle is as large in SI units; powers of larger ones overflow
-
-
-def _fault(problem: str, remedy: str) -> PydanticCustomError:
-    return PydanticCustomError(
-        "mufly", "{problem}; {remedy}", {"problem": problem, "remedy": remedy}
-    )  # fmt: skip
 
 
 class _Frozen(BaseModel):
@@ -94,39 +89,26 @@ def parameter(
 ) -> Any:
     """Declare a parameter of a vehicle: its SI unit, symbol, meaning and the values that make sense."""
     limits = {"above": above, "at_least": at_least, "below": below, "at_most": at_most}
-    return Field(
-        description=description,
-        json_schema_extra={"unit": unit, "symbol": symbol, **limits},
-    )
-
-
-def _in_words(limits: dict[str, Any]) -> str:
-    words = {"above": "above", "at_least": "at least", "below": "below", "at_most": "at most"}
-    return " and ".join(f"{words[k]} {limits[k]:g}" for k in words if limits.get(k) is not None)
+    return Field(description=description, json_schema_extra={"unit": unit, "symbol": symbol, **limits})
 
 
 def _check_limits(value: float, unit: str, limits: dict[str, Any]) -> None:
-    wrong = (
-        not abs(value) < _ABSURD
-        or (limits.get("above") is not None and not value > limits["above"])
-        or (limits.get("at_least") is not None and not value >= limits["at_least"])
-        or (limits.get("below") is not None and not value < limits["below"])
-        or (limits.get("at_most") is not None and not value <= limits["at_most"])
-    )
-    if wrong:
-        wanted = "of ordinary size" if abs(value) >= _ABSURD else _in_words(limits) or "that is finite"
-        raise _fault(f"{value:g} {unit} is not possible", f"give a value {wanted} ({unit})")
+    set_ = {k: limits[k] for k in _LIMITS if limits.get(k) is not None}
+    if not abs(value) < _ABSURD or not all(_LIMITS[k](value, limit) for k, limit in set_.items()):
+        words = " and ".join(f"{k.replace('_', ' ')} {limit:g}" for k, limit in set_.items())
+        wanted = "of ordinary size" if abs(value) >= _ABSURD else words or "that is finite"
+        raise fault(f"{value:g} {unit} is not possible", f"give a value {wanted} ({unit})")
 
 
 def _scaled(value: Any, factor: float) -> Any:
     if isinstance(value, list | tuple):
         return [_scaled(v, factor) for v in value]
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise _fault(f"{value!r} is not a number", "give a number")
+        raise fault(f"{value!r} is not a number", "give a number")
     try:
         return float(value) * factor
     except OverflowError:
-        raise _fault("a whole number of more than 300 digits", "give a value of ordinary size") from None
+        raise fault("a whole number of more than 300 digits", "give a value of ordinary size") from None
 
 
 def _flat(value: Any) -> list[float]:
@@ -145,14 +127,14 @@ class Group(_Frozen):
         si = str(declared["unit"])
         example = f'{{ value = ..., unit = "{si}", source = "measured" }}'
         if not isinstance(raw, dict):
-            raise _fault(f"{raw!r} has no unit and no source", f"write {info.field_name} = {example}")
+            raise fault(f"{raw!r} has no unit and no source", f"write {info.field_name} = {example}")
         if "unit" not in raw:
-            raise _fault("the unit is missing", f"write {info.field_name} = {example}")
+            raise fault("the unit is missing", f"write {info.field_name} = {example}")
         if not isinstance(raw["unit"], str) or raw["unit"] not in units_of(si):
             accepted = ", ".join(units_of(si))
-            raise _fault(f"unit {raw['unit']!r} does not fit here", f"use one of: {accepted}")
+            raise fault(f"unit {raw['unit']!r} does not fit here", f"use one of: {accepted}")
         if "value" not in raw:
-            raise _fault("the value is missing", f"write {info.field_name} = {example}")
+            raise fault("the value is missing", f"write {info.field_name} = {example}")
         value = _scaled(raw["value"], units_of(si)[raw["unit"]])
         for v in _flat(value):
             _check_limits(v, si, declared)
@@ -161,11 +143,6 @@ class Group(_Frozen):
 
 MAX_LEGS = 16
 _SAME_RADIUS = 0.01
-
-
-def _schema_fault(key: str, problem: str, remedy: str) -> PydanticCustomError:
-    context = {"key": key, "problem": problem, "remedy": remedy}
-    return PydanticCustomError("mufly", "{problem}; {remedy}", context)
 
 
 class Body(Group):
@@ -214,10 +191,10 @@ class Rotors(Group):
     def _map_fits(self) -> Rotors:
         m, radius = self.coefficient_map, float(self.radius)
         if m is not None and abs(m.radius_m / radius - 1.0) > _SAME_RADIUS:
-            raise _schema_fault(
-                "rotors.coefficient_map",
+            raise fault(
                 f"map {m.name!r} is for rotors of {1e3 * m.radius_m:g} mm, these have {1e3 * radius:g} mm",
                 "make a map for these rotors: mufly coax map",
+                "rotors.coefficient_map",
             )
         return self
 
@@ -261,9 +238,7 @@ class Battery(Group):
     open_circuit_voltage: Curve = parameter(
         "V", "Uoc", "open-circuit voltage of the pack over the fraction of charge left", above=0
     )
-    electronics_current: Quantity = parameter(
-        "A", "Iel", "current of electronics and sensors", at_least=0
-    )  # fmt: skip
+    electronics_current: Quantity = parameter("A", "Iel", "current of electronics and sensors", at_least=0)
     low_voltage: Quantity = parameter("V", "Ulow", "terminal voltage at which a mission has to land", above=0)
 
     @model_validator(mode="after")
@@ -271,10 +246,10 @@ class Battery(Group):
         c = self.open_circuit_voltage
         rising = all(b > a for a, b in zip(c.fraction, c.fraction[1:], strict=False))
         if len(c.fraction) != len(c.value) or not rising or c.fraction[0] != 0 or c.fraction[-1] != 1:
-            raise _schema_fault(
-                "battery.open_circuit_voltage",
+            raise fault(
                 "open_circuit_voltage is not a curve over charge",
                 "give as many fractions as values, rising from 0 (empty) to 1 (full)",
+                "battery.open_circuit_voltage",
             )
         return self
 
@@ -292,11 +267,9 @@ class Contact(Group):
     def _can_stand(self) -> Contact:
         tips = self.legs.value
         if not 3 <= len(tips) <= MAX_LEGS:
-            raise _schema_fault("contact.legs", f"{len(tips)} legs", f"give 3 to {MAX_LEGS} points [x, y, z]")
+            raise fault(f"{len(tips)} legs", f"give 3 to {MAX_LEGS} points [x, y, z]", "contact.legs")
         if max(z for _, _, z in tips) <= 0:
-            raise _schema_fault(
-                "contact.legs", "no leg reaches below the centre of gravity", "give z above 0 (down)"
-            )
+            raise fault("no leg reaches below the centre of gravity", "give z above 0 (down)", "contact.legs")
         return self
 
 
@@ -310,8 +283,8 @@ class RangeRing(Group):
     def _min_below_max(self) -> RangeRing:
         low, high = float(self.min_range), float(self.max_range)
         if low >= high:
-            raise _schema_fault(
-                "range_ring.min_range", f"{low:g} m is not below max_range, {high:g} m", "exchange them"
+            raise fault(
+                f"{low:g} m is not below max_range, {high:g} m", "exchange them", "range_ring.min_range"
             )
         return self
 
@@ -352,10 +325,10 @@ class Vehicle(Group):
         if self.mass_budget is not None:
             total = sum(float(q) for _, q in self.mass_budget)
             if abs(total - float(self.body.mass)) > 1e-4:
-                raise _schema_fault(
-                    "mass_budget",
+                raise fault(
                     f"its groups add up to {total * 1e3:.1f} g, but body.mass is {float(self.body.mass) * 1e3:.1f} g",
                     "correct a group or body.mass (0.1 g apart at most)",
+                    "mass_budget",
                 )
         return self
 
