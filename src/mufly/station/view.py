@@ -109,8 +109,8 @@ class Snapshot:
 
         def believed(name: str, sources: Sequence[str]) -> _Array:
             told = [signal(f"{source}_{name}") for source in sources]
-            # Of those that know something the first; better one that knows all of it.
-            return max(told, key=lambda v: np.isfinite(v).any() + 2 * np.isfinite(v).all())
+            # Who knows most of it; of equals the first.
+            return max(told, key=lambda v: sum(map(math.isfinite, v.tolist())))
 
         places = ("position", "velocity", "attitude")
         fields: dict[str, Any] = {name: believed(name, sources) for name in (*places, "rates")}
