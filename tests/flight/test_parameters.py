@@ -11,7 +11,7 @@ from mufly.control import FlightController, design
 from mufly.control.sampled import analyse_cascade
 from mufly.dynamics import linearise
 from mufly.flight import Flight, respond, software
-from mufly.flight.parameters import TABLE
+from mufly.flight.parameters import DEG, KEPT, TABLE
 from mufly.flight.plant import Demand
 from mufly.flight.software import copied
 from mufly.mission import SHARE, mission_from
@@ -141,7 +141,7 @@ def test_the_take_off_height(flight: Flight) -> None:
 # no bump
 
 
-TUNED = [row.name for row in TABLE if row.name.startswith("CTL_")]
+TUNED = [name for name in TABLE if name.startswith("CTL_")]
 
 
 def greatest_steps(flight: Flight, name: str, end: str) -> np.ndarray:
@@ -200,7 +200,7 @@ def test_the_position_loop_is_robust_at_both_bounds(name: str) -> None:
     vehicle = load_vehicle(name)
     c = design(vehicle)
     full = linearise(vehicle).full
-    row = next(r for r in TABLE if r.name == "CTL_POS_GAIN")
+    row = TABLE["CTL_POS_GAIN"]
     for gain in (row.least, row.greatest):
         loop = analyse_cascade(full, c.roll_pitch.discrete, c.velocity.discrete, gain, c.position_divider)
         assert loop.stable
@@ -215,9 +215,9 @@ def test_the_position_loop_is_robust_at_both_bounds(name: str) -> None:
     "name", ["CTL_HEAVE_BW", "CTL_HEAVE_SPD", "CTL_HEAVE_ACC", "CTL_YAW_BW", "CTL_YAW_RATE", "CTL_YAW_ACC"]
 )
 def test_steps_settle_at_the_bounds_of_the_filters(vehicle, controller, name: str, end: str) -> None:
-    row = next(r for r in TABLE if r.name == name)
+    row = TABLE[name]
     gains = copied(controller.heave_yaw_gains)
-    gains[row.key] = getattr(row, end) / row.scale
+    gains[KEPT[name][1]] = getattr(row, end) / (DEG if row.unit.startswith("deg") else 1.0)
     tuned = dataclasses.replace(controller, heave_yaw_gains=gains)
     step = Demand(z=-1.0) if "HEAVE" in name else Demand(heading=1.0)
     long = 20.0 if end == "least" else 8.0
@@ -250,7 +250,7 @@ def test_a_pushed_helicopter_comes_back_at_the_bounds(flight: Flight, name: str,
 
 def test_every_parameter_is_documented_with_its_bounds() -> None:
     text = (Path(__file__).parents[2] / "docs" / "missions.md").read_text(encoding="utf-8")
-    for row in TABLE:
+    for row in TABLE.values():
         line = next((t for t in text.splitlines() if t.startswith(f"| `{row.name}` |")), "")
         assert row.help in line, row.name
         if math.isfinite(row.greatest):

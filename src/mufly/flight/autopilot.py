@@ -620,11 +620,10 @@ def mission_fault(
     """
     if not mission.waypoint:
         return ""
-    parts = {name: getattr(mission, name) for name in Mission.model_fields}
-    parts["start_m"] = standing
-    parts["start_heading_deg"] = math.degrees(math.remainder(heading, math.tau))
+    heading_deg = math.degrees(math.remainder(heading, math.tau))
     try:
-        here, name = Mission(**parts), mission.name or "mission"
+        here = mission.with_parts(start_m=standing, start_heading_deg=heading_deg)
+        name = mission.name or "mission"
         check_geometry(here, name)
         check_mission(here, hover_current_A=hover_current_A, capacity_Ah=capacity_Ah, where=name)
     except InputError as error:

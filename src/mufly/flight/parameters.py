@@ -22,12 +22,10 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from mufly.control import FlightController
 from mufly.errors import InputError
 from mufly.flight.software import FlightSoftware, able, copied
-from mufly.mission import SHARE, Mission
+from mufly.mission import SHARE, limits_of_file
 from mufly.vehicle import Vehicle
 
 DEG = math.degrees(1.0)
@@ -61,153 +59,49 @@ class Parameter:
     whole: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
-    """Where a parameter is kept: ``table`` and ``key``; what is shown is ``scale`` times what is kept."""
-
-    name: str
-    unit: str
-    least: float
-    greatest: float
-    help: str
-    table: str
-    key: str
-    scale: float = 1.0
-    whole: bool = False
-
-
-TABLE: tuple[Row, ...] = (
-    Row("MIS_TAKEOFF_ALT", "m", 0.2, 50.0, "height to take off to", "take_off", "height_m"),
-    Row("LIM_SPEED", "m/s", 0.05, 3.0, "horizontal speed", "limits", "speed_m_s"),
-    Row("LIM_CLIMB", "m/s", 0.05, 2.0, "rate of climb", "limits", "climb_m_s"),
-    Row("LIM_DESCENT", "m/s", 0.05, 1.0, "rate of descent", "limits", "descent_m_s"),
-    Row(
-        "LIM_TOUCHDOWN",
-        "m/s",
-        0.05,
-        0.25,
-        "rate of descent over the last 0.4 m before the floor",
-        "limits",
-        "touchdown_m_s",
-    ),
-    Row("LIM_ACCEL", "m/s2", 0.05, 2.0, "horizontal acceleration", "limits", "acceleration_m_s2"),
-    Row(
-        "LIM_CLIMB_ACC",
-        "m/s2",
-        0.05,
-        2.0,
-        "acceleration of climb and descent",
-        "limits",
-        "climb_acceleration_m_s2",
-    ),
-    Row("LIM_YAWRATE", "deg/s", 1.0, 360.0, "rate of turn", "limits", "yaw_rate_deg_s"),
-    Row("LIM_YAWACC", "deg/s2", 5.0, 1000.0, "acceleration of a turn", "limits", "yaw_acceleration_deg_s2"),
-    Row("LIM_REACH", "m", 0.01, 1.0, "a waypoint counts as reached from this near", "limits", "reach_m"),
-    Row(
-        "AVD_ENABLE",
-        "",
-        0.0,
-        1.0,
-        "1: look out for obstacles and avoid them",
-        "avoidance",
-        "enabled",
-        whole=True,
-    ),
-    Row(
-        "AVD_CLEARANCE",
-        "m",
-        0.15,
-        1.0,
-        "distance to keep from obstacles, from the centre",
-        "avoidance",
-        "clearance_m",
-    ),
-    Row("AVD_SPEED", "m/s", 0.06, 1.0, "speed around an obstacle", "avoidance", "speed_m_s"),
-    Row("BAT_LOW_V", "V", 0.0, math.inf, "land below this voltage", "battery", "low_V"),
-    Row("CTL_POS_GAIN", "1/s", 0.2, 2.0, "velocity asked for a metre off place", "position", "position_gain"),
-    Row(
-        "CTL_SPEED_MAX",
-        "m/s",
-        0.3,
-        3.0,
-        "greatest velocity that the position loop asks for",
-        "position",
-        "speed_limit",
-    ),
-    Row(
-        "CTL_TILT_MAX",
-        "deg",
-        3.0,
-        15.0,
-        "greatest tilt that the position loop asks for",
-        "position",
-        "tilt_limit",
-        DEG,
-    ),
-    Row(
-        "CTL_HEAVE_BW",
-        "rad/s",
-        2.0,
-        16.0,
-        "bandwidth of the reference filter of height",
-        "heave_yaw",
-        "heave_bandwidth",
-    ),
-    Row(
-        "CTL_HEAVE_SPD",
-        "m/s",
-        0.2,
-        2.0,
-        "greatest speed of the reference of height",
-        "heave_yaw",
-        "heave_speed",
-    ),
-    Row(
-        "CTL_HEAVE_ACC",
-        "m/s2",
-        0.1,
-        1.5,
-        "greatest acceleration of the reference of height",
-        "heave_yaw",
-        "heave_acceleration",
-    ),
-    Row(
-        "CTL_YAW_BW",
-        "rad/s",
-        2.0,
-        16.0,
-        "bandwidth of the reference filter of heading",
-        "heave_yaw",
-        "yaw_bandwidth",
-    ),
-    Row(
-        "CTL_YAW_RATE",
-        "deg/s",
-        10.0,
-        200.0,
-        "greatest rate of the reference of heading",
-        "heave_yaw",
-        "yaw_rate",
-        DEG,
-    ),
-    Row(
-        "CTL_YAW_ACC",
-        "deg/s2",
-        30.0,
-        600.0,
-        "greatest acceleration of the reference of heading",
-        "heave_yaw",
-        "yaw_acceleration",
-        DEG,
-    ),
-    Row("STK_TILT", "deg", 1.0, 15.0, "tilt at the end of a stick", "sticks", "tilt", DEG),
-    Row("STK_YAWRATE", "deg/s", 5.0, 110.0, "rate of turn at the end of a stick", "sticks", "yaw_rate", DEG),
-    Row("STK_CLIMB", "m/s", 0.1, 1.0, "climb at the end of a stick", "sticks", "climb"),
-)
+_ROWS = """
+MIS_TAKEOFF_ALT m      0.2  50   take_off.height_m              height to take off to
+LIM_SPEED       m/s    0.05 3    limits.speed_m_s               horizontal speed
+LIM_CLIMB       m/s    0.05 2    limits.climb_m_s               rate of climb
+LIM_DESCENT     m/s    0.05 1    limits.descent_m_s             rate of descent
+LIM_TOUCHDOWN   m/s    0.05 0.25 limits.touchdown_m_s           rate of descent over the last 0.4 m before the floor
+LIM_ACCEL       m/s2   0.05 2    limits.acceleration_m_s2       horizontal acceleration
+LIM_CLIMB_ACC   m/s2   0.05 2    limits.climb_acceleration_m_s2 acceleration of climb and descent
+LIM_YAWRATE     deg/s  1    360  limits.yaw_rate_deg_s          rate of turn
+LIM_YAWACC      deg/s2 5    1000 limits.yaw_acceleration_deg_s2 acceleration of a turn
+LIM_REACH       m      0.01 1    limits.reach_m                 a waypoint counts as reached from this near
+AVD_ENABLE      -      0    1    avoidance.enabled              1: look out for obstacles and avoid them
+AVD_CLEARANCE   m      0.15 1    avoidance.clearance_m          distance to keep from obstacles, from the centre
+AVD_SPEED       m/s    0.06 1    avoidance.speed_m_s            speed around an obstacle
+BAT_LOW_V       V      0    inf  battery.low_V                  land below this voltage
+CTL_POS_GAIN    1/s    0.2  2    position.position_gain         velocity asked for a metre off place
+CTL_SPEED_MAX   m/s    0.3  3    position.speed_limit           greatest velocity that the position loop asks for
+CTL_TILT_MAX    deg    3    15   position.tilt_limit            greatest tilt that the position loop asks for
+CTL_HEAVE_BW    rad/s  2    16   heave_yaw.heave_bandwidth      bandwidth of the reference filter of height
+CTL_HEAVE_SPD   m/s    0.2  2    heave_yaw.heave_speed          greatest speed of the reference of height
+CTL_HEAVE_ACC   m/s2   0.1  1.5  heave_yaw.heave_acceleration   greatest acceleration of the reference of height
+CTL_YAW_BW      rad/s  2    16   heave_yaw.yaw_bandwidth        bandwidth of the reference filter of heading
+CTL_YAW_RATE    deg/s  10   200  heave_yaw.yaw_rate             greatest rate of the reference of heading
+CTL_YAW_ACC     deg/s2 30   600  heave_yaw.yaw_acceleration     greatest acceleration of the reference of heading
+STK_TILT        deg    1    15   sticks.tilt                    tilt at the end of a stick
+STK_YAWRATE     deg/s  5    110  sticks.yaw_rate                rate of turn at the end of a stick
+STK_CLIMB       m/s    0.1  1    sticks.climb                   climb at the end of a stick
+"""
 
 
-# ----------------------------------------------------------------------------
-# The numbers of :mod:`mufly.flight.parameters`, read and changed while the helicopter flies.
+def _table() -> tuple[dict[str, Parameter], dict[str, tuple[str, str]]]:
+    rows = [line.split(maxsplit=5) for line in _ROWS.strip().splitlines()]
+    known = {
+        name: Parameter(
+            name, math.nan, unit.strip("-"), float(least), float(greatest), text, whole=unit == "-"
+        )
+        for name, unit, least, greatest, _, text in rows
+    }
+    return known, {row[0]: (row[4].split(".")[0], row[4].split(".")[1]) for row in rows}
+
+
+TABLE, KEPT = _table()
+"""Every parameter without its value, by name; and the table and key under which its value is kept."""
 
 
 @dataclass(slots=True)
@@ -219,15 +113,6 @@ class Sticks:
     climb: float = 0.4
 
 
-_ABLE = {
-    "speed_m_s": ("speed", 1.0),
-    "climb_m_s": ("climb", 1.0),
-    "descent_m_s": ("descent", 1.0),
-    "acceleration_m_s2": ("acceleration", 1.0),
-    "climb_acceleration_m_s2": ("climb_acceleration", 1.0),
-    "yaw_rate_deg_s": ("yaw_rate", DEG),
-    "yaw_acceleration_deg_s2": ("yaw_acceleration", DEG),
-}
 _CLOSE = 1e-6
 """A value that travelled in single precision may miss a bound by this share."""
 
@@ -250,18 +135,24 @@ class Parameters(Mapping[str, Parameter]):
         self._vehicle = vehicle
         self._controller = controller
         self._software = software
-        self._rows = {row.name: row for row in TABLE}
 
     def __len__(self) -> int:
-        return len(self._rows)
+        return len(TABLE)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._rows)
+        return iter(TABLE)
 
     def __getitem__(self, name: str) -> Parameter:
-        row = self._rows[name]
-        least, greatest = self._bounds(row)
-        return Parameter(name, self._value(row), row.unit, least, greatest, row.help, row.whole)
+        table, key = KEPT[name]
+        p = TABLE[name]
+        least, greatest = p.least, p.greatest
+        most = limits_of_file(able(self._controller)).get(key) if table == "limits" else None
+        if key == "low_V":
+            greatest = float(self._vehicle.battery.nominal_voltage)
+            least = 0.5 * greatest
+        elif most is not None:
+            least, greatest = min(least, SHARE * most), min(greatest, SHARE * most)
+        return replace(p, value=self._held(table, key) * _scale(p, table), least=least, greatest=greatest)
 
     def set(self, name: str, value: float) -> str:
         """Change one.
@@ -271,66 +162,52 @@ class Parameters(Mapping[str, Parameter]):
         str
             Why not, in words; "" if it is done.
         """
-        row = self._rows.get(name)
-        if row is None:
+        if name not in TABLE:
             return f"there is no parameter {name[:40]!r}; the list names them all"
-        least, greatest = self._bounds(row)
+        p = self[name]
+        least, greatest = p.least, p.greatest
         slack = _CLOSE * max(abs(least), abs(greatest), 1.0)
         if not (math.isfinite(value) and least - slack <= value <= greatest + slack):
-            return f"{name} {value:g} refused: give {least:g} to {greatest:g} {row.unit}".rstrip()
-        if row.whole and abs(value - round(value)) > _CLOSE:
+            return f"{name} {value:g} refused: give {least:g} to {greatest:g} {p.unit}".rstrip()
+        if p.whole and abs(value - round(value)) > _CLOSE:
             return f"{name} {value:g} refused: give a whole number, {least:g} to {greatest:g}"
         value = min(max(value, least), greatest)
         try:
-            self._keep(row, value / row.scale)
+            self._keep(p, value)
         except InputError as error:
             return f"{name} {value:g} refused: {error.problem}; {error.remedy}"
         return ""
 
-    def _bounds(self, row: Row) -> tuple[float, float]:
-        if row.key == "low_V":
-            nominal = float(self._vehicle.battery.nominal_voltage)
-            return 0.5 * nominal, nominal
-        if row.key in _ABLE and row.table == "limits":
-            name, scale = _ABLE[row.key]
-            most = SHARE * scale * float(getattr(able(self._controller), name))
-            return min(row.least, most), min(row.greatest, most)
-        return row.least, row.greatest
-
-    def _value(self, row: Row) -> float:
-        if row.table == "sticks":
-            return float(getattr(self.sticks, row.key)) * row.scale
-        if row.table in ("position", "heave_yaw"):
-            return float(self._record(row)[row.key]) * row.scale
-        if row.key == "low_V":
+    def _held(self, table: str, key: str) -> float:
+        """The number itself, in the unit that it is kept in."""
+        if table == "sticks":
+            return float(getattr(self.sticks, key))
+        if table in _GAINS:
+            return float(getattr(self._controller, _GAINS[table])[key])
+        if key == "low_V":
             return self._software.plan.low_V
-        return float(getattr(getattr(self._software.plan.mission, row.table), row.key)) * row.scale
+        return float(getattr(getattr(self._software.plan.mission, table), key))
 
-    def _record(self, row: Row) -> np.void:
-        c = self._controller
-        return c.position_gains if row.table == "position" else c.heave_yaw_gains
-
-    def _keep(self, row: Row, value: float) -> None:
-        if row.table == "sticks":
-            setattr(self.sticks, row.key, value)
-        elif row.table in ("position", "heave_yaw"):
-            record = copied(self._record(row))
-            record[row.key] = value
-            fields = {f"{row.table}_gains": record}
-            self._controller = _replaced(self._controller, fields)
+    def _keep(self, p: Parameter, value: float) -> None:
+        table, key = KEPT[p.name]
+        value /= _scale(p, table)
+        if table == "sticks":
+            setattr(self.sticks, key, value)
+        elif table in _GAINS:
+            record = copied(getattr(self._controller, _GAINS[table]))
+            record[key] = value
+            self._controller = replace(self._controller, **{_GAINS[table]: record})  # type: ignore[arg-type]
             self._software.retune(self._controller)
         else:
-            given: float | bool = bool(round(value)) if row.whole else value
-            self._software.change(with_value(self._software.asked, row.table, row.key, given))
+            asked = self._software.asked
+            held = getattr(asked, table)
+            given = {**held.model_dump(), key: bool(round(value)) if p.whole else value}
+            self._software.change(asked.with_parts(**{table: type(held)(**given)}))
 
 
-def _replaced(controller: FlightController, fields: Mapping[str, np.void]) -> FlightController:
-    return replace(controller, **fields)  # type: ignore[arg-type]
+_GAINS = {"position": "position_gains", "heave_yaw": "heave_yaw_gains"}
 
 
-def with_value(mission: Mission, table: str, key: str, value: float | bool) -> Mission:
-    """The same mission with one key of one of its tables changed; checked, and derived anew."""
-    parts = {name: getattr(mission, name) for name in Mission.model_fields}
-    held = getattr(mission, table)
-    parts[table] = type(held)(**{**held.model_dump(), key: value})
-    return Mission(**parts)
+def _scale(p: Parameter, table: str) -> float:
+    """From the unit that it is kept in to its own: a mission file is in degrees itself."""
+    return DEG if p.unit.startswith("deg") and table in (*_GAINS, "sticks") else 1.0

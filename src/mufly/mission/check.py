@@ -19,7 +19,16 @@ from numpy.typing import NDArray
 
 from mufly.dynamics import hover_performance
 from mufly.errors import InputError
-from mufly.mission.schema import LOWEST_M, SETTLE_S, SLOW_FROM_M, SPIN_UP_S, Mission, homeward, legs
+from mufly.mission.schema import (
+    LOWEST_M,
+    SETTLE_S,
+    SLOW_FROM_M,
+    SPIN_UP_S,
+    Mission,
+    homeward,
+    legs,
+    limits_of_file,
+)
 from mufly.mission.state import prepare
 from mufly.mission.trajectory import Limits
 from mufly.tables import builtin_names, read_tables, toml_value, validated
@@ -400,15 +409,7 @@ def slowed(mission: Mission, able: Limits) -> tuple[Mission, str]:
     changes : str
         What was changed, in words: ``"climb_m_s 0.8 in place of 2"``; empty if nothing was.
     """
-    can = {
-        "speed_m_s": able.speed,
-        "climb_m_s": able.climb,
-        "descent_m_s": able.descent,
-        "acceleration_m_s2": able.acceleration,
-        "climb_acceleration_m_s2": able.climb_acceleration,
-        "yaw_rate_deg_s": math.degrees(able.yaw_rate),
-        "yaw_acceleration_deg_s2": math.degrees(able.yaw_acceleration),
-    }
+    can = limits_of_file(able)
     most = SHARE * able.speed
     hasty = [k for k, w in enumerate(mission.waypoint) if w.speed_m_s is not None and w.speed_m_s > most]
     slower = {key: SHARE * most for key, most in can.items() if SHARE * most < getattr(mission.limits, key)}
@@ -420,10 +421,8 @@ def slowed(mission: Mission, able: Limits) -> tuple[Mission, str]:
     words += [
         f"waypoint[{k + 1}].speed_m_s {most:.2g} in place of {mission.waypoint[k].speed_m_s:g}" for k in hasty
     ]
-    # Made anew: a copy would keep what was derived from the old limits.
-    parts = {name: getattr(mission, name) for name in Mission.model_fields}
-    parts["limits"] = mission.limits.model_copy(update=slower)
-    parts["waypoint"] = tuple(
+    limits = mission.limits.model_copy(update=slower)
+    waypoints = tuple(
         w.model_copy(update={"speed_m_s": most}) if k in hasty else w for k, w in enumerate(mission.waypoint)
     )
-    return Mission(**parts), ", ".join(words)
+    return mission.with_parts(limits=limits, waypoint=waypoints), ", ".join(words)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,63 +32,49 @@ class _Table(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
+def _strict(default: Any, description: str, **bounds: float) -> Any:
+    """A number, truth value or text that is taken as it stands: a text is no number."""
+    return Field(default=default, description=description, strict=True, **bounds)  # type: ignore[arg-type]
+
+
 class TakeOff(_Table):
     """The first part of every mission."""
 
-    height_m: float = Field(default=1.0, ge=LOWEST_M, le=50.0, strict=True, description="height to climb to")
-    wait_s: float = Field(default=2.5, ge=0.0, le=3600.0, strict=True, description="wait there")
+    height_m: float = _strict(1.0, "height to climb to", ge=LOWEST_M, le=50.0)
+    wait_s: float = _strict(2.5, "wait there", ge=0.0, le=3600.0)
 
 
 class Waypoint(_Table):
     """One place to fly to."""
 
     position_m: Triple = Field(description="N, E, D; heights above the floor are negative D")
-    wait_s: float = Field(default=0.0, ge=0.0, le=3600.0, strict=True, description="wait once it is reached")
-    heading_deg: float | None = Field(
-        default=None,
+    wait_s: float = _strict(0.0, "wait once it is reached", ge=0.0, le=3600.0)
+    heading_deg: float | None = _strict(
+        None,
+        "heading on the way and there, from north to east; without it the nose points along the way",
         ge=-360.0,
         le=360.0,
-        strict=True,
-        description="heading on the way and there, from north to east; without it the nose points along the way",
     )
-    speed_m_s: float | None = Field(
-        default=None,
-        gt=0.0,
-        le=3.0,
-        strict=True,
-        description="horizontal speed on the way there; without it that of the limits",
+    speed_m_s: float | None = _strict(
+        None, "horizontal speed on the way there; without it that of the limits", gt=0.0, le=3.0
     )
 
 
 class Limits(_Table):
     """What the trajectories may ask for."""
 
-    speed_m_s: float = Field(default=0.6, gt=0.0, le=3.0, strict=True, description="horizontal speed")
-    climb_m_s: float = Field(default=0.5, gt=0.0, le=2.0, strict=True, description="rate of climb")
-    descent_m_s: float = Field(default=0.4, gt=0.0, le=1.0, strict=True, description="rate of descent")
-    touchdown_m_s: float = Field(
-        default=0.15,
-        gt=0.02,
-        le=0.25,
-        strict=True,
-        description="rate of descent over the last 0.4 m before the floor",
+    speed_m_s: float = _strict(0.6, "horizontal speed", gt=0.0, le=3.0)
+    climb_m_s: float = _strict(0.5, "rate of climb", gt=0.0, le=2.0)
+    descent_m_s: float = _strict(0.4, "rate of descent", gt=0.0, le=1.0)
+    touchdown_m_s: float = _strict(
+        0.15, "rate of descent over the last 0.4 m before the floor", gt=0.02, le=0.25
     )
-    acceleration_m_s2: float = Field(
-        default=0.4, gt=0.0, le=2.0, strict=True, description="horizontal acceleration"
-    )
-    climb_acceleration_m_s2: float = Field(
-        default=0.4, gt=0.0, le=2.0, strict=True, description="acceleration of climb and descent"
-    )
-    yaw_rate_deg_s: float = Field(default=60.0, gt=0.0, le=360.0, strict=True, description="rate of turn")
-    yaw_acceleration_deg_s2: float = Field(
-        default=90.0, gt=0.0, le=1000.0, strict=True, description="acceleration of a turn"
-    )
-    reach_m: float = Field(
-        default=0.05, ge=0.01, le=1.0, strict=True, description="a waypoint counts as reached from this near"
-    )
-    reach_m_s: float = Field(
-        default=0.1, ge=0.01, le=1.0, strict=True, description="and when flying slower than this"
-    )
+    acceleration_m_s2: float = _strict(0.4, "horizontal acceleration", gt=0.0, le=2.0)
+    climb_acceleration_m_s2: float = _strict(0.4, "acceleration of climb and descent", gt=0.0, le=2.0)
+    yaw_rate_deg_s: float = _strict(60.0, "rate of turn", gt=0.0, le=360.0)
+    yaw_acceleration_deg_s2: float = _strict(90.0, "acceleration of a turn", gt=0.0, le=1000.0)
+    reach_m: float = _strict(0.05, "a waypoint counts as reached from this near", ge=0.01, le=1.0)
+    reach_m_s: float = _strict(0.1, "and when flying slower than this", ge=0.01, le=1.0)
 
 
 class Path(_Table):
@@ -104,61 +90,34 @@ class Path(_Table):
 class Avoidance(_Table):
     """What to do about obstacles that the range beams see."""
 
-    enabled: bool = Field(default=True, strict=True, description="whether to look for obstacles at all")
-    clearance_m: float = Field(
-        default=0.39,
+    enabled: bool = _strict(True, "whether to look for obstacles at all")
+    clearance_m: float = _strict(
+        0.39,
+        "distance to keep between the helicopter's centre and any surface (rotor radius and 0.3 m)",
         ge=0.15,
         le=1.0,
-        strict=True,
-        description="distance to keep between the helicopter's centre and any surface (rotor radius and 0.3 m)",
     )
-    speed_m_s: float = Field(
-        default=0.3,
-        gt=0.05,
-        le=1.0,
-        strict=True,
-        description="speed around an obstacle, and on the way when scanning",
-    )
-    scan: bool | None = Field(
-        default=None,
-        strict=True,
-        description="fly with one beam ahead and swing the nose, so that nothing hides between two beams; without "
+    speed_m_s: float = _strict(0.3, "speed around an obstacle, and on the way when scanning", gt=0.05, le=1.0)
+    scan: bool | None = _strict(
+        None,
+        "fly with one beam ahead and swing the nose, so that nothing hides between two beams; without "
         "it: true when the file names a box, a cylinder or a wall",
     )
-    give_up_s: float = Field(
-        default=90.0,
-        ge=5.0,
-        le=3600.0,
-        strict=True,
-        description="time to try to get around obstacles on one leg",
-    )
+    give_up_s: float = _strict(90.0, "time to try to get around obstacles on one leg", ge=5.0, le=3600.0)
 
 
 class Battery(_Table):
     """How much of it to use."""
 
-    low_V: float | None = Field(
-        default=None,
-        gt=0.0,
-        strict=True,
-        description="land below this voltage; without it the vehicle's own limit",
-    )
-    usable: float = Field(
-        default=0.8,
-        gt=0.0,
-        le=1.0,
-        strict=True,
-        description="fraction of the charge that a mission may plan with",
-    )
+    low_V: float | None = _strict(None, "land below this voltage; without it the vehicle's own limit", gt=0.0)
+    usable: float = _strict(0.8, "fraction of the charge that a mission may plan with", gt=0.0, le=1.0)
 
 
 class Wind(_Table):
     """Air that moves, for the simulation; the helicopter is not told."""
 
     steady_m_s: Triple = Field(default=(0.0, 0.0, 0.0), description="where the wind blows to, N, E, D")
-    gust_m_s: float = Field(
-        default=0.0, ge=0.0, le=5.0, strict=True, description="intensity of the gusts (rms)"
-    )
+    gust_m_s: float = _strict(0.0, "intensity of the gusts (rms)", ge=0.0, le=5.0)
 
 
 class BoxTable(_Table):
@@ -167,9 +126,7 @@ class BoxTable(_Table):
     name: str = Field(default="box", description="what messages call it")
     centre_m: Triple = Field(description="N, E, D of its centre")
     size_m: tuple[Positive, Positive, Positive] = Field(description="edge lengths, x, y, z")
-    yaw_deg: float = Field(
-        default=0.0, ge=-360.0, le=360.0, strict=True, description="turn of its x edge from north to east"
-    )
+    yaw_deg: float = _strict(0.0, "turn of its x edge from north to east", ge=-360.0, le=360.0)
 
 
 class CylinderTable(_Table):
@@ -177,9 +134,9 @@ class CylinderTable(_Table):
 
     name: str = Field(default="cylinder", description="what messages call it")
     centre_m: Pair = Field(description="N, E of its axis")
-    radius_m: float = Field(gt=0.0, strict=True, description="radius")
-    height_m: float = Field(gt=0.0, strict=True, description="from its foot to its top")
-    foot_m: float = Field(default=0.0, ge=0.0, strict=True, description="height of its foot above the floor")
+    radius_m: float = _strict(..., "radius", gt=0.0)
+    height_m: float = _strict(..., "from its foot to its top", gt=0.0)
+    foot_m: float = _strict(0.0, "height of its foot above the floor", ge=0.0)
 
 
 class WallTable(_Table):
@@ -188,8 +145,8 @@ class WallTable(_Table):
     name: str = Field(default="wall", description="what messages call it")
     start_m: Pair = Field(description="N, E of one end")
     end_m: Pair = Field(description="N, E of the other end")
-    height_m: float = Field(gt=0.0, strict=True, description="height above the floor")
-    thickness_m: float = Field(default=0.1, gt=0.0, strict=True, description="thickness")
+    height_m: float = _strict(..., "height above the floor", gt=0.0)
+    thickness_m: float = _strict(0.1, "thickness", gt=0.0)
 
 
 class RoomTable(_Table):
@@ -197,9 +154,7 @@ class RoomTable(_Table):
 
     north_m: Pair = Field(description="least and greatest N inside")
     east_m: Pair = Field(description="least and greatest E inside")
-    height_m: float | None = Field(
-        default=None, gt=0.0, strict=True, description="height of the ceiling; without it there is none"
-    )
+    height_m: float | None = _strict(None, "height of the ceiling; without it there is none", gt=0.0)
 
 
 class Mission(_Table):
@@ -211,9 +166,7 @@ class Mission(_Table):
     name: str = Field(default="", description="what the mission is called; without it the name of the file")
     description: str = Field(default="", description="one line about it")
     start_m: Pair = Field(default=(0.0, 0.0), description="N, E of where the helicopter stands at first")
-    start_heading_deg: float = Field(
-        default=0.0, ge=-360.0, le=360.0, strict=True, description="its heading there, from north to east"
-    )
+    start_heading_deg: float = _strict(0.0, "its heading there, from north to east", ge=-360.0, le=360.0)
     at_end: Literal["land", "hover", "return"] = Field(
         default="land",
         description='after the last wait: "land" there, "hover" there until told otherwise or until the battery is '
@@ -230,6 +183,10 @@ class Mission(_Table):
     box: tuple[BoxTable, ...] = ()
     cylinder: tuple[CylinderTable, ...] = ()
     wall: tuple[WallTable, ...] = ()
+
+    def with_parts(self, **parts: Any) -> Mission:
+        """The same mission with other parts; checked, and derived anew, which a copy would not be."""
+        return Mission(**{**{name: getattr(self, name) for name in Mission.model_fields}, **parts})
 
     @cached_property
     def world(self) -> World:
@@ -270,6 +227,19 @@ class Mission(_Table):
             math.radians(q.yaw_rate_deg_s),
             math.radians(q.yaw_acceleration_deg_s2),
         )
+
+
+def limits_of_file(q: TrajectoryLimits) -> dict[str, float]:
+    """Limits of trajectories under the keys and in the units of a mission file."""
+    return {
+        "speed_m_s": q.speed,
+        "climb_m_s": q.climb,
+        "descent_m_s": q.descent,
+        "acceleration_m_s2": q.acceleration,
+        "climb_acceleration_m_s2": q.climb_acceleration,
+        "yaw_rate_deg_s": math.degrees(q.yaw_rate),
+        "yaw_acceleration_deg_s2": math.degrees(q.yaw_acceleration),
+    }
 
 
 # ----------------------------------------------------------------------------

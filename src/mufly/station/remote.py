@@ -515,5 +515,4 @@ class Connection:
 
 def _ours() -> dict[str, Parameter]:
     """What is known of the parameters of our own vehicles: unit, bounds, help."""
-    own = {r.name: Parameter(r.name, math.nan, r.unit, r.least, r.greatest, r.help, r.whole) for r in TABLE}
-    return own | {name: replace(p, value=math.nan) for name, p in LINK_PARAMETERS.items()}
+    return TABLE | {name: replace(p, value=math.nan) for name, p in LINK_PARAMETERS.items()}
