@@ -1,4 +1,7 @@
-"""``mufly fly`` in real time: the vehicle in a process of its own, and a page or other stations around it."""
+"""``mufly fly``: from a vehicle file to an autonomous mission, in the terminal or in real time.
+
+In real time the vehicle flies in a process of its own, with the station's page or other stations around it.
+"""
 
 from __future__ import annotations
 
@@ -14,18 +17,23 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mufly.cli.present import console
 from mufly.cli.station import (
     BrowserOption,
+    GustOption,
     HostOption,
     LiveDisplay,
     PortOption,
+    SeedOption,
     TokenOption,
+    VehicleOption,
+    WindOption,
     announce,
     check_air,
+    check_place,
     dated_folder,
-    wind_of,
+    endpoints_of,
 )
-from mufly.cli.station import check_place as check_folder
 from mufly.errors import InputError, MuflyError
 
 if TYPE_CHECKING:
@@ -59,6 +67,7 @@ class Order:
     seed: int
     links: tuple[Endpoint, ...]
     start: bool
+    realtime: bool
 
 
 def _free_port() -> int:
@@ -120,10 +129,10 @@ def _why(process: VehicleProcess) -> str:
     return f" ({process.reason})" if process.reason else ""
 
 
-def fly_behind_link(order: Order, on_event: Callable[[Event], None], console: Console) -> None:
+def fly_behind_link(order: Order, on_event: Callable[[Event], None], terminal: Console) -> None:
     """Fly the mission in real time with other stations watching, without a page."""
     for end in order.links:
-        console.print(f"It {end.explanation}", highlight=False)
+        terminal.print(f"It {end.explanation}", highlight=False)
     process = _start(order, order.links, autostart=True)
     try:
         process.wait_ready()
@@ -138,7 +147,7 @@ def fly_behind_link(order: Order, on_event: Callable[[Event], None], console: Co
 
 
 def fly_with_page(
-    order: Order, address: Address, on_event: Callable[[Event], None], console: Console, browser: bool
+    order: Order, address: Address, on_event: Callable[[Event], None], terminal: Console, browser: bool
 ) -> bool:
     """Fly with the station's page.
 
@@ -172,7 +181,7 @@ def fly_with_page(
                 announce(address, [e.explanation for e in order.links])
                 return not await serve(
                     session, address, open_browser=browser,
-                    beside=lambda: _look_after(watch, process, session, order.start, console),
+                    beside=lambda: _look_after(watch, process, session, order.start, terminal),
                 )  # fmt: skip
             finally:
                 await ground.stop()
@@ -191,7 +200,7 @@ async def _look_after(
     process: VehicleProcess,
     session: Session,
     started: bool,
-    console: Console,
+    terminal: Console,
 ) -> None:
     """Return when the flight is over and nobody looks any more; fly the mission where nobody ever looked."""
     await asyncio.to_thread(process.wait_ready)
@@ -206,7 +215,7 @@ async def _look_after(
         vehicles = session.vehicles()
         if not seen and not started and now - began > LONELY_S and vehicles and not watch.flown:
             started = True
-            console.print(f"No page was opened within {LONELY_S:g} s: the mission is flown without one")
+            terminal.print(f"No page was opened within {LONELY_S:g} s: the mission is flown without one")
             request = vehicles[0].start_mission()
             while not request.done:
                 await asyncio.sleep(_LOOK_S)
@@ -248,28 +257,18 @@ def fly(
     mission: Annotated[
         str, typer.Argument(help="Mission file, or a built-in mission (see: mufly mission list).")
     ] = "demonstration",
-    vehicle: Annotated[
-        str, typer.Option("--vehicle", "-v", help="Vehicle file, or a built-in vehicle.")
-    ] = "mufly-1.1",
+    vehicle: VehicleOption = "mufly-1.1",
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out",
-            "-o",
-            metavar="DIR",
+            "--out", "-o", metavar="DIR",
             help="Folder for the results; those of an earlier flight there are replaced. "
             r"\[default: flights/<date-time>]",
         ),
     ] = None,
-    wind: Annotated[
-        str | None,
-        typer.Option(metavar="N,E,D", help="Steady wind in m/s, as in 0.5,0,0; instead of the mission's."),
-    ] = None,
-    gust: Annotated[
-        float | None,
-        typer.Option(metavar="M/S", help="Gusts, standard deviation, 0 to 5 m/s; instead of the mission's."),
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    wind: WindOption = None,
+    gust: GustOption = None,
+    seed: SeedOption = 0,
     realtime: Annotated[bool, typer.Option("--realtime", help="Keep pace with the clock.")] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the summary as JSON on standard output, and nothing else.")
@@ -297,47 +296,51 @@ def fly(
     browser: BrowserOption = True,
 ) -> None:  # fmt: skip
     """Fly a mission on the full nonlinear model."""
-    from rich.console import Console
-
-    console = Console(stderr=as_json)
-    steady = wind_of(wind)
-    check_air(gust, seed)
+    terminal = console(stderr=as_json)
+    steady = check_air(wind, gust, seed)
     folder = out if out is not None else dated_folder()
-    check_folder(folder)
-    ends = _endpoints(links)
+    check_place(folder)
+    ends = endpoints_of(links, "vehicle")
 
     # Whatever can be wrong with the input is found before the heavy libraries are loaded.
     from mufly.mission import load_mission, preflight
     from mufly.vehicle import load_vehicle
 
-    loaded_vehicle, loaded_mission = load_vehicle(vehicle), load_mission(mission)
-    preflight(loaded_vehicle, loaded_mission, vehicle_file=vehicle, mission_file=mission)
+    recording = folder / "flight.mcap"
+    order = Order(
+        load_vehicle(vehicle),
+        load_mission(mission),
+        recording,
+        steady,
+        gust,
+        seed,
+        tuple(ends),
+        start,
+        realtime,
+    )
+    preflight(order.vehicle, order.mission, vehicle_file=vehicle, mission_file=mission)
     address = None
     if not (headless or as_json):
         from mufly.station.page.access import choose_address
 
         address = choose_address(host, port, token)
-    console.print(
-        f"[bold]{loaded_vehicle.name}[/bold] flies [bold]{loaded_mission.name}[/bold]; results go to {folder}"
+    terminal.print(
+        f"[bold]{order.vehicle.name}[/bold] flies [bold]{order.mission.name}[/bold]; results go to {folder}"
     )
 
-    recording = folder / "flight.mcap"
-    if ends or not (headless or as_json):
-        order = Order(loaded_vehicle, loaded_mission, recording, steady, gust, seed, tuple(ends), start)
-        stopped = _fly_in_real_time(console, order, address, browser)
+    stopped, heard = False, []
+    if ends or address is not None:
+        stopped = _fly_in_real_time(terminal, order, address, browser)
         found = _read(recording)
         if found is None or _never_flew(found):
-            console.print(f"It did not fly; what was recorded is in {folder}")
+            terminal.print(f"It did not fly; what was recorded is in {folder}")
             raise typer.Exit(130 if stopped else 1)
         dataset, heard = found, [] if address is None else sorted(folder.glob("station*.*"))
     else:
-        stopped, heard = False, []
-        dataset = _fly_in_terminal(
-            console, loaded_vehicle, loaded_mission, recording, steady, gust, seed, realtime
-        )
-    summary = _write_results(console, dataset, loaded_mission, [recording, *heard], as_json)
+        dataset = _fly_in_terminal(terminal, order)
+    summary = _write_results(terminal, dataset, order.mission, [recording, *heard], as_json)
     if stopped and summary.outcome != "succeeded":
-        console.print(f"Stopped; the recording up to here is in {recording}")
+        terminal.print(f"Stopped; the recording up to here is in {recording}")
         raise typer.Exit(130)
     if summary.outcome == "unfinished":
         raise MuflyError(f"the mission was not flown to its end: {summary.reason}")
@@ -345,39 +348,30 @@ def fly(
         raise MuflyError(f"the mission failed: {summary.reason}")
 
 
-def _fly_in_terminal(
-    console: Console,
-    vehicle: Vehicle,
-    mission: Mission,
-    recording: Path,
-    wind: list[float] | None,
-    gust: float | None,
-    seed: int,
-    realtime: bool,
-) -> xr.Dataset:
+def _fly_in_terminal(terminal: Console, order: Order) -> xr.Dataset:
     """Fly the mission from beginning to end, as fast as the machine can."""
     import mufly.flight as flight
 
     try:
-        with LiveDisplay(console) as display:
+        with LiveDisplay(terminal) as display:
             return flight.fly(
-                vehicle, mission, wind=wind, gust=gust, seed=seed, realtime=realtime, path=recording,
-                on_progress=lambda p: display.now(_line_of(p)), on_event=display.event,
+                order.vehicle, order.mission, wind=order.wind, gust=order.gust, seed=order.seed,
+                realtime=order.realtime, path=order.recording, on_progress=lambda p: display.now(_line_of(p)),
+                on_event=display.event,
             )  # fmt: skip
     except KeyboardInterrupt:
-        if recording.exists():
-            console.print(f"Stopped; the recording up to here is in {recording}")
+        if order.recording.exists():
+            terminal.print(f"Stopped; the recording up to here is in {order.recording}")
         raise typer.Exit(130) from None
 
 
-def _fly_in_real_time(console: Console, order: Order, address: Address | None, browser: bool) -> bool:
+def _fly_in_real_time(terminal: Console, order: Order, address: Address | None, browser: bool) -> bool:
     """Fly with the page, or without one (no address) behind a link; return whether it was stopped."""
-
-    with LiveDisplay(console) as display:
+    with LiveDisplay(terminal) as display:
         if address is not None:
-            return not fly_with_page(order, address, display.event, console, browser)
+            return not fly_with_page(order, address, display.event, terminal, browser)
         try:
-            fly_behind_link(order, display.event, console)
+            fly_behind_link(order, display.event, terminal)
         except KeyboardInterrupt:
             return True
         return False
@@ -399,7 +393,7 @@ def _never_flew(dataset: xr.Dataset) -> bool:
 
 
 def _write_results(
-    console: Console, dataset: xr.Dataset, mission: Mission, recordings: list[Path], as_json: bool
+    terminal: Console, dataset: xr.Dataset, mission: Mission, recordings: list[Path], as_json: bool
 ) -> Summary:
     """Write summary and pictures beside the recordings, and print what they say."""
     import mufly.flight as flight
@@ -420,20 +414,10 @@ def _write_results(
     if as_json:
         print(text)
     else:
-        _print_result(console, summary)
+        _print_result(terminal, summary)
         names = ", ".join(p.name for p in (*recordings, folder / "summary.json", *pictures))
-        console.print(f"Written to [bold]{folder}[/bold]: {names}")
+        terminal.print(f"Written to [bold]{folder}[/bold]: {names}")
     return summary
-
-
-def _endpoints(links: list[str] | None) -> list[Endpoint]:
-    from mufly.link.ports import parse_endpoint
-
-    found = [parse_endpoint(text, "vehicle", "--link") for text in links or ()]
-    for end in found:
-        if found.count(end) > 1:
-            raise InputError("--link", "", f"{end} is given twice", "give each link once")
-    return found
 
 
 def _line_of(p: Progress) -> str:
@@ -444,7 +428,7 @@ def _line_of(p: Progress) -> str:
     )
 
 
-def _print_result(console: Console, summary: Summary) -> None:
+def _print_result(terminal: Console, summary: Summary) -> None:
     from rich import box
     from rich.table import Table
 
@@ -454,19 +438,10 @@ def _print_result(console: Console, summary: Summary) -> None:
     colour = "green" if summary.outcome == "succeeded" else "red"
     for k, (label, value) in enumerate(summary_rows(summary)):
         table.add_row(label, f"[bold {colour}]{value}[/]" if k == 0 else value)
-    console.print(table)
+    terminal.print(table)
     points = Table("waypoint", "N, E, D (m)", "reached (s)", "off by (cm)", "overshoot (cm)", box=box.SIMPLE)
     for w in summary.waypoints:
-        place = ", ".join(f"{x:g}" for x in w.position_m)
-        points.add_row(
-            w.name,
-            place,
-            _number(w.reached_s),
-            _number(w.distance_at_reach_m, 100),
-            _number(w.overshoot_m, 100),
-        )
-    console.print(points)
-
-
-def _number(value: float | None, factor: float = 1.0) -> str:
-    return "never" if value is None else f"{factor * value:.1f}"
+        told = ((w.reached_s, 1.0), (w.distance_at_reach_m, 100.0), (w.overshoot_m, 100.0))
+        numbers = ("never" if value is None else f"{factor * value:.1f}" for value, factor in told)
+        points.add_row(w.name, ", ".join(f"{x:g}" for x in w.position_m), *numbers)
+    terminal.print(points)

@@ -1,4 +1,7 @@
-"""What the commands that fly share: air, seed, and the folder for the results. Loads nothing heavy."""
+"""``mufly station``, ``mufly link``, and what commands share that fly in real time: air, links, folder, live line.
+
+Loads nothing heavy: whatever can be wrong with the input is found first.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,14 @@ import contextlib
 import os
 import signal
 import threading
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from mufly.cli.present import console, progress_bar, say
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,6 +28,24 @@ if TYPE_CHECKING:
     from mufly.link import Endpoint, Report
     from mufly.logs.layout import Event
     from mufly.station.page.access import Address
+
+
+VehicleOption = Annotated[str, typer.Option("--vehicle", "-v", help="Vehicle file, or a built-in vehicle.")]
+WindOption = Annotated[
+    str | None,
+    typer.Option(
+        "--wind", metavar="N,E,D", help="Steady wind in m/s, as in 0.5,0,0; instead of the mission's."
+    ),
+]
+GustOption = Annotated[
+    float | None,
+    typer.Option(
+        "--gust",
+        metavar="M/S",
+        help="Gusts, standard deviation, 0 to 5 m/s; instead of the mission's.",
+    ),
+]
+SeedOption = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
 
 
 def wind_of(text: str | None) -> list[float] | None:
@@ -38,12 +61,30 @@ def wind_of(text: str | None) -> list[float] | None:
     return numbers
 
 
-def check_air(gust: float | None, seed: int) -> None:
-    """Refuse gusts and seeds that are none."""
+def check_air(wind: str | None, gust: float | None, seed: int) -> list[float] | None:
+    """The wind of :func:`wind_of`; gusts and seeds that are none are refused."""
+    steady = wind_of(wind)
     if gust is not None and not 0.0 <= gust <= 5.0:
         raise InputError("--gust", "", f"{gust:g} m/s is no gust", "give 0 to 5 m/s")
     if not 0 <= seed < 2**63:
         raise InputError("--seed", "", f"{seed} is no seed", "give a whole number from 0 to 2^63 - 1")
+    return steady
+
+
+def endpoints_of(
+    texts: Sequence[str] | None,
+    role: Literal["vehicle", "station"],
+    option: str = "--link",
+    each: str = "link",
+) -> list[Endpoint]:
+    """The links of an option, each given once."""
+    from mufly.link.ports import parse_endpoint
+
+    found = [parse_endpoint(text, role, option) for text in texts or ()]
+    for end in found:
+        if found.count(end) > 1:
+            raise InputError(option, "", f"{end} is given twice", f"give each {each} once")
+    return found
 
 
 def check_place(folder: Path) -> None:
@@ -199,16 +240,14 @@ def station(
     browser: BrowserOption = True,
 ) -> None:  # fmt: skip
     """Open the ground station in the browser."""
-    from mufly.link.ports import parse_endpoint
     from mufly.mission import load_mission
 
     words = connect or ([] if open_file is not None else [DEFAULT_ENDPOINT])
-    endpoints = [parse_endpoint(word, "station", "--connect") for word in words]
+    endpoints = endpoints_of(words, "station", "--connect")
     world = load_mission(mission) if mission is not None else None
     if out.exists() and not out.is_dir():
         raise InputError("--out", "", f"{out} is a file", "name a folder")
 
-    from mufly.cli.present import progress_bar
     from mufly.station import Station
     from mufly.station.replay import open_recording
 
@@ -247,14 +286,14 @@ def station(
 
 def announce(address: Address, links: list[str]) -> None:
     """Say where the page is, what it listens to, and how to end it."""
-    from rich.console import Console
-
-    console = Console(stderr=True, highlight=False)
+    terminal = console(stderr=True)
     for link in links:
-        console.print(f"The station {link}")
-    console.print(f"Page: [bold]{address.url}[/bold]   (Ctrl-C ends the station)", soft_wrap=True)
+        terminal.print(f"The station {link}", highlight=False)
+    terminal.print(
+        f"Page: [bold]{address.url}[/bold]   (Ctrl-C ends the station)", soft_wrap=True, highlight=False
+    )
     if address.token:
-        console.print(
+        terminal.print(
             "Whoever has this address can command the vehicle; it travels unencrypted.", style="yellow"
         )
 
@@ -287,9 +326,7 @@ def link(
     mission: Annotated[
         str | None, typer.Argument(help="Mission file, or a built-in mission (see: mufly mission list).")
     ] = None,
-    vehicle: Annotated[
-        str, typer.Option("--vehicle", "-v", help="Vehicle file, or a built-in vehicle.")
-    ] = "mufly-1.1",
+    vehicle: VehicleOption = "mufly-1.1",
     ends: Annotated[
         list[str] | None,
         typer.Option(
@@ -315,28 +352,15 @@ def link(
             help="Record to this folder: flight.mcap and link.tlog; those of an earlier flight there are replaced.",
         ),
     ] = None,
-    wind: Annotated[
-        str | None,
-        typer.Option(metavar="N,E,D", help="Steady wind in m/s, as in 0.5,0,0; instead of the mission's."),
-    ] = None,
-    gust: Annotated[
-        float | None,
-        typer.Option(metavar="M/S", help="Gusts, standard deviation, 0 to 5 m/s; instead of the mission's."),
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    wind: WindOption = None,
+    gust: GustOption = None,
+    seed: SeedOption = 0,
 ) -> None:  # fmt: skip
     """The simulated helicopter as a MAVLink vehicle, in real time."""
-    from rich.console import Console
-
-    from mufly.link.ports import parse_endpoint
-
-    console = Console()
-    endpoints = [parse_endpoint(text, "vehicle", "--link") for text in ends or _DEFAULT]
-    _check_endpoints(endpoints)
+    endpoints = endpoints_of(ends or _DEFAULT, "vehicle", each="endpoint")
     if not 1 <= system <= 255:
         raise InputError("--system", "", f"{system} is no MAVLink system", "give 1 to 255")
-    steady = wind_of(wind)
-    check_air(gust, seed)
+    steady = check_air(wind, gust, seed)
     if out is not None:
         check_place(out)
 
@@ -356,15 +380,16 @@ def link(
     from mufly.link import TlogWriter, VehicleLink, run
     from mufly.link.process import warm_up
 
-    console.print(
+    terminal = console()
+    terminal.print(
         f"[bold]{helicopter.name}[/bold] is MAVLink system {system}, with {plan.name}", highlight=False
     )
     for end in endpoints:
-        console.print(f"  it {end.explanation}", highlight=False)
+        say(f"  it {end.explanation}")
         if end.beyond_loopback:
-            console.print(
-                f"  [yellow]anyone who can reach {end.host} port {end.port} may command it: MAVLink has no password[/]",
-                highlight=False,
+            say(
+                f"  anyone who can reach {end.host} port {end.port} may command it: MAVLink has no password",
+                style="yellow",
             )
     controller = design(helicopter)
     warm_up(helicopter, controller)
@@ -375,7 +400,7 @@ def link(
     log = None if out is None else TlogWriter(out / "link.tlog")
     over = _Over()
     try:
-        with flight, over, LiveDisplay(console) as display:
+        with flight, over, LiveDisplay(terminal) as display:
             run(
                 flight,
                 endpoints,
@@ -384,7 +409,7 @@ def link(
                 tlog=log,
                 on_event=display.event,
                 on_notice=display.notice,
-                on_open=lambda: console.print("Ctrl-C ends it.", style="dim"),
+                on_open=lambda: terminal.print("Ctrl-C ends it.", style="dim"),
                 on_report=lambda report: display.now(_line_of(report)),
                 where="--link",
             )
@@ -392,18 +417,11 @@ def link(
         if log is not None:
             log.close()
     if recording is not None:
-        console.print(f"Ended; the recording is in {recording}, the telemetry log beside it", highlight=False)
+        say(f"Ended; the recording is in {recording}, the telemetry log beside it")
     raise typer.Exit(over.status)
 
 
 _DEFAULT = ("udp:127.0.0.1:14550", "udp:127.0.0.1:14540")
-
-
-def _check_endpoints(endpoints: list[Endpoint]) -> None:
-    names = [str(end) for end in endpoints]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError("--link", "", f"{name} is given twice", "give each endpoint once")
 
 
 class _Over:
