@@ -36,6 +36,7 @@ from mufly.mission.answers import Ask, may
 from mufly.mission.avoidance import BRAKE_M_S2, hold_off, observe
 from mufly.mission.offboard import HIGHEST_M, SetPoint, begin_tracking, fault_of, follow, wants_up
 from mufly.mission.phases import (
+    anew,
     at_gate,
     braking,
     go_home,
@@ -48,7 +49,18 @@ from mufly.mission.phases import (
     swing,
 )
 from mufly.mission.schema import LOWEST_M, SPIN_UP_S
-from mufly.mission.state import Command, MissionPlan, MissionState, Reference, State, Triple, enter, fail, log
+from mufly.mission.state import (
+    Command,
+    MissionPlan,
+    MissionState,
+    Reference,
+    State,
+    Triple,
+    enter,
+    fail,
+    log,
+    rest,
+)
 from mufly.mission.trajectory import Trajectory, stop, straight
 
 _FLYING = frozenset({State.TAKE_OFF, State.HOVER, State.WAYPOINT, State.OBSTACLE, State.OFFBOARD})
@@ -214,17 +226,7 @@ def stop_at_once(s: MissionState, why: str) -> MissionState:
         return s
     if s.started or s.begun:
         s = fail(s, why)
-    return enter(
-        s,
-        State.INIT,
-        why,
-        level="error",
-        motors="off",
-        motion=None,
-        detour=None,
-        tracker=None,
-        finished=s.outcome != "",
-    )
+    return enter(s, State.INIT, why, level="error", motors="off", detour=None, finished=s.outcome != "")
 
 
 def waypoint_fault(where: Triple | None, heading: float | None) -> str:
@@ -272,23 +274,9 @@ def pause(plan: MissionPlan, s: MissionState, why: str = "paused") -> MissionSta
     brake = braking(plan, s)
     at = brake.at(math.inf)
     n, e, d = at.position
-    rest = (n, e, min(d, -LOWEST_M) if s.state is State.LANDING else d)
-    return enter(
-        s,
-        State.HOVER,
-        why,
-        motion=brake,
-        hold=rest,
-        goal=rest,
-        heading=at.heading,
-        ready_s=s.time_s,
-        manual=True,
-        homing=False,
-        quit="",
-        tracker=None,
-        asked_heading=None,
-        motors="fly",
-    )
+    place = (n, e, min(d, -LOWEST_M) if s.state is State.LANDING else d)
+    flags = {"manual": True, "homing": False, "quit": "", "asked_heading": None, "motors": "fly"}
+    return rest(s, why, place, at.heading, motion=brake, ready_s=s.time_s, **flags)
 
 
 def go_on(plan: MissionPlan, s: MissionState, first: int | None) -> MissionState:
@@ -322,10 +310,10 @@ def land_now(plan: MissionPlan, s: MissionState) -> MissionState:
 
 
 def _broken_off(plan: MissionPlan, s: MissionState, signal: str) -> MissionState:
-    rest = len(plan.mission.waypoint) - s.index
-    if not s.begun or rest <= 0 or s.outcome != "":
+    left = len(plan.mission.waypoint) - s.index
+    if not s.begun or left <= 0 or s.outcome != "":
         return s
-    return replace(s, quit=f"{signal} signal with {rest} waypoint{'s' if rest > 1 else ''} to go")
+    return replace(s, quit=f"{signal} signal with {left} waypoint{'s' if left > 1 else ''} to go")
 
 
 # RC
@@ -334,18 +322,7 @@ def _broken_off(plan: MissionPlan, s: MissionState, signal: str) -> MissionState
 def to_hand(s: MissionState, m: Estimate) -> MissionState:
     """RC signal: the pilot takes over, from any state."""
     x, psi = measured_at(m), float(m.attitude[2])
-    return enter(
-        s,
-        State.RC,
-        "RC on",
-        hold=x,
-        heading=psi,
-        motion=None,
-        detour=None,
-        tracker=None,
-        homing=False,
-        sink=0.0,
-    )
+    return enter(s, State.RC, "RC on", hold=x, heading=psi, detour=None, homing=False, sink=0.0)
 
 
 def by_hand(s: MissionState, m: Estimate, c: Command, dt: float) -> MissionState:
@@ -383,7 +360,7 @@ def from_hand(s: MissionState, m: Estimate) -> MissionState:
         brake = stop(x, (m.velocity[0], m.velocity[1], share * m.velocity[2]), psi, BRAKE_M_S2)
         n, e, d = brake.at(math.inf).position
     at = (n, e, d)
-    return enter(s, State.HOVER, "RC off", motion=brake, hold=at, goal=at, heading=psi, manual=True)
+    return rest(s, "RC off", at, psi, motion=brake, manual=True)
 
 
 def _lies(s: MissionState, m: Estimate) -> bool:
@@ -393,13 +370,7 @@ def _lies(s: MissionState, m: Estimate) -> bool:
 def _down(s: MissionState, why: str) -> MissionState:
     running = s.motors != "off"
     return enter(
-        s,
-        State.INIT,
-        why,
-        motors="ramp_down" if running else "off",
-        motion=None,
-        tracker=None,
-        finished=s.outcome != "" and not running,
+        s, State.INIT, why, motors="ramp_down" if running else "off", finished=s.outcome != "" and not running
     )
 
 
@@ -416,7 +387,6 @@ def to_set_points(s: MissionState, m: Estimate, wanted: SetPoint) -> MissionStat
             State.OFFBOARD,
             "offboard: set-points",
             tracker=begin_tracking(onward(s)),
-            motion=None,
             detour=None,
             manual=True,
             homing=False,
@@ -424,18 +394,9 @@ def to_set_points(s: MissionState, m: Estimate, wanted: SetPoint) -> MissionStat
     x = measured_at(m)
     if not wants_up(wanted, x):
         return s
-    fresh = MissionState(
-        time_s=s.time_s,
-        started=True,
-        manual=True,
-        hold=x,
-        standing=x,
-        heading=float(m.attitude[2]),
-        battery_V=s.battery_V,
-        events=s.events,
-        logged=s.logged,
+    return enter(
+        anew(s, m, manual=True), State.OFFBOARD, "offboard: set-points, taking off", motors="spin_up"
     )
-    return enter(fresh, State.OFFBOARD, "offboard: set-points, taking off", motors="spin_up")
 
 
 def track(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, dt: float) -> MissionState:

@@ -1,17 +1,33 @@
-"""From the state of the mission to the reference of the controllers."""
+"""What each state of the mission does by itself, how it is entered (Fig. 6.15), and the reference that comes of it.
+
+Every function takes a state and returns the next one; nothing is kept anywhere else. What the user's signals do is in
+:mod:`mufly.mission.machine`.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from mufly.estimate import Estimate
 from mufly.mission.avoidance import BRAKE_M_S2, begin_detour, blocked, go_round, look
 from mufly.mission.schema import LOWEST_M, SLOW_FROM_M, SPIN_UP_S, leg_trajectory
-from mufly.mission.state import Command, MissionPlan, MissionState, Reference, State, Triple, enter, fail, log
+from mufly.mission.state import (
+    Command,
+    MissionPlan,
+    MissionState,
+    Reference,
+    State,
+    Triple,
+    enter,
+    fail,
+    log,
+    rest,
+)
 from mufly.mission.trajectory import Point, Stop, Trajectory, stop, straight
 
 SWEEP_PERIOD_S = 4.0
@@ -87,8 +103,7 @@ def reference(plan: MissionPlan, s: MissionState, m: Estimate, c: Command) -> Re
     )
 
 
-# ----------------------------------------------------------------------------
-# Down to the floor: a landing, and the way down when measurements are lost.
+# Down to the floor: a landing, and the way down when the estimate is lost
 
 
 RAMP_DOWN_S = 1.0
@@ -101,7 +116,7 @@ def land(s: MissionState, why: str, *, level: str = "info") -> MissionState:
     """Begin to sink, above where it comes to rest."""
     if s.motors == "spin_up":
         s = fail(s, why) if s.begun else s
-        return enter(s, State.INIT, why, level=level, motors="ramp_down", motion=None, tracker=None)
+        return enter(s, State.INIT, why, level=level, motors="ramp_down")
     now = point(s)
     brake = stop(onward(s).position, (*now.velocity[:2], 0.0), now.heading, BRAKE_M_S2)
     foot = brake.at(math.inf).position
@@ -111,7 +126,6 @@ def land(s: MissionState, why: str, *, level: str = "info") -> MissionState:
         why,
         level=level,
         motion=brake,
-        tracker=None,
         hold=(foot[0], foot[1], now.position[2]),
         goal=(foot[0], foot[1], s.standing[2]),
         heading=now.heading,
@@ -127,7 +141,7 @@ def sink(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionS
     if s.motors == "ramp_down":
         if s.clock_s < RAMP_DOWN_S:
             return s
-        return enter(_judged(s), State.INIT, "landed", motors="off", motion=None, finished=True)
+        return enter(_judged(s), State.INIT, "landed", motors="off", finished=True)
     q = plan.mission.limits
     a = q.climb_acceleration_m_s2
     above = s.standing[2] - s.hold[2]
@@ -159,7 +173,7 @@ def _judged(s: MissionState) -> MissionState:
 def blind(s: MissionState, time_s: float, why: str) -> MissionState:
     """Measurements are lost in flight: the flight software brings it down by itself."""
     s = fail(replace(s, time_s=time_s), why)
-    return enter(s, State.LANDING, why, level="error", motors="blind", motion=None, detour=None, tracker=None)
+    return enter(s, State.LANDING, why, level="error", motors="blind", detour=None)
 
 
 def down_blind(s: MissionState, time_s: float) -> MissionState:
@@ -168,11 +182,7 @@ def down_blind(s: MissionState, time_s: float) -> MissionState:
     return enter(s, State.INIT, "motors off, where it came down", motors="off", finished=True)
 
 
-# ----------------------------------------------------------------------------
-# What each state of the mission does by itself, and how it is entered (Fig. 6.15).
-#
-# Every function takes a state and returns the next one; nothing is kept anywhere else. Landing is in
-# :mod:`mufly.mission.phases`, what the user's signals do in :mod:`mufly.mission.machine`.
+# The other states
 
 
 _SETTLE_BEFORE_LANDING_S = 2.0
@@ -198,6 +208,22 @@ def stand(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Mission
     return s
 
 
+def anew(s: MissionState, m: Estimate, **changes: Any) -> MissionState:
+    """A fresh flight from where it stands."""
+    x = measured_at(m)
+    return MissionState(
+        time_s=s.time_s,
+        started=True,
+        hold=x,
+        standing=x,
+        heading=float(m.attitude[2]),
+        battery_V=s.battery_V,
+        events=s.events,
+        logged=s.logged,
+        **changes,
+    )
+
+
 def start(
     plan: MissionPlan,
     s: MissionState,
@@ -207,20 +233,8 @@ def start(
     first: int | None = None,
 ) -> MissionState:
     """Start signal: a fresh flight from where it stands, of the mission or, with a ``height`` (m), only up to there."""
-    x = measured_at(m)
-    fresh = MissionState(
-        time_s=s.time_s,
-        started=True,
-        begun=height is None,
-        manual=height is not None,
-        index=first or 0,
-        hold=x,
-        standing=x,
-        heading=float(m.attitude[2]),
-        battery_V=s.battery_V,
-        events=s.events,
-        logged=s.logged,
-    )
+    fresh = anew(s, m, begun=height is None, manual=height is not None, index=first or 0)
+    x = fresh.standing
     up = plan.mission.take_off.height_m if height is None else height
     goal = (x[0], x[1], -up)
     motion = straight(x, goal, fresh.heading, plan.limits)
@@ -243,7 +257,7 @@ def take_off(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Miss
         gained = s.standing[2] - m.position[2]
         if late > 3.0 and gained < 0.1:
             s = fail(s, f"take-off failed: {gained:.2f} m gained in {s.clock_s:.1f} s")
-            return enter(s, State.INIT, s.reason, level="error", motors="ramp_down", motion=None)
+            return enter(s, State.INIT, s.reason, level="error", motors="ramp_down")
         if late > 8.0 + 0.5 * way.duration_s:
             why = f"take-off failed: {-m.position[2]:.2f} m high in place of {-s.goal[2]:.2f} m"
             return land(fail(s, why), why, level="warning")
@@ -303,10 +317,7 @@ def set_out(
     s: MissionState,
     why: str,
     way: Callable[[Triple, float], Trajectory],
-    *,
-    manual: bool = False,
-    homing: bool = False,
-    asked_heading: float | None = None,
+    **flags: object,
 ) -> MissionState:
     """Fly ``way(from where, with which heading)``, after a braking if the reference moves."""
     at = point(s)
@@ -316,20 +327,9 @@ def set_out(
         motion = way(_triple(at.position), at.heading).after(brake)
     else:
         motion = way(_triple(at.position), at.heading)
-    return enter(
-        s,
-        State.WAYPOINT,
-        why,
-        motion=motion,
-        goal=motion.goal,
-        detour=None,
-        tracker=None,
-        avoided_s=0.0,
-        resumed=False,
-        manual=manual,
-        homing=homing,
-        asked_heading=asked_heading,
-    )
+    fresh = {"detour": None, "avoided_s": 0.0, "resumed": False, "manual": False, "homing": False}
+    flags = {**fresh, "asked_heading": None, **flags}
+    return enter(s, State.WAYPOINT, why, motion=motion, goal=motion.goal, **flags)
 
 
 def go_home(plan: MissionPlan, s: MissionState, why: str) -> MissionState:
@@ -368,8 +368,7 @@ def fly_leg(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Missi
 
 
 def _hold_at(s: MissionState, why: str, at: Triple, ready_s: float) -> MissionState:
-    heading = point(s).heading
-    return enter(s, State.HOVER, why, motion=None, hold=at, goal=at, heading=heading, ready_s=ready_s)
+    return rest(s, why, at, point(s).heading, ready_s=ready_s)
 
 
 def _give_up(s: MissionState, why: str) -> MissionState:
@@ -379,17 +378,7 @@ def _give_up(s: MissionState, why: str) -> MissionState:
     at = _triple(brake.at(math.inf).position)
     ready = s.time_s + brake.duration_s + _SETTLE_BEFORE_LANDING_S
     s = fail(s, why)
-    return enter(
-        s,
-        State.HOVER,
-        why,
-        level="warning",
-        motion=brake,
-        hold=at,
-        goal=at,
-        heading=now.heading,
-        ready_s=ready,
-    )
+    return rest(s, why, at, now.heading, level="warning", motion=brake, ready_s=ready)
 
 
 # obstacle
@@ -410,7 +399,7 @@ def _watch(plan: MissionPlan, s: MissionState) -> MissionState:
     velocity, acceleration = _triple(at.velocity), _triple(at.acceleration)
     detour = begin_detour(here, velocity, acceleration, s.goal, sight, s.detour)
     why = f"obstacle {sight.way:.2f} m from the way" if underway else f"obstacle {sight.nearest:.2f} m away"
-    return enter(s, State.OBSTACLE, why, back=s.state, detour=detour, heading=at.heading, motion=None)
+    return enter(s, State.OBSTACLE, why, back=s.state, detour=detour, heading=at.heading)
 
 
 def avoid(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:

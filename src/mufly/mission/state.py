@@ -1,4 +1,4 @@
-"""What goes in and out of the mission state machine: its states, the user's signals, the reference, the log."""
+"""What goes in and out of the mission state machine, and what it remembers: states, signals, references, memory."""
 
 from __future__ import annotations
 
@@ -119,10 +119,6 @@ class Reference:
     rc: bool = False
     roll: float = 0.0
     pitch: float = 0.0
-
-
-# ----------------------------------------------------------------------------
-# What the mission state machine knows and remembers: the mission with the vehicle's numbers, and its own state.
 
 
 @dataclass(frozen=True, slots=True)
@@ -329,14 +325,16 @@ def log(s: MissionState, text: str, state: State | None = None, level: str = "in
 
 
 def enter(s: MissionState, state: State, why: str, *, level: str = "info", **changes: object) -> MissionState:
-    """Change state, with the reason, and start the clock of its motion."""
-    return replace(
-        log(s, why, state, level),
-        state=state,
-        entered_s=s.time_s,
-        clock_s=0.0,
-        **changes,  # type: ignore[arg-type]
-    )
+    """Change state, with the reason, and start the clock of its motion, which it has not unless one is given."""
+    fresh = {"state": state, "entered_s": s.time_s, "clock_s": 0.0, "motion": None, "tracker": None}
+    return replace(log(s, why, state, level), **(fresh | changes))  # type: ignore[arg-type]
+
+
+def rest(
+    s: MissionState, why: str, at: Triple, heading: float, *, level: str = "info", **changes: object
+) -> MissionState:
+    """Enter a hover at a place (N, E, D; m), with a heading (rad)."""
+    return enter(s, State.HOVER, why, level=level, hold=at, goal=at, heading=heading, **changes)
 
 
 def fail(s: MissionState, why: str) -> MissionState:
