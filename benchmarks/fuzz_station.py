@@ -25,8 +25,7 @@ from hostile_traffic import AIMED_AT_STATION, Hostile
 
 from mufly.link import Encoder, Peer
 from mufly.link.codec import mavlink
-from mufly.station.ground import GroundLink
-from mufly.station.remote import RemoteVehicle
+from mufly.station import GroundLink, RemoteVehicle
 
 US = (255, 190)
 HONEST = Peer("udpin:127.0.0.1:14550", "127.0.0.1:40000")

@@ -19,7 +19,7 @@ from mufly.link.mission_transfer import (
     note_of,
     to_mavlink,
 )
-from mufly.station.ground import GroundLink
+from mufly.station import GroundLink
 
 
 class Channel:

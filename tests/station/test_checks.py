@@ -10,9 +10,9 @@ from mock_vehicle import MockVehicle, World
 from mufly.link.codec import mavlink
 from mufly.link.missions import items_of as items_of_mission
 from mufly.mission import mission_from
+from mufly.station import MissionRow
 from mufly.station.checks import flight_time
 from mufly.station.missions import items_of, rows_of, same_mission
-from mufly.station.view import MissionRow
 
 PREARM = 268435456
 NAMES = [

@@ -13,8 +13,7 @@ import pytest
 
 from mufly.link.codec import Encoder
 from mufly.link.codec import mavlink as m
-from mufly.station.ground import GroundLink
-from mufly.station.history import History
+from mufly.station import GroundLink, History
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 

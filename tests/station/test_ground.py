@@ -9,9 +9,8 @@ import pytest
 from mock_vehicle import MockVehicle, World, as_float
 
 from mufly.link.codec import Encoder, mavlink
-from mufly.station.ground import GroundLink
+from mufly.station import GroundLink, MissionRow, Outcome
 from mufly.station.missions import same_mission
-from mufly.station.view import MissionRow, Outcome
 
 ROWS = [
     MissionRow("take off", (0.0, 0.0, -1.0)),

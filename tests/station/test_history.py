@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mufly.quantities import our_name
-from mufly.station.history import History
+from mufly.station import History
 
 
 @given(n=st.integers(0, 300), since=st.floats(-1.0, 4.0))

@@ -12,9 +12,7 @@ from mufly.flight.parameters import TABLE
 from mufly.link.vehicle import VehicleLink
 from mufly.logs import read_log
 from mufly.mission import Mission, mission_from
-from mufly.station.ground import GroundLink
-from mufly.station.recorder import StationRecorder
-from mufly.station.view import MissionRow
+from mufly.station import GroundLink, MissionRow, StationRecorder
 from mufly.vehicle import load_vehicle
 
 OURS = (251, 190)

@@ -15,7 +15,7 @@ from mufly.flight import read_recording
 from mufly.link.codec import Codec
 from mufly.logs import read_log
 from mufly.logs.mcap import read_mcap
-from mufly.station.recorder import StationRecorder
+from mufly.station import StationRecorder
 
 DAY_S = 1.9e9
 

@@ -12,7 +12,8 @@ from mock_vehicle import MockVehicle
 
 from mufly.errors import InputError
 from mufly.link.ports import Endpoint, parse_endpoint
-from mufly.station.ground import Station, rate_for
+from mufly.station import Station
+from mufly.station.ground import rate_for
 
 
 def free_port():

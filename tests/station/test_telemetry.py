@@ -10,9 +10,10 @@ import pytest
 from mufly.link.codec import mavlink
 from mufly.link.telemetry import STATES
 from mufly.quantities import told_by
+from mufly.station import History
 from mufly.station.autopilots import mode_words
 from mufly.station.commands import StatusTexts
-from mufly.station.history import HOLD_S, History
+from mufly.station.history import HOLD_S
 from mufly.station.telemetry import PLAIN, Telemetry, VehicleClock
 
 

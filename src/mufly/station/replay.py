@@ -156,18 +156,13 @@ def mission_rows(mission: Mission, reached: int = 0) -> list[MissionRow]:
     reached : int
         How many rows are behind the vehicle.
     """
-    north, east = mission.start_m
     climb = mission.take_off
-    rows = [("take off", (north, east, -climb.height_m), math.nan, climb.wait_s)]
+    rows = [MissionRow("take off", (*mission.start_m, -climb.height_m), wait_s=climb.wait_s)]
     for w in mission.waypoint:
         heading = math.nan if w.heading_deg is None else math.radians(w.heading_deg)
-        rows.append(("waypoint", w.position_m, heading, w.wait_s))
-    last = rows[-1][1]
-    rows.append(("land", (last[0], last[1], 0.0), math.nan, 0.0))
-    return [
-        MissionRow(action, position, heading, wait, reached=k < reached)
-        for k, (action, position, heading, wait) in enumerate(rows)
-    ]
+        rows.append(MissionRow("waypoint", w.position_m, heading, w.wait_s))
+    rows.append(MissionRow("land", (*rows[-1].position[:2], 0.0)))
+    return [replace(row, reached=k < reached) for k, row in enumerate(rows)]
 
 
 class ReplayHistory:

@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from mufly.flight.parameters import Parameter
-from mufly.station.history import History
+from mufly.station import Check, History, Message, MissionRow, Snapshot
 from mufly.station.page.feed import IN_FLIGHT, MOST_POINTS, Feed, Want, encode_snapshot
 from mufly.station.page.session import GRACE_S, Session
-from mufly.station.view import Check, Message, MissionRow, Snapshot
 
 
 class Vehicle:

@@ -7,6 +7,7 @@ import pytest
 
 from mufly.errors import InputError
 from mufly.flight.parameters import Parameter
+from mufly.station import Snapshot
 from mufly.station.page.feed import catalog, display_unit, folded, marks, spectrum
 from mufly.station.page.session import (
     COMMANDS,
@@ -17,7 +18,6 @@ from mufly.station.page.session import (
     read_parameter_file,
 )
 from mufly.station.parameters import refused
-from mufly.station.view import Snapshot
 
 
 def test_one_quantity_holds_all_who_speak_of_it() -> None:
