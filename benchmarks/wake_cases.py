@@ -163,7 +163,6 @@ class Solver:
 
 
 def _wobble(found: Result, last: int = 60) -> float:
-    assert found.history is not None
     loads = found.history[-min(last, max(10, len(found.history) // 2)) :, 1:]
     return float(np.max(np.ptp(loads, axis=0) / 2 / np.abs(loads.mean(axis=0))))
 

@@ -3,6 +3,32 @@
 An :class:`Airfoil` is a closed contour of chord one, in the frame of its source: x from 0 at the nose to 1 at the
 tail, y up, points from the tail over the upper side to the nose and back along the lower side (Selig order). The
 angle of attack is measured against the x axis of that frame, which for a NACA section is its chord line.
+
+NACA four- and five-digit sections from their formulas, lengths over chord.
+
+Four digits ``mptt`` (Jacobs, Ward, Pinkerton, NACA Report 460, 1933), m = max camber, p = its place, t = thickness::
+
+    y_t = 5 t (0.2969 sqrt x - 0.1260 x - 0.3516 x^2 + 0.2843 x^3 - 0.1015 x^4)
+    y_c = m/p^2 (2 p x - x^2)                     x <= p
+        = m/(1-p)^2 (1 - 2p + 2 p x - x^2)        x >  p
+    upper, lower = (x -+ y_t sin a,  y_c +- y_t cos a),   tan a = dy_c/dx
+
+Five digits ``lpstt`` (Reports 537 and 610; constants as tabulated by Ladson and Brooks, NASA TM X-3284, 1975):
+design lift 0.15 l, camber's place p/20, s = 0 normal or 1 reflexed (no moment about the quarter chord)::
+
+    normal   y_c = k1/6 (x^3 - 3 r x^2 + r^2 (3 - r) x)   x <= r;   k1 r^3/6 (1 - x)  beyond
+    reflexed y_c = k1/6 ((x-r)^3 - K (1-r)^3 x - r^3 x + r^3)            x <= r
+                 = k1/6 (K (x-r)^3 - K (1-r)^3 x - r^3 x + r^3)          x >  r,   K = (3 (r - p/20)^2 - r^3) / (1-r)^3
+
+``r`` and ``k1`` are tabulated for a design lift of 0.3 and ``k1`` scales with it. The blunt tail of the original
+thickness formula (0.25 % of chord for t = 0.12) is kept.
+
+Coordinate files of airfoils, and what makes a contour sound.
+
+Two orders are in use. Selig's: one list from the tail over the upper side to the nose and back along the lower side.
+Lednicer's: a line with the two counts, then the upper and the lower side, each from nose to tail. Titles before and
+remarks behind the coordinates are passed over. A sound contour has points enough, closes at the tail (up to a blunt
+base), encloses an area and does not cross itself.
 """
 
 from __future__ import annotations
@@ -181,29 +207,6 @@ def with_gurney(airfoil: Airfoil, height: float) -> Airfoil:
     )
 
 
-# ----------------------------------------------------------------------------
-# NACA four- and five-digit sections from their formulas, lengths over chord.
-#
-# Four digits ``mptt`` (Jacobs, Ward, Pinkerton, NACA Report 460, 1933), m = max camber, p = its place, t =
-# thickness::
-#
-#     y_t = 5 t (0.2969 sqrt x - 0.1260 x - 0.3516 x^2 + 0.2843 x^3 - 0.1015 x^4)
-#     y_c = m/p^2 (2 p x - x^2)                     x <= p
-#         = m/(1-p)^2 (1 - 2p + 2 p x - x^2)        x >  p
-#     upper, lower = (x -+ y_t sin a,  y_c +- y_t cos a),   tan a = dy_c/dx
-#
-# Five digits ``lpstt`` (Reports 537 and 610; constants as tabulated by Ladson and Brooks, NASA TM X-3284, 1975):
-# design lift 0.15 l, camber's place p/20, s = 0 normal or 1 reflexed (no moment about the quarter chord)::
-#
-#     normal   y_c = k1/6 (x^3 - 3 r x^2 + r^2 (3 - r) x)   x <= r;   k1 r^3/6 (1 - x)  beyond
-#     reflexed y_c = k1/6 ((x-r)^3 - K (1-r)^3 x - r^3 x + r^3)            x <= r
-#                  = k1/6 (K (x-r)^3 - K (1-r)^3 x - r^3 x + r^3)          x >  r,   K = (3 (r - p/20)^2 - r^3) /
-# (1-r)^3
-#
-# ``r`` and ``k1`` are tabulated for a design lift of 0.3 and ``k1`` scales with it. The blunt tail of the original
-# thickness formula (0.25 % of chord for t = 0.12) is kept.
-
-
 _PER_SIDE = 100
 # Mean lines for a design lift of 0.3, by the place of camber in twentieths: r, k1.
 _NORMAL = {
@@ -297,16 +300,6 @@ def naca(digits: str, per_side: int = _PER_SIDE) -> Array:
     upper = np.column_stack((x - y_t * np.sin(a), y_c + y_t * np.cos(a)))
     lower = np.column_stack((x + y_t * np.sin(a), y_c - y_t * np.cos(a)))
     return np.concatenate((upper[::-1], lower[1:]))
-
-
-# ----------------------------------------------------------------------------
-# Coordinate files of airfoils, and what makes a contour sound.
-#
-# Two orders are in use. Selig's: one list from the tail over the upper side to the nose and back along the lower
-# side.
-# Lednicer's: a line with the two counts, then the upper and the lower side, each from nose to tail. Titles before and
-# remarks behind the coordinates are passed over. A sound contour has points enough, closes at the tail (up to a blunt
-# base), encloses an area and does not cross itself.
 
 
 _FEWEST = 20

@@ -414,6 +414,14 @@ class Station(NamedTuple):
     hub_radius: float
 
 
+class PolarGrid(NamedTuple):
+    """A :class:`PolarStack` without what only its user wants to know: less to hand from function to function."""
+
+    grid: Array
+    log_reynolds_min: float
+    per_log_reynolds: float
+
+
 class Flow(NamedTuple):
     """What a station meets: V (m/s), size (m/s) and angle phi_U of U (rad), log of Reynolds number at U."""
 
@@ -545,7 +553,8 @@ def solve_cases(
     stations : (cases, stations, 10) array or (0, ...)
         Filled with :data:`FIELDS` unless its first axis is empty.
     """
-    polars, density = blades.polars, cases.density_kg_m3
+    density, stack = cases.density_kg_m3, blades.polars
+    polars = PolarGrid(stack.grid, stack.log_reynolds_min, stack.per_log_reynolds)
     keep, meets = stations.shape[0] > 0, cases.stream_m_s.shape[0] > 0
     for case in range(start, stop):
         k = cases.which[case]

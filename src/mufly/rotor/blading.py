@@ -2,6 +2,49 @@
 
 Stations sit in the middle of panels whose edges follow x = x0 + (1 - x0) (1 - cos t) / 2 with t uniform, so
 that they crowd where the loading bends, at hub and tip.
+
+Which corrections a blade element calculation applies; derivations and what each does to the error: docs/bemt.md.
+
+* ``tip_loss``: ``"prandtl"`` is F = (2/pi) acos exp(-f), f = N (R - r) / (2 r |sin phi|) (Glauert's form of
+Prandtl's
+  factor; Leishman, sec. 3.3.10); ``"effective_radius"`` is eq. 3.13 of the dissertation, no lift beyond
+  R_e = R (1 - 1.386 lambda / (N sqrt(1 + lambda^2))); ``"none"``.
+* ``hub_loss``: the same factor at the inner end of the blade, f = N (r - r0) / (2 r0 |sin phi|).
+* ``swirl``: induced velocity at right angles to the relative wind, not to the disc.
+* ``lifting_surface``: flow tangency at three quarters of the chord (below).
+* ``rotation``: on a rotating blade the air in a separated layer is flung outwards and pressed towards the trailing
+  edge, and the pressure stays nearer to that of attached flow than in two dimensions. Attached potential flow
+  presses on a thin section with c_n = 2 pi sin a cos a (a = alpha - alpha_0); a share g of what the polar lacks
+  of its lift is given back. The suction on the leading edge is not: the recovered force is normal to the chord
+  (own derivation)::
+
+      delta c_l = g (2 pi sin a cos^2 a - c_l),    delta c_d = delta c_l tan alpha
+
+  g is published, from boundary-layer theory and wind turbines: ``"dumitrescu-cardos"`` 1 - exp(-1.25 / (r/c - 1))
+  (J. Phys. Conf. Ser. 75, 012022, 2007), which stays below 1 however wide the blade; ``"snel"`` 3 (c/r)^2
+  (ECN-C-93-052, 1994); ``"chaviaropoulos-hansen"`` 2.2 (c/r) cos^4 theta (J. Fluids Eng. 122, 2000), both cut
+  at 1; ``"none"``. Full to |alpha| = 30 degrees, gone at 50; it never lowers the lift.
+
+Finite chord: the blade as a lifting surface with one row of horseshoe vortices (own derivation, docs/bemt.md).
+
+Blade element theory puts the whole blade on one line. A blade of aspect ratio 2.5 to 6 is not a line: the
+downwash of its own trailing vortices grows along the chord, and the flow has to be tangent to the chord, not to
+a line. Weissinger's rule (NACA TM 1120, 1947) satisfies tangency at three quarters of the chord with the vortex
+at one quarter, exact for a flat plate in two dimensions. With G the circulation of the panels of one blade,
+
+    w_34 = A34 G     downwash at three quarters of the chord from the blade's own bound and near trailing vortices
+    w_14 = A14 G     the same on the quarter chord line, which is what a lifting line feels
+    G / (pi c)       what the bound vortex alone induces at three quarters of the chord in two dimensions
+
+and a section in two dimensional flow that feels w_14 sees too large an angle, by
+
+    d_alpha = [A34 - A14 - diag(1 / (pi c))] G / W = e c_l,      e = c [(A34 - A14) G - G / (pi c)] / (2 G).
+
+e vanishes for large aspect ratio; what other blades and the far wake add to w_34 and w_14 is nearly the same
+and cancels, so only the near wake counts: straight legs to the trailing edge, then circular arcs. The shape of
+G is that of the blade alone in solid body rotation, A34 G = Omega r. Elliptic wing: e = (sqrt(1 + (2 / AR)^2) -
+1) / (2 pi), Helmbold's formula in the same terms; the straight-wing limit of this file meets Weissinger's lift
+slopes.
 """
 
 from __future__ import annotations
@@ -21,30 +64,6 @@ from mufly.rotor import engines
 from mufly.rotor.engines import Engine
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.polar_table import PolarStack, PolarTable, stack_polars
-
-# ----------------------------------------------------------------------------
-# Which corrections a blade element calculation applies; derivations and what each does to the error: docs/bemt.md.
-#
-# * ``tip_loss``: ``"prandtl"`` is F = (2/pi) acos exp(-f), f = N (R - r) / (2 r |sin phi|) (Glauert's form of
-# Prandtl's
-#   factor; Leishman, sec. 3.3.10); ``"effective_radius"`` is eq. 3.13 of the dissertation, no lift beyond
-#   R_e = R (1 - 1.386 lambda / (N sqrt(1 + lambda^2))); ``"none"``.
-# * ``hub_loss``: the same factor at the inner end of the blade, f = N (r - r0) / (2 r0 |sin phi|).
-# * ``swirl``: induced velocity at right angles to the relative wind, not to the disc.
-# * ``lifting_surface``: flow tangency at three quarters of the chord (module ``lifting_surface``).
-# * ``rotation``: on a rotating blade the air in a separated layer is flung outwards and pressed towards the trailing
-#   edge, and the pressure stays nearer to that of attached flow than in two dimensions. Attached potential flow
-#   presses on a thin section with c_n = 2 pi sin a cos a (a = alpha - alpha_0); a share g of what the polar lacks
-#   of its lift is given back. The suction on the leading edge is not: the recovered force is normal to the chord
-#   (own derivation)::
-#
-#       delta c_l = g (2 pi sin a cos^2 a - c_l),    delta c_d = delta c_l tan alpha
-#
-#   g is published, from boundary-layer theory and wind turbines: ``"dumitrescu-cardos"`` 1 - exp(-1.25 / (r/c - 1))
-#   (J. Phys. Conf. Ser. 75, 012022, 2007), which stays below 1 however wide the blade; ``"snel"`` 3 (c/r)^2
-#   (ECN-C-93-052, 1994); ``"chaviaropoulos-hansen"`` 2.2 (c/r) cos^4 theta (J. Fluids Eng. 122, 2000), both cut
-#   at 1; ``"none"``. Full to |alpha| = 30 degrees, gone at 50; it never lowers the lift.
-
 
 Array = NDArray[np.float64]
 
@@ -303,29 +322,6 @@ def prepare(
 def as_blading(rotor: Rotor | Blading) -> Blading:
     """Return a blading as it is, and a rotor laid out with all defaults (a millisecond; keep it for loops)."""
     return rotor if isinstance(rotor, Blading) else prepare(rotor)
-
-
-# ----------------------------------------------------------------------------
-# Finite chord: the blade as a lifting surface with one row of horseshoe vortices (own derivation, docs/bemt.md).
-#
-# Blade element theory puts the whole blade on one line. A blade of aspect ratio 2.5 to 6 is not a line: the
-# downwash of its own trailing vortices grows along the chord, and the flow has to be tangent to the chord, not to
-# a line. Weissinger's rule (NACA TM 1120, 1947) satisfies tangency at three quarters of the chord with the vortex
-# at one quarter, exact for a flat plate in two dimensions. With G the circulation of the panels of one blade,
-#
-#     w_34 = A34 G     downwash at three quarters of the chord from the blade's own bound and near trailing vortices
-#     w_14 = A14 G     the same on the quarter chord line, which is what a lifting line feels
-#     G / (pi c)       what the bound vortex alone induces at three quarters of the chord in two dimensions
-#
-# and a section in two dimensional flow that feels w_14 sees too large an angle, by
-#
-#     d_alpha = [A34 - A14 - diag(1 / (pi c))] G / W = e c_l,      e = c [(A34 - A14) G - G / (pi c)] / (2 G).
-#
-# e vanishes for large aspect ratio; what other blades and the far wake add to w_34 and w_14 is nearly the same
-# and cancels, so only the near wake counts: straight legs to the trailing edge, then circular arcs. The shape of
-# G is that of the blade alone in solid body rotation, A34 G = Omega r. Elliptic wing: e = (sqrt(1 + (2 / AR)^2) -
-# 1) / (2 pi), Helmbold's formula in the same terms; the straight-wing limit of this file meets Weissinger's lift
-# slopes.
 
 
 NEAR_WAKE_RAD = (

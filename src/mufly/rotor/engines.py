@@ -5,7 +5,7 @@
 ``xfoil``
     M. Drela's panel and boundary-layer code where it is installed (``xfoil``); the cross-check, minutes a table.
 ``table``
-    The user's numbers (``measured``), from a CSV file.
+    The user's numbers, from a CSV file (``section``).
 """
 
 from __future__ import annotations

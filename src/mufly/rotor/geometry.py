@@ -12,6 +12,8 @@ hub cut-out and the first station everything is held constant. Per blade, with x
 
 All integrals are exact for the piecewise linear tables. ``twist`` is the angle of the chord line against the rotor
 plane at zero pitch setting, nose up positive; the pitch setting of an operating point is added to it.
+
+From a rotor file (TOML) to a checked :class:`Rotor`, and back.
 """
 
 from __future__ import annotations
@@ -246,10 +248,6 @@ def blade_thickness_m(rotor: Rotor, r_over_R: ArrayLike) -> Array:
         ]
     )
     return s.chord_m * ((1.0 - s.weight) * ratio[s.first] + s.weight * ratio[s.second])
-
-
-# ----------------------------------------------------------------------------
-# From a rotor file (TOML) to a checked :class:`Rotor`, and back.
 
 
 _BUILTIN = resources.files("mufly.rotor") / "builtin"

@@ -9,6 +9,15 @@ starts from the inflow or the wake of the last one: the path turns round at the 
 in a file beside the map as they come, and a run that is stopped goes on from there. Where the method gives no answer,
 as in descents in which the wakes blow back through the discs, a point takes the mean of its neighbours, from the known
 ones outwards, and is marked as not solved.
+
+Interpolation in a coefficient map: smooth enough to be linearised, quick enough for every Runge-Kutta stage.
+
+Over ratio and climb: Catmull-Rom cubics, which go through the points and have continuous slopes,
+
+    f(t) = f_0 + t (f_1 - f_-1)/2 + t^2 (f_-1 - 5/2 f_0 + 2 f_1 - f_2/2) + t^3 (3/2 (f_0 - f_1) + (f_2 - f_-1)/2)
+
+with the point that is missing beyond an edge on the line through the last two. Over the mean speed, where little
+changes, straight lines. Beyond its edges a map keeps the value that it has there.
 """
 
 from __future__ import annotations
@@ -298,17 +307,6 @@ class _Kept:
     def discard(self) -> None:
         if self.path is not None and self.path.is_file():
             os.remove(self.path)
-
-
-# ----------------------------------------------------------------------------
-# Interpolation in a coefficient map: smooth enough to be linearised, quick enough for every Runge-Kutta stage.
-#
-# Over ratio and climb: Catmull-Rom cubics, which go through the points and have continuous slopes,
-#
-#     f(t) = f_0 + t (f_1 - f_-1)/2 + t^2 (f_-1 - 5/2 f_0 + 2 f_1 - f_2/2) + t^3 (3/2 (f_0 - f_1) + (f_2 - f_-1)/2)
-#
-# with the point that is missing beyond an edge on the line through the last two. Over the mean speed, where little
-# changes, straight lines. Beyond its edges a map keeps the value that it has there.
 
 
 @compiled(error_model="numpy")

@@ -16,6 +16,10 @@ torque     ``torque_Nm``, ``Q_Nm``, ``Q(Nm)``, ``Q_meas_Nm``, ``power_W``, ``P(W
 =========  ==================================================================================================
 
 The coefficients are those of propellers (UIUC's data, for one) and need diameter and density.
+
+Prediction beside measurement, and the calibration of a rotor on one measured point.
+
+Errors are prediction over measurement less one.
 """
 
 from __future__ import annotations
@@ -162,12 +166,6 @@ def _torque_from(column: str, diameter: float, density: float) -> _Convert:
     if column in ("power_w", "p(w)"):
         return lambda value, speed: value / speed
     return lambda value, speed: value
-
-
-# ----------------------------------------------------------------------------
-# Prediction beside measurement, and the calibration of a rotor on one measured point.
-#
-# Errors are prediction over measurement less one. :mod:`mufly.rotor.measurements` reads the files.
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,32 @@ number, so that finding the cell is one multiplication. Inside a cell:
 
 Beyond its Reynolds numbers a table answers with its nearest edge; :func:`outside` says for which points that was
 so, and which angles lie outside the range that the engine computed (there the values are an extension).
+
+From the range that an engine covers to the full circle of angle of attack.
+
+A section far past stall is a plate: the pressure on it acts normal to the chord, N = C_max sin a, whatever its shape.
+With the skin's drag along the chord this gives::
+
+    c_l = C_max sin a cos a,    c_d = C_max sin^2 a + c_f cos^2 a                                    (plate)
+
+``C_max`` is the drag of a plate across the flow, 1.11 + 0.018 AR up to AR = 50 and 2.01 for an endless one (Hoerner,
+Fluid-Dynamic Drag, 1965, ch. III; Viterna and Corrigan, NASA CP-2230, 1982). Between the last known angle a_s and 90
+degrees Viterna and Corrigan add to the plate what the section still has at a_s, fading out with the angle::
+
+    c_l = C_max sin a cos a + A cos^2 a / sin a,   A = (c_l,s - C_max sin a_s cos a_s) sin a_s / cos^2 a_s
+    c_d = C_max sin^2 a + B cos a,                 B = (c_d,s - C_max sin^2 a_s) / cos a_s
+
+so that both meet the known values at a_s and the plate at 90 degrees, where c_l = 0 and c_d = C_max. The form is meant
+for a stalled end and grows without bound as a_s goes to zero: where an engine gives up below 15 degrees, sin a in
+the extra lift is not let below sin 15 degrees (in A likewise, so that c_l,s is still met). Negative angles are
+the mirror image. With the flow from behind (beyond 90 degrees) the section is taken as the plate, with the
+engine's least drag for ``c_f``; c_l and c_d are continuous at 90 degrees. The plate's force acts at
+1/4 + |a|/(2 pi) of the chord: the quarter from the leading edge at small angles, half across the flow, the
+quarter from the other edge from behind::
+
+    c_m = -N |a|/(2 pi) + (c_m,s - plate's at a_s) cos a / cos a_s      up to 90 degrees, the first term beyond
+
+What the engine computed is not touched: inside its range the table is a cubic spline through its values.
 """
 
 from __future__ import annotations
@@ -256,38 +282,6 @@ def outside(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> NDArray
     beyond_alpha = (a < low - slack) | (a > high + slack)
     beyond_re = (re < table.reynolds[0] * (1 - slack)) | (re > table.reynolds[-1] * (1 + slack))
     return (beyond_alpha * OUTSIDE_ALPHA + beyond_re * OUTSIDE_REYNOLDS).astype(np.uint8)
-
-
-# ----------------------------------------------------------------------------
-# From the range that an engine covers to the full circle of angle of attack.
-#
-# A section far past stall is a plate: the pressure on it acts normal to the chord, N = C_max sin a, whatever its
-# shape.
-# With the skin's drag along the chord this gives::
-#
-#     c_l = C_max sin a cos a,    c_d = C_max sin^2 a + c_f cos^2 a                                    (plate)
-#
-# ``C_max`` is the drag of a plate across the flow, 1.11 + 0.018 AR up to AR = 50 and 2.01 for an endless one
-# (Hoerner,
-# Fluid-Dynamic Drag, 1965, ch. III; Viterna and Corrigan, NASA CP-2230, 1982). Between the last known angle a_s and
-# 90
-# degrees Viterna and Corrigan add to the plate what the section still has at a_s, fading out with the angle::
-#
-#     c_l = C_max sin a cos a + A cos^2 a / sin a,   A = (c_l,s - C_max sin a_s cos a_s) sin a_s / cos^2 a_s
-#     c_d = C_max sin^2 a + B cos a,                 B = (c_d,s - C_max sin^2 a_s) / cos a_s
-#
-# so that both meet the known values at a_s and the plate at 90 degrees, where c_l = 0 and c_d = C_max. The form is
-# meant
-# for a stalled end and grows without bound as a_s goes to zero: where an engine gives up below 15 degrees, sin a in
-# the extra lift is not let below sin 15 degrees (in A likewise, so that c_l,s is still met). Negative angles are
-# the mirror image. With the flow from behind (beyond 90 degrees) the section is taken as the plate, with the
-# engine's least drag for ``c_f``; c_l and c_d are continuous at 90 degrees. The plate's force acts at
-# 1/4 + |a|/(2 pi) of the chord: the quarter from the leading edge at small angles, half across the flow, the
-# quarter from the other edge from behind::
-#
-#     c_m = -N |a|/(2 pi) + (c_m,s - plate's at a_s) cos a / cos a_s      up to 90 degrees, the first term beyond
-#
-# What the engine computed is not touched: inside its range the table is a cubic spline through its values.
 
 
 ASPECT_RATIO = 5.0  # blades of micro rotors have 2.5 to 8; C_max then lies within 5 % of the value for 5

@@ -1,4 +1,18 @@
-"""What an engine or a measurement says about a section, before it is extended to the full circle."""
+"""What an engine or a measurement says about a section, before it is extended to the full circle.
+
+Polars from the user's own table: a CSV file with the columns alpha_deg, cl, cd, and if known cm and reynolds.
+
+Lines that begin with # are comments. Several Reynolds numbers make several blocks, each with its own angles; they
+are brought to a geometric progression of as many numbers (linear in log Re) and to the angles of the densest block,
+which is exact where the file is regular. Outside its angles a block is extended like an engine's answer.
+
+What an engine computed, kept on disk under a hash of everything it depends on.
+
+The key covers the contour, the engine with its version and settings, and the Reynolds numbers; so an entry is never out
+of date, and deleting the folder is always safe. The folder is the platform's cache folder for mufly, or the one that
+the environment variable ``MUFLY_CACHE`` names; ``MUFLY_CACHE=off`` keeps nothing. A folder that cannot be written or an
+entry that cannot be read is passed over in silence: the engine just computes again.
+"""
 
 from __future__ import annotations
 
@@ -54,14 +68,6 @@ class SectionData:
     n_crit: float = math.nan
     thickness_ratio: float = math.nan
     camber: float = math.nan
-
-
-# ----------------------------------------------------------------------------
-# Polars from the user's own table: a CSV file with the columns alpha_deg, cl, cd, and if known cm and reynolds.
-#
-# Lines that begin with # are comments. Several Reynolds numbers make several blocks, each with its own angles; they
-# are brought to a geometric progression of as many numbers (linear in log Re) and to the angles of the densest block,
-# which is exact where the file is regular. Outside its angles a block is extended like an engine's answer.
 
 
 _NEEDED = ("alpha_deg", "cl", "cd")
@@ -180,18 +186,6 @@ def _blocks(rows: list[tuple[int, dict[str, str]]], where: str) -> dict[float, A
     if not result:
         raise InputError(where, "", "has no rows", "give angles and coefficients")
     return result
-
-
-# ----------------------------------------------------------------------------
-# What an engine computed, kept on disk under a hash of everything it depends on.
-#
-# The key covers the contour, the engine with its version and settings, and the Reynolds numbers; so an entry is never
-# out
-# of date, and deleting the folder is always safe. The folder is the platform's cache folder for mufly, or the one
-# that
-# the environment variable ``MUFLY_CACHE`` names; ``MUFLY_CACHE=off`` keeps nothing. A folder that cannot be written
-# or an
-# entry that cannot be read is passed over in silence: the engine just computes again.
 
 
 _FORMAT = "1"

@@ -343,7 +343,7 @@ class Result:
     residual : float
         Mismatch of the wakes' shape and the velocity of the air, over the velocity (root mean squares).
     history : (iterations, 1 + 2 rotors) array
-        Residual, then thrust (N) and torque (N m) of each rotor.
+        Residual, then thrust (N) and torque (N m) of each rotor; empty by blade elements.
     """
 
     rotors: tuple[RotorResult, ...]
@@ -358,7 +358,7 @@ class Result:
     wakes: tuple[Wake, ...] = ()
     settings: WakeSettings | None = None
     residual: float = math.nan
-    history: Array | None = None
+    history: Array = field(default_factory=lambda: np.empty((0, 0)))
 
     @property
     def upper(self) -> RotorResult:

@@ -16,6 +16,34 @@ to the trailing edge and on into the wake. The flow is looked at in two places (
   edge of a wide blade a few per cent of the lift, and without it the wake carries more momentum than the loads say.
 
 Frame: z up along the shaft, the blade on the x axis and moving towards y, the wake behind it.
+
+Shape of a rotor's wake: where its vortices lie before they are freed, how they go on below, how they spread.
+
+Vortices leave the trailing edge at the panel edges; zeta is their age as an angle the rotor has turned since.
+
+**Prescribed** (A. J. Landgrebe, J. Am. Helicopter Soc. 17(4), 1972; as given by Leishman, sec. 10.7.1), from measured
+wakes of slender blades, with c_T, solidity sigma, linear twist theta_1 in degrees (root to tip) and N blades:
+
+    tip vortex   r/R = 0.78 + 0.22 exp(-(0.145 + 27 c_T) zeta)
+                 z/R = k1 zeta to the next blade (zeta = 2 pi/N), then with slope k2
+                 k1 = -0.25 (c_T/sigma + 0.001 theta_1),  k2 = -(1.41 + 0.0141 theta_1) sqrt(c_T/2)
+    sheet        z/R linear in r from the root: at r = R slope -2.2 sqrt(c_T/2), after the next blade -2.7 sqrt(c_T/2);
+                 at r = 0 nothing to zeta = pi/2, then theta_1/128 (0.45 theta_1 + 18) sqrt(c_T/2)
+
+Vortices outboard of the greatest circulation belong to the tip vortex, which they join within the first 60 degrees;
+the others form the sheet and contract like the tip vortex. In climb the speed of climb is added.
+
+**Far wake**: below the last free point every filament goes on as a helix, its radius settling to the mean of its last
+turn and its pitch that of its last turn. Where it ends, several radii below, is a matter of the convergence study.
+
+**Core** (r_c0 a tenth of the chord; Squire's growth with Bhagwat and Leishman's a1, J. Am. Helicopter Soc. 47, 2002)::
+
+    r_c^2 = r_c0^2 + (0.7 d)^2 + h^2 + 4 alpha nu (1 + a1 |Gamma| / nu) zeta / Omega + r_lim^2 (1 - exp(-(0.1 zeta)^2))
+
+alpha = 1.25643, a1 = 2e-4, d the distance of neighbouring filaments at the blade (a sheet of vortices needs cores that
+overlap), h = r_0 exp(1 - r/r_0) with r_0 the radius of the cut-out (hub and shaft stir what leaves the root), and
+r_lim = 0.15 R for one rotor, 0.2 R for two, more if need be: real wakes break down into turbulence after a turn or two,
+and a lattice whose old vortices stay sharp goes on winding them up without end. docs/wake.md shows what each term does.
 """
 
 from __future__ import annotations
@@ -238,44 +266,6 @@ def blade_loads(
         panel += share[:-1] + share[1:]
     scale = surface.blades * air.density_kg_m3
     return scale * thrust, scale * torque
-
-
-# ----------------------------------------------------------------------------
-# Shape of a rotor's wake: where its vortices lie before they are freed, how they go on below, how they spread.
-#
-# Vortices leave the trailing edge at the panel edges; zeta is their age as an angle the rotor has turned since.
-#
-# **Prescribed** (A. J. Landgrebe, J. Am. Helicopter Soc. 17(4), 1972; as given by Leishman, sec. 10.7.1), from
-# measured
-# wakes of slender blades, with c_T, solidity sigma, linear twist theta_1 in degrees (root to tip) and N blades:
-#
-#     tip vortex   r/R = 0.78 + 0.22 exp(-(0.145 + 27 c_T) zeta)
-#                  z/R = k1 zeta to the next blade (zeta = 2 pi/N), then with slope k2
-#                  k1 = -0.25 (c_T/sigma + 0.001 theta_1),  k2 = -(1.41 + 0.0141 theta_1) sqrt(c_T/2)
-#     sheet        z/R linear in r from the root: at r = R slope -2.2 sqrt(c_T/2), after the next blade -2.7
-# sqrt(c_T/2);
-#                  at r = 0 nothing to zeta = pi/2, then theta_1/128 (0.45 theta_1 + 18) sqrt(c_T/2)
-#
-# Vortices outboard of the greatest circulation belong to the tip vortex, which they join within the first 60 degrees;
-# the others form the sheet and contract like the tip vortex. In climb the speed of climb is added.
-#
-# **Far wake**: below the last free point every filament goes on as a helix, its radius settling to the mean of its
-# last
-# turn and its pitch that of its last turn. Where it ends, several radii below, is a matter of the convergence study.
-#
-# **Core** (r_c0 a tenth of the chord; Squire's growth with Bhagwat and Leishman's a1, J. Am. Helicopter Soc. 47,
-# 2002)::
-#
-#     r_c^2 = r_c0^2 + (0.7 d)^2 + h^2 + 4 alpha nu (1 + a1 |Gamma| / nu) zeta / Omega + r_lim^2 (1 - exp(-(0.1
-# zeta)^2))
-#
-# alpha = 1.25643, a1 = 2e-4, d the distance of neighbouring filaments at the blade (a sheet of vortices needs cores
-# that
-# overlap), h = r_0 exp(1 - r/r_0) with r_0 the radius of the cut-out (hub and shaft stir what leaves the root), and
-# r_lim = 0.15 R for one rotor, 0.2 R for two, more if need be: real wakes break down into turbulence after a turn or
-# two,
-# and a lattice whose old vortices stay sharp goes on winding them up without end. docs/wake.md shows what each term
-# does.
 
 
 _LAMB = 1.25643

@@ -1,4 +1,12 @@
-"""The air around a solved wake: velocities anywhere, and the momentum that passes through a plane."""
+"""The air around a solved wake: velocities anywhere, and the momentum that passes through a plane.
+
+What the passing of blades adds to a coaxial pair's mean loads.
+
+The wakes are those of the solved pair, each standing still in its own rotor's frame; for every relative azimuth the
+blades meet the other rotor's vortices where they then are, and the circulation is that of the instant. This is
+quasi-steady: vorticity shed by the change of circulation is left out, so peaks come out somewhat high. Blades pass
+N times in a relative revolution for rotors of N blades, at N (Omega_1 + Omega_2) / 2 pi.
+"""
 
 from __future__ import annotations
 
@@ -118,15 +126,6 @@ def momentum_thrust(solution: Result, height_m: float, *, reach: float = 6.0) ->
 
 def _angles(n: int) -> Array:
     return 2.0 * math.pi * (np.arange(n) + 0.5) / n
-
-
-# ----------------------------------------------------------------------------
-# What the passing of blades adds to a coaxial pair's mean loads.
-#
-# The wakes are those of the solved pair, each standing still in its own rotor's frame; for every relative azimuth the
-# blades meet the other rotor's vortices where they then are, and the circulation is that of the instant. This is
-# quasi-steady: vorticity shed by the change of circulation is left out, so peaks come out somewhat high. Blades pass
-# N times in a relative revolution for rotors of N blades, at N (Omega_1 + Omega_2) / 2 pi.
 
 
 @dataclass(frozen=True, eq=False)

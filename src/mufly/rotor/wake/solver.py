@@ -15,6 +15,8 @@ adds to the mean is :func:`mufly.rotor.wake.field.blade_passing`. A rotor that t
 image.
 
 Cost of an iteration: (points of one blade) x (segments of all blades), quadratic in the number of wake elements.
+
+A rotor while it is being solved: its vortices, what they induce, and the circulation of its blades.
 """
 
 from __future__ import annotations
@@ -254,10 +256,6 @@ def _diverged(history: list[list[float]], how: WakeSettings) -> str:
     if not np.all(np.isfinite(now)) or now[0] > 1e3:
         return f"diverged in iteration {len(history)}: the history is kept"
     return ""
-
-
-# ----------------------------------------------------------------------------
-# A rotor while it is being solved: its vortices, what they induce, and the circulation of its blades.
 
 
 class Unit:

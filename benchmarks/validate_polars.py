@@ -1,6 +1,7 @@
 """Two engines on the same sections: how far NeuralFoil and XFOIL lie apart.
 
-From a shell, ``python -m mufly.rotor.crosscheck`` prints the table of docs/polars.md, or that of the sections named.
+    python benchmarks/validate_polars.py            # the table of docs/polars.md; needs xfoil
+    python benchmarks/validate_polars.py e387 goe394
 """
 
 from __future__ import annotations
