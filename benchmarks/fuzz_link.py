@@ -156,7 +156,7 @@ class Pilot:
 
     def step(self, now_s: float) -> None:
         """Say what is due."""
-        status, view = self._flight.autopilot.status, self._flight.view
+        status = self._flight.status
         if now_s - self._beat_s > 1.0:
             self._beat_s = now_s
             gcs = mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID
@@ -174,7 +174,7 @@ class Pilot:
         if not status.armed:
             self._began_s = now_s
             self._there_s = math.inf
-            if view.battery_left_s < 2.0 * FLIGHT_S:
+            if status.battery_left_s < 2.0 * FLIGHT_S:
                 self._ask(now_s, mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1)
             else:
                 self._ask(now_s, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
@@ -184,7 +184,7 @@ class Pilot:
         elif now_s - self._began_s > FLIGHT_S:
             self.landing = True
         else:
-            self._to(now_s, view.position)
+            self._to(now_s, status.truth.position)
 
     def _to(self, now_s: float, position: Any) -> None:
         off = math.dist(position, self._place)
@@ -210,9 +210,9 @@ def restart(flight: Flight) -> None:
 
 def check(flight: Flight, found: Findings) -> None:
     """Judge one period; writes down what must not be, and the extremes that were seen."""
-    view, status = flight.view, flight.autopilot.status
-    motors, servos = view.actuators.motor_input, view.actuators.servo_input
-    when = f"at {view.time_s:.3f} s, state {status.state}"
+    status = flight.status
+    motors, servos = status.actuators.motor_input, status.actuators.servo_input
+    when = f"at {status.time_s:.3f} s, state {status.state}"
     if not (np.isfinite(motors).all() and np.isfinite(servos).all()):
         found.faults.append(f"actuators {motors} {servos} {when}")
     if motors.min() < 0.0 or motors.max() > 1.0 or np.abs(servos).max() > 1.0:
@@ -221,7 +221,7 @@ def check(flight: Flight, found: Findings) -> None:
     found.unarmed = 0 if status.armed else found.unarmed + 1
     if found.unarmed > 2 and np.any(motors != 0.0):
         found.faults.append(f"motors {motors} but not armed {when}")
-    height, tilt = -float(view.reference_position[2]), np.abs(view.reference_attitude[:2])
+    height, tilt = -float(status.reference_position[2]), np.abs(status.reference_attitude[:2])
     if not (math.isfinite(height) and -1.5 <= height <= HIGHEST_M + 1.0):
         found.faults.append(f"height reference {height} {when}")
     if not (np.isfinite(tilt).all() and tilt.max() <= TILT_MOST_RAD):
@@ -301,12 +301,12 @@ def fuzz(
         if commander:
             grounded_s = 0.0 if flight.autopilot.status.flying else grounded_s + flight.period_s
             started = started and not flight.autopilot.status.flying
-            if grounded_s > (6.0 if started else 1.0) or flight.view.crashed:
+            if grounded_s > (6.0 if started else 1.0) or flight.status.crashed:
                 found.flights += 1
                 grounded_s, started = 0.0, True
                 restart(flight)
-        elif flight.view.crashed:
-            found.faults.append(f"crashed: {flight.view.crashed} at {flight.time_s:.1f} s")
+        elif flight.status.crashed:
+            found.faults.append(f"crashed: {flight.status.crashed} at {flight.time_s:.1f} s")
             break
     found.rss_MB.append((found.messages, rss_MB()))
     found.seconds, found.peers = now_s, len(peers) + (pilot is not None)

@@ -156,7 +156,7 @@ class Rig:
 
     @property
     def position(self):
-        return self.flight.view.position
+        return self.flight.status.truth.position
 
     def tick(self):
         for station in self.stations:

@@ -115,7 +115,7 @@ def test_a_mode_chosen_on_the_floor_begins_when_it_is_armed():
     rig.run(0.5)
     assert gcs.last("HEARTBEAT").custom_mode == 4 << 16 | 4 << 24
     assert not rig.status.armed
-    assert rig.flight.view.actuators.motor_input.max() == 0.0
+    assert rig.flight.status.actuators.motor_input.max() == 0.0
     gcs.command(m.MAV_CMD_COMPONENT_ARM_DISARM, 1)
     assert rig.run(30.0, lambda: rig.status.waypoint == 1), gcs.words
 

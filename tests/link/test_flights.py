@@ -69,7 +69,7 @@ def test_go_to_pause_return():
     gcs.command(m.MAV_CMD_DO_PAUSE_CONTINUE, 0)
     rig.run(5.0)
     assert rig.status.state == "hover"
-    assert np.linalg.norm(rig.flight.view.velocity) < 0.05
+    assert np.linalg.norm(rig.flight.status.truth.velocity) < 0.05
     gcs.command(m.MAV_CMD_NAV_RETURN_TO_LAUNCH)
     rig.run(1.0)
     last = gcs.last("HEARTBEAT").custom_mode
@@ -112,8 +112,8 @@ def test_velocity_in_body_axes_goes_where_the_nose_points():
     rig.run(0.2)
     gcs.mode(6)
     rig.run(4.0)
-    assert rig.flight.view.velocity[1] == pytest.approx(0.2, abs=0.05)
-    assert abs(rig.flight.view.velocity[0]) < 0.05
+    assert rig.flight.status.truth.velocity[1] == pytest.approx(0.2, abs=0.05)
+    assert abs(rig.flight.status.truth.velocity[0]) < 0.05
 
 
 def test_sticks_by_override_and_by_mode():
@@ -132,11 +132,11 @@ def test_sticks_by_override_and_by_mode():
     gcs.every = [m.MAVLink_manual_control_message(1, 0, 0, 500, 800, 0)]
     rig.run(1.0)
     assert rig.status.state == "hover"
-    yaw = rig.flight.view.attitude[2]
+    yaw = rig.flight.status.truth.attitude[2]
     gcs.mode(2)
     rig.run(1.5)
     assert rig.status.state == "rc"
-    assert rig.flight.view.attitude[2] > yaw + 0.3  # to the right
+    assert rig.flight.status.truth.attitude[2] > yaw + 0.3  # to the right
     gcs.command(LAND)  # though the joystick goes on talking
     assert rig.run(20.0, lambda: not rig.status.armed), gcs.words
     assert gcs.acks[-1] == (LAND, 0)
@@ -154,7 +154,7 @@ def test_emergency_stop_by_a_bystander():
     other.command(ARM, 0, 21196)
     rig.run(0.2)
     assert not rig.status.armed
-    assert not rig.flight.view.actuators.motor_input.any()
+    assert not rig.flight.status.actuators.motor_input.any()
     assert other.acks[-1] == (ARM, 0)
 
 

@@ -75,8 +75,8 @@ def test_no_motor_runs_that_is_not_armed_whatever_the_flight_software_wants() ->
     assert flight.autopilot.take_off(1.0)
     for _ in range(400):
         flight.tick()
-    assert flight.view.actuators.motor_input.min() > 0.1
+    assert flight.status.actuators.motor_input.min() > 0.1
     flight.autopilot._armed = False  # a fault that nothing else has noticed
     for _ in range(3):
         flight.tick()
-    assert flight.view.actuators.motor_input.max() == 0.0
+    assert flight.status.actuators.motor_input.max() == 0.0

@@ -160,16 +160,16 @@ def test_a_command_that_is_repeated_acts_once():
     rig = Rig()
     gcs = rig.station()
     rig.airborne(gcs)
-    yaw = rig.flight.view.attitude[2]
+    yaw = rig.flight.status.truth.attitude[2]
     for k in range(3):  # as when the acknowledgement was lost
         gcs.command(m.MAV_CMD_CONDITION_YAW, 30.0, 0.0, 1.0, 1.0, confirmation=k)
         rig.run(0.5)
     rig.run(6.0)
-    assert rig.flight.view.attitude[2] - yaw == pytest.approx(0.5236, abs=0.05)
+    assert rig.flight.status.truth.attitude[2] - yaw == pytest.approx(0.5236, abs=0.05)
     assert [result for number, result in gcs.acks if number == m.MAV_CMD_CONDITION_YAW] == [0, 0, 0]
     gcs.command(m.MAV_CMD_CONDITION_YAW, 30.0, 0.0, 1.0, 1.0)
     rig.run(6.0)
-    assert rig.flight.view.attitude[2] - yaw == pytest.approx(2 * 0.5236, abs=0.05)
+    assert rig.flight.status.truth.attitude[2] - yaw == pytest.approx(2 * 0.5236, abs=0.05)
 
 
 def test_a_mission_is_cleared_in_flight_once_it_hovers():

@@ -2,6 +2,8 @@
 
 import math
 import struct
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from link_rig import Rig
 from mufly.estimate import Estimate
 from mufly.link.authority import watch_link
 from mufly.link.clients import MOST_HZ, Wishes
-from mufly.link.codec import Texts
+from mufly.link.codec import Codec, Encoder, TextPieces, Texts
 from mufly.link.codec import mavlink as m
 from mufly.link.commands import Command, command_of, request_message
 from mufly.link.conventions import asked, custom_mode, mode_of, mode_of_custom
@@ -20,6 +22,7 @@ from mufly.link.set_points import of_channels, of_manual_control, set_point_of
 from mufly.link.telemetry import STREAMS
 from mufly.logs.tlog import looks_like_tlog
 from mufly.mission import State
+from mufly.sensors import Reading, Readings
 
 # streams
 
@@ -241,6 +244,20 @@ def test_long_lines_come_in_pieces_that_fit_together(length):
         assert len(pieces[-1].text) < 50
 
 
+@pytest.mark.parametrize("length", [0, 1, 49, 50, 51, 100, 400])
+def test_what_one_end_cuts_the_other_puts_together(length):
+    text = ("abcdefghi " * 101)[:length].strip()
+    whole = TextPieces()
+    packed = [Codec().receive(0.0, "v", Encoder(1, 1)(p))[0] for p in Texts()(text, "error")]
+    assert [line for p in packed for line in whole.take(0.0, p)] == [(m.MAV_SEVERITY_ERROR, text)]
+    lossy = TextPieces()
+    for p in packed[1:]:
+        assert lossy.take(0.0, p) == []
+    said = lossy.overdue(10.0)
+    assert said == ([(m.MAV_SEVERITY_ERROR, "..." + text[50:])] if len(packed) > 1 else [])
+    assert lossy.overdue(20.0) == []
+
+
 def test_failsafe_once_each():
     f, said = "", []
     for k in range(400):
@@ -255,8 +272,6 @@ def test_failsafe_once_each():
 
 
 def test_a_telemetry_log_is_one(tmp_path):
-    from mufly.link.codec import Encoder
-
     encode = Encoder(1, 1)
     path = tmp_path / "deep" / "link.tlog"
     with TlogWriter(path) as log:
@@ -275,12 +290,30 @@ def test_every_message_can_be_packed_whatever_the_numbers(value):
     rig = Rig(origin=(47.3769, 8.5417, 408.0))
     gcs = rig.station()
     rig.run(0.1)
-    measurement, plant = rig.flight.status.estimate, rig.flight.plant
-    for part in (measurement.position, measurement.velocity, measurement.attitude, measurement.rates):
-        part[:] = value
-    measurement.ranges[:] = value
-    plant.wind = np.full(3, value)
-    plant.voltage = plant.current = value
+    three, state = np.full(3, value), rig.flight.status
+    believed = replace(
+        state.estimate,
+        position=three, velocity=three, attitude=three, rates=three, ranges=np.full(8, value), battery_voltage=value,
+    )  # fmt: skip
+    true = replace(
+        state.truth, state=np.full(21, value), attitude=three, wind=three, voltage=value, current=value
+    )
+    readings = Readings(0.0, {name: Reading(three, 0.0) for name in ("position", "attitude")})
+    rig.link.flight = SimpleNamespace(
+        vehicle=rig.flight.vehicle,
+        status=replace(
+            state,
+            estimate=believed,
+            readings=readings,
+            truth=true,
+            reference_position=three,
+            reference_velocity=three,
+            reference_attitude=three,
+            battery_current=value,
+            battery_charge=value,
+            battery_left_s=value,
+        ),
+    )
     for s in STREAMS:
         rig.link.clients.get("gcs").wishes.ask_once(s.number)
     for out in rig.link.step(rig.now_s):
@@ -309,7 +342,7 @@ def test_the_ring_of_beams_is_told_as_it_stands():
     gcs = rig.station()
     rig.run(0.6)
     ring = gcs.last("OBSTACLE_DISTANCE")
-    seen = rig.flight.view.measured.ranges
+    seen = rig.flight.status.estimate.ranges
     assert ring.increment_f == 45.0
     assert ring.angle_offset == 22.5
     for k, r in enumerate(seen):

@@ -141,10 +141,10 @@ def test_guided_orders(qgc):
     assert -rig.position[2] == pytest.approx(1.0, abs=0.1)
     # A place on the map, then "pause" on the way: a reposition that gives nothing.
     qgc.command_int(m.MAV_CMD_DO_REPOSITION, -1, 1, 0, NAN, frame=0, x=lat + 180, y=lon, z=ORIGIN[2] + 1.0)
-    assert rig.run(10.0, lambda: rig.flight.view.velocity[0] > 0.2), qgc.words
+    assert rig.run(10.0, lambda: rig.flight.status.truth.velocity[0] > 0.2), qgc.words
     qgc.command(m.MAV_CMD_DO_REPOSITION, -1, 1, 0, NAN, NAN, NAN, NAN)
     rig.run(4.0)
-    assert np.linalg.norm(rig.flight.view.velocity) < 0.05
+    assert np.linalg.norm(rig.flight.status.truth.velocity) < 0.05
     held = rig.position.copy()
     assert held[0] < 1.5
     # Another height, another heading, another speed.
@@ -152,7 +152,7 @@ def test_guided_orders(qgc):
     assert rig.run(10.0, lambda: abs(-rig.position[2] - 1.4) < 0.06), qgc.words
     assert np.linalg.norm(rig.position[:2] - held[:2]) < 0.1
     qgc.command(m.MAV_CMD_DO_REPOSITION, -1, 1, 0, math.pi / 2, NAN, NAN, NAN)
-    assert rig.run(10.0, lambda: abs(rig.flight.view.attitude[2] - math.pi / 2) < 0.05), qgc.words
+    assert rig.run(10.0, lambda: abs(rig.flight.status.truth.attitude[2] - math.pi / 2) < 0.05), qgc.words
     qgc.command(m.MAV_CMD_DO_CHANGE_SPEED, 1, 0.4, -1, 0, NAN, NAN, NAN)
     assert answer(qgc, m.MAV_CMD_DO_CHANGE_SPEED) == OK
     for mode, state in (((4, 5), "return"), ((4, 6), "landing")):
@@ -167,4 +167,4 @@ def test_its_emergency_stop(qgc):
     qgc.command(m.MAV_CMD_COMPONENT_ARM_DISARM, 0, 21196)
     qgc.rig.run(0.1)
     assert not qgc.rig.status.armed
-    assert qgc.rig.flight.view.actuators.motor_input.max() == 0.0
+    assert qgc.rig.flight.status.actuators.motor_input.max() == 0.0

@@ -181,7 +181,7 @@ def test_a_second_station_watches_and_takes_over_after_release(helicopter):
     assert scene.answer(second.land())[0] == "accepted"
     assert scene.answer(first.emergency_stop())[0] == "accepted"  # from anyone
     scene.run(0.5)
-    assert (scene.flight.view.actuators.motor_input == 0.0).all()
+    assert (scene.flight.status.actuators.motor_input == 0.0).all()
 
 
 def test_a_parameter_is_tuned_and_its_bounds_hold(helicopter):

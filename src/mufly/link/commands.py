@@ -340,7 +340,7 @@ class CommandProtocol:
         wanted, status, autopilot = asked(mode), self._autopilot.status, self._autopilot
         self._forget_choice()
         if not status.armed and not status.flying and (wanted == "take-off" or wanted == "mission"):
-            if wanted == "mission" and not status.mission.waypoint:
+            if wanted == "mission" and not autopilot.software.asked.waypoint:
                 return never("no mission loaded; upload one first")
             self._choice = (now_s, wanted)
             return Answer(True, f"{wanted} once it is armed")

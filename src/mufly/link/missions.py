@@ -31,7 +31,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from mufly.flight import Autopilot, Status
+from mufly.flight import Autopilot, FlightState
 from mufly.link.authority import Authority
 from mufly.link.clients import Clients, Station
 from mufly.link.conventions import ABOVE_ORIGIN, ABOVE_SEA, Origin
@@ -338,7 +338,7 @@ class MissionProtocol:
     ) -> None:
         self._autopilot, self._clients = autopilot, clients
         self._authority, self._origin = authority, origin
-        self.plan = items_of(autopilot.status.mission)
+        self.plan = items_of(autopilot.software.asked)
         self._refused = ""  # why the last mission was refused, until it is told
         self._first = 0  # the item that the mission begins with when it is started
         self._receiver = Receiver(self._judge)
@@ -398,11 +398,11 @@ class MissionProtocol:
             self._first, self._told = 0, int(item)
         return answer
 
-    def progress(self, status: Status) -> Progress:
+    def progress(self, status: FlightState) -> Progress:
         """Where the mission stands."""
         self._follow(status)
         total = len(self.plan.items)
-        if not status.mission.waypoint:
+        if not self.plan.mission.waypoint:
             return Progress(0, total, _NO_MISSION, 2)
         if status.mission_running:
             state = _ACTIVE
@@ -414,7 +414,7 @@ class MissionProtocol:
             state = _NOT_STARTED
         return Progress(min(self._current(status), total - 1), total, state, 1 if state == _ACTIVE else 2)
 
-    def reached(self, status: Status) -> list[int]:
+    def reached(self, status: FlightState) -> list[int]:
         """Items that were completed since the last call, in order."""
         self._follow(status)
         if not status.begun:
@@ -461,14 +461,14 @@ class MissionProtocol:
         """The waypoint to begin with when an item is to come next; None if there is none."""
         return self.plan.waypoint_of(item) if 0 <= item < len(self.plan.items) else None
 
-    def _done(self, status: Status) -> int:
+    def _done(self, status: FlightState) -> int:
         """How many items, from the first, are completed."""
         places, reached = self.plan.item_of_waypoint, status.waypoint
         if reached == len(places) and status.mission_running and status.state == "hover":
             reached -= 1  # it waits there; the last item is completed when nothing of the mission is left
         if status.outcome == "succeeded" and not status.flying and reached >= len(places):
             return len(self.plan.items)
-        if reached >= len(places) and status.mission.at_end == "hover" and not status.mission_running:
+        if reached >= len(places) and self.plan.mission.at_end == "hover" and not status.mission_running:
             return len(self.plan.items)  # also those behind the last waypoint, such as a delay
         if 0 < reached < len(places) and status.mission_running and status.state in ("waypoint", "obstacle"):
             return places[reached]
@@ -477,7 +477,7 @@ class MissionProtocol:
         # In the air and under way, it has taken off.
         return places[0] if places and status.state in ("waypoint", "obstacle", "hover") else 0
 
-    def _current(self, status: Status) -> int:
+    def _current(self, status: FlightState) -> int:
         places = self.plan.item_of_waypoint
         if not status.begun:
             return self._first
@@ -485,10 +485,10 @@ class MissionProtocol:
             return 0 if status.state == "take-off" else places[status.waypoint]
         return len(self.plan.items) - 1
 
-    def _follow(self, status: Status) -> None:
+    def _follow(self, status: FlightState) -> None:
         """Somebody else may have loaded a mission, or tuned the one that is loaded."""
         mission = status.mission
-        if mission is self.plan.mission:
+        if mission is None or mission is self.plan.mission:
             return
         if mission.waypoint != self.plan.mission.waypoint or mission.at_end != self.plan.mission.at_end:
             self.plan, self._told = items_of(mission), 0
@@ -534,7 +534,7 @@ class MissionProtocol:
 
     def _judge(self, items: tuple[Item, ...]) -> int:
         try:
-            plan = plan_of(items, self._autopilot.status.mission, self._origin)
+            plan = plan_of(items, self._autopilot.software.asked, self._origin)
         except Refusal as refusal:
             self._refused = str(refusal)
             return refusal.result
@@ -543,7 +543,7 @@ class MissionProtocol:
             self._refused = f"mission refused: {answer.reason}"
             return MissionResult.DENIED if answer.temporary else MissionResult.ERROR
         self._first = 0
-        self.plan, self._told = Plan(self._autopilot.status.mission, items, plan.item_of_waypoint), 0
+        self.plan, self._told = Plan(self._autopilot.software.asked, items, plan.item_of_waypoint), 0
         return MissionResult.ACCEPTED
 
 

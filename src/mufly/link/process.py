@@ -267,15 +267,15 @@ def _start(flight: Flight) -> None:
 
 
 def _report(flight: Flight, link: VehicleLink, pace: Pace, spent_s: float, before: tuple[int, int]) -> Report:
-    view, status, commander = flight.view, flight.autopilot.status, link.authority.commander
+    state, commander = flight.status, link.authority.commander
     return Report(
         time_s=flight.time_s,
-        state=status.state,
-        outcome=status.outcome,
+        state=state.state,
+        outcome=state.outcome,
         commander="" if commander is None else str(commander),
-        armed=status.armed,
-        height_m=-float(view.position[2]),
-        battery_V=view.battery_voltage,
+        armed=state.armed,
+        height_m=-float(state.estimate.position[2]),
+        battery_V=state.estimate.battery_voltage,
         received_Hz=(link.received - before[0]) / spent_s,
         sent_Hz=(link.sent - before[1]) / spent_s,
         late_ms=pace.late_s * 1e3,

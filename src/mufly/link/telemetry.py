@@ -5,8 +5,7 @@ Every function takes the :class:`Instant` and returns one message, or several. U
 messages that can be streamed or asked for: a new message is a function and a row.
 
 ``estimated_`` travels as ATTITUDE and LOCAL_POSITION_NED, ``reference_`` as POSITION_TARGET_LOCAL_NED and
-ATTITUDE_TARGET, ``measured_`` as VISION_POSITION_ESTIMATE, ``truth_`` and the wind as DEBUG_FLOAT_ARRAY "truth". The
-flight software has no estimator of its own yet: what it believes is what it measures.
+ATTITUDE_TARGET, ``measured_`` as VISION_POSITION_ESTIMATE, ``truth_`` and the wind as DEBUG_FLOAT_ARRAY "truth".
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.dynamics import quaternion_from_euler
-from mufly.flight import FlightView, Status
+from mufly.flight import FlightState
 from mufly.link.codec import MavMessage, mavlink, single, within
 from mufly.link.conventions import MISSION, TAKE_OFF, Mode, Origin, custom_mode, mode_of
 from mufly.mission import State
@@ -45,10 +44,7 @@ class Instant:
     Attributes
     ----------
     vehicle : Vehicle
-    view : FlightView
-        What it measures, follows and does.
-    status : Status
-        What it is up to.
+    state : FlightState
     ready : bool
         Whether it could be armed.
     progress : Progress
@@ -64,8 +60,7 @@ class Instant:
     """
 
     vehicle: Vehicle
-    view: FlightView
-    status: Status
+    state: FlightState
     ready: bool
     progress: Progress
     origin: Origin | None
@@ -76,17 +71,17 @@ class Instant:
     @property
     def boot_ms(self) -> int:
         """The vehicle's clock (ms), as an unsigned number of 32 bits; never 0, which readers take for "not known"."""
-        return max(1, round(self.view.time_s * 1e3) % 2**32)
+        return max(1, round(self.state.time_s * 1e3) % 2**32)
 
     @property
     def usec(self) -> int:
         """The vehicle's clock (us), never 0."""
-        return max(1, round(self.view.time_s * 1e6))
+        return max(1, round(self.state.time_s * 1e6))
 
     @property
     def battery_low(self) -> bool:
         """Whether the battery's voltage is below the one to land at."""
-        return bool(self.view.battery_voltage < float(self.vehicle.battery.low_voltage))
+        return bool(self.state.estimate.battery_voltage < float(self.vehicle.battery.low_voltage))
 
 
 TRUTH = b"truth"
@@ -118,31 +113,31 @@ def _quaternion(angles: NDArray[np.floating[Any]]) -> list[float]:
 
 def attitude(p: Instant) -> MavMessage:
     """ATTITUDE: roll, pitch, yaw (rad, yaw in +-pi) and body rates (rad/s)."""
-    roll, pitch, yaw = _floats(p.view.measured.attitude)
+    roll, pitch, yaw = _floats(p.state.estimate.attitude)
     return mavlink.MAVLink_attitude_message(
-        p.boot_ms, roll, pitch, _wrapped(yaw), *_floats(p.view.measured.rates)
+        p.boot_ms, roll, pitch, _wrapped(yaw), *_floats(p.state.estimate.rates)
     )
 
 
 def attitude_quaternion(p: Instant) -> MavMessage:
     """ATTITUDE_QUATERNION."""
-    q = _quaternion(p.view.measured.attitude)
-    return mavlink.MAVLink_attitude_quaternion_message(p.boot_ms, *q, *_floats(p.view.measured.rates))
+    q = _quaternion(p.state.estimate.attitude)
+    return mavlink.MAVLink_attitude_quaternion_message(p.boot_ms, *q, *_floats(p.state.estimate.rates))
 
 
 def local_position_ned(p: Instant) -> MavMessage:
     """LOCAL_POSITION_NED: position (m) and velocity (m/s)."""
-    m = p.view.measured
+    m = p.state.estimate
     return mavlink.MAVLink_local_position_ned_message(p.boot_ms, *_floats(m.position), *_floats(m.velocity))
 
 
 def position_target_local_ned(p: Instant) -> MavMessage:
     """POSITION_TARGET_LOCAL_NED: the reference, with what is not followed now masked out."""
-    v = p.view
+    v = p.state
     mask = _IGNORE_ACCELERATION | _IGNORE_YAW_RATE
-    if not p.status.armed or p.status.state == "init":
+    if not p.state.armed or p.state.state == "init":
         mask = _IGNORE_ALL
-    elif p.status.state == "rc":
+    elif p.state.state == "rc":
         mask |= _IGNORE_PLACE | _IGNORE_PLACE << 3
     return mavlink.MAVLink_position_target_local_ned_message(
         p.boot_ms,
@@ -160,38 +155,40 @@ def position_target_local_ned(p: Instant) -> MavMessage:
 
 def attitude_target(p: Instant) -> MavMessage:
     """ATTITUDE_TARGET: the attitude that is asked of the inner loop."""
-    angles = p.view.reference_attitude
+    angles = p.state.reference_attitude
     mask = _IGNORE_RATES_AND_THRUST
-    if not p.status.armed or p.status.state == "init":
+    if not p.state.armed or p.state.state == "init":
         mask |= _IGNORE_ATTITUDE
     q = _quaternion(angles)
     return mavlink.MAVLink_attitude_target_message(p.boot_ms, mask, q, 0.0, 0.0, 0.0, 0.0)
 
 
-def vision_position_estimate(p: Instant) -> MavMessage:
-    """VISION_POSITION_ESTIMATE: position and attitude as they were measured."""
-    m = p.view.measured
-    roll, pitch, yaw = _floats(m.attitude)
+def vision_position_estimate(p: Instant) -> MavMessage | None:
+    """VISION_POSITION_ESTIMATE: position and attitude as they were measured; None where they are not."""
+    r = p.state.readings
+    if r is None or "position" not in r or "attitude" not in r:
+        return None
+    roll, pitch, yaw = _floats(r["attitude"].value)
     return mavlink.MAVLink_vision_position_estimate_message(
-        p.usec, *_floats(m.position), roll, pitch, _wrapped(yaw), _NO_COVARIANCE
+        p.usec, *_floats(r["position"].value), roll, pitch, _wrapped(yaw), _NO_COVARIANCE
     )
 
 
 def actuator_output_status(p: Instant) -> MavMessage:
     """ACTUATOR_OUTPUT_STATUS: motor upper, lower (0..1), servo 1, 2 (-1..1)."""
-    outputs = _floats(p.view.actuators.array)
+    outputs = _floats(p.state.actuators.array)
     return mavlink.MAVLink_actuator_output_status_message(p.usec, len(outputs), outputs + [0.0] * 28)
 
 
 def raw_rpm(p: Instant) -> list[MavMessage]:
     """RAW_RPM of the upper (0) and the lower (1) rotor."""
-    rpm = [single(w * 30.0 / math.pi) for w in np.asarray(p.view.rotor_speed).tolist()]
-    return [mavlink.MAVLink_raw_rpm_message(k, speed) for k, speed in enumerate(rpm)]
+    speeds = [] if p.state.truth is None else p.state.truth.rotor_speed.tolist()
+    return [mavlink.MAVLink_raw_rpm_message(k, single(w * 30.0 / math.pi)) for k, w in enumerate(speeds)]
 
 
 def obstacle_distance(p: Instant) -> MavMessage:
     """OBSTACLE_DISTANCE: the ring of beams, clockwise from its first (cm); one more than the most: nothing in sight."""
-    ring, ranges = p.vehicle.range_ring, np.asarray(p.view.measured.ranges)[:_OBSTACLES_MOST].tolist()
+    ring, ranges = p.vehicle.range_ring, np.asarray(p.state.estimate.ranges)[:_OBSTACLES_MOST].tolist()
     most_m = float(ring.max_range)
     most = within(most_m * 100.0, 0, _NOTHING_CM - 2)
     seen = [most + 1 if r >= most_m else within(r * 100.0, 0, most, _NOTHING_CM) for r in ranges]
@@ -213,7 +210,7 @@ def distance_sensors(p: Instant) -> list[MavMessage]:
     """DISTANCE_SENSOR of every beam, with its direction."""
     ring, out = p.vehicle.range_ring, []
     least, most = (within(float(m) * 100.0, 0, _NOTHING_CM - 1) for m in (ring.min_range, ring.max_range))
-    for k, r in enumerate(np.asarray(p.view.measured.ranges).tolist()[:255]):
+    for k, r in enumerate(np.asarray(p.state.estimate.ranges).tolist()[:255]):
         angle = float(ring.first_angle) + math.tau * k / ring.count
         turns = math.degrees(angle) / _YAW_ROTATIONS
         fits = abs(turns - round(turns)) < 1e-3
@@ -235,7 +232,7 @@ def distance_sensors(p: Instant) -> list[MavMessage]:
 
 def vfr_hud(p: Instant) -> MavMessage:
     """VFR_HUD: what a simple instrument shows; "airspeed" is the speed over ground, for there is no airspeed sensor."""
-    m, motors = p.view.measured, np.asarray(p.view.actuators.motor_input)
+    m, motors = p.state.estimate, np.asarray(p.state.actuators.motor_input)
     speed = single(math.hypot(m.velocity[0], m.velocity[1]))
     height = -m.position[2] + (p.origin.alt_m if p.origin is not None else 0.0)
     yaw = float(m.attitude[2])
@@ -246,10 +243,13 @@ def vfr_hud(p: Instant) -> MavMessage:
     )
 
 
-def truth(p: Instant) -> MavMessage:
-    """DEBUG_FLOAT_ARRAY "truth" (see :data:`TRUTH`)."""
-    v = p.view
-    values = [*v.position, *v.velocity, *v.attitude, *v.rates, *v.rotor_speed, *v.wind]
+def truth(p: Instant) -> MavMessage | None:
+    """DEBUG_FLOAT_ARRAY "truth" (see :data:`TRUTH`); None where nobody knows it."""
+    t = p.state.truth
+    if t is None:
+        return None
+    roll, pitch, yaw = t.attitude.tolist()
+    values = [*t.position, *t.velocity, roll, pitch, _wrapped(yaw), *t.rates, *t.rotor_speed, *t.wind]
     return mavlink.MAVLink_debug_float_array_message(
         p.usec, TRUTH, 0, _floats(values) + [0.0] * (58 - len(values))
     )
@@ -269,7 +269,7 @@ def shown_mode(p: Instant) -> Mode:
     """Return the flight mode that shows what it is doing, or has been told to do once it is armed."""
     if p.chosen:
         return TAKE_OFF if p.chosen == "take-off" else MISSION
-    return mode_of(p.status.state, not p.status.mission_running, p.status.homing)
+    return mode_of(p.state.state, not p.state.mission_running, p.state.homing)
 
 
 def heartbeat(p: Instant) -> MavMessage:
@@ -281,14 +281,14 @@ def heartbeat(p: Instant) -> MavMessage:
         if mode.main in (4, 6)
         else mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
     )
-    if p.status.armed:
+    if p.state.armed:
         base |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
-    if p.view.crashed:
+    if p.state.crashed:
         state = mavlink.MAV_STATE_EMERGENCY
-    elif p.status.flying and p.battery_low:
+    elif p.state.flying and p.battery_low:
         state = mavlink.MAV_STATE_CRITICAL
     else:
-        state = mavlink.MAV_STATE_ACTIVE if p.status.armed else mavlink.MAV_STATE_STANDBY
+        state = mavlink.MAV_STATE_ACTIVE if p.state.armed else mavlink.MAV_STATE_STANDBY
     return mavlink.MAVLink_heartbeat_message(
         mavlink.MAV_TYPE_COAXIAL, mavlink.MAV_AUTOPILOT_PX4, base, custom_mode(mode), state, 3
     )
@@ -319,17 +319,17 @@ def sys_status(p: Instant) -> MavMessage:
         here |= mavlink.MAV_SYS_STATUS_SENSOR_GPS
     # There is no fence, so none is broken: MAVProxy reports a breach where this bit is not set.
     well = here | mavlink.MAV_SYS_STATUS_GEOFENCE
-    if not (p.ready or p.status.armed):
+    if not (p.ready or p.state.armed):
         well &= ~mavlink.MAV_SYS_STATUS_PREARM_CHECK
     if p.battery_low:
         well &= ~mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
-    v = p.view
+    v = p.state
     return mavlink.MAVLink_sys_status_message(
         here,
         here,
         well,
         0,
-        within(v.battery_voltage * 1e3, 0, _UNKNOWN_16 - 1, _UNKNOWN_16),
+        within(v.estimate.battery_voltage * 1e3, 0, _UNKNOWN_16 - 1, _UNKNOWN_16),
         within(v.battery_current * 1e2, -32768, _UNKNOWN_16S, -1),
         within(v.battery_charge * 100.0, 0, 100, -1),
         within(p.loss * 1e4, 0, 10_000),
@@ -343,14 +343,14 @@ def sys_status(p: Instant) -> MavMessage:
 
 def battery_status(p: Instant) -> MavMessage:
     """BATTERY_STATUS: voltage, current, charge, and how long it will last."""
-    v = p.view
+    v = p.state
     if v.battery_charge < 0.05:
         charge = mavlink.MAV_BATTERY_CHARGE_STATE_CRITICAL
     elif p.battery_low:
         charge = mavlink.MAV_BATTERY_CHARGE_STATE_LOW
     else:
         charge = mavlink.MAV_BATTERY_CHARGE_STATE_OK
-    voltages = [within(v.battery_voltage * 1e3, 0, _UNKNOWN_16 - 1, _UNKNOWN_16)] + [_UNKNOWN_16] * 9
+    voltages = [within(v.estimate.battery_voltage * 1e3, 0, _UNKNOWN_16 - 1, _UNKNOWN_16)] + [_UNKNOWN_16] * 9
     return mavlink.MAVLink_battery_status_message(
         0,
         mavlink.MAV_BATTERY_FUNCTION_ALL,
@@ -368,11 +368,11 @@ def battery_status(p: Instant) -> MavMessage:
 
 def landed_state(p: Instant) -> int:
     """MAV_LANDED_STATE."""
-    if not p.status.flying:
+    if not p.state.flying:
         return int(mavlink.MAV_LANDED_STATE_ON_GROUND)
-    if p.status.state == State.TAKE_OFF:
+    if p.state.state == State.TAKE_OFF:
         return int(mavlink.MAV_LANDED_STATE_TAKEOFF)
-    if p.status.state == State.LANDING:
+    if p.state.state == State.LANDING:
         return int(mavlink.MAV_LANDED_STATE_LANDING)
     return int(mavlink.MAV_LANDED_STATE_IN_AIR)
 
@@ -395,7 +395,7 @@ def mission_current(p: Instant) -> MavMessage:
 
 def mission_state(p: Instant) -> MavMessage:
     """NAMED_VALUE_INT "mstate": index of the mission's state in :data:`STATES`."""
-    return mavlink.MAVLink_named_value_int_message(p.boot_ms, b"mstate", STATES.index(p.status.state))
+    return mavlink.MAVLink_named_value_int_message(p.boot_ms, b"mstate", STATES.index(p.state.state))
 
 
 def command(p: Instant) -> MavMessage:
@@ -411,7 +411,7 @@ def _globe(p: Instant, place: tuple[float, float, float]) -> tuple[int, int, int
 
 
 def _place(p: Instant) -> tuple[float, float, float]:
-    n, e, d = p.view.measured.position.tolist()
+    n, e, d = p.state.estimate.position.tolist()
     return n, e, d
 
 
@@ -419,10 +419,10 @@ def global_position_int(p: Instant) -> MavMessage | None:
     """GLOBAL_POSITION_INT; None without an origin."""
     if p.origin is None:
         return None
-    m = p.view.measured
+    m = p.state.estimate
     speeds = [within(v * 100.0, -32768, 32767) for v in m.velocity.tolist()]
     yaw = math.degrees(float(m.attitude[2])) % 360.0 if math.isfinite(m.attitude[2]) else math.nan
-    home = p.status.home
+    home = p.state.home
     above = single(-m.position[2] + (home[2] if home is not None else 0.0))
     return mavlink.MAVLink_global_position_int_message(
         p.boot_ms,
@@ -437,7 +437,7 @@ def gps_raw_int(p: Instant) -> MavMessage | None:
     """GPS_RAW_INT: the simulated receiver that an origin stands for; None without one."""
     if p.origin is None:
         return None
-    v = p.view.measured.velocity
+    v = p.state.estimate.velocity
     speed = math.hypot(v[0], v[1])
     course = math.degrees(math.atan2(v[1], v[0])) % 360.0
     return mavlink.MAVLink_gps_raw_int_message(
@@ -457,7 +457,7 @@ def altitude(p: Instant) -> MavMessage:
     _, _, d = _place(p)
     height = single(-d)
     above_sea = math.nan if p.origin is None else single(p.origin.alt_m - d)
-    home = d if p.status.home is None else float(p.status.home[2])
+    home = d if p.state.home is None else float(p.state.home[2])
     floor = -1e4 if p.origin is None else single(p.origin.alt_m)  # below -1000: not known
     return mavlink.MAVLink_altitude_message(
         p.usec, height, above_sea, height, single(home - d), floor, max(height, 0.0)
@@ -468,7 +468,7 @@ def home_position(p: Instant) -> MavMessage | None:
     """HOME_POSITION: where it took off, or stands; None without an origin."""
     if p.origin is None:
         return None
-    place = _place(p) if p.status.home is None else (*(float(x) for x in p.status.home),)
+    place = _place(p) if p.state.home is None else (*(float(x) for x in p.state.home),)
     n, e, d = (single(x) for x in place)
     return mavlink.MAVLink_home_position_message(
         *_globe(p, (n, e, d)), n, e, d, (1.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, p.usec

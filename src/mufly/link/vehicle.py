@@ -135,7 +135,7 @@ class VehicleLink:
         return system in (0, self.system) and component in (*_COMPONENTS, self.component)
 
     def _set_point(self, now_s: float, station: Station, m: MavMessage) -> None:
-        wanted = set_point_of(m, self.flight.view.measured, self.origin)
+        wanted = set_point_of(m, self.flight.status.estimate, self.origin)
         if wanted is not None and self.authority.may(now_s, station):
             self.clients.tell(now_s, station, self.autopilot.set_point(wanted).reason)
 
@@ -197,30 +197,29 @@ class VehicleLink:
                     made[k] = found if isinstance(found, list) else [] if found is None else [found]
                 for message in made[k]:
                     self.clients.send(client.peer, message)
-        status = now.status
-        shown = (status.state, now.chosen, status.armed, landed_state(now), now.progress, now.view.crashed)
+        state = now.state
+        shown = (state.state, now.chosen, state.armed, landed_state(now), now.progress, state.crashed)
         if shown != self._shown:
             self._shown = shown
             for make in (heartbeat, extended_sys_state, mission_current, mission_state):
                 self.clients.send(None, make(now))
         # After that the mission is complete: programs tell their users when they hear of the last item.
-        for item in self._missions.reached(status):
+        for item in self._missions.reached(state):
             self.clients.send(None, mavlink.MAVLink_mission_item_reached_message(item))
 
     def _instant(self, now_s: float) -> Instant:
-        status = self.autopilot.status
+        state = self.flight.status
         if now_s - self._ready_s >= _READY_S:
             self._ready, self._ready_s = not self.autopilot.not_ready(), now_s
         commander = self.authority.commander
         losses = [self._codec.counts(client.peer).loss for client in self.clients]
         return Instant(
             vehicle=self.flight.vehicle,
-            view=self.flight.view,
-            status=status,
+            state=state,
             ready=self._ready,
-            progress=self._missions.progress(status),
+            progress=self._missions.progress(state),
             origin=self.origin,
-            chosen="" if status.armed else self._commands.chosen(now_s),
+            chosen="" if state.armed else self._commands.chosen(now_s),
             commander=0 if commander is None else commander.system * 256 + commander.component,
             loss=max(losses, default=0.0),
         )
