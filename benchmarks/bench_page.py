@@ -59,7 +59,7 @@ def fly(port: int, pipe: Any) -> None:
     clock: list[tuple[float, float]] = []
 
     def note(report: Report) -> None:
-        clock.append((time.time(), report.time_s))
+        clock.append((time.time(), report.state.time_s))
 
     run(
         flight,

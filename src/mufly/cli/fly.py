@@ -112,8 +112,9 @@ class _Watch:
         report = process.report
         if report is None:
             return
-        self.flown = self.flown or (report.armed and report.height_m > 0.15)
-        resting = self.flown and not report.armed
+        state = report.state
+        self.flown = self.flown or (state.armed and -state.estimate.position[2] > 0.15)
+        resting = self.flown and not state.armed
         if not resting:
             self._over_s = None
         elif self._over_s is None:

@@ -448,10 +448,11 @@ class _Over:
 
 def _line_of(r: Report) -> str:
     """How the loop is doing."""
+    s = r.state
     who = f"commanded by {r.commander}" if r.commander else "nobody commands"
     slipped = f", {r.slipped_s:.1f} s lost" if r.slipped_s else ""
     return (
-        f"{r.time_s:7.1f} s  {r.state:<9}  {'armed' if r.armed else 'disarmed'}  {r.height_m:5.2f} m  "
-        f"{r.battery_V:.2f} V  {who}  in {r.received_Hz:.0f}/s, out {r.sent_Hz:.0f}/s  "
+        f"{s.time_s:7.1f} s  {s.state:<9}  {'armed' if s.armed else 'disarmed'}  {-s.estimate.position[2]:5.2f} m  "
+        f"{s.estimate.battery_voltage:.2f} V  {who}  in {r.received_Hz:.0f}/s, out {r.sent_Hz:.0f}/s  "
         f"late {r.late_ms:.1f} ms{slipped}"
     )

@@ -55,6 +55,8 @@ SEVERITY = {
 _TEXTS = 8  # so many texts of one vehicle may wait
 _WAIT_S = 2.0  # for so long a text waits for pieces that are missing
 
+NOT_GIVEN = 2**31 - 1
+"""In x and y of an integer message: not given."""
 FLOAT_MOST = 3.4028234663852886e38
 """The largest number that a ``float`` field can hold."""
 
@@ -69,6 +71,17 @@ def within(value: float, least: int, greatest: int, unknown: int = 0) -> int:
     if not math.isfinite(value):
         return unknown
     return int(min(max(round(value), least), greatest))
+
+
+def scaled(value: float, factor: float) -> int:
+    """Return ``value`` times ``factor`` as x or y of an integer message; what does not fit is "not given" there."""
+    number = value * factor
+    return round(number) if math.isfinite(number) and abs(number) <= NOT_GIVEN else NOT_GIVEN
+
+
+def unscaled(number: int, factor: float) -> float:
+    """Return what x or y of an integer message says, ``number`` times ``factor``; NaN where it is not given."""
+    return math.nan if number == NOT_GIVEN else number * factor
 
 
 def text_of(text: str, size: int = 50) -> bytes:

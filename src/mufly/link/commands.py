@@ -34,7 +34,7 @@ from typing import Literal
 from mufly.flight import Flight
 from mufly.link.authority import Authority
 from mufly.link.clients import Clients, Station, Wishes
-from mufly.link.codec import MavMessage, mavlink, single, within
+from mufly.link.codec import NOT_GIVEN, MavMessage, mavlink, single, unscaled, within
 from mufly.link.conventions import ABOVE_ORIGIN, ABOVE_SEA, LOITER, Mode, Origin, asked, mode_of_custom
 from mufly.link.missions import MissionProtocol
 from mufly.link.set_points import ManualControl
@@ -52,7 +52,7 @@ KEPT_S = 10.0
 
 Choice = Literal["take-off", "mission", ""]
 
-_NOT_GIVEN, _FARTHEST = 2**31 - 1, 2**31 - 2
+_FARTHEST = NOT_GIVEN - 1
 _HOLD_S = 0.3
 _STATIONS = 32
 _ACCEPT, _DENY = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_DENIED
@@ -101,7 +101,7 @@ class Command:
             )
         scale = 1e4 if self.frame in LOCAL_FRAMES else 1e7
         # What does not fit into the field is out of anybody's reach; the vehicle says so.
-        x, y = (within(v * scale, -_FARTHEST, _FARTHEST, _NOT_GIVEN) for v in p[4:6])
+        x, y = (within(v * scale, -_FARTHEST, _FARTHEST, NOT_GIVEN) for v in p[4:6])
         return mavlink.MAVLink_command_int_message(
             system, component, self.frame, self.number, 0, 0, *map(single, p[:4]), x, y, single(p[6])
         )
@@ -114,7 +114,7 @@ def command_of(message: MavMessage) -> Command:
     if m.get_type() == "COMMAND_LONG":
         return Command(m.command, (*first, m.param5, m.param6, m.param7), None, m.confirmation)
     scale = 1e-4 if m.frame in LOCAL_FRAMES else 1e-7
-    x, y = (math.nan if v == _NOT_GIVEN else v * scale for v in (m.x, m.y))
+    x, y = (unscaled(v, scale) for v in (m.x, m.y))
     return Command(m.command, (*first, x, y, m.z), m.frame)
 
 

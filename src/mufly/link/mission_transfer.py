@@ -28,7 +28,7 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
-from mufly.link.codec import MavMessage, mavlink
+from mufly.link.codec import MavMessage, mavlink, scaled
 
 RETRY_S = (0.25, 1.5)
 """Least and greatest time before asking again (s); MAVLink recommends 0.25 s for items and 1.5 s for the rest."""
@@ -47,7 +47,6 @@ LIMIT = 500
 HUSH_S = 2.0
 """A sender that begins anew first tells the receiver to stop, until it has not asked for so long (s)."""
 _LOCAL_FRAMES = (1, 4, 7, 8, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21)
-_INT32 = 2**31
 
 
 class MissionResult(IntEnum):
@@ -133,20 +132,13 @@ Notes = list[tuple[Hashable, Note]]
 """Notes to be sent, each with the peer that it is for."""
 
 
-def _scaled(value: float, frame: int) -> int:
-    """x or y of a MISSION_ITEM as MISSION_ITEM_INT has it; what does not fit becomes the "not given" of that field."""
-    scaled = value * (1e4 if frame in _LOCAL_FRAMES else 1e7)
-    if not math.isfinite(scaled) or abs(scaled) >= _INT32:
-        return _INT32 - 1
-    return round(scaled)
-
-
 def note_of(message: MavMessage) -> Note | None:
     """Return what a MAVLink message says about a transfer; None if nothing."""
     m, kind = message, message.get_type()
     match kind:
         case "MISSION_ITEM_INT" | "MISSION_ITEM":
-            x, y = (m.x, m.y) if kind == "MISSION_ITEM_INT" else (_scaled(v, m.frame) for v in (m.x, m.y))
+            factor = 1e4 if m.frame in _LOCAL_FRAMES else 1e7
+            x, y = (m.x, m.y) if kind == "MISSION_ITEM_INT" else (scaled(v, factor) for v in (m.x, m.y))
             params = (m.param1, m.param2, m.param3, m.param4)
             return Item(
                 m.seq, m.frame, m.command, m.current, m.autocontinue, params, x, y, m.z, m.mission_type

@@ -34,6 +34,7 @@ from typing import Any
 from mufly.flight import Autopilot, FlightState
 from mufly.link.authority import Authority
 from mufly.link.clients import Clients, Station
+from mufly.link.codec import unscaled
 from mufly.link.conventions import ABOVE_ORIGIN, ABOVE_SEA, Origin
 from mufly.link.mission_transfer import (
     Ack,
@@ -57,7 +58,6 @@ _WAYPOINT, _UNLIMITED, _LOITER_TIME, _HOME, _LAND, _TAKE_OFF, _DELAY = 16, 17, 1
 _SPEED, _YAW = 178, 115
 _ENDS = {_UNLIMITED: "hover", _LAND: "land", _HOME: "return"}
 _NED, _ENU = 1, 4
-_NOT_GIVEN = 2**31 - 1
 _SAME_PLACE_M = 0.05
 
 Triple = tuple[float, float, float]
@@ -279,11 +279,11 @@ def _down(item: Item, origin: Origin | None) -> float:
 def _level(item: Item, origin: Origin | None) -> tuple[float, float]:
     """N and E of an item (m); NaN where not given."""
     if item.frame in (_NED, _ENU):
-        a, b = (math.nan if v == _NOT_GIVEN else v * 1e-4 for v in (item.x, item.y))
+        a, b = (unscaled(v, 1e-4) for v in (item.x, item.y))
         return (a, b) if item.frame == _NED else (b, a)
     if origin is None:
         return math.nan, math.nan
-    lat, lon = (math.nan if v == _NOT_GIVEN else v * 1e-7 for v in (item.x, item.y))
+    lat, lon = (unscaled(v, 1e-7) for v in (item.x, item.y))
     n, e, _ = origin.to_local(lat, lon, 0.0)
     return n, e
 

@@ -31,7 +31,7 @@ from typing import Any
 
 from mufly.control import FlightController, design
 from mufly.errors import InputError, MuflyError
-from mufly.flight import Event, Flight
+from mufly.flight import Event, Flight, FlightState
 from mufly.link.conventions import Origin
 from mufly.link.ports import Endpoint, Peer, Port, open_port, wait
 from mufly.link.vehicle import VehicleLink
@@ -58,12 +58,9 @@ class Report:
 
     Attributes
     ----------
-    time_s : float
-        The vehicle's clock.
-    state, outcome, commander : str
-        Of the mission, of the flight ("" while it is open); who commands, or "".
-    armed : bool
-    height_m, battery_V : float
+    state : FlightState
+    commander : str
+        Who commands, or "".
     received_Hz, sent_Hz : float
         Messages a second.
     late_ms, worst_ms : float
@@ -72,13 +69,8 @@ class Report:
         Time that was not made up for, since the start.
     """
 
-    time_s: float
-    state: str
-    outcome: str
+    state: FlightState
     commander: str
-    armed: bool
-    height_m: float
-    battery_V: float
     received_Hz: float
     sent_Hz: float
     late_ms: float
@@ -267,15 +259,10 @@ def _start(flight: Flight) -> None:
 
 
 def _report(flight: Flight, link: VehicleLink, pace: Pace, spent_s: float, before: tuple[int, int]) -> Report:
-    state, commander = flight.status, link.authority.commander
+    commander = link.authority.commander
     return Report(
-        time_s=flight.time_s,
-        state=state.state,
-        outcome=state.outcome,
+        state=flight.status,
         commander="" if commander is None else str(commander),
-        armed=state.armed,
-        height_m=-float(state.estimate.position[2]),
-        battery_V=state.estimate.battery_voltage,
         received_Hz=(link.received - before[0]) / spent_s,
         sent_Hz=(link.sent - before[1]) / spent_s,
         late_ms=pace.late_s * 1e3,
@@ -367,7 +354,7 @@ class VehicleProcess:
                 self.notices.append(content)
             elif kind == "report":
                 self.report = content
-                self.outcome = content.outcome
+                self.outcome = content.state.outcome
             elif kind == "ready":
                 self._ready.set()
             elif kind == "done":

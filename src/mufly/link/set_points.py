@@ -42,7 +42,7 @@ from dataclasses import dataclass
 
 from mufly.estimate import Estimate
 from mufly.flight import Autopilot
-from mufly.link.codec import MavMessage
+from mufly.link.codec import MavMessage, unscaled
 from mufly.link.conventions import ABOVE_ORIGIN, ABOVE_SEA, Origin
 from mufly.mission import ACCEPTED, Answer, SetPoint, later
 
@@ -50,7 +50,6 @@ Triple = tuple[float, float, float]
 
 _NO_HEADING, _NO_YAW_RATE, _KNOWN_BITS = 0x400, 0x800, 0xFFF
 _LOCAL, _OFFSET, _BODY = 1, 7, (8, 9, 12)
-_INT32_MAX = 2**31 - 1
 
 
 def set_point_of(message: MavMessage, measured: Estimate, origin: Origin | None) -> SetPoint | None:
@@ -108,7 +107,7 @@ def _from_globe(message: MavMessage, origin: Origin | None) -> Triple | None:
     frame = message.coordinate_frame
     if origin is None or frame not in (*ABOVE_SEA, *ABOVE_ORIGIN):
         return None
-    lat, lon = (math.nan if v == _INT32_MAX else v * 1e-7 for v in (message.lat_int, message.lon_int))
+    lat, lon = (unscaled(v, 1e-7) for v in (message.lat_int, message.lon_int))
     return origin.to_local(lat, lon, message.alt, frame)
 
 
