@@ -17,10 +17,9 @@ from mufly.link.codec import mavlink as m
 from mufly.link.commands import Command, command_of, request_message
 from mufly.link.conventions import asked, custom_mode, mode_of, mode_of_custom
 from mufly.link.parameters import WHOLE_RANGE, decoded, encoded
-from mufly.link.process import TlogWriter
 from mufly.link.set_points import of_channels, of_manual_control, set_point_of
 from mufly.link.telemetry import STREAMS
-from mufly.logs.tlog import looks_like_tlog
+from mufly.logs.tlog import TlogWriter, looks_like_tlog
 from mufly.mission import State
 from mufly.sensors import Reading, Readings
 

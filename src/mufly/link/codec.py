@@ -26,6 +26,8 @@ from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+from mufly.logs.tlog import packet_length
+
 os.environ["MAVLINK20"] = "1"
 with contextlib.redirect_stdout(io.StringIO()):
     from pymavlink.dialects.v20 import common
@@ -199,7 +201,7 @@ class Codec:
             start = _next_marker(buffer, at)
             counts.garbage_bytes += start - at
             at = start
-            size = _frame_size(buffer, at)
+            size = packet_length(buffer, at)
             if size and at + size <= len(buffer):
                 frame = bytes(buffer[at : at + size])
                 message = self._decode(frame)
@@ -254,7 +256,7 @@ class Codec:
     def _whole_frame_after(self, buffer: bytearray, at: int) -> int | None:
         while at < len(buffer):
             at = _next_marker(buffer, at + 1)
-            size = _frame_size(buffer, at)
+            size = packet_length(buffer, at)
             if size and at + size <= len(buffer) and self._decode(bytes(buffer[at : at + size])) is not None:
                 return at
         return None
@@ -283,15 +285,6 @@ def _next_marker(buffer: bytearray, at: int) -> int:
     """Where the next frame may begin; the end of the buffer if nowhere."""
     found = [k for k in (buffer.find(_V1, at), buffer.find(_V2, at)) if k >= 0]
     return min(found, default=len(buffer))
-
-
-def _frame_size(buffer: bytearray, at: int) -> int:
-    """Length of the frame that begins at ``at``; 0 while too little of it is there."""
-    if at + 3 > len(buffer):
-        return 0
-    if buffer[at] == _V1:
-        return 8 + buffer[at + 1]
-    return 12 + buffer[at + 1] + (13 if buffer[at + 2] & _SIGNED else 0)
 
 
 def _message_id(frame: bytes) -> int:

@@ -1,4 +1,4 @@
-"""The simulated vehicle in real time, in this process or in one of its own, and the telemetry log of its link.
+"""The simulated vehicle in real time, in this process or in one of its own.
 
 :func:`run` is the loop: the flight ticks by the clock on the wall, and in between the link is served. Tick ``k`` is due
 at ``start + k period``, counted from the start so that errors do not add up. Until it is due the loop sleeps in the
@@ -18,7 +18,6 @@ import contextlib
 import multiprocessing
 import queue
 import signal
-import struct
 import threading
 import time
 from collections import deque
@@ -26,15 +25,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from mufly.control import FlightController, design
-from mufly.errors import InputError, MuflyError
+from mufly.errors import MuflyError
 from mufly.flight import Event, Flight, FlightState
 from mufly.link.conventions import Origin
 from mufly.link.ports import Endpoint, Peer, Port, open_port, wait
 from mufly.link.vehicle import VehicleLink
+from mufly.logs.tlog import TlogWriter
 from mufly.mission import Mission, load_mission
 from mufly.vehicle import Vehicle, load_vehicle
 
@@ -48,8 +47,6 @@ _START_WITHIN_S = 3.0
 _LATE_BLEND = 0.02
 _KEPT_EVENTS = 1000
 _WAITING = 1000
-FLUSH_S = 1.0
-_STAMP = struct.Struct(">Q")
 
 
 @dataclass(frozen=True, slots=True)
@@ -495,61 +492,3 @@ def _fly(order: Mapping[str, Any], tell: _Teller, asked: threading.Event) -> Non
             where=order["where"],
         )
         tell("done", flight.judge())
-
-
-class TlogWriter:
-    """Telemetry log, written as it comes: each packet behind the time of its arrival or departure.
-
-    Eight bytes, big-endian, count microseconds since 1970; the packet follows as it is on the air. That is what every
-    ground station for MAVLink reads, and :func:`mufly.logs.read_log`. The file is flushed every second, so that a
-    process that is killed loses no more.
-
-    Parameters
-    ----------
-    path : str or Path
-        Its folder is made if need be; a file of that name is replaced.
-
-    Raises
-    ------
-    InputError
-        If it cannot be written.
-    """
-
-    def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
-        self._flushed_s = time.monotonic()
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = self.path.open("wb")
-        except OSError as error:
-            raise InputError(
-                str(self.path), "", f"cannot be written ({error.strerror})", "give another folder"
-            ) from error
-
-    def write(self, packet: bytes, time_us: int | None = None) -> None:
-        """Add one packet.
-
-        Parameters
-        ----------
-        packet : bytes
-            One frame of MAVLink.
-        time_us : int, optional
-            Microseconds since 1970; by default now.
-        """
-        self._file.write(_STAMP.pack(time.time_ns() // 1000 if time_us is None else time_us) + packet)
-        now_s = time.monotonic()
-        if now_s - self._flushed_s >= FLUSH_S:
-            self._flushed_s = now_s
-            self._file.flush()
-
-    def close(self) -> None:
-        """Finish the file."""
-        self._file.close()
-
-    def __enter__(self) -> TlogWriter:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

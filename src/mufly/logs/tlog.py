@@ -12,10 +12,12 @@ import contextlib
 import io
 import os
 import struct
+import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -32,10 +34,12 @@ _SEVERITY = ("emergency", "alert", "critical", "error", "warning", "notice", "in
 _RESET_S = 1.0
 _LATEST_S = 5.0
 _LONGEST_UPTIME_S = 1e8
+FLUSH_S = 1.0
+"""Of what is written so much is lost with a process that is killed (s)."""
 
 
-def _packet_length(data: bytes, at: int) -> int:
-    """Length of the packet that begins at ``at``; 0 if none does."""
+def packet_length(data: bytes | bytearray, at: int) -> int:
+    """Length of the packet of MAVLink that begins at ``at``; 0 if none does, or too little of it is there."""
     if at + 3 > len(data):
         return 0
     if data[at] == 0xFE:
@@ -49,7 +53,7 @@ def _entry(data: bytes, at: int) -> int:
     """Length of the entry (stamp and packet) that begins at ``at``; 0 if none does."""
     if at + 11 > len(data) or not _YEAR_2000_US < _STAMP.unpack_from(data, at)[0] < _YEAR_2100_US:
         return 0
-    size = _packet_length(data, at + 8)
+    size = packet_length(data, at + 8)
     return 8 + size if size else 0
 
 
@@ -231,3 +235,60 @@ def _placed(
         if name == "time_boot_ms" or (late.min() > -_RESET_S and np.median(late) < _LATEST_S):
             out[key] = time
     return out, borders.tolist()
+
+
+class TlogWriter:
+    """Telemetry log, written as it comes: each packet behind the time of its arrival or departure.
+
+    That is what every ground station for MAVLink reads, and :func:`read_tlog`. The file is flushed every second, so
+    that a process that is killed loses no more.
+
+    Parameters
+    ----------
+    path : str or Path
+        Its folder is made if need be; a file of that name is replaced.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._flushed_s = time.monotonic()
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self.path.open("wb")
+        except OSError as error:
+            raise InputError(
+                str(self.path), "", f"cannot be written ({error.strerror})", "give another folder"
+            ) from error
+
+    def write(self, packet: bytes, time_us: int | None = None) -> None:
+        """Add one packet.
+
+        Parameters
+        ----------
+        packet : bytes
+            One frame of MAVLink.
+        time_us : int, optional
+            Microseconds since 1970; by default now.
+        """
+        self._file.write(_STAMP.pack(time.time_ns() // 1000 if time_us is None else time_us) + packet)
+        now_s = time.monotonic()
+        if now_s - self._flushed_s >= FLUSH_S:
+            self._flushed_s = now_s
+            self._file.flush()
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._file.close()
+
+    def __enter__(self) -> TlogWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError, MuflyError
 from mufly.flight import Recorder
-from mufly.link.process import TlogWriter
+from mufly.link import TlogWriter
 from mufly.station.remote import RemoteVehicle
 from mufly.station.view import Message
 from mufly.version import __version__
