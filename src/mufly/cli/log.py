@@ -1,16 +1,16 @@
-"""What the commands about logs share: the log, its column map, the part of it."""
+"""``mufly log``: what was recorded, as words, pictures and files."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from mufly.cli.options import Commands, JsonOption
-from mufly.cli.present import console, print_json, print_table, progress_bar
+from mufly.cli.present import console, print_json, print_table, progress_bar, say, tell_files, writing
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
@@ -51,10 +51,6 @@ def columns_of(file: str | None, pairs: Sequence[str] | None) -> ColumnMap | Non
     second = load_map(file)
     time = first.time if first.time.column is not None else second.time
     return second.model_copy(update={"signal": (*first.signal, *second.signal), "time": time})
-
-
-# ----------------------------------------------------------------------------
-# ``mufly log convert``: signals on one clock, written to a file.
 
 
 def convert(
@@ -105,27 +101,21 @@ def convert(
             to_s=to_s,
             progress=progress,
         )
-    for note in data.attrs.get("notes", []):
-        typer.secho(f"{log.name}: {note}", fg=typer.colors.YELLOW, err=True)
+    _note(log, data.attrs.get("notes", []))
     written = write_log(data, out)
     time = data["time"].values
     step = f", {1 / (time[1] - time[0]):.5g} Hz" if len(time) > 1 else ""
     kind = out.suffix.lower()
     over_time = [str(v) for v in data.data_vars if "time" in data[v].dims]
     text = [v for v in over_time if kind == ".mcap" and data[v].dtype.kind == "U" and v != "mission_state"]
-    console().print(
+    say(
         f"{written}: {len(over_time) - len(text)} signals, {len(time)} instants from {time[0]:.2f} to {time[-1]:.2f} s"
-        f"{step}",
-        highlight=False,
+        f"{step}"
     )
     if text:
-        console().print(f"Text does not go into a recording and is left out: {', '.join(text)}", style="dim")
+        say(f"Text does not go into a recording and is left out: {', '.join(text)}", style="dim")
     if kind == ".csv" and len(over_time) < len(data.data_vars):
-        console().print("Events are not in a CSV file; .mcap, .nc, .parquet and .ulg keep them.", style="dim")
-
-
-# ----------------------------------------------------------------------------
-# ``mufly log``: what was recorded, as words, pictures and files.
+        say("Events are not in a CSV file; .mcap, .nc, .parquet and .ulg keep them.", style="dim")
 
 
 app = Commands(
@@ -164,14 +154,15 @@ def info(
 
 
 def _print(report: LogReport) -> None:
-    c = console()
     raw = report.raw
     start, end = raw.span
     facts = [raw.kind, f"{end - start:.2f} s", f"from {start:.2f} to {end:.2f} s"]
     facts += [f"began {raw.start_time}"] if raw.start_time else []
     facts += [str(raw.info[k]) for k in ("sys_name", "ver_hw", "system", "recorded by") if raw.info.get(k)]
     facts += [f"{len(raw.info['parameters'])} parameters"] if raw.info.get("parameters") else []
-    c.print(f"[bold]{Path(raw.path).name}[/bold]  {', '.join(facts)}", highlight=False, soft_wrap=True)
+    console().print(
+        f"[bold]{Path(raw.path).name}[/bold]  {', '.join(facts)}", highlight=False, soft_wrap=True
+    )
     rows = []
     for name, table in raw.items():
         clock = report.clocks[name]
@@ -182,39 +173,32 @@ def _print(report: LogReport) -> None:
         rows.append((name, f"{len(table.time)}", rate, f"{len(table.fields)}", gaps, ", ".join(gives)))
     print_table(("topic", "messages", "rate (Hz)", "fields", "gaps", "gives"), rows, text=(0, 5))
     if report.signals:
-        shown = report.signals[:_MOST_ROWS]
-        print_table(
-            ("signal", "unit", "min", "mean", "max", "std"),
-            [
-                (
-                    s.name,
-                    "" if s.units == "1" else s.units,
-                    *map(_number, (s.smallest, s.mean, s.largest, s.std)),
-                )
-                for s in shown
-            ],
-            text=(0, 1),
-        )
-        if len(report.signals) > len(shown):
-            c.print(f"  and {len(report.signals) - len(shown)} more (--json lists all)", style="dim")
+        rows = [
+            (s.name, "" if s.units == "1" else s.units, *map(_number, (s.smallest, s.mean, s.largest, s.std)))
+            for s in report.signals[:_MOST_ROWS]
+        ]
+        print_table(("signal", "unit", "min", "mean", "max", "std"), rows, text=(0, 1))
+        _and_more(len(report.signals))
     _section("Delays", [d.words() for d in report.delays], "")
     _section("Said by the vehicle", [f"{t:.2f} s, {level}: {text}" for t, level, text in raw.messages], "")
     _section("Guessed, repaired or refused", report.notes, "yellow")
     faults = report.faults()
     _section("Found", faults, "yellow")
     if not faults:
-        c.print("Nothing wrong found.")
+        say("Nothing wrong found.")
 
 
 def _section(title: str, lines: Sequence[str], style: str) -> None:
     if not lines:
         return
-    c = console()
-    c.print(f"[bold]{title}[/bold]")
-    for line in lines[:_MOST_ROWS]:
-        c.print(f"  {line}", style=style or None, highlight=False, markup=False, soft_wrap=True)
-    if len(lines) > _MOST_ROWS:
-        c.print(f"  and {len(lines) - _MOST_ROWS} more (--json lists all)", style="dim")
+    say(title, style="bold")
+    say(*(f"  {line}" for line in lines[:_MOST_ROWS]), style=style or None)
+    _and_more(len(lines))
+
+
+def _and_more(count: int) -> None:
+    if count > _MOST_ROWS:
+        say(f"  and {count - _MOST_ROWS} more (--json lists all)", style="dim")
 
 
 def _number(value: float, digits: int = 3) -> str:
@@ -260,8 +244,7 @@ def plot(
     columns = columns_of(map_file, column)
     with progress_bar("Reading", True) as progress:
         raw, found, _, notes = channels(log, columns, fields, progress)
-    for note in notes:
-        typer.secho(f"{log.name}: {note}", fg=typer.colors.YELLOW, err=True)
+    _note(log, notes)
     wanted = (
         chosen(found, names, str(log), "; or write topic/field") if names else found or _first_fields(raw)
     )
@@ -288,10 +271,14 @@ def plot(
             except InputError as error:
                 typer.secho(f"{kind}: {error.problem}; left out", fg=typer.colors.YELLOW, err=True)
                 continue
-            for path in _save(figure, out or Path(f"{log.stem}-pictures"), f"{log.stem}-{kind}{suffix}"):
-                console().print(f"Written: {path}", style="dim", highlight=False)
+            tell_files(_save(figure, out or Path(f"{log.stem}-pictures"), f"{log.stem}-{kind}{suffix}"))
             if progress is not None:
                 progress(k + 1, len(pictures))
+
+
+def _note(log: Path, notes: Iterable[str]) -> None:
+    for note in notes:
+        typer.secho(f"{log.name}: {note}", fg=typer.colors.YELLOW, err=True)
 
 
 def _first_fields(raw: Any) -> list[Any]:
@@ -309,15 +296,11 @@ def _first_fields(raw: Any) -> list[Any]:
 
 
 def _save(figure: Any, folder: Path, name: str) -> list[Path]:
-    try:
+    paths = [folder / f"{name}{ending}" for ending in (".png", ".svg")]
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        paths = [folder / f"{name}{ending}" for ending in (".png", ".svg")]
         for path in paths:
             figure.savefig(path, dpi=130, bbox_inches="tight")
-    except OSError as error:
-        raise InputError(
-            "--out", str(folder), f"cannot be written ({error})", "give another folder"
-        ) from error
     return paths
 
 

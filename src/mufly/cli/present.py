@@ -40,7 +40,9 @@ def say(*lines: str, mark: str = "", style: str | None = None) -> None:
     """Print lines as they stand, without markup."""
     out = console()
     for line in lines:
-        out.print(f"{mark}: {line}" if mark else line, style=style, highlight=False, markup=False)
+        out.print(
+            f"{mark}: {line}" if mark else line, style=style, highlight=False, markup=False, soft_wrap=True
+        )
 
 
 def print_json(content: Any) -> None:
