@@ -8,7 +8,7 @@ import tomli_w
 
 from mufly.drive import builtin_drives, coefficient_load, drive_toml, load_drive, operating_point
 from mufly.errors import InputError
-from mufly.vehicle import load_vehicle, vehicle_toml
+from mufly.vehicle import builtin_maps, load_vehicle, vehicle_toml
 
 
 def q(value, unit, source="datasheet"):
@@ -91,3 +91,9 @@ def test_faults_are_named(tmp_path, change, message) -> None:
 def test_unknown_drive_is_named() -> None:
     with pytest.raises(InputError, match="no such drive or vehicle or file"):
         load_drive("turbine")
+
+
+def test_a_vehicle_file_that_names_a_map_gives_its_drive(tmp_path) -> None:
+    content = tomllib.loads(vehicle_toml(load_vehicle("mufly-1.1")))
+    content["rotors"]["coefficient_map"] = builtin_maps()[0]
+    assert load_drive(written(tmp_path, content)) == load_drive("mufly-1.1")

@@ -80,7 +80,7 @@ input, with the controller of full order, of reduced order, and sampled with one
         f"law at {controller.rate_Hz:g} Hz, position at {controller.rate_Hz / controller.position_divider:g} Hz",
         highlight=False,
     )
-    for one in (controller.heave_yaw, controller.roll_pitch, controller.velocity):
+    for one in controller.designs:
         _print(one)
     say("* with one sample of delay", style="dim")
     c = controller.cascade

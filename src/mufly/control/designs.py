@@ -7,7 +7,7 @@ prints about its controllers stands beside ours (Sec. 6.1; facts.csv, keys S6.1-
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import control
@@ -48,13 +48,14 @@ from mufly.control.schemes import (
 )
 from mufly.dynamics import GRAVITY, Linearisation, battery_state, linearise, model_parameters
 from mufly.errors import InputError, MuflyError
+from mufly.results import plain, result
 from mufly.vehicle import Vehicle
 
 DEFAULT_RATE_HZ = 200.0
 POSITION_DIVIDER = 4  # the position cascade runs in every fourth period
 
 
-@dataclass(frozen=True)
+@result
 class PublishedDesign:
     """Printed figures of one design; None where the text gives none.
 
@@ -93,13 +94,6 @@ HEAVE_YAW = PublishedDesign(
 )
 ROLL_PITCH = PublishedDesign(crossover=36.0, complementary_peak_dB=1.9, resonance=14.5, order=8)
 VELOCITY = PublishedDesign()
-
-
-def _loop_dict(loop: LoopAnalysis) -> dict[str, Any]:
-    return {
-        key: None if isinstance(value, float) and not np.isfinite(value) else value
-        for key, value in asdict(loop).items()
-    }
 
 
 @dataclass(frozen=True)
@@ -150,6 +144,15 @@ class Design:
     feedback_inputs: tuple[int, ...]
     published: PublishedDesign
 
+    @property
+    def loops(self) -> tuple[tuple[str, int, LoopAnalysis], ...]:
+        """Name, order and figures of the full, the reduced and the sampled controller's loop."""
+        return (
+            ("full", self.controller.nstates, self.full_loop),
+            ("reduced", self.reduced.nstates, self.reduced_loop),
+            ("sampled", self.discrete.order, self.sampled_loop),
+        )
+
     def feedback(self, controller: control.StateSpace | None = None) -> control.StateSpace:
         """K of ``u = -K y``, of the full controller or of another one with the same inputs."""
         return feedback_part(
@@ -172,24 +175,22 @@ class Design:
             "rate_Hz": 1 / self.discrete.period_s,
             "form": self.discrete.form,
             "anti_windup": self.discrete.anti_windup,
-            "full": _loop_dict(self.full_loop),
-            "reduced": _loop_dict(self.reduced_loop),
-            "sampled_with_one_sample_of_delay": _loop_dict(self.sampled_loop),
-            "thesis": asdict(self.published),
+            "full": plain(self.full_loop),
+            "reduced": plain(self.reduced_loop),
+            "sampled_with_one_sample_of_delay": plain(self.sampled_loop),
+            "thesis": plain(self.published),
         }
 
     def __str__(self) -> str:
         """Summary of a few lines."""
-        loops = (("full", self.full_loop), ("reduced", self.reduced_loop), ("sampled", self.sampled_loop))
-        orders = (self.controller.nstates, self.reduced.nstates, self.discrete.order)
         lines = [
             f"{self.name}: gamma {self.gamma:.3f}, norm achieved {self.norm:.3f}; "
-            f"order {orders[0]} -> {orders[1]} ({self.reduction.chosen.method}); "
+            f"order {self.controller.nstates} -> {self.reduced.nstates} ({self.reduction.chosen.method}); "
             f"{1 / self.discrete.period_s:g} Hz, {self.discrete.form} form, anti-windup {self.discrete.anti_windup}",
             f"  {'loop':8} {'order':>5} {'crossovers rad/s':>17} {'S_u dB':>7} {'T_u dB':>7} {'GM dB':>6} "
             f"{'PM deg':>7} {'delay ms':>9}",
         ]
-        for (label, loop), order in zip(loops, orders, strict=True):
+        for label, order, loop in self.loops:
             crossovers = ", ".join(f"{w:.1f}" for w in loop.crossovers)
             lines.append(
                 f"  {label:8} {order:5d} {crossovers:>17} {loop.sensitivity_peak_dB:7.2f} "
@@ -239,10 +240,15 @@ class FlightController:
     settings: Settings
 
     @property
+    def designs(self) -> tuple[Design, Design, Design]:
+        """Heave-yaw, roll-pitch, velocity."""
+        return self.heave_yaw, self.roll_pitch, self.velocity
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """What a user should know before flying: sampled loops with peaks above 6 dB, and how to mend them."""
         found = []
-        for d in (self.heave_yaw, self.roll_pitch, self.velocity):
+        for d in self.designs:
             loop = d.sampled_loop
             peak = max(loop.sensitivity_peak_dB, loop.complementary_peak_dB)
             if peak > 6.0:
@@ -263,8 +269,8 @@ class FlightController:
             "design_voltage_V": self.voltage_V,
             "motor_trim_upper_lower": [float(v) for v in self.motor_trim],
             "position_gain_1_s": self.settings.position_gain,
-            "designs": [d.to_dict() for d in (self.heave_yaw, self.roll_pitch, self.velocity)],
-            "cascade": _loop_dict(self.cascade),
+            "designs": [d.to_dict() for d in self.designs],
+            "cascade": plain(self.cascade),
         }
 
     def __str__(self) -> str:
@@ -279,8 +285,9 @@ class FlightController:
             f"T {c.complementary_peak_dB:.2f} dB, GM {c.gain_margin_dB:.1f} dB, PM {c.phase_margin_deg:.1f} deg, "
             f"delay margin {1e3 * c.delay_margin_s:.0f} ms"
         )
-        designs = [str(d) for d in (self.heave_yaw, self.roll_pitch, self.velocity)]
-        return "\n".join([head, *designs, tail, *(f"warning: {text}" for text in self.warnings)])
+        return "\n".join(
+            [head, *map(str, self.designs), tail, *(f"warning: {text}" for text in self.warnings)]
+        )
 
 
 def design(
@@ -414,18 +421,18 @@ def _designed(
     scaled = scale_plant(plant, scaling)
     generalised = generalise(scaled)
     try:
-        result = hinfsyn(generalised, read.size, plant.ninputs, relaxation=relaxation)
+        found = hinfsyn(generalised, read.size, plant.ninputs, relaxation=relaxation)
         reduction = reduce_controller(
             generalised,
-            result.controller,
-            result.actuation,
+            found.controller,
+            found.actuation,
             scaled,
             rows,
             order_min=orders[0],
             order_max=orders[1],
             slow=slow,
         )
-        full = unscale_controller(result.controller, read, input_scale)
+        full = unscale_controller(found.controller, read, input_scale)
         reduced = unscale_controller(reduction.controller, read, input_scale)
         discrete = discretise(reduced, reduction.actuation / input_scale, period_s)
         full_loop, reduced_loop, sampled_loop = (
@@ -449,9 +456,9 @@ def _designed(
         scaling=scaling,
         generalised=generalised,
         controller=full,
-        gamma=result.gamma,
-        gamma_optimal=result.gamma_optimal,
-        norm=result.norm,
+        gamma=found.gamma,
+        gamma_optimal=found.gamma_optimal,
+        norm=found.norm,
         reduction=reduction,
         reduced=reduced,
         discrete=discrete,

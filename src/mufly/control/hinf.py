@@ -20,7 +20,6 @@ closed with the controller found; it is computed independently, on the plant as 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import control
@@ -29,9 +28,10 @@ from scipy import linalg
 
 from mufly.control.linear import Array, hinf_norm, state_space
 from mufly.errors import MuflyError
+from mufly.results import result
 
 
-@dataclass(frozen=True)
+@result
 class HinfResult:
     """A controller and what it is worth.
 

@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from mufly.errors import MuflyError
+from mufly.results import result
 
 Array = NDArray[np.floating[Any]]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -249,7 +250,7 @@ def hinf_norm(system: control.StateSpace, *, tolerance: float = 1e-6) -> tuple[f
     return lower, where
 
 
-@dataclass(frozen=True)
+@result
 class LoopAnalysis:
     """Figures of one loop, broken at the plant's input.
 

@@ -59,6 +59,16 @@ def _lines(axes: Axes, frequency: Array, values: Array, colour: str, label: str 
         axes.plot(frequency, column, color=colour, label=label if i == 0 else None, **style)
 
 
+def _crossed(axes: Axes, crossovers: tuple[float, ...]) -> None:
+    if crossovers:
+        label = "0 dB at " + ", ".join(f"{w:.3g}" for w in crossovers) + " rad/s"
+        axes.plot(crossovers, np.zeros(len(crossovers)), "o", color=BLUE, markersize=5, label=label)
+
+
+def _figure_of(design: Design, which: int) -> str:
+    return f"(thesis Fig. {_FIGURES[design.name][which]})" if design.name in _FIGURES else ""
+
+
 def draw_plant(design: Design) -> Figure:
     """Singular values of the unscaled plant (Figs 6.3 and 6.7), its 0 dB crossings and the thesis's marked."""
     figure = Figure(figsize=(7.0, 3.6), dpi=150, layout="constrained")
@@ -67,20 +77,12 @@ def draw_plant(design: Design) -> Figure:
     shown = _dB(values)
     _frame(
         axes,
-        f"{design.name}: plant {'(thesis Fig. ' + _FIGURES[design.name][0] + ')' if design.name in _FIGURES else ''}",
+        f"{design.name}: plant {_figure_of(design, 0)}",
         max(20 * np.floor(shown.min() / 20), -160.0),
         20 * np.ceil(shown.max() / 20),
     )
     _lines(axes, _FREQUENCY, values, BLUE, "G", linewidth=1.6)
-    if design.plant_crossovers:
-        axes.plot(
-            design.plant_crossovers,
-            np.zeros(len(design.plant_crossovers)),
-            "o",
-            color=BLUE,
-            markersize=5,
-            label="0 dB at " + ", ".join(f"{w:.3g}" for w in design.plant_crossovers) + " rad/s",
-        )
+    _crossed(axes, design.plant_crossovers)
     thesis = design.published
     for k, w in enumerate(thesis.plant_crossovers or ()):
         _vertical(axes, w, f"thesis: {w:g} rad/s", VERMILION, 0.92 - 0.07 * k)
@@ -103,20 +105,16 @@ def draw_loop(design: Design) -> Figure:
     """Loop gain above, sensitivities below (Figs 6.5 and 6.8): full order, reduced, and sampled with delay."""
     figure = Figure(figsize=(7.0, 6.6), dpi=150, layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
+    rate = 1 / design.discrete.period_s
     cases = (
-        (f"order {design.controller.nstates}, continuous", _curves(design, design.controller), "-", 1.6),
-        (f"order {design.reduced.nstates}, continuous", _curves(design, design.reduced), "--", 1.2),
-        (
-            f"order {design.discrete.order}, {1 / design.discrete.period_s:g} Hz, one sample of delay",
-            _curves(design, design.discrete.system()),
-            ":",
-            1.4,
-        ),
+        (design.controller, "continuous", "-", 1.6),
+        (design.reduced, "continuous", "--", 1.2),
+        (design.discrete.system(), f"{rate:g} Hz, one sample of delay", ":", 1.4),
     )
-    where = f"(thesis Fig. {_FIGURES[design.name][1]})" if design.name in _FIGURES else ""
-    _frame(upper, f"{design.name}: loop gain $L_u$ at the plant's input {where}", -80, 120)
+    _frame(upper, f"{design.name}: loop gain $L_u$ at the plant's input {_figure_of(design, 1)}", -80, 120)
     _frame(lower, f"{design.name}: sensitivity $S_u$ and complementary sensitivity $T_u$", -60, 12)
-    for label, curves, line, width in cases:
+    for controller, label, line, width in cases:
+        curves, label = _curves(design, controller), f"order {controller.nstates}, {label}"
         _lines(upper, curves.frequency, curves.loop, BLUE, label, linestyle=line, linewidth=width)
         for name, values, colour in (
             ("$S_u$", curves.sensitivity, GREEN),
@@ -132,14 +130,7 @@ def draw_loop(design: Design) -> Figure:
                 "above half the\nsampling rate", (nyquist * 1.15, 100), fontsize=7, color=GREY, va="center"
             )
     loop, thesis = design.full_loop, design.published
-    upper.plot(
-        loop.crossovers,
-        np.zeros(len(loop.crossovers)),
-        "o",
-        color=BLUE,
-        markersize=5,
-        label="0 dB at " + ", ".join(f"{w:.3g}" for w in loop.crossovers) + " rad/s",
-    )
+    _crossed(upper, loop.crossovers)
     if thesis.crossover:
         _vertical(upper, thesis.crossover, f"thesis: {thesis.crossover:g} rad/s", VERMILION, 0.92)
     peaks = f"peaks: $S_u$ {loop.sensitivity_peak_dB:.2f} dB, $T_u$ {loop.complementary_peak_dB:.2f} dB"
@@ -181,7 +172,7 @@ def draw_designs(
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
     written = []
-    for design in (controller.heave_yaw, controller.roll_pitch, controller.velocity):
+    for design in controller.designs:
         for what, draw in (("plant", draw_plant), ("loop", draw_loop)):
             figure = draw(design)
             for suffix in formats:

@@ -25,7 +25,7 @@ are preferred whose observer form (``A - M C``, what runs while actuators satura
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import control
 import numpy as np
@@ -43,11 +43,12 @@ from mufly.control.linear import (
     sensitivities,
 )
 from mufly.errors import MuflyError
+from mufly.results import result
 
 TOLERANCES = ((0.1, 1.01), (0.2, 1.05), (0.5, 1.2))  # dB on the peaks, factor on the norm
 
 
-@dataclass(frozen=True)
+@result
 class Candidate:
     """One reduced controller and its loop.
 
@@ -74,7 +75,7 @@ class Candidate:
     passed: bool
 
 
-@dataclass(frozen=True)
+@result
 class Reduction:
     """The controller chosen, and everything tried.
 

@@ -34,7 +34,6 @@ Own derivation. Limit without resistance and with flat U_oc: t = C / (P / U_oc +
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -42,6 +41,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mufly.compiled import compiled
 from mufly.errors import InputError, MuflyError
+from mufly.results import result
 from mufly.vehicle.schema import Battery
 
 
@@ -100,7 +100,7 @@ def battery_voltage(battery: Battery, open_circuit_V: ArrayLike, power_W: ArrayL
 _POINTS = 8
 
 
-@dataclass(frozen=True)
+@result
 class Endurance:
     """How long a hover lasts from a full battery.
 

@@ -19,8 +19,6 @@ convex in i: the *best* gear is that value, moved into the interval. Own derivat
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
@@ -28,6 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from mufly.drive.operating import RotorLoad, operating_point
 from mufly.drive.train import Constants, Drive
 from mufly.errors import InputError
+from mufly.results import result
 
 Array = NDArray[np.float64]
 
@@ -115,7 +114,7 @@ def gear_curve(
     )
 
 
-@dataclass(frozen=True)
+@result
 class GearOptima:
     """Gear ratios at which a drive at full voltage is best, each in one respect.
 

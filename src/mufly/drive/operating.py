@@ -39,6 +39,7 @@ from numpy.typing import ArrayLike, NDArray
 from mufly.drive.battery import battery_voltage, internal_resistance, open_circuit_voltage, terminal_voltage
 from mufly.drive.train import Constants, Drive, armature_current, rotor_acceleration
 from mufly.errors import InputError, MuflyError
+from mufly.results import result
 from mufly.rotor import Air, Blading, hover_batch
 from mufly.units import RPM
 
@@ -51,14 +52,34 @@ _current: Callable[..., Array] = armature_current.py_func
 _terminal = np.vectorize(terminal_voltage, otypes=[float])
 
 
-@dataclass(frozen=True)
+@result
 class OperatingPoint:
     """Steady state of one rotor with its drive; arrays over cases (without axes for a single case).
 
-    ``input_power_W`` is what one motor's controller draws from the supply, electronics not counted;
-    ``mechanical_power_W`` reaches the rotor; ``efficiency`` is their ratio; ``thrust_per_power_N_W`` is thrust
-    over input power. ``voltage_V`` is the supply's, ``duty`` the share of it at the motor, ``supply_current_A``
-    of one motor.
+    Attributes
+    ----------
+    speed_rad_s : array
+        Rotor speed.
+    thrust_N, torque_Nm : array
+        Of the rotor.
+    gear_ratio : array
+        Motor speed over rotor speed.
+    motor_speed_rad_s, motor_voltage_V, motor_current_A : array
+        Of one motor.
+    voltage_V : array
+        Of the supply.
+    duty : array
+        Share of the supply's voltage at the motor.
+    supply_current_A, input_power_W : array
+        What one motor's controller draws from the supply, electronics not counted.
+    mechanical_power_W : array
+        Power that reaches the rotor.
+    efficiency : array
+        Mechanical over electrical power.
+    thrust_per_power_N_W : array
+        Thrust over electrical power.
+    copper_loss_W, conversion_loss_W, friction_loss_W, gear_loss_W, controller_loss_W : array
+        Where the rest goes, see the module.
     """
 
     speed_rad_s: Array

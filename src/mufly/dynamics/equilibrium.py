@@ -27,6 +27,7 @@ from mufly.dynamics.model import battery_state, climb_velocity, derivative, insi
 from mufly.dynamics.parameters import hover_speeds, model_parameters
 from mufly.dynamics.state import STATE_SIZE, euler_from_quaternion, initial_state
 from mufly.errors import InputError, MuflyError
+from mufly.results import result
 from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 
@@ -234,7 +235,7 @@ def _hover_estimate(
 _CHARGES = 21
 
 
-@dataclass(frozen=True)
+@result
 class HoverPerformance:
     """Hover on a half-full battery, and its reserves.
 
