@@ -12,7 +12,8 @@ channels from 1; how many there are is not known here.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from dataclasses import field as own_field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -78,8 +79,8 @@ class Quantity:
     dim: str | None
     units: str
     long_name: str
-    kept: str = field(default="flight", compare=False)
-    mavlink: tuple[Wire, ...] = field(default=(), compare=False)
+    kept: str = own_field(default="flight", compare=False)
+    mavlink: tuple[Wire, ...] = own_field(default=(), compare=False)
 
     @property
     def labels(self) -> tuple[str, ...] | tuple[int, ...]:

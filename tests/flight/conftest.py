@@ -14,7 +14,7 @@ import pytest
 import xarray as xr
 from numpy.typing import NDArray
 
-from mufly.logs.layout import Event, Layout, standard_layout, to_dataset
+from mufly.logs import Event, Layout, standard_layout, to_dataset
 
 WAYPOINTS = ((-3.0, 0.0, -1.0), (-3.0, 3.0, -2.0), (0.0, 3.0, -1.0), (0.0, 0.0, -2.0))
 STANDING_M = 0.07

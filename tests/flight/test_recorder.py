@@ -19,9 +19,7 @@ from mcap.records import Chunk, MessageIndex
 
 from mufly.errors import InputError, MuflyError
 from mufly.flight.recorder import Recorder, quaternions
-from mufly.logs.layout import standard_layout
-from mufly.logs.mcap import read_mcap
-from mufly.logs.recording import read_attachments, read_recording
+from mufly.logs import read_attachments, read_mcap, read_recording, standard_layout
 from mufly.world import Box, Cylinder, World
 
 START_NS = 1_700_000_000_000_000_000

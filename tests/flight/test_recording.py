@@ -10,9 +10,7 @@ from hypothesis import strategies as st
 
 from mufly.errors import InputError
 from mufly.flight.recorder import Recorder
-from mufly.logs.layout import Layout, events_of, standard_layout, to_csv, to_dataset
-from mufly.logs.mcap import McapFile
-from mufly.logs.recording import read_recording
+from mufly.logs import Layout, McapFile, events_of, read_recording, standard_layout, to_csv, to_dataset
 from mufly.quantities import kept_by
 
 

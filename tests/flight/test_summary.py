@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mufly.flight.summary import summarise, summary_rows
-from mufly.logs.layout import standard_layout, to_dataset
+from mufly.logs import standard_layout, to_dataset
 from mufly.world import Box, World
 
 LAYOUT = standard_layout(8)

@@ -19,7 +19,8 @@ from mufly.link.conventions import asked, custom_mode, mode_of, mode_of_custom
 from mufly.link.parameters import WHOLE_RANGE, decoded, encoded
 from mufly.link.set_points import of_channels, of_manual_control, set_point_of
 from mufly.link.telemetry import STREAMS
-from mufly.logs.tlog import TlogWriter, looks_like_tlog
+from mufly.logs import kind_of
+from mufly.logs.tlog import TlogWriter
 from mufly.mission import State
 from mufly.sensors import Reading, Readings
 
@@ -277,7 +278,7 @@ def test_a_telemetry_log_is_one(tmp_path):
         for k in range(5):
             log.write(encode(m.MAVLink_attitude_message(k, 0, 0, 0, 0, 0, 0)), 1_700_000_000_000_000 + k)
     data = path.read_bytes()
-    assert looks_like_tlog(data)
+    assert kind_of(path) == "MAVLink tlog"
     assert struct.unpack(">Q", data[:8])[0] == 1_700_000_000_000_000
 
 

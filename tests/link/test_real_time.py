@@ -17,8 +17,7 @@ from mufly.link import Endpoint, TlogWriter, open_port, run, start_vehicle, wait
 from mufly.link.codec import Codec, Encoder
 from mufly.link.codec import mavlink as m
 from mufly.link.process import CATCH_UP_S, HURRY, Pace
-from mufly.logs import read_log
-from mufly.logs.tlog import read_tlog
+from mufly.logs import read_log, read_raw
 from mufly.mission import Mission
 
 
@@ -99,7 +98,7 @@ def test_a_vehicle_in_real_time_and_its_telemetry_log(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # its messages are placed by the vehicle's clock, not by their arrival
         assert read_log(log).sizes["time"] > 10
-    tables = read_tlog(log).tables
+    tables = read_raw(log)
     assert len(tables["COMMAND_LONG@255.190"].time) == 1  # what it heard
     assert len(tables["COMMAND_ACK"].time) == 1  # what it said
     # A second peer that gets the same does not double it.

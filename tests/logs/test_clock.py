@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mufly.errors import InputError
-from mufly.logs import LogWarning, check_clock, find_gaps, read_log, resample
-from mufly.logs.topics import common_clock, usable_samples
+from mufly.logs import LogWarning, check_clock, common_clock, find_gaps, read_log, resample, usable_samples
 
 TIME = 0.01 * np.arange(500)
 

@@ -13,8 +13,7 @@ from mock_vehicle import MockVehicle, World
 from mufly.errors import InputError
 from mufly.flight import read_recording
 from mufly.link.codec import Codec
-from mufly.logs import read_log
-from mufly.logs.mcap import read_mcap
+from mufly.logs import read_log, read_mcap
 from mufly.station import StationRecorder
 
 DAY_S = 1.9e9

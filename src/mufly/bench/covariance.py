@@ -20,6 +20,7 @@ variation that the fitted parameters took away; a pattern is kept only if it rai
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,6 +158,6 @@ def _restricted(pattern: str, rho: float, parts: list[Integers], jacobian: Array
     return float(-log - (n - p) * np.log(max(float(r @ r), 1e-300)))
 
 
-def joined(*blocks: Array) -> Array:
+def joined(*blocks: NDArray[np.floating[Any]]) -> Array:
     """Return the covariance of independent estimates side by side."""
     return np.asarray(block_diag(*blocks), dtype=np.float64)

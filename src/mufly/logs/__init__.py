@@ -3,6 +3,7 @@
 from mufly.logs.delay import Delay, DelayReport, body_rates_of_attitude, check_delays, estimate_delay
 from mufly.logs.layout import Event, Layout, columns_of, events_of, standard_layout, to_csv, to_dataset
 from mufly.logs.mapping import ColumnMap, builtin_maps, load_map
+from mufly.logs.mcap import McapFile, read_mcap
 from mufly.logs.quality import (
     ChannelReport,
     UnitGuess,
@@ -24,8 +25,10 @@ from mufly.logs.topics import (
     RawLog,
     RawTable,
     check_clock,
+    common_clock,
     find_gaps,
     resample,
+    usable_samples,
 )
 
 __all__ = [
@@ -40,6 +43,7 @@ __all__ = [
     "Layout",
     "LogReport",
     "LogWarning",
+    "McapFile",
     "RawLog",
     "RawTable",
     "UnitGuess",
@@ -53,6 +57,7 @@ __all__ = [
     "check_delays",
     "chosen",
     "columns_of",
+    "common_clock",
     "draw_channels",
     "estimate_delay",
     "events_of",
@@ -67,11 +72,13 @@ __all__ = [
     "load_map",
     "read_attachments",
     "read_log",
+    "read_mcap",
     "read_raw",
     "read_recording",
     "resample",
     "standard_layout",
     "to_csv",
     "to_dataset",
+    "usable_samples",
     "write_log",
 ]

@@ -51,7 +51,7 @@ from mufly.logs.ulog import MAGIC as ULOG_MAGIC
 from mufly.logs.ulog import read_ulog, write_ulog
 from mufly.quantities import is_held
 
-_MAGIC = {
+_MAGIC: dict[str, bytes | tuple[bytes, ...]] = {
     "MCAP": MCAP_MAGIC,
     "ULog": ULOG_MAGIC,
     "Parquet": PARQUET_MAGIC,
