@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
+import numpy as np
 import typer
 
 from mufly.cli.options import (
@@ -37,7 +38,6 @@ from mufly.errors import InputError, MuflyError
 from mufly.units import RPM
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from mufly.rotor import Result, RotorResult
