@@ -65,7 +65,7 @@ def test_hover_at_the_edge_is_said() -> None:
     ("arguments", "words"),
     [
         (("walkera",), "no such rotor"),
-        (("walkera-5g6", "--spacing", "40"), "--spacing: '40' is no length"),
+        (("walkera-5g6", "--spacing", "40"), "--spacing: spacing has no unit"),
         (("walkera-5g6", "--spacing", "0mm"), "above 0"),
         (("walkera-5g6", "--rpm", "fast"), "--rpm: 'fast' is no range"),
         (("walkera-5g6", "--rpm", "0:4000"), "--rpm: '0:4000' is not possible"),
