@@ -36,12 +36,17 @@ def run(folder: Path) -> tuple[float, int]:
     return float(value), int(hits)
 
 
-def test_a_constant_of_another_file_is_seen(tmp_path):
-    package = tmp_path / "mufly"
+def copied(folder: Path) -> Path:
+    """A package with nothing but the decorator."""
+    package = folder / "mufly"
     package.mkdir()
-    for name in ("compiled.py", "errors.py", "version.py"):
-        shutil.copy(PACKAGE / name, package)
+    shutil.copy(PACKAGE / "compiled.py", package)
     (package / "__init__.py").write_text("")
+    return package
+
+
+def test_a_constant_of_another_file_is_seen(tmp_path):
+    package = copied(tmp_path)
     (package / "loops.py").write_text(LOOP)
     (package / "gains.py").write_text(GAIN.format(k=3.0))
     assert run(tmp_path) == (7.0, 0)
@@ -50,6 +55,35 @@ def test_a_constant_of_another_file_is_seen(tmp_path):
     assert run(tmp_path) == (11.0, 0)
     (package / "gains.py").write_text(GAIN.format(k=3.0))
     assert run(tmp_path) == (7.0, 1), "the old sources have their old folder"
+
+
+RECORD = """from typing import NamedTuple
+
+from mufly.gains import gain
+
+
+class Pair(NamedTuple):
+    {fields}
+
+
+if __name__ == "__main__":
+    from mufly.loops import Pair as Kept
+
+    print(gain(Kept(a=2.0, b=5.0)), sum(gain.stats.cache_hits.values()))
+"""
+OF_RECORD = (
+    "from mufly.compiled import compiled\n\n\n@compiled\ndef gain(pair):\n    return pair.a - pair.b\n"
+)
+
+
+def test_the_fields_of_a_record_that_a_caller_defines_are_seen(tmp_path):
+    package = copied(tmp_path)
+    (package / "gains.py").write_text(OF_RECORD)
+    (package / "loops.py").write_text(RECORD.format(fields="a: float\n    b: float"))
+    assert run(tmp_path) == (-3.0, 0)
+    assert run(tmp_path) == (-3.0, 1)
+    (package / "loops.py").write_text(RECORD.format(fields="b: float\n    a: float"))
+    assert run(tmp_path) == (-3.0, 0)
 
 
 def test_sources_follow_imports_through_rooms():

@@ -6,8 +6,8 @@ own rule, a term added to the equations of motion was seen by whoever called the
 integrator that had compiled them in went on as before.
 
 Here the cache of a file is kept in a folder named after a hash of that file and of every file of this package
-that it imports, directly or through others. Any change there leads to another folder; nothing needs to be
-deleted. Folders that no process has used for :data:`KEPT_DAYS` days are removed. The same sources share a
+that it imports, directly or through others, and of every named tuple of the package, since a caller may hand
+one over. Any change there leads to another folder; nothing needs to be deleted. Folders that no process has used for :data:`KEPT_DAYS` days are removed. The same sources share a
 folder, in whichever checkout or environment they stand.
 
 The folder is ``NUMBA_CACHE_DIR`` where that is set, else the user's cache folder; where neither can be
@@ -35,6 +35,7 @@ from numba.core.caching import CacheImpl, _CacheLocator
 KEPT_DAYS = 30.0
 _ROOT = Path(__file__).resolve().parent
 _IMPORT = re.compile(r"^[ \t]*from (mufly[\w.]*) import (\([^)]*\)|[^\n]*)|^[ \t]*import (mufly[\w.]*)", re.M)
+_RECORD = re.compile(r"^class \w+\((?:typing\.)?NamedTuple\):\n(?:[ \t]+[^\n]*\n|[ \t]*\n)*", re.M)
 _NAME = re.compile(r"(\w+)(?:\s+as\s+\w+)?\s*(?:,|$)", re.M)
 
 
@@ -104,8 +105,22 @@ def _imported(path: Path) -> list[Path]:
 
 
 @functools.cache
+def _records() -> bytes:
+    """Source of every named tuple of the package: whoever calls a compiled function may hand it one.
+
+    The caller's file is none that the function's file imports, yet the order of the fields is compiled in.
+    """
+    found = []
+    for path in sorted(_ROOT.rglob("*.py")):
+        text = path.read_text(encoding="utf-8")
+        if "NamedTuple" in text:
+            found.append("\0".join([path.relative_to(_ROOT).as_posix(), *_RECORD.findall(text)]))
+    return "\0".join(found).encode()
+
+
+@functools.cache
 def _stamp(file: Path) -> str:
-    digest = hashlib.sha256(numba.__version__.encode())
+    digest = hashlib.sha256(numba.__version__.encode() + _records())
     for path in sources_of(file):
         digest.update(str(path.relative_to(_ROOT)).encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()[:24]
