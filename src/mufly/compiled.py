@@ -7,8 +7,9 @@ integrator that had compiled them in went on as before.
 
 Here the cache of a file is kept in a folder named after a hash of that file and of every file of this package
 that it imports, directly or through others, and of every named tuple of the package, since a caller may hand
-one over. Any change there leads to another folder; nothing needs to be deleted. Folders that no process has used for :data:`KEPT_DAYS` days are removed. The same sources share a
-folder, in whichever checkout or environment they stand.
+one over. Any change there leads to another folder; nothing needs to be deleted. Folders that no process has
+used for :data:`KEPT_DAYS` days are removed. The same sources share a folder, in whichever checkout or
+environment they stand.
 
 The folder is ``NUMBA_CACHE_DIR`` where that is set, else the user's cache folder; where neither can be
 written, a temporary one, which costs compiling at every start.
