@@ -6,6 +6,7 @@ Colours are those of Okabe and Ito (2008), which the colour-blind can tell apart
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -51,16 +52,27 @@ def style() -> Iterator[None]:
         yield
 
 
-def _figure(width: float, height: float) -> Figure:
+def blank(width: float, height: float) -> Figure:
+    """Return a figure (inches) to draw on."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def _ink() -> str:
+def ink() -> str:
+    """Return the colour of text."""
     from matplotlib import rcParams
 
     return str(rcParams["text.color"])
+
+
+def decades(axes: Axes) -> None:
+    """Number a logarithmic axis of frequencies 1, 2, 5."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def _thin(record: RecordFit) -> slice:
@@ -79,24 +91,17 @@ def prediction_picture(record: RecordFit) -> Figure:
     """Draw every output as measured and as predicted from the inputs alone, with the inputs below."""
     m, k = len(record.outputs), len(record.input_names)
     ratios = [2.0] * m + ([1.6] if k else [])
-    figure = _figure(9.0, 0.9 + 1.55 * m + (1.35 if k else 0.0))
+    figure = blank(9.0, 0.9 + 1.55 * m + (1.35 if k else 0.0))
     panels = figure.subplots(
         len(ratios), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": ratios}
     )[:, 0]
     part = _thin(record)
+    t = record.time_s[part]
     for j, axes in enumerate(panels[:m]):
         q = qualities(record)[j]
-        axes.plot(
-            record.time_s[part],
-            record.measured[part, j],
-            color=_ink(),
-            alpha=0.45,
-            linewidth=0.7,
-            label="measured",
-        )
-        axes.plot(
-            record.time_s[part], record.predicted[part, j], color=VERMILION, label="predicted from inputs"
-        )
+        measured = record.measured[part, j]
+        axes.plot(t, measured, color=ink(), alpha=0.45, linewidth=0.7, label="measured")
+        axes.plot(t, record.predicted[part, j], color=VERMILION, label="predicted from inputs")
         axes.set_ylabel(_label(record.outputs[j], record.units[j]))
         axes.set_title(
             f"{record.outputs[j]}: fit {q.fit_percent:.1f} %, rms error {q.rms:.3g} {record.units[j]}"
@@ -104,7 +109,7 @@ def prediction_picture(record: RecordFit) -> Figure:
     if k:
         for j, colour in zip(range(k), (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION) * k, strict=False):
             u = record.inputs[part, j]
-            panels[-1].plot(record.time_s[part], u - np.nanmean(u), color=colour, label=record.input_names[j])
+            panels[-1].plot(t, u - np.nanmean(u), color=colour, label=record.input_names[j])
         panels[-1].set_ylabel("inputs less mean")
         panels[-1].legend(ncols=min(k, 6), loc="upper left")
     panels[0].legend(ncols=2, loc="upper right")
@@ -117,7 +122,7 @@ def residual_picture(record: RecordFit, *, max_lag_s: float = 2.0) -> Figure:
     from scipy.signal import welch
 
     m, dt = len(record.outputs), _step(record)
-    figure = _figure(9.0, 0.5 + 1.75 * m)
+    figure = blank(9.0, 0.5 + 1.75 * m)
     panels = figure.subplots(m, 3, squeeze=False, sharex="col", gridspec_kw={"width_ratios": [2.0, 1.2, 1.2]})
     part = _thin(record)
     for j in range(m):
@@ -146,7 +151,7 @@ def residual_picture(record: RecordFit, *, max_lag_s: float = 2.0) -> Figure:
 def cross_picture(record: RecordFit, *, max_lag_s: float = 2.0) -> Figure:
     """Draw the correlation of every residual with every input, 95 % bounds; positive lags: the input came first."""
     m, k, dt = len(record.outputs), len(record.input_names), _step(record)
-    figure = _figure(min(10.0, 2.0 + 2.4 * k), 0.6 + 1.5 * m)
+    figure = blank(min(10.0, 2.0 + 2.4 * k), 0.6 + 1.5 * m)
     panels = figure.subplots(m, k, squeeze=False, sharex=True, sharey=True)
     for j in range(m):
         for i in range(k):
@@ -157,7 +162,7 @@ def cross_picture(record: RecordFit, *, max_lag_s: float = 2.0) -> Figure:
                 axes.plot(c.lag_s, c.value, color=BLUE)
             else:
                 axes.text(0.5, 0.5, "never moved", transform=axes.transAxes, ha="center", va="center")
-            axes.axvline(0.0, color=_ink(), linewidth=0.5)
+            axes.axvline(0.0, color=ink(), linewidth=0.5)
             axes.set_title(f"{record.outputs[j]} after {record.input_names[i]}")
             if j == m - 1:
                 axes.set_xlabel("lag (s)")
@@ -188,22 +193,20 @@ def coherence_of(record: RecordFit) -> tuple[FrequencyResponse, FrequencyRespons
 
 def coherence_picture(record: RecordFit) -> Figure | None:
     """Draw what share of every output, and of its residual, the inputs explain linearly, over frequency."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
     both = coherence_of(record)
     if both is None:
         return None
     measured, left = both
     m = len(record.outputs)
-    figure = _figure(9.0, 0.7 + 1.5 * m)
+    figure = blank(9.0, 0.7 + 1.5 * m)
     panels = figure.subplots(m, 1, squeeze=False, sharex=True)[:, 0]
     # With n_d averages and k inputs, coherence of independent signals is about k / n_d.
     moving = int((record.inputs.std(axis=0) > 0.0).sum())
     chance = min(1.0, moving / max(measured.averages * 1.8, 1.0))
     for j, axes in enumerate(panels):
-        axes.axhspan(0.0, chance, color=_ink(), alpha=0.10, linewidth=0)
+        axes.axhspan(0.0, chance, color=ink(), alpha=0.10, linewidth=0)
         axes.semilogx(
-            measured.frequency_hz, measured.coherence[:, j], color=_ink(), label="measured, all inputs"
+            measured.frequency_hz, measured.coherence[:, j], color=ink(), label="measured, all inputs"
         )
         axes.semilogx(left.frequency_hz, left.coherence[:, j], color=VERMILION, label="residual, all inputs")
         for i, colour in zip(
@@ -214,11 +217,8 @@ def coherence_picture(record: RecordFit) -> Figure | None:
                     measured.frequency_hz, measured.partial[:, j, i], color=colour, linewidth=0.8, linestyle="--",
                     label=f"{record.input_names[i]} alone",
                 )  # fmt: skip
-        axes.set_ylim(0.0, 1.02)
-        axes.set_ylabel(f"{record.outputs[j]} (1)")
-        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
-        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.set(ylim=(0.0, 1.02), ylabel=f"{record.outputs[j]} (1)")
+        decades(axes)
     panels[0].set_title(f"coherence; grey: about what {measured.averages:.1f} segments show by chance")
     figure.legend(*panels[0].get_legend_handles_labels(), ncols=3, loc="outside lower center")
     panels[-1].set_xlabel("frequency (Hz)")
@@ -228,7 +228,7 @@ def coherence_picture(record: RecordFit) -> Figure | None:
 def theil_picture(records: tuple[RecordFit, ...]) -> Figure:
     """Draw Theil's coefficient of every output and record, split into bias, variance and covariance."""
     rows = [(f"{r.outputs[j]}, {r.role}", q) for r in records for j, q in enumerate(qualities(r))]
-    figure = _figure(8.0, 0.9 + 0.28 * len(rows))
+    figure = blank(8.0, 0.9 + 0.28 * len(rows))
     axes: Axes = figure.subplots()
     place = np.arange(len(rows))
     start = np.zeros(len(rows))
@@ -237,12 +237,11 @@ def theil_picture(records: tuple[RecordFit, ...]) -> Figure:
         width = np.array([getattr(q, name) * q.theil for _, q in rows])
         axes.barh(place, width, left=start, color=colour, label=f"{name} part", height=0.65)
         start += np.nan_to_num(width)
-    axes.axvline(0.3, color=_ink(), linewidth=0.8, linestyle="--")
+    axes.axvline(0.3, color=ink(), linewidth=0.8, linestyle="--")
     axes.set_yticks(place, [name for name, _ in rows])
     axes.invert_yaxis()
     axes.grid(axis="y", visible=False)
-    axes.set_xlim(0.0, 1.0)
-    axes.set_xlabel("Theil's inequality coefficient (1); dashed: 0.3, acceptable below")
+    axes.set(xlim=(0.0, 1.0), xlabel="Theil's inequality coefficient (1); dashed: 0.3, acceptable below")
     figure.legend(ncols=3, loc="outside upper right")
     return figure
 
@@ -251,7 +250,7 @@ def correlation_picture(fit: Fit) -> Figure:
     """Draw the correlation of the estimates as a map."""
     n = len(fit.estimates)
     size = float(np.clip(2.2 + 0.38 * n, 3.6, 10.0))
-    figure = _figure(size + 0.9, size)
+    figure = blank(size + 0.9, size)
     axes: Axes = figure.subplots()
     symbols = [e.symbol for e in fit.estimates]
     image = axes.imshow(fit.correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
@@ -276,7 +275,7 @@ def history_picture(fit: Fit) -> Figure | None:
     rows = [r for r in fit.history if "cost" in r]
     if len(rows) < 2:
         return None
-    figure = _figure(9.0, 3.2)
+    figure = blank(9.0, 3.2)
     left, right = figure.subplots(1, 2)
     at = np.array([float(r.get("iteration", k)) for k, r in enumerate(rows)])
     cost = np.array([float(r["cost"]) for r in rows])
@@ -296,12 +295,8 @@ def history_picture(fit: Fit) -> Figure | None:
     return figure
 
 
-# ----------------------------------------------------------------------------
-# Pictures of bench fits: the two plots of the dissertation's Fig. 5.1 and their residuals, coefficients over speed.
-
-
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito (2008)
-_MOST_LINES = 6
+_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
+_MOST_COLOURS = 6
 
 
 def _levels(voltage: Array) -> list[NDArray[np.bool_]]:
@@ -311,7 +306,7 @@ def _levels(voltage: Array) -> list[NDArray[np.bool_]]:
     label = np.empty(voltage.size, dtype=np.int64)
     label[order] = np.cumsum(np.r_[0, steps])
     count = int(label.max()) + 1
-    if count > _MOST_LINES or (count == 1 and np.ptp(voltage) > 0.08 * np.max(np.abs(voltage))):
+    if count > _MOST_COLOURS or (count == 1 and np.ptp(voltage) > 0.08 * np.max(np.abs(voltage))):
         return [np.ones(voltage.size, dtype=bool)]
     return [label == k for k in range(count)]
 
@@ -323,21 +318,20 @@ def motor_picture(fit: MotorFit, *, title: str = "") -> Figure:
     """
     r, a, b, d = fit.effective
     data = fit.data
-    figure = _figure(9.0, 6.6)
+    figure = blank(9.0, 6.6)
     axes = figure.subplots(2, 2)
     groups = _levels(data.voltage_V)
     lines = len(groups) > 1 or np.ptp(data.voltage_V) <= 0.08 * np.max(np.abs(data.voltage_V))
     for k, inside in enumerate(groups):
         colour = _COLOURS[k % len(_COLOURS)]
         u = float(data.voltage_V[inside].mean())
-        torque = data.torque_Nm[inside]
+        torque, dot = (
+            data.torque_Nm[inside],
+            {"color": colour, "marker": "o", "linestyle": "", "markersize": 4},
+        )
         name = f"{u:.2f} V" if lines else "all voltages"
-        axes[0, 0].plot(
-            1e3 * torque, data.current_A[inside], "o", color=colour, markersize=4, label=f"{name}, measured"
-        )
-        axes[0, 1].plot(
-            data.speed_rad_s[inside] / RPM, 1e3 * torque, "o", color=colour, markersize=4, label=f"{name}"
-        )
+        axes[0, 0].plot(1e3 * torque, data.current_A[inside], label=f"{name}, measured", **dot)
+        axes[0, 1].plot(data.speed_rad_s[inside] / RPM, 1e3 * torque, label=f"{name}", **dot)
         if lines:
             q = np.linspace(min(0.0, float(torque.min())), float(torque.max()), 50)
             w = (b * u / r - q) / (b * a / r + d)
@@ -350,16 +344,15 @@ def motor_picture(fit: MotorFit, *, title: str = "") -> Figure:
             )
             axes[0, 1].plot(better.speed_rad_s / RPM, 1e3 * better.torque_Nm, "x", color=colour, markersize=5)
         share = fit.residual[inside] / fit.expected[inside]
-        axes[1, 0].plot(1e3 * torque, share[:, 0], "o", color=colour, markersize=4)
-        axes[1, 1].plot(1e3 * torque, share[:, 1], "o", color=colour, markersize=4)
+        axes[1, 0].plot(1e3 * torque, share[:, 0], **dot)
+        axes[1, 1].plot(1e3 * torque, share[:, 1], **dot)
     labels = (
         ("Torque (mN m)", "Current (A)"), ("Speed (rpm)", "Torque (mN m)"),
         ("Torque (mN m)", "Residual of the voltage (in std)"),
         ("Torque (mN m)", "Residual of the torque (in std)"),
     )  # fmt: skip
     for ax, (x, y) in zip(axes.ravel(), labels, strict=True):
-        ax.set_xlabel(x)
-        ax.set_ylabel(y)
+        ax.set(xlabel=x, ylabel=y)
         ax.grid(alpha=0.3)
     for ax in axes[1]:
         _band(ax)
@@ -380,23 +373,18 @@ def rotor_picture(
         ``"<source> <channel>"`` -> speeds (rad/s) and predicted loads.
     title : str
     """
-    figure = _figure(10.0, 8.4)
+    figure = blank(10.0, 8.4)
     axes = figure.subplots(3, 2, sharex=True, height_ratios=(1.3, 1.0, 0.8))
-    k = 0
-    for result in fits:
-        for fit in result.fits:
-            column = 0 if fit.channel.startswith("thrust") else 1
-            colour = _COLOURS[k % len(_COLOURS)]
-            name = _bench_pictures_label(result, fit)
-            extra = (predicted or {}).get(f"{result.source} {fit.channel}")
-            _draw(axes[:, column], fit, colour, name, extra)
-            k += 1
+    every = [(result, fit) for result in fits for fit in result.fits]
+    for (result, fit), colour in zip(every, itertools.cycle(_COLOURS), strict=False):
+        column = 0 if fit.channel.startswith("thrust") else 1
+        extra = (predicted or {}).get(f"{result.source} {fit.channel}")
+        _draw(axes[:, column], fit, colour, _bench_pictures_label(result, fit), extra)
     for column, (load, coefficient) in enumerate((("Thrust (N)", "c_T"), ("Torque (N m)", "c_Q"))):
         top, middle, bottom = axes[:, column]
         top.set_ylabel(load)
         middle.set_ylabel(coefficient)
-        bottom.set_ylabel("Residual (in std)")
-        bottom.set_xlabel("Rotor speed (rpm)")
+        bottom.set(ylabel="Residual (in std)", xlabel="Rotor speed (rpm)")
         _band(bottom)
         for ax in (top, middle, bottom):
             ax.grid(alpha=0.3)
@@ -447,17 +435,12 @@ def _band(ax: Axes) -> None:
     ax.axhline(0, color="0.4", linewidth=0.8)
 
 
-# ----------------------------------------------------------------------------
-# Picture of a plan: the signal, its spectrum beside the vehicle's modes, the flight it leads to, what it will tell.
-
-
-_PLAN_COLOURS = {"chirp": "#0072B2", "multisine": "#009E73", "3211": "#D55E00", "doublet": "#CC79A7"}
+_PLAN_COLOURS = {"chirp": BLUE, "multisine": GREEN, "3211": VERMILION, "doublet": PURPLE}
 _INPUTS = ("motor upper", "motor lower", "servo 1", "servo 2")
 _SHOWN = {
     "yaw": ("yaw", "r", "height"), "heave": ("height", "yaw"), "roll": ("roll", "pitch", "p"),
     "pitch": ("pitch", "roll", "q"),
 }  # fmt: skip
-_LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 _WORST = 1e3  # per cent; bars of what is not seen end there
 
 
@@ -470,10 +453,8 @@ def plan_picture(plan: Plan, chosen: Candidate | None = None) -> Figure:
     chosen : Candidate, optional
         The signal that is to be flown; the best by default.
     """
-    from matplotlib.figure import Figure
-
     c = plan.best if chosen is None else chosen
-    figure = Figure(figsize=(10.5, 7.6), layout="constrained")
+    figure = blank(10.5, 7.6)
     axes = figure.subplots(2, 2)
     _signal(axes[0, 0], c)
     _spectra(axes[0, 1], plan)
@@ -489,23 +470,16 @@ def plan_picture(plan: Plan, chosen: Candidate | None = None) -> Figure:
 
 def _signal(ax: Axes, c: Candidate) -> None:
     moved = np.flatnonzero(np.any(c.added != 0, axis=0))
-    for line, k in zip(_LINES, moved, strict=False):
-        ax.step(
-            c.signal.time_s,
-            c.added[:, k],
-            where="post",
-            color=line,
-            linewidth=1.2,
-            label=f"added to {_INPUTS[k]}",
-        )
-    for line, k in zip(_LINES, moved, strict=False):
+    for line, k in zip(_COLOURS, moved, strict=False):
+        label = f"added to {_INPUTS[k]}"
+        ax.step(c.signal.time_s, c.added[:, k], where="post", color=line, linewidth=1.2, label=label)
+    for line, k in zip(_COLOURS, moved, strict=False):
         about = c.record.inputs[:, k] - c.record.inputs[0, k]
         ax.step(
             c.signal.time_s, about, where="post", color=line, linewidth=0.8, alpha=0.5, linestyle="--",
             label=f"{_INPUTS[k]} as flown, less hover",
         )  # fmt: skip
-    ax.set_xlabel("Time (s)")
-    ax.set_ylabel("Input (share of range)")
+    ax.set(xlabel="Time (s)", ylabel="Input (share of range)")
     ax.legend(fontsize="x-small", loc="upper left", ncols=2)
     ax.margins(y=0.25)
     ax.grid(alpha=0.3)
@@ -525,17 +499,9 @@ def _spectra(ax: Axes, plan: Plan) -> None:
     low, high = (w / (2 * math.pi) for w in plan.band_rad_s)
     ax.axvspan(low, high, color="0.5", alpha=0.1, linewidth=0, label="band")
     for k, mode in enumerate(plan.modes_rad_s):
-        ax.axvline(
-            mode / (2 * math.pi),
-            color="0.3",
-            linestyle=":",
-            linewidth=1,
-            label=None if k else "modes of the channel",
-        )
-    ax.set_xscale("log")
-    ax.set_ylim(0, 1.1 * top)
-    ax.set_xlabel("Frequency (Hz)")
-    ax.set_ylabel("Amplitude (share of range)")
+        label = None if k else "modes of the channel"
+        ax.axvline(mode / (2 * math.pi), color="0.3", linestyle=":", linewidth=1, label=label)
+    ax.set(xscale="log", ylim=(0, 1.1 * top), xlabel="Frequency (Hz)", ylabel="Amplitude (share of range)")
     ax.legend(fontsize="x-small")
     ax.grid(alpha=0.3, which="both")
 
@@ -543,7 +509,7 @@ def _spectra(ax: Axes, plan: Plan) -> None:
 def _flight(ax: Axes, plan: Plan, c: Candidate) -> None:
     shown = [o for o in _SHOWN[plan.channel] if o in c.record.outputs]
     labels = []
-    for line, name in zip(_LINES, shown, strict=False):
+    for line, name in zip(_COLOURS, shown, strict=False):
         unit, factor = OUTPUT_UNITS[name], 1.0
         if unit.startswith("rad"):
             unit, factor = unit.replace("rad", "deg"), math.degrees(1.0)
@@ -555,8 +521,7 @@ def _flight(ax: Axes, plan: Plan, c: Candidate) -> None:
         ax.plot(c.signal.time_s, y, color=line, linewidth=1.2, label=f"{name} ({unit})")
         ax.fill_between(c.signal.time_s, y - noise, y + noise, color=line, alpha=0.2, linewidth=0)
         labels.append(unit)
-    ax.set_xlabel("Time (s)")
-    ax.set_ylabel(f"Expected change ({', '.join(dict.fromkeys(labels))})")
+    ax.set(xlabel="Time (s)", ylabel=f"Expected change ({', '.join(dict.fromkeys(labels))})")
     ax.legend(fontsize="x-small", loc="upper left", title="band: noise", title_fontsize="x-small")
     ax.grid(alpha=0.3)
 
@@ -575,7 +540,9 @@ def _accuracy(ax: Axes, plan: Plan) -> None:
     ax.yaxis.set_major_formatter("{x:g}")
     ax.yaxis.set_minor_formatter(lambda x, _: f"{x:g}" if f"{x:e}"[0] in "25" else "")
     ax.set_xticks(at, symbols, rotation=30 if len(symbols) > 6 else 0)
-    ax.set_xlabel("Parameter (above the dotted line: hardly seen)")
-    ax.set_ylabel("Expected standard deviation (% of value)")
+    ax.set(
+        xlabel="Parameter (above the dotted line: hardly seen)",
+        ylabel="Expected standard deviation (% of value)",
+    )
     ax.legend(fontsize="x-small", title="kind, amplitude", title_fontsize="x-small")
     ax.grid(alpha=0.3, axis="y")

@@ -1,4 +1,10 @@
-"""The parts of an HTML page that reports share: style sheet, tables, numbers."""
+"""The report of a fit: one HTML file that needs nothing else, and the pictures beside it as PNG.
+
+It holds what an engineer asks before believing a parameter: its interval, what it cannot be told apart from, how
+well the model predicts records it was fitted to and records it was not, what the residuals say is missing, and the
+command that repeats it. Pictures are drawn on light ground; where the reader's system is dark, the page turns them.
+The tables of a linear identification serve the terminal as well.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +21,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mufly.errors import InputError
 from mufly.identify import pictures
 from mufly.identify.linear.frequency import FrequencyResponse, SpectralFit, response_of
 from mufly.identify.linear.identification import LinearResult
+from mufly.identify.record import lowpassed
 from mufly.identify.residuals import determinant_of_fit, ljung_box, qualities, what_is_missing
 from mufly.identify.result import Fit, RecordFit
 
@@ -76,6 +84,11 @@ def paragraphs(*texts: str) -> str:
     return "".join(f"<p>{html.escape(t)}</p>" for t in texts)
 
 
+def _listed(texts: Sequence[str], none: str) -> str:
+    """Return texts as a list, or ``none`` as a paragraph."""
+    return f"<ul>{''.join(f'<li>{html.escape(t)}</li>' for t in texts)}</ul>" if texts else paragraphs(none)
+
+
 def table(
     heads: Sequence[str], rows: Sequence[Sequence[str]], *, numbers: Sequence[int] = (), head: bool = True,
     warn: int | None = None,
@@ -90,14 +103,6 @@ def table(
     top = f"<tr>{''.join(cell(k, t, 'th') for k, t in enumerate(heads))}</tr>" if head else ""
     body = "".join(f"<tr>{''.join(cell(k, t, 'td') for k, t in enumerate(row))}</tr>" for row in rows)
     return f'<div class="scroll"><table>{top}{body}</table></div>'
-
-
-# ----------------------------------------------------------------------------
-# The report of a fit: one HTML file that needs nothing else, and the pictures beside it as PNG.
-#
-# It holds what an engineer asks before believing a parameter: its interval, what it cannot be told apart from, how
-# well the model predicts records it was fitted to and records it was not, what the residuals say is missing, and the
-# command that repeats it. Pictures are drawn on light ground; where the reader's system is dark, the page turns them.
 
 
 _ENOUGH = 20  # samples, for statistics of residuals
@@ -211,11 +216,7 @@ def _body(fit: Fit, album: _Album, command: str, sections: Sequence[Section]) ->
             )
         )
     parts.append("<h2>What the data cannot tell apart</h2>")
-    parts.append(
-        "<ul>" + "".join(f"<li>{html.escape(s)}</li>" for s in fit.unseen) + "</ul>"
-        if fit.unseen
-        else paragraphs("Nothing stands out: every parameter is determined by these records.")
-    )
+    parts.append(_listed(fit.unseen, "Nothing stands out: every parameter is determined by these records."))
     if fit.records:
         parts += [
             _sizes(fit),
@@ -310,10 +311,7 @@ def _record(record: RecordFit, album: _Album, name: str) -> str:
         return "\n".join(out)
     words = what_is_missing(record)
     out.append("<h3>What the residuals say</h3>")
-    if words:
-        out.append("<ul>" + "".join(f"<li>{html.escape(w)}</li>" for w in words) + "</ul>")
-    else:
-        out.append(paragraphs("Nothing stands out of the noise."))
+    out.append(_listed(words, "Nothing stands out of the noise."))
     out.append(album.picture(f"{name}-residuals", lambda: pictures.residual_picture(record), "Residuals"))
     if record.input_names:
         out.append(
@@ -342,10 +340,6 @@ def _page(title: str, body: str) -> str:
     )
 
 
-# ----------------------------------------------------------------------------
-# Tables of a linear identification, for the terminal and for the report, and the report itself.
-
-
 Rows = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]
 
 
@@ -353,14 +347,11 @@ def candidate_rows(r: LinearResult) -> Rows:
     """Return heads and rows of the structures that were tried, best first."""
     outputs = r.linear.structure.outputs
     heads = ("structure", "free", "left out", *(f"of {o}" for o in outputs), "AIC", "BIC")
-    rows = tuple(
-        (
-            c.name, f"{c.parameters}", f"{c.left_out:.3f}", *(f"{v:.3f}" for v in c.by_output), f"+{c.aic:.0f}",
-            f"+{c.bic:.0f}",
-        )
-        for c in r.candidates
-    )  # fmt: skip
-    return heads, rows
+    rows = []
+    for c in r.candidates:
+        scores = (f"{v:.3f}" for v in (c.left_out, *c.by_output))
+        rows.append((c.name, f"{c.parameters}", *scores, f"+{c.aic:.0f}", f"+{c.bic:.0f}"))
+    return heads, tuple(rows)
 
 
 def estimate_rows(r: LinearResult) -> Rows:
@@ -368,10 +359,8 @@ def estimate_rows(r: LinearResult) -> Rows:
     bound = np.sqrt(np.maximum(np.diag(r.linear.bound), 0.0))
     rows = []
     for e, b, p in zip(r.fit.estimates, bound, r.linear.structure.parameters, strict=True):
-        std = "at bound" if e.at_bound else number(e.std)
-        rows.append(
-            (e.symbol, p.meaning, number(e.value), std, "–" if e.at_bound else number(float(b)), e.unit)
-        )
+        doubt = ("at bound", "–") if e.at_bound else (number(e.std), number(float(b)))
+        rows.append((e.symbol, p.meaning, number(e.value), *doubt, e.unit))
     heads = ("", "", "estimate", "std", "std if white", "unit")
     return heads, tuple(rows)
 
@@ -410,67 +399,46 @@ def ahead_rows(r: LinearResult) -> Rows:
 
 def cross_check_rows(r: LinearResult) -> Rows:
     """Return heads and rows of the parameters by other methods."""
-    s = r.spectral
-    spectral = {}
+    s, spectral = r.spectral, {}
     if s is not None:
         spectral = dict(zip(r.linear.structure.symbols, zip(s.values, s.std, strict=True), strict=True))
     rows = []
     for e in r.fit.estimates:
-        other = r.equation_error.get(e.symbol)
-        rows.append(
-            (
-                e.symbol, f"{number(e.value)} ± {number(e.std)}",
-                _with_std(other),
-                _with_std(spectral.get(e.symbol)), e.unit,
-            )
-        )  # fmt: skip
+        ways = ((e.value, e.std), r.equation_error.get(e.symbol), spectral.get(e.symbol))
+        found = ("–" if w is None else f"{number(float(w[0]))} ± {number(float(w[1]))}" for w in ways)
+        rows.append((e.symbol, *found, e.unit))
     return ("parameter", "output error", "equation error", "frequency response", "unit"), tuple(rows)
-
-
-def _with_std(pair: tuple[float, float] | None) -> str:
-    return "–" if pair is None else f"{number(float(pair[0]))} ± {number(float(pair[1]))}"
 
 
 def bode_picture(r: LinearResult, s: SpectralFit) -> Figure:
     """Draw the measured frequency responses with error bounds beside the model's two."""
-    from matplotlib.figure import Figure
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    from mufly.identify.pictures import BLUE, ORANGE, VERMILION
-
     data: FrequencyResponse = s.data
     fitted = response_of(r.linear.structure, r.linear.values, data.frequency_hz)
     m, k = len(data.outputs), len(data.inputs)
-    figure = Figure(figsize=(min(11.0, 1.5 + 3.0 * k), 2.9 * m), layout="constrained")
+    figure = pictures.blank(min(11.0, 1.5 + 3.0 * k), 2.9 * m)
     panels = figure.subplots(2 * m, k, squeeze=False, sharex=True)
     for j in range(m):
         for i in range(k):
             top, bottom = panels[2 * j][i], panels[2 * j + 1][i]
             h, good = data.response[:, j, i], data.partial[:, j, i] >= 0.5
-            size = 20.0 * np.log10(np.maximum(np.abs(h), 1e-12))
             spread = 1.96 * np.minimum(data.error[:, j, i], 1.5)
             f = data.frequency_hz
-            for curve, colour, label in (
-                (fitted, VERMILION, "output error"),
-                (s.model, ORANGE, "frequency fit"),
-            ):
-                if np.abs(curve[:, j, i]).max() > 1e-6:
-                    top.semilogx(
-                        f,
-                        20.0 * np.log10(np.maximum(np.abs(curve[:, j, i]), 1e-12)),
-                        color=colour,
-                        label=label,
-                    )
-                    bottom.semilogx(f, np.degrees(np.angle(curve[:, j, i])), color=colour)
-            bar = {"fmt": "o", "markersize": 2.5, "linewidth": 0.6, "color": BLUE}
-            top.errorbar(f[good], size[good], yerr=8.686 * spread[good], label="measured, 95 %", **bar)
+            models = (
+                (fitted[:, j, i], pictures.VERMILION, "output error"),
+                (s.model[:, j, i], pictures.ORANGE, "frequency fit"),
+            )
+            for curve, colour, label in models:
+                if np.abs(curve).max() > 1e-6:
+                    top.semilogx(f, _decibels(curve), color=colour, label=label)
+                    bottom.semilogx(f, np.degrees(np.angle(curve)), color=colour)
+            bar = {"fmt": "o", "markersize": 2.5, "linewidth": 0.6, "color": pictures.BLUE}
+            top.errorbar(
+                f[good], _decibels(h)[good], yerr=8.686 * spread[good], label="measured, 95 %", **bar
+            )
             phase = np.degrees(np.angle(h))
             bottom.errorbar(f[good], phase[good], yerr=np.minimum(np.degrees(spread[good]), 180.0), **bar)
-            bottom.set_ylim(-200.0, 200.0)
-            bottom.set_yticks((-180, -90, 0, 90, 180))
-            bottom.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            bottom.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
-            bottom.xaxis.set_minor_formatter(NullFormatter())
+            bottom.set(ylim=(-200.0, 200.0), yticks=(-180, -90, 0, 90, 180))
+            pictures.decades(bottom)
             cost = s.cost_before[j, i]
             top.set_title(
                 f"{data.inputs[i]} to {data.outputs[j]}" + (f", J = {cost:.0f}" if np.isfinite(cost) else "")
@@ -484,6 +452,10 @@ def bode_picture(r: LinearResult, s: SpectralFit) -> Figure:
     return figure
 
 
+def _decibels(response: NDArray[np.complex128]) -> NDArray[np.float64]:
+    return 20.0 * np.log10(np.maximum(np.abs(response), 1e-12))
+
+
 def pole_text(p: complex) -> str:
     """Return a pole as text."""
     return f"{p.real:.2f}" if abs(p.imag) < 1e-9 else f"{p.real:.2f}{p.imag:+.2f}j"
@@ -491,26 +463,19 @@ def pole_text(p: complex) -> str:
 
 def slow_picture(r: LinearResult) -> Figure:
     """Draw measured and simulated outputs, both low-passed, over the fitted and the held-out part."""
-    from matplotlib import rcParams
-    from matplotlib.figure import Figure
-
-    from mufly.identify.pictures import VERMILION
-    from mufly.identify.record import lowpassed
-
-    m = len(r.linear.structure.outputs)
-    figure = Figure(figsize=(9.5, 0.8 + 1.7 * m), layout="constrained")
+    m, ink = len(r.linear.structure.outputs), pictures.ink()
+    figure = pictures.blank(9.5, 0.8 + 1.7 * m)
     panels = figure.subplots(m, 1, squeeze=False, sharex=True)[:, 0]
     for record in r.fit.records:
         t, dt = record.time_s, float(np.median(np.diff(record.time_s)))
         measured, simulated = (lowpassed(x, dt, r.slow_hz) for x in (record.measured, record.predicted))
         for j, axes in enumerate(panels):
             first = record.role == "fit"
-            axes.plot(
-                t, measured[:, j], color=rcParams["text.color"], alpha=0.5, linewidth=0.9, label="measured"
-            )
-            axes.plot(t, simulated[:, j], color=VERMILION, linewidth=1.1, label="simulated from inputs")
+            axes.plot(t, measured[:, j], color=ink, alpha=0.5, linewidth=0.9, label="measured")
+            label = "simulated from inputs"
+            axes.plot(t, simulated[:, j], color=pictures.VERMILION, linewidth=1.1, label=label)
             if not first:
-                axes.axvspan(t[0], t[-1], color=rcParams["text.color"], alpha=0.05, linewidth=0)
+                axes.axvspan(t[0], t[-1], color=ink, alpha=0.05, linewidth=0)
             place, side = (t[0], "left") if first else (t[-1], "right")
             percent = r.checks[record.role][j].slow.fit_percent
             axes.text(
