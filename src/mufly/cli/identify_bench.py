@@ -34,7 +34,8 @@ from mufly.errors import InputError
 from mufly.units import RPM
 
 if TYPE_CHECKING:
-    from mufly.identify.flight.plan import Candidate, Kind, Limits, Plan
+    from mufly.identify.flight.plan import Candidate, Limits, Plan
+    from mufly.identify.flight.signals import Kind
 
 
 def rotor(
@@ -276,7 +277,8 @@ def plan(
 
     Example: mufly identify plan mufly-1.1 --free cT_dw,cQ_dw,Jdrive_dw --channel yaw,heave --out plan
     """
-    from mufly.identify.flight.plan import KINDS, NOISE, design, together
+    from mufly.identify.flight.plan import NOISE, design, together
+    from mufly.identify.flight.signals import KINDS
     from mufly.identify.pictures import plan_picture
     from mufly.vehicle import load_vehicle
 

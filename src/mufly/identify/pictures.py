@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.identify.flight.plan import Candidate, Plan, spectrum
+from mufly.identify.flight.plan import Candidate, Plan
+from mufly.identify.flight.signals import spectrum
 from mufly.identify.flight.simulate import OUTPUT_UNITS
 from mufly.identify.linear.frequency import FrequencyResponse, frequency_response
 from mufly.identify.motor import MotorFit

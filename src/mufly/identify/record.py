@@ -1,10 +1,18 @@
-"""A flight record as a fit sees it: inputs, measured outputs and voltage on one even clock, checked before use.
+"""Records as fits see them: of a flight, and as named columns; read, checked, split.
+
+**A flight record as a fit sees it: inputs, measured outputs and voltage on one even clock, checked before use.**
 
 Built from the labelled tables that :mod:`mufly.logs` reads (``motor_input``, ``servo_input``, ``measured_attitude``,
 ...). What cannot be right is refused in one line: time that does not rise, gaps, angles or rates that are degrees
 labelled as radians (``d roll/dt = p`` gives them away), inputs beyond their range, inputs that never move. The noise
 of a channel is first taken from its third differences, in which a motion slower than the sampling all but vanishes
 while white noise of variance ``s^2`` shows with ``20 s^2`` (own derivation: 1 + 9 + 9 + 1).
+
+**A record as linear fits want it: named columns on an even clock, without gaps.**
+
+Read from CSV (names from its header, or ``--columns``), from MATLAB files (each array's columns named by ``--columns
+inr=lat,lon,ped,col``, or numbered ``inr0, inr1``...) and from every log that ``mufly.logs`` reads (a signal with axes
+becomes ``measured_rates.p``, for which ``p`` is enough where only one signal ends so).
 """
 
 from __future__ import annotations
@@ -300,10 +308,6 @@ def units_of(outputs: Sequence[str]) -> tuple[str, ...]:
     return tuple(OUTPUT_UNITS[o] for o in outputs)
 
 
-# ----------------------------------------------------------------------------
-# Faults of a record that a fit would turn into wrong parameters: degrees, other units, nothing that moves.
-
-
 def check_record(r: Record) -> tuple[str, ...]:
     """Look for faults that a fit would turn into wrong parameters.
 
@@ -372,16 +376,6 @@ def _check_degrees(r: Record, angle: str, rate: str) -> None:
             r.name, angle, f"reaches {a[np.argmax(np.abs(a))]:.3g} rad: it seems to be in degrees",
             "say so in the column map (unit 'deg')",
         )  # fmt: skip
-
-
-# ----------------------------------------------------------------------------
-# A record as linear fits want it: named columns on an even clock, without gaps.
-#
-# Read from CSV (names from its header, or ``--columns``), from MATLAB files (each array's columns named by
-# ``--columns
-# inr=lat,lon,ped,col``, or numbered ``inr0, inr1``...) and from every log that ``mufly.logs`` reads (a signal with
-# axes
-# becomes ``measured_rates.p``, for which ``p`` is enough where only one signal ends so).
 
 
 Array = NDArray[np.float64]

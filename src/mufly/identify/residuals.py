@@ -1,4 +1,6 @@
-"""What residuals say about a model: whiteness, correlation with the inputs, and how large they are.
+"""What residuals say about a model, in numbers and in words.
+
+**What residuals say about a model: whiteness, correlation with the inputs, and how large they are.**
 
 With residual ``e`` (measured less predicted, mean removed) and input ``u`` of ``N`` samples,
 
@@ -21,6 +23,21 @@ Sizes, with measured ``z`` and predicted ``y``:
 
 Jategaonkar (*Flight Vehicle System Identification*, 2nd ed., ch. 11) accepts TIC below 0.25 to 0.3 with most of the
 error in the covariance part, and compares models by the determinant of the residuals' covariance.
+
+**What the residuals say is missing from a model, in words.**
+
+One sentence a finding, the largest first, each with the number behind it. How a finding is read:
+
+| seen in the residual of an output | said |
+|---|---|
+| correlation with an input at lags from 0 to a few samples | gain, direct path or delay of that input is wrong |
+| correlation with an input that lasts over many lags | a lag or a slow mode driven by that input is missing |
+| correlation at negative lags, weaker at positive ones | feedback from output to input, no fault of the model |
+| spectral line that stands far out of its surroundings | vibration at that frequency, not caused by the inputs |
+| autocorrelation that dies slowly | disturbance (wind) or a slow state is missing |
+| mean off (Theil's bias part); slope of measured over predicted not 1 | bias not modelled; gain wrong |
+
+Sources: Ljung, Sec. 16.6; Jategaonkar, ch. 11; the sentences are judgements, the numbers in them are not.
 """
 
 from __future__ import annotations
@@ -287,23 +304,6 @@ def high_frequency_noise(signal: Array, dt: float, *, above_hz: float) -> float:
     from scipy.signal import butter, sosfiltfilt
 
     return float(np.std(sosfiltfilt(butter(4, above_hz, "highpass", fs=1.0 / dt, output="sos"), signal)))
-
-
-# ----------------------------------------------------------------------------
-# What the residuals say is missing from a model, in words.
-#
-# One sentence a finding, the largest first, each with the number behind it. How a finding is read:
-#
-# | seen in the residual of an output | said |
-# |---|---|
-# | correlation with an input at lags from 0 to a few samples | gain, direct path or delay of that input is wrong |
-# | correlation with an input that lasts over many lags | a lag or a slow mode driven by that input is missing |
-# | correlation at negative lags, weaker at positive ones | feedback from output to input, no fault of the model |
-# | spectral line that stands far out of its surroundings | vibration at that frequency, not caused by the inputs |
-# | autocorrelation that dies slowly | disturbance (wind) or a slow state is missing |
-# | mean off (Theil's bias part); slope of measured over predicted not 1 | bias not modelled; gain wrong |
-#
-# Sources: Ljung, Sec. 16.6; Jategaonkar, ch. 11; the sentences are judgements, the numbers in them are not.
 
 
 _SHORT_S = 0.05

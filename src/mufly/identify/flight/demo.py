@@ -1,4 +1,12 @@
-"""Flights to identify from, made under the dissertation's conditions (Sec. 5.3.2), with a known truth.
+"""A known vehicle flown, forgotten and found again.
+
+**The demonstration: fly a known vehicle, forget half of what is known of it, identify it, and compare.**
+
+Twelve numbers are free: the eleven that act on flight and that benches do not give well (torque coefficients with the
+stabiliser bar, inertias, linkages, the bar's following time), and the radio's delay. Each starts 50 % off, up or down
+at random. Thrust coefficients and motor constants are taken from the benches, as the dissertation does (Table 5.2).
+
+**Flights to identify from, made under the dissertation's conditions (Sec. 5.3.2), with a known truth.**
 
 A pilot cannot hold the helicopter in open loop, so a PID controller helps: the pilot moves its set-points, slowly
 and at random here, and a chirp is added to them or to a motor. The controller sits on the ground: it sees noisy
@@ -190,16 +198,6 @@ def demo_flights(
     signals = _excitations(n, rng)
     flown = {k: fly_record(vehicle, s, rng, name=f"demo-{k}", noise=noise) for k, s in signals.items()}
     return [flown[k] for k in ("yaw", "heave", "roll", "pitch")], [flown["mixed"]]
-
-
-# ----------------------------------------------------------------------------
-# The demonstration: fly a known vehicle, forget half of what is known of it, identify it, and compare.
-#
-# Twelve numbers are free: the eleven that act on flight and that benches do not give well (torque coefficients with
-# the
-# stabiliser bar, inertias, linkages, the bar's following time), and the radio's delay. Each starts 50 % off, up or
-# down
-# at random. Thrust coefficients and motor constants are taken from the benches, as the dissertation does (Table 5.2).
 
 
 DEMO_FREE = (

@@ -1,17 +1,49 @@
-"""How far a planned flight may go: limits on motion and inputs, and which of them a flight comes nearest to."""
+"""Which signal shows which parameter, and how well, before anyone flies.
+
+A signal is added to the inputs of the whole model in closed loop (:class:`Support`). The greatest
+amplitude at which attitude, height, place, heading, rates, motors and servos stay within limits is found by flying a
+ladder of amplitudes, then a finer one; the limit that binds is named. The flight at that amplitude is then a record as
+the fit of :mod:`mufly.identify.flight.problem` would get it, and its sensitivities give the Fisher information
+
+    M = S' N^-1 S,      S = d(outputs)/d(parameters, start values),      N: sensor noise (white, as given)
+
+of the free parameters, the start values taken out (Schur complement). Its inverse is the Cramer-Rao bound: no unbiased
+fit does better (Klein and Morelli, Aircraft System Identification, 2nd ed., ch. 6 and 9; Jategaonkar, ch. 2). Over a
+long flight the bound is absurd: a torque out of balance by a millionth would show in the heading after 10 s, if nothing
+else ever pushed. So place, velocity, attitude and rates count as unknown anew every 2 s, which stands for gusts and
+drifts; a fit on windows of that length (multiple shooting) has just this bound. A wrong model and coloured noise still
+make it worse, by factors that only data can tell. Several flights add their information.
+
+Kinds are compared by the geometric mean of the parameters' relative standard deviations, over those that the record
+sees at all.
+
+**A pilot's support: a simple feedback that holds a hover while a signal is added to the inputs.**
+
+Linear-quadratic state feedback on the sampled linear model of the whole vehicle, with the inputs that are still on
+their way (the loop's delay) as states::
+
+    minimise  sum (x' W_x x + u' W_u u),      W = diag(1 / tolerable deviation^2)        (Bryson's rule)
+
+with the tolerable deviations of ``_TOLERATED``: a lazy hold, so that it does not undo the excitation. It is fed with
+the true state; a real one takes rotor speeds and the bar's tilt from an observer. What a plan needs of it are the
+inputs that would be recorded, which depend little on how the hover is held. Own choice; the dissertation (Sec. 5.3.2)
+has a PID whose gains it does not state.
+
+Directions of the motors: with the rotors' speeds W settled, ``W = -A_WW^-1 B_W u``, the motors give the accelerations
+``(dw/dt, dr/dt) = G u``; the columns of ``G^-1`` are the inputs that change the climb alone and the turn alone.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, expm, solve_discrete_are
-from scipy.optimize import minimize
 
 from mufly.compiled import compiled
 from mufly.dynamics import (
@@ -28,6 +60,7 @@ from mufly.dynamics import (
 from mufly.errors import InputError, MuflyError
 from mufly.identify.covariance import relative_covariance, unseen_combinations
 from mufly.identify.flight.problem import PART_OUTPUTS, Free, Part, choose_free, make_problem
+from mufly.identify.flight.signals import KINDS, Excitation, Kind, excitation
 from mufly.identify.record import Record
 from mufly.vehicle import Vehicle
 
@@ -72,208 +105,6 @@ class Limits:
         }
         table = np.column_stack(list(shares.values()))
         return np.where(np.isfinite(table), table, np.inf), list(shares)
-
-
-# ----------------------------------------------------------------------------
-# Signals that make a vehicle show its parameters: chirp, multisine, 3-2-1-1 and doublet.
-#
-# All are scaled to a largest absolute value of 1, begin and end with rest, and start from zero.
-#
-# * Chirp: ``sin(2 pi int f dt)``, its frequency rising exponentially from the low to the high end, so that every
-# octave
-#   gets the same time; faded in and out over a tenth of its length.
-# * Multisine: ``sum_k cos(2 pi k t / T + phi_k)`` over the harmonics in the band, equal amplitudes, with Schroeder's
-#   phases ``phi_k = -pi k (k - 1) / N`` (IEEE Trans. Inf. Theory 16, 1970), which are then improved: the p-norm of
-# the
-#   signal over one period is minimised over the phases for p = 4, 8, 16 (Guillaume, Schoukens, Pintelon and Kollar,
-# IEEE
-#   Trans. Instrum. Meas. 40, 1991), from these and from random starts; time is shifted so that it starts at a zero
-#   crossing upwards (Morelli). A crest factor (largest over root mean square) of sqrt(2) is that of one sine.
-# * Doublet and 3-2-1-1: steps, with ``dt = 2.3 / w`` and ``dt = 1.6 / w`` for the middle w of the band (Jategaonkar,
-#   Flight Vehicle System Identification, 2nd ed., ch. 2). They are repeated with turned sign, with pauses of 2 dt, as
-#   long as there is time.
-
-
-Kind = Literal["chirp", "multisine", "3211", "doublet"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
-
-_REST_S = 0.5
-_FADE = 0.1  # share of the chirp
-_ATTEMPTS = 6  # from Schroeder's and from random phases; the first is often not the best
-
-
-@dataclass(frozen=True, eq=False)
-class Excitation:
-    """A signal.
-
-    Attributes
-    ----------
-    kind : str
-    time_s, value : (n,) array
-        Even steps; held from each to the next; largest absolute value 1.
-    crest : float
-        Crest factor of the part between the rests.
-    words : str
-        How it is made, with its numbers.
-    """
-
-    kind: Kind
-    time_s: NDArray[np.float64]
-    value: Array
-    crest: float
-    words: str
-
-
-def crest_factor(value: Array) -> float:
-    """Return the largest absolute value over the root mean square."""
-    return float(np.max(np.abs(value)) / np.sqrt(np.mean(value**2)))
-
-
-def spectrum(value: Array, sample_s: float) -> tuple[Array, Array]:
-    """Return frequencies (Hz) and amplitudes of a signal: a sine of amplitude 1 shows as 1."""
-    n = value.size
-    return np.fft.rfftfreq(n, sample_s), 2.0 / n * np.abs(np.fft.rfft(value))
-
-
-def excitation(
-    kind: Kind, *, duration_s: float, sample_s: float, band_rad_s: tuple[float, float]
-) -> Excitation:
-    """Make a signal.
-
-    Parameters
-    ----------
-    kind : {"chirp", "multisine", "3211", "doublet"}
-    duration_s, sample_s : float
-        Whole length, with rests of half a second at both ends; step.
-    band_rad_s : (float, float)
-        Lowest and highest frequency (rad/s).
-
-    Raises
-    ------
-    InputError
-        If kind or band are impossible or the time is too short.
-    """
-    if kind not in KINDS:
-        raise InputError("--kind", "", f"{kind!r} is unknown", f"use one of: {', '.join(KINDS)}")
-    low, high = band_rad_s
-    if not 0 < low < high < math.pi / sample_s:
-        remedy = f"give two rising frequencies below {0.5 / sample_s:.3g} Hz"
-        raise InputError(
-            "--band", "", f"{low / 2 / math.pi:.3g} to {high / 2 / math.pi:.3g} Hz is not possible", remedy
-        )
-    n = round(duration_s / sample_s) + 1
-    rest = round(_REST_S / sample_s)
-    active = n - 2 * rest
-    if active * sample_s < 2 * math.pi / math.sqrt(low * high) or active < 20:
-        raise InputError(
-            "--duration", "", f"{duration_s:g} s is too short for this band", "give a longer one"
-        )
-    t = np.arange(active) * sample_s
-    if kind == "chirp":
-        value, words = _chirp(t, low, high)
-    elif kind == "multisine":
-        value, words = _multisine(t, sample_s, low, high)
-    else:
-        value, words = _steps(t, sample_s, low, high, kind)
-    value = value / np.max(np.abs(value))
-    whole = np.zeros(n)
-    whole[rest : rest + active] = value
-    return Excitation(kind, np.arange(n, dtype=np.float64) * sample_s, whole, crest_factor(value), words)
-
-
-def _chirp(t: Array, low: float, high: float) -> tuple[Array, str]:
-    length = t[-1]
-    rate = math.log(high / low)
-    phase = low * length / rate * np.expm1(rate * t / length)
-    fade = np.clip(np.minimum(t, length - t) / (_FADE * length), 0.0, 1.0)
-    return np.sin(phase) * fade, f"{low / 2 / math.pi:.2g} to {high / 2 / math.pi:.2g} Hz, exponential"
-
-
-def _multisine(t: Array, sample_s: float, low: float, high: float) -> tuple[Array, str]:
-    period = t.size * sample_s
-    # A band that ends on a harmonic holds it.
-    first = max(1, math.ceil(low * period / (2 * math.pi) - 0.05))
-    last = math.floor(high * period / (2 * math.pi) + 0.05)
-    if last < first + 1:
-        raise InputError(
-            "--duration", "", f"{period:.3g} s hold no two harmonics in this band", "give a longer one"
-        )
-    k = np.arange(first, last + 1)
-    start = -np.pi * np.arange(k.size) * np.arange(1, k.size + 1) / k.size
-    # A period sampled 16 times a cycle of the highest harmonic is fine enough to find its peaks.
-    fine = np.arange(16 * last) / (16 * last)
-    arguments = 2 * np.pi * np.outer(k, fine)
-
-    def of(phases: Array) -> Array:
-        return np.cos(arguments + phases[:, None]).sum(axis=0)
-
-    rng = np.random.default_rng(0)
-    phases = start
-    for attempt in range(_ATTEMPTS):
-        found = start if attempt == 0 else rng.uniform(-np.pi, np.pi, k.size)
-        for p in (4, 8, 16):
-            found = minimize(
-                _norm, found, args=(arguments, p), jac=True, method="L-BFGS-B", options={"maxiter": 120}
-            ).x
-        phases = min(phases, found, key=lambda x: crest_factor(of(x)))
-    x = of(phases)
-    rising = np.flatnonzero((x <= 0) & (np.roll(x, -1) > 0))
-    at = fine[rising[np.argmin(np.abs(x[rising]))]] if rising.size else 0.0
-    value = np.cos(2 * np.pi * np.outer(k, t / period + at) + phases[:, None]).sum(axis=0)
-    words = (
-        f"{k.size} harmonics from {first / period:.2g} to {last / period:.2g} Hz, crest factor {crest_factor(x):.2f} "
-        f"(Schroeder's phases: {crest_factor(of(start)):.2f})"
-    )
-    return value, words
-
-
-def _norm(phases: Array, arguments: Array, p: int) -> tuple[float, Array]:
-    """Return the logarithm of the p-norm of a multisine over a period, and its gradient by the phases."""
-    waves = arguments + phases[:, None]
-    x = np.cos(waves).sum(axis=0)
-    scale = float(np.max(np.abs(x)))
-    y = x / scale
-    total = float(np.mean(y**p))
-    gradient = -(np.sin(waves) * y ** (p - 1)).mean(axis=1) / (scale * total)
-    return math.log(scale) + math.log(total) / p, gradient
-
-
-def _steps(t: Array, sample_s: float, low: float, high: float, kind: Kind) -> tuple[Array, str]:
-    middle = math.sqrt(low * high)
-    factor, pattern = (2.3, (1, -1)) if kind == "doublet" else (1.6, (1, 1, 1, -1, -1, 1, -1))
-    width = max(2, round(factor / middle / sample_s))
-    unit = np.repeat(np.array(pattern, dtype=np.float64), width)
-    gap = np.zeros(2 * width)
-    value, at, sign, count = np.zeros(t.size), 0, 1.0, 0
-    while at + unit.size <= t.size:
-        value[at : at + unit.size] = sign * unit
-        at, sign, count = at + unit.size + gap.size, -sign, count + 1
-    if count == 0:
-        raise InputError(
-            "--duration", "", f"one {kind} takes {unit.size * sample_s:.3g} s", "give a longer duration"
-        )
-    times = "once" if count == 1 else f"{count} times, every other one with turned sign"
-    return value, f"steps of {width * sample_s:.2g} s, {times}"
-
-
-# ----------------------------------------------------------------------------
-# A pilot's support: a simple feedback that holds a hover while a signal is added to the inputs.
-#
-# Linear-quadratic state feedback on the sampled linear model of the whole vehicle, with the inputs that are still on
-# their way (the loop's delay) as states::
-#
-#     minimise  sum (x' W_x x + u' W_u u),      W = diag(1 / tolerable deviation^2)        (Bryson's rule)
-#
-# with the tolerable deviations of ``_TOLERATED``: a lazy hold, so that it does not undo the excitation. It is fed
-# with
-# the true state; a real one takes rotor speeds and the bar's tilt from an observer. What a plan needs of it are the
-# inputs that would be recorded, which depend little on how the hover is held. Own choice; the dissertation (Sec.
-# 5.3.2)
-# has a PID whose gains it does not state.
-#
-# Directions of the motors: with the rotors' speeds W settled, ``W = -A_WW^-1 B_W u``, the motors give the
-# accelerations
-# ``(dw/dt, dr/dt) = G u``; the columns of ``G^-1`` are the inputs that change the climb alone and the turn alone.
 
 
 _Floats = NDArray[np.float64]
@@ -465,33 +296,6 @@ def fly_supported(
         height_m, states, inputs, voltage,
     )  # fmt: skip
     return states, inputs, voltage
-
-
-# ----------------------------------------------------------------------------
-# Which signal shows which parameter, and how well, before anyone flies.
-#
-# A signal is added to the inputs of the whole model in closed loop (:mod:`mufly.identify.flight.plan`). The greatest
-# amplitude at which attitude, height, place, heading, rates, motors and servos stay within limits is found by flying
-# a
-# ladder of amplitudes, then a finer one; the limit that binds is named. The flight at that amplitude is then a record
-# as
-# the fit of :mod:`mufly.identify.flight.problem` would get it, and its sensitivities give the Fisher information
-#
-#     M = S' N^-1 S,      S = d(outputs)/d(parameters, start values),      N: sensor noise (white, as given)
-#
-# of the free parameters, the start values taken out (Schur complement). Its inverse is the Cramer-Rao bound: no
-# unbiased
-# fit does better (Klein and Morelli, Aircraft System Identification, 2nd ed., ch. 6 and 9; Jategaonkar, ch. 2). Over
-# a
-# long flight the bound is absurd: a torque out of balance by a millionth would show in the heading after 10 s, if
-# nothing
-# else ever pushed. So place, velocity, attitude and rates count as unknown anew every 2 s, which stands for gusts and
-# drifts; a fit on windows of that length (multiple shooting) has just this bound. A wrong model and coloured noise
-# still
-# make it worse, by factors that only data can tell. Several flights add their information.
-#
-# Kinds are compared by the geometric mean of the parameters' relative standard deviations, over those that the record
-# sees at all.
 
 
 CHANNELS = ("yaw", "heave", "roll", "pitch")

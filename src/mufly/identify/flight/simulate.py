@@ -297,10 +297,6 @@ def fly_batch(
     return out
 
 
-# ----------------------------------------------------------------------------
-# Where a simulated record begins: steady rotors, hover by eq. 5.1, and the stabiliser bar's place.
-
-
 def steady_speed(p: NDArray[np.void], duty: _Array, volts: float) -> _Array:
     """Return the rotor speeds (b, 2) at which the motors settle under constant inputs (2,): eq. 4.29 at rest."""
     gear, out = p["gear_ratio"], np.empty((len(p), 2))

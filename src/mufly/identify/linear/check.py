@@ -1,4 +1,6 @@
-"""How far a linear model can be believed: cross-validation, k-step prediction, and the noise floor.
+"""How far a linear model can be believed, and what other methods make of the same record.
+
+**How far a linear model can be believed: cross-validation, k-step prediction, and the noise floor.**
 
 **Blocked cross-validation.** The record is cut into blocks; each is left out of the cost once while the simulation
 runs through it, and is then predicted from inputs alone. Neighbouring samples are no independent witnesses, whole
@@ -12,6 +14,20 @@ a steady Kalman filter then gives the state from past samples. Prediction ``h`` 
 
 **Noise floor** of a rate: what it holds above the band in which the inputs have power, and below it what disagrees
 with the derivative of the measured angle. The model is not asked to explain either.
+
+**Two ways to a linear model without a search: equation error, and predictor-based subspace identification.**
+
+Both serve as a cross-check of the structured fit: they share neither its search nor (subspace) its structure.
+
+**Equation error** (Klein and Morelli, ch. 5): the derivative of each rate, of low-passed signals, regressed on the
+rates and inputs. Biased by noise in the regressors, but has no local minima.
+
+**Subspace** (PBSIDopt; Chiuso 2007, Automatica 43, 1034-1048; van der Veen, van Wingerden, Bergamasco, Lovera and
+Verhaegen 2013, IET Control Theory Appl. 7(10)). The innovation form ``x+ = A x + B u + K e, y = C x + D u + e`` is
+``x+ = Ac x + Bc z`` with ``z = (u, y)``, ``Ac = A - K C``, so after ``p`` samples ``x ~ [Ac^(p-1) Bc ... Bc] Z_p``.
+A long ARX model gives the products ``C Ac^i Bc``; stacked over a future window they make ``Gamma K``; the directions of
+the largest singular values of ``Gamma K Z`` are the states, and A, B, C, D follow by least squares. It holds for data
+from a closed loop.
 """
 
 from __future__ import annotations
@@ -284,24 +300,6 @@ def noise_floor(
         edge = min(len(signal) // 10, round(1.0 / (split_hz * dt)))
         below = float(np.std((both[:, 0] - both[:, 1])[edge : len(signal) - edge]))
     return NoiseFloor(split_hz, high_frequency_noise(signal, dt, above_hz=split_hz), below, share)
-
-
-# ----------------------------------------------------------------------------
-# Two ways to a linear model without a search: equation error, and predictor-based subspace identification.
-#
-# Both serve as a cross-check of the structured fit: they share neither its search nor (subspace) its structure.
-#
-# **Equation error** (Klein and Morelli, ch. 5): the derivative of each rate, of low-passed signals, regressed on the
-# rates and inputs. Biased by noise in the regressors, but has no local minima.
-#
-# **Subspace** (PBSIDopt; Chiuso 2007, Automatica 43, 1034-1048; van der Veen, van Wingerden, Bergamasco, Lovera and
-# Verhaegen 2013, IET Control Theory Appl. 7(10)). The innovation form ``x+ = A x + B u + K e, y = C x + D u + e`` is
-# ``x+ = Ac x + Bc z`` with ``z = (u, y)``, ``Ac = A - K C``, so after ``p`` samples ``x ~ [Ac^(p-1) Bc ... Bc] Z_p``.
-# A long ARX model gives the products ``C Ac^i Bc``; stacked over a future window they make ``Gamma K``; the
-# directions of
-# the largest singular values of ``Gamma K Z`` are the states, and A, B, C, D follow by least squares. It holds for
-# data
-# from a closed loop.
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,6 @@
-"""Frequency responses and coherence from records, beside those of a model.
+"""Frequency responses and coherence from records, beside those of a model, and a model fitted to them.
+
+**Frequency responses and coherence from records, beside those of a model.**
 
 A record is cut into overlapping segments with a Hann window; each is transformed by a chirp z-transform, which places
 the frequencies where they are wanted instead of at multiples of 1 / segment (Tischler and Remple, *Aircraft and
@@ -20,6 +22,12 @@ with ``n_d`` the record over the segment. The misfit of a model is Tischler and 
     W_gamma = (1.58 (1 - exp(-gamma_j^2)))^2
 
 of which J < 100 is a good and J < 50 a hardly noticeable difference.
+
+**A structured linear model fitted to frequency responses instead of time histories: a cross-check of the other.**
+
+The parameters minimise Tischler and Remple's cost (:func:`misfit`) summed over the input-output pairs,
+each weighted by its partial coherence. Trims, biases and initial states do not enter, nor does what is not coherent
+with an input; feedback biases it where an input is made from the output.
 """
 
 from __future__ import annotations
@@ -223,16 +231,6 @@ def misfit(data: FrequencyResponse, model: ComplexArray, *, least: float = 0.3) 
     cost = np.where(good, weight * (level**2 + 0.01745 * phase**2), 0.0).sum(0)
     number = good.sum(0)
     return np.where(number > 0, 20.0 * cost / np.maximum(number, 1), np.nan)
-
-
-# ----------------------------------------------------------------------------
-# A structured linear model fitted to frequency responses instead of time histories: a cross-check of the other.
-#
-# The parameters minimise Tischler and Remple's cost (:mod:`mufly.identify.linear.frequency`) summed over the input-
-# output
-# pairs,
-# each weighted by its partial coherence. Trims, biases and initial states do not enter, nor does what is not coherent
-# with an input; feedback biases it where an input is made from the output.
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,36 @@
-"""A linear model as functions of named parameters, and how one is put together entry by entry."""
+"""Linear models with named parameters: their blocks, and their exact simulation.
+
+**Linear models with named parameters, put together from blocks by the outputs that were measured.**
+
+    x' = A(theta) x + B(theta) (u(t - tau) - u_0),   y = C x + D (u(t - tau) - u_0) + y_0
+
+Near hover, body axes, all quantities deviations (V. Mettler, *Identification Modeling and Characteristics of Miniature
+Rotorcraft*, 2003, ch. 4; Tischler and Remple, ch. 15):
+
+    first-order   p' = L_p p + L_q q + L_lat lat + L_lon lon          and likewise q' with M
+    second-order  as first-order, but the sticks act through one lag of tau_s: a filtered command
+    hybrid        p' = L_b b + L_a a,   q' = M_a a + M_b b            rotor springs carry the fuselage
+                  a' = -q - a / tau_f + (A_b b + A_lat lat + A_lon lon) / tau_f
+                  b' = -p - b / tau_f + (B_a a + B_lat lat + B_lon lon) / tau_f
+    yaw           r' = N_r r + N_ped ped + N_col col + N_p p [- N_fb r_fb,  r_fb' = r - K_rfb r_fb: gyro]
+    attitude      phi' = p,   theta' = q                              small angles
+    translation   u' = X_u u - g theta + X_a a,   v' = Y_v v + g phi + Y_b b
+    heave         w' = Z_w w + Z_col col
+
+In the hybrid ``L_lat`` and the like are products ``L_b B_lat / tau_f``; the flapping angles a, b are not measured.
+Coupling terms (L_q, M_p, L_a, M_b, A_b, B_a, off-axis sticks) belong to the ``-coupled`` variants.
+
+**Exact simulation of a linear model over a sampled record, with what enters linearly kept apart.**
+
+Between samples the inputs are joined by straight lines (or held), which a matrix exponential integrates exactly
+(Franklin, Powell and Workman, *Digital Control of Dynamic Systems*, Sec. 4.3):
+
+    x_(k+1) = Phi x_k + G_1 u_k + G_2 (u_(k+1) - u_k) / dt
+
+Initial state, trim of the inputs and bias of the outputs enter the prediction linearly; :func:`responses` returns what
+one unit of each would add, so that a fit can solve for them exactly instead of searching (variable projection, Golub
+and Pereyra 1973).
+"""
 
 from __future__ import annotations
 
@@ -164,29 +196,6 @@ class Builder:
             name, tuple(self.states), self.inputs, outputs, tuple(UNITS[o] for o in outputs),
             tuple(self.parameters.values()), fill,
         )  # fmt: skip
-
-
-# ----------------------------------------------------------------------------
-# Linear models with named parameters, put together from blocks by the outputs that were measured.
-#
-#     x' = A(theta) x + B(theta) (u(t - tau) - u_0),   y = C x + D (u(t - tau) - u_0) + y_0
-#
-# Near hover, body axes, all quantities deviations (V. Mettler, *Identification Modeling and Characteristics of
-# Miniature
-# Rotorcraft*, 2003, ch. 4; Tischler and Remple, ch. 15):
-#
-#     first-order   p' = L_p p + L_q q + L_lat lat + L_lon lon          and likewise q' with M
-#     second-order  as first-order, but the sticks act through one lag of tau_s: a filtered command
-#     hybrid        p' = L_b b + L_a a,   q' = M_a a + M_b b            rotor springs carry the fuselage
-#                   a' = -q - a / tau_f + (A_b b + A_lat lat + A_lon lon) / tau_f
-#                   b' = -p - b / tau_f + (B_a a + B_lat lat + B_lon lon) / tau_f
-#     yaw           r' = N_r r + N_ped ped + N_col col + N_p p [- N_fb r_fb,  r_fb' = r - K_rfb r_fb: gyro]
-#     attitude      phi' = p,   theta' = q                              small angles
-#     translation   u' = X_u u - g theta + X_a a,   v' = Y_v v + g phi + Y_b b
-#     heave         w' = Z_w w + Z_col col
-#
-# In the hybrid ``L_lat`` and the like are products ``L_b B_lat / tau_f``; the flapping angles a, b are not measured.
-# Coupling terms (L_q, M_p, L_a, M_b, A_b, B_a, off-axis sticks) belong to the ``-coupled`` variants.
 
 
 ANGULAR = ("first-order", "second-order", "hybrid")
@@ -395,21 +404,6 @@ def _check(inputs: tuple[str, ...], outputs: tuple[str, ...], angular: str) -> N
         raise InputError("--model", "", f"{angular!r} is unknown", f"use one of: {', '.join(ANGULAR)}")
     if not outputs or not inputs:
         raise InputError("--outputs", "", "a model needs inputs and outputs", "name at least one of each")
-
-
-# ----------------------------------------------------------------------------
-# Exact simulation of a linear model over a sampled record, with what enters linearly kept apart.
-#
-# Between samples the inputs are joined by straight lines (or held), which a matrix exponential integrates exactly
-# (Franklin, Powell and Workman, *Digital Control of Dynamic Systems*, Sec. 4.3):
-#
-#     x_(k+1) = Phi x_k + G_1 u_k + G_2 (u_(k+1) - u_k) / dt
-#
-# Initial state, trim of the inputs and bias of the outputs enter the prediction linearly; :func:`responses` returns
-# what
-# one unit of each would add, so that a fit can solve for them exactly instead of searching (variable projection,
-# Golub
-# and Pereyra 1973).
 
 
 def discretise(a: Array, b: Array, dt: float, *, hold: bool = False) -> tuple[Array, Array, Array]:
