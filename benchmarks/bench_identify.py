@@ -28,7 +28,8 @@ from mufly.dynamics import PARAMETERS, derivative, model_parameters, trim
 from mufly.identify import choose_free, run_demo
 from mufly.identify.flight.demo import demo_flights
 from mufly.identify.flight.problem import make_problem
-from mufly.identify.flight.simulate import OUTPUTS, fly_batch
+from mufly.identify.flight.simulate import fly_batch
+from mufly.identify.record import OUTPUTS
 
 CALM = np.zeros(3)
 

@@ -5,16 +5,15 @@ import math
 
 import numpy as np
 import pytest
-import typer
 from typer.testing import CliRunner
 
 from mufly.cli.identify_bench import add_to
-from mufly.cli.options import with_doubt
+from mufly.cli.options import Commands, with_doubt
 from mufly.errors import InputError
 from mufly.vehicle import load_vehicle
 
 runner = CliRunner()
-app = typer.Typer()
+app = Commands()
 add_to(app)
 
 

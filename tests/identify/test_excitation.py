@@ -90,7 +90,7 @@ def test_a_chirp_spends_as_long_in_every_octave():
     ("arguments", "what"),
     [
         (("sawtooth",), "'sawtooth' is unknown"),
-        (("chirp", 11.0, 0.01, (5.0, 2.0)), "--band"),
+        (("chirp", 11.0, 0.01, (5.0, 2.0)), "band_rad_s"),
         (("chirp", 11.0, 0.01, (5.0, 400.0)), "below 50 Hz"),
         (("doublet", 2.0, 0.01, (0.5, 1.0)), "too short"),
         (("3211", 3.5), "one 3211 takes"),

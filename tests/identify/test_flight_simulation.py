@@ -6,7 +6,8 @@ from scipy.integrate import solve_ivp
 
 import mufly
 from mufly.dynamics import PARAMETERS, advance, euler_from_quaternion, model_parameters, trim
-from mufly.identify.flight.simulate import OUTPUTS, _lag_line, fly_batch, on_cluster
+from mufly.identify.flight.simulate import _lag_line, fly_batch, on_cluster
+from mufly.identify.record import OUTPUTS
 
 SAMPLE = 0.01
 N = 400

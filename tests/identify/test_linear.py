@@ -311,7 +311,7 @@ def test_degrees_are_refused_or_converted_where_the_header_says_so(tmp_path):
     with pytest.raises(InputError, match=r"p: seems to be in deg/s"):
         identify_linear(wrong, {"lat": "lat"}, {"p": "p"}, model="first-order", starts=1)
     with pytest.raises(InputError, match="holds no numbers"):
-        wrong.find("none", "--outputs")
+        wrong.find("none", "outputs")
 
 
 def test_columns_of_matlab_and_of_headless_files(tmp_path):
@@ -334,12 +334,12 @@ def test_names_are_found_by_their_end_and_ambiguity_is_said():
     r = Columns(
         "x", t, {"measured_rates.p": t, "reference_rates.p": -t, "reference_rates.q": t, "a.s": t, "b.s": t}
     )
-    assert r.find("p", "--outputs") is r.columns["measured_rates.p"]
-    assert r.find("q", "--outputs") is r.columns["reference_rates.q"]
+    assert r.find("p", "outputs") is r.columns["measured_rates.p"]
+    assert r.find("q", "outputs") is r.columns["reference_rates.q"]
     with pytest.raises(InputError, match="several"):
-        r.find("s", "--outputs")
+        r.find("s", "outputs")
     with pytest.raises(InputError, match=r"no column.*measured_rates\.p"):
-        r.find("lat", "--inputs")
+        r.find("lat", "inputs")
 
 
 @pytest.mark.parametrize(
@@ -396,3 +396,28 @@ def test_trex_550_second_half_is_predicted_as_documented():
     assert q.fit_percent > 35.0
     assert r.checks["held out"][0].against_angle > 30.0
     assert not any("correlates" in w for w in r.missing)
+
+
+def test_a_library_user_is_told_the_argument_and_who_types_the_option(log):
+    record = read_columns(log)
+    names = {"lat": "lat"}, {"p": "p"}
+    with pytest.raises(InputError, match=r"^rate_hz: .*give lowpass_hz=HZ"):
+        identify_linear(record, *names, model="first-order", lowpass_hz=None, rate_hz=5.0)
+    with pytest.raises(InputError, match=r"^outputs: none: "):
+        identify_linear(record, {"lat": "lat"}, {"p": "none"}, model="first-order")
+    typed = [
+        "identify",
+        "linear",
+        str(log),
+        "--inputs",
+        "lat",
+        "--outputs",
+        "p",
+        "--lowpass",
+        "0",
+        "--rate",
+        "5",
+    ]
+    result = CliRunner().invoke(app, typed)
+    assert str(result.exception).startswith("--rate: ")
+    assert "give --lowpass HZ" in str(result.exception)

@@ -167,7 +167,7 @@ def test_directions_in_words():
         ({"symbols": ["Izzz"]}, "did you mean Izz"),
         ({"limits": Limits(motor=0.35)}, "limit on motor input: is passed by the least signal"),
         ({"noise": {"roll": 0.01}}, "nothing of yaw is measured"),
-        ({"amplitude": 2.0}, "--amplitude"),
+        ({"amplitude": 2.0}, "amplitude"),
     ],
 )
 def test_what_cannot_be_planned(vehicle, arguments, what):

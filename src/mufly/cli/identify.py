@@ -111,7 +111,8 @@ def flight(
     """
     from mufly.identify import choose_free, fit_flights, fit_split
     from mufly.identify import split as cut
-    from mufly.identify.flight.simulate import OUTPUTS, on_cluster
+    from mufly.identify.flight.simulate import on_cluster
+    from mufly.identify.record import OUTPUTS
     from mufly.vehicle import load_vehicle
 
     one_of("--part", part, _PARTS)

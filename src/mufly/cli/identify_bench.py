@@ -388,7 +388,7 @@ def _limits(text: str | None) -> Limits:
 
 
 def _noise(text: str | None, default: dict[str, float]) -> dict[str, float]:
-    from mufly.identify.flight.simulate import OUTPUTS
+    from mufly.identify.record import OUTPUTS
 
     merged: dict[str, float | None] = {**default, **_numbers("--noise", text, OUTPUTS, none=True)}
     return {k: v for k, v in merged.items() if v is not None}

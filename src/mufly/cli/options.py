@@ -33,6 +33,8 @@ _OPTIONS = {
     "estimates": "write",
     "kinds": "kind",
     "spectra": "spectrum",
+    "structure": "model",
+    "symbols": "free",
 }
 
 

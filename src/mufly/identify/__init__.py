@@ -3,8 +3,8 @@
 from mufly.identify.flight.demo import Demo, run_demo
 from mufly.identify.flight.fit import Progress, fit_flights, fit_split
 from mufly.identify.flight.plan import Limits, Plan, design
-from mufly.identify.flight.signals import Excitation, excitation
 from mufly.identify.flight.problem import Free, choose_free
+from mufly.identify.flight.signals import Excitation, excitation
 from mufly.identify.linear.fit import LinearFit
 from mufly.identify.linear.identification import LinearResult, identify_linear
 from mufly.identify.motor import GearKnowledge, MotorFit, fit_motor

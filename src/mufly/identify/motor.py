@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from mufly.bench import BenchTable, Spread, spread
-from mufly.errors import InputError
+from mufly.errors import ArgumentError, InputError
 from mufly.identify.covariance import likeliest_errors, relative, unseen_combinations
 from mufly.identify.result import Estimate, Estimates
 from mufly.units import RPM
@@ -99,7 +99,7 @@ def parse_noise(text: str | None, channels: tuple[str, ...]) -> dict[str, Channe
             continue
         name, _, amounts = (t.strip() for t in part.partition("="))
         if name not in result:
-            raise InputError("--noise", name, "is no channel", f"use one of {', '.join(channels)}")
+            raise ArgumentError("noise", name, "is no channel", f"use one of {', '.join(channels)}")
         amount = {"reading": 0.0, "full_scale": 0.0, "absolute": 0.0}
         for piece in amounts.lower().replace(" ", "").split("+"):
             kind, number = "absolute", piece
@@ -112,12 +112,12 @@ def parse_noise(text: str | None, channels: tuple[str, ...]) -> dict[str, Channe
             except ValueError:
                 value = math.nan
             if not (math.isfinite(value) and value >= 0):
-                raise InputError(
-                    "--noise", name, f"{piece!r} is no amount", "write 1%, 0.5%fs or a number in SI units"
+                raise ArgumentError(
+                    "noise", name, f"{piece!r} is no amount", "write 1%, 0.5%fs or a number in SI units"
                 )
             amount[kind] += value
         if not any(amount.values()):
-            raise InputError("--noise", name, "is zero", "leave it out, or give an amount above zero")
+            raise ArgumentError("noise", name, "is zero", "leave it out, or give an amount above zero")
         result[name] = ChannelNoise(**amount)
     return result
 

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from mufly.errors import InputError
 from mufly.identify.flight.plan import Candidate, Plan
 from mufly.identify.flight.signals import spectrum
-from mufly.identify.flight.simulate import OUTPUT_UNITS
 from mufly.identify.linear.frequency import FrequencyResponse, frequency_response
 from mufly.identify.motor import MotorFit
+from mufly.identify.record import OUTPUT_UNITS
 from mufly.identify.residuals import autocorrelation, cross_correlation, qualities
 from mufly.identify.result import Fit, RecordFit
 from mufly.identify.rotor import CoefficientFit, RotorFit

@@ -27,9 +27,8 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from mufly.errors import InputError
-from mufly.identify.flight.simulate import OUTPUT_UNITS, OUTPUTS
-from mufly.quantities import labelled
+from mufly.errors import ArgumentError, InputError
+from mufly.quantities import QUANTITIES, labelled
 
 _Array = NDArray[np.float64]
 
@@ -42,6 +41,10 @@ _SOURCES = {
     "rates": (("p", 0, 1.0), ("q", 1, 1.0), ("r", 2, 1.0)),
     "rotor_speed": (("speed_up", 0, 1.0), ("speed_dw", 1, 1.0)),
 }
+_UNITS = {q.name: q.units for q in QUANTITIES}
+OUTPUT_UNITS = {o: _UNITS[f"measured_{name}"] for name, parts in _SOURCES.items() for o, _, _ in parts}
+OUTPUT_UNITS |= {"voltage": _UNITS["battery_voltage"]}
+OUTPUTS = tuple(OUTPUT_UNITS)
 _QUIET = {"height": 1e-3, "north": 1e-3, "east": 1e-3, "voltage": 1e-3}  # least noise that is believed, SI
 
 
@@ -57,7 +60,7 @@ class Record:
     inputs : (n, 4) array
         Motor upper, motor lower (0..1), servo 1, servo 2 (-1..1), each held to the next sample.
     outputs : tuple of str
-        Of :data:`mufly.identify.flight.simulate.OUTPUTS`.
+        Of :data:`OUTPUTS`.
     measured : (n, m) array
         SI; NaN where nothing was measured; yaw without jumps.
     voltage : (n,) array or None
@@ -107,37 +110,22 @@ def record_from(data: xr.Dataset, name: str, *, prefix: str = "measured") -> Rec
             raise InputError(name, key, "is not in this log", "map a column to it (docs/logs.md)")
     time = np.asarray(data["time"].values, dtype=np.float64)
     inputs = np.hstack([np.asarray(data[k].values, np.float64) for k in ("motor_input", "servo_input")])
-    names: list[str] = []
-    columns: list[_Array] = []
+    columns: dict[str, _Array] = {}  # in the order of OUTPUTS
     for suffix, parts in _SOURCES.items():
-        variable = f"{prefix}_{suffix}"
-        if variable not in data:
-            continue
-        values = np.asarray(data[variable].values, dtype=np.float64)
-        for output, k, sign in parts:
-            if np.isfinite(values[:, k]).sum() >= 10:
-                names.append(output)
-                columns.append(sign * values[:, k])
-    voltage = np.asarray(data["battery_voltage"].values, np.float64) if "battery_voltage" in data else None
-    if voltage is not None and np.isfinite(voltage).any():
-        names.append("voltage")
-        columns.append(voltage)
-    else:
-        voltage = None
+        if f"{prefix}_{suffix}" in data:
+            values = np.asarray(data[f"{prefix}_{suffix}"].values, dtype=np.float64)
+            for output, k, sign in parts:
+                if np.isfinite(values[:, k]).sum() >= 10:
+                    columns[output] = sign * values[:, k]
+    if "battery_voltage" in data and np.isfinite(data["battery_voltage"].values).any():
+        columns["voltage"] = np.asarray(data["battery_voltage"].values, np.float64)
     if not columns:
         raise InputError(
             name, f"{prefix}_attitude", "no measured output is in this log",
             f"map columns to {prefix}_attitude, {prefix}_rates or {prefix}_position (docs/logs.md)",
         )  # fmt: skip
-    order = sorted(range(len(names)), key=lambda k: OUTPUTS.index(names[k]))
-    record = Record(
-        name,
-        time,
-        inputs,
-        tuple(names[k] for k in order),
-        np.column_stack([columns[k] for k in order]),
-        voltage,
-    )
+    measured = np.column_stack(list(columns.values()))
+    record = Record(name, time, inputs, tuple(columns), measured, columns.get("voltage"))
     _check_clock(record)
     return _clean(record)
 
@@ -255,23 +243,21 @@ def smoothed_motion(r: Record) -> _Array:
         y = filled(r.measured[:, r.outputs.index(name)])
         return smoothed(y, dt, span_s, slope=slope)
 
-    for k, (place, speed) in enumerate((("north", "v_north"), ("east", "v_east"), ("height", "climb"))):
-        sign = -1.0 if place == "height" else 1.0
-        position, velocity = smooth(place, 0.3), smooth(speed, 0.2)
-        if position is not None:
-            motion[:, k] = sign * position
-        if velocity is None:
-            velocity = smooth(place, 0.5, slope=True)
-        if velocity is not None:
-            motion[:, 3 + k] = sign * velocity
-    for k, (angle, rate) in enumerate((("roll", "p"), ("pitch", "q"), ("yaw", "r"))):
-        turned, turning = smooth(angle, 0.15), smooth(rate, 0.1)
-        if turned is not None:
-            motion[:, 6 + k] = turned
-        if turning is None:
-            turning = smooth(angle, 0.25, slope=True)
-        if turning is not None:
-            motion[:, 9 + k] = turning
+    # Columns of a value and of its rate, both names, and the spans of value, rate and slope (s).
+    pairs = (
+        (0, 3, "north", "v_north", 0.3, 0.2, 0.5), (1, 4, "east", "v_east", 0.3, 0.2, 0.5),
+        (2, 5, "height", "climb", 0.3, 0.2, 0.5), (6, 9, "roll", "p", 0.15, 0.1, 0.25),
+        (7, 10, "pitch", "q", 0.15, 0.1, 0.25), (8, 11, "yaw", "r", 0.15, 0.1, 0.25),
+    )  # fmt: skip
+    for at, at_rate, name, rate_name, span_s, rate_span_s, slope_span_s in pairs:
+        sign = -1.0 if name == "height" else 1.0
+        value, rate = smooth(name, span_s), smooth(rate_name, rate_span_s)
+        if value is not None:
+            motion[:, at] = sign * value
+        if rate is None:
+            rate = smooth(name, slope_span_s, slope=True)
+        if rate is not None:
+            motion[:, at_rate] = sign * rate
     return motion
 
 
@@ -291,14 +277,7 @@ def split(r: Record, share: float) -> tuple[Record, Record]:
     def part(a: int, b: int) -> Record:
         name = f"{r.name} ({r.time_s[a]:.4g} to {r.time_s[b - 1]:.4g} s)"
         voltage = None if r.voltage is None else r.voltage[a:b]
-        return replace(
-            r,
-            name=name,
-            time_s=r.time_s[a:b],
-            inputs=r.inputs[a:b],
-            measured=r.measured[a:b],
-            voltage=voltage,
-        )
+        return Record(name, r.time_s[a:b], r.inputs[a:b], r.outputs, r.measured[a:b], voltage)
 
     return part(0, cut), part(cut, n)
 
@@ -410,13 +389,13 @@ class Columns:
         """Sample time (s)."""
         return float((self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1))
 
-    def find(self, name: str, option: str) -> Array:
+    def find(self, name: str, argument: str) -> Array:
         """Return a column by its name, or by the end of its name where that is unique.
 
         Raises
         ------
-        InputError
-            If there is none, or several.
+        ArgumentError
+            If there is none, or several; ``argument`` is named that asked for it.
         """
         if name in self.columns:
             return self.columns[name]
@@ -427,8 +406,8 @@ class Columns:
         shown = ", ".join(list(self.columns)[:24]) + (" ..." if len(self.columns) > 24 else "")
         missing = "holds no numbers" if name in self.empty else "is no column of this log"
         problem = "is in several columns" if best else missing
-        raise InputError(
-            option, name, problem, f"write {name}=COLUMN with one of: {', '.join(best) or shown}"
+        raise ArgumentError(
+            argument, name, problem, f"write {name}=COLUMN with one of: {', '.join(best) or shown}"
         )
 
     def part(self, start: int, stop: int) -> Columns:
@@ -489,14 +468,14 @@ def _matlab(path: Path, columns: Mapping[str, Sequence[str]] | Sequence[str]) ->
     names = dict(columns) if isinstance(columns, Mapping) else {}
     for key in names:
         if key not in arrays:
-            raise InputError("--columns", key, "is no array of this file", f"it has: {', '.join(arrays)}")
+            raise ArgumentError("columns", key, "is no array of this file", f"it has: {', '.join(arrays)}")
     found: dict[str, Array] = {}
     for key, a in arrays.items():
         a = a.T if a.shape[0] == 1 else a
         given = list(names.get(key, ()))
         if given and len(given) != a.shape[1]:
-            raise InputError(
-                "--columns", key, f"has {a.shape[1]} columns, {len(given)} names given", "name each"
+            raise ArgumentError(
+                "columns", key, f"has {a.shape[1]} columns, {len(given)} names given", "name each"
             )
         own = [key] if a.shape[1] == 1 else [f"{key}{j}" for j in range(a.shape[1])]
         for j, name in enumerate(given or own):
@@ -509,7 +488,7 @@ def _csv(path: Path, columns: Mapping[str, Sequence[str]] | Sequence[str]) -> di
     from mufly.logs import read_raw
 
     if isinstance(columns, Mapping):
-        raise InputError("--columns", "", "names arrays, but a CSV file has none", "give names alone: a,b,c")
+        raise ArgumentError("columns", "", "names arrays, but a CSV file has none", "give names alone: a,b,c")
     if not columns:
         table = read_raw(path)["table"]
         numbers = {
@@ -523,7 +502,7 @@ def _csv(path: Path, columns: Mapping[str, Sequence[str]] | Sequence[str]) -> di
     values = np.genfromtxt(text.splitlines(), delimiter=None if comma == " " else comma, invalid_raise=False)
     if values.ndim != 2 or values.shape[1] != len(columns):
         wide = values.shape[1] if values.ndim == 2 else 1
-        raise InputError("--columns", ",".join(columns), f"the file has {wide} columns", "name each")
+        raise ArgumentError("columns", ",".join(columns), f"the file has {wide} columns", "name each")
     if not np.isfinite(values[0]).any():
         values = values[1:]  # a header that --columns replaces
     return {name: values[:, j] for j, name in enumerate(columns)}
@@ -606,7 +585,7 @@ def lowpassed(signal: Array, dt: float, cut_hz: float) -> Array:
     from scipy.signal import butter, sosfiltfilt
 
     if not 0.0 < cut_hz < 0.5 / dt:
-        raise InputError(
-            "--lowpass", "", f"{cut_hz:g} Hz is not below the Nyquist frequency", f"under {0.5 / dt:g}"
+        raise ArgumentError(
+            "cut_hz", "", f"{cut_hz:g} Hz is not below the Nyquist frequency", f"under {0.5 / dt:g}"
         )
     return np.asarray(sosfiltfilt(butter(4, cut_hz, fs=1.0 / dt, output="sos"), signal, axis=0))

@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.errors import InputError
+from mufly.errors import ArgumentError
 from mufly.tables import validated
 from mufly.vehicle import Vehicle
 
@@ -221,8 +221,11 @@ def with_estimates(vehicle: Vehicle, estimates: Iterable[Estimate], note: str) -
         table[last] = {**table[last], "value": e.value, "source": "identified", "note": f"{note}; {doubt}"}
         written += 1
     if not written:
-        raise InputError(
-            "--write", "", "nothing was found that belongs into a vehicle file", "see what is not seen above"
+        raise ArgumentError(
+            "estimates",
+            "",
+            "nothing was found that belongs into a vehicle file",
+            "see what is not seen above",
         )
     if any(e.key == "body.mass" for e in found):
         tables["mass_budget"] = None  # it no longer adds up

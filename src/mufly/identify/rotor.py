@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from mufly.bench import Loads, Spread, air_density, spread
-from mufly.errors import InputError
+from mufly.errors import ArgumentError, InputError
 from mufly.identify.covariance import likeliest_errors, relative, unseen_combinations
 from mufly.identify.result import Estimate, Estimates
 from mufly.units import RPM
@@ -335,8 +335,8 @@ def fit_rotor(
         If speeds are missing, there are fewer than two points, or the radius cannot be right.
     """
     if not (math.isfinite(radius_m) and radius_m > 0):
-        raise InputError(
-            "--radius", "", f"{radius_m:g} m is not possible", "give the rotor's radius in metres"
+        raise ArgumentError(
+            "radius_m", "", f"{radius_m:g} m is not possible", "give the rotor's radius in metres"
         )
     loads, doubts = _speed_unit(loads, radius_m)
     table = loads.table

@@ -31,7 +31,7 @@ from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
-from mufly.errors import InputError
+from mufly.errors import ArgumentError, InputError
 from mufly.identify.covariance import (
     coloured_covariance,
     correlation_of,
@@ -446,9 +446,7 @@ def _part_of(f: Free) -> str:
         return "heave-yaw"
     if f.symbol in ROLL_PITCH:
         return "roll-pitch"
-    raise InputError(
-        "--free", f.symbol, "acts on heave and yaw and on roll and pitch", "fit with --part both"
-    )
+    raise ArgumentError("free", f.symbol, "acts on heave and yaw and on roll and pitch", "fit with part=both")
 
 
 def fit_split(vehicle: Vehicle, free: Sequence[Free], records: Sequence[Record], **options: Any) -> Fit:

@@ -57,7 +57,7 @@ from mufly.dynamics import (
     rotation,
     trim,
 )
-from mufly.errors import InputError, MuflyError
+from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.identify.covariance import relative_covariance, unseen_combinations
 from mufly.identify.flight.problem import PART_OUTPUTS, Free, Part, choose_free, make_problem
 from mufly.identify.flight.signals import KINDS, Excitation, Kind, excitation
@@ -183,11 +183,8 @@ def pilot_support(
             f"{vehicle.name}: no feedback holds its hover; excitation cannot be planned for it"
         ) from error
     gain = np.linalg.solve(np.diag(1.0 / _INPUTS**2) + b.T @ P @ b, b.T @ P @ a)
-    collective, differential = -inverse[:, 0], inverse[:, 1]
-    return Support(
-        hover, gain, collective / np.max(np.abs(collective)), differential / np.max(np.abs(differential)), sample_s,
-        delay_s,
-    )  # fmt: skip
+    collective, differential = (v / np.max(np.abs(v)) for v in (-inverse[:, 0], inverse[:, 1]))
+    return Support(hover, gain, collective, differential, sample_s, delay_s)
 
 
 def _sampled(A: Array, B: Array, sample_s: float, late: int) -> tuple[Array, Array]:
@@ -246,21 +243,8 @@ def _fly(x, hover, trimmed, gain, added, p, late, dt, steps, height, states, inp
 @compiled(parallel=True, error_model="numpy")
 def _fly_all(x, hover, trimmed, gain, added, p, late, dt, steps, height, states, inputs, voltage):  # type: ignore[no-untyped-def]
     for b in prange(x.shape[0]):
-        _fly(
-            x[b],
-            hover,
-            trimmed,
-            gain,
-            added[b],
-            p[b],
-            late,
-            dt,
-            steps,
-            height,
-            states[b],
-            inputs[b],
-            voltage[b],
-        )
+        one = states[b], inputs[b], voltage[b]
+        _fly(x[b], hover, trimmed, gain, added[b], p[b], late, dt, steps, height, *one)
 
 
 def fly_supported(
@@ -301,12 +285,7 @@ def fly_supported(
 CHANNELS = ("yaw", "heave", "roll", "pitch")
 # Standard deviations of ordinary small sensors: ultrasonic height (m), attitude (rad), gyros (rad/s).
 NOISE = {"height": 0.01, "roll": 0.01, "pitch": 0.01, "yaw": 0.02, "p": 0.03, "q": 0.03, "r": 0.03}
-_PARTS: dict[str, Part] = {
-    "yaw": "heave-yaw",
-    "heave": "heave-yaw",
-    "roll": "roll-pitch",
-    "pitch": "roll-pitch",
-}
+_PARTS: dict[str, Part] = dict(zip(CHANNELS, 2 * ("heave-yaw",) + 2 * ("roll-pitch",), strict=True))
 _LADDER = 14
 _BLIND = 100.0  # relative standard deviation from which a parameter is not seen at all
 _GREATEST, _LEAST = 1.0, 1e-3  # of the inputs' range
@@ -411,7 +390,7 @@ def design(
         Frequencies; by default from a third of the channel's slowest to three times its fastest mode.
     limits : Limits, optional
     noise : dict, optional
-        Standard deviations of the outputs that are measured (names of :data:`mufly.identify.flight.simulate.OUTPUTS`).
+        Standard deviations of the outputs that are measured (names of :data:`mufly.identify.record.OUTPUTS`).
     window_s : float, optional
         The motion is taken as unknown anew every so often (s); None: only at the start of the flight.
     progress : callable, optional
@@ -423,14 +402,14 @@ def design(
         For an unknown channel or symbol, or when not even the least signal is safe.
     """
     if channel not in CHANNELS:
-        raise InputError("--channel", "", f"{channel!r} is unknown", f"use one of: {', '.join(CHANNELS)}")
+        raise ArgumentError("channel", "", f"{channel!r} is unknown", f"use one of: {', '.join(CHANNELS)}")
     limits, noise = limits or Limits(), dict(noise or NOISE)
     part = _PARTS[channel]
     outputs = [o for o in PART_OUTPUTS[part] if o in noise]
     if not outputs:
         have = ", ".join(PART_OUTPUTS[part])
-        raise InputError(
-            "--noise", ",".join(noise), f"nothing of {channel} is measured", f"add one of {have}"
+        raise ArgumentError(
+            "noise", ",".join(noise), f"nothing of {channel} is measured", f"add one of {have}"
         )
     free = choose_free(vehicle, symbols, outputs)
     support = pilot_support(vehicle, sample_s=sample_s, delay_s=delay_s)
@@ -466,8 +445,8 @@ def design(
 def together(plans: Sequence[Plan], candidates: Sequence[Candidate]) -> tuple[Array, tuple[str, ...]]:
     """Return what flights tell together: relative standard deviations (p,), and what they do not, in words."""
     information = np.sum([c.information for c in candidates], axis=0)
-    symbols = [f.symbol for f in plans[0].free]
-    return _accuracy(information)[0], unseen_combinations(symbols, relative_covariance(information))
+    unseen = unseen_combinations([f.symbol for f in plans[0].free], relative_covariance(information))
+    return _accuracy(information)[0], unseen
 
 
 def _modes(vehicle: Vehicle, support: Support, part: Part, sample_s: float) -> Array:
@@ -490,8 +469,8 @@ def _greatest(
     """Return the greatest safe amplitude, the limit that binds and the share of the nearest limit that is used."""
     top = _GREATEST if wanted is None else wanted
     if not (math.isfinite(top) and 0 < top <= _GREATEST):
-        raise InputError(
-            "--amplitude", "", f"{top:g} is not possible", "give a share of the inputs' range, up to 1"
+        raise ArgumentError(
+            "amplitude", "", f"{top:g} is not possible", "give a share of the inputs' range, up to 1"
         )
     low, high, low_share, binding = 0.0, top, math.inf, "as asked"
     ladder = np.geomspace(min(_LEAST, top), top, _LADDER)

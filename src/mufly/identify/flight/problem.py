@@ -41,17 +41,15 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from mufly.dynamics import PARAMETERS, model_parameters
-from mufly.errors import InputError
+from mufly.errors import ArgumentError, InputError
 from mufly.identify.flight.simulate import (
     LONGEST_STEP_S,
-    OUTPUT_UNITS,
-    OUTPUTS,
     bar_normal,
     fly_batch,
     hover,
     steady_speed,
 )
-from mufly.identify.record import Record, difference_noise, smoothed, smoothed_motion
+from mufly.identify.record import OUTPUT_UNITS, OUTPUTS, Record, difference_noise, smoothed, smoothed_motion
 from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle, parameters, replace
 
@@ -142,13 +140,13 @@ def choose_free(
             "take it out of the vehicle file, fit, and put it back",
         )  # fmt: skip
     if not symbols:
-        raise InputError("--free", "", "no parameter is free", "name some, as in --free cT_dw,Izz")
+        raise ArgumentError("symbols", "", "no parameter is free", "name some, as in symbols=cT_dw,Izz")
     rows = {r.symbol: r for r in parameters(vehicle)}
     limits = _limits(vehicle)
     chosen: list[Free] = []
     for symbol in symbols:
         if any(f.symbol == symbol for f in chosen):
-            raise InputError("--free", symbol, "is named twice", "name it once")
+            raise ArgumentError("symbols", symbol, "is named twice", "name it once")
         if symbol == "delay":
             top = (_GREATEST_DELAY - delay_s) / 0.01
             chosen.append(Free("delay", "", "s", delay_s, 0.01, -delay_s / 0.01, top, 10.0, "estimated"))
@@ -157,7 +155,7 @@ def choose_free(
             name = symbol.removeprefix("bias_")
             if name not in outputs:
                 remedy = f"use a measured output: {', '.join(f'bias_{o}' for o in outputs)}"
-                raise InputError("--free", symbol, "is the bias of nothing that is measured", remedy)
+                raise ArgumentError("symbols", symbol, "is the bias of nothing that is measured", remedy)
             scale = 0.1 * _BIAS[OUTPUT_UNITS[name]]
             chosen.append(Free(symbol, "", OUTPUT_UNITS[name], 0.0, scale, -10.0, 10.0, 1.0, "estimated"))
             continue
@@ -166,7 +164,7 @@ def choose_free(
             known = [s for s, r in rows.items() if isinstance(r.value, float)]
             near = _near(symbol, [*known, "delay"])
             remedy = f"did you mean {' or '.join(near)}?" if near else "use symbols of `mufly vehicle show`"
-            raise InputError("--free", symbol, "is no parameter of a vehicle that can be fitted", remedy)
+            raise ArgumentError("symbols", symbol, "is no parameter of a vehicle that can be fitted", remedy)
         if row.value == 0.0:
             raise InputError(vehicle.name, row.key, "starts at 0", "give a start of the right size")
         std, factor = PROVENANCE[row.source]
@@ -586,8 +584,8 @@ def _volts(vehicle: Vehicle, r: Record, voltage: str | float) -> _Array | float 
     if voltage == "measured" and r.voltage is not None:
         return smoothed(r.voltage, r.sample_s)
     if isinstance(voltage, str) or not 0.0 < voltage < 1e3:
-        raise InputError(
-            "--voltage", "", f"{voltage!r} is no voltage", "give measured, model, nominal or a number (V)"
+        raise ArgumentError(
+            "voltage", "", f"{voltage!r} is no voltage", "give measured, model, nominal or a number (V)"
         )
     return voltage
 

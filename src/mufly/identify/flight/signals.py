@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from mufly.errors import InputError
+from mufly.errors import ArgumentError
 
 Array = NDArray[np.floating[Any]]
 Kind = Literal["chirp", "multisine", "3211", "doublet"]
@@ -87,19 +87,22 @@ def excitation(
         If kind or band are impossible or the time is too short.
     """
     if kind not in KINDS:
-        raise InputError("--kind", "", f"{kind!r} is unknown", f"use one of: {', '.join(KINDS)}")
+        raise ArgumentError("kind", "", f"{kind!r} is unknown", f"use one of: {', '.join(KINDS)}")
     low, high = band_rad_s
     if not 0 < low < high < math.pi / sample_s:
         remedy = f"give two rising frequencies below {0.5 / sample_s:.3g} Hz"
-        raise InputError(
-            "--band", "", f"{low / 2 / math.pi:.3g} to {high / 2 / math.pi:.3g} Hz is not possible", remedy
+        raise ArgumentError(
+            "band_rad_s",
+            "",
+            f"{low / 2 / math.pi:.3g} to {high / 2 / math.pi:.3g} Hz is not possible",
+            remedy,
         )
     n = round(duration_s / sample_s) + 1
     rest = round(_REST_S / sample_s)
     active = n - 2 * rest
     if active * sample_s < 2 * math.pi / math.sqrt(low * high) or active < 20:
-        raise InputError(
-            "--duration", "", f"{duration_s:g} s is too short for this band", "give a longer one"
+        raise ArgumentError(
+            "duration_s", "", f"{duration_s:g} s is too short for this band", "give a longer one"
         )
     t = np.arange(active) * sample_s
     if kind == "chirp":
@@ -128,8 +131,8 @@ def _multisine(t: Array, sample_s: float, low: float, high: float) -> tuple[Arra
     first = max(1, math.ceil(low * period / (2 * math.pi) - 0.05))
     last = math.floor(high * period / (2 * math.pi) + 0.05)
     if last < first + 1:
-        raise InputError(
-            "--duration", "", f"{period:.3g} s hold no two harmonics in this band", "give a longer one"
+        raise ArgumentError(
+            "duration_s", "", f"{period:.3g} s hold no two harmonics in this band", "give a longer one"
         )
     k = np.arange(first, last + 1)
     start = -np.pi * np.arange(k.size) * np.arange(1, k.size + 1) / k.size
@@ -182,8 +185,8 @@ def _steps(t: Array, sample_s: float, low: float, high: float, kind: Kind) -> tu
         value[at : at + unit.size] = sign * unit
         at, sign, count = at + unit.size + gap.size, -sign, count + 1
     if count == 0:
-        raise InputError(
-            "--duration", "", f"one {kind} takes {unit.size * sample_s:.3g} s", "give a longer duration"
+        raise ArgumentError(
+            "duration_s", "", f"one {kind} takes {unit.size * sample_s:.3g} s", "give a longer duration"
         )
     times = "once" if count == 1 else f"{count} times, every other one with turned sign"
     return value, f"steps of {width * sample_s:.2g} s, {times}"

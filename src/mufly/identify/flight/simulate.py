@@ -45,17 +45,6 @@ _PIECE = 8  # parameter sets that a worker flies at a time
 _Array = NDArray[np.float64]
 
 LONGEST_STEP_S = 0.01
-OUTPUTS: tuple[str, ...] = (
-    "north", "east", "height", "v_north", "v_east", "climb", "roll", "pitch", "yaw", "p", "q", "r",
-    "speed_up", "speed_dw", "voltage",
-)  # fmt: skip
-OUTPUT_UNITS: dict[str, str] = dict(
-    zip(
-        OUTPUTS,
-        ("m", "m", "m", "m/s", "m/s", "m/s", "rad", "rad", "rad", *3 * ("rad/s",), "rad/s", "rad/s", "V"),
-        strict=True,
-    )
-)
 _LOST = 1e6  # stands for the output of a flight that has diverged
 
 
@@ -255,7 +244,7 @@ def fly_batch(
     sample_s : float
         Time between samples (s).
     codes : (m,) integer array
-        Outputs, as positions in :data:`OUTPUTS`.
+        Outputs, as positions in :data:`mufly.identify.record.OUTPUTS`.
     starts : (w,) integer array
         Samples at which a window begins, rising.
     motion : (b, w, 12) array

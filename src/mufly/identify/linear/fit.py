@@ -21,7 +21,7 @@ from scipy.linalg import qr
 from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
-from mufly.errors import InputError
+from mufly.errors import ArgumentError, InputError
 from mufly.identify.covariance import coloured_covariance, parzen
 from mufly.identify.linear.structure import Coordinates, Structure, responses, simulate_linear
 from mufly.identify.residuals import autocorrelation
@@ -143,7 +143,7 @@ class _Problem:
         """Residuals (n, outputs), NaN where they do not count; what the linear unknowns add; and their estimate."""
         got = self.predict(self.at.values(z))
         if got is None:
-            raise InputError("--model", self.structure.name, "cannot be simulated", "try a simpler one")
+            raise ArgumentError("structure", self.structure.name, "cannot be simulated", "try a simpler one")
         forced, added, linear = got
         return np.where(self.good, self.y - forced - added @ linear, np.nan), added, linear
 
@@ -262,8 +262,8 @@ def fit_linear(
         assert best is not None
         solution, start = best
         if not np.isfinite(solution.cost) or solution.cost >= 0.4e12 * problem.good.sum():
-            raise InputError(
-                "--model", structure.name, "cannot be simulated from any start", "try a simpler one"
+            raise ArgumentError(
+                "structure", structure.name, "cannot be simulated from any start", "try a simpler one"
             )
         for k in range(_ROUNDS):
             # Maximum likelihood: weights from the residuals, then the parameters again.

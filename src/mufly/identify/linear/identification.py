@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfilt
 
-from mufly.errors import InputError
+from mufly.errors import ArgumentError, InputError
 from mufly.identify.covariance import correlation_of, relative, unseen_combinations
 from mufly.identify.linear.check import (
     CrossValidation,
@@ -172,12 +172,12 @@ def identify_linear(
         If columns are missing, nothing moves, or no structure can be fitted.
     """
     if not 0.1 <= split <= 1.0:
-        raise InputError("--split", "", f"{split:g} is no share of the record", "give 0.1 to 1")
-    us, y = _columns(record, inputs, "--inputs"), _columns(record, outputs, "--outputs")
+        raise ArgumentError("split", "", f"{split:g} is no share of the record", "give 0.1 to 1")
+    us, y = _columns(record, inputs, "inputs"), _columns(record, outputs, "outputs")
     _check_radians(record, outputs, y)
     cut = round(split * len(y)) if split_at_s is None else int((record.time_s < split_at_s).sum())
     if not 100 <= cut <= len(y):
-        raise InputError("--split", "", f"leaves {cut} samples for the fit", "leave at least 100")
+        raise ArgumentError("split", "", f"leaves {cut} samples for the fit", "leave at least 100")
     notes = list(record.notes)
     moving = np.std(us[:cut], axis=0) > 1e-9 * np.maximum(1.0, np.abs(us[:cut]).max(axis=0))
     for name, moves in zip(inputs, moving, strict=True):
@@ -186,8 +186,8 @@ def identify_linear(
                 f"{name} never moved in the fitted part and was left out: the data say nothing about it"
             )
     if not moving.any():
-        raise InputError(
-            "--inputs", ",".join(inputs), "never move in the fitted part", "use another part or record"
+        raise ArgumentError(
+            "inputs", ",".join(inputs), "never move in the fitted part", "use another part or record"
         )
     u, names = us[:, moving], tuple(n for n, moves in zip(inputs, moving, strict=True) if moves)
     outs, dt = tuple(outputs), record.dt
@@ -259,13 +259,13 @@ def identify_linear(
     )
 
 
-def _columns(record: Columns, wanted: Mapping[str, str], option: str) -> Array:
+def _columns(record: Columns, wanted: Mapping[str, str], argument: str) -> Array:
     columns = []
     for name, column in wanted.items():
         sign = -1.0 if column.startswith("-") else 1.0
-        columns.append(sign * record.find(column.lstrip("-") or name, option))
+        columns.append(sign * record.find(column.lstrip("-") or name, argument))
     if not columns:
-        raise InputError(option, "", "names nothing", "give names from the log, such as p,q")
+        raise ArgumentError(argument, "", "names nothing", "give names from the log, such as p,q")
     return np.column_stack(columns)
 
 
@@ -302,7 +302,7 @@ def _thinned(
     step = 1 if rate_hz is None else max(1, round(1.0 / (rate_hz * dt)))
     if step > 1 and (lowpass_hz is None or lowpass_hz > 0.45 / (dt * step)):
         problem = f"{1.0 / (dt * step):g} Hz would fold what lies above it"
-        raise InputError("--rate", "", problem, "give --lowpass below 0.45 of it")
+        raise ArgumentError("rate_hz", "", problem, "give lowpass_hz=HZ below 0.45 of it")
     return u[::step], y[::step], dt * step
 
 

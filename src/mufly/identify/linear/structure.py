@@ -42,7 +42,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from mufly.compiled import compiled
-from mufly.errors import InputError
+from mufly.errors import ArgumentError
 from mufly.units import GRAVITY
 
 Array = NDArray[np.float64]
@@ -334,8 +334,8 @@ def model_named(name: str, inputs: tuple[str, ...], outputs: tuple[str, ...]) ->
     words = text[len(base) :].strip("-").split("-") if base is not None else []
     words = [w for w in words if w]
     if base is None or not set(words) <= set(EXTRAS):
-        raise InputError(
-            "--model", "", f"{name!r} is unknown",
+        raise ArgumentError(
+            "model", "", f"{name!r} is unknown",
             f"use auto, helicopter, or {', '.join(ANGULAR)} followed by any of -{', -'.join(EXTRAS)}",
         )  # fmt: skip
     return helicopter(
@@ -390,20 +390,20 @@ def _check(inputs: tuple[str, ...], outputs: tuple[str, ...], angular: str) -> N
     known = ("lat", "lon", "ped", "col")
     for name in inputs:
         if name not in known:
-            raise InputError(
-                "--inputs", name, "is no input of the helicopter model",
+            raise ArgumentError(
+                "inputs", name, "is no input of the helicopter model",
                 f"use {', '.join(known)}; write lat=COLUMN to say which column it is",
             )  # fmt: skip
     for name in outputs:
         if name not in UNITS:
-            raise InputError(
-                "--outputs", name, "is no output of the helicopter model",
+            raise ArgumentError(
+                "outputs", name, "is no output of the helicopter model",
                 f"use {', '.join(UNITS)}; write p=COLUMN to say which column it is",
             )  # fmt: skip
     if angular not in ANGULAR:
-        raise InputError("--model", "", f"{angular!r} is unknown", f"use one of: {', '.join(ANGULAR)}")
+        raise ArgumentError("model", "", f"{angular!r} is unknown", f"use one of: {', '.join(ANGULAR)}")
     if not outputs or not inputs:
-        raise InputError("--outputs", "", "a model needs inputs and outputs", "name at least one of each")
+        raise ArgumentError("outputs", "", "a model needs inputs and outputs", "name at least one of each")
 
 
 def discretise(a: Array, b: Array, dt: float, *, hold: bool = False) -> tuple[Array, Array, Array]:
