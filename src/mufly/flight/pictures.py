@@ -1,6 +1,11 @@
-"""What the pictures of a flight share: colours, style, and the stretches of the mission's states.
+"""Pictures of a flight: the track in three dimensions and the histories over time.
 
-The colours are those of Okabe and Ito (2008, "Color universal design"), which the colour-blind can tell apart.
+``track``: the true path, coloured by the state of the mission, over its shadow on the floor, with the reference, the
+numbered waypoints and the obstacles. Axes east, north, height: right-handed, up is up, one scale for all three.
+Matplotlib does not sort by depth, so the path is drawn over the obstacles and these are half transparent. ``history``:
+everything a flight is judged by, over time, with references (dashed) and the mission's states as background bands.
+``position``: north, east and height large, with the tracking error. Angles are in degrees. The colours are those of
+Okabe and Ito (2008, "Color universal design"), which the colour-blind can tell apart.
 """
 
 from __future__ import annotations
@@ -24,14 +29,8 @@ from numpy.typing import ArrayLike, NDArray
 from mufly.world import World
 
 BLACK, GREY = "#222222", "#8c8c8c"
-BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = (
-    "#0072B2",
-    "#E69F00",
-    "#009E73",
-    "#D55E00",
-    "#CC79A7",
-    "#56B4E9",
-)
+BLUE, ORANGE, GREEN = "#0072B2", "#E69F00", "#009E73"
+VERMILION, PURPLE, SKY = "#D55E00", "#CC79A7", "#56B4E9"
 STATE_COLOURS = {
     "init": GREY,
     "take-off": ORANGE,
@@ -65,49 +64,159 @@ STYLE: Any = {
     "svg.fonttype": "none",
 }
 
-
-def runs(dataset: xr.Dataset) -> list[tuple[str, int, int]]:
-    """(state, first, last) of every stretch of one state; ``last`` belongs to the next stretch too."""
-    states = dataset.mission_state.values
-    edges = [0, *(np.flatnonzero(states[1:] != states[:-1]) + 1), len(states) - 1]
-    names = [str(states[a]).lower().replace("_", "-") for a in edges[:-1]]
-    return [(name, int(a), int(b)) for name, (a, b) in zip(names, pairwise(edges), strict=True)]
-
-
-def colour(state: str) -> str:
-    return STATE_COLOURS.get(state, GREY)
-
-
-def tint(state: str) -> tuple[float, float, float]:
-    red, green, blue = (1 - 0.19 * (1 - part) for part in to_rgb(colour(state)))
-    return red, green, blue
-
-
-def title(dataset: xr.Dataset) -> str:
-    names = [str(dataset.attrs[key]) for key in ("vehicle", "mission", "outcome") if dataset.attrs.get(key)]
-    return ", ".join(names)
-
-
-def state_handles(names: Sequence[str], lines: bool = False) -> list[Any]:
-    used = [name for name in STATE_COLOURS if name in names]
-    used += [name for name in dict.fromkeys(names) if name not in STATE_COLOURS]
-    if lines:
-        return [Line2D([], [], color=colour(name), lw=2.4, label=name) for name in used]
-    return [Patch(color=tint(name), label=name) for name in used]
-
-
-# ----------------------------------------------------------------------------
-# The track of a flight in three dimensions.
-#
-# The true path, coloured by the state of the mission, over its shadow on the floor, with the reference, the numbered
-# waypoints and the obstacles. Axes east, north, height: right-handed, up is up, one scale for all three. Matplotlib
-# does not sort by depth, so the path is drawn over the obstacles and these are half transparent.
-
-
 SHADOW, SOLID, SOLID_EDGE = "#b5b5b5", "#c4bcae", "#7d7566"
 DASHES = (0, (4, 3))
 
 _Array = NDArray[np.float64]
+
+
+def draw_flight(
+    dataset: xr.Dataset,
+    folder: str | Path,
+    *,
+    waypoints: Sequence[ArrayLike] = (),
+    world: World | None = None,
+    formats: Sequence[str] = ("png",),
+    dpi: int = 130,
+) -> list[Path]:
+    """Draw all pictures of a flight into a folder.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        A recording.
+    folder : str or Path
+        Made if it is not there.
+    waypoints : sequence of (3,)
+        N, E, D (m), numbered in this order.
+    world : World, optional
+        Its boxes and cylinders are drawn.
+    formats : sequence of str
+        ``"png"``, ``"svg"``, ``"pdf"``.
+    dpi : int
+        Resolution of the PNG.
+
+    Returns
+    -------
+    list of Path
+        ``track``, ``history``, ``position`` in each format. The same flight gives the same bytes.
+    """
+    target = Path(folder)
+    target.mkdir(parents=True, exist_ok=True)
+    paths = []
+    with mpl.rc_context(STYLE):
+        for name, figure in (
+            ("track", draw_track(dataset, waypoints=waypoints, world=world)),
+            ("history", draw_history(dataset)),
+            ("position", draw_position(dataset)),
+        ):
+            for kind in formats:
+                paths.append(target / f"{name}.{kind}")
+                unstamped = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
+                figure.savefig(paths[-1], dpi=dpi, metadata=unstamped)
+    return paths
+
+
+def draw_history(dataset: xr.Dataset) -> Figure:
+    """Position, velocity, attitude, rates, rotor speeds, inputs and battery over time."""
+    figure = Figure(figsize=(12.0, 11.4))
+    panels: Any = figure.subplots(5, 2, sharex=True)
+    figure.subplots_adjust(left=0.06, right=0.985, top=0.925, bottom=0.05, hspace=0.27, wspace=0.15)
+    d, up, deg = dataset, np.array([1.0, 1.0, -1.0]), 180.0 / np.pi
+    angles, wanted = d.truth_attitude.values * deg, d.reference_attitude.values * deg
+    rates = d.truth_rates.values * deg
+    axes, rotors, servos = ("north", "east", "height"), ("upper", "lower"), ("1, pitch", "2, roll")
+    for ax, (heading, labels, values, *reference), more in zip(
+        panels.ravel(),
+        (
+            ("Position (m)", axes, d.truth_position.values * up, d.reference_position.values * up),
+            ("Velocity (m/s)", axes, d.truth_velocity.values * up, d.reference_velocity.values * up),
+            ("Roll and pitch (deg)", ("roll", "pitch"), angles[:, :2], wanted[:, :2]),
+            ("Heading (deg)", ("heading",), angles[:, 2:], wanted[:, 2:]),
+            ("Roll and pitch rate (deg/s)", ("p", "q"), rates[:, :2]),
+            ("Yaw rate (deg/s)", ("r",), rates[:, 2:]),
+            ("Rotor speed (rad/s)", rotors, d.truth_rotor_speed.values),
+            ("Motor input (0 to 1)", rotors, d.motor_input.values),
+            ("Servo input (-1 to 1)", servos, d.servo_input.values),
+            ("Battery voltage (V)", ("voltage",), d.battery_voltage.values[:, None]),
+        ),
+        (
+            *({}, {}, {"span": 4.0}, {"span": 10.0}, {"span": 20.0}, {"span": 20.0}, {}),
+            *({"limits": (0.0, 1.0)}, {"limits": (-1.0, 1.0)}, {"span": 0.5}),
+        ),
+        strict=True,
+    ):
+        _lines(ax, dataset, heading, labels, values, *reference, **more)
+    for ax in panels[-1]:
+        ax.set_xlabel("Time (s)")
+    _header(figure, dataset, 0.985)
+    return figure
+
+
+def draw_position(dataset: xr.Dataset) -> Figure:
+    """North, east and height over time with their references, and the distance from the reference."""
+    figure = Figure(figsize=(9.0, 8.4))
+    panels: Any = figure.subplots(4, 1, sharex=True)
+    figure.subplots_adjust(left=0.085, right=0.98, top=0.905, bottom=0.06, hspace=0.24)
+    up = np.array([1.0, 1.0, -1.0])
+    truth, reference = dataset.truth_position.values * up, dataset.reference_position.values * up
+    measured = dataset.measured_position.values * up
+    for k, name in enumerate(("North", "East", "Height")):
+        ax = panels[k]
+        ax.plot(dataset.time, measured[:, k], color=GREY, lw=0.8, alpha=0.8, label="measured")
+        _lines(ax, dataset, f"{name} (m)", ("true",), truth[:, k : k + 1], reference[:, k : k + 1])
+    error = 100.0 * np.linalg.norm(truth - reference, axis=1)[:, None]
+    _lines(panels[3], dataset, "Distance from the reference (cm)", ("",), error, colours=(VERMILION,))
+    panels[3].set_ylim(bottom=0.0)
+    panels[3].set_xlabel("Time (s)")
+    _header(figure, dataset, 0.985)
+    return figure
+
+
+def _header(figure: Figure, dataset: xr.Dataset, top: float) -> None:
+    handles = state_handles([name for name, _, _ in runs(dataset)])
+    figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, top), ncols=len(handles))
+    figure.text(0.02, top - 0.005, title(dataset), fontsize=10, va="top")
+
+
+def _lines(
+    ax: Axes,
+    dataset: xr.Dataset,
+    heading: str,
+    labels: Sequence[str],
+    values: _Array,
+    reference: _Array | None = None,
+    *,
+    colours: Sequence[str] = (BLUE, VERMILION, GREEN),
+    limits: tuple[float, float] | None = None,
+    span: float = 0.0,
+) -> None:
+    """One panel: values (n, k), dashed references (n, k), limits as thin lines, states as bands.
+
+    The height of the panel covers at least ``span``, so that noise does not look like motion.
+    """
+    time = dataset.time.values
+    for state, first, last in runs(dataset):
+        ax.axvspan(time[first], time[last], color=tint(state), lw=0, zorder=0)
+    for k, (label, colour) in enumerate(zip(labels, colours, strict=False)):
+        ax.plot(time, values[:, k], color=colour, label=label, zorder=3)
+        if reference is not None:
+            dark = [0.55 * part for part in to_rgb(colour)]
+            ax.plot(time, reference[:, k], color=dark, lw=1.0, ls=(0, (4, 2)), zorder=4)
+    if reference is not None:
+        ax.plot([], [], color=BLACK, lw=1.0, ls=(0, (4, 2)), label="reference")
+    for limit in limits or ():
+        ax.axhline(limit, color=BLACK, lw=0.8, ls=":", zorder=2)
+    low, high = ax.get_ylim()
+    if high - low < span:
+        ax.set_ylim(0.5 * (low + high - span), 0.5 * (low + high + span))
+    ax.set_title(heading, pad=4)
+    ax.set_xlim(time[0], max(time[-1], time[0] + 1e-3))
+    if any(labels):
+        ax.legend(loc="lower right", bbox_to_anchor=(1.01, 0.975), ncols=5, borderpad=0.1, columnspacing=1.2)
+
+
+# The track in three dimensions
 
 
 def _enu(ned: ArrayLike) -> _Array:
@@ -216,180 +325,34 @@ def _prism(outline: _Array, foot: float, height: float) -> list[_Array]:
     return [*sides, top]
 
 
-# ----------------------------------------------------------------------------
-# Pictures of a flight: the track in three dimensions and the histories over time.
-#
-# ``track``: see :mod:`mufly.flight.pictures`. ``history``: everything a flight is judged by, over time, with
-# references (dashed) and the mission's states as background bands. ``position``: north, east and height large, with
-# the tracking error. Angles are in degrees; colours are told apart by the colour-blind as well.
+# What they share
 
 
-def draw_flight(
-    dataset: xr.Dataset,
-    folder: str | Path,
-    *,
-    waypoints: Sequence[ArrayLike] = (),
-    world: World | None = None,
-    formats: Sequence[str] = ("png",),
-    dpi: int = 130,
-) -> list[Path]:
-    """Draw all pictures of a flight into a folder.
-
-    Parameters
-    ----------
-    dataset : xarray.Dataset
-        A recording.
-    folder : str or Path
-        Made if it is not there.
-    waypoints : sequence of (3,)
-        N, E, D (m), numbered in this order.
-    world : World, optional
-        Its boxes and cylinders are drawn.
-    formats : sequence of str
-        ``"png"``, ``"svg"``, ``"pdf"``.
-    dpi : int
-        Resolution of the PNG.
-
-    Returns
-    -------
-    list of Path
-        ``track``, ``history``, ``position`` in each format. The same flight gives the same bytes.
-    """
-    target = Path(folder)
-    target.mkdir(parents=True, exist_ok=True)
-    paths = []
-    with mpl.rc_context(STYLE):
-        for name, figure in (
-            ("track", draw_track(dataset, waypoints=waypoints, world=world)),
-            ("history", draw_history(dataset)),
-            ("position", draw_position(dataset)),
-        ):
-            for kind in formats:
-                paths.append(target / f"{name}.{kind}")
-                unstamped = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
-                figure.savefig(paths[-1], dpi=dpi, metadata=unstamped)
-    return paths
+def runs(dataset: xr.Dataset) -> list[tuple[str, int, int]]:
+    """(state, first, last) of every stretch of one state; ``last`` belongs to the next stretch too."""
+    states = dataset.mission_state.values
+    edges = [0, *(np.flatnonzero(states[1:] != states[:-1]) + 1), len(states) - 1]
+    names = [str(states[a]).lower().replace("_", "-") for a in edges[:-1]]
+    return [(name, int(a), int(b)) for name, (a, b) in zip(names, pairwise(edges), strict=True)]
 
 
-def draw_history(dataset: xr.Dataset) -> Figure:
-    """Position, velocity, attitude, rates, rotor speeds, inputs and battery over time."""
-    figure = Figure(figsize=(12.0, 11.4))
-    panels: Any = figure.subplots(5, 2, sharex=True)
-    figure.subplots_adjust(left=0.06, right=0.985, top=0.925, bottom=0.05, hspace=0.27, wspace=0.15)
-    deg, up = 180.0 / np.pi, np.array([1.0, 1.0, -1.0])
-    data = {name: values.values for name, values in dataset.items()}
-    axes, colours = ("north", "east", "height"), (BLUE, VERMILION, GREEN)
-    p = panels.ravel()
-    _lines(
-        p[0],
-        dataset,
-        "Position (m)",
-        axes,
-        colours,
-        data["truth_position"] * up,
-        data["reference_position"] * up,
-    )
-    _lines(
-        p[1],
-        dataset,
-        "Velocity (m/s)",
-        axes,
-        colours,
-        data["truth_velocity"] * up,
-        data["reference_velocity"] * up,
-    )
-    angles, wanted = data["truth_attitude"] * deg, data["reference_attitude"] * deg
-    _lines(
-        p[2],
-        dataset,
-        "Roll and pitch (deg)",
-        ("roll", "pitch"),
-        colours,
-        angles[:, :2],
-        wanted[:, :2],
-        span=4.0,
-    )
-    _lines(p[3], dataset, "Heading (deg)", ("heading",), (BLUE,), angles[:, 2:], wanted[:, 2:], span=10.0)
-    rates = data["truth_rates"] * deg
-    _lines(p[4], dataset, "Roll and pitch rate (deg/s)", ("p", "q"), colours, rates[:, :2], span=20.0)
-    _lines(p[5], dataset, "Yaw rate (deg/s)", ("r",), (BLUE,), rates[:, 2:], span=20.0)
-    rotors = ("upper", "lower")
-    _lines(p[6], dataset, "Rotor speed (rad/s)", rotors, colours, data["truth_rotor_speed"])
-    _lines(p[7], dataset, "Motor input (0 to 1)", rotors, colours, data["motor_input"], limits=(0.0, 1.0))
-    servos = ("1, pitch", "2, roll")
-    _lines(p[8], dataset, "Servo input (-1 to 1)", servos, colours, data["servo_input"], limits=(-1.0, 1.0))
-    _lines(
-        p[9],
-        dataset,
-        "Battery voltage (V)",
-        ("voltage",),
-        (BLUE,),
-        data["battery_voltage"][:, None],
-        span=0.5,
-    )
-    for ax in p[8:]:
-        ax.set_xlabel("Time (s)")
-    _header(figure, dataset, 0.985)
-    return figure
+def colour(state: str) -> str:
+    return STATE_COLOURS.get(state, GREY)
 
 
-def draw_position(dataset: xr.Dataset) -> Figure:
-    """North, east and height over time with their references, and the distance from the reference."""
-    figure = Figure(figsize=(9.0, 8.4))
-    panels: Any = figure.subplots(4, 1, sharex=True)
-    figure.subplots_adjust(left=0.085, right=0.98, top=0.905, bottom=0.06, hspace=0.24)
-    up = np.array([1.0, 1.0, -1.0])
-    truth, reference = dataset.truth_position.values * up, dataset.reference_position.values * up
-    measured = dataset.measured_position.values * up
-    for k, name in enumerate(("North", "East", "Height")):
-        ax = panels[k]
-        ax.plot(dataset.time, measured[:, k], color=GREY, lw=0.8, alpha=0.8, label="measured")
-        _lines(ax, dataset, f"{name} (m)", ("true",), (BLUE,), truth[:, k : k + 1], reference[:, k : k + 1])
-    error = 100.0 * np.linalg.norm(truth - reference, axis=1)[:, None]
-    _lines(panels[3], dataset, "Distance from the reference (cm)", ("",), (VERMILION,), error)
-    panels[3].set_ylim(bottom=0.0)
-    panels[3].set_xlabel("Time (s)")
-    _header(figure, dataset, 0.985)
-    return figure
+def tint(state: str) -> tuple[float, float, float]:
+    red, green, blue = (1 - 0.19 * (1 - part) for part in to_rgb(colour(state)))
+    return red, green, blue
 
 
-def _header(figure: Figure, dataset: xr.Dataset, top: float) -> None:
-    handles = state_handles([name for name, _, _ in runs(dataset)])
-    figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, top), ncols=len(handles))
-    figure.text(0.02, top - 0.005, title(dataset), fontsize=10, va="top")
+def title(dataset: xr.Dataset) -> str:
+    names = [str(dataset.attrs[key]) for key in ("vehicle", "mission", "outcome") if dataset.attrs.get(key)]
+    return ", ".join(names)
 
 
-def _lines(
-    ax: Axes,
-    dataset: xr.Dataset,
-    heading: str,
-    labels: Sequence[str],
-    colours: Sequence[str],
-    values: _Array,
-    reference: _Array | None = None,
-    limits: tuple[float, float] | None = None,
-    span: float = 0.0,
-) -> None:
-    """One panel: values (n, k), dashed references (n, k), limits as thin lines, states as bands.
-
-    The height of the panel covers at least ``span``, so that noise does not look like motion.
-    """
-    time = dataset.time.values
-    for state, first, last in runs(dataset):
-        ax.axvspan(time[first], time[last], color=tint(state), lw=0, zorder=0)
-    for k, (label, colour) in enumerate(zip(labels, colours, strict=False)):
-        ax.plot(time, values[:, k], color=colour, label=label, zorder=3)
-        if reference is not None:
-            dark = [0.55 * part for part in to_rgb(colour)]
-            ax.plot(time, reference[:, k], color=dark, lw=1.0, ls=(0, (4, 2)), zorder=4)
-    if reference is not None:
-        ax.plot([], [], color=BLACK, lw=1.0, ls=(0, (4, 2)), label="reference")
-    for limit in limits or ():
-        ax.axhline(limit, color=BLACK, lw=0.8, ls=":", zorder=2)
-    low, high = ax.get_ylim()
-    if high - low < span:
-        ax.set_ylim(0.5 * (low + high - span), 0.5 * (low + high + span))
-    ax.set_title(heading, pad=4)
-    ax.set_xlim(time[0], max(time[-1], time[0] + 1e-3))
-    if any(labels):
-        ax.legend(loc="lower right", bbox_to_anchor=(1.01, 0.975), ncols=5, borderpad=0.1, columnspacing=1.2)
+def state_handles(names: Sequence[str], lines: bool = False) -> list[Any]:
+    used = [name for name in STATE_COLOURS if name in names]
+    used += [name for name in dict.fromkeys(names) if name not in STATE_COLOURS]
+    if lines:
+        return [Line2D([], [], color=colour(name), lw=2.4, label=name) for name in used]
+    return [Patch(color=tint(name), label=name) for name in used]
