@@ -1,7 +1,7 @@
 """All of it at once: the flight software, the closed loop, the recorder, pictures and numbers of a flight."""
 
 from mufly.flight.autopilot import Autopilot
-from mufly.flight.flight import Flight, FlightView, Progress, fly
+from mufly.flight.flight import Flight, Progress, fly
 from mufly.flight.parameters import Parameter
 from mufly.flight.pictures import draw_flight
 from mufly.flight.plant import Demand, Plant, respond
@@ -13,8 +13,6 @@ from mufly.logs.layout import Event, events_of, standard_layout, to_csv
 from mufly.logs.recording import read_attachments, read_recording
 from mufly.mission import Answer, SetPoint
 
-Status = FlightState  # until the link reads the one record
-
 __all__ = [
     "Actuators",
     "Answer",
@@ -25,7 +23,6 @@ __all__ = [
     "Flight",
     "FlightSoftware",
     "FlightState",
-    "FlightView",
     "Parameter",
     "Plant",
     "Progress",

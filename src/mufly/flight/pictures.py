@@ -11,7 +11,6 @@ Okabe and Ito (2008, "Color universal design"), which the colour-blind can tell 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +25,7 @@ from matplotlib.patches import Patch
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from numpy.typing import ArrayLike, NDArray
 
+from mufly.flight.summary import runs
 from mufly.world import World
 
 BLACK, GREY = "#222222", "#8c8c8c"
@@ -196,7 +196,7 @@ def _lines(
     The height of the panel covers at least ``span``, so that noise does not look like motion.
     """
     time = dataset.time.values
-    for state, first, last in runs(dataset):
+    for state, first, last in stretches(dataset):
         ax.axvspan(time[first], time[last], color=tint(state), lw=0, zorder=0)
     for k, (label, colour) in enumerate(zip(labels, colours, strict=False)):
         ax.plot(time, values[:, k], color=colour, label=label, zorder=3)
@@ -249,8 +249,7 @@ def draw_track(
         ax.add_collection3d(Line3DCollection(posts, colors=GREY, lw=0.8, linestyles=":", zorder=2))
         ax.scatter(*posts[:, 1].T, s=8, color=GREY, depthshade=False, zorder=2)
     ax.plot(*reference.T, color=BLACK, lw=0.9, ls=DASHES, zorder=3)
-    stretches = runs(dataset)
-    for state, first, last in stretches:
+    for state, first, last in stretches(dataset):
         ax.plot(
             *truth[first : last + 1].T,
             color=colour(state),
@@ -265,7 +264,7 @@ def draw_track(
     ax.scatter(*truth[0], color=ORANGE, **ends)
     ax.scatter(*truth[-1], color=GREEN, **(ends | {"marker": "s", "s": 46}))
     handles = [
-        *state_handles([name for name, _, _ in stretches], lines=True),
+        *state_handles([name for name, _, _ in runs(dataset)], lines=True),
         Line2D([], [], color=BLACK, lw=0.9, ls=DASHES, label="reference"),
         Line2D([], [], color=SHADOW, lw=2.2, label="shadow"),
         _marker("^", ORANGE, "start"),
@@ -328,12 +327,10 @@ def _prism(outline: _Array, foot: float, height: float) -> list[_Array]:
 # What they share
 
 
-def runs(dataset: xr.Dataset) -> list[tuple[str, int, int]]:
+def stretches(dataset: xr.Dataset) -> list[tuple[str, int, int]]:
     """(state, first, last) of every stretch of one state; ``last`` belongs to the next stretch too."""
-    states = dataset.mission_state.values
-    edges = [0, *(np.flatnonzero(states[1:] != states[:-1]) + 1), len(states) - 1]
-    names = [str(states[a]).lower().replace("_", "-") for a in edges[:-1]]
-    return [(name, int(a), int(b)) for name, (a, b) in zip(names, pairwise(edges), strict=True)]
+    last = len(dataset.mission_state) - 1
+    return [(name, a, min(b, last)) for name, a, b in runs(dataset)]
 
 
 def colour(state: str) -> str:

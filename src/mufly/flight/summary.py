@@ -142,7 +142,7 @@ def summarise(
     """
     time = dataset.time.values
     x = dataset.truth_position.values
-    states = _runs(dataset.mission_state.values)
+    states = runs(dataset)
     airborne = x[0, 2] - x[:, 2] > AIRBORNE_M
     # Flown by hand it had other places to be.
     by_hand = not dataset.attrs.get("mission_flown", True)
@@ -181,8 +181,9 @@ def summarise(
     )
 
 
-def _runs(states: NDArray[Any]) -> list[_Run]:
+def runs(dataset: xr.Dataset) -> list[_Run]:
     """(state, first, past the last) of every stretch of one state; spelling is unified."""
+    states = dataset.mission_state.values
     edges = [0, *(np.flatnonzero(states[1:] != states[:-1]) + 1), len(states)]
     names = [str(states[a]).lower().replace("_", "-") for a in edges[:-1]]
     return [(name, int(a), int(b)) for name, (a, b) in zip(names, pairwise(edges), strict=True)]
