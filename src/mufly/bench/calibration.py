@@ -9,6 +9,15 @@ Every row of ``[b S]`` is a linear least-squares fit over the lines of a calibra
 loads that the file does not name are taken to have none. Known weights count as exact. Own derivation; textbook
 treatment of multi-component balances: Tropea, Yarin and Foss (eds.), Springer Handbook of Experimental Fluid
 Mechanics, 2007.
+
+The zero drifts: readings at zero speed come in blocks (consecutive lines at rest). Over the time ``t`` of the
+measurement, or the number of the line where no time was kept, a polynomial
+
+    zero(t) = a_0 + a_1 tau + ... + a_d tau^d,      tau = (t - middle) / half the span of the zeros
+
+is fitted to them. Its degree, at most one less than the number of blocks and at most 3, has the least AICc (Hurvich
+and Tsai, Biometrika 76, 1989) of the readings; the covariance of ``a`` is that of :mod:`mufly.bench.covariance`, with
+readings of one block allowed to err alike. From a single block the zero is constant by assumption, which is said.
 """
 
 from __future__ import annotations
@@ -20,7 +29,6 @@ from numpy.typing import NDArray
 
 from mufly.bench.covariance import Spread, joined, spread
 from mufly.bench.table import SI_UNITS, BenchTable
-from mufly.errors import InputError
 
 Array = NDArray[np.float64]
 
@@ -128,35 +136,22 @@ def calibrate_cells(table: BenchTable) -> Calibration:
     """
     channels = tuple(n for n in table.columns if not n.endswith("_raw") and f"{n}_raw" in table)
     if not channels:
-        raise InputError(
-            table.source,
-            "",
-            "has no pair of known load and reading",
-            "give columns as thrust_N and thrust_raw_V",
-        )
+        remedy = "give columns as thrust_N and thrust_raw_V"
+        raise table.fault("", "has no pair of known load and reading", remedy)
     table.require([*channels, *(f"{n}_raw" for n in channels)])
     loads = np.column_stack([table[n] for n in channels])
     notes: list[str] = []
     for k, name in enumerate(channels):
         if np.ptp(loads[:, k]) == 0:
-            raise InputError(
-                table.source,
-                table.headers[name],
-                "is the same in every line",
-                "hang different known loads on the cell",
-            )
+            raise table.fault(name, "is the same in every line", "hang different known loads on the cell")
     a = np.column_stack([np.ones(len(table)), loads])
     n, p = a.shape
     if n < p + 2:
-        raise InputError(
-            table.source, "", f"{n} lines are too few for {p} numbers a sensor", f"give {p + 2} or more"
-        )
+        raise table.fault("", f"{n} lines are too few for {p} numbers a sensor", f"give {p + 2} or more")
     size = np.abs(loads).max(axis=0)
     if np.linalg.matrix_rank(a / np.r_[1.0, size], tol=1e-6) < p:
-        raise InputError(
-            table.source, " and ".join(channels), "rise and fall together, so that cross-talk cannot be told from gain",
-            "load each cell also without the other",
-        )  # fmt: skip
+        problem = "rise and fall together, so that cross-talk cannot be told from gain"
+        raise table.fault(" and ".join(channels), problem, "load each cell also without the other")
     order = np.argsort(table["time"], kind="stable") if "time" in table else np.arange(n)
     a, run = a[order], (table["run"].astype(np.int64)[order] if "run" in table else None)
     group = np.unique(loads[order], axis=0, return_inverse=True)[1].ravel().astype(np.int64)
@@ -171,26 +166,12 @@ def calibrate_cells(table: BenchTable) -> Calibration:
         spreads.append(s)
     b = np.array(rows)
     if abs(np.linalg.det(b[:, 1:] / np.abs(b[:, 1:]).max(axis=0))) < 1e-9:
-        raise InputError(table.source, "", "the sensors do not tell the loads apart", "check the columns")
+        raise table.fault("", "the sensors do not tell the loads apart", "check the columns")
     return Calibration(
         channels=channels, offset=b[:, 0], sensitivity=b[:, 1:], covariance=joined(*(s.covariance for s in spreads)),
         spreads=tuple(spreads), applied=np.column_stack([loads.min(axis=0), loads.max(axis=0)]), source=table.source,
         notes=tuple(notes),
     )  # fmt: skip
-
-
-# ----------------------------------------------------------------------------
-# Zero drift: what the load cells read when nothing turns, before, between and after the runs.
-#
-# Readings at zero speed come in blocks (consecutive lines at rest). Over the time ``t`` of the measurement, or the
-# number of the line where no time was kept, a polynomial
-#
-#     zero(t) = a_0 + a_1 tau + ... + a_d tau^d,      tau = (t - middle) / half the span of the zeros
-#
-# is fitted to them. Its degree, at most one less than the number of blocks and at most 3, has the least AICc (Hurvich
-# and Tsai, Biometrika 76, 1989) of the readings; the covariance of ``a`` is that of :mod:`mufly.bench.covariance`,
-# with
-# readings of one block allowed to err alike. From a single block the zero is constant by assumption, which is said.
 
 
 _HIGHEST = 3

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from mufly.bench.calibration import Calibration, ZeroDrift, fit_drift
 from mufly.bench.covariance import joined
 from mufly.bench.table import SI_UNITS, BenchTable
-from mufly.errors import ArgumentError, InputError
+from mufly.errors import ArgumentError
 from mufly.rotor import Air, Blading, Condition, System, hover_batch, solve
 
 Array = NDArray[np.float64]
@@ -83,16 +83,13 @@ def corrected_loads(table: BenchTable, calibration: Calibration | None = None) -
     known = calibration.channels if calibration is not None else ()
     for channel in raw:
         if channel not in known:
-            raise InputError(
-                table.source, table.headers[f"{channel}_raw"], "is a reading without a calibration",
-                f"give --calibration a file with {channel} and {channel}_raw",
-            )  # fmt: skip
+            remedy = f"give --calibration a file with {channel} and {channel}_raw"
+            raise table.fault(f"{channel}_raw", "is a reading without a calibration", remedy)
     for channel in known:
         if channel not in raw:
-            raise InputError(
-                table.source, f"{channel}_raw", "is not among the columns, but the calibration has it",
-                f"name the reading {channel}_raw_V, or map it with --columns",
-            )  # fmt: skip
+            remedy = f"name the reading {channel}_raw_V, or map it with --columns"
+            problem = "is not among the columns, but the calibration has it"
+            raise table.fault(f"{channel}_raw", problem, remedy)
     direct = [
         c for c in table.columns if c.split("_")[0] in _FORCES and not c.endswith("_raw") and c not in raw
     ]

@@ -1,7 +1,10 @@
 """A bench file read: columns in SI units under one set of names, with what was guessed on the way.
 
 A CSV with a header (comma, semicolon or tab; with semicolons a decimal comma will do); lines that begin with ``#`` are
-skipped. Which headers are understood stands in :mod:`mufly.bench.table` and docs/bench.md; others are passed over.
+skipped. A header is a name and a unit, in brackets or after the last underscore: ``current_A``, ``Current [mA]``,
+``Q(Nm)``. The name may carry the rotor (``upper`` or ``lower``), and ``raw`` for the reading of a sensor that is still
+to be calibrated: ``thrust_upper_N``, ``torque_raw_V``. Capitals do not matter. Other headers are passed over
+(docs/bench.md).
 """
 
 from __future__ import annotations
@@ -60,6 +63,10 @@ class BenchTable:
     def __getitem__(self, name: str) -> Array:
         return self.columns[name]
 
+    def fault(self, key: str, problem: str, remedy: str) -> InputError:
+        """Return the error about a column, called by its header, or about the file (key "")."""
+        return InputError(self.source, self.headers.get(key, key), problem, remedy)
+
     def require(self, names: Iterable[str], *, remedy: str = "") -> None:
         """Check that columns are there and filled in every line.
 
@@ -70,17 +77,12 @@ class BenchTable:
         """
         for name in names:
             if name not in self.columns:
-                written = ", ".join(self.headers.values())
-                raise InputError(
-                    self.source, name, "is not among the columns",
-                    remedy or f"known here: {written}; map others with --columns OLD=NEW",
-                )  # fmt: skip
+                known = f"known here: {', '.join(self.headers.values())}; map others with --columns OLD=NEW"
+                raise self.fault(name, "is not among the columns", remedy or known)
             empty = np.flatnonzero(~np.isfinite(self.columns[name]))
             if empty.size:
-                raise InputError(
-                    self.source, f"line {self.line[empty[0]]}, {self.headers[name]}", "is empty",
-                    "fill it in, or leave the line out",
-                )  # fmt: skip
+                cell = f"line {self.line[empty[0]]}, {self.headers[name]}"
+                raise self.fault(cell, "is empty", "fill it in, or leave the line out")
 
     def constant(self, name: str) -> bool:
         """Return whether a column hardly varies (by less than a thousandth of its size)."""
@@ -218,14 +220,6 @@ def _number(where: str, line: int, header: str, cell: str, delimiter: str) -> fl
     return value
 
 
-# ----------------------------------------------------------------------------
-# Names and units of the columns of a bench file: what ``torque_mNm``, ``T_A (N)`` or ``RPM`` stand for.
-#
-# A header is a name and a unit, in brackets or after the last underscore: ``current_A``, ``Current [mA]``, ``Q(Nm)``.
-# The name may carry the rotor (``upper`` or ``lower``), and ``raw`` for the reading of a sensor that is still to be
-# calibrated: ``thrust_upper_N``, ``torque_raw_V``. Capitals do not matter.
-
-
 _NAMES = {
     # quantity: its unit here, and its names
     "voltage": ("V", "voltage u v volts supply_voltage motor_voltage"),
@@ -245,8 +239,7 @@ _NAMES = {
 }
 SI_UNITS = {quantity: unit for quantity, (unit, _) in _NAMES.items()}
 
-_SIDES = {"upper": "upper", "up": "upper", "top": "upper", "lower": "lower", "dw": "lower", "low": "lower",
-          "down": "lower", "bottom": "lower"}  # fmt: skip
+_SIDES = {"upper": "upper up top", "lower": "lower dw low down bottom"}
 _BRACKETS = re.compile(r"^(.*?)\s*[\(\[]\s*([^\)\]]*?)\s*[\)\]]$")
 _NEEDS_NO_UNIT = ("duty", "run")
 _OWN_UNIT = {"rpm": "rpm", "omega": "rad/s"}
@@ -302,8 +295,9 @@ def parse_header(header: str) -> Column | None:
 def _named(name: str, unit: str) -> Column | None:
     words = [w for w in re.split(r"[_\s]+", name) if w]
     raw = "raw" in words
-    side = next((_SIDES[w] for w in words if w in _SIDES), "")
-    stem = "_".join(w for w in words if w != "raw" and w not in _SIDES)
+    sides = {word: side for side, known in _SIDES.items() for word in known.split()}
+    side = next((sides[w] for w in words if w in sides), "")
+    stem = "_".join(w for w in words if w != "raw" and w not in sides)
     for quantity, (si, names) in _NAMES.items():
         if stem not in names.split():
             continue
