@@ -45,8 +45,8 @@ from mufly.compiled import compiled
 from mufly.errors import InputError
 from mufly.rotor.blading import Blades, Blading, as_blading
 from mufly.rotor.geometry import Rotor
-from mufly.rotor.polar_table import OUTSIDE_ALPHA, OUTSIDE_REYNOLDS, PolarStack, coefficients
-from mufly.rotor.system import Air, RotorResult
+from mufly.rotor.polar_table import PolarStack, coefficients, outside_of
+from mufly.rotor.system import Air, Placed, RotorResult
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -132,23 +132,11 @@ def _solve(
 
 def _outside(blading: Blading, which: int, alpha: Array, reynolds: Array) -> NDArray[np.uint8]:
     """Flags of one rotor's stations; a mixed section is outside where either polar is."""
-    stack = blading.polars
-    flags = np.zeros(alpha.size, dtype=np.uint8)
-    log_re = np.log(reynolds)
-    v = np.clip((log_re - stack.log_reynolds_min) * stack.per_log_reynolds, 0.0, stack.grid.shape[1] - 1.0)
-    j = np.minimum(v.astype(np.int64), max(stack.grid.shape[1] - 2, 0))
-    k = np.minimum(j + 1, stack.grid.shape[1] - 1)
-    s = (v - j)[:, None]
-    a = (alpha + math.pi) % (2.0 * math.pi) - math.pi
-    for index, used in (
-        (blading.first[which], blading.weight[which] < 1.0),
-        (blading.second[which], blading.weight[which] > 0.0),
-    ):
-        limits = (1.0 - s) * stack.alpha_valid_rad[index, j] + s * stack.alpha_valid_rad[index, k]
-        span = stack.log_reynolds_range[index]
-        beyond_alpha = used & ((a < limits[:, 0] - 1e-9) | (a > limits[:, 1] + 1e-9))
-        beyond_re = used & ((log_re < span[:, 0] - 1e-9) | (log_re > span[:, 1] + 1e-9))
-        flags |= (beyond_alpha * OUTSIDE_ALPHA + beyond_re * OUTSIDE_REYNOLDS).astype(np.uint8)
+    first, second = (
+        outside_of(blading.polars, k[which], alpha, reynolds) for k in (blading.first, blading.second)
+    )
+    weight = blading.weight[which]
+    flags: NDArray[np.uint8] = first * (weight < 1.0) | second * (weight > 0.0)
     return flags
 
 
@@ -187,27 +175,19 @@ def hover(
     InputError
         If the speed is not above zero or a number is not finite.
     """
-    gas, blading = air or Air(), as_blading(blading)
-    point = {name: np.array([float(value)]) for name, value in (
-        ("pitch_rad", pitch_rad), ("speed_rad_s", speed_rad_s), ("climb_m_s", climb_m_s))}  # fmt: skip
-    for name, value in point.items():
+    placed = Placed(as_blading(blading), float(pitch_rad), float(speed_rad_s), which=which)
+    gas, climb = air or Air(), float(climb_m_s)
+    pitch, speed, axial = (np.array([v]) for v in (placed.pitch_rad, placed.speed_rad_s, climb))
+    for name, value in (("pitch_rad", pitch), ("speed_rad_s", speed), ("climb_m_s", axial)):
         _checked(name, value, positive=name == "speed_rad_s")
     wind = None if stream is None else np.stack(stream, axis=-1)[None]
-    totals, stations = _solve(
-        blading, which, point["pitch_rad"], point["speed_rad_s"], point["climb_m_s"], gas, True, wind
-    )
+    totals, stations = _solve(placed.blading, which, pitch, speed, axial, gas, True, wind)
     columns = {name: stations[0, :, i].copy() for i, name in enumerate(FIELDS)}
-    return result_of(
-        blading, which, float(pitch_rad), float(speed_rad_s), float(climb_m_s), gas,
-        float(totals[0, 0]), float(totals[0, 1]), columns,
-    )  # fmt: skip
+    return result_of(placed, climb, gas, float(totals[0, 0]), float(totals[0, 1]), columns)
 
 
 def result_of(
-    blading: Blading,
-    which: int,
-    pitch_rad: float,
-    speed_rad_s: float,
+    placed: Placed,
     climb_m_s: float,
     air: Air,
     thrust_N: float,
@@ -215,6 +195,7 @@ def result_of(
     columns: Mapping[str, Array],
 ) -> RotorResult:
     """Put an operating point together from its thrust, torque and station table (``FIELDS``), whatever the method."""
+    blading, which, speed_rad_s = placed.blading, placed.which, placed.speed_rad_s
     rotor = blading.rotors[which]
     area = rotor.disc_area_m2
     power = torque_Nm * speed_rad_s
@@ -222,7 +203,7 @@ def result_of(
     flags = _outside(blading, which, columns["alpha_rad"], columns["reynolds"])
     size = np.abs(columns["dT_N"])
     return RotorResult(
-        pitch_rad=pitch_rad,
+        pitch_rad=placed.pitch_rad,
         speed_rad_s=speed_rad_s,
         climb_m_s=climb_m_s,
         thrust_N=thrust_N,
@@ -236,7 +217,7 @@ def result_of(
         r_m=blading.r_m[which],
         dr_m=blading.dr_m[which],
         chord_m=blading.chord_m[which],
-        theta_rad=blading.twist_rad[which] + pitch_rad,
+        theta_rad=blading.twist_rad[which] + placed.pitch_rad,
         **columns,
         outside=flags,
         outside_share=float(size[flags > 0].sum() / size.sum()) if size.sum() > 0 else 0.0,

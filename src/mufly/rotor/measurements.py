@@ -116,12 +116,11 @@ def read_measurements(
         )
     pitch, rpm, thrust, torque = np.array(rows).T
     speed = rpm * RPM
-    named = header[columns["thrust_N"]].lower()
-    to_thrust = _thrust_from(named, diameter_m or math.nan, density_kg_m3 or math.nan)
+    scale = (diameter_m or math.nan, density_kg_m3 or math.nan)
+    thrust = _thrust_from(header[columns["thrust_N"]].lower(), thrust, speed, *scale)
     if "torque_Nm" in columns:
-        named = header[columns["torque_Nm"]].lower()
-        torque = _torque_from(named, diameter_m or math.nan, density_kg_m3 or math.nan)(torque, speed)
-    return Measurements(np.radians(pitch), speed, to_thrust(thrust, speed), torque, Path(path).name)
+        torque = _torque_from(header[columns["torque_Nm"]].lower(), torque, speed, *scale)
+    return Measurements(np.radians(pitch), speed, thrust, torque, Path(path).name)
 
 
 def _columns(where: str, header: list[str]) -> dict[str, int]:
@@ -151,21 +150,16 @@ def _number(where: str, number: int, column: str, cells: list[str], index: int) 
     return value
 
 
-_Convert = Callable[[Array, Array], Array]
-
-
-def _thrust_from(column: str, diameter: float, density: float) -> _Convert:
+def _thrust_from(column: str, value: Array, speed: Array, diameter: float, density: float) -> Array:
     if column == "ct":
-        return lambda value, speed: value * density * (speed / (2 * np.pi)) ** 2 * diameter**4
-    return lambda value, speed: value
+        return value * density * (speed / (2 * np.pi)) ** 2 * diameter**4
+    return value
 
 
-def _torque_from(column: str, diameter: float, density: float) -> _Convert:
+def _torque_from(column: str, value: Array, speed: Array, diameter: float, density: float) -> Array:
     if column == "cp":
-        return lambda value, speed: value * density * (speed / (2 * np.pi)) ** 3 * diameter**5 / speed
-    if column in ("power_w", "p(w)"):
-        return lambda value, speed: value / speed
-    return lambda value, speed: value
+        return value * density * (speed / (2 * np.pi)) ** 3 * diameter**5 / speed
+    return value / speed if column in ("power_w", "p(w)") else value
 
 
 @dataclass(frozen=True, eq=False)

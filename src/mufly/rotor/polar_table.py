@@ -67,6 +67,7 @@ OUTSIDE_REYNOLDS = 2  # bit: Reynolds number beyond the table, value is that of 
 _CELLS = ALPHA_GRID.size - 1
 _PER_RADIAN = _CELLS / (2.0 * math.pi)
 _TURN = 2.0 * math.pi
+_SLACK = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,12 +276,24 @@ def outside(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> NDArray
         bit ``OUTSIDE_REYNOLDS`` where the Reynolds number lies beyond the table.
     """
     a, re = np.broadcast_arrays(np.asarray(alpha, dtype=np.float64), np.asarray(reynolds, dtype=np.float64))
-    a = (a + math.pi) % _TURN - math.pi
-    limits = _at_log_reynolds(table.alpha_valid_rad, np.log(table.reynolds), np.log(re).ravel())
-    low, high = (limits[:, c].reshape(a.shape) for c in (0, 1))
-    slack = 1e-9
-    beyond_alpha = (a < low - slack) | (a > high + slack)
-    beyond_re = (re < table.reynolds[0] * (1 - slack)) | (re > table.reynolds[-1] * (1 + slack))
+    return outside_of(stack_polars([table]), 0, a.ravel(), re.ravel()).reshape(a.shape)
+
+
+def outside_of(
+    stack: PolarStack, k: int | NDArray[np.int64], alpha: Array, reynolds: Array
+) -> NDArray[np.uint8]:
+    """The same for tables ``k`` of a stack, one or as many as there are points, (n,) arrays."""
+    log_re, rows = np.log(reynolds), stack.grid.shape[1]
+    v = np.clip((log_re - stack.log_reynolds_min) * stack.per_log_reynolds, 0.0, rows - 1.0)
+    j = np.minimum(v.astype(np.int64), max(rows - 2, 0))
+    s = (v - j)[:, None]
+    limits = (1.0 - s) * stack.alpha_valid_rad[k, j] + s * stack.alpha_valid_rad[
+        k, np.minimum(j + 1, rows - 1)
+    ]
+    low, high = np.broadcast_to(stack.log_reynolds_range[k], (log_re.size, 2)).T
+    a = (alpha + math.pi) % _TURN - math.pi
+    beyond_alpha = (a < limits[:, 0] - _SLACK) | (a > limits[:, 1] + _SLACK)
+    beyond_re = (log_re < low - _SLACK) | (log_re > high + _SLACK)
     return (beyond_alpha * OUTSIDE_ALPHA + beyond_re * OUTSIDE_REYNOLDS).astype(np.uint8)
 
 

@@ -380,7 +380,7 @@ def solve_blade(unit: Unit, others: Array, air: Air, climb: float, settings: Wak
 
 
 def rotor_result(unit: Unit, air: Air, climb: float) -> RotorResult:
-    s, state, p = unit.surface, unit.state, unit.placed
+    s, state = unit.surface, unit.state
     assert state is not None
     wy, wz = unit.wind_quarter[:, 1], unit.wind_quarter[:, 2]
     nu = air.viscosity_Pa_s / air.density_kg_m3
@@ -396,9 +396,7 @@ def rotor_result(unit: Unit, air: Air, climb: float) -> RotorResult:
         "dT_N": unit.dT,
         "dQ_Nm": unit.dQ,
     }
-    return result_of(
-        p.blading, p.which, p.pitch_rad, p.speed_rad_s, climb, air, unit.thrust, unit.torque, columns
-    )
+    return result_of(unit.placed, climb, air, unit.thrust, unit.torque, columns)
 
 
 def wake_of(unit: Unit) -> Wake:
