@@ -154,3 +154,9 @@ def test_a_third_rotor_far_below_meets_both_streams_and_leaves_the_pair_alone():
         solve(System((case,) * 3, (0.0, -0.02, -50.0), (1, -1, 1), (0,) * 3), Condition(PITCH, None, 1.0))
     with pytest.raises(InputError, match="uppermost"):
         System((case, case), (0.0, 0.02), (1, -1), (0, 0))
+
+
+def test_a_result_prints_its_rotors():
+    first, *lines = str(pair()).splitlines()
+    assert first.startswith("bemt settled in")
+    assert [line.split()[0] for line in lines] == ["rotor", "1", "2", "all"]

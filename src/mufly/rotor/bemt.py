@@ -35,7 +35,6 @@ import math
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,6 +42,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mufly.compiled import compiled
 from mufly.errors import InputError
+from mufly.results import result
 from mufly.rotor.blading import Blades, Blading, as_blading
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.polar_table import PolarStack, coefficients, outside_of
@@ -60,9 +60,15 @@ _TOLERANCE = 1e-10  # rad
 _FADE_FROM, _FADE_TO = math.radians(30.0), math.radians(50.0)
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False)
 class BatchResult:
-    """Many operating points; every array has the shape of the broadcast inputs."""
+    """Many operating points; every array has the shape of the broadcast inputs.
+
+    Attributes
+    ----------
+    thrust_N, torque_Nm, power_W, figure_of_merit, c_T, c_Q : arrays
+        Of the whole rotor, as in a :class:`RotorResult`.
+    """
 
     thrust_N: Array
     torque_Nm: Array

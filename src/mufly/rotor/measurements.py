@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from mufly.errors import InputError, MuflyError
+from mufly.results import result
 from mufly.rotor.bemt import hover_batch
 from mufly.rotor.blading import Blading, as_blading
 from mufly.rotor.geometry import Rotor
@@ -162,7 +163,7 @@ def _torque_from(column: str, value: Array, speed: Array, diameter: float, densi
     return value / speed if column in ("power_w", "p(w)") else value
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False)
 class Comparison:
     """A prediction beside a measurement.
 

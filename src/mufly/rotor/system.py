@@ -18,6 +18,7 @@ from mufly.errors import InputError
 from mufly.results import result
 from mufly.rotor.blading import Blading, as_blading
 from mufly.rotor.geometry import Rotor
+from mufly.units import RPM
 
 Array = NDArray[np.float64]
 Method = Literal["bemt", "wake"]
@@ -133,13 +134,24 @@ class RotorResult:
     ----------
     pitch_rad, speed_rad_s, climb_m_s : float
         The point.
-    thrust_N, torque_Nm, power_W, figure_of_merit, c_T, c_Q : float
-        Of the whole rotor; the figure of merit is nan unless thrust and power are positive.
+    thrust_N, torque_Nm, power_W, c_T, c_Q : float
+        Of the whole rotor.
+    figure_of_merit : float
+        Of the whole rotor; nan unless thrust and power are positive.
     r_m, dr_m, chord_m, theta_rad : (stations,) arrays
         Blade.
-    alpha_rad, phi_rad, inflow_m_s, swirl_m_s, cl, cd, reynolds, loss, dT_N, dQ_Nm : (stations,) arrays
-        Angle of attack of the section, inflow angle, axial and tangential induced velocity, section
-        coefficients, Reynolds number, loss factor F, and thrust and torque of the annulus (all blades).
+    alpha_rad : (stations,) array
+        Angle of attack of the section.
+    phi_rad : (stations,) array
+        Inflow angle.
+    inflow_m_s, swirl_m_s : (stations,) arrays
+        Axial and tangential induced velocity.
+    cl, cd, reynolds : (stations,) arrays
+        Section coefficients, and the Reynolds number that they hold for.
+    loss : (stations,) array
+        Loss factor F.
+    dT_N, dQ_Nm : (stations,) arrays
+        Thrust and torque of the annulus (all blades).
     outside : (stations,) array of uint8
         0 where the polar answers from what its engine computed; bits ``OUTSIDE_ALPHA``, ``OUTSIDE_REYNOLDS``
         elsewhere.
@@ -359,6 +371,21 @@ class Result:
     settings: WakeSettings | None = None
     residual: float = math.nan
     history: Array = field(default_factory=lambda: np.empty((0, 0)))
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.method} {self.message}",
+            "rotor pitch_deg speed_rpm thrust_N torque_Nm power_W merit",
+        ]
+        for k, r in enumerate(self.rotors):
+            lines.append(
+                f"{k + 1:5d} {math.degrees(r.pitch_rad):9.2f} {r.speed_rad_s / RPM:9.0f} {r.thrust_N:8.4f} "
+                f"{r.torque_Nm:9.6f} {r.power_W:7.3f} {r.figure_of_merit:5.3f}"
+            )
+        lines.append(
+            f"  all {self.thrust_N:28.4f} {self.yaw_torque_Nm:9.6f} {self.power_W:7.3f} {self.figure_of_merit:5.3f}"
+        )
+        return "\n".join(lines)
 
     @property
     def upper(self) -> RotorResult:

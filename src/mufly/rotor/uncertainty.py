@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mufly.errors import InputError
+from mufly.results import result
 from mufly.rotor.bemt import hover_batch
 from mufly.rotor.blading import Corrections, prepare
 from mufly.rotor.engines import Engine
@@ -57,7 +58,7 @@ class Doubt:
         return cls(camber=0.01, thickness=0.02)
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False)
 class Band:
     """A prediction with its interval.
 

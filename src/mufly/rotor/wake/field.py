@@ -11,12 +11,13 @@ N times in a relative revolution for rotors of N blades, at N (Omega_1 + Omega_2
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mufly.errors import InputError
+from mufly.results import result
 from mufly.rotor.system import Result, Wake, WakeSettings
 from mufly.rotor.wake.blade import turned
 from mufly.rotor.wake.kernel import induce
@@ -128,7 +129,7 @@ def _angles(n: int) -> Array:
     return 2.0 * math.pi * (np.arange(n) + 0.5) / n
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False)
 class BladePassing:
     """Loads over the relative azimuth.
 
