@@ -78,7 +78,7 @@ class Wishes:
     def set_group(self, now_s: float, group: int, rate_Hz: float) -> None:
         """Take the older form of a wish: a group of messages (0: all that are streamed by default) at a rate."""
         for k, stream in enumerate(STREAMS):
-            if stream.default_Hz and stream.groups and (group == 0 or group in stream.groups):
+            if stream.default_Hz and stream.group and group in (0, stream.group):
                 self._set(now_s, k, _period(min(rate_Hz, MOST_HZ)))
 
     def ask_once(self, number: int) -> bool:

@@ -38,6 +38,7 @@ from mufly.link.codec import NOT_GIVEN, MavMessage, mavlink, single, unscaled, w
 from mufly.link.conventions import ABOVE_ORIGIN, ABOVE_SEA, LOITER, Mode, Origin, asked, mode_of_custom
 from mufly.link.missions import MissionProtocol
 from mufly.link.set_points import ManualControl
+from mufly.link.telemetry import ON_GLOBE
 from mufly.mission import ACCEPTED, HIGHEST_M, LOWEST_M, Answer, later, never
 
 FORCE = 21196.0
@@ -403,12 +404,6 @@ MESSAGE_REQUESTS: dict[int, int | None] = {
     mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
 }
 """Commands that ask for a message, or how often it comes, and the one they ask for (None: parameter 1). Anyone may."""
-_GLOBAL = (
-    mavlink.MAVLINK_MSG_ID_HOME_POSITION,
-    mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
-    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
-    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT,
-)
 
 
 def request_message(
@@ -443,7 +438,7 @@ def request_message(
         known = wishes.known(number)
         told = number if 0 <= number < 65536 else 0
         messages = [mavlink.MAVLink_message_interval_message(told, wishes.interval_us(number))]
-    elif number in _GLOBAL and not has_origin:
+    elif number in ON_GLOBE and not has_origin:
         return _DENY, []
     else:
         known = wishes.ask_once(number)

@@ -415,10 +415,8 @@ def _place(p: Instant) -> tuple[float, float, float]:
     return n, e, d
 
 
-def global_position_int(p: Instant) -> MavMessage | None:
-    """GLOBAL_POSITION_INT; None without an origin."""
-    if p.origin is None:
-        return None
+def global_position_int(p: Instant) -> MavMessage:
+    """GLOBAL_POSITION_INT."""
     m = p.state.estimate
     speeds = [within(v * 100.0, -32768, 32767) for v in m.velocity.tolist()]
     yaw = math.degrees(float(m.attitude[2])) % 360.0 if math.isfinite(m.attitude[2]) else math.nan
@@ -433,10 +431,8 @@ def global_position_int(p: Instant) -> MavMessage | None:
     )
 
 
-def gps_raw_int(p: Instant) -> MavMessage | None:
-    """GPS_RAW_INT: the simulated receiver that an origin stands for; None without one."""
-    if p.origin is None:
-        return None
+def gps_raw_int(p: Instant) -> MavMessage:
+    """GPS_RAW_INT: the simulated receiver that an origin stands for."""
     v = p.state.estimate.velocity
     speed = math.hypot(v[0], v[1])
     course = math.degrees(math.atan2(v[1], v[0])) % 360.0
@@ -464,22 +460,17 @@ def altitude(p: Instant) -> MavMessage:
     )
 
 
-def home_position(p: Instant) -> MavMessage | None:
-    """HOME_POSITION: where it took off, or stands; None without an origin."""
-    if p.origin is None:
-        return None
-    place = _place(p) if p.state.home is None else (*(float(x) for x in p.state.home),)
-    n, e, d = (single(x) for x in place)
+def home_position(p: Instant) -> MavMessage:
+    """HOME_POSITION: where it took off, or stands."""
+    n, e, d = (single(x) for x in (_place(p) if p.state.home is None else p.state.home))
     return mavlink.MAVLink_home_position_message(
         *_globe(p, (n, e, d)), n, e, d, (1.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, p.usec
     )
 
 
-def gps_global_origin(p: Instant) -> MavMessage | None:
-    """GPS_GLOBAL_ORIGIN: where N = E = D = 0 is; None without an origin."""
-    return (
-        None if p.origin is None else mavlink.MAVLink_gps_global_origin_message(*_globe(p, (0, 0, 0)), p.usec)
-    )
+def gps_global_origin(p: Instant) -> MavMessage:
+    """GPS_GLOBAL_ORIGIN: where N = E = D = 0 is."""
+    return mavlink.MAVLink_gps_global_origin_message(*_globe(p, (0, 0, 0)), p.usec)
 
 
 def autopilot_version(p: Instant) -> MavMessage:
@@ -502,9 +493,6 @@ def autopilot_version(p: Instant) -> MavMessage:
     return mavlink.MAVLink_autopilot_version_message(can, version, 0, 0, 0, name, [0] * 8, [0] * 8, 0, 0, 0)
 
 
-Make = Callable[[Instant], MavMessage | list[MavMessage] | None]
-
-
 @dataclass(frozen=True, slots=True)
 class Stream:
     """One message of the table.
@@ -513,57 +501,64 @@ class Stream:
     ----------
     name : str
         Of the message; where several share one, what tells them apart follows in brackets.
-    number : int
-        Id of the message.
     default_Hz : float
         Rate for a peer that does not ask; 0: only on request.
-    groups : tuple of int
-        MAV_DATA_STREAM groups that it belongs to.
+    group : int
+        MAV_DATA_STREAM group that it belongs to; 0: none.
     make : callable
         Instant -> message, several, or None where there is nothing to tell.
+    needs_origin : bool
+        Whether there is nothing to tell without an origin.
     """
 
     name: str
-    number: int
     default_Hz: float
-    groups: tuple[int, ...]
-    make: Make
+    group: int
+    make: Callable[[Instant], MavMessage | list[MavMessage] | None]
+    needs_origin: bool = False
+
+    @property
+    def number(self) -> int:
+        """Id of the message."""
+        return int(getattr(mavlink, f"MAVLINK_MSG_ID_{self.name.split(' ')[0]}"))
+
+    def messages(self, now: Instant) -> list[MavMessage]:
+        """Return what there is to tell."""
+        made = None if self.needs_origin and now.origin is None else self.make(now)
+        return made if isinstance(made, list) else [] if made is None else [made]
 
 
 _STATUS, _RC, _RAW, _POSITION, _EXTRA1, _EXTRA2, _EXTRA3 = 2, 3, 4, 6, 10, 11, 12
 
-
-def _stream(name: str, default_Hz: float, groups: tuple[int, ...], make: Make) -> Stream:
-    number = getattr(mavlink, f"MAVLINK_MSG_ID_{name.split(' ')[0]}")
-    return Stream(name, number, default_Hz, groups, make)
-
-
 STREAMS: tuple[Stream, ...] = (
-    _stream("HEARTBEAT", 1.0, (), heartbeat),
-    _stream("SYS_STATUS", 2.0, (_STATUS,), sys_status),
-    _stream("SYSTEM_TIME", 1.0, (_STATUS,), system_time),
-    _stream("BATTERY_STATUS", 1.0, (_STATUS,), battery_status),
-    _stream("EXTENDED_SYS_STATE", 2.0, (_STATUS,), extended_sys_state),
-    _stream("MISSION_CURRENT", 2.0, (_STATUS,), mission_current),
-    _stream("NAMED_VALUE_INT (mstate)", 5.0, (_STATUS,), mission_state),
-    _stream("NAMED_VALUE_INT (command)", 1.0, (_STATUS,), command),
-    _stream("ATTITUDE", 20.0, (_EXTRA1,), attitude),
-    _stream("ATTITUDE_QUATERNION", 5.0, (_EXTRA1,), attitude_quaternion),
-    _stream("LOCAL_POSITION_NED", 20.0, (_POSITION,), local_position_ned),
-    _stream("POSITION_TARGET_LOCAL_NED", 10.0, (_POSITION,), position_target_local_ned),
-    _stream("ATTITUDE_TARGET", 10.0, (_EXTRA1,), attitude_target),
-    _stream("VISION_POSITION_ESTIMATE", 5.0, (_RAW,), vision_position_estimate),
-    _stream("ACTUATOR_OUTPUT_STATUS", 10.0, (_RC,), actuator_output_status),
-    _stream("RAW_RPM", 5.0, (_RC,), raw_rpm),
-    _stream("OBSTACLE_DISTANCE", 5.0, (_EXTRA3,), obstacle_distance),
-    _stream("DISTANCE_SENSOR", 1.0, (_EXTRA3,), distance_sensors),
-    _stream("VFR_HUD", 5.0, (_EXTRA2,), vfr_hud),
-    _stream("ALTITUDE", 5.0, (_POSITION,), altitude),
-    _stream("DEBUG_FLOAT_ARRAY", 0.0, (), truth),
-    _stream("GLOBAL_POSITION_INT", 5.0, (_POSITION,), global_position_int),
-    _stream("GPS_RAW_INT", 2.0, (_POSITION,), gps_raw_int),
-    _stream("HOME_POSITION", 0.5, (_POSITION,), home_position),
-    _stream("GPS_GLOBAL_ORIGIN", 0.2, (_POSITION,), gps_global_origin),
-    _stream("AUTOPILOT_VERSION", 0.0, (), autopilot_version),
+    Stream("HEARTBEAT", 1.0, 0, heartbeat),
+    Stream("SYS_STATUS", 2.0, _STATUS, sys_status),
+    Stream("SYSTEM_TIME", 1.0, _STATUS, system_time),
+    Stream("BATTERY_STATUS", 1.0, _STATUS, battery_status),
+    Stream("EXTENDED_SYS_STATE", 2.0, _STATUS, extended_sys_state),
+    Stream("MISSION_CURRENT", 2.0, _STATUS, mission_current),
+    Stream("NAMED_VALUE_INT (mstate)", 5.0, _STATUS, mission_state),
+    Stream("NAMED_VALUE_INT (command)", 1.0, _STATUS, command),
+    Stream("ATTITUDE", 20.0, _EXTRA1, attitude),
+    Stream("ATTITUDE_QUATERNION", 5.0, _EXTRA1, attitude_quaternion),
+    Stream("LOCAL_POSITION_NED", 20.0, _POSITION, local_position_ned),
+    Stream("POSITION_TARGET_LOCAL_NED", 10.0, _POSITION, position_target_local_ned),
+    Stream("ATTITUDE_TARGET", 10.0, _EXTRA1, attitude_target),
+    Stream("VISION_POSITION_ESTIMATE", 5.0, _RAW, vision_position_estimate),
+    Stream("ACTUATOR_OUTPUT_STATUS", 10.0, _RC, actuator_output_status),
+    Stream("RAW_RPM", 5.0, _RC, raw_rpm),
+    Stream("OBSTACLE_DISTANCE", 5.0, _EXTRA3, obstacle_distance),
+    Stream("DISTANCE_SENSOR", 1.0, _EXTRA3, distance_sensors),
+    Stream("VFR_HUD", 5.0, _EXTRA2, vfr_hud),
+    Stream("ALTITUDE", 5.0, _POSITION, altitude),
+    Stream("DEBUG_FLOAT_ARRAY", 0.0, 0, truth),
+    Stream("GLOBAL_POSITION_INT", 5.0, _POSITION, global_position_int, True),
+    Stream("GPS_RAW_INT", 2.0, _POSITION, gps_raw_int, True),
+    Stream("HOME_POSITION", 0.5, _POSITION, home_position, True),
+    Stream("GPS_GLOBAL_ORIGIN", 0.2, _POSITION, gps_global_origin, True),
+    Stream("AUTOPILOT_VERSION", 0.0, 0, autopilot_version),
 )
 """Everything that can be streamed or asked for, with the rates that a peer gets who says nothing."""
+
+ON_GLOBE = frozenset(s.number for s in STREAMS if s.needs_origin)
+"""Ids of messages that tell nothing without an origin."""

@@ -193,8 +193,7 @@ class VehicleLink:
         for client in self.clients:
             for k in client.wishes.due(now_s):
                 if k not in made:
-                    found = STREAMS[k].make(now)
-                    made[k] = found if isinstance(found, list) else [] if found is None else [found]
+                    made[k] = STREAMS[k].messages(now)
                 for message in made[k]:
                     self.clients.send(client.peer, message)
         state = now.state
