@@ -20,7 +20,7 @@ from collections.abc import Callable
 from typing import Literal
 
 from mufly.flight import Autopilot
-from mufly.link.clients import Clients, Station
+from mufly.link.clients import Clients, Source
 from mufly.link.codec import MavMessage, mavlink
 from mufly.link.set_points import ManualControl
 
@@ -44,20 +44,20 @@ class Authority:
 
     Attributes
     ----------
-    commander : Station or None
+    commander : Source or None
     on_change : list of callables
         Called when somebody else commands, or nobody: what the one before has begun ends.
     """
 
     def __init__(self, autopilot: Autopilot, clients: Clients, manual: ManualControl) -> None:
-        self.commander: Station | None = None
+        self.commander: Source | None = None
         self.on_change: list[Callable[[], None]] = [manual.forget]
         self._autopilot, self._clients, self._manual = autopilot, clients, manual
         self._heard_s = -math.inf
         self._stage: Stage = ""
         self._owed: Stage = ""
 
-    def hear(self, now_s: float, station: Station) -> None:
+    def hear(self, now_s: float, station: Source) -> None:
         """Note a sign of life."""
         if station == self.commander:
             self._heard_s = now_s
@@ -66,7 +66,7 @@ class Authority:
         """For how long the commander has not been heard (s); 0 if there is none."""
         return 0.0 if self.commander is None else max(0.0, now_s - self._heard_s)
 
-    def may(self, now_s: float, station: Station) -> bool:
+    def may(self, now_s: float, station: Source) -> bool:
         """Whether a station commands; the first to ask does. One that may not is told who does."""
         if self.commander not in (None, station) and self.silent_s(now_s) < SILENT_S:
             self._clients.tell(now_s, station, f"denied: commanded by {self.commander}; ask it to hand over")
@@ -77,7 +77,7 @@ class Authority:
             self._autopilot.note(f"commanded by {station}")
         return True
 
-    def operator_control(self, now_s: float, station: Station, m: MavMessage) -> None:
+    def operator_control(self, now_s: float, station: Source, m: MavMessage) -> None:
         """Take a CHANGE_OPERATOR_CONTROL: 0 asks for command, 1 hands it over."""
         if m.control_request == 0:
             answer = _NACK_KEY if m.version else _ACK_CONTROL if self.may(now_s, station) else _NACK_HELD
@@ -113,7 +113,7 @@ class Authority:
             answer = self._autopilot.pause() if self._owed == "hover" else self._autopilot.land()
             self._owed = "" if answer else self._owed
 
-    def _give(self, station: Station | None) -> None:
+    def _give(self, station: Source | None) -> None:
         self.commander = station
         for changed in self.on_change:
             changed()

@@ -27,8 +27,8 @@ _TELL_EVERY_S = 2.0
 _BY_NUMBER = {n: [k for k, s in enumerate(STREAMS) if s.number == n] for n in {s.number for s in STREAMS}}
 
 
-class Station(NamedTuple):
-    """Who said something: a system and component behind a peer."""
+class Source(NamedTuple):
+    """Who said something: MAVLink's source system and component, behind a peer."""
 
     peer: Hashable
     system: int
@@ -194,7 +194,7 @@ class Clients:
         for message in self._texts(text, level):
             self.send(peer, message)
 
-    def tell(self, now_s: float, station: Station, why: str) -> None:
+    def tell(self, now_s: float, station: Source, why: str) -> None:
         """Tell a station why something is refused, but not with every message of a stream."""
         client = self._all.get(station.peer)
         if why and client is not None and now_s - client.told_s > _TELL_EVERY_S:

@@ -33,7 +33,7 @@ from typing import Literal
 
 from mufly.flight import Flight
 from mufly.link.authority import Authority
-from mufly.link.clients import Clients, Station, Wishes
+from mufly.link.clients import Clients, Source, Wishes
 from mufly.link.codec import NOT_GIVEN, MavMessage, mavlink, single, unscaled, within
 from mufly.link.conventions import ABOVE_ORIGIN, ABOVE_SEA, LOITER, Mode, Origin, asked, mode_of_custom
 from mufly.link.missions import MissionProtocol
@@ -144,8 +144,8 @@ class CommandProtocol:
         self._flight, self._autopilot = flight, flight.autopilot
         self._clients, self._authority = clients, authority
         self._manual, self._missions, self._origin = manual, missions, origin
-        self._last: OrderedDict[Station, tuple[float, bytes, Answer]] = OrderedDict()
-        self._held: tuple[float, Station, Command] | None = None
+        self._last: OrderedDict[Source, tuple[float, bytes, Answer]] = OrderedDict()
+        self._held: tuple[float, Source, Command] | None = None
         self._choice: tuple[float, Choice] = (-math.inf, "")
         authority.on_change.append(self._forget_choice)
 
@@ -154,7 +154,7 @@ class CommandProtocol:
         since_s, choice = self._choice
         return choice if now_s - since_s <= KEPT_S else ""
 
-    def command(self, now_s: float, station: Station, message: MavMessage) -> None:
+    def command(self, now_s: float, station: Source, message: MavMessage) -> None:
         """Take a COMMAND_LONG or COMMAND_INT."""
         command = command_of(message)
         if command.number in MESSAGE_REQUESTS:
@@ -187,13 +187,13 @@ class CommandProtocol:
                 self._held = None
                 self._carry_out(now_s, station, command)
 
-    def set_mode(self, now_s: float, station: Station, m: MavMessage) -> None:
+    def set_mode(self, now_s: float, station: Source, m: MavMessage) -> None:
         """Take a SET_MODE, the older form of DO_SET_MODE."""
         if m.base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED and self._authority.may(now_s, station):
             answer = self._set_mode(now_s, Mode(m.custom_mode >> 16 & 0xFF, m.custom_mode >> 24))
             self._answer(station, mavlink.MAV_CMD_DO_SET_MODE, answer)
 
-    def set_current(self, now_s: float, station: Station, m: MavMessage) -> None:
+    def set_current(self, now_s: float, station: Source, m: MavMessage) -> None:
         """Take a MISSION_SET_CURRENT, the older form of DO_SET_MISSION_CURRENT; answered by MISSION_CURRENT."""
         if self._authority.may(now_s, station):
             self._clients.tell(now_s, station, self._missions.start_at(float(m.seq)).reason)
@@ -201,7 +201,7 @@ class CommandProtocol:
             if client is not None:
                 client.wishes.ask_once(mavlink.MAVLINK_MSG_ID_MISSION_CURRENT)
 
-    def _answered_before(self, now_s: float, station: Station, command: Command) -> Answer | None:
+    def _answered_before(self, now_s: float, station: Source, command: Command) -> Answer | None:
         """How a command was answered, if it is a repetition of one that was accepted."""
         last = self._last.get(station)
         if last is None:
@@ -213,7 +213,7 @@ class CommandProtocol:
         self._last[station] = (now_s, packed, answer)
         return answer
 
-    def _carry_out(self, now_s: float, station: Station, command: Command) -> None:
+    def _carry_out(self, now_s: float, station: Source, command: Command) -> None:
         action = COMMANDS.get(command.number)
         if action is None:
             entry = mavlink.enums["MAV_CMD"].get(command.number)
@@ -228,11 +228,11 @@ class CommandProtocol:
             self._last.popitem(last=False)
         self._answer(station, command.number, answer)
 
-    def _answer(self, station: Station, number: int, answer: Answer) -> None:
+    def _answer(self, station: Source, number: int, answer: Answer) -> None:
         refused = mavlink.MAV_RESULT_TEMPORARILY_REJECTED if answer.temporary else _DENY
         self._acknowledge(station, number, _ACCEPT if answer else refused, answer.reason)
 
-    def _acknowledge(self, station: Station, number: int, result: int, reason: str = "") -> None:
+    def _acknowledge(self, station: Source, number: int, result: int, reason: str = "") -> None:
         if reason:
             self._clients.say(reason, "info" if result == _ACCEPT else "warning", station.peer)
         self._clients.send(

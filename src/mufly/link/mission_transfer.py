@@ -186,7 +186,7 @@ def to_mavlink(note: Note, system: int, component: int) -> MavMessage:
             return mavlink.MAVLink_mission_clear_all_message(*to, n.mission_type)
 
 
-class Pace:
+class Retry:
     """When to ask again, and when to stop asking."""
 
     def __init__(self) -> None:
@@ -270,7 +270,7 @@ class Receiver:
         self._done: tuple[Hashable, int, int] | None = (
             None  # peer, number of items and result of the last one
         )
-        self._pace = Pace()
+        self._retry = Retry()
 
     @property
     def busy(self) -> bool:
@@ -304,10 +304,10 @@ class Receiver:
         """Ask again for what may have been lost, or give up."""
         if self.peer is None:
             return []
-        if self._pace.hopeless(now_s):
+        if self._retry.hopeless(now_s):
             self.timed_out = True
             return self._refuse(now_s, MissionResult.OPERATION_CANCELLED)
-        if now_s < self._settled_s or not self._pace.again(now_s):
+        if now_s < self._settled_s or not self._retry.again(now_s):
             return []
         return [(self.peer, self._question(now_s))]
 
@@ -330,7 +330,7 @@ class Receiver:
         self._count = note.count
         if note.count == 0:
             return self._finish(now_s)
-        self._pace.moved(now_s)
+        self._retry.moved(now_s)
         return [] if now_s < self._settled_s else [(peer, self._question(now_s))]
 
     def _given(self, now_s: float, peer: Hashable, item: Item) -> Notes:
@@ -340,7 +340,7 @@ class Receiver:
             self._touched_s = now_s
             return []
         self._items.append(item)
-        self._pace.moved(now_s)
+        self._retry.moved(now_s)
         if len(self._items) == self._count:
             return self._finish(now_s)
         return [(peer, self._question(now_s))]
@@ -363,8 +363,8 @@ class Receiver:
         self.result, self.timed_out, self._done = None, False, None
         self._count, self._items = None, []
         self._settled_s = self._touched_s + SETTLE_S
-        self._pace = Pace()
-        self._pace.begin(now_s)
+        self._retry = Retry()
+        self._retry.begin(now_s)
 
     def _finish(self, now_s: float) -> Notes:
         peer, items = self.peer, tuple(self._items)
@@ -415,7 +415,7 @@ class Sender:
         self._uploading = uploading
         self._served = -1
         self._hush_s = self._hushed_s = -math.inf
-        self._pace = Pace()
+        self._retry = Retry()
 
     @property
     def progress(self) -> float:
@@ -432,7 +432,7 @@ class Sender:
         hush : bool
             Another transfer to this peer was not ended in order less than `GIVE_UP_S` ago; stop it first.
         """
-        self._pace.begin(now_s)
+        self._retry.begin(now_s)
         if not hush:
             return [(self.peer, self._count())]
         self._hush_s, self._hushed_s = now_s + HUSH_S, now_s
@@ -451,7 +451,7 @@ class Sender:
                 return [(self.peer, self._cancel_note())]
             return []
         if isinstance(note, RequestList) and not self._uploading:
-            self._pace.moved(now_s)
+            self._retry.moved(now_s)
             return [(self.peer, self._count())]
         if isinstance(note, RequestItem):
             # Item by item: what is asked for out of turn is a question to another sender, before this one.
@@ -459,7 +459,7 @@ class Sender:
                 return []
             if note.seq > self._served:
                 self._served = note.seq
-                self._pace.moved(now_s)
+                self._retry.moved(now_s)
             return [(self.peer, self.items[note.seq])]
         return self._acknowledged(now_s, note) if isinstance(note, Ack) else []
 
@@ -467,12 +467,12 @@ class Sender:
         """Repeat what may have been lost, or give up."""
         if self.result is not None:
             return []
-        if self._pace.hopeless(now_s):
+        if self._retry.hopeless(now_s):
             self.timed_out, self.result = True, MissionResult.OPERATION_CANCELLED
             return [(self.peer, self._cancel_note())] if self._uploading else []
         if self._hush_s > -math.inf:
             return self._hush(now_s)
-        if not self._uploading or not self._pace.again(now_s):
+        if not self._uploading or not self._retry.again(now_s):
             return []
         if self._served < 0:
             return [(self.peer, self._count())]
@@ -504,7 +504,7 @@ class Sender:
                 return []  # the late answer to another transfer
             # It counts on fewer items than there are: it never heard our Count. Say it again.
             self._served = -1
-            self._pace.moved(now_s)
+            self._retry.moved(now_s)
             return [(self.peer, self._count())]
         self.result = note.result
         return []

@@ -33,7 +33,7 @@ from typing import Any
 
 from mufly.flight import Autopilot, FlightState
 from mufly.link.authority import Authority
-from mufly.link.clients import Clients, Station
+from mufly.link.clients import Clients, Source
 from mufly.link.codec import unscaled
 from mufly.link.conventions import ABOVE_ORIGIN, ABOVE_SEA, Origin
 from mufly.link.mission_transfer import (
@@ -342,11 +342,11 @@ class MissionProtocol:
         self._refused = ""  # why the last mission was refused, until it is told
         self._first = 0  # the item that the mission begins with when it is started
         self._receiver = Receiver(self._judge)
-        self._senders: OrderedDict[tuple[Station, int], Sender] = OrderedDict()
+        self._senders: OrderedDict[tuple[Source, int], Sender] = OrderedDict()
         self._told = 0
-        self._clearing: tuple[float, Station, int] | None = None
+        self._clearing: tuple[float, Source, int] | None = None
 
-    def receive(self, now_s: float, station: Station, note: Note) -> None:
+    def receive(self, now_s: float, station: Source, note: Note) -> None:
         """Take a note of a station; what begins to change the mission, only from the commander."""
         if isinstance(note, Count | ClearAll) and not self._authority.may(now_s, station):
             self._send([(station, Ack(MissionResult.DENIED, note.mission_type))])
@@ -367,7 +367,7 @@ class MissionProtocol:
         for key in [k for k in self._senders if k[0].peer == peer]:
             del self._senders[key]
         taker = self._receiver.peer
-        if isinstance(taker, Station) and taker.peer == peer:
+        if isinstance(taker, Source) and taker.peer == peer:
             self._receiver.cancel()
 
     def start(self, item: float = 0.0) -> Answer:
@@ -426,13 +426,13 @@ class MissionProtocol:
 
     def _send(self, notes: Notes) -> None:
         for station, note in notes:
-            if isinstance(station, Station):
+            if isinstance(station, Source):
                 self._clients.send(station.peer, to_mavlink(note, station.system, station.component))
         if self._refused:
             self._clients.say(self._refused, "warning")
             self._refused = ""
 
-    def _answer(self, now_s: float, station: Station, note: Note) -> Notes:
+    def _answer(self, now_s: float, station: Source, note: Note) -> Notes:
         kind = note.mission_type
         if kind not in (_MISSION, _FENCE, _RALLY) and not isinstance(note, ClearAll):
             return [] if isinstance(note, Ack) else [(station, Ack(MissionResult.UNSUPPORTED, kind))]
@@ -495,7 +495,7 @@ class MissionProtocol:
         else:
             self.plan = Plan(mission, self.plan.items, self.plan.item_of_waypoint)
 
-    def _give(self, now_s: float, station: Station, note: RequestList | RequestItem) -> Notes:
+    def _give(self, now_s: float, station: Source, note: RequestList | RequestItem) -> Notes:
         key = (station, note.mission_type)
         giver = self._senders.get(key)
         if giver is not None and giver.result is None:
@@ -510,7 +510,7 @@ class MissionProtocol:
         offer = giver.start(now_s)
         return offer if isinstance(note, RequestList) else giver.receive(now_s, note)
 
-    def _clear(self, now_s: float, station: Station, kind: int) -> Notes:
+    def _clear(self, now_s: float, station: Source, kind: int) -> Notes:
         if kind not in (_MISSION, _ALL):
             known = kind in (_FENCE, _RALLY)
             return [(station, Ack(MissionResult.ACCEPTED if known else MissionResult.UNSUPPORTED, kind))]

@@ -18,7 +18,7 @@ from dataclasses import replace
 
 from mufly.flight import Autopilot, Parameter
 from mufly.link.authority import Authority
-from mufly.link.clients import Clients, Station
+from mufly.link.clients import Clients, Source
 from mufly.link.codec import MavMessage, mavlink, single, text_of
 
 LIST_HZ = 100.0
@@ -94,7 +94,7 @@ class ParameterProtocol:
         self._own = dict(LINK_PARAMETERS)
         self._names = sorted([*autopilot.parameters, *self._own])
         self._places = {name: k for k, name in enumerate(self._names)}
-        self._lists: OrderedDict[Station, int] = OrderedDict()
+        self._lists: OrderedDict[Source, int] = OrderedDict()
         self._due_s = self._looked_s = -math.inf
         self._told = {name: self[name] for name in self._names}
 
@@ -102,19 +102,19 @@ class ParameterProtocol:
         """The value of a parameter."""
         return (self._own[name] if name in self._own else self._autopilot.parameters[name]).value
 
-    def request_list(self, now_s: float, station: Station, message: MavMessage) -> None:
+    def request_list(self, now_s: float, station: Source, message: MavMessage) -> None:
         """Take a PARAM_REQUEST_LIST: begin a list, anew if one is under way."""
         self._lists.pop(station, None)
         if len(self._lists) < _LISTS:
             self._lists[station] = 0
 
-    def request_read(self, now_s: float, station: Station, message: MavMessage) -> None:
+    def request_read(self, now_s: float, station: Source, message: MavMessage) -> None:
         """Answer a PARAM_REQUEST_READ, by index or by name."""
         k = message.param_index
         name = message.param_id if k == -1 else self._names[k] if 0 <= k < len(self._names) else ""
         self._tell(station, name, message, k)
 
-    def set(self, now_s: float, station: Station, message: MavMessage) -> None:
+    def set(self, now_s: float, station: Source, message: MavMessage) -> None:
         """Take a PARAM_SET; everybody who watches learns of the value in force."""
         name = message.param_id
         if not self._authority.may(now_s, station):
@@ -165,7 +165,7 @@ class ParameterProtocol:
         for station in [s for s in self._lists if s.peer == peer]:
             del self._lists[station]
 
-    def _tell(self, station: Station, name: str, message: MavMessage, index: int = -1) -> None:
+    def _tell(self, station: Source, name: str, message: MavMessage, index: int = -1) -> None:
         """Send a value, or say that there is no parameter of that name or index, so that nobody waits for it."""
         if name in self._places:
             self._clients.send(station.peer, self._value(name))

@@ -371,7 +371,7 @@ class UdpPort(Port):
             self._say(f"cannot send to {peer.address} ({error.strerror or error})")
 
 
-class Stream:
+class ByteStream:
     """A connection that carries bytes in order: frames wait here until there is room for them."""
 
     def __init__(
@@ -460,7 +460,7 @@ class TcpServer(Port):
             _prepare(connection)
             self._selector.register(connection, selectors.EVENT_READ)
             peer = Peer(str(self.endpoint), _text_of(address))
-            self._lines[peer] = (connection, Stream(connection.recv, connection.send))
+            self._lines[peer] = (connection, ByteStream(connection.recv, connection.send))
             self._notices.append(f"{self.endpoint}: {peer.address} has called")
 
     def _drop(self, peer: Peer) -> None:
@@ -514,7 +514,7 @@ class Caller(Port):
         except OSError as error:
             self._lose(f"cannot connect ({error.strerror or error}); trying again")
 
-    def _up(self, stream: Stream) -> None:
+    def _up(self, stream: ByteStream) -> None:
         self._lines[self._peer] = stream
         self._say("connected")
 
@@ -545,7 +545,7 @@ class TcpClient(Caller):
         if state not in (0, errno.EISCONN):
             raise OSError(state, os.strerror(state))
         self._selector.register(self._line, selectors.EVENT_READ)
-        self._up(Stream(self._line.recv, self._line.send))
+        self._up(ByteStream(self._line.recv, self._line.send))
 
 
 class SerialPort(Caller):
@@ -577,7 +577,7 @@ class SerialPort(Caller):
             return os.write(line.fileno(), data) if os.name == "posix" else line.write(data) or 0
 
         # Ten bits to a byte; what would be older than this when it leaves is better not sent.
-        self._up(Stream(read, write, max(600, round(_SERIAL_LAG_S * self.endpoint.port / 10))))
+        self._up(ByteStream(read, write, max(600, round(_SERIAL_LAG_S * self.endpoint.port / 10))))
 
 
 def _prepare(line: socket.socket) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Hashable
 
 from mufly.flight import Event, Flight
 from mufly.link.authority import Authority
-from mufly.link.clients import Clients, Station
+from mufly.link.clients import Clients, Source
 from mufly.link.codec import Codec, MavMessage, Outgoing, mavlink
 from mufly.link.commands import CommandProtocol
 from mufly.link.conventions import Origin
@@ -84,7 +84,7 @@ class VehicleLink:
         self._shown: tuple[object, ...] = ()
         self._ready, self._ready_s = False, -_READY_S
         self.autopilot.listeners.append(self._events.append)
-        self._handlers: dict[str, Callable[[float, Station, MavMessage], None]] = {
+        self._handlers: dict[str, Callable[[float, Source, MavMessage], None]] = {
             "COMMAND_LONG": self._commands.command,
             "COMMAND_INT": self._commands.command,
             "SET_MODE": self._commands.set_mode,
@@ -113,7 +113,7 @@ class VehicleLink:
         """Take bytes that came from a peer."""
         for message in self._codec.receive(now_s, peer, data):
             header = message.get_header()
-            station = Station(peer, header.srcSystem, header.srcComponent)
+            station = Source(peer, header.srcSystem, header.srcComponent)
             if station[1:] == (self.system, self.component):
                 continue  # our own, sent back
             self.received += 1
@@ -134,33 +134,33 @@ class VehicleLink:
         component = getattr(message, "target_component", 0)
         return system in (0, self.system) and component in (*_COMPONENTS, self.component)
 
-    def _set_point(self, now_s: float, station: Station, m: MavMessage) -> None:
+    def _set_point(self, now_s: float, station: Source, m: MavMessage) -> None:
         wanted = set_point_of(m, self.flight.status.estimate, self.origin)
         if wanted is not None and self.authority.may(now_s, station):
             self.clients.tell(now_s, station, self.autopilot.set_point(wanted).reason)
 
-    def _override(self, now_s: float, station: Station, m: MavMessage) -> None:
+    def _override(self, now_s: float, station: Source, m: MavMessage) -> None:
         # Releasing what one does not hold takes no command.
         releases = of_channels(m) is None and self.authority.commander != station
         if not releases and self.authority.may(now_s, station):
             self.clients.tell(now_s, station, self._manual.override(m).reason)
 
-    def _manual_control(self, now_s: float, station: Station, m: MavMessage) -> None:
+    def _manual_control(self, now_s: float, station: Source, m: MavMessage) -> None:
         # A joystick talks all the time: it takes no command, it only counts if its station has it.
         if self.authority.commander in (None, station):
             self.clients.tell(now_s, station, self._manual.manual(now_s, m).reason)
 
-    def _data_stream(self, now_s: float, station: Station, m: MavMessage) -> None:
+    def _data_stream(self, now_s: float, station: Source, m: MavMessage) -> None:
         wishes = self.clients.hear(now_s, station.peer).wishes
         wishes.set_group(now_s, m.req_stream_id, m.req_message_rate if m.start_stop else 0.0)
 
-    def _timesync(self, now_s: float, station: Station, m: MavMessage) -> None:
+    def _timesync(self, now_s: float, station: Source, m: MavMessage) -> None:
         if m.tc1 == 0:
             self.clients.send(
                 station.peer, mavlink.MAVLink_timesync_message(round(self.flight.time_s * 1e9), m.ts1)
             )
 
-    def _ping(self, now_s: float, station: Station, m: MavMessage) -> None:
+    def _ping(self, now_s: float, station: Source, m: MavMessage) -> None:
         if m.target_system == 0:
             self.clients.send(
                 station.peer,
