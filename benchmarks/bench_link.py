@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 from mufly.link import Codec, Encoder, Endpoint, open_port, start_vehicle, wait
-from mufly.link.codec import mavlink as m
+from mufly.link import mavlink as m
 from mufly.mission import Mission
 
 N = 5000

@@ -52,8 +52,7 @@ PROBE = """
 def fly(port: int, pipe: Any) -> None:
     """The vehicle's process: flies its mission; at the end it tells what its clock showed when."""
     from mufly.flight import Flight
-    from mufly.link import parse_endpoint
-    from mufly.link.process import Report, run
+    from mufly.link import Report, parse_endpoint, run
 
     flight = Flight("mufly-1.1", "demonstration", keep=False)
     clock: list[tuple[float, float]] = []

@@ -19,9 +19,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from mufly.link.codec import Encoder, mavlink
-from mufly.link.ports import parse_endpoint
-from mufly.link.process import start_vehicle
+from mufly.link import Encoder, mavlink, parse_endpoint, start_vehicle
 from mufly.mission import Mission
 from mufly.station import GroundLink, Station, StationRecorder
 

@@ -38,9 +38,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from hostile_traffic import Hostile
 
 from mufly.flight import Flight
-from mufly.link import VehicleLink
-from mufly.link.codec import Codec, Encoder, mavlink
-from mufly.link.ports import Peer
+from mufly.link import Codec, Encoder, Peer, VehicleLink, mavlink
 from mufly.mission import HIGHEST_M, Mission
 
 FORCED = 21196  # MAVLink's magic number of a forced disarm, the emergency stop

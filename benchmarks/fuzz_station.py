@@ -23,8 +23,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from fuzz_link import growth_MB, rss_MB
 from hostile_traffic import AIMED_AT_STATION, Hostile
 
-from mufly.link import Encoder, Peer
-from mufly.link.codec import mavlink
+from mufly.link import Encoder, Peer, mavlink
 from mufly.station import GroundLink, RemoteVehicle
 
 US = (255, 190)

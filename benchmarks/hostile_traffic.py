@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mufly.link.codec import mavlink
+from mufly.link import mavlink
 
 __all__ = ["AIMED_AT_STATION", "AIMED_AT_VEHICLE", "Hostile", "Packet"]
 

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from mufly.cli import app
 from mufly.errors import InputError
-from mufly.link.codec import Codec
+from mufly.link import Codec
 from mufly.logs import read_log
 
 

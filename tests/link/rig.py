@@ -6,10 +6,8 @@ import math
 
 from mufly.control import design
 from mufly.flight import Flight
-from mufly.link.codec import Codec, Encoder
-from mufly.link.codec import mavlink as m
-from mufly.link.mission_transfer import Item, Receiver, Sender, note_of, to_mavlink
-from mufly.link.vehicle import VehicleLink
+from mufly.link import Codec, Encoder, Item, Receiver, Sender, VehicleLink, note_of, to_mavlink
+from mufly.link import mavlink as m
 from mufly.mission import Mission, mission_from
 from mufly.vehicle import load_vehicle
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from link_rig import Rig, waypoint
 
-from mufly.link.codec import mavlink as m
-from mufly.link.mission_transfer import Item
+from mufly.link import Item
+from mufly.link import mavlink as m
 
 SET_MODE = m.MAV_CMD_DO_SET_MODE
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from mufly.link.codec import FRAME_MOST, Codec, Encoder, mavlink, single, text_of, within
+from mufly.link import Codec, Encoder, mavlink
+from mufly.link.codec import FRAME_MOST, single, text_of, within
 
 
 def attitude(k=0):

@@ -3,7 +3,7 @@
 import pytest
 
 from mufly.errors import InputError
-from mufly.link.ports import Endpoint, parse_endpoint
+from mufly.link import Endpoint, parse_endpoint
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from link_rig import Rig, waypoint
 
-from mufly.link.codec import Encoder
-from mufly.link.codec import mavlink as m
-from mufly.link.mission_transfer import to_mavlink
+from mufly.link import Encoder, to_mavlink
+from mufly.link import mavlink as m
 
 ARM, TAKE_OFF, LAND = m.MAV_CMD_COMPONENT_ARM_DISARM, m.MAV_CMD_NAV_TAKEOFF, m.MAV_CMD_NAV_LAND
 

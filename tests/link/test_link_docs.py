@@ -6,11 +6,16 @@ from pathlib import Path
 import pytest
 from link_rig import Rig
 
-from mufly.link.codec import mavlink
-from mufly.link.commands import COMMANDS, MESSAGE_REQUESTS
-from mufly.link.conventions import custom_mode, mode_of
-from mufly.link.parameters import LINK_PARAMETERS
-from mufly.link.telemetry import STATES, STREAMS
+from mufly.link import (
+    COMMANDS,
+    LINK_PARAMETERS,
+    MESSAGE_REQUESTS,
+    STATES,
+    STREAMS,
+    custom_mode,
+    mavlink,
+    mode_of,
+)
 
 PAGE = (Path(__file__).parents[2] / "docs" / "link.md").read_text(encoding="utf-8")
 

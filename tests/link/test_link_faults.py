@@ -4,8 +4,8 @@ import pytest
 from link_channel import Channel
 from link_rig import Rig, waypoint
 
-from mufly.link.codec import Encoder
-from mufly.link.codec import mavlink as m
+from mufly.link import Encoder
+from mufly.link import mavlink as m
 
 ARM = m.MAV_CMD_COMPONENT_ARM_DISARM
 BAD = {"loss": 0.3, "doubles": 0.1, "delay_s": 0.2, "jitter_s": 0.1}

@@ -10,15 +10,27 @@ import pytest
 from link_rig import Rig
 
 from mufly.estimate import Estimate
+from mufly.link import (
+    STREAMS,
+    WHOLE_RANGE,
+    Codec,
+    Command,
+    Encoder,
+    TextPieces,
+    Texts,
+    command_of,
+    custom_mode,
+    decoded,
+    encoded,
+    mode_of,
+    mode_of_custom,
+)
+from mufly.link import mavlink as m
 from mufly.link.authority import watch_link
 from mufly.link.clients import MOST_HZ, Wishes
-from mufly.link.codec import Codec, Encoder, TextPieces, Texts
-from mufly.link.codec import mavlink as m
-from mufly.link.commands import Command, command_of, request_message
-from mufly.link.conventions import asked, custom_mode, mode_of, mode_of_custom
-from mufly.link.parameters import WHOLE_RANGE, decoded, encoded
+from mufly.link.commands import request_message
+from mufly.link.conventions import asked
 from mufly.link.set_points import of_channels, of_manual_control, set_point_of
-from mufly.link.telemetry import STREAMS
 from mufly.logs import kind_of
 from mufly.logs.tlog import TlogWriter
 from mufly.mission import State

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from link_rig import Rig, waypoint
 
-from mufly.link.codec import mavlink as m
+from mufly.link import mavlink as m
 
 ARM = m.MAV_CMD_COMPONENT_ARM_DISARM
 KILL = (ARM, 0, 21196)

@@ -5,9 +5,7 @@ import math
 import pytest
 from link_rig import waypoint
 
-from mufly.link.conventions import Origin
-from mufly.link.mission_transfer import Item, MissionResult
-from mufly.link.missions import Refusal, items_of, plan_of
+from mufly.link import Item, MissionResult, Origin, Refusal, items_of, plan_of
 from mufly.mission import Mission, builtin_missions, load_mission
 
 BASE = Mission(name="base")

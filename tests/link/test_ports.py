@@ -8,7 +8,8 @@ import time
 import pytest
 
 from mufly.errors import InputError
-from mufly.link.ports import PEERS, RETRY_S, Endpoint, open_port, parse_endpoint, wait
+from mufly.link import Endpoint, open_port, parse_endpoint, wait
+from mufly.link.ports import PEERS, RETRY_S
 
 
 def gather(port, until, seconds=3.0):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from link_rig import Rig, waypoint
 
-from mufly.link.codec import mavlink as m
+from mufly.link import mavlink as m
 
 REQUEST = m.MAV_CMD_REQUEST_MESSAGE
 OK, UNSUPPORTED = m.MAV_RESULT_ACCEPTED, m.MAV_RESULT_UNSUPPORTED

@@ -13,9 +13,8 @@ import pytest
 from link_rig import new_flight
 
 from mufly.errors import MuflyError
-from mufly.link import Endpoint, TlogWriter, open_port, run, start_vehicle, wait
-from mufly.link.codec import Codec, Encoder
-from mufly.link.codec import mavlink as m
+from mufly.link import Codec, Encoder, Endpoint, TlogWriter, open_port, run, start_vehicle, wait
+from mufly.link import mavlink as m
 from mufly.link.process import CATCH_UP_S, HURRY, Pace
 from mufly.logs import read_log, read_raw
 from mufly.mission import Mission

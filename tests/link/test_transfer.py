@@ -10,11 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mufly.link.codec import mavlink
-from mufly.link.mission_transfer import (
+from mufly.link import (
     GIVE_UP_S,
-    LIMIT,
-    SETTLE_S,
     Ack,
     ClearAll,
     Count,
@@ -24,9 +21,11 @@ from mufly.link.mission_transfer import (
     RequestItem,
     RequestList,
     Sender,
+    mavlink,
     note_of,
     to_mavlink,
 )
+from mufly.link.mission_transfer import LIMIT, SETTLE_S
 
 STEP_S = 0.05
 
