@@ -6,9 +6,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from mufly.cli.options import Commands
+from mufly.cli.options import Commands, argument, option
 from mufly.cli.present import console, print_json, print_table, say, tell_files, writing
 from mufly.errors import InputError
 
@@ -26,29 +24,21 @@ def _group() -> None:
 @app.command()
 def design(
     vehicle: Annotated[
-        str, typer.Argument(metavar="NAME|FILE", help="A built-in vehicle, or a vehicle file (TOML).")
+        str, argument("NAME|FILE", "A built-in vehicle, or a vehicle file (TOML).")
     ] = "mufly-1.1",
     rate: Annotated[
         float | None,
-        typer.Option(
-            metavar="HZ", help="Rate of the control law; 200 Hz if not given. Position runs at a quarter."
-        ),
+        option("HZ", "Rate of the control law; 200 Hz if not given. Position runs at a quarter."),
     ] = None,
     voltage: Annotated[
         float | None,
-        typer.Option(
-            metavar="V",
-            help="Battery voltage of the linear model; the vehicle's nominal voltage if not given.",
-        ),
+        option("V", "Battery voltage of the linear model; the vehicle's nominal voltage if not given."),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Write singular value plots (PNG, as thesis Figs 6.3 to 6.8) and design.json there.",
-        ),
+        option("DIR", "Write singular value plots (PNG, as thesis Figs 6.3 to 6.8) and design.json there."),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON and nothing else.")] = False,
+    as_json: Annotated[bool, option("--json", "Print JSON and nothing else.")] = False,
 ) -> None:
     """Design heave-yaw, roll-pitch and position control, and set them beside the thesis's.
 

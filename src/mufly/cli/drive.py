@@ -6,9 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from mufly.cli.options import Commands, JsonOption, ModelOption, angle, corrections_of
+from mufly.cli.options import Commands, JsonOption, ModelOption, angle, argument, corrections_of, option
 from mufly.cli.present import Column, answer, console, print_json, save_picture, say, show_table
 
 if TYPE_CHECKING:
@@ -20,26 +18,15 @@ app = Commands(
 )
 
 _DriveArgument = Annotated[
-    str,
-    typer.Argument(
-        metavar="NAME|FILE", help="'mufly', a built-in vehicle, a drive file or a vehicle file (TOML)."
-    ),
+    str, argument("NAME|FILE", "'mufly', a built-in vehicle, a drive file or a vehicle file (TOML).")
 ]
 _Rotor = Annotated[
     str,
-    typer.Option(
-        "--rotor", metavar="NAME|FILE", help="A rotor; or 'upper' or 'lower' of --vehicle, with constant coefficients.",
-    ),
-]  # fmt: skip
-_Vehicle = Annotated[
-    str, typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle of 'upper' and 'lower'.")
+    option("--rotor NAME|FILE", "A rotor; or 'upper' or 'lower' of --vehicle, with constant coefficients."),
 ]
-_Pitch = Annotated[
-    str | None, typer.Option("--pitch", metavar="ANGLE", help="Pitch setting of a rotor file, as 12.")
-]
-_Supply = Annotated[
-    float | None, typer.Option("--voltage", metavar="V", help="Supply voltage; nominal if not given.")
-]
+_Vehicle = Annotated[str, option("--vehicle NAME|FILE", "Vehicle of 'upper' and 'lower'.")]
+_Pitch = Annotated[str | None, option("--pitch ANGLE", "Pitch setting of a rotor file, as 12.")]
+_Supply = Annotated[float | None, option("--voltage V", "Supply voltage; nominal if not given.")]
 _POINT = (
     Column("thrust_N", form=".3f"), Column("speed_rad_s", "rpm", ".0f", "rotor speed"), Column("duty", form=".3f"),
     Column("input_power_W", form=".2f"), Column("mechanical_power_W", form=".2f"), Column("efficiency", "%", ".1f"),
@@ -80,16 +67,12 @@ def show(
     vehicle: _Vehicle = "mufly-1.1",
     pitch: _Pitch = None,
     thrust: Annotated[
-        list[float] | None,
-        typer.Option("--thrust", metavar="N", help="Thrust of one rotor. Repeat it for a table."),
+        list[float] | None, option("--thrust N", "Thrust of one rotor. Repeat it for a table.")
     ] = None,
-    duty: Annotated[
-        list[float] | None, typer.Option("--duty", metavar="D", help="Or share of the voltage, 0 to 1.")
-    ] = None,
+    duty: Annotated[list[float] | None, option("--duty D", "Or share of the voltage, 0 to 1.")] = None,
     supply: _Supply = None,
     charge: Annotated[
-        float | None,
-        typer.Option(metavar="Z", help="Instead: the sagging battery with this fraction of its charge."),
+        float | None, option("Z", "Instead: the sagging battery with this fraction of its charge.")
     ] = None,
     model: ModelOption = "full",
     as_json: JsonOption = False,
@@ -136,10 +119,12 @@ def show(
         f"{d.rotors} rotor{'s' if d.rotors > 1 else ''} on {float(d.battery.capacity) / 3.6:.0f} mA h"
     )
     rows = [
-        {**{key: float(v[k]) for key, v in vars(point).items() if np.ndim(v)},
-         "endurance*": "-" if e is None else f"{e.time_s / 60:.1f} min"}
+        {
+            **{key: float(v[k]) for key, v in vars(point).items() if np.ndim(v)},
+            "endurance*": "-" if e is None else f"{e.time_s / 60:.1f} min",
+        }
         for k, e in enumerate(lasts)
-    ]  # fmt: skip
+    ]
     show_table(rows, [*_POINT, "endurance*"], title=name)
     say("* from a full battery, all rotors at this thrust, electronics on; - where it cannot", style="dim")
 
@@ -147,19 +132,15 @@ def show(
 @app.command()
 def sweep(
     drive: _DriveArgument = "mufly",
-    gear: Annotated[str, typer.Option(metavar="RANGE", help="Gear ratios.")] = "0.5:8:0.1",
+    gear: Annotated[str, option("RANGE", "Gear ratios.")] = "0.5:8:0.1",
     rotor: _Rotor = "upper",
     vehicle: _Vehicle = "mufly-1.1",
     pitch: _Pitch = None,
-    thrust: Annotated[
-        float | None, typer.Option(metavar="N", help="Thrust for which the gear ratio is found.")
-    ] = None,
-    duty: Annotated[float, typer.Option(metavar="D", help="Share of the supply voltage at the motor.")] = 1.0,
+    thrust: Annotated[float | None, option("N", "Thrust for which the gear ratio is found.")] = None,
+    duty: Annotated[float, option("D", "Share of the supply voltage at the motor.")] = 1.0,
     supply: _Supply = None,
     model: ModelOption = "full",
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Write gear.nc, gear.csv and gear.png.")
-    ] = None,
+    out: Annotated[Path | None, option("--out DIR", "Write gear.nc, gear.csv and gear.png.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Draw power, thrust and efficiency over the gear ratio at constant motor voltage, as the dissertation's Fig. 3.7.

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mufly.cli.options import argument, option
 from mufly.cli.present import console
 from mufly.cli.station import (
     BrowserOption,
@@ -256,46 +257,43 @@ Examples:
 
 def fly(
     mission: Annotated[
-        str, typer.Argument(help="Mission file, or a built-in mission (see: mufly mission list).")
+        str, argument("", "Mission file, or a built-in mission (see: mufly mission list).")
     ] = "demonstration",
     vehicle: VehicleOption = "mufly-1.1",
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out", "-o", metavar="DIR",
-            help="Folder for the results; those of an earlier flight there are replaced. "
-            r"\[default: flights/<date-time>]",
+        option(
+            "--out -o DIR",
+            r"Folder for the results; those of an earlier flight there are replaced. \[default: "
+            "flights/<date-time>]",
         ),
     ] = None,
     wind: WindOption = None,
     gust: GustOption = None,
     seed: SeedOption = 0,
-    realtime: Annotated[bool, typer.Option("--realtime", help="Keep pace with the clock.")] = False,
+    realtime: Annotated[bool, option("--realtime", "Keep pace with the clock.")] = False,
     as_json: Annotated[
-        bool, typer.Option("--json", help="Print the summary as JSON on standard output, and nothing else.")
+        bool, option("--json", "Print the summary as JSON on standard output, and nothing else.")
     ] = False,
     headless: Annotated[
-        bool,
-        typer.Option(
-            "--headless", help="Stay in the terminal; no page, as fast as the machine can."
-        ),
+        bool, option("--headless", "Stay in the terminal; no page, as fast as the machine can.")
     ] = False,
     start: Annotated[
-        bool, typer.Option("--start", help="Begin the mission at once, without a press on the page.")
+        bool, option("--start", "Begin the mission at once, without a press on the page.")
     ] = False,
     links: Annotated[
         list[str] | None,
-        typer.Option(
-            "--link", metavar="LINK",
-            help="Fly it as a MAVLink vehicle in real time, for other programs too: udp:HOST:PORT, tcpin:..., "
-            "serial:...; can be given several times.",
+        option(
+            "--link LINK",
+            "Fly it as a MAVLink vehicle in real time, for other programs too: udp:HOST:PORT, "
+            "tcpin:..., serial:...; can be given several times.",
         ),
     ] = None,
     port: PortOption = None,
     host: HostOption = "127.0.0.1",
     token: TokenOption = None,
     browser: BrowserOption = True,
-) -> None:  # fmt: skip
+) -> None:
     """Fly a mission on the full nonlinear model."""
     terminal = console(stderr=as_json)
     steady = check_air(wind, gust, seed)

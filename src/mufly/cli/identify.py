@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mufly.cli import identify_bench
-from mufly.cli.options import Commands, JsonOption, one_of, today, write_vehicle
+from mufly.cli.options import Commands, JsonOption, argument, one_of, option, today, write_vehicle
 from mufly.cli.present import (
     check_file,
     check_folder,
@@ -41,67 +41,67 @@ app = Commands(
 @app.command()
 def flight(
     logs: Annotated[
-        list[Path], typer.Argument(metavar="LOG...", help="Flight records that `mufly log` reads: MCAP, CSV, ULog, ...")
+        list[Path], argument("LOG...", "Flight records that `mufly log` reads: MCAP, CSV, ULog, ...")
     ],
     free: Annotated[
         str,
-        typer.Option(metavar="SYMBOLS", help="What to find: symbols of `mufly vehicle show`, besides 'delay' (input to "
-                     "vehicle) and 'bias_p' and the like; commas between."),
+        option(
+            "SYMBOLS",
+            "What to find: symbols of `mufly vehicle show`, besides 'delay' (input to vehicle) and "
+            "'bias_p' and the like; commas between.",
+        ),
     ],
     vehicle: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="Start values; their sources say how far they may be pulled.")
+        str, option("NAME|FILE", "Start values; their sources say how far they may be pulled.")
     ] = "mufly-1.1",
     out: Annotated[
-        Path | None, typer.Option("--out", "--write", metavar="NEW.toml", help="Write the identified vehicle there.")
+        Path | None, option("--out --write NEW.toml", "Write the identified vehicle there.")
     ] = None,
-    report: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write report.html with its pictures there.")
-    ] = None,
+    report: Annotated[Path | None, option("DIR", "Write report.html with its pictures there.")] = None,
     hold_out: Annotated[
-        list[Path] | None, typer.Option(metavar="LOG", help="Predict this record, do not fit it. May be repeated.")
+        list[Path] | None, option("LOG", "Predict this record, do not fit it. May be repeated.")
     ] = None,
     hold_out_share: Annotated[
-        float, typer.Option(metavar="SHARE", help="Without --hold-out: the last share of every log is held out.")
+        float, option("SHARE", "Without --hold-out: the last share of every log is held out.")
     ] = 0.25,
     part: Annotated[
-        str, typer.Option(metavar="NAME", help="both at once, heave-yaw, roll-pitch, or split: one after the other.")
+        str, option("NAME", "both at once, heave-yaw, roll-pitch, or split: one after the other.")
     ] = "both",
     outputs: Annotated[
-        str | None, typer.Option(metavar="NAMES", help="Use these measurements only: height, yaw, r, roll, p, ...")
+        str | None, option("NAMES", "Use these measurements only: height, yaw, r, roll, p, ...")
     ] = None,
     prefix: Annotated[
-        str, typer.Option(metavar="NAME", help="What to take from a recording: measured, estimated or truth.")
+        str, option("NAME", "What to take from a recording: measured, estimated or truth.")
     ] = "measured",
     columns: Annotated[
-        Path | None, typer.Option("--map", metavar="MAP.toml", help="Column map of foreign logs; see docs/logs.md.")
+        Path | None, option("--map MAP.toml", "Column map of foreign logs; see docs/logs.md.")
     ] = None,
     voltage: Annotated[
-        str,
-        typer.Option(metavar="NAME|V", help="Battery: 'model' (charge found), 'measured', 'nominal', or a number (V)."),
+        str, option("NAME|V", "Battery: 'model' (charge found), 'measured', 'nominal', or a number (V).")
     ] = "model",
     delay_ms: Annotated[
-        float, typer.Option("--delay", metavar="MS", help="Time from recorded input to vehicle; start value if free.")
+        float, option("--delay MS", "Time from recorded input to vehicle; start value if free.")
     ] = 0.0,
     window: Annotated[
-        float | None, typer.Option(metavar="S", help="Last stage in windows of this length, not whole records.")
+        float | None, option("S", "Last stage in windows of this length, not whole records.")
     ] = None,
     method: Annotated[
-        str, typer.Option(metavar="NAME", help="lm (Levenberg-Marquardt) or cma (CMA-ES, as in the dissertation).")
+        str, option("NAME", "lm (Levenberg-Marquardt) or cma (CMA-ES, as in the dissertation).")
     ] = "lm",
-    seed: Annotated[int, typer.Option(metavar="K", help="Of CMA-ES.", min=0)] = 0,
-    restarts: Annotated[int, typer.Option(metavar="N", help="Of CMA-ES, each with twice the population.", min=0)] = 0,
-    no_prior: Annotated[bool, typer.Option("--no-prior", help="Start values do not weigh in.")] = False,
+    seed: Annotated[int, option("K", "Of CMA-ES.", min=0)] = 0,
+    restarts: Annotated[int, option("N", "Of CMA-ES, each with twice the population.", min=0)] = 0,
+    no_prior: Annotated[bool, option("--no-prior", "Start values do not weigh in.")] = False,
     checkpoint: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Kept every iteration; a stopped fit goes on from it. Default: beside --out, "
-                     "none without."),
+        option(
+            "FILE",
+            "Kept every iteration; a stopped fit goes on from it. Default: beside --out, none without.",
+        ),
     ] = None,
-    cluster: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Fly on a dask cluster, as tcp://host:8786.")
-    ] = None,
-    fresh: Annotated[bool, typer.Option("--fresh", help="Do not go on from a checkpoint.")] = False,
+    cluster: Annotated[str | None, option("ADDRESS", "Fly on a dask cluster, as tcp://host:8786.")] = None,
+    fresh: Annotated[bool, option("--fresh", "Do not go on from a checkpoint.")] = False,
     as_json: JsonOption = False,
-) -> None:  # fmt: skip
+) -> None:
     """Fit the flight model to flight records, and predict records that the fit did not see.
 
     Ctrl-C stops a fit; with --out or --checkpoint the same command goes on from its last iteration.
@@ -277,16 +277,14 @@ def _json(fit: Fit) -> dict[str, Any]:
 
 @app.command()
 def demo(
-    seed: Annotated[int, typer.Option(metavar="K", help="Of pilot, noise and starts.", min=0)] = 0,
-    method: Annotated[str, typer.Option(metavar="NAME", help="lm or cma.")] = "lm",
-    report: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write report.html with its pictures there.")
-    ] = None,
+    seed: Annotated[int, option("K", "Of pilot, noise and starts.", min=0)] = 0,
+    method: Annotated[str, option("NAME", "lm or cma.")] = "lm",
+    report: Annotated[Path | None, option("DIR", "Write report.html with its pictures there.")] = None,
     logs: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write the five flights there (MCAP), for `identify flight`.")
+        Path | None, option("DIR", "Write the five flights there (MCAP), for `identify flight`.")
     ] = None,
     as_json: JsonOption = False,
-) -> None:  # fmt: skip
+) -> None:
     """Fly a known vehicle with pilot support, chirps, noise and radio delay; identify it; compare with the truth.
 
     Twelve parameters start 50 % off. Example: mufly identify demo --seed 3 --report report
@@ -339,50 +337,50 @@ identify_bench.add_to(app)
 
 @app.command()
 def linear(
-    log: Annotated[
-        Path, typer.Argument(metavar="LOG", help="CSV, MATLAB file, or any flight log that `mufly log` reads.")
-    ],
+    log: Annotated[Path, argument("LOG", "CSV, MATLAB file, or any flight log that `mufly log` reads.")],
     inputs: Annotated[
         str,
-        typer.Option(metavar="NAMES", help="lat, lon, ped, col, each with =COLUMN if the log calls it otherwise; "
-                     "=-COLUMN turns the sign."),
+        option(
+            "NAMES",
+            "lat, lon, ped, col, each with =COLUMN if the log calls it otherwise; =-COLUMN turns the sign.",
+        ),
     ] = "lat,lon,ped,col",
     outputs: Annotated[
-        str, typer.Option(metavar="NAMES", help="Some of p, q, r, phi, theta, u, v, w, with =COLUMN where needed.")
+        str, option("NAMES", "Some of p, q, r, phi, theta, u, v, w, with =COLUMN where needed.")
     ] = "p,q,r",
     columns: Annotated[
         list[str] | None,
-        typer.Option(metavar="[ARRAY=]NAMES", help="Names of a file's columns where it has none: a,b,c for CSV, "
-                     "inr=lat,lon,ped,col for an array of a MATLAB file ('-' skips one). May be repeated."),
+        option(
+            "[ARRAY=]NAMES",
+            "Names of a file's columns where it has none: a,b,c for CSV, inr=lat,lon,ped,col for an "
+            "array of a MATLAB file ('-' skips one). May be repeated.",
+        ),
     ] = None,
     model: Annotated[
         str,
-        typer.Option(metavar="NAME", help="auto (cross-validated inside the fitted part), helicopter (hybrid flapping, "
-                     "coupled, yaw gyro), or first-order, second-order, hybrid with any of -coupled, -collective, "
-                     "-gyro, -speed, -skew."),
+        option(
+            "NAME",
+            "auto (cross-validated inside the fitted part), helicopter (hybrid flapping, coupled, "
+            "yaw gyro), or first-order, second-order, hybrid with any of -coupled, -collective, "
+            "-gyro, -speed, -skew.",
+        ),
     ] = "auto",
-    split: Annotated[
-        float, typer.Option(metavar="SHARE", help="First share of the record that the fit may see; 1: all.")
-    ] = 0.5,
+    split: Annotated[float, option("SHARE", "First share of the record that the fit may see; 1: all.")] = 0.5,
     split_at: Annotated[
-        float | None, typer.Option(metavar="S", help="The same as a time in the record (s), before --split.")
+        float | None, option("S", "The same as a time in the record (s), before --split.")
     ] = None,
-    start_s: Annotated[float | None, typer.Option("--from", metavar="S", help="Begin at this time (s).")] = None,
-    end_s: Annotated[float | None, typer.Option("--to", metavar="S", help="End at this time (s).")] = None,
+    start_s: Annotated[float | None, option("--from S", "Begin at this time (s).")] = None,
+    end_s: Annotated[float | None, option("--to S", "End at this time (s).")] = None,
     lowpass: Annotated[
-        float, typer.Option(metavar="HZ", help="Inputs and outputs are filtered alike for the fit; 0: not at all.")
+        float, option("HZ", "Inputs and outputs are filtered alike for the fit; 0: not at all.")
     ] = 5.0,
-    rate: Annotated[
-        float, typer.Option(metavar="HZ", help="Rate of the samples that the fit uses; 0: all of them.")
-    ] = 25.0,
-    starts: Annotated[int, typer.Option(metavar="N", help="Searches from different starts.", min=1)] = 6,
-    seed: Annotated[int, typer.Option(metavar="K", help="Of the random starts.")] = 0,
-    hold: Annotated[bool, typer.Option("--hold", help="Inputs are held between samples, not joined.")] = False,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write report.html and its pictures (PNG) there.")
-    ] = None,
+    rate: Annotated[float, option("HZ", "Rate of the samples that the fit uses; 0: all of them.")] = 25.0,
+    starts: Annotated[int, option("N", "Searches from different starts.", min=1)] = 6,
+    seed: Annotated[int, option("K", "Of the random starts.")] = 0,
+    hold: Annotated[bool, option("--hold", "Inputs are held between samples, not joined.")] = False,
+    out: Annotated[Path | None, option("DIR", "Write report.html and its pictures (PNG) there.")] = None,
     as_json: JsonOption = False,
-) -> None:  # fmt: skip
+) -> None:
     """Fit a linear model to the first part of a flight record and predict the rest from its inputs alone.
 
     Example: mufly identify linear flight.csv --inputs lat,lon,ped,col --outputs p,q,r --split 0.5 --out report

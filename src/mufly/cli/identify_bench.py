@@ -15,6 +15,8 @@ from mufly.cli.options import (
     VehicleOption,
     WriteOption,
     angle,
+    argument,
+    option,
     start_vehicle,
     today,
     with_doubt,
@@ -41,58 +43,58 @@ if TYPE_CHECKING:
 def rotor(
     bench: Annotated[
         list[Path],
-        typer.Argument(
-            metavar="CSV...", help="Columns speed_rpm, thrust_N, torque_Nm of a single rotor, or speed_upper_rpm, "
-            "thrust_upper_N, torque_lower_Nm ... of a pair; thrust_raw_V with --calibration. Lines with speed 0 give "
-            "the zero of the load cells.",
+        argument(
+            "CSV...",
+            "Columns speed_rpm, thrust_N, torque_Nm of a single rotor, or speed_upper_rpm, "
+            "thrust_upper_N, torque_lower_Nm ... of a pair; thrust_raw_V with --calibration. Lines "
+            "with speed 0 give the zero of the load cells.",
         ),
     ],
     radius: Annotated[
-        str | None, typer.Option(metavar="M", help="Radius, as 0.06 or 0.06+-0.0002. Default: of --rotor or --vehicle.")
+        str | None, option("M", "Radius, as 0.06 or 0.06+-0.0002. Default: of --rotor or --vehicle.")
     ] = None,
     density: Annotated[
         str | None,
-        typer.Option(metavar="KG/M3", help="Density of the air, as 1.19 or 1.19+-0.01. Default: the file's, else 1.2."),
+        option("KG/M3", "Density of the air, as 1.19 or 1.19+-0.01. Default: the file's, else 1.2."),
     ] = None,
     calibration: Annotated[
         Path | None,
-        typer.Option(
-            metavar="CSV", help="Known loads and readings of the load cells: thrust_N, thrust_raw_V, torque_Nm, "
-            "torque_raw_V.",
+        option(
+            "CSV",
+            "Known loads and readings of the load cells: thrust_N, thrust_raw_V, torque_Nm, torque_raw_V.",
         ),
     ] = None,
     calibration_columns: Annotated[
-        str | None, typer.Option(metavar="OLD=NEW,...", help="As --columns, for the calibration file.")
+        str | None, option("OLD=NEW,...", "As --columns, for the calibration file.")
     ] = None,
     columns: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="OLD=NEW,...", help="What headers mean; for files of several kinds repeat it. A map holds for the "
-            "files that have all its columns.",
+        option(
+            "OLD=NEW,...",
+            "What headers mean; for files of several kinds repeat it. A map holds for the files that "
+            "have all its columns.",
         ),
     ] = None,
     at_rpm: Annotated[
-        float | None, typer.Option(metavar="RPM", help="Give coefficients that change with speed at this one.")
+        float | None, option("RPM", "Give coefficients that change with speed at this one.")
     ] = None,
     predict_with: Annotated[
-        str | None,
-        typer.Option("--rotor", metavar="NAME|FILE", help="Compare with blade element theory of this rotor."),
+        str | None, option("--rotor NAME|FILE", "Compare with blade element theory of this rotor.")
     ] = None,
     pitch: Annotated[
-        str | None,
-        typer.Option(metavar="ANGLE", help="Pitch setting for the prediction where the file has no pitch, as 12."),
+        str | None, option("ANGLE", "Pitch setting for the prediction where the file has no pitch, as 12.")
     ] = None,
     spacing: Annotated[
-        float | None, typer.Option(metavar="M", help="Distance between the discs of a pair, for the prediction.")
+        float | None, option("M", "Distance between the discs of a pair, for the prediction.")
     ] = None,
     place: Annotated[
-        str | None, typer.Option("--as", metavar="upper|lower", help="Which rotor of --vehicle a single rotor is.")
+        str | None, option("--as upper|lower", "Which rotor of --vehicle a single rotor is.")
     ] = None,
     vehicle: VehicleOption = None,
     write: WriteOption = None,
     out: PictureOption = None,
     as_json: JsonOption = False,
-) -> None:  # fmt: skip
+) -> None:
     """Find thrust and torque coefficients of rotors from bench files, single and coaxial.
 
     Example: mufly identify rotor bench.csv --radius 0.0875 --calibration cells.csv --out rotor
@@ -220,59 +222,57 @@ def _maps(columns: list[str], files: list[Path]) -> list[str | None]:
 
 
 def plan(
-    vehicle: Annotated[str, typer.Argument(metavar="NAME|FILE", help="The vehicle as far as it is known.")],
+    vehicle: Annotated[str, argument("NAME|FILE", "The vehicle as far as it is known.")],
     free: Annotated[
-        str,
-        typer.Option(metavar="SYMBOL,...", help="Parameters to be identified, as `mufly vehicle show` prints them."),
+        str, option("SYMBOL,...", "Parameters to be identified, as `mufly vehicle show` prints them.")
     ],
     channel: Annotated[
-        str,
-        typer.Option(metavar="NAME,...", help="yaw, heave, roll or pitch; several make a plan for several flights."),
+        str, option("NAME,...", "yaw, heave, roll or pitch; several make a plan for several flights.")
     ] = "yaw",
     kind: Annotated[
-        str, typer.Option(metavar="NAME", help="chirp, multisine, 3211 or doublet; 'best' compares them all.")
+        str, option("NAME", "chirp, multisine, 3211 or doublet; 'best' compares them all.")
     ] = "best",
-    duration: Annotated[float, typer.Option(metavar="S", help="Length of each flight.")] = 10.0,
+    duration: Annotated[float, option("S", "Length of each flight.")] = 10.0,
     amplitude: Annotated[
         float | None,
-        typer.Option(
-            metavar="SHARE", help="Largest addition to an input, 0 to 1; lowered if it is not safe. Default: the "
-            "largest that is.",
+        option(
+            "SHARE",
+            "Largest addition to an input, 0 to 1; lowered if it is not safe. Default: the largest that is.",
         ),
     ] = None,
     band: Annotated[
-        str | None,
-        typer.Option(metavar="LOW:HIGH", help="Frequencies in Hz, as 0.1:3. Default: around the channel's modes."),
+        str | None, option("LOW:HIGH", "Frequencies in Hz, as 0.1:3. Default: around the channel's modes.")
     ] = None,
     limit: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME=VALUE,...", help="attitude_deg, heading_deg, rates_deg_s, height_m, place_m from hover; "
-            "motor, servo: distance of inputs from their ends. Default: attitude_deg=20,heading_deg=90,rates_deg_s=229,"
-            "height_m=0.5,place_m=1,motor=0.05,servo=0.1.",
+        option(
+            "NAME=VALUE,...",
+            "attitude_deg, heading_deg, rates_deg_s, height_m, place_m from hover; motor, servo: "
+            "distance of inputs from their ends. Default: "
+            "attitude_deg=20,heading_deg=90,rates_deg_s=229,height_m=0.5,place_m=1,motor=0.05,servo=0.1.",
         ),
     ] = None,
     noise: Annotated[
         str | None,
-        typer.Option(
-            metavar="OUTPUT=STD,...", help="Sensors (SI), as 'height=0.005,speed_up=2,yaw=none'; added to the defaults "
-            "height 0.01 m, roll and pitch 0.01, yaw 0.02 rad, p, q, r 0.03 rad/s.",
+        option(
+            "OUTPUT=STD,...",
+            "Sensors (SI), as 'height=0.005,speed_up=2,yaw=none'; added to the defaults height 0.01 "
+            "m, roll and pitch 0.01, yaw 0.02 rad, p, q, r 0.03 rad/s.",
         ),
     ] = None,
-    delay: Annotated[float, typer.Option(metavar="S", help="From command to input.")] = 0.02,
+    delay: Annotated[float, option("S", "From command to input.")] = 0.02,
     window: Annotated[
         float,
-        typer.Option(
-            metavar="S", help="The motion counts as unknown anew every so often, which stands for gusts; 0: only at "
+        option(
+            "S",
+            "The motion counts as unknown anew every so often, which stands for gusts; 0: only at "
             "the start, the bound of a perfect world.",
         ),
     ] = 2.0,
-    sample: Annotated[float, typer.Option(metavar="S", help="Time between samples of the log.")] = 0.01,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Write signals (CSV) and pictures (PNG) there.")
-    ] = None,
+    sample: Annotated[float, option("S", "Time between samples of the log.")] = 0.01,
+    out: Annotated[Path | None, option("--out DIR", "Write signals (CSV) and pictures (PNG) there.")] = None,
     as_json: JsonOption = False,
-) -> None:  # fmt: skip
+) -> None:
     """Design flights for identification: signals within safe limits, and what they will tell before anyone flies.
 
     Example: mufly identify plan mufly-1.1 --free cT_dw,cQ_dw,Jdrive_dw --channel yaw,heave --out plan
@@ -339,7 +339,7 @@ def _check_times(duration: float, delay: float, sample: float, window: float) ->
         return abs(time / of - round(time / of)) <= 1e-6
 
     sampled = 1e-3 <= sample <= 0.1 and whole(sample, 1e-3)
-    for option, value, fine, remedy in (
+    for its, value, fine, remedy in (
         ("--sample", sample, sampled, "give whole milliseconds from 0.001 to 0.1"),
         ("--delay", delay, sampled and 0 <= delay <= 0.2 and whole(delay, sample),
          f"give a multiple of {sample:g} s up to 0.2"),
@@ -347,7 +347,7 @@ def _check_times(duration: float, delay: float, sample: float, window: float) ->
         ("--duration", duration, 2.0 <= duration <= 300.0, "give 2 to 300 s"),
     ):  # fmt: skip
         if not fine:
-            raise InputError(option, "", f"{value:g} s is not possible", remedy)
+            raise InputError(its, "", f"{value:g} s is not possible", remedy)
 
 
 def _numbers(
@@ -469,26 +469,24 @@ def add_to(app: typer.Typer) -> None:
 def motor(
     bench: Annotated[
         Path,
-        typer.Argument(
-            metavar="CSV", help="Columns voltage_V (and duty), current_A, speed_rpm, torque_mNm; docs/bench.md lists "
-            "the names and units that are understood.",
+        argument(
+            "CSV",
+            "Columns voltage_V (and duty), current_A, speed_rpm, torque_mNm; docs/bench.md lists the "
+            "names and units that are understood.",
         ),
     ],
     gear_ratio: Annotated[
-        str,
-        typer.Option(
-            "--gear", "--gear-ratio", metavar="I", help="Motor speed over measured speed: 1.5, 1.5+-0.01 or 'free'."
-        ),
+        str, option("--gear --gear-ratio I", "Motor speed over measured speed: 1.5, 1.5+-0.01 or 'free'.")
     ] = "1",
     gear_efficiency: Annotated[
-        str,
-        typer.Option(metavar="ETA", help="Of the gear between motor and torque sensor: 0.84, 0.84+-0.02 or 'free'."),
+        str, option("ETA", "Of the gear between motor and torque sensor: 0.84, 0.84+-0.02 or 'free'.")
     ] = "1",
     noise: Annotated[
         str | None,
-        typer.Option(
-            metavar="CHANNEL=AMOUNT,...", help="Errors to expect, as 'current=1%+0.01,speed=0.5%fs' (of the "
-            "reading, of full scale, or SI); only their proportions matter. Default: the likeliest shape.",
+        option(
+            "CHANNEL=AMOUNT,...",
+            "Errors to expect, as 'current=1%+0.01,speed=0.5%fs' (of the reading, of full scale, or "
+            "SI); only their proportions matter. Default: the likeliest shape.",
         ),
     ] = None,
     columns: ColumnsOption = None,
@@ -496,7 +494,7 @@ def motor(
     write: WriteOption = None,
     out: PictureOption = None,
     as_json: JsonOption = False,
-) -> None:  # fmt: skip
+) -> None:
     """Find a motor's constants from stationary points on a bench: voltage, current, speed and torque.
 
     Example: mufly identify motor motor.csv --vehicle mufly-1.1 --write mine.toml --out motor

@@ -9,34 +9,27 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mufly.cli.options import Commands, JsonOption
+from mufly.cli.options import Commands, JsonOption, argument, option
 from mufly.cli.present import console, print_json, print_table, progress_bar, say, tell_files, writing
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
     from mufly.logs import ColumnMap, LogReport
 
-LogArgument = Annotated[Path, typer.Argument(metavar="LOG", help="Any log, of any of these formats.")]
+LogArgument = Annotated[Path, argument("LOG", "Any log, of any of these formats.")]
 MapOption = Annotated[
-    str | None,
-    typer.Option(
-        "--map", metavar="FILE", help="Column map (TOML): which column is which signal, in which unit."
-    ),
+    str | None, option("--map FILE", "Column map (TOML): which column is which signal, in which unit.")
 ]
 ColumnOption = Annotated[
     list[str] | None,
-    typer.Option(
-        "--column",
-        "-c",
-        metavar="NAME=COLUMN(unit)",
-        help="A line of a column map, as in measured_rates.p=-gyro_x(deg/s), measured_attitude=phi,theta,psi(deg) or "
-        "time=t(ms). May be repeated.",
+    option(
+        "--column -c NAME=COLUMN(unit)",
+        "A line of a column map, as in measured_rates.p=-gyro_x(deg/s), "
+        "measured_attitude=phi,theta,psi(deg) or time=t(ms). May be repeated.",
     ),
 ]
-FromOption = Annotated[
-    float | None, typer.Option("--from", metavar="S", help="Begin there (s since the start).")
-]
-ToOption = Annotated[float | None, typer.Option("--to", metavar="S", help="End there (s since the start).")]
+FromOption = Annotated[float | None, option("--from S", "Begin there (s since the start).")]
+ToOption = Annotated[float | None, option("--to S", "End there (s since the start).")]
 
 
 def columns_of(file: str | None, pairs: Sequence[str] | None) -> ColumnMap | None:
@@ -56,26 +49,19 @@ def columns_of(file: str | None, pairs: Sequence[str] | None) -> ColumnMap | Non
 def convert(
     log: LogArgument,
     out: Annotated[
-        Path,
-        typer.Argument(
-            metavar="OUT", help="File to write; its ending says what: .csv, .parquet, .nc, .mcap, .ulg."
-        ),
+        Path, argument("OUT", "File to write; its ending says what: .csv, .parquet, .nc, .mcap, .ulg.")
     ],
     signals: Annotated[
-        list[str] | None,
-        typer.Option("--signal", "-s", metavar="NAME", help="Only this (as for plot); may be repeated."),
+        list[str] | None, option("--signal -s NAME", "Only this (as for plot); may be repeated.")
     ] = None,
     rate_hz: Annotated[
-        float | None,
-        typer.Option(
-            "--rate", metavar="HZ", help="Rate of the common clock. Default: the highest among the signals."
-        ),
+        float | None, option("--rate HZ", "Rate of the common clock. Default: the highest among the signals.")
     ] = None,
     from_s: FromOption = None,
     to_s: ToOption = None,
     map_file: MapOption = None,
     column: ColumnOption = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace OUT if it is there.")] = False,
+    force: Annotated[bool, option("--force", "Replace OUT if it is there.")] = False,
 ) -> None:
     """Bring the signals of a log onto one clock, in SI units and under our names, and write them to a file.
 
@@ -210,23 +196,18 @@ def plot(
     log: LogArgument,
     signals: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="SIGNAL",
-            help="What to draw: measured_attitude, measured_attitude.roll, 'measured_*', or any "
-            "field as topic/field (`mufly log info` lists them). Default: all that has a name.",
+        argument(
+            "SIGNAL",
+            "What to draw: measured_attitude, measured_attitude.roll, 'measured_*', or any field as "
+            "topic/field (`mufly log info` lists them). Default: all that has a name.",
         ),
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out", metavar="DIR", help="Folder for the pictures (PNG and SVG). Default: LOG-pictures."
-        ),
+        Path | None, option("--out DIR", "Folder for the pictures (PNG and SVG). Default: LOG-pictures.")
     ] = None,
     from_s: FromOption = None,
     to_s: ToOption = None,
-    spectrum: Annotated[
-        bool, typer.Option("--spectrum", help="Draw power spectral densities instead.")
-    ] = False,
+    spectrum: Annotated[bool, option("--spectrum", "Draw power spectral densities instead.")] = False,
     map_file: MapOption = None,
     column: ColumnOption = None,
 ) -> None:

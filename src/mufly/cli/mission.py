@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from mufly.cli.options import Commands, JsonOption
+from mufly.cli.options import Commands, JsonOption, argument, option
 from mufly.cli.present import Column, console, print_json, print_table, say, show_table
 
 if TYPE_CHECKING:
@@ -18,13 +16,9 @@ app = Commands(
     no_args_is_help=True,
 )
 
-_Mission = Annotated[
-    str, typer.Argument(metavar="NAME|FILE", help="A built-in mission, or a mission file (TOML).")
-]
-_VehicleOption = Annotated[
-    str, typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle whose battery has to last.")
-]
-_Toml = Annotated[bool, typer.Option("--toml", help="Print the whole file, every default written out.")]
+_Mission = Annotated[str, argument("NAME|FILE", "A built-in mission, or a mission file (TOML).")]
+_VehicleOption = Annotated[str, option("--vehicle NAME|FILE", "Vehicle whose battery has to last.")]
+_Toml = Annotated[bool, option("--toml", "Print the whole file, every default written out.")]
 
 
 @app.command("list")

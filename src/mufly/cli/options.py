@@ -75,34 +75,50 @@ class Commands(typer.Typer):
         return super().command(name, **{"cls": Command, **more})
 
 
+def option(names: str, help: str, **more: Any) -> Any:
+    """An option.
+
+    Parameters
+    ----------
+    names : str
+        Its names, if its parameter's is not enough, and what stands for its value in the help: ``"--out -o DIR"``.
+    help : str
+        What it is for.
+    """
+    words = names.split()
+    value = [w for w in words if not w.startswith("-")]
+    return typer.Option(
+        *(w for w in words if w.startswith("-")), help=help, metavar=value[0] if value else None, **more
+    )
+
+
+def argument(value: str, help: str, **more: Any) -> Any:
+    """An argument: what stands for it in the help, and what it is for."""
+    return typer.Argument(help=help, metavar=value or None, **more)
+
+
 RotorArgument = Annotated[
-    str,
-    typer.Argument(metavar="NAME|FILE", help="A built-in rotor (`mufly rotor list`) or a rotor file (TOML)."),
+    str, argument("NAME|FILE", "A built-in rotor (`mufly rotor list`) or a rotor file (TOML).")
 ]
 DriveOption = Annotated[
     str | None,
-    typer.Option(
-        "--drive", metavar="NAME|FILE", help="Drive train: 'mufly', a built-in vehicle, a drive or vehicle file. "
-        "'none' leaves it out.",
+    option(
+        "--drive NAME|FILE",
+        "Drive train: 'mufly', a built-in vehicle, a drive or vehicle file. 'none' leaves it out.",
     ),
-]  # fmt: skip
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON, in SI units, and nothing else.")]
-OutOption = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Write pictures (PNG) and tables there.")
 ]
+JsonOption = Annotated[bool, option("--json", "Print JSON, in SI units, and nothing else.")]
+OutOption = Annotated[Path | None, option("--out DIR", "Write pictures (PNG) and tables there.")]
 ModelOption = Annotated[
     str,
-    typer.Option(
-        "--model", metavar="NAME", help="Blade element theory: 'full' (finite chord, rotation), 'plain' (textbook) or "
-        "'thesis' (as the dissertation writes it).",
+    option(
+        "--model NAME",
+        "Blade element theory: 'full' (finite chord, rotation), 'plain' (textbook) or 'thesis' "
+        "(as the dissertation writes it).",
     ),
-]  # fmt: skip
-NCritOption = Annotated[
-    float, typer.Option("--n-crit", metavar="N", help="Transition: 0.1 vibrating rotor, 9 quiet wind tunnel.")
 ]
-EngineOption = Annotated[
-    str, typer.Option("--engine", metavar="NAME", help="Polars: 'neuralfoil' or, where installed, 'xfoil'.")
-]
+NCritOption = Annotated[float, option("--n-crit N", "Transition: 0.1 vibrating rotor, 9 quiet wind tunnel.")]
+EngineOption = Annotated[str, option("--engine NAME", "Polars: 'neuralfoil' or, where installed, 'xfoil'.")]
 
 
 def one_of(option: str, value: str, known: Iterable[str]) -> None:
@@ -169,18 +185,18 @@ def angle(option: str, text: str) -> float:
 
 
 MethodOption = Annotated[
-    str, typer.Option("--method", metavar="NAME", help="'bemt' (blade elements) or 'wake' (vortices, seconds).")
-]  # fmt: skip
+    str, option("--method NAME", "'bemt' (blade elements) or 'wake' (vortices, seconds).")
+]
 WakeOption = Annotated[
-    str, typer.Option("--wake", metavar="NAME", help="'free', or 'prescribed' (Landgrebe's shape, for slender blades).")
-]  # fmt: skip
+    str, option("--wake NAME", "'free', or 'prescribed' (Landgrebe's shape, for slender blades).")
+]
 WakeSetOption = Annotated[
     list[str] | None,
-    typer.Option(
-        "--wake-set", metavar="NAME=VALUE",
-        help="A setting of the wake, as step_deg=10, turns=6, core=0.05, iterations=300; or stations=30 a blade.",
+    option(
+        "--wake-set NAME=VALUE",
+        "A setting of the wake, as step_deg=10, turns=6, core=0.05, iterations=300; or stations=30 a blade.",
     ),
-]  # fmt: skip
+]
 
 _WHOLE = ("phases", "iterations", "stations")
 
@@ -262,25 +278,18 @@ def wake_progress(label: str, shown: bool, folder: Path | None = None) -> Iterat
 
 ColumnsOption = Annotated[
     str | None,
-    typer.Option(
-        "--columns", metavar="OLD=NEW,...", help="What headers mean, as 'RPM=speed_upper_rpm,T_B(N)=thrust_upper_N'."
-    ),
-]  # fmt: skip
+    option("--columns OLD=NEW,...", "What headers mean, as 'RPM=speed_upper_rpm,T_B(N)=thrust_upper_N'."),
+]
 VehicleOption = Annotated[
-    str | None,
-    typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle to start from and to compare with."),
+    str | None, option("--vehicle NAME|FILE", "Vehicle to start from and to compare with.")
 ]
 WriteOption = Annotated[
     Path | None,
-    typer.Option(
-        "--write", metavar="FILE", help="Write --vehicle with what was found, source 'identified', as a new file."
-    ),
-]  # fmt: skip
-
-
-PictureOption = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Write a picture (PNG) of points and fit there.")
+    option("--write FILE", "Write --vehicle with what was found, source 'identified', as a new file."),
 ]
+
+
+PictureOption = Annotated[Path | None, option("--out DIR", "Write a picture (PNG) of points and fit there.")]
 
 
 def with_doubt(option: str, text: str | None, *, above: float = 0.0) -> tuple[float | None, float]:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from mufly.cli.options import argument, option
 from mufly.cli.present import console, progress_bar, say
 from mufly.errors import InputError
 
@@ -30,22 +31,14 @@ if TYPE_CHECKING:
     from mufly.station.page.access import Address
 
 
-VehicleOption = Annotated[str, typer.Option("--vehicle", "-v", help="Vehicle file, or a built-in vehicle.")]
+VehicleOption = Annotated[str, option("--vehicle -v", "Vehicle file, or a built-in vehicle.")]
 WindOption = Annotated[
-    str | None,
-    typer.Option(
-        "--wind", metavar="N,E,D", help="Steady wind in m/s, as in 0.5,0,0; instead of the mission's."
-    ),
+    str | None, option("--wind N,E,D", "Steady wind in m/s, as in 0.5,0,0; instead of the mission's.")
 ]
 GustOption = Annotated[
-    float | None,
-    typer.Option(
-        "--gust",
-        metavar="M/S",
-        help="Gusts, standard deviation, 0 to 5 m/s; instead of the mission's.",
-    ),
+    float | None, option("--gust M/S", "Gusts, standard deviation, 0 to 5 m/s; instead of the mission's.")
 ]
-SeedOption = Annotated[int, typer.Option("--seed", help="Seed of everything random.")]
+SeedOption = Annotated[int, option("--seed", "Seed of everything random.")]
 
 
 def wind_of(text: str | None) -> list[float] | None:
@@ -188,57 +181,47 @@ Examples:
 
 PortOption = Annotated[
     int | None,
-    typer.Option(
-        "--port", min=1, max=65535, help=r"Port of the page. \[default: 8080, or the next that is free]"
-    ),
+    option("--port", r"Port of the page. \[default: 8080, or the next that is free]", min=1, max=65535),
 ]
 HostOption = Annotated[
-    str,
-    typer.Option(
-        "--host", metavar="ADDRESS", help="Address to serve the page on; any but loopback needs a token."
-    ),
+    str, option("--host ADDRESS", "Address to serve the page on; any but loopback needs a token.")
 ]
 TokenOption = Annotated[
     str | None,
-    typer.Option(
+    option(
         "--token",
-        help="What a browser has to show to be let in. "
-        r"\[default: none on loopback, else made and printed]",
+        r"What a browser has to show to be let in. \[default: none on loopback, else made and "
+        "printed]",
     ),
 ]
-BrowserOption = Annotated[
-    bool, typer.Option("--browser/--no-browser", help="Open the page in the default browser.")
-]
+BrowserOption = Annotated[bool, option("--browser/--no-browser", "Open the page in the default browser.")]
 
 
 def station(
     connect: Annotated[
         list[str] | None,
-        typer.Option(
-            "--connect", "-c", metavar="LINK",
-            help=rf"Where vehicles are; can be given several times. \[default: {DEFAULT_ENDPOINT}]",
+        option(
+            "--connect -c LINK",
+            rf"Where vehicles are; can be given several times. \[default: {DEFAULT_ENDPOINT}]",
         ),
     ] = None,
     open_file: Annotated[
-        Path | None, typer.Option("--open", metavar="RECORDING", help="Show a recording, of any format of mufly log.")
+        Path | None, option("--open RECORDING", "Show a recording, of any format of mufly log.")
     ] = None,
     mission: Annotated[
-        str | None,
-        typer.Option(
-            "--mission", "-m", metavar="NAME|FILE", help="Mission whose world (boxes, walls, room) is drawn."
-        ),
+        str | None, option("--mission -m NAME|FILE", "Mission whose world (boxes, walls, room) is drawn.")
     ] = None,
-    out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="DIR", help="Where recordings are written and looked for.")
-    ] = Path("flights"),
+    out: Annotated[Path, option("--out -o DIR", "Where recordings are written and looked for.")] = Path(
+        "flights"
+    ),
     record: Annotated[
-        bool, typer.Option("--record/--no-record", help="Record from the beginning; the page can do it later too.")
+        bool, option("--record/--no-record", "Record from the beginning; the page can do it later too.")
     ] = True,
     port: PortOption = None,
     host: HostOption = "127.0.0.1",
     token: TokenOption = None,
     browser: BrowserOption = True,
-) -> None:  # fmt: skip
+) -> None:
     """Open the ground station in the browser."""
     from mufly.mission import load_mission
 
@@ -324,38 +307,39 @@ Examples:
 
 def link(
     mission: Annotated[
-        str | None, typer.Argument(help="Mission file, or a built-in mission (see: mufly mission list).")
+        str | None, argument("", "Mission file, or a built-in mission (see: mufly mission list).")
     ] = None,
     vehicle: VehicleOption = "mufly-1.1",
     ends: Annotated[
         list[str] | None,
-        typer.Option(
-            "--link", "--connect", metavar="ENDPOINT",
-            help="Where stations are: udp:HOST:PORT (send there), udpin:HOST:PORT (listen), tcpin:HOST:PORT, "
-            "tcp:HOST:PORT, serial:DEVICE:BAUD. Can be given several times. "
+        option(
+            "--link --connect ENDPOINT",
+            "Where stations are: udp:HOST:PORT (send there), udpin:HOST:PORT (listen), "
+            "tcpin:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD. Can be given several times. "
             r"\[default: udp:127.0.0.1:14550 and udp:127.0.0.1:14540]",
         ),
     ] = None,
-    system: Annotated[int, typer.Option(help="Its MAVLink system number, 1 to 255.")] = 1,
+    system: Annotated[int, option("", "Its MAVLink system number, 1 to 255.")] = 1,
     origin: Annotated[
         str | None,
-        typer.Option(
-            metavar="LAT,LON,ALT",
-            help="Where on the globe N = E = D = 0 is (degrees, metres), for programs that insist on a global "
-            "position.",
+        option(
+            "LAT,LON,ALT",
+            "Where on the globe N = E = D = 0 is (degrees, metres), for programs that insist on a "
+            "global position.",
         ),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out", "-o", metavar="DIR",
-            help="Record to this folder: flight.mcap and link.tlog; those of an earlier flight there are replaced.",
+        option(
+            "--out -o DIR",
+            "Record to this folder: flight.mcap and link.tlog; those of an earlier flight there are "
+            "replaced.",
         ),
     ] = None,
     wind: WindOption = None,
     gust: GustOption = None,
     seed: SeedOption = 0,
-) -> None:  # fmt: skip
+) -> None:
     """The simulated helicopter as a MAVLink vehicle, in real time."""
     endpoints = endpoints_of(ends or _DEFAULT, "vehicle", each="endpoint")
     if not 1 <= system <= 255:

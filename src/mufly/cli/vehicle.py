@@ -5,9 +5,7 @@ from __future__ import annotations
 from itertools import groupby
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from mufly.cli.options import Commands, JsonOption
+from mufly.cli.options import Commands, JsonOption, argument, option
 from mufly.cli.present import Column, console, print_json, print_table, say, show_lines, show_table
 from mufly.errors import InputError
 from mufly.units import conversion
@@ -28,12 +26,9 @@ _READABLE = {
 }  # fmt: skip
 _BUDGET = "mass_budget"
 
-_Vehicle = Annotated[
-    str, typer.Argument(metavar="NAME|FILE", help="A built-in vehicle, or a vehicle file (TOML).")
-]
+_Vehicle = Annotated[str, argument("NAME|FILE", "A built-in vehicle, or a vehicle file (TOML).")]
 _Toml = Annotated[
-    bool,
-    typer.Option("--toml", help="Print the whole file, in SI units: a vehicle of your own starts from it."),
+    bool, option("--toml", "Print the whole file, in SI units: a vehicle of your own starts from it.")
 ]
 
 
