@@ -29,6 +29,7 @@ from scipy.signal import savgol_filter
 
 from mufly.errors import ArgumentError, InputError
 from mufly.quantities import QUANTITIES, labelled
+from mufly.units import conversion
 
 _Array = NDArray[np.float64]
 
@@ -491,11 +492,11 @@ def _csv(path: Path, columns: Mapping[str, Sequence[str]] | Sequence[str]) -> di
         raise ArgumentError("columns", "", "names arrays, but a CSV file has none", "give names alone: a,b,c")
     if not columns:
         table = read_raw(path)["table"]
-        numbers = {
-            k: _in_si(v.astype(np.float64), table.units.get(k, ""))
-            for k, v in table.fields.items()
-            if v.dtype.kind in "fiu"
-        }
+        numbers: dict[str, Array] = {}
+        for k, v in table.fields.items():
+            if v.dtype.kind in "fiu":
+                _, factor, offset = conversion(table.units.get(k) or "1")
+                numbers[k] = factor * v.astype(np.float64) + offset
         return {"time": table.time, **{k: v for k, v in numbers.items() if k.lower() not in _TIME}}
     text = path.read_text(encoding="utf-8-sig", errors="replace")
     comma = max((",", ";", "\t", " "), key=text[:2000].count)
@@ -508,34 +509,14 @@ def _csv(path: Path, columns: Mapping[str, Sequence[str]] | Sequence[str]) -> di
     return {name: values[:, j] for j, name in enumerate(columns)}
 
 
-def _in_si(values: Array, unit: str) -> Array:
-    """Return values of a column whose header names a unit in SI."""
-    from mufly.units import conversion
-
-    if not unit:
-        return values
-    _, factor, offset = conversion(unit)
-    return factor * values + offset
-
-
 def _log(path: Path, notes: list[str]) -> dict[str, Array]:
-    from mufly.logs import LogWarning, read_log
+    from mufly.logs import LogWarning, channels_of, read_log
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LogWarning)  # they go into the notes
         data = read_log(path)
     notes += [str(n) for n in data.attrs.get("notes", [])]
-    found: dict[str, Array] = {"time": np.asarray(data["time"].values, dtype=np.float64)}
-    for name, v in data.data_vars.items():
-        if v.dtype.kind not in "fiu" or v.dims[:1] != ("time",):
-            continue
-        if v.ndim == 1:
-            found[str(name)] = v.values.astype(np.float64)
-        elif v.ndim == 2:
-            labels = data[v.dims[1]].values if v.dims[1] in data.coords else range(v.shape[1])
-            for j, label in enumerate(labels):
-                found[f"{name}.{label}"] = v.values[:, j].astype(np.float64)
-    return found
+    return {"time": data["time"].values.astype(np.float64), **{c.name: c.values for c in channels_of(data)}}
 
 
 def _even(name: str, found: dict[str, Array], rate_hz: float | None, notes: list[str]) -> Columns:
