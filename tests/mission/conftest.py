@@ -19,8 +19,7 @@ NO_SIGNAL = Command()
 
 
 def plan_for(mission, low_V=6.0, beams=RING):
-    avoidance = mission.avoidance
-    return MissionPlan(mission, mission.trajectory_limits, beams, low_V, avoidance.enabled, mission.scans)
+    return MissionPlan(mission, beams, low_V)
 
 
 @dataclass

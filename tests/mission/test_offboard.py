@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mufly.mission import Limits, SetPoint, fault_of, wants_up
-from mufly.mission.offboard import HIGHEST_M, Tracker, begin_tracking, follow
+from mufly.mission.offboard import HIGHEST_M, follow
 from mufly.mission.schema import LOWEST_M
 from mufly.mission.trajectory import Point
 
@@ -19,8 +19,8 @@ ZERO = (0.0, 0.0, 0.0)
 NAN = math.nan
 
 
-def at_rest(position=(0.0, 0.0, -1.0), heading=0.0) -> Tracker:
-    return begin_tracking(Point(position, ZERO, ZERO, heading, 0.0))
+def at_rest(position=(0.0, 0.0, -1.0), heading=0.0) -> Point:
+    return Point(position, ZERO, ZERO, heading, 0.0)
 
 
 def run(set_points, start=None, limits=LIMITS, dt=DT, behind=None, hold_off=None):
@@ -179,8 +179,8 @@ def test_from_the_floor_it_rises_to_where_flying_is_allowed():
 
 def test_takes_over_a_reference_that_moves():
     moving = Point((1.0, 2.0, -1.5), (0.5, 0.1, -0.2), (0.3, 0.0, 0.0), 2.0, 0.7)
-    t = begin_tracking(moving)
-    assert t.point == moving
+    t = moving
+    assert t == moving
     check_limits(run([SetPoint(position_m=(1.0, 2.0, -1.5))] * 500, start=t))
 
 

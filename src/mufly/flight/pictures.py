@@ -126,27 +126,20 @@ def draw_history(dataset: xr.Dataset) -> Figure:
     angles, wanted = d.truth_attitude.values * deg, d.reference_attitude.values * deg
     rates = d.truth_rates.values * deg
     axes, rotors, servos = ("north", "east", "height"), ("upper", "lower"), ("1, pitch", "2, roll")
-    for ax, (heading, labels, values, *reference), more in zip(
-        panels.ravel(),
-        (
-            ("Position (m)", axes, d.truth_position.values * up, d.reference_position.values * up),
-            ("Velocity (m/s)", axes, d.truth_velocity.values * up, d.reference_velocity.values * up),
-            ("Roll and pitch (deg)", ("roll", "pitch"), angles[:, :2], wanted[:, :2]),
-            ("Heading (deg)", ("heading",), angles[:, 2:], wanted[:, 2:]),
-            ("Roll and pitch rate (deg/s)", ("p", "q"), rates[:, :2]),
-            ("Yaw rate (deg/s)", ("r",), rates[:, 2:]),
-            ("Rotor speed (rad/s)", rotors, d.truth_rotor_speed.values),
-            ("Motor input (0 to 1)", rotors, d.motor_input.values),
-            ("Servo input (-1 to 1)", servos, d.servo_input.values),
-            ("Battery voltage (V)", ("voltage",), d.battery_voltage.values[:, None]),
-        ),
-        (
-            *({}, {}, {"span": 4.0}, {"span": 10.0}, {"span": 20.0}, {"span": 20.0}, {}),
-            *({"limits": (0.0, 1.0)}, {"limits": (-1.0, 1.0)}, {"span": 0.5}),
-        ),
-        strict=True,
-    ):
-        _lines(ax, dataset, heading, labels, values, *reference, **more)
+    shown: tuple[tuple[str, tuple[str, ...], _Array, _Array | None, dict[str, Any]], ...] = (
+        ("Position (m)", axes, d.truth_position.values * up, d.reference_position.values * up, {}),
+        ("Velocity (m/s)", axes, d.truth_velocity.values * up, d.reference_velocity.values * up, {}),
+        ("Roll and pitch (deg)", ("roll", "pitch"), angles[:, :2], wanted[:, :2], {"span": 4.0}),
+        ("Heading (deg)", ("heading",), angles[:, 2:], wanted[:, 2:], {"span": 10.0}),
+        ("Roll and pitch rate (deg/s)", ("p", "q"), rates[:, :2], None, {"span": 20.0}),
+        ("Yaw rate (deg/s)", ("r",), rates[:, 2:], None, {"span": 20.0}),
+        ("Rotor speed (rad/s)", rotors, d.truth_rotor_speed.values, None, {}),
+        ("Motor input (0 to 1)", rotors, d.motor_input.values, None, {"limits": (0.0, 1.0)}),
+        ("Servo input (-1 to 1)", servos, d.servo_input.values, None, {"limits": (-1.0, 1.0)}),
+        ("Battery voltage (V)", ("voltage",), d.battery_voltage.values[:, None], None, {"span": 0.5}),
+    )
+    for ax, (heading, labels, values, reference, options) in zip(panels.ravel(), shown, strict=True):
+        _lines(ax, dataset, heading, labels, values, reference, **options)
     for ax in panels[-1]:
         ax.set_xlabel("Time (s)")
     _header(figure, dataset, 0.985)

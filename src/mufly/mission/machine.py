@@ -29,12 +29,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 from mufly.estimate import Estimate
 from mufly.mission import phases
 from mufly.mission.answers import Ask, may
 from mufly.mission.avoidance import BRAKE_M_S2, hold_off, observe
-from mufly.mission.offboard import HIGHEST_M, SetPoint, begin_tracking, fault_of, follow, wants_up
+from mufly.mission.offboard import HIGHEST_M, SetPoint, fault_of, follow, wants_up
 from mufly.mission.phases import (
     anew,
     at_gate,
@@ -55,13 +56,12 @@ from mufly.mission.state import (
     MissionState,
     Reference,
     State,
-    Triple,
     enter,
     fail,
     log,
     rest,
 )
-from mufly.mission.trajectory import Trajectory, stop, straight
+from mufly.mission.trajectory import Trajectory, Triple, stop, straight
 
 _FLYING = frozenset({State.TAKE_OFF, State.HOVER, State.WAYPOINT, State.OBSTACLE, State.OFFBOARD})
 _TIPPED = math.radians(60.0)
@@ -275,7 +275,13 @@ def pause(plan: MissionPlan, s: MissionState, why: str = "paused") -> MissionSta
     at = brake.at(math.inf)
     n, e, d = at.position
     place = (n, e, min(d, -LOWEST_M) if s.state is State.LANDING else d)
-    flags = {"manual": True, "homing": False, "quit": "", "asked_heading": None, "motors": "fly"}
+    flags: dict[str, Any] = {
+        "manual": True,
+        "homing": False,
+        "quit": "",
+        "asked_heading": None,
+        "motors": "fly",
+    }
     return rest(s, why, place, at.heading, motion=brake, ready_s=s.time_s, **flags)
 
 
@@ -386,7 +392,7 @@ def to_set_points(s: MissionState, m: Estimate, wanted: SetPoint) -> MissionStat
             s,
             State.OFFBOARD,
             "offboard: set-points",
-            tracker=begin_tracking(onward(s)),
+            tracker=onward(s),
             detour=None,
             manual=True,
             homing=False,
@@ -404,7 +410,7 @@ def track(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, dt: float
     if s.motors == "spin_up":
         if s.clock_s < SPIN_UP_S:
             return s
-        s = replace(s, motors="fly", tracker=begin_tracking(point(replace(s, motion=None))))
+        s = replace(s, motors="fly", tracker=point(replace(s, motion=None)))
     # It was begun for the end of the step in which it was entered.
     if c.set_point is None or s.tracker is None or s.entered_s == s.time_s or fault_of(c.set_point):
         return s

@@ -25,7 +25,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from mufly.mission.schema import LOWEST_M
-from mufly.mission.trajectory import Limits, Point, shorter_way_round
+from mufly.mission.trajectory import Limits, Point, Triple, shorter_way_round
 
 HIGHEST_M = 50.0
 """Greatest height of a reference above the floor (m)."""
@@ -38,7 +38,6 @@ _TRAILS_M = 0.5
 _SMOOTH_S = 0.08
 _FAR_M, _FAST_M_S, _FAST_RAD_S = 1e4, 50.0, 50.0
 
-Triple = tuple[float, float, float]
 _NAN = (math.nan, math.nan, math.nan)
 
 
@@ -59,30 +58,6 @@ class SetPoint:
     velocity_m_s: Triple | None = None
     heading_rad: float | None = None
     yaw_rate_rad_s: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Tracker:
-    """The reference that follows set-points.
-
-    Attributes
-    ----------
-    position, velocity, acceleration : (3,) tuples
-        N-E-D (m, m/s, m/s2); the acceleration is smoothed, for feedforward.
-    heading, heading_rate : float
-        rad, rad/s.
-    """
-
-    position: Triple
-    velocity: Triple
-    acceleration: Triple
-    heading: float
-    heading_rate: float
-
-    @property
-    def point(self) -> Point:
-        """As a point of a trajectory."""
-        return Point(self.position, self.velocity, self.acceleration, self.heading, self.heading_rate)
 
 
 def fault_of(s: SetPoint) -> str:
@@ -114,28 +89,20 @@ def wants_up(s: SetPoint, standing: Triple) -> bool:
     return higher or (s.velocity_m_s is not None and s.velocity_m_s[2] < -0.01)
 
 
-def begin_tracking(at: Point) -> Tracker:
-    """Start from where the reference is, and how it moves."""
-    n, e, d = at.position
-    u, v, w = at.velocity
-    a, b, c = at.acceleration
-    return Tracker((n, e, d), (u, v, w), (a, b, c), at.heading, at.heading_rate)
-
-
 def follow(
-    tracker: Tracker,
+    tracker: Point,
     wanted: SetPoint,
     limits: Limits,
     measured: tuple[float, ...],
     dt: float,
     hold_off: Callable[[float, float], tuple[float, float]] | None = None,
-) -> Tracker:
+) -> Point:
     """Advance the reference.
 
     Parameters
     ----------
-    tracker : Tracker
-        As it was.
+    tracker : Point
+        The reference as it was; its acceleration is smoothed, for feedforward.
     wanted : SetPoint
         Without fault.
     limits : Limits
@@ -154,13 +121,13 @@ def follow(
 
 
 def _part(
-    t: Tracker,
+    t: Point,
     wanted: SetPoint,
     limits: Limits,
     measured: tuple[float, ...],
     dt: float,
     hold_off: Callable[[float, float], tuple[float, float]] | None,
-) -> Tracker:
+) -> Point:
     target, given = wanted.position_m or _NAN, wanted.velocity_m_s or _NAN
     (n, e, d), (vn, ve, vd) = t.position, t.velocity
     trails = math.dist(t.position, measured)
@@ -194,7 +161,7 @@ def _part(
     blend = 1.0 - math.exp(-dt / _SMOOTH_S)
     sn, se, sd = (s + blend * (a - s) for s, a in zip(t.acceleration, (an, ae, ad), strict=True))
     vn, ve, vd, psi_rate = vn + dt * an, ve + dt * ae, vd + dt * ad, t.heading_rate + dt * yaw
-    return Tracker(
+    return Point(
         (n + dt * vn, e + dt * ve, d + dt * vd),
         (vn, ve, vd),
         (sn, se, sd),

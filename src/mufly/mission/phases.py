@@ -22,13 +22,12 @@ from mufly.mission.state import (
     MissionState,
     Reference,
     State,
-    Triple,
     enter,
     fail,
     log,
     rest,
 )
-from mufly.mission.trajectory import Point, Stop, Trajectory, stop, straight
+from mufly.mission.trajectory import Point, Stop, Trajectory, Triple, stop, straight
 
 SWEEP_PERIOD_S = 4.0
 """Period of the nose's swing while scanning; every direction is looked at once in half of it (s)."""
@@ -41,7 +40,7 @@ def point(s: MissionState) -> Point:
     if s.state is State.OBSTACLE and s.detour is not None:
         return Point(s.detour.position, s.detour.velocity, s.detour.acceleration, s.heading, 0.0)
     if s.state is State.OFFBOARD and s.tracker is not None:
-        return s.tracker.point
+        return s.tracker
     if s.motion is None or s.motors == "spin_up":
         return Point(s.hold, _ZERO, _ZERO, s.heading, 0.0)
     at = s.motion.at(s.clock_s)
@@ -188,10 +187,6 @@ def down_blind(s: MissionState, time_s: float) -> MissionState:
 _SETTLE_BEFORE_LANDING_S = 2.0
 
 
-def _triple(x: tuple[float, ...]) -> Triple:
-    return x[0], x[1], x[2]
-
-
 def measured_at(m: Estimate) -> Triple:
     """Position as three numbers (N, E, D; m)."""
     n, e, d = m.position.tolist()
@@ -324,12 +319,18 @@ def set_out(
     if math.hypot(*at.velocity) > 0.01 or abs(at.heading_rate) > 0.01:
         brake = braking(plan, s)
         at = brake.at(math.inf)
-        motion = way(_triple(at.position), at.heading).after(brake)
+        motion = way(at.position, at.heading).after(brake)
     else:
-        motion = way(_triple(at.position), at.heading)
-    fresh = {"detour": None, "avoided_s": 0.0, "resumed": False, "manual": False, "homing": False}
-    flags = {**fresh, "asked_heading": None, **flags}
-    return enter(s, State.WAYPOINT, why, motion=motion, goal=motion.goal, **flags)
+        motion = way(at.position, at.heading)
+    fresh: dict[str, Any] = {
+        "detour": None,
+        "avoided_s": 0.0,
+        "resumed": False,
+        "manual": False,
+        "homing": False,
+    }
+    fresh |= {"asked_heading": None, "motion": motion, "goal": motion.goal}
+    return enter(s, State.WAYPOINT, why, **(fresh | flags))
 
 
 def go_home(plan: MissionPlan, s: MissionState, why: str) -> MissionState:
@@ -375,7 +376,7 @@ def _give_up(s: MissionState, why: str) -> MissionState:
     """Come to rest in a hover, from which it lands."""
     now = point(s)
     brake = stop(now.position, now.velocity, now.heading, BRAKE_M_S2)
-    at = _triple(brake.at(math.inf).position)
+    at = brake.at(math.inf).position
     ready = s.time_s + brake.duration_s + _SETTLE_BEFORE_LANDING_S
     s = fail(s, why)
     return rest(s, why, at, now.heading, level="warning", motion=brake, ready_s=ready)
@@ -392,11 +393,11 @@ def _watch(plan: MissionPlan, s: MissionState) -> MissionState:
     clear = plan.mission.avoidance.clearance_m
     # Only on its level way does it head for somewhere; elsewhere an obstacle has to come near.
     underway = s.state is State.WAYPOINT and at_gate(s)
-    here = _triple(at.position)
+    here = at.position
     sight = look(s.memory, here, s.goal if underway else here, clear)
     if not (blocked(sight, clear) if underway else sight.nearest < clear):
         return s
-    velocity, acceleration = _triple(at.velocity), _triple(at.acceleration)
+    velocity, acceleration = at.velocity, at.acceleration
     detour = begin_detour(here, velocity, acceleration, s.goal, sight, s.detour)
     why = f"obstacle {sight.way:.2f} m from the way" if underway else f"obstacle {sight.nearest:.2f} m away"
     return enter(s, State.OBSTACLE, why, back=s.state, detour=detour, heading=at.heading)

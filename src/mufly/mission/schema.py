@@ -32,9 +32,9 @@ class _Table(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-def _strict(default: Any, description: str, **bounds: float) -> Any:
+def _strict(default: Any, description: str, **bounds: Any) -> Any:
     """A number, truth value or text that is taken as it stands: a text is no number."""
-    return Field(default=default, description=description, strict=True, **bounds)  # type: ignore[arg-type]
+    return Field(default=default, description=description, strict=True, **bounds)
 
 
 class TakeOff(_Table):

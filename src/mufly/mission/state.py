@@ -14,13 +14,12 @@ from mufly.errors import InputError
 from mufly.estimate import Estimate
 from mufly.logs.layout import Event
 from mufly.mission.avoidance import Detour, Memory, Ring, ring
-from mufly.mission.offboard import SetPoint, Tracker
+from mufly.mission.offboard import SetPoint
 from mufly.mission.schema import Mission
-from mufly.mission.trajectory import Limits, Stop, Trajectory
+from mufly.mission.trajectory import Limits, Point, Stop, Trajectory, Triple
 from mufly.vehicle import Vehicle
 
 Motors = Literal["off", "spin_up", "fly", "ramp_down", "blind"]
-Triple = tuple[float, float, float]
 
 
 class State(StrEnum):
@@ -129,22 +128,30 @@ class MissionPlan:
     ----------
     mission : Mission
         The mission.
-    limits : Limits
-        Its limits on trajectories.
     ring : Ring
         The vehicle's range beams.
     low_V : float
         Voltage below which it lands (V).
-    avoid, scan : bool
-        Whether it avoids obstacles, and swings its nose to see them.
     """
 
     mission: Mission
-    limits: Limits
     ring: Ring
     low_V: float
-    avoid: bool
-    scan: bool
+
+    @property
+    def limits(self) -> Limits:
+        """The mission's limits on trajectories."""
+        return self.mission.trajectory_limits
+
+    @property
+    def avoid(self) -> bool:
+        """Whether it avoids obstacles."""
+        return self.mission.avoidance.enabled
+
+    @property
+    def scan(self) -> bool:
+        """Whether it swings its nose to see them."""
+        return self.mission.scans
 
 
 def prepare(mission: Mission, vehicle: Vehicle) -> MissionPlan:
@@ -171,14 +178,8 @@ def prepare(mission: Mission, vehicle: Vehicle) -> MissionPlan:
             f"leave it out to land at {float(vehicle.battery.low_voltage):g} V",
         )
     r = vehicle.range_ring
-    return MissionPlan(
-        mission,
-        mission.trajectory_limits,
-        ring(r.count, float(r.first_angle), float(r.max_range)),
-        float(vehicle.battery.low_voltage) if low is None else low,
-        mission.avoidance.enabled,
-        mission.scans,
-    )
+    beams = ring(r.count, float(r.first_angle), float(r.max_range))
+    return MissionPlan(mission, beams, float(vehicle.battery.low_voltage) if low is None else low)
 
 
 _ORIGIN = (0.0, 0.0, 0.0)
@@ -248,7 +249,7 @@ class MissionState:
         For how long the nose has been swinging (s, at most 3; it counts down from 1 to stop).
     asked_heading : float or None
         Heading that the user's waypoint asks for (rad).
-    tracker : Tracker or None
+    tracker : Point or None
         Reference that follows set-points.
     """
 
@@ -288,7 +289,7 @@ class MissionState:
     resumed: bool = False
     swing: float = 0.0
     asked_heading: float | None = None
-    tracker: Tracker | None = None
+    tracker: Point | None = None
 
 
 def begin(plan: MissionPlan, estimate: Estimate) -> MissionState:

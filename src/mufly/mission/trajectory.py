@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+Triple = tuple[float, float, float]
 _PEAK = 15.0 / 8.0
 
 
@@ -46,7 +47,7 @@ class Profile:
         """Time from rest to rest (s)."""
         return 2.0 * self.ramp_s + self.cruise_s
 
-    def at(self, t: float) -> tuple[float, float, float]:
+    def at(self, t: float) -> Triple:
         """Way, speed and acceleration at time ``t`` (s); at rest before 0 and after the end."""
         ramp = self.ramp_s
         if t <= 0.0 or ramp == 0.0:
@@ -86,7 +87,7 @@ def profile(way: float, speed: float, acceleration: float) -> Profile:
     return Profile(way, peak, ramp, max(0.0, way / peak - ramp))
 
 
-def step_down(x: float) -> tuple[float, float, float]:
+def step_down(x: float) -> Triple:
     """Smooth step from 1 to 0 over x in [0, 1]: value 1 - S, its slope, and its integral from 0 to x."""
     if x <= 0.0:
         return 1.0, 0.0, 0.0
@@ -166,7 +167,7 @@ class SplinePath(NamedTuple):
     """Arc length at equal steps of the parameter (m)."""
     timing: Profile
 
-    def at(self, t: float) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+    def at(self, t: float) -> tuple[Triple, Triple, Triple]:
         """Position, velocity and acceleration (3 each; m, m/s, m/s2) at time ``t`` (s)."""
         s, ds, dds = self.timing.at(t)
         arc = self.arc
@@ -182,7 +183,7 @@ class SplinePath(NamedTuple):
         length = math.sqrt(square)
         bn, be, bd = (6.0 * c[0] * u + 2.0 * c[1] for c in (p, q, r))
         along = (tn * bn + te * be + td * bd) / square
-        position = tuple(((c[0] * u + c[1]) * u + c[2]) * u + c[3] for c in (p, q, r))
+        n, e, d = (((c[0] * u + c[1]) * u + c[2]) * u + c[3] for c in (p, q, r))
         velocity = (ds * tn / length, ds * te / length, ds * td / length)
         f, g = dds / length, ds * ds / square
         acceleration = (
@@ -190,7 +191,7 @@ class SplinePath(NamedTuple):
             f * te + g * (be - along * te),
             f * td + g * (bd - along * td),
         )
-        return position, velocity, acceleration
+        return (n, e, d), velocity, acceleration
 
     def _arc_at(self, k: int, u: float) -> float:
         start, half, total = k / _PIECES, 0.5 * (u - k / _PIECES), 0.0
@@ -280,9 +281,9 @@ _SPOT = 1e-3
 class Point(NamedTuple):
     """A trajectory at one instant: N-E-D in m, m/s and m/s2; heading in rad and rad/s."""
 
-    position: tuple[float, ...]
-    velocity: tuple[float, ...]
-    acceleration: tuple[float, ...]
+    position: Triple
+    velocity: Triple
+    acceleration: Triple
     heading: float
     heading_rate: float
 
@@ -332,8 +333,8 @@ class Trajectory:
         Braking that comes first; `gate_s` and `duration_s` include it.
     """
 
-    start: tuple[float, float, float]
-    goal: tuple[float, float, float]
+    start: Triple
+    goal: Triple
     heading: float
     turn: float
     rise: Profile
@@ -490,8 +491,8 @@ def curved(
 class Stop:
     """Coming to rest from a given velocity along its own direction: v(t) = v0 (1 - S(t / T)); likewise turning."""
 
-    start: tuple[float, float, float]
-    velocity: tuple[float, float, float]
+    start: Triple
+    velocity: Triple
     heading: float
     duration_s: float
     heading_rate: float = 0.0
@@ -540,14 +541,14 @@ def stop(
     return Stop(_triple(position), v, heading, duration, heading_rate, turn_s)
 
 
-def _triple(x: ArrayLike) -> tuple[float, float, float]:
+def _triple(x: ArrayLike) -> Triple:
     n, e, d = np.asarray(x, dtype=np.float64).tolist()
     return n, e, d
 
 
 def _turn(
-    a: tuple[float, float, float],
-    b: tuple[float, float, float],
+    a: Triple,
+    b: Triple,
     way: float,
     heading: float,
     final_heading: float | None,
