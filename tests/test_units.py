@@ -1,0 +1,97 @@
+"""One table of units and one of quantities, which every room reads."""
+
+import math
+
+import pytest
+
+from mufly.bench import parse_header
+from mufly.errors import InputError
+from mufly.quantities import LABELS, QUANTITIES, kept_by, our_name, quantity_named, split_name, told_by
+from mufly.study import parse_quantity
+from mufly.units import STANDARD_GRAVITY_M_S2, conversion, factor_of, known_unit, units_of
+from mufly.vehicle import load_vehicle
+
+
+@pytest.mark.parametrize(
+    ("header", "text", "si"),
+    [
+        ("speed (rpm)", ("speed", "1rpm"), "rad/s"),
+        ("pitch_deg", ("pitch", "1deg"), "rad"),
+        ("thrust_mN", ("thrust", "1mN"), "N"),
+    ],
+)
+def test_bench_study_and_table_agree_to_the_last_bit(header, text, si):
+    unit = header.replace("(", "_").replace(")", "").replace(" ", "").partition("_")[2]
+    assert parse_header(header).factor == factor_of(unit, si) == parse_quantity(*text)
+
+
+def test_a_vehicle_file_takes_every_unit_of_the_table(tmp_path):
+    text = tmp_path / "v.toml"
+    for unit in units_of("m"):
+        value = load_vehicle("mufly-1.1").rotors.radius.value / factor_of(unit)
+        text.write_text(_with_radius(value, unit), encoding="utf-8")
+        assert float(load_vehicle(text).rotors.radius) == pytest.approx(0.0875)
+
+
+def _with_radius(value, unit):
+    from importlib.resources import files
+
+    source = (files("mufly.vehicle") / "builtin" / "mufly-1.1.toml").read_text(encoding="utf-8")
+    lines = source.splitlines()
+    k = next(i for i, line in enumerate(lines) if line.startswith("radius"))
+    lines[k] = f'radius = {{ value = {value!r}, unit = "{unit}", source = "measured" }}'
+    return "\n".join(lines)
+
+
+def test_load_cells_in_grams_weigh_with_the_standard_gravity():
+    assert factor_of("gf") == pytest.approx(STANDARD_GRAVITY_M_S2 / 1000)
+    assert conversion("g", "N")[1] == conversion("gf")[1] == parse_header("T(g)").factor
+    assert conversion("g")[0] == "kg"
+
+
+def test_capitals_do_not_matter_where_the_dimension_is_known():
+    assert known_unit("nmm", "N m") == "N mm"
+    assert known_unit("RAD_S", "rad/s") == "rad/s"
+    assert known_unit("nmm") == ""
+    assert conversion("K", "degC")[1:] == (1.0, -273.15)
+    with pytest.raises(InputError, match="cannot become"):
+        conversion("mm", "s")
+
+
+def test_names_are_unique_and_every_quantity_is_found_by_its_name_and_columns():
+    assert len({q.name for q in QUANTITIES}) == len(QUANTITIES)
+    for q in QUANTITIES:
+        assert quantity_named(q.name) is q
+        assert q.dim is None or q.dim in ("beam", "channel") or q.labels == LABELS[q.dim]
+        for label in q.labels or ([] if q.dim is None else ["1"]):
+            assert our_name(f"{q.name}_{label}") == (q.name, str(label))
+            assert split_name(f"{q.name}.{label}", "here") == (q, q.name, str(label))
+    assert quantity_named("reference_rates").long_name == "reference body rates"
+    assert quantity_named("flap") is None
+
+
+def test_a_station_keeps_what_a_flight_keeps_in_the_same_order():
+    station = [q for q in kept_by("flight", "station") if q.kept == "flight"]
+    assert tuple(station) == kept_by("flight")
+
+
+def test_the_mavlink_fields_of_the_table_are_in_the_dialect_with_these_units():
+    import os
+
+    os.environ["MAVLINK20"] = "1"
+    from pymavlink.dialects.v20 import common
+
+    messages = {m.msgname: m for m in common.mavlink_map.values()}
+    for q in QUANTITIES:
+        for wire in q.mavlink:
+            message = messages[wire.message]
+            for field in wire.fields.split():
+                name = field.partition("[")[0]
+                assert name in message.fieldnames, (q.name, field)
+                assert message.fieldunits_by_name.get(name, "1") in (wire.unit, "1"), (q.name, field)
+
+
+def test_a_message_tells_columns_with_their_factors():
+    assert told_by("ATTITUDE")[0] == ("roll", "estimated_attitude_roll", 1.0)
+    assert told_by("RAW_RPM")[1] == ("frequency", "measured_rotor_speed_lower", math.pi / 30)
+    assert told_by("RC_CHANNELS")[7][:2] == ("chan8_raw", "pilot_input_8")
