@@ -161,7 +161,7 @@ def fuzz(messages: int, seed: int, *, per_step: int = 20, samples: int = 20) -> 
             known = [v for v in ground.vehicles if (v.system, v.color) == (1, 0)]
             if known and now_s > 5.0:
                 found.honest_off = max(
-                    found.honest_off, math.dist(known[0].snapshot.position, honest.position)
+                    found.honest_off, math.dist(known[0].snapshot.estimate.position, honest.position)
                 )
             requests = [r for r in requests if not r.done][-500:]
     for _ in range(

@@ -129,7 +129,7 @@ def test_progress_follows_current_and_reached_items():
         mock.extra.append(message)
         world.run(0.1)
         assert [row.reached for row in vehicle.mission] == [k < behind for k in range(5)]
-    assert vehicle.snapshot.waypoint == 0
+    assert vehicle.snapshot.mission_row == 0
 
 
 def test_a_mission_that_somebody_else_sent_is_fetched():

@@ -120,7 +120,7 @@ _HEARD = [
 def _looked_at(vehicle):
     """What a page looks at."""
     with np.errstate(all="ignore"):
-        assert vehicle.snapshot.position.shape == (3,)
+        assert vehicle.snapshot.estimate.position.shape == (3,)
         assert vehicle.name
         assert all(check.text is not None for check in vehicle.checks)
         assert isinstance(vehicle.mission, list)

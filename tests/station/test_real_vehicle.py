@@ -104,16 +104,16 @@ def test_a_flight_by_hand(helicopter, tmp_path):
     scene.run(1.0)
     s = vehicle.snapshot
     assert (s.flying, s.armed, s.in_command, s.commander) == (True, True, True, "this station")
-    assert s.position[2] == pytest.approx(-0.7, abs=0.1)
-    assert (s.motor_input > 0.5).all()
+    assert s.estimate.position[2] == pytest.approx(-0.7, abs=0.1)
+    assert (s.actuators.motor_input > 0.5).all()
     assert (s.rotor_speed > 300.0).all()
-    assert len(s.ranges) == 8
+    assert len(s.estimate.ranges) == 8
     assert 100.0 < s.link_rate_Hz < 1500.0
     assert s.link_loss == 0.0
 
     assert scene.answer(vehicle.go_to((0.5, -0.3, -0.8), 0.5)) == ("accepted", "")
     vehicle.mark("half way")
-    scene.run(15.0, lambda: np.linalg.norm(vehicle.snapshot.position - [0.5, -0.3, -0.8]) < 0.05)
+    scene.run(15.0, lambda: np.linalg.norm(vehicle.snapshot.estimate.position - [0.5, -0.3, -0.8]) < 0.05)
     assert scene.answer(vehicle.land()) == ("accepted", "")
     scene.run(15.0, lambda: not vehicle.snapshot.armed)
     assert not vehicle.snapshot.flying
@@ -202,4 +202,4 @@ def test_a_simulation_begins_anew(helicopter):
     assert vehicle.snapshot.connected
     times, _ = vehicle.history.window(600.0)
     assert (np.diff(times) > 0).all()
-    assert np.isfinite(vehicle.snapshot.position).all()
+    assert np.isfinite(vehicle.snapshot.estimate.position).all()

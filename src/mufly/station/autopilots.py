@@ -10,14 +10,12 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-from mufly.link.commands import Command
+from mufly.link.commands import FORCE, Command
 from mufly.link.conventions import Origin
 
 PX4, ARDUPILOT = 12, 3  # MAV_AUTOPILOT
 NAN = math.nan
 LOCAL_NED, GLOBAL = 1, 0  # MAV_FRAME
-FORCE = 21196.0
-"""MAVLink's number for disarming in flight."""
 _CUSTOM_MODE_ENABLED = 1  # MAV_MODE_FLAG
 _ROTORCRAFT = (2, 3, 4, 13, 14, 15, 29, 35, 43)  # MAV_TYPE
 

@@ -138,7 +138,8 @@ def _health(health: tuple[int, int, int] | None, texts: StatusTexts) -> _Judged:
 
 
 def _battery(s: Snapshot) -> _Judged:
-    voltage = "" if math.isnan(s.battery_voltage) else f"{s.battery_voltage:.2f} V"
+    volts = s.estimate.battery_voltage
+    voltage = "" if math.isnan(volts) else f"{volts:.2f} V"
     if math.isnan(s.battery_charge):
         return None, voltage or "not told"
     text = f"{100 * s.battery_charge:.0f} %" + (f", {voltage}" if voltage else "")
@@ -148,7 +149,8 @@ def _battery(s: Snapshot) -> _Judged:
 def _level(s: Snapshot) -> _Judged:
     if s.flying:
         return None, "in flight"
-    tilt, speed = math.hypot(*s.attitude[:2].tolist()), float((s.velocity**2).sum() ** 0.5)
+    e = s.estimate
+    tilt, speed = math.hypot(*e.attitude[:2].tolist()), float((e.velocity**2).sum() ** 0.5)
     if math.isnan(tilt):
         return None, "attitude is not told"
     moving = "" if math.isnan(speed) else f", {speed:.2f} m/s"
@@ -156,9 +158,9 @@ def _level(s: Snapshot) -> _Judged:
 
 
 def _position(s: Snapshot) -> _Judged:
-    if np.isnan(s.position).any():
+    if np.isnan(s.estimate.position).any():
         return False, "not known"
-    n, e, d = s.position.tolist()
+    n, e, d = s.estimate.position.tolist()
     return True, f"N {n:.2f}, E {e:.2f}, D {d:.2f} m"
 
 

@@ -141,7 +141,8 @@ class RemoteVehicle:
         return Snapshot.of(
             t.believes,
             ("estimated",),
-            time_s=t.time_s,
+            t.time_s,
+            t.ranges.ranges,
             connected=self.connected,
             silent_s=self._now_s - self._heard_s,
             armed=t.armed,
@@ -149,11 +150,10 @@ class RemoteVehicle:
             in_command=self.in_command,
             commander=self.commander,
             state=t.state,
-            ranges=t.ranges.ranges,
             range_angles=t.ranges.angles,
             range_max_m=t.ranges.most_m,
             battery_left_s=t.battery_left_s,
-            waypoint=t.mission_current if t.mission_current in range(len(items or ())) else None,
+            mission_row=t.mission_current if t.mission_current in range(len(items or ())) else None,
             link_loss=self._loss,
             link_rate_Hz=self._rate_Hz,
         )

@@ -287,18 +287,18 @@ class Replay:
         s = Snapshot.of(
             self._signal,
             SOURCES,
-            time_s=self.time_s,
+            self.time_s,
+            self._values(beams),
             connected=True,
             silent_s=0.0,
             armed=bool(np.nanmax(np.nan_to_num(motors)) > 0.0),
             state=str(recording.states[self._row]),
-            ranges=self._values(beams),
             range_angles=recording.range_angles,
             range_max_m=recording.range_max_m,
-            waypoint=progress if progress < len(self._rows) else None,
+            mission_row=progress if progress < len(self._rows) else None,
         )
         # Not flying where the recording does not say how high it stood.
-        return replace(s, flying=bool(s.position[2] < self._stood - AIRBORNE_M))
+        return replace(s, flying=bool(s.estimate.position[2] < self._stood - AIRBORNE_M))
 
     @property
     def _row(self) -> int:

@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.estimate import Estimate
+from mufly.flight import Actuators, FlightState
+
 _Array = NDArray[np.float64]
-_ACTUATORS = ("motor_input", "servo_input")
-_BATTERY = ("battery_voltage", "battery_current", "battery_charge")
 
 
 def unknown(n: int) -> _Array:
@@ -27,74 +28,54 @@ def unknown(n: int) -> _Array:
 
 
 @dataclass(frozen=True, slots=True)
-class Snapshot:
-    """Everything that a station shows of the present.
+class Snapshot(FlightState):
+    """The state of a flight as a station knows it, and what it knows besides: of the link, and of who commands.
+
+    Of what belongs to a flight's state a vehicle tells a part; of another autopilot's, ``state`` is the flight mode in
+    words.
 
     Attributes
     ----------
-    time_s : float
-        The vehicle's clock.
     connected : bool
         Whether it was heard in the last three seconds; always true in a recording.
     silent_s : float
         For how long nothing was heard (s).
-    armed, flying : bool
-        Whether the motors may run; whether it is off the floor.
     in_command : bool
         Whether this station commands it; otherwise it watches.
     commander : str
         Who commands it, in words; "" if nobody or unknown.
-    state : str
-        State of its mission machine ("hover", "waypoint", ...), or its flight mode in words.
-    position, velocity, attitude, rates : (3,) array
-        What the vehicle believes of itself: N-E-D (m, m/s); roll, pitch, yaw (rad); p, q, r (rad/s).
-    reference_position, reference_velocity, reference_attitude : (3,) array
-        What it follows.
-    motor_input, servo_input, rotor_speed : (2,) array
-        Upper, lower (0..1); 1, 2 (-1..1); upper, lower (rad/s).
-    ranges, range_angles : (n,) array
-        Distances (m) seen along beams, and the beams' directions from the nose to the right (rad).
+    rotor_speed : (2,) array
+        Upper, lower (rad/s), as measured or, in a simulation, in truth.
+    range_angles : (n,) array
+        Directions of the range beams from the nose to the right (rad).
     range_max_m : float
         What a beam that sees nothing returns (m).
-    battery_voltage, battery_current, battery_charge, battery_left_s : float
-        V, A, 0..1, and how long it will last (s).
-    waypoint : int or None
+    mission_row : int or None
         Row of the mission table that is flown to.
     link_loss, link_rate_Hz : float
         Share of packets lost of late (0..1); messages a second.
     """
 
-    time_s: float = math.nan
     connected: bool = False
     silent_s: float = math.inf
-    armed: bool = False
-    flying: bool = False
     in_command: bool = False
     commander: str = ""
-    state: str = ""
-    position: _Array = field(default_factory=lambda: unknown(3))
-    velocity: _Array = field(default_factory=lambda: unknown(3))
-    attitude: _Array = field(default_factory=lambda: unknown(3))
-    rates: _Array = field(default_factory=lambda: unknown(3))
-    reference_position: _Array = field(default_factory=lambda: unknown(3))
-    reference_velocity: _Array = field(default_factory=lambda: unknown(3))
-    reference_attitude: _Array = field(default_factory=lambda: unknown(3))
-    motor_input: _Array = field(default_factory=lambda: unknown(2))
-    servo_input: _Array = field(default_factory=lambda: unknown(2))
     rotor_speed: _Array = field(default_factory=lambda: unknown(2))
-    ranges: _Array = field(default_factory=lambda: unknown(0))
     range_angles: _Array = field(default_factory=lambda: unknown(0))
     range_max_m: float = math.nan
-    battery_voltage: float = math.nan
-    battery_current: float = math.nan
-    battery_charge: float = math.nan
-    battery_left_s: float = math.nan
-    waypoint: int | None = None
+    mission_row: int | None = None
     link_loss: float = math.nan
     link_rate_Hz: float = math.nan
 
     @classmethod
-    def of(cls, signal: Callable[[str], _Array], sources: Sequence[str], **others: Any) -> Snapshot:
+    def of(
+        cls,
+        signal: Callable[[str], _Array],
+        sources: Sequence[str],
+        time_s: float,
+        ranges: _Array,
+        **others: Any,
+    ) -> Snapshot:
         """Return the snapshot of what is told or recorded.
 
         Parameters
@@ -103,6 +84,9 @@ class Snapshot:
             Value of a variable of :mod:`mufly.quantities` at that moment, NaN where it is not known.
         sources : sequence of str
             Whom to believe of the motion, in this order: "estimated", "measured", "truth".
+        time_s : float
+        ranges : (n,) array
+            Along the beams (m).
         **others
             Fields that are no such variables.
         """
@@ -112,11 +96,21 @@ class Snapshot:
             # Who knows most of it; of equals the first.
             return max(told, key=lambda v: sum(map(math.isfinite, v.tolist())))
 
-        places = ("position", "velocity", "attitude")
-        fields: dict[str, Any] = {name: believed(name, sources) for name in (*places, "rates")}
-        fields |= {name: signal(name) for name in (*(f"reference_{name}" for name in places), *_ACTUATORS)}
-        fields |= {name: float(signal(name)[0]) for name in _BATTERY}
-        return cls(**fields, rotor_speed=believed("rotor_speed", ("measured", "truth")), **others)
+        x, v, angles, rates = (
+            believed(name, sources) for name in ("position", "velocity", "attitude", "rates")
+        )
+        return cls(
+            time_s=time_s,
+            estimate=Estimate(time_s, x, v, angles, rates, ranges, float(signal("battery_voltage")[0])),
+            reference_position=signal("reference_position"),
+            reference_velocity=signal("reference_velocity"),
+            reference_attitude=signal("reference_attitude"),
+            actuators=Actuators(signal("motor_input"), signal("servo_input")),
+            rotor_speed=believed("rotor_speed", ("measured", "truth")),
+            battery_current=float(signal("battery_current")[0]),
+            battery_charge=float(signal("battery_charge")[0]),
+            **others,
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mufly.flight.parameters import Parameter
+from mufly.estimate import Estimate
+from mufly.flight import FlightState, Parameter
 from mufly.station import Check, History, Message, MissionRow, Snapshot
 from mufly.station.page.feed import IN_FLIGHT, MOST_POINTS, Feed, Want, encode_snapshot
 from mufly.station.page.session import GRACE_S, Session
@@ -207,9 +208,21 @@ def test_a_greedy_window_is_limited() -> None:
 
 
 def test_a_snapshot_travels_whole() -> None:
-    s = Snapshot(position=np.array([1.0, math.nan, -2.5]), waypoint=3, state="hover", commander="station 255")
+    at = Estimate(position=np.array([1.0, math.nan, -2.5]))
+    s = Snapshot(estimate=at, mission_row=3, state="hover", commander="station 255")
     content = encode_snapshot(s)
-    assert set(content) == set(Snapshot.__dataclass_fields__)
+    own = set(Snapshot.__dataclass_fields__) - set(FlightState.__dataclass_fields__) - {"mission_row"}
+    motion = {"position", "velocity", "attitude", "rates", "ranges", "motor_input", "servo_input"}
+    followed = {"reference_position", "reference_velocity", "reference_attitude"}
+    battery = {"battery_voltage", "battery_current", "battery_charge", "battery_left_s"}
+    assert set(content) == own | motion | followed | battery | {
+        "time_s",
+        "armed",
+        "flying",
+        "state",
+        "waypoint",
+    }
+    assert isinstance(s, FlightState)
     assert content["position"].dtype == np.float32
     assert content["waypoint"] == 3
 

@@ -46,7 +46,7 @@ def test_the_moment_that_is_shown_is_that_of_the_file(replay: Replay) -> None:
     s = replay.snapshot
     columns = replay.recording.columns
     assert s.time_s == replay.recording.times[k]
-    assert s.position.tolist() == [columns[f"measured_position_{a}"][k] for a in "NED"]
+    assert s.estimate.position.tolist() == [columns[f"measured_position_{a}"][k] for a in "NED"]
     assert s.rotor_speed.tolist() == [columns[f"truth_rotor_speed_{r}"][k] for r in ("upper", "lower")]
     assert s.state == replay.recording.states[k]
     assert s.connected
@@ -114,9 +114,9 @@ def test_a_bare_table_is_a_recording_too(tmp_path: Path) -> None:
     replay = Replay(open_recording(path))
     replay.seek(replay.end_s)
     s = replay.snapshot
-    assert s.attitude[0] == pytest.approx(0.99)
-    assert np.isnan(s.position).all()
-    assert s.battery_voltage == pytest.approx(7.301)
+    assert s.estimate.attitude[0] == pytest.approx(0.99)
+    assert np.isnan(s.estimate.position).all()
+    assert s.estimate.battery_voltage == pytest.approx(7.301)
     assert not s.flying
     assert replay.mission == []
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -36,7 +36,20 @@ MOST_TRAIL = 3000
 BLADES = 2
 LEAST_SAMPLES = 64
 _SECTIONS = frozenset({"scene", "messages", "mission", "checks", "parameters", "catalog"})
-_FIELDS = tuple(f.name for f in fields(Snapshot))
+_OF_STATE = (
+    *("time_s", "connected", "silent_s", "armed", "flying", "in_command", "commander", "state"),
+    *(
+        "reference_position",
+        "reference_velocity",
+        "reference_attitude",
+        "rotor_speed",
+        "range_angles",
+        "range_max_m",
+    ),
+    *("battery_current", "battery_charge", "battery_left_s", "link_loss", "link_rate_Hz"),
+)
+_OF_ESTIMATE = ("position", "velocity", "attitude", "rates", "ranges", "battery_voltage")
+_OF_ACTUATORS = ("motor_input", "servo_input")
 _Array = NDArray[np.float64]
 
 
@@ -77,8 +90,10 @@ class Want:
 
 def encode_snapshot(s: Snapshot) -> dict[str, Any]:
     """Return a snapshot with arrays in single precision: seven digits are more than a page can show."""
-    values = ((name, getattr(s, name)) for name in _FIELDS)
-    return {name: v.astype(np.float32) if isinstance(v, np.ndarray) else v for name, v in values}
+    told = {"waypoint": s.mission_row}
+    for part, names in ((s, _OF_STATE), (s.estimate, _OF_ESTIMATE), (s.actuators, _OF_ACTUATORS)):
+        told |= {name: getattr(part, name) for name in names}
+    return {name: v.astype(np.float32) if isinstance(v, np.ndarray) else v for name, v in told.items()}
 
 
 class Feed:
@@ -266,7 +281,7 @@ def _trail(source: Source) -> Any:
 
 
 def _other(name: str, color: int, s: Snapshot) -> dict[str, Any]:
-    place = {"p": s.position, "a": s.attitude, "w": s.rotor_speed}
+    place = {"p": s.estimate.position, "a": s.estimate.attitude, "w": s.rotor_speed}
     return {"name": name, "color": color} | {k: v.astype(np.float32) for k, v in place.items()}
 
 
