@@ -11,9 +11,9 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from mufly.errors import InputError
 from mufly.flight import Parameter
@@ -252,16 +252,6 @@ COMMANDS = tuple(_ASKS)
 _UNDER_WAY = frozenset({"waypoint", "obstacle"})
 
 
-class _Situation(NamedTuple):
-    """What a vehicle tells of what decides which commands it takes."""
-
-    state: str
-    motors: str = ""
-    outcome: str = ""
-    reason: str = ""
-    manual: bool = True
-
-
 def availability(
     s: Snapshot | None, *, kind: str, has_controls: bool, rows: int, unready: str = ""
 ) -> dict[str, str]:
@@ -288,7 +278,7 @@ def availability(
     watching = not has_controls or (s.commander and not s.in_command)
     if not s.connected or watching:  # it may still hear us
         return dict.fromkeys(COMMANDS, "watching only" if s.connected else "no link") | {"stop": ""}
-    situation = _Situation(s.state if kind == "mufly" else "")
+    situation = s if kind == "mufly" else replace(s, state="")
     height_m = math.nan if s.flying else 0.0
     why = {
         name: may(
