@@ -43,7 +43,7 @@ from numpy.typing import ArrayLike, NDArray
 from mufly.compiled import compiled
 from mufly.errors import InputError
 from mufly.results import result
-from mufly.rotor.blading import Blades, Blading, as_blading
+from mufly.rotor.blading import Blading, as_blading
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.polar_table import PolarStack, coefficients, outside_of
 from mufly.rotor.system import Air, Placed, RotorResult
@@ -123,7 +123,7 @@ def _solve(
     totals = np.empty((n, 2))
     stations = np.empty((n if keep else 0, blading.r_m.shape[1], len(FIELDS)))
     args = (cases, blading.record, on, totals, stations)
-    workers = min(os.cpu_count() or 1, n // _CHUNK)
+    workers = min(os.cpu_count() or 1, n // _CHUNK) if n >= 2 * _CHUNK else 1
     if workers < 2:
         solve_cases(0, n, *args)
     else:
@@ -138,10 +138,8 @@ def _solve(
 
 def _outside(blading: Blading, which: int, alpha: Array, reynolds: Array) -> NDArray[np.uint8]:
     """Flags of one rotor's stations; a mixed section is outside where either polar is."""
-    first, second = (
-        outside_of(blading.polars, k[which], alpha, reynolds) for k in (blading.first, blading.second)
-    )
-    weight = blading.weight[which]
+    both, weight = np.stack((blading.first[which], blading.second[which])), blading.weight[which]
+    first, second = outside_of(blading.polars, both, alpha, reynolds)
     flags: NDArray[np.uint8] = first * (weight < 1.0) | second * (weight > 0.0)
     return flags
 
@@ -525,14 +523,14 @@ def _station(e: float, flow: Flow, at: Station, section: Section, polars: PolarS
 
 @compiled(nogil=True, error_model="numpy")
 def solve_cases(
-    start: int, stop: int, cases: Cases, blades: Blades, on: Switches, totals: Array, stations: Array
+    start: int, stop: int, cases: Cases, blades: Any, on: Switches, totals: Array, stations: Array
 ) -> None:
     """Thrust and torque of the cases ``start`` to ``stop``.
 
     Parameters
     ----------
     cases : Cases
-    blades : Blades
+    blades : mufly.rotor.blading.Blades
         As :attr:`mufly.rotor.Blading.record` holds them.
     on : Switches
     totals : (cases, 2) array

@@ -50,10 +50,11 @@ slopes.
 from __future__ import annotations
 
 import math
+from collections import namedtuple
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
-from typing import Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,25 +158,6 @@ Integers = NDArray[np.int64]
 STATIONS = 24
 
 
-class Blades(NamedTuple):
-    """Blades as kernels take them: what a :class:`Blading` holds under the same names, one row a rotor."""
-
-    r_m: Array
-    dr_m: Array
-    chord_m: Array
-    twist_rad: Array
-    chord_factor: Array
-    rotation: Array
-    first: Integers
-    second: Integers
-    weight: Array
-    polars: PolarStack
-    zero_lift_rad: Array
-    radius_m: Array
-    hub_radius_m: Array
-    blades: Array
-
-
 @dataclass(frozen=True, eq=False)
 class Blading:
     """One or several rotors, ready to be solved. Make it with :func:`prepare`.
@@ -211,9 +193,10 @@ class Blading:
     zero_lift_rad: Array
 
     @cached_property
-    def record(self) -> Blades:
-        """All of it for a kernel."""
-        return Blades(*(getattr(self, name) for name in Blades._fields))
+    def record(self) -> Any:
+        """All of it under the same names, a :data:`Blades`, as kernels take it."""
+        names: tuple[str, ...] = Blades._fields
+        return Blades(*(getattr(self, name) for name in names))
 
     @property
     def radius_m(self) -> Array:
@@ -229,6 +212,11 @@ class Blading:
     def blades(self) -> Array:
         """Blades of each rotor."""
         return np.array([float(rotor.blades) for rotor in self.rotors])
+
+
+Blades = namedtuple(  # type: ignore[misc]
+    "Blades", [*(f.name for f in fields(Blading)[2:]), "radius_m", "hub_radius_m", "blades"], module=__name__
+)
 
 
 def panel_edges(cutout: float, stations: int) -> tuple[Array, Array]:

@@ -92,7 +92,7 @@ def coax_map(
     upper, lower : Blading
         The first rotor of each is taken; both have the same radius.
     spacing_m, upper_pitch_rad, lower_pitch_rad, air
-        As for :func:`mufly.rotor.coaxial`.
+        As in :class:`mufly.rotor.System` and :class:`mufly.rotor.Condition`.
     mean_speed_rad_s, ratio, climb_ratio : sequences of float
         Axes, evenly spaced and rising; see :class:`mufly.vehicle.MapTables` and :func:`climb_ratios`.
     method : 'bemt' or 'wake'

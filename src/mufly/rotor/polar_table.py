@@ -282,7 +282,7 @@ def outside(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> NDArray
 def outside_of(
     stack: PolarStack, k: int | NDArray[np.int64], alpha: Array, reynolds: Array
 ) -> NDArray[np.uint8]:
-    """The same for tables ``k`` of a stack, one or as many as there are points, (n,) arrays."""
+    """The same for tables ``k`` of a stack, at points (n,): one, or (..., n) for a table a point."""
     log_re, rows = np.log(reynolds), stack.grid.shape[1]
     v = np.clip((log_re - stack.log_reynolds_min) * stack.per_log_reynolds, 0.0, rows - 1.0)
     j = np.minimum(v.astype(np.int64), max(rows - 2, 0))
@@ -290,10 +290,10 @@ def outside_of(
     limits = (1.0 - s) * stack.alpha_valid_rad[k, j] + s * stack.alpha_valid_rad[
         k, np.minimum(j + 1, rows - 1)
     ]
-    low, high = np.broadcast_to(stack.log_reynolds_range[k], (log_re.size, 2)).T
+    span = stack.log_reynolds_range[k]
     a = (alpha + math.pi) % _TURN - math.pi
-    beyond_alpha = (a < limits[:, 0] - _SLACK) | (a > limits[:, 1] + _SLACK)
-    beyond_re = (log_re < low - _SLACK) | (log_re > high + _SLACK)
+    beyond_alpha = (a < limits[..., 0] - _SLACK) | (a > limits[..., 1] + _SLACK)
+    beyond_re = (log_re < span[..., 0] - _SLACK) | (log_re > span[..., 1] + _SLACK)
     return (beyond_alpha * OUTSIDE_ALPHA + beyond_re * OUTSIDE_REYNOLDS).astype(np.uint8)
 
 
