@@ -35,7 +35,7 @@ _NO_BOUND = 100.0  # relative standard deviation that says nothing
 _SHARE = 0.15  # of the largest part of a direction, below which a parameter is left out of the sentence
 _CLOSE = 0.98  # correlation of a pair that is hardly told apart ...
 _MATTERS = 0.005  # ... if that leaves each of them open by more than this
-_QUIET_LAGS = 10
+_LONGEST, _QUIET_LAGS = 300, 10  # samples
 _CLEARLY = 4.0  # difference of 2 log L, as by AIC
 _WINDOW = 4  # times that reach; 2 leaves out a quarter of the variance of a slowly varying sensitivity
 _STANDS_OUT = 3.9  # deviations; some 300 lags of a fit are looked at, and none should by chance
@@ -64,7 +64,7 @@ def colour_reach(residual: Array, longest: int) -> int:
 
 
 def coloured_covariance(
-    sensitivities: Sequence[Array], residuals: Sequence[Array], prior_std: Array | None = None, *, longest: int = 300
+    sensitivities: Sequence[Array], residuals: Sequence[Array], prior_std: Array | None = None
 ) -> tuple[Array, Array, bool]:  # fmt: skip
     """Return the covariance of estimates, corrected for coloured residuals, and the bound for white ones.
 
@@ -76,8 +76,6 @@ def coloured_covariance(
         Whitened, zero where nothing was measured.
     prior_std : (t,) array, optional
         Infinite for none.
-    longest : int
-        Greatest lag looked at (samples).
 
     Returns
     -------
@@ -96,7 +94,7 @@ def coloured_covariance(
     middle, coloured = prior.copy(), False
     for s, e in zip(sensitivities, residuals, strict=True):
         n, m, _ = s.shape
-        reach = [colour_reach(e[:, k], min(longest, n // 4)) for k in range(m)]
+        reach = [colour_reach(e[:, k], min(_LONGEST, n // 4)) for k in range(m)]
         coloured = coloured or any(reach)
         for a in range(m):
             for b in range(m):

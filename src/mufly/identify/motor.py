@@ -194,12 +194,9 @@ class MotorFit(Estimates):
 
 
 def fit_motor(
-    table: BenchTable,
-    *,
-    gear: GearKnowledge | None = None,
-    noise: dict[str, ChannelNoise] | None = None,
+    table: BenchTable, *, gear: GearKnowledge | None = None, noise: dict[str, ChannelNoise] | None = None,
     vehicle: Vehicle | None = None,
-) -> MotorFit:
+) -> MotorFit:  # fmt: skip
     """Fit the stationary motor equations to a bench file.
 
     Parameters
@@ -535,19 +532,13 @@ def _constants(
     estimates = []
     for k, (symbol, (key, unit)) in enumerate(KEYS.items()):
         std, tail, bound = math.sqrt(cov[k, k]), tails[symbol], symbol == "dR" and at_bound
-        e = Estimate.of(
-            symbol + tail,
-            "" if tail else key,
-            unit,
-            vehicle,
-            float(value[k]),
-            std,
-            quantile=quantile,
-            at_bound=bound,
-        )
+        names = symbol + tail, "" if tail else key, unit
+        e = Estimate.of(*names, vehicle, float(value[k]), std, quantile=quantile, at_bound=bound)
         estimates.append(replace(e, std=math.nan) if bound else e)
     seen = [k for k in range(4) if value[k] != 0]
-    unseen += unseen_combinations(
-        [estimates[k].symbol for k in seen], relative(cov, value)[np.ix_(seen, seen)]
+    of_seen = relative(cov, value)[np.ix_(seen, seen)]
+    return (
+        tuple(estimates),
+        cov,
+        (*unseen, *unseen_combinations([estimates[k].symbol for k in seen], of_seen)),
     )
-    return tuple(estimates), cov, tuple(unseen)

@@ -31,7 +31,7 @@ from mufly.errors import ArgumentError, InputError
 from mufly.quantities import QUANTITIES, labelled
 from mufly.units import conversion
 
-_Array = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 INPUTS = ("motor_upper", "motor_lower", "servo_1", "servo_2")
 # variable of the recording -> (output, index in its last axis, sign)
@@ -69,11 +69,11 @@ class Record:
     """
 
     name: str
-    time_s: _Array
-    inputs: _Array
+    time_s: Array
+    inputs: Array
     outputs: tuple[str, ...]
-    measured: _Array
-    voltage: _Array | None = None
+    measured: Array
+    voltage: Array | None = None
 
     @property
     def sample_s(self) -> float:
@@ -111,7 +111,7 @@ def record_from(data: xr.Dataset, name: str, *, prefix: str = "measured") -> Rec
             raise InputError(name, key, "is not in this log", "map a column to it (docs/logs.md)")
     time = np.asarray(data["time"].values, dtype=np.float64)
     inputs = np.hstack([np.asarray(data[k].values, np.float64) for k in ("motor_input", "servo_input")])
-    columns: dict[str, _Array] = {}  # in the order of OUTPUTS
+    columns: dict[str, Array] = {}  # in the order of OUTPUTS
     for suffix, parts in _SOURCES.items():
         if f"{prefix}_{suffix}" in data:
             values = np.asarray(data[f"{prefix}_{suffix}"].values, dtype=np.float64)
@@ -133,7 +133,7 @@ def record_from(data: xr.Dataset, name: str, *, prefix: str = "measured") -> Rec
 
 def dataset_of(r: Record) -> xr.Dataset:
     """Return a record as a recording, with the names that :func:`record_from` reads."""
-    data: dict[str, _Array] = {}
+    data: dict[str, Array] = {}
     for suffix, parts in _SOURCES.items():
         if not any(o in r.outputs for o, _, _ in parts):
             continue
@@ -206,7 +206,7 @@ def _clean(r: Record) -> Record:
     return replace(r, time_s=even, inputs=inputs, measured=measured, voltage=voltage)
 
 
-def difference_noise(r: Record) -> _Array:
+def difference_noise(r: Record) -> Array:
     """Return the standard deviation of white noise on every output, from third differences, (m,)."""
     out = np.empty(len(r.outputs))
     for k, name in enumerate(r.outputs):
@@ -217,20 +217,20 @@ def difference_noise(r: Record) -> _Array:
     return out
 
 
-def filled(y: _Array) -> _Array:
+def filled(y: Array) -> Array:
     """Return ``y`` (n,) with straight lines over its holes (NaN)."""
     good = np.isfinite(y)
     return np.interp(np.arange(len(y)), np.flatnonzero(good), y[good])
 
 
-def smoothed(y: _Array, sample_s: float, span_s: float = 0.15, *, slope: bool = False) -> _Array:
+def smoothed(y: Array, sample_s: float, span_s: float = 0.15, *, slope: bool = False) -> Array:
     """Return local cubics through ``y`` (n,) over ``span_s`` (Savitzky and Golay), or their slopes (per second)."""
     n = len(y)
     width = min(max(5, round(span_s / sample_s) | 1), (n - 1) | 1)
     return np.asarray(savgol_filter(y, width, 3, deriv=int(slope), delta=sample_s), dtype=np.float64)
 
 
-def smoothed_motion(r: Record) -> _Array:
+def smoothed_motion(r: Record) -> Array:
     """Return position and velocity N, E, D, roll, pitch, yaw, p, q, r at every sample, (n, 12).
 
     From local cubics through the measurements (Savitzky and Golay) and their slopes; zero where nothing is known.
@@ -238,7 +238,7 @@ def smoothed_motion(r: Record) -> _Array:
     n, dt = len(r.time_s), r.sample_s
     motion = np.zeros((n, 12))
 
-    def smooth(name: str, span_s: float, slope: bool = False) -> _Array | None:
+    def smooth(name: str, span_s: float, slope: bool = False) -> Array | None:
         if name not in r.outputs:
             return None
         y = filled(r.measured[:, r.outputs.index(name)])
@@ -330,6 +330,11 @@ def check_record(r: Record) -> tuple[str, ...]:
 def _check_degrees(r: Record, angle: str, rate: str) -> None:
     if angle not in r.outputs:
         return
+
+    def seems(name: str, why: str, unit: str, short: str) -> InputError:
+        remedy = f"say so in the column map (unit '{short}')"
+        return InputError(r.name, name, f"{why}: it seems to be in {unit}", remedy)
+
     a = filled(r.measured[:, r.outputs.index(angle)])
     if rate in r.outputs:
         w = filled(r.measured[:, r.outputs.index(rate)])
@@ -341,24 +346,14 @@ def _check_degrees(r: Record, angle: str, rate: str) -> None:
         if x.std() > 0 and y.std() > 0 and float(x @ y) / (len(x) * x.std() * y.std()) > 0.6:
             slope = y.std() / x.std()
             if 30.0 < slope < 110.0:
-                raise InputError(
-                    r.name, angle, f"changes {slope:.0f} times as fast as {rate} says: it seems to be in degrees",
-                    "say so in the column map (unit 'deg')",
-                )  # fmt: skip
+                raise seems(angle, f"changes {slope:.0f} times as fast as {rate} says", "degrees", "deg")
             if 1 / 110.0 < slope < 1 / 30.0:
-                raise InputError(
-                    r.name, rate, f"is {1 / slope:.0f} times the rate at which {angle} changes: it seems to be "
-                    "in degrees a second", "say so in the column map (unit 'deg/s')",
-                )  # fmt: skip
+                times = f"is {1 / slope:.0f} times the rate at which {angle} changes"
+                raise seems(rate, times, "degrees a second", "deg/s")
     limit = np.pi / 2 + 0.01 if angle == "pitch" else np.pi + 0.01
     if angle != "yaw" and float(np.max(np.abs(a))) > limit:
-        raise InputError(
-            r.name, angle, f"reaches {a[np.argmax(np.abs(a))]:.3g} rad: it seems to be in degrees",
-            "say so in the column map (unit 'deg')",
-        )  # fmt: skip
+        raise seems(angle, f"reaches {a[np.argmax(np.abs(a))]:.3g} rad", "degrees", "deg")
 
-
-Array = NDArray[np.float64]
 
 _TIME = ("time", "t", "time_s", "timestamp", "timestamp_s")
 
@@ -413,17 +408,13 @@ class Columns:
 
     def part(self, start: int, stop: int) -> Columns:
         """Return samples ``start`` to ``stop`` (not included)."""
-        return replace(
-            self, time_s=self.time_s[start:stop], columns={k: v[start:stop] for k, v in self.columns.items()}
-        )
+        columns = {k: v[start:stop] for k, v in self.columns.items()}
+        return replace(self, time_s=self.time_s[start:stop], columns=columns)
 
 
 def read_columns(
-    path: str | Path,
-    *,
-    columns: Mapping[str, Sequence[str]] | Sequence[str] = (),
-    rate_hz: float | None = None,
-) -> Columns:
+    path: str | Path, *, columns: Mapping[str, Sequence[str]] | Sequence[str] = (), rate_hz: float | None = None
+) -> Columns:  # fmt: skip
     """Read a log.
 
     Parameters
@@ -492,12 +483,12 @@ def _csv(path: Path, columns: Mapping[str, Sequence[str]] | Sequence[str]) -> di
         raise ArgumentError("columns", "", "names arrays, but a CSV file has none", "give names alone: a,b,c")
     if not columns:
         table = read_raw(path)["table"]
-        numbers: dict[str, Array] = {}
+        found = {"time": table.time}
         for k, v in table.fields.items():
-            if v.dtype.kind in "fiu":
+            if v.dtype.kind in "fiu" and k.lower() not in _TIME:
                 _, factor, offset = conversion(table.units.get(k) or "1")
-                numbers[k] = factor * v.astype(np.float64) + offset
-        return {"time": table.time, **{k: v for k, v in numbers.items() if k.lower() not in _TIME}}
+                found[k] = factor * v.astype(np.float64) + offset
+        return found
     text = path.read_text(encoding="utf-8-sig", errors="replace")
     comma = max((",", ";", "\t", " "), key=text[:2000].count)
     values = np.genfromtxt(text.splitlines(), delimiter=None if comma == " " else comma, invalid_raise=False)

@@ -73,29 +73,22 @@ def _excitations(n: int, rng: np.random.Generator) -> dict[str, _Excitation]:
         noise = lfilter(pilot_b, pilot_a, rng.standard_normal(n + 500))[500:]
         return size * noise / np.std(noise) * np.clip((t - 0.5) / 1.0, 0.0, 1.0)
 
-    def wander() -> _Array:
-        return np.column_stack([pilot(0.05), pilot(0.02), pilot(0.02), pilot(0.1)])
-
     late = np.clip(t - 0.5, 0.0, None)
-    out: dict[str, _Excitation] = {}
-    sp, motor = wander(), np.zeros((n, 2))
-    motor[:, 0] = 0.08 * chirp(late, 0.2, 3.0)
-    out["yaw"] = _Excitation(sp, motor)
-    sp, motor = wander(), np.zeros((n, 2))
-    motor[:] = 0.06 * chirp(late, 0.2, 3.0)[:, None]
-    out["heave"] = _Excitation(sp, motor)
-    for name, column in (("roll", 1), ("pitch", 2)):
-        sp, motor = wander(), np.zeros((n, 2))
-        sp[:, column] += 0.25 * chirp(late, 0.3, 4.0)
-        out[name] = _Excitation(sp, motor)
+
+    def steps(size: float, hz: float) -> _Array:
+        return size * np.sign(np.sin(2 * np.pi * hz * late))
+
+    out = {}
+    for name in ("yaw", "heave", "roll", "pitch", "mixed"):
+        set_point = np.column_stack([pilot(0.05), pilot(0.02), pilot(0.02), pilot(0.1)])
+        out[name] = _Excitation(set_point, np.zeros((n, 2)))
+    out["yaw"].motor[:, 0] = 0.08 * chirp(late, 0.2, 3.0)
+    out["heave"].motor[:] = 0.06 * chirp(late, 0.2, 3.0)[:, None]
+    out["roll"].set_point[:, 1] += 0.25 * chirp(late, 0.3, 4.0)
+    out["pitch"].set_point[:, 2] += 0.25 * chirp(late, 0.3, 4.0)
     # Steps and faster wandering on everything at once: nothing that the fits have seen.
-    sp, motor = wander(), np.zeros((n, 2))
-    sp[:, 0] += 0.2 * np.sign(np.sin(2 * np.pi * 0.23 * late))
-    sp[:, 1] += 0.12 * np.sign(np.sin(2 * np.pi * 0.61 * late))
-    sp[:, 2] += 0.12 * np.sign(np.sin(2 * np.pi * 0.47 * late))
-    motor[:, 0] = 0.05 * np.sign(np.sin(2 * np.pi * 0.9 * late))
-    motor[:, 1] = 0.05 * np.sign(np.sin(2 * np.pi * 0.37 * late))
-    out["mixed"] = _Excitation(sp, motor)
+    out["mixed"].set_point[:, :3] += np.column_stack([steps(0.2, 0.23), steps(0.12, 0.61), steps(0.12, 0.47)])
+    out["mixed"].motor[:] = np.column_stack([steps(0.05, 0.9), steps(0.05, 0.37)])
     return out
 
 
@@ -234,35 +227,27 @@ class Demo:
 
     def as_dict(self) -> dict[str, Any]:
         """Return what ``mufly identify demo --json`` prints."""
+        fit, inside = self.fit, self.inside()
         return {
-            "seed": self.seed,
-            "vehicle": self.fit.vehicle,
-            "method": self.fit.method,
-            "converged": self.fit.converged,
-            "message": self.fit.message,
+            "seed": self.seed, "vehicle": fit.vehicle, "method": fit.method, "converged": fit.converged,
+            "message": fit.message,
             "parameters": [
                 {
                     "symbol": e.symbol, "unit": e.unit, "truth": self.truth[e.symbol], "start": e.start,
                     "estimate": e.value, "std": e.std, "interval": [e.low, e.high],
-                    "inside": e.low <= self.truth[e.symbol] <= e.high,
+                    "inside": inside[e.symbol],
                 }
-                for e in self.fit.estimates
+                for e in fit.estimates
             ],
-            "unseen": list(self.fit.unseen),
-            "held_out_error_over_noise_floor": self.held_out_over_noise,
-            "cost": self.fit.cost,
-            "simulations": self.fit.simulations,
-            "seconds": self.fit.seconds,
+            "unseen": list(fit.unseen), "held_out_error_over_noise_floor": self.held_out_over_noise,
+            "cost": fit.cost, "simulations": fit.simulations, "seconds": fit.seconds,
         }  # fmt: skip
 
 
 def run_demo(
-    *,
-    vehicle: str | Vehicle = "mufly-1.1",
-    seed: int = 0,
-    method: Method = "lm",
+    *, vehicle: str | Vehicle = "mufly-1.1", seed: int = 0, method: Method = "lm",
     on_progress: Callable[[Progress], None] | None = None,
-) -> Demo:
+) -> Demo:  # fmt: skip
     """Fly, identify, compare.
 
     Parameters
@@ -280,22 +265,13 @@ def run_demo(
     rows = {r.symbol: r for r in parameters(truth)}
     true = {s: RADIO_DELAY_S if s == "delay" else float(rows[s].value) for s in DEMO_FREE}
     random = np.random.default_rng([seed, 1])
-    factor = dict(
-        zip(DEMO_FREE, np.where(random.random(len(DEMO_FREE)) < 0.5, 1 - _OFF, 1 + _OFF), strict=True)
-    )
+    factors = np.where(random.random(len(DEMO_FREE)) < 0.5, 1 - _OFF, 1 + _OFF)
+    factor = dict(zip(DEMO_FREE, factors, strict=True))
     values = {rows[s].key: true[s] * float(factor[s]) for s in DEMO_FREE if s != "delay"}
     start = replace(truth, values, source="estimated")
     free = choose_free(start, DEMO_FREE, flights[0].outputs, delay_s=true["delay"] * float(factor["delay"]))
-    fit = fit_flights(
-        start,
-        free,
-        flights,
-        held_out=held_out,
-        voltage="model",
-        method=method,
-        seed=seed,
-        on_progress=on_progress,
-    )
+    options = {"held_out": held_out, "method": method, "seed": seed, "on_progress": on_progress}
+    fit = fit_flights(start, free, flights, **options)  # type: ignore[arg-type]
     return Demo(seed, true, start, fit, over_true_noise(fit.records[-1]))
 
 

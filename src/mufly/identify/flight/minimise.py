@@ -357,8 +357,8 @@ class Course:
 
 
 def evolve(
-    problem: Problem, point: Point, *, seed: int, generations: int, restarts: int = 0, population: int | None = None,
-    tolerance: float = 0.05, course: Course | None = None, on_generation: Callable[[Point, Course], None] | None = None,
+    problem: Problem, point: Point, *, seed: int, generations: int, restarts: int = 0, tolerance: float = 0.05,
+    course: Course | None = None, on_generation: Callable[[Point, Course], None] | None = None,
 ) -> tuple[Point, bool]:  # fmt: skip
     """Run CMA-ES.
 
@@ -372,8 +372,6 @@ def evolve(
         At most this many a restart.
     restarts : int
         How often to start again from the best point with twice the population.
-    population : int, optional
-        Trials a generation; ``4 + 3 ln t`` by default, at least 16.
     tolerance : float
         Stop when the cost has not changed by more.
     course : Course, optional
@@ -396,7 +394,7 @@ def evolve(
         cost = float(problem.cost(point.theta[None], [s[None] for s in point.states])[0])
         course.origin = Point(point.theta, point.states, cost, simulations=point.simulations)
     best = course.reference or course.origin
-    size = population or max(16, 4 + int(3 * np.log(t)))
+    size = max(16, 4 + int(3 * np.log(t)))  # trials a generation
     converged = False
     for restart in range(restarts + 1):
         if restart == len(course.told):

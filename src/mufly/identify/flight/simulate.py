@@ -219,19 +219,10 @@ def on_cluster(address: str | None) -> Iterator[None]:
 
 
 def fly_batch(
-    state: _Array,
-    p: NDArray[np.void],
-    inputs: _Array,
-    *,
-    sample_s: float,
-    codes: NDArray[np.int64],
-    starts: NDArray[np.int64],
-    motion: _Array,
-    mast: _Array,
-    delay_s: _Array | None = None,
-    motor_hold: _Array | None = None,
-    longest_step_s: float = LONGEST_STEP_S,
-) -> _Array:
+    state: _Array, p: NDArray[np.void], inputs: _Array, *, sample_s: float, codes: NDArray[np.int64],
+    starts: NDArray[np.int64], motion: _Array, mast: _Array, delay_s: _Array | None = None,
+    motor_hold: _Array | None = None, longest_step_s: float = LONGEST_STEP_S,
+) -> _Array:  # fmt: skip
     """Fly ``b`` parameter sets through one record.
 
     Parameters

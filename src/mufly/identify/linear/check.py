@@ -232,12 +232,8 @@ def predict_ahead(
     (n, outputs) array
     """
     c = fit.structure.matrices(fit.values)[2]
-    states, _ = _filter(
-        disturbance.phi,
-        np.ascontiguousarray(disturbance.gain),
-        np.ascontiguousarray(c),
-        np.nan_to_num(y - simulated),
-    )
+    gain, c_ = np.ascontiguousarray(disturbance.gain), np.ascontiguousarray(c)
+    states, _ = _filter(disturbance.phi, gain, c_, np.nan_to_num(y - simulated))
     steps = max(1, round(horizon_s / dt))
     ahead = c @ np.linalg.matrix_power(disturbance.phi, steps)
     predicted = simulated.copy()
@@ -354,9 +350,7 @@ class Subspace:
         return np.asarray(np.linalg.lstsq(np.concatenate(rows), missed, rcond=1e-8)[0])
 
 
-def subspace(
-    u: Array, y: Array, dt: float, *, order: int, past: int = 20, future: int | None = None
-) -> Subspace:
+def subspace(u: Array, y: Array, dt: float, *, order: int, past: int = 20) -> Subspace:
     """Identify a model of given order.
 
     Parameters
@@ -367,20 +361,19 @@ def subspace(
         Sample time (s).
     order : int
         Number of states.
-    past, future : int
-        Windows (samples); ``future`` at most ``past``, default equal.
+    past : int
+        Window before a sample, and after it (samples).
 
     Raises
     ------
     InputError
         If the record is too short for the windows, or the order does not fit them.
     """
-    f = past if future is None else future
     m, l = u.shape[1], y.shape[1]
     n = len(u) - past
-    if n < 3 * past * (m + l) or not 1 <= order <= f * l or f > past:
+    if n < 3 * past * (m + l) or not 1 <= order <= past * l:
         raise InputError(
-            "subspace", "", f"order {order} with windows of {past} and {f} does not fit {len(u)} samples",
+            "subspace", "", f"order {order} with windows of {past} and {past} does not fit {len(u)} samples",
             "give a longer record, a smaller order or a shorter window",
         )  # fmt: skip
     u_mean, y_mean = u.mean(0), y.mean(0)
@@ -399,8 +392,8 @@ def subspace(
     )
     markov = theta[:, : past * (m + l)]
     w = m + l
-    gamma = np.zeros((f * l, past * w))
-    for i in range(f):
+    gamma = np.zeros((past * l, past * w))
+    for i in range(past):
         gamma[i * l : (i + 1) * l, i * w :] = markov[:, : (past - i) * w]
     _, singular, vt = np.linalg.svd(gamma @ history, full_matrices=False)
     x = np.sqrt(singular[:order])[:, None] * vt[:order]
@@ -414,14 +407,8 @@ def subspace(
 
 
 def equation_error(
-    rates: Array,
-    u: Array,
-    dt: float,
-    *,
-    rate_names: tuple[str, ...],
-    input_names: tuple[str, ...],
-    cut_hz: float,
-) -> dict[str, tuple[float, float]]:
+    rates: Array, u: Array, dt: float, *, rate_names: tuple[str, ...], input_names: tuple[str, ...], cut_hz: float
+) -> dict[str, tuple[float, float]]:  # fmt: skip
     """Regress each rate's derivative on all rates and inputs.
 
     Parameters

@@ -80,17 +80,9 @@ class FrequencyResponse:
 
 
 def frequency_response(
-    inputs: Array | Sequence[Array],
-    outputs: Array | Sequence[Array],
-    dt: float,
-    *,
-    segment_s: float,
-    low_hz: float,
-    high_hz: float,
-    points: int = 100,
-    input_names: tuple[str, ...] = (),
-    output_names: tuple[str, ...] = (),
-) -> FrequencyResponse:
+    inputs: Array | Sequence[Array], outputs: Array | Sequence[Array], dt: float, *, segment_s: float, low_hz: float,
+    high_hz: float, points: int = 100, input_names: tuple[str, ...] = (), output_names: tuple[str, ...] = (),
+) -> FrequencyResponse:  # fmt: skip
     """Estimate frequency responses and coherences.
 
     Parameters
@@ -147,13 +139,8 @@ def frequency_response(
 
 
 def _from_spectra(
-    frequency: Array,
-    s: ComplexArray,
-    k: int,
-    averages: float,
-    inputs: tuple[str, ...],
-    outputs: tuple[str, ...],
-) -> FrequencyResponse:
+    frequency: Array, s: ComplexArray, k: int, averages: float, inputs: tuple[str, ...], outputs: tuple[str, ...]
+) -> FrequencyResponse:  # fmt: skip
     points, m = len(frequency), s.shape[1] - k
     response = np.full((points, m, k), np.nan + 0j)
     partial, coherence = np.zeros((points, m, k)), np.zeros((points, m))

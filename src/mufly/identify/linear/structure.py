@@ -47,16 +47,7 @@ from mufly.units import GRAVITY
 
 Array = NDArray[np.float64]
 
-UNITS = {
-    "p": "rad/s",
-    "q": "rad/s",
-    "r": "rad/s",
-    "phi": "rad",
-    "theta": "rad",
-    "u": "m/s",
-    "v": "m/s",
-    "w": "m/s",
-}
+UNITS = dict.fromkeys("pqr", "rad/s") | {"phi": "rad", "theta": "rad"} | dict.fromkeys("uvw", "m/s")
 
 
 @dataclass(frozen=True)
@@ -201,6 +192,7 @@ class Builder:
 ANGULAR = ("first-order", "second-order", "hybrid")
 EXTRAS = ("coupled", "collective", "gyro", "speed", "skew")
 _SKEW_S = 0.3
+_STICK, _FLAP, _BIG = {"p": "lat", "q": "lon"}, {"p": "b", "q": "a"}, {"p": "L", "q": "M"}
 
 
 def helicopter(
@@ -241,12 +233,9 @@ def helicopter(
     roll, pitch = bool({"p", "phi", "v"} & set(outputs)), bool({"q", "theta", "u"} & set(outputs))
     b.states = (["p"] if roll else []) + (["q"] if pitch else [])
     sticks = [i for i in ("lat", "lon") if i in inputs]
-    own = {"p": "lat", "q": "lon"}
-    flap = {"p": "b", "q": "a"}
-    big = {"p": "L", "q": "M"}
     rates = tuple(b.states)
     if angular == "hybrid":
-        b.states += [flap[r] for r in rates]
+        b.states += [_FLAP[r] for r in rates]
     if angular == "second-order":
         b.states += [f"{s}_f" for s in sticks]
         for s in sticks:
@@ -254,51 +243,10 @@ def helicopter(
             b.minus_inverse(f"{s}_f", f"tau_s_{s}")
             b.entries.append(("B", f"{s}_f", s, lambda v, s=s: 1.0 / v[f"tau_s_{s}"]))  # type: ignore[misc]
     for r in rates:
-        other = {"p": "q", "q": "p"}[r]
-        if angular == "hybrid":
-            b.free(r, flap[r], f"{big[r]}_{flap[r]}", "1/s^2", 60.0, (0.5, 2000.0), f"flapping spring, {r}")
-            b.constant(flap[r], r, -1.0)
-            b.parameter("tau_f", "s", 0.1, 0.01, 3.0, "time constant of flapping")
-            b.minus_inverse(flap[r], "tau_f")
-            group = flap[r].upper()
-            for s in sticks:
-                if s == own[r] or coupled:
-                    start = 0.5 if s == own[r] else 0.0
-                    b.free(
-                        flap[r], s, f"{group}_{s}", "rad", start, 20.0, f"flapping command, {s}", over="tau_f"
-                    )
-            if collective and "col" in inputs:
-                b.free(r, "col", f"{big[r]}_col", "1/s^2", 0.0, 200.0, f"collective into {r}")
-            if coupled and other in rates:
-                b.free(r, flap[other], f"{big[r]}_{flap[other]}", "1/s^2", 0.0, 1000.0, f"cross spring, {r}")
-                b.free(
-                    flap[r],
-                    flap[other],
-                    f"{group}_{flap[other]}",
-                    "1",
-                    0.0,
-                    20.0,
-                    "cross flapping",
-                    over="tau_f",
-                )
-        else:
-            b.free(r, r, f"{big[r]}_{r}", "1/s", -3.0, (-60.0, 0.0), f"damping, {r}")
-            if coupled and other in rates:
-                b.free(r, other, f"{big[r]}_{other}", "1/s", 0.0, 30.0, f"coupling of {other} into {r}")
-            if collective and "col" in inputs:
-                b.free(r, "col", f"{big[r]}_col", "1/s^2", 0.0, 200.0, f"collective into {r}")
-            for s in sticks:
-                if s == own[r] or coupled:
-                    column = f"{s}_f" if angular == "second-order" else s
-                    b.free(
-                        r,
-                        column,
-                        f"{big[r]}_{s}",
-                        "1/s^2",
-                        3.0 if s == own[r] else 0.0,
-                        200.0,
-                        f"{s} into {r}",
-                    )
+        _rate(b, r, rates, sticks, angular, coupled)
+        if collective and "col" in inputs:
+            b.free(r, "col", f"{_BIG[r]}_col", "1/s^2", 0.0, 200.0, f"collective into {r}")
+        _couplings(b, r, rates, sticks, angular, coupled)
     _attitude_and_translation(b, rates, outputs, angular, speed)
     if "r" in outputs:
         _yaw(b, inputs, rates, coupled, gyro)
@@ -307,15 +255,44 @@ def helicopter(
         b.free("w", "w", "Z_w", "1/s", -0.5, (-20.0, 0.0), "heave damping")
         if "col" in inputs:
             b.free("w", "col", "Z_col", "m/s^2", -10.0, 300.0, "collective into heave")
-    extras = {
-        "coupled": coupled,
-        "collective": collective,
-        "gyro": gyro,
-        "speed": speed,
-        "skew": skew_s > 0.0,
-    }
-    name = "-".join([angular, *(word for word, wanted in extras.items() if wanted)])
+    extras = zip(EXTRAS, (coupled, collective, gyro, speed, skew_s > 0.0), strict=True)
+    name = "-".join([angular, *(word for word, wanted in extras if wanted)])
     return b.finish(name, outputs, {e[2] for e in b.entries if e[0] == "B"}, most_delay_s, skew_s)
+
+
+def _rate(
+    b: Builder, r: str, rates: tuple[str, ...], sticks: Sequence[str], angular: str, coupled: bool
+) -> None:
+    """Roll or pitch: its own damping, or its flapping."""
+    big, flap, other = _BIG[r], _FLAP[r], "q" if r == "p" else "p"
+    if angular != "hybrid":
+        b.free(r, r, f"{big}_{r}", "1/s", -3.0, (-60.0, 0.0), f"damping, {r}")
+        if coupled and other in rates:
+            b.free(r, other, f"{big}_{other}", "1/s", 0.0, 30.0, f"coupling of {other} into {r}")
+        return
+    b.free(r, flap, f"{big}_{flap}", "1/s^2", 60.0, (0.5, 2000.0), f"flapping spring, {r}")
+    b.constant(flap, r, -1.0)
+    b.parameter("tau_f", "s", 0.1, 0.01, 3.0, "time constant of flapping")
+    b.minus_inverse(flap, "tau_f")
+    for s in sticks:
+        if s == _STICK[r] or coupled:
+            symbol, start = f"{flap.upper()}_{s}", 0.5 if s == _STICK[r] else 0.0
+            b.free(flap, s, symbol, "rad", start, 20.0, f"flapping command, {s}", over="tau_f")
+
+
+def _couplings(
+    b: Builder, r: str, rates: tuple[str, ...], sticks: Sequence[str], angular: str, coupled: bool
+) -> None:
+    """What moves roll or pitch besides: the sticks, or the other one's flapping."""
+    big, flap, other = _BIG[r], _FLAP[r], _FLAP["q" if r == "p" else "p"]
+    if angular != "hybrid":
+        for s in sticks:
+            if s == _STICK[r] or coupled:
+                column, start = f"{s}_f" if angular == "second-order" else s, 3.0 if s == _STICK[r] else 0.0
+                b.free(r, column, f"{big}_{s}", "1/s^2", start, 200.0, f"{s} into {r}")
+    elif coupled and len(rates) == 2:
+        b.free(r, other, f"{big}_{other}", "1/s^2", 0.0, 1000.0, f"cross spring, {r}")
+        b.free(flap, other, f"{flap.upper()}_{other}", "1", 0.0, 20.0, "cross flapping", over="tau_f")
 
 
 def model_named(name: str, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> Structure:
@@ -347,24 +324,19 @@ def model_named(name: str, inputs: tuple[str, ...], outputs: tuple[str, ...]) ->
 def _attitude_and_translation(
     b: Builder, rates: tuple[str, ...], outputs: tuple[str, ...], angular: str, speed: bool
 ) -> None:
-    wanted = {"p": {"phi", "v"}, "q": {"theta", "u"}}
-    angle, velocity = {"p": "phi", "q": "theta"}, {"p": "v", "q": "u"}
     for r in rates:
-        if wanted[r] & set(outputs):
-            b.states.append(angle[r])
-            b.constant(angle[r], r, 1.0)
-        vel = velocity[r]
+        angle, vel, symbol, g = ("phi", "v", "Y", GRAVITY) if r == "p" else ("theta", "u", "X", -GRAVITY)
+        if {angle, vel} & set(outputs):
+            b.states.append(angle)
+            b.constant(angle, r, 1.0)
         if vel in outputs:
             b.states.append(vel)
-            symbol = {"v": "Y", "u": "X"}[vel]
             b.free(vel, vel, f"{symbol}_{vel}", "1/s", -0.2, (-10.0, 0.0), f"drag, {vel}")
-            b.constant(vel, angle[r], GRAVITY if vel == "v" else -GRAVITY)
+            b.constant(vel, angle, g)
             if angular == "hybrid":
-                flap = {"v": "b", "u": "a"}[vel]
-                b.constant(vel, flap, GRAVITY if vel == "v" else -GRAVITY)
+                b.constant(vel, _FLAP[r], g)
             if speed:
-                big = {"v": "L", "u": "M"}[vel]
-                b.free(r, vel, f"{big}_{vel}", "rad/(m s)", 0.0, 10.0, "speed stability")
+                b.free(r, vel, f"{_BIG[r]}_{vel}", "rad/(m s)", 0.0, 10.0, "speed stability")
 
 
 def _yaw(b: Builder, inputs: tuple[str, ...], rates: tuple[str, ...], coupled: bool, gyro: bool) -> None:
@@ -387,19 +359,16 @@ def _yaw(b: Builder, inputs: tuple[str, ...], rates: tuple[str, ...], coupled: b
 
 
 def _check(inputs: tuple[str, ...], outputs: tuple[str, ...], angular: str) -> None:
-    known = ("lat", "lon", "ped", "col")
-    for name in inputs:
-        if name not in known:
-            raise ArgumentError(
-                "inputs", name, "is no input of the helicopter model",
-                f"use {', '.join(known)}; write lat=COLUMN to say which column it is",
-            )  # fmt: skip
-    for name in outputs:
-        if name not in UNITS:
-            raise ArgumentError(
-                "outputs", name, "is no output of the helicopter model",
-                f"use {', '.join(UNITS)}; write p=COLUMN to say which column it is",
-            )  # fmt: skip
+    for what, names, known, example in (
+        ("input", inputs, ("lat", "lon", "ped", "col"), "lat"),
+        ("output", outputs, tuple(UNITS), "p"),
+    ):
+        for name in names:
+            if name not in known:
+                raise ArgumentError(
+                    f"{what}s", name, f"is no {what} of the helicopter model",
+                    f"use {', '.join(known)}; write {example}=COLUMN to say which column it is",
+                )  # fmt: skip
     if angular not in ANGULAR:
         raise ArgumentError("model", "", f"{angular!r} is unknown", f"use one of: {', '.join(ANGULAR)}")
     if not outputs or not inputs:
