@@ -288,7 +288,8 @@ def motor_data(table: BenchTable) -> tuple[MotorData, list[str]]:
     if not turning.all():
         notes.append(f"{int(np.sum(~turning))} lines without speed and current are left out")
     run = table["run"].astype(np.int64) if "run" in table else np.zeros(len(table), dtype=np.int64)
-    data = MotorData(*(v[turning] for v in (voltage, current, table["speed"], table["torque"])), run[turning])
+    u, i, w, q = (v[turning] for v in (voltage, current, table["speed"], table["torque"]))
+    data = MotorData(u, i, w, q, run[turning])
     _check_varied(table, data)
     return _in_si(table, data, notes), notes
 
@@ -421,7 +422,8 @@ class _Equations:
         plain = self.whitening(x, np.ones(2))
         weighted = np.einsum("nji,njk,nk->ni", plain, plain, self.residual(x))  # S^-1 e
         shift = self.std**2 * (weighted @ np.array([[1.0, -r, -a, 0.0], [0.0, b, -d, -1.0]]))
-        return MotorData(*(np.column_stack(self.data.channels()) - shift).T, self.data.run)
+        u, i, w, q = (np.column_stack(self.data.channels()) - shift).T
+        return MotorData(u, i, w, q, self.data.run)
 
     def sensitivities(self, x: Array, scales: Array) -> Array:
         """Return the whitened derivatives of e1 and e2 by (R, a, b, d) at the adjusted readings, (2 n, 4)."""

@@ -359,8 +359,8 @@ def _outcome(
     covariance = covariance + 2.0 * bend.T @ bend
     data = np.concatenate([s.reshape(-1, len(free)) for s in sensitivities])
     # What Gauss and Newton would still gain: at a minimum nothing.
-    low, high = problem.bounds
-    at_bound = (point.theta <= low + 1e-9) | (point.theta >= high - 1e-9)
+    least, most = problem.bounds
+    at_bound = (point.theta <= least + 1e-9) | (point.theta >= most - 1e-9)
     q = np.linalg.qr(linear.jacobian[:, ~at_bound])[0]
     gain = 0.5 * float(np.sum((q.T @ linear.here) ** 2))
     notes = _notes(problem, at_bound, coloured)
@@ -371,9 +371,10 @@ def _outcome(
     values = physical(free, point.theta)
     ends = np.sort([physical(free, point.theta + side * _NORMAL_95 * std) for side in (-1, 1)], axis=0)
     slope = np.array([v if f.scale == 0.0 else f.scale for f, v in zip(free, values, strict=True)])
+    numbers = np.column_stack([values, np.abs(slope) * std, *ends]).tolist()
     estimates = tuple(
-        Estimate(f.symbol, f.key, f.unit, f.start, *map(float, numbers), bool(held))
-        for f, *numbers, held in zip(free, values, np.abs(slope) * std, *ends, at_bound, strict=True)
+        Estimate(f.symbol, f.key, f.unit, f.start, value, doubt, low, high, bool(held))
+        for f, (value, doubt, low, high), held in zip(free, numbers, at_bound, strict=True)
     )
     return Fit(
         vehicle=problem.vehicle.name,
