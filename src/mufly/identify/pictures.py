@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"
 _MOST_POINTS = 4000
+_LAG_S = 2.0  # of correlations
 
 Array = NDArray[np.float64]
 
@@ -118,7 +119,7 @@ def prediction_picture(record: RecordFit) -> Figure:
     return figure
 
 
-def residual_picture(record: RecordFit, *, max_lag_s: float = 2.0) -> Figure:
+def residual_picture(record: RecordFit) -> Figure:
     """Draw the residual of every output over time, its autocorrelation with 95 % bounds, and its spectrum."""
     from scipy.signal import welch
 
@@ -133,7 +134,7 @@ def residual_picture(record: RecordFit, *, max_lag_s: float = 2.0) -> Figure:
         if np.isfinite(noise) and noise > 0.0:
             left.axhspan(-1.96 * noise, 1.96 * noise, color=GREEN, alpha=0.18, linewidth=0)
         left.set_ylabel(_label(record.outputs[j], record.units[j]))
-        c = autocorrelation(e, dt, max_lag_s=max_lag_s)
+        c = autocorrelation(e, dt, max_lag_s=_LAG_S)
         middle.axhspan(-c.bound, c.bound, color=GREEN, alpha=0.25, linewidth=0)
         middle.plot(c.lag_s, c.value, color=BLUE)
         middle.set_ylim(min(-0.3, float(c.value.min()) - 0.05), 1.05)
@@ -149,7 +150,7 @@ def residual_picture(record: RecordFit, *, max_lag_s: float = 2.0) -> Figure:
     return figure
 
 
-def cross_picture(record: RecordFit, *, max_lag_s: float = 2.0) -> Figure:
+def cross_picture(record: RecordFit) -> Figure:
     """Draw the correlation of every residual with every input, 95 % bounds; positive lags: the input came first."""
     m, k, dt = len(record.outputs), len(record.input_names), _step(record)
     figure = blank(min(10.0, 2.0 + 2.4 * k), 0.6 + 1.5 * m)
@@ -157,7 +158,7 @@ def cross_picture(record: RecordFit, *, max_lag_s: float = 2.0) -> Figure:
     for j in range(m):
         for i in range(k):
             axes: Axes = panels[j][i]
-            c = cross_correlation(record.inputs[:, i], record.residual[:, j], dt, max_lag_s=max_lag_s)
+            c = cross_correlation(record.inputs[:, i], record.residual[:, j], dt, max_lag_s=_LAG_S)
             if c.bound < 1.0:
                 axes.axhspan(-c.bound, c.bound, color=GREEN, alpha=0.22, linewidth=0)
                 axes.plot(c.lag_s, c.value, color=BLUE)

@@ -88,7 +88,7 @@ class Whiteness:
     statistic : float
         Q.
     degrees : int
-        Lags tested less parameters fitted.
+        Lags tested.
     p_value : float
         Probability of a larger Q, were the residual white.
     """
@@ -203,7 +203,7 @@ def _lags(size: int, dt: float, max_lag_s: float) -> int:
     return max(1, min(round(max_lag_s / dt), size - 1))
 
 
-def ljung_box(residual: Array, *, lags: int, parameters: int = 0) -> Whiteness:
+def ljung_box(residual: Array, *, lags: int) -> Whiteness:
     """Test whether a residual is white.
 
     Parameters
@@ -212,15 +212,12 @@ def ljung_box(residual: Array, *, lags: int, parameters: int = 0) -> Whiteness:
         NaN where nothing was measured.
     lags : int
         How many; 20 to n / 5 is usual.
-    parameters : int
-        How many were fitted to this residual; they take degrees of freedom.
     """
     n = int(np.isfinite(residual).sum())
     r = autocorrelation(residual, 1.0, max_lag_s=lags).value[1:]
     k = np.arange(1, r.size + 1)
     statistic = float(n * (n + 2.0) * np.sum(r**2 / np.maximum(n - k, 1)))
-    degrees = max(1, r.size - parameters)
-    return Whiteness(statistic, degrees, float(chi2.sf(statistic, degrees)))
+    return Whiteness(statistic, r.size, float(chi2.sf(statistic, r.size)))
 
 
 def quality(measured: Array, predicted: Array, noise_std: float = float("nan")) -> Quality:

@@ -92,9 +92,7 @@ def _excitations(n: int, rng: np.random.Generator) -> dict[str, _Excitation]:
     return out
 
 
-def fly_record(
-    vehicle: Vehicle, excitation: _Excitation, rng: np.random.Generator, *, name: str, noise: float = 1.0
-) -> Record:
+def fly_record(vehicle: Vehicle, excitation: _Excitation, rng: np.random.Generator, *, name: str) -> Record:
     """Fly one record.
 
     Parameters
@@ -105,14 +103,12 @@ def fly_record(
     rng : numpy.random.Generator
         For the sensors.
     name : str
-    noise : float
-        Factor on :data:`NOISE`.
     """
     p, n = model_parameters(vehicle), len(excitation.motor)
     hover = trim(vehicle, charge=_CHARGE)
     x, calm = hover.state.copy(), np.zeros(3)
     x[2] = -_HEIGHT
-    std = noise * np.array([NOISE[o] for o in _OUTPUTS])
+    std = np.array([NOISE[o] for o in _OUTPUTS])
     inputs, measured = np.empty((n, 4)), np.empty((n, len(_OUTPUTS)))
     controller = _Pid(hover.input)
     steps = round(SAMPLE_S / 1e-3)
@@ -166,7 +162,7 @@ class _Pid:
 
 
 def demo_flights(
-    vehicle: Vehicle, *, seed: int = 0, seconds: float = 12.0, noise: float = 1.0
+    vehicle: Vehicle, *, seed: int = 0, seconds: float = 12.0
 ) -> tuple[list[Record], list[Record]]:
     """Fly the records of the demonstration.
 
@@ -178,8 +174,6 @@ def demo_flights(
         Of pilot and sensor noise.
     seconds : float
         Length of a flight.
-    noise : float
-        Factor on the sensors' noise.
 
     Returns
     -------
@@ -189,7 +183,7 @@ def demo_flights(
     rng = np.random.default_rng(seed)
     n = round(seconds / SAMPLE_S) + 1
     signals = _excitations(n, rng)
-    flown = {k: fly_record(vehicle, s, rng, name=f"demo-{k}", noise=noise) for k, s in signals.items()}
+    flown = {k: fly_record(vehicle, s, rng, name=f"demo-{k}") for k, s in signals.items()}
     return [flown[k] for k in ("yaw", "heave", "roll", "pitch")], [flown["mixed"]]
 
 

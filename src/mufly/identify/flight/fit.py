@@ -427,7 +427,6 @@ def _predicted(
     own = make_problem(
         problem.vehicle, problem.free, [record], part=problem.part, outputs=outputs, delay_s=problem.delay_s,
         voltage=_possible_voltage(voltage, problem.vehicle, [record]), prior=False,
-        longest_step_s=problem.longest_step_s,
     )  # fmt: skip
     noise = {
         o: n for f in (*own.flights, *problem.flights) for o, n in zip(f.record.outputs, f.noise, strict=True)

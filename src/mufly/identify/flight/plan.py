@@ -117,6 +117,7 @@ _TOLERATED = {
 }  # fmt: skip
 _INPUTS = np.array([0.1, 0.1, 0.3, 0.3])
 _STEP_S = 1e-3
+_HEIGHT_M, _CHARGE = 2.0, 0.7  # where the flight begins and is held; of the battery
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,9 +144,7 @@ class Support:
     delay_s: float
 
 
-def pilot_support(
-    vehicle: Vehicle, *, sample_s: float = 0.01, delay_s: float = 0.02, charge: float = 0.7
-) -> Support:
+def pilot_support(vehicle: Vehicle, *, sample_s: float = 0.01, delay_s: float = 0.02) -> Support:
     """Design the feedback for a vehicle.
 
     Parameters
@@ -153,15 +152,13 @@ def pilot_support(
     vehicle : Vehicle
     sample_s, delay_s : float
         Period of the loop; from measurement to input, whole periods.
-    charge : float
-        Of the battery.
 
     Raises
     ------
     MuflyError
         If the vehicle cannot hover, or cannot be held there.
     """
-    hover = trim(vehicle, charge=charge)
+    hover = trim(vehicle, charge=_CHARGE)
     full = linearise(vehicle, hover).full
     names = list(full.state_labels)
     A, B = full.A, full.B[:, [1, 0, 2, 3]]
@@ -248,7 +245,7 @@ def _fly_all(x, hover, trimmed, gain, added, p, late, dt, steps, height, states,
 
 
 def fly_supported(
-    vehicle: Vehicle, support: Support, added: Array, *, height_m: float = 2.0
+    vehicle: Vehicle, support: Support, added: Array
 ) -> tuple[_Floats, _Floats, _Floats]:  # fmt: skip
     """Fly the whole model in closed loop, one flight for each signal.
 
@@ -258,8 +255,6 @@ def fly_supported(
     support : Support
     added : (b, n, 4) array
         Added to motor upper, motor lower, servo 1, servo 2.
-    height_m : float
-        Where the flight begins and is held.
 
     Returns
     -------
@@ -271,13 +266,13 @@ def fly_supported(
     """
     b, n, _ = added.shape
     x = np.repeat(support.hover.state[None], b, axis=0)
-    x[:, 2] = -height_m
+    x[:, 2] = -_HEIGHT_M
     states, inputs, voltage = np.empty((b, n, x.shape[1])), np.empty((b, n, 4)), np.empty((b, n))
     p = np.full(b, np.array(model_parameters(vehicle), dtype=PARAMETERS))
     late, steps = round(support.delay_s / support.sample_s), round(support.sample_s / _STEP_S)
     _fly_all(
         x, support.hover.state, support.hover.input, support.gain, np.ascontiguousarray(added), p, late, _STEP_S, steps,
-        height_m, states, inputs, voltage,
+        _HEIGHT_M, states, inputs, voltage,
     )  # fmt: skip
     return states, inputs, voltage
 

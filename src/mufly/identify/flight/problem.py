@@ -43,7 +43,6 @@ from pydantic import BaseModel
 from mufly.dynamics import PARAMETERS, model_parameters
 from mufly.errors import ArgumentError, InputError
 from mufly.identify.flight.simulate import (
-    LONGEST_STEP_S,
     bar_normal,
     fly_batch,
     hover,
@@ -336,7 +335,6 @@ class Problem:
     hover: bool
     prior: bool
     delay_s: float
-    longest_step_s: float
 
     @property
     def records(self) -> tuple[Record, ...]:
@@ -436,7 +434,7 @@ class Problem:
         codes = np.array([OUTPUTS.index(o) for o in r.outputs], dtype=np.int64)
         y = fly_batch(
             x, p, f.inputs, sample_s=r.sample_s, codes=codes, starts=f.starts, motion=motion, mast=f.mast,
-            delay_s=delay, motor_hold=hold, longest_step_s=self.longest_step_s,
+            delay_s=delay, motor_hold=hold,
         )  # fmt: skip
         for j, symbol in enumerate(symbols):
             if symbol.startswith("bias_") and symbol[5:] in r.outputs:
@@ -499,7 +497,6 @@ class Problem:
 def make_problem(
     vehicle: Vehicle, free: Sequence[Free], records: Sequence[Record], *, part: Part = "both",
     outputs: Sequence[str] | None = None, voltage: str | float = "measured", delay_s: float = 0.0, prior: bool = True,
-    longest_step_s: float = LONGEST_STEP_S,
 ) -> Problem:  # fmt: skip
     """Set up the fit of a vehicle to records.
 
@@ -521,8 +518,6 @@ def make_problem(
         Time from the recorded input to the vehicle (s), unless it is free.
     prior : bool
         Let the provenance of the start values weigh in.
-    longest_step_s : float
-        Bound on the integration step.
 
     Raises
     ------
@@ -541,7 +536,7 @@ def make_problem(
                 r.name, "", f"holds none of {', '.join(wanted)} (but {have})", "choose other outputs"
             )
         flights.append(_prepared(vehicle, free, used, part, _volts(vehicle, used, voltage)))
-    whole = Problem(vehicle, tuple(free), tuple(flights), part, False, prior, delay_s, longest_step_s)
+    whole = Problem(vehicle, tuple(free), tuple(flights), part, False, prior, delay_s)
     return whole.in_windows(None)
 
 

@@ -82,7 +82,6 @@ class CrossValidation:
 
 def cross_validate(
     structure: Structure, u: Array, y: Array, dt: float, *, blocks: int = 4, starts: int = 3, hold: bool = False,
-    count: int | None = None,
 ) -> tuple[CrossValidation, LinearFit]:  # fmt: skip
     """Score a structure by leaving out one block after the other.
 
@@ -94,8 +93,6 @@ def cross_validate(
     blocks : int
     starts, hold
         As for :func:`mufly.identify.fit_linear`; a fold begins at the fit to all blocks.
-    count : int, optional
-        Outputs scored, from the first; default all. Structures with further outputs remain comparable so.
 
     Returns
     -------
@@ -114,13 +111,12 @@ def cross_validate(
             structure, u, y, dt, starts=1, hold=hold, mask=mask, first=whole.values, covariance=False
         )
         square[a:b] = (y - predict_linear(fold, u, dt)[0])[a:b] ** 2
-    m = y.shape[1] if count is None else count
-    by_output = np.nanmean(square, axis=0)[:m] / np.nanvar(y, axis=0)[:m]
+    by_output = np.nanmean(square, axis=0) / np.nanvar(y, axis=0)
     error = y - predict_linear(whole, u, dt)[0]
     percent = 100.0 * (1.0 - np.sqrt(np.nanmean(error**2, axis=0) / np.nanvar(y, axis=0)))
     return CrossValidation(
         structure.name, len(structure.parameters), float(by_output.mean()), tuple(by_output.tolist()),
-        tuple(percent[:m].tolist()), whole.criterion("aic"), whole.criterion("bic"),
+        tuple(percent.tolist()), whole.criterion("aic"), whole.criterion("bic"),
     ), whole  # fmt: skip
 
 

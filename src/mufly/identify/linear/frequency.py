@@ -46,6 +46,7 @@ from mufly.identify.linear.structure import Coordinates, Structure
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+_LEAST, _POINTS = 0.5, 60  # of a fit: smallest partial coherence that counts, and frequencies
 _OVERLAP_FACTOR = np.sqrt(0.55)
 
 
@@ -260,7 +261,6 @@ def _by_chance(averages: float, inputs: int, frequencies: float) -> float:
 
 def fit_spectral(
     structure: Structure, u: Array, y: Array, dt: float, *, first: Array, segment_s: float, high_hz: float,
-    least: float = 0.5, points: int = 60,
 ) -> SpectralFit:  # fmt: skip
     """Fit a structure to the frequency responses of a record.
 
@@ -277,10 +277,6 @@ def fit_spectral(
         Length of the segments (s); the lowest frequency is 1.5 / ``segment_s``.
     high_hz : float
         Highest frequency.
-    least : float
-        Smallest partial coherence that counts; more where independent signals would show more.
-    points : int
-        Frequencies.
 
     Raises
     ------
@@ -288,11 +284,12 @@ def fit_spectral(
         If no frequency is coherent, or the record is too short.
     """
     data = frequency_response(
-        u, y, dt, segment_s=segment_s, low_hz=1.5 / segment_s, high_hz=high_hz, points=points,
+        u, y, dt, segment_s=segment_s, low_hz=1.5 / segment_s, high_hz=high_hz, points=_POINTS,
         input_names=structure.inputs, output_names=structure.outputs,
     )  # fmt: skip
     least = max(
-        least, _by_chance(data.averages, len(structure.inputs), (high_hz - 1.5 / segment_s) * segment_s / 1.5)
+        _LEAST,
+        _by_chance(data.averages, len(structure.inputs), (high_hz - 1.5 / segment_s) * segment_s / 1.5),
     )
     good = (data.partial >= least) & np.isfinite(data.response)
     good &= good.sum(0) >= 4

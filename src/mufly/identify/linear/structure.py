@@ -160,13 +160,11 @@ class Builder:
     def minus_inverse(self, row: str, symbol: str) -> None:
         self.entries.append(("A", row, row, lambda v: -1.0 / v[symbol]))
 
-    def finish(
-        self, name: str, outputs: tuple[str, ...], driven: set[str], most: float, skew: float
-    ) -> Structure:
+    def finish(self, name: str, outputs: tuple[str, ...], driven: set[str], skew: float) -> Structure:
         # A lagged stick drives its own state; the delay belongs to the stick.
         for i in self.inputs:
-            if i in driven and most + skew > 0.0:
-                self.parameter(f"tau_{i}", "s", min(0.04, 0.5 * most), -skew, most, f"delay of {i}")
+            if i in driven:
+                self.parameter(f"tau_{i}", "s", 0.04, -skew, _MOST_DELAY_S, f"delay of {i}")
         row = {s: k for k, s in enumerate(self.states)}
         column = {s: k for k, s in enumerate(self.inputs)}
         nx, nu, ny = len(row), len(column), len(outputs)
@@ -192,13 +190,13 @@ class Builder:
 ANGULAR = ("first-order", "second-order", "hybrid")
 EXTRAS = ("coupled", "collective", "gyro", "speed", "skew")
 _SKEW_S = 0.3
+_MOST_DELAY_S = 0.3  # of an input
 _STICK, _FLAP, _BIG = {"p": "lat", "q": "lon"}, {"p": "b", "q": "a"}, {"p": "L", "q": "M"}
 
 
 def helicopter(
     inputs: tuple[str, ...], outputs: tuple[str, ...], *, angular: str = "hybrid", coupled: bool = False,
-    collective: bool = False, gyro: bool = False, speed: bool = False, most_delay_s: float = 0.3,
-    skew_s: float = 0.0,
+    collective: bool = False, gyro: bool = False, speed: bool = False, skew_s: float = 0.0,
 ) -> Structure:  # fmt: skip
     """Put a helicopter's linear model together.
 
@@ -218,8 +216,6 @@ def helicopter(
         With the yaw gyro's feedback r_fb.
     speed : bool
         With speed stability L_v, M_u (needs u, v among the outputs).
-    most_delay_s : float
-        Greatest delay of an input (s).
     skew_s : float
         How much earlier than recorded an input may act (s): for logs whose inputs carry a late time stamp.
 
@@ -257,7 +253,7 @@ def helicopter(
             b.free("w", "col", "Z_col", "m/s^2", -10.0, 300.0, "collective into heave")
     extras = zip(EXTRAS, (coupled, collective, gyro, speed, skew_s > 0.0), strict=True)
     name = "-".join([angular, *(word for word, wanted in extras if wanted)])
-    return b.finish(name, outputs, {e[2] for e in b.entries if e[0] == "B"}, most_delay_s, skew_s)
+    return b.finish(name, outputs, {e[2] for e in b.entries if e[0] == "B"}, skew_s)
 
 
 def _rate(
