@@ -323,24 +323,14 @@ def fly(
         Or the name or file of one.
     mission : Mission, str or Path
         Or the name or file of one.
-    controller : FlightController, optional
-        By default ``mufly.control.design(vehicle)``.
-    wind : (3,) array_like, optional
-        Steady wind N-E-D (m/s), instead of the mission's.
-    gust : float, optional
-        Standard deviation of the gusts (m/s), instead of the mission's.
-    seed : int
-        Seed of everything random (today: the gusts).
+    controller, wind, gust, seed, path, sensors, estimator : optional
+        As for :class:`Flight`; without a path the recording is in memory only.
     realtime : bool
         Keep pace with the clock instead of flying as fast as the machine can.
-    path : str or Path, optional
-        MCAP file to record to, block by block as it flies; in memory only without it.
     on_progress : callable, optional
         Called with a :class:`Progress` about ten times a second.
     on_event : callable, optional
         Called with every :class:`Event`: changes of the mission's state, with the reason, and what went wrong.
-    sensors, estimator : optional
-        As for :class:`Flight`.
 
     Returns
     -------
