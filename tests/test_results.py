@@ -77,3 +77,14 @@ def test_json_and_csv() -> None:
 def test_results_are_frozen() -> None:
     with pytest.raises(FrozenInstanceError):
         POINT.gain = 1.0  # type: ignore[misc]
+
+
+def test_a_result_of_the_package_prints_with_units() -> None:
+    from mufly.dynamics import hover_performance, trim
+    from mufly.vehicle import load_vehicle
+
+    vehicle = load_vehicle("mufly-1.1")
+    lines = str(hover_performance(vehicle)).splitlines()
+    assert lines[0].startswith("HoverPerformance: ")
+    assert any(line.split()[:1] == ["thrust"] and " N " in f"{line} " for line in lines)
+    assert str(trim(vehicle)).startswith("steady at")  # its own words

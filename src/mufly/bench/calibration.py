@@ -22,18 +22,19 @@ readings of one block allowed to err alike. From a single block the zero is cons
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mufly.bench.covariance import Spread, joined, spread
 from mufly.bench.table import SI_UNITS, BenchTable
+from mufly.results import result
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False)
 class Calibration:
     """Sensitivity of load cells.
 
@@ -177,7 +178,7 @@ def calibrate_cells(table: BenchTable) -> Calibration:
 _HIGHEST = 3
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False)
 class ZeroDrift:
     """Reading of one sensor without load, over time.
 

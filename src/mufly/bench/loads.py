@@ -22,6 +22,7 @@ from mufly.bench.calibration import Calibration, ZeroDrift, fit_drift
 from mufly.bench.covariance import joined
 from mufly.bench.table import SI_UNITS, BenchTable
 from mufly.errors import ArgumentError
+from mufly.results import result
 from mufly.rotor import Air, Blading, Condition, System, hover_batch, solve
 
 Array = NDArray[np.float64]
@@ -173,7 +174,7 @@ def air_density(table: BenchTable, density_kg_m3: float | None) -> tuple[Array, 
     return np.full(n, 1.2), "density 1.2 kg/m3 assumed: every coefficient is wrong by as much as it is"
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False)
 class Prediction:
     """Predicted loads at the measured points.
 

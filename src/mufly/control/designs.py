@@ -7,7 +7,6 @@ prints about its controllers stands beside ours (Sec. 6.1; facts.csv, keys S6.1-
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import control
@@ -96,7 +95,7 @@ ROLL_PITCH = PublishedDesign(crossover=36.0, complementary_peak_dB=1.9, resonanc
 VELOCITY = PublishedDesign()
 
 
-@dataclass(frozen=True)
+@result
 class Design:
     """One controller, from synthesis to difference equations.
 
@@ -200,7 +199,7 @@ class Design:
         return "\n".join(lines)
 
 
-@dataclass(frozen=True)
+@result
 class FlightController:
     """All designs of a vehicle and the gains of the law on board.
 

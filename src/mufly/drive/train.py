@@ -21,7 +21,6 @@ s): iron losses that grow with the current are then counted in kM.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -32,6 +31,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from mufly.compiled import compiled
+from mufly.results import result
 from mufly.tables import builtin_names, fault, read_tables, validated
 from mufly.units import RPM
 from mufly.vehicle import Vehicle, load_vehicle
@@ -56,7 +56,7 @@ def rotor_acceleration(  # type: ignore[no-untyped-def]
 Values = float | NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@result
 class Constants:
     """The numbers of one motor with controller and gear, SI; each a float or an array over cases.
 

@@ -17,7 +17,6 @@ battery sagging under the load. Own derivation.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,7 +33,7 @@ from mufly.vehicle import Vehicle
 _HOVER_ROUNDS = 30
 
 
-@dataclass(frozen=True)
+@result
 class Trim:
     """A steady flight condition.
 

@@ -14,7 +14,6 @@ that rolls (tilt_roll).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import control
 import numpy as np
@@ -24,6 +23,7 @@ from mufly.dynamics.equilibrium import Trim, trim
 from mufly.dynamics.model import derivative
 from mufly.dynamics.parameters import model_parameters
 from mufly.dynamics.state import STATE_SIZE, euler_from_quaternion, quaternion_from_euler, rotation
+from mufly.results import result
 from mufly.vehicle import Vehicle
 
 STATES = ["x", "y", "z", "u", "v", "w", "phi", "theta", "psi", "p", "q", "r", "a_dw", "b_dw"]
@@ -33,7 +33,7 @@ _SCALE = np.array([1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 400, 400, 1],
 _RELATIVE_STEP = 1e-5
 
 
-@dataclass(frozen=True)
+@result
 class Linearisation:
     """Linear models of one vehicle about one trim.
 

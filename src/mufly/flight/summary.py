@@ -22,7 +22,7 @@ Definitions (x is the true position, w a waypoint, both N-E-D; all from the reco
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from itertools import pairwise
 from typing import Any
 
@@ -30,6 +30,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from mufly.results import result
 from mufly.world import World, distances
 
 LEG_STATES = ("waypoint", "obstacle")
@@ -41,7 +42,7 @@ _Array = NDArray[np.float64]
 _Run = tuple[str, int, int]
 
 
-@dataclass(frozen=True)
+@result
 class WaypointResult:
     """How one waypoint was met; what does not apply, or was not reached, is None.
 
@@ -67,7 +68,7 @@ class WaypointResult:
     overshoot_vertical_m: float | None = None
 
 
-@dataclass(frozen=True)
+@result
 class Summary:
     """A flight in numbers; what is unknown is None. Units in the names, definitions in the module."""
 

@@ -38,6 +38,7 @@ from mufly.bench import BenchTable, Spread, spread
 from mufly.errors import ArgumentError, InputError
 from mufly.identify.covariance import likeliest_errors, relative, unseen_combinations
 from mufly.identify.result import Estimate, Estimates
+from mufly.results import result
 from mufly.units import RPM
 from mufly.vehicle import Vehicle
 
@@ -155,7 +156,7 @@ class GearKnowledge:
     efficiency_std: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False)
 class MotorFit(Estimates):
     """Motor constants and what they rest on.
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any, Literal
 
@@ -17,13 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import ArgumentError
+from mufly.results import result
 from mufly.tables import validated
 from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@result
 class Estimate:
     """One free parameter after a fit, in SI units.
 
@@ -88,7 +88,7 @@ class Estimates:
         return {e.symbol: e for e in self.estimates}[symbol]
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False)
 class RecordFit:
     """One record beside what the fitted model predicts for it from its inputs alone.
 
@@ -134,7 +134,7 @@ class RecordFit:
         return np.sqrt(np.nanmean(self.residual**2, axis=0)) / self.noise_std
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False)
 class Fit(Estimates):
     """Result of a fit.
 

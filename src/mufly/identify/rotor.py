@@ -29,6 +29,7 @@ from mufly.bench import Loads, Spread, air_density, spread
 from mufly.errors import ArgumentError, InputError
 from mufly.identify.covariance import likeliest_errors, relative, unseen_combinations
 from mufly.identify.result import Estimate, Estimates
+from mufly.results import result
 from mufly.units import RPM
 from mufly.vehicle import Vehicle
 
@@ -228,7 +229,7 @@ class CoefficientFit:
         return self.load - self.unit_load @ self.value
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False)
 class RotorFit(Estimates):
     """Coefficients of the rotors of one bench file at one setting of the blades.
 

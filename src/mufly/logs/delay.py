@@ -15,8 +15,6 @@ rather than delayed, tau is the delay that looks most like it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -25,6 +23,7 @@ from scipy.signal import correlate, detrend
 
 from mufly.errors import InputError
 from mufly.logs.topics import check_clock, unwrap
+from mufly.results import result
 
 _Array = NDArray[np.float64]
 _Z95 = 1.959964
@@ -32,7 +31,7 @@ _Z95 = 1.959964
 _HALF_WIDTH = 24
 
 
-@dataclass(frozen=True)
+@result
 class Delay:
     """A delay, as it was estimated.
 
@@ -211,7 +210,7 @@ def body_rates_of_attitude(time: _Array, attitude: _Array) -> _Array:
 _FEWEST = 30
 
 
-@dataclass(frozen=True)
+@result
 class DelayReport:
     """The delay from one channel to another, by name."""
 

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -27,12 +26,13 @@ from scipy.ndimage import median_filter, percentile_filter
 from mufly.logs.layout import columns_of
 from mufly.logs.topics import Channel
 from mufly.quantities import is_held
+from mufly.results import result
 
 _Array = NDArray[np.float64]
 _SAMPLES_EXAMINED = 400_000
 
 
-@dataclass(frozen=True)
+@result
 class ChannelReport:
     """What :func:`check_channel` found.
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.signal import resample_poly
 
 from mufly.errors import InputError
+from mufly.results import result
 
 
 class LogWarning(UserWarning):
@@ -170,7 +171,7 @@ GAP_FACTOR = 5.0
 _FEWEST_STEPS = 15
 
 
-@dataclass(frozen=True)
+@result
 class ClockReport:
     """What :func:`check_clock` found.
 

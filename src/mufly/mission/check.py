@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -31,6 +30,7 @@ from mufly.mission.schema import (
 )
 from mufly.mission.state import prepare
 from mufly.mission.trajectory import Limits
+from mufly.results import result
 from mufly.tables import builtin_names, read_tables, toml_value, validated
 from mufly.vehicle import Vehicle
 from mufly.world import World, distance, distances
@@ -161,7 +161,7 @@ _SEEN_M = 0.15
 """How far inside an obstacle's height a beam has to be to hit it in spite of the tilt of a flying helicopter (m)."""
 
 
-@dataclass(frozen=True, slots=True)
+@result
 class MissionEstimate:
     """What a mission takes, as planned.
 
