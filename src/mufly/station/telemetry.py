@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mufly.link.codec import MavMessage
 from mufly.link.conventions import Origin
 from mufly.link.telemetry import STATES
-from mufly.quantities import told_by
+from mufly.quantities import kept_by, told_by
 from mufly.station.autopilots import mode_words
 from mufly.station.history import History, Present
 from mufly.station.view import unknown
@@ -34,7 +34,7 @@ _NEAR_POLE_DEG = 89.0  # beyond, east is no direction any more
 _COAXIAL, _ARMED = 3, 128  # MAV_TYPE, MAV_MODE_FLAG
 _BODY_FRAME = 12  # MAV_FRAME_BODY_FRD
 _UNKNOWN = 65535
-_TRUTH = ("truth_position", "truth_velocity", "truth_attitude", "truth_rates", "truth_rotor_speed", "wind")
+_TRUTH = tuple(q.name for q in kept_by("flight") if q.topic == "/truth")
 
 _STAMPED: dict[str, tuple[str, int]] = {
     **dict.fromkeys(("ATTITUDE", "ATTITUDE_QUATERNION", "ATTITUDE_TARGET"), ("time_boot_ms", 1)),

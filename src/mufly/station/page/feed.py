@@ -23,6 +23,7 @@ from scipy.signal import detrend, welch
 from mufly.quantities import our_name
 from mufly.station.page.session import Source, View
 from mufly.station.view import Message, Snapshot
+from mufly.units import factor_of
 
 IN_FLIGHT = 2
 MOST_POINTS = 6000
@@ -311,9 +312,11 @@ _ORDER = tuple(_TITLES)
 def display_unit(unit: str, quantity: str) -> tuple[str, float]:
     """Return the unit that a person reads, and what to multiply an SI value by."""
     if unit == "rad":
-        return "°", 180.0 / math.pi
+        return "°", factor_of("rad", "deg")
     if unit == "rad/s":
-        return ("rpm", 30.0 / math.pi) if "rotor_speed" in quantity else ("°/s", 180.0 / math.pi)
+        if "rotor_speed" in quantity:
+            return "rpm", factor_of(unit, "rpm")
+        return "°/s", factor_of(unit, "deg/s")
     if quantity == "battery_charge" and unit == "1":
         return "%", 100.0
     return ("" if unit == "1" else unit), 1.0
