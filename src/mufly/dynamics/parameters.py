@@ -77,6 +77,7 @@ _FIELDS: dict[str, str | tuple[int, ...]] = {
     "map_thrust_dw": (MAP_NODES,),
     "map_torque_dw": (MAP_NODES,),
 }
+_TAKEN = {name: attrgetter(key) for name, key in _FIELDS.items() if key and isinstance(key, str)}
 PARAMETERS = np.dtype(
     [
         (
@@ -133,11 +134,7 @@ def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
     bound = np.full(_MAX_POINTS, np.inf)
     bound[: len(points)] = _FASTEST_FRICTION * float(b.inertia_zz) / np.maximum(share, 1e-12)
 
-    values: dict[str, Any] = {
-        name: float(attrgetter(source)(vehicle))
-        for name, source in _FIELDS.items()
-        if source and isinstance(source, str)
-    }
+    values: dict[str, Any] = {name: float(take(vehicle)) for name, take in _TAKEN.items()}
     for side, rotor in (("up", r.upper), ("dw", r.lower)):
         values[f"thrust_{side}"] = float(rotor.thrust_coefficient) * (np.pi * rho * radius**4)  # eq. 4.11
         values[f"torque_{side}"] = float(rotor.torque_coefficient) * (np.pi * rho * radius**5)  # eq. 4.12
