@@ -17,7 +17,6 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
-from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, dataclass_transform, overload
 
@@ -35,6 +34,9 @@ _SUFFIXES = {
 _UNITS = {"J", "dB", "N/W", "1"} | set(_SUFFIXES.values())
 _ATTRIBUTE = re.compile(r"^(?P<names>\w+(?:, \w+)*) *:(?P<type>.*)$")
 _LONG = 6  # arrays longer than this are told by their size and range
+
+
+_READ: dict[type[Any], dict[str, Meaning]] = {}  # classes whose docstring has been read
 
 
 class Meaning(NamedTuple):
@@ -86,7 +88,7 @@ def result(cls: type[Any] | None = None, /, *, eq: bool = True) -> Any:
     def made(one: type[Any]) -> type[Any]:
         new = dataclass(frozen=True, eq=eq)(one)
         if "__str__" not in one.__dict__:
-            new.__str__ = text  # type: ignore[method-assign, assignment]
+            new.__str__ = text  # type: ignore[assignment]
         if "_repr_html_" not in one.__dict__:
             new._repr_html_ = html_table
         return new
@@ -94,9 +96,10 @@ def result(cls: type[Any] | None = None, /, *, eq: bool = True) -> Any:
     return made if cls is None else made(cls)
 
 
-@cache
 def meanings(cls: type[Any]) -> dict[str, Meaning]:
     """Return what the fields of a dataclass are, and its documented properties; the docstring is read once."""
+    if cls in _READ:
+        return _READ[cls]
     told: dict[str, tuple[str, str]] = {}
     for base in reversed(cls.__mro__):
         told |= _attributes(base.__dict__.get("__doc__") or "")
@@ -106,7 +109,8 @@ def meanings(cls: type[Any]) -> dict[str, Meaning]:
             first = inspect.getdoc(member) or ""
             told.setdefault(name, ("", " ".join(first.partition("\n\n")[0].split())))
             names.append(name)
-    return {name: _meaning(name, *told.get(name, ("", ""))) for name in dict.fromkeys(names)}
+    _READ[cls] = {name: _meaning(name, *told.get(name, ("", ""))) for name in dict.fromkeys(names)}
+    return _READ[cls]
 
 
 def meaning_of(item: Any, name: str) -> Meaning:

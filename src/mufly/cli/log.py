@@ -159,11 +159,11 @@ def _print(report: LogReport) -> None:
         rows.append((name, f"{len(table.time)}", rate, f"{len(table.fields)}", gaps, ", ".join(gives)))
     print_table(("topic", "messages", "rate (Hz)", "fields", "gaps", "gives"), rows, text=(0, 5))
     if report.signals:
-        rows = [
+        lines = [
             (s.name, "" if s.units == "1" else s.units, *map(_number, (s.smallest, s.mean, s.largest, s.std)))
             for s in report.signals[:_MOST_ROWS]
         ]
-        print_table(("signal", "unit", "min", "mean", "max", "std"), rows, text=(0, 1))
+        print_table(("signal", "unit", "min", "mean", "max", "std"), lines, text=(0, 1))
         _and_more(len(report.signals))
     _section("Delays", [d.words() for d in report.delays], "")
     _section("Said by the vehicle", [f"{t:.2f} s, {level}: {text}" for t, level, text in raw.messages], "")
