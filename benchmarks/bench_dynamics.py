@@ -28,8 +28,7 @@ from numba import njit, prange
 from scipy.integrate import solve_ivp
 
 import mufly
-from mufly.drive.battery import terminal_voltage
-from mufly.drive.train import armature_current, rotor_acceleration
+from mufly.drive.train import armature_current, rotor_acceleration, terminal_voltage
 from mufly.dynamics import (
     PARAMETERS,
     advance,

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from mufly.flight.recorder import Recorder
-from mufly.logs.layout import standard_layout
+from mufly.logs.mcap import standard_layout
 from mufly.logs.recording import read_recording
 
 

@@ -31,8 +31,7 @@ from rotor_cases import (
 
 from mufly.rotor import Condition, System, hover_batch, solve
 from mufly.rotor.blading import PLAIN, Blading, Corrections
-from mufly.rotor.measurements import calibrate, compare
-from mufly.rotor.uncertainty import Doubt, interval
+from mufly.rotor.measurements import Doubt, calibrate, compare, interval
 
 
 def _mean(v: np.ndarray) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mufly.control import FlightController, design
-from mufly.control.sampled import analyse_cascade
+from mufly.control.implementation import analyse_cascade
 from mufly.dynamics import linearise
 from mufly.flight import Flight, respond, software
 from mufly.flight.parameters import DEG, KEPT, TABLE

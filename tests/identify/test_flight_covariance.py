@@ -4,16 +4,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from mufly.identify.covariance import (
-    colour_reach,
-    coloured_covariance,
-    relative_covariance,
-    unseen_combinations,
-)
 from mufly.identify.linear.check import equation_error
 from mufly.identify.linear.fit import fit_linear, predict_linear
 from mufly.identify.linear.structure import model_named, simulate_linear
 from mufly.identify.record import lowpassed
+from mufly.identify.result import colour_reach, coloured_covariance, relative_covariance, unseen_combinations
 
 
 def unseen(names, jacobian, covariance):

@@ -24,7 +24,6 @@ from mufly.identify.linear.fit import fit_linear, predict_linear
 from mufly.identify.linear.frequency import fit_spectral
 from mufly.identify.linear.identification import identify_linear
 from mufly.identify.linear.structure import (
-    GRAVITY,
     delayed,
     discretise,
     helicopter,
@@ -33,6 +32,7 @@ from mufly.identify.linear.structure import (
     simulate_linear,
 )
 from mufly.identify.record import Columns, lowpassed, read_columns
+from mufly.units import GRAVITY
 
 DT = 0.04
 TREX = Path(__file__).resolve().parents[2] / "../shared/data/flight/trex550/Data_graphready.mat"

@@ -5,7 +5,6 @@ import pytest
 from scipy.signal import lfilter
 
 from mufly.identify import RecordFit
-from mufly.identify.covariance import coloured_covariance, parzen, relative, unseen_combinations
 from mufly.identify.residuals import (
     autocorrelation,
     cross_correlation,
@@ -16,6 +15,7 @@ from mufly.identify.residuals import (
     spectral_lines,
     what_is_missing,
 )
+from mufly.identify.result import coloured_covariance, parzen, relative, unseen_combinations
 
 
 def record(measured, predicted, inputs, dt=0.02, outputs=("q",), names=("lon",)):

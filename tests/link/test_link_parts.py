@@ -26,11 +26,9 @@ from mufly.link import (
     mode_of_custom,
 )
 from mufly.link import mavlink as m
-from mufly.link.authority import watch_link
-from mufly.link.clients import MOST_HZ, Wishes
+from mufly.link.clients import MOST_HZ, Wishes, of_channels, of_manual_control, set_point_of, watch_link
+from mufly.link.codec import asked
 from mufly.link.commands import request_message
-from mufly.link.conventions import asked
-from mufly.link.set_points import of_channels, of_manual_control, set_point_of
 from mufly.logs import kind_of
 from mufly.logs.tlog import TlogWriter
 from mufly.mission import State

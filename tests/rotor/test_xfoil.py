@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from mufly.errors import MuflyError
-from mufly.rotor import load_airfoil, lookup, neural, polar, xfoil
-from mufly.rotor.xfoil import xfoil as run
+from mufly.rotor import engines, load_airfoil, lookup, neural, polar
+from mufly.rotor.engines import xfoil as run
 
-MISSING = xfoil.xfoil_missing()
+MISSING = engines.xfoil_missing()
 needs_xfoil = pytest.mark.skipif(bool(MISSING), reason=MISSING)
 ANGLES = np.arange(-2.0, 8.5, 1.0)
 
@@ -67,8 +67,8 @@ def stand_in(tmp_path, monkeypatch, script):
     program.write_text(f"#!/bin/sh\n{script}\n")
     program.chmod(program.stat().st_mode | stat.S_IXUSR)
     monkeypatch.setenv("PATH", f"{program.parent}{os.pathsep}{os.environ['PATH']}")
-    monkeypatch.setattr(xfoil, "xfoil_missing", lambda: "")
-    monkeypatch.setattr(xfoil, "_traps", [])
+    monkeypatch.setattr(engines, "xfoil_missing", lambda: "")
+    monkeypatch.setattr(engines, "_traps", [])
 
 
 POLAR = "\n".join(
@@ -93,40 +93,40 @@ def test_a_build_that_traps_is_run_again_without_its_trap(tmp_path, monkeypatch)
     """The stand-in dies of SIGFPE unless something is preloaded, as Debian's build does."""
     script = f"test -n \"$LD_PRELOAD\" || kill -FPE $$\ncat > polar.txt <<'END'\n{POLAR}\nEND"
     stand_in(tmp_path, monkeypatch, script)
-    monkeypatch.setattr(xfoil, "_quiet_library", lambda: "libm.so.6")
+    monkeypatch.setattr(engines, "_quiet_library", lambda: "libm.so.6")
     data = run(load_airfoil("naca0012"), [1e5], alpha_deg=np.arange(0.0, 4.0))
     assert data.known.all()
-    assert xfoil._traps == [True]
+    assert engines._traps == [True]
 
 
 def test_without_a_compiler_the_trap_is_explained(tmp_path, monkeypatch):
     stand_in(tmp_path, monkeypatch, "kill -FPE $$")
-    monkeypatch.setattr(xfoil.shutil, "which", lambda name: None)
-    xfoil._quiet_library.cache_clear()
+    monkeypatch.setattr(engines.shutil, "which", lambda name: None)
+    engines._quiet_library.cache_clear()
     try:
         with pytest.raises(MuflyError, match=r"there is no C compiler to silence it with; install gcc"):
             run(load_airfoil("naca0012"), [1e5], alpha_deg=np.arange(0.0, 4.0))
     finally:
-        xfoil._quiet_library.cache_clear()
+        engines._quiet_library.cache_clear()
 
 
 def test_absent_xfoil_is_explained(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
-    xfoil.xfoil_missing.cache_clear()
+    engines.xfoil_missing.cache_clear()
     try:
         with pytest.raises(
             MuflyError, match=r"not installed \(on Debian: apt install xfoil\); use engine 'neuralfoil'"
         ):
             run(load_airfoil("naca0012"), [1e5])
     finally:
-        xfoil.xfoil_missing.cache_clear()
+        engines.xfoil_missing.cache_clear()
 
 
 def test_narrow_gaps_are_bridged_and_wide_ones_end_the_range():
     alpha = np.arange(-6.0, 10.0)
     table = np.column_stack((0.1 * alpha, 0.02 + 0 * alpha, -0.01 + 0 * alpha))
     table[[2, 7, 12, 13, 14]] = np.nan  # at -4, 1, and 6 to 8 degrees
-    filled, known = xfoil._bridged(alpha, table)
+    filled, known = engines._bridged(alpha, table)
     assert np.flatnonzero(~known).tolist() == [12, 13, 14, 15]
     assert np.allclose(filled[known, 0], 0.1 * alpha[known])
-    assert not xfoil._bridged(alpha, np.full((16, 3), np.nan))[1].any()
+    assert not engines._bridged(alpha, np.full((16, 3), np.nan))[1].any()

@@ -12,7 +12,7 @@ from mufly.link.missions import items_of as items_of_mission
 from mufly.mission import mission_from
 from mufly.station import MissionRow
 from mufly.station.checks import flight_time
-from mufly.station.missions import items_of, rows_of, same_mission
+from mufly.station.transfers import items_of, rows_of, same_mission
 
 PREARM = 268435456
 NAMES = [

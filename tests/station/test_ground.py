@@ -10,7 +10,7 @@ from mock_vehicle import MockVehicle, World, as_float
 
 from mufly.link.codec import Encoder, mavlink
 from mufly.station import GroundLink, MissionRow, Outcome
-from mufly.station.missions import same_mission
+from mufly.station.transfers import same_mission
 
 ROWS = [
     MissionRow("take off", (0.0, 0.0, -1.0)),

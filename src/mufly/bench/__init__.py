@@ -1,8 +1,17 @@
 """What did the test bench say? Measurement files, load cells and their zero, and how far an estimate may be off."""
 
-from mufly.bench.calibration import Calibration, ZeroDrift, calibrate_cells, fit_drift
 from mufly.bench.covariance import Spread, spread
-from mufly.bench.loads import Loads, Prediction, air_density, corrected_loads, predict
+from mufly.bench.loads import (
+    Calibration,
+    Loads,
+    Prediction,
+    ZeroDrift,
+    air_density,
+    calibrate_cells,
+    corrected_loads,
+    fit_drift,
+    predict,
+)
 from mufly.bench.table import SI_UNITS, BenchTable, Column, header_of, parse_header, read_bench
 
 __all__ = [

@@ -1,6 +1,6 @@
 """From readings to loads: zero taken off, gains and cross-talk undone, and what that leaves in doubt.
 
-With sensitivities S and zeros z(t) (:mod:`mufly.bench.calibration`) the loads of a line are
+With sensitivities S and zeros z(t) (:mod:`mufly.bench.loads`) the loads of a line are
 ``F = S^-1 (y - z(t))``. An error of a calibration or of a zero shifts many lines together, so it does not average out;
 its effect is carried along as
 
@@ -13,19 +13,272 @@ followed when there are readings at rest.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.bench.calibration import Calibration, ZeroDrift, fit_drift
-from mufly.bench.covariance import joined
+from mufly.bench.covariance import Spread, joined, spread
 from mufly.bench.table import SI_UNITS, BenchTable
 from mufly.errors import ArgumentError
 from mufly.results import result
 from mufly.rotor import Air, Blading, Condition, System, hover_batch, solve
 
+# ----------------------------------------------------------------------------
+# Load cells: from known loads to gain, offset and cross-talk, with what is not known about them.
+#
+# Sensor ``k`` reads, under the loads ``F_1 ... F_c`` (thrust, torque, ...),
+#
+#     y_k = b_k + sum_l S_kl F_l + error          so          F = S^-1 (y - b).
+#
+# Every row of ``[b S]`` is a linear least-squares fit over the lines of a calibration file, with its covariance from
+# :mod:`mufly.bench.covariance` (drift during the calibration widens it). The off-diagonal terms are the cross-talk;
+# loads that the file does not name are taken to have none. Known weights count as exact. Own derivation; textbook
+# treatment of multi-component balances: Tropea, Yarin and Foss (eds.), Springer Handbook of Experimental Fluid
+# Mechanics, 2007.
+#
+# The zero drifts: readings at zero speed come in blocks (consecutive lines at rest). Over the time ``t`` of the
+# measurement, or the number of the line where no time was kept, a polynomial
+#
+#     zero(t) = a_0 + a_1 tau + ... + a_d tau^d,      tau = (t - middle) / half the span of the zeros
+#
+# is fitted to them. Its degree, at most one less than the number of blocks and at most 3, has the least AICc (Hurvich
+# and Tsai, Biometrika 76, 1989) of the readings; the covariance of ``a`` is that of :mod:`mufly.bench.covariance`,
+# with
+# readings of one block allowed to err alike. From a single block the zero is constant by assumption, which is said.
+
+
 Array = NDArray[np.float64]
+
+
+@result(eq=False)
+class Calibration:
+    """Sensitivity of load cells.
+
+    Attributes
+    ----------
+    channels : tuple of str
+        Loads and readings: ``"thrust"``, ``"torque"``, ``"torque_upper"``, ...; reading k belongs to ``<channel>_raw``.
+    offset : (c,) array
+        Readings without load.
+    sensitivity : (c, c) array
+        Reading (row) per load (column, N or N m).
+    covariance : (c (c + 1), c (c + 1)) array
+        Of ``parameters``: row by row ``b_k, S_k1 ... S_kc``.
+    spreads : tuple of Spread
+        Of every sensor; ``scale`` is the standard deviation of its readings.
+    applied : (c, 2) array
+        Least and greatest load of each kind.
+    source : str
+    notes : tuple of str
+    """
+
+    channels: tuple[str, ...]
+    offset: Array
+    sensitivity: Array
+    covariance: Array
+    spreads: tuple[Spread, ...]
+    applied: Array
+    source: str
+    notes: tuple[str, ...]
+
+    @property
+    def parameters(self) -> Array:
+        """Offsets and sensitivities in the order of ``covariance``."""
+        return np.column_stack([self.offset, self.sensitivity]).ravel()
+
+    def with_parameters(self, parameters: Array) -> Calibration:
+        """Return the calibration with other offsets and sensitivities."""
+        table = parameters.reshape(len(self.channels), -1)
+        return replace(self, offset=table[:, 0], sensitivity=table[:, 1:])
+
+    def loads(self, readings: Array, zero: Array | None = None) -> Array:
+        """Return loads (n, c) of readings (n, c).
+
+        Parameters
+        ----------
+        readings : (n, c) array
+        zero : (n, c) or (c,) array, optional
+            Readings without load at that time; default: those of the calibration.
+        """
+        above = readings - (self.offset if zero is None else zero)
+        return np.asarray(np.linalg.solve(self.sensitivity, above.T).T, dtype=np.float64)
+
+    def gain(self) -> tuple[Array, Array]:
+        """Return gains dF_k/dy_k (c,), N or N m per unit of reading, and their standard deviations."""
+        c = len(self.channels)
+        inverse = np.linalg.inv(self.sensitivity)
+        gain = np.diag(inverse)
+        # d(S^-1) = -S^-1 dS S^-1
+        jacobian = np.zeros((c, c, c + 1))
+        for k in range(c):
+            jacobian[k, :, 1:] = -np.outer(inverse[k], inverse[:, k])
+        flat = jacobian.reshape(c, -1)
+        return gain, np.sqrt(np.diag(flat @ self.covariance @ flat.T))
+
+    def in_words(self) -> list[str]:
+        """Describe gains, offsets and cross-talk with 95 % intervals, a line each."""
+        gain, gain_std = self.gain()
+        c = len(self.channels)
+        std = np.sqrt(np.diag(self.covariance)).reshape(c, c + 1)
+        lines = []
+        for k, name in enumerate(self.channels):
+            t, unit = self.spreads[k].quantile, SI_UNITS[name.split("_")[0]]
+            lines.append(
+                f"{name}: gain {gain[k]:.6g} +- {t * gain_std[k]:.2g} {unit} per unit of reading, reading without load "
+                f"{self.offset[k]:.6g} +- {t * std[k, 0]:.2g}; readings scatter by {self.spreads[k].scale:.2g}"
+            )
+            for j, other in enumerate(self.channels):
+                s, doubt = self.sensitivity[k, j], t * std[k, 1 + j]
+                if j != k and doubt > 0:
+                    per = SI_UNITS[other.split("_")[0]]
+                    seen = "is there" if abs(s) > doubt else "is within its error"
+                    lines.append(
+                        f"  cross-talk of {other} on {name}: {s:.3g} +- {doubt:.2g} per {per}, {seen}"
+                    )
+        return lines + list(self.notes)
+
+
+def calibrate_cells(table: BenchTable) -> Calibration:
+    """Fit load cells to known loads.
+
+    Parameters
+    ----------
+    table : BenchTable
+        Pairs of columns ``<channel>`` (known load) and ``<channel>_raw`` (reading); optional ``time``, ``run``.
+
+    Raises
+    ------
+    InputError
+        If there is no such pair, a load was not varied, or the lines are too few.
+    """
+    channels = tuple(n for n in table.columns if not n.endswith("_raw") and f"{n}_raw" in table)
+    if not channels:
+        remedy = "give columns as thrust_N and thrust_raw_V"
+        raise table.fault("", "has no pair of known load and reading", remedy)
+    table.require([*channels, *(f"{n}_raw" for n in channels)])
+    loads = np.column_stack([table[n] for n in channels])
+    notes: list[str] = []
+    for k, name in enumerate(channels):
+        if np.ptp(loads[:, k]) == 0:
+            raise table.fault(name, "is the same in every line", "hang different known loads on the cell")
+    a = np.column_stack([np.ones(len(table)), loads])
+    n, p = a.shape
+    if n < p + 2:
+        raise table.fault("", f"{n} lines are too few for {p} numbers a sensor", f"give {p + 2} or more")
+    size = np.abs(loads).max(axis=0)
+    if np.linalg.matrix_rank(a / np.r_[1.0, size], tol=1e-6) < p:
+        problem = "rise and fall together, so that cross-talk cannot be told from gain"
+        raise table.fault(" and ".join(channels), problem, "load each cell also without the other")
+    order = np.argsort(table["time"], kind="stable") if "time" in table else np.arange(n)
+    a, run = a[order], (table["run"].astype(np.int64)[order] if "run" in table else None)
+    group = np.unique(loads[order], axis=0, return_inverse=True)[1].ravel().astype(np.int64)
+    rows, spreads = [], []
+    for name in channels:
+        y = table[f"{name}_raw"][order]
+        solution = np.linalg.lstsq(a, y, rcond=None)[0]
+        s = spread(a, y - a @ solution, run=run, group=group)
+        if s.pattern != "white":
+            notes.append(f"{name}: {s.in_words()}")
+        rows.append(solution)
+        spreads.append(s)
+    b = np.array(rows)
+    if abs(np.linalg.det(b[:, 1:] / np.abs(b[:, 1:]).max(axis=0))) < 1e-9:
+        raise table.fault("", "the sensors do not tell the loads apart", "check the columns")
+    return Calibration(
+        channels=channels, offset=b[:, 0], sensitivity=b[:, 1:], covariance=joined(*(s.covariance for s in spreads)),
+        spreads=tuple(spreads), applied=np.column_stack([loads.min(axis=0), loads.max(axis=0)]), source=table.source,
+        notes=tuple(notes),
+    )  # fmt: skip
+
+
+_HIGHEST = 3
+
+
+@result(eq=False)
+class ZeroDrift:
+    """Reading of one sensor without load, over time.
+
+    Attributes
+    ----------
+    coefficients : (d + 1,) array
+        a of the module docstring, in units of the reading.
+    spread : Spread
+        Covariance of the coefficients; ``scale`` is the scatter of the zero readings.
+    middle, half : float
+        Of the time.
+    blocks : int
+        How often the zero was read.
+    change : float
+        Zero at the end less zero at the beginning of the span.
+    """
+
+    coefficients: Array
+    spread: Spread
+    middle: float
+    half: float
+    blocks: int
+    change: float
+
+    def basis(self, time: Array) -> Array:
+        """Return powers of tau, (n, d + 1)."""
+        return np.vander((time - self.middle) / self.half, self.coefficients.size, increasing=True)
+
+    def at(self, time: Array) -> Array:
+        """Return the zero reading (n,) at times (n,)."""
+        return self.basis(time) @ self.coefficients
+
+    def std_at(self, time: Array) -> Array:
+        """Return the standard deviation (n,) of the zero."""
+        b = self.basis(time)
+        return np.sqrt(np.einsum("ij,jk,ik->i", b, self.spread.covariance, b))
+
+
+def fit_drift(time: Array, reading: Array, at_rest: NDArray[np.bool_]) -> ZeroDrift | None:
+    """Fit the zero of a sensor.
+
+    Parameters
+    ----------
+    time : (n,) array
+        Of all readings, in the order of measurement.
+    reading : (n,) array
+    at_rest : (n,) array of bool
+        Which were taken without load.
+
+    Returns
+    -------
+    ZeroDrift or None
+        None without a reading at rest.
+    """
+    if not at_rest.any():
+        return None
+    starts = np.diff(np.r_[False, at_rest].astype(int)) == 1
+    block = np.cumsum(starts)[at_rest].astype(np.int64)
+    t, y = time[at_rest], reading[at_rest]
+    blocks = int(block.max())
+    middle, half = 0.5 * (t.max() + t.min()), max(0.5 * float(np.ptp(t)), 1e-9)
+    tau, n = (t - middle) / half, y.size
+    chosen, least = 0, np.inf
+    for degree in range(min(_HIGHEST, blocks - 1, n - 3) + 1 if n > 3 else 1):
+        a = np.vander(tau, degree + 1, increasing=True)
+        rest = y - a @ np.linalg.lstsq(a, y, rcond=None)[0]
+        k = degree + 2
+        if n - k - 1 <= 0:
+            break
+        score = n * np.log(max(float(rest @ rest) / n, 1e-300)) + 2 * k + 2 * k * (k + 1) / (n - k - 1)
+        if score < least:
+            chosen, least = degree, score
+    if n <= 3 and blocks >= 2:
+        chosen = 1  # before and after: a straight line, and no reading left over to judge it by
+    a = np.vander(tau, chosen + 1, increasing=True)
+    solution = np.asarray(np.linalg.lstsq(a, y, rcond=None)[0], dtype=np.float64)
+    if n > chosen + 1:
+        s = spread(a, y - a @ solution, group=block)
+    else:
+        s = Spread(np.zeros((chosen + 1, chosen + 1)), 0.0, 1.0, "white", 0.0)
+    ends = np.vander(np.array([-1.0, 1.0]), chosen + 1, increasing=True) @ solution
+    return ZeroDrift(solution, s, float(middle), half, blocks, float(ends[1] - ends[0]))
+
 
 _FORCES = ("thrust", "torque")
 

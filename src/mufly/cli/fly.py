@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from mufly.flight import Event, Progress, Summary
     from mufly.link import Endpoint, VehicleProcess
     from mufly.mission import Mission
-    from mufly.station.page.access import Address
+    from mufly.station.page.server import Address
     from mufly.station.page.session import Session
     from mufly.vehicle import Vehicle
 
@@ -320,7 +320,7 @@ def fly(
     preflight(order.vehicle, order.mission, vehicle_file=vehicle, mission_file=mission)
     address = None
     if not (headless or as_json):
-        from mufly.station.page.access import choose_address
+        from mufly.station.page.server import choose_address
 
         address = choose_address(host, port, token)
     terminal.print(

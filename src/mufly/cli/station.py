@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from mufly.link import Endpoint, Report
-    from mufly.logs.layout import Event
-    from mufly.station.page.access import Address
+    from mufly.logs.mcap import Event
+    from mufly.station.page.server import Address
 
 
 VehicleOption = Annotated[str, option("--vehicle -v", "Vehicle file, or a built-in vehicle.")]
@@ -239,8 +239,7 @@ def station(
         with progress_bar("Reading", True) as progress:
             recording = open_recording(open_file, progress)
 
-    from mufly.station.page.access import choose_address
-    from mufly.station.page.server import serve
+    from mufly.station.page.server import choose_address, serve
     from mufly.station.page.session import Session
 
     address = choose_address(host, port, token)
@@ -349,7 +348,7 @@ def link(
         check_place(out)
 
     # Whatever can be wrong with the input is found before the heavy libraries are loaded.
-    from mufly.link.conventions import parse_origin
+    from mufly.link.codec import parse_origin
     from mufly.mission import Mission, load_mission, preflight
     from mufly.vehicle import load_vehicle
 

@@ -2,6 +2,13 @@
 
 from mufly.control.designs import DEFAULT_RATE_HZ, Design, FlightController, design
 from mufly.control.hinf import HinfResult, close_loop, hinfsyn
+from mufly.control.implementation import (
+    Candidate,
+    DiscreteController,
+    Reduction,
+    discretise,
+    reduce_controller,
+)
 from mufly.control.law import (
     heave_wait,
     heave_yaw_initial,
@@ -22,8 +29,6 @@ from mufly.control.linear import (
     sample_plant,
     singular_values,
 )
-from mufly.control.reduction import Candidate, Reduction, reduce_controller
-from mufly.control.sampled import DiscreteController, discretise
 from mufly.control.schemes import (
     OneDegreeWeights,
     Scaling,

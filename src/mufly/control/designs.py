@@ -13,6 +13,13 @@ import control
 import numpy as np
 
 from mufly.control.hinf import hinfsyn
+from mufly.control.implementation import (
+    DiscreteController,
+    Reduction,
+    analyse_cascade,
+    discretise,
+    reduce_controller,
+)
 from mufly.control.law import (
     HEAVE_YAW_GAINS,
     HEAVE_YAW_ORDER,
@@ -33,8 +40,6 @@ from mufly.control.linear import (
     singular_values,
     state_space,
 )
-from mufly.control.reduction import Reduction, reduce_controller
-from mufly.control.sampled import DiscreteController, analyse_cascade, discretise
 from mufly.control.schemes import (
     Scaling,
     Settings,

@@ -1,6 +1,6 @@
 """The control law that runs on board: pure functions of gains, state, reference and measurement, one call a period.
 
-Each controller is ``u = C x + D e``, ``x+ = A x + B e + M (sat(u) - u)`` (:mod:`mufly.control.sampled`).
+Each controller is ``u = C x + D e``, ``x+ = A x + B e + M (sat(u) - u)`` (:mod:`mufly.control.implementation`).
 
 Heave-yaw. The reference passes a second-order filter whose acceleration and speed are limited to what the motors can
 give, so that a step does not rail them. A reference that comes with its rate and stays within the limits passes
@@ -40,8 +40,8 @@ from typing import cast
 import numpy as np
 
 from mufly.compiled import compiled
+from mufly.control.implementation import DiscreteController
 from mufly.control.linear import Array
-from mufly.control.sampled import DiscreteController
 from mufly.errors import MuflyError
 
 

@@ -1,13 +1,5 @@
 """What turns the rotors? Motor, gear and battery; where rotor and drive meet, and how long the battery lasts."""
 
-from mufly.drive.battery import (
-    Endurance,
-    battery_voltage,
-    hover_endurance,
-    interpolate,
-    open_circuit_voltage,
-    terminal_voltage,
-)
 from mufly.drive.gear import GearOptima, adapted_gear, best_gear, gear_curve, gear_optima
 from mufly.drive.operating import (
     OperatingPoint,
@@ -23,12 +15,18 @@ from mufly.drive.operating import (
 from mufly.drive.train import (
     Constants,
     Drive,
+    Endurance,
     armature_current,
+    battery_voltage,
     builtin_drives,
     drive_of,
     drive_toml,
+    hover_endurance,
+    interpolate,
     load_drive,
+    open_circuit_voltage,
     rotor_acceleration,
+    terminal_voltage,
 )
 
 __all__ = [

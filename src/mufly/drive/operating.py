@@ -36,8 +36,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mufly.drive.battery import battery_voltage, internal_resistance, open_circuit_voltage, terminal_voltage
-from mufly.drive.train import Constants, Drive, armature_current, rotor_acceleration
+from mufly.drive.train import (
+    Constants,
+    Drive,
+    armature_current,
+    battery_voltage,
+    internal_resistance,
+    open_circuit_voltage,
+    rotor_acceleration,
+    terminal_voltage,
+)
 from mufly.errors import InputError, MuflyError
 from mufly.results import result
 from mufly.rotor import Air, Blading, hover_batch

@@ -1,9 +1,15 @@
 """How does it move? Equations of motion, trim, linearisation, simulation, wind and ground."""
 
-from mufly.dynamics.equilibrium import HoverPerformance, Trim, hover_performance, trim
-from mufly.dynamics.linearisation import Linearisation, linearise, submodel
+from mufly.dynamics.linearisation import (
+    HoverPerformance,
+    Linearisation,
+    Trim,
+    hover_performance,
+    linearise,
+    submodel,
+    trim,
+)
 from mufly.dynamics.model import battery_state, derivative, lowest_point, standing_height
-from mufly.dynamics.parameters import PARAMETERS, hover_speeds, model_parameters
 from mufly.dynamics.simulation import (
     DEFAULT_STEP_S,
     DrydenWind,
@@ -15,9 +21,12 @@ from mufly.dynamics.simulation import (
 )
 from mufly.dynamics.state import (
     INPUT_SIZE,
+    PARAMETERS,
     STATE_SIZE,
     euler_from_quaternion,
+    hover_speeds,
     initial_state,
+    model_parameters,
     quaternion_from_euler,
     rotation,
 )

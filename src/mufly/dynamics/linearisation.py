@@ -1,30 +1,340 @@
-"""Linear models about a trim, in the thesis's state (eq. 4.30), with the two parts of appendix B.
+"""Trim, and what hovering costs. Trim is inputs, rotor speeds and attitude at which nothing accelerates.
 
-The Jacobian is that of :func:`mufly.dynamics.model.derivative` by central differences, taken in coordinates without
-redundancy: body velocity, Euler angles, and roll and pitch of the bar's disc seen at the trim's heading::
+Unknowns: both rotor speeds, both motor inputs, both tilts of the lower rotor (through the servos), roll and pitch.
+Equations: the six accelerations and the two rotor accelerations of :func:`mufly.dynamics.model.derivative` vanish.
+In steady flight the stabiliser bar is square to the mast. Hover in closed form starts the search::
 
-    d(phi, theta, psi)/dt from (p, q, r)  by eq. 4.3, correctly written     (docs/thesis-errata.md, point 4)
-    dv_B/dt = A^T dv/dt - W x v_B
-    bar normal s = Rz(psi_0) (-sin zeta cos eta, sin eta, -cos zeta cos eta)     eta: bar_roll, zeta: bar_pitch
+    cT_up k_T Wu^2 + cT_dw k_T Wd^2 = m g + W_hub        cQ_up Wu^2 = cQ_dw Wd^2        (eq. 5.1)
 
-At hover the parts equal appendix B. ``a_dw`` is the lower rotor's tilt that pitches (-tilt_pitch), ``b_dw`` the one
-that rolls (tilt_roll).
+with a coefficient map by repeating it with the coefficients at the speeds that it gave last.
+
+Endurance is the time that hovering takes to use up the battery: ``C d(charge)/dt = -I(charge)``, with the current of
+the trim at each charge, down to the charge at which the terminal voltage falls to ``battery.low_voltage`` or the
+motors reach full input. Thrust to weight is that of both motors at full input once their rotors have settled, the
+battery sagging under the load. Own derivation.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import control
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import root
 
-from mufly.dynamics.equilibrium import Trim, trim
-from mufly.dynamics.model import derivative
-from mufly.dynamics.parameters import model_parameters
-from mufly.dynamics.state import STATE_SIZE, euler_from_quaternion, quaternion_from_euler, rotation
+from mufly.dynamics.model import battery_state, climb_velocity, derivative, inside_map, rotor_loads
+from mufly.dynamics.state import (
+    STATE_SIZE,
+    euler_from_quaternion,
+    hover_speeds,
+    initial_state,
+    model_parameters,
+    quaternion_from_euler,
+    rotation,
+)
+from mufly.errors import InputError, MuflyError
 from mufly.results import result
+from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
+
+_HOVER_ROUNDS = 30
+
+
+@result
+class Trim:
+    """A steady flight condition.
+
+    Attributes
+    ----------
+    state : (21,) array
+        See :mod:`mufly.dynamics.state`; at the origin of N-E-D.
+    input : (4,) array
+        Motor upper, motor lower, servo 1, servo 2.
+    wind : (3,) array
+        N-E-D (m/s).
+    thrust_N, torque_Nm : (2,) array
+        Upper, lower rotor.
+    voltage_V, current_A, power_W : float
+        At the battery's terminals.
+    constant_voltage_V : float or None
+        The voltage held by the model, None if the vehicle's own battery model was used.
+    inside_map : bool
+        False where the vehicle's coefficient map answers from its edge.
+    """
+
+    state: NDArray[np.float64]
+    input: NDArray[np.float64]
+    wind: NDArray[np.float64]
+    thrust_N: NDArray[np.float64]
+    torque_Nm: NDArray[np.float64]
+    voltage_V: float
+    current_A: float
+    power_W: float
+    constant_voltage_V: float | None
+    inside_map: bool = True
+
+    def __str__(self) -> str:
+        n, e, d = self.state[3:6]
+        roll, pitch, _ = np.degrees(euler_from_quaternion(self.state[6:10]))
+        rpm = self.rotor_speed * 30.0 / np.pi
+        return (
+            f"steady at N {n:g}, E {e:g}, D {d:g} m/s: roll {roll:.2f}, pitch {pitch:.2f} deg\n"
+            f"  motor input {self.input[0]:.3f} upper, {self.input[1]:.3f} lower; "
+            f"servo input {self.input[2]:.3f}, {self.input[3]:.3f}\n"
+            f"  rotor speed {rpm[0]:.0f} upper, {rpm[1]:.0f} lower rpm; "
+            f"thrust {self.thrust_N[0]:.3f}, {self.thrust_N[1]:.3f} N\n"
+            f"  battery {self.voltage_V:.2f} V, {self.current_A:.2f} A, {self.power_W:.1f} W"
+            + ("" if self.inside_map else "\n  beyond the coefficient map, whose edge is used")
+        )
+
+    @property
+    def motor_input(self) -> NDArray[np.float64]:
+        """Upper, lower (0..1)."""
+        return self.input[0:2]
+
+    @property
+    def servo_input(self) -> NDArray[np.float64]:
+        """Servo 1, servo 2 (-1..1)."""
+        return self.input[2:4]
+
+    @property
+    def rotor_speed(self) -> NDArray[np.float64]:
+        """Upper, lower (rad/s)."""
+        return self.state[18:20]
+
+
+def trim(
+    vehicle: Vehicle,
+    *,
+    velocity: ArrayLike = (0.0, 0.0, 0.0),
+    wind: ArrayLike = (0.0, 0.0, 0.0),
+    heading: float = 0.0,
+    voltage: float | None = None,
+    charge: float | None = None,
+) -> Trim:
+    """Find the steady flight condition for a velocity: hover by default, or steady climb or translation.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    velocity, wind : (3,) array_like
+        N-E-D (m/s).
+    heading : float
+        Yaw angle (rad).
+    voltage : float, optional
+        Battery voltage held constant (V); the nominal voltage by default.
+    charge : float, optional
+        Use the vehicle's own battery model at this fraction of its charge instead.
+
+    Returns
+    -------
+    Trim
+
+    Raises
+    ------
+    InputError
+        If the vehicle is too heavy to hover, or an argument is impossible.
+    MuflyError
+        If no trim exists at this velocity.
+    """
+    velocity_, wind_ = _three(velocity, "velocity"), _three(wind, "wind")
+    if charge is not None and voltage is not None:
+        raise InputError("trim", "voltage", "given together with charge", "give one of them")
+    if charge is not None and not 0.0 <= charge <= 1.0:
+        raise InputError("trim", "charge", f"{charge} is not possible", "give a fraction from 0 to 1")
+    constant = None
+    if charge is None:
+        constant = float(vehicle.battery.nominal_voltage) if voltage is None else voltage
+    p = model_parameters(vehicle, constant)
+    charge_ = 1.0 if charge is None else charge
+
+    speed, duty, volts = _hover_estimate(p, charge_)
+    if np.any(duty > 1.0):
+        raise InputError(
+            vehicle.name,
+            "body.mass",
+            f"too heavy to hover: {p['mass'] * 1e3:.0f} g need motor inputs of {duty[0]:.2f} (upper) and "
+            f"{duty[1]:.2f} (lower) at {volts:.2f} V, at most 1 is possible",
+            "lower it, raise the battery voltage, or change rotors, gear or motors",
+        )
+
+    def build(unknown: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        upper, lower, motor_up, motor_dw, servo_1, servo_2, roll, pitch = unknown
+        x = initial_state(
+            position=(0.0, 0.0, -1e3),  # out of the floor's reach
+            velocity=velocity_,
+            attitude=(roll, pitch, heading),
+            rotor_speed=np.array([upper, lower]) * speed,
+            charge=charge_,
+        )
+        x[13], x[14] = p["swash_gain"] * servo_2, -p["swash_gain"] * servo_1
+        return x, np.array([motor_up, motor_dw, servo_1, servo_2])
+
+    rates = np.empty(STATE_SIZE)
+
+    def residual(unknown: NDArray[np.float64]) -> NDArray[np.float64]:
+        x, u = build(unknown)
+        derivative(x, u, wind_, p, rates)
+        return np.concatenate([rates[3:6] / GRAVITY, rates[10:13] / 100.0, rates[18:20] / 1000.0])
+
+    start = np.array([1.0, 1.0, duty[0], duty[1], 0.0, 0.0, 0.0, 0.0])
+    found = root(residual, start, method="hybr", options={"xtol": 1e-13})
+    x, u = build(found.x)
+    worst = float(np.max(np.abs(residual(found.x))))
+    if not worst < 1e-9 or np.any(u[:2] >= 1.0) or np.any(np.abs(u[2:]) > 1.0):
+        raise MuflyError(
+            f"{vehicle.name}: no steady flight at velocity {velocity_.tolist()} m/s in wind {wind_.tolist()} m/s "
+            f"within the inputs' range (motors {u[0]:.2f}, {u[1]:.2f}); ask for a lower speed or less wind"
+        )
+    x[2] = 0.0
+    volts, current = battery_state(x, u[0], u[1], p)
+    climb = float(climb_velocity(x, wind_))
+    t_up, t_dw, q_up, q_dw = rotor_loads(p, x[18], x[19], climb)
+    return Trim(
+        state=x,
+        input=u,
+        wind=wind_,
+        thrust_N=np.array([t_up, t_dw]),
+        torque_Nm=np.array([q_up, q_dw]),
+        voltage_V=float(volts),
+        current_A=float(current),
+        power_W=float(volts * current),
+        constant_voltage_V=constant,
+        inside_map=inside_map(vehicle, x[18], x[19], climb),
+    )
+
+
+def _three(vector: ArrayLike, name: str) -> NDArray[np.float64]:
+    v = np.asarray(vector, dtype=np.float64)
+    if v.shape != (3,) or not np.all(np.isfinite(v)):
+        raise InputError("trim", name, f"{vector!r}", "give three finite numbers N, E, D in m/s")
+    return v
+
+
+def _hover_estimate(
+    p: np.void, charge: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:  # fmt: skip
+    """Return rotor speeds, motor inputs (not limited to 1) and voltage in hover."""
+    thrust = np.array([p["thrust_up"], p["thrust_dw"]])  # over the squares of the speeds
+    drag = np.array([p["torque_up"], p["torque_dw"]])
+    for _ in range(_HOVER_ROUNDS if p["map_nodes"] else 1):
+        speed = hover_speeds(p, thrust, drag)
+        if p["map_nodes"]:
+            loads = np.array(rotor_loads(p, speed[0], speed[1])).reshape(2, 2) / speed**2
+            if not np.all(loads > 0.0):
+                raise MuflyError("the coefficient map has no lift or no drag at hover; use another map")
+            # Half steps: a faster lower rotor meets less of the upper one's downwash and calls for less speed.
+            thrust, drag = 0.5 * (thrust + loads[0]), 0.5 * (drag + loads[1])
+    torque = drag * speed**2
+    i = p["gear_ratio"]
+    current = (p["dR"] * speed + torque / (i * i * p["gear_efficiency"])) * i / p["kM"]
+    armature_voltage = current * p["R_ohm"] + p["kE"] * i * speed
+    # Motors draw armature_voltage * current of power; solve U (U_oc - U) / R_bat = power + U I_el for U.
+    open_circuit = float(np.interp(charge, np.linspace(0, 1, len(p["battery_curve"])), p["battery_curve"]))
+    r = p["battery_resistance"]
+    drive_power = float(np.sum(armature_voltage * current))
+    source = open_circuit - r * p["electronics_current"]
+    voltage = source / 2 + math.sqrt(max(source * source / 4 - r * drive_power, 0.0))
+    return speed, armature_voltage / voltage, voltage
+
+
+_CHARGES = 21
+
+
+@result
+class HoverPerformance:
+    """Hover on a half-full battery, and its reserves.
+
+    Attributes
+    ----------
+    rotor_speed_rad_s, motor_input, thrust_N : (float, float)
+        Upper, lower.
+    voltage_V, current_A, power_W : float
+        At the battery's terminals, electronics included.
+    endurance_s : float
+        Hovering time from a full battery.
+    thrust_to_weight_full, thrust_to_weight_half : float
+        Both motors at full input, on a full and on a half-full battery.
+    """
+
+    rotor_speed_rad_s: tuple[float, float]
+    motor_input: tuple[float, float]
+    thrust_N: tuple[float, float]
+    voltage_V: float
+    current_A: float
+    power_W: float
+    endurance_s: float
+    thrust_to_weight_full: float
+    thrust_to_weight_half: float
+
+
+def hover_performance(vehicle: Vehicle) -> HoverPerformance:
+    """Return hover point, endurance and greatest thrust of a vehicle with its own battery model.
+
+    Raises
+    ------
+    MuflyError
+        If the vehicle is too heavy to hover on a half-full battery.
+    """
+    t = trim(vehicle, charge=0.5)
+    return HoverPerformance(
+        rotor_speed_rad_s=(float(t.rotor_speed[0]), float(t.rotor_speed[1])),
+        motor_input=(float(t.motor_input[0]), float(t.motor_input[1])),
+        thrust_N=(float(t.thrust_N[0]), float(t.thrust_N[1])),
+        voltage_V=t.voltage_V,
+        current_A=t.current_A,
+        power_W=t.power_W,
+        endurance_s=_endurance(vehicle),
+        thrust_to_weight_full=_thrust_to_weight(vehicle, 1.0),
+        thrust_to_weight_half=_thrust_to_weight(vehicle, 0.5),
+    )
+
+
+def _endurance(vehicle: Vehicle) -> float:
+    charges = np.linspace(1.0, 0.0, _CHARGES)
+    seconds_per_charge: list[float] = []
+    for charge in charges:
+        try:
+            t = trim(vehicle, charge=float(charge))
+        except MuflyError:
+            break
+        if t.voltage_V < float(vehicle.battery.low_voltage):
+            break
+        seconds_per_charge.append(float(vehicle.battery.capacity) / t.current_A)
+    y = np.array(seconds_per_charge)
+    return float(np.sum((y[1:] + y[:-1]) / 2) / (_CHARGES - 1))
+
+
+def _thrust_to_weight(vehicle: Vehicle, charge: float) -> float:
+    p, rates = model_parameters(vehicle), np.empty(STATE_SIZE)
+    full, calm = np.array([1.0, 1.0, 0.0, 0.0]), np.zeros(3)
+
+    def acceleration(speed: NDArray[np.float64]) -> NDArray[np.float64]:
+        x = initial_state(position=(0, 0, -1e3), rotor_speed=speed, charge=charge)
+        derivative(x, full, calm, p, rates)
+        return rates[18:20].copy()
+
+    start = trim(vehicle, charge=0.5).rotor_speed
+    up, dw = root(acceleration, start, tol=1e-10).x
+    thrust_up, thrust_dw, _, _ = rotor_loads(p, up, dw)
+    return float((thrust_up + thrust_dw) / (p["mass"] * GRAVITY))
+
+
+# ----------------------------------------------------------------------------
+# Linear models about a trim, in the thesis's state (eq. 4.30), with the two parts of appendix B.
+#
+# The Jacobian is that of :func:`mufly.dynamics.model.derivative` by central differences, taken in coordinates without
+# redundancy: body velocity, Euler angles, and roll and pitch of the bar's disc seen at the trim's heading::
+#
+#     d(phi, theta, psi)/dt from (p, q, r)  by eq. 4.3, correctly written     (docs/thesis-errata.md, point 4)
+#     dv_B/dt = A^T dv/dt - W x v_B
+#     bar normal s = Rz(psi_0) (-sin zeta cos eta, sin eta, -cos zeta cos eta)     eta: bar_roll, zeta: bar_pitch
+#
+# At hover the parts equal appendix B. ``a_dw`` is the lower rotor's tilt that pitches (-tilt_pitch), ``b_dw`` the one
+# that rolls (tilt_roll).
+
 
 STATES = ["x", "y", "z", "u", "v", "w", "phi", "theta", "psi", "p", "q", "r", "a_dw", "b_dw"]
 STATES += ["bar_roll", "bar_pitch", "Omega_dw", "Omega_up", "charge"]

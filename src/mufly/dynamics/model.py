@@ -51,8 +51,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled import compiled
-from mufly.drive.battery import interpolate, terminal_voltage
-from mufly.drive.train import armature_current, rotor_acceleration
+from mufly.drive.train import armature_current, interpolate, rotor_acceleration, terminal_voltage
 from mufly.dynamics.state import rotation
 from mufly.rotor.maps import at
 from mufly.rotor.maps import interpolate as maps_interpolate

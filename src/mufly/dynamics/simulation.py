@@ -39,8 +39,7 @@ from scipy.special import gammainc
 
 from mufly.compiled import compiled
 from mufly.dynamics.model import battery_state, coefficient_bounds, derivative
-from mufly.dynamics.parameters import model_parameters
-from mufly.dynamics.state import INPUT_SIZE, STATE_SIZE, euler_from_quaternion
+from mufly.dynamics.state import INPUT_SIZE, STATE_SIZE, euler_from_quaternion, model_parameters
 from mufly.errors import InputError
 from mufly.quantities import labelled
 from mufly.vehicle import Vehicle

@@ -21,11 +21,19 @@ the nose down, positive servo 2 rolls to the right (docs/thesis-errata.md, point
 from __future__ import annotations
 
 import math
+from operator import attrgetter
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mufly.compiled import compiled
+from mufly.errors import InputError
+from mufly.rotor.maps import at, packed
+from mufly.units import GRAVITY
+from mufly.vehicle import Vehicle
+from mufly.vehicle.coefficient_map import MAP_NODES
+from mufly.vehicle.schema import MAX_LEGS
 
 STATE_SIZE = 21
 INPUT_SIZE = 4
@@ -123,3 +131,209 @@ def initial_state(
     state[18:20] = rotor_speed
     state[20] = charge
     return state
+
+
+# ----------------------------------------------------------------------------
+# The numbers of the equations of motion, taken from a vehicle once.
+#
+# A NumPy record, because Numba reads ``p.mass`` from it as fast as from a C struct, and an array of records is a
+# batch of different vehicles.
+
+
+_CURVE_POINTS = 101
+_RIM_POINTS = 8
+_MAX_POINTS = MAX_LEGS + _RIM_POINTS
+_FASTEST_FRICTION = 2000.0  # 1/s, resolved by Runge-Kutta steps of 1 ms
+
+# Field, and the parameter of a vehicle file that it takes as it is; "" for what is worked out below, or a shape.
+_FIELDS: dict[str, str | tuple[int, ...]] = {
+    "mass": "body.mass",  # kg
+    "Ixx": "body.inertia_xx",  # kg m2
+    "Iyy": "body.inertia_yy",
+    "Izz": "body.inertia_zz",
+    "thrust_up": "",  # N s2, T = thrust_up * Omega^2
+    "thrust_dw": "",
+    "torque_up": "",  # N m s2, Q = torque_up * Omega^2
+    "torque_dw": "",
+    "z_up": "rotors.upper.hub_z",  # m, hub in body axes
+    "z_dw": "rotors.lower.hub_z",
+    "J_up": "rotors.upper.drive_inertia",  # kg m2, as the motor sees it
+    "J_dw": "rotors.lower.drive_inertia",
+    "Jreact_up": "rotors.upper.reaction_inertia",  # kg m2, reacting on the fuselage
+    "Jreact_dw": "rotors.lower.reaction_inertia",
+    "kE": "motor.back_emf_constant",  # V s
+    "kM": "motor.torque_constant",  # N m/A
+    "dR": "motor.friction",  # N m s
+    "R_ohm": "motor.resistance",  # ohm
+    "gear_ratio": "gear.ratio",
+    "gear_efficiency": "gear.efficiency",
+    "swash_rate": "",  # 1/s, 1 / T_f,dw
+    "swash_gain": "",  # rad at full servo input
+    "bar_rate": "",  # 1/s, 1 / T_f,up
+    "bar_gain": "stabiliser_bar.linkage",  # l_up
+    "downwash": "body.downwash_drag",  # N
+    "drag_x": "",  # N s2/m2, rho cD A / 2
+    "drag_y": "",
+    "drag_z": "",
+    "battery_capacity": "battery.capacity",  # A s
+    "battery_resistance": "",  # ohm
+    "electronics_current": "battery.electronics_current",  # A
+    "battery_curve": (_CURVE_POINTS,),  # V over charge 0..1
+    "leg_stiffness": "contact.stiffness",  # N/m
+    "leg_damping": "contact.damping",  # N s/m
+    "leg_friction": "contact.friction",
+    "slip_speed": "contact.slip_speed",  # m/s
+    "friction_bound": (_MAX_POINTS,),  # N s/m, see mufly.dynamics.model.contact_wrench
+    "contact_reach": "",  # m, farthest contact point from the centre of gravity
+    "contact_count": "",
+    "contact_points": (_MAX_POINTS, 3),  # m, body axes: legs first, then the rim of the upper rotor
+    # Coefficient map, see mufly.dynamics.model: what stands above as thrust_up ... torque_dw is not used with one.
+    "map_nodes": "",  # 0: no map
+    "map_size": (3,),  # mean speeds, ratios, climbs
+    "map_start": (3,),
+    "map_per_step": (3,),
+    "map_radius": "",  # m
+    "map_thrust_up": (MAP_NODES,),  # N s2
+    "map_torque_up": (MAP_NODES,),  # N m s2
+    "map_thrust_dw": (MAP_NODES,),
+    "map_torque_dw": (MAP_NODES,),
+}
+_TAKEN = {name: attrgetter(key) for name, key in _FIELDS.items() if key and isinstance(key, str)}
+PARAMETERS = np.dtype(
+    [
+        (
+            name,
+            np.int64 if name in ("contact_count", "map_nodes", "map_size") else np.float64,
+            source if isinstance(source, tuple) else (),
+        )
+        for name, source in _FIELDS.items()
+    ]
+)
+
+
+def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
+    """Return the parameters of the equations of motion.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle.
+    voltage : float, optional
+        Holds the battery at this voltage (V), whatever current is drawn. By default the vehicle's own battery
+        model holds: ``"lithium-polymer"`` sags, ``"constant"`` keeps the nominal voltage.
+
+    Returns
+    -------
+    record of type :data:`PARAMETERS`
+        SI units. ``np.array([first, second], dtype=PARAMETERS)`` makes a batch of different vehicles.
+
+    Raises
+    ------
+    InputError
+        If the voltage is not positive.
+    """
+    if voltage is not None and not (np.isfinite(voltage) and voltage > 0):
+        raise InputError(vehicle.name, "voltage", f"{voltage} V is not possible", "give a positive voltage")
+    b, r, c = vehicle.body, vehicle.rotors, vehicle.contact
+    rho, radius = float(vehicle.air.density), float(r.radius)
+    constant = voltage if voltage is not None else float(vehicle.battery.nominal_voltage)
+    sags = voltage is None and vehicle.battery.model == "lithium-polymer"
+    curve = vehicle.battery.open_circuit_voltage
+
+    legs = c.legs.array()
+    angle = np.arange(_RIM_POINTS) * 2 * np.pi / _RIM_POINTS
+    rim = np.column_stack(
+        [radius * np.cos(angle), radius * np.sin(angle), np.full(_RIM_POINTS, float(r.upper.hub_z))]
+    )
+    points = np.vstack([legs, rim])
+    padded = np.zeros((_MAX_POINTS, 3))
+    padded[: len(points)] = points
+    arm = np.sum(points[:, :2] ** 2, axis=1)
+    share = np.concatenate(
+        [np.full(len(legs), arm[: len(legs)].sum()), np.full(_RIM_POINTS, arm[len(legs) :].sum())]
+    )
+    bound = np.full(_MAX_POINTS, np.inf)
+    bound[: len(points)] = _FASTEST_FRICTION * float(b.inertia_zz) / np.maximum(share, 1e-12)
+
+    values: dict[str, Any] = {name: float(take(vehicle)) for name, take in _TAKEN.items()}
+    for side, rotor in (("up", r.upper), ("dw", r.lower)):
+        values[f"thrust_{side}"] = float(rotor.thrust_coefficient) * (np.pi * rho * radius**4)  # eq. 4.11
+        values[f"torque_{side}"] = float(rotor.torque_coefficient) * (np.pi * rho * radius**5)  # eq. 4.12
+    values |= {
+        "swash_rate": 1.0 / float(vehicle.swash_plate.time_constant),
+        "swash_gain": float(vehicle.swash_plate.linkage) * float(vehicle.swash_plate.max_tilt),
+        "bar_rate": 1.0 / float(vehicle.stabiliser_bar.time_constant),
+        "drag_x": 0.5 * rho * float(b.drag_area_x),
+        "drag_y": 0.5 * rho * float(b.drag_area_y),
+        "drag_z": 0.5 * rho * float(b.drag_area_z),
+        "battery_resistance": float(vehicle.battery.internal_resistance) if sags else 0.0,
+        "battery_curve": curve.sample(_CURVE_POINTS) if sags else np.full(_CURVE_POINTS, constant),
+        "friction_bound": bound,
+        "contact_reach": float(np.max(np.linalg.norm(points, axis=1))),
+        "contact_count": len(points),
+        "contact_points": padded,
+    }
+    values |= _map_numbers(vehicle, values)
+    record = np.zeros((), dtype=PARAMETERS)
+    for name, value in values.items():
+        record[name] = value
+    return cast(np.void, record[()])
+
+
+def hover_speeds(
+    p: Any, thrust: ArrayLike | None = None, torque: ArrayLike | None = None
+) -> NDArray[np.float64]:
+    """Return the rotor speeds (upper, lower; rad/s; shape (..., 2)) in hover: eq. 5.1.
+
+    The rotors carry weight and downwash drag, and their torques balance::
+
+        cT_up k_T Wu^2 + cT_dw k_T Wd^2 = m g + W_hub        cQ_up Wu^2 = cQ_dw Wd^2
+
+    Parameters
+    ----------
+    p : record of type :data:`PARAMETERS`, or array of them
+        A mapping with its fields will do.
+    thrust, torque : (2, ...) array_like, optional
+        Of upper and lower rotor over the squares of their speeds (N s2, N m s2); the constants of ``p`` by default.
+    """
+    t_up, t_dw = (p["thrust_up"], p["thrust_dw"]) if thrust is None else np.asarray(thrust)
+    q_up, q_dw = (p["torque_up"], p["torque_dw"]) if torque is None else np.asarray(torque)
+    ratio = q_up / q_dw  # (lower speed / upper speed)^2
+    upper = np.sqrt((p["mass"] * GRAVITY + p["downwash"]) / (t_up + t_dw * ratio))
+    return np.stack([upper, upper * np.sqrt(ratio)], axis=-1)
+
+
+def _map_numbers(vehicle: Vehicle, constants: dict[str, float]) -> dict[str, Any]:
+    """Return what a record holds of a vehicle's map, beside its constants; nothing without one.
+
+    Tables hold thrust and torque over ``Omega^2`` (N s2, N m s2), the rest of a table its last value. With
+    ``rotors.map_level = "constants"`` each table is scaled so that at the hover point of the constant coefficients
+    (eq. 5.1) it gives them.
+    """
+    r, m = vehicle.rotors, vehicle.rotors.coefficient_map
+    if m is None:
+        return {}
+    rho, radius = float(vehicle.air.density), float(r.radius)
+    unit = np.pi * rho * radius**4 * np.array([1.0, radius, 1.0, radius])
+    each = [f"{what}_{side}" for side in ("up", "dw") for what in ("thrust", "torque")]
+    level = np.ones(4)
+    if r.map_level == "constants":
+        up, dw = hover_speeds(constants)
+        there, _ = at(m, 0.5 * (up + dw), dw / up, 0.0)
+        if not np.all(there > 0.0):
+            raise InputError(
+                vehicle.name, "rotors.map_level", f"map {m.name!r} has no lift or no drag at hover to be scaled",
+                "use 'computed', or another map",
+            )  # fmt: skip
+        level = np.array([constants[name] for name in each]) / unit / there
+    *tables, size, start, per_step = packed(m)
+    full = np.array([np.concatenate([t, np.full(MAP_NODES - t.size, t[-1])]) for t in tables])
+    full *= (level * unit)[:, None]
+    return {
+        "map_nodes": int(tables[0].size),
+        "map_size": size,
+        "map_start": start,
+        "map_per_step": per_step,
+        "map_radius": radius,
+        **{f"map_{name}": row for name, row in zip(each, full, strict=True)},
+    }

@@ -9,7 +9,7 @@ from mufly.flight.recorder import Recorder
 from mufly.flight.software import Actuators, Controllers, FlightSoftware
 from mufly.flight.state import FlightState
 from mufly.flight.summary import Summary, summarise, summary_rows
-from mufly.logs.layout import Event, events_of, standard_layout, to_csv
+from mufly.logs.mcap import Event, events_of, standard_layout, to_csv
 from mufly.logs.recording import read_attachments, read_recording
 from mufly.mission import Answer, SetPoint
 

@@ -3,7 +3,7 @@
 It stands between whoever commands and the flight software: it steps that, turns what was asked into its signals, keeps
 the clock on what has to be repeated, arms and disarms, and tells what happened. Each request answers at once, and what
 it asks for happens in the next step; the mission's state machine (:mod:`mufly.mission.machine`) hears it when its logic
-runs next, within 20 ms. Which state lets what happen is in :mod:`mufly.mission.answers`. The clock is that of the
+runs next, within 20 ms. Which state lets what happen is in :mod:`mufly.mission.state`. The clock is that of the
 measurements. Nothing here knows of MAVLink or of the simulator.
 
 Motors run only while it is armed. It disarms by itself once it has landed, and ten seconds after arming if it has not
@@ -26,7 +26,7 @@ from mufly.estimate import Estimate
 from mufly.flight.parameters import Parameter, Parameters
 from mufly.flight.software import Actuators, FlightSoftware
 from mufly.flight.state import FlightState
-from mufly.logs.layout import Event
+from mufly.logs.mcap import Event
 from mufly.mission import (
     ACCEPTED,
     HIGHEST_M,

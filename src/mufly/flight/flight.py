@@ -36,7 +36,7 @@ from mufly.flight.plant import Plant, row_writer
 from mufly.flight.recorder import Recorder
 from mufly.flight.software import Actuators
 from mufly.flight.state import FlightState
-from mufly.logs.layout import Event, standard_layout
+from mufly.logs.mcap import Event, standard_layout
 from mufly.mission import Mission, MissionEstimate, dump_mission, load_mission, preflight
 from mufly.sensors import Sensors, ideal_sensors
 from mufly.vehicle import Vehicle, load_vehicle, vehicle_toml

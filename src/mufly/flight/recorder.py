@@ -24,8 +24,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from mufly.errors import InputError, MuflyError
-from mufly.logs.layout import Event, Layout, standard_layout, to_dataset
-from mufly.logs.mcap import McapFile
+from mufly.logs.mcap import Event, Layout, McapFile, standard_layout, to_dataset
 from mufly.logs.recording import (
     FORMAT,
     METADATA_FLIGHT,

@@ -115,5 +115,5 @@ class FlightState:
         return math.nan if self.home is None else self.home[2] - float(self.estimate.position[2])
 
     def may(self, ask: Ask) -> Answer:
-        """Whether this state lets it do something (:mod:`mufly.mission.answers`)."""
+        """Whether this state lets it do something (:mod:`mufly.mission.state`)."""
         return may(ask, self, height_m=self.height_m, armed=self.armed, flying=self.flying)

@@ -36,8 +36,7 @@ from scipy.optimize import least_squares
 
 from mufly.bench import BenchTable, Spread, spread
 from mufly.errors import ArgumentError, InputError
-from mufly.identify.covariance import likeliest_errors, relative, unseen_combinations
-from mufly.identify.result import Estimate, Estimates
+from mufly.identify.result import Estimate, Estimates, likeliest_errors, relative, unseen_combinations
 from mufly.results import result
 from mufly.units import RPM
 from mufly.vehicle import Vehicle

@@ -27,8 +27,7 @@ from scipy import stats
 
 from mufly.bench import Loads, Spread, air_density, spread
 from mufly.errors import ArgumentError, InputError
-from mufly.identify.covariance import likeliest_errors, relative, unseen_combinations
-from mufly.identify.result import Estimate, Estimates
+from mufly.identify.result import Estimate, Estimates, likeliest_errors, relative, unseen_combinations
 from mufly.results import result
 from mufly.units import RPM
 from mufly.vehicle import Vehicle

@@ -1,10 +1,23 @@
 """Who speaks with whom? MAVLink, both ends of it, as protocol machines with sockets at the edge."""
 
-from mufly.link.authority import Authority
-from mufly.link.clients import Source
-from mufly.link.codec import Codec, Counts, Encoder, MavMessage, Outgoing, TextPieces, Texts, mavlink
+from mufly.link.clients import Authority, Source
+from mufly.link.codec import (
+    Codec,
+    Counts,
+    Encoder,
+    MavMessage,
+    Mode,
+    Origin,
+    Outgoing,
+    TextPieces,
+    Texts,
+    custom_mode,
+    mavlink,
+    mode_of,
+    mode_of_custom,
+    parse_origin,
+)
 from mufly.link.commands import COMMANDS, MESSAGE_REQUESTS, Command, command_of
-from mufly.link.conventions import Mode, Origin, custom_mode, mode_of, mode_of_custom, parse_origin
 from mufly.link.mission_transfer import (
     GIVE_UP_S,
     Ack,

@@ -9,12 +9,25 @@ REQUEST_DATA_STREAM (a group of messages at a rate).
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
-from mufly.link.codec import Encoder, MavMessage, Outgoing, Texts
+from mufly.estimate import Estimate
+from mufly.flight import Autopilot
+from mufly.link.codec import (
+    ABOVE_ORIGIN,
+    ABOVE_SEA,
+    Encoder,
+    MavMessage,
+    Origin,
+    Outgoing,
+    Texts,
+    mavlink,
+    unscaled,
+)
 from mufly.link.telemetry import STREAMS
+from mufly.mission import ACCEPTED, Answer, SetPoint, later
 
 MOST_HZ = 200.0
 """No message is streamed faster, whatever is asked (Hz)."""
@@ -205,3 +218,358 @@ class Clients:
         """Hand over what is to be sent."""
         out, self._out = self._out, []
         return out
+
+
+# ----------------------------------------------------------------------------
+# Who commands: one station at a time, the others watch; and what happens when the commander is lost.
+#
+# The first to command takes command. It keeps it until it hands over (CHANGE_OPERATOR_CONTROL), or has not been heard
+# for
+# :data:`SILENT_S`; then the next to command has it. Anything that a station says is a sign of life. In flight:
+#
+# ====================================  ===============================================
+# for ``COM_DL_LOSS_T`` not a word      stop and hover
+# for ``COM_DL_LAND_T`` more            land
+# a word again                          said; whoever commands goes on from there
+# ====================================  ===============================================
+#
+# Without a commander (a flight that was started by itself, or was handed over) there is nobody to lose. A landing,
+# and
+# a flight home, go on: they end on the floor anyway.
+
+
+SILENT_S = 5.0
+"""After so long without a word the commander may be replaced (s)."""
+_ACK_CONTROL, _NACK_KEY, _NACK_HELD = 0, 2, 3
+
+Stage = Literal["", "hover", "land"]
+"""How far the failsafe has gone: nothing, or what has been ordered."""
+
+
+class Authority:
+    """Where command is held.
+
+    Parameters
+    ----------
+    autopilot : Autopilot
+    clients : Clients
+    manual : ManualControl
+        Sticks end with the commander who had them.
+
+    Attributes
+    ----------
+    commander : Source or None
+    on_change : list of callables
+        Called when somebody else commands, or nobody: what the one before has begun ends.
+    """
+
+    def __init__(self, autopilot: Autopilot, clients: Clients, manual: ManualControl) -> None:
+        self.commander: Source | None = None
+        self.on_change: list[Callable[[], None]] = [manual.forget]
+        self._autopilot, self._clients, self._manual = autopilot, clients, manual
+        self._heard_s = -math.inf
+        self._stage: Stage = ""
+        self._owed: Stage = ""
+
+    def hear(self, now_s: float, station: Source) -> None:
+        """Note a sign of life."""
+        if station == self.commander:
+            self._heard_s = now_s
+
+    def silent_s(self, now_s: float) -> float:
+        """For how long the commander has not been heard (s); 0 if there is none."""
+        return 0.0 if self.commander is None else max(0.0, now_s - self._heard_s)
+
+    def may(self, now_s: float, station: Source) -> bool:
+        """Whether a station commands; the first to ask does. One that may not is told who does."""
+        if self.commander not in (None, station) and self.silent_s(now_s) < SILENT_S:
+            self._clients.tell(now_s, station, f"denied: commanded by {self.commander}; ask it to hand over")
+            return False
+        self._heard_s = now_s
+        if station != self.commander:
+            self._give(station)
+            self._autopilot.note(f"commanded by {station}")
+        return True
+
+    def operator_control(self, now_s: float, station: Source, m: MavMessage) -> None:
+        """Take a CHANGE_OPERATOR_CONTROL: 0 asks for command, 1 hands it over."""
+        if m.control_request == 0:
+            answer = _NACK_KEY if m.version else _ACK_CONTROL if self.may(now_s, station) else _NACK_HELD
+        elif station == self.commander:
+            answer = _ACK_CONTROL
+            self._give(None)
+            self._autopilot.note(f"{station} has handed over command")
+        else:
+            answer = _NACK_HELD
+        self._clients.send(
+            station.peer,
+            mavlink.MAVLink_change_operator_control_ack_message(station.system, m.control_request, answer),
+        )
+
+    def watch(self, now_s: float, *, loss_s: float, land_s: float) -> None:
+        """Hover, then land, when the commander is lost: after COM_DL_LOSS_T, and COM_DL_LAND_T more (s)."""
+        status, silent = self._autopilot.status, self.silent_s(now_s)
+        ending = status.state == "landing" or status.homing
+        self._stage, order = watch_link(
+            self._stage, silent_s=silent, flying=status.flying, ending=ending, loss_s=loss_s, land_s=land_s
+        )
+        if order == "back":
+            self._autopilot.note("the commander is heard again")
+        elif order:
+            self._manual.off()
+            then = f"stop and hover, land in {land_s:g} s" if order == "hover" else "land"
+            self._autopilot.note(f"commander not heard for {silent:.0f} s: {then}", "warning")
+            self._owed = order
+        # What is refused for the moment (just off the floor, sticks in the hand) is asked for until it is done.
+        if self._stage == "" or ending:
+            self._owed = ""
+        if self._owed:
+            answer = self._autopilot.pause() if self._owed == "hover" else self._autopilot.land()
+            self._owed = "" if answer else self._owed
+
+    def _give(self, station: Source | None) -> None:
+        self.commander = station
+        for changed in self.on_change:
+            changed()
+
+
+def watch_link(
+    stage: Stage, *, silent_s: float, flying: bool, ending: bool, loss_s: float, land_s: float
+) -> tuple[Stage, Literal["", "hover", "land", "back"]]:
+    """Judge the link once.
+
+    Parameters
+    ----------
+    stage : str
+        How far the failsafe had gone before.
+    silent_s : float
+        For how long the commander has not been heard (s).
+    flying, ending : bool
+        Whether it is off the floor; whether it is landing or on its way home.
+    loss_s, land_s : float
+        COM_DL_LOSS_T and COM_DL_LAND_T (s).
+
+    Returns
+    -------
+    stage : str
+    order : str
+        What to do now: "hover", "land", nothing (""), or say that the link is "back".
+    """
+    if silent_s < loss_s or not flying:
+        return "", "back" if stage and flying else ""
+    if stage == "" and not ending:
+        return "hover", "hover"
+    if stage == "hover" and silent_s >= loss_s + land_s:
+        return "land", "" if ending else "land"
+    return stage, ""
+
+
+# ----------------------------------------------------------------------------
+# What is streamed to steer it: set-points from a program, and a pilot's sticks.
+#
+# Set-points are SET_POSITION_TARGET_LOCAL_NED and _GLOBAL_INT, here a `SetPoint` of the mission.
+#
+# =========================
+# ===========================================================================================
+# frame                     position, velocity and heading are
+# =========================
+# ===========================================================================================
+# LOCAL_NED (1)             N-E-D from the origin; N-E-D; from north
+# LOCAL_OFFSET_NED (7)      N-E-D from where it is now; N-E-D; from north
+# BODY_NED (8),             ahead, right and down of where it is now, level; ahead, right, down; from the nose
+# BODY_OFFSET_NED (9),
+# BODY_FRD (12)
+# GLOBAL (0, 5),            on the globe, with altitude above the sea (0, 5) or above the origin (3, 6); N-E-D; from
+# north
+# GLOBAL_RELATIVE_ALT (3, 6)
+# =========================
+# ===========================================================================================
+#
+# Fields that ``type_mask`` leaves out, and those that are no numbers, are not given. Accelerations and forces are not
+# followed; a message that gives nothing else, or whose mask has bits that this vehicle does not know, says nothing.
+#
+# Sticks are RC_CHANNELS_OVERRIDE and MANUAL_CONTROL, the thesis's state "RC". An override is what its name says:
+# while
+# any of the channels 1 to 4 is given (not 0, not 65535), the pilot flies; when all are released, the helicopter
+# hovers.
+# MANUAL_CONTROL comes all the time from ground stations with a joystick, so it only counts once a mode for flying by
+# hand has been asked for (DO_SET_MODE to ALTCTL and its like).
+#
+# ======================= =============== ======================== ==============================
+# stick                   channel         MANUAL_CONTROL           asks for, at its end
+# ======================= =============== ======================== ==============================
+# right                   1 up            y = 1000                 roll to the right (STK_TILT)
+# back                    2 up            x = -1000                nose up (STK_TILT)
+# throttle up             3 up            z = 1000 (500: neither)  climb (STK_CLIMB)
+# turn right              4 up            r = 1000                 turn to the right (STK_YAWRATE)
+# ======================= =============== ======================== ==============================
+#
+# Channels are 1000 to 2000 us, 1500 in the middle; a middle of 3 % to either side is dead. The directions are those
+# of
+# PX4 and ArduPilot (MAVLink's own text has r the other way round).
+
+
+Triple = tuple[float, float, float]
+
+_NO_HEADING, _NO_YAW_RATE, _KNOWN_BITS = 0x400, 0x800, 0xFFF
+_LOCAL, _OFFSET, _BODY = 1, 7, (8, 9, 12)
+
+
+def set_point_of(message: MavMessage, measured: Estimate, origin: Origin | None) -> SetPoint | None:
+    """Return what a message asks for; None if that is nothing, or nothing that is understood here.
+
+    Parameters
+    ----------
+    message : SET_POSITION_TARGET_LOCAL_NED or SET_POSITION_TARGET_GLOBAL_INT
+    measured : Estimate
+        Where it is now, for frames that start there.
+    origin : Origin or None
+        For frames on the globe.
+    """
+    mask, frame = message.type_mask, message.coordinate_frame
+    if mask & ~_KNOWN_BITS:
+        return None
+    on_globe = message.get_type() == "SET_POSITION_TARGET_GLOBAL_INT"
+    given = _from_globe(message, origin) if on_globe else (message.x, message.y, message.z)
+    if given is None or (not on_globe and frame not in (_LOCAL, _OFFSET, *_BODY)):
+        return None
+    place = _masked(given, mask)
+    speed = _masked((message.vx, message.vy, message.vz), mask >> 3)
+    heading = math.nan if mask & _NO_HEADING else float(message.yaw)
+    yaw_rate = math.nan if mask & _NO_YAW_RATE else float(message.yaw_rate)
+    if not on_globe and frame in _BODY:
+        yaw = float(measured.attitude[2])
+        place, speed, heading = _turned(place, yaw), _turned(speed, yaw), heading + yaw
+    if not on_globe and frame != _LOCAL:
+        n, e, d = measured.position.tolist()
+        place = (place[0] + n, place[1] + e, place[2] + d)
+    out = SetPoint(
+        None if all(math.isnan(v) for v in place) else place,
+        None if all(math.isnan(v) for v in speed) else speed,
+        None if math.isnan(heading) else heading,
+        None if math.isnan(yaw_rate) else yaw_rate,
+    )
+    return None if out == SetPoint() else out
+
+
+def _masked(values: Triple, mask: int) -> Triple:
+    n, e, d = (math.nan if mask & 1 << k else float(v) for k, v in enumerate(values))
+    return n, e, d
+
+
+def _turned(ahead_right_down: Triple, yaw: float) -> Triple:
+    """Ahead and right as north and east; an axis that is not given has no direction, so neither has the other."""
+    a, r, d = ahead_right_down
+    if math.isnan(a) != math.isnan(r):
+        a, r = (0.0 if math.isnan(v) else v for v in (a, r))
+    c, s = math.cos(yaw), math.sin(yaw)
+    return c * a - s * r, s * a + c * r, d
+
+
+def _from_globe(message: MavMessage, origin: Origin | None) -> Triple | None:
+    frame = message.coordinate_frame
+    if origin is None or frame not in (*ABOVE_SEA, *ABOVE_ORIGIN):
+        return None
+    lat, lon = (unscaled(v, 1e-7) for v in (message.lat_int, message.lon_int))
+    return origin.to_local(lat, lon, message.alt, frame)
+
+
+FRESH_S = 1.0
+"""Sticks that have not been heard for so long are not there (s)."""
+_DEAD = 0.03
+_RELEASED = (0, 65535)
+_NOT_GIVEN = 32767
+
+
+@dataclass(frozen=True, slots=True)
+class Deflection:
+    """Sticks from -1 to 1: right, back (nose up), up, turn right."""
+
+    roll: float = 0.0
+    pitch: float = 0.0
+    climb: float = 0.0
+    yaw: float = 0.0
+
+
+def _deflection(*values: float) -> Deflection:
+    held = [min(max(v, -1.0), 1.0) for v in values]
+    return Deflection(
+        *(math.copysign((abs(v) - _DEAD) / (1.0 - _DEAD), v) if abs(v) > _DEAD else 0.0 for v in held)
+    )
+
+
+def of_channels(message: MavMessage) -> Deflection | None:
+    """Return the sticks of an RC_CHANNELS_OVERRIDE; None if channels 1 to 4 are all released."""
+    pulses = [message.chan1_raw, message.chan2_raw, message.chan3_raw, message.chan4_raw]
+    if all(us in _RELEASED for us in pulses):
+        return None
+    return _deflection(*(0.0 if us in _RELEASED else (us - 1500) / 500 for us in pulses))
+
+
+def of_manual_control(message: MavMessage) -> Deflection:
+    """Return the sticks of a MANUAL_CONTROL."""
+    x, y, z, r = (None if v == _NOT_GIVEN else v / 1000 for v in (message.x, message.y, message.z, message.r))
+    return _deflection(y or 0.0, -(x or 0.0), 0.0 if z is None else 2.0 * z - 1.0, r or 0.0)
+
+
+class ManualControl:
+    """Whose sticks count, and what they ask of the autopilot.
+
+    Parameters
+    ----------
+    autopilot : Autopilot
+    """
+
+    def __init__(self, autopilot: Autopilot) -> None:
+        self._autopilot = autopilot
+        self._manual, self._heard_s = Deflection(), -math.inf
+        self._by_hand = False
+        self._overridden = False
+
+    @property
+    def by_mode(self) -> bool:
+        """Whether they count because a mode for flying by hand was asked for."""
+        return self._by_hand
+
+    def override(self, message: MavMessage) -> Answer:
+        """Take an RC_CHANNELS_OVERRIDE."""
+        wanted = of_channels(message)
+        if wanted is not None:
+            self._overridden = True
+            return self._fly(wanted)
+        if self._overridden:
+            self._overridden = False
+            return self._autopilot.sticks_off()
+        return ACCEPTED
+
+    def manual(self, now_s: float, message: MavMessage) -> Answer:
+        """Take a MANUAL_CONTROL."""
+        self._manual, self._heard_s = of_manual_control(message), now_s
+        return self._fly(self._manual) if self._by_hand else ACCEPTED
+
+    def by_hand(self, now_s: float) -> Answer:
+        """A mode for flying by hand is asked for."""
+        if self._overridden:
+            return ACCEPTED
+        if now_s - self._heard_s > FRESH_S:
+            return later("no sticks; stream MANUAL_CONTROL or RC_CHANNELS_OVERRIDE first")
+        self._by_hand = True
+        return self._fly(self._manual)
+
+    def off(self) -> None:
+        """Another mode is asked for, or the pilot is not heard any more."""
+        if self._by_hand or self._overridden:
+            self._autopilot.sticks_off()
+        self._by_hand = self._overridden = False
+
+    def forget(self) -> None:
+        """There is another commander: what was heard of sticks was not said by that one."""
+        self.off()
+        self._manual, self._heard_s = Deflection(), -math.inf
+
+    def _fly(self, d: Deflection) -> Answer:
+        tilt, turn, climb = (
+            self._autopilot.parameters[name].value for name in ("STK_TILT", "STK_YAWRATE", "STK_CLIMB")
+        )
+        tilt, turn = math.radians(tilt), math.radians(turn)
+        return self._autopilot.sticks(d.roll * tilt, d.pitch * tilt, d.yaw * turn, d.climb * climb)

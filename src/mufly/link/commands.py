@@ -32,12 +32,23 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from mufly.flight import Flight
-from mufly.link.authority import Authority
-from mufly.link.clients import Clients, Source, Wishes
-from mufly.link.codec import NOT_GIVEN, MavMessage, mavlink, single, unscaled, within
-from mufly.link.conventions import ABOVE_ORIGIN, ABOVE_SEA, LOITER, Mode, Origin, asked, mode_of_custom
+from mufly.link.clients import Authority, Clients, ManualControl, Source, Wishes
+from mufly.link.codec import (
+    ABOVE_ORIGIN,
+    ABOVE_SEA,
+    LOITER,
+    NOT_GIVEN,
+    MavMessage,
+    Mode,
+    Origin,
+    asked,
+    mavlink,
+    mode_of_custom,
+    single,
+    unscaled,
+    within,
+)
 from mufly.link.missions import MissionProtocol
-from mufly.link.set_points import ManualControl
 from mufly.link.telemetry import ON_GLOBE
 from mufly.mission import ACCEPTED, HIGHEST_M, LOWEST_M, Answer, later, never
 

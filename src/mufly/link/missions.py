@@ -32,10 +32,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from mufly.flight import Autopilot, FlightState
-from mufly.link.authority import Authority
-from mufly.link.clients import Clients, Source
-from mufly.link.codec import unscaled
-from mufly.link.conventions import ABOVE_ORIGIN, ABOVE_SEA, Origin
+from mufly.link.clients import Authority, Clients, Source
+from mufly.link.codec import ABOVE_ORIGIN, ABOVE_SEA, Origin, unscaled
 from mufly.link.mission_transfer import (
     Ack,
     ClearAll,

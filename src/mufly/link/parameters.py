@@ -17,8 +17,7 @@ from collections import OrderedDict
 from dataclasses import replace
 
 from mufly.flight import Autopilot, Parameter
-from mufly.link.authority import Authority
-from mufly.link.clients import Clients, Source
+from mufly.link.clients import Authority, Clients, Source
 from mufly.link.codec import MavMessage, mavlink, single, text_of
 
 LIST_HZ = 100.0

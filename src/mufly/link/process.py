@@ -30,7 +30,7 @@ from typing import Any
 from mufly.control import FlightController, design
 from mufly.errors import MuflyError
 from mufly.flight import Event, Flight, FlightState
-from mufly.link.conventions import Origin
+from mufly.link.codec import Origin
 from mufly.link.ports import Endpoint, Peer, Port, open_port, wait
 from mufly.link.vehicle import VehicleLink
 from mufly.logs.tlog import TlogWriter

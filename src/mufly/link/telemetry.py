@@ -20,8 +20,18 @@ from numpy.typing import NDArray
 
 from mufly.dynamics import quaternion_from_euler
 from mufly.flight import FlightState
-from mufly.link.codec import MavMessage, mavlink, single, within
-from mufly.link.conventions import MISSION, TAKE_OFF, Mode, Origin, custom_mode, mode_of
+from mufly.link.codec import (
+    MISSION,
+    TAKE_OFF,
+    MavMessage,
+    Mode,
+    Origin,
+    custom_mode,
+    mavlink,
+    mode_of,
+    single,
+    within,
+)
 from mufly.mission import State
 from mufly.vehicle import Vehicle
 from mufly.version import __version__

@@ -11,15 +11,12 @@ from collections import deque
 from collections.abc import Callable, Hashable
 
 from mufly.flight import Event, Flight
-from mufly.link.authority import Authority
-from mufly.link.clients import Clients, Source
-from mufly.link.codec import Codec, MavMessage, Outgoing, mavlink
+from mufly.link.clients import Authority, Clients, ManualControl, Source, of_channels, set_point_of
+from mufly.link.codec import Codec, MavMessage, Origin, Outgoing, mavlink
 from mufly.link.commands import CommandProtocol
-from mufly.link.conventions import Origin
 from mufly.link.mission_transfer import note_of
 from mufly.link.missions import MissionProtocol
 from mufly.link.parameters import ParameterProtocol
-from mufly.link.set_points import ManualControl, of_channels, set_point_of
 from mufly.link.telemetry import (
     STREAMS,
     Instant,

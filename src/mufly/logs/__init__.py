@@ -1,9 +1,18 @@
 """What was recorded? Logs of flights and benches, ours and others', as labelled tables on one clock."""
 
 from mufly.logs.delay import Delay, DelayReport, body_rates_of_attitude, check_delays, estimate_delay
-from mufly.logs.layout import Event, Layout, columns_of, events_of, standard_layout, to_csv, to_dataset
 from mufly.logs.mapping import ColumnMap, builtin_maps, load_map
-from mufly.logs.mcap import McapFile, read_mcap
+from mufly.logs.mcap import (
+    Event,
+    Layout,
+    McapFile,
+    columns_of,
+    events_of,
+    read_mcap,
+    standard_layout,
+    to_csv,
+    to_dataset,
+)
 from mufly.logs.quality import (
     ChannelReport,
     UnitGuess,

@@ -23,7 +23,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter, percentile_filter
 
-from mufly.logs.layout import columns_of
+from mufly.logs.mcap import columns_of
 from mufly.logs.topics import Channel
 from mufly.quantities import is_held
 from mufly.results import result

@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 from mufly.errors import ArgumentError, InputError
 from mufly.logs.dataflash import MAGIC as DATAFLASH_MAGIC
 from mufly.logs.dataflash import is_text_log, read_dataflash
-from mufly.logs.layout import columns_of, dataset_of, restore, to_csv
 from mufly.logs.mapping import ColumnMap, TimeEntry, load_map, map_signals
 from mufly.logs.mcap import MAGIC as MCAP_MAGIC
-from mufly.logs.mcap import read_mcap
+from mufly.logs.mcap import columns_of, dataset_of, read_mcap, restore, to_csv
 from mufly.logs.recording import is_recording, raw_mcap, recording_of, write_mcap
 from mufly.logs.tables import (
     NETCDF_MAGIC,

@@ -1,6 +1,6 @@
 """A recording on disk: MCAP, to be opened in Foxglove and PlotJuggler.
 
-:mod:`mufly.logs.layout` says what the columns of a row are; :func:`read_recording` returns the same
+:mod:`mufly.logs.mcap` says what the columns of a row are; :func:`read_recording` returns the same
 :class:`xarray.Dataset` as was recorded, equal to the last bit. JSON has no NaN and no infinity: both are written
 ``null`` and come back as NaN. The numbers of a block are written as JSON in one call (orjson prints the shortest text
 that reads back to the same float64) and then fitted between constant pieces of text, which spares a dictionary for
@@ -24,8 +24,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.logs.layout import Event, Layout, events_of, plain, to_dataset
-from mufly.logs.mcap import McapContents, McapFile, read_mcap
+from mufly.logs.mcap import Event, Layout, McapContents, McapFile, events_of, plain, read_mcap, to_dataset
 from mufly.logs.topics import RawLog, RawTable, wall_time
 from mufly.quantities import LABELS, SOURCES, Quantity, kept_by
 

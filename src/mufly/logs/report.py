@@ -14,8 +14,8 @@ from scipy.signal import detrend, welch
 
 from mufly.errors import ArgumentError, InputError
 from mufly.logs.delay import DelayReport, check_delays
-from mufly.logs.layout import standard_layout
 from mufly.logs.mapping import ColumnMap, load_map, raw_field
+from mufly.logs.mcap import standard_layout
 from mufly.logs.quality import ChannelReport, channels_of, check_channels
 from mufly.logs.read import channels_in, joined, open_log
 from mufly.logs.topics import GAP_FACTOR, Channel, ClockReport, RawLog, check_clock, resample

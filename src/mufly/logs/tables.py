@@ -24,8 +24,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.logs.layout import columns_of, describe, plain, restore
 from mufly.logs.mapping import TimeEntry
+from mufly.logs.mcap import columns_of, describe, plain, restore
 from mufly.logs.topics import RawLog, RawTable
 from mufly.units import conversion, known_unit, split_header
 

@@ -25,7 +25,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.logs.layout import columns_of, describe, events_of
+from mufly.logs.mcap import columns_of, describe, events_of
 from mufly.logs.tables import TOPIC
 from mufly.logs.topics import RawLog, RawTable, wall_time
 

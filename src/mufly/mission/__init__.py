@@ -1,6 +1,5 @@
 """What does it intend? Mission files, trajectories, obstacle avoidance and the mission state machine."""
 
-from mufly.mission.answers import ACCEPTED, GO_AROUND_M, OFF_FLOOR_M, STOPPING, Answer, Ask, later, may, never
 from mufly.mission.check import (
     SHARE,
     MissionEstimate,
@@ -18,14 +17,23 @@ from mufly.mission.offboard import HIGHEST_M, SetPoint, fault_of, wants_up
 from mufly.mission.phases import RAMP_DOWN_S, blind, down_blind
 from mufly.mission.schema import LOWEST_M, SPIN_UP_S, Leg, Mission, Waypoint, legs, limits_of_file
 from mufly.mission.state import (
+    ACCEPTED,
+    GO_AROUND_M,
     NO_SIGNAL,
+    OFF_FLOOR_M,
+    STOPPING,
+    Answer,
+    Ask,
     Command,
     MissionPlan,
     MissionState,
     Reference,
     State,
     begin,
+    later,
     log,
+    may,
+    never,
     prepare,
 )
 from mufly.mission.trajectory import Limits, Spline, Trajectory, curved, spline, straight

@@ -15,7 +15,7 @@ and what a user of today expects beside it:
     any state --stop--> init, motors off
 
 After the start signal the machine gives itself the waypoint signals of the mission file, and the land signal after
-the last one; signals of the user override it, where the state lets them (:mod:`mufly.mission.answers`). Each change of
+the last one; signals of the user override it, where the state lets them (:mod:`mufly.mission.state`). Each change of
 state is kept with its reason in `MissionState.events`.
 
 One step takes what was measured and commanded and returns the next state and the `Reference` for the controllers. It
@@ -33,7 +33,6 @@ from typing import Any
 
 from mufly.estimate import Estimate
 from mufly.mission import phases
-from mufly.mission.answers import Ask, may
 from mufly.mission.avoidance import BRAKE_M_S2, hold_off, observe
 from mufly.mission.offboard import HIGHEST_M, SetPoint, fault_of, follow, wants_up
 from mufly.mission.phases import (
@@ -51,6 +50,7 @@ from mufly.mission.phases import (
 )
 from mufly.mission.schema import LOWEST_M, SPIN_UP_S
 from mufly.mission.state import (
+    Ask,
     Command,
     MissionPlan,
     MissionState,
@@ -59,6 +59,7 @@ from mufly.mission.state import (
     enter,
     fail,
     log,
+    may,
     rest,
 )
 from mufly.mission.trajectory import Trajectory, Triple, stop, straight

@@ -16,11 +16,19 @@ from mufly.rotor.geometry import (
     rotor_toml,
 )
 from mufly.rotor.maps import climb_ratios, coax_map
-from mufly.rotor.measurements import Comparison, Measurements, calibrate, compare, read_measurements
+from mufly.rotor.measurements import (
+    Band,
+    Comparison,
+    Doubt,
+    Measurements,
+    calibrate,
+    compare,
+    interval,
+    read_measurements,
+)
 from mufly.rotor.polar_table import PolarStack, PolarTable, lookup, outside, stack_polars
 from mufly.rotor.solution import FASTEST_TIP_M_S, METHODS, solve, solve_thrust
 from mufly.rotor.system import Air, Condition, Method, Result, RotorResult, System
-from mufly.rotor.uncertainty import Band, Doubt, interval
 
 __all__ = [
     "FASTEST_TIP_M_S",

@@ -10,19 +10,26 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import signal
+import subprocess
+import tempfile
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache as once
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mufly.errors import InputError
-from mufly.rotor import neural, xfoil
+from mufly.errors import InputError, MuflyError
+from mufly.rotor import neural
 from mufly.rotor import section as cache
 from mufly.rotor.airfoil import Airfoil, load_airfoil
 from mufly.rotor.polar_table import ASPECT_RATIO, PolarTable, extend
-from mufly.rotor.section import SectionData, read_polar_csv
+from mufly.rotor.section import SectionData, cache_folder, read_polar_csv
 
 Engine = Literal["neuralfoil", "xfoil", "table"]
 
@@ -111,9 +118,7 @@ def polars(
                 tables[name] = read_polar_csv(name)
                 continue
             section = item if isinstance(item, Airfoil) else load_airfoil(item)
-            which = (
-                (neural.neuralfoil_version(), model) if engine == "neuralfoil" else ("xfoil", xfoil.SETTINGS)
-            )
+            which = (neural.neuralfoil_version(), model) if engine == "neuralfoil" else ("xfoil", SETTINGS)
             key = cache.key_of(section.digest(), engine, *which, float(n_crit), tuple(map(float, xtr)), re)
             known = cache.recall(key, section.name)
             if known is not None:
@@ -122,7 +127,7 @@ def polars(
                 neural.check_fit(section)
                 todo.append((name, key, section))
             else:
-                tables[name] = xfoil.xfoil(section, re, n_crit=n_crit, xtr=xtr)
+                tables[name] = xfoil(section, re, n_crit=n_crit, xtr=xtr)
                 cache.store(key, tables[name])
         except InputError as error:
             if faults is None:
@@ -154,3 +159,244 @@ def _checked(
     if steps.size > 1 and not np.allclose(steps, steps.mean(), rtol=1e-6):
         raise InputError("polar", "reynolds", "are not in geometric progression", "use numpy.geomspace")
     return re
+
+
+# ----------------------------------------------------------------------------
+# XFOIL (M. Drela, MIT; GPL, run as a separate program) as a second opinion.
+#
+# One run covers one Reynolds number: angles rise from zero, then fall from zero, each starting from the last
+# converged
+# boundary layer; what did not converge is tried once more from a fresh start. A gap of up to two degrees between
+# converged angles is bridged; beyond a wider one the answer counts as unknown. Every run has a time limit, and what
+# it
+# had written by then is used.
+#
+# Debian's build stops at the first floating-point exception, which XFOIL raises in ordinary work (the main program
+# asks
+# the Fortran library to trap them, `_gfortran_set_fpe`). When a run dies of that signal, a library of one function
+# that
+# replaces the request by nothing is compiled with the system's C compiler, kept in the cache folder and preloaded.
+
+
+Array = NDArray[np.float64]
+
+SETTINGS = (-16.0, 22.0, 0.5, 160, 100)  # lowest, highest, step (deg); panels; iterations
+_BRIDGED_DEG = 2.0
+_QUIET = "void _gfortran_set_fpe(int exceptions) { (void)exceptions; }\n"
+
+
+@once
+def xfoil_missing() -> str:
+    """Return why XFOIL cannot be used here, or ``""`` if it can."""
+    if shutil.which("xfoil") is None:
+        return "xfoil is not installed (on Debian: apt install xfoil)"
+    try:
+        with tempfile.TemporaryDirectory(prefix="mufly-xfoil-") as folder:
+            found = _run(load_airfoil("naca0012"), 1e5, 9.0, (1.0, 1.0), [2.0], Path(folder), 30.0)
+    except MuflyError as error:
+        return str(error)
+    return "" if found else "xfoil is installed but does not converge on a NACA 0012 at 2 degrees"
+
+
+def _environment(preload: str | None) -> dict[str, str]:
+    environment = {**os.environ, "GFORTRAN_UNBUFFERED_ALL": "y"}
+    if preload:
+        environment["LD_PRELOAD"] = preload
+    return environment
+
+
+@once
+def _quiet_library() -> str:
+    """Path of the compiled replacement for the trap request."""
+    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    if compiler is None:
+        raise MuflyError(
+            "this xfoil stops at floating-point exceptions, and there is no C compiler to silence it with; "
+            "install gcc, or use engine 'neuralfoil'"
+        )
+    folder = cache_folder() or Path(tempfile.mkdtemp(prefix="mufly-"))
+    folder.mkdir(parents=True, exist_ok=True)
+    library = folder / "xfoil-quiet.so"
+    if not library.is_file():
+        with tempfile.TemporaryDirectory(dir=folder) as work:
+            source, built = Path(work) / "quiet.c", Path(work) / "quiet.so"
+            source.write_text(_QUIET)
+            done = subprocess.run(
+                [compiler, "-shared", "-fPIC", "-o", str(built), str(source)], capture_output=True, text=True
+            )
+            if done.returncode != 0:
+                line = (done.stderr.strip().splitlines() or ["no message"])[-1]
+                raise MuflyError(
+                    f"this xfoil stops at floating-point exceptions; {compiler} failed to help ({line})"
+                )
+            os.replace(built, library)
+    return str(library)
+
+
+_traps: list[bool] = []  # known after the first run
+
+
+def _run(
+    airfoil: Airfoil,
+    reynolds: float,
+    n_crit: float,
+    xtr: tuple[float, float],
+    angles_deg: list[float],
+    folder: Path,
+    limit_s: float,
+) -> dict[float, tuple[float, float, float]]:
+    """One process over the angles in order (nan: fresh start); alpha_deg -> cl, cd, cm of those that converged."""
+    contour, polar = folder / "contour.dat", folder / "polar.txt"
+    rows = "\n".join(f"{x:.7f} {y:.7f}" for x, y in airfoil.coordinates)
+    contour.write_text(f"contour\n{rows}\n")
+    polar.unlink(missing_ok=True)
+    *_, panels, iterations = SETTINGS
+    script = [
+        "PLOP",
+        "G F",
+        "",
+        "LOAD contour.dat",
+        "PPAR",
+        f"N {panels}",
+        "",
+        "",
+        "OPER",
+        f"ITER {iterations}",
+    ]
+    script += ["VPAR", f"N {n_crit:g}", f"XTR {xtr[0]:g} {xtr[1]:g}", "", f"VISC {reynolds:.6g}"]
+    script += ["PACC", "polar.txt", ""]
+    script += ["INIT" if np.isnan(angle) else f"ALFA {angle:.3f}" for angle in angles_deg]
+    script += ["PACC", "", "QUIT", ""]
+    text = "\n".join(script)
+    for attempt in range(2):
+        quiet = bool(_traps) and _traps[0]
+        try:
+            done = subprocess.run(
+                ["xfoil"],
+                input=text,
+                cwd=folder,
+                env=_environment(_quiet_library() if quiet else None),
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                timeout=limit_s,
+                text=True,
+            )
+            code = done.returncode
+        except subprocess.TimeoutExpired:
+            break
+        except OSError as error:
+            raise MuflyError(f"xfoil cannot be started ({error}); use engine 'neuralfoil'") from error
+        if code != -signal.SIGFPE or attempt:
+            break
+        _traps[:] = [True]
+    return _read_polar(polar)
+
+
+def _read_polar(file: Path) -> dict[float, tuple[float, float, float]]:
+    found = {}
+    lines = file.read_text().splitlines() if file.is_file() else []
+    for line in lines:
+        try:
+            numbers = [float(w) for w in line.split()]
+        except ValueError:
+            continue
+        if len(numbers) >= 7 and numbers[2] > 0 and abs(numbers[1]) < 5:
+            found[round(numbers[0], 3)] = (numbers[1], numbers[2], numbers[4])
+    return found
+
+
+def _polar_at(
+    airfoil: Airfoil,
+    reynolds: float,
+    n_crit: float,
+    xtr: tuple[float, float],
+    alpha_deg: Array,
+    limit_s: float,
+) -> Array:
+    """Coefficients (na, 3) with nan where nothing converged."""
+    upwards, downwards = alpha_deg[alpha_deg >= 0], alpha_deg[alpha_deg < 0][::-1]
+    with tempfile.TemporaryDirectory(prefix="mufly-xfoil-") as name:
+        folder = Path(name)
+        order = [*upwards, np.nan, *downwards]
+        found = _run(airfoil, reynolds, n_crit, xtr, order, folder, limit_s)
+        missing = [a for a in alpha_deg if round(float(a), 3) not in found]
+        if missing:
+            again = [v for a in missing for v in (np.nan, a)]
+            found = {**_run(airfoil, reynolds, n_crit, xtr, again, folder, limit_s), **found}
+    nothing = (np.nan, np.nan, np.nan)
+    return np.array([found.get(round(float(a), 3), nothing) for a in alpha_deg])
+
+
+def _bridged(alpha_deg: Array, table: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Fill narrow gaps linearly; keep the stretch around the smallest lift up to the first wide gap."""
+    good = np.all(np.isfinite(table), axis=1)
+    if good.sum() < 3:
+        return table, np.zeros(good.size, dtype=np.bool_)
+    at = np.flatnonzero(good)
+    middle = at[np.argmin(np.abs(table[at, 0]))]
+    wide = np.flatnonzero(np.diff(alpha_deg[at]) > _BRIDGED_DEG + 1e-9)
+    first = at[max((w + 1 for w in wide if at[w + 1] <= middle), default=0)]
+    last = at[min((w for w in wide if at[w] >= middle), default=at.size - 1)]
+    known = np.zeros(good.size, dtype=np.bool_)
+    known[first : last + 1] = True
+    filled = table.copy()
+    for c in range(3):
+        filled[known, c] = np.interp(alpha_deg[known], alpha_deg[at], table[at, c])
+    return filled, known
+
+
+def xfoil(
+    airfoil: Airfoil,
+    reynolds: ArrayLike,
+    *,
+    n_crit: float = 0.1,
+    xtr: tuple[float, float] = (1.0, 1.0),
+    alpha_deg: ArrayLike | None = None,
+    limit_s: float = 60.0,
+) -> SectionData:
+    """Compute polars with XFOIL.
+
+    Parameters
+    ----------
+    airfoil : Airfoil
+        Section; XFOIL spreads its own panels over the contour.
+    reynolds : (nr,) array_like
+        Chord Reynolds numbers; one process for each, as many at a time as there are processors.
+    n_crit, xtr
+        As for :func:`mufly.rotor.polar`.
+    alpha_deg : (na,) array_like, optional
+        Angles, rising; the default is -16 to 22 degrees in steps of a half.
+    limit_s : float
+        Time limit of one process.
+
+    Raises
+    ------
+    MuflyError
+        If XFOIL is not installed, cannot be run, or at some Reynolds number converged at fewer than three angles.
+    """
+    missing = xfoil_missing()
+    if missing:
+        raise MuflyError(f"{missing}; use engine 'neuralfoil'")
+    low, high, step, *_ = SETTINGS
+    angles = (
+        np.arange(low, high + step / 2, step)
+        if alpha_deg is None
+        else np.asarray(alpha_deg, dtype=np.float64)
+    )
+    re = np.atleast_1d(np.asarray(reynolds, dtype=np.float64))
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        tables = list(pool.map(lambda r: _polar_at(airfoil, float(r), n_crit, xtr, angles, limit_s), re))
+    values, known = zip(*(_bridged(angles, t) for t in tables), strict=True)
+    for r, k in zip(re, known, strict=True):
+        if not k.any():
+            raise MuflyError(
+                f"xfoil does not converge on {airfoil.name} at Re {r:.0f} and n_crit {n_crit:g}; "
+                "leave that Reynolds number out, or use engine 'neuralfoil'"
+            )
+    coefficients = np.nan_to_num(np.stack(values))
+    mask = np.stack(known)
+    source = f"XFOIL, n_crit {n_crit:g}, transition at {xtr[0]:g}, {xtr[1]:g}"
+    return SectionData(
+        airfoil.name, np.deg2rad(angles), re.copy(), coefficients[..., 0], coefficients[..., 1], coefficients[..., 2],
+        mask, mask.copy(), source, n_crit, airfoil.thickness_ratio, airfoil.camber,
+    )  # fmt: skip

@@ -2,10 +2,9 @@
 
 from mufly.flight.parameters import Parameter
 from mufly.station.ground import GroundLink, Station
-from mufly.station.history import History
+from mufly.station.history import Check, History, Message, MissionRow, Outcome, Request, Snapshot
 from mufly.station.recorder import StationRecorder
 from mufly.station.remote import RemoteVehicle
-from mufly.station.view import Check, Message, MissionRow, Outcome, Request, Snapshot
 
 __all__ = [
     "Check",

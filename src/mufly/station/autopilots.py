@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 from typing import Literal
 
+from mufly.link.codec import Origin
 from mufly.link.commands import FORCE, Command
-from mufly.link.conventions import Origin
 
 PX4, ARDUPILOT = 12, 3  # MAV_AUTOPILOT
 NAN = math.nan

@@ -15,10 +15,9 @@ import numpy as np
 
 from mufly.link.mission_transfer import Item
 from mufly.station.commands import StatusTexts
-from mufly.station.missions import RemoteMission, rows_of, same_mission
-from mufly.station.parameters import RemoteParameters
+from mufly.station.history import Check, MissionRow, Snapshot
 from mufly.station.telemetry import Telemetry
-from mufly.station.view import Check, MissionRow, Snapshot
+from mufly.station.transfers import RemoteMission, RemoteParameters, rows_of, same_mission
 
 LOSS_MOST = 0.1
 CHARGE_LEAST = 0.3

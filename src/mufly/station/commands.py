@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 from mufly.link.codec import MavMessage, TextPieces, mavlink
 from mufly.link.commands import Command
-from mufly.station.view import Message, Outcome, Request
+from mufly.station.history import Message, Outcome, Request
 
 RETRY_S = 0.8
 TRIES = 12

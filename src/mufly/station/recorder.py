@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 from mufly.errors import InputError, MuflyError
 from mufly.flight import Recorder
 from mufly.link import TlogWriter
+from mufly.station.history import Message
 from mufly.station.remote import RemoteVehicle
-from mufly.station.view import Message
 from mufly.version import __version__
 
 DISK_CHECK_S = 5.0

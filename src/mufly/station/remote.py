@@ -1,9 +1,9 @@
 """A vehicle at the other end of a link: what it tells, and what is asked of it.
 
 Pure: messages in (:meth:`RemoteVehicle.handle`), messages out (:meth:`RemoteVehicle.step`), the clock is passed in.
-Its parts: telemetry with history, status texts, commands, parameters, mission, operator control, connection, checks.
-Everything that is asked for returns a :class:`mufly.station.view.Request` at once, which tells what becomes of it. What
-a vehicle could never do is refused here; all else is for the vehicle to judge.
+Its parts: telemetry with history, status texts, commands, parameters, mission, operator control, connection,
+checks. Everything that is asked for returns a :class:`mufly.station.history.Request` at once, which tells what
+becomes of it. What a vehicle could never do is refused here; all else is for the vehicle to judge.
 """
 
 from __future__ import annotations
@@ -27,11 +27,9 @@ from mufly.station import autopilots
 from mufly.station.autopilots import ARDUPILOT, PX4, commands_of
 from mufly.station.checks import Surroundings, judge
 from mufly.station.commands import Chain, OperatorControl, RemoteCommands, StatusTexts
-from mufly.station.history import History
-from mufly.station.missions import RemoteMission, items_of, rows_of
-from mufly.station.parameters import RemoteParameters
+from mufly.station.history import Check, History, Message, MissionRow, Outcome, Request, Snapshot
 from mufly.station.telemetry import Telemetry
-from mufly.station.view import Check, Message, MissionRow, Outcome, Request, Snapshot
+from mufly.station.transfers import RemoteMission, RemoteParameters, items_of, rows_of
 
 LOST_S = 3.0
 """A vehicle that was silent for so long is lost (s)."""

@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from mufly.errors import InputError
 from mufly.flight.parameters import Parameter
 from mufly.logs import events_of, kind_of, read_attachments, read_log
-from mufly.logs.layout import columns_of
+from mufly.logs.mcap import columns_of
 from mufly.mission import Mission, mission_from
 from mufly.quantities import quantity_named
-from mufly.station.view import Check, Message, MissionRow, Snapshot, unknown
+from mufly.station.history import Check, Message, MissionRow, Snapshot, unknown
 
 SOURCES = ("estimated", "measured", "truth")
 """Whom to believe of the vehicle's motion, in this order."""

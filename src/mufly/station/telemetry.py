@@ -16,13 +16,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.link.codec import MavMessage
-from mufly.link.conventions import Origin
+from mufly.link.codec import MavMessage, Origin
 from mufly.link.telemetry import STATES
 from mufly.quantities import kept_by, told_by
 from mufly.station.autopilots import mode_words
-from mufly.station.history import History, Present
-from mufly.station.view import unknown
+from mufly.station.history import History, Present, unknown
 
 ROW_S = 0.009
 """Stamps closer than this stand in one row, whose time is the first of them (s): what a vehicle sends at one rate may

@@ -23,9 +23,17 @@ from mufly.study.pictures import (
     stations_picture,
     wake_picture,
 )
-from mufly.study.ranking import TABLE_3_3, choose_airfoils, rank_airfoils, thesis_airfoils
 from mufly.study.setup import METHODS, MODELS, Setup, reshape
-from mufly.study.sweeps import read_results, sweep, write_results, write_stations
+from mufly.study.sweeps import (
+    TABLE_3_3,
+    choose_airfoils,
+    rank_airfoils,
+    read_results,
+    sweep,
+    thesis_airfoils,
+    write_results,
+    write_stations,
+)
 
 __all__ = [
     "METHODS",

@@ -36,8 +36,8 @@ from mufly.rotor import FASTEST_TIP_M_S, Condition, Result, Rotor, System, load_
 from mufly.rotor.wake import check_rotors
 from mufly.study.evaluation import condition_of, evaluate, solve_case, system_of
 from mufly.study.parameters import GEOMETRY, PAIR, RANGES, Limit, bounds_of, parse_quantity
-from mufly.study.ranking import rank_airfoils
 from mufly.study.setup import Setup, reshape
+from mufly.study.sweeps import rank_airfoils
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]

@@ -17,7 +17,7 @@ from mufly.station.page.session import (
     parameter_file,
     read_parameter_file,
 )
-from mufly.station.parameters import refused
+from mufly.station.transfers import refused
 
 
 def test_one_quantity_holds_all_who_speak_of_it() -> None:

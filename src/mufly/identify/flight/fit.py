@@ -32,12 +32,6 @@ from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from mufly.errors import ArgumentError, InputError
-from mufly.identify.covariance import (
-    coloured_covariance,
-    correlation_of,
-    relative_covariance,
-    unseen_combinations,
-)
 from mufly.identify.flight.minimise import Course, Linearised, Point, bend_of_valley, descend, evolve
 from mufly.identify.flight.problem import (
     HEAVE_YAW,
@@ -50,7 +44,16 @@ from mufly.identify.flight.problem import (
     physical,
 )
 from mufly.identify.record import INPUTS, Record, difference_noise, units_of
-from mufly.identify.result import Estimate, Fit, RecordFit, with_estimates
+from mufly.identify.result import (
+    Estimate,
+    Fit,
+    RecordFit,
+    coloured_covariance,
+    correlation_of,
+    relative_covariance,
+    unseen_combinations,
+    with_estimates,
+)
 from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.float64]

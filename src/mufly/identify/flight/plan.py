@@ -58,10 +58,10 @@ from mufly.dynamics import (
     trim,
 )
 from mufly.errors import ArgumentError, InputError, MuflyError
-from mufly.identify.covariance import relative_covariance, unseen_combinations
 from mufly.identify.flight.problem import PART_OUTPUTS, Free, Part, choose_free, make_problem
 from mufly.identify.flight.signals import KINDS, Excitation, Kind, excitation
 from mufly.identify.record import Record
+from mufly.identify.result import relative_covariance, unseen_combinations
 from mufly.vehicle import Vehicle
 
 Array = NDArray[np.floating[Any]]

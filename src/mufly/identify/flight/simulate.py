@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.dynamics.model import battery_state, derivative
-from mufly.dynamics.parameters import hover_speeds
+from mufly.dynamics.state import hover_speeds
 from mufly.study.sweeps import executor_of
 
 _CLUSTER: ContextVar[Executor | None] = ContextVar("cluster", default=None)

@@ -44,11 +44,11 @@ from scipy.signal import periodogram
 
 from mufly.compiled import compiled
 from mufly.errors import InputError
-from mufly.identify.covariance import coloured_covariance
 from mufly.identify.linear.fit import LinearFit, fit_linear, predict_linear
 from mufly.identify.linear.structure import Structure, discretise
 from mufly.identify.record import lowpassed
 from mufly.identify.residuals import high_frequency_noise
+from mufly.identify.result import coloured_covariance
 
 Array = NDArray[np.float64]
 

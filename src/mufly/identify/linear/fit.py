@@ -22,9 +22,9 @@ from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from mufly.errors import ArgumentError, InputError
-from mufly.identify.covariance import coloured_covariance, parzen
 from mufly.identify.linear.structure import Coordinates, Structure, responses, simulate_linear
 from mufly.identify.residuals import autocorrelation
+from mufly.identify.result import coloured_covariance, parzen
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfilt
 
 from mufly.errors import ArgumentError, InputError
-from mufly.identify.covariance import correlation_of, relative, unseen_combinations
 from mufly.identify.linear.check import (
     CrossValidation,
     Disturbance,
@@ -34,7 +33,7 @@ from mufly.identify.linear.frequency import SpectralFit, fit_spectral
 from mufly.identify.linear.structure import Structure, model_named
 from mufly.identify.record import Columns, lowpassed
 from mufly.identify.residuals import Quality, quality, what_is_missing
-from mufly.identify.result import Estimate, Fit, RecordFit
+from mufly.identify.result import Estimate, Fit, RecordFit, correlation_of, relative, unseen_combinations
 from mufly.logs import guess_angle_units
 
 Array = NDArray[np.float64]

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from scipy.signal import detrend, welch
 
 from mufly.quantities import our_name
+from mufly.station.history import Message, Snapshot
 from mufly.station.page.session import Source, View
-from mufly.station.view import Message, Snapshot
 from mufly.units import factor_of
 
 IN_FLIGHT = 2

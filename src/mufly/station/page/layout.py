@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
+from typing import Any
 
 from nicegui import ui
 from nicegui.element import Element
 from nicegui.events import GenericEventArguments
 
-from mufly.station.page.command_bar import CommandBar
+from mufly.station.checks import OWN_CHECKS
+from mufly.station.history import Outcome, Request, Snapshot
 from mufly.station.page.panels import (
     Panel,
     button,
@@ -20,8 +23,8 @@ from mufly.station.page.panels import (
     recording_drawer,
     static_url,
 )
-from mufly.station.page.session import View
-from mufly.station.view import Outcome, Request
+from mufly.station.page.session import View, availability, mission_label
+from mufly.station.remote import RemoteVehicle
 
 REFRESH_S = 0.2
 _KEYS = (
@@ -221,3 +224,272 @@ def _replay(view: View, e: GenericEventArguments) -> None:
         replay.speed = float(speed)
     if content.get("close"):
         view.close_recording()
+
+
+# ----------------------------------------------------------------------------
+# The buttons that command the vehicle, each with the reason why it cannot be used, and what became of requests.
+#
+# The emergency stop needs two presses within three seconds. It works from every window and whoever commands.
+
+
+CONFIRM_S = 3.0
+HEIGHT_M = (0.2, 50.0)
+_MARKS = {
+    Outcome.WAITING: "…",
+    Outcome.ACCEPTED: "✓",
+    Outcome.REFUSED: "✕ refused",
+    Outcome.TIMED_OUT: "✕ no answer",
+}
+
+
+def _facts(facts: dict[str, Any]) -> str:
+    """What a recording says of itself, in a line."""
+    outcome = " ".join(str(facts[k]) for k in ("outcome", "reason") if facts.get(k))
+    start = str(facts.get("start_time", ""))[:19].replace("T", " ")
+    whole = "" if facts.get("complete", True) else "cut off: shown as far as it goes"
+    parts = (str(facts.get("vehicle", "")), str(facts.get("mission", "")), outcome, start, whole)
+    return "Recording: " + "; ".join(p for p in parts if p)
+
+
+def _hide(element: Element, hidden: bool, name: str = "mf-hidden") -> None:
+    element.classes(add=name if hidden else "", remove="" if hidden else name)
+
+
+class _Action:
+    """A button of two lines: what it does, and why it cannot."""
+
+    def __init__(self, label: str, test_id: str, key: str, press: Callable[[], None], classes: str) -> None:
+        self.label, self._key = label, key
+        self._state: tuple[str, str] = ("", "?")
+        self._button = element("button", classes=f"mf-action {classes}")
+        self._button.props(f'type=button data-testid={test_id} data-key="{key}"')
+        # A click may have been under way when it was disabled.
+        self._button.on("click", lambda: None if self._state[1] else press(), args=[])
+        with self._button:
+            self._lines = (
+                element("span", classes="mf-action-label"),
+                element("span", classes="mf-action-reason"),
+            )
+        self.show(label, "")
+
+    def show(self, label: str, reason: str) -> None:
+        """Say what it does, and why it cannot be used ("": it can)."""
+        if (label, reason) == self._state:
+            return
+        self._state = (label, reason)
+        for line, text in zip(
+            self._lines, (label, reason or self._key.replace("Backspace", "⌫")), strict=True
+        ):
+            line._text = text
+            line.update()
+        self._button.props("disabled") if reason else self._button.props(remove="disabled")
+        self._button.props["title"] = reason or f"{label} ({self._key})"
+        self._button.update()
+
+
+class _Field:
+    """A number that is typed."""
+
+    def __init__(self, label: str, value: float, meaning: str, unit: str = "") -> None:
+        self.value = value
+        self.on_change: Callable[[float], None] = lambda _: None
+        test = "field-" + meaning.split()[0]
+        options = {"label": label, "value": value, "meaning": meaning, "unit": unit, "test": test}
+        self.panel = Panel("field", options)
+        self.panel.on("change", self._changed)
+
+    def _changed(self, e: GenericEventArguments) -> None:
+        if isinstance(e.args, int | float) and math.isfinite(e.args):
+            self.value = float(e.args)
+            self.on_change(self.value)
+
+    def show(self, value: float) -> None:
+        """Show another number."""
+        if value != self.value:
+            self.value = value
+            self.panel.call("set", value)
+
+
+class CommandBar:
+    """Commands of one window.
+
+    Parameters
+    ----------
+    view : View
+    place : callable
+        Told the height (m) that was typed for the waypoint.
+    """
+
+    def __init__(self, view: View, place: Callable[[float], None]) -> None:
+        self._view = view
+        self._stop_armed = 0.0
+        self._shown: list[str] = []
+        self._banner_shown = ("?", "")
+        self._actions: dict[str, _Action] = {}
+        row = "mf-row"
+        with element("section", classes="mf-commands").props('aria-label="commands"') as self._section:
+            with element("div", classes="mf-banner").props("role=status") as self._banner:
+                self._banner_text, self._banner_button = element("span"), element("button")
+                self._banner_button.props("type=button data-testid=take-controls")
+                self._banner_button.on("click", self._take, args=[])
+            self._action("mission", "Fly the mission", "M", self._do("start_mission"), classes="mf-primary")
+            with element("div", classes=row):
+                self._action("take_off", "Take off", "T", self._go_up, "take-off")
+                self._height = _Field("to", 1.0, "height of take-off in m", "m")
+            with element("div", classes=row):
+                self._action("pause", "Hover", "H", self._do("pause"))
+                self._action("land", "Land", "L", self._do("land"))
+                self._action("return", "Return", "R", self._do("return_home"))
+            with element("div", classes=f"{row} mf-goto"):
+                self._place = (
+                    _Field("N", 0.0, "north in m"),
+                    _Field("E", 0.0, "east in m"),
+                    _Field("height", 1.0, "height of the waypoint in m"),
+                )
+                for field in self._place:
+                    field.panel.on("enter", self._go_there, args=[])
+                self._place[2].on_change = place
+                self._action("go_to", "Go", "G", self._go_there, "goto")
+            with element("div", classes=row):
+                self._action("arm", "Arm", "A", self._toggle_arm, classes="mf-small")
+                self._action(
+                    "stop", "EMERGENCY STOP", "Backspace", self._emergency, "emergency-stop", "mf-stop"
+                )
+            self._log = element("ol", classes="mf-requests").props('role=status aria-label="requests"')
+        self.refresh()
+
+    def _action(
+        self, name: str, label: str, key: str, press: Callable[[], None], test_id: str = "", classes: str = ""
+    ) -> None:
+        self._actions[name] = _Action(label, test_id or name, f"Shift+{key}", press, classes)
+
+    # ---- what the buttons do
+
+    def _ask(self, ask: Callable[[RemoteVehicle], Request]) -> None:
+        vehicle = self._view.vehicle()
+        if vehicle is not None:
+            self._view.ask(ask(vehicle))
+        self.refresh()
+
+    def _do(self, name: str) -> Callable[[], None]:
+        return lambda: self._ask(lambda vehicle: getattr(vehicle, name)())
+
+    def _refuse(self, text: str, why: str) -> None:
+        self._view.ask(Request(text, Outcome.REFUSED, why))
+        self.refresh()
+
+    def _go_up(self) -> None:
+        height = self._height.value
+        if HEIGHT_M[0] <= height <= HEIGHT_M[1]:
+            self._ask(lambda vehicle: vehicle.take_off(height))
+        else:
+            self._refuse(f"take off to {height:g} m", f"give {HEIGHT_M[0]:g} to {HEIGHT_M[1]:g} m")
+
+    def _go_there(self) -> None:
+        self.go_to(*(field.value for field in self._place))
+
+    def go_to(self, north: float, east: float, height: float) -> None:
+        """Send the vehicle to a point (m; height above the floor), if that can be done now."""
+        self.choose(north, east, height)
+        why = self._reasons()["go_to"]
+        if not all(math.isfinite(x) and abs(x) < 1e5 for x in (north, east, height)) or height <= 0.0:
+            why = "give finite metres and a height above the floor"
+        if why:
+            self._refuse(f"go to N {north:.2f}, E {east:.2f}, height {height:.2f} m", why)
+        else:
+            self._ask(lambda vehicle: vehicle.go_to((north, east, -height)))
+
+    def choose(self, *place: float) -> None:
+        """Show a point (north, east, height; m) in the fields, without flying there."""
+        for field, value in zip(self._place, place, strict=True):
+            field.show(value)
+
+    def _toggle_arm(self) -> None:
+        self._ask(lambda vehicle: vehicle.disarm() if vehicle.snapshot.armed else vehicle.arm())
+
+    def _emergency(self) -> None:
+        now = time.monotonic()
+        if now - self._stop_armed < CONFIRM_S:
+            self._stop_armed = 0.0
+            self._do("emergency_stop")()
+        else:
+            self._stop_armed = now
+            self.refresh()
+
+    def _take(self) -> None:
+        if not self._view.has_controls:
+            self._view.take_controls()
+            self.refresh()
+        else:
+            self._do("take_command")()
+
+    # ---- what they show
+
+    def _reasons(self) -> dict[str, str]:
+        vehicle, source = self._view.vehicle(), self._view.source()
+        unready = ""
+        if vehicle is not None and not vehicle.snapshot.flying:
+            # The station's other checks advise; whether it can be armed is for the vehicle to say.
+            unready = next((c.text for c in vehicle.checks if c.ok is False and c.name == OWN_CHECKS), "")
+        return availability(
+            vehicle.snapshot if vehicle is not None else None,
+            kind=source.kind if source is not None else "other",
+            has_controls=self._view.has_controls,
+            rows=len(vehicle.mission) if vehicle is not None else 0,
+            unready=unready,
+        )
+
+    def refresh(self) -> None:
+        """Bring the buttons up to date; what has not changed is not sent."""
+        vehicle = self._view.vehicle()
+        snapshot = vehicle.snapshot if vehicle is not None else None
+        why = self._reasons()
+        begun = vehicle is not None and any(r.reached for r in vehicle.mission if r.action == "waypoint")
+        labels = {"mission": mission_label(snapshot, begun)}
+        if snapshot is not None and snapshot.armed:
+            labels["arm"], why["arm"] = "Disarm", why["disarm"]
+        if time.monotonic() - self._stop_armed < CONFIRM_S:
+            labels["stop"] = "PRESS AGAIN TO STOP"
+        for name, action in self._actions.items():
+            action.show(labels.get(name, action.label), why[name])
+        self._show_banner(vehicle, snapshot)
+        self._show_requests()
+
+    def _show_banner(self, vehicle: RemoteVehicle | None, s: Snapshot | None) -> None:
+        text, button, replay = "", "", self._view.replay
+        if replay is not None:
+            text = _facts(replay.recording.facts)
+        elif vehicle is None:
+            text = "Waiting for a vehicle on the link"
+        elif not self._view.has_controls:
+            other = self._view.session.holder
+            text = "The controls are with another window" if other else "No window holds the controls"
+            button = "Take the controls"
+        elif s is not None and s.commander and not s.in_command:
+            text, button = f"Watching: commanded by {s.commander}", "Take command"
+        if (text, button) == self._banner_shown:
+            return
+        self._banner_shown = (text, button)
+        _hide(self._section, replay is not None, "mf-watching")
+        self._banner_text._text, self._banner_button._text = text, button
+        _hide(self._banner_button, not button)
+        _hide(self._banner, not text)
+        for e in (self._banner_text, self._banner_button, self._banner):
+            e.update()
+
+    def _show_requests(self) -> None:
+        requests = list(self._view.requests)[-3:]
+        lines = [_line(r) for r in requests]
+        if lines == self._shown:
+            return
+        self._shown = lines
+        self._log.clear()
+        with self._log:
+            for line, request in zip(lines, requests, strict=True):
+                element("li", line, f"mf-request-{request.outcome.value.replace(' ', '-')}")
+
+
+def _line(r: Request) -> str:
+    progress = f" {r.progress:.0%}" if not r.done and r.progress else ""
+    answer = f": {r.answer}" if r.answer else ""
+    return f"{_MARKS[r.outcome]} {r.text}{progress}{answer}"

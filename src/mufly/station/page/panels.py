@@ -19,11 +19,11 @@ from nicegui.events import GenericEventArguments, UploadEventArguments
 
 from mufly.errors import MuflyError
 from mufly.mission import Mission, dump_mission, mission_from
+from mufly.station.history import MissionRow, Outcome, Request
 from mufly.station.page.session import View, find_recordings, parameter_file, read_parameter_file
-from mufly.station.parameters import refused
 from mufly.station.remote import RemoteVehicle
 from mufly.station.replay import open_recording
-from mufly.station.view import MissionRow, Outcome, Request
+from mufly.station.transfers import refused
 
 STATIC = Path(__file__).parent / "static"
 MOST_BYTES, MOST_RECORDING_BYTES = 2_000_000, 1_000_000_000

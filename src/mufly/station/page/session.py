@@ -18,10 +18,10 @@ from typing import Any
 from mufly.errors import InputError
 from mufly.flight import Parameter
 from mufly.mission import Ask, Mission, may
+from mufly.station.history import Request, Snapshot
 from mufly.station.recorder import StationRecorder
 from mufly.station.remote import RemoteVehicle
 from mufly.station.replay import Recording, Replay
-from mufly.station.view import Request, Snapshot
 from mufly.world import World
 
 ENDINGS = (".mcap", ".tlog", ".ulg", ".csv", ".bin", ".parquet", ".nc")
