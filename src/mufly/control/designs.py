@@ -516,6 +516,8 @@ def design_velocity(settings: Settings, period_s: float) -> Design:
     """Velocity under ideal tilt (eq. 6.10): ``udot = -g theta``, ``vdot = g phi``; one degree of freedom (Sec. 6.1.6).
 
     Inputs of the controller: errors of u, v.
+
+    Thesis: eqs 6.6 to 6.10; Sec. 6.1.6.
     """
     plant = state_space(
         np.zeros((2, 2)),

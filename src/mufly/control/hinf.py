@@ -288,6 +288,8 @@ def hinfsyn(
     Notes
     -----
     Source: Glover and Doyle (1988); Zhou, Doyle and Glover (1996), theorem 17.1. See the module's docstring.
+
+    Thesis: Fig. 6.1; Sec. 6.1.1.
     """
     nw, nz = P.ninputs - n_controls, P.noutputs - n_measurements
     if P.dt not in (0, None):

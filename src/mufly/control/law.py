@@ -249,6 +249,8 @@ def position_step(  # type: ignore[no-untyped-def]
     tilt_reference : (2,) array
         phi, theta (rad).
     state : (6,) array
+
+    Thesis: Fig. 6.9.
     """
     v_n = velocity_reference[0] + gains.position_gain * (position_reference[0] - position[0])
     v_e = velocity_reference[1] + gains.position_gain * (position_reference[1] - position[1])

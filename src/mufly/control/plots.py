@@ -168,6 +168,8 @@ def draw_designs(
     -------
     list of Path
         ``<design>-plant`` and ``<design>-loop`` for heave-yaw, roll-pitch and velocity.
+
+    Thesis: Figs 6.3, 6.5, 6.7, 6.8.
     """
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)

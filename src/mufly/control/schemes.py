@@ -83,7 +83,10 @@ class Scaling:
 
 @dataclass(frozen=True)
 class TwoDegreeWeights:
-    """Weights of the two-degree-of-freedom scheme; the defaults are eq. 6.4, W_r without its factor 1e-4."""
+    """Weights of the two-degree-of-freedom scheme; the defaults are eq. 6.4, W_r without its factor 1e-4.
+
+    Thesis: eq. 6.4.
+    """
 
     control: TransferFunction = TransferFunction((0.001,))  # W_u~
     output_noise: TransferFunction = TransferFunction((1.0, 10.0), (0.1, 20.0))  # W_d
@@ -169,6 +172,8 @@ def two_degree_plant(
     control.StateSpace
         Inputs ``w_dbar[u]``, ``w_rbar[y]``, ``w_r[y]``, ``w_d[y]``, then the controls ``u``; outputs ``z_u[u]``,
         ``z_y[y]``, then the measurements ``reference[y]`` and ``error[y]``.
+
+    Thesis: eq. 6.3; Fig. 6.4.
     """
     y, u, ref = list(plant.output_labels), list(plant.input_labels), list(references)
     unknown = [name for name in ref if name not in y]
@@ -212,6 +217,8 @@ def one_degree_plant(
     -------
     control.StateSpace
         Inputs ``w_v[u]``, ``w_r[y]``, then the controls ``u``; outputs ``z_u[u]``, ``z_y[y]``, then ``error[y]``.
+
+    Thesis: eq. 6.5; Fig. 6.6.
     """
     y, u, ref = list(plant.output_labels), list(plant.input_labels), list(references)
     w, d = weights, _Diagram(plant)

@@ -99,6 +99,8 @@ def gear_curve(
         Share of the supply voltage at the motor.
     supply_V : float, optional
         Default: the battery's nominal voltage.
+
+    Thesis: Fig. 3.7; Sec. 3.1.4.
     """
     ratio = np.atleast_1d(np.asarray(ratios, dtype=np.float64))
     if ratio.ndim != 1 or ratio.size == 0:

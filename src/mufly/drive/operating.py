@@ -348,6 +348,8 @@ def speed_at_voltage(c: Constants, load: RotorLoad, voltage_V: Array) -> tuple[A
     speed : (n,) array
         rad/s; nan where there is none.
     found : (n,) array of bool
+
+    Thesis: eq. 3.18.
     """
     return _settled(c, load, lambda speed, case: voltage_V[case], voltage_V)
 

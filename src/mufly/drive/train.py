@@ -42,7 +42,10 @@ from mufly.vehicle.schema import Battery, Gear, Group, Motor, Quantity, paramete
 
 @compiled(error_model="numpy")
 def armature_current(duty, voltage, speed, back_emf_constant, resistance, gear_ratio):  # type: ignore[no-untyped-def]
-    """Return the armature current (A) of a motor whose rotor turns at ``speed`` (rad/s); eq. 4.24 without L."""
+    """Return the armature current (A) of a motor whose rotor turns at ``speed`` (rad/s); eq. 4.24 without L.
+
+    Thesis: eq. 4.24.
+    """
     return (duty * voltage - back_emf_constant * gear_ratio * speed) / resistance
 
 
@@ -50,7 +53,10 @@ def armature_current(duty, voltage, speed, back_emf_constant, resistance, gear_r
 def rotor_acceleration(  # type: ignore[no-untyped-def]
     current, speed, drag_torque, torque_constant, friction, gear_ratio, gear_efficiency, inertia
 ):
-    """Return dOmega/dt (rad/s2) of a rotor at ``speed`` (rad/s) under ``drag_torque`` (N m); eq. 4.29."""
+    """Return dOmega/dt (rad/s2) of a rotor at ``speed`` (rad/s) under ``drag_torque`` (N m); eq. 4.29.
+
+    Thesis: eqs 4.25 to 4.29.
+    """
     drive = torque_constant * current / gear_ratio - friction * speed
     return (drive - drag_torque / (gear_ratio * gear_ratio * gear_efficiency)) / inertia
 

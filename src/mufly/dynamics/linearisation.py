@@ -385,6 +385,8 @@ def linearise(vehicle: Vehicle, at: Trim | None = None, *, voltage: float | None
     ------
     MuflyError
         If the vehicle cannot hover.
+
+    Thesis: eqs 4.30, 6.1, 6.2; Sec. 6.1.3.
     """
     point = trim(vehicle, voltage=voltage) if at is None else at
     p = model_parameters(vehicle, point.constant_voltage_V)
@@ -474,6 +476,10 @@ def _full(m: NDArray[np.float64], heading: float) -> NDArray[np.float64]:
 def _minimal_rates(
     m: NDArray[np.float64], u: NDArray[np.float64], wind: NDArray[np.float64], p: np.void, heading: float
 ) -> NDArray[np.float64]:
+    """Return the rates of the states of the linear model, attitude as Euler angles.
+
+    Thesis: eqs 4.3, 4.4.
+    """
     x, dx = _full(m, heading), np.empty(STATE_SIZE)
     derivative(x, u[[1, 0, 2, 3]], wind, p, dx)
     a = rotation(x[6:10])

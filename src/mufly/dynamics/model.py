@@ -92,6 +92,8 @@ def derivative(x, u, wind, p, dx):  # type: ignore[no-untyped-def]
     p : record of type ``PARAMETERS``
     dx : (21,) array
         Overwritten with dx/dt.
+
+    Thesis: eqs 4.5 to 4.10, 4.13 to 4.23, 4.31.
     """
     # First of all, because what is in registers would not outlive the call.
     kT_up, kT_dw, kQ_up, kQ_dw = p.thrust_up, p.thrust_dw, p.torque_up, p.torque_dw

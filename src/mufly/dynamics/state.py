@@ -41,7 +41,10 @@ INPUT_SIZE = 4
 
 @compiled(error_model="numpy")
 def rotation(quaternion):  # type: ignore[no-untyped-def]
-    """Return the 3x3 matrix that turns body vectors into N-E-D, for a unit quaternion (w, x, y, z)."""
+    """Return the 3x3 matrix that turns body vectors into N-E-D, for a unit quaternion (w, x, y, z).
+
+    Thesis: eqs 4.1, 4.2.
+    """
     w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
     return np.array(
         [
@@ -231,6 +234,8 @@ def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
     ------
     InputError
         If the voltage is not positive.
+
+    Thesis: eqs 4.11, 4.12.
     """
     if voltage is not None and not (np.isfinite(voltage) and voltage > 0):
         raise InputError(vehicle.name, "voltage", f"{voltage} V is not possible", "give a positive voltage")
@@ -295,6 +300,8 @@ def hover_speeds(
         A mapping with its fields will do.
     thrust, torque : (2, ...) array_like, optional
         Of upper and lower rotor over the squares of their speeds (N s2, N m s2); the constants of ``p`` by default.
+
+    Thesis: eq. 5.1.
     """
     t_up, t_dw = (p["thrust_up"], p["thrust_dw"]) if thrust is None else np.asarray(thrust)
     q_up, q_dw = (p["torque_up"], p["torque_dw"]) if torque is None else np.asarray(torque)

@@ -214,6 +214,8 @@ def fit_motor(
     ------
     InputError
         If columns are missing, constant or too short, or break the balance of energy.
+
+    Thesis: Fig. 5.1; Sec. 5.2.1.
     """
     gear = gear or GearKnowledge()
     data, notes = motor_data(table)

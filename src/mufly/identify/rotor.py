@@ -333,6 +333,8 @@ def fit_rotor(
     ------
     InputError
         If speeds are missing, there are fewer than two points, or the radius cannot be right.
+
+    Thesis: Table 5.2; Sec. 5.2.2.
     """
     if not (math.isfinite(radius_m) and radius_m > 0):
         raise ArgumentError(

@@ -92,6 +92,8 @@ def repulsion(ranges: Sequence[float], beams: Ring, threshold: float) -> tuple[f
     -------
     (2,) tuple
         F along body x and y (1/m), away from what is seen; a range below 1 cm counts as 1 cm.
+
+    Thesis: eqs 6.14 to 6.17; Fig. 6.19.
     """
     fx = fy = 0.0
     for i, reach in enumerate(ranges):
@@ -346,7 +348,10 @@ def blocked(sight: Sight, clearance: float) -> bool:
 def hold_off(
     memory: Memory, position: tuple[float, ...], velocity: tuple[float, float], keep: float
 ) -> tuple[float, float]:
-    """The velocity N, E (m/s) nearest to the wanted one that comes near ``keep`` (m) of a point only exponentially."""
+    """The velocity N, E (m/s) nearest to the wanted one that comes near ``keep`` (m) of a point only exponentially.
+
+    Thesis: eqs 6.18, 6.19.
+    """
     return _hold_off(
         memory.points, memory.used, position[0], position[1], position[2], velocity[0], velocity[1], keep
     )
@@ -507,6 +512,8 @@ def go_round(
         Distance to keep (m) and speed to fly at (m/s).
     dt : float
         Time step (s).
+
+    Thesis: Sec. 6.2.3.
     """
     reference = detour.position
     sight = look(memory, reference, goal, clearance, math.inf)

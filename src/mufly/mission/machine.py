@@ -103,6 +103,8 @@ def step(
         The new state.
     reference : Reference
         What the controllers have to follow now.
+
+    Thesis: Fig. 6.15; Sec. 6.2.1.
     """
     dt = min(max(estimate.time_s - state.time_s, 0.0), 0.5)
     s = _sense(plan, state, estimate, dt)

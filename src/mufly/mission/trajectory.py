@@ -153,7 +153,10 @@ class Spline:
 
 
 def spline(x0: ArrayLike, xg: ArrayLike, dx0: ArrayLike, dxg: ArrayLike) -> Spline:
-    """Cubic from x0 to xg (3,) with boundary derivatives dx0 and dxg (3,) (eq. 6.12)."""
+    """Cubic from x0 to xg (3,) with boundary derivatives dx0 and dxg (3,) (eq. 6.12).
+
+    Thesis: eqs 6.11 to 6.13; Fig. 6.16.
+    """
     p, g, dp, dg = (np.asarray(v, dtype=np.float64) for v in (x0, xg, dx0, dxg))
     return Spline(np.stack([2.0 * (p - g) + dp + dg, 3.0 * (g - p) - 2.0 * dp - dg, dp, p]))
 
@@ -331,6 +334,8 @@ class Trajectory:
         Flown in place of the line.
     lead : Stop or None
         Braking that comes first; `gate_s` and `duration_s` include it.
+
+    Thesis: Fig. 6.17; Sec. 6.2.2.
     """
 
     start: Triple

@@ -198,7 +198,10 @@ def result_of(
     torque_Nm: float,
     columns: Mapping[str, Array],
 ) -> RotorResult:
-    """Put an operating point together from its thrust, torque and station table (``FIELDS``), whatever the method."""
+    """Put an operating point together from its thrust, torque and station table (``FIELDS``), whatever the method.
+
+    Thesis: eqs 3.3 to 3.5.
+    """
     blading, which, speed_rad_s = placed.blading, placed.which, placed.speed_rad_s
     rotor = blading.rotors[which]
     area = rotor.disc_area_m2
@@ -442,7 +445,10 @@ def section_coefficients(
 def _residual(
     alpha: float, e: float, flow: Flow, at: Station, section: Section, polars: PolarStack, on: Switches
 ) -> Any:
-    """Return R of the module docstring and what comes with it: phi, c_l, c_d, W, F, u, u_t, log Re."""
+    """Return R of the module docstring and what comes with it: phi, c_l, c_d, W, F, u, u_t, log Re.
+
+    Thesis: eqs 3.11, 3.12.
+    """
     speed = flow.speed
     log_re = flow.log_re + math.log(max(math.cos(at.theta - alpha - flow.phi), 1e-3))
     cl, cd = section_coefficients(alpha, log_re, section, polars)
@@ -479,7 +485,10 @@ def _residual(
 
 @compiled(error_model="numpy")
 def _station(e: float, flow: Flow, at: Station, section: Section, polars: PolarStack, on: Switches) -> Any:
-    """Solve one station; return alpha and the values at the root."""
+    """Solve one station; return alpha and the values at the root.
+
+    Thesis: eqs 3.6 to 3.10.
+    """
     speed = flow.speed
     middle = at.theta - flow.phi
     b = x = middle

@@ -82,6 +82,8 @@ class Corrections:
         See the module docstring.
     drag_factor, lift_factor : float
         Multipliers of the section coefficients: 1 unless a user calibrates on a rotor of his own.
+
+    Thesis: eq. 3.13.
     """
 
     tip_loss: TipLoss = "prandtl"

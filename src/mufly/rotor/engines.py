@@ -73,6 +73,8 @@ def polar(
         If the airfoil, an option or the file is wrong.
     MuflyError
         If the engine is not installed or found no answer.
+
+    Thesis: Table 3.1.
     """
     given = airfoil.name if isinstance(airfoil, Airfoil) else str(airfoil)
     found = polars(

@@ -248,6 +248,8 @@ def compare(
         Of the wakes.
     progress : callable, optional
         Of the wakes: points done, and points in all.
+
+    Thesis: Table 3.2; Fig. 3.15.
     """
     case, gas = as_blading(blading), air or Air()
     bench = measurements

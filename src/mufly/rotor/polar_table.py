@@ -257,6 +257,8 @@ def lookup(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> tuple[Ar
     ------
     MuflyError
         If an angle is not finite or a Reynolds number not above zero.
+
+    Thesis: eqs 3.1, 3.2.
     """
     return _read(table, alpha, reynolds)
 

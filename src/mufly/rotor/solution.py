@@ -112,6 +112,8 @@ def solve(
     --------
     >>> pair = System.coaxial(upper, lower, spacing_m=0.02)  # doctest: +SKIP
     >>> solve(pair, Condition(0.24, thrust_N=0.9)).power_W  # doctest: +SKIP
+
+    Thesis: Sec. 3.3.
     """
     if method not in _METHODS:
         raise InputError("rotor", "method", f"{method!r} is unknown", f"use one of: {', '.join(_METHODS)}")

@@ -188,7 +188,10 @@ class IdealRing(Sensor):
 
 
 def beam_angles(vehicle: Vehicle) -> NDArray[np.float64]:
-    """Return the direction of each beam of the range ring, from x towards y (rad), shape (n,)."""
+    """Return the direction of each beam of the range ring, from x towards y (rad), shape (n,).
+
+    Thesis: Fig. 6.18.
+    """
     ring = vehicle.range_ring
     return float(ring.first_angle) + 2 * np.pi * np.arange(ring.count) / ring.count
 

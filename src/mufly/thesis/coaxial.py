@@ -103,7 +103,10 @@ def equal_speeds(
     settings: WakeSettings | None = None,
     progress: Progress | None = None,
 ) -> xr.Dataset:
-    """Fig. 3.43: both rotors at the same speed, and one rotor alone (``single_...``)."""
+    """Fig. 3.43: both rotors at the same speed, and one rotor alone (``single_...``).
+
+    Thesis: Fig. 3.43.
+    """
     both = _solve(
         model, {"rpm": list(rpm)}, lambda rpm: _Point(upper_rpm=rpm, lower_rpm=rpm), settings, progress
     )
@@ -126,7 +129,10 @@ def one_speed_kept(
     settings: WakeSettings | None = None,
     progress: Progress | None = None,
 ) -> xr.Dataset:
-    """Fig. 3.44: one rotor is kept at 6000 rpm, the other varied; ``varied`` says which."""
+    """Fig. 3.44: one rotor is kept at 6000 rpm, the other varied; ``varied`` says which.
+
+    Thesis: Fig. 3.44.
+    """
 
     def at(varied: str, rpm: float) -> _Point:
         return _Point(upper_rpm=rpm) if varied == "upper" else _Point(lower_rpm=rpm)
@@ -140,7 +146,10 @@ def torque_balance(
     settings: WakeSettings | None = None,
     progress: Progress | None = None,
 ) -> xr.Dataset:
-    """Table 3.4: the lower speed at which the torques cancel, the upper rotor at 6000 rpm."""
+    """Table 3.4: the lower speed at which the torques cancel, the upper rotor at 6000 rpm.
+
+    Thesis: Table 3.4; Sec. 3.4.7.
+    """
 
     def at(lower_pitch_deg: float) -> _Point:
         return _Point(lower_pitch_deg=lower_pitch_deg, balance=True)
@@ -155,7 +164,10 @@ def distances(
     settings: WakeSettings | None = None,
     progress: Progress | None = None,
 ) -> xr.Dataset:
-    """Fig. 3.45: the lower rotor at four distances below the upper one, both at the same speed."""
+    """Fig. 3.45: the lower rotor at four distances below the upper one, both at the same speed.
+
+    Thesis: Fig. 3.45.
+    """
 
     def at(spacing_mm: float, rpm: float) -> _Point:
         return _Point(upper_rpm=rpm, lower_rpm=rpm, spacing_m=1e-3 * spacing_mm)

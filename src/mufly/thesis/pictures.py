@@ -113,7 +113,10 @@ def ranking_figure(data: Mapping[str, xr.Dataset], named: Mapping[str, str], tit
 
 
 def sections_figure(names: Sequence[str], title: str) -> Figure:
-    """Contours of four airfoils."""
+    """Contours of four airfoils.
+
+    Thesis: Figs 3.29, 3.33, 3.34.
+    """
     figure = _figure(9.0, 4.0)
     for axes, name in zip(figure.subplots(2, 2).flat, names, strict=True):
         section = load_airfoil(name)

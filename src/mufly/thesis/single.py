@@ -69,7 +69,10 @@ def standard_setup(model: str, *, flags: bool = False) -> Setup:
 
 
 def run_sweep(study: SweepStudy, model: str) -> tuple[xr.Dataset, list[Verdict]]:
-    """Compute a figure with one model, and judge it."""
+    """Compute a figure with one model, and judge it.
+
+    Thesis: Figs 3.26 to 3.28, 3.30 to 3.32, 3.35, 3.36.
+    """
     vary: Mapping[str, Sequence[float | str]] = {
         study.parameter: list(study.values),
         "pitch": [float(p) for p in np.radians(PITCH_DEG)],
@@ -285,7 +288,10 @@ def muflys_gear() -> tuple[xr.Dataset, list[Verdict]]:
 
 
 def coefficients_over_speed(model: str) -> tuple[xr.Dataset, list[Verdict]]:
-    """Compute Fig. 3.25, thrust and torque coefficient of the standard blade over the speed at four pitch settings."""
+    """Compute Fig. 3.25, thrust and torque coefficient of the standard blade over the speed at four pitch settings.
+
+    Thesis: Fig. 3.25.
+    """
     setup = Setup(load_rotor("naca4412-r60-c20"), corrections=MODELS[model], flags=False)
     speed = [float(x) * math.pi / 30 for x in np.arange(3000, 7001, 500)]
     data = sweep(setup, {"pitch": [math.radians(p) for p in (12, 14, 16, 18)], "speed": speed})
@@ -321,7 +327,10 @@ SECTIONS: dict[str, tuple[str, Sequence[str]]] = {
 
 
 def airfoil_ranking(model: str, progress: Progress | None = None) -> tuple[xr.Dataset, list[Verdict]]:
-    """Rank the 247 airfoils with one model, and judge Table 3.3."""
+    """Rank the 247 airfoils with one model, and judge Table 3.3.
+
+    Thesis: Table 3.3.
+    """
     pitch = [float(p) for p in np.radians(PITCH_DEG)]
     ranking = rank_airfoils(standard_setup(model), thesis_airfoils(), pitch, progress=progress)
     n = ranking.sizes["airfoil"]

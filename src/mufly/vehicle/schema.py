@@ -371,6 +371,8 @@ def load_vehicle(name_or_path: str | Path) -> Vehicle:
     InputError
         If there is no such vehicle, the file is not TOML, or a parameter is missing, unknown, without a unit
         or impossible. The message names file, key, value and remedy.
+
+    Thesis: Table 5.3.
     """
     tables, where = read_tables(name_or_path, _BUILTIN, "vehicle")
     folder = None if str(name_or_path) in builtin_vehicles() else Path(name_or_path).parent

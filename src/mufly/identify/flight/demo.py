@@ -253,6 +253,8 @@ def run_demo(
     method : {"lm", "cma"}
     on_progress : callable, optional
         As in :func:`mufly.identify.fit_flights`.
+
+    Thesis: Figs 5.3 to 5.6.
     """
     truth = load_vehicle(vehicle) if isinstance(vehicle, str) else vehicle
     flights, held_out = demo_flights(truth, seed=seed)

@@ -119,6 +119,8 @@ def fit_flights(
     ------
     InputError
         If no record is given, the records do not hold what is asked for, or the checkpoint is another fit's.
+
+    Thesis: Fig. 5.2; Sec. 5.3.
     """
     if not records:
         raise InputError("records", "", "none is given", "give one at least")

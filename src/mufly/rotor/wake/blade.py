@@ -189,6 +189,8 @@ def solve_circulation(
         First guess of the circulation (m2/s).
     inviscid : bool
         Take c_l = 2 pi sin(alpha), no drag: the lattice.
+
+    Thesis: eq. 3.14.
     """
     c = surface.chord_m
     own = np.diag(1.0 / (math.pi * c))

@@ -31,6 +31,8 @@ def contribution(px, py, pz, x0, y0, z0, x1, y1, z1, core):  # type: ignore[no-u
     """Velocity times 4 pi at a point from a segment of unit circulation; ``core`` is (r_c |l|)^4.
 
     Plain Python: compiled here for processors and in :mod:`.gpu` for CUDA, where it stands in the innermost loop.
+
+    Thesis: eqs 3.15 to 3.17.
     """
     ax, ay, az = px - x0, py - y0, pz - z0
     bx, by, bz = px - x1, py - y1, pz - z1
