@@ -107,8 +107,17 @@ def page() -> str:
         rows = [h for h in every if h.kind == kind]
         if rows:
             lines += ["", f"## {title}", "", "| no. | home | what |", "|---|---|---|"]
-            for place, group in itertools.groupby(rows, key=lambda h: h.place):
-                same = list(group)
+            run = (
+                [
+                    (h.place, h.number.split(".")[0], int(h.number.split(".")[1]) - k)
+                    for k, h in enumerate(rows)
+                ]
+                if kind != "sec"
+                else rows
+            )
+            for _, group in itertools.groupby(zip(rows, run, strict=True), key=lambda pair: pair[1]):
+                same = [h for h, _ in group]
+                place = same[0].place
                 numbers = same[0].number if len(same) == 1 else f"{same[0].number} to {same[-1].number}"
                 lines.append(f"| {numbers} | `{place}` | {same[0].what.replace('|', '/')} |")
     return "\n".join(lines) + "\n"

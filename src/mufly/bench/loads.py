@@ -44,8 +44,8 @@ from mufly.rotor import Air, Blading, Condition, System, hover_batch, solve
 #
 # is fitted to them. Its degree, at most one less than the number of blocks and at most 3, has the least AICc (Hurvich
 # and Tsai, Biometrika 76, 1989) of the readings; the covariance of ``a`` is that of :mod:`mufly.bench.covariance`,
-# with
-# readings of one block allowed to err alike. From a single block the zero is constant by assumption, which is said.
+# with readings of one block allowed to err alike. From a single block the zero is constant by assumption, which is
+# said.
 
 
 Array = NDArray[np.float64]

@@ -341,9 +341,8 @@ def _outer(M: Array) -> Array:
 # From a continuous controller to difference equations at the flight rate, in numbers that survive rounding.
 #
 # The bilinear (Tustin) rule integrates the controller by trapezoids: ``s = 2/T (z-1)/(z+1)`` maps the stable half
-# plane
-# onto the unit disc, keeps the static gain, and adds no phase of its own beyond its warping of frequencies (below 2 %
-# up
+# plane onto the unit disc, keeps the static gain, and adds no phase of its own beyond its warping of frequencies
+# (below 2 % up
 # to a twelfth of the sampling rate). With ``v = (I - A T/2) x - B T/2 e``
 #
 #     v+ = Ad v + Bd e + Md (sat(u) - u),   u = Cd v + Dd e,
@@ -351,18 +350,15 @@ def _outer(M: Array) -> Array:
 #     Cd = C (I - A T/2)^-1,            Dd = D + C (I - A T/2)^-1 B T/2,   Md = T M.
 #
 # The last input is the anti-windup: the part of the command that the actuators refuse. It acts one sample later, so
-# the
-# equations stay explicit.
+# the equations stay explicit.
 #
 # Coordinates: real modal form. Every mode is a number, or a 2 x 2 block of a damped rotation, so rounding a
 # coefficient moves one mode by as much as the coefficient. In direct (polynomial) form the slow modes of these
 # controllers leave the unit circle even with 24-bit coefficients. Modes that nearly coincide have no good modal form;
-# a
-# real Schur form (an orthogonal change of coordinates) then takes its place.
+# a real Schur form (an orthogonal change of coordinates) then takes its place.
 #
 # Anti-windup: while the actuators are at their limit the controller runs as ``Ad - Md Cd``. That must be stable, else
-# the
-# gain is replaced by that of a Kalman filter for the pair (Ad, Cd), which is.
+# the gain is replaced by that of a Kalman filter for the pair (Ad, Cd), which is.
 
 
 @dataclass(frozen=True)

@@ -266,8 +266,7 @@ def drive_toml(drive: Drive) -> str:
 #     U = U_oc - R_bat I    =>   U = (U_oc + R_bat (S - I_el)) / (1 + R_bat G)
 #
 # Motors of constant power: n motors that draw P each and electronics I_el at the terminal voltage U make U = U_oc -
-# R_b
-# (n P / U + I_el), hence
+# R_b (n P / U + I_el), hence
 #
 #     U = (E + sqrt(E^2 - 4 R_b n P)) / 2,       E = U_oc - R_b I_el,
 #

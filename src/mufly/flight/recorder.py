@@ -312,8 +312,7 @@ def track_message(time_ns: int, track: NDArray[np.float64]) -> bytes:
 # From rows of numbers to the messages of a chunk.
 #
 # The topics of the layout, the clock and the events are those of every recording (:mod:`mufly.logs.recording`); a
-# flight
-# adds what the 3-D view needs (:mod:`mufly.flight.recorder`).
+# flight adds what the 3-D view needs (:mod:`mufly.flight.recorder`).
 
 
 TRACK_POINTS = 400

@@ -238,28 +238,23 @@ def with_estimates(vehicle: Vehicle, estimates: Iterable[Estimate], note: str) -
 #
 # One covariance for every fit to records: flights, linear models, equation error. (Bench data are few and come in
 # settings, not in time: theirs is :mod:`mufly.bench.covariance`.) With whitened sensitivities ``S`` (start values,
-# trims
-# and biases eliminated), residual ``e`` and the priors' information ``P``::
+# trims and biases eliminated), residual ``e`` and the priors' information ``P``::
 #
 #     H = S^T S + P                                                Cramer-Rao: covariance H^-1 for white residuals
 #     covariance = H^-1 (sum_ij S_i^T R(i - j) S_j + P) H^-1       coloured residuals, R their autocorrelation
 #
 # (Maine and Iliff, NASA RP 1168, Sec. 8.2; Morelli and Klein 1997, "Accuracy of aerodynamic model parameters
-# estimated
-# from flight test data", J. Guidance 20(1); Klein and Morelli, Sec. 6.3). Residuals of flight data are not white
-# (vibration, wind, what the model leaves out), and the bound is then too small by a factor of 5 to 10 in standard
-# deviation. ``R`` is estimated from the residuals with Parzen's window, which keeps the sum positive semi-definite
-# and
-# reaches four times as far as the autocorrelation stands out of its noise (3.9 deviations); where none does, the
-# residual
+# estimated from flight test data", J. Guidance 20(1); Klein and Morelli, Sec. 6.3). Residuals of flight data are not
+# white (vibration, wind, what the model leaves out), and the bound is then too small by a factor of 5 to 10 in
+# standard deviation. ``R`` is estimated from the residuals with Parzen's window, which keeps the sum positive
+# semi-definite and reaches four times as far as the autocorrelation stands out of its noise (3.9 deviations); where
+# none does, the residual
 # counts as white, because the estimate of a correlation that is not there only adds noise. Convolution makes the
-# double
-# sum an FFT. No variance is taken to be smaller than Cramer-Rao's.
+# double sum an FFT. No variance is taken to be smaller than Cramer-Rao's.
 #
 # What the data do not see is told from the covariance C of parameters in relative terms, C_ij = cov_ij / (theta_i
 # theta_j), or of their logarithms: its eigenvectors with large eigenvalues are the directions that the data hardly
-# see.
-# Moving all parameters along one of them, each by its share, changes nothing that was measured by more than its
+# see. Moving all parameters along one of them, each by its share, changes nothing that was measured by more than its
 # error.
 
 

@@ -224,8 +224,7 @@ class Clients:
 # Who commands: one station at a time, the others watch; and what happens when the commander is lost.
 #
 # The first to command takes command. It keeps it until it hands over (CHANGE_OPERATOR_CONTROL), or has not been heard
-# for
-# :data:`SILENT_S`; then the next to command has it. Anything that a station says is a sign of life. In flight:
+# for :data:`SILENT_S`; then the next to command has it. Anything that a station says is a sign of life. In flight:
 #
 # ====================================  ===============================================
 # for ``COM_DL_LOSS_T`` not a word      stop and hover
@@ -234,8 +233,7 @@ class Clients:
 # ====================================  ===============================================
 #
 # Without a commander (a flight that was started by itself, or was handed over) there is nobody to lose. A landing,
-# and
-# a flight home, go on: they end on the floor anyway.
+# and a flight home, go on: they end on the floor anyway.
 
 
 SILENT_S = 5.0
@@ -377,11 +375,9 @@ def watch_link(
 # LOCAL_NED (1)             N-E-D from the origin; N-E-D; from north
 # LOCAL_OFFSET_NED (7)      N-E-D from where it is now; N-E-D; from north
 # BODY_NED (8),             ahead, right and down of where it is now, level; ahead, right, down; from the nose
-# BODY_OFFSET_NED (9),
-# BODY_FRD (12)
+# BODY_OFFSET_NED (9), BODY_FRD (12)
 # GLOBAL (0, 5),            on the globe, with altitude above the sea (0, 5) or above the origin (3, 6); N-E-D; from
-# north
-# GLOBAL_RELATIVE_ALT (3, 6)
+# north GLOBAL_RELATIVE_ALT (3, 6)
 # =========================
 # ===========================================================================================
 #
@@ -389,11 +385,9 @@ def watch_link(
 # followed; a message that gives nothing else, or whose mask has bits that this vehicle does not know, says nothing.
 #
 # Sticks are RC_CHANNELS_OVERRIDE and MANUAL_CONTROL, the thesis's state "RC". An override is what its name says:
-# while
-# any of the channels 1 to 4 is given (not 0, not 65535), the pilot flies; when all are released, the helicopter
-# hovers.
-# MANUAL_CONTROL comes all the time from ground stations with a joystick, so it only counts once a mode for flying by
-# hand has been asked for (DO_SET_MODE to ALTCTL and its like).
+# while any of the channels 1 to 4 is given (not 0, not 65535), the pilot flies; when all are released, the helicopter
+# hovers. MANUAL_CONTROL comes all the time from ground stations with a joystick, so it only counts once a mode for
+# flying by hand has been asked for (DO_SET_MODE to ALTCTL and its like).
 #
 # ======================= =============== ======================== ==============================
 # stick                   channel         MANUAL_CONTROL           asks for, at its end
@@ -405,8 +399,7 @@ def watch_link(
 # ======================= =============== ======================== ==============================
 #
 # Channels are 1000 to 2000 us, 1500 in the middle; a middle of 3 % to either side is dead. The directions are those
-# of
-# PX4 and ArduPilot (MAVLink's own text has r the other way round).
+# of PX4 and ArduPilot (MAVLink's own text has r the other way round).
 
 
 Triple = tuple[float, float, float]

@@ -370,22 +370,18 @@ class TextPieces:
 # What MAVLink's numbers stand for here: a place on the globe, and a flight mode.
 #
 # A flight knows only metres: north and east on the plane that touches the globe at an origin. With the radii of
-# curvature
-# of the ellipsoid WGS 84 at the latitude phi of the origin (height h), meridional M and transverse N::
+# curvature of the ellipsoid WGS 84 at the latitude phi of the origin (height h), meridional M and transverse N::
 #
 #     M = a (1 - e^2) / (1 - e^2 sin^2 phi)^(3/2),   N = a / (1 - e^2 sin^2 phi)^(1/2)
 #     north = (M + h) d_phi,     east = (N + h) cos(phi) d_lambda,     down = h - altitude
 #
 # What the plane leaves out grows with the square of the distance d: about d^2 tan(phi) / (2 R) sideways and d^2 / (2
-# R)
-# in height, 8 cm each for a kilometre at 45 degrees, 8 micrometres for ten metres. MAVLink counts latitude and
-# longitude
-# in 1e-7 degrees, which is 1.1 cm. Source: P. D. Groves, Principles of GNSS, Inertial and Multisensor Integrated
-# Navigation Systems, 2nd ed., Sec. 2.4.
+# R) in height, 8 cm each for a kilometre at 45 degrees, 8 micrometres for ten metres. MAVLink counts latitude and
+# longitude in 1e-7 degrees, which is 1.1 cm. Source: P. D. Groves, Principles of GNSS, Inertial and Multisensor
+# Integrated Navigation Systems, 2nd ed., Sec. 2.4.
 #
 # States of the mission are flight modes of PX4, whose words MAVLink programs know. MAVLink leaves ``custom_mode`` to
-# each
-# autopilot; PX4 puts a main mode in its third byte and a sub mode in its fourth (PX4-Autopilot,
+# each autopilot; PX4 puts a main mode in its third byte and a sub mode in its fourth (PX4-Autopilot,
 # ``src/modules/commander/px4_custom_mode.h``).
 #
 # ============= ==================== =============================================================================

@@ -296,17 +296,13 @@ def _unpack(chunk: records.Chunk) -> bytes:
 # Signals on one clock: which column of a row holds what, a dataset's components as plain columns, and back.
 #
 # A flight is a row of float64 values every sampling instant: column 0 is the time (s), the others are the quantities
-# of
-# :mod:`mufly.quantities` in their order. The writer, the schemas inside the file, the reader, the CSV header and
+# of :mod:`mufly.quantities` in their order. The writer, the schemas inside the file, the reader, the CSV header and
 # ``docs/recordings.md`` follow a :class:`Layout`; a file carries its own copy, so that it stays readable when the
-# table
-# grows.
+# table grows.
 #
 # As a plain column a component is called ``variable_label`` (``measured_attitude_roll``). What columns alone cannot
-# say
-# (the dataset's attributes, events, labels of a user's own dimensions) travels as one JSON text where the format has
-# room
-# for it.
+# say (the dataset's attributes, events, labels of a user's own dimensions) travels as one JSON text where the format
+# has room for it.
 
 
 _TOLD = ("name", "topic", "field", "dim", "units", "long_name")  # what a file says of a quantity

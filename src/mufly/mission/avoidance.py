@@ -348,10 +348,7 @@ def blocked(sight: Sight, clearance: float) -> bool:
 def hold_off(
     memory: Memory, position: tuple[float, ...], velocity: tuple[float, float], keep: float
 ) -> tuple[float, float]:
-    """The velocity N, E (m/s) nearest to the wanted one that comes near ``keep`` (m) of a point only exponentially.
-
-    Thesis: eqs 6.18, 6.19.
-    """
+    """The velocity N, E (m/s) nearest to the wanted one that comes near ``keep`` (m) of a point only exponentially."""
     return _hold_off(
         memory.points, memory.used, position[0], position[1], position[2], velocity[0], velocity[1], keep
     )
@@ -365,12 +362,10 @@ def hold_off(
 # Stepanov 1987; Kamon, Rimon and Rivlin 1998):
 #
 # - Where a seen point lies nearer to the straight way than the clearance (c plus 5 cm), it picks a side: the one that
-# the
-#   blocking points leave more free. It keeps that side, unless it is stuck or has strayed too far, then it tries the
-#   other, twice as far.
+#   the blocking points leave more free. It keeps that side, unless it is stuck or has strayed too far, then it tries
+#   the other, twice as far.
 # - It flies along the contour: with n from the nearest seen point to the helicopter, t across n on the chosen side,
-# and
-#   e = d - d_f the error from the distance to follow at (c plus 15 cm), it wants
+#   and e = d - d_f the error from the distance to follow at (c plus 15 cm), it wants
 #   V (t cos a - n sin a), tan a = e / 0.4 m.
 # - The repulsive field acts on the reference as in eqs 6.18 and 6.19, with the threshold at d_f, as a velocity k F.
 # - Whatever is wanted, the approach to every seen point i is limited: -v.n_i <= lambda (d_i - c), which lets the
@@ -513,7 +508,7 @@ def go_round(
     dt : float
         Time step (s).
 
-    Thesis: Sec. 6.2.3.
+    Thesis: eqs 6.18, 6.19; Sec. 6.2.3.
     """
     reference = detour.position
     sight = look(memory, reference, goal, clearance, math.inf)

@@ -270,8 +270,7 @@ def spline_path(
 # muFly reaches a waypoint in the simplest way (Sec. 6.2.2): first it adapts heading and height on the spot, then it
 # flies a straight level line. A cubic spline through the waypoints is the other kind. Either is a `Trajectory` of two
 # parts: on the spot (height and heading together) up to `gate_s`, then the way. The one who flies it holds the clock
-# at
-# the gate until the helicopter is there in fact, which is the thesis's "if the desired point is reached".
+# at the gate until the helicopter is there in fact, which is the thesis's "if the desired point is reached".
 #
 # Every part runs from rest to rest with continuous acceleration (`profile`). A turn takes the shorter way round; the
 # heading is continuous with the one it started from (it may pass +-pi and go on).

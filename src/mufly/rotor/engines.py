@@ -167,17 +167,15 @@ def _checked(
 # XFOIL (M. Drela, MIT; GPL, run as a separate program) as a second opinion.
 #
 # One run covers one Reynolds number: angles rise from zero, then fall from zero, each starting from the last
-# converged
-# boundary layer; what did not converge is tried once more from a fresh start. A gap of up to two degrees between
-# converged angles is bridged; beyond a wider one the answer counts as unknown. Every run has a time limit, and what
-# it
+# converged boundary layer; what did not converge is tried once more from a fresh start. A gap of up to two degrees
+# between converged angles is bridged; beyond a wider one the answer counts as unknown. Every run has a time limit,
+# and what it
 # had written by then is used.
 #
 # Debian's build stops at the first floating-point exception, which XFOIL raises in ordinary work (the main program
-# asks
-# the Fortran library to trap them, `_gfortran_set_fpe`). When a run dies of that signal, a library of one function
-# that
-# replaces the request by nothing is compiled with the system's C compiler, kept in the cache folder and preloaded.
+# asks the Fortran library to trap them, `_gfortran_set_fpe`). When a run dies of that signal, a library of one
+# function that replaces the request by nothing is compiled with the system's C compiler, kept in the cache folder and
+# preloaded.
 
 
 Array = NDArray[np.float64]

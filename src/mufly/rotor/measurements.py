@@ -357,8 +357,7 @@ def calibrate(
 #
 # * ``n_crit``: transition early or late, 4 and 9 beside the nominal value (the dissertation's Table 3.1);
 # * ``engine``: 4 % of the lift coefficient, 8 % of the drag coefficient: network, boundary-layer code and wind tunnel
-# do
-#   not agree better below Re 1e5 (docs/polars.md);
+#   do not agree better below Re 1e5 (docs/polars.md);
 # * ``camber``: 0.3 % of the chord for a known section, 1 % for a guess; zero-lift angle -2 f (thin airfoil,
 # parabola);
 # * ``thickness``: 0.5 % of the chord, 2 % for a guess; drag 1 + 2 t (Hoerner, Fluid-Dynamic Drag, 1965, ch. II);
@@ -367,8 +366,7 @@ def calibrate(
 # (docs/bemt.md).
 #
 # They are taken as independent, variances add, and the 90 % interval is 1.645 standard deviations to either side.
-# None of
-# these numbers was fitted to the measurements that docs/validation.md checks them on.
+# None of these numbers was fitted to the measurements that docs/validation.md checks them on.
 
 
 @dataclass(frozen=True)

@@ -208,10 +208,8 @@ class Request:
 # What a station remembers of a vehicle: the last ten minutes of every signal, and what it is told at the moment.
 #
 # Signals are the quantities (:mod:`mufly.quantities`) of a flight's recording with what else a vehicle tells over a
-# link:
-# what it believes of itself (``estimated_``), what its rotors were measured to turn at, the pilot's sticks, and how
-# good
-# the link is. As plain columns they are called ``variable_label`` (``estimated_position_N``).
+# link: what it believes of itself (``estimated_``), what its rotors were measured to turn at, the pilot's sticks, and
+# how good the link is. As plain columns they are called ``variable_label`` (``estimated_position_N``).
 
 
 BEAMS = 8

@@ -376,11 +376,10 @@ class Problem:
 #
 # Every candidate is brought to the thrust, both speeds found at which the torques cancel, by coaxial blade element
 # theory: (ln speed, ln speed ratio) follow ln(thrust) and ln(torque ratio) nearly in straight lines (slopes 2 and,
-# for
-# rotors that disturb each other, about 2.6), so three to five solutions do. Differential evolution (SciPy's, seeded)
-# searches, Nelder and Mead's simplex polishes. Start and optimum are then set beside each other by the wake method
-# (:func:`check_by_wake`), which the search never sees: where the two methods disagree about the gain, the user reads
-# so.
+# for rotors that disturb each other, about 2.6), so three to five solutions do. Differential evolution (SciPy's,
+# seeded) searches, Nelder and Mead's simplex polishes. Start and optimum are then set beside each other by the wake
+# method (:func:`check_by_wake`), which the search never sees: where the two methods disagree about the gain, the user
+# reads so.
 #
 # Twist runs straight from hub to tip and is zero at the tip; chords are means (``study/setup.py``).
 

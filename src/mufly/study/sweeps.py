@@ -483,11 +483,9 @@ def _shape(name: str) -> tuple[float, float]:
 #
 # The dissertation ranks 247 airfoils "from a data base" and names eight of them (Table 3.3). Which the others were it
 # does not say. The rule here: the eight, then of AeroSandbox's database (the UIUC collection, 2 174 contours in
-# version
-# 4.2.10), in alphabetical order without the eight, those at the places floor(k n / 239), k = 0 to 238; where a
-# contour is
-# unsound, the next one that is not. Nothing about an airfoil's shape or merit enters, so the sample is as thick and
-# as odd as the database.
+# version 4.2.10), in alphabetical order without the eight, those at the places floor(k n / 239), k = 0 to 238; where a
+# contour is unsound, the next one that is not. Nothing about an airfoil's shape or merit enters, so the sample is as
+# thick and as odd as the database.
 
 
 # Name in Table 3.3 -> name here. n642-015 is "n64015" in the database, the only 64-015 there. NACA "25516" is no
