@@ -78,7 +78,7 @@ class BenchTable:
         for name in names:
             if name not in self.columns:
                 known = f"known here: {', '.join(self.headers.values())}; map others with --columns OLD=NEW"
-                raise self.fault(name, "is not among the columns", remedy or known)
+                raise InputError(self.source, name, "is not among the columns", remedy or known)
             empty = np.flatnonzero(~np.isfinite(self.columns[name]))
             if empty.size:
                 cell = f"line {self.line[empty[0]]}, {self.headers[name]}"
