@@ -46,7 +46,7 @@ class Recording:
     times : (n,) array
         s, increasing.
     columns : dict of str to (n,) array
-        Flat names as in :mod:`mufly.logs.signals` (``measured_attitude_roll``), SI units.
+        Flat names as in :mod:`mufly.quantities` (``measured_attitude_roll``), SI units.
     units : dict of str to str
     states : (n,) array of str
         State of the mission machine, or "".

@@ -92,7 +92,7 @@ def cross_validate(
     dt : float
     blocks : int
     starts, hold
-        As for :func:`mufly.identify.fit_linear`; a fold begins at the fit to all blocks.
+        As for :func:`mufly.identify.linear.fit.fit_linear`; a fold begins at the fit to all blocks.
 
     Returns
     -------
