@@ -129,7 +129,7 @@ def _stamp(file: Path) -> str:
 
 @functools.cache
 def _base() -> Path:
-    for base in (config.CACHE_DIR, platformdirs.user_cache_dir("mufly")):
+    for base in (getattr(config, "CACHE_DIR", ""), platformdirs.user_cache_dir("mufly")):
         if base:
             folder = Path(base) / "mufly-compiled"
             try:
