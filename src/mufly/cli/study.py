@@ -447,7 +447,7 @@ def _print(best: Optimum) -> None:
     c.print(
         f"[bold]{best.after / best.before - 1:+.1%}[/bold]: {r['electrical_power_W']:.3f} W for {r['thrust_N']:.3g} N, "
         f"{r['thrust_per_power_N_W']:.4f} N/W, {r['endurance_s'] / 60:.1f} min; "
-        f"{r['speed_rad_s'] * 30 / math.pi:.0f} rpm at {math.degrees(best.pitch_rad):.2f}°, gear "
+        f"{r['speed_rad_s'] / RPM:.0f} rpm at {math.degrees(best.pitch_rad):.2f}°, gear "
         f"{r['gear_ratio']:.3g}, duty {r['duty']:.2f}, least thickness {1e3 * r['least_thickness_m']:.2f} mm",
         highlight=False,
     )

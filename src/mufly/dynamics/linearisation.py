@@ -36,7 +36,7 @@ from mufly.dynamics.state import (
 )
 from mufly.errors import InputError, MuflyError
 from mufly.results import result
-from mufly.units import GRAVITY
+from mufly.units import GRAVITY, RPM
 from mufly.vehicle import Vehicle
 
 _HOVER_ROUNDS = 30
@@ -78,7 +78,7 @@ class Trim:
     def __str__(self) -> str:
         n, e, d = self.state[3:6]
         roll, pitch, _ = np.degrees(euler_from_quaternion(self.state[6:10]))
-        rpm = self.rotor_speed * 30.0 / np.pi
+        rpm = self.rotor_speed / RPM
         return (
             f"steady at N {n:g}, E {e:g}, D {d:g} m/s: roll {roll:.2f}, pitch {pitch:.2f} deg\n"
             f"  motor input {self.input[0]:.3f} upper, {self.input[1]:.3f} lower; "

@@ -15,6 +15,7 @@ from mufly.rotor import Result, Rotor, RotorResult, load_airfoil
 from mufly.rotor.maps import at
 from mufly.rotor.wake import induced_velocity
 from mufly.study.parameters import PARAMETERS, in_unit
+from mufly.units import RPM
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -231,7 +232,7 @@ def stations_picture(result: RotorResult) -> Figure:
     if beyond.any():
         grid[0, 0].legend(fontsize="small")
     figure.suptitle(
-        f"pitch {math.degrees(result.pitch_rad):.2f} deg, {result.speed_rad_s * 30 / math.pi:.0f} rpm: "
+        f"pitch {math.degrees(result.pitch_rad):.2f} deg, {result.speed_rad_s / RPM:.0f} rpm: "
         f"thrust {result.thrust_N:.4g} N, torque {result.torque_Nm:.4g} N m",
         fontsize="medium",
     )
@@ -294,7 +295,7 @@ def map_picture(coefficients: CoefficientMap) -> Figure:
             else:
                 panel.legend(fontsize=7)
     figure.suptitle(
-        f"{coefficients.name}: {coefficients.description}\nat a mean speed of {mean * 30 / np.pi:.0f} rpm; "
+        f"{coefficients.name}: {coefficients.description}\nat a mean speed of {mean / RPM:.0f} rpm; "
         "x: filled from neighbours",
         fontsize=8,
     )
@@ -374,7 +375,7 @@ def wake_picture(solution: Result, *, turns: float = 2.0) -> Figure:
         axes.view_init(elev=12.0, azim=-60.0)
         r = solution.rotors[k]
         axes.set_title(
-            f"{_names(n)[k]}: {r.speed_rad_s * 30 / math.pi:.0f} rpm, {math.degrees(r.pitch_rad):.2f} deg, "
+            f"{_names(n)[k]}: {r.speed_rad_s / RPM:.0f} rpm, {math.degrees(r.pitch_rad):.2f} deg, "
             f"{r.thrust_N:.4g} N", fontsize="medium", y=0.98,
         )  # fmt: skip
     bar = figure.colorbar(colours, ax=figure.axes, shrink=0.5, location="bottom", pad=0.04)
@@ -497,7 +498,7 @@ def rotor_loads_picture(
     grid[0, 0].legend(fontsize="small")
     figure.suptitle(
         "; ".join(
-            f"{side} {r.speed_rad_s * 30 / math.pi:.0f} rpm, {math.degrees(r.pitch_rad):.2f} deg: {r.thrust_N:.4g} N, "
+            f"{side} {r.speed_rad_s / RPM:.0f} rpm, {math.degrees(r.pitch_rad):.2f} deg: {r.thrust_N:.4g} N, "
             f"{r.torque_Nm:.4g} N m"
             for side, r in zip(_SIDES, (upper, lower), strict=True)
         ),

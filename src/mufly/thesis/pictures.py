@@ -10,6 +10,7 @@ import xarray as xr
 
 from mufly.rotor import load_airfoil
 from mufly.thesis.claims import TABLE_3_4_VALUES
+from mufly.units import RPM
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -78,7 +79,7 @@ def coefficients_figure(data: Mapping[str, xr.Dataset], title: str) -> Figure:
     figure = _figure(10.0, 3.6 * len(data))
     rows = figure.subplots(len(data), 2, squeeze=False)
     for panels, (model, one) in zip(rows, data.items(), strict=True):
-        rpm = one.speed.values * 30 / np.pi
+        rpm = one.speed.values / RPM
         for axes, name, label in zip(
             panels, ("c_Q", "c_T"), ("Torque coefficient", "Thrust coefficient"), strict=True
         ):
