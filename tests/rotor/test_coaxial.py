@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor import Condition, System, hover, solve
+from mufly.rotor import Condition, System, hover, load_rotor, solve
 from mufly.rotor.blading import Corrections, prepare
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.polar_table import ALPHA_GRID, PolarTable
@@ -160,3 +160,11 @@ def test_a_result_prints_its_rotors():
     first, *lines = str(pair()).splitlines()
     assert first.startswith("bemt settled in")
     assert [line.split()[0] for line in lines] == ["rotor", "1", "2", "all"]
+
+
+def test_a_pair_of_rotor_files_is_prepared_with_all_defaults():
+    rotor = load_rotor("naca0012-r60-c20")
+    at = Condition(PITCH, (SPEED, 1.1 * SPEED))
+    laid = prepare(rotor)
+    named = solve(System.coaxial(rotor, rotor, spacing_m=0.02), at)
+    assert named.thrust_N == solve(System.coaxial(laid, laid, spacing_m=0.02), at).thrust_N

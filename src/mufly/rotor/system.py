@@ -79,8 +79,10 @@ class System:
         return cls((as_blading(blading),), (0.0,), (1,), (which,))
 
     @classmethod
-    def coaxial(cls, upper: Blading, lower: Blading, *, spacing_m: float) -> System:
+    def coaxial(cls, upper: Blading | Rotor, lower: Blading | Rotor, *, spacing_m: float) -> System:
         """Return two rotors that turn against each other; the first rotor of each blading is taken.
+
+        A :class:`Rotor` is prepared with all defaults.
 
         Raises
         ------
@@ -89,7 +91,9 @@ class System:
         """
         if not 0.0 < spacing_m < math.inf:
             raise InputError("coaxial", "spacing_m", f"is {spacing_m:g}", "give a distance above 0")
-        return cls((upper, lower), (0.0, -spacing_m), (1, -1), (0, 0))
+        above = as_blading(upper)
+        below = above if lower is upper else as_blading(lower)
+        return cls((above, below), (0.0, -spacing_m), (1, -1), (0, 0))
 
     def at(self, pitch_rad: Sequence[float], speed_rad_s: Sequence[float]) -> tuple[Placed, ...]:
         """Return the rotors in their places, with the pitch and speed of each."""
