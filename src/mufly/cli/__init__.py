@@ -74,7 +74,7 @@ _CommandLineError: type[Any] = next(c for c in typer.BadParameter.__mro__ if c._
 def main() -> None:
     """Run the command line: one clear line on standard error and status 1 (2 for a wrong option) on a fault."""
     try:
-        sys.exit(app(standalone_mode=False))
+        sys.exit(app(standalone_mode=False, prog_name="mufly"))
     except MuflyError as error:
         _stop(str(error), 1)
     except typer.Abort:
