@@ -130,7 +130,7 @@ class Sensors:
         """Ask them all."""
         latest: dict[str, Reading] = {}
         for sensor in self._sensors:
-            latest.update(sensor.read(truth))
+            latest |= sensor.read(truth)
         return Readings(truth.time_s, latest)
 
     def reset(self) -> None:
