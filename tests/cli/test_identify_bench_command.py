@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from mufly.cli.identify_bench import add_to
+from mufly.cli.identify.bench import add_to
 from mufly.cli.options import Commands, with_doubt
 from mufly.errors import InputError
 from mufly.vehicle import load_vehicle

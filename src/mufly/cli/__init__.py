@@ -9,22 +9,11 @@ from typing import Any
 import typer
 
 import mufly
-from mufly.cli import (
-    coax,
-    control,
-    drive,
-    fly,
-    identify,
-    log,
-    mission,
-    rotor,
-    station,
-    thesis,
-    vehicle,
-)
+from mufly.cli import coax, control, drive, fly, log, mission, rotor, station, thesis, vehicle
 from mufly.cli import (
     station as link,
 )
+from mufly.cli.identify import flight as identify
 from mufly.cli.options import Commands
 from mufly.errors import MuflyError
 

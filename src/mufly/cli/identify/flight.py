@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mufly.cli import identify_bench
+from mufly.cli.identify import bench
 from mufly.cli.options import Commands, JsonOption, argument, one_of, option, today, write_vehicle
 from mufly.cli.present import (
     check_file,
@@ -332,7 +332,7 @@ def _print_demo(shown: Demo) -> None:
     )
 
 
-identify_bench.add_to(app)
+bench.add_to(app)
 
 
 @app.command()
