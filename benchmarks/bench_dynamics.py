@@ -28,7 +28,7 @@ from numba import njit, prange
 from scipy.integrate import solve_ivp
 
 import mufly
-from mufly.drive.train import armature_current, rotor_acceleration, terminal_voltage
+from mufly.drive import armature_current, rotor_acceleration, terminal_voltage
 from mufly.dynamics import (
     PARAMETERS,
     advance,
@@ -36,10 +36,10 @@ from mufly.dynamics import (
     derivative,
     initial_state,
     model_parameters,
+    standing_height,
     trim,
 )
 from mufly.dynamics import model as model_source
-from mufly.dynamics.model import standing_height
 
 STEP = 1e-3
 TARGET_SINGLE, TARGET_BATCH, BATCH = 0.5e6, 4e6, 1000

@@ -16,9 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mufly.flight.recorder import Recorder
-from mufly.logs.mcap import standard_layout
-from mufly.logs.recording import read_recording
+from mufly.flight import Recorder
+from mufly.logs import read_recording, standard_layout
 
 
 def best(work: Callable[[], object], times: int = 5) -> float:
@@ -63,7 +62,7 @@ def main() -> None:
         print(f"read back             {reading:8.3f} s")
         print(f"file                  {size / 1e6:8.2f} MB ({size / n:.0f} bytes a row)")
         if options.pictures:
-            from mufly.flight.pictures import draw_flight
+            from mufly.flight import draw_flight
 
             data = record(path).dataset()
             print(f"pictures              {best(lambda: draw_flight(data, folder), 3):8.3f} s")

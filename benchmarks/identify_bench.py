@@ -16,8 +16,7 @@ import sys
 import numpy as np
 
 from mufly.bench import BenchTable, corrected_loads
-from mufly.identify.motor import fit_motor
-from mufly.identify.rotor import fit_rotor
+from mufly.identify import fit_motor, fit_rotor
 from mufly.vehicle import load_vehicle
 
 V = load_vehicle("mufly-1.1")

@@ -14,10 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mufly.rotor import Air, Rotor, load_airfoil, polars
+from mufly.rotor import Air, Blading, Corrections, Measurements, Rotor, compare, load_airfoil, polars, prepare
 from mufly.rotor.airfoil import sides
-from mufly.rotor.blading import Blading, Corrections, prepare
-from mufly.rotor.measurements import Measurements, compare
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "aero"
 RPM = np.pi / 30

@@ -29,9 +29,19 @@ from rotor_cases import (
     table_3_2,
 )
 
-from mufly.rotor import Condition, System, hover_batch, solve
-from mufly.rotor.blading import PLAIN, Blading, Corrections
-from mufly.rotor.measurements import Doubt, calibrate, compare, interval
+from mufly.rotor import (
+    PLAIN,
+    Blading,
+    Condition,
+    Corrections,
+    Doubt,
+    System,
+    calibrate,
+    compare,
+    hover_batch,
+    interval,
+    solve,
+)
 
 
 def _mean(v: np.ndarray) -> float:

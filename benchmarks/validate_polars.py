@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mufly.errors import MuflyError
-from mufly.rotor.airfoil import load_airfoil
+from mufly.rotor import load_airfoil
 from mufly.rotor.engines import xfoil
 from mufly.rotor.neural import neuralfoil
 

@@ -15,8 +15,7 @@ import numpy as np
 from rotor_cases import AIR, DATA, RPM, T_MOTOR_AIR, Case, blading_of, rows_of, t_motor, table_3_2
 from wake_cases import Answer, Solver, arguments, farewell, percent, table
 
-from mufly.rotor import Condition, Result, System, solve
-from mufly.rotor.blading import Blading
+from mufly.rotor import Blading, Condition, Result, System, solve
 
 PITCH = float(np.radians(14))
 TABLE_3_4 = ((14, 6650, 0.1949, 2.0531), (16, 5750, 0.1820, 1.7413), (18, 5025, 0.1709, 1.5286))

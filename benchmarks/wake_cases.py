@@ -19,8 +19,7 @@ import numpy as np
 from rotor_cases import REYNOLDS, Case, blading_of
 
 from mufly.errors import MuflyError
-from mufly.rotor import Air, Condition, Result, System, polars, replace_rotor, solve
-from mufly.rotor.blading import Blading, prepare
+from mufly.rotor import Air, Blading, Condition, Result, System, polars, prepare, replace_rotor, solve
 from mufly.rotor.wake import WakeSettings
 
 RPM = np.pi / 30

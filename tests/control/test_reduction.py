@@ -3,8 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mufly.control import FlightController, reduce_controller
-from mufly.control.hinf import hinfsyn
+from mufly.control import FlightController, hinfsyn, reduce_controller
 from mufly.control.schemes import scale_plant
 from mufly.errors import MuflyError
 

@@ -16,11 +16,11 @@ from mufly.dynamics import (
     linearise,
     longest_step,
     model_parameters,
+    rotation,
     simulate,
     trim,
 )  # fmt: skip
 from mufly.dynamics.model import climb_velocity, coefficient_bounds, inside_map, rotor_loads
-from mufly.dynamics.state import rotation
 from mufly.errors import InputError
 from mufly.vehicle import CoefficientMap, MapTables, load_map, replace
 from mufly.vehicle.coefficient_map import table_text

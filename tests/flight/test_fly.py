@@ -206,8 +206,7 @@ def test_realtime_keeps_pace_with_the_clock(vehicle, controller) -> None:
 
 
 def test_actuators_act_one_period_after_their_measurement(vehicle, controller, monkeypatch) -> None:
-    from mufly.flight import FlightSoftware
-    from mufly.flight.plant import Plant
+    from mufly.flight import FlightSoftware, Plant
 
     sent, acted = [], []
     step, advance = FlightSoftware.step, Plant.advance

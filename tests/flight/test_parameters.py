@@ -10,9 +10,8 @@ import pytest
 from mufly.control import FlightController, design
 from mufly.control.implementation import analyse_cascade
 from mufly.dynamics import linearise
-from mufly.flight import Flight, respond, software
+from mufly.flight import Demand, Flight, respond, software
 from mufly.flight.parameters import DEG, KEPT, TABLE
-from mufly.flight.plant import Demand
 from mufly.flight.software import copied
 from mufly.mission import SHARE, mission_from
 from mufly.vehicle import Vehicle, load_vehicle

@@ -6,7 +6,8 @@ from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from mufly.flight.pictures import STATE_COLOURS, draw_flight, draw_history, draw_position, draw_track
+from mufly.flight import draw_flight
+from mufly.flight.pictures import STATE_COLOURS, draw_history, draw_position, draw_track
 from mufly.world import Box, Cylinder, World
 
 WORLD = World((Box((-1.5, 0.9, -0.6), (0.5, 0.6, 1.2), 0.4),), (Cylinder((-1.0, 2.2), 0.25, 1.4, 0.1),))

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from mufly.dynamics import DrydenWind, initial_state
-from mufly.flight import Actuators
-from mufly.flight.plant import Plant
+from mufly.flight import Actuators, Plant
 from mufly.vehicle import load_vehicle
 from mufly.world import Box, World
 

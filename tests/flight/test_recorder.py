@@ -18,7 +18,8 @@ from mcap.reader import make_reader
 from mcap.records import Chunk, MessageIndex
 
 from mufly.errors import InputError, MuflyError
-from mufly.flight.recorder import Recorder, quaternions
+from mufly.flight import Recorder
+from mufly.flight.recorder import quaternions
 from mufly.logs import read_attachments, read_mcap, read_recording, standard_layout
 from mufly.world import Box, Cylinder, World
 

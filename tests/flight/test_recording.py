@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mufly.errors import InputError
-from mufly.flight.recorder import Recorder
+from mufly.flight import Recorder
 from mufly.logs import Layout, McapFile, events_of, read_recording, standard_layout, to_csv, to_dataset
 from mufly.quantities import kept_by
 

@@ -10,8 +10,7 @@ import pytest
 from mufly.control import FlightController, design
 from mufly.dynamics import DrydenWind, initial_state, standing_height
 from mufly.estimate import Estimate, IdealEstimator
-from mufly.flight import Actuators, Controllers, FlightSoftware
-from mufly.flight.plant import Plant
+from mufly.flight import Actuators, Controllers, FlightSoftware, Plant
 from mufly.flight.software import able
 from mufly.mission import Command, Mission, mission_from
 from mufly.sensors import ideal_sensors

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from mufly.flight.summary import summarise, summary_rows
+from mufly.flight import summarise, summary_rows
 from mufly.logs import standard_layout, to_dataset
 from mufly.world import Box, World
 

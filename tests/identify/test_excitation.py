@@ -7,7 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mufly.errors import InputError
-from mufly.identify.flight.signals import KINDS, crest_factor, excitation, spectrum
+from mufly.identify import excitation
+from mufly.identify.flight.signals import KINDS, crest_factor, spectrum
 
 BAND = (2 * math.pi * 0.2, 2 * math.pi * 2.0)
 

@@ -6,14 +6,8 @@ import pytest
 import mufly
 from mufly.dynamics import PARAMETERS, model_parameters
 from mufly.errors import InputError
-from mufly.identify.flight.problem import (
-    HEAVE_YAW,
-    ROLL_PITCH,
-    batch_parameters,
-    choose_free,
-    numbers_at,
-    physical,
-)
+from mufly.identify import choose_free
+from mufly.identify.flight.problem import HEAVE_YAW, ROLL_PITCH, batch_parameters, numbers_at, physical
 from mufly.vehicle import parameters, replace
 
 OUTPUTS = ("height", "r", "p")

@@ -4,15 +4,8 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError
-from mufly.identify.record import (
-    Record,
-    check_record,
-    dataset_of,
-    difference_noise,
-    record_from,
-    smoothed_motion,
-    split,
-)
+from mufly.identify import Record, check_record, record_from, split
+from mufly.identify.record import dataset_of, difference_noise, smoothed_motion
 
 T = np.arange(600) * 0.01
 

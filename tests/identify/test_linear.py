@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from mufly.cli import app
 from mufly.errors import InputError
+from mufly.identify import Columns, identify_linear, read_columns
 from mufly.identify.linear.check import (
     cross_validate,
     disturbance_model,
@@ -22,7 +23,6 @@ from mufly.identify.linear.check import (
 )
 from mufly.identify.linear.fit import fit_linear, predict_linear
 from mufly.identify.linear.frequency import fit_spectral
-from mufly.identify.linear.identification import identify_linear
 from mufly.identify.linear.structure import (
     delayed,
     discretise,
@@ -31,7 +31,7 @@ from mufly.identify.linear.structure import (
     responses,
     simulate_linear,
 )
-from mufly.identify.record import Columns, lowpassed, read_columns
+from mufly.identify.record import lowpassed
 from mufly.units import GRAVITY
 
 DT = 0.04

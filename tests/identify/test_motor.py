@@ -8,9 +8,9 @@ from numpy.testing import assert_allclose
 
 from mufly.bench import BenchTable
 from mufly.errors import InputError
-from mufly.identify.motor import ChannelNoise, GearKnowledge, fit_motor, parse_noise
+from mufly.identify import GearKnowledge, fit_motor, with_estimates
+from mufly.identify.motor import ChannelNoise, parse_noise
 from mufly.identify.pictures import motor_picture
-from mufly.identify.result import with_estimates
 from mufly.vehicle import load_vehicle
 
 TRUTH = np.array([0.0045, 0.0035, 1.3811, 5.2107e-7])  # kE, kM, R, dR of Table 5.3

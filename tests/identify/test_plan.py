@@ -7,7 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mufly.errors import InputError
-from mufly.identify.flight.plan import NOISE, Limits, design, fly_supported, pilot_support, together
+from mufly.identify import Limits, design
+from mufly.identify.flight.plan import NOISE, fly_supported, pilot_support, together
 from mufly.identify.flight.problem import make_problem
 from mufly.identify.pictures import plan_picture
 from mufly.identify.result import relative_covariance, unseen_combinations

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError
-from mufly.identify import Estimate, Fit, RecordFit
+from mufly.identify import Estimate, Fit, RecordFit, Section, write_report
 from mufly.identify.pictures import coherence_of
-from mufly.identify.report import Section, number, write_report
+from mufly.identify.report import number
 
 
 def record(role, n=200, inputs=2, outputs=1, seed=0):

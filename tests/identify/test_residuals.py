@@ -4,16 +4,14 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from mufly.identify import RecordFit
+from mufly.identify import RecordFit, quality, what_is_missing
 from mufly.identify.residuals import (
     autocorrelation,
     cross_correlation,
     determinant_of_fit,
     high_frequency_noise,
     ljung_box,
-    quality,
     spectral_lines,
-    what_is_missing,
 )
 from mufly.identify.result import coloured_covariance, parzen, relative, unseen_combinations
 

@@ -9,8 +9,9 @@ from numpy.testing import assert_allclose
 
 from mufly.bench import BenchTable, air_density, calibrate_cells, corrected_loads, predict, read_bench
 from mufly.errors import InputError
+from mufly.identify import fit_rotor
 from mufly.identify.pictures import rotor_picture
-from mufly.identify.rotor import fit_rotor, interference, placed
+from mufly.identify.rotor import interference, placed
 from mufly.rotor import hover_batch, load_rotor, prepare
 from mufly.vehicle import load_vehicle
 

@@ -44,8 +44,7 @@ def test_the_judge_sees_what_must_not_be(fuzz_link: ModuleType) -> None:
     """A check that cannot fail would prove nothing: outputs out of range and motors that run unarmed are seen."""
     import numpy as np
 
-    from mufly.flight import Flight
-    from mufly.flight.software import Actuators
+    from mufly.flight import Actuators, Flight
     from mufly.mission import Mission
 
     flight, found = Flight("mufly-1.1", Mission(), keep=False), fuzz_link.Findings()

@@ -172,7 +172,7 @@ def test_delays_that_cannot_be_are_refused(t, x, y, words):
 
 def test_body_rates_of_an_attitude_follow_the_rotation():
     """Against the rotation that the equations of motion use: R(t)^T R(t + dt) turns by omega dt."""
-    from mufly.dynamics.state import quaternion_from_euler, rotation
+    from mufly.dynamics import quaternion_from_euler, rotation
 
     t = 1e-3 * np.arange(400)
     attitude = np.column_stack([0.4 * np.sin(5 * t), 0.3 * np.cos(4 * t), 2 * t])

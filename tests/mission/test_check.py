@@ -3,8 +3,7 @@
 import pytest
 
 from mufly.errors import InputError
-from mufly.mission import check_mission, legs, load_mission, mission_from
-from mufly.mission.state import prepare
+from mufly.mission import check_mission, legs, load_mission, mission_from, prepare
 from mufly.vehicle import load_vehicle
 
 CRATE = {"name": "crate", "centre_m": [2.0, 0.0, -0.75], "size_m": [0.6, 0.6, 1.5]}

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from mufly.estimate import Estimate
-from mufly.mission import Command, State, begin, load_mission, mission_from, step
-from mufly.mission.schema import SPIN_UP_S
+from mufly.mission import SPIN_UP_S, Command, State, begin, load_mission, mission_from, step
 
 SQUARE = load_mission("demonstration")
 HOP = mission_from(

@@ -8,9 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mufly.mission import Limits, SetPoint, fault_of, wants_up
-from mufly.mission.offboard import HIGHEST_M, follow
-from mufly.mission.schema import LOWEST_M
+from mufly.mission import HIGHEST_M, LOWEST_M, Limits, SetPoint, fault_of, wants_up
+from mufly.mission.offboard import follow
 from mufly.mission.trajectory import Point
 
 LIMITS = Limits(0.6, 0.5, 0.4, 0.4, 0.3, 1.0, 1.6)

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from mufly.mission.trajectory import spline, spline_path
+from mufly.mission import spline
+from mufly.mission.trajectory import spline_path
 
 vector = st.tuples(*[st.floats(-3.0, 3.0)] * 3).map(np.array)
 T = np.linspace(0.0, 1.0, 11)

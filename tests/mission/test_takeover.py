@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mufly.estimate import Estimate
+from mufly.mission import MissionState, State
 from mufly.mission.machine import from_hand
-from mufly.mission.state import MissionState, State
 
 FLYING = MissionState(state=State.RC, motors="fly", started=True, standing=(0.0, 0.0, -0.07), manual=True)
 

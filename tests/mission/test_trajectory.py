@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mufly.mission.trajectory import Limits, curved, shorter_way_round, stop, straight
+from mufly.mission import Limits, curved, straight
+from mufly.mission.trajectory import shorter_way_round, stop
 
 LIMITS = Limits(0.6, 0.5, 0.4, 0.5, 0.5, 1.0, 2.0)
 place = st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3, -0.2))

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from mufly.estimate import Estimate
-from mufly.mission import Command, SetPoint, State, begin, load_mission, mission_from, step
-from mufly.mission.schema import SPIN_UP_S, homeward
+from mufly.mission import SPIN_UP_S, Command, SetPoint, State, begin, load_mission, mission_from, step
+from mufly.mission.schema import homeward
 from mufly.mission.state import LOG_KEPT
 
 SQUARE = load_mission("demonstration")

@@ -12,12 +12,20 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from mufly.errors import InputError
-from mufly.rotor import Air, hover, hover_batch
+from mufly.rotor import (
+    PLAIN,
+    Air,
+    Blading,
+    Corrections,
+    PolarTable,
+    Rotor,
+    hover,
+    hover_batch,
+    prepare,
+    solve_thrust,
+)
 from mufly.rotor.bemt import descent_inflow
-from mufly.rotor.blading import PLAIN, Blading, Corrections, prepare
-from mufly.rotor.geometry import Rotor
-from mufly.rotor.polar_table import ALPHA_GRID, PolarTable
-from mufly.rotor.solution import solve_thrust
+from mufly.rotor.polar_table import ALPHA_GRID
 
 NO_LOSS = Corrections(tip_loss="none", hub_loss=False, swirl=False, lifting_surface=False, rotation="none")
 SLOPE = 5.73

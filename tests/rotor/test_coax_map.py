@@ -12,8 +12,8 @@ from mufly.rotor import Condition, System, climb_ratios, coax_map, load_rotor, p
 from mufly.rotor import coax_map as room_function
 from mufly.rotor.maps import _filled, at, map_points
 from mufly.rotor.wake import WakeSettings
-from mufly.vehicle import MapTables, load_map, map_toml
-from mufly.vehicle.coefficient_map import CoefficientMap, table_text
+from mufly.vehicle import CoefficientMap, MapTables, load_map, map_toml
+from mufly.vehicle.coefficient_map import table_text
 
 PITCH = np.radians(14.0)
 SPEEDS, RATIOS = (300.0, 500.0), (0.8, 1.0, 1.2)

@@ -9,10 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor import Condition, System, hover, load_rotor, solve
-from mufly.rotor.blading import Corrections, prepare
-from mufly.rotor.geometry import Rotor
-from mufly.rotor.polar_table import ALPHA_GRID, PolarTable
+from mufly.rotor import Condition, Corrections, PolarTable, Rotor, System, hover, load_rotor, prepare, solve
+from mufly.rotor.polar_table import ALPHA_GRID
 from mufly.rotor.solution import tube_speed
 
 R, SPEED, PITCH = 0.06, 600.0, 0.25

@@ -13,11 +13,19 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor import load_rotor
-from mufly.rotor.bemt import hover, hover_batch
-from mufly.rotor.blading import prepare
-from mufly.rotor.measurements import Doubt, Measurements, calibrate, compare, interval, read_measurements
-from mufly.rotor.solution import solve_thrust
+from mufly.rotor import (
+    Doubt,
+    Measurements,
+    calibrate,
+    compare,
+    hover,
+    hover_batch,
+    interval,
+    load_rotor,
+    prepare,
+    read_measurements,
+    solve_thrust,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = "# a bench\npitch_deg,speed_rpm,thrust_N,torque_Nm\n12,5000,0.15,0.0015\n16, 7000, 0.42,\n"

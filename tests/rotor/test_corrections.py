@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from mufly.errors import InputError
-from mufly.rotor.bemt import hover
-from mufly.rotor.blading import PLAIN, Corrections, prepare, rotation_strength, zero_lift_angle
-from mufly.rotor.geometry import Rotor
-from mufly.rotor.polar_table import ALPHA_GRID, PolarTable
+from mufly.rotor import PLAIN, Corrections, PolarTable, Rotor, hover, prepare
+from mufly.rotor.blading import rotation_strength, zero_lift_angle
+from mufly.rotor.polar_table import ALPHA_GRID
 
 KINDS = ["dumitrescu-cardos", "snel", "chaviaropoulos-hansen", "none"]
 

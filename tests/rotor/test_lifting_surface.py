@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mufly.rotor.bemt import hover
-from mufly.rotor.blading import Corrections, chord_factor, near_wake_downwash, panel_edges, prepare
-from mufly.rotor.geometry import Rotor
-from mufly.rotor.polar_table import ALPHA_GRID, PolarTable
+from mufly.rotor import Corrections, PolarTable, Rotor, hover, prepare
+from mufly.rotor.blading import chord_factor, near_wake_downwash, panel_edges
+from mufly.rotor.polar_table import ALPHA_GRID
 
 
 def lift_slope_of_rectangular_wing(aspect_ratio, n=60):

@@ -12,9 +12,15 @@ import pytest
 
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import Air, Condition, System, hover, load_rotor, prepare, solve
-from mufly.rotor.wake import Placed, WakeSettings, induced_velocity, momentum_thrust, solve_wake
+from mufly.rotor.wake import (
+    Placed,
+    WakeSettings,
+    blade_passing,
+    induced_velocity,
+    momentum_thrust,
+    solve_wake,
+)
 from mufly.rotor.wake.blade import ages_of, core_radii, extended, prescribed, surface_of
-from mufly.rotor.wake.field import blade_passing
 from mufly.rotor.wake.kernel import induce, influence, segments_of
 
 RPM = np.pi / 30

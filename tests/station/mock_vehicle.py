@@ -8,14 +8,16 @@ import random
 import struct
 from itertools import count
 
-from mufly.link.codec import Codec, Encoder, mavlink
-from mufly.link.mission_transfer import (
+from mufly.link import (
     Ack,
     ClearAll,
+    Codec,
+    Encoder,
     Receiver,
     RequestItem,
     RequestList,
     Sender,
+    mavlink,
     note_of,
     to_mavlink,
 )

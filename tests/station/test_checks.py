@@ -7,8 +7,8 @@ import math
 import pytest
 from mock_vehicle import MockVehicle, World
 
-from mufly.link.codec import mavlink
-from mufly.link.missions import items_of as items_of_mission
+from mufly.link import items_of as items_of_mission
+from mufly.link import mavlink
 from mufly.mission import mission_from
 from mufly.station import MissionRow
 from mufly.station.checks import flight_time

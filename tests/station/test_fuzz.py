@@ -11,8 +11,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from mufly.link.codec import Encoder
-from mufly.link.codec import mavlink as m
+from mufly.link import Encoder
+from mufly.link import mavlink as m
 from mufly.station import GroundLink, History
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mock_vehicle import MockVehicle, World, as_float
 
-from mufly.link.codec import Encoder, mavlink
+from mufly.link import Encoder, mavlink
 from mufly.station import GroundLink, MissionRow, Outcome
 from mufly.station.transfers import same_mission
 

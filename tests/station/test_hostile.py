@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mock_vehicle import MockVehicle, World
 
-from mufly.link.codec import mavlink
+from mufly.link import mavlink
 
 _EXTREME = {
     "float": [0.0, -0.0, 1.0, -1.0, math.nan, math.inf, -math.inf, 3.4e38, 1e-45],

@@ -9,7 +9,7 @@ from mock_vehicle import Channel
 from mufly.control import design
 from mufly.flight import Flight, read_recording
 from mufly.flight.parameters import TABLE
-from mufly.link.vehicle import VehicleLink
+from mufly.link import VehicleLink
 from mufly.logs import read_log
 from mufly.mission import Mission, mission_from
 from mufly.station import GroundLink, MissionRow, StationRecorder

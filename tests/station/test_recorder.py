@@ -12,7 +12,7 @@ from mock_vehicle import MockVehicle, World
 
 from mufly.errors import InputError
 from mufly.flight import read_recording
-from mufly.link.codec import Codec
+from mufly.link import Codec
 from mufly.logs import read_log, read_mcap
 from mufly.station import StationRecorder
 

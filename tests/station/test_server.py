@@ -11,7 +11,7 @@ import pytest
 from mock_vehicle import MockVehicle
 
 from mufly.errors import InputError
-from mufly.link.ports import Endpoint, parse_endpoint
+from mufly.link import Endpoint, parse_endpoint
 from mufly.station import Station
 from mufly.station.ground import rate_for
 

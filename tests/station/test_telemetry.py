@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mufly.link.codec import mavlink
-from mufly.link.telemetry import STATES
+from mufly.link import STATES, mavlink
 from mufly.quantities import told_by
 from mufly.station import History
 from mufly.station.autopilots import mode_words

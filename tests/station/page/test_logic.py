@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError
-from mufly.flight.parameters import Parameter
+from mufly.flight import Parameter
 from mufly.station import Snapshot
 from mufly.station.page.feed import catalog, display_unit, folded, marks, spectrum
 from mufly.station.page.session import (
