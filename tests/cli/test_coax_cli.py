@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from mufly.cli import app
-from mufly.cli import app as rotor_app
+from mufly.cli.coax import app
+from mufly.cli.rotor import app as rotor_app
 from mufly.errors import MuflyError
 from mufly.rotor import load_rotor
 from mufly.study import read_results

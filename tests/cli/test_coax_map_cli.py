@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from mufly.cli import app
+from mufly.cli.coax import app
 from mufly.dynamics import trim
 from mufly.errors import InputError, MuflyError
 from mufly.vehicle import load_map, load_vehicle, vehicle_toml

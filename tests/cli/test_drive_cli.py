@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from mufly.cli import app
+from mufly.cli.drive import app
 from mufly.errors import MuflyError
 
 runner = CliRunner()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from mufly.cli import app
+from mufly.cli.rotor import app
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import builtin_rotors
 

@@ -5,7 +5,7 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from mufly.cli import app
+from mufly.cli.vehicle import app
 from mufly.errors import InputError, MuflyError
 from mufly.vehicle import builtin_vehicles, load_vehicle, parameters, replace, vehicle_toml
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from mufly.cli import app
+from mufly.cli.control import app
 from mufly.errors import InputError
 
 RUN = CliRunner()

@@ -6,7 +6,7 @@ import tomllib
 import pytest
 from typer.testing import CliRunner
 
-from mufly.cli import app
+from mufly.cli.mission import app
 from mufly.errors import InputError
 from mufly.mission import builtin_missions, load_mission, mission_from
 
