@@ -1,6 +1,7 @@
 """The loop by the clock on the wall, over real sockets: in a thread, and in a process of its own."""
 
 import itertools
+import math
 import os
 import signal
 import subprocess
@@ -13,9 +14,9 @@ import pytest
 from link_rig import new_flight
 
 from mufly.errors import MuflyError
-from mufly.link import Codec, Encoder, Endpoint, TlogWriter, open_port, run, start_vehicle, wait
+from mufly.link import Codec, Encoder, Endpoint, TlogWriter, VehicleLink, open_port, run, start_vehicle, wait
 from mufly.link import mavlink as m
-from mufly.link.process import CATCH_UP_S, HURRY, Pace
+from mufly.link.process import CATCH_UP_S, HURRY, WINDOW_S, Pace
 from mufly.logs import read_log, read_raw
 from mufly.mission import Mission
 
@@ -51,6 +52,45 @@ def test_a_long_stall_is_not():
     assert pace.slipped_s == pytest.approx(4.0 - 0.01)
     assert len(out) == pytest.approx(600, abs=3)
     assert CATCH_UP_S < 4.0
+
+
+def test_real_time_that_is_lost_is_measured_and_said(monkeypatch):
+    """A clock that goes five times as fast as the machine can tick, from 8 s to 18 s; no load is needed for that."""
+    monkeypatch.setattr("mufly.link.process.wait", lambda ports, timeout_s: None)
+    flight, said, told = new_flight(), [], {}
+    link = VehicleLink(flight)
+    flight.autopilot.listeners.append(lambda e: "real time" in e.text and said.append((e.level, e.text)))
+    wall = 0.0
+
+    def clock():
+        nonlocal wall
+        wall += (5.0 if 8.0 < wall < 18.0 else 0.5) * flight.period_s
+        return wall
+
+    def stop():
+        told[wall] = link.real_time_factor
+        return wall > 29.0
+
+    pace = run(flight, [], link=link, stop=stop, clock=clock)
+    assert all(math.isnan(f) for t, f in told.items() if t < WINDOW_S)
+    for begin, end, least, most in (
+        (5.1, 8.0, 0.99, 1.01),
+        (13.2, 18.0, 0.18, 0.22),
+        (24.5, 29.0, 0.99, 1.01),
+    ):
+        found = [f for t, f in told.items() if begin < t < end]
+        assert least < min(found), (begin, min(found))
+        assert max(found) < most, (begin, max(found))
+    # 8 s of 10 are lost; what is not more than CATCH_UP_S behind is made up for.
+    assert pace.slips == link.slips == 7
+    assert pace.slipped_s == pytest.approx(8.0, abs=CATCH_UP_S + 0.1)
+    assert flight.time_s == pytest.approx(29.0 - pace.slipped_s, abs=0.1)
+    kept = pace.attributes
+    assert kept["realtime_factor"] == pytest.approx(flight.time_s / 29.0, abs=0.01)
+    assert kept["realtime_factor_least"] == pytest.approx(0.2, abs=0.02)
+    assert [level for level, _ in said] == ["warning", "info"]
+    assert said[0][1].startswith("slower than real time: 0.9")
+    assert said[1][1].startswith("in real time again; 7 slips, 7.")
 
 
 def listener():

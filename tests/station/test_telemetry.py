@@ -65,6 +65,40 @@ def test_a_message_that_comes_late_is_passed_over():
     np.testing.assert_allclose(values[:, 0], [0.1, 0.3], rtol=1e-6)
 
 
+@pytest.mark.parametrize("factor", [1.0, 0.95, 0.3, 2.0])
+def test_a_clock_that_goes_slow_is_measured_through_a_link_that_delays(factor):
+    """Packets take from 20 to 220 ms, at random, and one in three is lost."""
+    random, t, sent_s = np.random.default_rng(1), Telemetry(History(seconds=1.0)), np.arange(0.0, 20.0, 0.02)
+    due = sorted((s + 0.02 + 0.2 * random.random(), s) for s in sent_s if random.random() < 2 / 3)
+    for now_s, s in due:
+        t.handle(now_s, sent(attitude(round(5000 + 1000 * factor * s))))
+        known = t.real_time_factor(now_s)
+        if now_s < 4.0:
+            assert math.isnan(known)
+        elif now_s > 7.0:
+            assert known == pytest.approx(factor, abs=0.03)
+    assert math.isnan(t.real_time_factor(30.0))  # it is not heard any more
+    # What the vehicle tells itself goes before, while it tells.
+    assert t.slips is None
+    t.handle(20.3, sent(mavlink.MAVLink_named_value_float_message(1, b"rtfactor", 0.19)))
+    t.handle(20.3, sent(mavlink.MAVLink_named_value_int_message(1, b"slips", 3)))
+    assert t.slips == 3
+    assert t.real_time_factor(20.4) == pytest.approx(0.19)
+    assert math.isnan(t.real_time_factor(30.0))
+
+
+def test_a_clock_is_measured_anew_after_a_restart():
+    t = Telemetry(History(seconds=1.0))
+    for k in range(1000):
+        t.handle(0.02 * k, sent(attitude(100_000 + 20 * k)))
+    assert t.real_time_factor(20.0) == pytest.approx(1.0)
+    for k in range(1000):
+        t.handle(50.0 + 0.02 * k, sent(attitude(100 + 10 * k)))
+        assert k > 500 or not t.real_time_factor(50.0 + 0.02 * k) > 0.6
+    assert t.clock.restarts == 1
+    assert t.real_time_factor(70.0) == pytest.approx(0.5, abs=0.01)
+
+
 def test_headings_are_carried_on_past_south():
     turns = np.linspace(0.0, 15.0, 100)
     t = Telemetry(History(seconds=10.0))

@@ -384,7 +384,7 @@ def link(
     over = _Over()
     try:
         with flight, over, LiveDisplay(terminal) as display:
-            run(
+            pace = run(
                 flight,
                 endpoints,
                 link=VehicleLink(flight, system=system, origin=place),
@@ -396,6 +396,7 @@ def link(
                 on_report=lambda report: display.now(_line_of(report)),
                 where="--link",
             )
+            flight.close(*flight.judge(), **pace.attributes)
     finally:
         if log is not None:
             log.close()
@@ -431,11 +432,14 @@ class _Over:
 
 def _line_of(r: Report) -> str:
     """How the loop is doing."""
+    from mufly.link.telemetry import SLOW
+
     s = r.state
     who = f"commanded by {r.commander}" if r.commander else "nobody commands"
-    slipped = f", {r.slipped_s:.1f} s lost" if r.slipped_s else ""
+    slipped = f", {r.slips} slips, {r.slipped_s:.1f} s lost" if r.slips else ""
+    slow = f"  {r.real_time_factor:.2f} OF REAL TIME" if r.real_time_factor < SLOW else ""
     return (
         f"{s.time_s:7.1f} s  {s.state:<9}  {'armed' if s.armed else 'disarmed'}  {-s.estimate.position[2]:5.2f} m  "
         f"{s.estimate.battery_voltage:.2f} V  {who}  in {r.received_Hz:.0f}/s, out {r.sent_Hz:.0f}/s  "
-        f"late {r.late_ms:.1f} ms{slipped}"
+        f"late {r.late_ms:.1f} ms{slipped}{slow}"
     )

@@ -17,6 +17,8 @@ Definitions (x is the true position, w a waypoint, both N-E-D; all from the reco
   whole sampling intervals of the recording.
 - *Tilt*: angle between the mast and the vertical, arccos(cos(roll) cos(pitch)).
 - *Energy*: integral of battery voltage times current, trapezoidal.
+- *Real-time factor*: seconds of the flight in one second of the wall, over the whole recording; *least*: over the worst
+  5 s. *Slips*: how often a flight in real time gave up time because the machine was too busy (`mufly.link.process`).
 """
 
 from __future__ import annotations
@@ -91,6 +93,8 @@ class Summary:
     battery_end_V: float | None
     battery_end_charge: float | None
     realtime_factor: float | None
+    realtime_factor_least: float | None
+    slips: int | None
     events: tuple[tuple[float, str, str], ...]
 
     def to_dict(self) -> dict[str, Any]:
@@ -178,6 +182,8 @@ def summarise(
         battery_end_V=_finite(dataset.battery_voltage.values[-1]),
         battery_end_charge=_finite(dataset.battery_charge.values[-1]),
         realtime_factor=realtime_factor,
+        realtime_factor_least=dataset.attrs.get("realtime_factor_least"),
+        slips=dataset.attrs.get("slips"),
         events=tuple((float(e[0]), str(e[1]), str(e[2])) for e in events),
     )
 
@@ -345,10 +351,17 @@ def summary_rows(summary: Summary) -> list[tuple[str, str]]:
         ("Energy used", summary.energy_used_J, "{:.0f} J"),
         ("Battery at the end", summary.battery_end_V, "{:.2f} V"),
         ("Charge left", _times(100, summary.battery_end_charge), "{:.0f} %"),
-        ("Real-time factor", summary.realtime_factor, "{:.0f}"),
+        ("Real-time factor", summary.realtime_factor, _pace(summary)),
     ]
     rows = [(label, form.format(value)) for label, value, form in lines if value is not None]
     return [("Outcome", outcome), *rows]
+
+
+def _pace(summary: Summary) -> str:
+    """How the real-time factor is written: slow flights with two decimals, those by the clock with what was lost."""
+    form = "{:.0f}" if (summary.realtime_factor or 0.0) >= 10.0 else "{:.2f}"
+    least, slips = summary.realtime_factor_least, summary.slips
+    return form if least is None else f"{form}, least {least:.2f}, {slips} slips"
 
 
 def _times(factor: float, value: float | None) -> float | None:

@@ -38,7 +38,7 @@ from mufly.link.missions import Plan, Refusal, items_of, plan_of
 from mufly.link.parameters import LINK_PARAMETERS, WHOLE_RANGE, decoded, encoded
 from mufly.link.ports import Endpoint, Peer, Port, open_port, parse_endpoint, wait
 from mufly.link.process import Report, VehicleProcess, run, start_vehicle, warm_up
-from mufly.link.telemetry import STATES, STREAMS, Instant
+from mufly.link.telemetry import SLOW, STATES, STREAMS, Instant
 from mufly.link.vehicle import VehicleLink
 from mufly.logs.tlog import TlogWriter
 
@@ -47,6 +47,7 @@ __all__ = [
     "GIVE_UP_S",
     "LINK_PARAMETERS",
     "MESSAGE_REQUESTS",
+    "SLOW",
     "STATES",
     "STREAMS",
     "WHOLE_RANGE",

@@ -4,7 +4,9 @@
 at ``start + k period``, counted from the start so that errors do not add up. Until it is due the loop sleeps in the
 ports, and hears at once what comes in. After a stall (the machine was busy, or asleep) of up to :data:`CATCH_UP_S` the
 ticks that were missed follow at no more than :data:`HURRY` times the normal pace, so that neither the flight nor its
-stations see a burst; a longer one is not made up for: the clock of the vehicle stood still meanwhile.
+stations see a burst; a longer one is not made up for: the clock of the vehicle stood still meanwhile. That is a slip.
+How much of real time was kept is measured (:class:`Pace`), told to stations, noted among the events of the flight when
+it falls below :data:`mufly.link.telemetry.SLOW` and when it is whole again, and stands in recording and summary.
 
 :func:`start_vehicle` gives it a process of its own: a page that draws and a vehicle that flies do not wait for each
 other. The parent holds one end of a pipe. What happens in the vehicle comes through it; ``None`` sent into it asks the
@@ -15,6 +17,7 @@ terminated, the parent gone), it finishes its recording.
 from __future__ import annotations
 
 import contextlib
+import math
 import multiprocessing
 import queue
 import signal
@@ -32,6 +35,7 @@ from mufly.errors import MuflyError
 from mufly.flight import Event, Flight, FlightState
 from mufly.link.codec import Origin
 from mufly.link.ports import Endpoint, Peer, Port, open_port, wait
+from mufly.link.telemetry import SLOW
 from mufly.link.vehicle import VehicleLink
 from mufly.logs.tlog import TlogWriter
 from mufly.mission import Mission, load_mission
@@ -41,6 +45,9 @@ CATCH_UP_S = 1.0
 """Stalls up to so long are made up for (s)."""
 HURRY = 2.0
 """How much faster than real time the loop goes while it makes up for a stall."""
+WINDOW_S = 5.0
+"""The real-time factor is taken over so long (s)."""
+_MARK_S = 0.1
 _REPORT_S = 0.2
 _WARM_UP_S = 8.0
 _START_WITHIN_S = 3.0
@@ -64,6 +71,10 @@ class Report:
         How late ticks are: lately on average, and the worst since the last report.
     slipped_s : float
         Time that was not made up for, since the start.
+    slips : int
+        How often that was.
+    real_time_factor : float
+        Seconds of the flight in one of the wall, over the last :data:`WINDOW_S`; NaN in the first.
     """
 
     state: FlightState
@@ -73,10 +84,12 @@ class Report:
     late_ms: float
     worst_ms: float
     slipped_s: float
+    slips: int = 0
+    real_time_factor: float = math.nan
 
 
 class Pace:
-    """When the next tick is due.
+    """When the next tick is due, and how much of real time was kept.
 
     Parameters
     ----------
@@ -89,6 +102,13 @@ class Pace:
         When the next tick is due by the clock on the wall.
     slipped_s : float
         Time that was given up.
+    slips : int
+        How often.
+    factor : float
+        Seconds of the flight in one of the wall, over the last :data:`WINDOW_S`; NaN in the first. Above 1 while a
+        stall is made up for.
+    least : float
+        The least that the factor has been.
     late_s, worst_s : float
         How late ticks are: lately on average, and the worst so far.
     """
@@ -97,7 +117,12 @@ class Pace:
         self.period_s = period_s
         self.due_s = now_s
         self.slipped_s = self.late_s = self.worst_s = 0.0
+        self.slips = 0
+        self.factor, self.least = math.nan, math.inf
         self._last_s = -1e9
+        self._began_s, self._ticks = now_s, 0
+        self._marks = deque([(now_s, 0)])  # when so many ticks had been made, since before the window
+        self._slow, self._whole_s = False, now_s
 
     def wait_s(self, now_s: float) -> float:
         """How long to sleep until the next tick (s)."""
@@ -109,11 +134,57 @@ class Pace:
         late = max(0.0, now_s - self.due_s)
         if late > CATCH_UP_S:
             self.slipped_s += late
+            self.slips += 1
             self.due_s = now_s
         self.late_s += _LATE_BLEND * (late - self.late_s)
         self.worst_s = max(self.worst_s, late)
         self.due_s += self.period_s
         self._last_s = now_s
+        self._ticks += 1
+        if now_s - self._marks[-1][0] >= _MARK_S:
+            self._measure(now_s)
+
+    def _measure(self, now_s: float) -> None:
+        marks = self._marks
+        marks.append((now_s, self._ticks))
+        while len(marks) > 2 and marks[1][0] <= now_s - WINDOW_S:
+            marks.popleft()
+        if now_s - self._began_s >= WINDOW_S:
+            since_s, ticks = marks[0]
+            self.factor = (self._ticks - ticks) * self.period_s / (now_s - since_s)
+            self.least = min(self.factor, self.least)
+
+    def overall(self) -> float:
+        """Seconds of the flight in one of the wall, from the start to the last tick; NaN before that."""
+        spent_s = self._last_s - self._began_s
+        return self._ticks * self.period_s / (spent_s + self.period_s) if self._ticks else math.nan
+
+    def news(self, now_s: float) -> str:
+        """What there is to be said of it: that time is being lost, or (after a whole window) no longer; else ""."""
+        if self.factor < SLOW:
+            self._whole_s = now_s
+            if not self._slow:
+                self._slow = True
+                return (
+                    f"slower than real time: {self.factor:.2f} of it over the last {WINDOW_S:g} s{self.lost}"
+                )
+        elif self._slow and now_s - self._whole_s > WINDOW_S:
+            self._slow = False
+            return f"in real time again{self.lost}"
+        return ""
+
+    @property
+    def lost(self) -> str:
+        """What was given up, in words that go on a sentence; "" if nothing was."""
+        slips = f"{self.slips} slip{'s' if self.slips > 1 else ''}"
+        return f"; {slips}, {self.slipped_s:.1f} s given up since the start" if self.slips else ""
+
+    @property
+    def attributes(self) -> dict[str, float]:
+        """What a recording keeps of it."""
+        overall = self.overall()
+        least = min(self.least, overall)
+        return {"realtime_factor": overall, "realtime_factor_least": least, "slips": self.slips}
 
 
 class _Wire:
@@ -175,7 +246,8 @@ def run(
     on_report: Callable[[Report], None] | None = None,
     autostart: bool = False,
     where: str = "endpoint",
-) -> None:
+    clock: Callable[[], float] = time.monotonic,
+) -> Pace:
     """Fly in real time behind a MAVLink link, until told to stop.
 
     Parameters
@@ -200,6 +272,13 @@ def run(
         Arm and fly the mission by itself, as soon as it is ready.
     where : str
         What names the endpoints, for the message of an error.
+    clock : callable
+        The clock on the wall (s).
+
+    Returns
+    -------
+    Pace
+        How much of real time was kept.
 
     Raises
     ------
@@ -220,16 +299,19 @@ def run(
         if tlog is not None:
             link.on_received = tlog.write
         wire, period_s = _Wire(ports, tlog), flight.period_s
-        pace, report_s, counted = Pace(time.monotonic(), period_s), time.monotonic(), (0, 0)
+        pace, report_s, counted = Pace(clock(), period_s), clock(), (0, 0)
         while not stop():
-            now_s = time.monotonic()
+            now_s = clock()
             rest = pace.wait_s(now_s)
             while rest > 0.0:
                 wait(ports, rest)
-                now_s = time.monotonic()
+                now_s = clock()
                 wire.receive(link, now_s)
                 rest = pace.wait_s(now_s)
             pace.tick(now_s)
+            link.real_time_factor, link.slips = pace.factor, pace.slips
+            if news := pace.news(now_s):
+                flight.note(news, "warning" if pace.factor < SLOW else "info")
             wire.receive(link, now_s)
             if autostart and (flight.time_s > _START_WITHIN_S or not flight.autopilot.not_ready()):
                 autostart = False
@@ -245,6 +327,7 @@ def run(
                     on_report(_report(flight, link, pace, spent, counted))
                 counted = (link.received, link.sent)
                 pace.worst_s = 0.0
+    return pace
 
 
 def _start(flight: Flight) -> None:
@@ -265,6 +348,8 @@ def _report(flight: Flight, link: VehicleLink, pace: Pace, spent_s: float, befor
         late_ms=pace.late_s * 1e3,
         worst_ms=pace.worst_s * 1e3,
         slipped_s=pace.slipped_s,
+        slips=pace.slips,
+        real_time_factor=pace.factor,
     )
 
 
@@ -478,7 +563,7 @@ def _fly(order: Mapping[str, Any], tell: _Teller, asked: threading.Event) -> Non
     flight = Flight(vehicle, mission, controller=controller, keep=False, **order["flight"])
     with flight, contextlib.ExitStack() as stack:
         log = None if order["tlog"] is None else stack.enter_context(TlogWriter(order["tlog"]))
-        run(
+        pace = run(
             flight,
             order["endpoints"],
             link=VehicleLink(flight, system=order["system"], origin=order["origin"]),
@@ -491,4 +576,6 @@ def _fly(order: Mapping[str, Any], tell: _Teller, asked: threading.Event) -> Non
             autostart=order["autostart"],
             where=order["where"],
         )
-        tell("done", flight.judge())
+        outcome, reason = flight.judge()
+        flight.close(outcome, reason, **pace.attributes)
+        tell("done", (outcome, reason))

@@ -67,6 +67,10 @@ class Instant:
         system * 256 + component of who commands; 0: nobody.
     loss : float
         Share of the packets from its stations that were lost, 0..1.
+    real_time_factor : float
+        Of late, seconds of the flight in one second of the clock on the wall; NaN where nobody measures it.
+    slips : int
+        How often time was given up.
     """
 
     vehicle: Vehicle
@@ -77,6 +81,8 @@ class Instant:
     chosen: str
     commander: int
     loss: float
+    real_time_factor: float = math.nan
+    slips: int = 0
 
     @property
     def boot_ms(self) -> int:
@@ -271,6 +277,10 @@ MUFLY = b"mufly"
 """Begins ``flight_custom_version``: whoever reads it knows that this is no real PX4."""
 STATES: tuple[str, ...] = tuple(str(s) for s in State)
 """NAMED_VALUE_INT "mstate" is an index into these."""
+SLOW = 0.95
+"""A real-time factor below this is shown and said: time is being lost."""
+REAL_TIME_FACTOR, SLIPS = "rtfactor", "slips"
+"""Names of the values that tell how well the clock on the wall is kept: MAVLink has no message for it."""
 
 _UNKNOWN_16, _UNKNOWN_16S = 65535, 32767
 
@@ -413,6 +423,21 @@ def command(p: Instant) -> MavMessage:
     return mavlink.MAVLink_named_value_int_message(p.boot_ms, b"command", p.commander)
 
 
+def real_time_factor(p: Instant) -> MavMessage | None:
+    """NAMED_VALUE_FLOAT "rtfactor": seconds of the flight in one of the wall, of late; None where not measured."""
+    if math.isnan(p.real_time_factor):
+        return None
+    name = REAL_TIME_FACTOR.encode()
+    return mavlink.MAVLink_named_value_float_message(p.boot_ms, name, single(p.real_time_factor))
+
+
+def slips(p: Instant) -> MavMessage | None:
+    """NAMED_VALUE_INT "slips": how often time was given up; None where it is not measured."""
+    if math.isnan(p.real_time_factor):
+        return None
+    return mavlink.MAVLink_named_value_int_message(p.boot_ms, SLIPS.encode(), p.slips)
+
+
 def _globe(p: Instant, place: tuple[float, float, float]) -> tuple[int, int, int]:
     assert p.origin is not None
     lat, lon, alt = p.origin.to_global(*place)
@@ -549,6 +574,8 @@ STREAMS: tuple[Stream, ...] = (
     Stream("MISSION_CURRENT", 2.0, _STATUS, mission_current),
     Stream("NAMED_VALUE_INT (mstate)", 5.0, _STATUS, mission_state),
     Stream("NAMED_VALUE_INT (command)", 1.0, _STATUS, command),
+    Stream("NAMED_VALUE_FLOAT (rtfactor)", 1.0, _STATUS, real_time_factor),
+    Stream("NAMED_VALUE_INT (slips)", 0.5, _STATUS, slips),
     Stream("ATTITUDE", 20.0, _EXTRA1, attitude),
     Stream("ATTITUDE_QUATERNION", 5.0, _EXTRA1, attitude_quaternion),
     Stream("LOCAL_POSITION_NED", 20.0, _POSITION, local_position_ned),

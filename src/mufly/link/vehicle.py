@@ -7,6 +7,7 @@ Nothing that arrives raises an error.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Hashable
 
@@ -53,6 +54,9 @@ class VehicleLink:
         Messages so far.
     on_received : callable or None
         Called with the bytes of every message that comes in; a log hangs here.
+    real_time_factor, slips : float, int
+        How well whoever ticks the flight keeps to the clock on the wall (:class:`mufly.link.process.Pace`); it is told
+        to stations. NaN: not measured.
     """
 
     def __init__(
@@ -67,6 +71,7 @@ class VehicleLink:
         self.system, self.component = system, component
         self.origin = Origin(*origin) if isinstance(origin, tuple) else origin
         self.received = self.sent = 0
+        self.real_time_factor, self.slips = math.nan, 0
         self.on_received: Callable[[bytes], None] | None = None
         self._codec = Codec()
         self.clients = Clients(system, component)
@@ -218,4 +223,6 @@ class VehicleLink:
             chosen="" if state.armed else self._commands.chosen(now_s),
             commander=0 if commander is None else commander.system * 256 + commander.component,
             loss=max(losses, default=0.0),
+            real_time_factor=self.real_time_factor,
+            slips=self.slips,
         )

@@ -56,6 +56,11 @@ class Snapshot(FlightState):
         Row of the mission table that is flown to.
     link_loss, link_rate_Hz : float
         Share of packets lost of late (0..1); messages a second.
+    real_time_factor : float
+        Of late, seconds of the vehicle's clock in one second here: as it tells itself, or else as its stamps go
+        against our clock. Below :data:`mufly.link.SLOW` time is being lost.
+    slips : int or None
+        How often the vehicle gave up time that it could not make up for; None where it does not tell.
     """
 
     connected: bool = False
@@ -68,6 +73,8 @@ class Snapshot(FlightState):
     mission_row: int | None = None
     link_loss: float = math.nan
     link_rate_Hz: float = math.nan
+    real_time_factor: float = math.nan
+    slips: int | None = None
 
     @classmethod
     def of(

@@ -154,6 +154,8 @@ class RemoteVehicle:
             mission_row=t.mission_current if t.mission_current in range(len(items or ())) else None,
             link_loss=self._loss,
             link_rate_Hz=self._rate_Hz,
+            real_time_factor=t.real_time_factor(self._now_s),
+            slips=t.slips,
         )
 
     @property

@@ -10,6 +10,7 @@ quaternions, rings of beams) have readers here. Source of fields and units: http
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -17,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.link.codec import MavMessage, Origin
-from mufly.link.telemetry import STATES
+from mufly.link.telemetry import REAL_TIME_FACTOR, SLIPS, STATES
 from mufly.quantities import kept_by, told_by
 from mufly.station.autopilots import mode_words
-from mufly.station.history import History, Present, unknown
+from mufly.station.history import SLOW_HOLD_S, History, Present, unknown
 
 ROW_S = 0.009
 """Stamps closer than this stand in one row, whose time is the first of them (s): what a vehicle sends at one rate may
@@ -83,6 +84,8 @@ class Telemetry:
         Whether it tells the truth, as only a simulation can.
     origin : Origin or None
         Where on the globe its N, E, D are 0.
+    slips : int or None
+        How often it gave up time, as a simulation in real time tells.
     """
 
     def __init__(self, history: History | None = None) -> None:
@@ -98,6 +101,8 @@ class Telemetry:
         self.health: tuple[int, int, int] | None = None
         self.simulated = False
         self.origin: Origin | None = None
+        self.slips: int | None = None
+        self._factor: tuple[float, float] = (math.nan, -math.inf)  # the real-time factor it told, and when
         self.on_row: Callable[[float, _Array, str], None] | None = None
         self._present = Present(self.history)
         self._own_state: tuple[str, float] = ("", -math.inf)
@@ -127,6 +132,7 @@ class Telemetry:
             "OBSTACLE_DISTANCE": self._ring,
             "DISTANCE_SENSOR": self._distance,
             "NAMED_VALUE_INT": self._named_int,
+            "NAMED_VALUE_FLOAT": self._named_float,
             "MISSION_CURRENT": self._mission_current,
         }
 
@@ -181,6 +187,11 @@ class Telemetry:
     def time_s(self) -> float:
         """The vehicle's clock (s)."""
         return self.clock.time_s
+
+    def real_time_factor(self, now_s: float) -> float:
+        """Seconds of the vehicle's clock in one of ours, of late: as it told, or else as its stamps go."""
+        told, told_s = self._factor
+        return told if now_s - told_s <= SLOW_HOLD_S else self.clock.factor(now_s)
 
     @property
     def flying(self) -> bool:
@@ -328,6 +339,12 @@ class Telemetry:
             self._own_state = (STATES[m.value] if known else f"state {m.value}", now_s)
         elif m.name == "command":
             self.commander = m.value
+        elif m.name == SLIPS:
+            self.slips = m.value
+
+    def _named_float(self, now_s: float, m: MavMessage) -> None:
+        if m.name == REAL_TIME_FACTOR and math.isfinite(m.value):
+            self._factor = (m.value, now_s)
 
     def _mission_current(self, now_s: float, m: MavMessage) -> None:
         self.mission_current = m.seq
@@ -418,6 +435,8 @@ _BACK_S = 2.0
 """A stamp so far behind the newest is no packet that came late (s)."""
 _SURE = 3
 """So many such stamps in a row, and the vehicle was started anew: one alone may be damaged or very late."""
+_MARK_S, _MARKS, _LEAST_MARKS = 1.0, 11, 5
+"""Of every second the stamp that came fastest is kept; between so many the pace is measured."""
 
 
 class VehicleClock:
@@ -442,6 +461,8 @@ class VehicleClock:
         self._offset_s = 0.0
         self._heard_s = math.nan
         self._backward: list[float] = []
+        self._marks: deque[tuple[float, float]] = deque(maxlen=_MARKS)  # when a stamp came, and its age then
+        self._marked_s = -math.inf
 
     def stamp(self, boot_ms: int, now_s: float) -> float:
         """Place a stamp.
@@ -469,6 +490,23 @@ class VehicleClock:
         time_s = own_s + self._offset_s
         return self._behind(own_s, now_s) if time_s < self.time_s - _BACK_S else self._forward(time_s, now_s)
 
+    def factor(self, now_s: float) -> float:
+        """How fast it goes against ours over the last ten seconds; NaN while that is not known.
+
+        A link delays packets by more or less, never by less than its least delay. So the age at which a stamp comes
+        is taken from the fastest packet of each second, and the clock is slow if that age grows.
+
+        Parameters
+        ----------
+        now_s : float
+            Our clock (s).
+        """
+        marks = list(self._marks)[:-1]  # of the present second a faster one may come yet
+        if len(marks) < _LEAST_MARKS or now_s - self._marked_s > 2.0 * _MARK_S + _MARK_S:
+            return math.nan
+        (first_s, age_s), (last_s, later_age_s) = marks[0], marks[-1]
+        return 1.0 - (later_age_s - age_s) / (last_s - first_s)
+
     def fits(self, boot_ms: int) -> bool:
         """Whether a stamp of unknown origin is plainly of this clock: within two seconds of the newest."""
         return abs(boot_ms / 1e3 + self._offset_s - self.time_s) < _BACK_S
@@ -477,7 +515,15 @@ class VehicleClock:
         self._backward.clear()
         if not time_s <= self.time_s:
             self.time_s, self._heard_s = time_s, now_s
+        self._mark(now_s, now_s - time_s)
         return time_s
+
+    def _mark(self, now_s: float, age_s: float) -> None:
+        if now_s - self._marked_s >= _MARK_S:
+            self._marked_s = now_s
+            self._marks.append((now_s, age_s))
+        elif age_s < self._marks[-1][1]:
+            self._marks[-1] = (now_s, age_s)
 
     def _behind(self, own_s: float, now_s: float) -> float:
         """Judge a stamp far behind the newest: late, or the first ones after a restart, which go forward."""
@@ -487,5 +533,7 @@ class VehicleClock:
         if len(self._backward) < _SURE or self._backward[-1] == self._backward[0]:
             return math.nan
         self.restarts += 1
+        self._marks.clear()
+        self._marked_s = -math.inf
         self._offset_s = self.time_s + max(now_s - self._heard_s, 1e-3) - own_s
         return self._forward(own_s + self._offset_s, now_s)
