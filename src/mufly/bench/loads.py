@@ -337,11 +337,11 @@ def corrected_loads(table: BenchTable, calibration: Calibration | None = None) -
     known = calibration.channels if calibration is not None else ()
     for channel in raw:
         if channel not in known:
-            remedy = f"give --calibration a file with {channel} and {channel}_raw"
+            remedy = f"give calibration=FILE, with {channel} and {channel}_raw in it"
             raise table.fault(f"{channel}_raw", "is a reading without a calibration", remedy)
     for channel in known:
         if channel not in raw:
-            remedy = f"name the reading {channel}_raw_V, or map it with --columns"
+            remedy = f"name the reading {channel}_raw_V, or map it with columns=OLD=NEW"
             problem = "is not among the columns, but the calibration has it"
             raise table.fault(f"{channel}_raw", problem, remedy)
     direct = [

@@ -77,7 +77,7 @@ class BenchTable:
         """
         for name in names:
             if name not in self.columns:
-                known = f"known here: {', '.join(self.headers.values())}; map others with --columns OLD=NEW"
+                known = f"known here: {', '.join(self.headers.values())}; map others with columns=OLD=NEW"
                 raise InputError(self.source, name, "is not among the columns", remedy or known)
             empty = np.flatnonzero(~np.isfinite(self.columns[name]))
             if empty.size:
@@ -127,7 +127,7 @@ def read_bench(path: str | Path, *, columns: str | None = None) -> BenchTable:
     if not chosen:
         raise InputError(
             where, "", f"no column is understood ({', '.join(written)})", "name quantity and unit, as torque_mNm, or "
-            "map them with --columns OLD=NEW"
+            "map them with columns=OLD=NEW"
         )  # fmt: skip
     rows = [next(csv.reader([s], delimiter=delimiter)) for _, s in numbered[1:]]
     line = np.array([i for i, _ in numbered[1:]], dtype=np.int64)

@@ -10,9 +10,9 @@ import typer
 
 import mufly
 from mufly.cli import coax, control, drive, fly, log, mission, rotor, station, thesis, vehicle
-from mufly.cli import (
-    station as link,
-)
+from mufly.cli import optimise as _optimise  # noqa: F401  adds to the commands of rotor and coax
+from mufly.cli import station as link
+from mufly.cli import study as _study  # noqa: F401  as optimise does
 from mufly.cli.identify import flight as identify
 from mufly.cli.options import Commands
 from mufly.errors import MuflyError

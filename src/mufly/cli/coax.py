@@ -11,27 +11,27 @@ import numpy as np
 import typer
 
 from mufly.cli.options import (
+    POLARS,
+    WAKE,
     Commands,
-    EngineOption,
     JsonOption,
-    MethodOption,
-    ModelOption,
-    NCritOption,
     OutOption,
-    WakeOption,
-    WakeSetOption,
+    Polars,
+    Theory,
+    Wakes,
     angle,
-    corrections_of,
-    engine_of,
-    wake_of,
+    argument,
+    option,
     wake_progress,
 )
 from mufly.cli.present import (
+    Column,
     answer,
     console,
     print_table,
     progress_bar,
     save_picture,
+    show_table,
     write_csv,
 )
 from mufly.errors import InputError, MuflyError
@@ -47,14 +47,14 @@ if TYPE_CHECKING:
 
 THESIS = "naca0012-r60-c20"  # the dissertation's pair: this rotor twice at 14 degrees, 20 mm apart
 
-UpperArgument = Annotated[
-    str, typer.Argument(metavar="UPPER", help="Upper rotor: built-in name or rotor file (TOML).")
-]
-LowerArgument = Annotated[
-    str | None, typer.Argument(metavar="LOWER", help="Lower rotor; if not given, the upper one again.")
-]
-SPACING = typer.Option("--spacing", metavar="LENGTH", help="Distance between the discs: 20mm, 2cm, 0.02m.")
-DENSITY = typer.Option("--density", metavar="KG/M3", help="Density of the air.")
+UpperArgument = Annotated[str, argument("UPPER", "Upper rotor: built-in name or rotor file (TOML).")]
+LowerArgument = Annotated[str | None, argument("LOWER", "Lower rotor; if not given, the upper one again.")]
+ROTOR_COLUMNS = (
+    Column("speed_rad_s", "rpm", ".0f"), Column("pitch_rad", "deg", ".2f"), "thrust_N", Column("torque_Nm", "mN m"),
+    "power_W", Column("c_T", form=".5f"), Column("c_Q", form=".6f"), Column("figure_of_merit", form=".3f"),
+)  # fmt: skip
+SPACING = option("--spacing LENGTH", "Distance between the discs: 20mm, 2cm, 0.02m.")
+DENSITY = option("--density KG/M3", "Density of the air.")
 
 
 def _both(option: str, text: str) -> list[str]:
@@ -97,26 +97,12 @@ def length(text: str) -> float:
 
 
 def pair_of(
-    upper: str, lower: str | None, fixed: dict[str, Value], *, method: str, wake: str, wake_set: list[str] | None,
-    model: str, engine: str, balance: str = "lower-speed",
-) -> Setup:  # fmt: skip
-    """The pair that the options describe.
-
-    Raises
-    ------
-    InputError
-        If one of them is wrong.
-    """
+    upper: str, lower: str | None, fixed: dict[str, Value], theory: Wakes, *, balance: str = "lower-speed"
+) -> Setup:
+    """The pair that the options describe; InputError if one of them is wrong."""
     from mufly.rotor import load_rotor
-    from mufly.study import Setup
 
-    settings, stations = wake_of(method, wake, wake_set)
-    above = load_rotor(upper)
-    below = above if lower is None else load_rotor(lower)
-    return Setup(
-        above, None, fixed, corrections_of(model), engine_of(engine), method=method, wake=settings, stations=stations,
-        lower=below, free=balance,  # type: ignore[arg-type]
-    )  # fmt: skip
+    return theory.setup(upper, fixed, lower=load_rotor(upper if lower is None else lower), free=balance)
 
 
 def _plain(result: RotorResult) -> dict[str, Any]:
@@ -179,26 +165,18 @@ def print_pair(setup: Setup, point: Result, alone: tuple[RotorResult, ...] | Non
         highlight=False,
     )
 
-    def row(name: str, r: RotorResult) -> tuple[str, ...]:
-        merit = f"{r.figure_of_merit:.3f}" if math.isfinite(r.figure_of_merit) else "-"
-        return (
-            name, f"{r.speed_rad_s / RPM:.0f}", f"{math.degrees(r.pitch_rad):.2f}°", f"{r.thrust_N:.4g}",
-            f"{1e3 * r.torque_Nm:.4g}", f"{r.power_W:.4g}", f"{r.c_T:.5f}", f"{r.c_Q:.6f}", merit,
-        )  # fmt: skip
-
-    rows = [row("upper", point.upper), row("lower", point.lower)]
-    merit = f"{point.figure_of_merit:.3f}" if math.isfinite(point.figure_of_merit) else "-"
-    balanced = abs(point.yaw_torque_Nm) < 1e-6 * abs(point.upper.torque_Nm)
-    yaw, power = "0" if balanced else f"{1e3 * point.yaw_torque_Nm:+.3g}", f"{point.power_W:.4g}"
-    rows.append(("pair", "", "", f"{point.thrust_N:.4g}", yaw, power, "", "", merit))
-    if alone is not None:
-        rows += [row("upper alone", alone[0]), row("lower alone", alone[1])]
-    print_table(("", "rpm", "pitch", "thrust (N)", "torque (mN m)", "power (W)", "c_T", "c_Q", "merit"), rows)
+    names = ("upper", "lower", "upper alone", "lower alone")
+    each = (point.upper, point.lower, *(alone or ()))
+    show_table(each, ROTOR_COLUMNS, names=names[: len(each)])
     up, low = point.upper, point.lower
+    balanced = abs(point.yaw_torque_Nm) < 1e-6 * abs(up.torque_Nm)
+    yaw = "balanced" if balanced else f"{1e3 * point.yaw_torque_Nm:+.3g} mN m left over"
+    merit = f", figure of merit {point.figure_of_merit:.3f}" if math.isfinite(point.figure_of_merit) else ""
     lines = [
+        f"pair: thrust {point.thrust_N:.4g} N, power {point.power_W:.4g} W{merit}; torques {yaw}",
         f"lower over upper: thrust {low.thrust_N / up.thrust_N:.3f}, torque {low.torque_Nm / up.torque_Nm:.3f}, power "
         f"{low.power_W / up.power_W:.3f}, speed {low.speed_rad_s / up.speed_rad_s:.3f}; "
-        f"{point.thrust_N / point.power_W:.4g} N/W"
+        f"{point.thrust_N / point.power_W:.4g} N/W",
     ]
     if alone is not None:
         x = losses(point, alone)
@@ -252,7 +230,7 @@ app = Commands(
 
 _Isolated = Annotated[
     bool,
-    typer.Option("--isolated/--no-isolated", help="Whether each rotor is computed alone too, for the loss."),
+    option("--isolated/--no-isolated", "Whether each rotor is computed alone too, for the loss."),
 ]
 
 
@@ -263,20 +241,15 @@ def hover(
     spacing: Annotated[str, SPACING] = "20mm",
     rpm: Annotated[
         str,
-        typer.Option(metavar="RPM[,RPM]", help="Speeds of upper and lower rotor; one value holds for both."),
+        option("RPM[,RPM]", "Speeds of upper and lower rotor; one value holds for both."),
     ] = "6000,6650",
     pitch: Annotated[
         str,
-        typer.Option(metavar="ANGLE[,ANGLE]", help="Pitch of upper and lower rotor: 14, 14,12 or 0.2rad."),
+        option("ANGLE[,ANGLE]", "Pitch of upper and lower rotor: 14, 14,12 or 0.2rad."),
     ] = "14",
-    climb: Annotated[float, typer.Option(metavar="M/S", help="Axial speed, positive in climb.")] = 0.0,
+    climb: Annotated[float, option("M/S", "Axial speed, positive in climb.")] = 0.0,
     density: Annotated[float, DENSITY] = 1.2,
-    method: MethodOption = "wake",
-    wake: WakeOption = "free",
-    wake_set: WakeSetOption = None,
-    n_crit: NCritOption = 0.1,
-    engine: EngineOption = "neuralfoil",
-    model: ModelOption = "full",
+    theory: Theory = WAKE,
     isolated: _Isolated = True,
     out: OutOption = None,
     as_json: JsonOption = False,
@@ -295,8 +268,8 @@ def hover(
     setup = pair_of(
         upper, lower,
         {"spacing": length(spacing), "upper_pitch": above, "lower_pitch": below, "upper_speed": first,
-         "lower_speed": second, "climb": climb, "density": density, "n_crit": n_crit},
-        method=method, wake=wake, wake_set=wake_set, model=model, engine=engine,
+         "lower_speed": second, "climb": climb, "density": density},
+        theory,
     )  # fmt: skip
     _answer(setup, isolated, out, as_json)
 
@@ -306,32 +279,28 @@ def trim(
     upper: UpperArgument = THESIS,
     lower: LowerArgument = None,
     spacing: Annotated[str, SPACING] = "20mm",
-    thrust: Annotated[float | None, typer.Option(metavar="N", help="Thrust of the pair.")] = None,
+    thrust: Annotated[float | None, option("N", "Thrust of the pair.")] = None,
     rpm: Annotated[
         str | None,
-        typer.Option(
-            metavar="RPM[,RPM]", help="Speed of the upper rotor, if no thrust is given; with --free lower-pitch the "
+        option(
+            "RPM[,RPM]",
+            "Speed of the upper rotor, if no thrust is given; with --free lower-pitch the "
             "speeds of both, of which a thrust keeps the ratio. 6000 if neither is given.",
         ),
     ] = None,
     free: Annotated[
-        str, typer.Option(metavar="NAME", help="What balances the torques: lower-speed or lower-pitch.")
+        str, option("NAME", "What balances the torques: lower-speed or lower-pitch.")
     ] = "lower-speed",
     pitch: Annotated[
-        str, typer.Option(metavar="ANGLE[,ANGLE]", help="Pitch of upper and lower rotor: 14, 14,12 or 0.2rad.")
+        str, option("ANGLE[,ANGLE]", "Pitch of upper and lower rotor: 14, 14,12 or 0.2rad.")
     ] = "14",
-    climb: Annotated[float, typer.Option(metavar="M/S", help="Axial speed, positive in climb.")] = 0.0,
+    climb: Annotated[float, option("M/S", "Axial speed, positive in climb.")] = 0.0,
     density: Annotated[float, DENSITY] = 1.2,
-    method: MethodOption = "wake",
-    wake: WakeOption = "free",
-    wake_set: WakeSetOption = None,
-    n_crit: NCritOption = 0.1,
-    engine: EngineOption = "neuralfoil",
-    model: ModelOption = "full",
+    theory: Theory = WAKE,
     isolated: _Isolated = False,
     out: OutOption = None,
     as_json: JsonOption = False,
-) -> None:  # fmt: skip
+) -> None:
     """Find the speeds, or the lower pitch, at which the torques of the rotors cancel.
 
     Give a thrust, and both speeds are found; or the upper speed, and the lower one is. With --free lower-pitch the
@@ -344,7 +313,7 @@ def trim(
         raise InputError("--thrust", "", f"{thrust:g} N is not possible", "give a number above 0")
     above, below = angles(pitch)
     fixed: dict[str, float | str] = {
-        "spacing": length(spacing), "upper_pitch": above, "climb": climb, "density": density, "n_crit": n_crit
+        "spacing": length(spacing), "upper_pitch": above, "climb": climb, "density": density
     }  # fmt: skip
     if free == "lower-pitch":
         if "," in pitch:
@@ -365,17 +334,7 @@ def trim(
             )
         fixed |= {"thrust": thrust} if thrust is not None else {"upper_speed": speeds(rpm or "6000")[0]}
         fixed["lower_pitch"] = below
-    setup = pair_of(
-        upper,
-        lower,
-        fixed,
-        method=method,
-        wake=wake,
-        wake_set=wake_set,
-        model=model,
-        engine=engine,
-        balance=free,
-    )
+    setup = pair_of(upper, lower, fixed, theory, balance=free)
     _answer(setup, isolated, out, as_json)
 
 
@@ -408,65 +367,53 @@ _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _WAKE_POINTS = {"--rpm": 1, "--ratio": 5, "--climb": 5}
 
 
+@app.command("map")
 def coax_map(
-    upper: Annotated[str, typer.Argument(metavar="UPPER", help="Upper rotor: built-in name or rotor file.")],
+    upper: Annotated[str, argument("UPPER", "Upper rotor: built-in name or rotor file.")],
     lower: Annotated[
-        str | None, typer.Argument(metavar="[LOWER]", help="Lower rotor; by default the upper one once more.")
+        str | None, argument("[LOWER]", "Lower rotor; by default the upper one once more.")
     ] = None,
-    spacing: Annotated[
-        str, typer.Option(metavar="LENGTH", help="Distance between the discs: 20mm, 0.02m.")
-    ] = "40mm",
-    pitch: Annotated[
-        str, typer.Option(metavar="ANGLE[,ANGLE]", help="Pitch of both rotors, or of upper and lower.")
-    ] = "14",
+    spacing: Annotated[str, option("LENGTH", "Distance between the discs: 20mm, 0.02m.")] = "40mm",
+    pitch: Annotated[str, option("ANGLE[,ANGLE]", "Pitch of both rotors, or of upper and lower.")] = "14",
     rpm: Annotated[
         str,
-        typer.Option(
-            metavar="FIRST:LAST[:STEP]",
-            help="Mean of both speeds (it sets the Reynolds number); one value will do. 3 values by default, 1 for "
+        option(
+            "FIRST:LAST[:STEP]",
+            "Mean of both speeds (it sets the Reynolds number); one value will do. 3 values by default, 1 for "
             "wakes: the middle.",
         ),
     ] = "2500:6000",
     ratio: Annotated[
         str,
-        typer.Option(
-            metavar="FIRST:LAST[:STEP]", help="Lower over upper speed. 11 values by default, 5 for wakes."
-        ),
+        option("FIRST:LAST[:STEP]", "Lower over upper speed. 11 values by default, 5 for wakes."),
     ] = "0.6:1.6",
     climb: Annotated[
         str,
-        typer.Option(
-            metavar="FIRST:LAST[:STEP]", help="Climb velocity in m/s at the lowest of the mean speeds, scaled with "
+        option(
+            "FIRST:LAST[:STEP]",
+            "Climb velocity in m/s at the lowest of the mean speeds, scaled with "
             "speed above; 0 lies inside. 9 values by default, 5 for wakes.",
         ),
     ] = "-1:3",
-    method: Annotated[str, typer.Option(metavar="bemt|wake", help="Blade elements, or vortex wakes.")] = "bemt",
-    wake: Annotated[
-        str, typer.Option("--wake", metavar="free|prescribed", help="Shape of the wakes of --method wake.")
-    ] = "free",
-    wake_step: Annotated[
-        float, typer.Option("--wake-step", metavar="DEG", help="Azimuth step of --method wake.")
-    ] = 30.0,
-    wake_turns: Annotated[
-        float, typer.Option("--wake-turns", metavar="N", help="Free turns of --method wake.")
-    ] = 3.0,
+    method: Annotated[str, option("bemt|wake", "Blade elements, or vortex wakes.")] = "bemt",
+    wake: Annotated[str, option("--wake free|prescribed", "Shape of the wakes of --method wake.")] = "free",
+    wake_step: Annotated[float, option("--wake-step DEG", "Azimuth step of --method wake.")] = 30.0,
+    wake_turns: Annotated[float, option("--wake-turns N", "Free turns of --method wake.")] = 3.0,
     wake_tolerance: Annotated[
-        float, typer.Option("--wake-tolerance", metavar="X", help="Settled when the loads change by less.")
+        float, option("--wake-tolerance X", "Settled when the loads change by less.")
     ] = 3e-3,
     wake_iterations: Annotated[
-        int, typer.Option("--wake-iterations", metavar="N", help="At most, a point; what has not settled is marked.")
+        int, option("--wake-iterations N", "At most, a point; what has not settled is marked.")
     ] = 150,
-    density: Annotated[float, typer.Option(metavar="KG/M3", help="Density of the air.")] = 1.2,
-    n_crit: NCritOption = 0.1,
-    engine: EngineOption = "neuralfoil",
-    model: ModelOption = "full",
-    name: Annotated[str, typer.Option(metavar="NAME", help="Name of the map.")] = "",
+    density: Annotated[float, option("KG/M3", "Density of the air.")] = 1.2,
+    polars: Polars = POLARS,
+    name: Annotated[str, option("NAME", "Name of the map.")] = "",
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Map file (TOML); a picture of the same name (PNG) is drawn beside it."),
+        option("FILE", "Map file (TOML); a picture of the same name (PNG) is drawn beside it."),
     ] = None,
     as_json: JsonOption = False,
-) -> None:  # fmt: skip
+) -> None:
     """Compute c_T and c_Q of both rotors over their speeds and the climb velocity, as a file that a vehicle can name.
 
     A line `coefficient_map = "pair.toml"` in the table `rotors` of a vehicle file makes the flight model use it in
@@ -474,7 +421,7 @@ def coax_map(
     again. Blade elements take seconds, wakes minutes.
     Example: mufly coax map walkera-5g6 --spacing 40mm --pitch 14 --rpm 2500:6000 --climb -1:3 --out pair.toml
     """
-    from mufly.rotor import Air, climb_ratios, load_rotor, prepare
+    from mufly.rotor import Air, climb_ratios, load_rotor
     from mufly.rotor.maps import coax_map as compute
     from mufly.rotor.wake import WakeSettings
     from mufly.study import map_picture
@@ -492,11 +439,7 @@ def coax_map(
     pitches = [angle("--pitch", part) for part in pitch.split(",")]
     if len(pitches) not in (1, 2):
         raise InputError("--pitch", "", f"{len(pitches)} angles", "give one, or one each for upper and lower")
-    fixes, polars = corrections_of(model), engine_of(engine)
-    blades = [
-        prepare(load_rotor(r), n_crit=n_crit, engine=polars, corrections=fixes)
-        for r in (upper, upper if lower is None else lower)
-    ]
+    blades = [polars.blading(load_rotor(r)) for r in (upper, upper if lower is None else lower)]
     settings = None
     if method == "wake":
         settings = WakeSettings(
@@ -512,7 +455,8 @@ def coax_map(
                 climb_ratio=climb_ratios(climbs.tolist(), speeds.tolist(), blades[0].rotors[0].radius_m).tolist(),
                 method=cast("Literal['bemt', 'wake']", method), air=Air(density_kg_m3=density), settings=settings,
                 name=name or (out.stem if out is not None else ""),
-                note=f"polars {engine}, n_crit {n_crit:g}, corrections {model}", kept=kept, progress=progress,
+                note=f"polars {polars.engine}, n_crit {polars.n_crit:g}, corrections {polars.model}",
+                kept=kept, progress=progress,
             )  # fmt: skip
     except KeyboardInterrupt:
         if kept is not None:

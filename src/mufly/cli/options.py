@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
 import math
 import re
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, cast, get_args, get_origin, get_type_hints
 
 import typer
 from typer.core import TyperCommand
@@ -21,9 +23,11 @@ from mufly.units import split_header
 if TYPE_CHECKING:
     from mufly.drive import Drive
     from mufly.identify import Estimate
-    from mufly.rotor import Corrections
+    from mufly.rotor import Blading, Corrections, Rotor
     from mufly.rotor.engines import Engine
     from mufly.rotor.wake import WakeSettings
+    from mufly.study import Setup
+    from mufly.study.parameters import Value
     from mufly.vehicle import Vehicle
 
 # Arguments of the library that an option of another name gives.
@@ -45,10 +49,10 @@ class Command(TyperCommand):
         """Run it."""
         try:
             return super().invoke(ctx)
-        except ArgumentError as error:
+        except InputError as error:
             raise self._by_option(error) from error
 
-    def _by_option(self, error: ArgumentError) -> InputError:
+    def _by_option(self, error: InputError) -> InputError:
         options = {
             p.name: max(p.opts, key=len) for p in self.params if p.name and p.param_type_name == "option"
         }
@@ -58,21 +62,61 @@ class Command(TyperCommand):
             names = (argument, other, f"{other}_", split_header(other)[0])
             return next((options[n] for n in names if n in options), None)
 
-        option = option_of(error.argument)
-        if option is None:
-            return error
         remedy = re.sub(
-            r"\b(\w+)=(?=\S)", lambda m: f"{option_of(m[1])} " if option_of(m[1]) else m[0], error.remedy
+            r"(?<!--set )(?<!--vary )\b(\w+)=(?=\S)",
+            lambda m: f"{option_of(m[1])} " if option_of(m[1]) else m[0],
+            error.remedy,
         )
-        return InputError(option, error.key, error.problem, remedy)
+        named = option_of(error.argument) if isinstance(error, ArgumentError) else None
+        return InputError(named or error.where, error.key, error.problem, remedy)
 
 
 class Commands(typer.Typer):
     """A group of such commands."""
 
     def command(self, name: str | None = None, **more: Any) -> Any:
-        """Register a command, as :meth:`typer.Typer.command` does."""
-        return super().command(name, **{"cls": Command, **more})
+        """Register a command, as :meth:`typer.Typer.command` does; records of options become options."""
+        register = super().command(name, **{"cls": Command, **more})
+
+        def registered(function: Callable[..., Any]) -> Callable[..., Any]:
+            register(_spread(function))
+            return function
+
+        return registered
+
+
+def _spread(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function with the fields of a record that it takes, such as :class:`Polars`, as arguments of their own.
+
+    A record's fields say which options they are, and those that say nothing are none; the function's default for the
+    record holds theirs.
+    """
+    hints = get_type_hints(function, include_extras=True)
+    records: dict[str, Any] = {}
+    arguments: list[inspect.Parameter] = []
+    for one in inspect.signature(function).parameters.values():
+        if not is_dataclass(kind := hints[one.name]):
+            arguments.append(one.replace(annotation=hints[one.name]))
+            continue
+        records[one.name] = kind
+        each = get_type_hints(kind, include_extras=True)
+        arguments += [
+            one.replace(name=f.name, default=getattr(one.default, f.name), annotation=each[f.name])
+            for f in fields(kind)
+            if get_origin(each[f.name]) is Annotated
+        ]
+    if not records:
+        return function
+
+    @functools.wraps(function)
+    def call(**given: Any) -> Any:
+        for name, kind in records.items():
+            given[name] = kind(**{f.name: given.pop(f.name) for f in fields(kind) if f.name in given})
+        return function(**given)
+
+    call.__signature__ = inspect.Signature(arguments)  # type: ignore[attr-defined]
+    call.__annotations__ = {a.name: a.annotation for a in arguments}
+    return call
 
 
 def option(names: str, help: str, **more: Any) -> Any:
@@ -117,8 +161,6 @@ ModelOption = Annotated[
         "(as the dissertation writes it).",
     ),
 ]
-NCritOption = Annotated[float, option("--n-crit N", "Transition: 0.1 vibrating rotor, 9 quiet wind tunnel.")]
-EngineOption = Annotated[str, option("--engine NAME", "Polars: 'neuralfoil' or, where installed, 'xfoil'.")]
 
 
 def one_of(option: str, value: str, known: Iterable[str]) -> None:
@@ -126,17 +168,6 @@ def one_of(option: str, value: str, known: Iterable[str]) -> None:
     names = tuple(known)
     if value not in names:
         raise InputError(option, "", f"{value!r} is unknown", f"use one of: {', '.join(names)}")
-
-
-def engine_of(name: str) -> Engine:
-    """Return the polar engine that ``--engine`` names."""
-    from mufly.rotor.engines import Engine
-
-    if name not in get_args(Engine):
-        raise InputError(
-            "--engine", "", f"{name!r} is no polar engine", f"use one of: {', '.join(get_args(Engine))}"
-        )
-    return cast("Engine", name)
 
 
 def corrections_of(model: str) -> Corrections:
@@ -181,59 +212,122 @@ def angle(option: str, text: str) -> float:
 
 
 # ----------------------------------------------------------------------------
-# Options and progress of commands that can use the wake method.
+# How rotors are computed: options that the commands of rotors and pairs share, and the wake's progress.
 
-
-MethodOption = Annotated[
-    str, option("--method NAME", "'bemt' (blade elements) or 'wake' (vortices, seconds).")
-]
-WakeOption = Annotated[
-    str, option("--wake NAME", "'free', or 'prescribed' (Landgrebe's shape, for slender blades).")
-]
-WakeSetOption = Annotated[
-    list[str] | None,
-    option(
-        "--wake-set NAME=VALUE",
-        "A setting of the wake, as step_deg=10, turns=6, core=0.05, iterations=300; or stations=30 a blade.",
-    ),
-]
 
 _WHOLE = ("phases", "iterations", "stations")
 
 
-def wake_of(method: str, wake: str, settings: list[str] | None) -> tuple[WakeSettings, int]:
-    """Settings of the wake and stations along a blade, from ``--method``, ``--wake`` and ``--wake-set``.
+@dataclass(frozen=True)
+class Polars:
+    """Options of everything that blade elements are for."""
 
-    Raises
-    ------
-    InputError
-        If one of them is unknown or impossible.
-    """
-    from mufly.rotor.blading import STATIONS
-    from mufly.rotor.wake import WakeSettings
-    from mufly.study import METHODS
+    n_crit: Annotated[
+        float, option("--n-crit N", "Transition: 0.1 vibrating rotor, 9 quiet wind tunnel.")
+    ] = 0.1
+    engine: Annotated[str, option("--engine NAME", "Polars: 'neuralfoil' or, where installed, 'xfoil'.")] = (
+        "neuralfoil"
+    )
+    model: ModelOption = "full"
 
-    one_of("--method", method, METHODS)
-    if wake not in ("free", "prescribed"):
-        raise InputError("--wake", "", f"{wake!r} is unknown", "use free or prescribed")
-    if method == "bemt" and wake != "free":
-        raise InputError("--wake", "", "there is no wake in blade element theory", "add --method wake")
-    known = [f.name for f in fields(WakeSettings) if f.name not in ("model", "inviscid")]
-    given: dict[str, Any] = {}
-    for text in settings or []:
-        name, equals, value = (part.strip() for part in text.partition("="))
-        if not equals or name not in (*known, "stations"):
+    def polar_engine(self) -> Engine:
+        """Return the polar engine that ``--engine`` names."""
+        from mufly.rotor.engines import Engine
+
+        if self.engine not in get_args(Engine):
             raise InputError(
-                "--wake-set", text, "is no setting", f"use NAME=VALUE with {', '.join(known)}, stations"
+                "--engine",
+                "",
+                f"{self.engine!r} is no polar engine",
+                f"use one of: {', '.join(get_args(Engine))}",
             )
-        try:
-            given[name] = int(value) if name in _WHOLE else float(value)
-        except ValueError:
-            raise InputError("--wake-set", text, f"{value!r} is no number", "give a number") from None
-    stations = given.pop("stations", STATIONS)
-    if not 4 <= stations <= 200:
-        raise InputError("--wake-set", "stations", f"is {stations}", "give 4 to 200")
-    return WakeSettings(model=wake, **given), stations  # type: ignore[arg-type]
+        return cast("Engine", self.engine)
+
+    def corrections(self) -> Corrections:
+        """Return the switches of the model that ``--model`` names."""
+        return corrections_of(self.model)
+
+    def blading(self, rotor: Rotor, stations: int | None = None) -> Blading:
+        """Return a rotor with its polars."""
+        from mufly.rotor import prepare
+        from mufly.rotor.blading import STATIONS
+
+        return prepare(
+            rotor, n_crit=self.n_crit, engine=self.polar_engine(), corrections=self.corrections(),
+            stations=stations or STATIONS,
+        )  # fmt: skip
+
+    def setup(self, rotor: str, fixed: Mapping[str, Value], **more: Any) -> Setup:
+        """Return what the cases of a study of a rotor, or of a pair (``lower``), share."""
+        from mufly.rotor import load_rotor
+        from mufly.study import Setup
+
+        return Setup(
+            load_rotor(rotor), fixed={"n_crit": self.n_crit, **fixed}, corrections=self.corrections(),
+            engine=self.polar_engine(), **more,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Wakes(Polars):
+    """Options of what vortex wakes compute."""
+
+    method: str = "wake"  # no option here, one in Theory
+    wake: Annotated[
+        str, option("--wake NAME", "'free', or 'prescribed' (Landgrebe's shape, for slender blades).")
+    ] = "free"
+    wake_set: Annotated[
+        list[str] | None,
+        option(
+            "--wake-set NAME=VALUE",
+            "A setting of the wake, as step_deg=10, turns=6, core=0.05, iterations=300; or stations=30 a blade.",
+        ),
+    ] = None
+
+    def wakes(self) -> tuple[WakeSettings, int]:
+        """Return settings of the wake and stations along a blade; InputError if an option is unknown or impossible."""
+        from mufly.rotor.blading import STATIONS
+        from mufly.rotor.wake import WakeSettings
+        from mufly.study import METHODS
+
+        one_of("--method", self.method, METHODS)
+        if self.wake not in ("free", "prescribed"):
+            raise InputError("--wake", "", f"{self.wake!r} is unknown", "use free or prescribed")
+        if self.method == "bemt" and self.wake != "free":
+            raise InputError("--wake", "", "there is no wake in blade element theory", "add --method wake")
+        known = [f.name for f in fields(WakeSettings) if f.name not in ("model", "inviscid")]
+        given: dict[str, Any] = {}
+        for text in self.wake_set or []:
+            name, equals, value = (part.strip() for part in text.partition("="))
+            if not equals or name not in (*known, "stations"):
+                raise InputError(
+                    "--wake-set", text, "is no setting", f"use NAME=VALUE with {', '.join(known)}, stations"
+                )
+            try:
+                given[name] = int(value) if name in _WHOLE else float(value)
+            except ValueError:
+                raise InputError("--wake-set", text, f"{value!r} is no number", "give a number") from None
+        stations = given.pop("stations", STATIONS)
+        if not 4 <= stations <= 200:
+            raise InputError("--wake-set", "stations", f"is {stations}", "give 4 to 200")
+        return WakeSettings(model=self.wake, **given), stations  # type: ignore[arg-type]
+
+    def setup(self, rotor: str, fixed: Mapping[str, Value], **more: Any) -> Setup:
+        """Return what the cases of a study of a rotor, or of a pair (``lower``), share."""
+        wake, stations = self.wakes()
+        return super().setup(rotor, fixed, method=self.method, wake=wake, stations=stations, **more)
+
+
+@dataclass(frozen=True)
+class Theory(Wakes):
+    """Options of what blade elements or vortex wakes can compute."""
+
+    method: Annotated[
+        str, option("--method NAME", "'bemt' (blade elements) or 'wake' (vortices, seconds).")
+    ] = "bemt"
+
+
+POLARS, CHECK, BEMT, WAKE = Polars(), Wakes(), Theory(), Theory(method="wake")
 
 
 class WakeProgress:

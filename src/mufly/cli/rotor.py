@@ -9,24 +9,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mufly.cli import study
 from mufly.cli.options import (
+    BEMT,
     Commands,
     DriveOption,
-    EngineOption,
     JsonOption,
-    MethodOption,
-    ModelOption,
-    NCritOption,
     OutOption,
     RotorArgument,
-    WakeOption,
-    WakeSetOption,
+    Theory,
     angle,
-    corrections_of,
+    argument,
     drive_or_none,
-    engine_of,
-    wake_of,
+    option,
     wake_progress,
 )
 from mufly.cli.present import console, print_json, print_table, progress_bar, save_picture, write_csv
@@ -37,87 +31,11 @@ if TYPE_CHECKING:
     from mufly.rotor import Band, Rotor, RotorResult
 
 
-def compare(
-    rotor: RotorArgument,
-    measurements: Annotated[
-        Path,
-        typer.Argument(
-            metavar="CSV",
-            help="Columns pitch_deg, speed_rpm, thrust_N and, if measured, torque_Nm; or rpm, CT, CP as in UIUC's "
-            "propeller data. docs/bemt.md lists the names that are understood.",
-        ),
-    ],
-    calibrate: Annotated[
-        int | None,
-        typer.Option(metavar="LINE", help="Scale lift and drag to this measured point, counted from 1, as the "
-                     "dissertation did. Printed as calibrated."),
-    ] = None,
-    density: Annotated[float, typer.Option(metavar="KG/M3", help="Density of the air at the bench.")] = 1.2,
-    n_crit: NCritOption = 0.1,
-    engine: EngineOption = "neuralfoil",
-    model: ModelOption = "full",
-    method: MethodOption = "bemt",
-    wake: WakeOption = "free",
-    wake_set: WakeSetOption = None,
-    as_json: JsonOption = False,
-) -> None:  # fmt: skip
-    """Set the prediction beside a measurement, untuned unless --calibrate asks for it.
-
-    With --method wake every point is a wake, seconds each; one that does not converge is left out of the mean and said.
-    Examples: mufly rotor compare naca0012-r60-c20 bench.csv; mufly rotor compare walkera-5g6 b.csv --method wake
-    """
-    from mufly.errors import InputError
-    from mufly.rotor import Air, load_rotor, prepare, read_measurements
-    from mufly.rotor import calibrate as scale
-    from mufly.rotor import compare as beside
-
-    r, air = load_rotor(rotor), Air(density_kg_m3=density)
-    bench = read_measurements(measurements, diameter_m=2.0 * float(r.radius), density_kg_m3=density)
-    settings, stations = wake_of(method, wake, wake_set)
-    if calibrate is not None and method == "wake":
-        raise InputError("--calibrate", "", "scales blade element theory", "leave it or --method wake out")
-    blading = prepare(
-        r, n_crit=n_crit, engine=engine_of(engine), corrections=corrections_of(model), stations=stations
-    )
-    if calibrate is not None:
-        if not 1 <= calibrate <= bench.thrust_N.size:
-            raise InputError("--calibrate", "", f"there are {bench.thrust_N.size} points", "count from 1")
-        blading = scale(blading, bench, calibrate - 1, air=air)
-    with progress_bar("points", method == "wake" and not as_json) as progress:
-        c = beside(
-            blading, bench, air=air, method=method, settings=settings, progress=progress,  # type: ignore[arg-type]
-        )  # fmt: skip
-    if as_json:
-        points = [
-            {
-                "pitch_rad": bench.pitch_rad[k], "speed_rad_s": bench.speed_rad_s[k],
-                "thrust_N": c.thrust_N[k], "measured_thrust_N": bench.thrust_N[k], "thrust_error": c.thrust_error[k],
-                "torque_Nm": c.torque_Nm[k], "measured_torque_Nm": bench.torque_Nm[k],
-                "torque_error": c.torque_error[k], "fault": c.faults[k],
-            }
-            for k in range(bench.thrust_N.size)
-        ]  # fmt: skip
-        print_json(
-            {
-                "rotor": r.name, "measurements": bench.source, "calibrated": c.calibrated, "model": model,
-                "method": method,
-                "mean_thrust_error": c.mean_thrust_error, "mean_torque_error": c.mean_torque_error, "points": points,
-            }
-        )  # fmt: skip
-        return
-    typer.echo(str(c))
-    for k, fault in enumerate(c.faults):
-        if fault:
-            typer.secho(f"point {k + 1}: wake {fault}", fg=typer.colors.YELLOW)
-
-
 app = Commands(
     help="Rotors: what one is, what it does, which is best. Numbers of rotor files: docs/polars.md; of the theory: "
     "docs/bemt.md; of sweeps and rankings: docs/studies.md.",
     no_args_is_help=True,
 )
-study.add_to(app)
-app.command()(compare)
 
 
 @app.command("list")
@@ -155,7 +73,7 @@ def _geometry(rotor: Rotor) -> dict[str, Any]:
 @app.command()
 def show(
     rotor: RotorArgument = "naca4412-r60-c20",
-    rpm: Annotated[float, typer.Option(metavar="RPM", help="Speed for the Reynolds numbers.")] = 5000.0,
+    rpm: Annotated[float, option("RPM", "Speed for the Reynolds numbers.")] = 5000.0,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -224,28 +142,21 @@ def show(
 @app.command()
 def hover(
     rotor: RotorArgument = "naca4412-r60-c20",
-    pitch: Annotated[
-        str | None, typer.Option(metavar="ANGLE", help="Pitch setting: 12, 12deg or 0.2rad.")
-    ] = None,
-    rpm: Annotated[float | None, typer.Option(metavar="RPM", help="Rotor speed.")] = None,
+    pitch: Annotated[str | None, option("ANGLE", "Pitch setting: 12, 12deg or 0.2rad.")] = None,
+    rpm: Annotated[float | None, option("RPM", "Rotor speed.")] = None,
     thrust: Annotated[
         float | None,
-        typer.Option(metavar="N", help="Thrust; with --pitch the speed is found, with --rpm the pitch."),
+        option("N", "Thrust; with --pitch the speed is found, with --rpm the pitch."),
     ] = None,
-    climb: Annotated[float, typer.Option(metavar="M/S", help="Axial speed, positive in climb.")] = 0.0,
-    density: Annotated[float, typer.Option(metavar="KG/M3", help="Density of the air.")] = 1.2,
+    climb: Annotated[float, option("M/S", "Axial speed, positive in climb.")] = 0.0,
+    density: Annotated[float, option("KG/M3", "Density of the air.")] = 1.2,
     drive: DriveOption = None,
-    n_crit: NCritOption = 0.1,
-    engine: EngineOption = "neuralfoil",
-    model: ModelOption = "full",
-    method: MethodOption = "bemt",
-    wake: WakeOption = "free",
-    wake_set: WakeSetOption = None,
+    theory: Theory = BEMT,
     band: Annotated[
         float | None,
-        typer.Option(
-            metavar="LEVEL",
-            help="Add the interval of this nominal probability: 0.5, 0.8, 0.9, 0.95. Nominal 90 % intervals held "
+        option(
+            "LEVEL",
+            "Add the interval of this nominal probability: 0.5, 0.8, 0.9, 0.95. Nominal 90 % intervals held "
             "84 % of measured thrusts and 78 % of torques (docs/validation.md).",
         ),
     ] = None,
@@ -264,26 +175,25 @@ def hover(
 
     from mufly.drive import blade_load, operating_point, scaled_load
     from mufly.errors import InputError, MuflyError
-    from mufly.rotor import Air, Condition, System, interval, load_rotor, prepare, solve
+    from mufly.rotor import Air, Condition, System, interval, load_rotor, solve
     from mufly.study import field_picture, history_picture, stations_picture, wake_picture, write_stations
 
     if sum(v is not None for v in (pitch, rpm, thrust)) != 2:
         raise InputError(
             "rotor hover", "", "needs two of --pitch, --rpm and --thrust", "give two; the third is found"
         )
-    settings, count = wake_of(method, wake, wake_set)
-    if band is not None and method == "wake":
+    settings, count = theory.wakes()
+    if band is not None and theory.method == "wake":
         raise InputError(
             "--band", "", "is the interval of blade element theory", "leave --method wake or --band out"
         )
     r, d, air = load_rotor(rotor), drive_or_none(drive), Air(density_kg_m3=density)
-    fixes = corrections_of(model)
-    blading = prepare(r, n_crit=n_crit, engine=engine_of(engine), corrections=fixes, stations=count)
+    blading = theory.blading(r, count)
     theta = angle("--pitch", pitch) if pitch is not None else None
     speed = rpm * RPM if rpm is not None else None
-    with wake_progress("wake", method == "wake" and not as_json, out) as progress:
+    with wake_progress("wake", theory.method == "wake" and not as_json, out) as progress:
         found = solve(
-            System.single(blading), Condition(theta, speed, thrust, climb, air), method,  # type: ignore[arg-type]
+            System.single(blading), Condition(theta, speed, thrust, climb, air), theory.method,  # type: ignore[arg-type]
             settings=settings, progress=progress,
         )  # fmt: skip
     result, solution = found.rotors[0], found if found.wakes else None
@@ -301,8 +211,8 @@ def hover(
     around = None
     if band is not None:
         around = interval(
-            r, pitch_rad=result.pitch_rad, speed_rad_s=result.speed_rad_s, climb_m_s=climb, air=air, corrections=fixes,
-            n_crit=n_crit, engine=engine_of(engine), level=band,
+            r, pitch_rad=result.pitch_rad, speed_rad_s=result.speed_rad_s, climb_m_s=climb, air=air, level=band,
+            corrections=theory.corrections(), n_crit=theory.n_crit, engine=theory.polar_engine(),
         )  # fmt: skip
     files = []
     if out is not None:
@@ -315,11 +225,11 @@ def hover(
                 save_picture(field_picture(solution, mean=False), out, "air-instant"),
             ]  # fmt: skip
     if as_json:
-        answer = _hover_json(r, result, point, around, model, n_crit)
+        answer = _hover_json(r, result, point, around, theory)
         if solution is not None:
             told = {k: getattr(solution, k) for k in ("converged", "message", "iterations", "residual")}
             answer["wake"] = {**told, "settings": vars(solution.settings)}
-        print_json({**answer, "method": method, "files": [str(f) for f in files]})
+        print_json({**answer, "method": theory.method, "files": [str(f) for f in files]})
         return
     c = console()
     c.print(
@@ -378,16 +288,15 @@ def _hover_json(
     result: RotorResult,
     point: OperatingPoint | None,
     band: Band | None,
-    model: str,
-    n_crit: float,
+    theory: Theory,
 ) -> dict[str, Any]:
     values = {f.name: getattr(result, f.name) for f in fields(result)}
     size = result.r_m.size
     stations = {k: v for k, v in values.items() if getattr(v, "size", 0) == size and k != "pitch_rad"}
     return {
         "rotor": rotor.name,
-        "model": model,
-        "n_crit": n_crit,
+        "model": theory.model,
+        "n_crit": theory.n_crit,
         **{k: v for k, v in values.items() if k not in stations},
         "stations": stations,
         "drive": None if point is None else {k: float(v) for k, v in vars(point).items()},
@@ -399,3 +308,74 @@ def _hover_json(
             "torque_Nm": [float(band.torque_low_Nm[0]), float(band.torque_high_Nm[0])],
         },
     }
+
+
+@app.command()
+def compare(
+    rotor: RotorArgument,
+    measurements: Annotated[
+        Path,
+        argument(
+            "CSV",
+            "Columns pitch_deg, speed_rpm, thrust_N and, if measured, torque_Nm; or rpm, CT, CP as in UIUC's "
+            "propeller data. docs/bemt.md lists the names that are understood.",
+        ),
+    ],
+    calibrate: Annotated[
+        int | None,
+        option(
+            "LINE",
+            "Scale lift and drag to this measured point, counted from 1, as the "
+            "dissertation did. Printed as calibrated.",
+        ),
+    ] = None,
+    density: Annotated[float, option("KG/M3", "Density of the air at the bench.")] = 1.2,
+    theory: Theory = BEMT,
+    as_json: JsonOption = False,
+) -> None:
+    """Set the prediction beside a measurement, untuned unless --calibrate asks for it.
+
+    With --method wake every point is a wake, seconds each; one that does not converge is left out of the mean and said.
+    Examples: mufly rotor compare naca0012-r60-c20 bench.csv; mufly rotor compare walkera-5g6 b.csv --method wake
+    """
+    from mufly.errors import InputError
+    from mufly.rotor import Air, load_rotor, read_measurements
+    from mufly.rotor import calibrate as scale
+    from mufly.rotor import compare as beside
+
+    r, air = load_rotor(rotor), Air(density_kg_m3=density)
+    bench = read_measurements(measurements, diameter_m=2.0 * float(r.radius), density_kg_m3=density)
+    settings, stations = theory.wakes()
+    if calibrate is not None and theory.method == "wake":
+        raise InputError("--calibrate", "", "scales blade element theory", "leave it or --method wake out")
+    blading = theory.blading(r, stations)
+    if calibrate is not None:
+        if not 1 <= calibrate <= bench.thrust_N.size:
+            raise InputError("--calibrate", "", f"there are {bench.thrust_N.size} points", "count from 1")
+        blading = scale(blading, bench, calibrate - 1, air=air)
+    with progress_bar("points", theory.method == "wake" and not as_json) as progress:
+        c = beside(
+            blading, bench, air=air, method=theory.method, settings=settings, progress=progress,  # type: ignore[arg-type]
+        )  # fmt: skip
+    if as_json:
+        points = [
+            {
+                "pitch_rad": bench.pitch_rad[k], "speed_rad_s": bench.speed_rad_s[k],
+                "thrust_N": c.thrust_N[k], "measured_thrust_N": bench.thrust_N[k], "thrust_error": c.thrust_error[k],
+                "torque_Nm": c.torque_Nm[k], "measured_torque_Nm": bench.torque_Nm[k],
+                "torque_error": c.torque_error[k], "fault": c.faults[k],
+            }
+            for k in range(bench.thrust_N.size)
+        ]  # fmt: skip
+        print_json(
+            {
+                "rotor": r.name, "measurements": bench.source, "calibrated": c.calibrated, "model": theory.model,
+                "method": theory.method,
+                "mean_thrust_error": c.mean_thrust_error, "mean_torque_error": c.mean_torque_error, "points": points,
+            }
+        )  # fmt: skip
+        return
+    typer.echo(str(c))
+    for k, fault in enumerate(c.faults):
+        if fault:
+            typer.secho(f"point {k + 1}: wake {fault}", fg=typer.colors.YELLOW)

@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from mufly.cli.options import Commands, JsonOption
+from mufly.cli.options import Commands, JsonOption, argument, option
 from mufly.cli.present import console, print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
@@ -34,12 +32,8 @@ def list_studies(as_json: JsonOption = False) -> None:
 
 @app.command()
 def run(
-    name: Annotated[
-        str, typer.Argument(metavar="NAME|all", help="A study that `mufly thesis list` names, or all.")
-    ],
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Write picture, tables and verdicts there.")
-    ] = None,
+    name: Annotated[str, argument("NAME|all", "A study that `mufly thesis list` names, or all.")],
+    out: Annotated[Path | None, option("--out DIR", "Write picture, tables and verdicts there.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Run a study: a line for every claim of the dissertation, with our numbers and the rule of agreement.

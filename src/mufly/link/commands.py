@@ -298,7 +298,7 @@ class CommandProtocol:
                 return never(f"frame {frame} is not known here; use LOCAL_NED (1)")
         elif origin is None:
             return never(
-                "a place on the globe needs a global origin; use LOCAL_NED (1), or start with --origin"
+                "a place on the globe needs a global origin; use LOCAL_NED (1), or give the vehicle one"
             )
         elif frame in (None, *ABOVE_SEA, *ABOVE_ORIGIN):
             n, e, d = origin.to_local(n, e, d, frame or 0)

@@ -265,7 +265,7 @@ def _down(item: Item, origin: Origin | None) -> float:
     else:
         why = f"frame {item.frame} is not known; use LOCAL_NED (1)"
         if item.frame in (*ABOVE_SEA, *ABOVE_ORIGIN):
-            why = f"frame {item.frame} needs a global origin; use LOCAL_NED (1), or start with --origin"
+            why = f"frame {item.frame} needs a global origin; use LOCAL_NED (1), or give the vehicle one"
         raise _refuse(item, MissionResult.UNSUPPORTED_FRAME, why)
     if not math.isfinite(down) or down > -LOWEST_M:
         raise _refuse(

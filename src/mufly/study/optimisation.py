@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, Literal
 
@@ -32,6 +32,7 @@ from scipy.optimize import differential_evolution, minimize
 
 from mufly.drive import hover_endurance
 from mufly.errors import InputError, MuflyError
+from mufly.results import result
 from mufly.rotor import FASTEST_TIP_M_S, Condition, Result, Rotor, System, load_airfoil, replace_rotor, solve
 from mufly.rotor.wake import check_rotors
 from mufly.study.evaluation import condition_of, evaluate, solve_case, system_of
@@ -46,9 +47,20 @@ _GENERATIONS = 60
 _POPULATION = 12  # times the number of unknowns
 
 
-@dataclass(frozen=True)
+@result
 class Step:
-    """One change: the parameter, its value (SI or name), the goal after it, and the pitch (rad) that it is best at."""
+    """One change of a rotor.
+
+    Attributes
+    ----------
+    parameter : str
+    value : float or str
+        Its value (SI) or name.
+    goal, gain : float
+        The goal after it, and the share that the change brought.
+    pitch_rad : float
+        Where it is best.
+    """
 
     parameter: str
     value: float | str
@@ -57,7 +69,7 @@ class Step:
     pitch_rad: float
 
 
-@dataclass(frozen=True)
+@result
 class Optimum:
     """A better rotor.
 
@@ -395,7 +407,7 @@ _CLOSE = 1e-4
 _CLEAR = 0.9  # of the spacing, that pitched blades may take up
 
 
-@dataclass(frozen=True)
+@result
 class PairOptimum:
     """A better pair.
 

@@ -409,7 +409,7 @@ def _notes(problem: Problem, at_bound: NDArray[np.bool_], coloured: bool) -> lis
     large = [f"{o} ({v:.1f} times)" for o, v in ratios.items() if v > 1.5]
     if large:
         notes.append(
-            f"residuals above the sensor noise: {', '.join(large)}; wind or the model; try --window 3"
+            f"residuals above the sensor noise: {', '.join(large)}; wind or the model; try windows of 3 s"
         )
     if coloured:
         notes.append("residuals are coloured; the intervals account for it")

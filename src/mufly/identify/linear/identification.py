@@ -313,7 +313,7 @@ def _still(outs: tuple[str, ...], y: Array, cut: int, dt: float, slow: float) ->
         if held < 0.05 * fitted:
             said.append(
                 f"{name} hardly moves in the held-out part ({held:.2g} against {fitted:.2g} rms): its fit "
-                "there means nothing; use --from, --to and --split-at"
+                "there means nothing; choose what is fitted so that it moves in both parts"
             )
     return said
 

@@ -1,0 +1,303 @@
+"""A better rotor or pair: ``mufly rotor optimise``, ``mufly coax optimise``."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from mufly.cli import coax
+from mufly.cli.coax import DENSITY, SPACING, THESIS, LowerArgument, UpperArgument, angles, length, pair_of
+from mufly.cli.options import (
+    CHECK,
+    POLARS,
+    DriveOption,
+    JsonOption,
+    OutOption,
+    Polars,
+    RotorArgument,
+    Wakes,
+    drive_or_none,
+    option,
+    wake_progress,
+)
+from mufly.cli.present import (
+    answer,
+    console,
+    print_json,
+    print_table,
+    progress_bar,
+    save_picture,
+    tell_files,
+    writing,
+)
+from mufly.cli.rotor import app as rotor_commands
+from mufly.cli.study import in_words, settings_of
+from mufly.errors import InputError
+from mufly.units import RPM
+
+if TYPE_CHECKING:
+    from mufly.rotor import Result, Rotor
+    from mufly.study import Optimum, PairOptimum
+
+
+def _write_rotor(rotor: Rotor, path: Path) -> Path:
+    from mufly.rotor import rotor_toml
+
+    with writing(path, "give another place"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(rotor_toml(rotor), encoding="utf-8")
+    return path
+
+
+@rotor_commands.command()
+def optimise(
+    rotor: RotorArgument = "naca4412-r60-c20",
+    goal: Annotated[str, option("--for GOAL", "'endurance' or 'thrust-per-power'.")] = "thrust-per-power",
+    free: Annotated[
+        str, option("NAMES", "chord, twist, taper, radius, hub_cutout, blades, airfoil, gear.")
+    ] = "chord,twist,taper,airfoil,gear",
+    limit: Annotated[
+        list[str] | None,
+        option("LIMIT", "As thickness_mm>=0.8, radius<=60mm, speed_rpm<=7000. Repeat it; quote it."),
+    ] = None,
+    airfoils: Annotated[
+        list[str] | None,
+        option("--airfoils SET|DIR|NAMES", "Candidates: 'thesis', 'database', a folder, names."),
+    ] = None,
+    set_: Annotated[
+        list[str] | None, option("--set NAME=VALUE", "Fix a parameter; thrust=0.4N if not given.")
+    ] = None,
+    drive: DriveOption = "mufly",
+    seed: Annotated[int, option("K", "Same seed, same answer.")] = 0,
+    generations: Annotated[int, option("N", "How long to search.")] = 60,
+    out: Annotated[Path | None, option("--out FILE", "Write the rotor as a rotor file (TOML).")] = None,
+    polars: Polars = POLARS,
+    as_json: JsonOption = False,
+) -> None:
+    """Search for a better rotor at a given thrust, within limits, and tell what each change brought.
+
+    Changes are listed from the start, the one that gains most first, each with the pitch set anew; a negative gain is
+    the price of a limit. What can be limited: the parameters that are searched, and thickness_mm (the least along the
+    blade), tip_chord_mm, solidity, speed_rpm, motor_current_A, gear.
+
+    Example: mufly rotor optimise --for endurance --free chord,twist,taper,radius,airfoil,gear --limit
+    'thickness_mm>=0.8' --limit 'radius<=60mm' --out better.toml
+    """
+    from mufly.study import PARAMETERS, choose_airfoils, parse_limit
+    from mufly.study import optimise as search
+
+    given = set_ or []
+    if not any(text.strip().startswith("thrust") for text in given):
+        given = [*given, "thrust=0.4N"]
+    fixed = settings_of(given, PARAMETERS, "give one")
+    setup = polars.setup(rotor, fixed, drive=drive_or_none(drive), flags=False)
+    names = [name.strip() for name in free.split(",") if name.strip()]
+    candidates = choose_airfoils(airfoils or ["thesis"]) if "airfoil" in names else []
+    limits = [parse_limit(text) for text in limit or []]
+    with progress_bar("generations", not as_json) as progress:
+        best = search(
+            setup, goal, names,  # type: ignore[arg-type]
+            limits=limits, airfoils=candidates, seed=seed, generations=generations, progress=progress,
+        )  # fmt: skip
+    files = [_write_rotor(best.rotor, out)] if out is not None else []
+    if as_json:
+        print_json(_json(best))
+        return
+    _print(best)
+    tell_files(files)
+
+
+def _json(best: Optimum) -> dict[str, Any]:
+    return {
+        "rotor": best.rotor.toml_tables(),
+        "pitch_rad": best.pitch_rad,
+        "changes": best.changes,
+        "goal": best.goal,
+        "unit": _unit(best.goal),
+        "before": best.before,
+        "after": best.after,
+        "steps": [vars(step) for step in best.steps],
+        "results": best.results,
+    }
+
+
+def _unit(goal: str) -> str:
+    return "s" if goal == "endurance" else "N/W"
+
+
+def _print(best: Optimum) -> None:
+    rows = [("start", "", f"{best.before:.5g}", "", "")]
+    for step in best.steps:
+        rows.append(
+            (
+                step.parameter,
+                in_words(step.parameter, step.value, ".4g"),
+                f"{step.goal:.5g}",
+                f"{step.gain:+.1%}",
+                f"{math.degrees(step.pitch_rad):.2f}°",
+            )
+        )
+    print_table(("change", "to", f"{best.goal} ({_unit(best.goal)})", "gain", "pitch"), rows, text=(0, 1))
+    r = best.results
+    c = console()
+    c.print(
+        f"[bold]{best.after / best.before - 1:+.1%}[/bold]: {r['electrical_power_W']:.3f} W for {r['thrust_N']:.3g} N, "
+        f"{r['thrust_per_power_N_W']:.4f} N/W, {r['endurance_s'] / 60:.1f} min; "
+        f"{r['speed_rad_s'] / RPM:.0f} rpm at {math.degrees(best.pitch_rad):.2f}°, gear "
+        f"{r['gear_ratio']:.3g}, duty {r['duty']:.2f}, least thickness {1e3 * r['least_thickness_m']:.2f} mm",
+        highlight=False,
+    )
+
+
+_DEFAULT = "upper_twist,lower_twist,upper_chord,lower_chord,upper_pitch,lower_pitch"
+
+
+@coax.app.command("optimise")
+def optimise_pairs(
+    upper: UpperArgument = THESIS,
+    lower: LowerArgument = None,
+    spacing: Annotated[str, SPACING] = "20mm",
+    thrust: Annotated[float, option("N", "Thrust of the pair.")] = 0.9,
+    pitch: Annotated[str, option("ANGLE[,ANGLE]", "Pitch of upper and lower rotor at the start.")] = "14",
+    vary: Annotated[
+        str,
+        option("NAMES", "What is free: upper_ and lower_ before twist, chord, pitch, taper."),
+    ] = _DEFAULT,
+    limit: Annotated[
+        list[str] | None,
+        option("LIMIT", "As upper_chord<=25mm or lower_pitch>=8deg. Repeat it; quote it."),
+    ] = None,
+    climb: Annotated[float, option("M/S", "Axial speed, positive in climb.")] = 0.0,
+    density: Annotated[float, DENSITY] = 1.2,
+    seed: Annotated[int, option("K", "Same seed, same answer.")] = 0,
+    generations: Annotated[int, option("N", "How long to search.")] = 30,
+    check: Annotated[
+        bool, option("--check/--no-check", "Whether start and optimum are computed by the wake method too.")
+    ] = True,
+    theory: Wakes = CHECK,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Search for the blades and pitches of both rotors that need the least power at a thrust, torques balanced.
+
+    Blade elements search; the wake method, which the search does not see, computes start and optimum at the end, and
+    both gains are printed. With --out both rotors are written as rotor files, upper.toml and lower.toml.
+
+    Examples: mufly coax optimise --thrust 0.9 --out better; mufly coax optimise --vary upper_pitch,lower_pitch
+    --limit 'upper_pitch<=20deg'
+    """
+    from mufly.study import PAIR_FREE, check_by_wake, optimise_pair, pair_limit, rotor_loads_picture
+
+    if not 0.0 < thrust < math.inf:
+        raise InputError("--thrust", "", f"{thrust:g} N is not possible", "give a number above 0")
+    if generations < 1:
+        raise InputError("--generations", "", f"{generations} is not possible", "give 1 or more")
+    names = [n.strip() for n in vary.split(",") if n.strip()]
+    for name in names:
+        if name not in PAIR_FREE:
+            raise InputError("--vary", "", f"{name!r} cannot be free", f"use some of: {', '.join(PAIR_FREE)}")
+    limits = [pair_limit(text) for text in limit or []]
+    above, below = angles(pitch)
+    setup = pair_of(
+        upper, lower,
+        {"spacing": length(spacing), "upper_pitch": above, "lower_pitch": below, "thrust": thrust, "climb": climb,
+         "density": density},
+        theory,
+    )  # fmt: skip
+    with progress_bar("generations", not as_json) as progress:
+        best = optimise_pair(
+            setup, names, limits=limits, seed=seed, generations=generations, progress=progress
+        )
+    files = (
+        []
+        if out is None
+        else [_write_rotor(best.upper, out / "upper.toml"), _write_rotor(best.lower, out / "lower.toml")]
+    )
+    checked: tuple[Result | str, Result | str] | None = None
+    if check:
+        with wake_progress("start and optimum", not as_json, out) as told:
+            checked = check_by_wake(setup, best, told)
+    if out is not None:
+        after = checked[1] if checked is not None and not isinstance(checked[1], str) else best.after
+        files.append(save_picture(rotor_loads_picture(after.upper, after.lower), out, "loads"))
+    answer(as_json, lambda: _pair_json(best, checked), lambda: _print_pair_optimum(best, checked), files)
+
+
+def _short(point: Result | str | None) -> dict[str, Any] | None:
+    if point is None:
+        return None
+    if isinstance(point, str):
+        return {"fault": point}
+    return {
+        "power_W": point.power_W,
+        "thrust_N": point.thrust_N,
+        "figure_of_merit": point.figure_of_merit,
+        **{
+            side: {
+                "pitch_rad": r.pitch_rad, "speed_rad_s": r.speed_rad_s, "thrust_N": r.thrust_N,
+                "torque_Nm": r.torque_Nm, "power_W": r.power_W, "outside_share": r.outside_share,
+            }
+            for side, r in (("upper", point.upper), ("lower", point.lower))
+        },
+    }  # fmt: skip
+
+
+def _pair_json(best: PairOptimum, checked: tuple[Result | str, Result | str] | None) -> dict[str, Any]:
+    return {
+        "upper": best.upper.toml_tables(),
+        "lower": best.lower.toml_tables(),
+        "changes": best.changes,
+        "at_limit": best.at_limit,
+        "evaluations": best.evaluations,
+        "bemt": {
+            "start": _short(best.before),
+            "pitch_only": _short(best.pitched),
+            "optimum": _short(best.after),
+        },
+        "wake": None if checked is None else {"start": _short(checked[0]), "optimum": _short(checked[1])},
+    }
+
+
+def _print_pair_optimum(best: PairOptimum, checked: tuple[Result | str, Result | str] | None) -> None:
+    c = console()
+    shown = [
+        (name, in_words(name, value, ".4g"), "at the end of its range" if name in best.at_limit else "")
+        for name, value in best.changes.items()
+    ]
+    print_table(("free", "found", ""), shown, text=(0, 2))
+    heads = ("", "method", "power (W)", "change", "upper rpm", "lower rpm", "upper (N)", "lower (N)", "merit")
+    rows: list[tuple[str, ...]] = []
+
+    def add(label: str, method: str, point: Result | str | None, first: Result | str | None) -> None:
+        if point is None:
+            return
+        if isinstance(point, str):
+            rows.append((label, method, "-", "", "", "", "", "", ""))
+            return
+        change = (
+            "" if first is None or isinstance(first, str) else f"{point.power_W / first.power_W - 1:+.1%}"
+        )
+        rows.append(
+            (label, method, f"{point.power_W:.4g}", change, f"{point.upper.speed_rad_s / RPM:.0f}",
+             f"{point.lower.speed_rad_s / RPM:.0f}", f"{point.upper.thrust_N:.4g}", f"{point.lower.thrust_N:.4g}",
+             f"{point.figure_of_merit:.3f}")
+        )  # fmt: skip
+
+    add("start", "bemt", best.before, None)
+    add("start's blades, best pitch", "bemt", best.pitched, best.before)
+    add("optimum", "bemt", best.after, best.before)
+    if checked is not None:
+        add("start", "wake", checked[0], None)
+        add("optimum", "wake", checked[1], checked[0])
+    print_table(heads, rows, text=(0, 1))
+    for point in checked or ():
+        if isinstance(point, str):
+            c.print(f"Not confirmed by the wake: {point}", style="yellow", highlight=False)
+    share = max(best.after.upper.outside_share, best.after.lower.outside_share)
+    if share > 0.0:
+        c.print(
+            f"At the optimum sections beyond what the polars' engine computed carry up to {share:.0%} of a thrust",
+            style="yellow", highlight=False,
+        )  # fmt: skip
+    c.print(f"{best.evaluations} pairs computed.", style="dim", highlight=False)
