@@ -37,7 +37,8 @@ from mufly.results import result
 from mufly.tables import builtin_names, fault, read_tables, validated
 from mufly.units import RPM
 from mufly.vehicle import Vehicle, load_vehicle
-from mufly.vehicle.schema import Battery, Gear, Group, Motor, Quantity, parameter
+from mufly.vehicle.quantity import Group, Quantity, parameter
+from mufly.vehicle.schema import Battery, Gear, Motor
 
 
 @compiled(error_model="numpy")

@@ -34,7 +34,7 @@ from pydantic_core import PydanticCustomError
 from mufly.errors import InputError
 from mufly.rotor.airfoil import load_airfoil
 from mufly.tables import builtin_names, read_tables, validated
-from mufly.vehicle.schema import Group, Quantity, Source, parameter
+from mufly.vehicle.quantity import Group, Quantity, Source, parameter
 
 Array = NDArray[np.float64]
 

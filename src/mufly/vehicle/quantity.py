@@ -1,0 +1,131 @@
+"""A number with its unit and where it came from, as files of vehicles, rotors and drives hold it.
+
+    mass = { value = 95, unit = "g", source = "measured", note = "on a scale" }
+
+Values are converted to SI when the file is read; the unit must be given, so that no number is ever guessed at. What a
+file may hold is declared once, as groups of :func:`parameter` s: unit, symbol, meaning and the values that make sense.
+"""
+
+from __future__ import annotations
+
+from operator import ge, gt, le, lt
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+
+from mufly.tables import fault
+from mufly.units import units_of
+
+Source = Literal["measured", "CAD", "datasheet", "estimated", "identified", "specified"]
+
+_LIMITS = {"above": gt, "at_least": ge, "below": lt, "at_most": le}
+_ABSURD = 1e9  # no parameter of a vehicle is as large in SI units; powers of larger ones overflow
+
+
+class _Frozen(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Quantity(_Frozen):
+    """One number with its unit and provenance. ``float(quantity)`` is the SI value."""
+
+    value: float
+    unit: str
+    source: Source
+    note: str = ""
+
+    def __float__(self) -> float:
+        return self.value
+
+
+class Points(_Frozen):
+    """Points in body axes (x forward, y right, z down from the centre of gravity)."""
+
+    value: tuple[tuple[float, float, float], ...]
+    unit: str
+    source: Source
+    note: str = ""
+
+    def array(self) -> NDArray[np.float64]:
+        """Return the points as an (n, 3) array in SI units."""
+        return np.array(self.value, dtype=np.float64).reshape(-1, 3)
+
+
+class Curve(_Frozen):
+    """A quantity tabulated over a fraction that rises from 0 to 1."""
+
+    fraction: tuple[float, ...]
+    value: tuple[float, ...]
+    unit: str
+    source: Source
+    note: str = ""
+
+    def sample(self, n: int) -> NDArray[np.float64]:
+        """Return ``n`` values at equal steps of the fraction, interpolated linearly."""
+        return np.interp(np.linspace(0.0, 1.0, n), self.fraction, self.value)
+
+
+def parameter(
+    unit: str,
+    symbol: str,
+    description: str,
+    *,
+    above: float | None = None,
+    at_least: float | None = None,
+    below: float | None = None,
+    at_most: float | None = None,
+) -> Any:
+    """Declare a parameter of a vehicle: its SI unit, symbol, meaning and the values that make sense."""
+    limits = {"above": above, "at_least": at_least, "below": below, "at_most": at_most}
+    return Field(description=description, json_schema_extra={"unit": unit, "symbol": symbol, **limits})
+
+
+def _check_limits(value: float, unit: str, limits: dict[str, Any]) -> None:
+    set_ = {k: limits[k] for k in _LIMITS if limits.get(k) is not None}
+    if not abs(value) < _ABSURD or not all(_LIMITS[k](value, limit) for k, limit in set_.items()):
+        words = " and ".join(f"{k.replace('_', ' ')} {limit:g}" for k, limit in set_.items())
+        wanted = "of ordinary size" if abs(value) >= _ABSURD else words or "that is finite"
+        raise fault(f"{value:g} {unit} is not possible", f"give a value {wanted} ({unit})")
+
+
+def _scaled(value: Any, factor: float) -> Any:
+    if isinstance(value, list | tuple):
+        return [_scaled(v, factor) for v in value]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise fault(f"{value!r} is not a number", "give a number")
+    try:
+        return float(value) * factor
+    except OverflowError:
+        raise fault("a whole number of more than 300 digits", "give a value of ordinary size") from None
+
+
+def _flat(value: Any) -> list[float]:
+    return [x for v in value for x in _flat(v)] if isinstance(value, list) else [value]
+
+
+class Group(_Frozen):
+    """A named group of parameters. Converts what the file says to SI and checks it against the declaration."""
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _to_si(cls, raw: Any, info: ValidationInfo) -> Any:
+        declared = cls.model_fields[str(info.field_name)].json_schema_extra
+        if not isinstance(declared, dict) or "unit" not in declared or isinstance(raw, _Frozen):
+            return raw
+        si = str(declared["unit"])
+        example = f'{{ value = ..., unit = "{si}", source = "measured" }}'
+        if not isinstance(raw, dict):
+            raise fault(f"{raw!r} has no unit and no source", f"write {info.field_name} = {example}")
+        if "unit" not in raw:
+            raise fault("the unit is missing", f"write {info.field_name} = {example}")
+        if not isinstance(raw["unit"], str) or raw["unit"] not in units_of(si):
+            accepted = ", ".join(units_of(si))
+            raise fault(f"unit {raw['unit']!r} does not fit here", f"use one of: {accepted}")
+        if "value" not in raw:
+            raise fault("the value is missing", f"write {info.field_name} = {example}")
+        value = _scaled(raw["value"], units_of(si)[raw["unit"]])
+        for v in _flat(value):
+            _check_limits(v, si, declared)
+        return {**raw, "value": value, "unit": si}
