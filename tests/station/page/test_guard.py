@@ -79,6 +79,17 @@ def test_without_the_token_nothing_is_served(path: str) -> None:
     assert "secret" not in call(CLOSED, path)[1]
 
 
+@pytest.mark.parametrize(
+    "answer",
+    [call(OPEN), call(OPEN, host="evil.example"), call(CLOSED), call(CLOSED, query=f"token={TOKEN}")],
+    ids=["page", "refusal", "login", "entry"],
+)
+def test_no_answer_may_be_framed_by_another_site(answer: tuple[int, str, dict[str, str]]) -> None:
+    headers = answer[2]
+    assert headers["content-security-policy"] == "frame-ancestors 'none'"
+    assert headers["x-frame-options"] == "DENY"
+
+
 @pytest.mark.parametrize("wrong", ["", "x", TOKEN + "x", TOKEN[:-1], "%00", "ü"])
 def test_a_wrong_token_is_no_token(wrong: str) -> None:
     assert call(CLOSED, query=f"token={wrong}")[0] == 401

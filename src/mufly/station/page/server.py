@@ -30,7 +30,7 @@ from nicegui import context, ui
 from starlette.datastructures import Headers
 from starlette.requests import HTTPConnection
 from starlette.responses import Response
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from mufly.errors import ArgumentError
 from mufly.station.page.feed import Feed
@@ -200,13 +200,15 @@ async def serve(
 # must be one that we serve under, and an origin, where given, must be the same as the host. On any other address a
 # token is needed too:
 # it comes once, as ``?token=`` or typed into the form, and becomes a cookie that scripts cannot read and that other
-# sites cannot send; after that it is in no address.
+# sites cannot send; after that it is in no address. No site may show the page in a frame of its own, where a user's
+# clicks could be led onto its buttons.
 
 
 PORT = 8080
 PORTS_TRIED = 40
 COOKIE = "mufly_station"
 MOST_FORM_BYTES = 4096
+_UNFRAMED = ((b"content-security-policy", b"frame-ancestors 'none'"), (b"x-frame-options", b"DENY"))
 
 _STYLE = (
     "<style>body{font:16px system-ui,sans-serif;display:grid;place-items:center;min-height:90vh;margin:0;"
@@ -322,6 +324,7 @@ class Guard:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
+        send = _unframed(send)
         asked = HTTPConnection(scope)
         if not self._known_host(asked.headers.get("host", "")):
             await _refuse(scope, receive, send, 403, "this station does not serve under that name")
@@ -365,6 +368,17 @@ class Guard:
         answer.headers["set-cookie"] = f"{COOKIE}={self._cookie}; HttpOnly; SameSite=Strict; Path=/"
         await answer(scope, receive, send)
         return True
+
+
+def _unframed(send: Send) -> Send:
+    """Return ``send``, which tells browsers with every answer not to show it in a frame."""
+
+    async def told(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            message = {**message, "headers": [*message.get("headers", ()), *_UNFRAMED]}
+        await send(message)
+
+    return told
 
 
 def _name(host: str) -> str:
