@@ -160,7 +160,7 @@ def _position(s: Snapshot) -> _Judged:
     if np.isnan(s.estimate.position).any():
         return False, "not known"
     n, e, d = s.estimate.position.tolist()
-    return True, f"N {n:.2f}, E {e:.2f}, D {d:.2f} m"
+    return True, f"N {n:.2f}, E {e:.2f}, height {-d:.2f} m"
 
 
 def _mission(held: tuple[Item, ...] | None, shown: tuple[Item, ...] | None) -> _Judged:

@@ -34,7 +34,7 @@ class Snapshot(FlightState):
     """The state of a flight as a station knows it, and what it knows besides: of the link, and of who commands.
 
     Of what belongs to a flight's state a vehicle tells a part; of another autopilot's, ``state`` is the flight mode in
-    words.
+    words. ``begun`` is a mission that is being flown or waits to be gone on with.
 
     Attributes
     ----------

@@ -148,6 +148,8 @@ class RemoteVehicle:
             in_command=self.in_command,
             commander=self.commander,
             state=t.state,
+            mission_running=t.mission_state == mavlink.MISSION_STATE_ACTIVE,
+            begun=t.mission_state in (mavlink.MISSION_STATE_ACTIVE, mavlink.MISSION_STATE_PAUSED),
             range_angles=t.ranges.angles,
             range_max_m=t.ranges.most_m,
             battery_left_s=t.battery_left_s,
@@ -228,9 +230,9 @@ class RemoteVehicle:
     def go_to(self, position: Sequence[float], heading_rad: float | None = None) -> Request:
         """Fly to a place (N, E, D; m) and hold."""
         n, e, d = (float(v) for v in position)
-        text = f"fly to N {n:.2f}, E {e:.2f}, D {d:.2f} m"
+        text = f"fly to N {n:.2f}, E {e:.2f}, height {-d:.2f} m"
         if not all(map(math.isfinite, (n, e, d))):
-            return _refused(text, "N, E and D are needed")
+            return _refused(text, "N, E and a height are needed")
         heading = math.nan if heading_rad is None else heading_rad
         command = autopilots.go_to(self.firmware, (n, e, d), heading, self.telemetry.origin)
         return _refused(text, command) if isinstance(command, str) else self._ask(text, command)

@@ -76,6 +76,8 @@ class Telemetry:
     ranges : Ranges
     battery_left_s : float
     mission_current : int or None
+    mission_state : int
+        MISSION_STATE; 0 is unknown.
     commander : int or None
         system * 256 + component; 0 nobody, None unknown.
     health : tuple of int or None
@@ -97,6 +99,7 @@ class Telemetry:
         self.ranges = Ranges()
         self.battery_left_s = math.nan
         self.mission_current: int | None = None
+        self.mission_state = 0
         self.commander: int | None = None
         self.health: tuple[int, int, int] | None = None
         self.simulated = False
@@ -347,7 +350,7 @@ class Telemetry:
             self._factor = (m.value, now_s)
 
     def _mission_current(self, now_s: float, m: MavMessage) -> None:
-        self.mission_current = m.seq
+        self.mission_current, self.mission_state = m.seq, m.mission_state
 
 
 def _battery(voltage: float, m: MavMessage) -> _Told:

@@ -307,6 +307,8 @@ _TITLES = {
     "wind": "Wind",
 }
 _ORDER = tuple(_TITLES)
+_UPWARD = {("position", "D"): "height", ("velocity", "D"): "climb"}
+"""Components that people read upward, as everywhere else on the page: their sign is turned."""
 
 
 def display_unit(unit: str, quantity: str) -> tuple[str, float]:
@@ -345,8 +347,9 @@ def catalog(names: Iterable[str], unit: Callable[[str], str]) -> list[dict[str, 
     Returns
     -------
     list of dict
-        ``key``, ``title``, ``unit`` and ``factor`` of display, ``components`` (list of str), ``sources`` (list of
-        str) and ``signals`` (``{"source/component": flat name}``), best known first.
+        ``key``, ``title``, ``unit`` and ``factor`` of display, ``components`` (list of str), ``upward`` (those of
+        them whose sign is turned), ``sources`` (list of str) and ``signals`` (``{"source/component": flat name}``),
+        best known first.
     """
     found: dict[str, dict[str, Any]] = {}
     for name in names:
@@ -356,9 +359,13 @@ def catalog(names: Iterable[str], unit: Callable[[str], str]) -> list[dict[str, 
             title = _TITLES.get(quantity, quantity.replace("_", " ").capitalize())
             found[quantity] = {
                 "key": quantity, "title": title, "unit": shown, "factor": factor,
-                "components": [], "sources": [], "signals": {},
+                "components": [], "upward": [], "sources": [], "signals": {},
             }  # fmt: skip
         entry = found[quantity]
+        if (upward := _UPWARD.get((quantity, component))) is not None:
+            component = upward
+            if upward not in entry["upward"]:
+                entry["upward"].append(upward)
         if component not in entry["components"]:
             entry["components"].append(component)
         if source not in entry["sources"]:

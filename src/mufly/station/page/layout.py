@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from nicegui import ui
@@ -14,6 +14,7 @@ from nicegui.events import GenericEventArguments
 from mufly.station.checks import OWN_CHECKS
 from mufly.station.history import Outcome, Request, Snapshot
 from mufly.station.page.panels import (
+    Action,
     Panel,
     button,
     check_drawer,
@@ -24,6 +25,7 @@ from mufly.station.page.panels import (
     static_url,
 )
 from mufly.station.page.session import View, availability, mission_label
+from mufly.station.page.strip import FlightStrip
 from mufly.station.remote import RemoteVehicle
 
 REFRESH_S = 0.2
@@ -35,7 +37,7 @@ _KEYS = (
     ("Shift + L", "land"),
     ("Shift + R", "return and land"),
     ("Shift + A", "arm or disarm"),
-    ("Shift + ⌫, twice", "emergency stop: motors off"),
+    ("Shift + ⌫, twice", "emergency stop: motors off; in text fields and dialogs too"),
     ("space", "play or pause a recording"),
     ("m", "mark this moment in the recording"),
     ("d", "dark or light"),
@@ -45,7 +47,7 @@ _HINTS = (
     "Click on the floor to choose a waypoint; click its mark again, or Send, to fly there.",
     "Drag turns the 3-D view, right drag moves it, the wheel zooms.",
     "In a plot the wheel zooms the time axis, drag moves it, a double click goes back to live.",
-    "Commands need Shift, so that a stray letter flies nothing. The emergency stop works from every window.",
+    "Commands need Shift, so that a stray letter flies nothing. The emergency stop is on top of everything.",
 )
 
 
@@ -54,6 +56,7 @@ def build(view: View) -> None:
     ui.add_head_html(f'<link rel="stylesheet" href="{static_url()}/station.css">')
     dark = ui.dark_mode(None)
     ui.colors(primary="#2f7fb8")
+    strip = FlightStrip(view)
     with element("div", classes="mf-page"):
         _header(view, dark)
         with _labelled("aside", "instruments", "mf-left"):
@@ -72,13 +75,18 @@ def build(view: View) -> None:
                 Panel("replaybar").on("replay", lambda e: _replay(view, e))
         refresh_parameters = _dock(view)
         with _labelled("aside", "commands and mission", "mf-right"):
-            bar = CommandBar(view, lambda height: scene.call("setHeight", height))
+            bar = CommandBar(
+                view,
+                lambda height: scene.call("setHeight", height),
+                lambda place: scene.call("setTarget", place),
+            )
             _right_tabs(view)
     Panel("keys")
     scene.on("place", lambda e: _point(e, bar.choose))
     scene.on("goto", lambda e: _point(e, bar.go_to))
 
     def refresh() -> None:
+        strip.refresh()
         bar.refresh()
         refresh_parameters()
 
@@ -228,11 +236,8 @@ def _replay(view: View, e: GenericEventArguments) -> None:
 
 # ----------------------------------------------------------------------------
 # The buttons that command the vehicle, each with the reason why it cannot be used, and what became of requests.
-#
-# The emergency stop needs two presses within three seconds. It works from every window and whoever commands.
 
 
-CONFIRM_S = 3.0
 HEIGHT_M = (0.2, 50.0)
 _MARKS = {
     Outcome.WAITING: "…",
@@ -253,38 +258,6 @@ def _facts(facts: dict[str, Any]) -> str:
 
 def _hide(element: Element, hidden: bool, name: str = "mf-hidden") -> None:
     element.classes(add=name if hidden else "", remove="" if hidden else name)
-
-
-class _Action:
-    """A button of two lines: what it does, and why it cannot."""
-
-    def __init__(self, label: str, test_id: str, key: str, press: Callable[[], None], classes: str) -> None:
-        self.label, self._key = label, key
-        self._state: tuple[str, str] = ("", "?")
-        self._button = element("button", classes=f"mf-action {classes}")
-        self._button.props(f'type=button data-testid={test_id} data-key="{key}"')
-        # A click may have been under way when it was disabled.
-        self._button.on("click", lambda: None if self._state[1] else press(), args=[])
-        with self._button:
-            self._lines = (
-                element("span", classes="mf-action-label"),
-                element("span", classes="mf-action-reason"),
-            )
-        self.show(label, "")
-
-    def show(self, label: str, reason: str) -> None:
-        """Say what it does, and why it cannot be used ("": it can)."""
-        if (label, reason) == self._state:
-            return
-        self._state = (label, reason)
-        for line, text in zip(
-            self._lines, (label, reason or self._key.replace("Backspace", "⌫")), strict=True
-        ):
-            line._text = text
-            line.update()
-        self._button.props("disabled") if reason else self._button.props(remove="disabled")
-        self._button.props["title"] = reason or f"{label} ({self._key})"
-        self._button.update()
 
 
 class _Field:
@@ -310,6 +283,33 @@ class _Field:
             self.panel.call("set", value)
 
 
+_Place = tuple[float, float, float]
+_REACH_M = 0.15
+_UNDER_WAY = frozenset({"waypoint", "obstacle"})
+
+
+@dataclass(slots=True)
+class _Sent:
+    """A place (north, east, height; m) that a vehicle was sent to."""
+
+    vehicle: RemoteVehicle
+    request: Request
+    place: _Place
+    seen: bool = False
+
+    def on_its_way(self, shown: RemoteVehicle | None) -> bool:
+        """Whether it flies there still; what the vehicle says of itself decides, where it says it."""
+        if shown is not self.vehicle or (self.request.done and self.request.outcome is not Outcome.ACCEPTED):
+            return False
+        s, (north, east, height) = self.vehicle.snapshot, self.place
+        if self.vehicle.kind == "mufly" and self.request.done:
+            before, self.seen = self.seen, self.seen or s.state in _UNDER_WAY
+            if before and (s.state not in _UNDER_WAY or s.mission_running):
+                return False
+        away = math.dist(s.estimate.position.tolist(), (north, east, -height))
+        return s.flying and not away < _REACH_M
+
+
 class CommandBar:
     """Commands of one window.
 
@@ -318,14 +318,18 @@ class CommandBar:
     view : View
     place : callable
         Told the height (m) that was typed for the waypoint.
+    target : callable
+        Told where the vehicle was sent (north, east, height; m) while it is on its way there; then None.
     """
 
-    def __init__(self, view: View, place: Callable[[float], None]) -> None:
-        self._view = view
-        self._stop_armed = 0.0
+    def __init__(
+        self, view: View, place: Callable[[float], None], target: Callable[[_Place | None], None]
+    ) -> None:
+        self._view, self._tell_target = view, target
+        self._sent: _Sent | None = None
         self._shown: list[str] = []
         self._banner_shown = ("?", "")
-        self._actions: dict[str, _Action] = {}
+        self._actions: dict[str, Action] = {}
         row = "mf-row"
         with element("section", classes="mf-commands").props('aria-label="commands"') as self._section:
             with element("div", classes="mf-banner").props("role=status") as self._banner:
@@ -334,6 +338,7 @@ class CommandBar:
                 self._banner_button.on("click", self._take, args=[])
             self._action("mission", "Fly the mission", "M", self._do("start_mission"), classes="mf-primary")
             with element("div", classes=row):
+                self._action("arm", "Arm", "A", self._toggle_arm, classes="mf-small")
                 self._action("take_off", "Take off", "T", self._go_up, "take-off")
                 self._height = _Field("to", 1.0, "height of take-off in m", "m")
             with element("div", classes=row):
@@ -350,18 +355,13 @@ class CommandBar:
                     field.panel.on("enter", self._go_there, args=[])
                 self._place[2].on_change = place
                 self._action("go_to", "Go", "G", self._go_there, "goto")
-            with element("div", classes=row):
-                self._action("arm", "Arm", "A", self._toggle_arm, classes="mf-small")
-                self._action(
-                    "stop", "EMERGENCY STOP", "Backspace", self._emergency, "emergency-stop", "mf-stop"
-                )
             self._log = element("ol", classes="mf-requests").props('role=status aria-label="requests"')
         self.refresh()
 
     def _action(
         self, name: str, label: str, key: str, press: Callable[[], None], test_id: str = "", classes: str = ""
     ) -> None:
-        self._actions[name] = _Action(label, test_id or name, f"Shift+{key}", press, classes)
+        self._actions[name] = Action(label, test_id or name, f"Shift+{key}", press, classes)
 
     # ---- what the buttons do
 
@@ -396,8 +396,11 @@ class CommandBar:
             why = "give finite metres and a height above the floor"
         if why:
             self._refuse(f"go to N {north:.2f}, E {east:.2f}, height {height:.2f} m", why)
-        else:
-            self._ask(lambda vehicle: vehicle.go_to((north, east, -height)))
+        elif (vehicle := self._view.vehicle()) is not None:
+            request = vehicle.go_to((north, east, -height))
+            self._sent = _Sent(vehicle, request, (north, east, height))
+            self._tell_target(self._sent.place)
+            self._ask(lambda _: request)
 
     def choose(self, *place: float) -> None:
         """Show a point (north, east, height; m) in the fields, without flying there."""
@@ -406,15 +409,6 @@ class CommandBar:
 
     def _toggle_arm(self) -> None:
         self._ask(lambda vehicle: vehicle.disarm() if vehicle.snapshot.armed else vehicle.arm())
-
-    def _emergency(self) -> None:
-        now = time.monotonic()
-        if now - self._stop_armed < CONFIRM_S:
-            self._stop_armed = 0.0
-            self._do("emergency_stop")()
-        else:
-            self._stop_armed = now
-            self.refresh()
 
     def _take(self) -> None:
         if not self._view.has_controls:
@@ -444,16 +438,16 @@ class CommandBar:
         vehicle = self._view.vehicle()
         snapshot = vehicle.snapshot if vehicle is not None else None
         why = self._reasons()
-        begun = vehicle is not None and any(r.reached for r in vehicle.mission if r.action == "waypoint")
-        labels = {"mission": mission_label(snapshot, begun)}
+        labels = {"mission": mission_label(snapshot)}
         if snapshot is not None and snapshot.armed:
             labels["arm"], why["arm"] = "Disarm", why["disarm"]
-        if time.monotonic() - self._stop_armed < CONFIRM_S:
-            labels["stop"] = "PRESS AGAIN TO STOP"
         for name, action in self._actions.items():
             action.show(labels.get(name, action.label), why[name])
         self._show_banner(vehicle, snapshot)
         self._show_requests()
+        if self._sent is not None and not self._sent.on_its_way(vehicle):
+            self._sent = None
+            self._tell_target(None)
 
     def _show_banner(self, vehicle: RemoteVehicle | None, s: Snapshot | None) -> None:
         text, button, replay = "", "", self._view.replay
@@ -478,7 +472,7 @@ class CommandBar:
             e.update()
 
     def _show_requests(self) -> None:
-        requests = list(self._view.requests)[-3:]
+        requests = self._view.requests()
         lines = [_line(r) for r in requests]
         if lines == self._shown:
             return

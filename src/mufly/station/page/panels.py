@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import math
 import tempfile
 import time
 import tomllib
@@ -76,6 +77,49 @@ def button(
     """Return a plain button."""
     made = element("button", text, classes).props(f'type=button data-testid="{test}" title="{title or text}"')
     return made.on("click", press, args=[])
+
+
+class Action:
+    """A button of two lines: what it does, and why it cannot.
+
+    Parameters
+    ----------
+    label, test_id : str
+    key : str
+        That presses it (``static/keys.js``).
+    press : callable
+    classes : str
+    note : str, optional
+        The second line of a button that can be used; default the key.
+    """
+
+    def __init__(
+        self, label: str, test_id: str, key: str, press: Callable[[], None], classes: str, note: str = ""
+    ) -> None:
+        self.label, self._key, self._note = label, key, note or key
+        self._state: tuple[str, str, str] = ("", "?", "")
+        self._button = element("button", classes=f"mf-action {classes}")
+        self._button.props(f'type=button data-testid={test_id} data-key="{key}"')
+        # A click may have been under way when it was disabled.
+        self._button.on("click", lambda: None if self._state[1] else press(), args=[])
+        with self._button:
+            self._lines = (
+                element("span", classes="mf-action-label"),
+                element("span", classes="mf-action-reason"),
+            )
+        self.show(label, "")
+
+    def show(self, label: str, reason: str, note: str = "") -> None:
+        """Say what it does, why it cannot be used ("": it can), and what else there is to know of it."""
+        if (label, reason, note) == self._state:
+            return
+        self._state = (label, reason, note)
+        for line, text in zip(self._lines, (label, reason or note or self._note), strict=True):
+            line._text = text
+            line.update()
+        self._button.props("disabled") if reason else self._button.props(remove="disabled")
+        self._button.props["title"] = reason or f"{label} ({self._note})"
+        self._button.update()
 
 
 def _pick(
@@ -211,6 +255,8 @@ def _mission_of(rows: list[MissionRow]) -> Mission | None:
 def parameter_drawer(view: View) -> Callable[[], None]:
     """Table of the parameters, undo, files. Returns the function that brings its buttons up to date."""
 
+    written: list[tuple[str, Request]] = []  # what was sent and is not answered yet
+
     def write(name: str, value: float, undoable: bool = True) -> str:
         """Write one parameter; return why not, "" if it was sent."""
         vehicle, why = view.vehicle(), _blocked(view)
@@ -219,8 +265,10 @@ def parameter_drawer(view: View) -> Callable[[], None]:
         known = vehicle.parameters.get(name)
         if why := refused(known, name, value):
             return f"{name}: {why}"
-        view.ask(vehicle.set_parameter(name, value))
-        if undoable and known is not None:
+        view.ask(request := vehicle.set_parameter(name, value))
+        written.append((name, request))
+        # A number that is none cannot be written again.
+        if undoable and known is not None and math.isfinite(known.value):
             view.session.sheet(vehicle).wrote(name, known.value, value)
         return ""
 
@@ -231,6 +279,7 @@ def parameter_drawer(view: View) -> Callable[[], None]:
             return
         if why := write(name, float(value)):
             _refuse(why)
+            table.call("refused", name, why)
         refresh()
 
     def step(which: str) -> None:
@@ -283,10 +332,14 @@ def parameter_drawer(view: View) -> Callable[[], None]:
         button("Fetch", fetch, title="fetch all parameters again")
         _pick("Load…", ".params,.param,.txt", load, "parameter-file")
         button("Save", save, title="save all parameters as a file")
-    Panel("parameters").on("write", edited)
+    table = Panel("parameters").on("write", edited)
     shown: list[object] = [None]
 
     def refresh() -> None:
+        for name, request in [entry for entry in written if entry[1].done]:
+            written.remove((name, request))
+            if request.outcome is not Outcome.ACCEPTED:
+                table.call("refused", name, request.answer)
         vehicle = view.vehicle()
         sheet = view.session.sheet(vehicle) if vehicle is not None else None
         state = (sheet.can_undo, sheet.can_redo) if sheet is not None else ("", "")

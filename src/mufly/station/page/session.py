@@ -18,7 +18,7 @@ from typing import Any
 from mufly.errors import InputError
 from mufly.flight import Parameter
 from mufly.mission import Ask, Mission, may
-from mufly.station.history import Request, Snapshot
+from mufly.station.history import Outcome, Request, Snapshot
 from mufly.station.recorder import StationRecorder
 from mufly.station.remote import RemoteVehicle
 from mufly.station.replay import Recording, Replay
@@ -28,6 +28,11 @@ ENDINGS = (".mcap", ".tlog", ".ulg", ".csv", ".bin", ".parquet", ".nc")
 MOST_RECORDINGS = 200
 MOST_STEPS = 200
 GRACE_S = 1.0
+MOST_REQUESTS = 3
+ANSWER_S = 20.0
+"""For so long an answer is shown (s)."""
+ALERT_S = 20.0
+"""For so long a warning of the vehicle is shown beside its state (s)."""
 INT32, REAL32 = 6, 9  # MAV_PARAM_TYPE
 
 Source = RemoteVehicle | Replay
@@ -98,6 +103,14 @@ class Session:
         return sheet
 
 
+@dataclass(slots=True)
+class _Asked:
+    """A request, and when its answer was first seen."""
+
+    request: Request
+    ended_s: float = math.inf
+
+
 class View:
     """One window: what it shows and what it asked for."""
 
@@ -105,7 +118,7 @@ class View:
         self.client_id, self.session = client_id, session
         self.selected = ""
         self.replay: Replay | None = None
-        self.requests: deque[Request] = deque(maxlen=20)
+        self._asked: deque[_Asked] = deque(maxlen=20)
         self._shows = 0
         self._streams = 0
         self.left_s = math.inf  # its stream was never open yet: whoever presses so early is about to open it
@@ -127,12 +140,14 @@ class View:
 
     # ---- what is shown
 
-    def vehicle(self) -> RemoteVehicle | None:
-        """The vehicle that is selected: the first one unless another was chosen; None in a recording."""
-        if self.replay is not None:
-            return None
+    def aircraft(self) -> RemoteVehicle | None:
+        """The vehicle that is selected, the first one unless another was chosen: it may fly behind a recording."""
         known = self.session.vehicles()
         return next((v for v in known if v.name == self.selected), known[0] if known else None)
+
+    def vehicle(self) -> RemoteVehicle | None:
+        """The vehicle that is shown: the one that is selected; None in a recording."""
+        return None if self.replay is not None else self.aircraft()
 
     def source(self) -> Source | None:
         """What the panels show."""
@@ -182,6 +197,22 @@ class View:
             "vehicles": [v.name for v in self.session.vehicles()],
             "selected": "" if v is None else v.name,
             "color": 0 if v is None else v.color,
+            "flight": self.flight(),
+        }  # fmt: skip
+
+    def flight(self) -> dict[str, Any] | None:
+        """What the selected vehicle does, whatever the panels show; None without a vehicle."""
+        v = self.aircraft()
+        if v is None:
+            return None
+        s = v.snapshot
+        others = [o.name for o in self.session.vehicles() if o is not v and o.snapshot.armed]
+        told = next((m for m in reversed(v.messages) if m.level != "info"), None)
+        fresh = told is not None and not s.time_s - told.time_s > ALERT_S
+        return {
+            "name": v.name, "connected": s.connected, "silent_s": s.silent_s, "armed": s.armed, "flying": s.flying,
+            "state": s.state, "height": -float(s.estimate.position[2]), "others": others,
+            "alert": (told.level, told.text) if told is not None and fresh else None,
         }  # fmt: skip
 
     def baseline(self) -> Mapping[str, float]:
@@ -203,7 +234,22 @@ class View:
 
     def ask(self, request: Request) -> None:
         """Keep a request, to show what becomes of it."""
-        self.requests.append(request)
+        self._asked.append(_Asked(request))
+
+    def requests(self) -> list[Request]:
+        """The newest requests, as long as they matter: not long after their answer, no refusal that was overcome."""
+        now = self.session.clock()
+        for asked in self._asked:
+            if asked.request.done:
+                asked.ended_s = min(asked.ended_s, now)
+        newest = list(self._asked)[-MOST_REQUESTS:]
+        granted = [k for k, a in enumerate(newest) if a.request.outcome is Outcome.ACCEPTED]
+        last = granted[-1] if granted else -1
+        return [
+            a.request
+            for k, a in enumerate(newest)
+            if now - a.ended_s < ANSWER_S and (k >= last or a.request.outcome in (Outcome.ACCEPTED, Outcome.WAITING))
+        ]
 
 
 def find_recordings(folder: Path) -> list[Path]:
@@ -249,7 +295,6 @@ _ASKS = {
     "stop": Ask.STOP,
 }
 COMMANDS = tuple(_ASKS)
-_UNDER_WAY = frozenset({"waypoint", "obstacle"})
 
 
 def availability(
@@ -286,7 +331,7 @@ def availability(
         ).brief
         for name, ask in _ASKS.items()
     }
-    if s.flying and s.state in _UNDER_WAY:
+    if s.mission_running:  # from the first turn of the rotors on, its waits among it
         why["mission"] = "Hover interrupts it"
     if s.armed:
         why["arm"] = "armed"
@@ -296,11 +341,11 @@ def availability(
     return why if rows else why | {"mission": "no mission loaded"}
 
 
-def mission_label(s: Snapshot | None, begun: bool) -> str:
-    """Return what the mission button says; ``begun``: a waypoint of the mission was reached."""
-    if s is not None and s.flying and s.state in _UNDER_WAY:
-        return "Under way"
-    return "Resume mission" if s is not None and s.flying and begun else "Fly the mission"
+def mission_label(s: Snapshot | None) -> str:
+    """Return what the mission button says."""
+    if s is None or not s.begun:
+        return "Fly the mission"
+    return "Under way" if s.mission_running else "Resume mission"
 
 
 # Parameters: what was done to them here, and files of them. Files are those that other ground stations write too: one
@@ -372,6 +417,9 @@ def parameter_file(parameters: Mapping[str, Parameter], system: int) -> str:
     lines = ["# Vehicle-Id Component-Id Name Value Type, as QGroundControl and mufly write them"]
     for name in sorted(parameters):
         p = parameters[name]
+        if not math.isfinite(p.value):
+            lines.append(f"# {name} is {p.value}: not a number that could be written again")
+            continue
         value, kind = (f"{round(p.value)}", INT32) if p.whole else (f"{p.value:.9g}", REAL32)
         lines.append(f"{system}\t1\t{name}\t{value}\t{kind}")
     return "\n".join(lines) + "\n"

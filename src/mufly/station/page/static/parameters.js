@@ -21,32 +21,36 @@ export function mount(element, options, emit) {
   const table = el("table", { class: "mf-table mf-parameter-table" }, el("thead", {}, el("tr", {}, ...["parameter", "value", "unit", "least … greatest", "meaning"].map((text) => el("th", { scope: "col", text })))), body);
   element.append(el("div", { class: "mf-tools" }, search, only, count), el("div", { class: "mf-scroll", tabindex: 0 }, table));
 
-  const text = (p) => (p.whole ? String(Math.round(p.value)) : String(Number(p.value.toPrecision(7))));
+  // A number that is none (null here) stands as an empty field that says so.
+  const text = (p) => (p.value === null ? "" : p.whole ? String(Math.round(p.value)) : String(Number(p.value.toPrecision(7))));
   const bound = (x) => (x === null ? "" : Math.abs(x) >= 1e6 ? x.toExponential(0) : String(Number(x.toPrecision(4))));
-  const differs = (p) => Math.fround(p.was) !== Math.fround(p.value);
+  const differs = (p) => (p.was === null || p.value === null ? p.was !== p.value : Math.fround(p.was) !== Math.fround(p.value));
 
   function row(p) {
-    const input = el("input", { type: "number", step: p.whole ? 1 : "any", min: p.least, max: p.greatest, value: text(p), "aria-label": p.name, "data-name": p.name });
-    const send = () => {
-      const v = parseFloat(input.value);
-      if (!Number.isFinite(v) || (p.least !== null && v < p.least) || (p.greatest !== null && v > p.greatest) || (p.whole && !Number.isInteger(v))) {
-        input.setCustomValidity(`from ${bound(p.least)} to ${bound(p.greatest)}${p.whole ? ", whole" : ""}`);
-        input.reportValidity();
-        return;
-      }
-      input.setCustomValidity("");
-      if (text({ ...p, value: v }) !== text(p)) emit("write", { name: p.name, value: v });
-    };
-    input.addEventListener("change", send);
+    const input = el("input", { type: "number", step: p.whole ? 1 : "any", min: p.least, max: p.greatest, value: text(p), placeholder: p.value === null ? "not a number" : null, "aria-label": p.name, "data-name": p.name });
+    // Whether a value may be written is for the station to say, and what came of it for the vehicle.
+    input.addEventListener("change", () => {
+      const v = parseFloat(input.value), now = all.get(p.name);
+      if (!Number.isFinite(v)) restore(input);
+      else if (text({ ...now, value: v }) !== text(now)) emit("write", { name: p.name, value: v });
+    });
+    input.addEventListener("blur", () => input.validity.customError && restore(input));
+    input.addEventListener("input", () => input.setCustomValidity(""));
     input.addEventListener("keydown", (event) => {
       if (event.key === "Escape") {
-        input.value = text(p);
+        restore(input);
         input.blur();
       }
     });
     const range = p.least === null && p.greatest === null ? "" : `${bound(p.least)} … ${bound(p.greatest)}`;
-    return el("tr", { class: differs(p) ? "mf-changed" : "" }, el("th", { scope: "row" }, p.name, differs(p) ? el("span", { class: "mf-badge", title: `was ${p.was}`, text: "changed" }) : null),
+    return el("tr", { class: differs(p) ? "mf-changed" : "" }, el("th", { scope: "row" }, p.name, differs(p) ? el("span", { class: "mf-badge", title: `was ${p.was ?? "not a number"}`, text: "changed" }) : null),
       el("td", {}, input), el("td", { text: p.unit }), el("td", { class: "mf-num mf-dim", text: range }), el("td", { class: "mf-help", text: p.help }));
+  }
+  // Show what the vehicle has: what was typed is not.
+  function restore(input) {
+    const p = all.get(input.dataset.name);
+    input.setCustomValidity("");
+    if (p) input.value = input.defaultValue = text(p);
   }
   function fill() {
     const kept = [...all.values()].filter((p) => (!words || `${p.name} ${p.help}`.toLowerCase().includes(words)) && (!changedOnly || differs(p))).sort((a, b) => a.name.localeCompare(b.name));
@@ -81,5 +85,15 @@ export function mount(element, options, emit) {
     }
   }
   fill();
-  return { close: () => panel.close() };
+  return {
+    // It was not written: who still types there is told why and may mend it.
+    refused(name, why) {
+      const input = body.querySelector(`[data-name="${CSS.escape(name)}"]`);
+      if (!input) return;
+      if (input !== document.activeElement) return restore(input);
+      input.setCustomValidity(why);
+      input.reportValidity();
+    },
+    close: () => panel.close(),
+  };
 }

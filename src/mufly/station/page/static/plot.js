@@ -7,9 +7,15 @@ const WIDTHS = { estimated: 1.7, measured: 1.4, reference: 1.5, truth: 1.1, "": 
 const LEFT = 46, BOTTOM = 18, TOP = 6, RIGHT = 8;
 const BREAK_S = 0.6;
 
+// The next one down of 1, 2, 5, 10 ...
+function finer(step) {
+  const lead = Math.round(step / 10 ** Math.floor(Math.log10(step) + 1e-9));
+  return step / (lead === 5 ? 2.5 : 2);
+}
+
 // span() returns { from, to } of the time axis; onSpan(from, to) asks for another one, onSpan(null) for the live one.
 export function plot(element, label, span, onSpan) {
-  let traces = [], unit = "", factor = 1, cursor = null;
+  let traces = [], unit = "", cursor = null;
   const view = canvas(element, label, draw);
 
   function find(t, n, value) {
@@ -28,15 +34,15 @@ export function plot(element, label, span, onSpan) {
     const first = Math.max(0, find(t, n, from) - 1), last = Math.min(n, find(t, n, to) + 1);
     const drawn = traces.map((trace) => [trace, live.column(trace.signal)]).filter(([, c]) => c);
     let least = Infinity, most = -Infinity;
-    for (const [, c] of drawn) {
+    for (const [trace, c] of drawn) {
       for (let i = first; i < last; i++) {
-        const v = c[i];
+        const v = c[i] * trace.factor;
         if (v < least) least = v;
         if (v > most) most = v;
       }
     }
-    if (least > most) [least, most] = [-1 / factor, 1 / factor];
-    let low = least * factor, high = most * factor;
+    if (least > most) [least, most] = [-1, 1];
+    let low = least, high = most;
     const room = Math.max((high - low) * 0.06, Math.abs(high) * 1e-4, 0.002);
     low -= room;
     high += room;
@@ -54,7 +60,7 @@ export function plot(element, label, span, onSpan) {
       ctx.beginPath();
       let before = -Infinity;
       const point = (time, v) => {
-        const x = x0 + (time - from) * sx, y = y1 - (v * factor - low) * sy;
+        const x = x0 + (time - from) * sx, y = y1 - (v * trace.factor - low) * sy;
         if (time - before > BREAK_S + 3 * (bucket > 1 ? (to - from) / (x1 - x0) : 0)) ctx.moveTo(x, y);
         else ctx.lineTo(x, y);
         before = time;
@@ -82,12 +88,23 @@ export function plot(element, label, span, onSpan) {
     if (cursor !== null && n) reading(ctx, { x0, x1, y0, y1, from, sx, t, n, drawn, find });
   }
 
+  // Above it stands the unit.
+  const top = (g) => g.y0 + (unit ? 12 : 0);
+
+  // A step that leaves at least two numbers on the axis, however low the plot is.
+  function tickStep(g) {
+    const free = (g.high - g.low) * (1 - (top(g) - g.y0) / (g.y1 - g.y0)), most = g.low + free;
+    let step = niceStep(g.high - g.low, Math.max(2, (g.y1 - g.y0) / 26));
+    while (Math.floor(most / step) - Math.ceil(g.low / step) < 1) step = finer(step);
+    return step;
+  }
+
   function grid(ctx, g) {
     ctx.font = `10px ${FONT}`;
     ctx.fillStyle = colours.dim;
     ctx.strokeStyle = colours.grid;
     ctx.lineWidth = 1;
-    const step = niceStep(g.high - g.low, Math.max(2, (g.y1 - g.y0) / 26));
+    const step = tickStep(g);
     const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
     ctx.textAlign = "right";
     ctx.textBaseline = "middle";
@@ -96,7 +113,7 @@ export function plot(element, label, span, onSpan) {
       const y = Math.round(g.y1 - (k * step - g.low) * g.sy) + 0.5;
       ctx.moveTo(g.x0, y);
       ctx.lineTo(g.x1, y);
-      if (y > g.y0 + 12 || !unit) ctx.fillText(number(k * step, digits), g.x0 - 5, y);
+      if (y > top(g)) ctx.fillText(number(k * step, digits), g.x0 - 5, y);
     }
     const long = niceStep(g.to - g.from, Math.max(2, (g.x1 - g.x0) / 70));
     const places = Math.max(0, -Math.floor(Math.log10(long) + 1e-9));
@@ -124,7 +141,7 @@ export function plot(element, label, span, onSpan) {
     for (const [trace, c] of g.drawn) {
       let k = i;
       while (k > 0 && c[k] !== c[k] && i - k < 20) k--;
-      words.push([`${trace.component ? `${trace.component} ` : ""}${trace.source || ""} ${number(c[k] * factor, 3)}`, colours[trace.colour]]);
+      words.push([`${trace.component ? `${trace.component} ` : ""}${trace.source || ""} ${number(c[k] * trace.factor, 3)}`, colours[trace.colour]]);
     }
     ctx.strokeStyle = colours.dim;
     ctx.beginPath();
@@ -178,8 +195,9 @@ export function plot(element, label, span, onSpan) {
   node.addEventListener("dblclick", () => onSpan(null));
 
   return {
-    set(next, nextUnit, nextFactor) {
-      [traces, unit, factor] = [next, nextUnit, nextFactor];
+    // traces: [{ signal, component, source, colour, factor }]
+    set(next, nextUnit) {
+      [traces, unit] = [next, nextUnit];
       view.repaint();
     },
     repaint: view.repaint,

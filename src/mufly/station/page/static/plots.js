@@ -67,12 +67,15 @@ export function mount(element) {
     const q = catalog.find((c) => c.key === p.key);
     if (!q) return { q: null, list: [] };
     const out = [];
+    // What was remembered of it may have other names by now.
+    if (p.components && !p.components.some((c) => q.components.includes(c))) p.components = undefined;
     q.components.forEach((component, k) => {
       if (p.components && !p.components.includes(component)) return;
       for (const source of q.sources) {
         if (p.sources && !p.sources.includes(source)) continue;
         const signal = q.signals[`${source}/${component}`];
-        if (signal) out.push({ signal, component, source, colour: PALETTE[k % PALETTE.length] });
+        const factor = q.upward.includes(component) ? -q.factor : q.factor;
+        if (signal) out.push({ signal, component, source, colour: PALETTE[k % PALETTE.length], factor });
       }
     });
     return { q, list: out };
@@ -121,7 +124,7 @@ export function mount(element) {
       const area = el("div", { class: "mf-plot-area" });
       list.append(el("div", { class: "mf-plot" }, el("div", { class: "mf-plot-head" }, select, chips, remove), area));
       const drawn = plot(area, `${q?.title || p.key} over time`, span, onSpan);
-      drawn.set(shown, q?.unit || "", q?.factor || 1);
+      drawn.set(shown, q?.unit || "");
       cards.push({ plot: drawn, signals: shown.map((s) => s.signal) });
     });
     add.disabled = state.plots.length >= MOST;

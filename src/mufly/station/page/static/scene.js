@@ -77,10 +77,11 @@ export function mount(element, options, emit) {
     ship = helicopter(size(), colours[`c${tint % 8}`]);
     ghost = helicopter(size(), colours.reference, { ghost: true });
     scene.add(ship.group, ghost.group);
-    ghost.group.visible = false;
+    ghost.group.visible = ship.group.visible = shadow.visible = false; // until it is known where they are
     for (const o of others.values()) dispose(o.label), o.model.dispose();
     others.clear();
     mission();
+    drawTarget();
     if (live.latest) show(live.latest, 0);
     paint();
   }
@@ -221,9 +222,10 @@ export function mount(element, options, emit) {
   });
 
   // ---- choosing a waypoint
-  const marker = new THREE.Group();
+  const marker = new THREE.Group(), target = new THREE.Group();
   marker.visible = false;
-  scene.add(marker);
+  scene.add(marker, target);
+  let sent = null; // north, east, height of the place that it was sent to
   let chosen = null, height = 1.0;
   const where = el("span", { class: "mf-num" });
   const high = el("input", { type: "number", step: "0.1", min: "0.2", max: "100", "aria-label": "height in m", value: "1.0" });
@@ -240,18 +242,28 @@ export function mount(element, options, emit) {
     if (event.key === "Escape") forget();
   });
 
-  function drawMarker() {
-    for (const c of [...marker.children]) dispose(c);
-    if (!chosen) return;
-    const [n, e] = chosen;
-    marker.add(lines([[n, e, 0], [n, e, -height]], colours.reference));
+  function post(group, n, e, h) {
+    for (const c of [...group.children]) dispose(c);
+    group.add(lines([[n, e, 0], [n, e, -h]], colours.reference));
     const ball = new THREE.Mesh(new THREE.SphereGeometry(0.05, 16, 12), new THREE.MeshBasicMaterial({ color: colours.reference }));
-    place(ball, n, e, -height);
+    place(ball, n, e, -h);
     const ring = new THREE.Mesh(new THREE.RingGeometry(0.09, 0.12, 32), new THREE.MeshBasicMaterial({ color: colours.reference, side: THREE.DoubleSide }));
     ring.rotation.x = -Math.PI / 2;
     ring.position.set(e, 0.006, -n);
-    marker.add(ball, ring);
-    where.textContent = `N ${number(n)}  E ${number(e)} m`;
+    group.add(ball, ring);
+  }
+  function drawMarker() {
+    if (!chosen) return;
+    post(marker, ...chosen, height);
+    where.textContent = `N ${number(chosen[0])}  E ${number(chosen[1])} m`;
+  }
+  function drawTarget() {
+    target.visible = sent !== null;
+    if (!sent) return;
+    post(target, ...sent);
+    const words = sprite(`sent here, ${number(sent[2])} m`, { colour: "#fff", back: colours.reference, size: 0.14 });
+    words.position.set(sent[1], sent[2] + 0.2, -sent[0]);
+    target.add(words);
   }
   function choose(n, e) {
     chosen = [Math.round(n * 100) / 100, Math.round(e * 100) / 100];
@@ -334,10 +346,15 @@ export function mount(element, options, emit) {
   sizes.observe(element);
   const off = onTheme(build);
   build();
-  window.muflyScene = { onFloor: (n, e) => onScreen(n, e, 0), camera, controls, trail: () => trailN }; // for the tests of the page
+  window.muflyScene = { onFloor: (n, e) => onScreen(n, e, 0), camera, controls, trail: () => trailN, sent: () => sent }; // for the tests of the page
 
   return {
     choose,
+    setTarget(place) {
+      sent = place;
+      drawTarget();
+      paint();
+    },
     setHeight(h) {
       height = h;
       high.value = h.toFixed(1);

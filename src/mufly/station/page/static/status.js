@@ -12,11 +12,21 @@ export function mount(element) {
   const state = item("state", "mf-status-state"), motors = item("motors"), position = item("N, E, height", "mf-wide"), battery = item("battery"), link = item("link", "mf-wide"), time = item("time");
   const gauge = el("span", { class: "mf-gauge", "aria-hidden": "true" }, el("span"));
   battery.before(gauge);
+  gauge.hidden = true;
   let at = 0;
+  function nothing() {
+    for (const value of [state, motors, position, battery, link, time]) {
+      put(value, "–");
+      value.parentElement.dataset.level = "";
+    }
+    gauge.hidden = true;
+  }
+  nothing();
   const panel = live.panel({}, (f) => {
     const now = performance.now();
-    if (!f.s || (now - at < 180 && !f.new)) return;
+    if (now - at < 180 && !f.new) return;
     at = now;
+    if (!f.s) return nothing();
     const s = f.s, recording = f.about?.replay;
     put(state, !s.connected ? `no link for ${number(s.silent_s, 0)} s` : s.state ? s.state[0].toUpperCase() + s.state.slice(1) : "–");
     state.parentElement.dataset.level = s.connected ? "" : "bad";

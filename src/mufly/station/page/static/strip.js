@@ -1,0 +1,44 @@
+// The strip above everything: what the selected vehicle does, whatever the panels show.
+import { live } from "./live.js";
+import { el, icon, number, put } from "./draw.js";
+
+const REFRESH_MS = 180;
+
+export function mount(element) {
+  const what = el("strong", { class: "mf-strip-what" }), how = el("span", { class: "mf-num" });
+  const pace = el("span", { class: "mf-strip-pace mf-num" });
+  const about = el("span", { class: "mf-strip-about", role: "status" });
+  element.append(el("div", { class: "mf-strip-line" }, what, how, pace), about);
+  let at = 0, said = "";
+
+  function show(flight) {
+    const f = flight || {};
+    const silent = flight && !f.connected, up = f.flying ? "In flight" : f.armed ? "Armed, on the floor" : "On the floor, motors off";
+    element.dataset.state = silent ? "lost" : f.flying ? "flying" : f.armed ? "armed" : "";
+    put(what, !flight ? "No vehicle" : silent ? `No link for ${number(f.silent_s, 0)} s` : up);
+    put(how, !flight ? "" : silent ? `was ${up.toLowerCase()}` : [f.flying ? f.state : "", f.flying ? `${number(f.height)} m` : ""].filter(Boolean).join("  "));
+    const others = f.others?.length ? `; armed too: ${f.others.join("; ")}` : "";
+    tell(f.alert ? f.alert[0] : "", f.alert ? f.alert[1] : flight ? f.name + others : "");
+  }
+  function tell(level, text) {
+    if (said === level + text) return;
+    said = level + text;
+    about.dataset.level = level;
+    about.title = text;
+    about.replaceChildren(...(level ? [icon(level)] : []), text);
+  }
+  const panel = live.panel({}, (f) => {
+    const now = performance.now();
+    if (!f.about || (now - at < REFRESH_MS && !f.new)) return;
+    at = now;
+    show(f.about.flight);
+  }, { offline: (yes) => {
+    if (!yes) return;
+    element.dataset.state = "lost";
+    put(what, "This page has lost the station");
+    put(how, "");
+    tell("warning", "it cannot stop the motors until it is back");
+  } });
+  show(null);
+  return { close: () => panel.close() };
+}
