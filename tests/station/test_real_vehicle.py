@@ -142,8 +142,16 @@ def test_a_mission_over_the_worst_link(helicopter):
     assert scene.answer(vehicle.upload_mission(mission_from(SQUARE)), 120.0)[0] == "accepted"
     assert [row.action for row in vehicle.mission] == ["take off", "waypoint", "waypoint", "land"]
     assert scene.answer(vehicle.start_mission(), 60.0)[0] == "accepted"
+    scene.run(5.0, lambda: vehicle.snapshot.mission_running)  # already while the rotors come up to speed
+    assert not vehicle.snapshot.flying
+    scene.run(60.0, lambda: vehicle.snapshot.state == "hover" and vehicle.mission_progress == 1)
+    assert vehicle.snapshot.mission_running  # a wait of the mission's own is no pause
+    assert scene.answer(vehicle.pause(), 60.0)[0] == "accepted"
+    scene.run(5.0, lambda: vehicle.snapshot.begun and not vehicle.snapshot.mission_running)
+    assert scene.answer(vehicle.start_mission(), 60.0)[0] == "accepted"
     scene.run(60.0, lambda: vehicle.mission_progress >= 3)
     scene.run(30.0, lambda: not vehicle.snapshot.armed)
+    scene.run(5.0, lambda: not vehicle.snapshot.begun)
     assert scene.flight.autopilot.status.outcome == "succeeded"
     assert scene.answer(vehicle.clear_mission(), 60.0)[0] == "accepted"
     scene.run(3.0)

@@ -30,6 +30,10 @@ size_m = [0.5, 0.5, 1.0]
 """
 
 
+SIZES = ((1366, 768), (1024, 768), (820, 1180), (390, 844))
+STOP = "[data-testid=emergency-stop]"
+
+
 def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -93,7 +97,7 @@ def fly(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fly]
 class Page:
     """A window, and everything that it asked for or complained of."""
 
-    def __init__(self, browser: Any, url: str) -> None:
+    def __init__(self, browser: Any, url: str, script: str = "") -> None:
         self.complaints: list[str] = []
         self.requests: list[str] = []
         self.context = browser.new_context(viewport={"width": 1366, "height": 768}, color_scheme="dark")
@@ -101,6 +105,8 @@ class Page:
         self.page.on("console", lambda m: m.type in ("error", "warning") and self.complaints.append(m.text))
         self.page.on("pageerror", lambda e: self.complaints.append(str(e)))
         self.page.on("request", lambda r: self.requests.append(r.url))
+        if script:
+            self.page.add_init_script(script)
         self.page.goto(url)
 
     def frame(self) -> dict[str, Any] | None:
@@ -110,6 +116,19 @@ class Page:
     def picture(self, selector: str) -> np.ndarray:
         shot = self.page.locator(selector).first.screenshot()
         return np.asarray(matplotlib.image.imread(io.BytesIO(shot), format="png"))[..., :3]
+
+    def whole(self, selector: str) -> bool:
+        """Whether all of it is within the window, and nothing lies on top of it."""
+        return bool(
+            self.page.locator(selector).first.evaluate(
+                """e => {
+                    const b = e.getBoundingClientRect(), at = (x, y) => e.contains(document.elementFromPoint(x, y));
+                    const wide = b.width > 0 && b.left >= 0 && b.right <= innerWidth;
+                    const high = b.top >= 0 && b.bottom <= innerHeight;
+                    return wide && high && at(b.left + 3, b.top + 3) && at(b.right - 3, b.bottom - 3);
+                }"""
+            )
+        )
 
     def ready(self, test_id: str) -> bool:
         return bool(self.page.locator(f"[data-testid={test_id}]").is_enabled())
@@ -132,9 +151,22 @@ def test_the_scene_is_drawn_and_nothing_overflows(window: Page) -> None:
     picture = window.picture(".mf-scene")
     assert picture.std() > 0.02  # not one colour
     assert len(np.unique((picture * 32).astype(int).reshape(-1, 3), axis=0)) > 20
-    for width, height in ((1366, 768), (1024, 768), (820, 1180)):
+    for width, height in SIZES:
         window.page.set_viewport_size({"width": width, "height": height})
         assert window.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        assert window.whole(STOP)
+        # Fields and buttons of the commands stand beside each other, cut nowhere.
+        boxes = [
+            b.bounding_box() for b in window.page.locator(".mf-commands :is(button, input):visible").all()
+        ]
+        for k, a in enumerate(boxes):
+            assert a["x"] >= 0
+            assert a["x"] + a["width"] <= width
+            for b in boxes[:k]:
+                apart = a["x"] + 0.5 >= b["x"] + b["width"] or b["x"] + 0.5 >= a["x"] + a["width"]
+                assert apart or a["y"] + 0.5 >= b["y"] + b["height"] or b["y"] + 0.5 >= a["y"] + a["height"]
+        for select in window.page.locator(".mf-plot-head select").all():
+            assert select.evaluate("e => e.scrollWidth <= e.clientWidth"), "the name of a quantity is cut"
     window.page.set_viewport_size({"width": 1366, "height": 768})
 
 
@@ -150,6 +182,7 @@ def test_it_takes_off_flies_to_a_click_and_lands(window: Page) -> None:
     page.fill("[data-testid=field-height]", "0.6")
     page.click("[data-testid=take-off]")
     wait(lambda: (window.frame() or {}).get("armed"), "arming")
+    assert "on the floor" in page.inner_text(".mf-flightbar").lower()
     before = {k: window.picture(k) for k in (".mf-scene", ".mf-plot-area")}
     wait(lambda: window.frame()["state"] == "hover" and window.ready("goto"), "the hover")  # type: ignore[index]
     for selector, picture in before.items():
@@ -162,6 +195,8 @@ def test_it_takes_off_flies_to_a_click_and_lands(window: Page) -> None:
     assert page.locator("[data-testid=goto-chip]").is_visible()
     page.fill("[data-testid=goto-chip] input", "0.6")
     page.click(".mf-chip-send")
+    assert page.evaluate("window.muflyScene.sent()") is None
+    wait(lambda: page.evaluate("window.muflyScene.sent()"), "the mark of where it was sent")
     assert float(page.input_value("[data-testid=field-north]")) == pytest.approx(0.6, abs=0.05)
 
     def there() -> bool:
@@ -170,9 +205,35 @@ def test_it_takes_off_flies_to_a_click_and_lands(window: Page) -> None:
         return float(np.linalg.norm(np.subtract(s["position"], (0.6, -0.5, -0.6)))) < 0.2
 
     wait(there, "arrival at the waypoint")
+    wait(lambda: page.evaluate("window.muflyScene.sent()") is None, "the mark to go")
+    stop_is_there_behind_a_recording_a_dialog_and_a_field(window)
     page.keyboard.press("Shift+L")
     wait(lambda: not window.frame()["armed"], "the landing")  # type: ignore[index]
     assert "✓ land" in page.inner_text(".mf-requests")
+
+
+def stop_is_there_behind_a_recording_a_dialog_and_a_field(window: Page) -> None:
+    """In flight; the first of the two presses only."""
+    page, stop = window.page, window.page.locator(STOP)
+    page.get_by_role("tab", name="Recordings").click()
+    page.locator("tr", has_text="station.mcap").locator("button").first.click()
+    page.locator("[data-testid=replay-slider]").wait_for()
+    page.keyboard.press("m")
+    field = page.get_by_label("text").last
+    field.fill("gust")
+    for width, height in SIZES:
+        page.set_viewport_size({"width": width, "height": height})
+        assert window.whole(STOP)
+        assert "In flight" in page.inner_text(".mf-flightbar")
+        slider = page.locator("[data-testid=replay-slider]").bounding_box()
+        assert slider["width"] > 250
+    page.set_viewport_size({"width": 1366, "height": 768})
+    field.press("Shift+Backspace")
+    wait(lambda: "PRESS AGAIN" in stop.inner_text(), "the question")
+    assert field.input_value() == "gust"
+    page.keyboard.press("Escape")
+    page.click("text=Close recording")
+    wait(lambda: "recording" not in page.inner_text(".mf-status").lower(), "the vehicle again")
 
 
 def test_an_edit_of_a_parameter_is_made_and_taken_back(window: Page) -> None:
@@ -185,6 +246,19 @@ def test_an_edit_of_a_parameter_is_made_and_taken_back(window: Page) -> None:
     field.fill("1.5")
     field.press("Enter")
     wait(lambda: page.locator(".mf-badge").count() == 1, "the mark of a change")
+    field.fill("1.7")
+    field.press("Escape")
+    assert field.input_value() == "1.5"  # what the vehicle has, and not what it had
+    field.fill("999")
+    field.press("Tab")
+    wait(lambda: field.input_value() == "1.5", "what the vehicle has")
+    assert "from 0.2 to 50 m" in page.inner_text("body")
+    field.fill("999")
+    field.press("Enter")
+    wait(lambda: not field.evaluate("e => e.validity.valid"), "the reason at the field")
+    assert field.input_value() == "999"  # who types may mend it
+    field.press("Escape")
+    assert field.input_value() == "1.5"
     page.click("[data-testid=undo]")
     wait(lambda: page.locator("[data-name=MIS_TAKEOFF_ALT]").input_value() == was, "undo")
 
@@ -226,12 +300,27 @@ def test_a_mark_goes_into_the_recording(window: Page) -> None:
     wait(lambda: "mark: gust from the left" in page.inner_text(".mf-messages"), "the mark")
 
 
+ONE_IS_NAN = """
+const parse = JSON.parse;
+JSON.parse = (text, ...more) => {
+  const read = parse(text, ...more);
+  if (read?.parameters?.length > 1) read.parameters[0][1] = read.parameters[0][7] = null;
+  return read;
+};
+"""
+"""As if the first parameter were NaN, which travels as null."""
+
+
 def test_a_second_window_watches_until_it_takes_the_controls(browser: Any, fly: Fly, window: Page) -> None:
-    second = Page(browser, fly.url)
+    second = Page(browser, fly.url, ONE_IS_NAN)
     wait(lambda: "another window" in second.page.inner_text(".mf-banner"), "the note")
     assert not second.ready("take-off")
     second.page.click("[data-testid=take-controls]")
     wait(lambda: second.ready("take-off"), "the controls")
+    second.page.get_by_role("tab", name="Parameters").click()
+    rows = second.page.locator(".mf-parameter-table tbody tr")
+    wait(lambda: rows.count() > 20, "the parameters, one of them no number")
+    assert second.page.get_by_placeholder("not a number").count() == 1
     wait(lambda: not window.ready("take-off"), "the first window to watch")
     second.context.close()
     wait(lambda: window.ready("take-off"), "the controls to come back")

@@ -6,6 +6,7 @@ import tracemalloc
 from collections import deque
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,9 @@ import pytest
 
 from mufly.estimate import Estimate
 from mufly.flight import FlightState, Parameter
-from mufly.station import Check, History, Message, MissionRow, Snapshot
+from mufly.station import Check, History, Message, MissionRow, Outcome, Request, Snapshot
 from mufly.station.page.feed import IN_FLIGHT, MOST_POINTS, Feed, Want, encode_snapshot
-from mufly.station.page.session import GRACE_S, Session
+from mufly.station.page.session import ANSWER_S, GRACE_S, Session
 
 
 class Vehicle:
@@ -247,6 +248,53 @@ def test_the_first_window_holds_the_controls_and_the_last_one_left_gets_them(ses
     session.close("three")
     assert one.has_controls
     assert session.watching == 1
+
+
+def test_the_flight_is_told_behind_a_recording_with_its_last_warning(
+    session: Session, vehicle: Vehicle
+) -> None:
+    view = session.open("one")
+    feed = Feed(view)
+    at = Estimate(position=np.array([0.0, 0.0, -1.5]))
+    vehicle.go(3000)
+    vehicle.snapshot = replace(vehicle.snapshot, armed=True, flying=True, state="hover", estimate=at)
+    vehicle.messages += [Message(25.0, "warning", "it swings"), Message(29.0, "info", "reached")]
+    view.replay = SimpleNamespace(
+        time_s=0.0,
+        start_s=0.0,
+        end_s=1.0,
+        jumps=0,
+        playing=False,
+        speed=1.0,
+        name="old.mcap",
+        snapshot=Snapshot(),
+    )  # type: ignore[assignment]
+    told = frame(feed)
+    assert not told["s"]["flying"]  # the recording
+    flight = told["about"]["flight"]
+    assert (flight["flying"], flight["state"], flight["height"]) == (True, "hover", 1.5)
+    assert flight["alert"] == ["warning", "it swings"]
+    vehicle.go(2000)
+    assert frame(feed)["about"]["flight"]["alert"] is None  # 25 s later it is history
+    assert view.vehicle() is None
+    assert view.aircraft() is vehicle  # type: ignore[comparison-overlap]
+
+
+def test_answers_go_after_a_while_and_a_refusal_when_something_was_granted(session: Session) -> None:
+    clock, view = session.clock, session.open("one")
+    refused, granted, waiting = (Request(text) for text in ("land", "take off", "go"))
+    for request in (refused, granted, waiting):
+        view.ask(request)
+    refused.end(Outcome.REFUSED, "on the floor")
+    assert view.requests() == [refused, granted, waiting]
+    granted.end(Outcome.ACCEPTED)
+    assert view.requests() == [granted, waiting]
+    clock.now += ANSWER_S + 1.0  # type: ignore[attr-defined]
+    assert view.requests() == [waiting]
+    waiting.end(Outcome.TIMED_OUT, "no answer")
+    assert view.requests() == [waiting]
+    clock.now += ANSWER_S + 1.0  # type: ignore[attr-defined]
+    assert view.requests() == []
 
 
 def test_controls_taken_before_the_stream_is_open_are_kept(session: Session) -> None:

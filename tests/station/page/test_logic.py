@@ -1,6 +1,8 @@
 """Catalogue of signals, spectrum, availability of commands, parameter sheet: the page's logic without a browser."""
 
 import math
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +15,9 @@ from mufly.station.page.session import (
     COMMANDS,
     ParameterSheet,
     availability,
+    find_recordings,
     mission_label,
+    pace,
     parameter_file,
     read_parameter_file,
 )
@@ -35,6 +39,16 @@ def test_one_quantity_holds_all_who_speak_of_it() -> None:
     assert attitude["factor"] == pytest.approx(180 / math.pi)
     assert sum(len(q["signals"]) for q in found) == len(names) + 3  # nothing is lost, nothing twice
     assert next(q for q in found if q["key"] == "gyro_temperature")["signals"] == {"/": "gyro_temperature"}
+    assert attitude["upward"] == []
+
+
+def test_height_and_climb_are_called_that_and_grow_upward() -> None:
+    place, speed = catalog(
+        [f"estimated_{q}_{a}" for q in ("position", "velocity") for a in "NED"], lambda n: "m"
+    )
+    assert (place["components"], place["upward"]) == (["N", "E", "height"], ["height"])
+    assert (speed["components"], speed["upward"]) == (["N", "E", "climb"], ["climb"])
+    assert place["signals"]["estimated/height"] == "estimated_position_D"
 
 
 def test_units_are_those_that_people_read() -> None:
@@ -163,9 +177,34 @@ def test_a_recording_commands_nothing_and_a_lost_link_lets_one_try_to_stop() -> 
 def test_the_vehicle_says_why_it_cannot_be_armed() -> None:
     assert ask(FLOOR, unready="battery low")["take_off"] == "battery low"
     assert ask(FLOOR, rows=0)["mission"] == "no mission loaded"
-    assert mission_label(FLOOR, False) == mission_label(FLOOR, True) == "Fly the mission"
-    assert mission_label(HOVER, False) == "Fly the mission"
-    assert mission_label(HOVER, True) == "Resume mission"
+
+
+MISSION = [
+    # what it does, whether its mission runs and was begun; what the button says, and whether it can be pressed
+    (FLOOR, False, False, "Fly the mission", True),
+    (replace(FLOOR, armed=True, state="take-off"), True, True, "Under way", False),  # it spins up
+    (replace(HOVER, state="waypoint"), True, True, "Under way", False),
+    (HOVER, True, True, "Under way", False),  # it waits at a waypoint
+    (HOVER, False, True, "Resume mission", True),  # interrupted, before a waypoint was reached too
+    (replace(HOVER, state="waypoint"), False, True, "Resume mission", True),  # sent elsewhere meanwhile
+    (HOVER, False, False, "Fly the mission", True),  # took off by hand
+    (replace(FLOOR, begun=True), False, False, "Fly the mission", True),
+]
+
+
+@pytest.mark.parametrize(("s", "runs", "begun", "label", "open_"), MISSION)
+def test_the_main_button_says_what_the_mission_does(
+    s: Snapshot, runs: bool, begun: bool, label: str, open_: bool
+) -> None:
+    now = replace(s, mission_running=runs, begun=begun)
+    assert mission_label(now) == label
+    assert (not ask(now)["mission"]) is open_
+
+
+def test_real_time_that_is_lost_is_told() -> None:
+    assert pace(Snapshot()) == pace(Snapshot(real_time_factor=0.96, slips=0)) == ""
+    assert pace(Snapshot(real_time_factor=0.194, slips=3)) == "0.19 of real time, 3 slips"
+    assert pace(Snapshot(real_time_factor=1.0, slips=1)) == "1 slip"
 
 
 def test_undo_takes_back_in_order_and_redo_makes_again() -> None:
@@ -207,6 +246,10 @@ def test_a_file_of_parameters_comes_back_whole() -> None:
     known = {"A_B": Parameter("A_B", 0.1), "N": Parameter("N", 3, whole=True), "Z": Parameter("Z", -1e-7)}
     back = read_parameter_file(parameter_file(known, 1), "x.params")
     assert back == pytest.approx({n: p.value for n, p in known.items()}, rel=1e-8)
+    # One that the vehicle calls no number is left out with a note, and does not spoil the file.
+    odd = {**known, "B": Parameter("B", math.nan), "C": Parameter("C", math.nan, whole=True)}
+    assert read_parameter_file(parameter_file(odd, 1), "x.params") == back
+    assert "# B is nan" in parameter_file(odd, 1)
     assert read_parameter_file("RC1_MIN,1100\n# note\nB = 2\nC 3.5\n", "x.param") == {
         "RC1_MIN": 1100,
         "B": 2,
@@ -218,3 +261,32 @@ def test_a_file_of_parameters_comes_back_whole() -> None:
 def test_a_file_that_is_none_is_refused_with_its_line(text: str) -> None:
     with pytest.raises(InputError):
         read_parameter_file(text, "x.params")
+
+
+def test_recordings_of_other_flights_are_found_beside_this_one(tmp_path: Path) -> None:
+    for name in (
+        "one/flight.mcap",
+        "one/link.tlog",
+        "two/station.mcap",
+        "two/deep/er.csv",
+        "notes/table.csv",
+    ):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+
+    def found(folder: str) -> set[str]:
+        return {str(p.relative_to(tmp_path)) for p in find_recordings(tmp_path / folder)}
+
+    assert found("one") == {
+        "one/flight.mcap",
+        "one/link.tlog",
+        "two/station.mcap",
+    }  # and no table of somebody's
+    assert found("") == {
+        "one/flight.mcap",
+        "one/link.tlog",
+        "two/station.mcap",
+        "two/deep/er.csv",
+        "notes/table.csv",
+    }
+    assert found("not there") == found("one")

@@ -48,6 +48,7 @@ _OF_STATE = (
         "range_max_m",
     ),
     *("battery_current", "battery_charge", "battery_left_s", "link_loss", "link_rate_Hz"),
+    *("real_time_factor", "slips"),
 )
 _OF_ESTIMATE = ("position", "velocity", "attitude", "rates", "ranges", "battery_voltage")
 _OF_ACTUATORS = ("motor_input", "servo_input")

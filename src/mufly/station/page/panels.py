@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import math
+import os
 import tempfile
 import time
 import tomllib
@@ -21,7 +22,7 @@ from nicegui.events import GenericEventArguments, UploadEventArguments
 from mufly.errors import MuflyError
 from mufly.mission import Mission, dump_mission, mission_from
 from mufly.station.history import MissionRow, Outcome, Request
-from mufly.station.page.session import View, find_recordings, parameter_file, read_parameter_file
+from mufly.station.page.session import FLIGHT, View, find_recordings, parameter_file, read_parameter_file
 from mufly.station.remote import RemoteVehicle
 from mufly.station.replay import open_recording
 from mufly.station.transfers import refused
@@ -358,6 +359,8 @@ def parameter_drawer(view: View) -> Callable[[], None]:
 def recording_drawer(view: View) -> Callable[[], None]:
     """List of recordings; one is opened in the same page. Returns the function that looks for them again."""
     folder = view.session.folder
+    # Those of a flight are named with its folder, as those of the flights beside it are.
+    here = folder.parent if any((folder / name).is_file() for name in FLIGHT) else folder
 
     async def show(path: Path) -> None:
         request = Request(f"open {path.name}")
@@ -384,7 +387,7 @@ def recording_drawer(view: View) -> Callable[[], None]:
         with element("tr"):
             with element("td"):
                 button("Open", lambda: show(path), test="open-recording", title=f"open {path}")
-            element("td", str(path.relative_to(folder)))
+            element("td", os.path.relpath(path, here))
             element("td", datetime.fromtimestamp(about.st_mtime).strftime("%Y-%m-%d %H:%M:%S"))
             element("td", f"{about.st_size / 1e6:.1f} MB")
 
@@ -402,7 +405,7 @@ def recording_drawer(view: View) -> Callable[[], None]:
         button("Refresh", fill, title="look for recordings again")
         endings = ".mcap,.tlog,.ulg,.csv,.bin"
         _pick("Open a file…", endings, uploaded, "recording-file", MOST_RECORDING_BYTES)
-        element("span", f"in {folder}", "mf-dim mf-note")
+        element("span", f"in {here}", "mf-dim mf-note")
     holder = element("div", classes="mf-scroll")
     fill()
     return fill

@@ -7,16 +7,18 @@ What may be commanded now, and what was done to the parameters, is here too.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from mufly.errors import InputError
 from mufly.flight import Parameter
+from mufly.link import SLOW
 from mufly.mission import Ask, Mission, may
 from mufly.station.history import Outcome, Request, Snapshot
 from mufly.station.recorder import StationRecorder
@@ -26,6 +28,8 @@ from mufly.world import World
 
 ENDINGS = (".mcap", ".tlog", ".ulg", ".csv", ".bin", ".parquet", ".nc")
 MOST_RECORDINGS = 200
+FLIGHT = ("flight.mcap", "station.mcap")
+"""What the folder of a flight holds, one or both."""
 MOST_STEPS = 200
 GRACE_S = 1.0
 MOST_REQUESTS = 3
@@ -212,6 +216,7 @@ class View:
         return {
             "name": v.name, "connected": s.connected, "silent_s": s.silent_s, "armed": s.armed, "flying": s.flying,
             "state": s.state, "height": -float(s.estimate.position[2]), "others": others,
+            "pace": pace(s), "slow": s.real_time_factor < SLOW,
             "alert": (told.level, told.text) if told is not None and fresh else None,
         }  # fmt: skip
 
@@ -248,16 +253,36 @@ class View:
         return [
             a.request
             for k, a in enumerate(newest)
-            if now - a.ended_s < ANSWER_S and (k >= last or a.request.outcome in (Outcome.ACCEPTED, Outcome.WAITING))
+            if now - a.ended_s < ANSWER_S
+            and (k >= last or a.request.outcome in (Outcome.ACCEPTED, Outcome.WAITING))
         ]
 
 
+def pace(s: Snapshot) -> str:
+    """Return how much real time a vehicle loses, in words; "" if none."""
+    lost = [f"{s.real_time_factor:.2f} of real time"] if s.real_time_factor < SLOW else []
+    if s.slips:
+        lost.append(f"{s.slips} slip{'s' if s.slips > 1 else ''}")
+    return ", ".join(lost)
+
+
 def find_recordings(folder: Path) -> list[Path]:
-    """Return the recordings in a folder and its sub-folders, newest first."""
-    if not folder.is_dir():
-        return []
-    found = [p for p in folder.rglob("*") if p.suffix.lower() in ENDINGS and p.is_file()]
+    """Return the recordings in a folder and its sub-folders, and of the flights beside it, newest first.
+
+    A flight is a folder of its own, beside those of other flights: whoever looks for recordings in one looks for
+    theirs too.
+    """
+    found = set(_recordings(folder.rglob("*"))) if folder.is_dir() else set()
+    with contextlib.suppress(OSError):
+        for beside in folder.absolute().parent.iterdir():
+            with contextlib.suppress(OSError):  # a folder of somebody else
+                if beside != folder.absolute() and any((beside / name).is_file() for name in FLIGHT):
+                    found |= set(_recordings(beside.iterdir()))
     return sorted(found, key=lambda p: p.stat().st_mtime, reverse=True)[:MOST_RECORDINGS]
+
+
+def _recordings(paths: Iterable[Path]) -> Iterator[Path]:
+    return (p for p in paths if p.suffix.lower() in ENDINGS and p.is_file())
 
 
 def drawn_world(world: World | None) -> dict[str, Any]:

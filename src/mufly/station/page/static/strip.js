@@ -17,6 +17,9 @@ export function mount(element) {
     element.dataset.state = silent ? "lost" : f.flying ? "flying" : f.armed ? "armed" : "";
     put(what, !flight ? "No vehicle" : silent ? `No link for ${number(f.silent_s, 0)} s` : up);
     put(how, !flight ? "" : silent ? `was ${up.toLowerCase()}` : [f.flying ? f.state : "", f.flying ? `${number(f.height)} m` : ""].filter(Boolean).join("  "));
+    put(pace, f.pace || "");
+    pace.title = f.pace ? "the vehicle's clock against this machine's, of late; a slip is time that was given up" : "";
+    pace.dataset.level = f.slow ? "warn" : "";
     const others = f.others?.length ? `; armed too: ${f.others.join("; ")}` : "";
     tell(f.alert ? f.alert[0] : "", f.alert ? f.alert[1] : flight ? f.name + others : "");
   }
@@ -37,6 +40,7 @@ export function mount(element) {
     element.dataset.state = "lost";
     put(what, "This page has lost the station");
     put(how, "");
+    put(pace, "");
     tell("warning", "it cannot stop the motors until it is back");
   } });
   show(null);
