@@ -80,10 +80,14 @@ def test_pause_stops_and_start_goes_on(rig, when):
     assert all(f"waypoint {k} reached" in flight.text for k in (1, 2, 3, 4))
 
 
-def test_pause_before_lift_off_is_not_heard(rig):
-    flight = rig.fly(HOP, signals=Script((0.1, Command(start=True)), (1.0, Command(pause=True))))
-    assert "paused" not in flight.text
+def test_pause_before_lift_off_stops_the_climb_as_soon_as_it_is_off_the_floor(rig):
+    script = Script((0.1, Command(start=True)), (1.0, Command(pause=True)), (9.0, Command(start=True)))
+    flight = rig.fly(HOP, signals=script)
+    low = np.array(flight.position)[at(flight, 6.0) : at(flight, 8.9), 2]
+    assert -0.5 < low.min() < low.max() < -0.2
+    assert "hover: paused" in flight.text
     assert flight.state.outcome == "succeeded"
+    assert flight.state.reached == 1
 
 
 def test_pause_around_an_obstacle_and_on(rig):

@@ -389,7 +389,10 @@ class Autopilot:
         return self._ask(Command(start=True, first=first)) if answer else answer
 
     def pause(self) -> Answer:
-        """Stop and hover; :meth:`start_mission` goes on. Breaks off a landing that is still above 0.4 m."""
+        """Stop and hover; :meth:`start_mission` goes on. Breaks off a landing that is still above 0.4 m.
+
+        Asked for before it is 0.2 m off the floor, it hovers once it is.
+        """
         return self._do(Ask.PAUSE, Command(pause=True))
 
     def go_to(self, position_m: Sequence[float], heading_rad: float | None = None) -> Answer:
@@ -496,7 +499,7 @@ class Autopilot:
     # mission and parameters
 
     def load_mission(self, mission: Mission) -> Answer:
-        """Take another mission, whole or not at all; on the floor, or in a hover in which none is being flown."""
+        """Take another mission, whole or not at all; it is flown when it is started next. Not while one is being flown."""
         software = self.software
         answer = self._may(Ask.LOAD)
         if not answer:

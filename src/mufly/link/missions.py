@@ -35,6 +35,7 @@ from mufly.flight import Autopilot, FlightState
 from mufly.link.clients import Authority, Clients, Source
 from mufly.link.codec import ABOVE_ORIGIN, ABOVE_SEA, Origin, unscaled
 from mufly.link.mission_transfer import (
+    LIMIT,
     Ack,
     ClearAll,
     Count,
@@ -308,6 +309,12 @@ def _above(item: Item, origin: Origin | None, last: Waypoint) -> Triple | None:
 _MISSION, _FENCE, _RALLY, _ALL = 0, 1, 2, 255
 _DOWNLOADS = 16
 _CLEAR_WITHIN_S = 3.0
+_WHY = {
+    MissionResult.NO_SPACE: f"mission refused: it has more than {LIMIT} items",
+    MissionResult.DENIED: "mission refused: another station is sending one; wait until it is done",
+    MissionResult.UNSUPPORTED: "refused: missions are known here, fences and rally points are not",
+}
+"""Refusals that need no look at the items, in words."""
 _NO_MISSION, _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE = 1, 2, 3, 4, 5
 
 
@@ -347,7 +354,8 @@ class MissionProtocol:
     def receive(self, now_s: float, station: Source, note: Note) -> None:
         """Take a note of a station; what begins to change the mission, only from the commander."""
         if isinstance(note, Count | ClearAll) and not self._authority.may(now_s, station):
-            self._send([(station, Ack(MissionResult.DENIED, note.mission_type))])
+            denied = Ack(MissionResult.DENIED, note.mission_type)  # why, the authority has said
+            self._clients.send(station.peer, to_mavlink(denied, station.system, station.component))
         else:
             self._send(self._only_from_commander())
             self._send(self._answer(now_s, station, note))
@@ -426,6 +434,8 @@ class MissionProtocol:
         for station, note in notes:
             if isinstance(station, Source):
                 self._clients.send(station.peer, to_mavlink(note, station.system, station.component))
+                if isinstance(note, Ack) and not self._refused and note.result in _WHY:
+                    self._clients.say(_WHY[note.result], "warning", station.peer)
         if self._refused:
             self._clients.say(self._refused, "warning")
             self._refused = ""
@@ -495,13 +505,15 @@ class MissionProtocol:
 
     def _give(self, now_s: float, station: Source, note: RequestList | RequestItem) -> Notes:
         key = (station, note.mission_type)
-        giver = self._senders.get(key)
-        if giver is not None and giver.result is None:
-            return giver.receive(now_s, note)
-        if isinstance(note, RequestItem) and giver is not None:
-            return giver.receive(now_s, note)
+        before = self._senders.get(key)
+        # Whoever goes on with items of a list that was offered before gets those, or nothing: never some of each.
+        if before is not None and isinstance(note, RequestItem):
+            return before.receive(now_s, note)
         items = self.plan.items if note.mission_type == _MISSION else ()
         giver = Sender(station, items, mission_type=note.mission_type, uploading=False)
+        # A list that is asked for again may be that of another mission than the one that was never fetched.
+        if before is not None and before.result is None and before.items == giver.items:
+            return before.receive(now_s, note)
         self._senders[key] = giver
         while len(self._senders) > _DOWNLOADS:
             self._senders.popitem(last=False)

@@ -192,7 +192,9 @@ def _asked(plan: MissionPlan, s: MissionState, m: Estimate, c: Command) -> Missi
         return go_on_after_take_off(s, c.first)
     if c.take_off is not None and granted(Ask.TAKE_OFF):
         return phases.start(plan, s, m, height=c.take_off)
-    if c.pause and granted(Ask.PAUSE):
+    if (c.pause or s.halt) and granted(Ask.PAUSE):
+        if s.state is State.TAKE_OFF and not granted(Ask.GO_TO):
+            return s if s.halt else replace(log(s, "it will hover once it is off the floor"), halt=True, manual=True)
         return pause(plan, s, "landing broken off" if s.state is State.LANDING else "paused")
     if c.home and granted(Ask.RETURN):
         return return_home(plan, s)
@@ -305,7 +307,7 @@ def go_on(plan: MissionPlan, s: MissionState, first: int | None) -> MissionState
 def go_on_after_take_off(s: MissionState, first: int | None) -> MissionState:
     """Start signal during a take-off: the mission follows, from waypoint ``first`` (from 0) if given."""
     s = log(s, "the mission follows the take-off" + (f", from waypoint {first + 1}" if first else ""))
-    return replace(s, manual=False, begun=True, index=first or 0, quit="")
+    return replace(s, manual=False, begun=True, index=first or 0, quit="", halt=False)
 
 
 def return_home(plan: MissionPlan, s: MissionState) -> MissionState:

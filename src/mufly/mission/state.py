@@ -252,6 +252,8 @@ class MissionState:
         Heading that the user's waypoint asks for (rad).
     tracker : Point or None
         Reference that follows set-points.
+    halt : bool
+        It was told to stop before it was off the floor, and does so once it is.
     """
 
     state: State = State.INIT
@@ -291,6 +293,7 @@ class MissionState:
     swing: float = 0.0
     asked_heading: float | None = None
     tracker: Point | None = None
+    halt: bool = False
 
 
 def begin(plan: MissionPlan, estimate: Estimate) -> MissionState:
@@ -328,7 +331,7 @@ def log(s: MissionState, text: str, state: State | None = None, level: str = "in
 
 def enter(s: MissionState, state: State, why: str, *, level: str = "info", **changes: object) -> MissionState:
     """Change state, with the reason, and start the clock of its motion, which it has not unless one is given."""
-    fresh = {"state": state, "entered_s": s.time_s, "clock_s": 0.0, "motion": None, "tracker": None}
+    fresh = {"state": state, "entered_s": s.time_s, "clock_s": 0.0, "motion": None, "tracker": None, "halt": False}
     return replace(log(s, why, state, level), **(fresh | changes))  # type: ignore[arg-type]
 
 
@@ -354,13 +357,13 @@ arm       at-rest   at-rest   at-rest   at-rest   at-rest   at-rest   at-rest   
 disarm    grounded  grounded  grounded  grounded  grounded  grounded  grounded  grounded
 take-off  armed     up        up        up        up        up        up        up
 start     armed     knows     knows     knows     knows     lands     by-hand   lifted
-pause     floor     lifted    knows     knows     knows     high      by-hand   lifted
+pause     floor     knows     knows     knows     knows     high      by-hand   lifted
 go-to     floor     lifted    knows     knows     knows     lands     by-hand   lifted
 return    floor     lifted    knows     knows     knows     lands     by-hand   lifted
 land      floor     knows     knows     knows     knows     yes       by-hand   knows
 offboard  yes       lifted    knows     knows     knows     lands     by-hand   yes
 sticks    seen      seen      seen      seen      seen      seen      seen      seen
-load      still     busy      waits     busy      busy      busy      busy      busy
+load      still     waits     waits     waits     waits     busy      busy      busy
 stop      yes       yes       yes       yes       yes       yes       yes       yes
 """
 """What is asked, over the states of the mission; each word is a condition below, which says why not."""
@@ -527,8 +530,8 @@ def _still(f: _Facts) -> Answer:
 
 
 def _waits(f: _Facts) -> Answer:
-    """It hovers, and no mission is being flown."""
-    if f.motors != "fly":
+    """It takes off by itself, hovers or flies where it was sent, and no mission is being flown."""
+    if f.motors not in ("spin_up", "fly"):
         return _busy(f)
     return _knows(f) if f.s.manual else later("a mission is being flown; pause it first", "mission under way")
 

@@ -126,7 +126,7 @@ def test_on_the_floor_one_takes_off_and_in_the_air_one_lands() -> None:
 SITUATIONS = [
     # state, flying, and what cannot be asked of the vehicle then (emergency stop and disarming aside)
     ("init", False, {"pause", "go_to", "land", "return"}),
-    ("take-off", False, {"take_off", "pause", "go_to", "return"}),
+    ("take-off", False, {"take_off", "go_to", "return"}),
     ("landing", True, {"take_off", "mission", "go_to", "return"}),
     ("rc", True, {"take_off", "mission", "pause", "go_to", "land", "return"}),
     ("offboard", True, {"take_off"}),

@@ -1,0 +1,102 @@
+"""The vehicle's side of the mission protocol, message by message; the helicopter stands still unless a test flies it."""
+
+import pytest
+from link_rig import Rig, waypoint
+
+from mufly.link import mavlink as m
+from mufly.link.mission_transfer import LIMIT
+
+MISSION = {"name": "three", "waypoint": [{"position_m": [k, 0, -1]} for k in (0.0, 0.5)]}
+
+
+def after(station, kind, do, seconds=0.1):
+    """What of a kind a station hears within some time after it did something."""
+    known = len(station.all(kind))
+    do()
+    station.rig.run(seconds)
+    return station.all(kind)[known:]
+
+
+def test_a_list_that_was_never_fetched_does_not_outlive_its_mission():
+    rig = Rig(MISSION)
+    gcs, other = rig.station(), rig.station("other", 254)
+    rig.run(0.1)
+
+    def ask(station):
+        return after(station, "MISSION_COUNT", lambda: station.say(m.MAVLink_mission_request_list_message(1, 1)))
+
+    (first,) = ask(gcs)
+    assert first.count == len(rig.link._missions.plan.items) == 4
+    ask(other)
+    gcs.upload([waypoint(0, 0, -1), waypoint(0.5, 0, -1)])
+    rig.run(1.0)
+    assert gcs.last("MISSION_ACK").type == 0
+    gcs.giver = None
+    assert [c.count for c in ask(gcs)] == [2]
+    # Another that goes on with the list it was offered gets all of that one, or nothing; never some of each.
+    heard = after(other, "MISSION_ITEM_INT", lambda: other.say(m.MAVLink_mission_request_int_message(1, 1, 0)))
+    assert [i.command for i in heard] == [22]
+    assert [c.count for c in ask(other)] == [2]
+    assert not after(other, "MISSION_ITEM_INT", lambda: other.say(m.MAVLink_mission_request_int_message(1, 1, 1)))
+    # The same list asked for twice is one download: its Count was lost.
+    after(gcs, "MISSION_ITEM_INT", lambda: gcs.say(m.MAVLink_mission_request_int_message(1, 1, 0)))
+    assert [c.count for c in ask(gcs)] == [2]
+    assert after(gcs, "MISSION_ITEM_INT", lambda: gcs.say(m.MAVLink_mission_request_int_message(1, 1, 1)))
+
+
+@pytest.mark.parametrize(
+    ("count", "kind", "result", "why"),
+    [
+        (LIMIT + 1, 0, 4, "more than 500 items"),
+        (1, 1, 3, "fences and rally points are not"),
+        (1, 9, 3, "fences and rally points are not"),
+    ],
+)
+def test_a_mission_that_is_refused_before_its_items_come_is_refused_with_words(count, kind, result, why):
+    rig = Rig()
+    gcs, other = rig.station(), rig.station("other", 254)
+    (ack,) = after(gcs, "MISSION_ACK", lambda: gcs.say(m.MAVLink_mission_count_message(1, 1, count, kind)))
+    assert (ack.type, ack.mission_type) == (result, kind)
+    assert why in gcs.words
+    assert why not in other.words
+    # Of nothing there is nothing to refuse.
+    if kind != 9:
+        (ack,) = after(gcs, "MISSION_ACK", lambda: gcs.say(m.MAVLink_mission_count_message(1, 1, 0, kind)))
+        assert ack.type == 0
+
+
+def test_a_mission_is_taken_during_a_take_off_and_on_the_way_to_a_place_and_flown_when_started():
+    """As PX4 does; and a hold is accepted from the first moment on, and kept once it is off the floor."""
+    rig = Rig()
+    gcs = rig.station()
+    rig.run(0.1)
+    gcs.command(m.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    rig.run(0.1)
+    gcs.command(m.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 1.0)
+    rig.run(0.1)
+    assert rig.status.motors == "spin_up"
+    gcs.upload([waypoint(0.3, 0, -0.6)])
+    assert rig.run(1.0, lambda: gcs.last("MISSION_ACK")), gcs.words
+    assert gcs.last("MISSION_ACK").type == 0
+    gcs.command(m.MAV_CMD_DO_PAUSE_CONTINUE, 0)
+    rig.run(0.1)
+    assert gcs.acks[-1] == (m.MAV_CMD_DO_PAUSE_CONTINUE, 0)
+    assert rig.status.state == "take-off"
+    assert rig.run(10.0, lambda: rig.status.state == "hover"), gcs.words
+    rig.run(1.0)
+    assert -0.6 < rig.position[2] < -0.2  # well below the metre that the take-off was to
+    gcs.command_int(m.MAV_CMD_DO_REPOSITION, -1, 0, 0, float("nan"), x=20000, y=0, z=-0.6)
+    rig.run(0.5)
+    assert rig.status.state == "waypoint"
+    gcs.heard.clear()
+    gcs.upload([waypoint(0.0, 0, -0.6), waypoint(0.2, 0, -0.6)])
+    assert rig.run(2.0, lambda: gcs.last("MISSION_ACK")), gcs.words
+    assert (gcs.last("MISSION_ACK").type, rig.status.state) == (0, "waypoint")
+    gcs.command(m.MAV_CMD_MISSION_START)
+    assert rig.run(8.0, lambda: rig.status.reached == 1), gcs.words
+    # While it flies a mission it takes no other.
+    gcs.heard.clear()
+    gcs.upload([waypoint(0.3, 0, -0.6)])
+    assert rig.run(2.0, lambda: gcs.last("MISSION_ACK")), gcs.words
+    assert gcs.last("MISSION_ACK").type == 14
+    assert "pause it first" in gcs.words
