@@ -1,4 +1,4 @@
-"""The vehicle's side of the mission protocol, message by message; the helicopter stands still unless a test flies it."""
+"""The vehicle's side of the mission protocol, message by message; the helicopter stands unless a test flies it."""
 
 import pytest
 from link_rig import Rig, waypoint
@@ -23,7 +23,9 @@ def test_a_list_that_was_never_fetched_does_not_outlive_its_mission():
     rig.run(0.1)
 
     def ask(station):
-        return after(station, "MISSION_COUNT", lambda: station.say(m.MAVLink_mission_request_list_message(1, 1)))
+        return after(
+            station, "MISSION_COUNT", lambda: station.say(m.MAVLink_mission_request_list_message(1, 1))
+        )
 
     (first,) = ask(gcs)
     assert first.count == len(rig.link._missions.plan.items) == 4
@@ -34,10 +36,14 @@ def test_a_list_that_was_never_fetched_does_not_outlive_its_mission():
     gcs.giver = None
     assert [c.count for c in ask(gcs)] == [2]
     # Another that goes on with the list it was offered gets all of that one, or nothing; never some of each.
-    heard = after(other, "MISSION_ITEM_INT", lambda: other.say(m.MAVLink_mission_request_int_message(1, 1, 0)))
+    heard = after(
+        other, "MISSION_ITEM_INT", lambda: other.say(m.MAVLink_mission_request_int_message(1, 1, 0))
+    )
     assert [i.command for i in heard] == [22]
     assert [c.count for c in ask(other)] == [2]
-    assert not after(other, "MISSION_ITEM_INT", lambda: other.say(m.MAVLink_mission_request_int_message(1, 1, 1)))
+    assert not after(
+        other, "MISSION_ITEM_INT", lambda: other.say(m.MAVLink_mission_request_int_message(1, 1, 1))
+    )
     # The same list asked for twice is one download: its Count was lost.
     after(gcs, "MISSION_ITEM_INT", lambda: gcs.say(m.MAVLink_mission_request_int_message(1, 1, 0)))
     assert [c.count for c in ask(gcs)] == [2]

@@ -499,7 +499,7 @@ class Autopilot:
     # mission and parameters
 
     def load_mission(self, mission: Mission) -> Answer:
-        """Take another mission, whole or not at all; it is flown when it is started next. Not while one is being flown."""
+        """Take another mission, whole or not at all, to be flown when it is started; not while one is being flown."""
         software = self.software
         answer = self._may(Ask.LOAD)
         if not answer:

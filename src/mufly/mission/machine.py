@@ -194,7 +194,11 @@ def _asked(plan: MissionPlan, s: MissionState, m: Estimate, c: Command) -> Missi
         return phases.start(plan, s, m, height=c.take_off)
     if (c.pause or s.halt) and granted(Ask.PAUSE):
         if s.state is State.TAKE_OFF and not granted(Ask.GO_TO):
-            return s if s.halt else replace(log(s, "it will hover once it is off the floor"), halt=True, manual=True)
+            return (
+                s
+                if s.halt
+                else replace(log(s, "it will hover once it is off the floor"), halt=True, manual=True)
+            )
         return pause(plan, s, "landing broken off" if s.state is State.LANDING else "paused")
     if c.home and granted(Ask.RETURN):
         return return_home(plan, s)

@@ -331,7 +331,14 @@ def log(s: MissionState, text: str, state: State | None = None, level: str = "in
 
 def enter(s: MissionState, state: State, why: str, *, level: str = "info", **changes: object) -> MissionState:
     """Change state, with the reason, and start the clock of its motion, which it has not unless one is given."""
-    fresh = {"state": state, "entered_s": s.time_s, "clock_s": 0.0, "motion": None, "tracker": None, "halt": False}
+    fresh = {
+        "state": state,
+        "entered_s": s.time_s,
+        "clock_s": 0.0,
+        "motion": None,
+        "tracker": None,
+        "halt": False,
+    }
     return replace(log(s, why, state, level), **(fresh | changes))  # type: ignore[arg-type]
 
 
