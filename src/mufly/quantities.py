@@ -143,6 +143,8 @@ QUANTITIES: tuple[Quantity, ...] = (
              "control to the mixer, -1 to 1", ""),
     Quantity("actuator_output", "/signals", "actuator_output", "channel", "us",
              "output to the actuators, pulse length", "", (Wire("SERVO_OUTPUT_RAW", _channels("servo{}_raw"), "us"),)),
+    Quantity("actuator_command", "/signals", "actuator_command", "actuator", "1",
+             "command to each actuator, a share of its full range: 0 to 1, or -1 to 1", ""),
 )  # fmt: skip
 """The table. What a flight keeps stands in the order of its columns (column 0 is the time)."""
 
@@ -167,6 +169,40 @@ def quantity_named(name: str) -> Quantity | None:
 def kept_by(*keepers: str) -> tuple[Quantity, ...]:
     """Return the quantities that recordings keep: ``kept_by("flight")``, ``kept_by("flight", "station")``."""
     return tuple(quantity for quantity in QUANTITIES if quantity.kept in keepers)
+
+
+class Limits(NamedTuple):
+    """What a quantity cannot leave, whatever flies: the range in its unit, and the physics that sets it."""
+
+    low: float
+    high: float
+    reason: str
+
+
+_share = "a share of the full range ends at 1"
+LIMITS: Mapping[str, Limits] = {
+    "rates": Limits(-70.0, 70.0, "gyroscopes end at 4000 deg/s, 70 rad/s"),
+    "acceleration": Limits(-2000.0, 2000.0, "accelerometers end at 200 g, 2000 m/s^2"),
+    "velocity": Limits(-340.0, 340.0, "rotorcraft stay below the speed of sound, 340 m/s"),
+    "position": Limits(-1e6, 1e6, "north-east-down axes are of a flat earth, no further than 1000 km"),
+    "rotor_speed": Limits(-34_000.0, 34_000.0, "at 34000 rad/s a tip 10 mm out has the speed of sound"),
+    "range": Limits(0.0, 1000.0, "range finders of small aircraft end below 1 km"),
+    "battery_voltage": Limits(0.0, 120.0, "28 lithium cells in series, more than any such aircraft has, give 120 V"),
+    "battery_current": Limits(-1000.0, 1000.0, "at 1000 A the leads of such a battery melt"),
+    "battery_charge": Limits(0.0, 1.01, "a battery is at most full"),
+    "motor_input": Limits(-1.01, 1.01, _share),
+    "servo_input": Limits(-1.01, 1.01, _share),
+    "actuator_command": Limits(-1.01, 1.01, _share),
+    "actuator_output": Limits(0.0, 3000.0, "pulses to servos and motor controllers last 0.1 to 2.6 ms"),
+    "pilot_input": Limits(0.0, 3000.0, "pulses of a remote control last 0.8 to 2.2 ms"),
+}  # fmt: skip
+"""By the name of the quantity, without the source before it. Angles have none: full turns may have been counted."""
+
+
+def limits_of(name: str) -> Limits | None:
+    """Return what a variable cannot leave, None where there is no such limit."""
+    source, _, rest = name.partition("_")
+    return LIMITS.get(rest if source in SOURCES else name)
 
 
 def told_by(message: str) -> tuple[tuple[str, str, float], ...]:

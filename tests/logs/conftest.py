@@ -63,7 +63,11 @@ def data():
 
 
 def dataflash(messages, units=None):
-    """A binary DataFlash log: ``messages`` is a list of (type, name, format, columns, rows)."""
+    """A binary DataFlash log: ``messages`` is a list of (type, name, format, columns, rows).
+
+    Rows stand in the order of the board's clock, TimeUS, TimeMS or T; of a kind without one each row begins with the
+    time (ms) at which it is written, and its columns with ``@``.
+    """
     codes = {
         "Q": "Q",
         "f": "f",
@@ -75,6 +79,8 @@ def dataflash(messages, units=None):
         "N": "16s",
         "h": "h",
         "L": "i",
+        "C": "H",
+        "e": "i",
     }
 
     def record(kind, layout, *values):
@@ -93,14 +99,17 @@ def dataflash(messages, units=None):
         out += definition(129, "FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds")
         out += b"".join(record(130, "Qb64s", 0, ord(k), v.encode()) for k, v in units["labels"].items())
     for kind, name, layout, columns, _ in messages:
-        out += definition(kind, name, layout, columns)
+        out += definition(kind, name, layout, columns.removeprefix("@"))
         if units and name in units["ids"]:
             out += record(129, "QB16s16s", 0, kind, units["ids"][name].encode(), b"-" * len(layout))
     rows = []
     for kind, _, layout, columns, values in messages:
         pack = "".join(codes[c] for c in layout)
-        clock = columns.split(",").index("TimeUS")
-        rows += [(row[clock], record(kind, pack, *row)) for row in values]
+        untimed = columns.startswith("@")
+        names = columns.split(",")
+        clock = 0 if untimed else next(names.index(c) for c in ("TimeUS", "T", "TimeMS") if c in names)
+        tick = 1e-3 if names[clock] == "TimeUS" else 1.0
+        rows += [(tick * row[clock], record(kind, pack, *row[untimed:])) for row in values]
     return out + b"".join(data for _, data in sorted(rows, key=lambda r: r[0]))
 
 

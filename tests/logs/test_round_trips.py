@@ -112,7 +112,7 @@ def test_a_ulog_file_cut_off_anywhere_is_read_up_to_the_cut_or_refused_in_words(
 def test_a_file_that_is_there_stays_until_the_new_one_is_whole(tmp_path, data):
     path = write_log(data, tmp_path / "log.ulg")
     before = path.read_bytes()
-    with pytest.raises(InputError, match="begins before 0"):
+    with pytest.raises(InputError, match="ULog knows no time before 0"):
         write_log(data.assign_coords(time=data.time - 1.0), path)
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["log.ulg"]

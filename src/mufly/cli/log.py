@@ -59,6 +59,13 @@ def convert(
     ] = None,
     from_s: FromOption = None,
     to_s: ToOption = None,
+    start_s: Annotated[
+        float | None,
+        option(
+            "--start S",
+            "Shift the clock so that OUT begins at this time (s); 0 for programs that want it so.",
+        ),
+    ] = None,
     map_file: MapOption = None,
     column: ColumnOption = None,
     force: Annotated[bool, option("--force", "Replace OUT if it is there.")] = False,
@@ -85,6 +92,7 @@ def convert(
             rate_hz=rate_hz,
             from_s=from_s,
             to_s=to_s,
+            start_s=start_s,
             progress=progress,
         )
     _note(log, data.attrs.get("notes", []))
@@ -166,7 +174,11 @@ def _print(report: LogReport) -> None:
         print_table(("signal", "unit", "min", "mean", "max", "std"), lines, text=(0, 1))
         _and_more(len(report.signals))
     _section("Delays", [d.words() for d in report.delays], "")
-    _section("Said by the vehicle", [f"{t:.2f} s, {level}: {text}" for t, level, text in raw.messages], "")
+    _section(
+        "Said by the vehicle",
+        [f"{f'{t:.2f} s, ' if t == t else ''}{level}: {text}" for t, level, text in raw.messages],
+        "",
+    )
     _section("Guessed, repaired or refused", report.notes, "yellow")
     faults = report.faults()
     _section("Found", faults, "yellow")

@@ -9,19 +9,27 @@ one letter a field, little-endian and packed; FMTU gives each field a letter for
 which UNIT and MULT explain (ArduPilot, libraries/AP_Logger/README.md). The bodies of one kind are unpacked together by
 NumPy: one Python object a message takes forty times as long (pymavlink's ``DFReader``: 1.4 s a megabyte, here 0.03 s),
 minutes for a log of usual size.
+
+Logs from before 2017 have no units; they are those of the firmware of their time (ArduPilot's history, ArduCopter/Log.*
+and libraries/DataFlash, releases 3.1 to 3.4). Battery voltage and current were whole hundredths; the rates of RATE were
+hundredths of a degree per second up to ArduCopter 3.3. ``TimeMS`` of a message with a ``Week`` is the GPS receiver's
+time of the week, and the board's stands beside it as ``T``. Messages without a clock of the board (MSG, PARM, EV, MODE,
+... of that time) have the time of the one that stands before them in the file.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.logs.topics import RawLog, RawTable, wall_time
+from mufly.logs.topics import RawLog, RawTable, foreign_stamps, wall_time
 
 MAGIC = b"\xa3\x95"
 DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT")
@@ -34,6 +42,15 @@ _LETTERS: dict[str, tuple[str, float]] = {
     "e": ("<i4", 1e2), "E": ("<u4", 1e2), "L": ("<i4", 1e7), "M": ("u1", 1.0), "q": ("<i8", 1.0),
     "Q": ("<u8", 1.0),
 }  # fmt: skip
+# Units of fields that say none, by message, field and whether their letter is a whole number's.
+_UNITS_OF_OLD = {
+    ("CURR", "Volt", True): "cV", ("CURR", "Curr", True): "cA", ("CURR", "Vcc", True): "mV",
+    ("CURR", "Volt", False): "V", ("CURR", "Curr", False): "A",
+}  # fmt: skip
+_RATES_OF_OLD = ("RDes", "R", "PDes", "P", "YDes", "Y")
+_FIRMWARE = re.compile(
+    r"^(?:APM:\s?|)(?:Ardu)?(Copter|Plane|Rover|Sub|Blimp|AntennaTracker)\b.*?(\d+)\.(\d+)", re.IGNORECASE
+)
 # Multipliers that are part of a unit's name.
 _PREFIXES = {1e3: "k", 1e-1: "d", 1e-2: "c", 1e-3: "m", 1e-6: "u", 1e-9: "n"}
 
@@ -100,13 +117,69 @@ def read_binary(data: bytes) -> tuple[list[RawTable], bool]:
             body = np.ascontiguousarray(stream[starts[:, None] + np.arange(3, kind.size)])
             rows[number] = body.view(_dtype(kind.letters, kind.columns))[:, 0]
     units, instances = _units(kinds, rows)
-    tables: list[RawTable] = []
+    messages: list[_Messages] = []
     for number, part in rows.items():
         kind = kinds[number]
         if kind.name not in DEFINITIONS:
             values = {c: _numbers(part[c], k) for c, k in zip(kind.columns, kind.letters, strict=True)}
-            tables += split_tables(kind.name, values, units.get(number, {}), instances.get(number))
-    return tables, lost == 0
+            places = np.array(kind.starts, dtype=np.int64)
+            own = _old_units(kind.name, kind.letters, kind.columns) | units.get(number, {})
+            messages.append(_Messages(kind.name, places, values, own, instances.get(number)))
+    return _tables(messages), lost == 0
+
+
+class _Messages(NamedTuple):
+    """All messages of a kind: where each stands in the file, its fields, their units, which counts instances."""
+
+    name: str
+    places: NDArray[np.int64]
+    values: dict[str, NDArray[Any]]
+    units: dict[str, str]
+    instance: str | None
+
+
+def _old_units(name: str, letters: str, columns: list[str]) -> dict[str, str]:
+    found = {
+        c: _UNITS_OF_OLD.get((name, c, k in "bBhHiIqQ"), "") for c, k in zip(columns, letters, strict=False)
+    }
+    if name == "RATE" and "TimeMS" in columns:
+        found |= dict.fromkeys(_RATES_OF_OLD, "cdeg/s")
+    return {c: u for c, u in found.items() if u}
+
+
+def _clock(values: Mapping[str, NDArray[Any]]) -> tuple[str, float]:
+    """Field that holds the board's clock and its ticks a second; ``""`` if none does."""
+    if "TimeUS" in values:
+        return "TimeUS", 1e6
+    of_gps = "Week" in values or "GWk" in values
+    if of_gps:
+        return ("T", 1e3) if "T" in values else ("", 1.0)
+    return ("TimeMS", 1e3) if "TimeMS" in values else ("", 1.0)
+
+
+def _tables(messages: list[_Messages]) -> list[RawTable]:
+    """Make tables of messages; what has no clock takes the time of the message before it."""
+    times: dict[int, NDArray[np.float64]] = {}
+    for k, m in enumerate(messages):
+        clock, tick = _clock(m.values)
+        if clock and m.values[clock].dtype.kind not in "US" and m.values[clock].ndim == 1:
+            times[k] = m.values[clock].astype(np.float64) / tick
+    if not times:
+        return []
+    foreign, _ = foreign_stamps({str(k): t for k, t in times.items()})
+    sound = {k: np.isfinite(t) & ~foreign[str(k)] for k, t in times.items()}
+    place = np.concatenate([messages[k].places[sound[k]] for k in times])
+    stamp = np.concatenate([t[sound[k]] for k, t in times.items()])
+    order = np.argsort(place, kind="stable")
+    place, stamp = place[order], stamp[order]
+    out: list[RawTable] = []
+    for k, m in enumerate(messages):
+        time = times.get(k)
+        if time is None:
+            time = stamp[np.clip(np.searchsorted(place, m.places) - 1, 0, None)]
+        rest = {key: v for key, v in m.values.items() if k not in times or key != _clock(m.values)[0]}
+        out += split_tables(m.name, time, rest, m.units, m.instance)
+    return out
 
 
 def _numbers(column: NDArray[Any], letter: str) -> NDArray[Any]:
@@ -158,20 +231,18 @@ def _pair(part: NDArray[Any], first: str, second: str) -> tuple[list[Any], list[
 
 
 def split_tables(
-    name: str, values: dict[str, NDArray[Any]], units: dict[str, str], instance: str | None
+    name: str,
+    time: NDArray[np.float64],
+    values: dict[str, NDArray[Any]],
+    units: dict[str, str],
+    instance: str | None,
 ) -> list[RawTable]:
-    """Make tables of the messages of one kind, one an instance; none of a kind without a clock.
+    """Make tables of the messages of one kind, one an instance.
 
     The first instance keeps the name of the kind, others are ``name:instance``. Times are in seconds, as written.
     """
-    clock, tick = ("TimeUS", 1e6) if "TimeUS" in values else ("TimeMS", 1e3)
-    if clock not in values:
-        return []
-    time = values[clock].astype(np.float64) / tick
     fields: dict[str, NDArray[Any]] = {}
     for key, value in values.items():
-        if key == clock:
-            continue
         if value.ndim == 2:  # 32 numbers in one message
             fields |= {f"{key}[{k}]": value[:, k] for k in range(value.shape[1])}
         else:
@@ -222,21 +293,31 @@ def read_dataflash(path: str | Path) -> RawLog:
     except Exception as error:  # whatever a damaged format definition provokes
         problem = f"is a damaged DataFlash log ({error})"
         raise InputError(where, "", problem, "give another copy of the file") from error
-    stamps = [t.time for t in tables if len(t.time)]
-    if not stamps:
+    tables = [t for t in tables if len(t.time)]
+    foreign, notes = foreign_stamps({t.name: t.time for t in tables})
+    tables = [replace(t, time=np.where(foreign[t.name], np.nan, t.time)) for t in tables]
+    zero = min((float(np.nanmin(t.time)) for t in tables if np.isfinite(t.time).any()), default=None)
+    if zero is None:
         raise InputError(
             where, "", "is a DataFlash log without timed messages", "the log ended before its first"
         )
-    zero = min(float(s.min()) for s in stamps)
-    shifted = {t.name: RawTable(t.name, t.time - zero, t.fields, t.units) for t in tables}
+    shifted = {t.name: replace(t, time=t.time - zero) for t in tables}
     said = shifted.pop("MSG", None)
     texts = [] if said is None else said.fields.get("Message", np.empty(0)).tolist()
     times = [] if said is None else said.time.tolist()
     parameters = shifted.pop("PARM", None)
-    info: dict[str, Any] = {"system": str(texts[0])} if len(texts) else {}
+    firmware = next((t for t in map(str, texts) if _FIRMWARE.match(t)), "")
+    info: dict[str, Any] = {"system": firmware} if firmware else {}
     if parameters is not None and {"Name", "Value"} <= set(parameters.fields):
         names, values = parameters.fields["Name"].tolist(), parameters.fields["Value"].tolist()
         info["parameters"] = dict(zip(names, values, strict=True))
+    rate = shifted.get("RATE")
+    if rate is not None and "R" in rate.fields:
+        unit, why = _unit_of_rates(rate, shifted.get("IMU"), firmware)
+        shifted["RATE"] = replace(rate, units=dict.fromkeys(_RATES_OF_OLD, unit) | rate.units)
+        notes += [f"RATE is in hundredths of a degree per second{why}"] if unit == "cdeg/s" else []
+    if "CURR" in shifted and shifted["CURR"].units.get("Volt") == "cV":
+        notes.append("voltage and current of CURR are whole hundredths, as ArduPilot wrote them up to 2016")
     return RawLog(
         path=where,
         kind="DataFlash",
@@ -245,14 +326,35 @@ def read_dataflash(path: str | Path) -> RawLog:
         info=info,
         messages=tuple((t, "info", str(m)) for t, m in zip(times, texts, strict=False)),
         complete=complete,
+        notes=tuple(notes),
     )
+
+
+def _unit_of_rates(rate: RawTable, gyro: RawTable | None, firmware: str) -> tuple[str, str]:
+    """Unit of RATE and why: the file's or its time's, that of the firmware's version, or what the gyroscope says."""
+    if "R" in rate.units:
+        return rate.units["R"], ""
+    match = _FIRMWARE.match(firmware)
+    if match is not None and match[1].lower() == "copter":
+        old = (int(match[2]), int(match[3])) < (3, 4)
+        return ("cdeg/s", f", as {firmware.split('(')[0].strip()} wrote it") if old else ("deg/s", "")
+    body = ("GyrX", "GyrY", "GyrZ")
+    if gyro is not None and set(body) <= set(gyro.fields) and set("RPY") <= set(rate.fields):
+        size = [
+            float(np.sqrt(np.nanmean([np.nanmean(t.fields[k].astype(np.float64) ** 2) for k in names])))
+            for t, names in ((rate, "RPY"), (gyro, body))
+        ]
+        # One motion: the ratio is 57.3 in degrees and 5730 in hundredths; their geometric mean parts them.
+        if size[1] > 0 and size[0] / size[1] > 573:
+            return "cdeg/s", ": it says a hundred times what the gyroscope in IMU does"
+    return "deg/s", ""
 
 
 def _read_text(path: Path) -> tuple[list[RawTable], bool]:
     formats: dict[str, tuple[str, list[str]]] = {}
-    rows: dict[str, list[list[str]]] = {}
+    rows: dict[str, list[tuple[int, list[str]]]] = {}
     complete = True
-    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+    for place, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines()):
         name, _, rest = line.partition(",")
         name = name.strip()
         if name == "FMT":
@@ -266,22 +368,23 @@ def _read_text(path: Path) -> tuple[list[RawTable], bool]:
         columns = formats[name][1]
         cells = [c.strip() for c in rest.split(",", len(columns) - 1)]
         if len(cells) == len(columns):
-            rows.setdefault(name, []).append(cells)
+            rows.setdefault(name, []).append((place, cells))
         else:
             complete = False
-    tables: list[RawTable] = []
-    for name, cells_of in rows.items():
+    messages: list[_Messages] = []
+    for name, lines in rows.items():
         letters, columns = formats[name]
         if name in DEFINITIONS:
             continue
         values: dict[str, NDArray[Any]] = {}
         for k, (column, letter) in enumerate(zip(columns, letters, strict=False)):
-            cells = [row[k] for row in cells_of]
+            cells = [row[k] for _, row in lines]
             text = letter in "nNZa"
             values[column] = np.array(cells, dtype=str) if text else np.array([_number(c) for c in cells])
         instance = next((i for i in ("I", "Instance") if i in values), None)
-        tables += split_tables(name, values, {}, instance)
-    return tables, complete
+        places = np.array([place for place, _ in lines], dtype=np.int64)
+        messages.append(_Messages(name, places, values, _old_units(name, letters, columns), instance))
+    return _tables(messages), complete
 
 
 def _number(cell: str) -> float:
@@ -293,10 +396,11 @@ def _number(cell: str) -> float:
 
 def _start_time(tables: dict[str, RawTable]) -> str:
     gps = tables.get("GPS")
-    if gps is None or not {"GWk", "GMS"} <= set(gps.fields):
+    names = next((n for n in (("GWk", "GMS"), ("Week", "TimeMS")) if gps and set(n) <= set(gps.fields)), None)
+    if gps is None or names is None:
         return ""
-    week, ms = gps.fields["GWk"].astype(np.float64), gps.fields["GMS"].astype(np.float64)
-    known = np.flatnonzero(week > 1000)
+    week, ms = (gps.fields[n].astype(np.float64) for n in names)
+    known = np.flatnonzero((week > 1000) & np.isfinite(gps.time))
     if not len(known):
         return ""
     k = known[0]

@@ -41,7 +41,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from mufly.errors import ArgumentError, InputError
-from mufly.logs.quality import UnitGuess, guess_angle_units
+from mufly.logs.quality import UnitGuess, guess_angle_units, within_limits
 from mufly.logs.topics import Channel, RawLog, RawTable, euler_angles, unwrap, usable_samples
 from mufly.quantities import our_name, quantity_named, split_name
 from mufly.tables import builtin_names, read_tables, validated
@@ -93,7 +93,10 @@ class SignalEntry(_Table):
             wanted = len(signal.labels) or len(self.columns)
         if len(self.columns) != wanted:
             problem = f"{self.name} has {len(self.columns)} columns"
-            raise _wrong("columns", problem, f'give {wanted}, or map one component (name = "signal.label")')
+            remedy = f'give {wanted}, or map one component (name = "signal.label")'
+            if signal is not None and signal.dim in ("rotor", "servo") and label is None:
+                remedy += "; actuator_command has as many components as there are motors"
+            raise _wrong("columns", problem, remedy)
         if isinstance(self.sign, tuple) and len(self.sign) != len(self.columns):
             raise _wrong("sign", f"{len(self.sign)} signs", "give one, or one a column")
         return self
@@ -108,7 +111,7 @@ class ColumnMap(_Table):
     """A column map; see the module's documentation."""
 
     title: str = ""
-    kind: Literal["", "ULog", "DataFlash", "MAVLink tlog"] = ""
+    kind: Literal["", "ULog", "DataFlash", "MAVLink tlog", "Crazyflie"] = ""
     time: TimeEntry = TimeEntry(column=None, unit=None, rate_hz=None)
     signal: tuple[SignalEntry, ...] = ()
 
@@ -242,8 +245,8 @@ def _settle_angles(channels: list[Channel]) -> tuple[list[Channel], list[str]]:
             if not members:
                 continue
             what = members[0].variable if prefix else ", ".join(c.variable for c in members)
-            guess, unit = _guess(group, kind)
             unnamed = [c for c in members if not c.units]
+            guess, unit = _guess(group, kind, named=not unnamed)
             if unnamed:
                 like = settled.get(groups.get("measured", {}).get((kind, 0), unnamed[0]).name, "")
                 chosen = {"deg": deg, "rad": si}.get(unit) or like or si
@@ -260,12 +263,24 @@ def _settle_angles(channels: list[Channel]) -> tuple[list[Channel], list[str]]:
                         f'if it is, give unit = "{other}" in a column map'
                     )
                     break
+            if kind == "rate" and guess.odd:
+                angle = next(c for (k, _), c in group.items() if k == "angle")
+                which = f"{members[0].variable} by its size" if guess.rate else "one of the two"
+                words.append(
+                    f"{angle.variable} ({angle.source}) and {members[0].variable} ({members[0].source}) do not belong "
+                    f"together ({guess.reason}): the unit of {which} is wrong; give it in a column map"
+                )
     return [c._replace(units=settled.get(c.name, c.units)) for c in channels], words
 
 
-def _guess(group: _Roles, kind: str) -> tuple[UnitGuess, str]:
-    """Judge by the first axis that tells."""
+def _guess(group: _Roles, kind: str, named: bool) -> tuple[UnitGuess, str]:
+    """Judge by the first axis that tells.
+
+    A reference of rates is what the attitude's controller asks for, not the derivative of the reference of attitude.
+    Roll that names its unit may have its turns counted; pitch never leaves half a turn.
+    """
     last = UnitGuess("", "", "")
+    apart = any(c.variable.startswith("reference_") for c in group.values())
     for axis in range(3):
         angle, rate = group.get(("angle", axis)), group.get(("rate", axis))
         main = angle if kind == "angle" else rate
@@ -277,14 +292,18 @@ def _guess(group: _Roles, kind: str) -> tuple[UnitGuess, str]:
             a = angle.values.astype(np.float64)
             known = a[np.isfinite(a)]
             a = unwrap(a, 360.0 if len(known) and np.ptp(known) > 4 * np.pi else 2 * np.pi)
+        if apart and kind == "angle":
+            rate = None
+        elif apart:
+            a = None
         if rate is not None and rate.time is clock:
             r = rate.values.astype(np.float64)
         elif rate is not None:
             there = np.isfinite(rate.values)
             r = np.interp(clock, rate.time[there], rate.values[there]) if there.any() else None
-        last = guess_angle_units(clock, a, r, bounded=axis < 2)
+        last = guess_angle_units(clock, a, r, bounded=axis == 1 if named else axis < 2, named=named)
         said = last.angle if kind == "angle" else last.rate
-        if said:
+        if said or last.odd:
             return last, said
     return last, ""
 
@@ -331,14 +350,17 @@ def map_signals(
     entries = [(e, True) for e in (given.signal if given else ())]
     entries += [(e, False) for e in (standard.signal if standard else ())]
     used: set[tuple[str, str]] = set()
+    ours_by_guess: set[str] = set()
     for entry, must in entries:
         found = _found(raw, entry, must)
         if found is None:
             continue
         table, entry, names = found
         used |= {(table.name, n) for n in names}
-        for channel in _entry_channels(table, entry, names, *clock_of(table)):
-            out.setdefault(channel.name, channel)
+        for channel in _entry_channels(table, entry, names, *clock_of(table), believed=must):
+            if channel.name not in out:
+                out[channel.name] = channel
+                ours_by_guess |= set() if must else {channel.variable}
     if len(raw) == 1 and standard is None:
         table = next(iter(raw.values()))
         index, time = clock_of(table)
@@ -361,7 +383,31 @@ def map_signals(
             values = table.fields[field][index]
             out[variable] = Channel(variable, unit, time, values, name, long_name=name)
     settled, said = _settle_angles(list(out.values()))
-    return [_in_si(c) for c in settled], words + said
+    shares, called = _shares([_in_si(c) for c in settled])
+    sound, beyond = within_limits(shares, lambda c: c.variable in ours_by_guess)
+    return sound, words + said + called + beyond
+
+
+def _shares(channels: list[Channel]) -> tuple[list[Channel], list[str]]:
+    """Call outputs to actuators that never exceed 1 what they are: no pulse is that short."""
+    outputs = [c for c in channels if c.variable == "actuator_output" and not c.text]
+    largest = max(
+        (float(np.nanmax(np.abs(c.values))) for c in outputs if np.isfinite(c.values).any()), default=0.0
+    )
+    if not 0 < largest <= 1:
+        return channels, []
+    known = {c.name for c in channels}
+    out = []
+    for c in channels:
+        if c.variable == "actuator_output":
+            name = f"actuator_command.{c.label}"
+            if name in known:
+                continue
+            c = c._replace(name=name, units="1")
+        out.append(c)
+    return out, [
+        f"{outputs[0].source} holds shares of the full output, no pulse lengths: it is actuator_command"
+    ]
 
 
 def raw_field(raw: RawLog, name: str) -> tuple[RawTable, str]:
@@ -406,7 +452,7 @@ def _found(raw: RawLog, entry: SignalEntry, must: bool) -> tuple[RawTable, Signa
     known = quantity_named(entry.name)
     if not must and known is not None and known.dim and not known.labels:
         # Of a signal with any number of channels, the first ones that the topic has.
-        there = tuple(takewhile(lambda c: c in table.fields, entry.columns))
+        there = tuple(takewhile(lambda c: c in table.fields and _has_value(table.fields[c]), entry.columns))
         entry = entry.model_copy(update={"columns": there}) if there else entry
     low = {name.lower(): name for name in table.fields}
     names = []
@@ -428,14 +474,28 @@ def _found(raw: RawLog, entry: SignalEntry, must: bool) -> tuple[RawTable, Signa
     return table, entry, names
 
 
+def _has_value(values: NDArray[Any]) -> bool:
+    return values.dtype.kind in "US" or bool(np.isfinite(values.astype(np.float64)).any())
+
+
 def _entry_channels(
-    table: RawTable, entry: SignalEntry, names: list[str], index: NDArray[np.int64], time: NDArray[np.float64]
+    table: RawTable,
+    entry: SignalEntry,
+    names: list[str],
+    index: NDArray[np.int64],
+    time: NDArray[np.float64],
+    *,
+    believed: bool,
 ) -> list[Channel]:
+    """Make channels by an entry; what a map of ours says of units the file itself may know better."""
     signal, variable, label = split_name(entry.name, "map")
     columns = [table.fields[n][index] for n in names]
+    own = [_spelled(table.units.get(n, "")) for n in names]
     units = [
-        known_unit(entry.unit) or entry.unit if entry.unit else _spelled(table.units.get(n, ""))
-        for n in names
+        (known_unit(entry.unit) or entry.unit)
+        if entry.unit and (believed or not _same_kind(u, entry.unit))
+        else u
+        for u in own
     ]
     # A header's unit inside the map's own column name counts too.
     units = [u or split_header(c)[1] for u, c in zip(units, entry.columns, strict=True)]
@@ -458,6 +518,10 @@ def _entry_channels(
         name = f"{variable}.{one}" if one else variable
         out.append(Channel(name, unit, time, column, source, entry.hold, entry.long_name))
     return out
+
+
+def _same_kind(unit: str, other: str) -> bool:
+    return bool(known_unit(unit) and known_unit(other)) and conversion(unit)[0] == conversion(other)[0]
 
 
 def _identifier(name: str) -> str:

@@ -9,7 +9,7 @@ Degrees or radians? Three tests. Roll and pitch never leave +-180 deg, so values
 helicopter turns faster than 35 rad/s (2000 deg/s, the range of its gyroscopes), so a rate beyond is in deg/s. And the
 derivative of an angle is its rate (for small angles, d(phi)/dt = p): the slope of the one over the other, both
 low-passed, is near 1 if both have the same unit, near 57.3 if the angle is in degrees and the rate in rad/s, near
-1/57.3 the other way round.
+1/57.3 the other way round. Any other slope says that the two do not belong together.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from scipy.ndimage import median_filter, percentile_filter
 
 from mufly.logs.mcap import columns_of
 from mufly.logs.topics import Channel
-from mufly.quantities import is_held
+from mufly.quantities import is_held, limits_of
 from mufly.results import result
 
 _Array = NDArray[np.float64]
@@ -153,6 +153,70 @@ def check_channels(
     return out
 
 
+# Up to this share of a channel, what lies outside the limits is an outlier; beyond, the unit is wrong.
+_FEW = 0.05
+
+
+def within_limits(
+    channels: Sequence[Channel], assumed: Callable[[Channel], bool]
+) -> tuple[list[Channel], list[str]]:
+    """Hold signals against what their quantities cannot leave (:data:`mufly.quantities.LIMITS`).
+
+    Parameters
+    ----------
+    channels : sequence of Channel
+        In SI units.
+    assumed : callable
+        Whether the unit of a channel is only what this package takes for granted of such logs. If so, single values
+        outside the limits become missing, and a signal that lies outside is left out. What a user or the file's header
+        named is kept, and the contradiction said.
+
+    Returns
+    -------
+    channels : list of Channel
+    words : list of str
+        One sentence a signal.
+    """
+    groups: dict[str, list[Channel]] = {}
+    for c in channels:
+        groups.setdefault(c.variable, []).append(c)
+    out: dict[str, Channel | None] = {c.name: c for c in channels}
+    words = []
+    for variable, group in groups.items():
+        limits = limits_of(variable)
+        group = [c for c in group if not c.text]
+        if limits is None or not group:
+            continue
+        bad = [(c.values < limits.low) | (c.values > limits.high) for c in group]
+        count = sum(int(b.sum()) for b in bad)
+        if not count:
+            continue
+        first = next(c for c, b in zip(group, bad, strict=True) if b.any())
+        what = f"{variable} ({first.source})" if first.source else variable
+        peak = max((v for c, b in zip(group, bad, strict=True) for v in c.values[b].tolist()), key=abs)
+        unit = "" if first.units in ("", "1") else f" {first.units}"
+        most = max(
+            float(b.sum()) / max(int(np.isfinite(c.values).sum()), 1) for c, b in zip(group, bad, strict=True)
+        )
+        if not assumed(first):
+            words.append(f"{what} reaches {peak:.4g}{unit}, but {limits.reason}: is its unit right?")
+        elif most <= _FEW:
+            many = "1 value is" if count == 1 else f"{count} values are"
+            words.append(
+                f"{what}: {many} beyond what can be ({peak:.4g}{unit}; {limits.reason}) and left out"
+            )
+            out |= {
+                c.name: c._replace(values=np.where(b, np.nan, c.values))
+                for c, b in zip(group, bad, strict=True)
+            }
+        else:
+            words.append(
+                f"{what} reaches {peak:.4g}{unit}, but {limits.reason}: left out; give its unit in a column map"
+            )
+            out |= dict.fromkeys(c.name for c in group)
+    return [c for c in out.values() if c is not None], words
+
+
 _MAD = 1.4826
 
 
@@ -262,15 +326,20 @@ def find_saturation(x: _Array, *, at_least: int = 5) -> tuple[float, float]:
 Unit = Literal["deg", "rad", ""]
 _DEG = 180 / np.pi
 _RATE_LIMIT = 35.0
+# An angle or rate that names its unit is contradicted only by what no gyroscope measures.
+_RATE_LIMIT_NAMED = 70.0
 _LEAST_CORRELATION = 0.6
+# How far the slope may be from what it should be; over a tenth of a second noise matters little.
+_SLOPE_WITHIN = 1.35
 
 
 class UnitGuess(NamedTuple):
-    """Units of an angle and its rate (``""``: cannot be told) and the reason in words."""
+    """Units of an angle and its rate (``""``: cannot be told), the reason in words, and whether the two disagree."""
 
     angle: Unit
     rate: Unit
     reason: str
+    odd: bool = False
 
 
 def rate_ratio(time: _Array, angle: _Array, rate: _Array) -> tuple[float, float]:
@@ -311,7 +380,12 @@ def rate_ratio(time: _Array, angle: _Array, rate: _Array) -> tuple[float, float]
 
 
 def guess_angle_units(
-    time: _Array, angle: _Array | None = None, rate: _Array | None = None, *, bounded: bool = True
+    time: _Array,
+    angle: _Array | None = None,
+    rate: _Array | None = None,
+    *,
+    bounded: bool = True,
+    named: bool = False,
 ) -> UnitGuess:
     """Guess whether an angle and its rate are in degrees or radians.
 
@@ -323,6 +397,8 @@ def guess_angle_units(
         What is known of the two; the rate is that of the same angle.
     bounded : bool
         Whether the angle stays within half a turn (roll and pitch; not an unwrapped yaw).
+    named : bool
+        Whether somebody has named the units, so that it takes more to contradict.
 
     Returns
     -------
@@ -332,7 +408,7 @@ def guess_angle_units(
     peak = _peak(angle)
     fast = _peak(rate)
     by_angle: Unit = "deg" if bounded and peak > 2 * np.pi else ""
-    by_rate: Unit = "deg" if fast > _RATE_LIMIT else ""
+    by_rate: Unit = "deg" if fast > (_RATE_LIMIT_NAMED if named else _RATE_LIMIT) else ""
     reasons = []
     if by_angle:
         reasons.append(f"values up to {peak:.3g} are no radians")
@@ -341,17 +417,23 @@ def guess_angle_units(
     if angle is not None and rate is not None:
         slope, correlation = rate_ratio(time, angle, rate)
         if abs(correlation) > _LEAST_CORRELATION:
-            kind = int(np.rint(np.log(abs(slope)) / np.log(_DEG)))
             said = f"d/dt of the angle is {slope:.3g} times the rate"
-            if kind == 1:
+
+            def near(factor: float) -> bool:
+                return abs(np.log(abs(slope) / factor)) < np.log(_SLOPE_WITHIN)
+
+            if near(_DEG):
                 return UnitGuess("deg", "rad", said)
-            if kind == -1:
+            if near(1 / _DEG):
                 return UnitGuess("rad", "deg", said)
-            if kind == 0:
+            if near(1.0):
                 both: Unit = "deg" if by_angle or by_rate else "rad"
                 if both == "rad" and peak < 0.2 and fast < 1.0:
                     both = ""  # a few degrees or a few radians: consistent, and nothing to tell them apart
                 return UnitGuess(both, both, "; ".join([*reasons, said]))
+            # Neither: noise, or another factor, not that of degrees. Which of the two is wrong, its size may tell.
+            far = max(abs(slope), 1 / abs(slope)) > 3
+            return UnitGuess(by_angle, by_rate, "; ".join([*reasons, said]), far)
     if not reasons and bounded and np.isfinite(peak) and 1.0 < peak <= np.pi:
         # In degrees this would be a vehicle that never tilts by four.
         return UnitGuess("", by_rate, f"values up to {peak:.3g} could be either")

@@ -5,11 +5,13 @@ Which format a log has is judged by its content, never by its name; which one is
 
 from __future__ import annotations
 
+import contextlib
 import fnmatch
 import json
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,7 @@ from mufly.logs.mcap import MAGIC as MCAP_MAGIC
 from mufly.logs.mcap import columns_of, dataset_of, read_mcap, restore, to_csv
 from mufly.logs.recording import is_recording, raw_mcap, recording_of, write_mcap
 from mufly.logs.tables import (
+    GZIP_MAGIC,
     NETCDF_MAGIC,
     PARQUET_MAGIC,
     TOPIC,
@@ -32,6 +35,7 @@ from mufly.logs.tables import (
     read_csv,
     read_netcdf,
     read_parquet,
+    unpacked,
     write_netcdf,
     write_parquet,
 )
@@ -69,12 +73,15 @@ def kind_of(path: str | Path) -> str:
     """
     where = str(path)
     try:
+        head = unpacked(path, 65536)
         with open(path, "rb") as stream:
-            head = stream.read(65536)
+            packed = stream.read(2) == GZIP_MAGIC
     except OSError as error:
         raise InputError(where, "", f"cannot be read ({error.strerror})", "give the path of a log") from error
     if not head:
         raise InputError(where, "", "is empty", "give a log")
+    if packed and not looks_like_table(head):
+        raise InputError(where, "", "is packed (gzip), and no table of text", "unpack it: gunzip FILE")
     for kind, magic in _MAGIC.items():
         if head.startswith(magic):
             return kind
@@ -191,6 +198,7 @@ def read_log(
     rate_hz: float | None = None,
     from_s: float | None = None,
     to_s: float | None = None,
+    start_s: float | None = None,
     progress: Progress | None = None,
 ) -> xr.Dataset:
     """Read a log of any known format as signals on one clock, in SI units.
@@ -209,6 +217,8 @@ def read_log(
         them.
     from_s, to_s : float, optional
         Part of the log to keep (s since its start).
+    start_s : float, optional
+        Shift the clock so that what is kept begins at this time (s); its events and ``start_time`` move along.
     progress : callable, optional
         Called with (bytes read, bytes in all) while a long log is read.
 
@@ -264,7 +274,26 @@ def read_log(
     data.attrs |= {"source": Path(path).name, "format": kind, "notes": notes}
     for note in notes:
         warnings.warn(f"{Path(path).name}: {note}", LogWarning, stacklevel=2)
-    return part_of(data, from_s, to_s, str(path))
+    data = part_of(data, from_s, to_s, str(path))
+    return data if start_s is None else _beginning_at(data, start_s)
+
+
+def _beginning_at(data: xr.Dataset, start_s: float) -> xr.Dataset:
+    """The same on a clock that begins at ``start_s``."""
+    if not np.isfinite(start_s):
+        raise ArgumentError("start_s", "", f"{start_s:g} s is no time", "give a number, as start_s=0")
+    by = start_s - float(data["time"].values[0])
+    time = data["time"]
+    data = data.assign_coords(time=("time", time.values + by, time.attrs))
+    if "event_time" in data:
+        event = data["event_time"]
+        data = data.assign(event_time=(event.dims, event.values + by, event.attrs))
+    if "start_time_ns" in data.attrs:
+        data.attrs["start_time_ns"] = int(data.attrs["start_time_ns"]) - round(by * 1e9)
+    with contextlib.suppress(ValueError):  # none is known
+        began = datetime.fromisoformat(str(data.attrs.get("start_time", ""))) - timedelta(seconds=by)
+        data.attrs["start_time"] = began.isoformat(timespec="milliseconds")
+    return data
 
 
 # Steps that vary by more than this share are said.

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError
 from mufly.logs.mcap import Event, Layout, McapContents, McapFile, events_of, plain, read_mcap, to_dataset
-from mufly.logs.topics import RawLog, RawTable, wall_time
+from mufly.logs.topics import RawLog, RawTable, foreign_stamps, wall_time
 from mufly.quantities import LABELS, SOURCES, Quantity, kept_by
 
 FORMAT = 1
@@ -374,10 +374,13 @@ def raw_mcap(contents: McapContents, where: str) -> RawLog:
         If there is no message, or none is JSON.
     """
     ours = is_recording(contents)
-    stamps = [m[0] for messages in contents.messages.values() for m in messages]
-    if not stamps:
+    if not any(contents.messages.values()):
         raise InputError(where, "", "holds no messages", "the recording ended before its first second")
-    zero = min(stamps)
+    times = {k: np.array([t for t, _ in m], dtype=np.float64) / 1e9 for k, m in contents.messages.items()}
+    foreign, strange = foreign_stamps(times)
+    zero = min(
+        t for k, m in contents.messages.items() for (t, _), f in zip(m, foreign[k], strict=True) if not f
+    )
     units = _units(contents) if ours else {}
     tables: dict[str, RawTable] = {}
     unread = []
@@ -390,13 +393,15 @@ def raw_mcap(contents: McapContents, where: str) -> RawLog:
             unread.append(topic)
             continue
         time = (np.array([t for t, _ in messages], dtype=np.int64) - zero) / 1e9
+        time[foreign[topic]] = np.nan
         names = dict.fromkeys(name for row in rows for name in row)
         fields = {name: _values([row.get(name) for row in rows]) for name in names}
         tables[topic] = RawTable(topic, time, fields, units.get(topic, {}))
     if not tables:
         problem = f"holds no JSON messages (topics: {', '.join(unread) or 'none'})"
         raise InputError(where, "", problem, "convert its messages to JSON first")
-    notes = (f"topics in another encoding than JSON are left out: {', '.join(unread)}",) if unread else ()
+    notes = [f"topics in another encoding than JSON are left out: {', '.join(unread)}"] if unread else []
+    notes += [w for w in strange if w.partition(": ")[0] in tables]
     return RawLog(
         path=where,
         kind="MCAP",
@@ -405,7 +410,7 @@ def raw_mcap(contents: McapContents, where: str) -> RawLog:
         start_time=wall_time(zero / 1e9) if zero > 10**18 // 2 else "",
         info={"recorded by": "mufly"} if ours else {},
         complete=contents.complete,
-        notes=notes,
+        notes=tuple(notes),
     )
 
 

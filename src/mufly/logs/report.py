@@ -237,7 +237,14 @@ _DEGREES = {"rad": "deg", "rad/s": "deg/s"}
 # More points than a picture has columns are drawn as the extremes of each column.
 _COLUMNS = 3000
 _ORDER = ("attitude", "rates", "position", "velocity", "acceleration", "rotor_speed", "inputs", "battery")
-_INPUTS = ("motor_input", "servo_input", "actuator_control", "actuator_output", "pilot_input")
+_INPUTS = (
+    "motor_input",
+    "servo_input",
+    "actuator_control",
+    "actuator_output",
+    "actuator_command",
+    "pilot_input",
+)
 
 
 class _Place(NamedTuple):

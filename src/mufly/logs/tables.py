@@ -4,16 +4,18 @@ Of a table of text is recognised: comma, semicolon, tab or blanks between the ce
 comments (``#``, ``%``, ``//``); units in the header (``roll (deg)``, ``T [N]``, ``speed_rpm``) or in a line of their
 own below it; decimal commas where semicolons separate; times as numbers or as ISO 8601. Cells that are no number are
 missing values, and counted. A Parquet file is such a table too; NetCDF (version 3) needs a dimension ``time``. What
-``mufly log convert`` wrote comes back as it was.
+``mufly log convert`` wrote comes back as it was. A table of text may be packed by gzip.
 """
 
 from __future__ import annotations
 
 import csv
+import gzip
 import io
 import json
 import re
 import warnings
+import zlib
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -26,10 +28,11 @@ from numpy.typing import NDArray
 from mufly.errors import InputError
 from mufly.logs.mapping import TimeEntry
 from mufly.logs.mcap import columns_of, describe, plain, restore
-from mufly.logs.topics import RawLog, RawTable
+from mufly.logs.topics import RawLog, RawTable, foreign_stamps
 from mufly.units import conversion, known_unit, split_header
 
 TOPIC = "table"
+GZIP_MAGIC = b"\x1f\x8b"
 _COMMENTS = ("#", "%", "//")
 _TIME = re.compile(
     r"^(time|t|timestamp|zeit|time_?stamp|timeus|timems|time_?boot|seconds|utc|date_?time)$", re.IGNORECASE
@@ -44,6 +47,27 @@ def looks_like_table(head: bytes) -> bool:
         return False
     lines = [s for s in text.splitlines() if s.strip() and not s.lstrip().startswith(_COMMENTS)]
     return bool(lines) and any(re.search(r"\d", s) for s in lines)
+
+
+def unpacked(path: str | Path, size: int = -1) -> bytes:
+    """Return a file's first ``size`` bytes (all by default), unpacked if it was packed by gzip.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    InputError
+        If what is packed is damaged.
+    """
+    with open(path, "rb") as stream:
+        if stream.read(2) != GZIP_MAGIC:
+            stream.seek(0)
+            return stream.read(size)
+    try:
+        with gzip.open(path, "rb") as packed:
+            return packed.read(size)
+    except (EOFError, gzip.BadGzipFile, zlib.error) as error:
+        raise InputError(str(path), "", f"is a damaged gzip file ({error})", "give another copy") from error
 
 
 def read_csv(path: str | Path, time: TimeEntry | None = None) -> RawLog:
@@ -62,7 +86,7 @@ def read_csv(path: str | Path, time: TimeEntry | None = None) -> RawLog:
         If it is no table, or its clock cannot be found.
     """
     where = str(path)
-    raw = Path(path).read_bytes()
+    raw = unpacked(path)
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -248,9 +272,11 @@ def table_clock(
             raise InputError(where, name, f"{values[0]!r} is no time", "give seconds, or ISO 8601")
         ns = stamps.to_numpy(dtype="datetime64[ns]").astype(np.int64)
         valid = ~stamps.isna().to_numpy()
+        foreign, strange = foreign_stamps({f"column {name}": np.where(valid, ns / 1e9, np.nan)})
+        valid &= ~foreign[f"column {name}"]
         zero = ns[valid].min()
         time = np.where(valid, (ns - zero) / 1e9, np.nan)
-        return time, f"{pd.Timestamp(zero, tz='UTC').isoformat(timespec='milliseconds')}", []
+        return time, f"{pd.Timestamp(zero, tz='UTC').isoformat(timespec='milliseconds')}", strange
     said: list[str] = []
     if not unit:
         unit, why = _guess_time_unit(values)
@@ -262,6 +288,9 @@ def table_clock(
     # A thousandth of a second written as 0.001 is not 1 times 0.001 in every case; dividing is exact more often.
     whole = round(1 / factor)
     time = values / whole if whole > 1 and abs(whole * factor - 1) < 1e-12 else values * factor
+    foreign, strange = foreign_stamps({f"column {name}": time})
+    said += strange
+    time, values = (np.where(foreign[f"column {name}"], np.nan, v) for v in (time, values))
     start = ""
     if np.isfinite(time).any():
         earliest = float(np.nanmin(time))

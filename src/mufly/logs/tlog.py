@@ -3,7 +3,8 @@
 The time is a big-endian count of microseconds since 1970 (eight bytes); the packet follows as it was on the air
 (mavlink.io, "Serialization"). Arrival times carry the jitter of the link. Messages that hold the vehicle's own clock
 (``time_boot_ms``, ``time_usec``) are therefore placed by that clock; it is tied to the time of arrival by the packet
-that was quickest, which no link can be faster than, anew each time that the vehicle starts.
+that was quickest, which no link can be faster than, anew each time that the vehicle starts. What a field says where
+nothing is known (a current of -1, a voltage of 65535) is missing: :mod:`mufly.logs.unknown`.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.logs.topics import RawLog, RawTable, wall_time
+from mufly.logs.topics import RawLog, RawTable, foreign_stamps, wall_time
+from mufly.logs.unknown import without_unknown
 
 _STAMP = struct.Struct(">Q")
 _YEAR_2000_US, _YEAR_2100_US = 946_684_800 * 10**6, 4_102_444_800 * 10**6
@@ -117,9 +119,19 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
         messages.append(message)
     if not rows:
         raise InputError(where, "", "holds no packet that can be decoded", "give a MAVLink 1 or 2 log")
+    foreign, _ = foreign_stamps({str(key): np.array(stamps) / 1e6 for key, (stamps, _) in rows.items()})
+    lost = sum(int(f.sum()) for f in foreign.values())
+    for key in list(rows) if lost else []:
+        kept = [
+            pair for pair, f in zip(zip(*rows[key], strict=True), foreign[str(key)], strict=True) if not f
+        ]
+        rows[key] = ([stamp for stamp, _ in kept], [message for _, message in kept])
+        if not kept:
+            del rows[key]
     zero = min(min(stamps) for stamps, _ in rows.values())
     vehicle = _vehicle(rows)
     notes = [f"{bad} packets were damaged or unknown and are left out"] if bad else []
+    notes += [f"{lost} packets whose time of arrival is of another day are left out"] if lost else []
     tables: dict[str, RawTable] = {}
     said: list[tuple[float, str, str]] = []
     parameters: dict[str, float] = {}
@@ -156,7 +168,7 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
         kind="MAVLink tlog",
         tables=dict(sorted(tables.items())),
         start_time=wall_time(zero / 1e6),
-        info={"system": f"{vehicle[0]}.{vehicle[1]}", "parameters": parameters},
+        info={"system": _described(dialect, vehicle, rows), "parameters": parameters},
         messages=tuple(sorted(said)),
         complete=read == len(data),
         notes=tuple(notes),
@@ -172,6 +184,21 @@ def _vehicle(rows: Any) -> tuple[int, int]:
     ]
     found = beats or [((s, c), len(stamps)) for (s, c, _), (stamps, _) in rows.items()]
     return max(found, key=lambda f: f[1])[0]
+
+
+def _described(dialect: Any, vehicle: tuple[int, int], rows: Any) -> str:
+    """The vehicle in words, from its heartbeat: kind, autopilot, number of system and component."""
+    number = f"{vehicle[0]}.{vehicle[1]}"
+    beats = rows.get((*vehicle, "HEARTBEAT"))
+    if beats is None:
+        return f"system {number}"
+
+    def word(enum: str, value: int) -> str:
+        known = dialect.enums[enum].get(value)
+        return "" if known is None else known.name.removeprefix(f"{enum}_").lower().replace("_", " ")
+
+    said = [word("MAV_TYPE", beats[1][-1].type), word("MAV_AUTOPILOT", beats[1][-1].autopilot)]
+    return ", ".join([*(w for w in said if w not in ("", "generic", "invalid")), f"system {number}"])
 
 
 def _columns(messages: list[Any]) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
@@ -191,7 +218,7 @@ def _columns(messages: list[Any]) -> tuple[dict[str, NDArray[Any]], dict[str, st
         else:
             out[name] = np.array(values)
             units |= {name: unit} if unit else {}
-    return out, units
+    return without_unknown(kind.msgname, out), units
 
 
 def _own_clock(fields: Mapping[str, NDArray[Any]]) -> tuple[str, NDArray[np.float64]] | None:

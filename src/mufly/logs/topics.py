@@ -1,7 +1,8 @@
 """A log as it was written: topics, each on its own clock; whether the clocks run; and how all come onto one.
 
 A logger repeats a stamp, swaps two messages, or loses some; a board that restarts begins to count again. The first two
-are repaired and said; a restart is two logs in one, which no sorting can mend, and is refused.
+are repaired and said; a restart is two logs in one, which no sorting can mend, and is refused. A stamp of another epoch
+(never set and 0, damaged, or counted by the GPS or since 1970 where the log counts since the board started) is missing.
 
 Onto a common clock a signal is interpolated linearly or, if it is held (an input, a reference), keeps its last value. A
 signal that is sampled faster than the new clock is first low-pass filtered without phase shift (the Kaiser-window FIR
@@ -19,6 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 from scipy.signal import resample_poly
 
 from mufly.errors import InputError
@@ -164,6 +166,7 @@ class Channel(NamedTuple):
 
 
 _Array = NDArray[np.float64]
+_DAY_S = 86_400.0
 # More steps back than this share, or a step back longer than this, is no matter of swapped messages.
 _BACK_SHARE, _BACK_S = 0.02, 2.0
 GAP_FACTOR = 5.0
@@ -213,6 +216,8 @@ class ClockReport:
         out = []
         if self.samples > 1 and self.repeated == self.samples - self.missing - 1 > 0:
             return ["the clock stands still"]
+        if self.missing == self.samples > 0:
+            return ["no message has a time stamp"]
         if self.missing:
             out.append(f"{self.missing} of {self.samples} time stamps are missing")
         if self.backward:
@@ -283,10 +288,57 @@ def check_clock(time: _Array, gap_factor: float = GAP_FACTOR) -> ClockReport:
     )
 
 
+def foreign_stamps(times: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[np.bool_]], list[str]]:
+    """Tell which stamps lie in another epoch than the log.
+
+    No flight lasts a day, but epochs lie years apart: the board's clock counts since it started, the clock of the GPS
+    since 1980 or since Sunday, UTC since 1970; a stamp never set is 0, a damaged one anything. Where the stamps of all
+    topics together leave out a whole day or more they belong to different clocks, and the log's is the one on which
+    most topics run (each topic counts by the share of its stamps there; of equals the one with more stamps). Where no
+    clock has the half of them, nobody can say, and none is foreign.
+
+    Parameters
+    ----------
+    times : dict of str to (n,) array
+        Stamps of every topic, all counted from the same instant (s); NaN is no stamp.
+
+    Returns
+    -------
+    foreign : dict of str to (n,) bool array
+    words : list of str
+        One sentence a topic that has some.
+    """
+    foreign = {name: np.zeros(len(t), dtype=bool) for name, t in times.items()}
+    days = {k: np.floor(np.asarray(t, dtype=np.float64) / _DAY_S) for k, t in times.items()}
+    counts = {k: np.unique(d[np.isfinite(d)], return_counts=True) for k, d in days.items()}
+    known = np.unique(np.concatenate([d for d, _ in counts.values()])) if counts else np.empty(0)
+    parts = np.split(known, np.flatnonzero(np.diff(known) > 1) + 1)
+    if len(parts) < 2:
+        return foreign, []
+
+    def weight(part: _Array) -> tuple[float, int]:
+        there = [(int(n[np.isin(d, part)].sum()), int(n.sum())) for d, n in counts.values() if len(n)]
+        return sum(a / b for a, b in there), sum(a for a, _ in there)
+
+    bulk = max(parts, key=weight)
+    if weight(bulk)[0] < 0.5 * sum(weight(p)[0] for p in parts):
+        return foreign, []
+    words = []
+    for name, d in days.items():
+        foreign[name] = np.isfinite(d) & ~((d >= bulk[0]) & (d <= bulk[-1]))
+        strange = np.asarray(times[name], dtype=np.float64)[foreign[name]]
+        if len(strange):
+            what = "1 time stamp" if len(strange) == 1 else f"{len(strange)} time stamps"
+            clock = "never set" if (strange == 0).all() else f"from another clock, {strange[0]:.6g} s"
+            words.append(f"{name or 'the clock'}: {what} of {len(d)} left out ({clock})")
+    return foreign, words
+
+
 def usable_samples(time: _Array, where: str, key: str) -> tuple[NDArray[np.int64], list[str]]:
     """Return which samples, in which order, make a clock that increases, and what was repaired.
 
-    Samples without a stamp go; swapped ones are put in order; of several with one stamp the last is kept.
+    Samples without a stamp go, and single ones whose stamp is far from those on either side; swapped ones are put in
+    order; of several with one stamp the last is kept.
 
     Returns
     -------
@@ -299,6 +351,14 @@ def usable_samples(time: _Array, where: str, key: str) -> tuple[NDArray[np.int64
     InputError
         If time was set back: by more than 2 s, or more often than at one sample in fifty.
     """
+    words = []
+    name = f"{key}: " if key else ""
+    wild = _wild(time)
+    if wild.any():
+        one = f"a time stamp is far from its neighbours and its sample ({int(wild.argmax())})"
+        many = f"{int(wild.sum())} time stamps are far from their neighbours and their samples"
+        words.append(f"{name}{one if wild.sum() == 1 else many} left out")
+        time = np.where(wild, np.nan, time)
     report = check_clock(time)
     if report.reset:
         raise InputError(
@@ -308,15 +368,28 @@ def usable_samples(time: _Array, where: str, key: str) -> tuple[NDArray[np.int64
     index = np.flatnonzero(np.isfinite(time))
     order = index[np.argsort(time[index], kind="stable")]
     last = np.append(np.diff(time[order]) > 0, True) if len(order) else np.empty(0, dtype=bool)
-    words = []
-    name = f"{key}: " if key else ""
-    if report.missing:
-        words.append(f"{name}{report.missing} samples without a time stamp are left out")
+    unset = report.missing - int(wild.sum())
+    if unset:
+        words.append(f"{name}{unset} samples without a time stamp are left out")
     if report.backward:
         words.append(f"{name}{report.backward} samples came in the wrong order and were sorted by time")
     if not last.all():
         words.append(f"{name}{int((~last).sum())} samples repeat a time stamp; the last of each is kept")
     return order[last], words
+
+
+def _wild(time: _Array) -> NDArray[np.bool_]:
+    """Single stamps (or two in a row) far from those on either side, which go on as if they were not there.
+
+    The median of five stamps that increase is the middle one, whatever their steps: a sound clock has none.
+    """
+    out = np.zeros(len(time), dtype=bool)
+    known = np.flatnonzero(np.isfinite(time))
+    if len(known) >= 5:
+        t = time[known]
+        out[known[np.abs(t - median_filter(t, size=5, mode="nearest")) > _BACK_S]] = True
+    # Where they are no exception, the rows are mixed up.
+    return out if out.sum() <= max(3.0, _BACK_SHARE * len(known)) else np.zeros_like(out)
 
 
 _MOST = 50_000_000

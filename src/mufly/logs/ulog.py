@@ -1,7 +1,8 @@
 """ULog, the log of PX4 (docs.px4.io, "ULog File Format", version 1): read with pyulog, and written.
 
 Times are microseconds since the board started; here they count in seconds from the time stamp in the file's header.
-Topics carry no units.
+What was published before the logger started lies before 0. A stamp of 0 in a file whose header has another was never
+set. Topics carry no units.
 
 Signals of ours are written as one topic, ``table``: its clock in whole microseconds, as the format wants, and once more
 as a double, so that it comes back to the bit; text becomes a number whose meaning stands in the information
@@ -17,6 +18,7 @@ import io
 import json
 import re
 import struct
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,14 +26,16 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from mufly.errors import InputError
+from mufly.errors import ArgumentError, InputError
 from mufly.logs.mcap import columns_of, describe, events_of
 from mufly.logs.tables import TOPIC
-from mufly.logs.topics import RawLog, RawTable, wall_time
+from mufly.logs.topics import RawLog, RawTable, foreign_stamps, wall_time
+from mufly.logs.unknown import without_unknown
 
 MAGIC = b"ULog\x01\x12\x35"
 _LEVELS = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
 _CHAR = re.compile(r"(.+)\[(\d+)\]$")
+_NEAR_US = 600_000_000
 
 
 def read_ulog(path: str | Path) -> RawLog:
@@ -54,14 +58,17 @@ def read_ulog(path: str | Path) -> RawLog:
     topics = [data for data in log.data_list if "timestamp" in data.data]
     if not topics:
         raise InputError(where, "", "is a ULog file without data", "the log ended before its first message")
-    stamps = [data.data["timestamp"] for data in topics]
-    zero = _zero(int(log.start_timestamp), stamps)
+    header = int(log.start_timestamp)
+    stamps = {_name(data): data.data["timestamp"] for data in topics}
+    stamps[_SAID] = np.array([m.timestamp for m in log.logged_messages], dtype=np.uint64)
+    stamps[_LOST] = np.array([d.timestamp for d in log.dropouts], dtype=np.uint64)
+    times, notes = _times(header, stamps)
     tables = {}
-    for data, stamp in zip(topics, stamps, strict=True):
-        name = data.name if data.multi_id == 0 else f"{data.name}:{data.multi_id}"
+    for data in topics:
         types = {f.field_name: f.type_str for f in data.field_data}
         values = {key: value for key, value in data.data.items() if key != "timestamp"}
-        tables[name] = RawTable(name, _seconds(stamp, zero), _join_text(values, types))
+        name = _name(data)
+        tables[name] = RawTable(name, times[name], without_unknown(data.name, _join_text(values, types)))
     info = {key: value for key, value in log.msg_info_dict.items() if key != "time_ref_utc"}
     # Text too long for one message comes in several.
     info |= {
@@ -77,22 +84,49 @@ def read_ulog(path: str | Path) -> RawLog:
         start_time=_start_time(tables, log.msg_info_dict),
         info=info,
         messages=tuple(
-            ((m.timestamp - zero) / 1e6, _level(m.log_level), m.message) for m in log.logged_messages
+            (t, _level(m.log_level), m.message)
+            for t, m in zip(times[_SAID].tolist(), log.logged_messages, strict=True)
         ),
-        dropouts=tuple(((d.timestamp - zero) / 1e6, d.duration / 1e3) for d in log.dropouts),
+        dropouts=tuple(
+            (t, d.duration / 1e3) for t, d in zip(times[_LOST].tolist(), log.dropouts, strict=True)
+        ),
         complete=not log.file_corruption and "corruption" not in said.getvalue(),
+        notes=tuple(notes),
     )
 
 
-def _zero(header: int, stamps: list[NDArray[Any]]) -> int:
-    """The instant 0: the header's, if data are near it; topics whose clock stands still (PX4 has some) do not count."""
-    first = min((int(s[0]) for s in stamps if s[-1] > s[0]), default=min(int(s[0]) for s in stamps))
-    return header if abs(first - header) < 600_000_000 else first
+# What has a time besides the topics.
+_SAID, _LOST = "the vehicle's messages", "the logger's drop-outs"
 
 
-def _seconds(stamp: NDArray[Any], zero: int) -> NDArray[np.float64]:
-    out: NDArray[np.float64] = (stamp.astype(np.int64) - zero) / 1e6
-    return out
+def _name(data: Any) -> str:
+    return data.name if data.multi_id == 0 else f"{data.name}:{data.multi_id}"
+
+
+def _times(
+    header: int, stamps: Mapping[str, NDArray[Any]]
+) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
+    """Seconds since the instant 0 of everything that has a stamp (us), NaN where it is none of the log's clock.
+
+    The instant 0 is the header's, if data are near it. If not, it is the first of the log's own; topics whose clock
+    stands still (PX4 has some) do not count.
+    """
+    seconds = {k: s.astype(np.float64) / 1e6 for k, s in stamps.items()}
+    if header > 0:
+        seconds = {k: np.where(s == 0, np.nan, s) for k, s in seconds.items()}
+    unset = {k: int(np.isnan(s).sum()) for k, s in seconds.items()}
+    foreign, notes = foreign_stamps(seconds)
+    notes += [f"{k}: {n} of {len(stamps[k])} time stamps were never set (0)" for k, n in unset.items() if n]
+    known = {k: s[~foreign[k] & np.isfinite(seconds[k])].astype(np.int64) for k, s in stamps.items()}
+    running = [s for s in known.values() if len(s) and s[-1] > s[0]] or [s for s in known.values() if len(s)]
+    first = min((int(s[0]) for s in running), default=header)
+    last = max((int(s[-1]) for s in running), default=header)
+    zero = header if first - _NEAR_US < header < last + _NEAR_US else first
+    out = {
+        k: np.where(foreign[k] | np.isnan(seconds[k]), np.nan, (s.astype(np.int64) - zero) / 1e6)
+        for k, s in stamps.items()
+    }
+    return out, notes
 
 
 def _level(number: int) -> str:
@@ -126,7 +160,7 @@ def _start_time(tables: dict[str, RawTable], info: dict[str, Any]) -> str:
         utc = None if table is None else table.fields.get("time_utc_usec")
         if table is None or utc is None:
             continue
-        known = np.flatnonzero(utc.astype(np.int64) > 10**15)
+        known = np.flatnonzero((utc.astype(np.int64) > 10**15) & np.isfinite(table.time))
         if len(known):
             at = int(utc[known[0]]) / 1e6 - table.time[known[0]]
             return wall_time(at)
@@ -171,7 +205,10 @@ def write_ulog(dataset: xr.Dataset, path: Path) -> None:
     columns = columns_of(dataset)
     time = dataset["time"].values.astype(np.float64)
     if len(time) and time[0] < 0:
-        raise InputError(str(path), "time", "begins before 0", "shift it, or write .mcap or .nc")
+        raise ArgumentError(
+            "start_s", "", f"the log begins at {time[0]:.6g} s, and ULog knows no time before 0",
+            "give start_s=0 to let its clock begin there, or write .mcap or .nc",
+        )  # fmt: skip
     texts: dict[str, list[str]] = {}
     layout: list[tuple[str, Any]] = [
         ("size", "<u2"),
