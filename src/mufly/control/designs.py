@@ -43,6 +43,7 @@ from mufly.control.linear import (
 from mufly.control.schemes import (
     Scaling,
     Settings,
+    heave_per_input,
     heave_yaw_scaling,
     one_degree_plant,
     roll_pitch_scaling,
@@ -449,7 +450,7 @@ def _designed(
         )
         if not sampled_loop.stable:
             raise MuflyError(
-                f"{name} design: stable in continuous time, but not at {1 / period_s:g} Hz with one sample of delay "
+                f"stable in continuous time, but not at {1 / period_s:g} Hz with one sample of delay "
                 f"(delay margin {1e3 * reduced_loop.delay_margin_s:.1f} ms); raise the rate"
             )
     except MuflyError as error:
@@ -560,15 +561,10 @@ def heave_acceleration(vehicle: Vehicle, linear: Linearisation, settings: Settin
     ``planning_charge`` left, has above hover. The motors' lag asks for several times the input at the start of a climb
     that its end needs, hence ``heave_share``.
     """
-    plant = linear.heave_yaw
-    states = list(plant.state_labels)
-    motors = [states.index("Omega_dw"), states.index("Omega_up")]
-    gain = -np.linalg.solve(plant.A[np.ix_(motors, motors)], plant.B[motors])  # rotor speed per input
-    per_input = plant.A[states.index("w"), motors] @ gain
     state = linear.trim.state.copy()
     state[20] = settings.planning_charge
     sagged = float(battery_state(state, 1.0, 1.0, model_parameters(vehicle))[0])
     lower_upper = linear.trim.motor_input[::-1]
     headroom = np.maximum(sagged / linear.trim.voltage_V - lower_upper, 0.0)
-    available = abs(float(per_input @ headroom))
+    available = abs(float(heave_per_input(linear.heave_yaw) @ headroom))
     return float(np.clip(settings.heave_share * available, 0.1, settings.heave_acceleration_max))

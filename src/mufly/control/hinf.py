@@ -14,20 +14,23 @@ The assumptions of the theorem are checked, and named when violated.
 ``regularisation`` makes those on D12, D21 and the zeros hold by small weights on x and u and small noises on x and y.
 
 The states are scaled first (diagonal balancing of the plant), since weights with corners from 1e-4 to 1e3 rad/s would
-otherwise spoil the Riccati equations. What counts in the end is not the level claimed but the norm of the loop that is
-closed with the controller found; it is computed independently, on the plant as given, and returned.
+otherwise spoil the Riccati equations, and so are the signals: w and z by one factor each, every control and measurement
+by its own. No number below is therefore a size of the plant; those that stand there are measured against rounding.
+What counts in the end is not the level claimed but the norm of the loop that is closed with the controller found; it is
+computed independently, on the plant as given, and returned.
 """
 
 from __future__ import annotations
 
+import warnings
 from typing import NamedTuple
 
 import control
 import numpy as np
 from scipy import linalg
 
-from mufly.control.linear import Array, hinf_norm, state_space
-from mufly.errors import MuflyError
+from mufly.control.linear import Array, altered, hinf_norm, state_space
+from mufly.errors import ArgumentError, MuflyError
 from mufly.results import result
 
 
@@ -112,12 +115,23 @@ def close_loop(P: control.StateSpace, K: control.StateSpace) -> control.StateSpa
     return state_space(A, B, C, D11 + D12 @ Du, inputs=P.input_labels[:nw], outputs=P.output_labels[:nz])
 
 
-def _normalise(P: control.StateSpace, ny: int, nu: int, regularisation: float) -> tuple[_Parts, Array, Array]:
-    """Return the plant with balanced states, D12 = [0; I], D21 = [0, I]; Ru, Ry of u = Ru u~, y~ = Ry y."""
+_MOST, _LEAST = 1e20, 1e-18  # levels of a plant with all signals near one that the search goes to
+_NEAR_BITS = (
+    10  # a signal within 2^10 of one is taken as it stands, so that a plant of ordinary size keeps every bit
+)
+
+
+def _scaled(P: control.StateSpace, inputs: Array, outputs: Array) -> control.StateSpace:
+    """The plant with its inputs and outputs in other units."""
+    return altered(P, B=P.B * inputs, C=P.C * outputs[:, None], D=P.D * inputs * outputs[:, None])
+
+
+def _even(P: control.StateSpace) -> control.StateSpace:
+    """The plant after the diagonal similarity, in powers of two, that evens out rows and columns of [A B; C 0]."""
     n = P.nstates
-    # Diagonal similarity that evens out rows and columns of [A B; C 0].
     whole = np.block([[P.A, P.B], [P.C, np.zeros(P.D.shape)]])
     for _ in range(20):
+        before = whole.copy()
         for i in range(n):
             r = np.sqrt(np.sum(whole[i] ** 2) - whole[i, i] ** 2)
             c = np.sqrt(np.sum(whole[:, i] ** 2) - whole[i, i] ** 2)
@@ -125,7 +139,46 @@ def _normalise(P: control.StateSpace, ny: int, nu: int, regularisation: float) -
                 f = np.exp2(np.round(np.log2(np.sqrt(c / r))))
                 whole[i] *= f
                 whole[:, i] /= f
-    p = _parts(whole[:n, :n], whole[:n, n:], whole[n:, :n], P.D, ny, nu)
+        if np.array_equal(before, whole):
+            break
+    return altered(P, A=whole[:n, :n], B=whole[:n, n:], C=whole[n:, :n])
+
+
+def _units(P: control.StateSpace, ny: int, nu: int) -> tuple[Array, Array]:
+    """Factors on inputs and outputs (one for all of w, one for all of z) that bring every signal near one.
+
+    What a signal is worth is the length of its column of ``[B / sqrt(r); D]``, or row of ``[C / sqrt(r), D]``, with the
+    states balanced and r the size of A (where that is next to nothing, that of a loop closed over D12 or D21), so that
+    the units of states and of time do not enter.
+    """
+    inputs, outputs = np.ones(P.ninputs), np.ones(P.noutputs)
+    nw, nz = P.ninputs - nu, P.noutputs - ny
+    for _ in range(20):
+        even = _even(_scaled(P, inputs, outputs))
+        p = _parts(even.A, even.B, even.C, even.D, ny, nu)
+        loops = ((p.B2 @ np.linalg.pinv(p.D12), p.C1), (p.B1, np.linalg.pinv(p.D21) @ p.C2))
+        rate = max(np.linalg.norm(p.A), *(1e-6 * np.linalg.norm(M) * np.linalg.norm(N) for M, N in loops))
+        root = np.sqrt(rate or 1.0)
+        changed = False
+        for factors, size, common in (
+            (inputs, np.linalg.norm(np.vstack([even.B / root, even.D]), axis=0), nw),
+            (outputs, np.linalg.norm(np.hstack([even.C / root, even.D]), axis=1), nz),
+        ):
+            size[:common] = np.linalg.norm(size[:common])
+            bits = np.round(np.log2(np.where(size > 0, size, 1.0)))
+            far = np.abs(bits) > _NEAR_BITS
+            if far.any() and not changed:
+                factors *= np.exp2(np.where(far, -bits, 0.0))
+                changed = True
+        if not changed:
+            break
+    return inputs, outputs
+
+
+def _normalise(P: control.StateSpace, ny: int, nu: int, regularisation: float) -> tuple[_Parts, Array, Array]:
+    """Return the plant with D12 = [0; I], D21 = [0, I]; Ru, Ry of u = Ru u~, y~ = Ry y."""
+    n = P.nstates
+    p = _parts(P.A, P.B, P.C, P.D, ny, nu)
     if regularisation > 0.0:
         eps = regularisation
         p = p._replace(
@@ -172,6 +225,25 @@ def _riccati(H: Array) -> Array | None:
         return None
     X = np.linalg.solve(U[:n].T, U[n:].T).T
     symmetric: Array = (X + X.T) / 2
+    # Not negative, in the coordinates of the balanced Hamiltonian. X passes through infinity to negative values at a
+    # level out of reach; but where there is little to weigh it is zero, and then rounding of the Hamiltonian by N makes
+    # it as negative as -E, with E of the Lyapunov equation Ac' E + E Ac + N = 0.
+    even = np.sqrt(d[:n] / d[n:])
+
+    def negative(M: Array) -> bool:
+        values = np.linalg.eigvalsh(M * even * even[:, None])
+        return bool(values[0] < -1e-7 * values[-1])
+
+    if negative(symmetric):
+        noise = 100.0 * np.finfo(float).eps * np.linalg.norm(balanced) * np.diag(even**-2)
+        with warnings.catch_warnings():
+            warnings.simplefilter(
+                "ignore", RuntimeWarning
+            )  # a mode next to the axis: the doubt is large, and said so
+            doubt = linalg.solve_continuous_lyapunov((H[:n, :n] + H[:n, n:] @ symmetric).T, -noise)
+        # A doubt that is itself large says nothing.
+        if negative(symmetric + doubt) or np.linalg.norm(doubt * even * even[:, None]) > 1.0:
+            return None
     return symmetric
 
 
@@ -197,10 +269,6 @@ def _central(p: _Parts, gamma: float) -> tuple[Array, Array, Array, Array] | Non
     Y = _riccati(J)
     if Y is None:
         return None
-    for solution in (X, Y):
-        values = np.linalg.eigvalsh(solution)
-        if values[0] < -1e-7 * values[-1] - 1e-10:
-            return None
     with np.errstate(over="ignore", invalid="ignore"):
         product = X @ Y
     if n and not (np.isfinite(product).all() and np.abs(np.linalg.eigvals(product)).max() < g2):
@@ -254,7 +322,7 @@ def hinfsyn(
     gamma_tolerance: float = 1e-3,
     relaxation: float = 1.0,
     regularisation: float = 0.0,
-    gamma_max: float = 1e8,
+    gamma_max: float | None = None,
 ) -> HinfResult:
     """Synthesise a controller with (nearly) the smallest H-infinity norm from ``w`` to ``z``.
 
@@ -266,15 +334,15 @@ def hinfsyn(
     n_measurements, n_controls : int
         Sizes of ``y`` and ``u``.
     gamma_tolerance : float
-        Relative width of the bisection on gamma.
+        Relative width of the bisection on gamma, at least 0; it ends at rounding.
     relaxation : float
         Compute the controller at this factor (at least 1) above the smallest feasible level. At the optimum itself
         the central controller has a mode that runs off to infinity; a few per cent cost little and keep it slow.
     regularisation : float
         Size of small extra weights and noises, relative to the balanced plant; 0 leaves the problem as it is. With
         them the level holds for the plant given as well, since its loop is part of the larger one.
-    gamma_max : float
-        Level above which the problem counts as infeasible.
+    gamma_max : float, optional
+        Level above which the problem counts as infeasible; without it, where numbers end.
 
     Returns
     -------
@@ -282,6 +350,8 @@ def hinfsyn(
 
     Raises
     ------
+    ArgumentError
+        If tolerance, relaxation, regularisation or ``gamma_max`` is not possible.
     MuflyError
         Naming the violated assumption with mode, signal or frequency; or when no level up to ``gamma_max`` works.
 
@@ -291,6 +361,15 @@ def hinfsyn(
 
     Thesis: Fig. 6.1; Sec. 6.1.1.
     """
+    for name, value, least, most in (
+        ("gamma_tolerance", gamma_tolerance, 0.0, 1.0),
+        ("relaxation", relaxation, 1.0, np.inf),
+        ("regularisation", regularisation, 0.0, 1.0),
+        ("gamma_max", 1.0 if gamma_max is None else gamma_max, np.finfo(float).tiny, np.inf),
+    ):
+        if not (least <= value <= most and np.isfinite(value)):
+            upto = f" to {most:g}" if np.isfinite(most) else " or more"
+            raise ArgumentError(name, "", f"{value:g} is not possible", f"give {least:g}{upto}")
     nw, nz = P.ninputs - n_controls, P.noutputs - n_measurements
     if P.dt not in (0, None):
         raise MuflyError(
@@ -303,11 +382,15 @@ def hinfsyn(
         )
     if not all(np.isfinite(M).all() for M in (P.A, P.B, P.C, P.D)):
         raise MuflyError("H-infinity synthesis: the plant holds a number that is not finite")
-    p, Ru, Ry = _normalise(P, n_measurements, n_controls, regularisation)
+    inputs, outputs = _units(P, n_measurements, n_controls)
+    unit = float(inputs[0] * outputs[0])  # a level of the scaled plant over one of the plant as given
+    scaled = _even(_scaled(P, inputs, outputs))
+    p, Ru, Ry = _normalise(scaled, n_measurements, n_controls, regularisation)
     a, b = p.C1.shape[0] - n_controls, p.B1.shape[1] - n_measurements
     floor = float(
         max(np.linalg.norm(p.D11[:a], 2) if a else 0.0, np.linalg.norm(p.D11[:, :b], 2) if b else 0.0)
     )
+    most = _MOST if gamma_max is None else gamma_max * unit
     iterations = 0
 
     def feasible(gamma: float) -> bool:
@@ -318,55 +401,94 @@ def hinfsyn(
         except (np.linalg.LinAlgError, linalg.LinAlgError, ValueError):
             return False
 
-    lower, upper = floor, max(1.0, 1.01 * floor)
-    while not feasible(upper):
-        lower, upper = upper, 3.0 * upper
-        if upper > gamma_max:
-            raise MuflyError(
-                f"H-infinity synthesis: no controller found with gamma below {gamma_max:g}; the weights "
-                "contradict each other or the plant is badly scaled"
-            )
-    tiny = 1e-9 * upper
-    while upper > (1 + gamma_tolerance) * lower and upper > tiny:
-        # Geometric once a scale is known, so that a small optimum is found as fast as a large one.
-        middle = float(np.sqrt(lower * upper)) if lower > upper / 100 else upper / 10
-        if middle <= floor:
-            middle = (floor + upper) / 2
-        if feasible(middle):
-            upper = middle
-        else:
-            lower = middle
-    best = upper
-    gamma = best * max(relaxation, 1.0)
-    for _ in range(30):
-        K = _controller(p, Ru, Ry, gamma, P)
-        if K is not None:
-            loop = close_loop(P, K)
-            norm, where = hinf_norm(loop)
-            if norm <= gamma * (1 + 1e-6):
-                actuation = p.B2 @ np.linalg.inv(Ru) - K.B @ p.D22
-                return HinfResult(K, gamma, best, norm, where, loop, actuation, iterations)
-        gamma *= 1.0 + gamma_tolerance if gamma < 1.005 * best else 1.02
-    raise MuflyError(
-        f"H-infinity synthesis: level {best:.4g} is feasible in theory, but no closed loop keeps it in these numbers; "
-        "scale the signals nearer to one or raise regularisation"
+    lower, upper, promised = floor, min(max(1.0, 1.01 * floor), most), None
+    while True:
+        while not feasible(upper):
+            if upper >= most:
+                raise MuflyError(_refusal(p, scaled, promised, most, unit))
+            lower, upper = upper, min(3.0 * upper, most)
+        while upper > (1 + gamma_tolerance) * lower and upper > _LEAST:
+            # Geometric once a scale is known, so that a small optimum is found as fast as a large one.
+            middle = float(np.sqrt(lower * upper)) if lower > upper / 100 else upper / 10
+            if middle <= floor:
+                middle = (floor + upper) / 2
+            if not lower < middle < upper:  # as near as numbers are
+                break
+            if feasible(middle):
+                upper = middle
+            else:
+                lower = middle
+        best = upper
+        promised = promised or best
+        for k in range(-1, 40):
+            # Just above the optimum the numbers may not keep what theory promises: further from it in doubled steps.
+            gamma = best * relaxation * (1.0 if k < 0 else 1.0 + max(gamma_tolerance, 1e-9) * 2.0**k)
+            if gamma > 2.0 * best * relaxation:
+                break
+            K = _controller(p, Ru, Ry, gamma, scaled)
+            if K is not None:
+                loop = close_loop(scaled, K)
+                norm, where = hinf_norm(loop)
+                if norm <= gamma * (1 + 1e-6):
+                    u, y = inputs[-n_controls:], outputs[-n_measurements:]
+                    actuation = (p.B2 @ np.linalg.inv(Ru) - K.B @ p.D22) / u
+                    return HinfResult(
+                        _scaled(K, y, u),
+                        gamma / unit,
+                        min(best, norm) / unit,
+                        norm / unit,
+                        where,
+                        _scaled(loop, 1 / inputs[:-n_controls], 1 / outputs[:-n_measurements]),
+                        actuation,
+                        iterations,
+                    )
+        # No loop keeps it: a level in name only. Look above it.
+        lower, upper = gamma, min(3.0 * gamma, most)
+        if lower >= most:
+            raise MuflyError(_refusal(p, scaled, promised, most, unit))
+
+
+def _refusal(p: _Parts, P: control.StateSpace, promised: float | None, most: float, unit: float) -> str:
+    """Why there is no controller: levels in units of the scaled plant, and the mode that is hardest to hold."""
+    if promised is None:
+        said = f"no controller found with gamma below {most / unit:.3g}"
+    else:
+        said = (
+            f"level {promised / unit:.4g} is feasible in theory, but no closed loop keeps it in these numbers"
+        )
+    ny, nu = p.D22.shape
+    modes = zip(_modes(p.A, p.B2, "unstable"), _modes(p.A.T, p.C2.T, "unstable"), strict=True)
+    (mode, moved, state), (_, seen, _) = min(
+        modes, key=lambda m: m[0][1] * m[1][1], default=((0j, 1.0, 0),) * 2
+    )
+    if moved * seen > 1e-2:
+        return f"H-infinity synthesis: {said}; the weights contradict each other or ask more than the plant allows"
+    return (
+        f"H-infinity synthesis: {said}; mode {_written(mode)} rad/s (mainly state {P.state_labels[state]!r}) can "
+        f"hardly be held: its reach by {', '.join(P.input_labels[-nu:])} is {moved:.1e}, its sight from "
+        f"{', '.join(P.output_labels[-ny:])} {seen:.1e} (1 is full, below 1e-11 none); add a control or a measurement "
+        "for it, or make its weight stable"
     )
 
 
-def _uncontrollable(A: Array, B: Array, which: str) -> tuple[complex, int] | None:
-    """First mode of A that is not controllable by B, and its main state, counted.
+def _modes(A: Array, B: Array, which: str) -> list[tuple[complex, float, int]]:
+    """Modes of A, how well B reaches each, and its main state, counted.
 
-    Among those not stable ("unstable") or on the axis ("axis"). Popov-Belevitch-Hautus: the mode is uncontrollable when
-    a left eigenvector is orthogonal to B.
+    Those not stable ("unstable") or on the axis ("axis"). Popov-Belevitch-Hautus: the mode is out of reach when
+    ``[A - s I, B]`` loses rank; its least singular value over the largest says how far from that it is.
     """
-    scale = max(float(np.linalg.norm(A, 2)), 1e-300)
+    scale = float(np.linalg.norm(A, 2)) if A.size else 0.0
+    found = []
     for value in np.linalg.eigvals(A):
-        if value.real < -1e-9 * max(scale, 1.0) if which == "unstable" else abs(value.real) > 1e-9 * scale:
+        if value.real < -1e-9 * scale if which == "unstable" else abs(value.real) > 1e-9 * scale:
             continue
         U, s, _ = np.linalg.svd(np.hstack([A - value * np.eye(A.shape[0]), B]))
-        if s[-1] < 1e-11 * s[0]:
-            return complex(value), int(np.argmax(np.abs(U[:, -1])))
-    return None
+        found.append((complex(value), float(s[-1] / (s[0] or 1.0)), int(np.argmax(np.abs(U[:, -1])))))
+    return found
+
+
+def _written(mode: complex) -> str:
+    return f"{mode.real:.4g}" if abs(mode.imag) < 1e-12 * abs(mode) else f"{mode.real:.4g}{mode.imag:+.4g}j"
 
 
 def _check_assumptions(p: _Parts, P: control.StateSpace) -> None:
@@ -390,14 +512,12 @@ def _check_assumptions(p: _Parts, P: control.StateSpace) -> None:
         (p.A, p.B2, f"not stabilisable by {', '.join(controls)}", "cannot be moved; remove it"),
         (p.A.T, p.C2.T, f"not detectable from {', '.join(measured)}", "is not seen; measure it"),
     ):
-        found = _uncontrollable(A, B, "unstable")
-        if found:
-            mode, state = found
-            value = f"{mode.real:.4g}" if abs(mode.imag) < 1e-12 else f"{mode.real:.4g}{mode.imag:+.4g}j"
-            raise MuflyError(
-                f"H-infinity synthesis: {start}: mode {value} rad/s (mainly state {states[state]!r}) {end} or make "
-                "its weight stable"
-            )
+        for mode, reach, state in _modes(A, B, "unstable"):
+            if reach < 1e-11:
+                raise MuflyError(
+                    f"H-infinity synthesis: {start}: mode {_written(mode)} rad/s (mainly state {states[state]!r}) "
+                    f"{end} or make its weight stable"
+                )
     for D, name, names, remedy in (
         (p.D12, "D12 (controls to errors)", controls, "give every control a weight at high frequency"),
         (p.D21.T, "D21 (disturbances to measurements)", measured, "give every measurement some noise"),
@@ -414,9 +534,9 @@ def _check_assumptions(p: _Parts, P: control.StateSpace) -> None:
         ((p.A - p.B2 @ D12i @ p.C1).T, ((np.eye(nz) - p.D12 @ D12i) @ p.C1).T, "(A, B2, C1, D12)"),
         (p.A - p.B1 @ D21i @ p.C2, p.B1 @ (np.eye(nw) - D21i @ p.D21), "(A, B1, C2, D21)"),
     ):
-        found = _uncontrollable(F, G, "axis")
-        if found:
-            raise MuflyError(
-                f"H-infinity synthesis: {name} has an invariant zero on the imaginary axis at {abs(found[0].imag):.4g} "
-                f"rad/s (mainly state {states[found[1]]!r}); let a weight act on it or set regularisation"
-            )
+        for zero, reach, state in _modes(F, G, "axis"):
+            if reach < 1e-11:
+                raise MuflyError(
+                    f"H-infinity synthesis: {name} has an invariant zero on the imaginary axis at {abs(zero.imag):.4g} "
+                    f"rad/s (mainly state {states[state]!r}); let a weight act on it or set regularisation"
+                )

@@ -335,13 +335,19 @@ def heave_yaw_scaling(plant: control.StateSpace) -> Scaling:
     For ``mufly-1.1`` that is 0.22 of the motor input, 1 m, 20 rad/s and 4 rad. Vehicles of another authority so get
     the same scaled plant, and much the same loop.
     """
+    unit = 4.4 / abs(float(heave_per_input(plant).sum()))
+    turn = float(np.abs(plant.B[plant.state_labels.index("r")]).mean())
+    rate = unit * turn / 5.0
+    return Scaling(outputs=(1.0, rate / 5.0, rate), inputs=(unit, unit))
+
+
+def heave_per_input(plant: control.StateSpace) -> Array:
+    """Vertical acceleration (m/s2, down) in the end per input of the lower and of the upper motor."""
     states = list(plant.state_labels)
     motors = [states.index("Omega_dw"), states.index("Omega_up")]
     speed = -np.linalg.solve(plant.A[np.ix_(motors, motors)], plant.B[motors])
-    unit = 4.4 / abs(float((plant.A[states.index("w"), motors] @ speed).sum()))
-    turn = float(np.abs(plant.B[states.index("r")]).mean())
-    rate = unit * turn / 5.0
-    return Scaling(outputs=(1.0, rate / 5.0, rate), inputs=(unit, unit))
+    gain: Array = plant.A[states.index("w"), motors] @ speed
+    return gain
 
 
 def roll_pitch_scaling(plant: control.StateSpace) -> Scaling:
