@@ -1,10 +1,10 @@
 """Does the identification find the truth, and do its intervals say how well? Many noise seeds of the demonstration.
 
-    python benchmarks/identify_seeds.py [--seeds 20] [--first 0] [--cma 0] [--json]
+    python benchmarks/identify_seeds.py [--seeds 20] [--first 0] [--cma 0] [--moving] [--json]
 
 For every seed twelve parameters start 50 % off. Printed: which converged, how often the truth is inside the 95 %
 intervals, prediction error of the flight that the fit did not see over the sensors' noise, seconds. ``--cma N`` repeats
-the first N seeds by CMA-ES and compares the costs.
+the first N seeds by CMA-ES and compares the costs; ``--moving`` begins the records in mid-flight.
 """
 
 from __future__ import annotations
@@ -33,13 +33,14 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--cma", type=int, default=0, help="repeat so many seeds by CMA-ES")
+    parser.add_argument("--moving", action="store_true", help="records begin in mid-flight")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     run_demo(seed=10_000)  # compiles
     cpu_start = time.process_time()
     rows = []
     for seed in range(arguments.first, arguments.first + arguments.seeds):
-        demo = run_demo(seed=seed)
+        demo = run_demo(seed=seed, moving=arguments.moving)
         row = {
             "seed": seed,
             "converged": demo.fit.converged,
@@ -52,7 +53,7 @@ def main() -> None:
             "message": demo.fit.message,
         }
         if seed - arguments.first < arguments.cma:
-            other = run_demo(seed=seed, method="cma")
+            other = run_demo(seed=seed, method="cma", moving=arguments.moving)
             row["cma"] = {
                 "cost_above_lm": cost_of(other.fit, demo.fit) - cost_of(demo.fit, demo.fit),
                 "seconds": other.fit.seconds, "simulations": other.fit.simulations,

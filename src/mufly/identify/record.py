@@ -87,6 +87,14 @@ class Record:
             self, outputs=tuple(self.outputs[k] for k in kept), measured=self.measured[:, kept]
         )  # fmt: skip
 
+    def part(self, start: int, stop: int) -> Record:
+        """Return samples ``start`` to ``stop`` (not included), on their clock."""
+        voltage = None if self.voltage is None else self.voltage[start:stop]
+        inputs, measured = self.inputs[start:stop], self.measured[start:stop]
+        return replace(
+            self, time_s=self.time_s[start:stop], inputs=inputs, measured=measured, voltage=voltage
+        )
+
 
 def record_from(data: xr.Dataset, name: str, *, prefix: str = "measured") -> Record:
     """Make a record of a recording.
@@ -276,9 +284,7 @@ def split(r: Record, share: float) -> tuple[Record, Record]:
         raise InputError(r.name, "", f"is too short to hold out {share:.0%} of it", "give a longer record")
 
     def part(a: int, b: int) -> Record:
-        name = f"{r.name} ({r.time_s[a]:.4g} to {r.time_s[b - 1]:.4g} s)"
-        voltage = None if r.voltage is None else r.voltage[a:b]
-        return Record(name, r.time_s[a:b], r.inputs[a:b], r.outputs, r.measured[a:b], voltage)
+        return replace(r.part(a, b), name=f"{r.name} ({r.time_s[a]:.4g} to {r.time_s[b - 1]:.4g} s)")
 
     return part(0, cut), part(cut, n)
 

@@ -306,6 +306,8 @@ def _sizes(fit: Fit) -> str:
 
 def _record(record: RecordFit, album: _Album, name: str) -> str:
     out = [f"<h2>{html.escape(record.name)} <small>({record.role})</small></h2>"]
+    if record.doubt:
+        out.append(f'<p class="warn">{html.escape(record.doubt)}.</p>')
     out.append(album.picture(f"{name}-prediction", lambda: pictures.prediction_picture(record), "Prediction"))
     if len(record.time_s) < _ENOUGH:
         return "\n".join(out)

@@ -23,6 +23,10 @@ from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.float64]
 
+FAR_OFF = (
+    10.0  # residuals over the sensor's noise from which a minimum, or a prediction, is not to be believed
+)
+
 
 @result
 class Estimate:
@@ -112,6 +116,10 @@ class RecordFit:
     inputs : (n, k) array
         Held from each sample to the next.
     input_names : tuple of str
+    converged : bool
+        Whether the search for the start values of a held-out record ended in a minimum.
+    doubt : str
+        Why a prediction is not to be believed, in words; empty if nothing speaks against it.
     """
 
     name: str
@@ -124,6 +132,8 @@ class RecordFit:
     noise_std: _Array
     inputs: _Array
     input_names: tuple[str, ...]
+    converged: bool = True
+    doubt: str = ""
 
     @property
     def residual(self) -> _Array:

@@ -247,6 +247,7 @@ def _print_rest(fit: Fit) -> None:
         ratios = zip(r.outputs, r.rms_over_noise(), strict=True)
         rows.append((r.name, r.role, ", ".join(f"{o} {v:.2f}" for o, v in ratios)))
     print_table(("record", "", "error over the sensor's noise (1: nothing else)"), rows, text=(0, 1, 2))
+    say(*(f"{r.doubt}." for r in fit.records if r.doubt), mark="Warning", style="red")
     state = "Converged" if fit.converged else "NOT converged"
     detail = "" if fit.message == "converged" else f" ({fit.message})"
     say(
@@ -266,7 +267,7 @@ def _json(fit: Fit) -> dict[str, Any]:
         "unseen": fit.unseen,
         "records": [
             {"name": r.name, "role": r.role, "outputs": r.outputs, "noise_std": r.noise_std,
-             "error_over_noise": r.rms_over_noise()}
+             "error_over_noise": r.rms_over_noise(), "converged": r.converged, "doubt": r.doubt}
             for r in fit.records
         ],
         "cost": fit.cost,
@@ -279,6 +280,9 @@ def _json(fit: Fit) -> dict[str, Any]:
 def demo(
     seed: Annotated[int, option("K", "Of pilot, noise and starts.", min=0)] = 0,
     method: Annotated[str, option("NAME", "lm or cma.")] = "lm",
+    moving: Annotated[
+        bool, option("--moving", "Records begin in mid-flight, not in a steady hover.")
+    ] = False,
     report: Annotated[Path | None, option("DIR", "Write report.html with its pictures there.")] = None,
     logs: Annotated[
         Path | None, option("DIR", "Write the five flights there (MCAP), for `identify flight`.")
@@ -295,9 +299,9 @@ def demo(
     check_folder("--report", report)
     check_folder("--logs", logs)
     if logs is not None:
-        _write_flights(logs, seed)
+        _write_flights(logs, seed, moving)
     with _fit_progress(not as_json) as on_progress:
-        shown = run_demo(seed=seed, method=method, on_progress=on_progress)  # type: ignore[arg-type]
+        shown = run_demo(seed=seed, method=method, moving=moving, on_progress=on_progress)  # type: ignore[arg-type]
     page = _report(shown.fit, report, not as_json)
     if as_json:
         print_json(shown.as_dict())
@@ -306,13 +310,13 @@ def demo(
     tell_files(page, "Report")
 
 
-def _write_flights(folder: Path, seed: int) -> None:
+def _write_flights(folder: Path, seed: int, moving: bool) -> None:
     from mufly.identify.flight.demo import demo_flights
     from mufly.identify.record import dataset_of
     from mufly.logs import write_log
     from mufly.vehicle import load_vehicle
 
-    fit, held = demo_flights(load_vehicle("mufly-1.1"), seed=seed)
+    fit, held = demo_flights(load_vehicle("mufly-1.1"), seed=seed, moving=moving)
     for r in (*fit, *held):
         write_log(dataset_of(r), folder / f"{r.name}.mcap")
 

@@ -46,6 +46,7 @@ NOISE = {
 _OUTPUTS = ("height", "roll", "pitch", "yaw", "p", "q", "r", "voltage")
 _HEIGHT = 1.5  # m
 _CHARGE = 0.7
+_LEAD_S = 2.0  # before the recorder of a flight that begins in motion
 
 
 @dataclass(frozen=True)
@@ -162,7 +163,7 @@ class _Pid:
 
 
 def demo_flights(
-    vehicle: Vehicle, *, seed: int = 0, seconds: float = 12.0
+    vehicle: Vehicle, *, seed: int = 0, seconds: float = 12.0, moving: bool = False
 ) -> tuple[list[Record], list[Record]]:
     """Fly the records of the demonstration.
 
@@ -174,6 +175,8 @@ def demo_flights(
         Of pilot and sensor noise.
     seconds : float
         Length of a flight.
+    moving : bool
+        Switch the recorder on in mid-flight, when rotors, bar and vehicle move already, instead of in a steady hover.
 
     Returns
     -------
@@ -181,9 +184,10 @@ def demo_flights(
         Yaw, heave, roll, pitch; mixed.
     """
     rng = np.random.default_rng(seed)
-    n = round(seconds / SAMPLE_S) + 1
+    before = round(_LEAD_S / SAMPLE_S) if moving else 0
+    n = round(seconds / SAMPLE_S) + 1 + before
     signals = _excitations(n, rng)
-    flown = {k: fly_record(vehicle, s, rng, name=f"demo-{k}") for k, s in signals.items()}
+    flown = {k: fly_record(vehicle, s, rng, name=f"demo-{k}").part(before, n) for k, s in signals.items()}
     return [flown[k] for k in ("yaw", "heave", "roll", "pitch")], [flown["mixed"]]
 
 
@@ -239,7 +243,7 @@ class Demo:
 
 
 def run_demo(
-    *, vehicle: str | Vehicle = "mufly-1.1", seed: int = 0, method: Method = "lm",
+    *, vehicle: str | Vehicle = "mufly-1.1", seed: int = 0, method: Method = "lm", moving: bool = False,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> Demo:  # fmt: skip
     """Fly, identify, compare.
@@ -251,13 +255,15 @@ def run_demo(
     seed : int
         Of pilot, sensor noise and starts.
     method : {"lm", "cma"}
+    moving : bool
+        Records begin in mid-flight; see :func:`demo_flights`.
     on_progress : callable, optional
         As in :func:`mufly.identify.fit_flights`.
 
     Thesis: Figs 5.3 to 5.6.
     """
     truth = load_vehicle(vehicle) if isinstance(vehicle, str) else vehicle
-    flights, held_out = demo_flights(truth, seed=seed)
+    flights, held_out = demo_flights(truth, seed=seed, moving=moving)
     rows = {r.symbol: r for r in parameters(truth)}
     true = {s: RADIO_DELAY_S if s == "delay" else float(rows[s].value) for s in DEMO_FREE}
     random = np.random.default_rng([seed, 1])

@@ -43,8 +43,10 @@ from mufly.identify.flight.problem import (
     make_problem,
     physical,
 )
+from mufly.identify.flight.starts import LEAST_GAIN, beginnings, settled
 from mufly.identify.record import INPUTS, Record, difference_noise, units_of
 from mufly.identify.result import (
+    FAR_OFF,
     Estimate,
     Fit,
     RecordFit,
@@ -59,12 +61,15 @@ from mufly.vehicle import Vehicle
 _Array = NDArray[np.float64]
 Method = Literal["lm", "cma"]
 
-_LEAST_GAIN = 0.01  # of cost: a tenth of a standard deviation
+_ABOVE = 1.5  # residuals over the sensor's noise that are worth a word
 _CHARGING_WINDOW_S = 1.5  # in which the voltage is simulated that sets the battery's charge
 _NORMAL_95 = 1.959964
 _SHORT = (0.1, 0.4, 1.5)
 _LONG = (3.0, 6.0)
 _FEWEST_SAMPLES = 8
+_FORGET_S = (
+    2.0  # in which rotors forget the speed that they began with, which is a guess while parameters are
+)
 _VOLTAGE_SLACK = 5.0  # voltage counts less while the battery's charge is not sought
 _RELAXATIONS = 2
 _NAMES = {"lm": "Levenberg-Marquardt on growing windows", "cma": "CMA-ES on growing windows"}
@@ -184,6 +189,7 @@ class _State:
     point: Point | None = None
     noise: list[_Array] | None = None
     charge: list[float] | None = None
+    begin: list[_Array] | None = None
     course: Course | None = None
 
 
@@ -196,6 +202,7 @@ class _Run:
     ) -> None:  # fmt: skip
         self._final, self._early, self._stages, self._method = final, early, stages, method
         self._seed, self._restarts, self._on_progress = seed, restarts, on_progress
+        self._shortest_s = min(float(r.time_s[-1] - r.time_s[0]) for r in final.records)
         self._place: Path | None = None
         self._digest = ""
         self.state = _State()
@@ -209,6 +216,8 @@ class _Run:
             self.state.point = _point_from(kept["point"])
             if kept["noise"] is not None:
                 self.state.noise = [np.array(n) for n in kept["noise"]]
+            if kept["begin"] is not None:
+                self.state.begin = [np.array(b) for b in kept["begin"]]
             if (c := kept["course"]) is not None:
                 self.state.course = Course(c["told"], _point_from(c["reference"]), _point_from(c["origin"]))
 
@@ -230,20 +239,45 @@ class _Run:
             problem = (self._early if stage.early else final).in_windows(stage.window_s, hover=stage.hover)
             if not last:
                 problem = problem.with_noise(_slack(problem))
+            if k == 0 and not last:
+                problem = replace(problem, blind_s=min(_FORGET_S, self._shortest_s / 4))
             rounds = 1 + (_RELAXATIONS if last else 0)
             for r in range(state.round if k == state.stage else 0, rounds):
                 if last and state.noise is not None:
                     problem = problem.with_noise(state.noise)
-                point = Point(theta, problem.rest(), np.inf, 1e-2, flown)
+                if stage.window_s is not None and k > 0:
+                    if not resumed or state.begin is None:
+                        state.begin = beginnings(problem, theta)
+                    problem = problem.begun(state.begin)
                 if state.point is not None and state.stage == k:
                     point = state.point
+                else:
+                    states = problem.rest()
+                    if stage.window_s is None:
+                        found = settled(problem, theta)
+                        states, flown = found.states, flown + found.simulations
+                    point = Point(theta, states, np.inf, 1e-2, flown)
+                resumed = False
                 state.stage, state.round = k, r
                 point, converged = self._solve(problem, point, stage, k)
+                if last and stage.window_s is None and max(_above_noise(problem).values()) > _ABOVE:
+                    point, converged = self._again(problem, point, stage, k, converged)
                 state.course, state.iteration, state.point = None, 0, point
                 theta, flown = point.theta, point.simulations
                 if last and r + 1 < rounds:
                     state.noise = _learnt_noise(problem, point)
         return point, problem, converged
+
+    def _again(
+        self, problem: Problem, point: Point, stage: _Stage, k: int, converged: bool
+    ) -> tuple[Point, bool]:
+        """Solve again if the starts of the records are better sought anew at the parameters that were found."""
+        found = settled(problem, point.theta)
+        cost = float(problem.cost(point.theta[None], [s[None] for s in found.states])[0])
+        flown = point.simulations + found.simulations
+        if not cost < point.cost - 1.0:
+            return replace(point, simulations=flown), converged
+        return self._solve(problem, Point(point.theta, found.states, cost, 1e-2, flown), stage, k)
 
     def _hover_start(self) -> _Array:
         hover = self._early.in_windows(None, hover=True)
@@ -277,7 +311,7 @@ class _Run:
             left = max(2, stage.iterations - self.state.iteration)
             return descend(
                 problem, replace(point, damping=min(point.damping, 1e-2)), iterations=left,
-                tolerance=stage.tolerance, least_gain=_LEAST_GAIN, on_iteration=reached,
+                tolerance=stage.tolerance, least_gain=LEAST_GAIN, on_iteration=reached,
             )  # fmt: skip
         return evolve(
             problem, point, seed=self._seed + k, generations=stage.iterations, course=self.state.course,
@@ -369,9 +403,13 @@ def _outcome(
     q = np.linalg.qr(linear.jacobian[:, ~at_bound])[0]
     gain = 0.5 * float(np.sum((q.T @ linear.here) ** 2))
     notes = _notes(problem, at_bound, coloured)
-    settled = gain < 10 * _LEAST_GAIN
-    if not settled:
+    above = _above_noise(problem)
+    there = gain < 10 * LEAST_GAIN
+    if not there:
         notes.insert(0, f"not at a minimum: a linear step promises {gain:.2g} of cost {point.cost:.6g}")
+    elif max(above.values()) > FAR_OFF:
+        there = False
+        notes.insert(0, "the minimum that was found is not that of a flight with this noise")
     std = np.sqrt(np.diag(covariance))
     values = physical(free, point.theta)
     ends = np.sort([physical(free, point.theta + side * _NORMAL_95 * std) for side in (-1, 1)], axis=0)
@@ -392,7 +430,7 @@ def _outcome(
         method=f"output error, {method}, {problem.part}",
         simulations=point.simulations + flown + linear.flights,
         seconds=0.0,
-        converged=converged and settled,
+        converged=converged and there,
         message="; ".join(notes) if notes else "converged",
         records=tuple(_record_fit(problem, i, point, "fit") for i in range(len(problem.flights))),
     )
@@ -402,11 +440,7 @@ def _notes(problem: Problem, at_bound: NDArray[np.bool_], coloured: bool) -> lis
     """Return what a reader of the estimates has to know."""
     held = [f.symbol for f, b in zip(problem.free, at_bound, strict=True) if b]
     notes = [f"{symbol} stopped at its bound: its interval does not hold" for symbol in held]
-    ratios: dict[str, float] = {}
-    for f in problem.flights:
-        for o, ratio in zip(f.record.outputs, f.noise / difference_noise(f.record), strict=True):
-            ratios[o] = max(ratios.get(o, 0.0), float(ratio))
-    large = [f"{o} ({v:.1f} times)" for o, v in ratios.items() if v > 1.5]
+    large = [f"{o} ({v:.1f} times)" for o, v in _above_noise(problem).items() if v > _ABOVE]
     if large:
         notes.append(
             f"residuals above the sensor noise: {', '.join(large)}; wind or the model; try windows of 3 s"
@@ -414,6 +448,15 @@ def _notes(problem: Problem, at_bound: NDArray[np.bool_], coloured: bool) -> lis
     if coloured:
         notes.append("residuals are coloured; the intervals account for it")
     return notes
+
+
+def _above_noise(problem: Problem) -> dict[str, float]:
+    """Return how far the noise that was learnt is above the sensor's, the worst record of every output."""
+    ratios: dict[str, float] = {}
+    for f in problem.flights:
+        for o, ratio in zip(f.record.outputs, f.noise / difference_noise(f.record), strict=True):
+            ratios[o] = max(ratios.get(o, 0.0), float(ratio))
+    return ratios
 
 
 def _record_fit(problem: Problem, i: int, point: Point, role: Literal["fit", "held out"]) -> RecordFit:
@@ -438,10 +481,18 @@ def _predicted(
     }
     own = own.with_noise([np.array([noise[o] for o in own.records[0].outputs])])
     own = own.in_windows(_CHARGING_WINDOW_S).with_charge(theta).in_windows(None)
-    fixed = tuple(replace(f, low=t, high=t) for f, t in zip(own.free, theta, strict=True))
-    held = replace(own, free=fixed)
-    point, _ = descend(held, Point(theta, held.rest(), np.inf), iterations=25, tolerance=1e-6)
-    return _record_fit(held, 0, point, "held out")
+    found = settled(own, theta)
+    predicted = _record_fit(own, 0, Point(theta, found.states, np.inf), "held out")
+    ratios, doubt = predicted.rms_over_noise(), ""
+    worst = int(np.argmax(ratios))
+    if not found.converged[0]:
+        doubt = f"{record.name}: its start values were not found, so that its prediction says nothing"
+    elif ratios[worst] > FAR_OFF:
+        doubt = (
+            f"{record.name}: {predicted.outputs[worst]} is predicted with an error of {ratios[worst]:.0f} times the "
+            "sensor's noise, at the best start that was found; wind or the model"
+        )
+    return replace(predicted, converged=found.converged[0], doubt=doubt)
 
 
 def _part_of(f: Free) -> str:

@@ -266,6 +266,7 @@ _SEEN_BY = {
 # Small enough that the bend of a whole record's valley does not show, and far above round-off.
 _DELTA_THETA, _DELTA_STATE = 1e-7, 1e-6
 _HOVER_TOLERANCE = 0.02
+_FEWEST = 20  # samples from which a start is sought
 _HELD_VOLTAGE = 100.0  # of roll-pitch, where motors only have to hold their speed
 
 
@@ -303,6 +304,8 @@ class Prepared:
         Of :func:`batch_parameters`.
     charge : float
         Of the battery at the start, as far as it is not sought.
+    begin : (5,) array
+        What ``ACTUATOR`` is counted from at the start: speeds as a share of the steady ones, tilts, charge.
     volts : (float, float)
         Voltage in the first moments and on average.
     starts : (windows,) array
@@ -319,6 +322,7 @@ class Prepared:
     base: NDArray[np.void]
     powers: dict[str, _Array]
     charge: float
+    begin: _Array
     volts: tuple[float, float]
     starts: NDArray[np.int64]
     sought: NDArray[np.int64]
@@ -335,6 +339,7 @@ class Problem:
     hover: bool
     prior: bool
     delay_s: float
+    blind_s: float = 0.0  # at the beginning of every record, where nothing is compared
 
     @property
     def records(self) -> tuple[Record, ...]:
@@ -381,9 +386,30 @@ class Problem:
             sought.append(_sought(r.outputs, self.part, whole=count == 1))
         return dataclasses_replace(self._each(starts=starts, sought=sought), hover=hover)
 
+    def first(self, seconds: float) -> Problem:
+        """Return the problem with the first ``seconds`` of every record, each as one window."""
+        flights = []
+        for f in self.flights:
+            n = max(_FEWEST, round(seconds / f.record.sample_s) + 1)
+            flights.append(
+                dataclasses_replace(
+                    f,
+                    record=f.record.part(0, n),
+                    motion=f.motion[:n],
+                    mast=f.mast[:n],
+                    inputs=f.inputs[:n],
+                    starts=f.starts[:1],
+                )
+            )
+        return dataclasses_replace(self, flights=tuple(flights))
+
     def with_noise(self, noise: Sequence[_Array]) -> Problem:
         """Return the problem with other noise."""
         return self._each(noise=noise)
+
+    def begun(self, begin: Sequence[_Array]) -> Problem:
+        """Return the problem with rotors, bars and batteries that begin so."""
+        return self._each(begin=begin)
 
     def charged(self, charge: Sequence[float]) -> Problem:
         """Return the problem with these charges of the batteries."""
@@ -416,7 +442,7 @@ class Problem:
         inner = f.sought < len(MOTION)
         motion[:, :, f.sought[inner]] += states[:, :, inner]
         offset[:, f.sought] = states[:, 0, :]
-        actuator = offset[:, len(MOTION) :]
+        actuator = offset[:, len(MOTION) :] + f.begin
 
         hold = np.full((b, 2), -1.0)
         if self.part == "roll-pitch":
@@ -446,6 +472,7 @@ class Problem:
         y = self.simulate(i, theta, states)
         y -= self.records[i].measured
         y /= self.flights[i].noise
+        y[:, : round(self.blind_s / self.records[i].sample_s)] = 0.0
         return np.nan_to_num(y, copy=False, nan=0.0)
 
     def residuals(self, theta: _Array, states: Sequence[_Array]) -> list[_Array]:
@@ -477,6 +504,14 @@ class Problem:
         e = self.residual(i, thetas, starts)
         slope = np.moveaxis(e[1:] - e[0], 0, -1)
         return Linear(e[0], slope[..., :t] / _DELTA_THETA, slope[..., t:] / _DELTA_STATE)
+
+    def by_start(self, i: int, theta: _Array, states: _Array) -> tuple[_Array, _Array]:
+        """Return the residual (n, m) of record ``i`` and its derivative (n, m, k) by the start values alone."""
+        k = states.shape[1]
+        starts = np.repeat(states[None], 1 + k, axis=0)
+        starts[1 + np.arange(k), :, np.arange(k)] += _DELTA_STATE
+        e = self.residual(i, np.repeat(theta[None], 1 + k, axis=0), starts)
+        return e[0], np.moveaxis(e[1:] - e[0], 0, -1) / _DELTA_STATE
 
     def hover_residual(self, theta: _Array) -> _Array:
         """Return what eq. 5.1 lacks at the mean motor inputs, over its tolerance, (b, 2 records) or (b, 0)."""
@@ -567,8 +602,8 @@ def _prepared(
         held = (constant, constant)
     base, powers = batch_parameters(vehicle, free, constant)
     mast = bar_normal(motion[:, 6:9], np.zeros((len(motion), 2)))
-    none = np.zeros(0, dtype=np.int64)
-    return Prepared(r, difference_noise(r), motion, mast, u, base, powers, charge, held, none, none)
+    none, begin = np.zeros(0, dtype=np.int64), np.zeros(len(ACTUATOR))
+    return Prepared(r, difference_noise(r), motion, mast, u, base, powers, charge, begin, held, none, none)
 
 
 def _volts(vehicle: Vehicle, r: Record, voltage: str | float) -> _Array | float | None:
