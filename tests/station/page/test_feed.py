@@ -273,7 +273,7 @@ def test_the_flight_is_told_behind_a_recording_with_its_last_warning(
     assert not told["s"]["flying"]  # the recording
     flight = told["about"]["flight"]
     assert (flight["flying"], flight["state"], flight["height"]) == (True, "hover", 1.5)
-    assert flight["alert"] == ["warning", "it swings"]
+    assert flight["alert"] == ["warning", "it swings", pytest.approx(5.0)]
     vehicle.go(2000)
     assert frame(feed)["about"]["flight"]["alert"] is None  # 25 s later it is history
     assert view.vehicle() is None

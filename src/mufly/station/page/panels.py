@@ -22,7 +22,7 @@ from nicegui.events import GenericEventArguments, UploadEventArguments
 from mufly.errors import MuflyError
 from mufly.mission import Mission, dump_mission, mission_from
 from mufly.station.history import MissionRow, Outcome, Request
-from mufly.station.page.session import FLIGHT, View, find_recordings, parameter_file, read_parameter_file
+from mufly.station.page.session import View, find_recordings, is_flight, parameter_file, read_parameter_file
 from mufly.station.remote import RemoteVehicle
 from mufly.station.replay import open_recording
 from mufly.station.transfers import refused
@@ -359,8 +359,6 @@ def parameter_drawer(view: View) -> Callable[[], None]:
 def recording_drawer(view: View) -> Callable[[], None]:
     """List of recordings; one is opened in the same page. Returns the function that looks for them again."""
     folder = view.session.folder
-    # Those of a flight are named with its folder, as those of the flights beside it are.
-    here = folder.parent if any((folder / name).is_file() for name in FLIGHT) else folder
 
     async def show(path: Path) -> None:
         request = Request(f"open {path.name}")
@@ -382,7 +380,7 @@ def recording_drawer(view: View) -> Callable[[], None]:
             await e.file.save(path)
             await show(path)
 
-    def row(path: Path) -> None:
+    def row(path: Path, here: Path) -> None:
         about = path.stat()
         with element("tr"):
             with element("td"):
@@ -394,9 +392,13 @@ def recording_drawer(view: View) -> Callable[[], None]:
     def fill() -> None:
         holder.clear()
         found = find_recordings(folder)
+        # Those of a flight are named with its folder, as those of the flights beside it are.
+        here = folder.parent if is_flight(folder) else folder
+        place._text = f"in {here}"
+        place.update()
         with holder, element("table", classes="mf-table"), element("tbody"):
             for path in found:
-                row(path)
+                row(path, here)
             if not found:
                 with element("tr"):
                     element("td", "no recordings there yet", "mf-empty")
@@ -405,7 +407,7 @@ def recording_drawer(view: View) -> Callable[[], None]:
         button("Refresh", fill, title="look for recordings again")
         endings = ".mcap,.tlog,.ulg,.csv,.bin"
         _pick("Open a file…", endings, uploaded, "recording-file", MOST_RECORDING_BYTES)
-        element("span", f"in {here}", "mf-dim mf-note")
+        place = element("span", "", "mf-dim mf-note")
     holder = element("div", classes="mf-scroll")
     fill()
     return fill

@@ -13,6 +13,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from mufly.world import World
 
 ENDINGS = (".mcap", ".tlog", ".ulg", ".csv", ".bin", ".parquet", ".nc")
 MOST_RECORDINGS = 200
-FLIGHT = ("flight.mcap", "station.mcap")
+_FLIGHT = ("flight.mcap", "station.mcap")
 """What the folder of a flight holds, one or both."""
 MOST_STEPS = 200
 GRACE_S = 1.0
@@ -211,13 +212,13 @@ class View:
             return None
         s = v.snapshot
         others = [o.name for o in self.session.vehicles() if o is not v and o.snapshot.armed]
-        told = next((m for m in reversed(v.messages) if m.level != "info"), None)
-        fresh = told is not None and not s.time_s - told.time_s > ALERT_S
+        fresh = takewhile(lambda m: not s.time_s - m.time_s > ALERT_S, reversed(v.messages))
+        told = next((m for m in fresh if m.level != "info"), None)
         return {
             "name": v.name, "connected": s.connected, "silent_s": s.silent_s, "armed": s.armed, "flying": s.flying,
             "state": s.state, "height": -float(s.estimate.position[2]), "others": others,
             "pace": pace(s), "slow": s.real_time_factor < SLOW,
-            "alert": (told.level, told.text) if told is not None and fresh else None,
+            "alert": None if told is None else (told.level, told.text, s.time_s - told.time_s),
         }  # fmt: skip
 
     def baseline(self) -> Mapping[str, float]:
@@ -276,9 +277,14 @@ def find_recordings(folder: Path) -> list[Path]:
     with contextlib.suppress(OSError):
         for beside in folder.absolute().parent.iterdir():
             with contextlib.suppress(OSError):  # a folder of somebody else
-                if beside != folder.absolute() and any((beside / name).is_file() for name in FLIGHT):
+                if beside != folder.absolute() and is_flight(beside):
                     found |= set(_recordings(beside.iterdir()))
     return sorted(found, key=lambda p: p.stat().st_mtime, reverse=True)[:MOST_RECORDINGS]
+
+
+def is_flight(folder: Path) -> bool:
+    """Whether a folder is that of a flight."""
+    return any((folder / name).is_file() for name in _FLIGHT)
 
 
 def _recordings(paths: Iterable[Path]) -> Iterator[Path]:

@@ -75,6 +75,15 @@ export function niceStep(span, count) {
   return power * (r <= 1 ? 1 : r <= 2 ? 2 : r <= 5 ? 5 : 10);
 }
 
+// The step of an axis so many pixels long: of 1, 2, 5, 10 ..., with at least two numbers on it however short it is.
+export function tickStep(low, high, pixels) {
+  let step = niceStep(high - low, Math.max(2, pixels / 26));
+  while (Math.floor(high / step) - Math.ceil(low / step) < 1) {
+    step /= Math.round(step / 10 ** Math.floor(Math.log10(step) + 1e-9)) === 5 ? 2.5 : 2;
+  }
+  return step;
+}
+
 export function number(value, digits = 2) {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
   const text = value.toFixed(digits);

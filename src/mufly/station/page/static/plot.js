@@ -1,17 +1,11 @@
 // One plot: a quantity over time. Colour tells the component, the kind of line tells who says so.
 import { live } from "./live.js";
-import { FONT, canvas, colours, niceStep, number } from "./draw.js";
+import { FONT, canvas, colours, niceStep, number, tickStep } from "./draw.js";
 
 export const DASHES = { estimated: [], measured: [1.5, 2.5], reference: [7, 4], truth: [10, 3, 2, 3], "": [] };
 const WIDTHS = { estimated: 1.7, measured: 1.4, reference: 1.5, truth: 1.1, "": 1.6 };
 const LEFT = 46, BOTTOM = 18, TOP = 6, RIGHT = 8;
 const BREAK_S = 0.6;
-
-// The next one down of 1, 2, 5, 10 ...
-function finer(step) {
-  const lead = Math.round(step / 10 ** Math.floor(Math.log10(step) + 1e-9));
-  return step / (lead === 5 ? 2.5 : 2);
-}
 
 // span() returns { from, to } of the time axis; onSpan(from, to) asks for another one, onSpan(null) for the live one.
 export function plot(element, label, span, onSpan) {
@@ -91,20 +85,12 @@ export function plot(element, label, span, onSpan) {
   // Above it stands the unit.
   const top = (g) => g.y0 + (unit ? 12 : 0);
 
-  // A step that leaves at least two numbers on the axis, however low the plot is.
-  function tickStep(g) {
-    const free = (g.high - g.low) * (1 - (top(g) - g.y0) / (g.y1 - g.y0)), most = g.low + free;
-    let step = niceStep(g.high - g.low, Math.max(2, (g.y1 - g.y0) / 26));
-    while (Math.floor(most / step) - Math.ceil(g.low / step) < 1) step = finer(step);
-    return step;
-  }
-
   function grid(ctx, g) {
     ctx.font = `10px ${FONT}`;
     ctx.fillStyle = colours.dim;
     ctx.strokeStyle = colours.grid;
     ctx.lineWidth = 1;
-    const step = tickStep(g);
+    const step = tickStep(g.low, g.high - (top(g) - g.y0) / g.sy, g.y1 - top(g));
     const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
     ctx.textAlign = "right";
     ctx.textBaseline = "middle";

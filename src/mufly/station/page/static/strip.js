@@ -6,9 +6,8 @@ const REFRESH_MS = 180;
 
 export function mount(element) {
   const what = el("strong", { class: "mf-strip-what" }), how = el("span", { class: "mf-num" });
-  const pace = el("span", { class: "mf-strip-pace mf-num" });
-  const about = el("span", { class: "mf-strip-about", role: "status" });
-  element.append(el("div", { class: "mf-strip-line" }, what, how, pace), about);
+  const pace = el("span", { class: "mf-strip-pace mf-num" }), when = el("span", { class: "mf-num" }), about = el("span", { role: "status" });
+  element.append(el("div", { class: "mf-strip-line" }, what, how), el("div", { class: "mf-strip-about" }, pace, when, about));
   let at = 0, said = "";
 
   function show(flight) {
@@ -21,9 +20,11 @@ export function mount(element) {
     pace.title = f.pace ? "the vehicle's clock against this machine's, of late; a slip is time that was given up" : "";
     pace.dataset.level = f.slow ? "warn" : "";
     const others = f.others?.length ? `; armed too: ${f.others.join("; ")}` : "";
-    tell(f.alert ? f.alert[0] : "", f.alert ? f.alert[1] : flight ? f.name + others : "");
+    const [level, words, age] = f.alert || ["", flight ? f.name + others : "", 0];
+    tell(level, words, age);
   }
-  function tell(level, text) {
+  function tell(level, text, age = 0) {
+    put(when, age >= 2 ? `${number(age, 0)} s ago` : "");
     if (said === level + text) return;
     said = level + text;
     about.dataset.level = level;
