@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from mufly.identify.linear.check import equation_error
+from mufly.identify.linear.equation import equation_error
 from mufly.identify.linear.fit import fit_linear, predict_linear
 from mufly.identify.linear.structure import model_named, simulate_linear
 from mufly.identify.record import lowpassed

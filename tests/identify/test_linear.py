@@ -8,19 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from scipy.signal import lfilter
 from typer.testing import CliRunner
 
 from mufly.cli import app
-from mufly.errors import InputError
+from mufly.errors import ArgumentError, InputError
 from mufly.identify import Columns, identify_linear, read_columns
 from mufly.identify.linear.check import (
     cross_validate,
     disturbance_model,
-    equation_error,
     noise_floor,
     predict_ahead,
     subspace,
 )
+from mufly.identify.linear.equation import equation_error
+from mufly.identify.linear.equations import identify_equations
 from mufly.identify.linear.fit import fit_linear, predict_linear
 from mufly.identify.linear.frequency import fit_spectral
 from mufly.identify.linear.structure import (
@@ -244,6 +246,127 @@ def test_noise_floor_is_the_noise_put_in():
     assert f.total == pytest.approx(0.1, rel=0.05)
     assert f.below == pytest.approx(0.1 * np.sqrt(0.1), rel=0.15)
     assert f.input_share > 0.95
+
+
+def test_gains_follow_the_unit_of_the_input_whatever_their_size():
+    """Bounds of 200 1/s^2 once stopped the gains of vehicles whose inputs are small numbers, without a word."""
+    structure, truth, u, y = made(800, noise=0.02)
+    plain = fit_linear(structure, u, y, DT, starts=1)
+    for unit in (1e-3, 1e4):
+        f = fit_linear(structure, unit * u, y, DT, starts=1)
+        gains = [s.endswith(("_lat", "_lon")) and s[0] in "LM" for s in structure.symbols]
+        assert f.values == pytest.approx(plain.values / np.where(gains, unit, 1.0), rel=1e-4, abs=1e-6 / unit)
+        assert "at a bound" not in f.message
+    assert plain.values == pytest.approx(truth, rel=0.3, abs=0.05)
+
+
+def test_a_bound_that_acts_is_said():
+    structure, _, u, y = made(800, noise=0.02)
+    late = np.roll(y, 10, axis=0)[20:]  # 0.4 s, where 0.3 s is the most
+    f = fit_linear(structure, u[20:], late, DT, starts=1)
+    assert "at a bound" in f.message
+    assert "tau_lat = 0.3 s" in f.message
+
+
+def test_one_bad_candidate_is_reported_and_passed_over(log, monkeypatch):
+    def failing(structure, *args, **kinds):
+        if structure.name.startswith("hybrid"):
+            raise ArgumentError("structure", structure.name, "cannot be simulated", "try a simpler one")
+        return cross_validate(structure, *args, **kinds)
+
+    monkeypatch.setattr("mufly.identify.linear.identification.cross_validate", failing)
+    kinds = {"starts": 1, "rate_hz": 12.5, "outputs": {"p": "p", "q": "q"}}
+    record, inputs = read_columns(log), {"lat": "lat", "lon": "lon"}
+    r = identify_linear(record, inputs, candidates=("hybrid-coupled", "first-order"), **kinds)
+    assert [c.name for c in r.candidates] == ["first-order"]
+    assert any("hybrid-coupled was left out" in n and "cannot be simulated" in n for n in r.notes)
+    with pytest.raises(InputError, match="cannot be simulated"):
+        identify_linear(record, inputs, candidates=("hybrid",), **kinds)
+
+
+# --- equation error ---------------------------------------------------------------------------------------------------
+
+ROLL = {"L_p": -2.0, "L_lat": 60.0, "M_q": -1.0, "M_lon": 40.0, "M_p*r": -0.8}
+
+
+def flown(seed, n=2000, dt=0.01, noise=0.02):
+    """Roll, pitch and yaw under a rate loop that follows a reference, gusts, actuators with lag and delay."""
+    rng = np.random.default_rng(seed)
+    reference = lowpassed(np.repeat(rng.normal(size=(n // 50 + 1, 2)), 50, axis=0)[:n], dt, 3.0)
+    gust = np.stack([lfilter([0.05], [1.0, -0.98], rng.normal(size=n)) for _ in range(2)], axis=1)
+    r = lowpassed(rng.normal(size=(n, 1)), dt, 0.5)[:, 0] * 8.0
+    a = np.exp(-dt / 0.05)
+    x, lagged, y, u = np.zeros(2), np.zeros(2), np.empty((n, 3)), np.zeros((n, 2))
+    for k in range(n):
+        y[k] = [*x, r[k]] + noise * rng.normal(size=3)
+        u[k] = 0.08 * (reference[k] - y[k, :2])
+        lagged = a * lagged + (1.0 - a) * u[max(k - 2, 0)]
+        gyro = np.array([0.0, ROLL["M_p*r"] * x[0] * r[k]])
+        x = x + dt * (
+            np.array([-2.0, -1.0]) * x + np.array([60.0, 40.0]) * lagged + gyro + gust[k] + [0.3, 0.0]
+        )
+    columns = dict(zip(("p", "q", "r"), y.T, strict=True)) | {
+        "lat": u[:, 0],
+        "lon": u[:, 1],
+        "still": 0.0 * u[:, 0],
+    }
+    return Columns(f"flight {seed}", dt * np.arange(n), columns)
+
+
+@pytest.mark.parametrize("domain", ["time", "frequency"])
+def test_equations_of_a_vehicle_under_feedback_are_found_term_by_term(domain):
+    names = {
+        "inputs": {"lat": "lat", "lon": "lon", "col": "still"},
+        "outputs": {"p": "p", "q": "q", "r": "r"},
+    }
+    m = identify_equations(
+        [flown(1), flown(2)],
+        held_out=[flown(3)],
+        products=True,
+        domain=domain,
+        cut_hz=8.0,
+        low_hz=0.1,
+        **names,
+    )
+    p, q, _ = m.equations
+    found = {s: (v, d) for e in (p, q) for s, v, d in zip(e.symbols, e.value, e.std, strict=True)}
+    assert {"L_lat", "M_lon", "M_p*r"} <= set(found)
+    assert len(set(found) - set(ROLL)) <= 2
+    assert found["M_p*r"][0] == pytest.approx(-0.8, rel=0.2 if domain == "frequency" else 0.3)
+    for symbol in ("L_lat", "M_lon"):
+        assert found[symbol][0] == pytest.approx(ROLL[symbol], rel=0.1)
+    # The hold of the computer's outputs adds half a sample to the two of the delay.
+    assert p.lag_s + p.delay_s == pytest.approx(0.05 + 0.025, abs=0.01)
+    assert p.steps[0].term == "+lat"
+    assert any("col never moved" in n for n in m.notes)
+    held = {s.output: s for s in m.scores if s.role == "held out"}
+    for o in ("p", "q"):
+        assert held[o].derivative > 60.0
+        assert held[o].ahead > held[o].last_value_ahead + 20.0
+        assert held[o].in_band > 30.0
+
+
+def test_intervals_of_the_equation_error_hold_under_feedback_and_gusts():
+    off, white = [], []
+    for seed in range(100, 108):
+        (e,) = identify_equations(
+            [flown(seed, noise=0.002)], {"lat": "lat"}, {"p": "p"}, cut_hz=8.0, low_hz=0.2
+        ).equations
+        k = e.symbols.index("L_lat")
+        off.append(abs(e.value[k] - ROLL["L_lat"]) / e.std[k])
+        white.append(e.std_white[k] / e.std[k])
+    assert np.mean(np.array(off) < 1.96) >= 0.75
+    assert max(white) <= 1.0
+
+
+def test_a_sum_of_columns_is_an_input_and_what_is_none_is_said():
+    t = np.arange(30.0)
+    r = Columns("x", t, {"m1": t, "m2": 2 * t, "a-b": 3 * t})
+    assert r.stack({"lat": "m2-m1", "lon": "-0.5*m1+1e-1*m2", "ped": "a-b"}, "inputs") == pytest.approx(
+        np.c_[t, -0.3 * t, 3 * t]
+    )
+    with pytest.raises(InputError, match="'k' is no number"):
+        r.stack({"lat": "k*m1"}, "inputs")
 
 
 # --- from file to report ----------------------------------------------------------------------------------------------

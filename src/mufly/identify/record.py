@@ -17,6 +17,7 @@ becomes ``measured_rates.p``, for which ``p`` is enough where only one signal en
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -411,6 +412,41 @@ class Columns:
         raise ArgumentError(
             argument, name, problem, f"write {name}=COLUMN with one of: {', '.join(best) or shown}"
         )
+
+    def stack(self, wanted: Mapping[str, str], argument: str) -> Array:
+        """Return columns side by side, (n, k), each a column or a sum of columns: ``-q``, ``m1-m2``, ``9.81*az``.
+
+        Parameters
+        ----------
+        wanted : dict
+            Our names to what stands for them: names of columns with ``+`` or ``-`` before, and a factor with ``*``.
+        argument : str
+            What asked for them, for errors.
+
+        Raises
+        ------
+        ArgumentError
+            If nothing is wanted, or a column is not there.
+        """
+        if not wanted:
+            raise ArgumentError(argument, "", "names nothing", "give names from the log, such as p,q")
+        return np.column_stack([self._sum(text or name, argument) for name, text in wanted.items()])
+
+    def _sum(self, text: str, argument: str) -> Array:
+        known = (*self.columns, *self.empty)
+        parts = (
+            [text] if text in known else re.findall(r"[+-]?[^+-]+(?:(?<=\de)[+-]\d+[^+-]*)?", text) or [text]
+        )
+        total = np.zeros(len(self.time_s))
+        for part in parts:
+            size, times, name = part.lstrip("+-").partition("*")
+            try:
+                factor = float(size) if times else 1.0
+            except ValueError:
+                raise ArgumentError(argument, text, f"{size!r} is no number", "write 9.81*COLUMN") from None
+            column = self.find((name if times else size).strip(), argument)
+            total = total + (-factor if part.startswith("-") else factor) * column
+        return total
 
     def part(self, start: int, stop: int) -> Columns:
         """Return samples ``start`` to ``stop`` (not included)."""

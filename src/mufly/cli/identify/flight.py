@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mufly.cli.identify import bench
+from mufly.cli.identify import bench, linear
 from mufly.cli.options import Commands, JsonOption, argument, one_of, option, today, write_vehicle
 from mufly.cli.present import (
     check_file,
@@ -24,10 +24,9 @@ from mufly.cli.present import (
     tell_files,
 )
 from mufly.errors import InputError
-from mufly.results import plain
 
 if TYPE_CHECKING:
-    from mufly.identify import Demo, Fit, LinearResult, Progress, Record
+    from mufly.identify import Demo, Fit, Progress, Record
 
 _PARTS = ("both", "heave-yaw", "roll-pitch", "split")
 
@@ -337,144 +336,4 @@ def _print_demo(shown: Demo) -> None:
 
 
 bench.add_to(app)
-
-
-@app.command()
-def linear(
-    log: Annotated[Path, argument("LOG", "CSV, MATLAB file, or any flight log that `mufly log` reads.")],
-    inputs: Annotated[
-        str,
-        option(
-            "NAMES",
-            "lat, lon, ped, col, each with =COLUMN if the log calls it otherwise; =-COLUMN turns the sign.",
-        ),
-    ] = "lat,lon,ped,col",
-    outputs: Annotated[
-        str, option("NAMES", "Some of p, q, r, phi, theta, u, v, w, with =COLUMN where needed.")
-    ] = "p,q,r",
-    columns: Annotated[
-        list[str] | None,
-        option(
-            "[ARRAY=]NAMES",
-            "Names of a file's columns where it has none: a,b,c for CSV, inr=lat,lon,ped,col for an "
-            "array of a MATLAB file ('-' skips one). May be repeated.",
-        ),
-    ] = None,
-    model: Annotated[
-        str,
-        option(
-            "NAME",
-            "auto (cross-validated inside the fitted part), helicopter (hybrid flapping, coupled, "
-            "yaw gyro), or first-order, second-order, hybrid with any of -coupled, -collective, "
-            "-gyro, -speed, -skew.",
-        ),
-    ] = "auto",
-    split: Annotated[float, option("SHARE", "First share of the record that the fit may see; 1: all.")] = 0.5,
-    split_at: Annotated[
-        float | None, option("S", "The same as a time in the record (s), before --split.")
-    ] = None,
-    start_s: Annotated[float | None, option("--from S", "Begin at this time (s).")] = None,
-    end_s: Annotated[float | None, option("--to S", "End at this time (s).")] = None,
-    lowpass: Annotated[
-        float, option("HZ", "Inputs and outputs are filtered alike for the fit; 0: not at all.")
-    ] = 5.0,
-    rate: Annotated[float, option("HZ", "Rate of the samples that the fit uses; 0: all of them.")] = 25.0,
-    starts: Annotated[int, option("N", "Searches from different starts.", min=1)] = 6,
-    seed: Annotated[int, option("K", "Of the random starts.")] = 0,
-    hold: Annotated[bool, option("--hold", "Inputs are held between samples, not joined.")] = False,
-    out: Annotated[Path | None, option("DIR", "Write report.html and its pictures (PNG) there.")] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Fit a linear model to the first part of a flight record and predict the rest from its inputs alone.
-
-    Example: mufly identify linear flight.csv --inputs lat,lon,ped,col --outputs p,q,r --split 0.5 --out report
-    """
-    from mufly.identify.linear.identification import identify_linear
-    from mufly.identify.record import read_columns
-
-    check_folder("--out", out)
-    record = read_columns(log, columns=_columns(columns or ()))
-    if start_s is not None or end_s is not None:
-        t = record.time_s
-        a = 0 if start_s is None else int((t < start_s).sum())
-        b = len(t) if end_s is None else int((t <= end_s).sum())
-        if b - a < 100:
-            raise InputError(
-                "--from, --to", "", f"leave {max(b - a, 0)} samples of {log.name}, which lasts from {t[0]:.2f} to "
-                f"{t[-1]:.2f} s", "leave at least 100",
-            )  # fmt: skip
-        record = record.part(a, b)
-    if starts < 1:
-        raise InputError("--starts", "", f"{starts} is no number of searches", "give 1 or more")
-    with progress_bar("structures and searches", not as_json) as progress:
-        result = identify_linear(
-            record, _names(inputs), _names(outputs), model=model, split=split, split_at_s=split_at,
-            lowpass_hz=lowpass or None, rate_hz=rate or None, starts=starts, seed=seed, hold=hold, progress=progress,
-        )  # fmt: skip
-    report = []
-    if out is not None:
-        from mufly.identify.report import write_linear_report
-
-        with progress_bar("pictures", not as_json) as progress:
-            report.append(write_linear_report(result, out, progress=progress))
-    if as_json:
-        print_json(_linear_json(result))
-        return
-    _print_linear(result)
-    tell_files(report, "Report")
-
-
-def _names(text: str) -> dict[str, str]:
-    found = {}
-    for part in text.split(","):
-        name, _, column = part.strip().partition("=")
-        if name:
-            found[name.strip()] = column.strip() or name.strip()
-    return found
-
-
-def _columns(given: Sequence[str]) -> Mapping[str, Sequence[str]] | Sequence[str]:
-    arrays = {a: names.split(",") for a, equals, names in (g.partition("=") for g in given) if equals}
-    return arrays if arrays else [n for g in given for n in g.split(",")]
-
-
-def _print_linear(r: LinearResult) -> None:
-    from mufly.identify.report import ahead_rows, candidate_rows, estimate_rows, pole_text, quality_rows
-
-    say(*r.notes, mark="Note")
-    if r.candidates:
-        print_table(*candidate_rows(r), title="Structures, cross-validated inside the fitted part")
-    print_table(*estimate_rows(r), title=f"Model {r.fit.vehicle}")
-    say(f"Poles: {', '.join(pole_text(p) for p in r.linear.poles)} rad/s", r.linear.message)
-    print_table(*quality_rows(r), title="Pure simulation from inputs", text=(0, 1))
-    say(
-        "at most: with no error but the noise floor; to angle: against the derivative of the measured angle; error and "
-        f"noise: rms below {r.slow_hz:g} Hz (noise >: above it), in the output's unit; Theil: 0 exact, 1 no relation",
-        style="dim",
-    )
-    if r.ahead:
-        print_table(
-            *ahead_rows(r), title=f"Held-out part, predicted a time ahead (low-passed at {r.slow_hz:g} Hz)"
-        )
-    for title, words in (
-        ("What the residuals of the fitted part show:", r.missing),
-        ("What the data cannot tell:", r.fit.unseen),
-    ):
-        if words:
-            say(title, *(f"- {w}" for w in words))
-
-
-def _linear_json(r: LinearResult) -> dict[str, Any]:
-    def each(name: str) -> dict[str, list[Any]]:
-        return {role: [getattr(c, name) for c in checks] for role, checks in r.checks.items()}
-
-    floors = {role: [{**plain(f), "total": f.total} for f in found] for role, found in each("floor").items()}
-    return {
-        "model": r.fit.vehicle, "estimates": r.fit.estimates, "poles_rad_s": r.linear.poles,
-        "candidates": r.candidates, "outputs": r.linear.structure.outputs, "quality": each("quality"),
-        "quality_slow": each("slow"), "slow_hz": r.slow_hz, "noise_floor": floors,
-        "ceiling_percent": each("ceiling"), "ceiling_slow_percent": each("ceiling_slow"),
-        "against_angle_percent": each("against_angle"), "ahead": r.ahead, "missing": r.missing,
-        "unseen": r.fit.unseen, "notes": r.notes, "subspace_fit_percent": r.subspace_percent,
-        "message": r.linear.message,
-    }  # fmt: skip
+linear.add_to(app)

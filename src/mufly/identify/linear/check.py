@@ -15,19 +15,12 @@ a steady Kalman filter then gives the state from past samples. Prediction ``h`` 
 **Noise floor** of a rate: what it holds above the band in which the inputs have power, and below it what disagrees
 with the derivative of the measured angle. The model is not asked to explain either.
 
-**Two ways to a linear model without a search: equation error, and predictor-based subspace identification.**
-
-Both serve as a cross-check of the structured fit: they share neither its search nor (subspace) its structure.
-
-**Equation error** (Klein and Morelli, ch. 5): the derivative of each rate, of low-passed signals, regressed on the
-rates and inputs. Biased by noise in the regressors, but has no local minima.
-
-**Subspace** (PBSIDopt; Chiuso 2007, Automatica 43, 1034-1048; van der Veen, van Wingerden, Bergamasco, Lovera and
-Verhaegen 2013, IET Control Theory Appl. 7(10)). The innovation form ``x+ = A x + B u + K e, y = C x + D u + e`` is
-``x+ = Ac x + Bc z`` with ``z = (u, y)``, ``Ac = A - K C``, so after ``p`` samples ``x ~ [Ac^(p-1) Bc ... Bc] Z_p``.
-A long ARX model gives the products ``C Ac^i Bc``; stacked over a future window they make ``Gamma K``; the directions of
-the largest singular values of ``Gamma K Z`` are the states, and A, B, C, D follow by least squares. It holds for data
-from a closed loop.
+**Subspace identification**, a cross-check that shares neither the search nor the structure of the fit (PBSIDopt;
+Chiuso 2007, Automatica 43, 1034-1048; van der Veen, van Wingerden, Bergamasco, Lovera and Verhaegen 2013, IET Control
+Theory Appl. 7(10)). The innovation form ``x+ = A x + B u + K e, y = C x + D u + e`` is ``x+ = Ac x + Bc z`` with
+``z = (u, y)``, ``Ac = A - K C``, so after ``p`` samples ``x ~ [Ac^(p-1) Bc ... Bc] Z_p``. A long ARX model gives the
+products ``C Ac^i Bc``; stacked over a future window they make ``Gamma K``; the directions of the largest singular
+values of ``Gamma K Z`` are the states, and A, B, C, D follow by least squares. It holds for data from a closed loop.
 """
 
 from __future__ import annotations
@@ -48,7 +41,6 @@ from mufly.identify.linear.fit import LinearFit, fit_linear, predict_linear
 from mufly.identify.linear.structure import Structure, discretise
 from mufly.identify.record import lowpassed
 from mufly.identify.residuals import high_frequency_noise
-from mufly.identify.result import coloured_covariance
 
 Array = NDArray[np.float64]
 
@@ -400,39 +392,3 @@ def subspace(u: Array, y: Array, dt: float, *, order: int, past: int = 20) -> Su
         abk[:, :order], abk[:, order : order + m], cd[:, :order], cd[:, order:], abk[:, order + m :],
         singular, u_mean, y_mean, dt,
     )  # fmt: skip
-
-
-def equation_error(
-    rates: Array, u: Array, dt: float, *, rate_names: tuple[str, ...], input_names: tuple[str, ...], cut_hz: float
-) -> dict[str, tuple[float, float]]:  # fmt: skip
-    """Regress each rate's derivative on all rates and inputs.
-
-    Parameters
-    ----------
-    rates, u : (n, k), (n, m) array
-    dt : float
-    rate_names, input_names : tuple of str
-        ``("p", "q")``, ``("lat", "lon")``; p, q, r give symbols L_, M_, N_.
-    cut_hz : float
-        Low-pass applied to everything first.
-
-    Returns
-    -------
-    dict of symbol to (value, standard deviation)
-        ``{"L_p": (-3.1, 0.2), "L_lat": ...}``; the deviations are corrected for coloured residuals.
-    """
-    used = u.std(axis=0) > 0.0
-    names = rate_names + tuple(n for n, k in zip(input_names, used, strict=True) if k)
-    smooth = lowpassed(np.column_stack([rates, u[:, used]]), dt, cut_hz)
-    slope = np.gradient(smooth[:, : rates.shape[1]], dt, axis=0)
-    rows = np.column_stack([smooth, np.ones(len(smooth))])
-    found = {}
-    for j, rate in enumerate(rate_names):
-        theta = np.linalg.lstsq(rows, slope[:, j], rcond=None)[0]
-        missed = slope[:, j] - rows @ theta
-        size = missed.std()
-        cov, _, _ = coloured_covariance([rows[:, None, :] / size], [missed[:, None] / size])
-        for k, name in enumerate(names):
-            symbol = f"{ {'p': 'L', 'q': 'M', 'r': 'N'}.get(rate, rate) }_{name}"
-            found[symbol] = (float(theta[k]), float(np.sqrt(cov[k, k])))
-    return found

@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from mufly.errors import ArgumentError, InputError
-from mufly.identify.linear.structure import Coordinates, Structure, responses, simulate_linear
+from mufly.identify.linear.structure import Coordinates, Structure, responses, scaled, simulate_linear
 from mufly.identify.residuals import autocorrelation
 from mufly.identify.result import coloured_covariance, parzen
 
@@ -107,6 +107,7 @@ class _Problem:
         self.structure, self.u, self.y, self.dt, self.hold = structure, u, y, dt, hold
         self.good = np.isfinite(y) & (np.ones(len(y), dtype=bool) if mask is None else mask)[:, None]
         self.weight = np.ones(y.shape[1])
+        self.spread = np.array([np.std(y[self.good[:, k], k]) for k in range(y.shape[1])])
         self.simulations = 0
         self.nominal = np.array([q.start for q in structure.parameters])
         self.at = Coordinates(structure.parameters, self.nominal)
@@ -125,7 +126,9 @@ class _Problem:
                 rows, right = weighted[self.good], ((self.y - forced) * root)[self.good]
         except FloatingPointError:
             return None
-        if not (np.isfinite(size).all() and size.max() < 1e12):
+        # Against the record itself, not against weights that change on the way: what could be simulated once stays so.
+        over = float(np.max(root * np.maximum(self.spread, 1e-300)))
+        if not (np.isfinite(size).all() and size.max() < 1e12 * over):
             return None
         rows /= size
         # Normal equations: a hundred rows a column are many times faster so, and columns of unit length lose little.
@@ -230,8 +233,9 @@ def fit_linear(
         If no start leads to a model that can be simulated, or there are fewer samples than parameters.
     """
     begun = time.perf_counter()
+    structure = scaled(structure, u, y)
     problem = _Problem(structure, u, y, dt, hold, mask)
-    spread = np.array([np.std(y[problem.good[:, k], k]) for k in range(y.shape[1])])
+    spread = problem.spread
     if (spread == 0.0).any() or problem.good.sum() < 3 * len(structure.parameters):
         name = structure.outputs[int(np.argmin(spread))]
         raise InputError("record", name, "is constant or too short", "give a record in which it moves")
@@ -282,13 +286,19 @@ def fit_linear(
     nx, nu = len(structure.states), len(structure.inputs)
     low, high = at.bounds
     near = sum(c < 1.02 * min(costs) for c in costs)
+    at_bound = (z - low < 1e-4 * (high - low)) | (high - z < 1e-4 * (high - low))
+    held = ", ".join(
+        f"{p.symbol} = {v:.4g} {p.unit}".rstrip()
+        for p, v, b in zip(structure.parameters, values.tolist(), at_bound, strict=True)
+        if b
+    )
     return LinearFit(
         structure=structure,
         values=values,
         start=start,
         covariance=cov,
         bound=bound,
-        at_bound=(z - low < 1e-4 * (high - low)) | (high - z < 1e-4 * (high - low)),
+        at_bound=at_bound,
         x0=linear[:nx],
         input_trim=linear[nx : nx + nu],
         output_bias=linear[nx + nu :],
@@ -303,6 +313,7 @@ def fit_linear(
         message=(
             f"{'search settled' if solution.status > 0 else 'search ran out of steps'}; {near} of {len(costs)} starts "
             "reached the best cost within 2 %"
+            + (f"; at a bound, so that the others' intervals hold only if it is true: {held}" if held else "")
         ),
         hold=hold,
     )

@@ -2,8 +2,8 @@
 
 **Frequency responses and coherence from records, beside those of a model.**
 
-A record is cut into overlapping segments with a Hann window; each is transformed by a chirp z-transform, which places
-the frequencies where they are wanted instead of at multiples of 1 / segment (Tischler and Remple, *Aircraft and
+A record is cut into overlapping segments with a Hann window; each is transformed at the frequencies that are wanted,
+which need not be multiples of 1 / segment (Tischler and Remple, *Aircraft and
 Rotorcraft System Identification*, 2nd ed., ch. 7), and the products are averaged:
 
     S_uu = <U* U^T>,   S_uy = <U* y>,   H = S_uu^-1 S_uy                      response to all inputs at once
@@ -38,10 +38,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.signal import ZoomFFT, get_window
+from scipy.signal import get_window
 
 from mufly.errors import InputError
-from mufly.identify.linear.structure import Coordinates, Structure
+from mufly.identify.linear.structure import Coordinates, Structure, scaled
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -81,8 +81,9 @@ class FrequencyResponse:
 
 
 def frequency_response(
-    inputs: Array | Sequence[Array], outputs: Array | Sequence[Array], dt: float, *, segment_s: float, low_hz: float,
-    high_hz: float, points: int = 100, input_names: tuple[str, ...] = (), output_names: tuple[str, ...] = (),
+    inputs: Array | Sequence[Array], outputs: Array | Sequence[Array], dt: float, *, segment_s: float,
+    low_hz: float = 0.0, high_hz: float = 0.0, points: int = 100, frequency_hz: Array | None = None,
+    input_names: tuple[str, ...] = (), output_names: tuple[str, ...] = (),
 ) -> FrequencyResponse:  # fmt: skip
     """Estimate frequency responses and coherences.
 
@@ -98,6 +99,8 @@ def frequency_response(
         Band; ``high_hz`` at most the Nyquist frequency.
     points : int
         Frequencies, evenly spaced.
+    frequency_hz : (f,) array, optional
+        Frequencies, rising, instead of these three.
     input_names, output_names : tuple of str
 
     Raises
@@ -107,41 +110,63 @@ def frequency_response(
     """
     us = [np.asarray(inputs)] if isinstance(inputs, np.ndarray) else [np.asarray(u) for u in inputs]
     ys = [np.asarray(outputs)] if isinstance(outputs, np.ndarray) else [np.asarray(y) for y in outputs]
+    frequency = np.linspace(low_hz, high_hz, points) if frequency_hz is None else np.asarray(frequency_hz)
+    spectra, averages = cross_spectra(us, ys, dt, segment_s, frequency)
+    return from_spectra(frequency, spectra, us[0].shape[1], averages, input_names, output_names)
+
+
+def cross_spectra(
+    inputs: Sequence[Array], outputs: Sequence[Array], dt: float, segment_s: float, frequency_hz: Array
+) -> tuple[ComplexArray, float]:
+    """Return the averaged products of inputs and outputs, as densities, and the number of independent segments.
+
+    Returns
+    -------
+    spectra : (f, k + m, k + m) complex array
+        ``<z_i* z_j>``, two-sided, per Hz: of white noise the variance times ``dt``, whatever the segment.
+    averages : float
+
+    Raises
+    ------
+    InputError
+        If the band is empty, or no record is as long as a segment.
+    """
     size = round(segment_s / dt)
-    if not 0.0 < low_hz < high_hz <= 0.5 / dt:
+    low_hz, high_hz = float(frequency_hz[0]), float(frequency_hz[-1])
+    if not (0.0 < low_hz < high_hz <= 0.5 / dt * (1.0 + 1e-9)):
         raise InputError(
             "frequency response", "", f"the band {low_hz:g} to {high_hz:g} Hz cannot be had from samples "
             f"{dt:g} s apart", f"give 0 < low < high <= {0.5 / dt:g} Hz",
         )  # fmt: skip
-    if size < 8 or min(len(u) for u in us) < size:
+    if size < 8 or min(len(u) for u in inputs) < size:
         raise InputError(
             "frequency response", "", f"a segment of {segment_s:g} s ({size} samples) does not fit the record",
             "give a segment shorter than every record",
         )  # fmt: skip
-    k, m = us[0].shape[1], ys[0].shape[1]
     window = get_window("hann", size)
-    zoom = ZoomFFT(size, [low_hz, high_hz], points, fs=1.0 / dt, endpoint=True)
-    spectra = np.zeros((points, k + m, k + m), dtype=np.complex128)
+    wave = window * np.exp(-2j * np.pi * frequency_hz[:, None] * dt * np.arange(size))
+    wave *= np.sqrt(dt / float(window @ window))
+    width = inputs[0].shape[1] + outputs[0].shape[1]
+    spectra = np.zeros((len(frequency_hz), width, width), dtype=np.complex128)
     count, total = 0, 0
-    for u, y in zip(us, ys, strict=True):
+    slope = np.linspace(-0.5, 0.5, size)[:, None]
+    for u, y in zip(inputs, outputs, strict=True):
         z = np.column_stack([u, y])
         total += len(z)
         for start in range(0, len(z) - size + 1, max(1, size // 2)):
             part = z[start : start + size]
-            slope = np.linspace(-0.5, 0.5, size)[:, None]
             part = part - part.mean(0) - slope * ((slope * part).sum(0) / (slope**2).sum())
-            transform = zoom(part * window[:, None], axis=0)
+            transform = wave @ part
             spectra += np.conj(transform)[:, :, None] * transform[:, None, :]
             count += 1
     spectra /= count
-    return _from_spectra(
-        np.linspace(low_hz, high_hz, points), spectra, k, total / size, input_names, output_names
-    )
+    return spectra, total / size
 
 
-def _from_spectra(
+def from_spectra(
     frequency: Array, s: ComplexArray, k: int, averages: float, inputs: tuple[str, ...], outputs: tuple[str, ...]
 ) -> FrequencyResponse:  # fmt: skip
+    """Return responses and coherences from averaged products (f, k + m, k + m) of k inputs and m outputs."""
     points, m = len(frequency), s.shape[1] - k
     response = np.full((points, m, k), np.nan + 0j)
     partial, coherence = np.zeros((points, m, k)), np.zeros((points, m))
@@ -283,6 +308,7 @@ def fit_spectral(
     InputError
         If no frequency is coherent, or the record is too short.
     """
+    structure = scaled(structure, u, y)
     data = frequency_response(
         u, y, dt, segment_s=segment_s, low_hz=1.5 / segment_s, high_hz=high_hz, points=_POINTS,
         input_names=structure.inputs, output_names=structure.outputs,

@@ -23,11 +23,11 @@ from mufly.identify.linear.check import (
     Subspace,
     cross_validate,
     disturbance_model,
-    equation_error,
     noise_floor,
     predict_ahead,
     subspace,
 )
+from mufly.identify.linear.equation import equation_error
 from mufly.identify.linear.fit import LinearFit, fit_linear, predict_linear
 from mufly.identify.linear.frequency import SpectralFit, fit_spectral
 from mufly.identify.linear.structure import Structure, model_named
@@ -172,7 +172,7 @@ def identify_linear(
     """
     if not 0.1 <= split <= 1.0:
         raise ArgumentError("split", "", f"{split:g} is no share of the record", "give 0.1 to 1")
-    us, y = _columns(record, inputs, "inputs"), _columns(record, outputs, "outputs")
+    us, y = record.stack(inputs, "inputs"), record.stack(outputs, "outputs")
     _check_radians(record, outputs, y)
     cut = round(split * len(y)) if split_at_s is None else int((record.time_s < split_at_s).sum())
     if not 100 <= cut <= len(y):
@@ -194,6 +194,7 @@ def identify_linear(
     uf, yf, dtf = _thinned(u[:cut], y[:cut], dt, lowpass_hz, rate_hz)
     tried: list[tuple[CrossValidation, Structure, LinearFit]] = []
     first: Array | None = None
+    failed: list[Exception] = []
     steps = (len(candidates) if model == "auto" else 0) + starts + 4
     done = 0
 
@@ -205,10 +206,17 @@ def identify_linear(
         for name in candidates:
             structure = model_named(name, names, outs)
             if structure.name not in {t.name for t, _, _ in tried}:
-                score, trial = cross_validate(structure, uf, yf, dtf, blocks=_BLOCKS, starts=2, hold=hold)
-                tried.append((score, structure, trial))
+                try:
+                    score, trial = cross_validate(structure, uf, yf, dtf, blocks=_BLOCKS, starts=2, hold=hold)
+                except (InputError, FloatingPointError, np.linalg.LinAlgError) as error:
+                    failed.append(error)
+                    notes.append(f"structure {structure.name} was left out of the choice: {error}")
+                else:
+                    tried.append((score, structure, trial))
             tick(1)
             done += 1
+        if not tried:
+            raise failed[0]
         tried.sort(key=lambda t: t[0].left_out)
         structure, first = tried[0][1], tried[0][2].values
     else:
@@ -256,16 +264,6 @@ def identify_linear(
         spectral=_spectral_check(linear, uf, yf, dtf, slow),
         notes=tuple(notes),
     )
-
-
-def _columns(record: Columns, wanted: Mapping[str, str], argument: str) -> Array:
-    columns = []
-    for name, column in wanted.items():
-        sign = -1.0 if column.startswith("-") else 1.0
-        columns.append(sign * record.find(column.lstrip("-") or name, argument))
-    if not columns:
-        raise ArgumentError(argument, "", "names nothing", "give names from the log, such as p,q")
-    return np.column_stack(columns)
 
 
 def _check_radians(record: Columns, outputs: Mapping[str, str], y: Array) -> None:

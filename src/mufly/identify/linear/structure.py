@@ -35,7 +35,7 @@ and Pereyra 1973).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +54,9 @@ UNITS = dict.fromkeys("pqr", "rad/s") | {"phi": "rad", "theta": "rad"} | dict.fr
 class Parameter:
     """One parameter: where the search starts and what it may be.
 
-    ``low > 0`` makes the search work with its logarithm. SI units; ``meaning`` is for tables.
+    ``low > 0`` makes the search work with its logarithm. SI units; ``meaning`` is for tables. ``between`` names the
+    state and the signal that a gain connects: ``start``, ``low`` and ``high`` then hold for signals of equal size, and
+    :func:`scaled` makes them those of the record.
     """
 
     symbol: str
@@ -63,6 +65,7 @@ class Parameter:
     low: float
     high: float
     meaning: str = ""
+    between: tuple[str, str] = ("", "")
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +99,43 @@ class Structure:
     def matrices(self, values: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Return A, B, C, D and the delays (s) at the values (p,) of the parameters."""
         return self.fill(dict(zip(self.symbols, values.tolist(), strict=True)))
+
+
+_FROM_ANGLE = 3.0  # 1/s: size of a rate over that of its angle, where the rate was not measured
+_ANGLE_OF = {"p": "phi", "q": "theta", "phi": "v", "theta": "u"}
+
+
+def scaled(structure: Structure, u: Array, y: Array) -> Structure:
+    """Return a structure whose gains start, and end, in proportion to the signals of a record.
+
+    ``x' = a x + k z`` with rates ``|a|`` below some 60 1/s and signals of sizes ``s_x``, ``s_z`` (standard deviations)
+    leaves ``k s_z / s_x`` no room far above 60 1/s, whatever the unit of ``z``: a share of the stick's travel, of a
+    motor's voltage, microseconds. So bounds in that ratio hold for every vehicle and log; a bound in 1/s^2 does not.
+
+    Parameters
+    ----------
+    structure : Structure
+    u, y : (n, inputs), (n, outputs) array
+        NaN where nothing was measured.
+    """
+    size = dict(zip(structure.inputs, np.nanstd(u, axis=0).tolist(), strict=True))
+    size |= dict(zip(structure.outputs, np.nanstd(y, axis=0).tolist(), strict=True))
+
+    def of(name: str) -> float:
+        if name in size:
+            return size[name]
+        inner = _ANGLE_OF.get(name)
+        if inner is None:
+            return 0.0
+        return _FROM_ANGLE * of(inner) / (GRAVITY if inner in "uv" else 1.0)
+
+    parameters = []
+    for p in structure.parameters:
+        row, column = (of(name) if name else 1.0 for name in p.between)
+        factor = row / column if row > 0.0 and column > 0.0 else 1.0
+        start, low, high = (factor * v for v in (p.start, p.low, p.high))
+        parameters.append(Parameter(p.symbol, p.unit, start, low, high, p.meaning))
+    return replace(structure, parameters=tuple(parameters))
 
 
 class Coordinates:
@@ -141,8 +181,11 @@ class Builder:
         self.parameters: dict[str, Parameter] = {}
         self.entries: list[tuple[str, str, str, Callable[[Mapping[str, float]], float]]] = []
 
-    def parameter(self, symbol: str, unit: str, start: float, low: float, high: float, meaning: str) -> None:
-        self.parameters.setdefault(symbol, Parameter(symbol, unit, start, low, high, meaning))
+    def parameter(
+        self, symbol: str, unit: str, start: float, low: float, high: float, meaning: str,
+        between: tuple[str, str] = ("", ""),
+    ) -> None:  # fmt: skip
+        self.parameters.setdefault(symbol, Parameter(symbol, unit, start, low, high, meaning, between))
 
     def constant(self, row: str, column: str, value: float) -> None:
         self.entries.append(("A", row, column, lambda _: value))
@@ -153,7 +196,9 @@ class Builder:
     ) -> None:  # fmt: skip
         """One free entry of A or B (by the name of its column), divided by the parameter ``over`` if given."""
         low, high = bound if isinstance(bound, tuple) else (-bound, bound)
-        self.parameter(symbol, unit, start, low, high, meaning)
+        source, state = column.removesuffix("_f"), {"a": "q", "b": "p"}.get(row, row)
+        gain = source in self.inputs or (source in ("u", "v") and row in ("p", "q"))
+        self.parameter(symbol, unit, start, low, high, meaning, (state, source) if gain else ("", ""))
         matrix = "B" if column in self.inputs else "A"
         self.entries.append((matrix, row, column, lambda v: v[symbol] / v[over] if over else v[symbol]))
 
@@ -332,7 +377,7 @@ def _attitude_and_translation(
             if angular == "hybrid":
                 b.constant(vel, _FLAP[r], g)
             if speed:
-                b.free(r, vel, f"{_BIG[r]}_{vel}", "rad/(m s)", 0.0, 10.0, "speed stability")
+                b.free(r, vel, f"{_BIG[r]}_{vel}", "rad/(m s)", 0.0, 60.0, "speed stability")
 
 
 def _yaw(b: Builder, inputs: tuple[str, ...], rates: tuple[str, ...], coupled: bool, gyro: bool) -> None:
