@@ -403,7 +403,8 @@ def fit_equation(
     explained = 1.0 - float(np.mean(np.concatenate([e.ravel() for e in left]) ** 2)) / variance
     return Equation(
         output, tuple(terms), value, np.sqrt(np.diag(cov)), np.sqrt(np.diag(bound)), cov,
-        float(actuator[0]), float(actuator[1]), float(doubt[0]), float(doubt[1]), bias, (low_hz, cut_hz), f_in, tuple(steps), explained,
+        float(actuator[0]), float(actuator[1]), float(doubt[0]), float(doubt[1]), bias,
+        (low_hz, cut_hz), f_in, tuple(steps), explained,
     )  # fmt: skip
 
 

@@ -116,7 +116,8 @@ class EquationModel:
 
 
 def simulate_equations(
-    model: EquationModel, u: Array, dt: float, first: Array, bias: Array, *, starts: NDArray[np.int_] | None = None, steps: int = 0
+    model: EquationModel, u: Array, dt: float, first: Array, bias: Array, *,
+    starts: NDArray[np.int_] | None = None, steps: int = 0,
 ) -> Array:  # fmt: skip
     """Integrate the equations.
 
