@@ -20,7 +20,7 @@ from mcap.records import Chunk, MessageIndex
 from mufly.errors import InputError, MuflyError
 from mufly.flight import Recorder
 from mufly.flight.recorder import quaternions
-from mufly.logs import read_attachments, read_mcap, read_recording, standard_layout
+from mufly.logs import read_attachments, read_log, read_mcap, read_recording, standard_layout, write_log
 from mufly.world import Box, Cylinder, World
 
 START_NS = 1_700_000_000_000_000_000
@@ -190,6 +190,19 @@ def test_a_killed_program_leaves_all_but_the_last_second(tmp_path):
     assert "outcome" not in back.attrs
     assert 2.5 <= back.time.values[-1] <= 3.5
     assert back["range"].values[-1, 0] == pytest.approx(100 * back.time.values[-1])
+    # Other people's readers take it for what it is: a whole file, if without an index.
+    with path.open("rb") as stream:
+        reader = make_reader(stream)
+        assert reader.get_summary() is None
+        times = [m.log_time for _, channel, m in reader.iter_messages() if channel.topic == "/ranges"]
+        assert len(times) == back.sizes["time"]
+    # Converting it is mending it: it has an index.
+    whole = tmp_path / "whole.mcap"
+    write_log(read_log(path), whole)
+    with whole.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+        assert summary.statistics.chunk_count == len(summary.chunk_indexes) > 0
+    np.testing.assert_array_equal(read_log(whole)["range"], back["range"])
 
 
 @pytest.mark.parametrize(

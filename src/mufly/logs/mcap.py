@@ -2,8 +2,9 @@
 
 MCAP (specification: mcap.dev/spec) is a sequence of records, each ``opcode (u8), length (u64), content``.
 Messages sit in chunks (compressed, with a checksum); schemas and channels precede the messages that use them;
-after the data comes an index and an end mark. A file that ends early has no end mark, but its whole chunks
-are as good as ever: that is what makes a recording survive a crash.
+after the data comes an index and an end mark. A file that is being written has an end mark after every write, without
+an index, which the next write takes the place of: a killed program leaves a whole MCAP file, that any reader reads from
+beginning to end. One that was cut (a pulled plug) has no end mark, but its whole chunks are as good as ever.
 
 The record layouts come from the package ``mcap``. Its ``Writer`` spends about 5 microseconds a message on
 Python objects; a flight has ten messages a row, so here a whole block of messages is framed at once.
@@ -42,6 +43,8 @@ MAGIC = b"\x89MCAP0\r\n"
 # Opcode, length, channel, sequence, log time, publish time.
 _MESSAGE = struct.Struct("<BQHIQQ")
 _MESSAGE_HEAD = 2 + 4 + 8 + 8
+UNFINISHED = "mufly.unfinished"
+"""Name of the metadata that stand before the end mark of a file that was not finished."""
 
 
 def _bytes(record: Any) -> bytes:
@@ -52,6 +55,13 @@ def _bytes(record: Any) -> bytes:
 
 def _packed(records_of_a_kind: Iterable[Any]) -> bytes:
     return b"".join(_bytes(record) for record in records_of_a_kind)
+
+
+_OPEN_END = (
+    _packed((records.Metadata(UNFINISHED, {}), records.DataEnd(0)))
+    + struct.pack("<BQQQI", Opcode.FOOTER, 8 + 8 + 4, 0, 0, 0)
+    + MAGIC
+)
 
 
 class McapFile:
@@ -65,7 +75,7 @@ class McapFile:
 
     Notes
     -----
-    Every write leaves the file at a record boundary, as one ``write`` and one ``flush``. Chunks are compressed
+    Every write leaves a whole file, as one ``write`` and one ``flush``. Chunks are compressed
     by Zstandard at level 1: a fifth to a third of the bytes of JSON numbers, in 4 microseconds a row (level 3
     takes half as long again and saves nothing; LZ4 is a quarter quicker and leaves nearly twice the bytes).
     """
@@ -87,13 +97,12 @@ class McapFile:
         self._end = 0
         self._append(MAGIC + _bytes(records.Header(profile="", library=library)))
 
-    def _append(self, data: bytes) -> int:
-        """Write at the last record boundary (what an interrupted write left behind goes); its offset."""
+    def _append(self, data: bytes, end: bytes = _OPEN_END) -> int:
+        """Write in place of the end mark (what an interrupted write left behind goes); the offset of the data."""
         start = self._end
-        if self._stream.tell() != start:
-            self._stream.seek(start)
-            self._stream.truncate()
-        self._stream.write(data)
+        self._stream.seek(start)
+        self._stream.write(data + end)
+        self._stream.truncate()
         self._stream.flush()
         self._end = start + len(data)
         return start
@@ -208,7 +217,7 @@ class McapFile:
         summary += b"".join(_bytes(record) for record in offsets)
         footer_head = struct.pack("<BQQQ", Opcode.FOOTER, 8 + 8 + 4, summary_start, offset_start)
         crc = zlib.crc32(footer_head, zlib.crc32(summary))
-        self._append(data_end + summary + footer_head + struct.pack("<I", crc) + MAGIC)
+        self._append(data_end + summary + footer_head + struct.pack("<I", crc), MAGIC)
 
 
 @dataclass
@@ -256,7 +265,7 @@ def read_mcap(path: str | Path) -> McapContents:
                 attachment = records.Attachment.read(_stream(content))
                 contents.attachments[attachment.name] = attachment.data
             elif opcode == Opcode.FOOTER:
-                contents.complete = data.endswith(MAGIC)
+                contents.complete = data.endswith(MAGIC) and UNFINISHED not in contents.metadata
                 break
     except Exception:  # A damaged record can fail in any way; what came before it is sound.
         contents.complete = False
