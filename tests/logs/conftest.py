@@ -2,6 +2,7 @@
 
 import os
 import struct
+import zlib
 
 os.environ["MAVLINK20"] = "1"
 
@@ -111,6 +112,43 @@ def dataflash(messages, units=None):
         tick = 1e-3 if names[clock] == "TimeUS" else 1.0
         rows += [(tick * row[clock], record(kind, pack, *row[untimed:])) for row in values]
     return out + b"".join(data for _, data in sorted(rows, key=lambda r: r[0]))
+
+
+def micro_sd(kinds, events, *, version=2, end=True):
+    """A log of the Crazyflie's micro-SD deck by events.
+
+    ``kinds`` is {number: (name, ["acc.x(f)", ...])}, ``events`` a list of (number, time_s, values).
+    """
+    out = struct.pack("<BHH", 0xBC, version, len(kinds))
+    for number, (name, columns) in kinds.items():
+        out += struct.pack("<H", number) + name.encode() + b"\0" + struct.pack("<H", len(columns))
+        out += b"".join(c.encode() + b"\0" for c in columns)
+    for number, time_s, values in events:
+        letters = "".join(c[-2] for c in kinds[number][1])
+        clock = (
+            struct.pack("<I", round(1e3 * time_s)) if version == 1 else struct.pack("<Q", round(1e6 * time_s))
+        )
+        out += struct.pack("<H", number) + clock + struct.pack(f"<{letters}", *values)
+    return out + (struct.pack("<I", zlib.crc32(out)) if end else b"")
+
+
+def micro_sd_of_2018(columns, rows, *, block=20):
+    """The same before 2020: rows of fixed rate, the first column the tick in milliseconds."""
+
+    def sealed(part):
+        return part + struct.pack("<I", ~zlib.crc32(part) & 0xFFFFFFFF)
+
+    out = sealed(bytes([len(columns)]) + b"".join(c.encode() + b"," for c in columns))
+    letters = "".join(c[-2] for c in columns)
+    for start in range(0, len(rows), block):
+        part = rows[start : start + block]
+        out += sealed(bytes([len(part)]) + b"".join(struct.pack(f"<{letters}", *row) for row in part))
+    return out
+
+
+@pytest.fixture(scope="session")
+def make_micro_sd():
+    return micro_sd, micro_sd_of_2018
 
 
 @pytest.fixture(scope="session")

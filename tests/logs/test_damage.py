@@ -26,7 +26,7 @@ def survives(path):
 
 
 @pytest.fixture(scope="session")
-def samples(tmp_path_factory, make_signals, make_dataflash, mavlink):
+def samples(tmp_path_factory, make_signals, make_dataflash, make_micro_sd, mavlink):
     folder = tmp_path_factory.mktemp("samples")
     out = {e: write_log(make_signals(n=60), folder / f"log{e}").read_bytes() for e in FORMATS}
     rows = [(20_000 * k, 100 * k, -50, 9000, 0.1 * k) for k in range(1, 60)]
@@ -40,10 +40,14 @@ def samples(tmp_path_factory, make_signals, make_dataflash, mavlink):
         + link.attitude_encode(100 * k + 5, 0.01 * k, 0, 0, 0, 0, 0).pack(link)
         for k in range(60)
     )
+    by_events, of_2018 = make_micro_sd
+    kinds = {0: ("fixedFrequency", ["gyro.x(f)", "gyro.y(f)", "gyro.z(f)"]), 3: ("estTDOA", ["id(B)"])}
+    out[".usd"] = by_events(kinds, [(0, 0.01 * k, (k, 1, 2)) for k in range(60)] + [(3, 0.6, (1,))])
+    out[".usd of 2018"] = of_2018(["tick(I)", "pm.vbat(f)"], [(10 * k, 0.05 * k) for k in range(60)])
     return folder, out
 
 
-KINDS = [*FORMATS, ".bin", ".tlog"]
+KINDS = [*FORMATS, ".bin", ".tlog", ".usd", ".usd of 2018"]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -67,6 +71,7 @@ def test_damaged_files_are_read_or_refused(samples, kind, draw):
 
 
 HEADS = [b"", b"ULog\x01\x12\x35\x01", b"\xa3\x95\x80\x59", b"PAR1", b"CDF\x01", b"\x89MCAP0\r\n", b"FMT, "]
+HEADS += [b"\xbc\x02\x00\x01\x00\x00\x00a\x00\x01\x00x(f)\x00", b"\x02tick(I),x(f),", b"\x1f\x8b\x08"]
 
 
 @settings(max_examples=40)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mufly.errors import InputError
 from mufly.logs import kind_of, read_log, read_raw
 
 SAMPLE = Path(__file__).resolve().parents[3] / "shared/data/flight/pyulog/sample.ulg"
@@ -252,3 +253,120 @@ def test_other_peoples_mcap_gives_topics_and_takes_a_map(tmp_path):
     data = read_log(path, columns={"signal": [
         {"name": "measured_rates.p", "topic": "/imu", "columns": ["gyro.x"], "unit": "deg/s"}]})  # fmt: skip
     assert data.measured_rates.sel(rate="p").values == pytest.approx(np.sin(0.1 * np.arange(100)))
+
+
+SECONDS = 0.01 * np.arange(300)
+# The example of the deck's documentation, config.txt, as far as it has names here.
+VARIABLES = [f"{v}(f)" for v in (
+    "stateEstimate.roll", "stateEstimate.pitch", "stateEstimate.yaw", "gyro.x", "gyro.y", "gyro.z", "acc.x", "acc.y",
+    "acc.z", "stateEstimate.x", "stateEstimate.y", "stateEstimate.z", "pm.vbat")]  # fmt: skip
+MOTORS = [f"motor.m{k}(H)" for k in range(1, 5)]
+
+
+def crazyflie_rows():
+    """Rolls, pitches nose up, yaws left and climbs, in the axes of a Crazyflie: forward, left, up."""
+    wave = np.sin(SECONDS)
+    rows = [
+        20 * wave, 10 * wave, 30 * wave, 20 * np.cos(SECONDS), -10 * np.cos(SECONDS), 30 * np.cos(SECONDS),
+        0 * wave, 0 * wave, 1 + 0 * wave, 0.5 * SECONDS, 0.2 * SECONDS, 1.0 * SECONDS, 3.9 - 0.1 * SECONDS,
+    ]  # fmt: skip
+    return np.column_stack(rows)
+
+
+@pytest.mark.parametrize("form", ["events, version 1", "events, version 2", "rows of 2018"])
+def test_a_crazyflies_micro_sd_log_is_read_in_our_axes(tmp_path, make_micro_sd, form):
+    by_events, of_2018 = make_micro_sd
+    duty = (6553, 13107, 32768, 65535)
+    rows = [(*row, *duty) for row in crazyflie_rows().tolist()]
+    if form == "rows of 2018":
+        ticks = np.rint(5000 + 1e3 * SECONDS).astype(int).tolist()
+        content = of_2018(
+            ["tick(I)", *VARIABLES, *MOTORS], [(t, *r) for t, r in zip(ticks, rows, strict=True)]
+        )
+    else:
+        kinds = {0: ("fixedFrequency", [*VARIABLES, *MOTORS]), 7: ("estPosition", ["source(B)"])}
+        events = [(0, 5 + t, row) for t, row in zip(SECONDS, rows, strict=True)]
+        events[50:50] = [(7, 5.495, (3,))]
+        content = by_events(kinds, events, version=int(form[-1]))
+    path = tmp_path / "log00"
+    path.write_bytes(content)
+    assert kind_of(path) == "Crazyflie"
+    raw = read_raw(path)
+    assert raw.complete
+    assert raw["fixedFrequency"].time == pytest.approx(SECONDS, abs=1e-6)
+    assert raw["fixedFrequency"].units["acc.z"] == "gee"
+    if form != "rows of 2018":
+        assert raw["estPosition"].fields["source"].tolist() == [3]
+        assert raw["estPosition"].time == pytest.approx([0.495], abs=1e-3)
+    data = read_log(path)
+    wave, slope = np.sin(SECONDS), np.cos(SECONDS)
+    assert data.measured_attitude.values == pytest.approx(
+        np.radians(np.column_stack([20 * wave, 10 * wave, -30 * wave])), abs=1e-6
+    )
+    # Of one motion: each rate is the derivative of its angle, which the axes of the Crazyflie alone do not give.
+    assert data.measured_rates.values == pytest.approx(
+        np.radians(np.column_stack([20 * slope, 10 * slope, -30 * slope])), abs=1e-6
+    )
+    assert data.measured_acceleration.values[:, 2] == pytest.approx(-9.80665)
+    assert data.measured_position.values == pytest.approx(
+        np.column_stack([0.5 * SECONDS, -0.2 * SECONDS, -SECONDS]), abs=1e-6
+    )
+    assert data.actuator_command.values[0] == pytest.approx(np.array(duty) / 65535)
+    assert data.battery_voltage.values == pytest.approx(3.9 - 0.1 * SECONDS, rel=1e-6)
+
+
+def test_a_micro_sd_log_that_was_cut_off_is_read_up_to_the_cut(tmp_path, make_micro_sd):
+    by_events, of_2018 = make_micro_sd
+    kinds = {0: ("fixedFrequency", ["gyro.x(f)"])}
+    events = [(0, 0.01 * k, (k,)) for k in range(100)]
+    path = tmp_path / "log"
+
+    def read(content):
+        path.write_bytes(content)
+        raw = read_raw(path)
+        return raw.complete, raw["fixedFrequency"].fields["gyro.x"].tolist()
+
+    whole = by_events(kinds, events)
+    assert read(whole) == (True, list(range(100)))
+    assert read(by_events(kinds, events, end=False)) == (False, list(range(100)))
+    assert read(whole[:-25]) == (False, list(range(98)))
+    flipped = bytearray(whole)
+    flipped[-40] ^= 1
+    assert read(flipped)[0] is False
+    alien = by_events(kinds, events[:50], end=False) + b"\x09\x00" + bytes(30)  # an event of no known kind
+    assert read(alien) == (False, list(range(50)))
+    old = of_2018(["tick(I)", "gyro.x(f)"], [(10 * k, k) for k in range(100)])
+    assert read(old) == (True, list(range(100)))
+    assert read(old[:-1]) == (False, list(range(80)))
+    flipped = bytearray(old)
+    flipped[-30] ^= 1
+    assert read(flipped) == (False, list(range(80)))
+    flipped = bytearray(old)
+    flipped[10] ^= 1  # a letter of a name
+    assert read_raw_complete(path, flipped) is False
+
+
+def read_raw_complete(path, content):
+    path.write_bytes(content)
+    return read_raw(path).complete
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"\xbc\x02\x00\x01\x00\x00\x00fixed", "damaged log of the micro-SD deck"),
+        (
+            b"\xbc\x02\x00\x01\x00\x00\x00a\x00\x01\x00x(?)\x00" + bytes(40),
+            "damaged log of the micro-SD deck",
+        ),
+        (b"\xbc\x02\x00\x01\x00\x00\x00a\x00\x01\x00x(f)\x00", "without data"),
+        (b"\xbc\x07\x00\x01\x00\x00\x00a\x00\x01\x00x(f)\x00", "no log that is known"),
+        (b"\x03tick(I),x(f),x(f)," + bytes(60), "occurs twice"),
+    ],
+)
+def test_damaged_micro_sd_logs_are_refused_in_one_line(tmp_path, content, words):
+    path = tmp_path / "log"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=words) as caught:
+        read_raw(path)
+    assert "\n" not in str(caught.value)

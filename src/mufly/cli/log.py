@@ -113,7 +113,8 @@ def convert(
 
 
 app = Commands(
-    help="Logs: MCAP (ours and others'), PX4 ULog, ArduPilot DataFlash, MAVLink tlog, CSV, Parquet, NetCDF.\n\n"
+    help="Logs: MCAP (ours and others'), PX4 ULog, ArduPilot DataFlash, MAVLink tlog, Crazyflie micro-SD, CSV, "
+    "Parquet, NetCDF.\n\n"
     "What a file is, is told by its content. Column maps and checks: docs/logs.md.",
     no_args_is_help=True,
 )  # fmt: skip

@@ -6,27 +6,37 @@ them by a windowed sinc (exact for signals without content above half the sampli
 signals themselves would smooth their noise by an amount that depends on the fraction, and pull the answer towards a
 whole or a half sample.
 
-Uncertainty: linearised about the solution, y - a x(t - tau) has the sensitivity s = -a dx/dt to tau, so
-var(tau) = s^T R s / (s^T s)^2 with the covariance R of the residual e. R is estimated from the residual's own
-autocorrelation, since residuals of flight data are never white (the correction that Klein and Morelli, "Aircraft
-System Identification", 2nd ed., Sec. 5.3, use for parameters). It holds for a delay: where the response is filtered
+Uncertainty: the record is cut into twelve pieces; the delay is found anew with each of them left out, and its variance
+is that of the delete-one-block jackknife, (K - 1) / K sum (tau_k - mean)^2, with Student's quantile for K - 1 degrees
+of freedom (Kuensch 1989, "The jackknife and the bootstrap for general stationary observations"). It needs no model of
+the residual, which in flight data is neither white nor even. It holds for a delay: where the response is filtered
 rather than delayed, tau is the delay that looks most like it.
+
+A delay is not determined where it explains less than a quarter of the response's power (a correlation below 0.5), where
+another lag, outside the half-width of the peak, fits as well within the jackknife's interval (an oscillation, seen a
+period later), or where the best lag is the longest that was tried.
 """
 
 from __future__ import annotations
+
+import math
+from itertools import pairwise
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.signal import correlate, detrend
+from scipy.special import stdtrit
 
 from mufly.errors import InputError
 from mufly.logs.topics import check_clock, unwrap
 from mufly.results import result
 
 _Array = NDArray[np.float64]
-_Z95 = 1.959964
+# Pieces of the record, fewer where one would have less than so many samples.
+_PIECES, _LEAST_SAMPLES = 12, 3
+_LEAST_CORRELATION = 0.5
 # Lags on either side of the peak that the windowed sinc uses.
 _HALF_WIDTH = 24
 
@@ -40,13 +50,17 @@ class Delay:
     delay_s : float
         By how much the response comes later; negative if it leads.
     std_s : float
-        Standard deviation (s), from the residual.
+        Standard deviation (s), by the jackknife.
     correlation : float
         Of the two signals with the delay taken out; negative if they run against each other.
     at_limit : bool
         Whether the best delay is the longest that was tried: then it is none.
     step_s : float
         Sampling step (s).
+    rival_s : float
+        Another delay that fits as well (s); NaN if there is none.
+    freedom : int
+        Degrees of freedom of ``std_s``.
     """
 
     delay_s: float
@@ -54,24 +68,46 @@ class Delay:
     correlation: float
     at_limit: bool
     step_s: float
+    rival_s: float = math.nan
+    freedom: int = _PIECES - 1
+
+    @property
+    def determined(self) -> bool:
+        """Whether the record tells a delay at all."""
+        return not self.at_limit and abs(self.correlation) >= _LEAST_CORRELATION and math.isnan(self.rival_s)
 
     @property
     def low_s(self) -> float:
         """Lower end of the 95 % interval (s)."""
-        return self.delay_s - _Z95 * self.std_s
+        return self.delay_s - self._half_s
 
     @property
     def high_s(self) -> float:
         """Upper end of the 95 % interval (s)."""
-        return self.delay_s + _Z95 * self.std_s
+        return self.delay_s + self._half_s
+
+    @property
+    def _half_s(self) -> float:
+        return _quantile(self.freedom) * self.std_s
 
     def words(self) -> str:
         """The delay in one line."""
         if self.at_limit:
             longest = 1e3 * self.delay_s
             return f"no delay found (correlation {self.correlation:.2f} still grows at {longest:.4g} ms)"
-        spread = 1e3 * _Z95 * self.std_s
+        if abs(self.correlation) < _LEAST_CORRELATION:
+            share = 100 * self.correlation**2
+            little = f"a delay explains {share:.2g} % of the response"
+            return f"not determined (correlation {self.correlation:.2f}: {little})"
+        if not math.isnan(self.rival_s):
+            return f"not determined ({1e3 * self.delay_s:.1f} ms and {1e3 * self.rival_s:.0f} ms fit equally well)"
+        spread = 1e3 * self._half_s
         return f"{1e3 * self.delay_s:.1f} +- {spread:.1f} ms (95 %), correlation {self.correlation:.2f}"
+
+
+def _quantile(freedom: int) -> float:
+    """Student's, for 95 %."""
+    return float(stdtrit(freedom, 0.975))
 
 
 def estimate_delay(
@@ -116,23 +152,65 @@ def estimate_delay(
     reach = min(most + _HALF_WIDTH, n // 3)
     lags = np.arange(-reach, reach + 1)
     # The response stays within its window while the reference slides past, so every lag is judged by the same
-    # samples.
-    c = correlate(x, y[reach : n - reach], mode="valid", method="fft")[::-1]
+    # samples. Products and powers are summed by pieces, so that each can be left out.
+    pieces = min(_PIECES, (n - 2 * reach) // _LEAST_SAMPLES)
+    edges = np.linspace(reach, n - reach, pieces + 1).astype(int)
     power = np.concatenate(([0.0], np.cumsum(x * x)))
-    size = (power[n - 2 * reach :] - power[: 2 * reach + 1])[::-1]
-    c = c / np.sqrt(np.maximum(size, 1e-12 * power[-1]) * float(y[reach : n - reach] @ y[reach : n - reach]))
+    products, sizes, energies = [], [], []
+    for start, end in pairwise(edges.tolist()):
+        part = y[start:end]
+        products.append(correlate(x[start - reach : end + reach], part, mode="valid", method="fft")[::-1])
+        sizes.append(power[end - lags] - power[start - lags])
+        energies.append(float(part @ part))
+    whole = np.sum(products, axis=0), np.sum(sizes, axis=0), sum(energies)
+    c = _correlation(*whole, floor=power[-1])
+    without = [
+        _correlation(whole[0] - p, whole[1] - s, whole[2] - e, floor=power[-1])
+        for p, s, e in zip(products, sizes, energies, strict=True)
+    ]
     inside = (np.abs(lags) <= most) & ((lags >= 0) | (not causal))
     k = int(lags[inside][(c if causal else np.abs(c))[inside].argmax()])
     sign = float(np.sign(c[lags == k][0])) or 1.0
-    near = lags[np.abs(lags - k) <= _HALF_WIDTH]
-    values = c[np.abs(lags - k) <= _HALF_WIDTH]
+    lag, height = _peak(lags, sign * c, k)
+    at_limit = abs(lag) > most - 0.5
+    close = np.abs(lags - k) <= 2 * _HALF_WIDTH
+    others = [_peak(lags, sign * w, int(lags[close][(sign * w)[close].argmax()]))[0] for w in without]
+    std = float(np.sqrt((pieces - 1) * np.var(others)))
+    rival = _rival(lags, sign * c, [sign * w for w in without], k, inside)
+    rival_s = math.nan if rival is None else rival * step
+    return Delay(lag * step, step * std, sign * height, at_limit, step, rival_s, pieces - 1)
+
+
+def _correlation(product: _Array, size: _Array, energy: float, floor: float) -> _Array:
+    out: _Array = product / np.sqrt(np.maximum(size, 1e-12 * floor) * max(energy, 1e-300))
+    return out
+
+
+def _peak(lags: NDArray[np.int64], values: _Array, k: int) -> tuple[float, float]:
+    """Place and height of the peak near the whole lag ``k``."""
+    near = np.abs(lags - k) <= _HALF_WIDTH
     found = minimize_scalar(
-        lambda u: -sign * _between(near, values, u), bounds=(k - 1.0, k + 1.0), method="bounded",
+        lambda u: -_between(lags[near], values[near], u), bounds=(k - 1.0, k + 1.0), method="bounded",
         options={"xatol": 1e-5},
     )  # fmt: skip
-    lag = float(found.x)
-    at_limit = abs(lag) > most - 0.5
-    return Delay(lag * step, step * _spread(x, y, lag, reach), sign * -float(found.fun), at_limit, step)
+    return float(found.x), -float(found.fun)
+
+
+def _rival(
+    lags: NDArray[np.int64], c: _Array, without: list[_Array], k: int, inside: NDArray[np.bool_]
+) -> int | None:
+    """Another lag, beyond where the peak falls to its half, that is as high within the jackknife's interval."""
+    at = int(np.flatnonzero(lags == k)[0])
+    low = c < 0.5 * c[at]
+    first = at - int(np.argmax(low[at::-1])) if low[: at + 1].any() else 0
+    last = at + int(np.argmax(low[at:])) if low[at:].any() else len(c)
+    apart = inside & ((np.arange(len(c)) < first) | (np.arange(len(c)) > last))
+    if not apart.any():
+        return None
+    other = int(np.flatnonzero(apart)[c[apart].argmax()])
+    lead = np.array([w[at] - w[other] for w in without])
+    doubt = _quantile(len(lead) - 1) * np.sqrt((len(lead) - 1) * np.var(lead))
+    return int(lags[other]) if c[at] - c[other] < doubt else None
 
 
 def _levelled(x: _Array) -> _Array:
@@ -154,29 +232,6 @@ def _between(lags: NDArray[np.int64], values: _Array, at: float) -> float:
     inside = np.clip(1 - (u / (_HALF_WIDTH + 1)) ** 2, 0, None)
     weights = np.sinc(u) * np.i0(6.0 * np.sqrt(inside)) / np.i0(6.0)
     return float(weights @ values)
-
-
-def _spread(x: _Array, y: _Array, lag: float, edge: int) -> float:
-    """Standard deviation of the delay (samples), from all samples but ``edge`` at either end."""
-    n = len(x)
-    frequency = np.fft.rfftfreq(2 * n)
-    spectrum = np.fft.rfft(x, 2 * n) * np.exp(-2j * np.pi * frequency * lag)
-    part = slice(edge, n - edge)
-    shifted = np.fft.irfft(spectrum)[:n][part]
-    rate = np.fft.irfft(spectrum * 2j * np.pi * frequency)[:n][part]
-    target = y[part]
-    gain = float(shifted @ target / (shifted @ shifted))
-    residual = target - gain * shifted
-    s = gain * rate
-    # The sandwich with the autocorrelation up to a tenth of the record, under a triangle so that it stays positive.
-    m = len(residual)
-    width = max(10, m // 10)
-    r = correlate(residual, residual, mode="full", method="fft")[m - 1 : m - 1 + width] / m
-    q = correlate(s, s, mode="full", method="fft")[m - 1 : m - 1 + width]
-    weight = 1 - np.arange(width) / width
-    middle = r[0] * q[0] + 2 * float(np.sum((weight * r * q)[1:]))
-    # Where residual and sensitivity alternate, the estimate can cancel; white residuals are the least to assume then.
-    return float(np.sqrt(max(middle, 0.1 * r[0] * q[0])) / q[0])
 
 
 def body_rates_of_attitude(time: _Array, attitude: _Array) -> _Array:

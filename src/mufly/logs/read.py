@@ -20,6 +20,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.errors import ArgumentError, InputError
+from mufly.logs.crazyflie import looks_like_crazyflie, read_crazyflie
 from mufly.logs.dataflash import MAGIC as DATAFLASH_MAGIC
 from mufly.logs.dataflash import is_text_log, read_dataflash
 from mufly.logs.mapping import ColumnMap, TimeEntry, load_map, map_signals
@@ -87,6 +88,8 @@ def kind_of(path: str | Path) -> str:
             return kind
     if is_text_log(head):
         return "DataFlash"
+    if looks_like_crazyflie(head):
+        return "Crazyflie"
     if looks_like_tlog(head):
         return "MAVLink tlog"
     if head.startswith(b"version https://git-lfs"):
@@ -100,12 +103,12 @@ def kind_of(path: str | Path) -> str:
         )
     raise InputError(
         where, "", "is no log that is known here",
-        "give MCAP, ULog, DataFlash (.bin, .log), MAVLink tlog, CSV, Parquet or NetCDF",
+        "give MCAP, ULog, DataFlash (.bin, .log), MAVLink tlog, Crazyflie micro-SD, CSV, Parquet or NetCDF",
     )  # fmt: skip
 
 
 Progress = Callable[[int, int], None]
-_MAPS = {"ULog": "px4", "DataFlash": "ardupilot", "MAVLink tlog": "mavlink"}
+_MAPS = {"ULog": "px4", "DataFlash": "ardupilot", "MAVLink tlog": "mavlink", "Crazyflie": "crazyflie"}
 
 
 def read_raw(path: str | Path, *, time: TimeEntry | None = None, progress: Progress | None = None) -> RawLog:
@@ -114,7 +117,7 @@ def read_raw(path: str | Path, *, time: TimeEntry | None = None, progress: Progr
     Parameters
     ----------
     path : str or Path
-        MCAP, ULog, DataFlash, MAVLink telemetry log, CSV, Parquet or NetCDF; told by content, not by name.
+        MCAP, ULog, DataFlash, MAVLink telemetry, Crazyflie micro-SD, CSV, Parquet or NetCDF; told by its content.
     time : TimeEntry, optional
         The clock of a CSV or Parquet table.
     progress : callable, optional
@@ -151,6 +154,8 @@ def open_log(
         return raw, _our_ulog(raw)
     if kind == "DataFlash":
         return read_dataflash(path), None
+    if kind == "Crazyflie":
+        return read_crazyflie(path), None
     if kind == "MAVLink tlog":
         return read_tlog(path, progress), None
     if kind == "Parquet":
@@ -206,7 +211,7 @@ def read_log(
     Parameters
     ----------
     path : str or Path
-        MCAP, ULog, DataFlash, MAVLink telemetry log, CSV, Parquet or NetCDF; told by content, not by name.
+        MCAP, ULog, DataFlash, MAVLink telemetry, Crazyflie micro-SD, CSV, Parquet or NetCDF; told by its content.
     columns : optional
         Column map, as :func:`load_map` takes it; comes before the map of PX4, ArduPilot or MAVLink.
     signals : sequence of str

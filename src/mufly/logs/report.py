@@ -103,9 +103,16 @@ class LogReport:
             }
             for (name, table), clock in zip(self.raw.items(), self.clocks.values(), strict=True)
         ]
-        told = ("delay_s", "std_s", "low_s", "high_s", "correlation")
+        told = ("delay_s", "std_s", "low_s", "high_s")
         delays = [
-            {"reference": d.reference, "response": d.response, **{k: getattr(d.delay, k) for k in told}}
+            {
+                "reference": d.reference,
+                "response": d.response,
+                # What is not determined has no number that somebody might use.
+                **{k: getattr(d.delay, k) if d.delay.determined else None for k in told},
+                "correlation": d.delay.correlation,
+                "determined": d.delay.determined,
+            }
             for d in self.delays
         ]
         return {

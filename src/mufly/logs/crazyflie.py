@@ -1,0 +1,182 @@
+"""Logs of a Crazyflie's micro-SD deck, in the two forms that its firmware has written.
+
+Since 2020 by events (bitcraze.io, "Micro SD card deck", and the decoder beside the firmware, tools/usdlog): the byte
+0xBC; version (u16: 1 or 2) and number of kinds of events (u16); for each kind its number (u16), its name, how many
+variables it has (u16) and their names with a letter for the type, ``acc.x(f)``, each text ended by a zero byte. Then
+the events, each ``kind (u16), time, values``: time in milliseconds (u32) in version 1 and in microseconds (u64) in
+version 2. The last four bytes are the CRC-32 of all before them. Before 2020, rows of fixed rate: the number of columns
+(u8), their names ``tick(I),acc.x(f),...`` each ended by a comma; then blocks of ``number of rows (u8), rows``, ticks in
+milliseconds. Names and blocks are each followed by a CRC-32, complemented. All numbers are little-endian and packed.
+
+A card that was pulled out, or a battery that gave up, leaves a file without its last bytes: it is read up to there. An
+event of an unknown kind or a block with a wrong CRC is where sense ends, since nothing marks the next one.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.errors import InputError
+from mufly.logs.topics import RawLog, RawTable
+
+FIXED = "fixedFrequency"
+"""Topic of what is written at a fixed rate; the name that the firmware gives it."""
+
+_EVENTS = 0xBC
+_TICK = b"tick(I),"
+_TYPES = {
+    "B": "u1", "b": "i1", "H": "<u2", "h": "<i2", "I": "<u4", "i": "<i4", "Q": "<u8", "q": "<i8", "e": "<f2",
+    "f": "<f4", "d": "<f8",
+}  # fmt: skip
+_CLOCKS = {1: ("<u4", 1e3), 2: ("<u8", 1e6)}
+# Units of the variables that documents of the firmware give; angles in degrees, accelerations in g.
+_UNITS = {
+    "gyro": "deg/s", "acc": "gee", "stateEstimate.roll": "deg", "stateEstimate.pitch": "deg",
+    "stateEstimate.yaw": "deg", "stateEstimate.x": "m", "stateEstimate.y": "m", "stateEstimate.z": "m",
+    "stateEstimate.vx": "m/s", "stateEstimate.vy": "m/s", "stateEstimate.vz": "m/s", "stabilizer.roll": "deg",
+    "stabilizer.pitch": "deg", "stabilizer.yaw": "deg", "ctrltarget.roll": "deg", "ctrltarget.pitch": "deg",
+    "ctrltarget.x": "m", "ctrltarget.y": "m", "ctrltarget.z": "m", "baro.asl": "m", "baro.temp": "degC",
+    "baro.pressure": "mbar", "mag": "gauss", "pm.vbat": "V", "pm.vbatMV": "mV", "range": "mm",
+}  # fmt: skip
+
+
+def looks_like_crazyflie(head: bytes) -> bool:
+    """Whether a file that begins so is such a log, of either form."""
+    if head[1 : 1 + len(_TICK)] == _TICK:
+        return True
+    if len(head) < 7 or head[0] != _EVENTS:
+        return False
+    version, kinds = struct.unpack_from("<HH", head, 1)
+    return version in _CLOCKS and 0 < kinds < 256
+
+
+class _Kind(NamedTuple):
+    """A kind of event: its name, the layout of time and values, and where its events begin."""
+
+    name: str
+    row: np.dtype[Any]
+    starts: list[int]
+
+
+def read_crazyflie(path: str | Path) -> RawLog:
+    """Read a log of the micro-SD deck; one that was cut off is read up to the cut.
+
+    Raises
+    ------
+    InputError
+        If its list of variables is damaged or no row follows it.
+    """
+    where = str(path)
+    data = Path(path).read_bytes()
+    try:
+        tables, complete = (_by_events if data[0] == _EVENTS else _by_rows)(data)
+    except (struct.error, ValueError, IndexError, KeyError) as error:
+        problem = f"is a damaged log of the micro-SD deck ({error})"
+        raise InputError(where, "", problem, "give another copy of the file") from error
+    if not tables:
+        raise InputError(
+            where, "", "is a log of the micro-SD deck without data", "set usd.logging to 1 while it flies"
+        )
+    zero = min(float(t.time.min()) for t in tables)
+    shifted = {t.name: RawTable(t.name, t.time - zero, t.fields, t.units) for t in tables}
+    return RawLog(where, "Crazyflie", shifted, info={"system": "Crazyflie"}, complete=complete)
+
+
+def _by_events(data: bytes) -> tuple[list[RawTable], bool]:
+    version, count = struct.unpack_from("<HH", data, 1)
+    clock, tick = _CLOCKS[version]
+    whole = len(data) > 9 and crc32(data[:-4]) == struct.unpack("<I", data[-4:])[0]
+    end = len(data) - 4 if whole else len(data)
+    at = 5
+    kinds: dict[int, _Kind] = {}
+    for _ in range(count):
+        number = struct.unpack_from("<H", data, at)[0]
+        name, at = _text(data, at + 2)
+        columns = struct.unpack_from("<H", data, at)[0]
+        at += 2
+        fields = [("", clock)]
+        for _ in range(columns):
+            column, at = _text(data, at)
+            fields.append(_typed(column))
+        kinds[number] = _Kind(name, _layout(fields), [])
+    # A file without its end may have a broken event there; so may have one whose CRC is wrong for a flipped bit.
+    while at + 2 <= end:
+        kind = kinds.get(data[at] | data[at + 1] << 8)
+        if kind is None or at + 2 + kind.row.itemsize > end:
+            break
+        kind.starts.append(at + 2)
+        at += 2 + kind.row.itemsize
+    return [_table(data, k, tick) for k in kinds.values() if k.starts], whole and at == end
+
+
+def _by_rows(data: bytes) -> tuple[list[RawTable], bool]:
+    at = 1
+    fields = []
+    for _ in range(data[0]):
+        end = data.index(b",", at)
+        fields.append(_typed(data[at:end].decode()))
+        at = end + 1
+    complete = _sound(data[: at + 4])
+    at += 4
+    kind = _Kind(FIXED, _layout(fields), [])
+    for start, rows, end in _blocks(data, at, kind.row.itemsize):
+        if not _sound(data[start:end]):
+            complete = False
+            break
+        kind.starts.extend(range(start + 1, start + 1 + rows * kind.row.itemsize, kind.row.itemsize))
+        at = end
+    return [_table(data, kind, 1e3)] if kind.starts else [], complete and at == len(data)
+
+
+def _blocks(data: bytes, at: int, size: int) -> Iterator[tuple[int, int, int]]:
+    """Yield where each whole block begins, how many rows it has, and where it ends."""
+    while at < len(data):
+        end = at + 1 + data[at] * size + 4
+        if end > len(data):
+            return
+        yield at, data[at], end
+        at = end
+
+
+def _sound(block: bytes) -> bool:
+    """Whether a block ends with its complemented CRC, which makes the CRC of the whole all ones."""
+    return crc32(block) == 0xFFFFFFFF
+
+
+def _text(data: bytes, at: int) -> tuple[str, int]:
+    end = data.index(b"\0", at)
+    return data[at:end].decode(), end + 1
+
+
+def _typed(column: str) -> tuple[str, str]:
+    """Name and type of a variable: ``acc.x(f)``."""
+    name, _, letter = column.strip().removesuffix(")").rpartition("(")
+    if not name or letter not in _TYPES:
+        raise ValueError(f"variable {column!r:.40}")
+    return name, _TYPES[letter]
+
+
+def _layout(fields: list[tuple[str, str]]) -> np.dtype[Any]:
+    """Layout of a row; the clock comes first and has no name."""
+    names = ["", *(name for name, _ in fields[1:])]
+    if len(set(names)) < len(names):
+        raise ValueError("a variable occurs twice")
+    return np.dtype([(name or "clock", kind) for name, (_, kind) in zip(names, fields, strict=True)])
+
+
+def _table(data: bytes, kind: _Kind, tick: float) -> RawTable:
+    stream = np.frombuffer(data, dtype=np.uint8)
+    starts = np.array(kind.starts, dtype=np.int64)
+    block = np.ascontiguousarray(stream[starts[:, None] + np.arange(kind.row.itemsize)])
+    rows: NDArray[Any] = block.view(kind.row)[:, 0]
+    clock, *names = kind.row.names or ()
+    fields = {name: rows[name] for name in names}
+    units = {name: _UNITS.get(name) or _UNITS.get(name.partition(".")[0], "") for name in names}
+    return RawTable(kind.name, rows[clock] / tick, fields, {k: u for k, u in units.items() if u})
