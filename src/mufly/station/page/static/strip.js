@@ -39,10 +39,10 @@ export function mount(element) {
   }, { offline: (yes) => {
     if (!yes) return;
     element.dataset.state = "lost";
-    put(what, "This page has lost the station");
+    put(what, "Station lost");
     put(how, "");
     put(pace, "");
-    tell("warning", "it cannot stop the motors until it is back");
+    tell("warning", "this page cannot stop the motors until the station is back");
   } });
   show(null);
   return { close: () => panel.close() };
