@@ -3,14 +3,17 @@
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from mufly.errors import InputError
+from mufly.estimate import Estimate
 from mufly.flight import Parameter
-from mufly.station import Snapshot
+from mufly.station import Outcome, Request, Snapshot
 from mufly.station.page.feed import catalog, display_unit, folded, marks, spectrum
+from mufly.station.page.layout import Sent
 from mufly.station.page.session import (
     COMMANDS,
     ParameterSheet,
@@ -290,3 +293,30 @@ def test_recordings_of_other_flights_are_found_beside_this_one(tmp_path: Path) -
         "notes/table.csv",
     }
     assert found("not there") == found("one")
+
+
+def test_the_mark_of_where_it_was_sent_goes_when_it_does_not_fly_there_any_more() -> None:
+    there = replace(HOVER, state="waypoint", estimate=Estimate(position=np.array([0.0, 0.0, -1.0])))
+
+    def left(*seen: Snapshot, outcome: Outcome = Outcome.ACCEPTED, kind: str = "mufly") -> bool:
+        vehicle = SimpleNamespace(kind=kind, snapshot=there)
+        sent = Sent(vehicle, Request("go", outcome), (2.0, 0.0, 1.0))  # type: ignore[arg-type]
+        stays = True
+        for vehicle.snapshot in seen:
+            stays = stays and sent.on_its_way(vehicle)  # type: ignore[arg-type]
+        return not stays
+
+    assert not left(there, there)
+    assert not left(replace(there, state="hover"), there)  # accepted, and not yet told
+    assert left(there, replace(there, state="hover"))  # interrupted
+    assert left(there, replace(there, state="landing"))
+    assert left(there, replace(there, mission_running=True))  # the mission goes on
+    assert left(replace(there, flying=False))
+    assert left(there, replace(there, estimate=Estimate(position=np.array([1.9, 0.0, -1.0]))))  # it is there
+    assert left(there, outcome=Outcome.REFUSED)
+    assert not left(there, outcome=Outcome.WAITING)
+    assert not left(
+        there, replace(there, state="hover"), kind="other"
+    )  # a mode of a foreign autopilot says nothing
+    elsewhere = SimpleNamespace(kind="mufly", snapshot=there)
+    assert not Sent(elsewhere, Request("go"), (2.0, 0.0, 1.0)).on_its_way(None)  # type: ignore[arg-type]

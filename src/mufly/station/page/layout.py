@@ -289,7 +289,7 @@ _UNDER_WAY = frozenset({"waypoint", "obstacle"})
 
 
 @dataclass(slots=True)
-class _Sent:
+class Sent:
     """A place (north, east, height; m) that a vehicle was sent to."""
 
     vehicle: RemoteVehicle
@@ -326,7 +326,7 @@ class CommandBar:
         self, view: View, place: Callable[[float], None], target: Callable[[_Place | None], None]
     ) -> None:
         self._view, self._tell_target = view, target
-        self._sent: _Sent | None = None
+        self._sent: Sent | None = None
         self._shown: list[str] = []
         self._banner_shown = ("?", "")
         self._actions: dict[str, Action] = {}
@@ -398,7 +398,7 @@ class CommandBar:
             self._refuse(f"go to N {north:.2f}, E {east:.2f}, height {height:.2f} m", why)
         elif (vehicle := self._view.vehicle()) is not None:
             request = vehicle.go_to((north, east, -height))
-            self._sent = _Sent(vehicle, request, (north, east, height))
+            self._sent = Sent(vehicle, request, (north, east, height))
             self._tell_target(self._sent.place)
             self._ask(lambda _: request)
 
