@@ -60,7 +60,13 @@ _TABLE: dict[str, dict[str, tuple[float, float]]] = {
     "Pa": {"Pa": (1, 0), "hPa": (100, 0), "mbar": (100, 0), "kPa": (1e3, 0), "bar": (1e5, 0)},
     "Pa s": {"Pa s": (1, 0), "uPa s": (1e-6, 0)},
     "K": {"K": (1, 0), "degC": (1, 273.15), "cdegC": (0.01, 273.15)},
-    "T": {"T": (1, 0), "mT": (1e-3, 0), "gauss": (1e-4, 0), "mgauss": (1e-7, 0)},
+    "T": {"T": (1, 0), "mT": (1e-3, 0), "uT": (1e-6, 0), "gauss": (1e-4, 0), "mgauss": (1e-7, 0)},
+    "T/A": {"T/A": (1, 0), "uT/A": (1e-6, 0)},
+    "m/s^2/sqrt(Hz)": {"m/s^2/sqrt(Hz)": (1, 0), "ugee/sqrt(Hz)": (_G * 1e-6, 0)},
+    "rad/s/sqrt(Hz)": {"rad/s/sqrt(Hz)": (1, 0), "deg/s/sqrt(Hz)": (pi / 180, 0)},
+    "rad/s/(m/s^2)": {"rad/s/(m/s^2)": (1, 0), "deg/s/gee": (pi / 180 / _G, 0)},
+    "m/s^2/K": {"m/s^2/K": (1, 0), "mgee/K": (_G * 1e-3, 0)},
+    "rad/s/K": {"rad/s/K": (1, 0), "deg/s/K": (pi / 180, 0)},
     "1": {"1": (1, 0), "%": (1e-2, 0), "d%": (1e-3, 0), "c%": (1e-4, 0)},
 }  # fmt: skip
 _BY_UNIT = {u: (si, float(f), float(o)) for si, units in _TABLE.items() for u, (f, o) in units.items()}

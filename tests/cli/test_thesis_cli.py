@@ -5,7 +5,7 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from mufly.cli.thesis import app
+from mufly.cli.study import thesis_commands as app
 from mufly.errors import InputError
 
 runner = CliRunner()

@@ -231,13 +231,6 @@ def test_a_header_in_the_middle_is_the_instant_0_and_one_far_away_is_not(write):
     assert read_raw(write(ulog(px4(700_000_000), header=99_000_000))).span[0] == pytest.approx(0)
 
 
-def test_the_wall_time_of_a_ulog_is_that_of_its_first_fix(write):
-    us = 50_000_000 + np.array([0, 2_000_000, 3_000_000])
-    fix = (us, {"time_utc_usec": [0, 1_700_000_002e6, 1_700_000_003e6]})
-    raw = read_raw(write(ulog(px4(50_000_000, vehicle_gps_position=fix), header=49_000_000)))
-    assert raw.start_time == "2023-11-14T22:13:19.000+00:00"  # the header's instant is 3 s before that fix
-
-
 def test_a_log_that_begins_before_0_is_shifted_for_formats_that_know_no_sign(write, tmp_path):
     path = write(ulog(px4(50_000_000), header=54_000_000))
     data = quietly(path)

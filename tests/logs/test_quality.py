@@ -56,31 +56,7 @@ def test_saturation_is_measured_at_either_end():
     assert find_saturation(np.sin(TIME) + 0.01 * NOISE) == (0, 0)
 
 
-def test_a_named_rate_is_doubted_only_beyond_what_gyroscopes_measure():
-    assert guess_angle_units(TIME, None, 50 * np.sin(TIME), named=True).rate == ""
-    assert guess_angle_units(TIME, None, 75 * np.sin(TIME), named=True).rate == "deg"
-
-
-@pytest.mark.parametrize(("factor", "odd"), [(100.0, True), (4.0, True), (2.0, False), (1.2, False)])
-def test_a_slope_that_no_unit_explains_is_odd(factor, odd):
-    guess = guess_angle_units(TIME, ANGLE, factor * RATE)
-    assert guess.odd == odd
-    assert guess_angle_units(TIME, factor * ANGLE, RATE).odd == odd
-
-
-def test_a_spike_in_a_coarse_signal_is_an_outlier_and_its_steps_are_not():
-    coarse = np.round(2 * np.sin(0.3 * TIME), 1)
-    assert len(find_outliers(coarse)) == 0
-    spiked = coarse.copy()
-    spiked[900] += 3.0
-    assert find_outliers(spiked).tolist() == [900]
-
-
 def test_the_words_of_a_channel():
-    clipped = np.clip(2 * np.sin(TIME) + 0.01 * NOISE, -9.0, 1.0)
-    share = 100 * np.mean(clipped == 1.0)
-    words = check_channel(TIME, clipped, "servo", "rad").words()
-    assert words == [f"servo: {share:.2g} % of the values sit at its maximum, 1 rad"]
     x = 0.1 * NOISE
     x[300] = 5.0
     x[700:800] = np.nan
@@ -105,10 +81,6 @@ RATE = 0.6 * np.cos(2 * TIME) + 0.9 * np.cos(9 * TIME)
         (0.05 * np.degrees(ANGLE), None, ("", "")),
         (None, np.degrees(RATE), ("", "deg")),
         (0.02 * np.degrees(ANGLE), 0.02 * RATE + 0.0005 * NOISE, ("deg", "rad")),
-        (None, 40 * np.sin(TIME), ("", "deg")),
-        (None, 34 * np.sin(TIME), ("", "")),
-        (0.6 * ANGLE, 0.6 * RATE, ("rad", "rad")),  # 13 degrees: no helicopter stays below a quarter of one
-        (0.4 * ANGLE, 0.4 * RATE, ("", "")),  # 0.15, either a little in radians or nothing in degrees
     ],
 )
 def test_degrees_are_told_from_radians(angle, rate, wanted):
@@ -174,18 +146,6 @@ def test_the_interval_of_a_delay_holds_it_as_often_as_it_says(burst):
         assert found.determined
         inside += found.low_s <= 0.0437 <= found.high_s
     assert 0.88 * 80 <= inside <= 80
-
-
-def test_a_manoeuvre_in_a_long_hover_tells_the_delay_as_it_would_alone():
-    """Pieces of equal length would hold it in one of them, and the jackknife without it would know nothing."""
-    t, x, y, rng = delayed_pair(0.0437, 2, n=6000)
-    there = (t > 20) & (t < 25)
-    noise = 0.02 * rng.standard_normal(len(t))
-    found = estimate_delay(t, np.where(there, x, 0), np.where(there, y, 0) + noise)
-    assert found.determined
-    assert found.freedom >= 8
-    assert found.low_s < 0.0437 < found.high_s
-    assert found.high_s - found.low_s < 0.01
 
 
 def test_a_delay_that_the_record_does_not_tell_is_not_determined():

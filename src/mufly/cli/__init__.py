@@ -9,10 +9,9 @@ from typing import Any
 import typer
 
 import mufly
-from mufly.cli import coax, control, drive, fly, log, mission, rotor, station, thesis, vehicle
-from mufly.cli import optimise as _optimise  # noqa: F401  adds to the commands of rotor and coax
+from mufly.cli import coax, control, drive, fly, log, mission, rotor, sensors, station, study, vehicle
+from mufly.cli import optimise as _optimise  # noqa: F401  adds to the commands of rotor and coax, as study does
 from mufly.cli import station as link
-from mufly.cli import study as _study  # noqa: F401  as optimise does
 from mufly.cli.identify import flight as identify
 from mufly.cli.options import Commands
 from mufly.errors import MuflyError
@@ -38,7 +37,8 @@ app.add_typer(control.app, name="control")
 app.add_typer(mission.app, name="mission")
 app.add_typer(identify.app, name="identify")
 app.add_typer(log.app, name="log")
-app.add_typer(thesis.app, name="thesis")
+app.add_typer(sensors.app, name="sensors")
+app.add_typer(study.thesis_commands, name="thesis")
 
 
 def _version(asked: bool) -> None:

@@ -1,11 +1,13 @@
-"""Many rotors or pairs at once: ``mufly rotor sweep | rank | parameters``, ``mufly coax sweep | parameters``."""
+"""Many rotors or pairs at once: ``mufly rotor sweep | rank | parameters``, ``mufly coax sweep | parameters``;
+the dissertation's: ``mufly thesis``.
+"""
 
 from __future__ import annotations
 
 import math
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from mufly.cli import coax
 from mufly.cli.coax import THESIS, LowerArgument, UpperArgument, pair_of
@@ -13,11 +15,13 @@ from mufly.cli.options import (
     BEMT,
     POLARS,
     WAKE,
+    Commands,
     DriveOption,
     JsonOption,
     Polars,
     RotorArgument,
     Theory,
+    argument,
     drive_or_none,
     option,
 )
@@ -38,6 +42,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from mufly.study.parameters import Parameter, Value
+    from mufly.thesis import Outcome
 
 _SHOWN = 40  # rows of a sweep in the terminal
 
@@ -422,3 +427,70 @@ def _print_pairs(data: xr.Dataset, variable: str) -> None:
     if fault.size > _SHOWN:
         c.print(f"and {fault.size - _SHOWN} more; --out writes them all", style="dim")
     _print_faults(data)
+
+
+# ----------------------------------------------------------------------------
+# The dissertation's studies, ours beside theirs.
+
+
+thesis_commands = Commands(
+    help="Repeat the studies of the dissertation and say where we agree with it. What each assumes: docs/studies.md.",
+    no_args_is_help=True,
+)
+
+
+@thesis_commands.command("list")
+def list_studies(as_json: JsonOption = False) -> None:
+    """List the studies that can be repeated."""
+    from mufly.thesis import studies
+
+    if as_json:
+        print_json([vars(s) for s in studies()])
+        return
+    print_table(
+        ("name", "section", "title"), [(s.name, s.section, s.title) for s in studies()], text=(0, 1, 2)
+    )
+
+
+@thesis_commands.command("run")
+def run_thesis(
+    name: Annotated[str, argument("NAME|all", "A study that `mufly thesis list` names, or all.")],
+    out: Annotated[Path | None, option("--out DIR", "Write picture, tables and verdicts there.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run a study: a line for every claim of the dissertation, with our numbers and the rule of agreement.
+
+    Each study is computed with our corrections and with the theory as the dissertation has it, so that a
+    difference can be traced to the one or the other.
+
+    Examples: mufly thesis run fig-3.26; mufly thesis run all --out thesis
+    """
+    from mufly.thesis import run_study, studies
+
+    names = [s.name for s in studies()] if name == "all" else [name]
+    answers: list[dict[str, Any]] = []
+    for one in names:
+        with progress_bar(one, not as_json) as progress:
+            outcome = run_study(one, progress)
+        files = outcome.write(out) if out is not None else []
+        answers.append({**outcome.to_dict(), "files": [str(f) for f in files]})
+        if not as_json:
+            _print_outcome(outcome, files)
+    if as_json:
+        print_json(answers if name == "all" else answers[0])
+    elif name == "all":
+        every = [v["agrees"] for a in answers for v in a["verdicts"]]
+        console().print(f"[bold]{sum(every)} of {len(every)} verdicts agree.[/bold]")
+
+
+def _print_outcome(outcome: Outcome, files: list[Path]) -> None:
+    c = console()
+    c.print(f"[bold]{outcome.name}[/bold]  {outcome.title}", highlight=False)
+    for verdict in outcome.verdicts:
+        c.print(
+            f"  {verdict.line()}", style=None if verdict.agrees else "yellow", highlight=False, markup=False
+        )
+    if not outcome.verdicts:
+        c.print("  contours only; --out draws them", style="dim")
+    for file in files:
+        c.print(f"  Written: {file}", style="dim", highlight=False)

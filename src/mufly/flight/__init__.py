@@ -6,6 +6,14 @@ from mufly.flight.parameters import Parameter
 from mufly.flight.pictures import draw_flight
 from mufly.flight.plant import Demand, Plant, respond
 from mufly.flight.recorder import Recorder
+from mufly.flight.sensor_log import (
+    ReadingErrors,
+    SensorLog,
+    draw_sensors,
+    listen,
+    reading_errors,
+    write_sensor_logs,
+)
 from mufly.flight.software import Actuators, Controllers, FlightSoftware
 from mufly.flight.state import FlightState
 from mufly.flight.summary import Summary, summarise, summary_rows
@@ -26,17 +34,23 @@ __all__ = [
     "Parameter",
     "Plant",
     "Progress",
+    "ReadingErrors",
     "Recorder",
+    "SensorLog",
     "SetPoint",
     "Summary",
     "draw_flight",
+    "draw_sensors",
     "events_of",
     "fly",
+    "listen",
     "read_attachments",
     "read_recording",
+    "reading_errors",
     "respond",
     "standard_layout",
     "summarise",
     "summary_rows",
     "to_csv",
+    "write_sensor_logs",
 ]

@@ -6,9 +6,7 @@ them by a windowed sinc (exact for signals without content above half the sampli
 signals themselves would smooth their noise by an amount that depends on the fraction, and pull the answer towards a
 whole or a half sample.
 
-Uncertainty: the record is cut into twelve pieces, in each of which the reference moves as much as in every other (equal
-sums of its squared steps, which are what tells a delay), so that a short manoeuvre in a long hover is cut too. The
-delay is found anew with each of them left out, and its variance
+Uncertainty: the record is cut into twelve pieces; the delay is found anew with each of them left out, and its variance
 is that of the delete-one-block jackknife, (K - 1) / K sum (tau_k - mean)^2, with Student's quantile for K - 1 degrees
 of freedom (Kuensch 1989, "The jackknife and the bootstrap for general stationary observations"). It needs no model of
 the residual, which in flight data is neither white nor even. It holds for a delay: where the response is filtered
@@ -155,8 +153,8 @@ def estimate_delay(
     lags = np.arange(-reach, reach + 1)
     # The response stays within its window while the reference slides past, so every lag is judged by the same
     # samples. Products and powers are summed by pieces, so that each can be left out.
-    edges = _pieces(x, reach)
-    pieces = len(edges) - 1
+    pieces = min(_PIECES, (n - 2 * reach) // _LEAST_SAMPLES)
+    edges = np.linspace(reach, n - reach, pieces + 1).astype(int)
     power = np.concatenate(([0.0], np.cumsum(x * x)))
     products, sizes, energies = [], [], []
     for start, end in pairwise(edges.tolist()):
@@ -183,20 +181,6 @@ def estimate_delay(
     return Delay(lag * step, step * std, sign * height, at_limit, step, rival_s, pieces - 1)
 
 
-def _pieces(x: _Array, reach: int) -> NDArray[np.int64]:
-    """Edges of the pieces: samples from ``reach`` to as far from the end, in shares of equal movement."""
-    last = len(x) - reach
-    moved = np.cumsum(np.diff(x[reach:last], prepend=x[reach]) ** 2)
-    shares = np.linspace(0, moved[-1], _PIECES + 1)[1:-1]
-    edges = [reach]
-    for edge in (reach + np.searchsorted(moved, shares)).tolist():
-        if edge - edges[-1] >= _LEAST_SAMPLES and last - edge >= _LEAST_SAMPLES:
-            edges.append(edge)
-    if len(edges) < 3:  # two steps or a single one: by time
-        return np.linspace(reach, last, min(_PIECES, (last - reach) // _LEAST_SAMPLES) + 1).astype(np.int64)
-    return np.array([*edges, last], dtype=np.int64)
-
-
 def _correlation(product: _Array, size: _Array, energy: float, floor: float) -> _Array:
     out: _Array = product / np.sqrt(np.maximum(size, 1e-12 * floor) * max(energy, 1e-300))
     return out
@@ -215,10 +199,7 @@ def _peak(lags: NDArray[np.int64], values: _Array, k: int) -> tuple[float, float
 def _rival(
     lags: NDArray[np.int64], c: _Array, without: list[_Array], k: int, inside: NDArray[np.bool_]
 ) -> int | None:
-    """Another lag, beyond where the peak falls to its half, that is as high within the jackknife's interval.
-
-    What is lower by a fifth is none, however few pieces tell the two apart.
-    """
+    """Another lag, beyond where the peak falls to its half, that is as high within the jackknife's interval."""
     at = int(np.flatnonzero(lags == k)[0])
     low = c < 0.5 * c[at]
     first = at - int(np.argmax(low[at::-1])) if low[: at + 1].any() else 0
@@ -229,7 +210,7 @@ def _rival(
     other = int(np.flatnonzero(apart)[c[apart].argmax()])
     lead = np.array([w[at] - w[other] for w in without])
     doubt = _quantile(len(lead) - 1) * np.sqrt((len(lead) - 1) * np.var(lead))
-    return int(lags[other]) if c[other] > 0.8 * c[at] and c[at] - c[other] < doubt else None
+    return int(lags[other]) if c[at] - c[other] < doubt else None
 
 
 def _levelled(x: _Array) -> _Array:

@@ -2,8 +2,8 @@
 
 A sensor turns the :class:`Truth` of a simulation into :class:`Reading` s, by the names of the table of quantities
 ("position", "ranges", "battery_voltage", ...) or by its own; all of one instant are the :class:`Readings` that an
-estimator gets (:mod:`mufly.estimate`). Real sensors with noise, delay and clipping take the place of ideal ones one by
-one: a sensor of a name that is there already hides the one before it.
+estimator gets (:mod:`mufly.estimate`). Real sensors with noise, delay and clipping take the place of ideal ones one
+by one: a sensor of a name that is there already hides the one before it.
 
 The ring of beams (Fig. 6.18) turns and tilts with the fuselage: beam ``i`` of ``n`` points along
 ``alpha_i = alpha_0 + 2 pi i / n`` from x towards y, in the x-y plane of the body.
@@ -116,26 +116,93 @@ class Sensor:
         """What it says at this instant, by name; asked in every period of the flight software."""
         raise NotImplementedError
 
+    def right(self, truth: Truth) -> Mapping[str, Any]:
+        """What it would say without any error, by name."""
+        raise NotImplementedError
+
     def reset(self) -> None:
         """The simulation is back at its start."""
+
+
+class Periodic(Sensor):
+    """A sensor that measures every so often and says it some time later.
+
+    Parameters
+    ----------
+    period_s : float
+        Between measurements (s).
+    """
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self.reset()
+
+    def reset(self) -> None:
+        self._due_s = -math.inf
+        self._coming: list[tuple[float, dict[str, Reading]]] = []  # when, what
+        self._latest: dict[str, Reading] = {}
+
+    def measure(self, truth: Truth) -> tuple[float, dict[str, Reading]] | None:
+        """Measure now: how long it takes until that is known (s), and what it is; None if nothing will come."""
+        raise NotImplementedError
+
+    def read(self, truth: Truth) -> Mapping[str, Reading]:
+        t = truth.time_s
+        if t >= self._due_s - 1e-9:
+            # Measurements keep to their own clock, however coarse the periods of the flight software are.
+            behind = t - self._due_s
+            self._due_s = (t if behind > self._period_s else self._due_s) + self._period_s
+            said = self.measure(truth)
+            if said is not None:
+                self._coming.append((t + said[0], said[1]))
+        if self._coming:
+            there = [one for one in self._coming if one[0] <= t + 1e-9]
+            if there:
+                self._coming = [one for one in self._coming if one[0] > t + 1e-9]
+                for _, readings in sorted(there, key=lambda one: one[0]):
+                    self._latest = {**self._latest, **readings}
+        return self._latest
+
+
+class Wander:
+    """Errors that wander, each for itself: d x = -x dt / tau + sigma sqrt(2 dt / tau) n (first-order Gauss-Markov).
+
+    Sampled exactly: x' = x phi + sigma sqrt(1 - phi^2) n with phi = exp(-dt / tau).
+    """
+
+    def __init__(self, rng: np.random.Generator, sigma: float | _Array, time_s: float, size: int = 1) -> None:
+        self._rng, self._sigma, self._time_s, self._size = rng, sigma, time_s, size
+        self.value: _Array = sigma * rng.standard_normal(size)
+        self._last_s = math.nan
+
+    def at(self, time_s: float) -> _Array:
+        """The errors at a time; times rise."""
+        elapsed = 0.0 if math.isnan(self._last_s) else max(0.0, time_s - self._last_s)
+        self._last_s = time_s
+        if elapsed > 0.0:
+            phi = math.exp(-elapsed / self._time_s)
+            self.value = self.value * phi + self._sigma * math.sqrt(
+                1 - phi * phi
+            ) * self._rng.standard_normal(self._size)
+        return self.value
 
 
 class Sensors:
     """All sensors of a vehicle."""
 
     def __init__(self, *sensors: Sensor) -> None:
-        self._sensors = sensors
+        self.sensors = sensors
 
     def read(self, truth: Truth) -> Readings:
         """Ask them all."""
         latest: dict[str, Reading] = {}
-        for sensor in self._sensors:
+        for sensor in self.sensors:
             latest |= sensor.read(truth)
         return Readings(truth.time_s, latest)
 
     def reset(self) -> None:
         """The simulation is back at its start."""
-        for sensor in self._sensors:
+        for sensor in self.sensors:
             sensor.reset()
 
 

@@ -20,6 +20,7 @@ from mufly.errors import InputError
 from mufly.tables import builtin_names, fault, read_tables, validated
 from mufly.vehicle.coefficient_map import CoefficientMap, named_maps
 from mufly.vehicle.quantity import Curve, Group, Points, Quantity, parameter
+from mufly.vehicle.sensing import Sensing
 
 MAX_LEGS = 16
 _SAME_RADIUS = 0.01
@@ -198,6 +199,7 @@ class Vehicle(Group):
     battery: Battery
     contact: Contact
     range_ring: RangeRing
+    sensors: Sensing | None = None
     mass_budget: MassBudget | None = None
 
     @model_validator(mode="after")

@@ -1,0 +1,146 @@
+"""``mufly sensors``: what a vehicle feels with, and what that would say on a flight."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from mufly.cli.options import Commands, JsonOption, OutOption, argument, option
+from mufly.cli.present import (
+    Column,
+    answer,
+    check_folder,
+    print_json,
+    print_table,
+    progress_bar,
+    save_picture,
+    say,
+    show_table,
+    writing,
+)
+from mufly.errors import InputError
+
+app = Commands(
+    help="Sensors: what a vehicle file says about them, and what they would say on a flight. Equations and sources: "
+    "docs/sensors.md.",
+    no_args_is_help=True,
+)
+
+_VehicleArgument = Annotated[str, argument("NAME|FILE", "A built-in vehicle, or a vehicle file (TOML).")]
+_FaultOption = Annotated[
+    list[str] | None,
+    option(
+        "--fault NAME.KIND=AMOUNT@STARTs+DURATIONs",
+        "What goes wrong, as sonar.jump=0.3@15s+2s or accelerometer.clip@20s; `mufly sensors faults` lists them.",
+    ),
+]
+
+
+@app.command()
+def show(vehicle: _VehicleArgument = "mufly-1.1", as_json: JsonOption = False) -> None:
+    """Show what a vehicle feels with: every number of the table [sensors] of its file, and where it came from."""
+    from mufly.vehicle import load_vehicle, parameters
+
+    v = load_vehicle(vehicle)
+    rows = [p for p in parameters(v) if p.key.startswith("sensors.")]
+    if as_json:
+        print_json([p._asdict() for p in rows])
+        return
+    if not rows:
+        say(f"{v.name} has no table [sensors]: it flies on what is true.")
+        return
+    for name in dict.fromkeys(p.key.split(".")[1] for p in rows):
+        print_table(
+            ("", "value", "unit", "meaning", "source"),
+            [
+                (p.key.removeprefix(f"sensors.{name}."), _shown(p.value), p.unit, p.description, p.source)
+                for p in rows
+                if p.key.startswith(f"sensors.{name}.")
+            ],
+            title=name.replace("_", " "),
+            text=(0, 2, 3, 4),
+        )
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return (
+        ", ".join(f"({x:g}, {y:g}, {z:g})" for x, y, z in value) if isinstance(value, tuple) else str(value)
+    )
+
+
+@app.command()
+def faults(as_json: JsonOption = False) -> None:
+    """List what can go wrong with which sensor, and by how much if nothing is said."""
+    from mufly.sensors import KINDS, TARGETS
+
+    if as_json:
+        print_json({"kinds": dict(KINDS), "targets": {name: vars(t) for name, t in TARGETS.items()}})
+        return
+    print_table(("kind", "meaning"), list(KINDS.items()), text=(0, 1))
+    kinds = ("jump", "bias", "drift", "clip", "stuck", "outliers", "late")
+    print_table(
+        ("sensor", "unit", *kinds),
+        [(name, t.unit, *(f"{t.amount[k]:g}" for k in kinds)) for name, t in TARGETS.items()],
+        title="Amounts by default",
+        text=(0, 1),
+    )
+
+
+@app.command()
+def simulate(
+    mission: Annotated[
+        str, argument("MISSION", "A built-in mission, or a mission file (TOML).")
+    ] = "demonstration",
+    vehicle: Annotated[
+        str, option("--vehicle NAME|FILE", "A built-in vehicle or a file, with [sensors].")
+    ] = "mufly-1.1",
+    seed: Annotated[int, option("K", "Same seed, same gusts and errors.")] = 0,
+    fault: _FaultOption = None,
+    wind: Annotated[
+        float | None, option("--wind M/S", "Steady wind from the south, in place of the mission's.")
+    ] = None,
+    gust: Annotated[float | None, option("--gust M/S", "Gusts, in place of the mission's.")] = None,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Fly a mission on what is true and tell what the vehicle's own sensors would have said, and how they were off.
+
+    The flight is the same whatever the sensors say. With --out: a CSV for every reading with what is true beside it,
+    and a picture of them all.
+
+    Examples: mufly sensors simulate --out readings; mufly sensors simulate box-on-leg --vehicle mufly-2.0
+    --fault sonar.jump=0.3@10s+2s
+    """
+    import numpy as np
+
+    from mufly.flight import draw_sensors, listen, reading_errors, write_sensor_logs
+    from mufly.mission import load_mission
+    from mufly.sensors import parse_fault
+    from mufly.vehicle import load_vehicle
+
+    wrong = [parse_fault(text) for text in fault or []]
+    for option_, value in (("--wind", wind), ("--gust", gust)):
+        if value is not None and not np.isfinite(value):
+            raise InputError(option_, "", f"{value:g} is no speed", "give a number (m/s)")
+    check_folder("--out", out)
+    with progress_bar("flight", not as_json) as progress:
+        logs = listen(
+            load_vehicle(vehicle), load_mission(mission), seed=seed, faults=wrong,
+            wind=None if wind is None else np.array([wind, 0.0, 0.0]), gust=gust,
+            on_progress=None if progress is None else lambda p: progress(round(p.time_s), round(p.expected_s)),
+        )  # fmt: skip
+    errors = [reading_errors(log) for log in logs.values()]
+    files = []
+    if out is not None:
+        with writing(out):
+            files = write_sensor_logs(logs, out)
+        files.append(save_picture(draw_sensors(logs), out, "sensors"))
+    answer(as_json, lambda: {"readings": errors}, lambda: show_table(errors, _COLUMNS), files)
+
+
+_COLUMNS = (
+    "name", Column("count", form="d"), Column("rate_Hz", form=".1f"), Column("delay_s", "ms", ".0f"),
+    Column("invalid", "%", ".1f"), Column("mean", form=".3g", head="mean error"), Column("deviation", form=".3g"),
+    Column("worst", form=".3g"), "unit",
+)  # fmt: skip

@@ -1,0 +1,255 @@
+"""What the sensors of a vehicle would say on a flight, beside what is true.
+
+Flown on ideal sensors, listened to with real ones: the flight is the same whatever the sensors say, so that seeds,
+faults and sensors can be compared on it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from mufly.control import design
+from mufly.flight.flight import RING_HZ, Progress, fly
+from mufly.mission import Mission
+from mufly.results import result
+from mufly.sensors import Fault, Reading, Readings, Sensors, Truth, fitted_sensors, ideal_sensors
+from mufly.vehicle import Vehicle
+
+_Array = NDArray[np.float64]
+_REMEMBERED = 2000  # periods: readings may come late by ten seconds at 200 Hz
+
+SAID: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "acceleration": ("m/s^2", ("x", "y", "z")),
+    "rates": ("rad/s", ("p", "q", "r")),
+    "clipping": ("1", ("x", "y", "z")),
+    "temperature": ("K", ()),
+    "ground_distance": ("m", ()),
+    "ranges": ("m", ()),
+    "pressure": ("Pa", ()),
+    "magnetic_field": ("T", ("x", "y", "z")),
+    "rotor_speed": ("rad/s", ("upper", "lower")),
+    "battery_voltage": ("V", ()),
+    "battery_current": ("A", ()),
+    "position_fix": ("m", ("N", "E", "D", "heading")),
+}
+"""Unit and components of every reading; the heading of a fix is in rad."""
+
+
+@dataclass
+class SensorLog:
+    """Every reading of one name, in the order in which they came.
+
+    Attributes
+    ----------
+    name : str
+    came_s, taken_s : list of float
+        When it came and when it was measured (s).
+    value, true : list of arrays
+        As said, and without error at the time of the measurement; NaN where nothing is true to compare with.
+    valid : list of bool
+    """
+
+    name: str
+    came_s: list[float] = field(default_factory=list)
+    taken_s: list[float] = field(default_factory=list)
+    value: list[_Array] = field(default_factory=list)
+    true: list[_Array] = field(default_factory=list)
+    valid: list[bool] = field(default_factory=list)
+
+    def labels(self) -> Sequence[str]:
+        """Names of the components."""
+        known = SAID.get(self.name, ("", ()))[1]
+        return known or ([str(k) for k in range(self.value[0].size)] if self.value[0].size > 1 else [""])
+
+
+@result
+class ReadingErrors:
+    """How one reading was off on a flight.
+
+    Attributes
+    ----------
+    name : str
+    count : int
+        How many came.
+    rate_Hz : float
+        How many a second (Hz).
+    delay_s : float
+        From measurement to reading, on average (s).
+    invalid : float
+        Share (1) that said of itself that it cannot be right.
+    mean, deviation, worst : float
+        Of the error of its worst component, in the unit of the reading; valid ones only.
+    unit : str
+    """
+
+    name: str
+    count: int
+    rate_Hz: float
+    delay_s: float
+    invalid: float
+    mean: float
+    deviation: float
+    worst: float
+    unit: str
+
+
+class _Listener(Sensors):
+    """Ideal sensors for the flight; beside them the fitted ones, whose readings are kept."""
+
+    def __init__(self, ideal: Sensors, fitted: Sensors) -> None:
+        super().__init__(*ideal.sensors)
+        self._fitted = fitted
+        self.logs: dict[str, SensorLog] = {}
+        self._clear()
+
+    def _clear(self) -> None:
+        self._last: dict[str, Reading] = {}
+        self._right: deque[tuple[float, dict[str, Any]]] = deque(maxlen=_REMEMBERED)
+
+    def read(self, truth: Truth) -> Readings:
+        right: dict[str, Any] = {}
+        said: dict[str, Reading] = {}
+        for sensor in self._fitted.sensors:
+            said |= sensor.read(truth)
+            right |= sensor.right(truth)
+        self._right.append((truth.time_s, right))
+        for name, r in said.items():
+            if self._last.get(name) is not r:
+                self._keep(name, r, truth.time_s)
+        self._last = said
+        return super().read(truth)
+
+    def _keep(self, name: str, r: Reading, time_s: float) -> None:
+        log = self.logs.setdefault(name, SensorLog(name))
+        value = np.atleast_1d(np.asarray(r.value, dtype=np.float64))
+        then: dict[str, Any] = next((w for t, w in reversed(self._right) if abs(t - r.time_s) < 1e-6), {})
+        log.came_s.append(time_s)
+        log.taken_s.append(r.time_s)
+        log.value.append(value)
+        log.true.append(np.broadcast_to(np.asarray(then.get(name, np.nan), dtype=np.float64), value.shape))
+        log.valid.append(r.valid)
+
+    def reset(self) -> None:
+        super().reset()
+        self._fitted.reset()
+        self.logs.clear()
+        self._clear()
+
+
+def listen(
+    vehicle: Vehicle,
+    mission: Mission,
+    *,
+    seed: int = 0,
+    faults: Sequence[Fault] = (),
+    wind: _Array | None = None,
+    gust: float | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> dict[str, SensorLog]:
+    """Fly a mission on ideal sensors and return what the vehicle's own would have said.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        With the table ``sensors``.
+    mission : Mission
+    seed : int
+        Of the gusts and of every error.
+    faults : sequence of Fault
+    wind, gust, on_progress : optional
+        As for :func:`mufly.flight.fly`.
+
+    Returns
+    -------
+    dict
+        Name of the reading to its :class:`SensorLog`.
+
+    Raises
+    ------
+    InputError
+        If the vehicle has no sensors, or a fault is of one that it has not.
+    """
+    fitted = fitted_sensors(vehicle, mission.world, seed=seed, faults=faults)
+    controller = design(vehicle)
+    every = max(1, round(controller.rate_Hz / RING_HZ))  # as without a listener: the same flight
+    listener = _Listener(ideal_sensors(vehicle, mission.world, every), fitted)
+    fly(
+        vehicle, mission, controller=controller, seed=seed, wind=wind, gust=gust, on_progress=on_progress,
+        sensors=listener,
+    )  # fmt: skip
+    return listener.logs
+
+
+def reading_errors(log: SensorLog) -> ReadingErrors:
+    """Return how the readings of one name were off."""
+    error = np.array(log.value) - np.array(log.true)
+    turns = [k for k, label in enumerate(log.labels()) if label == "heading"]
+    error[:, turns] = np.angle(np.exp(1j * error[:, turns]))
+    good = np.array(log.valid) & np.isfinite(error).all(axis=1)
+    span = log.came_s[-1] - log.came_s[0] if len(log.came_s) > 1 else np.nan
+    e = error[good]
+    spread = e.std(axis=0) if e.size else np.full(1, np.nan)
+    worst = int(np.argmax(spread))
+    some = e[:, worst] if e.size else np.full(1, np.nan)
+    return ReadingErrors(
+        name=log.name, count=len(log.came_s), rate_Hz=(len(log.came_s) - 1) / span,
+        delay_s=float(np.mean(np.array(log.came_s) - np.array(log.taken_s))),
+        invalid=1.0 - float(np.mean(log.valid)), mean=float(some.mean()), deviation=float(some.std()),
+        worst=float(np.abs(some).max()), unit=SAID.get(log.name, ("", ()))[0],
+    )  # fmt: skip
+
+
+def draw_sensors(logs: Mapping[str, SensorLog]) -> Figure:
+    """Draw every reading over the time of its measurement, the truth behind it."""
+    shown = [log for log in logs.values() if log.came_s]
+    figure = Figure(figsize=(11.0, 2.0 * len(shown)), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(len(shown), 1, sharex=True))
+    for ax, log in zip(axes, shown, strict=True):
+        t, order = np.array(log.taken_s), np.argsort(log.taken_s, kind="stable")
+        value, true = np.array(log.value), np.array(log.true)
+        bad = ~np.array(log.valid)
+        for k, label in enumerate(log.labels()):
+            line = ax.plot(t[order], value[order, k], ".", ms=2, label=label or None)[0]
+            ax.plot(
+                t[order],
+                true[order, k],
+                "-",
+                lw=0.9,
+                color="0.15" if value.shape[1] == 1 else line.get_color(),
+            )
+        if bad.any():
+            for x in t[bad]:
+                ax.axvline(x, color="0.8", lw=0.5, zorder=0)
+        unit = SAID.get(log.name, ("", ()))[0]
+        ax.set_ylabel(f"{log.name.replace('_', ' ')}\n({unit})" if unit not in ("", "1") else log.name)
+        if any(log.labels()):
+            ax.legend(loc="upper right", ncols=4, fontsize="x-small")
+        ax.grid(alpha=0.3)
+    axes[-1].set_xlabel("time of the measurement (s)")
+    figure.suptitle("Readings (dots) and what is true (lines); grey: not valid")
+    return figure
+
+
+def write_sensor_logs(logs: Mapping[str, SensorLog], folder: Path) -> list[Path]:
+    """Write a CSV for every reading: when it came, when it was taken, what it said, what is true."""
+    files = []
+    folder.mkdir(parents=True, exist_ok=True)
+    for log in logs.values():
+        labels = [f"_{label}" if label else "" for label in log.labels()]
+        heads = ["came_s", "taken_s", "valid", *(f"said{x}" for x in labels), *(f"true{x}" for x in labels)]
+        table = np.column_stack([log.came_s, log.taken_s, log.valid, np.array(log.value), np.array(log.true)])
+        unit = SAID.get(log.name, ("", ()))[0]
+        path = folder / f"{log.name}.csv"
+        np.savetxt(
+            path, table, "%.9g", ",", header=f"{log.name} in {unit}\n" + ",".join(heads), comments="# "
+        )
+        files.append(path)
+    return files

@@ -1,0 +1,239 @@
+"""What goes wrong with sensors: a catalogue, each with when, how much and for how long.
+
+    accelerometer.clip@20s            from 20 s on
+    sonar.jump=0.3@15s+2s             0.3 m, from 15 s, for 2 s
+    position.dropout@10s+5s
+
+A fault changes what a sensor says, not what it measures; but an accelerometer clips at its element, before the
+filter. Readings keep the clock of the healthy ones, except where time is what is wrong."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mufly.errors import InputError
+from mufly.sensors.imu import Imu
+from mufly.sensors.readings import Reading, Sensor, Truth
+
+KINDS: Mapping[str, str] = {
+    "freeze": "says again and again what it said last, with new times",
+    "dropout": "says nothing: its last reading grows old",
+    "jump": "is off by an amount at once",
+    "bias": "is off by an amount, reached within a second",
+    "drift": "is off by an amount more every second",
+    "clip": "is held within an amount; the accelerometer at its element",
+    "stuck": "says one value, the amount",
+    "outliers": "is off by up to an amount now and then, one reading in four",
+    "late": "comes later by an amount (s)",
+    "doubled": "every reading comes twice, the second time as if it were new",
+    "insane": "says what is no number, or is beyond all bounds",
+}
+"""What can be wrong, and what that means."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """What a fault is about: sensor of the suite, name of its reading, unit, and how much is wrong by default."""
+
+    sensor: str
+    reading: str
+    unit: str
+    amount: Mapping[str, float]
+
+
+def _amounts(off: float, per_s: float, bound: float, stuck: float) -> dict[str, float]:
+    return {
+        "jump": off,
+        "bias": off,
+        "drift": per_s,
+        "clip": bound,
+        "stuck": stuck,
+        "outliers": 3 * off,
+        "late": 0.3,
+    }
+
+
+TARGETS: Mapping[str, Target] = {
+    "accelerometer": Target("imu", "acceleration", "m/s^2", _amounts(3.0, 0.3, 20.0, 0.0)),
+    "gyro": Target("imu", "rates", "rad/s", _amounts(0.2, 0.02, 0.5, 0.0)),
+    "sonar": Target("sonar", "ground_distance", "m", _amounts(0.3, 0.05, 0.5, 1.0)),
+    "ring": Target("ring_camera", "ranges", "m", _amounts(0.5, 0.1, 0.7, 0.3)),
+    "pressure": Target("pressure", "pressure", "Pa", _amounts(20.0, 2.0, 1e5, 1e5)),
+    "magnetometer": Target("magnetometer", "magnetic_field", "T", _amounts(2e-5, 1e-6, 2e-5, 0.0)),
+    "rotor_speed": Target("rotor_speed", "rotor_speed", "rad/s", _amounts(50.0, 5.0, 200.0, 0.0)),
+    "battery": Target("battery", "battery_voltage", "V", _amounts(1.0, 0.1, 6.0, 6.0)),
+    "position": Target("position_fix", "position_fix", "m", _amounts(0.5, 0.1, 0.5, 0.0)),
+}
+"""What can be wrong about what."""
+
+_SPELLING = re.compile(
+    r"(?P<name>\w+)\.(?P<kind>\w+)(?:=(?P<amount>[-+\d.eE]+))?(?:@(?P<start>[\d.eE]+)s?)?(?:\+(?P<span>[\d.eE]+)s?)?"
+)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault of one reading.
+
+    Attributes
+    ----------
+    name, kind : str
+        Of :data:`TARGETS` and :data:`KINDS`.
+    start_s, stop_s : float
+        From when to when (s).
+    amount : float
+        In the reading's unit; seconds for ``late``.
+    """
+
+    name: str
+    kind: str
+    start_s: float = 0.0
+    stop_s: float = math.inf
+    amount: float = math.nan
+
+    def __post_init__(self) -> None:
+        if self.name not in TARGETS:
+            raise InputError("fault", self.name, "is no sensor", f"use one of: {', '.join(TARGETS)}")
+        if self.kind not in KINDS:
+            raise InputError("fault", self.kind, "is no fault", f"use one of: {', '.join(KINDS)}")
+        if not (math.isfinite(self.start_s) and self.start_s >= 0.0 and self.stop_s > self.start_s):
+            span = f"{self.start_s:g} to {self.stop_s:g} s"
+            raise InputError(
+                "fault", str(self), f"{span} is no time", "write NAME.KIND=AMOUNT@STARTs+DURATIONs"
+            )
+        if math.isnan(self.amount):
+            object.__setattr__(self, "amount", TARGETS[self.name].amount.get(self.kind, 0.0))
+
+    @property
+    def sensor(self) -> str:
+        """Of the suite."""
+        return TARGETS[self.name].sensor
+
+    def __str__(self) -> str:
+        span = "" if math.isinf(self.stop_s) else f"+{self.stop_s - self.start_s:g}s"
+        return f"{self.name}.{self.kind}@{self.start_s:g}s{span}"
+
+
+def parse_fault(text: str) -> Fault:
+    """Return the fault of ``"sonar.jump=0.3@15s+2s"``; amount, start and duration may be left out.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    match = _SPELLING.fullmatch(text.strip())
+    numbers: dict[str, float] = {}
+    try:
+        if match is None:
+            raise ValueError
+        numbers = {k: float(match[k]) for k in ("amount", "start", "span") if match[k] is not None}
+    except ValueError:
+        raise InputError(
+            "fault", text, "is none", "write NAME.KIND=AMOUNT@STARTs+DURATIONs, as sonar.jump=0.3@15s+2s"
+        ) from None
+    start = numbers.get("start", 0.0)
+    return Fault(
+        match["name"],
+        match["kind"],
+        start,
+        start + numbers.get("span", math.inf),
+        numbers.get("amount", math.nan),
+    )
+
+
+class Faulty(Sensor):
+    """A sensor with faults; what they are about they change, the rest passes."""
+
+    def __init__(self, sensor: Sensor, faults: Sequence[Fault], rng: np.random.Generator) -> None:
+        self._sensor, self._faults, self._rng = sensor, tuple(faults), rng
+        self._clear()
+
+    def right(self, truth: Truth) -> Mapping[str, Any]:
+        return self._sensor.right(truth)
+
+    def reset(self) -> None:
+        self._sensor.reset()
+        self._clear()
+
+    def _clear(self) -> None:
+        self._before: dict[str, Reading] = {}  # as it last left
+        self._seen: dict[str, Reading] = {}  # as it last came from the sensor
+        self._coming: list[tuple[float, str, Reading]] = []
+
+    def read(self, truth: Truth) -> Mapping[str, Reading]:
+        t = truth.time_s
+        active = [f for f in self._faults if f.start_s <= t < f.stop_s]
+        if isinstance(self._sensor, Imu):
+            clips = [f.amount for f in active if f.name == "accelerometer" and f.kind == "clip"]
+            self._sensor.clip_at(min(clips) if clips else None)
+        said = dict(self._sensor.read(truth))
+        for f in active:
+            name = TARGETS[f.name].reading
+            if name in said:
+                self._spoil(f, name, said, truth)
+        self._before = {**self._before, **said}
+        return said
+
+    def _spoil(self, f: Fault, name: str, said: dict[str, Reading], truth: Truth) -> None:
+        """Change what is said under a name."""
+        t, r = truth.time_s, said[name]
+        new = self._seen.get(name) is not r
+        self._seen[name] = r
+        last = self._before.get(name)
+        if not new and last is not None and f.kind not in ("late", "doubled", "freeze"):
+            said[name] = last  # nothing came: what was said stays
+            return
+        value = np.asarray(r.value, dtype=np.float64)
+        own = slice(0, 3) if name == "position_fix" else slice(None)  # the heading is not in metres
+        if f.kind == "freeze":
+            said[name] = r if last is None else Reading(last.value, r.time_s, last.valid)
+        elif f.kind == "dropout":
+            if last is None:
+                del said[name]
+            else:
+                said[name] = last
+        elif f.kind == "late":
+            if new:
+                self._coming.append((t + f.amount, name, r))
+            there = [x for x in self._coming if x[0] <= t + 1e-9 and x[1] == name]
+            self._coming = [x for x in self._coming if x not in there]
+            if there:
+                said[name] = there[-1][2]
+            elif last is None:
+                del said[name]
+            else:
+                said[name] = last
+        elif f.kind == "doubled":
+            said[name] = r if new or last is None else Reading(last.value, t, last.valid)
+        elif f.kind == "clip" and name == "acceleration":
+            pass  # at the element
+        else:
+            said[name] = Reading(self._changed(f, value, own, t), r.time_s, r.valid)
+
+    def _changed(self, f: Fault, value: np.ndarray, own: slice, t: float) -> np.ndarray | float:
+        out = np.atleast_1d(value).copy()
+        part = out[own]
+        match f.kind:
+            case "jump":
+                part += f.amount
+            case "bias":
+                part += f.amount * min(1.0, t - f.start_s)
+            case "drift":
+                part += f.amount * (t - f.start_s)
+            case "clip":
+                np.clip(part, -f.amount, f.amount, out=part)
+            case "stuck":
+                part[:] = f.amount
+            case "outliers":
+                if self._rng.uniform() < 0.25:
+                    part += f.amount * self._rng.uniform(-1.0, 1.0, part.shape)
+            case "insane":
+                part[:] = self._rng.choice([math.nan, math.inf, -math.inf, 1e30])
+        return float(out[0]) if value.ndim == 0 else out

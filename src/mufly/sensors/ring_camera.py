@@ -1,0 +1,129 @@
+"""The omnidirectional camera that sees the spots of the laser ring, pixel by pixel, and what a decoder makes of it.
+
+The lasers shine in the x-y plane of the body; the camera sits a baseline b below it. A spot at the distance l appears
+under the elevation (Fig. 2.7; triangulation)
+
+    eps = atan(b / l),      so      dl = -(l^2 + b^2) / b deps :
+
+an error of a pixel grows with the square of the distance, be it of noise or of the calibration of a beam. The picture
+is polar: rows are elevations, equally spaced from the horizon to a little above that of the shortest distance;
+columns are directions. A spot is a Gaussian of the blur's radius, as bright as I_1 / l^2 over the noise of a pixel;
+ambient light adds an offset that differs from column to column; every pixel has unit noise.
+
+The decoder knows where each beam points. It takes the columns around it, takes away the median of each, adds them up
+with the spot's own profile as weight, finds the brightest row, and the centroid around it if that stands out of the
+noise by :data:`THRESHOLD` deviations. Too near, too dark or swallowed: nothing seen, which reads as the greatest
+distance, as with ideal beams.
+
+Thesis: Fig. 2.7.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.dynamics import rotation
+from mufly.sensors.readings import Periodic, Reading, Truth, beam_angles, beam_directions
+from mufly.vehicle import Vehicle
+from mufly.vehicle.sensing import RingCamera as RingTable
+from mufly.world import World, ranges
+
+_Array = NDArray[np.float64]
+THRESHOLD = 5.0
+"""A spot has to stand this many standard deviations above the noise: one false spot in some million windows."""
+_WIDE = 3.0  # columns on either side that the decoder looks at, in radii of a spot
+_MARGIN = 1.25  # rows reach this much above the elevation of the shortest distance
+
+
+class RingCamera(Periodic):
+    """Reads ``ranges`` (n,): distance along each beam of the ring (m), its greatest range where nothing was decoded."""
+
+    def __init__(self, table: RingTable, vehicle: Vehicle, world: World, rng: np.random.Generator) -> None:
+        c = table
+        self._camera, self._world, self._rng = c, world, rng
+        self._directions = beam_directions(vehicle)
+        self._baseline, self._blur = float(c.baseline), float(c.blur)
+        self._nearest, self._farthest = float(c.min_range), float(c.max_range)
+        self._nothing = float(vehicle.range_ring.max_range)
+        self._top = _MARGIN * math.atan(self._baseline / self._nearest)
+        self._row = self._top / c.radial_pixels  # elevation of a row
+        column = 2 * math.pi / c.angular_pixels
+        self._centres = np.mod(beam_angles(vehicle), 2 * math.pi) / column  # of the beams, in columns
+        half = max(1, math.ceil(_WIDE * self._blur))
+        self._columns = np.floor(self._centres)[:, None].astype(int) + np.arange(
+            -half, half + 1
+        )  # (n, w), not wrapped
+        self._rows = np.arange(c.radial_pixels) + 0.5
+        self._offset = float(c.calibration) * rng.standard_normal(len(self._centres))
+        self._ambient = float(c.ambient) * rng.uniform(0.5, 1.5, c.angular_pixels)
+        super().__init__(float(c.period))
+
+    def measure(self, truth: Truth) -> tuple[float, dict[str, Reading]]:
+        true = self.true_ranges_m(truth.state)
+        true[self._rng.uniform(size=true.size) < float(self._camera.missed)] = math.inf
+        light = (
+            self._spots(true, self._columns)
+            + self._ambient[self._columns % self._camera.angular_pixels][:, None, :]
+        )
+        seen = light + self._rng.standard_normal(light.shape)
+        return 0.0, {"ranges": Reading(self.decode(seen), truth.time_s)}
+
+    def right(self, truth: Truth) -> dict[str, _Array]:
+        return {"ranges": np.minimum(self.true_ranges_m(truth.state), self._nothing)}
+
+    def true_ranges_m(self, state: _Array) -> _Array:
+        """Distance along each beam (m), however far."""
+        return ranges(self._world, state[0:3], self._directions @ rotation(state[6:10]).T)
+
+    def picture(self, state: _Array) -> _Array:
+        """The whole picture (rows, columns), in deviations of a pixel's noise: for people to look at."""
+        columns = np.arange(self._camera.angular_pixels)
+        true = self.true_ranges_m(state)
+        near = (
+            np.mod(columns + 0.5 - self._centres[:, None] + columns.size / 2, columns.size) - columns.size / 2
+        )
+        light = (self._brightness(true)[:, None, None] * self._profile(true)[:, :, None]
+                 * np.exp(-0.5 * (near / self._blur) ** 2)[:, None, :])  # fmt: skip
+        return light.sum(axis=0) + self._ambient + self._rng.standard_normal(light.shape[1:])
+
+    def decode(self, windows: _Array) -> _Array:
+        """Ranges (n,) from the columns around each beam, (n, rows, w) in deviations of a pixel's noise."""
+        flat = windows - np.median(windows, axis=1, keepdims=True)
+        weight = np.exp(-0.5 * ((self._columns + 0.5 - self._centres[:, None]) / self._blur) ** 2)  # (n, w)
+        weight /= np.sqrt((weight**2).sum(axis=1, keepdims=True))  # so that the noise stays one
+        along = np.einsum("nrw,nw->nr", flat, weight)
+        reach = max(1, math.ceil(1.5 * self._blur))
+        told = np.full(along.shape[0], self._nothing)
+        for k, line in enumerate(along):
+            best = int(line.argmax())
+            if line[best] < THRESHOLD:
+                continue
+            low, high = max(0, best - reach), min(line.size, best + reach + 1)
+            part = np.maximum(line[low:high], 0.0)
+            row = float(part @ self._rows[low:high] / part.sum()) + self._offset[k]
+            if row <= 0.0:
+                continue
+            distance = self._baseline / math.tan(row * self._row)
+            if self._nearest <= distance <= self._farthest:
+                told[k] = distance
+        return told
+
+    def _brightness(self, distance: _Array) -> _Array:
+        with np.errstate(divide="ignore"):
+            return float(self._camera.brightness) / np.maximum(distance, 0.05) ** 2
+
+    def _profile(self, distance: _Array) -> _Array:
+        """Share of a spot's brightness in each row (n, rows)."""
+        row = np.arctan2(self._baseline, distance) / self._row
+        return np.exp(-0.5 * ((self._rows - row[:, None]) / self._blur) ** 2)
+
+    def _spots(self, distance: _Array, columns: NDArray[np.int_]) -> _Array:
+        across = np.exp(-0.5 * ((columns + 0.5 - self._centres[:, None]) / self._blur) ** 2)
+        return (
+            self._brightness(distance)[:, None, None]
+            * self._profile(distance)[:, :, None]
+            * across[:, None, :]
+        )

@@ -1,0 +1,258 @@
+"""Sonar, laser ring, pressure, field, speeds, battery, fixes: each against what it is made of."""
+
+import math
+
+import numpy as np
+import pytest
+
+from mufly.dynamics import rotation
+from mufly.errors import InputError
+from mufly.sensors import Wander, fitted_sensors
+from mufly.units import GRAVITY
+from mufly.vehicle import replace
+from mufly.world import Box, Room, World
+
+
+def one(vehicle, name, world=None, seed=0):
+    return fitted_sensors(vehicle, world or World(), seed=seed, only=[name])
+
+
+def stream(sensor, name, truths):
+    """Every new reading."""
+    out = []
+    for truth in truths:
+        readings = sensor.read(truth)
+        if name in readings and (not out or out[-1][1] is not readings[name]):
+            out.append((truth.time_s, readings[name]))
+    return out
+
+
+# --- sonar
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.2, 0.45])
+def test_sonar_hears_the_shortest_way_to_the_floor(exact, at, tilt) -> None:
+    truth = at(position=(0, 0, -2.0), attitude=(tilt, 0, 0))
+    lower = (rotation(truth.state[6:10]) @ exact.sensors.sonar.place.array()[0])[2]
+    sonar = one(exact, "sonar").sensors[0]
+    assert sonar.right(truth)["ground_distance"] == pytest.approx(2.0 - lower)
+
+
+def test_sonar_beyond_its_cone_hears_the_floor_aslant(exact, at) -> None:
+    tilt, half = 0.8, 0.5 * float(exact.sensors.sonar.cone)
+    truth = at(position=(0, 0, -2.0), attitude=(tilt, 0, 0))
+    lower = (rotation(truth.state[6:10]) @ exact.sensors.sonar.place.array()[0])[2]
+    heard = one(exact, "sonar").sensors[0].right(truth)["ground_distance"]
+    assert heard == pytest.approx((2.0 - lower) / math.cos(tilt - half), rel=0.01)
+
+
+def test_sonar_steps_up_early_over_a_box(exact, at) -> None:
+    world = World(boxes=(Box((1.0, 0.0, -0.15), (0.6, 2.0, 0.3)),))
+    sonar = one(exact, "sonar", world).sensors[0]
+    heard = [sonar.right(at(position=(n, 0, -1.05)))["ground_distance"] for n in (0.0, 0.45, 1.0)]
+    assert heard[0] == pytest.approx(1.0)
+    assert heard[2] == pytest.approx(0.7)
+    assert 0.7 < heard[1] < 0.9  # its edge is heard before it is below
+
+
+def test_sonar_has_steps_limits_and_takes_its_time(vehicle, exact, at) -> None:
+    coarse = replace(exact, {"sensors.sonar.resolution": 0.01})
+    readings = stream(
+        one(coarse, "sonar"), "ground_distance", [at(k / 200, position=(0, 0, -4.0437)) for k in range(200)]
+    )
+    assert {round(r.value, 6) for _, r in readings} == {3.99}
+    assert len(readings) == 20  # every 50 ms
+    assert all(0.02 < came - r.time_s < 0.03 for came, r in readings)  # 8 m of way
+    far = stream(
+        one(exact, "sonar"), "ground_distance", [at(k / 200, position=(0, 0, -7.0)) for k in range(50)]
+    )
+    assert not any(r.valid for _, r in far)
+    noisy = replace(vehicle, {"sensors.sonar.dropout": 0.2, "sensors.sonar.multipath": 0.1})
+    said = [r for _, r in stream(one(noisy, "sonar"), "ground_distance", [at(k / 20) for k in range(2000)])]
+    assert np.mean([not r.valid for r in said]) == pytest.approx(0.2, abs=0.04)
+    good = np.array([r.value for r in said if r.valid])
+    assert np.mean(good > 1.05) == pytest.approx(0.1, abs=0.03)
+
+
+# --- laser ring
+
+
+def ring_errors(vehicle, at, half, seeds=(0,), pictures=60):
+    world = World(room=Room((-half, half), (-half, half), 3.0))
+    error = []
+    for seed in seeds:
+        camera = one(vehicle, "ring_camera", world, seed)
+        said = np.array(
+            [r.value for _, r in stream(camera, "ranges", [at(k * 0.04) for k in range(pictures)])]
+        )
+        error.append(np.where(said < 1.5, said - camera.sensors[0].right(at())["ranges"], np.nan))
+    return np.concatenate(error)
+
+
+def test_ring_error_of_calibration_grows_with_the_square_of_the_distance(exact, at) -> None:
+    off = replace(exact, {"sensors.ring_camera.calibration": 0.1, "sensors.ring_camera.brightness": 1e4})
+    near, far = (ring_errors(off, at, half, range(40), 2) for half in (0.35, 1.05))
+    distance = np.array([0.35, 1.05]) / math.cos(math.pi / 8)
+    squares = (distance[1] ** 2 + 0.08**2) / (distance[0] ** 2 + 0.08**2)
+    assert np.nanstd(far) / np.nanstd(near) == pytest.approx(squares, rel=0.15)
+
+
+def test_ring_reads_without_bias_and_fainter_spots_worse(exact, at) -> None:
+    spread = {}
+    for half in (0.4, 0.8, 1.2):
+        error = ring_errors(exact, at, half)
+        assert np.isfinite(error).mean() > 0.95
+        spread[half] = float(np.nanstd(error))
+        assert abs(np.nanmean(error)) < 0.02 * half
+    assert spread[0.4] < 0.01
+    assert spread[1.2] < 0.12
+    # A spot's light falls with the square of the distance, and its centroid's error with it: the fourth power.
+    assert spread[1.2] / spread[0.4] == pytest.approx(81.0, rel=0.4)
+
+
+def test_ring_sees_nothing_in_the_open_and_misses_what_is_swallowed(exact, at) -> None:
+    empty = [
+        r.value for _, r in stream(one(exact, "ring_camera"), "ranges", [at(k * 0.04) for k in range(500)])
+    ]
+    assert np.mean(np.array(empty) < 1.5) < 1e-3
+    world = World(room=Room((-0.7, 0.7), (-0.7, 0.7), 3.0))
+    dull = replace(exact, {"sensors.ring_camera.missed": 0.3})
+    said = np.array(
+        [
+            r.value
+            for _, r in stream(one(dull, "ring_camera", world), "ranges", [at(k * 0.04) for k in range(200)])
+        ]
+    )
+    assert np.mean(said == 1.5) == pytest.approx(0.3, abs=0.05)
+
+
+def test_ring_picture_holds_the_spots_where_triangulation_puts_them(exact, at) -> None:
+    world = World(room=Room((-0.5, 0.5), (-0.5, 0.5), 3.0))
+    camera = one(exact, "ring_camera", world).sensors[0]
+    c = exact.sensors.ring_camera
+    picture = camera.picture(at().state)
+    assert picture.shape == (c.radial_pixels, c.angular_pixels)
+    top = 1.25 * math.atan(float(c.baseline) / float(c.min_range))
+    true = camera.right(at())["ranges"]
+    bright = picture - np.median(picture, axis=0)
+    for k, distance in enumerate(true):
+        column = int((math.pi / 8 + k * math.pi / 4) / (2 * math.pi) * c.angular_pixels)
+        row = int(np.argmax(bright[:, column]))
+        assert row == pytest.approx(
+            math.atan(float(c.baseline) / distance) / top * c.radial_pixels - 0.5, abs=1.5
+        )
+
+
+# --- pressure, field, speeds, battery
+
+
+def test_pressure_falls_with_height_and_rises_under_the_rotors(exact, at) -> None:
+    low, high = (one(exact, "pressure").read(at(position=(0, 0, -h)))["pressure"].value for h in (0.0, 10.0))
+    assert low - high == pytest.approx(10.0 * float(exact.air.density) * GRAVITY)
+    windy = replace(exact, {"sensors.pressure.downwash": 0.05})
+    hovering = (
+        one(windy, "pressure").read(at(position=(0, 0, 0.0), rotor_speed=(376.0, 443.0)))["pressure"].value
+    )
+    radius = float(exact.rotors.radius)
+    loading = float(exact.body.mass) * GRAVITY / (math.pi * radius**2)
+    assert hovering - low == pytest.approx(0.05 * loading, rel=0.1)  # in hover the discs carry the weight
+
+
+def test_magnetic_field_turns_with_the_body_and_not_its_strength(exact, at) -> None:
+    said = [
+        one(exact, "magnetometer").read(at(attitude=a))["magnetic_field"].value
+        for a in ((0, 0, 0), (0, 0, math.pi / 2), (0.3, -0.2, 1.0))
+    ]
+    np.testing.assert_allclose([np.linalg.norm(m) for m in said], float(exact.sensors.magnetometer.field))
+    np.testing.assert_allclose(said[1], [said[0][1], -said[0][0], said[0][2]], atol=1e-12)
+    loud = replace(exact, {"sensors.magnetometer.motor_field": 5e-6})
+    off = one(loud, "magnetometer").read(at(current=2.0))["magnetic_field"].value - said[0]
+    assert 1e-6 < np.linalg.norm(off) < 5e-5
+
+
+def test_steel_bends_the_field_smoothly(exact) -> None:
+    bent = replace(
+        exact, {"sensors.magnetometer.distortion": 3e-6, "sensors.magnetometer.distortion_length": 1.5}
+    )
+    places = np.random.default_rng(1).uniform(-20, 20, (400, 3))
+    sensor = one(bent, "magnetometer").sensors[0]
+    here, near = (np.array([sensor.distortion(p + d) for p in places]) for d in (0.0, 0.05))
+    assert here.std() == pytest.approx(3e-6, rel=0.15)
+    assert (near - here).std() < 0.1 * here.std()
+
+
+def test_speeds_and_battery_are_read_with_their_steps_and_scales(vehicle, exact, at) -> None:
+    truth = at(rotor_speed=(376.0, 443.0), voltage=7.4137, current=2.0)
+    np.testing.assert_allclose(one(exact, "rotor_speed").read(truth)["rotor_speed"].value, [376.0, 443.0])
+    many = np.array(
+        [one(vehicle, "rotor_speed", seed=s).read(truth)["rotor_speed"].value[0] for s in range(200)]
+    )
+    noise = float(vehicle.sensors.rotor_speed.noise) / (
+        float(vehicle.motor.back_emf_constant) * float(vehicle.gear.ratio)
+    )
+    assert many.std() == pytest.approx(math.hypot(3.76, noise), rel=0.2)
+    stepped = replace(exact, {"sensors.battery.voltage_resolution": 0.05})
+    assert one(stepped, "battery").read(truth)["battery_voltage"].value == pytest.approx(7.4)
+    assert one(exact, "battery").read(truth)["battery_current"].value == 2.0
+
+
+# --- fixes, wandering, time
+
+
+def test_fixes_come_late_in_their_rhythm_and_stay_wrong_together(exact, at) -> None:
+    truths = [at(k / 200, position=(k / 200, 0, -1.0)) for k in range(400)]
+    plain = stream(
+        one(replace(exact, {"sensors.position_fix.latency": 0.2}), "position_fix"), "position_fix", truths
+    )
+    assert all(came - r.time_s == pytest.approx(0.2, abs=0.005) for came, r in plain)
+    assert all(r.value[0] == pytest.approx(r.time_s) for _, r in plain)
+    assert len(plain) == pytest.approx((2.0 - 0.2) * 15, abs=2)
+    tau = 2.0
+    wrong = replace(exact, {"sensors.position_fix.wander": 0.03, "sensors.position_fix.wander_time": tau})
+    said = stream(one(wrong, "position_fix"), "position_fix", [at(k / 15) for k in range(15 * 600)])
+    error = np.array([r.value[:3] - [0, 0, -1.0] for _, r in said])
+    assert error.std() == pytest.approx(0.03, rel=0.15)
+    lag = round(tau * 15)
+    assert np.mean(error[lag:] * error[:-lag]) / error.var() == pytest.approx(math.exp(-1), abs=0.12)
+
+
+def test_wandering_does_not_depend_on_how_often_one_looks() -> None:
+    for step in (0.01, 1.0):
+        w = Wander(np.random.default_rng(2), 1.0, 5.0, 2000)
+        start = w.at(0.0).copy()
+        t = 0.0
+        while t < 5.0 - 1e-9:
+            t += step
+            w.at(t)
+        assert w.value.std() == pytest.approx(1.0, rel=0.08)
+        assert np.mean(start * w.value) == pytest.approx(math.exp(-1), abs=0.08)
+
+
+def test_sensors_keep_their_own_clock_on_a_coarse_one(exact, at) -> None:
+    """A period of 66.7 ms sampled every 5 ms is 15 readings a second, not 14.3."""
+    said = stream(one(exact, "position_fix"), "position_fix", [at(k / 200) for k in range(2001)])
+    assert len(said) == pytest.approx(10.0 / 0.0667, abs=1.5)
+
+
+def test_one_seed_repeats_all_and_one_sensor_less_leaves_the_others(vehicle, at) -> None:
+    world = World()
+    truths = [at(k / 200, rotor_speed=(376.0, 443.0), rates=(0.1, 0, 0)) for k in range(30)]
+
+    def last(**more):
+        sensors = fitted_sensors(vehicle, world, **more)
+        for truth in truths:
+            readings = sensors.read(truth)
+        return {name: np.asarray(r.value) for name, r in readings.latest.items()}
+
+    first, again, other = last(seed=3), last(seed=3), last(seed=4)
+    assert first.keys() == again.keys()
+    assert all(np.array_equal(first[name], again[name], equal_nan=True) for name in first)
+    assert not np.array_equal(first["rates"], other["rates"])
+    fewer = last(seed=3, only=["imu", "magnetometer"])
+    assert set(fewer) == {"acceleration", "rates", "clipping", "temperature", "magnetic_field"}
+    assert all(np.array_equal(first[name], fewer[name]) for name in fewer)
+
+
+def test_a_vehicle_without_sensors_says_so(vehicle) -> None:
+    with pytest.raises(InputError, match="sensors: there is no such table; add one"):
+        fitted_sensors(vehicle.model_copy(update={"sensors": None}), World())
