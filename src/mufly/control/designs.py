@@ -418,6 +418,7 @@ def _designed(
     slow: tuple[float, ...],
     published: PublishedDesign,
     scheme: str = "one-degree scheme",
+    windup_rate: float | None = None,
 ) -> Design:
     """Synthesise, reduce, discretise, analyse; it reads the outputs ``references``, then all errors."""
     rows = tuple(range(len(references), len(references) + plant.noutputs))
@@ -439,7 +440,7 @@ def _designed(
         )
         full = unscale_controller(found.controller, read, input_scale)
         reduced = unscale_controller(reduction.controller, read, input_scale)
-        discrete = discretise(reduced, reduction.actuation / input_scale, period_s)
+        discrete = discretise(reduced, reduction.actuation / input_scale, period_s, windup_rate)
         full_loop, reduced_loop, sampled_loop = (
             analyse(G, feedback_part(K, plant, rows), output_scale=output_scale)
             for G, K in (
@@ -495,6 +496,7 @@ def design_heave_yaw(plant: control.StateSpace, settings: Settings, period_s: fl
         slow=(0.1, 3.0),
         published=HEAVE_YAW,
         scheme="weights of eq. 6.4",
+        windup_rate=settings.heave_yaw_windup,
     )
 
 
@@ -510,6 +512,7 @@ def design_roll_pitch(plant: control.StateSpace, settings: Settings, period_s: f
         orders=(4, ROLL_PITCH_ORDER),
         slow=(0.1,),
         published=ROLL_PITCH,
+        windup_rate=settings.roll_pitch_windup,
     )
 
 

@@ -24,6 +24,7 @@ are preferred whose observer form (``A - M C``, what runs while actuators satura
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -357,8 +358,16 @@ def _outer(M: Array) -> Array:
 # controllers leave the unit circle even with 24-bit coefficients. Modes that nearly coincide have no good modal form;
 # a real Schur form (an orthogonal change of coordinates) then takes its place.
 #
-# Anti-windup: while the actuators are at their limit the controller runs as ``Ad - Md Cd``. That must be stable, else
-# the gain is replaced by that of a Kalman filter for the pair (Ad, Cd), which is.
+# Anti-windup: while the actuators are at their limit the controller runs as ``Ad - Md Cd``. Two gains are to be had.
+# ``observer`` is the one that the synthesis brings: the controller's copy of the plant learns what the actuators did. It
+# rests on the plant's being as it was designed for. ``integrators`` lets the integrators follow, at a rate ``w``, and
+# touches nothing else: with V a basis of the slow modes, ``Ad V = V L``,
+#
+#     Md = V (L - exp(-w T) I) (Cd V)^-1,   so that   (Ad - Md Cd) V = V exp(-w T),
+#
+# and all other modes stay where they are (own derivation; back-calculation, Fertik and Ross 1967, in modal form). Why
+# heave-yaw and roll-pitch take that: docs/control.md. Either must be stable, else the gain is replaced by that of a
+# Kalman filter for the pair (Ad, Cd), which is.
 
 
 @dataclass(frozen=True)
@@ -375,7 +384,7 @@ class DiscreteController:
     form : str
         ``"modal"`` or ``"schur"``.
     anti_windup : str
-        ``"observer"`` (the controller's own copy of the plant learns what the actuators did) or ``"kalman"``.
+        ``"integrators"``, ``"observer"`` or ``"kalman"``; see above.
     inputs, outputs : tuple of str
         Labels.
     """
@@ -440,7 +449,9 @@ def _even_out(A: Array, B: Array, C: Array) -> Array:
     return scale
 
 
-def discretise(controller: control.StateSpace, actuation: Array, period_s: float) -> DiscreteController:
+def discretise(
+    controller: control.StateSpace, actuation: Array, period_s: float, windup_rate: float | None = None
+) -> DiscreteController:
     """Discretise a controller and give it well-conditioned coordinates and an anti-windup.
 
     Parameters
@@ -450,6 +461,9 @@ def discretise(controller: control.StateSpace, actuation: Array, period_s: float
     actuation : array, shape (n, outputs)
         Effect on its states of an actuation beyond its own command, per unit (see ``hinf.HinfResult.actuation``).
     period_s : float
+    windup_rate : float, optional
+        At which the integrators follow saturated actuators (rad/s); without it, or with integrators as fast or out of
+        sight of the outputs, the anti-windup is that of ``actuation``.
 
     Returns
     -------
@@ -488,12 +502,33 @@ def discretise(controller: control.StateSpace, actuation: Array, period_s: float
     A, B, C, M = A * scale / scale[:, None], B / scale[:, None], C * scale, M / scale[:, None]
 
     anti_windup = "observer"
+    back = None if windup_rate is None else _back_calculation(A, C, math.exp(-windup_rate * T))
+    if back is not None:
+        anti_windup, M = "integrators", back
     if n and np.abs(np.linalg.eigvals(A - M @ C)).max() >= 1.0 - 1e-7:
         anti_windup = "kalman"
         M = _kalman(A, C)
     return DiscreteController(
         A, B, C, D, M, T, form, anti_windup, tuple(controller.input_labels), tuple(controller.output_labels)
     )
+
+
+def _back_calculation(A: Array, C: Array, pole: float) -> Array | None:
+    """Gain M that moves the slowest modes, one an output, to ``pole`` and leaves the others; None where it cannot."""
+    n, m = A.shape[0], C.shape[0]
+    if n <= m:
+        return None
+    sizes = np.sort(np.abs(np.linalg.eigvals(A)))
+    if sizes[-m] <= pole or sizes[-m - 1] >= sizes[-m]:
+        return None
+    edge = math.sqrt(sizes[-m] * sizes[-m - 1])
+    slow, V, count = linalg.schur(A, output="real", sort=lambda re, im: math.hypot(re, im) > edge)
+    V, slow = V[:, :m], slow[:m, :m]
+    seen = C @ V
+    if count != m or np.linalg.cond(seen) > 1e8:
+        return None
+    M: Array = V @ (slow - pole * np.eye(m)) @ np.linalg.inv(seen)
+    return M
 
 
 def _kalman(A: Array, C: Array) -> Array:

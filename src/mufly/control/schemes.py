@@ -276,6 +276,8 @@ class Settings:
         Likewise: phi, theta (rad), p, q (rad/s); servos 1, 2; see ``roll_pitch_scaling``.
     velocity_scaling, velocity_weights, velocity_relaxation
         Likewise: u, v (m/s); phi, theta (rad).
+    heave_yaw_windup, roll_pitch_windup : float or None
+        Rate at which their integrators follow saturated actuators, rad/s; None: the observer's anti-windup.
     position_gain : float
         1/s.
     speed_limit : float
@@ -311,6 +313,8 @@ class Settings:
     velocity_scaling: Scaling = VELOCITY_SCALING
     velocity_weights: OneDegreeWeights = VELOCITY_WEIGHTS
     velocity_relaxation: float = 1.2
+    heave_yaw_windup: float | None = 3.0
+    roll_pitch_windup: float | None = 20.0
     position_gain: float = 1.0
     speed_limit: float = 1.5
     tilt_limit: float = 0.15
