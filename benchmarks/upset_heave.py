@@ -47,7 +47,7 @@ def main() -> None:
     vehicle = load_vehicle(options.vehicle)
     controller = design(vehicle, settings=Settings(heave_slack=options.slack))
     print("blow, downwards   height 12 to 15 s later, from a hover at 3 m")
-    for sink in (-3.0, -2.0, -1.25, -1.0, -0.5, 0.5, 1.0, 1.25, 2.0, 2.5):
+    for sink in (-6.0, -4.0, -3.0, -2.0, -1.25, -1.0, 1.0, 1.25, 2.0, 2.5, 3.5):
         least, greatest = blow(vehicle, controller, sink)
         print(
             f"{sink:+8.2f} m/s      {least:6.2f} to {greatest:.2f} m   {'' if greatest - least < 0.1 else 'LOST'}"

@@ -8,8 +8,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mufly.control import analyse, hinf_norm, loop_curves, sample_plant
+from mufly.control import (
+    FlightController,
+    Settings,
+    analyse,
+    design,
+    hinf_norm,
+    loop_curves,
+    sample_plant,
+    saturated_gain,
+)
 from mufly.control.linear import is_stable_loop, state_space
+from mufly.dynamics import linearise
+from mufly.vehicle import Vehicle, parameters, replace
 
 
 def twin(numerator: list[float], denominator: list[float]) -> ct.StateSpace:
@@ -84,3 +95,41 @@ def test_curves_add_up() -> None:
     curves = loop_curves(twin([10], [1, 10, 0]), gain(2.0), frequency)
     assert np.all(np.abs(curves.sensitivity - curves.complementary) <= 1 + 1e-9)
     np.testing.assert_allclose(curves.loop, 2 * curves.plant, rtol=1e-12)
+
+
+def test_a_saturated_loop_begins_to_swing_where_its_gain_margin_downwards_says() -> None:
+    """k (s+1)^2 / s^3 is stable for k above 1/2: with no anti-windup saturation takes its gain down to that."""
+    plant = sample_plant(state_space([[0.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"]), 0.002)
+    T, k = 0.002, 4.0
+    A, B = np.array([[1.0, T], [0.0, 1.0]]), np.array([[0.5 * T * T], [T]])
+    law = (A, B, k * np.array([[1.0, 2.0]]), np.array([[k]]), np.zeros((2, 1)))
+    share, frequency = saturated_gain(plant, law, np.ones(1), points=6000)
+    assert share == pytest.approx(0.5 / k, rel=0.02)
+    assert frequency == pytest.approx(1.0, rel=0.02)
+    # Told at once what the actuator did, it has nothing left that could wind up.
+    told = (*law[:4], np.array([[0.0], [40.0 * T / (2.0 * k)]]))
+    assert saturated_gain(plant, told, np.ones(1))[0] == 0.0
+
+
+def test_motors_that_rail_do_not_swing(vehicle: Vehicle, controller: FlightController) -> None:
+    """Light or heavy, fast or slow against what its controller was designed for, and as it was designed."""
+    now = {p.key: p.value for p in parameters(vehicle)}
+    rotors = ("rotors.upper.thrust_coefficient", "rotors.lower.thrust_coefficient")
+    inertia = ("rotors.upper.drive_inertia", "rotors.lower.drive_inertia")
+
+    def altered(mass: float, thrust: float, slow: float, kE: float) -> Vehicle:
+        shares = {"body.mass": mass, "motor.back_emf_constant": kE, "motor.resistance": slow}
+        shares |= dict.fromkeys(rotors, thrust) | dict.fromkeys(inertia, slow)
+        return replace(vehicle, {key: float(now[key]) * share for key, share in shares.items()})
+
+    light = altered(0.9, 1.1, 0.9, 0.92)
+    observer = design(vehicle, settings=Settings(heave_yaw_windup=None))
+    for one in (vehicle, light, altered(1.05, 0.95, 1.1, 1.0), altered(0.9, 1.1, 1.1, 1.1)):
+        plant = sample_plant(linearise(one, voltage=7.2).heave_yaw, controller.period_s, 1)
+        shares = []
+        for c in (controller, observer):
+            k = c.heave_yaw.discrete
+            shares.append(saturated_gain(plant, (k.A, k.B[:, 2:], k.C, k.D[:, 2:], k.M), np.ones(2))[0])
+        assert shares[0] == 0.0
+        # The observer's knows another vehicle than this one.
+        assert shares[1] > (0.1 if one is light else 0.0)

@@ -61,6 +61,27 @@ def test_an_unstable_anti_windup_is_replaced() -> None:
     assert np.abs(np.linalg.eigvals(d.A - d.M @ d.C)).max() < 1
 
 
+def test_integrators_follow_the_actuators_and_nothing_else_does() -> None:
+    """Their two modes go to the rate asked for, the others stay; not where the rate is slower than they are."""
+    system = random_system(3)
+    slow = np.diag([-0.01, -0.01])
+    system = state_space(
+        np.block([[system.A, np.ones((5, 2))], [np.zeros((2, 5)), slow]]),
+        np.vstack([system.B, np.eye(2, 3)]),
+        np.hstack([system.C, np.array([[1.0, 0.2], [0.0, 1.0]])]),
+        system.D,
+        inputs=["a", "b", "c"],
+        outputs=["d", "e"],
+    )
+    d = discretise(system, np.zeros((7, 2)), 0.01, windup_rate=50.0)
+    assert d.anti_windup == "integrators"
+    free, held = (np.sort_complex(np.linalg.eigvals(X)) for X in (d.A, d.A - d.M @ d.C))
+    followed = np.isclose(free, np.exp(-0.01 * 0.01), atol=1e-9)
+    wanted = np.sort_complex(np.append(free[~followed], [np.exp(-0.5)] * 2))
+    np.testing.assert_allclose(held, wanted, atol=1e-6)
+    assert discretise(system, np.zeros((7, 2)), 0.01, windup_rate=0.005).anti_windup != "integrators"
+
+
 def test_impossible_periods() -> None:
     with pytest.raises(MuflyError, match="period"):
         discretise(random_system(0), np.zeros((5, 2)), -0.01)

@@ -27,6 +27,7 @@ from mufly.control.linear import (
     hinf_norm,
     loop_curves,
     sample_plant,
+    saturated_gain,
     singular_values,
 )
 from mufly.control.schemes import (
@@ -73,6 +74,7 @@ __all__ = [
     "roll_pitch_initial",
     "roll_pitch_step",
     "sample_plant",
+    "saturated_gain",
     "singular_values",
     "two_degree_plant",
 ]

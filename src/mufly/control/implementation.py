@@ -359,9 +359,9 @@ def _outer(M: Array) -> Array:
 # a real Schur form (an orthogonal change of coordinates) then takes its place.
 #
 # Anti-windup: while the actuators are at their limit the controller runs as ``Ad - Md Cd``. Two gains are to be had.
-# ``observer`` is the one that the synthesis brings: the controller's copy of the plant learns what the actuators did. It
-# rests on the plant's being as it was designed for. ``integrators`` lets the integrators follow, at a rate ``w``, and
-# touches nothing else: with V a basis of the slow modes, ``Ad V = V L``,
+# ``observer`` is the one that the synthesis brings: the controller's copy of the plant learns what the actuators did.
+# It rests on the plant's being as it was designed for. ``integrators`` lets the integrators follow, at a rate ``w``,
+# and touches nothing else: with V a basis of the slow modes, ``Ad V = V L``,
 #
 #     Md = V (L - exp(-w T) I) (Cd V)^-1,   so that   (Ad - Md Cd) V = V exp(-w T),
 #

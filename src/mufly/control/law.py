@@ -1,6 +1,7 @@
 """The control law that runs on board: pure functions of gains, state, reference and measurement, one call a period.
 
-Each controller is ``u = C x + D e``, ``x+ = A x + B e + M (sat(u) - u)`` (:mod:`mufly.control.implementation`).
+Each controller is ``u = C x + D e``, ``x+ = A x + B e + M (sat(u) - u)``; what M is:
+:mod:`mufly.control.implementation`.
 
 Heave-yaw. The reference passes a second-order filter whose acceleration and speed are limited to what the motors can
 give, so that a step does not rail them. A reference that comes with its rate and stays within the limits passes
@@ -11,8 +12,8 @@ difference of the two is kept, their mean gives way. Otherwise a rail in heave w
 
 Where in flight the height trails the filtered reference by more than the slack (a blow, a fall, sticks beyond what the
 motors give), the reference stays that far away, at rest, until the height has come back to it (``heave_wait``). A
-greater error would ask the motors for more than they can take back in time: it swings between the rails for good. On
-the floor the error may grow, which is what gets the motors going.
+greater error would ask the motors for more than they can take back in time. On the floor the error may grow, which is
+what gets the motors going.
 
 Roll-pitch. Tilt references are limited; servos saturate one by one.
 

@@ -497,3 +497,63 @@ def loop_curves(plant: control.StateSpace, feedback: control.StateSpace, frequen
     L = k @ g
     values = [np.linalg.svd(M, compute_uv=False) for M in (g, L, *sensitivities(L))]
     return LoopCurves(np.asarray(frequency, dtype=float), *values)
+
+
+def saturated_gain(
+    plant: control.StateSpace,
+    law: tuple[Array, Array, Array, Array, Array],
+    direction: Array,
+    *,
+    points: int = 1500,
+) -> tuple[float, float]:
+    """Share of its gain at which a sampled loop with saturated actuators begins to swing.
+
+    The actuators give way together, along ``direction`` d: from ``u`` they wanted to ``u + d (v - m)``, where
+    ``m = d.u / d.d`` and ``v`` is what is left of it. Everything else is linear: with the anti-windup the controller
+    runs as ``x+ = A x + B e + M d (v - m)``, and ``L`` from ``v`` to ``-m`` follows. A saturation passes a swing
+    of ``m`` beyond it with a smaller gain N, from 1 down to nothing as it grows (describing function, Khalil,
+    *Nonlinear Systems*, Sec. 7.2; a lasting swing has ``N L = -1``). So a loop that is stable for every N in (0, 1]
+    comes back from wherever it was thrown, as far as this approximation goes.
+
+    Parameters
+    ----------
+    plant : control.StateSpace
+        Sampled (:func:`sample_plant`); the loop is ``u = C x + D e``, ``e = -y``.
+    law : tuple of array
+        A, B, C, D, M of the controller, B and D with the columns of the errors only.
+    direction : array, shape (inputs,)
+    points : int
+        Frequencies tried, from 0.05 rad/s to the rate's.
+
+    Returns
+    -------
+    share : float
+        The greatest N below 1 at which it swings; 0 where there is none.
+    frequency : float
+        Of that swing, rad/s; nan where there is none.
+
+    Notes
+    -----
+    Since ``1 + L = closed(z) / (saturated(z) open(z))``, with the characteristic polynomials of the closed loop, of
+    ``A - M d d' C / d.d`` and of the plant, what M decides is which poles remain to the loop while it is saturated.
+    """
+    A, B, C, D, M = law
+    d = np.asarray(direction, dtype=float)
+    n, k = plant.nstates, A.shape[0]
+    u = np.hstack([-D @ plant.C, C])
+    m = d @ u / (d @ d)
+    loop = np.block([[plant.A, np.zeros((n, k))], [-B @ plant.C, A]])
+    loop[:n] += plant.B @ (u - np.outer(d, m))
+    loop[n:] -= np.outer(M @ d, m)
+    driven = np.concatenate([plant.B @ d, M @ d])
+    frequency = np.geomspace(0.05, np.pi / plant.dt, points)
+    z = np.exp(1j * frequency * plant.dt)
+    states = np.linalg.solve(z[:, None, None] * np.eye(n + k) - loop, driven[:, None])[..., 0]
+    L = -states @ m
+    share, at = 0.0, np.nan
+    for i in np.flatnonzero(np.diff(np.sign(L.imag))):
+        part = L[i].imag / (L[i].imag - L[i + 1].imag)
+        crossing = L[i].real + part * (L[i + 1].real - L[i].real)
+        if crossing < -1.0 and -1.0 / crossing > share:
+            share, at = -1.0 / crossing, float(frequency[i])
+    return float(share), at

@@ -313,7 +313,7 @@ class Settings:
     velocity_scaling: Scaling = VELOCITY_SCALING
     velocity_weights: OneDegreeWeights = VELOCITY_WEIGHTS
     velocity_relaxation: float = 1.2
-    heave_yaw_windup: float | None = 3.0
+    heave_yaw_windup: float | None = 1.5
     roll_pitch_windup: float | None = 20.0
     position_gain: float = 1.0
     speed_limit: float = 1.5

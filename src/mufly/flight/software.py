@@ -6,7 +6,8 @@ what to follow:
 
 =========== =========================================================================================
 off         motors and servos at rest
-spin_up     motor inputs rise to 0.9 of hover, too little to lift off; servos at trim
+spin_up     motor inputs rise to 0.9 of hover, too little to lift off; servos at trim. A vehicle that lifts off all
+            the same, being lighter than its controllers believe, goes on to ``fly`` at once
 fly         heave-yaw controller; from 2 cm above the floor also roll-pitch and, every n-th step, position
 ramp_down   after touchdown motor inputs fall to zero
 blind       the estimate is lost: servos at trim, which the stabiliser bar makes a level attitude, and motor
@@ -51,6 +52,7 @@ from mufly.mission import (
     begin,
     blind,
     down_blind,
+    lifted_off,
     log,
     prepare,
     slowed,
@@ -61,7 +63,6 @@ from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.floating[Any]]
 
-LIFT_OFF_M = 0.02
 LOST_S = 0.5
 """How long a measurement may be missing or frozen in flight (s)."""
 
@@ -136,7 +137,7 @@ class FlightSoftware:
         self._tilt: _Array = np.zeros(2)
         self._controllers = Controllers(controller)
         self._released: _Array = np.zeros(2)
-        self._floor, self._lifted = 0.0, False
+        self._lifted = False
         self._late_s = 0.0
         self._watch: Watch | None = None
         # Motor voltages, averaged over the last second of flight.
@@ -281,7 +282,7 @@ class FlightSoftware:
         """Engage or release the controllers without a bump."""
         if motors == "fly":
             self._controllers.engage(m, self._motor_input)
-            self._floor, self._lifted = float(m.position[2]), False
+            self._lifted = False
             self._held_up = self._controller.motor_trim * self._controller.voltage_V
         elif motors == "spin_up":
             self._held_up, self._lifted = np.zeros(2), False
@@ -301,7 +302,7 @@ class FlightSoftware:
         return Actuators(self._motor_input, np.zeros(2))
 
     def _fly(self, r: Reference, m: Estimate) -> Actuators:
-        if not self._lifted and m.position[2] < self._floor - LIFT_OFF_M:
+        if not self._lifted and lifted_off(self.mission_state, m):
             self._lifted = True
             self._controllers.lift_off(m)
         if not self._lifted:

@@ -14,7 +14,7 @@ from mufly.mission.check import (
 )
 from mufly.mission.machine import step, stop_at_once, waypoint_fault
 from mufly.mission.offboard import HIGHEST_M, SetPoint, fault_of, wants_up
-from mufly.mission.phases import RAMP_DOWN_S, blind, down_blind
+from mufly.mission.phases import RAMP_DOWN_S, blind, down_blind, lifted_off
 from mufly.mission.schema import LOWEST_M, SPIN_UP_S, Leg, Mission, Waypoint, legs, limits_of_file
 from mufly.mission.state import (
     ACCEPTED,
@@ -75,6 +75,7 @@ __all__ = [
     "fault_of",
     "later",
     "legs",
+    "lifted_off",
     "limits_of_file",
     "load_mission",
     "log",

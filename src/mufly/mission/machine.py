@@ -46,9 +46,10 @@ from mufly.mission.phases import (
     point,
     reference,
     set_out,
+    spun_up,
     swing,
 )
-from mufly.mission.schema import LOWEST_M, SPIN_UP_S
+from mufly.mission.schema import LOWEST_M
 from mufly.mission.state import (
     Ask,
     Command,
@@ -350,7 +351,7 @@ def by_hand(s: MissionState, m: Estimate, c: Command, dt: float) -> MissionState
         s = replace(s, outcome="", reason="", quit="", finished=False)
         return replace(s, motors="spin_up", clock_s=0.0, hold=x)
     if s.motors == "spin_up":
-        return s if s.clock_s < SPIN_UP_S else replace(s, motors="fly")
+        return replace(s, motors="fly") if spun_up(s, m) else s
     # The reference stays near the helicopter, so that the sticks answer at once.
     depth = min(max(s.hold[2] - c.climb * dt, m.position[2] - 0.5), m.position[2] + 0.5)
     n, e, _ = measured_at(m)
@@ -417,7 +418,7 @@ def to_set_points(s: MissionState, m: Estimate, wanted: SetPoint) -> MissionStat
 def track(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, dt: float) -> MissionState:
     """Follow the set-point, no faster than the mission's limits and into nothing that the beams have seen."""
     if s.motors == "spin_up":
-        if s.clock_s < SPIN_UP_S:
+        if not spun_up(s, m):
             return s
         s = replace(s, motors="fly", tracker=point(replace(s, motion=None)))
     # It was begun for the end of the step in which it was entered.

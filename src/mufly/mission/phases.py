@@ -196,6 +196,20 @@ def measured_at(m: Estimate) -> Triple:
 # init and take-off
 
 
+LIFT_OFF_M = 0.02
+"""Height above where it stood from which it counts as off the floor (m)."""
+
+
+def lifted_off(s: MissionState, m: Estimate) -> bool:
+    """Whether it is off the floor."""
+    return bool(m.position[2] < s.standing[2] - LIFT_OFF_M)
+
+
+def spun_up(s: MissionState, m: Estimate) -> bool:
+    """Whether the rotors are up to speed, or lift it already: one lighter than its controllers were designed for."""
+    return s.clock_s >= SPIN_UP_S or lifted_off(s, m)
+
+
 def stand(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
     """On the floor; the motors run down after a flight."""
     if s.motors == "ramp_down" and s.clock_s > RAMP_DOWN_S:
@@ -240,7 +254,7 @@ def start(
 def take_off(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
     """Spin up, climb, and judge whether that works."""
     if s.motors == "spin_up":
-        return s if s.clock_s < SPIN_UP_S else replace(s, motors="fly", clock_s=0.0, entered_s=s.time_s)
+        return replace(s, motors="fly", clock_s=0.0, entered_s=s.time_s) if spun_up(s, m) else s
     way = s.motion
     assert isinstance(way, Trajectory)
     late = s.clock_s - way.duration_s
