@@ -1,4 +1,4 @@
-"""``mufly link`` as a user meets it: in a process, over a real socket, ended by Ctrl-C."""
+"""``mufly link`` as a user meets it: in a process, over a real socket, ended by a signal."""
 
 import os
 import signal
@@ -11,6 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from mufly.cli import app
+from mufly.cli.station import Ending
 from mufly.errors import InputError
 from mufly.link import Codec
 from mufly.logs import read_log
@@ -35,7 +36,7 @@ def test_what_is_wrong_is_told_before_anything_starts(arguments, says):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
-def test_it_flies_until_ctrl_c_and_leaves_whole_recordings(tmp_path):
+def test_it_flies_until_it_is_told_to_end_and_leaves_whole_recordings(tmp_path):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
         station.bind(("127.0.0.1", 0))
         station.settimeout(30.0)
@@ -54,17 +55,47 @@ def test_it_flies_until_ctrl_c_and_leaves_whole_recordings(tmp_path):
             while not any(x.get_type() == "SYS_STATUS" for x in heard):
                 heard += codec.receive(time.monotonic(), "vehicle", station.recv(1000))
             time.sleep(0.5)
-            process.send_signal(signal.SIGINT)
+            # An impatient supervisor's second signal does not cut short the closing of files.
+            process.send_signal(signal.SIGTERM)
+            process.send_signal(signal.SIGTERM)
             said, _ = process.communicate(timeout=20.0)
         finally:
             process.kill()
-    assert process.returncode == 130
+    assert process.returncode == 128 + signal.SIGTERM
     assert heard[0].get_srcSystem() == 9
     assert "MAVLink system 9" in said
     assert "ready for no mission" in said
     assert "Traceback" not in said
     assert read_log(tmp_path / "flight.mcap").attrs["complete"]
     assert read_log(tmp_path / "link.tlog").sizes["time"] > 5
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_the_first_signal_asks_and_only_a_second_ctrl_c_no_longer_waits():
+    before = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        for number in before:
+            with Ending() as ending:
+                assert (ending.asked.is_set(), ending.status, ending.hurried) == (False, 0, False)
+                os.kill(os.getpid(), number)
+                assert (ending.asked.is_set(), ending.status) == (True, 128 + number)
+                assert ending.hurried == (number != signal.SIGINT)
+                os.kill(os.getpid(), signal.SIGTERM)  # again: nothing changes
+                os.kill(os.getpid(), signal.SIGHUP)
+                with pytest.raises(KeyboardInterrupt):
+                    os.kill(os.getpid(), signal.SIGINT)
+                assert ending.status == 128 + number
+            assert {s: signal.getsignal(s) for s in before} == before
+        with pytest.raises(KeyboardInterrupt), Ending(patient=False):
+            os.kill(os.getpid(), signal.SIGTERM)
+        # Under nohup a terminal that is closed ends nothing.
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        with Ending() as ending:
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert not ending.asked.is_set()
+    finally:
+        signal.signal(signal.SIGHUP, before[signal.SIGHUP])
+        Ending.signalled = False
 
 
 def test_the_help_has_examples():

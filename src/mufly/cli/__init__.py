@@ -63,7 +63,13 @@ _CommandLineError: type[Any] = next(c for c in typer.BadParameter.__mro__ if c._
 def main() -> None:
     """Run the command line: one clear line on standard error and status 1 (2 for a wrong option) on a fault."""
     try:
-        sys.exit(app(standalone_mode=False, prog_name="mufly"))
+        status = app(standalone_mode=False, prog_name="mufly")
+        if station.Ending.signalled:
+            # Whoever ends it by a signal waits for it; on a busy machine, long for an interpreter to be taken apart.
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(status or 0)
+        sys.exit(status)
     except MuflyError as error:
         _stop(str(error), 1)
     except typer.Abort:

@@ -21,6 +21,7 @@ from mufly.cli.options import argument, option
 from mufly.cli.present import console
 from mufly.cli.station import (
     BrowserOption,
+    Ending,
     GustOption,
     HostOption,
     LiveDisplay,
@@ -131,33 +132,35 @@ def _why(process: VehicleProcess) -> str:
     return f" ({process.reason})" if process.reason else ""
 
 
-def fly_behind_link(order: Order, on_event: Callable[[Event], None], terminal: Console) -> None:
-    """Fly the mission in real time with other stations watching, without a page."""
+def fly_behind_link(
+    order: Order, on_event: Callable[[Event], None], terminal: Console, ending: Ending
+) -> str:
+    """Fly the mission in real time with other stations watching, without a page; return its outcome, "" if none."""
     for end in order.links:
         terminal.print(f"It {end.explanation}", highlight=False)
     process = _start(order, order.links, autostart=True)
+    watch = _Watch(process, on_event)
     try:
-        process.wait_ready()
-        watch = _Watch(process, on_event)
-        while not watch.over:
+        while not (watch.over or ending.asked.is_set()):
             time.sleep(_LOOK_S)
-            watch.look()
+            if process.ready:
+                watch.look()
     finally:
         process.stop()
         while process.events:
             on_event(process.events.popleft())
+    return process.outcome if watch.flown else ""
 
 
 def fly_with_page(
-    order: Order, address: Address, on_event: Callable[[Event], None], terminal: Console, browser: bool
-) -> bool:
-    """Fly with the station's page.
-
-    Returns
-    -------
-    bool
-        Whether it ended by itself; False: it was stopped (Ctrl-C).
-    """
+    order: Order,
+    address: Address,
+    on_event: Callable[[Event], None],
+    terminal: Console,
+    browser: bool,
+    ending: Ending,
+) -> str:
+    """Fly with the station's page; return the outcome of the flight, "" if there was none."""
     from mufly.link import parse_endpoint
     from mufly.station import Station
     from mufly.station.page.server import serve
@@ -177,24 +180,24 @@ def fly_with_page(
         )  # fmt: skip
         watch = _Watch(process, on_event)
 
-        async def work() -> bool:
+        async def work() -> None:
             try:
                 await ground.start()
                 announce(address, [e.explanation for e in order.links])
-                return not await serve(
-                    session, address, open_browser=browser,
+                await serve(
+                    session, address, open_browser=browser, stop=ending.asked.is_set,
                     beside=lambda: _look_after(watch, process, session, order.start, terminal),
                 )  # fmt: skip
             finally:
                 await ground.stop()
 
         with contextlib.suppress(KeyboardInterrupt):
-            return asyncio.run(work())
-        return False
+            asyncio.run(work())
     finally:
         process.stop()
         while process.events:
             on_event(process.events.popleft())
+    return process.outcome if watch.flown else ""
 
 
 async def _look_after(
@@ -205,7 +208,9 @@ async def _look_after(
     terminal: Console,
 ) -> None:
     """Return when the flight is over and nobody looks any more; fly the mission where nobody ever looked."""
-    await asyncio.to_thread(process.wait_ready)
+    # Not in a thread, which would have to be waited for whoever wants to end.
+    while not process.ready:
+        await asyncio.sleep(_LOOK_S)
     began = last_seen = time.monotonic()
     seen = False
     while True:
@@ -327,53 +332,64 @@ def fly(
         f"[bold]{order.vehicle.name}[/bold] flies [bold]{order.mission.name}[/bold]; results go to {folder}"
     )
 
-    stopped, heard = False, []
+    heard: list[Path] = []
+    ending = Ending()
     if ends or address is not None:
-        stopped = _fly_in_real_time(terminal, order, address, browser)
+        outcome = _fly_in_real_time(terminal, order, address, browser, ending)
+        if ending.hurried or (ending.asked.is_set() and outcome != "succeeded"):
+            # A summary of half a flight is worth less than an end when it is asked for.
+            what = "the recording up to here is in" if outcome else "it did not fly; what was recorded is in"
+            terminal.print(f"Stopped; {what} {recording}")
+            raise typer.Exit(ending.status)
         found = _read(recording)
         if found is None or _never_flew(found):
             terminal.print(f"It did not fly; what was recorded is in {folder}")
-            raise typer.Exit(130 if stopped else 1)
+            raise typer.Exit(1)
         dataset, heard = found, [] if address is None else sorted(folder.glob("station*.*"))
     else:
-        dataset = _fly_in_terminal(terminal, order)
+        dataset = _fly_in_terminal(terminal, order, ending)
     summary = _write_results(terminal, dataset, order.mission, [recording, *heard], as_json)
-    if stopped and summary.outcome != "succeeded":
-        terminal.print(f"Stopped; the recording up to here is in {recording}")
-        raise typer.Exit(130)
     if summary.outcome == "unfinished":
         raise MuflyError(f"the mission was not flown to its end: {summary.reason}")
     if summary.outcome != "succeeded":
         raise MuflyError(f"the mission failed: {summary.reason}")
 
 
-def _fly_in_terminal(terminal: Console, order: Order) -> xr.Dataset:
+def _fly_in_terminal(terminal: Console, order: Order, ending: Ending) -> xr.Dataset:
     """Fly the mission from beginning to end, as fast as the machine can."""
     import mufly.flight as flight
 
+    def show(p: Progress) -> None:
+        # Between two ticks, where nothing is half written.
+        ending.patient = True
+        if ending.asked.is_set():
+            raise KeyboardInterrupt
+        display.now(_line_of(p))
+
+    ending.patient = False
     try:
-        with LiveDisplay(terminal) as display:
+        with LiveDisplay(terminal) as display, ending:
             return flight.fly(
                 order.vehicle, order.mission, wind=order.wind, gust=order.gust, seed=order.seed,
-                realtime=order.realtime, path=order.recording, on_progress=lambda p: display.now(_line_of(p)),
-                on_event=display.event,
+                realtime=order.realtime, path=order.recording, on_progress=show, on_event=display.event,
             )  # fmt: skip
     except KeyboardInterrupt:
         if order.recording.exists():
             terminal.print(f"Stopped; the recording up to here is in {order.recording}")
-        raise typer.Exit(130) from None
+        raise typer.Exit(ending.status or 130) from None
 
 
-def _fly_in_real_time(terminal: Console, order: Order, address: Address | None, browser: bool) -> bool:
-    """Fly with the page, or without one (no address) behind a link; return whether it was stopped."""
-    with LiveDisplay(terminal) as display:
+def _fly_in_real_time(
+    terminal: Console, order: Order, address: Address | None, browser: bool, ending: Ending
+) -> str:
+    """Fly with the page, or without one (no address) behind a link; return the outcome, "" without a flight."""
+    with LiveDisplay(terminal) as display, ending:
         if address is not None:
-            return not fly_with_page(order, address, display.event, terminal, browser)
+            return fly_with_page(order, address, display.event, terminal, browser, ending)
         try:
-            fly_behind_link(order, display.event, terminal)
+            return fly_behind_link(order, display.event, terminal, ending)
         except KeyboardInterrupt:
-            return True
-        return False
+            return ""
 
 
 def _read(recording: Path) -> xr.Dataset | None:

@@ -103,6 +103,63 @@ def dated_folder() -> Path:
     return folder
 
 
+class Ending:
+    """What Ctrl-C (SIGINT), SIGTERM and SIGHUP mean to a command that flies or watches: it ends, in order.
+
+    The first one asks for that; loops look between two steps, so that nothing is cut off in mid-write. A second Ctrl-C
+    no longer waits; other repetitions change nothing. What is ignored when the command begins (nohup) stays ignored.
+
+    Attributes
+    ----------
+    asked : threading.Event
+    status : int
+        128 and the number of the signal; 0: none has come.
+    patient : bool
+        Whether loops look; where they do not yet (nothing is open), the first signal is an interrupt at once.
+    """
+
+    signalled = False
+    """Whether this process ends for a signal: what is closed by then need not be taken apart."""
+
+    def __init__(self, *, patient: bool = True) -> None:
+        self.asked = threading.Event()
+        self.status = 0
+        self.patient = patient
+
+    @property
+    def hurried(self) -> bool:
+        """Whether it is to end as soon as its files are closed, with nothing computed or drawn any more."""
+        return self.status not in (0, 128 + signal.SIGINT)
+
+    def __enter__(self) -> Ending:
+        known = [getattr(signal, name, None) for name in ("SIGINT", "SIGTERM", "SIGHUP")]
+        heard = [s for s in known if s is not None and signal.getsignal(s) is not signal.SIG_IGN]
+        self._before = {s: signal.signal(s, self._ask) for s in heard}
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _ask(self, number: int, frame: FrameType | None) -> None:
+        again, self.status = self.asked.is_set(), self.status or 128 + number
+        Ending.signalled = True
+        self.asked.set()
+        if number == getattr(signal, "SIGHUP", None):
+            _without_terminal()
+        if not self.patient or (again and number == signal.SIGINT):
+            raise KeyboardInterrupt
+
+
+def _without_terminal() -> None:
+    """The terminal has gone: whatever is still said goes nowhere."""
+    with contextlib.suppress(OSError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        for number in (1, 2):
+            if os.isatty(number):
+                os.dup2(nowhere, number)
+
+
 # ----------------------------------------------------------------------------
 # What a flight shows in the terminal: its events as lines, and on a terminal a live line below them.
 
@@ -256,14 +313,17 @@ def station(
         try:
             await ground.start()
             announce(address, [e.explanation for e in endpoints])
-            await serve(session, address, open_browser=browser, beside=None)
+            await serve(session, address, open_browser=browser, stop=ending.asked.is_set)
         finally:
             await ground.stop()
 
-    with contextlib.suppress(KeyboardInterrupt):
+    ending = Ending()
+    with contextlib.suppress(KeyboardInterrupt), ending:
         asyncio.run(work())
     if ground.recorder.path is not None:
         typer.echo(f"Recorded to {ground.recorder.path}")
+    if ending.hurried:
+        raise typer.Exit(ending.status)
 
 
 def announce(address: Address, links: list[str]) -> None:
@@ -381,7 +441,7 @@ def link(
         helicopter, plan, controller=controller, wind=steady, gust=gust, seed=seed, path=recording, keep=False
     )
     log = None if out is None else TlogWriter(out / "link.tlog")
-    over = _Over()
+    over = Ending()
     try:
         with flight, over, LiveDisplay(terminal) as display:
             pace = run(
@@ -406,28 +466,6 @@ def link(
 
 
 _DEFAULT = ("udp:127.0.0.1:14550", "udp:127.0.0.1:14540")
-
-
-class _Over:
-    """Ctrl-C and termination ask the loop to end; a second Ctrl-C no longer waits for it."""
-
-    def __init__(self) -> None:
-        self.asked = threading.Event()
-        self.status = 0
-
-    def __enter__(self) -> _Over:
-        self._before = {s: signal.signal(s, self._ask) for s in (signal.SIGINT, signal.SIGTERM)}
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _ask(self, number: int, frame: FrameType | None) -> None:
-        if self.asked.is_set():
-            raise KeyboardInterrupt
-        self.status = 128 + number
-        self.asked.set()
 
 
 def _line_of(r: Report) -> str:

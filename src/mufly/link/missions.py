@@ -309,7 +309,7 @@ def _above(item: Item, origin: Origin | None, last: Waypoint) -> Triple | None:
 _MISSION, _FENCE, _RALLY, _ALL = 0, 1, 2, 255
 _DOWNLOADS = 16
 _CLEAR_WITHIN_S = 3.0
-_WHY = {
+_WHY: dict[int, str] = {
     MissionResult.NO_SPACE: f"mission refused: it has more than {LIMIT} items",
     MissionResult.DENIED: "mission refused: another station is sending one; wait until it is done",
     MissionResult.UNSUPPORTED: "refused: missions are known here, fences and rally points are not",

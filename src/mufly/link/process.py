@@ -19,6 +19,7 @@ from __future__ import annotations
 import contextlib
 import math
 import multiprocessing
+import os
 import queue
 import signal
 import threading
@@ -43,6 +44,8 @@ from mufly.vehicle import Vehicle, load_vehicle
 
 CATCH_UP_S = 1.0
 """Stalls up to so long are made up for (s)."""
+READY_WITHIN_S = 120.0
+"""A vehicle's process that does not listen after so long is given up (s)."""
 HURRY = 2.0
 """How much faster than real time the loop goes while it makes up for a stall."""
 WINDOW_S = 5.0
@@ -180,7 +183,7 @@ class Pace:
         return f"; {slips}, {self.slipped_s:.1f} s given up since the start" if self.slips else ""
 
     @property
-    def attributes(self) -> dict[str, float]:
+    def attributes(self) -> dict[str, Any]:
         """What a recording keeps of it."""
         overall = self.overall()
         least = min(self.least, overall)
@@ -378,6 +381,7 @@ class VehicleProcess:
         self.report: Report | None = None
         self.outcome = self.reason = self.error = ""
         self._ready = threading.Event()
+        self._began_s = time.monotonic()
         self._process = context.Process(target=_main, args=(order, theirs), name="mufly vehicle", daemon=True)
         self._process.start()
         theirs.close()
@@ -394,7 +398,26 @@ class VehicleProcess:
         """Number of the process."""
         return self._process.pid
 
-    def wait_ready(self, timeout_s: float = 60.0) -> None:
+    @property
+    def ready(self) -> bool:
+        """Whether it listens and ticks.
+
+        Raises
+        ------
+        MuflyError
+            If it cannot start, or has not within :data:`READY_WITHIN_S`.
+        """
+        if self._ready.is_set():
+            if self.error:
+                raise MuflyError(self.error)
+            return True
+        if time.monotonic() - self._began_s > READY_WITHIN_S:
+            raise MuflyError(
+                f"the vehicle did not start within {READY_WITHIN_S:g} s; is the machine very busy?"
+            )
+        return False
+
+    def wait_ready(self) -> None:
         """Wait until it listens and ticks.
 
         Raises
@@ -402,10 +425,8 @@ class VehicleProcess:
         MuflyError
             If it cannot start; the message is the one that the vehicle's process gave.
         """
-        if not self._ready.wait(timeout_s):
-            raise MuflyError(f"the vehicle did not start within {timeout_s:g} s; is the machine very busy?")
-        if self.error:
-            raise MuflyError(self.error)
+        while not self.ready:
+            self._ready.wait(0.1)
 
     def stop(self, timeout_s: float = 10.0) -> None:
         """Ask it to end, and wait until its recording is whole."""
@@ -413,8 +434,8 @@ class VehicleProcess:
             self._pipe.send(None)
         self._process.join(timeout_s)
         if self._process.is_alive():
-            self._process.terminate()
-            self._process.join(timeout_s)
+            self._process.kill()
+            self._process.join()
         self._reader.join(1.0)
 
     def __enter__(self) -> VehicleProcess:
@@ -533,33 +554,46 @@ class _Teller:
 def _main(order: Mapping[str, Any], pipe: Connection) -> None:
     """The vehicle's process."""
     asked = threading.Event()
-    # Ctrl-C reaches every process of a terminal; the parent decides what it means, and asks.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda *_: asked.set())
+    flying = threading.Event()
+
+    def end(*_: object) -> None:
+        asked.set()
+        if not flying.is_set():
+            os._exit(0)  # it designs and compiles, which nothing stops for long, and has nothing open yet
+
+    # Ctrl-C, and a terminal that is closed, reach all its processes; the parent decides what that means, and asks.
+    for name in ("SIGINT", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, end)
     tell = _Teller(pipe)
 
     def listen() -> None:
         with contextlib.suppress(EOFError, OSError):
             pipe.recv()
-        asked.set()
+        end()
 
     threading.Thread(target=listen, daemon=True).start()
     try:
-        _fly(order, tell, asked)
+        _fly(order, tell, asked, flying)
     except MuflyError as error:
         tell("error", str(error))
     except OSError as error:
         tell("error", f"{error.filename or 'the vehicle'}: {error.strerror or error}")
     finally:
         tell.close()
+    os._exit(0)  # all is closed; taking the interpreter apart takes a second or two, and more on a busy machine
 
 
-def _fly(order: Mapping[str, Any], tell: _Teller, asked: threading.Event) -> None:
+def _fly(
+    order: Mapping[str, Any], tell: _Teller, asked: threading.Event, flying: threading.Event
+) -> None:
     vehicle, mission = order["vehicle"], order["mission"]
     vehicle = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
     mission = mission if isinstance(mission, Mission) else load_mission(mission)
     controller = design(vehicle)
     warm_up(vehicle, controller)
+    flying.set()
     flight = Flight(vehicle, mission, controller=controller, keep=False, **order["flight"])
     with flight, contextlib.ExitStack() as stack:
         log = None if order["tlog"] is None else stack.enter_context(TlogWriter(order["tlog"]))

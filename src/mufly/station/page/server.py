@@ -14,7 +14,6 @@ import ipaddress
 import logging
 import os
 import secrets
-import signal
 import socket
 import sys
 import time
@@ -121,7 +120,7 @@ async def _replays(session: Session) -> None:
 
 
 class _Server(uvicorn.Server):
-    """Signals are heard by :func:`serve`, which closes everything in order; a second Ctrl-C changes nothing."""
+    """Signals are heard by whoever calls :func:`serve`, and closes everything in order."""
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
@@ -135,8 +134,9 @@ async def serve(
     *,
     open_browser: bool = True,
     beside: Callable[[], Awaitable[None]] | None = None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> bool:
-    """Serve the page until ``beside`` returns, or for ever.
+    """Serve the page until ``beside`` returns, or it is told to stop.
 
     Parameters
     ----------
@@ -147,11 +147,13 @@ async def serve(
         Whether to open the page in the default browser.
     beside : coroutine function, optional
         Runs in the same loop; when it returns, the server stops.
+    stop : callable, optional
+        Asked ten times a second; signals are the caller's.
 
     Returns
     -------
     bool
-        Whether it was stopped by Ctrl-C or SIGTERM.
+        Whether it was told to stop.
     """
     logging.getLogger("nicegui").setLevel(logging.WARNING)
     guarded = application(session, host=address.host, token=address.token)
@@ -165,22 +167,21 @@ async def serve(
     tasks: set[asyncio.Future[Any]] = {serving}
     if beside is not None:
         tasks.add(asyncio.ensure_future(beside()))
-    ended = asyncio.Event()
-    loop = asyncio.get_running_loop()
-    # No main thread, or no such signals:
-    with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):
-        for number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(number, ended.set)
-    tasks.add(loop.create_task(ended.wait()))
+
+    async def told_to_stop() -> None:
+        while not stop():
+            await asyncio.sleep(0.1)
+
+    tasks.add(asyncio.ensure_future(told_to_stop()))
     try:
-        while not server.started and not serving.done():
+        while not (server.started or serving.done() or stop()):
             await asyncio.sleep(0.02)
-        if open_browser and can_open() and not serving.done():
+        if open_browser and can_open() and not (serving.done() or stop()):
             await asyncio.to_thread(webbrowser.open, address.url)
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         for task in done:
             task.result()
-        return ended.is_set()
+        return stop()
     finally:
         server.should_exit = True
         replays.cancel()
