@@ -170,7 +170,7 @@ def test_a_vehicle_in_its_own_process_that_is_killed_is_missed(tmp_path):
             time.sleep(0.02)
         assert "while it flew" in vehicle.error
         with pytest.raises(MuflyError, match="while it flew"):
-            vehicle.ready
+            vehicle.wait_ready()
     assert vehicle.finished
     assert not read_log(recording).attrs["complete"]
     port.close()

@@ -582,12 +582,12 @@ def _main(order: Mapping[str, Any], pipe: Connection) -> None:
         tell("error", f"{error.filename or 'the vehicle'}: {error.strerror or error}")
     finally:
         tell.close()
-    os._exit(0)  # all is closed; taking the interpreter apart takes a second or two, and more on a busy machine
+    os._exit(
+        0
+    )  # all is closed; taking the interpreter apart takes a second or two, and more on a busy machine
 
 
-def _fly(
-    order: Mapping[str, Any], tell: _Teller, asked: threading.Event, flying: threading.Event
-) -> None:
+def _fly(order: Mapping[str, Any], tell: _Teller, asked: threading.Event, flying: threading.Event) -> None:
     vehicle, mission = order["vehicle"], order["mission"]
     vehicle = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
     mission = mission if isinstance(mission, Mission) else load_mission(mission)
