@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import groupby
 from typing import Annotated
 
 from mufly.cli.options import Commands, JsonOption, OutOption, argument, option
@@ -17,6 +18,7 @@ from mufly.cli.present import (
     show_table,
     writing,
 )
+from mufly.cli.vehicle import print_group
 from mufly.errors import InputError
 
 app = Commands(
@@ -48,25 +50,8 @@ def show(vehicle: _VehicleArgument = "mufly-1.1", as_json: JsonOption = False) -
     if not rows:
         say(f"{v.name} has no table [sensors]: it flies on what is true.")
         return
-    for name in dict.fromkeys(p.key.split(".")[1] for p in rows):
-        print_table(
-            ("", "value", "unit", "meaning", "source"),
-            [
-                (p.key.removeprefix(f"sensors.{name}."), _shown(p.value), p.unit, p.description, p.source)
-                for p in rows
-                if p.key.startswith(f"sensors.{name}.")
-            ],
-            title=name.replace("_", " "),
-            text=(0, 2, 3, 4),
-        )
-
-
-def _shown(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    return (
-        ", ".join(f"({x:g}, {y:g}, {z:g})" for x, y, z in value) if isinstance(value, tuple) else str(value)
-    )
+    for group, members in groupby(rows, lambda row: row.key.rpartition(".")[0]):
+        print_group(group.removeprefix("sensors."), list(members))
 
 
 @app.command()

@@ -90,8 +90,10 @@ def show(vehicle: _Vehicle = "mufly-1.1", as_json: JsonOption = False, toml: _To
     for group, members in groupby(rows, lambda row: row.key.rpartition(".")[0]):
         if group == _BUDGET:
             _print_budget(list(members), float(v.body.mass))
-        else:
-            _print_group(group, list(members))
+        elif not group.startswith("sensors."):
+            print_group(group, list(members))
+    if v.sensors is not None:
+        say(f"\nWhat it feels with: mufly sensors show {vehicle}")
     say(f"\nbattery.model = {v.battery.model!r}, range_ring.count = {v.range_ring.count}", _coefficients(v))
 
 
@@ -158,7 +160,7 @@ def _print_hover(v: Vehicle, h: HoverPerformance) -> None:
     )
 
 
-def _print_group(group: str, rows: list[Parameter]) -> None:
+def print_group(group: str, rows: list[Parameter]) -> None:
     lines = [
         (row.key.rpartition(".")[2], row.symbol, *_readable(row.value, row.unit), row.source,
          row.description + (f" ({row.note})" if row.note else ""))
