@@ -5,6 +5,7 @@ import json
 import pytest
 from typer.testing import CliRunner
 
+from mufly.cli import app as whole
 from mufly.cli.vehicle import app
 from mufly.errors import InputError, MuflyError
 from mufly.vehicle import builtin_vehicles, load_vehicle, parameters, replace, vehicle_toml
@@ -42,8 +43,12 @@ def test_list_as_json() -> None:
 
 @pytest.mark.parametrize("name", builtin_vehicles())
 def test_show_prints_every_parameter(name: str) -> None:
-    text = output("show", name)
+    """Those of its sensors by a command of their own."""
+    sensors = CliRunner().invoke(whole, ["sensors", "show", name]).stdout
+    shown = output("show", name)
+    assert "sensors show" in shown
     for row in parameters(load_vehicle(name)):
+        text = sensors if row.key.startswith("sensors.") else shown
         assert row.key.rpartition(".")[2] in text
         assert row.symbol in text or row.key.startswith("mass_budget")
 
