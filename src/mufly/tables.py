@@ -93,6 +93,10 @@ def validated(model: type[M], tables: Mapping[str, Any], where: str) -> M:
         raise _first_fault(error, model, where) from None
 
 
+TOO_MANY_DIGITS = ("a whole number of more than 300 digits", "give a value of ordinary size")
+_HUGE = 10**300
+
+
 def fault(problem: str, remedy: str, key: str = "") -> PydanticCustomError:
     """Return what a model's own check raises; ``key`` where that of the field checked would not do."""
     context = {"problem": problem, "remedy": remedy} | ({"key": key} if key else {})
@@ -130,6 +134,8 @@ def _first_fault(error: ValidationError, model: type[BaseModel], where: str) -> 
         problem, remedy = f"{_shown(given)} is not sensible", f"give a number {words} {context[name]:g}"
     elif kind == "finite_number":
         problem, remedy = f"{given} is not a number", "give a finite number"
+    elif isinstance(given, int) and abs(given) > _HUGE:
+        problem, remedy = TOO_MANY_DIGITS
     elif kind in ("float_type", "float_parsing"):
         problem, remedy = f"{_shown(given)} is not a number", "give a number without quotes"
     elif kind in ("int_type", "int_parsing", "int_from_float"):

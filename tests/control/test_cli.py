@@ -41,7 +41,7 @@ def test_json_and_nothing_else(tmp_path: Path) -> None:
 def test_bad_input_is_one_clear_line(tmp_path: Path) -> None:
     result = RUN.invoke(app, ["design", "--rate", "3"])
     assert isinstance(result.exception, InputError)
-    assert "rate_Hz: 3 Hz is out of range" in str(result.exception)
+    assert "--rate: 3 Hz is out of range" in str(result.exception)
     blocked = tmp_path / "file"
     blocked.write_text("")
     result = RUN.invoke(app, ["design", "--out", str(blocked)])

@@ -171,8 +171,9 @@ def test_the_design_holds_a_vehicle_that_is_not_the_one_designed_for(
 def test_impossible_requests_are_named(vehicle: Vehicle) -> None:
     with pytest.raises(InputError, match=r"rate_Hz: 5 Hz is out of range; give 20 to 5000 Hz"):
         design(vehicle, rate_Hz=5)
-    with pytest.raises(InputError, match="voltage: -1 V"):
-        design(vehicle, voltage=-1)
+    for volts in (-1.0, 5.9, 8.5, 1000.0, float("nan")):
+        with pytest.raises(InputError, match=rf"voltage: {volts:g} V is out of .*give 6 V \(.*\) to 8\.4 V"):
+            design(vehicle, voltage=volts)
     with pytest.raises(InputError, match="rate_Hz"):
         design(vehicle, rate_Hz=float("nan"))
 

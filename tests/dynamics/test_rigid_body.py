@@ -74,8 +74,8 @@ def test_driven_flight_converges_with_fourth_order_too(vehicle) -> None:
 
 def test_rotors_and_fuselage_exchange_spin_without_loss(vacuum) -> None:
     # Without drag torque of the air only inner torques act about z: motors, gears and friction.
-    nearly_no_drag = {"rotors.upper.torque_coefficient": 1e-15, "rotors.lower.torque_coefficient": 1e-15}
-    p = model_parameters(replace(vacuum, nearly_no_drag), 7.2)
+    p = model_parameters(vacuum, 7.2).copy()
+    p["torque_up"] = p["torque_dw"] = 0.0
 
     def spin(x):
         return p["Izz"] * x[12] + p["Jreact_dw"] * x[19] - p["Jreact_up"] * x[18]

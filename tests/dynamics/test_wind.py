@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
+from scipy.optimize import brentq
 from scipy.signal import welch
 
-from mufly.dynamics import DrydenWind
+from mufly.dynamics import DrydenWind, fastest_part, model_air, model_parameters, outside_model
 from mufly.dynamics.simulation import dryden_filter
 from mufly.errors import InputError
+from mufly.vehicle import replace
 
 
 @pytest.mark.parametrize("step_s", [1e-4, 1e-3, 0.02, 0.5, 10.0])
@@ -104,3 +106,40 @@ def test_turbulence_is_laid_out_along_the_mean_wind() -> None:
 def test_impossible_winds_are_named(bad) -> None:
     with pytest.raises(InputError, match="wind"):
         DrydenWind(**{"gust": 0.1, "step_s": 0.01, **bad})
+
+
+def test_the_air_in_which_the_model_holds(vehicle) -> None:
+    """Ten per cent of the hover's inflow, by momentum theory solved anew; gusts count twice their rms."""
+    p = model_parameters(vehicle)
+    induced, along, across = model_air(vehicle)
+    disc = np.pi * float(vehicle.rotors.radius) ** 2
+    thrust = p["mass"] * 9.81 + float(vehicle.body.downwash_drag)
+    assert 2 * 1.2 * disc * induced**2 == pytest.approx(thrust)
+    # T = 2 rho A |U| v, U the velocity through the disc: along it climb + v, or with the flow across.
+    for flow, expected in (((along, 0.0), 1.1), ((0.0, across), 0.9)):
+        v = brentq(lambda v, f=flow: 2 * 1.2 * disc * np.hypot(f[0] + v, f[1]) * v - thrust, 0.1, 20)
+        assert (flow[0] + v) / induced == pytest.approx(expected)
+    assert outside_model(vehicle, (0.5, 0, 0), 0.3) == ""
+    assert outside_model(vehicle, (0.98 * across, 0, 0.98 * along), 0.0) == ""
+    assert outside_model(vehicle, (0, -1.02 * across, 0), 0.0)
+    assert outside_model(vehicle, (0, 0, 1.02 * along), 0.0)
+    assert "rises" not in outside_model(vehicle, (0, 0, 12), 0.0)
+    assert "7.0 m/s across and 4.0 m/s along" in outside_model(vehicle, (3, 0, 0), 2.0)
+    assert "air that rises at 3.0 m/s rotors are in vortex ring state" in outside_model(
+        vehicle, (0, 0, -3), 0.0
+    )
+    assert "air that rises at 12.0 m/s rotors are in windmill state" in outside_model(
+        vehicle, (0, 0, -12), 0.0
+    )
+    # A map of climb and descent holds further along the mast, not across it.
+    mapped = replace(vehicle, {"rotors.coefficient_map": "walkera-5g6-bemt"})
+    assert model_air(mapped) == (induced, pytest.approx(0.5 * induced), across)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("swash_plate.time_constant", 2e-5), ("rotors.upper.drive_inertia", 1e-9), ("contact.stiffness", 1e7),
+     ("contact.damping", 100.0), ("rotors.lower.drive_inertia", 1e-9)],
+)  # fmt: skip
+def test_the_part_that_asks_for_short_steps_is_named(vehicle, key: str, value: float) -> None:
+    assert fastest_part(model_parameters(replace(vehicle, {key: value}))) == key

@@ -1,5 +1,6 @@
 """Mission files: what they hold, what is refused and how, and the way back."""
 
+import copy
 import math
 import tomllib
 from pathlib import Path
@@ -104,9 +105,21 @@ def waypoint(**changes):
         ({**GOOD, "take_off": {"height_m": 0.0}}, "take_off.height_m", "at least 0.2"),
         ({**GOOD, "take_off": {"heigth_m": 1.0}}, "take_off.heigth_m", "did you mean 'height_m'?"),
         ({**GOOD, "box": [{"centre_m": [5, 5, -1]}]}, "box[1].size_m", "is missing"),
-        ({**GOOD, "box": [{"centre_m": [5, 5, -1], "size_m": [1, -1, 1]}]}, "box[1].size_m[2]", "above 0"),
+        (
+            {**GOOD, "box": [{"centre_m": [5, 5, -1], "size_m": [1, -1, 1]}]},
+            "box[1].size_m[2]",
+            "at least 0.001",
+        ),
         ({**GOOD, "avoidance": {"scan": 1}}, "avoidance.scan", "is wrong"),
         ({}, "waypoint", "the mission has no waypoint"),
+        ({**GOOD, "wind": {"steady_m_s": [1e9, 0, 0]}}, "wind.steady_m_s[1]", "give a number at most 50"),
+        ({**GOOD, "wind": {"steady_m_s": [0, 0, -1e9]}}, "wind.steady_m_s[3]", "give a number at least -50"),
+        (
+            waypoint(wait_s=10**400),
+            "waypoint[1].wait_s",
+            "whole number of more than 300 digits; give a value of",
+        ),
+        (waypoint(position_m=[10**400, 0, -1]), "waypoint[1].position_m[1]", "of more than 300 digits"),
     ],
 )
 def test_faults_are_named(tables, key, words):
@@ -178,3 +191,47 @@ def test_the_examples_in_the_documentation_are_missions():
     assert whole
     for text in whole:
         mission_from(tomllib.loads(text), "docs/missions.md")
+
+
+def numbers(model: type[BaseModel] = Mission, key: str = ""):
+    """Every number of a mission file: its key, whether in brackets, and how many."""
+    for name, field in model.model_fields.items():
+        inner = inner_model(field.annotation)
+        here = f"{key}.{name}" if key else name
+        if inner is not None:
+            yield from numbers(inner, here)
+        elif "float" in str(field.annotation):
+            yield (
+                here,
+                str(field.annotation).count("Annotated") or (2 if "tuple" in str(field.annotation) else 0),
+            )
+
+
+BASE = {
+    "waypoint": [{"position_m": [1.0, 0.0, -1.0]}],
+    "box": [{"centre_m": [50.0, 5.0, -1.0], "size_m": [1.0, 1.0, 1.0]}],
+    "cylinder": [{"centre_m": [50.0, -5.0], "radius_m": 0.2, "height_m": 2.0}],
+    "wall": [{"start_m": [60.0, 1.0], "end_m": [60.0, 2.0], "height_m": 2.0}],
+    "room": {"north_m": [-100.0, 100.0], "east_m": [-100.0, 100.0]},
+}
+
+
+@pytest.mark.parametrize("odd", [1e12, -1e12, 10**400, math.nan, math.inf, "2", True])
+def test_every_absurd_number_is_refused_by_its_key(odd):
+    """Every number of the file, from the models themselves: what no flight could mean is one line with its key."""
+    listed = dict(numbers())
+    assert {"limits.speed_m_s", "wind.steady_m_s", "box.centre_m", "room.height_m", "battery.low_V"} <= set(
+        listed
+    )
+    for key, length in listed.items():
+        tables = copy.deepcopy(BASE)
+        *path, name = key.split(".")
+        table = tables
+        for part in path:
+            table = table.setdefault(part, {})
+            table = table[0] if isinstance(table, list) else table
+        table[name] = [odd, *[1.0] * (length - 1)] if length else odd
+        with pytest.raises(InputError) as fault:
+            mission_from(tables, "file.toml")
+        assert name in fault.value.key, key
+        assert "\n" not in str(fault.value)

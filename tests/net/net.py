@@ -364,7 +364,7 @@ for _name, _words, _quick in (
     ("mission.check-demonstration", "mission check demonstration", True),
     ("mission.check-box", "mission check box-on-leg --vehicle mufly-2.0", True),
     ("control.design-1.1", "control design", False),
-    ("control.design-2.0", "control design mufly-2.0 --rate 250 --voltage 11", False),
+    ("control.design-2.0", "control design mufly-2.0 --rate 250 --voltage 8", False),
     ("drive.show", "drive show --thrust 0.3 --thrust 0.45 --charge 0.5", True),
     ("drive.show-rotor", "drive show --rotor naca4412-r60-c20 --pitch 12 --thrust 0.3", False),
     ("drive.sweep", "drive sweep --gear 0.5:8:0.5 --thrust 0.6", False),

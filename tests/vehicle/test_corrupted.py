@@ -92,7 +92,7 @@ def test_what_is_accepted_can_be_asked_to_hover() -> None:
         (("contact", "legs", "value"), [], "contact.legs", "3 to 16"),
         (("contact", "legs", "value"), [[0.1, 0, -0.1]] * 3, "contact.legs", "below the centre of gravity"),
         (("range_ring", "min_range", "value"), 2.0, "range_ring.min_range", "not below max_range"),
-        (("rotors", "radius", "value"), 1e300, "rotors.radius", "ordinary size"),
+        (("rotors", "radius", "value"), 1e300, "rotors.radius", "at most 5"),
         (("range_ring", "count"), True, "range_ring.count", "True"),
     ],
 )
@@ -109,3 +109,49 @@ def test_a_number_beyond_floating_point_is_one_line(tmp_path) -> None:
     path = tmp_path / "vehicle.toml"
     path.write_text(vehicle_toml(load_vehicle("mufly-1.1")).replace("value = 0.095", "value = " + "9" * 400))
     assert "body.mass" in str(user_error(lambda: load_vehicle(path)))
+
+
+def test_what_would_fly_on_energy_from_nowhere_is_refused() -> None:
+    vehicle = load_vehicle("mufly-1.1")
+    with pytest.raises(
+        InputError, match=r"motor\.torque_constant: 0\.0047 N m/A is above back_emf_constant, 0\.0045"
+    ):
+        replace(vehicle, {"motor.torque_constant": 0.0047})
+    # Within the doubt of two measurements the two are one.
+    assert replace(vehicle, {"motor.torque_constant": 0.00455}).motor.torque_constant.value == 0.00455
+    for name in ("nominal_voltage", "low_voltage"):
+        with pytest.raises(InputError, match=f"battery\\.{name}: 9 V is above the full battery's 8.4 V"):
+            replace(vehicle, {f"battery.{name}": 9.0})
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_every_number_twelve_decades_off_is_refused_by_its_key_or_flies() -> None:
+    """A factor of 1e12 or 1e-12, or the other sign: one line that names the key, or a model with finite numbers."""
+    import numpy as np
+
+    from mufly.dynamics import initial_state, longest_step, model_parameters, simulate
+
+    vehicle = load_vehicle("mufly-1.1")
+    start, accepted = initial_state(position=(0.0, 0.0, -5.0), rotor_speed=(376.0, 444.0)), []
+    refused: list[tuple[str, str]] = []
+    for row in parameters(vehicle):
+        if not isinstance(row.value, float) or row.key.startswith("mass_budget"):
+            continue
+        for factor in (1e12, 1e-12, -1.0):
+            try:
+                v = replace(vehicle, {row.key: factor * row.value})
+            except InputError as error:
+                refused.append((row.key, error.key))
+                continue
+            accepted.append((row.key, factor))
+            step = min(1e-3, 0.9 * longest_step(model_parameters(v)))
+            flown = simulate(
+                v, start, (0.67, 0.73, 0.1, 0.1), duration_s=20 * step, step_s=step, sample_s=step
+            )
+            assert np.isfinite(flown.truth_position.values).all(), (row.key, factor)
+    assert all(told == key for key, told in refused), refused
+    # What may be next to nothing, a beam that looks the other way, and nothing else.
+    assert {key.rpartition(".")[2] for key, _ in accepted} <= {
+        "downwash_drag", "drag_area_x", "drag_area_y", "drag_area_z", "reaction_inertia", "linkage", "friction",
+        "internal_resistance", "electronics_current", "damping", "min_range", "first_angle", "low_voltage",
+    }  # fmt: skip

@@ -58,7 +58,7 @@ FAULTS = [
     ('mas = { value = 0.1, unit = "kg", source = "measured" }', "mass =", "body.mas", "did you mean 'mass'"),
     ('mass = { value = 0.1, source = "measured" }', "mass =", "body.mass", "unit is missing"),
     ("mass = 0.095", "mass =", "body.mass", "no unit"),
-    ('mass = { value = -1, unit = "kg", source = "measured" }', "mass =", "body.mass", "above 0"),
+    ('mass = { value = -1, unit = "kg", source = "measured" }', "mass =", "body.mass", "at least 0.001"),
     ('mass = { value = nan, unit = "kg", source = "measured" }', "mass =", "body.mass", "not possible"),
     ('mass = { value = 95, unit = "lb", source = "measured" }', "mass =", "body.mass", "use one of: kg, g"),
     ('mass = { value = "x", unit = "kg", source = "measured" }', "mass =", "body.mass", "not a number"),
@@ -112,5 +112,5 @@ def test_replace_changes_one_number_and_checks_it() -> None:
     assert lighter.body.inertia_xx == v.body.inertia_xx
     with pytest.raises(mufly.InputError, match="no such parameter"):
         replace(v, {"body.weight": 1.0})
-    with pytest.raises(mufly.InputError, match="above 0"):
+    with pytest.raises(mufly.InputError, match=r"at least 0\.001"):
         replace(v, {"body.mass": 0.0})

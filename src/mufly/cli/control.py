@@ -59,7 +59,9 @@ input, with the controller of full order, of reduced order, and sampled with one
     try:
         controller = design_controllers(loaded, rate_Hz=rate, voltage=voltage)
     except InputError as error:
-        raise error.at(vehicle if error.where == loaded.name else error.where) from None
+        if error.where != loaded.name:
+            raise
+        raise error.at(vehicle) from None
     written = _write(controller, out) if out is not None else []
     if as_json:
         print_json(controller.to_dict())

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mufly.cli.options import argument, option
-from mufly.cli.present import console
+from mufly.cli.present import console, say
 from mufly.cli.station import (
     BrowserOption,
     Ending,
@@ -332,6 +332,16 @@ def fly(
         f"[bold]{order.vehicle.name}[/bold] flies [bold]{order.mission.name}[/bold]; results go to {folder}"
     )
 
+    if ends or address is not None:  # in the terminal it stands among the events
+        from mufly.dynamics import outside_model
+
+        air = order.mission.wind
+        beyond = outside_model(
+            order.vehicle,
+            air.steady_m_s if order.wind is None else order.wind,
+            air.gust_m_s if order.gust is None else order.gust,
+        )
+        say(*filter(None, [beyond]), mark="Warning", style="yellow")
     heard: list[Path] = []
     ending = Ending()
     if ends or address is not None:

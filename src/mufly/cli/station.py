@@ -43,22 +43,29 @@ SeedOption = Annotated[int, option("--seed", "Seed of everything random.")]
 
 def wind_of(text: str | None) -> list[float] | None:
     """Wind N, E, D (m/s) from ``--wind``; None without it."""
+    from mufly.mission import GREATEST_WIND_M_S
+
     if text is None:
         return None
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
         numbers = []
-    if len(numbers) != 3 or not all(abs(n) < 50.0 for n in numbers):
-        raise InputError("--wind", "", f"{text!r} is no wind", "give N,E,D in m/s, as in 0.5,0,0")
+    if len(numbers) != 3 or not all(abs(n) <= GREATEST_WIND_M_S for n in numbers):
+        raise InputError(
+            "--wind", "", f"{text!r} is no wind",
+            f"give N,E,D in m/s, as in 0.5,0,0, each {GREATEST_WIND_M_S:g} m/s at most",
+        )  # fmt: skip
     return numbers
 
 
 def check_air(wind: str | None, gust: float | None, seed: int) -> list[float] | None:
     """The wind of :func:`wind_of`; gusts and seeds that are none are refused."""
+    from mufly.mission import GREATEST_GUST_M_S
+
     steady = wind_of(wind)
-    if gust is not None and not 0.0 <= gust <= 5.0:
-        raise InputError("--gust", "", f"{gust:g} m/s is no gust", "give 0 to 5 m/s")
+    if gust is not None and not 0.0 <= gust <= GREATEST_GUST_M_S:
+        raise InputError("--gust", "", f"{gust:g} m/s is no gust", f"give 0 to {GREATEST_GUST_M_S:g} m/s")
     if not 0 <= seed < 2**63:
         raise InputError("--seed", "", f"{seed} is no seed", "give a whole number from 0 to 2^63 - 1")
     return steady
@@ -440,6 +447,7 @@ def link(
     flight = Flight(
         helicopter, plan, controller=controller, wind=steady, gust=gust, seed=seed, path=recording, keep=False
     )
+    say(*filter(None, [flight.outside]), mark="Warning", style="yellow")
     log = None if out is None else TlogWriter(out / "link.tlog")
     over = Ending()
     try:

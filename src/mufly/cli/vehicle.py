@@ -100,7 +100,13 @@ def show(vehicle: _Vehicle = "mufly-1.1", as_json: JsonOption = False, toml: _To
 @app.command()
 def check(vehicle: _Vehicle, as_json: JsonOption = False) -> None:
     """Read a vehicle file, check every value, and find out whether it can hover and for how long."""
-    from mufly.dynamics import DEFAULT_STEP_S, hover_performance, longest_step, model_parameters
+    from mufly.dynamics import (
+        DEFAULT_STEP_S,
+        fastest_part,
+        hover_performance,
+        longest_step,
+        model_parameters,
+    )
     from mufly.vehicle import load_vehicle
 
     v = load_vehicle(vehicle)
@@ -108,7 +114,8 @@ def check(vehicle: _Vehicle, as_json: JsonOption = False) -> None:
         h = hover_performance(v)
     except InputError as error:
         raise error.at(vehicle) from None
-    step = longest_step(model_parameters(v))
+    p = model_parameters(v)
+    step = longest_step(p)
     if as_json:
         print_json({"name": v.name, "valid": True, "hover": h, "longest_step_s": step})
         return
@@ -117,8 +124,8 @@ def check(vehicle: _Vehicle, as_json: JsonOption = False) -> None:
         say("Little thrust is left to climb or to fight gusts with.", style="yellow")
     if step < DEFAULT_STEP_S:
         say(
-            f"Its fastest part needs steps below {step * 1e3:.2g} ms: too fast to be simulated at the usual "
-            f"{DEFAULT_STEP_S * 1e3:g} ms.",
+            f"Its fastest part ({fastest_part(p)}) needs steps below {step * 1e3:.2g} ms: too fast to be simulated "
+            f"at the usual {DEFAULT_STEP_S * 1e3:g} ms.",
             style="yellow",
         )
 

@@ -52,9 +52,9 @@ from mufly.control.schemes import (
     unscale_controller,
 )
 from mufly.dynamics import GRAVITY, Linearisation, battery_state, linearise, model_parameters
-from mufly.errors import InputError, MuflyError
+from mufly.errors import ArgumentError, MuflyError
 from mufly.results import plain, result
-from mufly.vehicle import Vehicle
+from mufly.vehicle import Vehicle, voltage_range
 
 DEFAULT_RATE_HZ = 200.0
 POSITION_DIVIDER = 4  # the position cascade runs in every fourth period
@@ -321,8 +321,8 @@ def design(
 
     Raises
     ------
-    InputError
-        If rate or voltage is not possible.
+    ArgumentError
+        If the rate is not possible, or the voltage none that the vehicle's battery has in use.
     MuflyError
         If the vehicle cannot hover, or a design fails: the message names the design and the mode, weight or step at
         fault.
@@ -330,13 +330,13 @@ def design(
     s = Settings() if settings is None else settings
     rate = DEFAULT_RATE_HZ if rate_Hz is None else float(rate_Hz)
     if not (np.isfinite(rate) and 20.0 <= rate <= 5000.0):
-        raise InputError(
-            "design", "rate_Hz", f"{rate:g} Hz is out of range", "give 20 to 5000 Hz; 200 is usual"
-        )
-    if voltage is not None and not (np.isfinite(voltage) and voltage > 0):
-        raise InputError(
-            "design", "voltage", f"{voltage:g} V is not possible", "give a positive voltage in V"
-        )
+        raise ArgumentError("rate_Hz", "", f"{rate:g} Hz is out of range", "give 20 to 5000 Hz; 200 is usual")
+    low, full = voltage_range(vehicle.battery)
+    if voltage is not None and not low <= voltage <= full:
+        raise ArgumentError(
+            "voltage", "", f"{voltage:g} V is out of the battery's range",
+            f"give {low:g} V (where {vehicle.name} has to land) to {full:g} V (full, at rest)",
+        )  # fmt: skip
     linear = linearise(vehicle, voltage=voltage)
     period = 1.0 / rate
     try:

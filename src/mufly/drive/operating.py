@@ -46,14 +46,17 @@ from mufly.drive.train import (
     rotor_acceleration,
     terminal_voltage,
 )
-from mufly.errors import InputError, MuflyError
+from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.results import result
 from mufly.rotor import Air, Blading, hover_batch
 from mufly.units import RPM
+from mufly.vehicle import voltage_range
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+SUPPLY_SHARES = (0.01, 3.0)
+"""A bench supply gives this share of the battery's lowest voltage in use to this many times its highest."""
 LOWEST_SPEED, HIGHEST_SPEED = 1e-2, 2e4  # rad/s; no rotor that this package is for turns faster
 _acceleration: Callable[..., Array] = rotor_acceleration.py_func  # the same source for arrays
 _current: Callable[..., Array] = armature_current.py_func
@@ -245,8 +248,12 @@ def operating_point(
         raise InputError(place, key, f"{np.array2string(value[:3])} is not possible", remedy)
     if not (np.all(np.isfinite(ratio)) and np.all(ratio > 0)):
         raise InputError(place, "gear_ratio", "is not above 0", "give motor speed over rotor speed")
-    if supply_V is not None and not supply_V > 0:
-        raise InputError(place, "supply_V", f"{supply_V:g} V is not possible", "give a voltage above 0")
+    low, full = voltage_range(drive.battery)
+    if supply_V is not None and not SUPPLY_SHARES[0] * low <= supply_V <= SUPPLY_SHARES[1] * full:
+        raise ArgumentError(
+            "supply_V", "", f"{supply_V:g} V is nothing for {drive.name}, whose battery has {low:g} to {full:g} V",
+            f"give {SUPPLY_SHARES[0] * low:g} to {SUPPLY_SHARES[1] * full:g} V",
+        )  # fmt: skip
     c = replace(own, gear_ratio=ratio.ravel().copy())
     if charge is None:
         supply = _Supply(drive, float(supply_V or float(drive.battery.nominal_voltage)), sags=False)

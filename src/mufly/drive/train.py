@@ -38,7 +38,7 @@ from mufly.tables import builtin_names, fault, read_tables, validated
 from mufly.units import RPM
 from mufly.vehicle import Vehicle, load_vehicle
 from mufly.vehicle.quantity import Group, Quantity, parameter
-from mufly.vehicle.schema import Battery, Gear, Motor
+from mufly.vehicle.schema import MOTOR_DOUBT, Battery, Gear, Motor
 
 
 @compiled(error_model="numpy")
@@ -96,15 +96,21 @@ class Constants:
         return Constants(**{k: v[case] if np.ndim(v) else v for k, v in vars(self).items()})
 
 
+KV_RANGE = (0.1, 1e6)
+"""Speed constants (rad/s/V) of motors: those of the back-EMF constants that a vehicle file may state."""
+
+
 class DatasheetMotor(Group):
     """A motor as its data sheet describes it."""
 
     speed_constant: Quantity = Field(
         description="Kv, free speed per volt", json_schema_extra={"symbol": "Kv"}
     )
-    resistance: Quantity = parameter("ohm", "R", "resistance between two leads", above=0)
-    no_load_current: Quantity = parameter("A", "I0", "current of the free motor", at_least=0)
-    no_load_voltage: Quantity = parameter("V", "U0", "voltage at which I0 was measured", above=0)
+    resistance: Quantity = parameter("ohm", "R", "resistance between two leads", at_least=1e-4, at_most=1e4)
+    no_load_current: Quantity = parameter("A", "I0", "current of the free motor", at_least=0, at_most=1e3)
+    no_load_voltage: Quantity = parameter(
+        "V", "U0", "voltage at which I0 was measured", at_least=1e-3, at_most=1e3
+    )
 
     @field_validator("speed_constant", mode="before")
     @classmethod
@@ -118,8 +124,12 @@ class DatasheetMotor(Group):
                 f"{raw!r} has no unit that fits",
                 f'write {info.field_name} = {{ value = ..., unit = "rpm/V", source = "datasheet" }}',
             )
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1e6:
-            raise fault(f"{value!r} is not possible", "give a number above 0")
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not KV_RANGE[0] <= value * units[raw["unit"]] <= KV_RANGE[1]
+        ):
+            raise fault(f"{value!r} is not possible", "give {:g} to {:g} rad/s/V".format(*KV_RANGE))
         return {**raw, "value": value * units[raw["unit"]], "unit": "rad/s/V"}
 
     @model_validator(mode="after")
@@ -143,12 +153,14 @@ class DatasheetMotor(Group):
 class Controller(Group):
     """Speed controller between battery and motor."""
 
-    on_resistance: Quantity = parameter("ohm", "Ron", "resistance of the closed switches", at_least=0)
+    on_resistance: Quantity = parameter(
+        "ohm", "Ron", "resistance of the closed switches", at_least=0, at_most=1e3
+    )
     efficiency: Quantity = parameter(
         "1",
         "eta_c",
         "power to the motor over power from the battery, without what Ron takes",
-        above=0,
+        at_least=0.01,
         at_most=1,
     )
 
@@ -206,7 +218,15 @@ class Drive(Group):
             "controller_efficiency": 1.0 if self.controller is None else float(self.controller.efficiency),
         }
         values.update({key: value for key, value in overrides.items() if value is not None})
-        return Constants(**values)
+        found = Constants(**values)
+        if np.any(np.asarray(found.torque_Nm_A) > MOTOR_DOUBT * np.asarray(found.back_emf_V_s)):
+            raise InputError(
+                self.name,
+                "torque_Nm_A",
+                f"{np.max(found.torque_Nm_A):g} N m/A is above the back-EMF constant: such a motor makes energy",
+                f"give at most {np.min(found.back_emf_V_s):g}, or raise the back-EMF constant",
+            )
+        return found
 
 
 _VEHICLES = resources.files("mufly.vehicle") / "builtin"

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import root
 
 from mufly.dynamics.model import battery_state, climb_velocity, derivative, inside_map, rotor_loads
+from mufly.dynamics.simulation import fastest_part
 from mufly.dynamics.state import (
     STATE_SIZE,
     euler_from_quaternion,
@@ -184,6 +185,12 @@ def trim(
     x, u = build(found.x)
     worst = float(np.max(np.abs(residual(found.x))))
     if not worst < 1e-9 or np.any(u[:2] >= 1.0) or np.any(np.abs(u[2:]) > 1.0):
+        if not (velocity_.any() or wind_.any()):  # nothing to ask less of: it is the vehicle
+            raise MuflyError(
+                f"{vehicle.name}: no hover is found within the inputs' range (motors {u[0]:.2f}, {u[1]:.2f}, servos "
+                f"{u[2]:.2f}, {u[3]:.2f}; {worst:.1g} of an acceleration is left); its fastest part is "
+                f"{fastest_part(p)}: check that and the rotors' coefficients and inertias"
+            )
         raise MuflyError(
             f"{vehicle.name}: no steady flight at velocity {velocity_.tolist()} m/s in wind {wind_.tolist()} m/s "
             f"within the inputs' range (motors {u[0]:.2f}, {u[1]:.2f}); ask for a lower speed or less wind"

@@ -42,6 +42,7 @@ from mufly.dynamics.model import battery_state, coefficient_bounds, derivative
 from mufly.dynamics.state import INPUT_SIZE, STATE_SIZE, euler_from_quaternion, model_parameters
 from mufly.errors import InputError
 from mufly.quantities import labelled
+from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 
 DEFAULT_STEP_S = 1e-3
@@ -119,6 +120,17 @@ def longest_step(p: np.void) -> float:
     ----------
     p : record of type ``PARAMETERS``
     """
+    return 2.7 / max(_fastest(p).values())
+
+
+def fastest_part(p: np.void) -> str:
+    """The vehicle file's key of the part that sets :func:`longest_step`."""
+    rates = _fastest(p)
+    return max(rates, key=lambda key: rates[key])
+
+
+def _fastest(p: np.void) -> dict[str, float]:
+    """Rates (rad/s) of the modes that :func:`longest_step` speaks of, by the key that each depends on most."""
     damping = p["kE"] * p["kM"] / p["R_ohm"] + p["dR"]
     gear = p["gear_efficiency"] * p["gear_ratio"] ** 2
     speed = float(np.max(p["battery_curve"])) / (p["kE"] * p["gear_ratio"])
@@ -126,6 +138,7 @@ def longest_step(p: np.void) -> float:
         name: coefficient_bounds(p, name) for name in ("thrust_up", "thrust_dw", "torque_up", "torque_dw")
     }
     motors = [(damping + bounds[f"torque_{k}"][1] * speed / gear) / p[f"J_{k}"] for k in ("up", "dw")]
+    up, dw = motors
     thrust = max(bounds["thrust_up"][0], bounds["thrust_dw"][0]) * speed**2
     heave = (bounds["thrust_up"][2] + bounds["thrust_dw"][2]) * speed / p["mass"]
     swing = math.sqrt(p["bar_gain"] * thrust * abs(p["z_up"]) / min(p["Ixx"], p["Iyy"]))
@@ -133,8 +146,16 @@ def longest_step(p: np.void) -> float:
     n = p["contact_count"]
     x, y = p["contact_points"][:n, 0], p["contact_points"][:n, 1]
     mobility = max(n / p["mass"], np.sum(y**2) / p["Ixx"], np.sum(x**2) / p["Iyy"])
-    legs = max(math.sqrt(p["leg_stiffness"] * mobility), p["leg_damping"] * mobility)
-    return 2.7 / max(p["swash_rate"], p["bar_rate"], *motors, swing, heave, legs)
+    return {
+        "swash_plate.time_constant": float(p["swash_rate"]),
+        "stabiliser_bar.time_constant": float(p["bar_rate"]),
+        "rotors.upper.drive_inertia": float(up),
+        "rotors.lower.drive_inertia": float(dw),
+        "stabiliser_bar.linkage": swing,
+        "rotors.coefficient_map": float(heave),
+        "contact.stiffness": math.sqrt(p["leg_stiffness"] * mobility),
+        "contact.damping": float(p["leg_damping"] * mobility),
+    }
 
 
 def simulate(
@@ -278,6 +299,66 @@ def dryden_filter(time_constant_s: float, step_s: float) -> tuple[NDArray[np.flo
     l21 = q12 / l11
     noise = np.array([[l11, 0.0], [l21, math.sqrt(q22 - l21 * l21)]])
     return transition, noise, np.array([0.5, math.sqrt(0.75)]), np.eye(2)
+
+
+INFLOW_CHANGE = 0.1
+"""Change of the hover's inflow from which on constant coefficients do not describe a rotor any more."""
+
+
+def model_air(vehicle: Vehicle) -> tuple[float, float, float]:
+    """Induced velocity in hover, and the air speeds along and across the mast up to which the model holds (m/s).
+
+    With both rotors as one disc, ``v_h = sqrt((m g + W_hub) / (2 rho pi R^2))``. In momentum theory at constant thrust
+    (Leishman 2006, eqs 2.90 and 2.131) the flow through the disc over ``v_h`` is, at a climb of ``x v_h`` and in an
+    edgewise flow of ``y v_h``,
+
+        x/2 + sqrt(x^2/4 + 1)                  sqrt(sqrt(y^4/4 + 1) - y^2/2)
+
+    which differs from one by ``INFLOW_CHANGE`` at ``x = 0.19`` and ``y = 0.65``. (For muFly that is 0.8 and 2.6 m/s;
+    the thesis relies on its constant coefficients up to 0.5 m/s, Sec. 4.3.1.) A coefficient map holds climb and descent
+    up to half of v_h, where the vortex ring state begins.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    """
+    area = math.pi * float(vehicle.rotors.radius) ** 2
+    weight = float(vehicle.body.mass) * GRAVITY + float(vehicle.body.downwash_drag)
+    induced = math.sqrt(weight / (2.0 * float(vehicle.air.density) * area))
+    more, less = 1.0 + INFLOW_CHANGE, (1.0 - INFLOW_CHANGE) ** 2
+    along = more - 1.0 / more if vehicle.rotors.coefficient_map is None else RING_FROM
+    return induced, along * induced, math.sqrt((1.0 - less**2) / less) * induced
+
+
+RING_FROM, RING_TO = 0.5, 2.0
+"""Descent over the hover's induced velocity between which a rotor is in its own wake (Leishman 2006, Sec. 2.13.6)."""
+
+
+def outside_model(vehicle: Vehicle, wind: ArrayLike, gust: float) -> str:
+    """Say in one line that a wind leaves the range of the model; nothing where it does not.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    wind : (3,) array_like
+        Steady, N-E-D (m/s).
+    gust : float
+        Standard deviation of each component (m/s); twice that is reckoned with.
+    """
+    induced, along, across = model_air(vehicle)
+    north, east, down = (float(v) for v in np.asarray(wind, dtype=np.float64))
+    level, rising = math.hypot(north, east) + 2.0 * gust, abs(down) + 2.0 * gust
+    if level <= across and rising <= along:
+        return ""
+    ring = ""
+    if -down + 2.0 * gust >= RING_FROM * induced:
+        state = "vortex ring" if -down <= RING_TO * induced else "windmill"
+        rises = f"in air that rises at {-down + 2.0 * gust:.1f} m/s"
+        ring = f"; {rises} rotors are in {state} state, of which it knows nothing"
+    return (
+        f"the model is not valid in this air, {level:.1f} m/s across and {rising:.1f} m/s along the mast with gusts: "
+        f"its rotors hold up to {across:.1f} and {along:.1f} m/s{ring}"
+    )
 
 
 class DrydenWind:

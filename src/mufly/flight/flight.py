@@ -28,6 +28,7 @@ from mufly.control import FlightController, design
 from mufly.dynamics import (
     DrydenWind,
     initial_state,
+    outside_model,
     standing_height,
 )
 from mufly.estimate import Estimator, IdealEstimator
@@ -113,6 +114,7 @@ class Flight:
         self.period_s = 1.0 / controller.rate_Hz
         self.autopilot = Autopilot(vehicle, controller, mission)
         air = DrydenWind(steady, gust, step_s=self.period_s, length_m=GUST_LENGTH_M, seed=seed)
+        self.outside = outside_model(vehicle, steady, gust)
         self._start = initial_state(
             position=(*mission.start_m, -standing_height(vehicle)),
             attitude=(0.0, 0.0, math.radians(mission.start_heading_deg)),
@@ -127,6 +129,7 @@ class Flight:
                 "seed": seed,
                 "wind_m_s": steady.tolist(),
                 "gust_m_s": gust,
+                **({"outside_model": self.outside} if self.outside else {}),
                 "rate_Hz": controller.rate_Hz,
                 "version": __version__,
             },
@@ -361,6 +364,8 @@ def fly(
     ) as flight:
         if on_event is not None:
             flight.autopilot.listeners.append(on_event)
+        if flight.outside:
+            flight.note(flight.outside, "warning")
         slower = flight.autopilot.software.slower
         if slower:
             flight.note(f"slower than asked, as the controllers can: {slower}", "warning")

@@ -17,6 +17,7 @@ from mufly.dynamics import (
     advance,
     battery_state,
     euler_from_quaternion,
+    fastest_part,
     longest_step,
     lowest_point,
     model_parameters,
@@ -64,7 +65,7 @@ class Plant:
         if longest < SHORTEST_STEP_S:
             raise MuflyError(
                 f"{vehicle.name}: its fastest mode needs steps of {longest * 1e6:.2g} us, too short to simulate a "
-                "flight; `mufly vehicle check` names the part (legs too stiff, or swash plate too quick?)"
+                f"flight; it is that of {fastest_part(self.parameters)}"
             )
         self._steps = math.ceil(1.0 / rate_Hz / longest - 1e-9)
         self._step_s = 1.0 / rate_Hz / self._steps

@@ -95,6 +95,7 @@ class Summary:
     realtime_factor: float | None
     realtime_factor_least: float | None
     slips: int | None
+    outside_model: str
     events: tuple[tuple[float, str, str], ...]
 
     def to_dict(self) -> dict[str, Any]:
@@ -184,6 +185,7 @@ def summarise(
         realtime_factor=realtime_factor,
         realtime_factor_least=dataset.attrs.get("realtime_factor_least"),
         slips=dataset.attrs.get("slips"),
+        outside_model=str(dataset.attrs.get("outside_model", "")),
         events=tuple((float(e[0]), str(e[1]), str(e[2])) for e in events),
     )
 
@@ -354,7 +356,8 @@ def summary_rows(summary: Summary) -> list[tuple[str, str]]:
         ("Real-time factor", summary.realtime_factor, _pace(summary)),
     ]
     rows = [(label, form.format(value)) for label, value, form in lines if value is not None]
-    return [("Outcome", outcome), *rows]
+    beyond = [("Beyond the model", summary.outside_model)] if summary.outside_model else []
+    return [("Outcome", outcome), *rows, *beyond]
 
 
 def _pace(summary: Summary) -> str:

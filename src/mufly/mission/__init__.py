@@ -15,7 +15,17 @@ from mufly.mission.check import (
 from mufly.mission.machine import step, stop_at_once, waypoint_fault
 from mufly.mission.offboard import HIGHEST_M, SetPoint, fault_of, wants_up
 from mufly.mission.phases import RAMP_DOWN_S, blind, down_blind, lifted_off
-from mufly.mission.schema import LOWEST_M, SPIN_UP_S, Leg, Mission, Waypoint, legs, limits_of_file
+from mufly.mission.schema import (
+    GREATEST_GUST_M_S,
+    GREATEST_WIND_M_S,
+    LOWEST_M,
+    SPIN_UP_S,
+    Leg,
+    Mission,
+    Waypoint,
+    legs,
+    limits_of_file,
+)
 from mufly.mission.state import (
     ACCEPTED,
     GO_AROUND_M,
@@ -41,6 +51,8 @@ from mufly.mission.trajectory import Limits, Spline, Trajectory, curved, spline,
 __all__ = [
     "ACCEPTED",
     "GO_AROUND_M",
+    "GREATEST_GUST_M_S",
+    "GREATEST_WIND_M_S",
     "HIGHEST_M",
     "LOWEST_M",
     "NO_SIGNAL",

@@ -19,10 +19,16 @@ from mufly.mission.trajectory import Limits as TrajectoryLimits
 from mufly.mission.trajectory import Trajectory, curved, straight
 from mufly.world import Box, Cylinder, Room, World, wall
 
-Number = Annotated[float, Strict()]
-Positive = Annotated[float, Strict(), Field(gt=0.0)]
+FARTHEST_M = 10_000.0
+"""How far (m) anything in a mission may lie or reach: a flight indoors, on a floor that is flat."""
+GREATEST_WIND_M_S, GREATEST_GUST_M_S = 50.0, 5.0
+"""Each component of the steady wind (a hurricane's), and gusts' rms; the model's own range is far smaller (m/s)."""
+
+Number = Annotated[float, Strict(), Field(ge=-FARTHEST_M, le=FARTHEST_M)]
+Positive = Annotated[float, Strict(), Field(ge=1e-3, le=FARTHEST_M)]
 Triple = tuple[Number, Number, Number]
 Pair = tuple[Number, Number]
+Speed = Annotated[float, Strict(), Field(ge=-GREATEST_WIND_M_S, le=GREATEST_WIND_M_S)]
 
 LOWEST_M = 0.2
 """Least height of a waypoint above the floor (m): the legs and the ground's influence end below it."""
@@ -56,23 +62,23 @@ class Waypoint(_Table):
         le=360.0,
     )
     speed_m_s: float | None = _strict(
-        None, "horizontal speed on the way there; without it that of the limits", gt=0.0, le=3.0
+        None, "horizontal speed on the way there; without it that of the limits", ge=0.01, le=3.0
     )
 
 
 class Limits(_Table):
     """What the trajectories may ask for."""
 
-    speed_m_s: float = _strict(0.6, "horizontal speed", gt=0.0, le=3.0)
-    climb_m_s: float = _strict(0.5, "rate of climb", gt=0.0, le=2.0)
-    descent_m_s: float = _strict(0.4, "rate of descent", gt=0.0, le=1.0)
+    speed_m_s: float = _strict(0.6, "horizontal speed", ge=0.01, le=3.0)
+    climb_m_s: float = _strict(0.5, "rate of climb", ge=0.01, le=2.0)
+    descent_m_s: float = _strict(0.4, "rate of descent", ge=0.01, le=1.0)
     touchdown_m_s: float = _strict(
         0.15, "rate of descent over the last 0.4 m before the floor", gt=0.02, le=0.25
     )
-    acceleration_m_s2: float = _strict(0.4, "horizontal acceleration", gt=0.0, le=2.0)
-    climb_acceleration_m_s2: float = _strict(0.4, "acceleration of climb and descent", gt=0.0, le=2.0)
-    yaw_rate_deg_s: float = _strict(60.0, "rate of turn", gt=0.0, le=360.0)
-    yaw_acceleration_deg_s2: float = _strict(90.0, "acceleration of a turn", gt=0.0, le=1000.0)
+    acceleration_m_s2: float = _strict(0.4, "horizontal acceleration", ge=0.01, le=2.0)
+    climb_acceleration_m_s2: float = _strict(0.4, "acceleration of climb and descent", ge=0.01, le=2.0)
+    yaw_rate_deg_s: float = _strict(60.0, "rate of turn", ge=1.0, le=360.0)
+    yaw_acceleration_deg_s2: float = _strict(90.0, "acceleration of a turn", ge=1.0, le=1000.0)
     reach_m: float = _strict(0.05, "a waypoint counts as reached from this near", ge=0.01, le=1.0)
     reach_m_s: float = _strict(0.1, "and when flying slower than this", ge=0.01, le=1.0)
 
@@ -109,15 +115,19 @@ class Avoidance(_Table):
 class Battery(_Table):
     """How much of it to use."""
 
-    low_V: float | None = _strict(None, "land below this voltage; without it the vehicle's own limit", gt=0.0)
-    usable: float = _strict(0.8, "fraction of the charge that a mission may plan with", gt=0.0, le=1.0)
+    low_V: float | None = _strict(
+        None, "land below this voltage; without it the vehicle's own limit", gt=0.0, le=1000.0
+    )
+    usable: float = _strict(0.8, "fraction of the charge that a mission may plan with", ge=0.01, le=1.0)
 
 
 class Wind(_Table):
     """Air that moves, for the simulation; the helicopter is not told."""
 
-    steady_m_s: Triple = Field(default=(0.0, 0.0, 0.0), description="where the wind blows to, N, E, D")
-    gust_m_s: float = _strict(0.0, "intensity of the gusts (rms)", ge=0.0, le=5.0)
+    steady_m_s: tuple[Speed, Speed, Speed] = Field(
+        default=(0.0, 0.0, 0.0), description="where the wind blows to, N, E, D"
+    )
+    gust_m_s: float = _strict(0.0, "intensity of the gusts (rms)", ge=0.0, le=GREATEST_GUST_M_S)
 
 
 class BoxTable(_Table):
@@ -134,9 +144,9 @@ class CylinderTable(_Table):
 
     name: str = Field(default="cylinder", description="what messages call it")
     centre_m: Pair = Field(description="N, E of its axis")
-    radius_m: float = _strict(..., "radius", gt=0.0)
-    height_m: float = _strict(..., "from its foot to its top", gt=0.0)
-    foot_m: float = _strict(0.0, "height of its foot above the floor", ge=0.0)
+    radius_m: float = _strict(..., "radius", ge=1e-3, le=FARTHEST_M)
+    height_m: float = _strict(..., "from its foot to its top", ge=1e-3, le=FARTHEST_M)
+    foot_m: float = _strict(0.0, "height of its foot above the floor", ge=0.0, le=FARTHEST_M)
 
 
 class WallTable(_Table):
@@ -145,8 +155,8 @@ class WallTable(_Table):
     name: str = Field(default="wall", description="what messages call it")
     start_m: Pair = Field(description="N, E of one end")
     end_m: Pair = Field(description="N, E of the other end")
-    height_m: float = _strict(..., "height above the floor", gt=0.0)
-    thickness_m: float = _strict(0.1, "thickness", gt=0.0)
+    height_m: float = _strict(..., "height above the floor", ge=1e-3, le=FARTHEST_M)
+    thickness_m: float = _strict(0.1, "thickness", ge=1e-3, le=FARTHEST_M)
 
 
 class RoomTable(_Table):
@@ -154,7 +164,9 @@ class RoomTable(_Table):
 
     north_m: Pair = Field(description="least and greatest N inside")
     east_m: Pair = Field(description="least and greatest E inside")
-    height_m: float | None = _strict(None, "height of the ceiling; without it there is none", gt=0.0)
+    height_m: float | None = _strict(
+        None, "height of the ceiling; without it there is none", ge=0.1, le=FARTHEST_M
+    )
 
 
 class Mission(_Table):

@@ -9,6 +9,7 @@ from mufly.vehicle.schema import (
     parameters,
     replace,
     vehicle_toml,
+    voltage_range,
 )
 
 __all__ = [
@@ -24,4 +25,5 @@ __all__ = [
     "parameters",
     "replace",
     "vehicle_toml",
+    "voltage_range",
 ]

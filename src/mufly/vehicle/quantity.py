@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
-from mufly.tables import fault
+from mufly.tables import TOO_MANY_DIGITS, fault
 from mufly.units import units_of
 
 Source = Literal["measured", "CAD", "datasheet", "estimated", "identified", "specified"]
@@ -86,7 +86,7 @@ def _check_limits(value: float, unit: str, limits: dict[str, Any]) -> None:
     set_ = {k: limits[k] for k in _LIMITS if limits.get(k) is not None}
     if not abs(value) < _ABSURD or not all(_LIMITS[k](value, limit) for k, limit in set_.items()):
         words = " and ".join(f"{k.replace('_', ' ')} {limit:g}" for k, limit in set_.items())
-        wanted = "of ordinary size" if abs(value) >= _ABSURD else words or "that is finite"
+        wanted = words or "of ordinary size"
         raise fault(f"{value:g} {unit} is not possible", f"give a value {wanted} ({unit})")
 
 
@@ -98,7 +98,7 @@ def _scaled(value: Any, factor: float) -> Any:
     try:
         return float(value) * factor
     except OverflowError:
-        raise fault("a whole number of more than 300 digits", "give a value of ordinary size") from None
+        raise fault(*TOO_MANY_DIGITS) from None
 
 
 def _flat(value: Any) -> list[float]:

@@ -22,41 +22,71 @@ from mufly.vehicle.coefficient_map import CoefficientMap, named_maps
 from mufly.vehicle.quantity import Curve, Group, Points, Quantity, parameter
 from mufly.vehicle.sensing import Sensing
 
+# The limits of each parameter stand in its declaration. They are those of anything that flies on two rotors, from a
+# gram to 100 kg: the lightest motor with its rotor has 1e-9 kg m2, the smallest cell 0.1 V; a rotor beyond cT = 0.2 is
+# stalled, a linkage that tilts the disc by more than three times the plate is none. Where nothing is sensible
+# (friction, drag) zero is allowed. What parameters have to be to each other, energy first, stands in the groups'
+# checks.
+
 MAX_LEGS = 16
 _SAME_RADIUS = 0.01
+MOTOR_DOUBT = 1.02
+"""Torque constant over back-EMF constant that the doubt of two measurements still allows; above, energy is made."""
 
 
 class Body(Group):
-    mass: Quantity = parameter("kg", "m", "take-off mass", above=0)
-    inertia_xx: Quantity = parameter("kg m2", "Ixx", "moment of inertia about x", above=0)
-    inertia_yy: Quantity = parameter("kg m2", "Iyy", "moment of inertia about y", above=0)
-    inertia_zz: Quantity = parameter("kg m2", "Izz", "moment of inertia about z, fuselage alone", above=0)
-    downwash_drag: Quantity = parameter(
-        "N", "Whub", "drag of the rotors' downwash on the fuselage", at_least=0
+    mass: Quantity = parameter("kg", "m", "take-off mass", at_least=1e-3, at_most=100)
+    inertia_xx: Quantity = parameter("kg m2", "Ixx", "moment of inertia about x", at_least=1e-9, at_most=100)
+    inertia_yy: Quantity = parameter("kg m2", "Iyy", "moment of inertia about y", at_least=1e-9, at_most=100)
+    inertia_zz: Quantity = parameter(
+        "kg m2", "Izz", "moment of inertia about z, fuselage alone", at_least=1e-9, at_most=100
     )
-    drag_area_x: Quantity = parameter("m2", "cDAx", "drag coefficient times area, flow along x", at_least=0)
-    drag_area_y: Quantity = parameter("m2", "cDAy", "drag coefficient times area, flow along y", at_least=0)
-    drag_area_z: Quantity = parameter("m2", "cDAz", "drag coefficient times area, flow along z", at_least=0)
+    downwash_drag: Quantity = parameter(
+        "N", "Whub", "drag of the rotors' downwash on the fuselage", at_least=0, at_most=500
+    )
+    drag_area_x: Quantity = parameter(
+        "m2", "cDAx", "drag coefficient times area, flow along x", at_least=0, at_most=10
+    )
+    drag_area_y: Quantity = parameter(
+        "m2", "cDAy", "drag coefficient times area, flow along y", at_least=0, at_most=10
+    )
+    drag_area_z: Quantity = parameter(
+        "m2", "cDAz", "drag coefficient times area, flow along z", at_least=0, at_most=10
+    )
 
 
 class Air(Group):
-    density: Quantity = parameter("kg/m3", "rho", "density of the air", above=0)
+    density: Quantity = parameter("kg/m3", "rho", "density of the air", at_least=0.01, at_most=10)
 
 
 class Rotor(Group):
-    thrust_coefficient: Quantity = parameter("1", "cT", "T / (rho pi R^4 Omega^2)", above=0)
-    torque_coefficient: Quantity = parameter("1", "cQ", "Q / (rho pi R^5 Omega^2)", above=0)
-    hub_z: Quantity = parameter("m", "z", "z of the hub in body axes (negative: above)", below=0)
+    thrust_coefficient: Quantity = parameter(
+        "1", "cT", "T / (rho pi R^4 Omega^2)", at_least=1e-5, at_most=0.2
+    )
+    torque_coefficient: Quantity = parameter(
+        "1", "cQ", "Q / (rho pi R^5 Omega^2)", at_least=1e-6, at_most=0.2
+    )
+    hub_z: Quantity = parameter(
+        "m", "z", "z of the hub in body axes (negative: above)", at_least=-10, at_most=-1e-4
+    )
     drive_inertia: Quantity = parameter(
-        "kg m2", "Jdrive", "inertia of the drive train as the motor sees it (eq. 4.29)", above=0
+        "kg m2",
+        "Jdrive",
+        "inertia of the drive train as the motor sees it (eq. 4.29)",
+        at_least=1e-9,
+        at_most=10,
     )
     reaction_inertia: Quantity = parameter(
-        "kg m2", "Jrot", "inertia whose acceleration reacts on the fuselage (eq. 4.13)", at_least=0
+        "kg m2",
+        "Jrot",
+        "inertia whose acceleration reacts on the fuselage (eq. 4.13)",
+        at_least=0,
+        at_most=10,
     )
 
 
 class Rotors(Group):
-    radius: Quantity = parameter("m", "R", "radius of both rotors", above=0)
+    radius: Quantity = parameter("m", "R", "radius of both rotors", at_least=5e-3, at_most=5)
     upper: Rotor
     lower: Rotor
     coefficient_map: CoefficientMap | None = Field(
@@ -81,30 +111,48 @@ class Rotors(Group):
 
 
 class SwashPlate(Group):
-    time_constant: Quantity = parameter("s", "Tf_dw", "following time of the lower tip-path plane", above=0)
-    linkage: Quantity = parameter("1", "l_dw", "tilt of the tip-path plane per tilt of the plate", above=0)
+    time_constant: Quantity = parameter(
+        "s", "Tf_dw", "following time of the lower tip-path plane", at_least=1e-6, at_most=1e3
+    )
+    linkage: Quantity = parameter(
+        "1", "l_dw", "tilt of the tip-path plane per tilt of the plate", at_least=1e-3, at_most=3
+    )
     max_tilt: Quantity = parameter(
-        "rad", "theta_SP_max", "tilt of the plate at full servo input", above=0, below=0.7
+        "rad", "theta_SP_max", "tilt of the plate at full servo input", at_least=1e-3, below=0.7
     )
 
 
 class StabiliserBar(Group):
-    time_constant: Quantity = parameter("s", "Tf_up", "following time of the bar", above=0)
+    time_constant: Quantity = parameter("s", "Tf_up", "following time of the bar", at_least=1e-4, at_most=1e9)
     linkage: Quantity = parameter(
         "1", "l_up", "tilt of the upper tip-path plane per tilt of the bar", at_least=0, at_most=1
     )
 
 
 class Motor(Group):
-    back_emf_constant: Quantity = parameter("V s", "kE", "back-EMF per motor speed (V per rad/s)", above=0)
-    torque_constant: Quantity = parameter("N m/A", "kM", "torque per current", above=0)
-    friction: Quantity = parameter("N m s", "dR", "viscous friction", at_least=0)
-    resistance: Quantity = parameter("ohm", "Rohm", "armature resistance", above=0)
+    back_emf_constant: Quantity = parameter(
+        "V s", "kE", "back-EMF per motor speed (V per rad/s)", at_least=1e-6, at_most=10
+    )
+    torque_constant: Quantity = parameter("N m/A", "kM", "torque per current", at_least=1e-6, at_most=10)
+    friction: Quantity = parameter("N m s", "dR", "viscous friction", at_least=0, at_most=1)
+    resistance: Quantity = parameter("ohm", "Rohm", "armature resistance", at_least=1e-4, at_most=1e4)
+
+    @model_validator(mode="after")
+    def _makes_no_energy(self) -> Motor:
+        """Of the power kE w I that turning takes, kM w I comes out: in SI units kM is kE, less what is lost."""
+        k_e, k_m = float(self.back_emf_constant), float(self.torque_constant)
+        if k_m > MOTOR_DOUBT * k_e:
+            raise fault(
+                f"{k_m:g} N m/A is above back_emf_constant, {k_e:g} V s: such a motor gives more power than it takes",
+                "lower torque_constant (in SI units it equals back_emf_constant, less what the iron takes)",
+                "motor.torque_constant",
+            )
+        return self
 
 
 class Gear(Group):
-    ratio: Quantity = parameter("1", "igear", "motor speed over rotor speed", above=0)
-    efficiency: Quantity = parameter("1", "eta_gear", "efficiency of the gear", above=0, at_most=1)
+    ratio: Quantity = parameter("1", "igear", "motor speed over rotor speed", at_least=0.01, at_most=1000)
+    efficiency: Quantity = parameter("1", "eta_gear", "efficiency of the gear", at_least=0.01, at_most=1)
 
 
 class Battery(Group):
@@ -112,15 +160,25 @@ class Battery(Group):
         description="'lithium-polymer' sags with current and charge; 'constant' holds the nominal voltage"
     )
     nominal_voltage: Quantity = parameter(
-        "V", "Ubat", "voltage of the 'constant' model and of linear design", above=0
+        "V", "Ubat", "voltage of the 'constant' model and of linear design", at_least=0.1, at_most=1000
     )
-    capacity: Quantity = parameter("A s", "C", "charge of the full battery", above=0)
-    internal_resistance: Quantity = parameter("ohm", "Rbat", "internal resistance of the pack", at_least=0)
+    capacity: Quantity = parameter("A s", "C", "charge of the full battery", at_least=1e-3, at_most=1e7)
+    internal_resistance: Quantity = parameter(
+        "ohm", "Rbat", "internal resistance of the pack", at_least=0, at_most=1e3
+    )
     open_circuit_voltage: Curve = parameter(
-        "V", "Uoc", "open-circuit voltage of the pack over the fraction of charge left", above=0
+        "V",
+        "Uoc",
+        "open-circuit voltage of the pack over the fraction of charge left",
+        at_least=0.1,
+        at_most=1000,
     )
-    electronics_current: Quantity = parameter("A", "Iel", "current of electronics and sensors", at_least=0)
-    low_voltage: Quantity = parameter("V", "Ulow", "terminal voltage at which a mission has to land", above=0)
+    electronics_current: Quantity = parameter(
+        "A", "Iel", "current of electronics and sensors", at_least=0, at_most=100
+    )
+    low_voltage: Quantity = parameter(
+        "V", "Ulow", "terminal voltage at which a mission has to land", above=0, at_most=1000
+    )
 
     @model_validator(mode="after")
     def _curve_spans_charge(self) -> Battery:
@@ -132,16 +190,34 @@ class Battery(Group):
                 "give as many fractions as values, rising from 0 (empty) to 1 (full)",
                 "battery.open_circuit_voltage",
             )
+        for name in ("nominal_voltage", "low_voltage"):
+            value, full = float(getattr(self, name)), max(c.value)
+            if self.model != "constant" and value > full:
+                raise fault(
+                    f"{value:g} V is above the full battery's {full:g} V",
+                    "lower it, or correct battery.open_circuit_voltage",
+                    f"battery.{name}",
+                )
         return self
 
 
+def voltage_range(battery: Battery) -> tuple[float, float]:
+    """Lowest and highest voltage (V) that the battery has in use: where a mission has to land, and full at rest."""
+    nominal, rest = float(battery.nominal_voltage), battery.open_circuit_voltage.value
+    return min(float(battery.low_voltage), nominal), max(*rest, nominal)
+
+
 class Contact(Group):
-    legs: Points = parameter("m", "legs", "tips of the legs")
-    stiffness: Quantity = parameter("N/m", "k_leg", "stiffness of one leg", above=0)
-    damping: Quantity = parameter("N s/m", "c_leg", "damping of one leg", at_least=0)
-    friction: Quantity = parameter("1", "mu", "friction between leg and floor", at_least=0)
+    legs: Points = parameter("m", "legs", "tips of the legs", at_least=-10, at_most=10)
+    stiffness: Quantity = parameter("N/m", "k_leg", "stiffness of one leg", at_least=1e-2, at_most=1e8)
+    damping: Quantity = parameter("N s/m", "c_leg", "damping of one leg", at_least=0, at_most=1e6)
+    friction: Quantity = parameter("1", "mu", "friction between leg and floor", at_least=0, at_most=10)
     slip_speed: Quantity = parameter(
-        "m/s", "v_slip", "sliding speed at which friction has 71 % of its full value", above=0
+        "m/s",
+        "v_slip",
+        "sliding speed at which friction has 71 % of its full value",
+        at_least=1e-5,
+        at_most=10,
     )
 
     @model_validator(mode="after")
@@ -156,9 +232,15 @@ class Contact(Group):
 
 class RangeRing(Group):
     count: int = Field(ge=1, le=64, strict=True, description="number of beams, evenly spread over the circle")
-    first_angle: Quantity = parameter("rad", "alpha_0", "direction of beam 0, from x towards y (Fig. 6.18)")
-    min_range: Quantity = parameter("m", "l_min", "shortest distance that is measured", at_least=0)
-    max_range: Quantity = parameter("m", "l_max", "greatest distance that is measured", above=0)
+    first_angle: Quantity = parameter(
+        "rad", "alpha_0", "direction of beam 0, from x towards y (Fig. 6.18)", at_least=-7, at_most=7
+    )
+    min_range: Quantity = parameter(
+        "m", "l_min", "shortest distance that is measured", at_least=0, at_most=1000
+    )
+    max_range: Quantity = parameter(
+        "m", "l_max", "greatest distance that is measured", at_least=0.01, at_most=1000
+    )
 
     @model_validator(mode="after")
     def _min_below_max(self) -> RangeRing:
@@ -171,14 +253,20 @@ class RangeRing(Group):
 
 
 class MassBudget(Group):
-    battery: Quantity = parameter("kg", "m_bat", "battery", at_least=0)
-    actuators: Quantity = parameter("kg", "m_act", "motors, servos and their controllers", at_least=0)
-    rotor_system: Quantity = parameter(
-        "kg", "m_rot", "blades, hubs, swash plate, stabiliser bar, gears", at_least=0
+    battery: Quantity = parameter("kg", "m_bat", "battery", at_least=0, at_most=100)
+    actuators: Quantity = parameter(
+        "kg", "m_act", "motors, servos and their controllers", at_least=0, at_most=100
     )
-    electronics: Quantity = parameter("kg", "m_ele", "processors, power supply, radio, cables", at_least=0)
-    sensors: Quantity = parameter("kg", "m_sen", "IMU, ultrasonic sensor, cameras, lasers", at_least=0)
-    structure: Quantity = parameter("kg", "m_str", "frame, cage, legs", at_least=0)
+    rotor_system: Quantity = parameter(
+        "kg", "m_rot", "blades, hubs, swash plate, stabiliser bar, gears", at_least=0, at_most=100
+    )
+    electronics: Quantity = parameter(
+        "kg", "m_ele", "processors, power supply, radio, cables", at_least=0, at_most=100
+    )
+    sensors: Quantity = parameter(
+        "kg", "m_sen", "IMU, ultrasonic sensor, cameras, lasers", at_least=0, at_most=100
+    )
+    structure: Quantity = parameter("kg", "m_str", "frame, cage, legs", at_least=0, at_most=100)
 
 
 class Vehicle(Group):
