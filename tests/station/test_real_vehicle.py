@@ -85,6 +85,44 @@ class Scene:
         return request.outcome.value, request.answer
 
 
+def by_sticks(scene, vehicle):
+    """A pilot's sticks: followed while they are held, let go with a word, or without one when they fall silent."""
+    assert scene.answer(vehicle.fly_by_hand()) == ("refused", "no sticks; hold them first")
+
+    def holding(*at, until):
+        return lambda: vehicle.sticks.hold(*at) and until(vehicle.snapshot)
+
+    def take_up():
+        vehicle.sticks.hold(0.0, 0.0, 0.0, 0.0)
+        request = vehicle.fly_by_hand()
+        scene.run(3.0, holding(0, 0, 0, 0, until=lambda s: s.state == "rc" and request.done))
+        assert request.outcome.value == "accepted"
+
+    take_up()
+    east, tilt = vehicle.snapshot.estimate.position[1], vehicle.parameters["STK_TILT"].value
+    half = holding(0.5, 0, 0, 0, until=lambda s: s.estimate.position[1] > east + 0.1)
+    scene.run(6.0, half)
+    asked = np.degrees(vehicle.snapshot.reference_attitude[0])  # a middle of 3 % is dead
+    yaw = vehicle.snapshot.estimate.attitude[2]
+    assert asked == pytest.approx(tilt * (0.5 - 0.03) / 0.97, abs=0.1)
+    assert abs(yaw - 0.5) < 0.2  # it looks ahead, so right is about east
+    down = vehicle.snapshot.estimate.position[2]
+    scene.run(6.0, holding(0, 0, -0.5, 0, until=lambda s: s.estimate.position[2] > down + 0.1))
+    assert not vehicle.sticks.hold(0.0, np.nan, 0.0, 0.0)
+    request = vehicle.let_go()
+    assert scene.answer(request) == ("accepted", "")
+    assert vehicle.let_go() is None
+    scene.run(1.0, lambda: vehicle.snapshot.state == "hover")
+
+    take_up()
+    assert (
+        0.3 < scene.run(1.5, lambda: vehicle.snapshot.state == "hover") < 1.0
+    )  # sooner than its own time-out
+    assert "the sticks are not held any more" in vehicle.messages[-2].text + vehicle.messages[-1].text
+    scene.run(1.0)
+    assert vehicle.snapshot.state == "hover"
+
+
 def test_a_flight_by_hand(helicopter, tmp_path):
     scene = Scene(helicopter)
     recorder = StationRecorder(tmp_path)
@@ -114,6 +152,7 @@ def test_a_flight_by_hand(helicopter, tmp_path):
     assert scene.answer(vehicle.go_to((0.5, -0.3, -0.8), 0.5)) == ("accepted", "")
     vehicle.mark("half way")
     scene.run(15.0, lambda: np.linalg.norm(vehicle.snapshot.estimate.position - [0.5, -0.3, -0.8]) < 0.05)
+    by_sticks(scene, vehicle)
     assert scene.answer(vehicle.land()) == ("accepted", "")
     scene.run(15.0, lambda: not vehicle.snapshot.armed)
     assert not vehicle.snapshot.flying

@@ -161,6 +161,7 @@ def fly_with_page(
     ending: Ending,
 ) -> str:
     """Fly with the station's page; return the outcome of the flight, "" if there was none."""
+    from mufly.dynamics import hover_performance
     from mufly.link import parse_endpoint
     from mufly.station import Station
     from mufly.station.page.server import serve
@@ -174,9 +175,11 @@ def fly_with_page(
             [parse_endpoint(f"udp:127.0.0.1:{number}", "station")], folder=folder, record_here=True,
             on_vehicle=lambda found: found.show_mission(order.mission),
         )  # fmt: skip
+        capacity_Ah = float(order.vehicle.battery.capacity) / 3600.0
+        battery = (hover_performance(order.vehicle).current_A, capacity_Ah)
         session = Session(
             lambda: ground.vehicles, folder, mission=order.mission, recorder=ground.recorder,
-            rotor_radius_m=float(order.vehicle.rotors.radius), title=f"mufly: {order.mission.name}",
+            rotor_radius_m=float(order.vehicle.rotors.radius), battery=battery, title=f"mufly: {order.mission.name}",
         )  # fmt: skip
         watch = _Watch(process, on_event)
 

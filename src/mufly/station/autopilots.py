@@ -58,6 +58,10 @@ START_MISSION: _Table = {"PX4": (_mode(4, 4),), "ArduPilot": (_command(300), _mo
 """What makes an armed vehicle fly its mission, or go on with it."""
 PAUSE: _Table = {"PX4": (_mode(4, 3),), "ArduPilot": (_mode(17),), "": (_command(193),)}
 """Stop and hover."""
+BY_HAND: _Table = {"PX4": (_mode(3),), "ArduPilot": (_mode(5),), "": (_mode(2),)}
+"""Fly by sticks: the mode of each that stops and stays when they are in the middle (position control, loiter)."""
+LET_GO: _Table = {"ArduPilot": (_mode(17),), "": (_mode(4, 3),)}
+"""No more sticks: hover where it is. A mode, since it is taken on the floor too."""
 RETURN: _Table = {"ArduPilot": (_mode(6),), "": (_command(20),)}
 """Return to where it took off and land."""
 LAND: _Table = {"ArduPilot": (_mode(9),), "": (Command(21, (0.0, 0.0, 0.0, NAN, NAN, NAN, NAN)),)}

@@ -28,6 +28,7 @@ from mufly.station.autopilots import ARDUPILOT, PX4, commands_of
 from mufly.station.checks import Surroundings, judge
 from mufly.station.commands import Chain, OperatorControl, RemoteCommands, StatusTexts
 from mufly.station.history import Check, History, Message, MissionRow, Outcome, Request, Snapshot
+from mufly.station.sticks import PilotSticks
 from mufly.station.telemetry import Telemetry
 from mufly.station.transfers import RemoteMission, RemoteParameters, items_of, rows_of
 
@@ -59,6 +60,8 @@ class RemoteVehicle:
         Its signals over the last ten minutes.
     surroundings : Surroundings
         What the station knows besides, for the checks.
+    sticks : PilotSticks
+        What a pilot here holds; streamed while it is held, and followed after :meth:`fly_by_hand`.
     on_mark : callable or None
         Takes the text of a mark; returns whether it was recorded.
     """
@@ -82,6 +85,8 @@ class RemoteVehicle:
         self.transfers = RemoteMission(self.texts, target)
         self._parameters = RemoteParameters(self.texts, target)
         self._control = OperatorControl(system, us)
+        self.sticks = PilotSticks(system)
+        self._by_hand = False
         self._connection = Connection(self.commands, self._parameters, self.transfers, rate_Hz)
         self.surroundings = Surroundings()
         self.on_mark: Callable[[str], bool] | None = None
@@ -249,7 +254,24 @@ class RemoteVehicle:
         """Stop the motors at once, in flight too; nothing that was asked for before goes on after it."""
         for chain in self._chains:
             chain.request.end(Outcome.REFUSED, "given up for: EMERGENCY STOP")
+        self.sticks.let_go()
+        self._by_hand = False
         return self._ask("EMERGENCY STOP", autopilots.EMERGENCY_STOP)
+
+    def fly_by_hand(self) -> Request:
+        """Let the sticks that are held fly it, until :meth:`let_go` or another command."""
+        if not self.sticks.held:
+            return _refused("fly by hand", "no sticks; hold them first")
+        self._by_hand = True
+        return self._ask("fly by hand", *commands_of(autopilots.BY_HAND, self.firmware))
+
+    def let_go(self) -> Request | None:
+        """Let go of the sticks: it hovers where it is. None if it was not flown by them."""
+        self.sticks.let_go()
+        if not self._by_hand:
+            return None
+        self._by_hand = False
+        return self._ask("let go of the sticks", *commands_of(autopilots.LET_GO, self.firmware))
 
     def reboot(self) -> Request:
         """Start the autopilot anew; a simulation begins anew."""
@@ -366,7 +388,11 @@ class RemoteVehicle:
             chain.step()
         self._chains = [c for c in self._chains if not c.request.done]
         self._connection.step(now_s, self.telemetry)
-        out = self.commands.step(now_s) + self._parameters.step(now_s) + self.transfers.step(now_s)
+        hand = self.sticks.step(now_s)  # first: a vehicle wants to have heard them before it obeys them
+        if self._by_hand and not self.sticks.held:
+            self.note("warning", "the sticks are not held any more; a hover is asked for")
+            self.let_go()
+        out = hand + self.commands.step(now_s) + self._parameters.step(now_s) + self.transfers.step(now_s)
         return out + self._control.step(now_s, self.telemetry.commander)
 
     def note_link(self, now_s: float, loss: float, rate_Hz: float) -> None:

@@ -209,6 +209,34 @@ def test_the_checks_say_ready_and_the_buttons_say_why_not(window: Page) -> None:
     assert "on the floor" in window.page.inner_text("[data-testid=land]")
 
 
+def fly_by_hand(window: Page) -> None:
+    """Sticks of the screen: it leans while one is held, stays when it is let go, and ends with the window's focus."""
+    page = window.page
+
+    def state() -> Any:
+        return (window.frame() or {}).get("state")
+
+    page.click("[data-testid=sticks-toggle]")
+    wait(lambda: window.ready("by-hand"), "the vehicle to allow it")
+    page.click("[data-testid=by-hand]")
+    wait(lambda: state() == "rc", "the sticks to be taken up")
+    wait(lambda: not window.ready("land"), "the other commands to wait")
+    stick = page.locator("[data-testid=stick-1]").bounding_box()
+    assert stick is not None
+    x, y = stick["x"] + stick["width"] / 2, stick["y"] + stick["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 25, y)  # half way to the right
+    wait(lambda: window.frame()["reference_attitude"][0] > 0.02, "to lean to the right")  # type: ignore[index]
+    page.mouse.up()
+    wait(lambda: abs(window.frame()["reference_attitude"][0]) < 1e-3, "the middle")  # type: ignore[index]
+    page.evaluate("window.dispatchEvent(new Event('blur'))")
+    wait(lambda: state() == "hover", "the hover")
+    assert "lost its focus" in page.inner_text("[data-testid=sticks-said]")
+    page.click("[data-testid=sticks-toggle]")
+    wait(lambda: window.ready("land"), "the buttons")
+
+
 def test_it_takes_off_flies_to_a_click_and_lands(window: Page) -> None:
     page = window.page
     page.fill("[data-testid=field-height]", "0.6")
@@ -239,6 +267,7 @@ def test_it_takes_off_flies_to_a_click_and_lands(window: Page) -> None:
     wait(there, "arrival at the waypoint")
     wait(lambda: page.evaluate("window.muflyScene.sent()") is None, "the mark to go")
     stop_is_there_behind_a_recording_a_dialog_and_a_field(window)
+    fly_by_hand(window)
     page.keyboard.press("Shift+L")
     wait(lambda: not window.frame()["armed"], "the landing")  # type: ignore[index]
     assert "✓ land" in page.inner_text(".mf-requests")
@@ -309,6 +338,57 @@ def test_a_mission_is_sent_from_a_file_and_a_bad_one_is_refused(window: Page, tm
     upload.set_input_files(str(good))
     wait(lambda: page.locator(".mf-mission tbody tr").count() == 4, "the new mission")
     assert "0.70" in page.inner_text(".mf-mission tbody")
+
+
+def test_a_mission_is_drawn_checked_and_sent(window: Page) -> None:
+    """After the one above the vehicle holds two waypoints. Point, drag, height, undo, and the check while one draws."""
+    page = window.page
+    page.get_by_role("tab", name="Plan").click()
+    page.click("[data-testid=plan-fetch]")
+
+    def rows() -> list[list[float]]:
+        found: list[list[float]] = page.evaluate("window.muflyDraft.state?.rows.map(r => r.at) ?? []")
+        return found
+
+    def verdict(words: str) -> bool:
+        return words in page.inner_text("[data-testid=plan-verdict]")
+
+    wait(lambda: rows() == [[0.6, 0.4, 0.6], [0.0, 1.0, 0.7]], "the vehicle's mission")
+    wait(lambda: verdict("can be flown"), "the check")
+    assert verdict("% of the battery")
+    page.get_by_role("button", name="look from above, north up").click()
+    page.evaluate(
+        "new Promise(r => requestAnimationFrame(() => requestAnimationFrame(r)))"
+    )  # it has been drawn
+    x, y = page.evaluate("window.muflyScene.onFloor(0.8, -0.6)")
+    page.locator(".mf-scene canvas").first.click(position={"x": x, "y": y})
+    wait(lambda: len(rows()) == 3, "a third waypoint")
+    assert rows()[2] == pytest.approx([0.8, -0.6, 1.0], abs=0.06)
+    assert page.locator("[data-testid=goto-chip]").is_hidden()  # drawing flies nothing
+
+    point = page.locator("[data-testid=point-3]").bounding_box()
+    assert point is not None
+    page.mouse.move(point["x"] + 12, point["y"] + 12)
+    page.mouse.down()
+    for k in range(1, 9):
+        page.mouse.move(point["x"] + 12 - 8 * k, point["y"] + 12)
+    page.mouse.up()
+    wait(lambda: rows()[2][1] < -0.9, "the drag")
+    assert rows()[2][2] == 1.0  # on its level
+    page.fill("[data-testid=plan-3-height]", "0.1")
+    page.keyboard.press("Tab")
+    wait(lambda: verdict("waypoint[3].position_m") and verdict("too low to fly"), "the fault of the third")
+    assert page.locator("tr.mf-bad-row").get_attribute("data-row") == "3"
+    page.click("[data-testid=plan-send]")
+    wait(lambda: "not sent: waypoint[3]" in page.inner_text("body"), "the refusal")
+    for _ in range(2):  # the height and, in one step, the drag
+        page.click("[data-testid=plan-undo]")
+    wait(lambda: rows()[2] == pytest.approx([0.8, -0.6, 1.0], abs=0.06), "undo")
+    wait(lambda: verdict("can be flown"), "the check again")
+    page.click("[data-testid=plan-send]")
+    page.get_by_role("tab", name="Mission").click()
+    wait(lambda: page.locator(".mf-mission tbody tr").count() == 5, "the mission in the vehicle")
+    page.get_by_role("tab", name="Plots").click()
 
 
 def test_the_emergency_stop_wants_a_second_press(window: Page) -> None:

@@ -13,6 +13,8 @@ from nicegui.events import GenericEventArguments
 
 from mufly.station.checks import OWN_CHECKS
 from mufly.station.history import Outcome, Request, Snapshot
+from mufly.station.page.editor import MissionEditor
+from mufly.station.page.hand import StickPanel
 from mufly.station.page.panels import (
     Action,
     Panel,
@@ -57,6 +59,7 @@ def build(view: View) -> None:
     dark = ui.dark_mode(None)
     ui.colors(primary="#2f7fb8")
     strip = FlightStrip(view)
+    editor = MissionEditor(view)
     with element("div", classes="mf-page"):
         _header(view, dark)
         with _labelled("aside", "instruments", "mf-left"):
@@ -71,9 +74,10 @@ def build(view: View) -> None:
                     Panel(module)
         with element("main", classes="mf-centre"):
             scene = Panel("scene")
+            sticks = StickPanel(view, lambda: bar.reasons()["sticks"])
             with element("div", classes="mf-replay-row").props("hidden"):
                 Panel("replaybar").on("replay", lambda e: _replay(view, e))
-        refresh_parameters = _dock(view)
+        refresh_parameters = _dock(view, editor)
         with _labelled("aside", "commands and mission", "mf-right"):
             bar = CommandBar(
                 view,
@@ -89,6 +93,8 @@ def build(view: View) -> None:
         strip.refresh()
         bar.refresh()
         refresh_parameters()
+        editor.refresh()
+        sticks.refresh()
 
     ui.timer(REFRESH_S, refresh)
 
@@ -185,11 +191,11 @@ def _recorder(view: View) -> None:
     ui.timer(0.5, show)
 
 
-def _dock(view: View) -> Callable[[], None]:
-    with _labelled("section", "plots, spectrum, parameters, recordings", "mf-dock"):
+def _dock(view: View, editor: MissionEditor) -> Callable[[], None]:
+    with _labelled("section", "plots, spectrum, plan, parameters, recordings", "mf-dock"):
         with ui.tabs().props("dense no-caps align=left inline-label").classes("mf-tabs") as tabs:
-            plots, spectrum, parameters, recordings = map(
-                ui.tab, ("Plots", "Spectrum", "Parameters", "Recordings")
+            plots, spectrum, plan, parameters, recordings = map(
+                ui.tab, ("Plots", "Spectrum", "Plan", "Parameters", "Recordings")
             )
         with ui.tab_panels(tabs, value=plots, animated=False, keep_alive=False) as panels:
             panels.classes("mf-tab-panels")
@@ -197,6 +203,8 @@ def _dock(view: View) -> Callable[[], None]:
                 Panel("plots")
             with ui.tab_panel(spectrum):
                 Panel("spectrum")
+            with ui.tab_panel(plan):
+                editor.tab()
             with ui.tab_panel(parameters):
                 refresh = parameter_drawer(view)
             with ui.tab_panel(recordings):
@@ -391,7 +399,7 @@ class CommandBar:
     def go_to(self, north: float, east: float, height: float) -> None:
         """Send the vehicle to a point (m; height above the floor), if that can be done now."""
         self.choose(north, east, height)
-        why = self._reasons()["go_to"]
+        why = self.reasons()["go_to"]
         if not all(math.isfinite(x) and abs(x) < 1e5 for x in (north, east, height)) or height <= 0.0:
             why = "give finite metres and a height above the floor"
         if why:
@@ -419,7 +427,8 @@ class CommandBar:
 
     # ---- what they show
 
-    def _reasons(self) -> dict[str, str]:
+    def reasons(self) -> dict[str, str]:
+        """Why each command cannot be given now, "" if it can."""
         vehicle, source = self._view.vehicle(), self._view.source()
         unready = ""
         if vehicle is not None and not vehicle.snapshot.flying:
@@ -437,7 +446,7 @@ class CommandBar:
         """Bring the buttons up to date; what has not changed is not sent."""
         vehicle = self._view.vehicle()
         snapshot = vehicle.snapshot if vehicle is not None else None
-        why = self._reasons()
+        why = self.reasons()
         labels = {"mission": mission_label(snapshot)}
         if snapshot is not None and snapshot.armed:
             labels["arm"], why["arm"] = "Disarm", why["disarm"]

@@ -123,7 +123,7 @@ class Action:
         self._button.update()
 
 
-def _pick(
+def pick(
     label: str,
     ending: str,
     taken: Callable[[UploadEventArguments], object],
@@ -134,21 +134,21 @@ def _pick(
     """Add a button that opens a file: the uploader itself stays out of sight."""
     upload = ui.upload(auto_upload=True, max_file_size=most_bytes, on_upload=taken)
     upload.props(f'accept="{ending}" data-testid="{test}"').classes("mf-hidden")
-    upload.on_rejected(lambda: _refuse("that file is too large or of another kind"))
+    upload.on_rejected(lambda: refuse("that file is too large or of another kind"))
 
-    async def pick() -> None:
+    async def choose() -> None:
         upload.run_method("pickFiles")
 
-    button(label, pick, title=f"{label} ({ending})", classes=classes)
+    button(label, choose, title=f"{label} ({ending})", classes=classes)
 
 
-def _say(text: str, good: bool = True) -> None:
+def say(text: str, good: bool = True) -> None:
     kind: Any = "positive" if good else "warning"
     ui.notify(text, type=kind, position="bottom", timeout=4000, close_button="OK")
 
 
-def _refuse(text: str) -> None:
-    _say(text, good=False)
+def refuse(text: str) -> None:
+    say(text, good=False)
 
 
 def _blocked(view: View) -> str:
@@ -162,10 +162,10 @@ def _blocked(view: View) -> str:
     return f"commanded by {s.commander}" if s.commander and not s.in_command else ""
 
 
-def _may_change(view: View, what: str) -> RemoteVehicle | None:
+def may_change(view: View, what: str) -> RemoteVehicle | None:
     """The vehicle, if this window may change it; else None, and why ``what`` was not done is said."""
     if why := _blocked(view):
-        _refuse(f"not {what}: {why}")
+        refuse(f"not {what}: {why}")
         return None
     return view.vehicle()
 
@@ -176,14 +176,14 @@ def check_drawer(view: View) -> None:
     def release() -> None:
         vehicle = view.vehicle()
         if vehicle is None or not view.has_controls:
-            _refuse("not released: " + _blocked(view))
+            refuse("not released: " + _blocked(view))
         else:
             view.ask(vehicle.release_command())
 
     def restart() -> None:
-        vehicle = _may_change(view, "started anew")
+        vehicle = may_change(view, "started anew")
         if vehicle is not None and vehicle.snapshot.flying:
-            _refuse("not started anew: it flies")
+            refuse("not started anew: it flies")
         elif vehicle is not None:
             view.ask(vehicle.reboot())
 
@@ -197,14 +197,14 @@ def mission_drawer(view: View) -> None:
     """Table of the mission, with files up and down."""
 
     async def upload(e: UploadEventArguments) -> None:
-        vehicle = _may_change(view, "sent")
+        vehicle = may_change(view, "sent")
         if vehicle is None:
             return
         try:
             text = (await e.file.read()).decode()
             mission = mission_from({"name": Path(e.file.name).stem, **tomllib.loads(text)}, e.file.name)
         except (MuflyError, ValueError) as error:
-            _refuse(str(error))
+            refuse(str(error))
             return
         view.ask(vehicle.upload_mission(mission))
         vehicle.show_mission(mission)
@@ -215,7 +215,7 @@ def mission_drawer(view: View) -> None:
             view.ask(vehicle.download_mission())
 
     def clear() -> None:
-        if (vehicle := _may_change(view, "cleared")) is not None:
+        if (vehicle := may_change(view, "cleared")) is not None:
             view.ask(vehicle.clear_mission())
 
     def save() -> None:
@@ -223,12 +223,12 @@ def mission_drawer(view: View) -> None:
         rows = list(source.mission) if source is not None else []
         mission = view.replay.recording.mission if view.replay is not None else _mission_of(rows)
         if mission is None:
-            _refuse("there is no mission to save")
+            refuse("there is no mission to save")
             return
         ui.download.content(dump_mission(mission), f"{mission.name or 'mission'}.toml")
 
     with element("div", classes="mf-tools"):
-        _pick("Upload…", ".toml", upload, "mission-file", classes="mf-live-only")
+        pick("Upload…", ".toml", upload, "mission-file", classes="mf-live-only")
         button("Fetch", download, title="fetch the mission that is in the vehicle", classes="mf-live-only")
         button("Save", save, title="save the mission as a file")
         button("Clear", clear, title="delete the mission in the vehicle", classes="mf-live-only")
@@ -279,7 +279,7 @@ def parameter_drawer(view: View) -> Callable[[], None]:
         if view.vehicle() is None or not isinstance(name, str) or not isinstance(value, int | float):
             return
         if why := write(name, float(value)):
-            _refuse(why)
+            refuse(why)
             table.call("refused", name, why)
         refresh()
 
@@ -292,13 +292,13 @@ def parameter_drawer(view: View) -> Callable[[], None]:
             name, value = found
             why = write(name, value, undoable=False)
         if why:
-            _refuse(why)
+            refuse(why)
         refresh()
 
     def save() -> None:
         vehicle = view.vehicle()
         if vehicle is None or not vehicle.parameters:
-            _refuse("there are no parameters to save")
+            refuse("there are no parameters to save")
             return
         text = parameter_file(vehicle.parameters, vehicle.system)
         ui.download.content(text, f"{vehicle.name.split(',')[0].replace(' ', '-')}.params")
@@ -308,19 +308,19 @@ def parameter_drawer(view: View) -> Callable[[], None]:
         try:
             values = read_parameter_file((await e.file.read()).decode(), e.file.name)
         except (MuflyError, ValueError) as error:
-            _refuse(str(error))
+            refuse(str(error))
             return
         if vehicle is None:
             return
         # All or nothing: a file with one bad line changes nothing.
         faults = [f"{n}: {w}" for n, v in values.items() if (w := refused(vehicle.parameters.get(n), n, v))]
         if why := _blocked(view) or (faults[0] if faults else ""):
-            _refuse(f"nothing was written: {why}")
+            refuse(f"nothing was written: {why}")
             return
         changed = {n: v for n, v in values.items() if vehicle.parameters[n].value != v}
         for name, value in changed.items():
             write(name, value)
-        _say(f"{len(changed)} of {len(values)} parameters differed and were written")
+        say(f"{len(changed)} of {len(values)} parameters differed and were written")
         refresh()
 
     def fetch() -> None:
@@ -331,7 +331,7 @@ def parameter_drawer(view: View) -> Callable[[], None]:
         undo = button("↶ Undo", lambda: step("undo"), test="undo")
         redo = button("↷ Redo", lambda: step("redo"), test="redo")
         button("Fetch", fetch, title="fetch all parameters again")
-        _pick("Load…", ".params,.param,.txt", load, "parameter-file")
+        pick("Load…", ".params,.param,.txt", load, "parameter-file")
         button("Save", save, title="save all parameters as a file")
     table = Panel("parameters").on("write", edited)
     shown: list[object] = [None]
@@ -368,7 +368,7 @@ def recording_drawer(view: View) -> Callable[[], None]:
             recording = await asyncio.to_thread(open_recording, path)
         except MuflyError as error:
             request.end(Outcome.REFUSED, str(error))
-            _refuse(str(error))
+            refuse(str(error))
             return
         long_s = recording.times[-1] - recording.times[0]
         request.end(Outcome.ACCEPTED, f"{long_s:.0f} s, read in {time.monotonic() - began:.1f} s")
@@ -406,7 +406,7 @@ def recording_drawer(view: View) -> Callable[[], None]:
     with element("div", classes="mf-tools"):
         button("Refresh", fill, title="look for recordings again")
         endings = ".mcap,.tlog,.ulg,.csv,.bin"
-        _pick("Open a file…", endings, uploaded, "recording-file", MOST_RECORDING_BYTES)
+        pick("Open a file…", endings, uploaded, "recording-file", MOST_RECORDING_BYTES)
         place = element("span", "", "mf-dim mf-note")
     holder = element("div", classes="mf-scroll")
     fill()

@@ -22,6 +22,7 @@ from mufly.flight import Parameter
 from mufly.link import SLOW
 from mufly.mission import Ask, Mission, may
 from mufly.station.history import Outcome, Request, Snapshot
+from mufly.station.page.drafts import Sketch
 from mufly.station.recorder import StationRecorder
 from mufly.station.remote import RemoteVehicle
 from mufly.station.replay import Recording, Replay
@@ -62,6 +63,10 @@ class Session:
     title : str
     to_open : Recording or None
         Shown by every window at first.
+    battery : (hover_current_A, capacity_Ah) or None
+        Of the vehicle, where it is known: a mission that is drawn is checked against it.
+    sketch : Sketch
+        The mission that is being drawn.
     """
 
     vehicles: Callable[[], Sequence[RemoteVehicle]]
@@ -74,6 +79,8 @@ class Session:
     holder: str = ""
     sheets: dict[str, ParameterSheet] = field(default_factory=dict)
     to_open: Recording | None = None
+    battery: tuple[float, float] | None = None
+    sketch: Sketch = field(default_factory=Sketch)
     clock: Callable[[], float] = time.monotonic
 
     def open(self, client_id: str) -> View:
@@ -323,6 +330,7 @@ _ASKS = {
     "go_to": Ask.GO_TO,
     "land": Ask.LAND,
     "return": Ask.RETURN,
+    "sticks": Ask.STICKS,
     "stop": Ask.STOP,
 }
 COMMANDS = tuple(_ASKS)

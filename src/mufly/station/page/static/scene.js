@@ -4,6 +4,7 @@
 import { THREE, OrbitControls } from "nicegui-scene";
 import { live } from "./live.js";
 import { colours, el, number, onTheme, software } from "./draw.js";
+import { layer } from "./scene_draft.js";
 import { helicopter, place, turn } from "./scene_helicopter.js";
 import { dispose, floor, lines, obstacles, sprite, waypoints } from "./scene_world.js";
 
@@ -52,12 +53,13 @@ export function mount(element, options, emit) {
   scene.add(trail, beams, drop, tie, shadow, still, marks);
   beams.geometry.setDrawRange(0, 0);
 
-  let asked = null;
+  let asked = null, plan = null, planned = null; // what draws a mission, and the world that it is drawn in
   const paint = () => {
     if (asked === null) asked = requestAnimationFrame(() => {
       asked = null;
       renderer.render(scene, camera);
       moveChip();
+      plan?.place();
     });
   };
   controls.addEventListener("change", paint);
@@ -70,7 +72,7 @@ export function mount(element, options, emit) {
     tie.material.color.set(colours.reference);
     dispose(still);
     still = new THREE.Group();
-    still.add(floor(scenery, reach()), obstacles(scenery));
+    still.add(floor(planned ?? scenery, reach()), obstacles(planned ?? scenery));
     scene.add(still);
     ship?.dispose();
     ghost?.dispose();
@@ -91,6 +93,7 @@ export function mount(element, options, emit) {
   function mission() {
     dispose(marks);
     marks = waypoints(rows, current);
+    marks.visible = planned === null;
     scene.add(marks);
   }
 
@@ -123,7 +126,7 @@ export function mount(element, options, emit) {
       shadow.material.opacity = 0.3 / (1 + Math.max(0, -d));
       segment(drop, n, e, d, n, e, 0);
       rangeBeams(s);
-      if (follow) {
+      if (follow && !plan?.on) {
         const to = new THREE.Vector3(e, Math.max(0.15, -d), -n);
         const move = to.sub(controls.target).multiplyScalar(bare ? 1 : 0.15);
         controls.target.add(move);
@@ -308,7 +311,9 @@ export function mount(element, options, emit) {
       if (Math.hypot(mx - x, my - y) < 16) return go();
     }
     ray.setFromCamera(new THREE.Vector2((2 * x) / box.width - 1, 1 - (2 * y) / box.height), camera);
-    if (ray.ray.intersectPlane(ground, hit) && hit.length() < 1000) choose(-hit.z, hit.x);
+    if (!ray.ray.intersectPlane(ground, hit) || hit.length() > 1000) return;
+    if (plan.on) plan.click(-hit.z, hit.x);
+    else choose(-hit.z, hit.x);
   });
 
   // ---- the camera
@@ -346,6 +351,7 @@ export function mount(element, options, emit) {
   sizes.observe(element);
   const off = onTheme(build);
   build();
+  plan = layer({ element, scene, camera, controls, paint, world: (drawn) => ((planned = drawn), drawn && forget(), build()) });
   window.muflyScene = { onFloor: (n, e) => onScreen(n, e, 0), camera, controls, trail: () => trailN, sent: () => sent }; // for the tests of the page
 
   return {
@@ -363,6 +369,7 @@ export function mount(element, options, emit) {
     },
     close() {
       panel.close();
+      plan.close();
       sizes.disconnect();
       off();
       controls.dispose();
