@@ -25,7 +25,7 @@ from mufly.logs.quality import (
     guess_angle_units,
 )
 from mufly.logs.read import FORMATS, chosen, kind_of, read_log, read_raw, write_log
-from mufly.logs.recording import read_attachments, read_recording
+from mufly.logs.recording import read_attachments, read_facts, read_recording
 from mufly.logs.report import LogReport, channels, draw_channels, examine, grouped
 from mufly.logs.topics import (
     Channel,
@@ -80,6 +80,7 @@ __all__ = [
     "kind_of",
     "load_map",
     "read_attachments",
+    "read_facts",
     "read_log",
     "read_mcap",
     "read_raw",

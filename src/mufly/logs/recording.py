@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from typing import Any
 import numpy as np
 import orjson
 import xarray as xr
+from mcap.reader import make_reader
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
@@ -143,6 +145,43 @@ def read_attachments(path: str | Path) -> dict[str, bytes]:
         No such file, or not an MCAP file.
     """
     return read_mcap(path).attachments
+
+
+def read_facts(path: str | Path) -> dict[str, Any]:
+    """What a recording says of itself, without its signals: a hundredth of the time that reading them takes.
+
+    Returns
+    -------
+    dict
+        The attributes of :func:`read_recording` (of another's MCAP file none of them), ``duration_s`` from the first
+        message to the last, and ``complete``.
+
+    Raises
+    ------
+    InputError
+        No such file, not an MCAP file, or nothing in it.
+    """
+    facts: dict[str, Any] = {"complete": True}
+    try:
+        with open(path, "rb") as stream:
+            reader = make_reader(stream)
+            found = reader.get_summary()
+            metadata = {m.name: m.metadata for m in reader.iter_metadata()}
+        if found is None or found.statistics is None:
+            raise ValueError("no summary")
+        first, last = found.statistics.message_start_time, found.statistics.message_end_time
+        count = found.statistics.message_count
+    except Exception:  # Cut off, damaged or no MCAP at all: what there is of it is read whole, and says why.
+        contents = read_mcap(path)
+        times = [t for messages in contents.messages.values() for t, _ in (messages[:1] + messages[-1:])]
+        first, last, count = min(times, default=0), max(times, default=0), len(times)
+        metadata, facts["complete"] = contents.metadata, contents.complete
+    if not count:
+        raise InputError(str(path), "", "holds no messages", "it ended before its first second was on disk")
+    for name in (METADATA_FLIGHT, METADATA_OUTCOME):
+        with suppress(KeyError, TypeError, ValueError):
+            facts |= _attributes(metadata[name])
+    return {"start_time_ns": first} | facts | {"duration_s": (last - first) * 1e-9}
 
 
 def json_schema(properties: dict[str, Any], title: str = "") -> dict[str, Any]:

@@ -14,8 +14,8 @@ from mufly.link.clients import Deflection
 from mufly.link.codec import MavMessage
 
 STREAM_S = 0.04
-STALE_S = 0.4
-"""Half of what a vehicle of mufly waits for (1 s), and several times what a window lets pass between two words (s)."""
+STALE_S = 0.8
+"""Less than a vehicle of mufly waits for (1 s), and many times what a window lets pass between two words (0.05 s)."""
 
 
 def manual_control(d: Deflection, system: int) -> MavMessage:

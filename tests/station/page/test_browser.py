@@ -209,6 +209,31 @@ def test_the_checks_say_ready_and_the_buttons_say_why_not(window: Page) -> None:
     assert "on the floor" in window.page.inner_text("[data-testid=land]")
 
 
+PAD = """
+    window.pad = { index: 0, id: "Test pad (Vendor: 1)", connected: true, axes: [0.05, 0, 0, 0], buttons: [] };
+    navigator.getGamepads = () => [window.pad];
+    window.dispatchEvent(Object.assign(new Event("gamepadconnected"), { gamepad: window.pad }));
+"""
+
+
+def by_joystick(window: Page, state: Callable[[], Any]) -> None:
+    """The browser's joystick: taken up in its middle only, with a dead one, and let go when it is unplugged."""
+    page = window.page
+    page.evaluate(PAD)
+    wait(lambda: "Test pad" in page.inner_text(".mf-sticks-bar select"), "the joystick")
+    page.evaluate("window.pad.axes[1] = -0.9")
+    page.click("[data-testid=by-hand]")
+    wait(lambda: "not in the middle" in page.inner_text("[data-testid=sticks-said]"), "the refusal")
+    page.evaluate("window.pad.axes[1] = 0")
+    page.click("[data-testid=by-hand]")
+    wait(lambda: state() == "rc", "the joystick to be taken up")
+    page.evaluate("window.pad.axes[0] = 0.6")
+    wait(lambda: abs(window.frame()["rates"][2]) > 0.1, "a turn")  # type: ignore[index]
+    page.evaluate("window.pad.connected = false")
+    wait(lambda: state() == "hover", "the hover without a joystick")
+    assert "unplugged" in page.inner_text("[data-testid=sticks-said]")
+
+
 def fly_by_hand(window: Page) -> None:
     """Sticks of the screen: it leans while one is held, stays when it is let go, and ends with the window's focus."""
     page = window.page
@@ -233,6 +258,7 @@ def fly_by_hand(window: Page) -> None:
     page.evaluate("window.dispatchEvent(new Event('blur'))")
     wait(lambda: state() == "hover", "the hover")
     assert "lost its focus" in page.inner_text("[data-testid=sticks-said]")
+    by_joystick(window, state)
     page.click("[data-testid=sticks-toggle]")
     wait(lambda: window.ready("land"), "the buttons")
 
@@ -277,6 +303,7 @@ def stop_is_there_behind_a_recording_a_dialog_and_a_field(window: Page) -> None:
     """In flight; the first of the two presses only."""
     page, stop = window.page, window.page.locator(STOP)
     page.get_by_role("tab", name="Recordings").click()
+    page.check("[data-testid=every-file]")
     page.locator("tr", has_text="station.mcap").locator("button").first.click()
     page.locator("[data-testid=replay-slider]").wait_for()
     page.keyboard.press("m")
@@ -440,9 +467,33 @@ def test_a_second_window_watches_until_it_takes_the_controls(browser: Any, fly: 
     assert second.complaints == []
 
 
-def test_a_recording_is_opened_and_its_slider_moves_everything(window: Page) -> None:
+def test_a_recording_is_opened_and_its_slider_moves_everything(fly: Fly, window: Page) -> None:
+    """Out of the list of flights, which says who flew what, and why a file cannot be read."""
     page = window.page
+    (fly.folder / "broken.tlog").write_bytes(b"\x00" * 999)
     page.get_by_role("tab", name="Recordings").click()
+    page.click("text=Refresh")
+
+    def rows() -> list[str]:
+        return [
+            text.replace("\t", " ") for text in page.locator(".mf-flight-list tbody tr").all_inner_texts()
+        ]
+
+    wait(
+        lambda: any("broken.tlog" in r and "cannot be read: is no log" in r for r in rows()),
+        "the broken file",
+    )
+    assert page.locator("tr", has_text="broken.tlog").locator("[data-testid=open-recording]").is_disabled()
+    page.uncheck("[data-testid=every-file]")
+    wait(lambda: any("flight.mcap" in r and "mufly-1.1" in r and "hop" in r for r in rows()), "who flew what")
+    assert not any("station.mcap" in r for r in rows())  # it lies beside that of the vehicle
+    page.fill("[aria-label='filter the flights']", "mufly-1.1 hop")
+    assert len(rows()) == 1
+    with page.expect_download() as fetched:
+        page.locator("[aria-label^=download]").click()
+    assert fetched.value.path().read_bytes().startswith(b"\x89MCAP")
+    page.fill("[aria-label='filter the flights']", "")
+    page.check("[data-testid=every-file]")
     page.locator("tr", has_text="station.mcap").locator("button").first.click()
     slider = page.locator("[data-testid=replay-slider]")
     slider.wait_for()

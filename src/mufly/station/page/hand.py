@@ -35,7 +35,7 @@ class StickPanel:
         self._flown: RemoteVehicle | None = None
         self._request: Request | None = None
         self._shown: tuple[object, ...] = ()
-        self._panel = Panel("sticks")
+        self._panel = Panel("sticks").classes("mf-live-only")
         self._panel.on("sticks", self._heard, throttle=0.0)
 
     def refresh(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +14,9 @@ from nicegui.events import GenericEventArguments
 
 from mufly.station.checks import OWN_CHECKS
 from mufly.station.history import Outcome, Request, Snapshot
+from mufly.station.page.alerts import Watch
 from mufly.station.page.editor import MissionEditor
+from mufly.station.page.flights import FlightList
 from mufly.station.page.hand import StickPanel
 from mufly.station.page.panels import (
     Action,
@@ -23,7 +26,6 @@ from mufly.station.page.panels import (
     element,
     mission_drawer,
     parameter_drawer,
-    recording_drawer,
     static_url,
 )
 from mufly.station.page.session import View, availability, mission_label
@@ -61,7 +63,7 @@ def build(view: View) -> None:
     strip = FlightStrip(view)
     editor = MissionEditor(view)
     with element("div", classes="mf-page"):
-        _header(view, dark)
+        say = _header(view, dark)
         with _labelled("aside", "instruments", "mf-left"):
             for module, title in (
                 ("flight", ""),
@@ -95,6 +97,7 @@ def build(view: View) -> None:
         refresh_parameters()
         editor.refresh()
         sticks.refresh()
+        say()
 
     ui.timer(REFRESH_S, refresh)
 
@@ -114,7 +117,7 @@ def _point(e: GenericEventArguments, take: Callable[[float, float, float], None]
         take(north, east, height)
 
 
-def _header(view: View, dark: ui.dark_mode) -> None:
+def _header(view: View, dark: ui.dark_mode) -> Callable[[], None]:
     async def switch() -> None:
         now = await ui.run_javascript("document.body.classList.contains('body--dark')")
         dark.set_value(not now)
@@ -126,10 +129,31 @@ def _header(view: View, dark: ui.dark_mode) -> None:
         Panel("status")
         with element("div", classes="mf-header-tools"):
             _recorder(view)
+            say = _alerts(view)
             _icon("◐", switch, "d", "dark or light", "dark or light (d)")
             with ui.dialog() as keys, element("div", classes="mf-help"):
                 _help()
             _icon("?", keys.open, "?", "help", "keyboard and help (?)")
+    return say
+
+
+def _alerts(view: View) -> Callable[[], None]:
+    """The switch of what is said aloud. Returns the function that says what is new."""
+    panel = Panel("alerts")
+    watches: dict[str, Watch] = {}
+
+    def say() -> None:
+        vehicle = view.vehicle() or next(iter(view.session.vehicles()), None)
+        if vehicle is None:
+            return
+        watch = watches.setdefault(vehicle.name, Watch())
+        found = watch.look(
+            time.monotonic(), vehicle.snapshot, list(vehicle.messages), vehicle.mission, list(view.requests)
+        )
+        if found:
+            panel.call("say", [{"level": a.level, "text": a.text} for a in found])
+
+    return say
 
 
 def _icon(text: str, press: Callable[[], object], key: str, label: str, title: str) -> None:
@@ -208,8 +232,7 @@ def _dock(view: View, editor: MissionEditor) -> Callable[[], None]:
             with ui.tab_panel(parameters):
                 refresh = parameter_drawer(view)
             with ui.tab_panel(recordings):
-                look_again = recording_drawer(view)
-    panels.on_value_change(lambda e: look_again() if e.value == "Recordings" else None)
+                FlightList(view)
     return refresh
 
 

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
 import hashlib
 import math
-import os
-import tempfile
-import time
 import tomllib
 from collections.abc import Callable
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +17,8 @@ from nicegui.events import GenericEventArguments, UploadEventArguments
 from mufly.errors import MuflyError
 from mufly.mission import Mission, dump_mission, mission_from
 from mufly.station.history import MissionRow, Outcome, Request
-from mufly.station.page.session import View, find_recordings, is_flight, parameter_file, read_parameter_file
+from mufly.station.page.session import View, parameter_file, read_parameter_file
 from mufly.station.remote import RemoteVehicle
-from mufly.station.replay import open_recording
 from mufly.station.transfers import refused
 
 STATIC = Path(__file__).parent / "static"
@@ -354,60 +348,3 @@ def parameter_drawer(view: View) -> Callable[[], None]:
 
     refresh()
     return refresh
-
-
-def recording_drawer(view: View) -> Callable[[], None]:
-    """List of recordings; one is opened in the same page. Returns the function that looks for them again."""
-    folder = view.session.folder
-
-    async def show(path: Path) -> None:
-        request = Request(f"open {path.name}")
-        view.ask(request)
-        began = time.monotonic()
-        try:
-            recording = await asyncio.to_thread(open_recording, path)
-        except MuflyError as error:
-            request.end(Outcome.REFUSED, str(error))
-            refuse(str(error))
-            return
-        long_s = recording.times[-1] - recording.times[0]
-        request.end(Outcome.ACCEPTED, f"{long_s:.0f} s, read in {time.monotonic() - began:.1f} s")
-        view.show_recording(recording)
-
-    async def uploaded(e: UploadEventArguments) -> None:
-        with tempfile.TemporaryDirectory() as place:
-            path = Path(place) / Path(e.file.name).name
-            await e.file.save(path)
-            await show(path)
-
-    def row(path: Path, here: Path) -> None:
-        about = path.stat()
-        with element("tr"):
-            with element("td"):
-                button("Open", lambda: show(path), test="open-recording", title=f"open {path}")
-            element("td", os.path.relpath(path, here))
-            element("td", datetime.fromtimestamp(about.st_mtime).strftime("%Y-%m-%d %H:%M:%S"))
-            element("td", f"{about.st_size / 1e6:.1f} MB")
-
-    def fill() -> None:
-        holder.clear()
-        found = find_recordings(folder)
-        # Those of a flight are named with its folder, as those of the flights beside it are.
-        here = folder.parent if is_flight(folder) else folder
-        place._text = f"in {here}"
-        place.update()
-        with holder, element("table", classes="mf-table"), element("tbody"):
-            for path in found:
-                row(path, here)
-            if not found:
-                with element("tr"):
-                    element("td", "no recordings there yet", "mf-empty")
-
-    with element("div", classes="mf-tools"):
-        button("Refresh", fill, title="look for recordings again")
-        endings = ".mcap,.tlog,.ulg,.csv,.bin"
-        pick("Open a file…", endings, uploaded, "recording-file", MOST_RECORDING_BYTES)
-        place = element("span", "", "mf-dim mf-note")
-    holder = element("div", classes="mf-scroll")
-    fill()
-    return fill

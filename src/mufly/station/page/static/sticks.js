@@ -122,7 +122,7 @@ export function mount(element, options, emit) {
     }
     const now = axes();
     draw();
-    if (now && held) emit("sticks", { at: deflection(now, mode) });
+    if (now && (held || asked)) emit("sticks", { at: deflection(now, mode) });
   }
   const timer = setInterval(tick, SAY_MS);
   const away = (why) => () => (asked || held) && end(why);

@@ -1,0 +1,237 @@
+"""All flights in the folder of recordings: when, how long, who, what, how it ended; those that cannot be read, too.
+
+The list stands at once, from what the disk says; what is in the files is read beside it, once a file. Recordings of our
+own say it in a few milliseconds (:func:`mufly.logs.read_facts`); logs of others have to be read whole, and wait until
+nothing flies.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import os
+import tempfile
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from nicegui import ui
+from nicegui.events import GenericEventArguments, UploadEventArguments
+
+from mufly.errors import MuflyError
+from mufly.logs import kind_of, read_facts, read_log
+from mufly.station.history import Outcome, Request
+from mufly.station.page.panels import MOST_RECORDING_BYTES, Panel, button, element, pick, refuse
+from mufly.station.page.session import View, find_recordings, is_flight
+from mufly.station.replay import open_recording
+
+WHOLE_BYTES = 60_000_000
+"""A log that has to be read whole to know its length is not read for the list alone if it is larger."""
+GROWING_S = 5.0
+"""A recording without its end that was written to so lately is one that goes on."""
+_TELL_S = 0.4
+
+
+@dataclass(frozen=True, slots=True)
+class FlightFacts:
+    """What a recording says of itself.
+
+    Attributes
+    ----------
+    kind : str
+        Format of the file.
+    start_s : float
+        When it began (s since 1970); NaN if it does not say.
+    length_s : float
+        NaN if that is not known without reading more than is sensible.
+    vehicle, mission, outcome : str
+        "" where it does not say.
+    fault : str
+        Why it cannot be read, "" if it can.
+    """
+
+    kind: str = ""
+    start_s: float = math.nan
+    length_s: float = math.nan
+    vehicle: str = ""
+    mission: str = ""
+    outcome: str = ""
+    fault: str = ""
+
+
+def facts_of(path: Path) -> FlightFacts:
+    """Read what a recording says of itself; a file that cannot be read says why."""
+    kind = ""
+    try:
+        kind = kind_of(path)
+        if kind == "MCAP":
+            facts = read_facts(path)
+            length_s = facts["duration_s"]
+        elif (size := path.stat().st_size) > WHOLE_BYTES:
+            return FlightFacts(kind, outcome=f"{size / 1e6:.0f} MB: open it to see")
+        else:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                data = read_log(path)
+            facts, times = data.attrs, data["time"].values
+            length_s = float(times[-1] - times[0]) if len(times) else math.nan
+    except MuflyError as error:
+        return FlightFacts(kind, fault=str(error).removeprefix(f"{path}: "))
+    except Exception as error:  # a damaged log can fail in any way, and the list goes on
+        return FlightFacts(kind, fault=f"damaged ({type(error).__name__}: {error})"[:200])
+    start_ns = facts.get("start_time_ns")
+    start_s = (
+        float(start_ns) * 1e-9 if isinstance(start_ns, int | float) and start_ns > 0 else _instant(facts)
+    )
+    outcome = ": ".join(str(facts[k]) for k in ("outcome", "reason") if facts.get(k))
+    if not facts.get("complete", True) and not outcome:
+        growing = abs(time.time() - path.stat().st_mtime) < GROWING_S
+        outcome = "being recorded" if growing else "cut off"
+    vehicle = facts.get("vehicle") or facts.get("system") or ""
+    return FlightFacts(kind, start_s, length_s, str(vehicle), str(facts.get("mission") or ""), outcome)
+
+
+def _instant(facts: dict[Any, Any]) -> float:
+    try:
+        return datetime.fromisoformat(str(facts.get("start_time", ""))).timestamp()
+    except ValueError:
+        return math.nan
+
+
+def is_beside(path: Path) -> bool:
+    """Whether a better recording of the same flight lies in the same folder: what the vehicle wrote, or the signals."""
+    best = path.with_name("flight.mcap")
+    if best.is_file():
+        return path.name != best.name and path.name.startswith(("station", "link"))
+    return (
+        path.suffix != ".mcap"
+        and path.name.startswith("station")
+        and path.with_name("station.mcap").is_file()
+    )
+
+
+def row_of(path: Path, here: Path, facts: FlightFacts | None) -> dict[str, Any]:
+    """A row of the list; ``facts`` is None while they are not read."""
+    about = path.stat()
+    known = facts or FlightFacts()
+    return {
+        "name": os.path.relpath(path, here),
+        "size": about.st_size,
+        "start": known.start_s if math.isfinite(known.start_s) else about.st_mtime,
+        "length": known.length_s if math.isfinite(known.length_s) else None,
+        "vehicle": known.vehicle,
+        "mission": known.mission,
+        "outcome": known.outcome,
+        "fault": known.fault,
+        "known": facts is not None,
+        "beside": is_beside(path),
+    }
+
+
+class FlightList:
+    """The list of flights of one window.
+
+    Parameters
+    ----------
+    view : View
+    """
+
+    def __init__(self, view: View) -> None:
+        self._view, self._here = view, view.session.folder
+        self._paths: dict[str, Path] = {}
+        self._read: dict[tuple[Path, int, int], FlightFacts] = {}
+        self._looks = 0
+        with element("div", classes="mf-tools"):
+            button("Refresh", self.look, title="look for recordings again")
+            endings = ".mcap,.tlog,.ulg,.csv,.bin"
+            pick("Open a file…", endings, self._uploaded, "recording-file", MOST_RECORDING_BYTES)
+            self._place = element("span", "", "mf-dim mf-note")
+        self._panel = Panel("flights")
+        self._panel.on("open", lambda e: self._with(e, self._open))
+        self._panel.on("download", lambda e: self._with(e, self._download))
+        self._panel.on("hello", self.look)
+
+    async def look(self) -> None:
+        """Look for recordings again, and read what is new."""
+        self._looks += 1
+        look = self._looks
+        folder = self._view.session.folder
+        found = await asyncio.to_thread(find_recordings, folder)
+        # Those of a flight are named with its folder, as those of the flights beside it are.
+        self._here = folder.parent if is_flight(folder) else folder
+        self._place._text = f"in {self._here}"
+        self._place.update()
+        self._paths = {os.path.relpath(path, self._here): path for path in found}
+        unread = [path for path in found if self._known(path) is None]
+        self._tell(found)
+        told = time.monotonic()
+        for path in sorted(unread, key=lambda p: p.suffix.lower() != ".mcap"):
+            while path.suffix.lower() != ".mcap" and any(
+                v.snapshot.flying for v in self._view.session.vehicles()
+            ):
+                await asyncio.sleep(1.0)
+            if look != self._looks or not self._view.live:
+                return
+            if (key := _key(path)) is not None:
+                self._read[key] = await asyncio.to_thread(facts_of, path)
+            if time.monotonic() - told > _TELL_S:
+                self._tell(found)
+                told = time.monotonic()
+        if unread:
+            self._tell(found)
+
+    def _known(self, path: Path) -> FlightFacts | None:
+        key = _key(path)
+        return self._read.get(key) if key is not None else None
+
+    def _tell(self, found: list[Path]) -> None:
+        rows = []
+        for path in found:
+            try:
+                rows.append(row_of(path, self._here, self._known(path)))
+            except OSError:
+                continue  # gone meanwhile
+        self._panel.call("show", rows)
+
+    async def _with(self, e: GenericEventArguments, act: Callable[[Path], Any]) -> None:
+        """Only what is in the list can be opened or fetched: the window says its name."""
+        path = self._paths.get(str(e.args))
+        if path is None or not path.is_file():
+            refuse(f"{str(e.args)[:100]} is not there any more; press Refresh")
+            return
+        await act(path)
+
+    async def _download(self, path: Path) -> None:
+        ui.download.file(path)
+
+    async def _open(self, path: Path) -> None:
+        request = Request(f"open {path.name}")
+        self._view.ask(request)
+        began = time.monotonic()
+        try:
+            recording = await asyncio.to_thread(open_recording, path)
+        except MuflyError as error:
+            request.end(Outcome.REFUSED, str(error))
+            refuse(str(error))
+            return
+        long_s = recording.times[-1] - recording.times[0]
+        request.end(Outcome.ACCEPTED, f"{long_s:.0f} s, read in {time.monotonic() - began:.1f} s")
+        self._view.show_recording(recording)
+
+    async def _uploaded(self, e: UploadEventArguments) -> None:
+        with tempfile.TemporaryDirectory() as place:
+            path = Path(place) / Path(e.file.name).name
+            await e.file.save(path)
+            await self._open(path)
+
+
+def _key(path: Path) -> tuple[Path, int, int] | None:
+    try:
+        about = path.stat()
+    except OSError:
+        return None
+    return path, about.st_mtime_ns, about.st_size
