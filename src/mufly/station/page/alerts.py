@@ -39,7 +39,7 @@ class Watch:
     _done: bool | None = None
     _heard: Message | None = None
     _begun: bool = False
-    _answered: deque[int] = field(default_factory=lambda: deque(maxlen=50))
+    _answered: deque[Request] = field(default_factory=lambda: deque(maxlen=50))
     _said: dict[str, float] = field(default_factory=dict)
 
     def look(
@@ -105,9 +105,9 @@ class Watch:
     def _requests(self, requests: Iterable[Request]) -> list[Alert]:
         out = []
         for request in requests:
-            if not request.done or id(request) in self._answered:
+            if not request.done or any(request is known for known in self._answered):
                 continue
-            self._answered.append(id(request))
+            self._answered.append(request)
             if not self._begun or request.outcome is Outcome.ACCEPTED or "given up for" in request.answer:
                 continue
             what = "refused" if request.outcome is Outcome.REFUSED else "no answer"

@@ -8,6 +8,7 @@ nothing flies.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 import os
 import tempfile
@@ -143,7 +144,7 @@ class FlightList:
     def __init__(self, view: View) -> None:
         self._view, self._here = view, view.session.folder
         self._paths: dict[str, Path] = {}
-        self._read: dict[tuple[Path, int, int], FlightFacts] = {}
+        self._read: dict[Path, tuple[tuple[int, int], FlightFacts]] = {}  # of which state of the file
         self._looks = 0
         with element("div", classes="mf-tools"):
             button("Refresh", self.look, title="look for recordings again")
@@ -166,7 +167,7 @@ class FlightList:
         self._place._text = f"in {self._here}"
         self._place.update()
         self._paths = {os.path.relpath(path, self._here): path for path in found}
-        unread = [path for path in found if self._known(path) is None]
+        unread = [path for path in found if self._read.get(path, ((0, 0),))[0] != _state(path)]
         self._tell(found)
         told = time.monotonic()
         for path in sorted(unread, key=lambda p: p.suffix.lower() != ".mcap"):
@@ -176,25 +177,20 @@ class FlightList:
                 await asyncio.sleep(1.0)
             if look != self._looks or not self._view.live:
                 return
-            if (key := _key(path)) is not None:
-                self._read[key] = await asyncio.to_thread(facts_of, path)
+            state = _state(path)
+            self._read[path] = (state, await asyncio.to_thread(facts_of, path))
             if time.monotonic() - told > _TELL_S:
                 self._tell(found)
                 told = time.monotonic()
         if unread:
             self._tell(found)
 
-    def _known(self, path: Path) -> FlightFacts | None:
-        key = _key(path)
-        return self._read.get(key) if key is not None else None
-
     def _tell(self, found: list[Path]) -> None:
         rows = []
         for path in found:
-            try:
-                rows.append(row_of(path, self._here, self._known(path)))
-            except OSError:
-                continue  # gone meanwhile
+            _, facts = self._read.get(path, (None, None))  # of a file that grows, what was read last
+            with contextlib.suppress(OSError):  # gone meanwhile
+                rows.append(row_of(path, self._here, facts))
         self._panel.call("show", rows)
 
     async def _with(self, e: GenericEventArguments, act: Callable[[Path], Any]) -> None:
@@ -229,9 +225,10 @@ class FlightList:
             await self._open(path)
 
 
-def _key(path: Path) -> tuple[Path, int, int] | None:
+def _state(path: Path) -> tuple[int, int]:
+    """Changes with the content of a file."""
     try:
         about = path.stat()
     except OSError:
-        return None
-    return path, about.st_mtime_ns, about.st_size
+        return 0, 0
+    return about.st_mtime_ns, about.st_size

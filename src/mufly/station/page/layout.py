@@ -148,7 +148,7 @@ def _alerts(view: View) -> Callable[[], None]:
             return
         watch = watches.setdefault(vehicle.name, Watch())
         found = watch.look(
-            time.monotonic(), vehicle.snapshot, list(vehicle.messages), vehicle.mission, list(view.requests)
+            time.monotonic(), vehicle.snapshot, list(vehicle.messages), vehicle.mission, view.requests()
         )
         if found:
             panel.call("say", [{"level": a.level, "text": a.text} for a in found])
