@@ -72,7 +72,9 @@ def test_warnings_in_words_are_said_the_gravest_first_and_not_all_the_time() -> 
     assert said(watch, 2.0, FLIES, told) == []
     told.append(Message(3.0, "warning", "limit cycle in height, 1.2 Hz"))
     assert len(said(watch, 1.0 + REPEAT_S, FLIES, told)) == 1
-    told += [Message(4.0, "warning", f"number {k}") for k in range(9)]
+    told.append(Message(3.5, "warning", "limit cycle in height, 1.3 Hz"))
+    assert said(watch, 2.0 + REPEAT_S, FLIES, told) == []  # the same with other numbers
+    told += [Message(4.0, "warning", f"fault {letter}") for letter in "abcdefghi"]
     assert len(watch.look(60.0, FLIES, told)) == MOST_AT_ONCE
     told.append(Message(5.0, "warning", "mufly, system 1 is not heard any more"))  # the link says it, graver
     lost = watch.look(70.0, replace(FLIES, connected=False), told)

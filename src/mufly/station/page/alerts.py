@@ -8,6 +8,7 @@ notices by itself.
 from __future__ import annotations
 
 import math
+import re
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -19,6 +20,7 @@ LOW, EMPTY, AGAIN = 0.3, 0.15, 0.05
 REPEAT_S = 20.0
 """The same words are not said again within this time (s)."""
 MOST_AT_ONCE = 3
+_NUMBERS = re.compile(r"[-+.\d]+")
 _RANK = {"info": 0, "warning": 1, "error": 2}
 
 
@@ -74,8 +76,9 @@ class Watch:
         self._begun = True
         out = []
         for alert in sorted(found, key=lambda a: -_RANK.get(a.level, 0)):
-            if now_s - self._said.get(alert.text, -math.inf) >= REPEAT_S:
-                self._said[alert.text] = now_s
+            words = _NUMBERS.sub("", alert.text)  # the same with other numbers is the same
+            if now_s - self._said.get(words, -math.inf) >= REPEAT_S:
+                self._said[words] = now_s
                 out.append(alert)
         self._said = {text: at for text, at in self._said.items() if now_s - at < REPEAT_S}
         return out[:MOST_AT_ONCE]

@@ -45,10 +45,12 @@ _KEYS = (
     ("space", "play or pause a recording"),
     ("m", "mark this moment in the recording"),
     ("d", "dark or light"),
+    ("Ctrl + Z, Ctrl + Y", "in the plan: undo, redo; Del deletes, arrows move the point"),
     ("?", "this list"),
 )
 _HINTS = (
     "Click on the floor to choose a waypoint; click its mark again, or Send, to fly there.",
+    "In the tab Plan the 3-D view draws a mission: click adds, drag moves, ↕ or Shift changes the height.",
     "Drag turns the 3-D view, right drag moves it, the wheel zooms.",
     "In a plot the wheel zooms the time axis, drag moves it, a double click goes back to live.",
     "Commands need Shift, so that a stray letter flies nothing. The emergency stop is on top of everything.",

@@ -1,7 +1,7 @@
 // Alerts aloud: spoken where the browser has a voice, a tone otherwise, one for each level; muted by a switch that is
 // remembered. A browser lets a page sound only after a click or a key: until then the switch says that it waits.
 import { live } from "./live.js";
-import { el } from "./draw.js";
+import { el, icon } from "./draw.js";
 
 const KEY = "mufly-alerts", RANK = { info: 0, warning: 1, error: 2 };
 // Tones of a level: [frequency (Hz), length (s)], one after the other.
@@ -37,7 +37,7 @@ export function mount(element) {
     voice.checked = state.voice;
     least.value = state.least;
     const waits = !state.muted && !free;
-    toggle.textContent = state.muted ? "🔕" : "🔔";
+    toggle.replaceChildren(icon(state.muted ? "mute" : "sound"));
     toggle.classList.toggle("mf-alerts-wait", waits);
     const words = state.muted ? "alerts are muted" : waits ? "alerts sound after the first click or key in this page" : "alerts sound";
     toggle.title = words;

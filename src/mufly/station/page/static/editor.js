@@ -108,6 +108,8 @@ export function mount(element) {
   }
   const off = draft.watch(fill);
   draft.show(true);
+  // On a small window the tab comes to stand below the view that one draws in.
+  if (matchMedia("(max-width: 900px)").matches) requestAnimationFrame(() => document.querySelector(".mf-centre")?.scrollIntoView({ block: "center" }));
   return {
     close() {
       off();

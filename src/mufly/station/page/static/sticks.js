@@ -82,7 +82,7 @@ export function mount(element, options, emit) {
     }
     from.value = source;
     kind.value = String(mode);
-    knobs.forEach(({ up, across }, side) => (put(across, WORDS[MODES[mode][2 * side]]), put(up, WORDS[MODES[mode][2 * side + 1]])));
+    knobs.forEach(({ up, across }, side) => (put(across, `${WORDS[MODES[mode][2 * side]]} →`), put(up, `↑ ${WORDS[MODES[mode][2 * side + 1]]}`)));
     const on = held || asked;
     put(go, on ? "Let go: hover" : "Fly by hand");
     go.disabled = !on && Boolean(reason);
