@@ -18,7 +18,9 @@ BEGAN_S = 1_700_000_000.0
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A flight of 3 s, whole and cut off, a table of another's, and files that are no logs."""
-    folder = tmp_path_factory.mktemp("list") / "flight"  # flights in folders beside each other find one another
+    folder = (
+        tmp_path_factory.mktemp("list") / "flight"
+    )  # flights in folders beside each other find one another
     folder.mkdir()
     about = {"vehicle": "mufly-1.1", "mission": "square"}
     with Recorder(folder / "flight.mcap", about, start_time_ns=int(BEGAN_S * 1e9), keep=False) as recorder:
