@@ -99,10 +99,12 @@ def dataflash(messages, units=None):
         out += definition(131, "MULT", "Qbd", "TimeUS,Id,Mult")
         out += definition(129, "FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds")
         out += b"".join(record(130, "Qb64s", 0, ord(k), v.encode()) for k, v in units["labels"].items())
+        out += b"".join(record(131, "Qbd", 0, ord(k), v) for k, v in units.get("factors", {}).items())
     for kind, name, layout, columns, _ in messages:
         out += definition(kind, name, layout, columns.removeprefix("@"))
         if units and name in units["ids"]:
-            out += record(129, "QB16s16s", 0, kind, units["ids"][name].encode(), b"-" * len(layout))
+            multipliers = units.get("multipliers", {}).get(name, "-" * len(layout))
+            out += record(129, "QB16s16s", 0, kind, units["ids"][name].encode(), multipliers.encode())
     rows = []
     for kind, _, layout, columns, values in messages:
         pack = "".join(codes[c] for c in layout)

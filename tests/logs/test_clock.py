@@ -6,7 +6,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mufly.errors import InputError
-from mufly.logs import LogWarning, check_clock, common_clock, find_gaps, read_log, resample, usable_samples
+from mufly.logs import (
+    LogWarning,
+    check_clock,
+    common_clock,
+    find_gaps,
+    read_log,
+    resample,
+    usable_samples,
+    write_log,
+)
 
 TIME = 0.01 * np.arange(500)
 
@@ -118,3 +127,73 @@ def test_what_is_faster_than_half_the_new_rate_does_not_fold_down_and_nothing_is
 def test_a_wild_time_stamp_is_named_before_memory_runs_out():
     with pytest.raises(InputError, match="a time stamp is wrong"):
         common_clock([(0.0, 1e12)], 100.0)
+
+
+def dataset(time, **columns):
+    import xarray as xr
+
+    return xr.Dataset({k: ("time", v, {"units": "1"}) for k, v in columns.items()}, {"time": ("time", time)})
+
+
+def written(tmp_path, time, **columns):
+    path = tmp_path / "log.csv"
+    head = ",".join(["t_s", *columns])
+    np.savetxt(
+        path, np.column_stack([time, *columns.values()]), delimiter=",", header=head, comments="", fmt="%.9g"
+    )
+    return path
+
+
+def test_an_uneven_clock_is_said_be_it_by_jitter_or_by_gaps(tmp_path):
+    shaken = TIME + 0.002 * np.sin(np.arange(500))
+    with pytest.warns(LogWarning, match=r"clock is uneven \(steps vary by 1\d %\); give a rate"):
+        read_log(written(tmp_path, shaken, x_m=TIME))
+    holed = np.delete(TIME, slice(100, 150))
+    with pytest.warns(LogWarning, match=r"clock is uneven \(1 gap\)"):
+        read_log(written(tmp_path, holed, x_m=holed))
+
+
+def test_a_recording_of_ours_comes_at_another_rate_and_in_order(tmp_path):
+    path = write_log(dataset(TIME, x=np.sin(TIME), motor_input_like=np.floor(TIME)), tmp_path / "log.nc")
+    data = read_log(path, rate_hz=25)
+    assert np.diff(data.time) == pytest.approx(0.04)
+    assert data.x.values[2:-2] == pytest.approx(np.sin(data.time.values[2:-2]), abs=1e-3)
+    assert data.attrs["rate_hz"] == 25
+    order = np.arange(500)
+    order[[200, 201]] = [201, 200]
+    path = write_log(dataset(TIME[order], x=TIME[order]), tmp_path / "swapped.nc")
+    with pytest.warns(LogWarning, match="wrong order and were sorted"):
+        assert read_log(path).x.values.tolist() == TIME.tolist()
+
+
+def two_topics(make_dataflash, tmp_path, first_us, second_us):
+    path = tmp_path / "log.bin"
+    rows = [[(int(t), k, 0.0, 0.0) for k, t in enumerate(us)] for us in (first_us, second_us)]
+    kinds = [(10, "RATE", "Qfff", "TimeUS,R,P,Y", rows[0]), (11, "BAT", "Qfff", "TimeUS,Volt,X,Z", rows[1])]
+    path.write_bytes(make_dataflash(kinds))
+    return path
+
+
+@pytest.mark.filterwarnings("ignore::mufly.logs.LogWarning")
+def test_topics_of_one_clock_keep_it_and_others_come_to_a_round_rate(tmp_path, make_dataflash):
+    us = np.cumsum(np.where(np.arange(100) % 2, 18_000, 22_000))
+    data = read_log(two_topics(make_dataflash, tmp_path, us, us))
+    assert data.time.values == pytest.approx((us - us[0]) / 1e6)
+    us = 20_030 * np.arange(100)  # 49.925 Hz
+    data = read_log(two_topics(make_dataflash, tmp_path, us, us[::3] + 5000))
+    assert np.diff(data.time) == pytest.approx(0.02)
+    us = 810_372 * np.arange(100)  # 1.23400 Hz
+    data = read_log(two_topics(make_dataflash, tmp_path, us, us[::3] + 5000))
+    assert data.attrs["rate_hz"] == pytest.approx(1.23)
+
+
+def test_the_reference_of_heading_is_shifted_by_whole_turns_to_the_measurement(tmp_path):
+    yaw = np.unwrap(np.mod(3 * TIME, 2 * np.pi))
+    path = written(
+        tmp_path,
+        TIME,
+        **{"measured_attitude_yaw [rad]": yaw + 4 * np.pi, "reference_attitude_yaw [rad]": yaw + 0.3},
+    )
+    data = read_log(path)
+    apart = data.reference_attitude.sel(angle="yaw") - data.measured_attitude.sel(angle="yaw")
+    assert apart.values == pytest.approx(0.3)

@@ -123,6 +123,87 @@ def test_the_unit_of_a_clock_without_one_is_guessed_and_said(table, step, unit):
     assert data.time.values == pytest.approx(0.01 * np.arange(50))
 
 
+def test_times_in_any_unit_are_as_exact_as_they_can_be(table):
+    text = "t [min],U_V\n" + "\n".join(f"{k},{k}" for k in range(50))
+    assert read_raw(table(text))["table"].time.tolist() == [60.0 * k for k in range(50)]
+    text = "t_ms,U_V\n" + "\n".join(f"{k},{k}" for k in range(50))
+    assert read_raw(table(text))["table"].time.tolist() == [k / 1000 for k in range(50)]
+
+
+def test_units_that_nobody_knows_stay_and_angles_of_a_users_own_keep_their_jumps(table):
+    lines = [f"{k},{k},{5.0 * (k % 2)}" for k in range(50)]
+    data = read_log(table("t_s,count [widgets],phase [rad]\n" + "\n".join(lines)))
+    assert data["count"].attrs["units"] == "widgets"
+    assert data.phase.values.tolist() == [5.0 * (k % 2) for k in range(50)]
+
+
+def test_a_reference_that_tells_nothing_is_in_the_unit_of_its_measurement(table):
+    lines = [f"{0.1 * k},{40 * np.sin(0.1 * k)},{0.02 * k}" for k in range(200)]
+    with pytest.warns(LogWarning) as said:
+        data = read_log(table("t_s,measured_attitude_roll,reference_attitude_roll\n" + "\n".join(lines)))
+    words = " ".join(str(w.message) for w in said)
+    assert "reference_attitude names no unit and is taken to be in deg (as in measured_attitude)" in words
+    assert data.reference_attitude.values[-1, 0] == pytest.approx(np.radians(0.02 * 199))
+    with pytest.warns(LogWarning, match="taken to be in rad .nothing in the data tells otherwise"):
+        read_log(table("t_s,reference_attitude_roll\n" + "\n".join(f"{k},0.01" for k in range(50))))
+
+
+def test_what_is_not_there_is_answered_with_what_comes_near_or_what_is_there(table):
+    path = table(
+        "t_s,"
+        + ",".join(f"gauge_{k}" for k in range(12))
+        + "\n"
+        + "\n".join(["0" + ",1" * 12, "1" + ",1" * 12])
+    )
+    with pytest.raises(InputError, match=r"did you mean gauge_\d+, gauge_\d+, gauge_\d+\?$"):
+        read_log(path, signals=["table/gauge_77"])
+    with pytest.raises(InputError, match=r"fields are: gauge_0, .*gauge_9 and 2 more$"):
+        read_log(path, signals=["table/XYZ"])
+    with pytest.raises(InputError, match=r"fields are: U$"):
+        read_log(table("t_s,U_V\n0,1\n1,2"), signals=["table/XYZ"])
+
+
+def test_a_clock_of_broken_numbers_is_in_seconds(table):
+    text = "timestamp,U_V\n" + "\n".join(f"{1.5 * k},{k}" for k in range(50))
+    assert read_raw(table(text))["table"].time.tolist() == [1.5 * k for k in range(50)]
+
+
+def test_a_separator_splits_all_lines_and_not_the_last_alone(table):
+    lines = ["t_s,U_V,note", *(f"{k},7.4,ok" for k in range(18)), "18,7.4,high; then low"]
+    assert list(read_raw(table("\n".join(lines)))["table"].fields) == ["U", "note"]
+
+
+def test_a_short_table_of_decimal_commas_is_read(table):
+    raw = read_raw(table("t (s);U [V]\n" + "\n".join(f"0,{k};7,{k}" for k in range(8))))
+    assert raw["table"].fields["U"] == pytest.approx([7 + 0.1 * k for k in range(8)])
+
+
+def test_a_comment_of_another_width_is_no_header_and_an_empty_header_has_a_number(table):
+    numbers = "\n".join(f"{k},7.4,1" for k in range(20))
+    data = read_log(table(f"# spring, bench\n{numbers}"), columns={"time": "1", "battery_voltage": "2"})
+    assert data.battery_voltage.values == pytest.approx(7.4)
+    assert list(read_raw(table(f"t_s,,U_V\n{numbers}"))["table"].fields) == ["column 2", "U"]
+
+
+def test_a_netcdf_file_without_times_is_refused(tmp_path):
+    import xarray as xr
+
+    xr.Dataset({"x": ("time", np.ones(5))}).to_netcdf(tmp_path / "a.nc", engine="scipy")
+    with pytest.raises(InputError, match="has no coordinate 'time'"):
+        read_raw(tmp_path / "a.nc")
+
+
+@pytest.mark.parametrize(("bad", "refused"), [(20, False), (30, True)])
+def test_a_column_of_times_is_one_if_most_of_its_cells_are(table, bad, refused):
+    cells = ["?" if k < bad else f"2025-03-01T12:00:{k:02d}Z" for k in range(50)]
+    path = table("time,U_V\n" + "\n".join(f"{c},1" for c in cells))
+    if refused:
+        with pytest.raises(InputError, match=r"'\?' is no time"):
+            read_raw(path)
+    else:
+        assert np.isnan(read_raw(path)["table"].time).sum() == bad
+
+
 def test_times_of_day_are_read(table):
     text = "time,U_V\n" + "\n".join(f"2025-03-01T12:00:{k / 10:04.1f}Z,{k}" for k in range(50))
     raw = read_raw(table(text))

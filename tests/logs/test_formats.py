@@ -60,6 +60,42 @@ def test_instances_become_topics_and_units_are_those_of_the_file(bin_file):
     assert raw["IMU"].units["GyrX"] == "rad/s"
 
 
+def test_multipliers_of_the_file_make_its_units(tmp_path, make_dataflash):
+    path = tmp_path / "log"
+    units = {
+        "labels": {"v": "V", "A": "A", "#": "instance", "s": "s"},
+        "factors": {"C": 1e-3, "B": 1e-2, "-": 0.0, "F": 1e-6, "X": 42.0},
+        "ids": {"CURR": "svAv", "ODD": "#A-"},
+        "multipliers": {"CURR": "FCBX"},
+    }
+    rows = [(20_000 * k, 15_740, 1250, 3) for k in range(50)]
+    odd = [(20_000 * k, 7, 7) for k in range(50)]
+    kinds = [(10, "CURR", "QHHH", "TimeUS,Volt,Curr,Res", rows), (11, "ODD", "QBB", "TimeUS,a,b", odd)]
+    content = make_dataflash(kinds, units)
+    path.write_bytes(content)
+    raw = read_raw(path)
+    assert raw["CURR"].units == {"Volt": "mV", "Curr": "cA"}  # a factor that no prefix names is none
+    assert raw["ODD"].fields["b"].tolist() == [7] * 50  # a file that counts its clock as instances
+    data = read_log(path)
+    assert data.battery_voltage.values == pytest.approx(15.74)
+    assert data.battery_current.values == pytest.approx(12.5)
+    given = read_log(
+        path, columns={"battery_voltage": "CURR/Volt(cV)"}
+    )  # the user knows better than the file
+    assert given.battery_voltage.values == pytest.approx(157.4)
+    middle = content.rindex(b"\xa3\x95\x0a", 0, len(content) // 2)
+    path.write_bytes(content[:middle] + b"\x00\xa3\x01" + content[middle:])
+    raw = read_raw(path)
+    assert not raw.complete
+    assert len(raw["CURR"].time) == 50  # what follows the damage is found again
+
+
+def test_a_position_without_weeks_tells_no_wall_time(tmp_path, make_dataflash):
+    path = tmp_path / "log"
+    path.write_bytes(make_dataflash([(10, "GPS", "QB", "TimeUS,Status", [(k, 3) for k in range(20)])]))
+    assert read_raw(path).start_time == ""
+
+
 def test_every_field_is_what_pymavlinks_own_reader_gives(bin_file):
     from pymavlink.DFReader import DFReader_binary
 

@@ -70,6 +70,7 @@ def test_a_log_of_2014_has_the_units_and_the_clock_of_its_time(write, make_dataf
     for battery in (data.battery_voltage, data.battery_current):
         assert [np.nanmin(battery), np.nanmax(battery)] == pytest.approx([15.74, 15.74])
     assert np.nanmax(data.measured_rates.sel(rate="p")) == pytest.approx(0.6, rel=1e-3)
+    assert np.nanmax(np.abs(data.measured_attitude.sel(angle="yaw"))) == pytest.approx(np.pi)
     notes = " ".join(data.attrs["notes"])
     assert "hundredths of a degree per second" in notes
     assert "whole hundredths" in notes
@@ -340,6 +341,44 @@ def test_what_mavlink_says_of_the_unknown_is_missing(write, mavlink):
     assert data.channel.values.tolist() == [1, 2, 3, 4]
 
 
+def test_one_packet_is_a_log_and_a_part_of_one_is_lost(write, mavlink):
+    link = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    one = entry(link, link.attitude_encode(0, 0.5, 0, 0, 0, 0, 0), 0)
+    raw = read_raw(write(one))
+    assert raw["ATTITUDE"].fields["roll"].tolist() == [0.5]
+    assert raw.complete
+    raw = read_raw(write(one + one[:-3]))
+    assert len(raw["ATTITUDE"].time) == 1
+    assert not raw.complete
+
+
+def test_the_vehicle_is_no_ground_station_however_much_that_says(write, mavlink):
+    vehicle = mavlink.MAVLink(None, srcSystem=3, srcComponent=1)
+    ground = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+    out = b""
+    for k in range(30):
+        out += entry(ground, ground.heartbeat_encode(mavlink.MAV_TYPE_GCS, 0, 0, 0, 0), 0.1 * k)
+        if k % 10 == 0:
+            out += entry(vehicle, vehicle.heartbeat_encode(mavlink.MAV_TYPE_COAXIAL, 0, 0, 0, 0), 0.1 * k)
+    raw = read_raw(write(out))
+    assert raw.info["system"] == "coaxial, system 3.1"
+    assert len(raw["HEARTBEAT"].time) == 3
+    assert len(raw["HEARTBEAT@255.190"].time) == 30
+
+
+def test_whoever_speaks_first_after_a_start_has_the_new_clock(write, mavlink):
+    """Two topics on the vehicle's clock, which starts anew at 10 s; the one in microseconds comes 30 ms earlier."""
+    link = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    out = b""
+    for k in range(200):
+        boot_s = 50 + 0.1 * k if k < 100 else 0.5 + 0.1 * (k - 100)
+        out += entry(link, link.highres_imu_encode(int(1e6 * boot_s), *[0.0] * 13, 0), 0.1 * k)
+        out += entry(link, link.attitude_encode(int(1e3 * boot_s + 30), 0, 0, 0, 0, 0, 0), 0.1 * k + 0.03)
+    raw = read_raw(write(out))
+    for topic in ("HIGHRES_IMU", "ATTITUDE"):
+        assert np.diff(raw[topic].time) == pytest.approx(0.1, abs=2e-3), topic
+
+
 def test_an_array_is_unknown_as_a_whole_if_its_first_element_says_so():
     from mufly.logs.unknown import _parsed, without_unknown
 
@@ -377,8 +416,8 @@ def test_shares_of_output_are_no_pulses_and_four_motors_have_a_place(write):
     us = np.rint(1e6 * TIME).astype(np.int64) + 1_000_000
     part = np.column_stack([0.5 + 0.1 * np.sin(TIME + k) for k in range(4)])
     fields = {f"output[{k}]": part[:, k] if k < 4 else 0 * TIME for k in range(8)}
-    declared = {"actuator_outputs": (us, fields)}
-    path = write(ulog(declared))
+    volts = {"voltage_v": 12.0 + 0 * TIME, "current_a": 3.0 + 0 * TIME}
+    path = write(ulog({"actuator_outputs": (us, fields), "battery_status": (us, volts)}))
     with pytest.warns(LogWarning, match="holds shares of the full output, no pulse lengths"):
         data = read_log(path)
     assert "actuator_output" not in data

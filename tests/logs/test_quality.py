@@ -163,7 +163,11 @@ def test_a_delay_that_the_record_does_not_tell_is_not_determined():
     turns = (swinging.rival_s - swinging.delay_s) / 0.3
     assert turns == pytest.approx(round(turns), abs=0.07)
     assert abs(turns) > 0.5
-    assert "fit equally well" in swinging.words()
+    assert f"and {1e3 * swinging.rival_s:.0f} ms fit equally well" in swinging.words()
+    tones = sum(
+        np.sin(2 * np.pi * f * t) for f in (4.7, 5.0, 5.3)
+    )  # nearly as high a period later, but never higher
+    assert estimate_delay(t, tones, np.roll(tones, 3)).determined
     late = estimate_delay(t, x, np.roll(x, 52), longest_s=0.5)
     assert late.at_limit
     assert not late.determined

@@ -269,7 +269,7 @@ def table_clock(
     if values.dtype.kind == "U":
         stamps = pd.to_datetime(pd.Series(values), errors="coerce", utc=True, format="ISO8601")
         if stamps.isna().mean() > 0.5:
-            raise InputError(where, name, f"{values[0]!r} is no time", "give seconds, or ISO 8601")
+            raise InputError(where, name, f"{str(values[0])!r} is no time", "give seconds, or ISO 8601")
         ns = stamps.to_numpy(dtype="datetime64[ns]").astype(np.int64)
         valid = ~stamps.isna().to_numpy()
         foreign, strange = foreign_stamps({f"column {name}": np.where(valid, ns / 1e9, np.nan)})
