@@ -175,6 +175,8 @@ def test_the_scene_is_drawn_and_nothing_overflows(window: Page) -> None:
             }"""
         )
         assert cut <= 0, "the longest name of a quantity is cut"
+        for chips in window.page.locator(".mf-chips").all():
+            assert chips.evaluate("e => e.scrollWidth <= e.clientWidth"), f"at {width} a component is cut"
     window.page.set_viewport_size({"width": 1366, "height": 768})
 
 

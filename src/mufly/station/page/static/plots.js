@@ -108,7 +108,7 @@ export function mount(element) {
         if (field === "components") button.style.setProperty("--chip", `var(--mf-${colour})`);
         // A source is a kind of line; its name is in the legend above.
         if (field === "sources") {
-          button.append(stroke(value, 16));
+          button.append(stroke(value, 14));
           button.title = value;
           button.setAttribute("aria-label", value);
         } else button.append(value);
