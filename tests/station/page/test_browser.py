@@ -151,6 +151,7 @@ def test_the_scene_is_drawn_and_nothing_overflows(window: Page) -> None:
     picture = window.picture(".mf-scene")
     assert picture.std() > 0.02  # not one colour
     assert len(np.unique((picture * 32).astype(int).reshape(-1, 3), axis=0)) > 20
+    wait(lambda: window.page.locator(".mf-chips button").count() > 6, "the signals")
     for width, height in SIZES:
         window.page.set_viewport_size({"width": width, "height": height})
         assert window.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
