@@ -1,13 +1,23 @@
 """The state machine of Fig. 6.15: every state, every transition, and what the references do."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from mufly.estimate import Estimate
-from mufly.mission import SPIN_UP_S, Command, State, begin, load_mission, mission_from, step
+from mufly.mission import (
+    SPIN_UP_S,
+    Command,
+    State,
+    begin,
+    give_up_oscillating,
+    load_mission,
+    mission_from,
+    step,
+)
 
 SQUARE = load_mission("demonstration")
 HOP = mission_from(
@@ -286,3 +296,45 @@ def test_spline_mission(rig):
     x = np.array(flight.position)
     # It is no longer a square: the curve swings out of the straight legs.
     assert x[:, 1].max() > 3.05 or x[:, 0].min() < -3.05
+
+
+@pytest.mark.parametrize(
+    ("speed", "text", "level"), [(0.29, "touchdown", "info"), (1.7, "hard touchdown", "warning")]
+)
+def test_a_touchdown_says_how_hard_it_was(rig, speed, text, level):
+    """What it falls at higher up, or does on the floor later, is not the touchdown."""
+    plan = rig.plan_for(HOP)
+    begun = begin(plan, measurement())
+    s = replace(begun, state=State.LANDING, motors="fly", started=True, hold=(0.0, 0.0, -0.1))
+    falls = [(-0.5, 2.5), (-0.16, speed), *[(-0.07, 0.0)] * 150]
+    for k, (down, sink) in enumerate(falls):
+        s, _ = step(plan, s, measurement(0.02 * k, (0.0, 0.0, down), (0.0, 0.0, sink)), Command())
+    touched = [e for e in s.events if "touchdown" in e.text]
+    assert [(e.text.split(":")[0], e.level) for e in touched] == [(text, level)]
+    assert ("1.70 m/s, above 0.3 m/s" in touched[0].text) is (level == "warning")
+
+
+def test_oscillating_actuators_end_a_mission_but_not_a_pilots_flight(rig):
+    flying = replace(begin(rig.plan_for(HOP), measurement()), state=State.HOVER, motors="fly", started=True)
+    why = "servo_input 1 oscillates"
+    for state, then, outcome in (
+        (State.HOVER, State.LANDING, "failed"),
+        (State.LANDING, State.LANDING, "failed"),
+        (State.RC, State.RC, ""),
+    ):
+        s = give_up_oscillating(replace(flying, state=state), why)
+        assert (s.state, s.outcome, s.motors) == (then, outcome, "fly")
+        assert (s.events[-1].text, s.events[-1].level) == (why, "error")
+        assert s.logged == flying.logged + 1
+
+
+def test_rotors_that_lift_it_already_are_spun_up(rig):
+    """2 cm above where it stood the controllers take over, whoever took off, and not at 1 cm."""
+    plan = rig.plan_for(HOP)
+    for command in (Command(start=True), Command(take_off=1.0), Command(rc=True, climb=0.2)):
+        for rise, motors in ((0.01, "spin_up"), (0.03, "fly")):
+            s = begin(plan, measurement())
+            for k in range(1, 20):
+                x = (0.0, 0.0, -0.07 - (rise if k > 10 else 0.0))
+                s, r = step(plan, s, measurement(0.02 * k, x), command if k == 5 or command.rc else Command())
+            assert r.motors == motors

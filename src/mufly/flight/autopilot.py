@@ -315,6 +315,7 @@ class Autopilot:
             sticks=self._sticks is not None,
             outcome=s.outcome,
             reason=s.reason,
+            oscillation=str(software.oscillation or ""),
             crashed=self.crashed,
             mission=software.asked,
             home=s.standing if s.started else None,

@@ -16,7 +16,8 @@ blind       the estimate is lost: servos at trim, which the stabiliser bar makes
 
 Between two steps of the mission logic its reference is carried on at the reference velocity. Where the mission asks
 for more than the controllers can follow, it is flown more slowly (:mod:`mufly.mission.check`). Estimates that are
-missing or frozen are bridged for half a second (:func:`mufly.estimate.watch`), then the flight is given up.
+missing or frozen are bridged for half a second (:func:`mufly.estimate.watch`), then the flight is given up. Actuators
+that oscillate (:mod:`mufly.flight.oscillation`) end the mission too.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ from mufly.control import (
     roll_pitch_step,
 )
 from mufly.estimate import Estimate, Watch, watch
+from mufly.flight.oscillation import Oscillation, OscillationWatch, steered
 from mufly.mission import (
     NO_SIGNAL,
     RAMP_DOWN_S,
@@ -52,6 +54,7 @@ from mufly.mission import (
     begin,
     blind,
     down_blind,
+    give_up_oscillating,
     lifted_off,
     log,
     prepare,
@@ -99,7 +102,8 @@ class FlightSoftware:
     """Mission logic and controllers of one vehicle.
 
     ``plan`` is the mission as it is flown, ``asked`` as it was loaded; ``slower`` says in words which of its limits
-    were brought down to what the controllers can follow. ``mission_state`` is what the state machine remembers.
+    were brought down to what the controllers can follow. ``mission_state`` is what the state machine remembers,
+    ``oscillation`` what the actuators do that they should not, if anything.
 
     Parameters
     ----------
@@ -140,6 +144,8 @@ class FlightSoftware:
         self._lifted = False
         self._late_s = 0.0
         self._watch: Watch | None = None
+        self._oscillations = OscillationWatch()
+        self.oscillation: Oscillation | None = None
         # Motor voltages, averaged over the last second of flight.
         self._held_up: _Array = np.zeros(2)
 
@@ -283,6 +289,7 @@ class FlightSoftware:
         if motors == "fly":
             self._controllers.engage(m, self._motor_input)
             self._lifted = False
+            self._oscillations, self.oscillation = OscillationWatch(), None
             self._held_up = self._controller.motor_trim * self._controller.voltage_V
         elif motors == "spin_up":
             self._held_up, self._lifted = np.zeros(2), False
@@ -320,7 +327,15 @@ class FlightSoftware:
         if self._late_s == 0.0:
             blend = self._every * self._period_s / _LEARN_S
             self._held_up += blend * (actuators.motor_input * m.battery_voltage - self._held_up)
+            self._look_for_oscillations(actuators, r, m.time_s)
         return actuators
+
+    def _look_for_oscillations(self, actuators: Actuators, r: Reference, time_s: float) -> None:
+        before = self.oscillation
+        asked = steered(self.mission_state.state, r.velocity.tolist(), r.heading_rate, r.roll, r.pitch)
+        self.oscillation = self._oscillations.step(time_s, actuators.array.tolist(), asked)
+        if self.oscillation is not None and before is None:
+            self.mission_state = give_up_oscillating(self.mission_state, str(self.oscillation))
 
 
 # Controllers with their state, from references to actuators

@@ -54,6 +54,8 @@ class FlightState:
         Whether a program's set-points, or the pilot's sticks, are in command.
     outcome, reason : str
         Of the flight: "" while it is open, "succeeded" or "failed", and why.
+    oscillation : str
+        Which actuator oscillates, how far and how fast (:mod:`mufly.flight.oscillation`); "" if none.
     crashed : str
         What it hit; "" if nothing.
     mission : Mission or None
@@ -94,6 +96,7 @@ class FlightState:
     sticks: bool = False
     outcome: str = ""
     reason: str = ""
+    oscillation: str = ""
     crashed: str = ""
     mission: Mission | None = None
     home: _Place | None = None

@@ -13,6 +13,9 @@ Definitions (x is the true position, w a waypoint, both N-E-D; all from the reco
 - *Airborne*: more than 1 cm above where it stood at the first instant.
 - *Touchdown speed*: largest rate of descent within 0.1 s of the instant at which x first comes within 1 cm of its
   final height, in the state ``landing`` or after.
+  A touchdown above ``HARD_TOUCHDOWN_M_S`` is hard.
+- *Oscillation*: as :mod:`mufly.flight.oscillation` defines it, from the inputs as recorded, from the first moment off
+  the floor to the touchdown.
 - *Railed*: a motor input at 0 or 1, or a servo input at -1 or 1, while airborne. A time of railing is counted in
   whole sampling intervals of the recording.
 - *Tilt*: angle between the mast and the vertical, arccos(cos(roll) cos(pitch)).
@@ -32,6 +35,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from mufly.flight.oscillation import Oscillation, OscillationWatch, steered
+from mufly.mission import HARD_TOUCHDOWN_M_S
 from mufly.results import result
 from mufly.world import World, distances
 
@@ -89,6 +94,8 @@ class Summary:
     least_clearance_to: str
     longest_railed_s: float
     longest_railed_input: str
+    longest_oscillation_s: float
+    longest_oscillation: str
     energy_used_J: float | None
     battery_end_V: float | None
     battery_end_charge: float | None
@@ -158,6 +165,7 @@ def summarise(
     touchdown = _touchdown_speed(dataset, states)
     clearance, obstacle = _clearance(x[airborne], world)
     railed, which = _longest_railed(dataset, airborne)
+    oscillation = _longest_oscillation(dataset, airborne)
     error = np.linalg.norm(x - dataset.reference_position.values, axis=1)
     angles = dataset.truth_attitude.values
     tilt = np.degrees(np.arccos(np.clip(np.cos(angles[:, 0]) * np.cos(angles[:, 1]), -1.0, 1.0)))
@@ -179,6 +187,8 @@ def summarise(
         least_clearance_to=obstacle,
         longest_railed_s=railed,
         longest_railed_input=which,
+        longest_oscillation_s=0.0 if oscillation is None else oscillation.lasting_s,
+        longest_oscillation="" if oscillation is None else str(oscillation),
         energy_used_J=_energy(dataset),
         battery_end_V=_finite(dataset.battery_voltage.values[-1]),
         battery_end_charge=_finite(dataset.battery_charge.values[-1]),
@@ -307,6 +317,32 @@ def _longest_railed(dataset: xr.Dataset, airborne: NDArray[np.bool_]) -> tuple[f
     return longest, which
 
 
+def _longest_oscillation(dataset: xr.Dataset, airborne: NDArray[np.bool_]) -> Oscillation | None:
+    flown = np.flatnonzero(airborne)
+    if not len(flown):
+        return None
+    rows = slice(int(flown[0]), int(flown[-1]) + 1)
+    time, states = dataset.time.values[rows], dataset.mission_state.values[rows]
+    inputs = np.hstack([dataset.motor_input.values[rows], dataset.servo_input.values[rows]])
+    velocity, angles = dataset.reference_velocity.values[rows], dataset.reference_attitude.values[rows]
+    turning = np.gradient(angles[:, 2], time) if len(time) > 1 else np.zeros(1)
+    look, longest = OscillationWatch(), None
+    for t, u, state, v, rate, a in zip(
+        time.tolist(),
+        inputs.tolist(),
+        states,
+        velocity.tolist(),
+        turning.tolist(),
+        angles.tolist(),
+        strict=True,
+    ):
+        name = str(state).lower().replace("_", "-")
+        found = look.step(t, u, steered(name, v, rate, a[0], a[1]))
+        if found is not None and (longest is None or found.lasting_s > longest.lasting_s):
+            longest = found
+    return longest
+
+
 def _stretches(flags: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
     edges = np.flatnonzero(np.diff(np.concatenate(([False], flags, [False])).astype(np.int8)))
     return zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
@@ -336,6 +372,8 @@ def summary_rows(summary: Summary) -> list[tuple[str, str]]:
     outcome = f"{summary.outcome}: {summary.reason}" if summary.reason else summary.outcome
     clearance_to = f" ({summary.least_clearance_to})" if summary.least_clearance_to else ""
     railed_by = f" ({summary.longest_railed_input})" if summary.longest_railed_input else ""
+    speed = summary.touchdown_speed_m_s
+    hard = f" (hard: above {HARD_TOUCHDOWN_M_S:g} m/s)" if (speed or 0.0) > HARD_TOUCHDOWN_M_S else ""
     reached = float(summary.waypoints_reached) if summary.waypoints_asked else None
     lines: list[tuple[str, float | None, str]] = [
         ("Duration", summary.duration_s, "{:.1f} s"),
@@ -346,10 +384,15 @@ def summary_rows(summary: Summary) -> list[tuple[str, str]]:
         ("Greatest position error", _times(100, summary.max_position_error_m), "{:.1f} cm"),
         ("Greatest speed", summary.max_speed_m_s, "{:.2f} m/s"),
         ("Greatest tilt", summary.max_tilt_deg, "{:.1f} deg"),
-        ("Touchdown speed", summary.touchdown_speed_m_s, "{:.2f} m/s"),
+        ("Touchdown speed", speed, "{:.2f} m/s" + hard),
         ("Landed off its mark by", _times(100, summary.landing_distance_m), "{:.1f} cm"),
         ("Least distance to an obstacle", summary.least_clearance_m, "{:.2f} m" + clearance_to),
         ("Longest time an input was railed", summary.longest_railed_s, "{:.2f} s" + railed_by),
+        (
+            "Longest oscillation",
+            summary.longest_oscillation_s or None,
+            f"{{:.1f}} s ({summary.longest_oscillation})",
+        ),
         ("Energy used", summary.energy_used_J, "{:.0f} J"),
         ("Battery at the end", summary.battery_end_V, "{:.2f} V"),
         ("Charge left", _times(100, summary.battery_end_charge), "{:.0f} %"),

@@ -14,7 +14,14 @@ from mufly.mission.check import (
 )
 from mufly.mission.machine import step, stop_at_once, waypoint_fault
 from mufly.mission.offboard import HIGHEST_M, SetPoint, fault_of, wants_up
-from mufly.mission.phases import RAMP_DOWN_S, blind, down_blind, lifted_off
+from mufly.mission.phases import (
+    HARD_TOUCHDOWN_M_S,
+    RAMP_DOWN_S,
+    blind,
+    down_blind,
+    give_up_oscillating,
+    lifted_off,
+)
 from mufly.mission.schema import (
     GREATEST_GUST_M_S,
     GREATEST_WIND_M_S,
@@ -53,6 +60,7 @@ __all__ = [
     "GO_AROUND_M",
     "GREATEST_GUST_M_S",
     "GREATEST_WIND_M_S",
+    "HARD_TOUCHDOWN_M_S",
     "HIGHEST_M",
     "LOWEST_M",
     "NO_SIGNAL",
@@ -85,6 +93,7 @@ __all__ = [
     "down_blind",
     "dump_mission",
     "fault_of",
+    "give_up_oscillating",
     "later",
     "legs",
     "lifted_off",

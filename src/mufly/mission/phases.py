@@ -109,6 +109,10 @@ RAMP_DOWN_S = 1.0
 """Time that the rotors take to stop after touchdown (s)."""
 
 _SINK_LAG_S = 0.15
+_NEAR_FLOOR_M = 0.1
+
+HARD_TOUCHDOWN_M_S = 0.3
+"""Speed above which a touchdown is called hard (m/s): a fifth above the greatest that a mission may ask for."""
 
 
 def land(s: MissionState, why: str, *, level: str = "info") -> MissionState:
@@ -132,6 +136,7 @@ def land(s: MissionState, why: str, *, level: str = "info") -> MissionState:
         sink_rate=now.acceleration[2],
         motors="fly",
         still_s=0.0,
+        impact=0.0,
     )
 
 
@@ -154,10 +159,18 @@ def sink(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionS
     depth = s.hold[2] + speed * dt
     lying = m.position[2] > s.standing[2] - 0.03 and abs(m.velocity[2]) < 0.05
     still = s.still_s + dt if lying and depth > s.standing[2] + 0.1 else 0.0
-    s = replace(s, hold=(s.hold[0], s.hold[1], depth), sink=speed, sink_rate=rate, still_s=still)
-    if still > 0.3:
-        return replace(log(s, "touchdown"), motors="ramp_down", clock_s=0.0)
-    return s
+    near = m.position[2] > s.standing[2] - _NEAR_FLOOR_M
+    impact = max(s.impact, float(m.velocity[2])) if near else s.impact
+    s = replace(
+        s, hold=(s.hold[0], s.hold[1], depth), sink=speed, sink_rate=rate, still_s=still, impact=impact
+    )
+    return replace(_touched_down(s), motors="ramp_down", clock_s=0.0) if still > 0.3 else s
+
+
+def _touched_down(s: MissionState) -> MissionState:
+    if s.impact <= HARD_TOUCHDOWN_M_S:
+        return log(s, "touchdown")
+    return log(s, f"hard touchdown: {s.impact:.2f} m/s, above {HARD_TOUCHDOWN_M_S:g} m/s", level="warning")
 
 
 def _judged(s: MissionState) -> MissionState:
@@ -173,6 +186,14 @@ def blind(s: MissionState, time_s: float, why: str) -> MissionState:
     """Measurements are lost in flight: the flight software brings it down by itself."""
     s = fail(replace(s, time_s=time_s), why)
     return enter(s, State.LANDING, why, level="error", motors="blind", detour=None)
+
+
+def give_up_oscillating(s: MissionState, why: str) -> MissionState:
+    """The actuators oscillate: the mission has failed, and it comes down. A pilot is told, and decides."""
+    if s.state in (State.INIT, State.RC):
+        return log(s, why, level="error")
+    s = fail(s, why)
+    return log(s, why, level="error") if s.state is State.LANDING else land(s, why, level="error")
 
 
 def down_blind(s: MissionState, time_s: float) -> MissionState:

@@ -234,6 +234,8 @@ class MissionState:
         Rate of descent of a landing's reference and its change (m/s, m/s2).
     still_s : float
         For how long it has lain still on the floor (s).
+    impact : float
+        Greatest rate of descent near the floor in this landing (m/s).
     battery_V, low_s : float
         Filtered voltage; for how long it has been low (s).
     memory : Memory
@@ -283,6 +285,7 @@ class MissionState:
     sink: float = 0.0
     sink_rate: float = 0.0
     still_s: float = 0.0
+    impact: float = 0.0
     battery_V: float = math.inf
     low_s: float = 0.0
     memory: Memory = field(default_factory=Memory.empty)
