@@ -5,8 +5,8 @@
 
 ``nominal``: vehicles off by up to 10 % flown with the controllers of ``mufly-1.1``, in 0.5 m/s of wind with gusts of
 0.3 m/s: take-off, hover, a leg, landing; on all cores, a line a flight into FILE, which a second call goes on from.
-``--lightest`` flies those of a thousand that hover at the least input. ``vehicles``: every parameter of mufly-1.1 off by
-up to 10 % at random, controllers designed anew. ``wind``: 0.5 m/s from random directions with gusts of 0.3 m/s.
+``--lightest`` flies those of a thousand that hover at the least input. ``vehicles``: every parameter of mufly-1.1 off
+by up to 10 % at random, controllers designed anew. ``wind``: 0.5 m/s from random directions with gusts of 0.3 m/s.
 ``storm``: 1.5 m/s with 0.6 m/s. Prints a line a flight and the worst of each.
 """
 
