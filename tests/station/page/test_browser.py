@@ -15,6 +15,8 @@ import matplotlib.image
 import numpy as np
 import pytest
 
+from mufly.mission import load_mission
+
 MISSION = """
 [take_off]
 height_m = 0.5
@@ -414,10 +416,19 @@ def test_a_mission_is_drawn_checked_and_sent(window: Page) -> None:
     for _ in range(2):  # the height and, in one step, the drag
         page.click("[data-testid=plan-undo]")
     wait(lambda: rows()[2] == pytest.approx([0.8, -0.6, 1.0], abs=0.06), "undo")
+    page.fill("[data-testid=plan-3-speed_m_s]", "0.25")
+    page.keyboard.press("Enter")
+    wait(lambda: page.evaluate("window.muflyDraft.state.rows[2].speed") == 0.25, "the speed")
     wait(lambda: verdict("can be flown"), "the check again")
     page.click("[data-testid=plan-send]")
     page.get_by_role("tab", name="Mission").click()
-    wait(lambda: page.locator(".mf-mission tbody tr").count() == 5, "the mission in the vehicle")
+    wait(
+        lambda: page.locator(".mf-mission tbody tr").count() == 6, "the mission in the vehicle"
+    )  # its speed, too
+    with page.expect_download() as saved:
+        page.get_by_title("save the mission as a file").click()
+    held = load_mission(saved.value.path())
+    assert [w.speed_m_s for w in held.waypoint] == [None, None, 0.25]
     page.get_by_role("tab", name="Plots").click()
 
 

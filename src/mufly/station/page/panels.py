@@ -16,7 +16,8 @@ from nicegui.events import GenericEventArguments, UploadEventArguments
 
 from mufly.errors import MuflyError
 from mufly.mission import Mission, dump_mission, mission_from
-from mufly.station.history import MissionRow, Outcome, Request
+from mufly.station.history import Outcome, Request
+from mufly.station.page.drafts import of_vehicle
 from mufly.station.page.session import View, parameter_file, read_parameter_file
 from mufly.station.remote import RemoteVehicle
 from mufly.station.transfers import refused
@@ -213,9 +214,16 @@ def mission_drawer(view: View) -> None:
             view.ask(vehicle.clear_mission())
 
     def save() -> None:
-        source = view.source()
-        rows = list(source.mission) if source is not None else []
-        mission = view.replay.recording.mission if view.replay is not None else _mission_of(rows)
+        vehicle, mission = view.vehicle(), None
+        try:
+            if view.replay is not None:
+                mission = view.replay.recording.mission
+            elif vehicle is not None and vehicle.transfers.items:
+                base = view.session.mission or Mission(name="from-vehicle")
+                mission = of_vehicle(vehicle.transfers.items, base, vehicle.telemetry.origin)
+        except MuflyError as error:
+            refuse(f"not saved: {error}")
+            return
         if mission is None:
             refuse("there is no mission to save")
             return
@@ -227,24 +235,6 @@ def mission_drawer(view: View) -> None:
         button("Save", save, title="save the mission as a file")
         button("Clear", clear, title="delete the mission in the vehicle", classes="mf-live-only")
     Panel("mission")
-
-
-def _mission_of(rows: list[MissionRow]) -> Mission | None:
-    """Return a mission file's content of a vehicle's table; None if it does not begin with a take-off."""
-    if not rows:
-        return None
-    points = [r for r in rows if r.action == "waypoint"]
-    first = next((r for r in rows if r.action == "take off"), None)
-    tables: dict[str, object] = {
-        "name": "from-vehicle",
-        "waypoint": [{"position_m": list(p.position), "wait_s": p.wait_s} for p in points],
-    }
-    if first is not None and first.position[2] == first.position[2]:
-        tables["take_off"] = {"height_m": -first.position[2], "wait_s": first.wait_s}
-    try:
-        return mission_from(tables)
-    except MuflyError:
-        return None
 
 
 def parameter_drawer(view: View) -> Callable[[], None]:

@@ -41,7 +41,7 @@ export function layer({ element, scene, camera, controls, paint, world }) {
     const lift = el("button", { type: "button", class: "mf-point mf-lift", text: "↕", tabindex: -1, title: "drag: height", "aria-label": "height of the selected point: drag", "data-testid": "point-lift" });
     lift.addEventListener("pointerdown", (event) => draft.selected !== null && grab(event, lift, draft.selected, true));
     marks.push(...between, { lift: true, node: lift });
-    holder.replaceChildren(hint, ...marks.map((m) => m.node));
+    holder.replaceChildren(hint, ...between.map((m) => m.node), ...marks.filter((m) => !m.leg).map((m) => m.node)); // points lie on top
   }
   function nudge(event, row) {
     const step = event.shiftKey ? 0.5 : 0.1, [n, e, h] = point(row);
