@@ -442,6 +442,8 @@ def test_the_emergency_stop_wants_a_second_press(window: Page) -> None:
         window.page.keyboard.press("Shift+Backspace")
         time.sleep(0.5)
     wait(lambda: "✓ EMERGENCY STOP" in window.page.inner_text(".mf-requests"), "the stop")
+    said = "window.muflyAlerts.said.some(a => a.level === 'error' && a.text.includes('emergency stop'))"
+    wait(lambda: window.page.evaluate(said), "the alert")
 
 
 def test_a_mark_goes_into_the_recording(window: Page) -> None:
