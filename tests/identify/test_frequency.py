@@ -1,11 +1,18 @@
 """Frequency responses against the transfer functions that made the data."""
 
+import json
+
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import chirp, lfilter
+from typer.testing import CliRunner
 
+from mufly.cli import app
 from mufly.errors import InputError
+from mufly.identify.linear.bandwidth import bandwidth
 from mufly.identify.linear.frequency import frequency_response, misfit, state_space_response
+from mufly.identify.linear.structure import delayed, discretise
+from mufly.identify.linear.sweep import composite_response, fit_transfer, window_lengths
 
 DT = 0.02
 A = np.exp(-3.0 * DT)
@@ -113,3 +120,158 @@ def test_what_cannot_be_had_is_refused_in_one_line(low, high, segment):
     u, y = made(6, 1000)
     with pytest.raises(InputError, match="frequency response"):
         frequency_response(u, y, DT, segment_s=segment, low_hz=low, high_hz=high)
+
+
+# --- sweeps -----------------------------------------------------------------------------------------------------------
+
+A2, B2 = np.array([[-3.0, 1.0], [-0.5, -2.0]]), np.array([[10.0, 2.0], [-1.5, 8.0]])
+LATE = 0.06
+
+
+def sweeps(seed=0, noise=0.3, seconds=80.0):
+    """A sweep of each stick, the other one following it by 0.6 as a pilot's does; roll and pitch rates."""
+    rng = np.random.default_rng(seed)
+    n = round(seconds / DT)
+    t = DT * np.arange(n)
+    phi, g1, g2 = discretise(A2, B2, DT)
+    us, ys = [], []
+    for swept in range(2):
+        u = np.zeros((n, 2))
+        u[:, swept] = chirp(t, 0.1, t[-1], 4.0, method="logarithmic") + 0.1 * rng.normal(size=n)
+        u[:, 1 - swept] = 0.6 * u[:, swept] + 0.2 * lfilter([0.2], [1.0, -0.8], rng.normal(size=n))
+        late = delayed(u, np.full(2, LATE), DT)
+        x, y = np.zeros(2), np.zeros((n, 2))
+        for k in range(n - 1):
+            x = phi @ x + g1 @ late[k] + g2 @ (late[k + 1] - late[k]) / DT
+            y[k + 1] = x
+        us.append(u)
+        ys.append(y + noise * lfilter([0.3], [1.0, -0.7], rng.normal(size=(n, 2)), axis=0))
+    return us, ys
+
+
+KINDS = {
+    "windows_s": window_lengths(80.0, 0.15, 4.0), "low_hz": 0.15, "high_hz": 4.0, "points": 50,
+    "input_names": ("lat", "lon"), "output_names": ("p", "q"),
+}  # fmt: skip
+
+
+def test_sweeps_with_correlated_sticks_are_told_apart_by_conditioning():
+    inside = []
+    for seed in range(6):
+        us, ys = sweeps(seed)
+        d = composite_response(us, ys, DT, **KINDS)
+        true = state_space_response(A2, B2, np.eye(2), np.zeros((2, 2)), d.frequency_hz, np.full(2, LATE))
+        inside.append(np.abs(np.abs(d.response) / np.abs(true) - 1.0) < 1.96 * d.error)
+        inside.append(np.abs(np.angle(d.response / true)) < 1.96 * d.error)
+    assert 0.86 < np.mean(inside) <= 1.0
+    # Without the other stick, the cross response is wrong by a factor of two; conditioned it is within 20 %.
+    alone = composite_response([us[0][:, :1]], ys[:1], DT, **{**KINDS, "input_names": ("lat",)})
+    wrong, right = (np.abs(r.response[:, 1, 0] / true[:, 1, 0]) for r in (alone, d))
+    assert np.abs(np.log(wrong)).max() > np.log(1.8)
+    assert np.median(np.abs(right - 1.0)) < 0.1
+    assert d.partial[:40, 0, 0].min() > 0.6
+
+
+def test_a_composite_is_as_good_as_the_best_window_everywhere():
+    us, ys = sweeps(3)
+    d = composite_response(us, ys, DT, **KINDS)
+    windows = {w: composite_response(us, ys, DT, **{**KINDS, "windows_s": (w, 10.0)}) for w in (26.0,)}
+    (long,) = windows.values()
+    assert np.median(d.error[-15:, 0, 0]) < np.median(long.error[-15:, 0, 0])
+    assert (d.window_s[0, 0, 0] > 2.0 * d.window_s[-1, 0, 0]).all()
+    with pytest.raises(InputError, match=r"holds less than 1\.5 periods"):
+        composite_response(us, ys, DT, **{**KINDS, "windows_s": (4.0,)})
+
+
+def test_a_transfer_function_is_found_again_with_its_delay():
+    us, ys = sweeps(1, noise=0.02)
+    only = [(u, y) for u, y in zip(us, ys, strict=True)]
+    d = composite_response([u for u, _ in only], [y for _, y in only], DT, **KINDS)
+    f = fit_transfer(d, 1, 1, zeros=1, poles=2)
+    # (s + 3) 8 - 0.5 * 2 over (s + 3)(s + 2) + 0.5
+    true = np.r_[8.0, 23.0], np.r_[1.0, 5.0, 6.5]
+    s = 2j * np.pi * d.frequency_hz
+    expected = np.polyval(true[0], s) / np.polyval(true[1], s) * np.exp(-LATE * s)
+    assert f.at(d.frequency_hz) == pytest.approx(expected, rel=0.1, abs=0.02)
+    assert f.cost < 10.0
+    lag = fit_transfer(d, 1, 1, zeros=0, poles=1)
+    assert lag.delay_s == pytest.approx(LATE, abs=0.02)
+    assert lag.numerator[0] == pytest.approx(8.0, rel=0.15)
+    with pytest.raises(InputError, match="2 zeros and 1 poles"):
+        fit_transfer(d, 1, 1, zeros=2, poles=1)
+
+
+@pytest.mark.parametrize("late", [0.03, 0.1])
+def test_bandwidth_and_phase_delay_are_those_of_the_transfer_function(late):
+    """K exp(-tau s) / (s (s / a + 1)): phase -90 - atan(w / a) - tau w, every number from its closed form."""
+    a, f = 8.0, np.geomspace(0.05, 30.0, 1500)
+    s = 2j * np.pi * f
+    b = bandwidth(f, 5.0 * np.exp(-late * s) / (s * (s / a + 1.0)), np.full(f.size, 0.02))
+
+    def phase(w):
+        return -90.0 - np.degrees(np.arctan(w / a) + late * w)
+
+    def gain(w):
+        return -20.0 * np.log10(w * np.hypot(1.0, w / a))
+
+    assert phase(b.phase_rad_s) == pytest.approx(-135.0, abs=0.05)
+    assert phase(b.crossing_rad_s) == pytest.approx(-180.0, abs=0.05)
+    assert gain(b.gain_rad_s) - gain(b.crossing_rad_s) == pytest.approx(6.0, abs=0.02)
+    assert b.bandwidth_rad_s == min(b.phase_rad_s, b.gain_rad_s)
+    far = 2.0 * b.crossing_rad_s
+    assert b.phase_delay_s == pytest.approx(-(phase(far) + 180.0) / (np.degrees(1.0) * far), rel=1e-3)
+    slope = (phase(1.01 * b.phase_rad_s) - phase(0.99 * b.phase_rad_s)) / (0.02 * b.phase_rad_s)
+    assert b.phase_std_rad_s == pytest.approx(np.degrees(0.02) / abs(slope), rel=0.05)
+
+
+def test_bandwidth_of_a_pure_delay_is_the_delay_and_what_is_not_there_is_said():
+    f = np.geomspace(0.05, 10.0, 600)
+    s = 2j * np.pi * f
+    pure = bandwidth(f, np.exp(-0.2 * s) / s)  # -90 - 57.3 * 0.2 w
+    assert pure.phase_rad_s == pytest.approx(np.pi / 4.0 / 0.2, rel=1e-3)
+    assert pure.phase_delay_s == pytest.approx(np.pi / 2.0 / pure.crossing_rad_s / 2.0, rel=1e-3)
+    assert pure.phase_delay_line_s == pytest.approx(0.1, rel=1e-2)
+    short = bandwidth(f[f < 0.5], (1.0 / (s + 1.0))[f < 0.5])
+    assert np.isnan(short.bandwidth_rad_s)
+    assert any("does not reach -180" in n for n in short.notes)
+    with pytest.raises(InputError, match="turn the sign"):
+        bandwidth(f, -1.0 / s)
+
+
+def test_the_commands_read_sweeps_and_write_what_they_say(tmp_path):
+    us, ys = sweeps(2, noise=0.05, seconds=60.0)
+    logs = []
+    for k, (u, y) in enumerate(zip(us, ys, strict=True)):
+        logs.append(str(tmp_path / f"sweep{k}.csv"))
+        np.savetxt(
+            logs[-1],
+            np.c_[DT * np.arange(len(u)), u, y],
+            delimiter=",",
+            header="time,lat,lon,p,q",
+            comments="",
+        )
+    out = tmp_path / "out"
+    base = [*logs, "--band", "0.2:4", "--points", "40", "--out", str(out), "--json"]
+    wanted = ["identify", "frequency", "--inputs", "lat,lon", "--outputs", "p,q", "--fit", "0/1", *base]
+    result = CliRunner().invoke(app, wanted)
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert set(found["responses"]) == {"lat to p", "lon to p", "lat to q", "lon to q"}
+    assert {(t["input"], t["output"]) for t in found["transfer_functions"]} >= {("lat", "p"), ("lon", "q")}
+    table = np.genfromtxt(out / "responses.csv", delimiter=",", names=True)
+    assert table["lat_to_p_magnitude_dB"] == pytest.approx(found["responses"]["lat to p"]["magnitude_dB"])
+    assert (out / "response-p.png").stat().st_size > 20_000
+    wanted = ["identify", "bandwidth", "--input", "lat", "--others", "lon", "--output", "p", *base]
+    result = CliRunner().invoke(app, wanted)
+    assert result.exit_code == 0, result.output
+    assert 0.0 < json.loads(result.stdout)["phase_rad_s"] < 8.0
+    for extra, words in (
+        (["--band", "0.2"], "--band"),
+        (["--windows", "a"], "--windows"),
+        (["--windows", "3"], "--windows"),
+    ):
+        result = CliRunner().invoke(
+            app, ["identify", "frequency", *base, "--inputs", "lat", "--outputs", "p", *extra]
+        )
+        assert isinstance(result.exception, InputError)
+        assert str(result.exception).startswith(words)

@@ -6,14 +6,28 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
+
 from mufly.cli.options import Commands, JsonOption, argument, one_of, option
-from mufly.cli.present import check_folder, print_json, print_table, progress_bar, say, tell_files
+from mufly.cli.present import (
+    check_folder,
+    print_json,
+    print_table,
+    progress_bar,
+    save_picture,
+    say,
+    tell_files,
+    write_csv,
+)
 from mufly.errors import InputError
 from mufly.results import plain
 
 if TYPE_CHECKING:
     from mufly.identify import Columns, LinearResult
+    from mufly.identify.linear.bandwidth import Bandwidth
     from mufly.identify.linear.equations import EquationModel
+    from mufly.identify.linear.frequency import FrequencyResponse
+    from mufly.identify.linear.sweep import TransferFit
 
 LogsArgument = Annotated[
     list[Path], argument("LOG...", "CSV, MATLAB file, or any flight log that `mufly log` reads.")
@@ -278,7 +292,348 @@ def _linear_json(r: LinearResult) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _numbers(option_name: str, text: str, count: int | None = None) -> list[float]:
+    """Numbers of an option such as 0.2:10 or 20,10,5."""
+    parts = text.replace(":", ",").split(",")
+    try:
+        found = [float(p) for p in parts]
+    except ValueError:
+        raise InputError(
+            option_name, "", f"{text!r} is not a list of numbers", "write 0.2:10 or 20,10,5"
+        ) from None
+    if (count is not None and len(found) != count) or any(v <= 0.0 for v in found):
+        raise InputError(
+            option_name, "", f"{text!r} is not possible", f"give {count or 'some'} positive numbers"
+        )
+    return found
+
+
+BandOption = Annotated[
+    str | None,
+    option("--band LOW:HIGH", "Frequencies (Hz). Default: 2 periods in half the shortest log, to 10 Hz."),
+]
+WindowsOption = Annotated[
+    str | None,
+    option("S,S,...", "Lengths of the windows (s). Default: five, from half the shortest log down."),
+]
+
+
+def _responses(
+    logs: Sequence[Path], inputs: Mapping[str, str], outputs: Mapping[str, str], columns: Sequence[str] | None,
+    start_s: float | None, end_s: float | None, band: str | None, windows: str | None, points: int,
+) -> FrequencyResponse:  # fmt: skip
+    """Composite responses of several logs together."""
+    from mufly.identify.linear.sweep import composite_response, window_lengths
+
+    records = [_record(log, columns, start_s, end_s) for log in logs]
+    dt = records[0].dt
+    for r in records:
+        if abs(r.dt / dt - 1.0) > 0.01:
+            raise InputError(
+                r.name, "time", f"has {1 / r.dt:.4g} Hz, {records[0].name} {1 / dt:.4g} Hz", "resample one"
+            )
+    us, ys = [r.stack(inputs, "inputs") for r in records], [r.stack(outputs, "outputs") for r in records]
+    shortest = min(len(u) for u in us) * dt
+    low, high = _numbers("--band", band, 2) if band else (4.0 / shortest, min(10.0, 0.4 / dt))
+    lengths = _numbers("--windows", windows) if windows else window_lengths(shortest, low, high)
+    return composite_response(
+        us, ys, dt, windows_s=lengths, low_hz=low, high_hz=high, points=points, input_names=tuple(inputs),
+        output_names=tuple(outputs),
+    )  # fmt: skip
+
+
+def frequency(
+    logs: LogsArgument,
+    inputs: Annotated[
+        str,
+        option("NAMES", "Columns that drive, as lat,lon; NAME=COLUMN, =-COLUMN and sums as for `linear`."),
+    ] = "lat,lon,ped,col",
+    outputs: Annotated[str, option("NAMES", "Columns that answer, likewise.")] = "p,q,r",
+    columns: ColumnsOption = None,
+    start_s: FromOption = None,
+    end_s: ToOption = None,
+    band: BandOption = None,
+    windows: WindowsOption = None,
+    points: Annotated[int, option("N", "Frequencies.", min=8)] = 80,
+    fit: Annotated[
+        str | None,
+        option("ZEROS/POLES", "Fit transfer functions with delay to coherent pairs, as 0/1 or 1/2."),
+    ] = None,
+    out: Annotated[Path | None, option("DIR", "Write pictures (PNG) and responses.csv there.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find frequency responses from sweeps: each input conditioned on the others, several windows in one, coherence.
+
+    Give the sweeps of all axes together; `mufly identify plan --kind chirp` designs them.
+
+    Example: mufly identify frequency lat.csv lon.csv --inputs lat,lon --outputs p,q --band 0.2:8 --fit 0/1 --out sweep
+    """
+    from mufly.errors import ArgumentError
+    from mufly.identify.linear.sweep import COHERENT, fit_transfer
+
+    check_folder("--out", out)
+    orders = None
+    if fit is not None:
+        try:
+            zeros, poles = (int(n) for n in fit.split("/"))
+            orders = (zeros, poles)
+        except ValueError:
+            raise InputError("--fit", "", f"{fit!r} is not ZEROS/POLES", "write 0/1 or 1/2") from None
+    data = _responses(logs, _names(inputs), _names(outputs), columns, start_s, end_s, band, windows, points)
+    pairs = [(o, i) for o in range(len(data.outputs)) for i in range(len(data.inputs))]
+    fits, unfitted, why = [], [], ""
+    for o, i in pairs if orders else ():
+        try:
+            fits.append(fit_transfer(data, o, i, zeros=orders[0], poles=orders[1]))  # type: ignore[index]
+        except ArgumentError:
+            raise
+        except InputError as error:
+            unfitted.append(f"{data.inputs[i]} to {data.outputs[o]}")
+            why = str(error.problem)
+    files = [] if out is None else _write_responses(data, out, fits)
+    if as_json:
+        print_json(
+            {
+                **_response_json(data),
+                "transfer_functions": fits,
+                "not_fitted": unfitted,
+                "files": [str(f) for f in files],
+            }
+        )
+        return
+    rows = []
+    f = data.frequency_hz
+    for o, i in pairs:
+        good = data.partial[:, o, i] >= COHERENT
+        text = f"{f[good][0]:.2g} to {f[good][-1]:.2g}" if good.any() else "none"
+        size = f"{100 * np.median(data.error[good, o, i]):.1f} %" if good.any() else "-"
+        numbers = (f"{int(good.sum())} of {len(f)}", f"{data.partial[:, o, i].max():.2f}", size)
+        rows.append((f"{data.inputs[i]} to {data.outputs[o]}", text, *numbers))
+    heads = ("pair", f"coherence >= {COHERENT:g} (Hz)", "points", "most", "random error")
+    print_table(
+        heads, rows, title="Frequency responses, each input without what the others explain", text=(0, 1)
+    )
+    for one in fits:
+        _print_transfer(one)
+    if unfitted:
+        say(f"{', '.join(unfitted)}: {why}", mark="Not fitted")
+    tell_files(files)
+
+
+def _print_transfer(t: TransferFit) -> None:
+    rows = [
+        (f"{letter}{power}", f"{value:.4g}", f"{std:.2g}")
+        for letter, values, stds in (
+            ("b", t.numerator, t.numerator_std),
+            ("a", t.denominator, t.denominator_std),
+        )
+        for power, value, std in zip(range(len(values) - 1, -1, -1), values, stds, strict=True)
+        if std > 0.0
+    ]
+    rows.append(("delay (s)", f"{t.delay_s:.3g}", f"{t.delay_std_s:.2g}"))
+    low, high = t.band_hz
+    print_table(
+        ("", "value", "std"),
+        rows,
+        title=f"{t.input} to {t.output}, {low:.2g} to {high:.2g} Hz, J = {t.cost:.0f}",
+    )
+    from mufly.identify.report import pole_text
+
+    say(f"Poles: {', '.join(pole_text(p) for p in t.poles)} rad/s")
+
+
+def _response_json(data: FrequencyResponse) -> dict[str, Any]:
+    pairs = {
+        f"{data.inputs[i]} to {data.outputs[o]}": {
+            "magnitude_dB": 20.0 * np.log10(np.maximum(np.abs(data.response[:, o, i]), 1e-12)),
+            "phase_deg": np.degrees(np.angle(data.response[:, o, i])),
+            "random_error": data.error[:, o, i], "partial_coherence": data.partial[:, o, i],
+        }
+        for o in range(len(data.outputs)) for i in range(len(data.inputs))
+    }  # fmt: skip
+    return {"frequency_hz": data.frequency_hz, "responses": pairs, "coherence": data.coherence}
+
+
+def _write_responses(data: FrequencyResponse, out: Path, fits: Sequence[TransferFit]) -> list[Path]:
+    from mufly.identify import pictures
+    from mufly.identify.linear.drawing import response_picture
+
+    heads, columns = ["frequency_Hz"], [data.frequency_hz]
+    for name, pair in _response_json(data)["responses"].items():
+        heads += [f"{name.replace(' ', '_')}_{key}" for key in pair]
+        columns += list(pair.values())
+    heads += [f"{o}_multiple_coherence" for o in data.outputs]
+    columns += list(data.coherence.T)
+    files = [write_csv(out / "responses.csv", heads, np.column_stack(columns).tolist())]
+    for k, name in enumerate(data.outputs):
+        with pictures.style():
+            files.append(save_picture(response_picture(data, k, fits=fits), out, f"response-{name}"))
+    return files
+
+
+def bandwidth(
+    logs: LogsArgument,
+    input_: Annotated[
+        str, option("--input NAME", "The stick: a column, or NAME=-COLUMN and sums as for `linear`.")
+    ] = "lat",
+    output: Annotated[
+        str, option("NAME", "What answers: phi, theta, psi, or a rate p, q, r, which is integrated.")
+    ] = "phi",
+    others: Annotated[str, option("NAMES", "Other inputs that moved, whose share is taken away.")] = "",
+    columns: ColumnsOption = None,
+    start_s: FromOption = None,
+    end_s: ToOption = None,
+    band: BandOption = None,
+    windows: WindowsOption = None,
+    points: Annotated[int, option("N", "Frequencies.", min=8)] = 120,
+    out: Annotated[Path | None, option("DIR", "Write a picture (PNG) and the response (CSV) there.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Read bandwidth and phase delay of an attitude's response off a sweep, as ADS-33 defines them.
+
+    Example: mufly identify bandwidth roll-sweep.csv --input lat --output phi --band 0.2:8 --out roll
+    """
+    from dataclasses import replace
+
+    from mufly.identify.linear.bandwidth import bandwidth as read_off
+    from mufly.identify.linear.sweep import COHERENT
+
+    check_folder("--out", out)
+    inputs, outputs = _names(",".join(x for x in (input_, others) if x)), _names(output)
+    if len(outputs) != 1:
+        raise InputError("--output", "", f"{output!r} is not one output", "give one")
+    data = _responses(logs, inputs, outputs, columns, start_s, end_s, band, windows, points)
+    name = data.outputs[0]
+    if name in ("p", "q", "r"):
+        turned = data.response / (2j * np.pi * data.frequency_hz[:, None, None])
+        data = replace(data, response=turned, outputs=(f"{name}/s",))
+    good = data.partial[:, 0, 0] >= COHERENT
+    found = read_off(data.frequency_hz, np.where(good, data.response[:, 0, 0], np.nan), data.error[:, 0, 0])
+    files = [] if out is None else _write_bandwidth(data, found, out)
+    if as_json:
+        print_json({**plain(found), **_response_json(data), "files": [str(f) for f in files]})
+        return
+    rows = []
+    for label, field in (
+        ("bandwidth, the lesser", "bandwidth"), ("by phase margin of 45 deg", "phase"),
+        ("by gain margin of 6 dB", "gain"), ("phase -180 deg at", "crossing"),
+    ):  # fmt: skip
+        value, std = getattr(found, f"{field}_rad_s"), getattr(found, f"{field}_std_rad_s")
+        rows.append((label, *(("-", "-") if np.isnan(value) else (f"{value:.3g}", f"{std:.2g}")), "rad/s"))
+    delay, std = found.phase_delay_s, found.phase_delay_std_s
+    rows.append(("phase delay", *(("-", "-") if np.isnan(delay) else (f"{delay:.3g}", f"{std:.2g}")), "s"))
+    line = found.phase_delay_line_s
+    rows.append(("phase delay, by a straight line", "-" if np.isnan(line) else f"{line:.3g}", "", "s"))
+    print_table(
+        ("", "value", "std", "unit"), rows, title=f"{data.inputs[0]} to {data.outputs[0]}", text=(0, 3)
+    )
+    say(*found.notes, mark="Note")
+    tell_files(files)
+
+
+def _write_bandwidth(data: FrequencyResponse, found: Bandwidth, out: Path) -> list[Path]:
+    from dataclasses import replace
+
+    from mufly.identify import pictures
+    from mufly.identify.linear.drawing import response_picture
+
+    first = slice(0, 1)
+    one = replace(
+        data, inputs=data.inputs[:1], response=data.response[:, :, first], partial=data.partial[:, :, first],
+        error=data.error[:, :, first], outputs=(data.outputs[0].replace("/", "-over-"),),
+    )  # fmt: skip
+    with pictures.style():
+        picture = save_picture(response_picture(one, 0, read=found), out, "bandwidth")
+    columns = [one.frequency_hz, *next(iter(_response_json(one)["responses"].values())).values()]
+    heads = ("frequency_Hz", "magnitude_dB", "phase_deg", "random_error", "partial_coherence")
+    return [write_csv(out / "response.csv", heads, np.column_stack(columns).tolist()), picture]
+
+
+def compatibility(
+    log: Annotated[Path, argument("LOG", "CSV, MATLAB file, or any flight log that `mufly log` reads.")],
+    imu: Annotated[
+        str,
+        option(
+            "NAMES",
+            "p, q, r (rad/s), ax, ay, az (m/s^2, body axes, z down: -9.8 at rest), each with =COLUMN, =-COLUMN or "
+            "=9.80665*COLUMN where needed.",
+        ),
+    ] = "p,q,r,ax,ay,az",
+    measured: Annotated[
+        str,
+        option(
+            "NAMES",
+            "phi, theta, psi (rad), and any of v_north, v_east, v_down (m/s), north, east, down (m), likewise.",
+        ),
+    ] = "phi,theta,psi,v_north,v_east,v_down,north,east,down",
+    columns: ColumnsOption = None,
+    start_s: FromOption = None,
+    end_s: ToOption = None,
+    out: Annotated[
+        Path | None, option("DIR", "Write a picture (PNG) and the reconstructed path (CSV) there.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Hold gyros and accelerometers against measured attitude, velocity, position: biases, scale factors, the path.
+
+    Example: mufly identify compatibility flight.csv --imu p,q,r,ax,ay,az --measured phi,theta,psi,north,east,down
+    """
+    from mufly.identify.linear.compatibility import STATES
+    from mufly.identify.linear.compatibility import compatibility as reconstruct
+
+    check_folder("--out", out)
+    found = reconstruct(_record(log, columns, start_s, end_s), _names(imu), _names(measured))
+    files = []
+    if out is not None:
+        from mufly.identify import pictures
+        from mufly.identify.linear.drawing import path_picture
+
+        heads = ["time_s", *STATES, *(f"{s}_std" for s in STATES), *(f"{n}_corrected" for n in _names(imu))]
+        rows = np.column_stack([found.time_s, found.states, found.states_std, found.corrected])
+        with pictures.style():
+            files = [
+                write_csv(out / "path.csv", heads, rows.tolist()),
+                save_picture(path_picture(found), out, "path"),
+            ]
+    residual = np.sqrt(np.mean(found.residual**2, axis=0))
+    innovation = np.sqrt(np.mean(found.innovations**2, axis=0))
+    if as_json:
+        print_json(
+            {"estimates": found.estimates, "std_white": found.std_white, "converged": found.converged,
+             "unseen": found.unseen, "notes": found.notes, "outputs": found.outputs, "residual_rms": residual,
+             "innovation_over_expected": innovation, "noise_std": found.output_noise, "imu_noise_std": found.imu_noise,
+             "files": [str(f) for f in files]}
+        )  # fmt: skip
+        return
+    say(*found.notes, mark="Note")
+    white = {e.symbol: f"{w:.2g}" for e, w in zip(found.estimates, found.std_white, strict=True)}
+    rows_ = [
+        (
+            e.symbol,
+            f"{e.value:+.4g}",
+            f"{e.std:.2g}",
+            white[e.symbol],
+            f"{e.low:+.3g} to {e.high:+.3g}",
+            e.unit,
+        )
+        for e in found.estimates
+    ]
+    heads_ = ("", "value", "std", "std if white", "95 % interval", "unit")
+    print_table(
+        heads_, rows_, title="Bias b and scale factor lambda: measured = (1 + lambda) true + b", text=(0, 5)
+    )
+    lines = zip(found.outputs, residual, found.output_noise, innovation, strict=True)
+    heads_ = ("", "rms residual", "its noise", "innovation over expected")
+    print_table(
+        heads_, [(o, f"{r:.2g}", f"{s:.2g}", f"{i:.2f}") for o, r, s, i in lines], title="The path, SI"
+    )
+    if found.unseen:
+        say("What the flight does not show:", *(f"- {w}" for w in found.unseen))
+    say("Converged" if found.converged else "NOT converged", style="green" if found.converged else "red")
+    tell_files(files)
+
+
 def add_to(app: Commands) -> None:
     """Add the commands of linear models."""
-    for command in (linear,):
+    for command in (linear, frequency, bandwidth, compatibility):
         app.command()(command)

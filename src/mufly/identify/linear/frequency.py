@@ -68,6 +68,8 @@ class FrequencyResponse:
     averages : float
         Independent segments ``n_d``.
     inputs, outputs : tuple of str
+    window_s : (f, outputs, inputs) array, optional
+        Length of the windows (s) where it differs: of a composite.
     """
 
     frequency_hz: Array
@@ -78,6 +80,7 @@ class FrequencyResponse:
     averages: float
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
+    window_s: Array | None = None
 
 
 def frequency_response(
@@ -163,13 +166,23 @@ def cross_spectra(
     return spectra, total / size
 
 
-def from_spectra(
-    frequency: Array, s: ComplexArray, k: int, averages: float, inputs: tuple[str, ...], outputs: tuple[str, ...]
-) -> FrequencyResponse:  # fmt: skip
-    """Return responses and coherences from averaged products (f, k + m, k + m) of k inputs and m outputs."""
-    points, m = len(frequency), s.shape[1] - k
-    response = np.full((points, m, k), np.nan + 0j)
-    partial, coherence = np.zeros((points, m, k)), np.zeros((points, m))
+def conditioned(s: ComplexArray, k: int) -> tuple[ComplexArray, Array, Array, Array]:
+    """Return what each input does with the others' share taken away, from products (f, k + m, k + m).
+
+    Returns
+    -------
+    response : (f, m, k) complex array
+        NaN where an input has no power.
+    own : (f, k) array
+        Spectrum of each input without what the other inputs explain of it.
+    left : (f, m) array
+        Spectrum of each output without what all inputs explain.
+    coherence : (f, m) array
+        Multiple coherence.
+    """
+    points, m = len(s), s.shape[1] - k
+    response, own = np.full((points, m, k), np.nan + 0j), np.zeros((points, k))
+    left, coherence = np.zeros((points, m)), np.zeros((points, m))
     power = np.real(np.einsum("fii->fi", s))
     used = np.flatnonzero(power[:, :k].sum(0) > 1e-24 * max(power[:, :k].sum(), 1e-300))
     for f in range(points):
@@ -182,16 +195,29 @@ def from_spectra(
         response[f][:, used] = h.T
         explained = np.real(np.einsum("ij,ij->j", np.conj(suy), h))
         coherence[f] = np.clip(explained / np.maximum(power[f, k:], 1e-300), 0.0, 1.0)
-        left = np.maximum(power[f, k:] - explained, 0.0)
-        for place, j in enumerate(used):
-            # |H_j|^2 S_jj.r is what input j alone adds to the explained power.
-            own = np.real(inverse[place, place])
-            alone = np.abs(h[place]) ** 2 / own if own > 0.0 else np.zeros(m)
-            partial[f, :, j] = alone / np.maximum(alone + left, 1e-300)
-    # Fewer segments than inputs explain anything; a coherence from n_d averages has a bias of about 1 / n_d.
-    gamma = np.sqrt(np.clip(partial, 1e-12, 1.0))
-    error = _OVERLAP_FACTOR * np.sqrt(1.0 - gamma**2) / (gamma * np.sqrt(2.0 * averages))
+        left[f] = np.maximum(power[f, k:] - explained, 0.0)
+        diagonal = np.real(np.diag(inverse))
+        own[f, used] = np.where(diagonal > 0.0, 1.0 / np.where(diagonal > 0.0, diagonal, 1.0), 0.0)
+    return response, own, left, coherence
+
+
+def from_spectra(
+    frequency: Array, s: ComplexArray, k: int, averages: float, inputs: tuple[str, ...], outputs: tuple[str, ...]
+) -> FrequencyResponse:  # fmt: skip
+    """Return responses and coherences from averaged products (f, k + m, k + m) of k inputs and m outputs."""
+    response, own, left, coherence = conditioned(s, k)
+    # |H_j|^2 S_jj.r is what input j alone adds to the explained power.
+    alone = np.abs(np.nan_to_num(response)) ** 2 * own[:, None, :]
+    partial = alone / np.maximum(alone + left[:, :, None], 1e-300)
+    error = random_error(partial, averages)
     return FrequencyResponse(frequency, response, coherence, partial, error, averages, inputs, outputs)
+
+
+def random_error(coherence: Array, averages: float | Array) -> Array:
+    """Return the relative standard deviation of a magnitude, and that of its phase (rad)."""
+    # Fewer segments than inputs explain anything; a coherence from n_d averages has a bias of about 1 / n_d.
+    gamma = np.sqrt(np.clip(coherence, 1e-12, 1.0))
+    return np.asarray(_OVERLAP_FACTOR * np.sqrt(1.0 - gamma**2) / (gamma * np.sqrt(2.0 * averages)))
 
 
 def state_space_response(

@@ -1,0 +1,167 @@
+"""Bandwidth and phase delay of an attitude's response to a stick, as ADS-33 defines them.
+
+ADS-33E-PRF, *Handling Qualities Requirements for Military Rotorcraft*, 2000, Sec. 3.3.2.1 and Fig. 2; Hoh, Mitchell,
+Ashkenas, Klein, Heffley and Hodgkinson 1982, AFWAL-TR-82-3081. With the phase ``Phi`` (deg) of attitude over stick and
+``w_180`` where it first is -180 deg:
+
+    w_phase:  Phi = -135 deg, 45 deg of phase margin
+    w_gain:   the gain is 6 dB above that at w_180
+    tau_p   = -(Phi(2 w_180) + 180) / (57.3 * 2 w_180)
+
+The bandwidth of a rate response (rate command, attitude hold) is the lesser of the two; of an attitude response it is
+``w_phase``, and a ``w_gain`` below it, or none, warns of oscillations that the pilot causes. Where the phase bends
+between ``w_180`` and ``2 w_180`` the standard takes a straight line through it, by least squares; it stands beside.
+Deviations carry the random error of the response over the local slope of phase or gain.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.errors import InputError
+from mufly.results import result
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+_MARGIN_DEG, _MARGIN_DB = 45.0, 6.0
+
+
+@result
+class Bandwidth:
+    """Bandwidth and phase delay; NaN where the data do not reach, or there is none.
+
+    Attributes
+    ----------
+    bandwidth_rad_s : float
+        The lesser of both, for a rate response.
+    phase_rad_s, gain_rad_s : float
+        By phase margin, and by gain margin.
+    crossing_rad_s : float
+        Where the phase is -180 deg.
+    phase_delay_s : float
+    phase_delay_line_s : float
+        By a straight line through the phase from ``crossing_rad_s`` to twice that.
+    bandwidth_std_rad_s, phase_std_rad_s, gain_std_rad_s, crossing_std_rad_s, phase_delay_std_s : float
+        Standard deviations.
+    notes : tuple of str
+        What could not be had, and why.
+    """
+
+    bandwidth_rad_s: float
+    phase_rad_s: float
+    gain_rad_s: float
+    crossing_rad_s: float
+    phase_delay_s: float
+    phase_delay_line_s: float
+    bandwidth_std_rad_s: float
+    phase_std_rad_s: float
+    gain_std_rad_s: float
+    crossing_std_rad_s: float
+    phase_delay_std_s: float
+    notes: tuple[str, ...]
+
+
+def bandwidth(frequency_hz: Array, response: ComplexArray, error: Array | None = None) -> Bandwidth:
+    """Read bandwidth and phase delay off a response.
+
+    Parameters
+    ----------
+    frequency_hz : (f,) array
+        Rising; close enough that the phase turns less than half a circle from one to the next.
+    response : (f,) complex array
+        Attitude over stick; points that are not coherent are best left out, or NaN.
+    error : (f,) array, optional
+        Relative standard deviation of the magnitude, which is that of the phase in radians.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than four points, or the phase begins where no attitude's does: a turned sign.
+    """
+    good = np.isfinite(response) & (np.abs(np.nan_to_num(response)) > 0.0)
+    w, h = 2.0 * np.pi * np.asarray(frequency_hz)[good], np.asarray(response)[good]
+    eps = np.zeros(len(w)) if error is None else np.asarray(error)[good]
+    if len(w) < 4:
+        raise InputError("bandwidth", "", f"{len(w)} points", "give four or more, coherent ones")
+    phase = np.degrees(np.unwrap(np.angle(h)))
+    phase -= 360.0 * np.round((phase[0] + 90.0) / 360.0)  # an attitude begins between 0 and -180 deg
+    if phase[0] > 45.0:
+        raise InputError(
+            "bandwidth", "", f"the phase begins at {phase[0]:+.0f} deg, where an attitude's begins between 0 and -180",
+            "turn the sign of input or output",
+        )  # fmt: skip
+    gain = 20.0 * np.log10(np.abs(h))
+    notes: list[str] = []
+    sigma_phase, sigma_gain = np.degrees(eps), 8.686 * eps
+    at_phase, std_phase = _crossing(w, phase, -180.0 + _MARGIN_DEG, sigma_phase)
+    at_180, std_180 = _crossing(w, phase, -180.0, sigma_phase)
+    if np.isnan(at_phase):
+        begins = phase[0] <= -180.0 + _MARGIN_DEG
+        notes.append(
+            "the phase begins below -135 deg: give a band that begins lower" if begins
+            else "the phase does not reach -135 deg: give a band that ends higher"
+        )  # fmt: skip
+    at_gain = std_gain = delay = line = std_delay = float("nan")
+    if np.isnan(at_180):
+        passed = "begins below" if phase[0] <= -180.0 else "does not reach"
+        notes.append(f"the phase {passed} -180 deg: no gain bandwidth and no phase delay")
+    else:
+        level = float(np.interp(np.log(at_180), np.log(w), gain))
+        low = w <= at_180
+        at_gain, std_gain = _crossing(
+            w[low],
+            gain[low],
+            level + _MARGIN_DB,
+            np.hypot(sigma_gain, np.interp(at_180, w, sigma_gain))[low],
+            last=True,
+        )
+        if np.isnan(at_gain):
+            notes.append("the gain is nowhere 6 dB above that at -180 deg: no gain bandwidth")
+        if w[-1] >= 2.0 * at_180:
+            far = float(np.interp(2.0 * at_180, w, phase))
+            delay = -np.radians(far + 180.0) / (2.0 * at_180)
+            std_delay = np.radians(float(np.interp(2.0 * at_180, w, sigma_phase))) / (2.0 * at_180)
+        else:
+            way = "only by a line through what there is" if w[-1] >= 1.3 * at_180 else "not to be had"
+            notes.append(
+                f"the band ends below {at_180 / np.pi:.3g} Hz, twice the frequency of -180 deg: phase delay {way}"
+            )
+        inside = (w >= at_180) & (w <= 2.0 * at_180)
+        if inside.sum() >= 2 and w[-1] >= 1.3 * at_180:
+            x, y = w[inside] - at_180, phase[inside] + 180.0
+            line = -np.radians(float((x @ y) / (x @ x))) / 2.0 if (x @ x) > 0 else float("nan")
+    both = [(v, s) for v, s in ((at_phase, std_phase), (at_gain, std_gain)) if not np.isnan(v)]
+    least = min(both) if both else (float("nan"), float("nan"))
+    if not np.isnan(at_gain) and at_gain < at_phase:
+        notes.append(
+            "the gain margin decides: for an attitude response that warns of pilot-induced oscillations"
+        )
+    return Bandwidth(
+        least[0],
+        at_phase,
+        at_gain,
+        at_180,
+        delay,
+        line,
+        least[1],
+        std_phase,
+        std_gain,
+        std_180,
+        std_delay,
+        tuple(notes),
+    )
+
+
+def _crossing(w: Array, y: Array, level: float, sigma: Array, *, last: bool = False) -> tuple[float, float]:
+    """First (or last) frequency at which a falling curve passes a level, and its deviation."""
+    places = np.flatnonzero((y[:-1] > level) & (y[1:] <= level))
+    if not places.size:
+        return float("nan"), float("nan")
+    k = int(places[-1 if last else 0])
+    share = (level - y[k]) / (y[k + 1] - y[k])
+    at = float(np.exp(np.log(w[k]) + share * np.log(w[k + 1] / w[k])))
+    near = slice(max(k - 1, 0), k + 3)  # the slope of four points: two are mostly noise
+    slope = float(np.polyfit(w[near], y[near], 1)[0])
+    doubt = float(sigma[k] + share * (sigma[k + 1] - sigma[k]))
+    return at, doubt / abs(slope) if slope else float("nan")
