@@ -211,11 +211,14 @@ def compatibility(record: Columns, imu: Mapping[str, str], outputs: Mapping[str,
     smooth_x, smooth_p = x, np.zeros((len(x), 9))
     whitened = np.zeros_like(z)
     covariance = bound = np.eye(12)
+    size = np.ones(12)
     for turn in range(_ROUNDS):
         true, by_theta = _corrected(raw, theta)
         f = _filtered(x, true, by_theta, z, at, noise, imu_noise, dt)
         whitened = f.innovations
         covariance, bound, _ = coloured_covariance([f.sensitivities], [whitened], _PRIOR)
+        # A doubt that the colour's estimate makes negative is at least the white one's.
+        size = np.sqrt(np.maximum(np.diag(covariance), np.diag(bound)))
         information = np.einsum("nmt,nmu->tu", f.sensitivities, f.sensitivities) + np.diag(_PRIOR**-2)
         right = np.einsum("nmt,nm->t", f.sensitivities, whitened) - theta / _PRIOR**2
         change = np.linalg.solve(information, right)
@@ -230,10 +233,10 @@ def compatibility(record: Columns, imu: Mapping[str, str], outputs: Mapping[str,
                 scale = float(np.clip(np.sqrt(np.mean(ratio[chosen] ** 2)), 0.3, 3.0))
                 noise[chosen] *= scale
                 imu_noise[driven] *= scale
-        converged = bool((np.abs(change) < _SETTLED * np.sqrt(np.diag(covariance))).all())
+        converged = bool((np.abs(change) < _SETTLED * size).all())
         if converged and turn >= 3:
             break
-    std = np.sqrt(np.diag(covariance))
+    std = size
     if np.any(std > 0.8 * _PRIOR):
         names = ", ".join(n for n, s, p in zip(PARAMETERS, std, _PRIOR, strict=True) if s > 0.8 * p)
         notes.append(
