@@ -233,7 +233,7 @@ def fit_transfer(
         )  # fmt: skip
     f, h, gamma = data.frequency_hz[good], h[good], gamma[good]
     middle = 2.0 * np.pi * float(np.sqrt(f[0] * f[-1]))
-    s = 2j * np.pi * f / middle
+    s = np.asarray(2j * np.pi * f / middle, dtype=np.complex128)
     weight = 1.58 * (1.0 - np.exp(-gamma))
     scale = np.sqrt(20.0 / len(f)) * weight
 
