@@ -623,9 +623,9 @@ def compatibility(
         heads_, rows_, title="Bias b and scale factor lambda: measured = (1 + lambda) true + b", text=(0, 5)
     )
     lines = zip(found.outputs, residual, found.output_noise, innovation, strict=True)
-    heads_ = ("", "rms residual", "its noise", "innovation over expected")
+    below = ("", "rms residual", "its noise", "innovation over expected")
     print_table(
-        heads_, [(o, f"{r:.2g}", f"{s:.2g}", f"{i:.2f}") for o, r, s, i in lines], title="The path, SI"
+        below, [(o, f"{r:.2g}", f"{s:.2g}", f"{i:.2f}") for o, r, s, i in lines], title="The path, SI"
     )
     if found.unseen:
         say("What the flight does not show:", *(f"- {w}" for w in found.unseen))
