@@ -268,6 +268,29 @@ def test_what_one_end_cuts_the_other_puts_together(length):
     assert lossy.overdue(20.0) == []
 
 
+def test_a_full_stick_asks_for_what_the_parameters_say():
+    rig = Rig()
+    asked = []
+    rig.link.autopilot.sticks = lambda *values: asked.append(values)
+    for name, value in (("STK_TILT", 8.0), ("STK_YAWRATE", 40.0), ("STK_CLIMB", 0.3)):
+        assert rig.link.autopilot.set_parameter(name, value)
+    manual = rig.link._manual
+    manual.override(m.MAVLink_rc_channels_override_message(1, 1, 2000, 1000, 1750, 1250, 0, 0, 0, 0))
+    half = (0.5 - 0.03) / 0.97
+    assert asked[-1] == pytest.approx(
+        (math.radians(8.0), -math.radians(8.0), -half * math.radians(40.0), half * 0.3)
+    )
+    # MANUAL_CONTROL counts while it is fresh, once a mode for flying by hand is asked for.
+    manual.override(m.MAVLink_rc_channels_override_message(1, 1, *[65535] * 8))
+    manual.manual(10.0, m.MAVLink_manual_control_message(1, 1000, 0, 500, 0, 0))
+    assert manual.by_hand(11.5).temporary
+    count = len(asked)
+    manual.manual(11.6, m.MAVLink_manual_control_message(1, 1000, 0, 500, 0, 0))
+    assert len(asked) == count
+    manual.by_hand(12.5)
+    assert asked[-1] == pytest.approx((0.0, -math.radians(8.0), 0.0, 0.0))
+
+
 def test_failsafe_once_each():
     f, said = "", []
     for k in range(400):

@@ -69,7 +69,7 @@ def test_places_on_the_globe():
         item = Item(0, frame, 16, params=(0, 0, 0, math.nan), x=x, y=y, z=z)
         (w,) = plan_of((item,), BASE, ZURICH).mission.waypoint
         assert w.position_m == pytest.approx((3.0, -4.0, -1.5), abs=0.012)
-        with pytest.raises(Refusal, match="--origin") as caught:
+        with pytest.raises(Refusal, match="needs a global origin") as caught:
             plan_of((item,), BASE, None)
         assert caught.value.result is MissionResult.UNSUPPORTED_FRAME
 

@@ -25,7 +25,7 @@ from mufly.link import (
     note_of,
     to_mavlink,
 )
-from mufly.link.mission_transfer import LIMIT, SETTLE_S
+from mufly.link.mission_transfer import LIMIT, SETTLE_S, Retry
 
 STEP_S = 0.05
 
@@ -292,3 +292,58 @@ def test_notes_survive_the_wire(note):
 def test_items_of_the_older_form_are_read_in_metres_or_degrees(frame, x, expected):
     message = mavlink.MAVLink_mission_item_message(1, 1, 0, frame, 16, 0, 1, 0, 0, 0, 0, x, 0, -1)
     assert note_of(message).x == expected
+
+
+def test_a_question_is_asked_again_after_a_round_trip_and_a_tenth():
+    """MAVLink recommends 0.25 s for items and 1.5 s for the rest; over a slow link an answer takes longer."""
+
+    def waits(*trips):
+        retry, now_s = Retry(), 0.0
+        retry.begin(now_s)
+        for trip in trips:
+            now_s += trip
+            retry.moved(now_s)
+        return next(0.005 * k for k in range(1000) if retry.again(now_s + 0.005 * k))
+
+    assert waits() == pytest.approx(0.8, abs=0.006)
+    assert waits(0.01) == pytest.approx(0.25, abs=0.006)
+    assert waits(1.0) == pytest.approx(1.1 * 1.0 + 0.05, abs=0.006)
+    assert waits(1.0, 0.5) == pytest.approx(1.1 * (0.7 * 1.0 + 0.3 * 0.5) + 0.05, abs=0.006)
+    assert waits(3.0) == pytest.approx(1.5, abs=0.006)
+
+
+def test_a_sender_that_begins_anew_stops_the_receiver_until_it_is_silent():
+    sender, cancel = Sender("vehicle", mission(3)), ("vehicle", Ack(MissionResult.OPERATION_CANCELLED))
+    assert sender.start(10.0, hush=True) == [cancel]
+    # Five times in HUSH_S, and to every question; each question begins the wait anew.
+    cancelled = [k for k in range(1, 15) if sender.step(10.0 + 0.1 * k)]
+    assert len(cancelled) == 3
+    assert cancelled[0] == 4
+    assert sender.receive(11.5, RequestItem(0)) == [cancel]
+    said = {k: sender.step(11.5 + 0.1 * k + 1e-6) for k in range(1, 22)}
+    assert [k for k, notes in said.items() if notes and notes[0][1] == Count(3)] == [20]
+    assert sender.receive(13.7, RequestItem(0)) == [("vehicle", sender.items[0])]
+
+
+def test_an_acceptance_that_comes_too_early_belongs_to_another_transfer():
+    sender = Sender("vehicle", mission(3))
+    sender.start(0.0)
+    assert sender.receive(0.1, Ack(MissionResult.ACCEPTED)) == []
+    assert sender.result is None
+    # Once items have gone out it means that the receiver counts on fewer of them: it never heard how many.
+    sender.receive(0.2, RequestItem(0))
+    assert sender.receive(0.3, Ack(MissionResult.ACCEPTED)) == [("vehicle", Count(3))]
+    giver = Sender("station", mission(3), uploading=False)
+    giver.start(0.0)
+    giver.receive(0.2, RequestItem(0))
+    assert giver.receive(0.3, Ack(MissionResult.ACCEPTED)) == []
+    assert giver.result is None
+
+
+def test_progress_is_the_share_of_the_items():
+    taker = Receiver(lambda items: 0)
+    taker.fetch(10.0, "vehicle")
+    taker.receive(12.0, "vehicle", Count(4))
+    for k in range(3):
+        assert taker.progress == pytest.approx(k / 4)
+        taker.receive(12.1, "vehicle", mission(4)[k])

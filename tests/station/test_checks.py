@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from mock_vehicle import MockVehicle, World
 
+from mufly.estimate import Estimate
 from mufly.link import items_of as items_of_mission
 from mufly.link import mavlink
 from mufly.mission import mission_from
-from mufly.station import MissionRow
-from mufly.station.checks import flight_time
-from mufly.station.transfers import items_of, rows_of, same_mission
+from mufly.station import History, MissionRow, Snapshot
+from mufly.station.checks import Surroundings, flight_time, judge
+from mufly.station.commands import StatusTexts
+from mufly.station.telemetry import Telemetry
+from mufly.station.transfers import RemoteMission, RemoteParameters, items_of, rows_of, same_mission
 
 PREARM = 268435456
 NAMES = [
@@ -129,3 +134,62 @@ def test_rows_and_items_of_a_mission_file_say_the_same():
     assert first.heading_rad == pytest.approx(math.radians(30.0))
     assert first.wait_s == 2.0
     assert same_mission(tuple(items_of(rows)), tuple(items))
+
+
+def judged(name, *, around=None, told=None, rows=(), **changes):
+    """What a check says of a vehicle that is well but for what is given: ok, and its words."""
+    texts = StatusTexts()
+    telemetry, mission = Telemetry(History(seconds=1.0)), RemoteMission(texts, (1, 1))
+    mission.items = tuple(items_of(rows)) if rows else None
+    for key, value in (told or {}).items():
+        setattr(telemetry, key, value)
+    still = replace(Estimate(), attitude=np.zeros(3), velocity=np.zeros(3), battery_voltage=7.4)
+    s = Snapshot(connected=True, silent_s=0.1, link_loss=0.0, link_rate_Hz=50.0, battery_charge=0.9)
+    s = replace(s, estimate=replace(still, **changes.pop("estimate", {})), **changes)
+    parameters = RemoteParameters(texts, (1, 1))
+    found = judge(s, telemetry, texts, mission, parameters, around or Surroundings())
+    return next((c.ok, c.text) for c in found if c.name == name)
+
+
+WAY = [MissionRow("take off", (0, 0, -2.0)), MissionRow("waypoint", (10.0, 0, -1.0), wait_s=3.0)]
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "ok", "says"),
+    [
+        # One packet in ten may be lost, but some have to come.
+        ("link", {"link_loss": 0.1}, True, "10 % of packets lost, 50 messages/s"),
+        ("link", {"link_loss": 0.12}, False, "12 %"),
+        ("link", {"link_rate_Hz": 0.0}, False, "0 messages/s"),
+        ("link", {"link_loss": math.nan}, None, "not measured yet"),
+        ("heard", {"silent_s": math.inf}, False, "not heard yet"),
+        ("battery", {"battery_charge": 0.3}, True, "30 %, 7.40 V"),
+        ("battery", {"battery_charge": math.nan}, None, "7.40 V"),
+        ("level and still", {"estimate": {"attitude": np.radians([3.9, 2.9, 90.0])}}, True, "tilt 4.9 deg"),
+        ("level and still", {"estimate": {"attitude": np.radians([3.9, -3.9, 0.0])}}, False, "tilt 5.5 deg"),
+        ("level and still", {"estimate": {"velocity": np.array([0.05, 0.05, 0.05])}}, True, "0.09 m/s"),
+        ("level and still", {"estimate": {"velocity": np.array([0.0, 0.08, 0.08])}}, False, "0.11 m/s"),
+        ("level and still", {"flying": True}, None, "in flight"),
+        # 2 m up, 1 m down at 0.4 m/s, 10 m at 0.5 m/s, 3 s of waiting: 30.5 s, and a fifth of the battery is left.
+        ("time to fly", {"rows": WAY, "battery_left_s": 38.2}, True, "about 30 s, battery 38 s"),
+        ("time to fly", {"rows": WAY, "battery_left_s": 38.0}, False, "about 30 s"),
+        ("time to fly", {"rows": WAY}, None, "the battery's time is not told"),
+        ("time to fly", {}, None, "no mission"),
+        ("disk", {"around": Surroundings(free_bytes=200e6)}, True, "0.2 GB free"),
+        ("disk", {"around": Surroundings(free_bytes=199e6)}, False, "0.2 GB free"),
+        ("disk", {}, None, "not known"),
+        ("recording", {}, None, "no recorder"),
+        ("command", {"told": {"commander": None}}, None, "does not tell"),
+        ("command", {"told": {"commander": 0}}, True, "nobody commands it yet"),
+        ("command", {"told": {"commander": 300}, "commander": "station 1"}, False, "station 1 commands it"),
+        ("command", {"told": {"commander": 300}, "in_command": True}, True, "this station commands it"),
+        # Sensors present and enabled that are not healthy; those switched off do not count.
+        ("vehicle's own checks", {"told": {"health": (7, 5, 3)}}, False, "1 sensors are not healthy"),
+        ("vehicle's own checks", {"told": {"health": (7, 3, 3)}}, True, "sensors healthy"),
+        ("vehicle's own checks", {}, None, "not told"),
+    ],
+)
+def test_where_good_ends(name, given, ok, says):
+    found, text = judged(name, **given)
+    assert found is ok or (ok is not None and found is not None and bool(found) == ok), text
+    assert says in text

@@ -99,6 +99,29 @@ def test_a_clock_is_measured_anew_after_a_restart():
     assert t.real_time_factor(70.0) == pytest.approx(0.5, abs=0.01)
 
 
+def test_a_vehicle_is_started_anew_when_three_stamps_go_on_from_its_beginning():
+    clock = VehicleClock()
+    assert clock.stamp(100_000, 50.0) == 100.0
+    assert math.isnan(clock.stamp(1_000, 60.0))
+    assert math.isnan(clock.stamp(1_020, 60.02))  # two may be late, or damaged
+    assert clock.restarts == 0
+    assert clock.stamp(1_040, 60.04) == pytest.approx(100.0 + 10.04)
+    assert clock.restarts == 1
+    assert clock.stamp(2_040, 61.04) == pytest.approx(111.04)
+
+
+def test_the_first_fix_is_the_origin_and_heights_are_above_home():
+    t = Telemetry(History(seconds=1.0))
+    fix = [mavlink.MAVLink_global_position_int_message(k, 473769000, 85417000 + dx, 508_000, 10_000, 10, -20, 30, 0)
+           for k, dx in ((1000, 0), (1020, 1000))]  # fmt: skip
+    told(*fix, telemetry=t)
+    assert t.origin.alt_m == pytest.approx(498.0)
+    n, e, d = t.believes("estimated_position")
+    assert (n, d) == (pytest.approx(0.0, abs=1e-3), pytest.approx(-10.0, abs=1e-3))
+    assert e == pytest.approx(7.54, abs=0.05)  # 1e-4 deg of longitude at 47.4 deg
+    assert t.believes("estimated_velocity") == pytest.approx([0.1, -0.2, 0.3])
+
+
 def test_headings_are_carried_on_past_south():
     turns = np.linspace(0.0, 15.0, 100)
     t = Telemetry(History(seconds=10.0))
