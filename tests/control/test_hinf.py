@@ -77,12 +77,13 @@ def test_normalised_coprime_factors_have_glover_and_mcfarlanes_optimum(
     assert result.gamma_optimal == pytest.approx(expected, rel=1e-3)
 
 
-@given(st.floats(0.5, 5.0), st.floats(0.1, 2.0), st.floats(5.0, 20.0))
+@given(st.floats(0.5, 5.0), st.floats(0.1, 2.0), st.floats(5.0, 20.0), st.integers(1, 2))
 @settings(max_examples=25, deadline=None)
 def test_a_zero_in_the_right_half_plane_bounds_the_sensitivity(
-    zero: float, corner: float, gain: float
+    zero: float, corner: float, gain: float, copies: int
 ) -> None:
     """||W S|| >= |W(zero)| for every controller, and the infimum reaches it (maximum modulus principle)."""
+    I = np.eye(copies)  # several of the same loop, side by side
     G = ct.ss(ct.tf([-1, zero], [1, 3 * zero, 2 * zero**2]))
     # W = gain corner / (s + corner): one state driven by the error.
     A = np.block([[np.array([[-corner]]), -gain * corner * G.C], [np.zeros((2, 1)), G.A]])
@@ -90,9 +91,10 @@ def test_a_zero_in_the_right_half_plane_bounds_the_sensitivity(
     B2 = np.vstack([[[0.0]], G.B])
     C1 = np.array([[1.0, 0.0, 0.0]])
     C2 = np.hstack([[[0.0]], -G.C])
-    P = plant(A, B1, B2, C1, C2, [[0.0]], [[0.0]], [[1.0]])
+    nothing = [[0.0]]
+    P = plant(*(np.kron(M, I) for M in (A, B1, B2, C1, C2, nothing, nothing, [[1.0]])))
     bound = gain * corner / (zero + corner)
-    result = hinfsyn(P, 1, 1, regularisation=1e-5)
+    result = hinfsyn(P, copies, copies, regularisation=1e-5)
     assert result.norm >= bound * (1 - 1e-6)
     assert result.norm <= bound * 1.1
 
@@ -249,6 +251,24 @@ class TestFaultsAreNamed:
             hinfsyn(scalar(3.0), 1, 1, gamma_max=2.0)
         # The limit is in the plant's units, and is tried itself.
         assert hinfsyn(scaled_by(scalar(3.0), 1e9), 1, 1, gamma_max=6.4e9).gamma_optimal < 6.4e9
+        with pytest.raises(MuflyError, match=r"below 6e\+09"):
+            hinfsyn(scaled_by(scalar(3.0), 1e9), 1, 1, gamma_max=6.0e9)
+
+    @pytest.mark.parametrize("coupling", [1e-5, 1e-6, 1e-7])
+    def test_at_the_end_of_numbers_a_level_is_kept_or_the_mode_named(self, coupling: float) -> None:
+        """A loop whose poles rounding cannot tell from the axis is no loop, and no traceback either."""
+        T, c, none = np.array([[0.8, 0.6], [-0.6, 0.8]]), coupling, np.zeros((2, 1))
+        P = plant(
+            T @ np.diag([2.0, -1.0]) @ T.T, np.hstack([T, none]), T @ [[c], [1]], np.vstack([T.T, none.T]),
+            np.array([[c, 1]]) @ T.T, np.zeros((3, 3)), [[0], [0], [1]], [[0, 0, 1]],
+        )  # fmt: skip
+        try:
+            result = hinfsyn(P, 1, 1)
+        except MuflyError as error:
+            told = str(error)
+            assert "mode 2 rad/s" in told
+        else:
+            assert result.norm <= result.gamma * (1 + 1e-6)
 
     @pytest.mark.parametrize(("reach", "sight"), [(1e-9, 1.0), (1.0, 1e-9), (1e-6, 1e-6)])
     def test_a_mode_that_can_hardly_be_held_is_named(self, reach: float, sight: float) -> None:

@@ -427,8 +427,11 @@ def hinfsyn(
                 break
             K = _controller(p, Ru, Ry, gamma, scaled)
             if K is not None:
-                loop = close_loop(scaled, K)
-                norm, where = hinf_norm(loop)
+                try:
+                    loop = close_loop(scaled, K)
+                    norm, where = hinf_norm(loop)
+                except (MuflyError, np.linalg.LinAlgError):  # not well posed, or beyond rounding
+                    continue
                 if norm <= gamma * (1 + 1e-6):
                     u, y = inputs[-n_controls:], outputs[-n_measurements:]
                     actuation = (p.B2 @ np.linalg.inv(Ru) - K.B @ p.D22) / u

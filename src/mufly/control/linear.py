@@ -228,7 +228,10 @@ def hinf_norm(system: control.StateSpace, *, tolerance: float = 1e-6) -> tuple[f
     candidates = np.concatenate(
         [[0.0], size, np.abs(poles.imag), np.geomspace(size.min() / 10, size.max() * 10, 60)]
     )
-    gains = singular_values(system, candidates)[:, 0]
+    try:
+        gains = singular_values(system, candidates)[:, 0]
+    except np.linalg.LinAlgError:  # a pole that rounding cannot tell from the axis
+        return np.inf, np.inf
     best = int(np.argmax(gains))
     lower, where = float(gains[best]), float(candidates[best])
     if top > lower:
