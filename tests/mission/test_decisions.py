@@ -1,0 +1,108 @@
+"""Single decisions of the state machine, asked directly: one state, measurement and signal, and what comes of it."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mufly.estimate import Estimate
+from mufly.mission import Command, State, begin, mission_from, step
+
+TWO = {"waypoint": [{"position_m": [1.0, 0.0, -1.0]}, {"position_m": [2.0, 0.0, -1.0]}]}
+HIGH = (0.0, 0.0, -1.0)
+
+
+def measured(t=0.02, x=HIGH, attitude=(0.0, 0.0, 0.0), volts=7.4):
+    return Estimate(t, np.array(x), np.zeros(3), np.array(attitude), np.zeros(3), np.full(8, 1.5), volts)
+
+
+def hovering(rig, tables=TWO, **changes):
+    """A plan, and a hover at 1 m with the mission begun and its wait over."""
+    plan = rig.plan_for(mission_from(tables))
+    s = begin(plan, measured(0.0, (0.0, 0.0, -0.07)))
+    usual = {
+        "state": State.HOVER,
+        "motors": "fly",
+        "started": True,
+        "begun": True,
+        "hold": HIGH,
+        "goal": HIGH,
+    }
+    return plan, replace(s, **(usual | changes))
+
+
+@pytest.mark.parametrize(("motors", "told"), [("fly", 1), ("off", 0)])
+def test_a_low_battery_is_told_to_a_pilot_who_flies_once(rig, motors, told):
+    plan, s = hovering(rig, state=State.RC, motors=motors, begun=False, battery_V=5.5)
+    for k in range(1, 120):
+        s, _ = step(plan, s, measured(0.02 * k, volts=5.5), Command(rc=True))
+    low = [e for e in s.events if "battery low" in e.text]
+    assert [e.level for e in low] == ["warning"] * told
+    assert s.state is State.RC
+    assert s.outcome == ""
+
+
+@pytest.mark.parametrize(("before", "after"), [("", "failed"), ("succeeded", "succeeded")])
+def test_a_low_battery_lands_and_fails_only_what_was_open(rig, before, after):
+    plan, s = hovering(rig, outcome=before, manual=True, battery_V=5.5)
+    for k in range(1, 60):
+        s, _ = step(plan, s, measured(0.02 * k, volts=5.5), Command())
+    assert s.state is State.LANDING
+    assert s.outcome == after
+    assert ("battery low: 5.50 V, below 6.00 V" in s.reason) is (after == "failed")
+
+
+@pytest.mark.parametrize(
+    ("index", "state", "text"), [(0, "waypoint", "waypoint 1"), (1, "waypoint", "waypoint 2")]
+)
+def test_after_a_wait_the_next_waypoint_is_flown_to_down_to_the_last(rig, index, state, text):
+    plan, s = hovering(rig, index=index)
+    s, _ = step(plan, s, measured(), Command())
+    assert (s.state, s.events[-1].text) == (state, text)
+    assert s.goal == (index + 1.0, 0.0, -1.0)
+
+
+@pytest.mark.parametrize(
+    ("at_end", "state", "outcome"),
+    [("land", "landing", ""), ("hover", "hover", "succeeded"), ("return", "waypoint", "")],
+)
+def test_after_the_last_wait_it_does_what_the_mission_says(rig, at_end, state, outcome):
+    plan, s = hovering(rig, TWO | {"at_end": at_end}, index=2)
+    s, _ = step(plan, s, measured(), Command())
+    assert (s.state, s.outcome) == (state, outcome)
+    assert "mission complete" in s.events[-1].text
+    assert s.homing is (at_end == "return")
+
+
+@pytest.mark.parametrize(
+    ("index", "begun", "outcome", "first", "then"),
+    [(1, True, "", None, 1), (2, True, "succeeded", None, 0), (0, True, "", 1, 1), (1, False, "", None, 1)],
+)
+def test_start_goes_on_where_it_was_and_anew_when_it_was_over(rig, index, begun, outcome, first, then):
+    plan, s = hovering(rig, index=index, begun=begun, outcome=outcome, manual=True)
+    s, _ = step(plan, s, measured(), Command(start=True, first=first))
+    assert (s.state, s.index, s.outcome) == (State.WAYPOINT, then, "")
+    texts = [e.text for e in s.events]
+    goes_on = "the mission goes on" if begun and not outcome else "the mission begins"
+    assert (f"on to waypoint {first + 1}" if first is not None else goes_on) in texts
+
+
+@pytest.mark.parametrize(("signal", "word"), [({"land": True}, "land"), ({"home": True}, "return")])
+@pytest.mark.parametrize(("index", "left"), [(0, "2 waypoints to go"), (1, "1 waypoint to go"), (2, "")])
+def test_what_a_user_breaks_off_is_counted(rig, signal, word, index, left):
+    plan, s = hovering(rig, index=index, manual=index == 2)
+    s, _ = step(plan, s, measured(), Command(**signal))
+    assert s.quit == (f"{word} signal with {left}" if left else "")
+
+
+@pytest.mark.parametrize(
+    ("height", "tilt", "stops"), [(0.25, 70.0, True), (0.36, 70.0, False), (0.25, 50.0, False)]
+)
+def test_tipped_over_near_the_floor_stops_the_motors(rig, height, tilt, stops):
+    plan, s = hovering(rig)
+    s, r = step(
+        plan, s, measured(x=(0.0, 0.0, -0.07 - height), attitude=(0.0, math.radians(tilt), 0.0)), Command()
+    )
+    assert (r.motors == "off") is stops
+    assert (s.outcome == "failed") is stops
