@@ -13,7 +13,13 @@ from mufly.identify.residuals import (
     ljung_box,
     spectral_lines,
 )
-from mufly.identify.result import coloured_covariance, parzen, relative, unseen_combinations
+from mufly.identify.result import (
+    coloured_covariance,
+    likeliest_errors,
+    parzen,
+    relative,
+    unseen_combinations,
+)
 
 
 def record(measured, predicted, inputs, dt=0.02, outputs=("q",), names=("lon",)):
@@ -147,7 +153,8 @@ def test_wrong_gain_bias_and_an_input_that_never_moved_are_named():
     y = simulate(u, 3.0)
     noise = 0.02 * np.random.default_rng(13).normal(size=4000)
     assert any("too small" in w for w in what_is_missing(record(y + noise, 0.5 * y, u)))
-    assert any("constant offset" in w for w in what_is_missing(record(y + noise + 0.5, y, u)))
+    offset = what_is_missing(record(y + noise + 0.5, y, u))
+    assert any("constant offset" in w and w.startswith("100 % of") for w in offset)
     assert any("never moved" in w for w in what_is_missing(record(y + noise, y, np.ones(4000))))
 
 
@@ -183,3 +190,15 @@ def test_what_cannot_be_told_apart_is_said():
     words = unseen_combinations(("a", "b", "c"), relative(cov, np.array([5.0, 5.0, 1.0])))
     assert any("a and b are hardly told apart" in w for w in words)
     assert any("c is hardly seen" in w for w in words)
+
+
+@pytest.mark.parametrize(("second", "shape"), [(7.0, "1 % of the reading"), (5.0, "0.5 % of full scale")])
+def test_the_first_shape_of_errors_holds_unless_another_is_clearly_likelier(second, shape):
+    minus_log = {(1.0, 0.0): 10.0, (0.0, 0.5): second}
+
+    def tried(reading, full):
+        return np.array([reading, full]), minus_log[reading, full]
+
+    std, words = likeliest_errors(list(minus_log), tried)
+    assert words == shape
+    assert tuple(std) == ((1.0, 0.0) if second > 6.0 else (0.0, 0.5))
