@@ -14,6 +14,7 @@ from mufly.identify.residuals import (
     spectral_lines,
 )
 from mufly.identify.result import (
+    colour_reach,
     coloured_covariance,
     likeliest_errors,
     parzen,
@@ -202,3 +203,9 @@ def test_the_first_shape_of_errors_holds_unless_another_is_clearly_likelier(seco
     std, words = likeliest_errors(list(minus_log), tried)
     assert words == shape
     assert tuple(std) == ((1.0, 0.0) if second > 6.0 else (0.0, 0.5))
+
+
+def test_an_offset_is_no_colour():
+    white = np.random.default_rng(15).standard_normal(2000)
+    assert colour_reach(white + 100.0, 300) == colour_reach(white, 300) == 0
+    assert colour_reach(np.zeros(50), 20) == 0
