@@ -106,3 +106,12 @@ def test_tipped_over_near_the_floor_stops_the_motors(rig, height, tilt, stops):
     )
     assert (r.motors == "off") is stops
     assert (s.outcome == "failed") is stops
+
+
+@pytest.mark.parametrize(
+    ("started", "begun", "outcome"), [(True, True, "failed"), (True, False, "failed"), (False, False, "")]
+)
+def test_a_stop_fails_a_flight_with_a_mission_or_without_but_not_none(rig, started, begun, outcome):
+    plan, s = hovering(rig, started=started, begun=begun)
+    s, r = step(plan, s, measured(), Command(stop="emergency stop"))
+    assert (s.state, s.outcome, s.finished, r.motors) == (State.INIT, outcome, outcome != "", "off")
