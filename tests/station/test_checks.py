@@ -97,14 +97,14 @@ def test_a_mission_that_takes_longer_than_the_battery_lasts(world):
 
 def test_the_time_of_a_mission_is_that_of_its_ways_climbs_and_waits():
     rows = [
-        MissionRow("take off", (0.0, 0.0, -1.0)),
+        MissionRow("take off", (0.0, 0.0, -1.0), wait_s=1.5),
         MissionRow("waypoint", (3.0, 4.0, -1.0), wait_s=2.0),
         MissionRow("speed", text="0.25 m/s"),
         MissionRow("waypoint", (3.0, 5.0, -2.0)),
         MissionRow("land", (3.0, 5.0, 0.0)),
     ]
     climbs = (1.0 + 1.0 + 2.0) / 0.4
-    assert flight_time(rows, 0.5) == pytest.approx(5.0 / 0.5 + 1.0 / 0.25 + climbs + 2.0)
+    assert flight_time(rows, 0.5) == pytest.approx(5.0 / 0.5 + 1.0 / 0.25 + climbs + 3.5)
     assert flight_time([]) == 0.0
 
 
