@@ -6,10 +6,11 @@ import pytest
 import mufly
 from mufly.errors import InputError
 from mufly.identify import Progress, choose_free, fit_flights, fit_split, with_estimates
-from mufly.identify.flight.demo import NOISE, RADIO_DELAY_S, demo_flights, run_demo
-from mufly.identify.flight.problem import make_problem
+from mufly.identify.flight.demo import NOISE, RADIO_DELAY_S, Excitation, demo_flights, fly_record, run_demo
+from mufly.identify.flight.minimise import Linearised, Point, descend, moved_by_held, straightness
+from mufly.identify.flight.problem import Free, Linear, make_problem
 from mufly.identify.flight.starts import settled
-from mufly.vehicle import load_vehicle, parameters, replace, vehicle_toml
+from mufly.vehicle import Vehicle, load_vehicle, parameters, replace, vehicle_toml
 
 ROLL_PITCH = ("Iyy", "l_up", "l_dw", "Tf_up")
 
@@ -252,3 +253,83 @@ def test_a_prediction_that_is_far_off_says_so(truth, moving):
     assert fit.records[-1].doubt.startswith("demo-heave: ")
     assert "height" in fit.message
     assert not fit.converged
+
+
+def test_doubt_of_what_is_held_is_what_a_fit_with_it_off_moves_by(truth, flights, fitted):
+    """Before: the interval was that of data alone, whatever else was known to 15 %."""
+    stated = truth.model_dump()
+    stated["rotors"]["lower"]["hub_z"]["std"] = 0.002
+    start = Vehicle.model_validate(stated)
+    free = choose_free(start, ROLL_PITCH, flights["roll"].outputs)
+    options = {"part": "roll-pitch", "delay_s": RADIO_DELAY_S, "prior": False}
+    records = [flights["roll"], flights["pitch"]]
+    problem = make_problem(start, free, records, voltage="nominal", **options)
+    found = settled(problem, np.zeros(4))
+    point, _ = descend(problem, Point(np.zeros(4), found.states, np.inf), iterations=30, tolerance=1e-9)
+    moved, wider = moved_by_held(Linearised(problem, point))
+    k = [f.symbol for f in wider.free[4:]].index("z_dw")
+    assert wider.free[4 + k].prior_std == pytest.approx(0.002 / 0.051)
+    z = -0.051 * np.exp(0.002 / 0.051)
+    off = make_problem(replace(start, {"rotors.lower.hub_z": z}), free, records, voltage="nominal", **options)
+    again, _ = descend(off, point, iterations=30, tolerance=1e-9)
+    assert again.theta - point.theta == pytest.approx(moved[:, k], abs=0.1 * np.abs(moved[:, k]).max())
+    # ... and in the intervals: with it they are wider by just that, which is said.
+    exact = fit_flights(start, free, records, held_exact=True, **options)
+    doubtful = fit_flights(start, free, records, **options)
+    for a, b, m in zip(exact.estimates, doubtful.estimates, moved, strict=True):
+        assert b.std**2 == pytest.approx(a.std**2 + b.value**2 * float(m @ m), rel=0.1)
+    assert exact.held == ()
+    assert any(said.startswith("l_dw: ") and "% from the data" in said for said in doubtful.held)
+
+
+def test_a_hover_alone_is_not_fitted_without_a_word(truth):
+    """Before: "converged", with 5 of 12 truths outside, one 72 % off at a standard deviation of 20 %."""
+    still = fly_record(
+        truth, Excitation(np.zeros((601, 4)), np.zeros((601, 2))), np.random.default_rng(1), name="hover"
+    )
+    start = started(truth, ("Izz", "l_up"))
+    fit = fit_flights(
+        start, choose_free(start, ["Izz", "l_up"], still.outputs), [still], delay_s=RADIO_DELAY_S
+    )
+    assert "heave and yaw hardly move" in fit.message
+    assert (
+        "what is found of Izz rests on little; fly `mufly identify plan --channel heave,yaw`" in fit.message
+    )
+    assert "what is found of l_up rests on little" in fit.message
+
+
+def test_an_interval_that_a_bent_cost_does_not_bear_out_is_said():
+    """One parameter seen through its square: the cost is no parabola within two deviations."""
+    residual = np.linspace(-1, 1, 200)
+
+    class Bent:
+        free = (Free("a", "", "1", 1.0, 1.0, -9.0, 9.0, np.inf, "estimated"),)
+        prior_std, hover, bounds = np.array([np.inf]), False, (np.array([-9.0]), np.array([9.0]))
+        starts, flights, records = (np.zeros(1, dtype=int),), (), (None,)
+
+        def __init__(self, slope):
+            self.slope = slope
+
+        def residuals(self, theta, states):
+            shape = np.sin(7 * residual)
+            return [((self.slope * theta + theta**2) * shape + 0.1 * np.cos(9 * residual))[:, :, None]]
+
+        def spread(self, i):
+            return np.ones(0)
+
+        def hover_residual(self, theta):
+            return np.zeros((len(theta), 0))
+
+        def linearise(self, i, theta, states):
+            e = self.residuals(theta[None], None)[0][0]
+            d = (self.residuals(theta[None] + 1e-6, None)[0][0] - e) / 1e-6
+            return Linear(e, d[:, :, None], np.zeros((*e.shape, 0)))
+
+        def cost(self, theta, states):
+            return 0.5 * np.sum(self.residuals(theta, states)[0] ** 2, axis=(1, 2))
+
+    for slope, straight in ((40.0, True), (0.6, False)):
+        problem = Bent(slope)
+        point = Point(np.zeros(1), [np.zeros((1, 0))], float(problem.cost(np.zeros((1, 1)), None)[0]))
+        rise, _ = straightness(Linearised(problem, point))
+        assert bool(np.all(np.abs(rise - 1) < 0.3)) == straight

@@ -43,6 +43,13 @@ _SOURCES = {
     "rates": (("p", 0, 1.0), ("q", 1, 1.0), ("r", 2, 1.0)),
     "rotor_speed": (("speed_up", 0, 1.0), ("speed_dw", 1, 1.0)),
 }
+# What shows that a channel is excited: its rates, which no slow drift moves; without them what they are the change of.
+CHANNEL_OUTPUTS = {
+    "heave": ("height", "climb"),
+    "yaw": ("r", "yaw"),
+    "roll": ("p", "roll"),
+    "pitch": ("q", "pitch"),
+}
 _UNITS = {q.name: q.units for q in QUANTITIES}
 OUTPUT_UNITS = {o: _UNITS[f"measured_{name}"] for name, parts in _SOURCES.items() for o, _, _ in parts}
 OUTPUT_UNITS |= {"voltage": _UNITS["battery_voltage"]}
@@ -224,6 +231,16 @@ def difference_noise(r: Record) -> Array:
         # The median is not moved by a few outliers or steps; 1.4826 makes it the deviation of a normal law.
         out[k] = max(1.4826 * float(np.median(np.abs(d))) / np.sqrt(20.0), _QUIET.get(name, 2e-4))
     return out
+
+
+def signal_over_noise(records: Sequence[Record]) -> dict[str, float]:
+    """Return by how much outputs move, smoothed, over their noise, each in the record where it moves most."""
+    most: dict[str, float] = {}
+    for r in records:
+        for k, (name, noise) in enumerate(zip(r.outputs, difference_noise(r), strict=True)):
+            y = smoothed(filled(r.measured[:, k]), r.sample_s, 0.25)
+            most[name] = max(most.get(name, 0.0), float(np.std(y) / noise))
+    return most
 
 
 def filled(y: Array) -> Array:

@@ -215,6 +215,9 @@ def _body(fit: Fit, album: _Album, command: str, sections: Sequence[Section]) ->
                 "correlation", lambda: pictures.correlation_picture(fit), "Correlation of estimates"
             )
         )
+    if fit.held:
+        parts.append("<h2>In doubt for what was held</h2>")
+        parts.append(_listed(fit.held, ""))
     parts.append("<h2>What the data cannot tell apart</h2>")
     parts.append(_listed(fit.unseen, "Nothing stands out: every parameter is determined by these records."))
     if fit.records:

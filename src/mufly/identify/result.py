@@ -174,6 +174,8 @@ class Fit(Estimates):
         Why it stopped, and warnings, in words.
     records : tuple of RecordFit
         Used first, held-out ones after them.
+    held : tuple of str
+        Estimates whose interval is wide above all because of parameters that were held, each in words.
     """
 
     vehicle: str
@@ -189,6 +191,7 @@ class Fit(Estimates):
     converged: bool
     message: str
     records: tuple[RecordFit, ...]
+    held: tuple[str, ...] = ()
 
     def records_of(self, role: Literal["fit", "held out"]) -> tuple[RecordFit, ...]:
         """Return the records of one role."""
@@ -229,7 +232,8 @@ def with_estimates(vehicle: Vehicle, estimates: Iterable[Estimate], note: str) -
         doubt = (
             "held at its bound" if e.at_bound else f"std {e.std:.2g}, 95 % from {e.low:.4g} to {e.high:.4g}"
         )
-        table[last] = {**table[last], "value": e.value, "source": "identified", "note": f"{note}; {doubt}"}
+        told = {"source": "identified", "note": f"{note}; {doubt}", "std": None if e.at_bound else e.std}
+        table[last] = {**table[last], "value": e.value, **told}
         written += 1
     if not written:
         raise ArgumentError(

@@ -29,12 +29,16 @@ class _Frozen(BaseModel):
 
 
 class Quantity(_Frozen):
-    """One number with its unit and provenance. ``float(quantity)`` is the SI value."""
+    """One number with its unit and provenance. ``float(quantity)`` is the SI value.
+
+    ``std``, its standard deviation in the same unit, may be stated; identification takes one by the source otherwise.
+    """
 
     value: float
     unit: str
     source: Source
     note: str = ""
+    std: float | None = Field(default=None, ge=0.0)
 
     def __float__(self) -> float:
         return self.value
@@ -128,4 +132,6 @@ class Group(_Frozen):
         value = _scaled(raw["value"], units_of(si)[raw["unit"]])
         for v in _flat(value):
             _check_limits(v, si, declared)
-        return {**raw, "value": value, "unit": si}
+        std = raw.get("std")
+        scaled = {} if std is None else {"std": _scaled(std, units_of(si)[raw["unit"]])}
+        return {**raw, "value": value, "unit": si, **scaled}

@@ -316,6 +316,7 @@ class Parameter(NamedTuple):
     source: str
     description: str
     note: str
+    std: float | None = None
 
 
 def builtin_vehicles() -> list[str]:
@@ -368,7 +369,9 @@ def parameters(vehicle: Vehicle) -> list[Parameter]:
             symbol += "_up"
         elif key.startswith("rotors.lower."):
             symbol += "_dw"
-        rows.append(Parameter(key, symbol, q.value, q.unit, q.source, description, q.note))
+        rows.append(
+            Parameter(key, symbol, q.value, q.unit, q.source, description, q.note, getattr(q, "std", None))
+        )
     return rows
 
 
@@ -402,7 +405,8 @@ def replace(
         if not isinstance(table, dict) or last not in table:
             raise InputError("replace", key, "no such parameter", "use a key that `mufly vehicle show` lists")
         if isinstance(table[last], dict) and "source" in table[last]:
-            table[last] = {**table[last], "value": value, "source": source, "note": "set by hand"}
+            told = {"value": value, "source": source, "note": "set by hand"}
+            table[last] = {k: v for k, v in table[last].items() if k != "std"} | told
         else:
             table[last] = value
     if "body.mass" in values:

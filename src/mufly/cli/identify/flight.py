@@ -90,6 +90,10 @@ def flight(
     seed: Annotated[int, option("K", "Of CMA-ES.", min=0)] = 0,
     restarts: Annotated[int, option("N", "Of CMA-ES, each with twice the population.", min=0)] = 0,
     no_prior: Annotated[bool, option("--no-prior", "Start values do not weigh in.")] = False,
+    held_exact: Annotated[
+        bool,
+        option("--held-exact", "What is not free is known exactly; its doubt does not widen the intervals."),
+    ] = False,
     checkpoint: Annotated[
         Path | None,
         option(
@@ -152,7 +156,7 @@ def flight(
     options: dict[str, Any] = {
         "held_out": held, "voltage": _voltage(voltage), "delay_s": delay_ms / 1e3, "prior": not no_prior,
         "window_s": window, "method": method, "seed": seed, "restarts": restarts, "checkpoint": keep,
-        "outputs": chosen,
+        "outputs": chosen, "held_exact": held_exact,
     }  # fmt: skip
     try:
         with on_cluster(cluster), _fit_progress(not as_json) as on_progress:
@@ -241,6 +245,7 @@ def _report(fit: Fit, folder: Path | None, shown: bool) -> list[Path]:
 def _print_rest(fit: Fit) -> None:
     """Print what stands below the table: what is not seen, errors by record, how the fit ended."""
     say(*(f"{text}." for text in fit.unseen), mark="Not told apart", style="yellow")
+    say(*(f"{text}." for text in fit.held), mark="In doubt for what was held")
     rows = []
     for r in fit.records:
         ratios = zip(r.outputs, r.rms_over_noise(), strict=True)
@@ -264,6 +269,7 @@ def _json(fit: Fit) -> dict[str, Any]:
         "parameters": fit.estimates,
         "correlation": fit.correlation,
         "unseen": fit.unseen,
+        "held": fit.held,
         "records": [
             {"name": r.name, "role": r.role, "outputs": r.outputs, "noise_std": r.noise_std,
              "error_over_noise": r.rms_over_noise(), "converged": r.converged, "doubt": r.doubt}

@@ -50,7 +50,7 @@ _LEAD_S = 2.0  # before the recorder of a flight that begins in motion
 
 
 @dataclass(frozen=True)
-class _Excitation:
+class Excitation:
     """Added to the set-points (height m, roll, pitch, yaw rad) and to the motors, (n, 4) and (n, 2)."""
 
     set_point: _Array
@@ -65,7 +65,7 @@ def chirp(time_s: _Array, low_hz: float, high_hz: float) -> _Array:
     return np.sin(phase) * fade
 
 
-def _excitations(n: int, rng: np.random.Generator) -> dict[str, _Excitation]:
+def _excitations(n: int, rng: np.random.Generator) -> dict[str, Excitation]:
     t = np.arange(n) * SAMPLE_S
     pilot_b, pilot_a = butter(2, 2 * 0.3 * SAMPLE_S)
 
@@ -82,7 +82,7 @@ def _excitations(n: int, rng: np.random.Generator) -> dict[str, _Excitation]:
     out = {}
     for name in ("yaw", "heave", "roll", "pitch", "mixed"):
         set_point = np.column_stack([pilot(0.05), pilot(0.02), pilot(0.02), pilot(0.1)])
-        out[name] = _Excitation(set_point, np.zeros((n, 2)))
+        out[name] = Excitation(set_point, np.zeros((n, 2)))
     out["yaw"].motor[:, 0] = 0.08 * chirp(late, 0.2, 3.0)
     out["heave"].motor[:] = 0.06 * chirp(late, 0.2, 3.0)[:, None]
     out["roll"].set_point[:, 1] += 0.25 * chirp(late, 0.3, 4.0)
@@ -93,14 +93,14 @@ def _excitations(n: int, rng: np.random.Generator) -> dict[str, _Excitation]:
     return out
 
 
-def fly_record(vehicle: Vehicle, excitation: _Excitation, rng: np.random.Generator, *, name: str) -> Record:
+def fly_record(vehicle: Vehicle, excitation: Excitation, rng: np.random.Generator, *, name: str) -> Record:
     """Fly one record.
 
     Parameters
     ----------
     vehicle : Vehicle
         The truth.
-    excitation : _Excitation
+    excitation : Excitation
     rng : numpy.random.Generator
         For the sensors.
     name : str
@@ -272,7 +272,13 @@ def run_demo(
     values = {rows[s].key: true[s] * float(factor[s]) for s in DEMO_FREE if s != "delay"}
     start = replace(truth, values, source="estimated")
     free = choose_free(start, DEMO_FREE, flights[0].outputs, delay_s=true["delay"] * float(factor["delay"]))
-    options = {"held_out": held_out, "method": method, "seed": seed, "on_progress": on_progress}
+    options = {
+        "held_out": held_out,
+        "method": method,
+        "seed": seed,
+        "on_progress": on_progress,
+        "held_exact": True,
+    }
     fit = fit_flights(start, free, flights, **options)  # type: ignore[arg-type]
     return Demo(seed, true, start, fit, over_true_noise(fit.records[-1]))
 

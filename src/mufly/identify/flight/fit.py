@@ -32,7 +32,17 @@ from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from mufly.errors import ArgumentError, InputError
-from mufly.identify.flight.minimise import Course, Linearised, Point, bend_of_valley, descend, evolve
+from mufly.identify.flight.doubts import ABOVE, above_noise, held_in_words, notes_of
+from mufly.identify.flight.minimise import (
+    Course,
+    Linearised,
+    Point,
+    bend_of_valley,
+    descend,
+    evolve,
+    moved_by_held,
+    straightness,
+)
 from mufly.identify.flight.problem import (
     HEAVE_YAW,
     PART_OUTPUTS,
@@ -44,7 +54,12 @@ from mufly.identify.flight.problem import (
     physical,
 )
 from mufly.identify.flight.starts import LEAST_GAIN, beginnings, settled
-from mufly.identify.record import INPUTS, Record, difference_noise, units_of
+from mufly.identify.record import (
+    INPUTS,
+    Record,
+    difference_noise,
+    units_of,
+)
 from mufly.identify.result import (
     FAR_OFF,
     Estimate,
@@ -61,7 +76,6 @@ from mufly.vehicle import Vehicle
 _Array = NDArray[np.float64]
 Method = Literal["lm", "cma"]
 
-_ABOVE = 1.5  # residuals over the sensor's noise that are worth a word
 _CHARGING_WINDOW_S = 1.5  # in which the voltage is simulated that sets the battery's charge
 _NORMAL_95 = 1.959964
 _SHORT = (0.1, 0.4, 1.5)
@@ -91,8 +105,8 @@ class Progress:
 def fit_flights(
     vehicle: Vehicle, free: Sequence[Free], records: Sequence[Record], *, held_out: Sequence[Record] = (),
     part: Part = "both", outputs: Sequence[str] | None = None, voltage: str | float = "model", delay_s: float = 0.0,
-    prior: bool = True, window_s: float | None = None, method: Method = "lm", seed: int = 0, restarts: int = 0,
-    checkpoint: Path | None = None, on_progress: Callable[[Progress], None] | None = None,
+    prior: bool = True, held_exact: bool = False, window_s: float | None = None, method: Method = "lm", seed: int = 0,
+    restarts: int = 0, checkpoint: Path | None = None, on_progress: Callable[[Progress], None] | None = None,
 ) -> Fit:  # fmt: skip
     """Fit the flight model to records.
 
@@ -109,6 +123,8 @@ def fit_flights(
     voltage : {"model", "measured", "nominal"} or float
         Likewise; "model" is "nominal" where no voltage was recorded, and "measured" for a vehicle whose battery model
         is constant.
+    held_exact : bool
+        Take what is not free to be known exactly, instead of to its stated standard deviation or that of its source.
     window_s : float, optional
         Last stage in windows of this length (s) instead of whole records.
     method : {"lm", "cma"}
@@ -141,7 +157,7 @@ def fit_flights(
     # Matrices here are tall and thin: threads of the linear algebra would only wait for those of the simulations.
     with threadpool_limits(limits=1, user_api="blas"):
         point, problem, converged = run.go()
-        fit = _outcome(problem, point, run.state.history, _NAMES[method], converged)
+        fit = _outcome(problem, point, run.state.history, _NAMES[method], converged, held_exact)
         held = tuple(_predicted(problem, point.theta, r, voltage, outputs) for r in held_out)
     return replace(fit, records=fit.records + held, seconds=time.perf_counter() - start)
 
@@ -260,7 +276,7 @@ class _Run:
                 resumed = False
                 state.stage, state.round = k, r
                 point, converged = self._solve(problem, point, stage, k)
-                if last and stage.window_s is None and max(_above_noise(problem).values()) > _ABOVE:
+                if last and stage.window_s is None and max(above_noise(problem).values()) > ABOVE:
                     point, converged = self._again(problem, point, stage, k, converged)
                 state.course, state.iteration, state.point = None, 0, point
                 theta, flown = point.theta, point.simulations
@@ -386,7 +402,12 @@ def _point_from(d: dict[str, Any] | None) -> Point:
 
 
 def _outcome(
-    problem: Problem, point: Point, history: Sequence[dict[str, Any]], method: str, converged: bool
+    problem: Problem,
+    point: Point,
+    history: Sequence[dict[str, Any]],
+    method: str,
+    converged: bool,
+    held_exact: bool,
 ) -> Fit:
     """Return the result of a fit that ended at ``point``; ``method`` in words."""
     free, linear = problem.free, Linearised(problem, point)
@@ -396,14 +417,20 @@ def _outcome(
     )
     bend, flown = bend_of_valley(linear)
     covariance = covariance + 2.0 * bend.T @ bend
+    held: tuple[Free, ...] = ()
+    from_data, moved = np.diag(covariance), np.zeros((len(free), 0))
+    if not held_exact:
+        moved, wider = moved_by_held(linear)
+        covariance, held = covariance + moved @ moved.T, wider.free[len(free) :]
     data = np.concatenate([s.reshape(-1, len(free)) for s in sensitivities])
     # What Gauss and Newton would still gain: at a minimum nothing.
     least, most = problem.bounds
     at_bound = (point.theta <= least + 1e-9) | (point.theta >= most - 1e-9)
     q = np.linalg.qr(linear.jacobian[:, ~at_bound])[0]
     gain = 0.5 * float(np.sum((q.T @ linear.here) ** 2))
-    notes = _notes(problem, at_bound, coloured)
-    above = _above_noise(problem)
+    rise, more = straightness(linear)
+    notes = notes_of(problem, at_bound, coloured, linear, rise)
+    above = above_noise(problem)
     there = gain < 10 * LEAST_GAIN
     if not there:
         notes.insert(0, f"not at a minimum: a linear step promises {gain:.2g} of cost {point.cost:.6g}")
@@ -428,35 +455,13 @@ def _outcome(
         cost=point.cost,
         history=tuple(history),
         method=f"output error, {method}, {problem.part}",
-        simulations=point.simulations + flown + linear.flights,
+        simulations=point.simulations + flown + more + linear.flights,
         seconds=0.0,
         converged=converged and there,
         message="; ".join(notes) if notes else "converged",
         records=tuple(_record_fit(problem, i, point, "fit") for i in range(len(problem.flights))),
+        held=held_in_words(free, held, moved, from_data),
     )
-
-
-def _notes(problem: Problem, at_bound: NDArray[np.bool_], coloured: bool) -> list[str]:
-    """Return what a reader of the estimates has to know."""
-    held = [f.symbol for f, b in zip(problem.free, at_bound, strict=True) if b]
-    notes = [f"{symbol} stopped at its bound: its interval does not hold" for symbol in held]
-    large = [f"{o} ({v:.1f} times)" for o, v in _above_noise(problem).items() if v > _ABOVE]
-    if large:
-        notes.append(
-            f"residuals above the sensor noise: {', '.join(large)}; wind or the model; try windows of 3 s"
-        )
-    if coloured:
-        notes.append("residuals are coloured; the intervals account for it")
-    return notes
-
-
-def _above_noise(problem: Problem) -> dict[str, float]:
-    """Return how far the noise that was learnt is above the sensor's, the worst record of every output."""
-    ratios: dict[str, float] = {}
-    for f in problem.flights:
-        for o, ratio in zip(f.record.outputs, f.noise / difference_noise(f.record), strict=True):
-            ratios[o] = max(ratios.get(o, 0.0), float(ratio))
-    return ratios
 
 
 def _record_fit(problem: Problem, i: int, point: Point, role: Literal["fit", "held out"]) -> RecordFit:
@@ -559,6 +564,7 @@ def _combined(fits: Sequence[Fit]) -> Fit:
         covariance=block_diag(*[f.covariance for f in fits]),
         correlation=block_diag(*[f.correlation for f in fits]),
         unseen=tuple(u for f in fits for u in f.unseen),
+        held=tuple(h for f in fits for h in f.held),
         cost=sum(f.cost for f in fits),
         history=tuple({**row, "iteration": k + 1} for k, row in enumerate(history)),
         method=" then ".join(f.method for f in fits),

@@ -49,6 +49,7 @@ _LEAST_SHARE = 1e-4
 _REACH = 0.25
 _CHORDS, _MANY_WINDOWS = 3, 100
 _CURVATURE_CHORDS = 4
+_SEEN = 2.0  # singular value, over which an axis is seen: half its unit
 _HOPELESS = 1e6  # a trial that is worse by this is not worth correcting
 
 
@@ -305,6 +306,47 @@ def _step(problem: Problem, theta: _Array, triangle: _Array, target: _Array, dam
     return np.clip(theta + step, low, high) - theta
 
 
+def moved_by_held(linear: Linearised) -> tuple[_Array, Problem]:
+    """Return how far the estimates move with one standard deviation of each parameter that is held, (t, h).
+
+    At the minimum of the linearised problem ``|e + J d_theta + C d_c|^2``, start values eliminated and priors among
+    the rows of ``J``, a held parameter that is off by ``d_c`` moves the estimates by
+
+        d_theta = -J^+ C d_c,      covariance += (J^+ C) diag(doubt^2) (J^+ C)^T
+
+    (the *consider* covariance of Schmidt 1966; Tapley, Schutz and Born, Statistical Orbit Determination, ch. 6).
+
+    Returns
+    -------
+    moved : (t, h) array
+    problem : Problem
+        With the held parameters behind the free ones, as the columns are.
+    """
+    problem, point = linear.problem, linear.point
+    wider, t = problem.with_held()
+    h = len(wider.free) - t
+    delta = 1e-7
+    at = np.concatenate([point.theta, np.zeros(h)])
+    thetas = np.vstack([at, at + delta * np.eye(t + h)[t:]])
+    residuals = [
+        wider.residual(i, thetas, np.repeat(s[None], h + 1, axis=0)) for i, s in enumerate(point.states)
+    ]
+    columns = []
+    for c in range(1, h + 1):
+        rows = [
+            r.rows_of((e[c] - e[0]) / delta, np.zeros_like(s))
+            for r, e, s in zip(linear.records, residuals, point.states, strict=True)
+        ]
+        parts = [r.project(x) for r, x in zip(linear.records, rows, strict=True)]
+        below = len(linear.jacobian) - sum(len(p) for p in parts)
+        columns.append(np.concatenate([*parts, np.zeros(below)]))
+    if not columns:
+        return np.zeros((t, 0)), wider
+    u, s, vt = np.linalg.svd(linear.jacobian, full_matrices=False)
+    moved = -(vt.T / s) @ (u.T @ np.column_stack(columns))
+    return moved * np.array([f.prior_std for f in wider.free[t:]]), wider
+
+
 def bend_of_valley(linear: Linearised) -> tuple[_Array, int]:
     """Return how far second-order terms widen the spread, ``c_k`` as rows (t, t), and the flights it took.
 
@@ -321,30 +363,61 @@ def bend_of_valley(linear: Linearised) -> tuple[_Array, int]:
     linear : Linearised
         At the minimum.
     """
-    problem, point = linear.problem, linear.point
-    u, s, vt = np.linalg.svd(linear.jacobian, full_matrices=False)
-    t = len(point.theta)
-    axes = vt.T / np.maximum(s, 2.0)  # an axis that is hardly seen is followed for half its unit at most
+    t = len(linear.point.theta)
     # The last one has nothing held: it goes to the minimum itself, from which bends are counted.
     sides = np.concatenate([np.eye(t), -np.eye(t), np.zeros((1, t))])
+    thetas, _ = _along_floor(linear, sides, _CURVATURE_CHORDS)
+    bend = 0.5 * (thetas[:t] + thetas[t : 2 * t]) - thetas[-1]
+    bend = np.where(np.all(np.isfinite(bend), axis=1, keepdims=True), bend, 0.0)
+    return bend, _CURVATURE_CHORDS * len(sides) * len(linear.records)
+
+
+def straightness(linear: Linearised) -> tuple[_Array, int]:
+    """Return how much the cost rises two standard deviations along every axis, over what it would in a straight valley.
+
+    An interval of two standard deviations is that of a quadratic cost, which rises by ``z^2 / 2 = 2`` there. Where the
+    profile (all other coordinates corrected) rises by much more or less, intervals by covariance do not hold (Bates and
+    Watts, Nonlinear Regression Analysis, ch. 6: profile t).
+
+    Returns
+    -------
+    rise : (t, 2) array
+        Of axis ``k`` of the right singular vectors, to both sides; NaN where a bound is in the way, or the axis
+        is known by the prior alone.
+    flights : int
+    """
+    problem, t = linear.problem, len(linear.point.theta)
+    sides = 2.0 * np.concatenate([np.eye(t), -np.eye(t)])
+    thetas, states = _along_floor(linear, sides, 2 * _CURVATURE_CHORDS)
+    rise = (problem.cost(thetas, states) - linear.point.cost) / 2.0
     low, high = problem.bounds
-    thetas = point.theta + sides @ axes.T
+    rise[np.any((thetas <= low) | (thetas >= high), axis=1)] = np.nan
+    rise = rise.reshape(2, t).T
+    rise[np.linalg.svd(linear.jacobian, compute_uv=False) < _SEEN] = np.nan
+    return rise, (2 * _CURVATURE_CHORDS + 1) * len(sides) * len(linear.records)
+
+
+def _along_floor(linear: Linearised, sides: _Array, chords: int) -> tuple[_Array, list[_Array]]:
+    """Return points at ``sides`` (b, t) along the axes, all other coordinates at their best: theta and start values."""
+    problem, point = linear.problem, linear.point
+    u, s, vt = np.linalg.svd(linear.jacobian, full_matrices=False)
+    axes = vt.T / np.maximum(s, _SEEN)  # an axis that is hardly seen is followed for half its unit at most
+    low, high = problem.bounds
+    thetas = np.clip(point.theta + sides @ axes.T, low, high)
     states = [
         np.array([x + r.following(step) for step in thetas - point.theta])
         for r, x in zip(linear.records, point.states, strict=True)
     ]
-    for _ in range(_CURVATURE_CHORDS):
+    for _ in range(chords):
         residuals = problem.residuals(thetas, states)
-        for b in range(2 * t + 1):
+        for b in range(len(sides)):
             rows = linear.rows(b, residuals, states)
             step = -(u.T @ linear.residual(thetas[b], rows)) * np.where(sides[b] != 0.0, 0.0, 1.0)
             move = (vt.T / s) @ step
             thetas[b] = np.clip(thetas[b] + move, low, high)
             for r, e, x in zip(linear.records, rows, states, strict=True):
                 x[b] += r.states(e, move)
-    bend = 0.5 * (thetas[:t] + thetas[t : 2 * t]) - thetas[-1]
-    bend = np.where(np.all(np.isfinite(bend), axis=1, keepdims=True), bend, 0.0)
-    return bend, _CURVATURE_CHORDS * (2 * t + 1) * len(problem.records)
+    return thetas, states
 
 
 @dataclass

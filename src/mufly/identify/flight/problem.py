@@ -24,7 +24,9 @@ which keeps their signs and makes a factor of two the same step for each; delays
 ``theta = (value - start) / scale``.
 
 Provenance says how far the data may pull a parameter: the standard deviation of its prior (of ``ln value``) and the
-factor that bounds it. Priors are wide on purpose: they decide only where the data do not.
+factor that bounds it. Priors are wide on purpose: they decide only where the data do not. What is held is in doubt
+too (:func:`held_parameters`): who holds a number believes it, to the ``std`` that the vehicle file states, or else to
+the third number of its provenance, which for "identified" and "estimated" is narrower than the prior.
 """
 
 from __future__ import annotations
@@ -54,19 +56,22 @@ from mufly.vehicle import Vehicle, parameters, replace
 
 _Array = NDArray[np.float64]
 
-# source -> (standard deviation of the prior of ln(value), factor to either bound)
-PROVENANCE: dict[str, tuple[float, float]] = {
-    "measured": (0.02, 1.2),
-    "specified": (0.02, 1.2),
-    "datasheet": (0.10, 1.5),
-    "CAD": (0.15, 2.0),
-    "identified": (0.50, 4.0),
-    "estimated": (1.00, 6.0),
+# source -> (standard deviation of the prior of ln(value), factor to either bound) of what is free, and the standard
+# deviation of ln(value) of what is held, where the vehicle file states none
+PROVENANCE: dict[str, tuple[float, float, float]] = {
+    "measured": (0.02, 1.2, 0.02),
+    "specified": (0.02, 1.2, 0.02),
+    "datasheet": (0.10, 1.5, 0.10),
+    "CAD": (0.15, 2.0, 0.15),
+    "identified": (0.50, 4.0, 0.05),
+    "estimated": (1.00, 6.0, 0.20),
 }
 # Parameters that act on heave and yaw only, and on roll and pitch only (thesis Sec. 5.3.3).
 HEAVE_YAW = ("cT_up", "cT_dw", "cQ_up", "cQ_dw", "Jdrive_up", "Jdrive_dw", "Jrot_up", "Jrot_dw", "Izz", "Whub",
              "cDAz", "m", "kE", "kM", "dR", "Rohm", "igear", "eta_gear", "Ubat", "Rbat", "C", "Iel")  # fmt: skip
 ROLL_PITCH = ("Ixx", "Iyy", "z_up", "z_dw", "Tf_up", "Tf_dw", "l_up", "l_dw", "theta_SP_max", "cDAx", "cDAy")
+# Groups of the vehicle file that the equations of a flight off the floor may depend on.
+_FLIES = ("body", "air", "rotors", "swash_plate", "stabiliser_bar", "motor", "gear", "battery")
 _GREATEST_DELAY = 0.2  # s
 _BIAS = {"m": 1.0, "m/s": 1.0, "rad": 0.3, "rad/s": 0.5, "V": 1.0}  # bound; a tenth of it is the prior
 
@@ -166,13 +171,37 @@ def choose_free(
             raise ArgumentError("symbols", symbol, "is no parameter of a vehicle that can be fitted", remedy)
         if row.value == 0.0:
             raise InputError(vehicle.name, row.key, "starts at 0", "give a start of the right size")
-        std, factor = PROVENANCE[row.source]
+        std, factor, _ = PROVENANCE[row.source]
         low, high = -math.log(factor), math.log(factor)
         for limit in limits.get(row.key, ()):
             t = math.log(limit / row.value) if limit / row.value > 0 else math.inf
             low, high = (max(low, t), high) if t <= 0 else (low, min(high, t))
         chosen.append(Free(symbol, row.key, row.unit, row.value, 0.0, low, high, std, row.source))
     return tuple(chosen)
+
+
+def held_parameters(
+    vehicle: Vehicle, free: Sequence[Free], delay_s: float, voltage: float | None
+) -> tuple[Free, ...]:
+    """Return what acts on the flight and is not free; ``prior_std`` says in how much doubt it is.
+
+    Scalars of the vehicle file that the equations depend on (not the contact with the floor, nor curves), and the
+    delay, which counts as estimated.
+    """
+    chosen, found = {f.symbol for f in free}, []
+    for row in parameters(vehicle):
+        if row.symbol in chosen or not isinstance(row.value, float) or row.value == 0.0:
+            continue
+        if row.key.partition(".")[0] not in _FLIES:
+            continue
+        doubt = PROVENANCE[row.source][2] if row.std is None else row.std / abs(row.value)
+        one = Free(row.symbol, row.key, row.unit, row.value, 0.0, -np.inf, np.inf, doubt, row.source)
+        if doubt > 0.0 and batch_parameters(vehicle, [one], voltage)[1]:
+            found.append(one)
+    if "delay" not in chosen and delay_s > 0.0:
+        doubt = PROVENANCE["estimated"][2] * delay_s / 0.01
+        found.append(Free("delay", "", "s", delay_s, 0.01, -np.inf, np.inf, doubt, "estimated"))
+    return tuple(found)
 
 
 def physical(free: Sequence[Free], theta: _Array) -> _Array:
@@ -304,6 +333,8 @@ class Prepared:
         Of :func:`batch_parameters`.
     charge : float
         Of the battery at the start, as far as it is not sought.
+    constant : float or None
+        Battery voltage (V) that is held; None for the vehicle's battery model.
     begin : (5,) array
         What ``ACTUATOR`` is counted from at the start: speeds as a share of the steady ones, tilts, charge.
     volts : (float, float)
@@ -322,6 +353,7 @@ class Prepared:
     base: NDArray[np.void]
     powers: dict[str, _Array]
     charge: float
+    constant: float | None
     begin: _Array
     volts: tuple[float, float]
     starts: NDArray[np.int64]
@@ -385,6 +417,13 @@ class Problem:
             starts.append(np.round(np.linspace(0, n, count + 1)[:-1]).astype(np.int64))
             sought.append(_sought(r.outputs, self.part, whole=count == 1))
         return dataclasses_replace(self._each(starts=starts, sought=sought), hover=hover)
+
+    def with_held(self) -> tuple[Problem, int]:
+        """Return the problem with the parameters that are held appended to the free ones, and how many are free."""
+        held = held_parameters(self.vehicle, self.free, self.delay_s, self.flights[0].constant)
+        wider = (*self.free, *held)
+        powers = [batch_parameters(self.vehicle, wider, f.constant)[1] for f in self.flights]
+        return dataclasses_replace(self._each(powers=powers), free=wider), len(self.free)
 
     def first(self, seconds: float) -> Problem:
         """Return the problem with the first ``seconds`` of every record, each as one window."""
@@ -603,7 +642,9 @@ def _prepared(
     base, powers = batch_parameters(vehicle, free, constant)
     mast = bar_normal(motion[:, 6:9], np.zeros((len(motion), 2)))
     none, begin = np.zeros(0, dtype=np.int64), np.zeros(len(ACTUATOR))
-    return Prepared(r, difference_noise(r), motion, mast, u, base, powers, charge, begin, held, none, none)
+    return Prepared(
+        r, difference_noise(r), motion, mast, u, base, powers, charge, constant, begin, held, none, none
+    )
 
 
 def _volts(vehicle: Vehicle, r: Record, voltage: str | float) -> _Array | float | None:
