@@ -18,7 +18,7 @@ turn at the hover speed of the parameters at hand; ``both`` flies the whole mode
 
 **Free parameters.** Every number of the equations is a product of powers of vehicle parameters (``thrust_up = cT_up pi
 rho R^4``), so a batch of parameter sets is made from one record of :data:`mufly.dynamics.PARAMETERS` by multiplying its
-fields; the powers are found by halving each free parameter once and looking at what
+fields; the powers are found by changing each free parameter once and looking at what
 :func:`mufly.dynamics.model_parameters` makes of it. Vehicle parameters are fitted as ``theta = ln(value / start)``,
 which keeps their signs and makes a factor of two the same step for each; delays and biases, which may be zero, as
 ``theta = (value - start) / scale``.
@@ -236,15 +236,25 @@ def batch_parameters(
     for j, f in enumerate(free):
         if not f.key:
             continue
-        changed = model_parameters(replace(vehicle, {f.key: 0.5 * f.start}), voltage)
+        changed, factor = _nudged(vehicle, f, voltage)
         for name in PARAMETERS.names or ():
             if name in ("contact_points", "contact_count", "contact_reach", "friction_bound"):
                 continue
             old, new = float(np.ravel(base[name])[-1]), float(np.ravel(changed[name])[-1])
             if old != new:
-                powers.setdefault(name, np.zeros(len(free)))[j] = round(math.log2(old / new), 9)
+                powers.setdefault(name, np.zeros(len(free)))[j] = round(
+                    math.log(new / old) / math.log(factor), 9
+                )
     base["contact_reach"] = -1e9
     return base, powers
+
+
+def _nudged(vehicle: Vehicle, f: Free, voltage: float | None) -> tuple[Any, float]:
+    """Return the equations' numbers with one parameter changed a little, to a side that is possible; the factor."""
+    try:
+        return model_parameters(replace(vehicle, {f.key: 0.999 * f.start}), voltage), 0.999
+    except InputError:  # two parameters may bound each other
+        return model_parameters(replace(vehicle, {f.key: 1.001 * f.start}), voltage), 1.001
 
 
 def numbers_at(base: NDArray[np.void], powers: dict[str, _Array], theta: _Array) -> NDArray[np.void]:
