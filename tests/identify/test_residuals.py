@@ -19,6 +19,7 @@ from mufly.identify.result import (
     likeliest_errors,
     parzen,
     relative,
+    relative_covariance,
     unseen_combinations,
 )
 
@@ -209,3 +210,10 @@ def test_an_offset_is_no_colour():
     white = np.random.default_rng(15).standard_normal(2000)
     assert colour_reach(white + 100.0, 300) == colour_reach(white, 300) == 0
     assert colour_reach(np.zeros(50), 20) == 0
+
+
+def test_directions_that_nothing_shows_are_told_with_the_shares_by_which_parameters_move():
+    assert relative_covariance(np.diag([4.0, 0.0, 16.0])) == pytest.approx(np.diag([0.25, np.inf, 0.0625]))
+    along = np.array([1.0, 0.5, -0.5])
+    (words,) = unseen_combinations(("a", "b", "c"), 4.0 * np.outer(along, along) + 1e-6 * np.eye(3))
+    assert all(part in words for part in ("a +10 %", "b +5 %", "c -5 %"))
