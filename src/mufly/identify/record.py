@@ -43,6 +43,7 @@ _SOURCES = {
     "rates": (("p", 0, 1.0), ("q", 1, 1.0), ("r", 2, 1.0)),
     "rotor_speed": (("speed_up", 0, 1.0), ("speed_dw", 1, 1.0)),
 }
+_FASTEST = 20.0  # m/s2, RMS: two g, more than a rotorcraft of thrust to weight 3 can
 # What shows that a channel is excited: its rates, which no slow drift moves; without them what they are the change of.
 CHANNEL_OUTPUTS = {
     "heave": ("height", "climb"),
@@ -327,7 +328,12 @@ def check_record(r: Record) -> tuple[str, ...]:
     """
     warnings: list[str] = []
     for angle, rate in (("roll", "p"), ("pitch", "q"), ("yaw", "r")):
+        _check_sign(r, angle, rate)
         _check_degrees(r, angle, rate)
+    for place, speed in (("height", "climb"), ("north", "v_north"), ("east", "v_east")):
+        _check_sign(r, place, speed)
+    _check_axes(r)
+    _check_height(r)
     for k, name in enumerate(INPUTS):
         u = r.inputs[:, k]
         low = 0.0 if k < 2 else -1.0
@@ -349,6 +355,69 @@ def check_record(r: Record) -> tuple[str, ...]:
         if name != "voltage" and np.ptp(y) < 1e-9:
             warnings.append(f"{r.name}: {name} never changes; is that sensor connected?")
     return tuple(warnings)
+
+
+def _changes(r: Record, value: str, rate: str) -> tuple[Array, Array] | None:
+    """Return the changes of a value over 0.2 s, less their mean, and what a rate makes of them; None without these."""
+    if value not in r.outputs or rate not in r.outputs:
+        return None
+    a, w = (filled(r.measured[:, r.outputs.index(o)]) for o in (value, rate))
+    lag = max(1, round(0.2 / r.sample_s))
+    turned = np.concatenate([[0.0], np.cumsum(0.5 * (w[1:] + w[:-1])) * r.sample_s])
+    y, x = a[lag:] - a[:-lag], turned[lag:] - turned[:-lag]
+    return y - y.mean(), x - x.mean()
+
+
+def _correlation(changes: tuple[Array, Array] | None) -> float:
+    """Return the correlation of changes without mean; 0 if there are none."""
+    if changes is None or changes[0].std() == 0.0 or changes[1].std() == 0.0:
+        return 0.0
+    y, x = changes
+    return float(x @ y) / (len(x) * float(x.std() * y.std()))
+
+
+def _check_axes(r: Record) -> None:
+    """Refuse p and q that are exchanged: the one follows what the other is the change of."""
+    for angle, own, other in (("roll", "p", "q"), ("pitch", "q", "p")):
+        if own not in r.outputs:
+            continue
+        if (
+            abs(_correlation(_changes(r, angle, other))) > 0.8
+            and abs(_correlation(_changes(r, angle, own))) < 0.3
+        ):
+            raise InputError(
+                r.name,
+                own,
+                f"does not follow {angle}, {other} does: axes are exchanged",
+                "exchange them in the map",
+            )
+
+
+def _check_sign(r: Record, value: str, rate: str) -> None:
+    """Refuse a rate that says the opposite of the value that it is the change of."""
+    changes = _changes(r, value, rate)
+    if changes is None:
+        return
+    if _correlation(changes) < -0.6:
+        raise InputError(
+            r.name,
+            rate,
+            f"has the opposite sign of the change of {value}",
+            "turn the sign of one in the column map",
+        )
+
+
+def _check_height(r: Record) -> None:
+    """Refuse a height that accelerates as no rotorcraft does: one in centimetres or millimetres."""
+    if "height" not in r.outputs:
+        return
+    slope = smoothed(filled(r.measured[:, r.outputs.index("height")]), r.sample_s, 0.5, slope=True)
+    size = float(np.std(np.gradient(smoothed(slope, r.sample_s, 0.5), r.sample_s)))
+    if size > _FASTEST:
+        raise InputError(
+            r.name, "height", f"accelerates by {size:.0f} m/s2 (RMS): it seems to be in centimetres or millimetres",
+            "say so in the column map (unit 'cm' or 'mm')",
+        )  # fmt: skip
 
 
 def _check_degrees(r: Record, angle: str, rate: str) -> None:
