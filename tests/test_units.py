@@ -62,7 +62,7 @@ def test_names_are_unique_and_every_quantity_is_found_by_its_name_and_columns():
     assert len({q.name for q in QUANTITIES}) == len(QUANTITIES)
     for q in QUANTITIES:
         assert quantity_named(q.name) is q
-        assert q.dim is None or q.dim in ("beam", "channel") or q.labels == LABELS[q.dim]
+        assert q.dim is None or q.dim in ("beam", "channel", "actuator") or q.labels == LABELS[q.dim]
         for label in q.labels or ([] if q.dim is None else ["1"]):
             assert our_name(f"{q.name}_{label}") == (q.name, str(label))
             assert split_name(f"{q.name}.{label}", "here") == (q, q.name, str(label))

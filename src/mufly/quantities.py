@@ -34,7 +34,7 @@ LABELS: Mapping[str, tuple[str, ...] | tuple[int, ...]] = {
     "body": ("x", "y", "z"),
     "control": ("roll", "pitch", "yaw", "thrust"),
 }
-"""Labels of every dimension but ``beam`` and ``channel``, which count from 0 and from 1."""
+"""Labels of every dimension but ``beam``, which counts from 0, and ``channel`` and ``actuator``, from 1."""
 
 SOURCES: Mapping[str, str] = {
     "truth": "true",

@@ -74,6 +74,7 @@ def test_show_as_json_is_in_si() -> None:
         "value": 0.095,
         "unit": "kg",
         "source": "measured",
+        "std": None,
         "description": "take-off mass",
         "note": "Table 5.3; on a scale",
     }

@@ -309,7 +309,7 @@ def model_air(vehicle: Vehicle) -> tuple[float, float, float]:
     """Induced velocity in hover, and the air speeds along and across the mast up to which the model holds (m/s).
 
     With both rotors as one disc, ``v_h = sqrt((m g + W_hub) / (2 rho pi R^2))``. In momentum theory at constant thrust
-    (Leishman 2006, eqs 2.90 and 2.131) the flow through the disc over ``v_h`` is, at a climb of ``x v_h`` and in an
+    (Leishman 2006, Secs 2.13 and 2.14) the flow through the disc over ``v_h`` is, at a climb of ``x v_h`` and in an
     edgewise flow of ``y v_h``,
 
         x/2 + sqrt(x^2/4 + 1)                  sqrt(sqrt(y^4/4 + 1) - y^2/2)
