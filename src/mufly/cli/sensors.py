@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from itertools import groupby
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from mufly.cli.options import Commands, JsonOption, OutOption, argument, option
 from mufly.cli.present import (
-    Column,
     answer,
     check_folder,
     print_json,
@@ -15,11 +14,14 @@ from mufly.cli.present import (
     progress_bar,
     save_picture,
     say,
-    show_table,
     writing,
 )
 from mufly.cli.vehicle import print_group
 from mufly.errors import InputError
+from mufly.results import number
+
+if TYPE_CHECKING:
+    from mufly.flight import ReadingErrors
 
 app = Commands(
     help="Sensors: what a vehicle file says about them, and what they would say on a flight. Equations and sources: "
@@ -121,11 +123,14 @@ def simulate(
         with writing(out):
             files = write_sensor_logs(logs, out)
         files.append(save_picture(draw_sensors(logs), out, "sensors"))
-    answer(as_json, lambda: {"readings": errors}, lambda: show_table(errors, _COLUMNS), files)
+    answer(as_json, lambda: {"readings": errors}, lambda: _print_errors(errors), files)
 
 
-_COLUMNS = (
-    "name", Column("count", form="d"), Column("rate_Hz", form=".1f"), Column("delay_s", "ms", ".0f"),
-    Column("invalid", "%", ".1f"), Column("mean", form=".3g", head="mean error"), Column("deviation", form=".3g"),
-    Column("worst", form=".3g"), "unit",
-)  # fmt: skip
+def _print_errors(errors: list[ReadingErrors]) -> None:
+    heads = ("", "Hz", "late (ms)", "invalid", "mean error", "std", "worst", "unit")
+    rows = [
+        (e.name, f"{e.rate_Hz:.0f}", f"{1e3 * e.delay_s:.0f}", f"{e.invalid:.1%}",
+         *(number(x, ".2g") for x in (e.mean, e.deviation, e.worst)), e.unit)
+        for e in errors
+    ]  # fmt: skip
+    print_table(heads, rows, text=(0, 7))
