@@ -267,6 +267,7 @@ def test_a_file_that_is_none_is_refused_with_its_line(text: str) -> None:
 
 
 def test_recordings_of_other_flights_are_found_beside_this_one(tmp_path: Path) -> None:
+    tmp_path = tmp_path / "flights"  # what lies beside the folder itself is found too: other tests' files
     for name in (
         "one/flight.mcap",
         "one/link.tlog",
