@@ -62,10 +62,15 @@ def faults(as_json: JsonOption = False) -> None:
     from mufly.sensors import KINDS, TARGETS
 
     if as_json:
-        print_json({"kinds": dict(KINDS), "targets": {name: vars(t) for name, t in TARGETS.items()}})
+        print_json(
+            {
+                "kinds": dict(KINDS),
+                "targets": {name: {**vars(t), "unit": t.unit} for name, t in TARGETS.items()},
+            }
+        )
         return
     print_table(("kind", "meaning"), list(KINDS.items()), text=(0, 1))
-    kinds = ("jump", "bias", "drift", "clip", "stuck", "outliers", "late")
+    kinds = [kind for kind in KINDS if any(kind in t.amount for t in TARGETS.values())]
     print_table(
         ("sensor", "unit", *kinds),
         [(name, t.unit, *(f"{t.amount[k]:g}" for k in kinds)) for name, t in TARGETS.items()],

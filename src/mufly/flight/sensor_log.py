@@ -20,27 +20,11 @@ from mufly.control import design
 from mufly.flight.flight import RING_HZ, Progress, fly
 from mufly.mission import Mission
 from mufly.results import result
-from mufly.sensors import Fault, Reading, Readings, Sensors, Truth, fitted_sensors, ideal_sensors
+from mufly.sensors import READINGS, Fault, Reading, Readings, Sensors, Truth, fitted_sensors, ideal_sensors
 from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.float64]
 _REMEMBERED = 2000  # periods: readings may come late by ten seconds at 200 Hz
-
-SAID: Mapping[str, tuple[str, tuple[str, ...]]] = {
-    "acceleration": ("m/s^2", ("x", "y", "z")),
-    "rates": ("rad/s", ("p", "q", "r")),
-    "clipping": ("1", ("x", "y", "z")),
-    "temperature": ("K", ()),
-    "ground_distance": ("m", ()),
-    "ranges": ("m", ()),
-    "pressure": ("Pa", ()),
-    "magnetic_field": ("T", ("x", "y", "z")),
-    "rotor_speed": ("rad/s", ("upper", "lower")),
-    "battery_voltage": ("V", ()),
-    "battery_current": ("A", ()),
-    "position_fix": ("m", ("N", "E", "D", "heading")),
-}
-"""Unit and components of every reading; the heading of a fix is in rad."""
 
 
 @dataclass
@@ -66,7 +50,7 @@ class SensorLog:
 
     def labels(self) -> Sequence[str]:
         """Names of the components."""
-        known = SAID.get(self.name, ("", ()))[1]
+        known = READINGS[self.name].components
         return known or ([str(k) for k in range(self.value[0].size)] if self.value[0].size > 1 else [""])
 
 
@@ -203,7 +187,7 @@ def reading_errors(log: SensorLog) -> ReadingErrors:
         name=log.name, count=len(log.came_s), rate_Hz=(len(log.came_s) - 1) / span,
         delay_s=float(np.mean(np.array(log.came_s) - np.array(log.taken_s))),
         invalid=1.0 - float(np.mean(log.valid)), mean=float(some.mean()), deviation=float(some.std()),
-        worst=float(np.abs(some).max()), unit=SAID.get(log.name, ("", ()))[0],
+        worst=float(np.abs(some).max()), unit=READINGS[log.name].unit,
     )  # fmt: skip
 
 
@@ -228,7 +212,7 @@ def draw_sensors(logs: Mapping[str, SensorLog]) -> Figure:
         if bad.any():
             for x in t[bad]:
                 ax.axvline(x, color="0.8", lw=0.5, zorder=0)
-        unit = SAID.get(log.name, ("", ()))[0]
+        unit = READINGS[log.name].unit
         ax.set_ylabel(f"{log.name.replace('_', ' ')}\n({unit})" if unit not in ("", "1") else log.name)
         if any(log.labels()):
             ax.legend(loc="upper right", ncols=4, fontsize="x-small")
@@ -246,7 +230,7 @@ def write_sensor_logs(logs: Mapping[str, SensorLog], folder: Path) -> list[Path]
         labels = [f"_{label}" if label else "" for label in log.labels()]
         heads = ["came_s", "taken_s", "valid", *(f"said{x}" for x in labels), *(f"true{x}" for x in labels)]
         table = np.column_stack([log.came_s, log.taken_s, log.valid, np.array(log.value), np.array(log.true)])
-        unit = SAID.get(log.name, ("", ()))[0]
+        unit = READINGS[log.name].unit
         path = folder / f"{log.name}.csv"
         np.savetxt(
             path, table, "%.9g", ",", header=f"{log.name} in {unit}\n" + ",".join(heads), comments="# "

@@ -4,6 +4,7 @@ from mufly.sensors.faults import KINDS, TARGETS, Fault, parse_fault
 from mufly.sensors.imu import Imu
 from mufly.sensors.magnetometer import MagnetometerSensor, earth_field
 from mufly.sensors.readings import (
+    READINGS,
     IdealBattery,
     IdealMotion,
     IdealRing,
@@ -27,6 +28,7 @@ from mufly.sensors.suite import FITTED, fitted_sensors
 __all__ = [
     "FITTED",
     "KINDS",
+    "READINGS",
     "TARGETS",
     "Fault",
     "IdealBattery",

@@ -19,7 +19,7 @@ import numpy as np
 
 from mufly.errors import InputError
 from mufly.sensors.imu import Imu
-from mufly.sensors.readings import Reading, Sensor, Truth
+from mufly.sensors.readings import READINGS, Reading, Sensor, Truth
 
 KINDS: Mapping[str, str] = {
     "freeze": "says again and again what it said last, with new times",
@@ -39,12 +39,16 @@ KINDS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Target:
-    """What a fault is about: sensor of the suite, name of its reading, unit, and how much is wrong by default."""
+    """What a fault is about: sensor of the suite, name of its reading, and how much is wrong by default."""
 
     sensor: str
     reading: str
-    unit: str
     amount: Mapping[str, float]
+
+    @property
+    def unit(self) -> str:
+        """Of the amounts, but for seconds of ``late``."""
+        return READINGS[self.reading].unit
 
 
 def _amounts(off: float, per_s: float, bound: float, stuck: float) -> dict[str, float]:
@@ -60,15 +64,15 @@ def _amounts(off: float, per_s: float, bound: float, stuck: float) -> dict[str, 
 
 
 TARGETS: Mapping[str, Target] = {
-    "accelerometer": Target("imu", "acceleration", "m/s^2", _amounts(3.0, 0.3, 20.0, 0.0)),
-    "gyro": Target("imu", "rates", "rad/s", _amounts(0.2, 0.02, 0.5, 0.0)),
-    "sonar": Target("sonar", "ground_distance", "m", _amounts(0.3, 0.05, 0.5, 1.0)),
-    "ring": Target("ring_camera", "ranges", "m", _amounts(0.5, 0.1, 0.7, 0.3)),
-    "pressure": Target("pressure", "pressure", "Pa", _amounts(20.0, 2.0, 1e5, 1e5)),
-    "magnetometer": Target("magnetometer", "magnetic_field", "T", _amounts(2e-5, 1e-6, 2e-5, 0.0)),
-    "rotor_speed": Target("rotor_speed", "rotor_speed", "rad/s", _amounts(50.0, 5.0, 200.0, 0.0)),
-    "battery": Target("battery", "battery_voltage", "V", _amounts(1.0, 0.1, 6.0, 6.0)),
-    "position": Target("position_fix", "position_fix", "m", _amounts(0.5, 0.1, 0.5, 0.0)),
+    "accelerometer": Target("imu", "acceleration", _amounts(3.0, 0.3, 20.0, 0.0)),
+    "gyro": Target("imu", "rates", _amounts(0.2, 0.02, 0.5, 0.0)),
+    "sonar": Target("sonar", "ground_distance", _amounts(0.3, 0.05, 0.5, 1.0)),
+    "ring": Target("ring_camera", "ranges", _amounts(0.5, 0.1, 0.7, 0.3)),
+    "pressure": Target("pressure", "pressure", _amounts(20.0, 2.0, 1e5, 1e5)),
+    "magnetometer": Target("magnetometer", "magnetic_field", _amounts(2e-5, 1e-6, 2e-5, 0.0)),
+    "rotor_speed": Target("rotor_speed", "rotor_speed", _amounts(50.0, 5.0, 200.0, 0.0)),
+    "battery": Target("battery", "battery_voltage", _amounts(1.0, 0.1, 6.0, 6.0)),
+    "position": Target("position_fix", "position_fix", _amounts(0.5, 0.1, 0.5, 0.0)),
 }
 """What can be wrong about what."""
 

@@ -43,6 +43,7 @@ from mufly.vehicle.sensing import Vibration
 
 _Array = NDArray[np.float64]
 _ELEVATION = math.asin(math.sqrt(1 / 3))  # of the shaking above the horizon: all axes share alike
+ROOM_K = 293.15
 _LINES = 5  # once and twice of both rotors, and the passing of blades
 
 
@@ -122,7 +123,7 @@ class Imu(Sensor):
         self._wander += -self._wander * elapsed / float(self._imu.drift_time) + self._drift * math.sqrt(
             2 * elapsed / float(self._imu.drift_time)
         ) * self._rng.standard_normal(6)
-        warm = float(self._imu.warming) * (1.0 - math.exp(-truth.time_s / float(self._imu.warming_time)))
+        warm = self._warmth(truth.time_s)
         motion = np.empty((2, 6))
         motion[0, :3] = motion[1, :3] = force
         motion[0, 3:], motion[1, 3:] = before.rates, truth.rates
@@ -139,6 +140,10 @@ class Imu(Sensor):
     def right(self, truth: Truth) -> Mapping[str, Any]:
         """Of the period that was read last."""
         return {"acceleration": self._force_now, "rates": truth.rates}
+
+    def _warmth(self, time_s: float) -> float:
+        """How much warmer than when it was switched on (K)."""
+        return float(self._imu.warming) * (1.0 - math.exp(-time_s / float(self._imu.warming_time)))
 
     def _force(self, truth: Truth, acceleration: _Array, turning: _Array) -> _Array:
         """Specific force at the element (m/s^2)."""
@@ -163,12 +168,11 @@ class Imu(Sensor):
 
     def _say(self, truth: Truth, values: _Array, clipped: _Array) -> Mapping[str, Reading]:
         t = truth.time_s
-        warm = float(self._imu.warming) * (1.0 - math.exp(-t / float(self._imu.warming_time)))
         self._last = {
             "acceleration": Reading(values[:3].copy(), t),
             "rates": Reading(values[3:].copy(), t),
             "clipping": Reading(clipped[:3], t),
-            "temperature": Reading(293.15 + warm, t),
+            "temperature": Reading(ROOM_K + self._warmth(t), t),
         }
         return self._last
 

@@ -87,6 +87,30 @@ class Reading(NamedTuple):
     valid: bool = True
 
 
+class Kind(NamedTuple):
+    """Unit and components of a reading."""
+
+    unit: str
+    components: tuple[str, ...] = ()
+
+
+READINGS: Mapping[str, Kind] = {
+    "acceleration": Kind("m/s^2", ("x", "y", "z")),
+    "rates": Kind("rad/s", ("p", "q", "r")),
+    "clipping": Kind("1", ("x", "y", "z")),
+    "temperature": Kind("K"),
+    "ground_distance": Kind("m"),
+    "ranges": Kind("m"),
+    "pressure": Kind("Pa"),
+    "magnetic_field": Kind("T", ("x", "y", "z")),
+    "rotor_speed": Kind("rad/s", ("upper", "lower")),
+    "battery_voltage": Kind("V"),
+    "battery_current": Kind("A"),
+    "position_fix": Kind("m", ("N", "E", "D", "heading")),
+}
+"""What the sensors of a vehicle say. The heading of a fix is in rad; ranges are as many as the ring has beams."""
+
+
 @dataclass(frozen=True, slots=True)
 class Readings:
     """The latest of every sensor, at one instant.

@@ -382,9 +382,9 @@ def frequency(
     data = _responses(logs, _names(inputs), _names(outputs), columns, start_s, end_s, band, windows, points)
     pairs = [(o, i) for o in range(len(data.outputs)) for i in range(len(data.inputs))]
     fits, unfitted, why = [], [], ""
-    for o, i in pairs if orders else ():
+    for o, i, (zeros, poles) in ((o, i, orders) for o, i in pairs if orders is not None):
         try:
-            fits.append(fit_transfer(data, o, i, zeros=orders[0], poles=orders[1]))  # type: ignore[index]
+            fits.append(fit_transfer(data, o, i, zeros=zeros, poles=poles))
         except ArgumentError:
             raise
         except InputError as error:

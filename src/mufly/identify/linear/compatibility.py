@@ -397,12 +397,9 @@ def check_axes(
     elif not 0.7 * GRAVITY < mean < 1.5 * GRAVITY:
         problems.append(("ax, ay, az", f"have a mean size of {mean:.3g} m/s^2, not 9.8", "give m/s^2"))
     else:
-        where = [
-            smoothed(known[STATES[3 + k]], dt, 0.3, slope=True) if STATES[3 + k] in known else None
-            for k in range(3)
-        ]
-        if all(w is not None for w in where):
-            pull = np.column_stack(where) - [0.0, 0.0, GRAVITY]  # type: ignore[arg-type]
+        if all(name in known for name in STATES[3:6]):
+            changes = [smoothed(known[name], dt, 0.3, slope=True) for name in STATES[3:6]]
+            pull = np.column_stack(changes) - [0.0, 0.0, GRAVITY]
             force = np.einsum("nji,nj->ni", rotation(angle), pull)
             wide = np.column_stack([smoothed(raw[:, 3 + k], dt, 0.3) for k in range(3)])
             more, said = _of_axes(IMU[3:], wide, force, "the change of velocity", "")
