@@ -98,7 +98,7 @@ class HeightFilter(Estimator):
         self._gain, self._ideal = gain, IdealEstimator()
         self._height, self._time_s, self._seen_s = math.nan, 0.0, -1.0
 
-    def update(self, readings: Readings) -> Estimate:
+    def update(self, readings: Readings, acting: np.ndarray | None = None) -> Estimate:
         told = self._ideal.update(readings)
         heard = readings["height"]
         if math.isnan(self._height):
@@ -151,7 +151,7 @@ def test_the_default_pair_is_the_ideal_one(vehicle: Vehicle, controller: FlightC
 class Broken(IdealEstimator):
     """Stands by nothing after a while."""
 
-    def update(self, readings: Readings) -> Estimate:
+    def update(self, readings: Readings, acting: np.ndarray | None = None) -> Estimate:
         return replace(super().update(readings), valid=readings.time_s < 8.0)
 
 

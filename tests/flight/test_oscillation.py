@@ -102,7 +102,7 @@ class Late:
         self.inner.reset()
         self.kept.clear()
 
-    def update(self, readings):
+    def update(self, readings, acting=None):
         now = self.inner.update(readings)
         self.kept.append(now)
         old = self.kept[0] if len(self.kept) <= self.periods else self.kept.popleft()

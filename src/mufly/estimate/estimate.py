@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.estimate.beliefs import Beliefs
 from mufly.sensors import Reading, Readings
 
 _Array = NDArray[np.float64]
@@ -52,6 +53,8 @@ class Estimate:
         Of the errors of position, velocity, attitude and rates, in SI units.
     valid : bool
         Whether the estimator stands by it.
+    beliefs : Beliefs or None
+        What else a filter believes; None of an estimator that is told the truth.
     """
 
     time_s: float = math.nan
@@ -63,13 +66,21 @@ class Estimate:
     battery_voltage: float = math.nan
     covariance: _Array = field(default_factory=lambda: EXACT)
     valid: bool = True
+    beliefs: Beliefs | None = None
 
 
 class Estimator:
     """From readings to an estimate, once a period of the flight software."""
 
-    def update(self, readings: Readings) -> Estimate:
-        """Take what the sensors say now."""
+    def update(self, readings: Readings, acting: _Array | None = None) -> Estimate:
+        """Take what the sensors say now.
+
+        Parameters
+        ----------
+        readings : Readings
+        acting : (4,) array, optional
+            Motor upper, lower (0..1), servo 1, 2 (-1..1) that acted over the period that has just ended.
+        """
         raise NotImplementedError
 
     def reset(self) -> None:
@@ -84,7 +95,7 @@ _VITAL = ("position", "velocity", "attitude", "rates")
 class IdealEstimator(Estimator):
     """Believes what it is told: for sensors without error."""
 
-    def update(self, readings: Readings) -> Estimate:
+    def update(self, readings: Readings, acting: _Array | None = None) -> Estimate:
         latest = readings.latest
         x, v, angles, rates = motion = [latest.get(name, _MISSING) for name in _VITAL]
         return Estimate(

@@ -148,6 +148,7 @@ class Flight:
         self.sensors = sensors or ideal_sensors(vehicle, mission.world, self._look)
         self.estimator = estimator or IdealEstimator()
         self._acting = self._sent = Actuators.idle()
+        self._acted = self._acting.array
         self._first_look()
         self._crash_s = math.inf
         self._current_A = self.autopilot.hover_A
@@ -166,7 +167,7 @@ class Flight:
         """From the truth of this instant to what the vehicle believes of it."""
         self._truth = self.plant.truth
         self._readings = self.sensors.read(self._truth)
-        self._estimate = self.estimator.update(self._readings)
+        self._estimate = self.estimator.update(self._readings, self._acted)
 
     @property
     def time_s(self) -> float:
@@ -180,6 +181,7 @@ class Flight:
             self._fresh = False
         else:
             plant.advance(self._acting)
+            self._acted = self._acting.array
             self._acting = self._sent
         k = plant.ticks
         if k % self._look == 0:
@@ -247,6 +249,7 @@ class Flight:
         self.plant.reset(self._start)
         self.autopilot.reset()
         self._acting = self._sent = Actuators.idle()
+        self._acted = self._acting.array
         self._crash_s = math.inf
         self._first_look()
         self.note("back at the start")
