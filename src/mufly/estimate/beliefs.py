@@ -23,7 +23,7 @@ ERROR_STATES: tuple[str, ...] = (
     "pressure_bias",
     "magnetic_heading_bias",
 )  # fmt: skip
-"""The error state, in order: m, m/s, rad (small turns about N, E and D), rad/s, m/s^2, m, m and rad, m/s, 1, Pa, rad."""
+"""The error state, in order: m, m/s, rad (turns about N, E, D), rad/s, m/s^2, m, m and rad, m/s, 1, Pa, rad."""
 
 Status = Literal["fused", "rejected", "missing", "faulty", "waiting"]
 
