@@ -33,6 +33,8 @@ LABELS: Mapping[str, tuple[str, ...] | tuple[int, ...]] = {
     "servo": (1, 2),
     "body": ("x", "y", "z"),
     "control": ("roll", "pitch", "yaw", "thrust"),
+    "level": ("N", "E"),
+    "fix": ("N", "E", "D", "heading"),
 }
 """Labels of every dimension but ``beam``, which counts from 0, and ``channel`` and ``actuator``, from 1."""
 
@@ -68,7 +70,8 @@ class Quantity:
     units, long_name : str
         Written to the variable's attributes, the schema and the CSV header; ``"1"`` is a pure number.
     kept : str
-        ``"flight"``: every recording has it; ``"station"``: a station's has it besides; ``""``: only logs of others.
+        Words: ``flight``: every recording has it; ``sensors``: one of a flight on sensors has it besides; ``station``: a
+        station's has it besides. None of them: only logs of others.
     mavlink : tuple of Wire
         Fields that are plainly it, but for their unit (https://mavlink.io/en/messages/common.html).
     """
@@ -92,6 +95,35 @@ def _channels(pattern: str) -> str:
     return " ".join(pattern.format(k) for k in range(1, 9))
 
 
+def _raw(reading: str, dim: str | None, units: str, long_name: str, kept: str = "sensors") -> tuple[Quantity, ...]:
+    """What a sensor said, when it had measured that, and whether it stood by it; NaN where nothing came anew."""
+    name = reading.replace("_", " ")
+    return (
+        Quantity(f"measured_{reading}", "/measured", reading, dim, units, long_name, kept),
+        Quantity(f"measured_{reading}_time", "/measured", f"{reading}_time", None, "s",
+                 f"when the {name} was measured", "sensors"),
+        Quantity(f"measured_{reading}_valid", "/measured", f"{reading}_valid", None, "1",
+                 f"1 where the sensor stands by its {name}, 0 where it does not", "sensors"),
+    )  # fmt: skip
+
+
+def _checked(reading: str) -> tuple[Quantity, ...]:
+    name = reading.replace("_", " ")
+    return (
+        Quantity(f"innovation_{reading}", "/checks", f"innovation_{reading}", None, "1",
+                 f"{name}: what was measured less what was expected, in standard deviations of that", "sensors"),
+        Quantity(f"status_{reading}", "/checks", f"status_{reading}", None, "1",
+                 f"{name}: 0 waiting, 1 fused, 2 rejected, 3 missing, 4 faulty", "sensors"),
+    )  # fmt: skip
+
+
+CHECKED = ("acceleration", "rates", "ground_distance", "ranges", "pressure", "magnetic_field", "rotor_speed",
+           "position_fix", "battery_voltage")  # fmt: skip
+"""Readings on which an estimator has an opinion."""
+
+STATUSES = ("waiting", "fused", "rejected", "missing", "faulty")
+"""What an estimator may say of a reading; a recording holds the place in this list."""
+
 _cg = "of the centre of gravity"
 _PULSES = _channels("chan{}_raw")
 QUANTITIES: tuple[Quantity, ...] = (
@@ -108,15 +140,48 @@ QUANTITIES: tuple[Quantity, ...] = (
              mavlink=(Wire("VISION_POSITION_ESTIMATE", "roll pitch yaw", "rad"),)),
     Quantity("measured_rates", "/measured", "rates", "rate", "rad/s", "measured body rates"),
     Quantity("measured_rotor_speed", "/measured", "rotor_speed", "rotor", "rad/s", "measured rotor speed",
-             "station", (Wire("RAW_RPM", "frequency frequency", "rpm"),)),
+             "sensors station", (Wire("RAW_RPM", "frequency frequency", "rpm"),)),
+    *_raw("acceleration", "body", "m/s^2", "measured specific force along the body axes"),
+    *_raw("rates", "rate", "rad/s", "measured body rates")[1:],
+    Quantity("measured_clipping", "/measured", "clipping", "body", "1",
+             "share of the accelerometer's samples that it clipped", "sensors"),
+    Quantity("measured_temperature", "/measured", "temperature", None, "K",
+             "temperature of the inertial unit", "sensors"),
+    *_raw("ground_distance", None, "m", "distance to what is below, by ultrasound"),
+    *_raw("ranges", "beam", "m", "distance along the beams of the laser ring"),
+    *_raw("pressure", None, "Pa", "air pressure"),
+    *_raw("magnetic_field", "body", "T", "magnetic field along the body axes"),
+    *_raw("rotor_speed", "rotor", "rad/s", "measured rotor speed")[1:],
+    *_raw("battery_voltage", None, "V", "battery voltage as its monitor tells it"),
+    *_raw("battery_current", None, "A", "battery current as its monitor tells it"),
+    *_raw("position_fix", "fix", "m", "position and heading (rad) as fixed from outside"),
     Quantity("estimated_position", "/estimated", "position", "axis", "m", "position as estimated on board",
-             "station", (Wire("LOCAL_POSITION_NED", "x y z", "m"),)),
+             "sensors station", (Wire("LOCAL_POSITION_NED", "x y z", "m"),)),
     Quantity("estimated_velocity", "/estimated", "velocity", "axis", "m/s", "velocity as estimated on board",
-             "station", (Wire("LOCAL_POSITION_NED", "vx vy vz", "m/s"),)),
+             "sensors station", (Wire("LOCAL_POSITION_NED", "vx vy vz", "m/s"),)),
     Quantity("estimated_attitude", "/estimated", "attitude", "angle", "rad", "attitude as estimated on board",
-             "station", (Wire("ATTITUDE", "roll pitch yaw", "rad"),)),
+             "sensors station", (Wire("ATTITUDE", "roll pitch yaw", "rad"),)),
     Quantity("estimated_rates", "/estimated", "rates", "rate", "rad/s", "body rates as estimated on board",
-             "station", (Wire("ATTITUDE", "rollspeed pitchspeed yawspeed", "rad/s"),)),
+             "sensors station", (Wire("ATTITUDE", "rollspeed pitchspeed yawspeed", "rad/s"),)),
+    Quantity("estimated_position_sigma", "/estimated", "position_sigma", "axis", "m",
+             "standard deviation of the position as estimated on board", "sensors"),
+    Quantity("estimated_velocity_sigma", "/estimated", "velocity_sigma", "axis", "m/s",
+             "standard deviation of the velocity as estimated on board", "sensors"),
+    Quantity("estimated_attitude_sigma", "/estimated", "attitude_sigma", "angle", "rad",
+             "standard deviation of the attitude as estimated on board", "sensors"),
+    Quantity("estimated_rates_sigma", "/estimated", "rates_sigma", "rate", "rad/s",
+             "standard deviation of the body rates as estimated on board", "sensors"),
+    Quantity("estimated_gyro_bias", "/estimated", "gyro_bias", "rate", "rad/s", "bias of the gyroscopes", "sensors"),
+    Quantity("estimated_accelerometer_bias", "/estimated", "accelerometer_bias", "body", "m/s^2",
+             "bias of the accelerometers", "sensors"),
+    Quantity("estimated_floor_height", "/estimated", "floor_height", None, "m",
+             "height of what is below the helicopter", "sensors"),
+    Quantity("estimated_fix_bias", "/estimated", "fix_bias", "fix", "m",
+             "what fixes are off by for the time being (heading: rad)", "sensors"),
+    Quantity("estimated_wind", "/estimated", "wind", "level", "m/s", "velocity of the air", "sensors"),
+    Quantity("estimated_thrust_scale", "/estimated", "thrust_scale", None, "1",
+             "thrust in that of the rotor model", "sensors"),
+    Quantity("estimated_valid", "/estimated", "valid", None, "1", "1 where the estimator stands by it", "sensors"),
     Quantity("reference_position", "/reference", "position", "axis", "m", "reference position",
              mavlink=(Wire("POSITION_TARGET_LOCAL_NED", "x y z", "m"),)),
     Quantity("reference_velocity", "/reference", "velocity", "axis", "m/s", "reference velocity",
@@ -133,12 +198,11 @@ QUANTITIES: tuple[Quantity, ...] = (
     Quantity("battery_charge", "/battery", "charge", None, "1", "battery charge left, 0 to 1",
              mavlink=(Wire("SYS_STATUS", "battery_remaining", "%"),)),
     Quantity("range", "/ranges", "range", "beam", "m", "distance to the nearest obstacle along a beam"),
+    *(q for reading in CHECKED for q in _checked(reading)),
     Quantity("pilot_input", "/pilot", "input", "channel", "us", "channel of the pilot's remote control, pulse length",
              "station", (Wire("RC_CHANNELS", _PULSES, "us"), Wire("RC_CHANNELS_RAW", _PULSES, "us"))),
     Quantity("link_loss", "/link", "loss", None, "1", "share of packets lost of late, 0 to 1", "station"),
     Quantity("link_rate", "/link", "rate", None, "Hz", "messages a second", "station"),
-    Quantity("measured_acceleration", "/measured", "acceleration", "body", "m/s^2",
-             "measured specific force along the body axes", ""),
     Quantity("actuator_control", "/signals", "actuator_control", "control", "1",
              "control to the mixer, -1 to 1", ""),
     Quantity("actuator_output", "/signals", "actuator_output", "channel", "us",
@@ -168,7 +232,7 @@ def quantity_named(name: str) -> Quantity | None:
 
 def kept_by(*keepers: str) -> tuple[Quantity, ...]:
     """Return the quantities that recordings keep: ``kept_by("flight")``, ``kept_by("flight", "station")``."""
-    return tuple(quantity for quantity in QUANTITIES if quantity.kept in keepers)
+    return tuple(q for q in QUANTITIES if not set(keepers).isdisjoint(q.kept.split()))
 
 
 class Limits(NamedTuple):

@@ -128,7 +128,7 @@ def test_ring_sees_nothing_in_the_open_and_misses_what_is_swallowed(exact, at) -
 
 def test_ring_picture_holds_the_spots_where_triangulation_puts_them(exact, at) -> None:
     world = World(room=Room((-0.5, 0.5), (-0.5, 0.5), 3.0))
-    camera = one(exact, "ring_camera", world).sensors[0]
+    camera = one(exact, "ring_camera", world).sensors[0].sensor
     c = exact.sensors.ring_camera
     picture = camera.picture(at().state)
     assert picture.shape == (c.radial_pixels, c.angular_pixels)
@@ -175,7 +175,7 @@ def test_steel_bends_the_field_smoothly(exact) -> None:
         exact, {"sensors.magnetometer.distortion": 3e-6, "sensors.magnetometer.distortion_length": 1.5}
     )
     places = np.random.default_rng(1).uniform(-20, 20, (400, 3))
-    sensor = one(bent, "magnetometer").sensors[0]
+    sensor = one(bent, "magnetometer").sensors[0].sensor
     here, near = (np.array([sensor.distortion(p + d) for p in places]) for d in (0.0, 0.05))
     assert here.std() == pytest.approx(3e-6, rel=0.15)
     assert (near - here).std() < 0.1 * here.std()

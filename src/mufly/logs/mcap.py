@@ -398,9 +398,9 @@ class Layout:
         return cls(tuple(Quantity(**q) for q in content["quantities"]), int(content["beams"]), others)
 
 
-def standard_layout(beams: int = 8) -> Layout:
-    """Layout of the rows of a flight with ``beams`` range beams."""
-    return Layout(kept_by("flight"), beams)
+def standard_layout(beams: int = 8, *, sensors: bool = False) -> Layout:
+    """Layout of the rows of a flight with ``beams`` range beams, on ideal sensors or on its own."""
+    return Layout(kept_by("flight", "sensors") if sensors else kept_by("flight"), beams)
 
 
 def to_dataset(

@@ -23,7 +23,7 @@ from mufly.sensors.readings import (
 )
 from mufly.sensors.ring_camera import RingCamera
 from mufly.sensors.sonar import UltrasonicSensor
-from mufly.sensors.suite import FITTED, fitted_sensors
+from mufly.sensors.suite import FITTED, FittedSensors, fitted_sensors
 
 __all__ = [
     "FITTED",
@@ -31,6 +31,7 @@ __all__ = [
     "READINGS",
     "TARGETS",
     "Fault",
+    "FittedSensors",
     "IdealBattery",
     "IdealMotion",
     "IdealRing",

@@ -153,17 +153,17 @@ def parse_fault(text: str) -> Fault:
 
 
 class Faulty(Sensor):
-    """A sensor with faults; what they are about they change, the rest passes."""
+    """A sensor with ``faults``, which may come and go; what they are about they change, the rest passes."""
 
     def __init__(self, sensor: Sensor, faults: Sequence[Fault], rng: np.random.Generator) -> None:
-        self._sensor, self._faults, self._rng = sensor, tuple(faults), rng
+        self.sensor, self.faults, self._rng = sensor, tuple(faults), rng
         self._clear()
 
     def right(self, truth: Truth) -> Mapping[str, Any]:
-        return self._sensor.right(truth)
+        return self.sensor.right(truth)
 
     def reset(self) -> None:
-        self._sensor.reset()
+        self.sensor.reset()
         self._clear()
 
     def _clear(self) -> None:
@@ -173,16 +173,16 @@ class Faulty(Sensor):
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
         t = truth.time_s
-        active = [f for f in self._faults if f.start_s <= t < f.stop_s]
-        if isinstance(self._sensor, Imu):
+        active = [f for f in self.faults if f.start_s <= t < f.stop_s]
+        if isinstance(self.sensor, Imu):
             clips = [f.amount for f in active if f.name == "accelerometer" and f.kind == "clip"]
-            self._sensor.clip_at(min(clips) if clips else None)
-        said = dict(self._sensor.read(truth))
+            self.sensor.clip_at(min(clips) if clips else None)
+        said = dict(self.sensor.read(truth))
         for f in active:
             name = TARGETS[f.name].reading
             if name in said:
                 self._spoil(f, name, said, truth)
-        self._before = {**self._before, **said}
+        self._before = {**self._before, **said} if active else said
         return said
 
     def _spoil(self, f: Fault, name: str, said: dict[str, Reading], truth: Truth) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +26,51 @@ FITTED = ("imu", "sonar", "ring_camera", "pressure", "magnetometer", "rotor_spee
 """Tables of ``[sensors]``, in the order in which their random numbers are drawn."""
 
 
+class FittedSensors(Sensors):
+    """The sensors that a vehicle's file names, with their errors; faults may come and go while it flies.
+
+    Parameters
+    ----------
+    vehicle : str
+        Its name, for messages.
+    fitted : mapping
+        Name of :data:`FITTED` to sensor.
+    """
+
+    def __init__(self, vehicle: str, fitted: Mapping[str, Faulty]) -> None:
+        super().__init__(*fitted.values())
+        self._vehicle, self._fitted = vehicle, dict(fitted)
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """What is, was or will be wrong."""
+        return tuple(f for sensor in self._fitted.values() for f in sensor.faults)
+
+    def inject(self, fault: Fault, now_s: float = 0.0) -> Fault:
+        """Let something go wrong; a fault whose time has come already begins now (s). Returns it as it will be.
+
+        Raises
+        ------
+        InputError
+            If it is of a sensor that the vehicle has not.
+        """
+        sensor = self._fitted.get(fault.sensor)
+        if sensor is None:
+            raise InputError(
+                "fault", str(fault), f"{self._vehicle} has no sensors.{fault.sensor}", "name another"
+            )
+        if fault.start_s < now_s:
+            stop = fault.stop_s if math.isinf(fault.stop_s) else now_s + fault.stop_s - fault.start_s
+            fault = replace(fault, start_s=now_s, stop_s=stop)
+        sensor.faults = (*sensor.faults, fault)
+        return fault
+
+    def clear(self) -> None:
+        """Nothing is wrong any more, nor will be."""
+        for sensor in self._fitted.values():
+            sensor.faults = ()
+
+
 def fitted_sensors(
     vehicle: Vehicle,
     world: World,
@@ -31,7 +78,7 @@ def fitted_sensors(
     seed: int = 0,
     faults: Iterable[Fault] = (),
     only: Iterable[str] = FITTED,
-) -> Sensors:
+) -> FittedSensors:
     """Return the sensors that a vehicle's file names, with errors.
 
     Each has random numbers of its own: one sensor more or less, or a fault, leaves the others' errors as they were.
@@ -62,22 +109,17 @@ def fitted_sensors(
         )
     wanted = set(only)
     streams = np.random.SeedSequence(seed).spawn(2 * len(FITTED))
-    made: list[Sensor] = []
-    wrong = list(faults)
+    made: dict[str, Faulty] = {}
     for k, name in enumerate(FITTED):
         table = getattr(vehicle.sensors, name)
         if table is None or name not in wanted:
             continue
-        rng = np.random.default_rng(streams[2 * k])
-        sensor = _make(name, table, vehicle, world, rng)
-        its = [f for f in wrong if f.sensor == name]
-        made.append(Faulty(sensor, its, np.random.default_rng(streams[2 * k + 1])) if its else sensor)
-        wrong = [f for f in wrong if f.sensor != name]
-    if wrong:
-        raise InputError(
-            "fault", str(wrong[0]), f"{vehicle.name} has no sensors.{wrong[0].sensor}", "name another"
-        )
-    return Sensors(*made)
+        sensor = _make(name, table, vehicle, world, np.random.default_rng(streams[2 * k]))
+        made[name] = Faulty(sensor, (), np.random.default_rng(streams[2 * k + 1]))
+    fitted = FittedSensors(vehicle.name, made)
+    for fault in faults:
+        fitted.inject(fault)
+    return fitted
 
 
 def _make(name: str, table: Any, vehicle: Vehicle, world: World, rng: np.random.Generator) -> Sensor:
