@@ -13,7 +13,7 @@ from mufly.mission import (
     Command,
     State,
     begin,
-    give_up_oscillating,
+    come_down,
     load_mission,
     mission_from,
     step,
@@ -322,7 +322,7 @@ def test_oscillating_actuators_end_a_mission_but_not_a_pilots_flight(rig):
         (State.LANDING, State.LANDING, "failed"),
         (State.RC, State.RC, ""),
     ):
-        s = give_up_oscillating(replace(flying, state=state), why)
+        s = come_down(replace(flying, state=state), why)
         assert (s.state, s.outcome, s.motors) == (then, outcome, "fly")
         assert (s.events[-1].text, s.events[-1].level) == (why, "error")
         assert s.logged == flying.logged + 1

@@ -26,6 +26,7 @@ from mufly.estimate import Estimate
 from mufly.flight.parameters import Parameter, Parameters
 from mufly.flight.software import Actuators, FlightSoftware
 from mufly.flight.state import FlightState
+from mufly.flight.trust import SensorWatch, checks_of, told
 from mufly.logs.mcap import Event
 from mufly.mission import (
     ACCEPTED,
@@ -110,6 +111,7 @@ class Autopilot:
         self._estimate: Estimate | None = None
         self._now, self._heard_s = 0.0, -math.inf
         self._stale_s = 0.0
+        self._sensors = SensorWatch()
         self._logged = 0
         self._suits: tuple[Mission | None, tuple[float, ...], str] = (None, (), "")
 
@@ -148,6 +150,9 @@ class Autopilot:
         software = self.software
         due = software.due
         actuators = software.step(estimate, self._wanted() if due or self._command.stop else NO_SIGNAL)
+        if estimate.beliefs is not None:
+            for text, level in self._sensors.step(estimate.beliefs.checks, self._period_s):
+                self.note(text, level)
         if due:
             if software.mission_state.logged != self._logged:
                 self._report()
@@ -563,6 +568,10 @@ def not_ready(
         why.append(
             f"battery low: {volts:.2f} V at rest, and it lands at {low_V:.2f} V; charge it to {needed:.2f} V"
         )
+    if not m.valid and not missing:
+        wrong = [told(c) for c in checks_of(m) if c.status in ("missing", "faulty", "rejected")]
+        because = f" ({'; '.join(wrong)})" if wrong else ""
+        why.append(f"it does not know yet how it stands{because}; let it stand still")
     if missing:
         return why
     tilt = math.degrees(max(abs(float(m.attitude[0])), abs(float(m.attitude[1]))))

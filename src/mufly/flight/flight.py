@@ -4,21 +4,25 @@ One period at time ``t_k``::
 
     plant integrated from t_(k-1) to t_k under a_(k-2) and the wind
     truth(t_k) --> sensors --> readings --> estimator --> estimate --> autopilot.step --> actuators a_k
-    a row of the recording, every second period
+    a row of the recording, every second period (every one, on sensors)
 
 The actuators a_k take effect at t_(k+1): the delay of one period is that of a processor that needs the period to
 compute. Nothing here knows of the clock on the wall: :func:`fly` ticks as fast as it can, a link in real time.
+
+It flies on what is true, or on what the vehicle's own sensors say of that and a filter makes of it: ``sensors`` is
+``"ideal"`` or ``"fitted"``. In Python, ideal is the default, since most that is asked there is about vehicle, controllers
+and missions; the commands, which stand for the vehicle, fly on its sensors.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
@@ -31,15 +35,18 @@ from mufly.dynamics import (
     outside_model,
     standing_height,
 )
-from mufly.estimate import Estimator, IdealEstimator
+from mufly.errors import InputError
+from mufly.estimate import Estimator, IdealEstimator, fitted_estimator
 from mufly.flight.autopilot import Autopilot
 from mufly.flight.plant import Plant, row_writer
 from mufly.flight.recorder import Recorder
+from mufly.flight.sensed import sensed_row_writer
 from mufly.flight.software import Actuators
 from mufly.flight.state import FlightState
+from mufly.flight.trust import outlook
 from mufly.logs.mcap import Event, standard_layout
 from mufly.mission import Mission, MissionEstimate, dump_mission, load_mission, preflight
-from mufly.sensors import Sensors, ideal_sensors
+from mufly.sensors import Fault, FittedSensors, Sensors, fitted_sensors, ideal_sensors
 from mufly.vehicle import Vehicle, load_vehicle, vehicle_toml
 from mufly.version import __version__
 
@@ -50,6 +57,9 @@ RECORD_HZ = 100.0
 RING_HZ = 25.0
 REST_S = 0.5
 """How long after a crash the motors go on (s): what is recorded of it."""
+
+ALIGNED_WITHIN_S = 15.0
+"""How long a mission waits on the floor for an estimate to fly by (s)."""
 
 GUST_LENGTH_M = 1.0
 _CURRENT_LAG_S = 5.0
@@ -71,15 +81,18 @@ class Flight:
     gust : float, optional
         Standard deviation of the gusts (m/s), instead of the mission's.
     seed : int
-        Seed of everything random (today: the gusts).
+        Seed of everything random: gusts, errors of sensors.
     path : str or Path, optional
         MCAP file to record to; without it nothing reaches the disk.
     keep : bool
         Keep every row in memory for :meth:`Recorder.dataset`; without it, memory does not grow.
-    sensors : Sensors, optional
-        By default ideal ones, the ring of beams read at 25 Hz.
+    sensors : "ideal", "fitted" or Sensors
+        What it flies on: what is true (the ring of beams read at 25 Hz); what the vehicle's file has in ``[sensors]``
+        (a vehicle without flies on what is true, and says so); or sensors of one's own.
     estimator : Estimator, optional
-        By default the ideal one, which believes its readings.
+        By default the one that belongs to the sensors; the ideal one believes its readings.
+    faults : sequence of Fault
+        What goes wrong with fitted sensors; :meth:`inject` adds to it in flight.
 
     Raises
     ------
@@ -102,8 +115,9 @@ class Flight:
         seed: int = 0,
         path: str | Path | None = None,
         keep: bool = True,
-        sensors: Sensors | None = None,
+        sensors: Sensors | Literal["ideal", "fitted"] = "ideal",
         estimator: Estimator | None = None,
+        faults: Sequence[Fault] = (),
     ) -> None:
         vehicle = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
         mission = mission if isinstance(mission, Mission) else load_mission(mission)
@@ -120,6 +134,17 @@ class Flight:
             attitude=(0.0, 0.0, math.radians(mission.start_heading_deg)),
         )
         self.plant = Plant(vehicle, mission.world, air, controller.rate_Hz, self._start)
+        self._look = max(1, round(controller.rate_Hz / RING_HZ))
+        self.sensors = _sensors(sensors, vehicle, mission, self._look, seed, faults)
+        sensed = isinstance(self.sensors, FittedSensors)
+        if estimator is None:
+            estimator = fitted_estimator(vehicle, mission.world, controller.rate_Hz) if sensed else IdealEstimator()
+        self.estimator = estimator
+        self.lacking = (
+            f"{vehicle.name} has no table [sensors]: it flies on what is true"
+            if sensors == "fitted" and not sensed
+            else ""
+        )
         self.recorder = Recorder(
             path,
             {
@@ -131,9 +156,10 @@ class Flight:
                 "gust_m_s": gust,
                 **({"outside_model": self.outside} if self.outside else {}),
                 "rate_Hz": controller.rate_Hz,
+                **({"sensors": "fitted", "faults": [str(f) for f in faults]} if sensed else {}),
                 "version": __version__,
             },
-            layout=standard_layout(vehicle.range_ring.count),
+            layout=standard_layout(vehicle.range_ring.count, sensors=sensed),
             attachments={"vehicle.toml": vehicle_toml(vehicle), "mission.toml": dump_mission(mission)},
             scene_view={
                 "world": mission.world,
@@ -143,31 +169,34 @@ class Flight:
             keep=keep,
         )
         self._write = row_writer(self.recorder)
-        self._every = max(1, round(controller.rate_Hz / RECORD_HZ))
-        self._look = max(1, round(controller.rate_Hz / RING_HZ))
-        self.sensors = sensors or ideal_sensors(vehicle, mission.world, self._look)
-        self.estimator = estimator or IdealEstimator()
+        self._write_sensed = sensed_row_writer(self.recorder) if sensed else None
+        self._every = 1 if sensed else max(1, round(controller.rate_Hz / RECORD_HZ))
         self._acting = self._sent = Actuators.idle()
-        self._acted = self._acting.array
         self._first_look()
         self._crash_s = math.inf
         self._current_A = self.autopilot.hover_A
         self._finished = self._mission_flown = False
+        self.refused = ""
         self.autopilot.listeners.append(self._record)
 
     def _first_look(self) -> None:
         self.sensors.reset()
         self.estimator.reset()
         self.plant.collide()
-        self._measure()
+        self._measure(Actuators.idle())
         self.autopilot.observe(self._estimate)
         self._fresh = True
 
-    def _measure(self) -> None:
-        """From the truth of this instant to what the vehicle believes of it."""
+    def _measure(self, acted: Actuators) -> None:
+        """From the truth of this instant to what the vehicle believes of it; it knows what acted until now."""
         self._truth = self.plant.truth
         self._readings = self.sensors.read(self._truth)
-        self._estimate = self.estimator.update(self._readings, self._acted)
+        self._estimate = self.estimator.update(self._readings, acted.array)
+
+    @property
+    def sensed(self) -> bool:
+        """Whether it flies on the vehicle's own sensors."""
+        return self._write_sensed is not None
 
     @property
     def time_s(self) -> float:
@@ -177,11 +206,10 @@ class Flight:
     def tick(self) -> None:
         """Advance by one period of the controllers."""
         plant, autopilot = self.plant, self.autopilot
-        if self._fresh:
-            self._fresh = False
-        else:
-            plant.advance(self._acting)
-            self._acted = self._acting.array
+        acted, fresh = self._acting, self._fresh
+        self._fresh = False
+        if not fresh:
+            plant.advance(acted)
             self._acting = self._sent
         k = plant.ticks
         if k % self._look == 0:
@@ -191,17 +219,18 @@ class Flight:
             self._current_A += blend * (
                 (float(plant.current) if flying else autopilot.hover_A) - self._current_A
             )
-        self._measure()
+        if not (fresh and self._write_sensed):  # a filter hears of every instant once
+            self._measure(acted)
         self._sent = autopilot.step(self._estimate)
         if k % self._every == 0:
             software = autopilot.software
-            self._write(
-                self._truth,
-                self._readings,
-                self._acting,
-                software.reference,
-                str(software.mission_state.state),
-            )
+            state = str(software.mission_state.state)
+            if self._write_sensed is None:
+                self._write(self._truth, self._readings, self._acting, software.reference, state)
+            else:
+                self._write_sensed(
+                    self._truth, self._readings, self._estimate, self._acting, software.reference, state
+                )
         if plant.crashed:
             self._after_crash()
 
@@ -212,6 +241,33 @@ class Flight:
             self.note(self.plant.crashed, "error")
         elif self.time_s >= self._crash_s + REST_S and self.autopilot.software.motors != "off":
             self.autopilot.emergency_stop()
+
+    def inject(self, fault: Fault) -> None:
+        """Let something go wrong with a sensor, at the fault's time or, where that is past, now; noted among the events.
+
+        Raises
+        ------
+        InputError
+            If the vehicle has no such sensor, or flies on what is true.
+        """
+        if not isinstance(self.sensors, FittedSensors):
+            raise InputError(
+                "fault", str(fault), "it flies on what is true, which has no faults", "fly on fitted sensors"
+            )
+        fault = self.sensors.inject(fault, self.time_s)
+        self.note(f"fault injected: {fault}", "warning")
+
+    def clear_faults(self) -> None:
+        """Nothing is wrong with the sensors any more."""
+        if isinstance(self.sensors, FittedSensors) and self.sensors.faults:
+            self.sensors.clear()
+            self.note("all faults cleared")
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """What is or will be wrong with the sensors."""
+        there = self.sensors.faults if isinstance(self.sensors, FittedSensors) else ()
+        return tuple(f for f in there if f.stop_s > self.time_s)
 
     def note(self, text: str, level: str = "info") -> None:
         """Put a line into the log of events and the recording: ``level`` "info", "warning" or "error"."""
@@ -249,7 +305,6 @@ class Flight:
         self.plant.reset(self._start)
         self.autopilot.reset()
         self._acting = self._sent = Actuators.idle()
-        self._acted = self._acting.array
         self._crash_s = math.inf
         self._first_look()
         self.note("back at the start")
@@ -267,8 +322,8 @@ class Flight:
     def judge(self) -> tuple[str, str]:
         """Outcome and reason of the flight as it stands."""
         s = self.autopilot.software.mission_state
-        if self.plant.crashed:
-            return "failed", self.plant.crashed
+        if self.plant.crashed or self.refused:
+            return "failed", self.plant.crashed or self.refused
         return (
             (s.outcome, s.reason) if s.outcome else ("unfinished", f"in state '{s.state}' when it was ended")
         )
@@ -284,6 +339,22 @@ class Flight:
         else:
             self._finished = True
             self.recorder.__exit__(kind, error, trace)
+
+
+def _sensors(
+    wanted: Sensors | str, vehicle: Vehicle, mission: Mission, look: int, seed: int, faults: Sequence[Fault]
+) -> Sensors:
+    """The sensors asked for; ideal ones where a vehicle has none."""
+    if isinstance(wanted, Sensors):
+        return wanted
+    if wanted not in ("ideal", "fitted"):
+        raise InputError("sensors", wanted, "is neither ideal nor fitted", "use one of: ideal, fitted")
+    if wanted == "fitted" and vehicle.sensors is not None:
+        return fitted_sensors(vehicle, mission.world, seed=seed, faults=faults)
+    if faults:
+        what = "has no table [sensors]" if wanted == "fitted" else "flies on what is true"
+        raise InputError("fault", str(faults[0]), f"{vehicle.name} {what}", "fly on fitted sensors, or without faults")
+    return ideal_sensors(vehicle, mission.world, look)
 
 
 # A mission flown to its end
@@ -318,8 +389,9 @@ def fly(
     path: str | Path | None = None,
     on_progress: Callable[[Progress], None] | None = None,
     on_event: Callable[[Event], None] | None = None,
-    sensors: Sensors | None = None,
+    sensors: Sensors | Literal["ideal", "fitted"] = "ideal",
     estimator: Estimator | None = None,
+    faults: Sequence[Fault] = (),
 ) -> xr.Dataset:
     """Fly a mission on the full nonlinear model.
 
@@ -329,7 +401,7 @@ def fly(
         Or the name or file of one.
     mission : Mission, str or Path
         Or the name or file of one.
-    controller, wind, gust, seed, path, sensors, estimator : optional
+    controller, wind, gust, seed, path, sensors, estimator, faults : optional
         As for :class:`Flight`; without a path the recording is in memory only.
     realtime : bool
         Keep pace with the clock instead of flying as fast as the machine can.
@@ -364,11 +436,12 @@ def fly(
         path=path,
         sensors=sensors,
         estimator=estimator,
+        faults=faults,
     ) as flight:
         if on_event is not None:
             flight.autopilot.listeners.append(on_event)
-        if flight.outside:
-            flight.note(flight.outside, "warning")
+        for line in filter(None, (flight.outside, flight.lacking)):
+            flight.note(line, "warning")
         slower = flight.autopilot.software.slower
         if slower:
             flight.note(f"slower than asked, as the controllers can: {slower}", "warning")
@@ -393,12 +466,17 @@ def _run(
     on_progress: Callable[[Progress], None] | None,
 ) -> float:
     """Fly until the mission has ended, the vehicle has crashed or time is up; return the wall time (s)."""
-    # The mission was checked as a whole (preflight); whether to arm is a question for a real one.
-    flight.autopilot.arm(force=True, quiet=True)
-    flight.autopilot.start_mission()
     software, plant = flight.autopilot.software, flight.plant
     began = shown = time.perf_counter()
     ended_at = math.inf
+    if flight.sensed:
+        refused = align(flight)
+        if refused:
+            ended_at = flight.time_s
+    else:
+        # The mission was checked as a whole (preflight); whether to arm is a question for a real one.
+        flight.autopilot.arm(force=True, quiet=True)
+        flight.autopilot.start_mission()
     while flight.time_s < ended_at + RECORDED_AFTER_S:
         flight.tick()
         now = time.perf_counter()
@@ -412,6 +490,30 @@ def _run(
         ):
             ended_at = flight.time_s
     return time.perf_counter() - began
+
+
+def align(flight: Flight) -> str:
+    """Stand on the floor until the estimate is one to fly by, arm and start the mission; return why it does not.
+
+    What will not work in the air is said before that.
+    """
+    autopilot, why = flight.autopilot, ["nothing is measured yet"]
+    while why and flight.time_s < ALIGNED_WITHIN_S:
+        flight.tick()
+        if autopilot.software.due:
+            why = autopilot.not_ready()
+    beware = outlook(flight.status.estimate, float(flight.vehicle.range_ring.max_range))
+    if beware:
+        flight.note(beware, "warning")
+    answer = autopilot.arm(quiet=True)
+    if answer:
+        flight.note(f"aligned after {flight.time_s:.1f} s")
+        answer = autopilot.start_mission()
+    if answer:
+        return ""
+    flight.refused = f"it was not ready within {ALIGNED_WITHIN_S:g} s: {answer.reason}"
+    flight.note(flight.refused, "error")
+    return flight.refused
 
 
 def _progress(flight: Flight, expected_s: float, wall_s: float) -> Progress:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -144,14 +144,10 @@ def row_writer(
     ``reference`` is position and velocity (N-E-D) and attitude; ``state`` the state of the mission. What the table
     of quantities holds beyond that stays NaN, and so does what no sensor reads.
     """
-    row = np.full(recorder.layout.width, np.nan)
-    part = {name: row[column] for name, column in recorder.layout.columns.items()}
-    true = {
-        name: part[f"truth_{name}"] for name in ("position", "velocity", "attitude", "rates", "rotor_speed")
-    }
+    row, part = blank_row(recorder)
+    fill = common_writer(part)
     seen = {name: part[f"measured_{name}"] for name in ("position", "velocity", "attitude", "rates")}
     seen["ranges"] = part["range"]
-    wanted = [part[f"reference_{name}"] for name in ("position", "velocity", "attitude")]
 
     def write(
         truth: Truth,
@@ -161,18 +157,39 @@ def row_writer(
         state: str,
     ) -> None:
         row[0] = truth.time_s
-        for name, target in true.items():
-            target[:] = getattr(truth, name)
+        fill(truth, actuators, reference)
         for name, target in seen.items():
             target[:] = readings[name].value if name in readings else math.nan
+        recorder.append(row, state)
+
+    return write
+
+
+def blank_row(recorder: Recorder) -> tuple[_Array, dict[str, _Array]]:
+    """A row of a recording where nothing is known yet, and its parts by the names of the quantities."""
+    row = np.full(recorder.layout.width, np.nan)
+    return row, {name: row[column] for name, column in recorder.layout.columns.items()}
+
+
+def common_writer(
+    part: Mapping[str, _Array],
+) -> Callable[[Truth, Actuators, tuple[_Array, _Array, _Array]], None]:
+    """Return what fills the part of a row that every flight has: truth, reference, actuators, battery."""
+    true = {
+        name: part[f"truth_{name}"] for name in ("position", "velocity", "attitude", "rates", "rotor_speed")
+    }
+    wanted = [part[f"reference_{name}"] for name in ("position", "velocity", "attitude")]
+
+    def fill(truth: Truth, actuators: Actuators, reference: tuple[_Array, _Array, _Array]) -> None:
+        for name, target in true.items():
+            target[:] = getattr(truth, name)
         for target, value in zip(wanted, reference, strict=True):
             target[:] = value
         part["wind"][:], part["battery_charge"][:] = truth.wind, truth.charge
         part["battery_voltage"][:], part["battery_current"][:] = truth.voltage, truth.current
         part["motor_input"][:], part["servo_input"][:] = actuators.motor_input, actuators.servo_input
-        recorder.append(row, state)
 
-    return write
+    return fill
 
 
 # ----------------------------------------------------------------------------

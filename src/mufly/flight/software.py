@@ -16,8 +16,9 @@ blind       the estimate is lost: servos at trim, which the stabiliser bar makes
 
 Between two steps of the mission logic its reference is carried on at the reference velocity. Where the mission asks
 for more than the controllers can follow, it is flown more slowly (:mod:`mufly.mission.check`). Estimates that are
-missing or frozen are bridged for half a second (:func:`mufly.estimate.watch`), then the flight is given up. Actuators
-that oscillate (:mod:`mufly.flight.oscillation`) end the mission too.
+missing or frozen are bridged for half a second (:func:`mufly.estimate.watch`), then the flight is given up; what is
+done about uncertain ones is in :mod:`mufly.flight.trust`. Actuators that oscillate (:mod:`mufly.flight.oscillation`) end
+the mission too.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ from mufly.control import (
 )
 from mufly.estimate import Estimate, Watch, watch
 from mufly.flight.oscillation import Oscillation, OscillationWatch, steered
+from mufly.flight.trust import Doubts
 from mufly.mission import (
     NO_SIGNAL,
     RAMP_DOWN_S,
@@ -53,10 +55,12 @@ from mufly.mission import (
     State,
     begin,
     blind,
+    come_down,
     down_blind,
-    give_up_oscillating,
+    go_on,
     lifted_off,
     log,
+    pause,
     prepare,
     slowed,
     step,
@@ -146,6 +150,7 @@ class FlightSoftware:
         self._watch: Watch | None = None
         self._oscillations = OscillationWatch()
         self.oscillation: Oscillation | None = None
+        self._doubts, self._held, self._waits = Doubts(), False, False
         # Motor voltages, averaged over the last second of flight.
         self._held_up: _Array = np.zeros(2)
 
@@ -234,7 +239,11 @@ class FlightSoftware:
         self._late_s = (self._ticks % self._every) * self._period_s
         self._ticks += 1
         if self._lost(self._watch):
-            return self._sink_blindly(self._watch)
+            return self._sink_blindly(self._watch, f"measurement lost: {self._watch.what}")
+        if self._late_s == 0.0 and m.beliefs is not None:
+            doubt = self._doubt(m)
+            if doubt:
+                return self._sink_blindly(self._watch, doubt)
         if self._late_s == 0.0:
             self.mission_state, self._reference = step(self.plan, self.mission_state, m, self._command)
             self._command = NO_SIGNAL
@@ -263,12 +272,36 @@ class FlightSoftware:
         running_s = w.good.time_s - self._since_s if self._motors in ("spin_up", "fly") else 0.0
         return min(w.lost_s, running_s) > LOST_S
 
-    def _sink_blindly(self, w: Watch) -> Actuators:
+    def _doubt(self, m: Estimate) -> str:
+        """Hold or land where the estimate is not good enough for more; why it has to sink at once, "" if it has not."""
+        s = self.mission_state
+        if not (self._lifted and self._motors == "fly"):
+            self._doubts, self._held, self._waits = Doubts(), False, False
+            return ""
+        before, now = self._doubts.now, self._doubts.step(m)
+        if now.demand == "sink":
+            return now.why
+        if now.demand == "hold" and not self._held and s.state in (State.WAYPOINT, State.OBSTACLE, State.HOVER):
+            self._held, self._waits = True, s.begun and not s.manual and s.outcome == ""
+            s = log(s, now.why, level="warning")
+            self.mission_state = pause(self.plan, s, "waits until it knows better where it is")
+        elif now is not before and now.demand == "land":
+            self.mission_state = come_down(s, now.why)
+        elif now is not before and s.state is State.RC:
+            self.mission_state = log(s, now.why or "position known again", level="warning")
+        elif self._held and now.demand == "":
+            goes_on = self._waits and s.state is State.HOVER and s.manual
+            self._held = self._waits = False
+            if goes_on:
+                self.mission_state = go_on(self.plan, log(s, "position known again"), None)
+        return ""
+
+    def _sink_blindly(self, w: Watch, why: str) -> Actuators:
         now = w.good.time_s
         if self._motors != "blind":
             self._motors = "blind"
             self._since_s = now + (self._way_down_s(w.good) if self._lifted else 0.0)
-            self.mission_state = blind(self.mission_state, now, f"measurement lost: {w.what}")
+            self.mission_state = blind(self.mission_state, now, why)
             self._reference = replace(self._reference, motors="blind", velocity=np.zeros(3), heading_rate=0.0)
             self._tilt, self._command = np.zeros(2), NO_SIGNAL
         left_s = self._since_s + RAMP_DOWN_S - now
@@ -335,7 +368,7 @@ class FlightSoftware:
         asked = steered(self.mission_state.state, r.velocity.tolist(), r.heading_rate, r.roll, r.pitch)
         self.oscillation = self._oscillations.step(time_s, actuators.array.tolist(), asked)
         if self.oscillation is not None and before is None:
-            self.mission_state = give_up_oscillating(self.mission_state, str(self.oscillation))
+            self.mission_state = come_down(self.mission_state, str(self.oscillation))
 
 
 # Controllers with their state, from references to actuators

@@ -12,14 +12,14 @@ from mufly.mission.check import (
     preflight,
     slowed,
 )
-from mufly.mission.machine import step, stop_at_once, waypoint_fault
+from mufly.mission.machine import go_on, pause, step, stop_at_once, waypoint_fault
 from mufly.mission.offboard import HIGHEST_M, SetPoint, fault_of, wants_up
 from mufly.mission.phases import (
     HARD_TOUCHDOWN_M_S,
     RAMP_DOWN_S,
     blind,
+    come_down,
     down_blind,
-    give_up_oscillating,
     lifted_off,
 )
 from mufly.mission.schema import (
@@ -89,11 +89,12 @@ __all__ = [
     "builtin_missions",
     "check_geometry",
     "check_mission",
+    "come_down",
     "curved",
     "down_blind",
     "dump_mission",
     "fault_of",
-    "give_up_oscillating",
+    "go_on",
     "later",
     "legs",
     "lifted_off",
@@ -103,6 +104,7 @@ __all__ = [
     "may",
     "mission_from",
     "never",
+    "pause",
     "preflight",
     "prepare",
     "slowed",

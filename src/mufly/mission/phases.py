@@ -188,8 +188,8 @@ def blind(s: MissionState, time_s: float, why: str) -> MissionState:
     return enter(s, State.LANDING, why, level="error", motors="blind", detour=None)
 
 
-def give_up_oscillating(s: MissionState, why: str) -> MissionState:
-    """The actuators oscillate: the mission has failed, and it comes down. A pilot is told, and decides."""
+def come_down(s: MissionState, why: str) -> MissionState:
+    """It cannot go on: the mission has failed, and it comes down. A pilot is told, and decides."""
     if s.state in (State.INIT, State.RC):
         return log(s, why, level="error")
     s = fail(s, why)

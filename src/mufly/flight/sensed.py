@@ -1,0 +1,133 @@
+"""What is recorded of a flight on sensors beside the truth: what they said, what was made of it; and both read back.
+
+A row for every period of the flight software. A reading stands in the row in which it came, with the time at which it
+was measured and whether the sensor stood by it; where nothing new came it is NaN. So a recording holds all that an
+estimator was told, and running it again over the recording (:func:`replay`) gives the same estimate to the bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from mufly.estimate import Estimate, Estimator
+from mufly.flight.plant import blank_row, common_writer
+from mufly.flight.recorder import Recorder
+from mufly.flight.software import Actuators
+from mufly.quantities import CHECKED, STATUSES
+from mufly.sensors import READINGS, Reading, Readings, Truth
+
+_Array = NDArray[np.float64]
+_CODES = {status: float(k) for k, status in enumerate(STATUSES)}
+_UNTIMED = ("clipping", "temperature")  # of the inertial unit: its accelerations tell the time
+_MOTION = ("position", "velocity", "attitude", "rates")
+_BELIEFS = ("gyro_bias", "accelerometer_bias", "floor_height", "fix_bias", "wind", "thrust_scale")
+
+
+def sensed_row_writer(
+    recorder: Recorder,
+) -> Callable[[Truth, Readings, Estimate, Actuators, tuple[_Array, _Array, _Array], str], None]:
+    """Return the function that appends a row of a flight on sensors.
+
+    ``write(truth, readings, estimate, actuators, reference, state)``, as :func:`mufly.flight.plant.row_writer`.
+    """
+    row, part = blank_row(recorder)
+    fill, put = common_writer(part), estimate_writer(part)
+    said = {name: part[f"measured_{name}"] for name in READINGS}
+    timed = {
+        name: (part[f"measured_{name}_time"], part[f"measured_{name}_valid"])
+        for name in READINGS
+        if name not in _UNTIMED
+    }
+    before: dict[str, Reading] = {}
+    raw = row[_span(recorder, [f"measured_{name}" for name in READINGS], timed)]
+
+    def write(
+        truth: Truth,
+        readings: Readings,
+        estimate: Estimate,
+        actuators: Actuators,
+        reference: tuple[_Array, _Array, _Array],
+        state: str,
+    ) -> None:
+        row[0] = truth.time_s
+        fill(truth, actuators, reference)
+        raw[:] = math.nan
+        for name, reading in readings.latest.items():
+            if before.get(name) is not reading and name in said:
+                before[name] = reading
+                said[name][:] = reading.value
+                if name in timed:
+                    when, valid = timed[name]
+                    when[0], valid[0] = reading.time_s, reading.valid
+        put(estimate)
+        part["range"][:] = estimate.ranges
+        recorder.append(row, state)
+
+    return write
+
+
+def _span(recorder: Recorder, names: list[str], timed: dict[str, Any]) -> slice:
+    """The columns of all readings, which stand together."""
+    columns = recorder.layout.columns
+    found = [columns[n] for n in [*names, *(f"measured_{t}_{x}" for t in timed for x in ("time", "valid"))]]
+    return slice(min(c.start for c in found), max(c.stop for c in found))
+
+
+def estimate_writer(part: dict[str, _Array]) -> Callable[[Estimate], None]:
+    """Return what fills the part of a row (or its like) that is believed: ``write(estimate)``."""
+    motion = [part[f"estimated_{name}"] for name in _MOTION]
+    sigma = [part[f"estimated_{name}_sigma"] for name in _MOTION]
+    beliefs = {name: part[f"estimated_{name}"] for name in _BELIEFS}
+    checks = {name: (part[f"innovation_{name}"], part[f"status_{name}"]) for name in CHECKED}
+    valid = part["estimated_valid"]
+
+    def write(m: Estimate) -> None:
+        for target, value in zip(motion, (m.position, m.velocity, m.attitude, m.rates), strict=True):
+            target[:] = value
+        deviation = np.sqrt(m.covariance.diagonal())
+        for k, target in enumerate(sigma):
+            target[:] = deviation[3 * k : 3 * k + 3]
+        valid[0] = m.valid
+        if m.beliefs is not None:
+            for name, target in beliefs.items():
+                target[:] = getattr(m.beliefs, name)
+            for check in m.beliefs.checks:
+                if check.name in checks:
+                    innovation, status = checks[check.name]
+                    innovation[0], status[0] = check.ratio, _CODES[check.status]
+
+    return write
+
+
+def readings_of(dataset: xr.Dataset) -> Iterator[tuple[Readings, _Array]]:
+    """Yield the readings of every row of a flight on sensors, and what acted over the period that ended with it."""
+    time = dataset["time"].values
+    columns = {
+        name: (
+            dataset[f"measured_{name}"].values,
+            dataset[f"measured_{'acceleration' if name in _UNTIMED else name}_time"].values,
+            np.ones(len(time)) if name in _UNTIMED else dataset[f"measured_{name}_valid"].values,
+        )
+        for name in READINGS
+    }
+    inputs = np.hstack([dataset["motor_input"].values, dataset["servo_input"].values])
+    came = {name: np.isfinite(when) for name, (_, when, _) in columns.items()}
+    latest: dict[str, Reading] = {}
+    for k, t in enumerate(time.tolist()):
+        for name, (value, when, valid) in columns.items():
+            if came[name][k]:
+                one = value[k].copy() if value.ndim == 2 else float(value[k])
+                latest[name] = Reading(one, float(when[k]), bool(valid[k]))
+        yield Readings(t, dict(latest)), inputs[k - 1] if k else np.zeros(4)
+
+
+def replay(dataset: xr.Dataset, estimator: Estimator) -> list[Estimate]:
+    """Return what an estimator makes of the readings of a recording, row by row."""
+    estimator.reset()
+    return [estimator.update(readings, acting) for readings, acting in readings_of(dataset)]

@@ -1,0 +1,217 @@
+"""What the flight software makes of an estimate that knows how good it is: go on, hold, land; and what it says of sensors.
+
+An estimator says how uncertain it is (its covariance), whether it stands by what it says, and what it thinks of each
+sensor. Flying goes by the first two alone, whatever the reason; the third gives the words.
+
+================================================ ===================================================================
+horizontal position uncertain by more than 0.25 m the mission waits in a hover; below 0.15 m for a second, it goes on
+... by more than 0.6 m, or waiting for 10 s       it lands where it is
+height uncertain by more than 0.3 m               it lands
+roll or pitch uncertain by more than 8 degrees,   it sinks with its servos at trim, which the stabiliser bar makes a
+or the gyroscopes are not to be believed          level attitude
+heading uncertain by more than 30 degrees         it lands
+================================================ ===================================================================
+
+All are standard deviations. In the air only, and not against a pilot, who is told and decides.
+
+Something is said of a sensor when it has not been used, or not believed, for most of a quarter of a second, and again
+when it has been fused for a second. A reading that is left out now and then is none of both: a level rises with the
+time that a sensor is not believed and sinks with a tenth of the time that it is.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from mufly.estimate import Check, Estimate
+
+HOLD_M, CERTAIN_M, LAND_M = 0.25, 0.15, 0.6
+"""Horizontal standard deviations from which it waits, below which it goes on, from which it lands (m)."""
+CERTAIN_S, WAIT_S = 1.0, 10.0
+"""For how long it has to be certain to go on; how long it waits at most (s)."""
+HEIGHT_M = 0.3
+TILT, HEADING = math.radians(8.0), math.radians(30.0)
+
+BAD_S, GOOD_S = 0.2, 1.0
+"""For how long a sensor is not believed until that is said; fused, until it is said to be used again (s)."""
+_FORGET = 0.1
+
+Demand = Literal["", "hold", "land", "sink"]
+
+
+class Doubt(NamedTuple):
+    """What an estimate is not good enough for, and why."""
+
+    demand: Demand = ""
+    why: str = ""
+
+
+NO_DOUBT = Doubt()
+
+_NAMES = {
+    "acceleration": "accelerometers", "rates": "gyroscopes", "ground_distance": "sonar", "ranges": "laser ring",
+    "pressure": "pressure sensor", "magnetic_field": "magnetometer", "rotor_speed": "rotor speed",
+    "position_fix": "position fix", "battery_voltage": "battery monitor",
+}  # fmt: skip
+_PLACE = ("position_fix", "ranges")
+_HEIGHT = ("ground_distance", "position_fix", "pressure")
+_LEVEL = ("rates", "acceleration")
+_HEADING = ("position_fix", "magnetic_field", "rates")
+
+
+def sensor_name(reading: str) -> str:
+    """Return what a reading comes from, in words."""
+    return _NAMES.get(reading, reading.replace("_", " "))
+
+
+def checks_of(m: Estimate) -> tuple[Check, ...]:
+    """Return what the estimator thinks of its sensors; nothing where it is told the truth."""
+    return () if m.beliefs is None else m.beliefs.checks
+
+
+def told(check: Check) -> str:
+    """A sensor, what is thought of it, and why."""
+    state = {"missing": "says nothing", "rejected": "is not believed", "faulty": "is faulty"}
+    return f"{sensor_name(check.name)} {state.get(check.status, check.status)}" + (
+        f": {check.reason}" if check.reason else ""
+    )
+
+
+def _because(m: Estimate, sources: tuple[str, ...]) -> str:
+    """What is wrong with the sensors that would tell."""
+    wrong = [told(c) for c in checks_of(m) if c.name in sources and c.status in ("missing", "rejected", "faulty")]
+    return f" ({'; '.join(wrong)})" if wrong else ""
+
+
+def judge(m: Estimate) -> Doubt:
+    """Return what an estimate is not good enough for, whatever it was before."""
+    if m.beliefs is None:
+        return NO_DOUBT
+    variance = m.covariance.diagonal()
+    place, height = math.sqrt(max(variance[0], variance[1])), math.sqrt(variance[2])
+    tilt, heading = math.sqrt(max(variance[6], variance[7])), math.sqrt(variance[8])
+    if tilt > TILT:
+        return Doubt("sink", f"attitude uncertain by {math.degrees(tilt):.0f} deg{_because(m, _LEVEL)}")
+    if heading > HEADING:
+        return Doubt("land", f"heading uncertain by {math.degrees(heading):.0f} deg{_because(m, _HEADING)}")
+    if height > HEIGHT_M:
+        return Doubt("land", f"height uncertain by {height:.2f} m{_because(m, _HEIGHT)}")
+    if place > HOLD_M:
+        why = f"position uncertain by {place:.2f} m{_because(m, _PLACE)}"
+        return Doubt("land" if place > LAND_M else "hold", why)
+    return NO_DOUBT
+
+
+@dataclass
+class Doubts:
+    """What is remembered of doubts, for their hysteresis.
+
+    Attributes
+    ----------
+    now : Doubt
+    """
+
+    now: Doubt = NO_DOUBT
+    _since_s: float = math.nan
+    _certain_s: float = math.nan
+
+    def step(self, m: Estimate) -> Doubt:
+        """Judge an estimate in the air; what was doubted stays so until it is certain again."""
+        t, found = m.time_s, judge(m)
+        if self.now.demand in ("land", "sink"):
+            return self.now if found.demand != "sink" else self._say(found)
+        if found.demand in ("land", "sink"):
+            return self._say(found)
+        if found.demand == "hold":
+            self._certain_s = math.nan
+            if self.now.demand != "hold":
+                self._since_s = t
+                return self._say(found)
+        elif self.now.demand == "hold":
+            variance = m.covariance.diagonal()
+            if max(variance[0], variance[1]) >= CERTAIN_M**2:
+                self._certain_s = math.nan
+            elif math.isnan(self._certain_s):
+                self._certain_s = t
+            elif t - self._certain_s >= CERTAIN_S:
+                return self._say(NO_DOUBT)
+        if self.now.demand == "hold" and t - self._since_s > WAIT_S:
+            return self._say(Doubt("land", f"{found.why or self.now.why}, for {WAIT_S:g} s"))
+        return self.now
+
+    def _say(self, found: Doubt) -> Doubt:
+        self.now = found
+        return found
+
+
+@dataclass
+class SensorWatch:
+    """Turns what an estimator thinks of its sensors into events that are worth a line.
+
+    Attributes
+    ----------
+    told : dict
+        Reading to the status that was told last, of those that are not believed.
+    """
+
+    told: dict[str, str] = field(default_factory=dict)
+    _level: dict[str, float] = field(default_factory=dict)
+    _good_s: dict[str, float] = field(default_factory=dict)
+    _wrong: dict[str, Check] = field(default_factory=dict)
+
+    def step(self, checks: tuple[Check, ...], period_s: float) -> list[tuple[str, str]]:
+        """Return (text, level) of what has changed, a period later."""
+        said: list[tuple[str, str]] = []
+        for check in checks:
+            name = check.name
+            if check.status in ("rejected", "missing", "faulty"):
+                self._wrong[name] = check
+                self._good_s[name] = 0.0
+                level = self._level[name] = min(self._level.get(name, 0.0) + period_s, BAD_S + period_s)
+                if level >= BAD_S and name not in self.told:
+                    self.told[name] = check.status
+                    said.append((told(check), "warning"))
+            elif check.status == "fused":
+                level = self._level.get(name, 0.0)
+                if level > 0.0:
+                    self._level[name] = level - _FORGET * period_s
+                if name in self.told:
+                    self._good_s[name] += period_s
+                    if self._good_s[name] >= GOOD_S:
+                        del self.told[name]
+                        self._level[name] = 0.0
+                        said.append((f"{sensor_name(name)} is used again", "info"))
+        return said
+
+
+# Before take-off: what cannot work
+
+
+def outlook(m: Estimate, reach_m: float) -> str:
+    """One line on what an estimate that is valid on the floor will not be good for in the air; "" if nothing.
+
+    Parameters
+    ----------
+    m : Estimate
+    reach_m : float
+        How far the laser ring sees (m).
+    """
+    checks = {c.name: c for c in checks_of(m)}
+    if not checks:
+        return ""
+    fix, ring = checks.get("position_fix"), checks.get("ranges")
+    fixed = fix is not None and fix.status == "fused"
+    walls = ring is not None and bool(np.any(m.ranges < reach_m))
+    lines = []
+    if not fixed and not walls:
+        why = "no position fix on board" if fix is None else told(fix) if fix.status != "waiting" else "no position fix"
+        seen = "no laser ring" if ring is None else f"no wall within the {reach_m:g} m of the lasers"
+        lines.append(
+            f"nothing tells where it is: {why}, {seen}; it holds by drag and rotor model for as long as that goes, "
+            "then lands"
+        )
+    return "; ".join(lines)
