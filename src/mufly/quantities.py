@@ -95,7 +95,9 @@ def _channels(pattern: str) -> str:
     return " ".join(pattern.format(k) for k in range(1, 9))
 
 
-def _raw(reading: str, dim: str | None, units: str, long_name: str, kept: str = "sensors") -> tuple[Quantity, ...]:
+def _raw(
+    reading: str, dim: str | None, units: str, long_name: str, kept: str = "sensors"
+) -> tuple[Quantity, ...]:
     """What a sensor said, when it had measured that, and whether it stood by it; NaN where nothing came anew."""
     name = reading.replace("_", " ")
     return (

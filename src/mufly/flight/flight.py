@@ -138,7 +138,9 @@ class Flight:
         self.sensors = _sensors(sensors, vehicle, mission, self._look, seed, faults)
         sensed = isinstance(self.sensors, FittedSensors)
         if estimator is None:
-            estimator = fitted_estimator(vehicle, mission.world, controller.rate_Hz) if sensed else IdealEstimator()
+            estimator = (
+                fitted_estimator(vehicle, mission.world, controller.rate_Hz) if sensed else IdealEstimator()
+            )
         self.estimator = estimator
         self.lacking = (
             f"{vehicle.name} has no table [sensors]: it flies on what is true"
@@ -353,7 +355,9 @@ def _sensors(
         return fitted_sensors(vehicle, mission.world, seed=seed, faults=faults)
     if faults:
         what = "has no table [sensors]" if wanted == "fitted" else "flies on what is true"
-        raise InputError("fault", str(faults[0]), f"{vehicle.name} {what}", "fly on fitted sensors, or without faults")
+        raise InputError(
+            "fault", str(faults[0]), f"{vehicle.name} {what}", "fly on fitted sensors, or without faults"
+        )
     return ideal_sensors(vehicle, mission.world, look)
 
 

@@ -281,7 +281,11 @@ class FlightSoftware:
         before, now = self._doubts.now, self._doubts.step(m)
         if now.demand == "sink":
             return now.why
-        if now.demand == "hold" and not self._held and s.state in (State.WAYPOINT, State.OBSTACLE, State.HOVER):
+        if (
+            now.demand == "hold"
+            and not self._held
+            and s.state in (State.WAYPOINT, State.OBSTACLE, State.HOVER)
+        ):
             self._held, self._waits = True, s.begun and not s.manual and s.outcome == ""
             s = log(s, now.why, level="warning")
             self.mission_state = pause(self.plan, s, "waits until it knows better where it is")

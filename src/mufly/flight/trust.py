@@ -83,7 +83,9 @@ def told(check: Check) -> str:
 
 def _because(m: Estimate, sources: tuple[str, ...]) -> str:
     """What is wrong with the sensors that would tell."""
-    wrong = [told(c) for c in checks_of(m) if c.name in sources and c.status in ("missing", "rejected", "faulty")]
+    wrong = [
+        told(c) for c in checks_of(m) if c.name in sources and c.status in ("missing", "rejected", "faulty")
+    ]
     return f" ({'; '.join(wrong)})" if wrong else ""
 
 
@@ -208,7 +210,13 @@ def outlook(m: Estimate, reach_m: float) -> str:
     walls = ring is not None and bool(np.any(m.ranges < reach_m))
     lines = []
     if not fixed and not walls:
-        why = "no position fix on board" if fix is None else told(fix) if fix.status != "waiting" else "no position fix"
+        why = (
+            "no position fix on board"
+            if fix is None
+            else told(fix)
+            if fix.status != "waiting"
+            else "no position fix"
+        )
         seen = "no laser ring" if ring is None else f"no wall within the {reach_m:g} m of the lasers"
         lines.append(
             f"nothing tells where it is: {why}, {seen}; it holds by drag and rotor model for as long as that goes, "
