@@ -10,8 +10,8 @@ The actuators a_k take effect at t_(k+1): the delay of one period is that of a p
 compute. Nothing here knows of the clock on the wall: :func:`fly` ticks as fast as it can, a link in real time.
 
 It flies on what is true, or on what the vehicle's own sensors say of that and a filter makes of it: ``sensors`` is
-``"ideal"`` or ``"fitted"``. In Python, ideal is the default, since most that is asked there is about vehicle, controllers
-and missions; the commands, which stand for the vehicle, fly on its sensors.
+``"ideal"`` or ``"fitted"``. In Python, ideal is the default, since most that is asked there is about vehicle,
+controllers and missions; the commands, which stand for the vehicle, fly on its sensors.
 """
 
 from __future__ import annotations
@@ -245,7 +245,7 @@ class Flight:
             self.autopilot.emergency_stop()
 
     def inject(self, fault: Fault) -> None:
-        """Let something go wrong with a sensor, at the fault's time or, where that is past, now; noted among the events.
+        """Let something go wrong with a sensor, at the fault's time or, where that is past, now; an event tells.
 
         Raises
         ------

@@ -17,8 +17,8 @@ blind       the estimate is lost: servos at trim, which the stabiliser bar makes
 Between two steps of the mission logic its reference is carried on at the reference velocity. Where the mission asks
 for more than the controllers can follow, it is flown more slowly (:mod:`mufly.mission.check`). Estimates that are
 missing or frozen are bridged for half a second (:func:`mufly.estimate.watch`), then the flight is given up; what is
-done about uncertain ones is in :mod:`mufly.flight.trust`. Actuators that oscillate (:mod:`mufly.flight.oscillation`) end
-the mission too.
+done about uncertain ones is in :mod:`mufly.flight.trust`. Actuators that oscillate (:mod:`mufly.flight.oscillation`)
+end the mission too.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the flight software makes of an estimate that knows how good it is: go on, hold, land; and what it says of sensors.
+"""What the flight software makes of an estimate that knows how good it is: go on, hold, land; what it says of sensors.
 
 An estimator says how uncertain it is (its covariance), whether it stands by what it says, and what it thinks of each
 sensor. Flying goes by the first two alone, whatever the reason; the third gives the words.
