@@ -70,8 +70,8 @@ class Quantity:
     units, long_name : str
         Written to the variable's attributes, the schema and the CSV header; ``"1"`` is a pure number.
     kept : str
-        Words: ``flight``: every recording has it; ``sensors``, ``station``: one of a flight on sensors, of a station has
-        it besides. None of them: only logs of others.
+        Words: ``flight``: every recording has it; ``sensors``, ``station``: one of a flight on sensors or a
+        station's has it besides. None of them: only logs of others.
     mavlink : tuple of Wire
         Fields that are plainly it, but for their unit (https://mavlink.io/en/messages/common.html).
     """
