@@ -40,7 +40,8 @@ def watched(signal, *, seconds=12.0, which=2, asked=None, rate=50.0):
 @pytest.mark.parametrize("which", range(4))
 @pytest.mark.parametrize("hertz", [0.4, 1.0, 5.0])
 def test_a_steady_swing_is_found_with_its_size_and_frequency(which: int, hertz: float) -> None:
-    middle, size = (0.5, 0.4) if which < 2 else (0.0, 0.8)
+    # A little more than half of the range, to and fro.
+    middle, size = (0.5, 0.275) if which < 2 else (0.0, 0.55)
     found = watched(lambda t: middle + size * math.sin(math.tau * hertz * t), which=which, seconds=16.0)
     first = next(k for k, one in enumerate(found) if one) / 50.0
     assert max(4.0 / hertz, 2.0) <= first <= max(4.0 / hertz, 2.0) + 2.0 / hertz
@@ -71,6 +72,34 @@ def test_it_ends_when_the_actuator_rests() -> None:
     found = watched(lambda t: math.sin(math.tau * t) if t < 8.0 else 0.0, seconds=16.0)
     assert found[round(8.0 * 50)]
     assert not found[-1]
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_of_several_that_which_lasts_longest_is_told(order: int) -> None:
+    watch, early, late = OscillationWatch(), *(1, 3)[::order]
+    for k in range(800):
+        t, inputs = k / 50.0, [0.5, 0.5, 0.0, 0.0]
+        inputs[early] += (0.4 if early == 1 else 0.8) * math.sin(math.tau * t)
+        inputs[late] += (0.4 if late == 1 else 0.8) * math.sin(math.tau * t) * (t > 4.0)
+        found = watch.step(t, inputs)
+        if t > 10.0:
+            assert found.input == INPUTS[early]
+            assert found.lasting_s == pytest.approx(t - found.since_s, abs=1.0)
+
+
+@pytest.mark.parametrize("axis", range(6))
+def test_only_what_is_asked_for_clearly_is_steering(axis: int) -> None:
+    """To and fro by 11 cm/s, 12 deg/s or 3 deg it is; what is a fifth less is a hand that trembles."""
+
+    def asked(share):
+        size = 0.5 * share * (0.11, 0.11, 0.11, math.radians(12.5), math.radians(3.1), math.radians(3.1))[axis]
+        return lambda t: tuple(size * math.sin(math.tau * 0.7 * t) * (k == axis) for k in range(6))
+
+    def swing(t):
+        return math.sin(math.tau * 0.7 * t - 0.4)
+
+    assert not any(watched(swing, asked=asked(1.0)))
+    assert watched(swing, asked=asked(0.8))[-1]
 
 
 def test_what_a_pilot_or_a_program_asks_for_is_none() -> None:

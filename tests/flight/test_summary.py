@@ -142,8 +142,10 @@ def test_a_detour_around_an_obstacle_is_still_the_same_leg():
 
 def test_times_from_the_mission_come_first():
     knots, states = leg()
-    first = summarise(flown(knots, states), [GOAL], reached_s=[10.0]).waypoints[0]
-    assert first.reached_s == pytest.approx(10.0)
+    # Also where they were added up in another order than those of the rows.
+    for reached in (10.0, 10.0 * (1 - 1e-15), 10.0 * (1 + 1e-15)):
+        first = summarise(flown(knots, states), [GOAL], reached_s=[reached]).waypoints[0]
+        assert first.reached_s == pytest.approx(10.0)
 
 
 def test_the_square_of_the_thesis(flight):
@@ -178,6 +180,41 @@ def test_railing_is_timed_in_the_air_only():
     s = summarise(flown(knots, states, motor_input=motor), [GOAL])
     assert s.longest_railed_s == pytest.approx(0.12)
     assert s.longest_railed_input == "motor_input lower"
+
+
+@pytest.mark.parametrize(
+    ("name", "column", "value"),
+    [("motor_input", 0, 0.0), ("motor_input", 1, 1.0), ("servo_input", 0, -1.0), ("servo_input", 1, 1.0)],
+)
+def test_both_ends_of_an_input_are_rails(name, column, value):
+    """Also where an input was stored in a way that rounds."""
+    knots, states = leg()
+    given = np.full((1801, 2), 0.3)
+    given[500:530, column] = value * (1 - 1e-12)
+    summary = summarise(flown(knots, states, **{name: given}))
+    assert summary.longest_railed_s == pytest.approx(0.3)
+    assert summary.longest_railed_input.startswith(name)
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_the_longest_oscillation_of_a_flight_is_told(first):
+    knots, states = leg()
+    time = np.arange(1801) * STEP_S
+    long, short = ((2.0, 9.0), (11.0, 15.0)) if first else ((8.0, 15.0), (2.0, 6.0))
+    swinging = sum(((time > a) & (time < b)) for a, b in (long, short))
+    servo = np.column_stack([0.9 * np.sin(math.tau * 2.0 * time) * swinging, np.zeros(1801)])
+    summary = summarise(flown(knots, states, servo_input=servo))
+    assert summary.longest_oscillation_s == pytest.approx(7.0, abs=0.8)
+    assert "servo_input 1 oscillates" in summary.longest_oscillation
+
+
+def test_a_hop_of_one_instant_is_a_flight_too():
+    knots, states = leg()
+    position = np.tile([0.0, 0.0, -0.05], (1801, 1))
+    position[900, 2] = -0.5
+    summary = summarise(flown(knots, states, truth_position=position))
+    assert summary.max_tilt_deg == 0.0
+    assert summary.longest_oscillation_s == 0.0
 
 
 def test_tilt_combines_roll_and_pitch():

@@ -168,7 +168,7 @@ def summarise(
     oscillation = _longest_oscillation(dataset, airborne)
     error = np.linalg.norm(x - dataset.reference_position.values, axis=1)
     angles = dataset.truth_attitude.values
-    tilt = np.degrees(np.arccos(np.clip(np.cos(angles[:, 0]) * np.cos(angles[:, 1]), -1.0, 1.0)))
+    tilt = np.degrees(np.arccos(np.cos(angles[:, 0]) * np.cos(angles[:, 1])))
     # One that ends with its return comes down where it stood.
     foot = goals[-1] if goals and dataset.attrs.get("at_end") != "return" else x[0]
     return Summary(
