@@ -119,6 +119,17 @@ def test_a_speed_set_in_a_hover_is_flown_with(flight: Flight) -> None:
     assert answer.reason == "from the next leg on"
 
 
+def test_angles_are_in_degrees_as_the_table_says(flight: Flight, controller: FlightController) -> None:
+    p = flight.autopilot.parameters
+    for name, table, key in (
+        ("CTL_TILT_MAX", controller.position_gains, "tilt_limit"),
+        ("CTL_YAW_RATE", controller.heave_yaw_gains, "yaw_rate"),
+    ):
+        assert p[name].value == pytest.approx(180.0 / math.pi * float(table[key]))
+        assert p[name].unit.startswith("deg")
+    assert p["LIM_YAWRATE"].value == pytest.approx(HOP.limits.yaw_rate_deg_s)
+
+
 def test_avoidance_can_be_switched_off_and_on(flight: Flight) -> None:
     a = flight.autopilot
     assert a.set_parameter("AVD_ENABLE", 0.0)
@@ -247,10 +258,12 @@ def test_a_pushed_helicopter_comes_back_at_the_bounds(flight: Flight, name: str,
     np.testing.assert_allclose(flight.status.truth.position, (0.0, 0.0, -1.0), atol=0.05)
 
 
-def test_every_parameter_is_documented_with_its_bounds() -> None:
+def test_every_parameter_is_documented_with_its_bounds(flight: Flight) -> None:
     text = (Path(__file__).parents[2] / "docs" / "missions.md").read_text(encoding="utf-8")
     for row in TABLE.values():
         line = next((t for t in text.splitlines() if t.startswith(f"| `{row.name}` |")), "")
         assert row.help in line, row.name
         if math.isfinite(row.greatest):
             assert f"{row.least:g} to {row.greatest:g}" in line, row.name
+        if row.name.startswith("STK_"):
+            assert f"({flight.autopilot.parameters[row.name].value:g} at first)" in line, row.name

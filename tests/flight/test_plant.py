@@ -1,11 +1,14 @@
 """The true helicopter in its world: what counts as a crash, and how time passes."""
 
+import re
+
 import numpy as np
 import pytest
 
-from mufly.dynamics import DrydenWind, initial_state
+from mufly.dynamics import DEFAULT_STEP_S, DrydenWind, initial_state
+from mufly.errors import MuflyError
 from mufly.flight import Actuators, Plant
-from mufly.vehicle import load_vehicle
+from mufly.vehicle import load_vehicle, replace
 from mufly.world import Box, World
 
 VEHICLE = load_vehicle("mufly-1.1")
@@ -13,9 +16,9 @@ RADIUS = float(VEHICLE.rotors.radius)
 EMPTY = World()
 
 
-def plant_at(position, attitude=(0.0, 0.0, 0.0), world=EMPTY) -> Plant:
+def plant_at(position, attitude=(0.0, 0.0, 0.0), world=EMPTY, vehicle=VEHICLE) -> Plant:
     state = initial_state(position=position, attitude=attitude)
-    return Plant(VEHICLE, world, DrydenWind(step_s=0.005), 200.0, state)
+    return Plant(vehicle, world, DrydenWind(step_s=0.005), 200.0, state)
 
 
 @pytest.mark.parametrize(("gap", "hit"), [(0.9 * RADIUS, True), (1.1 * RADIUS, False)])
@@ -40,3 +43,18 @@ def test_time_is_counted_in_whole_periods() -> None:
     assert plant.time_s == 201 / 200
     # Free fall but for the drag of the fuselage.
     assert plant.state[5] == pytest.approx(9.81 * plant.time_s, rel=0.05)
+
+
+def test_a_simulation_that_fails_says_when_and_with_which_steps() -> None:
+    plant = plant_at((0.0, 0.0, np.nan))
+    with pytest.raises(MuflyError, match=r"became unstable at 0\.005 s with steps of") as told:
+        plant.advance(Actuators.idle())
+    step_ms = float(re.search(r"steps of (\S+) ms", str(told.value))[1])
+    # A whole number of steps makes a period of 5 ms, and with one fewer they would be longer than is sound.
+    steps = round(5.0 / step_ms)
+    assert 5.0 / step_ms == pytest.approx(steps)
+    assert 5.0 / steps <= 1e3 * DEFAULT_STEP_S * (1 + 1e-9) < 5.0 / (steps - 1)
+    with pytest.raises(MuflyError, match="too short to simulate") as told:
+        plant_at((0.0, 0.0, -1.0), vehicle=replace(VEHICLE, {"swash_plate.time_constant": 1e-6}))
+    # Runge and Kutta's method of fourth order needs 2.8 steps a time constant at the least.
+    assert 0.3 < float(re.search(r"steps of (\S+) us", str(told.value))[1]) < 2.8

@@ -29,6 +29,7 @@ def test_heave_step_of_half_a_metre(vehicle, controller, charge: float) -> None:
         controller=controller,
         charge=charge,
     )
+    assert ds.time.values[[0, -1]] == pytest.approx([0.0, 8.0])
     y = ds.truth_position.values[:, 2] / -0.5
     outside = ds.time.values[np.abs(y - 1.0) > 0.02]
     assert outside[-1] - 1.0 <= 2.5

@@ -128,7 +128,12 @@ def test_spins_up_to_a_little_less_than_it_takes_to_lift_off(
 ) -> None:
     bench.run(0.02, START)
     bench.run(2.9)
-    volts = bench.sent[-1][:2] * bench.seen[-1].battery_voltage
+    volts = np.array([u[:2] * m.battery_voltage for u, m in zip(bench.sent, bench.seen, strict=True)])
+    # It rises evenly, and for the latter half the slow upper rotor has time to follow.
+    np.testing.assert_allclose(volts[len(volts) // 4] / volts[-1], 0.5, atol=0.03)
+    np.testing.assert_allclose(volts[int(0.45 * len(volts))] / volts[-1], 0.9, atol=0.04)
+    np.testing.assert_allclose(volts[int(0.53 * len(volts)) :], np.broadcast_to(volts[-1], volts[int(0.53 * len(volts)) :].shape), rtol=1e-6)
+    volts = volts[-1]
     np.testing.assert_allclose(volts, 0.9 * controller.motor_trim * controller.voltage_V, rtol=1e-6)
     assert bench.height == pytest.approx(standing_height(load_vehicle("mufly-1.1")), abs=3e-3), (
         "legs unload, no more"
@@ -153,21 +158,32 @@ def test_on_its_legs_the_servos_stay_neutral(bench: Bench) -> None:
 def test_between_steps_of_the_mission_the_reference_moves_on(
     bench: Bench, controller: FlightController, monkeypatch
 ) -> None:
-    followed = []
-    step = Controllers.step
+    followed, shown, cascade = [], [], []
+    step, tilt_for = Controllers.step, Controllers.tilt_for
 
     def spy(self, measured, heave_yaw, tilt):
         followed.append(heave_yaw)
         return step(self, measured, heave_yaw, tilt)
 
+    def count(self, *arguments):
+        cascade.append(len(followed))
+        return tilt_for(self, *arguments)
+
     monkeypatch.setattr(Controllers, "step", spy)
+    monkeypatch.setattr(Controllers, "tilt_for", count)
+    assert not bench.software.flying
     bench.run(0.02, START)
-    bench.run(4.9)
+    bench.run(4.9, until=lambda: shown.append(bench.software.reference) and False)
+    shown.append(bench.software.reference)
+    assert bench.software.flying
     z, _, speed, _ = np.array(followed).T
     climbing = np.abs(speed[:-1]) > 0.1
     assert climbing.sum() > 20
     moved = np.diff(z)[climbing] / controller.period_s
     np.testing.assert_allclose(moved, speed[:-1][climbing], atol=0.02)
+    # What is shown is what is followed, and the position cascade keeps to the rate that it was designed for.
+    np.testing.assert_allclose([position[2] for position, *_ in shown][-len(z) :], z)
+    assert set(np.diff(cascade)) == {controller.position_divider}
 
 
 def test_users_waypoint_is_flown_to_and_held(bench: Bench) -> None:
@@ -192,6 +208,7 @@ def test_lands_on_the_signal_and_flies_again(bench: Bench) -> None:
         "land signal with 1 waypoint to go",
     )
     assert np.all(bench.sent[-1] == 0.0)
+    assert not bench.software.flying
     bench.take_off()
     assert bench.software.mission_state.outcome == ""
     assert bench.plant.crashed == ""
