@@ -104,6 +104,10 @@ def test_takes_off_to_the_parameter_s_height_hovers_and_lands(pilot: Pilot) -> N
     pilot.run(2.0)
     assert a.land()
     assert a.land(), "asked twice"
+    pilot.run(20.0, until=lambda: pilot.position[2] > -0.075)
+    pilot.run(0.3)
+    s = a.status
+    assert (s.state, s.motors, s.flying) == ("landing", "fly", False), "on its legs, before the rotors stop"
     pilot.fly_to("init")
     pilot.run(0.1)
     s = a.status
@@ -212,6 +216,7 @@ def test_disarming_and_stopping(pilot: Pilot) -> None:
     assert a.arm()
     assert a.disarm()
     assert not a.status.armed
+    assert [e.text for e in a.events()] == ["armed", "disarmed"]
     assert a.arm()
     assert a.start_mission()
     pilot.run(1.5)
@@ -258,6 +263,7 @@ def standing() -> Estimate:
         ),
         ({"battery_voltage": math.nan}, "battery voltage not measured"),
         ({"attitude": np.array([0.3, 0.0, 0.0])}, "tilted by 17 deg; set it on level ground"),
+        ({"attitude": np.radians([0.0, -11.0, 90.0])}, "tilted by 11 deg; set it on level ground"),
         ({"velocity": np.array([0.0, 0.5, 0.0])}, "it is being moved"),
         ({"rates": np.array([0.0, 0.0, 1.0])}, "it is being moved"),
         ({"position": np.array([math.nan, 0.0, 0.0])}, "position not measured; check the sensors"),
@@ -273,6 +279,23 @@ def test_every_reason_not_to_arm(change, words: str) -> None:
     why = not_ready(replace(m, **change), 0.0, 6.0, World(), 0.09, "")
     assert len(why) == 1
     assert words in why[0]
+
+
+def test_a_slope_of_9_degrees_is_level_enough() -> None:
+    assert not_ready(replace(standing(), attitude=np.radians([9.0, -9.0, 90.0])), 0.0, 6.0, World(), 0.09, "") == []
+
+
+def test_carried_about_it_does_not_fly(pilot: Pilot) -> None:
+    m = pilot.flight.status.estimate
+    pilot.autopilot.observe(replace(m, time_s=m.time_s + 0.005, position=np.array([0.0, 0.0, -1.0])))
+    assert not pilot.autopilot.status.flying
+
+
+def test_a_mission_is_taken_where_the_position_is_not_known_yet(pilot: Pilot) -> None:
+    m = pilot.flight.status.estimate
+    lost = np.full(3, math.nan)
+    pilot.autopilot.observe(replace(m, time_s=m.time_s + 0.005, position=lost, attitude=lost))
+    assert pilot.autopilot.load_mission(HOP)
 
 
 def test_arming_needs_measurements_that_are_fresh() -> None:
@@ -304,6 +327,7 @@ def test_a_used_battery_is_not_armed_with(pilot: Pilot) -> None:
     assert empty < volts - 1.0
     assert a.set_parameter("BAT_LOW_V", round(empty - 0.5 * BATTERY_MARGIN_V, 3))
     assert "battery low" in a.arm().reason
+    assert "more)" not in a.arm().reason
     assert a.set_parameter("BAT_LOW_V", round(empty - 1.5 * BATTERY_MARGIN_V, 3))
     assert a.arm()
 
@@ -324,6 +348,12 @@ def test_offboard_needs_a_stream_and_hovers_without(pilot: Pilot) -> None:
     pilot.run(4.0, each=stream)
     assert a.status.state == "offboard"
     assert pilot.flight.status.truth.velocity[0] == pytest.approx(0.3, abs=0.03)
+    assert a.offboard(False)
+    pilot.run(0.02)
+    assert (a.status.state, a.status.offboard) == ("hover", False)
+    assert a.set_point(SetPoint(velocity_m_s=(0.3, 0.0, 0.0)))
+    assert a.offboard(True)
+    pilot.run(2.0, each=stream)
     pilot.run(SET_POINT_S + 0.05)
     assert a.status.state == "hover"
     assert not a.status.offboard

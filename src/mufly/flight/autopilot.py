@@ -466,10 +466,7 @@ class Autopilot:
     def offboard(self, on: bool) -> Answer:
         """Follow set-points from now on, or no more. It needs one that is younger than half a second."""
         if not on:
-            if self._offboard:
-                self._offboard = False
-                if self.software.mission_state.state == "offboard" and self._command == NO_SIGNAL:
-                    self._command = Command(pause=True)
+            self._offboard = False
             return ACCEPTED
         if self._now - self._set_point_s > SET_POINT_S or self._set_point is None:
             return later(f"no set-point in the last {SET_POINT_S:g} s; stream them first")
