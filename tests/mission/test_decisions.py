@@ -17,6 +17,14 @@ def measured(t=0.02, x=HIGH, attitude=(0.0, 0.0, 0.0), volts=7.4):
     return Estimate(t, np.array(x), np.zeros(3), np.array(attitude), np.zeros(3), np.full(8, 1.5), volts)
 
 
+def in_state(plan, m, *commands):
+    """The machine after some commands, a step of 20 ms each, at one place."""
+    s = begin(plan, measured(0.0, (0.0, 0.0, -0.07)))
+    for k, c in enumerate(commands):
+        s, _ = step(plan, s, replace(m, time_s=0.02 * (k + 1)), c)
+    return s
+
+
 def hovering(rig, tables=TWO, **changes):
     """A plan, and a hover at 1 m with the mission begun and its wait over."""
     plan = rig.plan_for(mission_from(tables))
@@ -115,3 +123,65 @@ def test_a_stop_fails_a_flight_with_a_mission_or_without_but_not_none(rig, start
     plan, s = hovering(rig, started=started, begun=begun)
     s, r = step(plan, s, measured(), Command(stop="emergency stop"))
     assert (s.state, s.outcome, s.finished, r.motors) == (State.INIT, outcome, outcome != "", "off")
+
+
+@pytest.mark.parametrize(
+    ("late", "height", "state"),
+    [(2.9, 0.05, "take-off"), (3.1, 0.09, "init"), (3.1, 0.11, "take-off"), (3.6, 0.05, "init")],
+)
+def test_a_take_off_that_does_not_lift_is_given_up_after_three_seconds(rig, late, height, state):
+    plan = rig.plan_for(mission_from(TWO))
+    s = in_state(plan, measured(x=(0.0, 0.0, -0.07)), Command(start=True))
+    s = replace(s, motors="fly", clock_s=s.motion.duration_s + late - 0.02)
+    s, r = step(plan, s, measured(0.04, (0.0, 0.0, -0.07 - height)), Command())
+    assert s.state == state
+    assert (r.motors == "ramp_down") is (state == "init")
+
+
+@pytest.mark.parametrize("more", [-1.0, 1.0])
+def test_a_leg_is_given_up_after_twice_its_time_and_20_s(rig, more):
+    plan, s = hovering(rig, index=1)
+    s, _ = step(plan, s, measured(), Command())
+    planned = s.motion.duration_s
+    late = 2.0 * planned + 20.0 + more
+    s = replace(s, time_s=late, clock_s=planned + 1.0)
+    s, _ = step(plan, s, measured(late + 0.02), Command())
+    assert s.outcome == ("failed" if more > 0 else "")
+
+
+def test_a_pilots_height_answers_at_once_after_a_long_climb_that_did_not_happen(rig):
+    """The reference is never far from the helicopter: a second and a half of stick brings it back."""
+    for climb in (0.3, -0.3):
+        plan, s = hovering(rig, state=State.RC, begun=False)
+        for k in range(500):
+            s, r = step(plan, s, measured(0.02 * k), Command(rc=True, climb=climb))
+        assert abs(r.position[2] - HIGH[2]) > 0.4
+        for k in range(500, 590):
+            s, r = step(plan, s, measured(0.02 * k), Command(rc=True, climb=-climb))
+        assert (r.position[2] - HIGH[2]) * climb > 0.0
+
+
+@pytest.mark.parametrize(
+    ("tables", "swings"),
+    [({}, False), ({"scan": False}, False), ({"scan": True}, True), ({"enabled": False}, False)],
+)
+def test_the_nose_swings_by_half_the_gap_of_two_beams_while_it_scans(rig, tables, swings):
+    """To both sides of a beam that looks along the way; every direction is looked into every two seconds."""
+    box = [] if not tables else [{"centre_m": [1.0, 3.0, -1.0], "size_m": [0.4, 0.4, 2.0]}]
+    mission = mission_from({"waypoint": [{"position_m": [3.0, 0.0, -1.0]}], "box": box, "avoidance": tables})
+    assert rig.plan_for(mission).scan is swings
+    flight = rig.fly(mission, limit_s=22.0)
+    flying = [s in ("waypoint", "hover") for s in flight.states]
+    t, heading, rate = (
+        np.array([v for v, f in zip(values, flying, strict=True) if f])
+        for values in (
+            flight.time,
+            [r.heading for r in flight.reference],
+            [r.heading_rate for r in flight.reference],
+        )
+    )
+    np.testing.assert_allclose(np.diff(heading) / np.diff(t), 0.5 * (rate[1:] + rate[:-1]), atol=0.02)
+    level = np.array([abs(r.velocity[0]) > 0.02 for r, f in zip(flight.reference, flying, strict=True) if f])
+    degrees = np.degrees(heading[level])
+    assert degrees.max() - degrees.min() == pytest.approx(45.0 if swings else 0.0, abs=0.5)
+    assert abs(0.5 * (degrees.max() + degrees.min())) == pytest.approx(22.5 if swings else 0.0, abs=0.5)

@@ -37,7 +37,6 @@ from mufly.mission.avoidance import BRAKE_M_S2, hold_off, observe
 from mufly.mission.offboard import HIGHEST_M, SetPoint, fault_of, follow, wants_up
 from mufly.mission.phases import (
     anew,
-    at_gate,
     braking,
     go_home,
     land,
@@ -45,6 +44,7 @@ from mufly.mission.phases import (
     onward,
     point,
     reference,
+    scanning,
     set_out,
     spun_up,
     swing,
@@ -129,9 +129,7 @@ def _sense(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Missio
     memory, swinging = s.memory, s.swing
     if plan.avoid and s.state in _FLYING and (memory.used or float(m.ranges.min()) < plan.ring.max_range):
         memory = observe(memory, plan.ring, m.time_s, m.position, m.attitude, m.ranges)
-    # Around an obstacle the nose always swings, to see its outline.
-    on = s.state is State.OBSTACLE or (plan.scan and s.state is State.WAYPOINT and at_gate(s))
-    swinging = min(_LOOK_AROUND_S, swinging + dt) if on else max(0.0, min(1.0, swinging) - dt)
+    swinging = min(_LOOK_AROUND_S, swinging + dt) if scanning(plan, s) else max(0.0, min(1.0, swinging) - dt)
     return replace(
         s,
         time_s=m.time_s,

@@ -69,14 +69,23 @@ def at_gate(s: MissionState) -> bool:
     return isinstance(s.motion, Trajectory) and s.clock_s >= s.motion.gate_s
 
 
+def scanning(plan: MissionPlan, s: MissionState) -> bool:
+    """Whether the nose is to swing: around an obstacle, and on a level way where the mission scans."""
+    return s.state is State.OBSTACLE or (plan.scan and s.state is State.WAYPOINT and at_gate(s))
+
+
 def swing(plan: MissionPlan, s: MissionState) -> tuple[float, float]:
-    """Angle and rate of the nose's swing (rad, rad/s): half the gap between two beams to either side."""
+    """Angle and rate of the nose's swing (rad, rad/s): half the gap between two beams to either side.
+
+    It grows to that, and ends, within a second.
+    """
     if s.swing <= 0.0:
         return 0.0, 0.0
-    x = min(s.swing, 1.0)
-    size = 0.5 * plan.ring.spacing * x * x * (3.0 - 2.0 * x)
-    omega = math.tau / SWEEP_PERIOD_S
-    return size * math.sin(omega * s.time_s), size * omega * math.cos(omega * s.time_s)
+    x, most, omega = min(s.swing, 1.0), 0.5 * plan.ring.spacing, math.tau / SWEEP_PERIOD_S
+    size = most * x * x * (3.0 - 2.0 * x)
+    growth = most * 6.0 * x * (1.0 - x) * (1.0 if scanning(plan, s) else -1.0)
+    sine, cosine = math.sin(omega * s.time_s), math.cos(omega * s.time_s)
+    return size * sine, growth * sine + size * omega * cosine
 
 
 def reference(plan: MissionPlan, s: MissionState, m: Estimate, c: Command) -> Reference:
