@@ -282,7 +282,10 @@ def test_every_reason_not_to_arm(change, words: str) -> None:
 
 
 def test_a_slope_of_9_degrees_is_level_enough() -> None:
-    assert not_ready(replace(standing(), attitude=np.radians([9.0, -9.0, 90.0])), 0.0, 6.0, World(), 0.09, "") == []
+    assert (
+        not_ready(replace(standing(), attitude=np.radians([9.0, -9.0, 90.0])), 0.0, 6.0, World(), 0.09, "")
+        == []
+    )
 
 
 def test_carried_about_it_does_not_fly(pilot: Pilot) -> None:

@@ -92,7 +92,9 @@ def test_only_what_is_asked_for_clearly_is_steering(axis: int) -> None:
     """To and fro by 11 cm/s, 12 deg/s or 3 deg it is; what is a fifth less is a hand that trembles."""
 
     def asked(share):
-        size = 0.5 * share * (0.11, 0.11, 0.11, math.radians(12.5), math.radians(3.1), math.radians(3.1))[axis]
+        size = (
+            0.5 * share * (0.11, 0.11, 0.11, math.radians(12.5), math.radians(3.1), math.radians(3.1))[axis]
+        )
         return lambda t: tuple(size * math.sin(math.tau * 0.7 * t) * (k == axis) for k in range(6))
 
     def swing(t):

@@ -132,7 +132,11 @@ def test_spins_up_to_a_little_less_than_it_takes_to_lift_off(
     # It rises evenly, and for the latter half the slow upper rotor has time to follow.
     np.testing.assert_allclose(volts[len(volts) // 4] / volts[-1], 0.5, atol=0.03)
     np.testing.assert_allclose(volts[int(0.45 * len(volts))] / volts[-1], 0.9, atol=0.04)
-    np.testing.assert_allclose(volts[int(0.53 * len(volts)) :], np.broadcast_to(volts[-1], volts[int(0.53 * len(volts)) :].shape), rtol=1e-6)
+    np.testing.assert_allclose(
+        volts[int(0.53 * len(volts)) :],
+        np.broadcast_to(volts[-1], volts[int(0.53 * len(volts)) :].shape),
+        rtol=1e-6,
+    )
     volts = volts[-1]
     np.testing.assert_allclose(volts, 0.9 * controller.motor_trim * controller.voltage_V, rtol=1e-6)
     assert bench.height == pytest.approx(standing_height(load_vehicle("mufly-1.1")), abs=3e-3), (

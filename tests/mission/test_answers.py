@@ -92,3 +92,49 @@ def test_the_state_of_another_autopilot_counts_as_a_hover_or_as_the_floor() -> N
     assert may(Ask.LAND, other, flying=False).brief == "on the floor"
     assert may(Ask.TAKE_OFF, other, flying=False)
     assert may(Ask.TAKE_OFF, other, flying=True).brief == "in the air"
+
+
+LIFTS, LANDS, HANGS = (
+    {"state": State.TAKE_OFF, "motors": "fly"},
+    {"state": State.LANDING, "motors": "fly"},
+    {"state": State.HOVER, "motors": "fly"},
+)
+
+
+@pytest.mark.parametrize(
+    ("ask", "height", "facts", "brief"),
+    [
+        (Ask.ARM, 0.0, {"armed": False}, ""),
+        (Ask.ARM, 0.0, {"armed": False, "motors": "ramp_down"}, "motors running"),
+        (Ask.ARM, 1.0, {"armed": True, **HANGS}, ""),
+        (Ask.DISARM, 1.0, HANGS, "in flight"),
+        (Ask.TAKE_OFF, 0.0, {"armed": False}, "not armed"),
+        (Ask.TAKE_OFF, 0.0, {"motors": "ramp_down"}, "in the air"),
+        (Ask.TAKE_OFF, 0.0, {}, ""),
+        (Ask.GO_TO, 0.18, LIFTS, "taking off"),
+        (Ask.GO_TO, 0.22, LIFTS, ""),
+        (Ask.GO_TO, 0.3, LIFTS | {"motors": "spin_up"}, "taking off"),
+        (Ask.PAUSE, 0.38, LANDS, "landing"),
+        (Ask.PAUSE, 0.42, LANDS, ""),
+        (Ask.PAUSE, 0.42, LANDS | {"motors": "ramp_down"}, "landing"),
+        (Ask.PAUSE, 0.42, LANDS | {"outcome": "failed"}, "landing"),
+        (Ask.RETURN, 1.0, LANDS, "landing"),
+        (Ask.LAND, 1.0, LANDS, ""),
+        (Ask.LAND, 1.0, {"state": State.RC, "motors": "fly"}, "flown by hand"),
+        (Ask.START, 1.0, HANGS | {"outcome": "failed"}, "landing"),
+        (Ask.START, 1.0, HANGS, ""),
+        (Ask.STICKS, 1.0, LANDS | {"motors": "blind"}, "comes down"),
+        (Ask.STICKS, 1.0, LANDS, ""),
+        (Ask.LOAD, 0.0, {}, ""),
+        (Ask.LOAD, 0.0, {"motors": "ramp_down"}, "in flight"),
+        (Ask.LOAD, 1.0, HANGS, "mission under way"),
+        (Ask.LOAD, 1.0, HANGS | {"manual": True}, ""),
+        (Ask.LOAD, 1.0, HANGS | {"manual": True, "motors": "ramp_down"}, "in flight"),
+        (Ask.LOAD, 1.0, HANGS | {"manual": True, "outcome": "failed"}, "landing"),
+    ],
+)
+def test_what_a_button_says(ask: Ask, height: float, facts: dict, brief: str) -> None:
+    facts = dict(facts)
+    armed = facts.pop("armed", True)
+    answer = may(ask, MissionState(**facts), height_m=height, armed=armed)
+    assert (bool(answer), answer.brief) == (not brief, brief)

@@ -208,3 +208,22 @@ def test_holding_off_one_point(p, vn, ve):
     assert un * n[1] - ue * n[0] == pytest.approx(vn * n[1] - ve * n[0], abs=1e-9)
     if -(vn * n[0] + ve * n[1]) <= 0.8 * (d - 0.4):
         assert (un, ue) == (vn, ve)
+
+
+@pytest.mark.parametrize(("side", "turn"), [(1.0, 0.9), (-1.0, -2.2)])
+def test_a_wall_is_followed_to_3_m_off_the_way_and_then_round_its_other_end(rig, side, turn):
+    """It starts towards the long end, since what blocks the way there seems to be less."""
+    c, s = np.cos(turn), np.sin(turn)
+
+    def place(along, across):
+        return [c * along - s * side * across, s * along + c * side * across]
+
+    long = wall(place(2.5, -1.0), place(2.5, 9.0))
+    post = {"centre_m": place(1.9, -0.6), "radius_m": 0.1, "height_m": 2.5}
+    goal = (*place(5.0, 0.0), -1.0)
+    flight = rig.fly(to(*goal, wall=[long], cylinder=[post]), limit_s=150.0)
+    assert arrived(flight, goal)
+    assert flight.clearance > KEPT_M
+    across = side * (np.array(flight.position)[:, :2] @ [-s, c])
+    assert across.max() == pytest.approx(3.0, abs=0.15)
+    assert across.min() > -2.0

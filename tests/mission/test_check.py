@@ -8,6 +8,8 @@ from mufly.vehicle import load_vehicle
 
 CRATE = {"name": "crate", "centre_m": [2.0, 0.0, -0.75], "size_m": [0.6, 0.6, 1.5]}
 
+SHELF = {"name": "shelf", "centre_m": [2.0, 0.0, -1.75], "size_m": [1.0, 1.0, 0.1]}
+
 
 def go(*positions, **more):
     return {"waypoint": [{"position_m": list(p)} for p in positions], **more}
@@ -42,8 +44,22 @@ def go(*positions, **more):
             "waypoint[2].position_m",
             "the change of height before it passes",
         ),
-        (go((4, 0, -1.7), box=[CRATE]), "waypoint[1].position_m", "where the level beams do not see it well"),
+        (
+            go((4, 0, -1.7), box=[CRATE]),
+            "waypoint[1].position_m",
+            "at a height of 1.70 m, passes the crate (from 0.00 m to 1.50 m high) where the level beams do not see",
+        ),
         (go((4, 0, -1.4), box=[CRATE]), "waypoint[1].position_m", "where the level beams do not see it well"),
+        (go((4, 0, -1.5), box=[SHELF]), "waypoint[1].position_m", "passes the shelf (from 1.70 m to 1.80 m"),
+        (go((4, 0, -2.0), box=[SHELF]), "waypoint[1].position_m", "passes the shelf (from 1.70 m to 1.80 m"),
+        (
+            go(
+                (4, 0, -1.1),
+                cylinder=[{"name": "post", "centre_m": [2, 0], "radius_m": 0.1, "height_m": 1.0}],
+            ),
+            "waypoint[1].position_m",
+            "passes the post (from 0.00 m to 1.00 m high)",
+        ),
     ],
 )
 def test_geometry(tables, key, words):
@@ -57,7 +73,9 @@ def test_an_obstacle_on_a_leg_is_allowed_where_the_beams_see_it():
     mission_from(go((4, 0, -1), box=[CRATE]))
     mission_from(go((4, 0, -1.9), box=[CRATE]))
     # Under a high shelf with room enough.
-    mission_from(go((4, 0, -1), box=[{**CRATE, "centre_m": [2, 0, -1.75], "size_m": [1, 1, 0.1]}]))
+    mission_from(go((4, 0, -1), box=[SHELF]))
+    # Low over the floor, past something that stands on it or reaches below.
+    mission_from(go((4, 0, -0.25), take_off={"height_m": 0.3}, box=[CRATE]))
 
 
 def test_a_spline_that_swings_to_the_floor_is_refused():
@@ -77,6 +95,45 @@ def test_estimate_of_the_demonstration():
     assert estimate.fraction == pytest.approx(estimate.charge_Ah / 0.25)
     times = [leg.reached_s for leg in legs(m)]
     assert times == sorted(times)
+
+
+@pytest.mark.parametrize(
+    "tables",
+    [
+        load_mission("demonstration").model_dump(exclude_none=True),
+        go((2, 0, -4), at_end="return", take_off={"height_m": 3.0}),
+    ],
+)
+def test_a_flight_takes_hardly_less_than_was_estimated_and_never_more(rig, tables):
+    mission = mission_from(tables)
+    flight = rig.fly(mission)
+    start = next(t for t, s in zip(flight.time, flight.states, strict=True) if s == "take-off")
+    down = next(e.time_s for e in flight.state.events if e.text == "touchdown")
+    estimate = check_mission(mission, hover_current_A=4.0, capacity_Ah=1.0)
+    # Settling before each wait is allowed for generously.
+    assert down - start <= estimate.duration_s <= 1.08 * (down - start)
+
+
+def test_what_is_refused_says_how_long_it_would_take():
+    """Also where only the way down, or the wait, is one too many."""
+
+    def takes(tables):
+        return check_mission(mission_from(tables), hover_current_A=4.0, capacity_Ah=9.0).duration_s
+
+    for tables, key in (
+        (go((50, 0, -1)), "position_m"),
+        ({"waypoint": [{"position_m": [1, 0, -1], "wait_s": 90}]}, "wait_s"),
+    ):
+        needed = takes(tables)
+        one = mission_from(tables)
+        for seconds in (needed + 1.0, needed - 1.0):
+            numbers = {"hover_current_A": 1.0, "capacity_Ah": seconds / 3600.0 / one.battery.usable}
+            if seconds > needed:
+                assert check_mission(one, **numbers).duration_s == needed
+                continue
+            with pytest.raises(InputError, match=rf"{key}.* {needed:.0f} s") as told:
+                check_mission(one, **numbers)
+            assert f"the battery lasts {seconds:.0f} s" in str(told.value)
 
 
 def test_the_battery_has_to_last():

@@ -1,7 +1,6 @@
 """The reference that follows set-points: within its limits whatever they are, and where they say in the end."""
 
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -110,6 +109,18 @@ def test_it_is_not_slower_than_it_has_to_be():
     assert ideal <= arrived < ideal + 3.0
 
 
+def test_it_brakes_with_half_of_what_it_may_and_says_how_it_accelerates():
+    """The other half is for what the helicopter has to make up for; the acceleration told is for feedforward."""
+    trackers = run([SetPoint(position_m=(6.0, -8.0, -1.0))] * 2000)
+    _, v, _, _ = series(trackers)
+    along, told = (np.array(w)[:, :2] @ (0.6, -0.8) for w in (v, [t.acceleration for t in trackers]))
+    change = np.diff(along) / DT
+    assert change.max() == pytest.approx(LIMITS.acceleration, rel=1e-6)
+    assert -0.65 * LIMITS.acceleration < change.min() < -0.5 * LIMITS.acceleration
+    # Smoothed, so a little late.
+    assert np.abs(told[5:] - change[: len(told) - 5]).sum() < 0.05 * np.abs(change).sum()
+
+
 def test_a_velocity_is_held_and_let_go():
     going = [SetPoint(velocity_m_s=(0.3, -0.2, 0.1), yaw_rate_rad_s=0.5)] * 300
     trackers = run([*going, *[SetPoint(velocity_m_s=ZERO, yaw_rate_rad_s=0.0)] * 200])
@@ -209,8 +220,8 @@ def test_limits_that_are_tightened_on_the_way_are_come_down_to():
 def test_long_steps_are_taken_in_parts():
     s = SetPoint(position_m=(2.0, 1.0, -1.5), heading_rad=1.0)
     fine, coarse = run([s] * 500), run([s] * 20, dt=0.5)
-    for a, b in pairwise([fine[-1].position, coarse[-1].position]):
-        np.testing.assert_allclose(a, b, atol=1e-3)
+    for k, late in enumerate(coarse):
+        np.testing.assert_allclose(late.position, fine[25 * k].position, atol=1e-9)
     assert follow(fine[3], s, LIMITS, ZERO, 0.0) == fine[3]
 
 
@@ -234,6 +245,9 @@ def test_only_what_leads_up_lifts_off():
     standing = (0.0, 0.0, -0.07)
     assert wants_up(SetPoint(position_m=(0.0, 0.0, -1.0)), standing)
     assert wants_up(SetPoint(velocity_m_s=(0.0, 0.0, -0.5)), standing)
+    # From a table too, where that is a clear step up.
+    assert wants_up(SetPoint(position_m=(0.0, 0.0, -0.92)), (0.0, 0.0, -0.8))
+    assert not wants_up(SetPoint(position_m=(0.0, 0.0, -0.85)), (0.0, 0.0, -0.8))
     for s in (
         SetPoint(position_m=(5.0, 0.0, -0.1)),
         SetPoint(velocity_m_s=(1.0, 0.0, 0.0)),

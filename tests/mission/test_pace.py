@@ -1,6 +1,7 @@
 """A mission brought down to what its helicopter can follow."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -24,6 +25,10 @@ def test_what_cannot_is_slowed_and_said() -> None:
     assert mission.limits.yaw_rate_deg_s == pytest.approx(40.0)
     assert mission.limits.speed_m_s == MISSION.limits.speed_m_s
     assert "climb_m_s 0.4 in place of 1" in changes
+    # Just what it could follow leaves nothing to catch up with.
+    assert slowed(MISSION, replace(ABLE, speed=MISSION.limits.speed_m_s))[
+        0
+    ].limits.speed_m_s == pytest.approx(0.48)
     assert MISSION.limits.climb_m_s == 1.0
     # What is derived from the limits follows them.
     assert MISSION.trajectory_limits.climb == 1.0

@@ -92,6 +92,10 @@ def test_flown_within_limits_and_consistent(a, b, da, db):
     for t in np.linspace(0.05, 0.95, 7) * end:
         slope = (np.array(path.at(t + h)[0]) - np.array(path.at(t - h)[0])) / (2 * h)
         np.testing.assert_allclose(slope, path.at(t)[1], atol=2e-3)
+        # It is where its timing says: so far along the curve, at that speed, and what is felt is the change of that.
+        np.testing.assert_allclose(np.linalg.norm(path.at(t)[1]), path.timing.at(t)[1], atol=1e-9)
+        bend = (np.array(path.at(t + h)[1]) - np.array(path.at(t - h)[1])) / (2 * h)
+        np.testing.assert_allclose(bend, path.at(t)[2], atol=2e-2)
 
 
 def test_a_cusp_is_no_path():

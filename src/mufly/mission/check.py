@@ -145,14 +145,14 @@ def _check_unseen(mission: Mission, where: str, key: str, track: NDArray[np.floa
             else World((), (world.cylinders[k - len(world.boxes)],))
         )
         near = distances(one, track)[0] < clear
-        missed = near & ((track[:, 2] < top + _SEEN_M) | (track[:, 2] > foot - _SEEN_M) & (foot < 0.0))
+        missed = near & ((track[:, 2] < top + _SEEN_M) | (track[:, 2] > foot - _SEEN_M))
         if missed.any():
             height = -track[missed][0, 2]
             raise InputError(
                 where,
                 key,
-                f"the way to it, at a height of {height:.2f} m, passes the {name} (from {-foot:.2f} m to {-top:.2f} m "
-                "high) where the level beams do not see it well",
+                f"the way to it, at a height of {height:.2f} m, passes the {name} (from {round(-foot, 2) + 0.0:.2f} m "
+                f"to {-top:.2f} m high) where the level beams do not see it well",
                 f"pass its top or foot by {clear:g} m or more, or well within its height",
             )
 
