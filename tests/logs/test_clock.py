@@ -154,8 +154,12 @@ def test_an_uneven_clock_is_said_be_it_by_jitter_or_by_gaps(tmp_path):
 
 
 def test_a_recording_of_ours_comes_at_another_rate_and_in_order(tmp_path):
-    path = write_log(dataset(TIME, x=np.sin(TIME), motor_input_like=np.floor(TIME)), tmp_path / "log.nc")
+    data = dataset(TIME, x=np.sin(TIME), motor_input_like=np.floor(TIME))
+    data["mission_state"] = ("time", np.where(TIME < 2.0, "hover", "landing"))
+    path = write_log(data, tmp_path / "log.nc")
     data = read_log(path, rate_hz=25)
+    # Text keeps its last value, and changes at the very sample at which it did.
+    assert data.mission_state.values.tolist() == ["hover"] * 50 + ["landing"] * 75
     assert np.diff(data.time) == pytest.approx(0.04)
     assert data.x.values[2:-2] == pytest.approx(np.sin(data.time.values[2:-2]), abs=1e-3)
     assert data.attrs["rate_hz"] == 25

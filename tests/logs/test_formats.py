@@ -1,6 +1,7 @@
 """Other people's logs: made here by the published formats, and the PX4 sample where the measured data are at hand."""
 
 import struct
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from mufly.errors import InputError
 from mufly.logs import kind_of, read_log, read_raw
+from mufly.logs.tlog import TlogWriter
 
 SAMPLE = Path(__file__).resolve().parents[3] / "shared/data/flight/pyulog/sample.ulg"
 
@@ -184,6 +186,22 @@ def tlog(mavlink, *, reset_at=None, version=2, late=0.0):
     return out
 
 
+def test_a_telemetry_log_on_its_way_to_the_disk_is_a_second_old_at_most(tmp_path, monkeypatch, mavlink):
+    """What is behind when the process is killed; and not every packet is a call of the system."""
+    now_s = 500.0
+    monkeypatch.setattr("mufly.logs.tlog.time.monotonic", lambda: now_s)
+    link = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    packet = link.attitude_encode(5, 0.1, 0.2, 0.3, 0, 0, 0).pack(link)
+    path = tmp_path / "link.tlog"
+    log, kept = TlogWriter(path), []
+    for _ in range(6):
+        now_s += 0.4
+        log.write(packet, 1_700_000_000_000_000)
+        kept.append(path.stat().st_size // (8 + len(packet)))
+    log.close()
+    assert kept == [0, 0, 3, 3, 3, 6]
+
+
 @pytest.mark.parametrize("version", [1, 2])
 def test_a_telemetry_log_has_the_vehicles_clock_not_the_links(tmp_path, mavlink, version):
     path = tmp_path / "flight"
@@ -334,7 +352,9 @@ def test_a_crazyflies_micro_sd_log_is_read_in_our_axes(tmp_path, make_micro_sd, 
     if form != "rows of 2018":
         assert raw["estPosition"].fields["source"].tolist() == [3]
         assert raw["estPosition"].time == pytest.approx([0.495], abs=1e-3)
-    data = read_log(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # degrees and degrees a second belong together as radians do
+        data = read_log(path)
     wave, slope = np.sin(SECONDS), np.cos(SECONDS)
     assert data.measured_attitude.values == pytest.approx(
         np.radians(np.column_stack([20 * wave, 10 * wave, -30 * wave])), abs=1e-6

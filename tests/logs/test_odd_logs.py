@@ -209,6 +209,15 @@ def test_one_stamp_never_set_does_not_make_a_log_of_54_years(write, tmp_path):
     assert back.time.values == pytest.approx(data.time.values)
 
 
+def test_the_first_position_fix_tells_the_wall_time_of_the_instant_0(write):
+    """The receiver knows no time of day at first; the fix comes two seconds after the header's stamp."""
+    us = BOOT_US + np.array([1_000_000, 2_000_000, 3_000_000])
+    utc = {"time_utc_usec": [0, 1_740_830_402_000_000, 1_740_830_403_000_000]}
+    for topic in ("vehicle_gps_position", "sensor_gps"):
+        raw = read_raw(write(ulog(px4(BOOT_US, **{topic: (us, utc)}), header=BOOT_US)))
+        assert raw.start_time == "2025-03-01T12:00:00.000+00:00"
+
+
 def test_topics_on_another_clock_are_said_and_the_bulk_decides(write):
     other = (np.rint(1e6 * TIME).astype(np.int64) + 1_000_000, {"x": TIME})
     gps = (BOOT_US + np.rint(1e6 * TIME).astype(np.int64), {"x": TIME})
@@ -367,11 +376,11 @@ def test_the_vehicle_is_no_ground_station_however_much_that_says(write, mavlink)
 
 
 def test_whoever_speaks_first_after_a_start_has_the_new_clock(write, mavlink):
-    """Two topics on the vehicle's clock, which starts anew at 10 s; the one in microseconds comes 30 ms earlier."""
+    """Two topics on the vehicle's clock, which starts anew at 20 s; the one in microseconds comes 30 ms earlier."""
     link = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
     out = b""
-    for k in range(200):
-        boot_s = 50 + 0.1 * k if k < 100 else 0.5 + 0.1 * (k - 100)
+    for k in range(300):
+        boot_s = 0.5 + 0.1 * (k if k < 200 else k - 200)
         out += entry(link, link.highres_imu_encode(int(1e6 * boot_s), *[0.0] * 13, 0), 0.1 * k)
         out += entry(link, link.attitude_encode(int(1e3 * boot_s + 30), 0, 0, 0, 0, 0, 0), 0.1 * k + 0.03)
     raw = read_raw(write(out))

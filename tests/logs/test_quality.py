@@ -41,11 +41,23 @@ def test_noise_steps_and_fast_sines_hold_no_outliers():
     assert len(find_outliers(np.where(TIME > 10, 5.0, 0.0) + 0.01 * NOISE)) == 0
 
 
+def test_a_coarse_signal_may_step_by_what_it_steps_as_a_rule():
+    """A fuel gauge of ten levels: a step now and then is what it does, one that is ten times as large is not."""
+    x = np.round(5 - 0.4 * TIME + 0.5 * np.sin(3 * TIME))
+    assert 0 < np.count_nonzero(np.diff(x)) < 100
+    assert len(find_outliers(x)) == 0
+    x[1200] += 1  # for one sample, as a value between two levels does
+    assert len(find_outliers(x)) == 0
+    x[700] += 10
+    assert find_outliers(x).tolist() == [700]
+
+
 def test_a_frozen_sensor_is_found_and_a_held_input_is_not():
     x = NOISE.copy()
     x[500:520] = x[500]
     assert find_frozen(x).tolist() == [[500, 520]]
-    assert len(find_frozen(np.repeat(NOISE[:400], 5))) == 0
+    assert len(find_frozen(np.repeat(NOISE[:200], 10))) == 0
+    assert len(find_frozen(x[490:515])) == 0  # what stands still to the end of the record may be over
 
 
 def test_saturation_is_measured_at_either_end():
@@ -62,6 +74,8 @@ def test_the_words_of_a_channel():
     x[700:800] = np.nan
     words = check_channel(TIME, x, "p", "rad/s").words()
     assert words == ["p: 5 % of the values are missing", "p: 1 outlier, at 3.00 s"]
+    clipped = check_channel(TIME, np.clip(NOISE, -0.5, 9.0).repeat(6), "tilt", "rad").words()
+    assert clipped == ["tilt: 29 % of the values sit at its minimum, -0.5 rad"]
     assert check_channel(TIME, np.full(2000, 2.0), "u").constant
     assert check_channel(TIME, np.full(2000, np.nan), "u").words() == ["u: no value at all"]
 
@@ -81,6 +95,8 @@ RATE = 0.6 * np.cos(2 * TIME) + 0.9 * np.cos(9 * TIME)
         (0.05 * np.degrees(ANGLE), None, ("", "")),
         (None, np.degrees(RATE), ("", "deg")),
         (0.02 * np.degrees(ANGLE), 0.02 * RATE + 0.0005 * NOISE, ("deg", "rad")),
+        (None, 34.9 / RATE.max() * RATE, ("", "")),  # 2000 deg/s, the end of most gyroscopes
+        (None, 40.0 / RATE.max() * RATE, ("", "deg")),
     ],
 )
 def test_degrees_are_told_from_radians(angle, rate, wanted):

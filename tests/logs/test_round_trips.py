@@ -77,11 +77,20 @@ def test_pyulog_itself_reads_what_was_written(tmp_path, data):
         "landing: touch-down, softly",
     ]
     assert log.logged_messages[1].log_level_str() == "WARNING"
+    assert [m.timestamp for m in log.logged_messages] == np.rint(1e6 * data.event_time.values).tolist()
 
 
 def test_a_description_longer_than_one_ulog_message_survives(tmp_path, data):
     data.attrs["story"] = "µ" * 70_000
-    assert read_log(write_log(data, tmp_path / "log.ulg")).attrs["story"] == "µ" * 70_000
+    data["event_text"] = ("event", ["a" * 70_000, "touch-down"])
+    path = write_log(data, tmp_path / "log.ulg")
+    assert read_log(path).attrs["story"] == "µ" * 70_000
+    said = [text for _, _, text in read_raw(path).messages]
+    assert len(said[0]) > 65_000  # what a message has room for
+    assert said[1] == "landing: touch-down"
+    wide = {f"x{k}": ("time", np.zeros(2), {"units": "1"}) for k in range(6000)}
+    with pytest.raises(InputError, match="6000 columns do not fit one ULog message; choose fewer signals"):
+        write_log(xr.Dataset(wide, {"time": ("time", [0.0, 1.0])}), tmp_path / "wide.ulg")
 
 
 def test_what_becomes_a_recording_is_read_as_one(tmp_path, data):

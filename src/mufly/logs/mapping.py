@@ -237,6 +237,7 @@ def _settle_angles(channels: list[Channel]) -> tuple[list[Channel], list[str]]:
     words: list[str] = []
     for prefix in sorted(groups, key=lambda p: p != "measured"):
         group = groups[prefix]
+        in_degrees = {c.units for c in group.values()} == {"deg", "deg/s"}
         for kind, named, si, deg in (
             ("angle", "attitude", "rad", "deg"),
             ("rate", "rates", "rad/s", "deg/s"),
@@ -255,9 +256,11 @@ def _settle_angles(channels: list[Channel]) -> tuple[list[Channel], list[str]]:
                     why = "nothing in the data tells otherwise"
                 words.append(f"{what} names no unit and is taken to be in {chosen} ({why})")
                 settled |= {c.name: chosen for c in unnamed}
+            # Where angle and rate agree they do so in degrees as well: that contradicts no names.
+            agreed = in_degrees and guess.angle == guess.rate
             for c in members:
                 other = {(si, "deg"): deg, (deg, "rad"): si}.get((c.units, unit))
-                if other:
+                if other and not agreed:
                     words.append(
                         f"{c.name} ({c.source}) is said to be in {c.units} but looks like {other} ({guess.reason}); "
                         f'if it is, give unit = "{other}" in a column map'

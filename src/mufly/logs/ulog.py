@@ -236,7 +236,7 @@ def write_ulog(dataset: xr.Dataset, path: Path) -> None:
             values.append(column.values)
     format_text = f"{TOPIC}:{';'.join(declared)};".encode()
     rows = np.zeros(len(time), dtype=np.dtype(layout))
-    if len(format_text) > _LONGEST or rows.itemsize > _LONGEST:
+    if len(format_text) > _LONGEST:  # a row is shorter than its definition
         raise InputError(
             str(path), "", f"{len(columns)} columns do not fit one ULog message", "choose fewer signals"
         )
