@@ -8,6 +8,7 @@ import pytest
 
 from mufly.estimate import Estimate
 from mufly.mission import Command, State, begin, mission_from, step
+from mufly.mission.avoidance import Memory
 
 TWO = {"waypoint": [{"position_m": [1.0, 0.0, -1.0]}, {"position_m": [2.0, 0.0, -1.0]}]}
 HIGH = (0.0, 0.0, -1.0)
@@ -136,6 +137,20 @@ def test_a_take_off_that_does_not_lift_is_given_up_after_three_seconds(rig, late
     s, r = step(plan, s, measured(0.04, (0.0, 0.0, -0.07 - height)), Command())
     assert s.state == state
     assert (r.motors == "ramp_down") is (state == "init")
+
+
+@pytest.mark.parametrize(
+    ("tables", "outcome", "state"),
+    [({}, "", "obstacle"), ({"enabled": False}, "", "hover"), ({}, "failed", "hover"), ({}, "succeeded", "obstacle")],
+)
+def test_what_was_seen_near_is_avoided_unless_that_is_off_or_it_lands(rig, tables, outcome, state):
+    points = Memory.empty().points
+    points[0, :3] = (0.3, 0.0, -1.0)
+    plan, s = hovering(
+        rig, TWO | {"avoidance": tables}, manual=True, outcome=outcome, ready_s=9.0, memory=Memory(points, 1)
+    )
+    s, _ = step(plan, s, measured(), Command())
+    assert s.state == state
 
 
 @pytest.mark.parametrize("more", [-1.0, 1.0])

@@ -306,7 +306,7 @@ def test_a_touchdown_says_how_hard_it_was(rig, speed, text, level):
     plan = rig.plan_for(HOP)
     begun = begin(plan, measurement())
     s = replace(begun, state=State.LANDING, motors="fly", started=True, hold=(0.0, 0.0, -0.1))
-    falls = [(-0.5, 2.5), (-0.16, speed), *[(-0.07, 0.0)] * 150]
+    falls = [(-0.5, 2.5), (-0.19, 2.0), (-0.16, speed), *[(-0.07, 0.0)] * 150]
     for k, (down, sink) in enumerate(falls):
         s, _ = step(plan, s, measurement(0.02 * k, (0.0, 0.0, down), (0.0, 0.0, sink)), Command())
     touched = [e for e in s.events if "touchdown" in e.text]
