@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -49,6 +51,85 @@ def test_the_cascade_holds_with_the_real_attitude_loop(controller: FlightControl
     assert c.sensitivity_peak_dB < 3.5
     assert c.phase_margin_deg > 45
     assert c.delay_margin_s > 0.1
+
+
+def documented(about: str) -> dict[str, list[list[float]]]:
+    """Numbers of a table of docs/control.md: by the first words of a row, those of each of its other cells."""
+    text = (Path(__file__).parents[2] / "docs" / "control.md").read_text(encoding="utf-8")
+    lines = iter(text.splitlines())
+    next(line for line in lines if line.startswith(f"| {about} |"))
+    rows = {}
+    for line in lines:
+        if not line.startswith("|"):
+            return rows
+        head, *cells = line.strip("| ").split("|")
+        name = re.split(r"[,(:]| of |/ norm", head)[0].strip()
+        rows[name] = [[float(v) for v in re.findall(r"-?[0-9]+(?:[.][0-9]+)?", cell)] for cell in cells]
+    return rows
+
+
+@pytest.mark.parametrize("name", ["heave-yaw", "roll-pitch"])
+def test_what_came_out_is_what_the_docs_say(controller: FlightController, name: str) -> None:
+    """Every figure of the tables at the head of docs/control.md, to its last digit; the thesis's beside them."""
+    said = documented(name)
+    d = next(x for x in controller.designs if x.name == name)
+    reduced = f"after reduction to order {d.reduced.nstates}"
+    assert said["gamma claimed"][0] == pytest.approx([d.gamma, d.norm], abs=6e-4)
+    assert said["crossovers"][0] == pytest.approx(d.full_loop.crossovers, abs=0.06)
+    for row, loop in (
+        ("peaks", d.full_loop),
+        (reduced, d.reduced_loop),
+        ("sampled at 200 Hz", d.sampled_loop),
+    ):
+        assert said[row][0] == pytest.approx([loop.sensitivity_peak_dB, loop.complementary_peak_dB], abs=6e-3)
+    margins = [d.sampled_loop.phase_margin_deg, 1e3 * d.sampled_loop.delay_margin_s]
+    assert said["phase margin"][0] == pytest.approx(margins, abs=0.6)
+    p = d.published
+    for row, printed in (
+        ("gamma claimed", [p.gamma]),
+        ("crossovers", [p.crossover]),
+        ("peaks", [p.sensitivity_peak_dB, p.complementary_peak_dB]),
+        (reduced, [p.order]),
+    ):
+        assert (said[row] + [[], []])[2] == pytest.approx([v for v in printed if v is not None], abs=6e-3)
+
+
+def test_what_came_out_of_the_cascade_is_what_the_docs_say(controller: FlightController) -> None:
+    said, v, c = documented("position"), controller.velocity.full_loop, controller.cascade
+    assert said["velocity loop on eq. 6.10"][0] == [
+        pytest.approx(v.crossovers[0], abs=0.06),
+        pytest.approx(v.sensitivity_peak_dB, abs=6e-3),
+        pytest.approx(v.complementary_peak_dB, abs=6e-3),
+    ]
+    peaks = [c.sensitivity_peak_dB, c.complementary_peak_dB]
+    assert said["whole cascade with the real attitude loop"][0] == pytest.approx(peaks, abs=6e-3)
+    assert said["phase margin"][0] == [
+        pytest.approx(c.phase_margin_deg, abs=0.6),
+        pytest.approx(1e3 * c.delay_margin_s, abs=6.0),
+    ]
+    text = str(controller)
+    assert f"delay margin {1e3 * c.delay_margin_s:.0f} ms" in text
+    rows = [line.split() for line in text.splitlines() if line.strip().startswith("sampled ")]
+    delays = [1e3 * d.sampled_loop.delay_margin_s for d in controller.designs]
+    assert [float(row[-1]) for row in rows] == pytest.approx(delays, abs=0.06)
+
+
+def test_scales_and_limits_are_what_the_docs_say(controller: FlightController) -> None:
+    """What docs/control.md tells of mufly-1.1: units of its scaled plants, and what its references may ask for."""
+    heave_yaw, roll_pitch, velocity = (d.scaling for d in controller.designs)
+    assert heave_yaw.inputs == pytest.approx([0.22] * 2, abs=6e-3)
+    assert heave_yaw.outputs == pytest.approx([1.0, 4.0, 20.0], rel=0.03)
+    assert sorted(roll_pitch.inputs) == pytest.approx([0.86, 1.09], abs=6e-3)
+    assert roll_pitch.outputs == (0.5, 0.5, 5.0, 5.0)
+    assert (velocity.outputs, velocity.inputs) == ((1.0, 1.0), (0.08, 0.08))
+    heave, position = controller.heave_yaw_gains, controller.position_gains
+    assert float(heave["heave_acceleration"]) == pytest.approx(0.81, abs=6e-3)
+    assert float(heave["heave_lead"]) == pytest.approx(0.225, abs=6e-4)
+    assert float(heave["yaw_lead"]) == pytest.approx(0.2, abs=6e-3)
+    assert float(heave["heave_bandwidth"]) == 8.0
+    assert (float(position["position_gain"]), float(position["tilt_limit"])) == (1.0, 0.15)
+    # The voltage is filtered with 50 ms: after that long nine steps of ten have covered two thirds of a step.
+    assert (1.0 - float(heave["voltage_blend"])) ** 10 == pytest.approx(np.exp(-1.0), rel=0.05)
 
 
 def test_the_thesis_weights_give_what_design_md_says(appendix_b: ModuleType) -> None:

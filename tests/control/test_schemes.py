@@ -19,7 +19,7 @@ from mufly.control import (
     two_degree_plant,
 )
 from mufly.control.linear import state_space
-from mufly.control.schemes import scale_plant, unscale_controller
+from mufly.control.schemes import ROLL_PITCH_WEIGHTS, VELOCITY_WEIGHTS, scale_plant, unscale_controller
 from mufly.errors import MuflyError
 
 FREQUENCY = np.geomspace(1e-2, 1e2, 15)
@@ -73,6 +73,40 @@ def test_two_degrees_of_freedom_is_equation_6_3(appendix_b: ModuleType) -> None:
     np.testing.assert_allclose(T[:, 2:], np.concatenate(expected_y, axis=2), rtol=1e-7, atol=1e-10)
 
 
+@pytest.mark.parametrize(
+    ("name", "printed"),
+    [
+        ("control", lambda s: 0.001),
+        ("output_noise", lambda s: (s + 10) / (0.1 * s + 20)),
+        ("input_disturbance", lambda s: (0.7 * s + 1) / (s + 0.7 / 100)),
+        ("reference_rolloff", lambda s: (s + 7) / (0.01 * s + 14)),
+        ("model_matching", lambda s: (s**2 + 15 * s + 14) / (s**2 + 14 * s + 0.0014)),
+        ("reference_model", lambda s: 14 / (s + 14)),
+    ],
+)
+def test_weights_are_those_of_equation_6_4(name: str, printed) -> None:
+    """As printed; W_r without its factor 1e-4."""
+    weight = getattr(TwoDegreeWeights(), name)
+    for frequency in (1e-5, 0.3, 7.0, 60.0, 1e5):
+        assert weight.gain(frequency) == pytest.approx(abs(printed(1j * frequency)), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("weight", "low", "high", "one"),
+    [
+        (ROLL_PITCH_WEIGHTS.input_disturbance, 0.7 * 10 / 0.03, 0.7, 10.0),
+        (ROLL_PITCH_WEIGHTS.output_noise, 0.5, 10.0, 70.0),
+        (VELOCITY_WEIGHTS.input_disturbance, 0.7 * 0.2 / 0.007, 0.7, 0.2),
+        (VELOCITY_WEIGHTS.output_noise, 0.5, 10.0, 40.0),
+    ],
+)
+def test_weights_of_ours_do_what_docs_control_says(weight, low: float, high: float, one: float) -> None:
+    """W_v asks for rejection up to ``one`` (rad/s) and no more beyond; W_r bounds T_e by 2, and by 1 near ``one``."""
+    assert weight.gain(1e-6) == pytest.approx(low, rel=1e-3)
+    assert weight.gain(1e7) == pytest.approx(high, rel=1e-3)
+    assert weight.gain(one) == pytest.approx(1.0, rel=0.12)
+
+
 def test_one_degree_of_freedom_is_equation_6_5(appendix_b: ModuleType) -> None:
     G = appendix_b.linear().roll_pitch
     w = OneDegreeWeights(
@@ -99,6 +133,8 @@ def test_one_degree_of_freedom_is_equation_6_5(appendix_b: ModuleType) -> None:
 
 def test_scaling_and_its_inverse_leave_the_loop_alone(appendix_b: ModuleType) -> None:
     G = appendix_b.linear().heave_yaw
+    # With a way straight through.
+    G = state_space(G.A, G.B, G.C, np.arange(6.0).reshape(3, 2), inputs=G.input_labels, outputs=G.output_labels)
     scaling = Scaling((0.5, 2.0, 10.0), (0.3, 0.2))
     K = random_controller(3, 2, 3)
     physical = unscale_controller(K, np.array(scaling.outputs), np.array(scaling.inputs))
@@ -106,6 +142,12 @@ def test_scaling_and_its_inverse_leave_the_loop_alone(appendix_b: ModuleType) ->
     loop = frequency_response(physical, FREQUENCY) @ frequency_response(G, FREQUENCY)
     turn = np.array(scaling.inputs)
     np.testing.assert_allclose(loop, scaled_loop * turn[:, None] / turn, rtol=1e-10)
+
+
+def test_a_pure_gain_is_that_gain() -> None:
+    block = TransferFunction((3.0,)).block("k", "a", "b")
+    assert TransferFunction((3.0,)).gain(5.0) == 3.0
+    assert (block.nstates, block.D[0, 0]) == (0, 3.0)
 
 
 def test_faults_are_named(appendix_b: ModuleType) -> None:
