@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import linalg
 
 from mufly.control import (
     FlightController,
@@ -45,6 +46,8 @@ def test_integrator(k: float) -> None:
     assert loop.delay_margin_s == pytest.approx(np.pi / 2 / k, rel=1e-3)
     assert loop.complementary_peak_dB == pytest.approx(0, abs=1e-3)
     assert loop.gain_margin_dB == np.inf
+    # S and T peak at one: each phase may be off by 60 degrees, by itself.
+    assert loop.guaranteed_phase_margin_deg == pytest.approx(60.0, abs=0.1)
 
 
 @given(st.floats(0.2, 5.5))
@@ -54,6 +57,7 @@ def test_three_lags(k: float) -> None:
     loop = analyse(twin([1], [1, 3, 2, 0]), gain(k))
     assert loop.stable
     assert loop.gain_margin_dB == pytest.approx(20 * np.log10(6 / k), abs=0.05)
+    assert 0.0 < loop.guaranteed_phase_margin_deg < loop.phase_margin_deg
     assert loop.gain_reduction_dB == -np.inf
 
 
@@ -67,6 +71,30 @@ def test_peaks_are_the_norms(k: float) -> None:
     T = ct.feedback(L, 1)
     assert loop.sensitivity_peak_dB == pytest.approx(20 * np.log10(hinf_norm(S)[0]), abs=0.01)
     assert loop.complementary_peak_dB == pytest.approx(20 * np.log10(hinf_norm(T)[0]), abs=0.01)
+
+
+@pytest.mark.parametrize("sampled", [False, True])
+def test_a_resonance_sharper_than_the_grid_is_not_missed(sampled: bool) -> None:
+    """k w^2 / (s^2 + 2 z w s + w^2) passes one where it resonates, from w (1 - k/2) to w (1 + k/2)."""
+    G, K = twin([0.01 * 9.0], [1, 2 * 2.5e-4 * 3.0, 9.0]), gain(1.0)
+    if sampled:
+        G = sample_plant(G, 1e-3)
+        K = state_space(K.A, K.B, K.C, K.D, inputs=K.input_labels, outputs=K.output_labels, dt=1e-3)
+    loop = analyse(G, K)
+    assert loop.crossovers == pytest.approx([3.0 * 0.995] * 2 + [3.0 * 1.005] * 2, rel=0.02)
+
+
+def test_the_margins_of_two_loops_are_those_of_the_worse() -> None:
+    """Mixed so that no input belongs to one of them, and as strong as one another at one frequency."""
+    slow, quick = ct.tf([2.0], [1, 3, 2, 0]), ct.tf([4.0], [1, 12, 20, 0])
+    T = np.array([[1.0, 0.6], [-0.4, 1.0]])
+    one = [analyse(twin(g.num[0][0], g.den[0][0]), gain(1.0)) for g in (slow, quick)]
+    systems = [ct.ss(g) for g in (slow, quick)]
+    A, B, C, D = (linalg.block_diag(*(getattr(g, name) for g in systems)) for name in "ABCD")
+    mixed = state_space(A, B @ np.linalg.inv(T), T @ C, D, inputs=["u1", "u2"], outputs=["y1", "y2"])
+    loop = analyse(mixed, gain(1.0))
+    for name in ("gain_margin_dB", "phase_margin_deg", "delay_margin_s"):
+        assert getattr(loop, name) == pytest.approx(min(getattr(x, name) for x in one), rel=2e-3)
 
 
 def test_conditionally_stable_loop_has_a_gain_reduction() -> None:

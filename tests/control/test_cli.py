@@ -24,6 +24,7 @@ def test_table_stands_beside_the_thesis() -> None:
         "1.38",
         "3.93",
         "36",
+        "575",
         "thesis",
     ):
         assert text in result.stdout

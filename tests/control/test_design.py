@@ -177,6 +177,8 @@ def test_any_voltage_gives_the_same_loop(
     d = design(vehicle, voltage=voltage).heave_yaw
     assert d.full_loop.crossovers == pytest.approx(controller.heave_yaw.full_loop.crossovers, rel=0.02)
     assert d.sampled_loop.sensitivity_peak_dB < 4.0
+    if voltage == 6.4:  # the one of the thesis's linear model
+        assert d.plant_crossovers == pytest.approx(d.published.plant_crossovers, rel=5e-3)
 
 
 def test_the_80_gram_prototype() -> None:
@@ -255,20 +257,28 @@ def test_impossible_requests_are_named(vehicle: Vehicle) -> None:
     for volts in (-1.0, 5.9, 8.5, 1000.0, float("nan")):
         with pytest.raises(InputError, match=rf"voltage: {volts:g} V is out of .*give 6 V \(.*\) to 8\.4 V"):
             design(vehicle, voltage=volts)
-    with pytest.raises(InputError, match="rate_Hz"):
-        design(vehicle, rate_Hz=float("nan"))
+    for rate in (19.0, 5001.0, float("nan")):
+        with pytest.raises(InputError, match="rate_Hz"):
+            design(vehicle, rate_Hz=rate)
 
 
-def test_a_rate_that_loses_the_loop_says_which_and_why(vehicle: Vehicle) -> None:
+def test_a_rate_that_loses_the_loop_says_which_and_why(
+    vehicle: Vehicle, controller: FlightController
+) -> None:
+    holds = 1e3 * controller.roll_pitch.reduced_loop.delay_margin_s  # whatever the rate
     with pytest.raises(
-        MuflyError, match=r"roll-pitch design.*not at 40 Hz with one sample of delay .*raise the rate"
+        MuflyError,
+        match=r"roll-pitch design.*not at 40 Hz with one sample of delay "
+        rf"\(delay margin {holds:.1f} ms\); raise the rate",
     ):
         design(vehicle, rate_Hz=40)
 
 
 def test_a_rate_that_hurts_the_loop_is_warned_of(vehicle: Vehicle) -> None:
-    warnings = design(vehicle, rate_Hz=100).warnings
-    assert any(text.startswith("roll-pitch: sampled at 100 Hz") for text in warnings)
+    """Its sensitivity peaks at 6.49 dB, and the warning is of peaks above 6."""
+    (warning,) = design(vehicle, rate_Hz=125).warnings
+    assert warning.startswith("roll-pitch: sampled at 125 Hz")
+    assert "peak at 6.5 dB" in warning
 
 
 def test_a_weight_at_fault_is_named(vehicle: Vehicle) -> None:
@@ -286,3 +296,4 @@ def test_summaries(controller: FlightController) -> None:
     assert data["rate_Hz"] == DEFAULT_RATE_HZ
     assert [d["name"] for d in data["designs"]] == ["heave-yaw", "roll-pitch", "velocity"]
     assert data["designs"][0]["thesis"]["gamma"] == 1.38
+    assert controller.roll_pitch.published.resonance == 14.5  # Sec. 6.1.5

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -54,6 +56,23 @@ def test_equal_modes_fall_back_to_a_schur_form() -> None:
     )
 
 
+def test_the_observers_anti_windup_is_the_continuous_one() -> None:
+    """While saturated it runs as A - M C, which forgets as fast as in continuous time."""
+    system, actuation = random_system(4), np.full((5, 2), 0.05)
+    d = discretise(system, actuation, 1e-3)
+    assert d.anti_windup == "observer"
+    held = np.log(np.linalg.eigvals(d.A - d.M @ d.C)) / 1e-3
+    wanted = np.linalg.eigvals(system.A - actuation @ system.C)
+    np.testing.assert_allclose(np.sort_complex(held), np.sort_complex(wanted), rtol=0.02)
+
+
+def test_a_mode_that_the_rule_cannot_step_through_is_named() -> None:
+    A = np.diag([400.0, -1.0])
+    system = state_space(A, np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)), inputs=["e"], outputs=["u"])
+    with pytest.raises(MuflyError, match="mode at 400 rad/s; choose another rate"):
+        discretise(system, np.zeros((2, 1)), 0.005)
+
+
 def test_an_unstable_anti_windup_is_replaced() -> None:
     system = random_system(3)
     d = discretise(system, -50 * np.ones((5, 2)), 0.01)
@@ -88,8 +107,11 @@ def test_impossible_periods() -> None:
 
 
 def test_designs_are_modal_and_stable_when_saturated(controller: FlightController) -> None:
+    rates = []
     for d in (controller.heave_yaw, controller.roll_pitch, controller.velocity):
         c = d.discrete
+        held = -np.log(np.abs(np.linalg.eigvals(c.A - c.M @ c.C))) / c.period_s
+        rates.append([rate for rate in (1.5, 20.0) if np.isclose(held, rate).sum() == 2])
         assert c.form == "modal"
         assert np.abs(np.linalg.eigvals(c.A)).max() < 1
         assert np.abs(np.linalg.eigvals(c.A - c.M @ c.C)).max() < 1
@@ -97,6 +119,12 @@ def test_designs_are_modal_and_stable_when_saturated(controller: FlightControlle
         for k in range(-1, 2):
             off -= np.diag(np.diag(off, k), k)
         assert np.abs(off).max() == 0.0  # numbers and 2 x 2 blocks only
+        # Each mode is as strongly excited as it is felt.
+        ends = [*(k for k in range(len(c.A)) if k == 0 or c.A[k, k - 1] == 0.0), len(c.A)]
+        for a, b in pairwise(ends):
+            assert np.linalg.norm(c.B[a:b]) == pytest.approx(np.linalg.norm(c.C[:, a:b]))
+    # What follows the actuators: docs/control.md, anti-windup.
+    assert rates == [[1.5], [20.0], []]
 
 
 @pytest.mark.parametrize("name", ["heave_yaw", "roll_pitch"])

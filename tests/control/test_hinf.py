@@ -118,6 +118,9 @@ def test_random_plants(n: int, extra: int, signals: int, seed: int) -> None:
         0.3 * rng.normal(size=(ny, nu)),
     )
     result = hinfsyn(P, ny, nu)
+    # What theory promises just above the optimum is kept there, within a few tries.
+    assert result.gamma <= 1.05 * result.gamma_optimal
+    assert result.iterations < 60
     loop = close_loop(P, result.controller)
     assert loop.poles().real.max() < 0
     grid = singular_values(loop, np.geomspace(1e-4, 1e4, 1500))[:, 0].max()

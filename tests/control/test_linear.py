@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mufly.control import connect, frequency_response, hinf_norm, singular_values
-from mufly.control.linear import state_space
+from mufly.control.linear import _closed_poles, altered, is_stable_loop, state_space
 from mufly.errors import MuflyError
 
 
@@ -49,8 +49,10 @@ def test_norm_is_not_below_a_dense_grid_and_is_attained(n: int, inputs: int, out
         assert norm == pytest.approx(singular_values(system, np.array([where]))[0, 0], rel=1e-9)
 
 
-def test_connect_closes_a_loop_as_feedback_does() -> None:
-    G = state_space(*ct.ssdata(ct.rss(3, 1, 1)), inputs=["u"], outputs=["y"])
+@pytest.mark.parametrize("through", [0.0, 0.7])
+def test_connect_closes_a_loop_as_feedback_does(through: float) -> None:
+    A, B, C, _ = ct.ssdata(ct.ss(ct.tf([2, 1, 3], [1, 3, 5, 4])))
+    G = state_space(A, B, C, np.array([[through]]), inputs=["u"], outputs=["y"])
     K = state_space(*ct.ssdata(ct.ss(ct.tf([2, 1], [1, 5]))), inputs=["e"], outputs=["v"])
     loop = connect(
         [G, K], {"u": {"v": 1.0}, "e": {"r": 1.0, "y": -1.0}, "s": {"r": 1.0, "y": -1.0}}, ["r"], ["y", "s"]
@@ -60,6 +62,15 @@ def test_connect_closes_a_loop_as_feedback_does() -> None:
     response = frequency_response(loop, frequency)
     np.testing.assert_allclose(response[:, 0, 0], L / (1 + L), rtol=1e-9)
     np.testing.assert_allclose(response[:, 1, 0], 1 / (1 + L), rtol=1e-9)
+    # Whether such a loop is stable is asked without closing the diagram.
+    for factor in (1.0, -1.0):
+        turned = altered(K, C=factor * K.C, D=factor * K.D)
+        closed = connect([G, turned], {"u": {"v": 1.0}, "e": {"y": -1.0}}, ["r"], ["y"])
+        poles = np.linalg.eigvals(closed.A)
+        assert is_stable_loop(G, turned) == (poles.real.max() < 0.0)
+        np.testing.assert_allclose(
+            np.sort_complex(_closed_poles(G, turned)), np.sort_complex(poles), atol=1e-8
+        )
 
 
 def test_connect_names_an_unknown_signal_and_a_singular_loop() -> None:

@@ -134,7 +134,9 @@ def test_one_degree_of_freedom_is_equation_6_5(appendix_b: ModuleType) -> None:
 def test_scaling_and_its_inverse_leave_the_loop_alone(appendix_b: ModuleType) -> None:
     G = appendix_b.linear().heave_yaw
     # With a way straight through.
-    G = state_space(G.A, G.B, G.C, np.arange(6.0).reshape(3, 2), inputs=G.input_labels, outputs=G.output_labels)
+    G = state_space(
+        G.A, G.B, G.C, np.arange(6.0).reshape(3, 2), inputs=G.input_labels, outputs=G.output_labels
+    )
     scaling = Scaling((0.5, 2.0, 10.0), (0.3, 0.2))
     K = random_controller(3, 2, 3)
     physical = unscale_controller(K, np.array(scaling.outputs), np.array(scaling.inputs))

@@ -141,7 +141,12 @@ def test_a_take_off_that_does_not_lift_is_given_up_after_three_seconds(rig, late
 
 @pytest.mark.parametrize(
     ("tables", "outcome", "state"),
-    [({}, "", "obstacle"), ({"enabled": False}, "", "hover"), ({}, "failed", "hover"), ({}, "succeeded", "obstacle")],
+    [
+        ({}, "", "obstacle"),
+        ({"enabled": False}, "", "hover"),
+        ({}, "failed", "hover"),
+        ({}, "succeeded", "obstacle"),
+    ],
 )
 def test_what_was_seen_near_is_avoided_unless_that_is_off_or_it_lands(rig, tables, outcome, state):
     points = Memory.empty().points
