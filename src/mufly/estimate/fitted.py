@@ -1,27 +1,38 @@
-"""The estimator of a vehicle with sensors."""
+"""The estimator of a vehicle with sensors: the filter, with what the flight software wants of it."""
 
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.dynamics import GRAVITY, euler_from_quaternion, model_parameters, quaternion_from_euler, rotation
-from mufly.dynamics import standing_height as stands_at
-from mufly.estimate.beliefs import ERROR_STATES, Beliefs, Check
+from mufly.dynamics import euler_from_quaternion, model_parameters
+from mufly.estimate.beliefs import Beliefs
 from mufly.estimate.estimate import Estimate, Estimator
-from mufly.sensors import FITTED, Readings, nearest_turn
+from mufly.estimate.guards import ACTING, CLIPPING, VALUES
+from mufly.estimate.kernel import TOLD_EVERY, begin, step
+from mufly.estimate.layout import (
+    CHECKED,
+    R_BATTERY,
+    R_PRESSURE,
+    R_RING,
+    SENSORS,
+    STARTS,
+    WIDTHS,
+    beams_used,
+    filter_settings,
+    memory_type,
+)
+from mufly.estimate.words import checks
+from mufly.sensors import Reading, Readings, nearest_turn
+from mufly.sensors.pressure import STANDARD_PRESSURE_PA
 from mufly.vehicle import Vehicle
 from mufly.world import World
 
 _Array = NDArray[np.float64]
-_READ = {
-    "imu": ("acceleration", "rates"), "sonar": ("ground_distance",), "ring_camera": ("ranges",),
-    "pressure": ("pressure",), "magnetometer": ("magnetic_field",), "rotor_speed": ("rotor_speed",),
-    "battery": ("battery_voltage",), "position_fix": ("position_fix",),
-}  # fmt: skip
 
 
 def fitted_estimator(vehicle: Vehicle, world: World, rate_Hz: float) -> Estimator:
@@ -36,101 +47,83 @@ def fitted_estimator(vehicle: Vehicle, world: World, rate_Hz: float) -> Estimato
     rate_Hz : float
         Of the flight software (Hz).
     """
-    return _Observer(vehicle, rate_Hz)
+    return KalmanEstimator(vehicle, world, rate_Hz)
 
 
-class _Observer(Estimator):
-    """Fixed gains: gyroscopes and thrust carry on, fixes and sonar correct."""
+class KalmanEstimator(Estimator):
+    """The error-state Kalman filter of :mod:`mufly.estimate.kernel`.
 
-    def __init__(self, vehicle: Vehicle, rate_Hz: float) -> None:
-        self._p, self._dt = model_parameters(vehicle), 1.0 / rate_Hz
-        self._stands = stands_at(vehicle)
-        self._names = [n for s in FITTED if getattr(vehicle.sensors, s, None) for n in _READ[s]]
-        self._beams = (vehicle.range_ring.count, float(vehicle.range_ring.max_range))
+    Parameters
+    ----------
+    vehicle, world, rate_Hz
+        As for :func:`fitted_estimator`.
+    kind : type
+        Of the filter's numbers; a processor on board has ``numpy.float32``.
+    """
+
+    def __init__(self, vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = np.float64) -> None:
+        self._kind, self._rate = kind, rate_Hz
+        self._settings = filter_settings(vehicle, world, rate_Hz, kind)
+        self._parameters = model_parameters(vehicle)
+        self._fitted = [k for k in range(SENSORS) if self._settings["fitted"][k]]
+        ring = vehicle.range_ring
+        self._nothing = np.full(ring.count, float(ring.max_range))
+        self._beams = beams_used(ring.count)
         self.reset()
 
     def reset(self) -> None:
-        self._v, self._turn = np.zeros(3), np.zeros((0, 3))
-        self._x = np.array([0.0, 0.0, -self._stands])
-        self._q = np.array([1.0, 0.0, 0.0, 0.0])
-        self._bias, self._rest = np.zeros(3), 0
-        self._past: deque[tuple[float, _Array, float]] = deque(maxlen=200)
-        self._seen: dict[str, float] = {}
-        self._yaw, self._found = 0.0, False
+        # A record of an array is a view of it: the compiled step writes into the array.
+        self._box = np.zeros(1, memory_type(self._kind))
+        self.memory = self._box[0]
+        begin(self.memory, self._settings)
+        self._z = np.zeros(VALUES, self._kind)
+        self._new, self._age = np.zeros(SENSORS, np.int32), np.zeros(SENSORS, self._kind)
+        self._last: dict[str, Reading] = {}
+        self._yaw = 0.0
+        self._checks: tuple = ()
+        self._told: tuple[Any, ...] = ()
+        self._first = math.nan
 
     def update(self, readings: Readings, acting: _Array | None = None) -> Estimate:
-        t, dt, p = readings.time_s, self._dt, self._p
-        rates = np.nan_to_num(np.asarray(readings["rates"].value, dtype=float))
-        speed = (
-            np.nan_to_num(np.asarray(readings["rotor_speed"].value))
-            if "rotor_speed" in readings
-            else np.zeros(2)
-        )
-        new = {
-            n: readings[n].value
-            for n in ("position_fix", "ground_distance")
-            if n in readings and readings[n].time_s != self._seen.get(n) and readings[n].valid
-            and np.all(np.isfinite(readings[n].value))
-        }  # fmt: skip
-        self._seen |= {n: readings[n].time_s for n in new}
-        if self._rest < 200 or not self._found:
-            self._rest += 1
-            self._bias += (rates - self._bias) / self._rest
-        rates = rates - self._bias
-        a = rotation(self._q)
-        thrust = p["thrust_up"] * speed[0] ** 2 + p["thrust_dw"] * speed[1] ** 2
-        flying = thrust > 0.7 * p["mass"] * GRAVITY or -self._x[2] > self._stands + 0.05
-        if self._found and flying:
-            force = a @ np.array([0.0, 0.0, (p["downwash"] - thrust) / p["mass"]]) + np.array(
-                [0.0, 0.0, GRAVITY]
-            )
-            if self._x[2] > -self._stands:
-                force[2] = min(force[2], 0.0)
-            self._x = self._x + dt * self._v
-            self._v = self._v + dt * force
-            half = 0.5 * dt * rates
-            w, x, y, z = self._q
-            b, c, d = half
-            q = np.array([
-                w - x * b - y * c - z * d, x + w * b + y * d - z * c, y + w * c + z * b - x * d,
-                z + w * d + x * c - y * b,
-            ])  # fmt: skip
-            self._q = q / np.linalg.norm(q)
-        angles = euler_from_quaternion(self._q)
-        if "position_fix" in new:
-            fix = np.asarray(new["position_fix"], dtype=float)
-            at = readings["position_fix"].time_s
-            if not self._found and self._rest >= 200:
-                self._found = True
-                self._x[:2], self._q = fix[:2], quaternion_from_euler(0.0, 0.0, fix[3])
-                self._yaw = fix[3]
-                angles = euler_from_quaternion(self._q)
-            elif self._found:
-                then = min(self._past, key=lambda one: abs(one[0] - at), default=(t, self._x, angles[2]))
-                off = fix[:3] - then[1]
-                off[2] = 0.0 if "ground_distance" in readings else off[2]
-                if np.abs(off).max() < 1.0 and flying:
-                    turn = math.remainder(fix[3] - then[2], 2 * math.pi)
-                    self._x, self._v = self._x + 0.06 * off, self._v + 0.06 * off
-                    n, e = 0.02 * off[:2] / GRAVITY * 1.5
-                    yaw = angles[2]
-                    roll = angles[0] + (-n * math.sin(yaw) + e * math.cos(yaw))
-                    pitch = angles[1] - (n * math.cos(yaw) + e * math.sin(yaw))
-                    self._q = quaternion_from_euler(roll, pitch, yaw + 0.05 * turn)
-        if "ground_distance" in new and self._found and flying:
-            off = -float(new["ground_distance"]) * a[2, 2] - 0.05 - self._x[2]
-            if abs(off) < 0.3:
-                self._x[2] += 0.2 * off
-                self._v[2] += 0.3 * off
-        angles = euler_from_quaternion(self._q)
+        self._read(readings, acting)
+        m = self.memory
+        valid = bool(step(m, self._settings, self._parameters, self._z, self._new, self._age))
+        if m["tick"] % TOLD_EVERY == 0 or not self._told:
+            self._checks = checks(m, self._settings, self._fitted)
+            self._told = (m["out_cov"].astype(np.float64), m["sigma"].astype(np.float64))
+        x = m["out"].astype(np.float64)
+        angles = euler_from_quaternion(x[6:10])
         self._yaw = angles[2] = nearest_turn(float(angles[2]), self._yaw)
-        self._past.append((t, self._x.copy(), self._yaw))
-        ring = np.asarray(readings["ranges"].value) if "ranges" in readings else np.full(*self._beams)
-        volts = float(readings["battery_voltage"].value) if "battery_voltage" in readings else math.nan
-        beliefs = Beliefs(
-            self._bias.copy(), np.zeros(3), 0.0, np.zeros(4), np.zeros(2), 1.0, np.full(len(ERROR_STATES), 0.1),
-            tuple(Check(n, "fused" if n in readings else "missing") for n in self._names),
-        )  # fmt: skip
+        ranges = self._last.get("ranges")
+        k = STARTS[R_BATTERY]
         return Estimate(
-            t, self._x.copy(), self._v.copy(), angles, rates, ring, volts, np.eye(12) * 0.01, self._found, beliefs
+            readings.time_s, x[0:3], x[3:6], angles, m["out_rates"].astype(np.float64),
+            self._nothing if ranges is None else np.asarray(ranges.value, dtype=np.float64),
+            float(self._z[k]) or math.nan, self._told[0], valid,
+            Beliefs(x[10:13], x[13:16], float(x[16]), x[17:21], x[21:23], float(x[23]), self._told[1], self._checks),
         )  # fmt: skip
+
+    def _read(self, readings: Readings, acting: _Array | None) -> None:
+        """Lay what has come anew into one row."""
+        t, latest, z, new = readings.time_s, readings.latest, self._z, self._new
+        z[ACTING : ACTING + 4] = 0.0 if acting is None else acting
+        for k in self._fitted:
+            name = CHECKED[k]
+            r = latest.get(name)
+            before = self._last.get(name)
+            if r is None or r is before or (before is not None and r.time_s == before.time_s):
+                new[k] = 0
+                continue
+            self._last[name] = r
+            self._age[k] = t - r.time_s
+            new[k] = 1 if r.valid else 2
+            start = STARTS[k]
+            if k == R_RING:
+                seen = np.asarray(r.value)
+                z[start : start + len(self._beams)] = seen[self._beams]
+            elif k == R_PRESSURE:
+                z[start] = r.value - STANDARD_PRESSURE_PA
+            else:
+                z[start : start + WIDTHS[k]] = r.value
+        clipping = latest.get("clipping")
+        z[CLIPPING:] = 0.0 if clipping is None else clipping.value

@@ -1,0 +1,375 @@
+"""What each reading tells of the state, and whether it is believed.
+
+A measurement of one number z = h(x) + n is expected with the innovation's variance S = H P H^T + r. It is taken in
+if it lies within :data:`GATE` standard deviations; readings of several numbers if all of them do.
+
+| reading | h(x) | not believed for long, but in agreement with itself |
+|---|---|---|
+| position_fix | p + v dt + b, heading + b_h | after a second: position and heading are loosened |
+| ground_distance | -(p + R r)_D - floor | three in a row: the floor below has a step, its height is loosened |
+| ranges | distance to the nearest wall of the room along the beam | left alone: what they see is no wall |
+| pressure | rho g p_D + b + what the rotors add | after a second: its bias is loosened |
+| magnetic_field | heading + b, and tilt by the field's dip | after a second: its bias is loosened |
+
+Loosening adds variance before the measurement is taken in; so all that is known of how the errors hang together holds on.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mufly.compiled import compiled
+from mufly.estimate.factors import expected, loosen, observe
+from mufly.estimate.layout import (
+    ACCEL,
+    ERRORS,
+    FIX,
+    FLOOR,
+    GYRO,
+    HEADING,
+    MAGNET_,
+    PRESSURE_,
+    R_ACCELERATION,
+    R_FIX,
+    R_MAGNET,
+    R_PRESSURE,
+    R_RING,
+    R_SONAR,
+    THRUST_,
+    TURN,
+    WIND,
+    P,
+    V,
+)
+from mufly.estimate.motion import turn_matrix, turned
+from mufly.units import GRAVITY
+
+GATE = 5.0
+"""Standard deviations: one healthy reading in two million is turned away."""
+WAITING, FUSED, REJECTED, MISSING, FAULTY = range(5)
+"""Status of a sensor, as a number."""
+(
+    FINE, NOTHING_YET, SILENT, LATE, INSANE, FROZEN, DOUBLED, OFF, CLIPS, STEP, TAKEN_OVER, NO_ECHO, TOO_FAR, NO_WALL,
+    SPIKES, JUMPED, STUCK,
+) = range(17)  # fmt: skip
+"""Why, as a number; the words are in :mod:`mufly.estimate.words`."""
+_AGREE_S = 1.0
+_BEAM_GATE = 4.0
+_LEAST_FLOOR = -0.1  # m: a room has nothing below its floor
+
+
+@compiled(error_model="numpy")
+def _clear(m):  # type: ignore[no-untyped-def]
+    for i in range(ERRORS):
+        m.h[i] = 0.0
+
+
+@compiled(error_model="numpy")
+def _correct(m, innovation):  # type: ignore[no-untyped-def]
+    """Move the state by the gain."""
+    x, g = m.x, m.gain
+    for i in range(6):
+        x[i] += g[i] * innovation
+    turned(x, g[6] * innovation, g[7] * innovation, g[8] * innovation, False)
+    for i in range(9, ERRORS):
+        x[i + 1] += g[i] * innovation
+
+
+@compiled(error_model="numpy")
+def _take(m, innovation, r):  # type: ignore[no-untyped-def]
+    """Take a measurement in, whatever it says; its row is in ``m.h``."""
+    expected(m.ut, m.d, m.h, m.f)
+    observe(m.ut, m.d, m.f, r, m.gain)
+    _correct(m, innovation)
+
+
+@compiled(error_model="numpy")
+def _ratio(m, innovation, r):  # type: ignore[no-untyped-def]
+    """Innovation over what is expected of it."""
+    return innovation / math.sqrt(expected(m.ut, m.d, m.h, m.f) + r)
+
+
+@compiled(error_model="numpy")
+def _note(m, k, innovation, ratio):  # type: ignore[no-untyped-def]
+    m.innovation[k] = innovation
+    m.spread[k] = abs(innovation / ratio) if ratio != 0.0 else 0.0
+
+
+@compiled(error_model="numpy")
+def _accept(m, k):  # type: ignore[no-untyped-def]
+    m.code[k] = FUSED
+    m.used[k] = m.tick
+    m.rejected[k] = 0
+    m.agree[k] = 0
+
+
+@compiled(error_model="numpy")
+def _reject(m, k, innovation, near):  # type: ignore[no-untyped-def]
+    """Note that a reading does not fit; whether it says the same as the one before goes to ``m.agree``."""
+    if m.rejected[k] == 0:
+        m.since[k] = m.horizon
+        m.agree[k] = 0
+    elif abs(innovation - m.suspect[k, 0]) < near:
+        m.agree[k] += 1
+    else:
+        m.agree[k] = 0
+        m.since[k] = m.horizon
+    m.suspect[k, 0] = innovation
+    m.rejected[k] += 1
+    m.code[k] = REJECTED
+    m.why[k] = OFF
+    m.number[k] = innovation
+
+
+@compiled(error_model="numpy")
+def _taken_over(m, s, k):  # type: ignore[no-untyped-def]
+    """Whether a reading that does not fit has agreed with itself for long enough."""
+    return m.agree[k] >= 3 and (m.horizon - m.since[k]) * s.dt >= _AGREE_S
+
+
+@compiled(error_model="numpy")
+def _fix_row(m, i):  # type: ignore[no-untyped-def]
+    _clear(m)
+    if i < 3:
+        m.h[P + i] = 1.0
+        m.h[FIX + i] = 1.0
+    else:
+        m.h[TURN + 2] = 1.0
+        m.h[HEADING] = 1.0
+
+
+@compiled(error_model="numpy")
+def _fix_innovation(m, z, i, ahead):  # type: ignore[no-untyped-def]
+    x = m.x
+    if i < 3:
+        return z[i] - x[i] - ahead * x[3 + i] - x[17 + i]
+    yaw = math.atan2(2 * (x[6] * x[9] + x[7] * x[8]), 1 - 2 * (x[8] * x[8] + x[9] * x[9]))
+    off = z[3] - yaw - x[20]
+    return off - 2 * math.pi * math.floor(off / (2 * math.pi) + 0.5)
+
+
+@compiled(error_model="numpy")
+def fuse_fix(m, s, z, ahead):  # type: ignore[no-untyped-def]
+    """Position and heading."""
+    k, worst, at = R_FIX, 0.0, 0.0
+    for i in range(4):
+        _fix_row(m, i)
+        r = s.fix_variance if i < 3 else s.heading_variance
+        nu = _fix_innovation(m, z, i, ahead)
+        ratio = _ratio(m, nu, r)
+        if abs(ratio) > abs(worst):
+            worst, at = ratio, nu
+    _note(m, k, at, worst)
+    if abs(worst) > GATE:
+        _reject(m, k, at, 0.15 + 3 * math.sqrt(s.fix_variance))
+        if not _taken_over(m, s, k):
+            return
+        for i in range(3):
+            nu = _fix_innovation(m, z, i, ahead)
+            loosen(m.ut, m.d, P + i, nu * nu, m.f)
+            loosen(m.ut, m.d, V + i, 0.1, m.f)
+        nu = _fix_innovation(m, z, 3, ahead)
+        loosen(m.ut, m.d, TURN + 2, nu * nu, m.f)
+        m.why[k], m.until[k] = TAKEN_OVER, m.tick + 400
+    for i in range(4):
+        _fix_row(m, i)
+        _take(m, _fix_innovation(m, z, i, ahead), s.fix_variance if i < 3 else s.heading_variance)
+    _accept(m, k)
+    m.aligned |= 1
+
+
+@compiled(error_model="numpy")
+def _sonar_row(m, s, r):  # type: ignore[no-untyped-def]
+    turn_matrix(m.x[6:10], r)
+    _clear(m)
+    m.h[P + 2] = -1.0
+    m.h[FLOOR] = -1.0
+    # (exp(t) R r)_D = (R r)_D + t_N (R r)_E - t_E (R r)_N
+    n = r[0] * s.sonar_place[0] + r[1] * s.sonar_place[1] + r[2] * s.sonar_place[2]
+    e = r[3] * s.sonar_place[0] + r[4] * s.sonar_place[1] + r[5] * s.sonar_place[2]
+    d = r[6] * s.sonar_place[0] + r[7] * s.sonar_place[1] + r[8] * s.sonar_place[2]
+    m.h[TURN] = -e
+    m.h[TURN + 1] = n
+    return d
+
+
+@compiled(error_model="numpy")
+def fuse_sonar(m, s, z, ahead, r):  # type: ignore[no-untyped-def]
+    """Height above what lies below; a step that nothing else saw is the floor's."""
+    k = R_SONAR
+    down = _sonar_row(m, s, r)
+    if r[8] < math.cos(s.sonar_cone) or z[0] >= s.sonar_max:
+        return
+    expect = -(m.x[2] + ahead * m.x[5]) - down - m.x[16]
+    if z[0] <= s.sonar_min + 0.005 and expect < s.sonar_min + 0.02:
+        return  # nearer than it can tell
+    nu = z[0] - expect
+    ratio = _ratio(m, nu, s.sonar_variance)
+    _note(m, k, nu, ratio)
+    if abs(ratio) > GATE:
+        _reject(m, k, nu, 0.06)
+        floor = m.x[16] - nu
+        step = m.agree[k] >= 2 and floor > _LEAST_FLOOR
+        if step:
+            loosen(m.ut, m.d, FLOOR, nu * nu, m.f)
+            m.why[k], m.until[k] = STEP, m.tick + 400
+            m.number[k] = floor
+        elif _taken_over(m, s, k):
+            loosen(m.ut, m.d, P + 2, nu * nu, m.f)
+            loosen(m.ut, m.d, V + 2, 0.1, m.f)
+            m.why[k], m.until[k] = TAKEN_OVER, m.tick + 400
+        else:
+            return
+        _sonar_row(m, s, r)
+    _take(m, nu, s.sonar_variance)
+    _accept(m, k)
+    # Back on what is most likely the floor: that one is known.
+    if m.agree[k] == 0 and m.blocks < 0:
+        return
+
+
+@compiled(error_model="numpy")
+def fuse_ring(m, s, z, r):  # type: ignore[no-untyped-def]
+    """Distances to the walls of the room, beam by beam."""
+    k = R_RING
+    turn_matrix(m.x[6:10], r)
+    seen = fitting = 0
+    for b in range(s.beams):
+        if not (0.0 < z[b] < 0.995 * s.ring_max):
+            continue
+        seen += 1
+        n = r[0] * s.beam[b, 0] + r[1] * s.beam[b, 1] + r[2] * s.beam[b, 2]
+        e = r[3] * s.beam[b, 0] + r[4] * s.beam[b, 1] + r[5] * s.beam[b, 2]
+        d = r[6] * s.beam[b, 0] + r[7] * s.beam[b, 1] + r[8] * s.beam[b, 2]
+        best, axis, along = 1e9, -1, 1.0
+        for i in range(3):
+            u = n if i == 0 else (e if i == 1 else d)
+            if abs(u) > 0.3:
+                plane = s.walls[2 * i + 1] if u > 0.0 else s.walls[2 * i]
+                far = (plane - m.x[i]) / u
+                if 0.0 < far < best:
+                    best, axis, along = far, i, u
+        if axis < 0 or best > 1.1 * s.ring_max:
+            continue
+        # l = (c - p_i) / u_i, and u turns with the body: du = t x u
+        _clear(m)
+        m.h[P + axis] = -1.0 / along
+        c = -best / along
+        if axis == 0:
+            m.h[TURN + 1], m.h[TURN + 2] = c * d, -c * e
+        elif axis == 1:
+            m.h[TURN + 2], m.h[TURN] = c * n, -c * d
+        else:
+            m.h[TURN], m.h[TURN + 1] = c * e, -c * n
+        slope = (best * best + s.ring_baseline * s.ring_baseline) / s.ring_baseline * s.ring_slope
+        nu = z[b] - best
+        ratio = _ratio(m, nu, slope * slope)
+        if abs(ratio) < _BEAM_GATE:
+            _note(m, k, nu, ratio)
+            _take(m, nu, slope * slope)
+            fitting += 1
+            turn_matrix(m.x[6:10], r)
+    if fitting > 0:
+        _accept(m, k)
+    else:
+        m.code[k] = WAITING
+        m.why[k] = TOO_FAR if seen == 0 else NO_WALL
+
+
+@compiled(error_model="numpy")
+def fuse_pressure(m, s, z, ahead):  # type: ignore[no-untyped-def]
+    """Pressure less the standard one and what the rotors add."""
+    k = R_PRESSURE
+    _clear(m)
+    m.h[P + 2] = s.pressure_slope
+    m.h[PRESSURE_] = 1.0
+    nu = z[0] - s.pressure_slope * (m.x[2] + ahead * m.x[5]) - m.x[24]
+    ratio = _ratio(m, nu, s.pressure_variance)
+    _note(m, k, nu, ratio)
+    if abs(ratio) > GATE:
+        _reject(m, k, nu, 6 * math.sqrt(s.pressure_variance))
+        if not _taken_over(m, s, k):
+            return
+        loosen(m.ut, m.d, PRESSURE_, nu * nu, m.f)
+        m.why[k], m.until[k] = TAKEN_OVER, m.tick + 400
+    _take(m, nu, s.pressure_variance)
+    _accept(m, k)
+
+
+@compiled(error_model="numpy")
+def fuse_magnet(m, s, z, r):  # type: ignore[no-untyped-def]
+    """Heading by the field's direction."""
+    k = R_MAGNET
+    turn_matrix(m.x[6:10], r)
+    north = r[0] * z[0] + r[1] * z[1] + r[2] * z[2]
+    east = r[3] * z[0] + r[4] * z[1] + r[5] * z[2]
+    _clear(m)
+    m.h[TURN + 2] = 1.0
+    m.h[TURN] = -s.earth[2] / s.earth[0]
+    m.h[MAGNET_] = 1.0
+    off = -math.atan2(east, north) - m.x[25]
+    nu = off - 2 * math.pi * math.floor(off / (2 * math.pi) + 0.5)
+    ratio = _ratio(m, nu, s.magnet_variance)
+    _note(m, k, nu, ratio)
+    if abs(ratio) > GATE:
+        _reject(m, k, nu, 6 * math.sqrt(s.magnet_variance))
+        if not _taken_over(m, s, k):
+            return
+        loosen(m.ut, m.d, MAGNET_, nu * nu, m.f)
+        m.why[k], m.until[k] = TAKEN_OVER, m.tick + 400
+    _take(m, nu, s.magnet_variance)
+    _accept(m, k)
+    m.aligned |= 2
+
+
+@compiled(error_model="numpy")
+def fuse_force(m, s, r, e, count):  # type: ignore[no-untyped-def]
+    """Accelerometers less model, mean over a block: of biases, thrust, wind and velocity."""
+    turn_matrix(m.x[6:10], r)
+    span = count * s.dt
+    for i in range(3):
+        _clear(m)
+        m.h[ACCEL + i] = 1.0
+        m.h[THRUST_] = -m.lever[i, 0]
+        slope = m.lever[i, 1]
+        for j in range(3):
+            m.h[V + j] = -slope * r[3 * j + i]
+        m.h[WIND] = slope * r[i]
+        m.h[WIND + 1] = slope * r[3 + i]
+        nu = m.felt[i] - m.modelled[i] - m.x[13 + i]
+        variance = m.lever[i, 2] / span
+        ratio = _ratio(m, nu, variance)
+        if abs(ratio) < GATE:
+            _take(m, nu, variance)
+            m.used[R_ACCELERATION] = m.tick
+        if i == 0 or abs(ratio) > m.lever[0, 3]:
+            _note(m, R_ACCELERATION, nu, ratio)
+            m.lever[0, 3] = abs(ratio)
+
+
+@compiled(error_model="numpy")
+def fuse_rest(m, s, r, rates, felt, count, still):  # type: ignore[no-untyped-def]
+    """Standing: no velocity, no turning; and with the motors off accelerometers that feel gravity alone."""
+    for i in range(3):
+        _clear(m)
+        m.h[V + i] = 1.0
+        _take(m, -m.x[3 + i], 4e-4)
+        _clear(m)
+        m.h[GYRO + i] = 1.0
+        calm = s.rest_gyro * s.rest_gyro / count if still else 2.5e-5
+        _take(m, rates[i] - m.x[10 + i], calm * 2)
+    if still and s.fitted[R_ACCELERATION] > 0:
+        turn_matrix(m.x[6:10], r)
+        for i in range(3):
+            _clear(m)
+            m.h[ACCEL + i] = 1.0
+            # R^T (-g e_D), and d(R^T u) = R^T (u x t)
+            m.h[TURN] = -r[3 + i] * GRAVITY
+            m.h[TURN + 1] = r[i] * GRAVITY
+            nu = felt[i] + GRAVITY * r[6 + i] - m.x[13 + i]
+            variance = 2 * s.rest_felt * s.rest_felt / count
+            if abs(_ratio(m, nu, variance)) < 2 * GATE:
+                _take(m, nu, variance)
+    return np.int32(0)

@@ -1,0 +1,424 @@
+"""One period of the filter, compiled: readings in, the horizon a period on, the state of now out.
+
+The filter itself runs ``delay`` periods behind, far enough that even late readings are known by the time they are due
+(as in the EKF2 of PX4): each waits for the horizon to come to the instant at which it was measured, so readings are
+taken in in the order of their measurement, and none is fused twice or with another's state. What is told is the horizon's
+state carried on to now through the inputs since, anew in every period and with what the filter now believes of biases
+and wind: exactly what it would say had it run without delay on the readings that were due.
+
+A step of the covariance is made when something is due, or every :data:`LONGEST` periods; in between the errors' matrix of
+transition is multiplied up. The inertial unit's filter makes it late by ``lag``: states belong to ``lag`` before their tick.
+"""
+
+from __future__ import annotations
+
+import math
+
+from mufly.compiled import compiled
+from mufly.estimate.factors import block, carry, sigmas
+from mufly.estimate.fusing import (
+    MISSING,
+    fuse_fix,
+    fuse_force,
+    fuse_magnet,
+    fuse_pressure,
+    fuse_rest,
+    fuse_ring,
+    fuse_sonar,
+)
+from mufly.estimate.guards import ACTING, inspect
+from mufly.estimate.layout import (
+    ERRORS,
+    GYRO,
+    INPUTS,
+    KEPT,
+    MODELLED,
+    R_ACCELERATION,
+    R_BATTERY,
+    R_FIX,
+    R_MAGNET,
+    R_PRESSURE,
+    R_RATES,
+    R_RING,
+    R_ROTOR,
+    R_SONAR,
+    STARTS,
+    STATES,
+    THRUST_,
+    WAITING,
+    WIND,
+    V,
+)
+from mufly.estimate.motion import (
+    advance_errors,
+    advance_state,
+    model_force,
+    terminal_voltage_believed,
+    turn_matrix,
+    turned,
+)
+from mufly.units import GRAVITY
+
+LONGEST = 8
+"""Periods of a block: how often the covariance moves on at least, and over how many forces are compared."""
+TOLD_EVERY = 20
+"""Periods between two covariances that are told."""
+STANDING, RUNNING, LIGHT, FLYING = range(4)
+"""On the floor with motors off, with motors on, perhaps just off it, in the air."""
+_ALIGNED_S = 0.8
+_Z = STARTS
+
+
+@compiled(error_model="numpy")
+def begin(m, s):  # type: ignore[no-untyped-def]
+    """Forget everything."""
+    for i in range(STATES):
+        m.x[i] = s.start[i]
+    for i in range(ERRORS):
+        m.d[i] = s.sigma[i] * s.sigma[i] + 1e-12
+        for j in range(ERRORS):
+            m.ut[i, j] = 0.0
+    for i in range(WAITING):
+        m.due[i] = -1
+    _fresh(m)
+    m.rotor[6] = 1.0
+    m.rotor[2] = -1000.0
+    m.rotor[17] = -1.0
+    m.rotor[15] = 0.0
+    m.rotor[20] = 1.0
+    m.rotor[17] = -1.0
+
+
+@compiled(error_model="numpy")
+def _fresh(m):  # type: ignore[no-untyped-def]
+    """Begin a block."""
+    for i in range(9):
+        for j in range(ERRORS):
+            m.top[i, j] = 1.0 if i == j else 0.0
+    for j in range(ERRORS):
+        m.decay[j] = 1.0
+        m.q[j] = 0.0
+    m.middle = 0
+
+
+@compiled(error_model="numpy")
+def _queue(m, kind, due, ahead, z, start, count):  # type: ignore[no-untyped-def]
+    """Let a measurement wait until the horizon has come to tick ``due``; False if that is over, or no place is left."""
+    if due <= m.horizon:
+        return False
+    for i in range(WAITING):
+        if m.due[i] < 0:
+            m.due[i] = due
+            m.what[i] = kind
+            m.ahead[i] = ahead
+            for j in range(count):
+                m.value[i, j] = z[start + j]
+            return True
+    return False
+
+
+@compiled(error_model="numpy")
+def _mode(m, s, z):  # type: ignore[no-untyped-def]
+    """Whether it stands, flies or is about to: by what the rotors lift and how high it is."""
+    lift = -m.force[m.tick % MODELLED, 2] * m.x[23] / GRAVITY if s.model > 0 else 1.0
+    height = -m.out[2] - m.out[16] - s.stands
+    off = z[ACTING] + z[ACTING + 1] < 0.02
+    if m.mode <= RUNNING:
+        m.mode = STANDING if off and m.rotor[18] + m.rotor[19] < 0.2 * (s.hover[0] + s.hover[1]) else RUNNING
+        if lift > 0.9 and m.mode == RUNNING:
+            m.mode = LIGHT
+            m.lifted = m.tick
+    elif m.mode == LIGHT:
+        if height > 0.03 or lift > 1.1:
+            m.mode = FLYING
+        elif lift < 0.85 and height < 0.02:
+            m.mode = RUNNING
+    elif height < 0.015 and lift < 0.9:
+        m.mode = LIGHT
+    if off and m.mode >= LIGHT and height < 0.05 and m.rotor[18] < 0.3 * s.hover[0]:
+        m.mode = RUNNING
+
+
+@compiled(error_model="numpy")
+def _force(m, s, p, z, r):  # type: ignore[no-untyped-def]
+    """What acted over the period that has just ended: a row of inputs."""
+    now = m.tick % MODELLED
+    for j in range(4):
+        m.acting[j] = z[ACTING + j]
+    turn_matrix(m.out[6:10], r)
+    n, e, d = m.out[3] - m.out[21], m.out[4] - m.out[22], m.out[5]
+    for k in range(3):
+        m.row[k] = r[k] * n + r[3 + k] * e + r[6 + k] * d
+        m.rotor[10 + k] = m.rates[k] - m.out[10 + k]
+    if s.model > 0:
+        model_force(m, p, s.dt, m.row, m.force[now])
+        if m.code[R_ROTOR] == 1 and m.came[R_ROTOR] == m.tick:
+            a = _Z[R_ROTOR]
+            for k in range(2):
+                m.rotor[18 + k] += s.rotor_gain * (z[a + k] - m.rotor[18 + k])
+        if m.code[R_BATTERY] == 1 and m.came[R_BATTERY] == m.tick:
+            off = z[_Z[R_BATTERY]] - terminal_voltage_believed(m, p)
+            fast = 0.2 if m.tick * s.dt < 1.0 else 0.02
+            m.rotor[20] = min(max(m.rotor[20] + fast * off, 0.0), 1.0)
+    _mode(m, s, z)
+    a, b = (now - s.lag_ticks) % MODELLED, (now - s.lag_ticks - 1) % MODELLED
+    row = m.inputs[m.tick % KEPT]
+    model = s.model > 0
+    for k in range(3):
+        row[k] = 0.5 * (m.rates[k] + m.before[k])
+        row[3 + k] = z[k]
+        for g in range(3):
+            row[6 + 3 * g + k] = (1 - s.lag_share) * m.force[a, 3 * g + k] + s.lag_share * m.force[b, 3 * g + k]
+        clip = m.clipped[k] * 0.5 * s.felt_range
+        felt = max(s.felt_density, m.scatter[k]) + clip * clip
+        made = s.model_density[k]
+        if m.mode <= RUNNING:
+            row[6 + k], row[9 + k], row[12 + k] = 0.0, -GRAVITY * r[6 + k], 0.0
+            felt, made = 1e6, 1e-3
+        elif m.mode == LIGHT:
+            made = 0.05 if k < 2 else 0.5
+        if not model and m.mode > RUNNING:
+            row[6 + k], row[9 + k], row[12 + k] = 0.0, -GRAVITY if k == 2 else 0.0, 0.0
+            made = 10.0
+        if m.code[R_ACCELERATION] >= MISSING or s.fitted[R_ACCELERATION] == 0:
+            felt = 1e6
+        share = made / (felt + made)
+        row[15 + k] = share
+        row[18 + k] = felt * share
+        m.lever[k, 2] = felt + made
+    row[21] = m.mode
+
+
+@compiled(error_model="numpy")
+def _advance(m, s, r, a):  # type: ignore[no-untyped-def]
+    """Bring the horizon a period on."""
+    m.horizon += 1
+    e = m.inputs[m.horizon % KEPT]
+    advance_state(m.x, e, s.dt, r, a)
+    advance_errors(m.top, e, s.dt, r, a, WIND, THRUST_)
+    for k in range(9, ERRORS):
+        m.x[k + 1] = s.start[k + 1] + (m.x[k + 1] - s.start[k + 1]) * s.keep[k]
+        m.decay[k] *= s.keep[k]
+        m.q[k] = m.q[k] * s.keep[k] * s.keep[k] + s.noise[k]
+    for k in range(3):
+        m.q[k] += s.noise[k]
+        m.q[6 + k] += s.gyro_density * s.dt
+        spread = 0.0
+        for i in range(3):
+            spread += r[3 * k + i] * r[3 * k + i] * e[18 + i]
+        m.q[3 + k] += spread * s.dt
+        m.felt[k] += e[3 + k]
+        m.modelled[k] += a[3 + k]
+        m.sum[k] += e[k]
+        m.lever[k, 0] += e[6 + k]
+        m.lever[k, 1] += e[12 + k]
+    m.felt_count += 1
+    m.middle += 1
+
+
+@compiled(error_model="numpy")
+def _settle(m, s):  # type: ignore[no-untyped-def]
+    """Bring the covariance to the horizon."""
+    if m.middle > 0:
+        carry(m.ut, m.d, m.top, m.decay, m.q, 0.5 * m.middle * s.dt, m.w, m.weight, m.row)
+        _fresh(m)
+
+
+@compiled(error_model="numpy")
+def _fuse(m, s, r):  # type: ignore[no-untyped-def]
+    """Take in what is due at the horizon."""
+    for i in range(WAITING):
+        if m.due[i] != m.horizon:
+            continue
+        m.due[i] = -1
+        _settle(m, s)
+        kind, z, ahead = m.what[i], m.value[i], m.ahead[i]
+        if kind == R_FIX:
+            fuse_fix(m, s, z, ahead)
+        elif kind == R_SONAR:
+            fuse_sonar(m, s, z, ahead, r)
+        elif kind == R_RING:
+            fuse_ring(m, s, z, r)
+        elif kind == R_PRESSURE:
+            fuse_pressure(m, s, z, ahead)
+        else:
+            fuse_magnet(m, s, z, r)
+    if m.felt_count >= LONGEST:
+        _settle(m, s)
+        e = m.inputs[m.horizon % KEPT]
+        n = m.felt_count
+        mode = int(e[21])
+        for k in range(3):
+            m.felt[k] /= n
+            m.modelled[k] /= n
+            m.sum[k] /= n
+            m.lever[k, 0] /= n
+            m.lever[k, 1] /= n
+            # Density of the whole difference at the horizon, from what was weighed there
+            share = max(e[15 + k], 1e-9)
+            m.lever[k, 2] = e[18 + k] / share / max(1 - share, 1e-9)
+        if mode <= RUNNING:
+            fuse_rest(m, s, r, m.sum, m.felt, n, mode == STANDING)
+            m.standing += n if mode == STANDING else 0
+        elif mode == FLYING and s.model > 0 and s.fitted[R_ACCELERATION] > 0:
+            fuse_force(m, s, r, e, n)
+        for k in range(3):
+            m.felt[k] = m.modelled[k] = m.sum[k] = m.lever[k, 0] = m.lever[k, 1] = 0.0
+        m.lever[0, 3] = 0.0
+        m.felt_count = 0
+
+
+@compiled(error_model="numpy")
+def _scatter(m, s, z):  # type: ignore[no-untyped-def]
+    """How much the accelerometers scatter about the model, mean over blocks: density of their noise at low frequencies."""
+    row = m.inputs[m.tick % KEPT]
+    m.blocks += 1
+    for k in range(3):
+        made = m.x[23] * row[6 + k] + row[9 + k]
+        m.mean[k] += z[k] - made
+    if m.blocks >= LONGEST:
+        span = m.blocks * s.dt
+        for k in range(3):
+            mean = m.mean[k] / m.blocks
+            step = mean - m.suspect[R_ACCELERATION, k]
+            m.suspect[R_ACCELERATION, k] = mean
+            density = max(0.5 * step * step * span - s.model_density[k], 0.0)
+            m.scatter[k] += 0.05 * (min(density, 100.0) - m.scatter[k])
+            m.mean[k] = 0.0
+        m.blocks = 0
+
+
+@compiled(error_model="numpy")
+def _tell(m, s, r, a):  # type: ignore[no-untyped-def]
+    """Carry the horizon's state on to now, through all inputs since; now and then its covariance too."""
+    x = m.out
+    for i in range(STATES):
+        x[i] = m.x[i]
+    much = m.tick % TOLD_EVERY == 0
+    if much:
+        _settle(m, s)
+        for i in range(9):
+            for j in range(ERRORS):
+                m.top_out[i, j] = 1.0 if i == j else 0.0
+        for i in range(6):
+            m.row[i] = 0.0
+    for t in range(m.horizon + 1, m.tick + 1):
+        e = m.inputs[t % KEPT]
+        advance_state(x, e, s.dt, r, a)
+        if much:
+            advance_errors(m.top_out, e, s.dt, r, a, WIND, THRUST_)
+            for k in range(3):
+                spread = 0.0
+                for i in range(3):
+                    spread += r[3 * k + i] * r[3 * k + i] * e[18 + i]
+                m.row[k] += spread * s.dt
+    # States belong to `lag` before the tick: the last bit with the last rates and acceleration.
+    a[2] += GRAVITY
+    for k in range(3):
+        x[k] += s.lag * (x[3 + k] + 0.5 * s.lag * a[k])
+        x[3 + k] += s.lag * a[k]
+        m.out_rates[k] = m.rates[k] - x[10 + k]
+        if s.model > 0 and m.mode == FLYING:
+            m.out_rates[k] += s.lag * m.force[m.tick % MODELLED, 9 + k]
+    turned(x, s.lag * m.out_rates[0], s.lag * m.out_rates[1], s.lag * m.out_rates[2], True)
+    if much:
+        _tell_covariance(m, s)
+
+
+@compiled(error_model="numpy")
+def _tell_covariance(m, s):  # type: ignore[no-untyped-def]
+    """F P F^T + Q over the delay; noise of the velocity in ``m.row`` (3,)."""
+    n = ERRORS
+    sigmas(m.ut, m.d, m.sigma)
+    for k in range(n):
+        for i in range(9):
+            v = m.top_out[i, k]
+            for j in range(k):
+                v += m.top_out[i, j] * m.ut[k, j]
+            m.w[k, i] = v
+    span = max(m.tick - m.horizon, 0) * s.dt
+    for i in range(9):
+        for j in range(i, 9):
+            v = 0.0
+            for k in range(n):
+                v += m.d[k] * m.w[k, i] * m.w[k, j]
+            if i == j and i >= 6:
+                v += s.gyro_density * span
+            elif i == j and i >= 3:
+                v += m.row[i - 3]
+            elif i == j:
+                v += m.row[i] * span * span / 3.0
+            elif j == i + 3 and i < 3:
+                v += m.row[i] * span / 2.0
+            m.out_cov[i, j] = v
+            m.out_cov[j, i] = v
+    for i in range(9):
+        m.sigma[i] = math.sqrt(m.out_cov[i, i])
+    # Turns about N, E, D to roll, pitch and yaw
+    x = m.out
+    yaw = math.atan2(2 * (x[6] * x[9] + x[7] * x[8]), 1 - 2 * (x[8] * x[8] + x[9] * x[9]))
+    sine = min(max(2 * (x[6] * x[8] - x[9] * x[7]), -1.0), 1.0)
+    cosine = max(math.sqrt(1 - sine * sine), 0.05)
+    c, t = math.cos(yaw), math.sin(yaw)
+    for j in range(9):
+        n_, e_ = m.out_cov[6, j], m.out_cov[7, j]
+        m.out_cov[6, j] = (c * n_ + t * e_) / cosine
+        m.out_cov[7, j] = -t * n_ + c * e_
+        m.out_cov[8, j] += sine / cosine * (c * n_ + t * e_)
+    for j in range(9):
+        n_, e_ = m.out_cov[j, 6], m.out_cov[j, 7]
+        m.out_cov[j, 6] = (c * n_ + t * e_) / cosine
+        m.out_cov[j, 7] = -t * n_ + c * e_
+        m.out_cov[j, 8] += sine / cosine * (c * n_ + t * e_)
+    for i in range(3):
+        for j in range(12):
+            m.out_cov[9 + i, j] = 0.0
+            m.out_cov[j, 9 + i] = 0.0
+        m.out_cov[9 + i, 9 + i] = m.sigma[GYRO + i] * m.sigma[GYRO + i] + s.rest_gyro * s.rest_gyro
+
+
+@compiled(error_model="numpy")
+def step(m, s, p, z, new, age):  # type: ignore[no-untyped-def]
+    """One period.
+
+    Parameters
+    ----------
+    m, s, p : records
+        Memory, settings, parameters of the flight model.
+    z : (n,) array
+        Readings, in the order of :data:`mufly.estimate.layout.CHECKED`, then what acted (4) and the share of clipped
+        samples (3).
+    new : (9,) array of int
+        0: nothing new; 1: a new reading; 2: one that says of itself that it is none.
+    age : (9,) array
+        Of each (s).
+    """
+    m.tick += 1
+    inspect(m, s, z, new, age)
+    r = m.gain[0:9]
+    a = m.f[0:6]
+    for k in range(3):
+        m.before[k] = m.rates[k]
+        m.rates[k] = z[_Z[R_RATES] + k]
+    _force(m, s, p, z, r)
+    if s.model > 0 and m.mode == FLYING and m.code[R_ACCELERATION] < MISSING:
+        _scatter(m, s, z)
+    for kind in range(R_SONAR, R_FIX + 1):
+        if kind == R_ROTOR or new[kind] != 1 or m.skip[kind] > 0:
+            continue
+        # The state of tick k belongs to k dt - lag.
+        at = m.tick + (s.lag - age[kind] - s.latency[kind] * (1 if kind == R_PRESSURE else 0)) / s.dt
+        due = math.floor(at + 0.5)
+        count = STARTS[kind + 1] - STARTS[kind]
+        if not _queue(m, kind, int(due), (at - due) * s.dt, z, STARTS[kind], count):
+            m.late[kind] += 1
+    while m.horizon < m.tick - s.delay:
+        _advance(m, s, r, a)
+        _fuse(m, s, r)
+        if m.middle >= LONGEST:
+            _settle(m, s)
+    _tell(m, s, r, a)
+    found = s.fitted[R_FIX] == 0 or (m.aligned & 1) > 0
+    if m.lifted == 0 and found and (m.standing * s.dt >= _ALIGNED_S or m.tick * s.dt > 3.0):
+        m.lifted = 1
+    return m.lifted > 0

@@ -1,0 +1,273 @@
+"""What the filter remembers and what it knows of its vehicle, as two flat records: what becomes two structs in C.
+
+Nominal state ``x`` (:data:`STATES`), in SI units:
+
+===== =========================================================================================================
+0:3   position N, E, D of the centre of gravity
+3:6   velocity N, E, D
+6:10  attitude, quaternion w x y z
+10:13 bias of the gyroscopes, body axes
+13:16 bias of the accelerometers, body axes
+16    height of the surface under the sonar above D = 0, up
+17:21 what the position fix is off by: N, E, D, heading
+21:23 wind N, E
+23    scale of the thrust
+24    bias of the pressure (Pa)
+25    bias of the magnetic heading (rad)
+===== =========================================================================================================
+
+Error state: the same less one, as the attitude errs by a small turn about N, E and D (true = exp(turn) believed); order
+of :data:`mufly.estimate.beliefs.ERROR_STATES`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.dynamics import GRAVITY, model_parameters, standing_height
+from mufly.dynamics.state import hover_speeds
+from mufly.estimate.beliefs import ERROR_STATES
+from mufly.sensors import beam_directions, earth_field
+from mufly.vehicle import Vehicle
+from mufly.vehicle.sensing import Sensing
+from mufly.world import World
+
+ERRORS = len(ERROR_STATES)
+STATES = ERRORS + 1
+# Of the error state
+P, V, TURN, GYRO, ACCEL, FLOOR, FIX, HEADING, WIND, THRUST_, PRESSURE_, MAGNET_ = 0, 3, 6, 9, 12, 15, 16, 19, 20, 22, 23, 24
+
+CHECKED = (
+    "acceleration", "rates", "ground_distance", "ranges", "pressure", "magnetic_field", "rotor_speed",
+    "position_fix", "battery_voltage",
+)  # fmt: skip
+"""Readings of the filter, in the order of all its tables."""
+WIDTHS = (3, 3, 1, 8, 1, 3, 2, 4, 1)
+STARTS = tuple(int(k) for k in np.cumsum([0, *WIDTHS]))
+"""Where each reading starts in the row of values of one instant."""
+SENSORS = len(CHECKED)
+(
+    R_ACCELERATION, R_RATES, R_SONAR, R_RING, R_PRESSURE, R_MAGNET, R_ROTOR, R_FIX, R_BATTERY,
+) = range(SENSORS)  # fmt: skip
+BEAMS = 8
+KEPT = 128  # periods of input that are remembered
+INPUTS = 22
+"""Numbers of one: rates, felt force, force of the rotors, rest of the model's, its slope over the velocity through the air, share
+of the accelerometer, density of the noise (three each), and whether the difference of the two forces can be used."""
+WAITING = 64  # measurements that wait for the horizon
+MODELLED = 8  # periods for which forces of the model wait for the slower inertial unit
+
+
+def memory_type(kind: Any = np.float64) -> np.dtype:
+    """Return the type of what the filter remembers, in numbers of this kind."""
+    n, i4 = ERRORS, np.int32
+    return np.dtype([
+        # The filter at the horizon
+        ("x", kind, (STATES,)), ("ut", kind, (n, n)), ("d", kind, (n,)),
+        ("top", kind, (9, n)), ("decay", kind, (n,)), ("q", kind, (n,)), ("middle", i4), ("horizon", i4),
+        # Inputs, by their tick modulo KEPT
+        ("inputs", kind, (KEPT, INPUTS)), ("tick", i4), ("rates", kind, (3,)),
+        # The rotor model: state of the flight model in body axes, forces of the last periods
+        ("rotor", np.float64, (21,)), ("slope", np.float64, (21,)), ("still", np.float64, (3,)), ("acting", np.float64, (4,)),
+        ("force", kind, (MODELLED, 12)),
+        # Measurements that wait
+        ("due", i4, (WAITING,)), ("what", i4, (WAITING,)), ("value", kind, (WAITING, BEAMS)), ("ahead", kind, (WAITING,)),
+        # Scatter of the accelerometers
+        ("mean", kind, (3,)), ("before", kind, (3,)), ("blocks", i4), ("scatter", kind, (3,)), ("clipped", kind, (3,)),
+        ("felt", kind, (3,)), ("modelled", kind, (3,)), ("lever", kind, (3, 4)), ("felt_count", i4),
+        # Standing
+        ("mode", i4), ("standing", i4), ("aligned", i4), ("sum", kind, (6,)), ("lifted", i4),
+        # What is told
+        ("out", kind, (STATES,)), ("out_rates", kind, (3,)), ("out_cov", kind, (12, 12)), ("sigma", kind, (n,)), ("slip", kind, (4,)),
+        # What is thought of each sensor
+        ("last", kind, (SENSORS, BEAMS)), ("last_age", kind, (SENSORS,)), ("came", i4, (SENSORS,)), ("used", i4, (SENSORS,)),
+        ("same", i4, (SENSORS,)), ("rejected", i4, (SENSORS,)), ("since", i4, (SENSORS,)), ("code", i4, (SENSORS,)),
+        ("why", i4, (SENSORS,)), ("until", i4, (SENSORS,)),
+        ("number", kind, (SENSORS,)), ("innovation", kind, (SENSORS,)), ("spread", kind, (SENSORS,)), ("late", i4, (SENSORS,)),
+        ("suspect", kind, (SENSORS, 4)), ("agree", i4, (SENSORS,)), ("skip", i4, (SENSORS,)),
+        # Work
+        ("w", kind, (2 * n, n)), ("weight", kind, (2 * n,)), ("row", kind, (n,)), ("h", kind, (n,)), ("f", kind, (n,)), ("gain", kind, (n,)),
+        ("top_out", kind, (9, n)),
+    ])  # fmt: skip
+
+
+_NUMBERS: dict[str, Any] = {
+    "dt": (), "lag": (), "lag_ticks": "i", "lag_share": (), "delay": "i", "model": "i",
+    "start": (STATES,), "sigma": (ERRORS,), "keep": (ERRORS,), "noise": (ERRORS,),
+    "gyro_density": (), "felt_density": (), "model_density": (3,), "felt_range": (), "gyro_range": (),
+    "rest_felt": (), "rest_gyro": (), "level": (), "stands": (), "weight": (), "thrust": (2,), "hover": (2,),
+    "fitted": "i9", "period": (SENSORS,), "latency": (SENSORS,), "patience": (SENSORS,), "bound": (SENSORS,), "every": "i9",
+    "sonar_place": (3,), "sonar_variance": (), "sonar_cone": (), "sonar_min": (), "sonar_max": (),
+    "fix_variance": (), "heading_variance": (),
+    "beams": "i", "beam": (BEAMS, 3), "ring_max": (), "ring_slope": (), "ring_baseline": (), "walls": (6,),
+    "pressure_variance": (), "pressure_slope": (), "pressure_thrust": (2,),
+    "magnet_variance": (), "earth": (3,), "rotor_gain": (), "place": (3,),
+}  # fmt: skip
+
+
+def settings_type(kind: Any = np.float64) -> np.dtype:
+    """Return the type of what the filter knows of its vehicle, in numbers of this kind."""
+    return np.dtype([
+        (name, np.int32 if isinstance(s, str) else kind, ((SENSORS,) if s == "i9" else ()) if isinstance(s, str) else s)
+        for name, s in _NUMBERS.items()
+    ])  # fmt: skip
+
+
+# What is assumed beyond the vehicle's file (docs/estimation.md)
+MODEL_FORCE = (0.08, 0.08, 0.12)
+"""What the rotor model is off by in flight, one sigma an axis (m/s^2), and for how long together (s)."""
+MODEL_TIME_S = 0.1
+THRUST_ERROR = (0.03, 20.0)  # error of the model's thrust, and its time (s)
+WIND_SPEED = (0.7, 5.0)  # m/s, s
+FLOOR_WANDER = 1e-3  # m/sqrt(s): floors are not quite flat
+LEVEL = math.radians(0.2)  # how level it stands on the floor
+PLACE_M = 5.0  # where it stands before anything is heard
+LONGEST_DELAY_S = 0.35
+_CALM_S = 2.0  # errors of the ring stay for about as long
+
+
+def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = np.float64) -> np.void:
+    """Return what the filter knows of a vehicle: its table ``sensors``, its dimensions, the walls of the room.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    world : World
+        Of it the room alone.
+    rate_Hz : float
+        Of the flight software (Hz).
+    kind : type
+        Of the numbers.
+    """
+    sensing = vehicle.sensors or Sensing()
+    s = np.zeros((), settings_type(kind))
+    dt = 1.0 / rate_Hz
+    p = model_parameters(vehicle)
+    sigma, tau = np.zeros(ERRORS), np.full(ERRORS, np.inf)
+    walk = np.zeros(ERRORS)  # random walk on top (unit per sqrt(s))
+    start = np.zeros(STATES)
+    start[6] = start[23] = 1.0
+    stands = standing_height(vehicle)
+    start[2] = -stands
+    sigma[P : P + 2], sigma[P + 2], sigma[V : V + 3] = PLACE_M, 3e-3, 0.01
+    sigma[TURN : TURN + 2], sigma[TURN + 2] = LEVEL, math.pi
+    sigma[FLOOR], walk[FLOOR] = 2e-3, FLOOR_WANDER
+    sigma[WIND : WIND + 2], tau[WIND : WIND + 2] = WIND_SPEED
+    sigma[THRUST_], tau[THRUST_] = THRUST_ERROR
+    walk[P : P + 3] = 1e-4
+    s["dt"] = dt
+    s["stands"], s["weight"], s["level"] = stands, p["mass"] * GRAVITY, LEVEL
+    s["thrust"] = p["thrust_up"], p["thrust_dw"]
+    s["hover"] = hover_speeds(p)
+    s["model"], s["model_density"] = 1, 2 * MODEL_TIME_S * np.square(MODEL_FORCE)
+    fitted, period, latency, bound = np.zeros(SENSORS), np.full(SENSORS, dt), np.zeros(SENSORS), np.full(SENSORS, 1e9)
+    every = np.ones(SENSORS)
+    delay_s = 0.0
+    if (imu := sensing.imu) is not None:
+        fitted[[R_ACCELERATION, R_RATES]] = 1
+        lag = math.sqrt(2.0) / float(imu.bandwidth)  # of a second-order Butterworth filter at low frequencies
+        s["lag"], s["lag_ticks"], s["lag_share"] = lag, int(lag / dt), lag / dt - int(lag / dt)
+        s["place"] = imu.place.array()[0]
+        s["gyro_density"], s["felt_density"] = float(imu.gyro_noise) ** 2, float(imu.accelerometer_noise) ** 2
+        s["felt_range"], s["gyro_range"] = float(imu.accelerometer_range), float(imu.gyro_range)
+        bound[R_ACCELERATION], bound[R_RATES] = 1.2 * s["felt_range"], 1.2 * s["gyro_range"]
+        heat = float(imu.warming)
+        band = float(imu.bandwidth) / (2 * math.pi)
+        # Scale and misalignment of axes that stand level are a bias; so is what gyroscopes feel of gravity.
+        off = math.hypot(float(imu.scale_error), float(imu.misalignment)) * GRAVITY
+        sigma[ACCEL : ACCEL + 3] = math.hypot(float(imu.accelerometer_bias), off)
+        sigma[GYRO : GYRO + 3] = math.hypot(float(imu.gyro_bias), float(imu.gyro_g_sensitivity) * GRAVITY)
+        time = float(imu.drift_time)
+        for at, drift, warm in (
+            (ACCEL, imu.accelerometer_drift, imu.accelerometer_temperature),
+            (GYRO, imu.gyro_drift, imu.gyro_temperature),
+        ):
+            # Wandering, and warming taken as a random walk that reaches as far in the warming's time
+            walk[at : at + 3] = math.hypot(
+                float(drift) * math.sqrt(2.0 / time), float(warm) * heat / math.sqrt(float(imu.warming_time))
+            )
+        s["rest_felt"] = max(float(imu.accelerometer_noise) * math.sqrt(1.1 * band), 0.02)
+        s["rest_gyro"] = max(float(imu.gyro_noise) * math.sqrt(1.1 * band), 1e-4)
+    else:
+        s["lag_share"] = 0.0
+    if (sonar := sensing.sonar) is not None:
+        fitted[R_SONAR], period[R_SONAR] = 1, float(sonar.period)
+        s["sonar_place"] = sonar.place.array()[0]
+        s["sonar_variance"] = float(sonar.noise) ** 2 + float(sonar.resolution) ** 2 / 12 + 1e-6
+        s["sonar_cone"] = 0.5 * float(sonar.cone)
+        s["sonar_min"], s["sonar_max"] = float(sonar.min_range), float(sonar.max_range)
+        bound[R_SONAR] = 1.01 * s["sonar_max"]
+        latency[R_SONAR] = 2 * float(sonar.max_range) / 340.0
+        delay_s = max(delay_s, latency[R_SONAR])
+    ring = sensing.ring_camera
+    if ring is not None:
+        fitted[R_RING], period[R_RING] = 1, float(ring.period)
+        directions = beam_directions(vehicle)
+        count = min(len(directions), BEAMS)
+        pick = beams_used(len(directions))
+        s["beams"], s["beam"][:count] = count, directions[pick]
+        s["ring_max"], s["ring_baseline"] = float(ring.max_range), float(ring.baseline)
+        row = 1.25 * math.atan(float(ring.baseline) / float(ring.min_range)) / ring.radial_pixels
+        # What calibration left stays: as many readings as fall into its time count as one.
+        together = max(1.0, 2 * _CALM_S / float(ring.period))
+        s["ring_slope"] = row * math.sqrt(float(ring.calibration) ** 2 * together + 0.1**2)
+        bound[R_RING] = 1.01 * max(float(vehicle.range_ring.max_range), s["ring_max"])
+    north, east, up = ((-1e6, 1e6), (-1e6, 1e6), -1e6)
+    if world.room is not None:
+        north, east = world.room.north, world.room.east
+        up = -min(world.room.height, 1e6)
+    s["walls"] = (*north, *east, up, 0.0)
+    if (air := sensing.pressure) is not None:
+        fitted[R_PRESSURE], period[R_PRESSURE], latency[R_PRESSURE] = 1, float(air.period), 0.0
+        every[R_PRESSURE] = max(1, round(0.1 / float(air.period)))
+        s["pressure_variance"] = float(air.noise) ** 2
+        density = float(vehicle.air.density)
+        s["pressure_slope"] = density * GRAVITY
+        area = math.pi * float(vehicle.rotors.radius) ** 2
+        s["pressure_thrust"] = float(air.downwash) * np.array([p["thrust_up"], p["thrust_dw"]]) / area
+        sigma[PRESSURE_], tau[PRESSURE_] = float(air.drift), float(air.drift_time)
+        bound[R_PRESSURE] = 2e5
+    if (compass := sensing.magnetometer) is not None:
+        fitted[R_MAGNET], period[R_MAGNET] = 1, float(compass.period)
+        every[R_MAGNET] = max(1, round(0.1 / float(compass.period)))
+        s["earth"] = earth_field(float(compass.field), float(compass.inclination))
+        level = max(float(s["earth"][0]), 1e-9)
+        s["magnet_variance"] = (float(compass.noise) / level) ** 2
+        current = float(vehicle.battery.electronics_current) + 2.0
+        wrong = math.hypot(
+            float(compass.distortion), float(compass.hard_iron), float(compass.motor_field) * current
+        )
+        sigma[MAGNET_], tau[MAGNET_] = min(wrong / level, 2.0), float(compass.distortion_length) / 0.3
+        bound[R_MAGNET] = 1e-3
+    if (rotor := sensing.rotor_speed) is not None:
+        fitted[R_ROTOR], period[R_ROTOR] = 1, float(rotor.period)
+        noise = float(rotor.noise) / (float(vehicle.motor.back_emf_constant) * float(vehicle.gear.ratio))
+        # Between readings the motors' equations carry the speed on, to about 1 % in their time of 50 ms
+        s["rotor_gain"] = 1.0 / (1.0 + (noise / (0.01 * s["hover"][0])) ** 2) * 0.5
+        bound[R_ROTOR] = 5 * float(s["hover"].max())
+    if sensing.battery is not None:
+        fitted[R_BATTERY], period[R_BATTERY] = 1, float(sensing.battery.period)
+        bound[R_BATTERY] = 5 * float(vehicle.battery.nominal_voltage)
+    if (fix := sensing.position_fix) is not None:
+        fitted[R_FIX], period[R_FIX], latency[R_FIX] = 1, float(fix.period), float(fix.latency)
+        delay_s = max(delay_s, float(fix.latency) + 4 * float(fix.jitter) + dt)
+        s["fix_variance"], s["heading_variance"] = float(fix.noise) ** 2, float(fix.heading_noise) ** 2
+        sigma[FIX : FIX + 3], sigma[HEADING] = float(fix.wander), float(fix.heading_wander)
+        tau[FIX : FIX + 4] = float(fix.wander_time)
+        bound[R_FIX] = 1e4
+    keep = np.exp(-dt / tau)
+    s["start"], s["sigma"], s["keep"] = start, sigma, keep
+    s["noise"] = sigma**2 * (1 - keep**2) + walk**2 * dt
+    s["fitted"], s["period"], s["latency"], s["bound"], s["every"] = fitted, period, latency, bound, every
+    s["patience"] = np.maximum(6 * period, 3.5 * dt)
+    s["delay"] = min(math.ceil(delay_s / dt), KEPT - 8)
+    return cast(np.void, s[()])
+
+
+def beams_used(count: int) -> NDArray[np.intp]:
+    """Return which beams of a ring the filter looks at: all, or :data:`BEAMS` spread evenly."""
+    return np.unique(np.linspace(0, count, min(count, BEAMS), endpoint=False).astype(np.intp))

@@ -1,0 +1,224 @@
+"""How the helicopter moves between two instants: what carries the state on, and what that does to its errors.
+
+Attitude and velocity by the strapdown equations (Groves, 2nd ed., ch. 5), from rates w and specific force f in body axes:
+
+    dR/dt = R [w - b_w]x,       dv/dt = R f + g e_D,       dp/dt = v
+
+Specific force is known twice. The accelerometers feel it; the rotors and drag *make* it, and the flight model says
+how much (:func:`mufly.dynamics.derivative`, asked in body axes, far above the floor). Two measurements of the same force
+with densities q_a and q_m of their noise are weighed by them,
+
+    f = W (a - b_a) + (1 - W) m(x),         W = q_m / (q_a + q_m),
+
+so that the noise of f is not correlated with that of the difference a - m, because W q_a - (1 - W) q_m = 0: f carries the
+state on, and a - m remains as a measurement (of the accelerometers' bias, the thrust's scale, the wind) without being
+used twice. An accelerometer that clips loses its weight; then the model flies alone.
+
+    m(x) = k f_0 + c + J u,      u = R^T (v - wind)
+
+f_0 force without motion through the air, k scale of the thrust, c + J u drag, linear around the believed u (J is taken as
+diagonal: drag along one axis comes from the speed along it).
+"""
+
+from __future__ import annotations
+
+import math
+
+from mufly.compiled import compiled
+from mufly.dynamics import battery_state, derivative
+from mufly.dynamics.model import _clip
+from mufly.units import GRAVITY
+
+_STEP = 0.05  # m/s, for the slope of drag
+
+
+@compiled(error_model="numpy", inline="never")
+def _model(x, u, still, p, dx):  # type: ignore[no-untyped-def]
+    derivative(x, u, still, p, dx)
+
+
+@compiled(error_model="numpy")
+def model_force(m, p, dt, air, out):  # type: ignore[no-untyped-def]
+    """Carry what the rotors remember on by a period, and write the force that they and the air make.
+
+    Parameters
+    ----------
+    m : record
+        Memory; ``m.rotor`` is the flight model's state in body axes: rates, swash plate, bar, rotor speeds, charge.
+    p : record
+        Of the flight model.
+    dt : float
+        (s).
+    air : (3,) array
+        Velocity through the air, body axes (m/s).
+    out : (12,) array
+        Per mass: force without motion, rest, slope (m/s^2, m/s^2, 1/s); and angular acceleration (rad/s^2).
+    """
+    x, dx, u = m.rotor, m.slope, m.acting
+    # The swash plate settles within the period: its mean counts.
+    rate = p.swash_rate * dt
+    settled = math.exp(-rate)
+    mean = (1.0 - settled) / rate
+    to_roll = p.swash_gain * _clip(u[3], -1.0, 1.0)
+    to_pitch = -p.swash_gain * _clip(u[2], -1.0, 1.0)
+    roll, pitch = x[13], x[14]
+    x[13] = to_roll + (roll - to_roll) * mean
+    x[14] = to_pitch + (pitch - to_pitch) * mean
+    x[3] = x[4] = x[5] = 0.0
+    _model(x, u, m.still, p, dx)
+    up, dw = dx[18], dx[19]
+    x[18] += 0.5 * dt * up
+    x[19] += 0.5 * dt * dw
+    b_x, b_y, b_z = x[15], x[16], x[17]
+    # The bar in axes that turn: less the turning of the fuselage.
+    s_x = b_x + dt * (dx[15] - (x[11] * b_z - x[12] * b_y))
+    s_y = b_y + dt * (dx[16] - (x[12] * b_x - x[10] * b_z))
+    s_z = b_z + dt * (dx[17] - (x[10] * b_y - x[11] * b_x))
+    size = 1.0 / math.sqrt(s_x * s_x + s_y * s_y + s_z * s_z)
+    x[15], x[16], x[17] = 0.5 * (b_x + s_x), 0.5 * (b_y + s_y), 0.5 * (b_z + s_z)
+    _model(x, u, m.still, p, dx)
+    f_x, f_y, f_z = dx[3], dx[4], dx[5] - GRAVITY
+    out[0], out[1], out[2] = f_x, f_y, f_z
+    for k in range(3):
+        out[9 + k] = dx[10 + k]
+        x[3 + k] = air[k]
+    _model(x, u, m.still, p, dx)
+    d_x, d_y, d_z = dx[3], dx[4], dx[5] - GRAVITY
+    for k in range(3):
+        x[3 + k] = air[k] + _STEP
+    _model(x, u, m.still, p, dx)
+    out[6] = min((dx[3] - d_x) / _STEP, 0.0)
+    out[7] = min((dx[4] - d_y) / _STEP, 0.0)
+    out[8] = min((dx[5] - GRAVITY - d_z) / _STEP, 0.0)
+    out[3] = d_x - f_x - out[6] * air[0]
+    out[4] = d_y - f_y - out[7] * air[1]
+    out[5] = d_z - f_z - out[8] * air[2]
+    x[13] = to_roll + (roll - to_roll) * settled
+    x[14] = to_pitch + (pitch - to_pitch) * settled
+    x[15], x[16], x[17] = s_x * size, s_y * size, s_z * size
+    x[18] = max(x[18] + 0.5 * dt * up, 0.0)
+    x[19] = max(x[19] + 0.5 * dt * dw, 0.0)
+    x[20] = min(max(x[20] + dt * dx[20], 0.0), 1.0)
+
+
+@compiled(error_model="numpy")
+def terminal_voltage_believed(m, p):  # type: ignore[no-untyped-def]
+    """Voltage (V) that the battery model has at the believed charge and speeds."""
+    return battery_state(m.rotor, m.acting[0], m.acting[1], p)[0]
+
+
+@compiled(error_model="numpy")
+def turn_matrix(q, r):  # type: ignore[no-untyped-def]
+    """Write the matrix (9 numbers, by rows) that turns body vectors into N-E-D; ``q`` (4,) w x y z."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    r[0], r[1], r[2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+    r[3], r[4], r[5] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    r[6], r[7], r[8] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+
+
+@compiled(error_model="numpy")
+def turned(x, t_x, t_y, t_z, own):  # type: ignore[no-untyped-def]
+    """Turn the attitude in the state ``x`` by a small turn (rad), about body axes if ``own``, else about N, E, D."""
+    square = t_x * t_x + t_y * t_y + t_z * t_z
+    c = 1.0 - square / 8.0 + square * square / 384.0
+    k = 0.5 - square / 48.0 + square * square / 3840.0
+    if square > 1.0:
+        angle = math.sqrt(square)
+        c, k = math.cos(0.5 * angle), math.sin(0.5 * angle) / angle
+    a, b, d = k * t_x, k * t_y, k * t_z
+    w, q_x, q_y, q_z = x[6], x[7], x[8], x[9]
+    s = 1.0 if own else -1.0
+    n_w = w * c - q_x * a - q_y * b - q_z * d
+    n_x = q_x * c + w * a + s * (q_y * d - q_z * b)
+    n_y = q_y * c + w * b + s * (q_z * a - q_x * d)
+    n_z = q_z * c + w * d + s * (q_x * b - q_y * a)
+    size = 1.0 / math.sqrt(n_w * n_w + n_x * n_x + n_y * n_y + n_z * n_z)
+    x[6], x[7], x[8], x[9] = n_w * size, n_x * size, n_y * size, n_z * size
+
+
+@compiled(error_model="numpy")
+def advance_state(x, e, dt, r, a):  # type: ignore[no-untyped-def]
+    """Carry the state ``x`` on by a period of inputs ``e``.
+
+    ``r`` (9,) is left with the attitude in its middle, ``a`` (6,) with the acceleration but for gravity, N-E-D, and the
+    force in body axes that the model made.
+    """
+    t_x, t_y, t_z = dt * (e[0] - x[10]), dt * (e[1] - x[11]), dt * (e[2] - x[12])
+    turned(x, 0.5 * t_x, 0.5 * t_y, 0.5 * t_z, True)
+    turn_matrix(x[6:10], r)
+    turned(x, 0.5 * t_x, 0.5 * t_y, 0.5 * t_z, True)
+    n, o, d = x[3] - x[21], x[4] - x[22], x[5]
+    for k in range(3):
+        along = r[k] * n + r[3 + k] * o + r[6 + k] * d
+        made = x[23] * e[6 + k] + e[9 + k] + e[12 + k] * along
+        share = e[15 + k]
+        a[3 + k] = made
+        r_f = share * (e[3 + k] - x[13 + k]) + (1 - share) * made
+        if k == 0:
+            f_x = r_f
+        elif k == 1:
+            f_y = r_f
+        else:
+            f_z = r_f
+    for k in range(3):
+        a[k] = r[3 * k] * f_x + r[3 * k + 1] * f_y + r[3 * k + 2] * f_z
+        gain = a[k] + (GRAVITY if k == 2 else 0.0)
+        x[k] += dt * (x[3 + k] + 0.5 * dt * gain)
+        x[3 + k] += dt * gain
+
+
+@compiled(error_model="numpy")
+def advance_errors(top, e, dt, r, a, wind, thrust):  # type: ignore[no-untyped-def]
+    """Carry on how position, velocity and attitude (rows of ``top``) depend on the errors at the block's start.
+
+    With the turn t about N, E, D and u = R^T (v - wind):
+
+        dv' = -[R f]x t - R W db_a + R (1 - W) (f_0 dk + J R^T (dv - dw)),     dt' = -R db_w,     dp' = dv
+
+    What attitude does to the drag through R^T is left out: it is J |u| / g of what it does to gravity, some percent.
+    """
+    n = top.shape[1]
+    for c in range(9 + 6 + 3):
+        j = c if c < 15 else c + 5
+        t_x, t_y, t_z = top[6, j], top[7, j], top[8, j]
+        v_x, v_y, v_z = top[3, j], top[4, j], top[5, j]
+        g_x = a[2] * t_y - a[1] * t_z
+        g_y = a[0] * t_z - a[2] * t_x
+        g_z = a[1] * t_x - a[0] * t_y
+        for k in range(3):
+            slope = (1 - e[15 + k]) * e[12 + k]
+            if slope != 0.0:
+                push = slope * (r[k] * v_x + r[3 + k] * v_y + r[6 + k] * v_z)
+                g_x += r[k] * push
+                g_y += r[3 + k] * push
+                g_z += r[6 + k] * push
+        if 9 <= j < 12:
+            k = j - 9
+            top[6, j] -= dt * r[k]
+            top[7, j] -= dt * r[3 + k]
+            top[8, j] -= dt * r[6 + k]
+        elif 12 <= j < 15:
+            k = j - 12
+            g_x -= r[k] * e[15 + k]
+            g_y -= r[3 + k] * e[15 + k]
+            g_z -= r[6 + k] * e[15 + k]
+        elif j == thrust:
+            for k in range(3):
+                push = (1 - e[15 + k]) * e[6 + k]
+                g_x += r[k] * push
+                g_y += r[3 + k] * push
+                g_z += r[6 + k] * push
+        elif j >= wind:
+            i = j - wind
+            for k in range(3):
+                push = -(1 - e[15 + k]) * e[12 + k] * r[3 * i + k]
+                g_x += r[k] * push
+                g_y += r[3 + k] * push
+                g_z += r[6 + k] * push
+        top[3, j] += dt * g_x
+        top[4, j] += dt * g_y
+        top[5, j] += dt * g_z
+        top[0, j] += dt * (v_x + 0.5 * dt * g_x)
+        top[1, j] += dt * (v_y + 0.5 * dt * g_y)
+        top[2, j] += dt * (v_z + 0.5 * dt * g_z)
+    return n
