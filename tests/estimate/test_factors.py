@@ -3,7 +3,18 @@
 import numpy as np
 import pytest
 
-from mufly.estimate.factors import MOVING, assembled, block, carry, expected, factorise, forget, loosen, observe, sigmas
+from mufly.estimate.factors import (
+    MOVING,
+    assembled,
+    block,
+    carry,
+    expected,
+    factorise,
+    forget,
+    loosen,
+    observe,
+    sigmas,
+)
 
 N = 25
 

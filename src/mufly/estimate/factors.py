@@ -10,7 +10,8 @@ Estimation, ch. V): with f = U^T h, v = D f, and a_0 = r, for j = 1..n
 
 starting from K_j = v_j; the gain is K / a_n, and a_n = h P h^T + r.
 
-Step in time, x' = F x + G w, variances q of w (Thornton 1976; the modified weighted Gram-Schmidt procedure): the rows of
+Step in time, x' = F x + G w, variances q of w (Thornton 1976; the modified weighted Gram-Schmidt procedure): the
+rows of
 W = [F U, G] are made orthogonal with the weights [D, q] from the last to the first. ``F`` differs from a diagonal in
 its first rows only (:data:`MOVING`, what moves: position, velocity, attitude); every bias carries on by itself and has
 one noise of its own. Rows of biases are zero left of their diagonal, which halves the work.

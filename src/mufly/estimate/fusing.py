@@ -11,7 +11,8 @@ if it lies within :data:`GATE` standard deviations; readings of several numbers 
 | pressure | rho g p_D + b + what the rotors add | after a second: its bias is loosened |
 | magnetic_field | heading + b, and tilt by the field's dip | after a second: its bias is loosened |
 
-Loosening adds variance before the measurement is taken in; so all that is known of how the errors hang together holds on.
+Loosening adds variance before the measurement is taken in; so all that is known of how the errors hang together
+holds on.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from mufly.compiled import compiled
 from mufly.estimate.factors import expected, loosen, observe
 from mufly.estimate.layout import (
     ACCEL,
+    EDGE_S,
     ERRORS,
     FIX,
     FLOOR,
@@ -106,17 +108,17 @@ def _accept(m, k):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _reject(m, k, innovation, near):  # type: ignore[no-untyped-def]
-    """Note that a reading does not fit; whether it says the same as the one before goes to ``m.agree``."""
-    if m.rejected[k] == 0:
-        m.since[k] = m.horizon
-        m.agree[k] = 0
-    elif abs(innovation - m.suspect[k, 0]) < near:
+def _reject(m, k, innovation, z, count, near):  # type: ignore[no-untyped-def]
+    """Note that a reading does not fit; that it says nearly what the one before said is counted in ``m.agree``."""
+    alike = m.rejected[k] > 0
+    for j in range(count):
+        alike = alike and abs(z[j] - m.suspect[k, j]) < near
+        m.suspect[k, j] = z[j]
+    if alike:
         m.agree[k] += 1
     else:
         m.agree[k] = 0
         m.since[k] = m.horizon
-    m.suspect[k, 0] = innovation
     m.rejected[k] += 1
     m.code[k] = REJECTED
     m.why[k] = OFF
@@ -163,13 +165,13 @@ def fuse_fix(m, s, z, ahead):  # type: ignore[no-untyped-def]
             worst, at = ratio, nu
     _note(m, k, at, worst)
     if abs(worst) > GATE:
-        _reject(m, k, at, 0.15 + 3 * math.sqrt(s.fix_variance))
+        _reject(m, k, at, z, 3, 2.0 * s.period[k] + 8 * math.sqrt(s.fix_variance) + 0.05)
         if not _taken_over(m, s, k):
             return
         for i in range(3):
             nu = _fix_innovation(m, z, i, ahead)
             loosen(m.ut, m.d, P + i, nu * nu, m.f)
-            loosen(m.ut, m.d, V + i, 0.1, m.f)
+            loosen(m.ut, m.d, V + i, 0.1 + nu * nu, m.f)
         nu = _fix_innovation(m, z, 3, ahead)
         loosen(m.ut, m.d, TURN + 2, nu * nu, m.f)
         m.why[k], m.until[k] = TAKEN_OVER, m.tick + 400
@@ -209,25 +211,31 @@ def fuse_sonar(m, s, z, ahead, r):  # type: ignore[no-untyped-def]
     ratio = _ratio(m, nu, s.sonar_variance)
     _note(m, k, nu, ratio)
     if abs(ratio) > GATE:
-        _reject(m, k, nu, 0.06)
+        _reject(m, k, nu, z, 1, 0.02 + 1.5 * s.period[k])
         floor = m.x[16] - nu
         step = m.agree[k] >= 2 and floor > _LEAST_FLOOR
         if step:
             loosen(m.ut, m.d, FLOOR, nu * nu, m.f)
             m.why[k], m.until[k] = STEP, m.tick + 400
             m.number[k] = floor
+            m.edge = int(EDGE_S / s.dt)
         elif _taken_over(m, s, k):
             loosen(m.ut, m.d, P + 2, nu * nu, m.f)
-            loosen(m.ut, m.d, V + 2, 0.1, m.f)
+            loosen(m.ut, m.d, V + 2, 0.1 + nu * nu, m.f)
             m.why[k], m.until[k] = TAKEN_OVER, m.tick + 400
         else:
             return
         _sonar_row(m, s, r)
     _take(m, nu, s.sonar_variance)
     _accept(m, k)
-    # Back on what is most likely the floor: that one is known.
-    if m.agree[k] == 0 and m.blocks < 0:
-        return
+
+
+@compiled(error_model="numpy")
+def settle_floor(m):  # type: ignore[no-untyped-def]
+    """Back at about the height of the floor it is most likely the floor, and that one is known."""
+    _clear(m)
+    m.h[FLOOR] = 1.0
+    _take(m, -m.x[16], 2.5e-5)
 
 
 @compiled(error_model="numpy")
@@ -289,7 +297,7 @@ def fuse_pressure(m, s, z, ahead):  # type: ignore[no-untyped-def]
     ratio = _ratio(m, nu, s.pressure_variance)
     _note(m, k, nu, ratio)
     if abs(ratio) > GATE:
-        _reject(m, k, nu, 6 * math.sqrt(s.pressure_variance))
+        _reject(m, k, nu, z, 1, 10 * math.sqrt(s.pressure_variance))
         if not _taken_over(m, s, k):
             return
         loosen(m.ut, m.d, PRESSURE_, nu * nu, m.f)
@@ -314,7 +322,7 @@ def fuse_magnet(m, s, z, r):  # type: ignore[no-untyped-def]
     ratio = _ratio(m, nu, s.magnet_variance)
     _note(m, k, nu, ratio)
     if abs(ratio) > GATE:
-        _reject(m, k, nu, 6 * math.sqrt(s.magnet_variance))
+        _reject(m, k, nu, z, 3, 1e-5)
         if not _taken_over(m, s, k):
             return
         loosen(m.ut, m.d, MAGNET_, nu * nu, m.f)
@@ -332,12 +340,12 @@ def fuse_force(m, s, r, e, count):  # type: ignore[no-untyped-def]
     for i in range(3):
         _clear(m)
         m.h[ACCEL + i] = 1.0
-        m.h[THRUST_] = -m.lever[i, 0]
+        m.h[THRUST_] = m.lever[i, 0]
         slope = m.lever[i, 1]
         for j in range(3):
-            m.h[V + j] = -slope * r[3 * j + i]
-        m.h[WIND] = slope * r[i]
-        m.h[WIND + 1] = slope * r[3 + i]
+            m.h[V + j] = slope * r[3 * j + i]
+        m.h[WIND] = -slope * r[i]
+        m.h[WIND + 1] = -slope * r[3 + i]
         nu = m.felt[i] - m.modelled[i] - m.x[13 + i]
         variance = m.lever[i, 2] / span
         ratio = _ratio(m, nu, variance)

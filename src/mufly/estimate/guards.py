@@ -4,12 +4,6 @@ from __future__ import annotations
 
 from mufly.compiled import compiled
 from mufly.estimate.layout import (
-    R_ACCELERATION,
-    R_MAGNET,
-    R_PRESSURE,
-    R_RATES,
-    R_RING,
-    R_SONAR,
     SENSORS,
     STARTS,
 )

@@ -2,12 +2,13 @@
 
 The filter itself runs ``delay`` periods behind, far enough that even late readings are known by the time they are due
 (as in the EKF2 of PX4): each waits for the horizon to come to the instant at which it was measured, so readings are
-taken in in the order of their measurement, and none is fused twice or with another's state. What is told is the horizon's
-state carried on to now through the inputs since, anew in every period and with what the filter now believes of biases
-and wind: exactly what it would say had it run without delay on the readings that were due.
+taken in in the order of their measurement, and none is fused twice or with another's state. What is told is the
+horizon's state carried on to now through the inputs since, anew in every period and with what the filter now
+believes of biases and wind: exactly what it would say had it run without delay on the readings that were due.
 
-A step of the covariance is made when something is due, or every :data:`LONGEST` periods; in between the errors' matrix of
-transition is multiplied up. The inertial unit's filter makes it late by ``lag``: states belong to ``lag`` before their tick.
+A step of the covariance is made when something is due, or every :data:`LONGEST` periods; in between the errors'
+matrix of transition is multiplied up. The inertial unit's filter makes it late by ``lag``: states belong to
+``lag`` before their tick.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from __future__ import annotations
 import math
 
 from mufly.compiled import compiled
-from mufly.estimate.factors import block, carry, sigmas
+from mufly.estimate.factors import carry, sigmas
 from mufly.estimate.fusing import (
     MISSING,
     fuse_fix,
@@ -25,18 +26,20 @@ from mufly.estimate.fusing import (
     fuse_rest,
     fuse_ring,
     fuse_sonar,
+    settle_floor,
 )
 from mufly.estimate.guards import ACTING, inspect
 from mufly.estimate.layout import (
+    EDGE,
     ERRORS,
+    FLOOR,
     GYRO,
-    INPUTS,
     KEPT,
+    LOW,
     MODELLED,
     R_ACCELERATION,
     R_BATTERY,
     R_FIX,
-    R_MAGNET,
     R_PRESSURE,
     R_RATES,
     R_RING,
@@ -47,7 +50,6 @@ from mufly.estimate.layout import (
     THRUST_,
     WAITING,
     WIND,
-    V,
 )
 from mufly.estimate.motion import (
     advance_errors,
@@ -66,6 +68,8 @@ TOLD_EVERY = 20
 STANDING, RUNNING, LIGHT, FLYING = range(4)
 """On the floor with motors off, with motors on, perhaps just off it, in the air."""
 _ALIGNED_S = 0.8
+SCATTER = 5.0
+"""Density of the accelerometers' noise before it is known, m^2/s^3: none would be believed more than the model."""
 _Z = STARTS
 
 
@@ -81,12 +85,11 @@ def begin(m, s):  # type: ignore[no-untyped-def]
     for i in range(WAITING):
         m.due[i] = -1
     _fresh(m)
-    m.rotor[6] = 1.0
-    m.rotor[2] = -1000.0
+    m.out[6] = m.rotor[6] = m.rotor[20] = 1.0
+    m.rotor[2] = -1000.0  # far above the floor
     m.rotor[17] = -1.0
-    m.rotor[15] = 0.0
-    m.rotor[20] = 1.0
-    m.rotor[17] = -1.0
+    for k in range(3):
+        m.scatter[k] = SCATTER
 
 
 @compiled(error_model="numpy")
@@ -168,7 +171,9 @@ def _force(m, s, p, z, r):  # type: ignore[no-untyped-def]
         row[k] = 0.5 * (m.rates[k] + m.before[k])
         row[3 + k] = z[k]
         for g in range(3):
-            row[6 + 3 * g + k] = (1 - s.lag_share) * m.force[a, 3 * g + k] + s.lag_share * m.force[b, 3 * g + k]
+            row[6 + 3 * g + k] = (1 - s.lag_share) * m.force[a, 3 * g + k] + s.lag_share * m.force[
+                b, 3 * g + k
+            ]
         clip = m.clipped[k] * 0.5 * s.felt_range
         felt = max(s.felt_density, m.scatter[k]) + clip * clip
         made = s.model_density[k]
@@ -202,7 +207,7 @@ def _advance(m, s, r, a):  # type: ignore[no-untyped-def]
         m.q[k] = m.q[k] * s.keep[k] * s.keep[k] + s.noise[k]
     for k in range(3):
         m.q[k] += s.noise[k]
-        m.q[6 + k] += s.gyro_density * s.dt
+        m.turning[k] += s.dt / 0.3 * (e[k] - m.x[10 + k] - m.turning[k])
         spread = 0.0
         for i in range(3):
             spread += r[3 * k + i] * r[3 * k + i] * e[18 + i]
@@ -212,6 +217,15 @@ def _advance(m, s, r, a):  # type: ignore[no-untyped-def]
         m.sum[k] += e[k]
         m.lever[k, 0] += e[6 + k]
         m.lever[k, 1] += e[12 + k]
+    all_ = m.turning[0] ** 2 + m.turning[1] ** 2 + m.turning[2] ** 2
+    for k in range(3):
+        spread = s.gyro_density
+        for i in range(3):
+            own = m.turning[i] ** 2
+            spread += r[3 * k + i] * r[3 * k + i] * (s.gyro_off[0] * (all_ - own) + s.gyro_off[1] * own)
+        m.q[6 + k] += spread * s.dt
+    if m.edge > 0 or abs(m.x[16]) > LOW:
+        m.q[FLOOR] += EDGE * EDGE * s.dt
     m.felt_count += 1
     m.middle += 1
 
@@ -243,6 +257,11 @@ def _fuse(m, s, r):  # type: ignore[no-untyped-def]
             fuse_pressure(m, s, z, ahead)
         else:
             fuse_magnet(m, s, z, r)
+    if m.edge > 0:
+        m.edge -= 1
+        if m.edge == 0 and abs(m.x[16]) < LOW:
+            _settle(m, s)
+            settle_floor(m)
     if m.felt_count >= LONGEST:
         _settle(m, s)
         e = m.inputs[m.horizon % KEPT]
@@ -270,7 +289,8 @@ def _fuse(m, s, r):  # type: ignore[no-untyped-def]
 
 @compiled(error_model="numpy")
 def _scatter(m, s, z):  # type: ignore[no-untyped-def]
-    """How much the accelerometers scatter about the model, mean over blocks: density of their noise at low frequencies."""
+    """How much the accelerometers scatter about the model, mean over blocks: density of their noise at low
+    frequencies."""
     row = m.inputs[m.tick % KEPT]
     m.blocks += 1
     for k in range(3):
@@ -283,7 +303,8 @@ def _scatter(m, s, z):  # type: ignore[no-untyped-def]
             step = mean - m.suspect[R_ACCELERATION, k]
             m.suspect[R_ACCELERATION, k] = mean
             density = max(0.5 * step * step * span - s.model_density[k], 0.0)
-            m.scatter[k] += 0.05 * (min(density, 100.0) - m.scatter[k])
+            density = min(density, 100.0)
+            m.scatter[k] += (0.2 if density > m.scatter[k] else 0.05) * (density - m.scatter[k])
             m.mean[k] = 0.0
         m.blocks = 0
 
@@ -401,7 +422,7 @@ def step(m, s, p, z, new, age):  # type: ignore[no-untyped-def]
         m.before[k] = m.rates[k]
         m.rates[k] = z[_Z[R_RATES] + k]
     _force(m, s, p, z, r)
-    if s.model > 0 and m.mode == FLYING and m.code[R_ACCELERATION] < MISSING:
+    if s.model > 0 and (m.mode == FLYING or m.mode == RUNNING) and m.code[R_ACCELERATION] < MISSING:
         _scatter(m, s, z)
     for kind in range(R_SONAR, R_FIX + 1):
         if kind == R_ROTOR or new[kind] != 1 or m.skip[kind] > 0:

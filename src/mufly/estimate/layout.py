@@ -39,7 +39,20 @@ from mufly.world import World
 ERRORS = len(ERROR_STATES)
 STATES = ERRORS + 1
 # Of the error state
-P, V, TURN, GYRO, ACCEL, FLOOR, FIX, HEADING, WIND, THRUST_, PRESSURE_, MAGNET_ = 0, 3, 6, 9, 12, 15, 16, 19, 20, 22, 23, 24
+P, V, TURN, GYRO, ACCEL, FLOOR, FIX, HEADING, WIND, THRUST_, PRESSURE_, MAGNET_ = (
+    0,
+    3,
+    6,
+    9,
+    12,
+    15,
+    16,
+    19,
+    20,
+    22,
+    23,
+    24,
+)
 
 CHECKED = (
     "acceleration", "rates", "ground_distance", "ranges", "pressure", "magnetic_field", "rotor_speed",
@@ -56,8 +69,9 @@ SENSORS = len(CHECKED)
 BEAMS = 8
 KEPT = 128  # periods of input that are remembered
 INPUTS = 22
-"""Numbers of one: rates, felt force, force of the rotors, rest of the model's, its slope over the velocity through the air, share
-of the accelerometer, density of the noise (three each), and whether the difference of the two forces can be used."""
+"""Numbers of one: rates, felt force, force of the rotors, rest of the model's, its slope over the velocity through
+the air, share of the accelerometer, density of the noise (three each), and whether the difference of the two
+forces can be used."""
 WAITING = 64  # measurements that wait for the horizon
 MODELLED = 8  # periods for which forces of the model wait for the slower inertial unit
 
@@ -72,25 +86,32 @@ def memory_type(kind: Any = np.float64) -> np.dtype:
         # Inputs, by their tick modulo KEPT
         ("inputs", kind, (KEPT, INPUTS)), ("tick", i4), ("rates", kind, (3,)),
         # The rotor model: state of the flight model in body axes, forces of the last periods
-        ("rotor", np.float64, (21,)), ("slope", np.float64, (21,)), ("still", np.float64, (3,)), ("acting", np.float64, (4,)),
+        ("rotor", np.float64, (21,)), ("slope", np.float64, (21,)), ("still", np.float64, (3,)),
+        ("acting", np.float64, (4,)),
         ("force", kind, (MODELLED, 12)),
         # Measurements that wait
-        ("due", i4, (WAITING,)), ("what", i4, (WAITING,)), ("value", kind, (WAITING, BEAMS)), ("ahead", kind, (WAITING,)),
+        ("due", i4, (WAITING,)), ("what", i4, (WAITING,)), ("value", kind, (WAITING, BEAMS)), ("ahead", kind,
+        (WAITING,)),
         # Scatter of the accelerometers
         ("mean", kind, (3,)), ("before", kind, (3,)), ("blocks", i4), ("scatter", kind, (3,)), ("clipped", kind, (3,)),
         ("felt", kind, (3,)), ("modelled", kind, (3,)), ("lever", kind, (3, 4)), ("felt_count", i4),
         # Standing
-        ("mode", i4), ("standing", i4), ("aligned", i4), ("sum", kind, (6,)), ("lifted", i4),
+        ("turning", kind, (3,)), ("edge", i4), ("mode", i4), ("standing", i4), ("aligned", i4), ("sum", kind,
+        (6,)), ("lifted", i4),
         # What is told
-        ("out", kind, (STATES,)), ("out_rates", kind, (3,)), ("out_cov", kind, (12, 12)), ("sigma", kind, (n,)), ("slip", kind, (4,)),
+        ("out", kind, (STATES,)), ("out_rates", kind, (3,)), ("out_cov", kind, (12, 12)), ("sigma", kind,
+        (n,)), ("slip", kind, (4,)),
         # What is thought of each sensor
-        ("last", kind, (SENSORS, BEAMS)), ("last_age", kind, (SENSORS,)), ("came", i4, (SENSORS,)), ("used", i4, (SENSORS,)),
+        ("last", kind, (SENSORS, BEAMS)), ("last_age", kind, (SENSORS,)), ("came", i4, (SENSORS,)),
+        ("used", i4, (SENSORS,)),
         ("same", i4, (SENSORS,)), ("rejected", i4, (SENSORS,)), ("since", i4, (SENSORS,)), ("code", i4, (SENSORS,)),
         ("why", i4, (SENSORS,)), ("until", i4, (SENSORS,)),
-        ("number", kind, (SENSORS,)), ("innovation", kind, (SENSORS,)), ("spread", kind, (SENSORS,)), ("late", i4, (SENSORS,)),
+        ("number", kind, (SENSORS,)), ("innovation", kind, (SENSORS,)), ("spread", kind, (SENSORS,)),
+        ("late", i4, (SENSORS,)),
         ("suspect", kind, (SENSORS, 4)), ("agree", i4, (SENSORS,)), ("skip", i4, (SENSORS,)),
         # Work
-        ("w", kind, (2 * n, n)), ("weight", kind, (2 * n,)), ("row", kind, (n,)), ("h", kind, (n,)), ("f", kind, (n,)), ("gain", kind, (n,)),
+        ("w", kind, (2 * n, n)), ("weight", kind, (2 * n,)), ("row", kind, (n,)), ("h", kind, (n,)),
+        ("f", kind, (n,)), ("gain", kind, (n,)),
         ("top_out", kind, (9, n)),
     ])  # fmt: skip
 
@@ -98,9 +119,10 @@ def memory_type(kind: Any = np.float64) -> np.dtype:
 _NUMBERS: dict[str, Any] = {
     "dt": (), "lag": (), "lag_ticks": "i", "lag_share": (), "delay": "i", "model": "i",
     "start": (STATES,), "sigma": (ERRORS,), "keep": (ERRORS,), "noise": (ERRORS,),
-    "gyro_density": (), "felt_density": (), "model_density": (3,), "felt_range": (), "gyro_range": (),
+    "gyro_density": (), "gyro_off": (2,), "felt_density": (), "model_density": (3,), "felt_range": (), "gyro_range": (),
     "rest_felt": (), "rest_gyro": (), "level": (), "stands": (), "weight": (), "thrust": (2,), "hover": (2,),
-    "fitted": "i9", "period": (SENSORS,), "latency": (SENSORS,), "patience": (SENSORS,), "bound": (SENSORS,), "every": "i9",
+    "fitted": "i9", "period": (SENSORS,), "latency": (SENSORS,), "patience": (SENSORS,), "bound": (SENSORS,),
+    "every": "i9",
     "sonar_place": (3,), "sonar_variance": (), "sonar_cone": (), "sonar_min": (), "sonar_max": (),
     "fix_variance": (), "heading_variance": (),
     "beams": "i", "beam": (BEAMS, 3), "ring_max": (), "ring_slope": (), "ring_baseline": (), "walls": (6,),
@@ -118,16 +140,20 @@ def settings_type(kind: Any = np.float64) -> np.dtype:
 
 
 # What is assumed beyond the vehicle's file (docs/estimation.md)
-MODEL_FORCE = (0.08, 0.08, 0.12)
+MODEL_FORCE = (0.05, 0.05, 0.08)
 """What the rotor model is off by in flight, one sigma an axis (m/s^2), and for how long together (s)."""
 MODEL_TIME_S = 0.1
 THRUST_ERROR = (0.03, 20.0)  # error of the model's thrust, and its time (s)
 WIND_SPEED = (0.7, 5.0)  # m/s, s
+EDGE, EDGE_S, LOW = 0.1, 1.0, 0.08
+"""Over an object, and for a while after a step, the surface may change by this (m/sqrt(s)); (s); what is lower is
+the floor (m)."""
 FLOOR_WANDER = 1e-3  # m/sqrt(s): floors are not quite flat
 LEVEL = math.radians(0.2)  # how level it stands on the floor
 PLACE_M = 5.0  # where it stands before anything is heard
 LONGEST_DELAY_S = 0.35
-_CALM_S = 2.0  # errors of the ring stay for about as long
+_CALM_S = 1.0  # errors of the ring stay for about as long
+_TURN_S = 1.5  # turns go the same way for about as long
 
 
 def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = np.float64) -> np.void:
@@ -164,7 +190,12 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
     s["thrust"] = p["thrust_up"], p["thrust_dw"]
     s["hover"] = hover_speeds(p)
     s["model"], s["model_density"] = 1, 2 * MODEL_TIME_S * np.square(MODEL_FORCE)
-    fitted, period, latency, bound = np.zeros(SENSORS), np.full(SENSORS, dt), np.zeros(SENSORS), np.full(SENSORS, 1e9)
+    fitted, period, latency, bound = (
+        np.zeros(SENSORS),
+        np.full(SENSORS, dt),
+        np.zeros(SENSORS),
+        np.full(SENSORS, 1e9),
+    )
     every = np.ones(SENSORS)
     delay_s = 0.0
     if (imu := sensing.imu) is not None:
@@ -173,6 +204,8 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
         s["lag"], s["lag_ticks"], s["lag_share"] = lag, int(lag / dt), lag / dt - int(lag / dt)
         s["place"] = imu.place.array()[0]
         s["gyro_density"], s["felt_density"] = float(imu.gyro_noise) ** 2, float(imu.accelerometer_noise) ** 2
+        # Misalignment and scale make a rate of another: noise that grows with the turning
+        s["gyro_off"] = 2 * _TURN_S * np.square([float(imu.misalignment), float(imu.scale_error)])
         s["felt_range"], s["gyro_range"] = float(imu.accelerometer_range), float(imu.gyro_range)
         bound[R_ACCELERATION], bound[R_RATES] = 1.2 * s["felt_range"], 1.2 * s["gyro_range"]
         heat = float(imu.warming)
@@ -213,7 +246,7 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
         s["ring_max"], s["ring_baseline"] = float(ring.max_range), float(ring.baseline)
         row = 1.25 * math.atan(float(ring.baseline) / float(ring.min_range)) / ring.radial_pixels
         # What calibration left stays: as many readings as fall into its time count as one.
-        together = max(1.0, 2 * _CALM_S / float(ring.period))
+        together = np.maximum(1.0, 2 * _CALM_S / float(ring.period))
         s["ring_slope"] = row * math.sqrt(float(ring.calibration) ** 2 * together + 0.1**2)
         bound[R_RING] = 1.01 * max(float(vehicle.range_ring.max_range), s["ring_max"])
     north, east, up = ((-1e6, 1e6), (-1e6, 1e6), -1e6)

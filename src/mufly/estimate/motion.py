@@ -1,23 +1,24 @@
 """How the helicopter moves between two instants: what carries the state on, and what that does to its errors.
 
-Attitude and velocity by the strapdown equations (Groves, 2nd ed., ch. 5), from rates w and specific force f in body axes:
+Attitude and velocity by the strapdown equations (Groves, 2nd ed., ch. 5), from rates w and specific force f in
+body axes:
 
     dR/dt = R [w - b_w]x,       dv/dt = R f + g e_D,       dp/dt = v
 
 Specific force is known twice. The accelerometers feel it; the rotors and drag *make* it, and the flight model says
-how much (:func:`mufly.dynamics.derivative`, asked in body axes, far above the floor). Two measurements of the same force
-with densities q_a and q_m of their noise are weighed by them,
+how much (:func:`mufly.dynamics.derivative`, asked in body axes, far above the floor). Two measurements of the same
+force with densities q_a and q_m of their noise are weighed by them,
 
     f = W (a - b_a) + (1 - W) m(x),         W = q_m / (q_a + q_m),
 
-so that the noise of f is not correlated with that of the difference a - m, because W q_a - (1 - W) q_m = 0: f carries the
-state on, and a - m remains as a measurement (of the accelerometers' bias, the thrust's scale, the wind) without being
-used twice. An accelerometer that clips loses its weight; then the model flies alone.
+so that the noise of f is not correlated with that of the difference a - m, because W q_a - (1 - W) q_m = 0: f
+carries the state on, and a - m remains as a measurement (of the accelerometers' bias, the thrust's scale, the
+wind) without being used twice. An accelerometer that clips loses its weight; then the model flies alone.
 
     m(x) = k f_0 + c + J u,      u = R^T (v - wind)
 
-f_0 force without motion through the air, k scale of the thrust, c + J u drag, linear around the believed u (J is taken as
-diagonal: drag along one axis comes from the speed along it).
+f_0 force without motion through the air, k scale of the thrust, c + J u drag, linear around the believed u (J is
+taken as diagonal: drag along one axis comes from the speed along it).
 """
 
 from __future__ import annotations

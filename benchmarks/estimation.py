@@ -1,0 +1,154 @@
+"""How good the estimator is, and whether it knows: a mission flown once on ideal sensors, then felt by many units.
+
+    python benchmarks/estimation.py nees --seeds 100 [--scenario NAME] [--first 0]
+    python benchmarks/estimation.py cost
+
+The flight is the same for all seeds; sensors and their errors are not. So the estimator is judged without the control
+loop, a thousand units in the time of some ten flights.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mufly.estimate import fitted_estimator
+from mufly.estimate.consistency import Consistency, consistency
+from mufly.flight import Flight
+from mufly.mission import Mission, mission_from
+from mufly.sensors import Truth, fitted_sensors, parse_fault
+from mufly.units import STANDARD_GRAVITY_M_S2
+from mufly.vehicle import Vehicle, load_vehicle, replace
+
+STANDS_S = 2.0
+ROOM = {"north_m": [-1.2, 1.2], "east_m": [-1.2, 1.2], "height_m": 3.0}
+HOP = {"waypoint": [{"position_m": [0.0, 0.0, -1.0], "wait_s": 12.0}]}
+SQUARE = {
+    "take_off": {"height_m": 1.0, "wait_s": 2.0},
+    "waypoint": [
+        {"position_m": p, "wait_s": 2.0} for p in ([-3.0, 0.0, -1.0], [-3.0, 3.0, -2.0], [0.0, 0.0, -1.0])
+    ],
+}
+BOX = {
+    "take_off": {"height_m": 1.0, "wait_s": 2.0},
+    "waypoint": [{"position_m": p, "wait_s": 1.0} for p in ([3.0, 0.0, -1.0], [0.0, 0.0, -1.0])],
+    "box": [{"name": "step", "centre_m": [1.5, 0.0, -0.15], "size_m": [1.0, 1.0, 0.3]}],
+}
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A flight, and what is on board."""
+
+    mission: dict
+    without: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()
+    vibration_g: tuple[float, float] = (1.0, 0.5)
+    after_s: float = 9.0
+    changes: dict = field(default_factory=dict)
+
+
+SCENARIOS = {
+    "V-SLAM + lasers": Scenario({**HOP, "room": ROOM}),
+    "V-SLAM alone": Scenario({**HOP, "room": ROOM}, without=("ring_camera",)),
+    "square": Scenario(SQUARE),
+    "fix gone 2 s": Scenario(HOP, faults=("position.dropout@14s+2s",)),
+    "fix gone 5 s": Scenario(HOP, faults=("position.dropout@12s+5s",)),
+    "clipped 6 + 3 g": Scenario(SQUARE, vibration_g=(6.0, 3.0)),
+    "box under path": Scenario(BOX),
+}
+
+
+def flown(vehicle: Vehicle, mission: Mission, seed: int) -> tuple[list[Truth], list[np.ndarray]]:
+    """Truth and what acted, a period each, until it has landed."""
+    truths, acted = [], []
+    with Flight(vehicle, mission, seed=seed, wind=(0.5, 0.0, 0.0), gust=0.3, keep=False) as flight:
+        while flight.time_s < STANDS_S:
+            flight.tick()
+            truths.append(flight._truth)
+            acted.append(flight._acted.copy())
+        flight.autopilot.arm(force=True, quiet=True)
+        flight.autopilot.start_mission()
+        while not flight.autopilot.software.mission_state.finished and flight.time_s < 90.0:
+            flight.tick()
+            truths.append(flight._truth)
+            acted.append(flight._acted.copy())
+        if flight.plant.crashed:
+            raise SystemExit(flight.plant.crashed)
+    return truths, acted
+
+
+def felt(vehicle: Vehicle, mission: Mission, flight, seed: int, scenario: Scenario) -> Consistency:
+    """One unit on the flight."""
+    faults = [parse_fault(f) for f in scenario.faults]
+    sensors = fitted_sensors(vehicle, mission.world, seed=seed, faults=faults)
+    estimator = fitted_estimator(vehicle, mission.world, 200.0)
+    told = [estimator.update(sensors.read(t), a) for t, a in zip(*flight, strict=True)]
+    return consistency(flight[0], told, after_s=scenario.after_s)
+
+
+def vehicle_of(scenario: Scenario) -> Vehicle:
+    once, twice = (g * STANDARD_GRAVITY_M_S2 for g in scenario.vibration_g)
+    changes = {"sensors.imu.vibration.once": once, "sensors.imu.vibration.twice": twice, **scenario.changes}
+    v = replace(load_vehicle("mufly-2.0"), changes)
+    if scenario.without:
+        v = v.model_copy(update={"sensors": v.sensors.model_copy(update=dict.fromkeys(scenario.without))})
+    return v
+
+
+def nees(asked: argparse.Namespace) -> None:
+    """A table, a row a scenario."""
+    head = (
+        "scenario",
+        "NEES/n",
+        "in 95 %",
+        "xy rms",
+        "peak",
+        "z rms",
+        "peak",
+        "tilt rms",
+        "peak",
+        "yaw rms",
+        "NIS",
+    )
+    print(f"{head[0]:18s}" + "".join(f"{h:>9s}" for h in head[1:]) + "   (cm, degrees)")
+    known = {}
+    for name, scenario in SCENARIOS.items():
+        if asked.scenario and asked.scenario != name:
+            continue
+        vehicle, mission = vehicle_of(scenario), mission_from(scenario.mission)
+        key = repr(scenario.mission)
+        if key not in known:
+            known[key] = flown(vehicle, mission, 77)
+        all_ = [felt(vehicle, mission, known[key], asked.first + k, scenario) for k in range(asked.seeds)]
+        print(f"{name:18s}" + Consistency.merged(all_).row(), flush=True)
+
+
+def cost(asked: argparse.Namespace) -> None:
+    """Median time of one period."""
+    scenario = SCENARIOS["V-SLAM + lasers"]
+    vehicle, mission = vehicle_of(scenario), mission_from(scenario.mission)
+    flight = flown(vehicle, mission, 77)
+    sensors = fitted_sensors(vehicle, mission.world, seed=10_000)
+    read = [sensors.read(t) for t in flight[0]]
+    estimator = fitted_estimator(vehicle, mission.world, 200.0)
+    whole = []
+    for r, a in zip(read, flight[1], strict=True):
+        began = time.perf_counter()
+        estimator.update(r, a)
+        whole.append(time.perf_counter() - began)
+    w = 1e6 * np.array(whole)
+    print(f"a period, Python and compiled: median {np.median(w):.1f} us, mean {w[10:].mean():.1f} us")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("what", choices=("nees", "cost"))
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--scenario", default="")
+    given = parser.parse_args()
+    {"nees": nees, "cost": cost}[given.what](given)

@@ -1,0 +1,132 @@
+"""Is it as good as it thinks? Errors of an estimate against the deviations that it states.
+
+NEES, the normalised estimation error squared, e^T P^-1 e of an error e of n components, is on average n if P is what it
+should be, and below the 95 % point of the chi-square distribution in 95 % of cases (Bar-Shalom, Li and
+Kirubarajan, Estimation with Applications to Tracking and Navigation, ch. 5.4). The same of innovations is NIS;
+that one needs no truth, but sees no error that all readings have in common.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from mufly.estimate.estimate import Estimate
+from mufly.results import result
+from mufly.sensors import Truth
+
+_Array = NDArray[np.float64]
+
+
+def normalised(errors: _Array, covariances: _Array) -> _Array:
+    """Return e^T P^-1 e of each row; errors (k, n), covariances (k, n, n)."""
+    solved = np.linalg.solve(covariances, errors[..., None])[..., 0]
+    found: _Array = np.einsum("ki,ki->k", errors, solved)
+    return found
+
+
+@result
+class Consistency:
+    """How an estimate was off, and whether it knew.
+
+    Attributes
+    ----------
+    count : int
+        Instants.
+    nees : float
+        Mean of NEES / n over position, velocity and attitude (n = 9).
+    inside : float
+        Share of instants inside the 95 % ellipsoid.
+    parts : (3,) tuple
+        NEES / 3 of position, velocity, attitude.
+    nis : float
+        Mean square of the innovations' ratios of the fix.
+    xy_rms, xy_peak, z_rms, z_peak, tilt_rms, tilt_peak, yaw_rms : float
+        (m, rad).
+    """
+
+    count: int
+    nees: float
+    inside: float
+    parts: tuple[float, float, float]
+    nis: float
+    xy_rms: float
+    xy_peak: float
+    z_rms: float
+    z_peak: float
+    tilt_rms: float
+    tilt_peak: float
+    yaw_rms: float
+
+    @classmethod
+    def merged(cls, several: Sequence[Consistency]) -> Consistency:
+        """Of many flights: means of squares, worst of peaks."""
+        n = np.array([c.count for c in several], dtype=float)
+        n /= n.sum()
+        mean = {k: float(n @ [getattr(c, k) for c in several]) for k in ("nees", "inside", "nis")}
+        rms = {
+            k: float(np.sqrt(n @ np.square([getattr(c, k) for c in several])))
+            for k in ("xy_rms", "z_rms", "tilt_rms", "yaw_rms")
+        }
+        peak = {k: max(getattr(c, k) for c in several) for k in ("xy_peak", "z_peak", "tilt_peak")}
+        a, b, c = (float(x) for x in n @ np.array([one.parts for one in several]))
+        parts = (a, b, c)
+        return cls(count=sum(c.count for c in several), parts=parts, **mean, **rms, **peak)  # type: ignore[arg-type]
+
+    def row(self) -> str:
+        """In centimetres and degrees, for a table."""
+        d = np.degrees
+        cells = (
+            f"{self.nees:.2f}", f"{100 * self.inside:.1f}", f"{100 * self.xy_rms:.1f}", f"{100 * self.xy_peak:.1f}",
+            f"{100 * self.z_rms:.2f}", f"{100 * self.z_peak:.1f}", f"{d(self.tilt_rms):.2f}",
+            f"{d(self.tilt_peak):.2f}",
+            f"{d(self.yaw_rms):.2f}", f"{self.nis:.2f}",
+        )  # fmt: skip
+        return "".join(f"{c:>9s}" for c in cells) + "   pva " + " ".join(f"{p:.2f}" for p in self.parts)
+
+
+def consistency(
+    truths: Sequence[Truth], told: Sequence[Estimate], *, after_s: float = 0.0, every: int = 10
+) -> Consistency:
+    """Return how estimates compare with the truth.
+
+    Parameters
+    ----------
+    truths, told : sequences
+        Of the same instants.
+    after_s : float
+        Instants before are left out (s).
+    every : int
+        Of how many instants one counts for NEES.
+    """
+    use = [k for k, e in enumerate(told) if e.valid and e.time_s >= after_s]
+    true = np.array(
+        [np.concatenate([truths[k].position, truths[k].velocity, truths[k].attitude]) for k in use]
+    )
+    said = np.array([np.concatenate([told[k].position, told[k].velocity, told[k].attitude]) for k in use])
+    e = said - true
+    e[:, 6:] = np.angle(np.exp(1j * e[:, 6:]))
+    some = e[::every]
+    p = np.array([told[k].covariance[:9, :9] for k in use[::every]])
+    nees = normalised(some, p)
+    parts = tuple(
+        float(normalised(some[:, i : i + 3], p[:, i : i + 3, i : i + 3]).mean()) / 3 for i in (0, 3, 6)
+    )
+    ratios = []
+    for k in use[::every]:
+        b = told[k].beliefs
+        ratios += [c.ratio for c in b.checks if c.name == "position_fix"] if b else []
+    xy, z, tilt = np.hypot(e[:, 0], e[:, 1]), np.abs(e[:, 2]), np.hypot(e[:, 6], e[:, 7])
+    return Consistency(
+        count=len(use), nees=float(nees.mean()) / 9, inside=float(np.mean(nees < stats.chi2.ppf(0.95, 9))),
+        parts=parts, nis=float(np.mean(np.square(ratios))) if ratios else np.nan,
+        xy_rms=_rms(xy), xy_peak=float(xy.max()), z_rms=_rms(z), z_peak=float(z.max()), tilt_rms=_rms(tilt),
+        tilt_peak=float(tilt.max()), yaw_rms=_rms(e[:, 8]),
+    )  # fmt: skip
+
+
+def _rms(x: _Array) -> float:
+    return float(np.sqrt(np.mean(np.square(x))))
