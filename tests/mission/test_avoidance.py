@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from mufly.errors import InputError
 from mufly.mission import load_mission, mission_from
-from mufly.mission.avoidance import Memory, hold_off, look
+from mufly.mission.avoidance import Memory, Ring, begin_detour, go_round, hold_off, look
+from mufly.world import Cylinder, World
 
 # Sweeps over 1100 scenes keep 0.38 m; what is asked for is 0.3 m.
 KEPT_M = 0.36
@@ -170,6 +171,44 @@ def memory_of(*points):
     table = Memory.empty().points
     table[: len(points), :3] = points
     return Memory(table, len(points))
+
+
+def test_it_waits_beside_a_goal_that_is_taken_and_goes_there_once_it_is_free(rig):
+    """Somebody whom the mission does not know of stands there for 40 s."""
+    place, goal = (2.4, -1.8), (2.4, -1.8, -1.0)
+    somebody, nobody = World((), (Cylinder(place, 0.3, 2.0, name="somebody"),)), World()
+    now = [0.0]
+
+    def clock(t):
+        now[0] = t
+        return np.zeros(3)
+
+    mission = to(*goal, avoidance={"scan": True})
+    flight = rig.fly(
+        mission, world=lambda: somebody if now[0] < 40.0 else nobody, disturb=clock, limit_s=130.0
+    )
+    t, x, _ = flight.arrays()
+    assert flight.clearance > KEPT_M
+    waits = (t > 30.0) & (t < 40.0)
+    away = np.linalg.norm(x[waits, :2] - place, axis=1) - 0.3
+    assert 0.39 < away.min() <= away.max() < 0.8
+    assert arrived(flight, goal)
+
+
+def test_the_reference_waits_for_a_helicopter_that_is_held():
+    """Around an obstacle it runs no further than 0.3 m ahead, and comes to rest there."""
+    points = [(1.0, 0.05 * k, -1.0) for k in range(-8, 9)]
+    memory, here, goal = memory_of(*points), (0.45, 0.0, -1.0), (3.0, 0.0, -1.0)
+    detour = begin_detour(here, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), goal, look(memory, here, goal, 0.39), None)
+    ring = Ring(np.ones(8), np.zeros(8), 1.5)
+    ahead = []
+    for _ in range(400):
+        detour = go_round(
+            detour, memory, ring, here, 0.0, [1.5] * 8, goal, clearance=0.39, speed=0.3, dt=0.02
+        )
+        ahead.append(np.hypot(detour.position[0] - here[0], detour.position[1] - here[1]))
+    assert 0.2 < ahead[-1] <= max(ahead) < 0.32
+    assert np.hypot(*detour.velocity[:2]) < 0.01
 
 
 def test_what_a_point_means_for_a_way():

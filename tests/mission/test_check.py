@@ -10,6 +10,8 @@ CRATE = {"name": "crate", "centre_m": [2.0, 0.0, -0.75], "size_m": [0.6, 0.6, 1.
 
 SHELF = {"name": "shelf", "centre_m": [2.0, 0.0, -1.75], "size_m": [1.0, 1.0, 0.1]}
 
+HANGING = {"name": "lamp", "centre_m": [2.0, 0.0, -1.5], "size_m": [0.5, 0.5, 1.0]}
+
 
 def go(*positions, **more):
     return {"waypoint": [{"position_m": list(p)} for p in positions], **more}
@@ -74,6 +76,7 @@ def test_an_obstacle_on_a_leg_is_allowed_where_the_beams_see_it():
     mission_from(go((4, 0, -1.9), box=[CRATE]))
     # Under a high shelf with room enough.
     mission_from(go((4, 0, -1), box=[SHELF]))
+    mission_from(go((4, 0, -1.2), box=[HANGING]))
     # Low over the floor, past something that stands on it or reaches below.
     mission_from(go((4, 0, -0.25), take_off={"height_m": 0.3}, box=[CRATE]))
 
@@ -83,6 +86,7 @@ def test_a_spline_that_swings_to_the_floor_is_refused():
     with pytest.raises(InputError, match="swings down to a height of"):
         mission_from(tables)
     mission_from(go((2, 0, -0.21), (4, 0, -3)))
+    mission_from(go((2, 0, -1), (4, 0, -3), path={"kind": "spline"}))
 
 
 def test_estimate_of_the_demonstration():
@@ -112,6 +116,15 @@ def test_a_flight_takes_hardly_less_than_was_estimated_and_never_more(rig, table
     estimate = check_mission(mission, hover_current_A=4.0, capacity_Ah=1.0)
     # Settling before each wait is allowed for generously.
     assert down - start <= estimate.duration_s <= 1.08 * (down - start)
+
+
+def test_four_metres_more_take_as_long_as_climbing_and_sinking_them():
+    low, high = (
+        mission_from(go((0, 0, -h), take_off={"height_m": h}, limits={"climb_m_s": 0.5, "descent_m_s": 0.2}))
+        for h in (2.0, 6.0)
+    )
+    one, other = (check_mission(m, hover_current_A=4.0, capacity_Ah=1.0).duration_s for m in (low, high))
+    assert other - one == pytest.approx(4.0 / 0.5 + 4.0 / 0.2)
 
 
 def test_what_is_refused_says_how_long_it_would_take():
