@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mufly.estimate import Estimate
-from mufly.mission import Command, State, begin, mission_from, step
+from mufly.mission import Command, SetPoint, State, begin, mission_from, step
 from mufly.mission.avoidance import Memory
 
 TWO = {"waypoint": [{"position_m": [1.0, 0.0, -1.0]}, {"position_m": [2.0, 0.0, -1.0]}]}
@@ -156,6 +156,46 @@ def test_what_was_seen_near_is_avoided_unless_that_is_off_or_it_lands(rig, table
     )
     s, _ = step(plan, s, measured(), Command())
     assert s.state == state
+
+
+@pytest.mark.parametrize(("tables", "through"), [({}, False), ({"enabled": False}, True)])
+def test_set_points_lead_into_nothing_that_was_seen_unless_avoidance_is_off(rig, tables, through):
+    points = Memory.empty().points
+    points[0, :3] = (0.5, 0.0, -1.0)
+    plan, s = hovering(rig, TWO | {"avoidance": tables}, memory=Memory(points, 1))
+    x = HIGH
+    for k in range(1, 120):
+        s, r = step(plan, s, measured(0.02 * k, x), Command(set_point=SetPoint(velocity_m_s=(0.5, 0.0, 0.0))))
+        x = tuple(r.position)
+    assert s.state is State.OFFBOARD
+    assert bool(x[0] > 0.12) is through
+
+
+@pytest.mark.parametrize(("rise", "state"), [(0.08, "init"), (0.12, "hover")])
+def test_a_pilot_who_lets_go_has_landed_only_on_the_floor(rig, rise, state):
+    plan, s = hovering(rig, state=State.RC, begun=False)
+    s, r = step(plan, s, measured(x=(0.0, 0.0, -0.07 - rise)), Command())
+    assert s.state == state
+    assert (r.motors == "ramp_down") is (state == "init")
+
+
+@pytest.mark.parametrize("level", [0.0, 0.4, 2.0])
+def test_a_pilot_who_lets_go_in_a_dive_is_braked_to_the_floor_and_not_below(rig, level):
+    """At 3 m/s it needs 8 m and has 1.5: the reference is that of a fall that can still be stopped there."""
+    plan, s = hovering(rig, state=State.RC, begun=False)
+    m = replace(measured(x=(0.0, 0.0, -1.57)), velocity=np.array([level, 0.0, 3.0]))
+    s, r = step(plan, s, m, Command())
+    assert s.state is State.HOVER
+    assert s.goal[2] == pytest.approx(-0.07, abs=1e-6)
+    assert s.motion.at(0.0).velocity[0] == level
+    assert 0.5 < s.motion.at(0.0).velocity[2] < 3.0
+
+
+def test_a_stop_stops_rotors_that_run_down_too(rig):
+    plan, s = hovering(rig, state=State.INIT, motors="ramp_down", outcome="succeeded")
+    s, r = step(plan, s, measured(x=(0.0, 0.0, -0.07)), Command(stop="emergency stop"))
+    assert r.motors == "off"
+    assert s.events[-1].text == "emergency stop"
 
 
 @pytest.mark.parametrize("more", [-1.0, 1.0])

@@ -98,6 +98,8 @@ def test_vertical_and_empty_legs():
     assert nothing.at(3.0).position == (1, 2, -1)
     turn = straight((1, 2, -1), (1, 2, -1), 0.7, LIMITS, final_heading=2.0)
     assert turn.at(turn.duration_s).heading == pytest.approx(2.0)
+    bent = curved((1, 2, -1), (4, 2, -1), (1, 1, 0), (1, -1, 0), 0.7, LIMITS)
+    assert max(bent.at(0.1 * k * bent.duration_s).position[1] for k in range(11)) > 2.3
     same = curved((1, 2, -1), (1, 2, -1), (1, 0, 0), (0, 1, 0), 0.7, LIMITS)
     assert same.curve is None
     assert same.duration_s == 0.0

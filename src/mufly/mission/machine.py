@@ -368,10 +368,12 @@ def from_hand(s: MissionState, m: Estimate) -> MissionState:
     brake = stop(x, m.velocity, psi, BRAKE_M_S2)
     n, e, d = brake.at(math.inf).position
     if d > s.standing[2]:
-        # It falls too fast to stop above the floor. The reference must not lead below it: the way of a stop goes with
-        # the square of the speed, so this much slower it ends on the floor, and the helicopter brakes all it can.
-        share = math.sqrt(max(0.0, s.standing[2] - x[2]) / (d - x[2]))
-        brake = stop(x, (m.velocity[0], m.velocity[1], share * m.velocity[2]), psi, BRAKE_M_S2)
+        # It falls too fast to stop above the floor. The reference must not lead below it, and the helicopter brakes all
+        # it can. A stop's way down goes with the rate of descent w times the speed: w sqrt(u^2 + w^2) for a level u.
+        u, w = math.hypot(m.velocity[0], m.velocity[1]), m.velocity[2]
+        most = max(0.0, s.standing[2] - x[2]) / (d - x[2]) * w * math.hypot(u, w)
+        w = math.sqrt(0.5 * (math.sqrt(u**4 + 4.0 * most**2) - u**2))
+        brake = stop(x, (m.velocity[0], m.velocity[1], w), psi, BRAKE_M_S2)
         n, e, d = brake.at(math.inf).position
     at = (n, e, d)
     return rest(s, "RC off", at, psi, motion=brake, manual=True)
