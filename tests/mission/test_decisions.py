@@ -184,7 +184,7 @@ def test_a_pilot_who_lets_go_in_a_dive_is_braked_to_the_floor_and_not_below(rig,
     """At 3 m/s it needs 8 m and has 1.5: the reference is that of a fall that can still be stopped there."""
     plan, s = hovering(rig, state=State.RC, begun=False)
     m = replace(measured(x=(0.0, 0.0, -1.57)), velocity=np.array([level, 0.0, 3.0]))
-    s, r = step(plan, s, m, Command())
+    s, _ = step(plan, s, m, Command())
     assert s.state is State.HOVER
     assert s.goal[2] == pytest.approx(-0.07, abs=1e-6)
     assert s.motion.at(0.0).velocity[0] == level
