@@ -58,8 +58,9 @@ def test_modes():
 
 
 def test_parameters():
-    said = {name: float(value.split()[0]) for name, value, _ in table("parameter | default")}
-    assert said == {name: p.value for name, p in LINK_PARAMETERS.items()}
+    said = {name: [float(x) for x in re.findall(r"[\d.]+", f"{value} {span}")] for name, value, span, _ in
+            table("parameter | default")}  # fmt: skip
+    assert said == {name: [p.value, p.least, p.greatest] for name, p in LINK_PARAMETERS.items()}
 
 
 def test_states_are_numbered_as_they_are():

@@ -135,7 +135,10 @@ def test_parameters_are_listed_read_and_set():
     rig = Rig()
     gcs = rig.station()
     gcs.say(m.MAVLink_param_request_list_message(1, 1))
-    rig.run(1.0)
+    rig.run(0.2)
+    # A hundred a second, so that a slow radio has time; whatever the period of the flight software is.
+    assert len(gcs.all("PARAM_VALUE")) == pytest.approx(20, abs=2)
+    rig.run(0.8)
     listed = gcs.all("PARAM_VALUE")
     assert [p.param_index for p in listed] == list(range(listed[0].param_count))
     names = [p.param_id for p in listed]
@@ -207,6 +210,17 @@ def test_set_points_in_their_frames():
     height = set_point_of(local(1, 0xFFB, 9, 9, -1, *nothing, *nothing, 0, 0), here, None).position_m
     assert math.isnan(height[0])
     assert height[2] == -1
+    for yaw in (0.4, 2.0, -2.5):  # turned with the nose, as a number of the plane north + i east is
+        there = set_point_of(
+            local(9, 0x000, 1.5, -0.5, 0.2, 0.3, 0.1, -0.2, *nothing, 0, 0), measured(yaw), None
+        )
+        turn = complex(math.cos(yaw), math.sin(yaw))
+        for found, told, start in (
+            (there.position_m, (1.5, -0.5, 0.2), (1, 2, -3)),
+            (there.velocity_m_s, (0.3, 0.1, -0.2), (0, 0, 0)),
+        ):
+            on = complex(*start[:2]) + turn * complex(*told[:2])
+            assert found == pytest.approx((on.real, on.imag, start[2] + told[2]))
 
 
 @pytest.mark.parametrize(
@@ -232,6 +246,8 @@ def test_sticks():
     assert of_channels(channels(0, 65535, 0, 65535)) is None
     full = of_channels(channels(2000, 1000, 9999, 1500))
     assert (full.roll, full.pitch, full.climb, full.yaw) == (1, -1, 1, 0)
+    beyond = of_channels(channels(2300, 700, 1500, 1500))  # a radio that is not trimmed
+    assert (beyond.roll, beyond.pitch) == (1, -1)
     assert of_channels(channels(1510, 1490, 1500, 0)) == of_channels(channels(1500, 1500, 1500, 1500))
     still = of_manual_control(m.MAVLink_manual_control_message(1, 0, 0, 500, 0, 0))
     assert (still.roll, still.pitch, still.climb, still.yaw) == (0, 0, 0, 0)
@@ -393,5 +409,27 @@ def test_time_is_answered():
     gcs.say(m.MAVLink_timesync_message(0, 12345))
     gcs.say(m.MAVLink_ping_message(5, 7, 0, 0))
     rig.run(0.1)
-    assert gcs.last("TIMESYNC").ts1 == 12345
+    answer = gcs.last("TIMESYNC")
+    assert answer.ts1 == 12345
+    assert answer.tc1 == pytest.approx(1e9 * rig.flight.time_s, abs=0.1e9)  # ns on the vehicle's clock
     assert gcs.last("PING").seq == 7
+    gcs.heard.clear()  # what answers somebody is not answered
+    gcs.say(m.MAVLink_timesync_message(5, 12345))
+    gcs.say(m.MAVLink_ping_message(5, 7, 1, 1))
+    rig.run(0.1)
+    assert not gcs.all("TIMESYNC")
+    assert not gcs.all("PING")
+
+
+def test_what_changes_is_told_at_once_and_no_more_often():
+    rig = Rig()
+    gcs = rig.station()
+    rig.run(0.6)
+    assert gcs.last("SYS_STATUS").onboard_control_sensors_health & m.MAV_SYS_STATUS_PREARM_CHECK
+    gcs.heard.clear()
+    rig.run(1.0)
+    assert len(gcs.all("HEARTBEAT")) == 1
+    gcs.heard.clear()
+    gcs.command(m.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    rig.run(0.03)
+    assert [x.base_mode >> 7 for x in gcs.all("HEARTBEAT")] == [1]

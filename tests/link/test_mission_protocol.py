@@ -3,6 +3,8 @@
 import pytest
 from link_rig import Rig, waypoint
 
+from mufly.flight import FlightState
+from mufly.link import Item
 from mufly.link import mavlink as m
 from mufly.link.mission_transfer import LIMIT
 
@@ -48,6 +50,94 @@ def test_a_list_that_was_never_fetched_does_not_outlive_its_mission():
     after(gcs, "MISSION_ITEM_INT", lambda: gcs.say(m.MAVLink_mission_request_int_message(1, 1, 0)))
     assert [c.count for c in ask(gcs)] == [2]
     assert after(gcs, "MISSION_ITEM_INT", lambda: gcs.say(m.MAVLink_mission_request_int_message(1, 1, 1)))
+
+
+def test_what_is_reached_and_what_comes_next_at_every_stage_of_a_flight():
+    """An item is reached when it is done, none twice, and one that was given up never."""
+    rig = Rig()
+    gcs = rig.station()
+    speed = Item(0, 2, 178, params=(1.0, 0.4, -1.0, 0.0))
+    items = [waypoint(0, 0, -1, command=22), waypoint(1, 0, -1), speed, waypoint(2, 0, -1, wait=1.0)]
+    protocol = rig.link._missions
+    waits, active, paused, complete = 2, 3, 4, 5  # MISSION_STATE
+    running = {"begun": True, "flying": True, "mission_running": True}
+    flown = [
+        ({"state": "init"}, 0, waits, []),
+        ({"state": "take-off", **running}, 0, active, []),
+        ({"state": "waypoint", **running}, 1, active, [0]),
+        ({"state": "hover", "waypoint": 1, **running}, 3, active, [1]),
+        ({"state": "waypoint", "waypoint": 1, **running}, 3, active, [2]),
+        ({"state": "obstacle", "waypoint": 1, **running}, 3, active, []),
+    ]
+    for end, last in (
+        (
+            waypoint(2, 0, 0, command=21),
+            [
+                ({"state": "hover", "waypoint": 2, **running}, 4, active, []),
+                ({"state": "landing", "waypoint": 2, **running}, 4, active, [3]),
+                ({"state": "init", "waypoint": 2, "begun": True, "outcome": "succeeded"}, 4, complete, [4]),
+            ],
+        ),
+        (
+            Item(0, 2, 93, params=(2.0, 0, 0, 0)),
+            [
+                ({"state": "hover", "waypoint": 2, **running}, 4, active, []),
+                ({"state": "hover", "waypoint": 2, "begun": True, "flying": True}, 4, complete, [3, 4]),
+            ],
+        ),
+        (
+            waypoint(2, 0, 0, command=21),
+            [
+                ({"state": "hover", "waypoint": 1, "begun": True, "flying": True}, 3, paused, []),
+                # Told to land where it is, it lands well; the mission was not flown to its end.
+                ({"state": "landing", "waypoint": 1, "begun": True, "flying": True}, 3, paused, []),
+                ({"state": "init", "waypoint": 1, "begun": True, "outcome": "succeeded"}, 3, waits, []),
+            ],
+        ),
+    ):
+        gcs.heard.clear()
+        gcs.upload([*items, end])
+        assert rig.run(1.0, lambda: gcs.last("MISSION_ACK")), gcs.words
+        for stage, current, state, reached in [*flown, *last]:
+            status = FlightState(**stage)
+            now = protocol.progress(status)
+            assert (now.item, now.total, now.state, now.mode) == (
+                current,
+                5,
+                state,
+                1 if state == active else 2,
+            ), stage
+            assert protocol.reached(status) == reached, stage
+        rig.now_s += 10.0
+
+
+def test_a_mission_that_somebody_else_loads_is_the_one_that_is_told():
+    rig = Rig(MISSION)
+    gcs = rig.station()
+    rig.run(0.1)
+    for change, commands in (
+        ({}, [22, 16, 16, 21]),
+        ({"at_end": "return"}, [22, 16, 16, 20]),
+        ({"waypoint": ()}, []),
+    ):
+        mission = rig.status.mission.model_copy(update=change)
+        assert rig.link.autopilot.load_mission(mission)
+        rig.run(0.1)
+        got = gcs.download()
+        assert rig.run(1.0, lambda got=got: got)
+        assert [i.command for i in got[0]] == commands
+
+
+def test_an_upload_of_a_peer_that_has_gone_makes_room_for_the_next():
+    rig = Rig()
+    gcs, other = rig.station(), rig.station("other", 254)
+    rig.run(0.05)
+    gcs.say(m.MAVLink_mission_count_message(1, 1, 3, 0))
+    rig.run(0.05)
+    for peer, busy in (("other", True), ("gcs", False)):
+        rig.link._missions.forget(peer)
+        assert (rig.link._missions._receiver.peer is not None) is busy
+    assert other.acks == []
 
 
 @pytest.mark.parametrize(

@@ -30,20 +30,44 @@ def test_every_mission_survives_the_way_there_and_back(name):
 
 def test_speeds_and_headings_go_to_the_legs_that_follow():
     speed = Item(0, 2, 178, params=(1, 0.3, -1, 0))
-    own = Item(0, 2, 178, params=(1, -2, -1, 0))
+    own, same = (Item(0, 2, 178, params=(1, v, -1, 0)) for v in (-2, -1))
     turn = Item(0, 2, 115, params=(90, 0, 0, 0))
     plan = plan_of(
         numbered(
-            waypoint(0, 0, -1), speed, waypoint(1, 0, -1), turn, waypoint(1, 1, -1), own, waypoint(0, 1, -1)
+            waypoint(0, 0, -1),
+            speed,
+            waypoint(1, 0, -1),
+            turn,
+            waypoint(1, 1, -1),
+            own,
+            waypoint(0, 1, -1),
+            speed,
+            same,
+            waypoint(0, 0, -1),
         ),
         BASE,
         None,
     )
     w = plan.mission.waypoint
-    assert [x.speed_m_s for x in w] == [None, 0.3, 0.3, None]
-    assert [x.heading_deg for x in w] == [None, None, 90.0, None]
-    assert plan.item_of_waypoint == (0, 2, 4, 6)
-    assert [plan.waypoint_of(k) for k in range(8)] == [0, 1, 1, 2, 2, 3, 3, None]
+    assert [x.speed_m_s for x in w] == [None, 0.3, 0.3, None, 0.3]
+    assert [x.heading_deg for x in w] == [None, None, 90.0, None, None]
+    assert plan.item_of_waypoint == (0, 2, 4, 6, 9)
+    assert [plan.waypoint_of(k) for k in range(11)] == [0, 1, 1, 2, 2, 3, 3, 4, 4, 4, None]
+    # Told again, a speed is that over ground (1), and the throttle stays as it is (-1), as the specification has it.
+    told = [i.params for i in items_of(plan.mission).items if i.command == 178]
+    assert told == [(1.0, 0.3, -1.0, 0.0), (1.0, -2.0, -1.0, 0.0), (1.0, 0.3, -1.0, 0.0)]
+
+
+def test_a_delay_is_a_longer_wait_at_the_waypoint_before_it_or_after_the_take_off():
+    delay = Item(0, 2, 93, params=(3.0, -1, -1, -1))
+    up = waypoint(0, 0, -1.5, command=22)
+    for items, climb, first in (
+        ((up, delay, delay, waypoint(1, 0, -1, wait=0.5)), 6.0, 0.5),
+        ((delay, waypoint(1, 0, -1), delay), 3.0, 3.0),
+    ):
+        mission = plan_of(numbered(*items), BASE, None).mission
+        assert mission.take_off.wait_s == BASE.take_off.wait_s + climb
+        assert mission.waypoint[0].wait_s == first
 
 
 @pytest.mark.parametrize(("last", "end"), [(17, "hover"), (20, "return"), (21, "land"), (16, "hover")])
@@ -60,6 +84,10 @@ def test_a_landing_elsewhere_is_flown_to():
     assert plan.item_of_waypoint == (0, 1)
     nowhere = Item(0, 1, 21, x=2**31 - 1, y=2**31 - 1)
     assert len(plan_of(numbered(waypoint(0, 0, -1.2), nowhere), BASE, None).mission.waypoint) == 1
+    for end in ("hover", "land", "return"):
+        mission = plan.mission.model_copy(update={"at_end": end})
+        again = plan_of(items_of(mission).items, BASE, None).mission
+        assert (again.at_end, again.waypoint) == (end, mission.waypoint)
 
 
 def test_places_on_the_globe():
@@ -87,7 +115,7 @@ def test_east_north_up():
         ([waypoint(0, 0, math.nan)], MissionResult.INVALID_PARAM7),
         ([waypoint(0, 0, -1, wait=-1)], MissionResult.INVALID_PARAM1),
         ([waypoint(0, 0, -1, wait=math.inf)], MissionResult.INVALID_PARAM1),
-        ([waypoint(0, 0, -1, heading=1e9)], MissionResult.INVALID_PARAM4),
+        ([waypoint(0, 0, -1, heading=400)], MissionResult.INVALID_PARAM4),
         ([waypoint(0, 0, -1, frame=7)], MissionResult.UNSUPPORTED_FRAME),
         ([waypoint(0, 0, -1, command=18)], MissionResult.UNSUPPORTED),
         ([waypoint(0, 0, -1, command=82)], MissionResult.UNSUPPORTED),

@@ -101,8 +101,8 @@ class Command:
 
     @property
     def packed(self) -> bytes:
-        """Its number and parameters, to tell whether two are the same (NaN is the same as NaN)."""
-        return struct.pack("<i7d", self.number, *self.params)
+        """Its number, frame and parameters, to tell whether two are the same (NaN is the same as NaN)."""
+        return struct.pack("<ii7d", self.number, -1 if self.frame is None else self.frame, *self.params)
 
     def message(self, system: int, component: int, confirmation: int = 0) -> MavMessage:
         """Return it as MAVLink puts it: x and y of a COMMAND_INT are metres times 1e4 or degrees times 1e7."""
@@ -257,7 +257,7 @@ class CommandProtocol:
     # what each command does
 
     def _arm_or_disarm(self, now_s: float, command: Command) -> Answer:
-        on, magic = command.params[:2]
+        on = command.params[0]
         if on == 1.0:
             chosen = self.chosen(now_s)
             answer = self._autopilot.arm()
@@ -267,11 +267,11 @@ class CommandProtocol:
             begun = self._missions.start() if chosen == "mission" else self._autopilot.take_off()
             return replace(answer, reason=begun.reason)
         if on == 0.0:
-            return self._autopilot.disarm(force=magic == FORCE)
+            return self._autopilot.disarm(force=command.stops)
         return never(f"COMPONENT_ARM_DISARM with {on:g}: give 1 or 0")
 
     def _terminate(self, now_s: float, command: Command) -> Answer:
-        return self._autopilot.emergency_stop() if command.params[0] > 0.5 else ACCEPTED
+        return self._autopilot.emergency_stop() if command.stops else ACCEPTED
 
     def _take_off(self, now_s: float, command: Command) -> Answer:
         z, origin = command.params[6], self._origin
@@ -324,7 +324,7 @@ class CommandProtocol:
         angle = math.radians(command.params[0])
         if command.params[3] == 1.0:
             now = self._autopilot.software.reference[2][2]
-            angle = float(now) + math.copysign(angle, command.params[2] if command.params[2] else 1.0)
+            angle = float(now) + math.copysign(angle, command.params[2] or 1.0)
         return self._autopilot.turn_to(angle)
 
     def _speed(self, now_s: float, command: Command) -> Answer:

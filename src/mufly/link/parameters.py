@@ -144,7 +144,7 @@ class ParameterProtocol:
     def step(self, now_s: float) -> None:
         """Send the next messages of the lists that are under way, one for each who waits, and what has changed."""
         if self._lists and now_s >= self._due_s:
-            self._due_s = now_s + 1.0 / LIST_HZ
+            self._due_s = max(self._due_s + 1.0 / LIST_HZ, now_s)  # counted from the last, not from this tick
             for station, k in list(self._lists.items()):
                 self._clients.send(station.peer, self._value(self._names[k]))
                 if k + 1 < len(self._names):
@@ -158,11 +158,6 @@ class ParameterProtocol:
             for name in self._names:
                 if self._told[name] != told[name]:
                     self._clients.send(None, self._value(name))
-
-    def forget(self, peer: object) -> None:
-        """A peer has gone."""
-        for station in [s for s in self._lists if s.peer == peer]:
-            del self._lists[station]
 
     def _tell(self, station: Source, name: str, message: MavMessage, index: int = -1) -> None:
         """Send a value, or say that there is no parameter of that name or index, so that nobody waits for it."""

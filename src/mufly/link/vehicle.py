@@ -174,7 +174,7 @@ class VehicleLink:
     def step(self, now_s: float) -> list[Outgoing]:
         """Return what is to be sent now; call it after every tick of the flight."""
         for peer in self.clients.drop_silent(now_s):
-            for part in (self._codec, self._missions, self._parameters):
+            for part in (self._codec, self._missions):
                 part.forget(peer)
         parameters = self._parameters
         self.authority.watch(now_s, loss_s=parameters["COM_DL_LOSS_T"], land_s=parameters["COM_DL_LAND_T"])
