@@ -12,6 +12,7 @@ import pytest
 from mufly.control import FlightController
 from mufly.dynamics import advance, initial_state, model_parameters, standing_height
 from mufly.vehicle import Vehicle
+from mufly.vehicle import replace as altered
 
 
 def smooth(t: float, duration: float) -> tuple[float, float, float]:
@@ -71,20 +72,22 @@ def test_yaw_step(vehicle: Vehicle, controller: FlightController, closed_loop: M
 def test_pitch_reference_is_followed(
     vehicle: Vehicle, controller: FlightController, closed_loop: ModuleType
 ) -> None:
-    """Fig 6.12: ramps and plateaus of about 0.1 rad."""
+    """Fig 6.12: ramps and plateaus of about 0.1 rad. The servos' use is that without drag of the rotors: at the 5 m/s
+    that it ends with, that takes them nearly whole."""
     times, angles = (0, 1, 1.5, 3, 3.5, 4.5, 6, 6.5, 10), (0, 0, -0.1, -0.1, -0.05, -0.12, -0.12, 0, 0)
     reference = np.interp
-    flight = closed_loop.fly(
-        vehicle,
-        controller,
-        lambda t: closed_loop.Reference(tilt=(0.0, float(reference(t, times, angles)))),
-        8.0,
-    )
-    error = flight.attitude[:, 1] - np.interp(flight.time, times, angles)
-    assert np.abs(error).max() < 0.02
-    assert np.sqrt(np.mean(error**2)) < 0.007
-    assert np.abs(flight.attitude[:, 0]).max() < 2e-3
-    assert np.abs(flight.servo).max() < 0.5
+    for v, most in ((vehicle, 0.9), (altered(vehicle, {"rotors.inplane_drag": 0.0}), 0.5)):
+        flight = closed_loop.fly(
+            v,
+            controller,
+            lambda t: closed_loop.Reference(tilt=(0.0, float(reference(t, times, angles)))),
+            8.0,
+        )
+        error = flight.attitude[:, 1] - np.interp(flight.time, times, angles)
+        assert np.abs(error).max() < 0.02
+        assert np.sqrt(np.mean(error**2)) < 0.007
+        assert np.abs(flight.attitude[:, 0]).max() < 2e-3
+        assert np.abs(flight.servo).max() < most
 
 
 def test_pitch_step_rails_the_servo_and_recovers(

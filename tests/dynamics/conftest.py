@@ -10,6 +10,7 @@ NO_AIR = {
     "body.drag_area_y": 0.0,
     "body.drag_area_z": 0.0,
     "body.downwash_drag": 0.0,
+    "rotors.inplane_drag": 0.0,
 }
 
 
@@ -19,8 +20,14 @@ def vehicle() -> Vehicle:
 
 
 @pytest.fixture(scope="session")
+def published(vehicle: Vehicle) -> Vehicle:
+    """muFly as the thesis models it: without drag of its rotors in their planes."""
+    return replace(vehicle, {"rotors.inplane_drag": 0.0})
+
+
+@pytest.fixture(scope="session")
 def vacuum(vehicle: Vehicle) -> Vehicle:
-    """muFly without drag on its fuselage."""
+    """muFly without drag on fuselage and in the rotors' planes."""
     return replace(vehicle, NO_AIR)
 
 

@@ -41,9 +41,16 @@ def transcription(vehicle, x, u, wind, voltage):
 
     mast, bar = -Z, A.T @ x[15:18]
     lean = f(vehicle.stabiliser_bar.linkage) * (bar - (bar @ mast) * mast)
-    T_up = thrust(up, x[18]) * (lean + np.sqrt(1 - lean @ lean) * mast)
-    T_dw = thrust(dw, x[19]) * about(X, x[13]) @ about(Y, x[14]) @ -Z
     air = A.T @ (x[3:6] - wind)
+
+    def load(rotor, normal, speed):
+        hub = air + np.cross(x[10:13], f(rotor.hub_z) * Z)
+        across = hub - (hub @ normal) * normal
+        drag = f(vehicle.rotors.inplane_drag) * rho * np.pi * R**3 * speed * across
+        return thrust(rotor, speed) * normal - drag
+
+    T_up = load(up, lean + np.sqrt(1 - lean @ lean) * mast, x[18])
+    T_dw = load(dw, about(X, x[13]) @ about(Y, x[14]) @ -Z, x[19])
     areas = np.array([f(body.drag_area_x), f(body.drag_area_y), f(body.drag_area_z)])
     downwash = min(1.0, (thrust(up, x[18]) + thrust(dw, x[19])) / (f(body.mass) * GRAVITY / 2))
     F = T_up + T_dw + A.T @ (f(body.mass) * GRAVITY * Z)

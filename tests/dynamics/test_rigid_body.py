@@ -100,7 +100,8 @@ def test_upper_rotor_accelerating_turns_the_nose_right(vehicle) -> None:
 
 
 @pytest.mark.parametrize("velocity", [(0, 0, 0), (0, 0, -0.5), (0, 0, 0.5), (1.5, -1, -0.3)])
-def test_forces_balance_in_steady_flight(vehicle, velocity) -> None:
+def test_forces_balance_in_steady_flight(published, velocity) -> None:
+    vehicle = published
     t = trim(vehicle, velocity=velocity, wind=(0.2, 0.1, 0.0), heading=0.4)
     a = rotation(t.state[6:10])
     air = a.T @ (np.asarray(velocity) - t.wind)

@@ -22,8 +22,8 @@ def released(vehicle, time_constant, roll_deg=0.0, pitch_deg=0.0, heading=0.0):
 
 
 @pytest.mark.parametrize("time_constant", [0.2, 0.24])  # the figure's and Table 5.3's
-def test_initial_roll_decays_by_the_bar_alone(vehicle, time_constant) -> None:
-    time, angle = released(vehicle, time_constant, roll_deg=20.0)
+def test_initial_roll_decays_by_the_bar_alone(published, time_constant) -> None:
+    time, angle = released(published, time_constant, roll_deg=20.0)
     roll = angle[:, 0]
     assert roll[0] == pytest.approx(20.0)
     assert np.max(np.abs(angle[:, 1:])) < 1e-9  # pitch and yaw stay zero
@@ -36,21 +36,21 @@ def test_initial_roll_decays_by_the_bar_alone(vehicle, time_constant) -> None:
     assert rate == pytest.approx(1 / (2 * time_constant), rel=0.03)
 
 
-def test_initial_pitch_decays_too_and_slower(vehicle) -> None:
-    _, roll = released(vehicle, 0.2, roll_deg=20.0)
-    time, pitch = released(vehicle, 0.2, pitch_deg=20.0)
+def test_initial_pitch_decays_too_and_slower(published) -> None:
+    _, roll = released(published, 0.2, roll_deg=20.0)
+    time, pitch = released(published, 0.2, pitch_deg=20.0)
     assert np.max(np.abs(pitch[time >= 2.0, 1])) < 0.6
     # Iyy > Ixx: the pitch swing crosses zero later.
     assert np.argmax(pitch[:, 1] < 0) > np.argmax(roll[:, 0] < 0)
 
 
-def test_heading_makes_no_difference(vehicle) -> None:
-    _, north = released(vehicle, 0.24, roll_deg=20.0)
-    _, elsewhere = released(vehicle, 0.24, roll_deg=20.0, heading=2.0)
+def test_heading_makes_no_difference(published) -> None:
+    _, north = released(published, 0.24, roll_deg=20.0)
+    _, elsewhere = released(published, 0.24, roll_deg=20.0, heading=2.0)
     assert_allclose(elsewhere[:, 0], north[:, 0], atol=1e-9)
     assert_allclose(elsewhere[:, 2], np.degrees(2.0), atol=1e-9)
 
 
-def test_without_linkage_nothing_rights_it(vehicle) -> None:
-    _, angle = released(replace(vehicle, {"stabiliser_bar.linkage": 0.0}), 0.24, roll_deg=20.0)
+def test_without_linkage_nothing_rights_it(published) -> None:
+    _, angle = released(replace(published, {"stabiliser_bar.linkage": 0.0}), 0.24, roll_deg=20.0)
     assert_allclose(angle[:, 0], 20.0, atol=1e-9)

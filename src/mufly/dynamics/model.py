@@ -11,8 +11,8 @@ Rigid body, N-E-D velocity ``v``, body rates ``W``, attitude ``A`` (body to N-E-
 Rotors, ``T = cT pi rho R^4 Omega^2`` and ``Q`` alike (constants, or a map over speeds and climb: see below), thrust
 along the tilted disc normal ``n``::
 
-    F = T_up n_up + T_dw n_dw + fuselage drag
-    M = sum r_i x T_i n_i + z_B [(Q_up + Jr_up dOmega_up) - (Q_dw + Jr_dw dOmega_dw)]          (A.8, 4.13)
+    F = T_up n_up + H_up + T_dw n_dw + H_dw + fuselage drag
+    M = sum r_i x (T_i n_i + H_i) + z_B [(Q_up + Jr_up dOmega_up) - (Q_dw + Jr_dw dOmega_dw)]          (A.8, 4.13)
     n_dw = (-sin b, cos b sin a, -cos a cos b)                a, b: tilt_roll, tilt_pitch
     n_up = mast + l_up * (component of the bar's normal across the mast), made unit
 
@@ -27,7 +27,16 @@ With a map (Sec. 4.3.1 asks for one beyond 0.5 m/s) ``cT`` and ``cQ`` of each ro
 
     mean speed (Omega_up + Omega_dw)/2,    Omega_dw / Omega_up,    climb velocity / (mean speed R)
 
-with the climb velocity that of the mast through the air, along the mast. The map is held at its edges, so thrust and
+with the climb velocity that of the mast through the air, along the mast.
+
+Drag in the disc plane (H-force; linear in the edgewise velocity as long as that is small beside the tip speed)::
+
+    H = -cH rho pi R^3 |Omega| (w - n (n.w))         w = A^T (v - wind) + W x r, the hub's velocity through the air
+
+It comes from what the advancing blade meets more than the retreating one (blade elements in docs/dynamics.md; Leishman
+2006, Sec. 3.5 for the forces, Mahony, Kumar and Corke 2012 for the linear form), and never drives: ``H.w <= 0``.
+
+The map is held at its edges, so thrust and
 torque go to zero with the speeds as ``Omega^2`` does, whatever the ratios are then.
 
 Contact with the floor (D = 0): compliant legs, and the rim of the upper rotor once it has tipped over. Every contact
@@ -74,6 +83,15 @@ def battery_state(x, motor_up, motor_dw, p):  # type: ignore[no-untyped-def]
         interpolate(p.battery_curve, x[20]), p.battery_resistance, conductance, source, p.electronics_current
     )
     return voltage, p.electronics_current + conductance * voltage - source
+
+
+@compiled(error_model="numpy")
+def _inplane_drag(nx, ny, nz, air_x, air_y, air_z, p, q, z, slope):  # type: ignore[no-untyped-def]
+    """Return the drag of a rotor in its disc plane (N, body axes): unit normal, air velocity, rates, hub, N s/m."""
+    slope = abs(slope)
+    x, y = air_x + q * z, air_y - p * z
+    along = nx * x + ny * y + nz * air_z
+    return slope * (along * nx - x), slope * (along * ny - y), slope * (along * nz - air_z)
 
 
 # Inlined by force: with a map in it LLVM finds it too long, and single flights would slow down by a tenth.
@@ -133,16 +151,23 @@ def derivative(x, u, wind, p, dx):  # type: ignore[no-untyped-def]
     # Upper rotor: tilted against the mast as the bar's disc is, times l_up.
     nx = p.bar_gain * (a00 * bar_n + a10 * bar_e + a20 * bar_d)
     ny = p.bar_gain * (a01 * bar_n + a11 * bar_e + a21 * bar_d)
+    nz = -math.sqrt(max(1.0 - nx * nx - ny * ny, 0.0))
     thrust_up = kT_up * speed_up * speed_up
     fx_up = nx * thrust_up
     fy_up = ny * thrust_up
-    fz_up = -math.sqrt(max(1.0 - nx * nx - ny * ny, 0.0)) * thrust_up
+    fz_up = nz * thrust_up
 
     # Fuselage: velocity through the air in body axes.
     air_n, air_e, air_d = x[3] - wind[0], x[4] - wind[1], x[5] - wind[2]
     air_x = a00 * air_n + a10 * air_e + a20 * air_d
     air_y = a01 * air_n + a11 * air_e + a21 * air_d
     air_z = a02 * air_n + a12 * air_e + a22 * air_d
+    if p.inplane > 0.0:
+        h_x, h_y, h_z = _inplane_drag(nx, ny, nz, air_x, air_y, air_z, wx, wy, p.z_up, p.inplane * speed_up)
+        fx_up, fy_up, fz_up = fx_up + h_x, fy_up + h_y, fz_up + h_z
+        nx, ny, nz = -math.sin(beta), cos_b * math.sin(alpha), -math.cos(alpha) * cos_b
+        h_x, h_y, h_z = _inplane_drag(nx, ny, nz, air_x, air_y, air_z, wx, wy, p.z_dw, p.inplane * speed_dw)
+        fx_dw, fy_dw, fz_dw = fx_dw + h_x, fy_dw + h_y, fz_dw + h_z
     fx = fx_up + fx_dw - p.drag_x * abs(air_x) * air_x
     fy = fy_up + fy_dw - p.drag_y * abs(air_y) * air_y
     # No thrust, no downwash: a helicopter at rest or lying on its side is not pushed along.

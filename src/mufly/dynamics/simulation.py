@@ -141,6 +141,7 @@ def _fastest(p: np.void) -> dict[str, float]:
     up, dw = motors
     thrust = max(bounds["thrust_up"][0], bounds["thrust_dw"][0]) * speed**2
     heave = (bounds["thrust_up"][2] + bounds["thrust_dw"][2]) * speed / p["mass"]
+    inplane = 2.0 * p["inplane"] * speed * (1.0 / p["mass"] + p["z_up"] ** 2 / min(p["Ixx"], p["Iyy"]))
     swing = math.sqrt(p["bar_gain"] * thrust * abs(p["z_up"]) / min(p["Ixx"], p["Iyy"]))
     # The legs' tips move with x and with W x r; about each axis all of them act together.
     n = p["contact_count"]
@@ -152,6 +153,7 @@ def _fastest(p: np.void) -> dict[str, float]:
         "rotors.upper.drive_inertia": float(up),
         "rotors.lower.drive_inertia": float(dw),
         "stabiliser_bar.linkage": swing,
+        "rotors.inplane_drag": float(inplane),
         "rotors.coefficient_map": float(heave),
         "contact.stiffness": math.sqrt(p["leg_stiffness"] * mobility),
         "contact.damping": float(p["leg_damping"] * mobility),

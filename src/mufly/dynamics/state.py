@@ -165,6 +165,7 @@ _FIELDS: dict[str, str | tuple[int, ...]] = {
     "thrust_dw": "",
     "torque_up": "",  # N m s2, Q = torque_up * Omega^2
     "torque_dw": "",
+    "inplane": "",  # N s2/m, H = inplane * Omega * V
     "z_up": "rotors.upper.hub_z",  # m, hub in body axes
     "z_dw": "rotors.lower.hub_z",
     "J_up": "rotors.upper.drive_inertia",  # kg m2, as the motor sees it
@@ -272,6 +273,7 @@ def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
         values[f"thrust_{side}"] = float(rotor.thrust_coefficient) * (np.pi * rho * radius**4)  # eq. 4.11
         values[f"torque_{side}"] = float(rotor.torque_coefficient) * (np.pi * rho * radius**5)  # eq. 4.12
     values |= {
+        "inplane": float(r.inplane_drag) * (np.pi * rho * radius**3),
         "swash_rate": 1.0 / float(vehicle.swash_plate.time_constant),
         "swash_gain": float(vehicle.swash_plate.linkage) * float(vehicle.swash_plate.max_tilt),
         "bar_rate": 1.0 / float(vehicle.stabiliser_bar.time_constant),

@@ -74,7 +74,7 @@ AVD_ENABLE      -      0    1    avoidance.enabled              1: look out for 
 AVD_CLEARANCE   m      0.15 1    avoidance.clearance_m          distance to keep from obstacles, from the centre
 AVD_SPEED       m/s    0.06 1    avoidance.speed_m_s            speed around an obstacle
 BAT_LOW_V       V      0    inf  battery.low_V                  land below this voltage
-CTL_POS_GAIN    1/s    0.2  2    position.position_gain         velocity asked for a metre off place
+CTL_POS_GAIN    1/s    0.2  1.9  position.position_gain         velocity asked for a metre off place
 CTL_SPEED_MAX   m/s    0.3  3    position.speed_limit           greatest velocity that the position loop asks for
 CTL_TILT_MAX    deg    3    15   position.tilt_limit            greatest tilt that the position loop asks for
 CTL_HEAVE_BW    rad/s  2    16   heave_yaw.heave_bandwidth      bandwidth of the reference filter of height

@@ -80,10 +80,18 @@ def parameter(
     at_least: float | None = None,
     below: float | None = None,
     at_most: float | None = None,
+    absent: float | None = None,
 ) -> Any:
-    """Declare a parameter of a vehicle: its SI unit, symbol, meaning and the values that make sense."""
+    """Declare a parameter of a vehicle: its SI unit, symbol, meaning and the values that make sense.
+
+    ``absent`` is the value of a file that does not name it; without one every file has to.
+    """
     limits = {"above": above, "at_least": at_least, "below": below, "at_most": at_most}
-    return Field(description=description, json_schema_extra={"unit": unit, "symbol": symbol, **limits})
+    extra: dict[str, Any] = {"unit": unit, "symbol": symbol, **limits}
+    if absent is None:
+        return Field(description=description, json_schema_extra=extra)
+    left_out = Quantity(value=absent, unit=unit, source="estimated", note="not in the vehicle file")
+    return Field(default=left_out, description=description, json_schema_extra=extra)
 
 
 def _check_limits(value: float, unit: str, limits: dict[str, Any]) -> None:

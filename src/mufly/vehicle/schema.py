@@ -87,6 +87,14 @@ class Rotor(Group):
 
 class Rotors(Group):
     radius: Quantity = parameter("m", "R", "radius of both rotors", at_least=5e-3, at_most=5)
+    inplane_drag: Quantity = parameter(
+        "1",
+        "cH",
+        "drag of each rotor in its disc plane, H / (rho pi R^3 Omega V), V the edgewise velocity",
+        at_least=0,
+        at_most=0.2,
+        absent=0.0,
+    )
     upper: Rotor
     lower: Rotor
     coefficient_map: CoefficientMap | None = Field(
