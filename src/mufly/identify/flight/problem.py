@@ -426,7 +426,8 @@ class Problem:
             n = len(r.time_s)
             count = 1 if length_s is None else max(1, round((n - 1) * r.sample_s / length_s))
             starts.append(np.round(np.linspace(0, n, count + 1)[:-1]).astype(np.int64))
-            sought.append(_sought(r.outputs, self.part, whole=count == 1))
+            drags = any(float(f.base["inplane"]) > 0.0 for f in self.flights)
+            sought.append(_sought(r.outputs, self.part, whole=count == 1, drags=drags))
         return dataclasses_replace(self._each(starts=starts, sought=sought), hover=hover)
 
     def with_held(self) -> tuple[Problem, int]:
@@ -681,8 +682,11 @@ def _start_charge(vehicle: Vehicle, r: Record) -> float:
     return float(np.clip(np.interp(rest, curve.value, curve.fraction), 0.05, 0.98))
 
 
-def _sought(outputs: Sequence[str], part: Part, *, whole: bool) -> NDArray[np.int64]:
-    """Return which start values of ``MOTION + ACTUATOR`` are sought, given what is measured."""
+def _sought(outputs: Sequence[str], part: Part, *, whole: bool, drags: bool) -> NDArray[np.int64]:
+    """Return which start values of ``MOTION + ACTUATOR`` are sought, given what is measured.
+
+    Where rotors drag in their planes the tilt tells of the velocity, as it does of the bar: over a whole record.
+    """
     chosen = {k for o in outputs for k in _SEEN_BY.get(o, ())}
     n = len(MOTION)
     if whole:
@@ -695,4 +699,6 @@ def _sought(outputs: Sequence[str], part: Part, *, whole: bool) -> NDArray[np.in
         chosen -= {6, 7, 9, 10, n + 2, n + 3}
     if part == "roll-pitch":
         chosen -= {0, 1, 2, 3, 4, 5, 8, 11, n, n + 1, n + 4}
+    if whole and drags and part != "heave-yaw":
+        chosen |= ({4} if "roll" in outputs else set()) | ({3} if "pitch" in outputs else set())
     return np.array(sorted(chosen), dtype=np.int64)
