@@ -1,6 +1,6 @@
-"""Drag of rotors in their disc plane, from blade elements at hover: where `rotors.inplane_drag` of a vehicle comes from.
+"""Drag of rotors in their disc plane, from blade elements at hover: the source of `rotors.inplane_drag` of a vehicle.
 
-Blade elements of both rotors are solved at the vehicle's hover speeds, the pitches such that each rotor carries what the
+Blade elements of both rotors are solved at the vehicle's hover speeds, pitches such that each rotor carries what the
 vehicle file's coefficients say. The derivation stands in docs/dynamics.md. Lift and drag slopes are those of the same
 blade elements half a degree of pitch to either side.
 

@@ -53,7 +53,9 @@ def test_tilt_and_servo_in_forward_flight_balance_drag_and_its_moment(vehicle, p
         t = trim(v, velocity=(2.0, 0, 0))
         roll, pitch, _ = euler_from_quaternion(t.state[6:10])
         H = c_H * 1.2 * np.pi * 0.0875**3 * t.rotor_speed * 2.0  # upper, lower
-        tilt = (H @ [0.091, 0.051]) / (0.051 * t.thrust_N[1])  # the lower disc's, against the moment of the rotors' drag
+        tilt = (H @ [0.091, 0.051]) / (
+            0.051 * t.thrust_N[1]
+        )  # the lower disc's, against the moment of the rotors' drag
         assert roll == pytest.approx(0, abs=1e-12)
         assert pitch == pytest.approx(-(drag + H.sum() - t.thrust_N[1] * tilt) / weight, rel=0.02, abs=1e-4)
         assert t.servo_input[0] == pytest.approx(tilt / (0.77 * np.radians(15)), rel=0.02, abs=1e-12)
