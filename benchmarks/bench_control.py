@@ -55,7 +55,7 @@ def speed(controller: FlightController) -> None:
     zero2, zero3, zero4 = np.zeros(2), np.zeros(3), np.zeros(4)
     a, b, c = (
         heave_yaw_initial(g, zero3, np.array([0.67, 0.73]), 7.2),
-        roll_pitch_initial(h),
+        roll_pitch_initial(h, np.zeros(4)),
         position_initial(p),
     )
     one = best(lambda: heave_yaw_step(g, a, zero4, zero3, 7.2), 5, 20_000) * 1e6

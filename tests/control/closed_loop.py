@@ -78,7 +78,7 @@ def fly(
     psi = float(euler_from_quaternion(x[6:10])[2])
     volts = battery_state(x, u[0], u[1], p)[0]
     heave_yaw = heave_yaw_initial(controller.heave_yaw_gains, np.array([x[2], psi, x[12]]), u[:2], volts)
-    roll_pitch = roll_pitch_initial(controller.roll_pitch_gains)
+    roll_pitch = roll_pitch_initial(controller.roll_pitch_gains, np.zeros(4))
     outer = position_initial(controller.position_gains)
     tilt = np.zeros(2)
     rows = []

@@ -188,7 +188,7 @@ def test_signs_of_the_cascade(controller: FlightController) -> None:
 
 def test_servos_stop_at_their_limits_on_the_right_side(controller: FlightController) -> None:
     g = controller.roll_pitch_gains
-    state = roll_pitch_initial(g)
+    state = roll_pitch_initial(g, np.zeros(4))
     for _ in range(400):
         servo, state = roll_pitch_step(g, state, np.array([0.3, -0.3]), np.zeros(4))
         assert np.all(np.abs(servo) <= 1.0)
@@ -228,7 +228,7 @@ def test_padding_changes_nothing(controller: FlightController) -> None:
     c = controller.roll_pitch.discrete
     g = controller.roll_pitch_gains
     rng = np.random.default_rng(1)
-    x, state = np.zeros(c.order), roll_pitch_initial(g)
+    x, state = np.zeros(c.order), roll_pitch_initial(g, np.zeros(4))
     for _ in range(30):
         m = rng.normal(size=4) * 1e-3
         u = c.C @ x - c.D @ m

@@ -30,7 +30,10 @@ filtered references, the origins of height and heading, and the filtered battery
 
 The law starts without a bump, whatever the actuators do at the moment: the controller's first state is the one whose
 output is the present input and which moves least from there: least squares of ``(I - A) x - B e`` subject to ``C x +
-D e = output``. The slow modes then carry the offset.
+D e = output``. The slow modes then carry the offset. That state is linear in ``e`` and the output: the gains hold its
+matrices, ``x = E e + U output``.
+
+What stands here runs on board as C too (:mod:`mufly.firmware`), equal to the last bit: sums keep their order.
 """
 
 from __future__ import annotations
@@ -44,11 +47,25 @@ from mufly.compiled import compiled
 from mufly.control.implementation import DiscreteController
 from mufly.control.linear import Array
 from mufly.errors import MuflyError
+from mufly.trigonometry import sine_cosine
 
 
 @compiled
 def _clip(value, low, high):  # type: ignore[no-untyped-def]
-    return min(max(value, low), high)
+    # Written out because min and max of equal or missing numbers are each language's own (docs/firmware.md).
+    if value < low:
+        return low
+    if value > high:
+        return high
+    return value
+
+
+@compiled
+def _share(rate, whole):  # type: ignore[no-untyped-def]
+    """What of a rate goes the way of ``whole``, and no further."""
+    if whole > 0.0:
+        return _clip(rate, 0.0, whole)
+    return _clip(rate, whole, 0.0)
 
 
 @compiled
@@ -166,8 +183,8 @@ def heave_yaw_step(gains, state, reference, measurement, voltage):  # type: igno
 
     e = np.empty(5)
     # Lead only on the rate that the reference itself brings: a bare step must not be sharpened.
-    climb = _clip(new[SHAPED_W], min(reference[2], 0.0), max(reference[2], 0.0))
-    turn = _clip(new[SHAPED_R], min(reference[3], 0.0), max(reference[3], 0.0))
+    climb = _share(new[SHAPED_W], reference[2])
+    turn = _share(new[SHAPED_R], reference[3])
     e[0] = new[SHAPED_Z] + gains.heave_lead * climb - new[ORIGIN_Z]
     e[1] = new[SHAPED_PSI] + gains.yaw_lead * turn - new[ORIGIN_PSI]
     e[2], e[3], e[4] = new[ORIGIN_Z] - measurement[0], new[ORIGIN_PSI] - measurement[1], -measurement[2]
@@ -266,7 +283,8 @@ def position_step(  # type: ignore[no-untyped-def]
     size = math.sqrt(phi * phi + theta * theta)
     factor = gains.tilt_limit / size if size > gains.tilt_limit else 1.0
     excess[0], excess[1] = (factor - 1.0) * phi, (factor - 1.0) * theta
-    c, s = factor * math.cos(heading), factor * math.sin(heading)
+    sine, cosine = sine_cosine(heading)
+    c, s = factor * cosine, factor * sine
     tilt[0], tilt[1] = c * phi + s * theta, c * theta - s * phi
     _advance(gains, state, e, excess, new)
     return tilt, new
@@ -283,41 +301,46 @@ def _matrices(order: int, inputs: int, outputs: int) -> list[tuple[str, type, tu
         ("C", _f8, (outputs, order)),
         ("D", _f8, (outputs, inputs)),
         ("M", _f8, (order, outputs)),
+        ("E", _f8, (order, inputs)),
+        ("U", _f8, (order, outputs)),
     ]
 
 
+UNITS = {
+    "trim": "1",  # heave-yaw: lower, upper, as fractions of the design voltage; roll-pitch: servo 1, servo 2
+    "design_voltage": "V",
+    "voltage_blend": "1",  # share of a new voltage measurement in its filter
+    "period": "s",
+    "heave_bandwidth": "rad/s",  # of the reference filter
+    "heave_acceleration": "m/s2",
+    "heave_speed": "m/s",
+    "heave_lead": "s",  # by which the reference runs ahead to make up for the loop's lag
+    "heave_slack": "m",  # by which the height may trail the filtered reference before that waits
+    "yaw_bandwidth": "rad/s",
+    "yaw_acceleration": "rad/s2",
+    "yaw_rate": "rad/s",
+    "yaw_lead": "s",
+    "tilt_limit": "rad",
+    "position_gain": "1/s",
+    "speed_limit": "m/s",
+    "gravity": "m/s2",
+}
+"""Units of the gains beside the matrices."""
+
+_HEAVE_YAW = (
+    "design_voltage", "voltage_blend", "period", "heave_bandwidth", "heave_acceleration", "heave_speed",
+    "heave_lead", "heave_slack", "yaw_bandwidth", "yaw_acceleration", "yaw_rate", "yaw_lead",
+)  # fmt: skip
 HEAVE_YAW_GAINS = np.dtype(
-    [
-        *_matrices(HEAVE_YAW_ORDER, 5, 2),
-        ("trim", _f8, (2,)),  # lower, upper; fraction of the design voltage
-        ("design_voltage", _f8),  # V
-        ("voltage_blend", _f8),  # 0..1, share of a new voltage measurement in its filter
-        ("period", _f8),  # s
-        ("heave_bandwidth", _f8),  # rad/s, of the reference filter
-        ("heave_acceleration", _f8),  # m/s2
-        ("heave_speed", _f8),  # m/s
-        ("heave_lead", _f8),  # s, by which the reference runs ahead to make up for the loop's lag
-        ("heave_slack", _f8),  # m, by which the height may trail the filtered reference before that waits
-        ("yaw_bandwidth", _f8),  # rad/s
-        ("yaw_acceleration", _f8),  # rad/s2
-        ("yaw_rate", _f8),  # rad/s
-        ("yaw_lead", _f8),  # s
-    ]
+    [*_matrices(HEAVE_YAW_ORDER, 5, 2), ("trim", _f8, (2,)), *((name, _f8) for name in _HEAVE_YAW)]
 )
 ROLL_PITCH_GAINS = np.dtype(
-    [
-        *_matrices(ROLL_PITCH_ORDER, 4, 2),
-        ("trim", _f8, (2,)),  # servo 1, servo 2
-        ("tilt_limit", _f8),  # rad
-    ]
+    [*_matrices(ROLL_PITCH_ORDER, 4, 2), ("trim", _f8, (2,)), ("tilt_limit", _f8)]
 )
 POSITION_GAINS = np.dtype(
     [
         *_matrices(VELOCITY_ORDER, 2, 2),
-        ("position_gain", _f8),  # 1/s
-        ("speed_limit", _f8),  # m/s
-        ("tilt_limit", _f8),  # rad
-        ("gravity", _f8),  # m/s2
+        *((name, _f8) for name in ("position_gain", "speed_limit", "tilt_limit", "gravity")),
     ]
 )
 # State of heave-yaw behind the controller's own: filtered references, origins, filtered voltage.
@@ -345,27 +368,42 @@ def pack(dtype: np.dtype, controller: DiscreteController, **values: object) -> n
         )
     record["A"][:n, :n], record["B"][:n], record["C"][:, :n] = controller.A, controller.B, controller.C
     record["D"], record["M"][:n] = controller.D, controller.M
+    record["E"][:n], record["U"][:n] = _start(controller)
     for name, value in values.items():
         record[name] = value
     return cast(np.void, record[()])
 
 
-def _at_rest(gains: np.void, e: Array, output: Array) -> Array:
-    """Controller state whose output is ``output`` at input ``e`` and which moves least from there."""
-    A, B, C, D = (np.asarray(gains[name]) for name in "ABCD")
-    used = np.nonzero(np.any(A != 0, axis=1) | np.any(B != 0, axis=1) | np.any(C != 0, axis=0))[0]
-    A, B, C = A[np.ix_(used, used)], B[used], C[:, used]
-    F = np.eye(used.size) - A
-    m = C.shape[0]
+def _start(controller: DiscreteController) -> tuple[Array, Array]:
+    """E, U: the state ``E e + U output`` gives ``output`` at input ``e`` and moves least from there.
+
+    Lagrange: ``F = I - A``, minimise |F x - B e|^2 subject to C x = output - D e::
+
+        [F'F  C'] [x]   [F'B e         ]
+        [C    0 ] [l] = [output - D e  ]
+    """
+    A, B, C, D = controller.A, controller.B, controller.C, controller.D
+    n, m = A.shape[0], C.shape[0]
+    F = np.eye(n) - A
     system = np.block([[F.T @ F, C.T], [C, np.zeros((m, m))]])
-    x = np.zeros(gains["A"].shape[0])
-    x[used] = np.linalg.lstsq(system, np.concatenate([F.T @ B @ e, output - D @ e]), rcond=None)[0][
-        : used.size
-    ]
-    return x
+    solved = np.linalg.pinv(system, rcond=np.finfo(float).eps * (n + m))[:n]
+    E: Array = solved[:, :n] @ F.T @ B - solved[:, n:] @ D
+    return E, solved[:, n:]
 
 
-def heave_yaw_initial(gains: np.void, measurement: Array, motor_input: Array, voltage: float) -> Array:
+@compiled
+def _at_rest(g, e, output, x):  # type: ignore[no-untyped-def]
+    for i in range(g.A.shape[0]):
+        s = 0.0
+        for j in range(e.shape[0]):
+            s += g.E[i, j] * e[j]
+        for j in range(output.shape[0]):
+            s += g.U[i, j] * output[j]
+        x[i] = s
+
+
+@compiled
+def heave_yaw_initial(gains, measurement, motor_input, voltage):  # type: ignore[no-untyped-def]
     """State that engages heave-yaw without a bump.
 
     Parameters
@@ -383,37 +421,36 @@ def heave_yaw_initial(gains: np.void, measurement: Array, motor_input: Array, vo
     (17,) array
         State for the first ``heave_yaw_step``; with the reference at the measurement its output is ``motor_input``.
     """
-    z, psi, r = (float(v) for v in measurement)
-    design = float(gains["design_voltage"])
-    believed = min(max(float(voltage), 0.5 * design), 1.5 * design)
-    command = np.array([motor_input[1], motor_input[0]], dtype=float) * believed / design
-    state = np.zeros(HEAVE_YAW_STATE)
-    state[:HEAVE_YAW_ORDER] = _at_rest(gains, np.array([0.0, 0.0, 0.0, 0.0, -r]), command - gains["trim"])
-    state[SHAPED_Z], state[SHAPED_PSI], state[ORIGIN_Z], state[ORIGIN_PSI] = z, psi, z, psi
-    state[VOLTAGE] = believed
+    believed = _clip(voltage, 0.5 * gains.design_voltage, 1.5 * gains.design_voltage)
+    e, output, state = np.zeros(5), np.empty(2), np.empty(HEAVE_YAW_STATE)
+    e[4] = -measurement[2]
+    for i in range(2):  # lower, upper
+        output[i] = motor_input[1 - i] * believed / gains.design_voltage - gains.trim[i]
+    _at_rest(gains, e, output, state)
+    state[SHAPED_Z], state[SHAPED_W], state[SHAPED_PSI], state[SHAPED_R] = measurement[0], 0.0, measurement[1], 0.0
+    state[ORIGIN_Z], state[ORIGIN_PSI], state[VOLTAGE] = measurement[0], measurement[1], believed
     return state
 
 
-def roll_pitch_initial(
-    gains: np.void, measurement: Array | None = None, servo_input: Array | None = None
-) -> Array:
-    """State that engages roll-pitch without a bump: level and at trim by default.
+@compiled
+def roll_pitch_initial(gains, measurement):  # type: ignore[no-untyped-def]
+    """State that engages roll-pitch without a bump: servos at trim, the reference level.
 
     Parameters
     ----------
     gains : record of type ``ROLL_PITCH_GAINS``
-    measurement : (4,) array, optional
-        phi, theta (rad), p, q (rad/s); the reference is taken to be level.
-    servo_input : (2,) array, optional
-        Servo inputs at the moment.
+    measurement : (4,) array
+        phi, theta (rad), p, q (rad/s).
 
     Returns
     -------
     (8,) array
     """
-    e = np.zeros(4) if measurement is None else -np.asarray(measurement, dtype=float)
-    servo = np.asarray(gains["trim"]) if servo_input is None else np.asarray(servo_input, dtype=float)
-    return _at_rest(gains, e, servo - gains["trim"])
+    e, state = np.empty(4), np.empty(ROLL_PITCH_ORDER)
+    for i in range(4):
+        e[i] = -measurement[i]
+    _at_rest(gains, e, np.zeros(2), state)
+    return state
 
 
 def position_initial(gains: np.void) -> Array:

@@ -421,7 +421,7 @@ class Controllers:
         self._design = self._target = design
         self._settled = True
         self._heave_yaw: _Array = np.zeros(0)
-        self._roll_pitch = roll_pitch_initial(design.roll_pitch_gains)
+        self._roll_pitch = roll_pitch_initial(design.roll_pitch_gains, np.zeros(4))
         self._position = position_initial(design.position_gains)
 
     def retune(self, design: FlightController) -> None:

@@ -1,0 +1,107 @@
+"""What runs on board: a source tree in C99 with the numbers of one vehicle.
+
+The algorithms are written by hand and are the same for every vehicle (``sources/``); only ``tables.c`` is made, every
+number as a hexadecimal float, which no compiler rounds, with its decimal and unit beside it.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator, Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mufly.control import FlightController
+from mufly.control.law import UNITS
+from mufly.errors import InputError
+from mufly.version import __version__
+
+SOURCES = resources.files("mufly.firmware") / "sources"
+_GROUPS = ("heave_yaw", "roll_pitch", "position")
+
+
+def export(controller: FlightController, out: Path) -> list[Path]:
+    """Write the source tree of a vehicle's controllers: C99, Makefile, CMake file and a README.
+
+    Parameters
+    ----------
+    controller : FlightController
+        From :func:`mufly.control.design`.
+    out : Path
+        Folder; what is there of an earlier export is replaced.
+
+    Returns
+    -------
+    list of Path
+        What was written.
+
+    Raises
+    ------
+    InputError
+        If the folder holds something else, or the rate is no whole number.
+    """
+    out = Path(out)
+    if out.exists() and (not out.is_dir() or (any(out.iterdir()) and not (out / "tables.c").exists())):
+        raise InputError("out", str(out), "holds something else", "name a new or empty folder")
+    tables = tables_c(controller)
+    with resources.as_file(SOURCES) as sources:
+        shutil.copytree(sources, out, dirs_exist_ok=True)
+    (out / "tables.c").write_text(tables)
+    return sorted(p for p in out.rglob("*") if p.is_file())
+
+
+def tables_c(controller: FlightController) -> str:
+    """Return ``tables.c``: every number of a vehicle's controllers."""
+    rate = controller.rate_Hz
+    if rate != round(rate):
+        raise InputError("rate_Hz", f"{rate:g}", "is no whole number", "design for a whole rate")
+    lines = [
+        f"/* The numbers of {_comment(controller.vehicle_name)}, made by mufly {__version__}; do not edit. */",
+        '#include "controllers.h"',
+        "",
+        f"const int32_t mufly_rate_Hz = {round(rate)};",
+        f"const int32_t mufly_position_divider = {controller.position_divider};",
+        "",
+        "const gains_t mufly_gains = {",
+    ]
+    for group in _GROUPS:
+        record = getattr(controller, f"{group}_gains")
+        lines += [f"    .{group} =", "        {"]
+        for name in record.dtype.names:
+            lines += _field(name, record[name], UNITS)
+        lines += ["        },"]
+    return "\n".join([*lines, "};", ""])
+
+
+def _field(name: str, value: Any, units: Mapping[str, str]) -> Iterator[str]:
+    array = np.asarray(value, dtype=np.float64)
+    pad = " " * 12
+    unit = units.get(name, "")
+    if array.ndim == 0:
+        yield f"{pad}.{name} = {hexadecimal(float(array))}, /* {_decimal(float(array), unit)} */"
+        return
+    yield f"{pad}.{name} ="
+    yield f"{pad}    {{"
+    for row in array:
+        if array.ndim == 1:
+            yield f"{pad}        {hexadecimal(float(row))}, /* {_decimal(float(row), unit)} */"
+        else:
+            numbers = ", ".join(hexadecimal(float(v)) for v in row)
+            yield f"{pad}        {{{numbers}}}, /* {', '.join(f'{v:.9g}' for v in row)} */"
+    yield f"{pad}    }},"
+
+
+def hexadecimal(value: float) -> str:
+    """Return a constant of C99 that is this number to the last bit."""
+    return f"REAL({value.hex()})"
+
+
+def _decimal(value: float, unit: str) -> str:
+    return f"{value:.9g} {unit}".rstrip()
+
+
+def _comment(text: str) -> str:
+    return text.replace("*/", "* /").replace("\n", " ")

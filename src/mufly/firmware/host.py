@@ -1,0 +1,154 @@
+"""The exported code on this machine: built by its C compiler, called through cffi, flown in the simulation."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import cffi
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.control import FlightController
+from mufly.errors import MuflyError
+from mufly.estimate import Estimate
+from mufly.firmware.export import export
+from mufly.flight.software import Actuators, Controllers
+
+_Array = NDArray[np.floating[Any]]
+
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno")
+"""With which results are those of the simulation; any -O does, -ffast-math and contraction do not."""
+
+
+def compiler() -> str:
+    """Return the C compiler of this machine: ``$CC``, else cc, gcc or clang.
+
+    Raises
+    ------
+    MuflyError
+        If there is none.
+    """
+    for name in (os.environ.get("CC", ""), "cc", "gcc", "clang"):
+        found = shutil.which(name) if name else None
+        if found:
+            return found
+    raise MuflyError(
+        "there is no C compiler: install gcc or clang (Debian, Ubuntu: apt-get install gcc; macOS: xcode-select "
+        "--install), or name one in the environment as CC"
+    )
+
+
+def build(folder: Path, *, single: bool = False, flags: tuple[str, ...] = FLAGS, cc: str | None = None) -> Path:
+    """Build the exported sources in a folder as a shared library and return it.
+
+    Raises
+    ------
+    MuflyError
+        If there is no compiler, or it refuses; the message holds what it said first.
+    """
+    library = folder / ("mufly_single.so" if single else "mufly.so")
+    sources = sorted(str(s) for s in folder.glob("*.c"))
+    extra = ("-DMUFLY_FLOAT",) if single else ()
+    command = [cc or compiler(), *flags, *extra, "-fPIC", "-shared", *sources, "-o", str(library)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode:
+        first = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
+        raise MuflyError(f"{command[0]} could not build {folder}: {first}")
+    return library
+
+
+def _declarations(folder: Path, single: bool) -> str:
+    """What the headers declare, for cffi."""
+    command = [compiler(), "-E", "-P", "-DMUFLY_DECLARATIONS", *(("-DMUFLY_FLOAT",) if single else ())]
+    done = subprocess.run([*command, str(folder / "controllers.h")], capture_output=True, text=True, check=True)
+    return done.stdout
+
+
+class Firmware:
+    """The library of one vehicle, loaded.
+
+    Parameters
+    ----------
+    controller : FlightController
+        Exported, built and loaded, in a temporary folder.
+    single : bool
+        In single precision, as a processor without double computes.
+
+    Raises
+    ------
+    MuflyError
+        If there is no C compiler.
+    """
+
+    def __init__(self, controller: FlightController, *, single: bool = False, cc: str | None = None) -> None:
+        self.real = np.dtype(np.float32 if single else np.float64)
+        self.ffi = cffi.FFI()
+        with tempfile.TemporaryDirectory(prefix="mufly-firmware-") as folder:
+            export(controller, Path(folder) / "fw")
+            library = build(Path(folder) / "fw", single=single, cc=cc)
+            self.ffi.cdef(_declarations(Path(folder) / "fw", single))
+            self.lib = self.ffi.dlopen(str(library))
+
+    def gains(self, controller: FlightController) -> Any:
+        """A ``gains_t`` of the numbers of a controller, which may be another than was exported."""
+        g = self.ffi.new("gains_t *")
+        for group in ("heave_yaw", "roll_pitch", "position"):
+            record = getattr(controller, f"{group}_gains")
+            numbers = np.frombuffer(record.tobytes(), dtype=np.float64).astype(self.real)
+            self.ffi.memmove(self.ffi.addressof(g, group), numbers.tobytes(), numbers.nbytes)
+        return g
+
+
+class FirmwareControllers(Controllers):
+    """:class:`mufly.flight.software.Controllers`, computed by the exported code."""
+
+    def __init__(self, design: FlightController, firmware: Firmware | None = None) -> None:
+        super().__init__(design)
+        f = self.firmware = firmware or Firmware(design)
+        self._g = self._own = f.gains(design)
+        self._c, self._now = f.ffi.new("controllers_t *"), f.ffi.new("motion_t *")
+        self._path, self._out = f.ffi.new("path_t *"), f.ffi.new("actuators_t *")
+        self._two, self._four = f.ffi.new("real_t[2]"), f.ffi.new("real_t[4]")
+        f.lib.position_start(f.ffi.addressof(self._c, "position"))
+
+    def _go_over(self) -> None:
+        super()._go_over()
+        self._g = self.firmware.gains(self._design)
+
+    def _look(self, m: Estimate) -> None:
+        now = self._now
+        now.position, now.velocity = m.position.tolist(), m.velocity.tolist()
+        now.attitude, now.rates, now.voltage = m.attitude.tolist(), m.rates.tolist(), m.battery_voltage
+
+    def engage(self, estimate: Estimate, motor_input: _Array) -> None:
+        self._look(estimate)
+        self.firmware.lib.controllers_engage(self._g, self._c, self._now, motor_input.tolist())
+
+    def lift_off(self, estimate: Estimate) -> None:
+        self._look(estimate)
+        self.firmware.lib.controllers_lift_off(self._g, self._c, self._now)
+
+    def tilt_for(
+        self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array
+    ) -> _Array:
+        self._look(estimate)
+        path = self._path
+        path.position, path.velocity = position.tolist(), velocity.tolist()
+        path.acceleration = acceleration.tolist()
+        self.firmware.lib.controllers_tilt(self._g, self._c, self._now, path, self._two)
+        return np.array(list(self._two))
+
+    def step(self, estimate: Estimate, heave_yaw: _Array, tilt: _Array | None) -> Actuators:
+        if not self._settled:
+            self._go_over()
+        self._look(estimate)
+        self.firmware.lib.controllers_step(
+            self._g, self._c, self._now, heave_yaw.tolist(), tilt is not None,
+            [0.0, 0.0] if tilt is None else tilt.tolist(), self._out,
+        )  # fmt: skip
+        return Actuators(np.array(list(self._out.motor_input)), np.array(list(self._out.servo_input)))

@@ -1,0 +1,140 @@
+#include "law.h"
+
+#include "linear.h"
+#include "mixer.h"
+
+/* A reference filter: critically damped near the target, on a braking parabola far from it. */
+static void shape(real_t *value, real_t *rate, real_t target, real_t target_rate, real_t bandwidth,
+                  real_t acceleration, real_t speed, real_t period)
+{
+    const real_t gap = target - *value;
+    const real_t braking = REAL(0.5) * acceleration; /* half the acceleration still brakes in time */
+    const real_t slope = REAL(0.5) * bandwidth;
+    const real_t linear = braking / (slope * slope);
+    real_t wanted = slope * gap;
+
+    if (real_abs(gap) > linear) {
+        wanted = real_with_sign(real_sqrt((REAL(2.0) * braking) * (real_abs(gap) - (REAL(0.5) * linear))), gap);
+    }
+    wanted = real_clip(wanted + target_rate, -speed, speed);
+    *rate += period * real_clip((REAL(2.0) * bandwidth) * (wanted - *rate), -acceleration, acceleration);
+    *value += period * *rate;
+}
+
+/* What of a rate goes the way of whole, and no further. */
+static real_t share(real_t rate, real_t whole)
+{
+    return (whole > REAL(0.0)) ? real_clip(rate, REAL(0.0), whole) : real_clip(rate, whole, REAL(0.0));
+}
+
+/* A reading far off the design voltage is a fault of the sensor, not a battery. */
+static real_t believed(const heave_yaw_gains_t *g, real_t voltage)
+{
+    return real_clip(voltage, REAL(0.5) * g->design_voltage, REAL(1.5) * g->design_voltage);
+}
+
+void heave_yaw_start(const heave_yaw_gains_t *g, heave_yaw_state_t *state, const real_t measured[3],
+                     const real_t motor_input[PAIR], real_t voltage)
+{
+    const real_t volts = believed(g, voltage);
+    const real_t e[HEAVE_YAW_ERRORS] = {REAL(0.0), REAL(0.0), REAL(0.0), REAL(0.0), -measured[2]};
+    real_t u[PAIR];
+
+    for (int32_t i = 0; i < PAIR; i++) { /* lower, upper */
+        u[i] = ((motor_input[1 - i] * volts) / g->design_voltage) - g->trim[i];
+    }
+    linear_start(HEAVE_YAW_ORDER, HEAVE_YAW_ERRORS, &g->E[0][0], &g->U[0][0], e, u, state->x);
+    state->shaped_z = measured[0];
+    state->shaped_w = REAL(0.0);
+    state->shaped_psi = measured[1];
+    state->shaped_r = REAL(0.0);
+    state->origin_z = measured[0];
+    state->origin_psi = measured[1];
+    state->voltage = volts;
+}
+
+void heave_wait(const heave_yaw_gains_t *g, heave_yaw_state_t *state, real_t z)
+{
+    const real_t trails = z - state->shaped_z;
+
+    if (!(real_abs(trails) <= g->heave_slack)) {
+        state->shaped_z = z - real_with_sign(g->heave_slack, trails);
+        state->shaped_w = REAL(0.0);
+    }
+}
+
+void heave_yaw_step(const heave_yaw_gains_t *g, heave_yaw_state_t *state, const real_t reference[4],
+                    const real_t measured[3], real_t voltage, real_t motor_input[PAIR])
+{
+    real_t e[HEAVE_YAW_ERRORS];
+    real_t u[PAIR];
+    real_t excess[PAIR];
+    real_t next[HEAVE_YAW_ORDER];
+    real_t top;
+    real_t half;
+    real_t mean;
+
+    shape(&state->shaped_z, &state->shaped_w, reference[0], reference[2], g->heave_bandwidth,
+          g->heave_acceleration, g->heave_speed, g->period);
+    shape(&state->shaped_psi, &state->shaped_r, reference[1], reference[3], g->yaw_bandwidth,
+          g->yaw_acceleration, g->yaw_rate, g->period);
+    state->voltage += g->voltage_blend * (believed(g, voltage) - state->voltage);
+    top = state->voltage / g->design_voltage;
+
+    /* Lead only on the rate that the reference itself brings: a bare step must not be sharpened. */
+    e[0] = (state->shaped_z + (g->heave_lead * share(state->shaped_w, reference[2]))) - state->origin_z;
+    e[1] = (state->shaped_psi + (g->yaw_lead * share(state->shaped_r, reference[3]))) - state->origin_psi;
+    e[2] = state->origin_z - measured[0];
+    e[3] = state->origin_psi - measured[1];
+    e[4] = -measured[2];
+    linear_output(HEAVE_YAW_ORDER, HEAVE_YAW_ERRORS, &g->C[0][0], &g->D[0][0], state->x, e, u);
+    u[0] += g->trim[0];
+    u[1] += g->trim[1];
+    mixer_share(u, top, &mean, &half);
+    excess[0] = (mean - half) - u[0];
+    excess[1] = (mean + half) - u[1];
+    linear_advance(HEAVE_YAW_ORDER, HEAVE_YAW_ERRORS, &g->A[0][0], &g->B[0][0], &g->M[0][0], state->x, e, excess,
+                   next);
+    for (int32_t i = 0; i < HEAVE_YAW_ORDER; i++) {
+        state->x[i] = next[i];
+    }
+    /* top - |half| + |half| may be a little more than top: rounding. */
+    motor_input[0] = real_clip((mean + half) / top, REAL(0.0), REAL(1.0));
+    motor_input[1] = real_clip((mean - half) / top, REAL(0.0), REAL(1.0));
+}
+
+void roll_pitch_start(const roll_pitch_gains_t *g, roll_pitch_state_t *state,
+                      const real_t measured[ROLL_PITCH_ERRORS])
+{
+    const real_t u[PAIR] = {REAL(0.0), REAL(0.0)};
+    real_t e[ROLL_PITCH_ERRORS];
+
+    for (int32_t i = 0; i < ROLL_PITCH_ERRORS; i++) {
+        e[i] = -measured[i];
+    }
+    linear_start(ROLL_PITCH_ORDER, ROLL_PITCH_ERRORS, &g->E[0][0], &g->U[0][0], e, u, state->x);
+}
+
+void roll_pitch_step(const roll_pitch_gains_t *g, roll_pitch_state_t *state, const real_t reference[PAIR],
+                     const real_t measured[ROLL_PITCH_ERRORS], real_t servo_input[PAIR])
+{
+    real_t e[ROLL_PITCH_ERRORS];
+    real_t excess[PAIR];
+    real_t next[ROLL_PITCH_ORDER];
+
+    for (int32_t i = 0; i < PAIR; i++) {
+        e[i] = real_clip(reference[i], -g->tilt_limit, g->tilt_limit) - measured[i];
+        e[i + 2] = -measured[i + 2];
+    }
+    linear_output(ROLL_PITCH_ORDER, ROLL_PITCH_ERRORS, &g->C[0][0], &g->D[0][0], state->x, e, servo_input);
+    for (int32_t i = 0; i < PAIR; i++) {
+        const real_t wanted = servo_input[i] + g->trim[i];
+        servo_input[i] = real_clip(wanted, REAL(-1.0), REAL(1.0));
+        excess[i] = servo_input[i] - wanted;
+    }
+    linear_advance(ROLL_PITCH_ORDER, ROLL_PITCH_ERRORS, &g->A[0][0], &g->B[0][0], &g->M[0][0], state->x, e,
+                   excess, next);
+    for (int32_t i = 0; i < ROLL_PITCH_ORDER; i++) {
+        state->x[i] = next[i];
+    }
+}

@@ -1,0 +1,81 @@
+/* The control law: heave-yaw and roll-pitch by H-infinity, as designed; what it does and why: law.py of mufly.control.
+ *
+ * A controller is  u = C x + D e,  x+ = A x + B e + M (sat(u) - u);  it starts at  x = E e + U u.
+ * Units SI and radians; motor inputs 0..1 as (upper, lower), servo inputs -1..1. State belongs to the caller. */
+#ifndef MUFLY_LAW_H
+#define MUFLY_LAW_H
+
+#include "real.h"
+
+#define HEAVE_YAW_ORDER 10
+#define HEAVE_YAW_ERRORS 5
+#define ROLL_PITCH_ORDER 8
+#define ROLL_PITCH_ERRORS 4
+#define PAIR 2 /* both motors, both servos */
+
+typedef struct {
+    real_t A[HEAVE_YAW_ORDER][HEAVE_YAW_ORDER];
+    real_t B[HEAVE_YAW_ORDER][HEAVE_YAW_ERRORS];
+    real_t C[PAIR][HEAVE_YAW_ORDER];
+    real_t D[PAIR][HEAVE_YAW_ERRORS];
+    real_t M[HEAVE_YAW_ORDER][PAIR];
+    real_t E[HEAVE_YAW_ORDER][HEAVE_YAW_ERRORS];
+    real_t U[HEAVE_YAW_ORDER][PAIR];
+    real_t trim[PAIR]; /* lower, upper; fraction of the design voltage */
+    real_t design_voltage;
+    real_t voltage_blend;
+    real_t period;
+    real_t heave_bandwidth;
+    real_t heave_acceleration;
+    real_t heave_speed;
+    real_t heave_lead;
+    real_t heave_slack;
+    real_t yaw_bandwidth;
+    real_t yaw_acceleration;
+    real_t yaw_rate;
+    real_t yaw_lead;
+} heave_yaw_gains_t;
+
+typedef struct {
+    real_t x[HEAVE_YAW_ORDER];
+    real_t shaped_z, shaped_w, shaped_psi, shaped_r; /* filtered references and their rates */
+    real_t origin_z, origin_psi;                     /* where it was engaged */
+    real_t voltage;                                  /* of the battery, filtered */
+} heave_yaw_state_t;
+
+typedef struct {
+    real_t A[ROLL_PITCH_ORDER][ROLL_PITCH_ORDER];
+    real_t B[ROLL_PITCH_ORDER][ROLL_PITCH_ERRORS];
+    real_t C[PAIR][ROLL_PITCH_ORDER];
+    real_t D[PAIR][ROLL_PITCH_ERRORS];
+    real_t M[ROLL_PITCH_ORDER][PAIR];
+    real_t E[ROLL_PITCH_ORDER][ROLL_PITCH_ERRORS];
+    real_t U[ROLL_PITCH_ORDER][PAIR];
+    real_t trim[PAIR]; /* servo 1, servo 2 */
+    real_t tilt_limit;
+} roll_pitch_gains_t;
+
+typedef struct {
+    real_t x[ROLL_PITCH_ORDER];
+} roll_pitch_state_t;
+
+/* Engage heave-yaw without a bump from motors at motor_input; measured: z (m, down), psi, r; battery voltage (V). */
+void heave_yaw_start(const heave_yaw_gains_t *g, heave_yaw_state_t *state, const real_t measured[3],
+                     const real_t motor_input[PAIR], real_t voltage);
+
+/* In flight: let the filtered reference wait for a height z (m, down) that trails it by more than the slack. */
+void heave_wait(const heave_yaw_gains_t *g, heave_yaw_state_t *state, real_t z);
+
+/* One period. reference: z, psi and their rates; measured: z, psi, r; voltage (V). */
+void heave_yaw_step(const heave_yaw_gains_t *g, heave_yaw_state_t *state, const real_t reference[4],
+                    const real_t measured[3], real_t voltage, real_t motor_input[PAIR]);
+
+/* Engage roll-pitch with servos at trim; measured: phi, theta, p, q. */
+void roll_pitch_start(const roll_pitch_gains_t *g, roll_pitch_state_t *state,
+                      const real_t measured[ROLL_PITCH_ERRORS]);
+
+/* One period. reference: phi, theta; measured: phi, theta, p, q. */
+void roll_pitch_step(const roll_pitch_gains_t *g, roll_pitch_state_t *state, const real_t reference[PAIR],
+                     const real_t measured[ROLL_PITCH_ERRORS], real_t servo_input[PAIR]);
+
+#endif

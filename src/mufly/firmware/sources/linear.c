@@ -1,0 +1,36 @@
+/* Sums run from left to right, as in law.py: another order rounds otherwise. */
+#include "linear.h"
+
+static real_t add_row(real_t sum, int32_t columns, const real_t row[], const real_t by[])
+{
+    real_t s = sum;
+    for (int32_t j = 0; j < columns; j++) {
+        s += row[j] * by[j];
+    }
+    return s;
+}
+
+void linear_output(int32_t n, int32_t m, const real_t C[], const real_t D[], const real_t x[], const real_t e[],
+                   real_t u[OUTPUTS])
+{
+    for (int32_t i = 0; i < OUTPUTS; i++) {
+        u[i] = add_row(add_row(REAL(0.0), n, &C[i * n], x), m, &D[i * m], e);
+    }
+}
+
+void linear_advance(int32_t n, int32_t m, const real_t A[], const real_t B[], const real_t M[], const real_t x[],
+                    const real_t e[], const real_t excess[OUTPUTS], real_t next[])
+{
+    for (int32_t i = 0; i < n; i++) {
+        const real_t driven = add_row(add_row(REAL(0.0), n, &A[i * n], x), m, &B[i * m], e);
+        next[i] = add_row(driven, OUTPUTS, &M[i * OUTPUTS], excess);
+    }
+}
+
+void linear_start(int32_t n, int32_t m, const real_t E[], const real_t U[], const real_t e[],
+                  const real_t u[OUTPUTS], real_t x[])
+{
+    for (int32_t i = 0; i < n; i++) {
+        x[i] = add_row(add_row(REAL(0.0), m, &E[i * m], e), OUTPUTS, &U[i * OUTPUTS], u);
+    }
+}

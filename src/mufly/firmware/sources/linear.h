@@ -1,0 +1,21 @@
+/* What all linear controllers do. Matrices row by row; n states, m errors, PAIR outputs. */
+#ifndef MUFLY_LINEAR_H
+#define MUFLY_LINEAR_H
+
+#include "real.h"
+
+#define OUTPUTS 2
+
+/* u = C x + D e */
+void linear_output(int32_t n, int32_t m, const real_t C[], const real_t D[], const real_t x[], const real_t e[],
+                   real_t u[OUTPUTS]);
+
+/* x+ = A x + B e + M excess, into next, which is another place than x */
+void linear_advance(int32_t n, int32_t m, const real_t A[], const real_t B[], const real_t M[], const real_t x[],
+                    const real_t e[], const real_t excess[OUTPUTS], real_t next[]);
+
+/* x = E e + U u */
+void linear_start(int32_t n, int32_t m, const real_t E[], const real_t U[], const real_t e[],
+                  const real_t u[OUTPUTS], real_t x[]);
+
+#endif

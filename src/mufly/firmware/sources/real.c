@@ -1,0 +1,111 @@
+/* Sine and cosine: the angle is brought into a quarter turn around zero by taking away n times pi/2, in three pieces of
+ * which the first two are short enough for the products to be exact; there the series of Taylor does. Which of the two
+ * it is, with which sign, says the quadrant. */
+#include "real.h"
+
+#define GREATEST REAL(1e5)
+#define TWO_OVER_PI REAL(0x1.45f306dc9c883p-1)
+#ifdef MUFLY_FLOAT
+#define PI_HALF_1 REAL(0x1.92p+0)
+#define PI_HALF_2 REAL(0x1.fbp-12)
+#define PI_HALF_3 REAL(0x1.5110b4p-22)
+#else
+#define PI_HALF_1 REAL(0x1.921fb54400000p+0)
+#define PI_HALF_2 REAL(0x1.0b4611a600000p-34)
+#define PI_HALF_3 REAL(0x1.3198a2e037073p-69)
+#endif
+
+real_t real_sqrt(real_t x)
+{
+#ifdef MUFLY_FLOAT
+    return __builtin_sqrtf(x);
+#else
+    return __builtin_sqrt(x);
+#endif
+}
+
+real_t real_abs(real_t x)
+{
+#ifdef MUFLY_FLOAT
+    return __builtin_fabsf(x);
+#else
+    return __builtin_fabs(x);
+#endif
+}
+
+real_t real_with_sign(real_t size, real_t sign)
+{
+#ifdef MUFLY_FLOAT
+    return __builtin_copysignf(size, sign);
+#else
+    return __builtin_copysign(size, sign);
+#endif
+}
+
+real_t real_clip(real_t value, real_t low, real_t high)
+{
+    real_t held = value;
+    if (value < low) {
+        held = low;
+    } else if (value > high) {
+        held = high;
+    } else {
+        /* within bounds */
+    }
+    return held;
+}
+
+void sine_cosine(real_t angle, real_t *sine, real_t *cosine)
+{
+    *sine = REAL(0.0);
+    *cosine = REAL(1.0);
+    if (real_abs(angle) < GREATEST) {
+        const real_t half = (angle >= REAL(0.0)) ? REAL(0.5) : REAL(-0.5);
+        const int32_t n = (int32_t)((angle * TWO_OVER_PI) + half);
+        const real_t turns = (real_t)n;
+        const real_t r = ((angle - (turns * PI_HALF_1)) - (turns * PI_HALF_2)) - (turns * PI_HALF_3);
+        const real_t q = r * r;
+        real_t s = REAL(1.0) / REAL(355687428096000.0);
+        real_t c = REAL(1.0) / REAL(20922789888000.0);
+        int32_t quadrant = n % 4;
+
+        s = (REAL(-1.0) / REAL(1307674368000.0)) + (q * s);
+        s = (REAL(1.0) / REAL(6227020800.0)) + (q * s);
+        s = (REAL(-1.0) / REAL(39916800.0)) + (q * s);
+        s = (REAL(1.0) / REAL(362880.0)) + (q * s);
+        s = (REAL(-1.0) / REAL(5040.0)) + (q * s);
+        s = (REAL(1.0) / REAL(120.0)) + (q * s);
+        s = (REAL(-1.0) / REAL(6.0)) + (q * s);
+        s = r + (r * (q * s));
+        c = (REAL(-1.0) / REAL(87178291200.0)) + (q * c);
+        c = (REAL(1.0) / REAL(479001600.0)) + (q * c);
+        c = (REAL(-1.0) / REAL(3628800.0)) + (q * c);
+        c = (REAL(1.0) / REAL(40320.0)) + (q * c);
+        c = (REAL(-1.0) / REAL(720.0)) + (q * c);
+        c = (REAL(1.0) / REAL(24.0)) + (q * c);
+        c = REAL(-0.5) + (q * c);
+        c = REAL(1.0) + (q * c);
+
+        if (quadrant < 0) {
+            quadrant += 4;
+        }
+        switch (quadrant) {
+        case 0:
+            *sine = s;
+            *cosine = c;
+            break;
+        case 1:
+            *sine = c;
+            *cosine = -s;
+            break;
+        case 2:
+            *sine = -s;
+            *cosine = -c;
+            break;
+        default:
+            *sine = -c;
+            *cosine = s;
+            break;
+        }
+    }
+}

@@ -1,0 +1,33 @@
+/* The numbers that the flight software computes with, and what it needs of mathematics.
+ *
+ * Double by default; with -DMUFLY_FLOAT single, for a processor whose floating unit has no more. REAL(0x1.8p+0) is a
+ * constant of that type. Build with -ffp-contract=off: a multiplication and an addition that are joined round once
+ * instead of twice, and results would differ from those of the simulation. */
+#ifndef MUFLY_REAL_H
+#define MUFLY_REAL_H
+
+#ifndef MUFLY_DECLARATIONS /* set to read the declarations alone, as cffi does */
+#include <stdbool.h>
+#include <stdint.h>
+#endif
+
+#ifdef MUFLY_FLOAT
+typedef float real_t;
+#define REAL(x) (x##F)
+#else
+typedef double real_t;
+#define REAL(x) (x)
+#endif
+
+/* Square root, correctly rounded; one instruction where there is one. */
+real_t real_sqrt(real_t x);
+
+/* Magnitude; a number with the sign of another; a number held within bounds (what is no number passes). */
+real_t real_abs(real_t x);
+real_t real_with_sign(real_t size, real_t sign);
+real_t real_clip(real_t value, real_t low, real_t high);
+
+/* Sine and cosine of an angle (rad), the same to the last bit everywhere. Beyond 1e5 rad: those of zero. */
+void sine_cosine(real_t angle, real_t *sine, real_t *cosine);
+
+#endif
