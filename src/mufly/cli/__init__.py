@@ -9,10 +9,11 @@ from typing import Any
 import typer
 
 import mufly
-from mufly.cli import coax, control, drive, fly, log, mission, rotor, sensors, station, study, vehicle
+from mufly.cli import coax, control, drive, fly, log, mission, rotor, station, study, vehicle
 from mufly.cli import optimise as _optimise  # noqa: F401  adds to the commands of rotor and coax, as study does
 from mufly.cli import station as link
 from mufly.cli.identify import flight as identify
+from mufly.cli.onboard import firmware, sensors
 from mufly.cli.options import Commands
 from mufly.errors import MuflyError
 
@@ -38,6 +39,7 @@ app.add_typer(mission.app, name="mission")
 app.add_typer(identify.app, name="identify")
 app.add_typer(log.app, name="log")
 app.add_typer(sensors.app, name="sensors")
+app.add_typer(firmware.app, name="firmware")
 app.add_typer(study.thesis_commands, name="thesis")
 
 

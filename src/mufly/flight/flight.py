@@ -41,7 +41,7 @@ from mufly.flight.autopilot import Autopilot
 from mufly.flight.plant import Plant, row_writer
 from mufly.flight.recorder import Recorder
 from mufly.flight.sensed import sensed_row_writer
-from mufly.flight.software import Actuators
+from mufly.flight.software import Actuators, Controllers
 from mufly.flight.state import FlightState
 from mufly.flight.trust import outlook
 from mufly.logs.mcap import Event, standard_layout
@@ -93,6 +93,9 @@ class Flight:
         By default the one that belongs to the sensors; the ideal one believes its readings.
     faults : sequence of Fault
         What goes wrong with fitted sensors; :meth:`inject` adds to it in flight.
+    controllers : callable, optional
+        Makes what computes the control law, instead of :class:`mufly.flight.software.Controllers`: the exported code,
+        for instance (:mod:`mufly.firmware`).
 
     Raises
     ------
@@ -118,6 +121,7 @@ class Flight:
         sensors: Sensors | Literal["ideal", "fitted"] = "ideal",
         estimator: Estimator | None = None,
         faults: Sequence[Fault] = (),
+        controllers: Callable[[FlightController], Controllers] | None = None,
     ) -> None:
         vehicle = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
         mission = mission if isinstance(mission, Mission) else load_mission(mission)
@@ -127,6 +131,8 @@ class Flight:
         self.vehicle = vehicle
         self.period_s = 1.0 / controller.rate_Hz
         self.autopilot = Autopilot(vehicle, controller, mission)
+        if controllers is not None:
+            self.autopilot.software.compute_with(controllers)
         air = DrydenWind(steady, gust, step_s=self.period_s, length_m=GUST_LENGTH_M, seed=seed)
         self.outside = outside_model(vehicle, steady, gust)
         self._start = initial_state(
@@ -396,6 +402,7 @@ def fly(
     sensors: Sensors | Literal["ideal", "fitted"] = "ideal",
     estimator: Estimator | None = None,
     faults: Sequence[Fault] = (),
+    controllers: Callable[[FlightController], Controllers] | None = None,
 ) -> xr.Dataset:
     """Fly a mission on the full nonlinear model.
 
@@ -405,7 +412,7 @@ def fly(
         Or the name or file of one.
     mission : Mission, str or Path
         Or the name or file of one.
-    controller, wind, gust, seed, path, sensors, estimator, faults : optional
+    controller, wind, gust, seed, path, sensors, estimator, faults, controllers : optional
         As for :class:`Flight`; without a path the recording is in memory only.
     realtime : bool
         Keep pace with the clock instead of flying as fast as the machine can.
@@ -441,6 +448,7 @@ def fly(
         sensors=sensors,
         estimator=estimator,
         faults=faults,
+        controllers=controllers,
     ) as flight:
         if on_event is not None:
             flight.autopilot.listeners.append(on_event)

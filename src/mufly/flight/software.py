@@ -24,6 +24,7 @@ end the mission too.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
@@ -127,6 +128,7 @@ class FlightSoftware:
     def __init__(self, vehicle: Vehicle, controller: FlightController, mission: Mission) -> None:
         self._vehicle = vehicle
         self._controller = controller
+        self._make: Callable[[FlightController], Controllers] = Controllers
         self.change(mission)
         self.reset()
 
@@ -143,7 +145,7 @@ class FlightSoftware:
         self._since_s = 0.0
         self._motor_input: _Array = np.zeros(2)
         self._tilt: _Array = np.zeros(2)
-        self._controllers = Controllers(controller)
+        self._controllers = self._make(controller)
         self._released: _Array = np.zeros(2)
         self._lifted = False
         self._late_s = 0.0
@@ -153,6 +155,11 @@ class FlightSoftware:
         self._doubts, self._held, self._waits = Doubts(), False, False
         # Motor voltages, averaged over the last second of flight.
         self._held_up: _Array = np.zeros(2)
+
+    def compute_with(self, make: Callable[[FlightController], Controllers]) -> None:
+        """Let other code compute the control law, such as that for a board; on the floor, before the first step."""
+        self._make = make
+        self.reset()
 
     def change(self, mission: Mission) -> None:
         """Fly by another mission's limits from now on; its waypoints and index have to be those of the present one.

@@ -1,0 +1,1 @@
+"""``mufly sensors`` and ``mufly firmware``: what a vehicle carries, and the code that runs on it."""

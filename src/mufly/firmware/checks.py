@@ -1,0 +1,328 @@
+"""Is it the same? The exported code against the simulation's, and on an emulated processor against this machine.
+
+Software in the loop (:func:`sil`): a mission is flown by the Python controllers; the exported code gets the same inputs
+in every period, and its outputs are compared bit by bit. Processor in the loop (:func:`pil`): a self-test of made-up
+inputs runs on this machine and on Cortex-M4 processors emulated by QEMU; both print digests of all outputs so far.
+Instructions are counted by the processor's own clock, which QEMU advances by a nanosecond an instruction.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.control import FlightController, design
+from mufly.errors import MuflyError
+from mufly.estimate import Estimate
+from mufly.firmware.export import export
+from mufly.firmware.host import FLAGS, Firmware, FirmwareControllers, compiler
+from mufly.flight import fly
+from mufly.flight.software import Actuators, Controllers
+from mufly.mission import load_mission
+from mufly.results import result
+from mufly.vehicle import Vehicle
+
+_Array = NDArray[np.floating[Any]]
+
+MACHINES = {"mps2-an386": 40.0, "netduinoplus2": 1000.0 / 168.0}
+"""Emulated boards with a Cortex-M4, and instructions between two ticks of their clocks (25 and 168 MHz)."""
+
+_M4 = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "-ffreestanding", "-nostdlib")
+_TOOLS = {"arm-none-eabi-gcc": "gcc-arm-none-eabi", "qemu-system-arm": "qemu-system-arm"}
+
+
+@result
+class SilResult:
+    """A mission flown by Python and computed by the exported code beside it.
+
+    Attributes
+    ----------
+    mission : str
+    seed : int
+    outcome : str
+        Of the flight.
+    periods : int
+        Compared.
+    different : int
+        Outputs (of the position cascade, or of all actuators) of which some bit differs in double precision.
+    worst_single : float
+        Greatest difference of an actuator in single precision, over its full range (1).
+    """
+
+    mission: str
+    seed: int
+    outcome: str
+    periods: int
+    different: int
+    worst_single: float
+
+
+@result
+class PilResult:
+    """The self-test on one emulated processor.
+
+    Attributes
+    ----------
+    machine : str
+    same : bool
+        Whether every digest of outputs is that of this machine in single precision.
+    mean_instructions, worst_instructions : float
+        Of one period of all controllers.
+    flash_bytes, ram_bytes : int
+        Of the controllers and their numbers: code and constants; variables are the caller's.
+    stack_bytes : int
+        Deepest call, by the compiler's account of every function along the call graph.
+    """
+
+    machine: str
+    same: bool
+    mean_instructions: float
+    worst_instructions: float
+    flash_bytes: int
+    ram_bytes: int
+    stack_bytes: int
+
+
+class _Twins(Controllers):
+    """Python flies; the exported code, in double and single precision, is told the same and compared."""
+
+    def __init__(self, design: FlightController, double: Firmware, single: Firmware) -> None:
+        super().__init__(design)
+        self._double, self._single = FirmwareControllers(design, double), FirmwareControllers(design, single)
+        self._all = (super(), self._double, self._single)
+        self.periods = self.different = 0
+        self.worst_single = 0.0
+
+    def retune(self, design: FlightController) -> None:
+        for one in self._all:
+            one.retune(design)
+
+    def engage(self, estimate: Estimate, motor_input: _Array) -> None:
+        for one in self._all:
+            one.engage(estimate, motor_input)
+
+    def lift_off(self, estimate: Estimate) -> None:
+        for one in self._all:
+            one.lift_off(estimate)
+
+    def tilt_for(
+        self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array
+    ) -> _Array:
+        right, double, _ = (
+            one.tilt_for(estimate, position, velocity, acceleration) for one in self._all
+        )
+        self.different += right.tobytes() != double.tobytes()
+        return right
+
+    def step(self, estimate: Estimate, heave_yaw: _Array, tilt: _Array | None) -> Actuators:
+        right, double, single = (one.step(estimate, heave_yaw, tilt).array for one in self._all)
+        self.periods += 1
+        self.different += right.tobytes() != double.tobytes()
+        # Motors go from 0 to 1, servos from -1 to 1.
+        off = np.abs(single - right) / [1.0, 1.0, 2.0, 2.0]
+        self.worst_single = max(self.worst_single, float(off.max()))
+        return Actuators(right[:2], right[2:])
+
+
+def sil(
+    vehicle: Vehicle,
+    missions: Sequence[str],
+    *,
+    flights: int = 1,
+    wind: float | None = None,
+    gust: float | None = None,
+    on_flight: Callable[[SilResult], None] | None = None,
+) -> list[SilResult]:
+    """Fly missions and compare the exported code with Python in every period.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    missions : sequence of str
+        Names or files.
+    flights : int
+        Of each mission, with seeds from 0 on.
+    wind, gust : float, optional
+        Steady wind from the south and gusts (m/s), instead of the missions'.
+    on_flight : callable, optional
+        Told every result as it comes.
+
+    Raises
+    ------
+    MuflyError
+        If there is no C compiler, or vehicle or mission is impossible.
+    """
+    controller = design(vehicle)
+    double, single = Firmware(controller), Firmware(controller, single=True)
+    results = []
+    for name in missions:
+        mission = load_mission(name)
+        for seed in range(flights):
+            twins: list[_Twins] = []
+
+            def make(c: FlightController, kept: list[_Twins] = twins) -> _Twins:
+                kept.append(_Twins(c, double, single))
+                return kept[-1]
+
+            record = fly(
+                vehicle, mission, controller=controller, seed=seed, gust=gust, controllers=make,
+                wind=None if wind is None else [wind, 0.0, 0.0],
+            )  # fmt: skip
+            one = SilResult(
+                mission=mission.name or name, seed=seed, outcome=record.attrs["outcome"],
+                periods=sum(t.periods for t in twins), different=sum(t.different for t in twins),
+                worst_single=max(t.worst_single for t in twins),
+            )  # fmt: skip
+            results.append(one)
+            if on_flight is not None:
+                on_flight(one)
+    return results
+
+
+def missing_tools() -> str:
+    """Return what has to be installed for :func:`pil`, as one line; "" if all is there."""
+    absent = [package for tool, package in _TOOLS.items() if shutil.which(tool) is None]
+    return f"install {' and '.join(absent)} (Debian, Ubuntu: apt-get install {' '.join(absent)})" if absent else ""
+
+
+def pil(vehicle: Vehicle, *, timeout_s: float = 120.0) -> list[PilResult]:
+    """Run the self-test of a vehicle's controllers on emulated Cortex-M4 processors.
+
+    Raises
+    ------
+    MuflyError
+        If a tool is missing, or an emulated processor does not end.
+    """
+    absent = missing_tools()
+    if absent:
+        raise MuflyError(f"processor in the loop: {absent}")
+    with tempfile.TemporaryDirectory(prefix="mufly-pil-") as temporary:
+        folder = Path(temporary) / "fw"
+        export(design(vehicle), folder)
+        right = _outputs(_run([str(_self_test(folder))], timeout_s))
+        elf = _for_m4(folder)
+        flash, ram = _size(folder)
+        stack = deepest_stack(folder, "controllers_")
+        found = []
+        for machine, per_tick in MACHINES.items():
+            said = _run(
+                [
+                    "qemu-system-arm", "-M", machine, "-nographic", "-monitor", "none", "-serial", "none",
+                    "-semihosting-config", "enable=on,target=native", "-icount", "shift=0", "-kernel", str(elf),
+                ],
+                timeout_s,
+            )  # fmt: skip
+            numbers = {k: int(v, 16) for k, v in re.findall(r"^(periods|ticks|worst) ([0-9a-f]{16})$", said, re.M)}
+            if len(numbers) < 3:
+                raise MuflyError(f"{machine}: the self-test did not end; it said {said[-200:]!r}")
+            found.append(
+                PilResult(
+                    machine=machine, same=_outputs(said) == right and bool(right),
+                    mean_instructions=numbers["ticks"] * per_tick / numbers["periods"],
+                    worst_instructions=numbers["worst"] * per_tick,
+                    flash_bytes=flash, ram_bytes=ram, stack_bytes=stack,
+                )
+            )  # fmt: skip
+    return found
+
+
+def _outputs(said: str) -> list[str]:
+    return re.findall(r"^outputs ([0-9a-f]{16})$", said, re.M)
+
+
+def _run(command: list[str], timeout_s: float) -> str:
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=timeout_s)
+    except subprocess.TimeoutExpired:
+        raise MuflyError(f"{command[0]} did not end within {timeout_s:g} s") from None
+    return done.stdout + done.stderr  # an emulated processor's words come out as errors
+
+
+def _built(command: list[str], folder: Path) -> None:
+    done = subprocess.run(command, capture_output=True, text=True, cwd=folder)
+    if done.returncode:
+        first = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
+        raise MuflyError(f"{command[0]} could not build the self-test: {first}")
+
+
+def _sources(folder: Path) -> list[str]:
+    return sorted(p.name for p in folder.glob("*.c"))
+
+
+def _self_test(folder: Path) -> Path:
+    out = folder / "selftest"
+    _built(
+        [compiler(), *FLAGS, "-DMUFLY_FLOAT", "-I.", *_sources(folder), "check/selftest.c", "check/platform_host.c",
+         "-o", out.name],
+        folder,
+    )  # fmt: skip
+    return out
+
+
+def _for_m4(folder: Path) -> Path:
+    cc = "arm-none-eabi-gcc"
+    flags = [*FLAGS, *_M4, "-DMUFLY_FLOAT", "-fstack-usage", "-fdump-rtl-expand", "-I."]
+    _built([cc, *flags, "-c", *_sources(folder)], folder)
+    objects = sorted(p.name for p in folder.glob("*.o"))
+    _built(
+        [cc, *FLAGS, *_M4, "-DMUFLY_FLOAT", "-I.", *objects, "check/selftest.c", "check/platform_cortex_m4.c",
+         "-T", "check/cortex_m4.ld", "-o", "selftest.elf", "-lgcc"],
+        folder,
+    )  # fmt: skip
+    return folder / "selftest.elf"
+
+
+def _size(folder: Path) -> tuple[int, int]:
+    """Flash and RAM (bytes) of the controllers' objects."""
+    objects = sorted(p.name for p in folder.glob("*.o"))
+    said = subprocess.run(["arm-none-eabi-size", *objects], capture_output=True, text=True, cwd=folder).stdout
+    rows = [line.split() for line in said.splitlines()[1:]]
+    text, data, bss = (sum(int(row[k]) for row in rows) for k in range(3))
+    return text + data, data + bss
+
+
+def deepest_stack(folder: Path, entry: str) -> int:
+    """Return the stack (bytes) of the deepest call that begins in a function whose name starts with ``entry``.
+
+    From what the compiler noted of every function (``-fstack-usage``) and who calls whom (its ``expand`` dumps).
+
+    Raises
+    ------
+    MuflyError
+        If some function calls itself, or its stack is not known beforehand: then there is no bound.
+    """
+    own: dict[str, int] = {}
+    for file in folder.glob("*.su"):
+        for line in file.read_text().splitlines():
+            place, size, kind = line.split("\t")
+            name = place.rsplit(":", 1)[1]
+            if kind != "static":
+                raise MuflyError(f"stack: that of {name} is {kind}; there is no bound")
+            own[name] = int(size)
+    calls: dict[str, set[str]] = {name: set() for name in own}
+    for file in folder.glob("*.expand"):
+        inside = ""
+        for line in file.read_text().splitlines():
+            head = re.match(r";; Function (\S+)", line)
+            if head:
+                inside = head[1]
+            elif "call_insn" in line or "(call (mem" in line:
+                for name in re.findall(r'symbol_ref:SI \("([^"]+)"\)', line):
+                    calls.setdefault(inside, set()).add(name)
+
+    @functools.cache
+    def deep(name: str, above: tuple[str, ...] = ()) -> int:
+        if name in above:
+            raise MuflyError(f"stack: {name} calls itself; there is no bound")
+        return own.get(name, 0) + max((deep(c, (*above, name)) for c in calls.get(name, ())), default=0)
+
+    return max((deep(name) for name in own if name.startswith(entry)), default=0)
