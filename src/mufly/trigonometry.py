@@ -8,8 +8,9 @@ gave in simulation, so it computes its own from additions and multiplications:
     sin r = r - r^3/3! + ... + r^17/17!,          |r| <= pi/4: what is left out is below 1e-19
     cos r = 1 - r^2/2! + ... + r^16/16!,          below 3e-18
 
-and the quadrant of ``n`` says which of them, with which sign. Errors are at most one unit in the last place (two after thousands of turns).
-An angle beyond 1e5 rad, or none, is a fault elsewhere and counts as zero. Sources: Taylor; Cody and Waite, Software Manual for the Elementary Functions, 1980, for the pieces.
+and the quadrant of ``n`` says which of them, with which sign. Errors are at most one unit in the last place (two after
+thousands of turns). An angle beyond 1e5 rad, or none, is a fault elsewhere and counts as zero. Sources: Taylor; Cody
+and Waite, Software Manual for the Elementary Functions, 1980, for the pieces.
 """
 
 from __future__ import annotations

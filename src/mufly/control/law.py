@@ -334,9 +334,7 @@ _HEAVE_YAW = (
 HEAVE_YAW_GAINS = np.dtype(
     [*_matrices(HEAVE_YAW_ORDER, 5, 2), ("trim", _f8, (2,)), *((name, _f8) for name in _HEAVE_YAW)]
 )
-ROLL_PITCH_GAINS = np.dtype(
-    [*_matrices(ROLL_PITCH_ORDER, 4, 2), ("trim", _f8, (2,)), ("tilt_limit", _f8)]
-)
+ROLL_PITCH_GAINS = np.dtype([*_matrices(ROLL_PITCH_ORDER, 4, 2), ("trim", _f8, (2,)), ("tilt_limit", _f8)])
 POSITION_GAINS = np.dtype(
     [
         *_matrices(VELOCITY_ORDER, 2, 2),
@@ -427,7 +425,12 @@ def heave_yaw_initial(gains, measurement, motor_input, voltage):  # type: ignore
     for i in range(2):  # lower, upper
         output[i] = motor_input[1 - i] * believed / gains.design_voltage - gains.trim[i]
     _at_rest(gains, e, output, state)
-    state[SHAPED_Z], state[SHAPED_W], state[SHAPED_PSI], state[SHAPED_R] = measurement[0], 0.0, measurement[1], 0.0
+    state[SHAPED_Z], state[SHAPED_W], state[SHAPED_PSI], state[SHAPED_R] = (
+        measurement[0],
+        0.0,
+        measurement[1],
+        0.0,
+    )
     state[ORIGIN_Z], state[ORIGIN_PSI], state[VOLTAGE] = measurement[0], measurement[1], believed
     return state
 

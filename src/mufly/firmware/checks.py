@@ -117,9 +117,7 @@ class _Twins(Controllers):
     def tilt_for(
         self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array
     ) -> _Array:
-        right, double, _ = (
-            one.tilt_for(estimate, position, velocity, acceleration) for one in self._all
-        )
+        right, double, _ = (one.tilt_for(estimate, position, velocity, acceleration) for one in self._all)
         self.different += right.tobytes() != double.tobytes()
         return right
 
@@ -191,7 +189,11 @@ def sil(
 def missing_tools() -> str:
     """Return what has to be installed for :func:`pil`, as one line; "" if all is there."""
     absent = [package for tool, package in _TOOLS.items() if shutil.which(tool) is None]
-    return f"install {' and '.join(absent)} (Debian, Ubuntu: apt-get install {' '.join(absent)})" if absent else ""
+    return (
+        f"install {' and '.join(absent)} (Debian, Ubuntu: apt-get install {' '.join(absent)})"
+        if absent
+        else ""
+    )
 
 
 def pil(vehicle: Vehicle, *, timeout_s: float = 120.0) -> list[PilResult]:
@@ -221,7 +223,9 @@ def pil(vehicle: Vehicle, *, timeout_s: float = 120.0) -> list[PilResult]:
                 ],
                 timeout_s,
             )  # fmt: skip
-            numbers = {k: int(v, 16) for k, v in re.findall(r"^(periods|ticks|worst) ([0-9a-f]{16})$", said, re.M)}
+            numbers = {
+                k: int(v, 16) for k, v in re.findall(r"^(periods|ticks|worst) ([0-9a-f]{16})$", said, re.M)
+            }
             if len(numbers) < 3:
                 raise MuflyError(f"{machine}: the self-test did not end; it said {said[-200:]!r}")
             found.append(
@@ -262,7 +266,7 @@ def _self_test(folder: Path) -> Path:
     out = folder / "selftest"
     _built(
         [compiler(), *FLAGS, "-DMUFLY_FLOAT", "-I.", *_sources(folder), "check/selftest.c", "check/platform_host.c",
-         "-o", out.name],
+         "-o", out.name, "-lm"],
         folder,
     )  # fmt: skip
     return out

@@ -43,7 +43,9 @@ def compiler() -> str:
     )
 
 
-def build(folder: Path, *, single: bool = False, flags: tuple[str, ...] = FLAGS, cc: str | None = None) -> Path:
+def build(
+    folder: Path, *, single: bool = False, flags: tuple[str, ...] = FLAGS, cc: str | None = None
+) -> Path:
     """Build the exported sources in a folder as a shared library and return it.
 
     Raises
@@ -54,7 +56,7 @@ def build(folder: Path, *, single: bool = False, flags: tuple[str, ...] = FLAGS,
     library = folder / ("mufly_single.so" if single else "mufly.so")
     sources = sorted(str(s) for s in folder.glob("*.c"))
     extra = ("-DMUFLY_FLOAT",) if single else ()
-    command = [cc or compiler(), *flags, *extra, "-fPIC", "-shared", *sources, "-o", str(library)]
+    command = [cc or compiler(), *flags, *extra, "-fPIC", "-shared", *sources, "-o", str(library), "-lm"]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
         first = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
@@ -65,7 +67,9 @@ def build(folder: Path, *, single: bool = False, flags: tuple[str, ...] = FLAGS,
 def _declarations(folder: Path, single: bool) -> str:
     """What the headers declare, for cffi."""
     command = [compiler(), "-E", "-P", "-DMUFLY_DECLARATIONS", *(("-DMUFLY_FLOAT",) if single else ())]
-    done = subprocess.run([*command, str(folder / "controllers.h")], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [*command, str(folder / "controllers.h")], capture_output=True, text=True, check=True
+    )
     return done.stdout
 
 

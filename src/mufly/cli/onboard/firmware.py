@@ -14,11 +14,14 @@ if TYPE_CHECKING:
     from mufly.firmware import PilResult, SilResult
 
 app = Commands(
-    help="The control law as C99 for a board: exported with a vehicle's numbers, flown, proved equal. See docs/firmware.md.",
+    help="The control law as C99 for a board: exported with a vehicle's numbers, flown, proved equal "
+    "(docs/firmware.md).",
     no_args_is_help=True,
 )
 
-_VehicleOption = Annotated[str, option("--vehicle NAME|FILE", "A built-in vehicle, or a vehicle file (TOML).")]
+_VehicleOption = Annotated[
+    str, option("--vehicle NAME|FILE", "A built-in vehicle, or a vehicle file (TOML).")
+]
 
 
 @app.command()
@@ -44,17 +47,22 @@ def export(
         print_json({"files": [str(f) for f in files]})
         return
     tell_files([out])
-    say(f"{len(files)} files for {controller.vehicle_name}: try `make -C {out} check`, read {out / 'README.md'}.")
+    say(
+        f"{len(files)} files for {controller.vehicle_name}: try `make -C {out} check`, read {out / 'README.md'}."
+    )
 
 
 @app.command()
 def sil(
     missions: Annotated[
-        list[str] | None, argument("[MISSION]...", "Built-in missions or files; both built-in ones by default.")
+        list[str] | None,
+        argument("[MISSION]...", "Built-in missions or files; both built-in ones by default."),
     ] = None,
     vehicle: _VehicleOption = "mufly-1.1",
     flights: Annotated[int, option("N", "Of each mission, with seeds from 0 on.", min=1)] = 1,
-    wind: Annotated[float | None, option("--wind M/S", "Steady wind from the south.", min=-5.0, max=5.0)] = None,
+    wind: Annotated[
+        float | None, option("--wind M/S", "Steady wind from the south.", min=-5.0, max=5.0)
+    ] = None,
     gust: Annotated[float | None, option("--gust M/S", "Gusts.", min=0.0, max=3.0)] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -75,7 +83,9 @@ def sil(
             if progress is not None:
                 progress(done, len(names) * flights)
 
-        results = compare(load_vehicle(vehicle), names, flights=flights, wind=wind, gust=gust, on_flight=flown)
+        results = compare(
+            load_vehicle(vehicle), names, flights=flights, wind=wind, gust=gust, on_flight=flown
+        )
     answer(as_json, lambda: {"flights": results}, lambda: _print_sil(results))
     if any(r.different for r in results):
         raise typer.Exit(1)
@@ -94,7 +104,9 @@ def _print_sil(results: list[SilResult]) -> None:
     if off:
         say(f"{off} of {periods} periods differ: the exported code is not what was flown.", style="red")
     else:
-        say(f"No bit differs in {periods} periods. Single precision: greatest difference over an actuator's range.")
+        say(
+            f"No bit differs in {periods} periods. Single precision: greatest difference over an actuator's range."
+        )
 
 
 @app.command()
