@@ -97,8 +97,11 @@ class _Twins(Controllers):
 
     def __init__(self, design: FlightController, double: Firmware, single: Firmware) -> None:
         super().__init__(design)
-        self._double, self._single = FirmwareControllers(design, double), FirmwareControllers(design, single)
-        self._all = (super(), self._double, self._single)
+        self._all: tuple[Controllers, ...] = (
+            Controllers(design),
+            FirmwareControllers(design, double),
+            FirmwareControllers(design, single),
+        )
         self.periods = self.different = 0
         self.worst_single = 0.0
 
