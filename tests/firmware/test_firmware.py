@@ -186,7 +186,8 @@ def test_every_number_in_the_tables_is_the_controllers(tree) -> None:
         ]
     )
     assert np.array_equal(told, right)
-    assert "mufly_rate_Hz = 200;" in text and "mufly_position_divider = 4;" in text
+    assert "mufly_rate_Hz = 200;" in text
+    assert "mufly_position_divider = 4;" in text
     assert "/* 7.2 V */" in text
 
 
