@@ -59,7 +59,7 @@ class MockVehicle:
         self.commands = []  # (command, params or COMMAND_INT)
         self.capabilities = 0
         self.commander = None
-        self.mission = ()
+        self.mission, self.mission_result = (), 0
         self.extra = []  # messages to be sent next
         self.codec, self.encode = Codec(), Encoder(system, 1)
         self._receiver = Receiver(self._take)
@@ -68,8 +68,8 @@ class MockVehicle:
         self._out = []
 
     def _take(self, items):
-        self.mission = items
-        return 0
+        self.mission = self.mission if self.mission_result else items
+        return self.mission_result
 
     def restart(self):
         self.boot_s = self._now_s

@@ -1,11 +1,13 @@
 """What a station asks until it is answered, message by message on a clock that the test steps."""
 
+import math
 from itertools import pairwise
 
 import pytest
 
-from mufly.link import Command, mavlink
-from mufly.station import Outcome
+from mufly.link import Command, Origin, mavlink
+from mufly.station import Outcome, autopilots
+from mufly.station.autopilots import commands_of, firmware_of, mode_words
 from mufly.station.commands import (
     PROGRESS_S,
     REASON_S,
@@ -96,3 +98,65 @@ def test_command_is_taken_when_the_vehicle_answers_us_and_what_we_asked():
         Outcome.REFUSED,
         "another station commands it; it has to hand over",
     )
+
+
+def test_every_autopilot_is_asked_in_its_own_way():
+    """By MAVLink's meaning of the parameters; modes are those of PX4 and of ArduCopter."""
+    firmwares = [firmware_of(*who) for who in ((12, True), (12, False), (3, False), (18, False))]
+    assert firmwares == ["mufly", "PX4", "ArduPilot", "other"]
+    ours, px4, copter, other = (autopilots.take_off(f, 1.5) for f in firmwares)
+    assert (ours.number, ours.frame, ours.params[6]) == (22, 1, -1.5)
+    assert math.isnan(px4.params[6])  # it climbs to its parameter MIS_TAKEOFF_ALT
+    assert (copter.params[6], other.params[6], copter.frame) == (1.5, 1.5, None)
+    assert len(copter.params) == 7
+    at = Origin(47.0, 8.0, 400.0)
+    ours, px4 = (autopilots.go_to(f, (3.0, -2.0, -1.5), math.nan, at) for f in ("mufly", "PX4"))
+    assert (ours.frame, ours.params[4:]) == (1, (3.0, -2.0, -1.5))
+    assert (px4.frame, px4.params[4:]) == (0, pytest.approx(at.to_global(3.0, -2.0, -1.5)))
+    for order in (ours, px4):
+        assert order.params[0] == -1.0  # at its own speed
+        assert math.isnan(order.params[3])  # the nose as it likes
+    assert px4.params[1] == 1.0  # whatever mode it is in
+    assert "told no origin" in autopilots.go_to("PX4", (0, 0, -1), 0.0, None)
+    interval = autopilots.message_interval
+    assert [interval(30, rate).params[:2] for rate in (50.0, 0.0)] == [(30, 20_000.0), (30, -1.0)]
+    assert (autopilots.ARM.params[0], autopilots.DISARM.params[0], autopilots.REBOOT.params[0]) == (
+        1.0,
+        0.0,
+        1.0,
+    )
+    assert autopilots.EMERGENCY_STOP.stops
+    for table, words in (
+        (autopilots.PAUSE, {"PX4": "hold", "ArduPilot": "brake"}),
+        (autopilots.BY_HAND, {"PX4": "position control", "ArduPilot": "loiter"}),
+        (autopilots.LET_GO, {"PX4": "hold", "ArduPilot": "brake"}),
+        (autopilots.RETURN, {"ArduPilot": "return"}),
+        (autopilots.LAND, {"ArduPilot": "landing"}),
+        (autopilots.START_MISSION, {"PX4": "mission", "ArduPilot": "auto"}),
+        (autopilots.BEFORE_ARMING, {"ArduPilot": "guided"}),
+    ):
+        for firmware, word in words.items():
+            base, main, sub = commands_of(table, firmware)[-1].params[:3]
+            number = int(main) << 16 | int(sub) << 24 if firmware == "PX4" else int(main)
+            assert int(base) == 1
+            assert base == 1.0
+            assert mode_words({"PX4": 12, "ArduPilot": 3}[firmware], 2, 1, number) == word
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "kind", "mode", "words"),
+    [
+        (12, 2, 4 << 16 | 5 << 24, "return"),
+        (12, 2, 6 << 16, "offboard"),
+        (12, 2, 4 << 16 | 99 << 24, "auto 99"),
+        (12, 2, 99 << 16, "mode 99"),
+        (12, 2, 0, ""),
+        (3, 2, 8, "mode 8"),  # a number that it gave up
+        (3, 4, 5, "loiter"),
+        (3, 1, 5, "mode 5"),  # of an aeroplane, which means something else
+        (18, 2, 5, "mode 5"),
+    ],
+)
+def test_modes_have_the_words_of_their_autopilot(autopilot, kind, mode, words):
+    assert mode_words(autopilot, kind, 1, mode) == words
+    assert mode_words(autopilot, kind, 0, mode) == ""

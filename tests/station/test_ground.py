@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from mock_vehicle import MockVehicle, World, as_float
 
-from mufly.link import Encoder, mavlink
+from mufly.errors import InputError
+from mufly.link import Encoder, Endpoint, Item, Origin, mavlink, parse_endpoint
 from mufly.station import GroundLink, MissionRow, Outcome
-from mufly.station.transfers import same_mission
+from mufly.station.commands import StatusTexts
+from mufly.station.ground import rate_for
+from mufly.station.transfers import OWN_SPEED, RemoteParameters, items_of, rows_of, same_mission
 
 ROWS = [
     MissionRow("take off", (0.0, 0.0, -1.0)),
@@ -39,8 +42,17 @@ def test_a_vehicle_is_found_by_its_heartbeat_and_asked_for_what_it_is():
     assert len(vehicle.parameters) == 40
     assert vehicle.mission == []
     wishes = {m.param1: m.param2 for m in world.vehicles[0].commands if m.command == 511}
-    assert wishes[mavlink.MAVLINK_MSG_ID_ATTITUDE] == pytest.approx(1e4)
+    # What stands in one row of the history comes at one rate; a ring of beams is slower anyway.
+    for name in (
+        "ATTITUDE",
+        "LOCAL_POSITION_NED",
+        "POSITION_TARGET_LOCAL_NED",
+        "ATTITUDE_TARGET",
+        "ACTUATOR_OUTPUT_STATUS",
+    ):
+        assert wishes[getattr(mavlink, f"MAVLINK_MSG_ID_{name}")] == pytest.approx(1e4), name
     assert wishes[mavlink.MAVLINK_MSG_ID_OBSTACLE_DISTANCE] == pytest.approx(4e4)
+    assert wishes[mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR] == -1  # the ring says it all
 
 
 def test_ground_stations_and_peripherals_are_no_vehicles():
@@ -90,7 +102,7 @@ def test_missions_go_there_and_back_over_the_worst_link(seed):
     mock = MockVehicle()
     world = World(mock, seed=10 * seed, loss=0.3, delay_s=0.3, doubles=0.2)
     vehicle = met(world, 90.0)
-    assert world.answer(vehicle.upload_mission(ROWS), 120.0)[0] == "accepted"
+    assert world.answer(vehicle.upload_mission(ROWS), 120.0) == ("accepted", "5 items")
     assert len(mock.mission) == 5
     request = vehicle.download_mission()
     assert world.answer(request, 120.0)[0] == "accepted"
@@ -113,6 +125,125 @@ def test_a_mission_that_cannot_be_sent_is_refused_before_anything_is_sent():
     assert request.outcome is Outcome.REFUSED
     assert "row 1" in request.answer
     assert vehicle.upload_mission("no-such-mission.toml").outcome is Outcome.REFUSED
+
+
+def test_rows_are_items_and_back_and_what_has_no_place_has_none():
+    at = Origin(47.0, 8.0, 400.0)
+    lat, lon, _ = at.to_global(10.0, -5.0, 0.0)
+    x, y = round(lat * 1e7), round(lon * 1e7)
+    rows = [
+        *ROWS,
+        MissionRow("speed", text=OWN_SPEED),
+        MissionRow("turn", heading_rad=math.radians(-45.0)),
+        MissionRow("return"),
+    ]
+    items = items_of(rows)
+    assert [i.command for i in items] == [22, 178, 16, 16, 21, 178, 115, 20]
+    assert [i.params[:3] for i in items if i.command == 178] == [(1.0, 0.4, -1.0), (1.0, -2.0, -1.0)]
+    back = rows_of(items, reached=2)
+    assert [r.reached for r in back] == [True, True, *[False] * 6]
+    assert (back[5].text, back[6].heading_rad) == (OWN_SPEED, pytest.approx(math.radians(-45.0)))
+    assert np.isnan([back[k].position for k in (1, 5, 6, 7)]).all()
+    foreign = [
+        Item(0, 0, 16, params=(2.5, 0, 0, math.nan), x=x, y=y, z=401.5),
+        Item(1, 3, 19, params=(4.0, 0, 0, math.nan), x=x, y=y, z=1.5),
+        Item(2, 3, 16, params=(math.nan, 0, 0, math.nan), x=0, y=0, z=1.5),
+        Item(3, 2, 201, params=(1.0, 2.0, 0, 0)),
+    ]
+    a, b, nowhere, unknown = rows_of(foreign, at)
+    for row in (a, b):
+        assert row.position == pytest.approx((10.0, -5.0, -1.5), abs=0.01)
+    assert [r.wait_s for r in (a, b, nowhere)] == [2.5, 4.0, 0.0]
+    assert [r.action for r in (a, b, unknown)] == ["waypoint", "stay for", "command 201"]
+    assert np.isnan(nowhere.position).all()
+    assert unknown.text.startswith("1 2 0 0")
+    assert rows_of(foreign[:1])[0].text == f"{lat:.6f} {lon:.6f} deg, 401.5 m"
+    for row, why in (
+        (MissionRow("waypoint"), "row 2: has no place"),
+        (MissionRow("speed", text="fast"), "row 2: has no speed"),
+    ):
+        with pytest.raises(InputError, match=why):
+            items_of([ROWS[0], row])
+
+
+def test_why_a_mission_is_refused_is_said_even_if_the_vehicle_gives_a_number_only():
+    mock = MockVehicle()
+    world = World(mock)
+    vehicle = met(world)
+    for result, words in (
+        (8, "parameter 3 of an item is not valid"),
+        (4, "too many items"),
+        (99, "result 99"),
+    ):
+        mock.mission_result = result
+        assert world.answer(vehicle.upload_mission(ROWS)) == ("refused", words)
+
+
+def test_a_mission_that_another_station_sends_or_clears_is_fetched():
+    """MISSION_CURRENT counts the items: 0 does not count, 65535 is "there is none"."""
+    mock = MockVehicle(ours=True)
+    world = World(mock)
+    vehicle = met(world)
+    world.answer(vehicle.upload_mission(ROWS))
+    for held, total, shown in ((ROWS[:3], 0, 5), (ROWS[:3], 3, 3), ((), 65535, 0)):
+        mock.mission = tuple(items_of(held))
+        mock.extra.append(mavlink.MAVLink_mission_current_message(0, total=total))
+        world.run(1.0)
+        assert len(vehicle.mission) == shown, total
+
+
+def test_parameters_that_do_not_come_are_counted():
+    for count, came, words in ((0, 0, "all parameters"), (5, 2, "3 parameters")):
+        parameters = RemoteParameters(StatusTexts(), (1, 1))
+        request, asked = parameters.refresh(), []
+        for k in range(60):
+            asked += parameters.step(float(k))
+            for j in range(came if k == 0 else 0):
+                parameters.handle(
+                    0.0, sent(mavlink.MAVLink_param_value_message(b"P%d" % j, 1.0, 9, count, j))
+                )
+        assert (request.outcome, request.answer) == (
+            Outcome.TIMED_OUT,
+            f"{words} are missing; read them again",
+        )
+        assert asked[0].get_type() == "PARAM_REQUEST_LIST"
+        wanted = {m.param_index for m in asked if m.get_type() == "PARAM_REQUEST_READ"}
+        assert wanted == set(range(came, count))
+
+
+def sent(message):
+    """A message as it comes off the wire."""
+    link = mavlink.MAVLink(None)
+    return link.decode(bytearray(message.pack(link)))
+
+
+@pytest.mark.parametrize(("autopilot", "raw"), [(12, as_float("<i", -7)), (3, -7.0)])
+def test_a_vehicle_that_does_not_say_what_it_is_is_read_as_its_kind_does_it(autopilot, raw):
+    """PX4 puts whole numbers there byte by byte, ArduPilot as numbers; nobody waits for an answer for ever."""
+    mock = MockVehicle(autopilot=autopilot, parameters={"N": (raw, 6)})
+    mock.silent_on.add(512)
+    world = World(mock)
+    took = world.run(6.0, lambda: world.seen and world.seen[0].parameters)
+    assert 2.5 < took < 4.5
+    assert world.seen[0].parameters["N"].value == -7.0
+
+
+def test_a_station_is_heard_once_a_second_and_after_a_stall_too():
+    link = GroundLink()
+    beats = [t for t in (0.1 * k for k in range(100)) if link.step(t, ["a"])]
+    assert np.diff(beats) == pytest.approx(1.0)
+    late = [t for t in (60.0 + 0.1 * k for k in range(50)) if link.step(t, ["a"])]
+    assert np.diff(late) == pytest.approx(1.0)
+
+
+def test_a_line_is_asked_for_what_it_carries():
+    """A radio of 57600 baud carries 5.8 kB/s; all streams at 100 Hz are 45."""
+    assert rate_for(parse_endpoint("udp:127.0.0.1:14550", "station"), 80.0) == 80.0
+    radio = rate_for(Endpoint("serial", "/dev/ttyUSB0", 57600))
+    assert 0.5 < radio / 100 * 45_000 / 5760 < 0.7  # room for commands, missions and parameters
+    assert rate_for(Endpoint("serial", "/dev/ttyUSB0", 115200)) == pytest.approx(2 * radio)
+    assert rate_for(Endpoint("serial", "/dev/ttyACM0", 3_000_000)) == 100.0
+    assert rate_for(Endpoint("serial", "/dev/ttyUSB0", 1200)) == 1.0
 
 
 def test_progress_follows_current_and_reached_items():

@@ -211,6 +211,109 @@ def test_batteries_say_what_they_know():
     assert t.battery_left_s == 300.0
 
 
+def test_only_the_battery_that_flies_it_counts_and_cells_beyond_ten_do_too():
+    def battery(number, ext=(0,) * 4):
+        return mavlink.MAVLink_battery_status_message(
+            number, 0, 0, 0, [4000] * 10, 250, 0, 0, 55, 0, voltages_ext=list(ext)
+        )
+
+    t = told(battery(1))
+    assert np.isnan(t.believes("battery_voltage")[0])
+    told(battery(0, (3900, 3800, 0, 0)), telemetry=t)
+    assert float(t.believes("battery_voltage")[0]) == pytest.approx(47.7)
+    assert float(t.believes("battery_charge")[0]) == 0.55
+    assert float(t.believes("battery_current")[0]) == 2.5
+    assert math.isnan(t.battery_left_s)  # 0: it does not know
+    unknown = mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 65535, -1, -1, 0, 0, 0, 0, 0, 0)
+    t = told(unknown)
+    assert np.isnan([float(t.believes(f"battery_{k}")[0]) for k in ("voltage", "current", "charge")]).all()
+
+
+@pytest.mark.parametrize("angles", [(0.3, -0.4, 1.1), (-1.0, 0.7, -2.5), (0.0, 0.0, 0.0)])
+def test_a_quaternion_is_the_rotation_of_its_angles(angles):
+    from mufly.dynamics import quaternion_from_euler
+
+    q = quaternion_from_euler(*angles)
+    for size in (1.0, 0.8, 1.6):  # a filter of single precision lets it grow
+        t = told(mavlink.MAVLink_attitude_quaternion_message(1000, *(size * q), 0.1, 0.2, 0.3))
+        assert t.believes("estimated_attitude") == pytest.approx(angles, abs=1e-6)
+        assert t.believes("estimated_rates") == pytest.approx([0.1, 0.2, 0.3])
+        told(mavlink.MAVLink_attitude_target_message(1000, 0, list(size * q), 0, 0, 0, 0), telemetry=t)
+        assert t.believes("reference_attitude") == pytest.approx(angles, abs=1e-6)
+    told(mavlink.MAVLink_attitude_target_message(1010, 128, list(q), 0, 0, 0, 0), telemetry=t)
+    assert np.isnan(t.believes("reference_attitude")).all()
+    none = told(mavlink.MAVLink_attitude_quaternion_message(1000, 0, 0, 0, 0, 0, 0, 0))
+    assert np.isnan(none.believes("estimated_attitude")).all()
+
+
+def test_where_north_east_and_down_are_0_is_what_the_vehicle_says_and_no_place_that_is_none():
+    def place(boot_ms, lat, lon):
+        return mavlink.MAVLink_global_position_int_message(boot_ms, lat, lon, 500_000, 10_000, 0, 0, 0, 0)
+
+    def home(lat):
+        return mavlink.MAVLink_home_position_message(lat, 80000000, 490_000, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
+
+    t = told(place(1000, 0, 0), place(1010, 910000000, 0), place(1020, 1, 1900000000), home(910000000))
+    assert t.origin is None
+    assert np.isnan(t.believes("estimated_position")).all()
+    told(home(470000000), telemetry=t)  # better than the first fix
+    told(home(480000000), telemetry=t)  # which does not move because it took off elsewhere
+    assert (t.origin.lat_deg, t.origin.lon_deg, t.origin.alt_m) == (47.0, 8.0, 490.0)
+    told(place(1100, 470000000, 80000000), telemetry=t)
+    assert t.believes("estimated_position") == pytest.approx([0.0, 0.0, -10.0])
+    told(mavlink.MAVLink_gps_global_origin_message(-455000000, 91000000, 480_000), telemetry=t)
+    assert (t.origin.lat_deg, t.origin.lon_deg, t.origin.alt_m) == (-45.5, 9.1, 480.0)
+
+
+def test_outputs_are_ours_only_where_their_order_is_known():
+    def outputs(kind, active=4):
+        values = [0.1, 0.2, -0.3, 0.4] + [0.0] * 28
+        return told(
+            mavlink.MAVLink_heartbeat_message(kind, 12, 1, 0, 4, 3),
+            mavlink.MAVLink_actuator_output_status_message(1_000_000, active, values),
+        )
+
+    t = outputs(3)
+    assert t.believes("motor_input") == pytest.approx([0.1, 0.2])
+    assert t.believes("servo_input") == pytest.approx([-0.3, 0.4])
+    for other in (outputs(2), outputs(3, active=3)):
+        assert np.isnan(other.believes("motor_input")).all()
+    pulses = (1250, 0, *[1500] * 6)
+    for port, expected in ((0, [0.25, math.nan]), (1, [math.nan] * 2)):
+        t = told(mavlink.MAVLink_servo_output_raw_message(0, port, *pulses))
+        np.testing.assert_allclose(t.believes("motor_input"), expected)
+    rpm = told(*(mavlink.MAVLink_raw_rpm_message(k, 60.0 * (k + 1)) for k in range(3)))
+    assert rpm.believes("measured_rotor_speed") == pytest.approx([math.tau, 2 * math.tau])
+    sticks = told(mavlink.MAVLink_rc_channels_message(1000, 4, *[1500, 65535], *[1600] * 16, 255))
+    np.testing.assert_allclose(sticks.believes("pilot_input")[:3], [1500, math.nan, 1600])
+
+
+def test_whether_it_flies_is_what_it_says_or_else_what_its_height_tells():
+    def at(down, armed=True):
+        return told(
+            mavlink.MAVLink_heartbeat_message(3, 12, 1 | armed << 7, 0, 4, 3),
+            mavlink.MAVLink_local_position_ned_message(1000, 0, 0, down, 0, 0, 0),
+        )
+
+    assert [at(d).flying for d in (0.0, -0.05, -0.2)] == [False, False, True]
+    assert not at(-2.0, armed=False).flying  # it stands on a table
+    for landed, flying in ((1, False), (2, True), (3, True), (4, True)):
+        t = told(
+            mavlink.MAVLink_extended_sys_state_message(0, landed), telemetry=at(-2.0 if landed == 1 else 0.0)
+        )
+        assert t.flying is flying
+
+
+def test_a_state_of_its_own_is_believed_while_it_is_told():
+    beat = mavlink.MAVLink_heartbeat_message(3, 12, 129, 4 << 16 | 3 << 24, 4, 3)
+    t = told(beat, mavlink.MAVLink_named_value_int_message(0, b"mstate", 99))
+    assert t.state == "state 99"  # of a later version
+    told(beat, telemetry=t, now_s=3.5)
+    assert t.state == "state 99"
+    told(beat, telemetry=t, now_s=4.5)
+    assert t.state == "hold"
+
+
 def test_the_truth_is_taken_apart():
     values = [float(k) for k in range(17)] + [0.0] * 41
     t = told(mavlink.MAVLink_debug_float_array_message(0, b"truth", 0, values))

@@ -37,6 +37,7 @@ LOST_S = 3.0
 
 _TYPES = {1: "aeroplane", 2: "quadrotor", 3: "coaxial helicopter", 4: "helicopter", 10: "rover", 12: "submarine",
           13: "hexarotor", 14: "octorotor"}  # fmt: skip
+_NO_MISSION = 65535  # MISSION_CURRENT.total
 _Link = Callable[[], Request | None]
 
 
@@ -424,12 +425,12 @@ class RemoteVehicle:
         if message.seq < self._reached:
             self._reached = -1  # it flies the mission again, or another
         items = self.transfers.items
-        counted = 0 < message.total < 65535 or (message.total == 0 and self._connection.ours)
-        if items is None or not counted or self.transfers.busy:
+        if items is None or not message.total or self.transfers.busy:  # 0: it does not count them
             return
+        total = 0 if message.total == _NO_MISSION else message.total
         # ArduPilot's first item is its home, which this total leaves out.
         own = 1 if self.telemetry.autopilot == ARDUPILOT else 0
-        if message.total != max(0, len(items) - own):
+        if total != max(0, len(items) - own):
             self.transfers.download()  # somebody else has sent it another
 
     @property
