@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -22,19 +22,23 @@ from mufly.cli.present import console, say
 from mufly.cli.station import (
     BrowserOption,
     Ending,
+    FaultOption,
     GustOption,
     HostOption,
     LiveDisplay,
     PortOption,
     SeedOption,
+    SensorsOption,
     TokenOption,
     VehicleOption,
     WindOption,
     announce,
     check_air,
     check_place,
+    check_sensors,
     dated_folder,
     endpoints_of,
+    flies_on,
 )
 from mufly.errors import InputError, MuflyError
 
@@ -45,6 +49,7 @@ if TYPE_CHECKING:
     from mufly.flight import Event, Progress, Summary
     from mufly.link import Endpoint, VehicleProcess
     from mufly.mission import Mission
+    from mufly.sensors import Fault
     from mufly.station.page.server import Address
     from mufly.station.page.session import Session
     from mufly.vehicle import Vehicle
@@ -70,6 +75,8 @@ class Order:
     links: tuple[Endpoint, ...]
     start: bool
     realtime: bool
+    sensors: Literal["ideal", "fitted"]
+    faults: tuple[Fault, ...]
 
 
 def _free_port() -> int:
@@ -84,7 +91,8 @@ def _start(order: Order, endpoints: Sequence[Endpoint], autostart: bool) -> Vehi
     return start_vehicle(
         order.vehicle, order.mission, endpoints=endpoints, path=order.recording,
         tlog=order.recording.with_name("link.tlog") if order.links else None,
-        wind=order.wind, gust=order.gust, seed=order.seed, autostart=autostart, where="--link",
+        wind=order.wind, gust=order.gust, seed=order.seed, sensors=order.sensors, faults=order.faults,
+        autostart=autostart, where="--link",
     )  # fmt: skip
 
 
@@ -248,6 +256,9 @@ demonstration of the muFly dissertation (take off, a square of four waypoints, l
 no page opened within 20 s it flies the mission by itself. It ends with Ctrl-C, or when the flight is over and the \
 page was closed. With --headless it flies in the terminal, as fast as the machine can.
 
+It flies on what its sensors say, as its file has them in \\[sensors] (`mufly sensors show`), after it has stood \
+still on the floor for a second or two; --sensors ideal flies on what is true.
+
 Writes a folder with the recording (flight.mcap; opens in Foxglove and PlotJuggler), summary.json and pictures. \
 The exit status is 0 only if the mission succeeded.
 
@@ -256,6 +267,8 @@ Examples:
   mufly fly
 
   mufly fly box-on-leg --headless --wind 0.5,0,0 --gust 0.3 --seed 7
+
+  mufly fly --headless --fault position.dropout@20s+2s --fault accelerometer.clip@30s
 
   mufly fly my-mission.toml --vehicle my-helicopter.toml --out results
 
@@ -279,6 +292,8 @@ def fly(
     wind: WindOption = None,
     gust: GustOption = None,
     seed: SeedOption = 0,
+    sensors: SensorsOption = "fitted",
+    fault: FaultOption = None,
     realtime: Annotated[bool, option("--realtime", "Keep pace with the clock.")] = False,
     as_json: Annotated[
         bool, option("--json", "Print the summary as JSON on standard output, and nothing else.")
@@ -314,8 +329,10 @@ def fly(
     from mufly.vehicle import load_vehicle
 
     recording = folder / "flight.mcap"
+    helicopter = load_vehicle(vehicle)
+    faults = check_sensors(helicopter, sensors, fault)
     order = Order(
-        load_vehicle(vehicle),
+        helicopter,
         load_mission(mission),
         recording,
         steady,
@@ -324,6 +341,8 @@ def fly(
         tuple(ends),
         start,
         realtime,
+        "ideal" if sensors == "ideal" else "fitted",
+        faults,
     )
     preflight(order.vehicle, order.mission, vehicle_file=vehicle, mission_file=mission)
     address = None
@@ -334,6 +353,7 @@ def fly(
     terminal.print(
         f"[bold]{order.vehicle.name}[/bold] flies [bold]{order.mission.name}[/bold]; results go to {folder}"
     )
+    terminal.print(flies_on(order.vehicle, order.sensors), highlight=False, markup=False)
 
     if ends or address is not None:  # in the terminal it stands among the events
         from mufly.dynamics import outside_model
@@ -384,7 +404,8 @@ def _fly_in_terminal(terminal: Console, order: Order, ending: Ending) -> xr.Data
         with LiveDisplay(terminal) as display, ending:
             return flight.fly(
                 order.vehicle, order.mission, wind=order.wind, gust=order.gust, seed=order.seed,
-                realtime=order.realtime, path=order.recording, on_progress=show, on_event=display.event,
+                sensors=order.sensors, faults=order.faults, realtime=order.realtime, path=order.recording,
+                on_progress=show, on_event=display.event,
             )  # fmt: skip
     except KeyboardInterrupt:
         if order.recording.exists():

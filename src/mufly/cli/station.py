@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from mufly.cli.options import argument, option
+from mufly.cli.options import argument, one_of, option
 from mufly.cli.present import console, progress_bar, say
 from mufly.errors import InputError
 
@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 
     from mufly.link import Endpoint, Report
     from mufly.logs.mcap import Event
+    from mufly.sensors import Fault
     from mufly.station.page.server import Address
+    from mufly.vehicle import Vehicle
 
 
 VehicleOption = Annotated[str, option("--vehicle -v", "Vehicle file, or a built-in vehicle.")]
@@ -39,6 +41,22 @@ GustOption = Annotated[
     float | None, option("--gust M/S", "Gusts, standard deviation, 0 to 5 m/s; instead of the mission's.")
 ]
 SeedOption = Annotated[int, option("--seed", "Seed of everything random.")]
+SensorsOption = Annotated[
+    str,
+    option(
+        "--sensors WHICH",
+        "What it flies on: fitted (what the vehicle file has in \\[sensors], and a filter that makes an estimate of "
+        "it) or ideal (what is true).",
+    ),
+]
+FaultOption = Annotated[
+    list[str] | None,
+    option(
+        "--fault NAME.KIND=AMOUNT@STARTs+DURATIONs",
+        "What goes wrong, as sonar.jump=0.3@15s+2s or accelerometer.clip@20s; can be given several times. "
+        "`mufly sensors faults` lists them.",
+    ),
+]
 
 
 def wind_of(text: str | None) -> list[float] | None:
@@ -69,6 +87,31 @@ def check_air(wind: str | None, gust: float | None, seed: int) -> list[float] | 
     if not 0 <= seed < 2**63:
         raise InputError("--seed", "", f"{seed} is no seed", "give a whole number from 0 to 2^63 - 1")
     return steady
+
+
+def check_sensors(vehicle: Vehicle, sensors: str, faults: Sequence[str] | None) -> tuple[Fault, ...]:
+    """The faults of ``--fault``; words of ``--sensors`` that are none, and faults that cannot be, are refused."""
+    from mufly.sensors.faults import parse_fault
+    from mufly.sensors.suite import check_faults
+
+    one_of("--sensors", sensors, ("fitted", "ideal"))
+    found = tuple(parse_fault(text) for text in faults or ())
+    if found and sensors == "ideal":
+        raise InputError("--fault", str(found[0]), "what is true has no faults", "leave out --sensors ideal")
+    check_faults(vehicle, found)
+    return found
+
+
+def flies_on(vehicle: Vehicle, sensors: str) -> str:
+    """What a vehicle flies on, in words."""
+    from mufly.sensors.suite import FITTED
+
+    if sensors == "ideal":
+        return "It flies on what is true (--sensors ideal)"
+    if vehicle.sensors is None:
+        return f"{vehicle.name} has no table [sensors]: it flies on what is true"
+    names = [name.replace("_", " ") for name in FITTED if getattr(vehicle.sensors, name) is not None]
+    return f"It flies on its sensors: {', '.join(names)}"
 
 
 def endpoints_of(
@@ -405,6 +448,8 @@ def link(
     wind: WindOption = None,
     gust: GustOption = None,
     seed: SeedOption = 0,
+    sensors: SensorsOption = "fitted",
+    fault: FaultOption = None,
 ) -> None:
     """The simulated helicopter as a MAVLink vehicle, in real time."""
     endpoints = endpoints_of(ends or _DEFAULT, "vehicle", each="endpoint")
@@ -424,6 +469,7 @@ def link(
     plan = Mission(name="no mission") if mission is None else load_mission(mission)
     if mission is not None:
         preflight(helicopter, plan, vehicle_file=vehicle, mission_file=mission)
+    faults = check_sensors(helicopter, sensors, fault)
 
     from mufly.control import design
     from mufly.flight import Flight
@@ -434,6 +480,7 @@ def link(
     terminal.print(
         f"[bold]{helicopter.name}[/bold] is MAVLink system {system}, with {plan.name}", highlight=False
     )
+    say(flies_on(helicopter, sensors))
     for end in endpoints:
         say(f"  it {end.explanation}")
         if end.beyond_loopback:
@@ -442,11 +489,12 @@ def link(
                 style="yellow",
             )
     controller = design(helicopter)
-    warm_up(helicopter, controller)
+    warm_up(helicopter, controller, sensors)
     recording = None if out is None else out / "flight.mcap"
     flight = Flight(
-        helicopter, plan, controller=controller, wind=steady, gust=gust, seed=seed, path=recording, keep=False
-    )
+        helicopter, plan, controller=controller, wind=steady, gust=gust, seed=seed, path=recording, keep=False,
+        sensors="ideal" if sensors == "ideal" else "fitted", faults=faults,
+    )  # fmt: skip
     say(*filter(None, [flight.outside]), mark="Warning", style="yellow")
     log = None if out is None else TlogWriter(out / "link.tlog")
     over = Ending()

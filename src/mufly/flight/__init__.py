@@ -1,7 +1,7 @@
 """All of it at once: the flight software, the closed loop, the recorder, pictures and numbers of a flight."""
 
 from mufly.flight.autopilot import Autopilot
-from mufly.flight.flight import Flight, Progress, fly
+from mufly.flight.flight import ALIGNED_WITHIN_S, Flight, Progress, fly
 from mufly.flight.parameters import Parameter
 from mufly.flight.pictures import draw_flight
 from mufly.flight.plant import Demand, Plant, respond
@@ -22,6 +22,7 @@ from mufly.logs.recording import read_attachments, read_recording
 from mufly.mission import Answer, SetPoint
 
 __all__ = [
+    "ALIGNED_WITHIN_S",
     "Actuators",
     "Answer",
     "Autopilot",

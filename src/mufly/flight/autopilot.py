@@ -26,7 +26,7 @@ from mufly.estimate import Estimate
 from mufly.flight.parameters import Parameter, Parameters
 from mufly.flight.software import Actuators, FlightSoftware
 from mufly.flight.state import FlightState
-from mufly.flight.trust import SensorWatch, checks_of, told
+from mufly.flight.trust import SensorWatch, checks_of, outlook, told
 from mufly.logs.mcap import Event
 from mufly.mission import (
     ACCEPTED,
@@ -240,6 +240,11 @@ class Autopilot:
             more = f" (and {len(why) - 1} more)" if len(why) > 1 else ""
             return later(why[0] + more)
         self._armed, self._armed_s = True, self._now
+        beware = (
+            outlook(self._estimate, self.software.plan.ring.max_range) if self._estimate is not None else ""
+        )
+        if beware:
+            self.note(beware, "warning")
         if not quiet:
             self.note("armed, by force" if force else "armed")
         return ACCEPTED

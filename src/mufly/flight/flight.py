@@ -43,7 +43,6 @@ from mufly.flight.recorder import Recorder
 from mufly.flight.sensed import sensed_row_writer
 from mufly.flight.software import Actuators, Controllers
 from mufly.flight.state import FlightState
-from mufly.flight.trust import outlook
 from mufly.logs.mcap import Event, standard_layout
 from mufly.mission import Mission, MissionEstimate, dump_mission, load_mission, preflight
 from mufly.sensors import Fault, FittedSensors, Sensors, fitted_sensors, ideal_sensors
@@ -298,6 +297,7 @@ class Flight:
             battery_charge=truth.charge,
             battery_left_s=self._left_s(),
             truth=truth,
+            faults=self.faults,
         )
 
     def _left_s(self) -> float:
@@ -514,9 +514,6 @@ def align(flight: Flight) -> str:
         flight.tick()
         if autopilot.software.due:
             why = autopilot.not_ready()
-    beware = outlook(flight.status.estimate, float(flight.vehicle.range_ring.max_range))
-    if beware:
-        flight.note(beware, "warning")
     answer = autopilot.arm(quiet=True)
     if answer:
         flight.note(f"aligned after {flight.time_s:.1f} s")

@@ -156,7 +156,8 @@ def draw_position(dataset: xr.Dataset) -> Figure:
     measured = dataset.measured_position.values * up
     for k, name in enumerate(("North", "East", "Height")):
         ax = panels[k]
-        ax.plot(dataset.time, measured[:, k], color=GREY, lw=0.8, alpha=0.8, label="measured")
+        if np.isfinite(measured[:, k]).any():  # on sensors of its own nothing measures it as it is
+            ax.plot(dataset.time, measured[:, k], color=GREY, lw=0.8, alpha=0.8, label="measured")
         _lines(ax, dataset, f"{name} (m)", ("true",), truth[:, k : k + 1], reference[:, k : k + 1])
     error = 100.0 * np.linalg.norm(truth - reference, axis=1)[:, None]
     _lines(panels[3], dataset, "Distance from the reference (cm)", ("",), error, colours=(VERMILION,))

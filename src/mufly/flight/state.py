@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mufly.estimate import Estimate
 from mufly.flight.software import Actuators
 from mufly.mission import Answer, Ask, Mission, may
-from mufly.sensors import Readings, Truth
+from mufly.sensors import Fault, Readings, Truth
 
 _Place = tuple[float, float, float]
 
@@ -78,6 +78,8 @@ class FlightState:
         How long it will last until it lands for low voltage (s), with the current of late; on the floor, of hover.
     truth : Truth or None
         What only a simulation knows.
+    faults : tuple of Fault
+        What is or will be wrong with simulated sensors.
     """
 
     time_s: float = math.nan
@@ -111,6 +113,7 @@ class FlightState:
     battery_charge: float = math.nan
     battery_left_s: float = math.nan
     truth: Truth | None = None
+    faults: tuple[Fault, ...] = ()
 
     @property
     def height_m(self) -> float:

@@ -10,8 +10,8 @@ it falls below :data:`mufly.link.telemetry.SLOW` and when it is whole again, and
 
 :func:`start_vehicle` gives it a process of its own: a page that draws and a vehicle that flies do not wait for each
 other. The parent holds one end of a pipe. What happens in the vehicle comes through it; ``None`` sent into it asks the
-vehicle to end. When the parent dies the pipe breaks, and the vehicle ends by itself. However it ends (asked, Ctrl-C,
-terminated, the parent gone), it finishes its recording.
+vehicle to end, a fault lets something go wrong with its sensors. When the parent dies the pipe breaks, and the vehicle
+ends by itself. However it ends (asked, Ctrl-C, terminated, the parent gone), it finishes its recording.
 """
 
 from __future__ import annotations
@@ -29,18 +29,22 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from mufly.control import FlightController, design
 from mufly.errors import MuflyError
-from mufly.flight import Event, Flight, FlightState
+from mufly.flight import ALIGNED_WITHIN_S, Event, Flight, FlightState
 from mufly.link.codec import Origin
 from mufly.link.ports import Endpoint, Peer, Port, open_port, wait
 from mufly.link.telemetry import SLOW
 from mufly.link.vehicle import VehicleLink
 from mufly.logs.tlog import TlogWriter
 from mufly.mission import Mission, load_mission
+from mufly.sensors import Fault
 from mufly.vehicle import Vehicle, load_vehicle
+
+Sensing = Literal["ideal", "fitted"]
+"""What a simulated vehicle flies on (:class:`mufly.flight.Flight`)."""
 
 CATCH_UP_S = 1.0
 """Stalls up to so long are made up for (s)."""
@@ -218,15 +222,18 @@ class _Wire:
                         self._tlog.write(out.data)
 
 
-def warm_up(vehicle: Vehicle, controller: FlightController) -> None:
+def warm_up(vehicle: Vehicle, controller: FlightController, sensors: Sensing = "ideal") -> None:
     """Fly a few seconds that nobody sees, so that everything is compiled before the clock runs.
 
     Parameters
     ----------
     vehicle : Vehicle
     controller : FlightController
+    sensors : "ideal" or "fitted"
     """
-    flight = Flight(vehicle, Mission(name="warm-up"), controller=controller, keep=False)
+    flight = Flight(vehicle, Mission(name="warm-up"), controller=controller, keep=False, sensors=sensors)
+    while flight.sensed and flight.autopilot.not_ready() and flight.time_s < _START_WITHIN_S:
+        flight.tick()
     flight.autopilot.arm()
     flight.autopilot.take_off()
     for k in range(round(_WARM_UP_S / flight.period_s)):
@@ -303,6 +310,7 @@ def run(
             link.on_received = tlog.write
         wire, period_s = _Wire(ports, tlog), flight.period_s
         pace, report_s, counted = Pace(clock(), period_s), clock(), (0, 0)
+        start_within_s = ALIGNED_WITHIN_S if flight.sensed else _START_WITHIN_S
         while not stop():
             now_s = clock()
             rest = pace.wait_s(now_s)
@@ -316,7 +324,7 @@ def run(
             if news := pace.news(now_s):
                 flight.note(news, "warning" if pace.factor < SLOW else "info")
             wire.receive(link, now_s)
-            if autostart and (flight.time_s > _START_WITHIN_S or not flight.autopilot.not_ready()):
+            if autostart and (flight.time_s > start_within_s or not flight.autopilot.not_ready()):
                 autostart = False
                 _start(flight)
             flight.tick()
@@ -438,6 +446,18 @@ class VehicleProcess:
             self._process.join()
         self._reader.join(1.0)
 
+    def inject(self, fault: Fault) -> None:
+        """Let something go wrong with a sensor (:meth:`mufly.flight.Flight.inject`); an event tells."""
+        self._wish(fault)
+
+    def clear_faults(self) -> None:
+        """Nothing is wrong with the sensors any more."""
+        self._wish(None)
+
+    def _wish(self, fault: Fault | None) -> None:
+        with contextlib.suppress(OSError, ValueError):
+            self._pipe.send((fault,))
+
     def __enter__(self) -> VehicleProcess:
         return self
 
@@ -481,6 +501,8 @@ def start_vehicle(
     wind: Sequence[float] | None = None,
     gust: float | None = None,
     seed: int = 0,
+    sensors: Sensing = "ideal",
+    faults: Sequence[Fault] = (),
     autostart: bool = False,
     system: int = 1,
     origin: Origin | None = None,
@@ -494,7 +516,7 @@ def start_vehicle(
     endpoints : sequence of Endpoint
     path, tlog : str or Path, optional
         Recording (MCAP) and telemetry log to write.
-    wind, gust, seed
+    wind, gust, seed, sensors, faults
         As for :class:`mufly.flight.Flight`.
     autostart : bool
         Arm and fly the mission by itself.
@@ -519,7 +541,14 @@ def start_vehicle(
         "system": system,
         "origin": origin,
         "where": where,
-        "flight": {"path": path, "wind": None if wind is None else tuple(wind), "gust": gust, "seed": seed},
+        "flight": {
+            "path": path,
+            "wind": None if wind is None else tuple(wind),
+            "gust": gust,
+            "seed": seed,
+            "sensors": sensors,
+            "faults": tuple(faults),
+        },
     }
     return VehicleProcess(order)
 
@@ -568,14 +597,17 @@ def _main(order: Mapping[str, Any], pipe: Connection) -> None:
     signal.signal(signal.SIGTERM, end)
     tell = _Teller(pipe)
 
+    wishes: deque[Fault | None] = deque()
+
     def listen() -> None:
         with contextlib.suppress(EOFError, OSError):
-            pipe.recv()
+            while (said := pipe.recv()) is not None:
+                wishes.append(said[0])
         end()
 
     threading.Thread(target=listen, daemon=True).start()
     try:
-        _fly(order, tell, asked, flying)
+        _fly(order, tell, asked, flying, wishes)
     except MuflyError as error:
         tell("error", str(error))
     except OSError as error:
@@ -587,12 +619,28 @@ def _main(order: Mapping[str, Any], pipe: Connection) -> None:
     )  # all is closed; taking the interpreter apart takes a second or two, and more on a busy machine
 
 
-def _fly(order: Mapping[str, Any], tell: _Teller, asked: threading.Event, flying: threading.Event) -> None:
+def _heed(flight: Flight, wishes: deque[Fault | None]) -> None:
+    """Let go wrong with the sensors what the parent wants; None: nothing any more."""
+    while wishes:
+        fault = wishes.popleft()
+        try:
+            flight.clear_faults() if fault is None else flight.inject(fault)
+        except MuflyError as error:
+            flight.note(str(error), "warning")
+
+
+def _fly(
+    order: Mapping[str, Any],
+    tell: _Teller,
+    asked: threading.Event,
+    flying: threading.Event,
+    wishes: deque[Fault | None],
+) -> None:
     vehicle, mission = order["vehicle"], order["mission"]
     vehicle = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
     mission = mission if isinstance(mission, Mission) else load_mission(mission)
     controller = design(vehicle)
-    warm_up(vehicle, controller)
+    warm_up(vehicle, controller, order["flight"]["sensors"])
     flying.set()
     flight = Flight(vehicle, mission, controller=controller, keep=False, **order["flight"])
     with flight, contextlib.ExitStack() as stack:
@@ -601,7 +649,7 @@ def _fly(order: Mapping[str, Any], tell: _Teller, asked: threading.Event, flying
             flight,
             order["endpoints"],
             link=VehicleLink(flight, system=order["system"], origin=order["origin"]),
-            stop=asked.is_set,
+            stop=lambda: _heed(flight, wishes) or asked.is_set(),
             tlog=log,
             on_event=lambda event: tell("event", event),
             on_open=lambda: tell("ready"),

@@ -23,7 +23,7 @@ from mufly.sensors.readings import (
 )
 from mufly.sensors.ring_camera import RingCamera
 from mufly.sensors.sonar import UltrasonicSensor
-from mufly.sensors.suite import FITTED, FittedSensors, fitted_sensors
+from mufly.sensors.suite import FITTED, FittedSensors, check_faults, fitted_sensors
 
 __all__ = [
     "FITTED",
@@ -48,6 +48,7 @@ __all__ = [
     "Wander",
     "beam_angles",
     "beam_directions",
+    "check_faults",
     "earth_field",
     "fitted_sensors",
     "ideal_ranges",

@@ -52,13 +52,11 @@ class FittedSensors(Sensors):
         Raises
         ------
         InputError
-            If it is of a sensor that the vehicle has not.
+            If it is of a sensor that is not there.
         """
         sensor = self._fitted.get(fault.sensor)
         if sensor is None:
-            raise InputError(
-                "fault", str(fault), f"{self._vehicle} has no sensors.{fault.sensor}", "name another"
-            )
+            raise _not_there(fault, self._vehicle)
         if fault.start_s < now_s:
             stop = fault.stop_s if math.isinf(fault.stop_s) else now_s + fault.stop_s - fault.start_s
             fault = replace(fault, start_s=now_s, stop_s=stop)
@@ -69,6 +67,17 @@ class FittedSensors(Sensors):
         """Nothing is wrong any more, nor will be."""
         for sensor in self._fitted.values():
             sensor.faults = ()
+
+
+def _not_there(fault: Fault, vehicle: str) -> InputError:
+    return InputError("fault", str(fault), f"{vehicle} has no sensors.{fault.sensor}", "name another")
+
+
+def check_faults(vehicle: Vehicle, faults: Iterable[Fault]) -> None:
+    """InputError if a fault is of a sensor that a vehicle has not."""
+    for fault in faults:
+        if getattr(vehicle.sensors, fault.sensor, None) is None:
+            raise _not_there(fault, vehicle.name)
 
 
 def fitted_sensors(

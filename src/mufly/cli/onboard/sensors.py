@@ -16,6 +16,7 @@ from mufly.cli.present import (
     say,
     writing,
 )
+from mufly.cli.station import FaultOption
 from mufly.cli.vehicle import print_group
 from mufly.errors import InputError
 from mufly.results import number
@@ -30,13 +31,6 @@ app = Commands(
 )
 
 _VehicleArgument = Annotated[str, argument("NAME|FILE", "A built-in vehicle, or a vehicle file (TOML).")]
-_FaultOption = Annotated[
-    list[str] | None,
-    option(
-        "--fault NAME.KIND=AMOUNT@STARTs+DURATIONs",
-        "What goes wrong, as sonar.jump=0.3@15s+2s or accelerometer.clip@20s; `mufly sensors faults` lists them.",
-    ),
-]
 
 
 @app.command()
@@ -88,7 +82,7 @@ def simulate(
         str, option("--vehicle NAME|FILE", "A built-in vehicle or a file, with [sensors].")
     ] = "mufly-1.1",
     seed: Annotated[int, option("K", "Same seed, same gusts and errors.")] = 0,
-    fault: _FaultOption = None,
+    fault: FaultOption = None,
     wind: Annotated[
         float | None, option("--wind M/S", "Steady wind from the south, in place of the mission's.")
     ] = None,

@@ -1,0 +1,169 @@
+"""What a vehicle believed on a flight, in pictures: beside the truth, with its bounds, and what it thought of its sensors.
+
+``estimate``: left what is true, measured and believed, right what the belief was off by, in the band of three standard
+deviations that it gave itself. ``sensors``: for every reading how far it was from what was expected, in standard
+deviations of that (the innovation), coloured by what was made of it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from mufly.flight.pictures import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    SKY,
+    VERMILION,
+    state_handles,
+    stretches,
+    tint,
+    title,
+)
+from mufly.flight.summary import runs
+from mufly.flight.trust import sensor_name
+from mufly.quantities import CHECKED, STATUSES
+
+_Array = NDArray[np.float64]
+_BAND = 3.0
+_CLIPPED = 6.0  # innovations beyond stand at the edge
+STATUS_COLOURS = dict(
+    zip(STATUSES, ("#d9d9d9", GREEN, ORANGE, GREY, VERMILION), strict=True)
+)
+"""Colour of what an estimator makes of a reading."""
+
+# quantity, component, heading, factor, what measures it: (quantity, component)
+_PANELS: tuple[tuple[str, int, str, float, tuple[str, int] | None], ...] = (
+    ("position", 0, "North (m)", 1.0, ("position_fix", 0)),
+    ("position", 1, "East (m)", 1.0, ("position_fix", 1)),
+    ("position", 2, "Height (m)", -1.0, ("position_fix", 2)),
+    ("velocity", 0, "Velocity north (m/s)", 1.0, None),
+    ("velocity", 1, "Velocity east (m/s)", 1.0, None),
+    ("velocity", 2, "Climb (m/s)", -1.0, None),
+    ("attitude", 0, "Roll (deg)", 180.0 / np.pi, None),
+    ("attitude", 1, "Pitch (deg)", 180.0 / np.pi, None),
+    ("attitude", 2, "Heading (deg)", 180.0 / np.pi, ("position_fix", 3)),
+)
+
+
+def draw_estimate(dataset: xr.Dataset) -> Figure:
+    """Truth, measurement and estimate over time; beside them the estimate's error in its three-sigma band.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Recording of a flight on sensors, or what :func:`mufly.flight.sensed.estimated` makes of one. Without truth the
+        errors are left out, and the band is drawn around the estimate.
+    """
+    figure = Figure(figsize=(12.0, 14.5))
+    panels: Any = figure.subplots(len(_PANELS), 2, sharex=True)
+    figure.subplots_adjust(left=0.065, right=0.985, top=0.945, bottom=0.035, hspace=0.34, wspace=0.13)
+    time, good = dataset["time"].values, _flown(dataset)
+    for (name, k, heading, factor, measured), (left, right) in zip(_PANELS, panels, strict=True):
+        estimate = factor * dataset[f"estimated_{name}"].values[:, k]
+        sigma = abs(factor) * dataset[f"estimated_{name}_sigma"].values[:, k]
+        truth = factor * dataset[f"truth_{name}"].values[:, k]
+        for ax in (left, right):
+            for state, first, last in stretches(dataset):  # at the top: the bands need the rest
+                ax.axvspan(time[first], time[last], ymin=0.93, color=tint(state), lw=0, zorder=0)
+        if measured is not None:
+            which, part = measured
+            when = dataset[f"measured_{which}_time"].values
+            came = np.isfinite(when)
+            said = factor * dataset[f"measured_{which}"].values[came, part]
+            if name == "attitude":
+                near = np.interp(when[came], time, estimate)
+                said = near + (said - near + 180.0) % 360.0 - 180.0
+            left.plot(when[came], said, ".", ms=2.5, color=GREY, label="measured", zorder=2)
+        left.fill_between(
+            time, estimate - _BAND * sigma, estimate + _BAND * sigma, color=SKY, alpha=0.45, lw=0, zorder=1
+        )
+        left.plot(time, estimate, color=BLUE, lw=1.1, label="estimated", zorder=4)
+        left.plot(time, truth, color=BLACK, lw=0.9, ls=(0, (4, 2)), label="true", zorder=5)
+        left.set_title(heading, pad=4)
+        right.fill_between(time, -_BAND * sigma, _BAND * sigma, color=SKY, alpha=0.45, lw=0, zorder=1)
+        error = estimate - truth
+        right.plot(time, error, color=VERMILION, lw=1.0, zorder=3)
+        what, _, unit = heading.partition(" (")
+        right.set_title(f"{what}: estimated less true ({unit}", pad=4)
+        wide = _BAND * sigma[good]
+        _limit(left, np.concatenate([truth, estimate]))
+        _limit(right, np.concatenate([error[good], -error[good], wide, -wide]))
+        left.set_xlim(time[0], max(time[-1], time[0] + 1e-3))
+    for ax in panels[-1]:
+        ax.set_xlabel("Time (s)")
+    panels[0][0].legend(loc="lower right", bbox_to_anchor=(1.01, 0.95), ncols=3, borderpad=0.1)
+    _header(figure, dataset)
+    return figure
+
+
+def _flown(dataset: xr.Dataset) -> NDArray[np.bool_]:
+    """Where it flies: before, an estimate that is not yet one would set the scale."""
+    flown = dataset["estimated_valid"].values > 0.5
+    return flown if flown.any() else np.ones(len(flown), dtype=bool)
+
+
+def _limit(ax: Any, values: _Array) -> None:
+    good = values[np.isfinite(values)]
+    if not len(good):
+        return
+    low, high = float(np.min(good)), float(np.max(good))
+    room = 0.08 * max(high - low, 1e-6)
+    ax.set_ylim(low - room, high + 1.5 * room)
+
+
+def _header(figure: Figure, dataset: xr.Dataset) -> None:
+    handles = state_handles([name for name, _, _ in runs(dataset)])
+    figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, 0.995), ncols=len(handles))
+    figure.text(0.02, 0.99, title(dataset), fontsize=10, va="top")
+    figure.text(0.02, 0.974, "bands: three standard deviations", fontsize=8.5, va="top", color=GREY)
+
+
+def draw_checks(dataset: xr.Dataset) -> Figure:
+    """Innovations of every sensor in standard deviations, and what was made of it: fused, rejected, missing, faulty."""
+    names = [name for name in CHECKED if np.isfinite(dataset[f"status_{name}"].values).any()]
+    figure = Figure(figsize=(12.0, 1.2 + 1.15 * max(1, len(names))))
+    panels: Any = np.atleast_1d(figure.subplots(max(1, len(names)), 1, sharex=True))
+    figure.subplots_adjust(
+        left=0.115, right=0.985, top=1.0 - 0.75 / figure.get_figheight(), bottom=0.55 / figure.get_figheight(), hspace=0.3
+    )
+    time = dataset["time"].values
+    step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    for name, ax in zip(names, panels, strict=False):
+        code, ratio = dataset[f"status_{name}"].values, dataset[f"innovation_{name}"].values
+        edges = [0, *(np.flatnonzero(code[1:] != code[:-1]) + 1), len(code)]
+        for a, b in zip(edges[:-1], edges[1:], strict=True):
+            if np.isfinite(code[a]):
+                shade = STATUS_COLOURS[STATUSES[int(code[a])]]
+                ax.axvspan(time[a], time[b - 1] + step, ymin=0.0, ymax=0.09, color=shade, lw=0)
+        new = np.concatenate(([True], ratio[1:] != ratio[:-1])) & np.isfinite(ratio)
+        for k, status in enumerate(STATUSES):
+            mine = new & (code == k)
+            if mine.any() and status != "waiting":
+                ax.plot(
+                    time[mine], np.clip(ratio[mine], -_CLIPPED, _CLIPPED), ".", ms=2.5, color=STATUS_COLOURS[status]
+                )
+        for line in (-_BAND, _BAND):
+            ax.axhline(line, color=BLACK, lw=0.7, ls=":")
+        ax.set_ylim(-1.25 * _CLIPPED, 1.05 * _CLIPPED)
+        ax.set_yticks((-3, 0, 3))
+        ax.set_ylabel(sensor_name(name).replace(" ", "\n", 1), rotation=0, ha="right", va="center")
+        ax.set_xlim(time[0], max(time[-1], time[0] + 1e-3))
+    panels[-1].set_xlabel("Time (s)")
+    handles = [Patch(color=colour, label=status) for status, colour in STATUS_COLOURS.items()]
+    figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, 0.995), ncols=len(handles))
+    figure.text(0.02, 1.0 - 0.12 / figure.get_figheight(), title(dataset), fontsize=10, va="top")
+    figure.text(
+        0.02, 1.0 - 0.36 / figure.get_figheight(),
+        "dots: innovation in standard deviations (6 and more at the edge); bar: what was made of the sensor",
+        fontsize=8.5, va="top", color=GREY,
+    )  # fmt: skip
+    return figure
