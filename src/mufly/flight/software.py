@@ -43,7 +43,7 @@ from mufly.control import (
 )
 from mufly.estimate import Estimate, Watch, watch
 from mufly.flight.oscillation import Oscillation, OscillationWatch, steered
-from mufly.flight.trust import Doubts
+from mufly.flight.trust import Doubts, Smooth
 from mufly.mission import (
     NO_SIGNAL,
     RAMP_DOWN_S,
@@ -153,6 +153,7 @@ class FlightSoftware:
         self._oscillations = OscillationWatch()
         self.oscillation: Oscillation | None = None
         self._doubts, self._held, self._waits = Doubts(), False, False
+        self._smooth = Smooth()
         # Motor voltages, averaged over the last second of flight.
         self._held_up: _Array = np.zeros(2)
 
@@ -237,6 +238,8 @@ class FlightSoftware:
         first = self._watch is None
         self._watch = watch(self._watch, estimate, self._period_s, self.plan.ring.max_range)
         m = self._watch.good
+        if m.beliefs is not None:
+            m = self._smooth.step(m)
         if first:
             self.mission_state = begin(self.plan, m)
         if command is not NO_SIGNAL and command != NO_SIGNAL:

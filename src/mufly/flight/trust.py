@@ -14,6 +14,9 @@ heading uncertain by more than 30 degrees         it lands
 
 All are standard deviations. In the air only, and not against a pilot, who is told and decides.
 
+What the controllers get moves on smoothly (:class:`Smooth`): a filter corrects itself at every measurement, a few
+millimetres at a time, and heave control answers a step of 1 cm with a fifth of the motors' range.
+
 Something is said of a sensor when it has not been used, or not believed, for most of a quarter of a second, and again
 when it has been fused for a second. A reading that is left out now and then is none of both: a level rises with the
 time that a sensor is not believed and sinks with a tenth of the time that it is.
@@ -22,7 +25,7 @@ time that a sensor is not believed and sinks with a tenth of the time that it is
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -148,6 +151,44 @@ class Doubts:
     def _say(self, found: Doubt) -> Doubt:
         self.now = found
         return found
+
+
+SMOOTH_S = 0.3
+"""Time constant with which corrections of position and heading reach the controllers (s)."""
+FASTEST_M_S, FASTEST_RAD_S = 0.5, 0.5
+"""How fast, at most."""
+
+
+class Smooth:
+    """Position and heading without the steps of a filter's corrections.
+
+    They move with the estimated velocity and rate of turn, and are pulled towards the estimate::
+
+        x' = v + clip((x_est - x) / tau, +-v_max)
+
+    so that motion comes without lag and corrections within a second: what autopilots call an output predictor.
+    """
+
+    def __init__(self) -> None:
+        self._last: Estimate | None = None
+        self._place = np.zeros(3)
+        self._heading = 0.0
+
+    def step(self, m: Estimate) -> Estimate:
+        """Return the estimate to control by."""
+        last, self._last = self._last, m
+        if last is None or not 0.0 < m.time_s - last.time_s < 0.1:
+            self._place, self._heading = m.position.copy(), float(m.attitude[2])
+            return m
+        dt = m.time_s - last.time_s
+        v = 0.5 * (last.velocity + m.velocity)
+        off = (m.position - self._place - dt * v) / SMOOTH_S
+        self._place = self._place + dt * (v + np.minimum(np.maximum(off, -FASTEST_M_S), FASTEST_M_S))
+        roll, pitch = float(m.attitude[0]), float(m.attitude[1])
+        turn = (math.sin(roll) * float(m.rates[1]) + math.cos(roll) * float(m.rates[2])) / max(math.cos(pitch), 0.1)
+        away = (float(m.attitude[2]) - self._heading - dt * turn) / SMOOTH_S
+        self._heading += dt * (turn + min(max(away, -FASTEST_RAD_S), FASTEST_RAD_S))
+        return replace(m, position=self._place, attitude=np.array([roll, pitch, self._heading]))
 
 
 @dataclass
