@@ -239,7 +239,7 @@ class FlightSoftware:
         self._watch = watch(self._watch, estimate, self._period_s, self.plan.ring.max_range)
         m = self._watch.good
         if m.beliefs is not None:
-            m = self._smooth.step(m)
+            m = self._smooth.step(m, anew=self._motors == "off")
         if first:
             self.mission_state = begin(self.plan, m)
         if command is not NO_SIGNAL and command != NO_SIGNAL:

@@ -174,10 +174,10 @@ class Smooth:
         self._place = np.zeros(3)
         self._heading = 0.0
 
-    def step(self, m: Estimate) -> Estimate:
-        """Return the estimate to control by."""
+    def step(self, m: Estimate, *, anew: bool = False) -> Estimate:
+        """Return the estimate to control by; ``anew``: nothing is controlled yet."""
         last, self._last = self._last, m
-        if last is None or not 0.0 < m.time_s - last.time_s < 0.1:
+        if anew or last is None or not 0.0 < m.time_s - last.time_s < 0.1:
             self._place, self._heading = m.position.copy(), float(m.attitude[2])
             return m
         dt = m.time_s - last.time_s
