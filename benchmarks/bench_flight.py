@@ -64,7 +64,17 @@ def command(cache: str | None = None) -> float:
     """Seconds of `mufly fly --json` in a new process."""
     environment = dict(os.environ) if cache is None else {**os.environ, "NUMBA_CACHE_DIR": cache}
     with tempfile.TemporaryDirectory() as folder:
-        call = [sys.executable, "-c", "from mufly.cli import main; main()", "fly", "--json", "--out", folder]
+        call = [
+            sys.executable,
+            "-c",
+            "from mufly.cli import main; main()",
+            "fly",
+            "--sensors",
+            "ideal",
+            "--json",
+            "--out",
+            folder,
+        ]
         began = time.perf_counter()
         subprocess.run(
             call, env=environment, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL

@@ -41,9 +41,15 @@ def run(monkeypatch, *words: object) -> int:
     return 0
 
 
+IDEAL = ("--sensors", "ideal")  # what these tests are about does not depend on what it flies on
+
+
 def test_a_flight_writes_recording_summary_and_pictures(monkeypatch, capsys, tmp_path, hop) -> None:
     out = tmp_path / "out"
-    assert run(monkeypatch, "fly", hop, "--out", out, "--headless", "--gust", "0.1", "--wind", "0.2,0,0") == 0
+    assert (
+        run(monkeypatch, "fly", hop, *IDEAL, "--out", out, "--headless", "--gust", "0.1", "--wind", "0.2,0,0")
+        == 0
+    )
     shown = capsys.readouterr().out
     assert "succeeded" in shown
     assert "take-off" in shown
@@ -54,7 +60,10 @@ def test_a_flight_writes_recording_summary_and_pictures(monkeypatch, capsys, tmp
 
 
 def test_json_is_all_there_is_on_standard_output(monkeypatch, capsys, tmp_path, hop) -> None:
-    assert run(monkeypatch, "fly", hop, "--out", tmp_path / "out", "--json", "--vehicle", "mufly-2.0") == 0
+    assert (
+        run(monkeypatch, "fly", hop, *IDEAL, "--out", tmp_path / "out", "--json", "--vehicle", "mufly-2.0")
+        == 0
+    )
     summary = json.loads(capsys.readouterr().out)
     assert summary["outcome"] == "succeeded"
     assert summary == json.loads((tmp_path / "out" / "summary.json").read_text())
@@ -62,8 +71,8 @@ def test_json_is_all_there_is_on_standard_output(monkeypatch, capsys, tmp_path, 
 
 def test_default_folder_carries_the_date(monkeypatch, tmp_path, hop) -> None:
     monkeypatch.chdir(tmp_path)
-    assert run(monkeypatch, "fly", hop, "--headless") == 0
-    assert run(monkeypatch, "fly", hop, "--headless") == 0
+    assert run(monkeypatch, "fly", hop, *IDEAL, "--headless") == 0
+    assert run(monkeypatch, "fly", hop, *IDEAL, "--headless") == 0
     folders = sorted((tmp_path / "flights").iterdir())
     assert len(folders) == 2
     assert folders[0].name.startswith("20")
@@ -75,7 +84,9 @@ def test_a_failed_mission_has_a_reason_and_a_status(monkeypatch, capsys, tmp_pat
     from mufly.vehicle import load_vehicle, replace, vehicle_toml
 
     heavy.write_text(vehicle_toml(replace(load_vehicle("mufly-1.1"), {"battery.internal_resistance": 0.55})))
-    assert run(monkeypatch, "fly", hop, "--headless", "--vehicle", heavy, "--out", tmp_path / "out") == 1
+    assert (
+        run(monkeypatch, "fly", hop, *IDEAL, "--headless", "--vehicle", heavy, "--out", tmp_path / "out") == 1
+    )
     assert "the mission failed: battery low" in capsys.readouterr().err
     assert (tmp_path / "out" / "summary.json").exists()
 
@@ -91,6 +102,9 @@ def test_a_failed_mission_has_a_reason_and_a_status(monkeypatch, capsys, tmp_pat
         (["--gust", "-1"], "--gust"),
         (["--gust", "nan"], "--gust"),
         (["--seed", "-1"], "--seed"),
+        (["--sensors", "some"], "use one of: fitted, ideal"),
+        (["--fault", "sonar.sulks"], "sulks"),
+        (["--fault", "sonar.jump", "--sensors", "ideal"], "--sensors ideal"),
         (["--seed", str(10**40)], "--seed"),
         (["--out", "x" * 300], "--out"),
         (["--link", "udp:nowhere"], "--link"),
@@ -155,6 +169,7 @@ def test_control_c_leaves_a_readable_recording(tmp_path, hop) -> None:
             "-c",
             "from mufly.cli import main; main()",
             "fly",
+            *IDEAL,
             "--headless",
             "--realtime",
             "--out",
@@ -181,7 +196,7 @@ def test_control_c_leaves_a_readable_recording(tmp_path, hop) -> None:
 def test_a_page_that_nobody_opens_flies_the_mission_by_itself(monkeypatch, capsys, tmp_path, hop) -> None:
     monkeypatch.setattr("mufly.cli.fly.LONELY_S", 0.2)
     out = tmp_path / "out"
-    assert run(monkeypatch, "fly", hop, "--no-browser", "--out", out) == 0
+    assert run(monkeypatch, "fly", hop, *IDEAL, "--no-browser", "--out", out) == 0
     shown = capsys.readouterr()
     assert "http://127.0.0.1:" in shown.err
     assert "No page was opened" in shown.out
@@ -197,7 +212,7 @@ def test_behind_a_link_it_flies_in_real_time_and_others_hear_it(monkeypatch, tmp
         listener.bind(("127.0.0.1", 0))
         number = listener.getsockname()[1]
         began = time.monotonic()
-        words = ("fly", hop, "--headless", "--link", f"udp:127.0.0.1:{number}", "--out", out)
+        words = ("fly", hop, *IDEAL, "--headless", "--link", f"udp:127.0.0.1:{number}", "--out", out)
         assert run(monkeypatch, *words) == 0
         spent = time.monotonic() - began
         assert listener.recv(1000)[0] == 0xFD  # a MAVLink 2 packet

@@ -41,7 +41,16 @@ def test_it_flies_until_it_is_told_to_end_and_leaves_whole_recordings(tmp_path):
         station.bind(("127.0.0.1", 0))
         station.settimeout(30.0)
         end = f"udp:127.0.0.1:{station.getsockname()[1]}"
-        command = [sys.executable, "-c", "from mufly.cli import main; main()", "link", "--link", end]
+        command = [
+            sys.executable,
+            "-c",
+            "from mufly.cli import main; main()",
+            "link",
+            "--sensors",
+            "ideal",
+            "--link",
+            end,
+        ]
         process = subprocess.Popen(
             [*command, "--out", tmp_path, "--system", "9"],
             stdout=subprocess.PIPE,

@@ -108,6 +108,8 @@ def start_vehicle(folder: Path, *options: str) -> Linked:
             "-c",
             code,
             "link",
+            "--sensors",
+            "ideal",
             "--link",
             f"udp:127.0.0.1:{port}",
             "--out",

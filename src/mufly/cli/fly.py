@@ -460,6 +460,7 @@ def _write_results(
     text = json.dumps(summary.to_dict(), indent=2)
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
     pictures = flight.draw_flight(dataset, folder, waypoints=waypoints, world=mission.world)
+    pictures += flight.draw_belief(dataset, folder)
     if as_json:
         print(text)
     else:

@@ -1,11 +1,13 @@
 """All of it at once: the flight software, the closed loop, the recorder, pictures and numbers of a flight."""
 
 from mufly.flight.autopilot import Autopilot
+from mufly.flight.estimate_pictures import draw_belief, draw_checks, draw_estimate
 from mufly.flight.flight import ALIGNED_WITHIN_S, Flight, Progress, fly
 from mufly.flight.parameters import Parameter
 from mufly.flight.pictures import draw_flight
 from mufly.flight.plant import Demand, Plant, respond
 from mufly.flight.recorder import Recorder
+from mufly.flight.sensed import readings_of, replay
 from mufly.flight.sensor_log import (
     ReadingErrors,
     SensorLog,
@@ -40,6 +42,9 @@ __all__ = [
     "SensorLog",
     "SetPoint",
     "Summary",
+    "draw_belief",
+    "draw_checks",
+    "draw_estimate",
     "draw_flight",
     "draw_sensors",
     "events_of",
@@ -48,6 +53,8 @@ __all__ = [
     "read_attachments",
     "read_recording",
     "reading_errors",
+    "readings_of",
+    "replay",
     "respond",
     "standard_layout",
     "summarise",

@@ -1,4 +1,4 @@
-"""What a vehicle believed on a flight, in pictures: beside the truth, with its bounds, and what it thought of its sensors.
+"""What a vehicle believed on a flight, in pictures: beside the truth, with its bounds, and what it made of its sensors.
 
 ``estimate``: left what is true, measured and believed, right what the belief was off by, in the band of three standard
 deviations that it gave itself. ``sensors``: for every reading how far it was from what was expected, in standard
@@ -7,8 +7,10 @@ deviations of that (the innovation), coloured by what was made of it.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
@@ -22,6 +24,7 @@ from mufly.flight.pictures import (
     GREY,
     ORANGE,
     SKY,
+    STYLE,
     VERMILION,
     state_handles,
     stretches,
@@ -35,9 +38,7 @@ from mufly.quantities import CHECKED, STATUSES
 _Array = NDArray[np.float64]
 _BAND = 3.0
 _CLIPPED = 6.0  # innovations beyond stand at the edge
-STATUS_COLOURS = dict(
-    zip(STATUSES, ("#d9d9d9", GREEN, ORANGE, GREY, VERMILION), strict=True)
-)
+STATUS_COLOURS = dict(zip(STATUSES, ("#d9d9d9", GREEN, ORANGE, GREY, VERMILION), strict=True))
 """Colour of what an estimator makes of a reading."""
 
 # quantity, component, heading, factor, what measures it: (quantity, component)
@@ -52,6 +53,23 @@ _PANELS: tuple[tuple[str, int, str, float, tuple[str, int] | None], ...] = (
     ("attitude", 1, "Pitch (deg)", 180.0 / np.pi, None),
     ("attitude", 2, "Heading (deg)", 180.0 / np.pi, ("position_fix", 3)),
 )
+
+
+def draw_belief(dataset: xr.Dataset, folder: str | Path, *, dpi: int = 110) -> list[Path]:
+    """Draw what was believed on a flight on sensors into a folder; nothing, of a flight on what is true.
+
+    Returns
+    -------
+    list of Path
+        ``estimate.png``, ``sensors.png``.
+    """
+    if "estimated_valid" not in dataset:
+        return []
+    paths = [Path(folder) / f"{name}.png" for name in ("estimate", "sensors")]
+    with mpl.rc_context(STYLE):
+        for path, figure in zip(paths, (draw_estimate(dataset), draw_checks(dataset)), strict=True):
+            figure.savefig(path, dpi=dpi)
+    return paths
 
 
 def draw_estimate(dataset: xr.Dataset) -> Figure:
@@ -130,11 +148,10 @@ def _header(figure: Figure, dataset: xr.Dataset) -> None:
 def draw_checks(dataset: xr.Dataset) -> Figure:
     """Innovations of every sensor in standard deviations, and what was made of it: fused, rejected, missing, faulty."""
     names = [name for name in CHECKED if np.isfinite(dataset[f"status_{name}"].values).any()]
-    figure = Figure(figsize=(12.0, 1.2 + 1.15 * max(1, len(names))))
+    height = 1.2 + 1.15 * max(1, len(names))
+    figure = Figure(figsize=(12.0, height))
     panels: Any = np.atleast_1d(figure.subplots(max(1, len(names)), 1, sharex=True))
-    figure.subplots_adjust(
-        left=0.115, right=0.985, top=1.0 - 0.75 / figure.get_figheight(), bottom=0.55 / figure.get_figheight(), hspace=0.3
-    )
+    figure.subplots_adjust(left=0.115, right=0.985, top=1 - 0.75 / height, bottom=0.55 / height, hspace=0.3)
     time = dataset["time"].values
     step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     for name, ax in zip(names, panels, strict=False):
@@ -149,7 +166,11 @@ def draw_checks(dataset: xr.Dataset) -> Figure:
             mine = new & (code == k)
             if mine.any() and status != "waiting":
                 ax.plot(
-                    time[mine], np.clip(ratio[mine], -_CLIPPED, _CLIPPED), ".", ms=2.5, color=STATUS_COLOURS[status]
+                    time[mine],
+                    np.clip(ratio[mine], -_CLIPPED, _CLIPPED),
+                    ".",
+                    ms=2.5,
+                    color=STATUS_COLOURS[status],
                 )
         for line in (-_BAND, _BAND):
             ax.axhline(line, color=BLACK, lw=0.7, ls=":")
@@ -160,9 +181,9 @@ def draw_checks(dataset: xr.Dataset) -> Figure:
     panels[-1].set_xlabel("Time (s)")
     handles = [Patch(color=colour, label=status) for status, colour in STATUS_COLOURS.items()]
     figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, 0.995), ncols=len(handles))
-    figure.text(0.02, 1.0 - 0.12 / figure.get_figheight(), title(dataset), fontsize=10, va="top")
+    figure.text(0.02, 1 - 0.12 / height, title(dataset), fontsize=10, va="top")
     figure.text(
-        0.02, 1.0 - 0.36 / figure.get_figheight(),
+        0.02, 1 - 0.36 / height,
         "dots: innovation in standard deviations (6 and more at the edge); bar: what was made of the sensor",
         fontsize=8.5, va="top", color=GREY,
     )  # fmt: skip

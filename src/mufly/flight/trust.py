@@ -56,7 +56,7 @@ class Doubt(NamedTuple):
 NO_DOUBT = Doubt()
 
 _NAMES = {
-    "acceleration": "accelerometers", "rates": "gyroscopes", "ground_distance": "sonar", "ranges": "laser ring",
+    "acceleration": "accelerometer", "rates": "gyroscope", "ground_distance": "sonar", "ranges": "laser ring",
     "pressure": "pressure sensor", "magnetic_field": "magnetometer", "rotor_speed": "rotor speed",
     "position_fix": "position fix", "battery_voltage": "battery monitor",
 }  # fmt: skip
@@ -185,7 +185,9 @@ class Smooth:
         off = (m.position - self._place - dt * v) / SMOOTH_S
         self._place = self._place + dt * (v + np.minimum(np.maximum(off, -FASTEST_M_S), FASTEST_M_S))
         roll, pitch = float(m.attitude[0]), float(m.attitude[1])
-        turn = (math.sin(roll) * float(m.rates[1]) + math.cos(roll) * float(m.rates[2])) / max(math.cos(pitch), 0.1)
+        turn = (math.sin(roll) * float(m.rates[1]) + math.cos(roll) * float(m.rates[2])) / max(
+            math.cos(pitch), 0.1
+        )
         away = (float(m.attitude[2]) - self._heading - dt * turn) / SMOOTH_S
         self._heading += dt * (turn + min(max(away, -FASTEST_RAD_S), FASTEST_RAD_S))
         return replace(m, position=self._place, attitude=np.array([roll, pitch, self._heading]))

@@ -63,6 +63,8 @@ class Fly:
             "fly",
             str(folder / "hop.toml"),
             "--no-browser",
+            "--sensors",
+            "ideal",
             "--port",
             str(self.port),
             "--out",

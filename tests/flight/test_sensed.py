@@ -1,0 +1,215 @@
+"""Flights on the vehicle's own sensors: what is recorded, what is done about doubt, what is said of sensors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mufly.control import FlightController, design
+from mufly.errors import InputError
+from mufly.estimate import ERROR_STATES, Beliefs, Check, Estimate, Estimator
+from mufly.flight import Flight, fly
+from mufly.flight.trust import BAD_S, GOOD_S, Doubts, SensorWatch, Smooth, judge, outlook
+from mufly.mission import mission_from
+from mufly.quantities import CHECKED, STATUSES
+from mufly.sensors import READINGS, Readings, parse_fault
+from mufly.vehicle import Vehicle, load_vehicle
+
+HOP = mission_from({"take_off": {"height_m": 0.6, "wait_s": 0.5}, "waypoint": [{"position_m": [0.4, 0.0, -0.6]}]})
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Vehicle:
+    return load_vehicle("mufly-1.1")
+
+
+@pytest.fixture(scope="module")
+def controller(vehicle: Vehicle) -> FlightController:
+    return design(vehicle)
+
+
+def believing(m: Estimate, *, xy: float = 0.04, z: float = 0.01, tilt: float = 0.01, **checks: str) -> Estimate:
+    """An estimate with these deviations (m, m, rad), and what is thought of some sensors."""
+    sigma = np.array([xy, xy, z, 0.1, 0.1, 0.1, tilt, tilt, 0.02, 0.01, 0.01, 0.01])
+    said = tuple(Check(name, status, reason="so it is") for name, status in checks.items())  # type: ignore[arg-type]
+    beliefs = Beliefs(np.zeros(3), np.zeros(3), 0.0, np.zeros(4), np.zeros(2), 1.0, np.ones(len(ERROR_STATES)), said)
+    return replace(m, covariance=np.diag(sigma**2), beliefs=beliefs)
+
+
+def still(time_s: float = 1.0) -> Estimate:
+    zero = np.zeros(3)
+    return Estimate(time_s, np.array([0.0, 0.0, -1.0]), zero, zero, zero, np.full(8, 1.5), 7.4)
+
+
+class Teller(Estimator):
+    """Tells what is true, with doubts that a test sets."""
+
+    def __init__(self) -> None:
+        self.flight: Flight
+        self.doubt: dict[str, object] = {}
+
+    def update(self, readings: Readings, acting: np.ndarray | None = None) -> Estimate:
+        t = self.flight.plant.truth if hasattr(self, "flight") else None
+        if t is None:
+            return believing(still(readings.time_s))
+        ranges, zero = np.full(8, 1.5), {}
+        m = Estimate(readings.time_s, t.position, t.velocity, t.attitude, t.rates, ranges, t.voltage, **zero)
+        return believing(m, **self.doubt)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def doubting(vehicle: Vehicle, controller: FlightController):
+    """A flight that hovers on its way, with an estimator whose doubts can be set: (flight, estimator, events)."""
+    teller = Teller()
+    flight = Flight(vehicle, LONG, controller=controller, sensors="fitted", estimator=teller, keep=False)
+    teller.flight = flight
+    events: list[str] = []
+    flight.autopilot.listeners.append(lambda e: events.append(e.text))
+    flight.tick()
+    flight.autopilot.arm()
+    flight.autopilot.start_mission()
+    while flight.status.state != "waypoint":
+        flight.tick()
+    return flight, teller, events
+
+
+LONG = mission_from(
+    {"take_off": {"height_m": 0.5, "wait_s": 0.1}, "waypoint": [{"position_m": [3.0, 0.0, -0.5]}]}
+)
+
+
+def run(flight: Flight, seconds: float) -> None:
+    until = flight.time_s + seconds
+    while flight.time_s < until:
+        flight.tick()
+
+
+def test_an_uncertain_position_makes_it_wait_and_a_certain_one_go_on(doubting) -> None:
+    flight, teller, events = doubting
+    teller.doubt = {"xy": 0.3, "position_fix": "missing"}
+    run(flight, 1.0)
+    assert flight.status.state == "hover"
+    assert any("position uncertain by 0.30 m (position fix says nothing: so it is)" in e for e in events)
+    run(flight, 2.0)
+    assert abs(flight.plant.state[3]) < 0.1  # it stands still meanwhile
+    teller.doubt = {"xy": 0.2}
+    run(flight, 2.0)
+    assert flight.status.state == "hover"  # not certain enough
+    teller.doubt = {}
+    run(flight, 2.0)
+    assert flight.status.state == "waypoint"
+    assert "position known again" in events
+    teller.doubt = {"xy": 0.3}
+    run(flight, 11.0)
+    assert flight.status.state == "landing"
+    assert flight.status.outcome == "failed"
+    assert flight.status.reason.startswith("position uncertain by 0.30 m")
+    assert flight.status.reason.endswith("for 10 s")
+
+
+def test_an_attitude_in_doubt_brings_it_down_at_once(doubting) -> None:
+    flight, teller, _ = doubting
+    teller.doubt = {"tilt": 0.3, "rates": "faulty"}
+    run(flight, 0.1)
+    assert flight.status.motors == "blind"
+    assert flight.status.reason == "attitude uncertain by 17 deg (gyroscope is faulty: so it is)"
+    run(flight, 6.0)
+    assert flight.status.motors == "off"
+    assert not flight.plant.crashed
+
+
+@pytest.mark.parametrize(
+    ("doubt", "demand"),
+    [
+        ({}, ""),
+        ({"xy": 0.26}, "hold"),
+        ({"xy": 0.7}, "land"),
+        ({"z": 0.4}, "land"),
+        ({"tilt": 0.2}, "sink"),
+        ({"z": 0.4, "tilt": 0.2}, "sink"),
+    ],
+)
+def test_what_is_done_follows_from_the_covariance_alone(doubt: dict[str, float], demand: str) -> None:
+    m = believing(still(), **doubt)  # type: ignore[arg-type]
+    assert judge(m).demand == demand
+    assert (judge(m).why == "") == (demand == "")
+    assert judge(replace(m, beliefs=None)).demand == ""  # what is told the truth has no doubts
+
+
+def test_doubts_do_not_chatter() -> None:
+    rng, doubts, said = np.random.default_rng(1), Doubts(), []
+    for k in range(2000):
+        before = doubts.now
+        doubts.step(believing(still(0.02 * k), xy=0.2 + 0.08 * rng.uniform(-1, 1)))
+        said += [doubts.now.demand] * (doubts.now is not before)
+    assert said[:1] == ["hold"]
+    assert len(said) <= 2  # and at last it lands
+
+
+def watched(status_at, seconds: float, watch: SensorWatch, period_s: float = 0.005) -> list[tuple[float, str]]:
+    told = []
+    for k in range(round(seconds / period_s)):
+        t = k * period_s
+        said = watch.step((Check("ranges", status_at(t), reason="why"),), period_s)
+        told += [(t, text) for text, _ in said]
+    return told
+
+
+def test_what_is_said_of_sensors_comes_soon_and_once() -> None:
+    told = watched(lambda t: "missing" if 1.0 <= t < 3.0 else "fused", 6.0, SensorWatch())
+    assert [text for _, text in told] == ["laser ring says nothing: why", "laser ring is used again"]
+    assert told[0][0] == pytest.approx(1.0 + BAD_S, abs=0.02)
+    assert told[1][0] == pytest.approx(3.0 + GOOD_S, abs=0.02)
+    # one reading of 15 Hz that does not fit, every second, is no event; one in four is, and only one
+    assert not watched(lambda t: "rejected" if t % 1.0 < 0.066 else "fused", 60.0, SensorWatch())
+    told = watched(lambda t: "rejected" if t % 0.266 < 0.066 else "fused", 60.0, SensorWatch())
+    assert [text for _, text in told] == ["laser ring is not believed: why"]
+
+
+def test_smoothing_lets_motion_through_and_spreads_corrections() -> None:
+    smooth, dt = Smooth(), 0.005
+    moving = np.array([0.5, 0.0, -0.2])
+    for k in range(2000):
+        t = k * dt
+        m = replace(still(t), position=moving * t, velocity=moving)
+        out = smooth.step(m)
+        assert out.position == pytest.approx(m.position, abs=1e-12)  # no lag
+    step = np.array([0.01, 0.0, 0.0])
+    before = out.position
+    worst = 0.0
+    for k in range(2000, 2400):
+        t = k * dt
+        out = smooth.step(replace(still(t), position=moving * t + step, velocity=moving))
+        worst = max(worst, float(np.abs(out.position - before - dt * moving).max()))
+        before = out.position
+    assert worst < 2e-4  # a fiftieth of the step in a period
+    assert out.position == pytest.approx(moving * t + step, abs=1e-4)
+
+
+def test_before_take_off_it_says_what_will_not_work() -> None:
+    m = believing(still(), position_fix="missing", ranges="fused")
+    assert "nothing tells where it is" in outlook(m, 1.5)
+    assert outlook(replace(m, ranges=np.array([1.5, 0.8])), 1.5) == ""
+    assert outlook(believing(still(), position_fix="fused", ranges="fused"), 1.5) == ""
+    assert outlook(still(), 1.5) == ""
+
+
+def test_statuses_and_readings_have_one_list() -> None:
+    import typing
+
+    from mufly.estimate import Status
+
+    assert set(typing.get_args(Status)) == set(STATUSES)
+    assert set(CHECKED) <= set(READINGS)
+
+
+def test_a_vehicle_without_sensors_says_so_and_flies_on_what_is_true(vehicle, controller) -> None:
+    bare = vehicle.model_copy(update={"sensors": None})
+    told: list[str] = []
+    flight = fly(bare, HOP, controller=controller, sensors="fitted", on_event=lambda e: told.append(e.text))
+    assert flight.attrs["outcome"] == "succeeded"
+    assert told[0] == "mufly-1.1 has no table [sensors]: it flies on what is true"
+    with pytest.raises(InputError, match="no table"):
+        Flight(bare, HOP, controller=controller, sensors="fitted", faults=[parse_fault("sonar.jump")])
+    with pytest.raises(InputError, match="flies on what is true"):
+        Flight(vehicle, HOP, controller=controller, faults=[parse_fault("sonar.jump")])
