@@ -15,7 +15,9 @@ from mufly.quantities import CHECKED, STATUSES
 from mufly.sensors import READINGS, Readings, parse_fault
 from mufly.vehicle import Vehicle, load_vehicle
 
-HOP = mission_from({"take_off": {"height_m": 0.6, "wait_s": 0.5}, "waypoint": [{"position_m": [0.4, 0.0, -0.6]}]})
+HOP = mission_from(
+    {"take_off": {"height_m": 0.6, "wait_s": 0.5}, "waypoint": [{"position_m": [0.4, 0.0, -0.6]}]}
+)
 
 
 @pytest.fixture(scope="module")
@@ -28,11 +30,15 @@ def controller(vehicle: Vehicle) -> FlightController:
     return design(vehicle)
 
 
-def believing(m: Estimate, *, xy: float = 0.04, z: float = 0.01, tilt: float = 0.01, **checks: str) -> Estimate:
+def believing(
+    m: Estimate, *, xy: float = 0.04, z: float = 0.01, tilt: float = 0.01, **checks: str
+) -> Estimate:
     """An estimate with these deviations (m, m, rad), and what is thought of some sensors."""
     sigma = np.array([xy, xy, z, 0.1, 0.1, 0.1, tilt, tilt, 0.02, 0.01, 0.01, 0.01])
     said = tuple(Check(name, status, reason="so it is") for name, status in checks.items())  # type: ignore[arg-type]
-    beliefs = Beliefs(np.zeros(3), np.zeros(3), 0.0, np.zeros(4), np.zeros(2), 1.0, np.ones(len(ERROR_STATES)), said)
+    beliefs = Beliefs(
+        np.zeros(3), np.zeros(3), 0.0, np.zeros(4), np.zeros(2), 1.0, np.ones(len(ERROR_STATES)), said
+    )
     return replace(m, covariance=np.diag(sigma**2), beliefs=beliefs)
 
 
@@ -146,7 +152,9 @@ def test_doubts_do_not_chatter() -> None:
     assert len(said) <= 2  # and at last it lands
 
 
-def watched(status_at, seconds: float, watch: SensorWatch, period_s: float = 0.005) -> list[tuple[float, str]]:
+def watched(
+    status_at, seconds: float, watch: SensorWatch, period_s: float = 0.005
+) -> list[tuple[float, str]]:
     told = []
     for k in range(round(seconds / period_s)):
         t = k * period_s

@@ -420,7 +420,8 @@ for _name, _words, _quick in (
      "reference_attitude.roll=roll_ref -c measured_rates.p=gyro_x(deg/s) -c battery_voltage=U(V)", True),
     ("thesis.list", "thesis list", True),
     ("fly.demonstration", "fly demonstration --sensors ideal --out flown --seed 3", False),
-    ("fly.box", "fly box-on-leg --vehicle mufly-2.0 --sensors ideal --out flown --wind 0.3,0,0 --gust 0.2 --seed 7", False),
+    ("fly.box", "fly box-on-leg --vehicle mufly-2.0 --sensors ideal --out flown --wind 0.3,0,0 --gust 0.2 --seed 7",
+     False),
 ):  # fmt: skip
     command(_name, _words, quick=_quick)
 

@@ -13,7 +13,7 @@ from mufly.cli import coax, control, drive, fly, log, mission, rotor, station, s
 from mufly.cli import optimise as _optimise  # noqa: F401  adds to the commands of rotor and coax, as study does
 from mufly.cli import station as link
 from mufly.cli.identify import flight as identify
-from mufly.cli.onboard import firmware, sensors
+from mufly.cli.onboard import estimate, firmware, sensors
 from mufly.cli.options import Commands
 from mufly.errors import MuflyError
 
@@ -39,6 +39,7 @@ app.add_typer(mission.app, name="mission")
 app.add_typer(identify.app, name="identify")
 app.add_typer(log.app, name="log")
 app.add_typer(sensors.app, name="sensors")
+app.add_typer(estimate.app, name="estimate")
 app.add_typer(firmware.app, name="firmware")
 app.add_typer(study.thesis_commands, name="thesis")
 

@@ -7,7 +7,7 @@ from mufly.flight.parameters import Parameter
 from mufly.flight.pictures import draw_flight
 from mufly.flight.plant import Demand, Plant, respond
 from mufly.flight.recorder import Recorder
-from mufly.flight.sensed import readings_of, replay
+from mufly.flight.sensed import believed, is_sensed, readings_of, replay, truths_of
 from mufly.flight.sensor_log import (
     ReadingErrors,
     SensorLog,
@@ -42,6 +42,7 @@ __all__ = [
     "SensorLog",
     "SetPoint",
     "Summary",
+    "believed",
     "draw_belief",
     "draw_checks",
     "draw_estimate",
@@ -49,6 +50,7 @@ __all__ = [
     "draw_sensors",
     "events_of",
     "fly",
+    "is_sensed",
     "listen",
     "read_attachments",
     "read_recording",
@@ -60,5 +62,6 @@ __all__ = [
     "summarise",
     "summary_rows",
     "to_csv",
+    "truths_of",
     "write_sensor_logs",
 ]

@@ -7,6 +7,7 @@ deviations of that (the innovation), coloured by what was made of it.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -157,7 +158,7 @@ def draw_checks(dataset: xr.Dataset) -> Figure:
     for name, ax in zip(names, panels, strict=False):
         code, ratio = dataset[f"status_{name}"].values, dataset[f"innovation_{name}"].values
         edges = [0, *(np.flatnonzero(code[1:] != code[:-1]) + 1), len(code)]
-        for a, b in zip(edges[:-1], edges[1:], strict=True):
+        for a, b in pairwise(edges):
             if np.isfinite(code[a]):
                 shade = STATUS_COLOURS[STATUSES[int(code[a])]]
                 ax.axvspan(time[a], time[b - 1] + step, ymin=0.0, ymax=0.09, color=shade, lw=0)

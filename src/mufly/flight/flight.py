@@ -198,7 +198,7 @@ class Flight:
         """From the truth of this instant to what the vehicle believes of it; it knows what acted until now."""
         self._truth = self.plant.truth
         self._readings = self.sensors.read(self._truth)
-        self._estimate = self.estimator.update(self._readings, acted.array)
+        self._estimate = self.estimator.update(self._readings, acted.array.astype(np.float64))
 
     @property
     def sensed(self) -> bool:

@@ -8,7 +8,7 @@ estimator was told, and running it again over the recording (:func:`replay`) giv
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -131,3 +131,33 @@ def replay(dataset: xr.Dataset, estimator: Estimator) -> list[Estimate]:
     """Return what an estimator makes of the readings of a recording, row by row."""
     estimator.reset()
     return [estimator.update(readings, acting) for readings, acting in readings_of(dataset)]
+
+
+def is_sensed(dataset: xr.Dataset) -> bool:
+    """Whether a recording holds what sensors said, as flights on sensors record it."""
+    return all(f"measured_{name}_time" in dataset for name in READINGS if name not in _UNTIMED)
+
+
+def believed(dataset: xr.Dataset, estimates: Sequence[Estimate]) -> xr.Dataset:
+    """Return a recording with other estimates, one for each row, in place of those that were made in flight."""
+    blocks = {
+        str(name): np.full(dataset[name].shape, math.nan)
+        for name in dataset.data_vars
+        if str(name).startswith(("estimated_", "innovation_", "status_"))
+    }
+    for k, m in enumerate(estimates):
+        row = {name: block[k : k + 1] if block.ndim == 1 else block[k] for name, block in blocks.items()}
+        estimate_writer(row)(m)
+    return dataset.assign({name: dataset[name].copy(data=block) for name, block in blocks.items()})
+
+
+def truths_of(dataset: xr.Dataset) -> list[Truth]:
+    """Return what was true at every row, as far as a recording has it."""
+    columns = [dataset[f"truth_{name}"].values for name in ("position", "velocity", "attitude", "rates")]
+    out = []
+    for k, t in enumerate(dataset["time"].values.tolist()):
+        x, v, attitude, rates = (c[k] for c in columns)
+        state = np.full(21, math.nan)
+        state[0:3], state[3:6], state[10:13] = x, v, rates
+        out.append(Truth(t, k, state, attitude, np.full(3, math.nan), math.nan, math.nan))
+    return out

@@ -619,14 +619,15 @@ def _main(order: Mapping[str, Any], pipe: Connection) -> None:
     )  # all is closed; taking the interpreter apart takes a second or two, and more on a busy machine
 
 
-def _heed(flight: Flight, wishes: deque[Fault | None]) -> None:
-    """Let go wrong with the sensors what the parent wants; None: nothing any more."""
+def _heed(flight: Flight, wishes: deque[Fault | None]) -> bool:
+    """Let go wrong with the sensors what the parent wants (None: nothing any more); False: that ends no flight."""
     while wishes:
         fault = wishes.popleft()
         try:
             flight.clear_faults() if fault is None else flight.inject(fault)
         except MuflyError as error:
             flight.note(str(error), "warning")
+    return False
 
 
 def _fly(

@@ -1,0 +1,336 @@
+"""How flights on the vehicle's own sensors go: many seeds, every fault, hours of hovering.
+
+    python benchmarks/fly_on_estimates.py mission --seeds 1000      # demonstration, wind 0.5, gusts 0.3
+    python benchmarks/fly_on_estimates.py box --seeds 1000          # box-on-leg with its pixel ring
+    python benchmarks/fly_on_estimates.py hover --seeds 200         # hover hold, with and without walls to see
+    python benchmarks/fly_on_estimates.py outage --seeds 200        # no position fix for 2 s, for 5 s
+    python benchmarks/fly_on_estimates.py faults --seeds 3          # every fault of the catalogue, alone
+    python benchmarks/fly_on_estimates.py pairs --seeds 1           # and every two of different sensors
+    python benchmarks/fly_on_estimates.py alarms --seeds 60         # false alarms: ten minutes of hover each
+
+Seeds count from ``--first`` (0). Each flight is a line of ``--out`` (JSON), so that a run that was stopped goes on
+where it was: the same command again. A flight that raises is told as such and counts as lost.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import cache
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+import xarray as xr
+
+from mufly.control import design
+from mufly.flight import Flight, events_of, fly, summarise
+from mufly.mission import Mission, load_mission, mission_from
+from mufly.sensors import KINDS, TARGETS, parse_fault
+from mufly.vehicle import load_vehicle
+
+WIND, GUST = (0.5, 0.0, 0.0), 0.3
+FAULT_S, NOTICED_S = 12.0, 0.5
+"""When a fault begins, in a hover that has lasted for some seconds; within what it is to be noticed (s)."""
+HOLD = mission_from(
+    {
+        "take_off": {"height_m": 1.0, "wait_s": 18.0},
+        "waypoint": [{"position_m": [0.5, 0.0, -1.0], "wait_s": 2.0}],
+    }
+)
+ROOM = mission_from(
+    {
+        "room": {"north_m": [-1.2, 1.2], "east_m": [-1.2, 1.2], "height_m": 3.0},
+        "take_off": {"height_m": 1.0, "wait_s": 18.0},
+        "waypoint": [{"position_m": [0.2, 0.0, -1.0], "wait_s": 2.0}],
+    }
+)
+SETTLED_S = 10.0
+
+
+@cache
+def vehicle_and_controller(name: str = "mufly-1.1") -> tuple[Any, Any]:
+    vehicle = load_vehicle(name)
+    return vehicle, design(vehicle)
+
+
+def flown(mission: Mission, seed: int, faults: tuple[str, ...] = (), **options: Any) -> xr.Dataset:
+    vehicle, controller = vehicle_and_controller()
+    return fly(
+        vehicle, mission, controller=controller, seed=seed, sensors="fitted",
+        faults=[parse_fault(f) for f in faults], **{"wind": WIND, "gust": GUST} | options,
+    )  # fmt: skip
+
+
+def told(data: xr.Dataset, mission: Mission) -> dict[str, Any]:
+    """What every kind of flight is judged by."""
+    s = summarise(data, [w.position_m for w in mission.waypoint], world=mission.world)
+    inputs = np.hstack([data.motor_input.values, data.servo_input.values])
+    return {
+        "outcome": s.outcome,
+        "reason": s.reason,
+        "duration_s": s.duration_s,
+        "overshoot_m": max((w.overshoot_m for w in s.waypoints if w.overshoot_m is not None), default=None),
+        "clearance_m": s.least_clearance_m,
+        "touchdown_m_s": s.touchdown_speed_m_s,
+        "finite": bool(np.isfinite(inputs).all()),
+        "jump": float(np.abs(np.diff(inputs, axis=0)).max()),
+        "warnings": [(e.time_s, e.text) for e in events_of(data) if e.level != "info"],
+    }
+
+
+def errors(data: xr.Dataset, after_s: float) -> dict[str, float]:
+    """Of the hold and of the estimate in the hover after take-off, from ``after_s`` on (m, degrees)."""
+    d = data.sel(time=slice(after_s, None))
+    d = d.isel(time=np.flatnonzero(d.mission_state.values == "hover"))
+    off = d.truth_position.values - d.reference_position.values
+    tilt = (d.estimated_attitude.values - d.truth_attitude.values)[:, :2]
+    height = (d.estimated_position.values - d.truth_position.values)[:, 2]
+
+    def rms(x: np.ndarray) -> float:
+        return float(np.sqrt(np.mean(x**2))) if len(x) else math.nan
+
+    return {
+        "xy_rms_m": rms(np.hypot(off[:, 0], off[:, 1])),
+        "z_rms_m": rms(off[:, 2]),
+        "height_rms_m": rms(height),
+        "tilt_rms_deg": math.degrees(rms(np.hypot(tilt[:, 0], tilt[:, 1]))),
+    }
+
+
+def one_mission(seed: int) -> dict[str, Any]:
+    mission = load_mission("demonstration")
+    return told(flown(mission, seed), mission)
+
+
+def one_box(seed: int) -> dict[str, Any]:
+    mission = load_mission("box-on-leg")
+    return told(flown(mission, seed), mission)
+
+
+def one_hover(seed: int) -> dict[str, Any]:
+    out = {}
+    for name, mission in (("fix", HOLD), ("fix and lasters", ROOM)):
+        data = flown(mission, seed)
+        out[name] = told(data, mission) | errors(data, SETTLED_S)
+    return out
+
+
+def one_outage(seed: int) -> dict[str, Any]:
+    out = {}
+    for span in (2.0, 5.0):
+        data = flown(HOLD, seed, (f"position.dropout@{FAULT_S:g}s+{span:g}s",))
+        out[f"{span:g} s"] = told(data, HOLD) | {"peak_m": strayed(data, FAULT_S, FAULT_S + span + 3.0)}
+    return out
+
+
+def strayed(data: xr.Dataset, start_s: float, stop_s: float) -> float:
+    """How far it went from where it was told to be (m)."""
+    d = data.sel(time=slice(start_s, stop_s))
+    off = (d.truth_position.values - d.reference_position.values)[d.mission_state.values != "landing"]
+    return float(np.hypot(off[:, 0], off[:, 1]).max()) if len(off) else 0.0
+
+
+def one_with(faults: tuple[str, ...], seed: int) -> dict[str, Any]:
+    """A hover of which something goes wrong: noticed when, how far it went, how it came down."""
+    data = flown(HOLD, seed, faults)
+    out = told(data, HOLD)
+    after = [
+        t - FAULT_S for t, text in out["warnings"] if t >= FAULT_S and not text.startswith("hard touchdown")
+    ]
+    down = data.truth_position.values[-1, 2] > -0.2
+    tipped = "tipped over" in out["reason"] or "hit" in out["reason"]
+    tilt = np.degrees(np.abs(data.truth_attitude.values[:, :2]).max())
+    last_s = data.time.values[-1]
+    sink = float(data.truth_velocity.sel(time=slice(last_s - 8.0, None)).values[:, 2].max())
+    return out | {
+        "noticed_s": min(after, default=None),
+        "strayed_m": strayed(data, FAULT_S, last_s),
+        "sink_m_s": sink,
+        "tilt_deg": float(tilt),
+        "safe": bool(down and not tipped and sink < 1.5 and out["finite"]),
+    }
+
+
+def one_alarm(seed: int) -> dict[str, Any]:
+    """Ten minutes of hover with nothing wrong; the battery is full for good."""
+    vehicle, controller = vehicle_and_controller()
+    mission = Mission(name="hold")
+    flight = Flight(
+        vehicle, mission, controller=controller, seed=seed, sensors="fitted", wind=WIND, gust=GUST, keep=False
+    )
+    warnings: list[tuple[float, str]] = []
+    flight.autopilot.listeners.append(
+        lambda e: warnings.append((e.time_s, e.text)) if e.level != "info" else None
+    )
+    while flight.autopilot.not_ready() and flight.time_s < 10.0:
+        flight.tick()
+    flight.autopilot.arm()
+    flight.autopilot.take_off(1.0)
+    off = []
+    while flight.time_s < 600.0:
+        flight.tick()
+        flight.plant.state[20] = 0.8
+        if flight.time_s > SETTLED_S:
+            off.append(flight.plant.state[0:2].copy())
+    flight.close()
+    away = np.array(off) - np.mean(off, axis=0)
+    return {
+        "hours": flight.time_s / 3600.0,
+        "warnings": warnings,
+        "state": flight.status.state,
+        "xy_rms_m": float(np.sqrt((away**2).sum(axis=1).mean())),
+    }
+
+
+def kinds_of(name: str) -> Iterator[str]:
+    """The faults of a sensor; accelerometers alone clip at an element."""
+    for kind in KINDS:
+        yield f"{name}.{kind}@{FAULT_S:g}s"
+
+
+def catalogue() -> list[tuple[str, ...]]:
+    return [(fault,) for name in TARGETS for fault in kinds_of(name)]
+
+
+def pairs() -> list[tuple[str, ...]]:
+    alone = [f[0] for f in catalogue()]
+    return [two for two in combinations(alone, 2) if two[0].split(".")[0] != two[1].split(".")[0]]
+
+
+def jobs_of(what: str, seeds: range) -> Iterator[tuple[str, Callable[..., dict[str, Any]], tuple[Any, ...]]]:
+    """(name, function, arguments) of every flight."""
+    if what in ("faults", "pairs"):
+        for faults in catalogue() if what == "faults" else pairs():
+            for seed in seeds:
+                yield f"{' '.join(faults)} {seed}", one_with, (faults, seed)
+        return
+    one = {
+        "mission": one_mission,
+        "box": one_box,
+        "hover": one_hover,
+        "outage": one_outage,
+        "alarms": one_alarm,
+    }[what]
+    for seed in seeds:
+        yield str(seed), one, (seed,)
+
+
+def guarded(function: Callable[..., dict[str, Any]], arguments: tuple[Any, ...]) -> dict[str, Any]:
+    began = time.perf_counter()
+    try:
+        out = function(*arguments)
+    except Exception as error:  # one flight that raises is a result
+        out = {"raised": f"{type(error).__name__}: {error}"}
+    return out | {"wall_s": time.perf_counter() - began}
+
+
+def share(values: list[bool]) -> str:
+    return f"{np.mean(values):.1%} of {len(values)}" if values else "none"
+
+
+def report(what: str, found: dict[str, dict[str, Any]]) -> None:
+    raised = {k: r["raised"] for k, r in found.items() if "raised" in r}
+    for k, why in raised.items():
+        print(f"  {k}: raised {why}")
+    good = {k: r for k, r in found.items() if "raised" not in r}
+    rows = list(good.values())
+    if not rows:
+        return
+    if what in ("mission", "box"):
+        print("succeeded", share([r["outcome"] == "succeeded" for r in rows] + [False] * len(raised)))
+        worst = [
+            r["overshoot_m"] for r in rows if r["outcome"] == "succeeded" and r["overshoot_m"] is not None
+        ]
+        if worst:
+            print(f"overshoot: median {np.median(worst):.3f}, worst {max(worst):.3f} m")
+        if what == "box":
+            clear = [r["clearance_m"] for r in rows]
+            print(
+                f"clearance of the centre: least {min(clear):.3f} m; 0.3 m kept",
+                share([c >= 0.3 for c in clear]),
+            )
+        print("touchdowns above 0.3 m/s", share([(r["touchdown_m_s"] or 0.0) > 0.3 for r in rows]))
+        for k, r in good.items():
+            if r["outcome"] != "succeeded":
+                print(f"  {k}: {r['reason']}")
+    elif what in ("hover", "outage"):
+        for name in rows[0]:
+            if name == "wall_s":
+                continue
+            for key in [
+                k for k, v in rows[0][name].items() if isinstance(v, float) and k.endswith(("_m", "_deg"))
+            ]:
+                values = [r[name][key] for r in rows if r[name].get(key) is not None]
+                print(f"{name}: {key} mean {np.mean(values):.4f}, worst {max(values):.4f}")
+            print(f"{name}: succeeded", share([r[name]["outcome"] == "succeeded" for r in rows]))
+    elif what in ("faults", "pairs"):
+        told_ = [r["noticed_s"] is not None and r["noticed_s"] <= NOTICED_S for r in rows]
+        fine = [r["outcome"] == "succeeded" for r in rows]
+        print("noticed within 0.5 s", share(told_))
+        print("down safely", share([r["safe"] for r in rows]))
+        print("mission flown to its end", share(fine))
+        print("finite inputs", share([r["finite"] for r in rows]))
+        for k, r in good.items():
+            when = "never" if r["noticed_s"] is None else f"{r['noticed_s']:.2f} s"
+            mark = "" if r["safe"] else "LOST "
+            print(
+                f"  {mark}{k}: noticed {when}, strayed {r['strayed_m']:.2f} m, tilt {r['tilt_deg']:.0f} deg, "
+                f"{r['outcome']}: {r['reason']}"
+            )
+    else:
+        hours = sum(r["hours"] for r in rows)
+        alarms = [(k, t, text) for k, r in good.items() for t, text in r["warnings"]]
+        print(f"{len(alarms)} alarms in {hours:.2f} h; xy {np.mean([r['xy_rms_m'] for r in rows]):.3f} m rms")
+        for k, t, text in alarms:
+            print(f"  {k} at {t:.1f} s: {text}")
+    jumps = [r["jump"] for r in rows if "jump" in r]
+    if jumps:
+        print(f"largest step of an input in a period: {max(jumps):.3f}")
+    flights = sum(r["duration_s"] for r in rows if "duration_s" in r)
+    if flights:
+        print(f"{flights / sum(r['wall_s'] for r in rows):.1f} times real time a process")
+
+
+def main() -> None:
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("what", choices=("mission", "box", "hover", "outage", "faults", "pairs", "alarms"))
+    p.add_argument("--seeds", type=int, default=20)
+    p.add_argument("--first", type=int, default=0)
+    p.add_argument("--only", default="", help="names that contain this")
+    p.add_argument("--jobs", type=int, default=2)
+    p.add_argument("--out", type=Path, default=None, help="JSON lines; default fly_on_estimates-WHAT.jsonl")
+    a = p.parse_args()
+    out = a.out or Path(f"fly_on_estimates-{a.what}.jsonl")
+    found: dict[str, dict[str, Any]] = {}
+    if out.exists():
+        found = dict(json.loads(line) for line in out.read_text().splitlines() if line.endswith("]"))
+    jobs = [j for j in jobs_of(a.what, range(a.first, a.first + a.seeds)) if a.only in j[0]]
+    wanted = {j[0] for j in jobs}
+    left = [j for j in jobs if j[0] not in found]
+    if left:
+        vehicle_and_controller()  # compiled once, before the processes
+        began = time.perf_counter()
+        with ProcessPoolExecutor(a.jobs) as pool, out.open("a") as stream:
+            running = {pool.submit(guarded, f, args): name for name, f, args in left}
+            for k, future in enumerate(as_completed(running), 1):
+                name = running[future]
+                found[name] = future.result()
+                stream.write(json.dumps([name, found[name]]) + "\n")
+                stream.flush()
+                rest = (time.perf_counter() - began) / k * (len(left) - k)
+                print(f"\r{k} of {len(left)}, {rest:.0f} s to go   ", end="", flush=True)
+        print()
+    report(a.what, {k: v for k, v in found.items() if k in wanted})
+
+
+if __name__ == "__main__":
+    main()
