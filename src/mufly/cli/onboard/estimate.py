@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from mufly.cli.options import Commands, JsonOption, OutOption, argument, option
-from mufly.cli.present import answer, check_folder, print_rows, progress_bar, writing
+from mufly.cli.present import answer, check_folder, print_table, progress_bar, say, writing
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
     import xarray as xr
 
+    from mufly.estimate.consistency import Consistency
     from mufly.vehicle import Vehicle
     from mufly.world import World
 
@@ -41,7 +42,8 @@ def run(
 
     Examples: mufly fly --headless --out flown; mufly estimate run flown/flight.mcap --out estimated
     """
-    from mufly.estimate import consistency, fitted_estimator
+    from mufly.estimate import fitted_estimator
+    from mufly.estimate.consistency import consistency
     from mufly.flight import believed, draw_belief, is_sensed, read_recording, replay, truths_of
     from mufly.logs import write_log
 
@@ -63,7 +65,25 @@ def run(
             out.mkdir(parents=True, exist_ok=True)
             files = [*draw_belief(again, out), out / "estimate.mcap"]
             write_log(again, files[-1])
-    answer(as_json, lambda: figures, lambda: print_rows(figures), files)
+    answer(as_json, lambda: figures, lambda: _print(figures), files)
+
+
+def _print(c: Consistency) -> None:
+    import math
+
+    rows = [
+        ("horizontal position", f"{100 * c.xy_rms:.1f} cm", f"{100 * c.xy_peak:.1f} cm"),
+        ("height", f"{100 * c.z_rms:.1f} cm", f"{100 * c.z_peak:.1f} cm"),
+        ("tilt", f"{math.degrees(c.tilt_rms):.2f} deg", f"{math.degrees(c.tilt_peak):.2f} deg"),
+        ("heading", f"{math.degrees(c.yaw_rms):.2f} deg", ""),
+    ]
+    print_table(("off by", "rms", "worst"), rows, text=(0, 1, 2))
+    parts = ", ".join(
+        f"{name} {x:.2f}" for name, x in zip(("position", "velocity", "attitude"), c.parts, strict=True)
+    )
+    say(
+        f"NEES / n {c.nees:.2f} (1 if it knows how good it is; {parts}); {c.inside:.1%} inside the 95 % ellipsoid"
+    )
 
 
 def _carried(log: Path, vehicle: str | None) -> tuple[Vehicle, World]:
