@@ -35,10 +35,11 @@ def run(
 ) -> None:
     """Let the filter estimate a recorded flight again, from what the sensors said and the actuators did.
 
-    Where the recording knows the truth, it is told how far off the estimate was and whether it knew: NEES, the square of
-    the error over its expected square, should be 1 on average, and 95 % of the errors inside the 95 % ellipsoid. With
-    another vehicle file (a mass, a noise, a sensor less) it tells what that does to the estimate. With --out: pictures of
-    the estimate with its bounds and of what was made of every sensor, and the recording with the new estimate.
+    Where the recording knows the truth, it is told how far off the estimate was and whether it knew: NEES, the square
+    of the error over its expected square, should be 1 on average, and 95 % of the errors inside the 95 % ellipsoid.
+    With another vehicle file (a mass, a noise, a sensor less) it tells what that does to the estimate. With --out:
+    pictures of the estimate with its bounds and of what was made of every sensor, and the recording with the new
+    estimate.
 
     Examples: mufly fly --headless --out flown; mufly estimate run flown/flight.mcap --out estimated
     """
