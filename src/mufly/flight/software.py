@@ -74,6 +74,9 @@ _Array = NDArray[np.floating[Any]]
 LOST_S = 0.5
 """How long a measurement may be missing or frozen in flight (s)."""
 
+STEP_MOTOR, STEP_SERVO = 0.1, 0.2
+"""How far an input moves in a period at most, on an estimate: twice what flights in gusts need (quantile 0.999)."""
+
 _LEARN_S = 1.0
 
 
@@ -154,6 +157,7 @@ class FlightSoftware:
         self.oscillation: Oscillation | None = None
         self._doubts, self._held, self._waits = Doubts(), False, False
         self._smooth = Smooth()
+        self._given = Actuators.idle()
         # Motor voltages, averaged over the last second of flight.
         self._held_up: _Array = np.zeros(2)
 
@@ -249,11 +253,11 @@ class FlightSoftware:
         self._late_s = (self._ticks % self._every) * self._period_s
         self._ticks += 1
         if self._lost(self._watch):
-            return self._sink_blindly(self._watch, f"measurement lost: {self._watch.what}")
+            return self._steadied(m, self._sink_blindly(self._watch, f"measurement lost: {self._watch.what}"))
         if self._late_s == 0.0 and m.beliefs is not None:
             doubt = self._doubt(m)
             if doubt:
-                return self._sink_blindly(self._watch, doubt)
+                return self._steadied(m, self._sink_blindly(self._watch, doubt))
         if self._late_s == 0.0:
             self.mission_state, self._reference = step(self.plan, self.mission_state, m, self._command)
             self._command = NO_SIGNAL
@@ -261,8 +265,20 @@ class FlightSoftware:
         if r.motors != self._motors:
             self._switch(r.motors, m)
         if r.motors == "fly":
-            return self._fly(r, m)
-        return self._on_the_floor(r.motors, m)
+            return self._steadied(m, self._fly(r, m))
+        self._given = self._on_the_floor(r.motors, m)
+        return self._given
+
+    def _steadied(self, m: Estimate, wanted: Actuators) -> Actuators:
+        """What is wanted, no faster than :data:`STEP_MOTOR` and :data:`STEP_SERVO` where it comes from an estimate."""
+        if m.beliefs is not None:
+            before = self._given
+            wanted = Actuators(
+                before.motor_input + _within(wanted.motor_input - before.motor_input, STEP_MOTOR),
+                before.servo_input + _within(wanted.servo_input - before.servo_input, STEP_SERVO),
+            )
+        self._given = wanted
+        return wanted
 
     def _stop_at_once(self, why: str, m: Estimate) -> Actuators:
         self._ticks += 1
@@ -271,6 +287,7 @@ class FlightSoftware:
             self._reference, velocity=np.zeros(3), heading_rate=0.0, motors="off", rc=False
         )
         self._command, self._motors, self._lifted, self._late_s = NO_SIGNAL, "off", False, 0.0
+        self._given = Actuators.idle()
         self._motor_input, self._tilt = np.zeros(2), np.zeros(2)
         return Actuators.idle()
 
@@ -383,6 +400,10 @@ class FlightSoftware:
         self.oscillation = self._oscillations.step(time_s, actuators.array.tolist(), asked)
         if self.oscillation is not None and before is None:
             self.mission_state = come_down(self.mission_state, str(self.oscillation))
+
+
+def _within(x: _Array, limit: float) -> _Array:
+    return np.minimum(np.maximum(x, -limit), limit)
 
 
 # Controllers with their state, from references to actuators
