@@ -3,10 +3,10 @@
 **A flight record as a fit sees it: inputs, measured outputs and voltage on one even clock, checked before use.**
 
 Built from the labelled tables that :mod:`mufly.logs` reads (``motor_input``, ``servo_input``, ``measured_attitude``,
-...). What cannot be right is refused in one line: time that does not rise, gaps, angles or rates that are degrees
-labelled as radians (``d roll/dt = p`` gives them away), inputs beyond their range, inputs that never move. The noise
-of a channel is first taken from its third differences, in which a motion slower than the sampling all but vanishes
-while white noise of variance ``s^2`` shows with ``20 s^2`` (own derivation: 1 + 9 + 9 + 1).
+...). Time that does not rise and gaps are refused in one line; whether the signals agree with each other is looked at
+in :mod:`mufly.identify.consistency`. The noise of a channel is first taken from its third differences, in which a
+motion slower than the sampling all but vanishes while white noise of variance ``s^2`` shows with ``20 s^2`` (own
+derivation: 1 + 9 + 9 + 1).
 
 **A record as linear fits want it: named columns on an even clock, without gaps.**
 
@@ -43,7 +43,6 @@ _SOURCES = {
     "rates": (("p", 0, 1.0), ("q", 1, 1.0), ("r", 2, 1.0)),
     "rotor_speed": (("speed_up", 0, 1.0), ("speed_dw", 1, 1.0)),
 }
-_FASTEST = 20.0  # m/s2, RMS: two g, more than a rotorcraft of thrust to weight 3 can
 # What shows that a channel is excited: its rates, which no slow drift moves; without them what they are the change of.
 CHANNEL_OUTPUTS = {
     "heave": ("height", "climb"),
@@ -311,141 +310,6 @@ def split(r: Record, share: float) -> tuple[Record, Record]:
 def units_of(outputs: Sequence[str]) -> tuple[str, ...]:
     """Return the units of outputs."""
     return tuple(OUTPUT_UNITS[o] for o in outputs)
-
-
-def check_record(r: Record) -> tuple[str, ...]:
-    """Look for faults that a fit would turn into wrong parameters.
-
-    Returns
-    -------
-    tuple of str
-        Warnings: what can still be fitted, but not as it might seem.
-
-    Raises
-    ------
-    InputError
-        For degrees labelled radians, inputs out of range, a record in which no input moves.
-    """
-    warnings: list[str] = []
-    for angle, rate in (("roll", "p"), ("pitch", "q"), ("yaw", "r")):
-        _check_sign(r, angle, rate)
-        _check_degrees(r, angle, rate)
-    for place, speed in (("height", "climb"), ("north", "v_north"), ("east", "v_east")):
-        _check_sign(r, place, speed)
-    _check_axes(r)
-    _check_height(r)
-    for k, name in enumerate(INPUTS):
-        u = r.inputs[:, k]
-        low = 0.0 if k < 2 else -1.0
-        top = float(np.max(np.abs(u)))
-        if top > 1.5 or float(np.min(u)) < low - 0.5:
-            unit = (
-                "per cent" if top <= 100 else "microseconds of a servo pulse" if top > 500 else "another unit"
-            )
-            raise InputError(
-                r.name, name, f"reaches {u[np.argmax(np.abs(u))]:g}: it seems to be in {unit}",
-                f"scale it to {low:g}..1",
-            )  # fmt: skip
-    still = [n for k, n in enumerate(INPUTS) if np.ptp(r.inputs[:, k]) < 1e-6]
-    if len(still) == 4:
-        raise InputError(r.name, "inputs", "none of them moves", "fly an excitation: `mufly identify plan`")
-    warnings += [f"{r.name}: {n} is constant; nothing is learnt of what it drives" for n in still]
-    for k, name in enumerate(r.outputs):
-        y = r.measured[np.isfinite(r.measured[:, k]), k]
-        if name != "voltage" and np.ptp(y) < 1e-9:
-            warnings.append(f"{r.name}: {name} never changes; is that sensor connected?")
-    return tuple(warnings)
-
-
-def _changes(r: Record, value: str, rate: str) -> tuple[Array, Array] | None:
-    """Return the changes of a value over 0.2 s, less their mean, and what a rate makes of them; None without these."""
-    if value not in r.outputs or rate not in r.outputs:
-        return None
-    a, w = (filled(r.measured[:, r.outputs.index(o)]) for o in (value, rate))
-    lag = max(1, round(0.2 / r.sample_s))
-    turned = np.concatenate([[0.0], np.cumsum(0.5 * (w[1:] + w[:-1])) * r.sample_s])
-    y, x = a[lag:] - a[:-lag], turned[lag:] - turned[:-lag]
-    return y - y.mean(), x - x.mean()
-
-
-def _correlation(changes: tuple[Array, Array] | None) -> float:
-    """Return the correlation of changes without mean; 0 if there are none."""
-    if changes is None or changes[0].std() == 0.0 or changes[1].std() == 0.0:
-        return 0.0
-    y, x = changes
-    return float(x @ y) / (len(x) * float(x.std() * y.std()))
-
-
-def _check_axes(r: Record) -> None:
-    """Refuse p and q that are exchanged: the one follows what the other is the change of."""
-    for angle, own, other in (("roll", "p", "q"), ("pitch", "q", "p")):
-        if own not in r.outputs:
-            continue
-        if (
-            abs(_correlation(_changes(r, angle, other))) > 0.8
-            and abs(_correlation(_changes(r, angle, own))) < 0.3
-        ):
-            raise InputError(
-                r.name,
-                own,
-                f"does not follow {angle}, {other} does: axes are exchanged",
-                "exchange them in the map",
-            )
-
-
-def _check_sign(r: Record, value: str, rate: str) -> None:
-    """Refuse a rate that says the opposite of the value that it is the change of."""
-    changes = _changes(r, value, rate)
-    if changes is None:
-        return
-    if _correlation(changes) < -0.6:
-        raise InputError(
-            r.name,
-            rate,
-            f"has the opposite sign of the change of {value}",
-            "turn the sign of one in the column map",
-        )
-
-
-def _check_height(r: Record) -> None:
-    """Refuse a height that accelerates as no rotorcraft does: one in centimetres or millimetres."""
-    if "height" not in r.outputs:
-        return
-    slope = smoothed(filled(r.measured[:, r.outputs.index("height")]), r.sample_s, 0.5, slope=True)
-    size = float(np.std(np.gradient(smoothed(slope, r.sample_s, 0.5), r.sample_s)))
-    if size > _FASTEST:
-        raise InputError(
-            r.name, "height", f"accelerates by {size:.0f} m/s2 (RMS): it seems to be in centimetres or millimetres",
-            "say so in the column map (unit 'cm' or 'mm')",
-        )  # fmt: skip
-
-
-def _check_degrees(r: Record, angle: str, rate: str) -> None:
-    if angle not in r.outputs:
-        return
-
-    def seems(name: str, why: str, unit: str, short: str) -> InputError:
-        remedy = f"say so in the column map (unit '{short}')"
-        return InputError(r.name, name, f"{why}: it seems to be in {unit}", remedy)
-
-    a = filled(r.measured[:, r.outputs.index(angle)])
-    if rate in r.outputs:
-        w = filled(r.measured[:, r.outputs.index(rate)])
-        # Slope of the change of angle over 0.2 s against the integrated rate.
-        lag = max(1, round(0.2 / r.sample_s))
-        turned = np.concatenate([[0.0], np.cumsum(0.5 * (w[1:] + w[:-1])) * r.sample_s])
-        x, y = turned[lag:] - turned[:-lag], a[lag:] - a[:-lag]
-        x, y = x - x.mean(), y - y.mean()
-        if x.std() > 0 and y.std() > 0 and float(x @ y) / (len(x) * x.std() * y.std()) > 0.6:
-            slope = y.std() / x.std()
-            if 30.0 < slope < 110.0:
-                raise seems(angle, f"changes {slope:.0f} times as fast as {rate} says", "degrees", "deg")
-            if 1 / 110.0 < slope < 1 / 30.0:
-                times = f"is {1 / slope:.0f} times the rate at which {angle} changes"
-                raise seems(rate, times, "degrees a second", "deg/s")
-    limit = np.pi / 2 + 0.01 if angle == "pitch" else np.pi + 0.01
-    if angle != "yaw" and float(np.max(np.abs(a))) > limit:
-        raise seems(angle, f"reaches {a[np.argmax(np.abs(a))]:.3g} rad", "degrees", "deg")
 
 
 _TIME = ("time", "t", "time_s", "timestamp", "timestamp_s")

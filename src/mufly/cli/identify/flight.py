@@ -27,6 +27,7 @@ from mufly.errors import InputError
 
 if TYPE_CHECKING:
     from mufly.identify import Demo, Fit, Progress, Record
+    from mufly.vehicle import Vehicle
 
 _PARTS = ("both", "heave-yaw", "roll-pitch", "split")
 
@@ -94,6 +95,13 @@ def flight(
         bool,
         option("--held-exact", "What is not free is known exactly; its doubt does not widen the intervals."),
     ] = False,
+    as_is: Annotated[
+        bool,
+        option(
+            "--as-is",
+            "Fit records whose units, signs, axes or clocks seem wrong; say so instead of refusing.",
+        ),
+    ] = False,
     checkpoint: Annotated[
         Path | None,
         option(
@@ -136,8 +144,8 @@ def flight(
     check_folder("--report", report)
     check_file("--checkpoint", checkpoint)
     start = load_vehicle(vehicle)
-    records, said = _read(logs, columns, prefix)
-    held, more = _read(hold_out or [], columns, prefix)
+    records, said = _read(logs, columns, prefix, start, as_is)
+    held, more = _read(hold_out or [], columns, prefix, start, as_is)
     if not hold_out and hold_out_share > 0:
         parts = [cut(r, hold_out_share) for r in records]
         records, held = [p[0] for p in parts], [p[1] for p in parts]
@@ -189,8 +197,10 @@ def _voltage(text: str) -> str | float:
         return text
 
 
-def _read(paths: list[Path], columns: Path | None, prefix: str) -> tuple[list[Record], list[str]]:
-    from mufly.identify import check_record, record_from
+def _read(
+    paths: list[Path], columns: Path | None, prefix: str, vehicle: Vehicle, as_is: bool
+) -> tuple[list[Record], list[str]]:
+    from mufly.identify import check_flights, record_from
     from mufly.logs import LogWarning, read_log
 
     records: list[Record] = []
@@ -200,10 +210,8 @@ def _read(paths: list[Path], columns: Path | None, prefix: str) -> tuple[list[Re
             warnings.simplefilter("ignore", LogWarning)  # printed with the others
             data = read_log(path, columns=columns)
         said += [f"{path.name}: {note}" for note in data.attrs.get("notes", [])]
-        record = record_from(data, path.name, prefix=prefix)
-        said += check_record(record)
-        records.append(record)
-    return records, said
+        records.append(record_from(data, path.name, prefix=prefix))
+    return records, [*said, *check_flights(records, vehicle, as_is=as_is)]
 
 
 @contextmanager

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, lfilter
 
-from mufly.dynamics import advance, battery_state, euler_from_quaternion, model_parameters, trim
+from mufly.dynamics import DrydenWind, advance, battery_state, euler_from_quaternion, model_parameters, trim
 from mufly.identify.flight.fit import Method, Progress, fit_flights
 from mufly.identify.flight.problem import choose_free
 from mufly.identify.record import Record
@@ -93,7 +93,14 @@ def _excitations(n: int, rng: np.random.Generator) -> dict[str, Excitation]:
     return out
 
 
-def fly_record(vehicle: Vehicle, excitation: Excitation, rng: np.random.Generator, *, name: str) -> Record:
+def fly_record(
+    vehicle: Vehicle,
+    excitation: Excitation,
+    rng: np.random.Generator,
+    *,
+    name: str,
+    air: DrydenWind | None = None,
+) -> Record:
     """Fly one record.
 
     Parameters
@@ -104,10 +111,12 @@ def fly_record(vehicle: Vehicle, excitation: Excitation, rng: np.random.Generato
     rng : numpy.random.Generator
         For the sensors.
     name : str
+    air : DrydenWind, optional
+        With steps of ``SAMPLE_S``; calm by default.
     """
     p, n = model_parameters(vehicle), len(excitation.motor)
     hover = trim(vehicle, charge=_CHARGE)
-    x, calm = hover.state.copy(), np.zeros(3)
+    x, wind = hover.state.copy(), np.zeros((n, 3)) if air is None else air.block(n)
     x[2] = -_HEIGHT
     std = np.array([NOISE[o] for o in _OUTPUTS])
     inputs, measured = np.empty((n, 4)), np.empty((n, len(_OUTPUTS)))
@@ -127,8 +136,8 @@ def fly_record(vehicle: Vehicle, excitation: Excitation, rng: np.random.Generato
         set_point = excitation.set_point[k] + [_HEIGHT, 0.0, 0.0, 0.0]
         inputs[k] = controller.step(measured[k], set_point, excitation.motor[k])
         now = inputs[max(k - whole, 0)] if k >= whole else hover.input
-        advance(x, before, calm, p, 1e-3, part)
-        advance(x, now, calm, p, 1e-3, steps - part)
+        advance(x, before, wind[k], p, 1e-3, part)
+        advance(x, now, wind[k], p, 1e-3, steps - part)
     time_s = np.arange(n, dtype=np.float64) * SAMPLE_S
     return Record(name, time_s, inputs, _OUTPUTS, measured, measured[:, -1].copy())
 
@@ -163,7 +172,13 @@ class _Pid:
 
 
 def demo_flights(
-    vehicle: Vehicle, *, seed: int = 0, seconds: float = 12.0, moving: bool = False
+    vehicle: Vehicle,
+    *,
+    seed: int = 0,
+    seconds: float = 12.0,
+    moving: bool = False,
+    wind: float = 0.0,
+    gust: float = 0.0,
 ) -> tuple[list[Record], list[Record]]:
     """Fly the records of the demonstration.
 
@@ -177,6 +192,8 @@ def demo_flights(
         Length of a flight.
     moving : bool
         Switch the recorder on in mid-flight, when rotors, bar and vehicle move already, instead of in a steady hover.
+    wind, gust : float
+        Mean wind, from south to north, and standard deviation of a gust's components (m/s).
 
     Returns
     -------
@@ -187,7 +204,10 @@ def demo_flights(
     before = round(_LEAD_S / SAMPLE_S) if moving else 0
     n = round(seconds / SAMPLE_S) + 1 + before
     signals = _excitations(n, rng)
-    flown = {k: fly_record(vehicle, s, rng, name=f"demo-{k}").part(before, n) for k, s in signals.items()}
+    flown = {}
+    for k, (name, signal) in enumerate(signals.items()):
+        air = DrydenWind((wind, 0.0, 0.0), gust, step_s=SAMPLE_S, seed=5 * seed + k) if wind or gust else None
+        flown[name] = fly_record(vehicle, signal, rng, name=f"demo-{name}", air=air).part(before, n)
     return [flown[k] for k in ("yaw", "heave", "roll", "pitch")], [flown["mixed"]]
 
 
