@@ -19,10 +19,10 @@ from mufly.control import (
     TwoDegreeWeights,
     design,
 )
-from mufly.control.designs import design_heave_yaw, design_roll_pitch
+from mufly.control.designs import design_heave_yaw, design_roll_pitch, heave_acceleration
 from mufly.dynamics import linearise
 from mufly.errors import InputError, MuflyError
-from mufly.vehicle import Vehicle, load_vehicle, replace
+from mufly.vehicle import Vehicle, load_vehicle, parameters, replace
 
 
 def test_heave_yaw_reaches_its_targets(controller: FlightController) -> None:
@@ -134,9 +134,27 @@ def test_scales_and_limits_are_what_the_docs_say(controller: FlightController) -
     assert float(heave["heave_lead"]) == pytest.approx(0.225, abs=6e-4)
     assert float(heave["yaw_lead"]) == pytest.approx(0.2, abs=6e-3)
     assert float(heave["heave_bandwidth"]) == 8.0
-    assert (float(position["position_gain"]), float(position["tilt_limit"])) == (1.0, 0.15)
+    assert float(heave["heave_speed"]) == 1.0
+    assert [float(position[k]) for k in ("position_gain", "speed_limit", "tilt_limit")] == [1.0, 1.5, 0.15]
     # The voltage is filtered with 50 ms: after that long nine steps of ten have covered two thirds of a step.
     assert (1.0 - float(heave["voltage_blend"])) ** 10 == pytest.approx(np.exp(-1.0), rel=0.05)
+
+
+@pytest.mark.parametrize(("mass", "thrust", "most"), [(1.45, 1.0, 0.1), (0.8, 1.6, 1.5)])
+def test_a_reference_of_height_asks_for_something_and_not_too_much(
+    vehicle: Vehicle, mass: float, thrust: float, most: float
+) -> None:
+    """Of a vehicle that hovers with nothing to spare, and of one that could leap."""
+    now = {
+        p.key: float(p.value) for p in parameters(vehicle) if p.key.endswith(("mass", "thrust_coefficient"))
+    }
+    factor = {
+        "body.mass": mass,
+        "rotors.upper.thrust_coefficient": thrust,
+        "rotors.lower.thrust_coefficient": thrust,
+    }
+    other = replace(vehicle, {key: now[key] * share for key, share in factor.items()})
+    assert heave_acceleration(other, linearise(other), Settings()) == most
 
 
 def test_the_thesis_weights_give_what_design_md_says(appendix_b: ModuleType) -> None:
