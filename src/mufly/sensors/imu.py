@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled import compiled
-from mufly.dynamics import rotation, trim
+from mufly.dynamics import STATE_SIZE, rotation, trim
 from mufly.sensors.readings import Reading, Sensor, Truth
 from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
@@ -65,8 +65,14 @@ class Imu(Sensor):
     ) -> None:
         imu = table
         self._rng, self._imu = rng, imu
-        self._hover = np.asarray(trim(vehicle).state[18:20] if hover_rad_s is None else hover_rad_s)
-        self._place = imu.place.array()[0]
+        hover = np.asarray(trim(vehicle).state[18:20] if hover_rad_s is None else hover_rad_s)
+        shake = imu.vibration
+        self._numbers = np.array(
+            [float(q) for q in (shake.once, shake.twice, shake.passing, shake.resonance, shake.damping)]
+            + [*hover, float(imu.drift_time)]
+        )
+        self._warming, self._warming_time = float(imu.warming), float(imu.warming_time)
+        self._place = imu.place.array()[0].copy()
         self._dt = float(imu.sample_period)
         density = np.repeat([float(imu.accelerometer_noise), float(imu.gyro_noise)], 3)
         self._white = density * math.sqrt(0.5 / self._dt)
@@ -95,6 +101,8 @@ class Imu(Sensor):
         self._azimuth = self._rng.uniform(0.0, 2 * math.pi, 2)
         self._memory = np.zeros((6, 2))
         self._before: Truth | None = None
+        self._was, self._now = np.zeros(STATE_SIZE), np.zeros(STATE_SIZE)
+        self._normal = np.zeros(0)
         self._force_now = np.zeros(3)
         self._last: Mapping[str, Reading] = {}
 
@@ -109,68 +117,41 @@ class Imu(Sensor):
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
         before, self._before = self._before, truth
-        if before is None:
-            first = self._force_now = self._force(truth, np.zeros(3), np.zeros(3))
-            self._memory[:] = np.concatenate([first, truth.rates])[:, None]
-            return self._say(truth, self._memory[:, 0] + self.bias, np.zeros(6))
-        elapsed = truth.time_s - before.time_s
-        if elapsed <= 0.0:
+        if before is not None and truth.time_s <= before.time_s:
+            self._before = before
             return self._last
+        self._was, self._now = self._now, self._was
+        self._now[:] = truth.state
+        if before is None:
+            _felt_force(self._now, self._now, 1.0, self._place, self._force_now)
+            self._memory[:] = np.concatenate([self._force_now, truth.rates])[:, None]
+            return self._say(truth.time_s, self._memory[:, 0] + self.bias, np.zeros(6))
+        elapsed = truth.time_s - before.time_s
         n = max(1, round(elapsed / self._dt))
-        force = self._force_now = self._force(
-            truth, (truth.velocity - before.velocity) / elapsed, (truth.rates - before.rates) / elapsed
-        )
-        self._wander += -self._wander * elapsed / float(self._imu.drift_time) + self._drift * math.sqrt(
-            2 * elapsed / float(self._imu.drift_time)
-        ) * self._rng.standard_normal(6)
-        warm = self._warmth(truth.time_s)
-        motion = np.empty((2, 6))
-        motion[0, :3] = motion[1, :3] = force
-        motion[0, 3:], motion[1, 3:] = before.rates, truth.rates
-        speeds = np.stack([before.rotor_speed, truth.rotor_speed])
+        if self._normal.size != 6 + 6 * n:
+            self._normal = np.empty(6 + 6 * n)
+        self._rng.standard_normal(out=self._normal)
         out, clipped = np.empty(6), np.empty(6)
-        _sample(
-            motion, speeds, self._azimuth, self._shaking(speeds.mean(axis=0)), self._directions, self._phases,
-            self._axes, self.bias + self._heat * warm, self._feigned,
-            self._rng.standard_normal((n, 6)) * self._white, self._limit, self._filter, self._memory, elapsed / n,
-            out, clipped,
+        _period(
+            self._was, self._now, elapsed, n, self._warmth(truth.time_s), self._normal, self._numbers, self._place,
+            self._axes, self._feigned, self._directions, self._phases, self._heat, self.switched_on, self._drift,
+            self._white, self._limit, self._filter, self._azimuth, self._wander, self._memory, self._force_now, out,
+            clipped,
         )  # fmt: skip
-        return self._say(truth, out, clipped / n)
+        return self._say(truth.time_s, out, clipped)
 
     def right(self, truth: Truth) -> Mapping[str, Any]:
         """Of the period that was read last."""
-        return {"acceleration": self._force_now, "rates": truth.rates}
+        return {"acceleration": self._force_now.copy(), "rates": truth.rates}
 
     def _warmth(self, time_s: float) -> float:
         """How much warmer than when it was switched on (K)."""
-        return float(self._imu.warming) * (1.0 - math.exp(-time_s / float(self._imu.warming_time)))
+        return self._warming * (1.0 - math.exp(-time_s / self._warming_time))
 
-    def _force(self, truth: Truth, acceleration: _Array, turning: _Array) -> _Array:
-        """Specific force at the element (m/s^2)."""
-        w, r = truth.rates, self._place
-        down = np.array([0.0, 0.0, GRAVITY])
-        return (
-            rotation(truth.state[6:10]).T @ (acceleration - down)
-            + np.cross(turning, r)
-            + np.cross(w, np.cross(w, r))
-        )
-
-    def _shaking(self, speed: _Array) -> _Array:
-        """Amplitudes of the lines at these speeds (m/s^2)."""
-        v = self._imu.vibration
-        passing = speed.sum() / self._hover.sum()
-        share = speed / self._hover
-        return np.array([
-            *(float(a) * share[k] ** 2 * resonance(v, m * speed[k]) / resonance(v, m * self._hover[k])
-              for k in range(2) for m, a in ((1, v.once), (2, v.twice))),
-            float(v.passing) * passing**2 * resonance(v, 2 * speed.sum()) / resonance(v, 2 * self._hover.sum()),
-        ])  # fmt: skip
-
-    def _say(self, truth: Truth, values: _Array, clipped: _Array) -> Mapping[str, Reading]:
-        t = truth.time_s
+    def _say(self, t: float, values: _Array, clipped: _Array) -> Mapping[str, Reading]:
         self._last = {
-            "acceleration": Reading(values[:3].copy(), t),
-            "rates": Reading(values[3:].copy(), t),
+            "acceleration": Reading(values[:3], t),
+            "rates": Reading(values[3:], t),
             "clipping": Reading(clipped[:3], t),
             "temperature": Reading(ROOM_K + self._warmth(t), t),
         }
@@ -179,8 +160,7 @@ class Imu(Sensor):
 
 def resonance(vibration: Vibration, speed_rad_s: float) -> float:
     """How much the board exaggerates a shaking of this speed (rad/s): |H|."""
-    x = speed_rad_s / float(vibration.resonance)
-    return 1.0 / math.hypot(1.0 - x * x, 2.0 * float(vibration.damping) * x)
+    return float(_exaggerated(speed_rad_s, float(vibration.resonance), float(vibration.damping)))
 
 
 def butterworth(cutoff_rad_s: float, step_s: float) -> _Array:
@@ -197,36 +177,112 @@ def _axes(rng: np.random.Generator, scale: float, misalignment: float) -> _Array
     return np.eye(3) + np.diag(scale * rng.standard_normal(3)) + off - np.diag(np.diag(off))
 
 
+# A period of the flight software. All of it is compiled, as one: forty samples of six axes cost less than ten calls of
+# NumPy. The lines of the shaking are phasors that turn: within a period a rotor's speed changes evenly, so its phasor
+# turns by an angle that itself grows by the same angle from sample to sample, and sine and cosine are asked for three
+# times a rotor and period instead of ten times a sample. Twice the azimuth is the phasor's square.
+
+
 @compiled(error_model="numpy")
-def _sample(  # type: ignore[no-untyped-def]
-    motion, speeds, azimuth, amplitude, directions, phases, axes, bias, feigned, white, limit, coefficients, memory, dt,
-    out, clipped,
+def _exaggerated(speed, natural, damping):  # type: ignore[no-untyped-def]
+    x = speed / natural
+    return 1.0 / math.sqrt((1.0 - x * x) ** 2 + (2.0 * damping * x) ** 2)
+
+
+@compiled(error_model="numpy")
+def _felt_force(was, now, elapsed, place, force):  # type: ignore[no-untyped-def]
+    """Specific force at the element (m/s^2), as the mean of a period, into ``force``."""
+    turn = rotation(now[6:10])
+    px, py, pz = (now[10] - was[10]) / elapsed, (now[11] - was[11]) / elapsed, (now[12] - was[12]) / elapsed
+    a, b, c = (now[3] - was[3]) / elapsed, (now[4] - was[4]) / elapsed, (now[5] - was[5]) / elapsed - GRAVITY
+    wx, wy, wz = now[10], now[11], now[12]
+    x, y, z = place[0], place[1], place[2]
+    vx, vy, vz = wy * z - wz * y, wz * x - wx * z, wx * y - wy * x
+    force[0] = turn[0, 0] * a + turn[1, 0] * b + turn[2, 0] * c + py * z - pz * y + wy * vz - wz * vy
+    force[1] = turn[0, 1] * a + turn[1, 1] * b + turn[2, 1] * c + pz * x - px * z + wz * vx - wx * vz
+    force[2] = turn[0, 2] * a + turn[1, 2] * b + turn[2, 2] * c + px * y - py * x + wx * vy - wy * vx
+
+
+@compiled(error_model="numpy")
+def _period(  # type: ignore[no-untyped-def]
+    was, now, elapsed, n, warmth, normal, numbers, place, axes, feigned, directions, phases, heat, switched_on, drift,
+    white, limit, coefficients, azimuth, wander, memory, force, out, clipped,
 ):  # fmt: skip
-    """Samples of one period: shake, sense, clip, filter; ``azimuth`` and ``memory`` (6, 2) of the filter stay."""
-    n = white.shape[0]
+    """Shake, sense, clip and filter over a period; ``azimuth``, ``wander``, ``memory`` (6, 2) of the filter stay.
+
+    ``normal`` (6 + 6 n) are unit normal numbers: of the wandering, then of the samples. ``force`` is what is felt
+    at the element, ``out`` and ``clipped`` (6,) what is said and the share of samples that clipped.
+    """
+    once, twice, passing, natural, damping = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
+    hover_up, hover_dw, drift_time = numbers[5], numbers[6], numbers[7]
+    _felt_force(was, now, elapsed, place, force)
+    step = math.sqrt(2.0 * elapsed / drift_time)
+    for j in range(6):
+        wander[j] += -wander[j] * elapsed / drift_time + drift[j] * step * normal[j]
+
+    # What each of the six axes feels: at the beginning, more at the end, and of cosine and sine of each line.
+    begin, slope, wave = np.empty(6), np.empty(6), np.empty((6, 10))
+    for j in range(3):
+        a = w = more = 0.0
+        for m in range(3):
+            a += axes[0, j, m] * force[m]
+            w += axes[1, j, m] * was[10 + m] + feigned[j, m] * force[m]
+            more += axes[1, j, m] * (now[10 + m] - was[10 + m])
+        begin[j], begin[3 + j], slope[j], slope[3 + j] = a, w, 0.0, more
+    up, dw = 0.5 * (was[18] + now[18]), 0.5 * (was[19] + now[19])
+    for line in range(5):
+        if line < 4:
+            speed, hover = (up, hover_up) if line < 2 else (dw, hover_dw)
+            times = 1.0 + line % 2
+            amplitude = once if line % 2 == 0 else twice
+        else:
+            speed, hover, times, amplitude = up + dw, hover_up + hover_dw, 2.0, passing
+        share = speed / hover
+        amplitude *= share * share
+        amplitude *= _exaggerated(times * speed, natural, damping) / _exaggerated(
+            times * hover, natural, damping
+        )
+        c, s = amplitude * math.cos(phases[line]), amplitude * math.sin(phases[line])
+        for j in range(3):
+            a = w = 0.0
+            for m in range(3):
+                a += axes[0, j, m] * directions[line, m]
+                w += feigned[j, m] * directions[line, m]
+            wave[j, 2 * line], wave[j, 2 * line + 1] = c * a, -s * a
+            wave[3 + j, 2 * line], wave[3 + j, 2 * line + 1] = c * w, -s * w
+    for j in range(6):
+        begin[j] += switched_on[j] + wander[j] + heat[j] * warmth
+
+    # Phasors of the rotors: where they are, by how much they turn next, by how much more from then to then.
+    dt = elapsed / n
+    phasor = np.empty((2, 6))
+    for k in range(2):
+        first, growth = was[18 + k], (now[18 + k] - was[18 + k]) / n
+        angle, turn, more = azimuth[k], dt * (first + 0.5 * growth), dt * growth
+        phasor[k, 0], phasor[k, 1] = math.cos(angle), math.sin(angle)
+        phasor[k, 2], phasor[k, 3] = math.cos(turn), math.sin(turn)
+        phasor[k, 4], phasor[k, 5] = math.cos(more), math.sin(more)
+        azimuth[k] = (angle + 0.5 * elapsed * (was[18 + k] + now[18 + k])) % (2.0 * math.pi)
+    lines = np.empty(10)
     b0, b1, b2, a1, a2 = coefficients[0], coefficients[1], coefficients[2], coefficients[3], coefficients[4]
-    true, felt = np.empty(6), np.empty(6)
     gain = 1.0 + a1 + a2
     clipped[:] = 0.0
     for i in range(n):
         share = (i + 0.5) / n
         for k in range(2):
-            azimuth[k] += dt * (speeds[0, k] + share * (speeds[1, k] - speeds[0, k]))
+            c, s, tc, ts = phasor[k, 0], phasor[k, 1], phasor[k, 2], phasor[k, 3]
+            c, s = c * tc - s * ts, c * ts + s * tc
+            phasor[k, 0], phasor[k, 1] = c, s
+            phasor[k, 2] = tc * phasor[k, 4] - ts * phasor[k, 5]
+            phasor[k, 3] = tc * phasor[k, 5] + ts * phasor[k, 4]
+            lines[4 * k], lines[4 * k + 1] = c, s
+            lines[4 * k + 2], lines[4 * k + 3] = c * c - s * s, 2.0 * c * s
+        lines[8] = lines[2] * lines[6] - lines[3] * lines[7]
+        lines[9] = lines[2] * lines[7] + lines[3] * lines[6]
         for j in range(6):
-            true[j] = motion[0, j] + share * (motion[1, j] - motion[0, j])
-        for line in range(5):
-            angle = azimuth[line // 2] * (1 + line % 2) if line < 4 else 2.0 * (azimuth[0] + azimuth[1])
-            push = amplitude[line] * math.cos(angle + phases[line])
-            for j in range(3):
-                true[j] += push * directions[line, j]
-        for j in range(3):
-            a = w = 0.0
-            for m in range(3):
-                a += axes[0, j, m] * true[m]
-                w += axes[1, j, m] * true[3 + m] + feigned[j, m] * true[m]
-            felt[j], felt[3 + j] = a, w
-        for j in range(6):
-            x = felt[j] + bias[j] + white[i, j]
+            x = begin[j] + share * slope[j] + white[j] * normal[6 + 6 * i + j]
+            for m in range(10):
+                x += wave[j, m] * lines[m]
             if x > limit[j]:
                 x = limit[j]
                 clipped[j] += 1.0
@@ -238,5 +294,5 @@ def _sample(  # type: ignore[no-untyped-def]
             out[j] = (b0 * s + b1 * memory[j, 0] + b2 * memory[j, 1]) / gain
             memory[j, 1] = memory[j, 0]
             memory[j, 0] = s
-    for k in range(2):
-        azimuth[k] %= 2.0 * math.pi
+    for j in range(6):
+        clipped[j] /= n

@@ -25,6 +25,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled import compiled
 from mufly.dynamics import rotation
 from mufly.sensors.readings import Periodic, Reading, Truth, beam_angles, beam_directions
 from mufly.vehicle import Vehicle
@@ -59,17 +60,24 @@ class RingCamera(Periodic):
         self._rows = np.arange(c.radial_pixels) + 0.5
         self._offset = float(c.calibration) * rng.standard_normal(len(self._centres))
         self._ambient = float(c.ambient) * rng.uniform(0.5, 1.5, c.angular_pixels)
+        self._across = np.exp(-0.5 * ((self._columns + 0.5 - self._centres[:, None]) / self._blur) ** 2)
+        # Weights are such that the noise of the sum stays one.
+        self._weight = self._across / np.sqrt((self._across**2).sum(axis=1, keepdims=True))
+        self._light = self._ambient[self._columns % c.angular_pixels]
+        self._numbers = np.array(
+            [float(c.brightness), self._blur, self._row, self._baseline, self._nearest, self._farthest]
+        )
         super().__init__(float(c.period))
 
     def measure(self, truth: Truth) -> tuple[float, dict[str, Reading]]:
         true = self.true_ranges_m(truth.state)
         true[self._rng.uniform(size=true.size) < float(self._camera.missed)] = math.inf
-        light = (
-            self._spots(true, self._columns)
-            + self._ambient[self._columns % self._camera.angular_pixels][:, None, :]
-        )
-        seen = light + self._rng.standard_normal(light.shape)
-        return 0.0, {"ranges": Reading(self.decode(seen), truth.time_s)}
+        picture = self._rng.standard_normal((true.size, self._rows.size, self._across.shape[1]))
+        told = np.full(true.size, self._nothing)
+        _decode(
+            picture, true, self._across, self._light, self._weight, self._offset, self._numbers, told
+        )  # fmt: skip
+        return 0.0, {"ranges": Reading(told, truth.time_s)}
 
     def right(self, truth: Truth) -> dict[str, _Array]:
         return {"ranges": np.minimum(self.true_ranges_m(truth.state), self._nothing)}
@@ -89,28 +97,6 @@ class RingCamera(Periodic):
                  * np.exp(-0.5 * (near / self._blur) ** 2)[:, None, :])  # fmt: skip
         return light.sum(axis=0) + self._ambient + self._rng.standard_normal(light.shape[1:])
 
-    def decode(self, windows: _Array) -> _Array:
-        """Ranges (n,) from the columns around each beam, (n, rows, w) in deviations of a pixel's noise."""
-        flat = windows - np.median(windows, axis=1, keepdims=True)
-        weight = np.exp(-0.5 * ((self._columns + 0.5 - self._centres[:, None]) / self._blur) ** 2)  # (n, w)
-        weight /= np.sqrt((weight**2).sum(axis=1, keepdims=True))  # so that the noise stays one
-        along = np.einsum("nrw,nw->nr", flat, weight)
-        reach = max(1, math.ceil(1.5 * self._blur))
-        told = np.full(along.shape[0], self._nothing)
-        for k, line in enumerate(along):
-            best = int(line.argmax())
-            if line[best] < THRESHOLD:
-                continue
-            low, high = max(0, best - reach), min(line.size, best + reach + 1)
-            part = np.maximum(line[low:high], 0.0)
-            row = float(part @ self._rows[low:high] / part.sum()) + self._offset[k]
-            if row <= 0.0:
-                continue
-            distance = self._baseline / math.tan(row * self._row)
-            if self._nearest <= distance <= self._farthest:
-                told[k] = distance
-        return told
-
     def _brightness(self, distance: _Array) -> _Array:
         with np.errstate(divide="ignore"):
             return float(self._camera.brightness) / np.maximum(distance, 0.05) ** 2
@@ -120,10 +106,89 @@ class RingCamera(Periodic):
         row = np.arctan2(self._baseline, distance) / self._row
         return np.exp(-0.5 * ((self._rows - row[:, None]) / self._blur) ** 2)
 
-    def _spots(self, distance: _Array, columns: NDArray[np.int_]) -> _Array:
-        across = np.exp(-0.5 * ((columns + 0.5 - self._centres[:, None]) / self._blur) ** 2)
-        return (
-            self._brightness(distance)[:, None, None]
-            * self._profile(distance)[:, :, None]
-            * across[:, None, :]
-        )
+
+@compiled(error_model="numpy")
+def _median(a):  # type: ignore[no-untyped-def]
+    """Median of numbers, whose order changes (Hoare's selection; that of NumPy takes two seconds to compile)."""
+    middle, low, high = a.size // 2, 0, a.size - 1
+    while low < high:
+        pivot, i, j = a[(low + high) // 2], low, high
+        while i <= j:
+            while a[i] < pivot:
+                i += 1
+            while a[j] > pivot:
+                j -= 1
+            if i <= j:
+                a[i], a[j] = a[j], a[i]
+                i += 1
+                j -= 1
+        if middle <= j:
+            high = j
+        elif middle >= i:
+            low = i
+        else:
+            break
+    if a.size % 2:
+        return a[middle]
+    below = a[0]
+    for i in range(1, middle):
+        below = max(below, a[i])
+    return 0.5 * (below + a[middle])
+
+
+@compiled(error_model="numpy")
+def _decode(picture, distance, across, light, weight, offset, numbers, told):  # type: ignore[no-untyped-def]
+    """Put the spots into a picture of noise and find them again.
+
+    Parameters
+    ----------
+    picture : (n, rows, w) array
+        Unit noise of the columns around each beam; becomes what is seen.
+    distance : (n,) array
+        Of each spot (m); infinite where there is none.
+    across, light, weight : (n, w) arrays
+        Share of a spot's brightness, ambient light, and weight in the sum, of each column.
+    offset : (n,) array
+        What the decoder is off by (rows).
+    numbers : (6,) array
+        Brightness at 1 m, blur (rows), elevation of a row (rad), baseline, nearest and greatest distance (m).
+    told : (n,) array
+        Overwritten where a spot is found (m).
+    """
+    brightness, blur, row, baseline, nearest, farthest = (
+        numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5],
+    )  # fmt: skip
+    rows, wide = picture.shape[1], picture.shape[2]
+    reach = max(1, int(math.ceil(1.5 * blur)))
+    column, line = np.empty(rows), np.empty(rows)
+    for k in range(picture.shape[0]):
+        strength = brightness / max(distance[k], 0.05) ** 2
+        spot = math.atan2(baseline, distance[k]) / row
+        for r in range(rows):
+            line[r] = 0.0
+        for c in range(wide):
+            for r in range(rows):
+                x = picture[k, r, c] + light[k, c]
+                off = (r + 0.5 - spot) / blur
+                if abs(off) < 8.0:  # beyond, a spot is darker than rounding
+                    x += strength * across[k, c] * math.exp(-0.5 * off * off)
+                column[r] = picture[k, r, c] = x
+            middle = _median(column)
+            for r in range(rows):
+                line[r] += weight[k, c] * (picture[k, r, c] - middle)
+        best = 0
+        for r in range(rows):
+            if line[r] > line[best]:
+                best = r
+        if line[best] < THRESHOLD:
+            continue
+        total = moment = 0.0
+        for r in range(max(0, best - reach), min(rows, best + reach + 1)):
+            part = max(line[r], 0.0)
+            total += part
+            moment += part * (r + 0.5)
+        place = moment / total + offset[k]
+        if place > 0.0:
+            found = baseline / math.tan(place * row)
+            if nearest <= found <= farthest:
+                told[k] = found
