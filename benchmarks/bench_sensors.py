@@ -2,8 +2,9 @@
 
 python benchmarks/bench_sensors.py [--vehicle mufly-2.0] [--cold]
 
-Each sensor's time is the mean over periods in which it measures and in which it does not, ``worst`` that of the longest
-(each period's best of several runs). ``--cold`` starts a process that has nothing compiled and times its first readings.
+Each sensor's time is the mean over periods in which it measures and in which it does not, ``worst`` that of the
+longest (each period's best of several runs). ``--cold`` starts a process that has nothing compiled and times its
+first readings.
 """
 
 import argparse

@@ -159,7 +159,7 @@ def _decode(picture, distance, across, light, weight, offset, numbers, told):  #
         numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5],
     )  # fmt: skip
     rows, wide = picture.shape[1], picture.shape[2]
-    reach = max(1, int(math.ceil(1.5 * blur)))
+    reach = max(1, math.ceil(1.5 * blur))
     column, line = np.empty(rows), np.empty(rows)
     for k in range(picture.shape[0]):
         strength = brightness / max(distance[k], 0.05) ** 2

@@ -1,6 +1,7 @@
 """What a vehicle feels with: the table ``[sensors]`` of a vehicle file, a group a sensor, each of which may be absent.
 
-What the numbers do stands with the sensors (:mod:`mufly.sensors`) and in docs/sensors.md.
+What the numbers do stands with the sensors (:mod:`mufly.sensors`) and in docs/sensors.md. Limits are those of any
+sensor that a vehicle of a gram to 100 kg might carry and of errors with which it still is one; errors may be none.
 """
 
 from __future__ import annotations
@@ -14,41 +15,75 @@ from mufly.vehicle.quantity import Group, Points, Quantity, parameter
 class Vibration(Group):
     """What the rotors shake the board with, as its amplitude along the shaking at the hover speed."""
 
-    once: Quantity = parameter("m/s^2", "a1", "once a revolution of each rotor, from imbalance", at_least=0)
-    twice: Quantity = parameter(
-        "m/s^2", "a2", "twice a revolution of each rotor, from its two blades", at_least=0
+    once: Quantity = parameter(
+        "m/s^2", "a1", "once a revolution of each rotor, from imbalance", at_least=0, at_most=2000
     )
-    passing: Quantity = parameter("m/s^2", "ap", "when blades of both rotors pass each other", at_least=0)
-    resonance: Quantity = parameter("rad/s", "w_r", "resonance of the board on its mounting", above=0)
-    damping: Quantity = parameter("1", "zeta_r", "damping ratio of that resonance", above=0, at_most=2)
+    twice: Quantity = parameter(
+        "m/s^2", "a2", "twice a revolution of each rotor, from its two blades", at_least=0, at_most=2000
+    )
+    passing: Quantity = parameter(
+        "m/s^2", "ap", "when blades of both rotors pass each other", at_least=0, at_most=2000
+    )
+    resonance: Quantity = parameter(
+        "rad/s", "w_r", "resonance of the board on its mounting", at_least=1, at_most=1e6
+    )
+    damping: Quantity = parameter("1", "zeta_r", "damping ratio of that resonance", at_least=0.001, at_most=2)
 
 
 class Imu(Group):
-    sample_period: Quantity = parameter("s", "T_imu", "between samples at the element", above=0, at_most=0.01)
-    bandwidth: Quantity = parameter("rad/s", "w_aa", "of the filter before decimation", above=0)
-    accelerometer_range: Quantity = parameter("m/s^2", "a_max", "where an axis clips", above=0)
-    accelerometer_noise: Quantity = parameter("m/s^2/sqrt(Hz)", "n_a", "density of white noise", at_least=0)
-    accelerometer_bias: Quantity = parameter("m/s^2", "b_a", "bias at switching on, one sigma", at_least=0)
-    accelerometer_drift: Quantity = parameter("m/s^2", "d_a", "wandering of the bias, one sigma", at_least=0)
-    gyro_range: Quantity = parameter("rad/s", "w_max", "where an axis clips", above=0)
-    gyro_noise: Quantity = parameter("rad/s/sqrt(Hz)", "n_g", "density of white noise", at_least=0)
-    gyro_bias: Quantity = parameter("rad/s", "b_g", "bias at switching on, one sigma", at_least=0)
-    gyro_drift: Quantity = parameter("rad/s", "d_g", "wandering of the bias, one sigma", at_least=0)
-    gyro_g_sensitivity: Quantity = parameter(
-        "rad/s/(m/s^2)", "s_g", "rate that an acceleration along the axis feigns, one sigma", at_least=0
+    sample_period: Quantity = parameter(
+        "s", "T_imu", "between samples at the element", at_least=1e-5, at_most=0.01
     )
-    drift_time: Quantity = parameter("s", "tau_b", "correlation time of both wanderings", above=0)
+    bandwidth: Quantity = parameter(
+        "rad/s", "w_aa", "of the filter before decimation", at_least=1, at_most=100000
+    )
+    accelerometer_range: Quantity = parameter(
+        "m/s^2", "a_max", "where an axis clips", at_least=1, at_most=100000
+    )
+    accelerometer_noise: Quantity = parameter(
+        "m/s^2/sqrt(Hz)", "n_a", "density of white noise", at_least=0, at_most=10
+    )
+    accelerometer_bias: Quantity = parameter(
+        "m/s^2", "b_a", "bias at switching on, one sigma", at_least=0, at_most=50
+    )
+    accelerometer_drift: Quantity = parameter(
+        "m/s^2", "d_a", "wandering of the bias, one sigma", at_least=0, at_most=50
+    )
+    gyro_range: Quantity = parameter("rad/s", "w_max", "where an axis clips", at_least=0.1, at_most=10000)
+    gyro_noise: Quantity = parameter("rad/s/sqrt(Hz)", "n_g", "density of white noise", at_least=0, at_most=1)
+    gyro_bias: Quantity = parameter("rad/s", "b_g", "bias at switching on, one sigma", at_least=0, at_most=10)
+    gyro_drift: Quantity = parameter(
+        "rad/s", "d_g", "wandering of the bias, one sigma", at_least=0, at_most=10
+    )
+    gyro_g_sensitivity: Quantity = parameter(
+        "rad/s/(m/s^2)",
+        "s_g",
+        "rate that an acceleration along the axis feigns, one sigma",
+        at_least=0,
+        at_most=1,
+    )
+    drift_time: Quantity = parameter(
+        "s", "tau_b", "correlation time of both wanderings", at_least=0.01, at_most=1e7
+    )
     scale_error: Quantity = parameter(
         "1", "e_s", "error of each axis's scale, one sigma", at_least=0, at_most=0.2
     )
     misalignment: Quantity = parameter("rad", "e_m", "of each axis, one sigma", at_least=0, at_most=0.2)
     accelerometer_temperature: Quantity = parameter(
-        "m/s^2/K", "k_a", "bias per warming, one sigma", at_least=0
+        "m/s^2/K", "k_a", "bias per warming, one sigma", at_least=0, at_most=1
     )
-    gyro_temperature: Quantity = parameter("rad/s/K", "k_g", "bias per warming, one sigma", at_least=0)
-    warming: Quantity = parameter("K", "dT", "of the board, from switching on to its end", at_least=0)
-    warming_time: Quantity = parameter("s", "tau_T", "time constant of the warming", above=0)
-    place: Points = parameter("m", "r_imu", "one point: where the element sits, in body axes")
+    gyro_temperature: Quantity = parameter(
+        "rad/s/K", "k_g", "bias per warming, one sigma", at_least=0, at_most=1
+    )
+    warming: Quantity = parameter(
+        "K", "dT", "of the board, from switching on to its end", at_least=0, at_most=200
+    )
+    warming_time: Quantity = parameter(
+        "s", "tau_T", "time constant of the warming", at_least=0.01, at_most=1e6
+    )
+    place: Points = parameter(
+        "m", "r_imu", "one point: where the element sits, in body axes", at_least=-10, at_most=10
+    )
     vibration: Vibration
 
     @model_validator(mode="after")
@@ -59,95 +94,120 @@ class Imu(Group):
 
 
 class Sonar(Group):
-    period: Quantity = parameter("s", "T_us", "between pulses", above=0)
-    cone: Quantity = parameter("rad", "beta_us", "full angle of the cone", above=0, below=3.0)
-    min_range: Quantity = parameter("m", "l_us_min", "shortest distance", at_least=0)
-    max_range: Quantity = parameter("m", "l_us_max", "greatest distance", above=0)
-    resolution: Quantity = parameter("m", "dl_us", "step of the reading", at_least=0)
-    noise: Quantity = parameter("m", "n_us", "one sigma before that", at_least=0)
+    period: Quantity = parameter("s", "T_us", "between pulses", at_least=0.0001, at_most=10)
+    cone: Quantity = parameter("rad", "beta_us", "full angle of the cone", at_least=0.001, below=3.0)
+    min_range: Quantity = parameter("m", "l_us_min", "shortest distance", at_least=0, at_most=100)
+    max_range: Quantity = parameter("m", "l_us_max", "greatest distance", at_least=0.01, at_most=100)
+    resolution: Quantity = parameter("m", "dl_us", "step of the reading", at_least=0, at_most=10)
+    noise: Quantity = parameter("m", "n_us", "one sigma before that", at_least=0, at_most=10)
     dropout: Quantity = parameter("1", "p_us", "share of pulses without an echo", at_least=0, at_most=1)
     multipath: Quantity = parameter(
         "1", "p_mp", "share of echoes that came by a second surface", at_least=0, at_most=1
     )
-    place: Points = parameter("m", "r_us", "one point: where it sits, in body axes; it looks along z")
+    place: Points = parameter(
+        "m", "r_us", "one point: where it sits, in body axes; it looks along z", at_least=-10, at_most=10
+    )
 
 
 class RingCamera(Group):
     """The omnidirectional camera that sees the spots of the laser ring; the beams are those of ``range_ring``."""
 
-    period: Quantity = parameter("s", "T_cam", "between pictures", above=0)
+    period: Quantity = parameter("s", "T_cam", "between pictures", at_least=0.0001, at_most=10)
     radial_pixels: int = Field(ge=8, le=4096, strict=True, description="pixels along a radius of the picture")
     angular_pixels: int = Field(ge=8, le=4096, strict=True, description="pixels around the picture")
-    baseline: Quantity = parameter("m", "b_cam", "of the camera below the plane of the beams", above=0)
-    min_range: Quantity = parameter("m", "l_cam_min", "shortest distance that is decoded", above=0)
-    max_range: Quantity = parameter("m", "l_cam_max", "greatest distance that is decoded", above=0)
-    blur: Quantity = parameter("1", "s_cam", "radius of a spot, in pixels, one sigma", above=0)
+    baseline: Quantity = parameter(
+        "m", "b_cam", "of the camera below the plane of the beams", at_least=0.001, at_most=10
+    )
+    min_range: Quantity = parameter(
+        "m", "l_cam_min", "shortest distance that is decoded", at_least=0.001, at_most=1000
+    )
+    max_range: Quantity = parameter(
+        "m", "l_cam_max", "greatest distance that is decoded", at_least=0.01, at_most=1000
+    )
+    blur: Quantity = parameter(
+        "1", "s_cam", "radius of a spot, in pixels, one sigma", at_least=0.1, at_most=100
+    )
     calibration: Quantity = parameter(
         "1",
         "e_cam",
         "error of where each beam's spots are reckoned, in pixels along the radius, one sigma",
         at_least=0,
+        at_most=100,
     )
-    brightness: Quantity = parameter("1", "I_1", "of a spot at 1 m, over the noise of a pixel", above=0)
-    ambient: Quantity = parameter("1", "I_a", "mean of the ambient light, over the same", at_least=0)
+    brightness: Quantity = parameter(
+        "1", "I_1", "of a spot at 1 m, over the noise of a pixel", at_least=0.001, at_most=1e6
+    )
+    ambient: Quantity = parameter(
+        "1", "I_a", "mean of the ambient light, over the same", at_least=0, at_most=1e6
+    )
     missed: Quantity = parameter(
         "1", "p_cam", "share of spots that a surface swallows", at_least=0, at_most=1
     )
 
 
 class Pressure(Group):
-    period: Quantity = parameter("s", "T_p", "between readings", above=0)
-    noise: Quantity = parameter("Pa", "n_p", "one sigma", at_least=0)
-    drift: Quantity = parameter("Pa", "d_p", "wandering with weather and doors, one sigma", at_least=0)
-    drift_time: Quantity = parameter("s", "tau_p", "its correlation time", above=0)
-    downwash: Quantity = parameter("1", "k_p", "share of the disc loading that the port feels")
-    delay: Quantity = parameter("s", "T_dp", "of its filter", at_least=0)
+    period: Quantity = parameter("s", "T_p", "between readings", at_least=0.0001, at_most=100)
+    noise: Quantity = parameter("Pa", "n_p", "one sigma", at_least=0, at_most=10000)
+    drift: Quantity = parameter(
+        "Pa", "d_p", "wandering with weather and doors, one sigma", at_least=0, at_most=10000
+    )
+    drift_time: Quantity = parameter("s", "tau_p", "its correlation time", at_least=0.01, at_most=1e7)
+    downwash: Quantity = parameter(
+        "1", "k_p", "share of the disc loading that the port feels", at_least=-10, at_most=10
+    )
+    delay: Quantity = parameter("s", "T_dp", "of its filter", at_least=0, at_most=10)
 
 
 class Magnetometer(Group):
-    period: Quantity = parameter("s", "T_m", "between readings", above=0)
-    noise: Quantity = parameter("T", "n_m", "one sigma an axis", at_least=0)
-    field: Quantity = parameter("T", "B", "strength of the field in the room", above=0)
+    period: Quantity = parameter("s", "T_m", "between readings", at_least=0.0001, at_most=100)
+    noise: Quantity = parameter("T", "n_m", "one sigma an axis", at_least=0, at_most=0.01)
+    field: Quantity = parameter("T", "B", "strength of the field in the room", at_least=1e-7, at_most=0.01)
     inclination: Quantity = parameter(
         "rad", "I_B", "of the field below the horizon", at_least=-1.58, at_most=1.58
     )
     distortion: Quantity = parameter(
-        "T", "d_m", "of the field by steel in walls and floor, one sigma", at_least=0
+        "T", "d_m", "of the field by steel in walls and floor, one sigma", at_least=0, at_most=0.01
     )
-    distortion_length: Quantity = parameter("m", "L_m", "over which it changes", above=0)
-    hard_iron: Quantity = parameter("T", "h_m", "left over by calibration, one sigma an axis", at_least=0)
-    motor_field: Quantity = parameter("T/A", "k_m", "per supply current, one sigma an axis", at_least=0)
+    distortion_length: Quantity = parameter("m", "L_m", "over which it changes", at_least=0.01, at_most=10000)
+    hard_iron: Quantity = parameter(
+        "T", "h_m", "left over by calibration, one sigma an axis", at_least=0, at_most=0.01
+    )
+    motor_field: Quantity = parameter(
+        "T/A", "k_m", "per supply current, one sigma an axis", at_least=0, at_most=0.001
+    )
 
 
 class RotorSpeed(Group):
     """Speed from the back-EMF of the motors."""
 
-    period: Quantity = parameter("s", "T_n", "between readings", above=0)
-    noise: Quantity = parameter("V", "n_n", "of the voltage, one sigma", at_least=0)
+    period: Quantity = parameter("s", "T_n", "between readings", at_least=0.0001, at_most=10)
+    noise: Quantity = parameter("V", "n_n", "of the voltage, one sigma", at_least=0, at_most=100)
     constant_error: Quantity = parameter(
         "1", "e_kE", "of the back-EMF constant, one sigma", at_least=0, at_most=0.5
     )
 
 
 class BatteryMonitor(Group):
-    period: Quantity = parameter("s", "T_bat", "between readings", above=0)
-    voltage_resolution: Quantity = parameter("V", "dU", "step of the voltage", at_least=0)
-    voltage_noise: Quantity = parameter("V", "n_U", "one sigma", at_least=0)
-    current_noise: Quantity = parameter("A", "n_I", "one sigma", at_least=0)
-    current_scale: Quantity = parameter("1", "e_I", "error of the current's scale, one sigma", at_least=0)
+    period: Quantity = parameter("s", "T_bat", "between readings", at_least=0.0001, at_most=100)
+    voltage_resolution: Quantity = parameter("V", "dU", "step of the voltage", at_least=0, at_most=10)
+    voltage_noise: Quantity = parameter("V", "n_U", "one sigma", at_least=0, at_most=10)
+    current_noise: Quantity = parameter("A", "n_I", "one sigma", at_least=0, at_most=100)
+    current_scale: Quantity = parameter(
+        "1", "e_I", "error of the current's scale, one sigma", at_least=0, at_most=1
+    )
 
 
 class PositionFix(Group):
     """Position and heading by visual SLAM, or by whatever tells where the vehicle is now and then."""
 
-    period: Quantity = parameter("s", "T_x", "between fixes", above=0)
-    latency: Quantity = parameter("s", "L_x", "from the picture to the fix", at_least=0)
-    jitter: Quantity = parameter("s", "j_x", "of the latency, one sigma", at_least=0)
-    noise: Quantity = parameter("m", "n_x", "white, one sigma an axis", at_least=0)
-    wander: Quantity = parameter("m", "d_x", "correlated error, one sigma an axis", at_least=0)
-    wander_time: Quantity = parameter("s", "tau_x", "its correlation time", above=0)
-    heading_noise: Quantity = parameter("rad", "n_psi", "white, one sigma", at_least=0)
-    heading_wander: Quantity = parameter("rad", "d_psi", "correlated, one sigma", at_least=0)
+    period: Quantity = parameter("s", "T_x", "between fixes", at_least=0.001, at_most=100)
+    latency: Quantity = parameter("s", "L_x", "from the picture to the fix", at_least=0, at_most=10)
+    jitter: Quantity = parameter("s", "j_x", "of the latency, one sigma", at_least=0, at_most=10)
+    noise: Quantity = parameter("m", "n_x", "white, one sigma an axis", at_least=0, at_most=100)
+    wander: Quantity = parameter("m", "d_x", "correlated error, one sigma an axis", at_least=0, at_most=100)
+    wander_time: Quantity = parameter("s", "tau_x", "its correlation time", at_least=0.01, at_most=1e6)
+    heading_noise: Quantity = parameter("rad", "n_psi", "white, one sigma", at_least=0, at_most=3.2)
+    heading_wander: Quantity = parameter("rad", "d_psi", "correlated, one sigma", at_least=0, at_most=3.2)
     dropout: Quantity = parameter("1", "p_x", "share of fixes that are missing", at_least=0, at_most=1)
 
 
