@@ -149,6 +149,8 @@ def test_modes_and_their_older_forms():
     ):
         asked.rig.now_s += 20.0
         assert asked.by(long(MODE, *p)) == (calls, result), p
+    for p, calls in ((1, [("start_mission",)]), (0, [])):  # go on; stop, which on the floor it does anyway
+        assert asked.by(long(m.MAV_CMD_DO_PAUSE_CONTINUE, p)) == (calls, OK)
     assert asked.by(lambda s: s.say(m.MAVLink_set_mode_message(1, 1, 4 << 16 | 6 << 24)))[0] == [("land",)]
     assert asked.by(lambda s: s.say(m.MAVLink_set_mode_message(1, 128, 4 << 16 | 6 << 24)))[0] == []
     assert asked.rig.link.autopilot.parameters["LIM_SPEED"].value == before

@@ -324,7 +324,7 @@ class CommandProtocol:
         angle = math.radians(command.params[0])
         if command.params[3] == 1.0:
             now = self._autopilot.software.reference[2][2]
-            angle = float(now) + math.copysign(angle, command.params[2] or 1.0)
+            angle = float(now) + (-abs(angle) if command.params[2] < 0.0 else abs(angle))
         return self._autopilot.turn_to(angle)
 
     def _speed(self, now_s: float, command: Command) -> Answer:

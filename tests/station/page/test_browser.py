@@ -466,10 +466,28 @@ JSON.parse = (text, ...more) => {
 };
 """
 """As if the first parameter were NaN, which travels as null."""
+KEEP_SOCKETS = """
+const Socket = WebSocket, kept = [];
+let cut = false;
+window.WebSocket = class extends Socket {
+  constructor(url, ...more) {
+    if (cut && url.includes("/live/")) {
+      const none = new EventTarget();
+      setTimeout(() => none.onclose?.(), 50);
+      return none;
+    }
+    super(url, ...more);
+    if (url.includes("/live/")) kept.push(this);
+  }
+};
+window.lose = () => { cut = true; kept.forEach((s) => s.close()); };
+window.find_again = () => { cut = false; };
+"""
+"""The stream of frames can be cut, and comes back a second after it may."""
 
 
 def test_a_second_window_watches_until_it_takes_the_controls(browser: Any, fly: Fly, window: Page) -> None:
-    second = Page(browser, fly.url, ONE_IS_NAN)
+    second = Page(browser, fly.url, ONE_IS_NAN + KEEP_SOCKETS)
     wait(lambda: "another window" in second.page.inner_text(".mf-banner"), "the note")
     assert not second.ready("take-off")
     second.page.click("[data-testid=take-controls]")
@@ -479,6 +497,21 @@ def test_a_second_window_watches_until_it_takes_the_controls(browser: Any, fly: 
     wait(lambda: rows.count() > 20, "the parameters, one of them no number")
     assert second.page.get_by_placeholder("not a number").count() == 1
     wait(lambda: not window.ready("take-off"), "the first window to watch")
+    # A window that has lost the station asks for nothing: what waits would be done when it is back.
+    second.page.evaluate("lose()")
+    wait(lambda: "Station lost" in second.page.inner_text(".mf-flightbar"), "the word of it")
+    assert "cannot stop the motors" in second.page.inner_text(".mf-flightbar")
+    assert second.page.locator(STOP).is_visible()
+    for key in ("Shift+T", "Shift+Backspace", "Shift+Backspace"):
+        second.page.keyboard.press(key)
+    take_off = second.page.locator("[data-testid=take-off]")
+    assert not take_off.evaluate("e => { e.focus(); return document.activeElement === e; }")
+    assert "cannot reach" in second.page.locator(STOP).evaluate("e => getComputedStyle(e, '::after').content")
+    second.page.evaluate("find_again()")
+    wait(lambda: "Station lost" not in second.page.inner_text(".mf-flightbar"), "the station")
+    assert not second.page.locator(".mf-page").evaluate("e => e.inert")
+    time.sleep(1.0)
+    assert not (second.frame() or {})["armed"]
     second.context.close()
     wait(lambda: window.ready("take-off"), "the controls to come back")
     assert fly.process.poll() is None  # closing a window stops nothing

@@ -11,7 +11,7 @@ export function mount(element) {
     if (event.ctrlKey || event.altKey || event.metaKey) return;
     const name = event.shiftKey && event.key !== "?" ? `Shift+${event.key.length === 1 ? event.key.toUpperCase() : event.key}` : event.key;
     const button = document.querySelector(`[data-key="${CSS.escape(name)}"]`);
-    if (!button || button.disabled || button.checkVisibility?.() === false) return;
+    if (!button || button.disabled || button.closest("[inert]") || button.checkVisibility?.() === false) return;
     if (name === STOP) event.stopPropagation();
     else if (event.repeat || document.querySelector(".q-dialog") || typing(event) || (name === " " && event.target.closest?.("button, a, [role=tab]"))) return;
     event.preventDefault();

@@ -126,6 +126,8 @@ function setConnected(yes) {
   if (live.connected === yes) return;
   live.connected = yes;
   document.body.classList.toggle("mf-offline", !yes);
+  // What is pressed now would reach the station when it is back, and the vehicle then.
+  for (const part of document.querySelectorAll(".mf-page, .mf-stop, .q-dialog")) part.inert = !yes;
   for (const panel of panels) panel.offline?.(!yes);
 }
 
