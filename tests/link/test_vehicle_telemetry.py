@@ -185,6 +185,11 @@ def test_a_ring_is_told_in_centimetres_and_each_beam_with_its_direction():
     yaws = [m.enums["MAV_SENSOR_ORIENTATION"][b.orientation].name.rpartition("_")[2] for b in beams]
     assert yaws == ["90", "135", "180", "225", "270", "315", "NONE", "45"]
     assert {tuple(b.quaternion) for b in beams} == {(0.0, 0.0, 0.0, 0.0)}
+    askew = SimpleNamespace(**{**vars(RING), "first_angle": math.radians(10.0)})
+    beams = told(
+        "DISTANCE_SENSOR", instant(vehicle=SimpleNamespace(range_ring=askew, battery=VEHICLE.battery))
+    )
+    assert {b.orientation for b in beams} == {m.MAV_SENSOR_ROTATION_CUSTOM}
 
 
 def test_what_is_not_followed_is_masked_out():

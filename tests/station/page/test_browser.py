@@ -363,7 +363,8 @@ def test_a_mission_is_sent_from_a_file_and_a_bad_one_is_refused(window: Page, tm
     page.get_by_role("tab", name="Mission").click()
     wait(lambda: page.locator(".mf-mission tbody tr").count() == 3, "the mission of the command line")
     good, bad = tmp_path / "two.toml", tmp_path / "bad.toml"
-    good.write_text(MISSION + "\n[[waypoint]]\nposition_m = [0.0, 1.0, -0.7]\n")
+    moved = MISSION.replace("[3.0, -2.0, -0.5]", "[3.0, -2.2, -0.5]")
+    good.write_text(moved + "\n[[waypoint]]\nposition_m = [0.0, 1.0, -0.7]\n")
     bad.write_text(MISSION.replace("-0.6]", "0.6]"))
     upload = page.locator("[data-testid=mission-file] input[type=file]")
     upload.set_input_files(str(bad))
@@ -371,6 +372,7 @@ def test_a_mission_is_sent_from_a_file_and_a_bad_one_is_refused(window: Page, tm
     assert page.locator(".mf-mission tbody tr").count() == 3
     upload.set_input_files(str(good))
     wait(lambda: page.locator(".mf-mission tbody tr").count() == 4, "the new mission")
+    wait(lambda: "the vehicle keeps its own box" in page.inner_text("body"), "what items do not carry")
     assert "0.70" in page.inner_text(".mf-mission tbody")
 
 

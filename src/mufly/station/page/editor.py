@@ -6,20 +6,14 @@ others look on. It is checked in a thread, the newest state only, while one draw
 
 from __future__ import annotations
 
-import asyncio
-
 from nicegui import ui
 from nicegui.events import GenericEventArguments, UploadEventArguments
 
 from mufly.errors import InputError
 from mufly.mission import Mission, dump_mission
-from mufly.station.history import Outcome, Request
 from mufly.station.page import panels
-from mufly.station.page.drafts import Draft, Sketch, Verdict, edited, kept_back, of_vehicle, opened, shown
+from mufly.station.page.drafts import Draft, Sketch, Verdict, edited, of_vehicle, opened, shown
 from mufly.station.page.session import View, drawn_world
-
-WATCHED_S = 30.0
-_LOOK_S = 0.05
 
 
 class MissionEditor:
@@ -134,7 +128,7 @@ class MissionEditor:
         if vehicle is None or self._held_up("fetched"):
             return
         self._view.ask(request := vehicle.download_mission())
-        if not await _ended(request):
+        if not await panels.ended(request):
             return
         base = self._view.session.mission or self._sketch.draft.mission
         try:
@@ -153,20 +147,4 @@ class MissionEditor:
         if mission is not self._sketch.draft.mission or verdict.fault:
             panels.refuse(f"not sent: {verdict.fault or 'it was changed meanwhile'}")
             return
-        self._view.ask(request := vehicle.upload_mission(mission))
-        if not await _ended(request):
-            return
-        kept = kept_back(mission, self._sketch.held)
-        self._view.session.mission = mission
-        vehicle.show_mission(mission)
-        words = f"sent: {len(mission.waypoint)} waypoints"
-        panels.say(words + (f"; the vehicle keeps its own {', '.join(kept)}" if kept else ""))
-
-
-async def _ended(request: Request) -> bool:
-    """Wait for what becomes of a request; whether it was accepted. What became of it stands with the commands."""
-    for _ in range(int(WATCHED_S / _LOOK_S)):
-        if request.done:
-            break
-        await asyncio.sleep(_LOOK_S)
-    return request.outcome is Outcome.ACCEPTED
+        await panels.send_mission(self._view, vehicle, mission)

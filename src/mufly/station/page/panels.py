@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import math
 import tomllib
@@ -17,13 +18,15 @@ from nicegui.events import GenericEventArguments, UploadEventArguments
 from mufly.errors import MuflyError
 from mufly.mission import Mission, dump_mission, mission_from
 from mufly.station.history import Outcome, Request
-from mufly.station.page.drafts import of_vehicle
+from mufly.station.page.drafts import kept_back, of_vehicle
 from mufly.station.page.session import View, parameter_file, read_parameter_file
 from mufly.station.remote import RemoteVehicle
 from mufly.station.transfers import refused
 
 STATIC = Path(__file__).parent / "static"
 MOST_BYTES, MOST_RECORDING_BYTES = 2_000_000, 1_000_000_000
+WATCHED_S = 30.0
+_LOOK_S = 0.05
 _THREE = Path(nicegui.__file__).parent / "elements" / "scene" / "dist"
 
 
@@ -188,6 +191,27 @@ def check_drawer(view: View) -> None:
         button("Start anew", restart, title="reboot the vehicle; a simulation stands at its start again")
 
 
+async def ended(request: Request) -> bool:
+    """Wait for what becomes of a request; whether it was accepted. What became of it stands with the commands."""
+    for _ in range(int(WATCHED_S / _LOOK_S)):
+        if request.done:
+            break
+        await asyncio.sleep(_LOOK_S)
+    return request.outcome is Outcome.ACCEPTED
+
+
+async def send_mission(view: View, vehicle: RemoteVehicle, mission: Mission) -> None:
+    """Send a mission; once the vehicle has taken it, show it, and say what of it the vehicle did not get."""
+    view.ask(request := vehicle.upload_mission(mission))
+    if not await ended(request):
+        return
+    kept = kept_back(mission, view.session.sketch.held)
+    view.session.mission = mission
+    vehicle.show_mission(mission)
+    words = f"sent: {len(mission.waypoint)} waypoints"
+    say(words + (f"; the vehicle keeps its own {', '.join(kept)}" if kept else ""))
+
+
 def mission_drawer(view: View) -> None:
     """Table of the mission, with files up and down."""
 
@@ -201,9 +225,7 @@ def mission_drawer(view: View) -> None:
         except (MuflyError, ValueError) as error:
             refuse(str(error))
             return
-        view.ask(vehicle.upload_mission(mission))
-        vehicle.show_mission(mission)
-        view.session.mission = mission
+        await send_mission(view, vehicle, mission)
 
     def download() -> None:
         if (vehicle := view.vehicle()) is not None:
