@@ -19,7 +19,7 @@ from mufly.control import (
     sample_plant,
     saturated_gain,
 )
-from mufly.control.linear import is_stable_loop, state_space
+from mufly.control.linear import _tracked_eigenvalues, is_stable_loop, state_space
 from mufly.dynamics import linearise
 from mufly.vehicle import Vehicle, parameters, replace
 
@@ -95,6 +95,15 @@ def test_the_margins_of_two_loops_are_those_of_the_worse() -> None:
     loop = analyse(mixed, gain(1.0))
     for name in ("gain_margin_dB", "phase_margin_deg", "delay_margin_s"):
         assert getattr(loop, name) == pytest.approx(min(getattr(x, name) for x in one), rel=2e-3)
+
+
+def test_an_eigenvalue_is_followed_over_frequency_in_whatever_order_it_comes() -> None:
+    """Two loci that cross: as strong as one another at one frequency, and given in turn first and second."""
+    s = 1j * np.geomspace(0.1, 10.0, 60)
+    pair = np.stack([1.0 / (1.0 + s), 3.0 / (1.0 + s) ** 2], axis=1)
+    given = pair.copy()
+    given[1::2] = given[1::2, ::-1]
+    np.testing.assert_array_equal(_tracked_eigenvalues(given[:, :, None] * np.eye(2)), pair)
 
 
 def test_conditionally_stable_loop_has_a_gain_reduction() -> None:
