@@ -74,6 +74,8 @@ def told(data: xr.Dataset, mission: Mission) -> dict[str, Any]:
     """What every kind of flight is judged by."""
     s = summarise(data, [w.position_m for w in mission.waypoint], world=mission.world)
     inputs = np.hstack([data.motor_input.values, data.servo_input.values])
+    down = data.truth_position.values[:, 2]
+    airborne = down[1:] < down[0] - 0.05
     return {
         "outcome": s.outcome,
         "reason": s.reason,
@@ -82,7 +84,7 @@ def told(data: xr.Dataset, mission: Mission) -> dict[str, Any]:
         "clearance_m": s.least_clearance_m,
         "touchdown_m_s": s.touchdown_speed_m_s,
         "finite": bool(np.isfinite(inputs).all()),
-        "jump": float(np.abs(np.diff(inputs, axis=0)).max()),
+        "jump": float(np.abs(np.diff(inputs, axis=0))[airborne].max(initial=0.0)),
         "warnings": [(e.time_s, e.text) for e in events_of(data) if e.level != "info"],
     }
 

@@ -4,16 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from mufly.cli import app
 from mufly.control import FlightController, design
 from mufly.errors import InputError
-from mufly.estimate import ERROR_STATES, Beliefs, Check, Estimate, Estimator
-from mufly.flight import Flight, fly
+from mufly.estimate import ERROR_STATES, Beliefs, Check, Estimate, Estimator, fitted_estimator
+from mufly.flight import Flight, believed, fly, read_recording, replay
 from mufly.flight.trust import BAD_S, GOOD_S, Doubts, SensorWatch, Smooth, judge, outlook
-from mufly.mission import mission_from
+from mufly.identify.record import record_from
+from mufly.mission import dump_mission, mission_from
 from mufly.quantities import CHECKED, STATUSES
 from mufly.sensors import READINGS, Readings, parse_fault
 from mufly.vehicle import Vehicle, load_vehicle
+from mufly.world import World
 
 HOP = mission_from(
     {"take_off": {"height_m": 0.6, "wait_s": 0.5}, "waypoint": [{"position_m": [0.4, 0.0, -0.6]}]}
@@ -209,6 +213,110 @@ def test_statuses_and_readings_have_one_list() -> None:
 
     assert set(typing.get_args(Status)) == set(STATUSES)
     assert set(CHECKED) <= set(READINGS)
+
+
+def test_gyroscopes_that_are_gone_and_aids_that_contradict_bring_it_down_at_once(doubting) -> None:
+    flight, teller, _ = doubting
+    teller.doubt = {"position_fix": "rejected"}  # one alone may be wrong itself
+    run(flight, 0.5)
+    assert flight.status.motors == "fly"
+    teller.doubt = {"position_fix": "rejected", "magnetic_field": "rejected"}
+    run(flight, 0.1)
+    assert flight.status.motors == "fly"
+    run(flight, 0.1)
+    assert flight.status.motors == "blind"
+    assert flight.status.reason == "attitude contradicted by position fix and magnetometer"
+    doubts = Doubts()
+    for k in range(8):
+        doubts.step(believing(still(0.02 * k), rates="missing"))
+    assert doubts.now == ("sink", "gyroscope says nothing: so it is")
+
+
+@pytest.fixture(scope="module")
+def sensed(tmp_path_factory):
+    """A hop on the vehicle's own sensors, as the command flies it, with a sonar that is not there for a while."""
+    out = tmp_path_factory.mktemp("sensed")
+    (out / "hop.toml").write_text(dump_mission(HOP))
+    words = ["fly", str(out / "hop.toml"), "--headless", "--out", str(out / "flown"), "--seed", "10000"]
+    result = CliRunner().invoke(app, [*words, "--fault", "sonar.dropout@9s+1s"])
+    assert result.exit_code == 0, result.output
+    return out / "flown", read_recording(out / "flown" / "flight.mcap"), result.output
+
+
+def test_a_hop_on_sensors_succeeds_and_shows_what_it_believed(sensed) -> None:
+    folder, data, said = sensed
+    assert "It flies on its sensors: imu, sonar" in said
+    assert data.attrs["outcome"] == "succeeded"
+    assert data.attrs["faults"] == ["sonar.dropout@9s+1s"]
+    off = (data.estimated_position - data.truth_position).values
+    assert np.abs(off).max() < 0.25
+    texts = [str(t) for t in data.event_text.values]
+    assert texts.count("sonar is used again") == 1
+    noticed = next(
+        e for e, t in zip(data.event_time.values, texts, strict=True) if t.startswith("sonar says")
+    )
+    assert 9.0 < noticed < 9.5
+    assert {"estimate.png", "sensors.png", "history.png"} <= {p.name for p in folder.iterdir()}
+
+
+def test_readings_are_in_the_rows_in_which_they_came(sensed) -> None:
+    _, data, _ = sensed
+    time = data.time.values
+    assert np.diff(time).max() == pytest.approx(0.005, abs=1e-9)
+    when = data.measured_position_fix_time.values
+    came = np.isfinite(when)
+    assert 0.15 < (time - when)[came].min() < 0.25
+    assert came.sum() == pytest.approx(15.0 * time[-1], rel=0.1)
+    assert np.isnan(data.measured_position_fix.values[~came]).all()
+    quiet = (time > 9.1) & (time < 9.9)
+    assert not np.isfinite(data.measured_ground_distance_time.values[quiet]).any()
+    status = data.status_ground_distance.values[(time > 9.5) & (time < 9.9)]
+    assert (status == STATUSES.index("missing")).all()
+
+
+def test_the_estimate_can_be_made_again_from_the_recording_to_the_bit(sensed, vehicle) -> None:
+    folder, data, _ = sensed
+    again = believed(data, replay(data, fitted_estimator(vehicle, World(), 200.0)))
+    for name in ("position", "velocity", "attitude", "rates", "position_sigma", "gyro_bias"):
+        assert np.array_equal(again[f"estimated_{name}"], data[f"estimated_{name}"], equal_nan=True), name
+    result = CliRunner().invoke(
+        app, ["estimate", "run", str(folder / "flight.mcap"), "--out", str(folder / "again")]
+    )
+    assert result.exit_code == 0, result.output
+    assert "NEES / n" in result.output
+    assert {"estimate.png", "sensors.png", "estimate.mcap"} == {p.name for p in (folder / "again").iterdir()}
+
+
+def test_identification_takes_what_was_estimated_where_no_sensor_tells_it(sensed) -> None:
+    _, data, _ = sensed
+    record = record_from(data, "flight.mcap")
+    assert {"north", "height", "roll", "yaw", "p", "r", "speed_up"} <= set(record.outputs)
+    told = dict(zip(record.outputs, record.measured.T, strict=True))
+    flown = data.estimated_valid.values > 0.5
+    assert np.array_equal(told["roll"][flown], data.estimated_attitude.values[flown, 0])
+    assert np.isnan(told["roll"][~flown]).all()
+    assert np.array_equal(told["p"], data.measured_rates.values[:, 0])  # sensors come first
+
+
+def test_a_fault_may_be_injected_and_cleared_in_flight(vehicle, controller) -> None:
+    with Flight(vehicle, HOP, controller=controller, sensors="fitted", keep=False) as flight:
+        for _ in range(20):
+            flight.tick()
+        flight.inject(parse_fault("sonar.stuck=2@0s+5s"))
+        assert [str(f) for f in flight.status.faults] == ["sonar.stuck@0.095s+5s"]
+        for _ in range(20):
+            flight.tick()
+        assert flight.status.readings["ground_distance"].value == 2.0
+        flight.clear_faults()
+        for _ in range(20):
+            flight.tick()
+        assert flight.status.readings["ground_distance"].value < 0.2
+        assert flight.faults == ()
+        with pytest.raises(InputError, match="no sensors"):
+            Flight(
+                vehicle.model_copy(update={"sensors": vehicle.sensors.model_copy(update={"sonar": None})}),
+                HOP, controller=controller, sensors="fitted",
+            ).inject(parse_fault("sonar.jump"))  # fmt: skip
 
 
 def test_a_vehicle_without_sensors_says_so_and_flies_on_what_is_true(vehicle, controller) -> None:

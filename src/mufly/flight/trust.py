@@ -8,11 +8,14 @@ horizontal position uncertain by more than 0.25 m the mission waits in a hover; 
 ... by more than 0.6 m, or waiting for 10 s       it lands where it is
 height uncertain by more than 0.3 m               it lands
 roll or pitch uncertain by more than 8 degrees,   it sinks with its servos at trim, which the stabiliser bar makes a
-or the gyroscopes are not to be believed          level attitude
+gyroscopes gone for 0.1 s, or two of fix, sonar   level attitude
+and compass not believed for 0.15 s at once
 heading uncertain by more than 30 degrees         it lands
 ================================================ ===================================================================
 
-All are standard deviations. In the air only, and not against a pilot, who is told and decides.
+All but the last are standard deviations. The last is the one case in which what is thought of sensors decides: without
+rates of turn an attitude is known for no longer, and where two that know nothing of each other contradict, it is the
+attitude between them that is wrong. In the air only, and not against a pilot, who is told and decides.
 
 What the controllers get moves on smoothly (:class:`Smooth`): a filter corrects itself at every measurement, a few
 millimetres at a time, and heave control answers a step of 1 cm with a fifth of the motors' range.
@@ -37,6 +40,8 @@ HOLD_M, CERTAIN_M, LAND_M = 0.25, 0.15, 0.6
 CERTAIN_S, WAIT_S = 1.0, 10.0
 """For how long it has to be certain to go on; how long it waits at most (s)."""
 HEIGHT_M = 0.3
+GONE_S, CONTRADICTED_S = 0.1, 0.15
+"""For how long gyroscopes may be gone, two aids contradict (s)."""
 TILT, HEADING = math.radians(8.0), math.radians(30.0)
 
 BAD_S, GOOD_S = 0.2, 1.0
@@ -63,6 +68,7 @@ _NAMES = {
 _PLACE = ("position_fix", "ranges")
 _HEIGHT = ("ground_distance", "position_fix", "pressure")
 _LEVEL = ("rates", "acceleration")
+_APART = ("position_fix", "ground_distance", "magnetic_field")
 _HEADING = ("position_fix", "magnetic_field", "rates")
 
 
@@ -121,12 +127,16 @@ class Doubts:
     """
 
     now: Doubt = NO_DOUBT
+    _wrong_s: dict[str, float] = field(default_factory=dict)
     _since_s: float = math.nan
     _certain_s: float = math.nan
 
     def step(self, m: Estimate) -> Doubt:
         """Judge an estimate in the air; what was doubted stays so until it is certain again."""
         t, found = m.time_s, judge(m)
+        upside = self._contradicted(m)
+        if upside and found.demand != "sink":
+            found = Doubt("sink", upside)
         if self.now.demand in ("land", "sink"):
             return self.now if found.demand != "sink" else self._say(found)
         if found.demand in ("land", "sink"):
@@ -147,6 +157,23 @@ class Doubts:
         if self.now.demand == "hold" and t - self._since_s > WAIT_S:
             return self._say(Doubt("land", f"{found.why or self.now.why}, for {WAIT_S:g} s"))
         return self.now
+
+    def _contradicted(self, m: Estimate) -> str:
+        """Why the attitude cannot be right, from what is thought of sensors; "" if it can."""
+        for c in checks_of(m):
+            bad = c.status in (("missing", "faulty") if c.name == "rates" else ("rejected",))
+            if not bad:
+                self._wrong_s.pop(c.name, None)
+            elif c.name == "rates" or c.name in _APART:
+                self._wrong_s.setdefault(c.name, m.time_s)
+        checks = {c.name: c for c in checks_of(m)}
+        lasting = {n: m.time_s - since for n, since in self._wrong_s.items()}
+        if lasting.get("rates", 0.0) > GONE_S:
+            return told(checks["rates"])
+        against = [n for n in _APART if lasting.get(n, 0.0) > CONTRADICTED_S]
+        if len(against) > 1:
+            return f"attitude contradicted by {' and '.join(sensor_name(n) for n in against)}"
+        return ""
 
     def _say(self, found: Doubt) -> Doubt:
         self.now = found

@@ -115,7 +115,8 @@ def record_from(data: xr.Dataset, name: str, *, prefix: str = "measured") -> Rec
     name : str
         What errors and reports call it.
     prefix : str
-        ``"measured"``; ``"estimated"`` or ``"truth"`` of recordings that have these.
+        ``"measured"``; ``"estimated"`` or ``"truth"`` of recordings that have these. Of a flight on sensors, position,
+        velocity and attitude are measured by none of them: those as estimated on board stand in.
 
     Raises
     ------
@@ -131,6 +132,10 @@ def record_from(data: xr.Dataset, name: str, *, prefix: str = "measured") -> Rec
     for suffix, parts in _SOURCES.items():
         if f"{prefix}_{suffix}" in data:
             values = np.asarray(data[f"{prefix}_{suffix}"].values, dtype=np.float64)
+            if prefix == "measured" and not np.isfinite(values).any() and "estimated_valid" in data:
+                # A flight on its own sensors, none of which tells this: what was made of them on board.
+                believed = np.asarray(data[f"estimated_{suffix}"].values, dtype=np.float64)
+                values = np.where(data["estimated_valid"].values[:, None] > 0.5, believed, np.nan)
             for output, k, sign in parts:
                 if np.isfinite(values[:, k]).sum() >= 10:
                     columns[output] = sign * values[:, k]

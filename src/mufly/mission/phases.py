@@ -169,6 +169,8 @@ def sink(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionS
     lying = m.position[2] > s.standing[2] - 0.03 and abs(m.velocity[2]) < 0.05
     still = s.still_s + dt if lying and depth > s.standing[2] + 0.1 else 0.0
     near = m.position[2] > s.standing[2] - _NEAR_FLOOR_M
+    if m.beliefs is not None:  # a filter that does not know of the floor yet goes on falling for a moment
+        near = near and m.position[2] < s.standing[2] - LIFT_OFF_M
     impact = max(s.impact, float(m.velocity[2])) if near else s.impact
     s = replace(
         s, hold=(s.hold[0], s.hold[1], depth), sink=speed, sink_rate=rate, still_s=still, impact=impact
