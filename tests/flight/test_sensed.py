@@ -1,5 +1,6 @@
 """Flights on the vehicle's own sensors: what is recorded, what is done about doubt, what is said of sensors."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -144,6 +145,15 @@ def test_what_is_done_follows_from_the_covariance_alone(doubt: dict[str, float],
     assert judge(m).demand == demand
     assert (judge(m).why == "") == (demand == "")
     assert judge(replace(m, beliefs=None)).demand == ""  # what is told the truth has no doubts
+
+
+def test_who_stands_he_knows_not_where_may_fly_until_that_grows_worse() -> None:
+    lost = Doubts(stood=25.0)
+    assert lost.step(believing(still(), xy=5.0)).demand == ""
+    assert lost.step(believing(still(1.02), xy=math.sqrt(25.0 + 0.24**2))).demand == ""
+    assert lost.step(believing(still(1.04), xy=math.sqrt(25.0 + 0.3**2))).why.startswith(
+        "position uncertain by 0.30 m"
+    )
 
 
 def test_doubts_do_not_chatter() -> None:

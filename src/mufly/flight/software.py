@@ -303,7 +303,8 @@ class FlightSoftware:
         """Hold or land where the estimate is not good enough for more; why it has to sink at once, "" if it has not."""
         s = self.mission_state
         if not (self._lifted and self._motors == "fly"):
-            self._doubts, self._held, self._waits = Doubts(), False, False
+            stood = max(m.covariance[0, 0], m.covariance[1, 1])
+            self._doubts, self._held, self._waits = Doubts(stood=float(stood)), False, False
             return ""
         before, now = self._doubts.now, self._doubts.step(m)
         if now.demand == "sink":

@@ -13,7 +13,7 @@ and compass not believed for 0.15 s at once
 heading uncertain by more than 30 degrees         it lands
 ================================================ ===================================================================
 
-All but the last are standard deviations. The last is the one case in which what is thought of sensors decides: without
+All but the last are standard deviations, that of the position beyond the one with which it stood on the floor. The last is the one case in which what is thought of sensors decides: without
 rates of turn an attitude is known for no longer, and where two that know nothing of each other contradict, it is the
 attitude between them that is wrong. In the air only, and not against a pilot, who is told and decides.
 
@@ -98,12 +98,26 @@ def _because(m: Estimate, sources: tuple[str, ...]) -> str:
     return f" ({'; '.join(wrong)})" if wrong else ""
 
 
-def judge(m: Estimate) -> Doubt:
-    """Return what an estimate is not good enough for, whatever it was before."""
+def strayed(m: Estimate, stood: float = 0.0) -> float:
+    """By how much the horizontal position is uncertain beyond the variance ``stood`` (m2) with which it stood (m)."""
+    variance = m.covariance.diagonal()
+    return math.sqrt(max(float(variance[0]), float(variance[1]), stood) - stood)
+
+
+def judge(m: Estimate, stood: float = 0.0) -> Doubt:
+    """Return what an estimate is not good enough for, whatever it was before.
+
+    Parameters
+    ----------
+    m : Estimate
+    stood : float
+        Greatest variance of the horizontal position on the floor (m2): one that nothing tells where it is takes off
+        where it believes to stand, and can go on for as long as that does not become much worse.
+    """
     if m.beliefs is None:
         return NO_DOUBT
     variance = m.covariance.diagonal()
-    place, height = math.sqrt(max(variance[0], variance[1])), math.sqrt(variance[2])
+    place, height = strayed(m, stood), math.sqrt(variance[2])
     tilt, heading = math.sqrt(max(variance[6], variance[7])), math.sqrt(variance[8])
     if tilt > TILT:
         return Doubt("sink", f"attitude uncertain by {math.degrees(tilt):.0f} deg{_because(m, _LEVEL)}")
@@ -124,16 +138,19 @@ class Doubts:
     Attributes
     ----------
     now : Doubt
+    stood : float
+        Variance of the horizontal position on the floor (m2).
     """
 
     now: Doubt = NO_DOUBT
+    stood: float = 0.0
     _wrong_s: dict[str, float] = field(default_factory=dict)
     _since_s: float = math.nan
     _certain_s: float = math.nan
 
     def step(self, m: Estimate) -> Doubt:
         """Judge an estimate in the air; what was doubted stays so until it is certain again."""
-        t, found = m.time_s, judge(m)
+        t, found = m.time_s, judge(m, self.stood)
         upside = self._contradicted(m)
         if upside and found.demand != "sink":
             found = Doubt("sink", upside)
@@ -147,8 +164,7 @@ class Doubts:
                 self._since_s = t
                 return self._say(found)
         elif self.now.demand == "hold":
-            variance = m.covariance.diagonal()
-            if max(variance[0], variance[1]) >= CERTAIN_M**2:
+            if strayed(m, self.stood) >= CERTAIN_M:
                 self._certain_s = math.nan
             elif math.isnan(self._certain_s):
                 self._certain_s = t
