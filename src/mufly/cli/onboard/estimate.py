@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from mufly.cli.options import Commands, JsonOption, OutOption, argument, option
 from mufly.cli.present import answer, check_folder, print_table, progress_bar, say, writing
 from mufly.errors import InputError
+from mufly.results import plain
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -66,7 +67,7 @@ def run(
             out.mkdir(parents=True, exist_ok=True)
             files = [*draw_belief(again, out), out / "estimate.mcap"]
             write_log(again, files[-1])
-    answer(as_json, lambda: figures, lambda: _print(figures), files)
+    answer(as_json, lambda: plain(figures), lambda: _print(figures), files)
 
 
 def _print(c: Consistency) -> None:
