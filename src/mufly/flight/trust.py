@@ -13,10 +13,10 @@ and compass not believed for 0.15 s at once
 heading uncertain by more than 30 degrees         it lands
 ================================================ ===================================================================
 
-All but the last are standard deviations, that of the position beyond the one with which it stood on the floor. The last
-is the one case in which what is thought of sensors decides: without rates of turn an attitude is known for no longer, and
-where two that know nothing of each other contradict, it is the attitude between them that is wrong. In the air only, and
-not against a pilot, who is told and decides.
+All but the last are standard deviations, that of the position beyond the one with which it stood on the floor. The
+last is the one case in which what is thought of sensors decides: without rates of turn an attitude is known for no
+longer, and where two that know nothing of each other contradict, it is the attitude between them that is wrong. In
+the air only, and not against a pilot, who is told and decides.
 
 What the controllers get moves on smoothly (:class:`Smooth`): a filter corrects itself at every measurement, a few
 millimetres at a time, and heave control answers a step of 1 cm with a fifth of the motors' range.
