@@ -75,7 +75,7 @@ def told(data: xr.Dataset, mission: Mission) -> dict[str, Any]:
     s = summarise(data, [w.position_m for w in mission.waypoint], world=mission.world)
     inputs = np.hstack([data.motor_input.values, data.servo_input.values])
     down = data.truth_position.values[:, 2]
-    airborne = down[1:] < down[0] - 0.05
+    airborne = (down[1:] < down[0] - 0.05) & (inputs[1:, 0] > 0.0)  # an emergency stop is a step, and meant
     return {
         "outcome": s.outcome,
         "reason": s.reason,
