@@ -146,6 +146,10 @@ def test_times_from_the_mission_come_first():
     for reached in (10.0, 10.0 * (1 - 1e-15), 10.0 * (1 + 1e-15)):
         first = summarise(flown(knots, states), [GOAL], reached_s=[reached]).waypoints[0]
         assert first.reached_s == pytest.approx(10.0)
+    # One that was reached as the recording ended.
+    assert summarise(flown(knots, states), [GOAL], reached_s=[18.5]).waypoints[0].reached_s == pytest.approx(
+        18.0
+    )
 
 
 def test_the_square_of_the_thesis(flight):

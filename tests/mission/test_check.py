@@ -77,6 +77,8 @@ def test_an_obstacle_on_a_leg_is_allowed_where_the_beams_see_it():
     # Under a high shelf with room enough.
     mission_from(go((4, 0, -1), box=[SHELF]))
     mission_from(go((4, 0, -1.2), box=[HANGING]))
+    with pytest.raises(InputError, match=r"passes the lamp \(from 1\.00 m to 2\.00 m high\)"):
+        mission_from(go((4, 0, -1.1), box=[HANGING]))
     # Low over the floor, past something that stands on it or reaches below.
     mission_from(go((4, 0, -0.25), take_off={"height_m": 0.3}, box=[CRATE]))
 
@@ -125,6 +127,12 @@ def test_four_metres_more_take_as_long_as_climbing_and_sinking_them():
     )
     one, other = (check_mission(m, hover_current_A=4.0, capacity_Ah=1.0).duration_s for m in (low, high))
     assert other - one == pytest.approx(4.0 / 0.5 + 4.0 / 0.2)
+    # The last 0.4 m are sunk at the speed of a touchdown.
+    soft, hard = (
+        low.with_parts(limits=low.limits.model_copy(update={"touchdown_m_s": v})) for v in (0.1, 0.2)
+    )
+    one, other = (check_mission(m, hover_current_A=4.0, capacity_Ah=1.0).duration_s for m in (soft, hard))
+    assert one - other == pytest.approx(0.4 / 0.1 - 0.4 / 0.2)
 
 
 def test_what_is_refused_says_how_long_it_would_take():
