@@ -122,18 +122,18 @@ def test_a_mission_flown_beside_it_shows_no_difference() -> None:
 
 
 @needs_cc
-def test_it_flies_the_mission_as_python_does() -> None:
-    from mufly.flight import fly
+def test_it_flies_the_mission_as_python_does(tmp_path) -> None:
+    from mufly.flight import fly, read_recording
 
-    vehicle = load_vehicle("mufly-1.1")
-    controller = design(vehicle)
-    firmware = Firmware(controller)
-    flown = [
-        fly(vehicle, "box-on-leg", controller=controller, controllers=make)
-        for make in (None, lambda c: FirmwareControllers(c, firmware))
-    ]
+    python = fly("mufly-1.1", "box-on-leg")
+    result = CliRunner().invoke(
+        app, ["fly", "box-on-leg", "--firmware", "--headless", "--sensors", "ideal", "--out", str(tmp_path)]
+    )
+    assert result.exit_code == 0, result.output
+    assert "exported C code" in result.output
+    flown = read_recording(tmp_path / "flight.mcap")
     for name in ("truth_position", "motor_input", "servo_input"):
-        assert np.array_equal(flown[0][name].values, flown[1][name].values), name
+        assert np.array_equal(python[name].values, flown[name].values), name
 
 
 @pytest.mark.skipif(bool(missing_tools()) or not COMPILERS, reason=missing_tools() or "no C compiler")

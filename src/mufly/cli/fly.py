@@ -20,9 +20,11 @@ import typer
 from mufly.cli.options import argument, option
 from mufly.cli.present import console, say
 from mufly.cli.station import (
+    BY_FIRMWARE,
     BrowserOption,
     Ending,
     FaultOption,
+    FirmwareOption,
     GustOption,
     HostOption,
     LiveDisplay,
@@ -39,6 +41,7 @@ from mufly.cli.station import (
     dated_folder,
     endpoints_of,
     flies_on,
+    on_board,
 )
 from mufly.errors import InputError, MuflyError
 
@@ -46,7 +49,9 @@ if TYPE_CHECKING:
     import xarray as xr
     from rich.console import Console
 
+    from mufly.control import FlightController
     from mufly.flight import Event, Progress, Summary
+    from mufly.flight.software import Controllers
     from mufly.link import Endpoint, VehicleProcess
     from mufly.mission import Mission
     from mufly.sensors import Fault
@@ -77,6 +82,7 @@ class Order:
     realtime: bool
     sensors: Literal["ideal", "fitted"]
     faults: tuple[Fault, ...]
+    controllers: Callable[[FlightController], Controllers] | None
 
 
 def _free_port() -> int:
@@ -92,7 +98,7 @@ def _start(order: Order, endpoints: Sequence[Endpoint], autostart: bool) -> Vehi
         order.vehicle, order.mission, endpoints=endpoints, path=order.recording,
         tlog=order.recording.with_name("link.tlog") if order.links else None,
         wind=order.wind, gust=order.gust, seed=order.seed, sensors=order.sensors, faults=order.faults,
-        autostart=autostart, where="--link",
+        controllers=order.controllers, autostart=autostart, where="--link",
     )  # fmt: skip
 
 
@@ -294,6 +300,7 @@ def fly(
     seed: SeedOption = 0,
     sensors: SensorsOption = "fitted",
     fault: FaultOption = None,
+    firmware: FirmwareOption = False,
     realtime: Annotated[bool, option("--realtime", "Keep pace with the clock.")] = False,
     as_json: Annotated[
         bool, option("--json", "Print the summary as JSON on standard output, and nothing else.")
@@ -343,6 +350,7 @@ def fly(
         realtime,
         "ideal" if sensors == "ideal" else "fitted",
         faults,
+        on_board(firmware),
     )
     preflight(order.vehicle, order.mission, vehicle_file=vehicle, mission_file=mission)
     address = None
@@ -354,6 +362,8 @@ def fly(
         f"[bold]{order.vehicle.name}[/bold] flies [bold]{order.mission.name}[/bold]; results go to {folder}"
     )
     terminal.print(flies_on(order.vehicle, order.sensors), highlight=False, markup=False)
+    if firmware:
+        say(BY_FIRMWARE)
 
     if ends or address is not None:  # in the terminal it stands among the events
         from mufly.dynamics import outside_model
@@ -404,7 +414,8 @@ def _fly_in_terminal(terminal: Console, order: Order, ending: Ending) -> xr.Data
         with LiveDisplay(terminal) as display, ending:
             return flight.fly(
                 order.vehicle, order.mission, wind=order.wind, gust=order.gust, seed=order.seed,
-                sensors=order.sensors, faults=order.faults, realtime=order.realtime, path=order.recording,
+                sensors=order.sensors, faults=order.faults, controllers=order.controllers, realtime=order.realtime,
+                path=order.recording,
                 on_progress=show, on_event=display.event,
             )  # fmt: skip
     except KeyboardInterrupt:

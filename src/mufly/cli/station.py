@@ -10,7 +10,7 @@ import contextlib
 import os
 import signal
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -26,7 +26,10 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
+    from mufly.control import FlightController
+    from mufly.flight.software import Controllers
     from mufly.link import Endpoint, Report
+    from mufly.link.process import Sensing
     from mufly.logs.mcap import Event
     from mufly.sensors import Fault
     from mufly.station.page.server import Address
@@ -87,6 +90,26 @@ def check_air(wind: str | None, gust: float | None, seed: int) -> list[float] | 
     if not 0 <= seed < 2**63:
         raise InputError("--seed", "", f"{seed} is no seed", "give a whole number from 0 to 2^63 - 1")
     return steady
+
+
+FirmwareOption = Annotated[
+    bool,
+    option(
+        "--firmware",
+        "Let the exported C code compute the control law, built by this machine's compiler (`mufly firmware`).",
+    ),
+]
+BY_FIRMWARE = "The control law is the exported C code; estimator and mission are still Python's"
+
+
+def on_board(wanted: bool) -> Callable[[FlightController], Controllers] | None:
+    """What computes the control law: the exported code if it is wanted; without a compiler that is refused."""
+    if not wanted:
+        return None
+    from mufly.firmware import FirmwareControllers, compiler
+
+    compiler()
+    return FirmwareControllers
 
 
 def check_sensors(vehicle: Vehicle, sensors: str, faults: Sequence[str] | None) -> tuple[Fault, ...]:
@@ -450,6 +473,7 @@ def link(
     seed: SeedOption = 0,
     sensors: SensorsOption = "fitted",
     fault: FaultOption = None,
+    firmware: FirmwareOption = False,
 ) -> None:
     """The simulated helicopter as a MAVLink vehicle, in real time."""
     endpoints = endpoints_of(ends or _DEFAULT, "vehicle", each="endpoint")
@@ -470,6 +494,7 @@ def link(
     if mission is not None:
         preflight(helicopter, plan, vehicle_file=vehicle, mission_file=mission)
     faults = check_sensors(helicopter, sensors, fault)
+    controllers = on_board(firmware)
 
     from mufly.control import design
     from mufly.flight import Flight
@@ -480,7 +505,7 @@ def link(
     terminal.print(
         f"[bold]{helicopter.name}[/bold] is MAVLink system {system}, with {plan.name}", highlight=False
     )
-    say(flies_on(helicopter, sensors))
+    say(flies_on(helicopter, sensors), *([BY_FIRMWARE] if firmware else []))
     for end in endpoints:
         say(f"  it {end.explanation}")
         if end.beyond_loopback:
@@ -489,11 +514,12 @@ def link(
                 style="yellow",
             )
     controller = design(helicopter)
-    warm_up(helicopter, controller, sensors)
+    sensing: Sensing = "ideal" if sensors == "ideal" else "fitted"
+    warm_up(helicopter, controller, sensing)
     recording = None if out is None else out / "flight.mcap"
     flight = Flight(
         helicopter, plan, controller=controller, wind=steady, gust=gust, seed=seed, path=recording, keep=False,
-        sensors="ideal" if sensors == "ideal" else "fitted", faults=faults,
+        sensors=sensing, faults=faults, controllers=controllers,
     )  # fmt: skip
     say(*filter(None, [flight.outside]), mark="Warning", style="yellow")
     log = None if out is None else TlogWriter(out / "link.tlog")

@@ -53,6 +53,13 @@ def export(controller: FlightController, out: Path) -> list[Path]:
     return sorted(p for p in out.rglob("*") if p.is_file())
 
 
+def write_tree(tables: str, out: Path) -> None:
+    """Write the sources with given tables into a folder."""
+    with resources.as_file(SOURCES) as sources:
+        shutil.copytree(sources, out, dirs_exist_ok=True)
+    (out / "tables.c").write_text(tables)
+
+
 def tables_c(controller: FlightController) -> str:
     """Return ``tables.c``: every number of a vehicle's controllers."""
     rate = controller.rate_Hz

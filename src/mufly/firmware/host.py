@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import shutil
 import subprocess
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from mufly.control import FlightController
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate
-from mufly.firmware.export import export
+from mufly.firmware.export import tables_c, write_tree
 from mufly.flight.software import Actuators, Controllers
 
 _Array = NDArray[np.floating[Any]]
@@ -70,18 +71,31 @@ def _declarations(folder: Path, single: bool) -> str:
     done = subprocess.run(
         [*command, str(folder / "controllers.h")], capture_output=True, text=True, check=True
     )
-    return done.stdout
+    return done.stdout.replace("extern const ", "extern ")  # to cffi a constant has no address
+
+
+@functools.lru_cache(maxsize=8)
+def _loaded(tables: str, single: bool, cc: str) -> tuple[cffi.FFI, Any]:
+    ffi = cffi.FFI()
+    with tempfile.TemporaryDirectory(prefix="mufly-firmware-") as folder:
+        tree = Path(folder) / "fw"
+        write_tree(tables, tree)
+        library = build(tree, single=single, cc=cc)
+        ffi.cdef(_declarations(tree, single))
+        return ffi, ffi.dlopen(str(library))
 
 
 class Firmware:
-    """The library of one vehicle, loaded.
+    """The exported code of one vehicle, built and loaded; the same code is built once in a process.
 
     Parameters
     ----------
     controller : FlightController
-        Exported, built and loaded, in a temporary folder.
+        From :func:`mufly.control.design`.
     single : bool
         In single precision, as a processor without double computes.
+    cc : str, optional
+        The compiler, instead of :func:`compiler`.
 
     Raises
     ------
@@ -91,12 +105,7 @@ class Firmware:
 
     def __init__(self, controller: FlightController, *, single: bool = False, cc: str | None = None) -> None:
         self.real = np.dtype(np.float32 if single else np.float64)
-        self.ffi = cffi.FFI()
-        with tempfile.TemporaryDirectory(prefix="mufly-firmware-") as folder:
-            export(controller, Path(folder) / "fw")
-            library = build(Path(folder) / "fw", single=single, cc=cc)
-            self.ffi.cdef(_declarations(Path(folder) / "fw", single))
-            self.lib = self.ffi.dlopen(str(library))
+        self.ffi, self.lib = _loaded(tables_c(controller), single, cc or compiler())
 
     def gains(self, controller: FlightController) -> Any:
         """A ``gains_t`` of the numbers of a controller, which may be another than was exported."""
@@ -109,12 +118,15 @@ class Firmware:
 
 
 class FirmwareControllers(Controllers):
-    """:class:`mufly.flight.software.Controllers`, computed by the exported code."""
+    """:class:`mufly.flight.software.Controllers`, computed by the exported code with its own tables.
+
+    What :class:`mufly.flight.Flight` takes as ``controllers``.
+    """
 
     def __init__(self, design: FlightController, firmware: Firmware | None = None) -> None:
         super().__init__(design)
         f = self.firmware = firmware or Firmware(design)
-        self._g = self._own = f.gains(design)
+        self._g = f.ffi.addressof(f.lib.mufly_gains)  # its tables, until something is tuned
         self._c, self._now = f.ffi.new("controllers_t *"), f.ffi.new("motion_t *")
         self._path, self._out = f.ffi.new("path_t *"), f.ffi.new("actuators_t *")
         self._two, self._four = f.ffi.new("real_t[2]"), f.ffi.new("real_t[4]")

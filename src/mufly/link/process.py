@@ -34,6 +34,7 @@ from typing import Any, Literal
 from mufly.control import FlightController, design
 from mufly.errors import MuflyError
 from mufly.flight import ALIGNED_WITHIN_S, Event, Flight, FlightState
+from mufly.flight.software import Controllers
 from mufly.link.codec import Origin
 from mufly.link.ports import Endpoint, Peer, Port, open_port, wait
 from mufly.link.telemetry import SLOW
@@ -503,6 +504,7 @@ def start_vehicle(
     seed: int = 0,
     sensors: Sensing = "ideal",
     faults: Sequence[Fault] = (),
+    controllers: Callable[[FlightController], Controllers] | None = None,
     autostart: bool = False,
     system: int = 1,
     origin: Origin | None = None,
@@ -516,7 +518,7 @@ def start_vehicle(
     endpoints : sequence of Endpoint
     path, tlog : str or Path, optional
         Recording (MCAP) and telemetry log to write.
-    wind, gust, seed, sensors, faults
+    wind, gust, seed, sensors, faults, controllers
         As for :class:`mufly.flight.Flight`.
     autostart : bool
         Arm and fly the mission by itself.
@@ -548,6 +550,7 @@ def start_vehicle(
             "seed": seed,
             "sensors": sensors,
             "faults": tuple(faults),
+            "controllers": controllers,
         },
     }
     return VehicleProcess(order)
