@@ -113,9 +113,9 @@ def _checked(reading: str) -> tuple[Quantity, ...]:
     name = reading.replace("_", " ")
     return (
         Quantity(f"innovation_{reading}", "/checks", f"innovation_{reading}", None, "1",
-                 f"{name}: what was measured less what was expected, in standard deviations of that", "sensors"),
+                 f"{name}: measured less expected, in standard deviations of that", "sensors station"),
         Quantity(f"status_{reading}", "/checks", f"status_{reading}", None, "1",
-                 f"{name}: 0 waiting, 1 fused, 2 rejected, 3 missing, 4 faulty", "sensors"),
+                 f"{name}: 0 waiting, 1 fused, 2 rejected, 3 missing, 4 faulty", "sensors station"),
     )  # fmt: skip
 
 
@@ -166,11 +166,11 @@ QUANTITIES: tuple[Quantity, ...] = (
     Quantity("estimated_rates", "/estimated", "rates", "rate", "rad/s", "body rates as estimated on board",
              "sensors station", (Wire("ATTITUDE", "rollspeed pitchspeed yawspeed", "rad/s"),)),
     Quantity("estimated_position_sigma", "/estimated", "position_sigma", "axis", "m",
-             "standard deviation of the position as estimated on board", "sensors"),
+             "standard deviation of the position as estimated on board", "sensors station"),
     Quantity("estimated_velocity_sigma", "/estimated", "velocity_sigma", "axis", "m/s",
-             "standard deviation of the velocity as estimated on board", "sensors"),
+             "standard deviation of the velocity as estimated on board", "sensors station"),
     Quantity("estimated_attitude_sigma", "/estimated", "attitude_sigma", "angle", "rad",
-             "standard deviation of the attitude as estimated on board", "sensors"),
+             "standard deviation of the attitude as estimated on board", "sensors station"),
     Quantity("estimated_rates_sigma", "/estimated", "rates_sigma", "rate", "rad/s",
              "standard deviation of the body rates as estimated on board", "sensors"),
     Quantity("estimated_gyro_bias", "/estimated", "gyro_bias", "rate", "rad/s", "bias of the gyroscopes", "sensors"),
@@ -180,7 +180,7 @@ QUANTITIES: tuple[Quantity, ...] = (
              "height of what is below the helicopter", "sensors"),
     Quantity("estimated_fix_bias", "/estimated", "fix_bias", "fix", "m",
              "what fixes are off by for the time being (heading: rad)", "sensors"),
-    Quantity("estimated_wind", "/estimated", "wind", "level", "m/s", "velocity of the air", "sensors"),
+    Quantity("estimated_wind", "/estimated", "wind", "level", "m/s", "velocity of the air", "sensors station"),
     Quantity("estimated_thrust_scale", "/estimated", "thrust_scale", None, "1",
              "thrust in that of the rotor model", "sensors"),
     Quantity("estimated_valid", "/estimated", "valid", None, "1", "1 where the estimator stands by it", "sensors"),

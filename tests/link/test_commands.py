@@ -223,3 +223,32 @@ def test_who_does_not_command_moves_nothing_and_takes_no_command_by_letting_go()
     ]
     assert asked.by(lambda s: s.say(nothing))[0] == []
     assert gcs.acks == []
+
+
+def test_failures_are_injected_into_fitted_sensors_and_cleared() -> None:
+    """INJECT_FAILURE as the specification numbers units and types; a flight on what is true has none."""
+    rig = Rig(sensors="fitted")
+    gcs = rig.station()
+    rig.run(0.02)
+
+    def answer(*p):
+        gcs.command(m.MAV_CMD_INJECT_FAILURE, *p)
+        rig.run(0.03)
+        return gcs.acks[-1][1]
+
+    assert answer(m.FAILURE_UNIT_SENSOR_VIO, m.FAILURE_TYPE_OFF) == OK
+    assert answer(m.FAILURE_UNIT_SENSOR_ACCEL, m.FAILURE_TYPE_WRONG) == OK
+    assert [(f.name, f.kind) for f in rig.flight.faults] == [
+        ("accelerometer", "bias"),
+        ("position", "dropout"),
+    ]
+    assert answer(m.FAILURE_UNIT_SENSOR_AIRSPEED, m.FAILURE_TYPE_OFF) not in (OK, LATER)
+    assert answer(m.FAILURE_UNIT_SENSOR_VIO, m.FAILURE_TYPE_SLOW) not in (OK, LATER)
+    assert answer(m.FAILURE_UNIT_SENSOR_VIO, m.FAILURE_TYPE_OK) == OK
+    assert rig.flight.faults == ()
+    plain = Rig()
+    gcs = plain.station()
+    plain.run(0.02)
+    gcs.command(m.MAV_CMD_INJECT_FAILURE, m.FAILURE_UNIT_SENSOR_VIO, m.FAILURE_TYPE_OFF)
+    plain.run(0.03)
+    assert gcs.acks[-1][1] not in (OK, LATER)

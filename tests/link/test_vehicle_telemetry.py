@@ -7,13 +7,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mufly.dynamics import quaternion_from_euler
-from mufly.estimate import Estimate
+from mufly.dynamics import quaternion_from_euler, rotation
+from mufly.estimate import ERROR_STATES, Beliefs, Check, Estimate
 from mufly.flight import Actuators, FlightState
 from mufly.link import STATES, STREAMS, Origin, mode_of
 from mufly.link import mavlink as m
+from mufly.link.estimates import UNKNOWN_TRIANGLE
 from mufly.link.telemetry import Instant, Progress
 from mufly.sensors import Reading, Readings
+from mufly.station.history import History
+from mufly.station.telemetry import Telemetry
 
 UNIT = {
     "": 1.0, "m": 1.0, "mm": 1e-3, "cm": 1e-2, "m/s": 1.0, "cm/s": 1e-2, "rad": 1.0, "rad/s": 1.0, "s": 1.0,
@@ -295,3 +298,60 @@ def test_a_vehicle_whose_sensors_do_not_tell_says_nothing_of_them():
     half = replace(FLYING, readings=Readings(0.0, {"position": FLYING.readings["position"]}))
     assert told("VISION_POSITION_ESTIMATE", instant(half)) == []
     assert told("NAMED_VALUE_FLOAT (rtfactor)") == told("NAMED_VALUE_INT (slips)") == []  # nobody measures it
+
+
+def test_what_is_believed_and_how_far_goes_out_and_comes_back() -> None:
+    """ODOMETRY in the specification's frames and order of its triangles; a station reads the deviations in N-E-D."""
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(12, 12)) * 0.1
+    covariance = root @ root.T
+    beliefs = Beliefs(
+        np.zeros(3), np.zeros(3), 0.0, np.zeros(4), np.array([0.4, -0.1]), 1.0, np.full(len(ERROR_STATES), 0.2),
+        (Check("acceleration", "rejected", 1.0, 0.1, 10.0, 0.3, "clips"), Check("pressure", "fused", 5.0, 2.0, 2.5)),
+    )  # fmt: skip
+    state = replace(FLYING, estimate=replace(FLYING.estimate, covariance=covariance, beliefs=beliefs))
+    now = instant(state)
+    o, status, checks = (
+        told(name, now) for name in ("ODOMETRY", "ESTIMATOR_STATUS", "DEBUG_FLOAT_ARRAY (checks)")
+    )
+    assert (o.frame_id, o.child_frame_id) == (m.MAV_FRAME_LOCAL_NED, m.MAV_FRAME_BODY_FRD)
+    assert (o.x, o.y, o.z) == pytest.approx((3.0, -4.0, -1.5))
+    turn = rotation(quaternion_from_euler(0.05, -0.04, YAW))
+    np.testing.assert_allclose(turn @ [o.vx, o.vy, o.vz], [0.3, -0.4, 0.1], atol=1e-6)
+    pose = [0, 1, 2, 6, 7, 8]
+    rows = [covariance[pose[i], pose[k]] for i in range(6) for k in range(i, 6)]
+    np.testing.assert_allclose(o.pose_covariance, rows, rtol=1e-6)
+    own = turn.T @ covariance[3:6, 3:6] @ turn
+    np.testing.assert_allclose(
+        [o.velocity_covariance[k] for k in (0, 1, 2, 6, 7, 11)], own[np.triu_indices(3)], rtol=1e-5
+    )
+    assert status.flags & m.ESTIMATOR_ACCEL_ERROR
+    assert status.pos_vert_ratio == pytest.approx(0.25)  # half the gate
+    assert status.pos_horiz_accuracy == pytest.approx(math.hypot(*np.sqrt(np.diag(covariance))[:2]))
+
+    station = Telemetry(History(seconds=10.0))
+    for k, message in enumerate((told("ATTITUDE", now), o, status, checks)):
+        station.handle(1.0 + 0.001 * k, message)
+    sigma = np.sqrt(np.diag(covariance))
+    for name, part in (("position", sigma[:3]), ("velocity", sigma[3:6]), ("attitude", sigma[6:9])):
+        np.testing.assert_allclose(station.believes(f"estimated_{name}_sigma"), part, rtol=1e-5)
+    assert station.believes("status_acceleration") == 2
+    assert station.believes("innovation_pressure") == 2.5
+    assert np.isnan(station.believes("status_ranges"))
+    np.testing.assert_allclose(station.believes("estimated_wind"), [0.4, -0.1], rtol=1e-6)
+    assert "accelerometer wrong" in station.estimator.wrong
+    assert station.estimator.unknown == ("attitude", "velocity", "position")  # one sigma of 0.58 m, and more
+    # Covariances that are not known, as PX4 tells them, and a velocity in the room's axes.
+    unknown = m.MAVLink_odometry_message(
+        0, 1, 1, *[0.0] * 3, [1.0, 0, 0, 0], *[0.0] * 6, UNKNOWN_TRIANGLE, [0.09] + [0.0] * 20
+    )
+    station.handle(1.1, unknown)
+    assert np.isnan(station.believes("estimated_position_sigma")).all()
+    np.testing.assert_allclose(station.believes("estimated_velocity_sigma"), [0.3, 0.0, 0.0])
+    # Estimates without error, and such that are none.
+    assert told("DEBUG_FLOAT_ARRAY (checks)") == []
+    assert told("ODOMETRY").pose_covariance[0] == 0.0
+    assert told("ESTIMATOR_STATUS").flags & m.ESTIMATOR_POS_HORIZ_REL
+    lost = instant(replace(FLYING, estimate=Estimate()))
+    assert math.isnan(told("ODOMETRY", lost).q[0])
+    assert told("ESTIMATOR_STATUS", lost).flags == 0

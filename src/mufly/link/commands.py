@@ -14,6 +14,7 @@ the parameters mean is said at https://mavlink.io/en/messages/common.html#mav_co
   that moment. So does this vehicle, if it is armed within :data:`KEPT_S`; after that, and whenever another mode is
   chosen, the choice is forgotten.
 * DO_FLIGHTTERMINATION, and disarming with the magic number 21196, stop the motors at once.
+* INJECT_FAILURE lets a sensor of a simulated flight go wrong at once (:data:`FAILURES`); OK of any unit clears all.
 * PREFLIGHT_REBOOT_SHUTDOWN (1) puts the simulated helicopter back to its start.
 
 Programs repeat a command until they hear its acknowledgement. The same command with the same parameters from the same
@@ -31,6 +32,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from mufly.errors import InputError
 from mufly.flight import Flight
 from mufly.link.clients import Authority, Clients, ManualControl, Source, Wishes
 from mufly.link.codec import (
@@ -51,6 +53,7 @@ from mufly.link.codec import (
 from mufly.link.missions import MissionProtocol
 from mufly.link.telemetry import ON_GLOBE
 from mufly.mission import ACCEPTED, HIGHEST_M, LOWEST_M, Answer, later, never
+from mufly.sensors import Fault
 
 FORCE = 21196.0
 """The magic number of COMPONENT_ARM_DISARM that stops the motors in flight."""
@@ -372,6 +375,20 @@ class CommandProtocol:
         action = actions.get(wanted)
         return never(f"mode {mode.main}, {mode.sub} is not known here") if action is None else action()
 
+    def _inject(self, now_s: float, command: Command) -> Answer:
+        unit, kind = command.params[0], command.params[1]
+        if kind == mavlink.FAILURE_TYPE_OK:
+            self._flight.clear_faults()
+            return ACCEPTED
+        name, fault = FAILURES[0].get(unit), FAILURES[1].get(kind)
+        if name is None or fault is None:
+            return never("units known here are " + ", ".join(FAILURES[0].values()) + "; types 1 to 4, 6, 7")
+        try:
+            self._flight.inject(Fault(name, fault))
+        except InputError as error:
+            return never(f"{error.problem}: {error.remedy}")
+        return ACCEPTED
+
     def _reboot(self, now_s: float, command: Command) -> Answer:
         if command.params[0] != 1.0:
             return never("only 1 (the autopilot anew) is known here")
@@ -381,6 +398,27 @@ class CommandProtocol:
         self._flight.reset()
         return ACCEPTED
 
+
+FAILURES: tuple[dict[float, str], dict[float, str]] = (
+    {
+        mavlink.FAILURE_UNIT_SENSOR_GYRO: "gyro",
+        mavlink.FAILURE_UNIT_SENSOR_ACCEL: "accelerometer",
+        mavlink.FAILURE_UNIT_SENSOR_MAG: "magnetometer",
+        mavlink.FAILURE_UNIT_SENSOR_BARO: "pressure",
+        mavlink.FAILURE_UNIT_SENSOR_VIO: "position",
+        mavlink.FAILURE_UNIT_SENSOR_DISTANCE_SENSOR: "sonar",
+        mavlink.FAILURE_UNIT_SYSTEM_BATTERY: "battery",
+    },
+    {
+        mavlink.FAILURE_TYPE_OFF: "dropout",
+        mavlink.FAILURE_TYPE_STUCK: "freeze",
+        mavlink.FAILURE_TYPE_GARBAGE: "insane",
+        mavlink.FAILURE_TYPE_WRONG: "bias",
+        mavlink.FAILURE_TYPE_DELAYED: "late",
+        mavlink.FAILURE_TYPE_INTERMITTENT: "outliers",
+    },
+)
+"""FAILURE_UNIT and FAILURE_TYPE by the names of :data:`mufly.sensors.TARGETS` and :data:`mufly.sensors.KINDS`."""
 
 COMMANDS: dict[int, Callable[[CommandProtocol, float, Command], Answer]] = {
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM: CommandProtocol._arm_or_disarm,
@@ -403,6 +441,7 @@ COMMANDS: dict[int, Callable[[CommandProtocol, float, Command], Answer]] = {
     mavlink.MAV_CMD_DO_SET_HOME: lambda self, now_s, command: never(
         "home is where it took off; it cannot be moved"
     ),
+    mavlink.MAV_CMD_INJECT_FAILURE: CommandProtocol._inject,
     mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: CommandProtocol._reboot,
 }
 """What each command does; with :data:`MESSAGE_REQUESTS` all that are known, the rest is answered as not supported."""

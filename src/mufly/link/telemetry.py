@@ -4,8 +4,9 @@ Every function takes the :class:`Instant` and returns one message, or several. U
 (https://mavlink.io/en/messages/common.html); axes N-E-D and body x-y-z, as here. :data:`STREAMS` is the table of all
 messages that can be streamed or asked for: a new message is a function and a row.
 
-``estimated_`` travels as ATTITUDE and LOCAL_POSITION_NED, ``reference_`` as POSITION_TARGET_LOCAL_NED and
-ATTITUDE_TARGET, ``measured_`` as VISION_POSITION_ESTIMATE, ``truth_`` and the wind as DEBUG_FLOAT_ARRAY "truth".
+``estimated_`` travels as ATTITUDE and LOCAL_POSITION_NED, how far to believe that as ODOMETRY and ESTIMATOR_STATUS
+(:mod:`mufly.link.estimates`), ``reference_`` as POSITION_TARGET_LOCAL_NED and ATTITUDE_TARGET, ``measured_`` as
+VISION_POSITION_ESTIMATE, ``truth_`` and the wind as DEBUG_FLOAT_ARRAY "truth".
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from mufly.link.codec import (
     single,
     within,
 )
+from mufly.link.estimates import UNKNOWN_TRIANGLE, estimator_status, odometry, sensor_checks
 from mufly.mission import State
 from mufly.vehicle import Vehicle
 from mufly.version import __version__
@@ -111,7 +113,6 @@ _IGNORE_PLACE, _IGNORE_ACCELERATION, _IGNORE_YAW_RATE = 0x003, 0x1C0, 0x800
 _IGNORE_RATES_AND_THRUST, _IGNORE_ATTITUDE = 0x47, 0x80
 _YAW_ROTATIONS = 45.0  # MAV_SENSOR_ROTATION_NONE, _YAW_45 ... _YAW_315 count from 0 to 7
 _CUSTOM_ROTATION = 100
-_NO_COVARIANCE = (math.nan,) + (0.0,) * 20
 
 
 def _floats(values: Sequence[float] | NDArray[np.floating[Any]]) -> list[float]:
@@ -180,13 +181,20 @@ def attitude_target(p: Instant) -> MavMessage:
 
 
 def vision_position_estimate(p: Instant) -> MavMessage | None:
-    """VISION_POSITION_ESTIMATE: position and attitude as they were measured; None where they are not."""
+    """VISION_POSITION_ESTIMATE: position and attitude as measured, or a fix (roll, pitch NaN); None without."""
     r = p.state.readings
-    if r is None or "position" not in r or "attitude" not in r:
+    if r is None:
         return None
-    roll, pitch, yaw = _floats(r["attitude"].value)
+    if "position" in r and "attitude" in r:
+        place, angles = r["position"].value, r["attitude"].value
+    elif "position_fix" in r and r["position_fix"].valid:
+        fix = r["position_fix"].value
+        place, angles = fix[:3], [math.nan, math.nan, fix[3]]
+    else:
+        return None
+    roll, pitch, yaw = _floats(angles)
     return mavlink.MAVLink_vision_position_estimate_message(
-        p.usec, *_floats(r["position"].value), roll, pitch, _wrapped(yaw), _NO_COVARIANCE
+        p.usec, *_floats(place), roll, pitch, _wrapped(yaw), UNKNOWN_TRIANGLE
     )
 
 
@@ -586,6 +594,9 @@ STREAMS: tuple[Stream, ...] = (
     Stream("RAW_RPM", 5.0, _RC, raw_rpm),
     Stream("OBSTACLE_DISTANCE", 5.0, _EXTRA3, obstacle_distance),
     Stream("DISTANCE_SENSOR", 1.0, _EXTRA3, distance_sensors),
+    Stream("ODOMETRY", 0.5, _POSITION, lambda p: odometry(p.state, p.usec)),
+    Stream("ESTIMATOR_STATUS", 1.0, _EXTRA3, lambda p: estimator_status(p.state, p.usec)),
+    Stream("DEBUG_FLOAT_ARRAY (checks)", 1.0, _EXTRA3, lambda p: sensor_checks(p.state, p.usec)),
     Stream("VFR_HUD", 5.0, _EXTRA2, vfr_hud),
     Stream("ALTITUDE", 5.0, _POSITION, altitude),
     Stream("DEBUG_FLOAT_ARRAY", 0.0, 0, truth),

@@ -107,6 +107,11 @@ def request_message(number: int) -> Command:
     return _command(512, number)
 
 
+def inject_failure(unit: int, kind: int) -> Command:
+    """INJECT_FAILURE: FAILURE_UNIT and FAILURE_TYPE of :data:`mufly.link.commands.FAILURES`; type 0 clears all."""
+    return _command(420, float(unit), float(kind))
+
+
 def message_interval(number: int, rate_Hz: float) -> Command:
     """SET_MESSAGE_INTERVAL; a rate of 0 is never."""
     return _command(511, number, 1e6 / rate_Hz if rate_Hz > 0 else -1.0)

@@ -16,7 +16,7 @@ import numpy as np
 from mufly.link.mission_transfer import Item
 from mufly.station.commands import StatusTexts
 from mufly.station.history import Check, MissionRow, Snapshot
-from mufly.station.telemetry import Telemetry
+from mufly.station.telemetry import EstimatorStatus, Telemetry
 from mufly.station.transfers import RemoteMission, RemoteParameters, rows_of, same_mission
 
 LOSS_MOST = 0.1
@@ -69,6 +69,7 @@ def judge(
         "battery": _battery(s),
         "level and still": _level(s),
         "position": _position(s),
+        **({} if told.estimator is None else {"estimator": _estimator(told.estimator)}),
         "mission": _mission(mission.items, around.shown),
         "time to fly": _endurance(s, rows_of(mission.items or (), told.origin), parameters),
         "parameters": _parameters(parameters),
@@ -134,6 +135,17 @@ def _health(health: tuple[int, int, int] | None, texts: StatusTexts) -> _Judged:
         return (True, "ready to be armed") if good & _PREARM else (False, f"not ready: {last}")
     bad = (present & enabled & ~good).bit_count()
     return not bad, f"{bad} sensors are not healthy" if bad else "sensors healthy"
+
+
+def _estimator(told: EstimatorStatus) -> _Judged:
+    if told.wrong:
+        return False, ", ".join(told.wrong)
+    if told.unknown:
+        return None, "no " + ", ".join(told.unknown)
+    good = ", ".join(
+        f"{1e2 * m:.0f} cm {way}" for m, way in ((told.level_m, "level"), (told.height_m, "up")) if m > 0.0
+    )
+    return True, "all is known" + (f", position to {good} (one sigma)" if good else "")
 
 
 def _battery(s: Snapshot) -> _Judged:

@@ -278,6 +278,10 @@ class RemoteVehicle:
         """Start the autopilot anew; a simulation begins anew."""
         return self._ask("start anew", autopilots.REBOOT)
 
+    def inject(self, unit: int, kind: int, text: str) -> Request:
+        """Let a sensor of a simulation fail (FAILURE_UNIT, FAILURE_TYPE); type 0: nothing is wrong any more."""
+        return self._ask(text, autopilots.inject_failure(unit, kind))
+
     def take_command(self) -> Request:
         """Become the station that commands it."""
         return self._control.take()
@@ -447,6 +451,8 @@ WISHES: tuple[tuple[str, float], ...] = (
     ("LOCAL_POSITION_NED", 1.0),
     ("POSITION_TARGET_LOCAL_NED", 1.0),
     ("ATTITUDE_TARGET", 1.0),
+    ("ODOMETRY", 0.2),
+    ("ESTIMATOR_STATUS", 0.04),
     ("ACTUATOR_OUTPUT_STATUS", 1.0),
     ("VISION_POSITION_ESTIMATE", 0.5),
     ("RAW_RPM", 0.5),

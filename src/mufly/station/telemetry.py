@@ -17,9 +17,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.dynamics import rotation
 from mufly.link.codec import MavMessage, Origin
+from mufly.link.estimates import CHECKS
 from mufly.link.telemetry import REAL_TIME_FACTOR, SLIPS, STATES
-from mufly.quantities import kept_by, told_by
+from mufly.quantities import CHECKED, kept_by, told_by
 from mufly.station.autopilots import mode_words
 from mufly.station.history import SLOW_HOLD_S, History, Present, unknown
 
@@ -32,6 +34,13 @@ _HEARTBEAT_S = 3.0
 _NEAR_POLE_DEG = 89.0  # beyond, east is no direction any more
 _COAXIAL, _ARMED = 3, 128  # MAV_TYPE, MAV_MODE_FLAG
 _BODY_FRAME = 12  # MAV_FRAME_BODY_FRD
+_OLD_BODY_FRAME = 8  # MAV_FRAME_BODY_NED, as older PX4s say
+_LEVEL_FRAMES = (1, 20)  # MAV_FRAME_LOCAL_NED; MAV_FRAME_LOCAL_FRD, level too
+_DIAGONAL = (0, 6, 11, 15, 18, 20)  # of a 6 x 6 upper triangle, row by row
+_RATIOS = ("velocity", "position", "height", "magnetometer", "height above ground", "airspeed")
+_LOST = ((1, "attitude"), (2, "velocity"), (32, "height"), (8 | 16, "position"))
+_WRONG = ((1024, "GPS glitch"), (2048, "accelerometer wrong"), (128, "position is held constant"))
+"""ESTIMATOR_STATUS_FLAGS: what is not known without them, and what is wrong with them."""
 _UNKNOWN = 65535
 _TRUTH = tuple(q.name for q in kept_by("flight") if q.topic == "/truth")
 
@@ -41,7 +50,7 @@ _STAMPED: dict[str, tuple[str, int]] = {
     "POSITION_TARGET_LOCAL_NED": ("time_boot_ms", 1),
     "VISION_POSITION_ESTIMATE": ("usec", 1000),
     **dict.fromkeys(
-        ("ACTUATOR_OUTPUT_STATUS", "OBSTACLE_DISTANCE", "DEBUG_FLOAT_ARRAY"), ("time_usec", 1000)
+        ("ACTUATOR_OUTPUT_STATUS", "OBSTACLE_DISTANCE", "DEBUG_FLOAT_ARRAY", "ODOMETRY"), ("time_usec", 1000)
     ),
 }
 """Messages that begin rows: where their stamp is, and its ticks in a millisecond."""
@@ -88,6 +97,8 @@ class Telemetry:
         Where on the globe its N, E, D are 0.
     slips : int or None
         How often it gave up time, as a simulation in real time tells.
+    estimator : EstimatorStatus or None
+        What its estimator says of itself, by ESTIMATOR_STATUS.
     """
 
     def __init__(self, history: History | None = None) -> None:
@@ -105,13 +116,14 @@ class Telemetry:
         self.simulated = False
         self.origin: Origin | None = None
         self.slips: int | None = None
+        self.estimator: EstimatorStatus | None = None
         self._factor: tuple[float, float] = (math.nan, -math.inf)  # the real-time factor it told, and when
         self.on_row: Callable[[float, _Array, str], None] | None = None
         self._present = Present(self.history)
         self._own_state: tuple[str, float] = ("", -math.inf)
         self._stamps: dict[str, float] = {}
         self._row_s = math.nan
-        self._row_now_s = self._swept_s = -math.inf
+        self._row_now_s = self._swept_s = self._heard_s = -math.inf
         index = self._present.index
         self._plain = {name: [(f, index[signal], x) for f, signal, x in told_by(name)] for name in PLAIN}
         # What they tell, their rank, and their readers.
@@ -125,6 +137,7 @@ class Telemetry:
             "ACTUATOR_OUTPUT_STATUS": ("actuators", 0, self._actuators),
             "SERVO_OUTPUT_RAW": ("actuators", 1, self._servo_outputs),
             "DEBUG_FLOAT_ARRAY": ("truth", 0, self._debug_array),
+            "ODOMETRY": ("odometry", 0, self._odometry),
         }
         self._note: dict[str, Callable[[float, MavMessage], None]] = {
             "HEARTBEAT": self._heartbeat,
@@ -137,6 +150,7 @@ class Telemetry:
             "NAMED_VALUE_INT": self._named_int,
             "NAMED_VALUE_FLOAT": self._named_float,
             "MISSION_CURRENT": self._mission_current,
+            "ESTIMATOR_STATUS": self._estimator_status,
         }
 
     def handle(self, now_s: float, message: MavMessage) -> None:
@@ -148,7 +162,7 @@ class Telemetry:
             Our clock (s).
         message : pymavlink message
         """
-        name, present = message.get_type(), self._present
+        name, present, self._heard_s = message.get_type(), self._present, now_s
         if name in _STAMPED and not self._in_time(now_s, name, message):
             return
         if name in PLAIN:
@@ -286,7 +300,40 @@ class Telemetry:
         pulses = (m.servo1_raw, m.servo2_raw)
         return None if m.port else {"motor_input": [(p - 1000) / 1000 if p else math.nan for p in pulses]}
 
+    def _odometry(self, m: MavMessage) -> _Told:
+        """How far the pose is to be believed; covariances of velocities only in axes of the body or of the room."""
+        told: dict[str, Sequence[float]] = {}
+        position, attitude = _deviations(m.pose_covariance)
+        if m.frame_id in _LEVEL_FRAMES:
+            told = {"estimated_position_sigma": position, "estimated_attitude_sigma": attitude}
+        if m.child_frame_id in _LEVEL_FRAMES:
+            told["estimated_velocity_sigma"] = _deviations(m.velocity_covariance)[0]
+        elif m.child_frame_id in (_BODY_FRAME, _OLD_BODY_FRAME):
+            told["estimated_velocity_sigma"] = _turned_deviations(m.velocity_covariance, m.q)
+        return told or None
+
+    def _checks(self, m: MavMessage) -> None:
+        values = list(m.data)
+        for k, name in enumerate(CHECKED):
+            self._present.put("checks", f"status_{name}", values[3 * k : 3 * k + 1])
+            self._present.put("checks", f"innovation_{name}", values[3 * k + 1 : 3 * k + 2])
+        self._present.put("checks", "estimated_wind", values[3 * len(CHECKED) : 3 * len(CHECKED) + 2])
+
+    def _estimator_status(self, now_s: float, m: MavMessage) -> None:
+        ratios = (m.vel_ratio, m.pos_horiz_ratio, m.pos_vert_ratio, m.mag_ratio, m.hagl_ratio, m.tas_ratio)
+        self.estimator = EstimatorStatus(
+            now_s,
+            m.flags,
+            tuple(zip(_RATIOS, ratios, strict=True)),
+            m.pos_horiz_accuracy,
+            m.pos_vert_accuracy,
+        )
+
     def _debug_array(self, m: MavMessage) -> _Told:
+        if m.name == CHECKS.decode():
+            self._present.believed(self._heard_s, "checks")
+            self._checks(m)
+            return None
         if m.name != "truth":
             return None
         self.simulated = True
@@ -351,6 +398,64 @@ class Telemetry:
 
     def _mission_current(self, now_s: float, m: MavMessage) -> None:
         self.mission_current, self.mission_state = m.seq, m.mission_state
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorStatus:
+    """What an estimator says of itself (ESTIMATOR_STATUS).
+
+    Attributes
+    ----------
+    heard_s : float
+        When, by our clock (s).
+    flags : int
+        ESTIMATOR_STATUS_FLAGS.
+    ratios : tuple of (str, float)
+        Of what, and its test ratio: above 1 it is rejected; 0 is not measured.
+    level_m, height_m : float
+        Accuracy of the position (1 sigma).
+    """
+
+    heard_s: float
+    flags: int
+    ratios: tuple[tuple[str, float], ...]
+    level_m: float
+    height_m: float
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """What it does not know."""
+        return tuple(words for flags, words in _LOST if not self.flags & flags)
+
+    @property
+    def wrong(self) -> tuple[str, ...]:
+        """What is wrong, and what does not fit."""
+        return (
+            *(words for flag, words in _WRONG if self.flags & flag),
+            *(f"{name} rejected" for name, ratio in self.ratios if ratio > 1.0),
+        )
+
+
+def _deviations(upper: Sequence[float]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Standard deviations of the first and the last three of six states; NaN where they are not told."""
+    if len(upper) != 21 or math.isnan(upper[0]):
+        return (math.nan,) * 3, (math.nan,) * 3
+    told = [math.sqrt(upper[k]) if upper[k] >= 0.0 else math.nan for k in _DIAGONAL]
+    return tuple(told[:3]), tuple(told[3:])
+
+
+def _turned_deviations(upper: Sequence[float], q: Sequence[float]) -> tuple[float, ...]:
+    """Standard deviations in N, E, D of a velocity whose covariance is in body axes; NaN where they are not told."""
+    size = math.sqrt(sum(v * v for v in q))
+    if len(upper) != 21 or math.isnan(upper[0]) or not 0.5 < size < 2.0:
+        return (math.nan,) * 3
+    own = np.array(
+        [[upper[0], upper[1], upper[2]], [upper[1], upper[6], upper[7]], [upper[2], upper[7], upper[11]]]
+    )
+    turn = rotation(np.array(q, dtype=np.float64) / size)
+    with np.errstate(all="ignore"):
+        told: _Array = np.sqrt(np.diag(turn @ own @ turn.T))
+    return tuple(told.tolist())
 
 
 def _battery(voltage: float, m: MavMessage) -> _Told:

@@ -15,7 +15,7 @@ import pytest
 from mufly.estimate import Estimate
 from mufly.flight import FlightState, Parameter
 from mufly.station import Check, History, Message, MissionRow, Outcome, Request, Snapshot
-from mufly.station.page.feed import IN_FLIGHT, MOST_POINTS, Feed, Want, encode_snapshot
+from mufly.station.page.feed import IN_FLIGHT, MOST_POINTS, Feed, Want, catalog, encode_snapshot, sensors_of
 from mufly.station.page.session import ANSWER_S, GRACE_S, Session
 
 
@@ -307,3 +307,19 @@ def test_controls_taken_before_the_stream_is_open_are_kept(session: Session) -> 
     clock.now += 10.0  # type: ignore[attr-defined]
     assert two.has_controls
     assert not one.has_controls
+
+
+def test_sensors_and_bands_are_told_where_an_estimator_says_what_it_believes() -> None:
+    """Status in words and innovation of what is on board; an estimate's deviation is the band of its plot."""
+    history = History(seconds=10.0)
+    assert sensors_of(history) == []
+    row = np.full(len(history.names), np.nan, dtype=np.float32)
+    at = {name: k for k, name in enumerate(history.names)}
+    row[at["status_position_fix"]], row[at["innovation_position_fix"]] = 2.0, -7.31
+    row[at["status_rates"]], row[at["innovation_rates"]] = 1.0, 0.0
+    row[at["status_pressure"]] = 77.0  # what a stranger says
+    history.append(1.0, row)
+    assert sensors_of(history) == [("rates", "fused", 0.0), ("position fix", "rejected", -7.3)]
+    (position,) = (q for q in catalog(history.names, history.unit) if q["key"] == "position")
+    assert position["bands"]["estimated/height"] == "estimated_position_sigma_D"
+    assert "truth/height" not in position["bands"]

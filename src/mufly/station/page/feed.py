@@ -20,9 +20,10 @@ import orjson
 from numpy.typing import NDArray
 from scipy.signal import detrend, welch
 
-from mufly.quantities import our_name
-from mufly.station.history import Message, Snapshot
+from mufly.quantities import CHECKED, STATUSES, our_name
+from mufly.station.history import History, Message, Snapshot
 from mufly.station.page.session import Source, View
+from mufly.station.replay import ReplayHistory
 from mufly.units import factor_of
 
 IN_FLIGHT = 2
@@ -36,7 +37,7 @@ ALIVE_S = 2.0
 MOST_TRAIL = 3000
 BLADES = 2
 LEAST_SAMPLES = 64
-_SECTIONS = frozenset({"scene", "messages", "mission", "checks", "parameters", "catalog"})
+_SECTIONS = frozenset({"scene", "messages", "mission", "checks", "sensors", "parameters", "catalog"})
 _OF_STATE = (
     *("time_s", "connected", "silent_s", "armed", "flying", "in_command", "commander", "state"),
     *(
@@ -229,6 +230,8 @@ class Feed:
             ]  # fmt: skip
         if (checks := changed("checks", lambda: list(source.checks))) is not None:
             out["checks"] = [(c.name, c.ok, c.text) for c in checks]
+        if (sensors := changed("sensors", lambda: sensors_of(source.history))) is not None:
+            out["sensors"] = sensors
         if (names := changed("catalog", lambda: self._known_names(source))) is not None:
             out["catalog"] = catalog(names, source.history.unit)
         sent = self._tables.get("parameters")
@@ -335,6 +338,23 @@ def _split(name: str) -> tuple[str, str, str]:
     return "", variable, component or ""
 
 
+def sensors_of(history: History | ReplayHistory) -> list[tuple[str, str, float]]:
+    """Return what the estimator thinks of each sensor now: its name, a status in words, its innovation (sigmas)."""
+    names = [f"{kind}_{name}" for name in CHECKED for kind in ("status", "innovation")]
+    if not set(names) <= set(history.names):
+        return []  # a recording of a flight on what is true
+    _, values = history.window(ALIVE_S, names)
+    if not len(values):
+        return []
+    now = values[-1].tolist()
+    told = zip(CHECKED, now[0::2], now[1::2], strict=True)
+    return [
+        (name.replace("_", " "), STATUSES[int(status)], round(ratio, 1))
+        for name, status, ratio in told
+        if 0.0 <= status < len(STATUSES)
+    ]
+
+
 def catalog(names: Iterable[str], unit: Callable[[str], str]) -> list[dict[str, Any]]:
     """Return the quantities that can be plotted, as the page wants them.
 
@@ -349,18 +369,21 @@ def catalog(names: Iterable[str], unit: Callable[[str], str]) -> list[dict[str, 
     -------
     list of dict
         ``key``, ``title``, ``unit`` and ``factor`` of display, ``components`` (list of str), ``upward`` (those of
-        them whose sign is turned), ``sources`` (list of str) and ``signals`` (``{"source/component": flat name}``),
-        best known first.
+        them whose sign is turned), ``sources`` (list of str), ``signals`` (``{"source/component": flat name}``) and
+        ``bands`` (the same of their standard deviations), best known first.
     """
     found: dict[str, dict[str, Any]] = {}
+    names = list(names)
+    parts = {_split(name): name for name in names}
     for name in names:
         source, quantity, component = _split(name)
+        sigma = parts.get((source, f"{quantity}_sigma", component))
         if quantity not in found:
             shown, factor = display_unit(unit(name), quantity)
             title = _TITLES.get(quantity, quantity.replace("_", " ").capitalize())
             found[quantity] = {
                 "key": quantity, "title": title, "unit": shown, "factor": factor,
-                "components": [], "upward": [], "sources": [], "signals": {},
+                "components": [], "upward": [], "sources": [], "signals": {}, "bands": {},
             }  # fmt: skip
         entry = found[quantity]
         if (upward := _UPWARD.get((quantity, component))) is not None:
@@ -372,6 +395,8 @@ def catalog(names: Iterable[str], unit: Callable[[str], str]) -> list[dict[str, 
         if source not in entry["sources"]:
             entry["sources"].append(source)
         entry["signals"][f"{source}/{component}"] = name
+        if sigma is not None:
+            entry["bands"][f"{source}/{component}"] = sigma
     for entry in found.values():
         entry["sources"].sort(key=lambda s: SOURCES.index(s) if s in SOURCES else -1)
     rank = {key: k for k, key in enumerate(_ORDER)}

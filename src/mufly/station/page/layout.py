@@ -26,6 +26,7 @@ from mufly.station.page.panels import (
     element,
     mission_drawer,
     parameter_drawer,
+    sensor_drawer,
     static_url,
 )
 from mufly.station.page.session import View, availability, mission_label
@@ -240,11 +241,13 @@ def _dock(view: View, editor: MissionEditor) -> Callable[[], None]:
 
 def _right_tabs(view: View) -> None:
     with ui.tabs().props("dense no-caps align=left").classes("mf-tabs") as tabs:
-        checks, mission, messages = map(ui.tab, ("Checks", "Mission", "Messages"))
+        checks, sensors, mission, messages = map(ui.tab, ("Checks", "Sensors", "Mission", "Messages"))
     recording = view.session.to_open is not None
     with ui.tab_panels(tabs, value=mission if recording else checks, animated=False).classes("mf-tab-panels"):
         with ui.tab_panel(checks):
             check_drawer(view)
+        with ui.tab_panel(sensors):
+            sensor_drawer(view)
         with ui.tab_panel(mission):
             mission_drawer(view)
         with ui.tab_panel(messages):

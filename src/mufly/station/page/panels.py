@@ -16,6 +16,7 @@ from nicegui.element import Element
 from nicegui.events import GenericEventArguments, UploadEventArguments
 
 from mufly.errors import MuflyError
+from mufly.link.commands import FAILURES
 from mufly.mission import Mission, dump_mission, mission_from
 from mufly.station.history import Outcome, Request
 from mufly.station.page.drafts import kept_back, of_vehicle
@@ -210,6 +211,35 @@ async def send_mission(view: View, vehicle: RemoteVehicle, mission: Mission) -> 
     vehicle.show_mission(mission)
     words = f"sent: {len(mission.waypoint)} waypoints"
     say(words + (f"; the vehicle keeps its own {', '.join(kept)}" if kept else ""))
+
+
+def sensor_drawer(view: View) -> None:
+    """What the estimator thinks of each sensor; a simulation's may be let fail."""
+
+    def ask(kind: int, text: str) -> None:
+        vehicle = view.vehicle()
+        if vehicle is None or not view.has_controls:
+            refuse(f"{text}: " + _blocked(view))
+        else:
+            view.ask(vehicle.inject(int(unit.value), kind, text))
+
+    def inject() -> None:
+        ask(int(kind.value), f"{units[unit.value]}: {kinds[kind.value]}")
+
+    Panel("sensors")
+    units = {int(k): name.replace("_", " ") for k, name in FAILURES[0].items()}
+    kinds = {int(k): name for k, name in FAILURES[1].items()}
+    with element("div", classes="mf-tools mf-foot mf-live-only"):
+        unit = ui.select(units, value=next(iter(units))).props(
+            "dense options-dense outlined aria-label=sensor"
+        )
+        kind = ui.select(kinds, value=next(iter(kinds))).props(
+            "dense options-dense outlined aria-label=fault"
+        )
+        button("Inject", inject, test="inject", title="let this sensor of a simulated flight go wrong")
+        button(
+            "Clear", lambda: ask(0, "clear faults"), test="clear-faults", title="nothing is wrong any more"
+        )
 
 
 def mission_drawer(view: View) -> None:

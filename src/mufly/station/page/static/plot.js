@@ -28,11 +28,24 @@ export function plot(element, label, span, onSpan) {
     const first = Math.max(0, find(t, n, from) - 1), last = Math.min(n, find(t, n, to) + 1);
     const drawn = traces.map((trace) => [trace, live.column(trace.signal)]).filter(([, c]) => c);
     let least = Infinity, most = -Infinity;
+    // The shade of three deviations is never let make the axis more than a few times as long as what is drawn.
+    const wide = (trace) => (trace.band && live.column(trace.band)) || null;
     for (const [trace, c] of drawn) {
       for (let i = first; i < last; i++) {
         const v = c[i] * trace.factor;
         if (v < least) least = v;
         if (v > most) most = v;
+      }
+    }
+    const reach = Math.max(most - least, 0.02);
+    for (const [trace, c] of drawn) {
+      const sigma = wide(trace);
+      if (!sigma) continue;
+      const [under, over] = [least - reach, most + reach];
+      for (let i = first; i < last; i++) {
+        const v = c[i] * trace.factor, d = Math.abs(3 * sigma[i] * trace.factor);
+        if (v - d < least && v - d > under) least = v - d;
+        if (v + d > most && v + d < over) most = v + d;
       }
     }
     if (least > most) [least, most] = [-1, 1];
@@ -47,6 +60,10 @@ export function plot(element, label, span, onSpan) {
     ctx.rect(x0, y0, x1 - x0, y1 - y0);
     ctx.clip();
     const bucket = Math.max(1, Math.floor((last - first) / (x1 - x0)));
+    for (const [trace, c] of drawn) {
+      const sigma = wide(trace);
+      if (sigma) shade(ctx, trace, c, sigma, { t, first, last, bucket, x: (time) => x0 + (time - from) * sx, y: (v) => y1 - (v - low) * sy });
+    }
     for (const [trace, c] of drawn) {
       ctx.strokeStyle = colours[trace.colour];
       ctx.lineWidth = WIDTHS[trace.source] || 1.5;
@@ -80,6 +97,32 @@ export function plot(element, label, span, onSpan) {
     ctx.setLineDash([]);
     ctx.restore();
     if (cursor !== null && n) reading(ctx, { x0, x1, y0, y1, from, sx, t, n, drawn, find });
+  }
+
+  // What is believed to lie within three deviations, piece by piece where they are known.
+  function shade(ctx, trace, c, sigma, g) {
+    let above = [], below = [];
+    const fill = () => {
+      if (above.length > 1) {
+        ctx.beginPath();
+        [...above, ...below.reverse()].forEach(([x, y], k) => (k ? ctx.lineTo(x, y) : ctx.moveTo(x, y)));
+        ctx.fill();
+      }
+      [above, below] = [[], []];
+    };
+    ctx.fillStyle = colours[trace.colour];
+    ctx.globalAlpha = 0.14;
+    let before = -Infinity;
+    for (let i = g.first - (g.first % g.bucket); i < g.last; i += g.bucket) {
+      const k = Math.max(i, 0), v = c[k] * trace.factor, d = 3 * sigma[k] * Math.abs(trace.factor);
+      if (v !== v || d !== d) continue;
+      if (g.t[k] - before > BREAK_S + 3 * g.bucket * 0.05) fill();
+      before = g.t[k];
+      above.push([g.x(g.t[k]), g.y(v + d)]);
+      below.push([g.x(g.t[k]), g.y(v - d)]);
+    }
+    fill();
+    ctx.globalAlpha = 1;
   }
 
   // Above it stands the unit.

@@ -50,7 +50,7 @@ export function mount(element) {
     keep();
     build();
   } });
-  const legend = el("span", { class: "mf-legend" }, ...["estimated", "measured", "reference", "truth"].map((s) => el("span", {}, stroke(s), s)));
+  const legend = el("span", { class: "mf-legend" }, ...["estimated", "measured", "reference", "truth"].map((s) => el("span", {}, stroke(s), s)), el("span", { title: "estimate plus and minus three standard deviations" }, "shaded: 3σ"));
   const list = el("div", { class: "mf-plot-list" });
   element.append(el("div", { class: "mf-tools" }, pause, windows, add, legend), list);
 
@@ -75,7 +75,8 @@ export function mount(element) {
         if (p.sources && !p.sources.includes(source)) continue;
         const signal = q.signals[`${source}/${component}`];
         const factor = q.upward.includes(component) ? -q.factor : q.factor;
-        if (signal) out.push({ signal, component, source, colour: PALETTE[k % PALETTE.length], factor });
+        const band = q.bands?.[`${source}/${component}`];
+        if (signal) out.push({ signal, band, component, source, colour: PALETTE[k % PALETTE.length], factor });
       }
     });
     return { q, list: out };
@@ -125,7 +126,7 @@ export function mount(element) {
       list.append(el("div", { class: "mf-plot" }, el("div", { class: "mf-plot-head" }, select, chips, remove), area));
       const drawn = plot(area, `${q?.title || p.key} over time`, span, onSpan);
       drawn.set(shown, q?.unit || "");
-      cards.push({ plot: drawn, signals: shown.map((s) => s.signal) });
+      cards.push({ plot: drawn, signals: shown.flatMap((s) => (s.band ? [s.signal, s.band] : [s.signal])) });
     });
     add.disabled = state.plots.length >= MOST;
     panel?.set({ signals: cards.flatMap((c) => c.signals) });

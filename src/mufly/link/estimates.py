@@ -1,0 +1,134 @@
+"""What the vehicle tells of what it believes: ODOMETRY with covariance, ESTIMATOR_STATUS, and each sensor's health.
+
+ODOMETRY tells the pose in MAV_FRAME_LOCAL_NED and the motion in MAV_FRAME_BODY_FRD, as PX4 does. Its covariances are
+the upper triangles, row by row (21 numbers each), of x, y, z, roll, pitch, yaw and of vx, vy, vz, rollspeed,
+pitchspeed, yawspeed; a NaN in front says that they are not known. With the attitude's rotation R the velocity's errors
+turn into body axes, ``P_b = R^T P R``; what the attitude's own error adds (v times it) is left out.
+
+Test ratios of ESTIMATOR_STATUS are the squares of the innovations over the gate's: above 1 a measurement is rejected.
+MAVLink has no message for each sensor's health: the array "checks" holds for each of :data:`mufly.quantities.CHECKED`
+the place of its status in :data:`mufly.quantities.STATUSES`, its innovation in standard deviations and the age of what
+was used last (s); then the wind N, E (m/s) and its deviations. Reasons go out as STATUSTEXT.
+
+Source: https://mavlink.io/en/messages/common.html#ODOMETRY, #ESTIMATOR_STATUS.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.dynamics import quaternion_from_euler, rotation
+from mufly.estimate import ERROR_STATES, Beliefs, Check
+from mufly.estimate.fusing import GATE
+from mufly.flight import FlightState
+from mufly.link.codec import MavMessage, mavlink, single
+from mufly.quantities import CHECKED, STATUSES
+
+_Array = NDArray[np.float64]
+CHECKS = b"checks"
+"""Name of the array."""
+UNKNOWN_TRIANGLE = (math.nan,) + (0.0,) * 20
+_UPPER = np.triu_indices(6)
+_POSE, _MOTION = [0, 1, 2, 6, 7, 8], [3, 4, 5, 9, 10, 11]  # of Estimate.covariance
+GOOD_M, GOOD_TILT, GOOD_M_S = 0.5, math.radians(10.0), 0.5
+"""One sigma up to which a position, tilt or velocity is called good."""
+_FAR_M = 10.0  # beyond, a place is not known at all
+
+
+def odometry(state: FlightState, usec: int) -> MavMessage:
+    """ODOMETRY: pose and motion as estimated, with their covariance."""
+    m = state.estimate
+    known = bool(np.all(np.isfinite(m.attitude)))
+    turn = rotation(quaternion_from_euler(*m.attitude.tolist())) if known else np.full((3, 3), math.nan)
+    axes = np.eye(6)
+    axes[:3, :3] = turn
+    pose = m.covariance[np.ix_(_POSE, _POSE)]
+    motion = axes.T @ m.covariance[np.ix_(_MOTION, _MOTION)] @ axes
+    q = quaternion_from_euler(*m.attitude.tolist()) if known else np.full(4, math.nan)
+    return mavlink.MAVLink_odometry_message(
+        usec,
+        mavlink.MAV_FRAME_LOCAL_NED,
+        mavlink.MAV_FRAME_BODY_FRD,
+        *(single(v) for v in m.position.tolist()),
+        [single(v) for v in q.tolist()],
+        *(single(v) for v in (turn.T @ m.velocity).tolist()),
+        *(single(v) for v in m.rates.tolist()),
+        triangle(pose),
+        triangle(motion),
+        0,
+        mavlink.MAV_ESTIMATOR_TYPE_AUTOPILOT,
+        100 if m.valid else -1,
+    )
+
+
+def triangle(covariance: _Array) -> list[float]:
+    """Return the upper triangle of a (6, 6) covariance, row by row (21 numbers)."""
+    values = covariance[_UPPER]
+    return [single(v) for v in (values if np.all(np.isfinite(values)) else UNKNOWN_TRIANGLE)]
+
+
+def estimator_status(state: FlightState, usec: int) -> MavMessage:
+    """ESTIMATOR_STATUS: what is known how well, and by how much measurements miss."""
+    m, beliefs = state.estimate, state.estimate.beliefs
+    sigma = np.sqrt(np.maximum(np.diag(m.covariance), 0.0))
+    level, height = math.hypot(sigma[0], sigma[1]), float(sigma[2])
+    checks = {} if beliefs is None else {c.name: c for c in beliefs.checks}
+    good = m.valid and bool(np.all(np.isfinite(m.position)))
+    flags = 0
+    for holds, flag in (
+        (max(sigma[6], sigma[7]) < GOOD_TILT, mavlink.ESTIMATOR_ATTITUDE),
+        (math.hypot(sigma[3], sigma[4]) < GOOD_M_S, mavlink.ESTIMATOR_VELOCITY_HORIZ),
+        (sigma[5] < GOOD_M_S, mavlink.ESTIMATOR_VELOCITY_VERT),
+        (level < GOOD_M, mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_PRED_POS_HORIZ_REL),
+        (level < GOOD_M, mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_PRED_POS_HORIZ_ABS),
+        (height < GOOD_M, mavlink.ESTIMATOR_POS_VERT_ABS),
+        (beliefs is None or _is(checks, "ground_distance", "fused"), mavlink.ESTIMATOR_POS_VERT_AGL),
+        (level > _FAR_M, mavlink.ESTIMATOR_CONST_POS_MODE),
+    ):
+        flags |= int(flag) if good and holds else 0
+    if _is(checks, "acceleration", "faulty", "rejected"):
+        flags |= mavlink.ESTIMATOR_ACCEL_ERROR
+
+    def ratio(name: str) -> float:
+        return single((checks[name].ratio / GATE) ** 2) if name in checks else 0.0
+
+    return mavlink.MAVLink_estimator_status_message(
+        usec,
+        flags,
+        ratio("position_fix"),
+        ratio("position_fix"),
+        ratio("pressure"),
+        ratio("magnetic_field"),
+        ratio("ground_distance"),
+        0.0,
+        single(level),
+        single(height),
+    )
+
+
+def _is(checks: dict[str, Check], name: str, *statuses: str) -> bool:
+    return name in checks and checks[name].status in statuses
+
+
+def sensor_checks(state: FlightState, usec: int) -> MavMessage | None:
+    """DEBUG_FLOAT_ARRAY "checks": status, innovation and age of every reading, then the wind; None without a filter."""
+    beliefs = state.estimate.beliefs
+    if beliefs is None:
+        return None
+    values = checks_array(beliefs)
+    return mavlink.MAVLink_debug_float_array_message(usec, CHECKS, 1, values + [0.0] * (58 - len(values)))
+
+
+def checks_array(beliefs: Beliefs) -> list[float]:
+    """Return what the array "checks" holds; NaN for sensors that are not on board."""
+    checks = {c.name: c for c in beliefs.checks}
+    values: list[float] = []
+    for name in CHECKED:
+        c = checks.get(name)
+        told = [math.nan] * 3 if c is None else [float(STATUSES.index(c.status)), c.ratio, c.age_s]
+        values += told
+    k = ERROR_STATES.index("wind_N")
+    return [single(v) for v in [*values, *beliefs.wind.tolist(), *beliefs.sigma[k : k + 2].tolist()]]
