@@ -72,9 +72,9 @@ class Consistency:
             for k in ("xy_rms", "z_rms", "tilt_rms", "yaw_rms")
         }
         peak = {k: max(getattr(c, k) for c in several) for k in ("xy_peak", "z_peak", "tilt_peak")}
-        a, b, c = (float(x) for x in n @ np.array([one.parts for one in several]))
-        parts = (a, b, c)
-        return cls(count=sum(c.count for c in several), parts=parts, **mean, **rms, **peak)  # type: ignore[arg-type]
+        a, b, d = (float(x) for x in n @ np.array([one.parts for one in several]))
+        parts = (a, b, d)
+        return cls(count=sum(one.count for one in several), parts=parts, **mean, **rms, **peak)
 
     def row(self) -> str:
         """In centimetres and degrees, for a table."""
@@ -112,7 +112,7 @@ def consistency(
     some = e[::every]
     p = np.array([told[k].covariance[:9, :9] for k in use[::every]])
     nees = normalised(some, p)
-    parts = tuple(
+    place, speed, turn = (
         float(normalised(some[:, i : i + 3], p[:, i : i + 3, i : i + 3]).mean()) / 3 for i in (0, 3, 6)
     )
     ratios = []
@@ -122,7 +122,7 @@ def consistency(
     xy, z, tilt = np.hypot(e[:, 0], e[:, 1]), np.abs(e[:, 2]), np.hypot(e[:, 6], e[:, 7])
     return Consistency(
         count=len(use), nees=float(nees.mean()) / 9, inside=float(np.mean(nees < stats.chi2.ppf(0.95, 9))),
-        parts=parts, nis=float(np.mean(np.square(ratios))) if ratios else np.nan,
+        parts=(place, speed, turn), nis=float(np.mean(np.square(ratios))) if ratios else np.nan,
         xy_rms=_rms(xy), xy_peak=float(xy.max()), z_rms=_rms(z), z_peak=float(z.max()), tilt_rms=_rms(tilt),
         tilt_peak=float(tilt.max()), yaw_rms=_rms(e[:, 8]),
     )  # fmt: skip

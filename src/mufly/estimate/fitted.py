@@ -70,6 +70,11 @@ class KalmanEstimator(Estimator):
         self._beams = beams_used(ring.count)
         self.reset()
 
+    def use(self, settings: Any) -> None:
+        """Take other settings (:func:`mufly.estimate.layout.filter_settings`), and start anew."""
+        self._settings = settings
+        self.reset()
+
     def reset(self) -> None:
         # A record of an array is a view of it: the compiled step writes into the array.
         self._box = np.zeros(1, memory_type(self._kind))

@@ -1,9 +1,34 @@
-"""Readings that cannot be right in themselves, whatever the state: no number, frozen, twice, too late, none at all."""
+"""Readings that cannot be right in themselves, whatever the state, and how long a doubt lasts.
+
+| what | how it shows | noticed after |
+|---|---|---|
+| no number, or beyond all bounds | at once | one reading |
+| frozen | the same to the last bit, of a sensor that has noise | three readings |
+| doubled | the same to the last bit, sooner than the sensor can measure | two readings; the second ones are left out |
+| late | older than latency and jitter allow | one reading; used as long as the horizon has not passed it |
+| silent | nothing for six periods (:data:`Settings.patience`) | that |
+| spikes of the gyroscopes | a change of rates that the moments of the flight model do not make | at once; replaced
+by the model's |
+
+The sonar rounds to centimetres and the battery monitor to 10 mV, so that they may say the same for long; a stuck
+one is found by what it should say. One reading that does not fit is no alarm: the sonar of a healthy vehicle hears
+a second surface every 16 s. Rejections are counted, forgotten by 7 % with every reading that fits, and told of
+once they come to :data:`ALARM` (:data:`SONAR_ALARM` for the sonar: four within 14).
+"""
 
 from __future__ import annotations
 
 from mufly.compiled import compiled
+from mufly.estimate.factors import loosen
 from mufly.estimate.layout import (
+    GYRO,
+    MODELLED,
+    R_ACCELERATION,
+    R_BATTERY,
+    R_RATES,
+    R_RING,
+    R_ROTOR,
+    R_SONAR,
     SENSORS,
     STARTS,
 )
@@ -11,6 +36,68 @@ from mufly.estimate.layout import (
 ACTING = STARTS[-1]
 CLIPPING = ACTING + 4
 VALUES = CLIPPING + 3
+NOTHING, FUSED, REJECTED, MISSING, FAULTY = range(5)
+"""Status of a sensor, as a number."""
+(
+    FINE, NOTHING_YET, SILENT, LATE, INSANE, FROZEN, DOUBLED, OFF, CLIPS, STEP, TAKEN_OVER, NO_ECHO, TOO_FAR, NO_WALL,
+    SPIKES, JUMPED, SLOPE, STRAINED,
+) = range(18)  # fmt: skip
+"""Why, as a number; the words are in :mod:`mufly.estimate.words`."""
+ALARM, SONAR_ALARM, FORGET = 1.5, 3.0, 0.93
+LASTS_S = 0.5
+"""A fault that shows for one reading is told of for this long (s)."""
+_SPIKE, _ALIKE = 0.12, 0.06  # rad/s within a period, beyond what the model says
+_CREEP_S, _CREPT = 1.5, 0.14  # s, rad/s: what the moments do not make, added up and forgotten
+_SHARE = 0.02  # of clipped samples that is told of
+_ROTOR_OFF = 0.08  # of the hover speed
+_VOLTS_OFF = 0.6
+
+
+@compiled(error_model="numpy")
+def flag(m, s, k, code, why, number):  # type: ignore[no-untyped-def]
+    """Note what is wrong with a sensor, for a while."""
+    m.code[k] = code
+    m.why[k] = why
+    m.number[k] = number
+    m.until[k] = m.tick + int(LASTS_S / s.dt)
+
+
+@compiled(error_model="numpy")
+def fits(m, k):  # type: ignore[no-untyped-def]
+    """A reading has been used."""
+    m.used[k] = m.tick
+    m.rejected[k] = 0
+    m.agree[k] = 0
+    m.doubt[k] *= FORGET
+    if m.tick >= m.until[k] and m.doubt[k] < 1.0:
+        m.code[k] = FUSED
+        m.why[k] = FINE
+    elif m.code[k] == REJECTED and m.tick >= m.until[k]:
+        m.code[k] = FUSED
+
+
+@compiled(error_model="numpy")
+def misfits(m, s, k, why, number):  # type: ignore[no-untyped-def]
+    """A reading does not fit."""
+    m.rejected[k] += 1
+    m.doubt[k] += 1.0
+    if m.doubt[k] > (SONAR_ALARM if k == R_SONAR else ALARM):
+        flag(m, s, k, REJECTED, why, number)
+
+
+@compiled(error_model="numpy")
+def _repeated(m, s, z, k, start, count):  # type: ignore[no-untyped-def]
+    """Whether a reading is the one before to the last bit, and that cannot be."""
+    if s.noisy[k] == 0 or m.came[k] == 0:
+        return False
+    told = False
+    for j in range(count):
+        if z[start + j] != m.last[k, j]:
+            return False
+        told = told or (
+            (k != R_ROTOR or z[start + j] != 0.0) and (k != R_RING or z[start + j] < 0.995 * s.ring_max)
+        )
+    return told
 
 
 @compiled(error_model="numpy")
@@ -22,26 +109,155 @@ def inspect(m, s, z, new, age):  # type: ignore[no-untyped-def]
             continue
         start, count = STARTS[k], STARTS[k + 1] - STARTS[k]
         m.skip[k] = 0
+        if new[k] == 2:
+            m.silent[k] += 1
+            new[k] = 0
         if new[k] == 1:
-            sane = True
             for j in range(count):
-                sane = sane and abs(z[start + j]) < s.bound[k]
-            if not sane:
+                if not (abs(z[start + j]) < s.bound[k]):
+                    new[k] = 0
+            if new[k] == 0:
+                flag(m, s, k, FAULTY, INSANE, 0.0)
+        if new[k] == 1 and _repeated(m, s, z, k, start, count):
+            if (m.tick - m.came[k]) * s.dt < 0.6 * s.period[k]:
                 new[k] = 0
-                m.code[k], m.why[k] = 4, 4
+                m.twice[k] += 1
+                if m.twice[k] >= 2:
+                    flag(m, s, k, m.code[k], DOUBLED, 0.0)
+            else:
+                m.same[k] += 1
+                m.came[k] = m.tick
+                m.twice[k] = 0
+                if m.same[k] >= 2:
+                    new[k] = 0
+                    flag(m, s, k, FAULTY, FROZEN, m.same[k] * s.period[k])
+        elif new[k] == 1:
+            m.same[k] = 0
+            if s.noisy[k] == 0 and m.came[k] > 0 and (m.tick - m.came[k]) * s.dt < 0.6 * s.period[k]:
+                new[k] = 0
+                m.twice[k] += 1
+                if m.twice[k] >= 3:
+                    flag(m, s, k, m.code[k], DOUBLED, 0.0)
         if new[k] == 1:
             m.came[k] = m.tick
-            if m.code[k] == 0 or m.code[k] >= 3:
-                m.code[k], m.why[k] = 1, 0
+            m.silent[k] = 0
+            if m.code[k] == NOTHING or (m.code[k] >= MISSING and m.tick >= m.until[k]):
+                m.code[k], m.why[k] = FUSED, FINE
+            if age[k] > s.latency[k] + s.slack[k] or age[k] < -s.dt:
+                flag(m, s, k, FAULTY, LATE, age[k])
+                if k <= R_RATES:
+                    new[k] = 0
             if s.every[k] > 1:
-                m.same[k] += 1
-                m.skip[k] = 1 if m.same[k] % s.every[k] else 0
+                m.turns[k] += 1
+                m.skip[k] = 1 if m.turns[k] % s.every[k] else 0
             for j in range(count):
                 m.last[k, j] = z[start + j]
-        else:
+            if k <= R_RATES or k == R_RING:
+                m.used[k] = m.tick
+        if new[k] == 0:
             for j in range(count):
                 z[start + j] = m.last[k, j]
             if m.came[k] > 0 and (m.tick - m.came[k]) * s.dt > s.patience[k]:
-                m.code[k], m.why[k] = 3, 2
+                m.code[k] = MISSING
+                m.why[k] = NO_ECHO if m.silent[k] > 2 else SILENT
+                m.number[k] = (m.tick - m.came[k]) * s.dt
+    clip = 0.0
     for k in range(3):
-        m.clipped[k] += 0.1 * (min(max(z[CLIPPING + k], 0.0), 1.0) - m.clipped[k])
+        share = z[CLIPPING + k]
+        m.clipped[k] += 0.1 * ((share if 0.0 <= share <= 1.0 else 1.0) - m.clipped[k])
+        clip = max(clip, m.clipped[k])
+    if clip > _SHARE and m.code[R_ACCELERATION] == FUSED:
+        flag(m, s, R_ACCELERATION, FUSED, CLIPS, clip)
+
+
+@compiled(error_model="numpy")
+def smooth_rates(m, s, flying):  # type: ignore[no-untyped-def]
+    """Put what the model says in the place of a spike of the gyroscopes, and take off a jump; ``m.rates`` are the
+    new, ``m.before`` the old."""
+    if not flying or s.model == 0:
+        m.spikes = 0
+        return
+    now = (m.tick - 1) % MODELLED
+    worst = crept = 0.0
+    alike = m.spikes > 0
+    for k in range(3):
+        m.row[k] = m.before[k] + s.dt * m.force[now, 9 + k]
+        off = m.rates[k] - m.row[k]
+        worst = max(worst, abs(off))
+        alike = alike and abs(m.rates[k] - m.spike[k]) < _ALIKE
+        m.spike[k] = m.rates[k]
+    if worst < _SPIKE:
+        m.spikes = m.wild = 0
+        # Not of the yaw: its moment is a small difference of two torques.
+        for k in range(2):
+            m.creep[k] += m.rates[k] - m.row[k] - s.dt / _CREEP_S * m.creep[k]
+            crept = max(crept, abs(m.creep[k]))
+        if crept > _CREPT:
+            for k in range(2):
+                m.shift[k] += m.creep[k]
+                m.rates[k] -= m.creep[k]
+                loosen(m.ut, m.d, GYRO + k, (0.2 * m.creep[k]) ** 2, m.f)
+                m.creep[k] = 0.0
+            flag(m, s, R_RATES, FUSED, JUMPED, crept)
+        return
+    m.wild += 1
+    m.spikes = m.spikes + 1 if alike else 1
+    if m.wild == 1:
+        m.doubt[R_RATES] = m.doubt[R_RATES] * FORGET + 1.0
+        if m.doubt[R_RATES] > 3.0:
+            flag(m, s, R_RATES, FUSED, SPIKES, worst)
+    if m.spikes >= 2:
+        # Twice the same: an offset that came at once is no motion. It is taken off from now on.
+        for k in range(3):
+            m.shift[k] += m.rates[k] - m.row[k]
+            loosen(m.ut, m.d, GYRO + k, (0.1 * (m.rates[k] - m.row[k])) ** 2, m.f)
+        m.spikes = m.wild = 0
+        flag(m, s, R_RATES, FUSED, JUMPED, worst)
+    elif m.wild > 8:
+        m.wild = 0
+        return
+    for k in range(3):
+        m.rates[k] = m.row[k]
+
+
+@compiled(error_model="numpy")
+def rotor_fits(m, s, z, start):  # type: ignore[no-untyped-def]
+    """Whether the speeds that are read are those that the motors' equations make."""
+    worst = 0.0
+    for k in range(2):
+        worst = max(worst, abs(z[start + k] - m.rotor[18 + k]) / s.hover[k])
+    if worst > _ROTOR_OFF and m.tick * s.dt > 0.5:
+        misfits(m, s, R_ROTOR, OFF, worst * s.hover[0])
+        return False
+    fits(m, R_ROTOR)
+    return True
+
+
+@compiled(error_model="numpy")
+def voltage_fits(m, s, off):  # type: ignore[no-untyped-def]
+    """Whether the voltage is what the battery's model has."""
+    if abs(off) > _VOLTS_OFF and m.tick * s.dt > 1.0:
+        misfits(m, s, R_BATTERY, OFF, off)
+        return False
+    fits(m, R_BATTERY)
+    return True
+
+
+@compiled(error_model="numpy")
+def felt_fits(m, s, nu, variance, i):  # type: ignore[no-untyped-def]
+    """Mean of accelerometers less model over some 0.4 s against what is expected of it; ``nu`` of axis ``i`` of a
+    block."""
+    m.drift[i] += 0.1 * (nu - m.drift[i])
+    k = R_ACCELERATION
+    if i == 2:
+        worst = 0.0
+        for j in range(3):
+            worst = max(worst, abs(m.drift[j]) / m.drift_sigma[j]) if m.drift_sigma[j] > 0.0 else worst
+        if m.disowned == 0 and worst > 6.0:
+            m.disowned = 1
+        elif m.disowned == 1 and worst < 2.0:
+            m.disowned = 0
+        if m.disowned == 1:
+            flag(m, s, k, FAULTY, OFF, m.drift[2])
+    # The mean of 0.1-weighted blocks keeps 0.1 / (2 - 0.1) of their variance.
+    m.drift_sigma[i] = (variance * 0.0526 + 0.04) ** 0.5

@@ -18,7 +18,6 @@ import math
 from mufly.compiled import compiled
 from mufly.estimate.factors import carry, sigmas
 from mufly.estimate.fusing import (
-    MISSING,
     fuse_fix,
     fuse_force,
     fuse_magnet,
@@ -28,7 +27,17 @@ from mufly.estimate.fusing import (
     fuse_sonar,
     settle_floor,
 )
-from mufly.estimate.guards import ACTING, inspect
+from mufly.estimate.guards import (
+    ACTING,
+    FAULTY,
+    LATE,
+    MISSING,
+    flag,
+    inspect,
+    rotor_fits,
+    smooth_rates,
+    voltage_fits,
+)
 from mufly.estimate.layout import (
     EDGE,
     ERRORS,
@@ -68,6 +77,11 @@ TOLD_EVERY = 20
 STANDING, RUNNING, LIGHT, FLYING = range(4)
 """On the floor with motors off, with motors on, perhaps just off it, in the air."""
 _ALIGNED_S = 0.8
+JUMP, SLIP_S = 0.05, 0.4
+"""A jump of the state of more than this (m) is told over some time (s)."""
+CLEAR = 0.15
+"""Height (m) above which no leg touches: what turns it then is in the flight model."""
+_BLIND_S = 0.1  # without gyroscopes
 SCATTER = 5.0
 """Density of the accelerometers' noise before it is known, m^2/s^3: none would be believed more than the model."""
 _Z = STARTS
@@ -143,7 +157,7 @@ def _mode(m, s, z):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _force(m, s, p, z, r):  # type: ignore[no-untyped-def]
+def _force(m, s, p, z, new, r):  # type: ignore[no-untyped-def]
     """What acted over the period that has just ended: a row of inputs."""
     now = m.tick % MODELLED
     for j in range(4):
@@ -155,14 +169,16 @@ def _force(m, s, p, z, r):  # type: ignore[no-untyped-def]
         m.rotor[10 + k] = m.rates[k] - m.out[10 + k]
     if s.model > 0:
         model_force(m, p, s.dt, m.row, m.force[now])
-        if m.code[R_ROTOR] == 1 and m.came[R_ROTOR] == m.tick:
+        if new[R_ROTOR] == 1:
             a = _Z[R_ROTOR]
-            for k in range(2):
-                m.rotor[18 + k] += s.rotor_gain * (z[a + k] - m.rotor[18 + k])
-        if m.code[R_BATTERY] == 1 and m.came[R_BATTERY] == m.tick:
+            if rotor_fits(m, s, z, a):
+                for k in range(2):
+                    m.rotor[18 + k] += s.rotor_gain * (z[a + k] - m.rotor[18 + k])
+        if new[R_BATTERY] == 1:
             off = z[_Z[R_BATTERY]] - terminal_voltage_believed(m, p)
-            fast = 0.2 if m.tick * s.dt < 1.0 else 0.02
-            m.rotor[20] = min(max(m.rotor[20] + fast * off, 0.0), 1.0)
+            if voltage_fits(m, s, off):
+                fast = 0.2 if m.tick * s.dt < 1.0 else 0.02
+                m.rotor[20] = min(max(m.rotor[20] + fast * off, 0.0), 1.0)
     _mode(m, s, z)
     a, b = (now - s.lag_ticks) % MODELLED, (now - s.lag_ticks - 1) % MODELLED
     row = m.inputs[m.tick % KEPT]
@@ -175,7 +191,7 @@ def _force(m, s, p, z, r):  # type: ignore[no-untyped-def]
                 b, 3 * g + k
             ]
         clip = m.clipped[k] * 0.5 * s.felt_range
-        felt = max(s.felt_density, m.scatter[k]) + clip * clip
+        felt = (max(s.felt_density, m.scatter[k]) if s.model > 0 else s.felt_density) + clip * clip
         made = s.model_density[k]
         if m.mode <= RUNNING:
             row[6 + k], row[9 + k], row[12 + k] = 0.0, -GRAVITY * r[6 + k], 0.0
@@ -185,7 +201,7 @@ def _force(m, s, p, z, r):  # type: ignore[no-untyped-def]
         if not model and m.mode > RUNNING:
             row[6 + k], row[9 + k], row[12 + k] = 0.0, -GRAVITY if k == 2 else 0.0, 0.0
             made = 10.0
-        if m.code[R_ACCELERATION] >= MISSING or s.fitted[R_ACCELERATION] == 0:
+        if m.code[R_ACCELERATION] >= MISSING or m.disowned == 1 or s.fitted[R_ACCELERATION] == 0:
             felt = 1e6
         share = made / (felt + made)
         row[15 + k] = share
@@ -342,8 +358,22 @@ def _tell(m, s, r, a):  # type: ignore[no-untyped-def]
         if s.model > 0 and m.mode == FLYING:
             m.out_rates[k] += s.lag * m.force[m.tick % MODELLED, 9 + k]
     turned(x, s.lag * m.out_rates[0], s.lag * m.out_rates[1], s.lag * m.out_rates[2], True)
+    _smooth(m, s)
     if much:
         _tell_covariance(m, s)
+
+
+@compiled(error_model="numpy")
+def _smooth(m, s):  # type: ignore[no-untyped-def]
+    """Let what is told follow a jump of the state within a second, so that none goes to the actuators."""
+    x = m.out
+    for k in range(3):
+        jump = x[k] - (m.told[k] + s.dt * x[3 + k])
+        if m.lifted > 0 and abs(jump) > JUMP:
+            m.slip[k] -= jump
+        m.told[k] = x[k]
+        m.slip[k] -= s.dt / SLIP_S * m.slip[k]
+        x[k] += m.slip[k]
 
 
 @compiled(error_model="numpy")
@@ -374,6 +404,8 @@ def _tell_covariance(m, s):  # type: ignore[no-untyped-def]
             m.out_cov[i, j] = v
             m.out_cov[j, i] = v
     for i in range(9):
+        if i < 3:
+            m.out_cov[i, i] += m.slip[i] * m.slip[i]
         m.sigma[i] = math.sqrt(m.out_cov[i, i])
     # Turns about N, E, D to roll, pitch and yaw
     x = m.out
@@ -420,8 +452,9 @@ def step(m, s, p, z, new, age):  # type: ignore[no-untyped-def]
     a = m.f[0:6]
     for k in range(3):
         m.before[k] = m.rates[k]
-        m.rates[k] = z[_Z[R_RATES] + k]
-    _force(m, s, p, z, r)
+        m.rates[k] = z[_Z[R_RATES] + k] - m.shift[k]
+    smooth_rates(m, s, m.mode == FLYING and -m.out[2] - m.out[16] - s.stands > CLEAR)
+    _force(m, s, p, z, new, r)
     if s.model > 0 and (m.mode == FLYING or m.mode == RUNNING) and m.code[R_ACCELERATION] < MISSING:
         _scatter(m, s, z)
     for kind in range(R_SONAR, R_FIX + 1):
@@ -433,6 +466,7 @@ def step(m, s, p, z, new, age):  # type: ignore[no-untyped-def]
         count = STARTS[kind + 1] - STARTS[kind]
         if not _queue(m, kind, int(due), (at - due) * s.dt, z, STARTS[kind], count):
             m.late[kind] += 1
+            flag(m, s, kind, FAULTY, LATE, age[kind])
     while m.horizon < m.tick - s.delay:
         _advance(m, s, r, a)
         _fuse(m, s, r)
@@ -442,4 +476,5 @@ def step(m, s, p, z, new, age):  # type: ignore[no-untyped-def]
     found = s.fitted[R_FIX] == 0 or (m.aligned & 1) > 0
     if m.lifted == 0 and found and (m.standing * s.dt >= _ALIGNED_S or m.tick * s.dt > 3.0):
         m.lifted = 1
-    return m.lifted > 0
+    seen = m.code[R_RATES] < MISSING or (m.tick - m.used[R_RATES]) * s.dt < _BLIND_S
+    return m.lifted > 0 and seen

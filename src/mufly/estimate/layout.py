@@ -96,7 +96,10 @@ def memory_type(kind: Any = np.float64) -> np.dtype:
         ("mean", kind, (3,)), ("before", kind, (3,)), ("blocks", i4), ("scatter", kind, (3,)), ("clipped", kind, (3,)),
         ("felt", kind, (3,)), ("modelled", kind, (3,)), ("lever", kind, (3, 4)), ("felt_count", i4),
         # Standing
-        ("turning", kind, (3,)), ("edge", i4), ("mode", i4), ("standing", i4), ("aligned", i4), ("sum", kind,
+        ("turning", kind, (3,)), ("edge", i4), ("mode", i4), ("spikes", i4), ("shift", kind, (3,)),
+        ("lean", kind), ("wild", i4), ("spike", kind, (3,)), ("creep", kind, (3,)), ("steps", i4),
+        ("strain", kind), ("disowned", i4), ("drift", kind, (3,)),
+        ("drift_sigma", kind, (3,)), ("told", kind, (4,)), ("standing", i4), ("aligned", i4), ("sum", kind,
         (6,)), ("lifted", i4),
         # What is told
         ("out", kind, (STATES,)), ("out_rates", kind, (3,)), ("out_cov", kind, (12, 12)), ("sigma", kind,
@@ -109,6 +112,7 @@ def memory_type(kind: Any = np.float64) -> np.dtype:
         ("number", kind, (SENSORS,)), ("innovation", kind, (SENSORS,)), ("spread", kind, (SENSORS,)),
         ("late", i4, (SENSORS,)),
         ("suspect", kind, (SENSORS, 4)), ("agree", i4, (SENSORS,)), ("skip", i4, (SENSORS,)),
+        ("doubt", kind, (SENSORS,)), ("silent", i4, (SENSORS,)), ("twice", i4, (SENSORS,)), ("turns", i4, (SENSORS,)),
         # Work
         ("w", kind, (2 * n, n)), ("weight", kind, (2 * n,)), ("row", kind, (n,)), ("h", kind, (n,)),
         ("f", kind, (n,)), ("gain", kind, (n,)),
@@ -121,7 +125,8 @@ _NUMBERS: dict[str, Any] = {
     "start": (STATES,), "sigma": (ERRORS,), "keep": (ERRORS,), "noise": (ERRORS,),
     "gyro_density": (), "gyro_off": (2,), "felt_density": (), "model_density": (3,), "felt_range": (), "gyro_range": (),
     "rest_felt": (), "rest_gyro": (), "level": (), "stands": (), "weight": (), "thrust": (2,), "hover": (2,),
-    "fitted": "i9", "period": (SENSORS,), "latency": (SENSORS,), "patience": (SENSORS,), "bound": (SENSORS,),
+    "fitted": "i9", "period": (SENSORS,), "latency": (SENSORS,), "patience": (SENSORS,), "slack": (SENSORS,),
+    "noisy": "i9", "bound": (SENSORS,),
     "every": "i9",
     "sonar_place": (3,), "sonar_variance": (), "sonar_cone": (), "sonar_min": (), "sonar_max": (),
     "fix_variance": (), "heading_variance": (),
@@ -140,7 +145,7 @@ def settings_type(kind: Any = np.float64) -> np.dtype:
 
 
 # What is assumed beyond the vehicle's file (docs/estimation.md)
-MODEL_FORCE = (0.05, 0.05, 0.08)
+MODEL_FORCE = (0.035, 0.035, 0.06)
 """What the rotor model is off by in flight, one sigma an axis (m/s^2), and for how long together (s)."""
 MODEL_TIME_S = 0.1
 THRUST_ERROR = (0.03, 20.0)  # error of the model's thrust, and its time (s)
@@ -149,7 +154,7 @@ EDGE, EDGE_S, LOW = 0.1, 1.0, 0.08
 """Over an object, and for a while after a step, the surface may change by this (m/sqrt(s)); (s); what is lower is
 the floor (m)."""
 FLOOR_WANDER = 1e-3  # m/sqrt(s): floors are not quite flat
-LEVEL = math.radians(0.2)  # how level it stands on the floor
+LEVEL = math.radians(0.12)  # how level it stands on the floor
 PLACE_M = 5.0  # where it stands before anything is heard
 LONGEST_DELAY_S = 0.35
 _CALM_S = 1.0  # errors of the ring stay for about as long
@@ -196,11 +201,13 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
         np.zeros(SENSORS),
         np.full(SENSORS, 1e9),
     )
-    every = np.ones(SENSORS)
+    every, noisy, slack = np.ones(SENSORS), np.zeros(SENSORS), np.full(SENSORS, 0.05)
     delay_s = 0.0
     if (imu := sensing.imu) is not None:
         fitted[[R_ACCELERATION, R_RATES]] = 1
         lag = math.sqrt(2.0) / float(imu.bandwidth)  # of a second-order Butterworth filter at low frequencies
+        noisy[R_ACCELERATION], noisy[R_RATES] = float(imu.accelerometer_noise) > 0, float(imu.gyro_noise) > 0
+        slack[[R_ACCELERATION, R_RATES]] = 1.5 * dt
         s["lag"], s["lag_ticks"], s["lag_share"] = lag, int(lag / dt), lag / dt - int(lag / dt)
         s["place"] = imu.place.array()[0]
         s["gyro_density"], s["felt_density"] = float(imu.gyro_noise) ** 2, float(imu.accelerometer_noise) ** 2
@@ -221,7 +228,8 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
         ):
             # Wandering, and warming taken as a random walk that reaches as far in the warming's time
             walk[at : at + 3] = math.hypot(
-                float(drift) * math.sqrt(2.0 / time), float(warm) * heat / math.sqrt(float(imu.warming_time))
+                float(drift) * math.sqrt(2.0 / time),
+                0.6 * float(warm) * heat / math.sqrt(float(imu.warming_time)),
             )
         s["rest_felt"] = max(float(imu.accelerometer_noise) * math.sqrt(1.1 * band), 0.02)
         s["rest_gyro"] = max(float(imu.gyro_noise) * math.sqrt(1.1 * band), 1e-4)
@@ -247,8 +255,9 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
         row = 1.25 * math.atan(float(ring.baseline) / float(ring.min_range)) / ring.radial_pixels
         # What calibration left stays: as many readings as fall into its time count as one.
         together = np.maximum(1.0, 2 * _CALM_S / float(ring.period))
-        s["ring_slope"] = row * math.sqrt(float(ring.calibration) ** 2 * together + 0.1**2)
-        bound[R_RING] = 1.01 * max(float(vehicle.range_ring.max_range), s["ring_max"])
+        s["ring_slope"] = row * math.sqrt(float(ring.calibration) ** 2 * float(together) + 0.1**2)
+        bound[R_RING] = 1.01 * max(float(vehicle.range_ring.max_range), float(ring.max_range))
+        noisy[R_RING] = 1
     north, east, up = ((-1e6, 1e6), (-1e6, 1e6), -1e6)
     if world.room is not None:
         north, east = world.room.north, world.room.east
@@ -257,6 +266,7 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
     if (air := sensing.pressure) is not None:
         fitted[R_PRESSURE], period[R_PRESSURE], latency[R_PRESSURE] = 1, float(air.period), 0.0
         every[R_PRESSURE] = max(1, round(0.1 / float(air.period)))
+        noisy[R_PRESSURE] = float(air.noise) > 0
         s["pressure_variance"] = float(air.noise) ** 2
         density = float(vehicle.air.density)
         s["pressure_slope"] = density * GRAVITY
@@ -267,6 +277,7 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
     if (compass := sensing.magnetometer) is not None:
         fitted[R_MAGNET], period[R_MAGNET] = 1, float(compass.period)
         every[R_MAGNET] = max(1, round(0.1 / float(compass.period)))
+        noisy[R_MAGNET] = float(compass.noise) > 0
         s["earth"] = earth_field(float(compass.field), float(compass.inclination))
         level = max(float(s["earth"][0]), 1e-9)
         s["magnet_variance"] = (float(compass.noise) / level) ** 2
@@ -279,6 +290,7 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
     if (rotor := sensing.rotor_speed) is not None:
         fitted[R_ROTOR], period[R_ROTOR] = 1, float(rotor.period)
         noise = float(rotor.noise) / (float(vehicle.motor.back_emf_constant) * float(vehicle.gear.ratio))
+        noisy[R_ROTOR] = noise > 0
         # Between readings the motors' equations carry the speed on, to about 1 % in their time of 50 ms
         s["rotor_gain"] = 1.0 / (1.0 + (noise / (0.01 * s["hover"][0])) ** 2) * 0.5
         bound[R_ROTOR] = 5 * float(s["hover"].max())
@@ -292,10 +304,13 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
         sigma[FIX : FIX + 3], sigma[HEADING] = float(fix.wander), float(fix.heading_wander)
         tau[FIX : FIX + 4] = float(fix.wander_time)
         bound[R_FIX] = 1e4
+        noisy[R_FIX] = float(fix.noise) > 0
+        slack[R_FIX] = 6 * float(fix.jitter) + dt
     keep = np.exp(-dt / tau)
     s["start"], s["sigma"], s["keep"] = start, sigma, keep
     s["noise"] = sigma**2 * (1 - keep**2) + walk**2 * dt
     s["fitted"], s["period"], s["latency"], s["bound"], s["every"] = fitted, period, latency, bound, every
+    s["slack"], s["noisy"] = slack, noisy
     s["patience"] = np.maximum(6 * period, 3.5 * dt)
     s["delay"] = min(math.ceil(delay_s / dt), KEPT - 8)
     return cast(np.void, s[()])

@@ -2,23 +2,64 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from mufly.estimate import guards as g
 from mufly.estimate.beliefs import Check, Status
-from mufly.estimate.layout import CHECKED
+from mufly.estimate.layout import CHECKED, R_FIX, R_PRESSURE, R_SONAR
+from mufly.sensors import READINGS
 
 _STATUS: tuple[Status, ...] = ("waiting", "fused", "rejected", "missing", "faulty")
+_WORDS: Mapping[int, Callable[[float, str], str]] = {
+    g.FINE: lambda x, u: "",
+    g.NOTHING_YET: lambda x, u: "nothing has come yet",
+    g.SILENT: lambda x, u: f"nothing has come for {x:.2f} s",
+    g.LATE: lambda x, u: f"comes {1e3 * x:.0f} ms after it was measured, later than it should",
+    g.INSANE: lambda x, u: "says what is no number, or beyond all bounds",
+    g.FROZEN: lambda x, u: f"has said the same to the last digit for {x:.2f} s",
+    g.DOUBLED: lambda x, u: "every reading comes twice: the second ones are left out",
+    g.OFF: lambda x, u: f"is off by {x:.3g} {u} from what all others say",
+    g.CLIPS: lambda x, u: f"clips {100 * x:.0f} % of its samples: the rotor model takes over",
+    g.STEP: lambda x, u: f"sees a step: what lies below is {x:.2f} m above the floor",
+    g.TAKEN_OVER: lambda x, u: (
+        f"was off by {x:.3g} {u} for a second and agreed with itself: it is believed anew"
+    ),
+    g.NO_ECHO: lambda x, u: f"has had no echo for {x:.2f} s",
+    g.TOO_FAR: lambda x, u: "sees no wall: all are too far",
+    g.NO_WALL: lambda x, u: "sees something, but no wall of the room",
+    g.SPIKES: lambda x, u: f"has spikes of {x:.2g} {u}: the flight model fills in",
+    g.SLOPE: lambda x, u: f"leads away by {x:.3g} {u} and more: the surface below slopes, or it drifts",
+    g.STRAINED: lambda x, u: f"keeps being off, by {x:.3g} {u} now: it or the gyroscopes drift",
+    g.JUMPED: lambda x, u: f"has jumped by {x:.2g} {u}, which no moment has made",
+}
 
 
 def checks(m: Any, s: Any, fitted: Sequence[int]) -> tuple[Check, ...]:
-    """Return what is thought of each sensor that is on board."""
-    found = []
-    for k in fitted:
-        spread = float(m["spread"][k])
-        nu = float(m["innovation"][k])
-        found.append(
-            Check(CHECKED[k], _STATUS[int(m["code"][k])], nu, spread, nu / spread if spread > 0 else 0.0,
-                  float(m["tick"] - m["used"][k]) * float(s["dt"]), "")
-        )  # fmt: skip
-    return tuple(found)
+    """Return what is thought of each sensor that is on board.
+
+    Parameters
+    ----------
+    m, s : records
+        Memory and settings of the filter.
+    fitted : sequence of int
+        Which of :data:`mufly.estimate.layout.CHECKED`.
+    """
+    dt, tick = float(s["dt"]), int(m["tick"])
+    return tuple(_check(m, k, dt, tick) for k in fitted)
+
+
+def _check(m: Any, k: int, dt: float, tick: int) -> Check:
+    code, why = int(m["code"][k]), int(m["why"][k])
+    spread, nu = float(m["spread"][k]), float(m["innovation"][k])
+    if code == g.NOTHING and why == g.FINE:
+        why = g.NOTHING_YET if not m["came"][k] else g.FINE
+    return Check(
+        CHECKED[k], _STATUS[code], nu, spread, nu / spread if spread > 0.0 else 0.0,
+        (tick - int(m["used"][k])) * dt, _WORDS[why](float(m["number"][k]), _unit(k)),
+    )  # fmt: skip
+
+
+def _unit(k: int) -> str:
+    unit = READINGS[CHECKED[k]].unit
+    return {R_FIX: "m or rad", R_SONAR: "m", R_PRESSURE: "Pa"}.get(k, unit)
