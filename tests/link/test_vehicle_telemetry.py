@@ -341,6 +341,11 @@ def test_what_is_believed_and_how_far_goes_out_and_comes_back() -> None:
     np.testing.assert_allclose(station.believes("estimated_wind"), [0.4, -0.1], rtol=1e-6)
     assert "accelerometer wrong" in station.estimator.wrong
     assert station.estimator.unknown == ("attitude", "velocity", "position")  # one sigma of 0.58 m, and more
+    # A deviation is no angle that goes round: that of a heading which was not known at first comes down.
+    for k, sure in enumerate((6.2, 0.1)):
+        odd = replace(state.estimate, covariance=np.diag([*[0.01] * 8, sure**2, *[0.01] * 3]))
+        station.handle(1.05 + 0.01 * k, told("ODOMETRY", instant(replace(state, estimate=odd))))
+    assert station.believes("estimated_attitude_sigma")[2] == pytest.approx(0.1, rel=1e-5)
     # Covariances that are not known, as PX4 tells them, and a velocity in the room's axes.
     unknown = m.MAVLink_odometry_message(
         0, 1, 1, *[0.0] * 3, [1.0, 0, 0, 0], *[0.0] * 6, UNKNOWN_TRIANGLE, [0.09] + [0.0] * 20

@@ -396,7 +396,7 @@ class Present:
     def set(self, group: str, k: int, value: float) -> None:
         """Put a value in place ``k``, told by a message of a group."""
         self._owned.setdefault(group, set()).add(k)
-        if self._names[k].endswith("_yaw") and math.isfinite(value):
+        if self._names[k].endswith("_attitude_yaw") and math.isfinite(value):
             value = self._carried_on(k, value)
         self.values[k] = value
 
