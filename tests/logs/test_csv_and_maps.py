@@ -328,3 +328,21 @@ def test_signals_are_chosen_by_name_component_and_pattern(tmp_path, data):
         assert list(read_log(path, signals=["table/flap"])) == ["table_flap"]
     with pytest.raises(InputError, match="there is no such signal"):
         read_log(path, signals=["measured_altitude"])
+
+
+@pytest.mark.parametrize(
+    ("text", "rpm"),
+    [
+        ("sep=;\ntime;rpm\n0,00;1.234,5\n0,01;987,5\n0,02;12.345,0\n", [1234.5, 987.5, 12345.0]),
+        ("time;rpm\n0,00;1.234\n0,01;987\n0,02;12.345\n", [1234, 987, 12345]),
+        ("time;rpm\n0,00;1\u00a0234,5\n0,01;987,5\n0,02;12\u00a0345,0\n", [1234.5, 987.5, 12345.0]),
+        ('time,rpm\n0.00,"1,234.5"\n0.01,987.5\n0.02,"12,345.0"\n', [1234.5, 987.5, 12345.0]),
+        ("time;rpm\n0,00;0.234\n0,01;1.987\n0,02;2.345\n", [0.234, 1.987, 2.345]),
+    ],
+    ids=["point and comma", "whole thousands", "blank", "comma and point", "points that are decimal"],
+)
+def test_thousands_in_groups_are_numbers(tmp_path, text, rpm):
+    """Before: such a column was text and left out without a word, or 1.234 was one and a bit."""
+    path = tmp_path / "excel.csv"
+    path.write_text("\ufeff" + text, encoding="utf-8")
+    assert read_raw(path)["table"].fields["rpm"].tolist() == rpm

@@ -37,6 +37,11 @@ _COMMENTS = ("#", "%", "//")
 _TIME = re.compile(
     r"^(time|t|timestamp|zeit|time_?stamp|timeus|timems|time_?boot|seconds|utc|date_?time)$", re.IGNORECASE
 )
+# Thousands in groups, as spreadsheets write them: 1.234,5 beside decimal commas, 1,234.5 beside points; blanks likewise.
+_GROUPED = {
+    ",": re.compile(r"[+-]?[1-9]\d{0,2}([. \u00a0\u202f']\d{3})+(,\d*)?"),
+    ".": re.compile(r"[+-]?[1-9]\d{0,2}([, \u00a0\u202f']\d{3})+(\.\d*)?"),
+}
 _MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "inf", "-inf", "+inf", "infinity"}
 
 
@@ -92,6 +97,8 @@ def read_csv(path: str | Path, time: TimeEntry | None = None) -> RawLog:
     except UnicodeDecodeError:
         text = raw.decode("latin-1")
     lines = text.splitlines()
+    if lines and re.fullmatch(r"sep=.", lines[0].strip()):
+        lines = lines[1:]  # Excel's own note of the separator
     first = next((k for k, s in enumerate(lines) if s.strip() and not s.lstrip().startswith(_COMMENTS)), None)
     if first is None:
         raise InputError(where, "", "holds no rows", "give a table with a header and numbers")
@@ -165,7 +172,9 @@ def _separator(lines: list[str]) -> str:
 
 
 def _number(cell: str, decimal: str = ".") -> float:
-    """Return the number in a cell, NaN if there is none."""
+    """Return the number in a cell, thousands grouped or not, NaN if there is none."""
+    if _GROUPED[decimal].fullmatch(cell):
+        cell = re.sub("[ \u00a0\u202f'" + ("." if decimal == "," else ",") + "]", "", cell)
     try:
         return float(cell.replace(",", ".") if decimal == "," else cell)
     except ValueError:
@@ -206,10 +215,13 @@ def _column(series: Any, decimal: str) -> tuple[NDArray[Any], int]:
     Python's own conversion is exact; that of pandas is not in every version.
     """
     cells = series.fillna("").astype(object).to_numpy()
-    try:
-        return cells.astype(np.float64), 0
-    except ValueError:
-        pass
+    # Beside decimal commas a column of 1.234 and 987 counts thousands; one with 0.123 in it does not.
+    points = [str(c).strip() for c in cells if decimal == "," and "." in str(c)]
+    if not points or not all(_GROUPED[decimal].fullmatch(c) for c in points):
+        try:
+            return cells.astype(np.float64), 0
+        except ValueError:
+            pass
     texts = [str(c).strip() for c in cells]
     numbers = np.array([_number(t, decimal) for t in texts])
     filled = np.array([t.lower() not in _MISSING for t in texts])
