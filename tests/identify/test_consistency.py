@@ -82,9 +82,9 @@ SPOILT = [
     ("roll", lambda r: times(r, p=0.7), r"p: is 0.[67]\d times the change of roll .*scaled wrong"),
     ("yaw", lambda r: times(r, rate_r=1.5), r"r: is 1.[45]\d times the change of yaw"),
     ("pitch", lambda r: times(r, q=-1), "q: has the opposite sign of the change of pitch"),
-    ("roll", lambda r: exchanged(r, p="q"), "q: does not follow pitch, it follows roll: axes are exchanged"),
+    ("pitch", lambda r: exchanged(r, p="q"), "p: does not follow roll, it follows pitch: axes are exchanged"),
     ("roll", lambda r: late(r, ("roll", "pitch", "yaw"), 10), r"roll: comes (99|100|101) \+- \d ms later than p"),
-    ("yaw", lambda r: late(r, ("roll", "pitch", "yaw"), -10), r"r: comes (99|100|101) \+- \d ms later than yaw"),
+    ("yaw", lambda r: late(r, ("roll", "pitch", "yaw"), -10), r"[pqr]: comes (9|10|11)\d \+- \d+ ms later than"),
     ("mixed", lambda r: replace(r, inputs=r.inputs * 100), "motor_upper: reaches .* per cent"),
     ("mixed", lambda r: replace(r, inputs=r.inputs * 0.3), "motor_upper, motor_lower: lift"),
 ]  # fmt: skip

@@ -37,7 +37,7 @@ _COMMENTS = ("#", "%", "//")
 _TIME = re.compile(
     r"^(time|t|timestamp|zeit|time_?stamp|timeus|timems|time_?boot|seconds|utc|date_?time)$", re.IGNORECASE
 )
-# Thousands in groups, as spreadsheets write them: 1.234,5 beside decimal commas, 1,234.5 beside points; blanks likewise.
+# Thousands in groups, as spreadsheets write them: 1.234,5 beside decimal commas, 1,234.5 beside points; or blanks.
 _GROUPED = {
     ",": re.compile(r"[+-]?[1-9]\d{0,2}([. \u00a0\u202f']\d{3})+(,\d*)?"),
     ".": re.compile(r"[+-]?[1-9]\d{0,2}([, \u00a0\u202f']\d{3})+(\.\d*)?"),

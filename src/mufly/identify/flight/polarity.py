@@ -206,9 +206,8 @@ def _gain(
     rival = most[-side]
     sure = share > _EXPLAINS and abs(g[lead]) > max(_LEAST, _SURE * std[lead])
     sure = sure and (rival < 0.5 * share or 1.0 - rival > _WORSE * (1.0 - share))
-    # The other servo counts only where the own one, which moved as well, does nothing.
-    if lead == 1:
-        sure = sure and abs(g[0]) + 2.0 * std[0] < 0.4 * abs(g[1])
+    # The other servo counts only where the own one does little beside it.
+    sure = bool(sure and (lead == 0 or abs(g[0]) < 0.4 * abs(g[1])))
     return Gain(
         float(g[0]), float(std[0]), float(g[1]) if crossed else 0.0, float(std[1]) if crossed else 0.0,
         side if sure else 0, sure and lead == 1,
