@@ -71,14 +71,14 @@ def flown(vehicle: Vehicle, mission: Mission, seed: int) -> tuple[list[Truth], l
     with Flight(vehicle, mission, seed=seed, wind=(0.5, 0.0, 0.0), gust=0.3, keep=False) as flight:
         while flight.time_s < STANDS_S:
             flight.tick()
-            truths.append(flight._truth)
-            acted.append(flight._acted.copy())
+            truths.append(flight.status.truth)
+            acted.append(flight.status.actuators.array)
         flight.autopilot.arm(force=True, quiet=True)
         flight.autopilot.start_mission()
         while not flight.autopilot.software.mission_state.finished and flight.time_s < 90.0:
             flight.tick()
-            truths.append(flight._truth)
-            acted.append(flight._acted.copy())
+            truths.append(flight.status.truth)
+            acted.append(flight.status.actuators.array)
         if flight.plant.crashed:
             raise SystemExit(flight.plant.crashed)
     return truths, acted

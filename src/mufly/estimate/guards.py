@@ -47,7 +47,6 @@ ALARM, SONAR_ALARM, FORGET = 1.5, 3.0, 0.93
 LASTS_S = 0.5
 """A fault that shows for one reading is told of for this long (s)."""
 _SPIKE, _ALIKE = 0.12, 0.06  # rad/s within a period, beyond what the model says
-_CREEP_S, _CREPT = 1.5, 0.14  # s, rad/s: what the moments do not make, added up and forgotten
 _SHARE = 0.02  # of clipped samples that is told of
 _ROTOR_OFF = 0.08  # of the hover speed
 _VOLTS_OFF = 0.6
@@ -178,7 +177,7 @@ def smooth_rates(m, s, flying):  # type: ignore[no-untyped-def]
         m.spikes = 0
         return
     now = (m.tick - 1) % MODELLED
-    worst = crept = 0.0
+    worst = 0.0
     alike = m.spikes > 0
     for k in range(3):
         m.row[k] = m.before[k] + s.dt * m.force[now, 9 + k]
@@ -188,17 +187,6 @@ def smooth_rates(m, s, flying):  # type: ignore[no-untyped-def]
         m.spike[k] = m.rates[k]
     if worst < _SPIKE:
         m.spikes = m.wild = 0
-        # Not of the yaw: its moment is a small difference of two torques.
-        for k in range(2):
-            m.creep[k] += m.rates[k] - m.row[k] - s.dt / _CREEP_S * m.creep[k]
-            crept = max(crept, abs(m.creep[k]))
-        if crept > _CREPT:
-            for k in range(2):
-                m.shift[k] += m.creep[k]
-                m.rates[k] -= m.creep[k]
-                loosen(m.ut, m.d, GYRO + k, (0.2 * m.creep[k]) ** 2, m.f)
-                m.creep[k] = 0.0
-            flag(m, s, R_RATES, FUSED, JUMPED, crept)
         return
     m.wild += 1
     m.spikes = m.spikes + 1 if alike else 1

@@ -97,7 +97,7 @@ def memory_type(kind: Any = np.float64) -> np.dtype:
         ("felt", kind, (3,)), ("modelled", kind, (3,)), ("lever", kind, (3, 4)), ("felt_count", i4),
         # Standing
         ("turning", kind, (3,)), ("edge", i4), ("mode", i4), ("spikes", i4), ("shift", kind, (3,)),
-        ("lean", kind), ("wild", i4), ("spike", kind, (3,)), ("creep", kind, (3,)), ("steps", i4),
+        ("lean", kind), ("wild", i4), ("spike", kind, (3,)), ("steps", i4),
         ("strain", kind), ("disowned", i4), ("drift", kind, (3,)),
         ("drift_sigma", kind, (3,)), ("told", kind, (4,)), ("standing", i4), ("aligned", i4), ("sum", kind,
         (6,)), ("lifted", i4),

@@ -81,9 +81,10 @@ def model_force(m, p, dt, air, out):  # type: ignore[no-untyped-def]
     f_x, f_y, f_z = dx[3], dx[4], dx[5] - GRAVITY
     out[0], out[1], out[2] = f_x, f_y, f_z
     for k in range(3):
-        out[9 + k] = dx[10 + k]
         x[3 + k] = air[k]
     _model(x, u, m.still, p, dx)
+    for k in range(3):
+        out[9 + k] = dx[10 + k]
     d_x, d_y, d_z = dx[3], dx[4], dx[5] - GRAVITY
     for k in range(3):
         x[3 + k] = air[k] + _STEP
