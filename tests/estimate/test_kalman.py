@@ -245,3 +245,22 @@ def spoilt(r: Reading, evil: str, now: float, first: Reading) -> Reading:
         case "frozen":
             return Reading(first.value, now)
     return r
+
+
+def test_a_spot_that_is_seen_once_is_no_obstacle(vehicle: Vehicle) -> None:
+    """Noise makes one now and then; what stays for two pictures is told, also while a beam is missed."""
+    estimator = KalmanEstimator(vehicle, World(), 200.0)
+    far = float(vehicle.range_ring.max_range)
+
+    def told(pictures: list[float]) -> list[float]:
+        estimator.reset()
+        out = []
+        for k, seen in enumerate(pictures):
+            ring = np.full(vehicle.range_ring.count, far)
+            ring[2] = seen
+            t = 0.04 * k
+            out.append(float(estimator.update(Readings(t, {"ranges": Reading(ring, t)})).ranges[2]))
+        return out
+
+    assert told([far, 0.4, far, far, 0.4, far]) == [far] * 6
+    assert told([far, 0.5, 0.48, 0.46, far, 0.42, math.nan, 0.4]) == [far, far, 0.5, 0.48, 0.48, 0.46, far, 0.42]

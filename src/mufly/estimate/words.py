@@ -7,7 +7,7 @@ from typing import Any
 
 from mufly.estimate import guards as g
 from mufly.estimate.beliefs import Check, Status
-from mufly.estimate.layout import CHECKED, R_FIX, R_PRESSURE, R_SONAR
+from mufly.estimate.layout import CHECKED, R_FIX, R_MAGNET, R_PRESSURE, R_SONAR
 from mufly.sensors import READINGS
 
 _STATUS: tuple[Status, ...] = ("waiting", "fused", "rejected", "missing", "faulty")
@@ -62,4 +62,4 @@ def _check(m: Any, k: int, dt: float, tick: int) -> Check:
 
 def _unit(k: int) -> str:
     unit = READINGS[CHECKED[k]].unit
-    return {R_FIX: "m or rad", R_SONAR: "m", R_PRESSURE: "Pa"}.get(k, unit)
+    return {R_FIX: "m or rad", R_MAGNET: "rad", R_SONAR: "m", R_PRESSURE: "Pa"}.get(k, unit)
