@@ -263,4 +263,13 @@ def test_a_spot_that_is_seen_once_is_no_obstacle(vehicle: Vehicle) -> None:
         return out
 
     assert told([far, 0.4, far, far, 0.4, far]) == [far] * 6
-    assert told([far, 0.5, 0.48, 0.46, far, 0.42, math.nan, 0.4]) == [far, far, 0.5, 0.48, 0.48, 0.46, far, 0.42]
+    assert told([far, 0.5, 0.48, 0.46, far, 0.42, math.nan, 0.4]) == [
+        far,
+        far,
+        0.5,
+        0.48,
+        0.48,
+        0.46,
+        far,
+        0.42,
+    ]
