@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from mufly.estimate import KalmanEstimator, fitted_estimator, run_log
-from mufly.estimate.consistency import Consistency, consistency
+from mufly.estimate.nees import Consistency, consistency
 from mufly.flight import Flight
 from mufly.mission import Mission, mission_from
 from mufly.sensors import Truth, fitted_sensors, parse_fault

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from mufly.control import design
 from mufly.estimate import Check, Estimate
-from mufly.estimate.consistency import Consistency, consistency
+from mufly.estimate.nees import Consistency, consistency
 from mufly.estimate.fitted import KalmanEstimator
 from mufly.flight import Flight
 from mufly.mission import mission_from

@@ -1,7 +1,7 @@
 """What runs on board? The controllers as C99, exported with a vehicle's numbers, built and flown on this machine."""
 
 from mufly.firmware.checks import PilResult, SilResult, deepest_stack, missing_tools, pil, sil
-from mufly.firmware.export import export, tables_c
+from mufly.firmware.tables import export, tables_c
 from mufly.firmware.host import Firmware, FirmwareControllers, build, compiler
 
 __all__ = [

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from mufly.control import FlightController, design
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate
-from mufly.firmware.export import export
+from mufly.firmware.tables import export
 from mufly.firmware.host import FLAGS, Firmware, FirmwareControllers, compiler
 from mufly.flight import fly
 from mufly.flight.software import Actuators, Controllers

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mufly.control import FlightController
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate
-from mufly.firmware.export import tables_c, write_tree
+from mufly.firmware.tables import tables_c, write_tree
 from mufly.flight.software import Actuators, Controllers
 
 _Array = NDArray[np.floating[Any]]

@@ -14,7 +14,7 @@ from mufly.results import plain
 if TYPE_CHECKING:
     import xarray as xr
 
-    from mufly.estimate.consistency import Consistency
+    from mufly.estimate.nees import Consistency
     from mufly.vehicle import Vehicle
     from mufly.world import World
 
@@ -45,7 +45,7 @@ def run(
     Examples: mufly fly --headless --out flown; mufly estimate run flown/flight.mcap --out estimated
     """
     from mufly.estimate import fitted_estimator
-    from mufly.estimate.consistency import consistency
+    from mufly.estimate.nees import consistency
     from mufly.flight import believed, draw_belief, is_sensed, read_recording, replay, truths_of
     from mufly.logs import write_log
 
