@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from mufly.control import design
 from mufly.estimate import Check, Estimate
-from mufly.estimate.nees import Consistency, consistency
 from mufly.estimate.fitted import KalmanEstimator
+from mufly.estimate.nees import Consistency, consistency
 from mufly.flight import Flight
 from mufly.mission import mission_from
 from mufly.sensors import Reading, Readings, Truth, fitted_sensors, parse_fault

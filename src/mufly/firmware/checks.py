@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from mufly.control import FlightController, design
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate
-from mufly.firmware.tables import export
 from mufly.firmware.host import FLAGS, Firmware, FirmwareControllers, compiler
+from mufly.firmware.tables import export
 from mufly.flight import fly
 from mufly.flight.software import Actuators, Controllers
 from mufly.mission import load_mission
