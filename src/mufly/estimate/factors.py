@@ -126,16 +126,9 @@ def carry(ut, d, top, decay, q, middle, w, weight, row):  # type: ignore[no-unty
 
 
 @compiled(error_model="numpy")
-def loosen(ut, d, j, variance, v):  # type: ignore[no-untyped-def]
-    """Add a variance to state ``j``: something may have happened to it.
-
-    P + c a a^T, factor by factor from the last (Agee and Turner 1972), with ``v`` (n,) for work.
-    """
-    for i in range(j):
-        v[i] = 0.0
-    v[j] = 1.0
-    c = variance
-    for k in range(j, -1, -1):
+def _add(ut, d, last, c, v):  # type: ignore[no-untyped-def]
+    """P + c v v^T, ``v`` zero behind ``last``; factor by factor from there (Agee and Turner 1972); ``v`` is used up."""
+    for k in range(last, -1, -1):
         old = d[k]
         new = old + c * v[k] * v[k]
         if new <= _TINY:
@@ -146,6 +139,18 @@ def loosen(ut, d, j, variance, v):  # type: ignore[no-untyped-def]
             ut[k, i] += b * v[i]
         c *= old / new
         d[k] = new
+
+
+@compiled(error_model="numpy")
+def loosen(ut, d, j, variance, v):  # type: ignore[no-untyped-def]
+    """Add a variance to state ``j``: something may have happened to it.
+
+    ``v`` (n,) is for work.
+    """
+    for i in range(j):
+        v[i] = 0.0
+    v[j] = 1.0
+    _add(ut, d, j, variance, v)
 
 
 @compiled(error_model="numpy")
@@ -165,18 +170,7 @@ def forget(ut, d, j, variance, v):  # type: ignore[no-untyped-def]
     for k in range(j + 1, n):
         ut[k, j] = 0.0
     d[j] = variance
-    c = kept
-    for k in range(j - 1, -1, -1):
-        old = d[k]
-        new = old + c * v[k] * v[k]
-        if new <= _TINY:
-            continue
-        b = c * v[k] / new
-        for i in range(k):
-            v[i] -= v[k] * ut[k, i]
-            ut[k, i] += b * v[i]
-        c *= old / new
-        d[k] = new
+    _add(ut, d, j - 1, kept, v)
 
 
 @compiled(error_model="numpy")

@@ -7,7 +7,7 @@ number as a hexadecimal float, which no compiler rounds, with its decimal and un
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -78,15 +78,15 @@ def tables_c(controller: FlightController) -> str:
         record = getattr(controller, f"{group}_gains")
         lines += [f"    .{group} =", "        {"]
         for name in record.dtype.names:
-            lines += _field(name, record[name], UNITS)
+            lines += _field(name, record[name])
         lines += ["        },"]
     return "\n".join([*lines, "};", ""])
 
 
-def _field(name: str, value: Any, units: Mapping[str, str]) -> Iterator[str]:
+def _field(name: str, value: Any) -> Iterator[str]:
     array = np.asarray(value, dtype=np.float64)
     pad = " " * 12
-    unit = units.get(name, "")
+    unit = UNITS.get(name, "")
     if array.ndim == 0:
         yield f"{pad}.{name} = {hexadecimal(float(array))}, /* {_decimal(float(array), unit)} */"
         return

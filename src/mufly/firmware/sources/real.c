@@ -15,31 +15,29 @@
 #define PI_HALF_3 REAL(0x1.3198a2e037073p-69)
 #endif
 
+#ifdef MUFLY_FLOAT
+#define SQRT __builtin_sqrtf
+#define ABS __builtin_fabsf
+#define WITH_SIGN __builtin_copysignf
+#else
+#define SQRT __builtin_sqrt
+#define ABS __builtin_fabs
+#define WITH_SIGN __builtin_copysign
+#endif
+
 real_t real_sqrt(real_t x)
 {
-#ifdef MUFLY_FLOAT
-    return __builtin_sqrtf(x);
-#else
-    return __builtin_sqrt(x);
-#endif
+    return SQRT(x);
 }
 
 real_t real_abs(real_t x)
 {
-#ifdef MUFLY_FLOAT
-    return __builtin_fabsf(x);
-#else
-    return __builtin_fabs(x);
-#endif
+    return ABS(x);
 }
 
 real_t real_with_sign(real_t size, real_t sign)
 {
-#ifdef MUFLY_FLOAT
-    return __builtin_copysignf(size, sign);
-#else
-    return __builtin_copysign(size, sign);
-#endif
+    return WITH_SIGN(size, sign);
 }
 
 real_t real_clip(real_t value, real_t low, real_t high)
