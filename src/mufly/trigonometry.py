@@ -1,4 +1,4 @@
-"""Sine and cosine that are the same, to the last bit, on every machine that rounds as IEEE 754 asks.
+"""Sine, cosine and decay that are the same, to the last bit, on every machine that rounds as IEEE 754 asks.
 
 Those of C libraries differ in their last bit. What runs on board (docs/firmware.md) has to give on a processor what it
 gave in simulation, so it computes its own from additions and multiplications:
@@ -11,6 +11,8 @@ gave in simulation, so it computes its own from additions and multiplications:
 and the quadrant of ``n`` says which of them, with which sign. Errors are at most one unit in the last place (two after
 thousands of turns). An angle beyond 1e5 rad, or none, is a fault elsewhere and counts as zero. Sources: Taylor; Cody
 and Waite, Software Manual for the Elementary Functions, 1980, for the pieces.
+
+Decay is ``exp(-x) = 2^-n exp(-r)``, n the integer nearest to ``x / ln 2``, ``r = x - n ln 2``, by the same means.
 """
 
 from __future__ import annotations
@@ -65,3 +67,38 @@ def sine_cosine(x):  # type: ignore[no-untyped-def]
     if quadrant == 2:
         return -s, -c
     return -c, s
+
+
+LN2 = (float.fromhex("0x1.62e42fee00000p-1"), float.fromhex("0x1.a39ef35793c76p-33"))
+"""ln 2 in two pieces, the first of 32 bits."""
+
+_LN2_1, _LN2_2 = LN2
+_PER_LN2 = float.fromhex("0x1.71547652b82fep+0")
+
+
+@compiled(error_model="numpy")
+def decay(x):  # type: ignore[no-untyped-def]
+    """Return exp(-x) for x from 0 on; 1 below, 0 beyond 40 (where it is below 1e-17)."""
+    if not x > 0.0:
+        return 1.0
+    if x > 40.0:
+        return 0.0
+    n = int(x * _PER_LN2 + 0.5)
+    r = (x - n * _LN2_1) - n * _LN2_2
+    # The series of Taylor, to r^13.
+    s = -1.0 / 6227020800.0
+    s = 1.0 / 479001600.0 + r * s
+    s = -1.0 / 39916800.0 + r * s
+    s = 1.0 / 3628800.0 + r * s
+    s = -1.0 / 362880.0 + r * s
+    s = 1.0 / 40320.0 + r * s
+    s = -1.0 / 5040.0 + r * s
+    s = 1.0 / 720.0 + r * s
+    s = -1.0 / 120.0 + r * s
+    s = 1.0 / 24.0 + r * s
+    s = -1.0 / 6.0 + r * s
+    s = 0.5 + r * s
+    s = 1.0 - r * (1.0 - r * s)
+    for _ in range(n):
+        s = 0.5 * s
+    return s

@@ -68,8 +68,9 @@ def build(
 def _declarations(folder: Path, single: bool) -> str:
     """What the headers declare, for cffi."""
     command = [compiler(), "-E", "-P", "-DMUFLY_DECLARATIONS", *(("-DMUFLY_FLOAT",) if single else ())]
+    headers = "".join(f'#include "{h.name}"\n' for h in sorted(folder.glob("*.h")))
     done = subprocess.run(
-        [*command, str(folder / "controllers.h")], capture_output=True, text=True, check=True
+        [*command, f"-I{folder}", "-x", "c", "-"], input=headers, capture_output=True, text=True, check=True
     )
     return done.stdout.replace("extern const ", "extern ")  # to cffi a constant has no address
 

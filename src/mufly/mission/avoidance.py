@@ -16,6 +16,9 @@ where a beam of range l and body direction u ends, x + l R u, with R the attitud
 point confirms that. A point that has not been confirmed for 30 s is forgotten: by then it has gone, or it is far
 behind. (That a beam passes a point by proves nothing: it may graze the edge of a thin post.) Points just above the
 floor are floor. Own derivation.
+
+What stands here runs on board as C too (``avoid.c`` of :mod:`mufly.firmware`), equal to the last bit: sums keep their
+order, and lengths are square roots of sums.
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled import compiled
+from mufly.trigonometry import decay, sine_cosine
 
 _Array = NDArray[np.float64]
 
@@ -118,6 +122,11 @@ class Memory:
 
 
 @compiled
+def _length(x, y):  # type: ignore[no-untyped-def]
+    return math.sqrt(x * x + y * y)
+
+
+@compiled
 def _observe(
     old: _Array,
     used: int,
@@ -137,9 +146,9 @@ def _observe(
             points[k] = points[used]
         else:
             k += 1
-    cr, sr = math.cos(attitude[0]), math.sin(attitude[0])
-    cp, sp = math.cos(attitude[1]), math.sin(attitude[1])
-    cy, sy = math.cos(attitude[2]), math.sin(attitude[2])
+    sr, cr = sine_cosine(attitude[0])
+    sp, cp = sine_cosine(attitude[1])
+    sy, cy = sine_cosine(attitude[2])
     for i in range(ranges.shape[0]):
         reach = ranges[i]
         if reach >= max_range or not reach > 0.0:
@@ -152,10 +161,7 @@ def _observe(
             continue
         known, oldest = False, 0
         for k in range(used):
-            if (
-                math.hypot(points[k, 0] - n, points[k, 1] - e) < _APART
-                and abs(points[k, 2] - d) < _SAME_HEIGHT
-            ):
+            if _length(points[k, 0] - n, points[k, 1] - e) < _APART and abs(points[k, 2] - d) < _SAME_HEIGHT:
                 points[k, 3] = time
                 known = True
             if points[k, 3] < points[oldest, 3]:
@@ -260,12 +266,12 @@ def _look(
     blocked_at: float,
 ) -> tuple[float, float, float, float, float, float, float, float, float]:
     wn, we = gn - n, ge - e
-    length = math.hypot(wn, we)
+    length = _length(wn, we)
     if length > 1e-9:
         wn, we = wn / length, we / length
     else:
         wn, we = 1.0, 0.0
-    stretch = min(length, ahead)
+    stretch = ahead if ahead < length else length
     nearest, nn, ne, way, goal = np.inf, 0.0, 0.0, np.inf, np.inf
     block, bn, be = np.inf, 0.0, 0.0
     total, count = 0.0, 0
@@ -273,19 +279,26 @@ def _look(
         if abs(points[k, 2] - d) > _SAME_HEIGHT_M:
             continue
         qn, qe = points[k, 0] - n, points[k, 1] - e
-        dist = math.hypot(qn, qe)
+        dist = _length(qn, qe)
         if dist < nearest:
             nearest = dist
             if dist > 1e-9:
                 nn, ne = -qn / dist, -qe / dist
         along = qn * wn + qe * we
         across = qe * wn - qn * we
-        beyond = along - min(max(along, 0.0), stretch)
-        off = math.hypot(beyond, across)
-        way = min(way, off)
+        beyond = 0.0  # how far before or behind the stretch
+        if along < 0.0:
+            beyond = along
+        elif along > stretch:
+            beyond = along - stretch
+        off = _length(beyond, across)
+        if off < way:
+            way = off
         if off < blocked_at and dist < block and dist > 1e-9:
             block, bn, be = dist, -qn / dist, -qe / dist
-        goal = min(goal, math.hypot(points[k, 0] - gn, points[k, 1] - ge))
+        there = _length(points[k, 0] - gn, points[k, 1] - ge)
+        if there < goal:
+            goal = there
         # A blocker's whole visible width tells the side, not only the part inside the corridor.
         if along > -blocked_at and along < stretch + blocked_at and abs(across) < 2.0 * blocked_at:
             total += across
@@ -304,7 +317,7 @@ def _hold_off(
             if abs(points[k, 2] - d) > _SAME_HEIGHT_M:
                 continue
             qn, qe = n - points[k, 0], e - points[k, 1]
-            dist = math.hypot(qn, qe)
+            dist = _length(qn, qe)
             if dist > 2.0 or dist < 1e-9:
                 continue
             short = -_APPROACH * (dist - keep) - (vn * qn + ve * qe) / dist
@@ -390,7 +403,9 @@ approached only exponentially. They cover the 5 cm between remembered points and
 _FIELD_GAIN = 0.15
 """k of eqs 6.18 and 6.19, as a velocity: m/s per 1/m."""
 
+_LEAN_M = 0.4
 _LAG_S = 0.2
+_SMOOTH_S = 0.08
 _STRAY_M = 3.0
 _STUCK_S = 5.0
 _CONTACT_M = 0.15
@@ -449,7 +464,15 @@ class Detour:
     @property
     def done(self) -> bool:
         """Whether the obstacle is avoided and the reference has come to rest."""
-        return self.leaving and math.hypot(*self.velocity) < 0.01 and math.hypot(*self.acceleration) < 0.05
+        return self.leaving and _norm(*self.velocity) < 0.01 and _norm(*self.acceleration) < 0.05
+
+
+def _norm(x: float, y: float, z: float = 0.0) -> float:
+    return math.sqrt(x * x + y * y + z * z)
+
+
+def _apart(a: Sequence[float], b: Sequence[float]) -> float:
+    return _norm(a[0] - b[0], a[1] - b[1])
 
 
 def begin_detour(
@@ -462,12 +485,12 @@ def begin_detour(
 ) -> Detour:
     """Start a detour from where the reference is; ``before`` is the last one on this leg, if there was one."""
     here = (position[0], position[1])
-    far = math.hypot(goal[0] - here[0], goal[1] - here[1])
+    far = _apart(goal, here)
     side = -1.0 if sight.offset > 0.0 else 1.0
     count, stray = 1, _STRAY_M
     if before is not None:
         count, stray = before.count + 1, before.stray
-        if math.dist(here, before.position[:2]) < 1.5:
+        if _apart(here, before.position) < 1.5:
             side = before.side
     return Detour(position, velocity, acceleration, side, here, far, count=count, stray=stray, anchor=here)
 
@@ -516,7 +539,7 @@ def go_round(
     # Plan from whichever is nearer to an obstacle: the reference, or the helicopter that the wind has moved off it.
     at = position if real.nearest < sight.nearest else reference
     near = real if real.nearest < sight.nearest else sight
-    to_goal = math.hypot(goal[0] - reference[0], goal[1] - reference[1])
+    to_goal = _apart(goal, reference)
 
     first = look(memory, reference, goal, clearance, LOOK_M + 0.3)
     free = real.nearest > clearance
@@ -546,22 +569,24 @@ def go_round(
         lost = detour.laps > 0 and nearer_goal and near.block > follow + 0.05
         if (lost or not touching) and math.isfinite(near.block):
             far, n, e = near.block, near.block_north, near.block_east
-        lean = math.atan2(far - follow, 0.4)
+        error = far - follow
+        slant = _norm(error, _LEAN_M)
+        along, inward = _LEAN_M / slant, error / slant  # cos a, sin a
         # Facing the obstacle, along -n, the way to the right is (n_E, -n_N).
-        vn = speed * (math.cos(lean) * side * e - math.sin(lean) * n)
-        ve = speed * (-math.cos(lean) * side * n - math.sin(lean) * e)
+        vn = speed * (along * side * e - inward * n)
+        ve = speed * (-along * side * n - inward * e)
     elif to_goal > 1e-6:
         pace = min(speed, 0.5 * to_goal)
         vn, ve = pace * (goal[0] - reference[0]) / to_goal, pace * (goal[1] - reference[1]) / to_goal
 
     fx, fy = repulsion(ranges, beams, follow)
     if fx != 0.0 or fy != 0.0:
-        c, s = math.cos(heading), math.sin(heading)
+        s, c = sine_cosine(heading)
         vn += _FIELD_GAIN * (c * fx - s * fy)
         ve += _FIELD_GAIN * (s * fx + c * fy)
     vn, ve = hold_off(memory, at, (vn, ve), clearance + KEEP_M)
-    fast = math.hypot(vn, ve)
-    limit = speed * max(0.0, 1.0 - max(0.0, math.dist(here, position[:2]) - 0.15) / 0.15)
+    fast = _norm(vn, ve)
+    limit = speed * max(0.0, 1.0 - max(0.0, _apart(here, position) - 0.15) / 0.15)
     if fast > limit:
         vn, ve = vn * limit / fast, ve * limit / fast
 
@@ -583,17 +608,17 @@ def _keep_course(
     """Change sides when stuck or far off; after a whole lap leave at the best place that it found."""
     side, stray, hit_distance = detour.side, detour.stray, detour.hit_distance
     anchor, anchor_s = detour.anchor, detour.anchor_s + dt
-    if math.dist(here, anchor) > 0.25:
+    if _apart(here, anchor) > 0.25:
         anchor, anchor_s = here, 0.0
     elif anchor_s > _STUCK_S:
         side, anchor_s = -side, 0.0
     if _off_course(here, detour.hit, goal) > stray:
         side, stray = -side, 2.0 * stray
     lap, laps, lap_way, best = detour.lap, detour.laps, detour.lap_way, min(detour.best, to_goal)
-    lap_way += math.hypot(*detour.velocity) * dt
+    lap_way += _norm(*detour.velocity) * dt
     if lap is None or side != detour.side:
         lap, lap_way, best = (here if touching else None), 0.0, to_goal
-    elif lap_way > 1.5 and math.dist(here, lap) < 0.3:
+    elif lap_way > 1.5 and _apart(here, lap) < 0.3:
         hit_distance, laps, lap_way, best = best + 0.25, laps + 1, 0.0, to_goal
     return replace(
         detour,
@@ -617,15 +642,15 @@ def _off_course(
     square = n * n + e * e
     share = ((here[0] - start[0]) * n + (here[1] - start[1]) * e) / square if square > 0.0 else 0.0
     share = min(max(share, 0.0), 1.0)
-    return math.hypot(here[0] - start[0] - share * n, here[1] - start[1] - share * e)
+    return _norm(here[0] - start[0] - share * n, here[1] - start[1] - share * e)
 
 
 def _follow(detour: Detour, wanted: tuple[float, float, float], dt: float) -> Detour:
     """Move the reference: velocity follows what is wanted, acceleration limited and low-pass filtered."""
     ask = [(w - v) / _LAG_S for w, v in zip(wanted, detour.velocity, strict=True)]
-    size = math.hypot(*ask)
+    size = _norm(*ask)
     scale = min(1.0, BRAKE_M_S2 / size) if size > 0.0 else 0.0
-    blend = 1.0 - math.exp(-dt / 0.08)
+    blend = 1.0 - decay(dt / _SMOOTH_S)
     (n, e, d), (vn, ve, vd), (an, ae, ad) = detour.position, detour.velocity, detour.acceleration
     an, ae, ad = (
         an + blend * (scale * ask[0] - an),

@@ -14,9 +14,13 @@
 #ifdef MUFLY_FLOAT
 typedef float real_t;
 #define REAL(x) (x##F)
+#define REAL_INFINITY __builtin_inff()
+#define REAL_NONE __builtin_nanf("")
 #else
 typedef double real_t;
 #define REAL(x) (x)
+#define REAL_INFINITY __builtin_inf()
+#define REAL_NONE __builtin_nan("") /* no number */
 #endif
 
 /* Square root, correctly rounded; one instruction where there is one. */
@@ -29,5 +33,8 @@ real_t real_clip(real_t value, real_t low, real_t high);
 
 /* Sine and cosine of an angle (rad), the same to the last bit everywhere. Beyond 1e5 rad: those of zero. */
 void sine_cosine(real_t angle, real_t *sine, real_t *cosine);
+
+/* exp(-x) for x from 0 on, the same to the last bit everywhere; 1 below, 0 beyond 40. */
+real_t decay(real_t x);
 
 #endif

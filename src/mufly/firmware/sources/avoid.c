@@ -1,0 +1,479 @@
+#include "avoid.h"
+
+#include <stddef.h>
+
+#define MEMORY_S REAL(30.0) /* a point is believed in without being hit again */
+#define APART REAL(0.05)
+#define FLOOR REAL(0.12)
+#define SAME_HEIGHT REAL(0.15)
+#define LEVEL_M REAL(0.5) /* points further above or below do not matter */
+#define ENTER_M REAL(0.05)
+#define LEAVE_M REAL(0.08)
+#define FOLLOW_M REAL(0.15)
+#define KEEP_M REAL(0.06)
+#define APPROACH REAL(0.8) /* 1/s */
+#define BRAKE_M_S2 REAL(1.0)
+#define FIELD_GAIN REAL(0.15)
+#define LEAN_M REAL(0.4)
+#define LAG_S REAL(0.2)
+#define SMOOTH_S REAL(0.08)
+#define STRAY_M REAL(3.0)
+#define STUCK_S REAL(5.0)
+#define CONTACT_M REAL(0.15)
+#define SWEEPS 8
+
+static real_t less(real_t a, real_t b)
+{
+    return (b < a) ? b : a;
+}
+
+static real_t more(real_t a, real_t b)
+{
+    return (b > a) ? b : a;
+}
+
+static real_t length(real_t x, real_t y)
+{
+    return real_sqrt((x * x) + (y * y));
+}
+
+static real_t length_3(const real_t a[3])
+{
+    return real_sqrt(((a[0] * a[0]) + (a[1] * a[1])) + (a[2] * a[2]));
+}
+
+static real_t apart(const real_t a[], const real_t b[])
+{
+    return length(a[0] - b[0], a[1] - b[1]);
+}
+
+void avoid_forget(memory_t *memory)
+{
+    for (int32_t k = 0; k < AVOID_CAPACITY; k++) {
+        for (int32_t i = 0; i < 4; i++) {
+            memory->points[k][i] = REAL(0.0);
+        }
+    }
+    memory->used = 0;
+}
+
+static void drop_old(memory_t *memory, real_t time_s)
+{
+    int32_t k = 0;
+
+    while (k < memory->used) {
+        if ((time_s - memory->points[k][3]) > MEMORY_S) {
+            memory->used--;
+            for (int32_t i = 0; i < 4; i++) {
+                memory->points[k][i] = memory->points[memory->used][i];
+            }
+        } else {
+            k++;
+        }
+    }
+}
+
+/* Confirm the points that this is, or put it into a free row, or that of the oldest. */
+static void take(memory_t *memory, const real_t hit[3], real_t time_s)
+{
+    bool known = false;
+    int32_t oldest = 0;
+
+    for (int32_t k = 0; k < memory->used; k++) {
+        real_t *const p = memory->points[k];
+        if ((apart(p, hit) < APART) && (real_abs(p[2] - hit[2]) < SAME_HEIGHT)) {
+            p[3] = time_s;
+            known = true;
+        }
+        if (p[3] < memory->points[oldest][3]) {
+            oldest = k;
+        }
+    }
+    if (!known) {
+        if (memory->used < AVOID_CAPACITY) {
+            oldest = memory->used;
+            memory->used++;
+        }
+        memory->points[oldest][0] = hit[0];
+        memory->points[oldest][1] = hit[1];
+        memory->points[oldest][2] = hit[2];
+        memory->points[oldest][3] = time_s;
+    }
+}
+
+void avoid_observe(memory_t *memory, const ring_t *beams, real_t time_s, const real_t position[3],
+                   const real_t attitude[3], const real_t ranges[])
+{
+    real_t sr;
+    real_t cr;
+    real_t sp;
+    real_t cp;
+    real_t sy;
+    real_t cy;
+
+    drop_old(memory, time_s);
+    sine_cosine(attitude[0], &sr, &cr);
+    sine_cosine(attitude[1], &sp, &cp);
+    sine_cosine(attitude[2], &sy, &cy);
+    for (int32_t i = 0; i < beams->count; i++) {
+        const real_t reach = ranges[i];
+        if (!(reach >= beams->max_range) && (reach > REAL(0.0))) {
+            /* Body x and y in N-E-D are the first two columns of the rotation matrix (yaw, pitch, roll). */
+            const real_t c = beams->cos[i];
+            const real_t s = beams->sin[i];
+            const real_t hit[3] = {
+                position[0] + (reach * (((c * cp) * cy) + (s * (((sr * sp) * cy) - (cr * sy))))),
+                position[1] + (reach * (((c * cp) * sy) + (s * (((sr * sp) * sy) + (cr * cy))))),
+                position[2] + (reach * ((-c * sp) + ((s * sr) * cp))),
+            };
+            if (!(hit[2] > -FLOOR)) {
+                take(memory, hit, time_s);
+            }
+        }
+    }
+}
+
+void avoid_look(const memory_t *memory, const real_t position[3], const real_t goal[3], real_t clearance,
+                real_t ahead, sight_t *out)
+{
+    const real_t blocked_at = clearance + ENTER_M;
+    const real_t gap[2] = {goal[0] - position[0], goal[1] - position[1]};
+    const real_t far = length(gap[0], gap[1]);
+    const real_t stretch = (ahead < far) ? ahead : far;
+    real_t wn = REAL(1.0);
+    real_t we = REAL(0.0);
+    real_t total = REAL(0.0);
+    int32_t count = 0;
+
+    if (far > REAL(1e-9)) {
+        wn = gap[0] / far;
+        we = gap[1] / far;
+    }
+    out->nearest = REAL_INFINITY;
+    out->north = REAL(0.0);
+    out->east = REAL(0.0);
+    out->way = REAL_INFINITY;
+    out->offset = REAL(0.0);
+    out->goal = REAL_INFINITY;
+    out->block = REAL_INFINITY;
+    out->block_north = REAL(0.0);
+    out->block_east = REAL(0.0);
+    for (int32_t k = 0; k < memory->used; k++) {
+        const real_t *const p = memory->points[k];
+        if (!(real_abs(p[2] - position[2]) > LEVEL_M)) {
+            const real_t qn = p[0] - position[0];
+            const real_t qe = p[1] - position[1];
+            const real_t dist = length(qn, qe);
+            const real_t along = (qn * wn) + (qe * we);
+            const real_t across = (qe * wn) - (qn * we);
+            const real_t there = length(p[0] - goal[0], p[1] - goal[1]);
+            real_t beyond = REAL(0.0); /* how far before or behind the stretch */
+            real_t off;
+
+            if (dist < out->nearest) {
+                out->nearest = dist;
+                if (dist > REAL(1e-9)) {
+                    out->north = -qn / dist;
+                    out->east = -qe / dist;
+                }
+            }
+            if (along < REAL(0.0)) {
+                beyond = along;
+            } else if (along > stretch) {
+                beyond = along - stretch;
+            } else {
+                /* beside it */
+            }
+            off = length(beyond, across);
+            out->way = less(out->way, off);
+            if ((off < blocked_at) && (dist < out->block) && (dist > REAL(1e-9))) {
+                out->block = dist;
+                out->block_north = -qn / dist;
+                out->block_east = -qe / dist;
+            }
+            out->goal = less(out->goal, there);
+            /* A blocker's whole visible width tells the side, not only the part inside the corridor. */
+            if ((along > -blocked_at) && (along < (stretch + blocked_at)) &&
+                (real_abs(across) < (REAL(2.0) * blocked_at))) {
+                total += across;
+                count++;
+            }
+        }
+    }
+    if (count > 0) {
+        out->offset = total / (real_t)count;
+    }
+}
+
+bool avoid_blocked(const sight_t *sight, real_t clearance)
+{
+    return sight->way < (clearance + ENTER_M);
+}
+
+void avoid_hold_off(const memory_t *memory, const real_t position[3], real_t keep, real_t velocity[2])
+{
+    bool changed = true;
+
+    for (int32_t sweep = 0; changed && (sweep < SWEEPS); sweep++) {
+        changed = false;
+        for (int32_t k = 0; k < memory->used; k++) {
+            const real_t *const p = memory->points[k];
+            const real_t qn = position[0] - p[0];
+            const real_t qe = position[1] - p[1];
+            const real_t dist = length(qn, qe);
+
+            if (!(real_abs(p[2] - position[2]) > LEVEL_M) && !(dist > REAL(2.0)) && !(dist < REAL(1e-9))) {
+                const real_t shortage =
+                    (-APPROACH * (dist - keep)) - (((velocity[0] * qn) + (velocity[1] * qe)) / dist);
+                if (shortage > REAL(1e-6)) {
+                    velocity[0] += (shortage * qn) / dist;
+                    velocity[1] += (shortage * qe) / dist;
+                    changed = true;
+                }
+            }
+        }
+    }
+}
+
+void avoid_begin(detour_t *detour, const real_t position[3], const real_t velocity[3],
+                 const real_t acceleration[3], const real_t goal[3], const sight_t *sight, const detour_t *before)
+{
+    const real_t far = apart(goal, position);
+    real_t side = (sight->offset > REAL(0.0)) ? REAL(-1.0) : REAL(1.0);
+    int32_t count = 1;
+    real_t stray = STRAY_M;
+
+    if (before != NULL) {
+        count = before->count + 1;
+        stray = before->stray;
+        if (apart(position, before->position) < REAL(1.5)) {
+            side = before->side;
+        }
+    }
+    for (int32_t i = 0; i < 3; i++) {
+        detour->position[i] = position[i];
+        detour->velocity[i] = velocity[i];
+        detour->acceleration[i] = acceleration[i];
+    }
+    for (int32_t i = 0; i < 2; i++) {
+        detour->hit[i] = position[i];
+        detour->anchor[i] = position[i];
+        detour->lap[i] = REAL(0.0);
+        detour->obstacle[i] = REAL_NONE;
+    }
+    detour->side = side;
+    detour->hit_distance = far;
+    detour->count = count;
+    detour->stray = stray;
+    detour->clear_s = REAL(0.0);
+    detour->anchor_s = REAL(0.0);
+    detour->has_lap = false;
+    detour->laps = 0;
+    detour->lap_way = REAL(0.0);
+    detour->best = REAL_INFINITY;
+    detour->leaving = false;
+}
+
+/* The repulsive field of the thesis, eqs 6.14 to 6.17: away from what is seen, along body x and y (1/m). */
+static void repulsion(const ring_t *beams, const real_t ranges[], real_t threshold, real_t force[2])
+{
+    force[0] = REAL(0.0);
+    force[1] = REAL(0.0);
+    for (int32_t i = 0; i < beams->count; i++) {
+        const real_t reach = ranges[i];
+        if (reach < threshold) {
+            const real_t f = (REAL(1.0) / more(reach, REAL(0.01))) - (REAL(1.0) / threshold);
+            force[0] -= f * beams->cos[i];
+            force[1] -= f * beams->sin[i];
+        }
+    }
+}
+
+/* Distance of a point from the straight stretch between two others (m), in the horizontal plane. */
+static real_t off_course(const real_t here[], const real_t start[], const real_t goal[])
+{
+    const real_t n = goal[0] - start[0];
+    const real_t e = goal[1] - start[1];
+    const real_t square = (n * n) + (e * e);
+    real_t along = REAL(0.0);
+
+    if (square > REAL(0.0)) {
+        along = (((here[0] - start[0]) * n) + ((here[1] - start[1]) * e)) / square;
+    }
+    along = less(more(along, REAL(0.0)), REAL(1.0));
+    return length((here[0] - start[0]) - (along * n), (here[1] - start[1]) - (along * e));
+}
+
+/* Change sides when stuck or far off; after a whole lap leave at the best place that it found. */
+static void keep_course(detour_t *d, const real_t goal[3], real_t to_goal, bool touching, real_t dt)
+{
+    const real_t before = d->side;
+
+    d->anchor_s += dt;
+    if (apart(d->position, d->anchor) > REAL(0.25)) {
+        d->anchor[0] = d->position[0];
+        d->anchor[1] = d->position[1];
+        d->anchor_s = REAL(0.0);
+    } else if (d->anchor_s > STUCK_S) {
+        d->side = -d->side;
+        d->anchor_s = REAL(0.0);
+    } else {
+        /* under way */
+    }
+    if (off_course(d->position, d->hit, goal) > d->stray) {
+        d->side = -d->side;
+        d->stray = REAL(2.0) * d->stray;
+    }
+    d->best = less(d->best, to_goal);
+    d->lap_way += length_3(d->velocity) * dt;
+    if (!d->has_lap || (d->side != before)) {
+        d->has_lap = touching;
+        d->lap[0] = d->position[0];
+        d->lap[1] = d->position[1];
+        d->lap_way = REAL(0.0);
+        d->best = to_goal;
+    } else if ((d->lap_way > REAL(1.5)) && (apart(d->position, d->lap) < REAL(0.3))) {
+        d->hit_distance = d->best + REAL(0.25);
+        d->laps++;
+        d->lap_way = REAL(0.0);
+        d->best = to_goal;
+    } else {
+        /* on its way around */
+    }
+}
+
+/* Move the reference: velocity follows what is wanted, acceleration limited and low-pass filtered. */
+static void follow(detour_t *d, const real_t wanted[3], real_t dt)
+{
+    const real_t blend = REAL(1.0) - decay(dt / SMOOTH_S);
+    real_t ask[3];
+    real_t size;
+    real_t scale = REAL(0.0);
+
+    for (int32_t i = 0; i < 3; i++) {
+        ask[i] = (wanted[i] - d->velocity[i]) / LAG_S;
+    }
+    size = length_3(ask);
+    if (size > REAL(0.0)) {
+        scale = less(REAL(1.0), BRAKE_M_S2 / size);
+    }
+    for (int32_t i = 0; i < 3; i++) {
+        d->acceleration[i] += blend * ((scale * ask[i]) - d->acceleration[i]);
+        d->velocity[i] += dt * d->acceleration[i];
+        d->position[i] += dt * d->velocity[i];
+    }
+}
+
+/* Along the contour: with n from the point to the helicopter and t across it, V (t cos a - n sin a). */
+static void along_contour(const detour_t *d, const sight_t *near, bool nearer_goal, bool touching, real_t distance,
+                          real_t speed, real_t wanted[3])
+{
+    real_t far = near->nearest;
+    real_t n = near->north;
+    real_t e = near->east;
+    real_t error;
+    real_t slant;
+    real_t along;
+    real_t inward;
+    /* Off any contour, or where a lap around the wrong one came nearest to the goal: make for the one in the way. */
+    const bool lost = (d->laps > 0) && nearer_goal && (near->block > (distance + REAL(0.05)));
+
+    if ((lost || !touching) && (near->block < REAL_INFINITY)) {
+        far = near->block;
+        n = near->block_north;
+        e = near->block_east;
+    }
+    error = far - distance;
+    slant = length(error, LEAN_M);
+    along = LEAN_M / slant;
+    inward = error / slant;
+    /* Facing the obstacle, along -n, the way to the right is (n_E, -n_N). */
+    wanted[0] = speed * (((along * d->side) * e) - (inward * n));
+    wanted[1] = speed * (((-along * d->side) * n) - (inward * e));
+}
+
+void avoid_go_round(detour_t *detour, const memory_t *memory, const ring_t *beams, const real_t position[3],
+                    real_t heading, const real_t ranges[], const real_t goal[3], real_t clearance, real_t speed,
+                    real_t dt)
+{
+    const real_t distance = clearance + FOLLOW_M;
+    const real_t ahead = AVOID_LOOK_M + REAL(0.3);
+    const real_t to_goal = apart(goal, detour->position);
+    real_t wanted[3] = {REAL(0.0), REAL(0.0), REAL(0.0)};
+    sight_t sight;
+    sight_t real;
+    sight_t first;
+    const sight_t *near = &sight;
+    const real_t *at = detour->position;
+    real_t force[2];
+    real_t fast;
+    real_t limit;
+    bool clear;
+    bool nearer_goal;
+    bool touching;
+    bool goal_blocked;
+
+    avoid_look(memory, detour->position, goal, clearance, REAL_INFINITY, &sight);
+    avoid_look(memory, position, goal, clearance, REAL_INFINITY, &real);
+    avoid_look(memory, detour->position, goal, clearance, ahead, &first);
+    /* Plan from whichever is nearer to an obstacle: the reference, or the helicopter that the wind has moved off it. */
+    if (real.nearest < sight.nearest) {
+        near = &real;
+        at = position;
+    }
+    nearer_goal = to_goal < (detour->hit_distance - REAL(0.1));
+    clear = (real.nearest > clearance) &&
+            ((nearer_goal && (first.way > (clearance + LEAVE_M))) ||
+             ((detour->count < 3) && (sight.way > (clearance + LEAVE_M))));
+    detour->clear_s = clear ? (detour->clear_s + dt) : REAL(0.0);
+    detour->leaving = detour->clear_s > REAL(0.3);
+    touching = near->nearest < (distance + CONTACT_M);
+    goal_blocked = (sight.goal < (clearance + ENTER_M)) && (to_goal < REAL(1.0));
+    if (!detour->leaving && !goal_blocked) {
+        keep_course(detour, goal, to_goal, touching, dt);
+    }
+
+    if (detour->leaving) {
+        /* straight on, once it has stopped */
+    } else if (goal_blocked) {
+        const real_t push = less(speed, more(REAL(0.0), distance - near->nearest));
+        wanted[0] = push * near->north;
+        wanted[1] = push * near->east;
+    } else if (near->nearest < (AVOID_LOOK_M + REAL(0.5))) {
+        along_contour(detour, near, nearer_goal, touching, distance, speed, wanted);
+    } else if (to_goal > REAL(1e-6)) {
+        const real_t pace = less(speed, REAL(0.5) * to_goal);
+        wanted[0] = (pace * (goal[0] - detour->position[0])) / to_goal;
+        wanted[1] = (pace * (goal[1] - detour->position[1])) / to_goal;
+    } else {
+        /* there */
+    }
+
+    repulsion(beams, ranges, distance, force);
+    if ((force[0] != REAL(0.0)) || (force[1] != REAL(0.0))) {
+        real_t s;
+        real_t c;
+        sine_cosine(heading, &s, &c);
+        wanted[0] += FIELD_GAIN * ((c * force[0]) - (s * force[1]));
+        wanted[1] += FIELD_GAIN * ((s * force[0]) + (c * force[1]));
+    }
+    avoid_hold_off(memory, at, clearance + KEEP_M, wanted);
+    fast = length(wanted[0], wanted[1]);
+    limit = speed * more(REAL(0.0), REAL(1.0) - (more(REAL(0.0), apart(detour->position, position) - REAL(0.15)) /
+                                                 REAL(0.15)));
+    if (fast > limit) {
+        wanted[0] = (wanted[0] * limit) / fast;
+        wanted[1] = (wanted[1] * limit) / fast;
+    }
+    if (near->nearest < REAL(2.0)) {
+        detour->obstacle[0] = at[0] - (near->nearest * near->north);
+        detour->obstacle[1] = at[1] - (near->nearest * near->east);
+    }
+    follow(detour, wanted, dt);
+}
+
+bool avoid_done(const detour_t *detour)
+{
+    return detour->leaving && (length_3(detour->velocity) < REAL(0.01)) &&
+           (length_3(detour->acceleration) < REAL(0.05));
+}

@@ -1,0 +1,85 @@
+/* Around obstacles: points that the range beams have hit, what they mean for a way, and a way along their contour.
+ * What it does and why: avoidance.py of mufly.mission. Metres, seconds, radians; N, E, D. State belongs to the caller. */
+#ifndef MUFLY_AVOID_H
+#define MUFLY_AVOID_H
+
+#include "real.h"
+
+#define AVOID_CAPACITY 160 /* points remembered */
+#define AVOID_BEAMS 64     /* that a ring has at most */
+
+/* Range beams around the body, all in its x-y plane. */
+typedef struct {
+    int32_t count;
+    real_t cos[AVOID_BEAMS]; /* direction of each, from x towards y */
+    real_t sin[AVOID_BEAMS];
+    real_t max_range;   /* what a beam that sees nothing returns (m) */
+    real_t first_angle; /* direction of beam 0 (rad) */
+    real_t spacing;     /* between neighbours (rad) */
+} ring_t;
+
+/* In the first rows: N, E, D (m) of a point and when it was hit last (s). */
+typedef struct {
+    real_t points[AVOID_CAPACITY][4];
+    int32_t used;
+} memory_t;
+
+/* What the points mean for a way. */
+typedef struct {
+    real_t nearest;     /* distance to the nearest point (m), infinite where there is none */
+    real_t north, east; /* unit vector from that point to the position */
+    real_t way;         /* least distance of any point from the stretch looked at (m) */
+    real_t offset;      /* mean distance of those that block it from the way, positive to the right (m) */
+    real_t goal;        /* of the goal from the point nearest to it (m) */
+    real_t block, block_north, block_east; /* as the first three, of the points that block the way */
+} sight_t;
+
+/* A way around an obstacle, in progress. */
+typedef struct {
+    real_t position[3], velocity[3], acceleration[3]; /* the reference */
+    real_t side;               /* +1 keeps the obstacle on the left, -1 on the right */
+    real_t hit[2];             /* where it was met (m) */
+    real_t hit_distance;       /* from there to the goal (m) */
+    int32_t count;             /* how many times one was met on this leg */
+    real_t stray;              /* distance from the straight way at which the other side is tried (m) */
+    real_t clear_s;            /* for how long the way has been clear */
+    real_t anchor[2], anchor_s; /* since when this place has not been left by 0.25 m */
+    bool has_lap;
+    real_t lap[2]; /* where it came to the contour (m), if has_lap */
+    int32_t laps;  /* whole ones flown around it */
+    real_t lap_way, best; /* way flown since, and the least distance to the goal on it (m) */
+    bool leaving;         /* it brakes, to fly straight on from where it stops */
+    real_t obstacle[2];   /* the point that was nearest last (m), for messages; no number before there was one */
+} detour_t;
+
+/* Nothing seen yet. */
+void avoid_forget(memory_t *memory);
+
+/* Add what the beams hit now, drop what has not been hit for long; ranges as many as there are beams (m). */
+void avoid_observe(memory_t *memory, const ring_t *beams, real_t time_s, const real_t position[3],
+                   const real_t attitude[3], const real_t ranges[]);
+
+/* Judge the straight level way from position to goal, ahead metres of it at most. */
+void avoid_look(const memory_t *memory, const real_t position[3], const real_t goal[3], real_t clearance,
+                real_t ahead, sight_t *out);
+#define AVOID_LOOK_M REAL(1.2) /* what ahead usually is */
+
+/* Whether something stands in the way. */
+bool avoid_blocked(const sight_t *sight, real_t clearance);
+
+/* The velocity N, E nearest to the wanted one that comes near keep (m) of a point only exponentially. */
+void avoid_hold_off(const memory_t *memory, const real_t position[3], real_t keep, real_t velocity[2]);
+
+/* Start a detour from where the reference is; before: the last one on this leg, or NULL; it may be detour itself. */
+void avoid_begin(detour_t *detour, const real_t position[3], const real_t velocity[3],
+                 const real_t acceleration[3], const real_t goal[3], const sight_t *sight, const detour_t *before);
+
+/* One step of it, dt (s) long. position, heading: measured; speed (m/s). */
+void avoid_go_round(detour_t *detour, const memory_t *memory, const ring_t *beams, const real_t position[3],
+                    real_t heading, const real_t ranges[], const real_t goal[3], real_t clearance, real_t speed,
+                    real_t dt);
+
+/* Whether the obstacle is avoided and the reference has come to rest. */
+bool avoid_done(const detour_t *detour);
+
+#endif

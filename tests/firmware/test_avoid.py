@@ -1,0 +1,223 @@
+"""Obstacle avoidance on board: the C code is Python's, bit for bit, whatever beams say and around whole obstacles."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import shutil
+from dataclasses import astuple, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mufly.control import design
+from mufly.errors import InputError
+from mufly.firmware import Firmware
+from mufly.mission import avoidance as python
+from mufly.mission import load_mission, machine, mission_from, phases
+from mufly.trigonometry import decay
+from mufly.vehicle import load_vehicle
+
+pytestmark = pytest.mark.skipif(
+    not (shutil.which("gcc") or shutil.which("clang")), reason="there is no C compiler on this machine"
+)
+
+_spec = importlib.util.spec_from_file_location(
+    "mission_rig", Path(__file__).parents[1] / "mission" / "conftest.py"
+)
+rig = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(rig)
+
+
+class Twin:
+    """What Python asks, asked of the C code too; every answer is compared bit by bit."""
+
+    def __init__(self, monkeypatch=None) -> None:
+        f = Firmware(design(load_vehicle("mufly-1.1")))
+        self.ffi, self.lib = f.ffi, f.lib
+        self.asked = dict.fromkeys(("observe", "look", "blocked", "hold_off", "begin_detour", "go_round"), 0)
+        for name in self.asked:
+            for module in (machine, phases):
+                if monkeypatch is not None and hasattr(module, name):
+                    monkeypatch.setattr(module, name, getattr(self, name))
+
+    def ring(self, beams: python.Ring):
+        r = self.ffi.new("ring_t *")
+        r.count, r.max_range = len(beams.cos), beams.max_range
+        r.cos[0 : r.count], r.sin[0 : r.count] = beams.cos.tolist(), beams.sin.tolist()
+        return r
+
+    def memory(self, m: python.Memory):
+        c = self.ffi.new("memory_t *")
+        c.used = m.used
+        self.ffi.memmove(c.points, m.points.tobytes(), m.points.nbytes)
+        return c
+
+    def detour(self, d: python.Detour | None):
+        if d is None:
+            return self.ffi.NULL
+        c = self.ffi.new("detour_t *")
+        for name in d.__slots__:
+            if name != "lap":
+                setattr(c, name, getattr(d, name))
+        c.has_lap = d.lap is not None
+        c.lap = d.lap or (0.0, 0.0)
+        return c
+
+    def same_detour(self, d: python.Detour, c) -> None:
+        told = {n: getattr(c, n) for n in d.__slots__}
+        told = {n: v if isinstance(v, (float, int)) else tuple(v) for n, v in told.items()}
+        told["lap"] = told["lap"] if c.has_lap else None
+        assert repr(told) == repr({n: getattr(d, n) for n in d.__slots__})
+        assert bool(self.lib.avoid_done(c)) == d.done
+
+    def _floats(self, values):
+        return self.ffi.new("real_t[]", [float(v) for v in values])
+
+    def observe(self, memory, beams, time_s, position, attitude, ranges):
+        self.asked["observe"] += 1
+        c = self.memory(memory)
+        self.lib.avoid_observe(
+            c, self.ring(beams), time_s, position.tolist(), attitude.tolist(), self._floats(ranges)
+        )
+        right = python.observe(memory, beams, time_s, position, attitude, ranges)
+        assert c.used == right.used
+        assert bytes(self.ffi.buffer(c.points)) == right.points.tobytes()
+        return right
+
+    def look(self, memory, position, goal, clearance, ahead=python.LOOK_M):
+        self.asked["look"] += 1
+        c = self.ffi.new("sight_t *")
+        self.lib.avoid_look(self.memory(memory), position, goal, clearance, ahead, c)
+        right = python.look(memory, position, goal, clearance, ahead)
+        assert bytes(self.ffi.buffer(c)) == np.array(right).tobytes()
+        assert bool(self.lib.avoid_blocked(c, clearance)) == python.blocked(right, clearance)
+        return right
+
+    def blocked(self, sight, clearance):
+        self.asked["blocked"] += 1
+        return python.blocked(sight, clearance)  # look has compared it
+
+    def hold_off(self, memory, position, velocity, keep):
+        self.asked["hold_off"] += 1
+        c = self._floats(velocity)
+        self.lib.avoid_hold_off(self.memory(memory), position, keep, c)
+        right = python.hold_off(memory, position, velocity, keep)
+        assert tuple(c) == right
+        return right
+
+    def begin_detour(self, position, velocity, acceleration, goal, sight, before):
+        self.asked["begin_detour"] += 1
+        c, s, b = self.ffi.new("detour_t *"), self.ffi.new("sight_t *"), self.detour(before)
+        self.ffi.memmove(s, np.array(sight).tobytes(), 72)
+        self.lib.avoid_begin(c, position, velocity, acceleration, goal, s, b)
+        right = python.begin_detour(position, velocity, acceleration, goal, sight, before)
+        self.same_detour(right, c)
+        if before is not None:  # in its own place
+            self.lib.avoid_begin(b, position, velocity, acceleration, goal, s, b)
+            self.same_detour(right, b)
+        return right
+
+    def go_round(self, detour, memory, beams, position, heading, ranges, goal, *, clearance, speed, dt):
+        self.asked["go_round"] += 1
+        c = self.detour(detour)
+        self.lib.avoid_go_round(
+            c, self.memory(memory), self.ring(beams), position, heading, self._floats(ranges), goal,
+            clearance, speed, dt,
+        )  # fmt: skip
+        right = python.go_round(
+            detour, memory, beams, position, heading, ranges, goal, clearance=clearance, speed=speed, dt=dt
+        )
+        self.same_detour(right, c)
+        return right
+
+
+@pytest.fixture(scope="module")
+def twin():
+    return Twin()
+
+
+def wall(a, b):
+    return {"start_m": a, "end_m": b, "height_m": 2.5}
+
+
+def test_flights_around_obstacles_are_the_same_in_both_languages(monkeypatch) -> None:
+    """The built-in box, with pushes; a goal shut in, which takes whole laps before it is given up."""
+    twin = Twin(monkeypatch)
+    flight = rig.fly(load_mission("box-on-leg"), disturb=rig.gusty())
+    assert flight.visited.count("obstacle") >= 2
+    shut = [wall([2, -1], [2, 1]), wall([4, -1], [4, 1]), wall([2, -1], [4, -1]), wall([2, 1], [4, 1])]
+    flight = rig.fly(
+        mission_from(
+            {"waypoint": [{"position_m": [3, 0, -1]}], "wall": shut, "avoidance": {"give_up_s": 80.0}}
+        )
+    )
+    assert "blocked by an obstacle" in flight.state.reason
+    assert flight.state.detour.laps >= 1
+    assert all(twin.asked[n] > 0 for n in ("observe", "look", "blocked", "begin_detour", "go_round")), (
+        twin.asked
+    )
+
+
+def test_scenes_drawn_at_random(monkeypatch) -> None:
+    twin = Twin(monkeypatch)
+    flown = 0
+    for seed in range(2000, 2012):
+        try:
+            mission = mission_from(rig.scene(seed)[1])
+        except InputError:
+            continue
+        rig.fly(mission, disturb=rig.gusty(seed) if seed % 2 else None, limit_s=60.0)
+        flown += 1
+    assert flown >= 8
+    assert twin.asked["go_round"] > 1000
+
+
+def _points(rng, count):
+    table = python.Memory.empty().points
+    table[:count, :2] = rng.uniform(-2.5, 2.5, (count, 2))
+    table[:count, 2] = rng.uniform(-2.0, 0.0, count)
+    table[:count, 3] = rng.uniform(0.0, 40.0, count)
+    return python.Memory(table, count)
+
+
+def test_any_memory_any_ring_any_detour(twin) -> None:
+    """Numbers of every size, full and empty memories, rings of 1 to 64 beams, points on the spot."""
+    rng = np.random.default_rng(5)
+    for k in range(400):
+        size = 10.0 ** rng.uniform(-4, 3)
+        count = int(rng.choice([0, 1, 40, python.CAPACITY]))
+        memory, beams = _points(rng, count), python.ring(int(rng.integers(1, 65)), rng.uniform(-7, 7), 1.5)
+        ranges = rng.uniform(-0.1, 2.0, len(beams.cos))
+        here, velocity, acceleration, goal = (tuple(v) for v in rng.normal(0.0, size, (4, 3)).tolist())
+        if k % 7 == 0 and count:
+            here = goal = tuple(memory.points[0, :3].tolist())
+        attitude = rng.normal(0.0, 0.3, 3)
+        memory = twin.observe(memory, beams, rng.uniform(0.0, 60.0), np.array(here), attitude, ranges)
+        sight = twin.look(memory, here, goal, 0.39, float(rng.choice([0.0, 1.2, math.inf])))
+        twin.hold_off(memory, here, velocity[:2], rng.uniform(0.0, 1.0))
+        detour = twin.begin_detour(here, velocity, acceleration, goal, sight, None)
+        detour = replace(
+            detour, laps=int(rng.integers(0, 2)), lap=here[:2] if k % 2 else None, lap_way=2.0 * (k % 3),
+            anchor_s=5.0 * (k % 2), hit_distance=detour.hit_distance + rng.uniform(-1, 3), count=k % 4,
+        )  # fmt: skip
+        for _ in range(3):
+            detour = twin.go_round(
+                detour, memory, beams, tuple(np.add(here, rng.normal(0, 0.1, 3)).tolist()), attitude[2],
+                ranges.tolist(), goal, clearance=0.39, speed=0.3, dt=float(rng.choice([0.0, 0.02, 0.5])),
+            )  # fmt: skip
+        twin.begin_detour(here, velocity, acceleration, goal, sight, detour)
+    empty = twin.ffi.new("memory_t *", {"used": 7})
+    twin.lib.avoid_forget(empty)
+    assert bytes(twin.ffi.buffer(empty)) == bytes(twin.ffi.sizeof("memory_t"))
+    assert astuple(python.Memory.empty())[1] == 0
+
+
+def test_decay_is_the_exponential_and_the_same_in_both_languages(twin) -> None:
+    xs = [*np.random.default_rng(0).uniform(0.0, 40.0, 2000).tolist(), 0.0, -0.0, 1e-300, 40.0]
+    for x in xs:
+        assert decay(x) == twin.lib.decay(x)
+        assert abs(decay(x) - math.exp(-x)) <= 2 * math.ulp(math.exp(-x))
+    for x, right in ((-1.0, 1.0), (41.0, 0.0), (math.inf, 0.0), (math.nan, 1.0), (-math.inf, 1.0)):
+        assert decay(x) == twin.lib.decay(x) == right
