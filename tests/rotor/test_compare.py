@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from mufly.bench import read_measurements
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import (
     Doubt,
@@ -23,7 +24,6 @@ from mufly.rotor import (
     interval,
     load_rotor,
     prepare,
-    read_measurements,
     solve_thrust,
 )
 
@@ -50,7 +50,7 @@ def test_a_file_is_read(tmp_path, case):
     assert_allclose(bench.pitch_rad, np.radians([12, 16]))
     assert_allclose(bench.speed_rad_s * 30 / math.pi, [5000, 7000])
     assert np.isnan(bench.torque_Nm[1])
-    out = compare(case, path)
+    out = compare(case, bench)
     assert_allclose(out.thrust_error, out.thrust_N / [0.15, 0.42] - 1)
     assert (
         out.thrust_N[0]
@@ -59,6 +59,22 @@ def test_a_file_is_read(tmp_path, case):
     assert "not calibrated" in str(out)
     assert "mean absolute error" in str(out)
     assert len(str(out).splitlines()) == 5
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "\ufeffpitch_deg,speed_rpm,thrust_N,torque_Nm\n12,5000,0.151,0.0015\n",  # as Excel begins a file
+        "pitch_deg;speed_rpm;thrust_N;torque_Nm\n12;5000;0,151;0,0015\n",  # as it writes one in most of Europe
+        "  RPM   pitch_deg  thrust_N   torque_mNm\n 5000   12   0.151  1.5\n",  # as propeller data sites set theirs
+    ],
+)
+def test_files_from_elsewhere(tmp_path, text):
+    path = tmp_path / "bench.csv"
+    path.write_text(text)
+    bench = read_measurements(path)
+    assert_allclose(bench.pitch_rad, np.radians([12]))
+    assert_allclose((bench.thrust_N[0], bench.torque_Nm[0]), (0.151, 0.0015))
 
 
 def test_a_rotor_will_do_where_a_blading_does(case):
@@ -75,11 +91,13 @@ def test_a_rotor_will_do_where_a_blading_does(case):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("pitch_deg,speed_rpm\n1,2\n", "thrust_N: is not among the columns"),
+        ("pitch_deg,speed_rpm\n1,2\n", "thrust: is not among the columns"),
         ("pitch_deg,speed_rpm,thrust_N\n", "holds no measurements"),
         ("pitch_deg,speed_rpm,thrust_N\n1,2,x\n", "line 2, thrust_N: 'x' is not a number"),
         ("pitch_deg,speed_rpm,thrust_N\n1,nan,3\n", "line 2, speed_rpm: is nan"),
-        ("pitch_deg,speed_rpm,thrust_N\n1,0,3\n", "line 2: has no speed"),
+        ("pitch_deg,speed_rpm,thrust_N\n400,2,3\n", "line 2, pitch_deg: is 6.98132 .* within 90 degrees"),
+        ("speed_rpm,thrust_N,torque_Nm\n5000,3,1\n5000,3,-1\n", "line 3, torque_Nm: is -1 .* above 0"),
+        ("pitch_deg,speed_rpm,thrust_N\n1,0,3\n", "line 2, speed_rpm: is 0 in SI units; it must be above 0"),
     ],
 )
 def test_faults_in_a_file_are_one_line(tmp_path, text, message):

@@ -32,12 +32,12 @@ def test_rectangular_blade_has_the_textbook_solidity():
 @given(
     st.floats(0.01, 0.5),
     st.floats(0.0, 0.6),
-    st.lists(st.tuples(st.floats(0.05, 1.0), st.floats(0.001, 0.1)), min_size=2, max_size=8),
+    st.lists(st.tuples(st.floats(0.05, 1.0), st.floats(0.01, 1.0)), min_size=2, max_size=8),
 )
 def test_areas_are_the_integrals_of_the_chord(radius, cutout, table):
     x = np.cumsum([t[0] for t in table])
     x = np.append(0.0, x / x[-1])
-    chord = np.append(table[0][1], [t[1] for t in table])
+    chord = radius * np.append(table[0][1], [t[1] for t in table])
     r = make_rotor(name="r", radius_m=radius, chord_m=chord, r_over_R=x, hub_cutout=cutout, blades=3)
     fine = np.linspace(cutout, 1.0, 200001)
     area = radius * np.trapezoid(r.chord_m(fine), fine)
@@ -112,6 +112,7 @@ GOOD = {"name": "r", "radius_m": 0.06, "chord_m": 0.02}
         ({"r_over_R": (0.1, 0.9)}, "blade.r_over_R", "the tip, 1"),
         ({"r_over_R": (1.0,)}, "blade.r_over_R", "two stations at least"),
         ({"radius_m": 0.0}, "radius", "above 0"),
+        ({"radius_m": 0.00006}, "blade.chord", "more than the radius"),
         ({"hub_cutout": 1.0}, "hub_cutout", "below 1"),
         ({"hub_cutout": 0.95}, "hub_cutout", "leaves no blade"),
         ({"airfoils": ["a", "b", "c"]}, "blade.airfoils", "3 airfoils for 2 stations"),

@@ -12,6 +12,7 @@ from mufly.bench.loads import (
     fit_drift,
     predict,
 )
+from mufly.bench.points import read_measurements
 from mufly.bench.table import SI_UNITS, BenchTable, Column, header_of, parse_header, read_bench
 
 __all__ = [
@@ -31,5 +32,6 @@ __all__ = [
     "parse_header",
     "predict",
     "read_bench",
+    "read_measurements",
     "spread",
 ]

@@ -1,9 +1,10 @@
 """A bench file read: columns in SI units under one set of names, with what was guessed on the way.
 
-A CSV with a header (comma, semicolon or tab; with semicolons a decimal comma will do); lines that begin with ``#`` are
-skipped. A header is a name and a unit, in brackets or after the last underscore: ``current_A``, ``Current [mA]``,
-``Q(Nm)``. The name may carry the rotor (``upper`` or ``lower``), and ``raw`` for the reading of a sensor that is still
-to be calibrated: ``thrust_upper_N``, ``torque_raw_V``. Capitals do not matter. Other headers are passed over
+A text with a header, its columns set apart by comma, semicolon, tab or blanks (without commas, decimal commas will
+do); lines that begin with ``#`` are skipped. A header is a name and a unit, in brackets or after the last
+underscore: ``current_A``, ``Current [mA]``, ``Q(Nm)``. The name may carry the rotor (``upper`` or ``lower``), and
+``raw`` for the reading of a sensor that is still to be calibrated: ``thrust_upper_N``, ``torque_raw_V``. Capitals do
+not matter. Other headers are passed over
 (docs/bench.md).
 """
 
@@ -129,7 +130,7 @@ def read_bench(path: str | Path, *, columns: str | None = None) -> BenchTable:
             where, "", f"no column is understood ({', '.join(written)})", "name quantity and unit, as torque_mNm, or "
             "map them with columns=OLD=NEW"
         )  # fmt: skip
-    rows = [next(csv.reader([s], delimiter=delimiter)) for _, s in numbered[1:]]
+    rows = [_cells(s, delimiter) for _, s in numbered[1:]]
     line = np.array([i for i, _ in numbered[1:]], dtype=np.int64)
     data: dict[str, Array] = {}
     for index, column in chosen:
@@ -174,8 +175,15 @@ def _lines(path: str | Path) -> tuple[list[tuple[int, str]], str, list[str]]:
     ]
     if not lines:
         raise InputError(Path(path).name, "", "is empty", "give a header and at least one line")
-    delimiter = max(",;\t", key=lines[0][1].count)
-    return lines, delimiter, [h.strip() for h in next(csv.reader([lines[0][1]], delimiter=delimiter))]
+    head = lines[0][1]
+    delimiter = max(",;\t", key=head.count)
+    if delimiter not in head and len(lines) > 1 and len(head.split()) == len(lines[1][1].split()) > 1:
+        delimiter = " "  # columns set with blanks, as on propeller data sites
+    return lines, delimiter, [h.strip() for h in _cells(head, delimiter)]
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    return line.split() if delimiter == " " else next(csv.reader([line], delimiter=delimiter))
 
 
 def _choose(headers: list[str], written: list[str]) -> tuple[list[tuple[int, Column]], list[str]]:
@@ -210,7 +218,7 @@ def _number(where: str, line: int, header: str, cell: str, delimiter: str) -> fl
     if not cell:
         return math.nan
     try:
-        value = float(cell.replace(",", ".") if delimiter == ";" else cell)
+        value = float(cell if delimiter == "," else cell.replace(",", "."))
     except ValueError:
         raise InputError(where, f"line {line}, {header}", f"{cell!r} is not a number", "give one") from None
     if not math.isfinite(value):
@@ -227,10 +235,12 @@ _NAMES = {
     "current": ("A", "current i motor_current amps"),
     "supply_current": ("A", "supply_current battery_current"),
     "speed": ("rad/s", "speed rpm omega rotor_speed motor_speed w"),
-    "torque": ("N m", "torque q moment load"),
+    "torque": ("N m", "torque q moment load q_meas"),
     "thrust": ("N", "thrust t force lift t_meas"),
     "power": ("W", "power p"),
     "pitch": ("rad", "pitch blade_pitch"),
+    "thrust_coefficient": ("1", "ct"),
+    "power_coefficient": ("1", "cp"),
     "time": ("s", "time t_s seconds"),
     "run": ("1", "run series test repeat"),
     "density": ("kg/m3", "density rho air_density"),
@@ -241,7 +251,7 @@ SI_UNITS = {quantity: unit for quantity, (unit, _) in _NAMES.items()}
 
 _SIDES = {"upper": "upper up top", "lower": "lower dw low down bottom"}
 _BRACKETS = re.compile(r"^(.*?)\s*[\(\[]\s*([^\)\]]*?)\s*[\)\]]$")
-_NEEDS_NO_UNIT = ("duty", "run")
+_NEEDS_NO_UNIT = ("duty", "run", "thrust_coefficient", "power_coefficient")
 _OWN_UNIT = {"rpm": "rpm", "omega": "rad/s"}
 
 

@@ -18,7 +18,7 @@ from typer.core import TyperCommand
 
 from mufly.cli.present import check_file, console, write_csv, writing
 from mufly.errors import ArgumentError, InputError
-from mufly.units import split_header
+from mufly.units import RPM, split_header
 
 if TYPE_CHECKING:
     from mufly.drive import Drive
@@ -192,23 +192,32 @@ def drive_or_none(name: str | None) -> Drive | None:
 
 
 def angle(option: str, text: str) -> float:
-    """Return an angle (rad) from ``"12"``, ``"12deg"`` or ``"0.2rad"``; a bare number is in degrees.
+    """Return a blade's pitch (rad) from ``"12"``, ``"12deg"`` or ``"0.2rad"``; a bare number is in degrees.
 
     Raises
     ------
     InputError
-        If the text is no angle.
+        If the text is no angle, or is beyond 90 degrees.
     """
     from mufly.study import parse_quantity
 
     try:
-        return math.radians(float(text))
+        value = math.radians(float(text))
     except ValueError:
-        pass
-    try:
-        return float(parse_quantity("pitch", text))
-    except InputError as error:
-        raise InputError(option, "", error.problem, error.remedy) from None
+        try:
+            value = float(parse_quantity("pitch", text))
+        except InputError as error:
+            raise InputError(option, "", error.problem, error.remedy) from None
+    if not abs(value) <= math.pi / 2:
+        raise InputError(option, "", f"{text} is not possible", "give a pitch within 90 degrees")
+    return value
+
+
+def turning(option: str, rpm: float) -> float:
+    """Return a rotor's speed (rad/s) from revolutions a minute; InputError unless it is above 0."""
+    if not 0.0 < rpm < math.inf:
+        raise InputError(option, "", f"{rpm:g} is not possible", "give a number above 0")
+    return rpm * RPM
 
 
 # ----------------------------------------------------------------------------

@@ -57,15 +57,17 @@ def print_table(
 ) -> None:
     """Print a table; columns whose numbers are in ``text`` are text, the others numbers."""
     from rich.table import Table
+    from rich.text import Text
 
     table = Table(
         box=None, header_style="bold", title=title or None, title_justify="left", title_style="bold",
         show_header=any(heads),
     )  # fmt: skip
+    rows = list(rows)
     for k, head in enumerate(heads):
-        table.add_column(
-            head, justify="left" if k in text else "right", overflow="fold" if k in text else "ellipsis"
-        )
+        # Heads may be folded, numbers not: half a number is a wrong one.
+        whole = 0 if k in text else max((Text.from_markup(row[k]).cell_len for row in rows), default=0)
+        table.add_column(head, justify="left" if k in text else "right", overflow="fold", min_width=whole)
     for row in rows:
         table.add_row(*row)
     console().print(table, highlight=False)

@@ -11,6 +11,7 @@ import typer
 
 from mufly.cli.options import (
     BEMT,
+    ColumnsOption,
     Commands,
     DriveOption,
     JsonOption,
@@ -21,6 +22,7 @@ from mufly.cli.options import (
     argument,
     drive_or_none,
     option,
+    turning,
     wake_progress,
 )
 from mufly.cli.present import console, print_json, print_table, progress_bar, save_picture, write_csv
@@ -84,17 +86,15 @@ def show(
     """
     import numpy as np
 
-    from mufly.errors import InputError
     from mufly.rotor import Air, blade_thickness_m, load_rotor
     from mufly.study import blade_picture
 
-    if not 0 < rpm < math.inf:
-        raise InputError("--rpm", "", f"{rpm:g} is not possible", "give a number above 0")
+    speed = turning("--rpm", rpm)
     r, air = load_rotor(rotor), Air()
     x = np.unique(np.concatenate(([float(r.hub_cutout)], r.blade.r_over_R.array(), [0.25, 0.5, 0.75, 1.0])))
     x = x[x >= float(r.hub_cutout)]
     chord, twist, thick = r.chord_m(x), r.twist_rad(x), blade_thickness_m(r, x)
-    reynolds = x * r.radius_m * rpm * RPM * chord * air.density_kg_m3 / air.viscosity_Pa_s
+    reynolds = x * r.radius_m * speed * chord * air.density_kg_m3 / air.viscosity_Pa_s
     picture = save_picture(blade_picture(r), out, "blade") if out is not None else None
     if as_json:
         print_json(
@@ -175,7 +175,7 @@ def hover(
 
     from mufly.drive import blade_load, operating_point, scaled_load
     from mufly.errors import InputError, MuflyError
-    from mufly.rotor import Air, Condition, System, interval, load_rotor, solve
+    from mufly.rotor import Air, Condition, System, interval, load_rotor, solve, tip_mach
     from mufly.study import field_picture, history_picture, stations_picture, wake_picture, write_stations
 
     if sum(v is not None for v in (pitch, rpm, thrust)) != 2:
@@ -190,7 +190,7 @@ def hover(
     r, d, air = load_rotor(rotor), drive_or_none(drive), Air(density_kg_m3=density)
     blading = theory.blading(r, count)
     theta = angle("--pitch", pitch) if pitch is not None else None
-    speed = rpm * RPM if rpm is not None else None
+    speed = turning("--rpm", rpm) if rpm is not None else None
     with wake_progress("wake", theory.method == "wake" and not as_json, out) as progress:
         found = solve(
             System.single(blading), Condition(theta, speed, thrust, climb, air), theory.method,  # type: ignore[arg-type]
@@ -279,8 +279,19 @@ def hover(
             f"* beyond what the polar's engine computed; such sections carry {result.outside_share:.0%} of the thrust.",
             style="yellow",
         )
+    mach = tip_mach(r.radius_m, result.speed_rad_s)
+    if mach > _MACH_WORTH_SAYING:
+        more = f"{1.0 / math.sqrt(1.0 - mach**2) - 1.0:.0%} more" if mach < 1.0 else "not to be had"
+        c.print(
+            f"The tips move at Mach {mach:.2f}. The polars know nothing of it; by Prandtl and Glauert's rule lift "
+            f"is {more} there.",
+            style="yellow",
+        )
     for file in files:
         c.print(f"Written: {file}")
+
+
+_MACH_WORTH_SAYING = 0.4  # 9 % of lift by Prandtl and Glauert
 
 
 def _hover_json(
@@ -316,9 +327,9 @@ def compare(
     measurements: Annotated[
         Path,
         argument(
-            "CSV",
-            "Columns pitch_deg, speed_rpm, thrust_N and, if measured, torque_Nm; or rpm, CT, CP as in UIUC's "
-            "propeller data. docs/bemt.md lists the names that are understood.",
+            "FILE",
+            "Text with a header: pitch_deg, speed_rpm, thrust_N and, if measured, torque_Nm, in these or other "
+            "units; or RPM, CT, CP as in UIUC's propeller data. docs/bench.md lists the names that are understood.",
         ),
     ],
     calibrate: Annotated[
@@ -330,6 +341,7 @@ def compare(
         ),
     ] = None,
     density: Annotated[float, option("KG/M3", "Density of the air at the bench.")] = 1.2,
+    columns: ColumnsOption = None,
     theory: Theory = BEMT,
     as_json: JsonOption = False,
 ) -> None:
@@ -338,13 +350,16 @@ def compare(
     With --method wake every point is a wake, seconds each; one that does not converge is left out of the mean and said.
     Examples: mufly rotor compare naca0012-r60-c20 bench.csv; mufly rotor compare walkera-5g6 b.csv --method wake
     """
+    from mufly.bench import read_measurements
     from mufly.errors import InputError
-    from mufly.rotor import Air, load_rotor, read_measurements
+    from mufly.rotor import Air, load_rotor
     from mufly.rotor import calibrate as scale
     from mufly.rotor import compare as beside
 
     r, air = load_rotor(rotor), Air(density_kg_m3=density)
-    bench = read_measurements(measurements, diameter_m=2.0 * float(r.radius), density_kg_m3=density)
+    bench = read_measurements(
+        measurements, columns=columns, diameter_m=2.0 * float(r.radius), density_kg_m3=density
+    )
     settings, stations = theory.wakes()
     if calibrate is not None and theory.method == "wake":
         raise InputError("--calibrate", "", "scales blade element theory", "leave it or --method wake out")

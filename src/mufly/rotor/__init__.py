@@ -24,11 +24,10 @@ from mufly.rotor.measurements import (
     calibrate,
     compare,
     interval,
-    read_measurements,
 )
 from mufly.rotor.polar_table import PolarStack, PolarTable, lookup, outside, stack_polars
 from mufly.rotor.solution import FASTEST_TIP_M_S, METHODS, solve, solve_thrust
-from mufly.rotor.system import Air, Condition, Method, Result, RotorResult, System
+from mufly.rotor.system import Air, Condition, Method, Result, RotorResult, System, tip_mach
 
 __all__ = [
     "FASTEST_TIP_M_S",
@@ -70,11 +69,11 @@ __all__ = [
     "polar",
     "polars",
     "prepare",
-    "read_measurements",
     "replace_rotor",
     "rotor_from",
     "rotor_toml",
     "solve",
     "solve_thrust",
     "stack_polars",
+    "tip_mach",
 ]

@@ -104,7 +104,7 @@ def _solve(
 ) -> tuple[Array, Array]:
     n, fixes = pitch.size, blading.corrections
     cases = Cases(
-        np.ascontiguousarray(np.broadcast_to(np.asarray(which, dtype=np.int64), pitch.shape).ravel()),
+        np.broadcast_to(np.asarray(which, dtype=np.int64), pitch.shape).flatten(),
         pitch,
         speed,
         climb,
@@ -285,7 +285,7 @@ def hover_batch(
     index = given[3].astype(np.int64).ravel()
     if index.size and (index.min() < 0 or index.max() >= len(blading.rotors)):
         raise InputError("rotor", "which", f"there are {len(blading.rotors)} rotors", "count from 0")
-    pitch, speed, climb = (np.ascontiguousarray(v, dtype=np.float64).ravel() for v in given[:3])
+    pitch, speed, climb = (v.flatten() for v in given[:3])
     totals, _ = _solve(blading, index, pitch, speed, climb, gas, False)
     thrust, torque = totals[:, 0], totals[:, 1]
     radius = blading.radius_m[index]

@@ -127,6 +127,12 @@ class Rotor(Group):
         x = self.blade.r_over_R.value
         if float(self.hub_cutout) > 0.9:
             raise _fault("hub_cutout", f"{float(self.hub_cutout):g} leaves no blade", "give at most 0.9")
+        widest = max(self.blade.chord.value)
+        if widest > float(self.radius):
+            raise _fault(
+                "blade.chord", f"{1e3 * widest:g} mm is more than the radius, {1e3 * float(self.radius):g} mm",
+                "check both, and their units",
+            )  # fmt: skip
         if sum(v > float(self.hub_cutout) for v in x) < 1:
             raise _fault("hub_cutout", "no station lies beyond it", "give stations out to the tip")
         return self

@@ -1,34 +1,13 @@
-"""Measured points of a rotor, as the files of test benches and propeller data sites give them.
-
-A measurement file is a CSV with a header; lines that begin with ``#`` are skipped::
-
-    pitch_deg,speed_rpm,thrust_N,torque_Nm
-    12,5000,0.151,0.0015
-
-Columns go by several names, case does not matter, and others are passed over:
-
-=========  ==================================================================================================
-pitch      ``pitch_deg``; without it the blades stand as in the rotor file (0)
-speed      ``speed_rpm``, ``rpm``
-thrust     ``thrust_N``, ``T_N``, ``T(N)``, ``T_meas_N``, or ``CT`` = T / (rho n^2 D^4), n in revolutions a second
-torque     ``torque_Nm``, ``Q_Nm``, ``Q(Nm)``, ``Q_meas_Nm``, ``power_W``, ``P(W)``, or ``CP`` = P / (rho n^3 D^5);
-           it may be left out
-=========  ==================================================================================================
-
-The coefficients are those of propellers (UIUC's data, for one) and need diameter and density.
-
-Prediction beside measurement, and the calibration of a rotor on one measured point.
+"""Prediction beside measurement, and the calibration of a rotor on one measured point.
 
 Errors are prediction over measurement less one.
 """
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -46,18 +25,10 @@ from mufly.units import RPM
 
 Array = NDArray[np.float64]
 
-_TORQUE = ("torque_nm", "q_nm", "q(nm)", "q_meas_nm", "power_w", "p(w)", "cp")
-_NAMES = {
-    "pitch_deg": ("pitch_deg",),
-    "speed_rpm": ("speed_rpm", "rpm"),
-    "thrust_N": ("thrust_n", "t_n", "t(n)", "t_meas_n", "ct"),
-    "torque_Nm": _TORQUE,
-}
-
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """Points of a test bench.
+    """Points of a test bench; :func:`mufly.bench.read_measurements` reads them from a file.
 
     Attributes
     ----------
@@ -72,96 +43,6 @@ class Measurements:
     thrust_N: Array
     torque_Nm: Array
     source: str
-
-
-def read_measurements(
-    path: str | Path, *, diameter_m: float | None = None, density_kg_m3: float | None = None
-) -> Measurements:
-    """Read a measurement file.
-
-    Parameters
-    ----------
-    path : str or Path
-    diameter_m, density_kg_m3 : float, optional
-        Of the rotor and of the air at the bench; needed where the file gives coefficients.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, a column is missing, or a value is not a number (thrust: not zero; speed:
-        above zero).
-    """
-    where = str(path)
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(where, "", f"cannot be read ({error})", "give a CSV file") from error
-    numbered = [
-        (i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")
-    ]
-    if len(numbered) < 2:
-        raise InputError(where, "", "holds no measurements", "give a header and at least one line")
-    header = [name.strip() for name in next(csv.reader([numbered[0][1]]))]
-    columns = _columns(where, header)
-    if {"ct", "cp"} & {header[c].lower() for c in columns.values()} and not (diameter_m and density_kg_m3):
-        raise InputError(
-            where, "CT", "is a coefficient", "say to which rotor and air it belongs, or give thrust_N"
-        )
-    rows = []
-    for number, line in numbered[1:]:
-        cells = next(csv.reader([line]))
-        row = {name: _number(where, number, header[c], cells, c) for name, c in columns.items()}
-        if not (row["speed_rpm"] > 0.0 and row["thrust_N"] != 0.0 and row.get("torque_Nm", 1.0) != 0.0):
-            raise InputError(where, f"line {number}", "has no speed, thrust or torque", "leave it out")
-        rows.append(
-            [row.get("pitch_deg", 0.0), row["speed_rpm"], row["thrust_N"], row.get("torque_Nm", math.nan)]
-        )
-    pitch, rpm, thrust, torque = np.array(rows).T
-    speed = rpm * RPM
-    scale = (diameter_m or math.nan, density_kg_m3 or math.nan)
-    thrust = _thrust_from(header[columns["thrust_N"]].lower(), thrust, speed, *scale)
-    if "torque_Nm" in columns:
-        torque = _torque_from(header[columns["torque_Nm"]].lower(), torque, speed, *scale)
-    return Measurements(np.radians(pitch), speed, thrust, torque, Path(path).name)
-
-
-def _columns(where: str, header: list[str]) -> dict[str, int]:
-    lower = [name.lower() for name in header]
-    found = {
-        quantity: lower.index(next(n for n in names if n in lower))
-        for quantity, names in _NAMES.items()
-        if any(n in lower for n in names)
-    }
-    for quantity in ("speed_rpm", "thrust_N"):
-        if quantity not in found:
-            raise InputError(
-                where, quantity, "is not among the columns", f"the header is {', '.join(header)}"
-            )
-    return found
-
-
-def _number(where: str, number: int, column: str, cells: list[str], index: int) -> float:
-    cell = cells[index].strip() if index < len(cells) else ""
-    optional = column.lower() in _TORQUE
-    try:
-        value = math.nan if optional and not cell else float(cell)
-    except ValueError:
-        raise InputError(where, f"line {number}, {column}", f"{cell!r} is not a number", "give one") from None
-    if not (math.isfinite(value) or (optional and not cell)):
-        raise InputError(where, f"line {number}, {column}", f"is {value:g}", "give a finite number")
-    return value
-
-
-def _thrust_from(column: str, value: Array, speed: Array, diameter: float, density: float) -> Array:
-    if column == "ct":
-        return value * density * (speed / (2 * np.pi)) ** 2 * diameter**4
-    return value
-
-
-def _torque_from(column: str, value: Array, speed: Array, diameter: float, density: float) -> Array:
-    if column == "cp":
-        return value * density * (speed / (2 * np.pi)) ** 3 * diameter**5 / speed
-    return value / speed if column in ("power_w", "p(w)") else value
 
 
 @result(eq=False)
@@ -225,7 +106,7 @@ class Comparison:
 
 def compare(
     blading: Blading | Rotor,
-    measurements: Measurements | str | Path,
+    measurements: Measurements,
     *,
     air: Air | None = None,
     method: Method = "bemt",
@@ -238,8 +119,8 @@ def compare(
     ----------
     blading : Blading or Rotor
         The rotor, the first of a batch.
-    measurements : Measurements, str or Path
-        Points, or the file that holds them.
+    measurements : Measurements
+        Points.
     air : Air, optional
         Density and viscosity at the bench.
     method : 'bemt' or 'wake'
@@ -253,10 +134,6 @@ def compare(
     """
     case, gas = as_blading(blading), air or Air()
     bench = measurements
-    if not isinstance(bench, Measurements):
-        bench = read_measurements(
-            bench, diameter_m=2.0 * float(case.radius_m[0]), density_kg_m3=gas.density_kg_m3
-        )
     faults = [""] * bench.thrust_N.size
     if method == "bemt":
         out = hover_batch(case, pitch_rad=bench.pitch_rad, speed_rad_s=bench.speed_rad_s, air=gas)

@@ -36,7 +36,18 @@ from mufly.errors import InputError, MuflyError
 from mufly.rotor.bemt import hover, hover_batch, induced_velocities
 from mufly.rotor.blading import Blading, as_blading
 from mufly.rotor.geometry import Rotor
-from mufly.rotor.system import Air, Condition, Each, Method, Placed, Result, RotorResult, System, WakeSettings
+from mufly.rotor.system import (
+    Air,
+    Condition,
+    Each,
+    Method,
+    Placed,
+    Result,
+    RotorResult,
+    System,
+    WakeSettings,
+    tip_mach,
+)
 from mufly.rotor.wake.solver import solve_wake
 
 Array = NDArray[np.float64]
@@ -121,6 +132,13 @@ def solve(
     pitch = _each("pitch_rad", condition.pitch_rad, count)
     speed = _each("speed_rad_s", condition.speed_rad_s, count)
     thrust = condition.thrust_N
+    for blading, which, given in zip(system.bladings, system.which, speed, strict=True):
+        if given is not None and tip_mach(blading.rotors[which].radius_m, given) >= 1.0:
+            mach = tip_mach(blading.rotors[which].radius_m, given)
+            raise InputError(
+                "rotor", "speed_rad_s", f"{given:g} moves the tips at Mach {mach:.1f}",
+                "stay well below 1: the sections are computed for incompressible flow",
+            )  # fmt: skip
 
     def at(pitches: Sequence[float], speeds: Sequence[float], start: Result | None) -> Result:
         return _METHODS[method](

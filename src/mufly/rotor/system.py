@@ -37,6 +37,15 @@ class Air:
                 raise InputError("air", key, f"is {getattr(self, key):g}", "give a number above 0")
 
 
+SOUND_M_S = 343.2
+"""Speed of sound in dry air at 20 C (ISO 2533)."""
+
+
+def tip_mach(radius_m: float, speed_rad_s: float) -> float:
+    """Return the Mach number of the blades' tips. Polars hold for incompressible flow."""
+    return radius_m * speed_rad_s / SOUND_M_S
+
+
 @dataclass(frozen=True, eq=False)
 class Placed:
     """A rotor in its place: pitch, speed, height of the disc along the shaft, sense of rotation (+1 or -1)."""

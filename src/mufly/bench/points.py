@@ -1,0 +1,98 @@
+"""Measured points of a rotor, from the files of test benches and of propeller data sites.
+
+A file is a bench file as any other (:mod:`mufly.bench.table`: units in the headers, several separators). Of its columns
+
+=========  ===========================================================================================
+pitch      ``pitch_deg``; without it the blades stand as in the rotor file (0)
+speed      ``speed_rpm``, ``RPM``
+thrust     ``thrust_N``, ``T(gf)``, or ``CT`` = T / (rho n^2 D^4), n in revolutions a second
+torque     ``torque_mNm``, ``Q(Nm)``, ``power_W``, or ``CP`` = P / (rho n^3 D^5); it may be left out
+=========  ===========================================================================================
+
+are used. The coefficients are those of propellers (UIUC's data, for one) and need diameter and density.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from mufly.bench.table import BenchTable, read_bench
+from mufly.errors import InputError
+from mufly.rotor import Measurements
+
+_PITCH_LIMIT_RAD = math.pi / 2
+
+
+def read_measurements(
+    path: str | Path,
+    *,
+    columns: str | None = None,
+    diameter_m: float | None = None,
+    density_kg_m3: float | None = None,
+) -> Measurements:
+    """Read the measured points of a rotor.
+
+    Parameters
+    ----------
+    path : str or Path
+    columns : str, optional
+        Map of headers, as for :func:`mufly.bench.read_bench`.
+    diameter_m, density_kg_m3 : float, optional
+        Of the rotor and of the air at the bench; needed where the file gives coefficients.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, a column is missing, or a value is not possible: speed, torque and power are above
+        zero, thrust is not zero, the pitch lies within 90 degrees.
+    """
+    table = read_bench(path, columns=columns)
+    thrust_in = next((n for n in ("thrust", "thrust_coefficient") if n in table), "thrust")
+    torque_in = next((n for n in ("torque", "power", "power_coefficient") if n in table), "")
+    table.require(("speed", thrust_in))
+    if "pitch" in table:
+        table.require(("pitch",))
+        _check(
+            table,
+            "pitch",
+            np.abs(table["pitch"]) <= _PITCH_LIMIT_RAD,
+            "lie within 90 degrees; is its unit right?",
+        )
+    _check(table, "speed", table["speed"] > 0.0, "be above 0")
+    _check(table, thrust_in, table[thrust_in] != 0.0, "not be 0; leave the line out")
+    if torque_in:
+        # An empty cell is a point without torque.
+        known = ~(table[torque_in] <= 0.0)
+        _check(
+            table,
+            torque_in,
+            known,
+            "be above 0: what the motor has to overcome, whichever way the rotor turns",
+        )
+    if {thrust_in, torque_in} & {"thrust_coefficient", "power_coefficient"} and not (
+        diameter_m and density_kg_m3
+    ):
+        key = thrust_in if thrust_in == "thrust_coefficient" else torque_in
+        raise table.fault(key, "is a coefficient", "say to which rotor and air it belongs, or give thrust_N")
+    speed, scale = table["speed"], density_kg_m3 or math.nan
+    turns, diameter = speed / (2.0 * math.pi), diameter_m or math.nan
+    thrust = table[thrust_in]
+    if thrust_in == "thrust_coefficient":
+        thrust = thrust * scale * turns**2 * diameter**4
+    torque = table[torque_in] if torque_in else np.full(len(table), math.nan)
+    if torque_in == "power_coefficient":
+        torque = torque * scale * turns**3 * diameter**5 / speed
+    elif torque_in == "power":
+        torque = torque / speed
+    pitch = table["pitch"] if "pitch" in table else np.zeros(len(table))
+    return Measurements(pitch, speed, thrust, torque, table.source)
+
+
+def _check(table: BenchTable, name: str, good: np.ndarray[tuple[int], np.dtype[np.bool_]], must: str) -> None:
+    bad = np.flatnonzero(~good)
+    if bad.size:
+        where = f"line {table.line[bad[0]]}, {table.headers[name]}"
+        raise InputError(table.source, where, f"is {table[name][bad[0]]:g} in SI units", f"it must {must}")
