@@ -1,4 +1,4 @@
-"""Sine, cosine and decay that are the same, to the last bit, on every machine that rounds as IEEE 754 asks.
+"""Elementary functions that are the same, to the last bit, on every machine that rounds as IEEE 754 asks.
 
 Those of C libraries differ in their last bit. What runs on board (docs/firmware.md) has to give on a processor what it
 gave in simulation, so it computes its own from additions and multiplications:
@@ -13,9 +13,21 @@ thousands of turns). An angle beyond 1e5 rad, or none, is a fault elsewhere and 
 and Waite, Software Manual for the Elementary Functions, 1980, for the pieces.
 
 Decay is ``exp(-x) = 2^-n exp(-r)``, n the integer nearest to ``x / ln 2``, ``r = x - n ln 2``, by the same means.
+
+The angle of a direction (x, y), small <= big the two magnitudes:
+
+    n = the integer nearest to 8 small / big,  c = n / 8,   atan(small / big) = atan c + atan r,
+    r = (small - c big) / (big + c small),  |r| <= 1/16,    atan r = r - r^3/3 + ... + r^13/13: below 4e-19 is left out
+
+and quadrant and octant say what to take it from (two units in the last place). A length is the root of the sum of
+squares, from left to right: of metres neither the squares nor their sum leave the range of numbers.
 """
 
 from __future__ import annotations
+
+import math
+
+from numba.extending import register_jitable
 
 from mufly.compiled import compiled
 
@@ -102,3 +114,58 @@ def decay(x):  # type: ignore[no-untyped-def]
     for _ in range(n):
         s = 0.5 * s
     return s
+
+
+_T1, _T2 = float.fromhex("0x1.921fb544p+2"), float.fromhex("0x1.0b46p-32")
+"""Both together are 2 pi as a number; n times either is exact for |n| < 2^20."""
+_ATAN = tuple(
+    float.fromhex(x)
+    for x in (
+        "0x0.0p+0", "0x1.fd5ba9aac2f6ep-4", "0x1.f5b75f92c80ddp-3", "0x1.6f61941e4def1p-2", "0x1.dac670561bb4fp-2",
+        "0x1.1e00babdefeb4p-1", "0x1.4978fa3269ee1p-1", "0x1.700a7c5784634p-1", "0x1.921fb54442d18p-1",
+    )
+)  # fmt: skip
+"""atan(n / 8)."""
+_LONGEST = 1e30
+
+
+@register_jitable
+def wrapped(angle):  # type: ignore[no-untyped-def]
+    """Return the same turn the shorter way round, in [-pi, pi] (rad): the angle less whole turns, without rounding."""
+    if not abs(angle) < GREATEST:
+        return 0.0
+    if abs(angle) <= math.pi:
+        return angle
+    n = int(angle * (0.25 * TWO_OVER_PI) + (0.5 if angle >= 0.0 else -0.5))
+    return (angle - n * _T1) - n * _T2
+
+
+@register_jitable
+def direction(y, x):  # type: ignore[no-untyped-def]
+    """Return the angle (rad) from the first axis to (x, y), as ``atan2``; zero where there is no direction."""
+    a, b = abs(x), abs(y)
+    big, small = (a, b) if a >= b else (b, a)
+    if not (0.0 < big < _LONGEST and small <= big):
+        return 0.0
+    n = int(8.0 * small / big + 0.5)
+    c = 0.125 * n
+    r = (small - c * big) / (big + c * small)
+    q = r * r
+    s = 1.0 / 13.0
+    s = -1.0 / 11.0 + q * s
+    s = 1.0 / 9.0 + q * s
+    s = -1.0 / 7.0 + q * s
+    s = 1.0 / 5.0 + q * s
+    s = -1.0 / 3.0 + q * s
+    angle = _ATAN[n] + (r + r * (q * s))
+    if b > a:
+        angle = 0.5 * math.pi - angle
+    if x < 0.0:
+        angle = math.pi - angle
+    return math.copysign(angle, y)
+
+
+@register_jitable
+def length(x, y, z=0.0):  # type: ignore[no-untyped-def]
+    """Return the length of a vector."""
+    return math.sqrt(x * x + y * y + z * z)

@@ -64,6 +64,7 @@ from mufly.mission.state import (
     rest,
 )
 from mufly.mission.trajectory import Trajectory, Triple, stop, straight
+from mufly.trigonometry import length
 
 _FLYING = frozenset({State.TAKE_OFF, State.HOVER, State.WAYPOINT, State.OBSTACLE, State.OFFBOARD})
 _TIPPED = math.radians(60.0)
@@ -246,7 +247,7 @@ def waypoint_fault(where: Triple | None, heading: float | None) -> str:
     text = f"user's waypoint [{where[0]:g}, {where[1]:g}, {where[2]:g}] refused"
     if not all(math.isfinite(v) for v in where) or where[2] > -LOWEST_M:
         return f"{text}: D has to be at most {-LOWEST_M:g} m"
-    if where[2] < -HIGHEST_M or math.hypot(where[0], where[1]) > 1e4:
+    if where[2] < -HIGHEST_M or length(where[0], where[1]) > 1e4:
         return f"{text}: too far away, D has to be at least {-HIGHEST_M:g} m"
     return ""
 
@@ -370,9 +371,9 @@ def from_hand(s: MissionState, m: Estimate) -> MissionState:
     if d > s.standing[2]:
         # It falls too fast to stop above the floor. The reference must not lead below it, and the helicopter brakes all
         # it can. A stop's way down goes with the rate of descent w times the speed: w sqrt(u^2 + w^2) for a level u.
-        u, w = math.hypot(m.velocity[0], m.velocity[1]), m.velocity[2]
-        most = max(0.0, s.standing[2] - x[2]) / (d - x[2]) * w * math.hypot(u, w)
-        w = math.sqrt(0.5 * (math.sqrt(u**4 + 4.0 * most**2) - u**2))
+        u, w = length(float(m.velocity[0]), float(m.velocity[1])), float(m.velocity[2])
+        most = max(0.0, s.standing[2] - x[2]) / (d - x[2]) * w * length(u, w)
+        w = math.sqrt(0.5 * (length(u * u, 2.0 * most) - u * u))
         brake = stop(x, (m.velocity[0], m.velocity[1], w), psi, BRAKE_M_S2)
         n, e, d = brake.at(math.inf).position
     at = (n, e, d)

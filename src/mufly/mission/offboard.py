@@ -26,6 +26,7 @@ from dataclasses import dataclass
 
 from mufly.mission.schema import LOWEST_M
 from mufly.mission.trajectory import Limits, Point, Triple, shorter_way_round
+from mufly.trigonometry import decay, length
 
 HIGHEST_M = 50.0
 """Greatest height of a reference above the floor (m)."""
@@ -130,16 +131,16 @@ def _part(
 ) -> Point:
     target, given = wanted.position_m or _NAN, wanted.velocity_m_s or _NAN
     (n, e, d), (vn, ve, vd) = t.position, t.velocity
-    trails = math.dist(t.position, measured)
+    trails = length(n - measured[0], e - measured[1], d - measured[2])
     share = min(1.0, max(0.0, 2.0 - trails / _TRAILS_M))
 
     gn, ge = _gap(target[0], n), _gap(target[1], e)
-    gap = math.hypot(gn, ge)
+    gap = length(gn, ge)
     pace = min(_approach(gap, limits.acceleration), limits.speed) / gap if gap > 0.0 else 0.0
     wn, we = _or_zero(given[0]) + pace * gn, _or_zero(given[1]) + pace * ge
     if hold_off is not None:
         wn, we = hold_off(wn, we)
-    fast = math.hypot(wn, we)
+    fast = length(wn, we)
     slow = share * (limits.speed / fast if fast > limits.speed else 1.0)
     an, ae = _acceleration(slow * wn - vn, slow * we - ve, limits.acceleration, dt)
 
@@ -158,7 +159,7 @@ def _part(
     rate = min(max(rate, -limits.yaw_rate), limits.yaw_rate)
     yaw, _ = _acceleration(rate - t.heading_rate, 0.0, limits.yaw_acceleration, dt)
 
-    blend = 1.0 - math.exp(-dt / _SMOOTH_S)
+    blend = 1.0 - decay(dt / _SMOOTH_S)
     sn, se, sd = (s + blend * (a - s) for s, a in zip(t.acceleration, (an, ae, ad), strict=True))
     vn, ve, vd, psi_rate = vn + dt * an, ve + dt * ae, vd + dt * ad, t.heading_rate + dt * yaw
     return Point(
@@ -193,6 +194,6 @@ def _toward(gap: float, limits: Limits) -> float:
 def _acceleration(dx: float, dy: float, most: float, dt: float) -> tuple[float, float]:
     """Acceleration towards a change of velocity (dx, dy): at most ``most``, and never past it."""
     gain = min(2.0 * BANDWIDTH, 1.0 / dt)
-    size = gain * math.hypot(dx, dy)
+    size = gain * length(dx, dy)
     scale = gain * (most / size if size > most else 1.0)
     return scale * dx, scale * dy

@@ -28,6 +28,7 @@ from mufly.mission.state import (
     rest,
 )
 from mufly.mission.trajectory import Point, Stop, Trajectory, Triple, stop, straight
+from mufly.trigonometry import length, sine_cosine
 
 SWEEP_PERIOD_S = 4.0
 """Period of the nose's swing while scanning; every direction is looked at once in half of it (s)."""
@@ -84,7 +85,7 @@ def swing(plan: MissionPlan, s: MissionState) -> tuple[float, float]:
     x, most, omega = min(s.swing, 1.0), 0.5 * plan.ring.spacing, math.tau / SWEEP_PERIOD_S
     size = most * x * x * (3.0 - 2.0 * x)
     growth = most * 6.0 * x * (1.0 - x) * (1.0 if scanning(plan, s) else -1.0)
-    sine, cosine = math.sin(omega * s.time_s), math.cos(omega * s.time_s)
+    sine, cosine = sine_cosine(omega * (s.time_s - SWEEP_PERIOD_S * int(s.time_s / SWEEP_PERIOD_S)))
     return size * sine, growth * sine + size * omega * cosine
 
 
@@ -159,7 +160,7 @@ def sink(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionS
     a = q.climb_acceleration_m_s2
     above = s.standing[2] - s.hold[2]
     # v^2 = v1^2 + 2 (a/2) h: half the acceleration brings it from descent to touchdown speed where that begins.
-    wanted = min(q.descent_m_s, math.sqrt(q.touchdown_m_s**2 + max(0.0, above - SLOW_FROM_M) * a))
+    wanted = min(q.descent_m_s, math.sqrt(q.touchdown_m_s * q.touchdown_m_s + max(0.0, above - SLOW_FROM_M) * a))
     if above < -0.3:
         wanted = 0.0
     ask = min(max((wanted - s.sink) / _SINK_LAG_S, -a), a)
@@ -362,7 +363,7 @@ def set_out(
 ) -> MissionState:
     """Fly ``way(from where, with which heading)``, after a braking if the reference moves."""
     at = point(s)
-    if math.hypot(*at.velocity) > 0.01 or abs(at.heading_rate) > 0.01:
+    if length(*at.velocity) > 0.01 or abs(at.heading_rate) > 0.01:
         brake = braking(plan, s)
         at = brake.at(math.inf)
         motion = way(at.position, at.heading).after(brake)
@@ -397,8 +398,8 @@ def fly_leg(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Missi
     q = plan.mission.limits
     name = "home" if s.homing else "user's waypoint" if s.manual else f"waypoint {s.index + 1}"
     if s.clock_s >= way.duration_s:
-        off = math.dist(m.position.tolist(), s.goal)
-        if off < q.reach_m and math.hypot(*m.velocity.tolist()) < q.reach_m_s:
+        off = _away(m, s.goal)
+        if off < q.reach_m and length(*m.velocity.tolist()) < q.reach_m_s:
             why = f"{name} reached, {off * 100:.1f} cm off"
             if s.homing:
                 return land(s, why)
@@ -409,9 +410,14 @@ def fly_leg(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Missi
             return replace(s, index=s.index + 1, reached=s.reached + 1)
     spent = s.time_s - s.entered_s
     if spent > 2.0 * way.duration_s + 20.0:
-        off = math.dist(m.position.tolist(), s.goal)
+        off = _away(m, s.goal)
         return _give_up(s, f"{name} not reached within {spent:.0f} s: {off:.2f} m away")
     return _watch(plan, s)
+
+
+def _away(m: Estimate, goal: Triple) -> float:
+    n, e, d = measured_at(m)
+    return float(length(n - goal[0], e - goal[1], d - goal[2]))
 
 
 def _hold_at(s: MissionState, why: str, at: Triple, ready_s: float) -> MissionState:

@@ -19,6 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mufly.trigonometry import direction, length, wrapped
+
 Triple = tuple[float, float, float]
 _PEAK = 15.0 / 8.0
 
@@ -61,7 +63,7 @@ class Profile:
         x2 = x * x
         way = self.speed * ramp * x2 * x2 * (2.5 - 3.0 * x + x2)
         speed = self.speed * x2 * x * (10.0 - 15.0 * x + 6.0 * x2)
-        acceleration = self.speed / ramp * 30.0 * x2 * (1.0 - x) ** 2
+        acceleration = self.speed / ramp * 30.0 * x2 * ((1.0 - x) * (1.0 - x))
         return (way, speed, acceleration) if t < left else (self.way - way, speed, -acceleration)
 
 
@@ -96,7 +98,7 @@ def step_down(x: float) -> Triple:
     x2 = x * x
     return (
         1.0 - x2 * x * (10.0 - 15.0 * x + 6.0 * x2),
-        -30.0 * x2 * (1.0 - x) ** 2,
+        -30.0 * x2 * ((1.0 - x) * (1.0 - x)),
         x - x2 * x2 * (2.5 - 3.0 * x + x2),
     )
 
@@ -147,9 +149,9 @@ class Spline:
     def curvature(self, t: ArrayLike) -> _Array:
         """Curvature vectors K (..., 3) in 1/m (eq. 6.13); zero where the tangent vanishes."""
         _, tangent, second = self.at(t)
-        square = np.sum(tangent**2, axis=-1, keepdims=True)
+        square = _square(tangent)[..., None]
         bend = np.cross(np.cross(tangent, second), tangent)
-        return np.divide(bend, square**2, out=np.zeros_like(bend), where=square > 1e-12)
+        return np.divide(bend, square * square, out=np.zeros_like(bend), where=square > 1e-12)
 
 
 def spline(x0: ArrayLike, xg: ArrayLike, dx0: ArrayLike, dxg: ArrayLike) -> Spline:
@@ -159,6 +161,11 @@ def spline(x0: ArrayLike, xg: ArrayLike, dx0: ArrayLike, dxg: ArrayLike) -> Spli
     """
     p, g, dp, dg = (np.asarray(v, dtype=np.float64) for v in (x0, xg, dx0, dxg))
     return Spline(np.stack([2.0 * (p - g) + dp + dg, 3.0 * (g - p) - 2.0 * dp - dg, dp, p]))
+
+
+def _square(x: _Array) -> _Array:
+    """Sum of squares over the last axis of three, from left to right."""
+    return x[..., 0] * x[..., 0] + x[..., 1] * x[..., 1] + x[..., 2] * x[..., 2]
 
 
 class SplinePath(NamedTuple):
@@ -178,17 +185,17 @@ class SplinePath(NamedTuple):
         u = (k + (s - arc[k]) / (arc[k + 1] - arc[k])) / _PIECES
         p, q, r = self.coefficients
         tn, te, td = (_slope(c, u) for c in (p, q, r))
-        length = math.sqrt(tn * tn + te * te + td * td)
+        tangent = math.sqrt(tn * tn + te * te + td * td)
         # The table inverts s(u) linearly; a Newton step with the arc up to u makes it smooth.
-        u -= (self._arc_at(k, u) - s) / length
+        u -= (self._arc_at(k, u) - s) / tangent
         tn, te, td = (_slope(c, u) for c in (p, q, r))
         square = tn * tn + te * te + td * td
-        length = math.sqrt(square)
+        tangent = math.sqrt(square)
         bn, be, bd = (6.0 * c[0] * u + 2.0 * c[1] for c in (p, q, r))
         along = (tn * bn + te * be + td * bd) / square
         n, e, d = (((c[0] * u + c[1]) * u + c[2]) * u + c[3] for c in (p, q, r))
-        velocity = (ds * tn / length, ds * te / length, ds * td / length)
-        f, g = dds / length, ds * ds / square
+        velocity = (ds * tn / tangent, ds * te / tangent, ds * td / tangent)
+        f, g = dds / tangent, ds * ds / square
         acceleration = (
             f * tn + g * (bn - along * tn),
             f * te + g * (be - along * te),
@@ -236,16 +243,19 @@ def spline_path(
     """
     edges = np.linspace(0.0, 1.0, _PIECES + 1)
     inner = edges[:-1, None] + (0.5 * (1.0 + _NODES)) / _PIECES
-    pieces = np.linalg.norm(curve.at(inner)[1], axis=-1) @ _WEIGHTS / (2.0 * _PIECES)
-    arc = np.concatenate([[0.0], np.cumsum(pieces)])
+    nodes = np.sqrt(_square(curve.at(inner)[1]))
+    pieces = np.zeros(_PIECES)
+    for node, weight in enumerate(_WEIGHTS_T):
+        pieces += weight * nodes[:, node]
+    arc = np.concatenate([[0.0], np.cumsum(pieces / (2.0 * _PIECES))])
     dense = np.linspace(0.0, 1.0, 8 * _PIECES + 1)
     tangent = curve.at(dense)[1]
-    length = np.linalg.norm(tangent, axis=-1)
-    if length.min() < 0.05 * max(arc[-1], 1e-9):
+    size = np.sqrt(_square(tangent))
+    if size.min() < 0.05 * max(arc[-1], 1e-9):
         return None
-    level = np.linalg.norm(tangent[:, :2], axis=-1) / length
-    fall = tangent[:, 2] / length
-    bend = np.linalg.norm(curve.curvature(dense), axis=-1)
+    level = np.sqrt(tangent[:, 0] * tangent[:, 0] + tangent[:, 1] * tangent[:, 1]) / size
+    fall = tangent[:, 2] / size
+    bend = np.sqrt(_square(curve.curvature(dense)))
     share = acceleration / math.sqrt(2.0)
     tiny = 1e-9
     peak = min(
@@ -386,7 +396,7 @@ _ZERO = (0.0, 0.0, 0.0)
 
 def shorter_way_round(angle: float) -> float:
     """The same turn the shorter way round, in [-pi, pi] (rad)."""
-    return math.remainder(angle, math.tau)
+    return float(wrapped(angle))
 
 
 def straight(
@@ -415,7 +425,7 @@ def straight(
         Added to the direction of the line when no ``final_heading`` is given (rad).
     """
     a, b = _triple(start), _triple(goal)
-    way = math.hypot(b[0] - a[0], b[1] - a[1])
+    way = length(b[0] - a[0], b[1] - a[1])
     turn = _turn(a, b, way, heading, final_heading, nose_offset)
     if way < _SPOT:
         way, b = 0.0, (a[0], a[1], b[2])
@@ -456,14 +466,14 @@ def curved(
     """
     plain = straight(start, goal, heading, limits, final_heading=final_heading, nose_offset=nose_offset)
     a, b = np.array(plain.start), np.array(plain.goal)
-    reach = float(np.linalg.norm(b - a))
+    reach = length(*(b - a).tolist())
     if reach < _SPOT:
         return plain
     ends = []
     for direction in (leaving, arriving):
         u = np.asarray(direction, dtype=np.float64)
-        length = float(np.linalg.norm(u))
-        ends.append(u / length * reach if length > 1e-9 else b - a)
+        size = length(*u.tolist())
+        ends.append(u / size * reach if size > 1e-9 else b - a)
     # A curve that rises or sinks has its whole acceleration within the vertical limit.
     level = a[2] == b[2] and all(u[2] == 0.0 for u in ends)
     path = spline_path(
@@ -540,7 +550,7 @@ def stop(
     A ``heading_rate`` (rad/s) is brought to rest with at most ``yaw_acceleration`` (rad/s2).
     """
     v = _triple(velocity)
-    duration, _ = step_down_way(math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2), acceleration)
+    duration, _ = step_down_way(length(*v), acceleration)
     turn_s, _ = step_down_way(heading_rate, yaw_acceleration)
     return Stop(_triple(position), v, heading, duration, heading_rate, turn_s)
 
@@ -562,4 +572,4 @@ def _turn(
         return shorter_way_round(final_heading - heading)
     if way < _SPOT:
         return 0.0
-    return shorter_way_round(math.atan2(b[1] - a[1], b[0] - a[0]) + nose_offset - heading)
+    return shorter_way_round(direction(b[1] - a[1], b[0] - a[0]) + nose_offset - heading)

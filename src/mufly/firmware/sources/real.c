@@ -4,18 +4,23 @@
 #include "real.h"
 
 #define GREATEST REAL(1e5)
+#define LONGEST REAL(1e30)
 #define TWO_OVER_PI REAL(0x1.45f306dc9c883p-1)
 #define PER_LN2 REAL(0x1.71547652b82fep+0)
 #ifdef MUFLY_FLOAT
 #define PI_HALF_1 REAL(0x1.92p+0)
 #define PI_HALF_2 REAL(0x1.fbp-12)
 #define PI_HALF_3 REAL(0x1.5110b4p-22)
+#define TURN_1 REAL(0x1.92p+2)
+#define TURN_2 REAL(0x1.fb6p-10)
 #define LN2_1 REAL(0x1.62e3p-1)
 #define LN2_2 REAL(0x1.2fefa2p-17)
 #else
 #define PI_HALF_1 REAL(0x1.921fb54400000p+0)
 #define PI_HALF_2 REAL(0x1.0b4611a600000p-34)
 #define PI_HALF_3 REAL(0x1.3198a2e037073p-69)
+#define TURN_1 REAL(0x1.921fb544p+2)
+#define TURN_2 REAL(0x1.0b46p-32)
 #define LN2_1 REAL(0x1.62e42fee00000p-1)
 #define LN2_2 REAL(0x1.a39ef35793c76p-33)
 #endif
@@ -56,6 +61,96 @@ real_t real_clip(real_t value, real_t low, real_t high)
         /* within bounds */
     }
     return held;
+}
+
+real_t real_min(real_t a, real_t b)
+{
+    return (b < a) ? b : a;
+}
+
+real_t real_max(real_t a, real_t b)
+{
+    return (b > a) ? b : a;
+}
+
+bool real_missing(real_t x)
+{
+    return !(x <= REAL(0.0)) && !(x >= REAL(0.0));
+}
+
+bool real_finite(real_t x)
+{
+    return ABS(x) < REAL_INFINITY;
+}
+
+real_t real_hypot(real_t x, real_t y)
+{
+    return SQRT((x * x) + (y * y));
+}
+
+real_t real_length(const real_t v[3])
+{
+    return SQRT(((v[0] * v[0]) + (v[1] * v[1])) + (v[2] * v[2]));
+}
+
+real_t real_atan2(real_t y, real_t x)
+{
+    static const real_t of_eighths[9] = {
+        REAL(0x0.0p+0),
+        REAL(0x1.fd5ba9aac2f6ep-4),
+        REAL(0x1.f5b75f92c80ddp-3),
+        REAL(0x1.6f61941e4def1p-2),
+        REAL(0x1.dac670561bb4fp-2),
+        REAL(0x1.1e00babdefeb4p-1),
+        REAL(0x1.4978fa3269ee1p-1),
+        REAL(0x1.700a7c5784634p-1),
+        REAL(0x1.921fb54442d18p-1),
+    };
+    const real_t a = ABS(x);
+    const real_t b = ABS(y);
+    const real_t big = (a >= b) ? a : b;
+    const real_t small = (a >= b) ? b : a;
+    real_t angle = REAL(0.0);
+
+    if ((big > REAL(0.0)) && (big < LONGEST) && (small <= big)) {
+        const int32_t n = (int32_t)(((REAL(8.0) * small) / big) + REAL(0.5));
+        const real_t c = REAL(0.125) * (real_t)n;
+        const real_t r = (small - (c * big)) / (big + (c * small));
+        const real_t q = r * r;
+        real_t s = REAL(1.0) / REAL(13.0);
+
+        s = (REAL(-1.0) / REAL(11.0)) + (q * s);
+        s = (REAL(1.0) / REAL(9.0)) + (q * s);
+        s = (REAL(-1.0) / REAL(7.0)) + (q * s);
+        s = (REAL(1.0) / REAL(5.0)) + (q * s);
+        s = (REAL(-1.0) / REAL(3.0)) + (q * s);
+        angle = of_eighths[n] + (r + (r * (q * s)));
+        if (b > a) {
+            angle = (REAL(0.5) * REAL_PI) - angle;
+        }
+        if (x < REAL(0.0)) {
+            angle = REAL_PI - angle;
+        }
+        angle = WITH_SIGN(angle, y);
+    }
+    return angle;
+}
+
+real_t real_wrapped(real_t angle)
+{
+    real_t rest = REAL(0.0);
+
+    if (real_abs(angle) <= REAL_PI) {
+        rest = angle;
+    } else if (real_abs(angle) < GREATEST) {
+        const real_t half = (angle >= REAL(0.0)) ? REAL(0.5) : REAL(-0.5);
+        const real_t turns = (real_t)(int32_t)((angle * (REAL(0.25) * TWO_OVER_PI)) + half);
+
+        rest = (angle - (turns * TURN_1)) - (turns * TURN_2);
+    } else {
+        /* a fault elsewhere */
+    }
+    return rest;
 }
 
 void sine_cosine(real_t angle, real_t *sine, real_t *cosine)

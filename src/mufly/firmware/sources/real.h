@@ -23,6 +23,9 @@ typedef double real_t;
 #define REAL_NONE __builtin_nan("") /* no number */
 #endif
 
+#define REAL_PI REAL(0x1.921fb54442d18p+1)
+#define DEGREE REAL(0x1.1df46a2529d39p-6) /* rad */
+
 /* Square root, correctly rounded; one instruction where there is one. */
 real_t real_sqrt(real_t x);
 
@@ -30,6 +33,24 @@ real_t real_sqrt(real_t x);
 real_t real_abs(real_t x);
 real_t real_with_sign(real_t size, real_t sign);
 real_t real_clip(real_t value, real_t low, real_t high);
+
+/* The lesser and the greater of two; the first where they are equal, or the second is no number. */
+real_t real_min(real_t a, real_t b);
+real_t real_max(real_t a, real_t b);
+
+/* Whether it is no number, whether it is one, and finite. */
+bool real_missing(real_t x);
+bool real_finite(real_t x);
+
+/* Length of a vector: the root of the sum of squares from left to right. */
+real_t real_hypot(real_t x, real_t y);
+real_t real_length(const real_t v[3]);
+
+/* The angle (rad) from the first axis to (x, y); zero where there is no direction. */
+real_t real_atan2(real_t y, real_t x);
+
+/* The same turn the shorter way round, -pi to pi (rad). */
+real_t real_wrapped(real_t angle);
 
 /* Sine and cosine of an angle (rad), the same to the last bit everywhere. Beyond 1e5 rad: those of zero. */
 void sine_cosine(real_t angle, real_t *sine, real_t *cosine);
