@@ -160,7 +160,9 @@ def sink(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionS
     a = q.climb_acceleration_m_s2
     above = s.standing[2] - s.hold[2]
     # v^2 = v1^2 + 2 (a/2) h: half the acceleration brings it from descent to touchdown speed where that begins.
-    wanted = min(q.descent_m_s, math.sqrt(q.touchdown_m_s * q.touchdown_m_s + max(0.0, above - SLOW_FROM_M) * a))
+    wanted = min(
+        q.descent_m_s, math.sqrt(q.touchdown_m_s * q.touchdown_m_s + max(0.0, above - SLOW_FROM_M) * a)
+    )
     if above < -0.3:
         wanted = 0.0
     ask = min(max((wanted - s.sink) / _SINK_LAG_S, -a), a)

@@ -470,8 +470,8 @@ def curved(
     if reach < _SPOT:
         return plain
     ends = []
-    for direction in (leaving, arriving):
-        u = np.asarray(direction, dtype=np.float64)
+    for end in (leaving, arriving):
+        u = np.asarray(end, dtype=np.float64)
         size = length(*u.tolist())
         ends.append(u / size * reach if size > 1e-9 else b - a)
     # A curve that rises or sinks has its whole acceleration within the vertical limit.
