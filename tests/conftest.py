@@ -1,9 +1,61 @@
-"""Keeps Hypothesis repeatable and without a clock.
+"""What holds for all tests: Hypothesis without a clock, signals that arrive, the whole suite in several processes.
 
-A first call compiles, so an example may take seconds; and a red suite has to be red again on the next run.
+``pytest`` alone shares the tests out to a process for each core, four at most (``-n 0``: one process, ``-n 3``: three).
+What is named (``pytest tests/rotor``) runs in one process, where a debugger can be used.
 """
 
+from __future__ import annotations
+
+import os
+import signal
+from typing import Any
+
+import pytest
 from hypothesis import settings
 
+# A first call compiles, so an example may take seconds; and a red suite has to be red again on the next run.
 settings.register_profile("mufly", deadline=None, derandomize=True)
 settings.load_profile("mufly")
+
+MOST_WORKERS = 4  # more begin by compiling the same, and starve those that fly in real time
+TOGETHER = ("tests/interop",)  # folders whose tests share what is flown for them
+EARLY = (
+    "tests/interop",
+    "tests/station/page/test_browser.py",
+)
+"""What takes longest, so that no process is left alone with it at the end."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let Ctrl-C arrive: a shell that starts a program in the background has it ignored by all that it starts."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """As many processes as there are cores for the whole suite, one for what is named on the command line."""
+    if config.args_source is not pytest.Config.ArgsSource.TESTPATHS:
+        return 0
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(MOST_WORKERS, cores)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Share out whole files, so that what a file's tests share is made once; the longest begin."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByFile(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = nodeid.partition("::")[0]
+            return next((folder for folder in TOGETHER if file.startswith(f"{folder}/")), file)
+
+    return ByFile(config, log)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put what takes longest first where the tests are shared out."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        place = {name: k for k, name in enumerate(EARLY)}
+        items.sort(key=lambda item: min((place[n] for n in place if item.nodeid.startswith(n)), default=len(place)))
