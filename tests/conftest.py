@@ -58,4 +58,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put what takes longest first where the tests are shared out."""
     if "PYTEST_XDIST_WORKER" in os.environ:
         place = {name: k for k, name in enumerate(EARLY)}
-        items.sort(key=lambda item: min((place[n] for n in place if item.nodeid.startswith(n)), default=len(place)))
+        items.sort(
+            key=lambda item: min((place[n] for n in place if item.nodeid.startswith(n)), default=len(place))
+        )
