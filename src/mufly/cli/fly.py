@@ -25,6 +25,7 @@ from mufly.cli.station import (
     Ending,
     FaultOption,
     FirmwareOption,
+    FixedPointOption,
     GustOption,
     HostOption,
     LiveDisplay,
@@ -301,6 +302,7 @@ def fly(
     sensors: SensorsOption = "fitted",
     fault: FaultOption = None,
     firmware: FirmwareOption = False,
+    fixed_point: FixedPointOption = False,
     realtime: Annotated[bool, option("--realtime", "Keep pace with the clock.")] = False,
     as_json: Annotated[
         bool, option("--json", "Print the summary as JSON on standard output, and nothing else.")
@@ -350,7 +352,7 @@ def fly(
         realtime,
         "ideal" if sensors == "ideal" else "fitted",
         faults,
-        on_board(firmware),
+        on_board(firmware, fixed_point),
     )
     preflight(order.vehicle, order.mission, vehicle_file=vehicle, mission_file=mission)
     address = None

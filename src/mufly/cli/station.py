@@ -102,14 +102,24 @@ FirmwareOption = Annotated[
 BY_FIRMWARE = "The control law is the exported C code; estimator and mission are still Python's"
 
 
-def on_board(wanted: bool) -> Callable[[FlightController], Controllers] | None:
+FixedPointOption = Annotated[
+    bool,
+    option("--fixed-point", "With --firmware: in whole numbers, as for a processor without a floating unit."),
+]
+
+
+def on_board(wanted: bool, fixed_point: bool = False) -> Callable[[FlightController], Controllers] | None:
     """What computes the control law: the exported code if it is wanted; without a compiler that is refused."""
+    if fixed_point and not wanted:
+        raise InputError(
+            "--fixed-point", "", "is a way of computing the exported code", "give --firmware, too"
+        )
     if not wanted:
         return None
-    from mufly.firmware import FirmwareControllers, compiler
+    from mufly.firmware import FirmwareControllers, FixedFirmwareControllers, compiler
 
     compiler()
-    return FirmwareControllers
+    return FixedFirmwareControllers if fixed_point else FirmwareControllers
 
 
 def check_sensors(vehicle: Vehicle, sensors: str, faults: Sequence[str] | None) -> tuple[Fault, ...]:

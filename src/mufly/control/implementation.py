@@ -131,8 +131,8 @@ def _root(gramian: Array) -> Array:
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
-def _balance(P: Array, Q: Array) -> tuple[Array, Array]:
-    """Square-root balancing: T and its inverse. Null directions are left orthonormal."""
+def balance(P: Array, Q: Array) -> tuple[Array, Array]:
+    """Return T and its inverse that make two Gramians equal (square-root balancing), null directions orthonormal."""
     R, S = _root(P), _root(Q)
     U, sigma, Vt = np.linalg.svd(S.T @ R)
     keep = sigma > 1e-14 * sigma[0]
@@ -302,7 +302,7 @@ def _realisations(
         )
     found: dict[str, tuple[control.StateSpace, Array]] = {}
     for name, (P, Q) in gramians.items():
-        T, Tinv = _balance(P, Q)
+        T, Tinv = balance(P, Q)
         T, Tinv = linalg.block_diag(np.eye(kept), T), linalg.block_diag(np.eye(kept), Tinv)
         found[name] = altered(controller, A=Tinv @ A @ T, B=Tinv @ B, C=C @ T), Tinv @ M
     return found

@@ -1,20 +1,34 @@
 """What runs on board? The controllers as C99, exported with a vehicle's numbers, built and flown on this machine."""
 
 from mufly.firmware.checks import PilResult, SilResult, deepest_stack, missing_tools, pil, sil
+from mufly.firmware.fixed import FixedLaw, FixedLoss, Proof, cascade_loss, fixed_law
+from mufly.firmware.fixed_checks import FixedFlight, fly_fixed, pil_fixed
+from mufly.firmware.fixed_law import FixedControllers, FixedFirmwareControllers, export_fixed
 from mufly.firmware.host import Firmware, FirmwareControllers, build, compiler
 from mufly.firmware.tables import export, tables_c
 
 __all__ = [
     "Firmware",
     "FirmwareControllers",
+    "FixedControllers",
+    "FixedFirmwareControllers",
+    "FixedFlight",
+    "FixedLaw",
+    "FixedLoss",
     "PilResult",
+    "Proof",
     "SilResult",
     "build",
+    "cascade_loss",
     "compiler",
     "deepest_stack",
     "export",
+    "export_fixed",
+    "fixed_law",
+    "fly_fixed",
     "missing_tools",
     "pil",
+    "pil_fixed",
     "sil",
     "tables_c",
 ]

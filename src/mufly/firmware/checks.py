@@ -213,40 +213,54 @@ def pil(vehicle: Vehicle, *, timeout_s: float = 120.0) -> list[PilResult]:
     with tempfile.TemporaryDirectory(prefix="mufly-pil-") as temporary:
         folder = Path(temporary) / "fw"
         export(design(vehicle), folder)
-        right = _outputs(_run([str(_self_test(folder))], timeout_s))
+        right = outputs_of(run_program([str(_self_test(folder))], timeout_s))
         elf = _for_m4(folder)
-        flash, ram = _size(folder)
+        flash, ram = size_of(folder)
         stack = deepest_stack(folder, "controllers_")
-        found = []
-        for machine, per_tick in MACHINES.items():
-            said = _run(
-                [
-                    "qemu-system-arm", "-M", machine, "-nographic", "-monitor", "none", "-serial", "none",
-                    "-semihosting-config", "enable=on,target=native", "-icount", "shift=0", "-kernel", str(elf),
-                ],
-                timeout_s,
-            )  # fmt: skip
-            numbers = {
-                k: int(v, 16) for k, v in re.findall(r"^(periods|ticks|worst) ([0-9a-f]{16})$", said, re.M)
-            }
-            if len(numbers) < 3:
-                raise MuflyError(f"{machine}: the self-test did not end; it said {said[-200:]!r}")
-            found.append(
-                PilResult(
-                    machine=machine, same=_outputs(said) == right and bool(right),
-                    mean_instructions=numbers["ticks"] * per_tick / numbers["periods"],
-                    worst_instructions=numbers["worst"] * per_tick,
-                    flash_bytes=flash, ram_bytes=ram, stack_bytes=stack,
-                )
-            )  # fmt: skip
-    return found
+        return [
+            PilResult(
+                machine=machine,
+                **emulated(machine, per_tick, elf, right, timeout_s),
+                flash_bytes=flash,
+                ram_bytes=ram,
+                stack_bytes=stack,
+            )
+            for machine, per_tick in MACHINES.items()
+        ]
 
 
-def _outputs(said: str) -> list[str]:
+def emulated(machine: str, per_tick: float, elf: Path, right: list[str], timeout_s: float) -> dict[str, Any]:
+    """Run a self-test on an emulated board: whether it says what is right, and its instructions a period.
+
+    Raises
+    ------
+    MuflyError
+        If it does not end.
+    """
+    said = run_program(
+        [
+            "qemu-system-arm", "-M", machine, "-nographic", "-monitor", "none", "-serial", "none",
+            "-semihosting-config", "enable=on,target=native", "-icount", "shift=0", "-kernel", str(elf),
+        ],
+        timeout_s,
+    )  # fmt: skip
+    numbers = {k: int(v, 16) for k, v in re.findall(r"^(periods|ticks|worst) ([0-9a-f]{16})$", said, re.M)}
+    if len(numbers) < 3:
+        raise MuflyError(f"{machine}: the self-test did not end; it said {said[-200:]!r}")
+    return {
+        "same": outputs_of(said) == right and bool(right),
+        "mean_instructions": numbers["ticks"] * per_tick / numbers["periods"],
+        "worst_instructions": numbers["worst"] * per_tick,
+    }
+
+
+def outputs_of(said: str) -> list[str]:
+    """Digests that a self-test told."""
     return re.findall(r"^outputs ([0-9a-f]{16})$", said, re.M)
 
 
-def _run(command: list[str], timeout_s: float) -> str:
+def run_program(command: list[str], timeout_s: float) -> str:
+    """What a program says, errors included."""
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=timeout_s)
     except subprocess.TimeoutExpired:
@@ -254,7 +268,8 @@ def _run(command: list[str], timeout_s: float) -> str:
     return done.stdout + done.stderr  # an emulated processor's words come out as errors
 
 
-def _built(command: list[str], folder: Path) -> None:
+def built(command: list[str], folder: Path) -> None:
+    """Run a compiler in a folder; its first error is raised as ours."""
     done = subprocess.run(command, capture_output=True, text=True, cwd=folder)
     if done.returncode:
         first = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
@@ -267,7 +282,7 @@ def _sources(folder: Path) -> list[str]:
 
 def _self_test(folder: Path) -> Path:
     out = folder / "selftest"
-    _built(
+    built(
         [compiler(), *FLAGS, "-DMUFLY_FLOAT", "-I.", *_sources(folder), "check/selftest.c", "check/platform_host.c",
          "-o", out.name, "-lm"],
         folder,
@@ -278,9 +293,9 @@ def _self_test(folder: Path) -> Path:
 def _for_m4(folder: Path) -> Path:
     cc = "arm-none-eabi-gcc"
     flags = [*FLAGS, *_M4, "-DMUFLY_FLOAT", "-fstack-usage", "-fdump-rtl-expand", "-I."]
-    _built([cc, *flags, "-c", *_sources(folder)], folder)
+    built([cc, *flags, "-c", *_sources(folder)], folder)
     objects = sorted(p.name for p in folder.glob("*.o"))
-    _built(
+    built(
         [cc, *FLAGS, *_M4, "-DMUFLY_FLOAT", "-I.", *objects, "check/selftest.c", "check/platform_cortex_m4.c",
          "-T", "check/cortex_m4.ld", "-o", "selftest.elf", "-lgcc"],
         folder,
@@ -288,7 +303,7 @@ def _for_m4(folder: Path) -> Path:
     return folder / "selftest.elf"
 
 
-def _size(folder: Path) -> tuple[int, int]:
+def size_of(folder: Path) -> tuple[int, int]:
     """Flash and RAM (bytes) of the controllers' objects."""
     objects = sorted(p.name for p in folder.glob("*.o"))
     said = subprocess.run(["arm-none-eabi-size", *objects], capture_output=True, text=True, cwd=folder).stdout

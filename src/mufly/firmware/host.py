@@ -65,7 +65,7 @@ def build(
     return library
 
 
-def _declarations(folder: Path, single: bool) -> str:
+def declarations(folder: Path, single: bool = False) -> str:
     """What the headers declare, for cffi."""
     command = [compiler(), "-E", "-P", "-DMUFLY_DECLARATIONS", *(("-DMUFLY_FLOAT",) if single else ())]
     headers = "".join(f'#include "{h.name}"\n' for h in sorted(folder.glob("*.h")))
@@ -82,7 +82,7 @@ def _loaded(tables: str, single: bool, cc: str) -> tuple[cffi.FFI, Any]:
         tree = Path(folder) / "fw"
         write_tree(tables, tree)
         library = build(tree, single=single, cc=cc)
-        ffi.cdef(_declarations(tree, single))
+        ffi.cdef(declarations(tree, single))
         return ffi, ffi.dlopen(str(library))
 
 

@@ -46,18 +46,22 @@ def export(controller: FlightController, out: Path) -> list[Path]:
     out = Path(out)
     if out.exists() and (not out.is_dir() or (any(out.iterdir()) and not (out / "tables.c").exists())):
         raise InputError("out", str(out), "holds something else", "name a new or empty folder")
-    tables = tables_c(controller)
-    with resources.as_file(SOURCES) as sources:
-        shutil.copytree(sources, out, dirs_exist_ok=True)
-    (out / "tables.c").write_text(tables)
+    write_tree(tables_c(controller), out)
     return sorted(p for p in out.rglob("*") if p.is_file())
 
 
 def write_tree(tables: str, out: Path) -> None:
     """Write the sources with given tables into a folder."""
-    with resources.as_file(SOURCES) as sources:
-        shutil.copytree(sources, out, dirs_exist_ok=True)
+    copy_sources(out)
     (out / "tables.c").write_text(tables)
+
+
+def copy_sources(out: Path, *, fixed: bool = False) -> None:
+    """Copy the sources without tables into a folder, with those in whole numbers or without."""
+    with resources.as_file(SOURCES) as sources:
+        shutil.copytree(
+            sources, out, dirs_exist_ok=True, ignore=None if fixed else shutil.ignore_patterns("*fixed*")
+        )
 
 
 def tables_c(controller: FlightController) -> str:
@@ -66,7 +70,7 @@ def tables_c(controller: FlightController) -> str:
     if rate != round(rate):
         raise InputError("rate_Hz", f"{rate:g}", "is no whole number", "design for a whole rate")
     lines = [
-        f"/* The numbers of {_comment(controller.vehicle_name)}, made by mufly {__version__}; do not edit. */",
+        f"/* The numbers of {comment(controller.vehicle_name)}, made by mufly {__version__}; do not edit. */",
         '#include "controllers.h"',
         "",
         f"const int32_t mufly_rate_Hz = {round(rate)};",
@@ -110,5 +114,6 @@ def _decimal(value: float, unit: str) -> str:
     return f"{value:.9g} {unit}".rstrip()
 
 
-def _comment(text: str) -> str:
+def comment(text: str) -> str:
+    """Text that does not end a comment of C."""
     return text.replace("*/", "* /").replace("\n", " ")

@@ -9,9 +9,12 @@ import typer
 
 from mufly.cli.options import Commands, JsonOption, argument, option
 from mufly.cli.present import answer, print_json, print_table, progress_bar, say, tell_files, writing
+from mufly.errors import InputError
 
 if TYPE_CHECKING:
-    from mufly.firmware import PilResult, SilResult
+    from mufly.control import FlightController
+    from mufly.firmware import FixedFlight, FixedLaw, PilResult, SilResult
+    from mufly.vehicle import Vehicle
 
 app = Commands(
     help="The control law as C99 for a board: exported with a vehicle's numbers, flown, proved equal "
@@ -22,17 +25,22 @@ app = Commands(
 _VehicleOption = Annotated[
     str, option("--vehicle NAME|FILE", "A built-in vehicle, or a vehicle file (TOML).")
 ]
+_FixedOption = Annotated[
+    bool, option("--fixed-point", "In whole numbers, for a processor without a floating unit.")
+]
 
 
 @app.command()
 def export(
     out: Annotated[Path, option("--out DIR", "A new or empty folder, or one of an earlier export.")],
     vehicle: _VehicleOption = "mufly-1.1",
+    fixed_point: _FixedOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write the controllers of a vehicle as C99, with Makefile, CMake file, self-test and a README.
 
-    The algorithms are the same for every vehicle; tables.c holds its numbers.
+    The algorithms are the same for every vehicle; tables.c holds its numbers. With --fixed-point also the control
+    law in whole numbers (folder fixed/): says what it costs, and why nothing in it overflows.
 
     Example: mufly firmware export --vehicle mine.toml --out fw, then make -C fw check
     """
@@ -40,12 +48,20 @@ def export(
     from mufly.control import design
     from mufly.vehicle import load_vehicle
 
-    controller = design(load_vehicle(vehicle))
+    helicopter = load_vehicle(vehicle)
+    controller = design(helicopter)
+    law = None
     with writing(out):
         files = firmware.export(controller, out)
+        if fixed_point:
+            law = firmware.export_fixed(controller, out)
+            files = sorted(p for p in out.rglob("*") if p.is_file())
     if as_json:
-        print_json({"files": [str(f) for f in files]})
+        more = {} if law is None else {"losses": law.losses, "proofs": [c.proof for c in law.controllers]}
+        print_json({"files": [str(f) for f in files], **more})
         return
+    if law is not None:
+        _print_fixed(helicopter, controller, law)
     tell_files([out])
     say(
         f"{len(files)} files for {controller.vehicle_name}: try `make -C {out} check`, read {out / 'README.md'}."
@@ -64,16 +80,24 @@ def sil(
         float | None, option("--wind M/S", "Steady wind from the south.", min=-5.0, max=5.0)
     ] = None,
     gust: Annotated[float | None, option("--gust M/S", "Gusts.", min=0.0, max=3.0)] = None,
+    fixed_point: _FixedOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Fly missions in Python and compare the exported code, bit by bit, in every period (software in the loop).
 
-    Needs a C compiler. Ends with status 1 if a bit differs.
+    With --fixed-point the code in whole numbers flies by itself, beside a flight in double precision.
+
+    Needs a C compiler. Ends with status 1 if a bit differs, or a whole number overflows.
     """
     from mufly.firmware import sil as compare
     from mufly.vehicle import load_vehicle
 
     names = missions or ["demonstration", "box-on-leg"]
+    if fixed_point:
+        if wind is not None or gust is not None:
+            raise InputError("--fixed-point", "", "chooses its own gusts", "leave out --wind and --gust")
+        _fly_fixed(load_vehicle(vehicle), names, flights, as_json)
+        return
     done = 0
     with progress_bar("flights", not as_json) as progress:
 
@@ -109,22 +133,92 @@ def _print_sil(results: list[SilResult]) -> None:
         )
 
 
+def _fly_fixed(vehicle: Vehicle, names: list[str], flights: int, as_json: bool) -> None:
+    from mufly.firmware import fly_fixed
+
+    done = 0
+    with progress_bar("flights", not as_json) as progress:
+
+        def flown(_: FixedFlight) -> None:
+            nonlocal done
+            done += 1
+            if progress is not None:
+                progress(done, len(names) * flights)
+
+        results = fly_fixed(vehicle, names, flights=flights, on_flight=flown)
+    answer(as_json, lambda: {"flights": results}, lambda: _print_flown(results))
+    if any(r.overflows for r in results):
+        raise typer.Exit(1)
+
+
+def _print_flown(results: list[FixedFlight]) -> None:
+    print_table(
+        ("mission", "seed", "outcome", "periods", "overflows", "apart (mm)"),
+        [
+            (r.mission, str(r.seed), r.outcome, str(r.periods), str(r.overflows), f"{1e3 * r.apart_m:.1f}")
+            for r in results
+        ],
+        text=(0, 2),
+    )
+    say(
+        "Apart: greatest distance from the flight in double precision. Seeds from 1 on fly in gusts of 0.3 m/s."
+    )
+
+
+def _print_fixed(vehicle: Vehicle, controller: FlightController, law: FixedLaw) -> None:
+    from mufly.firmware import cascade_loss
+
+    taken = {(one.loop, one.form) for one in law.taken}
+    rows = [(one, (one.loop, one.form) in taken) for one in law.losses]
+    rows.append((cascade_loss(vehicle, controller, law), True))
+    print_table(
+        ("loop", "form", "taken", "peaks (dB)", "gain margin (dB)", "phase (dB)", "delay (dB)"),
+        [
+            (
+                one.loop, one.form, "yes" if chosen else "", f"{one.peaks_dB:.4f}", f"{one.gain_dB:.4f}",
+                f"{one.phase_dB:.4f}", f"{one.delay_dB:.4f}",
+            )
+            for one, chosen in rows
+        ],
+        text=(0, 1, 2),
+    )  # fmt: skip
+    say("Lost by whole coefficients of 16 bits: growth of peaks, loss of margins; phase and delay as ratios.")
+    print_table(
+        ("controller", "form", "greatest state of 32 bits", "greatest sum of 64", "refused of 32", "slowest pole"),
+        [
+            (
+                c.name.replace("_", "-"), c.form, f"{c.proof.states.max():.2f}", f"{c.proof.sums.max():.2f}",
+                f"{c.proof.refused:.2f}", f"{c.proof.slowest:.5f}",
+            )
+            for c in law.controllers
+        ],
+        text=(0, 1),
+    )  # fmt: skip
+    say(
+        "Bounds for any inputs within their limits, by the L1 norm, as a share of what the bits hold: below 1 in all."
+    )
+
+
 @app.command()
-def pil(vehicle: _VehicleOption = "mufly-1.1", as_json: JsonOption = False) -> None:
+def pil(
+    vehicle: _VehicleOption = "mufly-1.1", fixed_point: _FixedOption = False, as_json: JsonOption = False
+) -> None:
     """Run the self-test on emulated Cortex-M4 processors and compare it with this machine (processor in the loop).
+
+    With --fixed-point that of the law in whole numbers, on a Cortex-M3, an M4 and an M0.
 
     Needs a C compiler, arm-none-eabi-gcc and qemu-system-arm. Ends with status 1 if a bit differs.
     """
-    from mufly.firmware import pil as emulate
+    from mufly import firmware
     from mufly.vehicle import load_vehicle
 
-    results = emulate(load_vehicle(vehicle))
-    answer(as_json, lambda: {"processors": results}, lambda: _print_pil(results))
+    results = (firmware.pil_fixed if fixed_point else firmware.pil)(load_vehicle(vehicle))
+    answer(as_json, lambda: {"processors": results}, lambda: _print_pil(results, fixed_point))
     if not all(r.same for r in results):
         raise typer.Exit(1)
 
 
-def _print_pil(results: list[PilResult]) -> None:
+def _print_pil(results: list[PilResult], fixed_point: bool) -> None:
     print_table(
         ("emulated", "outputs", "instructions a period", "worst", "flash (B)", "stack (B)"),
         [
@@ -136,4 +230,5 @@ def _print_pil(results: list[PilResult]) -> None:
         ],
         text=(0, 1),
     )  # fmt: skip
-    say("Single precision, gcc -O2. Flash: code and numbers of the controllers; stack: deepest call of them.")
+    how = "Whole numbers" if fixed_point else "Single precision"
+    say(f"{how}, gcc -O2. Flash: code and numbers of the controllers; stack: deepest call of them.")

@@ -1,0 +1,186 @@
+"""The law in whole numbers: bounded by proof, no margin lost, the same in both languages, and it flies."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mufly.control import design
+from mufly.control.implementation import DiscreteController
+from mufly.errors import MuflyError
+from mufly.estimate import Estimate
+from mufly.firmware.checks import missing_tools
+from mufly.firmware.fixed import cascade_loss, fixed_law, whole
+from mufly.firmware.fixed_checks import fly_fixed, pil_fixed
+from mufly.firmware.fixed_law import FixedControllers, FixedFirmwareControllers, sine_cosine_fixed
+from mufly.flight.software import Controllers, copied
+from mufly.vehicle import load_vehicle
+
+COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
+needs_cc = pytest.mark.skipif(not COMPILERS, reason="there is no C compiler on this machine")
+
+
+@pytest.fixture(scope="module", params=["mufly-1.1", "mufly-2.0"])
+def made(request):
+    vehicle = load_vehicle(request.param)
+    controller = design(vehicle)
+    return vehicle, controller, fixed_law(controller)
+
+
+def test_whole_numbers_cost_no_margin_and_cannot_overflow(made) -> None:
+    vehicle, controller, law = made
+    assert {one.loop for one in law.taken} == {"heave-yaw", "roll-pitch", "velocity"}
+    for one in (*law.taken, cascade_loss(vehicle, controller, law)):
+        assert one.worst_dB < 0.1, one
+    for c in law.controllers:
+        assert c.proof.holds
+        assert 0.0 < c.proof.slowest < 1.0
+        assert np.abs(c.update.c).max() <= 32767
+
+
+def _worst(controller, c):
+    """Inputs that drive each state of the stable form as far as inputs within the limits can, one after another."""
+    n, m = len(c.fractions), len(c.output.c[0]) - len(c.fractions)
+    A = c.update.value[:, :n] + np.eye(n) * c.delta
+    B, M = c.update.value[:, n : n + m], c.update.value[:, n + m :]
+    C, D = c.output.value[:, :n], c.output.value[:, n:]
+    inputs, power, found = np.hstack([B - M @ D, M]), np.eye(n), []
+    F = A - M @ C
+    for _ in range(3000):
+        found.append(power @ inputs)
+        power = power @ F
+    return np.array(found)[::-1]
+
+
+def test_the_bound_is_reached_nearly_and_never_passed(made) -> None:
+    """The worst inputs, made from the impulse responses, fill the bound of a state to most of it."""
+    from mufly.firmware.fixed import ACTUATION, ERRORS
+
+    _, controller, law = made
+    c = law.roll_pitch
+    most = np.array([*ERRORS["roll_pitch"], *[ACTUATION["roll_pitch"]] * 2])
+    responses = _worst(controller, c)
+    reached = np.sum(np.abs(responses) * most, axis=(0, 2))
+    bound = c.proof.states * 2.0 ** (31 - np.array(c.fractions))
+    assert np.all(reached < bound)
+    # The rest is rounding and the state it engages with.
+    assert np.all(reached > 0.2 * bound)
+
+
+def test_what_has_no_bound_is_refused(made) -> None:
+    """Without an anti-windup the integrators' states grow for ever while the actuators saturate."""
+    _, controller, _ = made
+    gains = copied(controller.heave_yaw_gains)
+    gains["A"][0, 0] = 1.0
+    gains["M"][:] = 0.0
+    with pytest.raises(MuflyError, match="no bound"):
+        whole("heave_yaw", gains)
+
+
+def _estimate(rng, size) -> Estimate:
+    position, velocity, attitude, rates = rng.normal(0.0, size, (4, 3))
+    return Estimate(0.0, position, velocity, attitude, rates, np.zeros(8), float(rng.uniform(5.0, 9.0)))
+
+
+def _both(one, other, seed, periods, size):
+    rng = np.random.default_rng(seed)
+    start, motors = _estimate(rng, size), rng.uniform(0.0, 1.0, 2)
+    for c in (one, other):
+        c.engage(start, motors)
+        c.lift_off(start)
+    tilt = np.zeros(2)
+    for k in range(periods):
+        now, wanted = _estimate(rng, size), rng.normal(0.0, size, 4)
+        if k % 4 == 0:
+            path = rng.normal(0.0, size, (3, 3))
+            tilts = [c.tilt_for(now, *path) for c in (one, other)]
+            yield tilts
+            tilt = tilts[0]
+        yield [c.step(now, wanted, tilt if k > 3 else None).array for c in (one, other)]
+
+
+@needs_cc
+@pytest.mark.parametrize("cc", COMPILERS)
+def test_c_is_python_bit_for_bit_whatever_is_asked(made, cc) -> None:
+    """Inputs up to the end of 32 bits, where Python would raise if a sum passed 64."""
+    _, controller, law = made
+    for seed, size in enumerate((1e-3, 0.1, 3.0, 1e3, 1e7)):
+        one, two = FixedControllers(controller, law), FixedFirmwareControllers(controller, law, cc=cc)
+        if size == 3.0:  # and with numbers changed in flight
+            gains = copied(controller.heave_yaw_gains)
+            gains["heave_acceleration"] *= 1.5
+            for c in (one, two):
+                c.retune(replace(controller, heave_yaw_gains=gains))
+        for a, b in _both(one, two, seed, 120, size):
+            assert a.tobytes() == b.tobytes()
+            assert np.abs(a).max() <= 1.0
+        assert one.overflows == two.overflows == 0
+
+
+def test_it_computes_what_the_law_does(made) -> None:
+    """Beside the law in double precision, for a second of small errors: within 2e-4 of the full range."""
+    _, controller, law = made
+    off = [
+        np.abs(a - b).max()
+        for a, b in _both(Controllers(controller), FixedControllers(controller, law), 0, 200, 0.01)
+    ]
+    assert 0.0 < max(off) < 2e-4
+
+
+def test_sine_and_cosine_of_whole_angles() -> None:
+    for angle in [
+        0,
+        1,
+        -1,
+        2**31 - 1,
+        -(2**31),
+        *np.random.default_rng(0).integers(-(2**31), 2**31, 500).tolist(),
+    ]:
+        s, c = sine_cosine_fixed(angle)
+        assert abs(s / 2**30 - math.sin(angle / 2**20)) < 5e-9
+        assert abs(c / 2**30 - math.cos(angle / 2**20)) < 5e-9
+
+
+def test_rounded_numbers_are_those_analysed(made) -> None:
+    """The system put into the loop is the whole numbers over their powers of two, in coordinates of the states."""
+    _, controller, law = made
+    c = law.roll_pitch
+    exact: DiscreteController = controller.roll_pitch.discrete
+    system = c.system(exact)
+    n = len(c.fractions)
+    for rows, value, bits in (
+        (c.update, c.update.value, np.array(c.fractions)),
+        (c.output, c.output.value, np.full(2, 20)),
+    ):
+        fractions = np.concatenate([c.fractions, np.full(4, 20), [16, 16]])[: rows.c.shape[1]]
+        told = rows.c * 2.0**rows.up * 2.0 ** -rows.down[:, None].astype(float)
+        told = told * 2.0 ** (fractions[None, :] - bits[:, None])
+        assert np.allclose(told, value, rtol=1e-12)
+    assert system.A.shape == (n, n)
+
+
+@pytest.mark.skipif(bool(missing_tools()) or not COMPILERS, reason=missing_tools() or "no C compiler")
+def test_processors_without_a_floating_unit_compute_the_same() -> None:
+    results = pil_fixed(load_vehicle("mufly-1.1"))
+    assert [r.machine for r in results] == [
+        "mps2-an385 (cortex-m3)", "mps2-an386 (cortex-m4)", "microbit (cortex-m0)"
+    ]  # fmt: skip
+    for r in results:
+        assert r.same
+        assert 3000 < r.mean_instructions < r.worst_instructions < 50_000
+        assert r.flash_bytes < 16_000
+        assert r.ram_bytes == 0
+        assert 100 < r.stack_bytes < 1000
+
+
+@needs_cc
+def test_it_flies_the_mission_and_nothing_overflows() -> None:
+    (one,) = fly_fixed(load_vehicle("mufly-1.1"), ["box-on-leg"])
+    assert one.outcome == "succeeded"
+    assert one.overflows == 0
+    assert one.periods > 5000
+    assert 0.0 < one.apart_m < 0.01
