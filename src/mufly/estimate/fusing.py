@@ -24,6 +24,9 @@ import numpy as np
 from mufly.compiled import compiled
 from mufly.estimate.factors import expected, loosen, observe
 from mufly.estimate.guards import (
+    AWAY,
+    FAULTY,
+    FINE,
     FUSED,
     NO_WALL,
     NOTHING,
@@ -32,8 +35,10 @@ from mufly.estimate.guards import (
     SLOPE,
     STEP,
     STRAINED,
+    STUCK_,
     TAKEN_OVER,
     TOO_FAR,
+    WANDERS,
     felt_fits,
     fits,
     flag,
@@ -53,6 +58,7 @@ from mufly.estimate.layout import (
     R_FIX,
     R_MAGNET,
     R_PRESSURE,
+    R_RATES,
     R_RING,
     R_SONAR,
     THRUST_,
@@ -71,6 +77,12 @@ LEAN = 2.2
 STRAIN = 11.0
 """Mean square of the worst of the fix's four ratios over half a second; 2.4 is usual."""
 _AGREE_S = 1.0
+RANGE = 5.0
+"""Deviations of a wandering beyond which it is no wandering."""
+GYRO_RANGE = 8.0
+"""Deviations of the gyroscopes' bias at the start beyond which they cannot be flown on for long."""
+STUCK = 1e-9
+"""Chance that a sonar that works repeats itself for so long."""
 _BEAM_GATE = 4.0
 _LEAST_FLOOR = -0.1  # m: a room has nothing below its floor
 
@@ -155,10 +167,52 @@ def _fix_innovation(m, z, i, ahead):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
+def _out_of_range(m, s, i):  # type: ignore[no-untyped-def]
+    """What a component of the fix is believed to be off by, over the most that its model allows.
+
+    A wandering of deviation sigma is believed to be off by 5 sigma once in two million times its correlation's time.
+    Innovations do not show such an error, because the bias follows it.
+    """
+    noise = s.fix_variance if i < 3 else s.heading_variance
+    return abs(m.x[17 + i]) / (RANGE * math.sqrt(s.sigma[FIX + i] * s.sigma[FIX + i] + noise))
+
+
+@compiled(error_model="numpy")
+def _sonar_holds(m, s):  # type: ignore[no-untyped-def]
+    """Whether the sonar tells the height, over a floor that is known."""
+    k = R_SONAR
+    fresh = m.used[k] > 0 and (m.tick - m.used[k]) * s.dt < 0.3
+    return fresh and m.code[k] == FUSED and m.why[k] == FINE and m.edge == 0
+
+
+@compiled(error_model="numpy")
+def _agrees_down(m, s, z, ahead):  # type: ignore[no-untyped-def]
+    """Whether fix and sonar agree on the height; if not, what they are apart by is kept in ``m.suspect[R_FIX, 3]``.
+
+    Which of them is wrong nobody knows: pressure wanders by as much. The height goes on by the sonar, and what they
+    are apart by is added to what is told of the uncertainty of the place.
+    """
+    k = R_FIX
+    nu = _fix_innovation(m, z, 2, ahead)
+    _fix_row(m, 2)
+    off = abs(_ratio(m, nu, s.fix_variance))
+    whole = abs(nu + m.x[19])
+    if m.suspect[k, 3] > 0.0:
+        blind = (m.tick - m.used[R_SONAR]) * s.dt > 0.3
+        m.suspect[k, 3] = 0.0 if blind or off < 2.5 else whole
+    elif _sonar_holds(m, s) and (_out_of_range(m, s, 2) > 1.0 or (off > GATE and _taken_over(m, s, k))):
+        m.suspect[k, 3] = whole
+    return m.suspect[k, 3] == 0.0
+
+
+@compiled(error_model="numpy")
 def fuse_fix(m, s, z, ahead):  # type: ignore[no-untyped-def]
-    """Position and heading."""
+    """Position and heading; no height where that is not the sonar's."""
     k, worst, at = R_FIX, 0.0, 0.0
+    down = _agrees_down(m, s, z, ahead)
     for i in range(4):
+        if i == 2 and not down:
+            continue
         _fix_row(m, i)
         r = s.fix_variance if i < 3 else s.heading_variance
         nu = _fix_innovation(m, z, i, ahead)
@@ -185,16 +239,24 @@ def fuse_fix(m, s, z, ahead):  # type: ignore[no-untyped-def]
         flag(m, s, k, REJECTED, TAKEN_OVER, nu)
     # Off by much again and again: something carries the filter astray that it does not know, as gyroscopes that drift.
     m.strain += 0.15 * (worst * worst - m.strain)
-    if m.strain > STRAIN:
+    out = max(_out_of_range(m, s, 0), _out_of_range(m, s, 1), _out_of_range(m, s, 3))
+    if m.strain > STRAIN or out > 1.0:
         for i in range(3):
             loosen(m.ut, m.d, TURN + i, 1e-5, m.f)
             loosen(m.ut, m.d, GYRO + i, 1e-4, m.f)
             loosen(m.ut, m.d, V + i, 1e-3, m.f)
         flag(m, s, k, FUSED, STRAINED, at)
     for i in range(4):
+        if i == 2 and not down:
+            continue
         _fix_row(m, i)
         _take(m, _fix_innovation(m, z, i, ahead), s.fix_variance if i < 3 else s.heading_variance)
+    for i in range(3):
+        if abs(m.x[10 + i]) > GYRO_RANGE * s.sigma[GYRO + i] and m.code[R_RATES] == FUSED:
+            flag(m, s, R_RATES, REJECTED, WANDERS, m.x[10 + i])
     fits(m, k)
+    if not down:
+        flag(m, s, k, FAULTY, AWAY, m.suspect[k, 3])
     m.aligned |= 1
 
 
@@ -214,6 +276,24 @@ def _sonar_row(m, s, r):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
+def _repeats(m, s, z, nu, ratio):  # type: ignore[no-untyped-def]
+    """Whether the sonar repeats itself for longer than its noise and the vehicle's moving allow.
+
+    A reading in steps of h is the one before with a chance of about h / (sqrt(2 pi) sigma) exp(-nu^2 / (2 sigma^2)),
+    sigma of the innovation nu; exp(-x) <= 1 / (1 + x).
+    """
+    same = z == m.suspect[R_SONAR, 1]
+    m.suspect[R_SONAR, 1] = z
+    if not same:
+        m.suspect[R_SONAR, 2] = 1.0
+        return False
+    sigma = abs(nu / ratio) if ratio != 0.0 else math.sqrt(s.sonar_variance)
+    likely = 0.399 * s.sonar_step / sigma / (1.0 + 0.5 * ratio * ratio)
+    m.suspect[R_SONAR, 2] *= min(likely, 1.0)
+    return m.suspect[R_SONAR, 2] < STUCK
+
+
+@compiled(error_model="numpy")
 def fuse_sonar(m, s, z, ahead, r):  # type: ignore[no-untyped-def]
     """Height above what lies below; a step that nothing else saw is the floor's."""
     k = R_SONAR
@@ -226,6 +306,9 @@ def fuse_sonar(m, s, z, ahead, r):  # type: ignore[no-untyped-def]
     nu = z[0] - expect
     ratio = _ratio(m, nu, s.sonar_variance)
     _note(m, k, nu, ratio)
+    if _repeats(m, s, z[0], nu, ratio):
+        flag(m, s, k, FAULTY, STUCK_, z[0])
+        return
     # Always off to the same side: the surface slopes, or the sonar drifts. Either way it is not the height.
     if abs(ratio) < GATE:
         m.lean += 0.2 * (ratio - m.lean)

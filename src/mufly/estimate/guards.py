@@ -25,6 +25,7 @@ from mufly.estimate.layout import (
     MODELLED,
     R_ACCELERATION,
     R_BATTERY,
+    R_FIX,
     R_RATES,
     R_RING,
     R_ROTOR,
@@ -40,8 +41,8 @@ NOTHING, FUSED, REJECTED, MISSING, FAULTY = range(5)
 """Status of a sensor, as a number."""
 (
     FINE, NOTHING_YET, SILENT, LATE, INSANE, FROZEN, DOUBLED, OFF, CLIPS, STEP, TAKEN_OVER, NO_ECHO, TOO_FAR, NO_WALL,
-    SPIKES, JUMPED, SLOPE, STRAINED,
-) = range(18)  # fmt: skip
+    SPIKES, JUMPED, SLOPE, STRAINED, AWAY, STUCK_, WANDERS,
+) = range(21)  # fmt: skip
 """Why, as a number; the words are in :mod:`mufly.estimate.words`."""
 ALARM, SONAR_ALARM, FORGET = 1.5, 3.0, 0.93
 LASTS_S = 0.5
@@ -90,7 +91,7 @@ def _repeated(m, s, z, k, start, count):  # type: ignore[no-untyped-def]
     if s.noisy[k] == 0 or m.came[k] == 0:
         return False
     told = False
-    for j in range(count):
+    for j in range(3 if k == R_FIX else count):  # a camera that hangs may still turn with the gyroscopes
         if z[start + j] != m.last[k, j]:
             return False
         told = told or (
@@ -144,7 +145,7 @@ def inspect(m, s, z, new, age):  # type: ignore[no-untyped-def]
                 m.code[k], m.why[k] = FUSED, FINE
             if age[k] > s.latency[k] + s.slack[k] or age[k] < -s.dt:
                 flag(m, s, k, FAULTY, LATE, age[k])
-                if k <= R_RATES:
+                if k <= R_RATES or k == R_ROTOR or k == R_BATTERY:
                     new[k] = 0
             if s.every[k] > 1:
                 m.turns[k] += 1

@@ -405,7 +405,8 @@ def _tell_covariance(m, s):  # type: ignore[no-untyped-def]
             m.out_cov[j, i] = v
     for i in range(9):
         if i < 3:
-            m.out_cov[i, i] += m.slip[i] * m.slip[i]
+            # Whoever is off in height, fix or sonar, the fix may be off by as much in any direction
+            m.out_cov[i, i] += m.slip[i] * m.slip[i] + m.suspect[R_FIX, 3] * m.suspect[R_FIX, 3]
         m.sigma[i] = math.sqrt(m.out_cov[i, i])
     # Turns about N, E, D to roll, pitch and yaw
     x = m.out

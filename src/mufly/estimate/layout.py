@@ -128,7 +128,7 @@ _NUMBERS: dict[str, Any] = {
     "fitted": "i9", "period": (SENSORS,), "latency": (SENSORS,), "patience": (SENSORS,), "slack": (SENSORS,),
     "noisy": "i9", "bound": (SENSORS,),
     "every": "i9",
-    "sonar_place": (3,), "sonar_variance": (), "sonar_cone": (), "sonar_min": (), "sonar_max": (),
+    "sonar_place": (3,), "sonar_variance": (), "sonar_step": (), "sonar_cone": (), "sonar_min": (), "sonar_max": (),
     "fix_variance": (), "heading_variance": (),
     "beams": "i", "beam": (BEAMS, 3), "ring_max": (), "ring_slope": (), "ring_baseline": (), "walls": (6,),
     "pressure_variance": (), "pressure_slope": (), "pressure_thrust": (2,),
@@ -239,6 +239,7 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
         fitted[R_SONAR], period[R_SONAR] = 1, float(sonar.period)
         s["sonar_place"] = sonar.place.array()[0]
         s["sonar_variance"] = float(sonar.noise) ** 2 + float(sonar.resolution) ** 2 / 12 + 1e-6
+        s["sonar_step"] = float(sonar.resolution)
         s["sonar_cone"] = 0.5 * float(sonar.cone)
         s["sonar_min"], s["sonar_max"] = float(sonar.min_range), float(sonar.max_range)
         bound[R_SONAR] = 1.01 * s["sonar_max"]

@@ -30,6 +30,9 @@ _WORDS: Mapping[int, Callable[[float, str], str]] = {
     g.NO_WALL: lambda x, u: "sees something, but no wall of the room",
     g.SPIKES: lambda x, u: f"has spikes of {x:.2g} {u}: the flight model fills in",
     g.SLOPE: lambda x, u: f"leads away by {x:.3g} {u} and more: the surface below slopes, or it drifts",
+    g.AWAY: lambda x, u: f"is {x:.2f} m apart from the sonar about the height: one of them is wrong",
+    g.STUCK_: lambda x, u: f"says {x:.2f} m again and again, more alike than a flight is",
+    g.WANDERS: lambda x, u: f"has a bias of {x:.2g} {u} by now, more than it can have",
     g.STRAINED: lambda x, u: f"keeps being off, by {x:.3g} {u} now: it or the gyroscopes drift",
     g.JUMPED: lambda x, u: f"has jumped by {x:.2g} {u}, which no moment has made",
 }

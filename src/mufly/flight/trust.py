@@ -10,11 +10,12 @@ height uncertain by more than 0.3 m               it lands
 roll or pitch uncertain by more than 8 degrees,   it sinks with its servos at trim, which the stabiliser bar makes a
 gyroscopes gone for 0.1 s, or two of fix, sonar   level attitude
 and compass not believed for 0.15 s at once
-heading uncertain by more than 30 degrees         it lands
+heading uncertain by more than 30 degrees, or     it lands
+a bias of the gyroscopes that they cannot have
 ================================================ ===================================================================
 
-All but the last are standard deviations, that of the position beyond the one with which it stood on the floor. The
-last is the one case in which what is thought of sensors decides: without rates of turn an attitude is known for no
+Uncertainties are standard deviations, that of the position beyond the one with which it stood on the floor. Besides
+them what is thought of sensors decides in two cases: without rates of turn an attitude is known for no
 longer, and where two that know nothing of each other contradict, it is the attitude between them that is wrong. In
 the air only, and not against a pilot, who is told and decides.
 
@@ -124,6 +125,9 @@ def judge(m: Estimate, stood: float = 0.0) -> Doubt:
         return Doubt("sink", f"attitude uncertain by {math.degrees(tilt):.0f} deg{_because(m, _LEVEL)}")
     if heading > HEADING:
         return Doubt("land", f"heading uncertain by {math.degrees(heading):.0f} deg{_because(m, _HEADING)}")
+    rates = next((c for c in checks_of(m) if c.name == "rates"), None)
+    if rates is not None and rates.status == "rejected":
+        return Doubt("land", told(rates))
     if height > HEIGHT_M:
         return Doubt("land", f"height uncertain by {height:.2f} m{_because(m, _HEIGHT)}")
     if place > HOLD_M:
