@@ -83,6 +83,8 @@ GYRO_RANGE = 8.0
 """Deviations of the gyroscopes' bias at the start beyond which they cannot be flown on for long."""
 STUCK = 1e-9
 """Chance that a sonar that works repeats itself for so long."""
+CLEAR = 0.15
+"""Height (m) above which no leg touches: what turns it then is in the flight model."""
 _BEAM_GATE = 4.0
 _LEAST_FLOOR = -0.1  # m: a room has nothing below its floor
 
@@ -164,6 +166,12 @@ def _fix_innovation(m, z, i, ahead):  # type: ignore[no-untyped-def]
     yaw = math.atan2(2 * (x[6] * x[9] + x[7] * x[8]), 1 - 2 * (x[8] * x[8] + x[9] * x[9]))
     off = z[3] - yaw - x[20]
     return off - 2 * math.pi * math.floor(off / (2 * math.pi) + 0.5)
+
+
+@compiled(error_model="numpy")
+def height_over(x, s):  # type: ignore[no-untyped-def]
+    """How high the legs are above what lies below (m); that is not lower than the floor, whatever the sonar says."""
+    return -x[2] - max(x[16], 0.0) - s.stands
 
 
 @compiled(error_model="numpy")
@@ -276,7 +284,7 @@ def _sonar_row(m, s, r):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _repeats(m, s, z, nu, ratio):  # type: ignore[no-untyped-def]
+def _repeats(m, s, z, nu):  # type: ignore[no-untyped-def]
     """Whether the sonar repeats itself for longer than its noise and the vehicle's moving allow.
 
     A reading in steps of h is the one before with a chance of about h / (sqrt(2 pi) sigma) exp(-nu^2 / (2 sigma^2)),
@@ -284,11 +292,12 @@ def _repeats(m, s, z, nu, ratio):  # type: ignore[no-untyped-def]
     """
     same = z == m.suspect[R_SONAR, 1]
     m.suspect[R_SONAR, 1] = z
-    if not same:
+    if not same or height_over(m.x, s) < CLEAR:
         m.suspect[R_SONAR, 2] = 1.0
         return False
-    sigma = abs(nu / ratio) if ratio != 0.0 else math.sqrt(s.sonar_variance)
-    likely = 0.399 * s.sonar_step / sigma / (1.0 + 0.5 * ratio * ratio)
+    # A height that is hardly known has no part in it: it may be better than believed.
+    sigma = 1.3 * math.sqrt(s.sonar_variance)
+    likely = 0.399 * s.sonar_step / sigma / (1.0 + 0.5 * min(nu * nu / (sigma * sigma), 9.0))
     m.suspect[R_SONAR, 2] *= min(likely, 1.0)
     return m.suspect[R_SONAR, 2] < STUCK
 
@@ -306,7 +315,7 @@ def fuse_sonar(m, s, z, ahead, r):  # type: ignore[no-untyped-def]
     nu = z[0] - expect
     ratio = _ratio(m, nu, s.sonar_variance)
     _note(m, k, nu, ratio)
-    if _repeats(m, s, z[0], nu, ratio):
+    if _repeats(m, s, z[0], nu):
         flag(m, s, k, FAULTY, STUCK_, z[0])
         return
     # Always off to the same side: the surface slopes, or the sonar drifts. Either way it is not the height.

@@ -18,6 +18,7 @@ import math
 from mufly.compiled import compiled
 from mufly.estimate.factors import carry, sigmas
 from mufly.estimate.fusing import (
+    CLEAR,
     fuse_fix,
     fuse_force,
     fuse_magnet,
@@ -25,6 +26,7 @@ from mufly.estimate.fusing import (
     fuse_rest,
     fuse_ring,
     fuse_sonar,
+    height_over,
     settle_floor,
 )
 from mufly.estimate.guards import (
@@ -79,8 +81,6 @@ STANDING, RUNNING, LIGHT, FLYING = range(4)
 _ALIGNED_S = 0.8
 JUMP, SLIP_S = 0.05, 0.4
 """A jump of the state of more than this (m) is told over some time (s)."""
-CLEAR = 0.15
-"""Height (m) above which no leg touches: what turns it then is in the flight model."""
 _BLIND_S = 0.1  # without gyroscopes
 SCATTER = 5.0
 """Density of the accelerometers' noise before it is known, m^2/s^3: none would be believed more than the model."""
@@ -138,7 +138,7 @@ def _queue(m, kind, due, ahead, z, start, count):  # type: ignore[no-untyped-def
 def _mode(m, s, z):  # type: ignore[no-untyped-def]
     """Whether it stands, flies or is about to: by what the rotors lift and how high it is."""
     lift = -m.force[m.tick % MODELLED, 2] * m.x[23] / GRAVITY if s.model > 0 else 1.0
-    height = -m.out[2] - m.out[16] - s.stands
+    height = height_over(m.out, s)
     off = z[ACTING] + z[ACTING + 1] < 0.02
     if m.mode <= RUNNING:
         m.mode = STANDING if off and m.rotor[18] + m.rotor[19] < 0.2 * (s.hover[0] + s.hover[1]) else RUNNING
@@ -454,7 +454,9 @@ def step(m, s, p, z, new, age):  # type: ignore[no-untyped-def]
     for k in range(3):
         m.before[k] = m.rates[k]
         m.rates[k] = z[_Z[R_RATES] + k] - m.shift[k]
-    smooth_rates(m, s, m.mode == FLYING and -m.out[2] - m.out[16] - s.stands > CLEAR)
+    # A floor below the room's, or a fix that is apart from the sonar: the height is off by as much
+    doubt = m.suspect[R_FIX, 3] - min(m.out[16], 0.0)
+    smooth_rates(m, s, m.mode == FLYING and height_over(m.out, s) > CLEAR + doubt)
     _force(m, s, p, z, new, r)
     if s.model > 0 and (m.mode == FLYING or m.mode == RUNNING) and m.code[R_ACCELERATION] < MISSING:
         _scatter(m, s, z)
