@@ -81,7 +81,7 @@ RANGE = 5.0
 """Deviations of a wandering beyond which it is no wandering."""
 GYRO_RANGE = 8.0
 """Deviations of the gyroscopes' bias at the start beyond which they cannot be flown on for long."""
-STUCK = 1e-9
+STUCK = 1e-11
 """Chance that a sonar that works repeats itself for so long."""
 CLEAR = 0.15
 """Height (m) above which no leg touches: what turns it then is in the flight model."""

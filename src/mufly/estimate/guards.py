@@ -145,7 +145,7 @@ def inspect(m, s, z, new, age):  # type: ignore[no-untyped-def]
                 m.code[k], m.why[k] = FUSED, FINE
             if age[k] > s.latency[k] + s.slack[k] or age[k] < -s.dt:
                 flag(m, s, k, FAULTY, LATE, age[k])
-                if k <= R_RATES or k == R_ROTOR or k == R_BATTERY:
+                if k <= R_RATES or k in (R_ROTOR, R_BATTERY):
                     new[k] = 0
             if s.every[k] > 1:
                 m.turns[k] += 1
