@@ -9,7 +9,7 @@ from typing import Any
 import typer
 
 import mufly
-from mufly.cli import coax, control, drive, fly, log, mission, rotor, station, study, vehicle
+from mufly.cli import coax, control, drive, fly, log, mission, monte_carlo, rotor, station, study, vehicle
 from mufly.cli import optimise as _optimise  # noqa: F401  adds to the commands of rotor and coax, as study does
 from mufly.cli import station as link
 from mufly.cli.identify import flight as identify
@@ -28,6 +28,7 @@ app = Commands(
     pretty_exceptions_enable=False,
 )
 app.command("fly", help=fly.HELP)(fly.fly)
+app.command("monte-carlo", help=monte_carlo.HELP)(monte_carlo.monte_carlo)
 app.command("link", help=link.LINK_HELP)(link.link)
 app.command("station", help=station.HELP)(station.station)
 app.add_typer(rotor.app, name="rotor")

@@ -84,6 +84,7 @@ class Order:
     sensors: Literal["ideal", "fitted"]
     faults: tuple[Fault, ...]
     controllers: Callable[[FlightController], Controllers] | None
+    designed_for: Vehicle | None
 
 
 def _free_port() -> int:
@@ -99,7 +100,7 @@ def _start(order: Order, endpoints: Sequence[Endpoint], autostart: bool) -> Vehi
         order.vehicle, order.mission, endpoints=endpoints, path=order.recording,
         tlog=order.recording.with_name("link.tlog") if order.links else None,
         wind=order.wind, gust=order.gust, seed=order.seed, sensors=order.sensors, faults=order.faults,
-        controllers=order.controllers, autostart=autostart, where="--link",
+        controllers=order.controllers, designed_for=order.designed_for, autostart=autostart, where="--link",
     )  # fmt: skip
 
 
@@ -303,6 +304,13 @@ def fly(
     fault: FaultOption = None,
     firmware: FirmwareOption = False,
     fixed_point: FixedPointOption = False,
+    designed_for: Annotated[
+        str | None,
+        option(
+            "--designed-for NAME|FILE",
+            "Fly it with the controllers and the filter of this vehicle, as if it were that one.",
+        ),
+    ] = None,
     realtime: Annotated[bool, option("--realtime", "Keep pace with the clock.")] = False,
     as_json: Annotated[
         bool, option("--json", "Print the summary as JSON on standard output, and nothing else.")
@@ -353,8 +361,15 @@ def fly(
         "ideal" if sensors == "ideal" else "fitted",
         faults,
         on_board(firmware, fixed_point),
+        None if designed_for is None else load_vehicle(designed_for),
     )
-    preflight(order.vehicle, order.mission, vehicle_file=vehicle, mission_file=mission)
+    # One that is taken for another is judged by that other, as its pilot would.
+    preflight(
+        order.designed_for or order.vehicle,
+        order.mission,
+        vehicle_file=designed_for or vehicle,
+        mission_file=mission,
+    )
     address = None
     if not (headless or as_json):
         from mufly.station.page.server import choose_address
@@ -417,8 +432,7 @@ def _fly_in_terminal(terminal: Console, order: Order, ending: Ending) -> xr.Data
             return flight.fly(
                 order.vehicle, order.mission, wind=order.wind, gust=order.gust, seed=order.seed,
                 sensors=order.sensors, faults=order.faults, controllers=order.controllers, realtime=order.realtime,
-                path=order.recording,
-                on_progress=show, on_event=display.event,
+                path=order.recording, designed_for=order.designed_for, on_progress=show, on_event=display.event,
             )  # fmt: skip
     except KeyboardInterrupt:
         if order.recording.exists():

@@ -36,7 +36,7 @@ from mufly.dynamics import (
     standing_height,
 )
 from mufly.errors import InputError
-from mufly.estimate import Estimator, IdealEstimator, fitted_estimator
+from mufly.estimate import Estimate, Estimator, IdealEstimator, fitted_estimator
 from mufly.flight.autopilot import Autopilot
 from mufly.flight.plant import Plant, row_writer
 from mufly.flight.recorder import Recorder
@@ -45,7 +45,7 @@ from mufly.flight.software import Actuators, Controllers
 from mufly.flight.state import FlightState
 from mufly.logs.mcap import Event, standard_layout
 from mufly.mission import Mission, MissionEstimate, dump_mission, load_mission, preflight
-from mufly.sensors import Fault, FittedSensors, Sensors, fitted_sensors, ideal_sensors
+from mufly.sensors import Fault, FittedSensors, Sensors, Truth, fitted_sensors, ideal_sensors
 from mufly.vehicle import Vehicle, load_vehicle, vehicle_toml
 from mufly.version import __version__
 
@@ -95,6 +95,10 @@ class Flight:
     controllers : callable, optional
         Makes what computes the control law, instead of :class:`mufly.flight.software.Controllers`: the exported code,
         for instance (:mod:`mufly.firmware`).
+    designed_for : Vehicle, optional
+        The vehicle that controllers, autopilot and estimator take it for; by default they know the true one.
+    brief : bool
+        Record what a flight is judged by, at 100 Hz, and not what its sensors said.
 
     Raises
     ------
@@ -121,15 +125,18 @@ class Flight:
         estimator: Estimator | None = None,
         faults: Sequence[Fault] = (),
         controllers: Callable[[FlightController], Controllers] | None = None,
+        designed_for: Vehicle | None = None,
+        brief: bool = False,
     ) -> None:
         vehicle = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
         mission = mission if isinstance(mission, Mission) else load_mission(mission)
-        controller = design(vehicle) if controller is None else controller
+        believed = vehicle if designed_for is None else designed_for
+        controller = design(believed) if controller is None else controller
         steady = np.asarray(mission.wind.steady_m_s if wind is None else wind, dtype=np.float64)
         gust = mission.wind.gust_m_s if gust is None else gust
         self.vehicle = vehicle
         self.period_s = 1.0 / controller.rate_Hz
-        self.autopilot = Autopilot(vehicle, controller, mission)
+        self.autopilot = Autopilot(believed, controller, mission)
         if controllers is not None:
             self.autopilot.software.compute_with(controllers)
         air = DrydenWind(steady, gust, step_s=self.period_s, length_m=GUST_LENGTH_M, seed=seed)
@@ -141,10 +148,11 @@ class Flight:
         self.plant = Plant(vehicle, mission.world, air, controller.rate_Hz, self._start)
         self._look = max(1, round(controller.rate_Hz / RING_HZ))
         self.sensors = _sensors(sensors, vehicle, mission, self._look, seed, faults)
-        sensed = isinstance(self.sensors, FittedSensors)
+        sensed = self.sensed = isinstance(self.sensors, FittedSensors)
+        full = sensed and not brief
         if estimator is None:
             estimator = (
-                fitted_estimator(vehicle, mission.world, controller.rate_Hz) if sensed else IdealEstimator()
+                fitted_estimator(believed, mission.world, controller.rate_Hz) if sensed else IdealEstimator()
             )
         self.estimator = estimator
         self.lacking = (
@@ -163,10 +171,11 @@ class Flight:
                 "gust_m_s": gust,
                 **({"outside_model": self.outside} if self.outside else {}),
                 "rate_Hz": controller.rate_Hz,
+                **({} if designed_for is None else {"designed_for": designed_for.name}),
                 **({"sensors": "fitted", "faults": [str(f) for f in faults]} if sensed else {}),
                 "version": __version__,
             },
-            layout=standard_layout(vehicle.range_ring.count, sensors=sensed),
+            layout=standard_layout(vehicle.range_ring.count, sensors=full),
             attachments={"vehicle.toml": vehicle_toml(vehicle), "mission.toml": dump_mission(mission)},
             scene_view={
                 "world": mission.world,
@@ -176,8 +185,8 @@ class Flight:
             keep=keep,
         )
         self._write = row_writer(self.recorder)
-        self._write_sensed = sensed_row_writer(self.recorder) if sensed else None
-        self._every = 1 if sensed else max(1, round(controller.rate_Hz / RECORD_HZ))
+        self._write_sensed = sensed_row_writer(self.recorder) if full else None
+        self._every = 1 if full else max(1, round(controller.rate_Hz / RECORD_HZ))
         self._acting = self._sent = Actuators.idle()
         self._first_look()
         self._crash_s = math.inf
@@ -201,9 +210,14 @@ class Flight:
         self._estimate = self.estimator.update(self._readings, acted.array.astype(np.float64))
 
     @property
-    def sensed(self) -> bool:
-        """Whether it flies on the vehicle's own sensors."""
-        return self._write_sensed is not None
+    def truth(self) -> Truth:
+        """What is true at the instant of the last readings."""
+        return self._truth
+
+    @property
+    def estimate(self) -> Estimate:
+        """What is believed of it."""
+        return self._estimate
 
     @property
     def time_s(self) -> float:
@@ -226,7 +240,7 @@ class Flight:
             self._current_A += blend * (
                 (float(plant.current) if flying else autopilot.hover_A) - self._current_A
             )
-        if not (fresh and self._write_sensed):  # a filter hears of every instant once
+        if not (fresh and self.sensed):  # a filter hears of every instant once
             self._measure(acted)
         self._sent = autopilot.step(self._estimate)
         if k % self._every == 0:
@@ -403,6 +417,9 @@ def fly(
     estimator: Estimator | None = None,
     faults: Sequence[Fault] = (),
     controllers: Callable[[FlightController], Controllers] | None = None,
+    designed_for: Vehicle | None = None,
+    brief: bool = False,
+    on_tick: Callable[[Flight], None] | None = None,
 ) -> xr.Dataset:
     """Fly a mission on the full nonlinear model.
 
@@ -412,7 +429,7 @@ def fly(
         Or the name or file of one.
     mission : Mission, str or Path
         Or the name or file of one.
-    controller, wind, gust, seed, path, sensors, estimator, faults, controllers : optional
+    controller, wind, gust, seed, path, sensors, estimator, faults, controllers, designed_for, brief : optional
         As for :class:`Flight`; without a path the recording is in memory only.
     realtime : bool
         Keep pace with the clock instead of flying as fast as the machine can.
@@ -420,6 +437,8 @@ def fly(
         Called with a :class:`Progress` about ten times a second.
     on_event : callable, optional
         Called with every :class:`Event`: changes of the mission's state, with the reason, and what went wrong.
+    on_tick : callable, optional
+        Called with the flight after every period.
 
     Returns
     -------
@@ -436,7 +455,8 @@ def fly(
         vehicle = load_vehicle(vehicle)
     if not isinstance(mission, Mission):
         mission = load_mission(mission)
-    expected = preflight(vehicle, mission)
+    # What the vehicle is taken for decides whether it may fly; whether it can is seen.
+    expected = preflight(vehicle if designed_for is None else designed_for, mission)
     with Flight(
         vehicle,
         mission,
@@ -449,6 +469,8 @@ def fly(
         estimator=estimator,
         faults=faults,
         controllers=controllers,
+        designed_for=designed_for,
+        brief=brief,
     ) as flight:
         if on_event is not None:
             flight.autopilot.listeners.append(on_event)
@@ -457,7 +479,7 @@ def fly(
         slower = flight.autopilot.software.slower
         if slower:
             flight.note(f"slower than asked, as the controllers can: {slower}", "warning")
-        wall_s = _run(flight, expected, _time_limit(mission, expected), realtime, on_progress)
+        wall_s = _run(flight, expected, _time_limit(mission, expected), realtime, on_progress, on_tick)
         outcome, reason = _judge(flight)
         flight.close(outcome, reason, realtime_factor=flight.time_s / max(wall_s, 1e-9))
     return flight.recorder.dataset()
@@ -476,6 +498,7 @@ def _run(
     time_limit: float,
     realtime: bool,
     on_progress: Callable[[Progress], None] | None,
+    on_tick: Callable[[Flight], None] | None,
 ) -> float:
     """Fly until the mission has ended, the vehicle has crashed or time is up; return the wall time (s)."""
     software, plant = flight.autopilot.software, flight.plant
@@ -491,6 +514,8 @@ def _run(
         flight.autopilot.start_mission()
     while flight.time_s < ended_at + RECORDED_AFTER_S:
         flight.tick()
+        if on_tick is not None:
+            on_tick(flight)
         now = time.perf_counter()
         if on_progress is not None and now - shown > PROGRESS_S:
             shown = now

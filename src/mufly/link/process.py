@@ -505,6 +505,7 @@ def start_vehicle(
     sensors: Sensing = "ideal",
     faults: Sequence[Fault] = (),
     controllers: Callable[[FlightController], Controllers] | None = None,
+    designed_for: Vehicle | None = None,
     autostart: bool = False,
     system: int = 1,
     origin: Origin | None = None,
@@ -518,7 +519,7 @@ def start_vehicle(
     endpoints : sequence of Endpoint
     path, tlog : str or Path, optional
         Recording (MCAP) and telemetry log to write.
-    wind, gust, seed, sensors, faults, controllers
+    wind, gust, seed, sensors, faults, controllers, designed_for
         As for :class:`mufly.flight.Flight`.
     autostart : bool
         Arm and fly the mission by itself.
@@ -551,6 +552,7 @@ def start_vehicle(
             "sensors": sensors,
             "faults": tuple(faults),
             "controllers": controllers,
+            "designed_for": designed_for,
         },
     }
     return VehicleProcess(order)
@@ -643,7 +645,7 @@ def _fly(
     vehicle, mission = order["vehicle"], order["mission"]
     vehicle = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
     mission = mission if isinstance(mission, Mission) else load_mission(mission)
-    controller = design(vehicle)
+    controller = design(order["flight"]["designed_for"] or vehicle)
     warm_up(vehicle, controller, order["flight"]["sensors"])
     flying.set()
     flight = Flight(vehicle, mission, controller=controller, keep=False, **order["flight"])

@@ -1,0 +1,405 @@
+"""One flight of many: which vehicle flies it in which air, and whether it succeeded, judged by the truth.
+
+A :class:`Campaign` holds what all flights share. Flight ``k`` of seed ``s`` is a function of both alone: its random
+numbers come from NumPy's seed sequence of ``(s, k)``, so it does not matter who flies it, where and in which order.
+
+A flight succeeded if the state machine says so *and* the truth agrees: nothing was hit, every waypoint was passed
+within the tolerance, it stands at the end on the floor that it took off from, upright, at rest, with its motors off,
+and within the tolerance of where it was to land.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import shlex
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from dataclasses import fields as fields_of
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from mufly.control import FlightController, design
+from mufly.errors import ArgumentError, InputError, MuflyError
+from mufly.estimate import Estimate, consistency
+from mufly.flight.flight import Flight, fly
+from mufly.flight.monte_carlo.variation import Variation
+from mufly.flight.software import Controllers
+from mufly.flight.summary import Summary, summarise
+from mufly.mission import Mission, dump_mission, preflight
+from mufly.results import plain, result
+from mufly.sensors import Truth, parse_fault
+from mufly.vehicle import Vehicle, replace, vehicle_toml
+from mufly.version import __version__
+
+_Array = NDArray[np.float64]
+
+MOST_DRAWS = 200
+"""After so many impossible vehicles one after the other a campaign is given up."""
+
+STANDS_M, RESTS_M_S, UPRIGHT_DEG = 0.02, 0.05, 10.0
+"""Of a helicopter that has landed: off its standing height, still moving, tilted by no more than this."""
+
+NEES_EVERY = 10  # periods
+
+
+@dataclass(frozen=True)
+class Case:
+    """What one flight differs in; all in SI units.
+
+    Attributes
+    ----------
+    index : int
+    seed : int
+        Of the flight: gusts and sensors.
+    values : dict
+        Parameters of the vehicle by key.
+    wind : (3,) tuple or None
+        N, E, D (m/s); None: the mission's.
+    refused : int
+        Vehicles drawn before this one that cannot be.
+    """
+
+    index: int
+    seed: int
+    values: dict[str, float]
+    wind: tuple[float, float, float] | None
+    refused: int = 0
+
+
+@result
+class Flown:
+    """One flight, judged by the truth.
+
+    Attributes
+    ----------
+    index : int
+        Its number.
+    seed : int
+        Of gusts and sensors.
+    success : bool
+        What the state machine says, confirmed by the truth.
+    reason : str
+        Why it is none; empty for a success.
+    told : str
+        What the state machine says.
+    refused : int
+        Vehicles drawn before this one that cannot be.
+    wind : (3,) tuple or None
+        N, E, D (m/s); None for the mission's.
+    values : dict
+        Parameters that were drawn, by key (SI).
+    duration_s : float or None
+        From the first to the last instant.
+    overshoot_m : float or None
+        Worst overshoot beyond a waypoint.
+    waypoint_error_m : float or None
+        Farthest from a waypoint when it was said to be reached.
+    tracking_peak_m, tracking_rms_m : float or None
+        Distance from the reference while airborne: largest, root of mean square.
+    touchdown_speed_m_s : float or None
+        Rate of descent at touchdown.
+    landing_error_m : float or None
+        Distance from where it was to land.
+    tilt_peak_deg : float or None
+        Largest tilt of the mast while airborne.
+    railed_s : float or None
+        Longest time that an input was at its limit.
+    oscillation_s : float or None
+        Longest oscillation of an actuator.
+    clearance_m : float or None
+        Least distance to an obstacle, from the centre of gravity.
+    battery_left : float or None
+        Charge at the end (0..1).
+    nees : float or None
+        Mean of NEES / n of the estimate (1 if it knows how good it is).
+    """
+
+    index: int
+    seed: int
+    success: bool
+    reason: str
+    told: str
+    refused: int
+    wind: tuple[float, float, float] | None
+    values: dict[str, float]
+    duration_s: float | None = None
+    overshoot_m: float | None = None
+    waypoint_error_m: float | None = None
+    tracking_peak_m: float | None = None
+    tracking_rms_m: float | None = None
+    touchdown_speed_m_s: float | None = None
+    landing_error_m: float | None = None
+    tilt_peak_deg: float | None = None
+    railed_s: float | None = None
+    oscillation_s: float | None = None
+    clearance_m: float | None = None
+    battery_left: float | None = None
+    nees: float | None = None
+
+    @classmethod
+    def from_json(cls, content: dict[str, Any]) -> Flown:
+        """Inverse of :func:`mufly.results.plain`."""
+        wind = content["wind"]
+        return cls(**{**content, "wind": None if wind is None else tuple(wind)})
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """What all flights share.
+
+    Attributes
+    ----------
+    vehicle : Vehicle
+        Around which vehicles are drawn, and for which controllers, autopilot and estimator are made.
+    mission : Mission
+    variations : tuple of Variation
+    wind : float, (3,) tuple or None
+        A speed (m/s), its horizontal direction drawn; a wind N, E, D (m/s); None for the mission's.
+    gust : float or None
+        Standard deviation (m/s); None for the mission's.
+    sensors : "fitted" or "ideal"
+    faults : tuple of str
+        As :func:`mufly.sensors.parse_fault` reads them; in every flight.
+    seed : int
+    tolerance_m : float
+        How far from a waypoint, and from where it was to land, counts as there (m).
+    redesign : bool
+        Make controllers, autopilot and estimator for each vehicle drawn, instead of for ``vehicle``.
+    controllers : callable, optional
+        As for :class:`mufly.flight.Flight`.
+    vehicle_name, mission_name : str
+        What names them on a command line.
+    """
+
+    vehicle: Vehicle
+    mission: Mission
+    variations: tuple[Variation, ...] = ()
+    wind: float | tuple[float, float, float] | None = None
+    gust: float | None = None
+    sensors: Literal["fitted", "ideal"] = "fitted"
+    faults: tuple[str, ...] = ()
+    seed: int = 0
+    tolerance_m: float = 0.3
+    redesign: bool = False
+    controllers: Callable[[FlightController], Controllers] | None = None
+    vehicle_name: str = "mufly-1.1"
+    mission_name: str = "demonstration"
+    controller: FlightController | None = field(default=None, repr=False)
+
+    @classmethod
+    def of(cls, vehicle: Vehicle, mission: Mission, **more: Any) -> Campaign:
+        """Check that the mission can be flown as designed, design the controllers, and return the campaign.
+
+        Raises
+        ------
+        InputError
+            If vehicle and mission do not go together, or a fault is none.
+        """
+        preflight(vehicle, mission)
+        for text in more.get("faults", ()):
+            parse_fault(text)
+        return cls(vehicle, mission, controller=None if more.get("redesign") else design(vehicle), **more)
+
+    @cached_property
+    def question(self) -> str:
+        """Hash of everything that flights depend on."""
+        content = {
+            "version": __version__,
+            "vehicle": vehicle_toml(self.vehicle),
+            "mission": dump_mission(self.mission),
+            "variations": [v.content() for v in self.variations],
+            "air": [self.wind, self.gust],
+            "sensors": [self.sensors, list(self.faults)],
+            "seed": self.seed,
+            "tolerance_m": self.tolerance_m,
+            "software": [self.redesign, "" if self.controllers is None else self.controllers.__name__],
+        }
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+    def case(self, index: int) -> Case:
+        """Return flight ``index``.
+
+        Raises
+        ------
+        InputError
+            If hardly any vehicle that is drawn can be.
+        """
+        rng = np.random.default_rng([self.seed, index])
+        seed, towards = int(rng.integers(2**53)), rng.uniform(-1.0, 1.0)
+        for refused in range(MOST_DRAWS):
+            case = self._case(index, seed, towards, [v.draw(rng) for v in self.variations], refused)
+            try:
+                self.drawn(case)
+            except InputError as error:
+                why = error
+            else:
+                return case
+        raise ArgumentError(
+            "vary", "", f"{MOST_DRAWS} vehicles in a row cannot be (the last: {why})", "vary less"
+        ) from why
+
+    @property
+    def searched(self) -> int:
+        """Numbers that :meth:`case_at` takes."""
+        return sum(v.size for v in self.variations) + isinstance(self.wind, float)
+
+    def case_at(self, point: _Array, index: int) -> Case:
+        """Return the flight at a point of the box -1..1 in which a worst case is searched (searched,).
+
+        The seed is that of flight 0. A normal ``z`` is looked for within two standard deviations.
+        """
+        seed = int(np.random.default_rng([self.seed, 0]).integers(2**53))
+        towards, rest = (float(point[0]), point[1:]) if isinstance(self.wind, float) else (0.0, point)
+        parts = np.split(rest, np.cumsum([v.size for v in self.variations])[:-1]) if self.variations else []
+        z = [(1.0 if v.shape == "uniform" else 2.0) * p for v, p in zip(self.variations, parts, strict=True)]
+        return self._case(index, seed, towards, z, 0)
+
+    def _case(self, index: int, seed: int, towards: float, z: list[_Array], refused: int) -> Case:
+        values: dict[str, float] = {}
+        for variation, numbers in zip(self.variations, z, strict=True):
+            values |= variation.values(numbers)
+        wind: tuple[float, float, float] | None
+        if isinstance(self.wind, float):
+            wind = (self.wind * math.cos(math.pi * towards), self.wind * math.sin(math.pi * towards), 0.0)
+        else:
+            wind = self.wind
+        return Case(index, seed, values, wind, refused)
+
+    def drawn(self, case: Case) -> Vehicle:
+        """Return the vehicle of a flight.
+
+        Raises
+        ------
+        InputError
+            If there cannot be such a vehicle.
+        """
+        return replace(self.vehicle, dict(case.values)) if case.values else self.vehicle
+
+    def command(self, case: Case, folder: Path, vehicle_file: Path | None) -> str:
+        """Return the command that flies a flight again; ``vehicle_file`` holds the vehicle drawn, if one was."""
+        words = ["mufly", "fly", self.mission_name, "--headless", "--sensors", self.sensors]
+        words += ["--vehicle", self.vehicle_name if vehicle_file is None else str(vehicle_file)]
+        if vehicle_file is not None and not self.redesign:
+            words += ["--designed-for", self.vehicle_name]
+        words += ["--seed", str(case.seed)]
+        if case.wind is not None:
+            words.append("--wind=" + ",".join(repr(v) for v in case.wind))  # a number may begin with a minus
+        if self.gust is not None:
+            words += ["--gust", repr(self.gust)]
+        for text in self.faults:
+            words += ["--fault", text]
+        if self.controllers is not None:
+            words.append("--firmware")
+        return shlex.join([*words, "--out", str(folder)])
+
+
+def fly_case(campaign: Campaign, case: Case, path: Path | None = None) -> Flown:
+    """Fly one flight, with a full recording if a path (MCAP) is given, and judge it.
+
+    A flight that raises is one that failed.
+    """
+    truths: list[Truth] = []
+    told: list[Estimate] = []
+
+    def listen(flight: Flight) -> None:
+        if flight.sensed and flight.plant.ticks % NEES_EVERY == 0:
+            truths.append(flight.truth)
+            told.append(flight.estimate)
+
+    same = {
+        "index": case.index,
+        "seed": case.seed,
+        "refused": case.refused,
+        "wind": case.wind,
+        "values": case.values,
+    }
+    try:
+        with threadpool_limits(1):  # the last bits of a design are not to depend on the number of cores
+            data = fly(
+                campaign.drawn(case), campaign.mission,
+                controller=campaign.controller, designed_for=None if campaign.redesign else campaign.vehicle,
+                wind=case.wind, gust=campaign.gust, seed=case.seed,
+                sensors=campaign.sensors, faults=[parse_fault(text) for text in campaign.faults],
+                controllers=campaign.controllers, path=path, brief=path is None, on_tick=listen,
+            )  # fmt: skip
+    except MuflyError as error:
+        return Flown(**same, success=False, reason=f"did not fly: {error}", told="")
+    except Exception as error:  # a fault of the program; the others fly on
+        return Flown(**same, success=False, reason=f"raised {type(error).__name__}: {error}", told="")
+    known = any(e.valid for e in told)
+    nees = consistency(truths, told, every=1).nees if known else None
+    return judged(data, campaign.mission, campaign.tolerance_m, nees=nees, **same)
+
+
+def judged(
+    data: xr.Dataset, mission: Mission, tolerance_m: float, *, nees: float | None = None, **same: Any
+) -> Flown:
+    """Judge a recording by its truth; ``same`` are the other fields of :class:`Flown`."""
+    # Sensors are recorded in every period, what is true counts at 100 Hz: a flight is the same with both.
+    step = round(0.01 / float(np.median(np.diff(data.time.values[:100]))))
+    data = data.isel(time=slice(None, None, max(1, step)))
+    s = summarise(
+        data,
+        [w.position_m for w in mission.waypoint],
+        take_off=(*mission.start_m, -mission.take_off.height_m),
+        reach_m=mission.limits.reach_m,
+        world=mission.world,
+    )
+    x, reference = data.truth_position.values, data.reference_position.values
+    airborne = x[0, 2] - x[:, 2] > STANDS_M
+    away = np.linalg.norm(x - reference, axis=1)[airborne]
+    reason = _why_not(s, data, tolerance_m)
+
+    def worst(name: str) -> float | None:
+        return max((v for w in s.waypoints if (v := getattr(w, name)) is not None), default=None)
+
+    return Flown(
+        **same, success=not reason, reason=reason, told=f"{s.outcome}: {s.reason}" if s.reason else s.outcome,
+        duration_s=s.duration_s, overshoot_m=worst("overshoot_m"), waypoint_error_m=worst("distance_at_reach_m"),
+        tracking_peak_m=float(away.max()) if len(away) else None,
+        tracking_rms_m=float(np.sqrt(np.mean(away**2))) if len(away) else None,
+        touchdown_speed_m_s=s.touchdown_speed_m_s, landing_error_m=s.landing_distance_m,
+        tilt_peak_deg=s.max_tilt_deg, railed_s=s.longest_railed_s, oscillation_s=s.longest_oscillation_s,
+        clearance_m=s.least_clearance_m, battery_left=s.battery_end_charge, nees=nees,
+    )  # fmt: skip
+
+
+def _why_not(s: Summary, data: xr.Dataset, tolerance_m: float) -> str:
+    """Why a flight is no success, the first reason that holds; "" for a success."""
+    if s.outcome != "succeeded":
+        return s.reason or s.outcome
+    for w in s.waypoints:
+        name = "the take-off's end" if w.name == "take-off" else f"waypoint {w.name}"
+        if w.reached_s is None:
+            return f"{name} was not reached"
+        if (w.distance_at_reach_m or 0.0) > tolerance_m:
+            return f"{name} was said to be reached, {w.distance_at_reach_m:.2f} m from it"
+    last = data.isel(time=-1)
+    up = float(data.truth_position.values[0, 2] - last.truth_position.values[2])
+    if abs(up) > STANDS_M:
+        return f"it ends {up:.2f} m above where it stood"
+    roll, pitch = last.truth_attitude.values[:2]
+    tilt = math.degrees(math.acos(math.cos(roll) * math.cos(pitch)))
+    if tilt > UPRIGHT_DEG:
+        return f"it ends tilted by {tilt:.0f} degrees"
+    speed = float(np.linalg.norm(last.truth_velocity.values))
+    if speed > RESTS_M_S:
+        return f"it still moves at the end, with {speed:.2f} m/s"
+    if np.any(last.motor_input.values > 0.0):
+        return "its motors still run at the end"
+    if (s.landing_distance_m or 0.0) > tolerance_m:
+        return f"it landed {s.landing_distance_m:.2f} m off its mark"
+    return ""
+
+
+def differences(a: Flown, b: Flown) -> list[str]:
+    """Return the names of the fields in which two flights differ."""
+    return [f.name for f in fields_of(Flown) if plain(getattr(a, f.name)) != plain(getattr(b, f.name))]

@@ -1,0 +1,380 @@
+"""Many flights on all cores or on a cluster, kept as they land; the worst case searched by CMA-ES.
+
+Every flight that is over becomes a line of ``flights.jsonl`` at once, so that whatever ends a campaign costs no more
+than the flights that were in the air. ``campaign.json`` holds the hash of the question: a folder goes on with the same
+one, and another is refused.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    wait,
+)
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+import cma
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from mufly.errors import ArgumentError, InputError, MuflyError
+from mufly.flight.monte_carlo.campaign import Campaign, Case, Flown, fly_case
+from mufly.results import plain
+from mufly.study.sweeps import executor_of
+from mufly.version import __version__
+
+Progress = Callable[[int, int], None]
+Stop = Callable[[], bool]
+
+FLIGHTS, NOTE = "flights.jsonl", "campaign.json"
+_AHEAD = 2  # flights handed out a worker, so that none waits for the next
+_ON_CLUSTER = 256
+
+
+class Crew:
+    """Who flies: processes here, threads here, or the workers of a dask cluster. A context manager.
+
+    Parameters
+    ----------
+    jobs : int, optional
+        Processes; default one a core. One flies in this process.
+    cluster : str, optional
+        Address of a dask scheduler, as ``tcp://host:8786``; its workers need mufly.
+    how : "processes" or "threads"
+        Threads wait for each other in Python; they are for where processes cannot be had.
+    """
+
+    def __init__(
+        self,
+        jobs: int | None = None,
+        *,
+        cluster: str | None = None,
+        how: Literal["processes", "threads"] = "processes",
+    ) -> None:
+        self.jobs = jobs or os.cpu_count() or 1
+        self._cluster, self._how = cluster, how
+        self._ahead = _ON_CLUSTER if cluster is not None else _AHEAD * self.jobs
+
+    def __enter__(self) -> Crew:
+        self._opened = self._open()
+        self._executor = self._opened.__enter__()
+        return self
+
+    def __exit__(self, *exc: Any) -> None:
+        self._opened.__exit__(*exc)
+
+    @contextmanager
+    def _open(self) -> Iterator[Executor]:
+        if self._cluster is not None or self._how == "threads":
+            with executor_of(self._cluster, self.jobs) as executor:
+                yield executor
+        elif self.jobs == 1:
+            with ThreadPoolExecutor(1) as alone:
+                yield alone
+        else:
+            pool = ProcessPoolExecutor(self.jobs, _context(), initializer=_begin_worker)
+            try:
+                yield pool
+            finally:
+                pool.shutdown(wait=True, cancel_futures=True)
+
+    def fly(
+        self, campaign: Campaign, cases: Iterable[tuple[Case, Path | None]], stop: Stop = lambda: False
+    ) -> Iterator[Flown]:
+        """Yield flights as they land, in any order; where a path stands, with a recording.
+
+        Asked to stop, no more begin, and those in the air are waited for.
+
+        Raises
+        ------
+        MuflyError
+            If a worker has died.
+        """
+        todo, flying = iter(cases), set[Future[Flown]]()
+        more = True
+        try:
+            while True:
+                while more and not stop() and len(flying) < self._ahead:
+                    case, path = next(todo, (None, None))
+                    more = case is not None
+                    if case is not None:
+                        flying.add(self._executor.submit(fly_case, campaign, case, path))
+                if not flying:
+                    return
+                landed, flying = wait(flying, timeout=0.2, return_when=FIRST_COMPLETED)
+                if stop():
+                    more = False
+                    flying = {f for f in flying if not f.cancel()}
+                for future in landed:
+                    yield future.result()
+        except BrokenProcessPool as error:
+            raise MuflyError(
+                "a process that flew has died (out of memory, or killed); give fewer --jobs, the same command goes on"
+            ) from error
+        finally:
+            for future in flying:
+                future.cancel()
+
+
+def _context() -> Any:
+    """Workers that share one import of the package, where the system can; else each begins anew."""
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([__name__])
+    return context
+
+
+def _begin_worker() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent says when it is over
+    threadpool_limits(1)
+
+
+class Kept:
+    """Flights on disk, a line each.
+
+    Parameters
+    ----------
+    folder : Path
+        Made if it is not there.
+    campaign : Campaign
+    what : str
+        Which flights of the campaign: another file.
+
+    Raises
+    ------
+    InputError
+        If the folder holds another campaign, or cannot be written.
+    """
+
+    def __init__(self, folder: Path, campaign: Campaign, what: str = FLIGHTS) -> None:
+        self._path = folder / what
+        note = folder / NOTE
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            if note.is_file() and _question(note) != campaign.question:
+                raise InputError(
+                    str(folder), "", "holds another campaign's flights (other settings, or another version of mufly)",
+                    "give another folder, or delete this one",
+                )  # fmt: skip
+            content = {"question": campaign.question, "version": __version__, **told(campaign)}
+            note.write_text(json.dumps(plain(content), indent=2) + "\n", encoding="utf-8")
+            self.flights = self._recall()
+        except OSError as error:
+            raise InputError(
+                str(folder), "", f"cannot be written ({error.strerror})", "give another folder"
+            ) from error
+
+    def _recall(self) -> dict[int, Flown]:
+        """What is there; a last line that was cut off is taken away."""
+        if not self._path.is_file():
+            return {}
+        whole, _, _ = self._path.read_bytes().rpartition(b"\n")
+        lines = whole.splitlines()
+        self._path.write_bytes(b"".join(line + b"\n" for line in lines))
+        try:
+            flights = [Flown.from_json(json.loads(line)) for line in lines]
+        except (ValueError, TypeError, KeyError) as error:
+            raise InputError(
+                str(self._path), "", f"is damaged ({error})", "delete it; its flights are flown again"
+            ) from None
+        return {f.index: f for f in flights}
+
+    def add(self, flown: Flown) -> None:
+        """Put a flight on disk."""
+        with self._path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(plain(flown), allow_nan=False) + "\n")
+        self.flights[flown.index] = flown
+
+
+def _question(note: Path) -> str:
+    try:
+        return str(json.loads(note.read_text(encoding="utf-8"))["question"])
+    except (ValueError, KeyError, TypeError):
+        return ""
+
+
+def told(campaign: Campaign) -> dict[str, Any]:
+    """The settings of a campaign for people, as JSON can hold them."""
+    return {
+        "vehicle": campaign.vehicle_name,
+        "mission": campaign.mission_name,
+        "vary": [v.text for v in campaign.variations],
+        "varied": sorted({key for v in campaign.variations for key in v.keys}),
+        "wind_m_s": campaign.wind,
+        "gust_m_s": campaign.gust,
+        "sensors": campaign.sensors,
+        "faults": campaign.faults,
+        "seed": campaign.seed,
+        "tolerance_m": campaign.tolerance_m,
+        "redesign": campaign.redesign,
+    }
+
+
+def run(
+    campaign: Campaign,
+    flights: int,
+    *,
+    crew: Crew,
+    folder: Path | None = None,
+    progress: Progress | None = None,
+    stop: Stop = lambda: False,
+) -> list[Flown]:
+    """Fly flights 0 to ``flights`` - 1 of a campaign.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    flights : int
+    crew : Crew
+        Entered.
+    folder : Path, optional
+        Where flights are kept; those that are there are not flown again.
+    progress : callable, optional
+        ``progress(done, total)``.
+    stop : callable, optional
+        Asked between flights; once it is true no more begin.
+
+    Returns
+    -------
+    list of Flown
+        By index; fewer than asked for if it was stopped. The same whoever flew them.
+
+    Raises
+    ------
+    InputError
+        If a folder holds another campaign, or hardly any vehicle that is drawn can be.
+    """
+    if flights < 1:
+        raise ArgumentError("flights", "", f"{flights} flights", "give 1 or more")
+    kept = None if folder is None else Kept(folder, campaign)
+    known = {} if kept is None else {k: f for k, f in kept.flights.items() if k < flights}
+    done = dict(known)
+    if progress is not None:
+        progress(len(done), flights)
+    todo = ((campaign.case(k), None) for k in range(flights) if k not in known)
+    for flown in crew.fly(campaign, todo, stop):
+        done[flown.index] = flown
+        if kept is not None:
+            kept.add(flown)
+        if progress is not None:
+            progress(len(done), flights)
+    return [done[k] for k in sorted(done)]
+
+
+def case_of(flown: Flown) -> Case:
+    """Return what to fly to have the same flight again."""
+    return Case(flown.index, flown.seed, flown.values, flown.wind, flown.refused)
+
+
+# The worst case: where in the box of everything that varies does a flight come nearest to failing?
+
+
+def severity(flown: Flown, tolerance_m: float) -> float:
+    """How near to failing a flight is: the worst of its numbers over what is allowed of it; from 10 on it failed.
+
+    Allowed are the tolerance at waypoints and for the landing, twice that for tracking, 0.5 m/s at touchdown, 30
+    degrees of tilt, one second at a limit. A failed flight is the worse the earlier it ends.
+    """
+    parts = (
+        (flown.waypoint_error_m, tolerance_m),
+        (flown.landing_error_m, tolerance_m),
+        (flown.overshoot_m, tolerance_m),
+        (flown.tracking_peak_m, 2.0 * tolerance_m),
+        (flown.touchdown_speed_m_s, 0.5),
+        (flown.tilt_peak_deg, 30.0),
+        (flown.railed_s, 1.0),
+    )
+    worst = max((v / most for v, most in parts if v is not None), default=0.0)
+    if flown.success:
+        return min(worst, 9.0)
+    return 10.0 + 10.0 / (1.0 + (flown.duration_s or 0.0) / 60.0)
+
+
+def search(
+    campaign: Campaign,
+    flights: int,
+    *,
+    crew: Crew,
+    folder: Path | None = None,
+    progress: Progress | None = None,
+    stop: Stop = lambda: False,
+) -> list[Flown]:
+    """Look for the worst flight within what varies, by CMA-ES (Hansen, The CMA Evolution Strategy, arXiv:1604.00772).
+
+    Gusts and sensors are those of flight 0 in all of them: searched are the vehicle and where the wind comes from.
+
+    Parameters
+    ----------
+    campaign, crew, folder, progress, stop
+        As for :func:`run`.
+    flights : int
+        About how many to fly: whole generations.
+
+    Returns
+    -------
+    list of Flown
+        In the order of the search; vehicles that cannot be are flights that failed to begin and do not count.
+
+    Raises
+    ------
+    InputError
+        If nothing varies.
+    """
+    n = campaign.searched
+    if n == 0:
+        raise ArgumentError("search", "", "nothing varies but chance", "vary something with --vary or --wind")
+    kept = None if folder is None else Kept(folder, campaign, "search.jsonl")
+    size = 4 + int(3 * math.log(max(n, 2)))
+    total = max(1, math.ceil(flights / size)) * size
+    options = {
+        "bounds": [-1.0, 1.0], "popsize": size, "seed": campaign.seed % (2**31) + 1, "verbose": -9, "maxiter": 10**9,
+        "tolfun": 0, "tolx": 0,
+    }  # fmt: skip
+    # With one dimension pycma refuses to work; a second that nothing depends on does no harm.
+    strategy = cma.CMAEvolutionStrategy(np.zeros(max(n, 2)), 0.5, options)
+    found: dict[int, Flown] = {}
+    for first in range(0, total, size):
+        points = strategy.ask()
+        cases = [campaign.case_at(np.asarray(p)[:n], first + k) for k, p in enumerate(points)]
+        known = {} if kept is None else {k: f for k, f in kept.flights.items() if first <= k < first + size}
+        landed = dict(known)
+        for flown in crew.fly(campaign, ((c, None) for c in cases if c.index not in known), stop):
+            landed[flown.index] = flown
+            if kept is not None:
+                kept.add(flown)
+            if progress is not None:
+                progress(len(found) + len(landed), total)
+        found |= landed
+        if len(landed) < size:
+            break
+        strategy.tell(points, [_badness(landed[first + k], campaign) for k in range(size)])
+    return [found[k] for k in sorted(found)]
+
+
+def _badness(flown: Flown, campaign: Campaign) -> float:
+    return 0.0 if _cannot_be(flown) else -severity(flown, campaign.tolerance_m)
+
+
+def _cannot_be(flown: Flown) -> bool:
+    return flown.reason.startswith("did not fly")
+
+
+def worst_first(flights: Sequence[Flown], tolerance_m: float) -> list[Flown]:
+    """Return flights by how near to failing they are, the worst first."""
+    return sorted(
+        (f for f in flights if not _cannot_be(f)), key=lambda f: (-severity(f, tolerance_m), f.index)
+    )

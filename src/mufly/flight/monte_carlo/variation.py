@@ -1,0 +1,258 @@
+"""What differs from one flight to the next: parameters of the vehicle, drawn around what its file or a fit says.
+
+A :class:`Variation` is linear: ``values = centre + factor z`` with ``z`` uniform within -1..1 or normal with unit
+variance, each component for itself. So a spread in percent, a range, and the covariance of an identification are one
+thing, and a search for the worst case moves in ``z``.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.errors import ArgumentError
+from mufly.units import units_of
+from mufly.vehicle import Parameter, Vehicle, load_vehicle, parameters
+
+_Array = NDArray[np.float64]
+
+EVERYTHING = "parameters"
+"""Name of all parameters of the flight model: everything but the mass budget, the range ring and the sensors."""
+
+_APART = ("mass_budget.", "range_ring.", "sensors.")
+_FORMS = "NAME=10%, NAME=+-2g, NAME=90:100g, NAME=normal:3%, NAME=std, or a file of `mufly identify flight`"
+_SPREAD = re.compile(r"(?P<normal>normal:)?(?P<sides>\+-|±)?(?P<number>[0-9.eE+-]+) *(?P<unit>[^0-9: ].*)?")
+_RANGE = re.compile(r"(?P<low>[0-9.eE+-]+) *: *(?P<high>[0-9.eE+-]+) *(?P<unit>.*)")
+
+
+@dataclass(frozen=True, eq=False)
+class Variation:
+    """Parameters that are drawn together.
+
+    Attributes
+    ----------
+    text : str
+        As it was asked for.
+    keys : tuple of str
+        The ``n`` parameters.
+    shape : {"uniform", "normal"}
+        Of each ``z``: within -1..1, or of unit variance.
+    centre : (n,) array
+        SI units.
+    factor : (n, m) array
+        SI units for each ``z``.
+    note : str
+        What is to be known about it, in words; empty if nothing.
+    """
+
+    text: str
+    keys: tuple[str, ...]
+    shape: Literal["uniform", "normal"]
+    centre: _Array
+    factor: _Array
+    note: str = ""
+
+    @property
+    def size(self) -> int:
+        """How many ``z`` it takes."""
+        return self.factor.shape[1]
+
+    def values(self, z: _Array) -> dict[str, float]:
+        """Return the parameters (SI) at ``z`` (m,)."""
+        return dict(zip(self.keys, (self.centre + self.factor @ z).tolist(), strict=True))
+
+    def draw(self, rng: np.random.Generator) -> _Array:
+        """Return a random ``z`` (m,)."""
+        return (
+            rng.uniform(-1.0, 1.0, self.size) if self.shape == "uniform" else rng.standard_normal(self.size)
+        )
+
+    def without(self, keys: Iterable[str]) -> Variation:
+        """Return it with some parameters left as they are."""
+        kept = [k for k, key in enumerate(self.keys) if key not in set(keys)]
+        factor = self.factor[kept]
+        used = np.flatnonzero(np.any(factor != 0.0, axis=0)) if self.shape == "uniform" else slice(None)
+        return replace(
+            self, keys=tuple(self.keys[k] for k in kept), centre=self.centre[kept], factor=factor[:, used]
+        )
+
+    def content(self) -> list[Any]:
+        """Return everything that values depend on, as JSON can hold it."""
+        return [list(self.keys), self.shape, self.centre.tolist(), self.factor.tolist()]
+
+
+def parse_variations(texts: Sequence[str], vehicle: Vehicle) -> tuple[Variation, ...]:
+    """Return what texts as ``"parameters=10%"`` say.
+
+    Parameters
+    ----------
+    texts : sequence of str
+        ``NAME`` is ``parameters``, a table (``rotors``), a key (``body.mass``) or a symbol (``m``). ``10%`` and
+        ``+-2g`` draw uniformly around the vehicle's value, ``90:100g`` uniformly in between; ``normal:3%`` and
+        ``normal:2g`` normally with this standard deviation, ``std`` with the one that the vehicle file states. A file
+        is what ``mufly identify flight --json`` printed (with the covariance) or a vehicle file (with standard
+        deviations). What names fewer parameters takes precedence.
+    vehicle : Vehicle
+        Around which is drawn.
+
+    Raises
+    ------
+    InputError
+        If a text is none of these, or two draw the same parameter.
+    """
+    found: list[Variation] = []
+    for text in texts:
+        new = _from_file(text, vehicle) if _is_file(text) else _from_words(text, vehicle)
+        for k, other in enumerate(found):
+            shared = [key for key in new.keys if key in other.keys]
+            if not shared:
+                continue
+            if len(new.keys) == len(other.keys):
+                raise ArgumentError(
+                    "vary", text, f"{shared[0]} is drawn by {other.text!r} too", "draw it once"
+                )
+            if len(new.keys) < len(other.keys):
+                found[k] = other.without(shared)
+            else:
+                new = new.without(shared)
+        found.append(new)
+    return tuple(v for v in found if v.keys)
+
+
+def _is_file(text: str) -> bool:
+    return "=" not in text and Path(text).suffix.lower() in (".json", ".toml")
+
+
+def _named(name: str, text: str, vehicle: Vehicle) -> list[Parameter]:
+    numbers = [p for p in parameters(vehicle) if isinstance(p.value, float)]
+    if name == EVERYTHING:
+        return [p for p in numbers if not p.key.startswith(_APART)]
+    chosen = [p for p in numbers if p.key == name or p.key.startswith(f"{name}.")]
+    chosen = chosen or [p for p in numbers if p.symbol == name]
+    if not chosen:
+        raise ArgumentError(
+            "vary", text, f"{name!r} is no parameter of {vehicle.name}",
+            "use `parameters`, a table, or a key or symbol that `mufly vehicle show` lists",
+        )  # fmt: skip
+    return chosen
+
+
+def _from_words(text: str, vehicle: Vehicle) -> Variation:
+    name, equals, how = (part.strip() for part in text.partition("="))
+    if not equals or not how:
+        raise ArgumentError("vary", text, "does not say how to vary what", f"write {_FORMS}")
+    chosen = _named(name, text, vehicle)
+    keys, value = tuple(p.key for p in chosen), np.array([p.value for p in chosen])
+    if how == "std":
+        stated = [p for p in chosen if p.std is not None]
+        if not stated:
+            raise ArgumentError(
+                "vary", text, "no standard deviation is stated in the vehicle file", "give one: normal:3%"
+            )
+        return _alone(text, stated, [float(p.std or 0.0) for p in stated], "normal")
+    if match := _RANGE.fullmatch(how):
+        low, high = (_number(match[k], text) * _factor(match["unit"], chosen, text) for k in ("low", "high"))
+        if not low < high:
+            raise ArgumentError("vary", text, f"{how} holds nothing", "write LOW:HIGH with LOW below HIGH")
+        half = np.full(len(keys), 0.5 * (high - low))
+        return Variation(text, keys, "uniform", half + low, np.diag(half))
+    match = _SPREAD.fullmatch(how)
+    if match is None:
+        raise ArgumentError("vary", text, f"{how!r} is no spread", f"write {_FORMS}")
+    number, unit = _number(match["number"], text), (match["unit"] or "").strip()
+    if not number > 0.0:
+        raise ArgumentError("vary", text, f"{number:g} is no spread", "give a number above 0")
+    if unit == "%":
+        if number >= 100.0 and match["normal"] is None:
+            raise ArgumentError("vary", text, f"{number:g} % either way reaches zero", "give less than 100 %")
+        widths = number / 100.0 * np.abs(value)
+    elif match["normal"] or match["sides"]:
+        widths = np.full(len(keys), number * _factor(unit, chosen, text))
+    else:
+        raise ArgumentError(
+            "vary", text, f"{how!r} may be a value or a spread", "write +-2g or normal:2g for a spread"
+        )
+    return _alone(text, chosen, widths.tolist(), "normal" if match["normal"] else "uniform")
+
+
+def _alone(
+    text: str, chosen: Sequence[Parameter], widths: Sequence[float], shape: Literal["uniform", "normal"]
+) -> Variation:
+    centre = np.array([p.value for p in chosen])
+    return Variation(text, tuple(p.key for p in chosen), shape, centre, np.diag(np.array(widths)))
+
+
+def _number(text: str, where: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise ArgumentError("vary", where, f"{text!r} is no number", f"write {_FORMS}") from None
+
+
+def _factor(unit: str, chosen: Sequence[Parameter], text: str) -> float:
+    own = {p.unit for p in chosen}
+    if len(own) > 1:
+        raise ArgumentError(
+            "vary", text, f"its {len(chosen)} parameters have no unit in common", "vary them in %"
+        )
+    known = units_of(own.pop())
+    if unit.strip() not in known and not (unit.strip() == "" and "1" in known):
+        accepted = ", ".join(known)
+        raise ArgumentError(
+            "vary", text, f"{unit.strip()!r} is no unit of it", f"use %, or one of: {accepted}"
+        )
+    return known[unit.strip() or "1"]
+
+
+def _from_file(text: str, vehicle: Vehicle) -> Variation:
+    path = Path(text)
+    if path.suffix.lower() == ".toml":
+        stated = [p for p in parameters(load_vehicle(path)) if p.std and isinstance(p.value, float)]
+        if not stated:
+            raise ArgumentError(
+                "vary", text, "states no standard deviation", "write it with `mufly identify flight --out`"
+            )
+        return _alone(text, stated, [float(p.std or 0.0) for p in stated], "normal")
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        rows, correlation = content["parameters"], np.array(content["correlation"], dtype=np.float64)
+        fitted = [(str(r["key"]), r["value"], r["std"], bool(r["at_bound"])) for r in rows]
+        if correlation.shape != (len(fitted), len(fitted)):
+            raise ValueError(f"correlation of {correlation.shape} for {len(fitted)} parameters")
+    except OSError as error:
+        raise ArgumentError(
+            "vary", text, f"cannot be read ({error.strerror})", "give a file that is there"
+        ) from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise ArgumentError(
+            "vary",
+            text,
+            f"is no result of an identification ({error})",
+            "write one with `mufly identify flight --json`",
+        ) from None
+    known = {p.key for p in parameters(vehicle)}
+    use = [
+        k
+        for k, (key, value, std, _) in enumerate(fitted)
+        if key in known and value is not None and std is not None
+    ]
+    if not use:
+        raise ArgumentError(
+            "vary", text, f"holds no parameter of {vehicle.name}", "identify some of its parameters"
+        )
+    held = [fitted[k][0] for k in use if fitted[k][3]]
+    left = [fitted[k][0] for k in range(len(fitted)) if k not in use and fitted[k][0]]
+    std = np.array([0.0 if fitted[k][3] else float(fitted[k][2]) for k in use])
+    size, vectors = np.linalg.eigh(np.nan_to_num(correlation[np.ix_(use, use)]))
+    factor = std[:, None] * vectors * np.sqrt(np.maximum(size, 0.0))
+    told = [f"{', '.join(held)} at a bound: held at the value found"] if held else []
+    told += [f"{', '.join(left)} not seen by the data: not varied"] if left else []
+    centre = np.array([float(fitted[k][1]) for k in use])
+    return Variation(text, tuple(fitted[k][0] for k in use), "normal", centre, factor, "; ".join(told))
