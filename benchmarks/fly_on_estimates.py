@@ -1,13 +1,12 @@
 """How flights on the vehicle's own sensors go: many seeds, every fault, hours of hovering.
 
-    python benchmarks/fly_on_estimates.py mission --seeds 1000      # demonstration, wind 0.5, gusts 0.3
-    python benchmarks/fly_on_estimates.py box --seeds 1000          # box-on-leg with its pixel ring
     python benchmarks/fly_on_estimates.py hover --seeds 200         # hover hold, with and without walls to see
     python benchmarks/fly_on_estimates.py outage --seeds 200        # no position fix for 2 s, for 5 s
     python benchmarks/fly_on_estimates.py faults --seeds 3          # every fault of the catalogue, alone
     python benchmarks/fly_on_estimates.py pairs --seeds 1           # and every two of different sensors
     python benchmarks/fly_on_estimates.py alarms --seeds 60         # false alarms: ten minutes of hover each
 
+Whole missions: ``mufly monte-carlo demonstration --flights 1000 --wind 0.5 --gust 0.3``, and ``box-on-leg``.
 Seeds count from ``--first`` (0). Each flight is a line of ``--out`` (JSON), so that a run that was stopped goes on
 where it was: the same command again. A flight that raises is told as such and counts as lost.
 """
@@ -33,7 +32,7 @@ import xarray as xr
 
 from mufly.control import design
 from mufly.flight import Flight, events_of, fly, summarise
-from mufly.mission import Mission, load_mission, mission_from
+from mufly.mission import Mission, mission_from
 from mufly.sensors import KINDS, TARGETS, parse_fault
 from mufly.vehicle import load_vehicle
 
@@ -106,16 +105,6 @@ def errors(data: xr.Dataset, after_s: float) -> dict[str, float]:
         "height_rms_m": rms(height),
         "tilt_rms_deg": math.degrees(rms(np.hypot(tilt[:, 0], tilt[:, 1]))),
     }
-
-
-def one_mission(seed: int) -> dict[str, Any]:
-    mission = load_mission("demonstration")
-    return told(flown(mission, seed), mission)
-
-
-def one_box(seed: int) -> dict[str, Any]:
-    mission = load_mission("box-on-leg")
-    return told(flown(mission, seed), mission)
 
 
 def one_hover(seed: int) -> dict[str, Any]:
@@ -216,8 +205,6 @@ def jobs_of(what: str, seeds: range) -> Iterator[tuple[str, Callable[..., dict[s
                 yield f"{' '.join(faults)} {seed}", one_with, (faults, seed)
         return
     one = {
-        "mission": one_mission,
-        "box": one_box,
         "hover": one_hover,
         "outage": one_outage,
         "alarms": one_alarm,
@@ -247,24 +234,7 @@ def report(what: str, found: dict[str, dict[str, Any]]) -> None:
     rows = list(good.values())
     if not rows:
         return
-    if what in ("mission", "box"):
-        print("succeeded", share([r["outcome"] == "succeeded" for r in rows] + [False] * len(raised)))
-        worst = [
-            r["overshoot_m"] for r in rows if r["outcome"] == "succeeded" and r["overshoot_m"] is not None
-        ]
-        if worst:
-            print(f"overshoot: median {np.median(worst):.3f}, worst {max(worst):.3f} m")
-        if what == "box":
-            clear = [r["clearance_m"] for r in rows]
-            print(
-                f"clearance of the centre: least {min(clear):.3f} m; 0.3 m kept",
-                share([c >= 0.3 for c in clear]),
-            )
-        print("touchdowns above 0.3 m/s", share([(r["touchdown_m_s"] or 0.0) > 0.3 for r in rows]))
-        for k, r in good.items():
-            if r["outcome"] != "succeeded":
-                print(f"  {k}: {r['reason']}")
-    elif what in ("hover", "outage"):
+    if what in ("hover", "outage"):
         for name in rows[0]:
             if name == "wall_s":
                 continue
@@ -304,7 +274,7 @@ def report(what: str, found: dict[str, dict[str, Any]]) -> None:
 
 def main() -> None:
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("what", choices=("mission", "box", "hover", "outage", "faults", "pairs", "alarms"))
+    p.add_argument("what", choices=("hover", "outage", "faults", "pairs", "alarms"))
     p.add_argument("--seeds", type=int, default=20)
     p.add_argument("--first", type=int, default=0)
     p.add_argument("--only", default="", help="names that contain this")

@@ -47,10 +47,10 @@ if TYPE_CHECKING:
 _SHOWN = 10  # commands printed; all are in commands.txt
 
 # One line a paragraph: the terminal wraps them.
-HELP = """Fly a mission many times with other vehicles, air and chance: how often does it succeed, how sure is that?
+HELP = """Fly a mission many times with other vehicles, air and chance: how often does it succeed, how sure is it?
 
-A flight succeeded if the truth says so: nothing hit, every waypoint passed within --tolerance, landed upright where it \
-was to. Flight K of a seed is always the same, whoever flies it, so a folder that was stopped (Ctrl-C, a crash) goes \
+A flight succeeded if the truth says so: nothing hit, every waypoint passed within --tolerance, landed upright where \
+it was to. Flight K of a seed is always the same, whoever flies it: a folder that was stopped (Ctrl-C, a crash) goes \
 on with the same command, and more --flights can be added to it.
 
 --vary draws parameters of the vehicle anew for each flight; controllers, autopilot and filter stay those of --vehicle \
@@ -153,6 +153,10 @@ def monte_carlo(
         gust=gust, sensors="ideal" if sensors == "ideal" else "fitted", faults=tuple(fault or ()), seed=seed,
         tolerance_m=tolerance, redesign=redesign, controllers=controllers, vehicle_name=vehicle, mission_name=mission,
     )  # fmt: skip
+    if search and not campaign.searched:
+        raise InputError(
+            "--search", "", "nothing varies but chance", "vary something with --vary or --wind, or leave it out"
+        )
     if not as_json:
         _announce(campaign)
     ending = Ending()
@@ -166,7 +170,8 @@ def monte_carlo(
         if search and not stop():
             with progress_bar("Searching", not as_json) as progress:
                 sought = find_worst(campaign, search, crew=crew, folder=out, progress=progress, stop=stop)
-        commands, files = [], []
+        commands: list[tuple[Flown, str]] = []
+        files: list[Path] = []
         if not stop():
             with progress_bar("Recording", not as_json) as progress:
                 commands, files = _again(campaign, flown, sought, out, record, crew, stop, progress)
@@ -240,8 +245,7 @@ def _again(
             orders.append((case, recording.with_suffix(".part.mcap")))
     before = {(f.index, f.seed): f for f in chosen.values()}
     paths = {case.index: path for case, path in orders}
-    done = 0
-    for f in crew.fly(campaign, orders, stop):
+    for done, f in enumerate(crew.fly(campaign, orders, stop), 1):
         path = paths[f.index]
         changed = differences(f, before[f.index, f.seed])
         if changed:
@@ -252,7 +256,6 @@ def _again(
             )
         with writing(path):
             path.rename(path.with_name("flight.mcap"))
-        done += 1
         if progress is not None:
             progress(done, len(orders))
     return commands, [folder / "flight.mcap" for folder in chosen if (folder / "flight.mcap").exists()]

@@ -24,7 +24,7 @@ from typing import Any, Literal
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from mufly.control import FlightController, design
 from mufly.errors import ArgumentError, InputError, MuflyError
@@ -314,7 +314,7 @@ def fly_case(campaign: Campaign, case: Case, path: Path | None = None) -> Flown:
             truths.append(flight.truth)
             told.append(flight.estimate)
 
-    same = {
+    same: dict[str, Any] = {
         "index": case.index,
         "seed": case.seed,
         "refused": case.refused,

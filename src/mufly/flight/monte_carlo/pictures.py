@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from scipy.stats import rankdata
 
 from mufly.flight.monte_carlo.campaign import Campaign, Flown
@@ -47,7 +48,7 @@ def draw_distributions(flights: Sequence[Flown], tolerance_m: float, title: str 
                     axes.axvline(limit, color=VERMILION, linestyle="--", linewidth=1.2)
             axes.set_xlabel(label)
             axes.set_ylabel("flights" if k % columns == 0 else "")
-            axes.yaxis.get_major_locator().set_params(integer=True)
+            axes.yaxis.set_major_locator(MaxNLocator(integer=True))
         good_count = sum(f.success for f in flights)
         said = f"{good_count} successes (blue), {len(flights) - good_count} failures (red)"
         figure.suptitle(

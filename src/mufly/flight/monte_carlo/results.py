@@ -12,6 +12,7 @@ that at most 0.4 % fail.
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -191,9 +192,7 @@ def outcome_of(flights: Sequence[Flown], tolerance_m: float) -> Outcome:
 
 
 def _without_numbers(reason: str) -> str:
-    words = (w for w in reason.replace("[", " [ ").replace("]", " ] ").split())
-    kept = ["..." if any(c.isdigit() for c in w) else w for w in words]
-    return " ".join(w for k, w in enumerate(kept) if w != "..." or k == 0 or kept[k - 1] != "...")
+    return re.sub(r"\[[^]]*\]|[^ ,;:]*\d[^ ,;:]*", "...", reason)
 
 
 def _worst(flights: Sequence[Flown], m: Measure) -> Worst | None:

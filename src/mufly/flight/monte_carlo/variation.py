@@ -156,7 +156,13 @@ def _from_words(text: str, vehicle: Vehicle) -> Variation:
             raise ArgumentError(
                 "vary", text, "no standard deviation is stated in the vehicle file", "give one: normal:3%"
             )
-        return _alone(text, stated, [float(p.std or 0.0) for p in stated], "normal")
+        missing = len(chosen) - len(stated)
+        note = (
+            f"{missing} of {len(chosen)} parameters state no standard deviation: not varied"
+            if missing
+            else ""
+        )
+        return replace(_alone(text, stated, [float(p.std or 0.0) for p in stated], "normal"), note=note)
     if match := _RANGE.fullmatch(how):
         low, high = (_number(match[k], text) * _factor(match["unit"], chosen, text) for k in ("low", "high"))
         if not low < high:

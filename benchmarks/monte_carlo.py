@@ -1,0 +1,91 @@
+"""How fast are many flights, and how much of that is the compiled functions alone?
+
+    python benchmarks/monte_carlo.py [--flights 20] [--jobs N]
+
+Flies the demonstration in wind, vehicles off by 10 %, without a recording: seconds until the first flight of new
+processes begins, then flown time over wall time, of all processes together. Then, in one process under a profiler,
+what share of a flight is spent inside compiled functions: the machine's limit for this code, were Python free. The first
+call compiles; call it twice.
+"""
+
+from __future__ import annotations
+
+import argparse
+import cProfile
+import os
+import pstats
+import sys
+import time
+
+from numba.core.dispatcher import Dispatcher
+
+from mufly.flight.monte_carlo import Campaign, Crew, fly_case, parse_variations, run
+from mufly.mission import load_mission
+from mufly.vehicle import load_vehicle
+
+
+def compiled() -> set[tuple[str, str]]:
+    """File and name of every compiled function of the package, as a profile has them."""
+    found = (
+        o
+        for m in list(sys.modules.values())
+        if getattr(m, "__name__", "").startswith("mufly")
+        for o in vars(m).values()
+    )
+    return {(d.py_func.__code__.co_filename, d.py_func.__name__) for d in found if isinstance(d, Dispatcher)}
+
+
+def main() -> None:
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--flights", type=int, default=20)
+    p.add_argument("--jobs", type=int, default=os.cpu_count())
+    asked = p.parse_args()
+    vehicle, mission = load_vehicle("mufly-1.1"), load_mission("demonstration")
+    for sensors in ("ideal", "fitted"):
+        campaign = Campaign.of(
+            vehicle,
+            mission,
+            variations=parse_variations(["parameters=10%"], vehicle),
+            wind=0.5,
+            gust=0.3,
+            sensors=sensors,
+        )
+        began = time.perf_counter()
+        with Crew(asked.jobs) as crew:
+            list(crew.fly(campaign, [(campaign.case(k), None) for k in range(asked.jobs)]))
+            first = time.perf_counter() - began
+            began = time.perf_counter()
+            flights = run(campaign, asked.flights, crew=crew)
+            wall = time.perf_counter() - began
+        flown = sum(f.duration_s or 0.0 for f in flights)
+        case = campaign.case(0)
+        fly_case(campaign, case)
+        cpu = time.process_time()
+        once = fly_case(campaign, case)
+        cpu = time.process_time() - cpu
+        profile = cProfile.Profile()
+        profile.runcall(fly_case, campaign, case)
+        names = compiled()
+        inside = sum(
+            row[2]
+            for (file, _, name), row in pstats.Stats(profile).stats.items()
+            if (file, name) in names  # type: ignore[attr-defined]
+        )
+        seconds = once.duration_s or float("nan")
+        print(
+            f"{sensors}: {asked.jobs} processes, {asked.flights} flights of {flown / len(flights):.0f} s in {wall:.1f} s"
+        )
+        print(f"  first flights of new processes are over after {first:7.1f} s")
+        print(
+            f"  flown time over wall time, together           {flown / wall:7.0f}   (target 500, then 2000)"
+        )
+        print(
+            f"  1000 flights of 60 s would take               {60e3 * wall / flown:7.0f} s (target 120, then 30)"
+        )
+        print(f"  one process: times real time                  {seconds / cpu:7.0f}")
+        print(f"    in compiled functions alone                 {seconds / inside:7.0f}")
+        print(f"    time over that of the compiled functions    {cpu / inside:7.1f}")
+
+
+if __name__ == "__main__":
+    main()
