@@ -4,8 +4,8 @@
 
 Flies the demonstration in wind, vehicles off by 10 %, without a recording: seconds until the first flight of new
 processes begins, then flown time over wall time, of all processes together. Then, in one process under a profiler,
-what share of a flight is spent inside compiled functions: the machine's limit for this code, were Python free. The first
-call compiles; call it twice.
+what share of a flight is spent inside compiled functions: the machine's limit for this code, were Python free. The
+first call compiles; call it twice.
 """
 
 from __future__ import annotations
@@ -73,7 +73,8 @@ def main() -> None:
         )
         seconds = once.duration_s or float("nan")
         print(
-            f"{sensors}: {asked.jobs} processes, {asked.flights} flights of {flown / len(flights):.0f} s in {wall:.1f} s"
+            f"{sensors}: {asked.jobs} processes, {asked.flights} flights of "
+            f"{flown / len(flights):.0f} s in {wall:.1f} s"
         )
         print(f"  first flights of new processes are over after {first:7.1f} s")
         print(
