@@ -28,6 +28,7 @@ from mufly.cli.station import (
     Ending,
     FaultOption,
     FirmwareOption,
+    FixedPointOption,
     GustOption,
     SensorsOption,
     VehicleOption,
@@ -112,6 +113,7 @@ def monte_carlo(
         option("--search N", "Then look for the worst case by CMA-ES in about so many flights.", min=0),
     ] = 0,
     firmware: FirmwareOption = False,
+    fixed_point: FixedPointOption = False,
     seed: Annotated[int, option("--seed", "Seed of the campaign; each flight has its own of it.")] = 0,
     jobs: Annotated[
         int | None, option("--jobs -j N", r"Flights at a time. \[default: one a core]", min=1)
@@ -142,7 +144,8 @@ def monte_carlo(
 
     helicopter = load_vehicle(vehicle)
     check_sensors(helicopter, sensors, fault)
-    controllers = on_board(firmware)
+    controllers = on_board(firmware, fixed_point)
+    by = tuple(word for word, wanted in (("--firmware", firmware), ("--fixed-point", fixed_point)) if wanted)
 
     from mufly.flight.monte_carlo import Campaign, Crew, parse_variations
     from mufly.flight.monte_carlo import run as fly_all
@@ -151,11 +154,15 @@ def monte_carlo(
     campaign = Campaign.of(
         helicopter, load_mission(mission), variations=parse_variations(vary or [], helicopter), wind=towards,
         gust=gust, sensors="ideal" if sensors == "ideal" else "fitted", faults=tuple(fault or ()), seed=seed,
-        tolerance_m=tolerance, redesign=redesign, controllers=controllers, vehicle_name=vehicle, mission_name=mission,
+        tolerance_m=tolerance, redesign=redesign, controllers=controllers, computed_by=by,
+        vehicle_name=vehicle, mission_name=mission,
     )  # fmt: skip
     if search and not campaign.searched:
         raise InputError(
-            "--search", "", "nothing varies but chance", "vary something with --vary or --wind, or leave it out"
+            "--search",
+            "",
+            "nothing varies but chance",
+            "vary something with --vary or --wind, or leave it out",
         )
     if not as_json:
         _announce(campaign)

@@ -175,6 +175,8 @@ class Campaign:
         Make controllers, autopilot and estimator for each vehicle drawn, instead of for ``vehicle``.
     controllers : callable, optional
         As for :class:`mufly.flight.Flight`.
+    computed_by : tuple of str
+        Options of a command line that stand for ``controllers``.
     vehicle_name, mission_name : str
         What names them on a command line.
     """
@@ -190,6 +192,7 @@ class Campaign:
     tolerance_m: float = 0.3
     redesign: bool = False
     controllers: Callable[[FlightController], Controllers] | None = None
+    computed_by: tuple[str, ...] = ()
     vehicle_name: str = "mufly-1.1"
     mission_name: str = "demonstration"
     controller: FlightController | None = field(default=None, repr=False)
@@ -296,9 +299,7 @@ class Campaign:
             words += ["--gust", repr(self.gust)]
         for text in self.faults:
             words += ["--fault", text]
-        if self.controllers is not None:
-            words.append("--firmware")
-        return shlex.join([*words, "--out", str(folder)])
+        return shlex.join([*words, *self.computed_by, "--out", str(folder)])
 
 
 def fly_case(campaign: Campaign, case: Case, path: Path | None = None) -> Flown:
