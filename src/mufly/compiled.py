@@ -128,7 +128,8 @@ def _stamp(file: Path) -> str:
 
 
 @functools.cache
-def _base() -> Path:
+def cache_folder() -> Path:
+    """Return the folder in which compiled code is kept: the first of those named above that can be written."""
     for base in (getattr(config, "CACHE_DIR", ""), platformdirs.user_cache_dir("mufly")):
         if base:
             folder = Path(base) / "mufly-compiled"
@@ -147,13 +148,13 @@ def _base() -> Path:
 def _folder(file: Path) -> Path:
     """Return the folder of one file's functions, made and marked as used; long unused ones of that file go."""
     name = ".".join(file.relative_to(_ROOT).with_suffix("").parts)
-    folder = _base() / f"{name}-{_stamp(file)}"
+    folder = cache_folder() / f"{name}-{_stamp(file)}"
     new = not folder.is_dir()
     folder.mkdir(exist_ok=True)
     os.utime(folder)
     if new:
         oldest = time.time() - 86400.0 * KEPT_DAYS
-        for other in _base().glob(f"{name}-*"):
+        for other in cache_folder().glob(f"{name}-*"):
             try:
                 unused = other.stat().st_mtime < oldest
             except OSError:

@@ -94,7 +94,6 @@ def _inplane_drag(nx, ny, nz, air_x, air_y, air_z, p, q, z, slope):  # type: ign
     return slope * (along * nx - x), slope * (along * ny - y), slope * (along * nz - air_z)
 
 
-# Inlined by force: with a map in it LLVM finds it too long, and single flights would slow down by a tenth.
 @compiled(error_model="numpy", forceinline=True)
 def derivative(x, u, wind, p, dx):  # type: ignore[no-untyped-def]
     """Write the time derivative of the state into ``dx``.
@@ -112,6 +111,18 @@ def derivative(x, u, wind, p, dx):  # type: ignore[no-untyped-def]
         Overwritten with dx/dt.
 
     Thesis: eqs 4.5 to 4.10, 4.13 to 4.23, 4.31.
+    """
+    derivative_tilted(
+        x, u, wind, p, math.sin(x[13]), math.cos(x[13]), math.sin(x[14]), math.cos(x[14]), True, dx
+    )
+
+
+# Inlined by force: with a map in it LLVM finds it too long, and single flights would slow down by a tenth.
+@compiled(error_model="numpy", forceinline=True)
+def derivative_tilted(x, u, wind, p, sin_a, cos_a, sin_b, cos_b, floor, dx):  # type: ignore[no-untyped-def]
+    """:func:`derivative` with sine and cosine of the swash plate's tilt about x and y from whoever asks.
+
+    What runs on board has its own (:mod:`mufly.trigonometry`). Without ``floor`` none is touched.
     """
     # First of all, because what is in registers would not outlive the call.
     kT_up, kT_dw, kQ_up, kQ_dw = p.thrust_up, p.thrust_dw, p.torque_up, p.torque_dw
@@ -143,11 +154,10 @@ def derivative(x, u, wind, p, dx):  # type: ignore[no-untyped-def]
     )
 
     # Thrust directions. Lower rotor: tilted by the swash plate.
-    cos_b = math.cos(beta)
     thrust_dw = kT_dw * speed_dw * speed_dw
-    fx_dw = -math.sin(beta) * thrust_dw
-    fy_dw = cos_b * math.sin(alpha) * thrust_dw
-    fz_dw = -math.cos(alpha) * cos_b * thrust_dw
+    fx_dw = -sin_b * thrust_dw
+    fy_dw = cos_b * sin_a * thrust_dw
+    fz_dw = -cos_a * cos_b * thrust_dw
     # Upper rotor: tilted against the mast as the bar's disc is, times l_up.
     nx = p.bar_gain * (a00 * bar_n + a10 * bar_e + a20 * bar_d)
     ny = p.bar_gain * (a01 * bar_n + a11 * bar_e + a21 * bar_d)
@@ -165,7 +175,7 @@ def derivative(x, u, wind, p, dx):  # type: ignore[no-untyped-def]
     if p.inplane > 0.0:
         h_x, h_y, h_z = _inplane_drag(nx, ny, nz, air_x, air_y, air_z, wx, wy, p.z_up, p.inplane * speed_up)
         fx_up, fy_up, fz_up = fx_up + h_x, fy_up + h_y, fz_up + h_z
-        nx, ny, nz = -math.sin(beta), cos_b * math.sin(alpha), -math.cos(alpha) * cos_b
+        nx, ny, nz = -sin_b, cos_b * sin_a, -cos_a * cos_b
         h_x, h_y, h_z = _inplane_drag(nx, ny, nz, air_x, air_y, air_z, wx, wy, p.z_dw, p.inplane * speed_dw)
         fx_dw, fy_dw, fz_dw = fx_dw + h_x, fy_dw + h_y, fz_dw + h_z
     fx = fx_up + fx_dw - p.drag_x * abs(air_x) * air_x
@@ -181,7 +191,7 @@ def derivative(x, u, wind, p, dx):  # type: ignore[no-untyped-def]
     f_n = a00 * fx + a01 * fy + a02 * fz
     f_e = a10 * fx + a11 * fy + a12 * fz
     f_d = a20 * fx + a21 * fy + a22 * fz
-    if x[2] + p.contact_reach > 0.0:
+    if floor and x[2] + p.contact_reach > 0.0:
         c_n, c_e, c_d, c_mx, c_my, c_mz = contact_wrench(x, p)
         f_n += c_n
         f_e += c_e

@@ -21,6 +21,8 @@ U is held by columns: ``ut[j, i] = U_ij``, i < j, so that inner loops run over n
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -181,7 +183,7 @@ def sigmas(ut, d, out):  # type: ignore[no-untyped-def]
         s = d[i]
         for k in range(i + 1, n):
             s += d[k] * ut[k, i] * ut[k, i]
-        out[i] = s**0.5
+        out[i] = math.sqrt(s)
 
 
 @compiled(error_model="numpy")

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.dynamics import euler_from_quaternion, model_parameters
+from mufly.dynamics import model_parameters
 from mufly.estimate.beliefs import Beliefs
 from mufly.estimate.estimate import Estimate, Estimator
 from mufly.estimate.guards import ACTING, CLIPPING, VALUES
-from mufly.estimate.kernel import TOLD_EVERY, begin, step
+from mufly.estimate.kernel import TOLD_EVERY
 from mufly.estimate.layout import (
     CHECKED,
     R_BATTERY,
@@ -25,8 +25,9 @@ from mufly.estimate.layout import (
     filter_settings,
     memory_type,
 )
+from mufly.estimate.native import steps
 from mufly.estimate.words import checks
-from mufly.sensors import Reading, Readings, nearest_turn
+from mufly.sensors import Reading, Readings
 from mufly.sensors.pressure import STANDARD_PRESSURE_PA
 from mufly.vehicle import Vehicle
 from mufly.world import World
@@ -79,11 +80,11 @@ class KalmanEstimator(Estimator):
         # A record of an array is a view of it: the compiled step writes into the array.
         self._box = np.zeros(1, memory_type(self._kind))
         self.memory = self._box[0]
-        begin(self.memory, self._settings)
         self._z = np.zeros(VALUES, self._kind)
         self._new, self._age = np.zeros(SENSORS, np.int32), np.zeros(SENSORS, self._kind)
+        self.steps = steps(self._settings, self._parameters, self._z, self._new, self._age)
+        self.steps.begin(self._box)
         self._last: dict[str, Reading] = {}
-        self._yaw = 0.0
         self._checks: tuple = ()
         self._told: tuple[Any, ...] = ()
         self._first = math.nan
@@ -93,16 +94,14 @@ class KalmanEstimator(Estimator):
     def update(self, readings: Readings, acting: _Array | None = None) -> Estimate:
         self._read(readings, acting)
         m = self.memory
-        valid = bool(step(m, self._settings, self._parameters, self._z, self._new, self._age))
+        valid = self.steps.step(self._box)
         if m["tick"] % TOLD_EVERY == 0 or not self._told:
             self._checks = checks(m, self._settings, self._fitted)
             self._told = (m["out_cov"].astype(np.float64), m["sigma"].astype(np.float64))
         x = m["out"].astype(np.float64)
-        angles = euler_from_quaternion(x[6:10])
-        self._yaw = angles[2] = nearest_turn(float(angles[2]), self._yaw)
         k = STARTS[R_BATTERY]
         return Estimate(
-            readings.time_s, x[0:3], x[3:6], angles, m["out_rates"].astype(np.float64),
+            readings.time_s, x[0:3], x[3:6], m["angles"].astype(np.float64), m["out_rates"].astype(np.float64),
             self._ranges,
             float(self._z[k]) or math.nan, self._told[0], valid,
             Beliefs(x[10:13], x[13:16], float(x[16]), x[17:21], x[21:23], float(x[23]), self._told[1], self._checks),

@@ -63,11 +63,13 @@ from mufly.estimate.layout import (
     R_SONAR,
     THRUST_,
     TURN,
+    TURN_RAD,
     WIND,
     P,
     V,
 )
 from mufly.estimate.motion import turn_matrix, turned
+from mufly.trigonometry import arc_tangent, whole
 from mufly.units import GRAVITY
 
 GATE = 5.0
@@ -163,9 +165,9 @@ def _fix_innovation(m, z, i, ahead):  # type: ignore[no-untyped-def]
     x = m.x
     if i < 3:
         return z[i] - x[i] - ahead * x[3 + i] - x[17 + i]
-    yaw = math.atan2(2 * (x[6] * x[9] + x[7] * x[8]), 1 - 2 * (x[8] * x[8] + x[9] * x[9]))
+    yaw = arc_tangent(2 * (x[6] * x[9] + x[7] * x[8]), 1 - 2 * (x[8] * x[8] + x[9] * x[9]))
     off = z[3] - yaw - x[20]
-    return off - 2 * math.pi * math.floor(off / (2 * math.pi) + 0.5)
+    return off - TURN_RAD * whole(off / TURN_RAD + 0.5)
 
 
 @compiled(error_model="numpy")
@@ -265,7 +267,7 @@ def fuse_fix(m, s, z, ahead):  # type: ignore[no-untyped-def]
     fits(m, k)
     if not down:
         flag(m, s, k, FAULTY, AWAY, m.suspect[k, 3])
-    m.aligned |= 1
+    m.aligned = 1
 
 
 @compiled(error_model="numpy")
@@ -307,7 +309,7 @@ def fuse_sonar(m, s, z, ahead, r):  # type: ignore[no-untyped-def]
     """Height above what lies below; a step that nothing else saw is the floor's."""
     k = R_SONAR
     down = _sonar_row(m, s, r)
-    if r[8] < math.cos(s.sonar_cone) or z[0] >= s.sonar_max:
+    if r[8] < s.sonar_cone or z[0] >= s.sonar_max:
         return
     expect = -(m.x[2] + ahead * m.x[5]) - down - m.x[16]
     if z[0] <= s.sonar_min + 0.005 and expect < s.sonar_min + 0.02:
@@ -442,8 +444,8 @@ def fuse_magnet(m, s, z, r):  # type: ignore[no-untyped-def]
     m.h[TURN + 2] = 1.0
     m.h[TURN] = -s.earth[2] / s.earth[0]
     m.h[MAGNET_] = 1.0
-    off = -math.atan2(east, north) - m.x[25]
-    nu = off - 2 * math.pi * math.floor(off / (2 * math.pi) + 0.5)
+    off = -arc_tangent(east, north) - m.x[25]
+    nu = off - TURN_RAD * whole(off / TURN_RAD + 0.5)
     ratio = _ratio(m, nu, s.magnet_variance)
     _note(m, k, nu, ratio)
     if abs(ratio) > GATE:
@@ -454,7 +456,6 @@ def fuse_magnet(m, s, z, r):  # type: ignore[no-untyped-def]
         flag(m, s, k, REJECTED, TAKEN_OVER, nu)
     _take(m, nu, s.magnet_variance)
     fits(m, k)
-    m.aligned |= 2
 
 
 @compiled(error_model="numpy")

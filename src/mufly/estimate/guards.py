@@ -18,6 +18,8 @@ once they come to :data:`ALARM` (:data:`SONAR_ALARM` for the sonar: four within 
 
 from __future__ import annotations
 
+import math
+
 from mufly.compiled import compiled
 from mufly.estimate.factors import loosen
 from mufly.estimate.layout import (
@@ -198,8 +200,9 @@ def smooth_rates(m, s, flying):  # type: ignore[no-untyped-def]
     if m.spikes >= 2:
         # Twice the same: an offset that came at once is no motion. It is taken off from now on.
         for k in range(3):
-            m.shift[k] += m.rates[k] - m.row[k]
-            loosen(m.ut, m.d, GYRO + k, (0.1 * (m.rates[k] - m.row[k])) ** 2, m.f)
+            off = m.rates[k] - m.row[k]
+            m.shift[k] += off
+            loosen(m.ut, m.d, GYRO + k, 0.1 * off * (0.1 * off), m.f)
         m.spikes = m.wild = 0
         flag(m, s, R_RATES, FUSED, JUMPED, worst)
     elif m.wild > 8:
@@ -249,4 +252,4 @@ def felt_fits(m, s, nu, variance, i):  # type: ignore[no-untyped-def]
         if m.disowned == 1:
             flag(m, s, k, FAULTY, OFF, m.drift[2])
     # The mean of 0.1-weighted blocks keeps 0.1 / (2 - 0.1) of their variance.
-    m.drift_sigma[i] = (variance * 0.0526 + 0.04) ** 0.5
+    m.drift_sigma[i] = math.sqrt(variance * 0.0526 + 0.04)

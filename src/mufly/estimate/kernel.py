@@ -59,6 +59,7 @@ from mufly.estimate.layout import (
     STARTS,
     STATES,
     THRUST_,
+    TURN_RAD,
     WAITING,
     WIND,
 )
@@ -70,6 +71,7 @@ from mufly.estimate.motion import (
     turn_matrix,
     turned,
 )
+from mufly.trigonometry import arc_tangent, sine_cosine, whole
 from mufly.units import GRAVITY
 
 LONGEST = 8
@@ -161,14 +163,15 @@ def _force(m, s, p, z, new, r):  # type: ignore[no-untyped-def]
     """What acted over the period that has just ended: a row of inputs."""
     now = m.tick % MODELLED
     for j in range(4):
-        m.acting[j] = z[ACTING + j]
+        sent = z[ACTING + j]
+        m.acting[j] = min(max(sent, -1.0), 1.0) if sent == sent else 0.0
     turn_matrix(m.out[6:10], r)
     n, e, d = m.out[3] - m.out[21], m.out[4] - m.out[22], m.out[5]
     for k in range(3):
         m.row[k] = r[k] * n + r[3 + k] * e + r[6 + k] * d
         m.rotor[10 + k] = m.rates[k] - m.out[10 + k]
     if s.model > 0:
-        model_force(m, p, s.dt, m.row, m.force[now])
+        model_force(m, s, p, m.row, m.force[now])
         if new[R_ROTOR] == 1:
             a = _Z[R_ROTOR]
             if rotor_fits(m, s, z, a):
@@ -359,8 +362,20 @@ def _tell(m, s, r, a):  # type: ignore[no-untyped-def]
             m.out_rates[k] += s.lag * m.force[m.tick % MODELLED, 9 + k]
     turned(x, s.lag * m.out_rates[0], s.lag * m.out_rates[1], s.lag * m.out_rates[2], True)
     _smooth(m, s)
+    _angles(m)
     if much:
         _tell_covariance(m, s)
+
+
+@compiled(error_model="numpy")
+def _angles(m):  # type: ignore[no-untyped-def]
+    """Roll, pitch and yaw of the attitude that is told."""
+    w, x, y, z = m.out[6], m.out[7], m.out[8], m.out[9]
+    sine = min(max(2 * (w * y - z * x), -1.0), 1.0)
+    m.angles[0] = arc_tangent(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    m.angles[1] = arc_tangent(sine, math.sqrt((1 - sine) * (1 + sine)))
+    yaw = arc_tangent(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    m.angles[2] = yaw + TURN_RAD * whole((m.angles[2] - yaw) / TURN_RAD + 0.5)
 
 
 @compiled(error_model="numpy")
@@ -410,10 +425,9 @@ def _tell_covariance(m, s):  # type: ignore[no-untyped-def]
         m.sigma[i] = math.sqrt(m.out_cov[i, i])
     # Turns about N, E, D to roll, pitch and yaw
     x = m.out
-    yaw = math.atan2(2 * (x[6] * x[9] + x[7] * x[8]), 1 - 2 * (x[8] * x[8] + x[9] * x[9]))
     sine = min(max(2 * (x[6] * x[8] - x[9] * x[7]), -1.0), 1.0)
     cosine = max(math.sqrt(1 - sine * sine), 0.05)
-    c, t = math.cos(yaw), math.sin(yaw)
+    t, c = sine_cosine(m.angles[2])
     for j in range(9):
         n_, e_ = m.out_cov[6, j], m.out_cov[7, j]
         m.out_cov[6, j] = (c * n_ + t * e_) / cosine
@@ -449,8 +463,7 @@ def step(m, s, p, z, new, age):  # type: ignore[no-untyped-def]
     """
     m.tick += 1
     inspect(m, s, z, new, age)
-    r = m.gain[0:9]
-    a = m.f[0:6]
+    r, a = m.attitude, m.push
     for k in range(3):
         m.before[k] = m.rates[k]
         m.rates[k] = z[_Z[R_RATES] + k] - m.shift[k]
@@ -465,9 +478,9 @@ def step(m, s, p, z, new, age):  # type: ignore[no-untyped-def]
             continue
         # The state of tick k belongs to k dt - lag.
         at = m.tick + (s.lag - age[kind] - s.latency[kind] * (1 if kind == R_PRESSURE else 0)) / s.dt
-        due = math.floor(at + 0.5)
+        due = whole(at + 0.5)
         count = STARTS[kind + 1] - STARTS[kind]
-        if not _queue(m, kind, int(due), (at - due) * s.dt, z, STARTS[kind], count):
+        if not _queue(m, kind, due, (at - due) * s.dt, z, STARTS[kind], count):
             m.late[kind] += 1
             flag(m, s, kind, FAULTY, LATE, age[kind])
     while m.horizon < m.tick - s.delay:
@@ -476,7 +489,7 @@ def step(m, s, p, z, new, age):  # type: ignore[no-untyped-def]
         if m.middle >= LONGEST:
             _settle(m, s)
     _tell(m, s, r, a)
-    found = s.fitted[R_FIX] == 0 or (m.aligned & 1) > 0
+    found = s.fitted[R_FIX] == 0 or m.aligned > 0
     if m.lifted == 0 and found and (m.standing * s.dt >= _ALIGNED_S or m.tick * s.dt > 3.0):
         m.lifted = 1
     seen = m.code[R_RATES] < MISSING or (m.tick - m.used[R_RATES]) * s.dt < _BLIND_S

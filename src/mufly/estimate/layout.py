@@ -76,18 +76,18 @@ WAITING = 64  # measurements that wait for the horizon
 MODELLED = 8  # periods for which forces of the model wait for the slower inertial unit
 
 
-def memory_type(kind: Any = np.float64) -> np.dtype:
-    """Return the type of what the filter remembers, in numbers of this kind."""
+def memory_type(kind: Any = np.float64, kept: int = KEPT) -> np.dtype:
+    """Return the type of what the filter remembers, in numbers of this kind, with so many periods of input."""
     n, i4 = ERRORS, np.int32
     return np.dtype([
         # The filter at the horizon
         ("x", kind, (STATES,)), ("ut", kind, (n, n)), ("d", kind, (n,)),
         ("top", kind, (9, n)), ("decay", kind, (n,)), ("q", kind, (n,)), ("middle", i4), ("horizon", i4),
         # Inputs, by their tick modulo KEPT
-        ("inputs", kind, (KEPT, INPUTS)), ("tick", i4), ("rates", kind, (3,)),
+        ("inputs", kind, (kept, INPUTS)), ("tick", i4), ("rates", kind, (3,)),
         # The rotor model: state of the flight model in body axes, forces of the last periods
-        ("rotor", np.float64, (21,)), ("slope", np.float64, (21,)), ("still", np.float64, (3,)),
-        ("acting", np.float64, (4,)),
+        ("rotor", kind, (21,)), ("slope", kind, (21,)), ("still", kind, (3,)),
+        ("acting", kind, (4,)),
         ("force", kind, (MODELLED, 12)),
         # Measurements that wait
         ("due", i4, (WAITING,)), ("what", i4, (WAITING,)), ("value", kind, (WAITING, BEAMS)), ("ahead", kind,
@@ -101,8 +101,8 @@ def memory_type(kind: Any = np.float64) -> np.dtype:
         ("strain", kind), ("disowned", i4), ("drift", kind, (3,)),
         ("drift_sigma", kind, (3,)), ("told", kind, (4,)), ("standing", i4), ("aligned", i4), ("sum", kind,
         (6,)), ("lifted", i4),
-        # What is told
-        ("out", kind, (STATES,)), ("out_rates", kind, (3,)), ("out_cov", kind, (12, 12)), ("sigma", kind,
+        # What is told; angles: roll, pitch, and yaw that does not jump at half a turn
+        ("out", kind, (STATES,)), ("out_rates", kind, (3,)), ("angles", kind, (3,)), ("out_cov", kind, (12, 12)), ("sigma", kind,
         (n,)), ("slip", kind, (4,)),
         # What is thought of each sensor
         ("last", kind, (SENSORS, BEAMS)), ("last_age", kind, (SENSORS,)), ("came", i4, (SENSORS,)),
@@ -117,11 +117,14 @@ def memory_type(kind: Any = np.float64) -> np.dtype:
         ("w", kind, (2 * n, n)), ("weight", kind, (2 * n,)), ("row", kind, (n,)), ("h", kind, (n,)),
         ("f", kind, (n,)), ("gain", kind, (n,)),
         ("top_out", kind, (9, n)),
-    ])  # fmt: skip
+        # Work of Python alone (in C they are on the stack)
+        ("attitude", kind, (9,)), ("push", kind, (6,)),
+    ], align=True)  # fmt: skip
 
 
 _NUMBERS: dict[str, Any] = {
     "dt": (), "lag": (), "lag_ticks": "i", "lag_share": (), "delay": "i", "model": "i",
+    "swash_settled": (), "swash_mean": (),
     "start": (STATES,), "sigma": (ERRORS,), "keep": (ERRORS,), "noise": (ERRORS,),
     "gyro_density": (), "gyro_off": (2,), "felt_density": (), "model_density": (3,), "felt_range": (), "gyro_range": (),
     "rest_felt": (), "rest_gyro": (), "level": (), "stands": (), "weight": (), "thrust": (2,), "hover": (2,),
@@ -141,7 +144,7 @@ def settings_type(kind: Any = np.float64) -> np.dtype:
     return np.dtype([
         (name, np.int32 if isinstance(s, str) else kind, ((SENSORS,) if s == "i9" else ()) if isinstance(s, str) else s)
         for name, s in _NUMBERS.items()
-    ])  # fmt: skip
+    ], align=True)  # fmt: skip
 
 
 # What is assumed beyond the vehicle's file (docs/estimation.md)
@@ -156,7 +159,7 @@ the floor (m)."""
 FLOOR_WANDER = 1e-3  # m/sqrt(s): floors are not quite flat
 LEVEL = math.radians(0.12)  # how level it stands on the floor
 PLACE_M = 5.0  # where it stands before anything is heard
-LONGEST_DELAY_S = 0.35
+TURN_RAD = 2 * math.pi
 _CALM_S = 1.0  # errors of the ring stay for about as long
 _TURN_S = 1.5  # turns go the same way for about as long
 
@@ -194,6 +197,8 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
     s["stands"], s["weight"], s["level"] = stands, p["mass"] * GRAVITY, LEVEL
     s["thrust"] = p["thrust_up"], p["thrust_dw"]
     s["hover"] = hover_speeds(p)
+    swash = float(p["swash_rate"]) * dt
+    s["swash_settled"], s["swash_mean"] = math.exp(-swash), (1.0 - math.exp(-swash)) / swash
     s["model"], s["model_density"] = 1, 2 * MODEL_TIME_S * np.square(MODEL_FORCE)
     fitted, period, latency, bound = (
         np.zeros(SENSORS),
@@ -240,7 +245,7 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
         s["sonar_place"] = sonar.place.array()[0]
         s["sonar_variance"] = float(sonar.noise) ** 2 + float(sonar.resolution) ** 2 / 12 + 1e-6
         s["sonar_step"] = float(sonar.resolution)
-        s["sonar_cone"] = 0.5 * float(sonar.cone)
+        s["sonar_cone"] = math.cos(0.5 * float(sonar.cone))
         s["sonar_min"], s["sonar_max"] = float(sonar.min_range), float(sonar.max_range)
         bound[R_SONAR] = 1.01 * s["sonar_max"]
         latency[R_SONAR] = 2 * float(sonar.max_range) / 340.0

@@ -26,47 +26,46 @@ from __future__ import annotations
 import math
 
 from mufly.compiled import compiled
-from mufly.dynamics import battery_state, derivative
-from mufly.dynamics.model import _clip
+from mufly.dynamics import battery_state
+from mufly.dynamics.model import _clip, derivative_tilted
+from mufly.trigonometry import sine_cosine
 from mufly.units import GRAVITY
 
-_STEP = 0.05  # m/s, for the slope of drag
+_SLOPE_STEP = 0.05  # m/s, for the slope of drag
 
 
 @compiled(error_model="numpy", inline="never")
-def _model(x, u, still, p, dx):  # type: ignore[no-untyped-def]
-    derivative(x, u, still, p, dx)
+def _model(x, u, still, p, sin_a, cos_a, sin_b, cos_b, dx):  # type: ignore[no-untyped-def]
+    derivative_tilted(x, u, still, p, sin_a, cos_a, sin_b, cos_b, False, dx)
 
 
 @compiled(error_model="numpy")
-def model_force(m, p, dt, air, out):  # type: ignore[no-untyped-def]
+def model_force(m, s, p, air, out):  # type: ignore[no-untyped-def]
     """Carry what the rotors remember on by a period, and write the force that they and the air make.
 
     Parameters
     ----------
     m : record
         Memory; ``m.rotor`` is the flight model's state in body axes: rates, swash plate, bar, rotor speeds, charge.
-    p : record
-        Of the flight model.
-    dt : float
-        (s).
+    s, p : records
+        Settings; parameters of the flight model.
     air : (3,) array
         Velocity through the air, body axes (m/s).
     out : (12,) array
         Per mass: force without motion, rest, slope (m/s^2, m/s^2, 1/s); and angular acceleration (rad/s^2).
     """
-    x, dx, u = m.rotor, m.slope, m.acting
+    x, dx, u, dt = m.rotor, m.slope, m.acting, s.dt
     # The swash plate settles within the period: its mean counts.
-    rate = p.swash_rate * dt
-    settled = math.exp(-rate)
-    mean = (1.0 - settled) / rate
+    settled, mean = s.swash_settled, s.swash_mean
     to_roll = p.swash_gain * _clip(u[3], -1.0, 1.0)
     to_pitch = -p.swash_gain * _clip(u[2], -1.0, 1.0)
     roll, pitch = x[13], x[14]
     x[13] = to_roll + (roll - to_roll) * mean
     x[14] = to_pitch + (pitch - to_pitch) * mean
     x[3] = x[4] = x[5] = 0.0
-    _model(x, u, m.still, p, dx)
+    sin_a, cos_a = sine_cosine(x[13])
+    sin_b, cos_b = sine_cosine(x[14])
+    _model(x, u, m.still, p, sin_a, cos_a, sin_b, cos_b, dx)
     up, dw = dx[18], dx[19]
     x[18] += 0.5 * dt * up
     x[19] += 0.5 * dt * dw
@@ -77,21 +76,21 @@ def model_force(m, p, dt, air, out):  # type: ignore[no-untyped-def]
     s_z = b_z + dt * (dx[17] - (x[10] * b_y - x[11] * b_x))
     size = 1.0 / math.sqrt(s_x * s_x + s_y * s_y + s_z * s_z)
     x[15], x[16], x[17] = 0.5 * (b_x + s_x), 0.5 * (b_y + s_y), 0.5 * (b_z + s_z)
-    _model(x, u, m.still, p, dx)
+    _model(x, u, m.still, p, sin_a, cos_a, sin_b, cos_b, dx)
     f_x, f_y, f_z = dx[3], dx[4], dx[5] - GRAVITY
     out[0], out[1], out[2] = f_x, f_y, f_z
     for k in range(3):
         x[3 + k] = air[k]
-    _model(x, u, m.still, p, dx)
+    _model(x, u, m.still, p, sin_a, cos_a, sin_b, cos_b, dx)
     for k in range(3):
         out[9 + k] = dx[10 + k]
     d_x, d_y, d_z = dx[3], dx[4], dx[5] - GRAVITY
     for k in range(3):
-        x[3 + k] = air[k] + _STEP
-    _model(x, u, m.still, p, dx)
-    out[6] = min((dx[3] - d_x) / _STEP, 0.0)
-    out[7] = min((dx[4] - d_y) / _STEP, 0.0)
-    out[8] = min((dx[5] - GRAVITY - d_z) / _STEP, 0.0)
+        x[3 + k] = air[k] + _SLOPE_STEP
+    _model(x, u, m.still, p, sin_a, cos_a, sin_b, cos_b, dx)
+    out[6] = min((dx[3] - d_x) / _SLOPE_STEP, 0.0)
+    out[7] = min((dx[4] - d_y) / _SLOPE_STEP, 0.0)
+    out[8] = min((dx[5] - GRAVITY - d_z) / _SLOPE_STEP, 0.0)
     out[3] = d_x - f_x - out[6] * air[0]
     out[4] = d_y - f_y - out[7] * air[1]
     out[5] = d_z - f_z - out[8] * air[2]
@@ -126,7 +125,8 @@ def turned(x, t_x, t_y, t_z, own):  # type: ignore[no-untyped-def]
     k = 0.5 - square / 48.0 + square * square / 3840.0
     if square > 1.0:
         angle = math.sqrt(square)
-        c, k = math.cos(0.5 * angle), math.sin(0.5 * angle) / angle
+        k, c = sine_cosine(0.5 * angle)
+        k = k / angle
     a, b, d = k * t_x, k * t_y, k * t_z
     w, q_x, q_y, q_z = x[6], x[7], x[8], x[9]
     s = 1.0 if own else -1.0

@@ -1,0 +1,176 @@
+"""The filter's step, by whichever of two equal codes starts sooner: the C that flies on board, or Numba's.
+
+The C sources of :mod:`mufly.firmware` are a translation by hand of this room's compiled functions and give the same numbers
+to the last bit (``tests/firmware/test_estimate_c.py``). A C compiler builds them in a second or two, Numba needs half a
+minute for the same; both are kept on disk afterwards. So C is taken where there is a compiler, in double precision, and as
+long as the Python sources are those that it was proved equal to (:data:`PROVED`): whoever changes a line of them
+flies with Numba until C has followed.
+
+``MUFLY_ESTIMATOR=numba`` or ``c`` in the environment takes one or the other without asking.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import hashlib
+import os
+import types
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mufly import trigonometry
+from mufly.drive import train
+from mufly.dynamics import model
+from mufly.errors import MuflyError
+from mufly.estimate import factors, fusing, guards, kernel, motion
+from mufly.estimate.records import model_record, records_h
+from mufly.rotor import maps
+from mufly.toolchain import kept_library
+
+PROVED = "0"
+"""Stamp of the Python sources (:func:`stamp`) to which C was last proved equal."""
+
+SOURCES = ("estimate", "fusing", "guards", "factors", "motion", "flight_model", "real")
+"""Of the filter, in ``firmware/sources``."""
+_FOLDER = Path(__file__).resolve().parents[1] / "firmware" / "sources"
+_ENVIRONMENT = "MUFLY_ESTIMATOR"
+_DECLARED = """
+void estimator_begin(void *m, const void *s);
+_Bool estimator_step(void *m, const void *s, const void *p, double *z, int32_t *fresh, const double *age);
+"""
+
+
+@dataclass(frozen=True)
+class Steps:
+    """What computes the filter.
+
+    Attributes
+    ----------
+    name : str
+        ``"C"`` or ``"Numba"``.
+    why : str
+        Why not C; empty with C.
+    begin : callable
+        Of the memory.
+    step : callable
+        Of the memory; says whether the estimate is valid. Readings, which are new, and their ages are in the arrays that
+        were given.
+    """
+
+    name: str
+    why: str
+    begin: Callable[[np.ndarray], None]
+    step: Callable[[np.ndarray], bool]
+
+
+def steps(settings: Any, parameters: Any, z: np.ndarray, new: np.ndarray, age: np.ndarray) -> Steps:
+    """Return what computes the filter from now on.
+
+    Parameters
+    ----------
+    settings, parameters : records
+        Of the filter (:func:`mufly.estimate.layout.filter_settings`) and of the flight model.
+    z, new, age : arrays
+        In which every period's readings will stand (:func:`mufly.estimate.kernel.step`).
+
+    Raises
+    ------
+    MuflyError
+        If C is asked for in the environment and cannot be had.
+    """
+    asked = os.environ.get(_ENVIRONMENT, "")
+    why = _against(asked, z.dtype)
+    if not why:
+        try:
+            return _in_c(settings, parameters, z, new, age)
+        except (MuflyError, OSError) as error:
+            if asked == "c":
+                raise MuflyError(f"{_ENVIRONMENT}=c: {error}") from None
+            why = str(error)
+
+    def step(memory: np.ndarray) -> bool:
+        return bool(kernel.step(memory[0], settings, parameters, z, new, age))
+
+    return Steps("Numba", why, lambda memory: kernel.begin(memory[0], settings), step)
+
+
+def _against(asked: str, kind: Any) -> str:
+    """Why C is not taken, before it is tried."""
+    if asked == "numba":
+        return f"{_ENVIRONMENT}=numba"
+    if kind != np.float64:
+        return "single precision"
+    if asked != "c" and stamp() != PROVED:
+        return "the Python sources of the filter have changed since its C was proved equal to them"
+    return ""
+
+
+def _in_c(settings: Any, parameters: Any, z: np.ndarray, new: np.ndarray, age: np.ndarray) -> Steps:
+    ffi, lib = _library(records_h(parameters))
+    # The records' bytes are the structs'; ffi keeps hold of the arrays.
+    s = ffi.from_buffer(np.array([settings]))
+    p = ffi.from_buffer(model_record(parameters))
+    values, fresh, ages = ffi.from_buffer("double[]", z), ffi.from_buffer("int32_t[]", new), ffi.from_buffer("double[]", age)
+    begin, advance, view = lib.estimator_begin, lib.estimator_step, ffi.from_buffer
+    held: list[Any] = [None, None]
+
+    def step(memory: np.ndarray) -> bool:
+        if held[0] is not memory:
+            held[:] = memory, view(memory)
+        return advance(held[1], s, p, values, fresh, ages)  # type: ignore[no-any-return]
+
+    return Steps("C", "", lambda memory: begin(view(memory), s), step)
+
+
+@functools.lru_cache(maxsize=8)
+def _library(records: str) -> tuple[Any, Any]:
+    import cffi  # what a machine without a compiler never needs
+
+    ffi = cffi.FFI()
+    ffi.cdef(_DECLARED)
+    return ffi, ffi.dlopen(str(kept_library("estimate", sources(records))))
+
+
+def sources(records: str) -> dict[str, str]:
+    """Return the text of every source and header of the filter in C, by its name."""
+    files = {path.name: path.read_text(encoding="utf-8") for path in sorted(_FOLDER.glob("*.h"))}
+    files |= {f"{name}.c": (_FOLDER / f"{name}.c").read_text(encoding="utf-8") for name in SOURCES}
+    return {**files, "records.h": records}
+
+
+_TRANSLATED: tuple[tuple[types.ModuleType, tuple[str, ...]], ...] = (
+    *((module, ()) for module in (kernel, fusing, guards, factors, motion, trigonometry)),
+    (model, ("derivative_tilted", "battery_state", "map_coefficients", "climb_velocity", "_inplane_drag", "_clip")),
+    (train, ("armature_current", "rotor_acceleration", "interpolate", "terminal_voltage")),
+    (maps, ("interpolate", "_cubic")),
+)
+"""Of which modules all compiled functions, or which, stand in C."""
+
+
+@functools.cache
+def stamp() -> str:
+    """Return a hash of the compiled functions of which C is the translation, blind to layout and comments.
+
+    Constants of modules are generated for C, so they may change; what stands inside a function may not.
+    """
+    digest = hashlib.sha256()
+    for module, names in _TRANSLATED:
+        for node in ast.parse(Path(str(module.__file__)).read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.FunctionDef) and (node.name in names if names else node.decorator_list):
+                digest.update("\0".join(_words(node)).encode())
+    return digest.hexdigest()[:16]
+
+
+def _words(function: ast.FunctionDef) -> Iterator[str]:
+    """What a function says: the kinds of its nodes and their names and numbers, without its docstring."""
+    yield function.name
+    body = function.body[1:] if ast.get_docstring(function, clean=False) is not None else function.body
+    for part in (function.args, *body):
+        for node in ast.walk(part):
+            yield type(node).__name__
+            yield from (repr(v) for k, v in ast.iter_fields(node) if isinstance(v, (str, int, float)) and k != "kind")

@@ -1,0 +1,118 @@
+"""The filter's records and constants as C: what ``firmware/sources/records.h`` is made of.
+
+Struct and record have the same fields in the same order and of the same size, so in double precision both languages work
+on the same bytes. A field or a constant that is added in Python is in C with the next build.
+"""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from mufly.dynamics import model
+from mufly.dynamics.state import PARAMETERS, STATE_SIZE
+from mufly.estimate import factors, fusing, guards, kernel, layout, motion
+from mufly.units import GRAVITY
+
+PYTHON_ALONE = ("attitude", "push")
+"""Last fields of the memory, which C has on its stack."""
+_GROUND = ("leg_", "slip_", "friction_", "contact_")  # of the flight model's: it is asked far above the floor
+_MAPS = ("map_thrust_up", "map_torque_up", "map_thrust_dw", "map_torque_dw")
+_MODULES: tuple[types.ModuleType, ...] = (layout, guards, factors, motion, fusing, kernel)
+
+
+def model_type(p: Any, kind: Any = np.float64) -> np.dtype:
+    """Return the type of what the filter takes of the flight model's parameters, for a record of them."""
+    nodes = max(int(p["map_nodes"]), 1)
+    fields = []
+    for name in PARAMETERS.names or ():
+        if not name.startswith(_GROUND):
+            field = PARAMETERS[name]
+            shape = (nodes,) if name in _MAPS else field.shape
+            fields.append((name, np.int32 if field.base.kind == "i" else kind, shape))
+    return np.dtype(fields, align=True)
+
+
+def model_record(p: Any, kind: Any = np.float64) -> np.ndarray:
+    """Return the flight model's parameters as the filter in C takes them."""
+    out = np.zeros(1, model_type(p, kind))
+    for name in out.dtype.names or ():
+        value = p[name]
+        out[name][0] = value[: out[name].shape[1]] if name in _MAPS else value
+    return out
+
+
+def constants() -> dict[str, int | float | tuple[int, ...]]:
+    """Return every constant of the filter's modules, by its name in C: no underscore before it, one behind a single
+    letter."""
+    found: dict[str, int | float | tuple[int, ...]] = {
+        "GRAVITY": GRAVITY,
+        "STANDSTILL": model._STANDSTILL,
+        "MODEL_STATES": STATE_SIZE,
+        "CURVE_POINTS": PARAMETERS["battery_curve"].shape[0],
+    }
+    for module in _MODULES:
+        for name, value in vars(module).items():
+            whole = isinstance(value, tuple) and bool(value) and all(isinstance(v, int) for v in value)
+            if name.isupper() and name != "_Z" and (isinstance(value, (int, float)) or whole):
+                known = found.setdefault(_name(name), value)
+                if known != value:
+                    raise ValueError(f"{module.__name__}.{name} = {value!r} is {known!r} elsewhere")
+    return found
+
+
+def _name(name: str) -> str:
+    plain = name.strip("_")
+    return plain + "_" if len(plain) == 1 else plain
+
+
+def records_h(p: Any, kept: int = layout.KEPT) -> str:
+    """Return ``records.h`` for a vehicle.
+
+    Parameters
+    ----------
+    p : record
+        Parameters of the flight model; of them the size of the map.
+    kept : int
+        Periods of input that are remembered.
+    """
+    numbers = {**constants(), "KEPT": kept, "MAP_NODES": max(int(p["map_nodes"]), 1)}
+    lines = [
+        "/* Constants and records of the estimator, made from those of Python (mufly.estimate); do not edit. */",
+        "#ifndef MUFLY_RECORDS_H",
+        "#define MUFLY_RECORDS_H",
+        "",
+        '#include "real.h"',
+        "",
+        *(_constant(name, value) for name, value in numbers.items()),
+        "",
+    ]
+    sizes = {value: name for name, value in numbers.items() if name in ("KEPT", "MAP_NODES")}
+    for name, record in (
+        ("estimator_settings_t", layout.settings_type()),
+        ("flight_model_t", model_type(p)),
+        ("estimator_t", layout.memory_type(kept=kept)),
+    ):
+        lines += ["typedef struct {", *_members(record, sizes), f"}} {name};", ""]
+    return "\n".join([*lines, "#endif", ""])
+
+
+def _members(record: np.dtype, sizes: dict[int, str]) -> Iterator[str]:
+    for name in record.names or ():
+        if name not in PYTHON_ALONE:
+            field = record[name]
+            kind = "int32_t" if field.base.kind == "i" else "real_t"
+            extent = "".join(f"[{sizes.get(n, n)}]" for n in field.shape)
+            yield f"    {kind} {name}{extent};"
+
+
+def _constant(name: str, value: int | float | tuple[int, ...]) -> str:
+    if isinstance(value, tuple):
+        return f"static const int32_t {name}[{len(value)}] = {{{', '.join(map(str, value))}}};"
+    if isinstance(value, int):
+        return f"#define {name} {value if value >= 0 else f'({value})'}"
+    number = f"REAL({abs(value).hex()})"
+    return f"#define {name} {number if value >= 0 else f'(-{number})'} /* {value:.9g} */"

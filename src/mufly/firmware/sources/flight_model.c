@@ -1,0 +1,282 @@
+#include "flight_model.h"
+
+/* Thrust and torque over the speed's square. */
+typedef struct {
+    real_t thrust_up;
+    real_t thrust_dw;
+    real_t torque_up;
+    real_t torque_dw;
+} loads_t;
+
+/* First of four neighbouring points of n, and their weights. */
+typedef struct {
+    int32_t first;
+    real_t weight[4];
+} cubic_t;
+
+static int32_t lesser(int32_t a, int32_t b)
+{
+    return (b < a) ? b : a;
+}
+
+static int32_t greater(int32_t a, int32_t b)
+{
+    return (b > a) ? b : a;
+}
+
+static real_t within(real_t value, real_t low, real_t high)
+{
+    return real_least(real_greatest(value, low), high);
+}
+
+static cubic_t cubic(real_t at, int32_t n)
+{
+    const real_t x = real_least(real_greatest(at, REAL(0.0)), (real_t)n - REAL(1.0));
+    const int32_t i = lesser(real_whole(x), n - 2);
+    const real_t t = x - (real_t)i;
+    real_t a = t * (REAL(-0.5) + (t * (REAL(1.0) - (REAL(0.5) * t))));
+    real_t b = REAL(1.0) + ((t * t) * (REAL(-2.5) + (REAL(1.5) * t)));
+    real_t c = t * (REAL(0.5) + (t * (REAL(2.0) - (REAL(1.5) * t))));
+    real_t d = (t * t) * (REAL(-0.5) + (REAL(0.5) * t));
+    cubic_t found;
+
+    if (i == 0) {
+        b = b + (REAL(2.0) * a);
+        c = c - a;
+        a = REAL(0.0);
+    }
+    if (i == (n - 2)) {
+        c = c + (REAL(2.0) * d);
+        b = b - d;
+        d = REAL(0.0);
+    }
+    found.first = i - 1;
+    found.weight[0] = a;
+    found.weight[1] = b;
+    found.weight[2] = c;
+    found.weight[3] = d;
+    return found;
+}
+
+static real_t along_climb(const real_t table[MAP_NODES], const int32_t at[4], const real_t weight[4])
+{
+    return (((weight[0] * table[at[0]]) + (weight[1] * table[at[1]])) + (weight[2] * table[at[2]])) +
+           (weight[3] * table[at[3]]);
+}
+
+/* By the coefficient map over mean speed, ratio of the speeds and climb. */
+static void by_map(const real_t x[MODEL_STATES], const real_t wind[3], const flight_model_t *p, loads_t *out)
+{
+    const real_t up_n = REAL(-2.0) * ((x[7] * x[9]) + (x[6] * x[8]));
+    const real_t up_e = REAL(-2.0) * ((x[8] * x[9]) - (x[6] * x[7]));
+    const real_t up_d = (REAL(2.0) * ((x[7] * x[7]) + (x[8] * x[8]))) - REAL(1.0);
+    const real_t climb = ((up_n * (x[3] - wind[0])) + (up_e * (x[4] - wind[1]))) + (up_d * (x[5] - wind[2]));
+    const real_t up = real_abs(x[18]);
+    const real_t dw = real_abs(x[19]);
+    const real_t mean = REAL(0.5) * (up + dw);
+    const real_t ratio = dw / real_greatest(up, STANDSTILL);
+    const real_t climb_ratio = climb / (real_greatest(mean, STANDSTILL) * p->map_radius);
+    const int32_t speeds = p->map_size[0];
+    const int32_t ratios = p->map_size[1];
+    const int32_t climbs = p->map_size[2];
+    const real_t fraction = real_least(
+        real_greatest((mean - p->map_start[0]) * p->map_per_step[0], REAL(0.0)), (real_t)speeds - REAL(1.0));
+    const int32_t k0 = lesser(real_whole(fraction), greater(speeds - 2, 0));
+    const real_t s = fraction - (real_t)k0;
+    const cubic_t by_ratio = cubic((ratio - p->map_start[1]) * p->map_per_step[1], ratios);
+    const cubic_t by_climb = cubic((climb_ratio - p->map_start[2]) * p->map_per_step[2], climbs);
+
+    out->thrust_up = REAL(0.0);
+    out->thrust_dw = REAL(0.0);
+    out->torque_up = REAL(0.0);
+    out->torque_dw = REAL(0.0);
+    for (int32_t k = 0; k < 2; k++) {
+        const real_t w = (k == 1) ? s : (REAL(1.0) - s);
+
+        if (w != REAL(0.0)) {
+            for (int32_t j = 0; j < 4; j++) {
+                const real_t v = w * by_ratio.weight[j];
+                const int32_t row =
+                    (((k0 + k) * ratios) + lesser(greater(by_ratio.first + j, 0), ratios - 1)) * climbs;
+                const int32_t at[4] = {row + greater(by_climb.first, 0), row + by_climb.first + 1,
+                                       row + by_climb.first + 2,
+                                       row + lesser(by_climb.first + 3, climbs - 1)};
+
+                out->thrust_up += v * along_climb(p->map_thrust_up, at, by_climb.weight);
+                out->torque_up += v * along_climb(p->map_torque_up, at, by_climb.weight);
+                out->thrust_dw += v * along_climb(p->map_thrust_dw, at, by_climb.weight);
+                out->torque_dw += v * along_climb(p->map_torque_dw, at, by_climb.weight);
+            }
+        }
+    }
+}
+
+void battery(const real_t x[MODEL_STATES], real_t motor_up, real_t motor_dw, const flight_model_t *p,
+             real_t *voltage, real_t *current)
+{
+    const int32_t last = CURVE_POINTS - 1;
+    const real_t emf = p->kE * p->gear_ratio;
+    const real_t conductance = ((motor_up * motor_up) + (motor_dw * motor_dw)) / p->R_ohm;
+    const real_t source = (((motor_up * emf) * x[18]) + ((motor_dw * emf) * x[19])) / p->R_ohm;
+    const real_t position = within(x[20], REAL(0.0), REAL(1.0)) * (real_t)last;
+    const int32_t k = lesser(real_whole(position), last - 1);
+    const real_t open = p->battery_curve[k] +
+                        ((position - (real_t)k) * (p->battery_curve[k + 1] - p->battery_curve[k]));
+    const real_t loaded = (open + (p->battery_resistance * (source - p->electronics_current))) /
+                          (REAL(1.0) + (p->battery_resistance * conductance));
+
+    *voltage = real_greatest(loaded, REAL(0.0));
+    *current = (p->electronics_current + (conductance * *voltage)) - source;
+}
+
+static real_t rotor_acceleration(const flight_model_t *p, real_t duty, real_t voltage, real_t speed, real_t drag,
+                                 real_t inertia)
+{
+    const real_t current = ((duty * voltage) - ((p->kE * p->gear_ratio) * speed)) / p->R_ohm;
+    const real_t drive = ((p->kM * current) / p->gear_ratio) - (p->dR * speed);
+
+    return (drive - (drag / ((p->gear_ratio * p->gear_ratio) * p->gear_efficiency))) / inertia;
+}
+
+/* Drag of a rotor in its disc plane, added to its force. */
+static void add_inplane(const real_t n[3], const real_t air[3], const real_t x[MODEL_STATES], real_t hub_z, real_t slope,
+                        real_t force[3])
+{
+    const real_t much = real_abs(slope);
+    const real_t forward = air[0] + (x[11] * hub_z);
+    const real_t right = air[1] - (x[10] * hub_z);
+    const real_t along = ((n[0] * forward) + (n[1] * right)) + (n[2] * air[2]);
+
+    force[0] = force[0] + (much * ((along * n[0]) - forward));
+    force[1] = force[1] + (much * ((along * n[1]) - right));
+    force[2] = force[2] + (much * ((along * n[2]) - air[2]));
+}
+
+void flight_model(const real_t x[MODEL_STATES], const real_t u[4], const real_t wind[3], const flight_model_t *p,
+                  const swash_t *swash, real_t dx[MODEL_STATES])
+{
+    const real_t motor_up = within(u[0], REAL(0.0), REAL(1.0));
+    const real_t motor_dw = within(u[1], REAL(0.0), REAL(1.0));
+    const real_t servo_1 = within(u[2], REAL(-1.0), REAL(1.0));
+    const real_t servo_2 = within(u[3], REAL(-1.0), REAL(1.0));
+    const real_t qw = x[6];
+    const real_t qx = x[7];
+    const real_t qy = x[8];
+    const real_t qz = x[9];
+    const real_t wx = x[10];
+    const real_t wy = x[11];
+    const real_t wz = x[12];
+    const real_t bar_n = x[15];
+    const real_t bar_e = x[16];
+    const real_t bar_d = x[17];
+    const real_t speed_up = x[18];
+    const real_t speed_dw = x[19];
+    const real_t a00 = REAL(1.0) - (REAL(2.0) * ((qy * qy) + (qz * qz)));
+    const real_t a01 = REAL(2.0) * ((qx * qy) - (qw * qz));
+    const real_t a02 = REAL(2.0) * ((qx * qz) + (qw * qy));
+    const real_t a10 = REAL(2.0) * ((qx * qy) + (qw * qz));
+    const real_t a11 = REAL(1.0) - (REAL(2.0) * ((qx * qx) + (qz * qz)));
+    const real_t a12 = REAL(2.0) * ((qy * qz) - (qw * qx));
+    const real_t a20 = REAL(2.0) * ((qx * qz) - (qw * qy));
+    const real_t a21 = REAL(2.0) * ((qy * qz) + (qw * qx));
+    const real_t a22 = REAL(1.0) - (REAL(2.0) * ((qx * qx) + (qy * qy)));
+    loads_t k = {p->thrust_up, p->thrust_dw, p->torque_up, p->torque_dw};
+    real_t voltage;
+    real_t current;
+    real_t drag_up;
+    real_t drag_dw;
+    real_t accel_up;
+    real_t accel_dw;
+    real_t thrust_up;
+    real_t thrust_dw;
+    real_t n_up[3];
+    real_t f_up[3];
+    real_t f_dw[3];
+    real_t air_n;
+    real_t air_e;
+    real_t air_d;
+    real_t air[3];
+    real_t fx;
+    real_t fy;
+    real_t fz;
+    real_t downwash;
+    real_t mx;
+    real_t my;
+    real_t mz;
+    real_t f_n;
+    real_t f_e;
+    real_t f_d;
+    real_t along;
+
+    if (p->map_nodes > 0) {
+        by_map(x, wind, p, &k);
+    }
+    /* Motors and battery. */
+    battery(x, motor_up, motor_dw, p, &voltage, &current);
+    drag_up = (k.torque_up * speed_up) * real_abs(speed_up);
+    drag_dw = (k.torque_dw * speed_dw) * real_abs(speed_dw);
+    accel_up = rotor_acceleration(p, motor_up, voltage, speed_up, drag_up, p->J_up);
+    accel_dw = rotor_acceleration(p, motor_dw, voltage, speed_dw, drag_dw, p->J_dw);
+
+    /* Thrust. Lower rotor: tilted by the swash plate; upper rotor: as the bar's disc is, times the linkage. */
+    thrust_dw = (k.thrust_dw * speed_dw) * speed_dw;
+    f_dw[0] = -swash->sin_b * thrust_dw;
+    f_dw[1] = (swash->cos_b * swash->sin_a) * thrust_dw;
+    f_dw[2] = (-swash->cos_a * swash->cos_b) * thrust_dw;
+    n_up[0] = p->bar_gain * (((a00 * bar_n) + (a10 * bar_e)) + (a20 * bar_d));
+    n_up[1] = p->bar_gain * (((a01 * bar_n) + (a11 * bar_e)) + (a21 * bar_d));
+    n_up[2] = -real_sqrt(
+        real_greatest((REAL(1.0) - (n_up[0] * n_up[0])) - (n_up[1] * n_up[1]), REAL(0.0)));
+    thrust_up = (k.thrust_up * speed_up) * speed_up;
+    f_up[0] = n_up[0] * thrust_up;
+    f_up[1] = n_up[1] * thrust_up;
+    f_up[2] = n_up[2] * thrust_up;
+
+    /* Velocity through the air, body axes. */
+    air_n = x[3] - wind[0];
+    air_e = x[4] - wind[1];
+    air_d = x[5] - wind[2];
+    air[0] = ((a00 * air_n) + (a10 * air_e)) + (a20 * air_d);
+    air[1] = ((a01 * air_n) + (a11 * air_e)) + (a21 * air_d);
+    air[2] = ((a02 * air_n) + (a12 * air_e)) + (a22 * air_d);
+    if (p->inplane > REAL(0.0)) {
+        const real_t n_dw[3] = {-swash->sin_b, swash->cos_b * swash->sin_a, -swash->cos_a * swash->cos_b};
+
+        add_inplane(n_up, air, x, p->z_up, p->inplane * speed_up, f_up);
+        add_inplane(n_dw, air, x, p->z_dw, p->inplane * speed_dw, f_dw);
+    }
+    fx = (f_up[0] + f_dw[0]) - ((p->drag_x * real_abs(air[0])) * air[0]);
+    fy = (f_up[1] + f_dw[1]) - ((p->drag_y * real_abs(air[1])) * air[1]);
+    downwash = p->downwash *
+               real_least(REAL(1.0), (REAL(2.0) * (thrust_up + thrust_dw)) / (p->mass * GRAVITY));
+    fz = ((f_up[2] + f_dw[2]) - ((p->drag_z * real_abs(air[2])) * air[2])) + downwash;
+    mx = (-p->z_up * f_up[1]) - (p->z_dw * f_dw[1]);
+    my = (p->z_up * f_up[0]) + (p->z_dw * f_dw[0]);
+    mz = (drag_up + (p->Jreact_up * accel_up)) - (drag_dw + (p->Jreact_dw * accel_dw));
+    f_n = ((a00 * fx) + (a01 * fy)) + (a02 * fz);
+    f_e = ((a10 * fx) + (a11 * fy)) + (a12 * fz);
+    f_d = ((a20 * fx) + (a21 * fy)) + (a22 * fz);
+
+    dx[0] = x[3];
+    dx[1] = x[4];
+    dx[2] = x[5];
+    dx[3] = f_n / p->mass;
+    dx[4] = f_e / p->mass;
+    dx[5] = (f_d / p->mass) + GRAVITY;
+    dx[6] = REAL(0.5) * (((-qx * wx) - (qy * wy)) - (qz * wz));
+    dx[7] = REAL(0.5) * (((qw * wx) + (qy * wz)) - (qz * wy));
+    dx[8] = REAL(0.5) * (((qw * wy) - (qx * wz)) + (qz * wx));
+    dx[9] = REAL(0.5) * (((qw * wz) + (qx * wy)) - (qy * wx));
+    dx[10] = (mx - (((p->Izz - p->Iyy) * wy) * wz)) / p->Ixx;
+    dx[11] = (my - (((p->Ixx - p->Izz) * wz) * wx)) / p->Iyy;
+    dx[12] = (mz - (((p->Iyy - p->Ixx) * wx) * wy)) / p->Izz;
+    dx[13] = p->swash_rate * ((p->swash_gain * servo_2) - x[13]);
+    dx[14] = p->swash_rate * ((-p->swash_gain * servo_1) - x[14]);
+    along = -(((a02 * bar_n) + (a12 * bar_e)) + (a22 * bar_d));
+    dx[15] = p->bar_rate * (-a02 - (along * bar_n));
+    dx[16] = p->bar_rate * (-a12 - (along * bar_e));
+    dx[17] = p->bar_rate * (-a22 - (along * bar_d));
+    dx[18] = accel_up;
+    dx[19] = accel_dw;
+    dx[20] = -current / p->battery_capacity;
+}

@@ -1,0 +1,470 @@
+#include "fusing.h"
+
+#include "factors.h"
+#include "guards.h"
+#include "motion.h"
+
+static void clear_row(estimator_t *m)
+{
+    for (int32_t i = 0; i < ERRORS; i++) {
+        m->h[i] = REAL(0.0);
+    }
+}
+
+/* Take a measurement in, whatever it says; its row is in m->h. */
+static void take(estimator_t *m, real_t innovation, real_t variance)
+{
+    const real_t *g = m->gain;
+
+    (void)factors_expected(m);
+    factors_observe(m, variance);
+    for (int32_t i = 0; i < TURN; i++) {
+        m->x[i] += g[i] * innovation;
+    }
+    turned(m->x, g[6] * innovation, g[7] * innovation, g[8] * innovation, false);
+    for (int32_t i = GYRO; i < ERRORS; i++) {
+        m->x[i + 1] += g[i] * innovation;
+    }
+}
+
+/* Innovation over what is expected of it. */
+static real_t ratio_of(estimator_t *m, real_t innovation, real_t variance)
+{
+    return innovation / real_sqrt(factors_expected(m) + variance);
+}
+
+static void note(estimator_t *m, int32_t k, real_t innovation, real_t ratio)
+{
+    m->innovation[k] = innovation;
+    m->spread[k] = (ratio != REAL(0.0)) ? real_abs(innovation / ratio) : REAL(0.0);
+}
+
+/* Note that a reading does not fit; that it says nearly what the one before said is counted in m->agree. */
+static void turn_away(estimator_t *m, const estimator_settings_t *s, int32_t k, real_t innovation, const real_t *z,
+                      int32_t count, real_t near)
+{
+    bool alike = m->rejected[k] > 0;
+
+    for (int32_t j = 0; j < count; j++) {
+        alike = alike && (real_abs(z[j] - m->suspect[k][j]) < near);
+        m->suspect[k][j] = z[j];
+    }
+    if (alike) {
+        m->agree[k] += 1;
+    } else {
+        m->agree[k] = 0;
+        m->since[k] = m->horizon;
+    }
+    misfits(m, s, k, OFF, innovation);
+}
+
+/* Whether a reading that does not fit has agreed with itself for long enough. */
+static bool taken_over(const estimator_t *m, const estimator_settings_t *s, int32_t k)
+{
+    return (m->agree[k] >= 3) && (((real_t)(m->horizon - m->since[k]) * s->dt) >= AGREE_S);
+}
+
+/* An angle within half a turn (rad). */
+static real_t half_turn(real_t off)
+{
+    return off - (TURN_RAD * (real_t)real_whole((off / TURN_RAD) + REAL(0.5)));
+}
+
+static void fix_row(estimator_t *m, int32_t i)
+{
+    clear_row(m);
+    if (i < 3) {
+        m->h[P_ + i] = REAL(1.0);
+        m->h[FIX + i] = REAL(1.0);
+    } else {
+        m->h[TURN + 2] = REAL(1.0);
+        m->h[HEADING] = REAL(1.0);
+    }
+}
+
+static real_t fix_innovation(const estimator_t *m, const real_t z[4], int32_t i, real_t ahead)
+{
+    const real_t *x = m->x;
+    real_t off;
+
+    if (i < 3) {
+        off = ((z[i] - x[i]) - (ahead * x[3 + i])) - x[17 + i];
+    } else {
+        const real_t yaw = arc_tangent(REAL(2.0) * ((x[6] * x[9]) + (x[7] * x[8])),
+                                       REAL(1.0) - (REAL(2.0) * ((x[8] * x[8]) + (x[9] * x[9]))));
+
+        off = half_turn((z[3] - yaw) - x[20]);
+    }
+    return off;
+}
+
+static real_t fix_variance(const estimator_settings_t *s, int32_t i)
+{
+    return (i < 3) ? s->fix_variance : s->heading_variance;
+}
+
+/* The fix is believed anew; what other sensors hold is not given up: the fix is off there. */
+static void loosen_for_fix(estimator_t *m, const real_t z[4], real_t ahead)
+{
+    const bool height_held = m->code[R_SONAR] == FUSED;
+    const bool place_held = m->code[R_RING] == FUSED;
+    real_t nu;
+
+    for (int32_t i = 0; i < 3; i++) {
+        nu = fix_innovation(m, z, i, ahead);
+        if ((i == 2) ? height_held : place_held) {
+            factors_loosen(m, FIX + i, nu * nu);
+        } else {
+            factors_loosen(m, P_ + i, nu * nu);
+            factors_loosen(m, V_ + i, REAL(0.01) + ((REAL(0.1) * nu) * nu));
+        }
+    }
+    nu = fix_innovation(m, z, 3, ahead);
+    factors_loosen(m, TURN + 2, nu * nu);
+}
+
+void fuse_fix(estimator_t *m, const estimator_settings_t *s, const real_t z[4], real_t ahead)
+{
+    const int32_t k = R_FIX;
+    real_t worst = REAL(0.0);
+    real_t at = REAL(0.0);
+
+    for (int32_t i = 0; i < 4; i++) {
+        real_t nu;
+        real_t ratio;
+
+        fix_row(m, i);
+        nu = fix_innovation(m, z, i, ahead);
+        ratio = ratio_of(m, nu, fix_variance(s, i));
+        if (real_abs(ratio) > real_abs(worst)) {
+            worst = ratio;
+            at = nu;
+        }
+    }
+    note(m, k, at, worst);
+    if (real_abs(worst) > GATE) {
+        turn_away(m, s, k, at, z, 3,
+                  ((REAL(2.0) * s->period[k]) + (REAL(8.0) * real_sqrt(s->fix_variance))) + REAL(0.05));
+        if (!taken_over(m, s, k)) {
+            return;
+        }
+        loosen_for_fix(m, z, ahead);
+        flag(m, s, k, REJECTED, TAKEN_OVER, at);
+    }
+    /* Off by much again and again: something carries the filter astray that it does not know. */
+    m->strain += REAL(0.15) * ((worst * worst) - m->strain);
+    if (m->strain > STRAIN) {
+        for (int32_t i = 0; i < 3; i++) {
+            factors_loosen(m, TURN + i, REAL(1e-5));
+            factors_loosen(m, GYRO + i, REAL(1e-4));
+            factors_loosen(m, V_ + i, REAL(1e-3));
+        }
+        flag(m, s, k, FUSED, STRAINED, at);
+    }
+    for (int32_t i = 0; i < 4; i++) {
+        fix_row(m, i);
+        take(m, fix_innovation(m, z, i, ahead), fix_variance(s, i));
+    }
+    fits(m, k);
+    m->aligned = 1;
+}
+
+static real_t sonar_row(estimator_t *m, const estimator_settings_t *s, real_t r[9])
+{
+    const real_t *at = s->sonar_place;
+    real_t n;
+    real_t e;
+
+    turn_matrix(&m->x[6], r);
+    clear_row(m);
+    m->h[P_ + 2] = REAL(-1.0);
+    m->h[FLOOR] = REAL(-1.0);
+    /* (exp(t) R r)_D = (R r)_D + t_N (R r)_E - t_E (R r)_N */
+    n = ((r[0] * at[0]) + (r[1] * at[1])) + (r[2] * at[2]);
+    e = ((r[3] * at[0]) + (r[4] * at[1])) + (r[5] * at[2]);
+    m->h[TURN] = -e;
+    m->h[TURN + 1] = n;
+    return ((r[6] * at[0]) + (r[7] * at[1])) + (r[8] * at[2]);
+}
+
+/* A sonar that does not fit: the floor has a step, or the height is wrong. Whether it is taken in after all. */
+static bool sonar_anew(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t nu)
+{
+    const int32_t k = R_SONAR;
+    bool taken = true;
+    real_t floor_height;
+    bool step;
+
+    turn_away(m, s, k, nu, z, 1, REAL(0.02) + (REAL(1.5) * s->period[k]));
+    floor_height = m->x[16] - nu;
+    step = (m->agree[k] >= 2) && (floor_height > LEAST_FLOOR);
+    if (step) {
+        m->steps = (m->edge > 0) ? (m->steps + 1) : 0;
+    }
+    if (step && (m->steps > 2)) {
+        /* Step after step: it is not the floor that goes, it is the height. */
+        factors_loosen(m, P_ + 2, nu * nu);
+        factors_loosen(m, V_ + 2, REAL(0.1));
+        factors_loosen(m, THRUST, REAL(0.01));
+        flag(m, s, k, REJECTED, TAKEN_OVER, nu);
+    } else if (step) {
+        factors_loosen(m, FLOOR, nu * nu);
+        m->doubt[k] = REAL(0.0);
+        flag(m, s, k, FUSED, STEP, floor_height);
+        m->edge = (int32_t)(EDGE_S / s->dt);
+    } else if (taken_over(m, s, k)) {
+        if ((((real_t)(m->tick - m->used[R_FIX]) * s->dt) < AGREE_S) && (m->used[R_FIX] > 0)) {
+            factors_loosen(m, FLOOR, nu * nu); /* the fix holds the height */
+        } else {
+            factors_loosen(m, P_ + 2, nu * nu);
+            factors_loosen(m, V_ + 2, REAL(0.1) + (nu * nu));
+        }
+        flag(m, s, k, REJECTED, TAKEN_OVER, nu);
+    } else {
+        taken = false;
+    }
+    return taken;
+}
+
+void fuse_sonar(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t ahead)
+{
+    const int32_t k = R_SONAR;
+    real_t r[9];
+    const real_t down = sonar_row(m, s, r);
+    real_t expect;
+    real_t nu;
+    real_t ratio;
+
+    if ((r[8] < s->sonar_cone) || (z[0] >= s->sonar_max)) {
+        return;
+    }
+    expect = (-(m->x[2] + (ahead * m->x[5])) - down) - m->x[16];
+    if ((z[0] <= (s->sonar_min + REAL(0.005))) && (expect < (s->sonar_min + REAL(0.02)))) {
+        return; /* nearer than it can tell */
+    }
+    nu = z[0] - expect;
+    ratio = ratio_of(m, nu, s->sonar_variance);
+    note(m, k, nu, ratio);
+    /* Always off to the same side: the surface slopes, or the sonar drifts. Either way it is not the height. */
+    if (real_abs(ratio) < GATE) {
+        m->lean += REAL(0.2) * (ratio - m->lean);
+    }
+    if (real_abs(m->lean) > LEAN) {
+        m->lean = REAL(0.0) * m->lean;
+        m->edge = (int32_t)(EDGE_S / s->dt);
+        flag(m, s, k, FUSED, SLOPE, nu);
+    }
+    if (real_abs(ratio) > GATE) {
+        if (!sonar_anew(m, s, z, nu)) {
+            return;
+        }
+        (void)sonar_row(m, s, r);
+    }
+    take(m, nu, s->sonar_variance);
+    fits(m, k);
+}
+
+void settle_floor(estimator_t *m)
+{
+    clear_row(m);
+    m->h[FLOOR] = REAL(1.0);
+    take(m, -m->x[16], REAL(2.5e-5));
+}
+
+/* The wall of the room that a beam along u meets first: its distance; the axis is -1 if there is none. */
+static real_t nearest_wall(const estimator_t *m, const estimator_settings_t *s, const real_t u[3], int32_t *axis)
+{
+    real_t best = REAL(1e9);
+
+    *axis = -1;
+    for (int32_t i = 0; i < 3; i++) {
+        if (real_abs(u[i]) > REAL(0.3)) {
+            const real_t plane = (u[i] > REAL(0.0)) ? s->walls[(2 * i) + 1] : s->walls[2 * i];
+            const real_t far = (plane - m->x[i]) / u[i];
+
+            if ((far > REAL(0.0)) && (far < best)) {
+                best = far;
+                *axis = i;
+            }
+        }
+    }
+    return best;
+}
+
+void fuse_ring(estimator_t *m, const estimator_settings_t *s, const real_t z[BEAMS])
+{
+    const int32_t k = R_RING;
+    int32_t seen = 0;
+    int32_t fitting = 0;
+    real_t r[9];
+
+    turn_matrix(&m->x[6], r);
+    for (int32_t b = 0; b < s->beams; b++) {
+        const real_t *beam = s->beam[b];
+        real_t u[3];
+        int32_t axis;
+        real_t best;
+
+        if (!((z[b] > REAL(0.0)) && (z[b] < (REAL(0.995) * s->ring_max)))) {
+            continue;
+        }
+        seen += 1;
+        for (int32_t i = 0; i < 3; i++) {
+            u[i] = ((r[3 * i] * beam[0]) + (r[(3 * i) + 1] * beam[1])) + (r[(3 * i) + 2] * beam[2]);
+        }
+        best = nearest_wall(m, s, u, &axis);
+        if ((axis >= 0) && !(best > (REAL(1.1) * s->ring_max))) {
+            /* l = (c - p_i) / u_i, and u turns with the body: du = t x u */
+            const real_t c = -best / u[axis];
+            const int32_t next = (axis + 1) % 3;
+            const int32_t last = (axis + 2) % 3;
+            const real_t slope =
+                (((best * best) + (s->ring_baseline * s->ring_baseline)) / s->ring_baseline) * s->ring_slope;
+            const real_t nu = z[b] - best;
+            real_t ratio;
+
+            clear_row(m);
+            m->h[P_ + axis] = REAL(-1.0) / u[axis];
+            m->h[TURN + next] = c * u[last];
+            m->h[TURN + last] = -c * u[next];
+            ratio = ratio_of(m, nu, slope * slope);
+            if (real_abs(ratio) < BEAM_GATE) {
+                note(m, k, nu, ratio);
+                take(m, nu, slope * slope);
+                fitting += 1;
+                turn_matrix(&m->x[6], r);
+            }
+        }
+    }
+    if (fitting > 0) {
+        fits(m, k);
+    } else if (m->tick >= m->until[k]) {
+        m->code[k] = NOTHING;
+        m->why[k] = (seen == 0) ? TOO_FAR : NO_WALL;
+    } else {
+        /* told of for a while yet */
+    }
+}
+
+/* A reading of one number that drifts: after a second its bias is loosened. Whether it is taken in. */
+static bool drifts(estimator_t *m, const estimator_settings_t *s, int32_t k, int32_t bias, real_t nu, real_t ratio,
+                   const real_t *z, int32_t count, real_t near)
+{
+    bool taken = true;
+
+    note(m, k, nu, ratio);
+    if (real_abs(ratio) > GATE) {
+        turn_away(m, s, k, nu, z, count, near);
+        taken = taken_over(m, s, k);
+        if (taken) {
+            factors_loosen(m, bias, nu * nu);
+            flag(m, s, k, REJECTED, TAKEN_OVER, nu);
+        }
+    }
+    return taken;
+}
+
+void fuse_pressure(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t ahead)
+{
+    const int32_t k = R_PRESSURE;
+    real_t nu;
+    real_t ratio;
+
+    clear_row(m);
+    m->h[P_ + 2] = s->pressure_slope;
+    m->h[PRESSURE] = REAL(1.0);
+    nu = (z[0] - (s->pressure_slope * (m->x[2] + (ahead * m->x[5])))) - m->x[24];
+    ratio = ratio_of(m, nu, s->pressure_variance);
+    if (drifts(m, s, k, PRESSURE, nu, ratio, z, 1, REAL(10.0) * real_sqrt(s->pressure_variance))) {
+        take(m, nu, s->pressure_variance);
+        fits(m, k);
+    }
+}
+
+void fuse_magnet(estimator_t *m, const estimator_settings_t *s, const real_t z[3])
+{
+    const int32_t k = R_MAGNET;
+    real_t r[9];
+    real_t north;
+    real_t east;
+    real_t nu;
+    real_t ratio;
+
+    turn_matrix(&m->x[6], r);
+    north = ((r[0] * z[0]) + (r[1] * z[1])) + (r[2] * z[2]);
+    east = ((r[3] * z[0]) + (r[4] * z[1])) + (r[5] * z[2]);
+    clear_row(m);
+    m->h[TURN + 2] = REAL(1.0);
+    m->h[TURN] = -s->earth[2] / s->earth[0];
+    m->h[MAGNET] = REAL(1.0);
+    nu = half_turn(-arc_tangent(east, north) - m->x[25]);
+    ratio = ratio_of(m, nu, s->magnet_variance);
+    if (drifts(m, s, k, MAGNET, nu, ratio, z, 3, REAL(1e-5))) {
+        take(m, nu, s->magnet_variance);
+        fits(m, k);
+    }
+}
+
+void fuse_force(estimator_t *m, const estimator_settings_t *s, int32_t count)
+{
+    const real_t span = (real_t)count * s->dt;
+    real_t r[9];
+
+    turn_matrix(&m->x[6], r);
+    for (int32_t i = 0; i < 3; i++) {
+        const real_t slope = m->lever[i][1];
+        const real_t nu = (m->felt[i] - m->modelled[i]) - m->x[13 + i];
+        const real_t variance = m->lever[i][2] / span;
+        real_t ratio;
+
+        clear_row(m);
+        m->h[ACCEL + i] = REAL(1.0);
+        m->h[THRUST] = m->lever[i][0];
+        for (int32_t j = 0; j < 3; j++) {
+            m->h[V_ + j] = slope * r[(3 * j) + i];
+        }
+        m->h[WIND] = -slope * r[i];
+        m->h[WIND + 1] = -slope * r[3 + i];
+        ratio = ratio_of(m, nu, variance);
+        felt_fits(m, s, nu, variance, i);
+        if ((real_abs(ratio) < GATE) && (m->disowned == 0)) {
+            take(m, nu, variance);
+        }
+        if ((i == 0) || (real_abs(ratio) > m->lever[0][3])) {
+            note(m, R_ACCELERATION, nu, ratio);
+            m->lever[0][3] = real_abs(ratio);
+        }
+    }
+}
+
+void fuse_rest(estimator_t *m, const estimator_settings_t *s, int32_t count, bool still)
+{
+    for (int32_t i = 0; i < 3; i++) {
+        const real_t calm = still ? ((s->rest_gyro * s->rest_gyro) / (real_t)count) : REAL(2.5e-5);
+
+        clear_row(m);
+        m->h[V_ + i] = REAL(1.0);
+        take(m, -m->x[3 + i], REAL(4e-4));
+        clear_row(m);
+        m->h[GYRO + i] = REAL(1.0);
+        take(m, m->sum[i] - m->x[10 + i], calm * REAL(2.0));
+    }
+    if (still && (s->fitted[R_ACCELERATION] > 0)) {
+        real_t r[9];
+
+        turn_matrix(&m->x[6], r);
+        for (int32_t i = 0; i < 3; i++) {
+            const real_t nu = (m->felt[i] + (GRAVITY * r[6 + i])) - m->x[13 + i];
+            const real_t variance = ((REAL(2.0) * s->rest_felt) * s->rest_felt) / (real_t)count;
+
+            clear_row(m);
+            m->h[ACCEL + i] = REAL(1.0);
+            /* R^T (-g e_D), and d(R^T u) = R^T (u x t) */
+            m->h[TURN] = -r[3 + i] * GRAVITY;
+            m->h[TURN + 1] = r[i] * GRAVITY;
+            if (real_abs(ratio_of(m, nu, variance)) < (REAL(2.0) * GATE)) {
+                take(m, nu, variance);
+            }
+        }
+    }
+}

@@ -1,0 +1,23 @@
+/* What each reading tells of the state, and whether it is believed. z: the reading; ahead: by how much its instant lies
+ * behind the horizon's (s). */
+#ifndef MUFLY_FUSING_H
+#define MUFLY_FUSING_H
+
+#include "records.h"
+
+void fuse_fix(estimator_t *m, const estimator_settings_t *s, const real_t z[4], real_t ahead);
+void fuse_sonar(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t ahead);
+void fuse_ring(estimator_t *m, const estimator_settings_t *s, const real_t z[BEAMS]);
+void fuse_pressure(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t ahead);
+void fuse_magnet(estimator_t *m, const estimator_settings_t *s, const real_t z[3]);
+
+/* Accelerometers less model, mean over a block of so many periods. */
+void fuse_force(estimator_t *m, const estimator_settings_t *s, int32_t count);
+
+/* Standing: no velocity, no turning; with the motors off (still) accelerometers feel gravity alone. */
+void fuse_rest(estimator_t *m, const estimator_settings_t *s, int32_t count, bool still);
+
+/* Back at about the height of the floor it is most likely the floor, and that one is known. */
+void settle_floor(estimator_t *m);
+
+#endif

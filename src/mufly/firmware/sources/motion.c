@@ -1,0 +1,232 @@
+#include "motion.h"
+
+#include "flight_model.h"
+
+void turn_matrix(const real_t q[4], real_t r[9])
+{
+    const real_t w = q[0];
+    const real_t x = q[1];
+    const real_t y = q[2];
+    const real_t z = q[3];
+
+    r[0] = REAL(1.0) - (REAL(2.0) * ((y * y) + (z * z)));
+    r[1] = REAL(2.0) * ((x * y) - (w * z));
+    r[2] = REAL(2.0) * ((x * z) + (w * y));
+    r[3] = REAL(2.0) * ((x * y) + (w * z));
+    r[4] = REAL(1.0) - (REAL(2.0) * ((x * x) + (z * z)));
+    r[5] = REAL(2.0) * ((y * z) - (w * x));
+    r[6] = REAL(2.0) * ((x * z) - (w * y));
+    r[7] = REAL(2.0) * ((y * z) + (w * x));
+    r[8] = REAL(1.0) - (REAL(2.0) * ((x * x) + (y * y)));
+}
+
+void turned(real_t x[STATES], real_t t_x, real_t t_y, real_t t_z, bool own)
+{
+    const real_t square = ((t_x * t_x) + (t_y * t_y)) + (t_z * t_z);
+    const real_t s = own ? REAL(1.0) : REAL(-1.0);
+    const real_t w = x[6];
+    const real_t q_x = x[7];
+    const real_t q_y = x[8];
+    const real_t q_z = x[9];
+    real_t c = (REAL(1.0) - (square / REAL(8.0))) + ((square * square) / REAL(384.0));
+    real_t k = (REAL(0.5) - (square / REAL(48.0))) + ((square * square) / REAL(3840.0));
+    real_t a;
+    real_t b;
+    real_t d;
+    real_t n_w;
+    real_t n_x;
+    real_t n_y;
+    real_t n_z;
+    real_t size;
+
+    if (square > REAL(1.0)) {
+        const real_t angle = real_sqrt(square);
+
+        sine_cosine(REAL(0.5) * angle, &k, &c);
+        k = k / angle;
+    }
+    a = k * t_x;
+    b = k * t_y;
+    d = k * t_z;
+    n_w = (((w * c) - (q_x * a)) - (q_y * b)) - (q_z * d);
+    n_x = ((q_x * c) + (w * a)) + (s * ((q_y * d) - (q_z * b)));
+    n_y = ((q_y * c) + (w * b)) + (s * ((q_z * a) - (q_x * d)));
+    n_z = ((q_z * c) + (w * d)) + (s * ((q_x * b) - (q_y * a)));
+    size = REAL(1.0) / real_sqrt((((n_w * n_w) + (n_x * n_x)) + (n_y * n_y)) + (n_z * n_z));
+    x[6] = n_w * size;
+    x[7] = n_x * size;
+    x[8] = n_y * size;
+    x[9] = n_z * size;
+}
+
+void advance_state(real_t x[STATES], const real_t e[INPUTS], real_t dt, real_t r[9], real_t a[6])
+{
+    const real_t t_x = dt * (e[0] - x[10]);
+    const real_t t_y = dt * (e[1] - x[11]);
+    const real_t t_z = dt * (e[2] - x[12]);
+    real_t n;
+    real_t o;
+    real_t d;
+    real_t f[3];
+
+    turned(x, REAL(0.5) * t_x, REAL(0.5) * t_y, REAL(0.5) * t_z, true);
+    turn_matrix(&x[6], r);
+    turned(x, REAL(0.5) * t_x, REAL(0.5) * t_y, REAL(0.5) * t_z, true);
+    n = x[3] - x[21];
+    o = x[4] - x[22];
+    d = x[5];
+    for (int32_t k = 0; k < 3; k++) {
+        const real_t along = ((r[k] * n) + (r[3 + k] * o)) + (r[6 + k] * d);
+        const real_t made = ((x[23] * e[6 + k]) + e[9 + k]) + (e[12 + k] * along);
+        const real_t share = e[15 + k];
+
+        a[3 + k] = made;
+        f[k] = (share * (e[3 + k] - x[13 + k])) + ((REAL(1.0) - share) * made);
+    }
+    for (int32_t k = 0; k < 3; k++) {
+        real_t gain;
+
+        a[k] = ((r[3 * k] * f[0]) + (r[(3 * k) + 1] * f[1])) + (r[(3 * k) + 2] * f[2]);
+        gain = a[k] + ((k == 2) ? GRAVITY : REAL(0.0));
+        x[k] += dt * (x[3 + k] + ((REAL(0.5) * dt) * gain));
+        x[3 + k] += dt * gain;
+    }
+}
+
+static void add_push(real_t g[3], const real_t r[9], int32_t k, real_t push)
+{
+    g[0] += r[k] * push;
+    g[1] += r[3 + k] * push;
+    g[2] += r[6 + k] * push;
+}
+
+void advance_errors(real_t top[MOVING][ERRORS], const real_t e[INPUTS], real_t dt, const real_t r[9],
+                    const real_t a[6])
+{
+    for (int32_t c = 0; c < (9 + 6 + 3); c++) {
+        const int32_t j = (c < 15) ? c : (c + 5); /* neither floor nor the fix's biases move it */
+        const real_t t_x = top[6][j];
+        const real_t t_y = top[7][j];
+        const real_t t_z = top[8][j];
+        const real_t v_x = top[3][j];
+        const real_t v_y = top[4][j];
+        const real_t v_z = top[5][j];
+        real_t g[3];
+
+        g[0] = (a[2] * t_y) - (a[1] * t_z);
+        g[1] = (a[0] * t_z) - (a[2] * t_x);
+        g[2] = (a[1] * t_x) - (a[0] * t_y);
+        for (int32_t k = 0; k < 3; k++) {
+            const real_t slope = (REAL(1.0) - e[15 + k]) * e[12 + k];
+
+            if (slope != REAL(0.0)) {
+                add_push(g, r, k, slope * (((r[k] * v_x) + (r[3 + k] * v_y)) + (r[6 + k] * v_z)));
+            }
+        }
+        if ((j >= GYRO) && (j < ACCEL)) {
+            const int32_t k = j - GYRO;
+
+            top[6][j] -= dt * r[k];
+            top[7][j] -= dt * r[3 + k];
+            top[8][j] -= dt * r[6 + k];
+        } else if ((j >= ACCEL) && (j < FLOOR)) {
+            const int32_t k = j - ACCEL;
+
+            g[0] -= r[k] * e[15 + k];
+            g[1] -= r[3 + k] * e[15 + k];
+            g[2] -= r[6 + k] * e[15 + k];
+        } else if (j == THRUST) {
+            for (int32_t k = 0; k < 3; k++) {
+                add_push(g, r, k, (REAL(1.0) - e[15 + k]) * e[6 + k]);
+            }
+        } else if (j >= WIND) {
+            const int32_t i = j - WIND;
+
+            for (int32_t k = 0; k < 3; k++) {
+                add_push(g, r, k, (-(REAL(1.0) - e[15 + k]) * e[12 + k]) * r[(3 * i) + k]);
+            }
+        } else {
+            /* position, velocity, attitude: done above */
+        }
+        top[3][j] += dt * g[0];
+        top[4][j] += dt * g[1];
+        top[5][j] += dt * g[2];
+        top[0][j] += dt * (v_x + ((REAL(0.5) * dt) * g[0]));
+        top[1][j] += dt * (v_y + ((REAL(0.5) * dt) * g[1]));
+        top[2][j] += dt * (v_z + ((REAL(0.5) * dt) * g[2]));
+    }
+}
+
+void model_force(estimator_t *m, const estimator_settings_t *s, const flight_model_t *p, const real_t air[3],
+                 real_t out[12])
+{
+    real_t *x = m->rotor;
+    real_t *dx = m->slope;
+    const real_t dt = s->dt;
+    const real_t to_roll = p->swash_gain * real_least(real_greatest(m->acting[3], REAL(-1.0)), REAL(1.0));
+    const real_t to_pitch = -p->swash_gain * real_least(real_greatest(m->acting[2], REAL(-1.0)), REAL(1.0));
+    const real_t roll = x[13];
+    const real_t pitch = x[14];
+    const real_t bar[3] = {x[15], x[16], x[17]};
+    swash_t swash;
+    real_t up;
+    real_t dw;
+    real_t normal[3];
+    real_t size;
+    real_t still[3];
+    real_t moving[3];
+
+    /* The swash plate settles within the period: its mean counts. */
+    x[13] = to_roll + ((roll - to_roll) * s->swash_mean);
+    x[14] = to_pitch + ((pitch - to_pitch) * s->swash_mean);
+    x[3] = REAL(0.0);
+    x[4] = REAL(0.0);
+    x[5] = REAL(0.0);
+    sine_cosine(x[13], &swash.sin_a, &swash.cos_a);
+    sine_cosine(x[14], &swash.sin_b, &swash.cos_b);
+    flight_model(x, m->acting, m->still, p, &swash, dx);
+    up = dx[18];
+    dw = dx[19];
+    x[18] += (REAL(0.5) * dt) * up;
+    x[19] += (REAL(0.5) * dt) * dw;
+    /* The bar in axes that turn: less the turning of the fuselage. */
+    normal[0] = bar[0] + (dt * (dx[15] - ((x[11] * bar[2]) - (x[12] * bar[1]))));
+    normal[1] = bar[1] + (dt * (dx[16] - ((x[12] * bar[0]) - (x[10] * bar[2]))));
+    normal[2] = bar[2] + (dt * (dx[17] - ((x[10] * bar[1]) - (x[11] * bar[0]))));
+    size = REAL(1.0) /
+           real_sqrt(((normal[0] * normal[0]) + (normal[1] * normal[1])) + (normal[2] * normal[2]));
+    for (int32_t k = 0; k < 3; k++) {
+        x[15 + k] = REAL(0.5) * (bar[k] + normal[k]);
+    }
+    flight_model(x, m->acting, m->still, p, &swash, dx);
+    still[0] = dx[3];
+    still[1] = dx[4];
+    still[2] = dx[5] - GRAVITY;
+    for (int32_t k = 0; k < 3; k++) {
+        out[k] = still[k];
+        x[3 + k] = air[k];
+    }
+    flight_model(x, m->acting, m->still, p, &swash, dx);
+    for (int32_t k = 0; k < 3; k++) {
+        out[9 + k] = dx[10 + k];
+    }
+    moving[0] = dx[3];
+    moving[1] = dx[4];
+    moving[2] = dx[5] - GRAVITY;
+    for (int32_t k = 0; k < 3; k++) {
+        x[3 + k] = air[k] + SLOPE_STEP;
+    }
+    flight_model(x, m->acting, m->still, p, &swash, dx);
+    out[6] = real_least((dx[3] - moving[0]) / SLOPE_STEP, REAL(0.0));
+    out[7] = real_least((dx[4] - moving[1]) / SLOPE_STEP, REAL(0.0));
+    out[8] = real_least(((dx[5] - GRAVITY) - moving[2]) / SLOPE_STEP, REAL(0.0));
+    for (int32_t k = 0; k < 3; k++) {
+        out[3 + k] = (moving[k] - still[k]) - (out[6 + k] * air[k]);
+        x[15 + k] = normal[k] * size;
+    }
+    x[13] = to_roll + ((roll - to_roll) * s->swash_settled);
+    x[14] = to_pitch + ((pitch - to_pitch) * s->swash_settled);
+    x[18] = real_greatest(x[18] + ((REAL(0.5) * dt) * up), REAL(0.0));
+    x[19] = real_greatest(x[19] + ((REAL(0.5) * dt) * dw), REAL(0.0));
+    x[20] = real_least(real_greatest(x[20] + (dt * dx[20]), REAL(0.0)), REAL(1.0));
+}

@@ -1,0 +1,90 @@
+"""C on this machine: its compiler, and shared libraries built once and kept on disk.
+
+A library is kept beside what Numba compiled (:mod:`mufly.compiled`), under a hash of its sources, the flags and the
+compiler; any change there leads to another file, and nothing needs to be deleted. It is written under another name first, so
+that processes that build the same at once do not disturb each other.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from mufly.compiled import cache_folder
+from mufly.errors import MuflyError
+
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno")
+"""With which results are those of the simulation; any -O does, -ffast-math and contraction do not."""
+
+
+def compiler() -> str:
+    """Return the C compiler of this machine: ``$CC``, else cc, gcc or clang.
+
+    Raises
+    ------
+    MuflyError
+        If there is none.
+    """
+    for name in (os.environ.get("CC", ""), "cc", "gcc", "clang"):
+        found = shutil.which(name) if name else None
+        if found:
+            return found
+    raise MuflyError(
+        "there is no C compiler: install gcc or clang (Debian, Ubuntu: apt-get install gcc; macOS: xcode-select "
+        "--install), or name one in the environment as CC"
+    )
+
+
+def compile_library(
+    sources: Sequence[Path], out: Path, *, flags: Sequence[str] = FLAGS, cc: str | None = None
+) -> None:
+    """Build C sources as a shared library.
+
+    Raises
+    ------
+    MuflyError
+        If there is no compiler, or it refuses; the message holds what it said first.
+    """
+    command = [cc or compiler(), *flags, "-fPIC", "-shared", *map(str, sources), "-o", str(out), "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode:
+        first = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
+        raise MuflyError(f"{command[0]} could not build {out.parent}: {first}")
+
+
+def kept_library(name: str, files: Mapping[str, str], *, flags: Sequence[str] = FLAGS) -> Path:
+    """Return a shared library of some sources, built if it is not there yet.
+
+    Parameters
+    ----------
+    name : str
+        First part of its file's name.
+    files : mapping
+        Text of every source and header by its name; those that end in ``.c`` are compiled.
+    flags : sequence of str
+        For the compiler.
+
+    Raises
+    ------
+    MuflyError
+        If there is no compiler, or it refuses.
+    """
+    cc = compiler()
+    real = Path(cc).resolve()
+    stamp = (str(real), real.stat().st_size, real.stat().st_mtime_ns, *flags)
+    digest = hashlib.sha256(repr((stamp, sorted(files.items()))).encode()).hexdigest()[:24]
+    library = cache_folder() / f"{name}-{digest}.so"
+    if not library.exists():
+        with tempfile.TemporaryDirectory(prefix="mufly-c-", dir=library.parent) as temporary:
+            folder = Path(temporary)
+            for file, text in files.items():
+                (folder / file).write_text(text)
+            made = folder / library.name
+            compile_library(sorted(folder.glob("*.c")), made, flags=flags, cc=cc)
+            os.replace(made, library)
+    return library
