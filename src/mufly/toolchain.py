@@ -1,8 +1,8 @@
 """C on this machine: its compiler, and shared libraries built once and kept on disk.
 
 A library is kept beside what Numba compiled (:mod:`mufly.compiled`), under a hash of its sources, the flags and the
-compiler; any change there leads to another file, and nothing needs to be deleted. It is written under another name first, so
-that processes that build the same at once do not disturb each other.
+compiler; any change there leads to another file, and nothing needs to be deleted. It is written under another name
+first, so that processes that build the same at once do not disturb each other.
 """
 
 from __future__ import annotations

@@ -169,3 +169,12 @@ def direction(y, x):  # type: ignore[no-untyped-def]
 def length(x, y, z=0.0):  # type: ignore[no-untyped-def]
     """Return the length of a vector."""
     return math.sqrt(x * x + y * y + z * z)
+
+
+@register_jitable
+def whole(x):  # type: ignore[no-untyped-def]
+    """Return the greatest integer that is not above ``x``; zero of what is beyond 1e9, or no number."""
+    if not abs(x) < 1e9:
+        return 0
+    n = int(x)
+    return n - 1 if x < n else n

@@ -125,9 +125,10 @@ def test_what_comes_late_but_before_the_horizon_counts_as_if_it_had_come_at_once
         late.append(Readings(r.time_s, latest))
     now, later = KalmanEstimator(vehicle, World(), 200.0), KalmanEstimator(vehicle, World(), 200.0)
     for e in (now, later):
-        e._settings = now._settings.copy()
-        e._settings["delay"] = 100
-        e._settings["slack"] = 1.0
+        slow = now._settings.copy()
+        slow["delay"] = 100
+        slow["slack"] = 1.0
+        e.use(slow)
     for k, (a, b) in enumerate(zip(held, late, strict=True)):
         now.update(a, flown[1][k])
         later.update(b, flown[1][k])

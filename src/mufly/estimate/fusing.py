@@ -63,13 +63,12 @@ from mufly.estimate.layout import (
     R_SONAR,
     THRUST_,
     TURN,
-    TURN_RAD,
     WIND,
     P,
     V,
 )
 from mufly.estimate.motion import turn_matrix, turned
-from mufly.trigonometry import arc_tangent, whole
+from mufly.trigonometry import direction, wrapped
 from mufly.units import GRAVITY
 
 GATE = 5.0
@@ -165,9 +164,9 @@ def _fix_innovation(m, z, i, ahead):  # type: ignore[no-untyped-def]
     x = m.x
     if i < 3:
         return z[i] - x[i] - ahead * x[3 + i] - x[17 + i]
-    yaw = arc_tangent(2 * (x[6] * x[9] + x[7] * x[8]), 1 - 2 * (x[8] * x[8] + x[9] * x[9]))
+    yaw = direction(2 * (x[6] * x[9] + x[7] * x[8]), 1 - 2 * (x[8] * x[8] + x[9] * x[9]))
     off = z[3] - yaw - x[20]
-    return off - TURN_RAD * whole(off / TURN_RAD + 0.5)
+    return wrapped(off)
 
 
 @compiled(error_model="numpy")
@@ -444,8 +443,8 @@ def fuse_magnet(m, s, z, r):  # type: ignore[no-untyped-def]
     m.h[TURN + 2] = 1.0
     m.h[TURN] = -s.earth[2] / s.earth[0]
     m.h[MAGNET_] = 1.0
-    off = -arc_tangent(east, north) - m.x[25]
-    nu = off - TURN_RAD * whole(off / TURN_RAD + 0.5)
+    off = -direction(east, north) - m.x[25]
+    nu = wrapped(off)
     ratio = _ratio(m, nu, s.magnet_variance)
     _note(m, k, nu, ratio)
     if abs(ratio) > GATE:

@@ -71,7 +71,7 @@ from mufly.estimate.motion import (
     turn_matrix,
     turned,
 )
-from mufly.trigonometry import arc_tangent, sine_cosine, whole
+from mufly.trigonometry import direction, sine_cosine, whole
 from mufly.units import GRAVITY
 
 LONGEST = 8
@@ -372,9 +372,9 @@ def _angles(m):  # type: ignore[no-untyped-def]
     """Roll, pitch and yaw of the attitude that is told."""
     w, x, y, z = m.out[6], m.out[7], m.out[8], m.out[9]
     sine = min(max(2 * (w * y - z * x), -1.0), 1.0)
-    m.angles[0] = arc_tangent(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    m.angles[1] = arc_tangent(sine, math.sqrt((1 - sine) * (1 + sine)))
-    yaw = arc_tangent(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    m.angles[0] = direction(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    m.angles[1] = direction(sine, math.sqrt((1 - sine) * (1 + sine)))
+    yaw = direction(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     m.angles[2] = yaw + TURN_RAD * whole((m.angles[2] - yaw) / TURN_RAD + 0.5)
 
 

@@ -102,8 +102,8 @@ def memory_type(kind: Any = np.float64, kept: int = KEPT) -> np.dtype:
         ("drift_sigma", kind, (3,)), ("told", kind, (4,)), ("standing", i4), ("aligned", i4), ("sum", kind,
         (6,)), ("lifted", i4),
         # What is told; angles: roll, pitch, and yaw that does not jump at half a turn
-        ("out", kind, (STATES,)), ("out_rates", kind, (3,)), ("angles", kind, (3,)), ("out_cov", kind, (12, 12)), ("sigma", kind,
-        (n,)), ("slip", kind, (4,)),
+        ("out", kind, (STATES,)), ("out_rates", kind, (3,)), ("angles", kind, (3,)),
+        ("out_cov", kind, (12, 12)), ("sigma", kind, (n,)), ("slip", kind, (4,)),
         # What is thought of each sensor
         ("last", kind, (SENSORS, BEAMS)), ("last_age", kind, (SENSORS,)), ("came", i4, (SENSORS,)),
         ("used", i4, (SENSORS,)),

@@ -1,10 +1,10 @@
 """The filter's step, by whichever of two equal codes starts sooner: the C that flies on board, or Numba's.
 
-The C sources of :mod:`mufly.firmware` are a translation by hand of this room's compiled functions and give the same numbers
-to the last bit (``tests/firmware/test_estimate_c.py``). A C compiler builds them in a second or two, Numba needs half a
-minute for the same; both are kept on disk afterwards. So C is taken where there is a compiler, in double precision, and as
-long as the Python sources are those that it was proved equal to (:data:`PROVED`): whoever changes a line of them
-flies with Numba until C has followed.
+The C sources of :mod:`mufly.firmware` are a translation by hand of this room's compiled functions and give the same
+numbers to the last bit (``tests/firmware/test_estimate_c.py``). A C compiler builds them in a second or two, Numba
+needs half a minute for the same; both are kept on disk afterwards. So C is taken where there is a compiler, in double
+precision, and as long as the Python sources are those that it was proved equal to (:data:`PROVED`): whoever changes a
+line of them flies with Numba until C has followed.
 
 ``MUFLY_ESTIMATOR=numba`` or ``c`` in the environment takes one or the other without asking.
 """
@@ -30,9 +30,9 @@ from mufly.errors import MuflyError
 from mufly.estimate import factors, fusing, guards, kernel, motion
 from mufly.estimate.records import model_record, records_h
 from mufly.rotor import maps
-from mufly.toolchain import kept_library
+from mufly.toolchain import FLAGS, kept_library
 
-PROVED = "0"
+PROVED = "bb4f295a4afa275f"
 """Stamp of the Python sources (:func:`stamp`) to which C was last proved equal."""
 
 SOURCES = ("estimate", "fusing", "guards", "factors", "motion", "flight_model", "real")
@@ -58,8 +58,8 @@ class Steps:
     begin : callable
         Of the memory.
     step : callable
-        Of the memory; says whether the estimate is valid. Readings, which are new, and their ages are in the arrays that
-        were given.
+        Of the memory; says whether the estimate is valid. Readings, which are new, and their ages are in the arrays
+        that were given.
     """
 
     name: str
@@ -115,7 +115,11 @@ def _in_c(settings: Any, parameters: Any, z: np.ndarray, new: np.ndarray, age: n
     # The records' bytes are the structs'; ffi keeps hold of the arrays.
     s = ffi.from_buffer(np.array([settings]))
     p = ffi.from_buffer(model_record(parameters))
-    values, fresh, ages = ffi.from_buffer("double[]", z), ffi.from_buffer("int32_t[]", new), ffi.from_buffer("double[]", age)
+    values, fresh, ages = (
+        ffi.from_buffer("double[]", z),
+        ffi.from_buffer("int32_t[]", new),
+        ffi.from_buffer("double[]", age),
+    )
     begin, advance, view = lib.estimator_begin, lib.estimator_step, ffi.from_buffer
     held: list[Any] = [None, None]
 
@@ -133,7 +137,11 @@ def _library(records: str) -> tuple[Any, Any]:
 
     ffi = cffi.FFI()
     ffi.cdef(_DECLARED)
-    return ffi, ffi.dlopen(str(kept_library("estimate", sources(records))))
+    return ffi, ffi.dlopen(str(kept_library("estimate", sources(records), flags=_flags())))
+
+
+def _flags() -> tuple[str, ...]:
+    return FLAGS
 
 
 def sources(records: str) -> dict[str, str]:
@@ -144,8 +152,19 @@ def sources(records: str) -> dict[str, str]:
 
 
 _TRANSLATED: tuple[tuple[types.ModuleType, tuple[str, ...]], ...] = (
-    *((module, ()) for module in (kernel, fusing, guards, factors, motion, trigonometry)),
-    (model, ("derivative_tilted", "battery_state", "map_coefficients", "climb_velocity", "_inplane_drag", "_clip")),
+    *((module, ()) for module in (kernel, fusing, guards, factors, motion)),
+    (trigonometry, ("sine_cosine", "direction", "wrapped", "whole")),
+    (
+        model,
+        (
+            "derivative_tilted",
+            "battery_state",
+            "map_coefficients",
+            "climb_velocity",
+            "_inplane_drag",
+            "_clip",
+        ),
+    ),
     (train, ("armature_current", "rotor_acceleration", "interpolate", "terminal_voltage")),
     (maps, ("interpolate", "_cubic")),
 )
@@ -173,4 +192,6 @@ def _words(function: ast.FunctionDef) -> Iterator[str]:
     for part in (function.args, *body):
         for node in ast.walk(part):
             yield type(node).__name__
-            yield from (repr(v) for k, v in ast.iter_fields(node) if isinstance(v, (str, int, float)) and k != "kind")
+            yield from (
+                repr(v) for k, v in ast.iter_fields(node) if isinstance(v, (str, int, float)) and k != "kind"
+            )

@@ -1,7 +1,7 @@
 """The filter's records and constants as C: what ``firmware/sources/records.h`` is made of.
 
-Struct and record have the same fields in the same order and of the same size, so in double precision both languages work
-on the same bytes. A field or a constant that is added in Python is in C with the next build.
+Struct and record have the same fields in the same order and of the same size, so in double precision both languages
+work on the same bytes. A field or a constant that is added in Python is in C with the next build.
 """
 
 from __future__ import annotations
@@ -19,6 +19,26 @@ from mufly.units import GRAVITY
 
 PYTHON_ALONE = ("attitude", "push")
 """Last fields of the memory, which C has on its stack."""
+UNITS: dict[str, str] = {
+    **dict.fromkeys(("dt", "lag", "period", "latency", "patience", "slack"), "s"),
+    **dict.fromkeys(("stands", "sonar_place", "sonar_min", "sonar_max", "ring_max", "ring_baseline"), "m"),
+    **dict.fromkeys(("walls", "place", "z_up", "z_dw", "map_radius"), "m"),
+    **dict.fromkeys(("felt_range", "rest_felt"), "m/s2"),
+    **dict.fromkeys(("gyro_range", "rest_gyro", "hover"), "rad/s"),
+    **dict.fromkeys(("Ixx", "Iyy", "Izz", "J_up", "J_dw", "Jreact_up", "Jreact_dw"), "kg m2"),
+    **dict.fromkeys(("thrust", "thrust_up", "thrust_dw", "map_thrust_up", "map_thrust_dw"), "N s2"),
+    **dict.fromkeys(("torque_up", "torque_dw", "map_torque_up", "map_torque_dw"), "N m s2"),
+    **dict.fromkeys(("drag_x", "drag_y", "drag_z"), "N s2/m2"),
+    **dict.fromkeys(("swash_rate", "bar_rate"), "1/s"),
+    **dict.fromkeys(("R_ohm", "battery_resistance"), "ohm"),
+    **dict.fromkeys(("weight", "downwash"), "N"),
+    "gyro_density": "rad2/s", "felt_density": "m2/s3", "model_density": "m2/s3", "level": "rad", "mass": "kg",
+    "sonar_variance": "m2", "fix_variance": "m2", "heading_variance": "rad2", "ring_slope": "1/m",
+    "pressure_variance": "Pa2 s", "pressure_slope": "Pa/m", "magnet_variance": "rad2", "earth": "T",
+    "inplane": "N s2/m", "kE": "V s", "kM": "N m/A", "dR": "N m s", "swash_gain": "rad", "battery_capacity": "A s",
+    "electronics_current": "A", "battery_curve": "V",
+}  # fmt: skip
+"""Of the numbers that have one, by the field's name; those of the error state are beside ``ERROR_STATES``."""
 _GROUND = ("leg_", "slip_", "friction_", "contact_")  # of the flight model's: it is asked far above the floor
 _MAPS = ("map_thrust_up", "map_torque_up", "map_thrust_dw", "map_torque_dw")
 _MODULES: tuple[types.ModuleType, ...] = (layout, guards, factors, motion, fusing, kernel)
@@ -65,7 +85,7 @@ def constants() -> dict[str, int | float | tuple[int, ...]]:
 
 
 def _name(name: str) -> str:
-    plain = name.strip("_")
+    plain = name.lstrip("_")
     return plain + "_" if len(plain) == 1 else plain
 
 

@@ -212,7 +212,7 @@ def pil(vehicle: Vehicle, *, timeout_s: float = 120.0) -> list[PilResult]:
         raise MuflyError(f"processor in the loop: {absent}")
     with tempfile.TemporaryDirectory(prefix="mufly-pil-") as temporary:
         folder = Path(temporary) / "fw"
-        export(design(vehicle), folder)
+        export(design(vehicle), folder, vehicle)
         right = outputs_of(run_program([str(_self_test(folder))], timeout_s))
         elf = _for_m4(folder)
         flash, ram = size_of(folder)

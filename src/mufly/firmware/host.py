@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import functools
-import os
-import shutil
 import subprocess
 import tempfile
 from pathlib import Path
@@ -15,33 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.control import FlightController
-from mufly.errors import MuflyError
 from mufly.estimate import Estimate
 from mufly.firmware.tables import tables_c, write_tree
 from mufly.flight.software import Actuators, Controllers
+from mufly.toolchain import FLAGS, compile_library, compiler
 
 _Array = NDArray[np.floating[Any]]
-
-FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno")
-"""With which results are those of the simulation; any -O does, -ffast-math and contraction do not."""
-
-
-def compiler() -> str:
-    """Return the C compiler of this machine: ``$CC``, else cc, gcc or clang.
-
-    Raises
-    ------
-    MuflyError
-        If there is none.
-    """
-    for name in (os.environ.get("CC", ""), "cc", "gcc", "clang"):
-        found = shutil.which(name) if name else None
-        if found:
-            return found
-    raise MuflyError(
-        "there is no C compiler: install gcc or clang (Debian, Ubuntu: apt-get install gcc; macOS: xcode-select "
-        "--install), or name one in the environment as CC"
-    )
 
 
 def build(
@@ -55,13 +32,9 @@ def build(
         If there is no compiler, or it refuses; the message holds what it said first.
     """
     library = folder / ("mufly_single.so" if single else "mufly.so")
-    sources = sorted(str(s) for s in folder.glob("*.c"))
+    sources = sorted(folder.glob("*.c"))
     extra = ("-DMUFLY_FLOAT",) if single else ()
-    command = [cc or compiler(), *flags, *extra, "-fPIC", "-shared", *sources, "-o", str(library), "-lm"]
-    done = subprocess.run(command, capture_output=True, text=True)
-    if done.returncode:
-        first = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
-        raise MuflyError(f"{command[0]} could not build {folder}: {first}")
+    compile_library(sources, library, flags=(*flags, *extra), cc=cc)
     return library
 
 

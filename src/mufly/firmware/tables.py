@@ -7,7 +7,7 @@ number as a hexadecimal float, which no compiler rounds, with its decimal and un
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -17,14 +17,19 @@ import numpy as np
 from mufly.control import FlightController
 from mufly.control.law import UNITS
 from mufly.errors import InputError
+from mufly.firmware.estimate_tables import estimate_files
+from mufly.vehicle import Vehicle
 from mufly.version import __version__
+from mufly.world import World
 
 SOURCES = resources.files("mufly.firmware") / "sources"
 _GROUPS = ("heave_yaw", "roll_pitch", "position")
 
 
-def export(controller: FlightController, out: Path) -> list[Path]:
-    """Write the source tree of a vehicle's controllers: C99, Makefile, CMake file and a README.
+def export(
+    controller: FlightController, out: Path, vehicle: Vehicle | None = None, world: World | None = None
+) -> list[Path]:
+    """Write the source tree of a vehicle's flight software: C99, Makefile, CMake file and a README.
 
     Parameters
     ----------
@@ -32,6 +37,10 @@ def export(controller: FlightController, out: Path) -> list[Path]:
         From :func:`mufly.control.design`.
     out : Path
         Folder; what is there of an earlier export is replaced.
+    vehicle : Vehicle, optional
+        Whose estimator it is; without one the tree has no numbers of an estimator.
+    world : World, optional
+        Its room is known to the estimator beforehand.
 
     Returns
     -------
@@ -46,14 +55,15 @@ def export(controller: FlightController, out: Path) -> list[Path]:
     out = Path(out)
     if out.exists() and (not out.is_dir() or (any(out.iterdir()) and not (out / "tables.c").exists())):
         raise InputError("out", str(out), "holds something else", "name a new or empty folder")
-    write_tree(tables_c(controller), out)
+    write_tree(tables_c(controller), out, estimate_files(vehicle, world, controller.rate_Hz))
     return sorted(p for p in out.rglob("*") if p.is_file())
 
 
-def write_tree(tables: str, out: Path) -> None:
-    """Write the sources with given tables into a folder."""
+def write_tree(tables: str, out: Path, others: Mapping[str, str] | None = None) -> None:
+    """Write the sources with given tables into a folder, and other files that are made, by their names."""
     copy_sources(out)
-    (out / "tables.c").write_text(tables)
+    for name, text in {"tables.c": tables, **(others or {})}.items():
+        (out / name).write_text(text)
 
 
 def copy_sources(out: Path, *, fixed: bool = False) -> None:
@@ -62,6 +72,8 @@ def copy_sources(out: Path, *, fixed: bool = False) -> None:
         shutil.copytree(
             sources, out, dirs_exist_ok=True, ignore=None if fixed else shutil.ignore_patterns("*fixed*")
         )
+    for name, text in estimate_files(None, None, 0.0).items():
+        (out / name).write_text(text)
 
 
 def tables_c(controller: FlightController) -> str:

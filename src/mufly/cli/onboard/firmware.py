@@ -52,7 +52,7 @@ def export(
     controller = design(helicopter)
     law = None
     with writing(out):
-        files = firmware.export(controller, out)
+        files = firmware.export(controller, out, helicopter)
         if fixed_point:
             law = firmware.export_fixed(controller, out)
             files = sorted(p for p in out.rglob("*") if p.is_file())

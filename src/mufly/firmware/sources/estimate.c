@@ -79,7 +79,7 @@ static void judge_mode(estimator_t *m, const estimator_settings_t *s, const real
 {
     const real_t lift =
         (s->model > 0) ? ((-m->force[cycle(m->tick, MODELLED)][2] * m->x[23]) / GRAVITY) : REAL(1.0);
-    const real_t height = (-m->out[2] - m->out[16]) - s->stands;
+    const real_t height = height_over(m->out, s);
     const bool off = (sent[0] + sent[1]) < REAL(0.02);
 
     if (m->mode <= RUNNING) {
@@ -132,7 +132,7 @@ static void model_now(estimator_t *m, const estimator_settings_t *s, const fligh
             const real_t fast = (((real_t)m->tick * s->dt) < REAL(1.0)) ? REAL(0.2) : REAL(0.02);
 
             m->rotor[20] =
-                real_least(real_greatest(m->rotor[20] + (fast * off), REAL(0.0)), REAL(1.0));
+                real_min(real_max(m->rotor[20] + (fast * off), REAL(0.0)), REAL(1.0));
         }
     }
 }
@@ -153,7 +153,7 @@ static void gather(estimator_t *m, const estimator_settings_t *s, const flight_m
     for (int32_t j = 0; j < 4; j++) {
         const real_t sent = z[ACTING + j];
 
-        m->acting[j] = (sent == sent) ? real_least(real_greatest(sent, REAL(-1.0)), REAL(1.0)) : REAL(0.0);
+        m->acting[j] = (sent == sent) ? real_min(real_max(sent, REAL(-1.0)), REAL(1.0)) : REAL(0.0);
     }
     turn_matrix(&m->out[6], r);
     n = m->out[3] - m->out[21];
@@ -170,7 +170,7 @@ static void gather(estimator_t *m, const estimator_settings_t *s, const flight_m
     for (int32_t k = 0; k < 3; k++) {
         const real_t clip = (m->clipped[k] * REAL(0.5)) * s->felt_range;
         real_t felt =
-            ((s->model > 0) ? real_greatest(s->felt_density, m->scatter[k]) : s->felt_density) + (clip * clip);
+            ((s->model > 0) ? real_max(s->felt_density, m->scatter[k]) : s->felt_density) + (clip * clip);
         real_t made = s->model_density[k];
         real_t share;
 
@@ -307,14 +307,14 @@ static void fuse_block(estimator_t *m, const estimator_settings_t *s)
 
     for (int32_t k = 0; k < 3; k++) {
         /* Density of the whole difference at the horizon, from what was weighed there */
-        const real_t share = real_greatest(e[15 + k], REAL(1e-9));
+        const real_t share = real_max(e[15 + k], REAL(1e-9));
 
         m->felt[k] /= n;
         m->modelled[k] /= n;
         m->sum[k] /= n;
         m->lever[k][0] /= n;
         m->lever[k][1] /= n;
-        m->lever[k][2] = (e[18 + k] / share) / real_greatest(REAL(1.0) - share, REAL(1e-9));
+        m->lever[k][2] = (e[18 + k] / share) / real_max(REAL(1.0) - share, REAL(1e-9));
     }
     if (mode <= RUNNING) {
         fuse_rest(m, s, m->felt_count, mode == STANDING);
@@ -376,10 +376,10 @@ static void watch_scatter(estimator_t *m, const estimator_settings_t *s, const r
             const real_t mean = m->mean[k] / (real_t)m->blocks;
             const real_t step = mean - m->suspect[R_ACCELERATION][k];
             real_t density =
-                real_greatest((((REAL(0.5) * step) * step) * span) - s->model_density[k], REAL(0.0));
+                real_max((((REAL(0.5) * step) * step) * span) - s->model_density[k], REAL(0.0));
 
             m->suspect[R_ACCELERATION][k] = mean;
-            density = real_least(density, REAL(100.0));
+            density = real_min(density, REAL(100.0));
             m->scatter[k] += ((density > m->scatter[k]) ? REAL(0.2) : REAL(0.05)) * (density - m->scatter[k]);
             m->mean[k] = REAL(0.0);
         }
@@ -412,13 +412,13 @@ static void tell_angles(estimator_t *m)
     const real_t y = m->out[8];
     const real_t z = m->out[9];
     const real_t sine =
-        real_least(real_greatest(REAL(2.0) * ((w * y) - (z * x)), REAL(-1.0)), REAL(1.0));
-    const real_t yaw = arc_tangent(REAL(2.0) * ((w * z) + (x * y)),
+        real_min(real_max(REAL(2.0) * ((w * y) - (z * x)), REAL(-1.0)), REAL(1.0));
+    const real_t yaw = real_atan2(REAL(2.0) * ((w * z) + (x * y)),
                                    REAL(1.0) - (REAL(2.0) * ((y * y) + (z * z))));
 
-    m->angles[0] = arc_tangent(REAL(2.0) * ((w * x) + (y * z)),
+    m->angles[0] = real_atan2(REAL(2.0) * ((w * x) + (y * z)),
                                REAL(1.0) - (REAL(2.0) * ((x * x) + (y * y))));
-    m->angles[1] = arc_tangent(sine, real_sqrt((REAL(1.0) - sine) * (REAL(1.0) + sine)));
+    m->angles[1] = real_atan2(sine, real_sqrt((REAL(1.0) - sine) * (REAL(1.0) + sine)));
     m->angles[2] = yaw + (TURN_RAD * (real_t)real_whole(((m->angles[2] - yaw) / TURN_RAD) + REAL(0.5)));
 }
 
@@ -440,8 +440,8 @@ static void tell_covariance(estimator_t *m, const estimator_settings_t *s)
     const int32_t ticks = m->tick - m->horizon;
     const real_t span = (real_t)((ticks > 0) ? ticks : 0) * s->dt;
     const real_t sine =
-        real_least(real_greatest(REAL(2.0) * ((x[6] * x[8]) - (x[9] * x[7])), REAL(-1.0)), REAL(1.0));
-    const real_t cosine = real_greatest(real_sqrt(REAL(1.0) - (sine * sine)), REAL(0.05));
+        real_min(real_max(REAL(2.0) * ((x[6] * x[8]) - (x[9] * x[7])), REAL(-1.0)), REAL(1.0));
+    const real_t cosine = real_max(real_sqrt(REAL(1.0) - (sine * sine)), REAL(0.05));
     real_t c;
     real_t t;
 
@@ -480,7 +480,8 @@ static void tell_covariance(estimator_t *m, const estimator_settings_t *s)
     }
     for (int32_t i = 0; i < MOVING; i++) {
         if (i < 3) {
-            m->out_cov[i][i] += m->slip[i] * m->slip[i];
+            /* Whoever is off in height, fix or sonar, the fix may be off by as much in any direction. */
+            m->out_cov[i][i] += (m->slip[i] * m->slip[i]) + (m->suspect[R_FIX][3] * m->suspect[R_FIX][3]);
         }
         m->sigma[i] = real_sqrt(m->out_cov[i][i]);
     }
@@ -570,6 +571,7 @@ static void let_wait(estimator_t *m, const estimator_settings_t *s, const real_t
 bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_model_t *p, real_t z[VALUES],
                     int32_t fresh[SENSORS], const real_t age[SENSORS])
 {
+    real_t doubt;
     bool found;
     bool seen;
 
@@ -579,7 +581,9 @@ bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_
         m->before[k] = m->rates[k];
         m->rates[k] = z[STARTS[R_RATES] + k] - m->shift[k];
     }
-    smooth_rates(m, s, (m->mode == FLYING) && (((-m->out[2] - m->out[16]) - s->stands) > CLEAR));
+    /* A floor below the room's, or a fix that is apart from the sonar: the height is off by as much. */
+    doubt = m->suspect[R_FIX][3] - real_min(m->out[16], REAL(0.0));
+    smooth_rates(m, s, (m->mode == FLYING) && (height_over(m->out, s) > (CLEAR + doubt)));
     gather(m, s, p, z, fresh);
     if ((s->model > 0) && ((m->mode == FLYING) || (m->mode == RUNNING)) && (m->code[R_ACCELERATION] < MISSING)) {
         watch_scatter(m, s, z);

@@ -26,12 +26,12 @@ static int32_t greater(int32_t a, int32_t b)
 
 static real_t within(real_t value, real_t low, real_t high)
 {
-    return real_least(real_greatest(value, low), high);
+    return real_min(real_max(value, low), high);
 }
 
 static cubic_t cubic(real_t at, int32_t n)
 {
-    const real_t x = real_least(real_greatest(at, REAL(0.0)), (real_t)n - REAL(1.0));
+    const real_t x = real_min(real_max(at, REAL(0.0)), (real_t)n - REAL(1.0));
     const int32_t i = lesser(real_whole(x), n - 2);
     const real_t t = x - (real_t)i;
     real_t a = t * (REAL(-0.5) + (t * (REAL(1.0) - (REAL(0.5) * t))));
@@ -74,13 +74,13 @@ static void by_map(const real_t x[MODEL_STATES], const real_t wind[3], const fli
     const real_t up = real_abs(x[18]);
     const real_t dw = real_abs(x[19]);
     const real_t mean = REAL(0.5) * (up + dw);
-    const real_t ratio = dw / real_greatest(up, STANDSTILL);
-    const real_t climb_ratio = climb / (real_greatest(mean, STANDSTILL) * p->map_radius);
+    const real_t ratio = dw / real_max(up, STANDSTILL);
+    const real_t climb_ratio = climb / (real_max(mean, STANDSTILL) * p->map_radius);
     const int32_t speeds = p->map_size[0];
     const int32_t ratios = p->map_size[1];
     const int32_t climbs = p->map_size[2];
-    const real_t fraction = real_least(
-        real_greatest((mean - p->map_start[0]) * p->map_per_step[0], REAL(0.0)), (real_t)speeds - REAL(1.0));
+    const real_t fraction = real_min(
+        real_max((mean - p->map_start[0]) * p->map_per_step[0], REAL(0.0)), (real_t)speeds - REAL(1.0));
     const int32_t k0 = lesser(real_whole(fraction), greater(speeds - 2, 0));
     const real_t s = fraction - (real_t)k0;
     const cubic_t by_ratio = cubic((ratio - p->map_start[1]) * p->map_per_step[1], ratios);
@@ -125,7 +125,7 @@ void battery(const real_t x[MODEL_STATES], real_t motor_up, real_t motor_dw, con
     const real_t loaded = (open + (p->battery_resistance * (source - p->electronics_current))) /
                           (REAL(1.0) + (p->battery_resistance * conductance));
 
-    *voltage = real_greatest(loaded, REAL(0.0));
+    *voltage = real_max(loaded, REAL(0.0));
     *current = (p->electronics_current + (conductance * *voltage)) - source;
 }
 
@@ -226,7 +226,7 @@ void flight_model(const real_t x[MODEL_STATES], const real_t u[4], const real_t 
     n_up[0] = p->bar_gain * (((a00 * bar_n) + (a10 * bar_e)) + (a20 * bar_d));
     n_up[1] = p->bar_gain * (((a01 * bar_n) + (a11 * bar_e)) + (a21 * bar_d));
     n_up[2] = -real_sqrt(
-        real_greatest((REAL(1.0) - (n_up[0] * n_up[0])) - (n_up[1] * n_up[1]), REAL(0.0)));
+        real_max((REAL(1.0) - (n_up[0] * n_up[0])) - (n_up[1] * n_up[1]), REAL(0.0)));
     thrust_up = (k.thrust_up * speed_up) * speed_up;
     f_up[0] = n_up[0] * thrust_up;
     f_up[1] = n_up[1] * thrust_up;
@@ -248,7 +248,7 @@ void flight_model(const real_t x[MODEL_STATES], const real_t u[4], const real_t 
     fx = (f_up[0] + f_dw[0]) - ((p->drag_x * real_abs(air[0])) * air[0]);
     fy = (f_up[1] + f_dw[1]) - ((p->drag_y * real_abs(air[1])) * air[1]);
     downwash = p->downwash *
-               real_least(REAL(1.0), (REAL(2.0) * (thrust_up + thrust_dw)) / (p->mass * GRAVITY));
+               real_min(REAL(1.0), (REAL(2.0) * (thrust_up + thrust_dw)) / (p->mass * GRAVITY));
     fz = ((f_up[2] + f_dw[2]) - ((p->drag_z * real_abs(air[2])) * air[2])) + downwash;
     mx = (-p->z_up * f_up[1]) - (p->z_dw * f_dw[1]);
     my = (p->z_up * f_up[0]) + (p->z_dw * f_dw[0]);

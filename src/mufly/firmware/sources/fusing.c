@@ -64,12 +64,6 @@ static bool taken_over(const estimator_t *m, const estimator_settings_t *s, int3
     return (m->agree[k] >= 3) && (((real_t)(m->horizon - m->since[k]) * s->dt) >= AGREE_S);
 }
 
-/* An angle within half a turn (rad). */
-static real_t half_turn(real_t off)
-{
-    return off - (TURN_RAD * (real_t)real_whole((off / TURN_RAD) + REAL(0.5)));
-}
-
 static void fix_row(estimator_t *m, int32_t i)
 {
     clear_row(m);
@@ -90,10 +84,10 @@ static real_t fix_innovation(const estimator_t *m, const real_t z[4], int32_t i,
     if (i < 3) {
         off = ((z[i] - x[i]) - (ahead * x[3 + i])) - x[17 + i];
     } else {
-        const real_t yaw = arc_tangent(REAL(2.0) * ((x[6] * x[9]) + (x[7] * x[8])),
+        const real_t yaw = real_atan2(REAL(2.0) * ((x[6] * x[9]) + (x[7] * x[8])),
                                        REAL(1.0) - (REAL(2.0) * ((x[8] * x[8]) + (x[9] * x[9]))));
 
-        off = half_turn((z[3] - yaw) - x[20]);
+        off = real_wrapped((z[3] - yaw) - x[20]);
     }
     return off;
 }
@@ -101,6 +95,51 @@ static real_t fix_innovation(const estimator_t *m, const real_t z[4], int32_t i,
 static real_t fix_variance(const estimator_settings_t *s, int32_t i)
 {
     return (i < 3) ? s->fix_variance : s->heading_variance;
+}
+
+real_t height_over(const real_t x[STATES], const estimator_settings_t *s)
+{
+    return (-x[2] - real_max(x[16], REAL(0.0))) - s->stands;
+}
+
+/* What a component of the fix is believed to be off by, over the most that its model allows. */
+static real_t out_of_range(const estimator_t *m, const estimator_settings_t *s, int32_t i)
+{
+    const real_t sigma = s->sigma[FIX + i];
+
+    return real_abs(m->x[17 + i]) / (RANGE * real_sqrt((sigma * sigma) + fix_variance(s, i)));
+}
+
+/* Whether the sonar tells the height, over a floor that is known. */
+static bool sonar_holds(const estimator_t *m, const estimator_settings_t *s)
+{
+    const int32_t k = R_SONAR;
+    const bool fresh = (m->used[k] > 0) && (((real_t)(m->tick - m->used[k]) * s->dt) < REAL(0.3));
+
+    return fresh && (m->code[k] == FUSED) && (m->why[k] == FINE) && (m->edge == 0);
+}
+
+/* Whether fix and sonar agree on the height; if not, what they are apart by is kept in m->suspect[R_FIX][3]. */
+static bool agrees_down(estimator_t *m, const estimator_settings_t *s, const real_t z[4], real_t ahead)
+{
+    const int32_t k = R_FIX;
+    const real_t nu = fix_innovation(m, z, 2, ahead);
+    const real_t apart = real_abs(nu + m->x[19]);
+    real_t off;
+
+    fix_row(m, 2);
+    off = real_abs(ratio_of(m, nu, s->fix_variance));
+    if (m->suspect[k][3] > REAL(0.0)) {
+        const bool blind = ((real_t)(m->tick - m->used[R_SONAR]) * s->dt) > REAL(0.3);
+
+        m->suspect[k][3] = (blind || (off < REAL(2.5))) ? REAL(0.0) : apart;
+    } else if (sonar_holds(m, s) &&
+               ((out_of_range(m, s, 2) > REAL(1.0)) || ((off > GATE) && taken_over(m, s, k)))) {
+        m->suspect[k][3] = apart;
+    } else {
+        /* they agree */
+    }
+    return !(m->suspect[k][3] != REAL(0.0));
 }
 
 /* The fix is believed anew; what other sensors hold is not given up: the fix is off there. */
@@ -126,13 +165,18 @@ static void loosen_for_fix(estimator_t *m, const real_t z[4], real_t ahead)
 void fuse_fix(estimator_t *m, const estimator_settings_t *s, const real_t z[4], real_t ahead)
 {
     const int32_t k = R_FIX;
+    const bool down = agrees_down(m, s, z, ahead);
     real_t worst = REAL(0.0);
     real_t at = REAL(0.0);
+    real_t out;
 
     for (int32_t i = 0; i < 4; i++) {
         real_t nu;
         real_t ratio;
 
+        if ((i == 2) && (!down)) {
+            continue;
+        }
         fix_row(m, i);
         nu = fix_innovation(m, z, i, ahead);
         ratio = ratio_of(m, nu, fix_variance(s, i));
@@ -153,7 +197,8 @@ void fuse_fix(estimator_t *m, const estimator_settings_t *s, const real_t z[4], 
     }
     /* Off by much again and again: something carries the filter astray that it does not know. */
     m->strain += REAL(0.15) * ((worst * worst) - m->strain);
-    if (m->strain > STRAIN) {
+    out = real_max(real_max(out_of_range(m, s, 0), out_of_range(m, s, 1)), out_of_range(m, s, 3));
+    if ((m->strain > STRAIN) || (out > REAL(1.0))) {
         for (int32_t i = 0; i < 3; i++) {
             factors_loosen(m, TURN + i, REAL(1e-5));
             factors_loosen(m, GYRO + i, REAL(1e-4));
@@ -162,10 +207,20 @@ void fuse_fix(estimator_t *m, const estimator_settings_t *s, const real_t z[4], 
         flag(m, s, k, FUSED, STRAINED, at);
     }
     for (int32_t i = 0; i < 4; i++) {
-        fix_row(m, i);
-        take(m, fix_innovation(m, z, i, ahead), fix_variance(s, i));
+        if ((i != 2) || down) {
+            fix_row(m, i);
+            take(m, fix_innovation(m, z, i, ahead), fix_variance(s, i));
+        }
+    }
+    for (int32_t i = 0; i < 3; i++) {
+        if ((real_abs(m->x[10 + i]) > (GYRO_RANGE * s->sigma[GYRO + i])) && (m->code[R_RATES] == FUSED)) {
+            flag(m, s, R_RATES, REJECTED, WANDERS, m->x[10 + i]);
+        }
     }
     fits(m, k);
+    if (!down) {
+        flag(m, s, k, FAULTY, AWAY, m->suspect[k][3]);
+    }
     m->aligned = 1;
 }
 
@@ -205,7 +260,7 @@ static bool sonar_anew(estimator_t *m, const estimator_settings_t *s, const real
         /* Step after step: it is not the floor that goes, it is the height. */
         factors_loosen(m, P_ + 2, nu * nu);
         factors_loosen(m, V_ + 2, REAL(0.1));
-        factors_loosen(m, THRUST, REAL(0.01));
+        factors_loosen(m, THRUST_, REAL(0.01));
         flag(m, s, k, REJECTED, TAKEN_OVER, nu);
     } else if (step) {
         factors_loosen(m, FLOOR, nu * nu);
@@ -224,6 +279,26 @@ static bool sonar_anew(estimator_t *m, const estimator_settings_t *s, const real
         taken = false;
     }
     return taken;
+}
+
+/* Whether the sonar repeats itself for longer than its noise and the vehicle's moving allow. */
+static bool repeats(estimator_t *m, const estimator_settings_t *s, real_t z, real_t nu)
+{
+    real_t *kept = m->suspect[R_SONAR];
+    const bool same = (z <= kept[1]) && (z >= kept[1]);
+
+    kept[1] = z;
+    if ((!same) || (height_over(m->x, s) < CLEAR)) {
+        kept[2] = REAL(1.0);
+    } else {
+        /* A height that is hardly known has no part in it: it may be better than believed. */
+        const real_t sigma = REAL(1.3) * real_sqrt(s->sonar_variance);
+        const real_t likely = ((REAL(0.399) * s->sonar_step) / sigma) /
+                              (REAL(1.0) + (REAL(0.5) * real_min((nu * nu) / (sigma * sigma), REAL(9.0))));
+
+        kept[2] *= real_min(likely, REAL(1.0));
+    }
+    return (kept[2] < STUCK) && same;
 }
 
 void fuse_sonar(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t ahead)
@@ -245,6 +320,10 @@ void fuse_sonar(estimator_t *m, const estimator_settings_t *s, const real_t z[1]
     nu = z[0] - expect;
     ratio = ratio_of(m, nu, s->sonar_variance);
     note(m, k, nu, ratio);
+    if (repeats(m, s, z[0], nu)) {
+        flag(m, s, k, FAULTY, STUCK_, z[0]);
+        return;
+    }
     /* Always off to the same side: the surface slopes, or the sonar drifts. Either way it is not the height. */
     if (real_abs(ratio) < GATE) {
         m->lean += REAL(0.2) * (ratio - m->lean);
@@ -372,10 +451,10 @@ void fuse_pressure(estimator_t *m, const estimator_settings_t *s, const real_t z
 
     clear_row(m);
     m->h[P_ + 2] = s->pressure_slope;
-    m->h[PRESSURE] = REAL(1.0);
+    m->h[PRESSURE_] = REAL(1.0);
     nu = (z[0] - (s->pressure_slope * (m->x[2] + (ahead * m->x[5])))) - m->x[24];
     ratio = ratio_of(m, nu, s->pressure_variance);
-    if (drifts(m, s, k, PRESSURE, nu, ratio, z, 1, REAL(10.0) * real_sqrt(s->pressure_variance))) {
+    if (drifts(m, s, k, PRESSURE_, nu, ratio, z, 1, REAL(10.0) * real_sqrt(s->pressure_variance))) {
         take(m, nu, s->pressure_variance);
         fits(m, k);
     }
@@ -396,10 +475,10 @@ void fuse_magnet(estimator_t *m, const estimator_settings_t *s, const real_t z[3
     clear_row(m);
     m->h[TURN + 2] = REAL(1.0);
     m->h[TURN] = -s->earth[2] / s->earth[0];
-    m->h[MAGNET] = REAL(1.0);
-    nu = half_turn(-arc_tangent(east, north) - m->x[25]);
+    m->h[MAGNET_] = REAL(1.0);
+    nu = real_wrapped(-real_atan2(east, north) - m->x[25]);
     ratio = ratio_of(m, nu, s->magnet_variance);
-    if (drifts(m, s, k, MAGNET, nu, ratio, z, 3, REAL(1e-5))) {
+    if (drifts(m, s, k, MAGNET_, nu, ratio, z, 3, REAL(1e-5))) {
         take(m, nu, s->magnet_variance);
         fits(m, k);
     }
@@ -419,7 +498,7 @@ void fuse_force(estimator_t *m, const estimator_settings_t *s, int32_t count)
 
         clear_row(m);
         m->h[ACCEL + i] = REAL(1.0);
-        m->h[THRUST] = m->lever[i][0];
+        m->h[THRUST_] = m->lever[i][0];
         for (int32_t j = 0; j < 3; j++) {
             m->h[V_ + j] = slope * r[(3 * j) + i];
         }

@@ -17,6 +17,9 @@ void fuse_force(estimator_t *m, const estimator_settings_t *s, int32_t count);
 /* Standing: no velocity, no turning; with the motors off (still) accelerometers feel gravity alone. */
 void fuse_rest(estimator_t *m, const estimator_settings_t *s, int32_t count, bool still);
 
+/* How high the legs are above what lies below (m); that is not lower than the floor, whatever the sonar says. */
+real_t height_over(const real_t x[STATES], const estimator_settings_t *s);
+
 /* Back at about the height of the floor it is most likely the floor, and that one is known. */
 void settle_floor(estimator_t *m);
 

@@ -41,7 +41,8 @@ static bool repeated(const estimator_t *m, const estimator_settings_t *s, const 
     bool same = (s->noisy[k] != 0) && (m->came[k] != 0);
     bool told = false;
 
-    for (int32_t j = 0; (j < count) && same; j++) {
+    /* A camera that hangs may still turn with the gyroscopes. */
+    for (int32_t j = 0; (j < ((k == R_FIX) ? 3 : count)) && same; j++) {
         same = !(z[j] != m->last[k][j]);
         told = told || (((k != R_ROTOR) || (z[j] != REAL(0.0))) &&
                         ((k != R_RING) || (z[j] < (REAL(0.995) * s->ring_max))));
@@ -97,7 +98,7 @@ static bool keep(estimator_t *m, const estimator_settings_t *s, const real_t *z,
     }
     if ((age > (s->latency[k] + s->slack[k])) || (age < -s->dt)) {
         flag(m, s, k, FAULTY, LATE, age);
-        if (k <= R_RATES) {
+        if ((k <= R_RATES) || (k == R_ROTOR) || (k == R_BATTERY)) {
             usable = false;
         }
     }
@@ -122,7 +123,7 @@ static void inspect_clipping(estimator_t *m, const estimator_settings_t *s, cons
         const bool possible = (share[k] >= REAL(0.0)) && (share[k] <= REAL(1.0));
 
         m->clipped[k] += REAL(0.1) * ((possible ? share[k] : REAL(1.0)) - m->clipped[k]);
-        clip = real_greatest(clip, m->clipped[k]);
+        clip = real_max(clip, m->clipped[k]);
     }
     if ((clip > SHARE) && (m->code[R_ACCELERATION] == FUSED)) {
         flag(m, s, R_ACCELERATION, FUSED, CLIPS, clip);
@@ -192,7 +193,7 @@ void smooth_rates(estimator_t *m, const estimator_settings_t *s, bool flying)
     }
     for (int32_t k = 0; k < 3; k++) {
         m->row[k] = m->before[k] + (s->dt * m->force[now][9 + k]);
-        worst = real_greatest(worst, real_abs(m->rates[k] - m->row[k]));
+        worst = real_max(worst, real_abs(m->rates[k] - m->row[k]));
         alike = alike && (real_abs(m->rates[k] - m->spike[k]) < ALIKE);
         m->spike[k] = m->rates[k];
     }
@@ -237,7 +238,7 @@ bool rotor_fits(estimator_t *m, const estimator_settings_t *s, const real_t spee
     bool believed = true;
 
     for (int32_t k = 0; k < 2; k++) {
-        worst = real_greatest(worst, real_abs(speed[k] - m->rotor[18 + k]) / s->hover[k]);
+        worst = real_max(worst, real_abs(speed[k] - m->rotor[18 + k]) / s->hover[k]);
     }
     if ((worst > ROTOR_OFF) && (((real_t)m->tick * s->dt) > REAL(0.5))) {
         misfits(m, s, R_ROTOR, OFF, worst * s->hover[0]);
@@ -269,7 +270,7 @@ void felt_fits(estimator_t *m, const estimator_settings_t *s, real_t nu, real_t 
 
         for (int32_t j = 0; j < 3; j++) {
             if (m->drift_sigma[j] > REAL(0.0)) {
-                worst = real_greatest(worst, real_abs(m->drift[j]) / m->drift_sigma[j]);
+                worst = real_max(worst, real_abs(m->drift[j]) / m->drift_sigma[j]);
             }
         }
         if ((m->disowned == 0) && (worst > REAL(6.0))) {

@@ -135,7 +135,7 @@ void advance_errors(real_t top[MOVING][ERRORS], const real_t e[INPUTS], real_t d
             g[0] -= r[k] * e[15 + k];
             g[1] -= r[3 + k] * e[15 + k];
             g[2] -= r[6 + k] * e[15 + k];
-        } else if (j == THRUST) {
+        } else if (j == THRUST_) {
             for (int32_t k = 0; k < 3; k++) {
                 add_push(g, r, k, (REAL(1.0) - e[15 + k]) * e[6 + k]);
             }
@@ -163,8 +163,8 @@ void model_force(estimator_t *m, const estimator_settings_t *s, const flight_mod
     real_t *x = m->rotor;
     real_t *dx = m->slope;
     const real_t dt = s->dt;
-    const real_t to_roll = p->swash_gain * real_least(real_greatest(m->acting[3], REAL(-1.0)), REAL(1.0));
-    const real_t to_pitch = -p->swash_gain * real_least(real_greatest(m->acting[2], REAL(-1.0)), REAL(1.0));
+    const real_t to_roll = p->swash_gain * real_min(real_max(m->acting[3], REAL(-1.0)), REAL(1.0));
+    const real_t to_pitch = -p->swash_gain * real_min(real_max(m->acting[2], REAL(-1.0)), REAL(1.0));
     const real_t roll = x[13];
     const real_t pitch = x[14];
     const real_t bar[3] = {x[15], x[16], x[17]};
@@ -217,16 +217,16 @@ void model_force(estimator_t *m, const estimator_settings_t *s, const flight_mod
         x[3 + k] = air[k] + SLOPE_STEP;
     }
     flight_model(x, m->acting, m->still, p, &swash, dx);
-    out[6] = real_least((dx[3] - moving[0]) / SLOPE_STEP, REAL(0.0));
-    out[7] = real_least((dx[4] - moving[1]) / SLOPE_STEP, REAL(0.0));
-    out[8] = real_least(((dx[5] - GRAVITY) - moving[2]) / SLOPE_STEP, REAL(0.0));
+    out[6] = real_min((dx[3] - moving[0]) / SLOPE_STEP, REAL(0.0));
+    out[7] = real_min((dx[4] - moving[1]) / SLOPE_STEP, REAL(0.0));
+    out[8] = real_min(((dx[5] - GRAVITY) - moving[2]) / SLOPE_STEP, REAL(0.0));
     for (int32_t k = 0; k < 3; k++) {
         out[3 + k] = (moving[k] - still[k]) - (out[6 + k] * air[k]);
         x[15 + k] = normal[k] * size;
     }
     x[13] = to_roll + ((roll - to_roll) * s->swash_settled);
     x[14] = to_pitch + ((pitch - to_pitch) * s->swash_settled);
-    x[18] = real_greatest(x[18] + ((REAL(0.5) * dt) * up), REAL(0.0));
-    x[19] = real_greatest(x[19] + ((REAL(0.5) * dt) * dw), REAL(0.0));
-    x[20] = real_least(real_greatest(x[20] + (dt * dx[20]), REAL(0.0)), REAL(1.0));
+    x[18] = real_max(x[18] + ((REAL(0.5) * dt) * up), REAL(0.0));
+    x[19] = real_max(x[19] + ((REAL(0.5) * dt) * dw), REAL(0.0));
+    x[20] = real_min(real_max(x[20] + (dt * dx[20]), REAL(0.0)), REAL(1.0));
 }

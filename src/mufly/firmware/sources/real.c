@@ -83,6 +83,26 @@ bool real_finite(real_t x)
     return ABS(x) < REAL_INFINITY;
 }
 
+int32_t real_whole(real_t x)
+{
+    int32_t n = 0;
+
+    if (real_abs(x) < REAL(1e9)) {
+        n = (int32_t)x;
+        if (x < (real_t)n) {
+            n -= 1;
+        }
+    }
+    return n;
+}
+
+int32_t cycle(int32_t k, int32_t n)
+{
+    const int32_t rest = k % n;
+
+    return (rest < 0) ? (rest + n) : rest;
+}
+
 real_t real_hypot(real_t x, real_t y)
 {
     return SQRT((x * x) + (y * y));

@@ -42,6 +42,10 @@ real_t real_max(real_t a, real_t b);
 bool real_missing(real_t x);
 bool real_finite(real_t x);
 
+/* The greatest integer that is not above x, zero of what is beyond 1e9 or no number; k modulo n, from 0 to n - 1. */
+int32_t real_whole(real_t x);
+int32_t cycle(int32_t k, int32_t n);
+
 /* Length of a vector: the root of the sum of squares from left to right. */
 real_t real_hypot(real_t x, real_t y);
 real_t real_length(const real_t v[3]);

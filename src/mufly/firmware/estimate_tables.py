@@ -1,0 +1,78 @@
+"""The estimator's numbers of one vehicle: ``records.h``, which says what it remembers, and ``estimate_tables.c``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from mufly.dynamics import model_parameters
+from mufly.estimate.layout import KEPT, filter_settings
+from mufly.estimate.records import UNITS, model_record, records_h
+from mufly.vehicle import Vehicle
+from mufly.version import __version__
+from mufly.world import World
+
+NO_VEHICLE = {"map_nodes": 0}
+"""Of which ``records.h`` is as on the machine that simulates."""
+
+
+def estimate_files(vehicle: Vehicle | None, world: World | None, rate_Hz: float) -> dict[str, str]:
+    """Return the text of what is made of a vehicle's estimator, by its file's name.
+
+    Parameters
+    ----------
+    vehicle : Vehicle or None
+        Without one the records alone.
+    world : World, optional
+        Its room is known beforehand.
+    rate_Hz : float
+        Of the flight software.
+    """
+    if vehicle is None:
+        return {"records.h": records_h(NO_VEHICLE)}
+    settings = np.array([filter_settings(vehicle, world or World(), rate_Hz)])
+    p = model_parameters(vehicle)
+    lines = [
+        f"/* What the estimator of {vehicle.name.replace('*/', '* /')} knows, made by mufly {__version__}. */",
+        '#include "estimate.h"',
+        "",
+        "const estimator_settings_t mufly_settings = {",
+        *_fields(settings),
+        "};",
+        "",
+        "const flight_model_t mufly_flight_model = {",
+        *_fields(model_record(p)),
+        "};",
+        "",
+    ]
+    # From the horizon's next period to now: so many have to be remembered.
+    kept = min(int(settings["delay"][0]) + 1, KEPT)
+    return {"records.h": records_h(p, kept), "estimate_tables.c": "\n".join(lines)}
+
+
+def _fields(record: np.ndarray) -> Iterator[str]:
+    for name in record.dtype.names or ():
+        value = record[name][0]
+        unit = UNITS.get(name, "")
+        if value.ndim == 0:
+            yield f"    .{name} = {_number(value)}, /* {_said(value, unit)} */"
+            continue
+        yield f"    .{name} ="
+        yield "        {"
+        for row in value:
+            numbers = [_number(v) for v in np.atleast_1d(row)]
+            text = numbers[0] if row.ndim == 0 else f"{{{', '.join(numbers)}}}"
+            yield f"            {text}, /* {_said(row, unit)} */"
+        yield "        },"
+
+
+def _said(value: np.ndarray | np.generic, unit: str) -> str:
+    return f"{', '.join(f'{v:.9g}' for v in np.atleast_1d(value))} {unit}".rstrip()
+
+
+def _number(value: np.generic) -> str:
+    if np.issubdtype(value.dtype, np.integer):
+        return str(int(value))
+    number = float(value)
+    return f"-REAL({(-number).hex()})" if number < 0.0 else f"REAL({number.hex()})"

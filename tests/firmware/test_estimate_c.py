@@ -1,0 +1,171 @@
+"""The estimator in C: the same numbers as Python's to the last bit, whatever the readings and the compiler."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+
+from mufly.control import design
+from mufly.errors import MuflyError
+from mufly.estimate import KalmanEstimator, native
+from mufly.estimate.records import PYTHON_ALONE
+from mufly.flight import Flight
+from mufly.mission import mission_from
+from mufly.sensors import Readings, fitted_sensors, parse_fault
+from mufly.vehicle import Vehicle, load_vehicle
+from mufly.world import World
+
+COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
+needs_cc = pytest.mark.skipif(not COMPILERS, reason="there is no C compiler on this machine")
+HOP = mission_from(
+    {
+        "take_off": {"height_m": 1.0, "wait_s": 0.5},
+        "waypoint": [{"position_m": [0.6, 0.3, -1.0], "wait_s": 1.0}],
+        "room": {"north_m": [-1.5, 1.5], "east_m": [-1.5, 1.5], "height_m": 3.0},
+    }
+)
+FAULTS = (
+    "",
+    "sonar.jump=0.3@4s+2s gyro.jump=0.3@6s position.dropout@4s+3s ring.insane@3s pressure.doubled@1s",
+    "sonar.freeze@4s accelerometer.clip=12@5s ring.doubled@3s battery.jump@4s magnetometer.insane@5s",
+    "position.late@4s pressure.drift@4s gyro.insane@6s+0.5s ring.outliers@3s gyro.outliers@7s sonar.outliers@5s",
+    "position.jump@4s magnetometer.jump@4s pressure.jump@5s rotor_speed.jump@5s accelerometer.bias@5s sonar.drift@4s",
+)
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Vehicle:
+    return load_vehicle("mufly-2.0")
+
+
+@pytest.fixture(scope="module")
+def felt(vehicle: Vehicle) -> Callable[[str], list[tuple[Readings, np.ndarray]]]:
+    """Readings of a unit with faults on a short flight, each with what acted: two seconds on the floor, then a hop."""
+    truths, acted = [], []
+    with Flight(
+        vehicle, HOP, controller=design(vehicle), seed=5, wind=(0.4, 0.0, 0.0), gust=0.2, keep=False
+    ) as f:
+        while f.time_s < 9.0:
+            if f.time_s == 2.0:
+                f.autopilot.arm(force=True, quiet=True)
+                f.autopilot.start_mission()
+            f.tick()
+            truths.append(f.status.truth)
+            acted.append(f.status.actuators.array)
+
+    def of(faults: str) -> list[tuple[Readings, np.ndarray]]:
+        sensors = fitted_sensors(
+            vehicle, HOP.world, seed=10_000, faults=[parse_fault(x) for x in faults.split()]
+        )
+        return [(sensors.read(t), a) for t, a in zip(truths, acted, strict=True)]
+
+    return of
+
+
+def estimator(vehicle: Vehicle, code: str, monkeypatch: pytest.MonkeyPatch) -> KalmanEstimator:
+    monkeypatch.setenv("MUFLY_ESTIMATOR", code)
+    return KalmanEstimator(vehicle, HOP.world, 200.0)
+
+
+def same(a: np.ndarray, b: np.ndarray) -> bool:
+    names = [name for name in a.dtype.names or () if name not in PYTHON_ALONE]
+    return all(a[name].tobytes() == b[name].tobytes() for name in names)
+
+
+@needs_cc
+@pytest.mark.parametrize("faults", FAULTS)
+def test_c_remembers_what_python_remembers_to_the_last_bit(vehicle, felt, faults, monkeypatch) -> None:
+    """All that the filter holds, not only what it tells; with what goes wrong with sensors."""
+    c, python = (estimator(vehicle, code, monkeypatch) for code in ("c", "numba"))
+    assert (c.steps.name, python.steps.name) == ("C", "Numba")
+    for k, (r, a) in enumerate(felt(faults)):
+        told, right = c.update(r, a), python.update(r, a)
+        assert told.valid == right.valid
+        assert c.memory["out"].tobytes() == python.memory["out"].tobytes(), k
+        if k % 25 == 0:
+            assert same(c._box, python._box), k
+    assert same(c._box, python._box)
+    if not faults:
+        assert c.memory["mode"] == 3  # it flew
+        c.memory["x"][16] += 1e-15
+        assert not same(c._box, python._box)  # the comparison can fail
+
+
+def streams(vehicle: Vehicle, felt, monkeypatch) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Rows as the step takes them: a flight's, then nonsense of every kind."""
+    e = estimator(vehicle, "c", monkeypatch)
+    rows = []
+    for r, a in felt("")[:1400]:
+        e._read(r, a)
+        rows.append((e._z.copy(), e._new.copy(), e._age.copy()))
+        e.steps.step(e._box)
+    rng = np.random.default_rng(3)
+    evil = np.array([np.nan, np.inf, -np.inf, 1e300, -1e300, 0.0, -0.0, 1e-310, 1e9, -2.0])
+    for k in range(600):
+        z, new, age = (x.copy() for x in rows[800 + k])
+        z = np.where(rng.random(z.size) < 0.1, rng.choice(evil, z.size), z)
+        z = np.where(rng.random(z.size) < 0.1, z * rng.normal(0.0, 3.0, z.size), z)
+        age = np.where(rng.random(age.size) < 0.1, rng.choice(evil, age.size), age)
+        new[rng.random(new.size) < 0.1] = rng.integers(0, 3)
+        rows.append((z, new, age))
+    return rows
+
+
+def replayed(e: KalmanEstimator, rows: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> list[bytes]:
+    told = []
+    with np.errstate(all="ignore"):
+        for z, new, age in rows:
+            e._z[:], e._new[:], e._age[:] = z, new, age
+            valid = e.steps.step(e._box)
+            told.append(e.memory["out"].tobytes() + e.memory["angles"].tobytes() + bytes([valid]))
+    return [*told, *(e.memory[n].tobytes() for n in e.memory.dtype.names if n not in PYTHON_ALONE)]
+
+
+@needs_cc
+def test_nonsense_and_any_compiler_give_the_same(vehicle, felt, monkeypatch) -> None:
+    rows = streams(vehicle, felt, monkeypatch)
+    right = replayed(estimator(vehicle, "numba", monkeypatch), rows)
+    last = np.frombuffer(right[-1])
+    assert np.all(np.isfinite(last))
+    for cc in COMPILERS:
+        for level in ("-O0", "-O2") if cc == "gcc" else ("-O3",):
+            monkeypatch.setenv("CC", cc)
+            monkeypatch.setattr(
+                native, "_flags", lambda level=level: ("-std=c99", level, "-ffp-contract=off")
+            )
+            native._library.cache_clear()
+            assert replayed(estimator(vehicle, "c", monkeypatch), rows) == right, (cc, level)
+    native._library.cache_clear()
+
+
+def test_c_is_a_translation_of_these_sources() -> None:
+    """Fails when a line of the filter's compiled functions changes: C has to follow, which the tests above tell; then
+    this stamp is written into mufly/estimate/native.py."""
+    assert native.stamp() == native.PROVED
+
+
+@needs_cc
+def test_who_computes_is_chosen_and_told(vehicle, monkeypatch) -> None:
+    def chosen() -> tuple[str, str]:
+        steps = KalmanEstimator(vehicle, World(), 200.0).steps
+        return steps.name, steps.why
+
+    monkeypatch.delenv("MUFLY_ESTIMATOR", raising=False)
+    assert chosen() == ("C", "")
+    assert KalmanEstimator(vehicle, World(), 200.0, np.float32).steps.why == "single precision"
+    monkeypatch.setattr(native, "PROVED", "of other sources")
+    assert chosen()[0] == "Numba"
+    assert "have changed" in chosen()[1]
+    monkeypatch.undo()
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.delenv("MUFLY_ESTIMATOR", raising=False)
+    native._library.cache_clear()
+    assert chosen()[0] == "Numba"
+    assert "no C compiler" in chosen()[1]
+    monkeypatch.setenv("MUFLY_ESTIMATOR", "c")
+    with pytest.raises(MuflyError, match="MUFLY_ESTIMATOR=c: there is no C compiler"):
+        chosen()
