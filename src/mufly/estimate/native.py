@@ -32,7 +32,7 @@ from mufly.estimate.records import model_record, records_h
 from mufly.rotor import maps
 from mufly.toolchain import FLAGS, kept_library
 
-PROVED = "bb4f295a4afa275f"
+PROVED = "09644c809f792b2a"
 """Stamp of the Python sources (:func:`stamp`) to which C was last proved equal."""
 
 SOURCES = ("estimate", "fusing", "guards", "factors", "motion", "flight_model", "real")
