@@ -32,7 +32,7 @@ FAULTS = (
     "sonar.jump=0.3@4s+2s gyro.jump=0.3@6s position.dropout@4s+3s ring.insane@3s pressure.doubled@1s",
     "sonar.stuck=1.0@4s accelerometer.clip=12@5s ring.doubled@3s battery.jump@4s magnetometer.insane@5s",
     "position.late@4s pressure.drift@4s gyro.insane@6s+0.5s ring.outliers@3s gyro.outliers@7s sonar.outliers@5s",
-    "position.drift=0.3@4s magnetometer.jump@4s pressure.jump@5s rotor_speed.jump@5s accelerometer.bias@5s sonar.drift@4s",
+    "position.drift=0.3@4s magnetometer.jump@4s pressure.jump@5s rotor_speed.jump@5s sonar.drift@4s",
 )
 
 
