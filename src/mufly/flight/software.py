@@ -54,6 +54,7 @@ from mufly.mission import (
     MissionState,
     Reference,
     State,
+    Words,
     begin,
     blind,
     come_down,
@@ -253,7 +254,7 @@ class FlightSoftware:
         self._late_s = (self._ticks % self._every) * self._period_s
         self._ticks += 1
         if self._lost(self._watch):
-            return self._steadied(m, self._sink_blindly(self._watch, f"measurement lost: {self._watch.what}"))
+            return self._steadied(m, self._sink_blindly(self._watch, Words.LOST(self._watch.what)))
         if self._late_s == 0.0 and m.beliefs is not None:
             doubt = self._doubt(m)
             if doubt:
@@ -316,16 +317,16 @@ class FlightSoftware:
         ):
             self._held, self._waits = True, s.begun and not s.manual and s.outcome == ""
             s = log(s, now.why, level="warning")
-            self.mission_state = pause(self.plan, s, "waits until it knows better where it is")
+            self.mission_state = pause(self.plan, s, Words.HOLDS())
         elif now is not before and now.demand == "land":
             self.mission_state = come_down(s, now.why)
         elif now is not before and s.state is State.RC:
-            self.mission_state = log(s, now.why or "position known again", level="warning")
+            self.mission_state = log(s, now.why or Words.KNOWN(), level="warning")
         elif self._held and now.demand == "":
             goes_on = self._waits and s.state is State.HOVER and s.manual
             self._held = self._waits = False
             if goes_on:
-                self.mission_state = go_on(self.plan, log(s, "position known again"), None)
+                self.mission_state = go_on(self.plan, log(s, Words.KNOWN()), None)
         return ""
 
     def _sink_blindly(self, w: Watch, why: str) -> Actuators:

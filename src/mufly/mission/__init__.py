@@ -54,6 +54,7 @@ from mufly.mission.state import (
     prepare,
 )
 from mufly.mission.trajectory import Limits, Spline, Trajectory, curved, spline, straight
+from mufly.mission.words import Words
 
 __all__ = [
     "ACCEPTED",
@@ -84,6 +85,7 @@ __all__ = [
     "State",
     "Trajectory",
     "Waypoint",
+    "Words",
     "begin",
     "blind",
     "builtin_missions",

@@ -63,7 +63,8 @@ from mufly.mission.state import (
     may,
     rest,
 )
-from mufly.mission.trajectory import Trajectory, Triple, stop, straight
+from mufly.mission.trajectory import Trajectory, Triple, shorter_way_round, stop, straight
+from mufly.mission.words import Words
 from mufly.trigonometry import length
 
 _FLYING = frozenset({State.TAKE_OFF, State.HOVER, State.WAYPOINT, State.OBSTACLE, State.OFFBOARD})
@@ -159,12 +160,13 @@ def _signals(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, dt: fl
     if c.stop:
         return stop_at_once(s, c.stop)
     if s.state is not State.INIT and _tipped_over(s, m):
-        return stop_at_once(fail(s, "tipped over"), "tipped over, motors off")
+        return stop_at_once(fail(s, Words.TIPPED_OVER()), Words.TIPPED_OFF())
     # Rotors that run down after touchdown stop first: sticks in their middle must not start them again.
     if c.rc and s.motors != "ramp_down":
         s = s if s.state is State.RC else to_hand(s, m)
         if s.motors == "fly" and s.low_s - dt <= _LOW_FOR_S < s.low_s:
-            s = log(s, f"{_low_words(plan, s)}; land", level="warning")  # the pilot's own decision
+            # The pilot's own decision.
+            s = log(s, Words.BATTERY_LOW_PILOT(s.battery_V, plan.low_V), level="warning")
         return by_hand(s, m, c, dt)
     if s.state is State.RC:
         return from_hand(s, m)
@@ -194,12 +196,8 @@ def _asked(plan: MissionPlan, s: MissionState, m: Estimate, c: Command) -> Missi
         return phases.start(plan, s, m, height=c.take_off)
     if (c.pause or s.halt) and granted(Ask.PAUSE):
         if s.state is State.TAKE_OFF and not granted(Ask.GO_TO):
-            return (
-                s
-                if s.halt
-                else replace(log(s, "it will hover once it is off the floor"), halt=True, manual=True)
-            )
-        return pause(plan, s, "landing broken off" if s.state is State.LANDING else "paused")
+            return s if s.halt else replace(log(s, Words.WILL_HOVER()), halt=True, manual=True)
+        return pause(plan, s, Words.LANDING_BROKEN_OFF() if s.state is State.LANDING else Words.PAUSED())
     if c.home and granted(Ask.RETURN):
         return return_home(plan, s)
     if c.set_point is not None and granted(Ask.OFFBOARD):
@@ -217,13 +215,9 @@ def _tipped_over(s: MissionState, m: Estimate) -> bool:
 
 
 def _battery_low(plan: MissionPlan, s: MissionState) -> MissionState:
-    why = _low_words(plan, s)
+    why = Words.BATTERY_LOW(s.battery_V, plan.low_V)
     # A mission that is complete and holds has not failed when its battery is used up.
     return land(s if s.outcome == "succeeded" else fail(s, why), why, level="warning")
-
-
-def _low_words(plan: MissionPlan, s: MissionState) -> str:
-    return f"battery low: {s.battery_V:.2f} V, below {plan.low_V:.2f} V"
 
 
 # The user: stop, waypoints, pause, home
@@ -241,14 +235,13 @@ def stop_at_once(s: MissionState, why: str) -> MissionState:
 def waypoint_fault(where: Triple | None, heading: float | None) -> str:
     """Why a user's waypoint is refused; "" if it is not."""
     if heading is not None and not math.isfinite(heading):
-        return f"heading {heading:g} refused: give a finite angle"
+        return Words.HEADING_REFUSED(heading)
     if where is None:
         return ""
-    text = f"user's waypoint [{where[0]:g}, {where[1]:g}, {where[2]:g}] refused"
     if not all(math.isfinite(v) for v in where) or where[2] > -LOWEST_M:
-        return f"{text}: D has to be at most {-LOWEST_M:g} m"
+        return Words.TOO_LOW(*where, -LOWEST_M)
     if where[2] < -HIGHEST_M or length(where[0], where[1]) > 1e4:
-        return f"{text}: too far away, D has to be at least {-HIGHEST_M:g} m"
+        return Words.TOO_FAR(*where, -HIGHEST_M)
     return ""
 
 
@@ -262,9 +255,12 @@ def to_users_waypoint(
     goal = None if where is None else (float(where[0]), float(where[1]), float(where[2]))
     if s.manual and not s.homing and s.asked_heading == heading and goal in (None, s.goal):
         return s
-    text = "" if goal is None else f"user's waypoint [{goal[0]:g}, {goal[1]:g}, {goal[2]:g}]"
-    if heading is not None:
-        text = f"{text}, heading {math.degrees(heading):.0f} deg" if text else _turning(heading)
+    if goal is None:
+        text = Words.TURNING(_compass_deg(0.0 if heading is None else heading))
+    elif heading is None:
+        text = Words.USERS_WAYPOINT(*goal)
+    else:
+        text = Words.USERS_WAYPOINT_HEADING(*goal, math.degrees(heading))
 
     def way(at: Triple, psi: float) -> Trajectory:
         return straight(at, at if goal is None else goal, psi, plan.limits, final_heading=heading)
@@ -272,11 +268,12 @@ def to_users_waypoint(
     return set_out(plan, s, text, way, manual=True, asked_heading=heading)
 
 
-def _turning(heading: float) -> str:
-    return f"turning to {math.degrees(heading) % 360.0:.0f} deg"
+def _compass_deg(heading: float) -> float:
+    deg = math.degrees(shorter_way_round(heading))
+    return deg + (360.0 if deg < 0.0 else 0.0)
 
 
-def pause(plan: MissionPlan, s: MissionState, why: str = "paused") -> MissionState:
+def pause(plan: MissionPlan, s: MissionState, why: str = Words.PAUSED.value) -> MissionState:
     """Stop and hover; the mission waits."""
     if s.state is State.HOVER:
         return s if s.manual else replace(log(s, why), manual=True, quit="")
@@ -301,34 +298,40 @@ def go_on(plan: MissionPlan, s: MissionState, first: int | None) -> MissionState
     index = first if first is not None else 0 if over and s.begun else s.index
     if s.state is State.WAYPOINT and not s.manual and index == s.index:
         return s
-    why = "the mission goes on" if s.begun and not over else "the mission begins"
+    why = Words.GOES_ON() if s.begun and not over else Words.BEGINS()
     if first is not None:
-        why = f"on to waypoint {first + 1}"
+        why = Words.ON_TO(first + 1)
     s = replace(log(s, why), ready_s=s.time_s) if s.state is State.HOVER else pause(plan, s, why)
     return replace(s, manual=False, begun=True, index=index, outcome="", reason="", quit="")
 
 
 def go_on_after_take_off(s: MissionState, first: int | None) -> MissionState:
     """Start signal during a take-off: the mission follows, from waypoint ``first`` (from 0) if given."""
-    s = log(s, "the mission follows the take-off" + (f", from waypoint {first + 1}" if first else ""))
+    s = log(s, Words.FOLLOWS_FROM(first + 1) if first else Words.FOLLOWS())
     return replace(s, manual=False, begun=True, index=first or 0, quit="", halt=False)
 
 
 def return_home(plan: MissionPlan, s: MissionState) -> MissionState:
     """Return signal: to above where it took off, and down."""
-    return s if s.homing else go_home(plan, _broken_off(plan, s, "return"), "return signal")
+    return (
+        s
+        if s.homing
+        else go_home(
+            plan, _broken_off(plan, s, Words.RETURN_EARLY_LAST, Words.RETURN_EARLY), Words.RETURN_SIGNAL()
+        )
+    )
 
 
 def land_now(plan: MissionPlan, s: MissionState) -> MissionState:
     """Land signal."""
-    return land(_broken_off(plan, s, "land"), "land signal")
+    return land(_broken_off(plan, s, Words.LAND_EARLY_LAST, Words.LAND_EARLY), Words.LAND_SIGNAL())
 
 
-def _broken_off(plan: MissionPlan, s: MissionState, signal: str) -> MissionState:
+def _broken_off(plan: MissionPlan, s: MissionState, last: Words, early: Words) -> MissionState:
     left = len(plan.mission.waypoint) - s.index
     if not s.begun or left <= 0 or s.outcome != "":
         return s
-    return replace(s, quit=f"{signal} signal with {left} waypoint{'s' if left > 1 else ''} to go")
+    return replace(s, quit=(early if left > 1 else last)(left))
 
 
 # RC
@@ -337,7 +340,7 @@ def _broken_off(plan: MissionPlan, s: MissionState, signal: str) -> MissionState
 def to_hand(s: MissionState, m: Estimate) -> MissionState:
     """RC signal: the pilot takes over, from any state."""
     x, psi = measured_at(m), float(m.attitude[2])
-    return enter(s, State.RC, "RC on", hold=x, heading=psi, detour=None, homing=False, sink=0.0)
+    return enter(s, State.RC, Words.RC_ON(), hold=x, heading=psi, detour=None, homing=False, sink=0.0)
 
 
 def by_hand(s: MissionState, m: Estimate, c: Command, dt: float) -> MissionState:
@@ -362,10 +365,10 @@ def from_hand(s: MissionState, m: Estimate) -> MissionState:
     x, psi = measured_at(m), float(m.attitude[2])
     if s.motors != "fly" or _lies(s, m):
         if s.begun and s.outcome == "":
-            s = fail(s, "landed by the pilot")
+            s = fail(s, Words.BY_PILOT())
         elif s.started and s.outcome == "":
-            s = replace(s, outcome="succeeded", reason="landed by the pilot")
-        return _down(s, "RC off on the floor")
+            s = replace(s, outcome="succeeded", reason=Words.BY_PILOT())
+        return _down(s, Words.RC_OFF_FLOOR())
     brake = stop(x, m.velocity, psi, BRAKE_M_S2)
     n, e, d = brake.at(math.inf).position
     if d > s.standing[2]:
@@ -377,7 +380,7 @@ def from_hand(s: MissionState, m: Estimate) -> MissionState:
         brake = stop(x, (m.velocity[0], m.velocity[1], w), psi, BRAKE_M_S2)
         n, e, d = brake.at(math.inf).position
     at = (n, e, d)
-    return rest(s, "RC off", at, psi, motion=brake, manual=True)
+    return rest(s, Words.RC_OFF(), at, psi, motion=brake, manual=True)
 
 
 def _lies(s: MissionState, m: Estimate) -> bool:
@@ -402,7 +405,7 @@ def to_set_points(s: MissionState, m: Estimate, wanted: SetPoint) -> MissionStat
         return enter(
             s,
             State.OFFBOARD,
-            "offboard: set-points",
+            Words.OFFBOARD(),
             tracker=onward(s),
             detour=None,
             manual=True,
@@ -411,9 +414,7 @@ def to_set_points(s: MissionState, m: Estimate, wanted: SetPoint) -> MissionStat
     x = measured_at(m)
     if not wants_up(wanted, x):
         return s
-    return enter(
-        anew(s, m, manual=True), State.OFFBOARD, "offboard: set-points, taking off", motors="spin_up"
-    )
+    return enter(anew(s, m, manual=True), State.OFFBOARD, Words.OFFBOARD_UP(), motors="spin_up")
 
 
 def track(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, dt: float) -> MissionState:
@@ -438,6 +439,6 @@ def track(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, dt: float
 def from_set_points(plan: MissionPlan, s: MissionState, m: Estimate) -> MissionState:
     """No more set-points: hover where the reference comes to rest, or stay on the floor."""
     if s.motors != "fly" or _lies(s, m):
-        s = replace(s, outcome="succeeded", reason="landed") if s.outcome == "" else s
-        return _down(s, "offboard off on the floor")
-    return pause(plan, s, "offboard off")
+        s = replace(s, outcome="succeeded", reason=Words.LANDED()) if s.outcome == "" else s
+        return _down(s, Words.OFFBOARD_OFF_FLOOR())
+    return pause(plan, s, Words.OFFBOARD_OFF())

@@ -28,6 +28,7 @@ from mufly.mission.state import (
     rest,
 )
 from mufly.mission.trajectory import Point, Stop, Trajectory, Triple, stop, straight
+from mufly.mission.words import Words
 from mufly.trigonometry import length, sine_cosine
 
 SWEEP_PERIOD_S = 4.0
@@ -155,7 +156,7 @@ def sink(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionS
     if s.motors == "ramp_down":
         if s.clock_s < RAMP_DOWN_S:
             return s
-        return enter(_judged(s), State.INIT, "landed", motors="off", finished=True)
+        return enter(_judged(s), State.INIT, Words.LANDED(), motors="off", finished=True)
     q = plan.mission.limits
     a = q.climb_acceleration_m_s2
     above = s.standing[2] - s.hold[2]
@@ -183,8 +184,8 @@ def sink(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionS
 
 def _touched_down(s: MissionState) -> MissionState:
     if s.impact <= HARD_TOUCHDOWN_M_S:
-        return log(s, "touchdown")
-    return log(s, f"hard touchdown: {s.impact:.2f} m/s, above {HARD_TOUCHDOWN_M_S:g} m/s", level="warning")
+        return log(s, Words.TOUCHDOWN())
+    return log(s, Words.HARD_TOUCHDOWN(s.impact, HARD_TOUCHDOWN_M_S), level="warning")
 
 
 def _judged(s: MissionState) -> MissionState:
@@ -193,7 +194,7 @@ def _judged(s: MissionState) -> MissionState:
         return s
     if s.quit:
         return fail(s, s.quit)
-    return replace(s, outcome="succeeded", reason="mission complete" if s.begun else "landed")
+    return replace(s, outcome="succeeded", reason=(Words.COMPLETE if s.begun else Words.LANDED)())
 
 
 def blind(s: MissionState, time_s: float, why: str) -> MissionState:
@@ -213,7 +214,7 @@ def come_down(s: MissionState, why: str) -> MissionState:
 def down_blind(s: MissionState, time_s: float) -> MissionState:
     """By now it has come down."""
     s = replace(s, time_s=time_s)
-    return enter(s, State.INIT, "motors off, where it came down", motors="off", finished=True)
+    return enter(s, State.INIT, Words.CAME_DOWN(), motors="off", finished=True)
 
 
 # The other states
@@ -282,7 +283,7 @@ def start(
     up = plan.mission.take_off.height_m if height is None else height
     goal = (x[0], x[1], -up)
     motion = straight(x, goal, fresh.heading, plan.limits)
-    why = "start signal" if height is None else f"take-off signal, to {up:g} m"
+    why = Words.START_SIGNAL() if height is None else Words.TAKE_OFF_SIGNAL(up)
     return enter(fresh, State.TAKE_OFF, why, motors="spin_up", goal=goal, motion=motion)
 
 
@@ -297,13 +298,13 @@ def take_off(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Miss
         q = plan.mission.limits
         if abs(m.position[2] - s.goal[2]) < q.reach_m and abs(m.velocity[2]) < q.reach_m_s:
             ready = s.time_s + plan.mission.take_off.wait_s
-            return _hold_at(s, f"altitude reached: {-m.position[2]:.2f} m", s.goal, ready)
+            return _hold_at(s, Words.ALTITUDE(-m.position[2]), s.goal, ready)
         gained = s.standing[2] - m.position[2]
         if late > 3.0 and gained < 0.1:
-            s = fail(s, f"take-off failed: {gained:.2f} m gained in {s.clock_s:.1f} s")
+            s = fail(s, Words.TAKE_OFF_FAILED(gained, s.clock_s))
             return enter(s, State.INIT, s.reason, level="error", motors="ramp_down")
         if late > 8.0 + 0.5 * way.duration_s:
-            why = f"take-off failed: {-m.position[2]:.2f} m high in place of {-s.goal[2]:.2f} m"
+            why = Words.TAKE_OFF_SHORT(-m.position[2], -s.goal[2])
             return land(fail(s, why), why, level="warning")
     # On its legs it cannot slide away from anything.
     return _watch(plan, s) if m.position[2] < s.standing[2] - 0.2 else s
@@ -325,7 +326,7 @@ def hover(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Mission
     def leg(at: Triple, heading: float) -> Trajectory:
         return leg_trajectory(plan.mission, s.index, np.array(at), heading, nose_offset=nose_offset(plan))
 
-    return set_out(plan, s, f"waypoint {s.index + 1}", leg)
+    return set_out(plan, s, Words.TO_WAYPOINT(s.index + 1), leg)
 
 
 def nose_offset(plan: MissionPlan) -> float:
@@ -336,11 +337,11 @@ def nose_offset(plan: MissionPlan) -> float:
 def _complete(plan: MissionPlan, s: MissionState) -> MissionState:
     """After the last wait: what the mission says."""
     if plan.mission.at_end == "hover":
-        s = log(s, "mission complete, holding")
-        return replace(s, manual=True, outcome="succeeded", reason="mission complete")
+        s = log(s, Words.COMPLETE_HOLDS())
+        return replace(s, manual=True, outcome="succeeded", reason=Words.COMPLETE())
     if plan.mission.at_end == "return":
-        return go_home(plan, s, "mission complete, returning")
-    return land(s, "mission complete")
+        return go_home(plan, s, Words.COMPLETE_RETURNS())
+    return land(s, Words.COMPLETE())
 
 
 def braking(plan: MissionPlan, s: MissionState) -> Stop:
@@ -398,11 +399,10 @@ def fly_leg(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Missi
     way = s.motion
     assert isinstance(way, Trajectory)
     q = plan.mission.limits
-    name = "home" if s.homing else "user's waypoint" if s.manual else f"waypoint {s.index + 1}"
     if s.clock_s >= way.duration_s:
         off = _away(m, s.goal)
         if off < q.reach_m and length(*m.velocity.tolist()) < q.reach_m_s:
-            why = f"{name} reached, {off * 100:.1f} cm off"
+            why = _leg_words(s, Words.REACHED, Words.REACHED_USERS, Words.REACHED_HOME, 100.0 * off)
             if s.homing:
                 return land(s, why)
             if s.manual:
@@ -413,8 +413,15 @@ def fly_leg(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Missi
     spent = s.time_s - s.entered_s
     if spent > 2.0 * way.duration_s + 20.0:
         off = _away(m, s.goal)
-        return _give_up(s, f"{name} not reached within {spent:.0f} s: {off:.2f} m away")
+        why = _leg_words(s, Words.MISSED, Words.MISSED_USERS, Words.MISSED_HOME, spent, off)
+        return _give_up(s, why)
     return _watch(plan, s)
+
+
+def _leg_words(s: MissionState, mission: Words, users: Words, home: Words, *numbers: float) -> str:
+    if s.homing or s.manual:
+        return (home if s.homing else users)(*numbers)
+    return mission(s.index + 1, *numbers)
 
 
 def _away(m: Estimate, goal: Triple) -> float:
@@ -453,7 +460,7 @@ def _watch(plan: MissionPlan, s: MissionState) -> MissionState:
         return s
     velocity, acceleration = at.velocity, at.acceleration
     detour = begin_detour(here, velocity, acceleration, s.goal, sight, s.detour)
-    why = f"obstacle {sight.way:.2f} m from the way" if underway else f"obstacle {sight.nearest:.2f} m away"
+    why = Words.OBSTACLE_AHEAD(sight.way) if underway else Words.OBSTACLE_NEAR(sight.nearest)
     return enter(s, State.OBSTACLE, why, back=s.state, detour=detour, heading=at.heading)
 
 
@@ -476,10 +483,8 @@ def avoid(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Mission
     s = replace(s, detour=detour, avoided_s=s.avoided_s + dt)
     if s.avoided_s > q.give_up_s:
         n, e = detour.obstacle
-        return _give_up(
-            s, f"blocked by an obstacle at N {n:.2f} m, E {e:.2f} m: no way around it in {q.give_up_s:.0f} s"
-        )
+        return _give_up(s, Words.BLOCKED(n, e, q.give_up_s))
     if not detour.done:
         return s
     way = straight(detour.position, s.goal, s.heading, plan.limits, final_heading=s.heading)
-    return enter(s, s.back, "obstacle avoided", motion=way, resumed=True)
+    return enter(s, s.back, Words.AVOIDED(), motion=way, resumed=True)

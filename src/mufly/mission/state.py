@@ -18,6 +18,7 @@ from mufly.mission.avoidance import Detour, Memory, Ring, ring
 from mufly.mission.offboard import SetPoint
 from mufly.mission.schema import Mission
 from mufly.mission.trajectory import Limits, Point, Stop, Trajectory, Triple
+from mufly.mission.words import Words
 from mufly.vehicle import Vehicle
 
 Motors = Literal["off", "spin_up", "fly", "ramp_down", "blind"]
@@ -317,7 +318,7 @@ def begin(plan: MissionPlan, estimate: Estimate) -> MissionState:
         standing=(n, e, d),
         heading=float(estimate.attitude[2]),
         battery_V=float(estimate.battery_voltage),
-        events=(Event(estimate.time_s, str(State.INIT), f"ready for {plan.mission.name}"),),
+        events=(Event(estimate.time_s, str(State.INIT), Words.READY(plan.mission.name)),),
         logged=1,
     )
 

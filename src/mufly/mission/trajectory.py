@@ -131,7 +131,28 @@ def step_down_way(speed: float, acceleration: float) -> tuple[float, float]:
 
 _Array = NDArray[np.float64]
 _PIECES = 64
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
+_NODES_T = tuple(
+    float.fromhex(x)
+    for x in (
+        "-0x1.cff6ce0533a69p-1",
+        "-0x1.13b23fd99b705p-1",
+        "0x0.0p+0",
+        "0x1.13b23fd99b705p-1",
+        "0x1.cff6ce0533a69p-1",
+    )
+)
+_WEIGHTS_T = tuple(
+    float.fromhex(x)
+    for x in (
+        "0x1.e539ec36e0393p-3",
+        "0x1.ea1da25ae4158p-2",
+        "0x1.23456789abcddp-1",
+        "0x1.ea1da25ae4158p-2",
+        "0x1.e539ec36e0393p-3",
+    )
+)
+"""Of Gauss and Legendre, five points; written out, so that they are the same everywhere."""
+_NODES = np.array(_NODES_T)
 
 
 @dataclass(frozen=True)
@@ -211,10 +232,6 @@ class SplinePath(NamedTuple):
             a, b, c = _slope(p, v), _slope(q, v), _slope(r, v)
             total += weight * math.sqrt(a * a + b * b + c * c)
         return self.arc[k] + half * total
-
-
-_NODES_T: tuple[float, ...] = tuple(_NODES.tolist())
-_WEIGHTS_T: tuple[float, ...] = tuple(_WEIGHTS.tolist())
 
 
 def _slope(c: tuple[float, float, float, float], u: float) -> float:
