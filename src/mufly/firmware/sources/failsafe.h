@@ -1,0 +1,19 @@
+/* Motors without a controller: speeding up and running down on the floor, and coming down when the estimate is lost. */
+#ifndef MUFLY_FAILSAFE_H
+#define MUFLY_FAILSAFE_H
+
+#include "real.h"
+
+/* Inputs (upper, lower; 0..1) while the rotors speed up, elapsed (s) after they began; hover: voltages of hover. */
+void failsafe_spin_up(const real_t hover_V[2], real_t elapsed_s, real_t battery_V, real_t out[2]);
+
+/* After touchdown, from released to zero within a second. */
+void failsafe_ramp_down(const real_t released[2], real_t elapsed_s, real_t out[2]);
+
+/* On a blind way down: a little below what held it up (V), to zero in its last second. */
+void failsafe_sink(const real_t held_up_V[2], real_t left_s, real_t battery_V, real_t out[2]);
+
+/* How long a blind way down takes from a height (m), with a second to spare. */
+real_t failsafe_way_down_s(real_t height, real_t gravity);
+
+#endif

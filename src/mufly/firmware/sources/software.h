@@ -1,0 +1,57 @@
+/* The flight software of one vehicle, one call a period: from an estimate and the user's signals to actuators.
+ *
+ * What it does and why: software.py of mufly.flight. All state belongs to the caller. */
+#ifndef MUFLY_SOFTWARE_H
+#define MUFLY_SOFTWARE_H
+
+#include "controllers.h"
+#include "mission.h"
+#include "watch.h"
+
+/* What does not change in a flight. */
+typedef struct {
+    const gains_t *gains;
+    const plan_t *plan;
+    real_t period_s;
+    int32_t every;      /* periods from one step of the mission's logic to the next */
+    real_t hover_V[2];  /* motor voltages of hover; upper, lower */
+} setup_t;
+
+typedef struct {
+    mission_t mission;
+    reference_t reference;
+    command_t command; /* kept for the next step of the mission's logic */
+    int32_t tick;      /* 0 when that is due */
+    int32_t motors;
+    real_t since_s;
+    real_t motor_input[2];
+    real_t tilt[2];
+    controllers_t controllers;
+    real_t released[2];
+    bool lifted;
+    real_t late_s;
+    watch_t watch;
+    oscillations_t oscillations;
+    oscillation_t oscillation;
+    doubts_t doubts;
+    bool holds, waits;
+    smooth_t smooth;
+    actuators_t given;
+    real_t held_up[2]; /* motor voltages, averaged over the last second of flight */
+} software_t;
+
+/* The numbers of the vehicle and the mission this was made for: tables.c. */
+extern const plan_t mufly_plan;
+extern const setup_t mufly_setup;
+
+/* Before the first period. */
+void software_start(const setup_t *setup, software_t *s);
+
+/* One period. */
+void software_step(const setup_t *setup, software_t *s, const belief_t *belief, const command_t *command,
+                   actuators_t *out);
+
+/* Whether it is off the floor. */
+bool software_flying(const software_t *s);
+
+#endif
