@@ -110,6 +110,12 @@ class FirmwareControllers(Controllers):
         super()._go_over()
         self._g = self.firmware.gains(self._design)
 
+    def numbers(self) -> Any:
+        """The ``gains_t`` of this period, one further on the way to those of a design that it goes over to."""
+        if not self._settled:
+            self._go_over()
+        return self._g
+
     def _look(self, m: Estimate) -> None:
         now = self._now
         now.position, now.velocity = m.position.tolist(), m.velocity.tolist()

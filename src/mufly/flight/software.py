@@ -190,10 +190,8 @@ class FlightSoftware:
         self.change(mission)
         if self._watch is not None:
             n = len(mission.waypoint)
-            s = log(
-                self.mission_state,
-                f"{mission.name or 'a mission'}: {n} waypoint{'s' if n != 1 else ''} loaded",
-            )
+            loaded = Words.LOADED_ONE if n == 1 else Words.LOADED
+            s = log(self.mission_state, loaded(mission.name or "a mission", n))
             s = replace(s, index=0, begun=False)
             # A flight that goes on is one without a mission until that is started.
             flying = s.state is not State.INIT
@@ -613,4 +611,4 @@ def sink(held_up_V: _Array, left_s: float, battery_V: float) -> _Array:
 
 def way_down_s(height_m: float, gravity: float) -> float:
     """How long a blind way down takes from a height (m), with a second to spare (s); ``gravity`` in m/s2."""
-    return math.sqrt(2.0 * max(0.0, height_m) / ((1.0 - SINK_SHARE**2) * gravity)) + _MARGIN_S
+    return math.sqrt(2.0 * max(0.0, height_m) / ((1.0 - SINK_SHARE * SINK_SHARE) * gravity)) + _MARGIN_S

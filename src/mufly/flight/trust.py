@@ -36,6 +36,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from mufly.estimate import Check, Estimate
+from mufly.trigonometry import sine_cosine
 
 HOLD_M, CERTAIN_M, LAND_M = 0.25, 0.15, 0.6
 """Horizontal standard deviations from which it waits, below which it goes on, from which it lands (m)."""
@@ -233,9 +234,8 @@ class Smooth:
         off = (m.position - self._place - dt * v) / SMOOTH_S
         self._place = self._place + dt * (v + np.minimum(np.maximum(off, -FASTEST_M_S), FASTEST_M_S))
         roll, pitch = float(m.attitude[0]), float(m.attitude[1])
-        turn = (math.sin(roll) * float(m.rates[1]) + math.cos(roll) * float(m.rates[2])) / max(
-            math.cos(pitch), 0.1
-        )
+        sine, cosine = sine_cosine(roll)
+        turn = (sine * float(m.rates[1]) + cosine * float(m.rates[2])) / max(sine_cosine(pitch)[1], 0.1)
         away = (float(m.attitude[2]) - self._heading - dt * turn) / SMOOTH_S
         self._heading += dt * (turn + min(max(away, -FASTEST_RAD_S), FASTEST_RAD_S))
         return replace(m, position=self._place, attitude=np.array([roll, pitch, self._heading]))

@@ -300,6 +300,21 @@ void mission_go_on(const plan_t *plan, mission_t *s, const int32_t *first)
     }
 }
 
+void mission_loaded(const plan_t *plan, mission_t *s)
+{
+    const message_t what = say_1((plan->count == 1) ? SAY_LOADED_ONE : SAY_LOADED, (real_t)plan->count);
+
+    mission_log(s, &what, LEVEL_INFO);
+    s->index = 0;
+    s->begun = false;
+    if (s->state != STATE_INIT) { /* a flight that goes on is one without a mission until that is started */
+        s->outcome = OUTCOME_OPEN;
+        s->reason = say(SAY_NOTHING);
+        s->manual = true;
+        s->quit = say(SAY_NOTHING);
+    }
+}
+
 static void go_on_after_take_off(mission_t *s, int32_t first)
 {
     const message_t what = (first > 0) ? say_1(SAY_FOLLOWS_FROM, (real_t)(first + 1)) : say(SAY_FOLLOWS);

@@ -135,6 +135,9 @@ typedef struct {
 /* Before the start signal: on the floor, motors off. */
 void mission_begin(mission_t *s, const belief_t *m);
 
+/* Another plan is flown from now on, from its first waypoint when it is started. */
+void mission_loaded(const plan_t *plan, mission_t *s);
+
 /* One step of the logic, 50 times a second or so. */
 void mission_step(const plan_t *plan, mission_t *s, const belief_t *m, const command_t *command, reference_t *out);
 

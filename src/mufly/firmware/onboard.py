@@ -1,0 +1,365 @@
+"""The exported flight software on this machine: called through cffi, told and asked in the words of Python.
+
+What goes in (an estimate, a command, a mission) becomes the records of the C headers; what comes out (state of the
+mission, log, reference, actuators) becomes the objects that the rest of the simulation knows. A line of the log is a
+template and numbers on board (:mod:`mufly.mission.words`); here it is made the text that Python would have written.
+Texts that go in, the reason of a stop or what an estimator says of a sensor, are known on board by a number.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+
+from mufly.control import FlightController
+from mufly.estimate import Check, Estimate
+from mufly.estimate.layout import CHECKED
+from mufly.firmware.host import Firmware, FirmwareControllers
+from mufly.firmware.plan import plan_numbers, setup_numbers
+from mufly.flight.oscillation import INPUTS, Oscillation
+from mufly.flight.software import Actuators, FlightSoftware
+from mufly.flight.trust import sensor_name, told
+from mufly.logs.mcap import Event
+from mufly.mission import Command, Mission, MissionPlan, MissionState, Reference, State, Words
+from mufly.mission.avoidance import CAPACITY, Detour, Memory
+from mufly.mission.state import LOG_KEPT
+from mufly.mission.trajectory import Point, Profile, SplinePath, Stop, Trajectory
+from mufly.vehicle import Vehicle
+
+_STATES = tuple(State)
+_MOTORS: tuple[Any, ...] = ("off", "spin_up", "fly", "ramp_down", "blind")
+_OUTCOMES: tuple[Any, ...] = ("", "succeeded", "failed")
+_LEVELS = ("info", "warning", "error")
+_STATUS = ("waiting", "fused", "rejected", "missing", "faulty")
+_NOT_FITTED = len(_STATUS)
+_VITAL = ("position", "velocity", "attitude", "rates")
+_WORDS = tuple(Words)
+
+
+class Told:
+    """Texts that the board knows by a number."""
+
+    def __init__(self) -> None:
+        self._texts: list[str] = [""]
+        self._places: dict[str, int] = {"": 0}
+
+    def number(self, text: str) -> int:
+        """Return the number of a text; 0 is that of none."""
+        if text not in self._places:
+            self._places[text] = len(self._texts)
+            self._texts.append(text)
+        return self._places[text]
+
+    def text(self, number: int) -> str:
+        """Return the text of a number."""
+        return self._texts[number]
+
+
+class Onboard:
+    """One ``software_t`` with its plan, from Python.
+
+    Parameters
+    ----------
+    firmware : Firmware
+    controller : FlightController
+    plan : MissionPlan
+    """
+
+    def __init__(self, firmware: Firmware, controller: FlightController, plan: MissionPlan) -> None:
+        f = self.firmware = firmware
+        self.told = Told()
+        self._belief, self._command = f.ffi.new("belief_t *"), f.ffi.new("command_t *")
+        self._out, self.c = f.ffi.new("actuators_t *"), f.ffi.new("software_t *")
+        self._plan, self.setup = f.ffi.new("plan_t *"), f.ffi.new("setup_t *")
+        for name, value in setup_numbers(controller).items():
+            setattr(self.setup, name, value)
+        self.setup.gains, self.setup.plan = f.ffi.addressof(f.lib.mufly_gains), self._plan
+        self.fly_by(plan)
+        self.start()
+
+    def start(self) -> None:
+        """Before the first period."""
+        self.firmware.lib.software_start(self.setup, self.c)
+        self._events: tuple[Event, ...] = ()
+        self._logged = 0
+
+    def fly_by(self, plan: MissionPlan) -> None:
+        """Take another mission's numbers."""
+        ffi = self.firmware.ffi
+        numbers = plan_numbers(plan)
+        fresh = ffi.new("plan_t *", numbers)
+        ffi.memmove(self._plan, fresh, ffi.sizeof("plan_t"))
+        self._names = plan.mission.name
+
+    def loaded(self, name: str) -> None:
+        """Another mission has been loaded; it is flown when it is started."""
+        self._names = name or "a mission"
+        self.firmware.lib.mission_loaded(self._plan, self.firmware.ffi.addressof(self.c, "mission"))
+        self._listen()
+
+    def step(self, m: Estimate, command: Command) -> Actuators:
+        """One period."""
+        self._believe(m)
+        self._ask(command)
+        self.firmware.lib.software_step(self.setup, self.c, self._belief, self._command, self._out)
+        self._listen()
+        out = self._out
+        return Actuators(np.array(list(out.motor_input)), np.array(list(out.servo_input)))
+
+    # in
+
+    def _believe(self, m: Estimate) -> None:
+        b = self._belief
+        b.time_s, b.valid = m.time_s, m.valid
+        now = b.motion
+        now.position, now.velocity = m.position.tolist(), m.velocity.tolist()
+        now.attitude, now.rates, now.voltage = m.attitude.tolist(), m.rates.tolist(), m.battery_voltage
+        count = min(len(m.ranges), self._plan.ring.count)
+        b.ranges[0 : self._plan.ring.count] = [
+            *m.ranges.tolist()[:count],
+            *[self._plan.ring.max_range] * (self._plan.ring.count - count),
+        ]
+        b.judged = m.beliefs is not None
+        if m.beliefs is None:
+            return
+        variance = m.covariance.diagonal().tolist()
+        b.position_variance, b.attitude_variance = variance[:3], variance[6:9]
+        for one in b.checks:
+            one.status = _NOT_FITTED
+        for check in m.beliefs.checks:
+            one = b.checks[CHECKED.index(check.name)]
+            one.status, one.why = _STATUS.index(check.status), self.told.number(check.reason)
+
+    def _ask(self, c: Command) -> None:
+        to = self._command
+        to.start, to.pause, to.home, to.land, to.rc = c.start, c.pause, c.home, c.land, c.rc
+        to.has_first, to.first = c.first is not None, c.first or 0
+        to.has_take_off, to.take_off = c.take_off is not None, c.take_off or 0.0
+        to.has_waypoint, to.waypoint = c.waypoint is not None, c.waypoint or (0.0, 0.0, 0.0)
+        to.has_heading, to.heading = c.heading is not None, c.heading or 0.0
+        to.stop = self.told.number(c.stop)
+        to.roll, to.pitch, to.yaw_rate, to.climb = c.roll, c.pitch, c.yaw_rate, c.climb
+        to.has_set_point = c.set_point is not None
+        if c.set_point is not None:
+            nan = (math.nan, math.nan, math.nan)
+            p = c.set_point
+            to.set_point.position, to.set_point.velocity = p.position_m or nan, p.velocity_m_s or nan
+            to.set_point.heading = math.nan if p.heading_rad is None else p.heading_rad
+            to.set_point.yaw_rate = math.nan if p.yaw_rate_rad_s is None else p.yaw_rate_rad_s
+
+    # out
+
+    def _listen(self) -> None:
+        """Read what has been logged since."""
+        s = self.c.mission
+        kept = len(s.log)
+        if s.logged < self._logged:
+            self._events, self._logged = (), 0
+        for k in range(max(self._logged, s.logged - kept), s.logged):
+            e = s.log[k % kept]
+            self._events = (
+                *self._events[1 - LOG_KEPT :],
+                Event(e.time_s, str(_STATES[e.state]), self.text(e.message), _LEVELS[e.level]),
+            )
+        self._logged = s.logged
+
+    def text(self, message: Any) -> str:
+        """Return the words of a ``message_t``."""
+        word, numbers = _WORDS[message.code], list(message.number)
+        wrong = [
+            Check(CHECKED[b.sensor], _STATUS[b.status], reason=self.told.text(b.why))  # type: ignore[arg-type]
+            for b in message.because
+            if b.sensor >= 0
+        ]
+        because = f" ({'; '.join(told(c) for c in wrong)})" if wrong else ""
+        if word is Words.GIVEN:
+            return told(wrong[0]) if wrong else self.told.text(int(numbers[0]))
+        if word is Words.READY:
+            return word(self._names)
+        if word in (Words.LOADED, Words.LOADED_ONE):
+            return word(self._names, numbers[0])
+        if word is Words.LOST:
+            names = [name for k, name in enumerate(_VITAL) if int(numbers[0]) >> k & 1]
+            return word(" and ".join(names) or "all, which is frozen")
+        if word is Words.CONTRADICTED:
+            return word(" and ".join(sensor_name(c.name) for c in wrong))
+        if word is Words.PLACE_WAITED:
+            return word(numbers[0], because, numbers[1])
+        return word(*numbers) + because
+
+    @property
+    def state(self) -> MissionState:
+        """What the mission remembers."""
+        s = self.c.mission
+        return MissionState(
+            state=_STATES[s.state], time_s=s.time_s, entered_s=s.entered_s, clock_s=s.clock_s, step_s=s.step_s,
+            motors=_MOTORS[s.motors], index=s.index, outcome=_OUTCOMES[s.outcome], reason=self.text(s.reason),
+            finished=s.finished, manual=s.manual, started=s.started, begun=s.begun, reached=s.reached,
+            quit=self.text(s.quit), homing=s.homing, events=self._events, logged=self._logged,
+            standing=tuple(s.standing), hold=tuple(s.hold), goal=tuple(s.goal), heading=s.heading,
+            motion=_course(s.course), ready_s=s.ready_s, sink=s.sink, sink_rate=s.sink_rate, still_s=s.still_s,
+            impact=s.impact, battery_V=s.voltage, low_s=s.low_s, memory=self._memory(s.memory),
+            detour=_detour(s.detour) if s.has_detour else None, back=_STATES[s.back], avoided_s=s.avoided_s,
+            resumed=s.resumed, swing=s.swing, asked_heading=s.asked_heading if s.has_asked_heading else None,
+            tracker=_point(s.tracker) if s.has_tracker else None, halt=s.halt,
+        )  # fmt: skip
+
+    def _memory(self, m: Any) -> Memory:
+        points = np.zeros((CAPACITY, 4))
+        if m.used:
+            raw = np.frombuffer(self.firmware.ffi.buffer(m.points), dtype=self.firmware.real)
+            points[: m.used] = raw.reshape(CAPACITY, 4)[: m.used]
+        return Memory(points, m.used)
+
+    @property
+    def reference(self) -> Reference:
+        """What is followed."""
+        r = self.c.reference
+        p = r.path
+        return Reference(
+            np.array(list(p.position)), np.array(list(p.velocity)), np.array(list(p.acceleration)), r.heading,
+            r.heading_rate, _MOTORS[r.motors], rc=r.rc, roll=r.roll, pitch=r.pitch,
+        )  # fmt: skip
+
+    @property
+    def oscillation(self) -> Oscillation | None:
+        """What the actuators do that they should not, if anything."""
+        o = self.c.oscillation
+        if not o.there:
+            return None
+        return Oscillation(INPUTS[o.input], o.since_s, o.lasting_s, o.size, o.frequency_Hz)
+
+
+def _profile(p: Any) -> Profile:
+    return Profile(p.way, p.speed, p.ramp_s, p.cruise_s)
+
+
+def _stop(b: Any) -> Stop:
+    return Stop(tuple(b.start), tuple(b.velocity), b.heading, b.duration_s, b.heading_rate, b.turn_s)
+
+
+def _point(p: Any) -> Point:
+    return Point(tuple(p.position), tuple(p.velocity), tuple(p.acceleration), p.heading, p.heading_rate)
+
+
+def _course(c: Any) -> Trajectory | Stop | None:
+    if c.kind == 0:
+        return None
+    if c.kind == 2:
+        return _stop(c.brake)
+    w, curve = c.way, None
+    if w.has_curve:
+        curve = SplinePath(
+            tuple(tuple(row) for row in w.curve.coefficients), tuple(w.curve.arc), _profile(w.curve.timing)
+        )
+    return Trajectory(
+        tuple(w.start), tuple(w.goal), w.heading, w.turn, _profile(w.rise), _profile(w.yaw), _profile(w.way),
+        w.gate_s, w.duration_s, curve, _stop(w.lead) if w.has_lead else None,
+    )  # fmt: skip
+
+
+def _detour(d: Any) -> Detour:
+    return Detour(
+        tuple(d.position), tuple(d.velocity), tuple(d.acceleration), d.side, tuple(d.hit), d.hit_distance,
+        count=d.count, stray=d.stray, clear_s=d.clear_s, anchor=tuple(d.anchor), anchor_s=d.anchor_s,
+        lap=tuple(d.lap) if d.has_lap else None, laps=d.laps, lap_way=d.lap_way, best=d.best, leaving=d.leaving,
+        obstacle=tuple(d.obstacle),
+    )  # fmt: skip
+
+
+def different(ours: Any, theirs: Any, where: str = "") -> list[str]:
+    """Return where two records of the same kind differ in some bit, each with both values."""
+    if is_dataclass(ours) and type(ours) is type(theirs):
+        pairs = [(f.name, getattr(ours, f.name), getattr(theirs, f.name)) for f in fields(ours)]
+    elif isinstance(ours, tuple) and isinstance(theirs, tuple) and len(ours) == len(theirs):
+        pairs = [(str(k), a, b) for k, (a, b) in enumerate(zip(ours, theirs, strict=True))]
+    elif isinstance(ours, np.ndarray) and isinstance(theirs, np.ndarray):
+        return [] if ours.tobytes() == theirs.tobytes() else [f"{where}: {ours} and {theirs}"]
+    else:
+        # The sign of a zero is no part of what is compared: nothing that is computed from it differs.
+        same = ours == theirs or (ours != ours and theirs != theirs)
+        return [] if same else [f"{where}: {ours!r} and {theirs!r}"]
+    return [line for name, a, b in pairs for line in different(a, b, f"{where}.{name}".lstrip("."))]
+
+
+class FirmwareSoftware(FlightSoftware):
+    """:class:`mufly.flight.software.FlightSoftware`, all of it computed by the exported code.
+
+    Parameters
+    ----------
+    vehicle, controller, mission
+        As there.
+    firmware : Firmware, optional
+        Built already; by default from ``controller``.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        controller: FlightController,
+        mission: Mission,
+        firmware: Firmware | None = None,
+    ) -> None:
+        self._board: Onboard | None = None
+        self.firmware = firmware or Firmware(controller)
+        super().__init__(vehicle, controller, mission)
+
+    def _start(self) -> None:
+        self._board = Onboard(self.firmware, self._controller, self.plan)
+        self._law = FirmwareControllers(self._controller, self.firmware)
+
+    def reset(self) -> None:
+        """Forget the flight: before the first step."""
+        super().reset()
+        self._start()
+
+    def change(self, mission: Mission) -> None:
+        """Fly by another mission's limits from now on."""
+        super().change(mission)
+        if self._board is not None:
+            self._board.fly_by(self.plan)
+
+    def load(self, mission: Mission) -> None:
+        """Take another mission, from its first waypoint on, when it is started."""
+        self.change(mission)
+        assert self._board is not None
+        if self._board.c.watch.begun:
+            self._board.loaded(mission.name)
+            self._tell()
+
+    def retune(self, controller: FlightController) -> None:
+        """Go over to other numbers of the same control law, without a bump."""
+        self._law.retune(controller)
+        super().retune(controller)
+
+    @property
+    def due(self) -> bool:
+        """Whether the next step runs the mission logic."""
+        return self._board is None or bool(self._board.c.tick == 0)
+
+    def step(self, estimate: Estimate, command: Command) -> Actuators:
+        """Advance by one period."""
+        board = self._board
+        assert board is not None
+        board.setup.gains = self._law.numbers()
+        actuators = board.step(estimate, command)
+        self._tell()
+        return actuators
+
+    def _tell(self) -> None:
+        """Let the rest of the simulation know how it stands."""
+        board = self._board
+        assert board is not None
+        c = board.c
+        self._motors, self._lifted, self._late_s = _MOTORS[c.motors], bool(c.lifted), c.late_s
+        self._tilt = np.array(list(c.tilt))
+        if c.late_s == 0.0 or c.mission.logged != self.mission_state.logged:
+            self.mission_state = board.state
+        self._reference = board.reference
+        self.oscillation = board.oscillation
+
+
+__all__ = ["FirmwareSoftware", "Onboard", "different"]
