@@ -1,0 +1,327 @@
+"""Mission, trajectories and failsafe on board: the C code is Python's, bit for bit, whatever is commanded and believed."""
+
+from __future__ import annotations
+
+import math
+import random
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mufly import trigonometry
+from mufly.control import design
+from mufly.estimate import EXACT, Check, Estimate
+from mufly.estimate.beliefs import Beliefs
+from mufly.estimate.layout import CHECKED
+from mufly.firmware import Firmware
+from mufly.firmware.onboard import Onboard, _course, different
+from mufly.flight.software import FlightSoftware
+from mufly.mission import Ask, Command, SetPoint, Words, curved, may, mission_from, straight
+from mufly.mission.trajectory import Limits, stop
+from mufly.vehicle import load_vehicle
+
+needs_cc = pytest.mark.skipif(
+    not (shutil.which("gcc") or shutil.which("clang")), reason="there is no C compiler on this machine"
+)
+pytestmark = needs_cc
+SOURCES = Path(__file__).parents[2] / "src" / "mufly" / "firmware" / "sources"
+
+SQUARE = {
+    "name": "square",
+    "waypoint": [{"position_m": [1.0, 0.0, -1.0], "wait_s": 0.5}, {"position_m": [1, 1, -1.5], "heading_deg": 90}],
+    "at_end": "return",
+}
+CURVES = {
+    "name": "curves",
+    "path": {"kind": "spline"},
+    "waypoint": [{"position_m": [1, 0, -1]}, {"position_m": [2, 1, -1.5], "speed_m_s": 0.3}, {"position_m": [1, 2, -1]}],
+    "at_end": "hover",
+}
+SCANNED = {
+    "name": "scanned",
+    "avoidance": {"scan": True, "give_up_s": 12.0},
+    "waypoint": [{"position_m": [3.0, 0.0, -1.0]}],
+}
+
+
+@pytest.fixture(scope="module")
+def vehicle():
+    return load_vehicle("mufly-1.1")
+
+
+@pytest.fixture(scope="module")
+def controller(vehicle):
+    return design(vehicle)
+
+
+@pytest.fixture(scope="module")
+def firmware(controller):
+    return Firmware(controller)
+
+
+# Numbers
+
+
+def test_angles_and_lengths_are_the_same_in_both_languages(firmware) -> None:
+    lib, rng = firmware.lib, np.random.default_rng(3)
+    worst = 0.0
+    for y, x in (rng.uniform(-1, 1, (3000, 2)) * 10.0 ** rng.uniform(-6, 3, (3000, 2))).tolist():
+        angle = trigonometry.direction(y, x)
+        assert lib.real_atan2(y, x) == angle
+        worst = max(worst, abs(angle - math.atan2(y, x)) / math.ulp(angle))
+        assert lib.real_hypot(x, y) == trigonometry.length(x, y)
+        turn = 1000.0 * (x + y)
+        assert lib.real_wrapped(turn) == trigonometry.wrapped(turn)
+        assert abs(turn) > 1e5 or trigonometry.wrapped(turn) == math.remainder(turn, math.tau)
+    assert worst <= 2.0
+    for y, x in ((0.0, -1.0), (-0.0, -1.0), (0.0, 0.0), (math.nan, 1.0), (1.0, math.inf), (1.0, -0.0)):
+        ours = trigonometry.direction(y, x)
+        assert math.copysign(1.0, ours) == math.copysign(1.0, lib.real_atan2(y, x))
+        assert ours == lib.real_atan2(y, x)
+    assert lib.real_wrapped(math.pi) == trigonometry.wrapped(math.pi) == math.pi
+
+
+def test_words_stand_in_the_same_order_in_both_languages() -> None:
+    said = re.search(r"enum \{\n(    SAY_.*?)    SAY_COUNT", (SOURCES / "words.h").read_text(), re.S)
+    assert said and re.findall(r"SAY_(\w+),", said[1]) == [w.name for w in Words]
+
+
+# Trajectories
+
+_place = st.tuples(*[st.floats(-3, 3)] * 3).map(lambda p: tuple(round(v, 3) for v in p))
+_heading = st.floats(-7, 7)
+
+
+def _point_of(ffi, f, *args):
+    p = ffi.new("point_t *")
+    f(*args, p)
+    return tuple(p.position), tuple(p.velocity), tuple(p.acceleration), p.heading, p.heading_rate
+
+
+@settings(max_examples=120, deadline=None, derandomize=True)
+@given(
+    a=_place, b=_place, ends=st.none() | st.tuples(_place, _place), heading=_heading, final=st.none() | _heading,
+    speed=st.floats(0.01, 3), acceleration=st.floats(0.05, 2), brake=st.none() | _place,
+)  # fmt: skip
+def test_any_leg_is_the_same_in_both_languages(
+    firmware, a, b, ends, heading, final, speed, acceleration, brake
+):
+    ffi, lib = firmware.ffi, firmware.lib
+    limits = Limits(speed, 0.5, 0.4, acceleration, 0.4, 1.0, 1.6)
+    c, w = ffi.new("limits_t *", list(vars_of(limits))), ffi.new("trajectory_t *")
+    turned = ffi.NULL if final is None else ffi.new("real_t *", final)
+    if ends is None:
+        way = straight(a, b, heading, limits, final_heading=final, nose_offset=0.2)
+        lib.trajectory_straight(a, b, heading, c, turned, 0.2, w)
+    else:
+        way = curved(a, b, *ends, heading, limits, final_heading=final, nose_offset=0.2)
+        lib.trajectory_curved(a, b, *ends, heading, c, turned, 0.2, w)
+    if brake is not None:
+        first = stop(a, brake, heading, 1.0, heading_rate=0.3, yaw_acceleration=1.6)
+        s = ffi.new("stop_t *")
+        lib.stop_make(a, brake, heading, 1.0, 0.3, 1.6, s)
+        way = way.after(first)
+        lib.trajectory_after(w, s)
+        for t in (0.0, 0.4 * first.rest_s, math.inf):
+            assert _point_of(ffi, lib.stop_at, s, t) == tuple(first.at(t))
+    assert different(way, _course(SimpleCourse(w))) == []
+    for share in (-0.1, 0.0, 0.03, 0.2, 0.37, 0.5, 0.81, 0.999, 1.0, 1.1):
+        for t in (share * way.duration_s, share * way.gate_s):
+            assert _point_of(ffi, lib.trajectory_at, w, t) == tuple(way.at(t))
+
+
+class SimpleCourse:
+    def __init__(self, way) -> None:
+        self.kind, self.way = 1, way
+
+
+def vars_of(q: Limits):
+    names = ("speed", "climb", "descent", "acceleration", "climb_acceleration", "yaw_rate", "yaw_acceleration")
+    return [getattr(q, n) for n in names]
+
+
+# What may be asked
+
+
+def test_what_may_be_asked_is_one_table(firmware, vehicle, controller) -> None:
+    board = Onboard(firmware, controller, FlightSoftware(vehicle, controller, mission_from(SQUARE)).plan)
+    s = firmware.ffi.addressof(board.c, "mission")
+    board.step(at_rest(0.0), Command())
+    for k, ask in enumerate(Ask):
+        for state in range(8):
+            for motors in range(5):
+                for outcome in range(3):
+                    for height, armed, manual in ((0.1, True, True), (0.3, False, True), (1.0, True, False)):
+                        s.state, s.motors, s.outcome, s.manual = state, motors, outcome, manual
+                        flying = state != 0
+                        right = may(ask, board.state, height_m=height, armed=armed, flying=flying)
+                        assert firmware.lib.mission_may(k, s, height, armed, flying) == bool(right), (ask, state)
+
+
+# The whole flight software
+
+
+def at_rest(t: float) -> Estimate:
+    zero = np.zeros(3)
+    return Estimate(t, np.array([0.1, -0.2, -0.07]), zero, zero.copy(), zero.copy(), np.full(8, 1.5), 7.4)
+
+
+class StandIn:
+    """A vehicle that follows its reference with a lag, and whatever goes wrong with what is believed of it."""
+
+    def __init__(self, rng: random.Random, judged: bool) -> None:
+        self.rng, self.judged, self.t = rng, judged, 0.0
+        self.x, self.v, self.psi = np.array([0.1, -0.2, -0.07]), np.zeros(3), 0.3
+        self.volts, self.tilt, self.beams = 7.4, 0.0, np.full(8, 1.5)
+        self.spread = {"place": 0.01, "height": 0.01, "tilt": 0.01, "heading": 0.02}
+        self.status = dict.fromkeys(CHECKED, "fused")
+        self.shake = 0.0
+        self.broken = ""
+        self.last: Estimate | None = None
+
+    def follow(self, software: FlightSoftware, dt: float) -> None:
+        self.t += dt
+        if software.motors in ("fly", "blind"):
+            where, _, attitude = software.reference
+            away = where - self.x
+            self.v = np.clip(2.0 * away, -0.8, 0.8) + self.shake * np.array(
+                [self.rng.uniform(-1, 1) for _ in range(3)]
+            )
+            self.psi += dt * float(np.clip(2.0 * (attitude[2] - self.psi), -2, 2))
+        elif self.x[2] < -0.07:
+            self.v = np.array([0.0, 0.0, 0.7])
+        else:
+            self.v = np.zeros(3)
+        self.x = self.x + dt * self.v
+        if self.x[2] > -0.07:
+            self.x[2], self.v[2] = -0.07, 0.0
+
+    def believed(self) -> Estimate:
+        u = self.rng.uniform
+        noise = np.array([u(-1e-3, 1e-3) for _ in range(3)])
+        attitude = np.array([u(-0.05, 0.05) + self.tilt, u(-0.05, 0.05), self.psi])
+        m = Estimate(self.t, self.x + noise, self.v.copy(), attitude, 10 * noise, self.beams.copy(), self.volts)
+        if self.broken == "frozen" and self.last is not None:
+            return replace(self.last, time_s=self.t)
+        if self.broken in ("position", "velocity", "attitude", "rates"):
+            m = replace(m, **{self.broken: np.array([math.nan, 0.0, 0.0])})
+        if self.broken == "all":
+            m = replace(m, time_s=math.nan, ranges=np.full(8, math.nan), battery_voltage=-1.0, valid=False)
+        if self.judged:
+            variance = EXACT.copy()
+            s = self.spread
+            for k, size in ((0, s["place"]), (1, 0.9 * s["place"]), (2, s["height"]), (6, s["tilt"]), (7, 0.01)):
+                variance[k, k] = size * size
+            variance[8, 8] = s["heading"] ** 2
+            why = {"missing": "nothing has come", "faulty": "clips", "rejected": "is off by 1 m"}
+            checks = tuple(Check(n, k, reason=why.get(k, "")) for n, k in self.status.items() if n != "pressure")
+            none = np.zeros(3)
+            m = replace(m, covariance=variance, beliefs=Beliefs(none, none, 0.0, np.zeros(4), np.zeros(2), 1.0, none, checks))
+        self.last = m
+        return m
+
+
+def _happen(kind: str, v: StandIn, n: int) -> Command:
+    """What a segment of the flight is about: a command, or something that goes wrong."""
+    u = v.rng.uniform
+    place = (round(u(-2, 2), 2), round(u(-2, 2), 2), -round(u(0.1, 2), 2))
+    commands = {
+        "start": Command(start=True),
+        "first": Command(start=True, first=v.rng.randrange(n)),
+        "take-off": Command(take_off=round(u(0.3, 2), 2)),
+        "pause": Command(pause=True),
+        "waypoint": Command(waypoint=place),
+        "turned": Command(waypoint=place, heading=round(u(-4, 4), 2)),
+        "heading": Command(heading=round(u(-4, 9), 2)),
+        "refused": Command(waypoint=(math.nan, 0.0, v.rng.choice((-1.0, 0.0)))),
+        "far": Command(waypoint=(0.0, 2e4, -1.0), heading=v.rng.choice((None, 0.1, math.inf))),
+        "home": Command(home=True),
+        "land": Command(land=True),
+        "stop": Command(stop=v.rng.choice(("emergency stop, motors off", "disarmed"))),
+        "sticks": Command(rc=True, roll=u(-0.1, 0.1), pitch=0.02, yaw_rate=u(-0.5, 0.5), climb=u(-0.6, 0.6)),
+        "points": Command(set_point=SetPoint(place, yaw_rate_rad_s=u(-0.5, 0.5))),
+        "speeds": Command(set_point=SetPoint(velocity_m_s=(u(-1, 1), u(-1, 1), u(-0.4, 0.4)), heading_rad=u(-4, 4))),
+        "nothing": Command(set_point=SetPoint()),
+    }
+    if kind in commands:
+        return commands[kind]
+    if kind == "battery":
+        v.volts = v.rng.choice((5.0, 7.4))
+    elif kind == "beams":
+        v.beams = np.array([v.rng.choice((1.5, 1.5, u(0.15, 1.4))) for _ in range(8)])
+    elif kind == "clear":
+        v.beams, v.status, v.broken, v.tilt = np.full(8, 1.5), dict.fromkeys(CHECKED, "fused"), "", 0.0
+        v.spread = {"place": 0.01, "height": 0.01, "tilt": 0.01, "heading": 0.02}
+        v.shake = 0.0
+    elif kind == "doubt":
+        v.spread[v.rng.choice(("place", "place", "height", "tilt", "heading"))] = u(0.1, 0.7)
+        v.status[v.rng.choice(CHECKED)] = v.rng.choice(("missing", "rejected", "faulty", "waiting"))
+    elif kind == "contradict":
+        for name in v.rng.sample(("position_fix", "ground_distance", "magnetic_field", "rates"), 2):
+            v.status[name] = v.rng.choice(("rejected", "missing"))
+    elif kind == "broken":
+        v.broken = v.rng.choice(("position", "velocity", "attitude", "rates", "frozen", "all", ""))
+    elif kind == "tipped":
+        v.tilt = v.rng.choice((1.2, 0.0))
+    elif kind == "shake":
+        v.shake = v.rng.choice((0.0, 2.0))
+    return Command()
+
+
+KINDS = (
+    "start", "start", "first", "take-off", "take-off", "pause", "waypoint", "turned", "heading", "refused", "far",
+    "home", "land", "stop", "sticks", "sticks", "points", "points", "speeds", "nothing", "battery", "beams", "beams",
+    "clear", "clear", "clear", "doubt", "contradict", "broken", "tipped", "shake", "wait", "wait",
+)  # fmt: skip
+HELD = ("sticks", "points", "speeds", "nothing")
+
+
+def fly_both(software, board, kinds, seed: int, judged: bool, periods: int) -> set[str]:
+    """Fly segments of ``periods`` each by both and compare everything; return the states visited."""
+    rng = random.Random(seed)
+    v, visited = StandIn(rng, judged), set()
+    logged = -1
+    for kind in kinds:
+        command = _happen(kind, v, len(software.plan.mission.waypoint))
+        for k in range(periods):
+            v.follow(software, rng.choice((0.005, 0.02, 0.02)))
+            m, c = v.believed(), command if k == 0 or kind in HELD else Command()
+            ours, theirs = software.step(m, c), board.step(m, c)
+            where = f"{kind} at {m.time_s:.3f} s, period {k}"
+            assert ours.array.tobytes() == theirs.array.tobytes(), where
+            assert different(software._reference, board.reference) == [], where
+            if software._late_s == 0.0 or software.mission_state.logged != logged:
+                logged = software.mission_state.logged
+                assert different(software.mission_state, board.state) == [], where
+                assert str(software.oscillation) == str(board.oscillation)
+        visited |= {e.state for e in board.state.events} | {software.motors}
+    return visited
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(
+    kinds=st.lists(st.sampled_from(KINDS), min_size=4, max_size=14), seed=st.integers(0, 2**20),
+    mission=st.sampled_from((SQUARE, CURVES, SCANNED)), judged=st.booleans(), begin=st.sampled_from(("start", "take-off")),
+)  # fmt: skip
+def test_any_sequence_of_commands_and_faults_is_the_same(
+    firmware, vehicle, controller, kinds, seed, mission, judged, begin
+):
+    software = FlightSoftware(vehicle, controller, mission_from(mission))
+    board = Onboard(firmware, controller, software.plan)
+    fly_both(software, board, [begin, *["wait"] * 4, *kinds], seed, judged, 80)
+
+
+@pytest.mark.parametrize("judged", [False, True])
+@pytest.mark.parametrize("mission", [SQUARE, CURVES, SCANNED], ids=lambda m: m["name"])
+def test_a_mission_to_its_end_is_the_same(firmware, vehicle, controller, mission, judged) -> None:
+    software = FlightSoftware(vehicle, controller, mission_from(mission))
+    board = Onboard(firmware, controller, software.plan)
+    visited = fly_both(software, board, ["start", *["wait"] * 8], 1, judged, 400)
+    assert {"take-off", "hover", "waypoint"} <= visited
+    assert software.mission_state.reached > 0
