@@ -129,8 +129,7 @@ _ATAN = tuple(
 _LONGEST = 1e30
 
 
-@register_jitable
-def wrapped(angle):  # type: ignore[no-untyped-def]
+def wrapped(angle: float) -> float:
     """Return the same turn the shorter way round, in [-pi, pi] (rad): the angle less whole turns, without rounding."""
     if not abs(angle) < GREATEST:
         return 0.0
@@ -140,8 +139,7 @@ def wrapped(angle):  # type: ignore[no-untyped-def]
     return (angle - n * _T1) - n * _T2
 
 
-@register_jitable
-def direction(y, x):  # type: ignore[no-untyped-def]
+def direction(y: float, x: float) -> float:
     """Return the angle (rad) from the first axis to (x, y), as ``atan2``; zero where there is no direction."""
     a, b = abs(x), abs(y)
     big, small = (a, b) if a >= b else (b, a)
@@ -165,8 +163,7 @@ def direction(y, x):  # type: ignore[no-untyped-def]
     return math.copysign(angle, y)
 
 
-@register_jitable
-def length(x, y, z=0.0):  # type: ignore[no-untyped-def]
+def length(x: float, y: float, z: float = 0.0) -> float:
     """Return the length of a vector."""
     return math.sqrt(x * x + y * y + z * z)
 
@@ -178,3 +175,8 @@ def whole(x):  # type: ignore[no-untyped-def]
         return 0
     n = int(x)
     return n - 1 if x < n else n
+
+
+# Plain functions where Python calls them, compiled in where compiled functions do.
+for _function in (wrapped, direction, length):
+    register_jitable(_function)

@@ -34,13 +34,20 @@ SOURCES = Path(__file__).parents[2] / "src" / "mufly" / "firmware" / "sources"
 
 SQUARE = {
     "name": "square",
-    "waypoint": [{"position_m": [1.0, 0.0, -1.0], "wait_s": 0.5}, {"position_m": [1, 1, -1.5], "heading_deg": 90}],
+    "waypoint": [
+        {"position_m": [1.0, 0.0, -1.0], "wait_s": 0.5},
+        {"position_m": [1, 1, -1.5], "heading_deg": 90},
+    ],
     "at_end": "return",
 }
 CURVES = {
     "name": "curves",
     "path": {"kind": "spline"},
-    "waypoint": [{"position_m": [1, 0, -1]}, {"position_m": [2, 1, -1.5], "speed_m_s": 0.3}, {"position_m": [1, 2, -1]}],
+    "waypoint": [
+        {"position_m": [1, 0, -1]},
+        {"position_m": [2, 1, -1.5], "speed_m_s": 0.3},
+        {"position_m": [1, 2, -1]},
+    ],
     "at_end": "hover",
 }
 SCANNED = {
@@ -89,7 +96,8 @@ def test_angles_and_lengths_are_the_same_in_both_languages(firmware) -> None:
 
 def test_words_stand_in_the_same_order_in_both_languages() -> None:
     said = re.search(r"enum \{\n(    SAY_.*?)    SAY_COUNT", (SOURCES / "words.h").read_text(), re.S)
-    assert said and re.findall(r"SAY_(\w+),", said[1]) == [w.name for w in Words]
+    assert said
+    assert re.findall(r"SAY_(\w+),", said[1]) == [w.name for w in Words]
 
 
 # Trajectories
@@ -142,7 +150,15 @@ class SimpleCourse:
 
 
 def vars_of(q: Limits):
-    names = ("speed", "climb", "descent", "acceleration", "climb_acceleration", "yaw_rate", "yaw_acceleration")
+    names = (
+        "speed",
+        "climb",
+        "descent",
+        "acceleration",
+        "climb_acceleration",
+        "yaw_rate",
+        "yaw_acceleration",
+    )
     return [getattr(q, n) for n in names]
 
 
@@ -161,7 +177,10 @@ def test_what_may_be_asked_is_one_table(firmware, vehicle, controller) -> None:
                         s.state, s.motors, s.outcome, s.manual = state, motors, outcome, manual
                         flying = state != 0
                         right = may(ask, board.state, height_m=height, armed=armed, flying=flying)
-                        assert firmware.lib.mission_may(k, s, height, armed, flying) == bool(right), (ask, state)
+                        assert firmware.lib.mission_may(k, s, height, armed, flying) == bool(right), (
+                            ask,
+                            state,
+                        )
 
 
 # The whole flight software
@@ -206,7 +225,9 @@ class StandIn:
         u = self.rng.uniform
         noise = np.array([u(-1e-3, 1e-3) for _ in range(3)])
         attitude = np.array([u(-0.05, 0.05) + self.tilt, u(-0.05, 0.05), self.psi])
-        m = Estimate(self.t, self.x + noise, self.v.copy(), attitude, 10 * noise, self.beams.copy(), self.volts)
+        m = Estimate(
+            self.t, self.x + noise, self.v.copy(), attitude, 10 * noise, self.beams.copy(), self.volts
+        )
         if self.broken == "frozen" and self.last is not None:
             return replace(self.last, time_s=self.t)
         if self.broken in ("position", "velocity", "attitude", "rates"):
@@ -216,13 +237,25 @@ class StandIn:
         if self.judged:
             variance = EXACT.copy()
             s = self.spread
-            for k, size in ((0, s["place"]), (1, 0.9 * s["place"]), (2, s["height"]), (6, s["tilt"]), (7, 0.01)):
+            for k, size in (
+                (0, s["place"]),
+                (1, 0.9 * s["place"]),
+                (2, s["height"]),
+                (6, s["tilt"]),
+                (7, 0.01),
+            ):
                 variance[k, k] = size * size
             variance[8, 8] = s["heading"] ** 2
             why = {"missing": "nothing has come", "faulty": "clips", "rejected": "is off by 1 m"}
-            checks = tuple(Check(n, k, reason=why.get(k, "")) for n, k in self.status.items() if n != "pressure")
+            checks = tuple(
+                Check(n, k, reason=why.get(k, "")) for n, k in self.status.items() if n != "pressure"
+            )
             none = np.zeros(3)
-            m = replace(m, covariance=variance, beliefs=Beliefs(none, none, 0.0, np.zeros(4), np.zeros(2), 1.0, none, checks))
+            m = replace(
+                m,
+                covariance=variance,
+                beliefs=Beliefs(none, none, 0.0, np.zeros(4), np.zeros(2), 1.0, none, checks),
+            )
         self.last = m
         return m
 
@@ -246,7 +279,9 @@ def _happen(kind: str, v: StandIn, n: int) -> Command:
         "stop": Command(stop=v.rng.choice(("emergency stop, motors off", "disarmed"))),
         "sticks": Command(rc=True, roll=u(-0.1, 0.1), pitch=0.02, yaw_rate=u(-0.5, 0.5), climb=u(-0.6, 0.6)),
         "points": Command(set_point=SetPoint(place, yaw_rate_rad_s=u(-0.5, 0.5))),
-        "speeds": Command(set_point=SetPoint(velocity_m_s=(u(-1, 1), u(-1, 1), u(-0.4, 0.4)), heading_rad=u(-4, 4))),
+        "speeds": Command(
+            set_point=SetPoint(velocity_m_s=(u(-1, 1), u(-1, 1), u(-0.4, 0.4)), heading_rad=u(-4, 4))
+        ),
         "nothing": Command(set_point=SetPoint()),
     }
     if kind in commands:
@@ -307,7 +342,8 @@ def fly_both(software, board, kinds, seed: int, judged: bool, periods: int) -> s
 @settings(max_examples=30, deadline=None, derandomize=True)
 @given(
     kinds=st.lists(st.sampled_from(KINDS), min_size=4, max_size=14), seed=st.integers(0, 2**20),
-    mission=st.sampled_from((SQUARE, CURVES, SCANNED)), judged=st.booleans(), begin=st.sampled_from(("start", "take-off")),
+    mission=st.sampled_from((SQUARE, CURVES, SCANNED)), judged=st.booleans(),
+    begin=st.sampled_from(("start", "take-off")),
 )  # fmt: skip
 def test_any_sequence_of_commands_and_faults_is_the_same(
     firmware, vehicle, controller, kinds, seed, mission, judged, begin

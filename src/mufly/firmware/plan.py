@@ -34,9 +34,7 @@ def plan_numbers(plan: MissionPlan) -> dict[str, Any]:
         )
     count = len(plan.ring.cos)
     if count > MOST_BEAMS:
-        raise InputError(
-            "range_ring.count", str(count), f"is more than {MOST_BEAMS}", "leave some beams out"
-        )
+        raise InputError("range_ring.count", str(count), f"is more than {MOST_BEAMS}", "leave some beams out")
     return {
         "count": len(m.waypoint),
         "waypoint": [_waypoint(m, k) for k in range(len(m.waypoint))],
@@ -111,7 +109,12 @@ def initialiser(fields: dict[str, Any], indent: str = "    ") -> list[str]:
     for name, value in fields.items():
         unit = _UNITS.get(name, "")
         if isinstance(value, dict):
-            lines += [f"{indent}.{name} =", f"{indent}    {{", *initialiser(value, indent + " " * 8), f"{indent}    }},"]
+            lines += [
+                f"{indent}.{name} =",
+                f"{indent}    {{",
+                *initialiser(value, indent + " " * 8),
+                f"{indent}    }},",
+            ]
         elif isinstance(value, bool):
             lines.append(f"{indent}.{name} = {'true' if value else 'false'},")
         elif isinstance(value, int):
