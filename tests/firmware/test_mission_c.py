@@ -1,4 +1,4 @@
-"""Mission, trajectories and failsafe on board: the C code is Python's, bit for bit, whatever is commanded and believed."""
+"""Mission, trajectories and failsafe on board: the C code is Python's, bit for bit, whatever is asked and believed."""
 
 from __future__ import annotations
 
