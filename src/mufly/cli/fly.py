@@ -50,9 +50,8 @@ if TYPE_CHECKING:
     import xarray as xr
     from rich.console import Console
 
-    from mufly.control import FlightController
     from mufly.flight import Event, Progress, Summary
-    from mufly.flight.software import Controllers
+    from mufly.flight.software import Computing
     from mufly.link import Endpoint, VehicleProcess
     from mufly.mission import Mission
     from mufly.sensors import Fault
@@ -83,7 +82,7 @@ class Order:
     realtime: bool
     sensors: Literal["ideal", "fitted"]
     faults: tuple[Fault, ...]
-    controllers: Callable[[FlightController], Controllers] | None
+    controllers: Computing | None
     designed_for: Vehicle | None
 
 

@@ -10,7 +10,7 @@ import contextlib
 import os
 import signal
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from mufly.control import FlightController
-    from mufly.flight.software import Controllers
+    from mufly.flight.software import Computing
     from mufly.link import Endpoint, Report
     from mufly.link.process import Sensing
     from mufly.logs.mcap import Event
@@ -96,10 +95,10 @@ FirmwareOption = Annotated[
     bool,
     option(
         "--firmware",
-        "Let the exported C code compute the control law, built by this machine's compiler (`mufly firmware`).",
+        "Let the exported C code fly, built by this machine's compiler (`mufly firmware`).",
     ),
 ]
-BY_FIRMWARE = "The control law is the exported C code; estimator and mission are still Python's"
+BY_FIRMWARE = "The exported C code flies, mission and control law; the estimator is still Python's"
 
 
 FixedPointOption = Annotated[
@@ -108,7 +107,7 @@ FixedPointOption = Annotated[
 ]
 
 
-def on_board(wanted: bool, fixed_point: bool = False) -> Callable[[FlightController], Controllers] | None:
+def on_board(wanted: bool, fixed_point: bool = False) -> Computing | None:
     """What computes the control law: the exported code if it is wanted; without a compiler that is refused."""
     if fixed_point and not wanted:
         raise InputError(
@@ -116,10 +115,10 @@ def on_board(wanted: bool, fixed_point: bool = False) -> Callable[[FlightControl
         )
     if not wanted:
         return None
-    from mufly.firmware import FirmwareControllers, FixedFirmwareControllers, compiler
+    from mufly.firmware import FirmwareSoftware, FixedFirmwareControllers, compiler
 
     compiler()
-    return FixedFirmwareControllers if fixed_point else FirmwareControllers
+    return FixedFirmwareControllers if fixed_point else FirmwareSoftware
 
 
 def check_sensors(vehicle: Vehicle, sensors: str, faults: Sequence[str] | None) -> tuple[Fault, ...]:

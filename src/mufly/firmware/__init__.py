@@ -5,11 +5,13 @@ from mufly.firmware.fixed import FixedLaw, FixedLoss, Proof, cascade_loss, fixed
 from mufly.firmware.fixed_checks import FixedFlight, fly_fixed, pil_fixed
 from mufly.firmware.fixed_law import FixedControllers, FixedFirmwareControllers, export_fixed
 from mufly.firmware.host import Firmware, FirmwareControllers, build, compiler
+from mufly.firmware.onboard import FirmwareSoftware
 from mufly.firmware.tables import export, tables_c
 
 __all__ = [
     "Firmware",
     "FirmwareControllers",
+    "FirmwareSoftware",
     "FixedControllers",
     "FixedFirmwareControllers",
     "FixedFlight",

@@ -79,6 +79,8 @@ class Autopilot:
         From :func:`mufly.control.design`.
     mission : Mission
         Checked; one without waypoints is no mission, but has limits and surroundings.
+    software : class
+        What flies: :class:`mufly.flight.software.FlightSoftware`, or one that has other code compute all of it.
 
     Raises
     ------
@@ -86,8 +88,14 @@ class Autopilot:
         If the mission does not suit the vehicle, or that cannot hover.
     """
 
-    def __init__(self, vehicle: Vehicle, controller: FlightController, mission: Mission) -> None:
-        self.software = FlightSoftware(vehicle, controller, mission)
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        controller: FlightController,
+        mission: Mission,
+        software: type[FlightSoftware] = FlightSoftware,
+    ) -> None:
+        self.software = software(vehicle, controller, mission)
         self.listeners: list[Callable[[Event], None]] = []
         self.hover_A = float(hover_performance(vehicle).current_A)
         self._capacity_Ah = float(vehicle.battery.capacity) / 3600.0

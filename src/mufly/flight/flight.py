@@ -22,7 +22,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 import xarray as xr
@@ -41,7 +41,7 @@ from mufly.flight.autopilot import Autopilot
 from mufly.flight.plant import Plant, row_writer
 from mufly.flight.recorder import Recorder
 from mufly.flight.sensed import sensed_row_writer
-from mufly.flight.software import Actuators, Controllers
+from mufly.flight.software import Actuators, Computing, Controllers, FlightSoftware
 from mufly.flight.state import FlightState
 from mufly.logs.mcap import Event, standard_layout
 from mufly.mission import Mission, MissionEstimate, dump_mission, load_mission, preflight
@@ -93,8 +93,9 @@ class Flight:
     faults : sequence of Fault
         What goes wrong with fitted sensors; :meth:`inject` adds to it in flight.
     controllers : callable, optional
-        Makes what computes the control law, instead of :class:`mufly.flight.software.Controllers`: the exported code,
-        for instance (:mod:`mufly.firmware`).
+        Makes what computes the control law, instead of :class:`mufly.flight.software.Controllers`; or a class of
+        flight software instead of :class:`mufly.flight.software.FlightSoftware`: the exported code, for instance
+        (:mod:`mufly.firmware`).
     designed_for : Vehicle, optional
         The vehicle that controllers, autopilot and estimator take it for; by default they know the true one.
     brief : bool
@@ -124,7 +125,7 @@ class Flight:
         sensors: Sensors | Literal["ideal", "fitted"] = "ideal",
         estimator: Estimator | None = None,
         faults: Sequence[Fault] = (),
-        controllers: Callable[[FlightController], Controllers] | None = None,
+        controllers: Computing | None = None,
         designed_for: Vehicle | None = None,
         brief: bool = False,
     ) -> None:
@@ -136,9 +137,14 @@ class Flight:
         gust = mission.wind.gust_m_s if gust is None else gust
         self.vehicle = vehicle
         self.period_s = 1.0 / controller.rate_Hz
-        self.autopilot = Autopilot(believed, controller, mission)
-        if controllers is not None:
-            self.autopilot.software.compute_with(controllers)
+        if isinstance(controllers, type) and issubclass(controllers, FlightSoftware):
+            self.autopilot = Autopilot(believed, controller, mission, controllers)
+        else:
+            self.autopilot = Autopilot(believed, controller, mission)
+            if controllers is not None:
+                self.autopilot.software.compute_with(
+                    cast(Callable[[FlightController], Controllers], controllers)
+                )
         air = DrydenWind(steady, gust, step_s=self.period_s, length_m=GUST_LENGTH_M, seed=seed)
         self.outside = outside_model(vehicle, steady, gust)
         self._start = initial_state(
@@ -416,7 +422,7 @@ def fly(
     sensors: Sensors | Literal["ideal", "fitted"] = "ideal",
     estimator: Estimator | None = None,
     faults: Sequence[Fault] = (),
-    controllers: Callable[[FlightController], Controllers] | None = None,
+    controllers: Computing | None = None,
     designed_for: Vehicle | None = None,
     brief: bool = False,
     on_tick: Callable[[Flight], None] | None = None,

@@ -571,6 +571,10 @@ def _roll_pitch(m: Estimate) -> _Array:
     return np.array([m.attitude[0], m.attitude[1], m.rates[0], m.rates[1]])
 
 
+Computing = Callable[[FlightController], Controllers] | type[FlightSoftware]
+"""What may fly in place of the classes above: what computes the control law, or all of the flight software."""
+
+
 # Motors without a controller: speeding up and running down on the floor, and coming down when the estimate is lost
 #
 # Two rotors at a share s of the voltages that hold the helicopter up turn s times as fast and lift s^2 times as much.

@@ -34,7 +34,7 @@ from typing import Any, Literal
 from mufly.control import FlightController, design
 from mufly.errors import MuflyError
 from mufly.flight import ALIGNED_WITHIN_S, Event, Flight, FlightState
-from mufly.flight.software import Controllers
+from mufly.flight.software import Computing
 from mufly.link.codec import Origin
 from mufly.link.ports import Endpoint, Peer, Port, open_port, wait
 from mufly.link.telemetry import SLOW
@@ -504,7 +504,7 @@ def start_vehicle(
     seed: int = 0,
     sensors: Sensing = "ideal",
     faults: Sequence[Fault] = (),
-    controllers: Callable[[FlightController], Controllers] | None = None,
+    controllers: Computing | None = None,
     designed_for: Vehicle | None = None,
     autostart: bool = False,
     system: int = 1,

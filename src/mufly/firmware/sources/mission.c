@@ -20,7 +20,7 @@
 
 typedef enum { NEVER, ALWAYS, AT_REST, GROUNDED, ARMED, SEEN, KNOWS, HIGH, LIFTED, STILL, WAITS } condition_t;
 
-static const condition_t table[ASKS][STATES] = {
+static const condition_t table[ASK_COUNT][STATE_COUNT] = {
     /* init, take-off, hover, waypoint, obstacle, landing, rc, offboard */
     {AT_REST, AT_REST, AT_REST, AT_REST, AT_REST, AT_REST, AT_REST, AT_REST},                         /* arm */
     {GROUNDED, GROUNDED, GROUNDED, GROUNDED, GROUNDED, GROUNDED, GROUNDED, GROUNDED},                 /* disarm */

@@ -14,7 +14,6 @@ import hashlib
 import json
 import math
 import shlex
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from dataclasses import fields as fields_of
 from functools import cached_property
@@ -31,7 +30,7 @@ from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.estimate import Estimate, consistency
 from mufly.flight.flight import Flight, fly
 from mufly.flight.monte_carlo.variation import Variation
-from mufly.flight.software import Controllers
+from mufly.flight.software import Computing
 from mufly.flight.summary import Summary, summarise
 from mufly.mission import Mission, dump_mission, preflight
 from mufly.results import plain, result
@@ -191,7 +190,7 @@ class Campaign:
     seed: int = 0
     tolerance_m: float = 0.3
     redesign: bool = False
-    controllers: Callable[[FlightController], Controllers] | None = None
+    controllers: Computing | None = None
     computed_by: tuple[str, ...] = ()
     vehicle_name: str = "mufly-1.1"
     mission_name: str = "demonstration"
