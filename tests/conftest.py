@@ -1,6 +1,6 @@
 """What holds for all tests: Hypothesis without a clock, signals that arrive, the whole suite in several processes.
 
-``pytest`` alone shares the tests out to a process for each core, four at most (``-n 0``: one process, ``-n 3``: three).
+``pytest`` alone shares the tests out to a process for each core and one more, at most four (``-n 0``: one process).
 What is named (``pytest tests/rotor``) runs in one process, where a debugger can be used.
 """
 
@@ -13,6 +13,12 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
+SHARED = "PYTEST_XDIST_WORKER" in os.environ
+# Threads that wait for each other by turning round take the cores from all others: a wake of 6 s of work took 49, a
+# path of 1 s took 17 on a busy machine. Both are read when NumPy and Numba are loaded, which is later.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
 # A first call compiles, so an example may take seconds; and a red suite has to be red again on the next run.
 settings.register_profile("mufly", deadline=None, derandomize=True)
 settings.load_profile("mufly")
@@ -20,10 +26,22 @@ settings.load_profile("mufly")
 MOST_WORKERS = 4  # more begin by compiling the same, and starve those that fly in real time
 TOGETHER = ("tests/interop",)  # folders whose tests share what is flown for them
 EARLY = (
-    "tests/interop",
+    # Each of these compiles what many others need: they begin beside each other, not one after the other twice.
+    "tests/estimate/test_kalman.py",
+    "tests/cli/test_coax_cli.py",
+    "tests/identify/test_flight_fit.py",
+    # These take long, most of it waiting for a clock: no process is left alone with them at the end.
+    "tests/interop/",
     "tests/station/page/test_browser.py",
+    "tests/cli/test_fly_cli.py",
+    "tests/link/test_real_time.py",
+    "tests/flight/test_safety.py",
+    "tests/identify/",
+    "tests/cli/",
+    "tests/link/",
+    "tests/flight/",
 )
-"""What takes longest, so that no process is left alone with it at the end."""
+"""What is begun with where the tests are shared out."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -34,11 +52,11 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """As many processes as there are cores for the whole suite, one for what is named on the command line."""
+    """One process more than there are cores for the whole suite, since some wait; one for what is named."""
     if config.args_source is not pytest.Config.ArgsSource.TESTPATHS:
         return 0
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(MOST_WORKERS, cores)
+    return min(MOST_WORKERS, cores + 1)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -55,8 +73,8 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put what takes longest first where the tests are shared out."""
-    if "PYTEST_XDIST_WORKER" in os.environ:
+    """Begin with what takes longest where the tests are shared out."""
+    if SHARED:
         place = {name: k for k, name in enumerate(EARLY)}
         items.sort(
             key=lambda item: min((place[n] for n in place if item.nodeid.startswith(n)), default=len(place))

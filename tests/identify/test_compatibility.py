@@ -93,7 +93,7 @@ def test_units_signs_and_axes_that_cannot_be_are_named(change, words):
 
 
 def test_what_was_not_measured_is_reconstructed_and_what_is_needed_is_asked_for():
-    record, _, states, *_ = made(4)
+    record, _, states, *_ = made(4, n=450)
     without = {n: n for n in STATES if not n.startswith("v_")}
     c = compatibility(record, NAMES[0], without)
     assert np.abs(c.states - states)[50:-50, 3:6].max() < 0.1

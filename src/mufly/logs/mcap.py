@@ -464,17 +464,19 @@ def columns_of(dataset: xr.Dataset) -> list[Channel]:
     """Return the components of every variable over time, in order."""
     time = dataset["time"].values
     out = []
-    for key, variable in dataset.data_vars.items():
-        name, units = str(key), str(variable.attrs.get("units", "1"))
+    # Variables, not arrays: to make an array of each of n, xarray looks through all n coordinates anew.
+    for key in dataset.data_vars.keys():
+        name, variable = str(key), dataset.variables[key]
+        units = str(variable.attrs.get("units", "1"))
         if "time" not in variable.dims or variable.ndim > 2:
             continue
         if variable.ndim == 1:
             out.append(Channel(name, units, time, variable.values))
             continue
         dim = next(d for d in variable.dims if d != "time")
-        block = variable.transpose("time", dim)
-        for k, label in enumerate(block[dim].values.tolist()):
-            out.append(Channel(f"{name}.{label}", units, time, block.values[:, k]))
+        block = variable.transpose("time", dim).values
+        for k, label in enumerate(dataset[dim].values.tolist()):
+            out.append(Channel(f"{name}.{label}", units, time, block[:, k]))
     return out
 
 
