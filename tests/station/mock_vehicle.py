@@ -134,7 +134,7 @@ class MockVehicle:
         )
 
     def _every(self, now_s, name, period_s):
-        if now_s >= self._due.get(name, 0.0) - 1e-9:
+        if now_s >= self._due.get(name, -math.inf) - 1e-9:
             self._due[name] = now_s + period_s
             return True
         return False
@@ -166,13 +166,19 @@ class MockVehicle:
         return [self.encode(m) for m in out]
 
 
+BEGIN_S = 5000.0
+"""What our clock says at the beginning: no clock begins at zero when somebody looks at it first."""
+
+
 class World:
     """A station and vehicles on one link, over damaged channels; :meth:`run` steps all clocks."""
 
     def __init__(self, *vehicles, seed=0, us=(255, 190), **damage):
-        self.t = 0.0
+        self.t = BEGIN_S
         self.station = GroundLink(us)
         self.vehicles = list(vehicles)
+        for vehicle in vehicles:
+            vehicle.boot_s = BEGIN_S
         self.down = [Channel(seed + 2 * k, **damage) for k in range(len(vehicles))]
         self.up = [Channel(seed + 2 * k + 1, **damage) for k in range(len(vehicles))]
 

@@ -233,6 +233,7 @@ def test_a_vehicle_that_does_not_say_what_it_is_is_read_as_its_kind_does_it(auto
 def test_a_station_is_heard_once_a_second_and_after_a_stall_too():
     link = GroundLink()
     beats = [t for t in (0.1 * k for k in range(100)) if link.step(t, ["a"])]
+    assert len(beats) == 10
     assert np.diff(beats) == pytest.approx(1.0)
     late = [t for t in (60.0 + 0.1 * k for k in range(50)) if link.step(t, ["a"])]
     assert np.diff(late) == pytest.approx(1.0)
@@ -412,6 +413,25 @@ def test_vehicles_with_one_number_at_two_addresses_are_kept_apart():
     assert [v.color for v in world.seen] == [0, 1]
 
 
+def test_a_foreign_vehicle_is_asked_for_what_changes_quickly_most_often():
+    mock = MockVehicle()
+    world = World(mock)
+    met(world)
+    world.run(1.0)
+    asked = {m.param1: 1e6 / m.param2 for m in mock.commands if m.command == 511 and m.param2 > 0}
+    rates = {
+        "ATTITUDE": 100,
+        "VISION_POSITION_ESTIMATE": 50,
+        "RAW_RPM": 50,
+        "DEBUG_FLOAT_ARRAY": 50,
+        "ODOMETRY": 20,
+    }
+    rates |= {"OBSTACLE_DISTANCE": 25, "SERVO_OUTPUT_RAW": 10, "RC_CHANNELS": 5, "ESTIMATOR_STATUS": 4}
+    rates |= {"EXTENDED_SYS_STATE": 2, "BATTERY_STATUS": 1}
+    for name, rate in rates.items():
+        assert asked[getattr(mavlink, f"MAVLINK_MSG_ID_{name}")] == pytest.approx(rate, rel=1e-4), name
+
+
 def test_a_vehicle_that_knows_no_intervals_gets_the_older_request():
     mock = MockVehicle(autopilot=3, vehicle_type=4)
     mock.refuse[511] = (3, "")
@@ -430,6 +450,13 @@ def test_the_link_is_measured():
     losses = world.seen[0].history.window(15.0, ["link_loss"])[1]
     assert 0.2 < np.nanmean(losses) < 0.4
     assert 20.0 < s.link_rate_Hz < 41.0
+    world.down[0].loss = 0.7  # more is lost than comes
+    world.run(20.0)
+    losses = world.seen[0].history.window(15.0, ["link_loss"])[1]
+    assert 0.6 < np.nanmean(losses) < 0.8
+    world.down[0].cut = True
+    world.run(2.5)
+    assert world.seen[0].snapshot.link_loss == 1.0
 
 
 def test_who_commands_is_told():

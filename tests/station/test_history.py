@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from mufly.quantities import our_name
 from mufly.station import History
+from mufly.station.history import Present
 
 
 @given(n=st.integers(0, 300), since=st.floats(-1.0, 4.0))
@@ -27,11 +29,16 @@ def test_memory_is_allocated_once():
     history = History(seconds=1.0)
     before = history._values.nbytes
     held = history._values
-    for k in range(1000):
+    assert np.isnan(history.oldest_s)
+    for k in range(1050):
         history.append(float(k), np.zeros(len(history.names)))
+        assert history.oldest_s == max(0, k - 99)
     assert history._values is held
     assert before == 100 * (len(history.names) + 1) * 4
-    assert (history.oldest_s, history.newest_s) == (900.0, 999.0)
+    assert (history.oldest_s, history.newest_s) == (950.0, 1049.0)
+    # Ten minutes, unless it is said otherwise.
+    assert History(rate_Hz=0.5)._size == 300
+    assert History(seconds=1.0)._size == 100
 
 
 def test_rows_out_of_order_are_left_out():
@@ -64,3 +71,22 @@ def test_signals_are_named_as_in_a_recording_and_have_units():
     assert all(our_name(name) is not None for name in ours)
     history.append(1.0, np.ones(len(history.names)))
     assert np.isnan(history.since(0.0, ["no_such_signal"])[1]).all()
+
+
+def test_what_is_told_seldom_is_believed_longer_and_a_heading_is_carried_on_past_north():
+    present = Present(History(seconds=1.0))
+    for group, name in (("motion", "estimated_attitude_yaw"), ("battery", "battery_voltage")):
+        assert present.believed(100.0, group)
+        present.set(group, present.index[name], 3.0)
+    assert present.forget(101.4) == []
+    assert present.forget(101.6) == ["motion"]
+    assert np.isnan(present["estimated_attitude"][2])
+    assert present.forget(105.9) == []
+    assert present["battery_voltage"] == 3.0
+    assert present.forget(106.1) == ["battery"]
+    assert np.isnan(present["battery_voltage"])
+    for turned in np.arange(0.0, 20.0, 0.5):  # three turns, told from -pi to pi
+        present.set(
+            "motion", present.index["estimated_attitude_yaw"], np.remainder(turned + np.pi, 2 * np.pi) - np.pi
+        )
+        assert present["estimated_attitude"][2] == pytest.approx(turned)

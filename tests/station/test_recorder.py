@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import shutil
 from collections import namedtuple
+from datetime import datetime
 
 import numpy as np
 import orjson
 import pytest
-from mock_vehicle import MockVehicle, World
+from mock_vehicle import BEGIN_S, MockVehicle, World
 
 from mufly.errors import InputError
 from mufly.flight import read_recording
@@ -23,7 +24,7 @@ def recorded(tmp_path, *vehicles):
     """A world whose vehicles are recorded, the clock of the day running with it."""
     world = World(*vehicles)
     said = []
-    recorder = StationRecorder(tmp_path, on_end=said.append, wall_s=lambda: DAY_S + world.t)
+    recorder = StationRecorder(tmp_path, on_end=said.append, wall_s=lambda: DAY_S + world.t - BEGIN_S)
     world.station._on_vehicle = recorder.attach
     world.station._on_packet = recorder.packet
     return world, recorder, said
@@ -36,6 +37,13 @@ def test_the_first_recording_may_stand_beside_that_of_the_vehicle(tmp_path):
         recorder.stop()
         assert (recorder.path == tmp_path) is (k == 0)
     assert len(list(tmp_path.rglob("station.tlog"))) == 2
+    names = []
+    for _ in range(3):  # within one second
+        recorder.start()
+        names.append(recorder.path.name)
+        recorder.stop()
+    stamp = datetime.fromtimestamp(DAY_S).strftime("%Y-%m-%d_%H-%M-%S")
+    assert names == [f"{stamp}_2", f"{stamp}_3", f"{stamp}_4"]
 
 
 def test_signals_messages_and_marks_are_kept(tmp_path):
@@ -52,6 +60,8 @@ def test_signals_messages_and_marks_are_kept(tmp_path):
     # The mock moves north at 1 m/s on the same clock.
     np.testing.assert_allclose(data["estimated_position"].sel(axis="N")[seen], data["time"][seen], atol=0.011)
     assert len(data["time"]) == pytest.approx(600, abs=20)
+    # The vehicle's clock began with ours: its instant 0 is that of the day at which the recording was begun.
+    assert datetime.fromisoformat(data.attrs["start_time"]).timestamp() == pytest.approx(DAY_S, abs=0.05)
     assert data["event_text"].values.tolist()[-1] == "mark: look here"
 
 
@@ -94,24 +104,36 @@ def test_it_can_be_read_up_to_the_last_second_after_a_kill(tmp_path):
     cut = shutil.copy(recorder.path / "station.mcap", tmp_path / "cut")
     data = read_recording(cut)
     assert not data.attrs["complete"]
-    assert world.t - float(data["time"][-1]) < 1.2
+    assert world.t - BEGIN_S - float(data["time"][-1]) < 1.2
     recorder.stop()
 
 
 def test_a_full_disk_ends_the_recording_with_a_message_and_not_the_station(tmp_path, monkeypatch):
-    world, recorder, said = recorded(tmp_path, MockVehicle())
+    free = [57e6]
+    usage = namedtuple("usage", "total used free")
+    monkeypatch.setattr(
+        shutil, "disk_usage", lambda place: usage(1e9, 1e9, free[0] if place.exists() else 0.0)
+    )
+    world, recorder, said = recorded(tmp_path / "not" / "there yet", MockVehicle())
+    recorder.step(world.t)
+    assert recorder.free_bytes == 57e6  # of the folder that it will be made in
     recorder.start()
     world.run(3.0)
-    usage = namedtuple("usage", "total used free")
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(1e9, 1e9, 1e6))
     recorder.step(100.0)
+    assert recorder.recording  # there is room for a while
+    free[0] = 49.4e6
+    recorder.step(104.9)
+    assert recorder.recording
+    recorder.step(105.1)  # it looks every five seconds
     assert not recorder.recording
-    assert "the disk is full" in said[0]
-    assert "the disk is full" in world.seen[0].messages[-1].text
+    assert said == ["the recording has ended: the disk is full (49 MB left)"]
+    assert world.seen[0].messages[-1].text == said[0]
     world.run(1.0)
     assert world.seen[0].snapshot.connected
     data = read_recording(recorder.path / "station.mcap")
     assert data.attrs["outcome"] == "interrupted"
+    recorder.step(200.0)  # what does not run does not end again
+    assert len(said) == 1
 
 
 def test_a_write_that_fails_ends_the_recording_with_a_message(tmp_path):

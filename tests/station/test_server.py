@@ -12,7 +12,7 @@ from mock_vehicle import MockVehicle
 
 from mufly.errors import InputError
 from mufly.link import Endpoint, parse_endpoint
-from mufly.station import Station
+from mufly.station import Station, ground
 from mufly.station.ground import rate_for
 
 
@@ -68,6 +68,10 @@ def test_two_endpoints_two_vehicles_one_station(tmp_path):
         await until(callers, lambda: all(v.surroundings.recording for v in station.vehicles))
         assert station.vehicles[0].surroundings.free_bytes > 0
         await until(callers, lambda: all(len(v.history) for v in station.vehicles))
+        # Motion is wished for a hundred times a second.
+        await until(callers, lambda: all(any(m.command == 511 for m in c.mock.commands) for c in callers))
+        wishes = [m.param2 for c in callers for m in c.mock.commands if m.command == 511 and m.param1 == 30]
+        assert wishes[0] == pytest.approx(1e4)
         await station.stop()
 
     asyncio.run(work())
@@ -114,6 +118,100 @@ def test_a_fault_in_the_loop_is_told_and_the_station_goes_on(tmp_path):
         request = station.vehicles[0].arm()
         await until([caller], lambda: request.done)
         await station.stop()
+
+    asyncio.run(work())
+
+
+def test_a_fault_is_told_once_and_ever_new_ones_not_for_ever():
+    station = Station(["udp:127.0.0.1:14550"], record=False)
+    for text in ("broken", "broken", *map(str, range(150))):
+        with station._going_on():
+            raise RuntimeError(text)
+    assert [text for _, text in station.notices if "broken" in text] == [
+        "the station met a fault and goes on (RuntimeError: broken)"
+    ]
+    assert len(station.notices) == 100
+
+
+def test_it_answers_when_something_comes_and_sleeps_in_between(monkeypatch):
+    """With half a minute between its steps it still meets a vehicle at once."""
+    monkeypatch.setattr(ground, "STEP_S", 30.0)
+    port = free_port()
+    station, caller = Station([f"udp:127.0.0.1:{port}"], record=False), Caller(port)
+
+    async def work():
+        await station.start()
+        await until([caller], lambda: station.vehicles and station.vehicles[0].parameters)
+        await station.stop()
+
+    asyncio.run(work())
+
+
+def test_it_calls_by_itself_at_its_own_pace(monkeypatch):
+    """Heartbeats to whom nothing was heard from, and no step more than is due."""
+    monkeypatch.setattr(ground, "HEARTBEAT_S", 0.03)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
+        vehicle.bind(("127.0.0.1", 0))
+        vehicle.setblocking(False)
+        station = Station([f"udpout:127.0.0.1:{vehicle.getsockname()[1]}"], record=False)
+        steps, step = [], station._step
+        station._step = lambda now_s: (steps.append(now_s), step(now_s))
+        heard = []
+
+        def beats():
+            with contextlib.suppress(BlockingIOError):
+                heard.append(vehicle.recv(1000))
+            return len(heard) >= 4
+
+        async def work():
+            await station.start()
+            began = time.monotonic()
+            await until([], beats)
+            assert len(steps) <= 2 + (time.monotonic() - began) / ground.STEP_S
+            await station.stop()
+
+        asyncio.run(work())
+
+
+class Radio:
+    """A port that nobody can watch."""
+
+    def __init__(self, endpoint):
+        self.endpoint, self.peers, self.sent, self.closed = endpoint, ["it"], [], False
+        self.mock, self.told = MockVehicle(), ["the radio is warm"]
+
+    def fileno(self):
+        return -1
+
+    def receive(self):
+        for data in self.sent:
+            self.mock.receive(time.monotonic(), data)
+        self.sent = []
+        return [("it", data) for data in self.mock.step(time.monotonic())]
+
+    def send(self, peer, data):
+        self.sent.append(data)
+
+    def notices(self):
+        told, self.told = self.told, []
+        return told
+
+    def close(self):
+        self.closed = True
+
+
+def test_a_port_without_a_descriptor_is_asked_again_and_again(monkeypatch):
+    monkeypatch.setattr(ground, "open_port", Radio)
+    station = Station(["serial:/dev/ttyUSB0:57600"], record=False)
+
+    async def work():
+        await station.start()
+        (radio,) = station.ports
+        await until([], lambda: station.vehicles and station.vehicles[0].parameters and station.notices)
+        assert station.notices[0][1] == "the radio is warm"
+        await station.stop()
+        assert radio.closed
+        assert station.ports == []
 
     asyncio.run(work())
 
