@@ -465,7 +465,7 @@ def columns_of(dataset: xr.Dataset) -> list[Channel]:
     time = dataset["time"].values
     out = []
     # Variables, not arrays: to make an array of each of n, xarray looks through all n coordinates anew.
-    for key in dataset.data_vars.keys():
+    for key in dataset.data_vars:
         name, variable = str(key), dataset.variables[key]
         units = str(variable.attrs.get("units", "1"))
         if "time" not in variable.dims or variable.ndim > 2:
