@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +39,7 @@ from mufly.rotor import (
     System,
     calibrate,
     compare,
+    fit_rotor,
     hover_batch,
     interval,
     solve,
@@ -205,6 +207,48 @@ def report_intervals(cases: list[Case]) -> None:
     )
 
 
+def report_fits(cases: list[Case]) -> None:
+    """Sections fitted to the middle point, and to every other point; errors and intervals at the others."""
+    print("## Sections fitted to a part of each sweep (`mufly rotor fit`), scored on the rest\n")
+    rows, all_of = [], {"one point": [], "every other": []}
+    inside = {key: np.zeros(3) for key in all_of}
+    for case in cases:
+        m, n = case.measured, case.measured.thrust_N.size
+        row = [case.name]
+        for key, seen in (("one point", np.array([n // 2])), ("every other", np.arange(0, n, 2))):
+            part = replace(
+                m, pitch_rad=m.pitch_rad[seen], speed_rad_s=m.speed_rad_s[seen], thrust_N=m.thrust_N[seen],
+                torque_Nm=m.torque_Nm[seen],
+            )  # fmt: skip
+            found = fit_rotor(case.rotor, part, section="known" if case.known else "guessed", air=case.air)
+            rest = np.setdiff1d(np.arange(n), seen)
+            thrust, torque = m.thrust_N[rest], m.torque_Nm[rest]
+            band = interval(
+                found.rotor, pitch_rad=m.pitch_rad[rest], speed_rad_s=m.speed_rad_s[rest], air=case.air
+            )
+            score = _mean(band.thrust_N / thrust - 1), _mean(band.torque_Nm / torque - 1)
+            all_of[key].append(score)
+            held = np.abs(thrust - band.thrust_N) <= band.thrust_high_N - band.thrust_N
+            held_q = np.abs(torque - band.torque_Nm) <= band.torque_high_Nm - band.torque_Nm
+            inside[key] += (held.sum(), held_q.sum(), rest.size)
+            first = found.fit.candidates[0]
+            row += [
+                f"{score[0]:.1f} / {score[1]:.1f}",
+                f"{Path(first.airfoils[0]).stem} {100 * first.probability:.0f} %",
+            ]
+        rows.append(row)
+    _print_table(
+        ["propeller", "one point: c_T / c_P error, %", "section", "every other point", "section"], rows
+    )
+    for key, scores in all_of.items():
+        t, q = np.mean(scores, axis=0)
+        share = 100 * inside[key][:2] / inside[key][2]
+        print(
+            f"{key}: c_T {t:.1f} %, c_P {q:.1f} %; inside the 90 % intervals {share[0]:.0f} and {share[1]:.0f} %"
+        )
+    print()
+
+
 def report_coaxial(case: Case, data: Path = DATA) -> None:
     """The dissertation's pair (its vortex method) and the 28 inch pair (measured)."""
     print("## Coaxial pairs\n")
@@ -287,6 +331,7 @@ def main() -> None:
         report_others(rest)
         report_variants([thesis, *props, *rest])
         report_intervals([thesis, *props, *rest])
+        report_fits(props)
         report_coaxial(thesis)
 
 

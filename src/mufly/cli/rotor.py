@@ -11,11 +11,13 @@ import typer
 
 from mufly.cli.options import (
     BEMT,
+    POLARS,
     ColumnsOption,
     Commands,
     DriveOption,
     JsonOption,
     OutOption,
+    Polars,
     RotorArgument,
     Theory,
     angle,
@@ -25,7 +27,7 @@ from mufly.cli.options import (
     turning,
     wake_progress,
 )
-from mufly.cli.present import console, print_json, print_table, progress_bar, save_picture, write_csv
+from mufly.cli.present import console, print_json, print_table, progress_bar, save_picture, write_csv, writing
 from mufly.units import RPM
 
 if TYPE_CHECKING:
@@ -319,6 +321,111 @@ def _hover_json(
             "torque_Nm": [float(band.torque_low_Nm[0]), float(band.torque_high_Nm[0])],
         },
     }
+
+
+@app.command()
+def fit(
+    rotor: RotorArgument,
+    measurements: Annotated[
+        Path,
+        argument(
+            "FILE", "Points of a bench, as for 'rotor compare'; one is enough, a sweep of speeds says more."
+        ),
+    ],
+    section: Annotated[
+        str, option("--section NAME", "'guessed': the file's airfoils are one guess among others; 'known'.")
+    ] = "guessed",
+    density: Annotated[float, option("KG/M3", "Density of the air at the bench.")] = 1.2,
+    columns: ColumnsOption = None,
+    polars: Polars = POLARS,
+    out: Annotated[
+        Path | None, option("--out FILE.toml", "Write the rotor with its fit, and a picture beside it.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find a rotor's sections from measurements: which would do, and what has to change in their coefficients.
+
+    What is written serves wherever a rotor file does; --band of 'rotor hover' is then what the bench left open. Points
+    that a fit did not see tell how good it is. docs/bemt.md has the equations and the priors.
+    Example: mufly rotor fit my-rotor.toml bench.csv --out fitted.toml
+    """
+    from mufly.bench import read_measurements
+    from mufly.errors import InputError
+    from mufly.rotor import Air, fit_rotor, load_rotor, rotor_toml
+    from mufly.rotor.fitting import CHANGES
+    from mufly.study import fit_picture
+
+    if out is not None and out.suffix != ".toml":
+        raise InputError("--out", str(out), "is no rotor file", "give a name that ends with .toml")
+    r, air = load_rotor(rotor), Air(density_kg_m3=density)
+    bench = read_measurements(
+        measurements, columns=columns, diameter_m=2.0 * float(r.radius), density_kg_m3=density
+    )
+    if section not in ("guessed", "known"):
+        raise InputError("--section", "", f"{section!r} is unknown", "use guessed or known")
+    with progress_bar("sections", not as_json) as progress:
+        found = fit_rotor(
+            r, bench, section=section, air=air, n_crit=polars.n_crit, engine=polars.polar_engine(),  # type: ignore[arg-type]
+            corrections=polars.corrections(), progress=progress,
+        )  # fmt: skip
+    files = []
+    if out is not None:
+        with writing(out):
+            out.write_text(rotor_toml(found.rotor), encoding="utf-8")
+        files = [out, save_picture(fit_picture(found, air), out.parent, out.stem)]
+    if as_json:
+        print_json(
+            {
+                "rotor": r.name, "measurements": bench.source, "names": CHANGES, "change": found.change,
+                "std": found.std, "prior_std": found.prior_std, "correlation": found.correlation,
+                "undecided": found.undecided,
+                "sections": [{"airfoils": c.airfoils, "probability": c.probability} for c in found.fit.candidates],
+                "error_before": found.before, "error_after": found.after, "held_out_error": found.held_out,
+                "held_out": found.held_out_note, "files": [str(f) for f in files],
+            }
+        )  # fmt: skip
+        return
+    c = console()
+    c.print(
+        f"[bold]{r.name}[/bold] fitted to {bench.thrust_N.size} point(s) of {bench.source}", highlight=False
+    )
+    print_table(
+        ("section", "probability"),
+        [("/".join(dict.fromkeys(k.airfoils)), f"{k.probability:.0%}") for k in found.fit.candidates],
+    )
+    size = [math.degrees(1.0), 100.0, 100.0, 1.0, 1.0]
+    unit = ["°", " %", " %", "", ""]
+    print_table(
+        ("of the first", "found", "known before to"),
+        [
+            (
+                name,
+                f"{size[k] * found.change[k]:+.3g} ± {size[k] * found.std[k]:.2g}{unit[k]}",
+                f"± {size[k] * found.prior_std[k]:.2g}{unit[k]}",
+            )
+            for k, name in enumerate(CHANGES)
+        ],
+    )
+    for line in found.undecided:
+        c.print(line, style="dim", highlight=False)
+    rows = [("as given", found.before), ("fitted", found.after)]
+    print_table(
+        ("mean size of the error", "thrust", "torque"),
+        [
+            *((name, *(_mean_error(e) for e in errors)) for name, errors in rows),
+            (found.held_out_note, *(_mean_error(e) for e in found.held_out)),
+        ],
+    )
+    for file in files:
+        c.print(f"Written: {file}")
+
+
+def _mean_error(errors: Any) -> str:
+    import numpy as np
+
+    known = np.abs(np.atleast_1d(errors))
+    known = known[np.isfinite(known)]
+    return f"{known.mean():.1%}" if known.size else "not known"
 
 
 @app.command()

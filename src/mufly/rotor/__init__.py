@@ -4,6 +4,7 @@ from mufly.rotor.airfoil import Airfoil, database_airfoils, load_airfoil
 from mufly.rotor.bemt import BatchResult, hover, hover_batch
 from mufly.rotor.blading import PLAIN, Blading, Corrections, prepare
 from mufly.rotor.engines import polar, polars
+from mufly.rotor.fitting import Band, Doubt, RotorFit, fit_rotor, interval
 from mufly.rotor.geometry import (
     BladeSections,
     Rotor,
@@ -17,13 +18,10 @@ from mufly.rotor.geometry import (
 )
 from mufly.rotor.maps import climb_ratios, coax_map
 from mufly.rotor.measurements import (
-    Band,
     Comparison,
-    Doubt,
     Measurements,
     calibrate,
     compare,
-    interval,
 )
 from mufly.rotor.polar_table import PolarStack, PolarTable, lookup, outside, stack_polars
 from mufly.rotor.solution import FASTEST_TIP_M_S, METHODS, solve, solve_thrust
@@ -49,6 +47,7 @@ __all__ = [
     "PolarTable",
     "Result",
     "Rotor",
+    "RotorFit",
     "RotorResult",
     "System",
     "blade_thickness_m",
@@ -58,6 +57,7 @@ __all__ = [
     "coax_map",
     "compare",
     "database_airfoils",
+    "fit_rotor",
     "hover",
     "hover_batch",
     "interval",

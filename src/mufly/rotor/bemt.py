@@ -228,7 +228,7 @@ def result_of(
         **columns,
         outside=flags,
         outside_share=float(size[flags > 0].sum() / size.sum()) if size.sum() > 0 else 0.0,
-        calibrated=blading.corrections.calibrated,
+        calibrated=blading.calibrated,
     )
 
 

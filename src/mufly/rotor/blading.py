@@ -52,7 +52,7 @@ from __future__ import annotations
 import math
 from collections import namedtuple
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 from typing import Any, Literal
 
@@ -201,6 +201,11 @@ class Blading:
         return Blades(*(getattr(self, name) for name in names))
 
     @property
+    def calibrated(self) -> bool:
+        """True if factors were set by hand, or a rotor's sections were fitted to measurements."""
+        return self.corrections.calibrated or any(rotor.fit is not None for rotor in self.rotors)
+
+    @property
     def radius_m(self) -> Array:
         """Radius of each rotor."""
         return np.array([rotor.radius_m for rotor in self.rotors])
@@ -270,14 +275,30 @@ def prepare(
         raise InputError("rotor", "", "no rotor given", "give at least one")
     if stations < 4:
         raise InputError("rotor", "stations", f"{stations} is too few for a blade", "give 4 or more")
-    names = list(dict.fromkeys(name for rotor in many for name in rotor.airfoil_names()))
+    fits = [
+        None if rotor.fit is None else (rotor.fit.candidates[0].change, rotor.fit.reynolds) for rotor in many
+    ]
+    keys = list(
+        dict.fromkeys(
+            (name, fit) for rotor, fit in zip(many, fits, strict=True) for name in rotor.airfoil_names()
+        )
+    )
+    names = list(dict.fromkeys(name for name, _ in keys))
     known = engines.polars(names, n_crit=n_crit, engine=engine) if polars is None else polars
     for name in names:
         if name not in known:
             raise InputError(
                 "rotor", f"airfoil {name}", "has no polar", f"give one of {', '.join(sorted(known))}"
             )
-    tables = [known[name] for name in names]
+    for rotor in many:
+        made = rotor.fit.n_crit if rotor.fit is not None else math.nan
+        for name in rotor.airfoil_names():
+            if abs(known[name].n_crit - made) > 1e-9:
+                raise InputError(
+                    f"rotor {rotor.name}", "fit", f"was made with polars at n_crit {made:g}, these are at "
+                    f"{known[name].n_crit:g}", "use the same, or take [fit] out of the file",
+                )  # fmt: skip
+    tables = [fitted(known[name], *fit) if fit is not None else known[name] for name, fit in keys]
     shape = (len(many), stations)
     r, dr, chord, twist, e, g, weight = (np.zeros(shape) for _ in range(7))
     first, second = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
@@ -285,8 +306,10 @@ def prepare(
         big = rotor.radius_m
         mid, edges = panel_edges(float(rotor.hub_cutout), stations)
         cut = rotor.sections(mid)
-        index = np.array([names.index(name) for name in cut.names], dtype=np.int64)
+        index = np.array([keys.index((name, fits[k])) for name in cut.names], dtype=np.int64)
         r[k], dr[k], chord[k], twist[k] = mid * big, np.diff(edges) * big, cut.chord_m, cut.twist_rad
+        if rotor.fit is not None:
+            twist[k] += rotor.fit.candidates[0].change[0]
         first[k], second[k], weight[k] = index[cut.first], index[cut.second], cut.weight
         if fixes.lifting_surface:
             e[k] = chord_factor(mid, edges, cut.chord_m / big, rotor.chord_m(edges) / big)
@@ -307,6 +330,20 @@ def prepare(
         polars=stack,
         zero_lift_rad=np.array([zero_lift_angle(table) for table in tables]),
     )
+
+
+def fitted(table: PolarTable, change: Sequence[float], reynolds: float) -> PolarTable:
+    """Return a polar with the change of a :class:`mufly.rotor.geometry.SectionFit` in its coefficients."""
+    _, lift, drag, lift_exponent, drag_exponent = change
+    ratio = np.log(np.clip(table.reynolds / reynolds, *_RATIOS))[:, None]
+    return replace(
+        table,
+        cl=table.cl * np.exp(lift + lift_exponent * ratio),
+        cd=table.cd * np.exp(drag + drag_exponent * ratio),
+    )
+
+
+_RATIOS = (0.2, 5.0)  # of Reynolds numbers, within which a bench run says something
 
 
 def as_blading(rotor: Rotor | Blading) -> Blading:

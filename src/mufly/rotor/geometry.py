@@ -110,6 +110,44 @@ class Blade(Group):
         return self
 
 
+class Candidate(Group):
+    """One section that a bench run leaves possible, and what it asks of that section."""
+
+    airfoils: tuple[str, ...] = Field(min_length=1, description="as in [blade]")
+    probability: float = Field(ge=0.0, le=1.0)
+    change: tuple[float, float, float, float, float] = Field(
+        description="added to the twist (rad); logarithms of the factors on lift and drag; exponents of Re in them"
+    )
+    covariance: tuple[tuple[float, ...], ...] = Field(description="of the change", min_length=5, max_length=5)
+
+    @model_validator(mode="after")
+    def _is_small(self) -> Candidate:
+        if any(abs(v) > most for v, most in zip(self.change, (0.3, 1.5, 1.5, 1.0, 2.0), strict=True)):
+            raise _fault(
+                "fit.candidates.change", f"{self.change} is no small correction", "fit the rotor again"
+            )
+        if any(len(row) != 5 for row in self.covariance):
+            raise _fault("fit.candidates.covariance", "is no 5 by 5 matrix", "fit the rotor again")
+        return self
+
+
+class SectionFit(Group):
+    """What a bench run said about a rotor's sections (:func:`mufly.rotor.fit_rotor`), the likeliest first.
+
+    Lift and drag coefficients of the polars are multiplied by a factor times (Re / ``reynolds``) to an exponent, the
+    ratio kept between 0.2 and 5, and the twist is turned.
+    """
+
+    bench: str = Field(description="where the measurements are from")
+    points: int = Field(ge=1)
+    n_crit: float = Field(description="of the polars that were fitted", ge=0.0)
+    reynolds: float = Field(description="at which the factors hold", gt=0.0)
+    pitch_rad: tuple[float, float] = Field(description="range of pitch that was measured (rad)")
+    speed_rad_s: tuple[float, float] = Field(description="range of speed that was measured (rad/s)")
+    scatter: tuple[float, float] = Field(description="what the fit misses of thrust and torque, relative")
+    candidates: tuple[Candidate, ...] = Field(min_length=1)
+
+
 class Rotor(Group):
     """A rotor, as read from a rotor file. All values in SI units."""
 
@@ -121,6 +159,7 @@ class Rotor(Group):
         "1", "x0", "radius over R at which the blade begins", at_least=0, below=1
     )  # fmt: skip
     blade: Blade
+    fit: SectionFit | None = Field(default=None, description="what a bench run said about the sections")
 
     @model_validator(mode="after")
     def _cutout_on_blade(self) -> Rotor:
@@ -411,6 +450,8 @@ def replace_rotor(rotor: Rotor, values: Mapping[str, Any], *, source: str = "spe
             raise InputError("replace", key, "no such key", f"use one of: {known}")
         if last == "airfoils":
             table[last] = [value] if isinstance(value, str) else list(value)
+            if table[last] != list(rotor.blade.airfoils):
+                tables.pop("fit", None)  # it belongs to the sections that it was made with
         elif isinstance(table[last], dict):
             column = isinstance(table[last]["value"], list | tuple)
             listed = np.asarray(value, dtype=np.float64).tolist() if column else value

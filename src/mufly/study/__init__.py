@@ -14,6 +14,7 @@ from mufly.study.parameters import PAIR, PARAMETERS, parse_limit, parse_quantity
 from mufly.study.pictures import (
     blade_picture,
     field_picture,
+    fit_picture,
     gear_picture,
     history_picture,
     lines_picture,
@@ -53,6 +54,7 @@ __all__ = [
     "condition_of",
     "evaluate",
     "field_picture",
+    "fit_picture",
     "gear_picture",
     "history_picture",
     "lines_picture",

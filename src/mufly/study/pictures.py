@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor import Result, Rotor, RotorResult, load_airfoil
+from mufly.rotor import Air, Result, Rotor, RotorFit, RotorResult, interval, load_airfoil
 from mufly.rotor.maps import at
 from mufly.rotor.wake import induced_velocity
 from mufly.study.parameters import PARAMETERS, in_unit
@@ -236,6 +236,54 @@ def stations_picture(result: RotorResult) -> Figure:
         f"thrust {result.thrust_N:.4g} N, torque {result.torque_Nm:.4g} N m",
         fontsize="medium",
     )
+    return figure
+
+
+def fit_picture(found: RotorFit, air: Air) -> Figure:
+    """Draw what a bench measured over speed, what was predicted before, and what the fit says with its 90 % interval.
+
+    One colour for each pitch setting.
+    """
+    m = found.measured
+    figure = _rotor_pictures_figure(9.0, 4.0)
+    axes = figure.subplots(1, 2)
+    pitches = np.unique(np.round(m.pitch_rad, 6))
+    for k, pitch in enumerate(pitches):
+        here = np.abs(m.pitch_rad - pitch) < 1e-5
+        low, high = m.speed_rad_s[here].min(), m.speed_rad_s[here].max()
+        speed = np.linspace(0.9 * low, 1.1 * high, 25)
+        band = interval(found.rotor, pitch_rad=pitch, speed_rad_s=speed, air=air, n_crit=found.fit.n_crit)
+        rows = (
+            (m.thrust_N, found.before[0], band.thrust_N, band.thrust_low_N, band.thrust_high_N, 1.0),
+            (m.torque_Nm, found.before[1], band.torque_Nm, band.torque_low_Nm, band.torque_high_Nm, 1e3),
+        )
+        for ax, (measured, before, mean, below, above, scale) in zip(axes, rows, strict=True):
+            colour, first = f"C{k % 10}", k == 0
+            ax.fill_between(speed / RPM, scale * below, scale * above, color=colour, alpha=0.2, lw=0)
+            ax.plot(speed / RPM, scale * mean, color=colour, label="fitted, 90 % interval" if first else None)
+            order = np.argsort(m.speed_rad_s[here])
+            ax.plot(
+                m.speed_rad_s[here][order] / RPM, scale * (measured * (1 + before))[here][order], ":", color=colour,
+                marker=".", label="as given" if first else None,
+            )  # fmt: skip
+            label = "measured" if first else None
+            ax.plot(
+                m.speed_rad_s[here] / RPM, scale * measured[here], "o", color=colour, mfc="none", label=label
+            )
+            ax.annotate(
+                f"{math.degrees(pitch):.3g}°",
+                (speed[-1] / RPM, scale * mean[-1]),
+                color=colour,
+                fontsize="small",
+            )
+    for ax, label in zip(axes, ("Thrust (N)", "Torque (mN m)"), strict=True):
+        ax.set_xlabel("Speed (rpm)")
+        ax.set_ylabel(label)
+        ax.margins(x=0.1)
+        ax.grid(alpha=0.3)
+    axes[0].legend(fontsize="small")
+    sections = "/".join(dict.fromkeys(found.rotor.blade.airfoils))
+    figure.suptitle(f"{found.rotor.name}: {sections}, {m.source}", fontsize="medium")
     return figure
 
 

@@ -296,6 +296,8 @@ def reshape(rotor: Rotor, changes: Mapping[str, Value]) -> Rotor:
     if "twist" in changes:
         twist = float(changes["twist"]) * (1.0 - outboard) / (1.0 - x0)
     blade["airfoils"] = names
+    if names != list(rotor.blade.airfoils):
+        tables.pop("fit", None)  # it belongs to the sections that it was made with
     for key, values in (("r_over_R", x), ("chord", chord), ("twist", twist)):
         if not np.array_equal(values, getattr(rotor.blade, key).array()):
             blade[key] = {**blade[key], "value": values.tolist(), **_BY_HAND}

@@ -1,0 +1,125 @@
+"""A bench run makes a rotor: the truth is found again, said where it cannot be, kept in the file."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from mufly.errors import InputError, MuflyError
+from mufly.rotor import (
+    Measurements,
+    fit_rotor,
+    hover,
+    hover_batch,
+    interval,
+    load_rotor,
+    make_rotor,
+    prepare,
+    replace_rotor,
+    rotor_toml,
+)
+from mufly.study.setup import reshape
+
+RPM = math.pi / 30
+
+
+def made_by(rotor, rpm, pitch_deg=0.0, noise=0.0, seed=0, torque=True) -> Measurements:
+    """What a bench would say of a rotor."""
+    rng, speed = np.random.default_rng(seed), np.array(rpm) * RPM
+    pitch = np.radians(np.broadcast_to(pitch_deg, speed.shape))
+    out = hover_batch(prepare(rotor), pitch_rad=pitch, speed_rad_s=speed)
+    t, q = (v * (1 + noise * rng.standard_normal(v.shape)) for v in (out.thrust_N, out.torque_Nm))
+    return Measurements(pitch, speed, t, q if torque else np.full(q.shape, np.nan), "made up")
+
+
+def a_propeller(airfoil):
+    return make_rotor(
+        name="p", radius_m=0.06, chord_m=[0.008, 0.014, 0.008], twist_rad=np.radians([30.0, 18.0, 9.0]),
+        r_over_R=[0.2, 0.5, 1.0], airfoils=airfoil,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def swept():
+    """A sweep of a rotor with bent plates, fitted by someone who takes them for Clark Y."""
+    bench = made_by(a_propeller("naca6503"), np.linspace(3000, 9000, 9), noise=0.01)
+    return fit_rotor(a_propeller("clarky"), bench)
+
+
+def test_bent_plates_come_out_as_bent_plates(swept):
+    assert np.abs(swept.before[0]).mean() > 0.05  # Clark Y will not do
+    assert np.abs(swept.after).max() < 0.03
+    assert np.all(swept.held_out < 0.02)
+    thin = sum(c.probability for c in swept.fit.candidates if c.airfoils[0].endswith(("03", "06")))
+    assert thin > 0.9
+    assert {c.airfoils[0][4] for c in swept.fit.candidates} <= {"4", "6", "8"}
+    assert_allclose(sum(c.probability for c in swept.fit.candidates), 1.0)
+    assert swept.undecided  # nine speeds at one pitch do not tell five numbers
+
+
+def test_the_file_says_what_the_fit_said(swept, tmp_path):
+    path = tmp_path / "fitted.toml"
+    path.write_text(rotor_toml(swept.rotor))
+    again, m = load_rotor(path), swept.measured
+    assert again.fit == swept.fit
+    out = hover_batch(prepare(again), pitch_rad=m.pitch_rad, speed_rad_s=m.speed_rad_s)
+    assert_allclose(out.thrust_N / m.thrust_N - 1, swept.after[0], atol=1e-12)
+    assert hover(again, pitch_rad=0.0, speed_rad_s=600.0).calibrated
+    with pytest.raises(InputError, match="n_crit"):
+        prepare(again, n_crit=9.0)
+    # Another section is another rotor: what was said of the first does not hold for it.
+    assert replace_rotor(again, {"blade.airfoils": "clarky"}).fit is None
+    assert reshape(again, {"airfoil": "clarky"}).fit is None
+    assert reshape(again, {"radius": 0.07}).fit == replace_rotor(again, {"radius": 0.07}).fit == again.fit
+
+
+def test_intervals_shrink_with_the_bench_and_widen_away_from_it(swept):
+    at = {"pitch_rad": np.radians([0.0, 0.0, 6.0]), "speed_rad_s": np.array([6000, 24000, 6000]) * RPM}
+    known, guess = interval(swept.rotor, **at), interval(a_propeller("clarky"), **at)
+    half = (known.thrust_high_N - known.thrust_N) / known.thrust_N
+    assert half[0] < 0.5 * ((guess.thrust_high_N - guess.thrust_N) / guess.thrust_N)[0]
+    assert np.all(half[1:] > 1.5 * half[0])
+    assert set(known.thrust_share) == {"fit", "section", "scatter", "method"}
+    assert known.thrust_share["method"][0] == 0.0
+
+
+def test_truths_lie_inside_the_intervals():
+    """Six rotors with sections of their own, one point each: another speed is told with its interval."""
+    rng, inside = np.random.default_rng(5), []
+    for k in range(6):
+        rotor = a_propeller(f"naca{rng.integers(2, 7)}4{rng.integers(6, 13):02d}")
+        # What the prior says of engine and method, drawn
+        truth = made_by(rotor, [4000.0, 6000.0, 8000.0], pitch_deg=rng.normal(0, 0.5))
+        bench = Measurements(
+            np.zeros(1), truth.speed_rad_s[1:2], truth.thrust_N[1:2] * rng.normal(1, 0.01),
+            truth.torque_Nm[1:2] * rng.normal(1, 0.01), f"{k}",
+        )  # fmt: skip
+        fitted = fit_rotor(a_propeller("clarky"), bench).rotor
+        band = interval(fitted, pitch_rad=0.0, speed_rad_s=truth.speed_rad_s[[0, 2]])
+        t, q = truth.thrust_N[[0, 2]], truth.torque_Nm[[0, 2]]
+        inside += [*(np.abs(t - band.thrust_N) < band.thrust_high_N - band.thrust_N)]
+        inside += [*(np.abs(q - band.torque_Nm) < band.torque_high_Nm - band.torque_Nm)]
+    assert np.sum(inside) >= 20  # of 24
+
+
+def test_thrust_alone_will_do_and_a_known_section_is_left():
+    rotor = load_rotor("naca0012-r60-c20")
+    bench = made_by(rotor, [4000.0, 6000.0], pitch_deg=12.0, torque=False)
+    found = fit_rotor(rotor, replace(bench, thrust_N=1.05 * bench.thrust_N), section="known")
+    assert [c.airfoils for c in found.fit.candidates] == [("naca0012",)]
+    assert np.abs(found.after[0]).max() < 0.01
+    assert np.isnan(found.held_out[1])
+    assert "the bench says little of drag" in found.undecided
+
+
+def test_what_cannot_be_is_said():
+    rotor = load_rotor("naca0012-r60-c20")
+    bench = made_by(rotor, [4000.0], pitch_deg=12.0)
+    with pytest.raises(MuflyError, match="units, pitch, radius"):
+        fit_rotor(rotor, replace(bench, thrust_N=30 * bench.thrust_N))
+    with pytest.raises(InputError, match="section"):
+        fit_rotor(rotor, bench, section="maybe")
