@@ -11,6 +11,7 @@ import pytest
 from mufly.control import design
 from mufly.errors import MuflyError
 from mufly.estimate import KalmanEstimator, native
+from mufly.estimate.native import Code
 from mufly.estimate.records import PYTHON_ALONE
 from mufly.flight import Flight
 from mufly.mission import mission_from
@@ -65,9 +66,8 @@ def felt(vehicle: Vehicle) -> Callable[[str], list[tuple[Readings, np.ndarray]]]
     return of
 
 
-def estimator(vehicle: Vehicle, code: str, monkeypatch: pytest.MonkeyPatch) -> KalmanEstimator:
-    monkeypatch.setenv("MUFLY_ESTIMATOR", code)
-    return KalmanEstimator(vehicle, HOP.world, 200.0)
+def estimator(vehicle: Vehicle, code: Code) -> KalmanEstimator:
+    return KalmanEstimator(vehicle, HOP.world, 200.0, code=code)
 
 
 def same(a: np.ndarray, b: np.ndarray) -> bool:
@@ -77,9 +77,9 @@ def same(a: np.ndarray, b: np.ndarray) -> bool:
 
 @needs_cc
 @pytest.mark.parametrize("faults", FAULTS)
-def test_c_remembers_what_python_remembers_to_the_last_bit(vehicle, felt, faults, monkeypatch) -> None:
+def test_c_remembers_what_python_remembers_to_the_last_bit(vehicle, felt, faults) -> None:
     """All that the filter holds, not only what it tells; with what goes wrong with sensors."""
-    c, python = (estimator(vehicle, code, monkeypatch) for code in ("c", "numba"))
+    c, python = (estimator(vehicle, code) for code in ("c", "numba"))
     assert (c.steps.name, python.steps.name) == ("C", "Numba")
     for k, (r, a) in enumerate(felt(faults)):
         told, right = c.update(r, a), python.update(r, a)
@@ -94,9 +94,9 @@ def test_c_remembers_what_python_remembers_to_the_last_bit(vehicle, felt, faults
         assert not same(c._box, python._box)  # the comparison can fail
 
 
-def streams(vehicle: Vehicle, felt, monkeypatch) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def streams(vehicle: Vehicle, felt) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Rows as the step takes them: a flight's, then nonsense of every kind."""
-    e = estimator(vehicle, "c", monkeypatch)
+    e = estimator(vehicle, "c")
     rows = []
     for r, a in felt("")[:1400]:
         e._read(r, a)
@@ -126,8 +126,8 @@ def replayed(e: KalmanEstimator, rows: Sequence[tuple[np.ndarray, np.ndarray, np
 
 @needs_cc
 def test_nonsense_and_any_compiler_give_the_same(vehicle, felt, monkeypatch) -> None:
-    rows = streams(vehicle, felt, monkeypatch)
-    right = replayed(estimator(vehicle, "numba", monkeypatch), rows)
+    rows = streams(vehicle, felt)
+    right = replayed(estimator(vehicle, "numba"), rows)
     last = np.frombuffer(right[-1])
     assert np.all(np.isfinite(last))
     for cc in COMPILERS:
@@ -137,7 +137,7 @@ def test_nonsense_and_any_compiler_give_the_same(vehicle, felt, monkeypatch) -> 
                 native, "_flags", lambda level=level: ("-std=c99", level, "-ffp-contract=off")
             )
             native._library.cache_clear()
-            assert replayed(estimator(vehicle, "c", monkeypatch), rows) == right, (cc, level)
+            assert replayed(estimator(vehicle, "c"), rows) == right, (cc, level)
     native._library.cache_clear()
 
 
@@ -167,5 +167,5 @@ def test_who_computes_is_chosen_and_told(vehicle, monkeypatch) -> None:
     assert chosen()[0] == "Numba"
     assert "no C compiler" in chosen()[1]
     monkeypatch.setenv("MUFLY_ESTIMATOR", "c")
-    with pytest.raises(MuflyError, match="MUFLY_ESTIMATOR=c: there is no C compiler"):
+    with pytest.raises(MuflyError, match="the estimator in C: there is no C compiler"):
         chosen()

@@ -20,7 +20,6 @@ import typer
 from mufly.cli.options import argument, option
 from mufly.cli.present import console, say
 from mufly.cli.station import (
-    BY_FIRMWARE,
     BrowserOption,
     Ending,
     FaultOption,
@@ -39,6 +38,7 @@ from mufly.cli.station import (
     check_air,
     check_place,
     check_sensors,
+    computed_by,
     dated_folder,
     endpoints_of,
     flies_on,
@@ -378,8 +378,8 @@ def fly(
         f"[bold]{order.vehicle.name}[/bold] flies [bold]{order.mission.name}[/bold]; results go to {folder}"
     )
     terminal.print(flies_on(order.vehicle, order.sensors), highlight=False, markup=False)
-    if firmware:
-        say(BY_FIRMWARE)
+    if by := computed_by(order.vehicle, order.sensors, firmware):
+        terminal.print(by, highlight=False, markup=False)
 
     if ends or address is not None:  # in the terminal it stands among the events
         from mufly.dynamics import outside_model

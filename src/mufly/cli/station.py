@@ -98,7 +98,6 @@ FirmwareOption = Annotated[
         "Let the exported C code fly, built by this machine's compiler (`mufly firmware`).",
     ),
 ]
-BY_FIRMWARE = "The exported C code flies, mission and control law; the estimator is still Python's"
 
 
 FixedPointOption = Annotated[
@@ -144,6 +143,18 @@ def flies_on(vehicle: Vehicle, sensors: str) -> str:
         return f"{vehicle.name} has no table [sensors]: it flies on what is true"
     names = [name.replace("_", " ") for name in FITTED if getattr(vehicle.sensors, name) is not None]
     return f"It flies on its sensors: {', '.join(names)}"
+
+
+def computed_by(vehicle: Vehicle, sensors: str, firmware: bool) -> str:
+    """Who computes law and estimator, in words; the estimator in C is built if it is not there yet."""
+    by = "The exported C code flies: mission and control law" if firmware else ""
+    if sensors == "ideal" or vehicle.sensors is None:
+        return by
+    from mufly.estimate.native import chosen
+
+    why = chosen(vehicle)
+    estimator = "its estimator in C" if not why else f"its estimator compiled by Numba: {why}"
+    return f"{by}, with {estimator}" if firmware else f"It flies with {estimator}"
 
 
 def endpoints_of(
@@ -514,7 +525,7 @@ def link(
     terminal.print(
         f"[bold]{helicopter.name}[/bold] is MAVLink system {system}, with {plan.name}", highlight=False
     )
-    say(flies_on(helicopter, sensors), *([BY_FIRMWARE] if firmware else []))
+    say(*filter(None, [flies_on(helicopter, sensors), computed_by(helicopter, sensors, firmware)]))
     for end in endpoints:
         say(f"  it {end.explanation}")
         if end.beyond_loopback:

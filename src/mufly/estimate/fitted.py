@@ -25,7 +25,7 @@ from mufly.estimate.layout import (
     filter_settings,
     memory_type,
 )
-from mufly.estimate.native import steps
+from mufly.estimate.native import Code, steps
 from mufly.estimate.words import checks
 from mufly.sensors import Reading, Readings
 from mufly.sensors.pressure import STANDARD_PRESSURE_PA
@@ -33,6 +33,7 @@ from mufly.vehicle import Vehicle
 from mufly.world import World
 
 _Array = NDArray[np.float64]
+_BATTERY = STARTS[R_BATTERY]
 
 
 def fitted_estimator(vehicle: Vehicle, world: World, rate_Hz: float) -> Estimator:
@@ -59,9 +60,13 @@ class KalmanEstimator(Estimator):
         As for :func:`fitted_estimator`.
     kind : type
         Of the filter's numbers; a processor on board has ``numpy.float32``.
+    code : "", "c" or "numba"
+        What computes it (:mod:`mufly.estimate.native`); what starts sooner by default. ``steps`` says which it is.
     """
 
-    def __init__(self, vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = np.float64) -> None:
+    def __init__(
+        self, vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = np.float64, code: Code = ""
+    ) -> None:
         self._kind, self._rate = kind, rate_Hz
         self._settings = filter_settings(vehicle, world, rate_Hz, kind)
         self._parameters = model_parameters(vehicle)
@@ -69,21 +74,26 @@ class KalmanEstimator(Estimator):
         ring = vehicle.range_ring
         self._nothing = np.full(ring.count, float(ring.max_range))
         self._beams = beams_used(ring.count)
-        self.reset()
+        # A record of an array is a view of it: the compiled step writes into the array.
+        self._box = np.zeros(1, memory_type(self._kind))
+        self.memory = m = self._box[0]
+        self._out, self._rates, self._angles = m["out"], m["out_rates"], m["angles"]
+        self._z = np.zeros(VALUES, self._kind)
+        self._new, self._age = np.zeros(SENSORS, np.int32), np.zeros(SENSORS, self._kind)
+        self._code: Code = code
+        self.use(self._settings)
 
     def use(self, settings: Any) -> None:
         """Take other settings (:func:`mufly.estimate.layout.filter_settings`), and start anew."""
         self._settings = settings
+        self.steps = steps(settings, self._parameters, self._z, self._new, self._age, self._code)
         self.reset()
 
     def reset(self) -> None:
-        # A record of an array is a view of it: the compiled step writes into the array.
-        self._box = np.zeros(1, memory_type(self._kind))
-        self.memory = self._box[0]
-        self._z = np.zeros(VALUES, self._kind)
-        self._new, self._age = np.zeros(SENSORS, np.int32), np.zeros(SENSORS, self._kind)
-        self.steps = steps(self._settings, self._parameters, self._z, self._new, self._age)
+        for row in (self._box, self._z, self._new, self._age):
+            row.view(np.uint8)[:] = 0
         self.steps.begin(self._box)
+        self._periods = 0
         self._last: dict[str, Reading] = {}
         self._checks: tuple = ()
         self._told: tuple[Any, ...] = ()
@@ -93,17 +103,17 @@ class KalmanEstimator(Estimator):
 
     def update(self, readings: Readings, acting: _Array | None = None) -> Estimate:
         self._read(readings, acting)
-        m = self.memory
         valid = self.steps.step(self._box)
-        if m["tick"] % TOLD_EVERY == 0 or not self._told:
+        self._periods += 1
+        if self._periods % TOLD_EVERY == 0 or not self._told:
+            m = self.memory
             self._checks = checks(m, self._settings, self._fitted)
             self._told = (m["out_cov"].astype(np.float64), m["sigma"].astype(np.float64))
-        x = m["out"].astype(np.float64)
-        k = STARTS[R_BATTERY]
+        x = self._out.astype(np.float64)
         return Estimate(
-            readings.time_s, x[0:3], x[3:6], m["angles"].astype(np.float64), m["out_rates"].astype(np.float64),
+            readings.time_s, x[0:3], x[3:6], self._angles.astype(np.float64), self._rates.astype(np.float64),
             self._ranges,
-            float(self._z[k]) or math.nan, self._told[0], valid,
+            float(self._z[_BATTERY]) or math.nan, self._told[0], valid,
             Beliefs(x[10:13], x[13:16], float(x[16]), x[17:21], x[21:23], float(x[23]), self._told[1], self._checks),
         )  # fmt: skip
 

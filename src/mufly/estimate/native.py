@@ -19,18 +19,19 @@ import types
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from mufly import trigonometry
 from mufly.drive import train
-from mufly.dynamics import model
+from mufly.dynamics import model, model_parameters
 from mufly.errors import MuflyError
 from mufly.estimate import factors, fusing, guards, kernel, motion
 from mufly.estimate.records import model_record, records_h
 from mufly.rotor import maps
 from mufly.toolchain import FLAGS, kept_library
+from mufly.vehicle import Vehicle
 
 PROVED = "09644c809f792b2a"
 """Stamp of the Python sources (:func:`stamp`) to which C was last proved equal."""
@@ -43,6 +44,9 @@ _DECLARED = """
 void estimator_begin(void *m, const void *s);
 _Bool estimator_step(void *m, const void *s, const void *p, double *z, int32_t *fresh, const double *age);
 """
+
+
+Code = Literal["", "c", "numba"]
 
 
 @dataclass(frozen=True)
@@ -68,7 +72,9 @@ class Steps:
     step: Callable[[np.ndarray], bool]
 
 
-def steps(settings: Any, parameters: Any, z: np.ndarray, new: np.ndarray, age: np.ndarray) -> Steps:
+def steps(
+    settings: Any, parameters: Any, z: np.ndarray, new: np.ndarray, age: np.ndarray, code: Code = ""
+) -> Steps:
     """Return what computes the filter from now on.
 
     Parameters
@@ -77,20 +83,22 @@ def steps(settings: Any, parameters: Any, z: np.ndarray, new: np.ndarray, age: n
         Of the filter (:func:`mufly.estimate.layout.filter_settings`) and of the flight model.
     z, new, age : arrays
         In which every period's readings will stand (:func:`mufly.estimate.kernel.step`).
+    code : "", "c" or "numba"
+        Which; ``""``: what the environment says, or else C where it can be had.
 
     Raises
     ------
     MuflyError
-        If C is asked for in the environment and cannot be had.
+        If C is asked for and cannot be had.
     """
-    asked = os.environ.get(_ENVIRONMENT, "")
+    asked = code or os.environ.get(_ENVIRONMENT, "")
     why = _against(asked, z.dtype)
     if not why:
         try:
             return _in_c(settings, parameters, z, new, age)
         except (MuflyError, OSError) as error:
             if asked == "c":
-                raise MuflyError(f"{_ENVIRONMENT}=c: {error}") from None
+                raise MuflyError(f"the estimator in C: {error}") from None
             why = str(error)
 
     def step(memory: np.ndarray) -> bool:
@@ -99,10 +107,22 @@ def steps(settings: Any, parameters: Any, z: np.ndarray, new: np.ndarray, age: n
     return Steps("Numba", why, lambda memory: kernel.begin(memory[0], settings), step)
 
 
+def chosen(vehicle: Vehicle) -> str:
+    """Return why Numba computes the filter of a vehicle; "" if it is C, which is built now if it is not there yet."""
+    asked = os.environ.get(_ENVIRONMENT, "")
+    why = _against(asked, np.float64)
+    if not why:
+        try:
+            _library(records_h(model_parameters(vehicle)))
+        except (MuflyError, OSError) as error:
+            why = str(error)
+    return why
+
+
 def _against(asked: str, kind: Any) -> str:
     """Why C is not taken, before it is tried."""
     if asked == "numba":
-        return f"{_ENVIRONMENT}=numba"
+        return "Numba was asked for"
     if kind != np.float64:
         return "single precision"
     if asked != "c" and stamp() != PROVED:
@@ -187,11 +207,9 @@ def stamp() -> str:
 
 def _words(function: ast.FunctionDef) -> Iterator[str]:
     """What a function says: the kinds of its nodes and their names and numbers, without its docstring."""
-    yield function.name
+    yield from (function.name, *(argument.arg for argument in function.args.args))
     body = function.body[1:] if ast.get_docstring(function, clean=False) is not None else function.body
-    for part in (function.args, *body):
+    for part in body:
         for node in ast.walk(part):
             yield type(node).__name__
-            yield from (
-                repr(v) for k, v in ast.iter_fields(node) if isinstance(v, (str, int, float)) and k != "kind"
-            )
+            yield from (repr(v) for k, v in ast.iter_fields(node) if isinstance(v, (str, int, float)) and k != "kind")

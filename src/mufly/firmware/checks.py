@@ -1,8 +1,9 @@
 """Is it the same? The exported code against the simulation's, and on an emulated processor against this machine.
 
-Software in the loop (:func:`sil`): a mission is flown by the Python controllers; the exported code gets the same inputs
-in every period, and its outputs are compared bit by bit. Processor in the loop (:func:`pil`): a self-test of made-up
-inputs runs on this machine and on Cortex-M4 processors emulated by QEMU; both print digests of all outputs so far.
+Software in the loop (:func:`sil`): a mission is flown by Python's controllers, on sensors by Python's estimator too;
+the exported code gets the same inputs in every period, and its outputs, of the estimator all that it remembers, are
+compared bit by bit. Processor in the loop (:func:`pil`): a self-test of made-up inputs runs on this machine and on
+Cortex-M4 processors emulated by QEMU; both print digests of all outputs so far.
 Instructions are counted by the processor's own clock, which QEMU advances by a nanosecond an instruction.
 """
 
@@ -15,21 +16,25 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mufly.control import FlightController, design
 from mufly.errors import MuflyError
-from mufly.estimate import Estimate
+from mufly.estimate import Estimate, Estimator, KalmanEstimator
+from mufly.estimate.records import PYTHON_ALONE
 from mufly.firmware.host import FLAGS, Firmware, FirmwareControllers, compiler
 from mufly.firmware.tables import export
 from mufly.flight import fly
 from mufly.flight.software import Actuators, Controllers
 from mufly.mission import load_mission
 from mufly.results import result
+from mufly.sensors import Readings
+from mufly.sensors.faults import Fault
 from mufly.vehicle import Vehicle
+from mufly.world import World
 
 _Array = NDArray[np.floating[Any]]
 
@@ -50,10 +55,16 @@ class SilResult:
     seed : int
     outcome : str
         Of the flight.
+    faults : str
+        Of its sensors.
     periods : int
         Compared.
     different : int
         Outputs (of the position cascade, or of all actuators) of which some bit differs in double precision.
+    beliefs : int
+        Periods of the estimator that were compared; none on ideal sensors.
+    beliefs_different : int
+        Of these, after which some bit of its memory differs.
     worst_single : float
         Greatest difference of an actuator in single precision, over its full range (1).
     """
@@ -61,8 +72,11 @@ class SilResult:
     mission: str
     seed: int
     outcome: str
+    faults: str
     periods: int
     different: int
+    beliefs: int
+    beliefs_different: int
     worst_single: float
 
 
@@ -134,6 +148,32 @@ class _Twins(Controllers):
         return Actuators(right[:2], right[2:])
 
 
+class _TwinEstimators(Estimator):
+    """Python believes; the exported code is told the same, and compared in all that it remembers."""
+
+    def __init__(self, vehicle: Vehicle, world: World, rate_Hz: float) -> None:
+        self._python = KalmanEstimator(vehicle, world, rate_Hz, code="numba")
+        self._c = KalmanEstimator(vehicle, world, rate_Hz, code="c")
+        self.periods = self.different = 0
+
+    def update(self, readings: Readings, acting: _Array | None = None) -> Estimate:
+        told = self._python.update(readings, acting)
+        also = self._c.update(readings, acting)
+        self.periods += 1
+        self.different += told.valid != also.valid or remembered(self._python) != remembered(self._c)
+        return told
+
+    def reset(self) -> None:
+        self._python.reset()
+        self._c.reset()
+
+
+def remembered(estimator: KalmanEstimator) -> bytes:
+    """All that an estimator of either language remembers."""
+    memory = estimator.memory
+    return memory.tobytes()[: memory.dtype.fields[PYTHON_ALONE[0]][1]]
+
+
 def sil(
     vehicle: Vehicle,
     missions: Sequence[str],
@@ -141,6 +181,8 @@ def sil(
     flights: int = 1,
     wind: float | None = None,
     gust: float | None = None,
+    sensors: Literal["fitted", "ideal"] = "fitted",
+    faults: Sequence[Fault] = (),
     on_flight: Callable[[SilResult], None] | None = None,
 ) -> list[SilResult]:
     """Fly missions and compare the exported code with Python in every period.
@@ -154,6 +196,10 @@ def sil(
         Of each mission, with seeds from 0 on.
     wind, gust : float, optional
         Steady wind from the south and gusts (m/s), instead of the missions'.
+    sensors : "fitted" or "ideal"
+        What it flies on; the estimator is compared on fitted ones.
+    faults : sequence of Fault
+        Of the sensors.
     on_flight : callable, optional
         Told every result as it comes.
 
@@ -174,13 +220,19 @@ def sil(
                 kept.append(_Twins(c, double, single))
                 return kept[-1]
 
+            felt = sensors == "fitted" and vehicle.sensors is not None
+            believing = _TwinEstimators(vehicle, mission.world, controller.rate_Hz) if felt else None
             record = fly(
                 vehicle, mission, controller=controller, seed=seed, gust=gust, controllers=make,
-                wind=None if wind is None else [wind, 0.0, 0.0],
+                wind=None if wind is None else [wind, 0.0, 0.0], estimator=believing,
+                sensors="fitted" if felt else "ideal", faults=faults,
             )  # fmt: skip
             one = SilResult(
                 mission=mission.name or name, seed=seed, outcome=record.attrs["outcome"],
+                faults=" ".join(map(str, faults)),
                 periods=sum(t.periods for t in twins), different=sum(t.different for t in twins),
+                beliefs=0 if believing is None else believing.periods,
+                beliefs_different=0 if believing is None else believing.different,
                 worst_single=max(t.worst_single for t in twins),
             )  # fmt: skip
             results.append(one)

@@ -1,4 +1,4 @@
-"""``mufly firmware``: the control law as C99, exported, and proved equal to the simulation's."""
+"""``mufly firmware``: control law and estimator as C99, exported, and proved equal to the simulation's."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import typer
 
 from mufly.cli.options import Commands, JsonOption, argument, option
 from mufly.cli.present import answer, print_json, print_table, progress_bar, say, tell_files, writing
+from mufly.cli.station import FaultOption, SensorsOption, check_sensors
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from mufly.vehicle import Vehicle
 
 app = Commands(
-    help="The control law as C99 for a board: exported with a vehicle's numbers, flown, proved equal "
+    help="Control law and estimator as C99 for a board: exported with a vehicle's numbers, flown, proved equal "
     "(docs/firmware.md).",
     no_args_is_help=True,
 )
@@ -80,12 +81,15 @@ def sil(
         float | None, option("--wind M/S", "Steady wind from the south.", min=-5.0, max=5.0)
     ] = None,
     gust: Annotated[float | None, option("--gust M/S", "Gusts.", min=0.0, max=3.0)] = None,
+    sensors: SensorsOption = "fitted",
+    fault: FaultOption = None,
     fixed_point: _FixedOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Fly missions in Python and compare the exported code, bit by bit, in every period (software in the loop).
 
-    With --fixed-point the code in whole numbers flies by itself, beside a flight in double precision.
+    On fitted sensors the estimator too, in all that it remembers. With --fixed-point the code in whole numbers flies by
+    itself, beside a flight in double precision.
 
     Needs a C compiler. Ends with status 1 if a bit differs, or a whole number overflows.
     """
@@ -96,8 +100,12 @@ def sil(
     if fixed_point:
         if wind is not None or gust is not None:
             raise InputError("--fixed-point", "", "chooses its own gusts", "leave out --wind and --gust")
+        if fault:
+            raise InputError("--fixed-point", "", "flies on what is true", "leave out --fault")
         _fly_fixed(load_vehicle(vehicle), names, flights, as_json)
         return
+    helicopter = load_vehicle(vehicle)
+    faults = check_sensors(helicopter, sensors, fault)
     done = 0
     with progress_bar("flights", not as_json) as progress:
 
@@ -108,28 +116,38 @@ def sil(
                 progress(done, len(names) * flights)
 
         results = compare(
-            load_vehicle(vehicle), names, flights=flights, wind=wind, gust=gust, on_flight=flown
-        )
+            helicopter, names, flights=flights, wind=wind, gust=gust, faults=faults, on_flight=flown,
+            sensors="ideal" if sensors == "ideal" else "fitted",
+        )  # fmt: skip
     answer(as_json, lambda: {"flights": results}, lambda: _print_sil(results))
-    if any(r.different for r in results):
+    if any(r.different + r.beliefs_different for r in results):
         raise typer.Exit(1)
 
 
 def _print_sil(results: list[SilResult]) -> None:
     print_table(
-        ("mission", "seed", "outcome", "periods", "differ", "single precision off by"),
+        ("mission", "seed", "outcome", "law", "differ", "estimator", "differ", "single precision off by"),
         [
-            (r.mission, str(r.seed), r.outcome, str(r.periods), str(r.different), f"{r.worst_single:.1e}")
+            (
+                r.mission, str(r.seed), r.outcome, str(r.periods), str(r.different), str(r.beliefs),
+                str(r.beliefs_different), f"{r.worst_single:.1e}",
+            )
             for r in results
         ],
         text=(0, 2),
-    )
-    periods, off = sum(r.periods for r in results), sum(r.different for r in results)
-    if off:
-        say(f"{off} of {periods} periods differ: the exported code is not what was flown.", style="red")
+    )  # fmt: skip
+    law, estimator = sum(r.periods for r in results), sum(r.beliefs for r in results)
+    off = sum(r.different for r in results), sum(r.beliefs_different for r in results)
+    if any(off):
+        say(
+            f"{off[0]} of {law} periods of the law and {off[1]} of {estimator} of the estimator differ: the exported "
+            "code is not what was flown.",
+            style="red",
+        )
     else:
         say(
-            f"No bit differs in {periods} periods. Single precision: greatest difference over an actuator's range."
+            f"No bit differs in {law} periods of the law and {estimator} of the estimator. Single precision: the law's "
+            "greatest difference over an actuator's range."
         )
 
 
