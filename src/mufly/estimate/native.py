@@ -33,7 +33,7 @@ from mufly.rotor import maps
 from mufly.toolchain import FLAGS, kept_library
 from mufly.vehicle import Vehicle
 
-PROVED = "09644c809f792b2a"
+PROVED = "cb1484dcdfa28a19"
 """Stamp of the Python sources (:func:`stamp`) to which C was last proved equal."""
 
 SOURCES = ("estimate", "fusing", "guards", "factors", "motion", "flight_model", "real")
@@ -212,4 +212,6 @@ def _words(function: ast.FunctionDef) -> Iterator[str]:
     for part in body:
         for node in ast.walk(part):
             yield type(node).__name__
-            yield from (repr(v) for k, v in ast.iter_fields(node) if isinstance(v, (str, int, float)) and k != "kind")
+            yield from (
+                repr(v) for k, v in ast.iter_fields(node) if isinstance(v, (str, int, float)) and k != "kind"
+            )
