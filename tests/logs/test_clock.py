@@ -16,6 +16,7 @@ from mufly.logs import (
     usable_samples,
     write_log,
 )
+from mufly.logs.topics import foreign_stamps
 
 TIME = 0.01 * np.arange(500)
 
@@ -69,6 +70,39 @@ def test_rows_in_disorder_are_refused():
         usable_samples(np.random.default_rng(0).permutation(TIME), "log.csv", "")
 
 
+def test_a_few_swaps_in_a_long_record_are_no_reset_and_many_are():
+    time = 0.01 * np.arange(10_000)
+    for swaps, reset in ((195, False), (205, True)):
+        places = 40 * np.arange(1, swaps + 1)
+        order = np.arange(10_000)
+        order[places], order[places + 1] = places + 1, places
+        report = check_clock(time[order])
+        assert (report.backward, report.reset) == (swaps, reset)
+        assert report.back_s == pytest.approx(0.01)
+        assert report.first_back == 41
+    few = np.arange(100)
+    few[[10, 11, 20, 21, 30, 31]] = few[[11, 10, 21, 20, 31, 30]]
+    assert not check_clock(time[few]).reset  # three may be in any record
+
+
+def test_the_clock_of_a_log_is_that_of_most_topics_not_of_the_longest():
+    board = {name: 10.0 + 0.1 * np.arange(20) for name in ("imu", "baro")}
+    utc = {"gps": 1.7e9 + 0.01 * np.arange(5000)}
+    foreign, words = foreign_stamps(board | utc)
+    assert {name: f.all() for name, f in foreign.items()} == {"imu": False, "baro": False, "gps": True}
+    assert len(words) == 1
+    assert words[0].startswith("gps: ")
+    # Of equals the one with more stamps; where no clock has the half of them nobody can say.
+    foreign, _ = foreign_stamps({"imu": board["imu"]} | utc)
+    assert foreign["imu"].all()
+    assert not foreign["gps"].any()
+    foreign, words = foreign_stamps(
+        {"imu": board["imu"], "clock": 3e8 + board["imu"], "week": 6e5 + board["imu"]}
+    )
+    assert not any(f.any() for f in foreign.values())
+    assert words == []
+
+
 def test_a_clock_that_stands_still_says_so():
     assert check_clock(np.full(100, 3.0)).words() == ["the clock stands still"]
 
@@ -97,6 +131,10 @@ def test_a_held_signal_keeps_its_last_value():
         np.array([0.0, 1.0, 2.0]), np.array([5.0, 6.0, 7.0]), np.array([0.0, 0.5, 1.0, 1.9, 2.0]), hold=True
     )
     assert out.tolist() == [5, 5, 6, 6, 7]
+    later = resample(
+        np.arange(100.0, 103.0), np.arange(3.0), np.array([99.5, 102.4, 103.0, 103.5]), hold=True
+    )
+    np.testing.assert_array_equal(later, [np.nan, 2.0, 2.0, np.nan])  # the last one for as long as a step
 
 
 def test_a_gap_stays_a_gap():
