@@ -48,6 +48,7 @@ def test_the_first_recording_may_stand_beside_that_of_the_vehicle(tmp_path):
 
 def test_signals_messages_and_marks_are_kept(tmp_path):
     world, recorder, _ = recorded(tmp_path, MockVehicle(rate_Hz=100.0))
+    world.run(2.0)  # it is begun later than the vehicle
     recorder.start()
     world.run(5.0)
     assert recorder.mark("look here")
