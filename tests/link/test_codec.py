@@ -3,8 +3,19 @@
 import numpy as np
 import pytest
 
-from mufly.link import Codec, Encoder, mavlink
-from mufly.link.codec import FRAME_MOST, single, text_of, within
+from mufly.errors import InputError
+from mufly.link import Codec, Encoder, Origin, TextPieces, Texts, mavlink
+from mufly.link.codec import (
+    FLOAT_MOST,
+    FRAME_MOST,
+    NOT_GIVEN,
+    parse_origin,
+    scaled,
+    single,
+    text_of,
+    unscaled,
+    within,
+)
 
 
 def attitude(k=0):
@@ -138,3 +149,107 @@ def test_fields_hold_what_they_can():
     assert within(float("nan"), -5, 5, unknown=3) == 3
     assert within(1e30, -5, 5) == 5
     assert text_of("x" * 49 + "ö") == b"x" * 49
+
+
+def test_a_number_heard_before_is_the_same_packet_for_a_second_and_then_a_new_one(encode):
+    (frame,) = frames(encode, 1)
+    codec = Codec()
+    assert len(codec.receive(500.0, "a", frame)) == 1
+    assert not codec.receive(500.95, "a", frame)
+    assert len(codec.receive(501.05, "a", frame)) == 1  # said anew by a program that was started again
+    assert len(Codec(keep_duplicates=True).receive(500.0, "a", frame * 3)) == 3
+
+
+@pytest.mark.parametrize(("number", "lost", "late"), [(31, 30, 0), (192, 191, 0), (200, 0, 0), (230, 0, 1)])
+def test_far_ahead_is_lost_far_away_is_started_anew_and_a_little_behind_is_late(encode, number, lost, late):
+    """Numbers go round at 256: up to 192 on are taken for losses, up to 31 back for packets that were overtaken."""
+    sent = frames(encode, 256)
+    codec = Codec()
+    codec.receive(7.0, "a", sent[0])
+    assert len(codec.receive(7.5, "a", sent[number])) == 1
+    counts = codec.counts("a")
+    assert (counts.lost, counts.reordered) == (lost, late)
+    assert counts.loss == pytest.approx(lost / (lost + 2))
+    follows = codec.receive(7.6, "a", sent[(number + 1) % 256] if not late else sent[1])
+    assert len(follows) == 1
+    assert codec.counts("a").lost == lost
+
+
+def test_what_is_late_was_not_lost_and_what_is_unheard_has_no_loss(encode):
+    assert Codec().counts("nobody").loss == 0.0
+    sent = frames(encode, 40)
+    codec = Codec()
+    for k in (0, 20, 5):
+        codec.receive(7.0, "a", sent[k])
+    assert codec.counts("a").lost == 18
+    assert len(codec.receive(7.0, "a", sent[5])) == 0
+    codec.forget("a")
+    assert codec.counts("a").received == 0
+
+
+def statustext(text, number, piece):
+    (message,) = Codec().receive(
+        0.0, "v", Encoder(1, 1)(mavlink.MAVLink_statustext_message(4, text, number, piece))
+    )
+    return message
+
+
+def test_a_line_whose_piece_was_lost_waits_two_seconds_and_ever_new_ones_push_the_oldest_out():
+    pieces = TextPieces()
+    full = b"x" * 50
+    assert pieces.take(500.0, statustext(full, 7, 0)) == []
+    assert pieces.take(500.1, statustext(b"end", 7, 2)) == []
+    assert pieces.overdue(501.9) == []
+    assert pieces.overdue(502.1) == [(4, "x" * 50 + "..." + "end")]
+    for number in range(1, 9):
+        assert pieces.take(600.0, statustext(full, number, 0)) == []
+    assert pieces.take(600.0, statustext(full, 9, 0)) == [(4, "x" * 50 + "...")]
+    assert pieces.take(600.0, statustext(b"", 2, 1)) == [(4, "x" * 50)]
+    assert len(pieces.overdue(602.5)) == 7
+
+
+def test_places_that_do_not_fit_are_not_given_and_numbers_go_round():
+    assert scaled(47.3769, 1e7) == 473_769_000
+    assert unscaled(473_769_000, 1e-7) == pytest.approx(47.3769)
+    for number in (1e3, -1e3, float("nan"), float("inf")):
+        assert scaled(number, 1e7) == NOT_GIVEN
+    assert np.isnan(unscaled(NOT_GIVEN, 1e-7))
+    assert within(-7.6, -5, 5) == -5
+    assert single(FLOAT_MOST) == FLOAT_MOST
+    texts = Texts()
+    texts._last_id = 65534
+    ids = [texts("long " * 20)[0].id for _ in range(3)]
+    assert ids == [65535, 1, 2]
+
+
+@pytest.mark.parametrize(("lat", "alt"), [(0.0, 0.0), (47.3769, 408.0), (-80.0, 4000.0)])
+def test_metres_of_a_degree_are_those_of_the_ellipsoid(lat, alt):
+    """Against the exact way: geodetic to earth-centred coordinates and into the plane (Groves, Sec. 2.4)."""
+    a, f = 6_378_137.0, 1.0 / 298.257223563
+    e2 = f * (2.0 - f)
+
+    def centred(lat_deg, lon_deg, height):
+        phi, lam = np.radians([lat_deg, lon_deg])
+        n = a / np.sqrt(1.0 - e2 * np.sin(phi) ** 2)
+        across = (n + height) * np.cos(phi)
+        return np.array([across * np.cos(lam), across * np.sin(lam), (n * (1.0 - e2) + height) * np.sin(phi)])
+
+    origin, phi, lam = Origin(lat, 8.5, alt), np.radians(lat), np.radians(8.5)
+    north = [-np.sin(phi) * np.cos(lam), -np.sin(phi) * np.sin(lam), np.cos(phi)]
+    place = origin.to_global(60.0, -40.0, -5.0)
+    away = centred(*place) - centred(lat, 8.5, alt)
+    tilt = 40.0**2 / 6e6 * abs(np.tan(phi)) + 1e-3  # what the plane leaves out
+    assert np.dot(away, north) == pytest.approx(60.0, abs=tilt)
+    assert np.dot(away, [-np.sin(lam), np.cos(lam), 0.0]) == pytest.approx(-40.0, abs=2 * tilt)
+    assert place[2] == pytest.approx(alt + 5.0)
+    assert origin.to_local(*place) == pytest.approx((60.0, -40.0, -5.0))
+    assert origin.to_local(place[0], place[1], 5.0, 3) == pytest.approx((60.0, -40.0, -5.0))
+    assert np.isnan(origin.to_local(lat, float("nan"), alt)[1])
+
+
+def test_origins_are_read_and_what_is_none_is_refused():
+    assert parse_origin("-85,180,9000") == Origin(-85.0, 180.0, 9000.0)
+    assert parse_origin("0,-180,-500").alt_m == -500.0
+    for text in ("1,2", "a,b,c", "nan,0,0", "85.1,0,0", "0,180.1,0", "0,0,-501", "0,0,9001"):
+        with pytest.raises(InputError, match="origin"):
+            parse_origin(text)

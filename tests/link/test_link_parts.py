@@ -188,6 +188,36 @@ def test_parameters_are_listed_read_and_set():
     rig.run(0.05)
     assert [p.param_index for p in gcs.all("PARAM_VALUE")] == [3]
     assert "NO_SUCH" in gcs.words
+    missing = [(e.param_id, e.param_index) for e in gcs.all("PARAM_ERROR")]
+    assert [index for _, index in missing] == [-1, -1, 9999]
+    assert missing[0][0] == "NO_SUCH"
+    # By name; the bounds themselves are taken; the last one of the list and none behind it.
+    gcs.heard.clear()
+    for value in (1.0, 300.0):
+        gcs.say(m.MAVLink_param_set_message(1, 1, b"COM_DL_LOSS_T", value, 9))
+    gcs.say(m.MAVLink_param_request_read_message(1, 1, b"COM_DL_LAND_T", -1))
+    for index in (listed[0].param_count - 1, listed[0].param_count):
+        gcs.say(m.MAVLink_param_request_read_message(1, 1, b"", index))
+    rig.run(0.05)
+    assert [p.param_value for p in gcs.all("PARAM_VALUE")] == [1.0, 300.0, 20.0, listed[-1].param_value]
+    assert gcs.last("PARAM_VALUE").param_id == names[-1]
+    assert gcs.last("PARAM_ERROR").param_index == listed[0].param_count
+    # What was changed by something else than a PARAM_SET is told within half a second, once.
+    gcs.heard.clear()
+    assert rig.link.autopilot.set_parameter("LIM_SPEED", 0.3)
+    rig.run(0.6)
+    assert [(p.param_id, p.param_value) for p in gcs.all("PARAM_VALUE")] == [
+        ("LIM_SPEED", pytest.approx(0.3))
+    ]
+    # A list that is asked for anew begins anew; sixteen at a time.
+    gcs.heard.clear()
+    gcs.say(m.MAVLink_param_request_list_message(1, 1))
+    rig.run(0.06)
+    gcs.say(m.MAVLink_param_request_list_message(1, 1))
+    rig.run(0.06)
+    again = [p.param_index for p in gcs.all("PARAM_VALUE")]
+    assert again.count(0) == 2
+    assert again == [*range(again.index(0, 1)), *range(len(again) - again.index(0, 1))]
 
 
 # modes, set-points, sticks

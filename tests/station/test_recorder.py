@@ -110,14 +110,13 @@ def test_it_can_be_read_up_to_the_last_second_after_a_kill(tmp_path):
 
 
 def test_a_full_disk_ends_the_recording_with_a_message_and_not_the_station(tmp_path, monkeypatch):
-    free = [57e6]
+    free, looked = [57e6], []
     usage = namedtuple("usage", "total used free")
-    monkeypatch.setattr(
-        shutil, "disk_usage", lambda place: usage(1e9, 1e9, free[0] if place.exists() else 0.0)
-    )
+    monkeypatch.setattr(shutil, "disk_usage", lambda place: looked.append(place) or usage(1e9, 1e9, free[0]))
     world, recorder, said = recorded(tmp_path / "not" / "there yet", MockVehicle())
     recorder.step(world.t)
-    assert recorder.free_bytes == 57e6  # of the folder that it will be made in
+    assert recorder.free_bytes == 57e6
+    assert looked == [tmp_path]  # the nearest folder that is there
     recorder.start()
     world.run(3.0)
     recorder.step(100.0)
