@@ -4,9 +4,11 @@ from mufly.firmware.checks import PilResult, SilResult, deepest_stack, missing_t
 from mufly.firmware.fixed import FixedLaw, FixedLoss, Proof, cascade_loss, fixed_law
 from mufly.firmware.fixed_checks import FixedFlight, fly_fixed, pil_fixed
 from mufly.firmware.fixed_law import FixedControllers, FixedFirmwareControllers, export_fixed
-from mufly.firmware.host import Firmware, FirmwareControllers, build, compiler
+from mufly.firmware.fuzzing import FuzzResult, fuzz, missing_fuzzer, run_fuzzer
+from mufly.firmware.host import Firmware, FirmwareControllers, build
 from mufly.firmware.onboard import FirmwareSoftware
 from mufly.firmware.tables import export, tables_c
+from mufly.toolchain import compiler
 
 __all__ = [
     "Firmware",
@@ -17,6 +19,7 @@ __all__ = [
     "FixedFlight",
     "FixedLaw",
     "FixedLoss",
+    "FuzzResult",
     "PilResult",
     "Proof",
     "SilResult",
@@ -28,9 +31,12 @@ __all__ = [
     "export_fixed",
     "fixed_law",
     "fly_fixed",
+    "fuzz",
+    "missing_fuzzer",
     "missing_tools",
     "pil",
     "pil_fixed",
+    "run_fuzzer",
     "sil",
     "tables_c",
 ]

@@ -25,7 +25,7 @@ from mufly.control import FlightController, design
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate, Estimator, KalmanEstimator
 from mufly.estimate.records import PYTHON_ALONE
-from mufly.firmware.host import FLAGS, Firmware, FirmwareControllers, compiler
+from mufly.firmware.host import Firmware, FirmwareControllers
 from mufly.firmware.tables import export
 from mufly.flight import fly
 from mufly.flight.software import Actuators, Controllers
@@ -33,6 +33,7 @@ from mufly.mission import load_mission
 from mufly.results import result
 from mufly.sensors import Readings
 from mufly.sensors.faults import Fault
+from mufly.toolchain import FLAGS, compiler
 from mufly.vehicle import Vehicle
 from mufly.world import World
 

@@ -24,12 +24,12 @@ from mufly.firmware.checks import (
 )
 from mufly.firmware.fixed import FixedLaw, fixed_law
 from mufly.firmware.fixed_law import FixedFirmwareControllers, export_fixed
-from mufly.firmware.host import compiler
 from mufly.firmware.tables import export
 from mufly.flight import fly
 from mufly.flight.software import Controllers
 from mufly.mission import Mission, load_mission
 from mufly.results import result
+from mufly.toolchain import compiler
 from mufly.vehicle import Vehicle
 
 BOARDS = {

@@ -21,9 +21,10 @@ from mufly.control import FlightController
 from mufly.errors import InputError
 from mufly.estimate import Estimate
 from mufly.firmware.fixed import ERRORS, FRACTION, FixedLaw, Rows, fixed_law
-from mufly.firmware.host import build, compiler, declarations
-from mufly.firmware.tables import comment, copy_sources
+from mufly.firmware.host import build, declarations
+from mufly.firmware.tables import comment, copy_fixed
 from mufly.flight.software import Actuators, Controllers
+from mufly.toolchain import compiler
 from mufly.version import __version__
 
 _Array = NDArray[np.floating[Any]]
@@ -149,7 +150,7 @@ def _c(value: Any, depth: int) -> str:
 def export_fixed(controller: FlightController, out: Path) -> FixedLaw:
     """Write ``fixed/`` into an exported tree: the law in whole numbers, with its tables, and return them."""
     law = fixed_law(controller)
-    copy_sources(out, fixed=True)
+    copy_fixed(out)
     (out / "fixed" / "tables_fixed.c").write_text(tables_fixed_c(controller, law))
     return law
 
@@ -406,7 +407,7 @@ def _loaded(text: str, cc: str) -> tuple[cffi.FFI, Any]:
     ffi = cffi.FFI()
     with tempfile.TemporaryDirectory(prefix="mufly-fixed-") as folder:
         tree = Path(folder) / "fw"
-        copy_sources(tree, fixed=True)
+        copy_fixed(tree)
         (tree / "fixed" / "tables_fixed.c").write_text(text)
         library = build(tree / "fixed", cc=cc)
         ffi.cdef(declarations(tree / "fixed"))

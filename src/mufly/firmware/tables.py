@@ -66,14 +66,20 @@ def write_tree(tables: str, out: Path, others: Mapping[str, str] | None = None) 
         (out / name).write_text(text)
 
 
-def copy_sources(out: Path, *, fixed: bool = False) -> None:
-    """Copy the sources without tables into a folder, with those in whole numbers or without."""
+def copy_sources(out: Path) -> None:
+    """Copy the sources without tables into a folder, but for those in whole numbers."""
     with resources.as_file(SOURCES) as sources:
-        shutil.copytree(
-            sources, out, dirs_exist_ok=True, ignore=None if fixed else shutil.ignore_patterns("*fixed*")
-        )
+        shutil.copytree(sources, out, dirs_exist_ok=True, ignore=shutil.ignore_patterns("*fixed*"))
     for name, text in estimate_files(None, None, 0.0).items():
         (out / name).write_text(text)
+
+
+def copy_fixed(out: Path) -> None:
+    """Copy the sources in whole numbers into a tree."""
+    with resources.as_file(SOURCES) as sources:
+        shutil.copytree(sources / "fixed", out / "fixed", dirs_exist_ok=True)
+        (out / "check").mkdir(exist_ok=True)
+        shutil.copy(sources / "check" / "selftest_fixed.c", out / "check")
 
 
 def tables_c(controller: FlightController) -> str:

@@ -250,3 +250,35 @@ def _print_pil(results: list[PilResult], fixed_point: bool) -> None:
     )  # fmt: skip
     how = "Whole numbers" if fixed_point else "Single precision"
     say(f"{how}, gcc -O2. Flash: code and numbers of the controllers; stack: deepest call of them.")
+
+
+@app.command()
+def fuzz(
+    vehicle: _VehicleOption = "mufly-1.1",
+    minutes: Annotated[float, option("--minutes MIN", "How long.", min=0.01, max=6000.0)] = 10.0,
+    seed: Annotated[int, option("--seed N", "Of the fuzzer's random numbers.", min=1)] = 1,
+    as_json: JsonOption = False,
+) -> None:
+    """Feed the exported code any bytes as readings, beliefs and commands, with clang's sanitizers on.
+
+    Needs clang with libFuzzer. Ends with status 1 if it crashes, does what C leaves undefined, or an output is out of
+    range; then the bytes that did it are printed.
+    """
+    from mufly.firmware import fuzz as feed
+    from mufly.vehicle import load_vehicle
+
+    result = feed(load_vehicle(vehicle), seconds=60.0 * minutes, seed=seed)
+
+    def tell() -> None:
+        say(
+            f"Fed: {', '.join(result.parts)}. {result.runs} inputs, {result.covered} places of the code reached."
+        )
+        if result.found:
+            say(result.found, style="red")
+            say(f"Bytes: {result.input_hex}")
+        else:
+            say("Nothing crashed, nothing undefined was done, no output was out of range.")
+
+    answer(as_json, lambda: {"fuzz": result}, tell)
+    if result.found:
+        raise typer.Exit(1)
