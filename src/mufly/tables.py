@@ -1,4 +1,4 @@
-"""From a TOML file to a checked model, with one clear line when it is wrong.
+"""From a TOML file to a checked model, with one clear line when it is wrong; and a text with columns, to its cells.
 
 Vehicles, missions and rotors are all read the same way: by the name of a built-in file or by path, parsed, and
 validated by a pydantic model. This module holds the parts that they share: finding and reading the file, and turning
@@ -8,6 +8,7 @@ pydantic's list of faults into the one line that a user can act on. A model's ow
 
 from __future__ import annotations
 
+import csv
 import difflib
 import json
 import tomllib
@@ -77,6 +78,46 @@ def read_tables(name_or_path: str | Path, folder: Traversable, kind: str) -> tup
         return tomllib.loads(text), where
     except tomllib.TOMLDecodeError as error:
         raise InputError(where, "", f"is not valid TOML ({error})", "correct that line") from error
+
+
+def text_columns(path: str | Path) -> tuple[list[str], list[tuple[int, list[str]]], bool]:
+    """Read a text whose first line names its columns.
+
+    Columns are set apart by comma, semicolon, tab or blanks; empty lines and lines that begin with ``#`` are skipped.
+
+    Returns
+    -------
+    headers : list of str
+    rows : list of (line number, cells)
+    decimal_comma : bool
+        Whether a comma in a number can only be a decimal one.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or has no line.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise InputError(str(path), "", f"cannot be read ({error.strerror})", "give a text file") from error
+    except UnicodeDecodeError as error:
+        raise InputError(str(path), "", "is no text in UTF-8", "save it as CSV, in UTF-8") from error
+    lines = [
+        (i, s) for i, s in enumerate(text.splitlines(), 1) if s.strip() and not s.lstrip().startswith("#")
+    ]
+    if not lines:
+        raise InputError(Path(path).name, "", "is empty", "give a header and at least one line")
+    head = lines[0][1]
+    delimiter = max(",;\t", key=head.count)
+    if delimiter not in head and len(lines) > 1 and len(head.split()) == len(lines[1][1].split()) > 1:
+        delimiter = " "  # columns set with blanks, as on propeller data sites
+
+    def cells(line: str) -> list[str]:
+        parts = line.split() if delimiter == " " else next(csv.reader([line], delimiter=delimiter))
+        return [part.strip() for part in parts]
+
+    return cells(head), [(i, cells(line)) for i, line in lines[1:]], delimiter != ","
 
 
 def validated(model: type[M], tables: Mapping[str, Any], where: str) -> M:

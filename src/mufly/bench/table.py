@@ -10,7 +10,6 @@ not matter. Other headers are passed over
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from collections.abc import Iterable
@@ -21,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import ArgumentError, InputError
+from mufly.tables import text_columns
 from mufly.units import conversion, known_unit
 
 Array = NDArray[np.float64]
@@ -121,8 +121,8 @@ def read_bench(path: str | Path, *, columns: str | None = None) -> BenchTable:
         If the file cannot be read, has no column that is understood, or a cell of a column in use is no number.
     """
     where = Path(path).name
-    numbered, delimiter, written = _lines(path)
-    if len(numbered) < 2:
+    written, numbered, decimal_comma = text_columns(path)
+    if not numbered:
         raise InputError(where, "", "holds no measurements", "give a header and at least one line")
     chosen, notes = _choose(renamed(written, columns, where), written)
     if not chosen:
@@ -130,16 +130,16 @@ def read_bench(path: str | Path, *, columns: str | None = None) -> BenchTable:
             where, "", f"no column is understood ({', '.join(written)})", "name quantity and unit, as torque_mNm, or "
             "map them with columns=OLD=NEW"
         )  # fmt: skip
-    rows = [_cells(s, delimiter) for _, s in numbered[1:]]
-    line = np.array([i for i, _ in numbered[1:]], dtype=np.int64)
+    rows = [cells for _, cells in numbered]
+    line = np.array([i for i, _ in numbered], dtype=np.int64)
     data: dict[str, Array] = {}
     for index, column in chosen:
-        cells = [row[index].strip() if index < len(row) else "" for row in rows]
+        cells = [row[index] if index < len(row) else "" for row in rows]
         if column.quantity == "run":
             data[column.name] = _labels(cells)
             continue
         values = [
-            _number(where, int(n), written[index], c, delimiter) for n, c in zip(line, cells, strict=True)
+            _number(where, int(n), written[index], c, decimal_comma) for n, c in zip(line, cells, strict=True)
         ]
         data[column.name] = np.array(values) * column.factor + column.offset
     unitless = tuple(c.name for _, c in chosen if c.unit == "" and not c.name.endswith("_raw"))
@@ -159,31 +159,7 @@ def header_of(path: str | Path) -> list[str]:
     InputError
         If the file cannot be read.
     """
-    return _lines(path)[2]
-
-
-def _lines(path: str | Path) -> tuple[list[tuple[int, str]], str, list[str]]:
-    """Return the lines that count, with their numbers, the delimiter and the headers."""
-    try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(str(path), "", f"cannot be read ({error.strerror})", "give a CSV file") from error
-    except UnicodeDecodeError as error:
-        raise InputError(str(path), "", "is no text in UTF-8", "save it as CSV, in UTF-8") from error
-    lines = [
-        (i, s) for i, s in enumerate(text.splitlines(), 1) if s.strip() and not s.lstrip().startswith("#")
-    ]
-    if not lines:
-        raise InputError(Path(path).name, "", "is empty", "give a header and at least one line")
-    head = lines[0][1]
-    delimiter = max(",;\t", key=head.count)
-    if delimiter not in head and len(lines) > 1 and len(head.split()) == len(lines[1][1].split()) > 1:
-        delimiter = " "  # columns set with blanks, as on propeller data sites
-    return lines, delimiter, [h.strip() for h in _cells(head, delimiter)]
-
-
-def _cells(line: str, delimiter: str) -> list[str]:
-    return line.split() if delimiter == " " else next(csv.reader([line], delimiter=delimiter))
+    return text_columns(path)[0]
 
 
 def _choose(headers: list[str], written: list[str]) -> tuple[list[tuple[int, Column]], list[str]]:
@@ -214,11 +190,11 @@ def _labels(cells: list[str]) -> Array:
     return np.array([known.setdefault(c, float(len(known))) for c in cells])
 
 
-def _number(where: str, line: int, header: str, cell: str, delimiter: str) -> float:
+def _number(where: str, line: int, header: str, cell: str, decimal_comma: bool) -> float:
     if not cell:
         return math.nan
     try:
-        value = float(cell if delimiter == "," else cell.replace(",", "."))
+        value = float(cell.replace(",", ".") if decimal_comma else cell)
     except ValueError:
         raise InputError(where, f"line {line}, {header}", f"{cell!r} is not a number", "give one") from None
     if not math.isfinite(value):

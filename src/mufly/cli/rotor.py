@@ -141,6 +141,61 @@ def show(
         c.print(f"Picture: {picture}")
 
 
+@app.command("import")
+def import_blade(
+    blade: Annotated[
+        Path,
+        argument(
+            "FILE", "APC's ...-PERF.PE0, UIUC's geometry (r/R c/R beta), or a table with units in its header."
+        ),
+    ],
+    diameter: Annotated[
+        str | None, option("LENGTH", "Of the rotor, as 5in or 127mm; needed where the file gives ratios.")
+    ] = None,
+    blades: Annotated[int | None, option("N", "Number of blades.", min=1, max=20)] = None,
+    airfoil: Annotated[
+        str | None, option("NAME", "Airfoil of the whole blade, instead of the file's.")
+    ] = None,
+    name: Annotated[str | None, option("NAME", "Name of the rotor.")] = None,
+    out: Annotated[Path | None, option("--out FILE.toml", "Write the rotor file.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Make a rotor file of somebody else's table of a blade; what had to be guessed is said.
+
+    Examples: mufly rotor import da4002_5x3.75_geom.txt --diameter 5in --airfoil sda1075.dat --out da.toml; mufly rotor
+    import 10x7E-PERF.PE0 --out apc.toml; mufly rotor import calipers.csv (r_mm, chord_mm, beta_deg) --blades 2
+    """
+    from mufly.errors import InputError
+    from mufly.rotor import read_blade, rotor_toml
+    from mufly.study import parse_quantity
+
+    if out is not None and out.suffix != ".toml":
+        raise InputError("--out", str(out), "is no rotor file", "give a name that ends with .toml")
+    radius = None
+    if diameter is not None:
+        try:
+            radius = 0.5 * float(parse_quantity("radius", diameter))
+        except InputError as error:
+            raise InputError("--diameter", "", error.problem, "write for example 5in or 127mm") from None
+    found = read_blade(blade, radius_m=radius, blades=blades, airfoil=airfoil, name=name)
+    r = found.rotor
+    if out is not None:
+        with writing(out):
+            out.write_text(rotor_toml(r), encoding="utf-8")
+    if as_json:
+        print_json({"name": r.name, **_geometry(r), "airfoils": r.airfoil_names(), "notes": found.notes})
+        return
+    c = console()
+    c.print(
+        f"[bold]{r.name}[/bold]: {r.blades} blades, R {1e3 * r.radius_m:g} mm, {len(r.blade.chord.value)} stations, "
+        f"solidity {r.solidity:.3f}, airfoils {', '.join(r.airfoil_names())}",
+        highlight=False,
+    )
+    for note in found.notes:
+        c.print(f"Note: {note}", style="yellow", highlight=False)
+    c.print(f"Written: {out}" if out is not None else "Nothing written; add --out FILE.toml")
+
+
 @app.command()
 def hover(
     rotor: RotorArgument = "naca4412-r60-c20",

@@ -2,6 +2,7 @@
 
 from mufly.rotor.airfoil import Airfoil, database_airfoils, load_airfoil
 from mufly.rotor.bemt import BatchResult, hover, hover_batch
+from mufly.rotor.blade_files import read_blade
 from mufly.rotor.blading import PLAIN, Blading, Corrections, prepare
 from mufly.rotor.engines import polar, polars
 from mufly.rotor.fitting import Band, Doubt, RotorFit, fit_rotor, interval
@@ -69,6 +70,7 @@ __all__ = [
     "polar",
     "polars",
     "prepare",
+    "read_blade",
     "replace_rotor",
     "rotor_from",
     "rotor_toml",

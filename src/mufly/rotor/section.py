@@ -16,7 +16,6 @@ entry that cannot be read is passed over in silence: the engine just computes ag
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import math
 import os
@@ -30,6 +29,7 @@ from numpy.typing import NDArray
 from platformdirs import user_cache_path
 
 from mufly.errors import InputError
+from mufly.tables import text_columns
 
 Array = NDArray[np.float64]
 
@@ -119,29 +119,21 @@ def _at_log_reynolds(table: Array, own: Array, wanted: Array) -> Array:
 
 
 def _rows(path: Path, where: str) -> list[tuple[int, dict[str, str]]]:
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(where, "", f"cannot be read ({error})", "give a CSV file in UTF-8") from error
-    numbered = [
-        (n, line) for n, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")
-    ]
-    if not numbered:
-        raise InputError(where, "", "is empty", f"give the columns {', '.join(_NEEDED)}")
-    header = [name.strip().lower() for name in next(csv.reader([numbered[0][1]]))]
+    written, rows, decimal_comma = text_columns(path)
+    header = [name.lower() for name in written]
     for name in _NEEDED:
         if name not in header:
             raise InputError(where, name, "the column is missing", f"give the columns {', '.join(_NEEDED)}")
     for name in header:
         if name not in _KNOWN:
             raise InputError(where, name, "unknown column", f"known columns: {', '.join(_KNOWN)}")
-    rows = []
-    for number, line in numbered[1:]:
-        cells = next(csv.reader([line]))
+    for number, cells in rows:
         if len(cells) != len(header):
             raise InputError(where, f"line {number}", f"{len(cells)} cells", f"give {len(header)}")
-        rows.append((number, dict(zip(header, cells, strict=True))))
-    return rows
+    return [
+        (n, dict(zip(header, (c.replace(",", ".") if decimal_comma else c for c in cells), strict=True)))
+        for n, cells in rows
+    ]
 
 
 def _blocks(rows: list[tuple[int, dict[str, str]]], where: str) -> dict[float, Array]:

@@ -19,7 +19,7 @@ from mufly.units import factor_of
 
 Value = float | str
 
-_LENGTH = ("mm", "cm", "m")
+_LENGTH = ("mm", "cm", "m", "in")
 _ANGLE = ("deg", "rad")
 _SPEED = ("rpm", "rad/s")
 _RATIO = ("", "%")

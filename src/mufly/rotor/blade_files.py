@@ -1,0 +1,254 @@
+"""Blades as others write them down: tables of radius, chord and angle, UIUC's and APC's own files.
+
+A table is any text that :func:`mufly.tables.text_columns` reads. A column is known by its name, its unit stands in the
+header; a length without one is refused, an angle without one is in degrees.
+
+=======  =====================================================================================================
+radius   ``r/R``, ``r_over_R``, ``x``; or a length: ``r_mm``, ``radius (in)``, ``station``
+chord    ``c/R``, ``c_over_R``; or a length: ``chord_mm``, ``c [in]``
+angle    ``beta``, ``twist``, ``angle``, ``pitch``
+airfoil  ``airfoil``, ``section``: a name a station; it may be left out
+=======  =====================================================================================================
+
+APC's ``...-PERF.PE0`` files name radius, number of blades, and for each station (inches, degrees) chord, ratio of
+thickness and twist; below the table stand the airfoil within a first radius and the one beyond a second, blended in
+between (here one becomes the other in the middle). An airfoil whose coordinates APC keeps to itself (``APC12`` and its
+like) is replaced by NACA 4412, which APC calls similar, and that is said. Stations with a chord below a thousandth of
+the radius, as at tips that end in a point, are left out, and the last one is held to the tip.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.errors import ArgumentError, InputError
+from mufly.rotor.airfoil import load_airfoil
+from mufly.rotor.geometry import Rotor, rotor_from
+from mufly.tables import text_columns
+from mufly.units import conversion, split_header, units_of
+
+Array = NDArray[np.float64]
+
+_OVER_R = {"radius": ("r/r", "r_over_r", "x", "r_r"), "chord": ("c/r", "c_over_r", "c_r")}
+_LENGTH = {"radius": ("r", "radius", "station"), "chord": ("c", "chord")}
+_ANGLE, _FOIL = ("beta", "twist", "angle", "pitch", "theta"), ("airfoil", "section")
+_INCH = 0.0254
+_STAND_IN = "naca4412"
+_LEAST_CHORD = 1e-3  # of the radius
+
+
+class Read(NamedTuple):
+    """A rotor, and what was guessed of it in words."""
+
+    rotor: Rotor
+    notes: tuple[str, ...]
+
+
+def read_blade(
+    path: str | Path,
+    *,
+    radius_m: float | None = None,
+    blades: int | None = None,
+    airfoil: str | None = None,
+    name: str | None = None,
+) -> Read:
+    """Read a rotor from a table of stations, UIUC's geometry or APC's ``PE0``.
+
+    Parameters
+    ----------
+    path : str or Path
+    radius_m : float, optional
+        Of the rotor; needed where the file gives only ratios, otherwise it is the last station's.
+    blades : int, optional
+        Default: what the file says, or 2.
+    airfoil : str, optional
+        Of the whole blade, whatever the file says. Default: the file's, or NACA 4412.
+    name : str, optional
+        Default: the file's.
+
+    Raises
+    ------
+    InputError
+        If the file is none of these, a column is missing, or a value is not possible.
+    """
+    where = Path(path).name
+    if radius_m is not None and not 0.0 < radius_m < 100.0:
+        raise ArgumentError("radius", f"{radius_m:g} m", "is not possible", "give a length above 0")
+    notes: list[str] = []
+    if Path(path).suffix.lower() == ".pe0":
+        r, chord, twist, foils, radius, count = _apc(Path(path), notes)
+    else:
+        r, chord, twist, foils, radius, count = _table(path, radius_m, notes)
+    radius = radius_m or radius
+    if airfoil is not None:
+        foils = [airfoil]
+    keep = (r <= radius * (1 + 1e-6)) & (chord > _LEAST_CHORD * radius)
+    if not keep.all():
+        notes.append(f"{int((~keep).sum())} station(s) beyond the tip or without chord left out")
+    if keep.sum() < 2:
+        raise InputError(where, "", "has fewer than two stations within the radius", "check radius and units")
+    r, chord, twist = r[keep], chord[keep], twist[keep]
+    foils = [f for f, k in zip(foils, keep, strict=True) if k] if len(foils) > 1 else foils
+    x = r / radius
+    if x[-1] < 1.0 - 1e-6:
+        notes.append(f"the last station ({x[-1]:.3f} R) is held to the tip")
+        x, chord, twist = np.append(x, 1.0), np.append(chord, chord[-1]), np.append(twist, twist[-1])
+        foils = [*foils, foils[-1]] if len(foils) > 1 else foils
+    x[-1] = 1.0
+    blades = blades or count
+    if blades is None:
+        blades = 2
+        notes.append("two blades, since the file does not say")
+    source = {"source": "datasheet", "note": f"from {where}"}
+    rotor = rotor_from(
+        {
+            "name": name or Path(path).stem.lower(),
+            "description": f"from {where}",
+            "blades": blades,
+            "radius": {"value": radius, "unit": "m", **source},
+            "hub_cutout": {"value": float(min(max(x[0], 0.0), 0.9)), "unit": "1", "source": "estimated",
+                           "note": "the first station"},
+            "blade": {
+                "r_over_R": {"value": x.tolist(), "unit": "1", **source},
+                "chord": {"value": chord.tolist(), "unit": "m", **source},
+                "twist": {"value": twist.tolist(), "unit": "rad", **source},
+                "airfoils": foils if len(set(foils)) > 1 else foils[:1],
+            },
+        },
+        where,
+    )  # fmt: skip
+    return Read(rotor, tuple(notes))
+
+
+_Stations = tuple[Array, Array, Array, list[str], float, int | None]
+
+
+def _table(path: str | Path, radius_m: float | None, notes: list[str]) -> _Stations:
+    where = Path(path).name
+    headers, rows, decimal_comma = text_columns(path)
+    known: dict[
+        str, tuple[int, float]
+    ] = {}  # quantity: column, and what one of it is in SI (R for ratios: below 0)
+    for k, header in enumerate(headers):
+        stem, unit = split_header(header)
+        low, whole = stem.lower(), header.lower()
+        for quantity in ("radius", "chord"):
+            if whole in _OVER_R[quantity]:
+                known.setdefault(quantity, (k, -1.0))
+            elif low in _LENGTH[quantity]:
+                if unit not in units_of("m"):
+                    said = f"has the unit {unit!r}" if unit else "has no unit"
+                    raise InputError(where, header, said, f"name a length's, as {stem}_mm or {stem} (in)")
+                known.setdefault(quantity, (k, conversion(unit, "m")[1]))
+        if low in _ANGLE or whole in _ANGLE:
+            known.setdefault("twist", (k, conversion(unit or "deg", "rad")[1]))
+        if whole in _FOIL:
+            known.setdefault("airfoil", (k, 1.0))
+    for quantity, example in (("radius", "r/R or r_mm"), ("chord", "c/R or chord_mm"), ("twist", "beta_deg")):
+        if quantity not in known:
+            raise InputError(
+                where, quantity, f"is not among the columns ({', '.join(headers)})", f"name it {example}"
+            )
+    if radius_m is None and min(known["radius"][1], known["chord"][1]) < 0.0:
+        raise ArgumentError("radius", "", "is not known: the file gives ratios", "give the rotor's radius")
+
+    def column(quantity: str) -> Array:
+        index, factor = known[quantity]
+        scale = factor if factor > 0.0 else radius_m or math.nan
+        return np.array(
+            [scale * _number(where, n, cells, index, headers, decimal_comma) for n, cells in rows]
+        )
+
+    r, chord, twist = column("radius"), column("chord"), column("twist")
+    if "airfoil" in known:
+        foils = [cells[known["airfoil"][0]] for _, cells in rows]
+    else:
+        foils = [_STAND_IN]
+        notes.append(f"airfoil {_STAND_IN}, since the file names none; `mufly rotor fit` asks a bench for it")
+    return r, chord, twist, foils, radius_m or float(r.max(initial=0.0)), None
+
+
+def _number(
+    where: str, line: int, cells: list[str], index: int, headers: list[str], decimal_comma: bool
+) -> float:
+    cell = cells[index] if index < len(cells) else ""
+    try:
+        value = float(cell.replace(",", ".") if decimal_comma else cell)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(where, f"line {line}, {headers[index]}", f"{cell!r} is no number", "give one")
+    return value
+
+
+def _apc(path: Path, notes: list[str]) -> _Stations:
+    where = path.name
+    try:
+        lines = path.read_text(encoding="latin-1").splitlines()
+    except OSError as error:
+        raise InputError(where, "", f"cannot be read ({error.strerror})", "give a PE0 file") from error
+    text = "\n".join(lines)
+    head = next((k for k, line in enumerate(lines) if line.split()[:2] == ["STATION", "CHORD"]), None)
+    radius, count = re.search(r"RADIUS:\s*([\d.]+)", text), re.search(r"BLADES:\s*(\d+)", text)
+    if head is None or radius is None:
+        raise InputError(
+            where, "", "has no table of STATION and CHORD, or no RADIUS", "give APC's ...-PERF.PE0"
+        )
+    names = lines[head].split()
+    table: list[list[float]] = []
+    for line in lines[head + 1 :]:
+        cells = line.split()
+        try:
+            values = [float(c) for c in cells]
+        except ValueError:
+            if table:
+                break
+            continue
+        if values and len(values) != len(names):
+            raise InputError(
+                where, line.strip()[:40], f"has {len(values)} numbers", f"there are {len(names)} columns"
+            )
+        if values:
+            table.append(values)
+        elif table:
+            break
+    if "TWIST" not in names or len(table) < 2:
+        raise InputError(where, "", "has no stations with a TWIST", "give APC's ...-PERF.PE0")
+    data = np.array(table)
+    r = _INCH * data[:, names.index("STATION")]
+    ends = [re.search(rf"AIRFOIL{k}:\s*([\d.]+)\s*,\s*([^\s(,]+(?: \d+)?)", text) for k in (1, 2)]
+    foils = [_STAND_IN] * r.size
+    if all(ends):
+        (from_m, inner), (to_m, outer) = (
+            (_INCH * float(e[1]), _known(e[2], notes)) for e in ends if e is not None
+        )
+        middle = 0.5 * (from_m + to_m)
+        foils = [inner if here <= middle else outer for here in r.tolist()]
+        if inner != outer:
+            notes.append(
+                f"{inner} becomes {outer} at {1e3 * middle:.1f} mm; APC blends them from {1e3 * from_m:.1f} to "
+                f"{1e3 * to_m:.1f} mm, and scales their thickness"
+            )
+    else:
+        notes.append(f"airfoil {_STAND_IN}, since the file names none")
+    chord, twist = _INCH * data[:, names.index("CHORD")], np.radians(data[:, names.index("TWIST")])
+    return r, chord, twist, foils, _INCH * float(radius[1]), int(count[1]) if count else None
+
+
+def _known(name: str, notes: list[str]) -> str:
+    """The airfoil of APC's name, or what stands for it."""
+    low = re.sub(r"[\s-]", "", name.lower())
+    if low == "clarky":
+        return low
+    try:
+        load_airfoil(low)
+    except InputError:
+        notes.append(f"{name} is not published: {_STAND_IN} in its place")
+        return _STAND_IN
+    return low

@@ -1,0 +1,99 @@
+"""Blades as others write them: UIUC's, APC's, calipers'; in foreign units, with what must be refused."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from numpy.testing import assert_allclose
+
+from mufly.errors import InputError, MuflyError
+from mufly.rotor import load_rotor, read_blade, rotor_toml
+
+UIUC = """  r/R     c/R     beta
+ 0.15   0.160   31.68
+ 0.50   0.200   20.00
+ 1.00   0.080    9.00
+"""
+# Layout of APC's files; the numbers are made up.
+APC = """     5x4-PERF.PE0           5x4
+
+  STATION      CHORD     PITCH     PITCH     PITCH      SWEEP  {rake}  THICKNESS  TWIST    MAX-THICK  CROSS-SECTION
+    (IN)       (IN)    (QUOTED)   (LE-TE)  (PRATHER)    (IN)   {inch}    RATIO    (DEG)      (IN)        (IN**2)
+
+    0.5000     0.5000    4.0000    3.9000    3.8000    0.2000  {zero}   0.2000    51.8500     0.1000      0.0300
+    1.5000     0.6000    4.0000    3.9000    3.8000    0.2000  {zero}   0.1200    22.9900     0.0720      0.0300
+    2.4000     0.3000    4.0000    3.9000    3.8000    0.1000  {zero}   0.1000    14.8600     0.0300      0.0060
+    2.5000     0.0000    4.0000    3.9000    3.8000    0.0000  {zero}   0.1000    14.2800     0.0000      0.0000
+
+ RADIUS:      2.50   PROPELLER RADIUS (IN)
+ HUBTRA:      0.60   HUB TRANSITION (IN)
+ BLADES:         3   NUMBER OF BLADES
+ AIRFOIL1:    0.80, E63
+ AIRFOIL2:    1.60, APC12
+"""
+
+
+def written(tmp_path, name, text):
+    (tmp_path / name).write_text(text)
+    return tmp_path / name
+
+
+def test_uiucs_geometry_with_its_diameter(tmp_path):
+    r, notes = read_blade(written(tmp_path, "p.txt", UIUC), radius_m=0.0635, airfoil="clarky")
+    assert (r.blades, r.airfoil_names(), r.radius_m) == (2, ("clarky",), 0.0635)
+    assert_allclose(r.chord_m([0.15, 0.5, 1.0]), [0.0635 * 0.16, 0.0635 * 0.2, 0.0635 * 0.08])
+    assert_allclose(r.twist_rad([0.5]), math.radians(20))
+    assert any("two blades" in note for note in notes)
+    again = written(tmp_path, "p.toml", rotor_toml(r))
+    assert load_rotor(again).blade == r.blade
+
+
+@pytest.mark.parametrize("newer", [False, True])
+def test_apcs_own_file_old_and_new(tmp_path, newer):
+    """The newer layout has one column more (rake), before those that count."""
+    text = APC.format(
+        **(
+            {"rake": "RAKE", "inch": "(IN)", "zero": "0.0"}
+            if newer
+            else dict.fromkeys(("rake", "inch", "zero"), "")
+        )
+    )
+    r, notes = read_blade(written(tmp_path, "5x4-PERF.PE0", text))
+    assert (r.blades, r.airfoil_names()) == (3, ("e63", "naca4412"))
+    assert_allclose(r.radius_m, 2.5 * 0.0254)
+    assert_allclose(r.blade.r_over_R.value, [0.2, 0.6, 0.96, 1.0])
+    assert_allclose(r.chord_m(0.6), 0.6 * 0.0254)
+    assert_allclose(r.twist_rad(0.6), math.radians(22.99))
+    assert any("APC12" in note for note in notes)
+    assert any("e63 becomes naca4412" in note for note in notes)
+
+
+def test_calipers_in_inches_with_sections_and_commas(tmp_path):
+    path = written(
+        tmp_path, "c.csv", "\ufeffr (in);chord_mm;beta;section\n0,5;10;30;clarky\n2,5;6;10,5;naca4412\n"
+    )
+    r, _ = read_blade(path, blades=4)
+    assert_allclose(
+        (r.radius_m, r.chord_m(0.2), float(r.twist_rad(1.0))), (0.0635, 0.010, math.radians(10.5))
+    )
+    assert (r.blades, r.airfoil_names()) == (4, ("clarky", "naca4412"))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.txt", UIUC, "radius: is not known: the file gives ratios"),
+        ("a.csv", "r,chord_mm,beta\n1,2,3\n2,2,3\n", "a.csv: r: has no unit"),
+        ("a.csv", "r_mm,chord_mm\n10,2\n20,2\n", "twist: is not among the columns"),
+        ("a.csv", "r_mm,chord_mm,beta\n10,2,x\n20,2,3\n", "line 2, beta: 'x' is no number"),
+        ("a.csv", "r_mm,chord_mm,beta\n10,2,3\n", "fewer than two stations"),
+        ("a.csv", "r_mm,chord_mm,beta\n20,2,3\n10,2,3\n", "not beyond|hub to tip"),
+        ("a.PE0", "STATION CHORD\n1 2\n", "no RADIUS"),
+        ("a.PE0", APC.format(rake="RAKE", inch="", zero=""), "10 numbers"),
+    ],
+)
+def test_what_cannot_be_is_one_line(tmp_path, name, text, message):
+    with pytest.raises((InputError, MuflyError), match=message) as caught:
+        read_blade(written(tmp_path, name, text))
+    assert "\n" not in str(caught.value)
