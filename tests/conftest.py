@@ -1,6 +1,6 @@
 """What holds for all tests: Hypothesis without a clock, signals that arrive, the whole suite in several processes.
 
-``pytest`` alone shares the tests out to a process for each core and one more, at most four (``-n 0``: one process).
+``pytest`` alone shares the tests out to a process for each core, at most four (``-n 0``: one process).
 What is named (``pytest tests/rotor``) runs in one process, where a debugger can be used.
 """
 
@@ -52,11 +52,11 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """One process more than there are cores for the whole suite, since some wait; one for what is named."""
+    """As many processes as there are cores for the whole suite, one for what is named."""
     if config.args_source is not pytest.Config.ArgsSource.TESTPATHS:
         return 0
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(MOST_WORKERS, cores + 1)
+    return min(MOST_WORKERS, cores)
 
 
 @pytest.hookimpl(optionalhook=True)
