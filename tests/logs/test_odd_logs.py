@@ -98,6 +98,14 @@ def test_rates_are_in_what_the_version_or_the_gyroscope_says(write, make_datafla
     assert np.nanmax(quietly(path).battery_voltage) == pytest.approx(15.74)
 
 
+def test_what_cannot_be_understood_is_examined_all_the_same_and_named(write):
+    rows = "".join(f"{0.1 * k:.1f},{k}\n" for k in range(50))
+    report = examine(write(f"t_s,battery_voltage [rad]\n{rows}".encode(), "a.csv"))
+    assert report.notes == ["battery_voltage: the unit 'rad' cannot become V; use one of: V, mV, cV"]
+    assert report.signals == []
+    assert [c.samples for c in report.clocks.values()] == [50]
+
+
 def test_the_signal_that_is_wrong_is_the_one_that_is_named(write, make_dataflash):
     path = write(old_copter(make_dataflash, clock="TimeUS", said=b"ArduCopter V4.0.0"))
     notes = " ".join(examine(path).notes)

@@ -40,6 +40,14 @@ def test_what_belongs_together_shares_a_picture_and_a_component_a_panel():
     assert {line.get_drawstyle() for line in motors.get_lines()} == {"steps-post"}  # held in between
     assert [t.get_text() for t in motors.get_legend().get_texts()] == ["upper", "lower"]
     assert len({line.get_color() for line in motors.get_lines()}) == 2
+    (one,) = draw_channels(
+        [channel("reference_attitude.roll")]
+    ).axes  # alone it looks as it does among others
+    assert [t.get_text() for t in one.get_legend().get_texts()] == ["reference"]
+    assert (one.get_lines()[0].get_linestyle(), one.get_lines()[0].get_color()) == (
+        "--",
+        reference.get_color(),
+    )
     (alone,) = draw_channels(pictures["others"]).axes
     assert alone.get_legend() is None  # its axis says it already
 
@@ -102,7 +110,7 @@ def test_messages_of_a_recording_stand_at_their_wall_time_in_its_blocks(tmp_path
             ),
             "range": (("time", "beam"), np.ones((n, 8)), {"units": "m", "long_name": "range"}),
             "mission_state": ("time", np.full(n, "hover")),
-            "event_time": ("event", [5.0, 24.99]),
+            "event_time": ("event", [5.0, 25.2]),  # the last one behind the last row
             "event_state": ("event", ["hover", "hover"]),
             "event_text": ("event", ["first", "last"]),
             "event_level": ("event", ["info", "warning"]),
@@ -120,12 +128,14 @@ def test_messages_of_a_recording_stand_at_their_wall_time_in_its_blocks(tmp_path
     stamps = np.array([t for t, _ in contents.messages["/mission"]])
     assert stamps == pytest.approx(zero + np.rint(1e7 * np.arange(n)), abs=1)
     said = [(t - zero, orjson.loads(d)["message"]) for t, d in contents.messages["/events"]]
-    assert said == [(5_000_000_000, "first"), (24_990_000_000, "last")]
+    assert said == [(5_000_000_000, "first"), (25_200_000_000, "last")]
     ring = next(d for topic, m in contents.messages.items() for _, d in m if b'"range"' in d)
     assert orjson.loads(ring)["range"] == [1.0] * 8
     facts = read_facts(path)
     assert facts["complete"]
-    assert facts["duration_s"] == pytest.approx(24.99)
+    assert facts["duration_s"] == pytest.approx(25.2)
+    assert facts["start_time_ns"] == zero
+    assert set(read_raw(path)) == {"/measured", "/ranges", "/mission"}  # drawings and words are no signals
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
     cut = read_facts(path)

@@ -12,11 +12,13 @@ from mufly.logs import (
     check_channel,
     check_delays,
     estimate_delay,
+    examine,
     find_frozen,
     find_outliers,
     find_saturation,
     guess_angle_units,
     read_log,
+    write_log,
 )
 
 TIME = 0.01 * np.arange(2000)
@@ -239,7 +241,7 @@ def test_body_rates_of_an_attitude_follow_the_rotation():
         assert rates[k] == pytest.approx(omega, abs=1e-4)
 
 
-def test_delays_of_a_record_are_those_put_in(make_signals):
+def test_delays_of_a_record_are_those_put_in(make_signals, tmp_path):
     t, x, y, _ = delayed_pair(0.07, 11, band_hz=3.0)
     data = make_signals(n=1500, rate=100.0)
     zero = np.zeros(len(t))
@@ -248,6 +250,9 @@ def test_delays_of_a_record_are_those_put_in(make_signals):
     rates = body_rates_of_attitude(t, data.measured_attitude.values)
     rates[2:] = rates[:-2].copy()  # the gyroscope reports two samples late
     data["measured_rates"] = (("time", "rate"), rates, {"units": "rad/s"})
-    found = {d.response: d.delay.delay_s for d in check_delays(data)}
-    assert found["measured_attitude.roll"] == pytest.approx(0.07, abs=0.002)
-    assert found["measured_rates.p"] == pytest.approx(0.02, abs=0.001)
+    of_log = examine(write_log(data, tmp_path / "log.nc"))
+    for delays in (check_delays(data), of_log.delays):
+        found = {d.response: d.delay.delay_s for d in delays}
+        assert found["measured_attitude.roll"] == pytest.approx(0.07, abs=0.002)
+        assert found["measured_rates.p"] == pytest.approx(0.02, abs=0.001)
+    assert examine(tmp_path / "log.nc", delays=False).delays == []
