@@ -7,9 +7,12 @@ from typing import Any
 
 from mufly.control import FlightController
 from mufly.errors import InputError
-from mufly.mission import Mission, MissionPlan
+from mufly.flight.software import able
+from mufly.mission import Mission, MissionPlan, prepare, slowed
 from mufly.mission.phases import nose_offset
 from mufly.mission.trajectory import Limits
+from mufly.vehicle import Vehicle
+from mufly.version import __version__
 
 MOST_WAYPOINTS = 64
 MOST_BEAMS = 64
@@ -63,6 +66,32 @@ def plan_numbers(plan: MissionPlan) -> dict[str, Any]:
             "spacing": plan.ring.spacing,
         },
     }
+
+
+def plan_of(vehicle: Vehicle, controller: FlightController, mission: Mission) -> MissionPlan:
+    """Return the plan of a mission as this vehicle flies it: no faster than its controllers can follow."""
+    return prepare(slowed(mission, able(controller))[0], vehicle)
+
+
+def plan_c(plan: MissionPlan, controller: FlightController) -> str:
+    """Return ``plan.c``: the mission, and what does not change in a flight."""
+    lines = [
+        f"/* The mission {(plan.mission.name or 'without a name').replace('*/', '* /')}, made by mufly {__version__}; "
+        "do not edit. */",
+        '#include "software.h"',
+        "",
+        "const plan_t mufly_plan = {",
+        *initialiser(plan_numbers(plan)),
+        "};",
+        "",
+        "const setup_t mufly_setup = {",
+        "    .gains = &mufly_gains,",
+        "    .plan = &mufly_plan,",
+        *initialiser(setup_numbers(controller)),
+        "};",
+        "",
+    ]
+    return "\n".join(lines)
 
 
 def setup_numbers(controller: FlightController) -> dict[str, Any]:

@@ -18,6 +18,8 @@ from mufly.control import FlightController
 from mufly.control.law import UNITS
 from mufly.errors import InputError
 from mufly.firmware.estimate_tables import estimate_files
+from mufly.firmware.plan import plan_c, plan_of
+from mufly.mission import Mission
 from mufly.vehicle import Vehicle
 from mufly.version import __version__
 from mufly.world import World
@@ -27,7 +29,11 @@ _GROUPS = ("heave_yaw", "roll_pitch", "position")
 
 
 def export(
-    controller: FlightController, out: Path, vehicle: Vehicle | None = None, world: World | None = None
+    controller: FlightController,
+    out: Path,
+    vehicle: Vehicle | None = None,
+    world: World | None = None,
+    mission: Mission | None = None,
 ) -> list[Path]:
     """Write the source tree of a vehicle's flight software: C99, Makefile, CMake file and a README.
 
@@ -41,6 +47,8 @@ def export(
         Whose estimator it is; without one the tree has no numbers of an estimator.
     world : World, optional
         Its room is known to the estimator beforehand.
+    mission : Mission, optional
+        Of the vehicle; without one the tree has no ``plan.c``.
 
     Returns
     -------
@@ -50,12 +58,15 @@ def export(
     Raises
     ------
     InputError
-        If the folder holds something else, or the rate is no whole number.
+        If the folder holds something else, the rate is no whole number, or the mission is too long.
     """
     out = Path(out)
     if out.exists() and (not out.is_dir() or (any(out.iterdir()) and not (out / "tables.c").exists())):
         raise InputError("out", str(out), "holds something else", "name a new or empty folder")
-    write_tree(tables_c(controller), out, estimate_files(vehicle, world, controller.rate_Hz))
+    others = dict(estimate_files(vehicle, world, controller.rate_Hz))
+    if vehicle is not None and mission is not None:
+        others["plan.c"] = plan_c(plan_of(vehicle, controller, mission), controller)
+    write_tree(tables_c(controller), out, others)
     return sorted(p for p in out.rglob("*") if p.is_file())
 
 
