@@ -116,7 +116,9 @@ def test_a_mission_flown_beside_it_shows_no_difference() -> None:
     (one,) = sil(load_vehicle("mufly-1.1"), ["box-on-leg"], wind=0.5, gust=0.3)
     assert one.outcome == "succeeded"
     assert 5000 < one.periods < one.beliefs
-    assert one.different == one.beliefs_different == 0
+    assert one.different == one.beliefs_different == one.steps_different == 0
+    assert one.steps > one.periods
+    assert one.entries > 5
     # Single precision: the integrators' rounding adds up over the flight, in a comparison that nothing corrects.
     assert 0.0 < one.worst_single < 1e-3
 
@@ -142,10 +144,12 @@ def test_an_emulated_processor_computes_the_same() -> None:
     assert {r.machine for r in results} == {"mps2-an386", "netduinoplus2"}
     for r in results:
         assert r.same
-        assert 1500 < r.mean_instructions < r.worst_instructions < 10_000
-        assert r.flash_bytes < 64_000
+        assert r.what in ("law", "flight")
+        least, most = (1500, 10_000) if r.what == "law" else (5000, 100_000)
+        assert least < r.mean_instructions < r.worst_instructions < most
+        assert r.flash_bytes < 64 * 1024
         assert r.ram_bytes == 0
-        assert 100 < r.stack_bytes < 1000
+        assert 100 < r.stack_bytes < (1000 if r.what == "law" else 4000)
     # Two clocks of different speed count the same instructions.
     assert results[0].mean_instructions == pytest.approx(results[1].mean_instructions, rel=1e-3)
 

@@ -26,6 +26,7 @@ from mufly.errors import MuflyError
 from mufly.estimate import Estimate, Estimator, KalmanEstimator
 from mufly.estimate.records import PYTHON_ALONE
 from mufly.firmware.host import Firmware, FirmwareControllers
+from mufly.firmware.onboard import SoftwareBeside, software_beside
 from mufly.firmware.tables import export
 from mufly.flight import fly
 from mufly.flight.software import Actuators, Controllers
@@ -43,6 +44,8 @@ MACHINES = {"mps2-an386": 40.0, "netduinoplus2": 1000.0 / 168.0}
 """Emulated boards with a Cortex-M4, and instructions between two ticks of their clocks (25 and 168 MHz)."""
 
 _M4 = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "-ffreestanding", "-nostdlib")
+SELF_TESTS = {"law": ("selftest", "controllers_"), "flight": ("flight", "software_")}
+"""Programs of ``check/``, and how the functions are called that they measure."""
 _TOOLS = {"arm-none-eabi-gcc": "gcc-arm-none-eabi", "qemu-system-arm": "qemu-system-arm"}
 
 
@@ -66,6 +69,12 @@ class SilResult:
         Periods of the estimator that were compared; none on ideal sensors.
     beliefs_different : int
         Of these, after which some bit of its memory differs.
+    steps : int
+        Periods of the whole flight software that were compared: actuators, reference, state and log of the mission.
+    steps_different : int
+        Of these, in which some bit or some text differs.
+    entries : int
+        Of the log, compared as texts.
     worst_single : float
         Greatest difference of an actuator in single precision, over its full range (1).
     """
@@ -78,6 +87,9 @@ class SilResult:
     different: int
     beliefs: int
     beliefs_different: int
+    steps: int
+    steps_different: int
+    entries: int
     worst_single: float
 
 
@@ -88,17 +100,20 @@ class PilResult:
     Attributes
     ----------
     machine : str
+    what : str
+        ``"law"``: the controllers; ``"flight"``: they, the mission and all that watches over it.
     same : bool
         Whether every digest of outputs is that of this machine in single precision.
     mean_instructions, worst_instructions : float
-        Of one period of all controllers.
+        Of one period.
     flash_bytes, ram_bytes : int
-        Of the controllers and their numbers: code and constants; variables are the caller's.
+        Of all code and numbers of the tree, estimator and mission included; variables are the caller's.
     stack_bytes : int
         Deepest call, by the compiler's account of every function along the call graph.
     """
 
     machine: str
+    what: str
     same: bool
     mean_instructions: float
     worst_instructions: float
@@ -216,6 +231,7 @@ def sil(
         mission = load_mission(name)
         for seed in range(flights):
             twins: list[_Twins] = []
+            flown: list[SoftwareBeside] = []
 
             def make(c: FlightController, kept: list[_Twins] = twins) -> _Twins:
                 kept.append(_Twins(c, double, single))
@@ -224,7 +240,8 @@ def sil(
             felt = sensors == "fitted" and vehicle.sensors is not None
             believing = _TwinEstimators(vehicle, mission.world, controller.rate_Hz) if felt else None
             record = fly(
-                vehicle, mission, controller=controller, seed=seed, gust=gust, controllers=make,
+                vehicle, mission, controller=controller, seed=seed, gust=gust,
+                controllers=software_beside(make, double, flown),
                 wind=None if wind is None else [wind, 0.0, 0.0], estimator=believing,
                 sensors="fitted" if felt else "ideal", faults=faults,
             )  # fmt: skip
@@ -234,7 +251,8 @@ def sil(
                 periods=sum(t.periods for t in twins), different=sum(t.different for t in twins),
                 beliefs=0 if believing is None else believing.periods,
                 beliefs_different=0 if believing is None else believing.different,
-                worst_single=max(t.worst_single for t in twins),
+                steps=sum(f.periods for f in flown), steps_different=sum(f.different for f in flown),
+                entries=sum(f.entries for f in flown), worst_single=max(t.worst_single for t in twins),
             )  # fmt: skip
             results.append(one)
             if on_flight is not None:
@@ -253,7 +271,7 @@ def missing_tools() -> str:
 
 
 def pil(vehicle: Vehicle, *, timeout_s: float = 120.0) -> list[PilResult]:
-    """Run the self-test of a vehicle's controllers on emulated Cortex-M4 processors.
+    """Run the self-tests of a vehicle's controllers, and of a flight, on emulated Cortex-M4 processors.
 
     Raises
     ------
@@ -265,21 +283,25 @@ def pil(vehicle: Vehicle, *, timeout_s: float = 120.0) -> list[PilResult]:
         raise MuflyError(f"processor in the loop: {absent}")
     with tempfile.TemporaryDirectory(prefix="mufly-pil-") as temporary:
         folder = Path(temporary) / "fw"
-        export(design(vehicle), folder, vehicle)
-        right = outputs_of(run_program([str(_self_test(folder))], timeout_s))
-        elf = _for_m4(folder)
+        export(design(vehicle), folder, vehicle, mission=load_mission("demonstration"))
+        _objects_for_m4(folder)
         flash, ram = size_of(folder)
-        stack = deepest_stack(folder, "controllers_")
-        return [
-            PilResult(
-                machine=machine,
-                **emulated(machine, per_tick, elf, right, timeout_s),
-                flash_bytes=flash,
-                ram_bytes=ram,
-                stack_bytes=stack,
-            )
-            for machine, per_tick in MACHINES.items()
-        ]
+        found = []
+        for what, (test, entry) in SELF_TESTS.items():
+            right = outputs_of(run_program([str(_self_test(folder, test))], timeout_s))
+            elf = _for_m4(folder, test)
+            found += [
+                PilResult(
+                    machine=machine,
+                    what=what,
+                    **emulated(machine, per_tick, elf, right, timeout_s),
+                    flash_bytes=flash,
+                    ram_bytes=ram,
+                    stack_bytes=deepest_stack(folder, entry),
+                )
+                for machine, per_tick in MACHINES.items()
+            ]
+        return found
 
 
 def emulated(machine: str, per_tick: float, elf: Path, right: list[str], timeout_s: float) -> dict[str, Any]:
@@ -333,27 +355,29 @@ def _sources(folder: Path) -> list[str]:
     return sorted(p.name for p in folder.glob("*.c"))
 
 
-def _self_test(folder: Path) -> Path:
-    out = folder / "selftest"
+def _self_test(folder: Path, test: str) -> Path:
+    out = folder / test
     built(
-        [compiler(), *FLAGS, "-DMUFLY_FLOAT", "-I.", *_sources(folder), "check/selftest.c", "check/platform_host.c",
+        [compiler(), *FLAGS, "-DMUFLY_FLOAT", "-I.", *_sources(folder), f"check/{test}.c", "check/platform_host.c",
          "-o", out.name, "-lm"],
         folder,
     )  # fmt: skip
     return out
 
 
-def _for_m4(folder: Path) -> Path:
-    cc = "arm-none-eabi-gcc"
+def _objects_for_m4(folder: Path) -> None:
     flags = [*FLAGS, *_M4, "-DMUFLY_FLOAT", "-fstack-usage", "-fdump-rtl-expand", "-I."]
-    built([cc, *flags, "-c", *_sources(folder)], folder)
+    built(["arm-none-eabi-gcc", *flags, "-c", *_sources(folder)], folder)
+
+
+def _for_m4(folder: Path, test: str) -> Path:
     objects = sorted(p.name for p in folder.glob("*.o"))
     built(
-        [cc, *FLAGS, *_M4, "-DMUFLY_FLOAT", "-I.", *objects, "check/selftest.c", "check/platform_cortex_m4.c",
-         "-T", "check/cortex_m4.ld", "-o", "selftest.elf", "-lgcc"],
+        ["arm-none-eabi-gcc", *FLAGS, *_M4, "-DMUFLY_FLOAT", "-I.", *objects, f"check/{test}.c",
+         "check/platform_cortex_m4.c", "-T", "check/cortex_m4.ld", "-o", f"{test}.elf", "-lgcc"],
         folder,
     )  # fmt: skip
-    return folder / "selftest.elf"
+    return folder / f"{test}.elf"
 
 
 def size_of(folder: Path) -> tuple[int, int]:

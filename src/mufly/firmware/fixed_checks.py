@@ -199,6 +199,7 @@ def pil_fixed(vehicle: Vehicle, *, timeout_s: float = 120.0) -> list[PilResult]:
             flash, ram = size_of(objects)
             found.append(
                 PilResult(
+                    what="law",
                     machine=f"{machine} ({cpu})",
                     **emulated(machine, per_tick, folder / f"{cpu}.elf", right, timeout_s),
                     flash_bytes=flash, ram_bytes=ram, stack_bytes=deepest_stack(objects, "fixed_"),

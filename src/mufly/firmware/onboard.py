@@ -362,4 +362,78 @@ class FirmwareSoftware(FlightSoftware):
         self.oscillation = board.oscillation
 
 
-__all__ = ["FirmwareSoftware", "Onboard", "different"]
+class SoftwareBeside(FlightSoftware):
+    """Python flies; the exported code is told the same, and compared in all that it gives and remembers.
+
+    Attributes
+    ----------
+    periods, different : int
+        Compared, and in how many something was not the same.
+    entries : int
+        Of the log.
+    first : str
+        Where it differed first, and how; "" if it did not.
+    """
+
+    firmware: Firmware
+    controllers: Any
+
+    def __init__(self, vehicle: Vehicle, controller: FlightController, mission: Mission) -> None:
+        self.periods = self.different = 0
+        self.first = ""
+        self._board: Onboard | None = None
+        super().__init__(vehicle, controller, mission)
+        self.compute_with(self.controllers)
+
+    def reset(self) -> None:
+        """Forget the flight: before the first step."""
+        super().reset()
+        if self._board is not None:
+            self._board.start()
+
+    def change(self, mission: Mission) -> None:
+        """Fly by another mission's limits from now on."""
+        super().change(mission)
+        if self._board is not None:
+            self._board.fly_by(self.plan)
+
+    @property
+    def entries(self) -> int:
+        """How many of the log's lines have been compared."""
+        return self.mission_state.logged
+
+    def step(self, estimate: Estimate, command: Command) -> Actuators:
+        """Advance by one period."""
+        if self._board is None:
+            self._board = Onboard(self.firmware, self._controller, self.plan)
+        board, logged = self._board, self.mission_state.logged
+        ours, theirs = super().step(estimate, command), board.step(estimate, command)
+        wrong = different(ours.array, theirs.array, "actuators")
+        wrong += different(self._reference, board.reference, "reference")
+        if self._late_s == 0.0 or self.mission_state.logged != logged:
+            wrong += different(self.mission_state, board.state, "mission")
+        self.periods += 1
+        self.different += bool(wrong)
+        if wrong and not self.first:
+            self.first = f"{estimate.time_s:.3f} s: {wrong[0]}"
+        return ours
+
+
+def software_beside(controllers: Any, firmware: Firmware, kept: list[SoftwareBeside]) -> type[SoftwareBeside]:
+    """Return a class of flight software that compares; ``kept`` gets what is made of it.
+
+    Parameters
+    ----------
+    controllers : callable
+        What computes the control law of the Python side.
+    firmware : Firmware
+    kept : list
+    """
+
+    class Beside(SoftwareBeside):
+        def __init__(self, vehicle: Vehicle, controller: FlightController, mission: Mission) -> None:
+            super().__init__(vehicle, controller, mission)
+            kept.append(self)
+
+    Beside.firmware, Beside.controllers = firmware, staticmethod(controllers)
+    return Beside

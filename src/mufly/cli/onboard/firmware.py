@@ -35,25 +35,31 @@ _FixedOption = Annotated[
 def export(
     out: Annotated[Path, option("--out DIR", "A new or empty folder, or one of an earlier export.")],
     vehicle: _VehicleOption = "mufly-1.1",
+    mission: Annotated[
+        str, option("--mission NAME|FILE", "A built-in mission, or a mission file (TOML).")
+    ] = "demonstration",
     fixed_point: _FixedOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Write the controllers of a vehicle as C99, with Makefile, CMake file, self-test and a README.
+    """Write the flight software of a vehicle as C99, with Makefile, CMake file, self-tests and a README.
 
-    The algorithms are the same for every vehicle; tables.c holds its numbers. With --fixed-point also the control
+    The algorithms are the same for every vehicle; tables.c, estimate_tables.c and plan.c hold the numbers of vehicle
+    and mission. With --fixed-point also the control
     law in whole numbers (folder fixed/): says what it costs, and why nothing in it overflows.
 
-    Example: mufly firmware export --vehicle mine.toml --out fw, then make -C fw check
+    Example: mufly firmware export --vehicle mine.toml --mission m.toml --out fw, then make -C fw check
     """
     from mufly import firmware
     from mufly.control import design
+    from mufly.mission import load_mission
     from mufly.vehicle import load_vehicle
 
     helicopter = load_vehicle(vehicle)
+    flown = load_mission(mission)
     controller = design(helicopter)
     law = None
     with writing(out):
-        files = firmware.export(controller, out, helicopter)
+        files = firmware.export(controller, out, helicopter, flown.world, flown)
         if fixed_point:
             law = firmware.export_fixed(controller, out)
             files = sorted(p for p in out.rglob("*") if p.is_file())
@@ -88,7 +94,8 @@ def sil(
 ) -> None:
     """Fly missions in Python and compare the exported code, bit by bit, in every period (software in the loop).
 
-    On fitted sensors the estimator too, in all that it remembers. With --fixed-point the code in whole numbers flies by
+    The law, the whole flight software with mission and log, on fitted sensors the estimator too, in all that they
+    remember. With --fixed-point the code in whole numbers flies by
     itself, beside a flight in double precision.
 
     Needs a C compiler. Ends with status 1 if a bit differs, or a whole number overflows.
@@ -120,34 +127,40 @@ def sil(
             sensors="ideal" if sensors == "ideal" else "fitted",
         )  # fmt: skip
     answer(as_json, lambda: {"flights": results}, lambda: _print_sil(results))
-    if any(r.different + r.beliefs_different for r in results):
+    if any(r.different + r.beliefs_different + r.steps_different for r in results):
         raise typer.Exit(1)
 
 
 def _print_sil(results: list[SilResult]) -> None:
     print_table(
-        ("mission", "seed", "outcome", "law", "differ", "estimator", "differ", "single precision off by"),
+        ("mission", "seed", "outcome", "law", "differ", "estimator", "differ", "flight", "differ", "log", "single"),
         [
             (
                 r.mission, str(r.seed), r.outcome, str(r.periods), str(r.different), str(r.beliefs),
-                str(r.beliefs_different), f"{r.worst_single:.1e}",
+                str(r.beliefs_different), str(r.steps), str(r.steps_different), str(r.entries),
+                f"{r.worst_single:.1e}",
             )
             for r in results
         ],
         text=(0, 2),
     )  # fmt: skip
     law, estimator = sum(r.periods for r in results), sum(r.beliefs for r in results)
-    off = sum(r.different for r in results), sum(r.beliefs_different for r in results)
+    steps = sum(r.steps for r in results)
+    off = [
+        sum(getattr(r, name) for r in results)
+        for name in ("different", "beliefs_different", "steps_different")
+    ]
     if any(off):
         say(
-            f"{off[0]} of {law} periods of the law and {off[1]} of {estimator} of the estimator differ: the exported "
-            "code is not what was flown.",
+            f"{off[0]} of {law} periods of the law, {off[1]} of {estimator} of the estimator and {off[2]} of {steps} "
+            "of the flight differ: the exported code is not what was flown.",
             style="red",
         )
     else:
         say(
-            f"No bit differs in {law} periods of the law and {estimator} of the estimator. Single precision: the law's "
-            "greatest difference over an actuator's range."
+            f"No bit differs in {law} periods of the law, {estimator} of the estimator and {steps} of the flight "
+            f"(actuators, reference, mission), and no word in {sum(r.entries for r in results)} lines of the log. "
+            "Single: the law's greatest difference in single precision, over an actuator's range."
         )
 
 
@@ -238,18 +251,21 @@ def pil(
 
 def _print_pil(results: list[PilResult], fixed_point: bool) -> None:
     print_table(
-        ("emulated", "outputs", "instructions a period", "worst", "flash (B)", "stack (B)"),
+        ("emulated", "what", "outputs", "instructions a period", "worst", "flash (B)", "stack (B)"),
         [
             (
-                r.machine, "the same" if r.same else "differ", f"{r.mean_instructions:.0f}",
+                r.machine, r.what, "the same" if r.same else "differ", f"{r.mean_instructions:.0f}",
                 f"{r.worst_instructions:.0f}", str(r.flash_bytes), str(r.stack_bytes),
             )
             for r in results
         ],
-        text=(0, 1),
+        text=(0, 1, 2),
     )  # fmt: skip
     how = "Whole numbers" if fixed_point else "Single precision"
-    say(f"{how}, gcc -O2. Flash: code and numbers of the controllers; stack: deepest call of them.")
+    say(
+        f"{how}, gcc -O2. Flight: the law, the mission and what watches over it, on made-up estimates. Flash: code and "
+        "numbers of the whole tree; stack: deepest call."
+    )
 
 
 @app.command()

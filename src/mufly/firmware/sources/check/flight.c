@@ -4,9 +4,9 @@
 #include "platform.h"
 #include "software.h"
 
-#define PERIODS 16000
+#define PERIODS 8000
 #define LINES 40
-#define ALONE 8400 /* so long it flies its mission undisturbed */
+#define ALONE 5000 /* so long it flies its mission undisturbed */
 
 static uint32_t seed = 2463534242U;
 
