@@ -1,6 +1,5 @@
 """Whatever is written into a vehicle file, the answer is a vehicle or one line that names the fault."""
 
-import copy
 import random
 import tomllib
 
@@ -8,7 +7,7 @@ import pytest
 import tomli_w
 
 from mufly.errors import InputError, MuflyError
-from mufly.vehicle import load_vehicle, parameters, replace, vehicle_toml
+from mufly.vehicle import load_vehicle, parameters, replace, schema, vehicle_toml
 
 ODD = [
     float("nan"),
@@ -37,9 +36,10 @@ def places(table, before=()):
 
 
 def corrupted(tables, place, odd):
-    copied = copy.deepcopy(tables)
+    copied = dict(tables)
     table = copied
     for key in place[:-1]:
+        table[key] = dict(table[key])
         table = table[key]
     if odd is None:
         del table[place[-1]]
@@ -57,13 +57,20 @@ def user_error(act) -> str | None:
     return None
 
 
-def test_every_corruption_is_a_vehicle_or_one_line(tmp_path) -> None:
+def test_every_corruption_is_a_vehicle_or_one_line(tmp_path, monkeypatch) -> None:
     tables = tomllib.loads(vehicle_toml(load_vehicle("mufly-1.1")))
     rng, path = random.Random(1), tmp_path / "odd.toml"
-    for place in places(tables):
+    for k, place in enumerate(list(places(tables))):
         for odd in [None, *rng.sample(ODD, 2)]:
-            path.write_text(tomli_w.dumps(corrupted(tables, place, odd)))
-            error = user_error(lambda: load_vehicle(path))
+            spoilt = corrupted(tables, place, odd)
+            with monkeypatch.context() as patch:
+                if (
+                    k % 20
+                ):  # nine tenths of the time would go into writing and reading TOML, which is not ours
+                    patch.setattr(schema, "read_tables", lambda *_, spoilt=spoilt: (spoilt, str(path)))
+                else:
+                    path.write_text(tomli_w.dumps(spoilt))
+                error = user_error(lambda: load_vehicle(path))
             assert error is None or ("\n" not in error and str(path) in error)
 
 
