@@ -141,6 +141,11 @@ def test_messages_of_other_dialects_are_counted(encode):
     codec = Codec()
     assert len(codec.receive(0.0, "a", bytes(frame) + encode(attitude()))) == 1
     assert codec.counts("a").unknown == 1
+    assert codec.receive(0.0, "a", bytes(frame)) == []  # at the end of what came
+    assert (codec.counts("a").unknown, codec.counts("a").garbage_bytes) == (2, 0)
+    # With something behind it that begins no frame it was none itself.
+    assert len(codec.receive(0.0, "b", bytes(frame) + b"\x00" + encode(attitude(1)))) == 1
+    assert (codec.counts("b").unknown, codec.counts("b").garbage_bytes) == (0, len(frame) + 1)
 
 
 def test_fields_hold_what_they_can():
@@ -185,6 +190,15 @@ def test_what_is_late_was_not_lost_and_what_is_unheard_has_no_loss(encode):
     assert len(codec.receive(7.0, "a", sent[5])) == 0
     codec.forget("a")
     assert codec.counts("a").received == 0
+
+
+def test_what_is_late_in_the_second_round_is_not_mistaken_for_the_first_round(encode):
+    sent = [encode(attitude(k)) for k in range(300)]
+    codec = Codec()
+    for k in [*range(266), 276, 271]:  # numbers 10 to 19 of the second round are missing, 15 comes late
+        assert len(codec.receive(0.001 * k, "a", sent[k])) == 1
+    counts = codec.counts("a")
+    assert (counts.lost, counts.reordered, counts.duplicates) == (9, 1, 0)
 
 
 def statustext(text, number, piece):

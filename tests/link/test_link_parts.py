@@ -167,6 +167,8 @@ def test_parameters_are_listed_read_and_set():
     assert names == sorted(names)
     assert {"MIS_TAKEOFF_ALT", "COM_DL_LOSS_T", "CTL_POS_GAIN"} <= set(names)
     assert all(p.param_type == m.MAV_PARAM_TYPE_REAL32 for p in listed)
+    waits = {p.param_id: p.param_value for p in listed if p.param_id.startswith("COM_")}
+    assert waits == {"COM_DL_LOSS_T": 10.0, "COM_DL_LAND_T": 20.0}
     for name, asked_for, expected in (
         ("LIM_SPEED", 0.4, 0.4),
         ("LIM_SPEED", 1e9, 0.4),
@@ -174,12 +176,15 @@ def test_parameters_are_listed_read_and_set():
         ("COM_DL_LOSS_T", 4.0, 4.0),
         ("COM_DL_LOSS_T", -1.0, 4.0),
         ("COM_DL_LOSS_T", math.nan, 4.0),
+        ("COM_DL_LOSS_T", 0.9, 4.0),
+        ("COM_DL_LOSS_T", 301.0, 4.0),
+        ("COM_DL_LAND_T", 3601.0, 20.0),
     ):
         gcs.heard.clear()
         gcs.say(m.MAVLink_param_set_message(1, 1, name.encode(), asked_for, 9))
         rig.run(0.05)
         assert gcs.last("PARAM_VALUE").param_value == pytest.approx(expected)
-        assert ("LIM_SPEED" in gcs.words or "COM_DL_LOSS_T" in gcs.words) == (asked_for != expected)
+        assert ("LIM_SPEED" in gcs.words or "COM_DL_L" in gcs.words) == (asked_for != expected)
     gcs.heard.clear()
     gcs.say(m.MAVLink_param_set_message(1, 1, b"NO_SUCH", 1.0, 9))
     gcs.say(m.MAVLink_param_request_read_message(1, 1, b"\xff\xfe", -1))

@@ -20,6 +20,8 @@ from mufly.logs import (
     read_log,
     write_log,
 )
+from mufly.logs.delay import _between
+from mufly.logs.quality import rate_ratio
 
 TIME = 0.01 * np.arange(2000)
 RNG = np.random.default_rng(5)
@@ -62,6 +64,28 @@ def test_a_frozen_sensor_is_found_and_a_held_input_is_not():
     assert len(find_frozen(x[490:515])) == 0  # what stands still to the end of the record may be over
 
 
+def test_few_samples_hold_no_outlier_and_enough_do():
+    x = 0.1 * NOISE[:61]
+    x[30] = 9.0
+    assert find_outliers(x).tolist() == [30]
+    assert len(find_outliers(x[:60])) == 0
+
+
+def test_a_limit_that_is_met_less_often_than_what_lies_beside_it_is_none():
+    """Beside it is within 2 % of the range."""
+    spread = np.linspace(-1.0, 0.9, 500)
+    for beside, share in ((np.linspace(0.949, 0.958, 100), 60 / 660), (np.linspace(0.961, 0.99, 100), 0.0)):
+        assert find_saturation(np.concatenate((spread, beside, np.ones(60))))[1] == pytest.approx(share)
+
+
+def test_a_second_and_a_fifth_of_angle_and_rate_can_be_compared():
+    """Ten means over a tenth of a second, and one more for the last difference."""
+    slope, correlation = rate_ratio(TIME[:120], ANGLE[:120], RATE[:120])
+    assert slope == pytest.approx(1.0, abs=0.05)
+    assert correlation > 0.99
+    assert np.isnan(rate_ratio(TIME[:105], ANGLE[:105], RATE[:105])[0])
+
+
 def test_saturation_is_measured_at_either_end():
     x = np.clip(2 * np.sin(TIME) + 0.01 * NOISE, -1.5, 1.0)
     low, high = find_saturation(x)
@@ -99,6 +123,8 @@ RATE = 0.6 * np.cos(2 * TIME) + 0.9 * np.cos(9 * TIME)
         (0.02 * np.degrees(ANGLE), 0.02 * RATE + 0.0005 * NOISE, ("deg", "rad")),
         (None, 34.9 / RATE.max() * RATE, ("", "")),  # 2000 deg/s, the end of most gyroscopes
         (None, 40.0 / RATE.max() * RATE, ("", "deg")),
+        (0.6 * ANGLE, 0.6 * RATE, ("rad", "rad")),  # up to 0.24 rad: a quarter of a degree would be odd
+        (0.45 * ANGLE, 0.45 * RATE, ("", "")),
     ],
 )
 def test_degrees_are_told_from_radians(angle, rate, wanted):
@@ -195,6 +221,16 @@ def test_a_delay_that_the_record_does_not_tell_is_not_determined():
     assert not late.determined
     short = estimate_delay(t[:30], x[:30], y[:30])
     assert short.freedom == 2  # three pieces are all that 30 samples give
+    assert estimate_delay(t[:32], x[:32], y[:32]).freedom == 3
+
+
+@pytest.mark.parametrize("cycles", [0.05, 0.2, 0.4])
+def test_between_whole_lags_a_wave_is_itself(cycles):
+    """In cycles a lag; the windowed sinc has 24 lags on either side."""
+    lags = np.arange(-24, 25)
+    for at in (-0.9, -0.5, 0.0, 0.37, 0.81):
+        found = _between(lags, np.cos(2 * np.pi * cycles * lags + 0.3), at)
+        assert found == pytest.approx(np.cos(2 * np.pi * cycles * at + 0.3), abs=1e-3)
 
 
 def test_missing_values_do_not_spoil_a_delay():

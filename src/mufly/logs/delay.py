@@ -220,7 +220,7 @@ def _levelled(x: _Array) -> _Array:
     index = np.arange(len(x), dtype=np.float64)
     slope, level = np.polyfit(index[known], x[known], 1)
     out[known] = x[known] - (level + slope * index[known])
-    if out.std() < 1e-12 * (np.abs(x[known]).max() + 1e-300):
+    if out.std() <= 1e-12 * np.abs(x[known]).max():
         out[:] = 0.0
     result: _Array = detrend(out, type="constant") if known.all() else out
     return result
