@@ -261,8 +261,9 @@ def _again(
                 mark="Warning",
                 style="red",
             )
-        with writing(path):
-            path.rename(path.with_name("flight.mcap"))
+        if path.exists():  # one that was refused before it began has none
+            with writing(path):
+                path.rename(path.with_name("flight.mcap"))
         if progress is not None:
             progress(done, len(orders))
     return commands, [folder / "flight.mcap" for folder in chosen if (folder / "flight.mcap").exists()]
