@@ -29,9 +29,11 @@ from pathlib import Path
 from typing import Any
 
 import numba
+import numpy as np
 import platformdirs
 from numba.core import config
 from numba.core.caching import CacheImpl, _CacheLocator
+from numpy.typing import NDArray
 
 KEPT_DAYS = 30.0
 _ROOT = Path(__file__).resolve().parent
@@ -52,6 +54,15 @@ def compiled(function: Any = None, **options: Any) -> Any:
     """
     options = {"cache": True, **options}
     return numba.njit(**options) if function is None else numba.njit(**options)(function)
+
+
+def boxed(record: np.void) -> NDArray[np.void]:
+    """Return an array of one that shares a record's memory, for functions that are called in every period.
+
+    A compiled function that is handed a record asks NumPy for its memory, and NumPy answers by spelling out the names
+    of all its fields anew: 2 to 4 microseconds a call, ten times the rest of the call. An array says where it lies.
+    """
+    return np.asarray(record).reshape(1)
 
 
 def sources_of(file: Path) -> list[Path]:

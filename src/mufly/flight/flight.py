@@ -190,7 +190,7 @@ class Flight:
             },
             keep=keep,
         )
-        self._write = row_writer(self.recorder)
+        self._write = row_writer(self.recorder, measured=not brief)
         self._write_sensed = sensed_row_writer(self.recorder) if full else None
         self._every = 1 if full else max(1, round(controller.rate_Hz / RECORD_HZ))
         self._acting = self._sent = Actuators.idle()
@@ -205,15 +205,15 @@ class Flight:
         self.sensors.reset()
         self.estimator.reset()
         self.plant.collide()
-        self._measure(Actuators.idle())
+        self._measure(np.zeros(4))
         self.autopilot.observe(self._estimate)
         self._fresh = True
 
-    def _measure(self, acted: Actuators) -> None:
+    def _measure(self, acted: _Array) -> None:
         """From the truth of this instant to what the vehicle believes of it; it knows what acted until now."""
         self._truth = self.plant.truth
         self._readings = self.sensors.read(self._truth)
-        self._estimate = self.estimator.update(self._readings, acted.array.astype(np.float64))
+        self._estimate = self.estimator.update(self._readings, acted)
 
     @property
     def truth(self) -> Truth:
@@ -233,10 +233,10 @@ class Flight:
     def tick(self) -> None:
         """Advance by one period of the controllers."""
         plant, autopilot = self.plant, self.autopilot
-        acted, fresh = self._acting, self._fresh
+        inputs, fresh = self._acting.array, self._fresh
         self._fresh = False
         if not fresh:
-            plant.advance(acted)
+            plant.advance(inputs)
             self._acting = self._sent
         k = plant.ticks
         if k % self._look == 0:
@@ -247,7 +247,7 @@ class Flight:
                 (float(plant.current) if flying else autopilot.hover_A) - self._current_A
             )
         if not (fresh and self.sensed):  # a filter hears of every instant once
-            self._measure(acted)
+            self._measure(inputs)
         self._sent = autopilot.step(self._estimate)
         if k % self._every == 0:
             software = autopilot.software

@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from mufly.compiled import boxed, compiled
 from mufly.control import FlightController, design
 from mufly.dynamics import (
     DEFAULT_STEP_S,
@@ -34,6 +35,14 @@ from mufly.world import World, distance
 SHORTEST_STEP_S = 1e-5
 
 
+@compiled(error_model="numpy")
+def _period(x, u, wind, parameters, dt, steps, supply):  # type: ignore[no-untyped-def]
+    """Advance the state by one period; write voltage and current of the battery at its end into ``supply`` (2,)."""
+    p = parameters[0]
+    advance(x, u, wind, p, dt, steps)
+    supply[0], supply[1] = battery_state(x, u[0], u[1], p)
+
+
 class Plant:
     """The true helicopter in its world: state, wind and clock.
 
@@ -55,6 +64,7 @@ class Plant:
         self.rate_Hz = rate_Hz
         self.world = world
         self.parameters = model_parameters(vehicle)
+        self._box, self._supply = boxed(self.parameters), np.empty(2)
         self.state = state.copy()
         self.ticks = 0
         self.wind = np.zeros(3)
@@ -111,11 +121,11 @@ class Plant:
             self.time_s, self.ticks, self.state.copy(), attitude, self.wind, self.voltage, self.current
         )
 
-    def advance(self, actuators: Actuators) -> None:
+    def advance(self, inputs: NDArray[np.float64]) -> None:
+        """Advance by one period under inputs (4,): motor upper, lower, servo 1, 2."""
         self.wind = next(self._air)
-        u = actuators.array
-        advance(self.state, u, self.wind, self.parameters, self._step_s, self._steps)
-        self.voltage, self.current = battery_state(self.state, u[0], u[1], self.parameters)
+        _period(self.state, inputs, self.wind, self._box, self._step_s, self._steps, self._supply)
+        self.voltage, self.current = self._supply.tolist()
         self.ticks += 1
         if not math.isfinite(self.state[2]):
             raise MuflyError(
@@ -137,17 +147,19 @@ _Array = NDArray[np.float64]
 
 
 def row_writer(
-    recorder: Recorder,
+    recorder: Recorder, *, measured: bool = True
 ) -> Callable[[Truth, Readings, Actuators, tuple[_Array, _Array, _Array], str], None]:
     """Return the function that appends a row: ``write(truth, readings, actuators, reference, state)``.
 
     ``reference`` is position and velocity (N-E-D) and attitude; ``state`` the state of the mission. What the table
-    of quantities holds beyond that stays NaN, and so does what no sensor reads.
+    of quantities holds beyond that stays NaN, and so does what no sensor reads, or all of it without ``measured``.
     """
     row, part = blank_row(recorder)
     fill = common_writer(part)
     seen = {name: part[f"measured_{name}"] for name in ("position", "velocity", "attitude", "rates")}
     seen["ranges"] = part["range"]
+    if not measured:
+        seen = {}
 
     def write(
         truth: Truth,
@@ -175,19 +187,25 @@ def common_writer(
     part: Mapping[str, _Array],
 ) -> Callable[[Truth, Actuators, tuple[_Array, _Array, _Array]], None]:
     """Return what fills the part of a row that every flight has: truth, reference, actuators, battery."""
-    true = {
-        name: part[f"truth_{name}"] for name in ("position", "velocity", "attitude", "rates", "rotor_speed")
-    }
-    wanted = [part[f"reference_{name}"] for name in ("position", "velocity", "attitude")]
+    position, velocity, attitude, rates, speed = (
+        part[f"truth_{name}"] for name in ("position", "velocity", "attitude", "rates", "rotor_speed")
+    )
+    place, way, turned = (part[f"reference_{name}"] for name in ("position", "velocity", "attitude"))
+    wind, motor, servo = part["wind"], part["motor_input"], part["servo_input"]
+    charge, voltage, current = (part[f"battery_{name}"] for name in ("charge", "voltage", "current"))
 
     def fill(truth: Truth, actuators: Actuators, reference: tuple[_Array, _Array, _Array]) -> None:
-        for name, target in true.items():
-            target[:] = getattr(truth, name)
-        for target, value in zip(wanted, reference, strict=True):
-            target[:] = value
-        part["wind"][:], part["battery_charge"][:] = truth.wind, truth.charge
-        part["battery_voltage"][:], part["battery_current"][:] = truth.voltage, truth.current
-        part["motor_input"][:], part["servo_input"][:] = actuators.motor_input, actuators.servo_input
+        x = truth.state
+        position[:], velocity[:], attitude[:], rates[:], speed[:] = (
+            x[0:3],
+            x[3:6],
+            truth.attitude,
+            x[10:13],
+            x[18:20],
+        )
+        place[:], way[:], turned[:] = reference
+        wind[:], motor[:], servo[:] = truth.wind, actuators.motor_input, actuators.servo_input
+        charge[0], voltage[0], current[0] = x[20], truth.voltage, truth.current
 
     return fill
 
@@ -274,7 +292,7 @@ def respond(
         )
         wanted = np.array([0.0, 0.0, z]), zero, np.array([s.roll, s.pitch, s.heading])
         write(truth, readings, pending, wanted, "follow")
-        plant.advance(pending)
+        plant.advance(pending.array)
         pending = actuators
     recorder.finish("succeeded")
     recorder.close()

@@ -31,6 +31,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled import boxed, compiled
 from mufly.control import (
     FlightController,
     heave_wait,
@@ -272,10 +273,10 @@ class FlightSoftware:
         """What is wanted, no faster than :data:`STEP_MOTOR` and :data:`STEP_SERVO` where it comes from an estimate."""
         if m.beliefs is not None:
             before = self._given
-            wanted = Actuators(
-                before.motor_input + _within(wanted.motor_input - before.motor_input, STEP_MOTOR),
-                before.servo_input + _within(wanted.servo_input - before.servo_input, STEP_SERVO),
+            motor, servo = _towards(
+                before.motor_input, before.servo_input, wanted.motor_input, wanted.servo_input
             )
+            wanted = Actuators(motor, servo)
         self._given = wanted
         return wanted
 
@@ -402,8 +403,13 @@ class FlightSoftware:
             self.mission_state = come_down(self.mission_state, str(self.oscillation))
 
 
-def _within(x: _Array, limit: float) -> _Array:
-    return np.minimum(np.maximum(x, -limit), limit)
+@compiled
+def _towards(motor, servo, wanted_motor, wanted_servo):  # type: ignore[no-untyped-def]
+    """Both inputs, from what they are towards what is wanted, by no more than a step."""
+    return (
+        motor + np.minimum(np.maximum(wanted_motor - motor, -STEP_MOTOR), STEP_MOTOR),
+        servo + np.minimum(np.maximum(wanted_servo - servo, -STEP_SERVO), STEP_SERVO),
+    )
 
 
 # Controllers with their state, from references to actuators
@@ -454,6 +460,8 @@ class Controllers:
         self._heave_yaw: _Array = np.zeros(0)
         self._roll_pitch = roll_pitch_initial(design.roll_pitch_gains, np.zeros(4))
         self._position = position_initial(design.position_gains)
+        self._boxed_of: FlightController | None = None
+        self._boxes: tuple[NDArray[np.void], ...] = ()
 
     def retune(self, design: FlightController) -> None:
         """Go over to the numbers of ``design``, which differs from the present one only in those that are tuned."""
@@ -538,22 +546,50 @@ class Controllers:
         """
         if not self._settled:
             self._go_over()
-        servo: _Array = np.zeros(2)
-        if tilt is not None:
-            self._heave_yaw = heave_wait(
-                self._design.heave_yaw_gains, self._heave_yaw, float(estimate.position[2])
-            )
-            servo, self._roll_pitch = roll_pitch_step(
-                self._design.roll_pitch_gains, self._roll_pitch, tilt, _roll_pitch(estimate)
-            )
-        motor, self._heave_yaw = heave_yaw_step(
-            self._design.heave_yaw_gains,
+        if self._boxed_of is not self._design:
+            self._boxed_of = self._design
+            self._boxes = boxed(self._design.heave_yaw_gains), boxed(self._design.roll_pitch_gains)
+        motor, servo, self._heave_yaw, self._roll_pitch = _law(
+            *self._boxes,
             self._heave_yaw,
+            self._roll_pitch,
             heave_yaw,
-            _heave_yaw(estimate),
+            _LEVEL if tilt is None else tilt,
+            tilt is not None,
+            estimate.position,
+            estimate.attitude,
+            estimate.rates,
             estimate.battery_voltage,
         )
         return Actuators(motor, servo)
+
+
+_LEVEL = np.zeros(2)
+
+
+@compiled
+def _law(  # type: ignore[no-untyped-def]
+    heave_yaw_gains,
+    roll_pitch_gains,
+    heave_yaw,
+    roll_pitch,
+    reference,
+    tilt,
+    tilts,
+    position,
+    attitude,
+    rates,
+    voltage,
+):
+    """One period of both controllers in one call: motor and servo inputs, and their states."""
+    servo = np.zeros(2)
+    if tilts:
+        heave_yaw = heave_wait(heave_yaw_gains[0], heave_yaw, position[2])
+        measured = np.array([attitude[0], attitude[1], rates[0], rates[1]])
+        servo, roll_pitch = roll_pitch_step(roll_pitch_gains[0], roll_pitch, tilt, measured)
+    seen = np.array([position[2], attitude[2], rates[2]])
+    motor, heave_yaw = heave_yaw_step(heave_yaw_gains[0], heave_yaw, reference, seen, voltage)
+    return motor, servo, heave_yaw, roll_pitch
 
 
 def copied(record: np.void) -> np.void:

@@ -30,11 +30,12 @@ time that a sensor is not believed and sinks with a tenth of the time that it is
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import numpy as np
 
+from mufly.compiled import compiled
 from mufly.estimate import Check, Estimate
 from mufly.trigonometry import sine_cosine
 
@@ -229,16 +230,38 @@ class Smooth:
         if anew or last is None or not 0.0 < m.time_s - last.time_s < 0.1:
             self._place, self._heading = m.position.copy(), float(m.attitude[2])
             return m
-        dt = m.time_s - last.time_s
-        v = 0.5 * (last.velocity + m.velocity)
-        off = (m.position - self._place - dt * v) / SMOOTH_S
-        self._place = self._place + dt * (v + np.minimum(np.maximum(off, -FASTEST_M_S), FASTEST_M_S))
-        roll, pitch = float(m.attitude[0]), float(m.attitude[1])
-        sine, cosine = sine_cosine(roll)
-        turn = (sine * float(m.rates[1]) + cosine * float(m.rates[2])) / max(sine_cosine(pitch)[1], 0.1)
-        away = (float(m.attitude[2]) - self._heading - dt * turn) / SMOOTH_S
-        self._heading += dt * (turn + min(max(away, -FASTEST_RAD_S), FASTEST_RAD_S))
-        return replace(m, position=self._place, attitude=np.array([roll, pitch, self._heading]))
+        self._place, attitude = _moved_on(
+            self._place,
+            self._heading,
+            last.velocity,
+            m.position,
+            m.velocity,
+            m.attitude,
+            m.rates,
+            m.time_s - last.time_s,
+        )
+        self._heading = float(attitude[2])
+        return Estimate(
+            m.time_s, self._place, m.velocity, attitude, m.rates, m.ranges, m.battery_voltage, m.covariance, m.valid,
+            m.beliefs,
+        )  # fmt: skip
+
+
+@compiled
+def _moved_on(place, heading, before, position, velocity, attitude, rates, dt):  # type: ignore[no-untyped-def]
+    """Position and attitude a period later; ``before`` is the velocity then."""
+    moved, turned = np.empty(3), np.empty(3)
+    for k in range(3):
+        v = 0.5 * (before[k] + velocity[k])
+        off = (position[k] - place[k] - dt * v) / SMOOTH_S
+        moved[k] = place[k] + dt * (v + min(max(off, -FASTEST_M_S), FASTEST_M_S))
+    roll, pitch = attitude[0], attitude[1]
+    sine, cosine = sine_cosine(roll)
+    turn = (sine * rates[1] + cosine * rates[2]) / max(sine_cosine(pitch)[1], 0.1)
+    away = (attitude[2] - heading - dt * turn) / SMOOTH_S
+    turned[0], turned[1] = roll, pitch
+    turned[2] = heading + dt * (turn + min(max(away, -FASTEST_RAD_S), FASTEST_RAD_S))
+    return moved, turned
 
 
 @dataclass

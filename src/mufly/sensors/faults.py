@@ -157,6 +157,7 @@ class Faulty(Sensor):
 
     def __init__(self, sensor: Sensor, faults: Sequence[Fault], rng: np.random.Generator) -> None:
         self.sensor, self.faults, self._rng = sensor, tuple(faults), rng
+        self._imu = sensor if isinstance(sensor, Imu) else None
         self._clear()
 
     def right(self, truth: Truth) -> Mapping[str, Any]:
@@ -167,22 +168,25 @@ class Faulty(Sensor):
         self._clear()
 
     def _clear(self) -> None:
-        self._before: dict[str, Reading] = {}  # as it last left
+        self._before: Mapping[str, Reading] = {}  # as it last left
         self._seen: dict[str, Reading] = {}  # as it last came from the sensor
         self._coming: list[tuple[float, str, Reading]] = []
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
         t = truth.time_s
-        active = [f for f in self.faults if f.start_s <= t < f.stop_s]
-        if isinstance(self.sensor, Imu):
+        active = [f for f in self.faults if f.start_s <= t < f.stop_s] if self.faults else ()
+        if self._imu is not None:
             clips = [f.amount for f in active if f.name == "accelerometer" and f.kind == "clip"]
-            self.sensor.clip_at(min(clips) if clips else None)
+            self._imu.clip_at(min(clips) if clips else None)
+        if not active:
+            self._before = self.sensor.read(truth)
+            return self._before
         said = dict(self.sensor.read(truth))
         for f in active:
             name = TARGETS[f.name].reading
             if name in said:
                 self._spoil(f, name, said, truth)
-        self._before = {**self._before, **said} if active else said
+        self._before = {**self._before, **said}
         return said
 
     def _spoil(self, f: Fault, name: str, said: dict[str, Reading], truth: Truth) -> None:

@@ -162,7 +162,7 @@ class Periodic(Sensor):
         self.reset()
 
     def reset(self) -> None:
-        self._due_s = -math.inf
+        self._due_s = self._quiet_s = -math.inf
         self._coming: list[tuple[float, dict[str, Reading]]] = []  # when, what
         self._latest: dict[str, Reading] = {}
 
@@ -172,6 +172,8 @@ class Periodic(Sensor):
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
         t = truth.time_s
+        if t < self._quiet_s:
+            return self._latest
         if t >= self._due_s - 1e-9:
             # Measurements keep to their own clock, however coarse the periods of the flight software are.
             behind = t - self._due_s
@@ -185,6 +187,8 @@ class Periodic(Sensor):
                 self._coming = [one for one in self._coming if one[0] > t + 1e-9]
                 for _, readings in sorted(there, key=lambda one: one[0]):
                     self._latest = {**self._latest, **readings}
+        # Surely nothing happens before that, by more than a rounding.
+        self._quiet_s = min(self._due_s, *(one[0] for one in self._coming), math.inf) - 2e-9
         return self._latest
 
 
