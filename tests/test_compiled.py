@@ -6,8 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+
 import mufly
-from mufly.compiled import sources_of
+from mufly.compiled import boxed, sources_of
 
 PACKAGE = Path(mufly.__file__).parent
 
@@ -97,3 +99,14 @@ def test_every_compiled_function_of_the_package_is_kept_by_its_sources():
     for path in PACKAGE.rglob("*.py"):
         if path.name != "compiled.py":
             assert "njit(cache" not in path.read_text(encoding="utf-8"), path
+
+
+def test_a_boxed_record_is_the_record():
+    """What a flight changes in its gains while it flies is what the compiled control law sees."""
+    whole = np.zeros(1, [("a", "f8"), ("b", "f8", 3)])
+    record = whole[0]
+    box = boxed(record)
+    record["a"] = 3.0
+    box["b"][0, 1] = 4.0
+    assert box[0]["a"] == 3.0
+    assert record["b"][1] == 4.0

@@ -209,11 +209,11 @@ class Flight:
         self.autopilot.observe(self._estimate)
         self._fresh = True
 
-    def _measure(self, acted: _Array) -> None:
+    def _measure(self, acted: NDArray[np.floating[Any]]) -> None:
         """From the truth of this instant to what the vehicle believes of it; it knows what acted until now."""
         self._truth = self.plant.truth
         self._readings = self.sensors.read(self._truth)
-        self._estimate = self.estimator.update(self._readings, acted)
+        self._estimate = self.estimator.update(self._readings, acted.astype(np.float64, copy=False))
 
     @property
     def truth(self) -> Truth:
@@ -236,7 +236,7 @@ class Flight:
         inputs, fresh = self._acting.array, self._fresh
         self._fresh = False
         if not fresh:
-            plant.advance(inputs)
+            plant.advance_under(inputs)
             self._acting = self._sent
         k = plant.ticks
         if k % self._look == 0:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -121,7 +122,11 @@ class Plant:
             self.time_s, self.ticks, self.state.copy(), attitude, self.wind, self.voltage, self.current
         )
 
-    def advance(self, inputs: NDArray[np.float64]) -> None:
+    def advance(self, actuators: Actuators) -> None:
+        """Advance by one period."""
+        self.advance_under(actuators.array)
+
+    def advance_under(self, inputs: NDArray[np.floating[Any]]) -> None:
         """Advance by one period under inputs (4,): motor upper, lower, servo 1, 2."""
         self.wind = next(self._air)
         _period(self.state, inputs, self.wind, self._box, self._step_s, self._steps, self._supply)
@@ -292,7 +297,7 @@ def respond(
         )
         wanted = np.array([0.0, 0.0, z]), zero, np.array([s.roll, s.pitch, s.heading])
         write(truth, readings, pending, wanted, "follow")
-        plant.advance(pending.array)
+        plant.advance(pending)
         pending = actuators
     recorder.finish("succeeded")
     recorder.close()
