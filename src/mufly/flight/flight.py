@@ -233,10 +233,10 @@ class Flight:
     def tick(self) -> None:
         """Advance by one period of the controllers."""
         plant, autopilot = self.plant, self.autopilot
-        inputs, fresh = self._acting.array, self._fresh
+        acted, fresh = self._acting, self._fresh
         self._fresh = False
         if not fresh:
-            plant.advance_under(inputs)
+            plant.advance(acted)
             self._acting = self._sent
         k = plant.ticks
         if k % self._look == 0:
@@ -247,7 +247,7 @@ class Flight:
                 (float(plant.current) if flying else autopilot.hover_A) - self._current_A
             )
         if not (fresh and self.sensed):  # a filter hears of every instant once
-            self._measure(inputs)
+            self._measure(acted.array)
         self._sent = autopilot.step(self._estimate)
         if k % self._every == 0:
             software = autopilot.software

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -124,12 +123,8 @@ class Plant:
 
     def advance(self, actuators: Actuators) -> None:
         """Advance by one period."""
-        self.advance_under(actuators.array)
-
-    def advance_under(self, inputs: NDArray[np.floating[Any]]) -> None:
-        """Advance by one period under inputs (4,): motor upper, lower, servo 1, 2."""
         self.wind = next(self._air)
-        _period(self.state, inputs, self.wind, self._box, self._step_s, self._steps, self._supply)
+        _period(self.state, actuators.array, self.wind, self._box, self._step_s, self._steps, self._supply)
         self.voltage, self.current = self._supply.tolist()
         self.ticks += 1
         if not math.isfinite(self.state[2]):

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 import numpy as np
@@ -96,6 +96,7 @@ class Actuators:
 
     motor_input: _Array
     servo_input: _Array
+    _joined: list[_Array] = field(default_factory=list, init=False, repr=False, compare=False)
 
     @classmethod
     def idle(cls) -> Actuators:
@@ -105,7 +106,9 @@ class Actuators:
     @property
     def array(self) -> _Array:
         """The input of the flight model: motor upper, motor lower, servo 1, servo 2."""
-        return np.concatenate((self.motor_input, self.servo_input))
+        if not self._joined:  # asked for several times a period
+            self._joined.append(np.concatenate((self.motor_input, self.servo_input)))
+        return self._joined[0]
 
 
 class FlightSoftware:
