@@ -35,7 +35,7 @@ def test_it_carries_its_mission_and_its_world(recording: Recording) -> None:
     assert recording.mission is not None
     assert recording.mission.world.boxes[0].name == "far box"
     assert len(recording.range_angles) == 8
-    assert recording.range_angles[0] == pytest.approx(math.radians(22.5))
+    assert np.degrees(recording.range_angles) == pytest.approx(22.5 + 45.0 * np.arange(8))
     assert recording.range_max_m == pytest.approx(1.5)
     assert recording.facts["outcome"] == "succeeded"
 
@@ -64,6 +64,8 @@ def test_nothing_of_the_future_is_shown(replay: Replay) -> None:
     before = len(replay.messages)
     replay.seek(replay.end_s)
     assert len(replay.messages) > before
+    times, _ = replay.history.window(0.5, ["measured_position_D"])
+    assert (times[0], times[-1]) == (pytest.approx(replay.end_s - 0.5, abs=0.011), replay.end_s)
 
 
 def test_the_mission_goes_on_as_it_went_then(replay: Replay) -> None:
@@ -75,14 +77,28 @@ def test_the_mission_goes_on_as_it_went_then(replay: Replay) -> None:
     assert reached[0] == 0
     assert reached[-1] == 3
     assert all(b >= a for a, b in pairwise(reached))
+    # A row is behind it from the sample on at which it hovers.
+    times, states = replay.recording.times, replay.recording.states.tolist()
+    for row, leg in enumerate(("take-off", "waypoint")):
+        k = next(k for k, (a, b) in enumerate(pairwise(states), 1) if (a, b) == (leg, "hover"))
+        replay.seek(float(times[k - 1]))
+        assert (replay.mission_progress, replay.snapshot.mission_row) == (row, row)
+        replay.seek(float(times[k]))
+        assert (replay.mission_progress, replay.snapshot.mission_row) == (row + 1, row + 1)
+        assert replay.snapshot.flying
+    for time_s in (replay.start_s, replay.end_s):
+        replay.seek(time_s)
+        assert not replay.snapshot.flying
 
 
 def test_play_pause_speed_and_the_end(replay: Replay) -> None:
     replay.advance(5.0)
     assert replay.time_s == replay.start_s  # it does not play yet
     replay.play()
-    replay.speed = 4.0
     replay.advance(0.5)
+    assert replay.time_s == pytest.approx(replay.start_s + 0.5)
+    replay.speed = 4.0
+    replay.advance(0.375)
     assert replay.time_s == pytest.approx(replay.start_s + 2.0)
     jumps = replay.jumps
     replay.pause()
@@ -119,6 +135,18 @@ def test_a_bare_table_is_a_recording_too(tmp_path: Path) -> None:
     assert s.estimate.battery_voltage == pytest.approx(7.301)
     assert not s.flying
     assert replay.mission == []
+
+
+def test_beams_of_a_bare_table_stand_evenly_around_the_nose(tmp_path: Path) -> None:
+    path = tmp_path / "beams.csv"
+    rows = "\n".join(f"{k / 50:.2f},{1 + 0.01 * k:.2f},2.5,,0.5" for k in range(100))
+    path.write_text("time [s],range_0 [m],range_1 [m],range_2 [m],range_3 [m]\n" + rows + "\n")
+    recording = open_recording(path)
+    assert np.degrees(recording.range_angles) == pytest.approx([45.0, 135.0, 225.0, 315.0])
+    assert recording.range_max_m == 2.5  # as far as any of them saw
+    replay = Replay(recording)
+    replay.seek(1.0)
+    assert replay.snapshot.estimate.ranges == pytest.approx([1.5, 2.5, math.nan, 0.5], nan_ok=True)
 
 
 def test_what_is_no_recording_is_said_in_a_line(tmp_path: Path) -> None:
