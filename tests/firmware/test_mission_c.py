@@ -202,6 +202,7 @@ class StandIn:
         self.status = dict.fromkeys(CHECKED, "fused")
         self.shake = 0.0
         self.broken = ""
+        self.ceiling, self.held, self.drops = math.inf, False, False
         self.last: Estimate | None = None
 
     def follow(self, software: FlightSoftware, dt: float) -> None:
@@ -212,12 +213,16 @@ class StandIn:
             self.v = np.clip(2.0 * away, -0.8, 0.8) + self.shake * np.array(
                 [self.rng.uniform(-1, 1) for _ in range(3)]
             )
+            self.v *= 0.0 if self.held else 1.0
+            if self.drops:
+                self.v[2] = 0.7
             self.psi += dt * float(np.clip(2.0 * (attitude[2] - self.psi), -2, 2))
         elif self.x[2] < -0.07:
             self.v = np.array([0.0, 0.0, 0.7])
         else:
             self.v = np.zeros(3)
         self.x = self.x + dt * self.v
+        self.x[2] = max(self.x[2], -self.ceiling)
         if self.x[2] > -0.07:
             self.x[2], self.v[2] = -0.07, 0.0
 
@@ -304,6 +309,15 @@ def _happen(kind: str, v: StandIn, n: int) -> Command:
         v.broken = v.rng.choice(("position", "velocity", "attitude", "rates", "frozen", "all", ""))
     elif kind == "tipped":
         v.tilt = v.rng.choice((1.2, 0.0))
+    elif kind.startswith("spread"):
+        _, name, size = kind.split()
+        v.spread[name] = float(size)
+    elif kind.startswith("ceiling"):
+        v.ceiling = float(kind.split()[1])
+    elif kind in ("held", "drops"):
+        setattr(v, kind, True)
+    elif kind == "shut in":
+        v.beams = np.full(8, 0.33)
     elif kind == "shake":
         v.shake = v.rng.choice((0.0, 2.0))
     return Command()
@@ -317,7 +331,9 @@ KINDS = (
 HELD = ("sticks", "points", "speeds", "nothing")
 
 
-def fly_both(software, board, kinds, seed: int, judged: bool, periods: int) -> set[str]:
+def fly_both(
+    software, board, kinds, seed: int, judged: bool, periods: int, step_s: float | None = None
+) -> set[str]:
     """Fly segments of ``periods`` each by both and compare everything; return the states visited."""
     rng = random.Random(seed)
     v, visited = StandIn(rng, judged), set()
@@ -325,7 +341,7 @@ def fly_both(software, board, kinds, seed: int, judged: bool, periods: int) -> s
     for kind in kinds:
         command = _happen(kind, v, len(software.plan.mission.waypoint))
         for k in range(periods):
-            v.follow(software, rng.choice((0.005, 0.02, 0.02)))
+            v.follow(software, step_s or rng.choice((0.005, 0.02, 0.02)))
             m, c = v.believed(), command if k == 0 or kind in HELD else Command()
             ours, theirs = software.step(m, c), board.step(m, c)
             where = f"{kind} at {m.time_s:.3f} s, period {k}"
@@ -353,11 +369,48 @@ def test_any_sequence_of_commands_and_faults_is_the_same(
     fly_both(software, board, [begin, *["wait"] * 4, *kinds], seed, judged, 80)
 
 
-@pytest.mark.parametrize("judged", [False, True])
-@pytest.mark.parametrize("mission", [SQUARE, CURVES, SCANNED], ids=lambda m: m["name"])
-def test_a_mission_to_its_end_is_the_same(firmware, vehicle, controller, mission, judged) -> None:
+FLIES = ("start", *["wait"] * 4)  # of 100 periods of 0.03 s each
+STORIES = (
+    (SQUARE, True, [*FLIES, *["wait"] * 16], "COMPLETE_RETURNS REACHED REACHED_HOME TOUCHDOWN LANDED"),
+    (CURVES, True, [*FLIES, *["wait"] * 16], "COMPLETE_HOLDS"),
+    (SCANNED, False, [*FLIES, *["wait"] * 10], "COMPLETE"),
+    (SQUARE, True, [*FLIES, "spread place 0.3", "clear", "wait", "wait"], "HOLDS KNOWN GOES_ON"),
+    (SQUARE, True, [*FLIES, *["spread place 0.3"] * 5, "wait"], "PLACE_WAITED"),
+    (SQUARE, True, [*FLIES, "spread place 0.7", "wait"], "PLACE_DOUBT"),
+    (SQUARE, True, [*FLIES, "spread height 0.4"], "HEIGHT_DOUBT"),
+    (SQUARE, True, [*FLIES, "spread heading 0.6"], "HEADING_DOUBT"),
+    (SQUARE, True, [*FLIES, "spread tilt 0.2", "wait", "wait"], "TILT_DOUBT CAME_DOWN"),
+    (SQUARE, False, ["ceiling 0.05", *FLIES], "TAKE_OFF_FAILED"),
+    (SQUARE, False, ["ceiling 0.5", *FLIES, "wait", "wait"], "TAKE_OFF_SHORT"),
+    (SQUARE, False, [*FLIES, "held", *["wait"] * 12], "MISSED"),
+    (SQUARE, False, [*FLIES, "waypoint", "held", *["wait"] * 14], "MISSED_USERS"),
+    (SQUARE, False, [*FLIES, "home", "held", *["wait"] * 14], "MISSED_HOME"),
+    (SQUARE, False, [*FLIES, "land", "drops"], "LAND_EARLY HARD_TOUCHDOWN"),
+    (SQUARE, False, [*FLIES, "battery", "sticks", "wait"], "RC_ON"),
+    (SCANNED, False, [*FLIES, "shut in", *["wait"] * 8], "BLOCKED"),
+)
+
+
+@pytest.mark.parametrize("story", STORIES, ids=lambda s: s[3].replace(" ", "-").lower())
+def test_what_can_happen_is_said_in_the_same_words(firmware, vehicle, controller, story) -> None:
+    mission, judged, kinds, words = story
     software = FlightSoftware(vehicle, controller, mission_from(mission))
     board = Onboard(firmware, controller, software.plan)
-    visited = fly_both(software, board, ["start", *["wait"] * 8], 1, judged, 400)
-    assert {"take-off", "hover", "waypoint"} <= visited
-    assert software.mission_state.reached > 0
+    fly_both(software, board, kinds, 1, judged, 100, 0.03)
+    said = [*(e.text for e in board.state.events), board.state.reason]
+    for name in words.split():
+        begins = Words[name].value.split("{", 1)[0]
+        assert any(text.startswith(begins) for text in said), (name, said)
+
+
+def test_another_mission_loaded_in_flight_is_the_same(firmware, vehicle, controller) -> None:
+    software = FlightSoftware(vehicle, controller, mission_from(SQUARE))
+    board = Onboard(firmware, controller, software.plan)
+    fly_both(software, board, ["take-off", *["wait"] * 3], 1, False, 100, 0.03)
+    software.load(mission_from(CURVES))
+    board.fly_by(software.plan)
+    board.loaded("curves")
+    assert (
+        board.state.events[-1].text == software.mission_state.events[-1].text == "curves: 3 waypoints loaded"
+    )
+    assert different(software.mission_state, board.state) == []
