@@ -36,6 +36,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from mufly.errors import ArgumentError, InputError
 from mufly.identify.record import Columns, smoothed
@@ -191,6 +192,11 @@ def compatibility(record: Columns, imu: Mapping[str, str], outputs: Mapping[str,
     for name in STATES[:3]:
         if name not in outputs:
             raise ArgumentError("measured", name, "is missing", "give phi, theta and psi")
+    with threadpool_limits(1, "blas"):  # matrices of a dozen rows: threads would only wait for each other
+        return _reconstructed(record, imu, outputs)
+
+
+def _reconstructed(record: Columns, imu: Mapping[str, str], outputs: Mapping[str, str]) -> Compatibility:
     raw, z = record.stack({n: imu[n] for n in IMU}, "imu"), record.stack(outputs, "measured")
     outs, dt = tuple(outputs), record.dt
     z[:, outs.index("psi")] = np.unwrap(z[:, outs.index("psi")])
