@@ -385,7 +385,7 @@ STORIES = (
     (SQUARE, False, [*FLIES, "held", *["wait"] * 12], "MISSED"),
     (SQUARE, False, [*FLIES, "waypoint", "held", *["wait"] * 14], "MISSED_USERS"),
     (SQUARE, False, [*FLIES, "home", "held", *["wait"] * 14], "MISSED_HOME"),
-    (SQUARE, False, [*FLIES, "land", "drops"], "LAND_EARLY HARD_TOUCHDOWN"),
+    (SQUARE, False, [*FLIES, "land", "drops", "wait", "wait"], "LAND_EARLY HARD_TOUCHDOWN"),
     (SQUARE, False, [*FLIES, "battery", "sticks", "wait"], "RC_ON"),
     (SCANNED, False, [*FLIES, "shut in", *["wait"] * 8], "BLOCKED"),
 )
