@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import json
+import shutil
+import subprocess
+from fnmatch import fnmatch
+
 import pytest
 
 from mufly.control import design
-from mufly.firmware import export, export_fixed, missing_fuzzer, run_fuzzer
+from mufly.firmware import export, export_fixed, missing_fuzzer, run_fuzzer, write_report
+from mufly.firmware.report import ADVISORY, branches, deviations, judged
 from mufly.vehicle import load_vehicle
 
 
@@ -41,3 +47,49 @@ def test_any_bytes_are_borne_and_a_fault_is_found(tree) -> None:
     assert "outside the range of representable values" in broken.found
     assert "real.c" in broken.found
     assert broken.input_hex
+
+
+def test_findings_have_a_written_reason_or_are_told() -> None:
+    said = (
+        "a.c:3: misra-c2012-10.8: x\na.c:9: misra-c2012-10.8: x\nfixed/b.c:1: misra-c2012-10.8: x\n"
+        "a.c:4: misra-c2012-15.5: x\na.c:5: uninitvar: y\n"
+    )
+    reasons = deviations("# words\n\n10.8 | fixed/*.c c.c | It fits.\n")
+    required, advice = judged(said, reasons)
+    assert [(f.rule, f.place, f.reason) for f in required] == [
+        ("10.8", "a.c:3", ""), ("10.8", "a.c:9", ""), ("10.8", "fixed/b.c:1", "It fits.")
+    ]  # fmt: skip
+    assert advice == {"15.5": 1}
+
+
+def test_every_deviation_names_files_that_are_there(tree) -> None:
+    names = [str(p.relative_to(tree)) for p in tree.rglob("*.[ch]")]
+    found = deviations((tree / "check" / "deviations.txt").read_text())
+    assert len(found) >= 5
+    for rule, files, reason in found:
+        assert rule not in ADVISORY
+        assert len(reason) > 20
+        for one in files:
+            assert any(fnmatch(name, one) for name in names), one
+
+
+def test_a_missing_tool_is_named_and_the_report_is_written(vehicle, tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    wanted = ("On emulated processors", "MISRA C:2012", "What gcc says")
+    sections = write_report(vehicle, tmp_path / "report", only=wanted)
+    assert {s.title for s in sections} == set(wanted)
+    text = (tmp_path / "report" / "report.md").read_text()
+    for package in ("gcc-arm-none-eabi", "cppcheck", "install gcc"):
+        assert package in text
+    told = json.loads((tmp_path / "report" / "report.json").read_text())
+    assert all("install" in told[title]["missing"] for title in wanted)
+
+
+@pytest.mark.skipif(not (shutil.which("gcc") and shutil.which("gcov")), reason="needs gcc with gcov")
+def test_branches_are_counted(tmp_path) -> None:
+    (tmp_path / "a.c").write_text(
+        "int f(int x);\nint f(int x)\n{\n    return (x > 0) ? 1 : 2;\n}\nint main(void)\n{\n    return f(1) - 1;\n}\n"
+    )
+    for command in (["gcc", "--coverage", "-O0", "a.c", "-o", "a"], ["./a"]):
+        subprocess.run(command, cwd=tmp_path, check=True)
+    assert branches(tmp_path) == {"a.c": [(4, 2, 1)]}

@@ -3,10 +3,11 @@
 from mufly.firmware.checks import PilResult, SilResult, deepest_stack, missing_tools, pil, sil
 from mufly.firmware.fixed import FixedLaw, FixedLoss, Proof, cascade_loss, fixed_law
 from mufly.firmware.fixed_checks import FixedFlight, fly_fixed, pil_fixed
-from mufly.firmware.fixed_law import FixedControllers, FixedFirmwareControllers, export_fixed
 from mufly.firmware.fuzzing import FuzzResult, fuzz, missing_fuzzer, run_fuzzer
 from mufly.firmware.host import Firmware, FirmwareControllers, build
+from mufly.firmware.integer_law import FixedControllers, FixedFirmwareControllers, export_fixed
 from mufly.firmware.onboard import FirmwareSoftware
+from mufly.firmware.report import write_report
 from mufly.firmware.tables import export, tables_c
 from mufly.toolchain import compiler
 
@@ -39,4 +40,5 @@ __all__ = [
     "run_fuzzer",
     "sil",
     "tables_c",
+    "write_report",
 ]

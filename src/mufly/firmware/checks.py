@@ -284,7 +284,7 @@ def pil(vehicle: Vehicle, *, timeout_s: float = 120.0) -> list[PilResult]:
     with tempfile.TemporaryDirectory(prefix="mufly-pil-") as temporary:
         folder = Path(temporary) / "fw"
         export(design(vehicle), folder, vehicle, mission=load_mission("demonstration"))
-        _objects_for_m4(folder)
+        objects_for_m4(folder)
         flash, ram = size_of(folder)
         found = []
         for what, (test, entry) in SELF_TESTS.items():
@@ -365,7 +365,7 @@ def _self_test(folder: Path, test: str) -> Path:
     return out
 
 
-def _objects_for_m4(folder: Path) -> None:
+def objects_for_m4(folder: Path) -> None:
     flags = [*FLAGS, *_M4, "-DMUFLY_FLOAT", "-fstack-usage", "-fdump-rtl-expand", "-I."]
     built(["arm-none-eabi-gcc", *flags, "-c", *_sources(folder)], folder)
 

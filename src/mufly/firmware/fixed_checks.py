@@ -23,7 +23,7 @@ from mufly.firmware.checks import (
     size_of,
 )
 from mufly.firmware.fixed import FixedLaw, fixed_law
-from mufly.firmware.fixed_law import FixedFirmwareControllers, export_fixed
+from mufly.firmware.integer_law import FixedFirmwareControllers, export_fixed
 from mufly.firmware.tables import export
 from mufly.flight import fly
 from mufly.flight.software import Controllers

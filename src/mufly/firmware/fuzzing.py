@@ -15,7 +15,7 @@ from pathlib import Path
 from mufly.control import design
 from mufly.errors import MuflyError
 from mufly.firmware.checks import built
-from mufly.firmware.fixed_law import export_fixed
+from mufly.firmware.integer_law import export_fixed
 from mufly.firmware.tables import export
 from mufly.results import result
 from mufly.vehicle import Vehicle
@@ -89,7 +89,8 @@ def fuzz(vehicle: Vehicle, *, seconds: float, seed: int = 1) -> FuzzResult:
 
 
 def run_fuzzer(folder: Path, *, seconds: float, seed: int = 1) -> FuzzResult:
-    """Build and run the harness in an exported tree, with what is there."""
+    """Build and run the harness in an exported tree, with what is there; inputs worth keeping go to its ``corpus/``."""
+    (folder / "corpus").mkdir(exist_ok=True)
     there = {
         "controllers": True, "avoidance": True, "whole numbers": (folder / "fixed" / "tables_fixed.c").exists(),
         "flight software": (folder / "software.c").exists(),
@@ -110,7 +111,7 @@ def run_fuzzer(folder: Path, *, seconds: float, seed: int = 1) -> FuzzResult:
     built([*flags, *objects, "-o", "fuzz", "-lm"], folder)
     done = subprocess.run(
         [str(folder / "fuzz"), f"-max_total_time={max(1, round(seconds))}", f"-seed={seed}", "-max_len=4096",
-         "-len_control=20", "-print_final_stats=1", "-timeout=20", f"-artifact_prefix={folder}/found-"],
+         "-len_control=20", "-print_final_stats=1", "-timeout=20", f"-artifact_prefix={folder}/found-", "corpus"],
         capture_output=True, text=True, cwd=folder,
     )  # fmt: skip
     said = done.stderr

@@ -122,7 +122,7 @@ void fixed_lift_off(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_
 }
 
 /* In flight the filtered reference waits for a height that trails it by more than the slack. */
-static void heave_wait(const fixed_heave_yaw_t *h, fixed_controllers_t *c, int32_t z)
+static void wait_for_height(const fixed_heave_yaw_t *h, fixed_controllers_t *c, int32_t z)
 {
     const int64_t trails = z - fixed_rounded(c->height.value, 20U);
 
@@ -132,7 +132,7 @@ static void heave_wait(const fixed_heave_yaw_t *h, fixed_controllers_t *c, int32
     }
 }
 
-static void heave_yaw_step(const fixed_heave_yaw_t *h, fixed_controllers_t *c, const fixed_motion_t *now,
+static void drive_motors(const fixed_heave_yaw_t *h, fixed_controllers_t *c, const fixed_motion_t *now,
                            const int32_t reference[4], int32_t motor_input[2])
 {
     int32_t w[FIXED_MOST_INPUTS];
@@ -171,7 +171,7 @@ static void heave_yaw_step(const fixed_heave_yaw_t *h, fixed_controllers_t *c, c
     motor_input[1] = (int32_t)fixed_clip((lower * FIXED_ONE) / top, 0, FIXED_ONE);
 }
 
-static void roll_pitch_step(const fixed_roll_pitch_t *r, fixed_controllers_t *c, const fixed_motion_t *now,
+static void drive_servos(const fixed_roll_pitch_t *r, fixed_controllers_t *c, const fixed_motion_t *now,
                             const int32_t tilt[2], int32_t servo_input[2])
 {
     int64_t measured[FIXED_ROLL_PITCH_ERRORS];
@@ -248,8 +248,8 @@ void fixed_step(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_moti
     out->servo_input[0] = 0;
     out->servo_input[1] = 0;
     if (flying) {
-        heave_wait(&g->heave_yaw, c, now->position[2]);
-        roll_pitch_step(&g->roll_pitch, c, now, tilt, out->servo_input);
+        wait_for_height(&g->heave_yaw, c, now->position[2]);
+        drive_servos(&g->roll_pitch, c, now, tilt, out->servo_input);
     }
-    heave_yaw_step(&g->heave_yaw, c, now, heave_yaw, out->motor_input);
+    drive_motors(&g->heave_yaw, c, now, heave_yaw, out->motor_input);
 }

@@ -1,0 +1,99 @@
+"""Which branches of the C are reached? Built with counts, flown and fed in a process that writes them as it ends.
+
+``python -m mufly.firmware.coverage TREE VEHICLE``, as :mod:`mufly.firmware.report` calls it.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import cffi
+import numpy as np
+
+from mufly.control import FlightController, design
+from mufly.estimate import native
+from mufly.firmware import integer_law
+from mufly.firmware.checks import built
+from mufly.firmware.fixed import fixed_law
+from mufly.firmware.host import Firmware, declarations
+from mufly.firmware.onboard import FirmwareSoftware
+from mufly.flight import fly
+from mufly.mission import Mission, load_mission
+from mufly.toolchain import FLAGS
+from mufly.vehicle import Vehicle, load_vehicle
+
+PARTS, INPUTS = 5, 3000
+"""Of the harness of the fuzzer, and how many inputs are drawn for it."""
+
+
+def counted(folder: Path) -> Path:
+    """Build an exported tree, whole numbers and the fuzzer's harness included, with counts of branches."""
+    flags = [
+        "gcc",
+        *FLAGS,
+        "-O0",
+        "--coverage",
+        "-fPIC",
+        "-I.",
+        "-Ifixed",
+        "-Icheck",
+        "-DFUZZ_FIXED",
+        "-DFUZZ_MISSION",
+    ]
+    objects = []
+    for source in (*folder.glob("*.c"), *folder.glob("fixed/*.c"), folder / "check" / "fuzz.c"):
+        name = source.relative_to(folder).with_suffix("")
+        built([*flags, "-DFUZZ_ESTIMATE", "-c", f"{name}.c", "-o", f"{name}.o"], folder)
+        objects.append(f"{name}.o")
+    built(["gcc", "--coverage", "-shared", *objects, "-o", "counted.so", "-lm"], folder)
+    return folder / "counted.so"
+
+
+def exercise(folder: Path, vehicle: Vehicle) -> None:
+    """Fly both missions by the counted code, on sensors and by whole numbers; feed it bytes, of ``corpus/`` and any."""
+    library = str(counted(folder))
+    controller = design(vehicle)
+    firmware = Firmware.__new__(Firmware)
+    firmware.real = np.dtype(np.float64)
+    firmware.ffi = cffi.FFI()
+    firmware.ffi.cdef(declarations(folder))
+    firmware.ffi.cdef("int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);")
+    firmware.lib = firmware.ffi.dlopen(library)
+    fixed_ffi = cffi.FFI()
+    fixed_ffi.cdef(declarations(folder / "fixed"))
+    whole = fixed_law(controller)
+
+    class Flown(FirmwareSoftware):
+        def __init__(self, vehicle: Vehicle, controller: FlightController, mission: Mission) -> None:
+            super().__init__(vehicle, controller, mission, firmware)
+
+    def by_whole_numbers(c: FlightController) -> integer_law.FixedFirmwareControllers:
+        return integer_law.FixedFirmwareControllers(c, whole)
+
+    # Its own libraries give way to the one that counts; the records are laid out alike.
+    changed: Any = integer_law
+    changed._loaded = lambda text, cc: (fixed_ffi, fixed_ffi.dlopen(library))
+    kept: Any = native._library
+    changed = native
+    changed._library = lambda records: (kept(records)[0], kept(records)[0].dlopen(library))
+    for name in ("demonstration", "box-on-leg"):
+        fly(vehicle, load_mission(name), controller=controller, controllers=Flown, sensors="fitted", gust=0.3)
+    fly(vehicle, load_mission("box-on-leg"), controller=controller, controllers=by_whole_numbers)
+    for kept_input in sorted((folder / "corpus").glob("*")):
+        found = kept_input.read_bytes()
+        firmware.lib.LLVMFuzzerTestOneInput(firmware.ffi.from_buffer("uint8_t[]", found), len(found))
+    rng = np.random.default_rng(0)
+    for k in range(INPUTS):
+        data = rng.integers(0, 256, int(rng.integers(64, 4096)), dtype=np.uint8)
+        if k % 3:  # calm: small numbers of everything, no special ones
+            data = (data.astype(float) ** 2 / 300.0).astype(np.uint8)
+        data[0] = k % PARTS + (
+            130 if k % 4 == 0 else 0
+        )  # 130 is a multiple of the parts: no wild number comes
+        firmware.lib.LLVMFuzzerTestOneInput(firmware.ffi.from_buffer("uint8_t[]", data.tobytes()), len(data))
+
+
+if __name__ == "__main__":
+    exercise(Path(sys.argv[1]), load_vehicle(sys.argv[2]))
