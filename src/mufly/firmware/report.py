@@ -128,7 +128,8 @@ def _emulated(vehicle: Vehicle, out: Path) -> Section:
     return Section(
         "On emulated processors",
         _table(("what", "board", "numbers", "outputs", "instructions, mean", "worst"), rows)
-        + "\n\n![instructions of a period](instructions.png)\n\nLaw: the controllers; flight: they, the mission and what watches over it; estimator apart. Self-tests in "
+        + "\n\n![instructions of a period](instructions.png)\n\nLaw: the controllers; flight: they, the mission "
+        "and what watches over it, without the estimator. Self-tests in "
         f"`check/`. Aim for the whole stack: {TARGETS['instructions']}.",
         {"boards": [{"numbers": kind, **_dict(r)} for kind, r in boards]},
     )
