@@ -158,6 +158,18 @@ def test_the_mission_can_begin_elsewhere(pilot: Pilot) -> None:
 def test_goes_turns_and_returns(pilot: Pilot) -> None:
     a = pilot.autopilot
     pilot.take_off(0.6)
+    # On the floor it is what is less than 5 cm above where it stood and hardly moves.
+    held, stood = pilot.autopilot._estimate, pilot.autopilot.software.mission_state.standing[2]
+    for height, speed, flies in (
+        (0.055, 0.0, True),
+        (0.045, 0.0, False),
+        (0.045, 0.12, True),
+        (0.045, 0.08, False),
+    ):
+        place, velocity = np.array([0.0, 0.0, stood - height]), np.array([0.0, speed, 0.0])
+        pilot.autopilot._estimate = replace(held, position=place, velocity=velocity)
+        assert pilot.autopilot.status.flying == flies, (height, speed)
+    pilot.autopilot._estimate = held
     assert a.go_to((0.5, 0.2, -0.8), heading_rad=0.5)
     pilot.run(
         15.0, until=lambda: any("waypoint reached" in t for t in pilot.texts) or a.status.state == "hover"
