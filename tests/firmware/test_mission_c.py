@@ -6,9 +6,11 @@ import math
 import random
 import re
 import shutil
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
+import cffi
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -19,7 +21,7 @@ from mufly.control import design
 from mufly.estimate import EXACT, Check, Estimate
 from mufly.estimate.beliefs import Beliefs
 from mufly.estimate.layout import CHECKED
-from mufly.firmware import Firmware
+from mufly.firmware import Firmware, compiler, export
 from mufly.firmware.onboard import Onboard, _course, different
 from mufly.flight.software import FlightSoftware
 from mufly.mission import Ask, Command, SetPoint, Words, curved, may, mission_from, straight
@@ -414,3 +416,58 @@ def test_another_mission_loaded_in_flight_is_the_same(firmware, vehicle, control
         board.state.events[-1].text == software.mission_state.events[-1].text == "curves: 3 waypoints loaded"
     )
     assert different(software.mission_state, board.state) == []
+
+
+# Boards: what of them can be had without one
+
+
+def test_templates_of_boards_compile_and_four_motors_turn_as_two_do(tmp_path, vehicle, controller) -> None:
+    export(controller, tmp_path, vehicle, mission=mission_from(SQUARE))
+    strict = ("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-pedantic", "-Werror", "-I.", "-Iboards")
+    for name in ("board.c", "stm32/stm32.c", "crazyflie/four_motors.c"):
+        done = subprocess.run(
+            [compiler(), "-std=c99", *strict, "-c", f"boards/{name}", "-o", "out.o"],
+            cwd=tmp_path, capture_output=True, text=True,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+    ffi = cffi.FFI()
+    ffi.cdef(
+        "typedef struct { double motor_input[2], servo_input[2]; } actuators_t;"
+        "typedef struct { double yaw, pitch, roll; } four_motors_t;"
+        "void four_motors_mix(const four_motors_t *g, const actuators_t *in, double out[4]);"
+    )
+    command = [
+        compiler(),
+        "-std=c99",
+        "-I.",
+        "-shared",
+        "-fPIC",
+        "boards/crazyflie/four_motors.c",
+        "real.c",
+        "-o",
+        "four.so",
+    ]
+    subprocess.run([*command, "-lm"], cwd=tmp_path, check=True)
+    lib, out = ffi.dlopen(str(tmp_path / "four.so")), ffi.new("double[4]")
+    gains = ffi.new("four_motors_t *", [0.5, 0.2, 0.2])
+
+    def mixed(upper, lower, nose_down, right):
+        lib.four_motors_mix(gains, ffi.new("actuators_t *", [[upper, lower], [nose_down, right]]), out)
+        return np.array(list(out))
+
+    # Front left, front right, rear right, rear left; the first and third turn clockwise, and so the body to the left.
+    x, y, drag = np.array([1, 1, -1, -1]), np.array([-1, 1, 1, -1]), np.array([-1, 1, -1, 1])
+    for upper, lower, nose_down, right in np.random.default_rng(5).uniform(
+        [0.4, 0.4, -1, -1], [0.6, 0.6, 1, 1], (50, 4)
+    ):
+        f = mixed(upper, lower, nose_down, right)
+        assert f.mean() == pytest.approx(0.5 * (upper + lower))
+        assert -x @ f == pytest.approx(4 * 0.2 * nose_down)
+        assert -y @ f == pytest.approx(4 * 0.2 * right)
+        assert drag @ f == pytest.approx(
+            4 * 0.5 * (upper - lower)
+        )  # the upper rotor's torque turns it to the right
+    for one in np.random.default_rng(6).uniform([0, 0, -1, -1], [1, 1, 1, 1], (300, 4)):
+        f = mixed(*one)
+        assert (f >= 0.0).all()
+        assert (f <= 1.0).all()

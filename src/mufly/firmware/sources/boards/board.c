@@ -1,0 +1,114 @@
+#include "board.h"
+
+static void idle(actuators_t *out)
+{
+    for (int32_t i = 0; i < 2; i++) {
+        out->motor_input[i] = REAL(0.0);
+        out->servo_input[i] = REAL(0.0);
+    }
+}
+
+void board_start(board_t *b, uint32_t fitted)
+{
+    estimator_begin(&b->estimator, &mufly_settings);
+    software_start(&mufly_setup, &b->software);
+    idle(&b->acting);
+    idle(&b->sent);
+    for (int32_t k = 0; k < 3; k++) {
+        for (int32_t i = 0; i < AVOID_BEAMS; i++) {
+            b->pictures[k][i] = mufly_plan.ring.max_range;
+        }
+    }
+    for (int32_t i = 0; i < AVOID_BEAMS; i++) {
+        b->belief.ranges[i] = mufly_plan.ring.max_range;
+    }
+    b->fitted = fitted;
+    b->told = 0;
+}
+
+/* Of each beam the middle of the last three pictures: a spot that is seen once is noise. */
+static void look(board_t *b, const real_t ranges[])
+{
+    for (int32_t i = 0; i < mufly_plan.ring.count; i++) {
+        const real_t a = b->pictures[1][i];
+        const real_t m = b->pictures[2][i];
+        const real_t c = real_finite(ranges[i]) ? ranges[i] : mufly_plan.ring.max_range;
+
+        b->pictures[0][i] = a;
+        b->pictures[1][i] = m;
+        b->pictures[2][i] = c;
+        b->belief.ranges[i] = real_max(real_min(a, m), real_min(real_max(a, m), c));
+    }
+}
+
+static void believe(board_t *b, bool valid, real_t time_s, real_t voltage)
+{
+    const estimator_t *e = &b->estimator;
+    belief_t *m = &b->belief;
+
+    m->time_s = time_s;
+    m->valid = valid;
+    m->judged = true;
+    m->motion.voltage = voltage;
+    for (int32_t i = 0; i < 3; i++) {
+        m->motion.position[i] = e->out[i];
+        m->motion.velocity[i] = e->out[3 + i];
+        m->motion.attitude[i] = e->angles[i];
+        m->motion.rates[i] = e->out_rates[i];
+        m->position_variance[i] = e->out_cov[i][i];
+        m->attitude_variance[i] = e->out_cov[6 + i][6 + i];
+    }
+    for (int32_t k = 0; k < SENSORS; k++) {
+        const bool there = (b->fitted & (1UL << (uint32_t)k)) != 0U;
+
+        m->checks[k].status = there ? e->code[k] : BELIEF_NOT_FITTED;
+        m->checks[k].why = e->why[k];
+        m->checks[k].number = e->number[k];
+    }
+}
+
+void board_period(board_t *b, hal_readings_t *readings, const command_t *command, real_t time_s, bool armed)
+{
+    const real_t voltage = readings->z[STARTS[R_BATTERY]];
+    actuators_t out;
+    bool valid;
+
+    if (readings->fresh[R_RING] == 1) {
+        look(b, readings->ranges);
+    }
+    for (int32_t i = 0; i < 2; i++) {
+        readings->z[ACTING + i] = b->acting.motor_input[i];
+        readings->z[ACTING + 2 + i] = b->acting.servo_input[i];
+    }
+    valid = estimator_step(&b->estimator, &mufly_settings, &mufly_flight_model, readings->z, readings->fresh,
+                           readings->age);
+    believe(b, valid, time_s, voltage);
+    software_step(&mufly_setup, &b->software, &b->belief, command, &out);
+    b->acting = b->sent;
+    b->sent = out;
+    if (!armed) {
+        idle(&b->sent);
+    }
+}
+
+void board_run(board_t *b)
+{
+    static hal_readings_t readings;
+    static command_t command;
+
+    for (;;) {
+        (void)hal_wait();
+        hal_read(&readings);
+        hal_command(&command);
+        board_period(b, &readings, &command, hal_time_s(), hal_armed());
+        hal_actuate(&b->sent);
+        while (b->told < b->software.mission.logged) {
+            if ((b->software.mission.logged - b->told) > MISSION_LOG) {
+                b->told = b->software.mission.logged - MISSION_LOG; /* what was before is lost */
+            }
+            hal_tell(&b->software.mission.log[b->told % MISSION_LOG]);
+            b->told++;
+        }
+        hal_alive();
+    }
+}

@@ -1,0 +1,133 @@
+/* Stubs for an STM32F4: what hal.h asks for, without any vendor's code. Every TODO is a register or a buffer of your board.
+ *
+ * The inertial unit is read by DMA into two halves of a buffer, in turns; PWM is a timer's; telemetry goes out of a UART by
+ * DMA, as MAVLink; the independent watchdog stops everything that the loop has forgotten. */
+#include "../board.h"
+
+#define UPPER_CHANNEL 0
+#define LOWER_CHANNEL 1
+#define SERVO_1_CHANNEL 2
+#define SERVO_2_CHANNEL 3
+#define TELEMETRY_SLOTS 32U
+
+int main(void);
+
+/* Set by interrupts. */
+static volatile uint32_t periods;     /* of the loop's timer */
+static volatile uint32_t microseconds; /* of a free-running 32-bit timer; TODO: TIM2->CNT */
+static volatile bool imu_came;
+static volatile real_t imu[6];        /* specific force (m/s2), rates (rad/s); body axes forward, right, down */
+
+static entry_t telemetry[TELEMETRY_SLOTS];
+static uint32_t written;
+
+/* TODO: the timer's interrupt at mufly_rate_Hz calls this. */
+void stm32_period(void);
+void stm32_period(void)
+{
+    periods++;
+}
+
+/* TODO: the DMA's half and full transfer interrupts call this with what the unit said, scaled, in body axes. */
+void stm32_imu(const real_t force[3], const real_t rates[3]);
+void stm32_imu(const real_t force[3], const real_t rates[3])
+{
+    for (int32_t i = 0; i < 3; i++) {
+        imu[i] = force[i];
+        imu[3 + i] = rates[i];
+    }
+    imu_came = true;
+}
+
+static void pwm(int32_t channel, real_t share)
+{
+    (void)channel; /* TODO: TIMx->CCRy = (uint32_t)(share * TIMx->ARR) */
+    (void)share;
+}
+
+int32_t hal_wait(void)
+{
+    static uint32_t last;
+    uint32_t missed;
+
+    while (periods == last) {
+        /* TODO: __WFI() */
+    }
+    missed = (periods - last) - 1U;
+    last = periods;
+    return (int32_t)missed;
+}
+
+real_t hal_time_s(void)
+{
+    static uint32_t before;
+    static real_t seconds;
+    const uint32_t now = microseconds;
+
+    seconds += (real_t)(now - before) * REAL(1e-6);
+    before = now;
+    return seconds;
+}
+
+void hal_read(hal_readings_t *readings)
+{
+    for (int32_t k = 0; k < SENSORS; k++) {
+        readings->fresh[k] = 0;
+        readings->age[k] = REAL(0.0);
+    }
+    for (int32_t i = 0; i < 3; i++) {
+        readings->z[CLIPPING + i] = REAL(0.0); /* TODO: the share of samples at full scale */
+    }
+    if (imu_came) {
+        imu_came = false; /* TODO: with interrupts off, or from the half of the buffer that DMA does not write */
+        for (int32_t i = 0; i < 3; i++) {
+            readings->z[STARTS[R_ACCELERATION] + i] = imu[i];
+            readings->z[STARTS[R_RATES] + i] = imu[3 + i];
+        }
+        readings->fresh[R_ACCELERATION] = 1;
+        readings->fresh[R_RATES] = 1;
+    }
+    /* TODO: sonar, ring, pressure (less 101325 Pa), compass, rotor speeds, position fix, battery voltage. */
+}
+
+void hal_actuate(const actuators_t *out)
+{
+    pwm(UPPER_CHANNEL, out->motor_input[0]);
+    pwm(LOWER_CHANNEL, out->motor_input[1]);
+    /* Servos: 1 to 2 ms of a 20 ms frame, the middle at rest. */
+    pwm(SERVO_1_CHANNEL, (REAL(1.5) + (REAL(0.5) * out->servo_input[0])) / REAL(20.0));
+    pwm(SERVO_2_CHANNEL, (REAL(1.5) + (REAL(0.5) * out->servo_input[1])) / REAL(20.0));
+}
+
+void hal_command(command_t *command)
+{
+    static const command_t none;
+
+    *command = none; /* TODO: COMMAND_LONG, MANUAL_CONTROL, SET_POSITION_TARGET_LOCAL_NED from the UART, bounded */
+}
+
+bool hal_armed(void)
+{
+    return false; /* TODO: MAV_CMD_COMPONENT_ARM_DISARM, and a switch on the board */
+}
+
+void hal_tell(const entry_t *entry)
+{
+    telemetry[written % TELEMETRY_SLOTS] = *entry; /* TODO: the UART's DMA sends them as MAVLink V2_EXTENSION or TUNNEL */
+    written++;
+}
+
+void hal_alive(void)
+{
+    /* TODO: IWDG->KR = 0xAAAA, with a reload that leaves 50 ms */
+}
+
+int main(void)
+{
+    static board_t board;
+
+    /* TODO: clocks, floating unit, timers, DMA, UART, watchdog. */
+    board_start(&board, (1UL << R_ACCELERATION) | (1UL << R_RATES) | (1UL << R_SONAR) | (1UL << R_BATTERY));
+    board_run(&board);
+    return 0;
+}
