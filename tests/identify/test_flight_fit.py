@@ -9,7 +9,7 @@ from mufly.identify import Progress, choose_free, fit_flights, fit_split, with_e
 from mufly.identify.flight.demo import NOISE, RADIO_DELAY_S, Excitation, demo_flights, fly_record, run_demo
 from mufly.identify.flight.minimise import Linearised, Point, descend, moved_by_held, straightness
 from mufly.identify.flight.problem import Free, Linear, make_problem
-from mufly.identify.flight.starts import settled
+from mufly.identify.flight.starts import beginnings, settled
 from mufly.vehicle import Vehicle, load_vehicle, parameters, replace, vehicle_toml
 
 ROLL_PITCH = ("Iyy", "l_up", "l_dw", "Tf_up")
@@ -141,7 +141,7 @@ def stopping_after(count):
     return on_progress, seen
 
 
-@pytest.mark.parametrize("count", [2, 5, 7])
+@pytest.mark.parametrize("count", [2, 7])
 def test_a_stopped_fit_goes_on_from_its_last_iteration(truth, flights, fitted, tmp_path, count):
     path = tmp_path / "fit.json"
     stop, seen = stopping_after(count)
@@ -237,10 +237,47 @@ def test_a_record_that_begins_in_motion_is_predicted_by_the_true_model(truth, mo
         assert np.all(np.abs(np.sqrt(np.mean((error / std) ** 2, axis=0)) - 1) < 0.1)
 
 
-def test_a_fit_to_records_that_begin_in_motion_finds_the_truth(truth):
-    """Before: of 6 seeds two stopped 60 and 210 % off, one of them 6 000 times the noise of height away."""
-    demo = run_demo(seed=0, moving=True)
-    assert demo.fit.converged
+def test_at_the_truth_windows_of_any_length_leave_noise_alone(truth, moving):
+    """Before: 1.9 times as much, by windows that began without drift and a voltage that came late."""
+    free = choose_free(truth, ["l_up"], moving["roll"].outputs)
+    records = [moving["roll"], moving["yaw"]]
+    whole = make_problem(truth, free, records, voltage="model", delay_s=RADIO_DELAY_S, prior=False)
+    whole = whole.in_windows(1.5).with_charge(np.zeros(1)).in_windows(None)
+    whole = whole.with_noise([np.array([NOISE[o] for o in r.outputs]) for r in whole.records])
+    for length in (0.4, 3.0):
+        problem = whole.in_windows(length)
+        problem = problem.begun(beginnings(problem, np.zeros(1)))
+        point = Point(np.zeros(1), problem.rest(), np.inf)
+        for _ in range(2):
+            states = [
+                s + r.states(r.rows, np.zeros(1))
+                for s, r in zip(point.states, Linearised(problem, point).records, strict=True)
+            ]
+            point = Point(point.theta, states, np.inf)
+        for i, r in enumerate(problem.records):
+            square = np.mean(problem.residual(i, np.zeros((1, 1)), states[i][None])[0] ** 2, axis=0)
+            assert dict(zip(r.outputs, square, strict=True)) == pytest.approx(dict.fromkeys(r.outputs, 1.0), abs=0.3)
+
+
+def test_two_minima_that_a_record_does_not_tell_apart_are_said(truth, flights):
+    """Height hangs on the sum of two lags: exchanged rotors climb alike. Before: "converged", whichever came first."""
+    free = choose_free(truth, ["Jdrive_up", "Jdrive_dw"], ("height",))
+    fit = fit_flights(
+        truth, free, [flights["heave"].part(0, 400)], part="heave-yaw", outputs=["height", "voltage"], prior=False,
+        delay_s=RADIO_DELAY_S,
+    )  # fmt: skip
+    found = [e.value for e in fit.estimates]
+    assert fit.message.startswith("two minima that these records do not tell apart")
+    other = [float(w.split()[1]) for w in fit.message.split("the other one has ")[1].split(", ")[:2]]
+    assert other == pytest.approx(found[::-1], rel=0.3)
+
+
+def test_a_fit_that_begins_with_its_rotors_exchanged_finds_the_truth(truth):
+    """Before: at twice the noise of yaw and r, inertias off by 2.5 and 0.6, "converged"; also from records at rest."""
+    demo = run_demo(seed=300, moving=True)
+    start = {e.symbol: e.start for e in demo.fit.estimates}
+    assert start["Jdrive_up"] < 1.5 * start["Jdrive_dw"]
+    assert demo.fit.converged and "minima" not in demo.fit.message
     assert demo.held_out_over_noise < 1.05
     assert max(abs(e.value / demo.truth[e.symbol] - 1) for e in demo.fit.estimates) < 0.05
     assert demo.fit.records[-1].converged

@@ -29,7 +29,7 @@ def case():
     return p, x, u
 
 
-def fly(p, x, u, *, delay=0.0, longest=0.01, starts=(0,), motion=None, mast=None, batch=1):
+def fly(p, x, u, *, delay=0.0, longest=0.01, starts=(0,), motion=None, mast=None, path=None, batch=1):
     if motion is None:
         motion = np.zeros((1, 12))
         motion[0, 2] = -5.0
@@ -37,7 +37,7 @@ def fly(p, x, u, *, delay=0.0, longest=0.01, starts=(0,), motion=None, mast=None
     return fly_batch(
         np.tile(x, (batch, 1)), np.full(batch, p, dtype=PARAMETERS), u, sample_s=SAMPLE,
         codes=np.arange(len(OUTPUTS)), starts=np.array(starts), motion=np.tile(motion, (batch, 1, 1)), mast=mast,
-        delay_s=np.full(batch, delay), longest_step_s=longest,
+        delay_s=np.full(batch, delay), path=path, longest_step_s=longest,
     )  # fmt: skip
 
 
@@ -120,10 +120,18 @@ def test_a_window_that_starts_where_the_flight_is_changes_nothing_but_the_bar(ca
     cy, sy = np.cos(a[:, 2]), np.sin(a[:, 2])
     mast = -np.column_stack([cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr])
     whole = fly(p, x, u)[0]
-    cut = fly(p, x, u, starts=(0, k), motion=motion, mast=mast)[0]
     columns = [OUTPUTS.index(o) for o in ("height", "roll", "p", "q", "r", "speed_up")]
-    assert np.allclose(cut[:k, columns], whole[:k, columns], atol=0)
-    assert np.all(np.max(np.abs(cut - whole)[:, columns], axis=0) < 2e-3 * np.ptp(whole[:, columns], axis=0))
+    # Rotors that drag in their discs feel a drift that nobody measured: it follows from the attitude.
+    path = np.column_stack([states[:, :6], a, states[:, 10:13]])
+    path[:, [0, 1, 3, 4]] = 0.0
+    drifting = motion.copy()
+    drifting[1, 3:5] = 0.0
+    assert p["inplane"] > 0.0 and np.hypot(*states[k, 3:5]) > 0.1
+    for way, least in (({"motion": motion}, 2e-3), ({"motion": drifting, "path": path}, 4e-3)):
+        cut = fly(p, x, u, starts=(0, k), mast=mast, **way)[0]
+        assert np.allclose(cut[:k, columns], whole[:k, columns], atol=0)
+        off = np.max(np.abs(cut - whole)[:, columns], axis=0)
+        assert np.all(off < least * np.ptp(whole[:, columns], axis=0))
 
 
 def test_a_flight_that_diverges_ends_in_large_numbers_not_nan(case):

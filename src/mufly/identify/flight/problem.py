@@ -346,8 +346,9 @@ class Prepared:
         Of the battery at the start, as far as it is not sought.
     constant : float or None
         Battery voltage (V) that is held; None for the vehicle's battery model.
-    begin : (5,) array
-        What ``ACTUATOR`` is counted from at the start: speeds as a share of the steady ones, tilts, charge.
+    begin : (17,) array
+        What the first start is counted from beyond the smoothed measurement, as ``MOTION + ACTUATOR``: horizontal
+        velocity where it is not measured, speeds as a share of the steady ones, tilts.
     volts : (float, float)
         Voltage in the first moments and on average.
     starts : (windows,) array
@@ -492,8 +493,9 @@ class Problem:
         motion = np.repeat(f.motion[f.starts][None], b, axis=0)
         inner = f.sought < len(MOTION)
         motion[:, :, f.sought[inner]] += states[:, :, inner]
+        motion[:, 0] += f.begin[: len(MOTION)]
         offset[:, f.sought] = states[:, 0, :]
-        actuator = offset[:, len(MOTION) :] + f.begin
+        actuator = (offset + f.begin)[:, len(MOTION) :]
 
         hold = np.full((b, 2), -1.0)
         if self.part == "roll-pitch":
@@ -511,12 +513,18 @@ class Problem:
         codes = np.array([OUTPUTS.index(o) for o in r.outputs], dtype=np.int64)
         y = fly_batch(
             x, p, f.inputs, sample_s=r.sample_s, codes=codes, starts=f.starts, motion=motion, mast=f.mast,
-            delay_s=delay, motor_hold=hold,
+            delay_s=delay, motor_hold=hold, path=f.motion if self._follows(i) else None,
         )  # fmt: skip
         for j, symbol in enumerate(symbols):
             if symbol.startswith("bias_") and symbol[5:] in r.outputs:
                 y[:, :, r.outputs.index(symbol[5:])] += values[:, j, None]
         return y
+
+    def _follows(self, i: int) -> bool:
+        """Whether horizontal velocity, which windows need and nobody measured, is to follow from the attitude."""
+        f = self.flights[i]
+        tilt = {"roll", "pitch"} <= set(f.record.outputs)
+        return tilt and len(f.starts) > 1 and not {3, 4} & set(f.sought.tolist())
 
     def residual(self, i: int, theta: _Array, states: _Array) -> _Array:
         """Return (simulated - measured) / noise of record ``i``, (b, n, m); zero where nothing was measured."""
@@ -653,7 +661,7 @@ def _prepared(
         held = (constant, constant)
     base, powers = batch_parameters(vehicle, free, constant)
     mast = bar_normal(motion[:, 6:9], np.zeros((len(motion), 2)))
-    none, begin = np.zeros(0, dtype=np.int64), np.zeros(len(ACTUATOR))
+    none, begin = np.zeros(0, dtype=np.int64), np.zeros(len(MOTION) + len(ACTUATOR))
     return Prepared(
         r, difference_noise(r), motion, mast, u, base, powers, charge, constant, begin, held, none, none
     )

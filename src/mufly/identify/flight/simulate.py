@@ -18,7 +18,10 @@ against steps of 0.1 ms is measured in ``tests/identify/test_simulate.py`` and s
 
 The simulation can be restarted at chosen samples (multiple shooting): motion of the body is then set to given
 values. Rotors and battery, which follow from the inputs, run on; the bar takes the place that it has after following
-the measured mast, so that nothing of one window's start reaches into the next.
+the measured mast, so that nothing of one window's start reaches into the next. A horizontal velocity that nobody
+measured is followed likewise (``path``): the model's own acceleration at the measured attitude and rates, with rotors,
+swash plate and bar as above. Rotors that drag in their discs pitch and roll the vehicle by it: windows that begin at
+rest in mid-flight are another flight.
 """
 
 from __future__ import annotations
@@ -145,7 +148,7 @@ def _observe(x, u, p, codes, last_yaw, y):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _fly(x, p, u, motor_hold, delay, dt, longest, starts, motion, mast, codes, y):  # type: ignore[no-untyped-def]
+def _fly(x, p, u, motor_hold, delay, dt, longest, starts, motion, mast, path, codes, y):  # type: ignore[no-untyped-def]
     n = u.shape[0]
     work = np.empty((5, 21))
     calm = np.zeros(3)
@@ -156,6 +159,8 @@ def _fly(x, p, u, motor_hold, delay, dt, longest, starts, motion, mast, codes, y
     part = 0.0 if part < 1e-13 else part
     last_yaw, window = 0.0, 0
     bar = x[15:18].copy()
+    there, slope = np.empty(21), np.empty(21)
+    v_n = v_e = 0.0
     follow = -math.expm1(-dt * p.bar_rate)
     for k in range(n):
         if k > 0:
@@ -168,6 +173,10 @@ def _fly(x, p, u, motor_hold, delay, dt, longest, starts, motion, mast, codes, y
             _set_attitude(x, s[6], s[7], s[8])
             x[10], x[11], x[12] = s[9], s[10], s[11]
             last_yaw = s[8]
+            if k == 0:
+                v_n, v_e = x[3], x[4]
+            elif path.shape[0] > 0:
+                x[3], x[4] = v_n, v_e
             if k > 0:
                 length = 1.0 / math.sqrt(bar[0] ** 2 + bar[1] ** 2 + bar[2] ** 2)
                 for i in range(3):
@@ -181,6 +190,16 @@ def _fly(x, p, u, motor_hold, delay, dt, longest, starts, motion, mast, codes, y
         last_yaw = _observe(x, before if part > 0.0 else now, p, codes, last_yaw, y[k])
         if k + 1 == n:
             return
+        if path.shape[0] > 0:
+            for i in range(21):
+                there[i] = x[i]
+            there[3], there[4], there[5] = v_n, v_e, path[k, 5]
+            _set_attitude(there, path[k, 6], path[k, 7], path[k, 8])
+            for i in range(3):
+                there[10 + i], there[15 + i] = path[k, 9 + i], bar[i]
+            derivative(there, now, calm, p, slope)
+            v_n += dt * slope[3]
+            v_e += dt * slope[4]
         if part > 0.0:
             _integrate(x, before, p, part, longest, calm, work)
         _integrate(x, now, p, dt - part, longest, calm, work)
@@ -191,9 +210,9 @@ def _fly(x, p, u, motor_hold, delay, dt, longest, starts, motion, mast, codes, y
 
 
 @compiled(parallel=True, error_model="numpy")
-def _fly_batch(x, p, u, motor_hold, delay, dt, longest, starts, motion, mast, codes, y):  # type: ignore[no-untyped-def]
+def _fly_batch(x, p, u, motor_hold, delay, dt, longest, starts, motion, mast, path, codes, y):  # type: ignore[no-untyped-def]
     for b in prange(x.shape[0]):
-        _fly(x[b], p[b], u, motor_hold[b], delay[b], dt, longest, starts, motion[b], mast, codes, y[b])
+        _fly(x[b], p[b], u, motor_hold[b], delay[b], dt, longest, starts, motion[b], mast, path, codes, y[b])
 
 
 @contextmanager
@@ -221,7 +240,7 @@ def on_cluster(address: str | None) -> Iterator[None]:
 def fly_batch(
     state: _Array, p: NDArray[np.void], inputs: _Array, *, sample_s: float, codes: NDArray[np.int64],
     starts: NDArray[np.int64], motion: _Array, mast: _Array, delay_s: _Array | None = None,
-    motor_hold: _Array | None = None, longest_step_s: float = LONGEST_STEP_S,
+    motor_hold: _Array | None = None, path: _Array | None = None, longest_step_s: float = LONGEST_STEP_S,
 ) -> _Array:  # fmt: skip
     """Fly ``b`` parameter sets through one record.
 
@@ -246,6 +265,9 @@ def fly_batch(
         Time that inputs take to reach the vehicle; none by default.
     motor_hold : (b, 2) array, optional
         Motor inputs that take the place of the recorded ones where not negative.
+    path : (n, 12) array, optional
+        Measured motion, as in ``motion``, at every sample: horizontal velocity, which is not in it, then follows from
+        it through all windows, and ``motion`` gives it for the first alone.
     longest_step_s : float
         Bound on the integration step.
 
@@ -257,7 +279,7 @@ def fly_batch(
     pool = _CLUSTER.get()
     if pool is not None and len(state) > 1:
         one = partial(
-            fly_batch, inputs=inputs, sample_s=sample_s, codes=codes, starts=starts, mast=mast,
+            fly_batch, inputs=inputs, sample_s=sample_s, codes=codes, starts=starts, mast=mast, path=path,
             longest_step_s=longest_step_s,
         )  # fmt: skip
         jobs = [
@@ -273,7 +295,8 @@ def fly_batch(
     out = np.empty((b, len(inputs), len(codes)))
     delay = np.zeros(b) if delay_s is None else np.ascontiguousarray(delay_s, dtype=np.float64)
     hold = np.full((b, 2), -1.0) if motor_hold is None else motor_hold
-    _fly_batch(state, p, inputs, hold, delay, sample_s, longest_step_s, starts, motion, mast, codes, out)
+    way = np.empty((0, 12)) if path is None else path
+    _fly_batch(state, p, inputs, hold, delay, sample_s, longest_step_s, starts, motion, mast, way, codes, out)
     return out
 
 

@@ -30,6 +30,9 @@ _FIRST_S, _GROWTH = 1.0, 2.5
 _STEPS = 25  # at most, a horizon
 _PARTS = np.array([1.0, 0.5, 0.2, 0.05, 0.01])  # of a step, tried at once
 _REACH = 0.25  # of the spread, a step at most
+_RUNS_THROUGH = np.isin(
+    np.array(MOTION + ACTUATOR), ("v_north", "v_east", "speed_up", "speed_dw", "bar_roll", "bar_pitch")
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,18 +71,19 @@ def settled(problem: Problem, theta: _Array) -> Starts:
 
 
 def beginnings(problem: Problem, theta: _Array) -> list[_Array]:
-    """Return the rotors' speeds and the bars with which records begin, for windows: ``Prepared.begin``, one a record.
+    """Return the rotors' speeds, the bars and the drift with which records begin, for windows: ``Prepared.begin``.
 
-    In windows these are not sought (rotors and bar run through from one window to the next), but where a record begins
-    in motion the speeds at which the motors would settle are wrong for its first second or two.
+    In windows these are not sought (rotors, bar and horizontal velocity run through from one window to the next), but
+    where a record begins in motion the speeds at which the motors would settle are wrong for its first second or two.
     """
-    opening = problem.first(_FIRST_S * _GROWTH).begun([np.zeros(len(ACTUATOR))] * len(problem.flights))
+    whole = len(MOTION) + len(ACTUATOR)
+    opening = problem.first(_FIRST_S * _GROWTH).begun([np.zeros(whole)] * len(problem.flights))
     found, begin = settled(opening.in_windows(None), theta), []
     for f, s in zip(opening.in_windows(None).flights, found.states, strict=True):
-        whole = np.zeros(len(MOTION) + len(ACTUATOR))
-        whole[f.sought] = s[0]
-        whole[-1] = 0.0  # charges are set by the voltage of the whole record
-        begin.append(whole[len(MOTION) :])
+        sought = np.zeros(whole)
+        sought[f.sought] = s[0]
+        # The rest of the motion is sought in every window; charges are set by the voltage of the whole record.
+        begin.append(np.where(_RUNS_THROUGH, sought, 0.0))
     return begin
 
 
