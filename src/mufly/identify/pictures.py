@@ -202,9 +202,9 @@ def coherence_picture(record: RecordFit) -> Figure | None:
     m = len(record.outputs)
     figure = blank(9.0, 0.7 + 1.5 * m)
     panels = figure.subplots(m, 1, squeeze=False, sharex=True)[:, 0]
-    # With n_d averages and k inputs, coherence of independent signals is about k / n_d.
+    # With n averages and k inputs, coherence of independent signals is about k / n.
     moving = int((record.inputs.std(axis=0) > 0.0).sum())
-    chance = min(1.0, moving / max(measured.averages * 1.8, 1.0))
+    chance = min(1.0, moving / max(measured.averages, 1.0))
     for j, axes in enumerate(panels):
         axes.axhspan(0.0, chance, color=ink(), alpha=0.10, linewidth=0)
         axes.semilogx(

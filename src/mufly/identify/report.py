@@ -426,7 +426,7 @@ def bode_picture(r: LinearResult, s: SpectralFit) -> Figure:
         for i in range(k):
             top, bottom = panels[2 * j][i], panels[2 * j + 1][i]
             h, good = data.response[:, j, i], data.partial[:, j, i] >= 0.5
-            spread = 1.96 * np.minimum(data.error[:, j, i], 1.5)
+            spread = np.minimum(data.spread[:, j, i], 1.0)
             f = data.frequency_hz
             models = (
                 (fitted[:, j, i], pictures.VERMILION, "output error"),
@@ -441,7 +441,7 @@ def bode_picture(r: LinearResult, s: SpectralFit) -> Figure:
                 f[good], _decibels(h)[good], yerr=8.686 * spread[good], label="measured, 95 %", **bar
             )
             phase = np.degrees(np.angle(h))
-            bottom.errorbar(f[good], phase[good], yerr=np.minimum(np.degrees(spread[good]), 180.0), **bar)
+            bottom.errorbar(f[good], phase[good], yerr=np.degrees(np.arcsin(spread[good])), **bar)
             bottom.set(ylim=(-200.0, 200.0), yticks=(-180, -90, 0, 90, 180))
             pictures.decades(bottom)
             cost = s.cost_before[j, i]

@@ -45,7 +45,7 @@ def response_picture(
         good = seen & (gamma >= COHERENT)
         level = 20.0 * np.log10(np.maximum(np.abs(np.where(seen, h, 1.0)), 1e-12))
         phase = _unwrapped(np.where(seen, h, 1.0), good)
-        spread = 1.96 * np.minimum(data.error[:, output, i], 1.0)
+        spread = np.minimum(data.spread[:, output, i], 1.0)
         bar = {"fmt": "o", "markersize": 2.5, "linewidth": 0.7}
         for points, colour, label in (
             (good, pictures.BLUE, "coherent, 95 %"), (seen & ~good, "0.65", f"coherence < {COHERENT:g}"),
@@ -57,7 +57,7 @@ def response_picture(
                 f[points], level[points], yerr=8.686 * size * spread[points], color=colour, label=label, **bar
             )
             middle.errorbar(
-                f[points], phase[points], yerr=np.degrees(size * spread[points]), color=colour, **bar
+                f[points], phase[points], yerr=np.degrees(size * np.arcsin(spread[points])), color=colour, **bar
             )
         for fit in fits:
             if (fit.input, fit.output) == (data.inputs[i], data.outputs[output]):

@@ -443,7 +443,7 @@ def coherent_band(records: Sequence[Flown], k: int, cut_hz: float) -> tuple[floa
         [r.u[:, moving] for r in used], [r.y[:, [k]] for r in used], used[0].dt, segment_s=segment,
         frequency_hz=np.geomspace(1.5 / segment, cut_hz, 40),
     )  # fmt: skip
-    chance = min(0.9, float(moving.sum()) / max(1.8 * data.averages, 1.0))
+    chance = min(0.9, float(moving.sum()) / max(data.averages, 1.0))
     good = (data.coherence[:, 0] - chance) / (1.0 - chance) >= _COHERENT
     edges = np.flatnonzero(np.diff(np.r_[False, good, False].astype(int)))
     if not edges.size:

@@ -11,12 +11,16 @@ Rotorcraft System Identification*, 2nd ed., ch. 7), and the products are average
     gamma_j^2 = |S_jy.r|^2 / (S_jj.r S_yy.r)                                  partial coherence of input j
 
 where ``.r`` means with what all other inputs explain taken away ("conditioned", Bendat and Piersol, *Random Data*,
-ch. 7). The random error of the magnitude, and of the phase in radians, is (Bendat and Piersol, eq. 9.90; Tischler and
-Remple, eq. 7.46)
+ch. 7). At a frequency this is a regression of the output's transforms on those of ``k`` inputs over ``n`` segments, so the
+random error of the magnitude, and of the phase in radians, has the residual's degrees of freedom (Bendat and Piersol,
+Sec. 9.2.4 with their F in place of a normal; own derivation of what overlap leaves)
 
-    eps = C sqrt(1 - gamma_j^2) / (|gamma_j| sqrt(2 n_d)),   C = sqrt(0.55) at half overlap
+    eps = sqrt((1 - gamma_j^2) / gamma_j^2) / sqrt(2 (n - k)),      nu = 2 (n - k),      95 %: t(0.975, nu) eps
 
-with ``n_d`` the record over the segment. The misfit of a model is Tischler and Remple's
+with ``n`` the number of half-overlapping segments, each worth 18/19: transforms of white noise in neighbouring Hann
+windows have a correlation of 1/6, and a mean of N such products a variance of (1 + 2 (1/6)^2) / N. For many segments that
+is Tischler and Remple's eq. 7.46, ``C sqrt(1 - gamma^2) / (gamma sqrt(2 n_d))`` with C^2 = 0.55 and ``n_d`` the record over
+the segment. Relative to the estimated magnitude; a phase lies within ``arcsin(t eps)``. The misfit of a model is Tischler and Remple's
 
     J = 20 / n sum W_gamma [(20 log10 |H_m / H|)^2 + 0.01745 (phase_m - phase)^2 / deg^2],
     W_gamma = (1.58 (1 - exp(-gamma_j^2)))^2
@@ -39,6 +43,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import get_window
+from scipy.special import stdtrit
 
 from mufly.errors import InputError
 from mufly.identify.linear.structure import Coordinates, Structure, scaled
@@ -47,7 +52,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 _LEAST, _POINTS = 0.5, 60  # of a fit: smallest partial coherence that counts, and frequencies
-_OVERLAP_FACTOR = np.sqrt(0.55)
+_WORTH = 18.0 / 19.0  # of a segment among half-overlapping Hann windows
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +70,10 @@ class FrequencyResponse:
         Partial coherence.
     error : (f, outputs, inputs) array
         Random error (one standard deviation) relative to the magnitude; also that of the phase (rad).
+    freedom : (f, outputs, inputs) array
+        Its degrees of freedom.
     averages : float
-        Independent segments ``n_d``.
+        What the segments are worth in independent ones.
     inputs, outputs : tuple of str
     window_s : (f, outputs, inputs) array, optional
         Length of the windows (s) where it differs: of a composite.
@@ -77,10 +84,16 @@ class FrequencyResponse:
     coherence: Array
     partial: Array
     error: Array
+    freedom: Array
     averages: float
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     window_s: Array | None = None
+
+    @property
+    def spread(self) -> Array:
+        """Half the 95 % interval of the magnitude over the magnitude; its arcsine is that of the phase (rad)."""
+        return np.asarray(stdtrit(self.freedom, 0.975) * self.error)
 
 
 def frequency_response(
@@ -121,7 +134,7 @@ def frequency_response(
 def cross_spectra(
     inputs: Sequence[Array], outputs: Sequence[Array], dt: float, segment_s: float, frequency_hz: Array
 ) -> tuple[ComplexArray, float]:
-    """Return the averaged products of inputs and outputs, as densities, and the number of independent segments.
+    """Return the averaged products of inputs and outputs, as densities, and the segments' worth in independent ones.
 
     Returns
     -------
@@ -151,11 +164,10 @@ def cross_spectra(
     wave *= np.sqrt(dt / float(window @ window))
     width = inputs[0].shape[1] + outputs[0].shape[1]
     spectra = np.zeros((len(frequency_hz), width, width), dtype=np.complex128)
-    count, total = 0, 0
+    count = 0
     slope = np.linspace(-0.5, 0.5, size)[:, None]
     for u, y in zip(inputs, outputs, strict=True):
         z = np.column_stack([u, y])
-        total += len(z)
         for start in range(0, len(z) - size + 1, max(1, size // 2)):
             part = z[start : start + size]
             part = part - part.mean(0) - slope * ((slope * part).sum(0) / (slope**2).sum())
@@ -163,7 +175,7 @@ def cross_spectra(
             spectra += np.conj(transform)[:, :, None] * transform[:, None, :]
             count += 1
     spectra /= count
-    return spectra, total / size
+    return spectra, _WORTH * count
 
 
 def conditioned(s: ComplexArray, k: int) -> tuple[ComplexArray, Array, Array, Array]:
@@ -209,15 +221,16 @@ def from_spectra(
     # |H_j|^2 S_jj.r is what input j alone adds to the explained power.
     alone = np.abs(np.nan_to_num(response)) ** 2 * own[:, None, :]
     partial = alone / np.maximum(alone + left[:, :, None], 1e-300)
-    error = random_error(partial, averages)
-    return FrequencyResponse(frequency, response, coherence, partial, error, averages, inputs, outputs)
+    error, freedom = random_error(partial, averages, k)
+    return FrequencyResponse(frequency, response, coherence, partial, error, freedom, averages, inputs, outputs)
 
 
-def random_error(coherence: Array, averages: float | Array) -> Array:
-    """Return the relative standard deviation of a magnitude, and that of its phase (rad)."""
-    # Fewer segments than inputs explain anything; a coherence from n_d averages has a bias of about 1 / n_d.
-    gamma = np.sqrt(np.clip(coherence, 1e-12, 1.0))
-    return np.asarray(_OVERLAP_FACTOR * np.sqrt(1.0 - gamma**2) / (gamma * np.sqrt(2.0 * averages)))
+def random_error(coherence: Array, averages: float | Array, inputs: int) -> tuple[Array, Array]:
+    """Return the relative standard deviation of a magnitude, that of its phase (rad) too, and its degrees of freedom."""
+    square = np.clip(coherence, 1e-12, 1.0)
+    # As few segments as inputs explain anything: half a degree is left to say that nothing is known.
+    freedom = np.full_like(square, 1.0) * np.maximum(2.0 * (averages - inputs), 0.5)
+    return np.sqrt((1.0 - square) / (square * freedom)), freedom
 
 
 def state_space_response(
@@ -306,7 +319,7 @@ def response_of(structure: Structure, values: Array, frequency_hz: Array) -> Com
 
 def _by_chance(averages: float, inputs: int, frequencies: float) -> float:
     """Partial coherence that independent signals exceed at any of so many frequencies in 5 % of all cases."""
-    freedom = max(1.8 * averages - inputs, 1.0)
+    freedom = max(averages - inputs, 1.0)
     return float(1.0 - (0.05 / max(frequencies, 1.0)) ** (1.0 / freedom))
 
 

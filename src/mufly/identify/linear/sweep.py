@@ -10,8 +10,7 @@ of several lengths are combined, pair by pair and frequency by frequency, each i
 with the random error ``eps`` of each window (:func:`~mufly.identify.linear.frequency.random_error`). These averages are
 where the book's further least squares begins; it is not done here. A window counts from 1.5 periods on. Windows see the
 same data and are no independent witnesses: the error of the composite is that of the averages' number of segments,
-``n_d = sum W_i n_i / sum W_i``, less one for every other input, from a coherence without what so few segments show by
-chance. The bias of windows too short for a lightly damped mode is in no random error.
+``n = sum W_i n_i / sum W_i``. The bias of windows too short for a lightly damped mode is in no random error.
 
 **Transfer functions** (ch. 11): ``H(s) = (b_m s^m + ... + b_0) / (s^n + ... + a_0) exp(-tau s)`` with the least
 
@@ -46,7 +45,6 @@ ComplexArray = NDArray[np.complex128]
 COHERENT = 0.6  # partial coherence from which a point counts (Tischler and Remple, Sec. 7.5.3)
 _PERIODS = 1.5  # of a frequency, that a window must hold
 _PHASE = 0.01745  # of a square degree, beside that of a square decibel
-_HALF_OVERLAP = 1.8  # segments of half overlap for one without
 _HANN = 1.5  # width of the window in 1 / T
 
 
@@ -98,12 +96,11 @@ def composite_response(
         if valid.sum() < 2:
             continue
         spectra, averages = cross_spectra(inputs, outputs, dt, window, frequency[valid])
-        averages = max(averages - (k - 1), 1.0)
         response, own, left, coherence = conditioned(spectra, k)
         response = np.nan_to_num(response)
         output = np.abs(response) ** 2 * own[:, None, :] + left[:, :, None]
         partial = 1.0 - left[:, :, None] / np.maximum(output, 1e-300)
-        error = np.maximum(_error(partial, averages), 1e-6)
+        error = np.maximum(random_error(partial, averages, k)[0], 1e-6)
         found.append((valid, window, averages, response, own, output, error, coherence))
         most = max(most, averages)
     least = np.full(shape, np.inf)
@@ -123,17 +120,11 @@ def composite_response(
     with np.errstate(divide="ignore", invalid="ignore"):
         response = np.where(xx > 0.0, xy / xx, np.nan)
         partial = np.clip(np.nan_to_num(np.abs(xy) ** 2 / (xx * yy)), 0.0, 1.0)
+    error, freedom = random_error(partial, segments / np.maximum(plain, 1e-300), k)
     return FrequencyResponse(
-        frequency, response, multiple / np.maximum(multiple_weight, 1e-300), partial,
-        _error(partial, segments / np.maximum(plain, 1e-300)), most, input_names, output_names,
-        lengths / np.maximum(plain, 1e-300),
+        frequency, response, multiple / np.maximum(multiple_weight, 1e-300), partial, error, freedom, most,
+        input_names, output_names, lengths / np.maximum(plain, 1e-300),
     )  # fmt: skip
-
-
-def _error(coherence: Array, averages: float | Array) -> Array:
-    """Random error from a coherence without the part that so few segments show by chance."""
-    chance = np.clip(1.0 / np.maximum(_HALF_OVERLAP * averages, 1.0), 0.0, 0.9)
-    return random_error(np.clip((coherence - chance) / (1.0 - chance), 1e-6, 1.0), averages)
 
 
 def window_lengths(record_s: float, low_hz: float, high_hz: float, count: int = 5) -> tuple[float, ...]:
