@@ -256,7 +256,9 @@ def test_at_the_truth_windows_of_any_length_leave_noise_alone(truth, moving):
             point = Point(point.theta, states, np.inf)
         for i, r in enumerate(problem.records):
             square = np.mean(problem.residual(i, np.zeros((1, 1)), states[i][None])[0] ** 2, axis=0)
-            assert dict(zip(r.outputs, square, strict=True)) == pytest.approx(dict.fromkeys(r.outputs, 1.0), abs=0.3)
+            assert dict(zip(r.outputs, square, strict=True)) == pytest.approx(
+                dict.fromkeys(r.outputs, 1.0), abs=0.3
+            )
 
 
 def test_two_minima_that_a_record_does_not_tell_apart_are_said(truth, flights):

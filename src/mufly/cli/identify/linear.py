@@ -540,7 +540,8 @@ def _write_bandwidth(data: FrequencyResponse, found: Bandwidth, out: Path) -> li
     first = slice(0, 1)
     one = replace(
         data, inputs=data.inputs[:1], response=data.response[:, :, first], partial=data.partial[:, :, first],
-        error=data.error[:, :, first], freedom=data.freedom[:, :, first], outputs=(data.outputs[0].replace("/", "-over-"),),
+        error=data.error[:, :, first], freedom=data.freedom[:, :, first],
+        outputs=(data.outputs[0].replace("/", "-over-"),),
     )  # fmt: skip
     with pictures.style():
         picture = save_picture(response_picture(one, 0, read=found), out, "bandwidth")

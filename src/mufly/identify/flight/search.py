@@ -13,12 +13,12 @@ smoothed and as late as the inputs, falls short of the sag under a chirp of 3 Hz
 their noise).
 
 **Rotors exchanged.** A second minimum stays. The two rotors differ in little but their inertias (the upper one carries
-the bar, its pole lies at -1.5 rad/s, the lower one's at -4): common motor input makes heave by the sum of the two lags, which
-does not change when they change places, and yaw by their difference, whose sign inertia about the mast, reaction and
-delay can imitate over a tenth of a second. In windows of 0.1 s the costs of the two differ by 50 of 12 000, in those of 0.4
-s by some thousand. A descent does not pass from one to the other, so both are followed: the vehicle that the first
-windows found, and the same with the inertias of its rotors exchanged, until their costs tell them apart. Where they never
-do, the fit says so, and names what the other one says.
+the bar, its pole lies at -1.5 rad/s, the lower one's at -4): common motor input makes heave by the sum of the two lags,
+which does not change when they change places, and yaw by their difference, whose sign inertia about the mast, reaction
+and delay can imitate over a tenth of a second. In windows of 0.1 s the costs of the two differ by 50 of 12 000, in those
+of 0.4 s by some hundred. A descent does not pass from one to the other, so both are followed: the vehicle that the
+first windows found, and the same with the inertias of its rotors exchanged, until their costs tell them apart. Where
+they never do, the fit says so, and names what the other one says.
 
 Where a search stands is kept on disk, written after every iteration, so that a stopped fit goes on from its last one: a
 JSON file beside the result, replaced as a whole each time (a crash in mid-write leaves the one before). It holds a
@@ -43,7 +43,7 @@ from scipy.optimize import least_squares
 from mufly.errors import InputError
 from mufly.identify.flight.doubts import ABOVE, above_noise
 from mufly.identify.flight.minimise import Course, Point, descend, evolve
-from mufly.identify.flight.problem import Free, Problem, physical
+from mufly.identify.flight.problem import Problem, physical
 from mufly.identify.flight.starts import LEAST_GAIN, beginnings, settled
 from mufly.identify.record import Record
 
@@ -74,8 +74,6 @@ class Progress:
     iterations: int
     cost: float
     values: dict[str, float]
-
-
 
 
 @dataclass(frozen=True)
@@ -126,7 +124,9 @@ class _State:
     round: int = 0
     iteration: int = 0
     inside: bool = False  # of the stage, otherwise at its beginning
-    first: list[float] | None = None  # theta after the first stage, as long as the exchanged vehicle is not ruled out
+    first: list[float] | None = (
+        None  # theta after the first stage, as long as the exchanged vehicle is not ruled out
+    )
     alone: bool = False  # it is, or never was in question
     ends: list[_End] = field(default_factory=list)  # of the stages
     history: list[dict[str, Any]] = field(default_factory=list)
@@ -217,7 +217,9 @@ class Run:
             return ""
         free, worse = self._final.free, np.array((mine if rise < 0.0 else its).theta)
         moved = [k for k, d in enumerate(there) if abs(d) > _SAME]
-        values = ", ".join(f"{free[k].symbol} {v:.4g}" for k, v in zip(moved, physical(free, worse)[moved], strict=True))
+        values = ", ".join(
+            f"{free[k].symbol} {v:.4g}" for k, v in zip(moved, physical(free, worse)[moved], strict=True)
+        )
         return (
             f"two minima that these records do not tell apart (logarithm of the likelihood {abs(rise):.1f} apart): the "
             f"other one has {values}, and no interval holds it; fly one motor alone and measure yaw, "
@@ -389,5 +391,3 @@ def _point_from(d: dict[str, Any] | None) -> Point:
         raise InputError("checkpoint", "", "holds no point", "delete it to start anew")
     states = [np.array(s) for s in d["states"]]
     return Point(np.array(d["theta"]), states, d["cost"], d["damping"], d["simulations"])
-
-

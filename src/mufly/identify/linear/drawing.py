@@ -57,7 +57,11 @@ def response_picture(
                 f[points], level[points], yerr=8.686 * size * spread[points], color=colour, label=label, **bar
             )
             middle.errorbar(
-                f[points], phase[points], yerr=np.degrees(size * np.arcsin(spread[points])), color=colour, **bar
+                f[points],
+                phase[points],
+                yerr=np.degrees(size * np.arcsin(spread[points])),
+                color=colour,
+                **bar,
             )
         for fit in fits:
             if (fit.input, fit.output) == (data.inputs[i], data.outputs[output]):

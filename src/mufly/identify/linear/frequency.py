@@ -222,7 +222,9 @@ def from_spectra(
     alone = np.abs(np.nan_to_num(response)) ** 2 * own[:, None, :]
     partial = alone / np.maximum(alone + left[:, :, None], 1e-300)
     error, freedom = random_error(partial, averages, k)
-    return FrequencyResponse(frequency, response, coherence, partial, error, freedom, averages, inputs, outputs)
+    return FrequencyResponse(
+        frequency, response, coherence, partial, error, freedom, averages, inputs, outputs
+    )
 
 
 def random_error(coherence: Array, averages: float | Array, inputs: int) -> tuple[Array, Array]:
