@@ -126,7 +126,8 @@ def test_a_window_that_starts_where_the_flight_is_changes_nothing_but_the_bar(ca
     path[:, [0, 1, 3, 4]] = 0.0
     drifting = motion.copy()
     drifting[1, 3:5] = 0.0
-    assert p["inplane"] > 0.0 and np.hypot(*states[k, 3:5]) > 0.1
+    assert p["inplane"] > 0.0
+    assert np.hypot(*states[k, 3:5]) > 0.1
     for way, least in (({"motion": motion}, 2e-3), ({"motion": drifting, "path": path}, 4e-3)):
         cut = fly(p, x, u, starts=(0, k), mast=mast, **way)[0]
         assert np.allclose(cut[:k, columns], whole[:k, columns], atol=0)

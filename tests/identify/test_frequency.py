@@ -67,7 +67,7 @@ def test_partial_coherence_of_an_input_without_effect_vanishes():
 
 @pytest.mark.parametrize(("segments", "inputs"), [(6, 2), (20, 1)])
 def test_95_percent_of_intervals_hold_the_response_with_few_segments_too(segments, inputs):
-    """Before: 88.8 % with two inputs over six segments' length, by a normal's quantile and a residual's lost freedom."""
+    """Before: 88.8 % with two inputs over six segments' length, by a normal's quantile and lost freedom."""
     held, found, stated = [], [], []
     for seed in range(100):
         rng = np.random.default_rng(seed)

@@ -12,18 +12,18 @@ horizontal velocity follows from the measured attitude, and the motors' voltage 
 smoothed and as late as the inputs, falls short of the sag under a chirp of 3 Hz; yaw rates were then off by three times
 their noise).
 
-**Rotors exchanged.** A second minimum stays. The two rotors differ in little but their inertias (the upper one carries
-the bar, its pole lies at -1.5 rad/s, the lower one's at -4): common motor input makes heave by the sum of the two lags,
-which does not change when they change places, and yaw by their difference, whose sign inertia about the mast, reaction
-and delay can imitate over a tenth of a second. In windows of 0.1 s the costs of the two differ by 50 of 12 000, in those
-of 0.4 s by some hundred. A descent does not pass from one to the other, so both are followed: the vehicle that the
-first windows found, and the same with the inertias of its rotors exchanged, until their costs tell them apart. Where
-they never do, the fit says so, and names what the other one says.
+**Rotors exchanged.** A second minimum stays. The two rotors differ in little but their inertias (the upper one
+carries the bar, its pole lies at -1.5 rad/s, the lower one's at -4): common motor input makes heave by the sum of the
+two lags, which does not change when they change places, and yaw by their difference, whose sign inertia about the
+mast, reaction and delay can imitate over a tenth of a second. In windows of 0.1 s the costs of the two differ by 50
+of 12 000, in those of 0.4 s by some hundred. A descent does not pass from one to the other, so both are followed: the
+vehicle that the first windows found, and the same with the inertias of its rotors exchanged, until their costs tell
+them apart. Where they never do, the fit says so, and names what the other one says.
 
-Where a search stands is kept on disk, written after every iteration, so that a stopped fit goes on from its last one: a
-JSON file beside the result, replaced as a whole each time (a crash in mid-write leaves the one before). It holds a
-digest of the problem, so that a fit does not go on from another one's. The way from the exchanged vehicle is not kept: it
-is gone again.
+Where a search stands is kept on disk, written after every iteration, so that a stopped fit goes on from its last one:
+a JSON file beside the result, replaced as a whole each time (a crash in mid-write leaves the one before). It holds a
+digest of the problem, so that a fit does not go on from another one's. The way from the exchanged vehicle is not
+kept: it is gone again.
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ class Run:
                 self.state.course = Course(c["told"], _point_from(c["reference"]), _point_from(c["origin"]))
 
     def best(self) -> tuple[Point, Problem, bool, tuple[str, ...]]:
-        """Run to the end, from the exchanged vehicle too until costs tell them apart; what they never tell, in words."""
+        """Run to the end, from the exchanged vehicle too until costs tell them apart; what stays open, in words."""
         doubt = ""
         if len(self._stages) > 1 and self._method == "lm" and not self.state.alone:
             if self.state.first is None:

@@ -11,16 +11,17 @@ Rotorcraft System Identification*, 2nd ed., ch. 7), and the products are average
     gamma_j^2 = |S_jy.r|^2 / (S_jj.r S_yy.r)                                  partial coherence of input j
 
 where ``.r`` means with what all other inputs explain taken away ("conditioned", Bendat and Piersol, *Random Data*,
-ch. 7). At a frequency this is a regression of the output's transforms on those of ``k`` inputs over ``n`` segments, so the
-random error of the magnitude, and of the phase in radians, has the residual's degrees of freedom (Bendat and Piersol,
-Sec. 9.2.4 with their F in place of a normal; own derivation of what overlap leaves)
+ch. 7). At a frequency this is a regression of the output's transforms on those of ``k`` inputs over ``n`` segments,
+so the random error of the magnitude, and of the phase in radians, has the residual's degrees of freedom (Bendat and
+Piersol, Sec. 9.2.4 with their F in place of a normal; own derivation of what overlap leaves)
 
     eps = sqrt((1 - gamma_j^2) / gamma_j^2) / sqrt(2 (n - k)),      nu = 2 (n - k),      95 %: t(0.975, nu) eps
 
 with ``n`` the number of half-overlapping segments, each worth 18/19: transforms of white noise in neighbouring Hann
-windows have a correlation of 1/6, and a mean of N such products a variance of (1 + 2 (1/6)^2) / N. For many segments that
-is Tischler and Remple's eq. 7.46, ``C sqrt(1 - gamma^2) / (gamma sqrt(2 n_d))`` with C^2 = 0.55 and ``n_d`` the record over
-the segment. Relative to the estimated magnitude; a phase lies within ``arcsin(t eps)``. The misfit of a model is Tischler and Remple's
+windows have a correlation of 1/6, and a mean of N such products a variance of (1 + 2 (1/6)^2) / N. For many segments
+that is Tischler and Remple's eq. 7.46, ``C sqrt(1 - gamma^2) / (gamma sqrt(2 n_d))`` with C^2 = 0.55 and ``n_d`` the
+record over the segment. Relative to the estimated magnitude; a phase lies within ``arcsin(t eps)``. The misfit of a
+model is Tischler and Remple's
 
     J = 20 / n sum W_gamma [(20 log10 |H_m / H|)^2 + 0.01745 (phase_m - phase)^2 / deg^2],
     W_gamma = (1.58 (1 - exp(-gamma_j^2)))^2
@@ -228,7 +229,7 @@ def from_spectra(
 
 
 def random_error(coherence: Array, averages: float | Array, inputs: int) -> tuple[Array, Array]:
-    """Return the relative standard deviation of a magnitude, that of its phase (rad) too, and its degrees of freedom."""
+    """Return the relative standard deviation of magnitude and phase (rad), and its degrees of freedom."""
     square = np.clip(coherence, 1e-12, 1.0)
     # As few segments as inputs explain anything: half a degree is left to say that nothing is known.
     freedom = np.full_like(square, 1.0) * np.maximum(2.0 * (averages - inputs), 0.5)
