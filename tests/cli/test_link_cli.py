@@ -39,7 +39,7 @@ def test_what_is_wrong_is_told_before_anything_starts(arguments, says):
 def test_it_flies_until_it_is_told_to_end_and_leaves_whole_recordings(tmp_path):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
         station.bind(("127.0.0.1", 0))
-        station.settimeout(30.0)
+        station.settimeout(120.0)
         end = f"udp:127.0.0.1:{station.getsockname()[1]}"
         command = [
             sys.executable,
@@ -67,7 +67,7 @@ def test_it_flies_until_it_is_told_to_end_and_leaves_whole_recordings(tmp_path):
             # An impatient supervisor's second signal does not cut short the closing of files.
             process.send_signal(signal.SIGTERM)
             process.send_signal(signal.SIGTERM)
-            said, _ = process.communicate(timeout=20.0)
+            said, _ = process.communicate(timeout=60.0)
         finally:
             process.kill()
     assert process.returncode == 128 + signal.SIGTERM

@@ -13,7 +13,7 @@ import warnings
 import pytest
 from link_rig import new_flight
 
-from mufly.errors import MuflyError
+from mufly.errors import InputError, MuflyError
 from mufly.link import Codec, Encoder, Endpoint, TlogWriter, VehicleLink, open_port, run, start_vehicle, wait
 from mufly.link import mavlink as m
 from mufly.link.process import CATCH_UP_S, HURRY, WINDOW_S, Pace
@@ -147,6 +147,21 @@ def test_a_vehicle_in_real_time_and_its_telemetry_log(tmp_path):
     other.close()
 
 
+def within(seconds, condition):
+    """Whether it comes to be so; the limit is for a machine that is busy with other things."""
+    end = time.monotonic() + seconds
+    while not (so := condition()) and time.monotonic() < end:
+        time.sleep(0.05)
+    return so
+
+
+def has_rows(recording):
+    try:
+        return read_log(recording).sizes["time"] > 0
+    except InputError:
+        return False
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_a_vehicle_in_its_own_process_that_is_killed_is_missed(tmp_path):
     port = listener()
@@ -156,18 +171,16 @@ def test_a_vehicle_in_its_own_process_that_is_killed_is_missed(tmp_path):
         "mufly-1.1", Mission(name="none"), endpoints=[end], path=recording, system=7
     ) as vehicle:
         vehicle.wait_ready()
-        heard = hear(port, 10.0, lambda x: x.get_type() == "HEARTBEAT")
+        heard = hear(port, 60.0, lambda x: x.get_type() == "HEARTBEAT")
         assert heard[-1].get_srcSystem() == 7
         # What reaches all processes of a terminal is not its business.
         os.kill(vehicle.pid, signal.SIGINT)
         os.kill(vehicle.pid, signal.SIGHUP)
-        time.sleep(1.2)
+        assert within(120.0, lambda: has_rows(recording))
         assert not vehicle.finished
         assert vehicle.error == ""
         os.kill(vehicle.pid, signal.SIGKILL)
-        until = time.monotonic() + 5.0
-        while time.monotonic() < until and not vehicle.error:
-            time.sleep(0.02)
+        assert within(60.0, lambda: vehicle.error)
         assert "while it flew" in vehicle.error
         with pytest.raises(MuflyError, match="while it flew"):
             vehicle.wait_ready()
@@ -206,10 +219,7 @@ def test_a_vehicle_ends_well_when_its_parent_is_killed(tmp_path):
     time.sleep(0.5)
     parent.kill()
     parent.wait()
-    end = time.monotonic() + 10.0
-    while time.monotonic() < end and _alive(child):
-        time.sleep(0.05)
-    assert not _alive(child)
+    assert within(60.0, lambda: not _alive(child))
     data = read_log(recording)
     assert data.attrs["outcome"] == "unfinished"
     assert data.attrs["complete"]

@@ -42,7 +42,7 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def wait(condition: Callable[[], Any], what: str, seconds: float = 30.0) -> Any:
+def wait(condition: Callable[[], Any], what: str, seconds: float = 120.0) -> Any:
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         if found := condition():
@@ -93,7 +93,7 @@ def fly(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fly]
     yield running
     running.process.send_signal(signal.SIGINT)
     try:
-        running.process.wait(20)
+        running.process.wait(60)
     finally:
         running.process.kill()
 

@@ -46,7 +46,7 @@ def station(
             stdout=log, stderr=subprocess.STDOUT, env=os.environ,
         )  # fmt: skip
     try:
-        for _ in range(300):
+        for _ in range(1800):
             with socket.socket() as probe:
                 if not probe.connect_ex(("127.0.0.1", port)):
                     break
@@ -54,7 +54,7 @@ def station(
             time.sleep(0.1)
         yield port, closed
         process.send_signal(signal.SIGINT)
-        assert process.wait(20) == 0
+        assert process.wait(60) == 0
         said = (folder / "log.txt").read_text()
         assert "Traceback" not in said
         assert "Recorded to" in said
