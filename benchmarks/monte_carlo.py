@@ -63,7 +63,7 @@ def main() -> None:
         cpu = time.process_time()
         once = fly_case(campaign, case)
         cpu = time.process_time() - cpu
-        profile = cProfile.Profile()
+        profile = cProfile.Profile(time.process_time)
         profile.runcall(fly_case, campaign, case)
         names = compiled()
         inside = sum(
