@@ -314,6 +314,9 @@ def _happen(kind: str, v: StandIn, n: int) -> Command:
     elif kind.startswith("spread"):
         _, name, size = kind.split()
         v.spread[name] = float(size)
+    elif kind.startswith("wrong"):
+        _, name, status = kind.split()
+        v.status[name] = status
     elif kind.startswith("ceiling"):
         v.ceiling = float(kind.split()[1])
     elif kind in ("held", "drops"):
@@ -382,6 +385,7 @@ STORIES = (
     (SQUARE, True, [*FLIES, "spread height 0.4"], "HEIGHT_DOUBT"),
     (SQUARE, True, [*FLIES, "spread heading 0.6"], "HEADING_DOUBT"),
     (SQUARE, True, [*FLIES, "spread tilt 0.2", "wait", "wait"], "TILT_DOUBT CAME_DOWN"),
+    (SQUARE, True, [*FLIES, "wrong rates rejected", "wait"], "GIVEN"),
     (SQUARE, False, ["ceiling 0.05", *FLIES], "TAKE_OFF_FAILED"),
     (SQUARE, False, ["ceiling 0.5", *FLIES, "wait", "wait"], "TAKE_OFF_SHORT"),
     (SQUARE, False, [*FLIES, "held", *["wait"] * 12], "MISSED"),

@@ -172,7 +172,7 @@ class _TwinEstimators(Estimator):
         self._c = KalmanEstimator(vehicle, world, rate_Hz, code="c")
         self.periods = self.different = 0
 
-    def update(self, readings: Readings, acting: _Array | None = None) -> Estimate:
+    def update(self, readings: Readings, acting: NDArray[np.float64] | None = None) -> Estimate:
         told = self._python.update(readings, acting)
         also = self._c.update(readings, acting)
         self.periods += 1

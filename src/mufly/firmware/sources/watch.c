@@ -240,6 +240,10 @@ static doubt_t judge(const belief_t *m, real_t stood)
         } else if (heading > HEADING) {
             found = doubt(DEMAND_LAND, SAY_HEADING_DOUBT, heading * PER_DEGREE, m,
                           (uint32_t)(BIT(BELIEF_FIX) | BIT(BELIEF_MAGNETIC) | BIT(BELIEF_RATES)));
+        } else if (m->checks[BELIEF_RATES].status == BELIEF_REJECTED) { /* a bias that gyroscopes cannot have */
+            found.demand = DEMAND_LAND;
+            found.why = say(SAY_GIVEN);
+            name_sensor(&found.why, BELIEF_RATES, &m->checks[BELIEF_RATES]);
         } else if (height > HEIGHT_M) {
             found = doubt(DEMAND_LAND, SAY_HEIGHT_DOUBT, height, m,
                           (uint32_t)(BIT(BELIEF_SONAR) | BIT(BELIEF_FIX) | BIT(BELIEF_PRESSURE)));
