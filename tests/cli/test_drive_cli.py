@@ -67,7 +67,7 @@ def test_sweep_gives_the_curves_of_fig_3_7(tmp_path) -> None:
         (("show", "--pitch", "12"), "leave it out"),
         (("sweep", "--gear", "8:1:1"), "holds no value"),
         (("sweep", "--gear", "0:8:1"), "gear 0 is not possible"),
-        (("sweep", "--duty", "1.5"), "up to 1"),
+        (("sweep", "--duty", "1.5"), "0.01 to 1"),
     ],
 )
 def test_faults_are_one_clear_line(arguments: tuple[str, ...], message: str) -> None:

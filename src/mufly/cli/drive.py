@@ -6,7 +6,19 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from mufly.cli.options import Commands, JsonOption, ModelOption, angle, argument, corrections_of, option
+from mufly.cli.options import (
+    CHARGE,
+    DUTY,
+    GEAR,
+    THRUST,
+    Commands,
+    JsonOption,
+    ModelOption,
+    angle,
+    argument,
+    corrections_of,
+    option,
+)
 from mufly.cli.present import Column, answer, console, print_json, save_picture, say, show_table
 
 if TYPE_CHECKING:
@@ -67,12 +79,15 @@ def show(
     vehicle: _Vehicle = "mufly-1.1",
     pitch: _Pitch = None,
     thrust: Annotated[
-        list[float] | None, option("--thrust N", "Thrust of one rotor. Repeat it for a table.")
+        list[float] | None, option("--thrust N", "Thrust of one rotor. Repeat it for a table.", within=THRUST)
     ] = None,
-    duty: Annotated[list[float] | None, option("--duty D", "Or share of the voltage, 0 to 1.")] = None,
+    duty: Annotated[
+        list[float] | None, option("--duty D", "Or share of the voltage, 0.01 to 1.", within=DUTY)
+    ] = None,
     supply: _Supply = None,
     charge: Annotated[
-        float | None, option("Z", "Instead: the sagging battery with this fraction of its charge.")
+        float | None,
+        option("Z", "Instead: the sagging battery with this fraction of its charge.", within=CHARGE),
     ] = None,
     model: ModelOption = "full",
     as_json: JsonOption = False,
@@ -136,8 +151,10 @@ def sweep(
     rotor: _Rotor = "upper",
     vehicle: _Vehicle = "mufly-1.1",
     pitch: _Pitch = None,
-    thrust: Annotated[float | None, option("N", "Thrust for which the gear ratio is found.")] = None,
-    duty: Annotated[float, option("D", "Share of the supply voltage at the motor.")] = 1.0,
+    thrust: Annotated[
+        float | None, option("N", "Thrust for which the gear ratio is found.", within=THRUST)
+    ] = None,
+    duty: Annotated[float, option("D", "Share of the supply voltage at the motor.", within=DUTY)] = 1.0,
     supply: _Supply = None,
     model: ModelOption = "full",
     out: Annotated[Path | None, option("--out DIR", "Write gear.nc, gear.csv and gear.png.")] = None,
@@ -148,11 +165,17 @@ def sweep(
     Example: mufly drive sweep mufly --thrust 0.6 --out gears
     """
     from mufly.drive import gear_curve, gear_optima, load_drive
+    from mufly.errors import InputError
     from mufly.study import gear_picture, parse_values, write_results
 
     d = load_drive(drive)
     load, name = _load(rotor, vehicle, pitch, model)
-    _, ratios = parse_values(f"gear={gear}")
+    try:
+        _, ratios = parse_values(f"gear={gear}")
+    except InputError as error:
+        raise InputError("--gear", "", error.problem, error.remedy) from None
+    for ratio in ratios:
+        GEAR.check("--gear", float(ratio))
     curve = gear_curve(d, load, [float(r) for r in ratios], duty=duty, supply_V=supply)
     best = gear_optima(d, load, thrust_N=thrust, duty=duty, supply_V=supply)
     marks = {k.replace("_", " "): v for k, v in vars(best).items() if k != "for_thrust" or math.isfinite(v)}

@@ -119,7 +119,47 @@ def _spread(function: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
-def option(names: str, help: str, **more: Any) -> Any:
+@dataclass(frozen=True)
+class Range:
+    """What the numbers of an option may be, ends included, and why they end there."""
+
+    low: float
+    high: float
+    unit: str
+    why: str
+
+    def check(self, option: str, value: float) -> None:
+        """InputError if a value is outside, or no number."""
+        if not self.low <= value <= self.high:
+            unit = f" {self.unit}" if self.unit else ""
+            raise InputError(
+                option,
+                "",
+                f"{value:g}{unit} is out of range: {self.why}",
+                f"give {self.low:g} to {self.high:g}{unit}",
+            )
+
+
+THRUST = Range(1e-3, 1e3, "N", "a tenth of a gram is nothing to fly with, and 100 kg no micro helicopter")
+DUTY = Range(
+    0.01, 1.0, "", "it is a share of the supply voltage, of which friction takes the first hundredth"
+)
+CHARGE = Range(0.0, 1.0, "", "it is a share of the battery's capacity")
+GEAR = Range(0.02, 500.0, "", "no gear train of a few stages is beyond")
+PITCH = Range(-90.0, 90.0, "deg", "a blade that is turned further flies backwards")
+
+
+def _within(limits: Range) -> Callable[[typer.CallbackParam, Any], Any]:
+    def check(param: typer.CallbackParam, value: Any) -> Any:
+        for one in value if isinstance(value, list | tuple) else [value]:
+            if one is not None:
+                limits.check(max(param.opts, key=len), one)
+        return value
+
+    return check
+
+
+def option(names: str, help: str, *, within: Range | None = None, **more: Any) -> Any:
     """An option.
 
     Parameters
@@ -128,7 +168,11 @@ def option(names: str, help: str, **more: Any) -> Any:
         Its names, if its parameter's is not enough, and what stands for its value in the help: ``"--out -o DIR"``.
     help : str
         What it is for.
+    within : Range, optional
+        Of its number, or numbers: refused before anything is done.
     """
+    if within is not None:
+        more["callback"] = _within(within)
     words = names.split()
     value = [w for w in words if not w.startswith("-")]
     return typer.Option(
@@ -208,8 +252,7 @@ def angle(option: str, text: str) -> float:
             value = float(parse_quantity("pitch", text))
         except InputError as error:
             raise InputError(option, "", error.problem, error.remedy) from None
-    if not abs(value) <= math.pi / 2:
-        raise InputError(option, "", f"{text} is not possible", "give a pitch within 90 degrees")
+    PITCH.check(option, math.degrees(value))
     return value
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from mufly.errors import InputError
+from mufly.errors import ArgumentError
 from mufly.sensors.imu import Imu
 from mufly.sensors.readings import READINGS, Reading, Sensor, Truth
 
@@ -76,6 +76,9 @@ TARGETS: Mapping[str, Target] = {
 }
 """What can be wrong about what."""
 
+_LATEST_S = 86400.0  # no battery lasts a day
+_WORST = 1000.0  # over the usual amount of a kind, or of a jump
+
 _SPELLING = re.compile(
     r"(?P<name>\w+)\.(?P<kind>\w+)(?:=(?P<amount>[-+\d.eE]+))?(?:@(?P<start>[\d.eE]+)s?)?(?:\+(?P<span>[\d.eE]+)s?)?"
 )
@@ -103,16 +106,24 @@ class Fault:
 
     def __post_init__(self) -> None:
         if self.name not in TARGETS:
-            raise InputError("fault", self.name, "is no sensor", f"use one of: {', '.join(TARGETS)}")
+            raise ArgumentError("fault", self.name, "is no sensor", f"use one of: {', '.join(TARGETS)}")
         if self.kind not in KINDS:
-            raise InputError("fault", self.kind, "is no fault", f"use one of: {', '.join(KINDS)}")
-        if not (math.isfinite(self.start_s) and self.start_s >= 0.0 and self.stop_s > self.start_s):
+            raise ArgumentError("fault", self.kind, "is no fault", f"use one of: {', '.join(KINDS)}")
+        if not (0.0 <= self.start_s <= _LATEST_S and self.stop_s > self.start_s):
             span = f"{self.start_s:g} to {self.stop_s:g} s"
-            raise InputError(
+            raise ArgumentError(
                 "fault", str(self), f"{span} is no time", "write NAME.KIND=AMOUNT@STARTs+DURATIONs"
             )
         if math.isnan(self.amount):
             object.__setattr__(self, "amount", TARGETS[self.name].amount.get(self.kind, 0.0))
+        usual = TARGETS[self.name].amount
+        most = _WORST * max(usual.get(self.kind, 0.0), usual["jump"])
+        if not abs(self.amount) <= most:
+            unit = "s" if self.kind == "late" else TARGETS[self.name].unit
+            raise ArgumentError(
+                "fault", str(self), f"{self.amount:g} {unit} is more than a reading is ever wrong by",
+                f"give up to {most:g} {unit}",
+            )  # fmt: skip
 
     @property
     def sensor(self) -> str:
@@ -139,7 +150,7 @@ def parse_fault(text: str) -> Fault:
             raise ValueError
         numbers = {k: float(match[k]) for k in ("amount", "start", "span") if match[k] is not None}
     except ValueError:
-        raise InputError(
+        raise ArgumentError(
             "fault", text, "is none", "write NAME.KIND=AMOUNT@STARTs+DURATIONs, as sonar.jump=0.3@15s+2s"
         ) from None
     start = numbers.get("start", 0.0)
