@@ -41,7 +41,7 @@ def test_any_bytes_are_borne_and_a_fault_is_found(tree) -> None:
     try:
         source.write_text(text.replace("if (real_abs(angle) < GREATEST) {", "if (true) {"))
         assert source.read_text() != text
-        broken = run_fuzzer(tree, seconds=30)
+        broken = run_fuzzer(tree, seconds=90)  # ends when it has found it
     finally:
         source.write_text(text)
     assert "outside the range of representable values" in broken.found
