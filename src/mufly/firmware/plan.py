@@ -14,7 +14,7 @@ from mufly.mission.trajectory import Limits
 from mufly.vehicle import Vehicle
 from mufly.version import __version__
 
-MOST_WAYPOINTS = 64
+MOST_WAYPOINTS = 32
 MOST_BEAMS = 64
 _AT_END = ("land", "hover", "return")
 

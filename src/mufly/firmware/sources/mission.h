@@ -11,7 +11,7 @@
 #include "trajectory.h"
 #include "words.h"
 
-#define MISSION_WAYPOINTS 64 /* at most */
+#define MISSION_WAYPOINTS 32 /* at most */
 #define MISSION_LOG 16       /* latest entries that are kept */
 
 #define SPIN_UP_S REAL(3.0)
