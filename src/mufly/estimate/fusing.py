@@ -365,6 +365,26 @@ def settle_floor(m):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
+def fuse_floor(m, s):  # type: ignore[no-untyped-def]
+    """Legs do not go into what lies below: where they are believed to be there, they stand on it.
+
+    The sonar is too near to tell, the rotors lift less than the weight, and nothing else says that it does not fall.
+    """
+    height = height_over(m.x, s)
+    if height >= 0.0:
+        return
+    _clear(m)
+    m.h[P + 2] = -1.0
+    if m.x[16] > 0.0:
+        m.h[FLOOR] = -1.0
+    _take(m, -height, 1e-4)
+    if m.x[5] > 0.0:
+        _clear(m)
+        m.h[V + 2] = 1.0
+        _take(m, -m.x[5], 2.5e-3)
+
+
+@compiled(error_model="numpy")
 def fuse_ring(m, s, z, r):  # type: ignore[no-untyped-def]
     """Distances to the walls of the room, beam by beam."""
     k = R_RING

@@ -20,6 +20,7 @@ from mufly.estimate.factors import carry, sigmas
 from mufly.estimate.fusing import (
     CLEAR,
     fuse_fix,
+    fuse_floor,
     fuse_force,
     fuse_magnet,
     fuse_pressure,
@@ -226,7 +227,7 @@ def _advance(m, s, r, a):  # type: ignore[no-untyped-def]
         m.q[k] = m.q[k] * s.keep[k] * s.keep[k] + s.noise[k]
     for k in range(3):
         m.q[k] += s.noise[k]
-        m.turning[k] += s.dt / 0.3 * (e[k] - m.x[10 + k] - m.turning[k])
+        m.turning[k] += s.dt / 1.5 * (e[k] - m.x[10 + k] - m.turning[k])
         spread = 0.0
         for i in range(3):
             spread += r[3 * k + i] * r[3 * k + i] * e[18 + i]
@@ -300,6 +301,8 @@ def _fuse(m, s, r):  # type: ignore[no-untyped-def]
             m.standing += n if mode == STANDING else 0
         elif mode == FLYING and s.model > 0 and s.fitted[R_ACCELERATION] > 0:
             fuse_force(m, s, r, e, n)
+        if mode > RUNNING:
+            fuse_floor(m, s)
         for k in range(3):
             m.felt[k] = m.modelled[k] = m.sum[k] = m.lever[k, 0] = m.lever[k, 1] = 0.0
         m.lever[0, 3] = 0.0

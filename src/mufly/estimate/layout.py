@@ -148,15 +148,18 @@ def settings_type(kind: Any = np.float64) -> np.dtype:
 
 
 # What is assumed beyond the vehicle's file (docs/estimation.md)
-MODEL_FORCE = (0.035, 0.035, 0.06)
+MODEL_FORCE = (0.035, 0.035, 0.035)
 """What the rotor model is off by in flight, one sigma an axis (m/s^2), and for how long together (s)."""
 MODEL_TIME_S = 0.1
-THRUST_ERROR = (0.03, 20.0)  # error of the model's thrust, and its time (s)
-WIND_SPEED = (0.7, 5.0)  # m/s, s
+THRUST_ERROR = (0.03, 60.0)  # error of the model's thrust, and its time (s)
+WIND_SPEED = (0.5, 10.0)
+"""Of an axis (m/s), and for how long (s): a mean of 0.5 m/s from anywhere and gusts of 0.3 m/s make 0.46."""
+MOTOR_STEP = 1e-3  # what the motors' equations miss between two readings of the speed, of the hover speed
+MOTOR_CURRENT = 2.0  # of both motors in a hover (A)
 EDGE, EDGE_S, LOW = 0.1, 1.0, 0.08
 """Over an object, and for a while after a step, the surface may change by this (m/sqrt(s)); (s); what is lower is
 the floor (m)."""
-FLOOR_WANDER = 1e-3  # m/sqrt(s): floors are not quite flat
+FLOOR_WANDER = 5e-4  # m/sqrt(s): floors are not quite flat
 LEVEL = math.radians(0.12)  # how level it stands on the floor
 PLACE_M = 5.0  # where it stands before anything is heard
 TURN_RAD = 2 * math.pi
@@ -286,8 +289,10 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
         noisy[R_MAGNET] = float(compass.noise) > 0
         s["earth"] = earth_field(float(compass.field), float(compass.inclination))
         level = max(float(s["earth"][0]), 1e-9)
-        s["magnet_variance"] = (float(compass.noise) / level) ** 2
-        current = float(vehicle.battery.electronics_current) + 2.0
+        # Heave control swings the current by half of a hover's, and its field with it
+        swing = 0.5 * MOTOR_CURRENT * float(compass.motor_field)
+        s["magnet_variance"] = (math.hypot(float(compass.noise), swing) / level) ** 2
+        current = float(vehicle.battery.electronics_current) + MOTOR_CURRENT
         wrong = math.hypot(
             float(compass.distortion), float(compass.hard_iron), float(compass.motor_field) * current
         )
@@ -297,8 +302,8 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
         fitted[R_ROTOR], period[R_ROTOR] = 1, float(rotor.period)
         noise = float(rotor.noise) / (float(vehicle.motor.back_emf_constant) * float(vehicle.gear.ratio))
         noisy[R_ROTOR] = noise > 0
-        # Between readings the motors' equations carry the speed on, to about 1 % in their time of 50 ms
-        s["rotor_gain"] = 1.0 / (1.0 + (noise / (0.01 * s["hover"][0])) ** 2) * 0.5
+        # Steady Kalman filter of a random walk of these steps, read with this noise
+        s["rotor_gain"] = 2.0 / (1.0 + math.sqrt(1.0 + 4.0 * (noise / (MOTOR_STEP * s["hover"][0])) ** 2))
         bound[R_ROTOR] = 5 * float(s["hover"].max())
     if sensing.battery is not None:
         fitted[R_BATTERY], period[R_BATTERY] = 1, float(sensing.battery.period)

@@ -238,7 +238,7 @@ static void advance(estimator_t *m, const estimator_settings_t *s)
     }
     for (int32_t k = 0; k < 3; k++) {
         m->q[k] += s->noise[k];
-        m->turning[k] += (s->dt / REAL(0.3)) * ((e[k] - m->x[10 + k]) - m->turning[k]);
+        m->turning[k] += (s->dt / REAL(1.5)) * ((e[k] - m->x[10 + k]) - m->turning[k]);
         m->q[3 + k] += spread_along(r, k, e) * s->dt;
         m->felt[k] += e[3 + k];
         m->modelled[k] += a[3 + k];
@@ -325,6 +325,9 @@ static void fuse_block(estimator_t *m, const estimator_settings_t *s)
         fuse_force(m, s, m->felt_count);
     } else {
         /* light: neither stands nor flies */
+    }
+    if (mode > RUNNING) {
+        fuse_floor(m, s);
     }
     for (int32_t k = 0; k < 3; k++) {
         m->felt[k] = REAL(0.0);

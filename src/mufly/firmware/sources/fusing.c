@@ -350,6 +350,25 @@ void settle_floor(estimator_t *m)
     take(m, -m->x[16], REAL(2.5e-5));
 }
 
+void fuse_floor(estimator_t *m, const estimator_settings_t *s)
+{
+    const real_t height = height_over(m->x, s);
+
+    if (height < REAL(0.0)) {
+        clear_row(m);
+        m->h[P_ + 2] = REAL(-1.0);
+        if (m->x[16] > REAL(0.0)) {
+            m->h[FLOOR] = REAL(-1.0);
+        }
+        take(m, -height, REAL(1e-4));
+        if (m->x[5] > REAL(0.0)) {
+            clear_row(m);
+            m->h[V_ + 2] = REAL(1.0);
+            take(m, -m->x[5], REAL(2.5e-3));
+        }
+    }
+}
+
 /* The wall of the room that a beam along u meets first: its distance; the axis is -1 if there is none. */
 static real_t nearest_wall(const estimator_t *m, const estimator_settings_t *s, const real_t u[3], int32_t *axis)
 {

@@ -22,5 +22,6 @@ real_t height_over(const real_t x[STATES], const estimator_settings_t *s);
 
 /* Back at about the height of the floor it is most likely the floor, and that one is known. */
 void settle_floor(estimator_t *m);
+void fuse_floor(estimator_t *m, const estimator_settings_t *s);
 
 #endif
