@@ -142,6 +142,7 @@ NOTICED = {
     "position.insane@11s": ("position_fix", "faulty", "no number"),
     "position.jump@11s": ("position_fix", "rejected", "off by"),
     "position.freeze@11s": ("position_fix", "faulty", "same to the last digit"),
+    "position.stuck@11s": ("position_fix", "faulty", "same to the last digit"),
     "position.late@11s": ("position_fix", "", "later than"),
     "sonar.jump=-0.3@11s": ("ground_distance", "fused", "step"),
     "sonar.jump@11s": ("ground_distance", "rejected", "off by"),
@@ -151,6 +152,7 @@ NOTICED = {
     "gyro.jump@11s": ("rates", "fused", "jumped"),
     "gyro.insane@11s": ("rates", "", ""),
     "rotor_speed.stuck@11s": ("rotor_speed", "", ""),
+    "rotor_speed.late@11s": ("rotor_speed", "", ""),
     "battery.jump@11s": ("battery_voltage", "rejected", ""),
 }
 
@@ -179,10 +181,42 @@ def test_a_fault_is_noticed_within_half_a_second(vehicle: Vehicle, flown, felt, 
     assert any(c.status == (status or c.status) and word in c.reason for _, c in mine), mine[:3]
 
 
+@pytest.mark.parametrize(
+    ("fault", "name", "status", "word"),
+    [
+        ("sonar.freeze@9s", "ground_distance", "faulty", "again and again"),
+        ("position.drift@9s", "position_fix", "faulty", "apart from the sonar"),
+        ("gyro.drift@9s", "rates", "rejected", "more than it can have"),
+    ],
+)
+def test_what_grows_slowly_is_noticed_before_it_does_harm(
+    vehicle: Vehicle, flown, felt, fault: str, name: str, status: str, word: str
+) -> None:
+    _, told = run(vehicle, felt(10_007, fault), flown[1])
+    said = [
+        (e.time_s, c)
+        for e in told
+        if e.beliefs
+        for c in e.beliefs.checks
+        if c.status in ("rejected", "missing", "faulty")
+    ]
+    assert all(t > 9.0 for t, _ in said)
+    assert any(c.name == name and c.status == status and word in c.reason for _, c in said), said[:3]
+
+
+def test_legs_do_not_go_into_the_floor(vehicle: Vehicle, flown, felt) -> None:
+    """Rotors that lift less than the weight make no fall where it stands, before lift-off as after touchdown."""
+    _, told = run(vehicle, felt(10_000), flown[1])
+    stands = flown[0][0].position[2]
+    assert max(m.position[2] for m in told) < stands + 0.02
+    rising = [k for k, t in enumerate(flown[0]) if -0.6 < t.position[2] < stands - 0.01]
+    assert max(abs(told[k].position[2] - flown[0][k].position[2]) for k in rising) < 0.05
+
+
 EVIL = st.sampled_from(["missing", "nan", "huge", "late", "early", "twice", "invalid", "frozen"])
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(
     st.lists(
         st.tuples(st.integers(2200, 2700), st.integers(1, 120), EVIL, st.integers(0, 8)),

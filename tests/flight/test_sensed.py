@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from mufly.cli import app
@@ -16,7 +18,7 @@ from mufly.flight.trust import BAD_S, GOOD_S, Doubts, SensorWatch, Smooth, judge
 from mufly.identify.record import record_from
 from mufly.mission import dump_mission, mission_from
 from mufly.quantities import CHECKED, STATUSES
-from mufly.sensors import READINGS, Readings, parse_fault
+from mufly.sensors import READINGS, Reading, Readings, Sensors, Truth, parse_fault
 from mufly.vehicle import Vehicle, load_vehicle
 from mufly.world import World
 
@@ -306,6 +308,73 @@ def test_identification_takes_what_was_estimated_where_no_sensor_tells_it(sensed
     assert np.array_equal(told["roll"][flown], data.estimated_attitude.values[flown, 0])
     assert np.isnan(told["roll"][~flown]).all()
     assert np.array_equal(told["p"], data.measured_rates.values[:, 0])  # sensors come first
+
+
+class Spoilt(Sensors):
+    """Sensors of which now and then one says something else, or nothing."""
+
+    def __init__(self, sensors: Sensors, evils: list[tuple[float, float, str, str]]) -> None:
+        super().__init__()
+        self._sensors, self._evils, self._first = sensors, evils, {}
+
+    def read(self, truth: Truth) -> Readings:
+        said = self._sensors.read(truth)
+        latest, now = dict(said.latest), truth.time_s
+        for start, span, evil, name in self._evils:
+            if start <= now < start + span and name in latest:
+                r = latest.pop(name)
+                first = self._first.setdefault((start, evil, name), r)
+                if evil != "missing":
+                    latest[name] = worse(r, evil, now, first)
+        return Readings(now, latest)
+
+    def reset(self) -> None:
+        self._sensors.reset()
+
+
+def worse(r: Reading, evil: str, now: float, first: Reading) -> Reading:
+    """What is said instead."""
+    value = np.asarray(r.value, dtype=float)
+    return {
+        "nan": Reading(value * math.nan, now),
+        "huge": Reading(value * 0.0 - 1e30, now),
+        "off": Reading(value * 1.3 + 0.2, r.time_s),
+        "late": Reading(r.value, now - 3.0),
+        "early": Reading(r.value, now + 3.0),
+        "twice": Reading(r.value, now),
+        "frozen": Reading(first.value, now),
+    }[evil]
+
+
+EVIL = st.sampled_from(["missing", "nan", "huge", "off", "late", "early", "twice", "frozen"])
+
+
+@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    st.lists(
+        st.tuples(st.floats(2.5, 7.0), st.floats(0.01, 2.0), EVIL, st.sampled_from(CHECKED)),
+        min_size=1,
+        max_size=4,
+    )
+)
+def test_nothing_that_sensors_say_brings_a_nan_or_a_jump_into_the_actuators(
+    vehicle, controller, evils
+) -> None:
+    """Through sensors, filter, trust, controllers: docs/sensors.md says what an input moves by in a period."""
+    with Flight(vehicle, HOP, controller=controller, seed=4, sensors="fitted", keep=False) as flight:
+        flight.sensors = Spoilt(flight.sensors, evils)
+        last = None
+        while flight.time_s < 8.0:
+            if flight.status.motors == "off" and flight.time_s > 1.0 and not flight.autopilot.not_ready():
+                flight.autopilot.arm()
+                flight.autopilot.start_mission()
+            flight.tick()
+            now = flight.status.actuators.array
+            assert np.isfinite(now).all()
+            if last is not None and now[0] > 0.0 and last[0] > 0.0:
+                assert np.abs(now - last)[:2].max() < 0.101
+                assert np.abs(now - last)[2:].max() < 0.201
+            last = now.copy()
 
 
 def test_a_fault_may_be_injected_and_cleared_in_flight(vehicle, controller) -> None:

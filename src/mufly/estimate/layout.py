@@ -163,7 +163,7 @@ FLOOR_WANDER = 5e-4  # m/sqrt(s): floors are not quite flat
 LEVEL = math.radians(0.12)  # how level it stands on the floor
 PLACE_M = 5.0  # where it stands before anything is heard
 TURN_RAD = 2 * math.pi
-_CALM_S = 1.0  # errors of the ring stay for about as long
+_CALM_S = 5.0  # errors of the ring stay for as long as it hovers, or so
 _TURN_S = 1.5  # turns go the same way for about as long
 
 

@@ -33,7 +33,7 @@ from mufly.rotor import maps
 from mufly.toolchain import FLAGS, kept_library
 from mufly.vehicle import Vehicle
 
-PROVED = "cb1484dcdfa28a19"
+PROVED = "df420da15ca1b9cb"
 """Stamp of the Python sources (:func:`stamp`) to which C was last proved equal."""
 
 SOURCES = ("estimate", "fusing", "guards", "factors", "motion", "flight_model", "real")
