@@ -105,6 +105,7 @@ class Page:
         self.complaints: list[str] = []
         self.requests: list[str] = []
         self.context = browser.new_context(viewport={"width": 1366, "height": 768}, color_scheme="dark")
+        self.context.set_default_timeout(120_000.0)  # ms; a machine without graphics draws slowly under load
         self.page = self.context.new_page()
         self.page.on("console", lambda m: m.type in ("error", "warning") and self.complaints.append(m.text))
         self.page.on("pageerror", lambda e: self.complaints.append(str(e)))
