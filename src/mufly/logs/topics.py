@@ -465,7 +465,6 @@ def resample(
     on_sample = np.abs(onto - left) <= slack
     bridged = right - left <= longest
     if hold:
-        bridged |= (before == len(t) - 1) & (onto - left <= step)
         out[before < 0] = np.nan
     inside = (onto >= t[0] - slack) & (onto <= t[-1] + (step if hold else slack))
     out[~(inside & (on_sample | bridged))] = np.nan
