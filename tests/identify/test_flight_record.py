@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError
-from mufly.identify import Record, check_record, record_from, split
+from mufly.identify import Record, check_record, read_columns, record_from, split
 from mufly.identify.record import dataset_of, difference_noise, smoothed_motion
 
 T = np.arange(600) * 0.01
@@ -126,3 +126,16 @@ def test_split_keeps_everything_once():
     assert len(b.time_s) == 150
     with pytest.raises(InputError, match="too short"):
         split(a, 0.01)
+
+
+@pytest.mark.parametrize("separator", [";", "\t", " "])
+def test_a_table_without_header_may_have_decimal_commas(tmp_path, separator):
+    """Before: "the file has 4 columns; name each"."""
+    rows = [f"{0.02 * k:.3f} {0.1 * k:.2f} {1.5 - 0.01 * k:.3f}" for k in range(60)]
+    path = tmp_path / "de.csv"
+    path.write_text("\n".join(rows).replace(".", ",").replace(" ", separator) + "\n", encoding="utf-8")
+    found = read_columns(path, columns=("time", "u", "y"))
+    assert found.columns["y"] == pytest.approx(1.5 - 0.01 * np.arange(60))
+    path.write_text("\n".join(rows).replace(".", ",").replace(" ", ",") + "\n", encoding="utf-8")
+    with pytest.raises(InputError, match="6 columns; name each; or, if commas are decimal ones"):
+        read_columns(path, columns=("time", "u", "y"))

@@ -487,11 +487,23 @@ def _csv(path: Path, columns: Mapping[str, Sequence[str]] | Sequence[str]) -> di
                 found[k] = factor * v.astype(np.float64) + offset
         return found
     text = path.read_text(encoding="utf-8-sig", errors="replace")
-    comma = max((",", ";", "\t", " "), key=text[:2000].count)
-    values = np.genfromtxt(text.splitlines(), delimiter=None if comma == " " else comma, invalid_raise=False)
+    # As read_raw: semicolons and tabs come first, and a comma beside them, or between blanks, is a decimal one.
+    lines = text[:2000].splitlines()[1:-1] or text.splitlines()
+    blanks = all(re.search(r"\S +\S", line) for line in lines) and not any(", " in line for line in lines)
+    comma = next((c for c in (";", "\t") if c in text[:2000]), " " if blanks else ",")
+    if comma != ",":
+        text = re.sub(r"(?<=\d),(?=\d)", ".", text)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of every row that is not as long as the first
+        values = np.genfromtxt(
+            text.splitlines(), delimiter=None if comma == " " else comma, invalid_raise=False
+        )
     if values.ndim != 2 or values.shape[1] != len(columns):
         wide = values.shape[1] if values.ndim == 2 else 1
-        raise ArgumentError("columns", ",".join(columns), f"the file has {wide} columns", "name each")
+        remedy = "name each"
+        if comma == "," and max(line.count(",") + 1 for line in lines) == 2 * len(columns):
+            remedy += "; or, if commas are decimal ones, write semicolons between the columns"
+        raise ArgumentError("columns", ",".join(columns), f"the file has {wide} columns", remedy)
     if not np.isfinite(values[0]).any():
         values = values[1:]  # a header that --columns replaces
     return {name: values[:, j] for j, name in enumerate(columns)}
