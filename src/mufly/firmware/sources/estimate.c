@@ -450,14 +450,7 @@ static void tell_covariance(estimator_t *m, const estimator_settings_t *s)
 
     factors_sigmas(m);
     for (int32_t k = 0; k < ERRORS; k++) {
-        for (int32_t i = 0; i < MOVING; i++) {
-            real_t v = m->top_out[i][k];
-
-            for (int32_t j = 0; j < k; j++) {
-                v += m->top_out[i][j] * m->ut[k][j];
-            }
-            m->w[k][i] = v;
-        }
+        factors_times(m, m->top_out, k, m->w[k]);
     }
     for (int32_t i = 0; i < MOVING; i++) {
         for (int32_t j = i; j < MOVING; j++) {

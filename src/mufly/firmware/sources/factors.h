@@ -14,6 +14,9 @@ void factors_observe(estimator_t *m, real_t variance);
  * position too, by `middle` (s) times itself. */
 void factors_carry(estimator_t *m, real_t middle);
 
+/* Column k of F U, of its first rows `top`. */
+void factors_times(const estimator_t *m, real_t top[MOVING][ERRORS], int32_t k, real_t out[MOVING]);
+
 /* Add a variance to a state: something may have happened to it. */
 void factors_loosen(estimator_t *m, int32_t state, real_t variance);
 

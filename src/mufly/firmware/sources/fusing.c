@@ -11,12 +11,11 @@ static void clear_row(estimator_t *m)
     }
 }
 
-/* Take a measurement in, whatever it says; its row is in m->h. */
-static void take(estimator_t *m, real_t innovation, real_t variance)
+/* Take a measurement in whose m->f is known from ratio_of. */
+static void take_expected(estimator_t *m, real_t innovation, real_t variance)
 {
     const real_t *g = m->gain;
 
-    (void)factors_expected(m);
     factors_observe(m, variance);
     for (int32_t i = 0; i < TURN; i++) {
         m->x[i] += g[i] * innovation;
@@ -25,6 +24,13 @@ static void take(estimator_t *m, real_t innovation, real_t variance)
     for (int32_t i = GYRO; i < ERRORS; i++) {
         m->x[i + 1] += g[i] * innovation;
     }
+}
+
+/* Take a measurement in, whatever it says; its row is in m->h. */
+static void take(estimator_t *m, real_t innovation, real_t variance)
+{
+    (void)factors_expected(m);
+    take_expected(m, innovation, variance);
 }
 
 /* Innovation over what is expected of it. */
@@ -428,7 +434,7 @@ void fuse_ring(estimator_t *m, const estimator_settings_t *s, const real_t z[BEA
             ratio = ratio_of(m, nu, slope * slope);
             if (real_abs(ratio) < BEAM_GATE) {
                 note(m, k, nu, ratio);
-                take(m, nu, slope * slope);
+                take_expected(m, nu, slope * slope);
                 fitting += 1;
                 turn_matrix(&m->x[6], r);
             }
@@ -526,7 +532,7 @@ void fuse_force(estimator_t *m, const estimator_settings_t *s, int32_t count)
         ratio = ratio_of(m, nu, variance);
         felt_fits(m, s, nu, variance, i);
         if ((real_abs(ratio) < GATE) && (m->disowned == 0)) {
-            take(m, nu, variance);
+            take_expected(m, nu, variance);
         }
         if ((i == 0) || (real_abs(ratio) > m->lever[0][3])) {
             note(m, R_ACCELERATION, nu, ratio);
@@ -561,7 +567,7 @@ void fuse_rest(estimator_t *m, const estimator_settings_t *s, int32_t count, boo
             m->h[TURN] = -r[3 + i] * GRAVITY;
             m->h[TURN + 1] = r[i] * GRAVITY;
             if (real_abs(ratio_of(m, nu, variance)) < (REAL(2.0) * GATE)) {
-                take(m, nu, variance);
+                take_expected(m, nu, variance);
             }
         }
     }

@@ -20,43 +20,57 @@ void turn_matrix(const real_t q[4], real_t r[9])
     r[8] = REAL(1.0) - (REAL(2.0) * ((x * x) + (y * y)));
 }
 
-void turned(real_t x[STATES], real_t t_x, real_t t_y, real_t t_z, bool own)
-{
-    const real_t square = ((t_x * t_x) + (t_y * t_y)) + (t_z * t_z);
-    const real_t s = own ? REAL(1.0) : REAL(-1.0);
-    const real_t w = x[6];
-    const real_t q_x = x[7];
-    const real_t q_y = x[8];
-    const real_t q_z = x[9];
-    real_t c = (REAL(1.0) - (square / REAL(8.0))) + ((square * square) / REAL(384.0));
-    real_t k = (REAL(0.5) - (square / REAL(48.0))) + ((square * square) / REAL(3840.0));
+/* Half the turn's size in the quaternion: its real part, and the three others. */
+typedef struct {
+    real_t c;
     real_t a;
     real_t b;
     real_t d;
-    real_t n_w;
-    real_t n_x;
-    real_t n_y;
-    real_t n_z;
-    real_t size;
+} small_turn_t;
 
+static small_turn_t small_turn(real_t t_x, real_t t_y, real_t t_z)
+{
+    const real_t square = ((t_x * t_x) + (t_y * t_y)) + (t_z * t_z);
+    small_turn_t by;
+    real_t k = (REAL(0.5) - (square / REAL(48.0))) + ((square * square) / REAL(3840.0));
+
+    by.c = (REAL(1.0) - (square / REAL(8.0))) + ((square * square) / REAL(384.0));
     if (square > REAL(1.0)) {
         const real_t angle = real_sqrt(square);
 
-        sine_cosine(REAL(0.5) * angle, &k, &c);
+        sine_cosine(REAL(0.5) * angle, &k, &by.c);
         k = k / angle;
     }
-    a = k * t_x;
-    b = k * t_y;
-    d = k * t_z;
-    n_w = (((w * c) - (q_x * a)) - (q_y * b)) - (q_z * d);
-    n_x = ((q_x * c) + (w * a)) + (s * ((q_y * d) - (q_z * b)));
-    n_y = ((q_y * c) + (w * b)) + (s * ((q_z * a) - (q_x * d)));
-    n_z = ((q_z * c) + (w * d)) + (s * ((q_x * b) - (q_y * a)));
-    size = REAL(1.0) / real_sqrt((((n_w * n_w) + (n_x * n_x)) + (n_y * n_y)) + (n_z * n_z));
-    x[6] = n_w * size;
-    x[7] = n_x * size;
-    x[8] = n_y * size;
-    x[9] = n_z * size;
+    by.a = k * t_x;
+    by.b = k * t_y;
+    by.d = k * t_z;
+    return by;
+}
+
+static void turn_by(real_t q[4], const small_turn_t *by, real_t s)
+{
+    const real_t w = q[0];
+    const real_t x = q[1];
+    const real_t y = q[2];
+    const real_t z = q[3];
+    const real_t n_w = (((w * by->c) - (x * by->a)) - (y * by->b)) - (z * by->d);
+    const real_t n_x = ((x * by->c) + (w * by->a)) + (s * ((y * by->d) - (z * by->b)));
+    const real_t n_y = ((y * by->c) + (w * by->b)) + (s * ((z * by->a) - (x * by->d)));
+    const real_t n_z = ((z * by->c) + (w * by->d)) + (s * ((x * by->b) - (y * by->a)));
+    const real_t size =
+        REAL(1.0) / real_sqrt((((n_w * n_w) + (n_x * n_x)) + (n_y * n_y)) + (n_z * n_z));
+
+    q[0] = n_w * size;
+    q[1] = n_x * size;
+    q[2] = n_y * size;
+    q[3] = n_z * size;
+}
+
+void turned(real_t x[STATES], real_t t_x, real_t t_y, real_t t_z, bool own)
+{
+    const small_turn_t by = small_turn(t_x, t_y, t_z);
+
+    turn_by(&x[6], &by, own ? REAL(1.0) : REAL(-1.0));
 }
 
 void advance_state(real_t x[STATES], const real_t e[INPUTS], real_t dt, real_t r[9], real_t a[6])
@@ -64,14 +78,15 @@ void advance_state(real_t x[STATES], const real_t e[INPUTS], real_t dt, real_t r
     const real_t t_x = dt * (e[0] - x[10]);
     const real_t t_y = dt * (e[1] - x[11]);
     const real_t t_z = dt * (e[2] - x[12]);
+    const small_turn_t half = small_turn(REAL(0.5) * t_x, REAL(0.5) * t_y, REAL(0.5) * t_z);
     real_t n;
     real_t o;
     real_t d;
     real_t f[3];
 
-    turned(x, REAL(0.5) * t_x, REAL(0.5) * t_y, REAL(0.5) * t_z, true);
+    turn_by(&x[6], &half, REAL(1.0));
     turn_matrix(&x[6], r);
-    turned(x, REAL(0.5) * t_x, REAL(0.5) * t_y, REAL(0.5) * t_z, true);
+    turn_by(&x[6], &half, REAL(1.0));
     n = x[3] - x[21];
     o = x[4] - x[22];
     d = x[5];
@@ -93,36 +108,47 @@ void advance_state(real_t x[STATES], const real_t e[INPUTS], real_t dt, real_t r
     }
 }
 
-static void add_push(real_t g[3], const real_t r[9], int32_t k, real_t push)
+static inline void add_push(real_t g[3], const real_t r[9], int32_t k, real_t push)
 {
     g[0] += r[k] * push;
     g[1] += r[3 + k] * push;
     g[2] += r[6 + k] * push;
 }
 
-void advance_errors(real_t top[MOVING][ERRORS], const real_t e[INPUTS], real_t dt, const real_t r[9],
-                    const real_t a[6])
+/* How an error of the velocity changes the drag along an axis of the body. */
+static inline void add_drag(real_t g[3], const real_t r[9], int32_t k, real_t slope, const real_t v[3])
 {
-    for (int32_t c = 0; c < (9 + 6 + 3); c++) {
+    if (slope != REAL(0.0)) {
+        add_push(g, r, k, slope * (((r[k] * v[0]) + (r[3 + k] * v[1])) + (r[6 + k] * v[2])));
+    }
+}
+
+void advance_errors(real_t top[MOVING][ERRORS], const real_t e[INPUTS], real_t dt, const real_t attitude[9],
+                    const real_t push[6])
+{
+    /* Copies, that the compiler knows apart from what is written. */
+    const real_t r[9] = {attitude[0], attitude[1], attitude[2], attitude[3], attitude[4],
+                         attitude[5], attitude[6], attitude[7], attitude[8]};
+    const real_t a[3] = {push[0], push[1], push[2]};
+    const real_t rest[3] = {REAL(1.0) - e[15], REAL(1.0) - e[16], REAL(1.0) - e[17]};
+    const real_t slope[3] = {rest[0] * e[12], rest[1] * e[13], rest[2] * e[14]};
+    const real_t half = REAL(0.5) * dt;
+
+    /* An error of the position moves nothing: begin with the velocity. */
+    for (int32_t c = V_; c < (9 + 6 + 3); c++) {
         const int32_t j = (c < 15) ? c : (c + 5); /* neither floor nor the fix's biases move it */
         const real_t t_x = top[6][j];
         const real_t t_y = top[7][j];
         const real_t t_z = top[8][j];
-        const real_t v_x = top[3][j];
-        const real_t v_y = top[4][j];
-        const real_t v_z = top[5][j];
+        const real_t v[3] = {top[3][j], top[4][j], top[5][j]};
         real_t g[3];
 
         g[0] = (a[2] * t_y) - (a[1] * t_z);
         g[1] = (a[0] * t_z) - (a[2] * t_x);
         g[2] = (a[1] * t_x) - (a[0] * t_y);
-        for (int32_t k = 0; k < 3; k++) {
-            const real_t slope = (REAL(1.0) - e[15 + k]) * e[12 + k];
-
-            if (slope != REAL(0.0)) {
-                add_push(g, r, k, slope * (((r[k] * v_x) + (r[3 + k] * v_y)) + (r[6 + k] * v_z)));
-            }
-        }
+        add_drag(g, r, 0, slope[0], v);
+        add_drag(g, r, 1, slope[1], v);
+        add_drag(g, r, 2, slope[2], v);
         if ((j >= GYRO) && (j < ACCEL)) {
             const int32_t k = j - GYRO;
 
@@ -137,23 +163,23 @@ void advance_errors(real_t top[MOVING][ERRORS], const real_t e[INPUTS], real_t d
             g[2] -= r[6 + k] * e[15 + k];
         } else if (j == THRUST_) {
             for (int32_t k = 0; k < 3; k++) {
-                add_push(g, r, k, (REAL(1.0) - e[15 + k]) * e[6 + k]);
+                add_push(g, r, k, rest[k] * e[6 + k]);
             }
         } else if (j >= WIND) {
             const int32_t i = j - WIND;
 
             for (int32_t k = 0; k < 3; k++) {
-                add_push(g, r, k, (-(REAL(1.0) - e[15 + k]) * e[12 + k]) * r[(3 * i) + k]);
+                add_push(g, r, k, (-rest[k] * e[12 + k]) * r[(3 * i) + k]);
             }
         } else {
-            /* position, velocity, attitude: done above */
+            /* velocity, attitude: done above */
         }
         top[3][j] += dt * g[0];
         top[4][j] += dt * g[1];
         top[5][j] += dt * g[2];
-        top[0][j] += dt * (v_x + ((REAL(0.5) * dt) * g[0]));
-        top[1][j] += dt * (v_y + ((REAL(0.5) * dt) * g[1]));
-        top[2][j] += dt * (v_z + ((REAL(0.5) * dt) * g[2]));
+        top[0][j] += dt * (v[0] + (half * g[0]));
+        top[1][j] += dt * (v[1] + (half * g[1]));
+        top[2][j] += dt * (v[2] + (half * g[2]));
     }
 }
 
