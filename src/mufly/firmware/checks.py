@@ -36,7 +36,7 @@ from mufly.sensors import Readings
 from mufly.sensors.faults import Fault
 from mufly.toolchain import FLAGS, compiler
 from mufly.vehicle import Vehicle
-from mufly.world import World
+from mufly.world import Room, World
 
 _Array = NDArray[np.floating[Any]]
 
@@ -44,8 +44,14 @@ MACHINES = {"mps2-an386": 40.0, "netduinoplus2": 1000.0 / 168.0}
 """Emulated boards with a Cortex-M4, and instructions between two ticks of their clocks (25 and 168 MHz)."""
 
 _M4 = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "-ffreestanding", "-nostdlib")
-SELF_TESTS = {"law": ("selftest", "controllers_"), "flight": ("flight", "software_")}
+SELF_TESTS = {
+    "law": ("selftest", "controllers_"),
+    "flight": ("flight", "software_"),
+    "estimator": ("selftest_estimate", "estimator_"),
+}
 """Programs of ``check/``, and how the functions are called that they measure."""
+_ROOM = World(room=Room((-1.2, 1.2), (-1.2, 1.2), 3.0))
+"""Of the estimator's self-test: all beams of the ring see a wall, which costs most."""
 _TOOLS = {"arm-none-eabi-gcc": "gcc-arm-none-eabi", "qemu-system-arm": "qemu-system-arm"}
 
 
@@ -101,7 +107,7 @@ class PilResult:
     ----------
     machine : str
     what : str
-        ``"law"``: the controllers; ``"flight"``: they, the mission and all that watches over it.
+        ``"law"``: the controllers; ``"flight"``: they, the mission and all that watches over it; ``"estimator"``.
     same : bool
         Whether every digest of outputs is that of this machine in single precision.
     mean_instructions, worst_instructions : float
@@ -283,7 +289,7 @@ def pil(vehicle: Vehicle, *, timeout_s: float = 120.0) -> list[PilResult]:
         raise MuflyError(f"processor in the loop: {absent}")
     with tempfile.TemporaryDirectory(prefix="mufly-pil-") as temporary:
         folder = Path(temporary) / "fw"
-        export(design(vehicle), folder, vehicle, mission=load_mission("demonstration"))
+        export(design(vehicle), folder, vehicle, _ROOM, load_mission("demonstration"))
         objects_for_m4(folder)
         flash, ram = size_of(folder)
         found = []

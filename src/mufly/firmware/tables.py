@@ -46,7 +46,7 @@ def export(
     vehicle : Vehicle, optional
         Whose estimator it is; without one the tree has no numbers of an estimator.
     world : World, optional
-        Its room is known to the estimator beforehand.
+        Its room is known to the estimator beforehand; that of the mission by default.
     mission : Mission, optional
         Of the vehicle; without one the tree has no ``plan.c``.
 
@@ -63,7 +63,8 @@ def export(
     out = Path(out)
     if out.exists() and (not out.is_dir() or (any(out.iterdir()) and not (out / "tables.c").exists())):
         raise InputError("out", str(out), "holds something else", "name a new or empty folder")
-    others = dict(estimate_files(vehicle, world, controller.rate_Hz))
+    known = mission.world if world is None and mission is not None else world
+    others = dict(estimate_files(vehicle, known, controller.rate_Hz))
     if vehicle is not None and mission is not None:
         others["plan.c"] = plan_c(plan_of(vehicle, controller, mission), controller)
     write_tree(tables_c(controller), out, others)

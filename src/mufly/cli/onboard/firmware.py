@@ -263,8 +263,8 @@ def _print_pil(results: list[PilResult], fixed_point: bool) -> None:
     )  # fmt: skip
     how = "Whole numbers" if fixed_point else "Single precision"
     say(
-        f"{how}, gcc -O2. Flight: the law, the mission and what watches over it, on made-up estimates. Flash: code and "
-        "numbers of the whole tree; stack: deepest call."
+        f"{how}, gcc -O2. Flight: the law, the mission and what watches over it, on made-up estimates; estimator: on a "
+        "made-up hop in a room. Flash: code and numbers of the whole tree; stack: deepest call."
     )
 
 

@@ -8,25 +8,26 @@ typedef struct {
     real_t torque_dw;
 } loads_t;
 
+static int32_t lesser(int32_t a, int32_t b)
+{
+    return (b < a) ? b : a;
+}
+
+static real_t within(real_t value, real_t low, real_t high)
+{
+    return real_min(real_max(value, low), high);
+}
+
+#if MAP_NODES > 1 /* of a vehicle without a map there is no code for one */
 /* First of four neighbouring points of n, and their weights. */
 typedef struct {
     int32_t first;
     real_t weight[4];
 } cubic_t;
 
-static int32_t lesser(int32_t a, int32_t b)
-{
-    return (b < a) ? b : a;
-}
-
 static int32_t greater(int32_t a, int32_t b)
 {
     return (b > a) ? b : a;
-}
-
-static real_t within(real_t value, real_t low, real_t high)
-{
-    return real_min(real_max(value, low), high);
 }
 
 static cubic_t cubic(real_t at, int32_t n)
@@ -110,6 +111,7 @@ static void by_map(const real_t x[MODEL_STATES], const real_t wind[3], const fli
         }
     }
 }
+#endif
 
 void battery(const real_t x[MODEL_STATES], real_t motor_up, real_t motor_dw, const flight_model_t *p,
              real_t *voltage, real_t *current)
@@ -208,9 +210,11 @@ void flight_model(const real_t x[MODEL_STATES], const real_t u[4], const real_t 
     real_t f_d;
     real_t along;
 
+#if MAP_NODES > 1
     if (p->map_nodes > 0) {
         by_map(x, wind, p, &k);
     }
+#endif
     /* Motors and battery. */
     battery(x, motor_up, motor_dw, p, &voltage, &current);
     drag_up = (k.torque_up * speed_up) * real_abs(speed_up);
