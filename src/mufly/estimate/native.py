@@ -146,7 +146,7 @@ def _in_c(settings: Any, parameters: Any, z: np.ndarray, new: np.ndarray, age: n
     def step(memory: np.ndarray) -> bool:
         if held[0] is not memory:
             held[:] = memory, view(memory)
-        return advance(held[1], s, p, values, fresh, ages)  # type: ignore[no-any-return]
+        return advance(held[1], s, p, values, fresh, ages)
 
     return Steps("C", "", lambda memory: begin(view(memory), s), step)
 

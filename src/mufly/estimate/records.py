@@ -110,7 +110,7 @@ def records_h(p: Any, kept: int = layout.KEPT) -> str:
         *(_constant(name, value) for name, value in numbers.items()),
         "",
     ]
-    sizes = {value: name for name, value in numbers.items() if name in ("KEPT", "MAP_NODES")}
+    sizes = {kept: "KEPT", max(int(p["map_nodes"]), 1): "MAP_NODES"}
     for name, record in (
         ("estimator_settings_t", layout.settings_type()),
         ("flight_model_t", model_type(p)),
