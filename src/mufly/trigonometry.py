@@ -169,7 +169,7 @@ def length(x: float, y: float, z: float = 0.0) -> float:
 
 
 @register_jitable
-def whole(x):  # type: ignore[no-untyped-def]
+def whole(x: float) -> int:
     """Return the greatest integer that is not above ``x``; zero of what is beyond 1e9, or no number."""
     if not abs(x) < 1e9:
         return 0
