@@ -107,7 +107,7 @@ def text_columns(path: str | Path) -> tuple[list[str], list[tuple[int, list[str]
         (i, s) for i, s in enumerate(text.splitlines(), 1) if s.strip() and not s.lstrip().startswith("#")
     ]
     if not lines:
-        raise InputError(Path(path).name, "", "is empty", "give a header and at least one line")
+        raise InputError(str(path), "", "is empty", "give a header and at least one line")
     head = lines[0][1]
     delimiter = max(",;\t", key=head.count)
     if delimiter not in head and len(lines) > 1 and len(head.split()) == len(lines[1][1].split()) > 1:

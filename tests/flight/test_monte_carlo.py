@@ -31,7 +31,7 @@ from mufly.flight.monte_carlo import (
     wilson,
     worst_first,
 )
-from mufly.flight.monte_carlo.run import Stop
+from mufly.flight.monte_carlo.crew import Stop
 from mufly.mission import Mission, mission_from
 from mufly.results import plain
 from mufly.study import read_results, write_results

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
@@ -349,7 +349,13 @@ def worse(r: Reading, evil: str, now: float, first: Reading) -> Reading:
 EVIL = st.sampled_from(["missing", "nan", "huge", "off", "late", "early", "twice", "frozen"])
 
 
-@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=8,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@example([(3.0, 1.0, "off", "battery_voltage")])
 @given(
     st.lists(
         st.tuples(st.floats(2.5, 7.0), st.floats(0.01, 2.0), EVIL, st.sampled_from(CHECKED)),
@@ -372,7 +378,9 @@ def test_nothing_that_sensors_say_brings_a_nan_or_a_jump_into_the_actuators(
             now = flight.status.actuators.array
             assert np.isfinite(now).all()
             if last is not None and now[0] > 0.0 and last[0] > 0.0:
-                assert np.abs(now - last)[:2].max() < 0.101
+                # On the ground the share of the voltage that spins the rotors up follows the battery's reading at once.
+                most = 0.101 if flight.status.motors == "fly" else 0.2
+                assert np.abs(now - last)[:2].max() < most
                 assert np.abs(now - last)[2:].max() < 0.201
             last = now.copy()
 

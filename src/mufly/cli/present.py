@@ -66,7 +66,8 @@ def print_table(
     rows = list(rows)
     for k, head in enumerate(heads):
         # Heads may be folded, numbers not: half a number is a wrong one.
-        whole = 0 if k in text else max((Text.from_markup(row[k]).cell_len for row in rows), default=0)
+        words = [len(word) for row in rows for word in Text.from_markup(row[k]).plain.split()]
+        whole = 0 if k in text else max(words, default=0)
         table.add_column(head, justify="left" if k in text else "right", overflow="fold", min_width=whole)
     for row in rows:
         table.add_row(*row)

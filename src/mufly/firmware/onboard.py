@@ -208,11 +208,8 @@ class Onboard:
         )  # fmt: skip
 
     def _memory(self, m: Any) -> Memory:
-        points = np.zeros((CAPACITY, 4))
-        if m.used:
-            raw = np.frombuffer(self.firmware.ffi.buffer(m.points), dtype=self.firmware.real)
-            points[: m.used] = raw.reshape(CAPACITY, 4)[: m.used]
-        return Memory(points, m.used)
+        raw = np.frombuffer(self.firmware.ffi.buffer(m.points), dtype=self.firmware.real)
+        return Memory(raw.reshape(CAPACITY, 4).astype(np.float64), m.used)
 
     @property
     def reference(self) -> Reference:
@@ -272,7 +269,13 @@ def _detour(d: Any) -> Detour:
 
 def different(ours: Any, theirs: Any, where: str = "") -> list[str]:
     """Return where two records of the same kind differ in some bit, each with both values."""
-    if is_dataclass(ours) and type(ours) is type(theirs):
+    if isinstance(ours, Memory) and isinstance(theirs, Memory):
+        # Beyond the rows in use lies what each language left there.
+        pairs = [
+            ("used", ours.used, theirs.used),
+            ("points", ours.points[: ours.used], theirs.points[: theirs.used]),
+        ]
+    elif is_dataclass(ours) and type(ours) is type(theirs):
         pairs = [(f.name, getattr(ours, f.name), getattr(theirs, f.name)) for f in fields(ours)]
     elif isinstance(ours, tuple) and isinstance(theirs, tuple) and len(ours) == len(theirs):
         pairs = [(str(k), a, b) for k, (a, b) in enumerate(zip(ours, theirs, strict=True))]

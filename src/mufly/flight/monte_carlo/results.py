@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError
 from mufly.flight.monte_carlo.campaign import Campaign, Flown
-from mufly.flight.monte_carlo.run import told
+from mufly.flight.monte_carlo.crew import told
 from mufly.mission import HARD_TOUCHDOWN_M_S
 from mufly.results import result
 from mufly.vehicle import parameters
