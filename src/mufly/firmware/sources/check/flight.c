@@ -1,6 +1,7 @@
 /* The same flight everywhere? The flight software flies plan.c for a stand-in that follows its references with a lag, on
  * estimates that are sometimes bad, among walls that are made up, with signals of a user that come when they like. What
  * it gives and what it logs is told bit by bit; the last lines tell what a period costs. */
+#include "made_up.h"
 #include "platform.h"
 #include "software.h"
 
@@ -8,42 +9,10 @@
 #define LINES 40
 #define ALONE 5000 /* so long it flies its mission undisturbed */
 
-static uint32_t seed = 2463534242U;
-
-/* xorshift (Marsaglia 2003); a number in -1..1 of 24 bits, which either precision holds. */
-static real_t any(real_t size)
-{
-    seed ^= seed << 13;
-    seed ^= seed >> 17;
-    seed ^= seed << 5;
-    return size * (((real_t)(int32_t)(seed >> 8) - REAL(8388608.0)) * REAL(0x1p-23));
-}
-
 static int32_t one_of(int32_t count)
 {
     (void)any(REAL(1.0));
     return (int32_t)((seed >> 8) % (uint32_t)count);
-}
-
-static uint64_t bits(real_t x)
-{
-    union {
-        real_t number;
-        uint8_t bytes[sizeof(real_t)];
-    } as;
-    uint64_t sum = 0U;
-
-    as.number = x;
-    for (uint32_t i = sizeof(real_t); i > 0U; i--) {
-        sum = (sum << 8) | as.bytes[i - 1U];
-    }
-    return sum;
-}
-
-/* FNV-1a over the bits of every output so far */
-static void take(uint64_t *digest, uint64_t what)
-{
-    *digest = (*digest ^ what) * 1099511628211ULL;
 }
 
 static void nothing(command_t *c)
@@ -125,7 +94,7 @@ int main(void)
     static belief_t b;
     static command_t command;
     static actuators_t out;
-    uint64_t digest = 14695981039346656037ULL;
+    uint64_t digest = DIGEST_START;
     uint32_t spent = 0U;
     uint32_t worst = 0U;
     int32_t held = -1;
@@ -162,11 +131,11 @@ int main(void)
         spent += took;
         worst = (took > worst) ? took : worst;
         for (int32_t i = 0; i < 2; i++) {
-            take(&digest, bits(out.motor_input[i]));
-            take(&digest, bits(out.servo_input[i]));
+            take_bits(&digest, bits(out.motor_input[i]));
+            take_bits(&digest, bits(out.servo_input[i]));
         }
-        take(&digest, (uint64_t)s.mission.logged);
-        take(&digest, bits(s.reference.path.position[0]));
+        take_bits(&digest, (uint64_t)s.mission.logged);
+        take_bits(&digest, bits(s.reference.path.position[0]));
         if ((k % (PERIODS / LINES)) == 0) {
             platform_say("outputs ", digest);
         }

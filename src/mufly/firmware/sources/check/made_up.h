@@ -33,10 +33,15 @@ static uint64_t bits(real_t x)
 }
 
 /* FNV-1a over the bits of every output so far */
-static void take_all(uint64_t *digest, const real_t *numbers, int32_t count)
+static inline void take_bits(uint64_t *digest, uint64_t what)
+{
+    *digest = (*digest ^ what) * 1099511628211ULL;
+}
+
+static inline void take_all(uint64_t *digest, const real_t *numbers, int32_t count)
 {
     for (int32_t i = 0; i < count; i++) {
-        *digest = (*digest ^ bits(numbers[i])) * 1099511628211ULL;
+        take_bits(digest, bits(numbers[i]));
     }
 }
 
