@@ -66,7 +66,7 @@ def peer_rate(generations: int) -> tuple[float, float]:
     free = choose_free(truth, ("Izz", "Iyy", "l_up", "l_dw"), records[0].outputs)
     problem = make_problem(truth, free, records[2:3], voltage="nominal", delay_s=0.0)
     record = problem.records[0]
-    from mufly.identify.flight.problem import batch_parameters, numbers_at
+    from mufly.identify.flight.free import batch_parameters, numbers_at
 
     base, powers = batch_parameters(truth, free, 7.2)
     hover, rates = trim(truth), np.empty(21)

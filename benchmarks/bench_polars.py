@@ -12,7 +12,7 @@ import numpy as np
 with tempfile.TemporaryDirectory() as folder:
     os.environ["MUFLY_CACHE"] = folder
     from mufly.rotor import database_airfoils, load_airfoil, lookup, polar, polars
-    from mufly.rotor.engines import REYNOLDS
+    from mufly.rotor.sections.engines import REYNOLDS
 
     def timed(what, function, repeat=1):
         times = []

@@ -5,8 +5,8 @@
     python benchmarks/estimation.py single
     python benchmarks/estimation.py nanobench --folder FOLDER
 
-The flight is the same for all seeds; sensors and their errors are not. So the estimator is judged without the control
-loop, a thousand units in the time of some ten flights.
+The flight is the same for all seeds, but for vehicles off their model; sensors and their errors are not. So the
+estimator is judged without the control loop, a thousand units in the time of some ten flights.
 """
 
 from __future__ import annotations
@@ -18,9 +18,21 @@ from pathlib import Path
 
 import numpy as np
 
-from mufly.estimate import KalmanEstimator, fitted_estimator, run_log
+from mufly.cli.onboard.inertial import Asked, read_foreign, truth_rows
+from mufly.control import design
+from mufly.errors import InputError
+from mufly.estimate import (
+    KalmanEstimator,
+    consistency_of,
+    fitted_estimator,
+    noise_at_rest,
+    noise_in_flight,
+    run_log,
+)
 from mufly.estimate.nees import Consistency, consistency
 from mufly.flight import Flight
+from mufly.flight.monte_carlo import parse_variations
+from mufly.logs import load_map
 from mufly.mission import Mission, mission_from
 from mufly.sensors import Truth, fitted_sensors, parse_fault
 from mufly.units import STANDARD_GRAVITY_M_S2
@@ -52,6 +64,7 @@ class Scenario:
     vibration_g: tuple[float, float] = (1.0, 0.5)
     after_s: float = 9.0
     changes: dict = field(default_factory=dict)
+    off: str = ""  # what of the vehicle is not as controllers and filter believe, drawn anew for each seed
 
 
 SCENARIOS = {
@@ -62,13 +75,20 @@ SCENARIOS = {
     "fix gone 5 s": Scenario(HOP, faults=("position.dropout@12s+5s",)),
     "clipped 6 + 3 g": Scenario(SQUARE, vibration_g=(6.0, 3.0)),
     "box under path": Scenario(BOX),
+    "10 % off its model": Scenario(SQUARE, off="parameters=10%"),
 }
 
 
-def flown(vehicle: Vehicle, mission: Mission, seed: int) -> tuple[list[Truth], list[np.ndarray]]:
+def flown(
+    vehicle: Vehicle, mission: Mission, seed: int, designed_for: Vehicle | None = None
+) -> tuple[list[Truth], list[np.ndarray]]:
     """Truth and what acted, a period each, until it has landed."""
     truths, acted = [], []
-    with Flight(vehicle, mission, seed=seed, wind=(0.5, 0.0, 0.0), gust=0.3, keep=False) as flight:
+    controller = design(vehicle if designed_for is None else designed_for)
+    with Flight(
+        vehicle, mission, controller=controller, designed_for=designed_for,
+        seed=seed, wind=(0.5, 0.0, 0.0), gust=0.3, keep=False,
+    ) as flight:  # fmt: skip
         while flight.time_s < STANDS_S:
             flight.tick()
             truths.append(flight.status.truth)
@@ -84,10 +104,31 @@ def flown(vehicle: Vehicle, mission: Mission, seed: int) -> tuple[list[Truth], l
     return truths, acted
 
 
-def felt(vehicle: Vehicle, mission: Mission, flight, seed: int, scenario: Scenario) -> Consistency:
+def drawn(vehicle: Vehicle, what: str, seed: int) -> Vehicle:
+    """A vehicle of which so much is off, that can be."""
+    rng = np.random.default_rng([seed, 10])
+    while True:
+        values = {}
+        for variation in parse_variations([what], vehicle):
+            values |= variation.values(variation.draw(rng))
+        try:
+            return replace(vehicle, values)
+        except InputError:
+            continue
+
+
+def felt_off(vehicle: Vehicle, mission: Mission, seed: int, scenario: Scenario) -> Consistency:
+    """One vehicle off its model, on a flight of its own."""
+    true = drawn(vehicle, scenario.off, seed)
+    return felt(vehicle, mission, flown(true, mission, seed, vehicle), seed, scenario, true)
+
+
+def felt(
+    vehicle: Vehicle, mission: Mission, flight, seed: int, scenario: Scenario, true: Vehicle | None = None
+) -> Consistency:
     """One unit on the flight."""
     faults = [parse_fault(f) for f in scenario.faults]
-    sensors = fitted_sensors(vehicle, mission.world, seed=seed, faults=faults)
+    sensors = fitted_sensors(true or vehicle, mission.world, seed=seed, faults=faults)
     estimator = fitted_estimator(vehicle, mission.world, 200.0)
     told = [estimator.update(sensors.read(t), a) for t, a in zip(*flight, strict=True)]
     return consistency(flight[0], told, after_s=scenario.after_s)
@@ -124,9 +165,13 @@ def nees(asked: argparse.Namespace) -> None:
             continue
         vehicle, mission = vehicle_of(scenario), mission_from(scenario.mission)
         key = repr(scenario.mission)
-        if key not in known:
-            known[key] = flown(vehicle, mission, 77)
-        all_ = [felt(vehicle, mission, known[key], asked.first + k, scenario) for k in range(asked.seeds)]
+        seeds = range(asked.first, asked.first + asked.seeds)
+        if scenario.off:
+            all_ = [felt_off(vehicle, mission, k, scenario) for k in seeds]
+        else:
+            if key not in known:
+                known[key] = flown(vehicle, mission, 77)
+            all_ = [felt(vehicle, mission, known[key], k, scenario) for k in seeds]
         print(f"{name:18s}" + Consistency.merged(all_).row(), flush=True)
 
 
@@ -167,42 +212,20 @@ def single(asked: argparse.Namespace) -> None:
 def nanobench(asked: argparse.Namespace) -> None:
     """Four flights of a Crazyflie; aids made from Vicon: 2 cm of noise, 15 Hz, 150 ms late."""
     for path in sorted(Path(asked.folder).glob("*.csv.gz")):
-        d = np.genfromtxt(path, delimiter=",", names=True)
-        t = d["t"] - d["t"][0]
-        even = np.arange(0.0, t[-1], 0.01)
-        col = {n: np.interp(even, t, d[n]) for n in d.dtype.names or () if n != "t"}
-        xyz = np.column_stack([col["px"], -col["py"], -col["pz"]])
-        yaw = -np.interp(even, t, np.unwrap(d["yaw"]))
-        angles = np.column_stack([col["roll"], -col["pitch"], yaw])
-        rates = np.column_stack([col["imu_gyro_x"], -col["imu_gyro_y"], -col["imu_gyro_z"]])
-        force = (
-            np.column_stack([col["imu_acc_x"], -col["imu_acc_y"], -col["imu_acc_z"]]) * STANDARD_GRAVITY_M_S2
+        aids = Asked("truth_position", None, 0.02, 0.02, 15.0, 0.15, asked.first)
+        f = read_foreign(path, load_map("nanobench"), aids, None, [])
+        noise = noise_in_flight(f.log, f.aids, noise_at_rest(f.log))
+        told = run_log(f.log, f.aids, noise)
+        began = float(f.log.time_s[f.log.flying.argmax()]) + 2.0
+        found = consistency_of(truth_rows(f), told, after_s=began)
+        less = ""
+        if f.mounting is not None:
+            mounted = consistency_of(truth_rows(f, mounted=True), told, after_s=began)
+            less = f"; less mounting: tilt {np.degrees(mounted.tilt_rms):.2f} NEES/n {mounted.nees:.2f}"
+        print(
+            f"{path.name[:28]:30s}{found.row()}  gyro {noise.gyro:.3g} accelerometer {noise.accelerometer:.3g}{less}",
+            flush=True,
         )
-        motor = np.mean([col[f"motor_motor_m{k}"] for k in (1, 2, 3, 4)], axis=0) > 1000
-        rng = np.random.default_rng(asked.first)
-        at = np.arange(0, len(even), 7)[:-3]
-        fix = np.column_stack(
-            [
-                xyz[at] + 0.02 * rng.standard_normal((len(at), 3)),
-                yaw[at] + 0.02 * rng.standard_normal(len(at)),
-            ]
-        )
-        told = run_log(even, rates, force, motor, even[at], even[at] + 0.15, fix)
-        v = np.gradient(xyz, 0.01, axis=0)
-        truths = [
-            Truth(
-                float(even[k]),
-                k,
-                np.concatenate([xyz[k], v[k], np.zeros(15)]),
-                angles[k],
-                np.zeros(3),
-                0.0,
-                0.0,
-            )
-            for k in range(len(even))
-        ]
-        began = float(even[np.argmax(motor)]) + 2.0
-        print(f"{path.name[:28]:30s}" + consistency(truths, told, after_s=began).row(), flush=True)
 
 
 if __name__ == "__main__":

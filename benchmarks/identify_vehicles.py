@@ -24,7 +24,7 @@ import numpy as np
 from mufly.errors import MuflyError
 from mufly.identify import choose_free, fit_flights
 from mufly.identify.flight.demo import DEMO_FREE, RADIO_DELAY_S, demo_flights, over_true_noise
-from mufly.identify.flight.problem import held_parameters
+from mufly.identify.flight.free import held_parameters
 from mufly.vehicle import Vehicle, load_vehicle, parameters, replace
 
 OFF = 0.4

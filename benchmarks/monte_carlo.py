@@ -19,6 +19,7 @@ import time
 
 from numba.core.dispatcher import Dispatcher
 
+from mufly.firmware import QuickSoftware
 from mufly.flight.monte_carlo import Campaign, Crew, fly_case, parse_variations, run
 from mufly.mission import load_mission
 from mufly.vehicle import load_vehicle
@@ -49,6 +50,7 @@ def main() -> None:
             wind=0.5,
             gust=0.3,
             sensors=sensors,
+            quickly=QuickSoftware,
         )
         began = time.perf_counter()
         with Crew(asked.jobs) as crew:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from mufly.rotor import Air, Blading, Corrections, Measurements, Rotor, compare, load_airfoil, polars, prepare
-from mufly.rotor.airfoil import sides
+from mufly.rotor.sections.airfoil import sides
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "aero"
 RPM = np.pi / 30

@@ -2,6 +2,7 @@
 
     python benchmarks/validate_bemt.py             # all tables, half a minute
     python benchmarks/validate_bemt.py --short     # Table 3.2 and the propellers only
+    python benchmarks/validate_bemt.py --pairs     # coaxial pairs only
 
 The data stays outside the project; without it the script says so and stops. What is assumed of sections that
 nobody recorded stands in ``rotor_cases.py``.
@@ -13,6 +14,7 @@ import argparse
 import sys
 import tempfile
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +38,7 @@ from mufly.rotor import (
     Condition,
     Corrections,
     Doubt,
+    Method,
     System,
     calibrate,
     compare,
@@ -249,20 +252,23 @@ def report_fits(cases: list[Case]) -> None:
     print()
 
 
+PAIR_METHODS: tuple[Method, ...] = ("bemt", "tubes")
+
+
 def report_coaxial(case: Case, data: Path = DATA) -> None:
     """The dissertation's pair (its vortex method) and the 28 inch pair (measured)."""
     print("## Coaxial pairs\n")
     pair, deg = blading_of(case), np.radians
     rows = []
     alone = hover_batch(pair, pitch_rad=deg(14), speed_rad_s=6000 * RPM)
-    for h in (0.01, 0.02, 0.03, 0.04):
+    for method, h in product(PAIR_METHODS, (0.01, 0.02, 0.03, 0.04)):
         system = System.coaxial(pair, pair, spacing_m=h)
-        both = solve(system, Condition(deg(14), 6000 * RPM))
-        row = [f"{1e3 * h:.0f} mm", f"{both.upper.thrust_N / alone.thrust_N:.2f}",
+        both = solve(system, Condition(deg(14), 6000 * RPM), method)
+        row = [f"{method}, {1e3 * h:.0f} mm", f"{both.upper.thrust_N / alone.thrust_N:.2f}",
                f"{both.lower.thrust_N / both.upper.thrust_N:.2f}",
                f"{both.lower.torque_Nm / both.upper.torque_Nm:.2f}"]  # fmt: skip
         for lower in (14, 16, 18):
-            trim = solve(system, Condition((deg(14), deg(lower)), (6000 * RPM, None)))
+            trim = solve(system, Condition((deg(14), deg(lower)), (6000 * RPM, None)), method)
             row.append(
                 f"{trim.lower.speed_rad_s / RPM:.0f} rpm, {trim.lower.thrust_N:.3f} N, {trim.lower.power_W:.2f} W"
             )
@@ -291,14 +297,15 @@ def report_coaxial(case: Case, data: Path = DATA) -> None:
         rows,
     )
     rotor = Case("tmotor28", "", t_motor(), False, case.measured, T_MOTOR_AIR)
-    for n_crit in (0.1, 4.0, 9.0):
-        _report_28_inch(blading_of(rotor, n_crit=n_crit), f"28 inch pair, n_crit {n_crit:g}", data)
+    for method, n_crit in product(PAIR_METHODS, (0.1, 4.0, 9.0)):
+        label = f"28 inch pair, {method}, n_crit {n_crit:g}"
+        _report_28_inch(blading_of(rotor, n_crit=n_crit), label, data, method)
 
 
-def _report_28_inch(big: Blading, label: str, data: Path) -> None:
+def _report_28_inch(big: Blading, label: str, data: Path, method: Method) -> None:
     found, system = [], System.coaxial(big, big, spacing_m=0.115)
     for rpm_l, t_l, q_l, _, t_u, q_u, _, rpm_u in rows_of(data / "tmotor28_coaxial.csv"):
-        r = solve(system, Condition(0.0, (rpm_u * RPM, rpm_l * RPM), air=T_MOTOR_AIR))
+        r = solve(system, Condition(0.0, (rpm_u * RPM, rpm_l * RPM), air=T_MOTOR_AIR), method)
         found.append([r.upper.thrust_N / t_u, r.upper.torque_Nm / q_u, r.lower.thrust_N / t_l, r.lower.torque_Nm / q_l,
                       r.thrust_N / (t_u + t_l), (r.upper.torque_Nm + r.lower.torque_Nm) / (q_u + q_l)])  # fmt: skip
     error = 100 * (np.array(found) - 1)
@@ -315,11 +322,15 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--short", action="store_true")
+    parser.add_argument("--pairs", action="store_true")
     args = parser.parse_args()
     if not DATA.is_dir():
         sys.exit(
             "validate_bemt: the measurements (../shared/data/aero) are not here; nothing to compare with"
         )
+    if args.pairs:
+        report_coaxial(table_3_2())
+        return
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         thesis, props = table_3_2(), propellers(folder)

@@ -14,8 +14,8 @@ import numpy as np
 
 from mufly.errors import MuflyError
 from mufly.rotor import load_airfoil
-from mufly.rotor.engines import xfoil
-from mufly.rotor.neural import neuralfoil
+from mufly.rotor.sections.engines import xfoil
+from mufly.rotor.sections.neural import neuralfoil
 
 SECTIONS = ("naca0012", "naca4412", "goe394", "goe342", "gm15sm", "e387", "clarky", "s1223")
 REYNOLDS = (1e4, 3e4, 1e5)

@@ -4,6 +4,7 @@ python benchmarks/validate_wake_pairs.py                 # all: 15 minutes on tw
 python benchmarks/validate_wake_pairs.py thesis          # the dissertation's pair and its facts
 python benchmarks/validate_wake_pairs.py big             # 28 inch pair, measured, per rotor
 python benchmarks/validate_wake_pairs.py bemt            # coaxial BEMT against the wake over speed ratio and spacing
+python benchmarks/validate_wake_pairs.py spacing         # spacings of 0.1 to 1 diameter: wake, tubes, BEMT
 python benchmarks/validate_wake_pairs.py --keep solved   # a stopped run goes on where it was
 """
 
@@ -16,6 +17,7 @@ from rotor_cases import AIR, DATA, RPM, T_MOTOR_AIR, Case, blading_of, rows_of, 
 from wake_cases import Answer, Solver, arguments, farewell, percent, table
 
 from mufly.rotor import Blading, Condition, Result, System, solve
+from mufly.rotor.wake import WakeSettings
 
 PITCH = float(np.radians(14))
 TABLE_3_4 = ((14, 6650, 0.1949, 2.0531), (16, 5750, 0.1820, 1.7413), (18, 5025, 0.1709, 1.5286))
@@ -148,15 +150,46 @@ def report_bemt(solver: Solver) -> None:
     ])  # fmt: skip
 
 
+def report_spacing(solver: Solver) -> None:
+    """Equal speeds, 14 degrees, 6000 rpm: how the thrust is shared over the spacing; old cores held at 0.3 R."""
+    case = table_3_2()
+    rotor, speed = blading_of(case), (6000 * RPM, 6000 * RPM)
+    how = WakeSettings(core_limit=0.3)
+    alone = solver.single(case, PITCH, speed[0], settings=how)
+    lone = solve(System.single(rotor), Condition(PITCH, speed[0])).thrust_N
+    rows = []
+    for over in (0.1, 1 / 6, 0.25, 0.5, 1.0):
+        a = solver.pair(
+            "spacing", rotor, spacing=0.12 * over, pitch=(PITCH, PITCH), speed=speed, air=AIR, settings=how, warm=False
+        )  # fmt: skip
+        cells = [
+            f"{over:.3g}",
+            f"{a.thrust[0] / alone.thrust[0]:.3f}",
+            f"{_ratio(a, 'thrust'):.3f}{a.mark()}",
+        ]
+        for method in ("tubes", "bemt"):
+            b = solve(System.coaxial(rotor, rotor, spacing_m=0.12 * over), Condition(PITCH, speed), method)
+            cells += [f"{b.upper.thrust_N / lone:.3f}", f"{b.lower.thrust_N / b.upper.thrust_N:.3f}"]
+        rows.append(cells)
+    table("Over the spacing: upper thrust over alone, lower over upper thrust",
+          ["z/D", "wake: upper", "lower / upper", "tubes: upper", "lower / upper", "BEMT: upper", "lower / upper"],
+          rows)  # fmt: skip
+
+
 def main() -> None:
     """Print the tables."""
-    args = arguments(__doc__, ("thesis", "big", "bemt"))
+    args = arguments(__doc__, ("thesis", "big", "bemt", "spacing"))
     if not DATA.is_dir():
         sys.exit(
             "validate_wake_pairs: the measurements (../shared/data/aero) are not here; nothing to compare with"
         )
     solver = Solver(args.keep)
-    for name, report in (("thesis", report_thesis), ("big", report_big), ("bemt", report_bemt)):
+    for name, report in (
+        ("thesis", report_thesis),
+        ("big", report_big),
+        ("bemt", report_bemt),
+        ("spacing", report_spacing),
+    ):
         if name in args.parts:
             report(solver)
     farewell(solver)

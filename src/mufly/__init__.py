@@ -15,6 +15,7 @@ from mufly.version import __version__
 if TYPE_CHECKING:
     from mufly import (
         bench,
+        cfd,
         cli,
         control,
         drive,
@@ -41,6 +42,7 @@ __all__ = [
     "MuflyError",
     "__version__",
     "bench",
+    "cfd",
     "cli",
     "control",
     "drive",

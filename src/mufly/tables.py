@@ -8,11 +8,14 @@ pydantic's list of faults into the one line that a user can act on. A model's ow
 
 from __future__ import annotations
 
+import codecs
 import csv
 import difflib
 import json
+import math
+import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -80,7 +83,110 @@ def read_tables(name_or_path: str | Path, folder: Traversable, kind: str) -> tup
         raise InputError(where, "", f"is not valid TOML ({error})", "correct that line") from error
 
 
-def text_columns(path: str | Path) -> tuple[list[str], list[tuple[int, list[str]]], bool]:
+_COMMENTS = ("#",)
+# Thousands in groups, as spreadsheets write them: 1.234,5 beside decimal commas, 1,234.5 beside points; 1'234, 1 234.
+_GROUPS = " \u00a0\u2009\u202f'\u2019"
+_OTHER = {",": ".", ".": ","}
+_GROUPED = {
+    d: re.compile(rf"[+-]?[1-9]\d{{0,2}}([{o}{_GROUPS}]\d{{3}})+([{d}]\d*)?") for d, o in _OTHER.items()
+}
+_PLAIN = {d: re.compile(rf"[+-]?(\d+[{d}]?\d*|[{d}]\d+)(e[+-]?\d+)?", re.IGNORECASE) for d in _OTHER}
+_CELLS_LOOKED_AT = 20_000
+
+
+def decoded(raw: bytes) -> str:
+    """Return the text in a file's bytes: UTF-16 or UTF-8 where it says so, else UTF-8, else Windows' western code page.
+
+    A spreadsheet's note of its separator (``sep=;``) is taken out of the first line.
+    """
+    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        text = raw.decode("utf-16", errors="ignore")  # "Unicode text" of a spreadsheet
+    else:
+        try:
+            text = raw.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = raw.decode("cp1252", errors="replace")
+    return re.sub(r"\Asep=.(?=\r?\n)", "", text)
+
+
+def cells_of(line: str, separator: str) -> list[str]:
+    """Return the cells of a line; between blanks a unit in brackets stays with its name."""
+    if separator == " ":
+        return [c.strip() for c in re.findall(r"[^\s(\[]+(?:\s*[(\[][^)\]]*[)\]])?|[(\[][^)\]]*[)\]]?", line)]
+    return [c.strip() for c in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
+
+
+def plain_number(cell: str, decimal: str) -> str:
+    """Return a cell's number as Python writes one: thousands not grouped, with a point; other cells as they are."""
+    text = re.sub(f"[{_OTHER[decimal]}{_GROUPS}]", "", cell) if _GROUPED[decimal].fullmatch(cell) else cell
+    text = text.replace(",", ".") if decimal == "," else text
+    try:
+        float(text)
+    except ValueError:
+        return cell
+    return text
+
+
+def number_of(cell: str, decimal: str = ".") -> float:
+    """Return the number in a cell, thousands grouped or not, NaN if there is none."""
+    try:
+        return float(plain_number(cell, decimal))
+    except ValueError:
+        return math.nan
+
+
+def counts_thousands(cells: Sequence[str], decimal: str) -> bool:
+    """Whether points in a column beside decimal commas group thousands (1.234 and 987) or are decimal (0.123)."""
+    points = [c for c in cells if decimal == "," and "." in c]
+    return not points or all(_GROUPED[","].fullmatch(c) for c in points)
+
+
+def layout_of(lines: Sequence[str]) -> tuple[str, str]:
+    """Return what sets cells apart in a text, and the decimal mark of its numbers.
+
+    Semicolons and tabs come first, and blanks before commas where what is between them are numbers with decimal commas.
+    A comma is the decimal mark if some number can be read with it alone (0,5; 1.234,5). Where all could count thousands
+    (1,234) it is, too, unless a number with a point speaks against it.
+    """
+    lines = [s for s in lines if s.strip()]
+    separator = _separator(lines[:20])
+    width = lines[0].count(separator) + 1 if lines else 1
+    sample = lines[:: 1 + len(lines) * width // _CELLS_LOOKED_AT]
+    if not any("," in s.replace(separator, "") or '"' in s for s in sample):
+        return separator, "."
+    certain, open_ = {",": 0, ".": 0}, 0
+    for cell in (c for s in sample for c in cells_of(s, separator) if "," in c or "." in c):
+        comma, point = (bool(_PLAIN[d].fullmatch(cell) or _GROUPED[d].fullmatch(cell)) for d in ",.")
+        certain[","] += comma and not point
+        certain["."] += point and not comma
+        open_ += comma and point and "," in cell
+    if separator == ",":
+        return separator, "," if certain[","] > certain["."] else "."
+    return separator, "," if certain[","] or (open_ and not certain["."]) else "."
+
+
+def _separator(lines: Sequence[str]) -> str:
+    """Return the separator that splits these lines into columns, as many in each line."""
+    body = [[c for c in s.split(" ") if c] for s in lines[1:]]
+    if any("," in c for row in body for c in row) and all(
+        len(row) == len(body[0]) > 1
+        and not any(c.endswith(",") or math.isnan(number_of(c, ",")) for c in row)
+        for row in body
+    ):
+        return " "
+    found = {}
+    for candidate in (";", "\t", ",", " "):
+        counts = [len(cells_of(s, candidate)) for s in lines]
+        usual = max(set(counts), key=counts.count, default=1)
+        if usual > 1 and counts.count(usual) >= 0.7 * len(counts):
+            found[candidate] = usual
+    for candidate in (";", "\t"):
+        if candidate in found:
+            return candidate
+    return max(found, key=lambda c: found[c], default=max(",;\t", key=(lines or [""])[0].count))
+
+
+def text_columns(path: str | Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """Read a text whose first line names its columns.
 
     Columns are set apart by comma, semicolon, tab or blanks; empty lines and lines that begin with ``#`` are skipped.
@@ -89,8 +195,7 @@ def text_columns(path: str | Path) -> tuple[list[str], list[tuple[int, list[str]
     -------
     headers : list of str
     rows : list of (line number, cells)
-    decimal_comma : bool
-        Whether a comma in a number can only be a decimal one.
+        Cells with a number hold it as Python writes one, whatever marks the file has for decimals and thousands.
 
     Raises
     ------
@@ -98,26 +203,26 @@ def text_columns(path: str | Path) -> tuple[list[str], list[tuple[int, list[str]
         If the file cannot be read, or has no line.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
+        text = decoded(Path(path).read_bytes())
     except OSError as error:
         raise InputError(str(path), "", f"cannot be read ({error.strerror})", "give a text file") from error
-    except UnicodeDecodeError as error:
-        raise InputError(str(path), "", "is no text in UTF-8", "save it as CSV, in UTF-8") from error
+    if "\0" in text:
+        raise InputError(str(path), "", "is no text", "save it as CSV, in UTF-8")
     lines = [
-        (i, s) for i, s in enumerate(text.splitlines(), 1) if s.strip() and not s.lstrip().startswith("#")
+        (i, s)
+        for i, s in enumerate(text.splitlines(), 1)
+        if s.strip() and not s.lstrip().startswith(_COMMENTS)
     ]
     if not lines:
         raise InputError(str(path), "", "is empty", "give a header and at least one line")
-    head = lines[0][1]
-    delimiter = max(",;\t", key=head.count)
-    if delimiter not in head and len(lines) > 1 and len(head.split()) == len(lines[1][1].split()) > 1:
-        delimiter = " "  # columns set with blanks, as on propeller data sites
-
-    def cells(line: str) -> list[str]:
-        parts = line.split() if delimiter == " " else next(csv.reader([line], delimiter=delimiter))
-        return [part.strip() for part in parts]
-
-    return cells(head), [(i, cells(line)) for i, line in lines[1:]], delimiter != ","
+    separator, decimal = layout_of([s for _, s in lines])
+    head = cells_of(lines[0][1], separator)
+    rows = [(i, cells_of(s, separator)) for i, s in lines[1:]]
+    columns = [
+        [row[k] for _, row in rows if k < len(row)] for k in range(max((len(r) for _, r in rows), default=0))
+    ]
+    marks = [decimal if counts_thousands(column, decimal) else "." for column in columns]
+    return head, [(i, [plain_number(c, d) for c, d in zip(row, marks, strict=False)]) for i, row in rows]
 
 
 def validated(model: type[M], tables: Mapping[str, Any], where: str) -> M:

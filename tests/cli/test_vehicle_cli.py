@@ -1,6 +1,7 @@
 """``mufly vehicle``: what it prints, and how it says what is wrong."""
 
 import json
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
@@ -8,6 +9,8 @@ from typer.testing import CliRunner
 from mufly.cli import app as whole
 from mufly.cli.vehicle import app
 from mufly.errors import InputError, MuflyError
+from mufly.mission import load_mission
+from mufly.rotor import load_rotor
 from mufly.vehicle import builtin_vehicles, load_vehicle, parameters, replace, vehicle_toml
 
 runner = CliRunner()
@@ -74,9 +77,9 @@ def test_show_as_json_is_in_si() -> None:
         "value": 0.095,
         "unit": "kg",
         "source": "measured",
-        "std": None,
+        "std": 0.0005,
         "description": "take-off mass",
-        "note": "Table 5.3; on a scale",
+        "note": "Table 5.3; on a scale; std: printed to the gram",
     }
     assert len(rows["battery.open_circuit_voltage"]["value"]) == 12
 
@@ -143,3 +146,36 @@ def test_help_explains_itself() -> None:
     text = output("--help")
     for command in ("list", "show", "check"):
         assert command in text
+
+
+def test_new_writes_files_that_load_and_marks_guesses(tmp_path: Path) -> None:
+    folder = tmp_path / "mine"
+    given = [
+        "new",
+        "mine",
+        "--mass",
+        "120",
+        "--radius",
+        "90",
+        "--kv",
+        "1800",
+        "--resistance",
+        "0.3",
+        "--out",
+        str(folder),
+    ]
+    result = runner.invoke(whole, given)
+    assert result.exit_code == 0, result.exception
+    assert "mufly fly" in result.stdout
+    mine = load_vehicle(folder / "vehicle.toml")
+    notes = {row.key: row.note for row in parameters(mine)}
+    assert notes["body.mass"] == notes["rotors.radius"] == notes["motor.resistance"] == "given"
+    assert all(
+        notes[key].startswith("guess:") for key in ("body.inertia_xx", "motor.friction", "battery.capacity")
+    )
+    assert float(load_rotor(folder / "rotor.toml").radius) == 0.09
+    assert load_mission(folder / "mission.toml").waypoint == load_mission("demonstration").waypoint
+    with pytest.raises(InputError, match="is there already"):
+        runner.invoke(whole, given, catch_exceptions=False)
+    with pytest.raises(InputError, match="--radius: is missing"):
+        runner.invoke(whole, ["new", "other", "--mass", "120"], catch_exceptions=False)

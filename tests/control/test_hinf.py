@@ -50,6 +50,7 @@ def test_scalar_problem_has_its_closed_form(a: float, coupling: float) -> None:
     expected = (a + np.sqrt(a * a + 2 * b * b)) / b**2 if a > 0 else 2.0 / (np.sqrt(a * a + 2 * b * b) - a)
     assert result.gamma_optimal == pytest.approx(expected, rel=1e-4)
     assert result.norm <= result.gamma * (1 + 1e-6)
+    assert result.iterations < 80  # halvings of a logarithm, however far from one the optimum is
 
 
 @given(st.integers(1, 5), st.integers(1, 2), st.integers(1, 2), st.integers(0, 10_000))

@@ -32,6 +32,12 @@ def test_orders_and_loops_of_the_designs(controller: FlightController) -> None:
             d.reduced_loop.complementary_peak_dB
             <= d.full_loop.complementary_peak_dB + d.reduction.tolerance_dB + 0.02
         )
+        allowed = {
+            0.1: 1.01,
+            0.2: 1.05,
+            0.5: 1.2,
+        }  # dB of the peaks: factor of the norm, as docs/control.md has them
+        assert d.reduction.norm_factor == allowed[d.reduction.tolerance_dB]
         assert d.reduction.chosen.norm <= d.reduction.norm_factor * d.reduction.full_norm
 
 

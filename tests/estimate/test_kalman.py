@@ -17,7 +17,7 @@ from mufly.estimate.nees import Consistency, consistency
 from mufly.flight import Flight
 from mufly.mission import mission_from
 from mufly.sensors import Reading, Readings, Truth, fitted_sensors, parse_fault
-from mufly.vehicle import Vehicle, load_vehicle
+from mufly.vehicle import Vehicle, load_vehicle, replace
 from mufly.world import World
 
 HOP = mission_from(
@@ -96,6 +96,24 @@ def test_it_knows_how_far_it_is_off(vehicle: Vehicle, flown, felt) -> None:
     assert all_.xy_rms < 0.10
     assert all_.z_rms < 0.03
     assert math.degrees(all_.tilt_rms) < 0.6
+
+
+@pytest.mark.parametrize("share", [0.92, 1.08])
+def test_it_knows_it_of_a_vehicle_that_is_not_its_model(vehicle: Vehicle, flown, felt, share: float) -> None:
+    """Rotors that lift 30 % more or less than the filter believes, of other moments, on another battery."""
+    changes = {
+        "rotors.radius": share * float(vehicle.rotors.radius),
+        "body.mass": (2.0 - share) * float(vehicle.body.mass),
+        "motor.back_emf_constant": (2.0 - share) * float(vehicle.motor.back_emf_constant),
+        "battery.nominal_voltage": share * float(vehicle.battery.nominal_voltage),
+    }
+    _, told = run(replace(vehicle, changes), felt(10_000), flown[1])
+    found = consistency(flown[0], told, after_s=9.0)
+    assert 0.3 < found.nees < 2.0
+    assert found.inside > 0.85
+    assert told[-1].beliefs is not None
+    lifts = share**4 / (2.0 - share)
+    assert told[-1].beliefs.thrust_scale * lifts == pytest.approx(1.0, abs=0.15)
 
 
 def test_a_turned_room_turns_the_estimate(vehicle: Vehicle, flown, felt) -> None:

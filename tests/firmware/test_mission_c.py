@@ -384,7 +384,7 @@ STORIES = (
     (SQUARE, True, [*FLIES, "spread place 0.7", "wait"], "PLACE_DOUBT"),
     (SQUARE, True, [*FLIES, "spread height 0.4"], "HEIGHT_DOUBT"),
     (SQUARE, True, [*FLIES, "spread heading 0.6"], "HEADING_DOUBT"),
-    (SQUARE, True, [*FLIES, "spread tilt 0.2", "wait", "wait"], "TILT_DOUBT CAME_DOWN"),
+    (SQUARE, True, [*FLIES, "spread tilt 0.2", *["wait"] * 4], "TILT_DOUBT CAME_DOWN"),
     (SQUARE, True, [*FLIES, "wrong rates rejected", "wait"], "GIVEN"),
     (SQUARE, False, ["ceiling 0.05", *FLIES], "TAKE_OFF_FAILED"),
     (SQUARE, False, ["ceiling 0.5", *FLIES, "wait", "wait"], "TAKE_OFF_SHORT"),

@@ -10,8 +10,11 @@ from fnmatch import fnmatch
 import pytest
 
 from mufly.control import design
-from mufly.firmware import export, export_fixed, missing_fuzzer, run_fuzzer, write_report
+from mufly.errors import InputError
+from mufly.firmware import FixedFlight, export, export_fixed, missing_fuzzer, run_fuzzer, write_report
+from mufly.firmware.campaign import kept_flights, weather
 from mufly.firmware.report import ADVISORY, branches, deviations, judged
+from mufly.sensors.faults import parse_fault
 from mufly.vehicle import load_vehicle
 
 
@@ -29,9 +32,10 @@ def tree(vehicle, tmp_path_factory):
     return folder
 
 
-@pytest.mark.skipif(bool(missing_fuzzer()), reason=missing_fuzzer())
 def test_any_bytes_are_borne_and_a_fault_is_found(tree) -> None:
     """A short run; then with the guard of the sine taken away, whose cast of what is no number C leaves undefined."""
+    if absent := missing_fuzzer():
+        pytest.skip(absent)
     sound = run_fuzzer(tree, seconds=2)
     assert sound.found == ""
     assert sound.runs > 100
@@ -93,3 +97,23 @@ def test_branches_are_counted(tmp_path) -> None:
     for command in (["gcc", "--coverage", "-O0", "a.c", "-o", "a"], ["./a"]):
         subprocess.run(command, cwd=tmp_path, check=True)
     assert branches(tmp_path) == {"a.c": [(4, 2, 1)]}
+
+
+def test_flights_of_a_campaign_are_flown_once(tmp_path) -> None:
+    flown = []
+
+    def fly(name: str, seed: int) -> FixedFlight:
+        flown.append((name, seed))
+        return FixedFlight(name, seed, "success", 10, 0, 0.001 * seed)
+
+    keep, asked = tmp_path / "kept.jsonl", [("a", 0), ("b.toml", 0), ("a", 1)]
+    first = kept_flights(FixedFlight, keep, asked[:2], fly)
+    again = kept_flights(FixedFlight, keep, asked, fly)
+    assert flown == asked
+    assert again[:2] == first
+    keep.write_text("{}\n")
+    with pytest.raises(InputError, match="line 1"):
+        kept_flights(FixedFlight, keep, asked, fly)
+    met = [weather(seed) for seed in range(60)]
+    assert {bool(m.faults) for m in met} == {False, True}
+    assert all(parse_fault(f).stop_s < 44.0 for m in met for f in m.faults)

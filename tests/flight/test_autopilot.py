@@ -475,7 +475,12 @@ def test_a_take_off_breaks_off_for_land_and_waits_for_go_to(pilot: Pilot) -> Non
     pilot.run(1.0)
     assert "off the floor" in a.go_to((0.3, 0.0, -0.6)).reason
     assert a.land()
-    pilot.run(3.0)
+    pilot.run(0.1)
+    assert (a.status.state, a.status.motors) == ("init", "ramp_down")
+    assert a.emergency_stop(), "rotors that run down are stopped too"
+    pilot.run(0.02)
+    assert a.status.motors == "off"
+    pilot.run(2.0)
     assert not a.status.armed
     assert np.all(np.array(pilot.sent[-10:]) == 0.0)
 

@@ -131,7 +131,7 @@ def test_an_identified_covariance_is_drawn_from(tmp_path: Path, vehicle: Vehicle
         (["m=100:90g"], "holds nothing"),
         (["m=100%"], "reaches zero"),
         (["m=0%"], "above 0"),
-        (["body.mass=std"], "no standard deviation is stated"),
+        (["body.inertia_zz=std"], "no standard deviation is stated"),
         (["body.mass"], "does not say how"),
         (["m=5%", "body.mass=3%"], "drawn by 'm=5%' too"),
         (["nowhere.json"], "cannot be read"),

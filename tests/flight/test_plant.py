@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from mufly.dynamics import DEFAULT_STEP_S, DrydenWind, initial_state
+from mufly.dynamics import DEFAULT_STEP_S, DrydenWind, initial_state, longest_step, model_parameters
 from mufly.errors import MuflyError
 from mufly.flight import Actuators, Plant
 from mufly.vehicle import load_vehicle, replace
@@ -56,5 +56,13 @@ def test_a_simulation_that_fails_says_when_and_with_which_steps() -> None:
     assert 5.0 / steps <= 1e3 * DEFAULT_STEP_S * (1 + 1e-9) < 5.0 / (steps - 1)
     with pytest.raises(MuflyError, match="too short to simulate") as told:
         plant_at((0.0, 0.0, -1.0), vehicle=replace(VEHICLE, {"swash_plate.time_constant": 1e-6}))
+    # 10 us are the least: a vehicle that needs a tenth less is refused, one that needs a tenth more is simulated.
+    per_lag = longest_step(model_parameters(replace(VEHICLE, {"swash_plate.time_constant": 1e-5}))) / 1e-5
+    with pytest.raises(MuflyError, match="too short to simulate"):
+        plant_at((0.0, 0.0, -1.0), vehicle=replace(VEHICLE, {"swash_plate.time_constant": 9e-6 / per_lag}))
+    fast = plant_at(
+        (0.0, 0.0, -1.0), vehicle=replace(VEHICLE, {"swash_plate.time_constant": 1.1e-5 / per_lag})
+    )
+    fast.advance(Actuators.idle())
     # Runge and Kutta's method of fourth order needs 2.8 steps a time constant at the least.
     assert 0.3 < float(re.search(r"steps of (\S+) us", str(told.value))[1]) < 2.8

@@ -47,6 +47,7 @@ def test_yaw_step_does_not_disturb_the_height(vehicle, controller, size: float) 
     assert yaw[-1] == pytest.approx(size, abs=0.01)
     assert np.max(yaw / size) < 1.1
     assert np.abs(ds.truth_position.values[:, 2]).max() < 0.02
+    assert ds.battery_charge.values[0] == pytest.approx(0.8, abs=1e-3)  # where nothing else is asked for
 
 
 def steps_of_figure_6_12(t: float) -> float:

@@ -89,7 +89,7 @@ def test_whatever_is_asked(controller, script, mission, already_flying):
         nonlocal armed_before
         for _ in range(max(1, round(seconds / flight.period_s))):
             flight.tick()
-            sent = flight._sent.array  # what was computed now; it acts a period later
+            sent = flight.sent.array  # what was computed now; it acts a period later
             assert np.isfinite(sent).all()
             assert ((sent >= [0.0, 0.0, -1.0, -1.0]) & (sent <= 1.0)).all()
             armed = autopilot.status.armed
@@ -116,5 +116,5 @@ def test_whatever_is_asked(controller, script, mission, already_flying):
         run(seconds)
     assert autopilot.emergency_stop()
     run(0.01)
-    assert (flight._sent.array == 0.0).all()
+    assert (flight.sent.array == 0.0).all()
     assert not autopilot.status.armed

@@ -253,6 +253,27 @@ def test_what_is_unknown_is_none_and_json_can_hold_it():
     assert ("Real-time factor", "80") in summary_rows(s)
 
 
+def test_air_beyond_the_model_counts_the_vehicles_own_motion_and_tilt():
+    """2.4 m/s of wind is within 2.6; flying against it at 0.5 m/s is not, and was not said."""
+    knots, states = leg()
+
+    def said(**columns):
+        dataset = flown(knots, states, **columns)
+        dataset.attrs["model_air_m_s"] = (0.8, 2.6)
+        return summarise(dataset).outside_model
+
+    assert said(wind=(-2.4, 0, 0)).startswith(
+        "the model was not valid for 26 % of the time in the air: its rotors met 2.9"
+    )
+    assert said(wind=(2.4, 0, 0)) == "" == said()
+    assert "0.5 m/s across and 1.3 m/s along the mast, and hold up to 2.6 and 0.8" in said(wind=(0, 0, 0.8))
+    assert "2.5 m/s along" in said(wind=(-2.0, 0, 0), truth_attitude=(0, math.pi / 2, 0))  # on its nose
+    assert "2.0 m/s along" in said(wind=(0, -2.0, 0), truth_attitude=(math.pi / 2, 0, 0))  # on its side
+    assert "2.0 m/s along" in said(
+        wind=(0, -2.0, 0), truth_attitude=(0, math.pi / 2, math.pi / 2)
+    )  # nose to the east
+
+
 def test_clearance_names_the_nearest_obstacle():
     knots, states = leg()
     world = World(

@@ -7,8 +7,9 @@ import mufly
 from mufly.errors import InputError
 from mufly.identify import Progress, choose_free, fit_flights, fit_split, with_estimates
 from mufly.identify.flight.demo import NOISE, RADIO_DELAY_S, Excitation, demo_flights, fly_record, run_demo
+from mufly.identify.flight.free import Free
 from mufly.identify.flight.minimise import Linearised, Point, descend, moved_by_held, straightness
-from mufly.identify.flight.problem import Free, Linear, make_problem
+from mufly.identify.flight.problem import Linear, make_problem
 from mufly.identify.flight.starts import beginnings, settled
 from mufly.vehicle import Vehicle, load_vehicle, parameters, replace, vehicle_toml
 

@@ -7,7 +7,14 @@ import mufly
 from mufly.dynamics import PARAMETERS, model_parameters
 from mufly.errors import InputError
 from mufly.identify import choose_free
-from mufly.identify.flight.problem import HEAVE_YAW, ROLL_PITCH, batch_parameters, numbers_at, physical
+from mufly.identify.flight.free import (
+    HEAVE_YAW,
+    ROLL_PITCH,
+    batch_parameters,
+    held_parameters,
+    numbers_at,
+    physical,
+)
 from mufly.vehicle import parameters, replace
 
 OUTPUTS = ("height", "r", "p")
@@ -99,3 +106,14 @@ def test_a_map_in_place_of_the_coefficients_is_refused(vehicle):
     mapped = replace(vehicle, {"rotors.coefficient_map": "walkera-5g6-bemt"})
     with pytest.raises(InputError, match=r"coefficient_map.*take it out"):
         choose_free(mapped, ["Izz"], OUTPUTS)
+
+
+@pytest.mark.parametrize("name", mufly.vehicle.builtin_vehicles())
+def test_what_is_held_is_doubted_as_the_vehicle_file_states(name):
+    """Air, gear and thrust counted as uncertain as anything estimated or identified."""
+    known = mufly.load_vehicle(name)
+    held = {h.symbol: h for h in held_parameters(known, choose_free(known, ["Izz"], OUTPUTS), 0.0, None)}
+    rows = {r.symbol: r for r in parameters(known)}
+    for symbol in ("rho", "eta_gear", "cT_up", "cT_dw", "m", "R"):
+        assert 0.0 < held[symbol].prior_std == rows[symbol].std / rows[symbol].value < 0.06
+        assert "std: " in rows[symbol].note

@@ -230,6 +230,31 @@ def test_bandwidth_and_phase_delay_are_those_of_the_transfer_function(late):
     assert b.phase_std_rad_s == pytest.approx(np.degrees(0.02) / abs(slope), rel=0.05)
 
 
+def test_deviations_of_bandwidth_and_phase_delay_are_those_of_many_noisy_responses():
+    """That of the gain bandwidth left out that its level is taken at a frequency in doubt (scatter 1.2 of it)."""
+    f, rng, error = np.geomspace(0.2, 6.0, 120), np.random.default_rng(0), 0.02
+    s = 2j * np.pi * f
+    h = 5.0 * np.exp(-0.06 * s) / (s * (s / 8.0 + 1.0))
+    told = []
+    for _ in range(120):
+        noise = error * (rng.standard_normal(f.size) + 1j * rng.standard_normal(f.size))
+        b = bandwidth(f, h * (1.0 + noise), np.full(f.size, error))
+        told.append(
+            (
+                b.phase_rad_s,
+                b.phase_std_rad_s,
+                b.gain_rad_s,
+                b.gain_std_rad_s,
+                b.phase_delay_s,
+                b.phase_delay_std_s,
+            )
+        )
+    table = np.array(told)
+    scatter = table[:, ::2].std(axis=0) / np.median(table[:, 1::2], axis=0)
+    assert np.all((scatter > 0.75) & (scatter < 1.1)), scatter
+    assert table[:, ::2].mean(axis=0) == pytest.approx([4.519, 6.817, 0.0433], rel=0.01)  # closed forms
+
+
 def test_bandwidth_of_a_pure_delay_is_the_delay_and_what_is_not_there_is_said():
     f = np.geomspace(0.05, 10.0, 600)
     s = 2j * np.pi * f

@@ -1,10 +1,12 @@
 """Residual statistics against closed forms and against how often they are wrong on data where the answer is known."""
 
+import re
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from mufly.identify import RecordFit, quality, what_is_missing
+from mufly.identify import Estimate, RecordFit, quality, what_is_missing
 from mufly.identify.residuals import (
     autocorrelation,
     cross_correlation,
@@ -22,6 +24,7 @@ from mufly.identify.result import (
     relative_covariance,
     unseen_combinations,
 )
+from mufly.vehicle import load_vehicle
 
 
 def record(measured, predicted, inputs, dt=0.02, outputs=("q",), names=("lon",)):
@@ -38,6 +41,9 @@ def test_autocorrelation_of_a_first_order_process_is_its_power_series():
     c = autocorrelation(e, 0.1, max_lag_s=2.0)
     assert c.lag_s == pytest.approx(0.1 * np.arange(21))
     assert c.value == pytest.approx(0.9 ** np.arange(21), abs=0.02)
+    assert (
+        0.03 < autocorrelation(rng.normal(size=4000), 0.1, max_lag_s=100.0).outside < 0.07
+    )  # white: at 95 %
 
 
 def test_ljung_box_is_wrong_as_often_as_it_says_on_white_noise_and_finds_colour():
@@ -47,12 +53,14 @@ def test_ljung_box_is_wrong_as_often_as_it_says_on_white_noise_and_finds_colour(
     assert ljung_box(lfilter([1.0], [1.0, -0.3], rng.normal(size=400)), lags=20).p_value < 1e-3
 
 
-@pytest.mark.parametrize("colour", [0.0, 0.95])
-def test_cross_correlation_bounds_hold_for_independent_signals_of_any_colour(colour):
+@pytest.mark.parametrize(
+    ("colour", "samples", "records"), [(0.0, 2000, 150), (0.95, 2000, 150), (0.95, 200, 400)]
+)
+def test_cross_correlation_bounds_hold_for_independent_signals_of_any_colour(colour, samples, records):
     rng = np.random.default_rng(3)
     outside = []
-    for _ in range(150):
-        u, e = (lfilter([1.0], [1.0, -colour], rng.normal(size=2000)) for _ in range(2))
+    for _ in range(records):
+        u, e = (lfilter([1.0], [1.0, -colour], rng.normal(size=samples)) for _ in range(2))
         outside.append(cross_correlation(u, e, 0.01, max_lag_s=0.5).outside)
     assert 0.03 < np.mean(outside) < 0.075
 
@@ -131,6 +139,37 @@ def test_a_missing_lag_is_said_with_its_input_and_a_complete_model_is_silent():
     assert any("residual of q correlates with lon" in w for w in words)
 
 
+def test_what_comes_late_and_what_comes_slowly_have_different_causes():
+    noise = 0.02 * np.random.default_rng(16).normal(size=6000)
+    u, held = np.random.default_rng(17).normal(size=6000), steps(6000, 0)
+    late = np.roll(u, 10) + noise
+    words = what_is_missing(record(late, 0.0 * late, u))
+    assert any("lon at 0.2 s lag" in w and "the delay or the damping between" in w for w in words)
+    slow = simulate(held, 0.5) + noise
+    words = what_is_missing(record(slow, 0.0 * slow, held))
+    assert any("lon at 0.4" in w and "a lag or a slow mode between lon and q" in w for w in words)
+
+
+def test_independent_signals_are_called_correlated_once_in_a_hundred_records():
+    said = 0
+    for seed in range(100):
+        u, e = np.random.default_rng(100 + seed).normal(size=(2, 300))
+        said += any("correl" in w for w in what_is_missing(record(e, 0.0 * e, u)))
+    assert said <= 3
+
+
+def test_a_slow_disturbance_is_told_with_its_share_and_its_time_and_a_short_one_is_none():
+    white, shaped = np.random.default_rng(18).normal(size=(2, 20_000))
+    slow, short = (lfilter([1.0], [1.0, -a], shaped) for a in (0.98, 0.8))
+    words = what_is_missing(record(white + slow / slow.std(), 0.0 * white, steps(20_000, 1)))
+    (said,) = (w for w in words if "varies slower" in w)
+    share, time = re.match(r"(\d+) % .* remembered for (\S+) s: a disturbance", said).groups()
+    assert float(share) == pytest.approx(50.0, abs=5.0)
+    assert float(time) == pytest.approx(0.99, abs=0.2)  # -0.02 s / ln 0.98
+    for e in (white, short):
+        assert not any("varies slower" in w for w in what_is_missing(record(e, 0.0 * e, steps(20_000, 1))))
+
+
 def test_feedback_is_told_from_a_fault_of_the_model():
     rng = np.random.default_rng(10)
     disturbance = lfilter([1.0], [1.0, -0.95], rng.normal(size=6000)) * 0.1
@@ -148,6 +187,11 @@ def test_vibration_is_named_with_its_frequency():
     assert frequency == pytest.approx(17.3, abs=0.1)
     assert power == pytest.approx(0.045, rel=0.15)
     assert any("17.3 Hz" in w and "vibration" in w for w in what_is_missing(record(e, 0 * e, steps(6000, 1))))
+    slow = lfilter([1.0], [1.0, -0.98], rng.normal(size=6000))
+    slow /= slow.std()
+    for share, said in ((0.043, False), (0.057, True)):  # a word from a twentieth of the power on
+        e = np.sqrt(1.0 - share) * slow + np.sqrt(2.0 * share) * np.sin(2 * np.pi * 17.3 * t)
+        assert any("17.3 Hz" in w for w in what_is_missing(record(e, 0 * e, steps(6000, 1)))) is said
 
 
 def test_wrong_gain_bias_and_an_input_that_never_moved_are_named():
@@ -183,6 +227,15 @@ def test_coloured_covariance_is_the_scatter_of_least_squares(colour):
         assert (np.mean(plain, axis=0) < 0.3 * scatter).all()
 
 
+def test_a_white_output_beside_a_coloured_one_counts_as_a_record_of_its_own():
+    rng = np.random.default_rng(19)
+    s, white = rng.normal(size=(1500, 2, 2)), rng.normal(size=1500)
+    e = np.column_stack([lfilter([1.0], [1.0, -0.9], rng.normal(size=1500)), white])
+    together, *_ = coloured_covariance([s], [e])
+    apart, *_ = coloured_covariance([s[:, :1], s[:, 1:]], [e[:, :1], e[:, 1:]])
+    assert together == pytest.approx(apart, rel=1e-9)
+
+
 def test_parzen_window_has_no_negative_transform():
     assert np.fft.fft(np.fft.ifftshift(parzen(40))).real.min() > -1e-12
 
@@ -212,8 +265,25 @@ def test_an_offset_is_no_colour():
     assert colour_reach(np.zeros(50), 20) == 0
 
 
+def test_colour_that_swings_reaches_beyond_where_it_passes_zero():
+    """A period of 24 samples that dies within some 50: its autocorrelation passes zero after 6."""
+    poles = 0.95 * np.exp([2j * np.pi / 24, -2j * np.pi / 24])
+    e = lfilter([1.0], np.poly(poles).real, np.random.default_rng(20).standard_normal(4000))
+    assert 30 < colour_reach(e, 300) < 150
+
+
 def test_directions_that_nothing_shows_are_told_with_the_shares_by_which_parameters_move():
     assert relative_covariance(np.diag([4.0, 0.0, 16.0])) == pytest.approx(np.diag([0.25, np.inf, 0.0625]))
     along = np.array([1.0, 0.5, -0.5])
+    (words,) = unseen_combinations(("a", "b"), 4.0 * np.outer(along, along)[:2, :2] + 1e-6 * np.eye(2))
+    assert "a +10 % with b +5 % changes nothing" in words  # neither their ratio nor their product is seen
     (words,) = unseen_combinations(("a", "b", "c"), 4.0 * np.outer(along, along) + 1e-6 * np.eye(3))
     assert all(part in words for part in ("a +10 %", "b +5 %", "c -5 %"))
+
+
+def test_an_interval_lies_around_its_estimate():
+    e = Estimate.of("a", "", "m", None, 5.0, 0.25, quantile=2.0)
+    assert (e.low, e.high) == (4.5, 5.5)
+    assert np.isnan(e.start)
+    vehicle = load_vehicle("mufly-1.1")
+    assert Estimate.of("m", "body.mass", "kg", vehicle, 1.0, 0.1, quantile=2.0).start == 0.095

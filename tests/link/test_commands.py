@@ -242,6 +242,19 @@ def test_failures_are_injected_into_fitted_sensors_and_cleared() -> None:
         ("accelerometer", "bias"),
         ("position", "dropout"),
     ]
+    # How much and for how long are ours, where the specification leaves parameters open.
+    assert answer(m.FAILURE_UNIT_SENSOR_DISTANCE_SENSOR, m.FAILURE_TYPE_WRONG, 0, 0, 0.25, 2.0) == OK
+    (sonar,) = (f for f in rig.flight.faults if f.name == "sonar")
+    assert sonar.amount == 0.25
+    assert sonar.stop_s - sonar.start_s == pytest.approx(2.0)
+    assert answer(m.FAILURE_UNIT_SENSOR_DISTANCE_SENSOR, m.FAILURE_TYPE_WRONG, 0, 0, 1e9, 2.0) not in (
+        OK,
+        LATER,
+    )
+    assert answer(m.FAILURE_UNIT_SENSOR_DISTANCE_SENSOR, m.FAILURE_TYPE_WRONG, 0, 0, 0.2, -1.0) not in (
+        OK,
+        LATER,
+    )
     assert answer(m.FAILURE_UNIT_SENSOR_AIRSPEED, m.FAILURE_TYPE_OFF) not in (OK, LATER)
     assert answer(m.FAILURE_UNIT_SENSOR_VIO, m.FAILURE_TYPE_SLOW) not in (OK, LATER)
     assert answer(m.FAILURE_UNIT_SENSOR_VIO, m.FAILURE_TYPE_OK) == OK

@@ -58,7 +58,7 @@ def test_the_judge_sees_what_must_not_be(fuzz_link: ModuleType) -> None:
         ((0.0, 0.0), (0.0, np.nan), "actuators"),
     ):
         found.faults.clear()
-        flight._acting = Actuators(np.array(motors), np.array(servos))
+        flight.acting = Actuators(np.array(motors), np.array(servos))
         fuzz_link.check(flight, found)
         assert any(word in fault for fault in found.faults)
 

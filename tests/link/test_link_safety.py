@@ -199,6 +199,6 @@ def test_an_emergency_stop_in_any_state_and_any_traffic(seed):
     a.every = [set_point(), stick(700)]
     for _ in range(200):
         rig.tick()
-        assert (rig.flight._sent.array == 0.0).all()
+        assert (rig.flight.sent.array == 0.0).all()
         assert not rig.status.armed
     assert np.isfinite(rig.position).all()

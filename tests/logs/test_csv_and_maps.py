@@ -8,7 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mufly.errors import InputError
+from mufly.identify.record import read_columns
 from mufly.logs import LogWarning, builtin_maps, load_map, read_log, read_raw
+from mufly.tables import text_columns
 from mufly.units import conversion, known_unit, split_header
 
 
@@ -346,3 +348,62 @@ def test_thousands_in_groups_are_numbers(tmp_path, text, rpm):
     path = tmp_path / "excel.csv"
     path.write_text("\ufeff" + text, encoding="utf-8")
     assert read_raw(path)["table"].fields["rpm"].tolist() == rpm
+
+
+COMMA, POINT = ("0,00", "1.234,5", "-0,25"), ("0.00", "1,234.5", "-0.25")
+FRENCH = tuple(c.replace(".", "\u202f") for c in COMMA)
+
+
+@pytest.mark.parametrize("header", [True, False])
+@pytest.mark.parametrize(
+    ("separator", "cells", "encoding", "mark"),
+    [
+        (";", COMMA, "utf-8-sig", ""),
+        (";", FRENCH, "utf-8-sig", ""),
+        (";", tuple(c.replace("\u202f", "\u00a0") for c in FRENCH), "cp1252", "sep=;\r\n"),
+        (";", ("0.00", "1\u2019234.5", "-0.25"), "utf-8-sig", ""),
+        ("\t", COMMA, "utf-16", ""),
+        ("\t", FRENCH, "utf-16-be", "\ufeff"),
+        ("\t", POINT, "utf-16", ""),
+        ("\t", COMMA, "cp1252", ""),
+        ("  ", tuple(c.replace(".", "") for c in COMMA), "utf-8", ""),
+        (",", tuple(f'"{c}"' for c in COMMA), "utf-8", ""),
+        (",", tuple(f'"{c}"' for c in POINT), "utf-8", ""),
+    ],
+    ids=["German", "French", "French Windows", "Swiss", "Unicode text", "French, big end first", "English Unicode text",
+         "tabs", "blanks", "quoted commas", "quoted points"],
+)  # fmt: skip
+def test_a_table_as_a_spreadsheet_of_that_country_writes_it(
+    tmp_path, separator, cells, encoding, mark, header
+):
+    """Before: tabs and blanks with decimal commas had no clock, UTF-16 was no log, a Swiss 1234.5 text, and with names
+    for the columns one with thousands was dropped."""
+    time, speed, rate = cells
+    rows = [(time.replace("00", f"{k:02d}"), speed, rate.replace("25", f"{25 + k}")) for k in range(30)]
+    head = [("Zeit (s)", "Drehzahl (rpm)", "q (deg/s)")] if header else []
+    path = tmp_path / "excel.csv"
+    path.write_bytes(
+        (mark + "\r\n".join(separator.join(r) for r in [*head, *rows]) + "\r\n").encode(encoding)
+    )
+    named = read_columns(path, columns=("t", "w", "q"))
+    expected = -0.25 - 0.01 * np.arange(30)
+    assert named.columns["q"] == pytest.approx(np.radians(expected) if header else expected)
+    assert named.time_s == pytest.approx(0.01 * np.arange(30))
+    if header:
+        table = read_raw(path)["table"]
+        assert table.fields["Drehzahl"].tolist() == [1234.5] * 30
+        assert read_columns(path).columns["q"] == pytest.approx(named.columns["q"])
+        assert text_columns(path)[1][3][1] == ["0.03", "1234.5", "-0.28"]
+
+
+def test_what_a_comma_means_is_told_by_the_whole_table(table):
+    """A log that begins at rest has whole numbers only in its first rows, and 1,234 alone says nothing."""
+    rest = "\n".join(f"{k}\t0\t7" for k in range(40))
+    assert read_raw(table(f"t_s\ta\tb\n{rest}\n40\t0,5\t7"))["table"].fields["a"][-1] == 0.5
+    assert read_raw(table("t_s\ta\tb\n0\t1,234\t0.5\n1\t2,345\t0.5"))["table"].fields["a"].tolist() == [
+        1234,
+        2345,
+    ]
+    assert read_raw(table("t_s\ta\n0\t1,234\n1\t2,345"))["table"].fields["a"].tolist() == [1.234, 2.345]
+    with pytest.raises(InputError, match="is no text"):
+        text_columns(table("\0\1\2,3\n4,5"))

@@ -10,6 +10,7 @@ from mufly.logs import (
     LogWarning,
     body_rates_of_attitude,
     check_channel,
+    check_clock,
     check_delays,
     estimate_delay,
     examine,
@@ -259,6 +260,14 @@ def test_a_causal_delay_does_not_lead():
 def test_delays_that_cannot_be_are_refused(t, x, y, words):
     with pytest.raises(InputError, match=words):
         estimate_delay(t, x, y)
+
+
+def test_one_repeated_stamp_in_a_long_record_is_no_even_clock():
+    """Among so many steps it is no jitter."""
+    t = 0.01 * np.arange(60_000)
+    assert check_clock(t).jitter < check_clock(np.r_[t[:1000], t[999:-1]]).jitter < 0.02
+    with pytest.raises(InputError, match="evenly"):
+        estimate_delay(np.r_[t[:1000], t[999:-1]], np.sin(t), np.sin(t - 0.1))
 
 
 def test_body_rates_of_an_attitude_follow_the_rotation():

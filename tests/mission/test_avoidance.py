@@ -212,6 +212,34 @@ def test_the_reference_waits_for_a_helicopter_that_is_held():
         ahead.append(np.hypot(detour.position[0] - here[0], detour.position[1] - here[1]))
     assert 0.2 < ahead[-1] <= max(ahead) < 0.32
     assert np.hypot(*detour.velocity[:2]) < 0.01
+    assert detour.laps == 0  # it is at the contour, and has gone round nothing
+
+
+@pytest.mark.parametrize(("away", "kept"), [(1.4, True), (1.6, False)])
+def test_an_obstacle_met_again_nearby_is_passed_on_the_same_side(away, kept):
+    here, still, goal = (0.0, 0.0, -1.0), (0.0, 0.0, 0.0), (3.0, 0.0, -1.0)
+    sight = look(memory_of((0.6, -0.2, -1.0)), here, goal, 0.39)
+    first = begin_detour(here, still, still, goal, sight, None)
+    assert (first.side, first.count) == (1.0, 1)  # what blocks it is on the left: it flies to the right
+    before = replace(first, side=-1.0, count=2, stray=6.0, position=(-away, 0.0, -1.0))
+    again = begin_detour(here, still, still, goal, sight, before)
+    assert (again.side, again.count, again.stray) == (-1.0 if kept else 1.0, 3, 6.0)
+
+
+@pytest.mark.parametrize(("across", "changes"), [(2.95, False), (3.05, True), (-2.95, False), (-3.05, True)])
+def test_the_other_side_is_tried_3_m_off_the_straight_way(across, changes):
+    """Beside the middle of the way from (1, 2) to (4, 6), whose direction is (0.6, 0.8)."""
+    still, goal = (0.0, 0.0, 0.0), (4.0, 6.0, -1.0)
+    here = (2.5 - 0.8 * across, 4.0 + 0.6 * across, -1.0)
+    memory = memory_of((here[0] + 0.5, here[1], -1.0))
+    detour = replace(
+        begin_detour(here, still, still, goal, look(memory, here, goal, 0.39), None),
+        side=1.0,
+        hit=(1.0, 2.0),
+        hit_distance=5.0,
+    )
+    moved = go_round(detour, memory, RING, here, 0.0, [1.5] * 8, goal, clearance=0.39, speed=0.3, dt=0.02)
+    assert (moved.side, moved.stray) == ((-1.0, 6.0) if changes else (1.0, 3.0))
 
 
 def test_far_from_what_blocks_its_way_it_makes_straight_for_the_goal():
@@ -286,3 +314,8 @@ def test_a_wall_is_followed_to_3_m_off_the_way_and_then_round_its_other_end(rig,
     across = side * (np.array(flight.position)[:, :2] @ [-s, c])
     assert across.max() == pytest.approx(3.0, abs=0.15)
     assert across.min() > -2.0
+    # Along the wall it keeps the distance that a contour is followed at, 15 cm more than the clearance, and a little
+    # more: the nearest of the points seen lies behind it.
+    beside = 2.5 - np.array(flight.position)[:, :2] @ [c, s]
+    clear = to(*goal).avoidance.clearance_m
+    assert 0.15 < np.median(beside[(across > 2.2) & (across < 2.8)]) - clear < 0.23

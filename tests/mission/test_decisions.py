@@ -139,6 +139,81 @@ def test_a_take_off_that_does_not_lift_is_given_up_after_three_seconds(rig, late
     assert (r.motors == "ramp_down") is (state == "init")
 
 
+@pytest.mark.parametrize(("more", "state"), [(-0.1, "take-off"), (0.1, "landing")])
+def test_a_take_off_that_hangs_half_way_lands_8_s_and_half_a_climb_late(rig, more, state):
+    plan = rig.plan_for(mission_from(TWO))
+    s = in_state(plan, measured(x=(0.0, 0.0, -0.07)), Command(start=True))
+    climb = s.motion.duration_s
+    s = replace(s, motors="fly", clock_s=1.5 * climb + 8.0 + more - 0.02)
+    s, _ = step(plan, s, measured(0.04, (0.0, 0.0, -0.6)), Command())
+    assert s.state == state
+    assert ("0.60 m high in place of 1.00 m" in s.reason) is (state == "landing")
+
+
+@pytest.mark.parametrize(("rise", "state"), [(0.15, "take-off"), (0.25, "obstacle")])
+def test_a_take_off_gives_way_once_it_is_off_its_legs(rig, rise, state):
+    points = Memory.empty().points
+    points[0, :3] = (0.3, 0.0, -0.3)
+    plan = rig.plan_for(mission_from(TWO))
+    s = in_state(plan, measured(x=(0.0, 0.0, -0.07)), Command(start=True))
+    s = replace(s, motors="fly", clock_s=0.5 * s.motion.duration_s, memory=Memory(points, 1))
+    s, _ = step(plan, s, measured(0.04, (0.0, 0.0, -0.07 - rise)), Command())
+    assert s.state == state
+
+
+def follow(plan, s, steps):
+    """The state, and the reference, after some steps of 20 ms in which the helicopter is where it has to be."""
+    x, heading = HIGH, 0.0
+    for k in range(1, steps + 1):
+        s, r = step(plan, s, measured(0.02 * k, x, (0.0, 0.0, heading)), Command())
+        x, heading = tuple(r.position), r.heading
+    return s, r
+
+
+@pytest.mark.parametrize("when", [50, 250])
+@pytest.mark.parametrize(
+    "command",
+    [Command(waypoint=(0.0, 1.5, -1.5)), Command(home=True), Command(pause=True), Command(land=True)],
+)
+def test_what_breaks_off_a_leg_goes_on_from_how_it_moves(rig, command, when):
+    """While it turns towards its goal, and at speed: the reference goes on without a jump."""
+    plan, s = hovering(rig, {"waypoint": [{"position_m": [0.0, 3.0, -1.0]}]})
+    s, before = follow(plan, s, when)
+    speed, turning = np.linalg.norm(before.velocity), abs(before.heading_rate)
+    assert (speed > 0.2, turning > 0.2) == (when == 250, when == 50)
+    now = measured(0.02 * when + 0.02, before.position, (0.0, 0.0, before.heading))
+    s, now = step(plan, s, now, command)
+    np.testing.assert_allclose(now.velocity, before.velocity, atol=0.03)
+    np.testing.assert_allclose(now.position, before.position + 0.02 * before.velocity, atol=0.002)
+    assert now.heading == pytest.approx(before.heading + 0.02 * before.heading_rate, abs=0.003)
+    if not command.land:
+        assert now.heading_rate == pytest.approx(before.heading_rate, abs=0.1)
+
+
+def test_a_program_that_ends_leaves_a_reference_that_goes_on_from_how_it_moves(rig):
+    plan, s = hovering(rig)
+    x = HIGH
+    for k in range(1, 151):
+        s, before = step(
+            plan, s, measured(0.02 * k, x), Command(set_point=SetPoint(velocity_m_s=(0.3, 0.2, -0.25)))
+        )
+        x = tuple(before.position)
+    assert before.velocity == pytest.approx((0.3, 0.2, -0.25), abs=0.02)
+    s, now = step(plan, s, measured(3.02, x), Command())
+    assert s.state is State.HOVER
+    np.testing.assert_allclose(now.velocity, before.velocity, atol=0.03)
+    np.testing.assert_allclose(now.position, before.position + 0.02 * before.velocity, atol=0.002)
+
+
+@pytest.mark.parametrize("goal", [[0.0, 3.0, -1.0], [3.0, 0.0, -2.0]])
+def test_the_nose_swings_on_the_level_way_and_not_while_it_turns_or_climbs_before(rig, goal):
+    plan, s = hovering(rig, {"waypoint": [{"position_m": goal}], "avoidance": {"scan": True}})
+    for steps, swings in ((30, False), (250, True)):
+        after, _ = follow(plan, s, steps)
+        assert after.state is State.WAYPOINT
+        assert (after.swing > 0.0) is swings
+
+
 @pytest.mark.parametrize(
     ("tables", "outcome", "state"),
     [

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from mufly.estimate import Estimate
+from mufly.estimate import Beliefs, Estimate
 from mufly.mission import (
     SPIN_UP_S,
     Command,
@@ -298,17 +298,29 @@ def test_spline_mission(rig):
     assert x[:, 1].max() > 3.05 or x[:, 0].min() < -3.05
 
 
+NOTHING = np.zeros(0)
+BELIEFS = Beliefs(NOTHING, NOTHING, 0.0, np.zeros(4), np.zeros(2), 1.0, NOTHING, ())
+
+
 @pytest.mark.parametrize(
-    ("speed", "text", "level"), [(0.29, "touchdown", "info"), (1.7, "hard touchdown", "warning")]
+    ("speed", "believed", "on_floor", "text", "level"),
+    [
+        (0.29, None, 0.0, "touchdown", "info"),
+        (1.7, None, 0.0, "hard touchdown", "warning"),
+        (0.29, None, 1.7, "hard touchdown", "warning"),
+        (0.29, BELIEFS, 1.7, "touchdown", "info"),  # a filter that has not noticed the floor yet
+        (1.7, BELIEFS, 0.0, "hard touchdown", "warning"),
+    ],
 )
-def test_a_touchdown_says_how_hard_it_was(rig, speed, text, level):
+def test_a_touchdown_says_how_hard_it_was(rig, speed, believed, on_floor, text, level):
     """What it falls at higher up, or does on the floor later, is not the touchdown."""
     plan = rig.plan_for(HOP)
     begun = begin(plan, measurement())
     s = replace(begun, state=State.LANDING, motors="fly", started=True, hold=(0.0, 0.0, -0.1))
-    falls = [(-0.5, 2.5), (-0.19, 2.0), (-0.16, speed), *[(-0.07, 0.0)] * 150]
+    falls = [(-0.5, 2.5), (-0.19, 2.0), (-0.16, speed), (-0.08, on_floor), *[(-0.07, 0.0)] * 150]
     for k, (down, sink) in enumerate(falls):
-        s, _ = step(plan, s, measurement(0.02 * k, (0.0, 0.0, down), (0.0, 0.0, sink)), Command())
+        m = measurement(0.02 * k, (0.0, 0.0, down), (0.0, 0.0, sink))
+        s, _ = step(plan, s, replace(m, beliefs=believed), Command())
     touched = [e for e in s.events if "touchdown" in e.text]
     assert [(e.text.split(":")[0], e.level) for e in touched] == [(text, level)]
     assert ("1.70 m/s, above 0.3 m/s" in touched[0].text) is (level == "warning")

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mufly.errors import InputError
 from mufly.rotor import database_airfoils, load_airfoil
-from mufly.rotor.airfoil import naca, sides
+from mufly.rotor.sections.airfoil import naca, sides
 
 
 def mean_line(digits, n=4001):

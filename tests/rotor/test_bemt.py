@@ -25,7 +25,7 @@ from mufly.rotor import (
     solve_thrust,
 )
 from mufly.rotor.bemt import descent_inflow
-from mufly.rotor.polar_table import ALPHA_GRID
+from mufly.rotor.sections.polar_table import ALPHA_GRID
 
 NO_LOSS = Corrections(tip_loss="none", hub_loss=False, swirl=False, lifting_surface=False, rotation="none")
 SLOPE = 5.73

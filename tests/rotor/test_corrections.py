@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 from mufly.errors import InputError
 from mufly.rotor import PLAIN, Corrections, PolarTable, Rotor, hover, prepare
 from mufly.rotor.blading import rotation_strength, zero_lift_angle
-from mufly.rotor.polar_table import ALPHA_GRID
+from mufly.rotor.sections.polar_table import ALPHA_GRID
 
 KINDS = ["dumitrescu-cardos", "snel", "chaviaropoulos-hansen", "none"]
 

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from mufly.rotor import Corrections, PolarTable, Rotor, hover, prepare
 from mufly.rotor.blading import chord_factor, near_wake_downwash, panel_edges
-from mufly.rotor.polar_table import ALPHA_GRID
+from mufly.rotor.sections.polar_table import ALPHA_GRID
 
 
 def lift_slope_of_rectangular_wing(aspect_ratio, n=60):

@@ -9,7 +9,13 @@ from hypothesis import strategies as st
 
 from mufly.errors import MuflyError
 from mufly.rotor import PolarTable, lookup, outside, stack_polars
-from mufly.rotor.polar_table import ALPHA_GRID, OUTSIDE_ALPHA, OUTSIDE_REYNOLDS, coefficients, lookup_cm
+from mufly.rotor.sections.polar_table import (
+    ALPHA_GRID,
+    OUTSIDE_ALPHA,
+    OUTSIDE_REYNOLDS,
+    coefficients,
+    lookup_cm,
+)
 
 
 def table(name="wave", n_re=9, low=2e3, high=3e5, shift=0.0, alpha=ALPHA_GRID):

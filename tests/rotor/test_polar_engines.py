@@ -8,10 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor import load_airfoil, lookup, neural, outside, polar, polars, section
-from mufly.rotor.engines import REYNOLDS
-from mufly.rotor.polar_table import ALPHA_GRID, extend, plate_drag
-from mufly.rotor.section import SectionData
+from mufly.rotor import load_airfoil, lookup, outside, polar, polars
+from mufly.rotor.sections import neural, section
+from mufly.rotor.sections.engines import REYNOLDS
+from mufly.rotor.sections.polar_table import ALPHA_GRID, extend, plate_drag
+from mufly.rotor.sections.section import SectionData
 
 FEW = np.geomspace(5e3, 2e5, 5)
 RIGHT = math.pi / 2

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from mufly.errors import MuflyError
-from mufly.rotor import engines, load_airfoil, lookup, neural, polar
-from mufly.rotor.engines import xfoil as run
+from mufly.rotor import load_airfoil, lookup, polar
+from mufly.rotor.sections import engines, neural
+from mufly.rotor.sections.engines import xfoil as run
 
 MISSING = engines.xfoil_missing()
 needs_xfoil = pytest.mark.skipif(bool(MISSING), reason=MISSING)

@@ -121,7 +121,7 @@ def read_bench(path: str | Path, *, columns: str | None = None) -> BenchTable:
         If the file cannot be read, has no column that is understood, or a cell of a column in use is no number.
     """
     where = Path(path).name
-    written, numbered, decimal_comma = text_columns(path)
+    written, numbered = text_columns(path)
     if not numbered:
         raise InputError(where, "", "holds no measurements", "give a header and at least one line")
     chosen, notes = _choose(renamed(written, columns, where), written)
@@ -138,9 +138,7 @@ def read_bench(path: str | Path, *, columns: str | None = None) -> BenchTable:
         if column.quantity == "run":
             data[column.name] = _labels(cells)
             continue
-        values = [
-            _number(where, int(n), written[index], c, decimal_comma) for n, c in zip(line, cells, strict=True)
-        ]
+        values = [_number(where, int(n), written[index], c) for n, c in zip(line, cells, strict=True)]
         data[column.name] = np.array(values) * column.factor + column.offset
     unitless = tuple(c.name for _, c in chosen if c.unit == "" and not c.name.endswith("_raw"))
     notes += [
@@ -190,11 +188,11 @@ def _labels(cells: list[str]) -> Array:
     return np.array([known.setdefault(c, float(len(known))) for c in cells])
 
 
-def _number(where: str, line: int, header: str, cell: str, decimal_comma: bool) -> float:
+def _number(where: str, line: int, header: str, cell: str) -> float:
     if not cell:
         return math.nan
     try:
-        value = float(cell.replace(",", ".") if decimal_comma else cell)
+        value = float(cell)
     except ValueError:
         raise InputError(where, f"line {line}, {header}", f"{cell!r} is not a number", "give one") from None
     if not math.isfinite(value):

@@ -12,6 +12,7 @@ import mufly
 from mufly.cli import coax, control, drive, fly, log, mission, monte_carlo, rotor, station, study, vehicle
 from mufly.cli import optimise as _optimise  # noqa: F401  adds to the commands of rotor and coax, as study does
 from mufly.cli import station as link
+from mufly.cli.aero import cfd
 from mufly.cli.identify import flight as identify
 from mufly.cli.onboard import estimate, firmware, sensors
 from mufly.cli.options import Commands
@@ -28,11 +29,13 @@ app = Commands(
     pretty_exceptions_enable=False,
 )
 app.command("fly", help=fly.HELP)(fly.fly)
+app.command("new", help=vehicle.NEW_HELP)(vehicle.new)
 app.command("monte-carlo", help=monte_carlo.HELP)(monte_carlo.monte_carlo)
 app.command("link", help=link.LINK_HELP)(link.link)
 app.command("station", help=station.HELP)(station.station)
 app.add_typer(rotor.app, name="rotor")
 app.add_typer(coax.app, name="coax")
+app.add_typer(cfd.app, name="cfd")
 app.add_typer(drive.app, name="drive")
 app.add_typer(vehicle.app, name="vehicle")
 app.add_typer(control.app, name="control")

@@ -147,6 +147,7 @@ def monte_carlo(
     controllers = on_board(firmware, fixed_point)
     by = tuple(word for word, wanted in (("--firmware", firmware), ("--fixed-point", fixed_point)) if wanted)
 
+    from mufly.firmware import QuickSoftware
     from mufly.flight.monte_carlo import Campaign, Crew, parse_variations
     from mufly.flight.monte_carlo import run as fly_all
     from mufly.flight.monte_carlo import search as find_worst
@@ -154,8 +155,8 @@ def monte_carlo(
     campaign = Campaign.of(
         helicopter, load_mission(mission), variations=parse_variations(vary or [], helicopter), wind=towards,
         gust=gust, sensors="ideal" if sensors == "ideal" else "fitted", faults=tuple(fault or ()), seed=seed,
-        tolerance_m=tolerance, redesign=redesign, controllers=controllers, computed_by=by,
-        vehicle_name=vehicle, mission_name=mission,
+        tolerance_m=tolerance, redesign=redesign, controllers=controllers, quickly=QuickSoftware,
+        computed_by=by, vehicle_name=vehicle, mission_name=mission,
     )  # fmt: skip
     if search and not campaign.searched:
         raise InputError(

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from mufly.drive import Drive
     from mufly.identify import Estimate
     from mufly.rotor import Blading, Corrections, Rotor
-    from mufly.rotor.engines import Engine
+    from mufly.rotor.sections.engines import Engine
     from mufly.rotor.wake import WakeSettings
     from mufly.study import Setup
     from mufly.study.parameters import Value
@@ -33,10 +33,17 @@ if TYPE_CHECKING:
 # Arguments of the library that an option of another name gives.
 _OPTIONS = {
     "columns": "column",
+    "capacity_As": "capacity",
     "endpoints": "connect",
     "estimates": "write",
+    "gear_ratio": "gear",
     "kinds": "kind",
+    "mass_kg": "mass",
+    "no_load_current_A": "no_load_current",
+    "radius_m": "radius",
+    "resistance_ohm": "resistance",
     "spectra": "spectrum",
+    "speed_constant_rad_Vs": "kv",
     "structure": "model",
     "symbols": "free",
 }
@@ -284,7 +291,7 @@ class Polars:
 
     def polar_engine(self) -> Engine:
         """Return the polar engine that ``--engine`` names."""
-        from mufly.rotor.engines import Engine
+        from mufly.rotor.sections.engines import Engine
 
         if self.engine not in get_args(Engine):
             raise InputError(
@@ -345,7 +352,7 @@ class Wakes(Polars):
         one_of("--method", self.method, METHODS)
         if self.wake not in ("free", "prescribed"):
             raise InputError("--wake", "", f"{self.wake!r} is unknown", "use free or prescribed")
-        if self.method == "bemt" and self.wake != "free":
+        if self.method != "wake" and self.wake != "free":
             raise InputError("--wake", "", "there is no wake in blade element theory", "add --method wake")
         known = [f.name for f in fields(WakeSettings) if f.name not in ("model", "inviscid")]
         given: dict[str, Any] = {}
@@ -375,7 +382,11 @@ class Theory(Wakes):
     """Options of what blade elements or vortex wakes can compute."""
 
     method: Annotated[
-        str, option("--method NAME", "'bemt' (blade elements) or 'wake' (vortices, seconds).")
+        str,
+        option(
+            "--method NAME",
+            "'bemt' (blade elements), 'tubes' or 'wake' (seconds).",
+        ),
     ] = "bemt"
 
 

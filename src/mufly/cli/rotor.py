@@ -233,7 +233,8 @@ def hover(
 
     Give two of --pitch, --rpm and --thrust. With a drive, its electrical power at the same point is told too.
     With --out, the stations are drawn and written as CSV; with --method wake the wake and the air around it are drawn
-    too. A wake that does not converge ends the command with status 1, its history written.
+    too. A wake that does not converge ends the command with status 1, its history written. With --method cfd it is
+    `mufly cfd run` with its defaults, which takes minutes and OpenFOAM.
     Examples: mufly rotor hover naca0012-r60-c20 --pitch 12 --rpm 5000; mufly rotor hover --pitch 12 --thrust 0.4
     --drive mufly; mufly rotor hover naca0012-r60-c20 --pitch 14 --rpm 6000 --method wake --out wake
     """
@@ -248,6 +249,13 @@ def hover(
         raise InputError(
             "rotor hover", "", "needs two of --pitch, --rpm and --thrust", "give two; the third is found"
         )
+    if theory.method == "cfd":
+        from mufly.cli.aero.cfd import run
+
+        if pitch is None or rpm is None:
+            raise InputError("--method", "cfd", "finds neither speed nor pitch", "give --pitch and --rpm")
+        run(rotor, pitch, rpm, climb, density, out=out or Path("case"), as_json=as_json)
+        return
     settings, count = theory.wakes()
     if band is not None and theory.method == "wake":
         raise InputError(

@@ -2,13 +2,27 @@
 
 from __future__ import annotations
 
+import sys
 from itertools import groupby
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from mufly.cli.options import Commands, JsonOption, argument, option
-from mufly.cli.present import Column, console, print_json, print_table, say, show_lines, show_table
+import typer
+
+from mufly.cli.options import GEAR, Commands, JsonOption, Range, argument, option
+from mufly.cli.present import (
+    Column,
+    check_folder,
+    console,
+    print_json,
+    print_table,
+    say,
+    show_lines,
+    show_table,
+    writing,
+)
 from mufly.errors import InputError
-from mufly.units import conversion
+from mufly.units import RPM, conversion
 
 if TYPE_CHECKING:
     from mufly.dynamics import HoverPerformance
@@ -208,3 +222,140 @@ def _readable(value: Any, unit: str) -> tuple[str, str]:
         return f"{v * factor:.5g}"
 
     return text(value), "" if name == "1" else name
+
+
+NEW_HELP = """Begin a helicopter of your own: write vehicle, rotor and mission files that fly.
+
+Give mass and rotor radius, and what you know of motor and battery; at a terminal it asks for what is missing, and an \
+empty answer leaves it to be guessed. Guesses come from mufly-1.1 by similarity and are marked in the files, each with \
+its rule: measure them and write them in.
+
+Example: mufly new my-helicopter --mass 120 --radius 90 --kv 1800 --resistance 0.3 --cells 2"""
+
+_MASS = Range(1.0, 1e4, "g", "similarity does not reach from 95 g to there")
+_RADIUS = Range(10.0, 1000.0, "mm", "similarity does not reach from 87.5 mm to there")
+_KV = Range(10.0, 1e5, "rpm/V", "no motor is wound so")
+_RESISTANCE = Range(1e-3, 1e3, "ohm", "no motor is wound so")
+_CURRENT = Range(1e-3, 100.0, "A", "no motor of this size draws it")
+_CELLS = Range(1, 24, "", "packs have 1 to 24 cells in series")
+_CAPACITY = Range(1.0, 1e5, "mA h", "no such battery flies")
+
+
+def new(
+    name: Annotated[str, argument("NAME", "Its name, and that of the folder that is made.")],
+    mass: Annotated[float | None, option("--mass G", "Take-off mass.", within=_MASS)] = None,
+    radius: Annotated[float | None, option("--radius MM", "Radius of both rotors.", within=_RADIUS)] = None,
+    kv: Annotated[float | None, option("--kv RPM/V", "Speed constant of a motor.", within=_KV)] = None,
+    resistance: Annotated[
+        float | None, option("--resistance OHM", "Of a motor with its controller.", within=_RESISTANCE)
+    ] = None,
+    no_load_current: Annotated[
+        float | None, option("--no-load-current A", "Of a motor, at the nominal voltage.", within=_CURRENT)
+    ] = None,
+    gear: Annotated[
+        float | None, option("--gear I", "Motor speed over rotor speed; 1 is direct drive.", within=GEAR)
+    ] = None,
+    cells: Annotated[int | None, option("--cells N", "Of the battery, in series.", within=_CELLS)] = None,
+    capacity: Annotated[
+        float | None, option("--capacity MAH", "Of the battery, in mA h.", within=_CAPACITY)
+    ] = None,
+    out: Annotated[Path | None, option("--out DIR", "Folder for the files; NAME if not given.")] = None,
+) -> None:
+    """See :data:`NEW_HELP`."""
+    from mufly.dynamics import hover_performance, similar_vehicle
+    from mufly.mission import dump_mission, load_mission
+    from mufly.rotor import load_rotor, replace_rotor, rotor_toml
+    from mufly.vehicle import load_vehicle, parameters, vehicle_toml
+
+    folder = Path(name) if out is None else out
+    known, blade = load_vehicle("mufly-1.1"), load_rotor("walkera-5g6")
+    files = {part: folder / f"{part}.toml" for part in ("vehicle", "rotor", "mission")}
+    for file in files.values():
+        if file.exists():
+            raise InputError(str(file), "", "is there already", "give another NAME, or --out")
+    mass = _asked(mass, "--mass", "Take-off mass in g", _MASS, needed=True)
+    radius = _asked(radius, "--radius", "Rotor radius in mm", _RADIUS, needed=True)
+    assert mass is not None  # needed
+    assert radius is not None
+    if kv is None and resistance is None:
+        kv = _asked(kv, "--kv", "Motor: KV in rpm/V", _KV)
+        if kv is not None:
+            resistance = _asked(resistance, "--resistance", "Motor: resistance in ohm", _RESISTANCE)
+    given_cells = _asked(cells, "--cells", "Battery: cells in series", _CELLS)
+    capacity = _asked(capacity, "--capacity", "Battery: capacity in mA h", _CAPACITY)
+    vehicle = similar_vehicle(
+        known, Path(name).name,
+        mass_kg=mass / 1e3,
+        radius_m=radius / 1e3,
+        speed_constant_rad_Vs=None if kv is None else kv * RPM,
+        resistance_ohm=resistance,
+        no_load_current_A=no_load_current,
+        gear_ratio=gear,
+        cells=None if given_cells is None else int(given_cells),
+        capacity_As=None if capacity is None else capacity * 3.6,
+    )  # fmt: skip
+    scale = radius / 1e3 / float(blade.radius)
+    chord = [c * scale for c in blade.blade.chord.value]
+    shape = {
+        "name": f"{vehicle.name}-rotor",
+        "description": f"guess: blades of {blade.name}'s shape, R {radius:g} mm",
+        "radius": radius / 1e3,
+        "blade.chord": chord,
+    }
+    rotor = replace_rotor(blade, shape, source="estimated")
+    check_folder("--out", folder)
+    texts = {
+        "vehicle": vehicle_toml(vehicle),
+        "rotor": rotor_toml(rotor),
+        "mission": dump_mission(load_mission("demonstration")),
+    }
+    for part, file in files.items():
+        with writing(file):
+            file.write_text(texts[part], encoding="utf-8")
+    _print_hover(vehicle, hover_performance(vehicle))
+    guesses = sum(row.note.startswith("guess:") for row in parameters(vehicle))
+    place = f"gear {float(vehicle.gear.ratio):.3g}, battery {float(vehicle.battery.capacity) / 3.6:.0f} mA h"
+    say(
+        f"  {place}",
+        f"\n{guesses} of its {len(parameters(vehicle))} numbers are guesses, each with its rule in the file:",
+        f"  {files['vehicle']}    to be measured and filled in",
+        f"  {files['rotor']}      blades of mufly-1.1's shape",
+        f"  {files['mission']}    a square; change it",
+        "\nNext:",
+        f"  mufly fly {files['mission']} --vehicle {files['vehicle']}",
+        f"  mufly vehicle show {files['vehicle']}",
+        f"  mufly rotor hover {files['rotor']} --pitch 12 --rpm {_hover_rpm(vehicle):.0f}",
+    )
+
+
+def _hover_rpm(vehicle: Vehicle) -> float:
+    """Mean rotor speed in hover (rpm)."""
+    from mufly.dynamics import hover_speeds, model_parameters
+
+    return float(hover_speeds(model_parameters(vehicle)).mean()) / RPM
+
+
+def _asked(
+    value: float | None, name: str, question: str, limits: Range, needed: bool = False
+) -> float | None:
+    """Return an option's value; at a terminal ask for one that is missing, an empty answer leaves it to be guessed."""
+    if value is not None:
+        return value
+    if not sys.stdin.isatty():
+        if needed:
+            raise InputError(name, "", "is missing", "give it: mufly new --help has an example")
+        return None
+    while True:
+        text = str(
+            typer.prompt(question if needed else f"{question} (Enter: guess)", default="", show_default=False)
+        )
+        if not text.strip() and not needed:
+            return None
+        try:
+            number = float(text)
+            limits.check(name, number)
+            return number
+        except InputError as error:
+            say(f"{error.problem}; {error.remedy}", style="yellow")
+        except ValueError:
+            say(f"{text!r} is not a number", style="yellow")

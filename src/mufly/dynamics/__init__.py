@@ -10,6 +10,7 @@ from mufly.dynamics.linearisation import (
     trim,
 )
 from mufly.dynamics.model import battery_state, derivative, lowest_point, standing_height
+from mufly.dynamics.similarity import similar_vehicle
 from mufly.dynamics.simulation import (
     DEFAULT_STEP_S,
     DrydenWind,
@@ -62,6 +63,7 @@ __all__ = [
     "outside_model",
     "quaternion_from_euler",
     "rotation",
+    "similar_vehicle",
     "simulate",
     "standing_height",
     "state_dataset",

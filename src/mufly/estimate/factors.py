@@ -10,18 +10,18 @@ Estimation, ch. V): with f = U^T h, v = D f, and a_0 = r, for j = 1..n
 
 starting from K_j = v_j; the gain is K / a_n, and a_n = h P h^T + r.
 
-Step in time, x' = F x + G w, variances q of w (Thornton 1976; the modified weighted Gram-Schmidt procedure): the
-rows of
-W = [F U, G] are made orthogonal with the weights [D, q] from the last to the first. ``F`` differs from a diagonal in
-its first rows only (:data:`MOVING`, what moves: position, velocity, attitude); every bias carries on by itself and has
-one noise of its own. Rows of biases are zero left of their diagonal, which halves the work.
+Step in time. What moves (position, velocity, attitude: the first :data:`MOVING` states) is pushed by biases that carry
+on by themselves, so the factors are stepped in two parts (Bierman 1977, ch. VII): the moving states with the biases
+held (:func:`carry`), and one bias after the other as x' = keep x + w (:func:`wander`). Rows of biases stay as they are
+in the first, so U stays triangular but for the three columns of the velocity, which drag turns into each other: they
+are made orthogonal from the last to the first (Thornton 1976, modified weighted Gram-Schmidt). Noise is added as
+P + c v v^T, factor by factor (Agee and Turner 1972).
 
-U is held by columns: ``ut[j, i] = U_ij``, i < j, so that inner loops run over neighbours.
+U is held by columns: ``ut[j, i] = U_ij``, so that inner loops run over neighbours; ones on its diagonal and zeros
+behind it are there to be read.
 """
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,14 +33,13 @@ _TINY = 1e-20
 
 
 @compiled(error_model="numpy")
-def expected(ut, d, h, f):  # type: ignore[no-untyped-def]
-    """Write f = U^T h and return h P h^T."""
-    n = d.shape[0]
+def expected(ut, d, at, h, terms, f):  # type: ignore[no-untyped-def]
+    """Write f = U^T h and return h P h^T; ``h[t]`` belongs to state ``at[t]``, and there are so many terms."""
     spread = 0.0
-    for j in range(n):
-        s = h[j]
-        for i in range(j):
-            s += ut[j, i] * h[i]
+    for j in range(d.shape[0]):
+        s = 0.0
+        for t in range(terms):
+            s += h[t] * ut[j, at[t]]
         f[j] = s
         spread += d[j] * s * s
     return spread
@@ -67,64 +66,96 @@ def observe(ut, d, f, r, gain):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def carry(ut, d, top, decay, q, middle, w, weight, row):  # type: ignore[no-untyped-def]
-    """Step in time.
+def carry(ut, d, span, transition, q, w, v):  # type: ignore[no-untyped-def]
+    """Step the moving states in time.
 
     Parameters
     ----------
     ut, d : (n, n), (n,) arrays
         Replaced.
-    top : (9, n) array
-        First rows of F.
-    decay : (n,) array
-        Diagonal of F for the others.
-    q : (n,) array
-        Variance of the noise of each state over the step.
-    middle : float
-        The noise of a velocity also moves its position, by this times itself (s).
-    w, weight, row : (2 n, n), (2 n,), (n,) arrays
+    span : float
+        Of the step (s).
+    transition : (33,) array
+        Of :func:`mufly.estimate.motion.transition`.
+    q : (9,) array
+        Variance of the noise of each moving state; that of a velocity also moves its position, by half the span.
+    w, v : (3, 6), (n,) arrays
         Work space.
     """
-    n = d.shape[0]
-    for k in range(n):
-        for i in range(MOVING):
-            s = top[i, k]
-            for m in range(k):
-                s += top[i, m] * ut[k, m]
-            w[k, i] = s
-            w[n + k, i] = 0.0
-        for i in range(MOVING, n):
-            w[k, i] = decay[i] * ut[k, i] if i < k else 0.0
-            w[n + k, i] = 0.0
-        if k >= MOVING:
-            w[k, k] = decay[k]
-        w[n + k, k] = 1.0
-        if 3 <= k < 6:
-            w[n + k, k - 3] = middle
-        weight[k] = d[k]
-        weight[n + k] = q[k]
-    for j in range(n - 1, -1, -1):
-        low = j if j >= MOVING else 0
-        total = 0.0 * d[j]
+    for k in range(3, d.shape[0]):
+        carry_column(ut[k], span, transition, ut[k])
+    for k in range(3):
+        for i in range(6):
+            w[k, i] = ut[3 + k, i]
+    for j in range(5, 2, -1):
+        total = 0.0
+        for k in range(3):
+            total += d[3 + k] * w[k, j] * w[k, j]
+        size = total if total > _TINY else _TINY
+        v[j] = size
         for i in range(j):
-            row[i] = 0.0
-        for half in range(2):
-            for k in range(half * n + low, (half + 1) * n):
-                c = weight[k] * w[k, j]
-                if c != 0.0:
-                    total += c * w[k, j]
-                    for i in range(j):
-                        row[i] += c * w[k, i]
-        d[j] = total if total > _TINY else _TINY
+            s = 0.0
+            for k in range(3):
+                s += d[3 + k] * w[k, j] * w[k, i]
+            s /= size
+            ut[j, i] = s
+            for k in range(3):
+                w[k, i] -= w[k, j] * s
+        ut[j, j] = 1.0
+        for i in range(j + 1, 6):
+            ut[j, i] = 0.0
+    for j in range(3, 6):
+        d[j] = v[j]
+    for j in range(MOVING):
         for i in range(j):
-            row[i] /= d[j]
-            ut[j, i] = row[i]
-        for half in range(2):
-            for k in range(half * n + low, (half + 1) * n):
-                c = w[k, j]
-                if c != 0.0:
-                    for i in range(j):
-                        w[k, i] -= c * row[i]
+            v[i] = 0.0
+        v[j] = 1.0
+        if 3 <= j < 6:
+            v[j - 3] = 0.5 * span
+        _add(ut, d, j, q[j], v)
+
+
+@compiled(error_model="numpy")
+def carry_column(u, span, a, out):  # type: ignore[no-untyped-def]
+    """Write the first nine of the errors ``u`` (n,) after a step; ``out`` may be ``u``."""
+    g_x, g_y, g_z = u[9], u[10], u[11]
+    r_x = a[0] * g_x + a[1] * g_y + a[2] * g_z
+    r_y = a[3] * g_x + a[4] * g_y + a[5] * g_z
+    r_z = a[6] * g_x + a[7] * g_y + a[8] * g_z
+    t_x, t_y, t_z = u[6] - 0.5 * r_x, u[7] - 0.5 * r_y, u[8] - 0.5 * r_z
+    b_x, b_y, b_z = u[12], u[13], u[14]
+    n, e, o = u[3] - u[20], u[4] - u[21], u[5]
+    k = u[22]
+    x = a[9] * b_x + a[10] * b_y + a[11] * b_z + a[18] * n + a[19] * e + a[20] * o + a[27] * k
+    y = a[12] * b_x + a[13] * b_y + a[14] * b_z + a[21] * n + a[22] * e + a[23] * o + a[28] * k
+    z = a[15] * b_x + a[16] * b_y + a[17] * b_z + a[24] * n + a[25] * e + a[26] * o + a[29] * k
+    x += a[32] * t_y - a[31] * t_z
+    y += a[30] * t_z - a[32] * t_x
+    z += a[31] * t_x - a[30] * t_y
+    out[0] = u[0] + span * (u[3] + 0.5 * x)
+    out[1] = u[1] + span * (u[4] + 0.5 * y)
+    out[2] = u[2] + span * (u[5] + 0.5 * z)
+    out[3] = u[3] + x
+    out[4] = u[4] + y
+    out[5] = u[5] + z
+    out[6] = u[6] - r_x
+    out[7] = u[7] - r_y
+    out[8] = u[8] - r_z
+
+
+@compiled(error_model="numpy")
+def wander(ut, d, j, keep, q, v):  # type: ignore[no-untyped-def]
+    """Step one bias in time: x' = keep x + w, variance ``q`` of w; ``v`` (n,) is for work."""
+    for k in range(j + 1, d.shape[0]):
+        ut[k, j] *= keep
+    old = d[j]
+    new = keep * keep * old + q
+    d[j] = new
+    by = keep * old / new
+    for i in range(j):
+        v[i] = ut[j, i]
+        ut[j, i] = by * v[i]
+    _add(ut, d, j - 1, old * q / new, v)
 
 
 @compiled(error_model="numpy")
@@ -156,54 +187,19 @@ def loosen(ut, d, j, variance, v):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def forget(ut, d, j, variance, v):  # type: ignore[no-untyped-def]
-    """Make state ``j`` what it is by itself, of this variance, as if nothing had been learnt about it.
-
-    Row ``j`` of U is cut off and what it carried goes, so that no other state changes.
-    """
-    n = d.shape[0]
-    # Column j feeds the states before it: their variance stays if what it gave them is given back one by one.
-    kept = d[j]
-    for i in range(n):
-        v[i] = 0.0
-    for i in range(j):
-        v[i] = ut[j, i]
-        ut[j, i] = 0.0
-    for k in range(j + 1, n):
-        ut[k, j] = 0.0
-    d[j] = variance
-    _add(ut, d, j - 1, kept, v)
-
-
-@compiled(error_model="numpy")
-def sigmas(ut, d, out):  # type: ignore[no-untyped-def]
-    """Write the standard deviation of every state."""
-    n = d.shape[0]
-    for i in range(n):
-        s = d[i]
-        for k in range(i + 1, n):
-            s += d[k] * ut[k, i] * ut[k, i]
-        out[i] = math.sqrt(s)
-
-
-@compiled(error_model="numpy")
-def block(ut, d, size, out):  # type: ignore[no-untyped-def]
-    """Write the covariance of the first ``size`` states."""
-    n = d.shape[0]
-    for i in range(size):
-        for j in range(i, size):
-            s = d[j] * (ut[j, i] if i < j else 1.0)
-            for k in range(j + 1, n):
-                s += d[k] * ut[k, i] * ut[k, j]
-            out[i, j] = s
-            out[j, i] = s
+def variance(ut, d, i):  # type: ignore[no-untyped-def]
+    """Return the variance of a state."""
+    s = d[i]
+    for k in range(i + 1, d.shape[0]):
+        s += d[k] * ut[k, i] * ut[k, i]
+    return s
 
 
 def factorise(covariance: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
     """Return ``ut`` and ``d`` of a positive definite covariance (n, n)."""
     p = np.array(covariance, dtype=np.float64)
     n = len(p)
-    ut, d = np.zeros((n, n)), np.zeros(n)
+    ut, d = np.eye(n), np.zeros(n)
     for j in range(n - 1, -1, -1):
         d[j] = p[j, j]
         ut[j, :j] = p[:j, j] / d[j]

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mufly.dynamics import model_parameters
-from mufly.estimate.beliefs import Beliefs
+from mufly.estimate.beliefs import Beliefs, Check
 from mufly.estimate.estimate import Estimate, Estimator
 from mufly.estimate.guards import ACTING, CLIPPING, VALUES
 from mufly.estimate.kernel import TOLD_EVERY
 from mufly.estimate.layout import (
     CHECKED,
+    GYRO,
     R_BATTERY,
     R_PRESSURE,
     R_RING,
@@ -95,7 +97,7 @@ class KalmanEstimator(Estimator):
         self.steps.begin(self._box)
         self._periods = 0
         self._last: dict[str, Reading] = {}
-        self._checks: tuple = ()
+        self._checks: tuple[Check, ...] = ()
         self._told: tuple[Any, ...] = ()
         self._first = math.nan
         self._pictures = [self._nothing] * 3
@@ -104,14 +106,23 @@ class KalmanEstimator(Estimator):
     def update(self, readings: Readings, acting: _Array | None = None) -> Estimate:
         self._read(readings, acting)
         valid = self.steps.step(self._box)
-        self._periods += 1
-        if self._periods % TOLD_EVERY == 0 or not self._told:
+        return self.told(readings.time_s, valid)
+
+    def told(self, time_s: float, valid: bool, periods: int = 1) -> Estimate:
+        """What is believed after so many more periods; of those whose turn it is to tell much, none is left out."""
+        self._periods += periods
+        if (periods and self._periods % TOLD_EVERY == 0) or not self._told:
             m = self.memory
             self._checks = checks(m, self._settings, self._fitted)
-            self._told = (m["out_cov"].astype(np.float64), m["sigma"].astype(np.float64))
+            sigma, covariance = m["sigma"].astype(np.float64), np.zeros((12, 12))
+            covariance[:9, :9] = m["out_cov"]
+            covariance[range(9, 12), range(9, 12)] = (
+                sigma[GYRO : GYRO + 3] ** 2 + self._settings["rest_gyro"] ** 2
+            )
+            self._told = (covariance, sigma)
         x = self._out.astype(np.float64)
         return Estimate(
-            readings.time_s, x[0:3], x[3:6], self._angles.astype(np.float64), self._rates.astype(np.float64),
+            time_s, x[0:3], x[3:6], self._angles.astype(np.float64), self._rates.astype(np.float64),
             self._ranges,
             float(self._z[_BATTERY]) or math.nan, self._told[0], valid,
             Beliefs(x[10:13], x[13:16], float(x[16]), x[17:21], x[21:23], float(x[23]), self._told[1], self._checks),
@@ -128,26 +139,63 @@ class KalmanEstimator(Estimator):
 
     def _read(self, readings: Readings, acting: _Array | None) -> None:
         """Lay what has come anew into one row."""
-        t, latest, z, new = readings.time_s, readings.latest, self._z, self._new
-        z[ACTING : ACTING + 4] = 0.0 if acting is None else acting
+        self._z[ACTING : ACTING + 4] = 0.0 if acting is None else acting
+        self._new[:] = 0
         for k in self._fitted:
-            name = CHECKED[k]
-            r = latest.get(name)
-            before = self._last.get(name)
-            if r is None or r is before or (before is not None and r.time_s == before.time_s):
-                new[k] = 0
-                continue
-            self._last[name] = r
-            self._age[k] = t - r.time_s
-            new[k] = 1 if r.valid else 2
-            start = STARTS[k]
-            if k == R_RING:
-                seen = np.asarray(r.value, dtype=np.float64)
-                self._look(seen)
-                z[start : start + len(self._beams)] = seen[self._beams]
-            elif k == R_PRESSURE:
-                z[start] = r.value - STANDARD_PRESSURE_PA
-            else:
-                z[start : start + WIDTHS[k]] = r.value
-        clipping = latest.get("clipping")
-        z[CLIPPING:] = 0.0 if clipping is None else clipping.value
+            r = readings.latest.get(CHECKED[k])
+            if r is not None:
+                self._take(k, r, readings.time_s)
+        clipping = readings.latest.get("clipping")
+        self._z[CLIPPING:] = 0.0 if clipping is None else clipping.value
+
+    def hear(self, said: Mapping[str, Reading], time_s: float) -> None:
+        """Lay what some of the sensors say into the row of this period."""
+        for name, r in said.items():
+            if name in CHECKED and CHECKED.index(name) in self._fitted:
+                self._take(CHECKED.index(name), r, time_s)
+            elif name == "clipping":
+                self._z[CLIPPING:] = r.value
+
+    def _take(self, k: int, r: Reading, t: float) -> None:
+        """Lay what one sensor says into the row, if it is new."""
+        name, z = CHECKED[k], self._z
+        before = self._last.get(name)
+        if r is before or (before is not None and r.time_s == before.time_s):
+            return
+        self._last[name] = r
+        self._age[k] = t - r.time_s
+        self._new[k] = 1 if r.valid else 2
+        start = STARTS[k]
+        if k == R_RING:
+            seen = np.asarray(r.value, dtype=np.float64)
+            self._look(seen)
+            z[start : start + len(self._beams)] = seen[self._beams]
+        elif k == R_PRESSURE:
+            z[start] = r.value - STANDARD_PRESSURE_PA
+        else:
+            z[start : start + WIDTHS[k]] = r.value
+
+    @property
+    def periods(self) -> int:
+        """How many it has been told."""
+        return self._periods
+
+    @property
+    def checks(self) -> tuple[Check, ...]:
+        """What is thought of the sensors."""
+        return self._checks
+
+    @property
+    def ranges(self) -> _Array:
+        """Of the beams, as told (m)."""
+        return self._ranges
+
+    @property
+    def row(self) -> tuple[_Array, NDArray[np.int32], _Array]:
+        """Values of this period, which of the sensors are new, and their ages: what :mod:`kernel` takes."""
+        return self._z, self._new, self._age
+
+    @property
+    def box(self) -> NDArray[np.void]:
+        """The memory (1,)."""
+        return self._box

@@ -19,8 +19,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from mufly.compiled import compiled
 from mufly.estimate.factors import expected, loosen, observe
 from mufly.estimate.guards import (
@@ -91,26 +89,53 @@ _LEAST_FLOOR = -0.1  # m: a room has nothing below its floor
 
 
 @compiled(error_model="numpy")
-def _clear(m):  # type: ignore[no-untyped-def]
-    for i in range(ERRORS):
-        m.h[i] = 0.0
+def _of(m, i, h):  # type: ignore[no-untyped-def]
+    """A measurement of ``h`` times state ``i``."""
+    m.terms = 1
+    m.at[0] = i
+    m.h[0] = h
+
+
+@compiled(error_model="numpy")
+def _and(m, i, h):  # type: ignore[no-untyped-def]
+    """... and of ``h`` times state ``i``."""
+    m.at[m.terms] = i
+    m.h[m.terms] = h
+    m.terms += 1
 
 
 @compiled(error_model="numpy")
 def _correct(m, innovation):  # type: ignore[no-untyped-def]
-    """Move the state by the gain."""
-    x, g = m.x, m.gain
-    for i in range(6):
-        x[i] += g[i] * innovation
-    turned(x, g[6] * innovation, g[7] * innovation, g[8] * innovation, False)
+    """Move the state by the gain, and what that is carried on to."""
+    for i in range(ERRORS):
+        m.gain[i] *= innovation
+    _move(m.x, m.gain, 0.0, m.way_sum)
+    _move(m.way, m.gain, m.way_span, m.way_sum)
+    _move(m.come, m.gain, m.span, m.come_sum)
+
+
+@compiled(error_model="numpy")
+def _move(x, by, span, push):  # type: ignore[no-untyped-def]
+    """Move a state by errors that it had a span (s) ago, since when ``push`` has changed its velocity (behind the third
+    number; but for gravity)."""
+    v_x = by[3] + (by[7] * push[5] - by[8] * push[4] if span > 0.0 else 0.0)
+    v_y = by[4] + (by[8] * push[3] - by[6] * push[5] if span > 0.0 else 0.0)
+    v_z = by[5] + (by[6] * push[4] - by[7] * push[3] if span > 0.0 else 0.0)
+    x[0] += by[0] + 0.5 * span * (by[3] + v_x)
+    x[1] += by[1] + 0.5 * span * (by[4] + v_y)
+    x[2] += by[2] + 0.5 * span * (by[5] + v_z)
+    x[3] += v_x
+    x[4] += v_y
+    x[5] += v_z
+    turned(x, by[6], by[7], by[8], False)
     for i in range(9, ERRORS):
-        x[i + 1] += g[i] * innovation
+        x[i + 1] += by[i]
 
 
 @compiled(error_model="numpy")
 def _take(m, innovation, r):  # type: ignore[no-untyped-def]
     """Take a measurement in, whatever it says; its row is in ``m.h``."""
-    expected(m.ut, m.d, m.h, m.f)
+    expected(m.ut, m.d, m.at, m.h, m.terms, m.f)
     observe(m.ut, m.d, m.f, r, m.gain)
     _correct(m, innovation)
 
@@ -118,7 +143,7 @@ def _take(m, innovation, r):  # type: ignore[no-untyped-def]
 @compiled(error_model="numpy")
 def _ratio(m, innovation, r):  # type: ignore[no-untyped-def]
     """Innovation over what is expected of it."""
-    return innovation / math.sqrt(expected(m.ut, m.d, m.h, m.f) + r)
+    return innovation / math.sqrt(expected(m.ut, m.d, m.at, m.h, m.terms, m.f) + r)
 
 
 @compiled(error_model="numpy")
@@ -150,13 +175,12 @@ def _taken_over(m, s, k):  # type: ignore[no-untyped-def]
 
 @compiled(error_model="numpy")
 def _fix_row(m, i):  # type: ignore[no-untyped-def]
-    _clear(m)
     if i < 3:
-        m.h[P + i] = 1.0
-        m.h[FIX + i] = 1.0
+        _of(m, P + i, 1.0)
+        _and(m, FIX + i, 1.0)
     else:
-        m.h[TURN + 2] = 1.0
-        m.h[HEADING] = 1.0
+        _of(m, TURN + 2, 1.0)
+        _and(m, HEADING, 1.0)
 
 
 @compiled(error_model="numpy")
@@ -165,7 +189,7 @@ def _fix_innovation(m, z, i, ahead):  # type: ignore[no-untyped-def]
     if i < 3:
         return z[i] - x[i] - ahead * x[3 + i] - x[17 + i]
     yaw = direction(2 * (x[6] * x[9] + x[7] * x[8]), 1 - 2 * (x[8] * x[8] + x[9] * x[9]))
-    off = z[3] - yaw - x[20]
+    off = z[3] - yaw - ahead * m.spin - x[20]
     return wrapped(off)
 
 
@@ -272,15 +296,14 @@ def fuse_fix(m, s, z, ahead):  # type: ignore[no-untyped-def]
 @compiled(error_model="numpy")
 def _sonar_row(m, s, r):  # type: ignore[no-untyped-def]
     turn_matrix(m.x[6:10], r)
-    _clear(m)
-    m.h[P + 2] = -1.0
-    m.h[FLOOR] = -1.0
+    _of(m, P + 2, -1.0)
+    _and(m, FLOOR, -1.0)
     # (exp(t) R r)_D = (R r)_D + t_N (R r)_E - t_E (R r)_N
     n = r[0] * s.sonar_place[0] + r[1] * s.sonar_place[1] + r[2] * s.sonar_place[2]
     e = r[3] * s.sonar_place[0] + r[4] * s.sonar_place[1] + r[5] * s.sonar_place[2]
     d = r[6] * s.sonar_place[0] + r[7] * s.sonar_place[1] + r[8] * s.sonar_place[2]
-    m.h[TURN] = -e
-    m.h[TURN + 1] = n
+    _and(m, TURN, -e)
+    _and(m, TURN + 1, n)
     return d
 
 
@@ -359,41 +382,41 @@ def fuse_sonar(m, s, z, ahead, r):  # type: ignore[no-untyped-def]
 @compiled(error_model="numpy")
 def settle_floor(m):  # type: ignore[no-untyped-def]
     """Back at about the height of the floor it is most likely the floor, and that one is known."""
-    _clear(m)
-    m.h[FLOOR] = 1.0
+    _of(m, FLOOR, 1.0)
     _take(m, -m.x[16], 2.5e-5)
 
 
 @compiled(error_model="numpy")
 def fuse_floor(m, s):  # type: ignore[no-untyped-def]
-    """Legs do not go into what lies below: where they are believed to be there, they stand on it.
+    """Legs do not go into what lies below: where they are believed to be there, they stand on it. Whether they were.
 
     The sonar is too near to tell, the rotors lift less than the weight, and nothing else says that it does not fall.
     """
     height = height_over(m.x, s)
     if height >= 0.0:
-        return
-    _clear(m)
-    m.h[P + 2] = -1.0
+        return False
+    _of(m, P + 2, -1.0)
     if m.x[16] > 0.0:
-        m.h[FLOOR] = -1.0
+        _and(m, FLOOR, -1.0)
     _take(m, -height, 1e-4)
     if m.x[5] > 0.0:
-        _clear(m)
-        m.h[V + 2] = 1.0
+        _of(m, V + 2, 1.0)
         _take(m, -m.x[5], 2.5e-3)
+    return True
 
 
 @compiled(error_model="numpy")
-def fuse_ring(m, s, z, r):  # type: ignore[no-untyped-def]
-    """Distances to the walls of the room, beam by beam."""
+def fuse_ring(m, s, z, ahead, r, most):  # type: ignore[no-untyped-def]
+    """Distances to the walls of the room, beam by beam, ``most`` at a time; returns whether that was all."""
     k = R_RING
     turn_matrix(m.x[6:10], r)
-    seen = fitting = 0
-    for b in range(s.beams):
+    if m.beam == 0:
+        m.seen = m.fitting = 0
+    last = min(m.beam + most, s.beams)
+    for b in range(m.beam, last):
         if not (0.0 < z[b] < 0.995 * s.ring_max):
             continue
-        seen += 1
+        m.seen += 1
         n = r[0] * s.beam[b, 0] + r[1] * s.beam[b, 1] + r[2] * s.beam[b, 2]
         e = r[3] * s.beam[b, 0] + r[4] * s.beam[b, 1] + r[5] * s.beam[b, 2]
         d = r[6] * s.beam[b, 0] + r[7] * s.beam[b, 1] + r[8] * s.beam[b, 2]
@@ -402,43 +425,49 @@ def fuse_ring(m, s, z, r):  # type: ignore[no-untyped-def]
             u = n if i == 0 else (e if i == 1 else d)
             if abs(u) > 0.3:
                 plane = s.walls[2 * i + 1] if u > 0.0 else s.walls[2 * i]
-                far = (plane - m.x[i]) / u
+                far = (plane - (m.x[i] + ahead * m.x[3 + i])) / u
                 if 0.0 < far < best:
                     best, axis, along = far, i, u
         if axis < 0 or best > 1.1 * s.ring_max:
             continue
         # l = (c - p_i) / u_i, and u turns with the body: du = t x u
-        _clear(m)
-        m.h[P + axis] = -1.0 / along
+        _of(m, P + axis, -1.0 / along)
         c = -best / along
         if axis == 0:
-            m.h[TURN + 1], m.h[TURN + 2] = c * d, -c * e
+            _and(m, TURN + 1, c * d)
+            _and(m, TURN + 2, -c * e)
         elif axis == 1:
-            m.h[TURN + 2], m.h[TURN] = c * n, -c * d
+            _and(m, TURN + 2, c * n)
+            _and(m, TURN, -c * d)
         else:
-            m.h[TURN], m.h[TURN + 1] = c * e, -c * n
+            _and(m, TURN, c * e)
+            _and(m, TURN + 1, -c * n)
         slope = (best * best + s.ring_baseline * s.ring_baseline) / s.ring_baseline * s.ring_slope
         nu = z[b] - best
         ratio = _ratio(m, nu, slope * slope)
         if abs(ratio) < _BEAM_GATE:
             _note(m, k, nu, ratio)
             _take(m, nu, slope * slope)
-            fitting += 1
+            m.fitting += 1
             turn_matrix(m.x[6:10], r)
-    if fitting > 0:
+    m.beam = last
+    if last < s.beams:
+        return False
+    m.beam = 0
+    if m.fitting > 0:
         fits(m, k)
     elif m.tick >= m.until[k]:
         m.code[k] = NOTHING
-        m.why[k] = TOO_FAR if seen == 0 else NO_WALL
+        m.why[k] = TOO_FAR if m.seen == 0 else NO_WALL
+    return True
 
 
 @compiled(error_model="numpy")
 def fuse_pressure(m, s, z, ahead):  # type: ignore[no-untyped-def]
     """Pressure less the standard one and what the rotors add."""
     k = R_PRESSURE
-    _clear(m)
-    m.h[P + 2] = s.pressure_slope
-    m.h[PRESSURE_] = 1.0
+    _of(m, P + 2, s.pressure_slope)
+    _and(m, PRESSURE_, 1.0)
     nu = z[0] - s.pressure_slope * (m.x[2] + ahead * m.x[5]) - m.x[24]
     ratio = _ratio(m, nu, s.pressure_variance)
     _note(m, k, nu, ratio)
@@ -453,17 +482,16 @@ def fuse_pressure(m, s, z, ahead):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def fuse_magnet(m, s, z, r):  # type: ignore[no-untyped-def]
+def fuse_magnet(m, s, z, ahead, r):  # type: ignore[no-untyped-def]
     """Heading by the field's direction."""
     k = R_MAGNET
     turn_matrix(m.x[6:10], r)
     north = r[0] * z[0] + r[1] * z[1] + r[2] * z[2]
     east = r[3] * z[0] + r[4] * z[1] + r[5] * z[2]
-    _clear(m)
-    m.h[TURN + 2] = 1.0
-    m.h[TURN] = -s.earth[2] / s.earth[0]
-    m.h[MAGNET_] = 1.0
-    off = -direction(east, north) - m.x[25]
+    _of(m, TURN + 2, 1.0)
+    _and(m, TURN, -s.earth[2] / s.earth[0])
+    _and(m, MAGNET_, 1.0)
+    off = -direction(east, north) - ahead * m.spin - m.x[25]
     nu = wrapped(off)
     ratio = _ratio(m, nu, s.magnet_variance)
     _note(m, k, nu, ratio)
@@ -478,51 +506,44 @@ def fuse_magnet(m, s, z, r):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def fuse_force(m, s, r, e, count):  # type: ignore[no-untyped-def]
-    """Accelerometers less model, mean over a block: of biases, thrust, wind and velocity."""
+def fuse_force(m, s, r, count, i):  # type: ignore[no-untyped-def]
+    """Accelerometers less model along an axis, mean over so many periods: of biases, thrust, wind and velocity."""
     turn_matrix(m.x[6:10], r)
-    span = count * s.dt
-    for i in range(3):
-        _clear(m)
-        m.h[ACCEL + i] = 1.0
-        m.h[THRUST_] = m.lever[i, 0]
-        slope = m.lever[i, 1]
-        for j in range(3):
-            m.h[V + j] = slope * r[3 * j + i]
-        m.h[WIND] = -slope * r[i]
-        m.h[WIND + 1] = -slope * r[3 + i]
-        nu = m.felt[i] - m.modelled[i] - m.x[13 + i]
-        variance = m.lever[i, 2] / span
-        ratio = _ratio(m, nu, variance)
-        felt_fits(m, s, nu, variance, i)
-        if abs(ratio) < GATE and m.disowned == 0:
-            _take(m, nu, variance)
-        if i == 0 or abs(ratio) > m.lever[0, 3]:
-            _note(m, R_ACCELERATION, nu, ratio)
-            m.lever[0, 3] = abs(ratio)
+    slope = m.lever[i, 1]
+    _of(m, ACCEL + i, 1.0)
+    _and(m, THRUST_, m.lever[i, 0])
+    for j in range(3):
+        _and(m, V + j, slope * r[3 * j + i])
+    _and(m, WIND, -slope * r[i])
+    _and(m, WIND + 1, -slope * r[3 + i])
+    nu = m.felt[i] - m.modelled[i] - m.x[13 + i]
+    variance = m.lever[i, 2] / (count * s.dt)
+    known = expected(m.ut, m.d, m.at, m.h, m.terms, m.f)
+    ratio = nu / math.sqrt(known + variance)
+    felt_fits(m, s, nu, variance, known, i)
+    if abs(ratio) < GATE and m.disowned == 0:
+        _take(m, nu, variance)
+    if i == 0 or abs(ratio) > m.lever[0, 3]:
+        _note(m, R_ACCELERATION, nu, ratio)
+        m.lever[0, 3] = abs(ratio)
 
 
 @compiled(error_model="numpy")
-def fuse_rest(m, s, r, rates, felt, count, still):  # type: ignore[no-untyped-def]
-    """Standing: no velocity, no turning; and with the motors off accelerometers that feel gravity alone."""
-    for i in range(3):
-        _clear(m)
-        m.h[V + i] = 1.0
-        _take(m, -m.x[3 + i], 4e-4)
-        _clear(m)
-        m.h[GYRO + i] = 1.0
-        calm = s.rest_gyro * s.rest_gyro / count if still else 2.5e-5
-        _take(m, rates[i] - m.x[10 + i], calm * 2)
+def fuse_rest(m, s, r, count, still, i):  # type: ignore[no-untyped-def]
+    """Standing: no velocity, no turning along an axis; and with the motors off accelerometers that feel gravity
+    alone."""
+    _of(m, V + i, 1.0)
+    _take(m, -m.x[3 + i], 4e-4)
+    _of(m, GYRO + i, 1.0)
+    calm = s.rest_gyro * s.rest_gyro / count if still else 2.5e-5
+    _take(m, m.sum[i] - m.x[10 + i], calm * 2)
     if still and s.fitted[R_ACCELERATION] > 0:
         turn_matrix(m.x[6:10], r)
-        for i in range(3):
-            _clear(m)
-            m.h[ACCEL + i] = 1.0
-            # R^T (-g e_D), and d(R^T u) = R^T (u x t)
-            m.h[TURN] = -r[3 + i] * GRAVITY
-            m.h[TURN + 1] = r[i] * GRAVITY
-            nu = felt[i] + GRAVITY * r[6 + i] - m.x[13 + i]
-            variance = 2 * s.rest_felt * s.rest_felt / count
-            if abs(_ratio(m, nu, variance)) < 2 * GATE:
-                _take(m, nu, variance)
-    return np.int32(0)
+        # R^T (-g e_D), and d(R^T u) = R^T (u x t)
+        _of(m, ACCEL + i, 1.0)
+        _and(m, TURN, -r[3 + i] * GRAVITY)
+        _and(m, TURN + 1, r[i] * GRAVITY)
+        nu = m.felt[i] + GRAVITY * r[6 + i] - m.x[13 + i]
+        variance = 2 * s.rest_felt * s.rest_felt / count
+        if abs(_ratio(m, nu, variance)) < 2 * GATE:
+            _take(m, nu, variance)

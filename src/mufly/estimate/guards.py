@@ -6,6 +6,7 @@
 | frozen | the same to the last bit, of a sensor that has noise | three readings |
 | doubled | the same to the last bit, sooner than the sensor can measure | two readings; the second ones are left out |
 | late | older than latency and jitter allow | one reading; used as long as the horizon has not passed it |
+| of no time | no age, one of the future, or of more than ten seconds | one reading; never used |
 | silent | nothing for six periods (:data:`Settings.patience`) | that |
 | spikes of the gyroscopes | a change of rates that the moments of the flight model do not make | at once; replaced
 by the model's |
@@ -23,7 +24,9 @@ import math
 from mufly.compiled import compiled
 from mufly.estimate.factors import loosen
 from mufly.estimate.layout import (
+    FLYING,
     GYRO,
+    LIGHT,
     MODELLED,
     R_ACCELERATION,
     R_BATTERY,
@@ -49,7 +52,11 @@ NOTHING, FUSED, REJECTED, MISSING, FAULTY = range(5)
 ALARM, SONAR_ALARM, FORGET = 1.5, 3.0, 0.93
 LASTS_S = 0.5
 """A fault that shows for one reading is told of for this long (s)."""
+_OLDEST_S = 10.0
+"""Age beyond which a reading is none, as is one of the future or of no time."""
 _SPIKE, _ALIKE = 0.12, 0.06  # rad/s within a period, beyond what the model says
+_ROUGH = 3.0  # of the mean difference of some 50 ms
+_TURN_OFF = 0.02  # of a difference that is taken for an error of the model's moments
 _SHARE = 0.02  # of clipped samples that is told of
 _ROTOR_OFF = 0.08  # of the hover speed
 _VOLTS_OFF = 0.6
@@ -94,7 +101,7 @@ def _repeated(m, s, z, k, start, count):  # type: ignore[no-untyped-def]
         return False
     told = False
     for j in range(3 if k == R_FIX else count):  # a camera that hangs may still turn with the gyroscopes
-        if z[start + j] != m.last[k, j]:
+        if z[start + j] != m.last[start + j]:
             return False
         told = told or (
             (k != R_ROTOR or z[start + j] != 0.0) and (k != R_RING or z[start + j] < 0.995 * s.ring_max)
@@ -120,6 +127,12 @@ def inspect(m, s, z, new, age):  # type: ignore[no-untyped-def]
                     new[k] = 0
             if new[k] == 0:
                 flag(m, s, k, FAULTY, INSANE, 0.0)
+            elif not (-s.dt <= age[k] <= _OLDEST_S):
+                new[k] = 0
+                flag(m, s, k, FAULTY, LATE, 0.0)
+        elif new[k] != 0:
+            new[k] = 0
+            flag(m, s, k, FAULTY, INSANE, 0.0)
         if new[k] == 1 and _repeated(m, s, z, k, start, count):
             if (m.tick - m.came[k]) * s.dt < 0.6 * s.period[k]:
                 new[k] = 0
@@ -145,7 +158,7 @@ def inspect(m, s, z, new, age):  # type: ignore[no-untyped-def]
             m.silent[k] = 0
             if m.code[k] == NOTHING or (m.code[k] >= MISSING and m.tick >= m.until[k]):
                 m.code[k], m.why[k] = FUSED, FINE
-            if age[k] > s.latency[k] + s.slack[k] or age[k] < -s.dt:
+            if age[k] > s.latency[k] + s.slack[k]:
                 flag(m, s, k, FAULTY, LATE, age[k])
                 if k <= R_RATES or k in (R_ROTOR, R_BATTERY):
                     new[k] = 0
@@ -153,12 +166,12 @@ def inspect(m, s, z, new, age):  # type: ignore[no-untyped-def]
                 m.turns[k] += 1
                 m.skip[k] = 1 if m.turns[k] % s.every[k] else 0
             for j in range(count):
-                m.last[k, j] = z[start + j]
+                m.last[start + j] = z[start + j]
             if k <= R_RATES or k == R_RING:
                 m.used[k] = m.tick
         if new[k] == 0:
             for j in range(count):
-                z[start + j] = m.last[k, j]
+                z[start + j] = m.last[start + j]
             if m.came[k] > 0 and (m.tick - m.came[k]) * s.dt > s.patience[k]:
                 m.code[k] = MISSING
                 m.why[k] = NO_ECHO if m.silent[k] > 2 else SILENT
@@ -176,19 +189,25 @@ def inspect(m, s, z, new, age):  # type: ignore[no-untyped-def]
 def smooth_rates(m, s, flying):  # type: ignore[no-untyped-def]
     """Put what the model says in the place of a spike of the gyroscopes, and take off a jump; ``m.rates`` are the
     new, ``m.before`` the old."""
+    now = (m.tick - 1) % MODELLED
+    worst = 0.0
+    for k in range(3):
+        m.row[k] = m.before[k] + s.dt * m.force[now, 9 + k] + m.turn_off[k]
+        off = m.rates[k] - m.row[k]
+        worst = max(worst, abs(off))
+        # What its moments are off by, in flight and on the legs
+        m.turn_off[k] += _TURN_OFF * min(max(off, -_SPIKE), _SPIKE) if m.mode >= LIGHT else 0.0
+    # A model that is off again and again cannot tell a spike from a motion.
+    most = _SPIKE + _ROUGH * m.rough
+    m.rough += 0.1 * (min(worst, _SPIKE) - m.rough)
     if not flying or s.model == 0:
         m.spikes = 0
         return
-    now = (m.tick - 1) % MODELLED
-    worst = 0.0
     alike = m.spikes > 0
     for k in range(3):
-        m.row[k] = m.before[k] + s.dt * m.force[now, 9 + k]
-        off = m.rates[k] - m.row[k]
-        worst = max(worst, abs(off))
         alike = alike and abs(m.rates[k] - m.spike[k]) < _ALIKE
         m.spike[k] = m.rates[k]
-    if worst < _SPIKE:
+    if worst < most:
         m.spikes = m.wild = 0
         return
     m.wild += 1
@@ -218,7 +237,8 @@ def rotor_fits(m, s, z, start):  # type: ignore[no-untyped-def]
     worst = 0.0
     for k in range(2):
         worst = max(worst, abs(z[start + k] - m.rotor[18 + k]) / s.hover[k])
-    if worst > _ROTOR_OFF and m.tick * s.dt > 0.5:
+    # On the floor it is the equations that have to learn.
+    if worst > _ROTOR_OFF and m.mode == FLYING:
         misfits(m, s, R_ROTOR, OFF, worst * s.hover[0])
         return False
     fits(m, R_ROTOR)
@@ -236,9 +256,9 @@ def voltage_fits(m, s, off):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def felt_fits(m, s, nu, variance, i):  # type: ignore[no-untyped-def]
+def felt_fits(m, s, nu, variance, known, i):  # type: ignore[no-untyped-def]
     """Mean of accelerometers less model over some 0.4 s against what is expected of it; ``nu`` of axis ``i`` of a
-    block."""
+    block, ``variance`` of its noise and ``known`` of what is known of it before."""
     m.drift[i] += 0.1 * (nu - m.drift[i])
     k = R_ACCELERATION
     if i == 2:
@@ -252,4 +272,4 @@ def felt_fits(m, s, nu, variance, i):  # type: ignore[no-untyped-def]
         if m.disowned == 1:
             flag(m, s, k, FAULTY, OFF, m.drift[2])
     # The mean of 0.1-weighted blocks keeps 0.1 / (2 - 0.1) of their variance.
-    m.drift_sigma[i] = math.sqrt(variance * 0.0526 + 0.04)
+    m.drift_sigma[i] = math.sqrt(variance * 0.0526 + known + 0.04)

@@ -1,14 +1,21 @@
-"""One period of the filter, compiled: readings in, the horizon a period on, the state of now out.
+"""One period of the filter, compiled: readings in, the state of now out, with a bounded amount of work.
 
 The filter itself runs ``delay`` periods behind, far enough that even late readings are known by the time they are due
 (as in the EKF2 of PX4): each waits for the horizon to come to the instant at which it was measured, so readings are
 taken in in the order of their measurement, and none is fused twice or with another's state. What is told is the
-horizon's state carried on to now through the inputs since, anew in every period and with what the filter now
-believes of biases and wind: exactly what it would say had it run without delay on the readings that were due.
+horizon's state carried on to now through the inputs since, with what the filter believes of biases and wind: what it
+would say had it run without delay on the readings that were due. That goes some blocks a period: it takes about five
+periods to come to now, then the next is on its way; meanwhile the last one is carried on by every period. Both are
+moved by what is learnt on the way.
 
-A step of the covariance is made when something is due, or every :data:`LONGEST` periods; in between the errors'
-matrix of transition is multiplied up. The inertial unit's filter makes it late by ``lag``: states belong to
-``lag`` before their tick.
+Inputs are averaged over a block of periods (:data:`mufly.estimate.layout.BLOCK_S`), and the horizon goes from the end
+of one to the end of the next; a measurement counts at the nearest of them, carried there by the velocity and the
+turning (10 ms at most). Between two steps of the horizon there is time for what is due: in every period as much as
+``work`` allows, counted in scalar measurements (:func:`_task`), so that no period takes much longer than another. If
+more comes than there is time for the horizon falls behind, and from :data:`mufly.estimate.layout.LAG` blocks on what
+is due is left out. Biases step one a period, in turn.
+
+The inertial unit's filter makes it late by ``lag``: states belong to ``lag`` before their tick.
 """
 
 from __future__ import annotations
@@ -16,7 +23,7 @@ from __future__ import annotations
 import math
 
 from mufly.compiled import compiled
-from mufly.estimate.factors import carry, sigmas
+from mufly.estimate.factors import carry, carry_column, loosen, variance, wander
 from mufly.estimate.fusing import (
     CLEAR,
     fuse_fix,
@@ -45,8 +52,12 @@ from mufly.estimate.layout import (
     EDGE,
     ERRORS,
     FLOOR,
+    FLYING,
     GYRO,
+    INPUTS,
     KEPT,
+    LAG,
+    LIGHT,
     LOW,
     MODELLED,
     R_ACCELERATION,
@@ -57,18 +68,20 @@ from mufly.estimate.layout import (
     R_RING,
     R_ROTOR,
     R_SONAR,
+    RUNNING,
+    STANDING,
     STARTS,
     STATES,
     THRUST_,
     TURN_RAD,
     WAITING,
-    WIND,
+    P,
 )
 from mufly.estimate.motion import (
-    advance_errors,
     advance_state,
     model_force,
     terminal_voltage_believed,
+    transition,
     turn_matrix,
     turned,
 )
@@ -76,15 +89,24 @@ from mufly.trigonometry import direction, sine_cosine, whole
 from mufly.units import GRAVITY
 
 LONGEST = 8
-"""Periods of a block: how often the covariance moves on at least, and over how many forces are compared."""
+"""Periods over which forces are compared."""
 TOLD_EVERY = 20
 """Periods between two covariances that are told."""
-STANDING, RUNNING, LIGHT, FLYING = range(4)
-"""On the floor with motors off, with motors on, perhaps just off it, in the air."""
+TELLING, STEPPING, FIXING, RESTING = 3, 2, 4, 3
+"""What a covariance that is told costs, a step of the horizon, a fix, and an axis on the floor, in scalar
+measurements."""
+EDGES, MEANS, AXES, LEGS, DONE = 1, 2, 3, 6, 7
+"""Stages of the work at the horizon; measurements that wait come first, in the order of their kinds."""
 _ALIGNED_S = 0.8
 JUMP, SLIP_S = 0.05, 0.4
 """A jump of the state of more than this (m) is told over some time (s)."""
 _BLIND_S = 0.1  # without gyroscopes
+BLIND_TURN = 0.01
+"""Density of the turning (rad^2/s) that is not known without them: the stabiliser bar keeps the rotors level."""
+MOST_DOUBT = 2.5
+"""Deviations of the thrust's scale by which lift-off may come sooner or later."""
+KNOWN_THRUST, UNKNOWN_S = 0.03, 0.02
+"""Deviation of the thrust's scale that the filter bears; what is beyond makes noise, together over so long (s)."""
 SCATTER = 5.0
 """Density of the accelerometers' noise before it is known, m^2/s^3: none would be believed more than the model."""
 _Z = STARTS
@@ -94,31 +116,19 @@ _Z = STARTS
 def begin(m, s):  # type: ignore[no-untyped-def]
     """Forget everything."""
     for i in range(STATES):
-        m.x[i] = s.start[i]
+        m.x[i] = m.way[i] = m.come[i] = s.start[i]
     for i in range(ERRORS):
         m.d[i] = s.sigma[i] * s.sigma[i] + 1e-12
         for j in range(ERRORS):
-            m.ut[i, j] = 0.0
+            m.ut[i, j] = 1.0 if i == j else 0.0
     for i in range(WAITING):
         m.due[i] = -1
-    _fresh(m)
+    m.stage = DONE
     m.out[6] = m.rotor[6] = m.rotor[20] = 1.0
     m.rotor[2] = -1000.0  # far above the floor
     m.rotor[17] = -1.0
     for k in range(3):
         m.scatter[k] = SCATTER
-
-
-@compiled(error_model="numpy")
-def _fresh(m):  # type: ignore[no-untyped-def]
-    """Begin a block."""
-    for i in range(9):
-        for j in range(ERRORS):
-            m.top[i, j] = 1.0 if i == j else 0.0
-    for j in range(ERRORS):
-        m.decay[j] = 1.0
-        m.q[j] = 0.0
-    m.middle = 0
 
 
 @compiled(error_model="numpy")
@@ -143,15 +153,17 @@ def _mode(m, s, z):  # type: ignore[no-untyped-def]
     lift = -m.force[m.tick % MODELLED, 2] * m.x[23] / GRAVITY if s.model > 0 else 1.0
     height = height_over(m.out, s)
     off = z[ACTING] + z[ACTING + 1] < 0.02
+    # Rotors that lift more than the model says fly sooner, others later.
+    doubt = MOST_DOUBT * m.sigma[THRUST_] if s.model > 0 else 0.0
     if m.mode <= RUNNING:
         m.mode = STANDING if off and m.rotor[18] + m.rotor[19] < 0.2 * (s.hover[0] + s.hover[1]) else RUNNING
-        if lift > 0.9 and m.mode == RUNNING:
+        if lift * (1.0 + doubt) > 0.9 and m.mode == RUNNING:
             m.mode = LIGHT
             m.lifted = m.tick
     elif m.mode == LIGHT:
-        if height > 0.03 or lift > 1.1:
+        if height > 0.03 + min(2.0 * m.sigma[P + 2], 0.1) or lift > 1.1 + doubt:
             m.mode = FLYING
-        elif lift < 0.85 and height < 0.02:
+        elif lift * (1.0 + doubt) < 0.85 and height < 0.02:
             m.mode = RUNNING
     elif height < 0.015 and lift < 0.9:
         m.mode = LIGHT
@@ -173,11 +185,15 @@ def _force(m, s, p, z, new, r):  # type: ignore[no-untyped-def]
         m.rotor[10 + k] = m.rates[k] - m.out[10 + k]
     if s.model > 0:
         model_force(m, s, p, m.row, m.force[now])
+        for k in range(2):
+            m.rotor[18 + k] += s.dt * m.motor_off[k]
         if new[R_ROTOR] == 1:
             a = _Z[R_ROTOR]
             if rotor_fits(m, s, z, a):
                 for k in range(2):
-                    m.rotor[18 + k] += s.rotor_gain * (z[a + k] - m.rotor[18 + k])
+                    off = z[a + k] - m.rotor[18 + k]
+                    m.rotor[18 + k] += s.rotor_gain * off
+                    m.motor_off[k] += s.rotor_drift * off
         if new[R_BATTERY] == 1:
             off = z[_Z[R_BATTERY]] - terminal_voltage_believed(m, p)
             if voltage_fits(m, s, off):
@@ -185,7 +201,7 @@ def _force(m, s, p, z, new, r):  # type: ignore[no-untyped-def]
                 m.rotor[20] = min(max(m.rotor[20] + fast * off, 0.0), 1.0)
     _mode(m, s, z)
     a, b = (now - s.lag_ticks) % MODELLED, (now - s.lag_ticks - 1) % MODELLED
-    row = m.inputs[m.tick % KEPT]
+    row = m.now
     model = s.model > 0
     for k in range(3):
         row[k] = 0.5 * (m.rates[k] + m.before[k])
@@ -201,7 +217,16 @@ def _force(m, s, p, z, new, r):  # type: ignore[no-untyped-def]
             row[6 + k], row[9 + k], row[12 + k] = 0.0, -GRAVITY * r[6 + k], 0.0
             felt, made = 1e6, 1e-3
         elif m.mode == LIGHT:
-            made = 0.05 if k < 2 else 0.5
+            # Legs may carry what the rotors do not: nothing is learnt of these.
+            row[9 + k] += m.out[23] * row[6 + k]
+            if k == 2:
+                row[11] = min(row[11], -GRAVITY * r[8])
+            row[6 + k] = 0.0
+            made = 0.05 if k < 2 else 10.0
+        elif model:
+            # Until the thrust is known, which takes the delay and more, it flies by the accelerometers.
+            unknown = max(m.sigma[THRUST_] - KNOWN_THRUST, 0.0) * row[6 + k]
+            made += UNKNOWN_S * unknown * unknown
         if not model and m.mode > RUNNING:
             row[6 + k], row[9 + k], row[12 + k] = 0.0, -GRAVITY if k == 2 else 0.0, 0.0
             made = 10.0
@@ -212,108 +237,178 @@ def _force(m, s, p, z, new, r):  # type: ignore[no-untyped-def]
         row[18 + k] = felt * share
         m.lever[k, 2] = felt + made
     row[21] = m.mode
+    # Mean over the block so far
+    into = m.inputs[(m.tick - 1) // s.block % KEPT]
+    share = 1.0 / ((m.tick - 1) % s.block + 1)
+    for j in range(INPUTS - 1):
+        into[j] = row[j] if share == 1.0 else into[j] + share * (row[j] - into[j])
+    into[21] = m.mode
 
 
 @compiled(error_model="numpy")
 def _advance(m, s, r, a):  # type: ignore[no-untyped-def]
-    """Bring the horizon a period on."""
-    m.horizon += 1
-    e = m.inputs[m.horizon % KEPT]
-    advance_state(m.x, e, s.dt, r, a)
-    advance_errors(m.top, e, s.dt, r, a, WIND, THRUST_)
-    for k in range(9, ERRORS):
-        m.x[k + 1] = s.start[k + 1] + (m.x[k + 1] - s.start[k + 1]) * s.keep[k]
-        m.decay[k] *= s.keep[k]
-        m.q[k] = m.q[k] * s.keep[k] * s.keep[k] + s.noise[k]
+    """Bring the horizon a block on."""
+    span = s.block * s.dt
+    e = m.inputs[m.horizon // s.block % KEPT]
+    m.horizon += s.block
+    m.stage = 0
+    advance_state(m.x, e, span, r, a)
     for k in range(3):
-        m.q[k] += s.noise[k]
-        m.turning[k] += s.dt / 1.5 * (e[k] - m.x[10 + k] - m.turning[k])
-        spread = 0.0
-        for i in range(3):
-            spread += r[3 * k + i] * r[3 * k + i] * e[18 + i]
-        m.q[3 + k] += spread * s.dt
+        m.turning[k] += span / 1.5 * (e[k] - m.x[10 + k] - m.turning[k])
         m.felt[k] += e[3 + k]
         m.modelled[k] += a[3 + k]
         m.sum[k] += e[k]
         m.lever[k, 0] += e[6 + k]
         m.lever[k, 1] += e[12 + k]
     all_ = m.turning[0] ** 2 + m.turning[1] ** 2 + m.turning[2] ** 2
+    m.spin = 0.0
     for k in range(3):
-        spread = s.gyro_density
+        m.spin += r[6 + k] * (e[k] - m.x[10 + k])
+        m.q[k] = s.noise[k]
+        m.q[3 + k] = _spread(r, k, e) * span
+        spread = s.gyro_density + (BLIND_TURN if m.code[R_RATES] >= MISSING else 0.0)
         for i in range(3):
             own = m.turning[i] ** 2
             spread += r[3 * k + i] * r[3 * k + i] * (s.gyro_off[0] * (all_ - own) + s.gyro_off[1] * own)
-        m.q[6 + k] += spread * s.dt
+        m.q[6 + k] = spread * span
+    transition(e, span, r, a, m.transition)
+    carry(m.ut, m.d, span, m.transition, m.q, m.w, m.f)
     if m.edge > 0 or abs(m.x[16]) > LOW:
-        m.q[FLOOR] += EDGE * EDGE * s.dt
-    m.felt_count += 1
-    m.middle += 1
+        loosen(m.ut, m.d, FLOOR, EDGE * EDGE * span, m.f)
+    m.felt_count += s.block
 
 
 @compiled(error_model="numpy")
-def _settle(m, s):  # type: ignore[no-untyped-def]
-    """Bring the covariance to the horizon."""
-    if m.middle > 0:
-        carry(m.ut, m.d, m.top, m.decay, m.q, 0.5 * m.middle * s.dt, m.w, m.weight, m.row)
-        _fresh(m)
+def _spread(r, k, e):  # type: ignore[no-untyped-def]
+    """Density of the velocity's noise along an axis of N-E-D."""
+    spread = 0.0
+    for i in range(3):
+        spread += r[3 * k + i] * r[3 * k + i] * e[18 + i]
+    return spread
 
 
 @compiled(error_model="numpy")
-def _fuse(m, s, r):  # type: ignore[no-untyped-def]
-    """Take in what is due at the horizon."""
-    for i in range(WAITING):
-        if m.due[i] != m.horizon:
-            continue
-        m.due[i] = -1
-        _settle(m, s)
+def _wander(m, s):  # type: ignore[no-untyped-def]
+    """Step one bias, whose turn it is."""
+    biases = ERRORS - GYRO
+    k = GYRO + m.tick % biases
+    m.x[k + 1] = s.start[k + 1] + (m.x[k + 1] - s.start[k + 1]) * s.keep[k]
+    q = s.noise[k]
+    if q > 0.0:
+        wander(m.ut, m.d, k, s.keep[k], q, m.f)
+
+
+@compiled(error_model="numpy")
+def _measured(m, s, r, left):  # type: ignore[no-untyped-def]
+    """Take in the next measurement that is due at the horizon, if any; return what it cost, 0 if there is no time."""
+    behind = m.tick - s.delay - m.horizon >= LAG * s.block
+    i = -1
+    for j in range(WAITING if m.stage == 0 else 0):
+        if m.due[j] == m.horizon:
+            if behind:
+                m.late[m.what[j]] += 1
+                m.beam = 0
+                m.due[j] = -1
+            elif i < 0 or m.what[j] < m.what[i]:
+                i = j
+    if i >= 0:
         kind, z, ahead = m.what[i], m.value[i], m.ahead[i]
+        cost = 1
+        if kind == R_FIX:
+            cost = FIXING
+        elif kind == R_RING:
+            cost = max(min(s.beams - m.beam, left), 1)
+        if cost > left:
+            return 0
+        done = True
         if kind == R_FIX:
             fuse_fix(m, s, z, ahead)
         elif kind == R_SONAR:
             fuse_sonar(m, s, z, ahead, r)
         elif kind == R_RING:
-            fuse_ring(m, s, z, r)
+            done = fuse_ring(m, s, z, ahead, r, cost)
         elif kind == R_PRESSURE:
             fuse_pressure(m, s, z, ahead)
         else:
-            fuse_magnet(m, s, z, r)
-    if m.edge > 0:
-        m.edge -= 1
-        if m.edge == 0 and abs(m.x[16]) < LOW:
-            _settle(m, s)
-            settle_floor(m)
-    if m.felt_count >= LONGEST:
-        _settle(m, s)
-        e = m.inputs[m.horizon % KEPT]
-        n = m.felt_count
-        mode = int(e[21])
-        for k in range(3):
-            m.felt[k] /= n
-            m.modelled[k] /= n
-            m.sum[k] /= n
-            m.lever[k, 0] /= n
-            m.lever[k, 1] /= n
-            # Density of the whole difference at the horizon, from what was weighed there
-            share = max(e[15 + k], 1e-9)
-            m.lever[k, 2] = e[18 + k] / share / max(1 - share, 1e-9)
+            fuse_magnet(m, s, z, ahead, r)
+        if done:
+            m.due[i] = -1
+        return cost
+    return -1
+
+
+@compiled(error_model="numpy")
+def _means(m, s):  # type: ignore[no-untyped-def]
+    """What was felt and made since forces were compared last."""
+    e = m.inputs[(m.horizon // s.block - 1) % KEPT]
+    n = m.felt_count // s.block
+    for k in range(3):
+        m.felt[k] /= n
+        m.modelled[k] /= n
+        m.sum[k] /= n
+        m.lever[k, 0] /= n
+        m.lever[k, 1] /= n
+        # Density of the whole difference at the horizon, from what was weighed there
+        share = max(e[15 + k], 1e-9)
+        m.lever[k, 2] = e[18 + k] / share / max(1 - share, 1e-9)
+
+
+@compiled(error_model="numpy")
+def _task(m, s, r, a, left):  # type: ignore[no-untyped-def]
+    """Do what is next at the horizon if it costs no more than ``left``; return the cost, 0 if nothing was done."""
+    cost = _measured(m, s, r, left)
+    if cost >= 0:
+        return cost
+    if m.stage == 0:
+        m.stage = EDGES
+    if m.stage == EDGES:
+        m.stage = MEANS
+        if m.edge > 0:
+            m.edge = max(m.edge - s.block, 0)
+            if m.edge == 0 and abs(m.x[16]) < LOW:
+                settle_floor(m)
+                return 1
+    if m.stage == MEANS:
+        m.stage = DONE
+        if m.felt_count >= LONGEST:
+            _means(m, s)
+            m.stage = AXES
+    mode = int(m.inputs[(m.horizon // s.block - 1) % KEPT, 21])
+    while AXES <= m.stage < LEGS:
+        i = m.stage - AXES
+        cost = 0
         if mode <= RUNNING:
-            fuse_rest(m, s, r, m.sum, m.felt, n, mode == STANDING)
-            m.standing += n if mode == STANDING else 0
+            cost = RESTING
+            if cost > left:
+                return 0
+            fuse_rest(m, s, r, m.felt_count, mode == STANDING, i)
+            m.standing += m.felt_count if mode == STANDING and i == 0 else 0
         elif mode == FLYING and s.model > 0 and s.fitted[R_ACCELERATION] > 0:
-            fuse_force(m, s, r, e, n)
-        if mode > RUNNING:
-            fuse_floor(m, s)
+            cost = 1
+            fuse_force(m, s, r, m.felt_count, i)
+        m.stage += 1
+        if cost > 0:
+            return cost
+    if m.stage == LEGS:
+        m.stage = DONE
+        cost = 1 if mode > RUNNING and fuse_floor(m, s) else 0
         for k in range(3):
             m.felt[k] = m.modelled[k] = m.sum[k] = m.lever[k, 0] = m.lever[k, 1] = 0.0
         m.lever[0, 3] = 0.0
         m.felt_count = 0
+        if cost > 0:
+            return cost
+    if m.horizon + s.block > m.tick - s.delay or left < STEPPING:
+        return 0
+    _advance(m, s, r, a)
+    return STEPPING
 
 
 @compiled(error_model="numpy")
 def _scatter(m, s, z):  # type: ignore[no-untyped-def]
     """How much the accelerometers scatter about the model, mean over blocks: density of their noise at low
     frequencies."""
-    row = m.inputs[m.tick % KEPT]
+    row = m.now
     m.blocks += 1
     for k in range(3):
         made = m.x[23] * row[6 + k] + row[9 + k]
@@ -332,29 +427,42 @@ def _scatter(m, s, z):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
+def _carry_on(m, s, r, a):  # type: ignore[no-untyped-def]
+    """Carry the horizon's state on towards now, some blocks a period; ``m.come`` is at now."""
+    for _ in range(s.work):
+        e = m.inputs[m.way_tick // s.block % KEPT]
+        periods = min(s.block - m.way_tick % s.block, m.tick - m.way_tick)
+        span = periods * s.dt
+        advance_state(m.way, e, span, r, a)
+        for k in range(3):
+            m.way_sum[k] += _spread(r, k, e) * span
+            m.way_sum[3 + k] += a[k] * span
+        m.way_tick += periods
+        m.way_span += span
+        if m.way_tick == m.tick:
+            for k in range(6):
+                m.come_sum[k] = m.way_sum[k]
+                m.way_sum[k] = 0.0
+            m.span = m.way_span
+            m.way_span = 0.0
+            for i in range(STATES):
+                m.come[i] = m.way[i]
+                m.way[i] = m.x[i]
+            m.way_tick = m.horizon
+            return
+    advance_state(m.come, m.now, s.dt, r, a)
+
+
+@compiled(error_model="numpy")
 def _tell(m, s, r, a):  # type: ignore[no-untyped-def]
-    """Carry the horizon's state on to now, through all inputs since; now and then its covariance too."""
+    """Tell the state of now; now and then its covariance too."""
+    _carry_on(m, s, r, a)
     x = m.out
     for i in range(STATES):
-        x[i] = m.x[i]
+        x[i] = m.come[i]
     much = m.tick % TOLD_EVERY == 0
     if much:
-        _settle(m, s)
-        for i in range(9):
-            for j in range(ERRORS):
-                m.top_out[i, j] = 1.0 if i == j else 0.0
-        for i in range(6):
-            m.row[i] = 0.0
-    for t in range(m.horizon + 1, m.tick + 1):
-        e = m.inputs[t % KEPT]
-        advance_state(x, e, s.dt, r, a)
-        if much:
-            advance_errors(m.top_out, e, s.dt, r, a, WIND, THRUST_)
-            for k in range(3):
-                spread = 0.0
-                for i in range(3):
-                    spread += r[3 * k + i] * r[3 * k + i] * e[18 + i]
-                m.row[k] += spread * s.dt
+        _told_errors(m, s, r)
     # States belong to `lag` before the tick: the last bit with the last rates and acceleration.
     a[2] += GRAVITY
     for k in range(3):
@@ -367,7 +475,7 @@ def _tell(m, s, r, a):  # type: ignore[no-untyped-def]
     _smooth(m, s)
     _angles(m)
     if much:
-        _tell_covariance(m, s)
+        _tell_covariance(m)
 
 
 @compiled(error_model="numpy")
@@ -395,32 +503,36 @@ def _smooth(m, s):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _tell_covariance(m, s):  # type: ignore[no-untyped-def]
-    """F P F^T + Q over the delay; noise of the velocity in ``m.row`` (3,)."""
-    n = ERRORS
-    sigmas(m.ut, m.d, m.sigma)
-    for k in range(n):
-        for i in range(9):
-            v = m.top_out[i, k]
-            for j in range(k):
-                v += m.top_out[i, j] * m.ut[k, j]
-            m.w[k, i] = v
-    span = max(m.tick - m.horizon, 0) * s.dt
+def _told_errors(m, s, r):  # type: ignore[no-untyped-def]
+    """Covariance of what moves over the delay, F P F^T + Q, in one step by the mean acceleration on the way."""
+    span = m.span
+    for k in range(3):
+        m.row[k] = m.come_sum[3 + k] / span
+    transition(m.now, span, r, m.row, m.transition)
     for i in range(9):
         for j in range(i, 9):
-            v = 0.0
-            for k in range(n):
-                v += m.d[k] * m.w[k, i] * m.w[k, j]
-            if i == j and i >= 6:
-                v += s.gyro_density * span
-            elif i == j and i >= 3:
-                v += m.row[i - 3]
-            elif i == j:
-                v += m.row[i] * span * span / 3.0
-            elif j == i + 3 and i < 3:
-                v += m.row[i] * span / 2.0
-            m.out_cov[i, j] = v
-            m.out_cov[j, i] = v
+            m.out_cov[i, j] = 0.0
+    for k in range(ERRORS):
+        carry_column(m.ut[k], span, m.transition, m.gain)
+        for i in range(9):
+            c = m.d[k] * m.gain[i]
+            for j in range(i, 9):
+                m.out_cov[i, j] += c * m.gain[j]
+    for k in range(3):
+        m.out_cov[k, k] += m.come_sum[k] * span * span / 3.0
+        m.out_cov[k, 3 + k] += m.come_sum[k] * span / 2.0
+        m.out_cov[3 + k, 3 + k] += m.come_sum[k]
+        m.out_cov[6 + k, 6 + k] += s.gyro_density * span
+
+
+@compiled(error_model="numpy")
+def _tell_covariance(m):  # type: ignore[no-untyped-def]
+    """What is told of the errors, of the attitude as roll, pitch and yaw."""
+    for i in range(9):
+        for j in range(i):
+            m.out_cov[i, j] = m.out_cov[j, i]
+    for i in range(9, ERRORS):
+        m.sigma[i] = math.sqrt(variance(m.ut, m.d, i))
     for i in range(9):
         if i < 3:
             # Whoever is off in height, fix or sonar, the fix may be off by as much in any direction
@@ -441,11 +553,6 @@ def _tell_covariance(m, s):  # type: ignore[no-untyped-def]
         m.out_cov[j, 6] = (c * n_ + t * e_) / cosine
         m.out_cov[j, 7] = -t * n_ + c * e_
         m.out_cov[j, 8] += sine / cosine * (c * n_ + t * e_)
-    for i in range(3):
-        for j in range(12):
-            m.out_cov[9 + i, j] = 0.0
-            m.out_cov[j, 9 + i] = 0.0
-        m.out_cov[9 + i, 9 + i] = m.sigma[GYRO + i] * m.sigma[GYRO + i] + s.rest_gyro * s.rest_gyro
 
 
 @compiled(error_model="numpy")
@@ -469,28 +576,32 @@ def step(m, s, p, z, new, age):  # type: ignore[no-untyped-def]
     r, a = m.attitude, m.push
     for k in range(3):
         m.before[k] = m.rates[k]
-        m.rates[k] = z[_Z[R_RATES] + k] - m.shift[k]
+        m.rates[k] = z[_Z[R_RATES] + k] - m.shift[k] if m.code[R_RATES] < MISSING else m.out[10 + k]
     # A floor below the room's, or a fix that is apart from the sonar: the height is off by as much
     doubt = m.suspect[R_FIX, 3] - min(m.out[16], 0.0)
     smooth_rates(m, s, m.mode == FLYING and height_over(m.out, s) > CLEAR + doubt)
     _force(m, s, p, z, new, r)
-    if s.model > 0 and (m.mode == FLYING or m.mode == RUNNING) and m.code[R_ACCELERATION] < MISSING:
+    if s.model > 0 and m.mode >= RUNNING and m.code[R_ACCELERATION] < MISSING:
         _scatter(m, s, z)
     for kind in range(R_SONAR, R_FIX + 1):
         if kind == R_ROTOR or new[kind] != 1 or m.skip[kind] > 0:
             continue
         # The state of tick k belongs to k dt - lag.
         at = m.tick + (s.lag - age[kind] - s.latency[kind] * (1 if kind == R_PRESSURE else 0)) / s.dt
-        due = whole(at + 0.5)
+        due = s.block * whole(at / s.block + 0.5)
+        if due == 0:
+            due = s.block  # there is no block before the first
         count = STARTS[kind + 1] - STARTS[kind]
         if not _queue(m, kind, due, (at - due) * s.dt, z, STARTS[kind], count):
             m.late[kind] += 1
             flag(m, s, kind, FAULTY, LATE, age[kind])
-    while m.horizon < m.tick - s.delay:
-        _advance(m, s, r, a)
-        _fuse(m, s, r)
-        if m.middle >= LONGEST:
-            _settle(m, s)
+    left = s.work - (TELLING if m.tick % TOLD_EVERY == 0 else 0)
+    _wander(m, s)
+    while left > 0:
+        cost = _task(m, s, r, a, left)
+        if cost == 0:
+            break
+        left -= cost
     _tell(m, s, r, a)
     found = s.fitted[R_FIX] == 0 or m.aligned > 0
     if m.lifted == 0 and found and (m.standing * s.dt >= _ALIGNED_S or m.tick * s.dt > 3.0):

@@ -67,31 +67,41 @@ SENSORS = len(CHECKED)
     R_ACCELERATION, R_RATES, R_SONAR, R_RING, R_PRESSURE, R_MAGNET, R_ROTOR, R_FIX, R_BATTERY,
 ) = range(SENSORS)  # fmt: skip
 BEAMS = 8
-KEPT = 128  # periods of input that are remembered
+STANDING, RUNNING, LIGHT, FLYING = range(4)
+"""On the floor with motors off, with motors on, perhaps just off it, in the air."""
+BLOCK_S = 0.02
+"""Inputs are averaged over this time (s), and the filter moves on by it: attitude and force of a turn of 2 rad/s are
+right to 1e-4 in it."""
+KEPT = 40  # blocks of input that are remembered
+LAG = 4  # blocks by which the filter may be behind when much has come at once
 INPUTS = 22
-"""Numbers of one: rates, felt force, force of the rotors, rest of the model's, its slope over the velocity through
-the air, share of the accelerometer, density of the noise (three each), and whether the difference of the two
-forces can be used."""
+"""Numbers of a block, means of its periods: rates, felt force, force of the rotors, rest of the model's, its slope over
+the velocity through the air, share of the accelerometer, density of the noise (three each); and the mode of its last
+period, by which the difference of the two forces can be used or not."""
 WAITING = 64  # measurements that wait for the horizon
+WORK = 4  # scalar measurements, or what costs as much, for which there is time in a period of 5 ms
+TRANSITION = 33  # numbers of :func:`mufly.estimate.motion.transition`
+TERMS = 8  # states of which a measurement tells at most
 MODELLED = 8  # periods for which forces of the model wait for the slower inertial unit
 
 
-def memory_type(kind: Any = np.float64, kept: int = KEPT) -> np.dtype:
-    """Return the type of what the filter remembers, in numbers of this kind, with so many periods of input."""
+def memory_type(kind: Any = np.float64, kept: int = KEPT, waiting: int = WAITING) -> np.dtype:
+    """Return the type of what the filter remembers, in numbers of this kind, with room for so many blocks of input and
+    measurements that wait."""
     n, i4 = ERRORS, np.int32
     return np.dtype([
         # The filter at the horizon
         ("x", kind, (STATES,)), ("ut", kind, (n, n)), ("d", kind, (n,)),
-        ("top", kind, (9, n)), ("decay", kind, (n,)), ("q", kind, (n,)), ("middle", i4), ("horizon", i4),
-        # Inputs, by their tick modulo KEPT
-        ("inputs", kind, (kept, INPUTS)), ("tick", i4), ("rates", kind, (3,)),
+        ("horizon", i4), ("stage", i4), ("beam", i4), ("seen", i4), ("fitting", i4), ("spin", kind),
+        # Inputs, by their block modulo KEPT, and those of the last period
+        ("inputs", kind, (kept, INPUTS)), ("now", kind, (INPUTS,)), ("tick", i4), ("rates", kind, (3,)),
         # The rotor model: state of the flight model in body axes, forces of the last periods
-        ("rotor", kind, (21,)), ("slope", kind, (21,)), ("still", kind, (3,)),
-        ("acting", kind, (4,)),
+        ("rotor", kind, (21,)),
+        ("acting", kind, (4,)), ("motor_off", kind, (2,)), ("turn_off", kind, (3,)), ("rough", kind),
         ("force", kind, (MODELLED, 12)),
         # Measurements that wait
-        ("due", i4, (WAITING,)), ("what", i4, (WAITING,)), ("value", kind, (WAITING, BEAMS)), ("ahead", kind,
-        (WAITING,)),
+        ("due", i4, (waiting,)), ("what", i4, (waiting,)), ("value", kind, (waiting, BEAMS)), ("ahead", kind,
+        (waiting,)),
         # Scatter of the accelerometers
         ("mean", kind, (3,)), ("before", kind, (3,)), ("blocks", i4), ("scatter", kind, (3,)), ("clipped", kind, (3,)),
         ("felt", kind, (3,)), ("modelled", kind, (3,)), ("lever", kind, (3, 4)), ("felt_count", i4),
@@ -99,13 +109,16 @@ def memory_type(kind: Any = np.float64, kept: int = KEPT) -> np.dtype:
         ("turning", kind, (3,)), ("edge", i4), ("mode", i4), ("spikes", i4), ("shift", kind, (3,)),
         ("lean", kind), ("wild", i4), ("spike", kind, (3,)), ("steps", i4),
         ("strain", kind), ("disowned", i4), ("drift", kind, (3,)),
-        ("drift_sigma", kind, (3,)), ("told", kind, (4,)), ("standing", i4), ("aligned", i4), ("sum", kind,
-        (6,)), ("lifted", i4),
+        ("drift_sigma", kind, (3,)), ("told", kind, (3,)), ("standing", i4), ("aligned", i4), ("sum", kind,
+        (3,)), ("lifted", i4),
         # What is told; angles: roll, pitch, and yaw that does not jump at half a turn
         ("out", kind, (STATES,)), ("out_rates", kind, (3,)), ("angles", kind, (3,)),
-        ("out_cov", kind, (12, 12)), ("sigma", kind, (n,)), ("slip", kind, (4,)),
+        ("out_cov", kind, (9, 9)), ("sigma", kind, (n,)), ("slip", kind, (3,)),
+        # On its way from the horizon to now, and what came last
+        ("way", kind, (STATES,)), ("way_tick", i4), ("way_sum", kind, (6,)), ("way_span", kind),
+        ("come", kind, (STATES,)), ("come_sum", kind, (6,)), ("span", kind),
         # What is thought of each sensor
-        ("last", kind, (SENSORS, BEAMS)), ("last_age", kind, (SENSORS,)), ("came", i4, (SENSORS,)),
+        ("last", kind, (STARTS[-1],)), ("came", i4, (SENSORS,)),
         ("used", i4, (SENSORS,)),
         ("same", i4, (SENSORS,)), ("rejected", i4, (SENSORS,)), ("since", i4, (SENSORS,)), ("code", i4, (SENSORS,)),
         ("why", i4, (SENSORS,)), ("until", i4, (SENSORS,)),
@@ -114,16 +127,16 @@ def memory_type(kind: Any = np.float64, kept: int = KEPT) -> np.dtype:
         ("suspect", kind, (SENSORS, 4)), ("agree", i4, (SENSORS,)), ("skip", i4, (SENSORS,)),
         ("doubt", kind, (SENSORS,)), ("silent", i4, (SENSORS,)), ("twice", i4, (SENSORS,)), ("turns", i4, (SENSORS,)),
         # Work
-        ("w", kind, (2 * n, n)), ("weight", kind, (2 * n,)), ("row", kind, (n,)), ("h", kind, (n,)),
-        ("f", kind, (n,)), ("gain", kind, (n,)),
-        ("top_out", kind, (9, n)),
+        ("row", kind, (3,)), ("terms", i4), ("at", i4, (TERMS,)), ("h", kind, (TERMS,)), ("f", kind, (n,)),
+        ("gain", kind, (n,)),
         # Work of Python alone (in C they are on the stack)
-        ("attitude", kind, (9,)), ("push", kind, (6,)),
+        ("attitude", kind, (9,)), ("push", kind, (6,)), ("transition", kind, (TRANSITION,)), ("q", kind, (9,)),
+        ("w", kind, (3, 6)), ("slope", kind, (21,)), ("still", kind, (3,)),
     ], align=True)  # fmt: skip
 
 
 _NUMBERS: dict[str, Any] = {
-    "dt": (), "lag": (), "lag_ticks": "i", "lag_share": (), "delay": "i", "model": "i",
+    "dt": (), "block": "i", "work": "i", "lag": (), "lag_ticks": "i", "lag_share": (), "delay": "i", "model": "i",
     "swash_settled": (), "swash_mean": (),
     "start": (STATES,), "sigma": (ERRORS,), "keep": (ERRORS,), "noise": (ERRORS,),
     "gyro_density": (), "gyro_off": (2,), "felt_density": (), "model_density": (3,), "felt_range": (), "gyro_range": (),
@@ -135,7 +148,7 @@ _NUMBERS: dict[str, Any] = {
     "fix_variance": (), "heading_variance": (),
     "beams": "i", "beam": (BEAMS, 3), "ring_max": (), "ring_slope": (), "ring_baseline": (), "walls": (6,),
     "pressure_variance": (), "pressure_slope": (), "pressure_thrust": (2,),
-    "magnet_variance": (), "earth": (3,), "rotor_gain": (), "place": (3,),
+    "magnet_variance": (), "earth": (3,), "rotor_gain": (), "rotor_drift": (), "place": (3,),
 }  # fmt: skip
 
 
@@ -151,7 +164,9 @@ def settings_type(kind: Any = np.float64) -> np.dtype:
 MODEL_FORCE = (0.035, 0.035, 0.035)
 """What the rotor model is off by in flight, one sigma an axis (m/s^2), and for how long together (s)."""
 MODEL_TIME_S = 0.1
-THRUST_ERROR = (0.03, 60.0)  # error of the model's thrust, and its time (s)
+THRUST_ERROR, THRUST_WALK = 0.3, 0.0055
+"""What the model's thrust is off by, one sigma; what it goes on changing by (1/sqrt(s)). Vehicles whose parameters are
+10 % off their model have 0.65 to 1.7 of its thrust: the radius counts to the fourth power."""
 WIND_SPEED = (0.5, 10.0)
 """Of an axis (m/s), and for how long (s): a mean of 0.5 m/s from anywhere and gusts of 0.3 m/s make 0.46."""
 MOTOR_STEP = 1e-3  # what the motors' equations miss between two readings of the speed, of the hover speed
@@ -194,7 +209,7 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
     sigma[TURN : TURN + 2], sigma[TURN + 2] = LEVEL, math.pi
     sigma[FLOOR], walk[FLOOR] = 2e-3, FLOOR_WANDER
     sigma[WIND : WIND + 2], tau[WIND : WIND + 2] = WIND_SPEED
-    sigma[THRUST_], tau[THRUST_] = THRUST_ERROR
+    sigma[THRUST_], walk[THRUST_] = THRUST_ERROR, THRUST_WALK
     walk[P : P + 3] = 1e-4
     s["dt"] = dt
     s["stands"], s["weight"], s["level"] = stands, p["mass"] * GRAVITY, LEVEL
@@ -304,6 +319,8 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
         noisy[R_ROTOR] = noise > 0
         # Steady Kalman filter of a random walk of these steps, read with this noise
         s["rotor_gain"] = 2.0 / (1.0 + math.sqrt(1.0 + 4.0 * (noise / (MOTOR_STEP * s["hover"][0])) ** 2))
+        # What the equations are off by for long: learnt in some 0.7 s
+        s["rotor_drift"] = 0.06 * s["rotor_gain"] ** 2 / float(rotor.period)
         bound[R_ROTOR] = 5 * float(s["hover"].max())
     if sensing.battery is not None:
         fitted[R_BATTERY], period[R_BATTERY] = 1, float(sensing.battery.period)
@@ -317,13 +334,18 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
         bound[R_FIX] = 1e4
         noisy[R_FIX] = float(fix.noise) > 0
         slack[R_FIX] = 6 * float(fix.jitter) + dt
-    keep = np.exp(-dt / tau)
+    # What moves steps by blocks; of the biases one a period, in turn.
+    block = max(1, round(BLOCK_S / dt))
+    span = np.where(np.arange(ERRORS) < GYRO, block * dt, (ERRORS - GYRO) * dt)
+    keep = np.exp(-span / tau)
+    s["block"], s["work"] = block, max(WORK, math.ceil(4 * WORK / block))
     s["start"], s["sigma"], s["keep"] = start, sigma, keep
-    s["noise"] = sigma**2 * (1 - keep**2) + walk**2 * dt
+    s["noise"] = sigma**2 * (1 - keep**2) + walk**2 * span
     s["fitted"], s["period"], s["latency"], s["bound"], s["every"] = fitted, period, latency, bound, every
     s["slack"], s["noisy"] = slack, noisy
     s["patience"] = np.maximum(6 * period, 3.5 * dt)
-    s["delay"] = min(math.ceil(delay_s / dt), KEPT - 8)
+    # A measurement counts at the nearest end of a block.
+    s["delay"] = min(math.ceil(delay_s / dt) + block // 2 + 1, (KEPT - 2 * LAG) * block)
     return cast(np.void, s[()])
 
 

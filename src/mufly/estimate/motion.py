@@ -170,57 +170,43 @@ def advance_state(x, e, dt, r, a):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def advance_errors(top, e, dt, r, a, wind, thrust):  # type: ignore[no-untyped-def]
-    """Carry on how position, velocity and attitude (rows of ``top``) depend on the errors at the block's start.
+def transition(e, span, r, push, out):  # type: ignore[no-untyped-def]
+    """Write how position, velocity and attitude depend on errors after a step.
 
-    With the turn t about N, E, D and u = R^T (v - wind):
+    With the turn t about N, E, D, in its middle less what the gyroscopes' bias does to it, and u = R^T (v - wind):
 
-        dv' = -[R f]x t - R W db_a + R (1 - W) (f_0 dk + J R^T (dv - dw)),     dt' = -R db_w,     dp' = dv
+        dv' = t x a - R W db_a + R (1 - W) (f_0 dk + J R^T (dv - dw)),     dt' = -R db_w,     dp' = dv
 
     What attitude does to the drag through R^T is left out: it is J |u| / g of what it does to gravity, some percent.
+
+    Parameters
+    ----------
+    e : (21,) array
+        Inputs, mean over the step.
+    span : float
+        Of the step (s).
+    r : (9,) array
+        Attitude in its middle, as a matrix.
+    push : (3,) array
+        Acceleration but for gravity, mean over the step, N-E-D (m/s^2).
+    out : (33,) array
+        By rows, over the step: what the gyroscopes' bias does to the attitude (9), the accelerometers' bias (9),
+        velocity through the air (9), the thrust's scale (3) to the velocity, and what turns do (3);
+        :func:`mufly.estimate.factors.carry_column` takes them.
     """
-    n = top.shape[1]
-    for c in range(9 + 6 + 3):
-        j = c if c < 15 else c + 5
-        t_x, t_y, t_z = top[6, j], top[7, j], top[8, j]
-        v_x, v_y, v_z = top[3, j], top[4, j], top[5, j]
-        g_x = a[2] * t_y - a[1] * t_z
-        g_y = a[0] * t_z - a[2] * t_x
-        g_z = a[1] * t_x - a[0] * t_y
-        for k in range(3):
-            slope = (1 - e[15 + k]) * e[12 + k]
-            if slope != 0.0:
-                push = slope * (r[k] * v_x + r[3 + k] * v_y + r[6 + k] * v_z)
-                g_x += r[k] * push
-                g_y += r[3 + k] * push
-                g_z += r[6 + k] * push
-        if 9 <= j < 12:
-            k = j - 9
-            top[6, j] -= dt * r[k]
-            top[7, j] -= dt * r[3 + k]
-            top[8, j] -= dt * r[6 + k]
-        elif 12 <= j < 15:
-            k = j - 12
-            g_x -= r[k] * e[15 + k]
-            g_y -= r[3 + k] * e[15 + k]
-            g_z -= r[6 + k] * e[15 + k]
-        elif j == thrust:
+    for i in range(3):
+        k_ = 0.0
+        for j in range(3):
+            own = span * r[3 * i + j]
+            out[3 * i + j] = own
+            out[9 + 3 * i + j] = -own * e[15 + j]
+            k_ += own * ((1 - e[15 + j]) * e[6 + j])
+        out[27 + i] = k_
+        out[30 + i] = span * push[i]
+    for i in range(3):
+        for j in range(i, 3):
+            s = 0.0
             for k in range(3):
-                push = (1 - e[15 + k]) * e[6 + k]
-                g_x += r[k] * push
-                g_y += r[3 + k] * push
-                g_z += r[6 + k] * push
-        elif j >= wind:
-            i = j - wind
-            for k in range(3):
-                push = -(1 - e[15 + k]) * e[12 + k] * r[3 * i + k]
-                g_x += r[k] * push
-                g_y += r[3 + k] * push
-                g_z += r[6 + k] * push
-        top[3, j] += dt * g_x
-        top[4, j] += dt * g_y
-        top[5, j] += dt * g_z
-        top[0, j] += dt * (v_x + 0.5 * dt * g_x)
-        top[1, j] += dt * (v_y + 0.5 * dt * g_y)
-        top[2, j] += dt * (v_z + 0.5 * dt * g_z)
-    return n
+                s += out[3 * i + k] * ((1 - e[15 + k]) * e[12 + k]) * r[3 * j + k]
+            out[18 + 3 * i + j] = s
+            out[18 + 3 * j + i] = s

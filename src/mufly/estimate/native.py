@@ -33,7 +33,7 @@ from mufly.rotor import maps
 from mufly.toolchain import FLAGS, kept_library
 from mufly.vehicle import Vehicle
 
-PROVED = "df420da15ca1b9cb"
+PROVED = "8381ffe96c7ea0c0"
 """Stamp of the Python sources (:func:`stamp`) to which C was last proved equal."""
 
 SOURCES = ("estimate", "fusing", "guards", "factors", "motion", "flight_model", "real")
@@ -64,12 +64,15 @@ class Steps:
     step : callable
         Of the memory; says whether the estimate is valid. Readings, which are new, and their ages are in the arrays
         that were given.
+    place : tuple of int
+        With C, addresses of its step and of the records of settings and flight model, for other compiled code.
     """
 
     name: str
     why: str
     begin: Callable[[np.ndarray], None]
     step: Callable[[np.ndarray], bool]
+    place: tuple[int, ...] = ()
 
 
 def steps(
@@ -95,7 +98,7 @@ def steps(
     why = _against(asked, z.dtype)
     if not why:
         try:
-            return _in_c(settings, parameters, z, new, age)
+            return in_c(settings, parameters, z, new, age)
         except (MuflyError, OSError) as error:
             if asked == "c":
                 raise MuflyError(f"the estimator in C: {error}") from None
@@ -130,8 +133,22 @@ def _against(asked: str, kind: Any) -> str:
     return ""
 
 
-def _in_c(settings: Any, parameters: Any, z: np.ndarray, new: np.ndarray, age: np.ndarray) -> Steps:
-    ffi, lib = _library(records_h(parameters))
+def in_c(
+    settings: Any,
+    parameters: Any,
+    z: np.ndarray,
+    new: np.ndarray,
+    age: np.ndarray,
+    flags: tuple[str, ...] = FLAGS,
+) -> Steps:
+    """Return the C, as :func:`steps` does, built with these flags.
+
+    Raises
+    ------
+    MuflyError
+        If there is no compiler.
+    """
+    ffi, lib = _library(records_h(parameters), flags)
     # The records' bytes are the structs'; ffi keeps hold of the arrays.
     s = ffi.from_buffer(np.array([settings]))
     p = ffi.from_buffer(model_record(parameters))
@@ -148,20 +165,17 @@ def _in_c(settings: Any, parameters: Any, z: np.ndarray, new: np.ndarray, age: n
             held[:] = memory, view(memory)
         return advance(held[1], s, p, values, fresh, ages)
 
-    return Steps("C", "", lambda memory: begin(view(memory), s), step)
+    place = tuple(int(ffi.cast("uintptr_t", p)) for p in (ffi.addressof(lib, "estimator_step"), s, p))
+    return Steps("C", "", lambda memory: begin(view(memory), s), step, place)
 
 
 @functools.lru_cache(maxsize=8)
-def _library(records: str) -> tuple[Any, Any]:
+def _library(records: str, flags: tuple[str, ...] = FLAGS) -> tuple[Any, Any]:
     import cffi  # what a machine without a compiler never needs
 
     ffi = cffi.FFI()
     ffi.cdef(_DECLARED)
-    return ffi, ffi.dlopen(str(kept_library("estimate", sources(records), flags=_flags())))
-
-
-def _flags() -> tuple[str, ...]:
-    return FLAGS
+    return ffi, ffi.dlopen(str(kept_library("estimate", sources(records), flags=flags)))
 
 
 def sources(records: str) -> dict[str, str]:

@@ -8,12 +8,15 @@ that one needs no truth, but sees no error that all readings have in common.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from mufly.errors import InputError
 from mufly.estimate.estimate import Estimate
 from mufly.results import result
 from mufly.sensors import Truth
@@ -102,26 +105,53 @@ def consistency(
     every : int
         Of how many instants one counts for NEES.
     """
-    use = [k for k, e in enumerate(told) if e.valid and e.time_s >= after_s]
-    true = np.array(
-        [np.concatenate([truths[k].position, truths[k].velocity, truths[k].attitude]) for k in use]
-    )
+    true = np.array([np.concatenate([t.position, t.velocity, t.attitude]) for t in truths])
+    return consistency_of(true, told, after_s=after_s, every=every)
+
+
+def consistency_of(
+    true: _Array, told: Sequence[Estimate], *, after_s: float = 0.0, every: int = 10
+) -> Consistency:
+    """Return the same of rows.
+
+    Parameters
+    ----------
+    true : (n, 9) array
+        Position, velocity, attitude (m, m/s, rad). Of a component that is nowhere known (NaN) nothing is said.
+    told, after_s, every
+        As for :func:`consistency`.
+
+    Raises
+    ------
+    InputError
+        If no instant is left: the estimate was never valid, or nothing true is known.
+    """
+    known: Any = np.isfinite(true).any(axis=0)
+    whole: Any = np.isfinite(true[:, known]).all(axis=1) & known.any()
+    use = [k for k, e in enumerate(told) if e.valid and e.time_s >= after_s and whole[k]]
+    if not use:
+        raise InputError(
+            "log", "", "has no instant at which truth is known and the estimate valid", "give a longer log"
+        )
     said = np.array([np.concatenate([told[k].position, told[k].velocity, told[k].attitude]) for k in use])
-    e = said - true
+    e = said - true[use]
     e[:, 6:] = np.angle(np.exp(1j * e[:, 6:]))
     some = e[::every]
     p = np.array([told[k].covariance[:9, :9] for k in use[::every]])
-    nees = normalised(some, p)
+    nees = normalised(some[:, known], p[:, known][:, :, known])
     place, speed, turn = (
-        float(normalised(some[:, i : i + 3], p[:, i : i + 3, i : i + 3]).mean()) / 3 for i in (0, 3, 6)
-    )
+        float(normalised(some[:, i : i + 3], p[:, i : i + 3, i : i + 3]).mean()) / 3
+        if known[i : i + 3].all() else math.nan
+        for i in (0, 3, 6)
+    )  # fmt: skip
     ratios = []
     for k in use[::every]:
         b = told[k].beliefs
         ratios += [c.ratio for c in b.checks if c.name == "position_fix"] if b else []
     xy, z, tilt = np.hypot(e[:, 0], e[:, 1]), np.abs(e[:, 2]), np.hypot(e[:, 6], e[:, 7])
+    count = int(known.sum())
     return Consistency(
-        count=len(use), nees=float(nees.mean()) / 9, inside=float(np.mean(nees < stats.chi2.ppf(0.95, 9))),
+        count=len(use), nees=float(nees.mean()) / count, inside=float(np.mean(nees < stats.chi2.ppf(0.95, count))),
         parts=(place, speed, turn), nis=float(np.mean(np.square(ratios))) if ratios else np.nan,
         xy_rms=_rms(xy), xy_peak=float(xy.max()), z_rms=_rms(z), z_peak=float(z.max()), tilt_rms=_rms(tilt),
         tilt_peak=float(tilt.max()), yaw_rms=_rms(e[:, 8]),

@@ -17,7 +17,7 @@ from mufly.dynamics.state import PARAMETERS, STATE_SIZE
 from mufly.estimate import factors, fusing, guards, kernel, layout, motion
 from mufly.units import GRAVITY
 
-PYTHON_ALONE = ("attitude", "push")
+PYTHON_ALONE = ("attitude", "push", "transition", "q", "w", "slope", "still")
 """Last fields of the memory, which C has on its stack."""
 UNITS: dict[str, str] = {
     **dict.fromkeys(("dt", "lag", "period", "latency", "patience", "slack"), "s"),
@@ -89,17 +89,17 @@ def _name(name: str) -> str:
     return plain + "_" if len(plain) == 1 else plain
 
 
-def records_h(p: Any, kept: int = layout.KEPT) -> str:
+def records_h(p: Any, kept: int = layout.KEPT, waiting: int = layout.WAITING) -> str:
     """Return ``records.h`` for a vehicle.
 
     Parameters
     ----------
     p : record
         Parameters of the flight model; of them the size of the map.
-    kept : int
-        Periods of input that are remembered.
+    kept, waiting : int
+        Blocks of input that are remembered, and measurements that wait.
     """
-    numbers = {**constants(), "KEPT": kept, "MAP_NODES": max(int(p["map_nodes"]), 1)}
+    numbers = {**constants(), "KEPT": kept, "WAITING": waiting, "MAP_NODES": max(int(p["map_nodes"]), 1)}
     lines = [
         "/* Constants and records of the estimator, made from those of Python (mufly.estimate); do not edit. */",
         "#ifndef MUFLY_RECORDS_H",
@@ -110,11 +110,11 @@ def records_h(p: Any, kept: int = layout.KEPT) -> str:
         *(_constant(name, value) for name, value in numbers.items()),
         "",
     ]
-    sizes = {kept: "KEPT", max(int(p["map_nodes"]), 1): "MAP_NODES"}
+    sizes = {max(int(p["map_nodes"]), 1): "MAP_NODES"}
     for name, record in (
         ("estimator_settings_t", layout.settings_type()),
         ("flight_model_t", model_type(p)),
-        ("estimator_t", layout.memory_type(kept=kept)),
+        ("estimator_t", layout.memory_type(kept=kept, waiting=waiting)),
     ):
         lines += ["typedef struct {", *_members(record, sizes), f"}} {name};", ""]
     return "\n".join([*lines, "#endif", ""])

@@ -6,7 +6,7 @@ from mufly.firmware.fixed_checks import FixedFlight, fly_fixed, pil_fixed
 from mufly.firmware.fuzzing import FuzzResult, fuzz, missing_fuzzer, run_fuzzer
 from mufly.firmware.host import Firmware, FirmwareControllers, build
 from mufly.firmware.integer_law import FixedControllers, FixedFirmwareControllers, export_fixed
-from mufly.firmware.onboard import FirmwareSoftware
+from mufly.firmware.onboard import FirmwareSoftware, QuickSoftware
 from mufly.firmware.report import write_report
 from mufly.firmware.tables import export, tables_c
 from mufly.toolchain import compiler
@@ -23,6 +23,7 @@ __all__ = [
     "FuzzResult",
     "PilResult",
     "Proof",
+    "QuickSoftware",
     "SilResult",
     "build",
     "cascade_loss",

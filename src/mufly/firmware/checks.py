@@ -25,6 +25,7 @@ from mufly.control import FlightController, design
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate, Estimator, KalmanEstimator
 from mufly.estimate.records import PYTHON_ALONE
+from mufly.firmware.campaign import kept_flights, weather
 from mufly.firmware.host import Firmware, FirmwareControllers
 from mufly.firmware.onboard import SoftwareBeside, software_beside
 from mufly.firmware.tables import export
@@ -33,7 +34,7 @@ from mufly.flight.software import Actuators, Controllers
 from mufly.mission import load_mission
 from mufly.results import result
 from mufly.sensors import Readings
-from mufly.sensors.faults import Fault
+from mufly.sensors.faults import Fault, parse_fault
 from mufly.toolchain import FLAGS, compiler
 from mufly.vehicle import Vehicle
 from mufly.world import Room, World
@@ -205,6 +206,8 @@ def sil(
     gust: float | None = None,
     sensors: Literal["fitted", "ideal"] = "fitted",
     faults: Sequence[Fault] = (),
+    drawn: bool = False,
+    keep: Path | None = None,
     on_flight: Callable[[SilResult], None] | None = None,
 ) -> list[SilResult]:
     """Fly missions and compare the exported code with Python in every period.
@@ -222,6 +225,10 @@ def sil(
         What it flies on; the estimator is compared on fitted ones.
     faults : sequence of Fault
         Of the sensors.
+    drawn : bool
+        Draw wind, gusts and faults by the seed (:func:`mufly.firmware.campaign.weather`).
+    keep : path, optional
+        Where results are kept; what is there is not flown again.
     on_flight : callable, optional
         Told every result as it comes.
 
@@ -232,38 +239,40 @@ def sil(
     """
     controller = design(vehicle)
     double, single = Firmware(controller), Firmware(controller, single=True)
-    results = []
-    for name in missions:
+
+    def one(name: str, seed: int) -> SilResult:
         mission = load_mission(name)
-        for seed in range(flights):
-            twins: list[_Twins] = []
-            flown: list[SoftwareBeside] = []
+        w, g, wrong = wind, gust, tuple(faults)
+        if drawn:
+            met = weather(seed)
+            w, g, wrong = met.wind, met.gust, tuple(parse_fault(f) for f in met.faults)
+        twins: list[_Twins] = []
+        flown: list[SoftwareBeside] = []
 
-            def make(c: FlightController, kept: list[_Twins] = twins) -> _Twins:
-                kept.append(_Twins(c, double, single))
-                return kept[-1]
+        def make(c: FlightController) -> _Twins:
+            twins.append(_Twins(c, double, single))
+            return twins[-1]
 
-            felt = sensors == "fitted" and vehicle.sensors is not None
-            believing = _TwinEstimators(vehicle, mission.world, controller.rate_Hz) if felt else None
-            record = fly(
-                vehicle, mission, controller=controller, seed=seed, gust=gust,
-                controllers=software_beside(make, double, flown),
-                wind=None if wind is None else [wind, 0.0, 0.0], estimator=believing,
-                sensors="fitted" if felt else "ideal", faults=faults,
-            )  # fmt: skip
-            one = SilResult(
-                mission=mission.name or name, seed=seed, outcome=record.attrs["outcome"],
-                faults=" ".join(map(str, faults)),
-                periods=sum(t.periods for t in twins), different=sum(t.different for t in twins),
-                beliefs=0 if believing is None else believing.periods,
-                beliefs_different=0 if believing is None else believing.different,
-                steps=sum(f.periods for f in flown), steps_different=sum(f.different for f in flown),
-                entries=sum(f.entries for f in flown), worst_single=max(t.worst_single for t in twins),
-            )  # fmt: skip
-            results.append(one)
-            if on_flight is not None:
-                on_flight(one)
-    return results
+        felt = sensors == "fitted" and vehicle.sensors is not None
+        believing = _TwinEstimators(vehicle, mission.world, controller.rate_Hz) if felt else None
+        record = fly(
+            vehicle, mission, controller=controller, seed=seed, gust=g,
+            controllers=software_beside(make, double, flown),
+            wind=None if w is None else [w, 0.0, 0.0], estimator=believing,
+            sensors="fitted" if felt else "ideal", faults=wrong,
+        )  # fmt: skip
+        return SilResult(
+            mission=mission.name or name, seed=seed, outcome=record.attrs["outcome"],
+            faults=" ".join(map(str, wrong)),
+            periods=sum(t.periods for t in twins), different=sum(t.different for t in twins),
+            beliefs=0 if believing is None else believing.periods,
+            beliefs_different=0 if believing is None else believing.different,
+            steps=sum(f.periods for f in flown), steps_different=sum(f.different for f in flown),
+            entries=sum(f.entries for f in flown), worst_single=max(t.worst_single for t in twins),
+        )  # fmt: skip
+
+    asked = [(name, seed) for seed in range(flights) for name in missions]
+    return kept_flights(SilResult, keep, asked, one, on_flight)
 
 
 def missing_tools() -> str:

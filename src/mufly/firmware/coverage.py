@@ -77,7 +77,7 @@ def exercise(folder: Path, vehicle: Vehicle) -> None:
     changed._loaded = lambda text, cc: (fixed_ffi, fixed_ffi.dlopen(library))
     kept: Any = native._library
     changed = native
-    changed._library = lambda records: (kept(records)[0], kept(records)[0].dlopen(library))
+    changed._library = lambda records, flags: (kept(records)[0], kept(records)[0].dlopen(library))
     for name in ("demonstration", "box-on-leg"):
         fly(vehicle, load_mission(name), controller=controller, controllers=Flown, sensors="fitted", gust=0.3)
     fly(vehicle, load_mission("box-on-leg"), controller=controller, controllers=by_whole_numbers)

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
 
 from mufly.dynamics import model_parameters
-from mufly.estimate.layout import KEPT, filter_settings
+from mufly.estimate.layout import (
+    KEPT,
+    LAG,
+    R_FIX,
+    R_MAGNET,
+    R_PRESSURE,
+    R_RING,
+    R_SONAR,
+    WAITING,
+    filter_settings,
+)
 from mufly.estimate.records import UNITS, model_record, records_h
 from mufly.vehicle import Vehicle
 from mufly.version import __version__
@@ -46,9 +57,19 @@ def estimate_files(vehicle: Vehicle | None, world: World | None, rate_Hz: float)
         "};",
         "",
     ]
-    # From the horizon's next period to now: so many have to be remembered.
-    kept = min(int(settings["delay"][0]) + 1, KEPT)
-    return {"records.h": records_h(p, kept), "estimate_tables.c": "\n".join(lines)}
+    return {"records.h": records_h(p, *_remembered(settings[0])), "estimate_tables.c": "\n".join(lines)}
+
+
+def _remembered(s: np.void) -> tuple[int, int]:
+    """How many blocks of input, and how many measurements: from the horizon to now, be it behind as far as it may."""
+    blocks = int(s["delay"]) // int(s["block"]) + LAG + 4
+    span = (int(s["delay"]) + (LAG + 1) * int(s["block"])) * float(s["dt"])
+    waiting = sum(
+        math.ceil((span - s["latency"][k]) / (s["period"][k] * s["every"][k])) + 1
+        for k in (R_SONAR, R_RING, R_PRESSURE, R_MAGNET, R_FIX)
+        if s["fitted"][k]
+    )
+    return min(blocks, KEPT), max(1, min(waiting, WAITING))
 
 
 def _fields(record: np.ndarray) -> Iterator[str]:

@@ -12,6 +12,7 @@ import xarray as xr
 
 from mufly.control import FlightController, design
 from mufly.errors import MuflyError
+from mufly.firmware.campaign import kept_flights
 from mufly.firmware.checks import (
     PilResult,
     built,
@@ -27,7 +28,7 @@ from mufly.firmware.integer_law import FixedFirmwareControllers, export_fixed
 from mufly.firmware.tables import export
 from mufly.flight import fly
 from mufly.flight.software import Controllers
-from mufly.mission import Mission, load_mission
+from mufly.mission import load_mission
 from mufly.results import result
 from mufly.toolchain import compiler
 from mufly.vehicle import Vehicle
@@ -73,6 +74,7 @@ def fly_fixed(
     flights: int = 1,
     law: FixedLaw | None = None,
     sensors: Literal["ideal", "fitted"] = "ideal",
+    keep: Path | None = None,
     on_flight: Callable[[FixedFlight], None] | None = None,
 ) -> list[FixedFlight]:
     """Fly missions by the C code in whole numbers, and again by Python in double precision.
@@ -86,6 +88,8 @@ def fly_fixed(
     law : FixedLaw, optional
     sensors : str
         ``"ideal"`` or ``"fitted"``.
+    keep : path, optional
+        Where results are kept; what is there is not flown again.
     on_flight : callable, optional
         Told every result.
 
@@ -96,40 +100,32 @@ def fly_fixed(
     """
     controller = design(vehicle)
     numbers = law or fixed_law(controller)
-    found = []
-    for name in missions:
+
+    def one(name: str, seed: int) -> FixedFlight:
         mission = load_mission(name)
-        for seed in range(flights):
-            kept: list[FixedFirmwareControllers] = []
+        kept: list[FixedFirmwareControllers] = []
 
-            def make(
-                c: FlightController, k: list[FixedFirmwareControllers] = kept
-            ) -> FixedFirmwareControllers:
-                k.append(FixedFirmwareControllers(c, numbers))
-                return k[-1]
+        def make(c: FlightController) -> FixedFirmwareControllers:
+            kept.append(FixedFirmwareControllers(c, numbers))
+            return kept[-1]
 
-            def flown(
-                by: Callable[[FlightController], Controllers] | None,
-                seed: int = seed,
-                what: Mission = mission,
-            ) -> xr.Dataset:
-                return fly(
-                    vehicle, what, controller=controller, seed=seed, gust=0.3 if seed else None, sensors=sensors,
-                    controllers=by,
-                )  # fmt: skip
-
-            record, other = flown(make), flown(None)
-            n = min(record.sizes["time"], other.sizes["time"])
-            gap = record.truth_position.values[:n] - other.truth_position.values[:n]
-            one = FixedFlight(
-                mission=mission.name or name, seed=seed, outcome=record.attrs["outcome"],
-                periods=int(record.sizes["time"]), overflows=sum(c.overflows for c in kept),
-                apart_m=float(np.sqrt((gap**2).sum(1)).max()),
+        def flown(by: Callable[[FlightController], Controllers] | None) -> xr.Dataset:
+            return fly(
+                vehicle, mission, controller=controller, seed=seed, gust=0.3 if seed else None, sensors=sensors,
+                controllers=by,
             )  # fmt: skip
-            found.append(one)
-            if on_flight is not None:
-                on_flight(one)
-    return found
+
+        record, other = flown(make), flown(None)
+        n = min(record.sizes["time"], other.sizes["time"])
+        gap = record.truth_position.values[:n] - other.truth_position.values[:n]
+        return FixedFlight(
+            mission=mission.name or name, seed=seed, outcome=record.attrs["outcome"],
+            periods=int(record.sizes["time"]), overflows=sum(c.overflows for c in kept),
+            apart_m=float(np.sqrt((gap**2).sum(1)).max()),
+        )  # fmt: skip
+
+    asked = [(name, seed) for seed in range(flights) for name in missions]
+    return kept_flights(FixedFlight, keep, asked, one, on_flight)
 
 
 def pil_fixed(vehicle: Vehicle, *, timeout_s: float = 120.0) -> list[PilResult]:

@@ -6,6 +6,7 @@ sanitizers of addresses and of undefined behaviour, so that what would go unnoti
 
 from __future__ import annotations
 
+import functools
 import re
 import shutil
 import subprocess
@@ -54,10 +55,21 @@ class FuzzResult:
     input_hex: str
 
 
+@functools.cache
 def missing_fuzzer() -> str:
-    """Return what has to be installed for :func:`fuzz`, as one line; "" if all is there."""
+    """Return what has to be installed for :func:`fuzz`, as one line; "" if all is there.
+
+    Debian packs clang's fuzzer and sanitizers apart from clang, so a program is linked with them to see.
+    """
     if shutil.which("clang") is None:
         return "install clang (Debian, Ubuntu: apt-get install clang)"
+    empty = "int LLVMFuzzerTestOneInput(const unsigned char *d, unsigned long n) { return d && n ? 0 : 0; }"
+    with tempfile.TemporaryDirectory() as folder:
+        flags = [f for f in _FLAGS if f.startswith("-f")]
+        build = ["clang", *flags, "-x", "c", "-", "-o", f"{folder}/empty"]
+        made = subprocess.run(build, input=empty, text=True, capture_output=True, timeout=120, check=False)
+    if made.returncode:
+        return "install clang's sanitizers (Debian, Ubuntu: apt-get install libclang-rt-14-dev, or that of your clang)"
     return ""
 
 

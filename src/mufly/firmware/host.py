@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 import subprocess
 import tempfile
 from pathlib import Path
@@ -14,9 +15,9 @@ from numpy.typing import NDArray
 
 from mufly.control import FlightController
 from mufly.estimate import Estimate
-from mufly.firmware.tables import tables_c, write_tree
+from mufly.firmware.tables import copy_sources, tables_c, write_tree
 from mufly.flight.software import Actuators, Controllers
-from mufly.toolchain import FLAGS, compile_library, compiler
+from mufly.toolchain import FLAGS, compile_library, compiler, kept_library
 
 _Array = NDArray[np.floating[Any]]
 
@@ -59,13 +60,38 @@ def _loaded(tables: str, single: bool, cc: str) -> tuple[cffi.FFI, Any]:
         return ffi, ffi.dlopen(str(library))
 
 
+@functools.lru_cache(maxsize=1)
+def _of_any() -> tuple[cffi.FFI, Any]:
+    """The code without numbers of its own, in double precision, kept on disk: for whom a design's are handed over."""
+    with tempfile.TemporaryDirectory(prefix="mufly-firmware-") as folder:
+        tree = Path(folder) / "fw"
+        copy_sources(tree)
+        files = {p.name: p.read_text(encoding="utf-8") for p in sorted(tree.glob("*.[ch]"))}
+        library = kept_library("firmware", {**files, "tables.c": _NO_TABLES})
+        words = library.with_suffix(".h")
+        if not words.exists():
+            made = words.with_suffix(f".{os.getpid()}")
+            made.write_text(declarations(tree), encoding="utf-8")
+            os.replace(made, words)
+    ffi = cffi.FFI()
+    ffi.cdef(words.read_text(encoding="utf-8"))
+    return ffi, ffi.dlopen(str(library))
+
+
+_NO_TABLES = """#include "controllers.h"
+const int32_t mufly_rate_Hz = 0;
+const int32_t mufly_position_divider = 0;
+const gains_t mufly_gains;
+"""
+
+
 class Firmware:
     """The exported code of one vehicle, built and loaded; the same code is built once in a process.
 
     Parameters
     ----------
-    controller : FlightController
-        From :func:`mufly.control.design`.
+    controller : FlightController or None
+        From :func:`mufly.control.design`. None: code without numbers of its own, built once for all vehicles.
     single : bool
         In single precision, as a processor without double computes.
     cc : str, optional
@@ -77,9 +103,15 @@ class Firmware:
         If there is no C compiler.
     """
 
-    def __init__(self, controller: FlightController, *, single: bool = False, cc: str | None = None) -> None:
+    def __init__(
+        self, controller: FlightController | None, *, single: bool = False, cc: str | None = None
+    ) -> None:
         self.real = np.dtype(np.float32 if single else np.float64)
-        self.ffi, self.lib = _loaded(tables_c(controller), single, cc or compiler())
+        self.of_any = controller is None
+        if controller is None:
+            self.ffi, self.lib = _of_any()
+        else:
+            self.ffi, self.lib = _loaded(tables_c(controller), single, cc or compiler())
 
     def gains(self, controller: FlightController) -> Any:
         """A ``gains_t`` of the numbers of a controller, which may be another than was exported."""
@@ -100,7 +132,8 @@ class FirmwareControllers(Controllers):
     def __init__(self, design: FlightController, firmware: Firmware | None = None) -> None:
         super().__init__(design)
         f = self.firmware = firmware or Firmware(design)
-        self._g = f.ffi.addressof(f.lib.mufly_gains)  # its tables, until something is tuned
+        # Its tables, until something is tuned
+        self._g = f.gains(design) if f.of_any else f.ffi.addressof(f.lib.mufly_gains)
         self._c, self._now = f.ffi.new("controllers_t *"), f.ffi.new("motion_t *")
         self._path, self._out = f.ffi.new("path_t *"), f.ffi.new("actuators_t *")
         self._two, self._four = f.ffi.new("real_t[2]"), f.ffi.new("real_t[4]")

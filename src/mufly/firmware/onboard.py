@@ -9,21 +9,24 @@ Texts that go in, the reason of a stop or what an estimator says of a sensor, ar
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mufly.control import FlightController
+from mufly.errors import MuflyError
 from mufly.estimate import Check, Estimate
 from mufly.estimate.layout import CHECKED
 from mufly.firmware.host import Firmware, FirmwareControllers
-from mufly.firmware.plan import plan_numbers, setup_numbers
+from mufly.firmware.plan import plan_numbers, plan_of, setup_numbers
 from mufly.flight.oscillation import INPUTS, Oscillation
 from mufly.flight.software import Actuators, FlightSoftware
 from mufly.flight.trust import sensor_name, told
 from mufly.logs.mcap import Event
-from mufly.mission import Command, Mission, MissionPlan, MissionState, Reference, State, Words
+from mufly.mission import NO_SIGNAL, Command, Mission, MissionPlan, MissionState, Reference, State, Words
 from mufly.mission.avoidance import CAPACITY, Detour, Memory
 from mufly.mission.state import LOG_KEPT
 from mufly.mission.trajectory import Point, Profile, SplinePath, Stop, Trajectory
@@ -71,12 +74,16 @@ class Onboard:
     def __init__(self, firmware: Firmware, controller: FlightController, plan: MissionPlan) -> None:
         f = self.firmware = firmware
         self.told = Told()
-        self._belief, self._command = f.ffi.new("belief_t *"), f.ffi.new("command_t *")
-        self._out, self.c = f.ffi.new("actuators_t *"), f.ffi.new("software_t *")
+        self.belief, self.command = f.ffi.new("belief_t *"), f.ffi.new("command_t *")
+        self.out, self.c = f.ffi.new("actuators_t *"), f.ffi.new("software_t *")
         self._plan, self.setup = f.ffi.new("plan_t *"), f.ffi.new("setup_t *")
         for name, value in setup_numbers(controller).items():
             setattr(self.setup, name, value)
-        self.setup.gains, self.setup.plan = f.ffi.addressof(f.lib.mufly_gains), self._plan
+        self.setup.plan = self._plan
+        self.setup.gains = self._gains = (
+            f.gains(controller) if f.of_any else f.ffi.addressof(f.lib.mufly_gains)
+        )
+        self._asked: Command | None = None
         self.fly_by(plan)
         self.start()
 
@@ -98,30 +105,27 @@ class Onboard:
         """Another mission has been loaded; it is flown when it is started."""
         self._names = name or "a mission"
         self.firmware.lib.mission_loaded(self._plan, self.firmware.ffi.addressof(self.c, "mission"))
-        self._listen()
+        self.listen()
 
     def step(self, m: Estimate, command: Command) -> Actuators:
         """One period."""
-        self._believe(m)
+        self.believe(m)
         self._ask(command)
-        self.firmware.lib.software_step(self.setup, self.c, self._belief, self._command, self._out)
-        self._listen()
-        out = self._out
+        self.firmware.lib.software_step(self.setup, self.c, self.belief, self.command, self.out)
+        self.listen()
+        out = self.out
         return Actuators(np.array(list(out.motor_input)), np.array(list(out.servo_input)))
 
     # in
 
-    def _believe(self, m: Estimate) -> None:
-        b = self._belief
+    def believe(self, m: Estimate) -> None:
+        """Lay an estimate into the record."""
+        b = self.belief
         b.time_s, b.valid = m.time_s, m.valid
         now = b.motion
         now.position, now.velocity = m.position.tolist(), m.velocity.tolist()
         now.attitude, now.rates, now.voltage = m.attitude.tolist(), m.rates.tolist(), m.battery_voltage
-        count = min(len(m.ranges), self._plan.ring.count)
-        b.ranges[0 : self._plan.ring.count] = [
-            *m.ranges.tolist()[:count],
-            *[self._plan.ring.max_range] * (self._plan.ring.count - count),
-        ]
+        self.see(m.ranges)
         b.judged = m.beliefs is not None
         if m.beliefs is None:
             return
@@ -133,8 +137,25 @@ class Onboard:
             one = b.checks[CHECKED.index(check.name)]
             one.status, one.why = _STATUS.index(check.status), self.told.number(check.reason)
 
+    def see(self, ranges: NDArray[np.floating[Any]]) -> None:
+        """Lay what the beams see into the record."""
+        ring = self._plan.ring
+        count = min(len(ranges), ring.count)
+        self.belief.ranges[0 : ring.count] = [
+            *ranges.tolist()[:count],
+            *[ring.max_range] * (ring.count - count),
+        ]
+
+    def settle(self, law: FirmwareControllers) -> None:
+        """Take the numbers of the law and no command, for periods that others step through."""
+        self.setup.gains = law.numbers()
+        self._ask(NO_SIGNAL)
+
     def _ask(self, c: Command) -> None:
-        to = self._command
+        if c is NO_SIGNAL and self._asked is NO_SIGNAL:
+            return
+        self._asked = c
+        to = self.command
         to.start, to.pause, to.home, to.land, to.rc = c.start, c.pause, c.home, c.land, c.rc
         to.has_first, to.first = c.first is not None, c.first or 0
         to.has_take_off, to.take_off = c.take_off is not None, c.take_off or 0.0
@@ -152,7 +173,7 @@ class Onboard:
 
     # out
 
-    def _listen(self) -> None:
+    def listen(self) -> None:
         """Read what has been logged since."""
         s = self.c.mission
         kept = len(s.log)
@@ -307,17 +328,20 @@ class FirmwareSoftware(FlightSoftware):
         firmware: Firmware | None = None,
     ) -> None:
         self._board: Onboard | None = None
+        self._first: dict[str, Any] = {}
+        self._told: dict[str, Any] = {}
         self.firmware = firmware or Firmware(controller)
         super().__init__(vehicle, controller, mission)
 
     def _start(self) -> None:
         self._board = Onboard(self.firmware, self._controller, self.plan)
-        self._law = FirmwareControllers(self._controller, self.firmware)
+        self.law = FirmwareControllers(self._controller, self.firmware)
 
     def reset(self) -> None:
         """Forget the flight: before the first step."""
         super().reset()
         self._start()
+        self.tell()
 
     def change(self, mission: Mission) -> None:
         """Fly by another mission's limits from now on."""
@@ -331,11 +355,11 @@ class FirmwareSoftware(FlightSoftware):
         assert self._board is not None
         if self._board.c.watch.begun:
             self._board.loaded(mission.name)
-            self._tell()
+            self.tell()
 
     def retune(self, controller: FlightController) -> None:
         """Go over to other numbers of the same control law, without a bump."""
-        self._law.retune(controller)
+        self.law.retune(controller)
         super().retune(controller)
 
     @property
@@ -347,22 +371,122 @@ class FirmwareSoftware(FlightSoftware):
         """Advance by one period."""
         board = self._board
         assert board is not None
-        board.setup.gains = self._law.numbers()
+        board.setup.gains = self.law.numbers()
         actuators = board.step(estimate, command)
-        self._tell()
+        self.tell()
         return actuators
 
-    def _tell(self) -> None:
-        """Let the rest of the simulation know how it stands."""
+    # What the rest of the simulation asks for is made when it asks: a period takes a tenth of the time of telling all.
+
+    def tell(self) -> None:
+        """What was made of the record is no longer true."""
+        self._told = {}
+
+    def _now(self, name: str) -> Any:
+        """What the record holds under a name, in the words of Python; before there is one, what Python began with."""
         board = self._board
-        assert board is not None
-        c = board.c
-        self._motors, self._lifted, self._late_s = _MOTORS[c.motors], bool(c.lifted), c.late_s
-        self._tilt = np.array(list(c.tilt))
-        if c.late_s == 0.0 or c.mission.logged != self.mission_state.logged:
-            self.mission_state = board.state
-        self._reference = board.reference
-        self.oscillation = board.oscillation
+        if board is None:
+            return self._first[name]
+        if name not in self._told:
+            self._told[name] = getattr(board, name)
+        return self._told[name]
+
+    @property
+    def board(self) -> Onboard:
+        """The records that it works on."""
+        assert self._board is not None
+        return self._board
+
+    def many(self, flight: Any) -> Callable[..., bool] | None:
+        """Return what advances a flight by many periods in one call."""
+        from mufly.firmware.many import Many  # it imports the flight, which imports the software
+
+        loop = Many(flight)
+        return loop.run if loop.can else None
+
+    @property
+    def motors(self) -> str:
+        """What the motors do."""
+        return "off" if self._board is None else str(_MOTORS[self._board.c.motors])
+
+    @property
+    def flying(self) -> bool:
+        """Whether it is off the floor."""
+        board = self._board
+        return board is not None and bool(self.firmware.lib.software_flying(board.c))
+
+    @property
+    def logged(self) -> int:
+        """Entries of the log so far."""
+        return 0 if self._board is None else int(self._board.c.mission.logged)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the mission is over."""
+        return self._board is not None and bool(self._board.c.mission.finished)
+
+    @property
+    def state(self) -> State:
+        """State of the mission."""
+        return State.INIT if self._board is None else _STATES[self._board.c.mission.state]
+
+    @property
+    def mission_state(self) -> MissionState:
+        """What the mission remembers."""
+        return cast(MissionState, self._now("state"))
+
+    @mission_state.setter
+    def mission_state(self, value: MissionState) -> None:
+        self._first["state"] = value
+
+    @property
+    def oscillation(self) -> Oscillation | None:
+        """What the actuators do that they should not, if anything."""
+        return cast("Oscillation | None", self._now("oscillation"))
+
+    @oscillation.setter
+    def oscillation(self, value: Oscillation | None) -> None:
+        self._first["oscillation"] = value
+
+    @property
+    def reference(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """What is being followed: position, velocity (N-E-D), and roll, pitch, yaw."""
+        if self._board is not None:
+            c = self._board.c
+            self._reference, self._late_s = self._now("reference"), c.late_s
+            self._tilt = np.array(list(c.tilt))
+        return super().reference
+
+
+class QuickSoftware(FirmwareSoftware):
+    """The same without tables of its own, for flights that are to be over soon; nothing differs in any bit.
+
+    Where there is no compiler, or the mission is too long for a board, it is a :class:`FlightSoftware` that is made.
+    """
+
+    def __new__(
+        cls,
+        vehicle: Vehicle,
+        controller: FlightController,
+        mission: Mission,
+        firmware: Firmware | None = None,
+    ) -> Any:
+        """Return the exported code or, where it cannot be had, the software in Python."""
+        try:
+            Firmware(None)
+            plan_numbers(plan_of(vehicle, controller, mission))
+        except (MuflyError, OSError):
+            return FlightSoftware(vehicle, controller, mission)
+        return super().__new__(cls)
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        controller: FlightController,
+        mission: Mission,
+        firmware: Firmware | None = None,
+    ) -> None:
+        super().__init__(vehicle, controller, mission, firmware or Firmware(None))
 
 
 class SoftwareBeside(FlightSoftware):

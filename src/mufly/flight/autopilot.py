@@ -22,7 +22,7 @@ import numpy as np
 from mufly.control import FlightController
 from mufly.dynamics import hover_performance
 from mufly.errors import InputError
-from mufly.estimate import Estimate
+from mufly.estimate import Check, Estimate
 from mufly.flight.parameters import Parameter, Parameters
 from mufly.flight.software import Actuators, FlightSoftware
 from mufly.flight.state import FlightState
@@ -162,12 +162,64 @@ class Autopilot:
             for text, level in self._sensors.step(estimate.beliefs.checks, self._period_s):
                 self.note(text, level)
         if due:
-            if software.mission_state.logged != self._logged:
+            if software.logged != self._logged:
                 self._report()
             self._look_after()
         # While the software has its motors off, what it gives is zero too.
         self._sent = actuators if self._armed or software.motors == "off" else _IDLE
         return self._sent
+
+    # many periods that others computed
+
+    @property
+    def asked(self) -> bool:
+        """Whether anything is asked of it that the next period has to hear."""
+        return self._command is not NO_SIGNAL or self._sticks is not None or self._offboard
+
+    @property
+    def armed(self) -> bool:
+        """Whether its motors may run."""
+        return self._armed
+
+    def untroubled(self, checks: tuple[Check, ...]) -> bool:
+        """Whether there is nothing to say of sensors of which this is thought, however long."""
+        return self._sensors.calm(checks)
+
+    def hear(self, checks: tuple[Check, ...], time_s: float, state: str) -> None:
+        """Say what is to be said of sensors in one period."""
+        for text, level in self._sensors.step(checks, self._period_s):
+            self._emit(Event(time_s, state, text, level))
+
+    def went_on(
+        self, estimate: Estimate | None, sent: Actuators, periods: int, due: int, tick: int, ran: bool
+    ) -> None:
+        """Take notice of periods that the flight software was stepped through by others; nothing was asked meanwhile.
+
+        Parameters
+        ----------
+        estimate : Estimate or None
+            Of the last; None: a period has begun in which it was not stepped.
+        sent : Actuators
+        periods, due, tick : int
+            How many, the last that ran the mission's logic (-1: none), and the last of all.
+        ran : bool
+            Whether the motors ran before the last.
+        """
+        if estimate is not None:
+            self.observe(estimate)
+        self._sent = sent
+        if due < 0:
+            return
+        if estimate is not None and due == tick:
+            if periods > self.software.every:
+                self._ran = ran
+            if self.software.logged != self._logged:
+                self._report()
+            self._look_after()
+        else:
+            self._ran = ran
+            if self._armed and ran:
+                self._armed_s = due * self._period_s
 
     def _wanted(self) -> Command:
         """The signals for the mission logic: what was asked once, and what holds for as long as it is repeated."""
@@ -191,7 +243,7 @@ class Autopilot:
         """What follows from how the step went: disarming, and leaving offboard."""
         software = self.software
         ran, self._ran = self._ran, software.motors != "off"
-        if self._offboard and software.mission_state.state not in ("offboard", "init"):
+        if self._offboard and software.state not in ("offboard", "init"):
             self._offboard = False
         if not self._armed:
             return

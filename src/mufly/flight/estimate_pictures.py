@@ -2,7 +2,8 @@
 
 ``estimate``: left what is true, measured and believed, right what the belief was off by, in the band of three standard
 deviations that it gave itself. ``sensors``: for every reading how far it was from what was expected, in standard
-deviations of that (the innovation), coloured by what was made of it.
+deviations of that (the innovation), coloured by what was made of it. ``way``: where it went, from above, with ellipses
+of three standard deviations, and the biases of the inertial unit.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import matplotlib as mpl
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
+from matplotlib.patches import Ellipse, Patch
 from numpy.typing import NDArray
 
 from mufly.flight.pictures import (
@@ -62,13 +63,14 @@ def draw_belief(dataset: xr.Dataset, folder: str | Path, *, dpi: int = 110) -> l
     Returns
     -------
     list of Path
-        ``estimate.png``, ``sensors.png``.
+        ``estimate.png``, ``sensors.png``, ``way.png``.
     """
     if "estimated_valid" not in dataset:
         return []
-    paths = [Path(folder) / f"{name}.png" for name in ("estimate", "sensors")]
+    paths = [Path(folder) / f"{name}.png" for name in ("estimate", "sensors", "way")]
     with mpl.rc_context(STYLE):
-        for path, figure in zip(paths, (draw_estimate(dataset), draw_checks(dataset)), strict=True):
+        figures = draw_estimate(dataset), draw_checks(dataset), draw_way(dataset)
+        for path, figure in zip(paths, figures, strict=True):
             figure.savefig(path, dpi=dpi)
     return paths
 
@@ -121,6 +123,63 @@ def draw_estimate(dataset: xr.Dataset) -> Figure:
         ax.set_xlabel("Time (s)")
     panels[0][0].legend(loc="lower right", bbox_to_anchor=(1.01, 0.95), ncols=3, borderpad=0.1)
     _header(figure, dataset)
+    return figure
+
+
+def draw_way(dataset: xr.Dataset) -> Figure:
+    """Where it went, from above, with an ellipse of three standard deviations every second or so; biases over time.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        As for :func:`draw_estimate`. Bounds of the biases are drawn where it has ``estimated_gyro_bias_sigma`` and
+        ``estimated_accelerometer_bias_sigma``.
+    """
+    figure = Figure(figsize=(13.0, 7.0))
+    grid = figure.add_gridspec(3, 3, width_ratios=(1.6, 1.0, 1.0))
+    figure.subplots_adjust(left=0.06, right=0.985, top=0.91, bottom=0.075, hspace=0.35, wspace=0.25)
+    time, good = dataset["time"].values, _flown(dataset)
+    plan: Any = figure.add_subplot(grid[:, 0])
+    fix = dataset["measured_position_fix"].values
+    plan.plot(fix[:, 1], fix[:, 0], ".", ms=2.5, color=GREY, label="measured", zorder=2)
+    x = np.where(good[:, None], dataset["estimated_position"].values, np.nan)
+    sigma = dataset["estimated_position_sigma"].values
+    true = dataset["truth_position"].values
+    plan.plot(x[:, 1], x[:, 0], color=BLUE, lw=1.1, label="estimated", zorder=4)
+    plan.plot(true[:, 1], true[:, 0], color=BLACK, lw=0.9, ls=(0, (4, 2)), label="true", zorder=5)
+    every = max(1, int(max(1.0, (time[-1] - time[0]) / 60.0) / max(float(np.median(np.diff(time))), 1e-6)))
+    for k in range(0, len(time), every):
+        if good[k] and np.isfinite(x[k]).all():
+            wide, high = 2 * _BAND * sigma[k, 1], 2 * _BAND * sigma[k, 0]
+            plan.add_patch(Ellipse((x[k, 1], x[k, 0]), wide, high, color=SKY, alpha=0.3, lw=0, zorder=1))
+    plan.set_aspect("equal", adjustable="datalim")
+    plan.set_xlabel("East (m)")
+    plan.set_ylabel("North (m)")
+    plan.legend(loc="upper right", ncols=3)
+    for j, (name, heading, factor) in enumerate(
+        (
+            ("gyro_bias", "Gyroscopes' bias (deg/s)", 180.0 / np.pi),
+            ("accelerometer_bias", "Accelerometers' bias (m/s²)", 1.0),
+        )
+    ):  # fmt: skip
+        block = factor * dataset[f"estimated_{name}"].values
+        bounds = f"estimated_{name}_sigma"
+        spread = factor * dataset[bounds].values if bounds in dataset else None
+        for k, axis in enumerate("xyz"):
+            ax: Any = figure.add_subplot(grid[k, 1 + j])
+            if spread is not None:
+                low, high = block[:, k] - _BAND * spread[:, k], block[:, k] + _BAND * spread[:, k]
+                ax.fill_between(time, low, high, color=SKY, alpha=0.45, lw=0)
+                _limit(ax, np.concatenate([low[good], high[good]]))
+            ax.plot(time, block[:, k], color=BLUE, lw=1.1)
+            ax.set_xlim(time[0], max(time[-1], time[0] + 1e-3))
+            ax.set_title(f"{heading}, {axis}" if k == 0 else axis, pad=3)
+            if k == 2:
+                ax.set_xlabel("Time (s)")
+    figure.text(0.02, 0.985, title(dataset), fontsize=10, va="top")
+    figure.text(
+        0.02, 0.955, "ellipses and bands: three standard deviations", fontsize=8.5, va="top", color=GREY
+    )
     return figure
 
 

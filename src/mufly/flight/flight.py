@@ -32,6 +32,7 @@ from mufly.control import FlightController, design
 from mufly.dynamics import (
     DrydenWind,
     initial_state,
+    model_air,
     outside_model,
     standing_height,
 )
@@ -45,7 +46,7 @@ from mufly.flight.software import Actuators, Computing, Controllers, FlightSoftw
 from mufly.flight.state import FlightState
 from mufly.logs.mcap import Event, standard_layout
 from mufly.mission import Mission, MissionEstimate, dump_mission, load_mission, preflight
-from mufly.sensors import Fault, FittedSensors, Sensors, Truth, fitted_sensors, ideal_sensors
+from mufly.sensors import Fault, FittedSensors, Readings, Sensors, Truth, fitted_sensors, ideal_sensors
 from mufly.vehicle import Vehicle, load_vehicle, vehicle_toml
 from mufly.version import __version__
 
@@ -152,8 +153,8 @@ class Flight:
             attitude=(0.0, 0.0, math.radians(mission.start_heading_deg)),
         )
         self.plant = Plant(vehicle, mission.world, air, controller.rate_Hz, self._start)
-        self._look = max(1, round(controller.rate_Hz / RING_HZ))
-        self.sensors = _sensors(sensors, vehicle, mission, self._look, seed, faults)
+        self.look = max(1, round(controller.rate_Hz / RING_HZ))
+        self.sensors = _sensors(sensors, vehicle, mission, self.look, seed, faults)
         sensed = self.sensed = isinstance(self.sensors, FittedSensors)
         full = sensed and not brief
         if estimator is None:
@@ -175,6 +176,7 @@ class Flight:
                 "seed": seed,
                 "wind_m_s": steady.tolist(),
                 "gust_m_s": gust,
+                "model_air_m_s": model_air(vehicle)[1:],
                 **({"outside_model": self.outside} if self.outside else {}),
                 "rate_Hz": controller.rate_Hz,
                 **({} if designed_for is None else {"designed_for": designed_for.name}),
@@ -190,13 +192,16 @@ class Flight:
             },
             keep=keep,
         )
+        self.records_measured = not brief
         self._write = row_writer(self.recorder, measured=not brief)
         self._write_sensed = sensed_row_writer(self.recorder) if full else None
-        self._every = 1 if full else max(1, round(controller.rate_Hz / RECORD_HZ))
-        self._acting = self._sent = Actuators.idle()
+        self.every = 1 if full else max(1, round(controller.rate_Hz / RECORD_HZ))
+        self.acting = self.sent = Actuators.idle()
+        self._many: Callable[..., bool] | None = None
+        self._asked_many = False
         self._first_look()
         self._crash_s = math.inf
-        self._current_A = self.autopilot.hover_A
+        self.current_A = self.autopilot.hover_A
         self._finished = self._mission_flown = False
         self.refused = ""
         self.autopilot.listeners.append(self._record)
@@ -207,13 +212,13 @@ class Flight:
         self.plant.collide()
         self._measure(np.zeros(4))
         self.autopilot.observe(self._estimate)
-        self._fresh = True
+        self.fresh = True
 
     def _measure(self, acted: NDArray[np.floating[Any]]) -> None:
         """From the truth of this instant to what the vehicle believes of it; it knows what acted until now."""
         self._truth = self.plant.truth
-        self._readings = self.sensors.read(self._truth)
-        self._estimate = self.estimator.update(self._readings, acted.astype(np.float64, copy=False))
+        self.readings = self.sensors.read(self._truth)
+        self._estimate = self.estimator.update(self.readings, acted.astype(np.float64, copy=False))
 
     @property
     def truth(self) -> Truth:
@@ -232,31 +237,55 @@ class Flight:
 
     def tick(self) -> None:
         """Advance by one period of the controllers."""
-        plant, autopilot = self.plant, self.autopilot
-        acted, fresh = self._acting, self._fresh
-        self._fresh = False
+        acted, fresh = self.acting, self.fresh
+        self.fresh = False
         if not fresh:
-            plant.advance(acted)
-            self._acting = self._sent
+            self.plant.advance(acted)
+            self.acting = self.sent
+        self.rest_of_period(acted.array, fresh)
+
+    def advance(self, until: int, **more: Any) -> None:
+        """Advance by one period, or up to period ``until`` where nothing has to be decided before."""
+        if not self._asked_many:
+            self._many, self._asked_many = self.autopilot.software.many(self), True
+        if self._many is None or not self._many(until, **more):
+            self.tick()
+
+    def take(self, truth: Truth, readings: Readings, estimate: Estimate) -> None:
+        """Take what is so at the end of periods that others computed."""
+        self._truth, self.readings, self._estimate = truth, readings, estimate
+
+    @property
+    def records_truth(self) -> bool:
+        """Whether a row of the recording holds nothing of sensors with errors."""
+        return self._write_sensed is None
+
+    @property
+    def blend(self) -> float:
+        """Share of a new current in that of late, every ``look`` periods."""
+        return self.look * self.period_s / _CURRENT_LAG_S
+
+    def rest_of_period(self, acted: NDArray[np.floating[Any]], fresh: bool = False) -> None:
+        """What follows when the plant has been advanced: measuring, the flight software, the recording."""
+        plant, autopilot = self.plant, self.autopilot
         k = plant.ticks
-        if k % self._look == 0:
+        if k % self.look == 0:
             plant.collide()
             flying = autopilot.software.motors == "fly"
-            blend = self._look * self.period_s / _CURRENT_LAG_S
-            self._current_A += blend * (
-                (float(plant.current) if flying else autopilot.hover_A) - self._current_A
+            self.current_A += self.blend * (
+                (float(plant.current) if flying else autopilot.hover_A) - self.current_A
             )
         if not (fresh and self.sensed):  # a filter hears of every instant once
-            self._measure(acted.array)
-        self._sent = autopilot.step(self._estimate)
-        if k % self._every == 0:
+            self._measure(acted)
+        self.sent = autopilot.step(self._estimate)
+        if k % self.every == 0:
             software = autopilot.software
-            state = str(software.mission_state.state)
+            state = str(software.state)
             if self._write_sensed is None:
-                self._write(self._truth, self._readings, self._acting, software.reference, state)
+                self._write(self._truth, self.readings, self.acting, software.reference, state)
             else:
                 self._write_sensed(
-                    self._truth, self._readings, self._estimate, self._acting, software.reference, state
+                    self._truth, self.readings, self._estimate, self.acting, software.reference, state
                 )
         if plant.crashed:
             self._after_crash()
@@ -311,8 +340,8 @@ class Flight:
         return replace(
             self.autopilot.status,
             crashed=plant.crashed,
-            readings=self._readings,
-            actuators=self._acting,
+            readings=self.readings,
+            actuators=self.acting,
             battery_current=float(truth.current),
             battery_charge=truth.charge,
             battery_left_s=self._left_s(),
@@ -322,7 +351,7 @@ class Flight:
 
     def _left_s(self) -> float:
         """From the charge that is left above the one at which the voltage under this current is too low."""
-        p, current = self.plant.parameters, max(self._current_A, 1e-3)
+        p, current = self.plant.parameters, max(self.current_A, 1e-3)
         low = self.autopilot.software.plan.low_V + float(p["battery_resistance"]) * current
         curve = np.asarray(p["battery_curve"], dtype=np.float64)
         empty = float(np.interp(low, curve, np.linspace(0.0, 1.0, len(curve))))
@@ -331,8 +360,9 @@ class Flight:
     def reset(self) -> None:
         """Back to the start with a full battery, motors off; the clock, the recording and the parameters go on."""
         self.plant.reset(self._start)
+        self._many, self._asked_many = None, False
         self.autopilot.reset()
-        self._acting = self._sent = Actuators.idle()
+        self.acting = self.sent = Actuators.idle()
         self._crash_s = math.inf
         self._first_look()
         self.note("back at the start")
@@ -426,6 +456,7 @@ def fly(
     designed_for: Vehicle | None = None,
     brief: bool = False,
     on_tick: Callable[[Flight], None] | None = None,
+    tick_every: int = 1,
 ) -> xr.Dataset:
     """Fly a mission on the full nonlinear model.
 
@@ -444,7 +475,9 @@ def fly(
     on_event : callable, optional
         Called with every :class:`Event`: changes of the mission's state, with the reason, and what went wrong.
     on_tick : callable, optional
-        Called with the flight after every period.
+        Called with the flight after every period, or after every ``tick_every``-th.
+    tick_every : int
+        Where the flight software can fly many periods in one call, that is as many as it flies.
 
     Returns
     -------
@@ -485,7 +518,9 @@ def fly(
         slower = flight.autopilot.software.slower
         if slower:
             flight.note(f"slower than asked, as the controllers can: {slower}", "warning")
-        wall_s = _run(flight, expected, _time_limit(mission, expected), realtime, on_progress, on_tick)
+        wall_s = _run(
+            flight, expected, _time_limit(mission, expected), realtime, on_progress, on_tick, tick_every
+        )
         outcome, reason = _judge(flight)
         flight.close(outcome, reason, realtime_factor=flight.time_s / max(wall_s, 1e-9))
     return flight.recorder.dataset()
@@ -505,11 +540,13 @@ def _run(
     realtime: bool,
     on_progress: Callable[[Progress], None] | None,
     on_tick: Callable[[Flight], None] | None,
+    tick_every: int,
 ) -> float:
     """Fly until the mission has ended, the vehicle has crashed or time is up; return the wall time (s)."""
     software, plant = flight.autopilot.software, flight.plant
     began = shown = time.perf_counter()
     ended_at = math.inf
+    singly = realtime or (on_tick is not None and tick_every == 1)
     if flight.sensed:
         refused = align(flight)
         if refused:
@@ -519,8 +556,12 @@ def _run(
         flight.autopilot.arm(force=True, quiet=True)
         flight.autopilot.start_mission()
     while flight.time_s < ended_at + RECORDED_AFTER_S:
-        flight.tick()
+        end = min(time_limit, ended_at + RECORDED_AFTER_S)
+        until = plant.ticks + 1 if singly else math.floor(end * plant.rate_Hz)
         if on_tick is not None:
+            until = min(until, plant.ticks // tick_every * tick_every + tick_every)
+        flight.advance(until)
+        if on_tick is not None and plant.ticks % tick_every == 0:
             on_tick(flight)
         now = time.perf_counter()
         if on_progress is not None and now - shown > PROGRESS_S:
@@ -528,9 +569,7 @@ def _run(
             on_progress(_progress(flight, expected.duration_s, now - began))
         if realtime and flight.time_s > now - began:
             time.sleep(flight.time_s - (now - began))
-        if ended_at == math.inf and (
-            software.mission_state.finished or plant.crashed or flight.time_s > time_limit
-        ):
+        if ended_at == math.inf and (software.finished or plant.crashed or flight.time_s > time_limit):
             ended_at = flight.time_s
     return time.perf_counter() - began
 
@@ -541,8 +580,12 @@ def align(flight: Flight) -> str:
     What will not work in the air is said before that.
     """
     autopilot, why = flight.autopilot, ["nothing is measured yet"]
+    last = math.floor(ALIGNED_WITHIN_S * flight.plant.rate_Hz)
     while why and flight.time_s < ALIGNED_WITHIN_S:
-        flight.tick()
+        if flight.estimate.valid:
+            flight.tick()
+        else:
+            flight.advance(last, until_valid=True)  # before it is, it is not ready
         if autopilot.software.due:
             why = autopilot.not_ready()
     answer = autopilot.arm(quiet=True)

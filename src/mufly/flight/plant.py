@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,6 @@ from mufly.dynamics import (
     DrydenWind,
     advance,
     battery_state,
-    euler_from_quaternion,
     fastest_part,
     longest_step,
     lowest_point,
@@ -28,19 +27,47 @@ from mufly.errors import InputError, MuflyError
 from mufly.estimate import IdealEstimator
 from mufly.flight.recorder import Recorder
 from mufly.flight.software import Actuators, Controllers
-from mufly.sensors import Readings, Truth, ideal_sensors, nearest_turn
+from mufly.sensors import Readings, Truth, ideal_sensors
+from mufly.trigonometry import direction
 from mufly.vehicle import Vehicle
-from mufly.world import World, distance
+from mufly.world import World, distance, nearest
 
 SHORTEST_STEP_S = 1e-5
 
 
 @compiled(error_model="numpy")
-def _period(x, u, wind, parameters, dt, steps, supply):  # type: ignore[no-untyped-def]
+def plant_period(x, u, wind, parameters, dt, steps, supply):  # type: ignore[no-untyped-def]
     """Advance the state by one period; write voltage and current of the battery at its end into ``supply`` (2,)."""
     p = parameters[0]
     advance(x, u, wind, p, dt, steps)
     supply[0], supply[1] = battery_state(x, u[0], u[1], p)
+
+
+@compiled(error_model="numpy")
+def true_attitude(x, attitude):  # type: ignore[no-untyped-def]
+    """Roll, pitch, yaw (rad) of a state into ``attitude`` (3,); yaw is the one nearest to what stands there.
+
+    By :mod:`mufly.trigonometry`, so that it is the same on every processor.
+    """
+    w, i, j, k = x[6], x[7], x[8], x[9]
+    sine = min(max(2.0 * (w * j - k * i), -1.0), 1.0)
+    yaw = direction(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k))
+    attitude[0] = direction(2.0 * (w * i + j * k), 1.0 - 2.0 * (i * i + j * j))
+    attitude[1] = direction(sine, math.sqrt((1.0 - sine) * (1.0 + sine)))
+    attitude[2] = yaw + 2.0 * math.pi * np.rint((attitude[2] - yaw) / (2.0 * math.pi))
+
+
+@compiled(error_model="numpy")
+def touched(x, parameters, legs, radius, obstacles, boxes, cylinders, limits):  # type: ignore[no-untyped-def]
+    """What a helicopter has hit: 0 nothing, 1 an obstacle, 2 the floor with a rotor."""
+    p = parameters[0]
+    if obstacles and nearest(x[0:3].reshape(1, 3), boxes, cylinders, limits)[0][0] < radius:
+        return 1
+    if x[2] + p.contact_reach > 0.0:
+        depth, point = lowest_point(x, p)
+        if depth > 0.0 and point >= legs:
+            return 2
+    return 0
 
 
 class Plant:
@@ -64,24 +91,30 @@ class Plant:
         self.rate_Hz = rate_Hz
         self.world = world
         self.parameters = model_parameters(vehicle)
-        self._box, self._supply = boxed(self.parameters), np.empty(2)
+        self.box, self.supply = boxed(self.parameters), np.empty(2)
         self.state = state.copy()
         self.ticks = 0
         self.wind = np.zeros(3)
         self.voltage, self.current = battery_state(self.state, 0.0, 0.0, self.parameters)
         self.crashed = ""
-        self._air = _stream(air, max(1, round(rate_Hz)))
+        self._air, self._block = air, max(1, round(rate_Hz))
+        self._coming, self._blown = air.block(self._block), 0
         longest = min(DEFAULT_STEP_S, longest_step(self.parameters))
         if longest < SHORTEST_STEP_S:
             raise MuflyError(
                 f"{vehicle.name}: its fastest mode needs steps of {longest * 1e6:.2g} us, too short to simulate a "
                 f"flight; it is that of {fastest_part(self.parameters)}"
             )
-        self._steps = math.ceil(1.0 / rate_Hz / longest - 1e-9)
-        self._step_s = 1.0 / rate_Hz / self._steps
-        self._legs = len(vehicle.contact.legs.value)
-        self._radius = float(vehicle.rotors.radius)
-        self._yaw = float(euler_from_quaternion(state[6:10])[2])
+        self.steps = math.ceil(1.0 / rate_Hz / longest - 1e-9)
+        self.step_s = 1.0 / rate_Hz / self.steps
+        self.body = (
+            len(vehicle.contact.legs.value),
+            float(vehicle.rotors.radius),
+            not world.empty,
+            *world.packed,
+        )
+        self.attitude = np.zeros(3)
+        true_attitude(self.state, self.attitude)
 
     def reset(self, state: NDArray[np.float64]) -> None:
         """Put the helicopter somewhere else, whole and at rest, one period later; air and clock go on."""
@@ -89,7 +122,8 @@ class Plant:
         self.ticks += 1
         self.crashed = ""
         self.voltage, self.current = battery_state(self.state, 0.0, 0.0, self.parameters)
-        self._yaw = float(euler_from_quaternion(state[6:10])[2])
+        self.attitude[:] = 0.0
+        true_attitude(self.state, self.attitude)
 
     @property
     def time_s(self) -> float:
@@ -99,14 +133,12 @@ class Plant:
         """See whether anything was hit."""
         if self.crashed:
             return
-        if not self.world.empty:
-            away, name = distance(self.world, self.state[0:3])
-            if away < self._radius:
-                self.crashed = f"a rotor hit the {name} at {self._where()}"
-        if self.state[2] + self.parameters["contact_reach"] > 0.0:
-            depth, point = lowest_point(self.state, self.parameters)
-            if depth > 0.0 and point >= self._legs:
-                self.crashed = f"tipped over: a rotor touched the floor at {self._where()}"
+        hit = touched(self.state, self.box, *self.body)
+        if hit == 1:
+            _, name = distance(self.world, self.state[0:3])
+            self.crashed = f"a rotor hit the {name} at {self._where()}"
+        elif hit == 2:
+            self.crashed = f"tipped over: a rotor touched the floor at {self._where()}"
 
     def _where(self) -> str:
         n, e, d = self.state[0:3]
@@ -115,28 +147,43 @@ class Plant:
     @property
     def truth(self) -> Truth:
         """All that there is to know of this instant; the state is copied."""
-        attitude = euler_from_quaternion(self.state[6:10])
-        self._yaw = attitude[2] = nearest_turn(float(attitude[2]), self._yaw)
+        true_attitude(self.state, self.attitude)
         return Truth(
-            self.time_s, self.ticks, self.state.copy(), attitude, self.wind, self.voltage, self.current
+            self.time_s,
+            self.ticks,
+            self.state.copy(),
+            self.attitude.copy(),
+            self.wind,
+            self.voltage,
+            self.current,
         )
 
     def advance(self, actuators: Actuators) -> None:
         """Advance by one period."""
-        self.wind = next(self._air)
-        _period(self.state, actuators.array, self.wind, self._box, self._step_s, self._steps, self._supply)
-        self.voltage, self.current = self._supply.tolist()
-        self.ticks += 1
+        self.blew(self.air_ahead(1)[0], 1)
+        plant_period(self.state, actuators.array, self.wind, self.box, self.step_s, self.steps, self.supply)
+        self.passed(1)
+
+    def air_ahead(self, most: int) -> NDArray[np.float64]:
+        """The wind of the periods to come (n, 3): as many as are known, at least one, at most ``most``."""
+        if self._blown == self._block:
+            self._coming, self._blown = self._air.block(self._block), 0
+        return self._coming[self._blown : self._blown + most]
+
+    def blew(self, wind: NDArray[np.float64], periods: int) -> None:
+        """Take notice that the wind of so many periods has passed, and what it was last (3,)."""
+        self.wind = wind
+        self._blown += periods
+
+    def passed(self, periods: int) -> None:
+        """Take notice that the state has been advanced by so many."""
+        self.voltage, self.current = self.supply.tolist()
+        self.ticks += periods
         if not math.isfinite(self.state[2]):
             raise MuflyError(
-                f"the simulation became unstable at {self.time_s:.3f} s with steps of {self._step_s * 1e3:g} ms; "
+                f"the simulation became unstable at {self.time_s:.3f} s with steps of {self.step_s * 1e3:g} ms; "
                 "check the vehicle's parameters with `mufly vehicle check`"
             )
-
-
-def _stream(air: DrydenWind, block: int) -> Iterator[NDArray[np.float64]]:
-    while True:
-        yield from air.block(block)
 
 
 # ----------------------------------------------------------------------------
@@ -177,6 +224,24 @@ def row_writer(
     return write
 
 
+def append_rows(
+    recorder: Recorder,
+    truth: Truth,
+    measured: Mapping[str, _Array],
+    actuators: Actuators,
+    reference: tuple[_Array, _Array, _Array],
+    states: list[str],
+) -> None:
+    """Append many rows at once: as :func:`row_writer`, all arrays (n, ...), ``measured`` by the names of columns."""
+    rows = np.full((len(states), recorder.layout.width), np.nan)
+    part = {name: rows[:, column] for name, column in recorder.layout.columns.items()}
+    rows[:, 0] = truth.time_s
+    common_writer(part)(truth, actuators, reference)
+    for name, value in measured.items():
+        part[name][:] = value
+    recorder.extend(rows, states)
+
+
 def blank_row(recorder: Recorder) -> tuple[_Array, dict[str, _Array]]:
     """A row of a recording where nothing is known yet, and its parts by the names of the quantities."""
     row = np.full(recorder.layout.width, np.nan)
@@ -186,7 +251,7 @@ def blank_row(recorder: Recorder) -> tuple[_Array, dict[str, _Array]]:
 def common_writer(
     part: Mapping[str, _Array],
 ) -> Callable[[Truth, Actuators, tuple[_Array, _Array, _Array]], None]:
-    """Return what fills the part of a row that every flight has: truth, reference, actuators, battery."""
+    """Return what fills the part of a row, or of many, that every flight has: truth, reference, actuators, battery."""
     position, velocity, attitude, rates, speed = (
         part[f"truth_{name}"] for name in ("position", "velocity", "attitude", "rates", "rotor_speed")
     )
@@ -197,15 +262,15 @@ def common_writer(
     def fill(truth: Truth, actuators: Actuators, reference: tuple[_Array, _Array, _Array]) -> None:
         x = truth.state
         position[:], velocity[:], attitude[:], rates[:], speed[:] = (
-            x[0:3],
-            x[3:6],
+            x[..., 0:3],
+            x[..., 3:6],
             truth.attitude,
-            x[10:13],
-            x[18:20],
+            x[..., 10:13],
+            x[..., 18:20],
         )
         place[:], way[:], turned[:] = reference
         wind[:], motor[:], servo[:] = truth.wind, actuators.motor_input, actuators.servo_input
-        charge[0], voltage[0], current[0] = x[20], truth.voltage, truth.current
+        charge[..., 0], voltage[..., 0], current[..., 0] = x[..., 20], truth.voltage, truth.current
 
     return fill
 

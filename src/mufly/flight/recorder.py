@@ -511,6 +511,19 @@ class Recorder:
         self._states.append(state)
         self._n += 1
 
+    def extend(self, rows: NDArray[np.float64], states: Sequence[str]) -> None:
+        """Add many instants: rows (n, layout.width), and the state of each."""
+        first = 0
+        while first < len(rows):
+            if rows[first, 0] >= self._flush_at or self._n == BLOCK_ROWS:
+                self._roll(float(rows[first, 0]))
+            before = first + int(np.searchsorted(rows[first:, 0], self._flush_at))
+            stop = min(max(before, first + 1), first + BLOCK_ROWS - self._n)
+            self._block[self._n : self._n + stop - first] = rows[first:stop]
+            self._states += states[first:stop]
+            self._n += stop - first
+            first = stop
+
     def event(self, time_s: float, state: str, text: str, level: str = "info") -> None:
         """Add an event: a transition, a warning (``level="warning"``) or an error."""
         self._events.append(Event(float(time_s), state, text, level))

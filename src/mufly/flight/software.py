@@ -11,7 +11,8 @@ spin_up     motor inputs rise to 0.9 of hover, too little to lift off; servos at
 fly         heave-yaw controller; from 2 cm above the floor also roll-pitch and, every n-th step, position
 ramp_down   after touchdown motor inputs fall to zero
 blind       the estimate is lost: servos at trim, which the stabiliser bar makes a level attitude, and motor
-            voltages a little below those of the last second, until the floor has come
+            voltages around those of the last second that keep to a rate of descent while the height is known all
+            the same, else a little below them, until the floor has come
 =========== =========================================================================================
 
 Between two steps of the mission logic its reference is carried on at the reference velocity. Where the mission asks
@@ -44,7 +45,7 @@ from mufly.control import (
 )
 from mufly.estimate import Estimate, Watch, watch
 from mufly.flight.oscillation import Oscillation, OscillationWatch, steered
-from mufly.flight.trust import Doubts, Smooth
+from mufly.flight.trust import HEIGHT_M, Doubts, Smooth
 from mufly.mission import (
     NO_SIGNAL,
     RAMP_DOWN_S,
@@ -69,6 +70,7 @@ from mufly.mission import (
     step,
     stop_at_once,
 )
+from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.floating[Any]]
@@ -80,6 +82,7 @@ STEP_MOTOR, STEP_SERVO = 0.1, 0.2
 """How far an input moves in a period at most, on an estimate: twice what flights in gusts need (quantile 0.999)."""
 
 _LEARN_S = 1.0
+_VOLTS_S = 0.5  # in which the battery's reading counts while the rotors speed up, on an estimate
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,6 +168,8 @@ class FlightSoftware:
         self._given = Actuators.idle()
         # Motor voltages, averaged over the last second of flight.
         self._held_up: _Array = np.zeros(2)
+        self._trusts_until_s = 0.0
+        self._volts = 0.0
 
     def compute_with(self, make: Callable[[FlightController], Controllers]) -> None:
         """Let other code compute the control law, such as that for a board; on the floor, before the first step."""
@@ -213,9 +218,33 @@ class FlightSoftware:
         return self._ticks % self._every == 0
 
     @property
+    def every(self) -> int:
+        """Periods from one step of the mission logic to the next."""
+        return self._every
+
+    def many(self, flight: Any) -> Callable[..., bool] | None:
+        """Return what advances a flight by many periods in one call, if there is such code: ``run(until)``."""
+        return None
+
+    @property
     def motors(self) -> str:
         """What the motors do: the table above."""
         return self._motors
+
+    @property
+    def state(self) -> State:
+        """State of the mission."""
+        return self.mission_state.state
+
+    @property
+    def logged(self) -> int:
+        """Entries of the mission's log so far."""
+        return self.mission_state.logged
+
+    @property
+    def finished(self) -> bool:
+        """Whether the mission is over."""
+        return self.mission_state.finished
 
     @property
     def flying(self) -> bool:
@@ -256,11 +285,11 @@ class FlightSoftware:
         self._late_s = (self._ticks % self._every) * self._period_s
         self._ticks += 1
         if self._lost(self._watch):
-            return self._steadied(m, self._sink_blindly(self._watch, Words.LOST(self._watch.what)))
+            return self._steadied(m, self._sink_blindly(self._watch, estimate, Words.LOST(self._watch.what)))
         if self._late_s == 0.0 and m.beliefs is not None:
             doubt = self._doubt(m)
             if doubt:
-                return self._steadied(m, self._sink_blindly(self._watch, doubt))
+                return self._steadied(m, self._sink_blindly(self._watch, estimate, doubt))
         if self._late_s == 0.0:
             self.mission_state, self._reference = step(self.plan, self.mission_state, m, self._command)
             self._command = NO_SIGNAL
@@ -331,25 +360,39 @@ class FlightSoftware:
                 self.mission_state = go_on(self.plan, log(s, Words.KNOWN()), None)
         return ""
 
-    def _sink_blindly(self, w: Watch, why: str) -> Actuators:
+    def _sink_blindly(self, w: Watch, told: Estimate, why: str) -> Actuators:
         now = w.good.time_s
+        height = self._height_still_known(told)
         if self._motors != "blind":
             self._motors = "blind"
-            self._since_s = now + (self._way_down_s(w.good) if self._lifted else 0.0)
+            span = self._way_down_s(self._height(w.good)) if self._lifted else 0.0
+            self._since_s, self._trusts_until_s = now + span, now + 2.0 * span
             self.mission_state = blind(self.mission_state, now, why)
             self._reference = replace(self._reference, motors="blind", velocity=np.zeros(3), heading_rate=0.0)
             self._tilt, self._command = np.zeros(2), NO_SIGNAL
+        knows = self._lifted and now < self._trusts_until_s and TOUCHES_M < height < math.inf
+        if knows:  # should that end, it goes on from here
+            self._since_s = now + self._way_down_s(height)
         left_s = self._since_s + RAMP_DOWN_S - now
         if left_s <= 0.0:
             self.mission_state = down_blind(self.mission_state, now)
             self._reference = replace(self._reference, motors="off")
             self._motors, self._motor_input = "off", np.zeros(2)
         else:
-            self._motor_input = sink(self._held_up, left_s, w.good.battery_voltage)
+            share = sink_share(height, float(told.velocity[2])) if knows else SINK_SHARE
+            self._motor_input = sink(self._held_up, share, left_s, w.good.battery_voltage)
         return Actuators(self._motor_input, np.zeros(2))
 
-    def _way_down_s(self, m: Estimate) -> float:
-        height = self.mission_state.standing[2] - float(m.position[2])
+    def _height(self, m: Estimate) -> float:
+        return float(self.mission_state.standing[2] - m.position[2])
+
+    def _height_still_known(self, m: Estimate) -> float:
+        """Height above where it stood (m) of an estimate that is lost as a whole; infinite if that is lost too."""
+        certain = m.beliefs is not None and m.covariance[2, 2] < HEIGHT_M * HEIGHT_M
+        height = self._height(m)
+        return height if certain and abs(height) + abs(float(m.velocity[2])) < 1e3 else math.inf
+
+    def _way_down_s(self, height: float) -> float:
         return way_down_s(height, float(self._controller.position_gains["gravity"]))
 
     def _switch(self, motors: str, m: Estimate) -> None:
@@ -366,9 +409,13 @@ class FlightSoftware:
 
     def _on_the_floor(self, motors: str, m: Estimate) -> Actuators:
         elapsed = m.time_s - self._since_s
+        if motors == "spin_up" and m.beliefs is not None:
+            self._volts += self._period_s / _VOLTS_S * (m.battery_voltage - self._volts)
+        else:
+            self._volts = m.battery_voltage
         if motors == "spin_up":
             hover_V = self._controller.motor_trim * self._controller.voltage_V
-            self._motor_input = spin_up(hover_V, elapsed, m.battery_voltage)
+            self._motor_input = spin_up(hover_V, elapsed, self._volts)
         elif motors == "ramp_down":
             self._motor_input = ramp_down(self._released, elapsed)
         else:
@@ -476,6 +523,11 @@ class Controllers:
                 position_gains=copied(now.position_gains),
             )
         self._target, self._settled = design, False
+
+    @property
+    def settled(self) -> bool:
+        """Whether it goes over to no other numbers."""
+        return self._settled
 
     def _go_over(self) -> None:
         """One period of going over to the target's numbers."""
@@ -618,11 +670,17 @@ Computing = Callable[[FlightController], Controllers] | type[FlightSoftware]
 #
 # Two rotors at a share s of the voltages that hold the helicopter up turn s times as fast and lift s^2 times as much.
 # Speeding up to 0.9 leaves a fifth of the weight on the legs. Sinking blindly at 0.98 the weight is 0.04 short: it
-# falls at 0.04 g and touches down from 2 m at 1.3 m/s (drag left out).
+# falls at 0.04 g and touches down from 2 m at 1.3 m/s (drag left out). Where height and rate of descent are known, the
+# share s keeps to a rate: (1 - s^2) g is the acceleration, which takes 0.4 s for the rate.
 
 
 SPIN_UP_SHARE = 0.9
 SINK_SHARE = 0.98
+TOUCHES_M = 0.03
+"""Height from which it counts as down (m)."""
+_SINK_M_S, _TOUCH_M_S = 0.9, 0.5  # high up and near the floor: the longer it takes, the faster it drifts
+_SINK_GAIN = 1.0 / (2.0 * GRAVITY * 0.4)  # of the share, to the rate of descent (s/m)
+_SINK_LEAST, _SINK_MOST = 0.92, 1.08
 _MARGIN_S = 1.0
 
 
@@ -646,10 +704,15 @@ def ramp_down(released: _Array, elapsed_s: float) -> _Array:
     return released * max(0.0, 1.0 - elapsed_s / RAMP_DOWN_S)
 
 
-def sink(held_up_V: _Array, left_s: float, battery_V: float) -> _Array:
-    """Motor inputs (2,) of a blind way down: a little below what held it up (V), to zero in its last second."""
-    share = SINK_SHARE * min(1.0, left_s / RAMP_DOWN_S)
-    return np.minimum(share * held_up_V / battery_V, 1.0)
+def sink(held_up_V: _Array, share: float, left_s: float, battery_V: float) -> _Array:
+    """Motor inputs (2,) of a blind way down: a share of what held it up (V), to zero in its last second."""
+    return np.minimum(share * min(1.0, left_s / RAMP_DOWN_S) * held_up_V / battery_V, 1.0)
+
+
+def sink_share(height_m: float, descent_m_s: float) -> float:
+    """Share of the voltages that held it up with which it comes down, at a height above the floor (m)."""
+    wanted = min(max(height_m, _TOUCH_M_S), _SINK_M_S)
+    return min(max(1.0 + _SINK_GAIN * (descent_m_s - wanted), _SINK_LEAST), _SINK_MOST)
 
 
 def way_down_s(height_m: float, gravity: float) -> float:

@@ -20,6 +20,9 @@ Definitions (x is the true position, w a waypoint, both N-E-D; all from the reco
   whole sampling intervals of the recording.
 - *Tilt*: angle between the mast and the vertical, arccos(cos(roll) cos(pitch)).
 - *Energy*: integral of battery voltage times current, trapezoidal.
+- *Beyond the model*: what was said of the wind before the flight; or else, where the air that the rotors met while
+  airborne, the vehicle's own motion in it, left the range of the model for more than a twentieth of the time (as long
+  as gusts are above twice their deviation, which is what was reckoned with before).
 - *Real-time factor*: seconds of the flight in one second of the wall, over the whole recording; *least*: over the worst
   5 s. *Slips*: how often a flight in real time gave up time because the machine was too busy (`mufly.link.process`).
 """
@@ -195,8 +198,32 @@ def summarise(
         realtime_factor=realtime_factor,
         realtime_factor_least=dataset.attrs.get("realtime_factor_least"),
         slips=dataset.attrs.get("slips"),
-        outside_model=str(dataset.attrs.get("outside_model", "")),
+        outside_model=str(dataset.attrs.get("outside_model", "")) or _beyond_model(dataset, airborne),
         events=tuple((float(e[0]), str(e[1]), str(e[2])) for e in events),
+    )
+
+
+def _beyond_model(dataset: xr.Dataset, airborne: NDArray[np.bool_]) -> str:
+    """Say how far and how long the air that the rotors met was beyond the model; nothing where it was not."""
+    limits = dataset.attrs.get("model_air_m_s")
+    if limits is None or "wind" not in dataset or not airborne.any():
+        return ""
+    roll, pitch, yaw = dataset.truth_attitude.values[airborne].T
+    mast = np.column_stack([
+        np.cos(roll) * np.sin(pitch) * np.cos(yaw) + np.sin(roll) * np.sin(yaw),
+        np.cos(roll) * np.sin(pitch) * np.sin(yaw) - np.sin(roll) * np.cos(yaw),
+        np.cos(roll) * np.cos(pitch),
+    ])  # fmt: skip
+    air = (dataset.truth_velocity.values - dataset.wind.values)[airborne]
+    along = np.abs(np.sum(air * mast, axis=1))
+    across = np.sqrt(np.maximum(np.sum(air**2, axis=1) - along**2, 0.0))
+    share = float(np.mean((along > limits[0]) | (across > limits[1])))
+    if not share > 0.05:
+        return ""
+    return (
+        f"the model was not valid for {100 * share:.0f} % of the time in the air: its rotors met "
+        f"{across.max():.1f} m/s across and {along.max():.1f} m/s along the mast, and hold up to {limits[1]:.1f} and "
+        f"{limits[0]:.1f} m/s"
     )
 
 

@@ -279,6 +279,14 @@ class SensorWatch:
     _good_s: dict[str, float] = field(default_factory=dict)
     _wrong: dict[str, Check] = field(default_factory=dict)
 
+    def calm(self, checks: tuple[Check, ...]) -> bool:
+        """Whether a step with these changes nothing: all is believed, and nothing else was told."""
+        return (
+            not self.told
+            and all(level <= 0.0 for level in self._level.values())
+            and all(c.status in ("fused", "waiting") for c in checks)
+        )
+
     def step(self, checks: tuple[Check, ...], period_s: float) -> list[tuple[str, str]]:
         """Return (text, level) of what has changed, a period later."""
         said: list[tuple[str, str]] = []

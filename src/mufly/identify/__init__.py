@@ -3,9 +3,9 @@
 from mufly.identify.consistency import check_record
 from mufly.identify.flight.demo import Demo, run_demo
 from mufly.identify.flight.fit import fit_flights, fit_split
+from mufly.identify.flight.free import Free, choose_free
 from mufly.identify.flight.plan import Limits, Plan, design
 from mufly.identify.flight.polarity import check_flights
-from mufly.identify.flight.problem import Free, choose_free
 from mufly.identify.flight.search import Progress
 from mufly.identify.flight.signals import Excitation, excitation
 from mufly.identify.linear.fit import LinearFit

@@ -364,9 +364,11 @@ class Columns:
         shown = ", ".join(list(self.columns)[:24]) + (" ..." if len(self.columns) > 24 else "")
         missing = "holds no numbers" if name in self.empty else "is no column of this log"
         problem = "is in several columns" if best else missing
-        raise ArgumentError(
-            argument, name, problem, f"write {name}=COLUMN with one of: {', '.join(best) or shown}"
-        )
+        remedy = f"write {name}=COLUMN with one of: {', '.join(best) or shown}"
+        arrays = [c[:-1] for c in self.columns if c.endswith("0") and f"{c[:-1]}1" in self.columns]
+        if arrays and not best:  # of a MATLAB file
+            remedy += f"; or say what an array's columns are: --columns {arrays[0]}={name},..."
+        raise ArgumentError(argument, name, problem, remedy)
 
     def stack(self, wanted: Mapping[str, str], argument: str) -> Array:
         """Return columns side by side, (n, k), each a column or a sum of columns: ``-q``, ``m1-m2``, ``9.81*az``.
@@ -474,39 +476,21 @@ def _matlab(path: Path, columns: Mapping[str, Sequence[str]] | Sequence[str]) ->
 
 
 def _csv(path: Path, columns: Mapping[str, Sequence[str]] | Sequence[str]) -> dict[str, Array]:
-    from mufly.logs import read_raw
+    from mufly.logs import read_fields, read_raw
 
     if isinstance(columns, Mapping):
         raise ArgumentError("columns", "", "names arrays, but a CSV file has none", "give names alone: a,b,c")
-    if not columns:
+    found: dict[str, Array] = {}
+    if columns:
+        fields, units, *_ = read_fields(path, columns)
+    else:
         table = read_raw(path)["table"]
-        found = {"time": table.time}
-        for k, v in table.fields.items():
-            if v.dtype.kind in "fiu" and k.lower() not in _TIME:
-                _, factor, offset = conversion(table.units.get(k) or "1")
-                found[k] = factor * v.astype(np.float64) + offset
-        return found
-    text = path.read_text(encoding="utf-8-sig", errors="replace")
-    # As read_raw: semicolons and tabs come first, and a comma beside them, or between blanks, is a decimal one.
-    lines = text[:2000].splitlines()[1:-1] or text.splitlines()
-    blanks = all(re.search(r"\S +\S", line) for line in lines) and not any(", " in line for line in lines)
-    comma = next((c for c in (";", "\t") if c in text[:2000]), " " if blanks else ",")
-    if comma != ",":
-        text = re.sub(r"(?<=\d),(?=\d)", ".", text)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of every row that is not as long as the first
-        values = np.genfromtxt(
-            text.splitlines(), delimiter=None if comma == " " else comma, invalid_raise=False
-        )
-    if values.ndim != 2 or values.shape[1] != len(columns):
-        wide = values.shape[1] if values.ndim == 2 else 1
-        remedy = "name each"
-        if comma == "," and max(line.count(",") + 1 for line in lines) == 2 * len(columns):
-            remedy += "; or, if commas are decimal ones, write semicolons between the columns"
-        raise ArgumentError("columns", ",".join(columns), f"the file has {wide} columns", remedy)
-    if not np.isfinite(values[0]).any():
-        values = values[1:]  # a header that --columns replaces
-    return {name: values[:, j] for j, name in enumerate(columns)}
+        fields, units, found["time"] = dict(table.fields), dict(table.units), table.time
+    for k, v in fields.items():
+        if v.dtype.kind in "fiu" and not (found and k.lower() in _TIME):
+            _, factor, offset = conversion(units.get(k) or "1")
+            found[k] = factor * v.astype(np.float64) + offset
+    return found
 
 
 def _log(path: Path, notes: list[str]) -> dict[str, Array]:

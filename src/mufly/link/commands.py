@@ -14,7 +14,9 @@ the parameters mean is said at https://mavlink.io/en/messages/common.html#mav_co
   that moment. So does this vehicle, if it is armed within :data:`KEPT_S`; after that, and whenever another mode is
   chosen, the choice is forgotten.
 * DO_FLIGHTTERMINATION, and disarming with the magic number 21196, stop the motors at once.
-* INJECT_FAILURE lets a sensor of a simulated flight go wrong at once (:data:`FAILURES`); OK of any unit clears all.
+* INJECT_FAILURE lets a sensor of a simulated flight go wrong at once (:data:`FAILURES`); OK of any unit clears all. Of
+  ours are parameters 5 and 6, which the specification leaves open: how much and for how long (s); 0 or NaN: the usual,
+  until it is cleared.
 * PREFLIGHT_REBOOT_SHUTDOWN (1) puts the simulated helicopter back to its start.
 
 Programs repeat a command until they hear its acknowledgement. The same command with the same parameters from the same
@@ -384,7 +386,11 @@ class CommandProtocol:
         if name is None or fault is None:
             return never("units known here are " + ", ".join(FAILURES[0].values()) + "; types 1 to 4, 6, 7")
         try:
-            self._flight.inject(Fault(name, fault))
+            amount, lasts_s = (x if math.isfinite(x) and x != 0.0 else math.nan for x in command.params[4:6])
+            if lasts_s < 0.0:
+                return never(f"a fault cannot last {lasts_s:g} s")
+            stop_s = math.inf if math.isnan(lasts_s) else lasts_s
+            self._flight.inject(Fault(name, fault, stop_s=stop_s, amount=amount))
         except InputError as error:
             return never(f"{error.problem}: {error.remedy}")
         return ACCEPTED

@@ -27,6 +27,7 @@ from mufly.logs.quality import (
 from mufly.logs.read import FORMATS, chosen, kind_of, read_log, read_raw, write_log
 from mufly.logs.recording import read_attachments, read_facts, read_recording
 from mufly.logs.report import LogReport, channels, draw_channels, examine, grouped
+from mufly.logs.tables import read_fields
 from mufly.logs.topics import (
     Channel,
     ClockReport,
@@ -81,6 +82,7 @@ __all__ = [
     "load_map",
     "read_attachments",
     "read_facts",
+    "read_fields",
     "read_log",
     "read_mcap",
     "read_raw",

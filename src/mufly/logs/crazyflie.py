@@ -9,7 +9,8 @@ version 2. The last four bytes are the CRC-32 of all before them. Before 2020, r
 milliseconds. Names and blocks are each followed by a CRC-32, complemented. All numbers are little-endian and packed.
 
 A card that was pulled out, or a battery that gave up, leaves a file without its last bytes: it is read up to there. An
-event of an unknown kind or a block with a wrong CRC is where sense ends, since nothing marks the next one.
+event of an unknown kind or a block with a wrong CRC is where sense ends, since nothing marks the next one; so are two
+events in a row at times that cannot follow, while one such event (a flipped bit) is left out.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ _TYPES = {
     "B": "u1", "b": "i1", "H": "<u2", "h": "<i2", "I": "<u4", "i": "<i4", "Q": "<u8", "q": "<i8", "e": "<f2",
     "f": "<f4", "d": "<f8",
 }  # fmt: skip
+_BACK_S, _AHEAD_S = 1.0, 3600.0  # from one event to the next, in a file that is not whole
 _CLOCKS = {1: ("<u4", 1e3), 2: ("<u8", 1e6)}
 # Units of the variables that documents of the firmware give; angles in degrees, accelerations in g.
 _UNITS = {
@@ -107,11 +109,19 @@ def _by_events(data: bytes) -> tuple[list[RawTable], bool]:
             fields.append(_typed(column))
         kinds[number] = _Kind(name, _layout(fields), [])
     # A file without its end may have a broken event there; so may have one whose CRC is wrong for a flipped bit.
+    last, strange, width = -1, 0, np.dtype(clock).itemsize
     while at + 2 <= end:
         kind = kinds.get(data[at] | data[at + 1] << 8)
         if kind is None or at + 2 + kind.row.itemsize > end:
             break
-        kind.starts.append(at + 2)
+        now = int.from_bytes(data[at + 2 : at + 2 + width], "little")
+        if whole or last < 0 or -_BACK_S * tick <= now - last <= _AHEAD_S * tick:
+            kind.starts.append(at + 2)
+            last, strange = now, 0
+        elif strange:  # two in a row: bytes are missing, and nothing marks where the next event begins
+            break
+        else:
+            strange += 1
         at += 2 + kind.row.itemsize
     return [_table(data, k, tick) for k in kinds.values() if k.starts], whole and at == end
 

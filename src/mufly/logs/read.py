@@ -98,9 +98,10 @@ def kind_of(path: str | Path) -> str:
         return "CSV"
     if head.startswith(b"\x89HDF") or head.startswith(b"MATLAB"):
         name = "HDF5" if head.startswith(b"\x89HDF") else "MATLAB"
-        raise InputError(
-            where, "", f"is a {name} file, which is not read here", "export it as CSV or NetCDF 3"
-        )
+        remedy = "export it as CSV or NetCDF 3"
+        if name == "MATLAB":
+            remedy += "; `mufly identify linear` and its kin read it as it is"
+        raise InputError(where, "", f"is a {name} file, which is not read here", remedy)
     raise InputError(
         where, "", "is no log that is known here",
         "give MCAP, ULog, DataFlash (.bin, .log), MAVLink tlog, Crazyflie micro-SD, CSV, Parquet or NetCDF",

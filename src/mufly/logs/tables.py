@@ -2,20 +2,21 @@
 
 Of a table of text is recognised: comma, semicolon, tab or blanks between the cells; a header line, also behind
 comments (``#``, ``%``, ``//``); units in the header (``roll (deg)``, ``T [N]``, ``speed_rpm``) or in a line of their
-own below it; decimal commas where semicolons separate; times as numbers or as ISO 8601. Cells that are no number are
-missing values, and counted. A Parquet file is such a table too; NetCDF (version 3) needs a dimension ``time``. What
-``mufly log convert`` wrote comes back as it was. A table of text may be packed by gzip.
+own below it; decimal commas and thousands in groups (:func:`mufly.tables.layout_of`); times as numbers or as ISO 8601.
+Cells that are no number are missing values, and counted. A Parquet file is such a table too; NetCDF (version 3) needs a
+dimension ``time``. What ``mufly log convert`` wrote comes back as it was. A table of text may be packed by gzip.
 """
 
 from __future__ import annotations
 
-import csv
+import codecs
 import gzip
 import io
 import json
 import re
 import warnings
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -25,10 +26,11 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from mufly.errors import InputError
+from mufly.errors import ArgumentError, InputError
 from mufly.logs.mapping import TimeEntry
 from mufly.logs.mcap import columns_of, describe, plain, restore
 from mufly.logs.topics import RawLog, RawTable, foreign_stamps
+from mufly.tables import cells_of, counts_thousands, decoded, layout_of, number_of
 from mufly.units import conversion, known_unit, split_header
 
 TOPIC = "table"
@@ -37,18 +39,14 @@ _COMMENTS = ("#", "%", "//")
 _TIME = re.compile(
     r"^(time|t|timestamp|zeit|time_?stamp|timeus|timems|time_?boot|seconds|utc|date_?time)$", re.IGNORECASE
 )
-# Thousands in groups, as spreadsheets write them: 1.234,5 beside decimal commas, 1,234.5 beside points; or blanks.
-_GROUPED = {
-    ",": re.compile(r"[+-]?[1-9]\d{0,2}([. \u00a0\u202f']\d{3})+(,\d*)?"),
-    ".": re.compile(r"[+-]?[1-9]\d{0,2}([, \u00a0\u202f']\d{3})+(\.\d*)?"),
-}
 _MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "inf", "-inf", "+inf", "infinity"}
 
 
 def looks_like_table(head: bytes) -> bool:
     """Whether a file that begins so is text with more than one column or number."""
-    text = head.decode("utf-8", errors="ignore").lstrip("\ufeff")
-    if "\0" in text or len(text) < 0.9 * len(head) or not text.strip():
+    wide = head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    text = decoded(head) if wide else head.decode("utf-8", errors="ignore").lstrip("\ufeff")
+    if "\0" in text or len(text) < (0.4 if wide else 0.9) * len(head) or not text.strip():
         return False
     lines = [s for s in text.splitlines() if s.strip() and not s.lstrip().startswith(_COMMENTS)]
     return bool(lines) and any(re.search(r"\d", s) for s in lines)
@@ -91,39 +89,72 @@ def read_csv(path: str | Path, time: TimeEntry | None = None) -> RawLog:
         If it is no table, or its clock cannot be found.
     """
     where = str(path)
-    raw = unpacked(path)
-    try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = raw.decode("latin-1")
-    lines = text.splitlines()
-    if lines and re.fullmatch(r"sep=.", lines[0].strip()):
-        lines = lines[1:]  # Excel's own note of the separator
+    fields, units_of, notes, info = read_fields(path)
+    clock, start, said = table_clock(where, fields, units_of, time)
+    table = RawTable(TOPIC, clock, fields, units_of)
+    return RawLog(
+        path=where, kind="CSV", tables={TOPIC: table}, start_time=start, notes=tuple(notes + said), info=info
+    )
+
+
+def read_fields(
+    path: str | Path, given: Sequence[str] = ()
+) -> tuple[dict[str, NDArray[Any]], dict[str, str], list[str], dict[str, Any]]:
+    """Read the columns of a table of text, the clock among them.
+
+    Parameters
+    ----------
+    path : str or Path
+    given : sequence of str, optional
+        What its columns are called, in place of its header.
+
+    Returns
+    -------
+    fields : dict of str to (n,) array
+        Numbers; text where most cells are none.
+    units : dict of str to str
+        Of those columns that name one.
+    notes : list of str
+        What counts as missing.
+    info : dict
+        Number of columns, separator.
+
+    Raises
+    ------
+    InputError
+        If it is no table, or has not as many columns as names.
+    """
+    where = str(path)
+    lines = decoded(unpacked(path)).splitlines()
     first = next((k for k, s in enumerate(lines) if s.strip() and not s.lstrip().startswith(_COMMENTS)), None)
     if first is None:
         raise InputError(where, "", "holds no rows", "give a table with a header and numbers")
-    separator = _separator(lines[first : first + 20])
-    decimal = "," if separator == ";" and re.search(r"\d,\d", "".join(lines[first : first + 20])) else "."
-    head = _cells(lines[first], separator)
+    separator, decimal = layout_of(lines[first:])
+    head = cells_of(lines[first], separator)
     headed = not all(_is_number(c, decimal) for c in head)
-    if not headed and first and len(_cells(lines[first - 1].lstrip("#%/ "), separator)) == len(head):
-        head, headed = _cells(lines[first - 1].lstrip("#%/ "), separator), True  # the header is a comment
+    if not headed and first and len(cells_of(lines[first - 1].lstrip("#%/ "), separator)) == len(head):
+        head, headed = cells_of(lines[first - 1].lstrip("#%/ "), separator), True  # the header is a comment
         body = first
     else:
         body = first + headed
     names = head if headed else [str(k + 1) for k in range(len(head))]
     row_units: list[str] = []
     if headed and body < len(lines):
-        second = _cells(lines[body], separator)
+        second = cells_of(lines[body], separator)
         if len(second) == len(head) and not any(_is_number(c, decimal) for c in second):
             units = [known_unit(c.strip("[]() ")) for c in second]
             if sum(bool(u) for u in units) >= max(1, len([c for c in second if c.strip()]) // 2):
                 row_units, body = units, body + 1
     kept = [s for s in lines[body:] if s.strip() and not s.lstrip().startswith(_COMMENTS)]
     if separator != " " and all(
-        len(_cells(s, separator)) > len(names) and s.endswith(separator) for s in kept
+        len(cells_of(s, separator)) > len(names) and s.endswith(separator) for s in kept
     ):
         kept = [s.removesuffix(separator) for s in kept]  # some loggers end every row with one
+    if given and len(given) != len(names):
+        remedy = "name each"
+        if separator == "," and len(names) == 2 * len(given):
+            remedy += "; or, if commas are decimal ones, write semicolons between the columns"
+        raise ArgumentError("columns", ",".join(given), f"the file has {len(names)} columns", remedy)
     frame = _parse(where, "\n".join(kept), separator, len(names))
     names = names[: frame.shape[1]] if len(names) > frame.shape[1] else names
     fields: dict[str, NDArray[Any]] = {}
@@ -131,7 +162,7 @@ def read_csv(path: str | Path, time: TimeEntry | None = None) -> RawLog:
     notes: list[str] = []
     for k, header in enumerate(names):
         name, unit = split_header(header)
-        name = name or f"column {k + 1}"
+        name = (given[k] if given else name) or f"column {k + 1}"
         if name in fields:
             name = f"{name} ({k + 1})"
         values, bad = _column(frame.iloc[:, k], decimal)
@@ -141,48 +172,11 @@ def read_csv(path: str | Path, time: TimeEntry | None = None) -> RawLog:
         fields[name] = values
         if unit or (row_units and row_units[k]):
             units_of[name] = unit or row_units[k]
-    clock, start, said = table_clock(where, fields, units_of, time)
-    table = RawTable(TOPIC, clock, fields, units_of)
-    return RawLog(
-        path=where, kind="CSV", tables={TOPIC: table}, start_time=start, notes=tuple(notes + said),
-        info={"columns": len(names), "separator": separator},
-    )  # fmt: skip
-
-
-def _cells(line: str, separator: str) -> list[str]:
-    if separator == " ":
-        return line.split()
-    return [c.strip() for c in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
-
-
-def _separator(lines: list[str]) -> str:
-    """The separator that splits these lines into columns, as many in each line.
-
-    Semicolons and tabs come first: a comma beside them is a decimal one.
-    """
-    found = {}
-    for candidate in (";", "\t", ",", " "):
-        counts = [len(_cells(s, candidate)) for s in lines if s.strip()]
-        if counts[-1] > 1 and sum(c == counts[-1] for c in counts) >= 0.7 * len(counts):
-            found[candidate] = counts[-1]
-    for candidate in (";", "\t"):
-        if candidate in found:
-            return candidate
-    return max(found, key=lambda c: found[c], default=",")
-
-
-def _number(cell: str, decimal: str = ".") -> float:
-    """Return the number in a cell, thousands grouped or not, NaN if there is none."""
-    if _GROUPED[decimal].fullmatch(cell):
-        cell = re.sub("[ \u00a0\u202f'" + ("." if decimal == "," else ",") + "]", "", cell)
-    try:
-        return float(cell.replace(",", ".") if decimal == "," else cell)
-    except ValueError:
-        return float("nan")
+    return fields, units_of, notes, {"columns": len(names), "separator": separator}
 
 
 def _is_number(cell: str, decimal: str) -> bool:
-    return cell.lower() in _MISSING or not np.isnan(_number(cell, decimal))
+    return cell.lower() in _MISSING or not np.isnan(number_of(cell, decimal))
 
 
 def _parse(where: str, body: str, separator: str, width: int) -> Any:
@@ -215,15 +209,14 @@ def _column(series: Any, decimal: str) -> tuple[NDArray[Any], int]:
     Python's own conversion is exact; that of pandas is not in every version.
     """
     cells = series.fillna("").astype(object).to_numpy()
-    # Beside decimal commas a column of 1.234 and 987 counts thousands; one with 0.123 in it does not.
     points = [str(c).strip() for c in cells if decimal == "," and "." in str(c)]
-    if not points or not all(_GROUPED[decimal].fullmatch(c) for c in points):
+    if not points or not counts_thousands(points, decimal):
         try:
             return cells.astype(np.float64), 0
         except ValueError:
             pass
     texts = [str(c).strip() for c in cells]
-    numbers = np.array([_number(t, decimal) for t in texts])
+    numbers = np.array([number_of(t, decimal) for t in texts])
     filled = np.array([t.lower() not in _MISSING for t in texts])
     bad = int((filled & np.isnan(numbers)).sum())
     if bad > 0.5 * filled.sum():

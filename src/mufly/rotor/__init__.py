@@ -1,10 +1,8 @@
 """How do its rotors lift? Airfoils, polars, blade geometry, blade element momentum theory, the coaxial pair."""
 
-from mufly.rotor.airfoil import Airfoil, database_airfoils, load_airfoil
 from mufly.rotor.bemt import BatchResult, hover, hover_batch
 from mufly.rotor.blade_files import read_blade
 from mufly.rotor.blading import PLAIN, Blading, Corrections, prepare
-from mufly.rotor.engines import polar, polars
 from mufly.rotor.fitting import Band, Doubt, RotorFit, fit_rotor, interval
 from mufly.rotor.geometry import (
     BladeSections,
@@ -24,7 +22,9 @@ from mufly.rotor.measurements import (
     calibrate,
     compare,
 )
-from mufly.rotor.polar_table import PolarStack, PolarTable, lookup, outside, stack_polars
+from mufly.rotor.sections.airfoil import Airfoil, database_airfoils, load_airfoil
+from mufly.rotor.sections.engines import polar, polars
+from mufly.rotor.sections.polar_table import PolarStack, PolarTable, lookup, outside, stack_polars
 from mufly.rotor.solution import FASTEST_TIP_M_S, METHODS, solve, solve_thrust
 from mufly.rotor.system import Air, Condition, Method, Result, RotorResult, System, tip_mach
 

@@ -45,7 +45,7 @@ from mufly.errors import InputError
 from mufly.results import result
 from mufly.rotor.blading import Blading, as_blading
 from mufly.rotor.geometry import Rotor
-from mufly.rotor.polar_table import PolarStack, coefficients, outside_of
+from mufly.rotor.sections.polar_table import PolarStack, coefficients, outside_of
 from mufly.rotor.system import Air, Placed, RotorResult
 
 Array = NDArray[np.float64]
@@ -108,7 +108,7 @@ def _solve(
         pitch,
         speed,
         climb,
-        np.empty((0, 0, 2)) if stream is None else np.ascontiguousarray(stream),
+        np.empty((0, 0, 3)) if stream is None else np.ascontiguousarray(stream),
         float(air.density_kg_m3),
         float(air.viscosity_Pa_s / air.density_kg_m3),
     )
@@ -152,7 +152,7 @@ def hover(
     climb_m_s: float = 0.0,
     air: Air | None = None,
     which: int = 0,
-    stream: tuple[Array, Array] | None = None,
+    stream: tuple[Array, Array, Array] | None = None,
 ) -> RotorResult:
     """Solve one rotor at one point.
 
@@ -170,9 +170,10 @@ def hover(
         Density and viscosity.
     which : int
         Which of the blading's rotors.
-    stream : (axial, tangential), optional
-        Velocity that the air brings to each station, (stations,) arrays in m/s: down through the disc, and
-        against the blade's motion. What another rotor sends.
+    stream : (axial, tangential, wake), optional
+        Velocity that the air brings to each station, (stations,) arrays in m/s: down through the disc, against the
+        blade's motion, and what of the first counts as flow through the annulus in the momentum balance (all of it, or
+        nothing where :mod:`mufly.rotor.tubes` knows what it does to the wake). What another rotor sends.
 
     Raises
     ------
@@ -239,7 +240,7 @@ def induced_velocities(
     speed_rad_s: float,
     climb_m_s: float,
     air: Air,
-    stream: tuple[Array, Array],
+    stream: tuple[Array, Array, Array],
     which: int = 0,
 ) -> tuple[Array, Array]:
     """Axial and tangential velocity (m/s) that a rotor induces at its stations; quick, for iterations."""
@@ -314,8 +315,9 @@ class Cases(NamedTuple):
         Rotor of each case: first index of the arrays of the blades.
     pitch_rad, speed_rad_s, climb_m_s : (cases,) arrays
         Speeds above 0.
-    stream_m_s : (cases, stations, 2) array or (0, ...)
-        Axial (down) and tangential (against the blade) velocity of the air that another rotor sends.
+    stream_m_s : (cases, stations, 3) array or (0, ...)
+        Axial (down) and tangential (against the blade) velocity of the air that another rotor sends, and what of the
+        axial one momentum theory counts as V.
     density_kg_m3, viscosity_m2_s : float
         The air; kinematic viscosity.
     """
@@ -411,7 +413,7 @@ class PolarGrid(NamedTuple):
 
 
 class Flow(NamedTuple):
-    """What a station meets: V (m/s), size (m/s) and angle phi_U of U (rad), log of Reynolds number at U."""
+    """What a station meets: V of the momentum balance (m/s), size (m/s) and angle phi_U of U (rad), log of Re at U."""
 
     axial: float
     speed: float
@@ -572,13 +574,14 @@ def solve_cases(
                 zero += weight * (blades.zero_lift_rad[second] - zero)
                 section = Section(first, second, weight, zero, rotation, on.lift * share, on.drag)
                 at = Station(r, chord, theta, count, radius, blades.hub_radius_m[k])
-                axial, across = climb, speed * r
+                axial, across, carried = climb, speed * r, climb
                 if meets:
                     axial += cases.stream_m_s[case, i, 0]
                     across += cases.stream_m_s[case, i, 1]
+                    carried += cases.stream_m_s[case, i, 2]
                 total = math.hypot(axial, across)
                 log_unit = math.log(max(total * chord / cases.viscosity_m2_s, 1e-3))
-                flow = Flow(axial, total, math.atan2(axial, across), log_unit)
+                flow = Flow(carried, total, math.atan2(axial, across), log_unit)
                 alpha, out = _station(blades.chord_factor[k, i], flow, at, section, polars, on)
                 _, phi, cl, cd, wind, loss, u, u_t, log_re = out
                 push = 0.5 * density * wind * wind * chord * count * dr

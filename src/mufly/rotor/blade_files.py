@@ -28,8 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import ArgumentError, InputError
-from mufly.rotor.airfoil import load_airfoil
 from mufly.rotor.geometry import Rotor, rotor_from
+from mufly.rotor.sections.airfoil import load_airfoil
 from mufly.tables import text_columns
 from mufly.units import conversion, split_header, units_of
 
@@ -131,7 +131,7 @@ _Stations = tuple[Array, Array, Array, list[str], float, int | None]
 
 def _table(path: str | Path, radius_m: float | None, notes: list[str]) -> _Stations:
     where = Path(path).name
-    headers, rows, decimal_comma = text_columns(path)
+    headers, rows = text_columns(path)
     known: dict[
         str, tuple[int, float]
     ] = {}  # quantity: column, and what one of it is in SI (R for ratios: below 0)
@@ -161,9 +161,7 @@ def _table(path: str | Path, radius_m: float | None, notes: list[str]) -> _Stati
     def column(quantity: str) -> Array:
         index, factor = known[quantity]
         scale = factor if factor > 0.0 else radius_m or math.nan
-        return np.array(
-            [scale * _number(where, n, cells, index, headers, decimal_comma) for n, cells in rows]
-        )
+        return np.array([scale * _number(where, n, cells, index, headers) for n, cells in rows])
 
     r, chord, twist = column("radius"), column("chord"), column("twist")
     if "airfoil" in known:
@@ -174,12 +172,10 @@ def _table(path: str | Path, radius_m: float | None, notes: list[str]) -> _Stati
     return r, chord, twist, foils, radius_m or float(r.max(initial=0.0)), None
 
 
-def _number(
-    where: str, line: int, cells: list[str], index: int, headers: list[str], decimal_comma: bool
-) -> float:
+def _number(where: str, line: int, cells: list[str], index: int, headers: list[str]) -> float:
     cell = cells[index] if index < len(cells) else ""
     try:
-        value = float(cell.replace(",", ".") if decimal_comma else cell)
+        value = float(cell)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):

@@ -61,10 +61,10 @@ from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.errors import InputError
-from mufly.rotor import engines
-from mufly.rotor.engines import Engine
 from mufly.rotor.geometry import Rotor
-from mufly.rotor.polar_table import PolarStack, PolarTable, stack_polars
+from mufly.rotor.sections import engines
+from mufly.rotor.sections.engines import Engine
+from mufly.rotor.sections.polar_table import PolarStack, PolarTable, stack_polars
 
 Array = NDArray[np.float64]
 

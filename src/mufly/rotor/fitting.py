@@ -36,13 +36,13 @@ from scipy.optimize import least_squares
 
 from mufly.errors import InputError, MuflyError
 from mufly.results import result
-from mufly.rotor import engines
 from mufly.rotor.bemt import hover_batch
 from mufly.rotor.blading import Blading, Corrections, fitted, prepare
-from mufly.rotor.engines import Engine
 from mufly.rotor.geometry import Candidate, Rotor, SectionFit, replace_rotor
 from mufly.rotor.measurements import Measurements
-from mufly.rotor.polar_table import PolarTable, stack_polars
+from mufly.rotor.sections import engines
+from mufly.rotor.sections.engines import Engine
+from mufly.rotor.sections.polar_table import PolarTable, stack_polars
 from mufly.rotor.system import Air
 
 Array = NDArray[np.float64]

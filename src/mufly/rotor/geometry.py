@@ -32,7 +32,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from mufly.errors import InputError
-from mufly.rotor.airfoil import load_airfoil
+from mufly.rotor.sections.airfoil import load_airfoil
 from mufly.tables import builtin_names, read_tables, validated
 from mufly.vehicle.quantity import Group, Quantity, Source, parameter
 

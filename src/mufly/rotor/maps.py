@@ -29,7 +29,7 @@ import os
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -77,7 +77,7 @@ def coax_map(
     mean_speed_rad_s: Sequence[float],
     ratio: Sequence[float],
     climb_ratio: Sequence[float],
-    method: Method = "bemt",
+    method: Literal["bemt", "wake"] = "bemt",
     air: Air | None = None,
     settings: WakeSettings | None = None,
     name: str = "",

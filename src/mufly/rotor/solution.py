@@ -48,6 +48,7 @@ from mufly.rotor.system import (
     WakeSettings,
     tip_mach,
 )
+from mufly.rotor.tubes import solve_tubes, tube_speed
 from mufly.rotor.wake.solver import solve_wake
 
 Array = NDArray[np.float64]
@@ -60,6 +61,7 @@ _TURNS = 200
 _SETTLED = 1e-8  # of the greatest induced velocity
 _CLOSE = 1e-7  # of the upper rotor's torque, or of the thrust asked for
 _WAKE_CLOSE = 1e-3  # of the same: what a converged wake can tell
+_TUBES_CLOSE = 1e-4  # what settled tubes can tell
 _FIRST_SPEED = 300.0  # rad/s, of the upper rotor, where a thrust finds it
 _THRUST_TRIES, _SPEED_TRIES, _PITCH_TRIES = 8, 12, 25
 _FIRST_SLOPE = 8.0  # 1/rad: torque grows like pitch^1.5 or so
@@ -97,7 +99,7 @@ def solve(
     system : System
     condition : Condition
         What is given.
-    method : 'bemt' or 'wake'
+    method : 'bemt', 'tubes' or 'wake'
     settings : WakeSettings, optional
         Of the wake.
     start : Result, optional
@@ -149,7 +151,9 @@ def solve(
     known_speed = tuple(s for s in speed if s is not None)
     if len(known_pitch) == len(known_speed) == count and thrust is None:
         return at(known_pitch, known_speed, start)
-    enough = _CLOSE if method == "bemt" else max(_WAKE_CLOSE, (settings or WakeSettings()).tolerance)
+    enough = {"bemt": _CLOSE, "tubes": _TUBES_CLOSE}.get(
+        method, max(_WAKE_CLOSE, (settings or WakeSettings()).tolerance)
+    )
     if count == 1:
         return _for_thrust(at, system, condition, pitch[0], speed[0], enough, start)
     if count != 2:
@@ -180,11 +184,6 @@ def _each(name: str, value: Each, count: int) -> tuple[float | None, ...]:
 
 
 # Blade elements: rotors at a point
-
-
-def tube_speed(distance_m: float, radius_m: float) -> float:
-    """k(z) of the module docstring: speed on the axis of a wake tube over that in the disc, 0 to 2."""
-    return 1.0 + distance_m / math.hypot(radius_m, distance_m)
 
 
 def _carried(source: Placed, induced: tuple[Array, Array], target: Placed, k: float) -> tuple[Array, Array]:
@@ -238,7 +237,7 @@ def _bemt(
                 sent = _carried(rotors[a], induced[a], p, k[a][b])
                 axial, around = axial + sent[0], around + sent[1]
             met.append((axial, around))
-            induced.append(induced_velocities(p.blading, **at[b], stream=met[b]))  # type: ignore[arg-type]
+            induced.append(induced_velocities(p.blading, **at[b], stream=(*met[b], met[b][0])))  # type: ignore[arg-type]
         pulled = [
             sum(_carried(rotors[b], induced[b], p, k[b][a])[0] for b in range(a + 1, len(rotors)))
             for a, p in enumerate(rotors[:-1])
@@ -268,7 +267,7 @@ def _bemt(
             f"coaxial: the two rotors do not settle at {climb_m_s:g} m/s climb; "
             f"the inflow still changes by {np.max(np.abs(step)) / size:.1e} of itself a turn"
         )
-    found = tuple(hover(p.blading, **a, stream=m) for p, a, m in zip(rotors, at, met, strict=True))  # type: ignore[arg-type]
+    found = tuple(hover(p.blading, **a, stream=(*m, m[0])) for p, a, m in zip(rotors, at, met, strict=True))  # type: ignore[arg-type]
     return Result(
         found,
         rotors,
@@ -282,7 +281,7 @@ def _bemt(
     )
 
 
-_METHODS = {"bemt": _bemt, "wake": solve_wake}
+_METHODS = {"bemt": _bemt, "tubes": solve_tubes, "wake": solve_wake}
 METHODS = tuple(_METHODS)
 
 

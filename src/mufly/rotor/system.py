@@ -21,7 +21,7 @@ from mufly.rotor.geometry import Rotor
 from mufly.units import RPM
 
 Array = NDArray[np.float64]
-Method = Literal["bemt", "wake"]
+Method = Literal["bemt", "tubes", "wake"]
 
 
 @dataclass(frozen=True)
@@ -353,7 +353,7 @@ class Result:
         Their blades, places, pitches and speeds.
     climb_m_s : float
     air : Air
-    method : 'bemt' or 'wake'
+    method : 'bemt', 'tubes' or 'wake'
     converged : bool
     message : str
         How it converged, or why not.

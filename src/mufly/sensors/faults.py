@@ -200,6 +200,10 @@ class Faulty(Sensor):
         self._before = {**self._before, **said}
         return said
 
+    def went_on(self, said: Mapping[str, Reading]) -> None:
+        """Take notice of what the sensor said last while nothing was wrong and others asked it."""
+        self._before = said
+
     def _spoil(self, f: Fault, name: str, said: dict[str, Reading], truth: Truth) -> None:
         """Change what is said under a name."""
         t, r = truth.time_s, said[name]

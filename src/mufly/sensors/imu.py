@@ -44,6 +44,7 @@ from mufly.vehicle.sensing import Vibration
 _Array = NDArray[np.float64]
 _ELEVATION = math.asin(math.sqrt(1 / 3))  # of the shaking above the horizon: all axes share alike
 ROOM_K = 293.15
+_AHEAD = 20  # periods whose random numbers are drawn at once
 _LINES = 5  # once and twice of both rotors, and the passing of blades
 
 
@@ -93,16 +94,17 @@ class Imu(Sensor):
         )
         self._directions = np.ascontiguousarray(e[[0, 0, 1, 1, 2]])
         self._phases = rng.uniform(0.0, 2 * math.pi, _LINES)
+        self._drawn, self._used, self._drawn_at = np.zeros(0), 0, rng.bit_generator.state
         self.reset()
 
     def reset(self) -> None:
+        self._put_back()
         drift = np.repeat([float(self._imu.accelerometer_drift), float(self._imu.gyro_drift)], 3)
         self._drift, self._wander = drift, drift * self._rng.standard_normal(6)
         self._azimuth = self._rng.uniform(0.0, 2 * math.pi, 2)
         self._memory = np.zeros((6, 2))
         self._before: Truth | None = None
         self._was, self._now = np.zeros(STATE_SIZE), np.zeros(STATE_SIZE)
-        self._normal = np.zeros(0)
         self._force_now = np.zeros(3)
         self._last: Mapping[str, Reading] = {}
 
@@ -127,24 +129,60 @@ class Imu(Sensor):
             self._memory[:] = np.concatenate([self._force_now, truth.rates])[:, None]
             return self._say(truth.time_s, self._memory[:, 0] + self.bias, np.zeros(6))
         elapsed = truth.time_s - before.time_s
-        n = max(1, round(elapsed / self._dt))
-        if self._normal.size != 6 + 6 * n:
-            self._normal = np.empty(6 + 6 * n)
-        self._rng.standard_normal(out=self._normal)
+        n = self.samples(elapsed)
+        normal = self.normals(n)[0]
+        self.used(n, 1)
         out, clipped = np.empty(6), np.empty(6)
-        _period(
-            self._was, self._now, elapsed, n, self._warmth(truth.time_s), self._normal, self._numbers, self._place,
-            self._axes, self._feigned, self._directions, self._phases, self._heat, self.switched_on, self._drift,
-            self._white, self._limit, self._filter, self._azimuth, self._wander, self._memory, self._force_now, out,
-            clipped,
-        )  # fmt: skip
+        imu_period(
+            self._was, self._now, elapsed, n, self.warmth(truth.time_s), normal, *self.parts, out, clipped
+        )
         return self._say(truth.time_s, out, clipped)
+
+    @property
+    def parts(self) -> tuple[_Array, ...]:
+        """What :func:`imu_period` takes after the normal numbers: what this unit is like, and what it remembers."""
+        return (
+            self._numbers, self._place, self._axes, self._feigned, self._directions, self._phases, self._heat,
+            self.switched_on, self._drift, self._white, self._limit, self._filter, self._azimuth, self._wander,
+            self._memory, self._force_now,
+        )  # fmt: skip
+
+    def samples(self, elapsed_s: float) -> int:
+        """How many there are in a period (s)."""
+        return max(1, round(elapsed_s / self._dt))
+
+    def normals(self, samples: int) -> _Array:
+        """Normal numbers of the periods to come (n, 6 + 6 samples), at least one; they stay until they are used."""
+        size = 6 + 6 * samples
+        if self._used + size > self._drawn.size or self._used % size:
+            self._put_back()
+            self._drawn_at = self._rng.bit_generator.state
+            self._drawn = self._rng.standard_normal(_AHEAD * size)
+        rest = self._drawn[self._used :]
+        return rest[: rest.size // size * size].reshape(-1, size)
+
+    def used(self, samples: int, periods: int) -> None:
+        """The normal numbers of so many periods are no longer needed."""
+        self._used += periods * (6 + 6 * samples)
+
+    def _put_back(self) -> None:
+        """Draw no more ahead: the next random number is the one after those that were used."""
+        if self._used < self._drawn.size:
+            self._rng.bit_generator.state = self._drawn_at
+            self._rng.standard_normal(self._used)
+        self._drawn, self._used = np.zeros(0), 0
+
+    def went_on(self, truth: Truth, values: _Array, clipped: _Array) -> Mapping[str, Reading]:
+        """Take notice that others computed up to this instant, and what was read (6,), (6,); return its readings."""
+        self._now[:] = truth.state
+        self._before = truth
+        return self._say(truth.time_s, values.copy(), clipped.copy())
 
     def right(self, truth: Truth) -> Mapping[str, Any]:
         """Of the period that was read last."""
         return {"acceleration": self._force_now.copy(), "rates": truth.rates}
 
-    def _warmth(self, time_s: float) -> float:
+    def warmth(self, time_s: float) -> float:
         """How much warmer than when it was switched on (K)."""
         return self._warming * (1.0 - math.exp(-time_s / self._warming_time))
 
@@ -153,7 +191,7 @@ class Imu(Sensor):
             "acceleration": Reading(values[:3], t),
             "rates": Reading(values[3:], t),
             "clipping": Reading(clipped[:3], t),
-            "temperature": Reading(ROOM_K + self._warmth(t), t),
+            "temperature": Reading(ROOM_K + self.warmth(t), t),
         }
         return self._last
 
@@ -204,7 +242,7 @@ def _felt_force(was, now, elapsed, place, force):  # type: ignore[no-untyped-def
 
 
 @compiled(error_model="numpy")
-def _period(  # type: ignore[no-untyped-def]
+def imu_period(  # type: ignore[no-untyped-def]
     was, now, elapsed, n, warmth, normal, numbers, place, axes, feigned, directions, phases, heat, switched_on, drift,
     white, limit, coefficients, azimuth, wander, memory, force, out, clipped,
 ):  # fmt: skip

@@ -166,6 +166,11 @@ class Periodic(Sensor):
         self._coming: list[tuple[float, dict[str, Reading]]] = []  # when, what
         self._latest: dict[str, Reading] = {}
 
+    @property
+    def quiet_s(self) -> float:
+        """Until when it surely says nothing new (s)."""
+        return self._quiet_s
+
     def measure(self, truth: Truth) -> tuple[float, dict[str, Reading]] | None:
         """Measure now: how long it takes until that is known (s), and what it is; None if nothing will come."""
         raise NotImplementedError
@@ -266,14 +271,14 @@ class IdealRing(Sensor):
     """Distances along the ring of beams (m), the ring's greatest range where nothing is seen."""
 
     def __init__(self, vehicle: Vehicle, world: World, every: int = 1) -> None:
-        self._world, self._every = world, every
+        self._world, self.every = world, every
         self._directions = beam_directions(vehicle)
         ring = vehicle.range_ring
         self._limits = {"min_range_m": float(ring.min_range), "max_range_m": float(ring.max_range)}
         self._last: Reading | None = None
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
-        if self._last is None or truth.tick % self._every == 0:
+        if self._last is None or truth.tick % self.every == 0:
             seen = ideal_ranges(truth.state, self._world, self._directions, **self._limits)
             self._last = Reading(seen, truth.time_s)
         return {"ranges": self._last}

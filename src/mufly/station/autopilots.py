@@ -107,9 +107,12 @@ def request_message(number: int) -> Command:
     return _command(512, number)
 
 
-def inject_failure(unit: int, kind: int) -> Command:
-    """INJECT_FAILURE: FAILURE_UNIT and FAILURE_TYPE of :data:`mufly.link.commands.FAILURES`; type 0 clears all."""
-    return _command(420, float(unit), float(kind))
+def inject_failure(unit: int, kind: int, amount: float = NAN, duration_s: float = NAN) -> Command:
+    """INJECT_FAILURE: FAILURE_UNIT and FAILURE_TYPE of :data:`mufly.link.commands.FAILURES`; type 0 clears all.
+
+    Parameters 5 and 6, which the specification leaves open, are how much and for how long (s); NaN: as usual, for ever.
+    """
+    return _command(420, float(unit), float(kind), 0.0, 0.0, amount, duration_s)
 
 
 def message_interval(number: int, rate_Hz: float) -> Command:

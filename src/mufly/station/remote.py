@@ -278,9 +278,14 @@ class RemoteVehicle:
         """Start the autopilot anew; a simulation begins anew."""
         return self._ask("start anew", autopilots.REBOOT)
 
-    def inject(self, unit: int, kind: int, text: str) -> Request:
-        """Let a sensor of a simulation fail (FAILURE_UNIT, FAILURE_TYPE); type 0: nothing is wrong any more."""
-        return self._ask(text, autopilots.inject_failure(unit, kind))
+    def inject(
+        self, unit: int, kind: int, text: str, amount: float = math.nan, duration_s: float = math.nan
+    ) -> Request:
+        """Let a sensor of a simulation fail (FAILURE_UNIT, FAILURE_TYPE); type 0: nothing is wrong any more.
+
+        ``amount`` is in the unit of the reading (``late``: s), NaN the usual one; ``duration_s`` NaN: until cleared.
+        """
+        return self._ask(text, autopilots.inject_failure(unit, kind, amount, duration_s))
 
     def take_command(self) -> Request:
         """Become the station that commands it."""

@@ -73,7 +73,7 @@ PAIR_OUTPUTS: dict[str, tuple[str, str]] = {
     "iterations": ("1", "iterations of the last wake"),
     **WAKE_OUTPUTS,
 }
-METHODS = ("bemt", "wake")
+METHODS = ("bemt", "tubes", "wake")
 Free = Literal["lower-speed", "lower-pitch"]
 _GIVEN = ("speed", "thrust", "duty")
 
@@ -96,8 +96,9 @@ class Setup:
         Of the polars.
     flags : bool
         Whether ``outside_share`` of single rotors is computed, which takes as long as the rest.
-    method : 'bemt' or 'wake'
-        Blade element momentum theory, or the wake method: a thousand to ten thousand times as long a case.
+    method : 'bemt', 'tubes' or 'wake'
+        Blade element momentum theory; for pairs, with wakes that carry each other away, ten times as long; or the
+        wake method, a thousand to ten thousand times as long.
     wake : WakeSettings
         Of the wake method.
     stations : int

@@ -113,7 +113,7 @@ def sweep(
         "fixed": json.dumps(dict(setup.fixed), sort_keys=True),
         "polars": f"{setup.engine} {setup.model}",
         "corrections": json.dumps(vars(setup.corrections)),
-        "method": setup.method if setup.method == "bemt" else f"wake, {setup.wake.model}",
+        "method": f"wake, {setup.wake.model}" if setup.method == "wake" else setup.method,
         **pair,
         "mufly": __version__,
     }

@@ -1,5 +1,27 @@
 """Where does it fly? A room with a floor, walls, boxes and cylinders, and the geometry of seeing and touching them."""
 
-from mufly.world.obstacles import Box, Cylinder, Room, World, contains, distance, distances, ranges, wall
+from mufly.world.obstacles import (
+    Box,
+    Cylinder,
+    Room,
+    World,
+    contains,
+    distance,
+    distances,
+    nearest,
+    ranges,
+    wall,
+)
 
-__all__ = ["Box", "Cylinder", "Room", "World", "contains", "distance", "distances", "ranges", "wall"]
+__all__ = [
+    "Box",
+    "Cylinder",
+    "Room",
+    "World",
+    "contains",
+    "distance",
+    "distances",
+    "nearest",
+    "ranges",
+    "wall",
+]

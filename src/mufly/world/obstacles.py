@@ -271,9 +271,10 @@ def _cast(
 
 
 @compiled
-def _nearest(
+def nearest(
     points: _Array, boxes: _Array, cylinders: _Array, limits: _Array
 ) -> tuple[_Array, NDArray[np.int64]]:
+    """Signed distance of points (n, 3) to the nearest obstacle of a packed world, and which it is."""
     count = points.shape[0]
     least, which = np.full(count, np.inf), np.full(count, -1, np.int64)
     nb, nc = boxes.shape[0], cylinders.shape[0]
@@ -349,7 +350,7 @@ def distances(world: World, points: ArrayLike) -> tuple[_Array, NDArray[np.int64
     which : (n,) array of int
         Index of the nearest obstacle in ``world.names``, -1 in an empty world.
     """
-    return _nearest(np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3), *world.packed)
+    return nearest(np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3), *world.packed)
 
 
 def distance(world: World, point: ArrayLike) -> tuple[float, str]:

@@ -288,8 +288,8 @@ def test_it_takes_off_flies_to_a_click_and_lands(window: Page) -> None:
     page.locator(".mf-scene canvas").first.click(position={"x": x, "y": y})
     assert page.locator("[data-testid=goto-chip]").is_visible()
     page.fill("[data-testid=goto-chip] input", "0.6")
-    page.click(".mf-chip-send")
     assert page.evaluate("window.muflyScene.sent()") is None
+    page.click(".mf-chip-send")
     wait(lambda: page.evaluate("window.muflyScene.sent()"), "the mark of where it was sent")
     assert float(page.input_value("[data-testid=field-north]")) == pytest.approx(0.6, abs=0.05)
 

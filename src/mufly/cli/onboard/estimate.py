@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import typer
+
+from mufly.cli.log import ColumnOption, MapOption, columns_of
 from mufly.cli.options import Commands, JsonOption, OutOption, argument, option
 from mufly.cli.present import answer, check_folder, print_table, progress_bar, say, writing
 from mufly.errors import InputError
@@ -14,6 +19,8 @@ from mufly.results import plain
 if TYPE_CHECKING:
     import xarray as xr
 
+    from mufly.cli.onboard.inertial import Foreign
+    from mufly.estimate import Estimate, Foretold, Noise
     from mufly.estimate.nees import Consistency
     from mufly.vehicle import Vehicle
     from mufly.world import World
@@ -22,67 +29,256 @@ app = Commands(
     help="Estimation: readings of sensors in, position, velocity, attitude and their bounds out.",
     no_args_is_help=True,
 )
+_SETTLED_S = 2.0  # of flight, after which errors count
 
 
 @app.command()
 def run(
-    log: Annotated[Path, argument("LOG", "A recording of a flight on sensors (flight.mcap of `mufly fly`).")],
+    log: Annotated[
+        Path, argument("LOG", "A recorded flight: of `mufly fly`, or any log that `mufly log` reads.")
+    ],
     vehicle: Annotated[
         str | None,
         option("--vehicle NAME|FILE", "What the filter takes it for. Default: the vehicle that flew."),
     ] = None,
+    map_file: MapOption = None,
+    column: ColumnOption = None,
+    aid: Annotated[
+        list[str] | None,
+        option(
+            "--aid KIND=SIGNAL",
+            "What tells position or heading: position=truth_position, position=x,-y,-z (columns as N, E, D), "
+            "heading=yaw(deg). Default: the log's own position and attitude. May be repeated.",
+        ),
+    ] = None,
+    aid_std: Annotated[
+        float | None,
+        option(
+            "--aid-std M",
+            "Noise of a position, one sigma. Default: its scatter. Is added to an aid made from the truth.",
+        ),
+    ] = None,
+    aid_heading_std: Annotated[
+        float | None, option("--aid-heading-std DEG", "Noise of a heading, one sigma. Default: 2.")
+    ] = None,
+    aid_rate: Annotated[float | None, option("--aid-rate HZ", "Take no more than so many.")] = None,
+    aid_delay: Annotated[
+        float, option("--aid-delay S", "How long after its measurement an aid comes.")
+    ] = 0.0,
+    gyro_noise: Annotated[
+        float | None, option("--gyro-noise X", "Density, rad/s/sqrt(Hz). Default: what the log tells.")
+    ] = None,
+    accelerometer_noise: Annotated[
+        float | None,
+        option("--accelerometer-noise X", "Density, m/s^2/sqrt(Hz). Default: what the log tells."),
+    ] = None,
+    rate: Annotated[
+        float | None,
+        option("--rate HZ", "Of the filter on a log of others. Default: the log's, 250 at most."),
+    ] = None,
+    seed: Annotated[int, option("--seed N", "Of the noise that is added to an aid made from the truth.")] = 0,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Let the filter estimate a recorded flight again, from what the sensors said and the actuators did.
+    """Let a filter estimate a recorded flight, from what the sensors said, and tell whether it knew how good it was.
 
-    Where the recording knows the truth, it is told how far off the estimate was and whether it knew: NEES, the square
-    of the error over its expected square, should be 1 on average, and 95 % of the errors inside the 95 % ellipsoid.
-    With another vehicle file (a mass, a noise, a sensor less) it tells what that does to the estimate. With --out:
-    pictures of the estimate with its bounds and of what was made of every sensor, and the recording with the new
-    estimate.
+    A flight of `mufly fly` goes through the filter that flew it, rotor model and all. With another vehicle file (a
+    mass, a noise, a sensor less) it tells what that does to the estimate.
 
-    Examples: mufly fly --headless --out flown; mufly estimate run flown/flight.mcap --out estimated
+    Any other log goes through it as a strapdown filter: gyroscopes and accelerometers, aided by positions and headings.
+    Units, gravity and signs are checked first; noise is found by rules from the log itself, never from the truth
+    (docs/estimation.md).
+
+    Where the log knows the truth (truth_position, truth_attitude), NEES tells whether the estimate knew how far it was
+    off: the square of the error over its expected square, 1 on average. NIS tells the same of the aids, each compared
+    with what was believed before it came. With --out: pictures (way, motion, biases, innovations, with bounds of three
+    standard deviations), and the recording with the estimate as MCAP and CSV.
+
+    Examples:
+
+    mufly fly --headless --out flown; mufly estimate run flown/flight.mcap --out estimated
+
+    mufly estimate run flight.ulg --aid-delay 0.1 --out estimated
+
+    mufly estimate run circle.csv.gz --map nanobench --aid position=truth_position --aid-std 0.02 --aid-rate 15
     """
-    from mufly.estimate import fitted_estimator
-    from mufly.estimate.nees import consistency
-    from mufly.flight import believed, draw_belief, is_sensed, read_recording, replay, truths_of
-    from mufly.logs import write_log
+    from mufly.cli.onboard.inertial import Asked, read_aid, read_foreign
+    from mufly.flight import is_sensed, read_recording
+    from mufly.logs import kind_of
 
     check_folder("--out", out)
-    data = read_recording(log)
-    if not is_sensed(data):
+    of_aids = {
+        "--map": map_file, "--column": column, "--aid": aid, "--aid-std": aid_std, "--aid-heading-std": aid_heading_std,
+        "--aid-rate": aid_rate, "--aid-delay": aid_delay or None, "--gyro-noise": gyro_noise,
+        "--accelerometer-noise": accelerometer_noise, "--rate": rate,
+    }  # fmt: skip
+    for name, value in of_aids.items():
+        if isinstance(value, float) and not (0.0 < value < math.inf):
+            raise InputError(name, f"{value:g}", "is not above zero", "give a positive number")
+    said = [name for name, value in of_aids.items() if value is not None]
+    data = read_recording(log) if not said and kind_of(log) == "MCAP" else None
+    if data is not None and is_sensed(data):
+        _ours(log, data, vehicle, out, as_json)
+        return
+    if vehicle is not None:
         raise InputError(
-            str(log), "", "holds no readings of sensors, as flights on what is true do not",
-            "record one with `mufly fly` without --sensors ideal",
+            "--vehicle", vehicle, "needs a flight of `mufly fly` on sensors, with no option of aids" if said else
+            "needs a flight of `mufly fly` on sensors: of this log no rotor model is used", "leave it out",
         )  # fmt: skip
+    kinds = dict(read_aid(text) for text in aid or ())
+    asked = Asked(
+        kinds.get("position"), kinds.get("heading"), aid_std,
+        None if aid_heading_std is None else math.radians(aid_heading_std), aid_rate, aid_delay, seed,
+    )  # fmt: skip
+    notes: list[str] = []
+    found = read_foreign(log, columns_of(map_file, column), asked, rate, notes)
+    for note in notes:
+        typer.secho(f"{log.name}: {note}", fg=typer.colors.YELLOW, err=True)
+    _foreign(log, found, (gyro_noise, accelerometer_noise), out, as_json)
+
+
+def _ours(log: Path, data: xr.Dataset, vehicle: str | None, out: Path | None, as_json: bool) -> None:
+    """A flight of ``mufly fly``."""
+    from mufly.estimate import fitted_estimator
+    from mufly.estimate.nees import consistency
+    from mufly.flight import believed, replay, truths_of
+
     flown, world = _carried(log, vehicle)
     with progress_bar("estimating", not as_json):
         estimates = replay(data, fitted_estimator(flown, world, float(data.attrs["rate_Hz"])))
     again = believed(data, estimates)
     figures = consistency(truths_of(data), estimates, after_s=_off_floor_s(data))
-    files: list[Path] = []
-    if out is not None:
-        with writing(out):
-            out.mkdir(parents=True, exist_ok=True)
-            files = [*draw_belief(again, out), out / "estimate.mcap"]
-            write_log(again, files[-1])
-    answer(as_json, lambda: plain(figures), lambda: _print(figures), files)
+    answer(as_json, lambda: plain(figures), lambda: _print(figures), _write(again, estimates, out))
 
 
-def _print(c: Consistency) -> None:
-    import math
+def _foreign(
+    path: Path, f: Foreign, given: tuple[float | None, float | None], out: Path | None, as_json: bool
+) -> None:
+    """A log of any vehicle."""
+    from mufly.cli.onboard.inertial import recording_of, truth_rows
+    from mufly.estimate import Noise, consistency_of, foretold, noise_at_rest, noise_in_flight, run_log
+
+    if not as_json:
+        say(*f.said)
+    rest = noise_at_rest(f.log)
+    if None in given:
+        with progress_bar("noise", not as_json) as progress:
+            noise = noise_in_flight(f.log, f.aids, rest, progress)
+        noise = Noise(gyro=given[0] or noise.gyro, accelerometer=given[1] or noise.accelerometer)
+    else:
+        noise = Noise(gyro=given[0] or rest.gyro, accelerometer=given[1] or rest.accelerometer)
+    with progress_bar("estimating", not as_json) as progress:
+        told = run_log(f.log, f.aids, noise, on_progress=progress)
+    time = f.log.time_s
+    began = float(time[f.log.flying.argmax()]) if f.log.flying.any() else float(time[0])
+    after = began + _SETTLED_S
+    if not any(e.valid and e.time_s + time[0] >= after for e in told):
+        raise InputError(
+            str(path), "", f"has no valid estimate after {after:.1f} s: too few aids, or none believed",
+            "check units, axes and time of the aids (--aid, --aid-delay)",
+        )  # fmt: skip
+    fore = foretold(f.log, f.aids, told, from_s=after, to_s=float(time[-1]))
+    figures: Consistency | None = None
+    mounted: Consistency | None = None
+    if f.truth:
+        figures = consistency_of(truth_rows(f), told, after_s=after - float(time[0]))
+        if f.mounting is not None:
+            mounted = consistency_of(truth_rows(f, mounted=True), told, after_s=after - float(time[0]))
+    content = {
+        "said": f.said, "noise_at_rest": plain(rest), "noise": plain(noise), "from_s": after,
+        "mounting_rad": None if f.mounting is None else f.mounting.tolist(), "aids": plain(fore),
+        "errors": None if figures is None else plain(figures),
+        "errors_without_mounting": None if mounted is None else plain(mounted),
+    }  # fmt: skip
+
+    def show() -> None:
+        _print_noise(rest, noise, given)
+        if figures is not None:
+            _print(figures, f"true, from {after:.1f} s")
+        if mounted is not None and f.mounting is not None:
+            roll, pitch = (math.degrees(x) for x in f.mounting)
+            say(
+                f"The true attitude and the accelerometers are apart by {roll:+.2f} and {pitch:+.2f} degrees (roll, "
+                "pitch) at rest: mounting, or bias of the accelerometers.",
+                f"Less that: tilt {math.degrees(mounted.tilt_rms):.2f} degrees rms, NEES / n {mounted.nees:.2f}",
+            )  # fmt: skip
+        _print_aids(fore)
+
+    data = recording_of(f, told, path.name)
+    answer(as_json, lambda: content, show, _write(data, told, out, csv=True))
+
+
+def _write(data: xr.Dataset, told: Sequence[Estimate], out: Path | None, csv: bool = False) -> list[Path]:
+    """Pictures and recording."""
+    from mufly.flight import draw_belief
+    from mufly.logs import write_log
+
+    if out is None:
+        return []
+    with writing(out):
+        out.mkdir(parents=True, exist_ok=True)
+        files = [*draw_belief(_with_bounds(data, told), out), out / "estimate.mcap"]
+        write_log(data, files[-1])
+        if csv:
+            files.append(out / "estimate.csv")
+            write_log(data, files[-1])
+    return files
+
+
+def _with_bounds(data: xr.Dataset, told: Sequence[Estimate]) -> xr.Dataset:
+    """The same with standard deviations of the biases, which recordings do not hold."""
+    import numpy as np
+
+    from mufly.estimate.layout import ACCEL, GYRO
+
+    out = {}
+    for name, first in (("gyro_bias", GYRO), ("accelerometer_bias", ACCEL)):
+        block = np.array(
+            [np.full(3, math.nan) if e.beliefs is None else e.beliefs.sigma[first : first + 3] for e in told]
+        )
+        out[f"estimated_{name}_sigma"] = data[f"estimated_{name}"].copy(data=block)
+    return data.assign(out)
+
+
+def _print_noise(rest: Noise, noise: Noise, given: tuple[float | None, float | None]) -> None:
+    rows = [
+        (name, f"{a:.2g}", f"{b:.2g}", "given" if told else "by how well the log foretells its aids", unit)
+        for name, a, b, told, unit in (
+            ("gyroscopes", rest.gyro, noise.gyro, given[0], "rad/s/sqrt(Hz)"),
+            ("accelerometers", rest.accelerometer, noise.accelerometer, given[1], "m/s^2/sqrt(Hz)"),
+        )
+    ]
+    print_table(("noise", "at rest", "in flight", "", "unit"), rows, text=(0, 3, 4))
+
+
+def _print_aids(fore: Foretold) -> None:
+    if fore.count:
+        say(
+            f"NIS / n {fore.nis:.2f} of {fore.count} aids (1 if it knows how well it foretells them); they were "
+            f"{100 * fore.off:.1f} cm rms from what was believed before they came"
+        )  # fmt: skip
+        if fore.nis > 5.0:
+            say(
+                "Aids and inertial unit hardly belong together: check axes, signs, units and --aid-delay.",
+                style="yellow",
+            )
+
+
+def _print(c: Consistency, what: str = "by") -> None:
+    def cell(x: float, unit: str, digits: int) -> str:
+        return f"{x:.{digits}f} {unit}" if math.isfinite(x) else ""
 
     rows = [
-        ("horizontal position", f"{100 * c.xy_rms:.1f} cm", f"{100 * c.xy_peak:.1f} cm"),
-        ("height", f"{100 * c.z_rms:.1f} cm", f"{100 * c.z_peak:.1f} cm"),
-        ("tilt", f"{math.degrees(c.tilt_rms):.2f} deg", f"{math.degrees(c.tilt_peak):.2f} deg"),
-        ("heading", f"{math.degrees(c.yaw_rms):.2f} deg", ""),
+        ("horizontal position", cell(100 * c.xy_rms, "cm", 1), cell(100 * c.xy_peak, "cm", 1)),
+        ("height", cell(100 * c.z_rms, "cm", 1), cell(100 * c.z_peak, "cm", 1)),
+        ("tilt", cell(math.degrees(c.tilt_rms), "deg", 2), cell(math.degrees(c.tilt_peak), "deg", 2)),
+        ("heading", cell(math.degrees(c.yaw_rms), "deg", 2), ""),
     ]
-    print_table(("off by", "rms", "worst"), rows, text=(0, 1, 2))
+    print_table((f"off {what}", "rms", "worst"), rows, text=(0, 1, 2))
     parts = ", ".join(
         f"{name} {x:.2f}" for name, x in zip(("position", "velocity", "attitude"), c.parts, strict=True)
-    )
+        if math.isfinite(x)
+    )  # fmt: skip
     say(
         f"NEES / n {c.nees:.2f} (1 if it knows how good it is; {parts}); {c.inside:.1%} inside the 95 % ellipsoid"
     )

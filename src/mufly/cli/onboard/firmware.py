@@ -89,6 +89,15 @@ def sil(
     gust: Annotated[float | None, option("--gust M/S", "Gusts.", min=0.0, max=3.0)] = None,
     sensors: SensorsOption = "fitted",
     fault: FaultOption = None,
+    drawn: Annotated[
+        bool, option("--drawn", "Draw wind, gusts and a fault of a sensor for every flight, by its seed.")
+    ] = False,
+    keep: Annotated[
+        Path | None,
+        option(
+            "--keep FILE", "Add a line of JSON a flight to this file; what stands there is not flown again."
+        ),
+    ] = None,
     fixed_point: _FixedOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -107,10 +116,14 @@ def sil(
     if fixed_point:
         if wind is not None or gust is not None:
             raise InputError("--fixed-point", "", "chooses its own gusts", "leave out --wind and --gust")
-        if fault:
-            raise InputError("--fixed-point", "", "flies on what is true", "leave out --fault")
-        _fly_fixed(load_vehicle(vehicle), names, flights, as_json)
+        if fault or drawn:
+            raise InputError("--fixed-point", "", "flies on what is true", "leave out --fault and --drawn")
+        _fly_fixed(load_vehicle(vehicle), names, flights, keep, as_json)
         return
+    if drawn and (fault or wind is not None or gust is not None):
+        raise InputError(
+            "--drawn", "", "draws wind, gusts and faults itself", "leave out --wind, --gust and --fault"
+        )
     helicopter = load_vehicle(vehicle)
     faults = check_sensors(helicopter, sensors, fault)
     done = 0
@@ -124,7 +137,7 @@ def sil(
 
         results = compare(
             helicopter, names, flights=flights, wind=wind, gust=gust, faults=faults, on_flight=flown,
-            sensors="ideal" if sensors == "ideal" else "fitted",
+            sensors="ideal" if sensors == "ideal" else "fitted", drawn=drawn, keep=keep,
         )  # fmt: skip
     answer(as_json, lambda: {"flights": results}, lambda: _print_sil(results))
     if any(r.different + r.beliefs_different + r.steps_different for r in results):
@@ -164,7 +177,7 @@ def _print_sil(results: list[SilResult]) -> None:
         )
 
 
-def _fly_fixed(vehicle: Vehicle, names: list[str], flights: int, as_json: bool) -> None:
+def _fly_fixed(vehicle: Vehicle, names: list[str], flights: int, keep: Path | None, as_json: bool) -> None:
     from mufly.firmware import fly_fixed
 
     done = 0
@@ -176,7 +189,7 @@ def _fly_fixed(vehicle: Vehicle, names: list[str], flights: int, as_json: bool) 
             if progress is not None:
                 progress(done, len(names) * flights)
 
-        results = fly_fixed(vehicle, names, flights=flights, on_flight=flown)
+        results = fly_fixed(vehicle, names, flights=flights, keep=keep, on_flight=flown)
     answer(as_json, lambda: {"flights": results}, lambda: _print_flown(results))
     if any(r.overflows for r in results):
         raise typer.Exit(1)

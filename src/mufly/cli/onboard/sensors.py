@@ -35,7 +35,7 @@ _VehicleArgument = Annotated[str, argument("NAME|FILE", "A built-in vehicle, or 
 
 @app.command()
 def show(vehicle: _VehicleArgument = "mufly-1.1", as_json: JsonOption = False) -> None:
-    """Show what a vehicle feels with: every number of the table [sensors] of its file, and where it came from."""
+    r"""Show what a vehicle feels with: every number of the table \[sensors] of its file, and where it came from."""
     from mufly.vehicle import load_vehicle, parameters
 
     v = load_vehicle(vehicle)
@@ -79,7 +79,7 @@ def simulate(
         str, argument("MISSION", "A built-in mission, or a mission file (TOML).")
     ] = "demonstration",
     vehicle: Annotated[
-        str, option("--vehicle NAME|FILE", "A built-in vehicle or a file, with [sensors].")
+        str, option("--vehicle NAME|FILE", "A built-in vehicle or a file, with \\[sensors].")
     ] = "mufly-1.1",
     seed: Annotated[int, option("K", "Same seed, same gusts and errors.")] = 0,
     fault: FaultOption = None,

@@ -6,26 +6,6 @@
 #include "guards.h"
 #include "motion.h"
 
-static void clear_top(real_t top[MOVING][ERRORS])
-{
-    for (int32_t i = 0; i < MOVING; i++) {
-        for (int32_t j = 0; j < ERRORS; j++) {
-            top[i][j] = (i == j) ? REAL(1.0) : REAL(0.0);
-        }
-    }
-}
-
-/* Begin a block. */
-static void start_block(estimator_t *m)
-{
-    clear_top(m->top);
-    for (int32_t j = 0; j < ERRORS; j++) {
-        m->decay[j] = REAL(1.0);
-        m->q[j] = REAL(0.0);
-    }
-    m->middle = 0;
-}
-
 void estimator_begin(estimator_t *m, const estimator_settings_t *s)
 {
     uint8_t *bytes = (uint8_t *)m;
@@ -35,14 +15,17 @@ void estimator_begin(estimator_t *m, const estimator_settings_t *s)
     }
     for (int32_t i = 0; i < STATES; i++) {
         m->x[i] = s->start[i];
+        m->way[i] = s->start[i];
+        m->come[i] = s->start[i];
     }
     for (int32_t i = 0; i < ERRORS; i++) {
         m->d[i] = (s->sigma[i] * s->sigma[i]) + REAL(1e-12);
+        m->ut[i][i] = REAL(1.0);
     }
     for (int32_t i = 0; i < WAITING; i++) {
         m->due[i] = -1;
     }
-    start_block(m);
+    m->stage = DONE;
     m->out[6] = REAL(1.0);
     m->rotor[6] = REAL(1.0);
     m->rotor[20] = REAL(1.0);
@@ -81,18 +64,20 @@ static void judge_mode(estimator_t *m, const estimator_settings_t *s, const real
         (s->model > 0) ? ((-m->force[cycle(m->tick, MODELLED)][2] * m->x[23]) / GRAVITY) : REAL(1.0);
     const real_t height = height_over(m->out, s);
     const bool off = (sent[0] + sent[1]) < REAL(0.02);
+    /* Rotors that lift more than the model says fly sooner, others later. */
+    const real_t doubt = (s->model > 0) ? (MOST_DOUBT * m->sigma[THRUST_]) : REAL(0.0);
 
     if (m->mode <= RUNNING) {
         m->mode = (off && ((m->rotor[18] + m->rotor[19]) < (REAL(0.2) * (s->hover[0] + s->hover[1])))) ? STANDING
                                                                                                        : RUNNING;
-        if ((lift > REAL(0.9)) && (m->mode == RUNNING)) {
+        if (((lift * (REAL(1.0) + doubt)) > REAL(0.9)) && (m->mode == RUNNING)) {
             m->mode = LIGHT;
             m->lifted = m->tick;
         }
     } else if (m->mode == LIGHT) {
-        if ((height > REAL(0.03)) || (lift > REAL(1.1))) {
+        if ((height > (REAL(0.03) + real_min(REAL(2.0) * m->sigma[P_ + 2], REAL(0.1)))) || (lift > (REAL(1.1) + doubt))) {
             m->mode = FLYING;
-        } else if ((lift < REAL(0.85)) && (height < REAL(0.02))) {
+        } else if (((lift * (REAL(1.0) + doubt)) < REAL(0.85)) && (height < REAL(0.02))) {
             m->mode = RUNNING;
         } else {
             /* still light */
@@ -112,12 +97,18 @@ static void model_now(estimator_t *m, const estimator_settings_t *s, const fligh
                       const int32_t *fresh)
 {
     model_force(m, s, p, m->row, m->force[cycle(m->tick, MODELLED)]);
+    for (int32_t k = 0; k < 2; k++) {
+        m->rotor[18 + k] += s->dt * m->motor_off[k];
+    }
     if (fresh[R_ROTOR] == 1) {
         const real_t *speed = &z[STARTS[R_ROTOR]];
 
         if (rotor_fits(m, s, speed)) {
             for (int32_t k = 0; k < 2; k++) {
-                m->rotor[18 + k] += s->rotor_gain * (speed[k] - m->rotor[18 + k]);
+                const real_t off = speed[k] - m->rotor[18 + k];
+
+                m->rotor[18 + k] += s->rotor_gain * off;
+                m->motor_off[k] += s->rotor_drift * off;
             }
         }
     }
@@ -137,6 +128,25 @@ static void model_now(estimator_t *m, const estimator_settings_t *s, const fligh
     }
 }
 
+/* The row of inputs of the block that begins behind a tick. */
+static real_t *inputs_from(estimator_t *m, const estimator_settings_t *s, int32_t tick)
+{
+    return m->inputs[cycle(tick / s->block, KEPT)];
+}
+
+/* The mean over the block so far. */
+static void average(estimator_t *m, const estimator_settings_t *s)
+{
+    real_t *into = inputs_from(m, s, m->tick - 1);
+    const int32_t count = cycle(m->tick - 1, s->block) + 1;
+    const real_t share = REAL(1.0) / (real_t)count;
+
+    for (int32_t j = 0; j < (INPUTS - 1); j++) {
+        into[j] = (count == 1) ? m->now[j] : (into[j] + (share * (m->now[j] - into[j])));
+    }
+    into[INPUTS - 1] = m->now[INPUTS - 1];
+}
+
 /* What acted over the period that has just ended: a row of inputs. */
 static void gather(estimator_t *m, const estimator_settings_t *s, const flight_model_t *p, const real_t *z,
                    const int32_t *fresh)
@@ -144,7 +154,7 @@ static void gather(estimator_t *m, const estimator_settings_t *s, const flight_m
     const int32_t now = cycle(m->tick, MODELLED);
     const int32_t a = cycle(now - s->lag_ticks, MODELLED);
     const int32_t b = cycle((now - s->lag_ticks) - 1, MODELLED);
-    real_t *row = m->inputs[cycle(m->tick, KEPT)];
+    real_t *row = m->now;
     real_t r[9];
     real_t n;
     real_t e;
@@ -187,9 +197,20 @@ static void gather(estimator_t *m, const estimator_settings_t *s, const flight_m
             felt = REAL(1e6);
             made = REAL(1e-3);
         } else if (m->mode == LIGHT) {
-            made = (k < 2) ? REAL(0.05) : REAL(0.5);
+            /* Legs may carry what the rotors do not: nothing is learnt of these. */
+            row[9 + k] += m->out[23] * row[6 + k];
+            if (k == 2) {
+                row[11] = real_min(row[11], -GRAVITY * r[8]);
+            }
+            row[6 + k] = REAL(0.0);
+            made = (k < 2) ? REAL(0.05) : REAL(10.0);
+        } else if (s->model > 0) {
+            /* Until the thrust is known, which takes the delay and more, it flies by the accelerometers. */
+            const real_t unknown = real_max(m->sigma[THRUST_] - KNOWN_THRUST, REAL(0.0)) * row[6 + k];
+
+            made += (UNKNOWN_S * unknown) * unknown;
         } else {
-            /* flies */
+            /* flies without a model */
         }
         if ((s->model <= 0) && (m->mode > RUNNING)) {
             row[6 + k] = REAL(0.0);
@@ -205,7 +226,8 @@ static void gather(estimator_t *m, const estimator_settings_t *s, const flight_m
         row[18 + k] = felt * share;
         m->lever[k][2] = felt + made;
     }
-    row[21] = (real_t)m->mode;
+    row[INPUTS - 1] = (real_t)m->mode;
+    average(m, s);
 }
 
 /* Density of the velocity's noise along an axis of N-E-D. */
@@ -219,27 +241,22 @@ static real_t spread_along(const real_t r[9], int32_t k, const real_t e[INPUTS])
     return spread;
 }
 
-/* Bring the horizon a period on. */
+/* Bring the horizon a block on. */
 static void advance(estimator_t *m, const estimator_settings_t *s)
 {
-    const real_t *e;
+    const real_t span = (real_t)s->block * s->dt;
+    const real_t *e = inputs_from(m, s, m->horizon);
     real_t r[9];
     real_t a[6];
+    real_t q[MOVING];
+    real_t transition[TRANSITION];
     real_t all;
 
-    m->horizon += 1;
-    e = m->inputs[cycle(m->horizon, KEPT)];
-    advance_state(m->x, e, s->dt, r, a);
-    advance_errors(m->top, e, s->dt, r, a);
-    for (int32_t k = GYRO; k < ERRORS; k++) {
-        m->x[k + 1] = s->start[k + 1] + ((m->x[k + 1] - s->start[k + 1]) * s->keep[k]);
-        m->decay[k] *= s->keep[k];
-        m->q[k] = ((m->q[k] * s->keep[k]) * s->keep[k]) + s->noise[k];
-    }
+    m->horizon += s->block;
+    m->stage = 0;
+    advance_state(m->x, e, span, r, a);
     for (int32_t k = 0; k < 3; k++) {
-        m->q[k] += s->noise[k];
-        m->turning[k] += (s->dt / REAL(1.5)) * ((e[k] - m->x[10 + k]) - m->turning[k]);
-        m->q[3 + k] += spread_along(r, k, e) * s->dt;
+        m->turning[k] += (span / REAL(1.5)) * ((e[k] - m->x[10 + k]) - m->turning[k]);
         m->felt[k] += e[3 + k];
         m->modelled[k] += a[3 + k];
         m->sum[k] += e[k];
@@ -247,37 +264,65 @@ static void advance(estimator_t *m, const estimator_settings_t *s)
         m->lever[k][1] += e[12 + k];
     }
     all = ((m->turning[0] * m->turning[0]) + (m->turning[1] * m->turning[1])) + (m->turning[2] * m->turning[2]);
+    m->spin = REAL(0.0);
     for (int32_t k = 0; k < 3; k++) {
-        real_t spread = s->gyro_density;
+        real_t spread = s->gyro_density + ((m->code[R_RATES] >= MISSING) ? BLIND_TURN : REAL(0.0));
 
+        m->spin += r[6 + k] * (e[k] - m->x[10 + k]);
+        q[k] = s->noise[k];
+        q[3 + k] = spread_along(r, k, e) * span;
         for (int32_t i = 0; i < 3; i++) {
             const real_t own = m->turning[i] * m->turning[i];
 
             spread += (r[(3 * k) + i] * r[(3 * k) + i]) *
                       ((s->gyro_off[0] * (all - own)) + (s->gyro_off[1] * own));
         }
-        m->q[6 + k] += spread * s->dt;
+        q[6 + k] = spread * span;
     }
+    transition_of(e, span, r, a, transition);
+    factors_carry(m, span, transition, q);
     if ((m->edge > 0) || (real_abs(m->x[16]) > LOW)) {
-        m->q[FLOOR] += (EDGE * EDGE) * s->dt;
+        factors_loosen(m, FLOOR, (EDGE * EDGE) * span);
     }
-    m->felt_count += 1;
-    m->middle += 1;
+    m->felt_count += s->block;
 }
 
-/* Bring the covariance to the horizon. */
-static void settle(estimator_t *m, const estimator_settings_t *s)
+/* Step one bias, whose turn it is. */
+static void wander(estimator_t *m, const estimator_settings_t *s)
 {
-    if (m->middle > 0) {
-        factors_carry(m, (REAL(0.5) * (real_t)m->middle) * s->dt);
-        start_block(m);
+    const int32_t biases = ERRORS - GYRO;
+    const int32_t k = GYRO + cycle(m->tick, biases);
+    const real_t q = s->noise[k];
+
+    m->x[k + 1] = s->start[k + 1] + ((m->x[k + 1] - s->start[k + 1]) * s->keep[k]);
+    if (q > REAL(0.0)) {
+        factors_wander(m, k, s->keep[k], q);
     }
 }
 
-static void fuse_one(estimator_t *m, const estimator_settings_t *s, int32_t i)
+/* What a measurement costs, in scalar ones; of the ring so many beams as there is time for. */
+static int32_t cost_of(const estimator_t *m, const estimator_settings_t *s, int32_t kind, int32_t left)
+{
+    const int32_t beams = s->beams - m->beam;
+    int32_t cost = 1;
+
+    if (kind == R_FIX) {
+        cost = FIXING;
+    } else if (kind == R_RING) {
+        cost = (beams < left) ? beams : left;
+        cost = (cost > 1) ? cost : 1;
+    } else {
+        /* a scalar one */
+    }
+    return cost;
+}
+
+/* Whether all of it has been taken in. */
+static bool fuse_one(estimator_t *m, const estimator_settings_t *s, int32_t i, int32_t cost)
 {
     const real_t *z = m->value[i];
     const real_t ahead = m->ahead[i];
+    bool all = true;
 
     switch (m->what[i]) {
     case R_FIX:
@@ -287,23 +332,65 @@ static void fuse_one(estimator_t *m, const estimator_settings_t *s, int32_t i)
         fuse_sonar(m, s, z, ahead);
         break;
     case R_RING:
-        fuse_ring(m, s, z);
+        all = fuse_ring(m, s, z, ahead, cost);
         break;
     case R_PRESSURE:
         fuse_pressure(m, s, z, ahead);
         break;
     default:
-        fuse_magnet(m, s, z);
+        fuse_magnet(m, s, z, ahead);
         break;
     }
+    return all;
 }
 
-/* What accelerometers felt over a block, against what was to be expected. */
-static void fuse_block(estimator_t *m, const estimator_settings_t *s)
+/* The measurement that is due at the horizon and comes first, by its kind; -1 if there is none. What is due is left out
+ * where the horizon is too far behind. */
+static int32_t next_due(estimator_t *m, const estimator_settings_t *s)
 {
-    const real_t *e = m->inputs[cycle(m->horizon, KEPT)];
-    const real_t n = (real_t)m->felt_count;
-    const int32_t mode = (int32_t)e[21];
+    const bool behind = ((m->tick - s->delay) - m->horizon) >= (LAG * s->block);
+    int32_t next = -1;
+
+    for (int32_t i = 0; i < WAITING; i++) {
+        if (m->due[i] == m->horizon) {
+            if (behind) {
+                m->late[m->what[i]] += 1;
+                m->beam = 0;
+                m->due[i] = -1;
+            } else if ((next < 0) || (m->what[i] < m->what[next])) {
+                next = i;
+            } else {
+                /* its turn comes */
+            }
+        }
+    }
+    return next;
+}
+
+/* Take in the next measurement that is due at the horizon: what it cost, 0 if there is no time, -1 if there is none. */
+static int32_t measured(estimator_t *m, const estimator_settings_t *s, int32_t left)
+{
+    const int32_t i = (m->stage == 0) ? next_due(m, s) : -1;
+    int32_t cost = -1;
+
+    if (i >= 0) {
+        cost = cost_of(m, s, m->what[i], left);
+        if (cost > left) {
+            cost = 0;
+        } else if (fuse_one(m, s, i, cost)) {
+            m->due[i] = -1;
+        } else {
+            /* more of it comes */
+        }
+    }
+    return cost;
+}
+
+/* What was felt and made since forces were compared last. */
+static void average_forces(estimator_t *m, const estimator_settings_t *s)
+{
+    const real_t *e = inputs_from(m, s, m->horizon - s->block);
+    const real_t n = (real_t)(m->felt_count / s->block);
 
     for (int32_t k = 0; k < 3; k++) {
         /* Density of the whole difference at the horizon, from what was weighed there */
@@ -316,19 +403,10 @@ static void fuse_block(estimator_t *m, const estimator_settings_t *s)
         m->lever[k][1] /= n;
         m->lever[k][2] = (e[18 + k] / share) / real_max(REAL(1.0) - share, REAL(1e-9));
     }
-    if (mode <= RUNNING) {
-        fuse_rest(m, s, m->felt_count, mode == STANDING);
-        if (mode == STANDING) {
-            m->standing += m->felt_count;
-        }
-    } else if ((mode == FLYING) && (s->model > 0) && (s->fitted[R_ACCELERATION] > 0)) {
-        fuse_force(m, s, m->felt_count);
-    } else {
-        /* light: neither stands nor flies */
-    }
-    if (mode > RUNNING) {
-        fuse_floor(m, s);
-    }
+}
+
+static void forget_forces(estimator_t *m)
+{
     for (int32_t k = 0; k < 3; k++) {
         m->felt[k] = REAL(0.0);
         m->modelled[k] = REAL(0.0);
@@ -340,33 +418,95 @@ static void fuse_block(estimator_t *m, const estimator_settings_t *s)
     m->felt_count = 0;
 }
 
-/* Take in what is due at the horizon. */
-static void fuse(estimator_t *m, const estimator_settings_t *s)
+/* Back over the floor: what that cost. */
+static int32_t leave_edge(estimator_t *m, const estimator_settings_t *s)
 {
-    for (int32_t i = 0; i < WAITING; i++) {
-        if (m->due[i] == m->horizon) {
-            m->due[i] = -1;
-            settle(m, s);
-            fuse_one(m, s, i);
-        }
-    }
+    int32_t cost = 0;
+
     if (m->edge > 0) {
-        m->edge -= 1;
+        m->edge = (m->edge > s->block) ? (m->edge - s->block) : 0;
         if ((m->edge == 0) && (real_abs(m->x[16]) < LOW)) {
-            settle(m, s);
             settle_floor(m);
+            cost = 1;
         }
     }
-    if (m->felt_count >= LONGEST) {
-        settle(m, s);
-        fuse_block(m, s);
+    return cost;
+}
+
+/* The next axis of the forces: what it cost; 0 if there is no time for it, or nothing to do (then the stage is LEGS). */
+static int32_t compare(estimator_t *m, const estimator_settings_t *s, int32_t mode, int32_t left)
+{
+    const int32_t i = m->stage - AXES;
+    int32_t cost = 0;
+
+    if (mode <= RUNNING) {
+        if (RESTING <= left) {
+            cost = RESTING;
+            fuse_rest(m, s, m->felt_count, mode == STANDING, i);
+            if ((mode == STANDING) && (i == 0)) {
+                m->standing += m->felt_count;
+            }
+            m->stage += 1;
+        }
+    } else if ((mode == FLYING) && (s->model > 0) && (s->fitted[R_ACCELERATION] > 0)) {
+        cost = 1;
+        fuse_force(m, s, m->felt_count, i);
+        m->stage += 1;
+    } else {
+        m->stage = LEGS; /* light: neither stands nor flies */
     }
+    return cost;
+}
+
+/* What is next at the horizon, if it costs no more than `left`: what it cost; 0 if nothing was done. */
+static int32_t task(estimator_t *m, const estimator_settings_t *s, int32_t left)
+{
+    int32_t cost = measured(m, s, left);
+    bool decided = cost >= 0;
+
+    if ((!decided) && (m->stage == 0)) {
+        m->stage = EDGES;
+    }
+    if ((!decided) && (m->stage == EDGES)) {
+        m->stage = MEANS;
+        cost = leave_edge(m, s);
+        decided = cost > 0;
+    }
+    if ((!decided) && (m->stage == MEANS)) {
+        m->stage = DONE;
+        if (m->felt_count >= LONGEST) {
+            average_forces(m, s);
+            m->stage = AXES;
+        }
+    }
+    if (!decided) {
+        const int32_t mode = (int32_t)inputs_from(m, s, m->horizon - s->block)[INPUTS - 1];
+
+        if ((m->stage >= AXES) && (m->stage < LEGS)) {
+            cost = compare(m, s, mode, left);
+            decided = (cost > 0) || (m->stage < LEGS);
+        }
+        if ((!decided) && (m->stage == LEGS)) {
+            m->stage = DONE;
+            decided = (mode > RUNNING) && fuse_floor(m, s);
+            forget_forces(m);
+            cost = 1;
+        }
+    }
+    if (!decided) {
+        cost = 0;
+        if (((m->horizon + s->block) <= (m->tick - s->delay)) && (left >= STEPPING)) {
+            advance(m, s);
+            cost = STEPPING;
+        }
+    }
+    return cost;
 }
 
 /* How much the accelerometers scatter about the model, mean over blocks. */
 static void watch_scatter(estimator_t *m, const estimator_settings_t *s, const real_t z[3])
 {
-    const real_t *row = m->inputs[cycle(m->tick, KEPT)];
+    const real_t *row = m->now;
 
     m->blocks += 1;
     for (int32_t k = 0; k < 3; k++) {
@@ -436,43 +576,56 @@ static void to_angles(real_t *north, real_t *east, real_t *down, real_t c, real_
     *down += (sine / cosine) * ((c * n) + (t * e));
 }
 
-/* F P F^T + Q over the delay; noise of the velocity in m->row. */
-static void tell_covariance(estimator_t *m, const estimator_settings_t *s)
+/* Covariance of what moves over the delay, F P F^T + Q, in one step by the mean acceleration on the way. */
+static void told_errors(estimator_t *m, const estimator_settings_t *s, const real_t r[9])
+{
+    const real_t span = m->span;
+    real_t transition[TRANSITION];
+
+    for (int32_t k = 0; k < 3; k++) {
+        m->row[k] = m->come_sum[3 + k] / span;
+    }
+    transition_of(m->now, span, r, m->row, transition);
+    for (int32_t i = 0; i < MOVING; i++) {
+        for (int32_t j = i; j < MOVING; j++) {
+            m->out_cov[i][j] = REAL(0.0);
+        }
+    }
+    for (int32_t k = 0; k < ERRORS; k++) {
+        factors_carry_column(m->ut[k], span, transition, m->gain);
+        for (int32_t i = 0; i < MOVING; i++) {
+            const real_t c = m->d[k] * m->gain[i];
+
+            for (int32_t j = i; j < MOVING; j++) {
+                m->out_cov[i][j] += c * m->gain[j];
+            }
+        }
+    }
+    for (int32_t k = 0; k < 3; k++) {
+        m->out_cov[k][k] += ((m->come_sum[k] * span) * span) / REAL(3.0);
+        m->out_cov[k][3 + k] += (m->come_sum[k] * span) / REAL(2.0);
+        m->out_cov[3 + k][3 + k] += m->come_sum[k];
+        m->out_cov[6 + k][6 + k] += s->gyro_density * span;
+    }
+}
+
+/* What is told of the errors, of the attitude as roll, pitch and yaw. */
+static void tell_covariance(estimator_t *m)
 {
     const real_t *x = m->out;
-    const int32_t ticks = m->tick - m->horizon;
-    const real_t span = (real_t)((ticks > 0) ? ticks : 0) * s->dt;
     const real_t sine =
         real_min(real_max(REAL(2.0) * ((x[6] * x[8]) - (x[9] * x[7])), REAL(-1.0)), REAL(1.0));
     const real_t cosine = real_max(real_sqrt(REAL(1.0) - (sine * sine)), REAL(0.05));
     real_t c;
     real_t t;
 
-    factors_sigmas(m);
-    for (int32_t k = 0; k < ERRORS; k++) {
-        factors_times(m, m->top_out, k, m->w[k]);
-    }
     for (int32_t i = 0; i < MOVING; i++) {
-        for (int32_t j = i; j < MOVING; j++) {
-            real_t v = REAL(0.0);
-
-            for (int32_t k = 0; k < ERRORS; k++) {
-                v += (m->d[k] * m->w[k][i]) * m->w[k][j];
-            }
-            if ((i == j) && (i >= TURN)) {
-                v += s->gyro_density * span;
-            } else if ((i == j) && (i >= V_)) {
-                v += m->row[i - V_];
-            } else if (i == j) {
-                v += ((m->row[i] * span) * span) / REAL(3.0);
-            } else if ((j == (i + 3)) && (i < 3)) {
-                v += (m->row[i] * span) / REAL(2.0);
-            } else {
-                /* nothing on top */
-            }
-            m->out_cov[i][j] = v;
-            m->out_cov[j][i] = v;
+        for (int32_t j = 0; j < i; j++) {
+            m->out_cov[i][j] = m->out_cov[j][i];
         }
+    }
+    for (int32_t i = MOVING; i < ERRORS; i++) {
+        m->sigma[i] = real_sqrt(factors_variance(m, i));
     }
     for (int32_t i = 0; i < MOVING; i++) {
         if (i < 3) {
@@ -488,44 +641,59 @@ static void tell_covariance(estimator_t *m, const estimator_settings_t *s)
     for (int32_t j = 0; j < MOVING; j++) {
         to_angles(&m->out_cov[j][6], &m->out_cov[j][7], &m->out_cov[j][8], c, t, sine, cosine);
     }
-    for (int32_t i = 0; i < 3; i++) {
-        for (int32_t j = 0; j < 12; j++) {
-            m->out_cov[9 + i][j] = REAL(0.0);
-            m->out_cov[j][9 + i] = REAL(0.0);
+}
+
+/* Carry the horizon's state on towards now, some blocks a period; m->come is at now. r, a: of the last step. */
+static void carry_on(estimator_t *m, const estimator_settings_t *s, real_t r[9], real_t a[6])
+{
+    bool come = false;
+
+    for (int32_t n = 0; (n < s->work) && !come; n++) {
+        const real_t *e = inputs_from(m, s, m->way_tick);
+        const int32_t rest = s->block - cycle(m->way_tick, s->block);
+        const int32_t periods = (rest < (m->tick - m->way_tick)) ? rest : (m->tick - m->way_tick);
+        const real_t span = (real_t)periods * s->dt;
+
+        advance_state(m->way, e, span, r, a);
+        for (int32_t k = 0; k < 3; k++) {
+            m->way_sum[k] += spread_along(r, k, e) * span;
+            m->way_sum[3 + k] += a[k] * span;
         }
-        m->out_cov[9 + i][9 + i] =
-            (m->sigma[GYRO + i] * m->sigma[GYRO + i]) + (s->rest_gyro * s->rest_gyro);
+        m->way_tick += periods;
+        m->way_span += span;
+        come = m->way_tick == m->tick;
+    }
+    if (come) {
+        for (int32_t k = 0; k < 6; k++) {
+            m->come_sum[k] = m->way_sum[k];
+            m->way_sum[k] = REAL(0.0);
+        }
+        m->span = m->way_span;
+        m->way_span = REAL(0.0);
+        for (int32_t i = 0; i < STATES; i++) {
+            m->come[i] = m->way[i];
+            m->way[i] = m->x[i];
+        }
+        m->way_tick = m->horizon;
+    } else {
+        advance_state(m->come, m->now, s->dt, r, a);
     }
 }
 
-/* Carry the horizon's state on to now, through all inputs since; now and then its covariance too. */
+/* Tell the state of now; now and then its covariance too. */
 static void tell(estimator_t *m, const estimator_settings_t *s)
 {
     const bool much = (m->tick % TOLD_EVERY) == 0;
     real_t *x = m->out;
-    real_t r[9] = {REAL(0.0)};
-    real_t a[6] = {REAL(0.0)};
+    real_t r[9];
+    real_t a[6];
 
+    carry_on(m, s, r, a);
     for (int32_t i = 0; i < STATES; i++) {
-        x[i] = m->x[i];
+        x[i] = m->come[i];
     }
     if (much) {
-        settle(m, s);
-        clear_top(m->top_out);
-        for (int32_t i = 0; i < 6; i++) {
-            m->row[i] = REAL(0.0);
-        }
-    }
-    for (int32_t t = m->horizon + 1; t <= m->tick; t++) {
-        const real_t *e = m->inputs[cycle(t, KEPT)];
-
-        advance_state(x, e, s->dt, r, a);
-        if (much) {
-            advance_errors(m->top_out, e, s->dt, r, a);
-            for (int32_t k = 0; k < 3; k++) {
-                m->row[k] += spread_along(r, k, e) * s->dt;
-            }
-        }
+        told_errors(m, s, r);
     }
     /* States belong to `lag` before the tick: the last bit with the last rates and acceleration. */
     a[2] += GRAVITY;
@@ -541,7 +709,7 @@ static void tell(estimator_t *m, const estimator_settings_t *s)
     smooth(m, s);
     tell_angles(m);
     if (much) {
-        tell_covariance(m, s);
+        tell_covariance(m);
     }
 }
 
@@ -554,7 +722,8 @@ static void let_wait(estimator_t *m, const estimator_settings_t *s, const real_t
             /* The state of tick k belongs to k dt - lag. */
             const real_t settling = (kind == R_PRESSURE) ? s->latency[kind] : REAL(0.0);
             const real_t at = (real_t)m->tick + (((s->lag - age[kind]) - settling) / s->dt);
-            const int32_t due = real_whole(at + REAL(0.5));
+            const int32_t nearest = s->block * real_whole((at / (real_t)s->block) + REAL(0.5));
+            const int32_t due = (nearest == 0) ? s->block : nearest; /* there is no block before the first */
 
             if (!queue(m, kind, due, (at - (real_t)due) * s->dt, &z[STARTS[kind]])) {
                 m->late[kind] += 1;
@@ -568,6 +737,7 @@ bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_
                     int32_t fresh[SENSORS], const real_t age[SENSORS])
 {
     real_t doubt;
+    int32_t left;
     bool found;
     bool seen;
 
@@ -575,22 +745,22 @@ bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_
     inspect(m, s, z, fresh, age);
     for (int32_t k = 0; k < 3; k++) {
         m->before[k] = m->rates[k];
-        m->rates[k] = z[STARTS[R_RATES] + k] - m->shift[k];
+        m->rates[k] = (m->code[R_RATES] < MISSING) ? (z[STARTS[R_RATES] + k] - m->shift[k]) : m->out[10 + k];
     }
     /* A floor below the room's, or a fix that is apart from the sonar: the height is off by as much. */
     doubt = m->suspect[R_FIX][3] - real_min(m->out[16], REAL(0.0));
     smooth_rates(m, s, (m->mode == FLYING) && (height_over(m->out, s) > (CLEAR + doubt)));
     gather(m, s, p, z, fresh);
-    if ((s->model > 0) && ((m->mode == FLYING) || (m->mode == RUNNING)) && (m->code[R_ACCELERATION] < MISSING)) {
+    if ((s->model > 0) && (m->mode >= RUNNING) && (m->code[R_ACCELERATION] < MISSING)) {
         watch_scatter(m, s, z);
     }
     let_wait(m, s, z, fresh, age);
-    while (m->horizon < (m->tick - s->delay)) {
-        advance(m, s);
-        fuse(m, s);
-        if (m->middle >= LONGEST) {
-            settle(m, s);
-        }
+    wander(m, s);
+    left = s->work - (((m->tick % TOLD_EVERY) == 0) ? TELLING : 0);
+    while (left > 0) {
+        const int32_t cost = task(m, s, left);
+
+        left = (cost > 0) ? (left - cost) : 0;
     }
     tell(m, s);
     found = (s->fitted[R_FIX] == 0) || (m->aligned > 0);

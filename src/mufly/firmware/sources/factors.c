@@ -6,15 +6,24 @@ real_t factors_expected(estimator_t *m)
 
     for (int32_t j = 0; j < ERRORS; j++) {
         const real_t *u = m->ut[j];
-        real_t s = m->h[j];
+        real_t s = REAL(0.0);
 
-        for (int32_t i = 0; i < j; i++) {
-            s += u[i] * m->h[i];
+        for (int32_t t = 0; t < m->terms; t++) {
+            s += m->h[t] * u[m->at[t]];
         }
         m->f[j] = s;
         spread += (m->d[j] * s) * s;
     }
     return spread;
+}
+
+static inline void learn(real_t *of_u, real_t *of_gain, real_t step, real_t v)
+{
+    const real_t u = *of_u;
+    const real_t gain = *of_gain;
+
+    *of_u = u + (step * gain);
+    *of_gain = gain + (u * v);
 }
 
 void factors_observe(estimator_t *m, real_t variance)
@@ -31,12 +40,14 @@ void factors_observe(estimator_t *m, real_t variance)
         m->d[j] *= before / a;
         step = -m->f[j] / before;
         m->gain[j] = v;
-        for (int32_t i = 0; i < j; i++) {
-            const real_t u = of_j[i];
-            const real_t gain = m->gain[i];
-
-            of_j[i] = u + (step * gain);
-            m->gain[i] = gain + (u * v);
+        for (int32_t i = 0; i < (j - 3); i += 4) {
+            learn(&of_j[i], &m->gain[i], step, v);
+            learn(&of_j[i + 1], &m->gain[i + 1], step, v);
+            learn(&of_j[i + 2], &m->gain[i + 2], step, v);
+            learn(&of_j[i + 3], &m->gain[i + 3], step, v);
+        }
+        for (int32_t i = j - (j % 4); i < j; i++) {
+            learn(&of_j[i], &m->gain[i], step, v);
         }
     }
     for (int32_t j = 0; j < ERRORS; j++) {
@@ -44,182 +55,26 @@ void factors_observe(estimator_t *m, real_t variance)
     }
 }
 
-void factors_times(const estimator_t *m, real_t top[MOVING][ERRORS], int32_t k, real_t out[MOVING])
-{
-    const real_t *u = m->ut[k];
-
-    for (int32_t i = 0; i < MOVING; i += 3) { /* three sums at a time share what is read */
-        const real_t *first = top[i];
-        const real_t *second = top[i + 1];
-        const real_t *third = top[i + 2];
-        real_t a = first[k];
-        real_t b = second[k];
-        real_t c = third[k];
-
-        for (int32_t j = 0; j < k; j++) {
-            const real_t by = u[j];
-
-            a += first[j] * by;
-            b += second[j] * by;
-            c += third[j] * by;
-        }
-        out[i] = a;
-        out[i + 1] = b;
-        out[i + 2] = c;
-    }
-}
-
-/* The rows [F U, G] of which Thornton's method makes U and D, with their weights. */
-static void stack_up(estimator_t *m, real_t middle)
-{
-    for (int32_t k = 0; k < ERRORS; k++) {
-        real_t *above = m->w[k];
-        real_t *below = m->w[ERRORS + k];
-
-        factors_times(m, m->top, k, above);
-        for (int32_t i = 0; i < MOVING; i++) {
-            below[i] = REAL(0.0);
-        }
-        for (int32_t i = MOVING; i < ERRORS; i++) {
-            above[i] = (i < k) ? (m->decay[i] * m->ut[k][i]) : REAL(0.0);
-            below[i] = REAL(0.0);
-        }
-        if (k >= MOVING) {
-            above[k] = m->decay[k];
-        }
-        below[k] = REAL(1.0);
-        if ((k >= V_) && (k < TURN)) {
-            below[k - V_] = middle;
-        }
-        m->weight[k] = m->d[k];
-        m->weight[ERRORS + k] = m->q[k];
-    }
-}
-
-/* Rows of w in which column j is not zero, from `low` on in either half, and their entries there. */
-static int32_t rows_of(const estimator_t *m, int32_t j, int32_t low, int32_t rows[2 * ERRORS], real_t entry[2 * ERRORS])
-{
-    int32_t count = 0;
-
-    for (int32_t half = 0; half < 2; half++) {
-        for (int32_t k = (half * ERRORS) + low; k < ((half + 1) * ERRORS); k++) {
-            const real_t c = m->w[k][j];
-
-            if (c != REAL(0.0)) {
-                rows[count] = k;
-                entry[count] = c;
-                count += 1;
-            }
-        }
-    }
-    return count;
-}
-
-/* Four columns at a time stay in registers; each sum runs over the rows in their order, whatever the blocks are. The last
- * block reaches beyond column j, into columns that are done with. */
-#define BLOCK 4
-
-static void project(const estimator_t *m, int32_t j, int32_t count, const int32_t rows[2 * ERRORS],
-                    const real_t weighted[2 * ERRORS], real_t row[ERRORS + BLOCK])
-{
-    for (int32_t i = 0; i < j; i += BLOCK) {
-        real_t a = REAL(0.0);
-        real_t b = REAL(0.0);
-        real_t c = REAL(0.0);
-        real_t d = REAL(0.0);
-
-        for (int32_t n = 0; n < count; n++) {
-            const real_t *w = &m->w[rows[n]][i];
-            const real_t by = weighted[n];
-
-            a += by * w[0];
-            b += by * w[1];
-            c += by * w[2];
-            d += by * w[3];
-        }
-        row[i] = a;
-        row[i + 1] = b;
-        row[i + 2] = c;
-        row[i + 3] = d;
-    }
-}
-
-static void take_away(estimator_t *m, int32_t j, int32_t count, const int32_t rows[2 * ERRORS],
-                      const real_t entry[2 * ERRORS], const real_t row[ERRORS + BLOCK])
-{
-    int32_t i = 0;
-
-    for (; (i + BLOCK) <= j; i += BLOCK) {
-        const real_t a = row[i];
-        const real_t b = row[i + 1];
-        const real_t c = row[i + 2];
-        const real_t d = row[i + 3];
-
-        for (int32_t n = 0; n < count; n++) {
-            real_t *w = &m->w[rows[n]][i];
-            const real_t by = entry[n];
-
-            w[0] -= by * a;
-            w[1] -= by * b;
-            w[2] -= by * c;
-            w[3] -= by * d;
-        }
-    }
-    for (; i < j; i++) {
-        for (int32_t n = 0; n < count; n++) {
-            m->w[rows[n]][i] -= entry[n] * row[i];
-        }
-    }
-}
-
-void factors_carry(estimator_t *m, real_t middle)
-{
-    int32_t rows[2 * ERRORS];
-    real_t entry[2 * ERRORS];
-    real_t weighted[2 * ERRORS];
-    real_t row[ERRORS + BLOCK];
-
-    stack_up(m, middle);
-    for (int32_t j = ERRORS - 1; j >= 0; j--) {
-        const int32_t count = rows_of(m, j, (j >= MOVING) ? j : 0, rows, entry);
-        real_t total = REAL(0.0);
-
-        for (int32_t n = 0; n < count; n++) {
-            const real_t c = m->weight[rows[n]] * entry[n];
-
-            total += c * entry[n];
-            weighted[n] = c;
-        }
-        project(m, j, count, rows, weighted, row);
-        m->d[j] = (total > TINY) ? total : TINY;
-        for (int32_t i = 0; i < j; i++) {
-            m->row[i] = row[i] / m->d[j];
-            m->ut[j][i] = m->row[i];
-            row[i] = m->row[i];
-        }
-        take_away(m, j, count, rows, entry, row);
-    }
-}
-
-void factors_loosen(estimator_t *m, int32_t state, real_t variance)
+/* P + c v v^T, v = m->f and zero behind `last`; factor by factor from there (Agee and Turner). */
+static void add(estimator_t *m, int32_t last, real_t much)
 {
     real_t *v = m->f;
-    real_t c = variance;
+    real_t c = much;
 
-    for (int32_t i = 0; i < state; i++) {
-        v[i] = REAL(0.0);
-    }
-    v[state] = REAL(1.0);
-    for (int32_t k = state; k >= 0; k--) { /* Agee and Turner */
+    for (int32_t k = last; k >= 0; k--) {
         const real_t old = m->d[k];
         const real_t fresh = old + ((c * v[k]) * v[k]);
 
         if (!(fresh <= TINY)) {
             const real_t b = (c * v[k]) / fresh;
+            const real_t by = v[k];
+            real_t *u = m->ut[k];
 
             for (int32_t i = 0; i < k; i++) {
-                v[i] -= v[k] * m->ut[k][i];
-                m->ut[k][i] += b * v[i];
+                const real_t left = v[i] - (by * u[i]);
+
+                v[i] = left;
+                u[i] += b * left;
             }
             c *= old / fresh;
             m->d[k] = fresh;
@@ -227,14 +82,128 @@ void factors_loosen(estimator_t *m, int32_t state, real_t variance)
     }
 }
 
-void factors_sigmas(estimator_t *m)
+void factors_carry_column(const real_t u[ERRORS], real_t span, const real_t transition[TRANSITION], real_t out[MOVING])
 {
-    for (int32_t i = 0; i < ERRORS; i++) {
-        real_t s = m->d[i];
+    const real_t *a = transition;
+    const real_t *turning = &a[30];
+    const real_t air[3] = {u[3] - u[20], u[4] - u[21], u[5]};
+    real_t turn[3];
+    real_t half[3];
+    real_t gain[3];
 
-        for (int32_t k = i + 1; k < ERRORS; k++) {
-            s += (m->d[k] * m->ut[k][i]) * m->ut[k][i];
-        }
-        m->sigma[i] = real_sqrt(s);
+    for (int32_t i = 0; i < 3; i++) {
+        const real_t *g = &a[3 * i];
+
+        turn[i] = ((g[0] * u[9]) + (g[1] * u[10])) + (g[2] * u[11]);
+        half[i] = u[6 + i] - (REAL(0.5) * turn[i]);
     }
+    for (int32_t i = 0; i < 3; i++) {
+        const real_t *b = &a[9 + (3 * i)];
+        const real_t *w = &a[18 + (3 * i)];
+
+        gain[i] = ((((((b[0] * u[12]) + (b[1] * u[13])) + (b[2] * u[14])) + (w[0] * air[0])) + (w[1] * air[1])) +
+                   (w[2] * air[2])) + (a[27 + i] * u[22]);
+    }
+    gain[0] += (turning[2] * half[1]) - (turning[1] * half[2]);
+    gain[1] += (turning[0] * half[2]) - (turning[2] * half[0]);
+    gain[2] += (turning[1] * half[0]) - (turning[0] * half[1]);
+    for (int32_t i = 0; i < 3; i++) {
+        out[i] = u[i] + (span * (u[3 + i] + (REAL(0.5) * gain[i])));
+        out[3 + i] = u[3 + i] + gain[i];
+        out[6 + i] = u[6 + i] - turn[i];
+    }
+}
+
+/* The columns of the velocity, which drag turns into each other: orthogonal again, from the last to the first. */
+static void straighten(estimator_t *m)
+{
+    real_t w[3][6];
+    real_t size[3];
+
+    for (int32_t k = 0; k < 3; k++) {
+        for (int32_t i = 0; i < 6; i++) {
+            w[k][i] = m->ut[V_ + k][i];
+        }
+    }
+    for (int32_t j = 5; j >= V_; j--) {
+        real_t total = REAL(0.0);
+
+        for (int32_t k = 0; k < 3; k++) {
+            total += (m->d[V_ + k] * w[k][j]) * w[k][j];
+        }
+        size[j - V_] = (total > TINY) ? total : TINY;
+        for (int32_t i = 0; i < j; i++) {
+            real_t s = REAL(0.0);
+
+            for (int32_t k = 0; k < 3; k++) {
+                s += (m->d[V_ + k] * w[k][j]) * w[k][i];
+            }
+            s /= size[j - V_];
+            m->ut[j][i] = s;
+            for (int32_t k = 0; k < 3; k++) {
+                w[k][i] -= w[k][j] * s;
+            }
+        }
+        m->ut[j][j] = REAL(1.0);
+        for (int32_t i = j + 1; i < 6; i++) {
+            m->ut[j][i] = REAL(0.0);
+        }
+    }
+    for (int32_t k = 0; k < 3; k++) {
+        m->d[V_ + k] = size[k];
+    }
+}
+
+void factors_carry(estimator_t *m, real_t span, const real_t transition[TRANSITION], const real_t q[MOVING])
+{
+    for (int32_t k = V_; k < ERRORS; k++) {
+        factors_carry_column(m->ut[k], span, transition, m->ut[k]);
+    }
+    straighten(m);
+    for (int32_t j = 0; j < MOVING; j++) {
+        for (int32_t i = 0; i < j; i++) {
+            m->f[i] = REAL(0.0);
+        }
+        m->f[j] = REAL(1.0);
+        if ((j >= V_) && (j < TURN)) {
+            m->f[j - V_] = REAL(0.5) * span;
+        }
+        add(m, j, q[j]);
+    }
+}
+
+void factors_wander(estimator_t *m, int32_t state, real_t keep, real_t q)
+{
+    const real_t old = m->d[state];
+    const real_t fresh = ((keep * keep) * old) + q;
+    const real_t by = (keep * old) / fresh;
+
+    for (int32_t k = state + 1; k < ERRORS; k++) {
+        m->ut[k][state] *= keep;
+    }
+    m->d[state] = fresh;
+    for (int32_t i = 0; i < state; i++) {
+        m->f[i] = m->ut[state][i];
+        m->ut[state][i] = by * m->f[i];
+    }
+    add(m, state - 1, (old * q) / fresh);
+}
+
+void factors_loosen(estimator_t *m, int32_t state, real_t variance)
+{
+    for (int32_t i = 0; i < state; i++) {
+        m->f[i] = REAL(0.0);
+    }
+    m->f[state] = REAL(1.0);
+    add(m, state, variance);
+}
+
+real_t factors_variance(const estimator_t *m, int32_t state)
+{
+    real_t s = m->d[state];
+
+    for (int32_t k = state + 1; k < ERRORS; k++) {
+        s += (m->d[k] * m->ut[k][state]) * m->ut[k][state];
+    }
+    return s;
 }

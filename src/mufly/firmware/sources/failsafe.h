@@ -10,8 +10,14 @@ void failsafe_spin_up(const real_t hover_V[2], real_t elapsed_s, real_t battery_
 /* After touchdown, from released to zero within a second. */
 void failsafe_ramp_down(const real_t released[2], real_t elapsed_s, real_t out[2]);
 
-/* On a blind way down: a little below what held it up (V), to zero in its last second. */
-void failsafe_sink(const real_t held_up_V[2], real_t left_s, real_t battery_V, real_t out[2]);
+/* On a blind way down: the share of what held it up (V) where no height is known. */
+#define SINK_SHARE REAL(0.98)
+
+/* On a blind way down: a share of what held it up (V), to zero in its last second. */
+void failsafe_sink(const real_t held_up_V[2], real_t share, real_t left_s, real_t battery_V, real_t out[2]);
+
+/* That share where height (m) and rate of descent (m/s) are known. */
+real_t failsafe_sink_share(real_t height, real_t descent);
 
 /* How long a blind way down takes from a height (m), with a second to spare. */
 real_t failsafe_way_down_s(real_t height, real_t gravity);

@@ -4,26 +4,51 @@
 #include "guards.h"
 #include "motion.h"
 
-static void clear_row(estimator_t *m)
+/* A measurement of h times a state; and of h times another. */
+static void of_state(estimator_t *m, int32_t state, real_t h)
 {
-    for (int32_t i = 0; i < ERRORS; i++) {
-        m->h[i] = REAL(0.0);
+    m->terms = 1;
+    m->at[0] = state;
+    m->h[0] = h;
+}
+
+static void and_state(estimator_t *m, int32_t state, real_t h)
+{
+    m->at[m->terms] = state;
+    m->h[m->terms] = h;
+    m->terms += 1;
+}
+
+/* Move a state by errors that it had a span (s) ago, since when `push` has changed its velocity, but for gravity. */
+static void move(real_t x[STATES], const real_t by[ERRORS], real_t span, const real_t push[3])
+{
+    real_t v[3] = {by[3], by[4], by[5]};
+
+    if (span > REAL(0.0)) {
+        v[0] += (by[7] * push[2]) - (by[8] * push[1]);
+        v[1] += (by[8] * push[0]) - (by[6] * push[2]);
+        v[2] += (by[6] * push[1]) - (by[7] * push[0]);
+    }
+    for (int32_t i = 0; i < 3; i++) {
+        x[i] += by[i] + ((REAL(0.5) * span) * (by[3 + i] + v[i]));
+        x[3 + i] += v[i];
+    }
+    turned(x, by[6], by[7], by[8], false);
+    for (int32_t i = GYRO; i < ERRORS; i++) {
+        x[i + 1] += by[i];
     }
 }
 
-/* Take a measurement in whose m->f is known from ratio_of. */
+/* Take a measurement in whose m->f is known from ratio_of; what the state is carried on to moves with it. */
 static void take_expected(estimator_t *m, real_t innovation, real_t variance)
 {
-    const real_t *g = m->gain;
-
     factors_observe(m, variance);
-    for (int32_t i = 0; i < TURN; i++) {
-        m->x[i] += g[i] * innovation;
+    for (int32_t i = 0; i < ERRORS; i++) {
+        m->gain[i] *= innovation;
     }
-    turned(m->x, g[6] * innovation, g[7] * innovation, g[8] * innovation, false);
-    for (int32_t i = GYRO; i < ERRORS; i++) {
-        m->x[i + 1] += g[i] * innovation;
-    }
+    move(m->x, m->gain, REAL(0.0), &m->way_sum[3]);
+    move(m->way, m->gain, m->way_span, &m->way_sum[3]);
+    move(m->come, m->gain, m->span, &m->come_sum[3]);
 }
 
 /* Take a measurement in, whatever it says; its row is in m->h. */
@@ -72,13 +97,12 @@ static bool taken_over(const estimator_t *m, const estimator_settings_t *s, int3
 
 static void fix_row(estimator_t *m, int32_t i)
 {
-    clear_row(m);
     if (i < 3) {
-        m->h[P_ + i] = REAL(1.0);
-        m->h[FIX + i] = REAL(1.0);
+        of_state(m, P_ + i, REAL(1.0));
+        and_state(m, FIX + i, REAL(1.0));
     } else {
-        m->h[TURN + 2] = REAL(1.0);
-        m->h[HEADING] = REAL(1.0);
+        of_state(m, TURN + 2, REAL(1.0));
+        and_state(m, HEADING, REAL(1.0));
     }
 }
 
@@ -93,7 +117,7 @@ static real_t fix_innovation(const estimator_t *m, const real_t z[4], int32_t i,
         const real_t yaw = real_atan2(REAL(2.0) * ((x[6] * x[9]) + (x[7] * x[8])),
                                        REAL(1.0) - (REAL(2.0) * ((x[8] * x[8]) + (x[9] * x[9]))));
 
-        off = real_wrapped((z[3] - yaw) - x[20]);
+        off = real_wrapped(((z[3] - yaw) - (ahead * m->spin)) - x[20]);
     }
     return off;
 }
@@ -237,14 +261,13 @@ static real_t sonar_row(estimator_t *m, const estimator_settings_t *s, real_t r[
     real_t e;
 
     turn_matrix(&m->x[6], r);
-    clear_row(m);
-    m->h[P_ + 2] = REAL(-1.0);
-    m->h[FLOOR] = REAL(-1.0);
+    of_state(m, P_ + 2, REAL(-1.0));
+    and_state(m, FLOOR, REAL(-1.0));
     /* (exp(t) R r)_D = (R r)_D + t_N (R r)_E - t_E (R r)_N */
     n = ((r[0] * at[0]) + (r[1] * at[1])) + (r[2] * at[2]);
     e = ((r[3] * at[0]) + (r[4] * at[1])) + (r[5] * at[2]);
-    m->h[TURN] = -e;
-    m->h[TURN + 1] = n;
+    and_state(m, TURN, -e);
+    and_state(m, TURN + 1, n);
     return ((r[6] * at[0]) + (r[7] * at[1])) + (r[8] * at[2]);
 }
 
@@ -351,32 +374,32 @@ void fuse_sonar(estimator_t *m, const estimator_settings_t *s, const real_t z[1]
 
 void settle_floor(estimator_t *m)
 {
-    clear_row(m);
-    m->h[FLOOR] = REAL(1.0);
+    of_state(m, FLOOR, REAL(1.0));
     take(m, -m->x[16], REAL(2.5e-5));
 }
 
-void fuse_floor(estimator_t *m, const estimator_settings_t *s)
+bool fuse_floor(estimator_t *m, const estimator_settings_t *s)
 {
     const real_t height = height_over(m->x, s);
+    const bool below = height < REAL(0.0);
 
-    if (height < REAL(0.0)) {
-        clear_row(m);
-        m->h[P_ + 2] = REAL(-1.0);
+    if (below) {
+        of_state(m, P_ + 2, REAL(-1.0));
         if (m->x[16] > REAL(0.0)) {
-            m->h[FLOOR] = REAL(-1.0);
+            and_state(m, FLOOR, REAL(-1.0));
         }
         take(m, -height, REAL(1e-4));
         if (m->x[5] > REAL(0.0)) {
-            clear_row(m);
-            m->h[V_ + 2] = REAL(1.0);
+            of_state(m, V_ + 2, REAL(1.0));
             take(m, -m->x[5], REAL(2.5e-3));
         }
     }
+    return below;
 }
 
 /* The wall of the room that a beam along u meets first: its distance; the axis is -1 if there is none. */
-static real_t nearest_wall(const estimator_t *m, const estimator_settings_t *s, const real_t u[3], int32_t *axis)
+static real_t nearest_wall(const estimator_t *m, const estimator_settings_t *s, real_t ahead, const real_t u[3],
+                           int32_t *axis)
 {
     real_t best = REAL(1e9);
 
@@ -384,7 +407,7 @@ static real_t nearest_wall(const estimator_t *m, const estimator_settings_t *s, 
     for (int32_t i = 0; i < 3; i++) {
         if (real_abs(u[i]) > REAL(0.3)) {
             const real_t plane = (u[i] > REAL(0.0)) ? s->walls[(2 * i) + 1] : s->walls[2 * i];
-            const real_t far = (plane - m->x[i]) / u[i];
+            const real_t far = (plane - (m->x[i] + (ahead * m->x[3 + i]))) / u[i];
 
             if ((far > REAL(0.0)) && (far < best)) {
                 best = far;
@@ -395,15 +418,19 @@ static real_t nearest_wall(const estimator_t *m, const estimator_settings_t *s, 
     return best;
 }
 
-void fuse_ring(estimator_t *m, const estimator_settings_t *s, const real_t z[BEAMS])
+bool fuse_ring(estimator_t *m, const estimator_settings_t *s, const real_t z[BEAMS], real_t ahead, int32_t most)
 {
     const int32_t k = R_RING;
-    int32_t seen = 0;
-    int32_t fitting = 0;
+    const int32_t last_beam = ((m->beam + most) < s->beams) ? (m->beam + most) : s->beams;
+    const bool all = last_beam >= s->beams;
     real_t r[9];
 
     turn_matrix(&m->x[6], r);
-    for (int32_t b = 0; b < s->beams; b++) {
+    if (m->beam == 0) {
+        m->seen = 0;
+        m->fitting = 0;
+    }
+    for (int32_t b = m->beam; b < last_beam; b++) {
         const real_t *beam = s->beam[b];
         real_t u[3];
         int32_t axis;
@@ -412,11 +439,11 @@ void fuse_ring(estimator_t *m, const estimator_settings_t *s, const real_t z[BEA
         if (!((z[b] > REAL(0.0)) && (z[b] < (REAL(0.995) * s->ring_max)))) {
             continue;
         }
-        seen += 1;
+        m->seen += 1;
         for (int32_t i = 0; i < 3; i++) {
             u[i] = ((r[3 * i] * beam[0]) + (r[(3 * i) + 1] * beam[1])) + (r[(3 * i) + 2] * beam[2]);
         }
-        best = nearest_wall(m, s, u, &axis);
+        best = nearest_wall(m, s, ahead, u, &axis);
         if ((axis >= 0) && !(best > (REAL(1.1) * s->ring_max))) {
             /* l = (c - p_i) / u_i, and u turns with the body: du = t x u */
             const real_t c = -best / u[axis];
@@ -427,27 +454,30 @@ void fuse_ring(estimator_t *m, const estimator_settings_t *s, const real_t z[BEA
             const real_t nu = z[b] - best;
             real_t ratio;
 
-            clear_row(m);
-            m->h[P_ + axis] = REAL(-1.0) / u[axis];
-            m->h[TURN + next] = c * u[last];
-            m->h[TURN + last] = -c * u[next];
+            of_state(m, P_ + axis, REAL(-1.0) / u[axis]);
+            and_state(m, TURN + next, c * u[last]);
+            and_state(m, TURN + last, -c * u[next]);
             ratio = ratio_of(m, nu, slope * slope);
             if (real_abs(ratio) < BEAM_GATE) {
                 note(m, k, nu, ratio);
                 take_expected(m, nu, slope * slope);
-                fitting += 1;
+                m->fitting += 1;
                 turn_matrix(&m->x[6], r);
             }
         }
     }
-    if (fitting > 0) {
+    m->beam = all ? 0 : last_beam;
+    if (!all) {
+        /* the other beams come */
+    } else if (m->fitting > 0) {
         fits(m, k);
     } else if (m->tick >= m->until[k]) {
         m->code[k] = NOTHING;
-        m->why[k] = (seen == 0) ? TOO_FAR : NO_WALL;
+        m->why[k] = (m->seen == 0) ? TOO_FAR : NO_WALL;
     } else {
         /* told of for a while yet */
     }
+    return all;
 }
 
 /* A reading of one number that drifts: after a second its bias is loosened. Whether it is taken in. */
@@ -474,9 +504,8 @@ void fuse_pressure(estimator_t *m, const estimator_settings_t *s, const real_t z
     real_t nu;
     real_t ratio;
 
-    clear_row(m);
-    m->h[P_ + 2] = s->pressure_slope;
-    m->h[PRESSURE_] = REAL(1.0);
+    of_state(m, P_ + 2, s->pressure_slope);
+    and_state(m, PRESSURE_, REAL(1.0));
     nu = (z[0] - (s->pressure_slope * (m->x[2] + (ahead * m->x[5])))) - m->x[24];
     ratio = ratio_of(m, nu, s->pressure_variance);
     if (drifts(m, s, k, PRESSURE_, nu, ratio, z, 1, REAL(10.0) * real_sqrt(s->pressure_variance))) {
@@ -485,7 +514,7 @@ void fuse_pressure(estimator_t *m, const estimator_settings_t *s, const real_t z
     }
 }
 
-void fuse_magnet(estimator_t *m, const estimator_settings_t *s, const real_t z[3])
+void fuse_magnet(estimator_t *m, const estimator_settings_t *s, const real_t z[3], real_t ahead)
 {
     const int32_t k = R_MAGNET;
     real_t r[9];
@@ -497,11 +526,10 @@ void fuse_magnet(estimator_t *m, const estimator_settings_t *s, const real_t z[3
     turn_matrix(&m->x[6], r);
     north = ((r[0] * z[0]) + (r[1] * z[1])) + (r[2] * z[2]);
     east = ((r[3] * z[0]) + (r[4] * z[1])) + (r[5] * z[2]);
-    clear_row(m);
-    m->h[TURN + 2] = REAL(1.0);
-    m->h[TURN] = -s->earth[2] / s->earth[0];
-    m->h[MAGNET_] = REAL(1.0);
-    nu = real_wrapped(-real_atan2(east, north) - m->x[25]);
+    of_state(m, TURN + 2, REAL(1.0));
+    and_state(m, TURN, -s->earth[2] / s->earth[0]);
+    and_state(m, MAGNET_, REAL(1.0));
+    nu = real_wrapped((-real_atan2(east, north) - (ahead * m->spin)) - m->x[25]);
     ratio = ratio_of(m, nu, s->magnet_variance);
     if (drifts(m, s, k, MAGNET_, nu, ratio, z, 3, REAL(1e-5))) {
         take(m, nu, s->magnet_variance);
@@ -509,66 +537,56 @@ void fuse_magnet(estimator_t *m, const estimator_settings_t *s, const real_t z[3
     }
 }
 
-void fuse_force(estimator_t *m, const estimator_settings_t *s, int32_t count)
+void fuse_force(estimator_t *m, const estimator_settings_t *s, int32_t count, int32_t i)
 {
-    const real_t span = (real_t)count * s->dt;
+    const real_t slope = m->lever[i][1];
+    const real_t nu = (m->felt[i] - m->modelled[i]) - m->x[13 + i];
+    const real_t variance = m->lever[i][2] / ((real_t)count * s->dt);
     real_t r[9];
+    real_t known;
+    real_t ratio;
 
     turn_matrix(&m->x[6], r);
-    for (int32_t i = 0; i < 3; i++) {
-        const real_t slope = m->lever[i][1];
-        const real_t nu = (m->felt[i] - m->modelled[i]) - m->x[13 + i];
-        const real_t variance = m->lever[i][2] / span;
-        real_t ratio;
-
-        clear_row(m);
-        m->h[ACCEL + i] = REAL(1.0);
-        m->h[THRUST_] = m->lever[i][0];
-        for (int32_t j = 0; j < 3; j++) {
-            m->h[V_ + j] = slope * r[(3 * j) + i];
-        }
-        m->h[WIND] = -slope * r[i];
-        m->h[WIND + 1] = -slope * r[3 + i];
-        ratio = ratio_of(m, nu, variance);
-        felt_fits(m, s, nu, variance, i);
-        if ((real_abs(ratio) < GATE) && (m->disowned == 0)) {
-            take_expected(m, nu, variance);
-        }
-        if ((i == 0) || (real_abs(ratio) > m->lever[0][3])) {
-            note(m, R_ACCELERATION, nu, ratio);
-            m->lever[0][3] = real_abs(ratio);
-        }
+    of_state(m, ACCEL + i, REAL(1.0));
+    and_state(m, THRUST_, m->lever[i][0]);
+    for (int32_t j = 0; j < 3; j++) {
+        and_state(m, V_ + j, slope * r[(3 * j) + i]);
+    }
+    and_state(m, WIND, -slope * r[i]);
+    and_state(m, WIND + 1, -slope * r[3 + i]);
+    known = factors_expected(m);
+    ratio = nu / real_sqrt(known + variance);
+    felt_fits(m, s, nu, variance, known, i);
+    if ((real_abs(ratio) < GATE) && (m->disowned == 0)) {
+        take_expected(m, nu, variance);
+    }
+    if ((i == 0) || (real_abs(ratio) > m->lever[0][3])) {
+        note(m, R_ACCELERATION, nu, ratio);
+        m->lever[0][3] = real_abs(ratio);
     }
 }
 
-void fuse_rest(estimator_t *m, const estimator_settings_t *s, int32_t count, bool still)
+void fuse_rest(estimator_t *m, const estimator_settings_t *s, int32_t count, bool still, int32_t i)
 {
-    for (int32_t i = 0; i < 3; i++) {
-        const real_t calm = still ? ((s->rest_gyro * s->rest_gyro) / (real_t)count) : REAL(2.5e-5);
+    const real_t calm = still ? ((s->rest_gyro * s->rest_gyro) / (real_t)count) : REAL(2.5e-5);
 
-        clear_row(m);
-        m->h[V_ + i] = REAL(1.0);
-        take(m, -m->x[3 + i], REAL(4e-4));
-        clear_row(m);
-        m->h[GYRO + i] = REAL(1.0);
-        take(m, m->sum[i] - m->x[10 + i], calm * REAL(2.0));
-    }
+    of_state(m, V_ + i, REAL(1.0));
+    take(m, -m->x[3 + i], REAL(4e-4));
+    of_state(m, GYRO + i, REAL(1.0));
+    take(m, m->sum[i] - m->x[10 + i], calm * REAL(2.0));
     if (still && (s->fitted[R_ACCELERATION] > 0)) {
+        const real_t variance = ((REAL(2.0) * s->rest_felt) * s->rest_felt) / (real_t)count;
         real_t r[9];
+        real_t nu;
 
         turn_matrix(&m->x[6], r);
-        for (int32_t i = 0; i < 3; i++) {
-            const real_t nu = (m->felt[i] + (GRAVITY * r[6 + i])) - m->x[13 + i];
-            const real_t variance = ((REAL(2.0) * s->rest_felt) * s->rest_felt) / (real_t)count;
-
-            clear_row(m);
-            m->h[ACCEL + i] = REAL(1.0);
-            /* R^T (-g e_D), and d(R^T u) = R^T (u x t) */
-            m->h[TURN] = -r[3 + i] * GRAVITY;
-            m->h[TURN + 1] = r[i] * GRAVITY;
-            if (real_abs(ratio_of(m, nu, variance)) < (REAL(2.0) * GATE)) {
-                take_expected(m, nu, variance);
-            }
+        nu = (m->felt[i] + (GRAVITY * r[6 + i])) - m->x[13 + i];
+        of_state(m, ACCEL + i, REAL(1.0));
+        /* R^T (-g e_D), and d(R^T u) = R^T (u x t) */
+        and_state(m, TURN, -r[3 + i] * GRAVITY);
+        and_state(m, TURN + 1, r[i] * GRAVITY);
+        if (real_abs(ratio_of(m, nu, variance)) < (REAL(2.0) * GATE)) {
+            take_expected(m, nu, variance);
         }
     }
 }

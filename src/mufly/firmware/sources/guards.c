@@ -43,7 +43,7 @@ static bool repeated(const estimator_t *m, const estimator_settings_t *s, const 
 
     /* A camera that hangs may still turn with the gyroscopes. */
     for (int32_t j = 0; (j < ((k == R_FIX) ? 3 : count)) && same; j++) {
-        same = !(z[j] != m->last[k][j]);
+        same = !(z[j] != m->last[STARTS[k] + j]);
         told = told || (((k != R_ROTOR) || (z[j] != REAL(0.0))) &&
                         ((k != R_RING) || (z[j] < (REAL(0.995) * s->ring_max))));
     }
@@ -96,7 +96,7 @@ static bool keep(estimator_t *m, const estimator_settings_t *s, const real_t *z,
         m->code[k] = FUSED;
         m->why[k] = FINE;
     }
-    if ((age > (s->latency[k] + s->slack[k])) || (age < -s->dt)) {
+    if (age > (s->latency[k] + s->slack[k])) {
         flag(m, s, k, FAULTY, LATE, age);
         if ((k <= R_RATES) || (k == R_ROTOR) || (k == R_BATTERY)) {
             usable = false;
@@ -107,7 +107,7 @@ static bool keep(estimator_t *m, const estimator_settings_t *s, const real_t *z,
         m->skip[k] = ((m->turns[k] % s->every[k]) != 0) ? 1 : 0;
     }
     for (int32_t j = 0; j < count; j++) {
-        m->last[k][j] = z[j];
+        m->last[STARTS[k] + j] = z[j];
     }
     if ((k <= R_RATES) || (k == R_RING)) {
         m->used[k] = m->tick;
@@ -154,7 +154,17 @@ void inspect(estimator_t *m, const estimator_settings_t *s, real_t z[VALUES], in
             }
             if (fresh[k] == 0) {
                 flag(m, s, k, FAULTY, INSANE, REAL(0.0));
+            } else if (!((age[k] >= -s->dt) && (age[k] <= OLDEST_S))) {
+                fresh[k] = 0;
+                flag(m, s, k, FAULTY, LATE, REAL(0.0));
+            } else {
+                /* it is looked at */
             }
+        } else if (fresh[k] != 0) {
+            fresh[k] = 0;
+            flag(m, s, k, FAULTY, INSANE, REAL(0.0));
+        } else {
+            /* nothing new */
         }
         if (fresh[k] == 1) {
             if (!counts(m, s, value, k, count)) {
@@ -169,7 +179,7 @@ void inspect(estimator_t *m, const estimator_settings_t *s, real_t z[VALUES], in
             const real_t since = (real_t)(m->tick - m->came[k]) * s->dt;
 
             for (int32_t j = 0; j < count; j++) {
-                value[j] = m->last[k][j];
+                value[j] = m->last[STARTS[k] + j];
             }
             if ((m->came[k] > 0) && (since > s->patience[k])) {
                 m->code[k] = MISSING;
@@ -185,19 +195,30 @@ void smooth_rates(estimator_t *m, const estimator_settings_t *s, bool flying)
 {
     const int32_t now = cycle(m->tick - 1, MODELLED);
     real_t worst = REAL(0.0);
+    real_t most;
     bool alike = m->spikes > 0;
 
+    for (int32_t k = 0; k < 3; k++) {
+        real_t off;
+
+        m->row[k] = (m->before[k] + (s->dt * m->force[now][9 + k])) + m->turn_off[k];
+        off = m->rates[k] - m->row[k];
+        worst = real_max(worst, real_abs(off));
+        /* What its moments are off by, in flight and on the legs */
+        m->turn_off[k] += (m->mode >= LIGHT) ? (TURN_OFF * real_min(real_max(off, -SPIKE), SPIKE)) : REAL(0.0);
+    }
+    /* A model that is off again and again cannot tell a spike from a motion. */
+    most = SPIKE + (ROUGH * m->rough);
+    m->rough += REAL(0.1) * (real_min(worst, SPIKE) - m->rough);
     if ((!flying) || (s->model == 0)) {
         m->spikes = 0;
         return;
     }
     for (int32_t k = 0; k < 3; k++) {
-        m->row[k] = m->before[k] + (s->dt * m->force[now][9 + k]);
-        worst = real_max(worst, real_abs(m->rates[k] - m->row[k]));
         alike = alike && (real_abs(m->rates[k] - m->spike[k]) < ALIKE);
         m->spike[k] = m->rates[k];
     }
-    if (worst < SPIKE) {
+    if (worst < most) {
         m->spikes = 0;
         m->wild = 0;
         return;
@@ -240,7 +261,8 @@ bool rotor_fits(estimator_t *m, const estimator_settings_t *s, const real_t spee
     for (int32_t k = 0; k < 2; k++) {
         worst = real_max(worst, real_abs(speed[k] - m->rotor[18 + k]) / s->hover[k]);
     }
-    if ((worst > ROTOR_OFF) && (((real_t)m->tick * s->dt) > REAL(0.5))) {
+    /* On the floor it is the equations that have to learn. */
+    if ((worst > ROTOR_OFF) && (m->mode == FLYING)) {
         misfits(m, s, R_ROTOR, OFF, worst * s->hover[0]);
         believed = false;
     } else {
@@ -262,7 +284,7 @@ bool voltage_fits(estimator_t *m, const estimator_settings_t *s, real_t off)
     return believed;
 }
 
-void felt_fits(estimator_t *m, const estimator_settings_t *s, real_t nu, real_t variance, int32_t i)
+void felt_fits(estimator_t *m, const estimator_settings_t *s, real_t nu, real_t variance, real_t known, int32_t i)
 {
     m->drift[i] += REAL(0.1) * (nu - m->drift[i]);
     if (i == 2) {
@@ -285,5 +307,5 @@ void felt_fits(estimator_t *m, const estimator_settings_t *s, real_t nu, real_t 
         }
     }
     /* The mean of 0.1-weighted blocks keeps 0.1 / (2 - 0.1) of their variance. */
-    m->drift_sigma[i] = real_sqrt((variance * REAL(0.0526)) + REAL(0.04));
+    m->drift_sigma[i] = real_sqrt(((variance * REAL(0.0526)) + known) + REAL(0.04));
 }

@@ -21,6 +21,7 @@ void smooth_rates(estimator_t *m, const estimator_settings_t *s, bool flying);
 /* Whether rotor speeds, battery voltage and accelerometers are what the models make. */
 bool rotor_fits(estimator_t *m, const estimator_settings_t *s, const real_t speed[2]);
 bool voltage_fits(estimator_t *m, const estimator_settings_t *s, real_t off);
-void felt_fits(estimator_t *m, const estimator_settings_t *s, real_t nu, real_t variance, int32_t i);
+void felt_fits(estimator_t *m, const estimator_settings_t *s, real_t nu, real_t variance, real_t known,
+               int32_t i);
 
 #endif

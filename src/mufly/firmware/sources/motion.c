@@ -108,78 +108,35 @@ void advance_state(real_t x[STATES], const real_t e[INPUTS], real_t dt, real_t r
     }
 }
 
-static inline void add_push(real_t g[3], const real_t r[9], int32_t k, real_t push)
+void transition_of(const real_t e[INPUTS], real_t span, const real_t r[9], const real_t a[3],
+                   real_t out[TRANSITION])
 {
-    g[0] += r[k] * push;
-    g[1] += r[3 + k] * push;
-    g[2] += r[6 + k] * push;
-}
-
-/* How an error of the velocity changes the drag along an axis of the body. */
-static inline void add_drag(real_t g[3], const real_t r[9], int32_t k, real_t slope, const real_t v[3])
-{
-    if (slope != REAL(0.0)) {
-        add_push(g, r, k, slope * (((r[k] * v[0]) + (r[3 + k] * v[1])) + (r[6 + k] * v[2])));
-    }
-}
-
-void advance_errors(real_t top[MOVING][ERRORS], const real_t e[INPUTS], real_t dt, const real_t attitude[9],
-                    const real_t push[6])
-{
-    /* Copies, that the compiler knows apart from what is written. */
-    const real_t r[9] = {attitude[0], attitude[1], attitude[2], attitude[3], attitude[4],
-                         attitude[5], attitude[6], attitude[7], attitude[8]};
-    const real_t a[3] = {push[0], push[1], push[2]};
     const real_t rest[3] = {REAL(1.0) - e[15], REAL(1.0) - e[16], REAL(1.0) - e[17]};
     const real_t slope[3] = {rest[0] * e[12], rest[1] * e[13], rest[2] * e[14]};
-    const real_t half = REAL(0.5) * dt;
 
-    /* An error of the position moves nothing: begin with the velocity. */
-    for (int32_t c = V_; c < (9 + 6 + 3); c++) {
-        const int32_t j = (c < 15) ? c : (c + 5); /* neither floor nor the fix's biases move it */
-        const real_t t_x = top[6][j];
-        const real_t t_y = top[7][j];
-        const real_t t_z = top[8][j];
-        const real_t v[3] = {top[3][j], top[4][j], top[5][j]};
-        real_t g[3];
+    for (int32_t i = 0; i < 3; i++) {
+        real_t thrust = REAL(0.0);
 
-        g[0] = (a[2] * t_y) - (a[1] * t_z);
-        g[1] = (a[0] * t_z) - (a[2] * t_x);
-        g[2] = (a[1] * t_x) - (a[0] * t_y);
-        add_drag(g, r, 0, slope[0], v);
-        add_drag(g, r, 1, slope[1], v);
-        add_drag(g, r, 2, slope[2], v);
-        if ((j >= GYRO) && (j < ACCEL)) {
-            const int32_t k = j - GYRO;
+        for (int32_t j = 0; j < 3; j++) {
+            const real_t own = span * r[(3 * i) + j];
 
-            top[6][j] -= dt * r[k];
-            top[7][j] -= dt * r[3 + k];
-            top[8][j] -= dt * r[6 + k];
-        } else if ((j >= ACCEL) && (j < FLOOR)) {
-            const int32_t k = j - ACCEL;
-
-            g[0] -= r[k] * e[15 + k];
-            g[1] -= r[3 + k] * e[15 + k];
-            g[2] -= r[6 + k] * e[15 + k];
-        } else if (j == THRUST_) {
-            for (int32_t k = 0; k < 3; k++) {
-                add_push(g, r, k, rest[k] * e[6 + k]);
-            }
-        } else if (j >= WIND) {
-            const int32_t i = j - WIND;
-
-            for (int32_t k = 0; k < 3; k++) {
-                add_push(g, r, k, (-rest[k] * e[12 + k]) * r[(3 * i) + k]);
-            }
-        } else {
-            /* velocity, attitude: done above */
+            out[(3 * i) + j] = own;
+            out[9 + (3 * i) + j] = -own * e[15 + j];
+            thrust += own * (rest[j] * e[6 + j]);
         }
-        top[3][j] += dt * g[0];
-        top[4][j] += dt * g[1];
-        top[5][j] += dt * g[2];
-        top[0][j] += dt * (v[0] + (half * g[0]));
-        top[1][j] += dt * (v[1] + (half * g[1]));
-        top[2][j] += dt * (v[2] + (half * g[2]));
+        out[27 + i] = thrust;
+        out[30 + i] = span * a[i];
+    }
+    for (int32_t i = 0; i < 3; i++) {
+        for (int32_t j = i; j < 3; j++) {
+            real_t drag = REAL(0.0);
+
+            for (int32_t k = 0; k < 3; k++) {
+                drag += (out[(3 * i) + k] * slope[k]) * r[(3 * j) + k];
+            }
+            out[18 + (3 * i) + j] = drag;
+            out[18 + (3 * j) + i] = drag;
+        }
     }
 }
 
@@ -187,7 +144,8 @@ void model_force(estimator_t *m, const estimator_settings_t *s, const flight_mod
                  real_t out[12])
 {
     real_t *x = m->rotor;
-    real_t *dx = m->slope;
+    static const real_t no_wind[3] = {REAL(0.0), REAL(0.0), REAL(0.0)};
+    real_t dx[MODEL_STATES];
     const real_t dt = s->dt;
     const real_t to_roll = p->swash_gain * real_min(real_max(m->acting[3], REAL(-1.0)), REAL(1.0));
     const real_t to_pitch = -p->swash_gain * real_min(real_max(m->acting[2], REAL(-1.0)), REAL(1.0));
@@ -210,7 +168,7 @@ void model_force(estimator_t *m, const estimator_settings_t *s, const flight_mod
     x[5] = REAL(0.0);
     sine_cosine(x[13], &swash.sin_a, &swash.cos_a);
     sine_cosine(x[14], &swash.sin_b, &swash.cos_b);
-    flight_model(x, m->acting, m->still, p, &swash, dx);
+    flight_model(x, m->acting, no_wind, p, &swash, dx);
     up = dx[18];
     dw = dx[19];
     x[18] += (REAL(0.5) * dt) * up;
@@ -224,7 +182,7 @@ void model_force(estimator_t *m, const estimator_settings_t *s, const flight_mod
     for (int32_t k = 0; k < 3; k++) {
         x[15 + k] = REAL(0.5) * (bar[k] + normal[k]);
     }
-    flight_model(x, m->acting, m->still, p, &swash, dx);
+    flight_model(x, m->acting, no_wind, p, &swash, dx);
     still[0] = dx[3];
     still[1] = dx[4];
     still[2] = dx[5] - GRAVITY;
@@ -232,7 +190,7 @@ void model_force(estimator_t *m, const estimator_settings_t *s, const flight_mod
         out[k] = still[k];
         x[3 + k] = air[k];
     }
-    flight_model(x, m->acting, m->still, p, &swash, dx);
+    flight_model(x, m->acting, no_wind, p, &swash, dx);
     for (int32_t k = 0; k < 3; k++) {
         out[9 + k] = dx[10 + k];
     }
@@ -242,7 +200,7 @@ void model_force(estimator_t *m, const estimator_settings_t *s, const flight_mod
     for (int32_t k = 0; k < 3; k++) {
         x[3 + k] = air[k] + SLOPE_STEP;
     }
-    flight_model(x, m->acting, m->still, p, &swash, dx);
+    flight_model(x, m->acting, no_wind, p, &swash, dx);
     out[6] = real_min((dx[3] - moving[0]) / SLOPE_STEP, REAL(0.0));
     out[7] = real_min((dx[4] - moving[1]) / SLOPE_STEP, REAL(0.0));
     out[8] = real_min(((dx[5] - GRAVITY) - moving[2]) / SLOPE_STEP, REAL(0.0));

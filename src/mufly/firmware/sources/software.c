@@ -8,6 +8,8 @@
 #define STEP_MOTOR REAL(0.1)
 #define STEP_SERVO REAL(0.2)
 #define LEARN_S REAL(1.0)
+#define VOLTS_S REAL(0.5) /* in which the battery's reading counts while the rotors speed up */
+#define TOUCHES_M REAL(0.03) /* height from which it counts as down */
 
 static void pair(real_t a, real_t b, real_t out[2])
 {
@@ -98,6 +100,8 @@ void software_start(const setup_t *setup, software_t *s)
     smooth_start(&s->smooth);
     idle(&s->given);
     pair(REAL(0.0), REAL(0.0), s->held_up);
+    s->trusts_until_s = REAL(0.0);
+    s->volts = REAL(0.0);
     position_start(&s->controllers.position);
 }
 
@@ -185,24 +189,39 @@ static bool doubted(const setup_t *setup, software_t *s, const belief_t *m)
     return sinks;
 }
 
-static void sink_blindly(const setup_t *setup, software_t *s, const message_t *why, actuators_t *out)
+/* Whether an estimate that is lost as a whole still tells the height above where it stood. */
+static bool height_known(const software_t *s, const belief_t *told, real_t *height)
+{
+    *height = s->mission.standing[2] - told->motion.position[2];
+    return told->judged && (told->position_variance[2] < (HEIGHT_M * HEIGHT_M)) &&
+           ((real_abs(*height) + real_abs(told->motion.velocity[2])) < REAL(1e3));
+}
+
+static void sink_blindly(const setup_t *setup, software_t *s, const belief_t *told, const message_t *why,
+                         actuators_t *out)
 {
     const belief_t *good = &s->watch.good;
+    const real_t gravity = setup->gains->position.gravity;
     const real_t now = good->time_s;
+    real_t height;
     real_t left_s;
+    bool knows = height_known(s, told, &height);
 
     if (s->motors != MOTORS_BLIND) {
         s->motors = MOTORS_BLIND;
-        s->since_s = now;
-        if (s->lifted) {
-            s->since_s = now + failsafe_way_down_s(s->mission.standing[2] - good->motion.position[2],
-                                                   setup->gains->position.gravity);
-        }
+        left_s = s->lifted ? failsafe_way_down_s(s->mission.standing[2] - good->motion.position[2], gravity)
+                           : REAL(0.0);
+        s->since_s = now + left_s;
+        s->trusts_until_s = now + (REAL(2.0) * left_s);
         mission_blind(&s->mission, now, why);
         s->reference.motors = MOTORS_BLIND;
         still(&s->reference);
         pair(REAL(0.0), REAL(0.0), s->tilt);
         no_command(&s->command);
+    }
+    knows = s->lifted && (now < s->trusts_until_s) && knows && (height > TOUCHES_M);
+    if (knows) { /* should that end, it goes on from here */
+        s->since_s = now + failsafe_way_down_s(height, gravity);
     }
     left_s = (s->since_s + RAMP_DOWN_S) - now;
     if (left_s <= REAL(0.0)) {
@@ -211,7 +230,8 @@ static void sink_blindly(const setup_t *setup, software_t *s, const message_t *w
         s->motors = MOTORS_OFF;
         pair(REAL(0.0), REAL(0.0), s->motor_input);
     } else {
-        failsafe_sink(s->held_up, left_s, good->motion.voltage, s->motor_input);
+        failsafe_sink(s->held_up, knows ? failsafe_sink_share(height, told->motion.velocity[2]) : SINK_SHARE, left_s,
+                      good->motion.voltage, s->motor_input);
     }
     pair(s->motor_input[0], s->motor_input[1], out->motor_input);
     pair(REAL(0.0), REAL(0.0), out->servo_input);
@@ -240,9 +260,15 @@ static void change_over(const setup_t *setup, software_t *s, int32_t motors, con
 static void on_the_floor(const setup_t *setup, software_t *s, const belief_t *m, actuators_t *out)
 {
     const real_t elapsed = m->time_s - s->since_s;
+    const bool filters = (s->motors == MOTORS_SPIN_UP) && m->judged;
 
+    if (filters) {
+        s->volts += (setup->period_s / VOLTS_S) * (m->motion.voltage - s->volts);
+    } else {
+        s->volts = m->motion.voltage;
+    }
     if (s->motors == MOTORS_SPIN_UP) {
-        failsafe_spin_up(setup->hover_V, elapsed, m->motion.voltage, s->motor_input);
+        failsafe_spin_up(setup->hover_V, elapsed, s->volts, s->motor_input);
     } else if (s->motors == MOTORS_RAMP_DOWN) {
         failsafe_ramp_down(s->released, elapsed, s->motor_input);
     } else {
@@ -354,11 +380,11 @@ void software_step(const setup_t *setup, software_t *s, const belief_t *belief, 
         idle(out);
     } else if (lost(s)) {
         why = say_1(SAY_LOST, (real_t)s->watch.what);
-        sink_blindly(setup, s, &why, out);
+        sink_blindly(setup, s, belief, &why, out);
         steadied(s, &m, out);
     } else if (!(s->late_s > REAL(0.0)) && m.judged && doubted(setup, s, &m)) {
         why = s->doubts.now.why;
-        sink_blindly(setup, s, &why, out);
+        sink_blindly(setup, s, belief, &why, out);
         steadied(s, &m, out);
     } else {
         if (!(s->late_s > REAL(0.0))) {

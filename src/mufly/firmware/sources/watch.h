@@ -7,6 +7,9 @@
 #include "belief.h"
 #include "words.h"
 
+/* Height uncertain by more is not known (m). */
+#define HEIGHT_M REAL(0.3)
+
 /* An estimate that cannot be right is bridged for a moment, then reported as lost. */
 typedef struct {
     bool begun;

@@ -174,6 +174,9 @@ class Campaign:
         Make controllers, autopilot and estimator for each vehicle drawn, instead of for ``vehicle``.
     controllers : callable, optional
         As for :class:`mufly.flight.Flight`.
+    quickly : callable, optional
+        What flies in place of Python's flight software where ``controllers`` is None, and gives the same flights sooner
+        (:class:`mufly.firmware.QuickSoftware`): no part of the question.
     computed_by : tuple of str
         Options of a command line that stand for ``controllers``.
     vehicle_name, mission_name : str
@@ -191,6 +194,7 @@ class Campaign:
     tolerance_m: float = 0.3
     redesign: bool = False
     controllers: Computing | None = None
+    quickly: Computing | None = None
     computed_by: tuple[str, ...] = ()
     vehicle_name: str = "mufly-1.1"
     mission_name: str = "demonstration"
@@ -310,7 +314,7 @@ def fly_case(campaign: Campaign, case: Case, path: Path | None = None) -> Flown:
     told: list[Estimate] = []
 
     def listen(flight: Flight) -> None:
-        if flight.sensed and flight.plant.ticks % NEES_EVERY == 0:
+        if flight.sensed:
             truths.append(flight.truth)
             told.append(flight.estimate)
 
@@ -328,7 +332,8 @@ def fly_case(campaign: Campaign, case: Case, path: Path | None = None) -> Flown:
                 controller=campaign.controller, designed_for=None if campaign.redesign else campaign.vehicle,
                 wind=case.wind, gust=campaign.gust, seed=case.seed,
                 sensors=campaign.sensors, faults=[parse_fault(text) for text in campaign.faults],
-                controllers=campaign.controllers, path=path, brief=path is None, on_tick=listen,
+                controllers=campaign.controllers or campaign.quickly, path=path, brief=path is None, on_tick=listen,
+                tick_every=NEES_EVERY,
             )  # fmt: skip
     except MuflyError as error:
         return Flown(**same, success=False, reason=f"did not fly: {error}", told="")

@@ -30,7 +30,7 @@ from scipy.signal import butter, lfilter
 
 from mufly.dynamics import DrydenWind, advance, battery_state, euler_from_quaternion, model_parameters, trim
 from mufly.identify.flight.fit import fit_flights
-from mufly.identify.flight.problem import choose_free
+from mufly.identify.flight.free import choose_free
 from mufly.identify.flight.search import Method, Progress
 from mufly.identify.record import Record
 from mufly.identify.result import Fit, RecordFit

@@ -13,8 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.identify.flight.free import HEAVE_YAW, ROLL_PITCH, Free
 from mufly.identify.flight.minimise import Linearised
-from mufly.identify.flight.problem import HEAVE_YAW, ROLL_PITCH, Free, Problem
+from mufly.identify.flight.problem import Problem
 from mufly.identify.record import CHANNEL_OUTPUTS, difference_noise, signal_over_noise
 
 _Array = NDArray[np.float64]

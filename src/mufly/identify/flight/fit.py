@@ -20,17 +20,9 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from mufly.errors import ArgumentError, InputError
 from mufly.identify.flight.doubts import above_noise, held_in_words, notes_of
+from mufly.identify.flight.free import HEAVE_YAW, ROLL_PITCH, Free, physical
 from mufly.identify.flight.minimise import Linearised, Point, bend_of_valley, moved_by_held, straightness
-from mufly.identify.flight.problem import (
-    HEAVE_YAW,
-    PART_OUTPUTS,
-    ROLL_PITCH,
-    Free,
-    Part,
-    Problem,
-    make_problem,
-    physical,
-)
+from mufly.identify.flight.problem import PART_OUTPUTS, Part, Problem, make_problem
 from mufly.identify.flight.search import CHARGING_WINDOW_S, Method, Progress, Run, digest_of, stages_of
 from mufly.identify.flight.starts import LEAST_GAIN, settled
 from mufly.identify.record import (

@@ -58,7 +58,8 @@ from mufly.dynamics import (
     trim,
 )
 from mufly.errors import ArgumentError, InputError, MuflyError
-from mufly.identify.flight.problem import PART_OUTPUTS, Free, Part, choose_free, make_problem
+from mufly.identify.flight.free import Free, choose_free
+from mufly.identify.flight.problem import PART_OUTPUTS, Part, make_problem
 from mufly.identify.flight.signals import KINDS, Excitation, Kind, excitation
 from mufly.identify.record import Record
 from mufly.identify.result import relative_covariance, unseen_combinations

@@ -33,7 +33,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.identify.consistency import Finding, averaged, check_record, findings, refuse
-from mufly.identify.flight.problem import Prepared, make_problem, numbers_at
+from mufly.identify.flight.free import numbers_at
+from mufly.identify.flight.problem import Prepared, make_problem
 from mufly.identify.flight.simulate import fly_batch, steady_speed
 from mufly.identify.linear.compatibility import rotation
 from mufly.identify.record import OUTPUTS, Record, difference_noise

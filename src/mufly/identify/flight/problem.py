@@ -1,4 +1,4 @@
-"""One description of an output-error problem, for every method that solves it; and what may be free in it.
+"""One description of an output-error problem, for every method that solves it.
 
 Free parameters ``theta`` and, for every window of every record, the motion ``s`` at its start are sought such that the
 simulated outputs come nearest to the measured ones::
@@ -15,24 +15,10 @@ At the mean motor inputs these two equations are added as measurements of one pe
 
 Parts (thesis Sec. 5.3.3): ``heave-yaw`` keeps the vehicle upright and servos at rest; ``roll-pitch`` lets the rotors
 turn at the hover speed of the parameters at hand; ``both`` flies the whole model.
-
-**Free parameters.** Every number of the equations is a product of powers of vehicle parameters (``thrust_up = cT_up pi
-rho R^4``), so a batch of parameter sets is made from one record of :data:`mufly.dynamics.PARAMETERS` by multiplying its
-fields; the powers are found by changing each free parameter once and looking at what
-:func:`mufly.dynamics.model_parameters` makes of it. Vehicle parameters are fitted as ``theta = ln(value / start)``,
-which keeps their signs and makes a factor of two the same step for each; delays and biases, which may be zero, as
-``theta = (value - start) / scale``.
-
-Provenance says how far the data may pull a parameter: the standard deviation of its prior (of ``ln value``) and the
-factor that bounds it. Priors are wide on purpose: they decide only where the data do not. What is held is in doubt
-too (:func:`held_parameters`): who holds a number believes it, to the ``std`` that the vehicle file states, or else to
-the third number of its provenance, which for "identified" and "estimated" is narrower than the prior.
 """
 
 from __future__ import annotations
 
-import difflib
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import replace as dataclasses_replace
@@ -40,252 +26,20 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel
 
-from mufly.dynamics import PARAMETERS, model_parameters
 from mufly.errors import ArgumentError, InputError
+from mufly.identify.flight.free import Free, batch_parameters, held_parameters, numbers_at, physical
 from mufly.identify.flight.simulate import (
     bar_normal,
     fly_batch,
     hover,
     steady_speed,
 )
-from mufly.identify.record import OUTPUT_UNITS, OUTPUTS, Record, difference_noise, smoothed, smoothed_motion
+from mufly.identify.record import OUTPUTS, Record, difference_noise, smoothed, smoothed_motion
 from mufly.units import GRAVITY
-from mufly.vehicle import Vehicle, parameters, replace
+from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.float64]
-
-# source -> (standard deviation of the prior of ln(value), factor to either bound) of what is free, and the standard
-# deviation of ln(value) of what is held, where the vehicle file states none
-PROVENANCE: dict[str, tuple[float, float, float]] = {
-    "measured": (0.02, 1.2, 0.02),
-    "specified": (0.02, 1.2, 0.02),
-    "datasheet": (0.10, 1.5, 0.10),
-    "CAD": (0.15, 2.0, 0.15),
-    "identified": (0.50, 4.0, 0.05),
-    "estimated": (1.00, 6.0, 0.20),
-}
-# Parameters that act on heave and yaw only, and on roll and pitch only (thesis Sec. 5.3.3).
-HEAVE_YAW = ("cT_up", "cT_dw", "cQ_up", "cQ_dw", "Jdrive_up", "Jdrive_dw", "Jrot_up", "Jrot_dw", "Izz", "Whub",
-             "cDAz", "m", "kE", "kM", "dR", "Rohm", "igear", "eta_gear", "Ubat", "Rbat", "C", "Iel")  # fmt: skip
-ROLL_PITCH = ("Ixx", "Iyy", "z_up", "z_dw", "Tf_up", "Tf_dw", "l_up", "l_dw", "theta_SP_max", "cH", "cDAx",
-              "cDAy")  # fmt: skip
-# Groups of the vehicle file that the equations of a flight off the floor may depend on.
-_FLIES = ("body", "air", "rotors", "swash_plate", "stabiliser_bar", "motor", "gear", "battery")
-_GREATEST_DELAY = 0.2  # s
-_BIAS = {"m": 1.0, "m/s": 1.0, "rad": 0.3, "rad/s": 0.5, "V": 1.0}  # bound; a tenth of it is the prior
-
-
-@dataclass(frozen=True)
-class Free:
-    """A parameter that a fit may change.
-
-    Attributes
-    ----------
-    symbol, key, unit : str
-        As in :class:`mufly.identify.Estimate`.
-    start : float
-        SI value where the fit starts, and the prior's centre.
-    scale : float
-        0: fitted as ``ln(value / start)``; otherwise as ``(value - start) / scale``.
-    low, high : float
-        Bounds of ``theta``.
-    prior_std : float
-        Of ``theta``.
-    source : str
-        Provenance of the start.
-    """
-
-    symbol: str
-    key: str
-    unit: str
-    start: float
-    scale: float
-    low: float
-    high: float
-    prior_std: float
-    source: str
-
-    def value(self, theta: float) -> float:
-        """Return the SI value at ``theta``."""
-        return self.start * math.exp(theta) if self.scale == 0.0 else self.start + self.scale * theta
-
-    def theta(self, value: float) -> float:
-        """Return ``theta`` at an SI value."""
-        return math.log(value / self.start) if self.scale == 0.0 else (value - self.start) / self.scale
-
-
-def choose_free(
-    vehicle: Vehicle, symbols: Sequence[str], outputs: Sequence[str], *, delay_s: float = 0.0
-) -> tuple[Free, ...]:
-    """Make free parameters of symbols.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Start values, and provenance for priors and bounds.
-    symbols : sequence of str
-        As ``mufly vehicle show`` prints them; besides these ``"delay"`` (time from the recorded input to the
-        vehicle), and ``"bias_p"`` and so on for any measured output.
-    outputs : sequence of str
-        What is measured.
-    delay_s : float
-        Start of the delay (s).
-
-    Raises
-    ------
-    InputError
-        For an unknown symbol (with suggestions), one named twice, or one that starts at zero; for a vehicle whose
-        rotor coefficients come from a map, which no parameter moves.
-    """
-    if vehicle.rotors.coefficient_map is not None:
-        raise InputError(
-            vehicle.name, "rotors.coefficient_map", "stands in for the coefficients that a fit moves",
-            "take it out of the vehicle file, fit, and put it back",
-        )  # fmt: skip
-    if not symbols:
-        raise ArgumentError("symbols", "", "no parameter is free", "name some, as in symbols=cT_dw,Izz")
-    rows = {r.symbol: r for r in parameters(vehicle)}
-    limits = _limits(vehicle)
-    chosen: list[Free] = []
-    for symbol in symbols:
-        if any(f.symbol == symbol for f in chosen):
-            raise ArgumentError("symbols", symbol, "is named twice", "name it once")
-        if symbol == "delay":
-            top = (_GREATEST_DELAY - delay_s) / 0.01
-            chosen.append(Free("delay", "", "s", delay_s, 0.01, -delay_s / 0.01, top, 10.0, "estimated"))
-            continue
-        if symbol.startswith("bias_"):
-            name = symbol.removeprefix("bias_")
-            if name not in outputs:
-                remedy = f"use a measured output: {', '.join(f'bias_{o}' for o in outputs)}"
-                raise ArgumentError("symbols", symbol, "is the bias of nothing that is measured", remedy)
-            scale = 0.1 * _BIAS[OUTPUT_UNITS[name]]
-            chosen.append(Free(symbol, "", OUTPUT_UNITS[name], 0.0, scale, -10.0, 10.0, 1.0, "estimated"))
-            continue
-        row = rows.get(symbol)
-        if row is None or not isinstance(row.value, float):
-            known = [s for s, r in rows.items() if isinstance(r.value, float)]
-            near = _near(symbol, [*known, "delay"])
-            remedy = f"did you mean {' or '.join(near)}?" if near else "use symbols of `mufly vehicle show`"
-            raise ArgumentError("symbols", symbol, "is no parameter of a vehicle that can be fitted", remedy)
-        if row.value == 0.0:
-            raise InputError(vehicle.name, row.key, "starts at 0", "give a start of the right size")
-        std, factor, _ = PROVENANCE[row.source]
-        low, high = -math.log(factor), math.log(factor)
-        for limit in limits.get(row.key, ()):
-            t = math.log(limit / row.value) if limit / row.value > 0 else math.inf
-            low, high = (max(low, t), high) if t <= 0 else (low, min(high, t))
-        chosen.append(Free(symbol, row.key, row.unit, row.value, 0.0, low, high, std, row.source))
-    return tuple(chosen)
-
-
-def held_parameters(
-    vehicle: Vehicle, free: Sequence[Free], delay_s: float, voltage: float | None
-) -> tuple[Free, ...]:
-    """Return what acts on the flight and is not free; ``prior_std`` says in how much doubt it is.
-
-    Scalars of the vehicle file that the equations depend on (not the contact with the floor, nor curves), and the
-    delay, which counts as estimated.
-    """
-    chosen, found = {f.symbol for f in free}, []
-    for row in parameters(vehicle):
-        if row.symbol in chosen or not isinstance(row.value, float) or row.value == 0.0:
-            continue
-        if row.key.partition(".")[0] not in _FLIES:
-            continue
-        doubt = PROVENANCE[row.source][2] if row.std is None else row.std / abs(row.value)
-        one = Free(row.symbol, row.key, row.unit, row.value, 0.0, -np.inf, np.inf, doubt, row.source)
-        if doubt > 0.0 and batch_parameters(vehicle, [one], voltage)[1]:
-            found.append(one)
-    if "delay" not in chosen and delay_s > 0.0:
-        doubt = PROVENANCE["estimated"][2] * delay_s / 0.01
-        found.append(Free("delay", "", "s", delay_s, 0.01, -np.inf, np.inf, doubt, "estimated"))
-    return tuple(found)
-
-
-def physical(free: Sequence[Free], theta: _Array) -> _Array:
-    """Return SI values (..., n) at ``theta`` (..., n)."""
-    log = np.array([f.scale == 0.0 for f in free])
-    start, scale = np.array([f.start for f in free]), np.array([f.scale for f in free])
-    t = np.asarray(theta, dtype=np.float64)
-    return np.where(log, start * np.exp(np.where(log, t, 0.0)), start + scale * t)
-
-
-def batch_parameters(
-    vehicle: Vehicle, free: Sequence[Free], voltage: float | None
-) -> tuple[NDArray[np.void], dict[str, _Array]]:
-    """Return what :func:`numbers_at` multiplies: the start's record, and the power of each free parameter.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-    free : sequence of Free
-    voltage : float or None
-        Constant battery voltage (V), or None for the vehicle's own battery model.
-
-    Returns
-    -------
-    base : () structured array of type ``PARAMETERS``
-        Without a floor: flights that are identified do not touch it.
-    powers : dict of str to (n,) array
-        Field of the record -> exponent of every free parameter, 0 for those that do not touch it.
-    """
-    base = np.array(model_parameters(vehicle, voltage), dtype=PARAMETERS)
-    powers: dict[str, _Array] = {}
-    for j, f in enumerate(free):
-        if not f.key:
-            continue
-        changed, factor = _nudged(vehicle, f, voltage)
-        for name in PARAMETERS.names or ():
-            if name in ("contact_points", "contact_count", "contact_reach", "friction_bound"):
-                continue
-            old, new = float(np.ravel(base[name])[-1]), float(np.ravel(changed[name])[-1])
-            if old != new:
-                powers.setdefault(name, np.zeros(len(free)))[j] = round(
-                    math.log(new / old) / math.log(factor), 9
-                )
-    base["contact_reach"] = -1e9
-    return base, powers
-
-
-def _nudged(vehicle: Vehicle, f: Free, voltage: float | None) -> tuple[Any, float]:
-    """Return the equations' numbers with one parameter changed a little, to a side that is possible; the factor."""
-    try:
-        return model_parameters(replace(vehicle, {f.key: 0.999 * f.start}), voltage), 0.999
-    except InputError:  # two parameters may bound each other
-        return model_parameters(replace(vehicle, {f.key: 1.001 * f.start}), voltage), 1.001
-
-
-def numbers_at(base: NDArray[np.void], powers: dict[str, _Array], theta: _Array) -> NDArray[np.void]:
-    """Return the records (b,) of type ``PARAMETERS`` for ``theta`` (b, n) of log-scaled parameters."""
-    p = np.full(len(theta), base, dtype=PARAMETERS)
-    for name, exponent in powers.items():
-        factor = np.exp(theta @ exponent)
-        p[name] = p[name] * (factor if p[name].ndim == 1 else factor[:, None])
-    return p
-
-
-def _near(symbol: str, known: Sequence[str]) -> list[str]:
-    """Return known symbols that look like this one, whatever the case of letters and underscores."""
-    plain = {s.lower().replace("_", ""): s for s in known}
-    found = difflib.get_close_matches(symbol.lower().replace("_", ""), list(plain), n=3, cutoff=0.6)
-    return [plain[k] for k in found]
-
-
-def _limits(vehicle: BaseModel, prefix: str = "") -> dict[str, list[float]]:
-    """Return the limits that the schema sets, other than zero, by dotted key."""
-    found: dict[str, list[float]] = {}
-    for name, spec in type(vehicle).model_fields.items():
-        value, extra = getattr(vehicle, name), spec.json_schema_extra
-        if isinstance(extra, dict) and "unit" in extra:
-            bounds = [extra.get(k) for k in ("above", "at_least", "below", "at_most")]
-            found[prefix + name] = [float(b) for b in bounds if isinstance(b, int | float) and b != 0]
-        elif isinstance(value, BaseModel):
-            found.update(_limits(value, f"{prefix}{name}."))
-    return found
-
 
 Part = Literal["both", "heave-yaw", "roll-pitch"]
 
@@ -599,7 +353,7 @@ def make_problem(
     vehicle : Vehicle
         Start values, and everything that is not free.
     free : sequence of Free
-        See :func:`choose_free`.
+        See :func:`mufly.identify.choose_free`.
     records : sequence of Record
         Checked by :func:`mufly.identify.check_record`.
     part : {"both", "heave-yaw", "roll-pitch"}

@@ -42,8 +42,9 @@ from scipy.optimize import least_squares
 
 from mufly.errors import InputError
 from mufly.identify.flight.doubts import ABOVE, above_noise
+from mufly.identify.flight.free import physical
 from mufly.identify.flight.minimise import Course, Point, descend, evolve
-from mufly.identify.flight.problem import Problem, physical
+from mufly.identify.flight.problem import Problem
 from mufly.identify.flight.starts import LEAST_GAIN, beginnings, settled
 from mufly.identify.record import Record
 

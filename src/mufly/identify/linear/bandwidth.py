@@ -109,12 +109,11 @@ def bandwidth(frequency_hz: Array, response: ComplexArray, error: Array | None =
     else:
         level = float(np.interp(np.log(at_180), np.log(w), gain))
         low = w <= at_180
+        # The level is in doubt by its own error, and because the frequency at which it is taken is.
+        at = int(np.searchsorted(w, at_180))
+        doubt = np.hypot(np.interp(at_180, w, sigma_gain), _slope(w, gain, at - 1) * std_180)
         at_gain, std_gain = _crossing(
-            w[low],
-            gain[low],
-            level + _MARGIN_DB,
-            np.hypot(sigma_gain, np.interp(at_180, w, sigma_gain))[low],
-            last=True,
+            w[low], gain[low], level + _MARGIN_DB, np.hypot(sigma_gain, doubt)[low], last=True
         )
         if np.isnan(at_gain):
             notes.append("the gain is nowhere 6 dB above that at -180 deg: no gain bandwidth")
@@ -161,7 +160,12 @@ def _crossing(w: Array, y: Array, level: float, sigma: Array, *, last: bool = Fa
     k = int(places[-1 if last else 0])
     share = (level - y[k]) / (y[k + 1] - y[k])
     at = float(np.exp(np.log(w[k]) + share * np.log(w[k + 1] / w[k])))
-    near = slice(max(k - 1, 0), k + 3)  # the slope of four points: two are mostly noise
-    slope = float(np.polyfit(w[near], y[near], 1)[0])
+    slope = _slope(w, y, k)
     doubt = float(sigma[k] + share * (sigma[k + 1] - sigma[k]))
     return at, doubt / abs(slope) if slope else float("nan")
+
+
+def _slope(w: Array, y: Array, k: int) -> float:
+    """Slope of a curve between points ``k`` and ``k + 1``, from four points: two are mostly noise."""
+    near = slice(max(k - 1, 0), k + 3)
+    return float(np.polyfit(w[near], y[near], 1)[0])

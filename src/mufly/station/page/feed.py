@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ import orjson
 from numpy.typing import NDArray
 from scipy.signal import detrend, welch
 
+from mufly.flight.trust import sensor_name
 from mufly.quantities import CHECKED, STATUSES, our_name
 from mufly.station.history import History, Message, Snapshot
 from mufly.station.page.session import Source, View
@@ -230,7 +232,7 @@ class Feed:
             ]  # fmt: skip
         if (checks := changed("checks", lambda: list(source.checks))) is not None:
             out["checks"] = [(c.name, c.ok, c.text) for c in checks]
-        if (sensors := changed("sensors", lambda: sensors_of(source.history))) is not None:
+        if (sensors := changed("sensors", lambda: sensors_of(source.history, source.messages))) is not None:
             out["sensors"] = sensors
         if (names := changed("catalog", lambda: self._known_names(source))) is not None:
             out["catalog"] = catalog(names, source.history.unit)
@@ -338,8 +340,13 @@ def _split(name: str) -> tuple[str, str, str]:
     return "", variable, component or ""
 
 
-def sensors_of(history: History | ReplayHistory) -> list[tuple[str, str, float]]:
-    """Return what the estimator thinks of each sensor now: its name, a status in words, its innovation (sigmas)."""
+def sensors_of(
+    history: History | ReplayHistory, messages: Sequence[Message] = ()
+) -> list[tuple[str, str, float, str]]:
+    """Return what the estimator thinks of each sensor now: name, a status in words, innovation (sigmas), and why.
+
+    The reason is what the vehicle said last of a sensor that it does not believe; "" of one that it does.
+    """
     names = [f"{kind}_{name}" for name in CHECKED for kind in ("status", "innovation")]
     if not set(names) <= set(history.names):
         return []  # a recording of a flight on what is true
@@ -349,10 +356,23 @@ def sensors_of(history: History | ReplayHistory) -> list[tuple[str, str, float]]
     now = values[-1].tolist()
     told = zip(CHECKED, now[0::2], now[1::2], strict=True)
     return [
-        (name.replace("_", " "), STATUSES[int(status)], round(ratio, 1))
+        (name.replace("_", " "), STATUSES[int(status)], round(ratio, 1),
+         _reason(name, messages) if STATUSES[int(status)] in _DOUBTED else "")
         for name, status, ratio in told
         if 0.0 <= status < len(STATUSES)
-    ]
+    ]  # fmt: skip
+
+
+_DOUBTED = ("rejected", "missing", "faulty")
+_LOOKED_AT = 200  # messages
+
+
+def _reason(reading: str, messages: Sequence[Message]) -> str:
+    """What the vehicle said last of a sensor, behind the colon (:func:`mufly.flight.trust.told`)."""
+    name = f"{sensor_name(reading)} "
+    late = islice(reversed(messages), _LOOKED_AT)
+    last = next((m.text for m in late if m.text.startswith(name)), "")
+    return last.partition(": ")[2]
 
 
 def catalog(names: Iterable[str], unit: Callable[[str], str]) -> list[dict[str, Any]]:

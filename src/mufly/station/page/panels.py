@@ -18,6 +18,7 @@ from nicegui.events import GenericEventArguments, UploadEventArguments
 from mufly.errors import MuflyError
 from mufly.link.commands import FAILURES
 from mufly.mission import Mission, dump_mission, mission_from
+from mufly.sensors import TARGETS
 from mufly.station.history import Outcome, Request
 from mufly.station.page.drafts import kept_back, of_vehicle
 from mufly.station.page.session import View, parameter_file, read_parameter_file
@@ -216,15 +217,33 @@ async def send_mission(view: View, vehicle: RemoteVehicle, mission: Mission) -> 
 def sensor_drawer(view: View) -> None:
     """What the estimator thinks of each sensor; a simulation's may be let fail."""
 
-    def ask(kind: int, text: str) -> None:
+    def ask(kind: int, text: str, amount: float = math.nan, duration_s: float = math.nan) -> None:
         vehicle = view.vehicle()
         if vehicle is None or not view.has_controls:
             refuse(f"{text}: " + _blocked(view))
         else:
-            view.ask(vehicle.inject(int(unit.value), kind, text))
+            view.ask(vehicle.inject(int(unit.value), kind, text, amount, duration_s))
 
     def inject() -> None:
-        ask(int(kind.value), f"{units[unit.value]}: {kinds[kind.value]}")
+        how, much, lasts = (
+            kinds[kind.value],
+            (amount.enabled and amount.value) or math.nan,
+            seconds.value or math.nan,
+        )
+        text = f"{units[unit.value]}: {how}"
+        text += "" if math.isnan(much) else f" {much:g} {unit_of(int(unit.value), how)}"
+        ask(int(kind.value), text + ("" if math.isnan(lasts) else f", {lasts:g} s"), much, lasts)
+
+    def unit_of(which: int, how: str) -> str:
+        return "s" if how == "late" else TARGETS[FAILURES[0][float(which)]].unit
+
+    def usual() -> None:
+        """Say in the field how much is usual, and in which unit."""
+        how = kinds[kind.value]
+        known = TARGETS[FAILURES[0][float(unit.value)]].amount.get(how)
+        words = "nothing" if known is None else f"{known:g} {unit_of(int(unit.value), how)}"
+        amount.props(f'placeholder="{words}"')
+        amount.set_enabled(known is not None)
 
     Panel("sensors")
     units = {int(k): name.replace("_", " ") for k, name in FAILURES[0].items()}
@@ -236,6 +255,13 @@ def sensor_drawer(view: View) -> None:
         kind = ui.select(kinds, value=next(iter(kinds))).props(
             "dense options-dense outlined aria-label=fault"
         )
+        amount = ui.number("how much").props("dense outlined stack-label clearable aria-label=amount")
+        seconds = ui.number("for (s)", min=0).props(
+            'dense outlined stack-label clearable aria-label=seconds placeholder="ever"'
+        )
+        for one in (unit, kind):
+            one.on_value_change(usual)
+        usual()
         button("Inject", inject, test="inject", title="let this sensor of a simulated flight go wrong")
         button(
             "Clear", lambda: ask(0, "clear faults"), test="clear-faults", title="nothing is wrong any more"

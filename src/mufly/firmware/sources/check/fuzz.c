@@ -384,7 +384,6 @@ static void fuzz_estimate(void)
     real_t z[VALUES];
     int32_t fresh[SENSORS];
     real_t age[SENSORS];
-    const bool as_it_was = tamed;
 
     estimator_begin(&m, &mufly_settings);
     while (left > 0U) {
@@ -394,11 +393,10 @@ static void fuzz_estimate(void)
 
         numbers(VALUES, REAL(20.0), kept);
         for (int32_t i = 0; i < SENSORS; i++) {
-            /* Whether and when it came says whoever hears the sensor, not the sensor. */
-            came[i] = (int32_t)(byte() % 3U);
-            tamed = true;
-            age[i] = real_abs(number(REAL(0.2)));
-            tamed = as_it_was;
+            const uint8_t how = byte();
+
+            came[i] = (how < 240U) ? (int32_t)(how % 3U) : ((int32_t)how - 247);
+            age[i] = ((how & 12U) != 0U) ? real_abs(number(REAL(0.2))) : number(REAL(20.0));
         }
         for (uint32_t k = 0U; k <= (repeat % 32U); k++) {
             (void)memcpy(z, kept, sizeof z);

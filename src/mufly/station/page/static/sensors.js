@@ -20,11 +20,12 @@ export function mount(element) {
     const bad = sensors.filter(([, status]) => GOOD[status] === false).length;
     put(head, !sensors.length ? "It tells nothing of its sensors." : bad ? `${bad} of ${sensors.length} sensors not believed` : "All that is said is believed");
     head.dataset.state = bad ? "bad" : sensors.length ? "good" : "open";
-    list.replaceChildren(...sensors.map(([name, status, ratio]) => {
+    list.replaceChildren(...sensors.map(([name, status, ratio, why]) => {
       const ok = GOOD[status];
       return el("li", { class: ok === false ? "mf-level-error" : ok ? "mf-level-ok" : "", "data-status": status },
         icon(ok === false ? "error" : ok ? "ok" : "open"),
-        el("div", {}, el("strong", { text: name }), el("div", { class: "mf-dim", text: `${SAID[status]}; last ${number(Math.abs(ratio), 1)} σ off` })));
+        el("div", {}, el("strong", { text: name }), el("div", { class: "mf-dim", text: `${SAID[status]}; last ${number(Math.abs(ratio), 1)} σ off` }),
+          why ? el("div", { text: why, "data-testid": "sensor-reason" }) : null));
     }));
   }
   const panel = live.panel({ sections: ["sensors"] }, (f) => {

@@ -56,7 +56,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from mufly.compiled import compiled
 from mufly.errors import InputError, MuflyError
-from mufly.rotor.section import SectionData
+from mufly.rotor.sections.section import SectionData
 
 Array = NDArray[np.float64]
 

@@ -25,11 +25,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor import neural
-from mufly.rotor import section as cache
-from mufly.rotor.airfoil import Airfoil, load_airfoil
-from mufly.rotor.polar_table import ASPECT_RATIO, PolarTable, extend
-from mufly.rotor.section import SectionData, cache_folder, read_polar_csv
+from mufly.rotor.sections import neural
+from mufly.rotor.sections import section as cache
+from mufly.rotor.sections.airfoil import Airfoil, load_airfoil
+from mufly.rotor.sections.polar_table import ASPECT_RATIO, PolarTable, extend
+from mufly.rotor.sections.section import SectionData, cache_folder, read_polar_csv
 
 Engine = Literal["neuralfoil", "xfoil", "table"]
 

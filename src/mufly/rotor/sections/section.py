@@ -53,7 +53,7 @@ class SectionData:
     valid : (nr, na) array of bool
         Where its answer is to be trusted; in each row one stretch, which becomes the table's ``alpha_valid_rad``.
     source, n_crit, thickness_ratio, camber
-        As in :class:`mufly.rotor.polar_table.PolarTable`.
+        As in :class:`mufly.rotor.sections.polar_table.PolarTable`.
     """
 
     name: str
@@ -119,7 +119,7 @@ def _at_log_reynolds(table: Array, own: Array, wanted: Array) -> Array:
 
 
 def _rows(path: Path, where: str) -> list[tuple[int, dict[str, str]]]:
-    written, rows, decimal_comma = text_columns(path)
+    written, rows = text_columns(path)
     header = [name.lower() for name in written]
     for name in _NEEDED:
         if name not in header:
@@ -130,10 +130,7 @@ def _rows(path: Path, where: str) -> list[tuple[int, dict[str, str]]]:
     for number, cells in rows:
         if len(cells) != len(header):
             raise InputError(where, f"line {number}", f"{len(cells)} cells", f"give {len(header)}")
-    return [
-        (n, dict(zip(header, (c.replace(",", ".") if decimal_comma else c for c in cells), strict=True)))
-        for n, cells in rows
-    ]
+    return [(n, dict(zip(header, cells, strict=True))) for n, cells in rows]
 
 
 def _blocks(rows: list[tuple[int, dict[str, str]]], where: str) -> dict[float, Array]:

@@ -39,8 +39,8 @@ from scipy.special import comb
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor.airfoil import Airfoil
-from mufly.rotor.section import SectionData
+from mufly.rotor.sections.airfoil import Airfoil
+from mufly.rotor.sections.section import SectionData
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]

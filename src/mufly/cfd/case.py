@@ -1,0 +1,364 @@
+"""An OpenFOAM case of one operating point: boundary conditions, numbers for the solver, where it starts.
+
+``simpleFoam`` solves the steady, incompressible Navier-Stokes equations; the whole domain is one zone of a multiple
+reference frame, so that they hold in the blade's frame, written with the absolute velocity (SIMPLEC; *p* is pressure
+over density). Dictionaries are those of OpenFOAM v1912 and later (openfoam.com).
+
+=============  =================================================================================================
+blade          no slip, turning with the frame
+top, side      total pressure 0, the air comes as it likes; with climb, the climb's velocity
+bottom         pressure 0; what comes back comes at rest
+sector         cyclic by rotation
+start          the slipstream of momentum theory (:mod:`mufly.cfd.start`)
+first 80       upwind: started at second order the solution leaves for ever
+then           bounded linear upwind with limited gradients; corrections of the Laplacian limited to 0.5
+=============  =================================================================================================
+
+Ambient turbulence, for the models: 1 % of the induced velocity, turbulent viscosity that of the air itself. It stays
+that low as it is blown in; the walls of k-omega and SST are resolved (k 0, omega as Menter's wall value, nut 0 by a
+function that a smooth wall wants), those of k-epsilon are the standard functions, which hold for y+ above 11 and are
+used all the same: a check of what the dissertation did, no model for these Reynolds numbers.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.cfd.polymesh import PolyMesh, foam_header, write_poly_mesh
+from mufly.cfd.start import slipstream
+from mufly.errors import InputError
+from mufly.rotor import Air
+
+Array = NDArray[np.float64]
+
+MODELS = {"laminar": "", "k-epsilon": "kEpsilon", "sst": "kOmegaSST", "k-omega": "kOmega"}
+"""Turbulence models, by OpenFOAM's names."""
+FIRST = 80
+"""Iterations upwind."""
+LEAST = 800
+"""Iterations before a verdict."""
+EVERY = 40
+"""Iterations from one written state to the next."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """What a case computes.
+
+    Attributes
+    ----------
+    rotor : str
+        Name of the rotor.
+    blades : int
+    radius_m : float
+    pitch_rad, speed_rad_s, climb_m_s : float
+        Axial speed positive in climb.
+    model : str
+        One of :data:`MODELS`.
+    level : str
+        Of the mesh.
+    density_kg_m3, viscosity_Pa_s : float
+        Of the air.
+    induced_m_s : float
+        Velocity in the disc that the start assumes.
+    upwind, least : int
+        Iterations at first order, and before a verdict: 0 and 400 where the start is a neighbour's solution, scaled.
+    """
+
+    rotor: str
+    blades: int
+    radius_m: float
+    pitch_rad: float
+    speed_rad_s: float
+    climb_m_s: float
+    model: str
+    level: str
+    density_kg_m3: float
+    viscosity_Pa_s: float
+    induced_m_s: float
+    upwind: int = FIRST
+    least: int = LEAST
+
+    def __post_init__(self) -> None:
+        if self.model not in MODELS:
+            raise InputError("cfd", "model", f"{self.model!r} is unknown", f"use one of: {', '.join(MODELS)}")
+        if not 0.0 <= self.climb_m_s < math.inf:
+            raise InputError(
+                "cfd", "climb", f"is {self.climb_m_s:g} m/s", "give 0 or more: descent is not set up yet"
+            )
+        if not 0.0 < self.speed_rad_s < math.inf:
+            raise InputError("cfd", "speed", f"is {self.speed_rad_s:g} rad/s", "give a number above 0")
+
+    @property
+    def air(self) -> Air:
+        """The air."""
+        return Air(self.density_kg_m3, self.viscosity_Pa_s)
+
+    @property
+    def nu(self) -> float:
+        """Kinematic viscosity (m2/s)."""
+        return self.viscosity_Pa_s / self.density_kg_m3
+
+
+def write_case(
+    folder: Path, mesh: PolyMesh, point: Point, *, cores: int = 1, state: Mapping[str, Array] | None = None
+) -> None:
+    """Write a case that ``simpleFoam`` and ``Allrun`` run; what is in the folder is written over.
+
+    Parameters
+    ----------
+    folder : Path
+    mesh : PolyMesh
+    point : Point
+    cores : int
+        Processes.
+    state : dict of arrays, optional
+        Where to start, as :func:`mufly.cfd.results.scaled_state` returns it; default: momentum theory.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+    try:
+        write_poly_mesh(mesh, folder)
+        for name, text in _texts(point, cores).items():
+            file = folder / name
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(text, encoding="utf-8")
+        (folder / "Allrun").chmod(0o755)
+        _write_fields(folder / "0", mesh, point, state or {})
+        (folder / "mufly.json").write_text(json.dumps(asdict(point), indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise InputError(
+            "--out", str(folder), f"cannot be written ({error.strerror or error})", "give another folder"
+        ) from error
+
+
+def read_point(folder: Path) -> Point:
+    """Return what a case computes.
+
+    Raises
+    ------
+    InputError
+        If the folder is no case of ours.
+    """
+    file = folder / "mufly.json"
+    try:
+        return Point(**json.loads(file.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(str(folder), "", "is no case of mufly cfd", "give the folder of --out") from error
+
+
+def set_phase(folder: Path, *, upwind: bool, end: int) -> None:
+    """Tell the solver its schemes and the iteration at which it stops."""
+    (folder / "system" / "fvSchemes").write_text(_schemes(upwind), encoding="utf-8")
+    (folder / "system" / "controlDict").write_text(_control(read_point(folder), end), encoding="utf-8")
+
+
+def _texts(point: Point, cores: int) -> dict[str, str]:
+    turbulent = MODELS[point.model]
+    kind = (
+        f"RAS; RAS {{ RASModel {turbulent}; turbulence on; printCoeffs off; }}" if turbulent else "laminar;"
+    )
+    return {
+        "system/controlDict": _control(point, FIRST),
+        "system/fvSchemes": _schemes(upwind=True),
+        "system/fvSchemes.second": _schemes(upwind=False),
+        "system/fvSolution": foam_header("dictionary", "fvSolution", "system") + _SOLUTION,
+        "system/decomposeParDict": foam_header("dictionary", "decomposeParDict", "system") + (
+            f"numberOfSubdomains {cores};\nmethod hierarchical;\n"
+            f"coeffs {{ n ({_split(cores)[0]} {_split(cores)[1]} 1); delta 0.001; order xyz; }}\n"
+        ),
+        "constant/MRFProperties": foam_header("dictionary", "MRFProperties", "constant") + (
+            "blades\n{\n    cellZone rotor;\n    active yes;\n    nonRotatingPatches (top side bottom);\n"
+            f"    origin (0 0 0);\n    axis (0 0 1);\n    omega constant {point.speed_rad_s:.10g};\n}}\n"
+        ),
+        "constant/transportProperties": foam_header("dictionary", "transportProperties", "constant")
+        + f"transportModel Newtonian;\nnu {point.nu:.10g};\n",
+        "constant/turbulenceProperties": foam_header("dictionary", "turbulenceProperties", "constant")
+        + f"simulationType {kind}\n",
+        "Allrun": (
+            "#!/bin/sh\n# The whole case without mufly: first order, then second.\nset -e\ncd \"$(dirname \"$0\")\"\n"
+            "export WM_PROJECT_DIR=\"${WM_PROJECT_DIR:-/usr/share/openfoam}\"\nsimpleFoam > log.first\n"
+            "cp system/fvSchemes.second system/fvSchemes\n"
+            "sed -i 's/^endTime .*/endTime 1200;/' system/controlDict\nsimpleFoam > log.second\n"
+        ),
+    }  # fmt: skip
+
+
+def _split(cores: int) -> tuple[int, int]:
+    a = max(d for d in range(1, math.isqrt(cores) + 1) if cores % d == 0)
+    return cores // a, a
+
+
+def _control(point: Point, end: int) -> str:
+    return foam_header("dictionary", "controlDict", "system") + (
+        "application simpleFoam;\nstartFrom latestTime;\nstartTime 0;\nstopAt endTime;\n"
+        f"endTime {end};\ndeltaT 1;\nwriteControl timeStep;\nwriteInterval {EVERY};\npurgeWrite 2;\n"
+        "writeFormat binary;\n"
+        "writePrecision 10;\ntimeFormat general;\ntimePrecision 8;\nrunTimeModifiable no;\n"
+        "functions\n{\n    loads\n    {\n        type forces;\n        libs (forces);\n        patches (blade);\n"
+        f"        rho rhoInf;\n        rhoInf {point.density_kg_m3:.10g};\n        CofR (0 0 0);\n"
+        "        executeControl timeStep;\n        writeControl timeStep;\n        log no;\n    }\n"
+        "    flows\n    {\n        type surfaceFieldValue;\n        libs (fieldFunctionObjects);\n"
+        "        regionType patch;\n        name bottom;\n        operation sum;\n        fields (phi);\n"
+        "        writeFields no;\n        executeControl timeStep;\n        writeControl timeStep;\n"
+        "        log no;\n    }\n}\n"
+    )
+
+
+def _schemes(upwind: bool) -> str:
+    first = "bounded Gauss upwind"
+    u = first if upwind else "bounded Gauss linearUpwind limited"
+    return foam_header("dictionary", "fvSchemes", "system") + (
+        "ddtSchemes { default steadyState; }\n"
+        "gradSchemes\n{\n    default Gauss linear;\n    limited cellLimited Gauss linear 1;\n"
+        "    grad(k) cellLimited Gauss linear 1;\n    grad(omega) cellLimited Gauss linear 1;\n}\n"
+        "divSchemes\n{\n    default none;\n"
+        f"    div(phi,U) {u};\n    div(phi,k) {first};\n    div(phi,epsilon) {first};\n    div(phi,omega) {first};\n"
+        "    div((nuEff*dev2(T(grad(U))))) Gauss linear;\n}\n"
+        "laplacianSchemes { default Gauss linear limited 0.5; }\n"
+        "interpolationSchemes { default linear; }\n"
+        "snGradSchemes { default limited 0.5; }\n"
+        "wallDist { method meshWave; }\n"
+    )
+
+
+_SOLUTION = """solvers
+{
+    p { solver GAMG; smoother GaussSeidel; tolerance 1e-9; relTol 0.05; nPreSweeps 0; nPostSweeps 2; maxIter 50; }
+    "(U|k|epsilon|omega)" { solver smoothSolver; smoother symGaussSeidel; tolerance 1e-10; relTol 0.1; maxIter 10; }
+    Phi { solver GAMG; smoother GaussSeidel; tolerance 1e-8; relTol 0.01; }
+}
+SIMPLE { nNonOrthogonalCorrectors 0; consistent yes; }
+potentialFlow { nNonOrthogonalCorrectors 3; }
+relaxationFactors
+{
+    fields { p 0.5; }
+    equations { U 0.5; "(k|epsilon|omega)" 0.5; }
+}
+"""
+
+
+def _write_fields(folder: Path, mesh: PolyMesh, point: Point, state: Mapping[str, Array]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    u = state.get("U")
+    if u is None:
+        u = slipstream(
+            mesh.centres, radius_m=point.radius_m, induced_m_s=point.induced_m_s, climb_m_s=point.climb_m_s
+        )
+    climb = f"(0 0 {-point.climb_m_s:.10g})"
+    cyclic = {"sector_left": "type cyclic;", "sector_right": "type cyclic;"}
+    inflow = "type pressureInletOutletVelocity; value uniform (0 0 0);"
+    if point.climb_m_s > 0:
+        inflow = f"type inletOutlet; inletValue uniform {climb}; value uniform {climb};"
+    free = "type totalPressure; p0 uniform 0; value uniform 0;"
+    write_field(
+        folder / "U", "volVectorField", "[0 1 -1 0 0 0 0]", u,
+        {
+            **cyclic, "top": inflow, "side": inflow, "blade": "type fixedValue; value uniform (0 0 0);",
+            "bottom": f"type inletOutlet; inletValue uniform {climb}; value uniform {climb};",
+        },
+    )  # fmt: skip
+    if point.climb_m_s > 0:
+        free = "type zeroGradient;"
+    write_field(
+        folder / "p", "volScalarField", "[0 2 -2 0 0 0 0]", state.get("p", "uniform 0"),
+        {
+            **cyclic, "top": free, "side": free, "bottom": "type fixedValue; value uniform 0;",
+            "blade": "type zeroGradient;",
+        },
+    )  # fmt: skip
+    flux = state.get("phi")
+    _write_flux(folder / "phi", mesh, _flux(mesh, u, point.speed_rad_s) if flux is None else flux)
+    if point.model == "laminar":
+        return
+    k = 1.5 * (0.01 * point.induced_m_s) ** 2
+    values: dict[str, tuple[str, float, str]] = {
+        "k": ("[0 2 -2 0 0 0 0]", k, "type kqRWallFunction; value $internalField;"),
+        "nut": ("[0 2 -1 0 0 0 0]", point.nu, "type nutkWallFunction; value uniform 0;"),
+    }
+    if point.model == "k-epsilon":
+        values["epsilon"] = (
+            "[0 2 -3 0 0 0 0]",
+            0.09 * k * k / point.nu,
+            "type epsilonWallFunction; value $internalField;",
+        )
+    else:
+        values["k"] = (values["k"][0], k, "type fixedValue; value uniform 1e-12;")
+        values["nut"] = (values["nut"][0], point.nu, "type nutLowReWallFunction; value uniform 0;")
+        values["omega"] = ("[0 0 -1 0 0 0 0]", k / point.nu, "type omegaWallFunction; value $internalField;")
+    for name, (unit, value, wall) in values.items():
+        free = f"type inletOutlet; inletValue uniform {value:.10g}; value uniform {value:.10g};"
+        if name == "nut":
+            free = "type calculated; value $internalField;"
+        write_field(
+            folder / name, "volScalarField", unit, state.get(name, f"uniform {value:.10g}"),
+            {**cyclic, "top": free, "side": free, "bottom": free, "blade": wall},
+        )  # fmt: skip
+
+
+def _flux(mesh: PolyMesh, u: Array, speed_rad_s: float) -> Array:
+    """The fluxes through the faces, relative to the turning frame.
+
+    Without them the solver would take those of the absolute velocity for its first step, in which Coriolis' force then
+    has nothing to balance it: the outer air would be thrown about at tens of metres a second.
+    """
+    inside = len(mesh.neighbour)
+    at = u[mesh.owner]
+    at[:inside] = 0.5 * (at[:inside] + u[mesh.neighbour])
+    centre = mesh.face_centres
+    at[:, 0] += speed_rad_s * centre[:, 1]
+    at[:, 1] -= speed_rad_s * centre[:, 0]
+    flux = np.einsum("fi,fi->f", at, mesh.face_areas)
+    flux[mesh.patch("blade")] = 0.0
+    left, right = mesh.patch("sector_left"), mesh.patch("sector_right")
+    flux[left] = 0.5 * (flux[left] - flux[right])
+    flux[right] = -flux[left]
+    return flux
+
+
+def _write_flux(file: Path, mesh: PolyMesh, flux: Array) -> None:
+    inside = len(mesh.neighbour)
+
+    def values(v: Array) -> bytes:
+        return f"nonuniform List<scalar> {len(v)}\n(".encode() + v.astype("<f8").tobytes() + b")"
+
+    body = (
+        b"dimensions [0 3 -1 0 0 0 0];\n\ninternalField " + values(flux[:inside]) + b";\n\nboundaryField\n{\n"
+    )
+    for name in mesh.patches:
+        kind = "cyclic" if name.startswith("sector") else "calculated"
+        body += f"    {name} {{ type {kind}; value ".encode() + values(flux[mesh.patch(name)]) + b"; }\n"
+    head = foam_header("surfaceScalarField", "phi", file.parent.name, binary=True).encode()
+    file.write_bytes(head + body + b"}\n")
+
+
+def write_field(file: Path, kind: str, unit: str, values: str | Array, boundary: dict[str, str]) -> None:
+    """Write a field: ``"uniform 0"`` or a value for each cell."""
+    binary = not isinstance(values, str)
+    head = foam_header(kind, file.name, file.parent.name, binary=binary).encode()
+    if isinstance(values, str):
+        body = values.encode()
+    else:
+        rank = "vector" if values.ndim == 2 else "scalar"
+        body = f"nonuniform List<{rank}> {len(values)}\n(".encode()
+        body += np.ascontiguousarray(values, dtype="<f8").tobytes() + b")"
+    patches = "".join(f"    {name} {{ {text} }}\n" for name, text in boundary.items())
+    file.write_bytes(
+        head + f"dimensions {unit};\n\ninternalField ".encode() + body
+        + f";\n\nboundaryField\n{{\n{patches}}}\n".encode()
+    )  # fmt: skip
+
+
+def momentum_start(thrust_N: float, radius_m: float, air: Air) -> float:
+    """Induced velocity (m/s) of momentum theory in hover, sqrt(T / (2 rho pi R^2)); 0 without thrust."""
+    return math.sqrt(max(thrust_N, 0.0) / (2.0 * air.density_kg_m3 * math.pi * radius_m**2))

@@ -1,0 +1,406 @@
+"""Faces of a mesh in OpenFOAM's order, their quality, and OpenFOAM's files of them.
+
+OpenFOAM keeps faces, each with the cell that owns it and the neighbour (the higher number); those inside come first,
+sorted by owner and then neighbour, then those of each boundary. Face k of one half of a ``cyclic`` boundary meets face
+k of the other, whose points run the other way round from the same first point.
+
+Quality is measured as ``checkMesh`` does: non-orthogonality is the angle between a face's normal and the line between
+the two cell centres; skewness the distance from where that line meets the face to the face's centre, over the line's
+length or, if larger, a fifth of the face's own size in that direction.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+from mufly.cfd.mesh import Mesh
+from mufly.errors import InputError, MuflyError
+from mufly.results import result
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+# Faces of a hexahedron, outwards.
+_FACES = np.array(
+    [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)], dtype=np.int64
+)
+PATCHES = ("sector_left", "sector_right", "top", "side", "bottom", "blade")
+"""The boundaries: the two periodic planes (x below and above 0), top, side and bottom of the cylinder, the blade."""
+
+
+@dataclass(frozen=True, eq=False)
+class PolyMesh:
+    """A mesh as OpenFOAM has it.
+
+    Attributes
+    ----------
+    points : (points, 3) array
+        m.
+    faces : (faces, 4) array
+        Their points; the normal leaves the owner.
+    owner : (faces,) array
+    neighbour : (inside faces,) array
+    patches : dict of (start, count)
+        By name, in the order of the faces.
+    strip : (cells,) array
+        Spanwise strip of the blade that a cell lies in, or -1.
+    edges_m : (strips + 1,) array
+    blades : int
+    """
+
+    points: Array
+    faces: Index
+    owner: Index
+    neighbour: Index
+    patches: dict[str, tuple[int, int]]
+    strip: Index
+    edges_m: Array
+    blades: int
+
+    @property
+    def cells(self) -> int:
+        """Number of cells."""
+        return len(self.strip)
+
+    def patch(self, name: str) -> slice:
+        """The faces of a patch."""
+        start, count = self.patches[name]
+        return slice(start, start + count)
+
+    @cached_property
+    def face_centres(self) -> Array:
+        """Centres of the faces (m), (faces, 3)."""
+        return self._geometry[0]
+
+    @cached_property
+    def face_areas(self) -> Array:
+        """Area vectors of the faces (m2), out of the owner, (faces, 3)."""
+        return self._geometry[1]
+
+    @cached_property
+    def centres(self) -> Array:
+        """Centres of the cells (m), (cells, 3)."""
+        return self._geometry[2]
+
+    @cached_property
+    def volumes(self) -> Array:
+        """Volumes of the cells (m3)."""
+        return self._geometry[3]
+
+    @cached_property
+    def _geometry(self) -> tuple[Array, Array, Array, Array]:
+        p = self.points[self.faces]
+        middle = p.mean(axis=1)
+        following = np.roll(p, -1, axis=1)
+        n = 0.5 * np.cross(following - p, middle[:, None] - p)
+        thirds = (p + following + middle[:, None]) / 3.0
+        area = n.sum(axis=1)
+        # Each triangle counts by its area along the face's own normal, as in OpenFOAM.
+        unit = area / np.maximum(np.linalg.norm(area, axis=1, keepdims=True), 1e-300)
+        weight = np.einsum("fti,fi->ft", n, unit)
+        centre = np.einsum("ft,fti->fi", weight, thirds) / np.maximum(weight.sum(axis=1), 1e-300)[:, None]
+        inside = len(self.neighbour)
+        guess, count = np.zeros((self.cells, 3)), np.zeros(self.cells)
+        for faces, cells in ((slice(None), self.owner), (slice(0, inside), self.neighbour)):
+            guess += _summed(cells, centre[faces], self.cells)
+            count += np.bincount(cells, minlength=self.cells)
+        guess /= count[:, None]
+        volume, moment = np.zeros(self.cells), np.zeros((self.cells, 3))
+        for faces, cells, sign in ((slice(None), self.owner, 1.0), (slice(0, inside), self.neighbour, -1.0)):
+            f = centre[faces]
+            pyramid = sign * np.einsum("fi,fi->f", area[faces], f - guess[cells]) / 3.0
+            volume += np.bincount(cells, pyramid, self.cells)
+            moment += _summed(cells, pyramid[:, None] * (0.75 * f + 0.25 * guess[cells]), self.cells)
+        return centre, area, moment / volume[:, None], volume
+
+
+def _summed(cells: Index, vectors: Array, count: int) -> Array:
+    """Sum vectors by cell; (count, 3)."""
+    return np.stack([np.bincount(cells, vectors[:, i], count) for i in range(3)], axis=-1)
+
+
+def poly_mesh(mesh: Mesh) -> PolyMesh:
+    """Find faces, owners and boundaries; number the cells so that neighbours are near each other.
+
+    Raises
+    ------
+    MuflyError
+        If more than two cells share a face, or the two periodic planes do not match.
+    """
+    hexahedra = mesh.hexahedra
+    cells = len(hexahedra)
+    faces = hexahedra[:, _FACES].reshape(-1, 4)
+    of = np.repeat(np.arange(cells), 6)
+    key = np.sort(faces, axis=1)
+    order = np.lexsort(key.T[::-1])
+    sorted_key = key[order]
+    same = np.all(sorted_key[1:] == sorted_key[:-1], axis=1)
+    if np.any(same[1:] & same[:-1]):
+        raise MuflyError("mesh: a face is shared by three cells")
+    first = order[:-1][same]
+    second = order[1:][same]
+    alone = np.ones(len(order), dtype=bool)
+    alone[:-1] &= ~same
+    alone[1:] &= ~same
+    outside = np.sort(order[alone])
+
+    graph = coo_array((np.ones(len(first)), (of[first], of[second])), shape=(cells, cells)).tocsr()
+    new = np.empty(cells, dtype=np.int64)
+    new[reverse_cuthill_mckee((graph + graph.T).tocsr(), symmetric_mode=True)] = np.arange(cells)
+    a, b = new[of[first]], new[of[second]]
+    inner = np.where((a < b)[:, None], faces[first], faces[second])  # outwards from the owner
+    owner, neighbour = np.minimum(a, b), np.maximum(a, b)
+    order = np.lexsort((neighbour, owner))
+    inner, owner, neighbour = inner[order], owner[order], neighbour[order]
+
+    shell, shell_of = faces[outside], new[of[outside]]
+    marked = {name: mark[shell].all(axis=1) for name, mark in mesh.marks.items()}
+    left = mesh.points[shell].mean(axis=1)[:, 0] < 0.0
+    which = np.select(
+        [marked["top"], marked["bottom"], marked["outer"], marked["sector"] & left, marked["sector"]],
+        [PATCHES.index(n) for n in ("top", "bottom", "side", "sector_left", "sector_right")],
+        PATCHES.index("blade"),
+    )
+    all_faces, all_owners, patches = [inner], [owner], {}
+    start = len(inner)
+    left_faces = shell[which == 0]
+    left_order, right_order, right_faces = _paired(mesh, left_faces, shell[which == 1])
+    for i, name in enumerate(PATCHES):
+        at = np.flatnonzero(which == i)
+        f = shell[at]
+        if name == "sector_left":
+            at, f = at[left_order], left_faces[left_order]
+        elif name == "sector_right":
+            at, f = at[right_order], right_faces
+        all_faces.append(f)
+        all_owners.append(shell_of[at])
+        patches[name] = (start, len(f))
+        start += len(f)
+    strip = np.empty(cells, dtype=np.int64)
+    strip[new] = mesh.strip
+    return PolyMesh(
+        mesh.points, np.concatenate(all_faces), np.concatenate(all_owners), neighbour, patches, strip, mesh.edges_m,
+        mesh.blades,
+    )  # fmt: skip
+
+
+def _paired(mesh: Mesh, left: Index, right: Index) -> tuple[Index, Index, Index]:
+    """Orders in which the faces of the two periodic planes meet, and the right ones' points in matching turn."""
+    if len(left) != len(right):
+        raise MuflyError(f"mesh: the periodic planes have {len(left)} and {len(right)} faces")
+    turn = 2.0 * math.pi / mesh.blades
+    c, s = math.cos(turn), math.sin(turn)
+    # The right plane (x > 0) turned on about +z lands on the left one.
+    turned = mesh.points @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
+    size = float(np.ptp(mesh.points[:, 2]))
+    at_left, at_right = mesh.points[left].mean(axis=1) / size, turned[right].mean(axis=1) / size
+    from scipy.spatial import cKDTree
+
+    found = cKDTree(at_right).query(at_left)
+    miss, partner = np.asarray(found[0]), np.asarray(found[1])
+    if len(left) and (miss.max() > 1e-9 or len(np.unique(partner)) != len(left)):
+        raise MuflyError(f"mesh: the periodic planes miss each other by {miss.max() * size:.2g} m")
+    order = np.lexsort((at_left[:, 2], np.hypot(at_left[:, 0], at_left[:, 1])))
+    partner = partner[order]
+    faces = right[partner][:, ::-1]
+    begin = mesh.points[left[order][:, 0]]
+    first = np.argmin(np.linalg.norm(turned[faces] - begin[:, None], axis=2), axis=1)
+    # Reversed twice: faces keep their outward normal, and start at the partner of the left face's first point.
+    faces = faces[np.arange(len(faces))[:, None], (first[:, None] + np.arange(4)) % 4]
+    return order, partner, np.concatenate((faces[:, :1], faces[:, :0:-1]), axis=1)
+
+
+@result
+class Quality:
+    """How good a mesh is.
+
+    Attributes
+    ----------
+    cells : int
+        Number of cells.
+    non_orthogonality_deg : float
+        Greatest angle between a face's normal and the line of the cell centres; OpenFOAM warns from 70.
+    mean_non_orthogonality_deg : float
+        Its mean over the faces.
+    severe : int
+        Faces above 70 degrees.
+    skewness : float
+        Greatest skewness; OpenFOAM warns from 4.
+    smallest_volume_m3 : float
+        Volume of the smallest cell.
+    open_cells : float
+        Greatest sum of a cell's area vectors, over their sizes; 0 for closed cells.
+    aspect_ratio : float
+        Greatest ratio of a cell's areas in the three directions.
+    """
+
+    cells: int
+    non_orthogonality_deg: float
+    mean_non_orthogonality_deg: float
+    severe: int
+    skewness: float
+    smallest_volume_m3: float
+    open_cells: float
+    aspect_ratio: float
+
+    @property
+    def good(self) -> bool:
+        """Whether a solver should take it."""
+        return self.smallest_volume_m3 > 0.0 and self.non_orthogonality_deg < 85.0 and self.skewness < 4.0
+
+
+def quality(mesh: PolyMesh) -> Quality:
+    """Measure a mesh as ``checkMesh`` does; the periodic planes are left out."""
+    inside = len(mesh.neighbour)
+    a, b = mesh.centres[mesh.owner[:inside]], mesh.centres[mesh.neighbour]
+    area, centre = mesh.face_areas[:inside], mesh.face_centres[:inside]
+    d = b - a
+    cosine = np.einsum("fi,fi->f", d, area) / (np.linalg.norm(d, axis=1) * np.linalg.norm(area, axis=1))
+    angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    to_a = np.einsum("fi,fi->f", area, centre - a)
+    to_b = np.einsum("fi,fi->f", area, b - centre)
+    part = np.abs(to_a) / np.maximum(np.abs(to_a) + np.abs(to_b), 1e-300)
+    off = centre - (a + part[:, None] * d)
+    length = np.linalg.norm(off, axis=1)
+    unit = off / np.maximum(length, 1e-300)[:, None]
+    own = np.max(
+        np.abs(np.einsum("fi,fpi->fp", unit, mesh.points[mesh.faces[:inside]] - centre[:, None])), axis=1
+    )
+    skew = length / np.maximum(np.linalg.norm(d, axis=1), 0.2 * own)
+    total, size = np.zeros((mesh.cells, 3)), np.zeros((mesh.cells, 3))
+    for faces, cells, sign in ((slice(None), mesh.owner, 1.0), (slice(0, inside), mesh.neighbour, -1.0)):
+        total += _summed(cells, sign * mesh.face_areas[faces], mesh.cells)
+        size += _summed(cells, np.abs(mesh.face_areas[faces]), mesh.cells)
+    return Quality(
+        mesh.cells, float(angle.max()), float(angle.mean()), int(np.sum(angle > 70.0)), float(skew.max()),
+        float(mesh.volumes.min()), float(np.max(np.abs(total) / np.maximum(size.max(axis=1, keepdims=True), 1e-300))),
+        float(np.max(size.max(axis=1) / np.maximum(size.min(axis=1), 1e-300))),
+    )  # fmt: skip
+
+
+# ----------------------------------------------------------------------------
+# Files
+
+
+def foam_header(kind: str, name: str, place: str, *, binary: bool = False, note: str = "") -> str:
+    """Head of an OpenFOAM file."""
+    form = 'binary;\n    arch        "LSB;label=32;scalar=64"' if binary else "ascii"
+    more = f'    note        "{note}";\n' if note else ""
+    return (
+        f"FoamFile\n{{\n    version     2.0;\n    format      {form};\n    class       {kind};\n{more}"
+        f'    location    "{place}";\n    object      {name};\n}}\n\n'
+    )
+
+
+def write_poly_mesh(mesh: PolyMesh, case: Path) -> Path:
+    """Write ``constant/polyMesh`` of a case, one cell zone ``rotor`` of all cells; return the folder."""
+    folder = case / "constant" / "polyMesh"
+    folder.mkdir(parents=True, exist_ok=True)
+    note = f"nPoints:{len(mesh.points)}  nCells:{mesh.cells}  nFaces:{len(mesh.faces)}  "
+    note += f"nInternalFaces:{len(mesh.neighbour)}"
+    place = "constant/polyMesh"
+
+    def write(name: str, kind: str, *parts: bytes) -> None:
+        head = foam_header(
+            kind, name, place, binary=True, note=note if name in ("owner", "neighbour") else ""
+        )
+        (folder / name).write_bytes(head.encode() + b"\n".join(parts) + b"\n")
+
+    def block(values: NDArray, count: int) -> bytes:
+        return f"{count}\n(".encode() + np.ascontiguousarray(values).tobytes() + b")"
+
+    def labels(values: Index) -> bytes:
+        return block(values.astype("<i4"), len(values))
+
+    write("points", "vectorField", block(mesh.points.astype("<f8"), len(mesh.points)))
+    starts = np.arange(0, 4 * len(mesh.faces) + 1, 4)
+    write("faces", "faceCompactList", labels(starts), labels(mesh.faces.ravel()))
+    write("owner", "labelList", labels(mesh.owner))
+    write("neighbour", "labelList", labels(mesh.neighbour))
+    turn = 360.0 / mesh.blades
+    entries = []
+    for name, (start, count) in mesh.patches.items():
+        kind, more = "patch", ""
+        if name == "blade":
+            kind, more = "wall", "inGroups 1(wall);"
+        elif name.startswith("sector"):
+            other = "sector_right" if name == "sector_left" else "sector_left"
+            kind = "cyclic"
+            more = (
+                f"matchTolerance 1e-4; transform rotational; rotationAxis (0 0 1); rotationCentre (0 0 0); "
+                f"neighbourPatch {other};"
+            )
+        entries.append(f"    {name} {{ type {kind}; {more} nFaces {count}; startFace {start}; }}")
+    text = foam_header("polyBoundaryMesh", "boundary", place, note=f"sector of {turn:g} degrees")
+    (folder / "boundary").write_text(
+        text + f"{len(entries)}\n(\n" + "\n".join(entries) + "\n)\n", encoding="utf-8"
+    )
+    zone = foam_header("regIOobject", "cellZones", place, binary=True).encode()
+    zone += b"1\n(\nrotor\n{\n    type cellZone;\n    cellLabels List<label> "
+    zone += labels(np.arange(mesh.cells)) + b";\n}\n)\n"
+    (folder / "cellZones").write_bytes(zone)
+    np.savez(folder / _STRIPS, strip=mesh.strip, edges_m=mesh.edges_m, blades=mesh.blades)
+    return folder
+
+
+_STRIPS = "strips.npz"
+
+
+def read_poly_mesh(case: Path) -> PolyMesh:
+    """Read a mesh that :func:`write_poly_mesh` wrote.
+
+    Raises
+    ------
+    InputError
+        If a file is missing or cut short.
+    """
+    folder = case / "constant" / "polyMesh"
+    try:
+        data = {
+            name: (folder / name).read_bytes()
+            for name in ("points", "faces", "owner", "neighbour", "boundary")
+        }
+        with np.load(folder / _STRIPS) as more:
+            strip, edges, blades = more["strip"], more["edges_m"], int(more["blades"])
+        points = _read(data["points"], "<f8", 3)[0].reshape(-1, 3)
+        faces = _read(data["faces"], "<i4", 1, 2)[1].reshape(-1, 4)
+        owner, neighbour = _read(data["owner"], "<i4", 1)[0], _read(data["neighbour"], "<i4", 1)[0]
+        text = data["boundary"].decode()
+        patches = {
+            name: (int(start), int(count))
+            for name, count, start in re.findall(r"(\w+) \{ type.*?nFaces (\d+); startFace (\d+);", text)
+        }
+    except (OSError, ValueError, KeyError, IndexError) as error:
+        raise InputError(str(folder), "", f"is no whole mesh of ours ({error})", "write it again") from error
+    return PolyMesh(
+        points,
+        faces.astype(np.int64),
+        owner.astype(np.int64),
+        neighbour.astype(np.int64),
+        patches,
+        strip,
+        edges,
+        blades,
+    )
+
+
+def _read(data: bytes, kind: str, each: int, lists: int = 1) -> list[NDArray]:
+    at, out = data.index(b"}") + 1, []
+    for _ in range(lists):
+        begin = data.index(b"(", at) + 1
+        count = int(data[at : begin - 1].split()[0])
+        at = begin + count * each * np.dtype(kind).itemsize
+        if at >= len(data):
+            raise ValueError("cut short")
+        out.append(np.frombuffer(data[begin:at], dtype=kind))
+        at += 1
+    return out

@@ -1,0 +1,211 @@
+"""What a solved case says: loads along the blade, pressure and friction on it, y+.
+
+On a face of the blade with centre x and area vector S out of the air, the air pushes with (p in units of pressure)
+
+    dF = p S + mu (u_t - Omega x x) / d |S|          u_t: velocity along the wall in the cell beside it, d its distance
+
+summed by the spanwise strips of the mesh; the caps at root and tip belong to the first and the last strip. The sum is
+what OpenFOAM's own ``forces`` gives (a test of the reading, not of the physics). With a turbulence model the wall's
+turbulent viscosity adds to mu.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.cfd.case import Point, read_point
+from mufly.cfd.polymesh import PolyMesh, read_poly_mesh
+from mufly.cfd.run import Verdict, judge, times
+from mufly.errors import InputError
+from mufly.results import result
+
+Array = NDArray[np.float64]
+
+
+@result(eq=False)
+class Solution:
+    """A solved case.
+
+    Attributes
+    ----------
+    point : Point
+        What was computed.
+    verdict : Verdict
+        Whether it stands.
+    thrust_N, torque_Nm, power_W : float
+        Of the whole rotor: of the last state, summed from the fields.
+    c_T, c_Q, figure_of_merit : float
+        As everywhere in mufly.
+    friction_torque : float
+        Part of the torque that friction is.
+    r_m, dr_m : (strips,) arrays
+        Middle and width of the spanwise strips.
+    thrust_N_m, torque_Nm_m : (strips,) arrays
+        Loads per span of all blades (N/m, N m/m).
+    yplus : (faces,) array
+        Of the blade's faces.
+    pressure_Pa : (faces,) array
+        On the blade's faces.
+    friction_Pa : (faces, 3) array
+        Shear stress that the air puts on the blade's faces.
+    """
+
+    point: Point
+    verdict: Verdict
+    thrust_N: float
+    torque_Nm: float
+    power_W: float
+    c_T: float
+    c_Q: float
+    figure_of_merit: float
+    friction_torque: float
+    r_m: Array
+    dr_m: Array
+    thrust_N_m: Array
+    torque_Nm_m: Array
+    yplus: Array
+    pressure_Pa: Array
+    friction_Pa: Array
+
+
+def read_solution(folder: Path, mesh: PolyMesh | None = None) -> Solution:
+    """Read the last state of a case.
+
+    Raises
+    ------
+    InputError
+        If there is none, or a file is cut short.
+    """
+    point = read_point(folder)
+    at = [t for t in times(folder) if t > 0]
+    if not at:
+        raise InputError(str(folder), "", "holds no solution", "run it first: mufly cfd run")
+    mesh = mesh or read_poly_mesh(folder)
+    place = folder / str(at[-1])
+    velocity, pressure = read_field(place / "U", mesh.cells), read_field(place / "p", mesh.cells)
+    faces = mesh.patch("blade")
+    cell = mesh.owner[faces]
+    area, centre = mesh.face_areas[faces], mesh.face_centres[faces]
+    size = np.linalg.norm(area, axis=1)
+    normal = area / size[:, None]  # out of the air, into the blade
+    distance = np.einsum("fi,fi->f", centre - mesh.centres[cell], normal)
+    wall = point.speed_rad_s * np.stack((-centre[:, 1], centre[:, 0], np.zeros(len(centre))), axis=-1)
+    slip = velocity[cell] - wall
+    slip -= np.einsum("fi,fi->f", slip, normal)[:, None] * normal
+    mu = np.full(len(cell), point.viscosity_Pa_s)
+    if (place / "nut").is_file():
+        mu += point.density_kg_m3 * read_patch(place / "nut", "blade", len(cell))
+    friction = mu[:, None] * slip / distance[:, None]
+    p = point.density_kg_m3 * pressure[cell]
+    force = p[:, None] * area + friction * size[:, None]
+    moment = centre[:, 0] * force[:, 1] - centre[:, 1] * force[:, 0]
+    of_friction = centre[:, 0] * friction[:, 1] - centre[:, 1] * friction[:, 0]
+    edges = mesh.edges_m
+    strip = np.clip(np.searchsorted(edges, centre[:, 1]) - 1, 0, len(edges) - 2)
+    width = np.diff(edges)
+    thrust = point.blades * np.bincount(strip, force[:, 2], len(width))
+    torque = -point.blades * np.bincount(strip, moment, len(width))
+    u_tau = np.sqrt(np.linalg.norm(friction, axis=1) / point.density_kg_m3)
+    t, q = float(thrust.sum()), float(torque.sum())
+    tip = point.speed_rad_s * point.radius_m
+    disc = math.pi * point.radius_m**2
+    ideal = t * math.sqrt(t / (2.0 * point.density_kg_m3 * disc)) if t > 0 else math.nan
+    power = q * point.speed_rad_s
+    return Solution(
+        point, judge(folder), t, q, power, t / (point.density_kg_m3 * disc * tip**2),
+        q / (point.density_kg_m3 * disc * tip**2 * point.radius_m), ideal / power if power > 0 else math.nan,
+        float(-point.blades * np.sum(of_friction * size) / q), 0.5 * (edges[1:] + edges[:-1]), width, thrust / width,
+        torque / width, u_tau * distance / point.nu, p, friction,
+    )  # fmt: skip
+
+
+_POWERS = {"U": 1, "p": 2, "phi": 1, "k": 2, "epsilon": 3, "omega": 1, "nut": 1}
+
+
+def scaled_state(folder: Path, mesh: PolyMesh, ratio: float) -> dict[str, Array]:
+    """A case's last state at another speed: velocities and fluxes times the ratio of speeds, pressure times its square.
+
+    Exact but for what the Reynolds number does. The meshes have to be the same.
+
+    Raises
+    ------
+    InputError
+        If there is no state, or it is of another mesh.
+    """
+    at = [t for t in times(folder) if t > 0]
+    if not at:
+        raise InputError(str(folder), "", "holds no solution", "run it first: mufly cfd run")
+    place, out = folder / str(at[-1]), {}
+    for name, power in _POWERS.items():
+        file = place / name
+        if not file.is_file():
+            continue
+        inside = len(mesh.neighbour) if name == "phi" else mesh.cells
+        values = read_field(file, inside)
+        if name == "phi":
+            values = np.concatenate([values, *(read_patch(file, p, n) for p, (_, n) in mesh.patches.items())])
+        out[name] = values * ratio**power
+    return out
+
+
+def read_field(file: Path, cells: int) -> Array:
+    """Read the cells' values of a field, ASCII or binary; (cells,) or (cells, 3).
+
+    Raises
+    ------
+    InputError
+        If it cannot be read or is cut short.
+    """
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        raise InputError(str(file), "", f"cannot be read ({error.strerror})", "run the case again") from error
+    at = data.find(b"internalField")
+    return _values(data, at + len(b"internalField"), cells, file)
+
+
+def read_patch(file: Path, patch: str, faces: int) -> Array:
+    """Read a field's values on a patch; zeros where it has none.
+
+    Raises
+    ------
+    InputError
+        If it is cut short.
+    """
+    data = file.read_bytes()
+    begin = data.find(f"{patch}\n".encode(), data.find(b"boundaryField"))
+    at = data.find(b"value", begin)
+    if begin < 0 or at < 0:
+        return np.zeros(faces)
+    return _values(data, at + len(b"value"), faces, file)
+
+
+def _values(data: bytes, at: int, count: int, file: Path) -> Array:
+    head = data[at : at + 200]
+    words = head.split()
+    if words[:1] == [b"uniform"]:
+        text = head[head.index(b"uniform") + 7 : head.index(b";")].replace(b"(", b" ").replace(b")", b" ")
+        numbers = np.array([float(x) for x in text.split()])
+        return np.full(count, numbers[0]) if numbers.size == 1 else np.tile(numbers, (count, 1))
+    size = 3 if b"vector" in head else 1
+    begin = data.index(b"(", at) + 1
+    told = int(data[data.index(b">", at) + 1 : begin - 1].split()[0])
+    if told != count:
+        raise InputError(str(file), "", f"holds {told} values for {count} cells", "run the case again")
+    if re.search(rb"format\s+binary", data[: data.index(b"}")]):
+        end = begin + 8 * size * count
+        if end > len(data):
+            raise InputError(str(file), "", "is cut short", "delete its folder and run the case again")
+        values = np.frombuffer(data[begin:end], dtype="<f8")
+    else:
+        end = data.index(b"\n)", begin)
+        text = data[begin:end].replace(b"(", b" ").replace(b")", b" ")
+        values = np.array(text.split(), dtype=np.float64)
+        if values.size != size * count:
+            raise InputError(str(file), "", "is cut short", "delete its folder and run the case again")
+    return values.reshape(count, size) if size > 1 else values

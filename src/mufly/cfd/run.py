@@ -1,0 +1,384 @@
+"""Runs of a case: the solver as a process of its own, watched, judged, resumed after it was killed.
+
+The solver runs in stretches: 80 iterations upwind, then at second order to 800, and on by 200 until thrust and torque
+stand, or 1600. Every 40 iterations it writes its state with its fluxes, so that a case whose process was killed goes on
+from there when it is run again; what was told after that state is told anew.
+
+A solution is settled when, after 800 iterations at least,
+
+* thrust and torque of the last 200 iterations drift by less than 0.3 % (a straight line through them, end to end) and
+  their range about that line is below 1 %;
+* air leaves through the bottom;
+* the solver's sum of local continuity errors (mean of |div u| over the volume, 1/s) is below 1e-3.
+
+Otherwise the verdict names what is wrong: ``diverged`` (a load that is no number, or ten times the first guess),
+``sloshing`` (swings about its mean), ``plateau`` (still drifting), ``blown back`` (air enters through the bottom),
+``leaking`` (continuity).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import shutil
+import subprocess
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.cfd.case import EVERY, Point, read_point, set_phase
+from mufly.errors import MuflyError
+from mufly.results import result
+
+Array = NDArray[np.float64]
+
+MOST, WINDOW = 1600, 200
+"""Iterations at most, and of the window that is judged."""
+_DRIFT, _SWING, _LEAK = 3e-3, 1e-2, 1e-3
+_DEBIAN = Path("/usr/share/openfoam")
+_LOG = "log.simpleFoam"
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a run is.
+
+    Attributes
+    ----------
+    iteration : int
+    thrust_N, torque_Nm : float
+        Of the whole rotor.
+    residuals : dict of str to float
+        Initial residual of each equation in this iteration.
+    continuity : float
+        Sum of local continuity errors, as the solver says it.
+    seconds_left : float
+        Until the stretch's end.
+    """
+
+    iteration: int
+    thrust_N: float
+    torque_Nm: float
+    residuals: dict[str, float]
+    continuity: float
+    seconds_left: float
+
+
+@result
+class Verdict:
+    """Whether a solution stands.
+
+    Attributes
+    ----------
+    settled : bool
+        Whether it does.
+    what : str
+        'settled', or what is wrong.
+    iterations : int
+        Iterations done.
+    thrust_N : float
+        Thrust of the whole rotor, mean of the window.
+    torque_Nm : float
+        Torque of the whole rotor, mean of the window.
+    drift : float
+        Greater drift of the two in the window, relative.
+    swing : float
+        Greater range of the two about their drift, relative.
+    outflow_m3_s : float
+        Volume flow out of the sector's bottom.
+    leak : float
+        The solver's sum of local continuity errors.
+    """
+
+    settled: bool
+    what: str
+    iterations: int
+    thrust_N: float
+    torque_Nm: float
+    drift: float
+    swing: float
+    outflow_m3_s: float
+    leak: float
+
+
+def find_solver(name: str = "simpleFoam") -> str:
+    """Return the solver's program.
+
+    Raises
+    ------
+    MuflyError
+        If there is none; the message says how to get it.
+    """
+    found = shutil.which(name)
+    if found is None:
+        raise MuflyError(
+            f"{name} is not to be found: install OpenFOAM (Debian, Ubuntu: apt-get install --no-install-recommends "
+            "openfoam; elsewhere: openfoam.com) or use --save-only and run the case where it is"
+        )
+    return found
+
+
+def environment() -> dict[str, str]:
+    """Return the environment in which OpenFOAM's programs find their own files."""
+    env = dict(os.environ)
+    if "WM_PROJECT_DIR" not in env and _DEBIAN.is_dir():
+        env["WM_PROJECT_DIR"] = str(_DEBIAN)
+    return env
+
+
+def times(folder: Path) -> list[int]:
+    """Iterations at which a case's state is written whole, rising; 0 is the start."""
+    found = []
+    for place in folder.glob("[0-9]*"):
+        if place.name.isdigit() and (place / "U").is_file() and (place / "p").is_file():
+            if place.name != "0" and not (place / "phi").is_file():
+                continue
+            found.append(int(place.name))
+    return sorted(found)
+
+
+def run_case(
+    folder: Path,
+    *,
+    cores: int = 1,
+    progress: Callable[[Progress], None] | None = None,
+    most: int = MOST,
+) -> Verdict:
+    """Run a case to its verdict; one that was begun goes on where its last written state is.
+
+    Parameters
+    ----------
+    folder : Path
+        A case of :func:`mufly.cfd.case.write_case`.
+    cores : int
+        Processes.
+    progress : callable, optional
+        Called with each iteration.
+    most : int
+        Iterations after which it is given up.
+
+    Raises
+    ------
+    MuflyError
+        If there is no solver, or it fails; the message holds what it said first.
+
+    Thesis: Sec. 3.3.3.
+    """
+    find_solver()
+    point = read_point(folder)
+    while True:
+        done = (times(folder) or [0])[-1]
+        verdict = judge(folder)
+        if verdict.settled or done >= most or verdict.what == "diverged":
+            return verdict
+        end = point.upwind if done < point.upwind else min(most, max(point.least, done + WINDOW))
+        end = EVERY * math.ceil(end / EVERY)  # its last state is to be written
+        set_phase(folder, upwind=done < point.upwind, end=end)
+        _forget(folder, done)
+        _stretch(folder, point, done, end, cores, progress)
+
+
+def _forget(folder: Path, after: int) -> None:
+    """Drop states cut off in mid-write: the solver would start from the last folder that bears a number."""
+    whole = times(folder)
+    for place in folder.glob("[0-9]*"):
+        if place.name.isdigit() and int(place.name) > after and int(place.name) not in whole:
+            shutil.rmtree(place, ignore_errors=True)
+
+
+def _stretch(
+    folder: Path, point: Point, done: int, end: int, cores: int, progress: Callable[[Progress], None] | None
+) -> None:
+    env = environment()
+    if cores > 1:
+        _once(folder, ("decomposePar", "-force", "-latestTime"), env)
+        command = [
+            "mpirun",
+            "--allow-run-as-root",
+            "--oversubscribe",
+            "-np",
+            str(cores),
+            "simpleFoam",
+            "-parallel",
+        ]
+    else:
+        command = ["simpleFoam"]
+    began = time.monotonic()
+    residuals: dict[str, float] = {}
+    iteration, continuity = done, math.nan
+    with (folder / _LOG).open("a", encoding="utf-8") as log:
+        process = subprocess.Popen(
+            command,
+            cwd=folder,
+            env=env,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+        )
+        assert process.stdout is not None
+        try:
+            for line in process.stdout:
+                log.write(line)
+                if line.startswith("Time = "):
+                    iteration = int(float(line.split()[2]))
+                elif found := _RESIDUAL.search(line):
+                    residuals[found[1]] = float(found[2])
+                elif found := _CONTINUITY.search(line):
+                    continuity = float(found[1])
+                elif line.startswith("ExecutionTime") and progress is not None:
+                    loads = history(folder, last=1)
+                    spent = time.monotonic() - began
+                    left = spent / max(iteration - done, 1) * (end - iteration)
+                    thrust, torque = (loads[-1, 1], loads[-1, 2]) if len(loads) else (math.nan, math.nan)
+                    progress(Progress(iteration, thrust, torque, dict(residuals), continuity, left))
+        except BaseException:
+            process.terminate()
+            process.wait()
+            raise
+        status = process.wait()
+    if status:
+        if iteration > done and "Floating point" in _tail(folder / _LOG):
+            return  # judged as diverged
+        raise MuflyError(
+            f"simpleFoam ended with status {status}: {_first_fault(folder / _LOG)}; see {folder / _LOG}"
+        )
+    if cores > 1:
+        _once(folder, ("reconstructPar", "-latestTime"), env)
+
+
+def _once(folder: Path, command: tuple[str, ...], env: dict[str, str]) -> None:
+    find_solver(command[0])
+    done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, errors="replace")
+    (folder / f"log.{command[0]}").write_text(done.stdout + done.stderr, encoding="utf-8")
+    if done.returncode:
+        raise MuflyError(
+            f"{command[0]} ended with status {done.returncode}; see {folder / f'log.{command[0]}'}"
+        )
+
+
+_RESIDUAL = re.compile(r"Solving for (\w+), Initial residual = ([^,]+),")
+_CONTINUITY = re.compile(r"continuity errors : sum local = ([^,]+),")
+
+
+def _tail(log: Path, size: int = 6000) -> str:
+    data = log.read_bytes()[-size:]
+    return data.decode("utf-8", errors="replace")
+
+
+def _first_fault(log: Path) -> str:
+    lines = _tail(log).splitlines()
+    for i, line in enumerate(lines):
+        if "FOAM FATAL" in line:
+            return " ".join(" ".join(lines[i : i + 3]).split())
+    return next((line.strip() for line in reversed(lines) if line.strip()), "it said nothing")
+
+
+def history(folder: Path, last: int | None = None) -> Array:
+    """Thrust and torque of every iteration.
+
+    Returns
+    -------
+    (iterations, 3) array
+        Iteration, thrust (N) and torque (N m) of the whole rotor. Iterations that a resumed run repeated stand once,
+        as last told.
+    """
+    point = read_point(folder)
+    rows: dict[int, tuple[float, float]] = {}
+    forces = _per_time(folder, "loads", "force.dat", last)
+    moments = _per_time(folder, "loads", "moment.dat", last)
+    for iteration, values in forces.items():
+        if iteration in moments:
+            rows[iteration] = (point.blades * values[2], -point.blades * moments[iteration][2])
+    return np.array([(i, *rows[i]) for i in sorted(rows)]).reshape(-1, 3)
+
+
+def _per_time(folder: Path, what: str, file: str, last: int | None = None) -> dict[int, list[float]]:
+    """Rows that a function object wrote, by iteration; each start of the solver wrote a file of its own."""
+    out: dict[int, list[float]] = {}
+    places = sorted((folder / "postProcessing" / what).glob("*"), key=lambda p: float(p.name))
+    for place in places[-1:] if last else places:
+        for each in sorted(place.glob(f"{Path(file).stem}*{Path(file).suffix}")):
+            with each.open("rb") as f:
+                if last:
+                    f.seek(max(0, f.seek(0, 2) - 600 * last))
+                lines = f.read().decode("utf-8", errors="replace").split("\n")[:-1]
+            for line in lines[1:] if last else lines:
+                if line.startswith("#"):
+                    continue
+                numbers = line.replace("(", " ").replace(")", " ").split()
+                try:
+                    out[int(float(numbers[0]))] = [float(x) for x in numbers[1:]]
+                except (ValueError, IndexError):
+                    continue  # a line cut off in mid-write
+    return out
+
+
+def judge(folder: Path) -> Verdict:
+    """Judge a case by what its run has told so far."""
+    point = read_point(folder)
+    loads = history(folder)
+    flow = _per_time(folder, "flows", "surfaceFieldValue.dat")
+    continuity = _last_continuity(folder / _LOG)
+    outflow = flow[max(flow)][0] if flow else math.nan
+    return judged(loads, outflow, continuity, point)
+
+
+def judged(loads: Array, outflow_m3_s: float, continuity: float, point: Point) -> Verdict:
+    """Judge loads, the flow through the bottom and the solver's continuity error.
+
+    Parameters
+    ----------
+    loads : (iterations, 3) array
+        As :func:`history` returns.
+    outflow_m3_s : float
+        Out of the bottom of the sector.
+    continuity : float
+        What the solver calls ``sum local``: |div| of the fluxes, averaged over volume, times its step of 1 s.
+    point : Point
+    """
+    count = int(loads[-1, 0]) if len(loads) else 0
+    if not len(loads):
+        return Verdict(False, "not begun", 0, math.nan, math.nan, math.nan, math.nan, outflow_m3_s, math.nan)
+    window = loads[-WINDOW:]
+    mean = window[:, 1:].mean(axis=0)
+    size = np.maximum(np.abs(mean), 1e-300)
+    # A thrust that no blade of that size gives: c_T 1 and more.
+    area = math.pi * point.radius_m**2
+    most = point.density_kg_m3 * area * (point.speed_rad_s * point.radius_m) ** 2
+    x = window[:, 0] - window[:, 0].mean()
+    leak = continuity
+    if not np.all(np.isfinite(loads[-20:, 1:])) or np.max(np.abs(loads[-20:, 1])) > most:
+        nan = math.nan
+        return Verdict(False, "diverged", count, float(mean[0]), float(mean[1]), nan, nan, outflow_m3_s, leak)
+    slope = (x @ (window[:, 1:] - mean)) / max(float(x @ x), 1e-300)
+    drift = np.abs(slope) * max(float(np.ptp(window[:, 0])), 1.0) / size
+    rest = window[:, 1:] - mean - x[:, None] * slope
+    swing = np.ptp(rest, axis=0) / size
+    what = "settled"
+    if count < point.least:
+        what = "not done"
+    elif not outflow_m3_s > 0.0:
+        what = "blown back"
+    elif swing.max() > _SWING:
+        what = "sloshing"
+    elif drift.max() > _DRIFT:
+        what = "plateau"
+    elif not leak < _LEAK:
+        what = "leaking"
+    return Verdict(
+        what == "settled", what, count, float(mean[0]), float(mean[1]), float(drift.max()), float(swing.max()),
+        float(outflow_m3_s), float(leak),
+    )  # fmt: skip
+
+
+def _last_continuity(log: Path) -> float:
+    if not log.is_file():
+        return math.nan
+    found = _CONTINUITY.findall(_tail(log))
+    return float(found[-1]) if found else math.nan

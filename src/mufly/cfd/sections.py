@@ -1,0 +1,391 @@
+"""Sections of a blade's mesh: quadrilaterals around, and inside, an aerofoil.
+
+A section lies across the blade (x against the motion of the blade, z up, lengths in m). It has three parts::
+
+    tensor   NX x NZ quadrilaterals of the whole section, less a centre block of n x m
+    ring     between the centre block's edge and the aerofoil, 2 (n + m) x L quadrilaterals, crowded to the wall
+    core     the n x m quadrilaterals inside the aerofoil's contour; where there is a blade they are left out
+
+The contour has four sides as the core has: n cells along the upper side, m across the tail, n along the lower side, m
+around the nose. All sections have the same quadrilaterals, so that a mesh is a stack of sections.
+
+The ring's lines are cubic curves (Hermite): they leave the wall along its normal and arrive on the straight line.
+On an edge with given sizes h0 and h1 of the first and last cell, points lie as in M. Vinokur, *On one-dimensional
+stretching functions for finite-difference calculations*, J. Comput. Phys. 50 (1983) 215.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from mufly.errors import InputError
+from mufly.rotor import Airfoil, load_airfoil
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+NOSE = 0.02
+"""Length of the contour (chords) on either side that the core's side at the nose takes."""
+THINNEST_TAIL = 0.006
+"""Trailing edge over chord: a thinner one is opened to this (0.12 mm of 20 mm): it can be made and meshed."""
+
+
+@dataclass(frozen=True)
+class Counts:
+    """Numbers of cells of a mesh.
+
+    Attributes
+    ----------
+    along, across : int
+        Along each side of the aerofoil (even); around its nose and across its tail (even).
+    ring : int
+        From the aerofoil to the edge of the centre block.
+    side, above, below : int
+        From there to the left and right, the top and the bottom.
+    gap, blade, beyond : int
+        Spanwise: axis to root, root to tip, beyond the tip.
+    outer : int
+        From there, and from left and right, to the outer cylinder.
+    wall : float
+        First cell on the blade, over the chord.
+    tip : float
+        Spanwise size of the first cell at the tip, over the radius.
+    """
+
+    along: int
+    across: int
+    ring: int
+    side: int
+    above: int
+    below: int
+    gap: int
+    blade: int
+    beyond: int
+    outer: int
+    wall: float
+    tip: float
+
+
+def stretched(cells: int, first: float, last: float) -> Array:
+    """Points on 0..1 with given sizes of the first and the last cell (Vinokur, 1983).
+
+    Returns
+    -------
+    (cells + 1,) array
+    """
+    t = np.linspace(0.0, 1.0, cells + 1)
+    a, b = math.sqrt(last / first), 1.0 / (cells * math.sqrt(first * last))
+    if b > 1.0 + 1e-6:
+        d = brentq(lambda d: math.sinh(d) / d - b, 1e-6, 60.0)
+        u = 0.5 * (1.0 + np.tanh(d * (t - 0.5)) / math.tanh(0.5 * d))
+    elif b < 1.0 - 1e-6:
+        d = brentq(lambda d: math.sin(d) / d - b, 1e-6, math.pi - 1e-6)
+        u = 0.5 * (1.0 + np.tan(d * (t - 0.5)) / math.tan(0.5 * d))
+    else:
+        u = t * (1.0 + 2.0 * (b - 1.0) * (t - 0.5) * (1.0 - t))
+    return u / (a + (1.0 - a) * u)
+
+
+def grown(cells: int, first: float) -> Array:
+    """Points on 0..1 whose cells grow by one ratio from the given first size; (cells + 1,) array."""
+    if first * cells >= 1.0 - 1e-9:
+        return np.linspace(0.0, 1.0, cells + 1)
+    ratio = brentq(lambda q: first * (q**cells - 1.0) / (q - 1.0) - 1.0, 1.0 + 1e-9, 1e3)
+    return np.asarray((ratio ** np.arange(cells + 1) - 1.0) / (ratio**cells - 1.0), dtype=np.float64)
+
+
+def contour(airfoil: Airfoil, counts: Counts) -> Array:
+    """The contour's points as the ring meets them.
+
+    Returns
+    -------
+    (2 (along + across), 2) array
+        Over chord; from the upper corner of the nose over the upper side to the tail, down the tail, along the lower
+        side to the nose and up around it.
+
+    Raises
+    ------
+    InputError
+        If the contour is too short for its nose.
+    """
+    n, m = counts.along, counts.across
+    points = airfoil.coordinates
+    nose = int(np.argmin(points[:, 0]))
+    upper, lower = points[: nose + 1][::-1].copy(), points[nose:].copy()
+    missing = max(0.0, THINNEST_TAIL - float(np.linalg.norm(upper[-1] - lower[-1])))
+    for side, sign in ((upper, 0.5), (lower, -0.5)):
+        side[:, 1] += sign * missing * np.clip(side[:, 0], 0.0, 1.0)
+    whole = np.concatenate((upper[::-1], lower[1:]))
+    s = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(whole, axis=0), axis=1))))
+    if not len(upper) > 4 < len(lower):
+        raise InputError(airfoil.name, "", "has too few points at the nose", "give 20 points a side at least")
+    from scipy.interpolate import PchipInterpolator
+
+    # A contour of few points is drawn through by monotone cubics over the arc length, which do not overshoot.
+    curve = PchipInterpolator(s, whole)
+    at_nose = s[nose]
+    tail = float(np.linalg.norm(whole[0] - whole[-1])) / m
+    front = 2.0 * NOSE / m
+    up, low = at_nose - NOSE, s[-1] - at_nose - NOSE
+    top = at_nose - NOSE - up * stretched(n, front / up, min(tail / up, 0.5 / n))
+    bottom = at_nose + NOSE + low * stretched(n, front / low, min(tail / low, 0.5 / n))
+    base = whole[0] + np.linspace(0.0, 1.0, m + 1)[:, None] * (whole[-1] - whole[0])
+    arc = curve(np.linspace(at_nose + NOSE, at_nose - NOSE, m + 1))
+    return np.concatenate((curve(top)[:-1], base[:-1], curve(bottom)[::-1][:-1], arc[:-1]))
+
+
+class Layout:
+    """Which points a section has and which quadrilaterals they make: the same for every section of a mesh.
+
+    Points are numbered: the tensor's (without those inside the centre block), the ring's layers from the outside in
+    (the first is the tensor's own), the core's inside.
+    """
+
+    def __init__(self, counts: Counts) -> None:
+        self.counts = c = counts
+        self.nx, self.nz = c.along + 2 * c.side, c.across + c.above + c.below
+        i, j = np.meshgrid(np.arange(self.nx + 1), np.arange(self.nz + 1), indexing="ij")
+        inside = (
+            (i > c.side) & (i < c.side + c.along) & (j > c.below) & (j < c.below + c.across)
+        )  # fmt: skip
+        self.tensor = np.full(i.shape, -1, dtype=np.int64)
+        self.tensor[~inside] = np.arange(int((~inside).sum()))
+        around = np.array(self._around())
+        edge = self.tensor[c.side + around[:, 0], c.below + around[:, 1]]
+        first = int((~inside).sum())
+        layers = first + np.arange(c.ring * len(edge)).reshape(c.ring, len(edge))
+        self.ring = np.concatenate((edge[None], layers))
+        self.core = np.full((c.along + 1, c.across + 1), -1, dtype=np.int64)
+        self.core[around[:, 0], around[:, 1]] = self.ring[-1]
+        last = int(self.ring[-1, -1]) + 1
+        free = self.core < 0
+        self.core[free] = last + np.arange(int(free.sum()))
+        self.points = last + int(free.sum())
+
+    def _around(self) -> list[tuple[int, int]]:
+        """Indices of the core's edge in the order of :func:`contour`."""
+        n, m = self.counts.along, self.counts.across
+        return (
+            [(i, m) for i in range(n)]
+            + [(n, j) for j in range(m, 0, -1)]
+            + [(i, 0) for i in range(n, 0, -1)]
+            + [(0, j) for j in range(m)]
+        )
+
+    @cached_property
+    def outside(self) -> Index:
+        """Quadrilaterals of tensor and ring, (q, 4), anticlockwise in (x, z)."""
+        c = self.counts
+        t = self.tensor
+        quads = np.stack((t[:-1, :-1], t[1:, :-1], t[1:, 1:], t[:-1, 1:]), axis=-1)
+        keep = np.ones(quads.shape[:2], dtype=bool)
+        keep[c.side : c.side + c.along, c.below : c.below + c.across] = False
+        r = np.concatenate((self.ring, self.ring[:, :1]), axis=1)
+        # The ring runs clockwise and inwards.
+        ring = np.stack((r[:-1, :-1], r[1:, :-1], r[1:, 1:], r[:-1, 1:]), axis=-1)
+        return np.concatenate((quads[keep], ring.reshape(-1, 4)))
+
+    @cached_property
+    def inside(self) -> Index:
+        """Quadrilaterals of the core, (n m, 4), anticlockwise."""
+        k = self.core
+        return np.stack((k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:]), axis=-1).reshape(-1, 4)
+
+
+def transfinite(edge: Array, along: int, across: int) -> Array:
+    """Fill a four-sided loop, in the order of :func:`contour`, by transfinite interpolation.
+
+    Returns
+    -------
+    (along + 1, across + 1, 2) array
+    """
+    n, m = along, across
+    closed = np.concatenate((edge, edge[:1]))
+    top, right = closed[: n + 1], closed[n : n + m + 1][::-1]
+    bottom, left = closed[n + m : 2 * n + m + 1][::-1], closed[2 * n + m :]
+    # The lines follow the edges' own spacing: the mean of the two opposite ones.
+    u = 0.5 * (_fraction(top) + _fraction(bottom))[:, None, None]
+    v = 0.5 * (_fraction(left) + _fraction(right))[None, :, None]
+    return (
+        (1 - v) * bottom[:, None] + v * top[:, None] + (1 - u) * left[None] + u * right[None]
+        - (1 - u) * (1 - v) * bottom[0] - u * (1 - v) * bottom[-1] - (1 - u) * v * top[0] - u * v * top[-1]
+    )  # fmt: skip
+
+
+def _fraction(line: Array) -> Array:
+    s = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))))
+    return s / s[-1]
+
+
+def _turned(points: Array, angle: float) -> Array:
+    """Nose up about the origin: x aft, z up."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.stack(
+        (c * points[..., 0] + s * points[..., 1], -s * points[..., 0] + c * points[..., 1]), axis=-1
+    )
+
+
+@dataclass(frozen=True)
+class Box:
+    """Limits of the sections (m): half width, top, bottom (below 0)."""
+
+    half_m: float
+    top_m: float
+    bottom_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """One section.
+
+    Attributes
+    ----------
+    loop : (2 (n + m), 2) array
+        Contour over chord, the quarter chord at (0, 0).
+    chord_m, angle_rad : float
+        Chord; its angle to the disc, nose up.
+    plain : float
+        0 at the blade; 1 on the axis, where the section is its own mirror image and nothing is crowded.
+    plain_m, hole : float
+        Half width of the centre block there, and the part of it that the core takes.
+    relaxed : float
+        0 where the ring is crowded to the wall, 1 where it is even.
+    typical_m : float
+        Chord that sizes the cells outside the centre block: one for all sections.
+    """
+
+    loop: Array
+    chord_m: float
+    angle_rad: float
+    plain: float
+    plain_m: float
+    hole: float
+    relaxed: float
+    typical_m: float
+
+
+BESIDE, OVER = 0.40, 0.45
+_SMOOTHED = 6
+"""Margin of the centre block before nose and behind tail, and its half height, in chords."""
+
+
+def section(layout: Layout, shape: Shape, box: Box) -> Array:
+    """Coordinates of a section's points.
+
+    Returns
+    -------
+    (points, 2) array
+        x and z (m).
+    """
+    k, c, g = layout.counts, shape.chord_m, shape.plain
+    n, m = k.along, k.across
+    # The contour, and the centre block before it is turned: blade, and plain (its own mirror image in x).
+    loop = _turned(c * shape.loop, shape.angle_rad)
+    half, high = shape.plain_m, 0.5 * shape.plain_m
+    plain = _rectangle(-shape.hole * half, shape.hole * half, -0.35 * high, 0.35 * high, n, m)
+    loop = (1 - g) * loop + g * plain
+    low, right = -(0.25 + BESIDE) * c, (0.75 + BESIDE) * c
+    even = np.linspace(0.0, 1.0, n + 1)
+    crowd = np.concatenate((shape.loop[:n, 0], shape.loop[n : n + 1, 0]))
+    crowd = (crowd - crowd[0]) / (crowd[-1] - crowd[0])
+    spread = (1 - g) * (0.65 * even + 0.35 * crowd) + g * even
+    x_in = (1 - g) * (low + (right - low) * spread) + g * half * (2 * even - 1)
+    tall = (1 - g) * OVER * c + g * high
+    z_in = tall * np.linspace(-1.0, 1.0, m + 1)
+    # Lines of the tensor.
+    wide_l, wide_r = box.half_m + x_in[0], box.half_m - x_in[-1]
+    up, down = box.top_m - tall, -tall - box.bottom_m
+    aside, above, below = _outwards(k, shape.typical_m, box)
+    x = np.concatenate((x_in[0] - wide_l * aside[::-1], x_in[1:-1], x_in[-1] + wide_r * aside))
+    z = np.concatenate((-tall - down * below[::-1], z_in[1:-1], tall + up * above))
+    grid = np.stack(np.meshgrid(x, z, indexing="ij"), axis=-1)
+    # The centre block is turned with the blade; what surrounds it follows, less with distance.
+    near = np.stack((np.clip(grid[..., 0], x_in[0], x_in[-1]), np.clip(grid[..., 1], -tall, tall)), axis=-1)
+    away = np.abs(grid - near)
+    reach_x = np.where(grid[..., 0] < 0, wide_l, wide_r)
+    reach_z = np.where(grid[..., 1] < 0, min(4.0 * c + tall, down), min(4.0 * c + tall, up))
+    follow = _fading(away[..., 0] / reach_x) * _fading(away[..., 1] / reach_z)
+    grid = grid + follow[..., None] * (_turned(near, (1 - g) * shape.angle_rad) - near)
+
+    out = np.full((layout.points, 2), np.nan)
+    on = layout.tensor >= 0
+    out[layout.tensor[on]] = grid[on]
+    out[layout.ring] = _ring(loop, out[layout.ring[0]], shape, k)
+    core = transfinite(loop, n, m)
+    out[layout.core] = core
+    return out
+
+
+def _outwards(k: Counts, chord_m: float, box: Box) -> tuple[Array, Array, Array]:
+    """Lines from the centre block to the sides, the top and the bottom, 0..1: the same for all sections.
+
+    Where the chord changes, lines of its own would slant the cells far away from it.
+    """
+    wide = box.half_m - (0.75 + BESIDE) * chord_m
+    step = min(max((1 + 2 * BESIDE) * chord_m / k.along, 0.02 * wide), 0.9 * wide / k.side)
+    dz, high = 2 * OVER * chord_m / k.across, OVER * chord_m
+    return (
+        grown(k.side, step / wide),
+        grown(k.above, dz / (box.top_m - high)),
+        grown(k.below, dz / (-box.bottom_m - high)),
+    )
+
+
+def _rectangle(x0: float, x1: float, z0: float, z1: float, n: int, m: int) -> Array:
+    u, v = np.linspace(0, 1, n + 1)[:-1], np.linspace(0, 1, m + 1)[:-1]
+    x = np.concatenate((x0 + u * (x1 - x0), np.full(m, x1), x1 - u * (x1 - x0), np.full(m, x0)))
+    z = np.concatenate((np.full(n, z1), z1 - v * (z1 - z0), np.full(n, z0), z0 + v * (z1 - z0)))
+    return np.stack((x, z), axis=-1)
+
+
+def _fading(t: Array) -> Array:
+    u = np.clip(t, 0.0, 1.0)
+    return (1.0 - u) ** 2 * (1.0 + 2.0 * u)
+
+
+def _ring(loop: Array, edge: Array, shape: Shape, counts: Counts) -> Array:
+    """The ring's layers, (ring + 1, 2 (n + m), 2), from the centre block's edge to the contour."""
+    before, after = np.roll(loop, 1, axis=0), np.roll(loop, -1, axis=0)
+    # The loop runs clockwise: its outward normal is the tangent turned to the left. Corners take the mean of both.
+    tangents = [b / np.linalg.norm(b, axis=1, keepdims=True) for b in (loop - before, after - loop)]
+    tangent = tangents[0] + tangents[1]
+    normal = np.stack((-tangent[:, 1], tangent[:, 0]), axis=-1)
+    # At the tail's corners neighbouring lines would part at 45 degrees; they turn there over a few points instead.
+    for _ in range(_SMOOTHED):
+        normal = 0.25 * np.roll(normal, 1, axis=0) + 0.5 * normal + 0.25 * np.roll(normal, -1, axis=0)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    across = edge - loop
+    far = np.linalg.norm(across, axis=1, keepdims=True)
+    first = counts.wall * shape.chord_m / (OVER * shape.chord_m)
+    t = (1 - shape.relaxed) * grown(counts.ring, first) + shape.relaxed * np.linspace(0, 1, counts.ring + 1)
+    t = t[::-1, None, None]
+    leave, arrive = far * normal, across
+    return (
+        (2 * t**3 - 3 * t**2 + 1) * loop
+        + (t**3 - 2 * t**2 + t) * leave
+        + (3 * t**2 - 2 * t**3) * edge
+        + (t**3 - t**2) * arrive
+    )
+
+
+def thickness_check(airfoil_name: str) -> Any:
+    """The airfoil, if it has a contour.
+
+    Raises
+    ------
+    InputError
+        If it is a table of coefficients.
+    """
+    if airfoil_name.lower().endswith(".csv"):
+        raise InputError(
+            airfoil_name, "", "is a table of coefficients, without a contour to mesh",
+            "give the rotor an airfoil by name or as a .dat file",
+        )  # fmt: skip
+    return load_airfoil(airfoil_name)

@@ -1,0 +1,1 @@
+"""``mufly cfd``: the air around a rotor, by a Navier-Stokes solver."""

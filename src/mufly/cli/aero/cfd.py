@@ -1,0 +1,385 @@
+"""``mufly cfd``: meshes of rotors, OpenFOAM cases, their runs and what they say."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from mufly.cli.options import (
+    Commands,
+    JsonOption,
+    OutOption,
+    RotorArgument,
+    angle,
+    argument,
+    one_of,
+    option,
+    turning,
+)
+from mufly.cli.present import answer, console, print_table, save_picture, show_lines, write_csv
+
+if TYPE_CHECKING:
+    from mufly.cfd import Progress, Solution
+    from mufly.rotor import Rotor
+
+app = Commands(
+    help="Navier-Stokes answers for a rotor in hover or climb, by OpenFOAM; what stands and what not: docs/cfd.md.",
+    no_args_is_help=True,
+)
+
+PitchOption = Annotated[str, option("ANGLE", "Pitch setting: 12, 12deg or 0.2rad.")]
+MeshOption = Annotated[
+    str,
+    option(
+        "--mesh LEVEL", "'coarse', 'medium' or 'fine': 60, 135, 364 thousand cells; 'tiny' to try things."
+    ),
+]
+TurbulenceOption = Annotated[str, option("--model NAME", "'laminar', 'k-epsilon', 'sst' or 'k-omega'.")]
+CaseOption = Annotated[
+    Path, option("--out DIR", "The case: its folder; a run that was stopped goes on there.")
+]
+
+
+@app.command()
+def mesh(
+    rotor: RotorArgument = "naca0012-r60-c20",
+    pitch: PitchOption = "12",
+    level: MeshOption = "medium",
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Mesh a rotor's sector and say how good the mesh is.
+
+    With --out, OpenFOAM's constant/polyMesh and a picture are written there.
+    Example: mufly cfd mesh naca0012-r60-c20 --pitch 12 --out case
+    """
+    from mufly.cfd import LEVELS, blade_mesh, mesh_picture, poly_mesh, quality, write_poly_mesh
+    from mufly.cli.present import writing
+    from mufly.rotor import load_rotor
+
+    one_of("--mesh", level, LEVELS)
+    found = poly_mesh(blade_mesh(load_rotor(rotor), angle("--pitch", pitch), level=level))
+    good, files = quality(found), []
+    if out is not None:
+        with writing(out):
+            files.append(write_poly_mesh(found, out))
+        files.append(save_picture(mesh_picture(found), out, "mesh"))
+
+    def show() -> None:
+        show_lines(
+            good,
+            ["cells", "non_orthogonality_deg", "mean_non_orthogonality_deg", "severe", "skewness", "smallest_volume_m3",
+             "aspect_ratio", ("verdict", "good" if good.good else "not good: a solver may fail on it")],
+            title=f"{rotor}, {level} mesh",
+        )  # fmt: skip
+
+    answer(as_json, lambda: {"rotor": rotor, "level": level, "good": good.good, "quality": good}, show, files)
+
+
+@app.command()
+def run(
+    rotor: RotorArgument = "naca0012-r60-c20",
+    pitch: PitchOption = "12",
+    rpm: Annotated[float, option("RPM", "Rotor speed.")] = 5000.0,
+    climb: Annotated[float, option("M/S", "Axial speed, positive in climb.", min=0.0)] = 0.0,
+    density: Annotated[float, option("KG/M3", "Density of the air.")] = 1.2,
+    model: TurbulenceOption = "laminar",
+    level: MeshOption = "medium",
+    out: CaseOption = Path("case"),
+    save_only: Annotated[bool, option("--save-only", "Write the case and do not run it.")] = False,
+    cores: Annotated[int, option("N", "Processes of the solver.", min=1, max=256)] = 1,
+    as_json: JsonOption = False,
+) -> None:
+    """Solve one operating point: mesh, run, judge, loads along the blade, pictures.
+
+    What was stopped or killed goes on when the same command is given again. The case is an ordinary one of OpenFOAM:
+    its Allrun runs it without mufly.
+    Example: mufly cfd run naca0012-r60-c20 --pitch 12 --rpm 5000 --mesh coarse --out case
+    """
+    from mufly.cfd import LEVELS, MODELS, find_solver, run_case, save_case
+    from mufly.rotor import Air, load_rotor
+
+    one_of("--model", model, MODELS)
+    one_of("--mesh", level, LEVELS)
+    r, air = load_rotor(rotor), Air(density_kg_m3=density)
+    theta, speed = angle("--pitch", pitch), turning("--rpm", rpm)
+    if not save_only:
+        find_solver()
+    good = save_case(
+        out,
+        r,
+        pitch_rad=theta,
+        speed_rad_s=speed,
+        climb_m_s=climb,
+        air=air,
+        model=model,
+        level=level,
+        cores=cores,
+    )
+    if save_only:
+        answer(as_json, lambda: {"quality": good}, lambda: None, [out])
+        return
+    with _telling(not as_json) as tell:
+        run_case(out, cores=cores, progress=tell)
+    _tell(out, r, as_json)
+
+
+@contextmanager
+def _telling(shown: bool) -> Iterator[Callable[[Progress], None] | None]:
+    """Tell on standard error how far the solver is."""
+    if not shown:
+        yield None
+        return
+    with console(stderr=True).status("solver starts") as status:
+
+        def tell(p: Progress) -> None:
+            worst = max(p.residuals.values(), default=math.nan)
+            status.update(
+                f"iteration {p.iteration}: thrust {p.thrust_N:.4g} N, torque {1e3 * p.torque_Nm:.4g} mN m, residual "
+                f"{worst:.1e}, {p.seconds_left:.0f} s left of this stretch"
+            )
+
+        yield tell
+
+
+@app.command()
+def sweep(
+    rotor: RotorArgument = "naca0012-r60-c20",
+    pitch: PitchOption = "12",
+    rpm: Annotated[str, option("--rpm RPM,RPM", "Rotor speeds, best from low to high.")] = "5000,6000,7000",
+    density: Annotated[float, option("KG/M3", "Density of the air.")] = 1.2,
+    model: TurbulenceOption = "laminar",
+    level: MeshOption = "medium",
+    out: Annotated[
+        Path, option("--out DIR", "A folder for each speed in it; what is solved there is kept.")
+    ] = Path("sweep"),
+    cores: Annotated[int, option("N", "Processes of the solver.", min=1, max=256)] = 1,
+    as_json: JsonOption = False,
+) -> None:
+    """Solve several speeds, each but the first started from its neighbour's solution, scaled.
+
+    Example: mufly cfd sweep naca0012-r60-c20 --pitch 12 --rpm 5000,6000,7000 --mesh coarse --out sweep
+    """
+    from mufly.cfd import LEVELS, MODELS, find_solver
+    from mufly.cfd import sweep as sweep_speeds
+    from mufly.errors import InputError
+    from mufly.rotor import Air, load_rotor
+    from mufly.units import RPM
+
+    one_of("--model", model, MODELS)
+    one_of("--mesh", level, LEVELS)
+    try:
+        speeds = [turning("--rpm", float(text)) for text in rpm.split(",")]
+    except ValueError:
+        raise InputError(
+            "--rpm", "", f"{rpm!r} is no list of speeds", "write for example 5000,6000,7000"
+        ) from None
+    find_solver()
+    with _telling(not as_json) as tell:
+        found = sweep_speeds(
+            out, load_rotor(rotor), speeds, cores=cores, progress=tell, pitch_rad=angle("--pitch", pitch),
+            air=Air(density_kg_m3=density), model=model, level=level,
+        )  # fmt: skip
+    heads = ("rpm", "thrust_N", "torque_Nm", "c_T", "c_Q", "figure_of_merit", "verdict")
+    rows = [
+        (
+            s.point.speed_rad_s / RPM,
+            s.verdict.thrust_N,
+            s.verdict.torque_Nm,
+            s.c_T,
+            s.c_Q,
+            s.figure_of_merit,
+            s.verdict.what,
+        )
+        for s in found
+    ]
+    files = [write_csv(out / "sweep.csv", heads, rows)]
+
+    def show() -> None:
+        texts = [(*(f"{x:.4g}" for x in row[:-1]), str(row[-1])) for row in rows]
+        print_table(
+            ("rpm", "thrust (N)", "torque (N m)", "c_T", "c_Q", "figure of merit", "verdict"),
+            texts,
+            text=(6,),
+        )
+
+    answer(as_json, lambda: {"points": [dict(zip(heads, row, strict=True)) for row in rows]}, show, files)
+
+
+@app.command()
+def show(
+    case: Annotated[Path, argument("DIR", "A case that `mufly cfd run` wrote.")],
+    rotor: Annotated[
+        str | None,
+        option("--rotor NAME|FILE", "The rotor, to lay other methods' loads beside; default: by its name."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Say what a case's last state is worth: verdict, loads, y+, beside blade elements and wake.
+
+    Example: mufly cfd show case
+    """
+    from mufly.cfd import read_point
+    from mufly.rotor import builtin_rotors, load_rotor
+
+    name = rotor or read_point(case).rotor
+    known = load_rotor(name) if rotor is not None or name in builtin_rotors() else None
+    _tell(case, known, as_json)
+
+
+@app.command()
+def compare(
+    table: Annotated[Path, argument("FILE.csv", "Columns pitch_deg, rpm, T_... (N), Q_... (N m).")],
+    cases: Annotated[list[Path], argument("DIR...", "Cases that `mufly cfd run` wrote.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Lay cases beside a table of measurements and of others' computations.
+
+    Example: mufly cfd compare thesis_table_3_2.csv case-12-5000 case-12-7000
+    """
+    from mufly.cfd import compare as lay_beside
+    from mufly.units import RPM
+
+    found = lay_beside(table, cases)
+
+    def show() -> None:
+        parts = (
+            ("Thrust (N)", [(c.verdict.thrust_N, c.thrust) for c in found]),
+            ("Torque (mN m)", [(1e3 * c.verdict.torque_Nm, c.torque) for c in found]),
+        )
+        for title, values in parts:
+            names = list(values[0][1])
+            rows = [
+                (
+                    Path(c.case).name,
+                    f"{math.degrees(c.point.pitch_rad):.4g}°, {c.point.speed_rad_s / RPM:.0f}",
+                    c.verdict.what,
+                    f"{ours:.4g}",
+                    *(f"{100 * beside[n]:+.1f} %" if n in beside else "" for n in names),
+                )
+                for c, (ours, beside) in zip(found, values, strict=True)
+            ]
+            heads = ("case", "pitch, rpm", "verdict", "ours", *(f"against {n}" for n in names))
+            print_table(heads, rows, title=title, text=(0, 1, 2))
+
+    answer(as_json, lambda: {"cases": [vars(c) | {"point": vars(c.point)} for c in found]}, show)
+
+
+@app.command("convergence")
+def convergence_of(
+    cases: Annotated[list[Path], argument("DIR DIR DIR", "Settled cases of one point on three meshes.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Observed order and grid convergence index of three meshes (Celik and others, 2008).
+
+    Example: mufly cfd convergence case-coarse case-medium case-fine
+    """
+    from mufly.cfd import mesh_study
+
+    found = mesh_study(cases)
+
+    def show() -> None:
+        rows = [
+            (c.name, *(f"{v:.5g}" for v in c.values[::-1]), f"{100 * c.last_step:+.2g} %", f"{c.order:.2f}",
+             f"{c.limit:.5g}", f"{100 * c.index:.2g} %", "" if c.sound else "not to be relied on")
+            for c in found
+        ]  # fmt: skip
+        names = [f"{n} cells" for n in found[0].cells[::-1]]
+        print_table(("", *names, "last step", "order", "limit", "index", ""), rows, text=(0, 8))
+
+    answer(as_json, lambda: {c.name: c for c in found}, show)
+
+
+def _tell(folder: Path, rotor: Rotor | None, as_json: bool) -> None:
+    """Print a solution, and write its tables and pictures into the case."""
+    from mufly.cfd import (
+        history,
+        history_picture,
+        loads_picture,
+        pressure_picture,
+        read_poly_mesh,
+        read_solution,
+    )
+
+    found = poly = None
+    poly = read_poly_mesh(folder)
+    found = read_solution(folder, poly)
+    others = [] if rotor is None else _others(rotor, found)
+    place = folder / "results"
+    past = history(folder)
+    files = [
+        write_csv(place / "history.csv", ("iteration", "thrust_N", "torque_Nm"), past),
+        write_csv(
+            place / "loads.csv", ("r_m", "dr_m", "thrust_N_m", "torque_Nm_m"),
+            zip(found.r_m, found.dr_m, found.thrust_N_m, found.torque_Nm_m, strict=True),
+        ),
+        save_picture(loads_picture(found, others), place, "loads"),
+        save_picture(pressure_picture(poly, found), place, "pressure"),
+        save_picture(history_picture(past), place, "history"),
+    ]  # fmt: skip
+
+    def content() -> dict[str, Any]:
+        import numpy as np
+
+        kept = ("thrust_N", "torque_Nm", "power_W", "c_T", "c_Q", "figure_of_merit", "friction_torque", "r_m", "dr_m",
+                "thrust_N_m", "torque_Nm_m")  # fmt: skip
+        return {
+            "point": vars(found.point), "verdict": found.verdict, **{k: getattr(found, k) for k in kept},
+            "yplus_largest": float(found.yplus.max()), "yplus_median": float(np.median(found.yplus)),
+            "beside": {o.method: {"thrust_N": o.thrust_N, "torque_Nm": o.torque_Nm} for o in others},
+        }  # fmt: skip
+
+    answer(as_json, content, lambda: _show(found, others), files)
+
+
+def _others(rotor: Rotor, found: Solution) -> list[Any]:
+    """Blade elements and the wake at the same point."""
+    from mufly.cfd import beside
+    from mufly.errors import MuflyError
+    from mufly.rotor import Condition, System, prepare, solve
+
+    p = found.point
+    system = System.single(prepare(rotor))
+    condition = Condition(p.pitch_rad, p.speed_rad_s, None, p.climb_m_s, p.air)
+    out = []
+    for method in ("bemt", "wake"):
+        try:
+            result = solve(system, condition, method)
+        except MuflyError:
+            continue
+        if result.converged:
+            out.append(beside(result.rotors[0], method))
+    return out
+
+
+def _show(found: Solution, others: list[Any]) -> None:
+    import numpy as np
+
+    from mufly.units import RPM
+
+    p, v = found.point, found.verdict
+    c = console()
+    c.print(
+        f"[bold]{p.rotor}[/bold]  {math.degrees(p.pitch_rad):.4g}°, {p.speed_rad_s / RPM:.0f} rpm, {p.model}, "
+        f"{p.level} mesh, {v.iterations} iterations: {v.what}",
+        highlight=False,
+    )
+    rows = [("cfd", f"{v.thrust_N:.4f}", f"{1e3 * v.torque_Nm:.4f}", "", "")]
+    rows += [
+        (o.method, f"{o.thrust_N:.4f}", f"{1e3 * o.torque_Nm:.4f}", f"{100 * (v.thrust_N / o.thrust_N - 1):+.1f} %",
+         f"{100 * (v.torque_Nm / o.torque_Nm - 1):+.1f} %")
+        for o in others
+    ]  # fmt: skip
+    print_table(("", "thrust (N)", "torque (mN m)", "cfd against it: thrust", "torque"), rows)
+    c.print(
+        f"Drift {100 * v.drift:.2g} % and swing {100 * v.swing:.2g} % in the last 200 iterations, outflow "
+        f"{1e3 * v.outflow_m3_s:.3g} l/s at the bottom, continuity {v.leak:.1e}; friction is "
+        f"{100 * found.friction_torque:.0f} % of the torque; y+ up to {found.yplus.max():.2g}, median "
+        f"{np.median(found.yplus):.2g}; figure of merit {found.figure_of_merit:.3f}",
+        highlight=False,
+    )
+    if not v.settled:
+        c.print(f"Not settled ({v.what}): do not rely on these numbers.", style="yellow", highlight=False)

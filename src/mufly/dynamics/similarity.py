@@ -1,0 +1,295 @@
+"""A vehicle of another mass and size, by similarity with one that is known: where a design of one's own starts.
+
+With the mass ratio ``mu``, the length ratio ``la`` and the same air, the rotors are taken to be of the same shape, so
+that their coefficients stay. Own derivation; ``w`` is the ratio of the rotor speeds in hover, ``P`` that of the powers:
+
+================================================  =========================================================
+thrust = weight: c_T rho pi R^4 Omega^2           w = sqrt(mu) / la^2
+power: c_Q rho pi R^5 Omega^3                     P = mu^1.5 / la (ideal power, weight^1.5 / R)
+lengths, areas                                    la, la^2
+inertias, of fuselage and rotors                  mu la^2 (the rotors keep their share of the mass)
+bar: J over its damping rho Omega c l^4           T w = mu / la^3 (the inverse of Lock's number)
+drag of the downwash on the fuselage              mu (disc loading mu / la^2 times area la^2)
+rotor's inertia as the motor sees it, gear i      J i^2 stays (eq. 4.29; the motor's own is little of it)
+legs: pressed in by the weight as far as size     stiffness mu / la, damping mu / sqrt(la): half of critical
+================================================  =========================================================
+
+A motor of which nothing is known is the known one wound for the new voltage ``U`` and power: kE w / U, kM w / U and
+R P / U^2 stay. Of one that is known by its speed constant, kE = kM = 60 / (2 pi KV); its friction comes from the
+current without load or, where that is not known, is the known motor's share of the electrical damping kM^2 / R. Its
+gear, if not given, is that which needs the least power (:func:`mufly.drive.best_gear`) with at most 80 % of the half-
+full battery's voltage, so that a fifth is left to steer with; nothing is geared up. The battery holds a hover as long
+as the known one's, the electronics' power included; its cells have the same curve, their resistance goes with 1 /
+capacity.
+
+What similarity does not know: scale effects (thrust per power falls below a Reynolds number of about 30 000), the real
+distribution of mass, vibration. Every number that was not given is marked as a guess.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from mufly.drive import Constants, best_gear
+from mufly.dynamics.linearisation import Trim, trim
+from mufly.dynamics.state import hover_speeds, model_parameters
+from mufly.errors import ArgumentError, MuflyError
+from mufly.tables import validated
+from mufly.vehicle import Vehicle, voltage_range
+
+STEERING_SHARE = 0.8
+"""Of the half-full battery's voltage, what a hover may take at most: the rest is for climbing and for gusts."""
+
+
+def similar_vehicle(
+    known: Vehicle,
+    name: str,
+    *,
+    mass_kg: float,
+    radius_m: float,
+    speed_constant_rad_Vs: float | None = None,
+    resistance_ohm: float | None = None,
+    no_load_current_A: float | None = None,
+    gear_ratio: float | None = None,
+    cells: int | None = None,
+    capacity_As: float | None = None,
+) -> Vehicle:
+    """Return a vehicle of another mass and rotor radius, with what is not given guessed by similarity.
+
+    Parameters
+    ----------
+    known : Vehicle
+        With a lithium-polymer battery of two cells and no coefficient map, as ``mufly-1.1``.
+    name : str
+        Of the new vehicle.
+    mass_kg, radius_m : float
+        Take-off mass; radius of both rotors.
+    speed_constant_rad_Vs, resistance_ohm : float, optional
+        Of one motor: KV and armature resistance. Both or neither.
+    no_load_current_A : float, optional
+        At the nominal voltage; needs the two.
+    gear_ratio : float, optional
+        Motor speed over rotor speed; 1 is direct drive, without losses.
+    cells : int, optional
+        In series.
+    capacity_As : float, optional
+        Charge of the battery.
+
+    Returns
+    -------
+    Vehicle
+        Every number has its source and a note that says how it came about; guesses begin with ``guess:``.
+
+    Raises
+    ------
+    InputError
+        If a number is impossible, or the motor cannot hold a hover; the message says what would help.
+    """
+    k = known
+    for key, value in (
+        ("mass_kg", mass_kg), ("radius_m", radius_m), ("speed_constant_rad_Vs", speed_constant_rad_Vs),
+        ("resistance_ohm", resistance_ohm), ("no_load_current_A", no_load_current_A), ("gear_ratio", gear_ratio),
+        ("capacity_As", capacity_As),
+    ):  # fmt: skip
+        if value is not None and not (math.isfinite(value) and value > 0.0):
+            raise ArgumentError(key, "", f"{value:g} is not possible", "give a number above 0")
+    if cells is not None and not 1 <= cells <= 24:
+        raise ArgumentError("cells", "", f"{cells} is not possible", "give 1 to 24 cells in series")
+    if (speed_constant_rad_Vs is None) != (resistance_ohm is None):
+        missing = "speed_constant_rad_Vs" if speed_constant_rad_Vs is None else "resistance_ohm"
+        raise ArgumentError(missing, "", "is missing", "give a motor's KV and its resistance together")
+    if no_load_current_A is not None and resistance_ohm is None:
+        raise ArgumentError(
+            "speed_constant_rad_Vs",
+            "",
+            "is missing",
+            "a current without load needs the motor's KV and resistance",
+        )
+
+    mu, la = mass_kg / float(k.body.mass), radius_m / float(k.rotors.radius)
+    speed, power = math.sqrt(mu) / la**2, mu**1.5 / la
+    volts = (cells or 2) / 2
+    hover = trim(k, charge=0.5)
+    electronics = float(k.battery.electronics_current) * hover.voltage_V / hover.power_W
+    energy = (1.0 - electronics) * power + electronics
+    charge = energy / volts if capacity_As is None else capacity_As / float(k.battery.capacity)
+
+    tables = k.model_dump(exclude_none=True)
+    tables |= {
+        "name": name,
+        "description": f"guessed from {k.name} by similarity; what was not given is marked",
+    }
+    _rescale(tables, k.name, {
+        "body.inertia_xx": (mu * la**2, "mass times size squared"),
+        "body.inertia_yy": (mu * la**2, "mass times size squared"),
+        "body.inertia_zz": (mu * la**2, "mass times size squared"),
+        "body.downwash_drag": (mu, "share of the weight"),
+        "body.drag_area_x": (la**2, "size squared"),
+        "body.drag_area_y": (la**2, "size squared"),
+        "body.drag_area_z": (la**2, "size squared"),
+        "rotors.inplane_drag": (1.0, "same shape of blade"),
+        "swash_plate.time_constant": (1.0, "follows at once"),
+        "swash_plate.linkage": (1.0, "same linkage"),
+        "swash_plate.max_tilt": (1.0, "same linkage"),
+        "stabiliser_bar.time_constant": (mu / la**3 / speed, "Lock number and rotor speed"),
+        "stabiliser_bar.linkage": (1.0, "same linkage"),
+        "gear.ratio": (1.0, "same gear"),
+        "gear.efficiency": (1.0, "same gear"),
+        "battery.nominal_voltage": (volts, f"{cells or 2} cells"),
+        "battery.open_circuit_voltage": (volts, f"{cells or 2} cells"),
+        "battery.low_voltage": (volts, f"{cells or 2} cells"),
+        "battery.internal_resistance": (volts / charge, "cells over capacity"),
+        "battery.electronics_current": (1.0 / volts, "same power"),
+        "battery.capacity": (charge, "holds a hover as long"),
+        "contact.legs": (la, "size"),
+        "contact.stiffness": (mu / la, "pressed in as far as size"),
+        "contact.damping": (mu / math.sqrt(la), "half of critical in heave"),
+        "contact.friction": (1.0, "same feet"),
+        "contact.slip_speed": (1.0, "same feet"),
+        "range_ring.first_angle": (1.0, "same ring"),
+        "range_ring.min_range": (1.0, "same ring"),
+        "range_ring.max_range": (1.0, "same ring"),
+        "motor.back_emf_constant": (volts / speed, "wound for voltage and rotor speed"),
+        "motor.torque_constant": (volts / speed, "wound for voltage and rotor speed"),
+        "motor.resistance": (volts**2 / power, "wound for voltage and power"),
+        "motor.friction": (power / speed**2, "share of the electrical damping"),
+        "air.density": (1.0, "same air"),
+        **{f"rotors.{r}.{key}": rule for r in ("upper", "lower") for key, rule in {
+            "thrust_coefficient": (1.0, "same shape of blade; `mufly coax map` knows better"),
+            "torque_coefficient": (1.0, "same shape of blade; `mufly coax map` knows better"),
+            "hub_z": (la, "size"),
+            "drive_inertia": (mu * la**2, "mass times size squared"),
+            "reaction_inertia": (mu * la**2, "mass times size squared"),
+        }.items()},
+    })  # fmt: skip
+    _sense(tables, k, la)
+    _give(tables, "body.mass", mass_kg)
+    _give(tables, "rotors.radius", radius_m)
+    _give(tables, "battery.capacity", capacity_As)
+    for group in tables.get("mass_budget", {}).values():
+        group |= {"value": group["value"] * mu, "source": "estimated", "note": f"guess: share of {k.name}"}
+    if speed_constant_rad_Vs is not None and resistance_ohm is not None:
+        _motor(tables, k, speed_constant_rad_Vs, resistance_ohm, no_load_current_A)
+    if gear_ratio is not None:
+        _give(tables, "gear.ratio", gear_ratio)
+        _regear(tables, float(k.gear.ratio), gear_ratio)
+    vehicle = validated(Vehicle, tables, name)
+    if gear_ratio is None and speed_constant_rad_Vs is not None:
+        vehicle = _geared(vehicle, tables)
+    _hover(vehicle)
+    return vehicle
+
+
+def _at(tables: dict[str, Any], key: str) -> dict[str, Any]:
+    found: Any = tables
+    for part in key.split("."):
+        found = found[part]
+    assert isinstance(found, dict)
+    return found
+
+
+def _give(tables: dict[str, Any], key: str, value: float | None) -> None:
+    if value is not None:
+        entry = _at(tables, key)
+        entry.pop("std", None)
+        entry |= {"value": value, "source": "specified", "note": "given"}
+
+
+def _rescale(tables: dict[str, Any], known: str, rules: dict[str, tuple[float, str]]) -> None:
+    for key, (factor, why) in rules.items():
+        entry = _at(tables, key)
+        entry |= {"value": _times(entry["value"], factor), "source": "estimated"}
+        entry["note"] = f"guess: {known}'s, by {why}" if factor != 1.0 else f"guess: as {known}, {why}"
+        if "std" in entry:
+            entry["std"] = _times(entry["std"], factor)
+
+
+def _times(value: Any, factor: float) -> Any:
+    """Return a number, or numbers in lists, times a factor; to five digits, which is more than a guess knows."""
+    if isinstance(value, list | tuple):
+        return [_times(v, factor) for v in value]
+    return float(f"{value * factor:.5g}")
+
+
+def _sense(tables: dict[str, Any], known: Vehicle, la: float) -> None:
+    """Leave the sensors as they are but for their places on board."""
+    for sensor in tables.get("sensors", {}).values():
+        for entry in sensor.values():
+            if isinstance(entry, dict) and "source" in entry:
+                entry |= {"source": "estimated", "note": f"guess: as {known.name}"}
+        if "place" in sensor:
+            sensor["place"]["value"] = _times(sensor["place"]["value"], la)
+
+
+def _motor(
+    tables: dict[str, Any], known: Vehicle, speed_constant: float, resistance: float, no_load: float | None
+) -> None:
+    constant = float(f"{1.0 / speed_constant:.5g}")
+    _give(tables, "motor.back_emf_constant", constant)
+    _give(tables, "motor.torque_constant", constant)
+    tables["motor"]["torque_constant"]["note"] = "as the back-EMF constant: given"
+    _give(tables, "motor.resistance", resistance)
+    m, friction = known.motor, tables["motor"]["friction"]
+    if no_load is None:
+        share = float(m.friction) * float(m.resistance) / float(m.torque_constant) ** 2
+        friction |= {"value": _times(share, constant**2 / resistance), "source": "estimated"}
+        friction["note"] = f"guess: {known.name}'s share of the electrical damping"
+        return
+    volts = tables["battery"]["nominal_voltage"]["value"]
+    if no_load * resistance >= volts:
+        raise ArgumentError(
+            "no_load_current_A", "", f"{no_load:g} A through {resistance:g} ohm take all of {volts:g} V",
+            "correct it, or the resistance",
+        )  # fmt: skip
+    turns = (volts - no_load * resistance) / constant
+    _give(tables, "motor.friction", _times(constant * no_load, 1.0 / turns))
+    tables["motor"]["friction"]["note"] = "from the current without load: given"
+
+
+def _regear(tables: dict[str, Any], before: float, ratio: float) -> None:
+    """Let the motors see the rotors through another gear; one of 1 is none and loses nothing."""
+    for rotor in ("upper", "lower"):
+        entry = tables["rotors"][rotor]["drive_inertia"]
+        entry["value"] = _times(entry["value"], (before / ratio) ** 2)
+        entry["note"] += ", and the gear squared"
+    if ratio == 1.0:
+        tables["gear"]["efficiency"] |= {"value": 1.0, "source": "specified", "note": "direct drive"}
+
+
+def _geared(vehicle: Vehicle, tables: dict[str, Any]) -> Vehicle:
+    """Choose the gear with which a hover needs the least power; direct drive where none above 1 needs less."""
+    m, p = vehicle.motor, model_parameters(vehicle)
+    upper, lower = hover_speeds(p)
+    torque = float(p["torque_up"]) * upper**2  # the lower rotor's too: they balance
+    curve = vehicle.battery.open_circuit_voltage
+    available = STEERING_SHARE * float(curve.sample(3)[1])
+    constants = Constants(
+        back_emf_V_s=float(m.back_emf_constant), torque_Nm_A=float(m.torque_constant),
+        resistance_ohm=float(m.resistance), friction_Nm_s=float(m.friction), gear_ratio=1.0,
+        gear_efficiency=float(vehicle.gear.efficiency),
+    )  # fmt: skip
+    ratio = float(best_gear(constants, max(upper, lower), torque, available))
+    if not math.isfinite(ratio):
+        raise _too_weak(vehicle, "no gear lets it hover")
+    note = "guess: the least power in hover" if ratio > 1.0 else "guess: direct drive; gearing up is no use"
+    ratio = _times(max(ratio, 1.0), 1.0)
+    tables["gear"]["ratio"] |= {"value": ratio, "source": "estimated", "note": note}
+    _regear(tables, float(vehicle.gear.ratio), ratio)
+    return validated(Vehicle, tables, vehicle.name)
+
+
+def _hover(vehicle: Vehicle) -> Trim:
+    try:
+        return trim(vehicle, charge=0.5)
+    except MuflyError:
+        pass
+    raise _too_weak(vehicle, "too weak to hover on a half-full battery")
+
+
+def _too_weak(vehicle: Vehicle, what: str) -> ArgumentError:
+    _, full = voltage_range(vehicle.battery)
+    return ArgumentError(
+        "resistance_ohm", "", f"{what} ({full:.3g} V, {1e3 * float(vehicle.body.mass):.4g} g)",
+        "give another gear, a motor of less resistance, more cells, larger rotors or less mass",
+    )  # fmt: skip

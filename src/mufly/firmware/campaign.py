@@ -1,0 +1,88 @@
+"""Many flights for a proof: results are kept in a file as they come, and what is there is not flown again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from mufly.errors import InputError
+from mufly.results import plain
+
+One = TypeVar("One")
+
+_FAULTS = (
+    "", "", "", "sonar.jump=0.3", "sonar.outliers", "ring.outliers", "gyro.outliers", "gyro.jump=0.1",
+    "position.dropout", "position.late", "position.jump=0.3", "pressure.drift", "magnetometer.jump",
+    "rotor_speed.jump", "battery.jump", "accelerometer.clip", "ring.dropout", "sonar.dropout",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Weather:
+    """What a flight of a campaign meets: steady wind and gusts (m/s), and faults of sensors as `--fault` takes them."""
+
+    wind: float
+    gust: float
+    faults: tuple[str, ...]
+
+
+def weather(seed: int) -> Weather:
+    """Draw what a flight meets: wind to 0.5 m/s either way, gusts to 0.3, mostly a fault for three seconds."""
+    rng = np.random.default_rng([19, seed])
+    wind, gust = float(rng.uniform(-0.5, 0.5)), float(rng.uniform(0.0, 0.3))
+    fault = _FAULTS[int(rng.integers(len(_FAULTS)))]
+    at = float(rng.uniform(6.0, 40.0))
+    return Weather(wind, gust, (f"{fault}@{at:.1f}s+3s",) if fault else ())
+
+
+def kept_flights(
+    kind: Callable[..., One], keep: Path | None, asked: Sequence[tuple[str, int]], fly: Callable[[str, int], One],
+    on_flight: Callable[[One], None] | None = None,
+) -> list[One]:  # fmt: skip
+    """Fly what has not been flown yet.
+
+    Parameters
+    ----------
+    kind : callable
+        Makes a result of the fields of a line.
+    keep : path, optional
+        A line of JSON a flight, with its mission as it was asked for; written as they come.
+    asked : sequence of (mission, seed)
+    fly : callable
+        Flies one of them.
+    on_flight : callable, optional
+        Told every result, also of those that are there.
+
+    Raises
+    ------
+    InputError
+        If the file holds something else.
+    """
+    there: dict[tuple[str, int], One] = {}
+    if keep is not None and keep.exists():
+        for number, line in enumerate(keep.read_text(encoding="utf-8").splitlines(), 1):
+            try:
+                row = json.loads(line)
+                name = str(row.pop("asked"))
+                there[name, int(row["seed"])] = kind(**row)
+            except (ValueError, KeyError, TypeError, AttributeError):
+                raise InputError(
+                    str(keep), f"line {number}", "is no result of these flights", "give a new file"
+                ) from None
+    results = []
+    for name, seed in asked:
+        one = there.get((name, seed))
+        if one is None:
+            one = fly(name, seed)
+            if keep is not None:
+                with keep.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps({"asked": name, **plain(one)}) + "\n")
+        results.append(one)
+        if on_flight is not None:
+            on_flight(one)
+    return results

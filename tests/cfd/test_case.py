@@ -1,0 +1,299 @@
+"""Cases: the start, the text, the verdict, the reading of fields; with OpenFOAM, a run and its resumption."""
+
+from __future__ import annotations
+
+import math
+import re
+import shutil
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mufly.cfd import (
+    MODELS,
+    Point,
+    PolyMesh,
+    blade_mesh,
+    compare,
+    find_solver,
+    judged,
+    poly_mesh,
+    read_point,
+    read_solution,
+    run_case,
+    save_case,
+    slipstream,
+    write_case,
+)
+from mufly.cfd.results import read_field
+from mufly.cfd.run import history, times
+from mufly.cfd.start import ring_velocity
+from mufly.cli.options import Theory
+from mufly.cli.rotor import hover
+from mufly.errors import InputError, MuflyError
+from mufly.rotor import load_rotor
+from mufly.units import RPM
+
+POINT = Point(
+    "naca0012-r60-c20", 2, 0.06, math.radians(12), 5000 * RPM, 0.0, "laminar", "tiny", 1.2, 1.81e-5, 2.3
+)  # fmt: skip
+
+
+@cache
+def mesh() -> PolyMesh:
+    return poly_mesh(blade_mesh(load_rotor("naca0012-r60-c20"), math.radians(12), level="tiny"))
+
+
+def test_a_ring_moves_the_air_on_its_axis_as_biot_savart_says() -> None:
+    z = np.linspace(-2.0, 2.0, 9)
+    radial, axial = ring_velocity(np.zeros(9), z, np.ones(9), np.zeros(9), core=0.0)
+    assert np.allclose(axial, 0.5 / (1.0 + z**2) ** 1.5)
+    assert np.allclose(radial, 0.0)
+
+
+def test_the_start_is_the_slipstream_of_momentum_theory() -> None:
+    at = np.array([[0, 0, 0.3], [0, 0, 0.0], [0, 0, -0.35], [0.28, 0, 0.0]])
+    w = slipstream(at, radius_m=0.06, induced_m_s=2.0)[:, 2]
+    assert abs(w[0]) < 0.1
+    assert w[1] == pytest.approx(
+        -2.0, rel=0.12
+    )  # slower on the axis than in the disc's mean, as it contracts
+    assert w[2] == pytest.approx(-4.0, rel=0.03)
+    assert abs(w[3]) < 0.05
+    # No sources: what comes in through a cylinder's side and top leaves through its bottom.
+    turn = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
+    h = np.linspace(-0.1, 0.1, 81)
+    side = np.array([[0.05 * np.cos(t), 0.05 * np.sin(t), z] for t in turn for z in h])
+    u = slipstream(side, radius_m=0.06, induced_m_s=2.0)
+    inward = -(u[:, :2] * side[:, :2]).sum(axis=1).reshape(8, 81).mean(axis=0) / 0.05
+    r = np.linspace(0.0, 0.05, 51)
+    ends = [
+        slipstream(np.column_stack((r, 0 * r, 0 * r + z)), radius_m=0.06, induced_m_s=2.0)[:, 2]
+        for z in (0.1, -0.1)
+    ]
+    flow = [float(np.trapezoid(2 * np.pi * r * w, r)) for w in ends]
+    assert np.trapezoid(inward, h) * 2 * np.pi * 0.05 == pytest.approx(flow[0] - flow[1], rel=0.03)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_case_is_whole_and_its_brackets_close(model: str, tmp_path: Path) -> None:
+    still = (
+        None if model == "laminar" else {"U": np.zeros((mesh().cells, 3))}
+    )  # the start itself is made once
+    write_case(tmp_path, mesh(), replace(POINT, model=model), state=still)
+    assert read_point(tmp_path) == replace(POINT, model=model)
+    for file in [*tmp_path.glob("system/*"), *tmp_path.glob("constant/*Properties"), *tmp_path.glob("0/*")]:
+        text = file.read_bytes().decode("latin-1")
+        if "binary" in text[:200]:
+            continue
+        for a, b in ("{}", "()"):
+            assert text.count(a) == text.count(b), file
+        assert re.search(rf"object\s+{re.escape(file.name.removesuffix('.second'))};", text), file
+        if file.parent.name == "0":
+            for patch in mesh().patches:
+                assert re.search(rf"\b{patch} {{ type \w+;", text), (file, patch)
+    names = {p.name for p in (tmp_path / "0").iterdir()}
+    wanted = {"laminar": set(), "k-epsilon": {"k", "epsilon", "nut"}}.get(model, {"k", "omega", "nut"})
+    assert names == {"U", "p", "phi"} | wanted
+
+
+def test_the_fluxes_of_the_start_leave_no_cell_with_more_than_the_mesh_blurs(tmp_path: Path) -> None:
+    write_case(tmp_path, mesh(), POINT)
+    data = (tmp_path / "0" / "phi").read_bytes()
+    inside = len(mesh().neighbour)
+    begin = data.index(b"(", data.index(b"internalField")) + 1
+    phi = np.frombuffer(data[begin : begin + 8 * inside], dtype="<f8")
+    spin = POINT.speed_rad_s * np.stack((-mesh().face_centres[:, 1], mesh().face_centres[:, 0]), axis=-1)
+    turning = -np.einsum("fi,fi->f", spin, mesh().face_areas[:, :2])[:inside]
+    assert (
+        np.corrcoef(phi, turning)[0, 1] > 0.999
+    )  # relative to the frame, which moves the outer air at 160 m/s
+    own = phi - turning
+    assert (
+        np.max(np.abs(own) / np.linalg.norm(mesh().face_areas[:inside], axis=1)) < 6.0
+    )  # 2 v_h and the rings' cores
+
+
+def loads(count: int, drift: float = 0.0, swing: float = 0.0) -> np.ndarray:
+    i = np.arange(1, count + 1)
+    shape = 1.0 + drift * (i - count) / 200.0 + 0.5 * swing * np.sin(i / 9.0)
+    return np.column_stack((i, 0.15 * shape, 0.0016 * shape))
+
+
+@pytest.mark.parametrize(
+    ("table", "outflow", "leak", "what"),
+    [
+        (loads(900), 0.01, 1e-4, "settled"),
+        (loads(600), 0.01, 1e-4, "not done"),
+        (loads(900, drift=0.01), 0.01, 1e-4, "plateau"),
+        (loads(900, swing=0.05), 0.01, 1e-4, "sloshing"),
+        (loads(900), -0.01, 1e-4, "blown back"),
+        (loads(900), 0.01, 1e-2, "leaking"),
+        (loads(900) * np.array([1.0, 1e6, 1.0]), 0.01, 1e-4, "diverged"),
+        (loads(900) * np.array([1.0, math.nan, 1.0]), 0.01, 1e-4, "diverged"),
+        (loads(900), math.nan, 1e-4, "blown back"),
+        (loads(900), 0.01, math.nan, "leaking"),
+        (np.empty((0, 3)), math.nan, math.nan, "not begun"),
+    ],
+)  # fmt: skip
+def test_a_verdict_names_what_is_wrong(table: np.ndarray, outflow: float, leak: float, what: str) -> None:
+    verdict = judged(table, outflow, leak, POINT)
+    assert verdict.what == what
+    assert verdict.settled == (what == "settled")
+    if what == "settled":
+        assert verdict.thrust_N == pytest.approx(0.15)
+
+
+def solved_by_hand(folder: Path, pressure: np.ndarray, velocity: np.ndarray) -> None:
+    """A case with a made-up state, binary pressure and ASCII velocity."""
+    write_case(folder, mesh(), POINT, state={"U": velocity})
+    place = folder / "7"
+    place.mkdir()
+    head = "/* a long banner */\n" * 60 + "FoamFile { format %s; }\n"
+    n = len(pressure)
+    (place / "p").write_bytes(
+        (head % "binary").encode() + f"internalField nonuniform List<scalar> \n{n}\n(".encode()
+        + pressure.astype("<f8").tobytes() + b")\n;\nboundaryField { }\n"
+    )  # fmt: skip
+    rows = "\n".join(f"({x:.17g} {y:.17g} {z:.17g})" for x, y, z in velocity)
+    (place / "U").write_text(
+        head % "ascii" + f"internalField nonuniform List<vector> \n{n}\n(\n{rows}\n)\n;\n", encoding="utf-8"
+    )
+    (place / "phi").write_bytes(b"")
+
+
+def test_still_air_turning_with_the_blade_puts_nothing_on_it_and_a_gradient_lifts_its_volume(
+    tmp_path: Path,
+) -> None:
+    m = mesh()
+    u = POINT.speed_rad_s * np.column_stack((-m.centres[:, 1], m.centres[:, 0], np.zeros(m.cells)))
+    solved_by_hand(tmp_path, np.full(m.cells, 3.0), u)
+    even = read_solution(tmp_path)
+    assert abs(even.thrust_N) < 1e-9
+    # A cell's centre, further out or in than its face, still moves with the blade: mu Omega at most.
+    assert np.linalg.norm(even.friction_Pa, axis=1).max() < 1.5 * POINT.viscosity_Pa_s * POINT.speed_rad_s
+    # p = -g z lifts the blade by rho g V. A face has its cell's pressure, and the cells of this mesh lie 40 um off a
+    # blade of 1.6 mm mean thickness on either side: 5 % more.
+    shutil.rmtree(tmp_path)
+    solved_by_hand(tmp_path, -9.81 * m.centres[:, 2], u)
+    area, centre = m.face_areas[m.patch("blade")], m.face_centres[m.patch("blade")]
+    volume = -np.einsum("fi,fi->", area, centre) / 3.0
+    assert read_solution(tmp_path).thrust_N == pytest.approx(2 * 1.2 * 9.81 * volume, rel=0.06)
+
+
+def test_a_state_cut_short_or_missing_is_said_in_one_line(tmp_path: Path) -> None:
+    m = mesh()
+    with pytest.raises(InputError, match="no case of mufly cfd"):
+        read_point(tmp_path)
+    solved_by_hand(tmp_path, np.zeros(m.cells), np.zeros((m.cells, 3)))
+    p = tmp_path / "7" / "p"
+    p.write_bytes(p.read_bytes()[:9000])
+    with pytest.raises(InputError, match="cut short"):
+        read_field(p, m.cells)
+    with pytest.raises(InputError, match="cannot be read"):
+        read_field(tmp_path / "8" / "p", m.cells)
+    (tmp_path / "9").mkdir()
+    (tmp_path / "9" / "U").write_bytes(b"")
+    assert times(tmp_path) == [0, 7]  # 9 was cut off in mid-write
+    shutil.rmtree(tmp_path / "7")
+    with pytest.raises(InputError, match="holds no solution"):
+        read_solution(tmp_path)
+
+
+def test_cases_are_laid_beside_the_rows_of_a_table(tmp_path: Path) -> None:
+    write_case(tmp_path, mesh(), POINT, state={"U": np.zeros((mesh().cells, 3))})
+    place = tmp_path / "postProcessing" / "loads" / "0"
+    place.mkdir(parents=True)
+    rows = [(i, 0.0755, -0.00075) for i in range(1, 5)]  # of one of two blades
+    (place / "force.dat").write_text(
+        "# Time\n" + "".join(f"{i}\t(0 0 {t}) (0 0 0) (0 0 0)\n" for i, t, _ in rows)
+    )
+    (place / "moment.dat").write_text(
+        "# Time\n" + "".join(f"{i}\t(0 0 {q}) (0 0 0) (0 0 0)\n" for i, _, q in rows)
+    )
+    table = tmp_path / "table.csv"
+    table.write_text(
+        "# a note\npitch_deg,rpm,T_meas_N,Q_meas_Nm,T_laminar,Q_laminar\n12,5000,0.151,0.0016,0.136,0.00174\n"
+    )
+    (found,) = compare(table, [tmp_path])
+    assert found.thrust == pytest.approx({"meas": 0.0, "laminar": 0.151 / 0.136 - 1})
+    assert found.torque == pytest.approx({"meas": 0.0015 / 0.0016 - 1, "laminar": 0.0015 / 0.00174 - 1})
+    assert found.verdict.what == "not done"
+    table.write_text("pitch_deg,rpm,T_meas_N\n14,5000,0.2\n")
+    with pytest.raises(InputError, match="no row at 12 degrees and 5000 rpm"):
+        compare(table, [tmp_path])
+    table.write_text("pitch_deg,T_meas_N\n14,0.2\n")
+    with pytest.raises(InputError, match="rpm: is missing"):
+        compare(table, [tmp_path])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"model": "les"}, "is unknown"),
+        ({"climb_m_s": -1.0}, "descent"),
+        ({"speed_rad_s": math.nan}, "above 0"),
+    ],
+)
+def test_impossible_points_are_refused(change: dict, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        replace(POINT, **change)
+
+
+def test_without_openfoam_one_line_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(MuflyError, match="apt-get install"):
+        find_solver()
+    with pytest.raises(MuflyError, match="apt-get install"):
+        hover("naca0012-r60-c20", pitch="12", rpm=5000.0, theory=Theory(method="cfd"))
+    with pytest.raises(InputError, match="give --pitch and --rpm"):
+        hover("naca0012-r60-c20", pitch="12", thrust=0.2, theory=Theory(method="cfd"))
+
+
+needs_openfoam = pytest.mark.skipif(
+    shutil.which("simpleFoam") is None, reason="OpenFOAM is not installed (apt-get install openfoam)"
+)
+
+
+@needs_openfoam
+def test_a_run_goes_on_after_it_was_killed_and_our_loads_are_the_solvers(tmp_path: Path) -> None:
+    rotor = load_rotor("naca0012-r60-c20")
+    given = {"pitch_rad": math.radians(12), "speed_rad_s": 5000 * RPM, "level": "tiny"}
+    save_case(tmp_path, rotor, **given)
+
+    class Killed(Exception):
+        pass
+
+    def stop(progress: object) -> None:
+        if progress.iteration >= 20:  # type: ignore[attr-defined]
+            raise Killed
+
+    with pytest.raises(Killed):
+        run_case(tmp_path, progress=stop)
+    assert times(tmp_path) == [0]  # states are written every 40
+    save_case(tmp_path, rotor, **given)
+    verdict = run_case(tmp_path, most=80)
+    assert verdict.what == "not done"
+    assert times(tmp_path)[-1] == 80
+    past = history(tmp_path)
+    assert np.array_equal(past[:, 0], np.arange(1, 81))  # those told twice stand once
+    found = read_solution(tmp_path)
+    assert found.thrust_N == pytest.approx(past[-1, 1], rel=2e-3)
+    assert found.torque_Nm == pytest.approx(past[-1, 2], rel=5e-3)
+    assert found.thrust_N == pytest.approx(float(found.thrust_N_m @ found.dr_m))
+    assert (
+        0.1 < found.thrust_N < 0.3
+    )  # of 0.15 N in the end; a start that throws the air about is far outside
+    with pytest.raises(InputError, match="another point"):
+        save_case(tmp_path, rotor, **{**given, "speed_rad_s": 500.0})
+    # Another speed, from this solution scaled: its first iteration gives the scaled loads, friction's share aside.
+    faster = tmp_path / "faster"
+    save_case(faster, rotor, **{**given, "speed_rad_s": 7000 * RPM}, neighbour=tmp_path)
+    assert read_point(faster).upwind == 0
+    run_case(faster, most=40)
+    assert history(faster)[0, 1] == pytest.approx(found.thrust_N * 1.4**2, rel=0.05)
+    with pytest.raises(InputError, match="differs in speed only"):
+        save_case(tmp_path / "other", rotor, **{**given, "pitch_rad": 0.2}, neighbour=tmp_path)

@@ -1,0 +1,199 @@
+"""Meshes of a rotor's sector: closed, conformal, in OpenFOAM's order, and good enough to solve on."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mufly.cfd import Domain, PolyMesh, blade_mesh, poly_mesh, quality, read_poly_mesh, write_poly_mesh
+from mufly.cfd.mesh import LEVELS
+from mufly.cfd.sections import THINNEST_TAIL, Layout, contour, grown, stretched
+from mufly.errors import InputError
+from mufly.rotor import Rotor, load_airfoil, load_rotor, make_rotor
+
+
+def propeller(blades: int, cutout: float = 0.2) -> Rotor:
+    """Twisted, tapered, cambered, with two airfoils."""
+    return make_rotor(
+        name="propeller", blades=blades, radius_m=0.05, hub_cutout=cutout, r_over_R=[0.15, 0.6, 1.0],
+        chord_m=[0.010, 0.012, 0.004], twist_rad=[0.5, 0.3, 0.15], airfoils=["naca4415", "naca4412", "naca4409"],
+    )  # fmt: skip
+
+
+CASES = {
+    "thesis 12": lambda: (load_rotor("naca0012-r60-c20"), 12.0),
+    "thesis 0": lambda: (load_rotor("naca0012-r60-c20"), 0.0),
+    "thesis 20": lambda: (load_rotor("naca0012-r60-c20"), 20.0),
+    "walkera": lambda: (load_rotor("walkera-5g6"), 14.0),
+    "three blades": lambda: (propeller(3), 5.0),
+    "gurney": lambda: (
+        make_rotor(name="g", radius_m=0.06, chord_m=0.02, airfoils="naca0012+gurney3", hub_cutout=0.15),
+        16.0,
+    ),
+}
+
+
+@cache
+def meshed(name: str) -> PolyMesh:
+    rotor, pitch = CASES[name]()
+    return poly_mesh(blade_mesh(rotor, math.radians(pitch), level="tiny"))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_every_mesh_is_closed_positive_and_smooth(name: str) -> None:
+    mesh = meshed(name)
+    found = quality(mesh)
+    assert found.smallest_volume_m3 > 0.0
+    assert found.open_cells < 1e-12
+    assert found.non_orthogonality_deg < 80.0
+    assert found.skewness < 4.0
+    # The cells fill the sector: a wedge of 2 pi / N, its outer arc in chords, less the blade.
+    rotor, _ = CASES[name]()
+    outer, tall = 5.0 * rotor.radius_m, 10.0 * rotor.radius_m
+    whole = math.pi / rotor.blades * outer**2 * tall
+    assert 0.97 * whole < mesh.volumes.sum() < whole
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_blade_is_one_closed_surface_around_the_right_volume(name: str) -> None:
+    mesh = meshed(name)
+    faces = mesh.faces[mesh.patch("blade")]
+    assert np.allclose(mesh.face_areas[mesh.patch("blade")].sum(axis=0), 0.0, atol=1e-15)
+    edges = np.sort(np.stack((faces, np.roll(faces, -1, axis=1)), axis=-1).reshape(-1, 2), axis=1)
+    _, count = np.unique(edges, axis=0, return_counts=True)
+    assert np.all(count == 2)
+    rotor, _ = CASES[name]()
+    area, centre = mesh.face_areas[mesh.patch("blade")], mesh.face_centres[mesh.patch("blade")]
+    volume = -np.einsum("fi,fi->", area, centre) / 3.0
+    x = np.linspace(float(rotor.hub_cutout), 1.0, 401)
+    sections = rotor.sections(x)
+    unit = []
+    for airfoil in sections.names:
+        p = load_airfoil(airfoil).coordinates
+        tail = max(0.0, THINNEST_TAIL - float(np.linalg.norm(p[0] - p[-1])))
+        a, b = p, np.roll(p, -1, axis=0)
+        unit.append(0.5 * float(np.sum(a[:, 0] * b[:, 1] - b[:, 0] * a[:, 1])) + 0.5 * tail)
+    ratio = (1 - sections.weight) * np.array(unit)[sections.first] + sections.weight * np.array(unit)[
+        sections.second
+    ]
+    exact = np.trapezoid(sections.chord_m**2 * ratio, x * rotor.radius_m)
+    assert volume == pytest.approx(exact, rel=0.03)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_periodic_faces_meet_by_rotation_point_by_point(name: str) -> None:
+    mesh = meshed(name)
+    turn = 2.0 * math.pi / mesh.blades
+    c, s = math.cos(turn), math.sin(turn)
+    left = mesh.points[mesh.faces[mesh.patch("sector_left")]]
+    right = mesh.points[mesh.faces[mesh.patch("sector_right")]] @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+    assert len(left) == len(right) > 0
+    again = right[:, [0, 3, 2, 1]]
+    assert np.max(np.abs(left - again)) < 1e-9 * 0.06
+    a, b = (mesh.face_areas[mesh.patch(f"sector_{n}")] for n in ("left", "right"))
+    assert np.allclose(a, -b @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]), atol=1e-15)
+
+
+def test_faces_are_in_upper_triangular_order_and_leave_their_owner() -> None:
+    mesh = meshed("thesis 12")
+    inside = len(mesh.neighbour)
+    owner = mesh.owner[:inside]
+    assert np.all(owner < mesh.neighbour)
+    assert np.all(np.diff(owner * mesh.cells + mesh.neighbour) > 0)
+    out = np.einsum("fi,fi->f", mesh.face_centres - mesh.centres[mesh.owner], mesh.face_areas)
+    assert np.all(out > 0.0)
+    starts = [mesh.patches[p][0] for p in mesh.patches]
+    assert starts[0] == inside
+    assert sum(n for _, n in mesh.patches.values()) + inside == len(mesh.faces)
+
+
+def test_the_root_cap_and_the_tip_are_where_the_rotor_says() -> None:
+    mesh = meshed("thesis 12")
+    p = mesh.points[mesh.faces[mesh.patch("blade")]].reshape(-1, 3)
+    assert p[:, 1].min() == pytest.approx(0.009, abs=1e-12)
+    assert p[:, 1].max() == pytest.approx(0.060, abs=1e-12)
+    nose, tail = p[np.argmin(p[:, 0])], p[np.argmax(p[:, 0])]
+    assert nose[2] > 0.0 > tail[2]  # nose up, the rotor turning about +z moves the blade to -x
+
+
+def test_levels_are_finer_by_one_factor() -> None:
+    cells = {name: _count(name) for name in ("coarse", "medium", "fine")}
+    assert cells["coarse"] == pytest.approx(57e3, rel=0.1)
+    assert cells["medium"] == pytest.approx(124e3, rel=0.1)
+    assert cells["fine"] == pytest.approx(342e3, rel=0.1)
+
+
+def _count(level: str) -> int:
+    k = LEVELS[level]
+    layout = Layout(k)
+    core, sections = k.along * k.across, k.gap + k.blade + k.beyond
+    wings = 2 * sections * k.outer * layout.nz
+    return (sections + k.outer) * len(layout.outside) + (sections + k.outer - k.blade) * core + wings
+
+
+def test_files_come_back_as_they_were(tmp_path: Path) -> None:
+    mesh = meshed("three blades")
+    write_poly_mesh(mesh, tmp_path)
+    again = read_poly_mesh(tmp_path)
+    for name in ("points", "faces", "owner", "neighbour", "strip", "edges_m"):
+        assert np.array_equal(getattr(mesh, name), getattr(again, name))
+    assert again.patches == mesh.patches
+    assert again.blades == 3
+    points = tmp_path / "constant" / "polyMesh" / "points"
+    points.write_bytes(points.read_bytes()[:5000])
+    with pytest.raises(InputError, match="no whole mesh"):
+        read_poly_mesh(tmp_path)
+
+
+def test_points_on_a_line_have_the_sizes_asked_for() -> None:
+    for first, last in ((0.01, 0.05), (0.2, 0.01), (0.05, 0.05)):
+        t = stretched(20, first, last)
+        assert t[0] == 0.0
+        assert t[-1] == pytest.approx(1.0)
+        assert np.all(np.diff(t) > 0)
+        assert np.diff(t)[0] == pytest.approx(first, rel=0.35)
+        assert np.diff(t)[-1] == pytest.approx(last, rel=0.35)
+    t = grown(12, 0.01)
+    ratio = np.diff(t)[1:] / np.diff(t)[:-1]
+    assert np.diff(t)[0] == pytest.approx(0.01)
+    assert np.allclose(ratio, ratio[0])
+
+
+def test_a_contour_keeps_to_its_airfoil_and_has_a_tail() -> None:
+    loop = contour(load_airfoil("naca0012"), LEVELS["medium"])
+    assert len(loop) == 2 * (LEVELS["medium"].along + LEVELS["medium"].across)
+    area = -0.5 * np.sum(loop[:, 0] * np.roll(loop[:, 1], -1) - np.roll(loop[:, 0], -1) * loop[:, 1])
+    assert area == pytest.approx(
+        0.0817 + 0.5 * (THINNEST_TAIL - 0.00252), rel=0.01
+    )  # 0.685 t, and the tail opened
+    assert np.ptp(loop[loop[:, 0] > 0.9999, 1]) == pytest.approx(THINNEST_TAIL, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("rotor", "pitch", "message"),
+    [
+        (lambda: propeller(1), 5.0, "one blade has no periodic sector"),
+        (lambda: propeller(2, 0.02), 5.0, "blades meet at the shaft"),
+        (lambda: propeller(2), 70.0, "give -60 to 60"),
+        (lambda: propeller(2), 55.0, "give at most 75 in all"),
+        (
+            lambda: make_rotor(name="wide", blades=6, radius_m=0.06, chord_m=0.02, airfoils="naca0012"),
+            5.0,
+            "the blades meet at r/R",
+        ),
+    ],
+)  # fmt: skip
+def test_impossible_rotors_are_refused_in_one_line(rotor, pitch: float, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        blade_mesh(rotor(), math.radians(pitch), level="tiny")
+
+
+def test_a_domain_that_cuts_the_blade_is_refused() -> None:
+    with pytest.raises(InputError, match="domain"):
+        Domain(radius=1.0)
+    with pytest.raises(InputError, match="is no level"):
+        blade_mesh(load_rotor("naca0012-r60-c20"), 0.2, level="huge")

@@ -1,0 +1,99 @@
+"""Vehicles of another size: similarity's own checks, and that they hover."""
+
+import numpy as np
+import pytest
+
+from mufly.dynamics import hover_performance, hover_speeds, linearise, model_parameters, similar_vehicle
+from mufly.errors import InputError
+from mufly.units import RPM
+from mufly.vehicle import Vehicle, load_vehicle, parameters
+
+
+@pytest.fixture(scope="module")
+def known() -> Vehicle:
+    return load_vehicle("mufly-1.1")
+
+
+def test_the_same_mass_and_size_are_the_same_vehicle(known: Vehicle) -> None:
+    same = similar_vehicle(known, "same", mass_kg=0.095, radius_m=0.0875)
+    for a, b in zip(parameters(known), parameters(same), strict=True):
+        np.testing.assert_allclose(np.array(b.value), np.array(a.value), rtol=1e-4, err_msg=a.key)
+
+
+@pytest.mark.parametrize(("mass", "radius"), [(0.03, 0.05), (0.3, 0.15), (0.05, 0.03)])
+def test_a_similar_vehicle_hovers_alike(known: Vehicle, mass: float, radius: float) -> None:
+    """Speeds by sqrt(mu) / la^2; inputs, endurance and thrust in hand as those of the known one."""
+    new = similar_vehicle(known, "new", mass_kg=mass, radius_m=radius)
+    speed = np.sqrt(mass / 0.095) / (radius / 0.0875) ** 2
+    ours, theirs = (hover_speeds(model_parameters(v)) for v in (new, known))
+    np.testing.assert_allclose(ours / theirs, speed, rtol=1e-4)
+    a, b = hover_performance(new), hover_performance(known)
+    np.testing.assert_allclose(a.motor_input, b.motor_input, rtol=0.03)
+    assert a.endurance_s == pytest.approx(b.endurance_s, rel=0.1)
+    assert a.thrust_to_weight_half == pytest.approx(b.thrust_to_weight_half, rel=0.08)
+
+
+def test_poles_go_with_similarity(known: Vehicle) -> None:
+    """With mu = la^3 (same density) and the bar as slow in rotor turns, motor poles over rotor speed stay.
+
+    The motor's inertia term J dOmega/dt scales as mu la^2 w, its damping kM kE / R as P / w^2: the ratio pole / w is
+    P / (w^3 mu la^2), which is 1 for every mu and la.
+    """
+    new = similar_vehicle(known, "new", mass_kg=0.095 * 1.5**3, radius_m=0.0875 * 1.5)
+    speed = np.sqrt(1.5**3) / 1.5**2
+    poles = [np.sort(np.linalg.eigvals(linearise(v).heave_yaw.A).real)[:2] for v in (known, new)]
+    np.testing.assert_allclose(poles[1] / poles[0], speed, rtol=0.01)
+    bars = [float(v.stabiliser_bar.time_constant) for v in (known, new)]
+    assert bars[1] / bars[0] == pytest.approx(1.0 / speed, rel=1e-4)
+
+
+def test_a_motor_of_ones_own(known: Vehicle) -> None:
+    kv = 1800 * RPM
+    own = similar_vehicle(
+        known, "own", mass_kg=0.12, radius_m=0.09, speed_constant_rad_Vs=kv, resistance_ohm=0.3,
+        no_load_current_A=0.2, gear_ratio=2.0,
+    )  # fmt: skip
+    m = own.motor
+    assert float(m.back_emf_constant) * kv == pytest.approx(1.0, rel=1e-4)
+    # Without load it draws what was given, at the nominal voltage: kM I = d omega, U - R I = kE omega
+    turns = (float(own.battery.nominal_voltage) - 0.3 * 0.2) / float(m.back_emf_constant)
+    assert float(m.friction) * turns / float(m.torque_constant) == pytest.approx(0.2, rel=1e-3)
+    # The rotor behind a gear of 2 instead of 1.5 is less inertia to the motor, and reacts as before
+    plain = similar_vehicle(known, "plain", mass_kg=0.12, radius_m=0.09)
+    for a, b in ((own.rotors.upper, plain.rotors.upper), (own.rotors.lower, plain.rotors.lower)):
+        assert float(a.drive_inertia) == pytest.approx(float(b.drive_inertia) * 0.75**2, rel=1e-3)
+        assert float(a.reaction_inertia) == float(b.reaction_inertia)
+
+
+def test_the_gear_that_is_chosen_needs_the_least_power(known: Vehicle) -> None:
+    def power(gear: float | None) -> tuple[float, float]:
+        v = similar_vehicle(
+            known, "own", mass_kg=0.12, radius_m=0.09, speed_constant_rad_Vs=3000 * RPM, resistance_ohm=0.2,
+            gear_ratio=gear,
+        )  # fmt: skip
+        return float(v.gear.ratio), hover_performance(v).power_W
+
+    ratio, least = power(None)
+    assert ratio > 1.0
+    assert all(power(ratio * k)[1] > least * 0.9999 for k in (0.85, 1.15))
+
+
+def test_what_cannot_be_is_said(known: Vehicle) -> None:
+    with pytest.raises(InputError, match=r"no gear lets it hover.*less resistance"):
+        similar_vehicle(
+            known, "weak", mass_kg=0.12, radius_m=0.09, speed_constant_rad_Vs=52.0, resistance_ohm=3.0
+        )
+    with pytest.raises(InputError, match="too weak to hover"):
+        similar_vehicle(
+            known,
+            "weak",
+            mass_kg=0.12,
+            radius_m=0.09,
+            speed_constant_rad_Vs=52.0,
+            resistance_ohm=3.0,
+            gear_ratio=1.0,
+        )
+    with pytest.raises(InputError, match="KV and its resistance together"):
+        similar_vehicle(known, "half", mass_kg=0.12, radius_m=0.09, resistance_ohm=0.3)
+    with pytest.raises(InputError, match="radius_m"):
+        similar_vehicle(known, "none", mass_kg=0.12, radius_m=float("nan"))
