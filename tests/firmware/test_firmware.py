@@ -26,7 +26,7 @@ from mufly.firmware import (
     pil,
     sil,
 )
-from mufly.flight.software import Controllers
+from mufly.flight.controllers import Controllers
 from mufly.trigonometry import sine_cosine
 from mufly.vehicle import load_vehicle
 
@@ -88,7 +88,7 @@ def test_exported_code_is_the_law_to_the_last_bit_whatever_is_asked(controller, 
 def test_numbers_that_change_in_flight_change_in_the_exported_code_too(controller) -> None:
     from dataclasses import replace
 
-    from mufly.flight.software import copied
+    from mufly.flight.controllers import copied
 
     gains = copied(controller.position_gains)
     gains["position_gain"] *= 1.3

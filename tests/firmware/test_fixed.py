@@ -17,7 +17,7 @@ from mufly.firmware.checks import missing_tools
 from mufly.firmware.fixed import cascade_loss, fixed_law, whole
 from mufly.firmware.fixed_checks import fly_fixed, pil_fixed
 from mufly.firmware.integer_law import FixedControllers, FixedFirmwareControllers, sine_cosine_fixed
-from mufly.flight.software import Controllers, copied
+from mufly.flight.controllers import Controllers, copied
 from mufly.vehicle import load_vehicle
 
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]

@@ -11,7 +11,8 @@ from mufly.control import FlightController, design
 from mufly.dynamics import quaternion_from_euler
 from mufly.estimate import Estimate
 from mufly.flight import Flight, SetPoint
-from mufly.flight.autopilot import BATTERY_MARGIN_V, SET_POINT_S, STICKS_S, UNUSED_S, not_ready
+from mufly.flight.arming import BATTERY_MARGIN_V, not_ready
+from mufly.flight.autopilot import SET_POINT_S, STICKS_S, UNUSED_S
 from mufly.mission import Mission, load_mission, mission_from
 from mufly.vehicle import Vehicle, load_vehicle
 from mufly.world import World

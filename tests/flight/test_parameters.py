@@ -10,9 +10,9 @@ import pytest
 from mufly.control import FlightController, design
 from mufly.control.implementation import analyse_cascade
 from mufly.dynamics import linearise
-from mufly.flight import Demand, Flight, respond, software
+from mufly.flight import Demand, Flight, controllers, respond
+from mufly.flight.controllers import copied
 from mufly.flight.parameters import DEG, KEPT, TABLE
-from mufly.flight.software import copied
 from mufly.mission import SHARE, mission_from
 from mufly.vehicle import Vehicle, load_vehicle
 
@@ -178,7 +178,7 @@ def test_tuning_on_the_run_makes_no_bump(flight: Flight, name: str, end: str) ->
 
 
 def test_a_gain_that_jumps_would_make_one(flight: Flight, monkeypatch) -> None:
-    monkeypatch.setattr(software, "RETUNE_S", 1e-9)
+    monkeypatch.setattr(controllers, "RETUNE_S", 1e-9)
     assert greatest_steps(flight, "CTL_POS_GAIN", "greatest")[2:].max() > 0.035
 
 

@@ -7,7 +7,7 @@ from matplotlib.image import imread
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from mufly.flight import draw_flight
-from mufly.flight.pictures import STATE_COLOURS, draw_history, draw_position, draw_track
+from mufly.flight.record.pictures import STATE_COLOURS, draw_history, draw_position, draw_track
 from mufly.world import Box, Cylinder, World
 
 WORLD = World((Box((-1.5, 0.9, -0.6), (0.5, 0.6, 1.2), 0.4),), (Cylinder((-1.0, 2.2), 0.25, 1.4, 0.1),))
@@ -54,7 +54,7 @@ def test_the_waypoints_carry_their_numbers(data, flight):
 
 
 def test_obstacles_are_drawn_where_they_stand():
-    from mufly.flight.pictures import _solids
+    from mufly.flight.record.pictures import _solids
 
     box, post = (np.concatenate(faces) for faces in _solids(WORLD))
     half = 0.5 * np.hypot(0.5, 0.6)

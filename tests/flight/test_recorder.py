@@ -19,7 +19,7 @@ from mcap.records import Chunk, MessageIndex
 
 from mufly.errors import InputError, MuflyError
 from mufly.flight import Recorder
-from mufly.flight.recorder import quaternions
+from mufly.flight.record.recorder import quaternions
 from mufly.logs import read_attachments, read_log, read_mcap, read_recording, standard_layout, write_log
 from mufly.world import Box, Cylinder, World
 
@@ -174,7 +174,7 @@ def test_a_killed_program_leaves_all_but_the_last_second(tmp_path):
     program = f"""
         import os, signal
         import numpy as np
-        from mufly.flight.recorder import Recorder
+        from mufly.flight.record.recorder import Recorder
         recorder = Recorder({str(path)!r})
         row = np.zeros(recorder.layout.width)
         for k in range(351):

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from mufly.cli import app
 from mufly.errors import InputError
 from mufly.flight import draw_sensors, fly, listen, reading_errors, write_sensor_logs
-from mufly.flight.sensor_log import SensorLog
+from mufly.flight.record.sensor_log import SensorLog
 from mufly.mission import load_mission
 from mufly.sensors import parse_fault
 from mufly.vehicle import load_vehicle

@@ -11,7 +11,7 @@ from mufly.control import FlightController, design
 from mufly.dynamics import DrydenWind, initial_state, standing_height
 from mufly.estimate import Estimate, IdealEstimator
 from mufly.flight import Actuators, Controllers, FlightSoftware, Plant
-from mufly.flight.software import able
+from mufly.flight.controllers import able
 from mufly.mission import Command, Mission, mission_from
 from mufly.sensors import ideal_sensors
 from mufly.vehicle import Vehicle, load_vehicle

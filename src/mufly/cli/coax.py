@@ -159,7 +159,11 @@ def pair_json(setup: Setup, point: Result, alone: tuple[RotorResult, ...] | None
 def print_pair(setup: Setup, point: Result, alone: tuple[RotorResult, ...] | None) -> None:
     """Print a point as tables."""
     c = console()
-    how = "blade element momentum theory" if not point.wakes else f"{setup.wake.model} wake, {point.message}"
+    methods = {
+        "bemt": "blade element momentum theory",
+        "tubes": "blade elements in the mean wakes as vortex tubes",
+    }
+    how = methods.get(setup.method) or f"{setup.wake.model} wake, {point.message}"
     c.print(
         f"[bold]{setup.rotors[0].name} over {setup.rotors[1].name}[/bold], {1e3 * point.spacing_m:g} mm apart; {how}",
         highlight=False,

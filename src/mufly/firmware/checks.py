@@ -30,7 +30,7 @@ from mufly.firmware.host import Firmware, FirmwareControllers
 from mufly.firmware.onboard import SoftwareBeside, software_beside
 from mufly.firmware.tables import export
 from mufly.flight import fly
-from mufly.flight.software import Actuators, Controllers
+from mufly.flight.controllers import Actuators, Controllers
 from mufly.mission import load_mission
 from mufly.results import result
 from mufly.sensors import Readings

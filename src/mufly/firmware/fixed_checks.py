@@ -27,7 +27,7 @@ from mufly.firmware.fixed import FixedLaw, fixed_law
 from mufly.firmware.integer_law import FixedFirmwareControllers, export_fixed
 from mufly.firmware.tables import export
 from mufly.flight import fly
-from mufly.flight.software import Controllers
+from mufly.flight.controllers import Controllers
 from mufly.mission import load_mission
 from mufly.results import result
 from mufly.toolchain import compiler

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mufly.control import FlightController
 from mufly.estimate import Estimate
 from mufly.firmware.tables import copy_sources, tables_c, write_tree
-from mufly.flight.software import Actuators, Controllers
+from mufly.flight.controllers import Actuators, Controllers
 from mufly.toolchain import FLAGS, compile_library, compiler, kept_library
 
 _Array = NDArray[np.floating[Any]]
@@ -124,7 +124,7 @@ class Firmware:
 
 
 class FirmwareControllers(Controllers):
-    """:class:`mufly.flight.software.Controllers`, computed by the exported code with its own tables.
+    """:class:`mufly.flight.controllers.Controllers`, computed by the exported code with its own tables.
 
     What :class:`mufly.flight.Flight` takes as ``controllers``.
     """

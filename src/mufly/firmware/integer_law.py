@@ -23,7 +23,7 @@ from mufly.estimate import Estimate
 from mufly.firmware.fixed import ERRORS, FRACTION, FixedLaw, Rows, fixed_law
 from mufly.firmware.host import build, declarations
 from mufly.firmware.tables import comment, copy_fixed
-from mufly.flight.software import Actuators, Controllers
+from mufly.flight.controllers import Actuators, Controllers
 from mufly.toolchain import compiler
 from mufly.version import __version__
 
@@ -199,7 +199,7 @@ def sine_cosine_fixed(angle: int) -> tuple[int, int]:
 
 
 class FixedControllers(Controllers):
-    """:class:`mufly.flight.software.Controllers` in whole numbers, computed by Python.
+    """:class:`mufly.flight.controllers.Controllers` in whole numbers, computed by Python.
 
     Parameters
     ----------

@@ -29,9 +29,9 @@ from mufly.estimate.fitted import KalmanEstimator
 from mufly.estimate.guards import ACTING, CLIPPING
 from mufly.estimate.kernel import TOLD_EVERY
 from mufly.estimate.layout import R_ACCELERATION, R_BATTERY, R_RATES, STARTS
+from mufly.flight.controllers import Actuators
 from mufly.flight.flight import Flight
 from mufly.flight.plant import append_rows, plant_period, touched, true_attitude
-from mufly.flight.software import Actuators
 from mufly.mission import State
 from mufly.sensors import FittedSensors, Imu, Readings, Sensors, Truth
 from mufly.sensors.faults import Faulty

@@ -22,8 +22,9 @@ from mufly.estimate import Check, Estimate
 from mufly.estimate.layout import CHECKED
 from mufly.firmware.host import Firmware, FirmwareControllers
 from mufly.firmware.plan import plan_numbers, plan_of, setup_numbers
+from mufly.flight.controllers import Actuators
 from mufly.flight.oscillation import INPUTS, Oscillation
-from mufly.flight.software import Actuators, FlightSoftware
+from mufly.flight.software import FlightSoftware
 from mufly.flight.trust import sensor_name, told
 from mufly.logs.mcap import Event
 from mufly.mission import NO_SIGNAL, Command, Mission, MissionPlan, MissionState, Reference, State, Words

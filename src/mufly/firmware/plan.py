@@ -7,7 +7,7 @@ from typing import Any
 
 from mufly.control import FlightController
 from mufly.errors import InputError
-from mufly.flight.software import able
+from mufly.flight.controllers import able
 from mufly.mission import Mission, MissionPlan, prepare, slowed
 from mufly.mission.phases import nose_offset
 from mufly.mission.trajectory import Limits

@@ -1,14 +1,14 @@
 """All of it at once: the flight software, the closed loop, the recorder, pictures and numbers of a flight."""
 
 from mufly.flight.autopilot import Autopilot
-from mufly.flight.estimate_pictures import draw_belief, draw_checks, draw_estimate
+from mufly.flight.controllers import Actuators, Controllers
 from mufly.flight.flight import ALIGNED_WITHIN_S, Flight, Progress, fly
 from mufly.flight.parameters import Parameter
-from mufly.flight.pictures import draw_flight
 from mufly.flight.plant import Demand, Plant, respond
-from mufly.flight.recorder import Recorder
-from mufly.flight.sensed import believed, is_sensed, readings_of, replay, truths_of
-from mufly.flight.sensor_log import (
+from mufly.flight.record.estimate_pictures import draw_belief, draw_checks, draw_estimate
+from mufly.flight.record.pictures import draw_flight
+from mufly.flight.record.recorder import Recorder
+from mufly.flight.record.sensor_log import (
     ReadingErrors,
     SensorLog,
     draw_sensors,
@@ -16,9 +16,10 @@ from mufly.flight.sensor_log import (
     reading_errors,
     write_sensor_logs,
 )
-from mufly.flight.software import Actuators, Controllers, FlightSoftware
+from mufly.flight.record.summary import Summary, summarise, summary_rows
+from mufly.flight.sensed import believed, is_sensed, readings_of, replay, truths_of
+from mufly.flight.software import FlightSoftware
 from mufly.flight.state import FlightState
-from mufly.flight.summary import Summary, summarise, summary_rows
 from mufly.logs.mcap import Event, events_of, standard_layout, to_csv
 from mufly.logs.recording import read_attachments, read_recording
 from mufly.mission import Answer, SetPoint

@@ -39,10 +39,11 @@ from mufly.dynamics import (
 from mufly.errors import InputError
 from mufly.estimate import Estimate, Estimator, IdealEstimator, fitted_estimator
 from mufly.flight.autopilot import Autopilot
+from mufly.flight.controllers import Actuators, Controllers
 from mufly.flight.plant import Plant, row_writer
-from mufly.flight.recorder import Recorder
+from mufly.flight.record.recorder import Recorder
 from mufly.flight.sensed import sensed_row_writer
-from mufly.flight.software import Actuators, Computing, Controllers, FlightSoftware
+from mufly.flight.software import Computing, FlightSoftware
 from mufly.flight.state import FlightState
 from mufly.logs.mcap import Event, standard_layout
 from mufly.mission import Mission, MissionEstimate, dump_mission, load_mission, preflight
@@ -94,7 +95,7 @@ class Flight:
     faults : sequence of Fault
         What goes wrong with fitted sensors; :meth:`inject` adds to it in flight.
     controllers : callable, optional
-        Makes what computes the control law, instead of :class:`mufly.flight.software.Controllers`; or a class of
+        Makes what computes the control law, instead of :class:`mufly.flight.controllers.Controllers`; or a class of
         flight software instead of :class:`mufly.flight.software.FlightSoftware`: the exported code, for instance
         (:mod:`mufly.firmware`).
     designed_for : Vehicle, optional

@@ -7,7 +7,7 @@ names (degrees, not radians); inside they stay SI. Three kinds:
   A limit is never above 80 % of what the controllers can follow (:mod:`mufly.mission.check`), so its greatest value
   moves with the controllers'.
 - of the control law (``CTL_``): limits of the reference filters, and the one gain outside of the H-infinity
-  controllers. They are gone over to within half a second (:class:`mufly.flight.software.Controllers`).
+  controllers. They are gone over to within half a second (:class:`mufly.flight.controllers.Controllers`).
 - of the pilot's sticks (``STK_``): what a stick at its end asks for.
 
 Bounds of the control law. The position gain closes a loop: with it between 0.2 and 2 1/s the cascade of both built-in
@@ -24,7 +24,8 @@ from dataclasses import dataclass, replace
 
 from mufly.control import FlightController
 from mufly.errors import InputError
-from mufly.flight.software import FlightSoftware, able, copied
+from mufly.flight.controllers import able, copied
+from mufly.flight.software import FlightSoftware
 from mufly.mission import SHARE, limits_of_file
 from mufly.vehicle import Vehicle
 

@@ -25,8 +25,8 @@ from mufly.dynamics import (
 )
 from mufly.errors import InputError, MuflyError
 from mufly.estimate import IdealEstimator
-from mufly.flight.recorder import Recorder
-from mufly.flight.software import Actuators, Controllers
+from mufly.flight.controllers import Actuators, Controllers
+from mufly.flight.record.recorder import Recorder
 from mufly.sensors import Readings, Truth, ideal_sensors
 from mufly.trigonometry import direction
 from mufly.vehicle import Vehicle

@@ -16,9 +16,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.estimate import Estimate, Estimator
+from mufly.flight.controllers import Actuators
 from mufly.flight.plant import blank_row, common_writer
-from mufly.flight.recorder import Recorder
-from mufly.flight.software import Actuators
+from mufly.flight.record.recorder import Recorder
 from mufly.quantities import CHECKED, STATUSES
 from mufly.sensors import READINGS, Reading, Readings, Truth
 

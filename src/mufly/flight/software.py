@@ -26,24 +26,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Any, cast
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.compiled import boxed, compiled
-from mufly.control import (
-    FlightController,
-    heave_wait,
-    heave_yaw_initial,
-    heave_yaw_step,
-    position_initial,
-    position_step,
-    roll_pitch_initial,
-    roll_pitch_step,
-)
+from mufly.compiled import compiled
+from mufly.control import FlightController
 from mufly.estimate import Estimate, Watch, watch
+from mufly.flight.controllers import Actuators, Controllers, able
 from mufly.flight.oscillation import Oscillation, OscillationWatch, steered
 from mufly.flight.trust import HEIGHT_M, Doubts, Smooth
 from mufly.mission import (
@@ -51,7 +43,6 @@ from mufly.mission import (
     RAMP_DOWN_S,
     SPIN_UP_S,
     Command,
-    Limits,
     Mission,
     MissionState,
     Reference,
@@ -83,35 +74,6 @@ STEP_MOTOR, STEP_SERVO = 0.1, 0.2
 
 _LEARN_S = 1.0
 _VOLTS_S = 0.5  # in which the battery's reading counts while the rotors speed up, on an estimate
-
-
-@dataclass(frozen=True, slots=True)
-class Actuators:
-    """What the flight software sends out.
-
-    Attributes
-    ----------
-    motor_input : (2,) array
-        Upper, lower (0..1).
-    servo_input : (2,) array
-        Servo 1 (positive: nose down), servo 2 (positive: to the right); -1..1.
-    """
-
-    motor_input: _Array
-    servo_input: _Array
-    _joined: list[_Array] = field(default_factory=list, init=False, repr=False, compare=False)
-
-    @classmethod
-    def idle(cls) -> Actuators:
-        """Everything at rest."""
-        return cls(np.zeros(2), np.zeros(2))
-
-    @property
-    def array(self) -> _Array:
-        """The input of the flight model: motor upper, motor lower, servo 1, servo 2."""
-        if not self._joined:  # asked for several times a period
-            self._joined.append(np.concatenate((self.motor_input, self.servo_input)))
-        return self._joined[0]
 
 
 class FlightSoftware:
@@ -460,206 +422,6 @@ def _towards(motor, servo, wanted_motor, wanted_servo):  # type: ignore[no-untyp
         motor + np.minimum(np.maximum(wanted_motor - motor, -STEP_MOTOR), STEP_MOTOR),
         servo + np.minimum(np.maximum(wanted_servo - servo, -STEP_SERVO), STEP_SERVO),
     )
-
-
-# Controllers with their state, from references to actuators
-
-
-HEAVE_YAW_TUNED = (
-    "heave_bandwidth",
-    "heave_acceleration",
-    "heave_speed",
-    "yaw_bandwidth",
-    "yaw_acceleration",
-    "yaw_rate",
-)
-POSITION_TUNED = ("position_gain", "speed_limit", "tilt_limit")
-"""Numbers of the control law that may change in flight: limits, and gains outside of the H-infinity controllers."""
-
-RETUNE_S = 0.5
-"""Time constant with which a changed number is gone over to (s): a step of a gain would be a step of the output."""
-
-
-def able(controller: FlightController) -> Limits:
-    """What the controllers can follow: limits of their reference filters and of the position cascade."""
-    heave_yaw, position = controller.heave_yaw_gains, controller.position_gains
-    speed = float(heave_yaw["heave_speed"])
-    return Limits(
-        speed=float(position["speed_limit"]),
-        climb=speed,
-        descent=speed,
-        acceleration=float(position["tilt_limit"] * position["gravity"]),
-        climb_acceleration=float(heave_yaw["heave_acceleration"]),
-        yaw_rate=float(heave_yaw["yaw_rate"]),
-        yaw_acceleration=float(heave_yaw["yaw_acceleration"]),
-    )
-
-
-class Controllers:
-    """Heave-yaw, roll-pitch and position control of one vehicle, with the states they carry along.
-
-    Parameters
-    ----------
-    design : FlightController
-        From :func:`mufly.control.design`.
-    """
-
-    def __init__(self, design: FlightController) -> None:
-        self._design = self._target = design
-        self._settled = True
-        self._heave_yaw: _Array = np.zeros(0)
-        self._roll_pitch = roll_pitch_initial(design.roll_pitch_gains, np.zeros(4))
-        self._position = position_initial(design.position_gains)
-        self._boxed_of: FlightController | None = None
-        self._boxes: tuple[NDArray[np.void], ...] = ()
-
-    def retune(self, design: FlightController) -> None:
-        """Go over to the numbers of ``design``, which differs from the present one only in those that are tuned."""
-        if self._settled:
-            now = self._design
-            self._design = replace(
-                now,
-                heave_yaw_gains=copied(now.heave_yaw_gains),
-                position_gains=copied(now.position_gains),
-            )
-        self._target, self._settled = design, False
-
-    @property
-    def settled(self) -> bool:
-        """Whether it goes over to no other numbers."""
-        return self._settled
-
-    def _go_over(self) -> None:
-        """One period of going over to the target's numbers."""
-        blend = 1.0 - math.exp(-self._design.period_s / RETUNE_S)
-        far = False
-        for mine, wanted, names in (
-            (self._design.heave_yaw_gains, self._target.heave_yaw_gains, HEAVE_YAW_TUNED),
-            (self._design.position_gains, self._target.position_gains, POSITION_TUNED),
-        ):
-            for name in names:
-                gap = float(wanted[name]) - float(mine[name])
-                mine[name] += blend * gap
-                far = far or abs(gap) > 1e-4 * abs(float(wanted[name]))
-        if not far:
-            self._design, self._settled = self._target, True
-
-    def engage(self, estimate: Estimate, motor_input: _Array) -> None:
-        """Let heave-yaw take over, without a bump, from motors that run at ``motor_input`` (upper, lower)."""
-        self._heave_yaw = heave_yaw_initial(
-            self._design.heave_yaw_gains, _heave_yaw(estimate), motor_input, estimate.battery_voltage
-        )
-
-    def lift_off(self, estimate: Estimate) -> None:
-        """Let roll-pitch and position take over, from neutral servos."""
-        self._roll_pitch = roll_pitch_initial(self._design.roll_pitch_gains, _roll_pitch(estimate))
-        self._position = position_initial(self._design.position_gains)
-
-    def tilt_for(
-        self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array
-    ) -> _Array:
-        """Advance the position cascade by one of its periods.
-
-        Parameters
-        ----------
-        estimate : Estimate
-        position, velocity, acceleration : (3,) array
-            References, N-E-D (m, m/s, m/s2).
-
-        Returns
-        -------
-        (2,) array
-            Roll and pitch to hold (rad).
-        """
-        tilt, self._position = position_step(
-            self._design.position_gains,
-            self._position,
-            position,
-            velocity,
-            acceleration,
-            estimate.position,
-            estimate.velocity,
-            estimate.attitude[2],
-        )
-        return tilt
-
-    def step(self, estimate: Estimate, heave_yaw: _Array, tilt: _Array | None) -> Actuators:
-        """Advance heave-yaw, and roll-pitch unless ``tilt`` is None, by one period.
-
-        Parameters
-        ----------
-        estimate : Estimate
-        heave_yaw : (4,) array
-            References: z (m, down), psi (rad, continuous) and their rates.
-        tilt : (2,) array or None
-            References: roll, pitch (rad). None leaves the servos neutral: on its legs the helicopter cannot tilt,
-            and a controller that tries winds up.
-
-        Returns
-        -------
-        Actuators
-        """
-        if not self._settled:
-            self._go_over()
-        if self._boxed_of is not self._design:
-            self._boxed_of = self._design
-            self._boxes = boxed(self._design.heave_yaw_gains), boxed(self._design.roll_pitch_gains)
-        motor, servo, self._heave_yaw, self._roll_pitch = _law(
-            *self._boxes,
-            self._heave_yaw,
-            self._roll_pitch,
-            heave_yaw,
-            _LEVEL if tilt is None else tilt,
-            tilt is not None,
-            estimate.position,
-            estimate.attitude,
-            estimate.rates,
-            estimate.battery_voltage,
-        )
-        return Actuators(motor, servo)
-
-
-_LEVEL = np.zeros(2)
-
-
-@compiled
-def _law(  # type: ignore[no-untyped-def]
-    heave_yaw_gains,
-    roll_pitch_gains,
-    heave_yaw,
-    roll_pitch,
-    reference,
-    tilt,
-    tilts,
-    position,
-    attitude,
-    rates,
-    voltage,
-):
-    """One period of both controllers in one call: motor and servo inputs, and their states."""
-    servo = np.zeros(2)
-    if tilts:
-        heave_yaw = heave_wait(heave_yaw_gains[0], heave_yaw, position[2])
-        measured = np.array([attitude[0], attitude[1], rates[0], rates[1]])
-        servo, roll_pitch = roll_pitch_step(roll_pitch_gains[0], roll_pitch, tilt, measured)
-    seen = np.array([position[2], attitude[2], rates[2]])
-    motor, heave_yaw = heave_yaw_step(heave_yaw_gains[0], heave_yaw, reference, seen, voltage)
-    return motor, servo, heave_yaw, roll_pitch
-
-
-def copied(record: np.void) -> np.void:
-    """A record of its own with the same numbers, which may be written to."""
-    own = np.zeros((), dtype=record.dtype)  # np.array(record) would share its memory
-    own[...] = record
-    return cast(np.void, own[()])
-
-
-def _heave_yaw(m: Estimate) -> _Array:
-    return np.array([m.position[2], m.attitude[2], m.rates[2]])
-
-
-def _roll_pitch(m: Estimate) -> _Array:
-    return np.array([m.attitude[0], m.attitude[1], m.rates[0], m.rates[1]])
 
 
 Computing = Callable[[FlightController], Controllers] | type[FlightSoftware]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.estimate import Estimate
-from mufly.flight.software import Actuators
+from mufly.flight.controllers import Actuators
 from mufly.mission import Answer, Ask, Mission, may
 from mufly.sensors import Fault, Readings, Truth
 

@@ -30,8 +30,8 @@ from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.estimate import Estimate, consistency
 from mufly.flight.flight import Flight, fly
 from mufly.flight.monte_carlo.variation import Variation
+from mufly.flight.record.summary import Summary, summarise
 from mufly.flight.software import Computing
-from mufly.flight.summary import Summary, summarise
 from mufly.mission import Mission, dump_mission, preflight
 from mufly.results import plain, result
 from mufly.sensors import Truth, parse_fault

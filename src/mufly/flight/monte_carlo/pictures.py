@@ -19,7 +19,7 @@ from scipy.stats import rankdata
 
 from mufly.flight.monte_carlo.campaign import Campaign, Flown
 from mufly.flight.monte_carlo.results import Measure, measures
-from mufly.flight.pictures import BLUE, GREY, STYLE, VERMILION
+from mufly.flight.record.pictures import BLUE, GREY, STYLE, VERMILION
 
 _BINS = 40
 _MOST = 12  # parameters shown

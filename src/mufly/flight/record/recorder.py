@@ -312,7 +312,7 @@ def track_message(time_ns: int, track: NDArray[np.float64]) -> bytes:
 # From rows of numbers to the messages of a chunk.
 #
 # The topics of the layout, the clock and the events are those of every recording (:mod:`mufly.logs.recording`); a
-# flight adds what the 3-D view needs (:mod:`mufly.flight.recorder`).
+# flight adds what the 3-D view needs (:mod:`mufly.flight.record.recorder`).
 
 
 TRACK_POINTS = 400
@@ -426,7 +426,7 @@ class Recorder:
     attachments : mapping, optional
         Texts to carry along, ``{"mission.toml": ..., "vehicle.toml": ...}``.
     scene_view : mapping, optional
-        Keyword arguments of :func:`mufly.flight.recorder.scene_message`: what the 3-D view shows.
+        Keyword arguments of :func:`mufly.flight.record.recorder.scene_message`: what the 3-D view shows.
     start_time_ns : int, optional
         Wall time of the instant 0 (ns since 1970); default now.
     keep : bool

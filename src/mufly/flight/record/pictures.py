@@ -25,7 +25,7 @@ from matplotlib.patches import Patch
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from numpy.typing import ArrayLike, NDArray
 
-from mufly.flight.summary import runs
+from mufly.flight.record.summary import runs
 from mufly.world import World
 
 BLACK, GREY = "#222222", "#8c8c8c"

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Patch
 from numpy.typing import NDArray
 
-from mufly.flight.pictures import (
+from mufly.flight.record.pictures import (
     BLACK,
     BLUE,
     GREEN,
@@ -33,7 +33,7 @@ from mufly.flight.pictures import (
     tint,
     title,
 )
-from mufly.flight.summary import runs
+from mufly.flight.record.summary import runs
 from mufly.flight.trust import sensor_name
 from mufly.quantities import CHECKED, STATUSES
 

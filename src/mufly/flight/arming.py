@@ -1,0 +1,136 @@
+"""May it be armed? What has to be so before the motors may run, each as a sentence with its remedy."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mufly.errors import InputError
+from mufly.estimate import Estimate
+from mufly.flight.trust import checks_of, told
+from mufly.mission import Mission, check_geometry, check_mission
+from mufly.world import World, distance, distances
+
+BATTERY_MARGIN_V = 0.2
+"""Above the voltage that it lands at (V): what a cell gives back in rest is lost in the first seconds of hover."""
+
+LEVEL = math.radians(10.0)
+STILL_M_S, STILL_RAD_S = 0.1, 0.2
+STALE_S = 0.5
+
+
+def not_ready(
+    m: Estimate | None, stale_s: float, low_V: float, world: World, radius_m: float, crashed: str
+) -> list[str]:
+    """Why it cannot be armed; empty if it can.
+
+    Parameters
+    ----------
+    m : Estimate or None
+        The latest, as received.
+    stale_s : float
+        For how long its clock has stood still (s).
+    low_V : float
+        Voltage that it lands at (V).
+    world : World
+        What is known to stand around it.
+    radius_m : float
+        Of its rotors (m).
+    crashed : str
+        What it hit, or "".
+    """
+    if crashed:
+        return [f"crashed ({crashed}); reset it first"]
+    if m is None:
+        return ["nothing is measured yet; wait a moment"]
+    why = []
+    missing = [
+        n for n in ("position", "velocity", "attitude", "rates") if not np.isfinite(getattr(m, n)).all()
+    ]
+    if missing:
+        why.append(f"{' and '.join(missing)} not measured; check the sensors")
+    if stale_s > STALE_S:
+        why.append(f"measurements are {stale_s:.1f} s old; check the link to the sensors")
+    volts = m.battery_voltage
+    if not volts > 0.0 or not math.isfinite(volts):
+        why.append("battery voltage not measured; check its monitor")
+    elif volts < low_V + BATTERY_MARGIN_V:
+        needed = low_V + BATTERY_MARGIN_V
+        why.append(
+            f"battery low: {volts:.2f} V at rest, and it lands at {low_V:.2f} V; charge it to {needed:.2f} V"
+        )
+    if not m.valid and not missing:
+        wrong = [told(c) for c in checks_of(m) if c.status in ("missing", "faulty", "rejected")]
+        because = f" ({'; '.join(wrong)})" if wrong else ""
+        why.append(f"it does not know yet how it stands{because}; let it stand still")
+    if missing:
+        return why
+    tilt = math.degrees(max(abs(float(m.attitude[0])), abs(float(m.attitude[1]))))
+    if tilt > math.degrees(LEVEL):
+        why.append(f"tilted by {tilt:.0f} deg; set it on level ground")
+    if np.linalg.norm(m.velocity) > STILL_M_S or np.abs(m.rates).max() > STILL_RAD_S:
+        why.append("it is being moved; set it down and let it rest")
+    near = place_fault(world, (float(m.position[0]), float(m.position[1]), float(m.position[2])), radius_m)
+    if near:
+        why.append(f"it stands {near}")
+    return why
+
+
+def place_fault(world: World, position: tuple[float, float, float], keep_m: float) -> str:
+    """Words for a place nearer than ``keep_m`` (m) to anything known; "" for a free one."""
+    if world.empty:
+        return ""
+    away, name = distance(world, position)
+    if away >= keep_m:
+        return ""
+    where = f"{away:.2f} m from the {name}" if away >= 0.0 else f"in or beyond the {name}"
+    return f"{where}; keep {keep_m:.2f} m from it"
+
+
+def column_fault(world: World, position: tuple[float, float, float], up_to_m: float, keep_m: float) -> str:
+    """Words for a climb to the height ``up_to_m`` (m) that passes anything known too closely; "" for a free one."""
+    if world.empty:
+        return ""
+    count = max(2, math.ceil((up_to_m + position[2]) / 0.05) + 1)
+    column = np.tile(np.array(position), (count, 1))
+    column[:, 2] = np.linspace(position[2], -up_to_m, count)
+    away, which = distances(world, column)
+    k = int(np.argmin(away))
+    if away[k] >= keep_m:
+        return ""
+    near, name = max(float(away[k]), 0.0), world.names[which[k]]
+    return f"at {-column[k, 2]:.2f} m it would be {near:.2f} m from the {name}; keep {keep_m:.2f} m"
+
+
+def mission_fault(
+    mission: Mission,
+    standing: tuple[float, float],
+    heading: float,
+    *,
+    hover_current_A: float,
+    capacity_Ah: float,
+) -> str:
+    """Why a mission cannot be flown from where the vehicle stands; "" if it can, or if there is none.
+
+    Parameters
+    ----------
+    mission : Mission
+    standing : (2,) tuple
+        N, E (m).
+    heading : float
+        rad.
+    hover_current_A, capacity_Ah : float
+        What hovering takes from the battery, and what it holds.
+    """
+    if not mission.waypoint:
+        return ""
+    heading_deg = math.degrees(math.remainder(heading, math.tau))
+    try:
+        here = mission.with_parts(start_m=standing, start_heading_deg=heading_deg)
+        name = mission.name or "mission"
+        check_geometry(here, name)
+        check_mission(here, hover_current_A=hover_current_A, capacity_Ah=capacity_Ah, where=name)
+    except InputError as error:
+        return str(error)
+    return ""

@@ -1,0 +1,1 @@
+"""What stays of a flight: the recording, its numbers, its pictures."""
