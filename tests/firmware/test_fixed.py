@@ -13,9 +13,9 @@ from mufly.control import design
 from mufly.control.implementation import DiscreteController
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate
-from mufly.firmware.checks import missing_tools
+from mufly.firmware.checks import missing_tools, pil
 from mufly.firmware.fixed import cascade_loss, fixed_law, whole
-from mufly.firmware.fixed_checks import fly_fixed, pil_fixed
+from mufly.firmware.fixed_checks import fly_fixed
 from mufly.firmware.integer_law import FixedControllers, FixedFirmwareControllers, sine_cosine_fixed
 from mufly.flight.controllers import Controllers, copied
 from mufly.vehicle import load_vehicle
@@ -165,7 +165,7 @@ def test_rounded_numbers_are_those_analysed(made) -> None:
 
 @pytest.mark.skipif(bool(missing_tools()) or not COMPILERS, reason=missing_tools() or "no C compiler")
 def test_processors_without_a_floating_unit_compute_the_same() -> None:
-    results = pil_fixed(load_vehicle("mufly-1.1"))
+    results = pil(load_vehicle("mufly-1.1"), fixed_point=True)
     assert [r.machine for r in results] == [
         "mps2-an385 (cortex-m3)", "mps2-an386 (cortex-m4)", "microbit (cortex-m0)"
     ]  # fmt: skip

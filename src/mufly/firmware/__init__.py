@@ -2,7 +2,7 @@
 
 from mufly.firmware.checks import PilResult, SilResult, deepest_stack, missing_tools, pil, sil
 from mufly.firmware.fixed import FixedLaw, FixedLoss, Proof, cascade_loss, fixed_law
-from mufly.firmware.fixed_checks import FixedFlight, fly_fixed, pil_fixed
+from mufly.firmware.fixed_checks import FixedFlight, fly_fixed
 from mufly.firmware.fuzzing import FuzzResult, fuzz, missing_fuzzer, run_fuzzer
 from mufly.firmware.host import Firmware, FirmwareControllers, build
 from mufly.firmware.integer_law import FixedControllers, FixedFirmwareControllers, export_fixed
@@ -37,7 +37,6 @@ __all__ = [
     "missing_fuzzer",
     "missing_tools",
     "pil",
-    "pil_fixed",
     "run_fuzzer",
     "sil",
     "tables_c",

@@ -3,7 +3,7 @@
 Software in the loop (:func:`sil`): a mission is flown by Python's controllers, on sensors by Python's estimator too;
 the exported code gets the same inputs in every period, and its outputs, of the estimator all that it remembers, are
 compared bit by bit. Processor in the loop (:func:`pil`): a self-test of made-up inputs runs on this machine and on
-Cortex-M4 processors emulated by QEMU; both print digests of all outputs so far.
+Cortex-M processors emulated by QEMU; both print digests of all outputs so far.
 Instructions are counted by the processor's own clock, which QEMU advances by a nanosecond an instruction.
 """
 
@@ -14,7 +14,8 @@ import re
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -27,6 +28,7 @@ from mufly.estimate import Estimate, Estimator, KalmanEstimator
 from mufly.estimate.records import PYTHON_ALONE
 from mufly.firmware.campaign import kept_flights, weather
 from mufly.firmware.host import Firmware, FirmwareControllers
+from mufly.firmware.integer_law import export_fixed
 from mufly.firmware.onboard import SoftwareBeside, software_beside
 from mufly.firmware.tables import export
 from mufly.flight import fly
@@ -41,16 +43,64 @@ from mufly.world import Room, World
 
 _Array = NDArray[np.floating[Any]]
 
-MACHINES = {"mps2-an386": 40.0, "netduinoplus2": 1000.0 / 168.0}
-"""Emulated boards with a Cortex-M4, and instructions between two ticks of their clocks (25 and 168 MHz)."""
 
-_M4 = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "-ffreestanding", "-nostdlib")
-SELF_TESTS = {
-    "law": ("selftest", "controllers_"),
-    "flight": ("flight", "software_"),
-    "estimator": ("selftest_estimate", "estimator_"),
-}
-"""Programs of ``check/``, and how the functions are called that they measure."""
+@dataclass(frozen=True)
+class Arithmetic:
+    """How the code of one arithmetic is built, and on which emulated processors its self-tests run.
+
+    Attributes
+    ----------
+    sources : str
+        Its C files in the tree, as a pattern.
+    flags : tuple of str
+        For every compiler.
+    includes : tuple of str
+        Folders of the tree.
+    memory : str
+        RAM of the smallest board, for the linker; all boards do with as much.
+    tests : dict
+        Programs of ``check/``, and how the functions are called that they measure.
+    boards : dict
+        Processor, and instructions between two ticks of the board's clock.
+    """
+
+    sources: str
+    flags: tuple[str, ...]
+    includes: tuple[str, ...]
+    memory: str
+    tests: Mapping[str, tuple[str, str]]
+    boards: Mapping[str, tuple[tuple[str, ...], float]]
+
+
+M4 = ("-mcpu=cortex-m4", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
+FLOATING = Arithmetic(
+    sources="*.c",
+    flags=("-DMUFLY_FLOAT",),
+    includes=(".",),
+    memory="64K",
+    tests={
+        "law": ("selftest", "controllers_"),
+        "flight": ("flight", "software_"),
+        "estimator": ("selftest_estimate", "estimator_"),
+    },
+    boards={"mps2-an386": (M4, 40.0), "netduinoplus2": (M4, 1000.0 / 168.0)},  # 25 and 168 MHz
+)
+"""Single precision, on processors with a floating unit."""
+
+WHOLE_NUMBERS = Arithmetic(
+    sources="fixed/*.c",
+    flags=(),
+    includes=("fixed", "check"),
+    memory="16K",
+    tests={"law": ("selftest_fixed", "fixed_")},
+    boards={
+        "mps2-an385 (cortex-m3)": (("-mcpu=cortex-m3",), 40.0),
+        "mps2-an386 (cortex-m4)": (("-mcpu=cortex-m4",), 40.0),
+        "microbit (cortex-m0)": (("-mcpu=cortex-m0",), 62.5),  # 16 MHz
+    },
+)
+"""The law in whole numbers, on processors without."""
+
 _ROOM = World(room=Room((-1.2, 1.2), (-1.2, 1.2), 3.0))
 """Of the estimator's self-test: all beams of the ring see a wall, which costs most."""
 _TOOLS = {"arm-none-eabi-gcc": "gcc-arm-none-eabi", "qemu-system-arm": "qemu-system-arm"}
@@ -285,8 +335,8 @@ def missing_tools() -> str:
     )
 
 
-def pil(vehicle: Vehicle, *, timeout_s: float = 120.0) -> list[PilResult]:
-    """Run the self-tests of a vehicle's controllers, and of a flight, on emulated Cortex-M4 processors.
+def pil(vehicle: Vehicle, *, fixed_point: bool = False, timeout_s: float = 120.0) -> list[PilResult]:
+    """Run self-tests on emulated Cortex-M processors: of all that flies, or of the law in whole numbers.
 
     Raises
     ------
@@ -296,26 +346,30 @@ def pil(vehicle: Vehicle, *, timeout_s: float = 120.0) -> list[PilResult]:
     absent = missing_tools()
     if absent:
         raise MuflyError(f"processor in the loop: {absent}")
+    how = WHOLE_NUMBERS if fixed_point else FLOATING
     with tempfile.TemporaryDirectory(prefix="mufly-pil-") as temporary:
         folder = Path(temporary) / "fw"
-        export(design(vehicle), folder, vehicle, _ROOM, load_mission("demonstration"))
-        objects_for_m4(folder)
-        flash, ram = size_of(folder)
+        controller = design(vehicle)
+        export(controller, folder, vehicle, _ROOM, load_mission("demonstration"))
+        if fixed_point:
+            export_fixed(controller, folder)
+        objects = {cpu: objects_for(folder, how, cpu) for cpu in {cpu for cpu, _ in how.boards.values()}}
         found = []
-        for what, (test, entry) in SELF_TESTS.items():
-            right = outputs_of(run_program([str(_self_test(folder, test))], timeout_s))
-            elf = _for_m4(folder, test)
-            found += [
-                PilResult(
-                    machine=machine,
-                    what=what,
-                    **emulated(machine, per_tick, elf, right, timeout_s),
-                    flash_bytes=flash,
-                    ram_bytes=ram,
-                    stack_bytes=deepest_stack(folder, entry),
+        for what, (test, entry) in how.tests.items():
+            right = outputs_of(run_program([str(_for_host(folder, how, test))], timeout_s))
+            programs = {cpu: _linked(folder, how, cpu, test) for cpu in objects}
+            for board, (cpu, per_tick) in how.boards.items():
+                flash, ram = size_of(objects[cpu])
+                found.append(
+                    PilResult(
+                        machine=board,
+                        what=what,
+                        **emulated(board.split()[0], per_tick, programs[cpu], right, timeout_s),
+                        flash_bytes=flash,
+                        ram_bytes=ram,
+                        stack_bytes=deepest_stack(objects[cpu], entry),
+                    )
                 )
-                for machine, per_tick in MACHINES.items()
-            ]
         return found
 
 
@@ -366,33 +420,37 @@ def built(command: list[str], folder: Path) -> None:
         raise MuflyError(f"{command[0]} could not build the self-test: {first}")
 
 
-def _sources(folder: Path) -> list[str]:
-    return sorted(p.name for p in folder.glob("*.c"))
+def _compile(folder: Path, how: Arithmetic, cpu: tuple[str, ...], *more: object) -> list[str]:
+    """Return a compiler's command: for the emulated ``cpu``, for this machine where that is empty."""
+    there = ("arm-none-eabi-gcc", *cpu, "-mthumb", "-ffreestanding", "-nostdlib")
+    cc = there if cpu else (compiler(),)
+    return [*cc, *FLAGS, *how.flags, *(f"-I{folder / name}" for name in how.includes), *map(str, more)]
 
 
-def _self_test(folder: Path, test: str) -> Path:
+def _for_host(folder: Path, how: Arithmetic, test: str) -> Path:
     out = folder / test
-    built(
-        [compiler(), *FLAGS, "-DMUFLY_FLOAT", "-I.", *_sources(folder), f"check/{test}.c", "check/platform_host.c",
-         "-o", out.name, "-lm"],
-        folder,
-    )  # fmt: skip
+    parts = (*sorted(folder.glob(how.sources)), f"check/{test}.c", "check/platform_host.c")
+    built(_compile(folder, how, (), *parts, "-o", out, "-lm"), folder)
     return out
 
 
-def objects_for_m4(folder: Path) -> None:
-    flags = [*FLAGS, *_M4, "-DMUFLY_FLOAT", "-fstack-usage", "-fdump-rtl-expand", "-I."]
-    built(["arm-none-eabi-gcc", *flags, "-c", *_sources(folder)], folder)
+def objects_for(folder: Path, how: Arithmetic, cpu: tuple[str, ...]) -> Path:
+    """Compile a tree for a processor; return the folder of objects, with what the compiler says of their stack."""
+    objects = folder / cpu[0].removeprefix("-mcpu=")
+    objects.mkdir()
+    told = ("-fstack-usage", "-fdump-rtl-expand", "-c")
+    built(_compile(folder, how, cpu, *told, *sorted(folder.glob(how.sources))), objects)
+    return objects
 
 
-def _for_m4(folder: Path, test: str) -> Path:
-    objects = sorted(p.name for p in folder.glob("*.o"))
-    built(
-        ["arm-none-eabi-gcc", *FLAGS, *_M4, "-DMUFLY_FLOAT", "-I.", *objects, f"check/{test}.c",
-         "check/platform_cortex_m4.c", "-T", "check/cortex_m4.ld", "-o", f"{test}.elf", "-lgcc"],
-        folder,
-    )  # fmt: skip
-    return folder / f"{test}.elf"
+def _linked(folder: Path, how: Arithmetic, cpu: tuple[str, ...], test: str) -> Path:
+    objects = folder / cpu[0].removeprefix("-mcpu=")
+    script = (folder / "check" / "cortex_m4.ld").read_text().replace("LENGTH = 64K", f"LENGTH = {how.memory}")
+    (objects / "board.ld").write_text(script)
+    out = objects / f"{test}.elf"
+    parts = (*sorted(objects.glob("*.o")), f"check/{test}.c", "check/platform_cortex_m4.c")
+    built(_compile(folder, how, cpu, *parts, "-T", objects / "board.ld", "-o", out, "-lgcc"), folder)
+    return out
 
 
 def size_of(folder: Path) -> tuple[int, int]:

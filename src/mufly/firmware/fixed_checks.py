@@ -1,8 +1,7 @@
-"""Does the law in whole numbers hold what is promised? Flown, and on emulated processors without a floating unit."""
+"""Does the law in whole numbers hold what is promised? Flown beside the one in double precision."""
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
@@ -11,36 +10,14 @@ import numpy as np
 import xarray as xr
 
 from mufly.control import FlightController, design
-from mufly.errors import MuflyError
 from mufly.firmware.campaign import kept_flights
-from mufly.firmware.checks import (
-    PilResult,
-    built,
-    deepest_stack,
-    emulated,
-    missing_tools,
-    outputs_of,
-    run_program,
-    size_of,
-)
 from mufly.firmware.fixed import FixedLaw, fixed_law
-from mufly.firmware.integer_law import FixedFirmwareControllers, export_fixed
-from mufly.firmware.tables import export
+from mufly.firmware.integer_law import FixedFirmwareControllers
 from mufly.flight import fly
 from mufly.flight.controllers import Controllers
 from mufly.mission import load_mission
 from mufly.results import result
-from mufly.toolchain import compiler
 from mufly.vehicle import Vehicle
-
-BOARDS = {
-    "mps2-an385": ("cortex-m3", 40.0),
-    "mps2-an386": ("cortex-m4", 40.0),
-    "microbit": ("cortex-m0", 62.5),
-}
-"""Emulated boards: processor, and instructions between two ticks of their clocks (25, 25 and 16 MHz)."""
-
-_FLAGS = ("-std=c99", "-O2", "-mthumb", "-ffreestanding", "-nostdlib", "-Ifixed", "-Icheck")
 
 
 @result
@@ -126,79 +103,3 @@ def fly_fixed(
 
     asked = [(name, seed) for seed in range(flights) for name in missions]
     return kept_flights(FixedFlight, keep, asked, one, on_flight)
-
-
-def pil_fixed(vehicle: Vehicle, *, timeout_s: float = 120.0) -> list[PilResult]:
-    """Run the self-test of the law in whole numbers on this machine and on :data:`BOARDS`.
-
-    Raises
-    ------
-    MuflyError
-        If a tool is missing, or an emulated processor does not end.
-    """
-    absent = missing_tools()
-    if absent:
-        raise MuflyError(f"processor in the loop: {absent}")
-    with tempfile.TemporaryDirectory(prefix="mufly-pil-") as temporary:
-        folder = Path(temporary) / "fw"
-        controller = design(vehicle)
-        export(controller, folder)
-        export_fixed(controller, folder)
-        sources = sorted(str(p.relative_to(folder)) for p in (folder / "fixed").glob("*.c"))
-        test = "check/selftest_fixed.c"
-        built(
-            [
-                compiler(),
-                "-std=c99",
-                "-O2",
-                "-Ifixed",
-                "-Icheck",
-                *sources,
-                test,
-                "check/platform_host.c",
-                "-o",
-                "selftest",
-            ],
-            folder,
-        )
-        right = outputs_of(run_program([str(folder / "selftest")], timeout_s))
-        # The smallest of the boards has 16 kB; the others do with as much.
-        script = (folder / "check" / "cortex_m4.ld").read_text().replace("LENGTH = 64K", "LENGTH = 16K")
-        (folder / "check" / "small.ld").write_text(script)
-        found = []
-        for machine, (cpu, per_tick) in BOARDS.items():
-            cc = ["arm-none-eabi-gcc", *_FLAGS, f"-mcpu={cpu}"]
-            objects = folder / cpu
-            objects.mkdir()
-            for source in sources:
-                name = Path(source).stem
-                built(
-                    [*cc, "-fstack-usage", "-fdump-rtl-expand", "-c", source, "-o", f"{cpu}/{name}.o",
-                     "-dumpbase", name, "-dumpdir", f"{cpu}/"],
-                    folder,
-                )  # fmt: skip
-            parts = sorted(str(p.relative_to(folder)) for p in objects.glob("*.o"))
-            built(
-                [
-                    *cc,
-                    *parts,
-                    test,
-                    "check/platform_cortex_m4.c",
-                    "-T",
-                    "check/small.ld",
-                    "-o",
-                    f"{cpu}.elf",
-                    "-lgcc",
-                ],
-                folder,
-            )
-            flash, ram = size_of(objects)
-            found.append(
-                PilResult(
-                    what="law",
-                    machine=f"{machine} ({cpu})",
-                    **emulated(machine, per_tick, folder / f"{cpu}.elf", right, timeout_s),
-                    flash_bytes=flash, ram_bytes=ram, stack_bytes=deepest_stack(objects, "fixed_"),
-                )
-            )  # fmt: skip
-    return found

@@ -20,10 +20,10 @@ from typing import Any
 
 from mufly.control import design
 from mufly.errors import MuflyError
-from mufly.firmware.checks import deepest_stack, missing_tools, objects_for_m4, pil, sil, size_of
+from mufly.firmware.checks import FLOATING, M4, deepest_stack, missing_tools, objects_for, pil, sil, size_of
 from mufly.firmware.estimate_tables import estimate_files
 from mufly.firmware.fixed import cascade_loss, fixed_law
-from mufly.firmware.fixed_checks import fly_fixed, pil_fixed
+from mufly.firmware.fixed_checks import fly_fixed
 from mufly.firmware.fuzzing import fuzz, missing_fuzzer, run_fuzzer
 from mufly.firmware.integer_law import export_fixed
 from mufly.firmware.tables import export
@@ -105,7 +105,7 @@ def _emulated(vehicle: Vehicle, out: Path) -> Section:
     if absent:
         raise MuflyError(f"not measured: {absent}")
     boards = [("single precision", r) for r in pil(vehicle)] + [
-        ("whole numbers", r) for r in pil_fixed(vehicle)
+        ("whole numbers", r) for r in pil(vehicle, fixed_point=True)
     ]
     from matplotlib.figure import Figure  # half a second at every start, else
 
@@ -145,8 +145,8 @@ def _memory(vehicle: Vehicle, out: Path) -> Section:
     with tempfile.TemporaryDirectory(prefix="mufly-report-") as temporary:
         folder = Path(temporary) / "fw"
         export(design(vehicle), folder, vehicle)
-        objects_for_m4(folder)
-        flash, _ = size_of(folder)
+        objects = objects_for(folder, FLOATING, M4)
+        flash, _ = size_of(objects)
         (folder / "sizes.c").write_text(
             '#include "software.h"\n#include "estimate.h"\n'
             "software_t software; estimator_t estimator; belief_t belief;\n"
@@ -161,7 +161,7 @@ def _memory(vehicle: Vehicle, out: Path) -> Section:
         ).stdout
         ram = {name: int(size, 16) for size, name in re.findall(r"^\w+ (\w+) [BbDdCc] (\w+)$", said, re.M)}
         stack = {
-            name: deepest_stack(folder, name) for name in ("software_step", "estimator_step", "controllers_")
+            name: deepest_stack(objects, name) for name in ("software_step", "estimator_step", "controllers_")
         }
     rows = [
         ("flash, all of it (bytes)", flash, TARGETS["flash_bytes"]),

@@ -256,7 +256,7 @@ def pil(
     from mufly import firmware
     from mufly.vehicle import load_vehicle
 
-    results = (firmware.pil_fixed if fixed_point else firmware.pil)(load_vehicle(vehicle))
+    results = firmware.pil(load_vehicle(vehicle), fixed_point=fixed_point)
     answer(as_json, lambda: {"processors": results}, lambda: _print_pil(results, fixed_point))
     if not all(r.same for r in results):
         raise typer.Exit(1)
