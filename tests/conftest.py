@@ -27,19 +27,25 @@ MOST_WORKERS = 4  # more begin by compiling the same, and starve those that fly 
 TOGETHER = ("tests/interop",)  # folders whose tests share what is flown for them
 EARLY = (
     # Each of these compiles what many others need: they begin beside each other, not one after the other twice.
-    "tests/estimate/test_kalman.py",
+    "tests/firmware/test_estimate_c.py",
     "tests/cli/test_coax_cli.py",
+    "tests/estimate/test_kalman.py",
     "tests/identify/test_flight_fit.py",
+    "tests/identify/test_plan.py",
     # These take long, most of it waiting for a clock: no process is left alone with them at the end.
     "tests/interop/",
     "tests/station/page/test_browser.py",
     "tests/cli/test_fly_cli.py",
     "tests/link/test_real_time.py",
+    "tests/firmware/test_firmware.py",
     "tests/flight/test_safety.py",
     "tests/identify/",
     "tests/cli/",
+    "tests/firmware/",
     "tests/link/",
     "tests/flight/",
+    "tests/station/",
+    "tests/rotor/",
 )
 """What is begun with where the tests are shared out."""
 

@@ -87,17 +87,24 @@ def test_whatever_is_asked(controller, script, mission, already_flying):
 
     def run(seconds):
         nonlocal armed_before
+        sent, armed, references = [], [], []
         for _ in range(max(1, round(seconds / flight.period_s))):
             flight.tick()
-            sent = flight.sent.array  # what was computed now; it acts a period later
-            assert np.isfinite(sent).all()
-            assert ((sent >= [0.0, 0.0, -1.0, -1.0]) & (sent <= 1.0)).all()
-            armed = autopilot.status.armed
-            if not armed and not armed_before:
-                assert (sent == 0.0).all()
-            armed_before = armed
-            now = flight.status
-            assert np.isfinite([now.reference_position, now.reference_velocity, now.reference_attitude]).all()
+            now = autopilot.status
+            sent.append(flight.sent.array)  # what was computed now; it acts a period later
+            armed.append(now.armed)
+            references.append(
+                np.concatenate(
+                    (now.reference_position, now.reference_velocity, now.reference_attitude), axis=None
+                )
+            )
+        sent, armed = np.array(sent), np.array(armed)
+        assert np.isfinite(sent).all()
+        assert ((sent >= [0.0, 0.0, -1.0, -1.0]) & (sent <= 1.0)).all()
+        assert (sent[~armed & ~np.append(armed_before, armed[:-1])] == 0.0).all()
+        assert np.isfinite(references).all()
+        assert flight.status.battery_left_s >= 0.0
+        armed_before = armed[-1]
 
     run(0.05)
     if already_flying:

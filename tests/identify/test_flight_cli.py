@@ -1,15 +1,13 @@
 """``mufly identify flight`` and ``demo`` as a user runs them."""
 
 import json
-import subprocess
-import sys
 
 import pytest
 from typer.testing import CliRunner
 
 from mufly.cli import app
 from mufly.errors import InputError
-from mufly.identify.flight.demo import demo_flights
+from mufly.identify.flight.demo import demo_flights, run_demo
 from mufly.identify.record import dataset_of
 from mufly.logs import write_log
 from mufly.vehicle import load_vehicle
@@ -90,15 +88,25 @@ def test_degrees_in_a_csv_log_are_said(logs, tmp_path):
         CliRunner().invoke(app, ["identify", "flight", str(path), *OPTIONS], catch_exceptions=False)
 
 
-def test_demo_finds_the_truth_and_says_so():
-    code = "from mufly.cli import main; main()"
-    result = subprocess.run(
-        [sys.executable, "-c", code, "identify", "demo", "--seed", "4", "--json"],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+def test_demo_finds_the_truth_from_rotors_exchanged_and_says_so(monkeypatch):
+    """Before: at twice the noise of yaw and r, inertias off by 2.5 and 0.6, "converged"; also from records at rest."""
+    shown = []
+    monkeypatch.setattr(
+        "mufly.identify.run_demo", lambda **given: shown.append(run_demo(**given)) or shown[-1]
+    )
+    result = run("demo", "--seed", 300, "--moving", "--json")
+    assert result.exit_code == 0, result.output
     found = json.loads(result.stdout)
+    (demo,) = shown
     assert found["converged"]
-    assert len(found["parameters"]) == 12
-    assert sum(p["inside"] for p in found["parameters"]) >= 9
+    assert demo.fit.converged
+    start = {p["symbol"]: p["start"] for p in found["parameters"]}
+    assert len(start) == 12
     assert all(abs(p["start"] / p["truth"] - 1) == pytest.approx(0.5) for p in found["parameters"])
-    assert found["held_out_error_over_noise_floor"] < 1.1
+    assert start["Jdrive_up"] < 1.5 * start["Jdrive_dw"]
+    assert "minima" not in found["message"]
+    assert sum(p["inside"] for p in found["parameters"]) >= 9
+    assert max(abs(p["estimate"] / p["truth"] - 1) for p in found["parameters"]) < 0.05
+    assert found["held_out_error_over_noise_floor"] < 1.05
+    assert demo.fit.records[-1].converged
+    assert demo.fit.records[-1].doubt == ""
