@@ -339,7 +339,7 @@ def judged(loads: Array, outflow_m3_s: float, continuity: float, point: Point) -
     outflow_m3_s : float
         Out of the bottom of the sector.
     continuity : float
-        What the solver calls ``sum local``: |div| of the fluxes, averaged over volume, times its step of 1 s.
+        What the solver calls ``sum local``: divergence of the fluxes, averaged over volume, times its step of 1 s.
     point : Point
     """
     count = int(loads[-1, 0]) if len(loads) else 0

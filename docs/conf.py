@@ -1,0 +1,99 @@
+"""The documents as a site: ``pip install '.[docs]' && sphinx-build -W docs site``. Built offline; nothing is fetched.
+
+Sphinx with MyST and Furo: pages stay the Markdown that they are in the repository, the reference comes from docstrings,
+help texts and schemas (``make_reference.py``), and the lessons are Python files (``learn/``), run as they are built.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE))
+
+import make_reference  # noqa: E402
+
+import mufly  # noqa: E402
+
+project = "mufly"
+author = "The mufly developers"
+copyright = "the mufly developers, BSD-3-Clause"
+version = release = mufly.__version__
+
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
+exclude_patterns = ["*.py", "examples"]
+root_doc = "index"
+
+myst_enable_extensions = ["colon_fence", "deflist"]
+myst_heading_anchors = 4
+myst_number_code_blocks: list[str] = []
+
+# Pictures of the lessons belong into their pages, whatever the one who builds has set for himself.
+os.environ["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"
+nb_custom_formats = {".py": ["jupytext.reads", {"fmt": "py:percent"}]}
+nb_execution_mode = "cache"
+nb_execution_timeout = 300
+nb_execution_raise_on_error = True
+nb_merge_streams = True
+
+autodoc_typehints = "none"
+autodoc_member_order = "groupwise"
+napoleon_google_docstring = False
+napoleon_use_rtype = False
+napoleon_use_ivar = True
+
+# Words such as "name" in a type are no references, and rooms pass their classes on.
+suppress_warnings = ["ref.python"]
+
+html_theme = "furo"
+html_title = f"mufly {release}"
+html_static_path: list[str] = []
+html_theme_options = {"sidebar_hide_name": False}
+
+
+def links_out_of_the_site(app: object, page: str, source: list[str]) -> None:
+    """Sources and examples are not pages of the site: they are named, or handed out."""
+    folder = (HERE / page).parent
+
+    def instead(found: re.Match[str]) -> str:
+        text, target = found[1], found[2]
+        place = (folder / target).resolve()
+        if not place.exists():
+            return found[0]  # the build says so
+        inside = place.relative_to(HERE.parent)
+        if inside.parts[:2] == ("docs", "examples") and place.is_file():
+            return f"{{download}}`{text.strip('`')} <{target}>`"
+        if inside.parts[0] == "docs":
+            return found[0]
+        if inside.as_posix() in INCLUDED:
+            return f"[{text}]({os.path.relpath(HERE / INCLUDED[inside.as_posix()], folder)})"
+        name = f"`{inside.as_posix()}`"
+        return name if text.strip("`") == inside.as_posix() else f"{text} ({name})"
+
+    source[0] = re.sub(
+        r"(?<!!)\[([^\]]+)\]\((?!https?:|#)([^)#\s]+)(?:#[^)]*)?\)",
+        lambda m: instead(m) if not is_page(m[2]) else m[0],
+        source[0],
+    )
+
+
+def is_page(target: str) -> bool:
+    """Whether a link leads to another page of the site."""
+    return target.endswith(".md") and not target.startswith("../")
+
+
+INCLUDED = {
+    "benchmarks/README.md": "benchmarks.md",
+    "CHANGELOG.md": "changelog.md",
+    "CONTRIBUTING.md": "contributing.md",
+}
+
+
+def setup(app: Any) -> None:
+    """Write the reference before the pages are read."""
+    make_reference.write(HERE / "reference")
+    app.connect("source-read", links_out_of_the_site)

@@ -1,0 +1,101 @@
+# %% [markdown]
+# # 2. Design a rotor for your motor
+#
+# Fifteen minutes. A blade is good or bad only together with the motor, gear and battery that turn it. You look at one
+# blade, let its speed settle on a motor, sweep shapes, and let the machine search. From a terminal: `mufly rotor
+# --help`, `mufly drive --help`.
+
+# %%
+import matplotlib.pyplot as plt
+import numpy as np
+
+from mufly.drive import blade_load, load_drive, operating_point
+from mufly.rotor import hover, load_rotor, prepare
+from mufly.study import Setup, blade_picture, lines_picture, optimise, parse_limit, parse_settings, sweep
+
+rotor = load_rotor("naca4412-r60-c20")
+drive = load_drive("mufly")
+print(rotor.description)
+print(drive.name, "gear", float(drive.gear.ratio))
+
+# %% [markdown]
+# ## One blade, one point
+#
+# Blade element momentum theory cuts the blade into rings. In each, the lift of the section and the momentum that it
+# gives to the air have to agree. Sections this small are not those of textbooks: at Re 30 000 drag is several times
+# larger, and a boundary layer that separates early decides everything. The polars come from NeuralFoil, at the
+# Reynolds number of each ring.
+
+# %%
+point = hover(rotor, pitch_rad=np.radians(14.0), speed_rad_s=6000 * np.pi / 30)
+print(
+    f"thrust {1e3 * point.thrust_N:.0f} mN, torque {1e3 * point.torque_Nm:.2f} mN m, power {point.power_W:.2f} W"
+)
+print(
+    f"figure of merit {point.figure_of_merit:.2f}: an ideal rotor of this size would need that share of the power"
+)
+
+# %% [markdown]
+# ## Where motor and blade meet
+#
+# The motor's torque falls with its speed, the blade's grows with the square of it: they settle where both are equal.
+
+# %%
+duty = np.linspace(0.4, 1.0, 13)
+figure, (thrust, efficiency) = plt.subplots(1, 2, figsize=(9, 3.4))
+for pitch_deg in (10, 14, 18):
+    load = blade_load(prepare(rotor), pitch_rad=np.radians(pitch_deg))
+    met = operating_point(drive, load, duty=duty)
+    thrust.plot(duty, 1e3 * met.thrust_N, label=f"{pitch_deg} deg")
+    efficiency.plot(1e3 * met.thrust_N, met.thrust_per_power_N_W)
+thrust.set(xlabel="motor input (share of the voltage)", ylabel="thrust (mN)")
+efficiency.set(xlabel="thrust (mN)", ylabel="thrust per electrical power (N/W)")
+thrust.legend()
+figure.tight_layout()
+
+# %% [markdown]
+# Read the right picture as a designer: at the thrust that you need (half the weight for each of two rotors), which
+# curve is highest? And the left one: is there a reserve above it, to climb and to fight wind?
+#
+# ## Sweep
+#
+# Chord and pitch together, at 0.4 N, with the gear that suits each case.
+
+# %%
+setup = Setup(rotor, drive, {"thrust": 0.4, "gear": "adapted"})
+data = sweep(setup, parse_settings(["chord=10:30:10mm", "pitch=6:20:1deg"]))
+lines_picture(data, "thrust_per_power_N_W")
+
+# %% [markdown]
+# Each chord has its own best pitch; the wider blade is better, and its best pitch higher. That is Fig. 3.28 of the
+# dissertation.
+#
+# ## Search
+#
+# Now everything may change within limits: chord, twist, taper, gear and pitch. Blades thinner than 0.8 mm cannot be
+# printed.
+
+# %%
+start = Setup(rotor, drive, {"thrust": 0.4})
+best = optimise(
+    start, "thrust-per-power", ("chord", "twist", "taper", "gear"),
+    limits=[parse_limit("thickness_mm>=0.8"), parse_limit("chord<=30mm")], generations=15,
+)  # fmt: skip
+print(f"{best.before:.4f} N/W become {best.after:.4f}, at a pitch of {np.degrees(best.pitch_rad):.1f} deg")
+for step in best.steps:
+    print(f"  {step.parameter:8s} to {step.value:.3g} (SI): {100 * step.gain:+.1f} %")
+
+# %%
+blade_picture(best.rotor)
+
+# %% [markdown]
+# An optimum sits where the model is most optimistic. So do not order blades yet: see what
+# [validation](../validation.md) says of the theory (c_T within 11 % on average for rotors of unknown section), and
+# measure one. That is the next lesson.
+#
+# ## Try
+#
+# * Give the drive another motor: `mufly drive show mufly --toml > mine.toml`, change back-EMF and resistance,
+#   `load_drive("mine.toml")`.
+# * Repeat the sweep with `Setup(..., corrections=PLAIN)` from `mufly.rotor`: textbook theory, without the
+#   corrections.

@@ -1,0 +1,73 @@
+# %% [markdown]
+# # 5. Design a controller and break it
+#
+# Fifteen minutes. A design is trusted once you know what it takes to break it. You look at its loops, then add what
+# the design did not know of: delay, another battery, another vehicle.
+
+# %%
+import matplotlib.pyplot as plt
+import numpy as np
+
+from mufly import control, flight
+from mufly.control.plots import draw_loop
+from mufly.firmware import QuickSoftware
+from mufly.flight.monte_carlo import Campaign, Crew, outcome_of, parse_variations, run
+from mufly.mission import load_mission
+from mufly.vehicle import load_vehicle
+
+vehicle = load_vehicle("mufly-1.1")
+controller = control.design(vehicle)
+print(controller)
+
+# %% [markdown]
+# Two numbers to know by heart. **Sensitivity peak**: by how much the loop makes a disturbance worse at its worst
+# frequency; 6 dB (a factor of two) is where one begins to worry. **Delay margin**: how much later a measurement may
+# come before it oscillates.
+
+# %%
+draw_loop(controller.roll_pitch)
+
+# %% [markdown]
+# ## Slower and slower
+#
+# The same weights, sampled less often. What the margin says, and what a flight says.
+
+# %%
+rates = (400.0, 200.0, 100.0, 70.0)
+designs = {rate: control.design(vehicle, rate_Hz=rate) for rate in rates}
+figure, axes = plt.subplots(figsize=(9, 3))
+for rate, made in designs.items():
+    loop = made.roll_pitch.sampled_loop
+    data = flight.fly(vehicle, "demonstration", controller=made, wind=(0.5, 0.0, 0.0), gust=0.5, seed=4)
+    tilt = np.degrees(data.truth_attitude.sel(angle="roll"))
+    axes.plot(
+        data.time,
+        tilt,
+        lw=0.8,
+        label=f"{rate:.0f} Hz: S {loop.sensitivity_peak_dB:.1f} dB, {data.attrs['outcome']}",
+    )
+axes.set(xlabel="time (s)", ylabel="roll (deg)")
+axes.legend(fontsize=8)
+
+# %% [markdown]
+# ## Another vehicle than it thinks
+#
+# Every parameter is off by up to 10 %, each for itself, and the wind blows. The controller stays the nominal one.
+# Forty flights say more than one, and Wilson's interval says how much more.
+
+# %%
+mission = load_mission("demonstration")
+campaign = Campaign.of(
+    vehicle, mission, variations=parse_variations(["parameters=10%"], vehicle), wind=0.5, gust=0.3, sensors="ideal",
+    quickly=QuickSoftware,
+)  # fmt: skip
+with Crew(1) as crew:
+    outcome = outcome_of(run(campaign, 40, crew=crew), campaign.tolerance_m)
+print(outcome.in_words())
+
+# %% [markdown]
+# ## Try
+#
+# * `parameters=30%`: which failures appear first? `mufly monte-carlo` flies them again with a full recording.
+# * `--search 300` looks for the worst case instead of drawing: it finds what a thousand random flights do not.
+# * The theory: [control](../control.md); what campaigns count: [many flights](../monte-carlo.md).

@@ -1,0 +1,253 @@
+"""Write the reference's pages from where its facts stand: docstrings, the commands' help, the files' schemas.
+
+``conf.py`` calls it before a build; by hand: ``python docs/make_reference.py docs/reference``. What it writes is not
+kept in the repository.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+import sys
+import types
+import typing
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import typer
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from mufly.cli import app
+from mufly.mission import Mission
+from mufly.rotor import Rotor
+from mufly.vehicle import Vehicle
+from mufly.vehicle.quantity import Quantity, Source
+
+ROOMS = (
+    "vehicle", "world", "rotor", "rotor.wake", "drive", "bench", "cfd", "study", "dynamics", "identify", "control",
+    "sensors", "estimate", "mission", "flight", "flight.monte_carlo", "firmware", "link", "station", "logs", "thesis",
+)  # fmt: skip
+
+
+def write(folder: Path) -> None:
+    """Write all pages; those that say the same as before keep their time, so that they are not built again."""
+    pages = {f"commands-{name}.md": text for name, text in commands()}
+    pages |= {f"api-{room.replace('.', '-')}.md": api(room) for room in ROOMS}
+    pages["vehicle-file.md"] = vehicle_file()
+    pages["mission-file.md"] = mission_file()
+    pages["rotor-file.md"] = rotor_file()
+    pages["index.md"] = index(list(pages))
+    folder.mkdir(exist_ok=True)
+    for name, text in pages.items():
+        page = folder / name
+        if not page.exists() or page.read_text(encoding="utf-8") != text:
+            page.write_text(text, encoding="utf-8")
+    for old in set(folder.glob("*.md")) - {folder / name for name in pages}:
+        old.unlink()
+
+
+def index(pages: list[str]) -> str:
+    """The page that leads to the others."""
+
+    def tree(title: str, start: str) -> str:
+        names = "\n".join(p.removesuffix(".md") for p in pages if p.startswith(start))
+        return f"## {title}\n\n```{{toctree}}\n:maxdepth: 1\n\n{names}\n```\n"
+
+    files = "## Files\n\n```{toctree}\n:maxdepth: 1\n\nvehicle-file\nmission-file\nrotor-file\n```\n"
+    return "# Reference\n\n" + "\n".join((tree("Commands", "commands-"), files, tree("Python", "api-")))
+
+
+# Commands
+
+
+def commands() -> Iterator[tuple[str, str]]:
+    """Name and page of every command, with those below it."""
+    top = typer.main.get_command(app)
+    for name, command in sorted(top.commands.items()):  # type: ignore[attr-defined]
+        yield name, _command(command, f"mufly {name}", "#")
+
+
+def _command(command: Any, path: str, level: str) -> str:
+    text = [f"{level} `{path}`", "", plain_help(command.help or "")]
+    if hasattr(command, "commands"):
+        parts = [_command(c, f"{path} {n}", level + "#") for n, c in sorted(command.commands.items())]
+        return "\n".join(text) + "\n\n" + "\n\n".join(parts)
+    with typer.Context(command, info_name=path) as context:
+        usage = " ".join([path, *command.collect_usage_pieces(context)])
+        rows = [r for p in command.params if (r := p.get_help_record(context)) is not None]
+    text += ["", f"    {usage}", "", "| | |", "|---|---|"]
+    text += [f"| `{_cell(names)}` | {_cell(plain_help(what))} |" for names, what in rows]
+    return "\n".join(text)
+
+
+def plain_help(text: str) -> str:
+    """A help text as Markdown: markup for terminals gone, example lines as code."""
+    text = re.sub(
+        r"\[/?(bold|dim|italic|green|yellow|red|cyan)[^\]]*\]", "", inspect.cleandoc(text.replace("\b", ""))
+    )
+    text = re.sub(r"(?<!`)(--[a-z][a-z0-9-]*)(?!`)", r"`\1`", text)
+    return re.sub(r"(^|\n)Examples?: (.+?)(?=\n\n|$)", _examples, text, flags=re.DOTALL)
+
+
+def _examples(found: re.Match[str]) -> str:
+    lines = "\n".join(e.strip().replace("\n", " ").replace("`", "") for e in found[2].split(";"))
+    return f"{found[1]}```\n{lines}\n```"
+
+
+def _cell(text: object) -> str:
+    return " ".join(str(text).split()).replace("|", "\\|")
+
+
+# Python
+
+
+def api(room: str) -> str:
+    """Page of a room: what its ``__all__`` names and is defined in it."""
+    module = importlib.import_module(f"mufly.{room}")
+    shown = [
+        n for n in getattr(module, "__all__", ()) if not isinstance(getattr(module, n), types.ModuleType)
+    ]
+    text = [f"# `mufly.{room}`", "", _first_paragraph(module.__doc__), ""]
+    kinds: dict[str, list[str]] = {"Functions": [], "Classes": [], "Values": []}
+    for name in shown:
+        thing = getattr(module, name)
+        home = getattr(thing, "__module__", "") or ""
+        if not callable(thing) or not home.startswith("mufly."):
+            kinds["Values"].append(name)
+        elif home.startswith(f"mufly.{room}"):  # what another room makes is described there
+            kinds["Classes" if inspect.isclass(thing) else "Functions"].append(name)
+    for title, names in kinds.items():
+        if not names:
+            continue
+        text += [f"## {title}", ""]
+        for name in sorted(names, key=str.lower):
+            text += _entry(module, room, name, title)
+    return "\n".join(text) + "\n"
+
+
+def _entry(module: types.ModuleType, room: str, name: str, kind: str) -> list[str]:
+    if kind == "Values":
+        value = repr(getattr(module, name))
+        short = value if len(value) < 80 and " object at " not in value and "<function" not in value else ""
+        return [f"`{name}`{f' = `{short}`' if short else ''}", ""]
+    directive, options = ("autoclass", [":members:"]) if kind == "Classes" else ("autofunction", [])
+    return [
+        "```{eval-rst}",
+        f".. {directive}:: mufly.{room}.{name}",
+        *(f"   {o}" for o in options),
+        "```",
+        "",
+    ]
+
+
+def _first_paragraph(doc: str | None) -> str:
+    return " ".join(inspect.cleandoc(doc or "").split("\n\n")[0].split())
+
+
+# Files
+
+
+def vehicle_file() -> str:
+    """Every table and key of a vehicle file."""
+    text = [
+        "# Vehicle files",
+        "",
+        "What each key means is explained in [Vehicle files](../vehicles.md); a file to begin with comes from "
+        "`mufly vehicle show mufly-1.1 --toml` or `mufly new`. A number is written as a table:",
+        "",
+        '    mass = { value = 95, unit = "g", source = "measured", std = 0.1, note = "kitchen scale" }',
+        "",
+        f"`source` is one of {', '.join(f'`{s}`' for s in typing.get_args(Source))}; `std` (standard deviation, in the "
+        "unit given) and `note` may be left out. Any unit of the right kind is taken, and kept as SI.",
+        "",
+    ]
+    return "\n".join(text + list(_groups(Vehicle, "")))
+
+
+def rotor_file() -> str:
+    """Every table and key of a rotor file."""
+    return "\n".join(["# Rotor files", "", "See also [rotor theory](../bemt.md).", "", *_groups(Rotor, "")])
+
+
+def mission_file() -> str:
+    """Every table and key of a mission file."""
+    text = [
+        "# Mission files",
+        "",
+        "What they do is explained in [Missions](../missions.md). Units are in the names.",
+        "",
+    ]
+    return "\n".join(text + list(_groups(Mission, "")))
+
+
+def _groups(model: type[BaseModel], table: str) -> Iterator[str]:
+    """Tables of keys, of this model and then of those inside it."""
+    plain, inner = [], []
+    for name, field in model.model_fields.items():
+        kind, many = _model_of(field.annotation)
+        extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
+        if kind is not None and "unit" not in extra:
+            inner.append((f"{table}.{name}".lstrip("."), kind, many))
+        else:
+            plain.append(_key(name, field, extra))
+    if plain:
+        heading = f"`[{table}]`" if table else "At the top"
+        yield from ("", f"## {heading}", "", _first_paragraph(model.__doc__), "")
+        yield from (
+            "| key | what | symbol | unit | limits | if left out |",
+            "|---|---|---|---|---|---|",
+            *plain,
+            "",
+        )
+    for path, kind, many in inner:
+        yield from _groups(kind, f"[{path}]" if many else path)
+
+
+def _model_of(annotation: Any) -> tuple[type[BaseModel] | None, bool]:
+    """The model that a field holds, and whether it holds many."""
+    if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
+        return annotation, False
+    many = typing.get_origin(annotation) in (tuple, list)
+    for part in typing.get_args(annotation):
+        found, _ = _model_of(part)
+        if found is not None:
+            return found, many
+    return None, False
+
+
+def _key(name: str, field: FieldInfo, extra: dict[str, Any]) -> str:
+    limits = [
+        f"{k.replace('_', ' ')} {extra[k]:g}"
+        for k in ("above", "at_least", "below", "at_most")
+        if extra.get(k) is not None
+    ]
+    words = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
+    limits += [
+        f"{w} {getattr(m, k):g}"
+        for m in field.metadata
+        for k, w in words.items()
+        if isinstance(getattr(m, k, None), int | float)
+    ]
+    given = field.default
+    if isinstance(given, Quantity):
+        otherwise = f"{given.value:g}"
+    elif field.is_required():
+        otherwise = "has to be there"
+    else:
+        otherwise = "" if given in (None, "", ()) else f"`{given!r}`"
+    cells = (
+        f"`{name}`",
+        field.description or "",
+        extra.get("symbol", ""),
+        extra.get("unit", ""),
+        ", ".join(limits),
+        otherwise,
+    )
+    return f"| {' | '.join(_cell(c) for c in cells)} |"
+
+
+if __name__ == "__main__":
+    write(Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parent / "reference"))
