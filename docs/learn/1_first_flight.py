@@ -85,6 +85,7 @@ for name, data in (("calm", recording), ("wind", windy)):
     axes.plot(data.time, 100.0 * off(data), label=name)
 axes.set(xlabel="time (s)", ylabel="away from the reference (cm)")
 axes.legend()
+figure.tight_layout()
 print(
     f"calm {100 * float(off(recording).max()):.1f} cm at worst, wind {100 * float(off(windy).max()):.1f} cm"
 )
@@ -106,6 +107,7 @@ for axis in "NED":
     axes.plot(felt.time, 100.0 * error.sel(axis=axis), label=axis)
 axes.set(xlabel="time (s)", ylabel="believed minus true (cm)")
 axes.legend()
+figure.tight_layout()
 print(felt.attrs["outcome"])
 
 # %% [markdown]

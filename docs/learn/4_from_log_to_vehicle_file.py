@@ -71,6 +71,7 @@ axes.plot(unseen.time_s, np.degrees(unseen.measured[:, k]), ".", ms=2, label="me
 axes.plot(unseen.time_s, np.degrees(unseen.predicted[:, k]), label="predicted, open loop")
 axes.set(xlabel="time (s)", ylabel="roll (deg)", title=unseen.name)
 axes.legend()
+figure.tight_layout()
 
 # %% [markdown]
 # ## Try

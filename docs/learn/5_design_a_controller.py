@@ -24,9 +24,6 @@ print(controller)
 # frequency; 6 dB (a factor of two) is where one begins to worry. **Delay margin**: how much later a measurement may
 # come before it oscillates.
 
-# %%
-draw_loop(controller.roll_pitch)
-
 # %% [markdown]
 # ## Slower and slower
 #
@@ -48,6 +45,13 @@ for rate, made in designs.items():
     )
 axes.set(xlabel="time (s)", ylabel="roll (deg)")
 axes.legend(fontsize=8)
+figure.tight_layout()
+
+# %% [markdown]
+# And the loop of the design that it flies: gain over frequency, and how much disturbances and noise are worse for it.
+
+# %%
+draw_loop(controller.roll_pitch)
 
 # %% [markdown]
 # ## Another vehicle than it thinks

@@ -81,6 +81,7 @@ axes.plot(
 )
 axes.set(xlabel="east (m)", ylabel="north (m)", aspect="equal", title=felt.attrs["outcome"])
 axes.legend()
+figure.tight_layout()
 
 # %% [markdown]
 # ## Try
