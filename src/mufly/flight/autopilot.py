@@ -534,7 +534,7 @@ class Autopilot:
         return answer
 
     def sticks(self, roll_rad: float, pitch_rad: float, yaw_rate_rad_s: float, climb_m_s: float) -> Answer:
-        """The pilot's sticks (rad, rad/s, m/s upwards), limited by parameters ``STK_...``; the state is RC meanwhile."""
+        """The pilot's sticks (rad, rad/s, m/s upwards), within parameters ``STK_...``; the state is RC meanwhile."""
         values = (roll_rad, pitch_rad, yaw_rate_rad_s, climb_m_s)
         if not all(math.isfinite(v) for v in values):
             return never("sticks refused: give finite numbers")
