@@ -154,7 +154,6 @@ class Pilot:
 
     def step(self, now_s: float) -> None:
         """Say what is due."""
-        status = self._flight.status
         if now_s - self._beat_s > 1.0:
             self._beat_s = now_s
             gcs = mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID
@@ -162,6 +161,7 @@ class Pilot:
         if now_s - self._ask_s < 0.2:
             return
         self._ask_s = now_s
+        status = self._flight.status
         if self.landing:
             if not status.armed:
                 self.landing = False
@@ -208,26 +208,27 @@ def restart(flight: Flight) -> None:
 
 def check(flight: Flight, found: Findings) -> None:
     """Judge one period; writes down what must not be, and the extremes that were seen."""
-    status = flight.status
-    motors, servos = status.actuators.motor_input, status.actuators.servo_input
-    when = f"at {status.time_s:.3f} s, state {status.state}"
-    if not (np.isfinite(motors).all() and np.isfinite(servos).all()):
-        found.faults.append(f"actuators {motors} {servos} {when}")
-    if motors.min() < 0.0 or motors.max() > 1.0 or np.abs(servos).max() > 1.0:
-        found.faults.append(f"actuators out of range {motors} {servos} {when}")
+    status = flight.autopilot.status
+    motors, servos = flight.acting.motor_input.tolist(), flight.acting.servo_input.tolist()
+    height, tilt = -float(status.reference_position[2]), np.abs(status.reference_attitude[:2]).tolist()
+    wrong = []
+    if not all(map(math.isfinite, (*motors, *servos))):
+        wrong.append(f"actuators {motors} {servos}")
+    if min(motors) < 0.0 or max(motors) > 1.0 or max(map(abs, servos)) > 1.0:
+        wrong.append(f"actuators out of range {motors} {servos}")
     # What acts now was computed one period ago.
     found.unarmed = 0 if status.armed else found.unarmed + 1
-    if found.unarmed > 2 and np.any(motors != 0.0):
-        found.faults.append(f"motors {motors} but not armed {when}")
-    height, tilt = -float(status.reference_position[2]), np.abs(status.reference_attitude[:2])
+    if found.unarmed > 2 and motors != [0.0, 0.0]:
+        wrong.append(f"motors {motors} but not armed")
     if not (math.isfinite(height) and -1.5 <= height <= HIGHEST_M + 1.0):
-        found.faults.append(f"height reference {height} {when}")
-    if not (np.isfinite(tilt).all() and tilt.max() <= TILT_MOST_RAD):
-        found.faults.append(f"tilt reference {tilt} {when}")
-    found.motor = min(found.motor[0], float(motors.min())), max(found.motor[1], float(motors.max()))
-    found.servo = min(found.servo[0], float(servos.min())), max(found.servo[1], float(servos.max()))
+        wrong.append(f"height reference {height}")
+    if not all(math.isfinite(t) and t <= TILT_MOST_RAD for t in tilt):
+        wrong.append(f"tilt reference {tilt}")
+    found.faults += [f"{what} at {flight.time_s:.3f} s, state {status.state}" for what in wrong]
+    found.motor = min(found.motor[0], *motors), max(found.motor[1], *motors)
+    found.servo = min(found.servo[0], *servos), max(found.servo[1], *servos)
     found.height_ref_m = min(found.height_ref_m[0], height), max(found.height_ref_m[1], height)
-    found.tilt_ref_rad = max(found.tilt_ref_rad, float(tilt.max()))
+    found.tilt_ref_rad = max(found.tilt_ref_rad, *tilt)
     found.armed_s += flight.period_s * status.armed
     found.ticks += 1
 
@@ -299,12 +300,12 @@ def fuzz(
         if commander:
             grounded_s = 0.0 if flight.autopilot.status.flying else grounded_s + flight.period_s
             started = started and not flight.autopilot.status.flying
-            if grounded_s > (6.0 if started else 1.0) or flight.status.crashed:
+            if grounded_s > (6.0 if started else 1.0) or flight.plant.crashed:
                 found.flights += 1
                 grounded_s, started = 0.0, True
                 restart(flight)
-        elif flight.status.crashed:
-            found.faults.append(f"crashed: {flight.status.crashed} at {flight.time_s:.1f} s")
+        elif flight.plant.crashed:
+            found.faults.append(f"crashed: {flight.plant.crashed} at {flight.time_s:.1f} s")
             break
     found.rss_MB.append((found.messages, rss_MB()))
     found.seconds, found.peers = now_s, len(peers) + (pilot is not None)

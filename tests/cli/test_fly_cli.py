@@ -59,23 +59,19 @@ def test_a_flight_writes_recording_summary_and_pictures(monkeypatch, capsys, tmp
     assert (out / "track.png").read_bytes()[:4] == b"\x89PNG"
 
 
-def test_json_is_all_there_is_on_standard_output(monkeypatch, capsys, tmp_path, hop) -> None:
-    assert (
-        run(monkeypatch, "fly", hop, *IDEAL, "--out", tmp_path / "out", "--json", "--vehicle", "mufly-2.0")
-        == 0
-    )
-    summary = json.loads(capsys.readouterr().out)
-    assert summary["outcome"] == "succeeded"
-    assert summary == json.loads((tmp_path / "out" / "summary.json").read_text())
-
-
-def test_default_folder_carries_the_date(monkeypatch, tmp_path, hop) -> None:
+def test_default_folder_carries_the_date_and_json_is_all_on_standard_output(
+    monkeypatch, capsys, tmp_path, hop
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert run(monkeypatch, "fly", hop, *IDEAL, "--headless") == 0
-    assert run(monkeypatch, "fly", hop, *IDEAL, "--headless") == 0
-    folders = sorted((tmp_path / "flights").iterdir())
-    assert len(folders) == 2
-    assert folders[0].name.startswith("20")
+    (first,) = (tmp_path / "flights").iterdir()
+    assert first.name.startswith("20")
+    capsys.readouterr()
+    assert run(monkeypatch, "fly", hop, *IDEAL, "--json", "--vehicle", "mufly-2.0") == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["outcome"] == "succeeded"
+    (second,) = set((tmp_path / "flights").iterdir()) - {first}
+    assert summary == json.loads((second / "summary.json").read_text())
 
 
 def test_a_failed_mission_has_a_reason_and_a_status(monkeypatch, capsys, tmp_path, hop) -> None:

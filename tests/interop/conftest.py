@@ -43,7 +43,9 @@ class Linked:
     vehicle: subprocess.Popen[bytes]
     client: subprocess.Popen[bytes] | None = None
     said: str = ""
+    ended: bool = False
     outcome: list[xr.Dataset] = field(default_factory=list)
+    beside: dict[str, Linked] = field(default_factory=dict, repr=False)
 
     @property
     def vehicle_said(self) -> str:
@@ -69,16 +71,24 @@ class Linked:
                 self.client.wait()
                 status = "the vehicle has ended" if gone else f"not done in {seconds:g} s"
                 break
+            for other in self.beside.values():
+                other.end_when_flown()
             time.sleep(0.1)
         self.said = (self.folder / "client.txt").read_text(errors="replace")
         assert status == 0, f"client: {status}\n{self.said}\nvehicle:\n{self.vehicle_said}"
         return self.said
 
-    def recording(self) -> xr.Dataset:
-        """End the vehicle as Ctrl-C does, and read where it really went."""
-        if not self.outcome:
+    def end_when_flown(self) -> None:
+        """End the vehicle as Ctrl-C does, once, when its client is done: it would take time from those that fly."""
+        if not self.ended and self.client is not None and self.client.poll() is not None:
+            self.ended = True
             if self.vehicle.poll() is None:
                 self.vehicle.send_signal(signal.SIGINT)
+
+    def recording(self) -> xr.Dataset:
+        """End the vehicle, and read where it really went."""
+        if not self.outcome:
+            self.end_when_flown()
             self.vehicle.wait(STOP_S)
             files = sorted(self.folder.glob("out/**/*.mcap"))
             assert len(files) == 1, f"{files}\n{self.vehicle_said}"
@@ -153,6 +163,7 @@ def flights(request: pytest.FixtureRequest) -> Iterator[dict[str, Linked]]:
             # The first one compiles what has to be compiled; the others find it done.
             for name, (options, _) in wanted.items():
                 running[name] = start_vehicle(Path(folder) / name, *options)
+                running[name].beside = running
                 if len(running) == 1:
                     running[name].wait_until_it_flies()
             for name, (_, command) in wanted.items():
