@@ -83,7 +83,7 @@ def kept_library(name: str, files: Mapping[str, str], *, flags: Sequence[str] = 
         with tempfile.TemporaryDirectory(prefix="mufly-c-", dir=library.parent) as temporary:
             folder = Path(temporary)
             for file, text in files.items():
-                (folder / file).write_text(text)
+                (folder / file).write_text(text, encoding="utf-8")
             made = folder / library.name
             compile_library(sorted(folder.glob("*.c")), made, flags=flags, cc=cc)
             os.replace(made, library)

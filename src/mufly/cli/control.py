@@ -91,7 +91,7 @@ def _write(controller: FlightController, folder: Path) -> list[Path]:
     with writing(folder, "give a folder that can be written"):
         target = folder / "design.json"
         written = [*draw_designs(controller, folder), target]
-        target.write_text(json.dumps(controller.to_dict(), indent=2) + "\n")
+        target.write_text(json.dumps(controller.to_dict(), indent=2) + "\n", encoding="utf-8")
     return written
 
 

@@ -445,8 +445,12 @@ def objects_for(folder: Path, how: Arithmetic, cpu: tuple[str, ...]) -> Path:
 
 def _linked(folder: Path, how: Arithmetic, cpu: tuple[str, ...], test: str) -> Path:
     objects = folder / cpu[0].removeprefix("-mcpu=")
-    script = (folder / "check" / "cortex_m4.ld").read_text().replace("LENGTH = 64K", f"LENGTH = {how.memory}")
-    (objects / "board.ld").write_text(script)
+    script = (
+        (folder / "check" / "cortex_m4.ld")
+        .read_text(encoding="utf-8")
+        .replace("LENGTH = 64K", f"LENGTH = {how.memory}")
+    )
+    (objects / "board.ld").write_text(script, encoding="utf-8")
     out = objects / f"{test}.elf"
     parts = (*sorted(objects.glob("*.o")), f"check/{test}.c", "check/platform_cortex_m4.c")
     built(_compile(folder, how, cpu, *parts, "-T", objects / "board.ld", "-o", out, "-lgcc"), folder)
@@ -474,7 +478,7 @@ def deepest_stack(folder: Path, entry: str) -> int:
     """
     own: dict[str, int] = {}
     for file in folder.glob("*.su"):
-        for line in file.read_text().splitlines():
+        for line in file.read_text(encoding="utf-8").splitlines():
             place, size, kind = line.split("\t")
             name = place.rsplit(":", 1)[1]
             if kind != "static":
@@ -483,7 +487,7 @@ def deepest_stack(folder: Path, entry: str) -> int:
     calls: dict[str, set[str]] = {name: set() for name in own}
     for file in folder.glob("*.expand"):
         inside = ""
-        for line in file.read_text().splitlines():
+        for line in file.read_text(encoding="utf-8").splitlines():
             head = re.match(r";; Function (\S+)", line)
             if head:
                 inside = head[1]

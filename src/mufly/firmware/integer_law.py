@@ -151,7 +151,7 @@ def export_fixed(controller: FlightController, out: Path) -> FixedLaw:
     """Write ``fixed/`` into an exported tree: the law in whole numbers, with its tables, and return them."""
     law = fixed_law(controller)
     copy_fixed(out)
-    (out / "fixed" / "tables_fixed.c").write_text(tables_fixed_c(controller, law))
+    (out / "fixed" / "tables_fixed.c").write_text(tables_fixed_c(controller, law), encoding="utf-8")
     return law
 
 
@@ -408,7 +408,7 @@ def _loaded(text: str, cc: str) -> tuple[cffi.FFI, Any]:
     with tempfile.TemporaryDirectory(prefix="mufly-fixed-") as folder:
         tree = Path(folder) / "fw"
         copy_fixed(tree)
-        (tree / "fixed" / "tables_fixed.c").write_text(text)
+        (tree / "fixed" / "tables_fixed.c").write_text(text, encoding="utf-8")
         library = build(tree / "fixed", cc=cc)
         ffi.cdef(declarations(tree / "fixed"))
         return ffi, ffi.dlopen(str(library))

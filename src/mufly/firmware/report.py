@@ -149,7 +149,8 @@ def _memory(vehicle: Vehicle, out: Path) -> Section:
         flash, _ = size_of(objects)
         (folder / "sizes.c").write_text(
             '#include "software.h"\n#include "estimate.h"\n'
-            "software_t software; estimator_t estimator; belief_t belief;\n"
+            "software_t software; estimator_t estimator; belief_t belief;\n",
+            encoding="utf-8",
         )
         command = [
             "arm-none-eabi-gcc", "-std=c99", "-mcpu=cortex-m4", "-mthumb", "-DMUFLY_FLOAT", "-I.", "-fno-common", "-c",
@@ -266,7 +267,7 @@ def _misra(vehicle: Vehicle, out: Path) -> Section:
             "-Ifixed", "--suppress=missingIncludeSystem", "--template={file}:{line}: {id}: {message}", "-q", *sources,
         ]  # fmt: skip
         said = subprocess.run(command, cwd=folder, capture_output=True, text=True).stderr
-        reasons = deviations((folder / "check" / "deviations.txt").read_text())
+        reasons = deviations((folder / "check" / "deviations.txt").read_text(encoding="utf-8"))
     required, advice = judged(said, reasons)
     others = [
         line for line in said.splitlines() if "misra-c2012" not in line and re.match(r"\S+:\d+: \w+:", line)
@@ -343,7 +344,7 @@ def _coverage(vehicle: Vehicle, out: Path) -> Section:
             run_fuzzer(folder, seconds=40.0)
         # Records as long as those that Python shares with the code.
         for name, text in estimate_files(None, None, 0.0).items():
-            (folder / name).write_text(text)
+            (folder / name).write_text(text, encoding="utf-8")
         # In a process of its own: counts are written when it ends.
         command = [sys.executable, "-m", "mufly.firmware.coverage", str(folder), vehicle.name]
         done = subprocess.run(command, capture_output=True, text=True)
@@ -468,8 +469,8 @@ def write_report(
         f"Written by mufly {__version__} (`mufly firmware report`).",
     ]
     text += [f"## {s.title}\n\n{s.text}" for s in done]
-    (out / "report.md").write_text("\n\n".join(text) + "\n")
+    (out / "report.md").write_text("\n\n".join(text) + "\n", encoding="utf-8")
     (out / "report.json").write_text(
-        json.dumps({s.title: s.data for s in done}, indent=2, default=str) + "\n"
+        json.dumps({s.title: s.data for s in done}, indent=2, default=str) + "\n", encoding="utf-8"
     )
     return done

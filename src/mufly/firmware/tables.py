@@ -75,7 +75,7 @@ def write_tree(tables: str, out: Path, others: Mapping[str, str] | None = None) 
     """Write the sources with given tables into a folder, and other files that are made, by their names."""
     copy_sources(out)
     for name, text in {"tables.c": tables, **(others or {})}.items():
-        (out / name).write_text(text)
+        (out / name).write_text(text, encoding="utf-8")
 
 
 def copy_sources(out: Path) -> None:
@@ -83,7 +83,7 @@ def copy_sources(out: Path) -> None:
     with resources.as_file(SOURCES) as sources:
         shutil.copytree(sources, out, dirs_exist_ok=True, ignore=shutil.ignore_patterns("*fixed*"))
     for name, text in estimate_files(None, None, 0.0).items():
-        (out / name).write_text(text)
+        (out / name).write_text(text, encoding="utf-8")
 
 
 def copy_fixed(out: Path) -> None:

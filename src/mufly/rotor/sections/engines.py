@@ -220,7 +220,7 @@ def _quiet_library() -> str:
     if not library.is_file():
         with tempfile.TemporaryDirectory(dir=folder) as work:
             source, built = Path(work) / "quiet.c", Path(work) / "quiet.so"
-            source.write_text(_QUIET)
+            source.write_text(_QUIET, encoding="utf-8")
             done = subprocess.run(
                 [compiler, "-shared", "-fPIC", "-o", str(built), str(source)], capture_output=True, text=True
             )
@@ -248,7 +248,7 @@ def _run(
     """One process over the angles in order (nan: fresh start); alpha_deg -> cl, cd, cm of those that converged."""
     contour, polar = folder / "contour.dat", folder / "polar.txt"
     rows = "\n".join(f"{x:.7f} {y:.7f}" for x, y in airfoil.coordinates)
-    contour.write_text(f"contour\n{rows}\n")
+    contour.write_text(f"contour\n{rows}\n", encoding="utf-8")
     polar.unlink(missing_ok=True)
     *_, panels, iterations = SETTINGS
     script = [
@@ -294,7 +294,7 @@ def _run(
 
 def _read_polar(file: Path) -> dict[float, tuple[float, float, float]]:
     found = {}
-    lines = file.read_text().splitlines() if file.is_file() else []
+    lines = file.read_text(encoding="utf-8").splitlines() if file.is_file() else []
     for line in lines:
         try:
             numbers = [float(w) for w in line.split()]
