@@ -10,8 +10,8 @@ import mufly
 _PACKAGE = Path(mufly.__file__).parent
 _MODULES = {"fcntl", "grp", "posix", "pty", "pwd", "resource", "termios", "tty"}
 _NAMES = {
-    "os": {"fork", "forkpty", "getuid", "geteuid", "killpg", "mkfifo", "nice", "openpty", "sched_getaffinity", "setsid", "uname"},
-    "signal": {"SIGALRM", "SIGHUP", "SIGKILL", "SIGQUIT", "SIGUSR1", "SIGUSR2", "alarm", "pause", "pthread_sigmask", "setitimer"},
+    "os": {"fork", "forkpty", "getuid", "geteuid", "killpg", "mkfifo", "nice", "setsid", "uname"},
+    "signal": {"SIGALRM", "SIGHUP", "SIGKILL", "SIGQUIT", "SIGUSR1", "SIGUSR2", "alarm", "pause", "setitimer"},
     "socket": {"AF_UNIX", "SO_REUSEPORT"},
 }  # fmt: skip
 _PLACES = ("/tmp", "/dev/shm", "/proc")
