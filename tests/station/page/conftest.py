@@ -7,7 +7,13 @@ from typing import Any
 
 import pytest
 
-FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+FLAGS = [
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-gpu-compositing",  # by WebGL in software only the scene: the whole page takes four times as long
+]
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import math
 import os
+import shutil
 import tempfile
 import time
 import warnings
@@ -202,7 +203,10 @@ class FlightList:
         await act(path)
 
     async def _download(self, path: Path) -> None:
-        ui.download.file(path)
+        # What is still being recorded would be longer than the browser was told when it asked: a copy does not grow.
+        folder = tempfile.mkdtemp(prefix="mufly-download-")
+        ui.context.client.on_delete(lambda: shutil.rmtree(folder, ignore_errors=True))
+        ui.download.file(await asyncio.to_thread(shutil.copy, path, folder), path.name)
 
     async def _open(self, path: Path) -> None:
         request = Request(f"open {path.name}")
