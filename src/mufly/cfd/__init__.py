@@ -2,6 +2,7 @@
 
 from mufly.cfd.case import MODELS, Point, read_point, write_case
 from mufly.cfd.comparison import Compared, compare
+from mufly.cfd.form import TIPS, Form, Hub, Tip, named_form
 from mufly.cfd.mesh import LEVELS, Domain, Mesh, blade_mesh
 from mufly.cfd.mesh_error import Convergence, convergence, mesh_study
 from mufly.cfd.pictures import history_picture, loads_picture, mesh_picture, pressure_picture
@@ -11,24 +12,30 @@ from mufly.cfd.results import Solution, read_solution
 from mufly.cfd.run import Progress, Verdict, find_solver, history, judge, judged, run_case
 from mufly.cfd.sections import Counts
 from mufly.cfd.start import slipstream
+from mufly.cfd.surfaces import blade_surface, pressure_colours, write_glb, write_vtp
 
 __all__ = [
     "LEVELS",
     "MODELS",
+    "TIPS",
     "Beside",
     "Compared",
     "Convergence",
     "Counts",
     "Domain",
+    "Form",
+    "Hub",
     "Mesh",
     "Point",
     "PolyMesh",
     "Progress",
     "Quality",
     "Solution",
+    "Tip",
     "Verdict",
     "beside",
     "blade_mesh",
+    "blade_surface",
     "compare",
     "convergence",
     "find_solver",
@@ -39,7 +46,9 @@ __all__ = [
     "loads_picture",
     "mesh_picture",
     "mesh_study",
+    "named_form",
     "poly_mesh",
+    "pressure_colours",
     "pressure_picture",
     "quality",
     "read_point",
@@ -51,5 +60,7 @@ __all__ = [
     "solve_point",
     "sweep",
     "write_case",
+    "write_glb",
     "write_poly_mesh",
+    "write_vtp",
 ]

@@ -42,7 +42,7 @@ MODELS = {"laminar": "", "k-epsilon": "kEpsilon", "sst": "kOmegaSST", "k-omega":
 """Turbulence models, by OpenFOAM's names."""
 FIRST = 80
 """Iterations upwind."""
-LEAST = 800
+LEAST = 1200
 """Iterations before a verdict."""
 EVERY = 40
 """Iterations from one written state to the next."""
@@ -70,6 +70,10 @@ class Point:
         Velocity in the disc that the start assumes.
     upwind, least : int
         Iterations at first order, and before a verdict: 0 and 400 where the start is a neighbour's solution, scaled.
+    tip : str
+        Name of the blades' tip (:data:`mufly.cfd.form.TIPS`).
+    hub_m, gurney : float
+        Radius of the hub, height over chord of the Gurney flap; 0 for none.
     """
 
     rotor: str
@@ -85,6 +89,9 @@ class Point:
     induced_m_s: float
     upwind: int = FIRST
     least: int = LEAST
+    tip: str = "square"
+    hub_m: float = 0.0
+    gurney: float = 0.0
 
     def __post_init__(self) -> None:
         if self.model not in MODELS:

@@ -18,6 +18,10 @@ outer cylinder (``wings`` to the left and right, the last sections themselves be
           |______|__||__|______|      the two periodic planes, or one plane of a two-bladed rotor
 
 Between shaft and root there is a gap of air; the section changes in it from the blade's to one that is its own image.
+With a hub the core of those sections is left out like the blade's, and its half width is the hub's, sqrt(r^2 - y^2),
+out to 0.4 r; from there it runs on into the root, or ends.
+
+Plates (Gurney flaps, tip plates) have no thickness: faces between two cells that become walls on both sides.
 """
 
 from __future__ import annotations
@@ -30,13 +34,17 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.cfd.form import Form, blade_line, blade_span, placed
 from mufly.cfd.sections import (
+    BESIDE,
+    OVER,
     Box,
     Counts,
     Layout,
     Shape,
     contour,
     grown,
+    layers,
     section,
     stretched,
     thickness_check,
@@ -108,6 +116,8 @@ class Mesh:
     marks : dict of (points,) bool arrays
         Which points lie on ``sector``, ``outer``, ``top``, ``bottom``.
     blades : int
+    plates : (faces, 4) array
+        Faces between two cells that are walls.
     """
 
     points: Array
@@ -116,10 +126,16 @@ class Mesh:
     edges_m: Array
     marks: Mapping[str, NDArray[np.bool_]]
     blades: int
+    plates: Index
 
 
 def blade_mesh(
-    rotor: Rotor, pitch_rad: float, *, level: str | Counts = "medium", domain: Domain | None = None
+    rotor: Rotor,
+    pitch_rad: float,
+    *,
+    level: str | Counts = "medium",
+    domain: Domain | None = None,
+    form: Form | None = None,
 ) -> Mesh:
     """Mesh one sector of a rotor.
 
@@ -131,18 +147,20 @@ def blade_mesh(
     level : {'tiny', 'coarse', 'medium', 'fine'} or Counts
         16, 60, 135 and 364 thousand cells.
     domain : Domain, optional
+    form : Form, optional
+        Hub, tip, plates; default: none, a square tip.
 
     Raises
     ------
     InputError
         If the rotor cannot be meshed: one blade, blades that reach the shaft or meet, a section without a contour.
     """
-    domain = domain or Domain()
+    domain, form = domain or Domain(), form or Form()
     if isinstance(level, str) and level not in LEVELS:
         raise InputError("mesh", level, "is no level", f"use one of: {', '.join(LEVELS)}")
-    k = LEVELS[level] if isinstance(level, str) else level
+    k = _richer(LEVELS[level] if isinstance(level, str) else level, form)
     radius, root = rotor.radius_m, rotor.hub_radius_m
-    _check(rotor, pitch_rad)
+    _check(rotor, pitch_rad, form)
     layout = Layout(k)
     widest = float(np.max(rotor.chord_m(np.linspace(float(rotor.hub_cutout), 1.0, 101))))
     slope = 1.0 / math.tan(math.pi / rotor.blades) if rotor.blades > 2 else 0.0
@@ -162,26 +180,42 @@ def blade_mesh(
             f"give at least {1.3 * math.hypot(half, far) / radius:.2g}",
         )  # fmt: skip
 
-    span = radius - root
+    tip_chord, tip_angle = float(rotor.chord_m(1.0)), float(rotor.twist_rad(1.0)) + pitch_rad
+    span = blade_span(form.tip, root, radius, tip_chord)
+    blade = (root, root + span)
     tip = min(k.tip * radius, 0.5 * span / k.blade)
     at_root = min(1.5 * tip, 0.5 * root / k.gap, 0.5 * span / k.blade)
-    y = np.concatenate(
+    inner, hub = _to_root(k, root, at_root, form)
+    # Beyond the end the line turns back to the disc's direction, so that it is longer than it is far.
+    rest = far - float(blade_line(form.tip, np.array([blade[1]]), blade, tip_chord).y_m[0])
+    behind = blade_line(form.tip, np.array([blade[1] + rest]), blade, tip_chord).y_m[0]
+    rest += far - float(behind)
+    s = np.concatenate(
         (
-            root * (1.0 - grown(k.gap, at_root / root)[::-1]),
+            inner,
             root + span * stretched(k.blade, at_root / span, tip / span)[1:],
-            radius + (far - radius) * grown(k.beyond, tip / (far - radius))[1:],
+            blade[1] + rest * grown(k.beyond, tip / rest)[1:],
         )
     )
-    first, last, top = k.gap, k.gap + k.blade, len(y) - 1
-    stack = _sections(rotor, pitch_rad, layout, y, root, radius, far, box)
-    t = np.clip((y - root) / span, 0.0, 1.0)
+    line = blade_line(form.tip, s, blade, tip_chord)
+    first, last, top = k.gap, k.gap + k.blade, len(s) - 1
+    y = line.y_m
+    if abs(y[-1] - far) > 1e-9 * far:
+        raise InputError("tip", "bend", f"is {form.tip.bend:g} chords, too much for this blade", "give less")
+    y[-1] = far
+    stack, plate_layers = _sections(rotor, pitch_rad, layout, s, blade, far, box, form, line.chord)
+    t = np.clip((s - root) / span, 0.0, 1.0)
     fade = 1.0 - t * t * (3.0 - 2.0 * t)
 
     def bent(x: Array) -> Array:
-        return y[:, None] + fade[:, None] * (np.hypot(y[:, None], np.abs(x) * slope) - y[:, None])
+        return fade[:, None] * (np.hypot(y[:, None], np.abs(x) * slope) - y[:, None])
 
     n2, nz = layout.points, layout.nz
-    flat = np.stack((stack[..., 0], bent(stack[..., 0]), stack[..., 1]), axis=-1)
+    flat = placed(
+        stack, line, form.tip, angle_rad=tip_angle, chord_m=tip_chord, half_m=half, top_m=box.top_m,
+        bottom_m=box.bottom_m,
+    )  # fmt: skip
+    flat[..., 1] += bent(stack[..., 0])
     # Beyond the box the last section fans out to the outer cylinder.
     corner = math.atan2(half, far)
     size = float(np.diff(y)[-1])
@@ -191,11 +225,11 @@ def blade_mesh(
     arc = np.stack((outer * np.sin(phi), outer * np.cos(phi), flat[-1, :, 2]), axis=-1)
     fan = flat[-1] + out[1:, None, None] * (arc - flat[-1])
     # The wings, from the box's sides.
-    side_y = bent(np.array([half]))[:, 0]
+    side_y = y + bent(np.array([half]))[:, 0]
     share = (side_y - side_y[0]) / (side_y[-1] - side_y[0])
     angle = math.pi / rotor.blades + (corner - math.pi / rotor.blades) * share
     ends = outer * np.stack((np.sin(angle), np.cos(angle)), axis=-1)[:-1]
-    starts = np.stack((np.full(len(y) - 1, half), side_y[:-1]), axis=-1)
+    starts = np.stack((np.full(top, half), side_y[:-1]), axis=-1)
     plan = starts[:, None] + out[None, 1:, None] * (ends - starts)[:, None]  # section, layer, xy
     z_side = stack[:, layout.tensor[0], 1][:-1]  # lines of z at the box's side
 
@@ -206,7 +240,7 @@ def blade_mesh(
     quads = {True: layout.outside, False: np.concatenate((layout.outside, layout.inside))}
     for i in range(len(ids) - 1):
         on_blade = first <= i < last
-        q = quads[on_blade]
+        q = quads[on_blade or i < hub]
         cells.append(np.concatenate((ids[i + 1][q], ids[i][q]), axis=1))
         strips.append(np.full(len(q), i - first if on_blade else -1))
     on_outer = [ids[-1]]
@@ -246,31 +280,103 @@ def blade_mesh(
     return Mesh(
         all_points[used], number[hexahedra], np.concatenate(strips), y[first : last + 1],
         {name: mark[used] for name, mark in marks.items()}, rotor.blades,
+        number[_plates(layout, ids, first, last, form, plate_layers)],
     )  # fmt: skip
 
 
+def _richer(k: Counts, form: Form) -> Counts:
+    """More cells along the blade where its end has a shape, and along the shaft where there is a hub."""
+    shaped = bool(form.tip.length or form.tip.cant_rad)
+    return replace(k, blade=k.blade + (k.blade // 4 if shaped else 0), gap=k.gap + (3 if form.hub else 0))
+
+
+def _to_root(k: Counts, root: float, at_root: float, form: Form) -> tuple[Array, int]:
+    """Radii of the sections from the shaft to the root, and how many of the cells between them hold the hub."""
+    if form.hub is None:
+        return root * (1.0 - grown(k.gap, at_root / root)[::-1]), 0
+    edge = _FLAT * form.hub.radius_m
+    n = max(2, round(0.4 * k.gap))
+    rest = k.gap - n
+    if form.hub.joined:
+        outside = np.linspace(0.0, 1.0, rest + 1)
+    else:
+        outside = stretched(
+            rest, min(at_root / (root - edge), 1.0 / rest), min(at_root / (root - edge), 1.0 / rest)
+        )
+    return np.concatenate((np.linspace(0.0, edge, n + 1), edge + (root - edge) * outside[1:])), (
+        k.gap if form.hub.joined else n
+    )
+
+
+_FLAT = 0.4
+"""Where a hub's flats begin, or its grips, over its radius."""
+
+
+def _plates(layout: Layout, ids: Index, first: int, last: int, form: Form, count: tuple[int, int]) -> Index:
+    """Faces of the Gurney flap and of the tip's plates, (faces, 4)."""
+    k, out = layout.counts, [np.empty((0, 4), dtype=np.int64)]
+    flap, plate = count
+    if form.gurney:
+        line = layout.ring[::-1][: flap + 1, k.along + k.across]
+        p = ids[first : last + 1][:, line]
+        out.append(np.stack((p[:-1, :-1], p[1:, :-1], p[1:, 1:], p[:-1, 1:]), axis=-1).reshape(-1, 4))
+    n, m = k.along, k.across
+    around = layout.ring[::-1][: plate + 1]
+    around = ids[last][np.concatenate((around, around[:, :1]), axis=1)]
+    quads = np.stack((around[:-1, :-1], around[:-1, 1:], around[1:, 1:], around[1:, :-1]), axis=-1)
+    # Above: the upper side; below: the lower one; both: all around.
+    tip = form.tip
+    if tip.plate_above and tip.plate_below:
+        out.append(quads.reshape(-1, 4))
+    elif tip.plate_above:
+        out.append(quads[:, :n].reshape(-1, 4))
+    elif tip.plate_below:
+        out.append(quads[:, n + m : 2 * n + m].reshape(-1, 4))
+    return np.concatenate(out)
+
+
 def _sections(
-    rotor: Rotor, pitch_rad: float, layout: Layout, y: Array, root: float, radius: float, far: float, box: Box
-) -> Array:
-    """Every section's points, (sections, points, 2)."""
-    k = layout.counts
-    x = np.clip(y, root, radius) / radius
+    rotor: Rotor, pitch_rad: float, layout: Layout, s: Array, ends: tuple[float, float], far: float, box: Box,
+    form: Form, factor: Array,
+) -> tuple[Array, tuple[int, int]]:  # fmt: skip
+    """Every section's points, (sections, points, 2), and the layers that flap and tip plate take."""
+    k, (root, end), hub = layout.counts, ends, form.hub
+    # The rotor file's stations are radii of the straight blade; a winglet's line is longer.
+    x = (root + np.clip((s - root) / (end - root), 0.0, 1.0) * (rotor.radius_m - root)) / rotor.radius_m
     at = rotor.sections(x)
+    chord = at.chord_m * factor
     loops = np.stack([contour(thickness_check(name), k) for name in at.names]) - np.array([0.25, 0.0])
     w = at.weight[:, None, None]
     loop = (1.0 - w) * loops[at.first] + w * loops[at.second]
-    t = np.clip(1.0 - y / root, 0.0, 1.0)
+    begin = _FLAT * hub.radius_m if hub else 0.0
+    t = np.clip((root - s) / (root - begin), 0.0, 1.0)
     plain = t * t * (3.0 - 2.0 * t)
-    t = np.clip((y - radius) / (far - radius), 0.0, 1.0)
+    t = np.clip((s - end) / (far - end), 0.0, 1.0)
     plain = np.maximum(plain, t * t * (3.0 - 2.0 * t))
     relaxed = np.maximum(plain, t)
+    if hub:
+        relaxed[s < root] = 0.0
+    gurney = plate = (0.0, 0)
+    if form.gurney:
+        gurney = (form.gurney, layers(k, form.gurney, math.hypot(BESIDE, OVER)))
+    high = max(form.tip.plate_above, form.tip.plate_below)
+    if high:
+        plate = (high, layers(k, high, OVER - 0.06))
     typical = float(np.max(at.chord_m))
-    out = np.empty((len(y), layout.points, 2))
-    for i in range(len(y)):
+    sine = math.sin(math.pi / rotor.blades)
+    out = np.empty((len(s), layout.points, 2))
+    for i in range(len(s)):
+        inside = s[i] < root
+        half = 0.9 * float(chord[0 if inside else -1])
+        block, core = (half, 0.5 * half), ((0.5 if inside else 0.75) * half, 0.175 * half)
+        if inside and hub:
+            # The section's plane meets the hub's cylinder at this half width; three blades and more: it is bent.
+            wide = sine * math.sqrt(hub.radius_m**2 - min(float(s[i]), begin) ** 2)
+            core = (wide, hub.half_height_m)
+            block = (max(0.7 * half / 0.9, 1.5 * wide), max(OVER * half / 0.9, 2.0 * hub.half_height_m))
         shape = Shape(
-            loop[i], float(at.chord_m[i]), float(at.twist_rad[i]) + pitch_rad, float(plain[i]),
-            0.9 * float(at.chord_m[0 if y[i] < radius else -1]), 0.5 if y[i] < radius else 0.75,
-            float(relaxed[i]), typical,
+            loop[i], float(chord[i]), float(at.twist_rad[i]) + pitch_rad, float(plain[i]), block, core,
+            float(relaxed[i]), typical, gurney, plate,
         )  # fmt: skip
         out[i] = section(layout, shape, box)
     # What turning left off zero on the plane of symmetry is rounding; the two periodic planes are to match to the bit.
@@ -278,7 +384,7 @@ def _sections(
     mirror = _mirror(layout)
     first[:, 0] = 0.5 * (first[:, 0] - first[mirror, 0])
     first[:, 1] = 0.5 * (first[:, 1] + first[mirror, 1])
-    return out
+    return out, (gurney[1], plate[1])
 
 
 def _mirror(layout: Layout) -> Index:
@@ -294,8 +400,19 @@ def _mirror(layout: Layout) -> Index:
     return image
 
 
-def _check(rotor: Rotor, pitch_rad: float) -> None:
+def _check(rotor: Rotor, pitch_rad: float, form: Form) -> None:
     """InputError for a rotor that cannot be meshed."""
+    if form.hub and not 0.02 * rotor.radius_m < form.hub.radius_m < 0.95 * rotor.hub_radius_m:
+        raise InputError(
+            "hub", "radius", f"is {1e3 * form.hub.radius_m:.3g} mm",
+            f"give {20 * rotor.radius_m:.2g} to {950 * rotor.hub_radius_m:.3g} mm: the blades begin at "
+            f"{1e3 * rotor.hub_radius_m:.3g} mm",
+        )  # fmt: skip
+    if form.hub and form.hub.half_height_m > 0.2 * rotor.radius_m:
+        raise InputError(
+            "hub", "half_height", f"is {1e3 * form.hub.half_height_m:.3g} mm",
+            f"give at most {200 * rotor.radius_m:.3g} mm",
+        )  # fmt: skip
     if rotor.blades < 2:
         raise InputError(rotor.name, "blades", "is 1", "give two or more: one blade has no periodic sector")
     if float(rotor.hub_cutout) < _NEAREST:

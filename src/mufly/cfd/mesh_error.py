@@ -122,6 +122,9 @@ def mesh_study(cases: Sequence[Path]) -> tuple[Convergence, Convergence]:
             "model",
             "density_kg_m3",
             "viscosity_Pa_s",
+            "tip",
+            "hub_m",
+            "gurney",
         ):
             if getattr(point, key) != getattr(points[0], key):
                 raise InputError(

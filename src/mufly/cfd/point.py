@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.cfd.case import Point, momentum_start, read_point, write_case
+from mufly.cfd.form import named_form
 from mufly.cfd.mesh import Domain, blade_mesh
 from mufly.cfd.polymesh import Quality, poly_mesh, quality
 from mufly.cfd.results import Solution, read_solution, scaled_state
@@ -35,10 +36,15 @@ def save_case(
     model: str = "laminar",
     level: str = "medium",
     domain: Domain | None = None,
+    tip: str = "square",
+    hub_m: float = 0.0,
+    gurney: float = 0.0,
     cores: int = 1,
     neighbour: Path | None = None,
 ) -> Quality:
     """Mesh a rotor and write a case of one operating point; return the mesh's quality.
+
+    Tip, hub and Gurney flap are those of :func:`mufly.cfd.form.named_form`.
 
     With ``neighbour``, a solved case of another speed on the same mesh, it starts from that solution, scaled.
 
@@ -54,11 +60,12 @@ def save_case(
     induced = momentum_start(guess.thrust_N, rotor.radius_m, air)
     point = Point(
         rotor.name, rotor.blades, rotor.radius_m, pitch_rad, speed_rad_s, climb_m_s, model, level, air.density_kg_m3,
-        air.viscosity_Pa_s, induced,
+        air.viscosity_Pa_s, induced, tip=tip, hub_m=hub_m, gurney=gurney,
     )  # fmt: skip
     if neighbour is not None:
         point = replace(point, upwind=0, least=SCALED)
-    mesh = poly_mesh(blade_mesh(rotor, pitch_rad, level=level, domain=domain))
+    form = named_form(tip, hub_m, gurney)
+    mesh = poly_mesh(blade_mesh(rotor, pitch_rad, level=level, domain=domain, form=form))
     found = quality(mesh)
     if not found.good:
         raise InputError(
@@ -89,6 +96,9 @@ def save_case(
             "level",
             "density_kg_m3",
             "viscosity_Pa_s",
+            "tip",
+            "hub_m",
+            "gurney",
         )
         other = [name for name in same if getattr(before, name) != getattr(point, name)]
         if other:

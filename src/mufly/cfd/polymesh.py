@@ -146,6 +146,8 @@ def poly_mesh(mesh: Mesh) -> PolyMesh:
     same = np.all(sorted_key[1:] == sorted_key[:-1], axis=1)
     if np.any(same[1:] & same[:-1]):
         raise MuflyError("mesh: a face is shared by three cells")
+    # A plate's faces are walls of the cells on both sides.
+    same[same] = ~_among(sorted_key[:-1][same], np.sort(mesh.plates, axis=1), len(mesh.points))
     first = order[:-1][same]
     second = order[1:][same]
     alone = np.ones(len(order), dtype=bool)
@@ -191,6 +193,12 @@ def poly_mesh(mesh: Mesh) -> PolyMesh:
         mesh.points, np.concatenate(all_faces), np.concatenate(all_owners), neighbour, patches, strip, mesh.edges_m,
         mesh.blades,
     )  # fmt: skip
+
+
+def _among(faces: Index, wanted: Index, points: int) -> NDArray[np.bool_]:
+    """Which faces, their points rising, are among others: told by their three lowest points."""
+    size = np.array([points**2, points, 1], dtype=np.int64)
+    return np.isin(faces[:, :3] @ size, wanted[:, :3] @ size)
 
 
 def _paired(mesh: Mesh, left: Index, right: Index) -> tuple[Index, Index, Index]:

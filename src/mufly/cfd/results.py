@@ -53,6 +53,8 @@ class Solution:
         On the blade's faces.
     friction_Pa : (faces, 3) array
         Shear stress that the air puts on the blade's faces.
+    eddy_ratio : float
+        Greatest turbulent viscosity over the air's within 1.5 R of the hub; 0 for laminar.
     """
 
     point: Point
@@ -71,6 +73,7 @@ class Solution:
     yplus: Array
     pressure_Pa: Array
     friction_Pa: Array
+    eddy_ratio: float = 0.0
 
 
 def read_solution(folder: Path, mesh: PolyMesh | None = None) -> Solution:
@@ -97,8 +100,10 @@ def read_solution(folder: Path, mesh: PolyMesh | None = None) -> Solution:
     wall = point.speed_rad_s * np.stack((-centre[:, 1], centre[:, 0], np.zeros(len(centre))), axis=-1)
     slip = velocity[cell] - wall
     slip -= np.einsum("fi,fi->f", slip, normal)[:, None] * normal
-    mu = np.full(len(cell), point.viscosity_Pa_s)
+    mu, eddy = np.full(len(cell), point.viscosity_Pa_s), 0.0
     if (place / "nut").is_file():
+        close = np.linalg.norm(mesh.centres, axis=1) < 1.5 * point.radius_m
+        eddy = float(np.max(read_field(place / "nut", mesh.cells)[close])) / point.nu
         mu += point.density_kg_m3 * read_patch(place / "nut", "blade", len(cell))
     friction = mu[:, None] * slip / distance[:, None]
     p = point.density_kg_m3 * pressure[cell]
@@ -106,7 +111,9 @@ def read_solution(folder: Path, mesh: PolyMesh | None = None) -> Solution:
     moment = centre[:, 0] * force[:, 1] - centre[:, 1] * force[:, 0]
     of_friction = centre[:, 0] * friction[:, 1] - centre[:, 1] * friction[:, 0]
     edges = mesh.edges_m
-    strip = np.clip(np.searchsorted(edges, centre[:, 1]) - 1, 0, len(edges) - 2)
+    # Caps belong to cells of no strip: the root's (and the hub) count to the first, the tip's to the last.
+    strip = np.where(centre[:, 1] < 0.5 * (edges[0] + edges[-1]), 0, len(edges) - 2)
+    strip = np.where(mesh.strip[cell] >= 0, mesh.strip[cell], strip)
     width = np.diff(edges)
     thrust = point.blades * np.bincount(strip, force[:, 2], len(width))
     torque = -point.blades * np.bincount(strip, moment, len(width))
@@ -120,7 +127,7 @@ def read_solution(folder: Path, mesh: PolyMesh | None = None) -> Solution:
         point, judge(folder), t, q, power, t / (point.density_kg_m3 * disc * tip**2),
         q / (point.density_kg_m3 * disc * tip**2 * point.radius_m), ideal / power if power > 0 else math.nan,
         float(-point.blades * np.sum(of_friction * size) / q), 0.5 * (edges[1:] + edges[:-1]), width, thrust / width,
-        torque / width, u_tau * distance / point.nu, p, friction,
+        torque / width, u_tau * distance / point.nu, p, friction, eddy,
     )  # fmt: skip
 
 

@@ -253,26 +253,32 @@ class Shape:
         Chord; its angle to the disc, nose up.
     plain : float
         0 at the blade; 1 on the axis, where the section is its own mirror image and nothing is crowded.
-    plain_m, hole : float
-        Half width of the centre block there, and the part of it that the core takes.
+    block_m, core_m : two float
+        There: half width and half height of the centre block, and of the core in it.
     relaxed : float
         0 where the ring is crowded to the wall, 1 where it is even.
     typical_m : float
         Chord that sizes the cells outside the centre block: one for all sections.
+    gurney, plate : (float, int)
+        Height over chord and layer of the ring (from the wall) of the edge of a plate below the tail, and of one above
+        and below the blade: the layer lies at that height. (0, 0) for none.
     """
 
     loop: Array
     chord_m: float
     angle_rad: float
     plain: float
-    plain_m: float
-    hole: float
+    block_m: tuple[float, float]
+    core_m: tuple[float, float]
     relaxed: float
     typical_m: float
+    gurney: tuple[float, int] = (0.0, 0)
+    plate: tuple[float, int] = (0.0, 0)
 
 
 BESIDE, OVER = 0.40, 0.45
 _SMOOTHED = 6
+_LEAN = 0.5
 """Margin of the centre block before nose and behind tail, and its half height, in chords."""
 
 
@@ -288,8 +294,8 @@ def section(layout: Layout, shape: Shape, box: Box) -> Array:
     n, m = k.along, k.across
     # The contour, and the centre block before it is turned: blade, and plain (its own mirror image in x).
     loop = _turned(c * shape.loop, shape.angle_rad)
-    half, high = shape.plain_m, 0.5 * shape.plain_m
-    plain = _rectangle(-shape.hole * half, shape.hole * half, -0.35 * high, 0.35 * high, n, m)
+    (half, high), (wide, thick) = shape.block_m, shape.core_m
+    plain = _rectangle(-wide, wide, -thick, thick, n, m)
     loop = (1 - g) * loop + g * plain
     low, right = -(0.25 + BESIDE) * c, (0.75 + BESIDE) * c
     even = np.linspace(0.0, 1.0, n + 1)
@@ -357,22 +363,67 @@ def _ring(loop: Array, edge: Array, shape: Shape, counts: Counts) -> Array:
     tangents = [b / np.linalg.norm(b, axis=1, keepdims=True) for b in (loop - before, after - loop)]
     tangent = tangents[0] + tangents[1]
     normal = np.stack((-tangent[:, 1], tangent[:, 0]), axis=-1)
+    corner = counts.along + counts.across
     # At the tail's corners neighbouring lines would part at 45 degrees; they turn there over a few points instead.
     for _ in range(_SMOOTHED):
         normal = 0.25 * np.roll(normal, 1, axis=0) + 0.5 * normal + 0.25 * np.roll(normal, -1, axis=0)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    if shape.gurney[1]:
+        normal = (1 - shape.plain) * _about_flap(normal, loop, shape, counts) + shape.plain * normal
     across = edge - loop
     far = np.linalg.norm(across, axis=1, keepdims=True)
     first = counts.wall * shape.chord_m / (OVER * shape.chord_m)
-    t = (1 - shape.relaxed) * grown(counts.ring, first) + shape.relaxed * np.linspace(0, 1, counts.ring + 1)
-    t = t[::-1, None, None]
-    leave, arrive = far * normal, across
+    t = grown(counts.ring, first)
+    reach = shape.gurney[0] * shape.chord_m / float(far[corner, 0])
+    for (height, layer), line in ((shape.gurney, corner), (shape.plate, counts.along // 2)):
+        if layer:
+            drawn = _through(t, layer, height * shape.chord_m / float(far[line, 0]))
+            t = (1 - shape.plain) * drawn + shape.plain * t
+    t = (1 - shape.relaxed) * t + shape.relaxed * np.linspace(0, 1, counts.ring + 1)
+    # A plate is plane: the lines stay on the wall's normal as far as it reaches, and bend from there.
+    straight = (1 - shape.plain) * reach if shape.gurney[1] else 0.0
+    begin, leave = loop + straight * far * normal, (1.0 - straight) * far * normal
+    u = np.maximum(t[::-1, None, None] - straight, 0.0) / (1.0 - straight)
+    within = np.minimum(t[::-1, None, None] - straight, 0.0)
     return (
-        (2 * t**3 - 3 * t**2 + 1) * loop
-        + (t**3 - 2 * t**2 + t) * leave
-        + (3 * t**2 - 2 * t**3) * edge
-        + (t**3 - t**2) * arrive
+        (2 * u**3 - 3 * u**2 + 1) * begin
+        + (u**3 - 2 * u**2 + u) * leave
+        + (3 * u**2 - 2 * u**3) * edge
+        + (u**3 - u**2) * (edge - begin)
+        + within * far * normal
     )
+
+
+def _about_flap(normal: Array, loop: Array, shape: Shape, counts: Counts) -> Array:
+    """Directions in which the ring's lines leave a contour with a plate below its tail's lower corner.
+
+    There the line runs along the plate, square to the chord; those ahead of it join it over 0.3 chords and lean away
+    from it a little, as lines that lean together would cross; those of the tail fan out between it and the tail's
+    upper corner.
+    """
+    n, corner = counts.along, counts.along + counts.across
+    out, (down, ahead) = normal.copy(), _turned(np.array([[0.0, -1.0], [-1.0, 0.0]]), shape.angle_rad)
+    off = np.linalg.norm(loop[corner : corner + n] - loop[corner], axis=1) / (0.3 * shape.chord_m)
+    w = _fading(off)[:, None]
+    lean = _LEAN * (w * (1 - np.exp(-off / 0.05)[:, None]))
+    out[corner : corner + n] = (1 - w) * normal[corner : corner + n] + w * down + lean * ahead
+    begin, end = math.atan2(normal[n, 1], normal[n, 0]), math.atan2(down[1], down[0])
+    angle = np.linspace(begin, end if end < begin else end - 2.0 * math.pi, corner - n + 1)
+    out[n : corner + 1] = np.stack((np.cos(angle), np.sin(angle)), axis=-1)
+    return out / np.linalg.norm(out, axis=1, keepdims=True)
+
+
+def _through(t: Array, layer: int, value: float) -> Array:
+    """Points on 0..1, rising, drawn so that one of them lies at a value."""
+    return np.where(
+        t <= t[layer], t * (value / t[layer]), 1.0 - (1.0 - t) * ((1.0 - value) / (1.0 - t[layer]))
+    )
+
+
+def layers(counts: Counts, height: float, far: float) -> int:
+    """Layers of the ring, from the wall, nearest to a height (chords) where the ring is so far across (chords)."""
+    t = grown(counts.ring, counts.wall / OVER)[1:-2]
+    return 1 + int(np.argmin(np.abs(np.log(t * far / height))))
 
 
 def thickness_check(airfoil_name: str) -> Any:

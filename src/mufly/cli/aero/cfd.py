@@ -38,6 +38,11 @@ MeshOption = Annotated[
     ),
 ]
 TurbulenceOption = Annotated[str, option("--model NAME", "'laminar', 'k-epsilon', 'sst' or 'k-omega'.")]
+TipOption = Annotated[str, option("--tip NAME", "The blades' tip; names in docs/cfd.md.")]
+HubOption = Annotated[float, option("--hub MM", "Radius of a hub with grips; 0 for none.", min=0.0)]
+GurneyOption = Annotated[
+    float, option("--gurney PERCENT", "Height of a plate below the trailing edge, of the chord.", min=0.0)
+]
 CaseOption = Annotated[
     Path, option("--out DIR", "The case: its folder; a run that was stopped goes on there.")
 ]
@@ -48,6 +53,9 @@ def mesh(
     rotor: RotorArgument = "naca0012-r60-c20",
     pitch: PitchOption = "12",
     level: MeshOption = "medium",
+    tip: TipOption = "square",
+    hub: HubOption = 0.0,
+    gurney: GurneyOption = 0.0,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -56,12 +64,23 @@ def mesh(
     With --out, OpenFOAM's constant/polyMesh and a picture are written there.
     Example: mufly cfd mesh naca0012-r60-c20 --pitch 12 --out case
     """
-    from mufly.cfd import LEVELS, blade_mesh, mesh_picture, poly_mesh, quality, write_poly_mesh
+    from mufly.cfd import (
+        LEVELS,
+        TIPS,
+        blade_mesh,
+        mesh_picture,
+        named_form,
+        poly_mesh,
+        quality,
+        write_poly_mesh,
+    )
     from mufly.cli.present import writing
     from mufly.rotor import load_rotor
 
     one_of("--mesh", level, LEVELS)
-    found = poly_mesh(blade_mesh(load_rotor(rotor), angle("--pitch", pitch), level=level))
+    one_of("--tip", tip, TIPS)
+    form = named_form(tip, 1e-3 * hub, 0.01 * gurney)
+    found = poly_mesh(blade_mesh(load_rotor(rotor), angle("--pitch", pitch), level=level, form=form))
     good, files = quality(found), []
     if out is not None:
         with writing(out):
@@ -88,6 +107,9 @@ def run(
     density: Annotated[float, option("KG/M3", "Density of the air.")] = 1.2,
     model: TurbulenceOption = "laminar",
     level: MeshOption = "medium",
+    tip: TipOption = "square",
+    hub: HubOption = 0.0,
+    gurney: GurneyOption = 0.0,
     out: CaseOption = Path("case"),
     save_only: Annotated[bool, option("--save-only", "Write the case and do not run it.")] = False,
     cores: Annotated[int, option("N", "Processes of the solver.", min=1, max=256)] = 1,
@@ -99,11 +121,12 @@ def run(
     its Allrun runs it without mufly.
     Example: mufly cfd run naca0012-r60-c20 --pitch 12 --rpm 5000 --mesh coarse --out case
     """
-    from mufly.cfd import LEVELS, MODELS, find_solver, run_case, save_case
+    from mufly.cfd import LEVELS, MODELS, TIPS, find_solver, run_case, save_case
     from mufly.rotor import Air, load_rotor
 
     one_of("--model", model, MODELS)
     one_of("--mesh", level, LEVELS)
+    one_of("--tip", tip, TIPS)
     r, air = load_rotor(rotor), Air(density_kg_m3=density)
     theta, speed = angle("--pitch", pitch), turning("--rpm", rpm)
     if not save_only:
@@ -117,6 +140,9 @@ def run(
         air=air,
         model=model,
         level=level,
+        tip=tip,
+        hub_m=1e-3 * hub,
+        gurney=0.01 * gurney,
         cores=cores,
     )
     if save_only:
@@ -220,6 +246,7 @@ def show(
 ) -> None:
     """Say what a case's last state is worth: verdict, loads, y+, beside blade elements and wake.
 
+    The blades, with pressure and friction, are written as VTP and glTF into the case's results.
     Example: mufly cfd show case
     """
     from mufly.cfd import read_point
@@ -296,20 +323,24 @@ def convergence_of(
 def _tell(folder: Path, rotor: Rotor | None, as_json: bool) -> None:
     """Print a solution, and write its tables and pictures into the case."""
     from mufly.cfd import (
+        blade_surface,
         history,
         history_picture,
         loads_picture,
+        pressure_colours,
         pressure_picture,
         read_poly_mesh,
         read_solution,
+        write_glb,
+        write_vtp,
     )
 
-    found = poly = None
     poly = read_poly_mesh(folder)
     found = read_solution(folder, poly)
     others = [] if rotor is None else _others(rotor, found)
     place = folder / "results"
     past = history(folder)
+    points, faces, data = blade_surface(poly, found)
     files = [
         write_csv(place / "history.csv", ("iteration", "thrust_N", "torque_Nm"), past),
         write_csv(
@@ -319,6 +350,8 @@ def _tell(folder: Path, rotor: Rotor | None, as_json: bool) -> None:
         save_picture(loads_picture(found, others), place, "loads"),
         save_picture(pressure_picture(poly, found), place, "pressure"),
         save_picture(history_picture(past), place, "history"),
+        write_vtp(place / "blades.vtp", points, faces, data),
+        write_glb(place / "blades.glb", points, faces, pressure_colours(data["pressure_Pa"]), found.point.rotor),
     ]  # fmt: skip
 
     def content() -> dict[str, Any]:
@@ -328,6 +361,7 @@ def _tell(folder: Path, rotor: Rotor | None, as_json: bool) -> None:
                 "thrust_N_m", "torque_Nm_m")  # fmt: skip
         return {
             "point": vars(found.point), "verdict": found.verdict, **{k: getattr(found, k) for k in kept},
+            "eddy_ratio": found.eddy_ratio,
             "yplus_largest": float(found.yplus.max()), "yplus_median": float(np.median(found.yplus)),
             "beside": {o.method: {"thrust_N": o.thrust_N, "torque_Nm": o.torque_Nm} for o in others},
         }  # fmt: skip
@@ -375,10 +409,11 @@ def _show(found: Solution, others: list[Any]) -> None:
     ]  # fmt: skip
     print_table(("", "thrust (N)", "torque (mN m)", "cfd against it: thrust", "torque"), rows)
     c.print(
-        f"Drift {100 * v.drift:.2g} % and swing {100 * v.swing:.2g} % in the last 200 iterations, outflow "
+        f"Drift {100 * v.drift:.2g} % and swing {100 * v.swing:.2g} % in the last 400 iterations, outflow "
         f"{1e3 * v.outflow_m3_s:.3g} l/s at the bottom, continuity {v.leak:.1e}; friction is "
         f"{100 * found.friction_torque:.0f} % of the torque; y+ up to {found.yplus.max():.2g}, median "
-        f"{np.median(found.yplus):.2g}; figure of merit {found.figure_of_merit:.3f}",
+        f"{np.median(found.yplus):.2g}; figure of merit {found.figure_of_merit:.3f}"
+        + (f"; turbulent over molecular viscosity up to {found.eddy_ratio:.3g}" if found.eddy_ratio else ""),
         highlight=False,
     )
     if not v.settled:
