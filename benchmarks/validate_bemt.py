@@ -5,39 +5,25 @@
     python benchmarks/validate_bemt.py --pairs     # coaxial pairs only
 
 The data stays outside the project; without it the script says so and stops. What is assumed of sections that
-nobody recorded stands in ``rotor_cases.py``.
+nobody recorded stands in ``mufly.study.benchmark.cases``.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-import tempfile
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
 import numpy as np
-from rotor_cases import (
-    DATA,
-    RPM,
-    T_MOTOR_AIR,
-    Case,
-    blading_of,
-    errors,
-    others,
-    propellers,
-    rows_of,
-    t_motor,
-    table_3_2,
-)
+from rotor_cases import DATA, blading_of, errors, others, propellers, table_3_2
 
 from mufly.rotor import (
     PLAIN,
     Blading,
     Condition,
     Corrections,
-    Doubt,
     Method,
     System,
     calibrate,
@@ -47,6 +33,9 @@ from mufly.rotor import (
     interval,
     solve,
 )
+from mufly.study.benchmark import RotorCase
+from mufly.study.benchmark.cases import T_MOTOR_AIR, rows_of, t_motor_28
+from mufly.units import RPM
 
 
 def _mean(v: np.ndarray) -> float:
@@ -58,7 +47,7 @@ def _bias(v: np.ndarray) -> float:
 
 
 def summary(
-    cases: list[Case], corrections: Corrections | None = None, n_crit: float = 0.1
+    cases: list[RotorCase], corrections: Corrections | None = None, n_crit: float = 0.1
 ) -> dict[str, tuple[float, float]]:
     """Mean absolute error (%) of thrust and torque of each group: mean over rotors of the mean over points."""
     found: dict[str, list[tuple[float, float]]] = {}
@@ -90,7 +79,7 @@ def _print_table(head: list[str], rows: list[list[str]]) -> None:
     print()
 
 
-def report_table_3_2(case: Case) -> None:
+def report_table_3_2(case: RotorCase) -> None:
     """Four points, untuned and calibrated on the first."""
     blading = blading_of(case)
     untuned = compare(blading, case.measured)
@@ -112,7 +101,7 @@ def report_table_3_2(case: Case) -> None:
     print(f"Factors: lift {fixes.lift_factor:.3f}, drag {fixes.drag_factor:.3f}\n")
 
 
-def report_propellers(cases: list[Case]) -> None:
+def report_propellers(cases: list[RotorCase]) -> None:
     """Every propeller, the worst first."""
     print("## UIUC propellers, worst first\n")
     rows = []
@@ -134,7 +123,7 @@ def report_propellers(cases: list[Case]) -> None:
     print()
 
 
-def report_others(cases: list[Case]) -> None:
+def report_others(cases: list[RotorCase]) -> None:
     """Single rotors of other sizes."""
     print("## Other rotors\n")
     rows = []
@@ -152,7 +141,7 @@ def report_others(cases: list[Case]) -> None:
     _print_table(["rotor", "thrust errors", "mean", "torque: mean, bias"], rows)
 
 
-def report_variants(cases: list[Case]) -> None:
+def report_variants(cases: list[RotorCase]) -> None:
     """What each correction, transition and section assumption does."""
     print("## What each term does: mean absolute error of thrust / torque, %\n")
     groups = list(dict.fromkeys(c.group for c in cases))
@@ -164,7 +153,7 @@ def report_variants(cases: list[Case]) -> None:
     rows += [line(f"n_crit {n:g}", summary(cases, n_crit=n)) for n in (1.0, 4.0, 9.0)]
     _print_table(["", *groups], rows)
     print("Propellers of guessed section, with one section for all of them: c_T / c_P error, %\n")
-    guessed = [c for c in cases if c.group == "UIUC" and not c.known]
+    guessed = [c for c in cases if c.group == "UIUC micro" and not c.known]
     out = []
     for section in ("naca2408", "clarky", "naca4412", "naca4503", "naca5503", "naca6503", "goe417a"):
         scores = np.array([[_mean(v) for v in errors(c, section=section)] for c in guessed])
@@ -172,17 +161,17 @@ def report_variants(cases: list[Case]) -> None:
     _print_table(["section", "11 propellers"], out)
 
 
-def report_intervals(cases: list[Case]) -> None:
+def report_intervals(cases: list[RotorCase]) -> None:
     """How often the 90 % interval holds."""
     print("## 90 % intervals\n")
     rows = []
     count = {}
     for case in cases:
         m = case.measured
-        doubt = Doubt() if case.known else Doubt.of_unknown_section()
         band = interval(
-            case.rotor, pitch_rad=m.pitch_rad, speed_rad_s=m.speed_rad_s, air=case.air, doubt=doubt
-        )
+            case.rotor, pitch_rad=m.pitch_rad, speed_rad_s=m.speed_rad_s, air=case.air,
+            section="known" if case.known else "guessed",
+        )  # fmt: skip
         t = (m.thrust_N >= band.thrust_low_N) & (m.thrust_N <= band.thrust_high_N)
         q = ((m.torque_Nm >= band.torque_low_Nm) & (m.torque_Nm <= band.torque_high_Nm))[
             np.isfinite(m.torque_Nm)
@@ -210,7 +199,7 @@ def report_intervals(cases: list[Case]) -> None:
     )
 
 
-def report_fits(cases: list[Case]) -> None:
+def report_fits(cases: list[RotorCase]) -> None:
     """Sections fitted to the middle point, and to every other point; errors and intervals at the others."""
     print("## Sections fitted to a part of each sweep (`mufly rotor fit`), scored on the rest\n")
     rows, all_of = [], {"one point": [], "every other": []}
@@ -255,7 +244,7 @@ def report_fits(cases: list[Case]) -> None:
 PAIR_METHODS: tuple[Method, ...] = ("bemt", "tubes")
 
 
-def report_coaxial(case: Case, data: Path = DATA) -> None:
+def report_coaxial(case: RotorCase, data: Path = DATA) -> None:
     """The dissertation's pair (its vortex method) and the 28 inch pair (measured)."""
     print("## Coaxial pairs\n")
     pair, deg = blading_of(case), np.radians
@@ -296,7 +285,7 @@ def report_coaxial(case: Case, data: Path = DATA) -> None:
         ],
         rows,
     )
-    rotor = Case("tmotor28", "", t_motor(), False, case.measured, T_MOTOR_AIR)
+    rotor = t_motor_28(data)
     for method, n_crit in product(PAIR_METHODS, (0.1, 4.0, 9.0)):
         label = f"28 inch pair, {method}, n_crit {n_crit:g}"
         _report_28_inch(blading_of(rotor, n_crit=n_crit), label, data, method)
@@ -331,19 +320,17 @@ def main() -> None:
     if args.pairs:
         report_coaxial(table_3_2())
         return
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        thesis, props = table_3_2(), propellers(folder)
-        report_table_3_2(thesis)
-        report_propellers(props)
-        if args.short:
-            return
-        rest = others(folder)
-        report_others(rest)
-        report_variants([thesis, *props, *rest])
-        report_intervals([thesis, *props, *rest])
-        report_fits(props)
-        report_coaxial(thesis)
+    thesis, props = table_3_2(), propellers()
+    report_table_3_2(thesis)
+    report_propellers(props)
+    if args.short:
+        return
+    rest = others()
+    report_others(rest)
+    report_variants([thesis, *props, *rest])
+    report_intervals([thesis, *props, *rest])
+    report_fits(props)
+    report_coaxial(thesis)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@
     python benchmarks/validate_wake.py table others         # Table 3.2; the three larger rotors
     python benchmarks/validate_wake.py --keep solved        # a stopped run goes on where it was
 
-Coaxial pairs: validate_wake_pairs.py. What is assumed of the rotors: rotor_cases.py, the same for both methods.
+Coaxial pairs: validate_wake_pairs.py. What is assumed of the rotors: mufly.study.benchmark.cases, for both methods.
 Transition: n_crit 0.1 is the default everywhere; the other values show what it does. For the 28 inch rotor n_crit 9 is
 what clean air at Re 1e5 to 3e5 suggests; all three values had been looked at before it was named.
 """
@@ -12,15 +12,16 @@ what clean air at Re 1e5 to 3e5 suggests; all three values had been looked at be
 from __future__ import annotations
 
 import sys
-import tempfile
 from pathlib import Path
 
 import numpy as np
-from rotor_cases import DATA, RPM, blading_of, others, propellers, rows_of, table_3_2
+from rotor_cases import DATA, blading_of, others, propellers, table_3_2
 from wake_cases import Answer, Solver, arguments, farewell, percent, table
 
 from mufly.rotor import Condition, System, hover_batch, solve
 from mufly.rotor.wake import WakeSettings, momentum_thrust
+from mufly.study.benchmark.cases import rows_of
+from mufly.units import RPM
 
 OFFSET_DEG = 0.8  # pitch error of the bench that would explain Table 3.2; shown, never applied
 
@@ -74,10 +75,10 @@ def report_table_3_2(solver: Solver) -> None:
           ["", *(["thrust"] + [""] * 3), *(["torque"] + [""] * 3)], rows)  # fmt: skip
 
 
-def report_others(solver: Solver, folder: Path) -> None:
+def report_others(solver: Solver) -> None:
     """Caradonna and Tung, DJI 9443, the 28 inch rotor alone, at three transitions."""
     rows = []
-    for case in others(folder):
+    for case in others():
         m = case.measured
         size = m.thrust_N.size
         chosen = np.arange(size) if size < 6 else np.linspace(0, size - 1, 5).round().astype(int)
@@ -105,10 +106,10 @@ def report_others(solver: Solver, folder: Path) -> None:
     )
 
 
-def report_propellers(solver: Solver, folder: Path) -> None:
+def report_propellers(solver: Solver) -> None:
     """Seventeen propellers at their least, middle and greatest speed, beside BEMT at the same points."""
     rows, scores, known = [], [], []
-    for case in propellers(folder):
+    for case in propellers():
         m = case.measured
         chosen = np.array([0, m.thrust_N.size // 2, m.thrust_N.size - 1])
         found = [solver.single(case, m.pitch_rad[i], m.speed_rad_s[i]) for i in chosen]
@@ -141,11 +142,11 @@ def report_propellers(solver: Solver, folder: Path) -> None:
     print()
 
 
-def report_momentum(folder: Path) -> None:
+def report_momentum() -> None:
     """Thrust from the momentum through planes below the disc, over the loads' without profile drag's share."""
     rows = []
     heights = (0.3, 0.5, 0.75, 1.0)
-    dji, slender, *_ = others(folder)
+    dji, slender, *_ = others()
     for case, i in ((table_3_2(), 0), (table_3_2(), 3), (slender, 1), (slender, 2), (dji, 0)):
         m, air = case.measured, case.air
         point = Condition(float(m.pitch_rad[i]), float(m.speed_rad_s[i]), air=air)
@@ -172,15 +173,14 @@ def main() -> None:
             "validate_wake: the measurements (../shared/data/aero) are not here; nothing to compare with"
         )
     solver = Solver(args.keep)
-    with tempfile.TemporaryDirectory() as name:
-        if "table" in args.parts:
-            report_table_3_2(solver)
-        if "others" in args.parts:
-            report_others(solver, Path(name))
-        if "propellers" in args.parts:
-            report_propellers(solver, Path(name))
-        if "momentum" in args.parts:
-            report_momentum(Path(name))
+    if "table" in args.parts:
+        report_table_3_2(solver)
+    if "others" in args.parts:
+        report_others(solver)
+    if "propellers" in args.parts:
+        report_propellers(solver)
+    if "momentum" in args.parts:
+        report_momentum()
     farewell(solver)
 
 

@@ -13,11 +13,13 @@ from __future__ import annotations
 import sys
 
 import numpy as np
-from rotor_cases import AIR, DATA, RPM, T_MOTOR_AIR, Case, blading_of, rows_of, t_motor, table_3_2
+from rotor_cases import DATA, blading_of, table_3_2
 from wake_cases import Answer, Solver, arguments, farewell, percent, table
 
 from mufly.rotor import Blading, Condition, Result, System, solve
 from mufly.rotor.wake import WakeSettings
+from mufly.study.benchmark.cases import AIR, T_MOTOR_AIR, rows_of, t_motor_28
+from mufly.units import RPM
 
 PITCH = float(np.radians(14))
 TABLE_3_4 = ((14, 6650, 0.1949, 2.0531), (16, 5750, 0.1820, 1.7413), (18, 5025, 0.1709, 1.5286))
@@ -91,7 +93,7 @@ def report_big(solver: Solver) -> None:
     """The measured 28 inch pair: A is the lower rotor, B the upper one, at slightly different speeds."""
     points = rows_of(DATA / "tmotor28_coaxial.csv")
     chosen = points[np.linspace(0, len(points) - 1, 4).round().astype(int)]
-    case = Case("tmotor28", "", t_motor(), False, None, T_MOTOR_AIR)  # type: ignore[arg-type]
+    case = t_motor_28(DATA)
     rows = []
     for n_crit in (0.1, 4.0, 9.0):
         rotor = blading_of(case, n_crit=n_crit)

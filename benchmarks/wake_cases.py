@@ -16,11 +16,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from rotor_cases import REYNOLDS, Case, blading_of
+from rotor_cases import blading_of
 
 from mufly.errors import MuflyError
 from mufly.rotor import Air, Blading, Condition, Result, System, polars, prepare, replace_rotor, solve
 from mufly.rotor.wake import WakeSettings
+from mufly.study.benchmark import RotorCase
 
 RPM = np.pi / 30
 
@@ -93,7 +94,7 @@ class Solver:
 
     def single(
         self,
-        case: Case,
+        case: RotorCase,
         pitch: float,
         speed: float,
         *,
@@ -103,7 +104,7 @@ class Solver:
         settings: WakeSettings | None = None,
         warm: bool = False,
     ) -> Answer:
-        """One rotor of ``rotor_cases``; rad, rad/s; from nothing unless ``warm``: no order of cases matters."""
+        """One measured rotor; rad, rad/s; from nothing unless ``warm``: no order of cases matters."""
         how = settings or WakeSettings()
         question = ("single", case.name, pitch, speed, n_crit, cutout, panels, asdict(how), asdict(case.air))
 
@@ -166,14 +167,14 @@ def _wobble(found: Result, last: int = 60) -> float:
     return float(np.max(np.ptp(loads, axis=0) / 2 / np.abs(loads.mean(axis=0))))
 
 
-def laid_out(case: Case, n_crit: float, cutout: float | None, panels: int | None) -> Blading:
+def laid_out(case: RotorCase, n_crit: float, cutout: float | None, panels: int | None) -> Blading:
     """A case with another hub cut-out or another number of panels."""
     rotor = case.rotor if cutout is None else replace_rotor(case.rotor, {"hub_cutout": cutout})
-    tables = polars(list(rotor.airfoil_names()), n_crit=n_crit, reynolds=REYNOLDS)
+    tables = polars(list(rotor.airfoil_names()), n_crit=n_crit)
     return prepare(rotor, tables, stations=panels or case_stations(case))
 
 
-def case_stations(case: Case) -> int:
+def case_stations(case: RotorCase) -> int:
     """Stations that a case is laid out with by default."""
     return int(blading_of(case).r_m.shape[1])
 

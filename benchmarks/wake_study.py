@@ -14,15 +14,16 @@ sizes are physics, not numerics: their rows show how much of the answer they are
 from __future__ import annotations
 
 import sys
-import tempfile
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-from rotor_cases import AIR, DATA, RPM, Case, others, table_3_2
+from rotor_cases import DATA, others, table_3_2
 from wake_cases import Answer, Solver, arguments, farewell, laid_out, percent, table
 
 from mufly.rotor.wake import WakeSettings
+from mufly.study.benchmark import RotorCase
+from mufly.study.benchmark.cases import AIR
+from mufly.units import RPM
 
 CORE_LIMIT, PAIR_CORE_LIMIT = 0.25, 0.3  # R
 
@@ -74,7 +75,7 @@ def _head(rotors: int) -> list[str]:
     ]
 
 
-def report_alone(solver: Solver, case: Case, point: int, title: str) -> None:
+def report_alone(solver: Solver, case: RotorCase, point: int, title: str) -> None:
     """One rotor."""
     m = case.measured
     pitch, speed, base = m.pitch_rad[point], m.speed_rad_s[point], WakeSettings(core_limit=CORE_LIMIT)
@@ -116,8 +117,7 @@ def main() -> None:
     if "single" in args.parts:
         report_alone(solver, table_3_2(), 1, "Table 3.2's rotor, 12 deg, 7000 rpm")
     if "slender" in args.parts:
-        with tempfile.TemporaryDirectory() as name:
-            case = next(c for c in others(Path(name)) if c.name == "caradonna-tung")
+        case = next(c for c in others() if c.name == "caradonna-tung")
         report_alone(solver, case, 1, "Caradonna and Tung's rotor, 8 deg")
     if "pair" in args.parts:
         report_pair(solver)

@@ -16,12 +16,16 @@ from mufly.rotor import (
     PLAIN,
     Air,
     Blading,
+    Condition,
     Corrections,
     PolarTable,
     Rotor,
+    RotorWarning,
+    System,
     hover,
     hover_batch,
     prepare,
+    solve,
     solve_thrust,
 )
 from mufly.rotor.bemt import descent_inflow
@@ -117,7 +121,7 @@ def test_shaft_power_is_what_the_air_and_the_drag_take(climb):
 def test_coefficients_do_not_depend_on_speed_at_constant_reynolds_number():
     case = blading(REAL)
     slow = hover(case, pitch_rad=0.2, speed_rad_s=50.0, air=Air(1.2, 1e-5))
-    fast = hover(case, pitch_rad=0.2, speed_rad_s=200.0, air=Air(1.2, 4e-5))
+    fast = hover(case, pitch_rad=0.2, speed_rad_s=200.0, air=Air(1.2, 4e-5, sound_m_s=4 * 343.2))
     assert_allclose([slow.c_T, slow.c_Q], [fast.c_T, fast.c_Q], rtol=1e-12)
     assert_allclose(fast.thrust_N, 16.0 * slow.thrust_N, rtol=1e-12)
 
@@ -184,6 +188,30 @@ def test_vanishing_chord_vanishing_inflow():
     assert_allclose(out.thrust_N, blade, rtol=0.02)
 
 
+def test_compressible_flow_raises_the_lift_by_prandtl_and_glauerts_rule():
+    case = blading(LINEAR, PLAIN, chord=(1e-7, 1e-7))  # without inflow to speak of
+    slow, fast = (
+        hover(case, pitch_rad=0.05, speed_rad_s=400.0, air=Air(sound_m_s=sound)) for sound in (1e9, 343.2)
+    )
+    mach = 400.0 * fast.r_m / 343.2
+    assert mach.max() > 0.55
+    assert_allclose(fast.cl / slow.cl, 1.0 / np.sqrt(1.0 - mach**2), rtol=1e-3)
+    assert np.all((fast.cd == 0.0) | (mach > 0.87 - 0.12 - 0.11 - 0.1 * np.abs(fast.cl)))
+    assert fast.cd[-1] >= 0.0
+    real = blading(REAL, PLAIN)  # stalls at the lift that it always stalls at, at a smaller angle
+    steep = [
+        hover(real, pitch_rad=0.3, speed_rad_s=450.0, air=Air(sound_m_s=s)).cl.max() for s in (1e9, 343.2)
+    ]
+    assert steep[1] < 1.02 * max(steep[0], 1.15)
+
+
+def test_tips_beyond_mach_0_7_are_said_at_once():
+    with pytest.warns(RotorWarning, match=r"Mach 0\.8"):
+        solve(System.single(blading(REAL)), Condition(0.1, 0.8 * 343.2 / 0.5))
+    with pytest.raises(InputError, match=r"Mach 1\.5"):
+        solve(System.single(blading(REAL)), Condition(0.1, 1.5 * 343.2 / 0.5))
+
+
 def test_effective_radius_is_eq_3_13():
     case = blading(
         REAL, Corrections(tip_loss="effective_radius", lifting_surface=False, rotation="none"), stations=200
@@ -212,7 +240,8 @@ def test_batch_is_bit_by_bit_the_single_point():
     n = 700
     pitch, speed = rng.uniform(-1.5, 1.5, n), rng.uniform(1.0, 1500.0, n)
     climb, which = rng.uniform(-30, 30, n), rng.integers(0, 3, n)
-    many = hover_batch(case, pitch_rad=pitch, speed_rad_s=speed, climb_m_s=climb, which=which)
+    with pytest.warns(RotorWarning, match="Mach 2"):
+        many = hover_batch(case, pitch_rad=pitch, speed_rad_s=speed, climb_m_s=climb, which=which)
     for i in range(0, n, 7):
         one = hover(case, pitch_rad=pitch[i], speed_rad_s=speed[i], climb_m_s=climb[i], which=int(which[i]))
         assert one.thrust_N == many.thrust_N[i]

@@ -85,24 +85,32 @@ def test_full_circle(name, aspect_ratio):
     inside = np.abs(ALPHA_GRID) <= math.radians(neural.WIDEST_DEG) + 1e-9
     assert np.allclose(t.cl[:, inside][:, ::2], data.cl, atol=1e-12)
     assert np.allclose(t.cd[:, inside][:, ::2], data.cd, atol=1e-12)
-    # A plate across the flow: no lift, drag C_max; from behind: no lift, little drag; periodic.
-    for side in (-RIGHT, RIGHT):
-        cl, cd = lookup(t, side, REYNOLDS)
-        assert np.allclose(cl, 0.0, atol=1e-9)
-        assert np.allclose(cd, plate_drag(aspect_ratio), rtol=1e-9)
+    # A plate across the flow: next to no lift, drag C_max; from behind: no lift, little drag; periodic. Between, the
+    # shape that Sheldahl and Klimas measured.
+    for side in (-1, 1):
+        cl, cd = lookup(t, side * RIGHT, REYNOLDS)
+        assert np.all(np.abs(cl) < 0.06 * plate_drag(aspect_ratio))
+        assert np.allclose(cd, plate_drag(aspect_ratio), rtol=1e-6)
+        cl, cd = lookup(t, side * math.radians(45.0), REYNOLDS)
+        assert np.allclose(cl / plate_drag(aspect_ratio), side * 1.05 / 1.775, rtol=1e-6)
+        assert np.allclose(cd / plate_drag(aspect_ratio), 1.05 / 1.775, rtol=0.08)
     assert np.allclose(t.cl[:, [0, -1]], 0.0, atol=1e-9)
     assert np.allclose(t.cd[:, 0], t.cd[:, -1])
-    # No jump anywhere: steps of half a degree outside the computed range stay small.
+    # No jump anywhere: steps of half a degree outside the computed range stay small (lift from behind is steepest).
     far = ~inside
     far[1:] |= far[:-1]
-    for c, most in ((t.cl, 0.05), (t.cd, 0.03), (t.cm, 0.02)):
+    for c, most in (
+        (t.cl, 0.055 * plate_drag(aspect_ratio)),
+        (t.cd, 0.04),
+        (t.cm, 0.03 * plate_drag(aspect_ratio)),
+    ):
         steps = np.abs(np.diff(c, axis=1))[:, far[1:] & far[:-1]]
         assert steps.max() < most
     assert np.all(t.cd > 0)
     # Force and chord: past stall the force is normal to the plate, its lift side up for positive angles.
     beyond = (math.radians(25) < ALPHA_GRID) & (math.radians(89) > ALPHA_GRID)
     assert np.all(t.cl[:, beyond] > 0)
-    assert np.all(t.cl[:, (math.radians(91) < ALPHA_GRID) & (math.radians(179) > ALPHA_GRID)] < 0)
+    assert np.all(t.cl[:, (math.radians(95) < ALPHA_GRID) & (math.radians(179) > ALPHA_GRID)] < 0)
 
 
 def test_plate_drag_is_that_of_the_source():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from typing import Any
 
 import typer
@@ -12,6 +13,7 @@ import mufly
 from mufly.cli import coax, control, drive, fly, log, mission, monte_carlo, rotor, station, study, vehicle
 from mufly.cli import optimise as _optimise  # noqa: F401  adds to the commands of rotor and coax, as study does
 from mufly.cli import station as link
+from mufly.cli.aero import benchmark as _benchmark  # noqa: F401  adds to the commands of rotor
 from mufly.cli.aero import cfd
 from mufly.cli.identify import flight as identify
 from mufly.cli.onboard import estimate, firmware, sensors
@@ -67,8 +69,17 @@ def _options(
 _CommandLineError: type[Any] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
 
+def _tell_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+    """Show a warning of ours as one line, those of libraries to who asks for them (python -W, PYTHONWARNINGS)."""
+    if category.__module__.startswith("mufly"):
+        typer.secho(f"mufly: {message}", fg=typer.colors.YELLOW, err=True)
+    elif sys.warnoptions:
+        sys.stderr.write(warnings.formatwarning(message, category, *where[:2]))
+
+
 def main() -> None:
     """Run the command line: one clear line on standard error and status 1 (2 for a wrong option) on a fault."""
+    warnings.showwarning = _tell_warning
     try:
         status = app(standalone_mode=False, prog_name="mufly")
         if station.Ending.signalled:
@@ -94,9 +105,21 @@ def main() -> None:
             error.show()
             sys.exit(2)
         context = getattr(error, "ctx", None)
-        path = "mufly" if context is None else context.command_path
+        path = _command_path() if context is None else context.command_path
         message = " ".join(error.format_message().split()).rstrip(".")
         _stop(f"{message}; see `{path} --help`", 2)
+
+
+def _command_path() -> str:
+    """Return the command that was typed, without options and arguments."""
+    words = ["mufly"]
+    group: Any = typer.main.get_command(app)
+    for word in sys.argv[1:]:
+        group = getattr(group, "commands", {}).get(word)
+        if group is None:
+            break
+        words.append(word)
+    return " ".join(words)
 
 
 def _stop(message: str, status: int) -> None:

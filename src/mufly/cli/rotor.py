@@ -36,6 +36,14 @@ if TYPE_CHECKING:
     from mufly.rotor import Band, Rotor, RotorResult
 
 
+FamilyOption = Annotated[
+    str,
+    option(
+        "--family NAME",
+        "Of a guessed section, where it is known: apc, slow-flyer, gws, hobby, printed, machined.",
+    ),
+]
+
 app = Commands(
     help="Rotors: what one is, what it does, which is best. Numbers of rotor files: docs/polars.md; of the theory: "
     "docs/bemt.md; of sweeps and rankings: docs/studies.md.",
@@ -214,18 +222,19 @@ def hover(
         float | None,
         option(
             "LEVEL",
-            "Add the interval of this nominal probability: 0.5, 0.8, 0.9, 0.95. Nominal 90 % intervals held "
-            "69 to 82 % of measurements on rotors never seen before (docs/validation.md).",
+            "Add the interval of this nominal probability: 0.5, 0.8, 0.9, 0.95. How often nominal 90 % hold: "
+            "docs/validation.md.",
         ),
     ] = None,
     section: Annotated[
         str,
         option(
             "--section NAME",
-            "For --band: 'known' airfoils, 'guessed' ones (a stand-in, a look at the blade); of no account for a rotor "
-            "that `mufly rotor fit` wrote.",
+            "For --band: 'known' airfoils; 'guessed' ones (a stand-in, a look at the blade): the mean over what such a "
+            "blade may have is told; 'measured': the rotor is one that `mufly rotor fit` wrote.",
         ),
     ] = "known",
+    family: FamilyOption = "",
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -242,7 +251,7 @@ def hover(
 
     from mufly.drive import blade_load, operating_point, scaled_load
     from mufly.errors import InputError, MuflyError
-    from mufly.rotor import Air, Condition, Doubt, System, interval, load_rotor, solve, tip_mach
+    from mufly.rotor import Air, Condition, System, interval, load_rotor, solve
     from mufly.study import field_picture, history_picture, stations_picture, wake_picture, write_stations
 
     if sum(v is not None for v in (pitch, rpm, thrust)) != 2:
@@ -261,7 +270,7 @@ def hover(
         raise InputError(
             "--band", "", "is the interval of blade element theory", "leave --method wake or --band out"
         )
-    one_of("--section", section, _SECTIONS)
+    one_of("--section", section, _BAND_SECTIONS)
     r, d, air = load_rotor(rotor), drive_or_none(drive), Air(density_kg_m3=density)
     blading = theory.blading(r, count)
     theta = angle("--pitch", pitch) if pitch is not None else None
@@ -288,7 +297,7 @@ def hover(
         around = interval(
             r, pitch_rad=result.pitch_rad, speed_rad_s=result.speed_rad_s, climb_m_s=climb, air=air, level=band,
             corrections=theory.corrections(), n_crit=theory.n_crit, engine=theory.polar_engine(),
-            doubt=Doubt.of_unknown_section() if section == "guessed" else Doubt(),
+            section=section, family=family,  # type: ignore[arg-type]
         )  # fmt: skip
     files = []
     if out is not None:
@@ -319,7 +328,11 @@ def hover(
             f", {around.thrust_low_N[0]:.4g} to {around.thrust_high_N[0]:.4g} N (nominal {around.level:.0%} interval)",
             f", {around.torque_low_Nm[0]:.4g} to {around.torque_high_Nm[0]:.4g} N m",
         )
-    rows = [
+    rows = []
+    if around is not None and section == "guessed" and r.fit is None:
+        mean = f"{around.thrust_N[0]:.4g} N, {around.torque_Nm[0]:.4g} N m"
+        rows = [("mean over what the section may be", f"{mean}; the intervals are about it")]
+    rows += [
         ("thrust", f"{result.thrust_N:.4g} N{reach[0]}"),
         ("torque", f"{result.torque_Nm:.4g} N m{reach[1]}"),
         ("power at the rotor", f"{result.power_W:.4g} W"),
@@ -355,20 +368,12 @@ def hover(
             f"* beyond what the polar's engine computed; such sections carry {result.outside_share:.0%} of the thrust.",
             style="yellow",
         )
-    mach = tip_mach(r.radius_m, result.speed_rad_s)
-    if mach > _MACH_WORTH_SAYING:
-        more = f"{1.0 / math.sqrt(1.0 - mach**2) - 1.0:.0%} more" if mach < 1.0 else "not to be had"
-        c.print(
-            f"The tips move at Mach {mach:.2f}. The polars know nothing of it; by Prandtl and Glauert's rule lift "
-            f"is {more} there.",
-            style="yellow",
-        )
     for file in files:
         c.print(f"Written: {file}")
 
 
 _SECTIONS = ("known", "guessed")
-_MACH_WORTH_SAYING = 0.4  # 9 % of lift by Prandtl and Glauert
+_BAND_SECTIONS = (*_SECTIONS, "measured")
 
 
 def _hover_json(
@@ -392,6 +397,8 @@ def _hover_json(
         if band is None
         else {
             "level": band.level,
+            "mean_thrust_N": float(band.thrust_N[0]),
+            "mean_torque_Nm": float(band.torque_Nm[0]),
             "thrust_N": [float(band.thrust_low_N[0]), float(band.thrust_high_N[0])],
             "torque_Nm": [float(band.torque_low_Nm[0]), float(band.torque_high_Nm[0])],
         },
@@ -410,6 +417,7 @@ def fit(
     section: Annotated[
         str, option("--section NAME", "'guessed': the file's airfoils are one guess among others; 'known'.")
     ] = "guessed",
+    family: FamilyOption = "",
     density: Annotated[float, option("KG/M3", "Density of the air at the bench.")] = 1.2,
     columns: ColumnsOption = None,
     polars: Polars = POLARS,
@@ -439,7 +447,7 @@ def fit(
     one_of("--section", section, _SECTIONS)
     with progress_bar("sections", not as_json) as progress:
         found = fit_rotor(
-            r, bench, section=section, air=air, n_crit=polars.n_crit, engine=polars.polar_engine(),  # type: ignore[arg-type]
+            r, bench, section=section, family=family, air=air, n_crit=polars.n_crit, engine=polars.polar_engine(),  # type: ignore[arg-type]
             corrections=polars.corrections(), progress=progress,
         )  # fmt: skip
     files = []
@@ -518,7 +526,7 @@ def compare(
         option(
             "LINE",
             "Scale lift and drag to this measured point, counted from 1, as the "
-            "dissertation did. Printed as calibrated.",
+            "dissertation did. Printed as calibrated; `mufly rotor fit` writes a rotor that keeps what a bench said.",
         ),
     ] = None,
     density: Annotated[float, option("KG/M3", "Density of the air at the bench.")] = 1.2,

@@ -3,7 +3,8 @@
 from mufly.rotor.bemt import BatchResult, hover, hover_batch
 from mufly.rotor.blade_files import read_blade
 from mufly.rotor.blading import PLAIN, Blading, Corrections, prepare
-from mufly.rotor.fitting import Band, Doubt, RotorFit, fit_rotor, interval
+from mufly.rotor.families import FAMILIES
+from mufly.rotor.fitting import RotorFit, fit_rotor
 from mufly.rotor.geometry import (
     BladeSections,
     Rotor,
@@ -26,9 +27,11 @@ from mufly.rotor.sections.airfoil import Airfoil, database_airfoils, load_airfoi
 from mufly.rotor.sections.engines import polar, polars
 from mufly.rotor.sections.polar_table import PolarStack, PolarTable, lookup, outside, stack_polars
 from mufly.rotor.solution import FASTEST_TIP_M_S, METHODS, solve, solve_thrust
-from mufly.rotor.system import Air, Condition, Method, Result, RotorResult, System, tip_mach
+from mufly.rotor.system import Air, Condition, Method, Result, RotorResult, RotorWarning, System, tip_mach
+from mufly.rotor.uncertainty import Band, Doubt, interval
 
 __all__ = [
+    "FAMILIES",
     "FASTEST_TIP_M_S",
     "METHODS",
     "PLAIN",
@@ -50,6 +53,7 @@ __all__ = [
     "Rotor",
     "RotorFit",
     "RotorResult",
+    "RotorWarning",
     "System",
     "blade_thickness_m",
     "builtin_rotors",

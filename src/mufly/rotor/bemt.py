@@ -26,6 +26,8 @@ between the zero-lift angle (R has the sign of theta - alpha_0 - phi_U) and alph
 sign of -c_l); where these signs agree, at angles at which the lift has already turned over, e is dropped for
 that station.
 
+Compressible flow: :func:`compressible`, at the Mach number of the wind W.
+
 Forces per span:  dT = rho/2 W^2 c N (c_l cos phi - c_d sin phi),  dQ = rho/2 W^2 c N (c_l sin phi + c_d cos phi) r.
 """
 
@@ -46,7 +48,7 @@ from mufly.results import result
 from mufly.rotor.blading import Blading, as_blading
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.sections.polar_table import PolarStack, coefficients, outside_of
-from mufly.rotor.system import Air, Placed, RotorResult
+from mufly.rotor.system import Air, Placed, RotorResult, tip_mach, warn_of_mach
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -111,6 +113,7 @@ def _solve(
         np.empty((0, 0, 3)) if stream is None else np.ascontiguousarray(stream),
         float(air.density_kg_m3),
         float(air.viscosity_Pa_s / air.density_kg_m3),
+        float(air.sound_m_s),
     )
     on = Switches(
         _MODES[fixes.tip_loss],
@@ -242,11 +245,12 @@ def induced_velocities(
     air: Air,
     stream: tuple[Array, Array, Array],
     which: int = 0,
-) -> tuple[Array, Array]:
-    """Axial and tangential velocity (m/s) that a rotor induces at its stations; quick, for iterations."""
+) -> tuple[Array, Array, Array]:
+    """Axial and tangential velocity (m/s) that a rotor induces at its stations, and F; quick, for iterations."""
     pitch, speed, climb = (np.array([float(v)]) for v in (pitch_rad, speed_rad_s, climb_m_s))
     _, stations = _solve(blading, which, pitch, speed, climb, air, True, np.stack(stream, axis=-1)[None])
-    return stations[0, :, FIELDS.index("inflow_m_s")], stations[0, :, FIELDS.index("swirl_m_s")]
+    inflow, swirl, loss = (stations[0, :, FIELDS.index(f)] for f in ("inflow_m_s", "swirl_m_s", "loss"))
+    return inflow, swirl, loss
 
 
 def hover_batch(
@@ -290,6 +294,8 @@ def hover_batch(
     totals, _ = _solve(blading, index, pitch, speed, climb, gas, False)
     thrust, torque = totals[:, 0], totals[:, 1]
     radius = blading.radius_m[index]
+    if index.size:
+        warn_of_mach(tip_mach(1.0, float(np.max(radius * speed)), gas))
     area = math.pi * radius**2
     power = torque * speed
     scale = gas.density_kg_m3 * area * radius**2 * speed**2
@@ -318,7 +324,7 @@ class Cases(NamedTuple):
     stream_m_s : (cases, stations, 3) array or (0, ...)
         Axial (down) and tangential (against the blade) velocity of the air that another rotor sends, and what of the
         axial one momentum theory counts as V.
-    density_kg_m3, viscosity_m2_s : float
+    density_kg_m3, viscosity_m2_s, sound_m_s : float
         The air; kinematic viscosity.
     """
 
@@ -329,6 +335,7 @@ class Cases(NamedTuple):
     stream_m_s: Array
     density_kg_m3: float
     viscosity_m2_s: float
+    sound_m_s: float
 
 
 class Switches(NamedTuple):
@@ -382,6 +389,8 @@ class Section(NamedTuple):
         Zero-lift angle (rad), strength of the rotation model.
     lift, drag : float
         Factors on the coefficients.
+    thickness : float
+        Over chord.
     """
 
     first: int
@@ -391,6 +400,7 @@ class Section(NamedTuple):
     rotation: float
     lift: float
     drag: float
+    thickness: float
 
 
 class Station(NamedTuple):
@@ -413,20 +423,46 @@ class PolarGrid(NamedTuple):
 
 
 class Flow(NamedTuple):
-    """What a station meets: V of the momentum balance (m/s), size (m/s) and angle phi_U of U (rad), log of Re at U."""
+    """What a station meets: V of the momentum balance (m/s); size (m/s) and angle (rad) of U, its log Re and Mach."""
 
     axial: float
     speed: float
     phi: float
     log_re: float
+    mach: float
+
+
+_DIVERGENCE = 0.87  # of Korn's rule, for sections that were not made for it
+_CREST = (0.1 / 80.0) ** (1.0 / 3.0)
+_FASTEST = 0.95  # Mach number beyond which the rules are held, so that every speed has an answer
+
+
+@compiled(error_model="numpy")
+def compressible(alpha: float, mach: float, zero_lift: float) -> float:
+    """Angle of attack (rad) at which a section in incompressible flow has the coefficients that it has at ``mach`` < 1.
+
+    Prandtl and Glauert's rule as Goethert writes it (NACA TM 1105, 1946): to first order the pressures at an angle
+    a from zero lift are those of incompressible flow at a / beta, beta = sqrt(1 - M^2). So the lift slope grows by
+    1 / beta, and the layer separates at the pressures, hence at the lift, at which it always does: at a smaller angle.
+    Full to |alpha| = 30 degrees, gone at 50, where no potential flow is left. The drag of shocks:
+    :func:`section_coefficients`.
+    """
+    fade = min(max((_FADE_TO - abs(alpha)) / (_FADE_TO - _FADE_FROM), 0.0), 1.0)
+    return alpha + fade * (alpha - zero_lift) * (1.0 / math.sqrt(1.0 - mach * mach) - 1.0)
 
 
 @compiled(error_model="numpy")
 def section_coefficients(
-    alpha: float, log_re: float, section: Section, polars: PolarStack
+    alpha: float, log_re: float, mach: float, section: Section, polars: PolarStack
 ) -> tuple[float, float]:
-    """Lift and drag coefficient of a section: mixed polars, rotation, calibration."""
+    """Lift and drag coefficient of a section: mixed polars, compressible flow, rotation, calibration.
+
+    Shocks add Lock's drag, 20 (M - M_cr)^4, M_cr = M_dd - (0.1 / 80)^(1/3), with Korn's drag divergence M_dd = 0.87 -
+    t/c - |c_l| / 10 (Mason, AIAA 90-3262, 1990; 0.87: NACA 6 series).
+    """
     weight, rotation = section.weight, section.rotation
+    mach = min(mach, _FASTEST)
+    alpha = compressible(alpha, mach, section.zero_lift)
     cl, cd = coefficients(polars, section.first, alpha, log_re)
     if weight > 0.0:
         cl2, cd2 = coefficients(polars, section.second, alpha, log_re)
@@ -440,6 +476,9 @@ def section_coefficients(
                 gain = rotation * fade * (attached - cl)
                 cl += gain
                 cd += max(gain * math.tan(alpha), 0.0)  # the recovered force is normal to the chord
+    beyond = mach - (_DIVERGENCE - section.thickness - 0.1 * abs(cl) - _CREST)
+    if beyond > 0.0 and mach > 0.0:
+        cd += 20.0 * beyond**4
     return section.lift * cl, section.drag * cd
 
 
@@ -452,8 +491,9 @@ def _residual(
     Thesis: eqs 3.11, 3.12.
     """
     speed = flow.speed
-    log_re = flow.log_re + math.log(max(math.cos(at.theta - alpha - flow.phi), 1e-3))
-    cl, cd = section_coefficients(alpha, log_re, section, polars)
+    part = max(math.cos(at.theta - alpha - flow.phi), 1e-3)
+    log_re = flow.log_re + math.log(part)
+    cl, cd = section_coefficients(alpha, log_re, flow.mach * part, section, polars)
     phi = at.theta - alpha - e * cl
     turn = phi - flow.phi
     if turn >= 0.5 * math.pi:
@@ -572,7 +612,9 @@ def solve_cases(
                 first, second, weight = blades.first[k, i], blades.second[k, i], blades.weight[k, i]
                 zero = blades.zero_lift_rad[first]
                 zero += weight * (blades.zero_lift_rad[second] - zero)
-                section = Section(first, second, weight, zero, rotation, on.lift * share, on.drag)
+                thick = blades.thickness[first]
+                thick += weight * (blades.thickness[second] - thick)
+                section = Section(first, second, weight, zero, rotation, on.lift * share, on.drag, thick)
                 at = Station(r, chord, theta, count, radius, blades.hub_radius_m[k])
                 axial, across, carried = climb, speed * r, climb
                 if meets:
@@ -581,7 +623,7 @@ def solve_cases(
                     carried += cases.stream_m_s[case, i, 2]
                 total = math.hypot(axial, across)
                 log_unit = math.log(max(total * chord / cases.viscosity_m2_s, 1e-3))
-                flow = Flow(carried, total, math.atan2(axial, across), log_unit)
+                flow = Flow(carried, total, math.atan2(axial, across), log_unit, total / cases.sound_m_s)
                 alpha, out = _station(blades.chord_factor[k, i], flow, at, section, polars, on)
                 _, phi, cl, cd, wind, loss, u, u_t, log_re = out
                 push = 0.5 * density * wind * wind * chord * count * dr

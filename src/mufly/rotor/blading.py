@@ -141,13 +141,14 @@ def rotation_strength(kind: Rotation, chord_over_r: Array) -> Array:
 
 
 def zero_lift_angle(table: PolarTable) -> float:
-    """Angle of zero lift (rad) at the highest Reynolds number of a table, nearest to zero; 0 if there is none.
+    """Angle of zero lift (rad) of a table at Re 3e5 or its nearest, closest to zero; 0 if there is none.
 
-    The potential lift line of the rotation models goes through it: at the top of the table the boundary layer is
-    thin and the angle is close to that of the section in an inviscid fluid.
+    The potential lift line of the rotation models goes through it: the boundary layer is thin there, and the angle is
+    close to that of the section in an inviscid fluid.
     """
     near = np.abs(table.alpha_rad) <= np.deg2rad(20.0)
-    a, cl = table.alpha_rad[near], table.cl[-1, near]
+    row = int(np.argmin(np.abs(np.log(table.reynolds / 3e5))))
+    a, cl = table.alpha_rad[near], table.cl[row, near]
     cross = np.flatnonzero((cl[:-1] <= 0.0) & (cl[1:] > 0.0))
     if cross.size == 0:
         return 0.0
@@ -158,6 +159,7 @@ def zero_lift_angle(table: PolarTable) -> float:
 Integers = NDArray[np.int64]
 
 STATIONS = 24
+_THICKNESS = 0.12  # over chord, of a section whose table does not say
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,8 +178,8 @@ class Blading:
         Polars of the stack and their mix.
     polars : PolarStack
         Polars of all rotors.
-    zero_lift_rad : (tables,) array
-        Zero-lift angle of each polar.
+    zero_lift_rad, thickness : (tables,) arrays
+        Zero-lift angle and thickness over chord of each polar; 0.12 where a table does not say.
     """
 
     rotors: tuple[Rotor, ...]
@@ -193,6 +195,7 @@ class Blading:
     weight: Array
     polars: PolarStack
     zero_lift_rad: Array
+    thickness: Array
 
     @cached_property
     def record(self) -> Any:
@@ -258,7 +261,7 @@ def prepare(
         One or many; many share one batch.
     polars : mapping, optional
         Airfoil name to polar, for every airfoil that the rotors name. By default they are computed (or recalled) by
-        ``engine`` at ``n_crit``, over Reynolds numbers from 2e3 to 3e5.
+        ``engine`` at ``n_crit``, over Reynolds numbers from 2e3 to 6e6.
     corrections : Corrections, optional
         Default: all that docs/bemt.md recommends.
     stations : int
@@ -329,6 +332,7 @@ def prepare(
         weight=weight,
         polars=stack,
         zero_lift_rad=np.array([zero_lift_angle(table) for table in tables]),
+        thickness=np.nan_to_num([table.thickness_ratio for table in tables], nan=_THICKNESS),
     )
 
 

@@ -1,4 +1,4 @@
-"""A bench run makes a rotor: which section fits, and what has to change in its coefficients; how sure a prediction is.
+"""A bench run makes a rotor: which section fits, and what has to change in its coefficients.
 
 The sections of a blade are the least known part of it (docs/validation.md), so a run on a bench is asked for them. For
 each section that is possible the coefficients of its polar become
@@ -18,9 +18,8 @@ Neural Computation 4, 415, 1992): its prior times exp(-chi^2 / 2) / sqrt(det H).
 Priors, none of them fitted to a measurement: the pitch setting 0.5 degrees, and a section's camber, which moves the
 zero-lift angle by 2 rad a chord (thin airfoil, parabola): 0.3 % of the chord for a section that is known, 0.6 %
 between those of the list. Lift 4 % (engines of polars, docs/polars.md) and 5 % (method); drag 8 % and 8 %; exponents
-0.05 and 0.2. Sections whose camber is guessed: 4 +- 2.5 %, with any thickness of the list; the rotor file's own has a
-third of the probability. Hub cut-out and transition do to thrust and torque what lift, drag and their exponents do as
-well, and are left as they are.
+0.05 and 0.2. Sections that are guessed: :mod:`mufly.rotor.families`. Hub cut-out and transition do to thrust and torque
+what lift, drag and their exponents do as well, and are left as they are.
 """
 
 from __future__ import annotations
@@ -31,13 +30,14 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from mufly.errors import InputError, MuflyError
 from mufly.results import result
 from mufly.rotor.bemt import hover_batch
 from mufly.rotor.blading import Blading, Corrections, fitted, prepare
+from mufly.rotor.families import BETWEEN, ZERO_LIFT_PER_CAMBER, section_weights
 from mufly.rotor.geometry import Candidate, Rotor, SectionFit, replace_rotor
 from mufly.rotor.measurements import Measurements
 from mufly.rotor.sections import engines
@@ -49,10 +49,6 @@ Array = NDArray[np.float64]
 
 CHANGES = ("pitch", "lift", "drag", "lift over Re", "drag over Re")
 _SIGMA_THRUST, _SIGMA_TORQUE = 0.02, 0.03  # what a method misses of one point and not of the next
-_ZERO_LIFT_PER_CAMBER = 2.0  # rad per chord: thin-airfoil theory, parabolic camber line
-_DRAG_PER_THICKNESS = 2.0  # skin friction of a section of thickness t: 1 + 2 t
-_CAMBER, _THICKNESS = (0, 2, 4, 6, 8), (3, 6, 9, 12)  # % of the chord
-_OWN = 1.0 / 3.0
 _KEPT = 0.01  # candidates below this probability are left out of the file
 _SAYS_LITTLE, _TOGETHER = 0.8, 0.9
 
@@ -127,6 +123,7 @@ def fit_rotor(
     measurements: Measurements,
     *,
     section: Literal["guessed", "known"] = "guessed",
+    family: str = "",
     air: Air | None = None,
     n_crit: float = 0.1,
     engine: Engine = "neuralfoil",
@@ -143,6 +140,8 @@ def fit_rotor(
         The bench.
     section : 'guessed' or 'known'
         Whether the airfoils of the rotor file are one guess among others, or known.
+    family : str
+        Of a guessed section: one of :data:`mufly.rotor.families.FAMILIES`, if it is known.
     air, n_crit, engine, corrections
         As for :func:`mufly.rotor.prepare` and :func:`mufly.rotor.hover`.
     progress : callable, optional
@@ -165,7 +164,7 @@ def fit_rotor(
         measurements.pitch_rad, measurements.speed_rad_s, measurements.thrust_N, measurements.torque_Nm, gas,
         float(np.exp(np.mean(np.log(re)))),
     )  # fmt: skip
-    listed = _sections(plain) if section == "guessed" else [(plain.blade.airfoils, 1.0)]
+    listed = section_weights(plain, family) if section == "guessed" else [(plain.blade.airfoils, 1.0)]
     wide = _widths(known=section == "known")
     tables = engines.polars({a for airfoils, _ in listed for a in airfoils}, n_crit=n_crit, engine=engine)
     prepared = []
@@ -226,23 +225,9 @@ def fit_rotor(
 
 def _widths(known: bool) -> Array:
     """Prior standard deviations of :data:`CHANGES`."""
-    camber = 0.003 if known else 0.01 * (_CAMBER[1] - _CAMBER[0]) / math.sqrt(12.0)
-    pitch = math.hypot(math.radians(0.5), _ZERO_LIFT_PER_CAMBER * camber)
+    camber = 0.003 if known else BETWEEN[0]
+    pitch = math.hypot(math.radians(0.5), ZERO_LIFT_PER_CAMBER * camber)
     return np.array([pitch, math.hypot(0.04, 0.05), math.hypot(0.08, 0.08), 0.05, 0.2])
-
-
-def _sections(rotor: Rotor) -> list[tuple[tuple[str, ...], float]]:
-    """Sections that a small blade may have, with their prior probabilities; the rotor's own first."""
-    listed: dict[tuple[str, ...], float] = {
-        # Thin plates are bent in the middle, thicker sections before it.
-        (f"naca{m}{(5 if t < 5 else 4) if m else 0}{t:02d}",): math.exp(-0.5 * ((m - 4.0) / 2.5) ** 2)
-        for m in _CAMBER
-        for t in _THICKNESS
-    }
-    total = sum(listed.values())
-    shares = {k: (1.0 - _OWN) * v / total for k, v in listed.items()}
-    own = rotor.blade.airfoils
-    return list({own: shares.pop(own, 0.0) + _OWN, **shares}.items())
 
 
 def _part(bench: _Bench, index: NDArray[np.intp], reynolds: float | None = None) -> _Bench:
@@ -351,228 +336,3 @@ def _undecided(shrunk: Array, correlation: Array, weights: Array, found: Sequenc
         several = ", ".join("/".join(dict.fromkeys(f.airfoils)) for f in found[:4])
         words.append(f"sections that would do as well: {several}")
     return tuple(words)
-
-
-# ----------------------------------------------------------------------------
-# How sure is a prediction? A band from what is not known of the blade's sections, and of the method.
-#
-# Causes are varied one at a time about the nominal rotor, each by one standard deviation:
-#
-# * ``n_crit``: transition early or late, 4 and 9 beside the nominal value (the dissertation's Table 3.1);
-# * ``engine``: 4 % of the lift coefficient, 8 % of the drag coefficient: network, boundary-layer code and wind tunnel
-#   do not agree better below Re 1e5 (docs/polars.md);
-# * ``camber``: 0.3 % of the chord for a known section, 1 % for a guess; zero-lift angle -2 f (thin airfoil,
-# parabola);
-# * ``thickness``: 0.5 % of the chord, 2 % for a guess; drag 1 + 2 t (Hoerner, Fluid-Dynamic Drag, 1965, ch. II);
-# * ``pitch``: half a degree of setting and twist;
-# * ``method``: 5 % of thrust, 8 % of torque, the size of what a lattice with a contracting wake changes
-# (docs/bemt.md).
-#
-# They are taken as independent, variances add, and the 90 % interval is 1.645 standard deviations to either side.
-# None of these numbers was fitted to the measurements that docs/validation.md checks them on.
-
-
-@dataclass(frozen=True)
-class Doubt:
-    """Standard deviations of what is not known; the defaults belong to a known section."""
-
-    n_crit: tuple[float, ...] = (4.0, 9.0)
-    lift: float = 0.04
-    drag: float = 0.08
-    camber: float = 0.003
-    thickness: float = 0.005
-    pitch_rad: float = math.radians(0.5)
-    method_thrust: float = 0.05
-    method_torque: float = 0.08
-
-    def __post_init__(self) -> None:
-        for key in ("lift", "drag", "camber", "thickness", "pitch_rad", "method_thrust", "method_torque"):
-            if not 0.0 <= getattr(self, key) < 1.0:
-                raise InputError("uncertainty", key, f"is {getattr(self, key):g}", "give 0 or more, below 1")
-
-    @classmethod
-    def of_unknown_section(cls) -> Doubt:
-        """Return the doubt about a blade whose airfoil was guessed."""
-        return cls(camber=0.01, thickness=0.02)
-
-
-@result(eq=False)
-class Band:
-    """A prediction with its interval.
-
-    Attributes
-    ----------
-    thrust_N, torque_Nm : (n,) arrays
-        Nominal prediction.
-    thrust_low_N, thrust_high_N, torque_low_Nm, torque_high_Nm : (n,) arrays
-        Interval.
-    level : float
-        Probability that it is meant to hold.
-    thrust_share, torque_share : dict of str to (n,) arrays
-        Relative standard deviation that each cause brings.
-    """
-
-    thrust_N: Array
-    torque_Nm: Array
-    thrust_low_N: Array
-    thrust_high_N: Array
-    torque_low_Nm: Array
-    torque_high_Nm: Array
-    level: float
-    thrust_share: Mapping[str, Array]
-    torque_share: Mapping[str, Array]
-
-
-_SIGMAS = {0.5: 0.674, 0.68: 0.994, 0.8: 1.282, 0.9: 1.645, 0.95: 1.960, 0.99: 2.576}
-
-
-def interval(
-    rotor: Rotor,
-    *,
-    pitch_rad: ArrayLike,
-    speed_rad_s: ArrayLike,
-    climb_m_s: ArrayLike = 0.0,
-    air: Air | None = None,
-    corrections: Corrections | None = None,
-    n_crit: float = 0.1,
-    engine: Engine = "neuralfoil",
-    doubt: Doubt | None = None,
-    level: float = 0.9,
-) -> Band:
-    """Predict thrust and torque with an interval.
-
-    For a rotor that was fitted to a bench (:func:`fit_rotor`) it is made of what that left open: the five numbers, the
-    sections that would do as well, and the scatter; outside the range that was measured the method's own doubt comes
-    back, wholly 5 degrees of pitch or a factor of two in speed away. Otherwise from the causes above.
-
-    Parameters
-    ----------
-    rotor : Rotor
-        The rotor.
-    pitch_rad, speed_rad_s, climb_m_s : array_like
-        Points, broadcast against each other.
-    air, corrections, n_crit, engine
-        As for :func:`mufly.rotor.blading.prepare` and :func:`mufly.rotor.bemt.hover`.
-    doubt : Doubt, optional
-        What is not known; :meth:`Doubt.of_unknown_section` where the airfoil is a guess.
-    level : float
-        0.5, 0.68, 0.8, 0.9, 0.95 or 0.99.
-
-    Raises
-    ------
-    InputError
-        If the level is none of these.
-    """
-    if level not in _SIGMAS:
-        raise InputError(
-            "uncertainty", "level", f"is {level:g}", f"choose one of {', '.join(map(str, _SIGMAS))}"
-        )
-    unsure = doubt or Doubt()
-    fixes = corrections or Corrections()
-    pitch, speed, climb = np.broadcast_arrays(*np.atleast_1d(pitch_rad, speed_rad_s, climb_m_s))
-    if rotor.fit is not None:
-
-        def at(one: Rotor) -> Array:
-            blading = prepare(one, n_crit=n_crit, engine=engine, corrections=fixes)
-            out = hover_batch(blading, pitch_rad=pitch, speed_rad_s=speed, climb_m_s=climb, air=air)
-            return np.stack((out.thrust_N, out.torque_Nm))
-
-        values, parts = _after_bench(rotor, rotor.fit, at, pitch, speed, unsure)
-        return _band(values, parts, level)
-    nominal = prepare(rotor, n_crit=n_crit, engine=engine, corrections=fixes)
-
-    def solve(blading=nominal, turned: float = 0.0) -> tuple[Array, Array]:  # type: ignore[no-untyped-def]
-        out = hover_batch(blading, pitch_rad=pitch + turned, speed_rad_s=speed, climb_m_s=climb, air=air)
-        return out.thrust_N, out.torque_Nm
-
-    def scaled(lift: float, drag: float) -> tuple[Array, Array]:
-        changed = replace(fixes, lift_factor=fixes.lift_factor * lift, drag_factor=fixes.drag_factor * drag)
-        return solve(replace(nominal, corrections=changed))
-
-    thrust, torque = solve()
-
-    def spread(*others: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Root mean square departure from the nominal point."""
-        return (
-            np.sqrt(np.mean([(t - thrust) ** 2 for t, _ in others], axis=0)),
-            np.sqrt(np.mean([(q - torque) ** 2 for _, q in others], axis=0)),
-        )
-
-    shift = _ZERO_LIFT_PER_CAMBER * unsure.camber
-    causes = {
-        "n_crit": spread(
-            *(solve(prepare(rotor, n_crit=n, engine=engine, corrections=fixes)) for n in unsure.n_crit),
-            (thrust, torque),
-        ),
-        "engine": _added(
-            spread(scaled(1 + unsure.lift, 1.0), scaled(1 - unsure.lift, 1.0)),
-            spread(scaled(1.0, 1 + unsure.drag), scaled(1.0, 1 - unsure.drag)),
-        ),
-        "camber": spread(solve(turned=shift), solve(turned=-shift)),
-        "thickness": spread(
-            scaled(1.0, 1 + _DRAG_PER_THICKNESS * unsure.thickness),
-            scaled(1.0, 1 - _DRAG_PER_THICKNESS * unsure.thickness),
-        ),
-        "pitch": spread(solve(turned=unsure.pitch_rad), solve(turned=-unsure.pitch_rad)),
-        "method": (unsure.method_thrust * np.abs(thrust), unsure.method_torque * np.abs(torque)),
-    }
-    return _band(np.stack((thrust, torque)), {name: np.stack(pair) for name, pair in causes.items()}, level)
-
-
-def _band(values: Array, causes: Mapping[str, Array], level: float) -> Band:
-    """Thrust and torque (2, n), standard deviations of each cause likewise."""
-    sigma = _SIGMAS[level] * np.sqrt(np.sum([np.square(c) for c in causes.values()], axis=0))
-    size = np.where(values == 0.0, np.nan, np.abs(values))
-    low, high = values - sigma, values + sigma
-    return Band(
-        values[0], values[1], low[0], high[0], low[1], high[1], level,
-        {name: c[0] / size[0] for name, c in causes.items()}, {name: c[1] / size[1] for name, c in causes.items()},
-    )  # fmt: skip
-
-
-def _after_bench(
-    rotor: Rotor, fit: SectionFit, at: Callable[[Rotor], Array], pitch: Array, speed: Array, unsure: Doubt
-) -> tuple[Array, dict[str, Array]]:
-    """Prediction of a fitted rotor and the standard deviation that each cause brings, (2, n) each."""
-    weights = np.array([c.probability for c in fit.candidates])
-    means, within = [], []
-    for candidate in fit.candidates:
-        one = replace_rotor(rotor, {"blade.airfoils": candidate.airfoils})
-
-        def with_change(change: Array, one: Rotor = one, candidate: Candidate = candidate) -> Array:
-            now = candidate.model_copy(update={"change": tuple(change.tolist())})
-            return at(one.model_copy(update={"fit": fit.model_copy(update={"candidates": (now,)})}))
-
-        change, covariance = np.array(candidate.change), np.array(candidate.covariance)
-        # Along the principal axes, a standard deviation to either side
-        size, axes = np.linalg.eigh(covariance)
-        mean = with_change(change)
-        spread = [
-            0.5 * (with_change(change + step) - with_change(change - step))
-            for step in (np.sqrt(np.maximum(size, 0.0)) * axes).T
-        ]
-        means.append(mean)
-        within.append(np.sum(np.square(spread), axis=0))
-    between = np.tensordot(weights, (np.array(means) - means[0]) ** 2, 1)
-    off_pitch = np.maximum(
-        np.maximum(fit.pitch_rad[0] - pitch, pitch - fit.pitch_rad[1]), 0.0
-    ) / math.radians(5.0)
-    off_speed = np.maximum(np.maximum(fit.speed_rad_s[0] / speed, speed / fit.speed_rad_s[1]), 1.0)
-    away = np.minimum(np.hypot(off_pitch, np.log2(off_speed)), 1.0)
-    value = means[0]
-    method = np.array([[unsure.method_thrust], [unsure.method_torque]]) * away * np.abs(value)
-    return value, {
-        "fit": np.sqrt(np.tensordot(weights, np.array(within), 1)),
-        "section": np.sqrt(between),
-        "scatter": np.array(fit.scatter)[:, None] * np.abs(value),
-        "method": method,
-    }
-
-
-def _added(*pairs: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Standard deviations of independent causes, together."""
-
-    def root(parts: Sequence[Array]) -> Array:
-        return np.sqrt(np.sum(np.square(parts), axis=0))
-
-    return root([t for t, _ in pairs]), root([q for _, q in pairs])

@@ -47,9 +47,11 @@ from mufly.rotor.system import (
     System,
     WakeSettings,
     tip_mach,
+    warn_of_mach,
 )
 from mufly.rotor.tubes import solve_tubes, tube_speed
 from mufly.rotor.wake.solver import solve_wake
+from mufly.units import RPM
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, float, float], None]
@@ -70,7 +72,7 @@ _LONGEST_STEP = math.radians(4.0)
 _RANGE = (math.radians(-10.0), math.radians(45.0))
 
 FASTEST_TIP_M_S = 240.0
-"""Tip speed (m/s) above which air is no longer incompressible, as polars and theory take it to be: Mach 0.7."""
+"""Tip speed (m/s) up to which the correction for compressible flow serves: Mach 0.7."""
 
 
 def solve(
@@ -135,12 +137,14 @@ def solve(
     speed = _each("speed_rad_s", condition.speed_rad_s, count)
     thrust = condition.thrust_N
     for blading, which, given in zip(system.bladings, system.which, speed, strict=True):
-        if given is not None and tip_mach(blading.rotors[which].radius_m, given) >= 1.0:
-            mach = tip_mach(blading.rotors[which].radius_m, given)
-            raise InputError(
-                "rotor", "speed_rad_s", f"{given:g} moves the tips at Mach {mach:.1f}",
-                "stay well below 1: the sections are computed for incompressible flow",
-            )  # fmt: skip
+        if given is not None:
+            mach = tip_mach(blading.rotors[which].radius_m, given, condition.air)
+            if mach >= 1.0:
+                raise InputError(
+                    "rotor", "speed_rad_s", f"{given:g} ({given / RPM:.6g} rpm) moves the tips at Mach {mach:.1f}",
+                    "stay below 1, better below 0.7: no theory here knows of shocks",
+                )  # fmt: skip
+            warn_of_mach(mach)
 
     def at(pitches: Sequence[float], speeds: Sequence[float], start: Result | None) -> Result:
         return _METHODS[method](
@@ -237,7 +241,7 @@ def _bemt(
                 sent = _carried(rotors[a], induced[a], p, k[a][b])
                 axial, around = axial + sent[0], around + sent[1]
             met.append((axial, around))
-            induced.append(induced_velocities(p.blading, **at[b], stream=(*met[b], met[b][0])))  # type: ignore[arg-type]
+            induced.append(induced_velocities(p.blading, **at[b], stream=(*met[b], met[b][0]))[:2])  # type: ignore[arg-type]
         pulled = [
             sum(_carried(rotors[b], induced[b], p, k[b][a])[0] for b in range(a + 1, len(rotors)))
             for a, p in enumerate(rotors[:-1])

@@ -7,6 +7,7 @@ point. :func:`mufly.rotor.solve` answers with a :class:`Result`, whatever the me
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
@@ -24,26 +25,48 @@ Array = NDArray[np.float64]
 Method = Literal["bemt", "tubes", "wake"]
 
 
-@dataclass(frozen=True)
-class Air:
-    """The air: density (kg/m3) and dynamic viscosity (Pa s). Default: 1.2 kg/m3, as in the dissertation, at 20 C."""
-
-    density_kg_m3: float = 1.2
-    viscosity_Pa_s: float = 1.81e-5
-
-    def __post_init__(self) -> None:
-        for key in ("density_kg_m3", "viscosity_Pa_s"):
-            if not 0.0 < getattr(self, key) < math.inf:
-                raise InputError("air", key, f"is {getattr(self, key):g}", "give a number above 0")
-
-
 SOUND_M_S = 343.2
 """Speed of sound in dry air at 20 C (ISO 2533)."""
 
 
-def tip_mach(radius_m: float, speed_rad_s: float) -> float:
-    """Return the Mach number of the blades' tips. Polars hold for incompressible flow."""
-    return radius_m * speed_rad_s / SOUND_M_S
+@dataclass(frozen=True)
+class Air:
+    """The air: density (kg/m3), dynamic viscosity (Pa s), speed of sound (m/s).
+
+    Default: 1.2 kg/m3, as in the dissertation, at 20 C.
+    """
+
+    density_kg_m3: float = 1.2
+    viscosity_Pa_s: float = 1.81e-5
+    sound_m_s: float = SOUND_M_S
+
+    def __post_init__(self) -> None:
+        for key in ("density_kg_m3", "viscosity_Pa_s", "sound_m_s"):
+            if not 0.0 < getattr(self, key) < math.inf:
+                raise InputError("air", key, f"is {getattr(self, key):g}", "give a number above 0")
+
+
+class RotorWarning(UserWarning):
+    """A rotor is computed beyond what its theory was made for."""
+
+
+HIGHEST_MACH = 0.7
+"""Of the tips, up to which the correction for compressible flow serves (:func:`mufly.rotor.bemt.compressible`)."""
+
+
+def tip_mach(radius_m: float, speed_rad_s: float, air: Air | None = None) -> float:
+    """Return the Mach number of the blades' tips."""
+    return radius_m * speed_rad_s / (air or Air()).sound_m_s
+
+
+def warn_of_mach(mach: float) -> None:
+    """Give a :class:`RotorWarning` where the tips are beyond :data:`HIGHEST_MACH`."""
+    if mach > HIGHEST_MACH:
+        warnings.warn(
+            f"the tips move at Mach {mach:.2f}; beyond {HIGHEST_MACH:g} shocks stall the sections, and thrust and "
+            "torque are a guess",
+            RotorWarning, stacklevel=3,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,14 +35,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.errors import InputError, MuflyError
-from mufly.rotor.bemt import hover
-from mufly.rotor.system import Air, Placed, Result, RotorResult, WakeSettings
+from mufly.rotor.bemt import hover, induced_velocities
+from mufly.rotor.system import Air, Placed, Result, WakeSettings
 
 Array = NDArray[np.float64]
 
@@ -151,14 +152,15 @@ def _edges_m(p: Placed) -> Array:
     return radius - np.concatenate((np.cumsum(p.blading.dr_m[p.which][::-1])[::-1], [0.0]))
 
 
-def _steps(r: RotorResult) -> Array:
+def _steps(p: Placed, inflow: Array, loss: Array) -> Array:
     """D of the module docstring."""
-    edges, area = tube_edges(r.r_m.size), r.r_m * r.dr_m
-    mean = np.add.reduceat(r.inflow_m_s * r.loss * area, edges[:-1]) / np.add.reduceat(area, edges[:-1])
+    r, dr = p.blading.r_m[p.which], p.blading.dr_m[p.which]
+    edges, area = tube_edges(r.size), r * dr
+    mean = np.add.reduceat(inflow * loss * area, edges[:-1]) / np.add.reduceat(area, edges[:-1])
     return np.concatenate(([-mean[0]], mean[:-1] - mean[1:], [mean[-1]]))
 
 
-def _swirl(source: Placed, found: RotorResult, target: Placed) -> Array:
+def _swirl(source: Placed, found: tuple[Array, Array, Array], target: Placed) -> Array:
     """Tangential velocity that a rotor's stream has at the stations of the one below it, against that one's motion.
 
     A station across the edge of the stream gets the part that lies inside.
@@ -167,7 +169,8 @@ def _swirl(source: Placed, found: RotorResult, target: Placed) -> Array:
     r, dr = target.blading.r_m[target.which], target.blading.dr_m[target.which]
     s = contraction(source.height_m - target.height_m, radius)
     inside = np.clip((radius * s - r) / dr + 0.5, 0.0, 1.0)
-    around = np.interp(r / s, found.r_m, found.swirl_m_s * found.loss)
+    _, swirl, loss = found
+    around = np.interp(r / s, source.blading.r_m[source.which], swirl * loss)
     return -source.hand * target.hand * inside * 2.0 * around / s
 
 
@@ -191,14 +194,19 @@ def solve_tubes(
     if len(rotors) > 2:
         raise InputError("rotor", "method", f"'tubes' solves pairs, not {len(rotors)} rotors", "use 'bemt'")
 
-    def blades(p: Placed, stream: tuple[Array, Array, Array] | None) -> RotorResult:
-        return hover(
-            p.blading, pitch_rad=p.pitch_rad, speed_rad_s=p.speed_rad_s, climb_m_s=climb_m_s, air=air,
-            which=p.which, stream=stream,
-        )  # fmt: skip
+    at: list[dict[str, Any]] = [
+        {
+            "pitch_rad": p.pitch_rad,
+            "speed_rad_s": p.speed_rad_s,
+            "climb_m_s": climb_m_s,
+            "air": air,
+            "which": p.which,
+        }
+        for p in rotors
+    ]
 
     if len(rotors) == 1:
-        return Result((blades(rotors[0], None),), rotors, climb_m_s, air, "tubes")
+        return Result((hover(rotors[0].blading, **at[0]),), rotors, climb_m_s, air, "tubes")
     keys = [_edges_m(p).tobytes() for p in rotors]
     gap = rotors[0].height_m - rotors[1].height_m
     own = [_influence(k, k, 0.0) for k in keys]
@@ -206,18 +214,21 @@ def solve_tubes(
     stations = [p.blading.r_m.shape[1] for p in rotors]
     sizes = [*stations, *(w[1].shape[0] for w in own)]
     cuts, cells = np.cumsum(sizes)[:-1], _STARTS.size
-    found: list[RotorResult] = []
+    found: list[tuple[Array, Array, Array]] = []
+    met_by: list[tuple[Array, Array, Array]] = []
 
     def turn_of_all(x: Array) -> Array:
         """What the streams at the discs and p of all cells become."""
         *streams, p0, p1 = np.split(x, cuts)
         found.clear()
+        met_by.clear()
         swirl = np.zeros(stations[0])
         for k, (p, stream) in enumerate(zip(rotors, streams, strict=True)):
             if k:
                 swirl = _swirl(rotors[0], found[0], p)
-            found.append(blades(p, (stream, swirl, np.zeros_like(stream))))
-        steps = [np.repeat(_steps(r), cells) for r in found]
+            met_by.append((stream, swirl, np.zeros_like(stream)))
+            found.append(induced_velocities(p.blading, **at[k], stream=met_by[k]))
+        steps = [np.repeat(_steps(p, u, loss), cells) for p, (u, _, loss) in zip(rotors, found, strict=True)]
         thinned = []
         for k, share in enumerate((p0, p1)):
             alone = np.abs(own[k][1] @ steps[k] + climb_m_s)
@@ -236,13 +247,14 @@ def solve_tubes(
     misses: list[Array] = []
     for turn in range(1, _TURNS + 1):
         miss = turn_of_all(x) - x
-        size = sum(float(np.max(np.abs(r.inflow_m_s * r.loss))) for r in found)
+        size = sum(float(np.max(np.abs(u * loss))) for u, _, loss in found)
         far_off = float(np.max(np.abs(miss[: cuts[1]]))) / max(size, 1e-12)
         if progress is not None:
-            progress(turn, far_off, sum(r.thrust_N for r in found))
+            progress(turn, far_off, math.nan)
         if far_off <= _SETTLED:
+            both = (hover(p.blading, **a, stream=m) for p, a, m in zip(rotors, at, met_by, strict=True))
             return Result(
-                tuple(found), rotors, climb_m_s, air, "tubes", True, f"settled in {turn} turns", turn,
+                tuple(both), rotors, climb_m_s, air, "tubes", True, f"settled in {turn} turns", turn,
                 (x[: cuts[0]].copy(),),
             )  # fmt: skip
         # Anderson's acceleration.

@@ -129,7 +129,7 @@ def load_airfoil(name_or_path: str | Path) -> Airfoil:
     name_or_path : str or Path
         ``"naca4412"``, ``"NACA 23012"``, a name that :func:`database_airfoils` lists, or the path of a file in
         Selig's or Lednicer's order. With ``"+gurney1.5"`` appended, the section carries a Gurney flap of 1.5 %
-        of the chord on its lower side.
+        of the chord on its lower side; with ``"+thick8"``, its heights are scaled so that it is 8 % thick.
 
     Raises
     ------
@@ -139,7 +139,10 @@ def load_airfoil(name_or_path: str | Path) -> Airfoil:
     text = str(name_or_path)
     base, plus, flap = text.rpartition("+gurney")
     if plus:
-        return with_gurney(load_airfoil(base), _percent(text, flap))
+        return with_gurney(load_airfoil(base), _percent(text, flap, "a Gurney flap", "a height", 8.0))
+    base, plus, thick = text.rpartition("+thick")
+    if plus:
+        return with_thickness(load_airfoil(base), _percent(text, thick, "a section", "a thickness", 40.0))
     path = Path(name_or_path)
     if path.is_file():
         return Airfoil(path.stem.lower(), read_contour(path), str(path))
@@ -167,16 +170,23 @@ def _near(name: str) -> str:
     return known
 
 
-def _percent(where: str, text: str) -> float:
+def _percent(where: str, text: str, what: str, size: str, most: float) -> float:
     try:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not 0.0 < value <= 8.0:
+    if not 0.0 < value <= most:
         raise InputError(
-            where, "", f"a Gurney flap of {text!r} % is not possible", "give a height above 0 and up to 8"
+            where, "", f"{what} of {text!r} % is not possible", f"give {size} above 0 and up to {most:g}"
         )
     return value / 100.0
+
+
+def with_thickness(airfoil: Airfoil, thickness: float) -> Airfoil:
+    """Return the section with all heights, camber's too, scaled to a thickness over chord."""
+    scaled = airfoil.coordinates * [1.0, thickness / airfoil.thickness_ratio]
+    name = f"{airfoil.name}+thick{100 * thickness:g}"
+    return Airfoil(name, scaled, f"{airfoil.source}; scaled to a thickness of {100 * thickness:g} %")
 
 
 def with_gurney(airfoil: Airfoil, height: float) -> Airfoil:

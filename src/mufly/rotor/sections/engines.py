@@ -33,7 +33,7 @@ from mufly.rotor.sections.section import SectionData, cache_folder, read_polar_c
 
 Engine = Literal["neuralfoil", "xfoil", "table"]
 
-REYNOLDS: NDArray[np.float64] = np.geomspace(2e3, 3e5, 21)  # a factor 1.28 apart
+REYNOLDS: NDArray[np.float64] = 2e3 * 150.0 ** (np.arange(33) / 20.0)  # to 6e6, a factor 1.28 apart
 
 
 def polar(
@@ -59,7 +59,7 @@ def polar(
     engine : {'neuralfoil', 'xfoil', 'table'}
         See the module's docstring.
     reynolds : (nr,) array_like, optional
-        Chord Reynolds numbers in geometric progression; the default covers 2e3 to 3e5.
+        Chord Reynolds numbers in geometric progression; the default covers 2e3 to 6e6.
     xtr : (float, float)
         Forced transition on upper and lower side, x/c; 1 leaves it free.
     model : str
@@ -156,7 +156,7 @@ def _checked(
     steps = np.diff(np.log(re)) if np.all(re > 0) else np.array([-1.0])
     if re.ndim != 1 or not np.all(np.isfinite(re)) or np.any(steps <= 0):
         raise InputError(
-            "polar", "reynolds", "are not positive and rising", "give for example geomspace(2e3, 3e5, 21)"
+            "polar", "reynolds", "are not positive and rising", "give for example geomspace(2e3, 5e6, 33)"
         )
     if steps.size > 1 and not np.allclose(steps, steps.mean(), rtol=1e-6):
         raise InputError("polar", "reynolds", "are not in geometric progression", "use numpy.geomspace")

@@ -18,27 +18,21 @@ so, and which angles lie outside the range that the engine computed (there the v
 
 From the range that an engine covers to the full circle of angle of attack.
 
-A section far past stall is a plate: the pressure on it acts normal to the chord, N = C_max sin a, whatever its shape.
-With the skin's drag along the chord this gives::
+A section far past stall is a plate, and its forces are those that were measured on four symmetrical sections over the
+whole circle (Sheldahl and Klimas, SAND80-2114, 1981: from 30 degrees on the same for all of them and for all Reynolds
+numbers), scaled to a blade of finite span. With m_l(a), m_d(a) the measured ones, of an endless span::
 
-    c_l = C_max sin a cos a,    c_d = C_max sin^2 a + c_f cos^2 a                                    (plate)
+    c_l = C_max m_l(a) / M,    c_d = c_f + (C_max - c_f) (m_d(a) - m_d(180)) / M,    M = m_d(90) - m_d(180)
 
 ``C_max`` is the drag of a plate across the flow, 1.11 + 0.018 AR up to AR = 50 and 2.01 for an endless one (Hoerner,
-Fluid-Dynamic Drag, 1965, ch. III; Viterna and Corrigan, NASA CP-2230, 1982). Between the last known angle a_s and 90
-degrees Viterna and Corrigan add to the plate what the section still has at a_s, fading out with the angle::
+Fluid-Dynamic Drag, 1965, ch. III; Viterna and Corrigan, NASA CP-2230, 1982), c_f the engine's least drag. Below 30
+degrees, where it is not the same for all, the curve goes on to nothing at 0 as the normal force of a plate does. What
+the section still has of its own at the last known angle a_s fades out by a_s + 20 degrees, 40 at least, as
+s^2 (3 - 2 s) does. The form is meant for stalled ends; where an engine gives up before stall its last value fades all
+the same, so that nothing jumps. Negative angles are the mirror image. The force acts at 1/4 + |a|/(2 pi) of the chord:
+the quarter from the leading edge at small angles, half across the flow, the quarter from the other edge from behind::
 
-    c_l = C_max sin a cos a + A cos^2 a / sin a,   A = (c_l,s - C_max sin a_s cos a_s) sin a_s / cos^2 a_s
-    c_d = C_max sin^2 a + B cos a,                 B = (c_d,s - C_max sin^2 a_s) / cos a_s
-
-so that both meet the known values at a_s and the plate at 90 degrees, where c_l = 0 and c_d = C_max. The form is meant
-for a stalled end and grows without bound as a_s goes to zero: where an engine gives up below 15 degrees, sin a in
-the extra lift is not let below sin 15 degrees (in A likewise, so that c_l,s is still met). Negative angles are
-the mirror image. With the flow from behind (beyond 90 degrees) the section is taken as the plate, with the
-engine's least drag for ``c_f``; c_l and c_d are continuous at 90 degrees. The plate's force acts at
-1/4 + |a|/(2 pi) of the chord: the quarter from the leading edge at small angles, half across the flow, the
-quarter from the other edge from behind::
-
-    c_m = -N |a|/(2 pi) + (c_m,s - plate's at a_s) cos a / cos a_s      up to 90 degrees, the first term beyond
+    c_m = -N |a|/(2 pi) + (c_m,s - plate's at a_s) (fading)
 
 What the engine computed is not touched: inside its range the table is a cubic spline through its values.
 """
@@ -300,7 +294,6 @@ def outside_of(
 
 
 ASPECT_RATIO = 5.0  # blades of micro rotors have 2.5 to 8; C_max then lies within 5 % of the value for 5
-_STALL = math.radians(15.0)
 _COARSE = math.radians(2.5)  # known angles further apart than this are joined without overshoot
 _LEAST_DRAG = 0.5  # of the least known drag; guards against overshoot of the spline
 
@@ -318,24 +311,37 @@ def plate_drag(aspect_ratio: float) -> float:
     return 1.11 + 0.018 * aspect_ratio if aspect_ratio <= 50 else 2.01
 
 
-def _plate_moment(alpha: Array | float, c_max: float) -> Array:
-    a = np.asarray(alpha)
-    return -c_max * np.sin(a) * np.abs(a) / (2 * math.pi)
+# Lift and drag of NACA 0012, 0015, 0018 and 0021, 30 to 180 degrees in steps of 5: Sheldahl and Klimas, Aerodynamic
+# Characteristics of Seven Symmetrical Airfoil Sections Through 180-Degree Angle of Attack, SAND80-2114, 1981.
+_MEASURED_FROM_DEG = 30.0
+_MEASURED_CL = np.array([
+    0.855, 0.980, 1.035, 1.050, 1.020, 0.955, 0.875, 0.760, 0.630, 0.500, 0.365, 0.230, 0.090, -0.050, -0.185, -0.320,
+    -0.450, -0.575, -0.670, -0.760, -0.850, -0.930, -0.980, -0.900, -0.770, -0.670, -0.635, -0.680, -0.850, -0.660, 0.0,
+])  # fmt: skip
+_MEASURED_CD = np.array([
+    0.570, 0.745, 0.920, 1.075, 1.215, 1.345, 1.470, 1.575, 1.665, 1.735, 1.780, 1.800, 1.800, 1.780, 1.750, 1.700,
+    1.635, 1.555, 1.465, 1.350, 1.225, 1.085, 0.925, 0.755, 0.575, 0.420, 0.320, 0.230, 0.140, 0.055, 0.025,
+])  # fmt: skip
+_FADES_WITHIN, _FADED_BY = math.radians(20.0), math.radians(40.0)
 
 
-def _towards_broadside(
-    alpha: Array, end: float, at_end: tuple[Array, Array, Array], c_max: float
-) -> tuple[Array, Array, Array]:
-    """Viterna's extension for positive angles from ``end`` to a right angle; ``at_end`` has one value a row."""
-    cl_s, cd_s, cm_s = (v[:, None] for v in at_end)
-    s, c = np.sin(alpha), np.cos(alpha)
-    s_end, c_end = math.sin(end), math.cos(end)
-    least = math.sin(_STALL)
-    extra = (cl_s - c_max * s_end * c_end) * max(s_end, least) / c_end**2
-    cl = c_max * s * c + extra * c**2 / np.maximum(s, least)
-    cd = c_max * s**2 + (cd_s - c_max * s_end**2) / c_end * c
-    cm = _plate_moment(alpha, c_max) + (cm_s - _plate_moment(end, c_max)) / c_end * c
-    return cl, cd, cm
+def _stalled() -> tuple[Array, Array]:
+    """m_l and m_d - m_d(180) of the module docstring over :data:`ALPHA_GRID`, over m_d(90)."""
+    size = np.abs(ALPHA_GRID)
+    at = np.deg2rad(np.linspace(_MEASURED_FROM_DEG, 180.0, _MEASURED_CL.size))
+    drag = _MEASURED_CD - _MEASURED_CD[-1]
+    start = float(at[0])
+    beyond = np.maximum(size, start)
+    near = size < start
+    lift = PchipInterpolator(at, _MEASURED_CL)(beyond)
+    lift = np.where(near, _MEASURED_CL[0] * np.sin(2.0 * size) / math.sin(2.0 * start), lift)
+    push = PchipInterpolator(at, drag)(beyond)
+    push = np.where(near, drag[0] * (np.sin(size) / math.sin(start)) ** 2, push)
+    across = float(np.interp(0.5 * math.pi, at, drag))
+    return np.sign(ALPHA_GRID) * lift / across, push / across
+
+
+_STALLED_CL, _STALLED_CD = _stalled()
 
 
 def extend(data: SectionData, *, aspect_ratio: float = ASPECT_RATIO) -> PolarTable:
@@ -376,21 +382,27 @@ def extend(data: SectionData, *, aspect_ratio: float = ASPECT_RATIO) -> PolarTab
 
 
 def _circle(a: Array, values: tuple[Array, ...], c_max: float) -> tuple[Array, Array, Array]:
-    """Rows that know the angles ``a``: spline inside, Viterna up to a right angle, plate beyond."""
-    right = math.pi / 2
+    """Rows that know the angles ``a``: spline inside, the measured circle beyond, what is their own fading into it."""
     grid, rows = ALPHA_GRID, len(values[0])
     skin = values[1].min(axis=1, keepdims=True)
-    s, c = np.sin(grid), np.cos(grid)
-    cl, cd = np.tile(c_max * s * c, (rows, 1)), c_max * s**2 + skin * c**2
-    cm = np.tile(_plate_moment(grid, c_max), (rows, 1))
+    normal = c_max * (_STALLED_CL * np.cos(grid) + _STALLED_CD * np.sin(grid))
+    circle = (
+        np.tile(c_max * _STALLED_CL, (rows, 1)),
+        (c_max - skin) * _STALLED_CD + skin,
+        np.tile(-normal * np.abs(grid) / (2.0 * math.pi), (rows, 1)),
+    )
+    out = tuple(c.copy() for c in circle)
     for sign, end, k in ((1.0, float(a[-1]), -1), (-1.0, -float(a[0]), 0)):
-        if end < right:
-            part = (sign * grid > end) & (sign * grid <= right)
-            at_end = (sign * values[0][:, k], values[1][:, k], sign * values[2][:, k])
-            front = _towards_broadside(sign * grid[part], end, at_end, c_max)
-            cl[:, part], cd[:, part], cm[:, part] = sign * front[0], front[1], sign * front[2]
+        gone = min(max(end + _FADES_WITHIN, _FADED_BY), math.pi)
+        part = (sign * grid > end) & (sign * grid < gone)
+        s = (gone - sign * grid[part]) / max(gone - end, 1e-9)
+        own = s**2 * (3.0 - 2.0 * s)
+        last = int(np.argmin(np.abs(grid - sign * end)))
+        for c, base, value in zip(out, circle, values, strict=True):
+            c[:, part] += own * (value[:, k] - base[:, last])[:, None]
     inside = (grid >= a[0] - 1e-12) & (grid <= a[-1] + 1e-12)
     spline = CubicSpline if a.size > 3 and np.diff(a).max() < _COARSE else PchipInterpolator
-    for out, value in zip((cl, cd, cm), values, strict=True):
-        out[:, inside] = spline(a, value, axis=1)(np.clip(grid[inside], a[0], a[-1]))
+    for c, value in zip(out, values, strict=True):
+        c[:, inside] = spline(a, value, axis=1)(np.clip(grid[inside], a[0], a[-1]))
+    cl, cd, cm = out
     return cl, np.maximum(cd, _LEAST_DRAG * skin), cm

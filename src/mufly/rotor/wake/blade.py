@@ -151,13 +151,15 @@ def bound_influence(surface: Surface, points: Array) -> Array:
 
 
 @compiled(error_model="numpy")
-def _sections(alpha, log_re, blades, which, rotation, lift, drag, out):  # type: ignore[no-untyped-def]
+def _sections(alpha, log_re, mach, blades, which, rotation, lift, drag, out):  # type: ignore[no-untyped-def]
     for i in range(alpha.size):
         first, second, weight = blades.first[which, i], blades.second[which, i], blades.weight[which, i]
         zero = blades.zero_lift_rad[first]
         zero += weight * (blades.zero_lift_rad[second] - zero)
-        section = Section(first, second, weight, zero, rotation[i], lift, drag)
-        out[i, 0], out[i, 1] = section_coefficients(alpha[i], log_re[i], section, blades.polars)
+        thick = blades.thickness[first]
+        thick += weight * (blades.thickness[second] - thick)
+        section = Section(first, second, weight, zero, rotation[i], lift, drag, thick)
+        out[i, 0], out[i, 1] = section_coefficients(alpha[i], log_re[i], mach[i], section, blades.polars)
 
 
 def solve_circulation(
@@ -210,7 +212,7 @@ def solve_circulation(
         if inviscid:
             return 2.0 * math.pi * np.sin(alpha), np.zeros_like(alpha)
         log_re = log_unit + np.log(np.maximum(speed, 1e-6))
-        _sections(alpha, log_re, blading.record, which, g, *factors, out)
+        _sections(alpha, log_re, speed / air.sound_m_s, blading.record, which, g, *factors, out)
         return out[:, 0].copy(), out[:, 1].copy()
 
     gamma = np.zeros(c.size) if start is None else start.copy()

@@ -1,0 +1,290 @@
+"""How sure is a prediction? A band from what is not known of the blade's sections, and of the method.
+
+Causes are varied one at a time about the nominal rotor, each by one standard deviation:
+
+* ``n_crit``: transition early or late, 4 and 9 beside the nominal value (the dissertation's Table 3.1);
+* ``engine``: 4 % of the lift coefficient, 8 % of the drag coefficient: network, boundary-layer code and wind tunnel
+  do not agree better below Re 1e5 (docs/polars.md);
+* ``camber``: 0.3 % of the chord for a known section; zero-lift angle -2 f (thin airfoil, parabola);
+* ``thickness``: 0.5 % of the chord; drag 1 + 2 t (Hoerner, Fluid-Dynamic Drag, 1965, ch. II);
+* ``pitch``: half a degree of setting and twist;
+* ``method``: 5 % of thrust, 8 % of torque, the size of what a lattice with a contracting wake changes (docs/bemt.md).
+
+Where the section is a guess, the prediction is the mean over the sections that a blade may have
+(:mod:`mufly.rotor.families`), weighted with their probabilities, and their variance about it adds to the causes;
+camber and thickness are then unknown between neighbours of that list only.
+
+The causes are taken as independent, variances add. None of these numbers was fitted. What they leave out, nobody can
+list; so the sum is widened by :data:`WIDER`, the two numbers here that were fitted: with them nominal 90 % intervals
+hold 90 % of the points of the benchmark's rotors, each rotor with the same weight. What that is worth on a family of
+rotors that the numbers have not seen, `mufly rotor benchmark --held-out` tells (docs/benchmark.md).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mufly.errors import InputError
+from mufly.results import result
+from mufly.rotor.bemt import hover_batch
+from mufly.rotor.blading import Corrections, prepare
+from mufly.rotor.families import BETWEEN, DRAG_PER_THICKNESS, ZERO_LIFT_PER_CAMBER, section_weights
+from mufly.rotor.geometry import Candidate, Rotor, SectionFit, replace_rotor
+from mufly.rotor.sections import engines
+from mufly.rotor.sections.engines import Engine
+from mufly.rotor.system import Air
+
+Array = NDArray[np.float64]
+Known = Literal["known", "guessed", "measured"]
+SECTIONS: tuple[Known, ...] = ("known", "guessed", "measured")
+
+WIDER = (1.06, 1.55)
+"""Of thrust and torque: fitted to the 90 % intervals of 21 rotors (docs/benchmark.md)."""
+_UNLIKELY = 0.003  # sections below this probability are left out of a mean
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """Standard deviations of what is not known; the defaults belong to a known section."""
+
+    n_crit: tuple[float, ...] = (4.0, 9.0)
+    lift: float = 0.04
+    drag: float = 0.08
+    camber: float = 0.003
+    thickness: float = 0.005
+    pitch_rad: float = math.radians(0.5)
+    method_thrust: float = 0.05
+    method_torque: float = 0.08
+
+    def __post_init__(self) -> None:
+        for key in ("lift", "drag", "camber", "thickness", "pitch_rad", "method_thrust", "method_torque"):
+            if not 0.0 <= getattr(self, key) < 1.0:
+                raise InputError("uncertainty", key, f"is {getattr(self, key):g}", "give 0 or more, below 1")
+
+    @classmethod
+    def of_guessed_section(cls) -> Doubt:
+        """Return the doubt that is left where the mean was taken over the sections that a blade may have."""
+        return cls(camber=BETWEEN[0], thickness=BETWEEN[1])
+
+
+@result(eq=False)
+class Band:
+    """A prediction with its interval.
+
+    Attributes
+    ----------
+    thrust_N, torque_Nm : (n,) arrays
+        Nominal prediction.
+    thrust_low_N, thrust_high_N, torque_low_Nm, torque_high_Nm : (n,) arrays
+        Interval.
+    level : float
+        Probability that it is meant to hold.
+    thrust_share, torque_share : dict of str to (n,) arrays
+        Relative standard deviation that each cause brings.
+    """
+
+    thrust_N: Array
+    torque_Nm: Array
+    thrust_low_N: Array
+    thrust_high_N: Array
+    torque_low_Nm: Array
+    torque_high_Nm: Array
+    level: float
+    thrust_share: Mapping[str, Array]
+    torque_share: Mapping[str, Array]
+
+
+_SIGMAS = {0.5: 0.674, 0.68: 0.994, 0.8: 1.282, 0.9: 1.645, 0.95: 1.960, 0.99: 2.576}
+
+
+def interval(
+    rotor: Rotor,
+    *,
+    pitch_rad: ArrayLike,
+    speed_rad_s: ArrayLike,
+    climb_m_s: ArrayLike = 0.0,
+    air: Air | None = None,
+    corrections: Corrections | None = None,
+    n_crit: float = 0.1,
+    engine: Engine = "neuralfoil",
+    section: Known = "known",
+    family: str = "",
+    doubt: Doubt | None = None,
+    level: float = 0.9,
+    wider: tuple[float, float] | None = None,
+) -> Band:
+    """Predict thrust and torque with an interval.
+
+    For a rotor that was fitted to a bench (:func:`mufly.rotor.fit_rotor`) it is made of what that left open: the five
+    numbers, the sections that would do as well, and the scatter; outside the range that was measured the method's own
+    doubt comes back, wholly 5 degrees of pitch or a factor of two in speed away. Otherwise from the causes above.
+
+    Parameters
+    ----------
+    rotor : Rotor
+        The rotor.
+    pitch_rad, speed_rad_s, climb_m_s : array_like
+        Points, broadcast against each other.
+    air, corrections, n_crit, engine
+        As for :func:`mufly.rotor.blading.prepare` and :func:`mufly.rotor.bemt.hover`.
+    section : 'known', 'guessed' or 'measured'
+        The rotor file's airfoils; of a fitted rotor they are measured, whatever is said.
+    family : str
+        Of a guessed section: one of :data:`mufly.rotor.families.FAMILIES`, if it is known.
+    doubt : Doubt, optional
+        What is not known; by default that of a known or guessed section.
+    level : float
+        0.5, 0.68, 0.8, 0.9, 0.95 or 0.99.
+    wider : (float, float), optional
+        In place of :data:`WIDER`.
+
+    Raises
+    ------
+    InputError
+        If the level, section or family is none of these, or the section is 'measured' and the rotor was never fitted.
+    """
+    if level not in _SIGMAS:
+        raise InputError(
+            "uncertainty", "level", f"is {level:g}", f"choose one of {', '.join(map(str, _SIGMAS))}"
+        )
+    if section not in SECTIONS:
+        raise InputError(
+            "uncertainty", "section", f"{section!r} is unknown", f"use one of: {', '.join(SECTIONS)}"
+        )
+    if section == "measured" and rotor.fit is None:
+        raise InputError(
+            f"rotor {rotor.name}", "fit", "is not there: its sections were never measured",
+            "run `mufly rotor fit` on a bench file, or say known or guessed",
+        )  # fmt: skip
+    guessed = section == "guessed" and rotor.fit is None
+    unsure = doubt or (Doubt.of_guessed_section() if guessed else Doubt())
+    fixes = corrections or Corrections()
+    pitch, speed, climb = np.broadcast_arrays(*np.atleast_1d(pitch_rad, speed_rad_s, climb_m_s))
+    if rotor.fit is not None:
+
+        def at(one: Rotor) -> Array:
+            blading = prepare(one, n_crit=n_crit, engine=engine, corrections=fixes)
+            out = hover_batch(blading, pitch_rad=pitch, speed_rad_s=speed, climb_m_s=climb, air=air)
+            return np.stack((out.thrust_N, out.torque_Nm))
+
+        values, parts = _after_bench(rotor, rotor.fit, at, pitch, speed, unsure)
+        return _band(values, parts, level)
+    nominal = prepare(rotor, n_crit=n_crit, engine=engine, corrections=fixes)
+
+    def solve(blading=nominal, turned: float = 0.0) -> tuple[Array, Array]:  # type: ignore[no-untyped-def]
+        out = hover_batch(blading, pitch_rad=pitch + turned, speed_rad_s=speed, climb_m_s=climb, air=air)
+        return out.thrust_N, out.torque_Nm
+
+    def scaled(lift: float, drag: float) -> tuple[Array, Array]:
+        changed = replace(fixes, lift_factor=fixes.lift_factor * lift, drag_factor=fixes.drag_factor * drag)
+        return solve(replace(nominal, corrections=changed))
+
+    thrust, torque = solve()
+
+    def spread(*others: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Root mean square departure from the nominal point."""
+        return (
+            np.sqrt(np.mean([(t - thrust) ** 2 for t, _ in others], axis=0)),
+            np.sqrt(np.mean([(q - torque) ** 2 for _, q in others], axis=0)),
+        )
+
+    shift = ZERO_LIFT_PER_CAMBER * unsure.camber
+    causes = {
+        "n_crit": spread(
+            *(solve(prepare(rotor, n_crit=n, engine=engine, corrections=fixes)) for n in unsure.n_crit),
+            (thrust, torque),
+        ),
+        "engine": _added(
+            spread(scaled(1 + unsure.lift, 1.0), scaled(1 - unsure.lift, 1.0)),
+            spread(scaled(1.0, 1 + unsure.drag), scaled(1.0, 1 - unsure.drag)),
+        ),
+        "camber": spread(solve(turned=shift), solve(turned=-shift)),
+        "thickness": spread(
+            scaled(1.0, 1 + DRAG_PER_THICKNESS * unsure.thickness),
+            scaled(1.0, 1 - DRAG_PER_THICKNESS * unsure.thickness),
+        ),
+        "pitch": spread(solve(turned=unsure.pitch_rad), solve(turned=-unsure.pitch_rad)),
+        "method": (unsure.method_thrust * np.abs(thrust), unsure.method_torque * np.abs(torque)),
+    }
+    values, all_causes = np.stack((thrust, torque)), {name: np.stack(pair) for name, pair in causes.items()}
+    if guessed:
+        listed = [(a, w) for a, w in section_weights(rotor, family) if w >= _UNLIKELY]
+        tables = engines.polars({a for airfoils, _ in listed for a in airfoils}, n_crit=n_crit, engine=engine)
+        ones = [replace_rotor(rotor, {"blade.airfoils": a}) for a, _ in listed]
+        several = np.array([solve(prepare(one, tables, corrections=fixes)) for one in ones])
+        weights = np.array([w for _, w in listed])
+        weights /= weights.sum()
+        values = np.tensordot(weights, several, 1)
+        all_causes["section"] = np.sqrt(np.tensordot(weights, (several - values) ** 2, 1))
+    return _band(values, all_causes, level, wider or WIDER)
+
+
+def _band(
+    values: Array, causes: Mapping[str, Array], level: float, wider: tuple[float, float] = (1.0, 1.0)
+) -> Band:
+    """Thrust and torque (2, n), standard deviations of each cause likewise."""
+    sigma = (
+        np.array(wider)[:, None]
+        * _SIGMAS[level]
+        * np.sqrt(np.sum([np.square(c) for c in causes.values()], axis=0))
+    )
+    size = np.where(values == 0.0, np.nan, np.abs(values))
+    low, high = values - sigma, values + sigma
+    return Band(
+        values[0], values[1], low[0], high[0], low[1], high[1], level,
+        {name: c[0] / size[0] for name, c in causes.items()}, {name: c[1] / size[1] for name, c in causes.items()},
+    )  # fmt: skip
+
+
+def _after_bench(
+    rotor: Rotor, fit: SectionFit, at: Callable[[Rotor], Array], pitch: Array, speed: Array, unsure: Doubt
+) -> tuple[Array, dict[str, Array]]:
+    """Prediction of a fitted rotor and the standard deviation that each cause brings, (2, n) each."""
+    weights = np.array([c.probability for c in fit.candidates])
+    means, within = [], []
+    for candidate in fit.candidates:
+        one = replace_rotor(rotor, {"blade.airfoils": candidate.airfoils})
+
+        def with_change(change: Array, one: Rotor = one, candidate: Candidate = candidate) -> Array:
+            now = candidate.model_copy(update={"change": tuple(change.tolist())})
+            return at(one.model_copy(update={"fit": fit.model_copy(update={"candidates": (now,)})}))
+
+        change, covariance = np.array(candidate.change), np.array(candidate.covariance)
+        # Along the principal axes, a standard deviation to either side
+        size, axes = np.linalg.eigh(covariance)
+        mean = with_change(change)
+        spread = [
+            0.5 * (with_change(change + step) - with_change(change - step))
+            for step in (np.sqrt(np.maximum(size, 0.0)) * axes).T
+        ]
+        means.append(mean)
+        within.append(np.sum(np.square(spread), axis=0))
+    between = np.tensordot(weights, (np.array(means) - means[0]) ** 2, 1)
+    off_pitch = np.maximum(
+        np.maximum(fit.pitch_rad[0] - pitch, pitch - fit.pitch_rad[1]), 0.0
+    ) / math.radians(5.0)
+    off_speed = np.maximum(np.maximum(fit.speed_rad_s[0] / speed, speed / fit.speed_rad_s[1]), 1.0)
+    away = np.minimum(np.hypot(off_pitch, np.log2(off_speed)), 1.0)
+    value = means[0]
+    method = np.array([[unsure.method_thrust], [unsure.method_torque]]) * away * np.abs(value)
+    return value, {
+        "fit": np.sqrt(np.tensordot(weights, np.array(within), 1)),
+        "section": np.sqrt(between),
+        "scatter": np.array(fit.scatter)[:, None] * np.abs(value),
+        "method": method,
+    }
+
+
+def _added(*pairs: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Standard deviations of independent causes, together."""
+
+    def root(parts: Sequence[Array]) -> Array:
+        return np.sqrt(np.sum(np.square(parts), axis=0))
+
+    return root([t for t, _ in pairs]), root([q for _, q in pairs])

@@ -1,0 +1,123 @@
+"""The benchmark of rotors: anybody's data, anybody's code, answers that are kept."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from mufly.errors import InputError
+from mufly.rotor import load_rotor, rotor_toml
+from mufly.study.benchmark import code_of, families, load_cases, picture, question_of, run, table
+from mufly.study.benchmark.scores import widening
+
+STATIC = "RPM CT CP\n3000.0 0.10 0.05\n4000.0 0.11 0.05\n5000.0 0.12 0.05\n"
+GEOMETRY = "r/R c/R beta\n0.15 0.15 30.0\n0.50 0.20 20.0\n1.00 0.10 10.0\n"
+PROGRAM = """
+import csv, json, pathlib, sys
+folder = pathlib.Path(sys.argv[1])
+told = json.loads((folder / "rotor.json").read_text())
+points = list(csv.DictReader((folder / "points.csv").open()))
+blade = list(csv.DictReader((folder / "blade.csv").open()))
+assert len(blade) == len(told["r_m"]) and (folder / (blade[0]["airfoil"] + ".dat")).exists()
+with (folder / "answer.csv").open("w") as file:
+    print("thrust_N,torque_Nm", file=file)
+    for p in points:
+        print(f"{1e-7 * float(p['speed_rpm']) ** 2},1e-3", file=file)
+"""
+
+
+@pytest.fixture
+def data(tmp_path):
+    folder = tmp_path / "data"
+    (folder / "rotors").mkdir(parents=True)
+    (folder / "volume-2").mkdir()
+    for name in ("gwsdd_5x3", "kpf_96x70"):
+        (folder / "volume-2" / f"{name}_geom.txt").write_text(GEOMETRY)
+        (folder / "volume-2" / f"{name}_static_0123rd.txt").write_text(STATIC)
+    (folder / "rotors" / "mine.toml").write_text(rotor_toml(load_rotor("naca0012-r60-c20")))
+    (folder / "rotors" / "mine.csv").write_text("pitch_deg,speed_rpm,thrust_N,torque_Nm\n12,5000,0.15,\n")
+    return folder
+
+
+def half(question):
+    """An outside code: thrust by a law, torque not known."""
+    speed = np.array(question["speed_rad_s"])
+    return 1e-6 * speed**2 * question["radius_m"] / 0.06, np.full(speed.size, np.nan)
+
+
+def test_data_of_others_and_of_one_s_own(data):
+    cases, missing = load_cases(data)
+    assert [(c.name, c.family, c.group) for c in cases] == [
+        ("gwsdd_5x3", "GWS", "UIUC micro"), ("kpf_96x70", "KP", "UIUC micro"),
+        ("naca0012-r60-c20", "own naca0012-r60-c20", "own"),
+    ]  # fmt: skip
+    assert_allclose([c.rotor.radius_m for c in cases], [0.0635, 0.048, 0.06])
+    assert_allclose(cases[0].measured.thrust_N[0], 0.10 * 1.2 * 50.0**2 * 0.127**4)
+    assert any("TM-81232" in line for line in missing)
+    assert [c.name for c in load_cases(data, "KPF")[0]] == ["kpf_96x70"]
+    with pytest.raises(InputError, match="--only"):
+        load_cases(data, "nothing of that name")
+    with pytest.raises(InputError, match="no folder"):
+        load_cases(data / "not")
+
+
+def test_outside_codes_answer_or_say_why_not(data, tmp_path):
+    program = tmp_path / "program.py"
+    program.write_text(PROGRAM)
+    failing = tmp_path / "failing.py"
+    failing.write_text("raise SystemExit('no wind')")
+    cases, _ = load_cases(data)
+    codes = [
+        code_of(f"mine={__name__}:half"), code_of(f"run={sys.executable} {program} {{folder}}"),
+        code_of(f"bad={sys.executable} {failing} {{folder}}"),
+    ]  # fmt: skip
+    scores = run(cases, codes, folder=tmp_path / "out")
+    assert_allclose(
+        scores[1].case.measured.thrust_N * (1 + scores[1].thrust_error), half(question_of(cases[1]))[0]
+    )
+    assert_allclose((1 + scores[3].thrust_error[0]) * cases[0].measured.thrust_N[0], 1e-7 * 3000.0**2)
+    assert "no wind" in scores[-1].fault
+    rows = table(scores)
+    assert [(r.code, r.group, r.rotors, r.without) for r in rows[:3]] == [
+        ("mine", "UIUC micro", 2, 0), ("mine", "own", 1, 0), ("run", "UIUC micro", 2, 0)
+    ]  # fmt: skip
+    assert rows[-1].without == 1
+    assert len(families(scores)) == 9
+    assert len(picture(scores).axes) == 2
+
+
+def test_what_was_answered_is_not_asked_again(data, tmp_path):
+    asked = []
+
+    def predict(case):
+        asked.append(case.name)
+        return code_of(f"{__name__}:half").predict(case)
+
+    cases, _ = load_cases(data)
+    code = code_of(f"one={__name__}:half")
+    mine = type(code)("one", predict)
+    first = run(cases, [mine], folder=tmp_path)
+    kept = tmp_path / "answers" / "one" / "kpf_96x70.json"
+    assert json.loads(kept.read_text())["fault"] == ""
+    kept.write_text("{")  # cut off in the middle
+    again = run(cases, [mine], folder=tmp_path)
+    assert asked == [*(c.name for c in cases), "kpf_96x70"]
+    assert_allclose(again[0].thrust_error, first[0].thrust_error)
+    run(cases, [mine], points=1, folder=tmp_path)  # another question
+    assert len(asked) == 6
+
+
+@pytest.mark.parametrize("text", ["", "nothing", "no.such.module:f", "mufly.rotor:no_such_name", "a b:c"])
+def test_what_is_no_code_is_refused_in_one_line(text):
+    with pytest.raises(InputError, match="--code"):
+        code_of(text)
+
+
+def test_intervals_are_widened_until_they_hold():
+    off = [np.linspace(0.1, 1.0, 10), np.array([np.nan]), np.array([2.0])]  # two rotors with the same weight
+    assert widening(off[:1]) == pytest.approx(0.9)
+    assert widening(off) == 2.0
+    assert widening(off, 0.25) == pytest.approx(0.5)
+    assert widening([]) == 1.0
