@@ -14,7 +14,7 @@ from mufly.cli import coax, control, drive, fly, log, mission, monte_carlo, roto
 from mufly.cli import optimise as _optimise  # noqa: F401  adds to the commands of rotor and coax, as study does
 from mufly.cli import station as link
 from mufly.cli.aero import benchmark as _benchmark  # noqa: F401  adds to the commands of rotor
-from mufly.cli.aero import cfd
+from mufly.cli.aero import bench, cfd
 from mufly.cli.identify import flight as identify
 from mufly.cli.onboard import estimate, firmware, sensors
 from mufly.cli.options import Commands
@@ -38,6 +38,7 @@ app.command("station", help=station.HELP)(station.station)
 app.add_typer(rotor.app, name="rotor")
 app.add_typer(coax.app, name="coax")
 app.add_typer(cfd.app, name="cfd")
+app.add_typer(bench.app, name="bench")
 app.add_typer(drive.app, name="drive")
 app.add_typer(vehicle.app, name="vehicle")
 app.add_typer(control.app, name="control")

@@ -1,0 +1,391 @@
+"""A series, run: mount, wait, settle, average, watch, write down; stop whatever happens.
+
+    for every step of the plan that is not yet in the record
+        tell which blades have to be on, if they change
+        a zero:   stop, wait until the rotors stand still, average
+        a point:  command the speed, wait until speed and loads stand, average until it is known well enough
+        write it down (on the disk before the next step begins)
+
+Every batch of samples is looked at as it comes (:class:`Guard`): a limit that is passed, a request to stop (Ctrl-C,
+SIGTERM) or a device that is silent ends the gathering there, and all motors are told to stop before anything else is
+done. A device that fails is opened again and the step repeated, twice at most, after a new zero: rotors have stopped
+in between, and a microcontroller that was reset may have lost its scale.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.bench.loads import Calibration
+from mufly.bench.rig.devices import DeviceError, Facts, Rig, Samples
+from mufly.bench.series.averaging import Mean, has_settled, mean_of
+from mufly.bench.series.plan import Limits, Mounting, Plan, Step
+from mufly.bench.series.record import Record
+from mufly.errors import InputError, MuflyError
+from mufly.units import RPM
+
+Array = NDArray[np.float64]
+
+TRIES = 3
+_SPEED_TOLERANCE, _LOAD_TOLERANCE = 0.002, 0.004  # shares, of the reading and of the largest load so far
+_STILL_rad_s = 1.0
+_ENOUGH = 0.002  # standard uncertainty of thrust over thrust at which a point is known well enough
+_AWAY = 0.02  # share of the commanded speed beyond which a point is not at its speed
+_STALE_s = 900.0  # after a longer pause a bench that was warm is not
+
+
+class LimitError(MuflyError):
+    """A limit was passed; the bench has been stopped."""
+
+
+class Stopped(MuflyError):
+    """Somebody asked for it; the bench has been stopped."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a series is.
+
+    Attributes
+    ----------
+    done, total : int
+        Steps.
+    what : str
+        Now, in words.
+    line : dict, optional
+        What was just written to the record.
+    """
+
+    done: int
+    total: int
+    what: str
+    line: dict[str, Any] | None = None
+
+
+@dataclass(eq=False)
+class Guard:
+    """Looks at samples as they come, and raises before they do harm.
+
+    Attributes
+    ----------
+    limits : Limits
+    facts : Facts
+    asked : callable
+        Whether somebody wants it to stop.
+    saturated : set of str
+        Channels that have met an end of their range since :meth:`clear`.
+    """
+
+    limits: Limits
+    facts: Facts
+    asked: Callable[[], bool]
+    saturated: set[str] = field(default_factory=set)
+    zero: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._cells: Calibration | None = self.facts.cells()
+
+    def clear(self) -> None:
+        """Forget what was saturated."""
+        self.saturated = set()
+
+    def __call__(self, samples: Samples) -> None:
+        if self.asked():
+            raise Stopped("stopped as asked; the series goes on from here when it is run again")
+        most = {
+            "speed": (self.limits.speed_rpm * RPM, 1 / RPM, "rpm"), "current": (self.limits.current_A, 1.0, "A"),
+            "vibration": (self.limits.vibration_m_s2, 1.0, "m/s2"),
+        }  # fmt: skip
+        for name, values in samples.items():
+            if not len(values):
+                continue
+            x = np.asarray(values, dtype=np.float64)
+            quantity = name.split("_")[0]
+            if quantity in most:
+                limit, scale, unit = most[quantity]
+                # Single samples of a current or a speed may be noise; a quarter of them are not.
+                worst = float(np.quantile(np.abs(x), 0.75))
+                if worst > limit:
+                    raise LimitError(
+                        f"{name} is {worst * scale:.4g} {unit}, beyond the limit of {limit * scale:g}"
+                    )
+            celsius = float(x[-1]) - 273.15
+            if name.startswith("motor_temperature") and celsius > self.limits.motor_temperature_degC:
+                raise LimitError(
+                    f"{name} is {celsius:.0f} degC, beyond the limit of {self.limits.motor_temperature_degC:g}"
+                )
+            if name in self.facts.ranges:
+                low, high = self.facts.ranges[name]
+                if np.mean((x <= low) | (x >= high)) > 0.01:
+                    self.saturated.add(name)
+        self._loads(samples)
+
+    def quick(self, means: Mapping[str, Mean]) -> dict[str, float]:
+        """Return thrust and torque of the cells by the last zero alone, for whoever watches."""
+        if self._cells is None:
+            return {n: means[n].value - self.zero.get(n, 0.0) for n in ("thrust", "torque") if n in means}
+        names = [f"{c}_raw" for c in self._cells.channels]
+        if any(n not in means for n in names):
+            return {}
+        y, zero = [means[n].value for n in names], [self.zero.get(n, math.nan) for n in names]
+        return dict(
+            zip(
+                self._cells.channels,
+                self._cells.loads(np.array([y]), np.array(zero))[0].tolist(),
+                strict=True,
+            )
+        )
+
+    def _loads(self, samples: Samples) -> None:
+        """Look at force and torque, as far as they can be told from the readings of a batch."""
+        cells = self._cells
+        found: dict[str, float] = {}
+        if cells is not None:
+            y = [
+                np.median(samples[f"{c}_raw"]) if len(samples.get(f"{c}_raw", ())) else math.nan
+                for c in cells.channels
+            ]
+            zero = [self.zero.get(f"{c}_raw", b) for c, b in zip(cells.channels, cells.offset, strict=True)]
+            if np.all(np.isfinite(y)):
+                f = cells.loads(np.array([y]), np.array(zero))[0]
+                found = dict(zip(cells.channels, f.tolist(), strict=True))
+        for name in ("thrust", "torque"):
+            if len(samples.get(name, ())):
+                found[name] = float(np.median(np.asarray(samples[name])))
+        for name, limit, unit in (
+            ("thrust", self.limits.thrust_N, "N"),
+            ("torque", self.limits.torque_Nm, "N m"),
+        ):
+            if abs(found.get(name, 0.0)) > limit:
+                raise LimitError(f"{name} is {found[name]:.4g} {unit}, beyond the limit of {limit:g}")
+
+
+def run_series(
+    plan: Plan, rig: Rig, record: Record, *, asked: Callable[[], bool] = lambda: False,
+    told: Callable[[Progress], None] = lambda _: None, mounted: Callable[[Mounting], None] = lambda _: None,
+    keep_samples: bool = False, truth: Callable[[Step], Mapping[str, float]] | None = None,
+) -> Record:  # fmt: skip
+    """Measure what of a plan is not yet in the record.
+
+    Parameters
+    ----------
+    plan : Plan
+    rig : Rig
+        Opened here, and stopped whatever happens.
+    record : Record
+        Empty, or of the same plan: then the series goes on.
+    asked : callable
+        Whether to stop; looked at several times a second.
+    told : callable
+        Hears how far it is.
+    mounted : callable
+        Called before blades have to be on; returns when they are, or raises.
+    keep_samples : bool
+        Write every sample down, not only what was made of them.
+    truth : callable, optional
+        True loads of a step, for trials on a simulated bench.
+
+    Raises
+    ------
+    InputError
+        If the record is of another plan, or the bench lacks what the plan needs.
+    LimitError, Stopped, DeviceError, StopError
+        The bench has been stopped; the record holds everything that was measured.
+    """
+    _check(plan, rig, record)
+    guard = Guard(plan.limits, rig.facts, asked)
+    steps = plan.steps
+    try:
+        rig.open()
+        if not record.lines:
+            record.write({"kind": "head", "plan": plan.text(), "digest": plan.digest(), "facts": rig.facts.tables(),
+                          "time": rig.now()})  # fmt: skip
+        else:
+            record.write({"kind": "event", "what": "resumed", "time": rig.now()})
+        runner = _Runner(plan, rig, record, guard, told, mounted, keep_samples, truth)
+        for number, step in enumerate(steps):
+            if (step.mounting, step.index) not in record.done:
+                runner.do(number, step)
+        told(Progress(len(steps), len(steps), "done"))
+    except (LimitError, Stopped, DeviceError) as error:
+        rig.stop()
+        record.write({"kind": "event", "what": type(error).__name__, "why": str(error), "time": rig.now()})
+        raise
+    finally:
+        # Whatever it was, a fault of this program too: rotors stop before anybody hears of it.
+        rig.stop()
+    return record
+
+
+def _check(plan: Plan, rig: Rig, record: Record) -> None:
+    missing = {a for m in plan.mounting for a in m.axes} - set(rig.axes)
+    if missing:
+        raise InputError("plan", "mounting", f"needs the axis {', '.join(sorted(missing))}", "this bench has "
+                         f"{', '.join(rig.axes) or 'none'}; plan for that")  # fmt: skip
+    if record.lines and record.head.get("digest") != plan.digest():
+        raise InputError(
+            "plan", "", "is not the one of this record", "give another folder, or the plan of this one"
+        )
+
+
+class _Runner:
+    """What :func:`run_series` knows between two steps."""
+
+    def __init__(
+        self, plan: Plan, rig: Rig, record: Record, guard: Guard, told: Callable[[Progress], None],
+        mounted: Callable[[Mounting], None], keep: bool, truth: Callable[[Step], Mapping[str, float]] | None,
+    ) -> None:  # fmt: skip
+        self.plan, self.rig, self.record, self.guard = plan, rig, record, guard
+        self.told, self.mounted, self.keep, self.truth = told, mounted, keep, truth
+        self.on = -1  # the mounting whose blades are on
+        self.total = len(plan.steps)
+        self.largest: dict[str, float] = {}
+        self.needs_zero = bool(
+            record.readings
+        )  # a series that goes on: the zero of before is of another time
+        last = record.lines[-2]["time"] if len(record.lines) > 1 else rig.now()
+        self.is_cold = bool(record.readings) and rig.now() - float(last) > _STALE_s
+
+    def do(self, number: int, step: Step) -> None:
+        """Do one step, again if a device fails."""
+        mounting = self.plan.mounting[step.mounting]
+        if self.on != step.mounting:
+            self.rig.stop()
+            self._say(number, f"mount {mounting.in_words()}")
+            self.mounted(mounting)
+            self.rig.mount(mounting)
+            self.on = step.mounting
+            self.record.write(
+                {"kind": "event", "what": "mounted", "mounting": step.mounting, "time": self.rig.now()}
+            )
+        for tries in range(1, TRIES + 1):
+            try:
+                if self.is_cold and step.kind != "warm-up":
+                    self._warm(number, mounting, float(np.median(mounting.speeds_rpm)), -1, step.mounting)
+                if self.needs_zero and step.kind == "point":
+                    self._reading(number, Step(step.mounting, -1, "tare", 0.0), mounting)
+                if step.kind == "warm-up":
+                    self._warm(number, mounting, step.speed_rpm, step.index, step.mounting)
+                else:
+                    self._reading(number, step, mounting)
+                return
+            except DeviceError as error:
+                self.rig.stop()
+                self.record.write({"kind": "event", "what": "device", "why": str(error), "mounting": step.mounting,
+                                   "step": step.index, "try": tries, "time": self.rig.now()})  # fmt: skip
+                if tries == TRIES:
+                    raise
+                self._say(number, f"{error}; trying again")
+                self.rig.open()
+                self.needs_zero = True
+
+    def _say(self, number: int, what: str, line: dict[str, Any] | None = None) -> None:
+        self.told(Progress(number, self.total, what, line))
+
+    def _gather(self, seconds: float) -> dict[str, Array]:
+        return self.rig.gather(seconds, self.guard)
+
+    def _warm(self, number: int, mounting: Mounting, speed_rpm: float, index: int, of: int) -> None:
+        began, until = self.rig.now(), self.plan.times.warm_up_s
+        self.rig.turn(mounting.speeds_rad_s(speed_rpm))
+        currents = []
+        while (spent := self.rig.now() - began) < until - 0.1:
+            self._say(number, f"warming up, {spent / 60:.0f} of {until / 60:.0f} min at {speed_rpm:g} rpm")
+            block = self._gather(min(20.0, until - spent))
+            currents.append(
+                [float(np.mean(block[f"current_{a}"])) for a in mounting.axes if f"current_{a}" in block]
+            )
+        line = {
+            "kind": "warmed",
+            "mounting": of,
+            "step": index,
+            "time": self.rig.now(),
+            "currents": currents[::3],
+        }
+        self.record.write(line)
+        self.is_cold = False
+
+    def _reading(self, number: int, step: Step, mounting: Mounting) -> None:
+        times, point = self.plan.times, step.kind == "point"
+        wanted = mounting.speeds_rad_s(step.speed_rpm) if point else {}
+        name = f"{step.speed_rpm:g} rpm" if point else "zero"
+        self._say(number, f"{name}: settling")
+        self.rig.turn(wanted)
+        settled = self._settle(wanted)
+        self.guard.clear()
+        self._say(number, f"{name}: averaging")
+        began, blocks = self.rig.now(), [self._gather(times.average_s if point else times.tare_s)]
+        while True:
+            block = {k: np.concatenate([b[k] for b in blocks if k in b]) for k in blocks[0]}
+            means = {k: mean_of(v) for k, v in block.items()}
+            spent = self.rig.now() - began
+            if not point or spent >= times.longest_s - 0.1 or self._known(means):
+                break
+            blocks.append(self._gather(min(times.average_s, times.longest_s - spent)))
+        at_speed = all(
+            abs(means[f"speed_{a}"].value - w) <= _AWAY * w
+            for a, w in wanted.items()
+            if f"speed_{a}" in means
+        )
+        for k, m in means.items():
+            if not point and k.startswith(("thrust", "torque")):
+                self.guard.zero[k] = m.value
+        line: dict[str, Any] = {
+            "kind": "reading", "what": step.kind, "mounting": step.mounting, "step": step.index,
+            "time": 0.5 * (began + self.rig.now()), "seconds": self.rig.now() - began, "speed_rpm": step.speed_rpm,
+            "settled": settled, "at_speed": at_speed, "saturated": sorted(self.guard.saturated),
+            "channels": {k: list(m) for k, m in means.items()},
+        }  # fmt: skip
+        if point:
+            line["quick"] = self.guard.quick(means)
+        if self.keep:
+            line["samples"] = {k: [float(f"{x:.7g}") for x in v] for k, v in block.items()}
+        if self.truth is not None and point:
+            line["truth"] = dict(self.truth(step))
+        self.record.write(line)
+        self.needs_zero = False
+        self._say(number + 1, f"{name}: done" + ("" if settled else ", but it had not settled"), line)
+
+    def _settle(self, wanted: Mapping[str, float]) -> bool:
+        """Wait until two windows agree in speed and loads."""
+        times, before = self.plan.times, dict[str, Mean]()
+        until = self.rig.now() + times.settle_s
+        while self.rig.now() < until:
+            now = {k: mean_of(v) for k, v in self._gather(times.window_s).items()
+                   if k.startswith(("speed", "thrust", "torque"))}  # fmt: skip
+            good = bool(before)
+            for k, m in now.items():
+                if k.startswith("speed"):
+                    goal = wanted.get(k.removeprefix("speed_"), 0.0)
+                    tolerance = max(_SPEED_TOLERANCE * abs(goal), _STILL_rad_s)
+                    # Standing at the wrong speed is told apart from not standing, afterwards.
+                    good = (
+                        good
+                        and abs(m.value - before.get(k, m).value) <= tolerance
+                        and (goal > 0 or m.value < tolerance)
+                    )
+                else:
+                    self.largest[k] = max(
+                        self.largest.get(k, 0.0), abs(m.value - self.guard.zero.get(k, m.value))
+                    )
+                    tolerance = max(_LOAD_TOLERANCE * self.largest[k], m.std)
+                    good = good and k in before and has_settled(before[k], m, tolerance)
+            if good:
+                return True
+            before = now
+        return False
+
+    def _known(self, means: Mapping[str, Mean]) -> bool:
+        """Whether the loads of a point are known well enough to go on."""
+        for k in ("thrust_raw", "torque_raw", "thrust", "torque"):
+            if k in means:
+                load = abs(means[k].value - self.guard.zero.get(k, 0.0))
+                if means[k].std > _ENOUGH * load:
+                    return False
+        return True
