@@ -114,3 +114,23 @@ def test_unknown_units_are_remembered_and_can_be_set(tmp_path):
     assert again["speed"][0] == pytest.approx(523.6, abs=0.1)
     assert again.unitless == ("torque",)
     assert "taken as rpm" in again.notes
+
+
+def test_headers_of_a_thrust_stands_maker():
+    heads = [
+        "Torque (N·m)",
+        "Thrust (N)",
+        "Voltage (V)",
+        "Current (A)",
+        "Motor Electrical Speed (RPM)",
+        "Humidity (%)",
+    ]
+    assert [parse_header(h).name for h in heads] == [
+        "torque",
+        "thrust",
+        "voltage",
+        "current",
+        "speed",
+        "humidity",
+    ]
+    assert parse_header(heads[4]).factor == pytest.approx(np.pi / 30)

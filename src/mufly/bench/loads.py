@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.bench.covariance import Spread, joined, spread
+from mufly.bench.series.air import moist_air_density
 from mufly.bench.table import SI_UNITS, BenchTable
 from mufly.errors import ArgumentError
 from mufly.results import result
@@ -411,8 +412,8 @@ def _drift_words(table: BenchTable, channel: str, d: ZeroDrift, t: Array, *, raw
 def air_density(table: BenchTable, density_kg_m3: float | None) -> tuple[Array, str]:
     """Return the density of the air (n,) in kg/m3 and where it comes from.
 
-    A column ``density`` goes first, then dry air's ``p / (287.05 T)`` from ``temperature`` and ``pressure`` (humid air
-    is up to 1 % lighter), then the given number, then 1.2.
+    A column ``density`` goes first, then ``temperature`` and ``pressure``, with ``humidity`` by the CIPM-2007 formula,
+    without it as dry air's ``p / (287.05 T)`` (humid air is up to 1 % lighter), then the given number, then 1.2.
     """
     n = len(table)
     if density_kg_m3 is not None:
@@ -422,6 +423,10 @@ def air_density(table: BenchTable, density_kg_m3: float | None) -> tuple[Array, 
         return table["density"], "density from the file"
     if "temperature" in table and "pressure" in table:
         table.require(("temperature", "pressure"))
+        if "humidity" in table:
+            table.require(("humidity",))
+            moist = moist_air_density(table["pressure"], table["temperature"] + 273.15, table["humidity"])
+            return moist, f"density {moist.mean():.4g} kg/m3 from temperature, pressure and humidity"
         rho = table["pressure"] / (287.05 * (table["temperature"] + 273.15))
         return rho, f"density {rho.mean():.4g} kg/m3 from temperature and pressure (dry air)"
     return np.full(n, 1.2), "density 1.2 kg/m3 assumed: every coefficient is wrong by as much as it is"

@@ -208,7 +208,10 @@ _NAMES = {
     "duty": ("1", "duty pwm throttle motor_input"),
     "current": ("A", "current i motor_current amps"),
     "supply_current": ("A", "supply_current battery_current"),
-    "speed": ("rad/s", "speed rpm omega rotor_speed motor_speed w"),
+    "speed": (
+        "rad/s",
+        "speed rpm omega rotor_speed motor_speed w motor_electrical_speed motor_optical_speed",
+    ),
     "torque": ("N m", "torque q moment load q_meas"),
     "thrust": ("N", "thrust t force lift t_meas"),
     "power": ("W", "power p"),
@@ -220,12 +223,13 @@ _NAMES = {
     "density": ("kg/m3", "density rho air_density"),
     "temperature": ("degC", "temperature temp"),
     "pressure": ("Pa", "pressure"),
+    "humidity": ("1", "humidity relative_humidity rh"),
 }
 SI_UNITS = {quantity: unit for quantity, (unit, _) in _NAMES.items()}
 
 _SIDES = {"upper": "upper up top", "lower": "lower dw low down bottom"}
 _BRACKETS = re.compile(r"^(.*?)\s*[\(\[]\s*([^\)\]]*?)\s*[\)\]]$")
-_NEEDS_NO_UNIT = ("duty", "run", "thrust_coefficient", "power_coefficient")
+_NEEDS_NO_UNIT = ("duty", "run", "thrust_coefficient", "power_coefficient", "humidity")
 _OWN_UNIT = {"rpm": "rpm", "omega": "rad/s"}
 
 

@@ -229,8 +229,7 @@ class DeviceRig:
 
     def gather(self, duration_s: float, watch: Watch) -> dict[str, Array]:
         for d in self.devices:
-            if not d.axes:
-                d.read()  # what a sensor said before is of another time
+            watch(d.read())  # what was said before is of another time, but a limit is a limit
         end = self.now() + duration_s
         got: dict[str, list[float]] = {}
         while True:
@@ -248,17 +247,25 @@ class DeviceRig:
     def stop(self) -> None:
         left = [d for d in self.devices if d.axes]
         reasons: dict[str, str] = {}
+        interrupted: BaseException | None = None
         for _ in range(STOP_TRIES):
             failed = []
             for d in left:
                 try:
                     d.stop()
-                except Exception as error:  # whatever it is, the other motors have to be stopped
+                except (
+                    BaseException
+                ) as error:  # whatever it is, Ctrl-C too: the motors have to be stopped first
                     failed.append(d)
-                    reasons[d.name] = str(error)
+                    reasons[d.name] = str(error) or type(error).__name__
+                    interrupted = error if not isinstance(error, Exception) else interrupted
             left = failed
             if not left:
-                return
+                break
+        if not left:
+            if interrupted is not None:
+                raise interrupted
+            return
         names = "; ".join(f"{d.name}: {reasons[d.name]}" for d in left)
         raise StopError(f"CUT THE POWER: a motor may still turn ({names})")
 

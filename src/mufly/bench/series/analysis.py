@@ -82,6 +82,12 @@ class Setting:
         By axis.
     time_s : float
         Since the start.
+    use : str
+        ``"measure"`` or ``"reference"``.
+    nominal_rpm : float
+        As planned.
+    truth : dict of str to float
+        Of a simulated bench.
     """
 
     axis: str
@@ -100,6 +106,7 @@ class Setting:
     current_A: dict[str, float]
     time_s: float
     use: str
+    nominal_rpm: float
     truth: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -378,7 +385,9 @@ def _repeatability(
     if not contrasts:
         return math.nan, 0.0
     taus = np.concatenate(([0.0], np.geomspace(3e-4, 0.08, 24)))
-    log = np.zeros(taus.size)
+    # Before the data: even in its logarithm up to what the mountings differ by, and falling off beyond.
+    typical = math.sqrt(float(np.mean(np.concatenate([off**2 for off, _ in contrasts]))))
+    log = -np.log1p((taus / max(typical, 1e-4)) ** 2)
     for off, cov in contrasts:
         for i, tau in enumerate(taus):
             log[i] += stats.multivariate_normal.logpdf(off, cov=cov + (tau**2 + 1e-14) * np.eye(off.size))
@@ -423,7 +432,7 @@ class _Maker:
             m.axis, m.rotor, m.lower_rotor, m.pitch_deg, m.lower_pitch_deg, float(rpm([mean["upper"]])[0]),
             float(rpm([mean["lower"]])[0]), rho, len(set(self.points.mounting[at].tolist())), thrust,
             made["torque_upper"], made["torque_lower"], electric["voltage"], electric["current"],
-            float(np.mean(self.points.time[at])) - self.start, m.use,
+            float(np.mean(self.points.time[at])) - self.start, m.use, float(self.points.nominal_rpm[at[0]]),
             {k: float(np.mean([t[k] for t in truths])) for k in truths[0]},
         )  # fmt: skip
 

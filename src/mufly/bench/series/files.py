@@ -165,7 +165,7 @@ def compare_series(first: Series, second: Series) -> list[Difference]:
             Path(s.lower_rotor).stem,
             s.pitch_deg,
             s.lower_pitch_deg,
-            round(_speed(s) / 50),
+            round(s.nominal_rpm),
         )
 
     there = {key(s): s for s in second.settings}

@@ -148,8 +148,9 @@ class Plan(Group):
         return tomli_w.dumps(self.model_dump())
 
     def digest(self) -> str:
-        """Return what tells this plan from another."""
-        return hashlib.sha256(self.text().encode()).hexdigest()[:16]
+        """Return what tells this plan from another; limits and times may be changed while a series is under way."""
+        tables = self.model_dump(include={"tare_every", "spacing_m", "mounting"})
+        return hashlib.sha256(tomli_w.dumps(tables).encode()).hexdigest()[:16]
 
 
 @dataclass(frozen=True)

@@ -257,6 +257,7 @@ class _Runner:
         mounting = self.plan.mounting[step.mounting]
         if self.on != step.mounting:
             self.rig.stop()
+            self._rest(number)
             self._say(number, f"mount {mounting.in_words()}")
             self.mounted(mounting)
             self.rig.mount(mounting)
@@ -290,6 +291,20 @@ class _Runner:
 
     def _gather(self, seconds: float) -> dict[str, Array]:
         return self.rig.gather(seconds, self.guard)
+
+    def _rest(self, number: int) -> None:
+        """Wait until nothing turns: somebody is about to put hands on the blades."""
+        until = self.rig.now() + self.plan.times.settle_s
+        while self.rig.now() < until:
+            self._say(number, "waiting for the rotors to stand still")
+            block = self._gather(0.5)
+            if all(
+                len(v) and abs(float(v[-1])) < _STILL_rad_s for k, v in block.items() if k.startswith("speed")
+            ):
+                return
+        raise LimitError(
+            "a rotor still turns, though it was told to stop; cut the power before going near it"
+        )
 
     def _warm(self, number: int, mounting: Mounting, speed_rpm: float, index: int, of: int) -> None:
         began, until = self.rig.now(), self.plan.times.warm_up_s

@@ -1,0 +1,119 @@
+"""A series of 100 points over pseudo-terminals, faster than real time, with a kill in the middle.
+
+    python benchmarks/bench_pty.py [points [pace]]
+
+The emulated devices of the tests (two EPOS, load cells with sensors of the air) run in a process of their own on one
+simulated bench, at ``pace`` times real time; the program speaks to them through their drivers as it would to the real
+ones. Printed: how long it took, what the bench's clock says, lines that were damaged, and how many intervals hold the
+truth.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import multiprocessing
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from mufly.bench.rig.cells import SerialCells
+from mufly.bench.rig.devices import Clock, DeviceRig
+from mufly.bench.rig.epos import Epos
+from mufly.bench.rig.simulated import SimulatedRig
+from mufly.bench.series.analysis import analyse
+from mufly.bench.series.plan import Times, make_plan
+from mufly.bench.series.record import Record
+from mufly.bench.series.run import Stopped, run_series
+
+COUNTS = 1e6
+_spec = importlib.util.spec_from_file_location(
+    "far", Path(__file__).parents[1] / "tests" / "bench" / "emulators.py"
+)
+assert _spec is not None
+assert _spec.loader is not None
+far = importlib.util.module_from_spec(_spec)
+sys.modules["far"] = far
+_spec.loader.exec_module(far)
+
+
+def make():
+    world = SimulatedRig(4)
+    return world, [
+        far.FarEpos(world, "upper"),
+        far.FarEpos(world, "lower"),
+        far.FarCells(world, counts=COUNTS),
+    ]
+
+
+def main(points: int, pace: float) -> None:
+    here, there = multiprocessing.Pipe()
+    process = multiprocessing.get_context("fork").Process(
+        target=far.serve, args=(there, make, pace), daemon=True
+    )
+    process.start()
+    upper, lower, cells = here.recv()
+
+    def ask(kind, value=None):
+        here.send((kind, value))
+        return here.recv()
+
+    facts = ask("facts")
+    c = dict(facts.calibration)
+    for key, scale in (("offset", COUNTS), ("sensitivity", COUNTS), ("covariance", COUNTS**2)):
+        c[key] = (scale * np.array(c[key])).tolist()
+    ranges = dict.fromkeys(("thrust_raw", "torque_raw"), (-5 * COUNTS, 5 * COUNTS))
+    facts = replace(facts, calibration=c, ranges=ranges)
+    # 5 speeds a mounting, 3 of the reference among them.
+    mountings = points // 5 - 3
+    plan = make_plan(
+        "pty", ["naca0012-r60-c20"], list(np.linspace(10, 16, mountings // 2)), [3000, 4000, 5000, 6000, 7000],
+        reference="naca4412-r60-c20", reference_pitch_deg=10, repetitions=2, reference_every=(mountings + 1) // 2,
+        times=Times(warm_up_s=120.0, average_s=4.0, longest_s=8.0, tare_s=4.0),
+    )  # fmt: skip
+    folder = Path(tempfile.mkdtemp())
+    clock = Clock(pace)
+    began, from_s = time.perf_counter(), clock.now()
+    stops = 0
+    while True:
+        devices = [Epos(upper, "upper"), Epos(lower, "lower"), SerialCells(cells)]
+        rig = DeviceRig(devices, facts, clock, poll_Hz=10.0)
+        record = Record(folder)
+
+        def asked(record=record, first=stops == 0) -> bool:
+            return first and len(record.readings) > len(plan.steps) // 2
+
+        try:
+            run_series(
+                plan, rig, record, asked=asked, mounted=lambda m: ask("mount", m),
+                truth=lambda s: ask("truth", plan.mounting[s.mounting].axes),
+            )  # fmt: skip
+            break
+        except Stopped:
+            stops += 1
+        finally:
+            rig.close()
+            record.close()
+    took, clocked = time.perf_counter() - began, clock.now() - from_s
+    here.send(None)
+    series = analyse(record)
+    held = [
+        abs(load.value - p.truth[q]) <= load.expanded
+        for p in series.points for q in ("thrust", "torque_upper") if (load := getattr(p, q)) is not None
+    ]  # fmt: skip
+    failed = [x["why"] for x in record.lines if x["kind"] == "event" and x["what"] == "device"]
+    print(
+        f"{len(series.points)} points of {plan.points} in {took:.0f} s; the bench's clock: {clocked:.0f} s, "
+        f"{clocked / took:.1f} times real time; stopped and resumed {stops} times; damaged: "
+        f"{sum(d.broken for d in devices)} frames and lines; devices failed {len(failed)} times; "
+        f"{100 * np.mean(held):.1f} % of {len(held)} intervals hold the truth; doubts: "
+        f"{[d.kind for d in series.doubts]}"
+    )
+    print("\n".join(failed))
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 100, float(sys.argv[2]) if len(sys.argv) > 2 else 10.0)
