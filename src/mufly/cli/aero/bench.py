@@ -293,6 +293,9 @@ def analyse(
     files = [] if found.refused else write_results(found, folder)
     # Standard output is the answer; refusals are errors as any other, after it.
     answer(as_json, lambda: {"series": found, "refused": bool(found.refused)}, lambda: _show(found), files)
+    single = next((s for s in found.settings if s.axis != "pair"), None)
+    if files and single is not None and not as_json:
+        say(f"Next: mufly rotor compare {single.rotor} {files[0]} --density {single.density_kg_m3:.4g}")
     if found.refused:
         kinds = ", ".join(sorted({d.kind for d in found.refused}))
         raise InputError(
