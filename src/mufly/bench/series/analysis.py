@@ -269,7 +269,7 @@ def doubts_of_reference(name: str, channel: Channel, plan: Plan) -> list[Doubt]:
     return out
 
 
-REFERENCE_LIMIT = 0.015
+REFERENCE_LIMIT = 0.02
 """Change of the reference's loads from one visit to the next beyond which it is not the same reference."""
 
 

@@ -5,7 +5,7 @@ kind            refuses  seen
 ==============  =======  ==============================================================================================
 saturated       yes      a cell met the end of its range at a point
 zero            yes      a zero jumped between two readings by more than 5 % of the largest load of that cell
-reference       yes      the reference's loads changed by more than 1.5 % and four standard uncertainties between visits
+reference       yes      the reference's loads changed by more than 2 % and four standard uncertainties between visits
 polarity        yes      thrust is negative
 speed           yes      more than a fifth of the points did not reach their speed, or did not settle
 nonsense        yes      more than a fifth of the points had to leave out more than 2 % of their samples

@@ -1,7 +1,7 @@
 """How often the intervals of a series hold the truth, and how often faults are found, on simulated benches.
 
-    python benchmarks/bench_series.py 200 [upper|pair]
-    python benchmarks/bench_series.py faults 40
+    python benchmarks/series_coverage.py 200 [upper|pair]
+    python benchmarks/series_coverage.py faults 40
 
 A series: two pitches mounted twice, five speeds, three visits of the reference (35 points; 50 as a pair), about half an
 hour of simulated time. Every bench has motors, cells, drifts, weather and a calibration of its own.

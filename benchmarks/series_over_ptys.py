@@ -1,6 +1,6 @@
 """A series of 100 points over pseudo-terminals, faster than real time, with a kill in the middle.
 
-    python benchmarks/bench_pty.py [points [pace]]
+    python benchmarks/series_over_ptys.py [points [pace]]
 
 The emulated devices of the tests (two EPOS, load cells with sensors of the air) run in a process of their own on one
 simulated bench, at ``pace`` times real time; the program speaks to them through their drivers as it would to the real
