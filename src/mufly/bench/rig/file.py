@@ -28,12 +28,11 @@ from mufly.bench.rig.devices import Clock, Device, DeviceRig, Facts, calibration
 from mufly.bench.rig.epos import Epos
 from mufly.bench.rig.esc import EscBridge
 from mufly.bench.rig.stand import Stand
+from mufly.bench.series.plan import Side
 from mufly.bench.table import read_bench
 from mufly.errors import InputError
 from mufly.tables import fault, read_tables, validated
 from mufly.vehicle.quantity import Group
-
-Side = Literal["upper", "lower"]
 
 
 class DeviceTable(Group):

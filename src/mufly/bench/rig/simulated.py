@@ -360,8 +360,8 @@ class SimulatedRig:
         out = {"thrust_raw": y[:, 0], "torque_raw": y[:, 1]}
         for side in SIDES:
             out |= self._motor_samples(side, speed[side], scale * torque[side], duration_s)
-        size = sum((np.mean(speed[s]) / (7000 * RPM)) ** 2 for s in SIDES)
-        out["vibration"] = np.abs(12.0 * size * (1 + 0.1 * rng.standard_normal(n)))
+        shaken = float(sum(float(np.mean(speed[s]) / (7000 * RPM)) ** 2 for s in SIDES))
+        out["vibration"] = np.abs(12.0 * shaken * (1 + 0.1 * rng.standard_normal(n)))
         air = self._room + np.array([self._room_off[0], 0.0, 0.0]) + self._sensor_error
         for name, value, noise in zip(
             ("temperature", "pressure", "humidity"), air, (0.02, 3.0, 0.002), strict=True

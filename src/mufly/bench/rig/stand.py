@@ -105,7 +105,7 @@ class Stand:
         out: dict[str, list[float]] = {}
         side = ("speed", "current", "voltage")
         for values in self._rows():
-            row = {}
+            row: dict[str, float] = {}
             for column, value in zip(self._columns, values, strict=True):
                 if column is not None:
                     si = column.factor * value + column.offset

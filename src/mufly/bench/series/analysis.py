@@ -196,12 +196,11 @@ def analyse(
             )
     torque = loads.get("torque")
     alone = _known_torque(points, plan, density, speed, known)
-    split = split_torque(points, plan, facts, speed, torque, alone, known_relative_std, start)
-    if isinstance(split, str):
-        if split:
-            doubts.append(Doubt("split", split, False))
-        split = None
-    else:
+    told = split_torque(points, plan, facts, speed, torque, alone, known_relative_std, start)
+    split = None if isinstance(told, str) else told
+    if isinstance(told, str) and told:
+        doubts.append(Doubt("split", told, False))
+    if split is not None:
         doubts += _split_doubts(split)
         notes += _split_words(split)
     channels = _by_axis(points, plan, facts, loads, split, alone, known_relative_std)

@@ -27,8 +27,9 @@ from mufly.units import RPM
 from mufly.vehicle.quantity import Group
 
 Axis = Literal["upper", "lower", "pair"]
+Side = Literal["upper", "lower"]
 Kind = Literal["tare", "warm-up", "point"]
-AXES: dict[Axis, tuple[Axis, ...]] = {"upper": ("upper",), "lower": ("lower",), "pair": ("upper", "lower")}
+AXES: dict[str, tuple[Side, ...]] = {"upper": ("upper",), "lower": ("lower",), "pair": ("upper", "lower")}
 
 
 class Limits(Group):
@@ -79,7 +80,7 @@ class Mounting(Group):
         return self
 
     @property
-    def axes(self) -> tuple[Axis, ...]:
+    def axes(self) -> tuple[Side, ...]:
         """The axes that turn."""
         return AXES[self.axis]
 

@@ -84,10 +84,14 @@ class Readings:
     def where(self, keep: NDArray[np.bool_]) -> Readings:
         """Return some of them."""
         k = np.flatnonzero(keep)
+
+        def chosen(d: dict[str, Array]) -> dict[str, Array]:
+            return {n: v[k] for n, v in d.items()}
+
         return Readings(
-            self.mounting[k], self.step[k], self.time[k], self.nominal_rpm[k],
-            *({n: v[k] for n, v in d.items()} for d in (self.mean, self.std, self.dof)),
-            self.settled[k], self.at_speed[k], self.saturated[k], self.wild[k], [self.lines[i] for i in k],
+            self.mounting[k], self.step[k], self.time[k], self.nominal_rpm[k], chosen(self.mean), chosen(self.std),
+            chosen(self.dof), self.settled[k], self.at_speed[k], self.saturated[k], self.wild[k],
+            [self.lines[i] for i in k],
         )  # fmt: skip
 
 

@@ -63,7 +63,7 @@ class Walk:
         v = q * self._kernel(self.time, self.time) + np.diag(kappa * self.std**2)
         factor = cho_factor(v, lower=True)
         vx = cho_solve(factor, self.design)
-        a = np.linalg.inv(self.design.T @ vx)
+        a: Array = np.linalg.inv(self.design.T @ vx).astype(np.float64)
         b = a @ (vx.T @ self.reading)
         return (
             b,

@@ -265,7 +265,7 @@ def _rig(
     rig = SimulatedRig(seed, faults=faults, spacing_m=plan.spacing_m, time_s=last)
 
     def truth(step: Step) -> dict[str, float]:
-        speeds = {a: rig.speed[a] for a in plan.mounting[step.mounting].axes}
+        speeds: dict[str, float] = {a: rig.speed[a] for a in plan.mounting[step.mounting].axes}
         nominal = rig.truth(speeds, as_mounted=False)
         return rig.truth(speeds) | {f"nominal_{k}": v for k, v in nominal.items()}
 
