@@ -63,8 +63,8 @@ def test_results_go_through_the_fits(series):
 
 def test_a_series_that_cannot_be_trusted_ends_with_status_1_and_no_results(series):
     plan = str(series / "plan.toml")
-    output("bench", "run", plan, "--out", str(series / "bad"), "--fault", "spikes")
-    assert "is not to be trusted (nonsense)" in refused("bench", "analyse", str(series / "bad"))
+    output("bench", "run", plan, "--out", str(series / "bad"), "--fault", "reference")
+    assert "is not to be trusted (reference)" in refused("bench", "analyse", str(series / "bad"))
     assert not (series / "bad" / "results").exists()
 
 
