@@ -68,10 +68,11 @@ def main(points: int, pace: float) -> None:
     ranges = dict.fromkeys(("thrust_raw", "torque_raw"), (-5 * COUNTS, 5 * COUNTS))
     facts = replace(facts, calibration=c, ranges=ranges)
     # 5 speeds a mounting, 2 of the reference among them (or 3, so that settings come in pairs).
-    mountings = points // 5 - 2 - (points // 5) % 2
+    odd = (points // 5) % 2
+    mountings = points // 5 - 2 - odd
     plan = make_plan(
         "pty", ["naca0012-r60-c20"], list(np.linspace(10, 16, mountings // 2)), [3000, 4000, 5000, 6000, 7000],
-        reference="naca4412-r60-c20", reference_pitch_deg=10, repetitions=2, reference_every=mountings if points // 5 % 2 == 0 else mountings // 2,
+        reference="naca4412-r60-c20", reference_pitch_deg=10, repetitions=2, reference_every=mountings // (1 + odd),
         times=Times(warm_up_s=120.0, average_s=4.0, longest_s=8.0, tare_s=4.0),
     )  # fmt: skip
     folder = Path(tempfile.mkdtemp())

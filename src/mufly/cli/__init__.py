@@ -13,8 +13,8 @@ import mufly
 from mufly.cli import coax, control, drive, fly, log, mission, monte_carlo, rotor, station, study, vehicle
 from mufly.cli import optimise as _optimise  # noqa: F401  adds to the commands of rotor and coax, as study does
 from mufly.cli import station as link
-from mufly.cli.aero import benchmark as _benchmark  # noqa: F401  adds to the commands of rotor
 from mufly.cli.aero import bench, cfd
+from mufly.cli.aero import benchmark as _benchmark  # noqa: F401  adds to the commands of rotor
 from mufly.cli.identify import flight as identify
 from mufly.cli.onboard import estimate, firmware, sensors
 from mufly.cli.options import Commands
