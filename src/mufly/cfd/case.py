@@ -6,8 +6,9 @@ over density). Dictionaries are those of OpenFOAM v1912 and later (openfoam.com)
 
 =============  =================================================================================================
 blade          no slip, turning with the frame
-top, side      total pressure 0, the air comes as it likes; with climb, the climb's velocity
-bottom         pressure 0; what comes back comes at rest
+top, side      total pressure of the oncoming air, w^2 / 2 (hover: 0): it comes as it likes, on the side with w along it
+bottom         pressure 0; what comes back comes with w
+in descent     top and bottom change places: the oncoming air's total pressure below, pressure 0 above
 sector         cyclic by rotation
 start          the slipstream of momentum theory (:mod:`mufly.cfd.start`)
 first 80       upwind: started at second order the solution leaves for ever
@@ -44,6 +45,8 @@ FIRST = 80
 """Iterations upwind."""
 LEAST = 1200
 """Iterations before a verdict."""
+SLOWEST = 0.5
+"""Descent, over the velocity induced in hover, at which the steady equations are given up (vortex ring state)."""
 EVERY = 40
 """Iterations from one written state to the next."""
 
@@ -96,10 +99,12 @@ class Point:
     def __post_init__(self) -> None:
         if self.model not in MODELS:
             raise InputError("cfd", "model", f"{self.model!r} is unknown", f"use one of: {', '.join(MODELS)}")
-        if not 0.0 <= self.climb_m_s < math.inf:
+        slowest = -SLOWEST * self.induced_m_s
+        if not slowest <= self.climb_m_s < math.inf:
             raise InputError(
-                "cfd", "climb", f"is {self.climb_m_s:g} m/s", "give 0 or more: descent is not set up yet"
-            )
+                "cfd", "climb", f"is {self.climb_m_s:g} m/s",
+                f"give {slowest:.2g} or more: in faster descent the rotor's wake is a ring that is not steady",
+            )  # fmt: skip
         if not 0.0 < self.speed_rad_s < math.inf:
             raise InputError("cfd", "speed", f"is {self.speed_rad_s:g} rad/s", "give a number above 0")
 
@@ -262,27 +267,15 @@ def _write_fields(folder: Path, mesh: PolyMesh, point: Point, state: Mapping[str
         u = slipstream(
             mesh.centres, radius_m=point.radius_m, induced_m_s=point.induced_m_s, climb_m_s=point.climb_m_s
         )
-    climb = f"(0 0 {-point.climb_m_s:.10g})"
+    flow, onset = _free(point.climb_m_s)
     cyclic = {"sector_left": "type cyclic;", "sector_right": "type cyclic;"}
-    inflow = "type pressureInletOutletVelocity; value uniform (0 0 0);"
-    if point.climb_m_s > 0:
-        inflow = f"type inletOutlet; inletValue uniform {climb}; value uniform {climb};"
-    free = "type totalPressure; p0 uniform 0; value uniform 0;"
     write_field(
         folder / "U", "volVectorField", "[0 1 -1 0 0 0 0]", u,
-        {
-            **cyclic, "top": inflow, "side": inflow, "blade": "type fixedValue; value uniform (0 0 0);",
-            "bottom": f"type inletOutlet; inletValue uniform {climb}; value uniform {climb};",
-        },
+        {**cyclic, **flow, "blade": "type fixedValue; value uniform (0 0 0);"},
     )  # fmt: skip
-    if point.climb_m_s > 0:
-        free = "type zeroGradient;"
     write_field(
         folder / "p", "volScalarField", "[0 2 -2 0 0 0 0]", state.get("p", "uniform 0"),
-        {
-            **cyclic, "top": free, "side": free, "bottom": "type fixedValue; value uniform 0;",
-            "blade": "type zeroGradient;",
-        },
+        {**cyclic, **onset, "blade": "type zeroGradient;"},
     )  # fmt: skip
     flux = state.get("phi")
     _write_flux(folder / "phi", mesh, _flux(mesh, u, point.speed_rad_s) if flux is None else flux)
@@ -311,6 +304,21 @@ def _write_fields(folder: Path, mesh: PolyMesh, point: Point, state: Mapping[str
             folder / name, "volScalarField", unit, state.get(name, f"uniform {value:.10g}"),
             {**cyclic, "top": free, "side": free, "bottom": free, "blade": wall},
         )  # fmt: skip
+
+
+def _free(climb_m_s: float) -> tuple[dict[str, str], dict[str, str]]:
+    """Velocity and pressure on the outer boundaries; the oncoming air has static pressure 0 and so w^2 / 2 in all."""
+    w = f"(0 0 {-climb_m_s:.10g})"
+    comes = "type pressureInletOutletVelocity; value uniform (0 0 0);"
+    along = f"type pressureInletOutletVelocity; tangentialVelocity uniform {w}; value uniform (0 0 0);"
+    leaves = f"type inletOutlet; inletValue uniform {w}; value uniform {w};"
+    total = f"type totalPressure; p0 uniform {0.5 * climb_m_s**2:.10g}; value uniform 0;"
+    none = "type fixedValue; value uniform 0;"
+    before, behind = ("top", "bottom") if climb_m_s >= 0.0 else ("bottom", "top")
+    return (
+        {before: comes, "side": along if climb_m_s else comes, behind: leaves},
+        {before: total, "side": total, behind: none},
+    )
 
 
 def _flux(mesh: PolyMesh, u: Array, speed_rad_s: float) -> Array:

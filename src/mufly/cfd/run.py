@@ -9,7 +9,7 @@ A solution is settled when, after 1200 iterations at least,
 * thrust and torque of the last 400 iterations drift by less than 0.3 % (a straight line through them, end to end) and
   their range about that line is below 1 %. Shorter windows were deceived: thrust stands still for 200 to 300
   iterations, at 500 and again at 1000, 3 to 4 % below where it ends;
-* air leaves through the bottom;
+* air leaves through the bottom (but in descent, where it comes from there);
 * the solver's sum of local continuity errors (mean of |div u| over the volume, 1/s) is below 1e-3.
 
 Otherwise the verdict names what is wrong: ``diverged`` (a load that is no number, or ten times the first guess),
@@ -136,11 +136,21 @@ def times(folder: Path) -> list[int]:
     """Iterations at which a case's state is written whole, rising; 0 is the start."""
     found = []
     for place in folder.glob("[0-9]*"):
-        if place.name.isdigit() and (place / "U").is_file() and (place / "p").is_file():
-            if place.name != "0" and not (place / "phi").is_file():
-                continue
-            found.append(int(place.name))
+        if place.name.isdigit():
+            names = ("U", "p") if place.name == "0" else ("U", "p", "phi")
+            if all(_whole(place / name) for name in names):
+                found.append(int(place.name))
     return sorted(found)
+
+
+def _whole(file: Path) -> bool:
+    """Whether a field's file has its end: a full disk or a kill leaves it cut short."""
+    try:
+        with file.open("rb") as f:
+            f.seek(max(0, f.seek(0, 2) - 200))
+            return f.read().rstrip().endswith((b"}", b"//"))
+    except OSError:
+        return False
 
 
 def run_case(
@@ -246,6 +256,11 @@ def _stretch(
     if status:
         if iteration > done and "Floating point" in _tail(folder / _LOG):
             return  # judged as diverged
+        if status < 0:
+            raise MuflyError(
+                f"simpleFoam was killed (signal {-status}) at iteration {iteration}: what it wrote stands, give the "
+                "same command again to go on"
+            )
         raise MuflyError(
             f"simpleFoam ended with status {status}: {_first_fault(folder / _LOG)}; see {folder / _LOG}"
         )
@@ -364,7 +379,7 @@ def judged(loads: Array, outflow_m3_s: float, continuity: float, point: Point) -
     what = "settled"
     if count < point.least:
         what = "not done"
-    elif not outflow_m3_s > 0.0:
+    elif not outflow_m3_s > 0.0 and not point.climb_m_s < 0.0:
         what = "blown back"
     elif swing.max() > _SWING:
         what = "sloshing"

@@ -103,7 +103,7 @@ def run(
     rotor: RotorArgument = "naca0012-r60-c20",
     pitch: PitchOption = "12",
     rpm: Annotated[float, option("RPM", "Rotor speed.")] = 5000.0,
-    climb: Annotated[float, option("M/S", "Axial speed, positive in climb.", min=0.0)] = 0.0,
+    climb: Annotated[float, option("M/S", "Axial speed, positive in climb.")] = 0.0,
     density: Annotated[float, option("KG/M3", "Density of the air.")] = 1.2,
     model: TurbulenceOption = "laminar",
     level: MeshOption = "medium",
