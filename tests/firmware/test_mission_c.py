@@ -54,7 +54,7 @@ CURVES = {
 }
 SCANNED = {
     "name": "scanned",
-    "avoidance": {"scan": True, "give_up_s": 12.0},
+    "avoidance": {"scan": True, "give_up_s": 6.0},
     "waypoint": [{"position_m": [3.0, 0.0, -1.0]}],
 }
 

@@ -159,18 +159,22 @@ def _observe(
         d = x[2] + reach * (-cos[i] * sp + sin[i] * sr * cp)
         if d > -_FLOOR:
             continue
-        known, oldest = False, 0
+        known = False
         for k in range(used):
-            if _length(points[k, 0] - n, points[k, 1] - e) < _APART and abs(points[k, 2] - d) < _SAME_HEIGHT:
+            dn, de = points[k, 0] - n, points[k, 1] - e
+            if dn * dn + de * de < _APART * _APART and abs(points[k, 2] - d) < _SAME_HEIGHT:
                 points[k, 3] = time
                 known = True
-            if points[k, 3] < points[oldest, 3]:
-                oldest = k
         if not known:
+            row = 0
             if used < CAPACITY:
-                oldest = used
+                row = used
                 used += 1
-            points[oldest, 0], points[oldest, 1], points[oldest, 2], points[oldest, 3] = n, e, d, time
+            else:
+                for k in range(used):
+                    if points[k, 3] < points[row, 3]:
+                        row = k
+            points[row, 0], points[row, 1], points[row, 2], points[row, 3] = n, e, d, time
     return points, used
 
 
@@ -214,6 +218,9 @@ def observe(
 LOOK_M = 1.2
 """How far ahead on its way the helicopter minds obstacles."""
 
+_ONWARD_M = LOOK_M + 0.3
+"""So much of a way has to be clear where a contour is left."""
+
 ENTER_M = 0.05
 """A way nearer to a seen point than the clearance and this is blocked (m)."""
 
@@ -233,7 +240,10 @@ class Sight(NamedTuple):
     north, east : float
         Unit vector from that point to the position.
     way : float
-        Least distance of any point from the stretch of the way looked at (m).
+        Least distance of any point from the stretch of the way looked at (m), where that is within twice the one at
+        which the way is blocked; else it may be infinite.
+    onward : float
+        Likewise from the first 1.5 m of it.
     offset : float
         Mean distance of the points that block it from the way, positive to the right (m).
     goal : float
@@ -246,11 +256,20 @@ class Sight(NamedTuple):
     north: float
     east: float
     way: float
+    onward: float
     offset: float
     goal: float
     block: float
     block_north: float
     block_east: float
+
+
+@compiled
+def _beyond(along: float, stretch: float) -> float:
+    """How far before or behind a stretch."""
+    if along < 0.0:
+        return along
+    return along - stretch if along > stretch else 0.0
 
 
 @compiled
@@ -264,7 +283,7 @@ def _look(
     ge: float,
     ahead: float,
     blocked_at: float,
-) -> tuple[float, float, float, float, float, float, float, float, float]:
+) -> tuple[float, float, float, float, float, float, float, float, float, float]:
     wn, we = gn - n, ge - e
     length = _length(wn, we)
     if length > 1e-9:
@@ -272,38 +291,45 @@ def _look(
     else:
         wn, we = 1.0, 0.0
     stretch = ahead if ahead < length else length
-    nearest, nn, ne, way, goal = np.inf, 0.0, 0.0, np.inf, np.inf
-    block, bn, be = np.inf, 0.0, 0.0
+    wide = 2.0 * blocked_at
+    first = _ONWARD_M if stretch > _ONWARD_M else stretch
+    # Squares of distances, until all points have been seen; of the two nearest ones their rows.
+    nearest = way = onward = goal = block = np.inf
+    near, across_way = -1, -1
     total, count = 0.0, 0
     for k in range(used):
         if abs(points[k, 2] - d) > _SAME_HEIGHT_M:
             continue
         qn, qe = points[k, 0] - n, points[k, 1] - e
-        dist = _length(qn, qe)
-        if dist < nearest:
-            nearest = dist
-            if dist > 1e-9:
-                nn, ne = -qn / dist, -qe / dist
+        square = qn * qn + qe * qe
+        if square < nearest:
+            nearest, near = square, k
         along = qn * wn + qe * we
         across = qe * wn - qn * we
-        beyond = 0.0  # how far before or behind the stretch
-        if along < 0.0:
-            beyond = along
-        elif along > stretch:
-            beyond = along - stretch
-        off = _length(beyond, across)
-        if off < way:
-            way = off
-        if off < blocked_at and dist < block and dist > 1e-9:
-            block, bn, be = dist, -qn / dist, -qe / dist
-        there = _length(points[k, 0] - gn, points[k, 1] - ge)
-        if there < goal:
-            goal = there
+        hn, he = points[k, 0] - gn, points[k, 1] - ge
+        there = hn * hn + he * he
+        goal = there if there < goal else goal
+        if not (abs(across) < wide and along > -wide):
+            continue  # neither in the way nor near it
+        beyond, beyond_first = _beyond(along, stretch), _beyond(along, first)
+        off = beyond * beyond + across * across
+        near_first = beyond_first * beyond_first + across * across
+        way = off if off < way else way
+        onward = near_first if near_first < onward else onward
+        if off < blocked_at * blocked_at and square < block and square > 1e-18:
+            block, across_way = square, k
         # A blocker's whole visible width tells the side, not only the part inside the corridor.
-        if along > -blocked_at and along < stretch + blocked_at and abs(across) < 2.0 * blocked_at:
+        if along > -blocked_at and along < stretch + blocked_at:
             total += across
             count += 1
-    return nearest, nn, ne, way, (total / count if count > 0 else 0.0), goal, block, bn, be
+    nearest, block = math.sqrt(nearest), math.sqrt(block)
+    nn = ne = bn = be = 0.0
+    if near >= 0 and nearest > 1e-9:
+        nn, ne = (n - points[near, 0]) / nearest, (e - points[near, 1]) / nearest
+    if across_way >= 0:
+        bn, be = (n - points[across_way, 0]) / block, (e - points[across_way, 1]) / block
+    offset = total / count if count > 0 else 0.0
+    return nearest, nn, ne, math.sqrt(way), math.sqrt(onward), offset, math.sqrt(goal), block, bn, be
 
 
 @compiled
@@ -541,10 +567,9 @@ def go_round(
     near = real if real.nearest < sight.nearest else sight
     to_goal = _apart(goal, reference)
 
-    first = look(memory, reference, goal, clearance, LOOK_M + 0.3)
     free = real.nearest > clearance
     nearer_goal = to_goal < detour.hit_distance - 0.1
-    onward = nearer_goal and first.way > clearance + LEAVE_M
+    onward = nearer_goal and sight.onward > clearance + LEAVE_M
     clear = free and (onward or (detour.count < 3 and sight.way > clearance + LEAVE_M))
     clear_s = detour.clear_s + dt if clear else 0.0
     leaving = clear_s > 0.3

@@ -130,29 +130,17 @@ def step_down_way(speed: float, acceleration: float) -> tuple[float, float]:
 
 
 _Array = NDArray[np.float64]
-_PIECES = 64
-_NODES_T = tuple(
-    float.fromhex(x)
-    for x in (
-        "-0x1.cff6ce0533a69p-1",
-        "-0x1.13b23fd99b705p-1",
-        "0x0.0p+0",
-        "0x1.13b23fd99b705p-1",
-        "0x1.cff6ce0533a69p-1",
-    )
+_Cubic = tuple[float, float, float, float]
+_PIECES = 32
+"""Of the table of arc lengths; also the steps in which the worst points of a curve are sought."""
+_HALVINGS = 5
+"""Of a step, around each worst point."""
+_NODES = tuple(float.fromhex(x) for x in ("-0x1.8c97ef43f7248p-1", "0x0.0p+0", "0x1.8c97ef43f7248p-1"))
+_WEIGHTS = tuple(
+    float.fromhex(x) for x in ("0x1.1c71c71c71c72p-1", "0x1.c71c71c71c71cp-1", "0x1.1c71c71c71c72p-1")
 )
-_WEIGHTS_T = tuple(
-    float.fromhex(x)
-    for x in (
-        "0x1.e539ec36e0393p-3",
-        "0x1.ea1da25ae4158p-2",
-        "0x1.23456789abcddp-1",
-        "0x1.ea1da25ae4158p-2",
-        "0x1.e539ec36e0393p-3",
-    )
-)
-"""Of Gauss and Legendre, five points; written out, so that they are the same everywhere."""
-_NODES = np.array(_NODES_T)
+"""Of Gauss and Legendre, three points; written out, so that they are the same everywhere."""
+_TINY = 1e-9
 
 
 @dataclass(frozen=True)
@@ -192,7 +180,7 @@ def _square(x: _Array) -> _Array:
 class SplinePath(NamedTuple):
     """A spline with its timing, laid out for quick evaluation."""
 
-    coefficients: tuple[tuple[float, float, float, float], ...]
+    coefficients: tuple[_Cubic, ...]
     """A, B, C, D for each axis."""
     arc: tuple[float, ...]
     """Arc length at equal steps of the parameter (m)."""
@@ -205,10 +193,8 @@ class SplinePath(NamedTuple):
         k = min(max(bisect.bisect_right(arc, s) - 1, 0), _PIECES - 1)
         u = (k + (s - arc[k]) / (arc[k + 1] - arc[k])) / _PIECES
         p, q, r = self.coefficients
-        tn, te, td = (_slope(c, u) for c in (p, q, r))
-        tangent = math.sqrt(tn * tn + te * te + td * td)
         # The table inverts s(u) linearly; a Newton step with the arc up to u makes it smooth.
-        u -= (self._arc_at(k, u) - s) / tangent
+        u -= (self._arc_at(k, u) - s) / _speed_at(self.coefficients, u)
         tn, te, td = (_slope(c, u) for c in (p, q, r))
         square = tn * tn + te * te + td * td
         tangent = math.sqrt(square)
@@ -225,17 +211,67 @@ class SplinePath(NamedTuple):
         return (n, e, d), velocity, acceleration
 
     def _arc_at(self, k: int, u: float) -> float:
-        start, half, total = k / _PIECES, 0.5 * (u - k / _PIECES), 0.0
-        p, q, r = self.coefficients
-        for node, weight in zip(_NODES_T, _WEIGHTS_T, strict=True):
-            v = start + half * (1.0 + node)
-            a, b, c = _slope(p, v), _slope(q, v), _slope(r, v)
-            total += weight * math.sqrt(a * a + b * b + c * c)
-        return self.arc[k] + half * total
+        start = k / _PIECES
+        return self.arc[k] + _arc_from(self.coefficients, start, 0.5 * (u - start))
 
 
-def _slope(c: tuple[float, float, float, float], u: float) -> float:
+def _slope(c: _Cubic, u: float) -> float:
     return (3.0 * c[0] * u + 2.0 * c[1]) * u + c[2]
+
+
+def _speed_at(cubics: tuple[_Cubic, ...], u: float) -> float:
+    """Length of the tangent."""
+    n, e, d = (_slope(c, u) for c in cubics)
+    return math.sqrt(n * n + e * e + d * d)
+
+
+def _arc_from(cubics: tuple[_Cubic, ...], u: float, half: float) -> float:
+    """Arc length from a parameter on, over twice ``half``."""
+    total = 0.0
+    for node, weight in zip(_NODES, _WEIGHTS, strict=True):
+        total += weight * _speed_at(cubics, u + half * (1.0 + node))
+    return half * total
+
+
+def _asks(cubics: tuple[_Cubic, ...], u: float) -> tuple[float, tuple[float, float, float, float]]:
+    """Square of the tangent's length; shares of the speed that are level, rise and sink, and curvature, all squared.
+
+    Of rising and sinking, one is negative. Zero where there is no tangent.
+    """
+    n, e, d = (_slope(c, u) for c in cubics)
+    square = n * n + e * e + d * d
+    if square <= 1e-12:
+        return square, (0.0, 0.0, 0.0, 0.0)
+    qn, qe, qd = (6.0 * c[0] * u + 2.0 * c[1] for c in cubics)
+    an, ae, ad = e * qd - d * qe, d * qn - n * qd, n * qe - e * qn
+    sink = d * abs(d) / square
+    bend = (an * an + ae * ae + ad * ad) / (square * square * square)
+    return square, ((n * n + e * e) / square, -sink, sink, bend)
+
+
+def _worst(cubics: tuple[_Cubic, ...]) -> tuple[float, list[float]]:
+    """Least and greatest of what the points of a curve ask.
+
+    Each greatest one is sought in equal steps, and in halves of a step to either side of the best yet.
+    """
+    least, worst, where = math.inf, [0.0] * 4, [0.0] * 4
+    for k in range(_PIECES + 1):
+        u = k / _PIECES
+        square, asks = _asks(cubics, u)
+        least = min(least, square)
+        for j in range(4):
+            if asks[j] > worst[j]:
+                worst[j], where[j] = asks[j], u
+    for j in range(4):
+        step = 1.0 / _PIECES
+        for _ in range(_HALVINGS if worst[j] > 0.0 else 0):
+            step, middle = 0.5 * step, where[j]
+            for u in (middle - step, middle + step):
+                square, asks = _asks(cubics, u)
+                if 0.0 <= u <= 1.0 and asks[j] > worst[j]:
+                    least = min(least, square)
+                    worst[j], where[j] = asks[j], u
+    return least, worst
 
 
 def spline_path(
@@ -258,37 +294,24 @@ def spline_path(
         None where the curve has a point without tangent (a cusp or no length) or so tight a bend that it would
         have to be flown below 5 cm/s; a straight line is the better way then.
     """
-    edges = np.linspace(0.0, 1.0, _PIECES + 1)
-    inner = edges[:-1, None] + (0.5 * (1.0 + _NODES)) / _PIECES
-    nodes = np.sqrt(_square(curve.at(inner)[1]))
-    pieces = np.zeros(_PIECES)
-    for node, weight in enumerate(_WEIGHTS_T):
-        pieces += weight * nodes[:, node]
-    arc = np.concatenate([[0.0], np.cumsum(pieces / (2.0 * _PIECES))])
-    dense = np.linspace(0.0, 1.0, 8 * _PIECES + 1)
-    tangent = curve.at(dense)[1]
-    size = np.sqrt(_square(tangent))
-    if size.min() < 0.05 * max(arc[-1], 1e-9):
+    n, e, d = curve.coefficients.T.tolist()
+    cubics = (tuple(n), tuple(e), tuple(d))
+    arc = [0.0]
+    for k in range(_PIECES):
+        arc.append(arc[k] + _arc_from(cubics, k / _PIECES, 0.5 / _PIECES))
+    least, (level, rise, sink, bend) = _worst(cubics)
+    if math.sqrt(least) < 0.05 * max(arc[-1], _TINY):
         return None
-    level = np.sqrt(tangent[:, 0] * tangent[:, 0] + tangent[:, 1] * tangent[:, 1]) / size
-    fall = tangent[:, 2] / size
-    bend = np.sqrt(_square(curve.curvature(dense)))
     share = acceleration / math.sqrt(2.0)
-    tiny = 1e-9
     peak = min(
-        speed / max(level.max(), tiny),
-        climb / max(-fall.min(), tiny),
-        descent / max(fall.max(), tiny),
-        math.sqrt(share / max(bend.max(), tiny)),
+        speed / max(math.sqrt(level), _TINY),
+        climb / max(math.sqrt(rise), _TINY),
+        descent / max(math.sqrt(sink), _TINY),
+        math.sqrt(share / max(math.sqrt(bend), _TINY)),
     )
     if peak < 0.05:
         return None
-    table = tuple(tuple(float(v) for v in curve.coefficients[:, axis]) for axis in range(3))
-    return SplinePath(
-        table,  # type: ignore[arg-type]
-        tuple(arc.tolist()),
-        profile(float(arc[-1]), peak, share),
-    )
+    return SplinePath(cubics, tuple(arc), profile(arc[-1], peak, share))
 
 
 # ----------------------------------------------------------------------------

@@ -21,30 +21,11 @@
 #define STUCK_S REAL(5.0)
 #define CONTACT_M REAL(0.15)
 #define SWEEPS 8
-
-static real_t less(real_t a, real_t b)
-{
-    return (b < a) ? b : a;
-}
-
-static real_t more(real_t a, real_t b)
-{
-    return (b > a) ? b : a;
-}
-
-static real_t length(real_t x, real_t y)
-{
-    return real_sqrt((x * x) + (y * y));
-}
-
-static real_t length_3(const real_t a[3])
-{
-    return real_sqrt(((a[0] * a[0]) + (a[1] * a[1])) + (a[2] * a[2]));
-}
+#define ONWARD_M (AVOID_LOOK_M + REAL(0.3)) /* so much of a way has to be clear where a contour is left */
 
 static real_t apart(const real_t a[], const real_t b[])
 {
-    return length(a[0] - b[0], a[1] - b[1]);
+    return real_hypot(a[0] - b[0], a[1] - b[1]);
 }
 
 void avoid_forget(memory_t *memory)
@@ -77,27 +58,32 @@ static void drop_old(memory_t *memory, real_t time_s)
 static void take(memory_t *memory, const real_t hit[3], real_t time_s)
 {
     bool known = false;
-    int32_t oldest = 0;
 
     for (int32_t k = 0; k < memory->used; k++) {
         real_t *const p = memory->points[k];
-        if ((apart(p, hit) < APART) && (real_abs(p[2] - hit[2]) < SAME_HEIGHT)) {
+        const real_t n = p[0] - hit[0];
+        const real_t e = p[1] - hit[1];
+
+        if ((((n * n) + (e * e)) < (APART * APART)) && (real_abs(p[2] - hit[2]) < SAME_HEIGHT)) {
             p[3] = time_s;
             known = true;
         }
-        if (p[3] < memory->points[oldest][3]) {
-            oldest = k;
-        }
     }
     if (!known) {
+        int32_t row = 0;
+
         if (memory->used < AVOID_CAPACITY) {
-            oldest = memory->used;
+            row = memory->used;
             memory->used++;
+        } else {
+            for (int32_t k = 0; k < memory->used; k++) {
+                row = (memory->points[k][3] < memory->points[row][3]) ? k : row;
+            }
         }
-        memory->points[oldest][0] = hit[0];
-        memory->points[oldest][1] = hit[1];
-        memory->points[oldest][2] = hit[2];
-        memory->points[oldest][3] = time_s;
+        memory->points[row][0] = hit[0];
+        memory->points[row][1] = hit[1];
+        memory->points[row][2] = hit[2];
+        memory->points[row][3] = time_s;
     }
 }
 
@@ -133,75 +119,93 @@ void avoid_observe(memory_t *memory, const ring_t *beams, real_t time_s, const r
     }
 }
 
+/* How far before or behind a stretch. */
+static inline real_t beyond(real_t along, real_t stretch)
+{
+    real_t past = (along > stretch) ? (along - stretch) : REAL(0.0);
+
+    return (along < REAL(0.0)) ? along : past;
+}
+
 void avoid_look(const memory_t *memory, const real_t position[3], const real_t goal[3], real_t clearance,
                 real_t ahead, sight_t *out)
 {
     const real_t blocked_at = clearance + ENTER_M;
+    const real_t wide = REAL(2.0) * blocked_at;
     const real_t gap[2] = {goal[0] - position[0], goal[1] - position[1]};
-    const real_t far = length(gap[0], gap[1]);
+    const real_t far = real_hypot(gap[0], gap[1]);
     const real_t stretch = (ahead < far) ? ahead : far;
+    const real_t first = (stretch > ONWARD_M) ? ONWARD_M : stretch;
     real_t wn = REAL(1.0);
     real_t we = REAL(0.0);
     real_t total = REAL(0.0);
     int32_t count = 0;
+    /* Squares of distances, until all points have been seen; of the two nearest ones their rows. */
+    real_t nearest = REAL_INFINITY;
+    real_t way = REAL_INFINITY;
+    real_t onward = REAL_INFINITY;
+    real_t to_goal = REAL_INFINITY;
+    real_t block = REAL_INFINITY;
+    int32_t near = -1;
+    int32_t across_way = -1;
 
     if (far > REAL(1e-9)) {
         wn = gap[0] / far;
         we = gap[1] / far;
     }
-    out->nearest = REAL_INFINITY;
-    out->north = REAL(0.0);
-    out->east = REAL(0.0);
-    out->way = REAL_INFINITY;
-    out->offset = REAL(0.0);
-    out->goal = REAL_INFINITY;
-    out->block = REAL_INFINITY;
-    out->block_north = REAL(0.0);
-    out->block_east = REAL(0.0);
     for (int32_t k = 0; k < memory->used; k++) {
         const real_t *const p = memory->points[k];
+
         if (!(real_abs(p[2] - position[2]) > LEVEL_M)) {
             const real_t qn = p[0] - position[0];
             const real_t qe = p[1] - position[1];
-            const real_t dist = length(qn, qe);
+            const real_t hn = p[0] - goal[0];
+            const real_t he = p[1] - goal[1];
+            const real_t square = (qn * qn) + (qe * qe);
             const real_t along = (qn * wn) + (qe * we);
             const real_t across = (qe * wn) - (qn * we);
-            const real_t there = length(p[0] - goal[0], p[1] - goal[1]);
-            real_t beyond = REAL(0.0); /* how far before or behind the stretch */
-            real_t off;
 
-            if (dist < out->nearest) {
-                out->nearest = dist;
-                if (dist > REAL(1e-9)) {
-                    out->north = -qn / dist;
-                    out->east = -qe / dist;
+            if (square < nearest) {
+                nearest = square;
+                near = k;
+            }
+            to_goal = real_min(to_goal, (hn * hn) + (he * he));
+            if ((real_abs(across) < wide) && (along > -wide)) { /* else it is neither in the way nor near it */
+                const real_t past = beyond(along, stretch);
+                const real_t past_first = beyond(along, first);
+                const real_t off = (past * past) + (across * across);
+
+                way = real_min(way, off);
+                onward = real_min(onward, (past_first * past_first) + (across * across));
+                if ((off < (blocked_at * blocked_at)) && (square < block) && (square > REAL(1e-18))) {
+                    block = square;
+                    across_way = k;
                 }
-            }
-            if (along < REAL(0.0)) {
-                beyond = along;
-            } else if (along > stretch) {
-                beyond = along - stretch;
-            } else {
-                /* beside it */
-            }
-            off = length(beyond, across);
-            out->way = less(out->way, off);
-            if ((off < blocked_at) && (dist < out->block) && (dist > REAL(1e-9))) {
-                out->block = dist;
-                out->block_north = -qn / dist;
-                out->block_east = -qe / dist;
-            }
-            out->goal = less(out->goal, there);
-            /* A blocker's whole visible width tells the side, not only the part inside the corridor. */
-            if ((along > -blocked_at) && (along < (stretch + blocked_at)) &&
-                (real_abs(across) < (REAL(2.0) * blocked_at))) {
-                total += across;
-                count++;
+                /* A blocker's whole visible width tells the side, not only the part inside the corridor. */
+                if ((along > -blocked_at) && (along < (stretch + blocked_at))) {
+                    total += across;
+                    count++;
+                }
             }
         }
     }
-    if (count > 0) {
-        out->offset = total / (real_t)count;
+    out->nearest = real_sqrt(nearest);
+    out->north = REAL(0.0);
+    out->east = REAL(0.0);
+    if ((near >= 0) && (out->nearest > REAL(1e-9))) {
+        out->north = (position[0] - memory->points[near][0]) / out->nearest;
+        out->east = (position[1] - memory->points[near][1]) / out->nearest;
+    }
+    out->way = real_sqrt(way);
+    out->onward = real_sqrt(onward);
+    out->offset = (count > 0) ? (total / (real_t)count) : REAL(0.0);
+    out->goal = real_sqrt(to_goal);
+    out->block = real_sqrt(block);
+    out->block_north = REAL(0.0);
+    out->block_east = REAL(0.0);
+    if (across_way >= 0) {
+        out->block_north = (position[0] - memory->points[across_way][0]) / out->block;
+        out->block_east = (position[1] - memory->points[across_way][1]) / out->block;
     }
 }
 
@@ -220,7 +224,7 @@ void avoid_hold_off(const memory_t *memory, const real_t position[3], real_t kee
             const real_t *const p = memory->points[k];
             const real_t qn = position[0] - p[0];
             const real_t qe = position[1] - p[1];
-            const real_t dist = length(qn, qe);
+            const real_t dist = real_hypot(qn, qe);
 
             if (!(real_abs(p[2] - position[2]) > LEVEL_M) && !(dist > REAL(2.0)) && !(dist < REAL(1e-9))) {
                 const real_t shortage =
@@ -282,7 +286,7 @@ static void repulsion(const ring_t *beams, const real_t ranges[], real_t thresho
     for (int32_t i = 0; i < beams->count; i++) {
         const real_t reach = ranges[i];
         if (reach < threshold) {
-            const real_t f = (REAL(1.0) / more(reach, REAL(0.01))) - (REAL(1.0) / threshold);
+            const real_t f = (REAL(1.0) / real_max(reach, REAL(0.01))) - (REAL(1.0) / threshold);
             force[0] -= f * beams->cos[i];
             force[1] -= f * beams->sin[i];
         }
@@ -300,8 +304,8 @@ static real_t off_course(const real_t here[], const real_t start[], const real_t
     if (square > REAL(0.0)) {
         along = (((here[0] - start[0]) * n) + ((here[1] - start[1]) * e)) / square;
     }
-    along = less(more(along, REAL(0.0)), REAL(1.0));
-    return length((here[0] - start[0]) - (along * n), (here[1] - start[1]) - (along * e));
+    along = real_min(real_max(along, REAL(0.0)), REAL(1.0));
+    return real_hypot((here[0] - start[0]) - (along * n), (here[1] - start[1]) - (along * e));
 }
 
 /* Change sides when stuck or far off; after a whole lap leave at the best place that it found. */
@@ -324,8 +328,8 @@ static void keep_course(detour_t *d, const real_t goal[3], real_t to_goal, bool 
         d->side = -d->side;
         d->stray = REAL(2.0) * d->stray;
     }
-    d->best = less(d->best, to_goal);
-    d->lap_way += length_3(d->velocity) * dt;
+    d->best = real_min(d->best, to_goal);
+    d->lap_way += real_length(d->velocity) * dt;
     if (!d->has_lap || (d->side != before)) {
         d->has_lap = touching;
         d->lap[0] = d->position[0];
@@ -353,9 +357,9 @@ static void follow(detour_t *d, const real_t wanted[3], real_t dt)
     for (int32_t i = 0; i < 3; i++) {
         ask[i] = (wanted[i] - d->velocity[i]) / LAG_S;
     }
-    size = length_3(ask);
+    size = real_length(ask);
     if (size > REAL(0.0)) {
-        scale = less(REAL(1.0), BRAKE_M_S2 / size);
+        scale = real_min(REAL(1.0), BRAKE_M_S2 / size);
     }
     for (int32_t i = 0; i < 3; i++) {
         d->acceleration[i] += blend * ((scale * ask[i]) - d->acceleration[i]);
@@ -384,7 +388,7 @@ static void along_contour(const detour_t *d, const sight_t *near, bool nearer_go
         e = near->block_east;
     }
     error = far - distance;
-    slant = length(error, LEAN_M);
+    slant = real_hypot(error, LEAN_M);
     along = LEAN_M / slant;
     inward = error / slant;
     /* Facing the obstacle, along -n, the way to the right is (n_E, -n_N). */
@@ -397,12 +401,10 @@ void avoid_go_round(detour_t *detour, const memory_t *memory, const ring_t *beam
                     real_t dt)
 {
     const real_t distance = clearance + FOLLOW_M;
-    const real_t ahead = AVOID_LOOK_M + REAL(0.3);
     const real_t to_goal = apart(goal, detour->position);
     real_t wanted[3] = {REAL(0.0), REAL(0.0), REAL(0.0)};
     sight_t sight;
     sight_t real;
-    sight_t first;
     const sight_t *near = &sight;
     const real_t *at = detour->position;
     real_t force[2];
@@ -415,7 +417,6 @@ void avoid_go_round(detour_t *detour, const memory_t *memory, const ring_t *beam
 
     avoid_look(memory, detour->position, goal, clearance, REAL_INFINITY, &sight);
     avoid_look(memory, position, goal, clearance, REAL_INFINITY, &real);
-    avoid_look(memory, detour->position, goal, clearance, ahead, &first);
     /* Plan from whichever is nearer to an obstacle: the reference, or the helicopter that the wind has moved off it. */
     if (real.nearest < sight.nearest) {
         near = &real;
@@ -423,7 +424,7 @@ void avoid_go_round(detour_t *detour, const memory_t *memory, const ring_t *beam
     }
     nearer_goal = to_goal < (detour->hit_distance - REAL(0.1));
     clear = (real.nearest > clearance) &&
-            ((nearer_goal && (first.way > (clearance + LEAVE_M))) ||
+            ((nearer_goal && (sight.onward > (clearance + LEAVE_M))) ||
              ((detour->count < 3) && (sight.way > (clearance + LEAVE_M))));
     detour->clear_s = clear ? (detour->clear_s + dt) : REAL(0.0);
     detour->leaving = detour->clear_s > REAL(0.3);
@@ -436,13 +437,13 @@ void avoid_go_round(detour_t *detour, const memory_t *memory, const ring_t *beam
     if (detour->leaving) {
         /* straight on, once it has stopped */
     } else if (goal_blocked) {
-        const real_t push = less(speed, more(REAL(0.0), distance - near->nearest));
+        const real_t push = real_min(speed, real_max(REAL(0.0), distance - near->nearest));
         wanted[0] = push * near->north;
         wanted[1] = push * near->east;
     } else if (near->nearest < (AVOID_LOOK_M + REAL(0.5))) {
         along_contour(detour, near, nearer_goal, touching, distance, speed, wanted);
     } else if (to_goal > REAL(1e-6)) {
-        const real_t pace = less(speed, REAL(0.5) * to_goal);
+        const real_t pace = real_min(speed, REAL(0.5) * to_goal);
         wanted[0] = (pace * (goal[0] - detour->position[0])) / to_goal;
         wanted[1] = (pace * (goal[1] - detour->position[1])) / to_goal;
     } else {
@@ -458,8 +459,8 @@ void avoid_go_round(detour_t *detour, const memory_t *memory, const ring_t *beam
         wanted[1] += FIELD_GAIN * ((s * force[0]) + (c * force[1]));
     }
     avoid_hold_off(memory, at, clearance + KEEP_M, wanted);
-    fast = length(wanted[0], wanted[1]);
-    limit = speed * more(REAL(0.0), REAL(1.0) - (more(REAL(0.0), apart(detour->position, position) - REAL(0.15)) /
+    fast = real_hypot(wanted[0], wanted[1]);
+    limit = speed * real_max(REAL(0.0), REAL(1.0) - (real_max(REAL(0.0), apart(detour->position, position) - REAL(0.15)) /
                                                  REAL(0.15)));
     if (fast > limit) {
         wanted[0] = (wanted[0] * limit) / fast;
@@ -474,6 +475,6 @@ void avoid_go_round(detour_t *detour, const memory_t *memory, const ring_t *beam
 
 bool avoid_done(const detour_t *detour)
 {
-    return detour->leaving && (length_3(detour->velocity) < REAL(0.01)) &&
-           (length_3(detour->acceleration) < REAL(0.05));
+    return detour->leaving && (real_length(detour->velocity) < REAL(0.01)) &&
+           (real_length(detour->acceleration) < REAL(0.05));
 }

@@ -28,7 +28,8 @@ typedef struct {
 typedef struct {
     real_t nearest;     /* distance to the nearest point (m), infinite where there is none */
     real_t north, east; /* unit vector from that point to the position */
-    real_t way;         /* least distance of any point from the stretch looked at (m) */
+    real_t way;         /* least distance of any point from the stretch looked at (m), if that is not much */
+    real_t onward;      /* likewise from its first 1.5 m */
     real_t offset;      /* mean distance of those that block it from the way, positive to the right (m) */
     real_t goal;        /* of the goal from the point nearest to it (m) */
     real_t block, block_north, block_east; /* as the first three, of the points that block the way */

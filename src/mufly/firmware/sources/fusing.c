@@ -150,15 +150,12 @@ static bool sonar_holds(const estimator_t *m, const estimator_settings_t *s)
 }
 
 /* Whether fix and sonar agree on the height; if not, what they are apart by is kept in m->suspect[R_FIX][3]. */
-static bool agrees_down(estimator_t *m, const estimator_settings_t *s, const real_t z[4], real_t ahead)
+static bool agrees_down(estimator_t *m, const estimator_settings_t *s, real_t nu, real_t ratio)
 {
     const int32_t k = R_FIX;
-    const real_t nu = fix_innovation(m, z, 2, ahead);
     const real_t apart = real_abs(nu + m->x[19]);
-    real_t off;
+    const real_t off = real_abs(ratio);
 
-    fix_row(m, 2);
-    off = real_abs(ratio_of(m, nu, s->fix_variance));
     if (m->suspect[k][3] > REAL(0.0)) {
         const bool blind = ((real_t)(m->tick - m->used[R_SONAR]) * s->dt) > REAL(0.3);
 
@@ -195,7 +192,7 @@ static void loosen_for_fix(estimator_t *m, const real_t z[4], real_t ahead)
 void fuse_fix(estimator_t *m, const estimator_settings_t *s, const real_t z[4], real_t ahead)
 {
     const int32_t k = R_FIX;
-    const bool down = agrees_down(m, s, z, ahead);
+    bool down = true;
     real_t worst = REAL(0.0);
     real_t at = REAL(0.0);
     real_t out;
@@ -204,13 +201,13 @@ void fuse_fix(estimator_t *m, const estimator_settings_t *s, const real_t z[4], 
         real_t nu;
         real_t ratio;
 
-        if ((i == 2) && (!down)) {
-            continue;
-        }
         fix_row(m, i);
         nu = fix_innovation(m, z, i, ahead);
         ratio = ratio_of(m, nu, fix_variance(s, i));
-        if (real_abs(ratio) > real_abs(worst)) {
+        if (i == 2) {
+            down = agrees_down(m, s, nu, ratio);
+        }
+        if (((i != 2) || down) && (real_abs(ratio) > real_abs(worst))) {
             worst = ratio;
             at = nu;
         }

@@ -26,24 +26,10 @@
 #endif
 
 #ifdef MUFLY_FLOAT
-#define SQRT __builtin_sqrtf
-#define ABS __builtin_fabsf
 #define WITH_SIGN __builtin_copysignf
 #else
-#define SQRT __builtin_sqrt
-#define ABS __builtin_fabs
 #define WITH_SIGN __builtin_copysign
 #endif
-
-real_t real_sqrt(real_t x)
-{
-    return SQRT(x);
-}
-
-real_t real_abs(real_t x)
-{
-    return ABS(x);
-}
 
 real_t real_with_sign(real_t size, real_t sign)
 {
@@ -61,16 +47,6 @@ real_t real_clip(real_t value, real_t low, real_t high)
         /* within bounds */
     }
     return held;
-}
-
-real_t real_min(real_t a, real_t b)
-{
-    return (b < a) ? b : a;
-}
-
-real_t real_max(real_t a, real_t b)
-{
-    return (b > a) ? b : a;
 }
 
 bool real_missing(real_t x)

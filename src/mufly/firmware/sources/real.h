@@ -26,17 +26,41 @@ typedef double real_t;
 #define REAL_PI REAL(0x1.921fb54442d18p+1)
 #define DEGREE REAL(0x1.1df46a2529d39p-6) /* rad */
 
-/* Square root, correctly rounded; one instruction where there is one. */
-real_t real_sqrt(real_t x);
+#ifndef MUFLY_DECLARATIONS
+#ifdef MUFLY_FLOAT
+#define SQRT __builtin_sqrtf
+#define ABS __builtin_fabsf
+#else
+#define SQRT __builtin_sqrt
+#define ABS __builtin_fabs
+#endif
 
-/* Magnitude; a number with the sign of another; a number held within bounds (what is no number passes). */
-real_t real_abs(real_t x);
-real_t real_with_sign(real_t size, real_t sign);
-real_t real_clip(real_t value, real_t low, real_t high);
+/* Square root, correctly rounded, and magnitude; one instruction each where there is one. */
+static inline real_t real_sqrt(real_t x)
+{
+    return SQRT(x);
+}
+
+static inline real_t real_abs(real_t x)
+{
+    return ABS(x);
+}
 
 /* The lesser and the greater of two; the first where they are equal, or the second is no number. */
-real_t real_min(real_t a, real_t b);
-real_t real_max(real_t a, real_t b);
+static inline real_t real_min(real_t a, real_t b)
+{
+    return (b < a) ? b : a;
+}
+
+static inline real_t real_max(real_t a, real_t b)
+{
+    return (b > a) ? b : a;
+}
+#endif
+
+/* A number with the sign of another; a number held within bounds (what is no number passes). */
+real_t real_with_sign(real_t size, real_t sign);
+real_t real_clip(real_t value, real_t low, real_t high);
 
 /* Whether it is no number, whether it is one, and finite. */
 bool real_missing(real_t x);

@@ -6,19 +6,15 @@
 #define SPOT REAL(1e-3) /* ways shorter than this are no ways: there is no direction to look in (m) */
 #define TINY REAL(1e-9)
 #define SLOWEST REAL(0.05) /* of a curve (m/s) */
-#define NODES 5
-#define DENSE (8 * CURVE_PIECES)
+#define NODES 3
+#define HALVINGS 5 /* of a step, around each worst point of a curve */
+#define ASKS 4
 #define ROOT_2 REAL(0x1.6a09e667f3bcdp+0)
 
-/* Gauss-Legendre of five points. */
-static const real_t nodes[NODES] = {
-    REAL(-0x1.cff6ce0533a69p-1), REAL(-0x1.13b23fd99b705p-1), REAL(0x0.0p+0),
-    REAL(0x1.13b23fd99b705p-1),  REAL(0x1.cff6ce0533a69p-1),
-};
-static const real_t weights[NODES] = {
-    REAL(0x1.e539ec36e0393p-3), REAL(0x1.ea1da25ae4158p-2), REAL(0x1.23456789abcddp-1),
-    REAL(0x1.ea1da25ae4158p-2), REAL(0x1.e539ec36e0393p-3),
-};
+/* Gauss-Legendre of three points. */
+static const real_t nodes[NODES] = {REAL(-0x1.8c97ef43f7248p-1), REAL(0x0.0p+0), REAL(0x1.8c97ef43f7248p-1)};
+static const real_t weights[NODES] = {REAL(0x1.1c71c71c71c72p-1), REAL(0x1.c71c71c71c71cp-1),
+                                      REAL(0x1.1c71c71c71c72p-1)};
 
 static void copied(const real_t from[3], real_t to[3])
 {
@@ -178,42 +174,104 @@ static void cross(const real_t a[3], const real_t b[3], real_t out[3])
     out[2] = (a[0] * b[1]) - (a[1] * b[0]);
 }
 
-/* Length of the curvature vector where the tangent is this; zero where that vanishes. */
-static real_t curvature(const curve_t *c, real_t u, const real_t tangent[3])
+static real_t speed_at(const curve_t *c, real_t u)
 {
-    const real_t size = square(tangent);
-    real_t second[3];
-    real_t across[3];
-    real_t bend[3] = {REAL(0.0), REAL(0.0), REAL(0.0)};
+    real_t tangent[3];
 
-    if (size > REAL(1e-12)) {
-        for (int32_t i = 0; i < 3; i++) {
-            second[i] = bend_of(c->coefficients[i], u);
-        }
-        cross(tangent, second, across);
-        cross(across, tangent, bend);
-        for (int32_t i = 0; i < 3; i++) {
-            bend[i] = bend[i] / (size * size);
-        }
+    tangent_of(c, u, tangent);
+    return real_length(tangent);
+}
+
+/* Arc length by Gauss and Legendre from u on, over twice half. */
+static real_t arc_from(const curve_t *c, real_t u, real_t half)
+{
+    real_t total = REAL(0.0);
+
+    for (int32_t j = 0; j < NODES; j++) {
+        total += weights[j] * speed_at(c, u + (half * (REAL(1.0) + nodes[j])));
     }
-    return real_length(bend);
+    return half * total;
 }
 
 static void measure(curve_t *c)
 {
-    real_t tangent[3];
+    const real_t half = REAL(0.5) / (real_t)CURVE_PIECES;
 
     c->arc[0] = REAL(0.0);
     for (int32_t k = 0; k < CURVE_PIECES; k++) {
-        const real_t edge = (real_t)k / (real_t)CURVE_PIECES;
-        real_t piece = REAL(0.0);
-
-        for (int32_t j = 0; j < NODES; j++) {
-            tangent_of(c, edge + ((REAL(0.5) * (REAL(1.0) + nodes[j])) / (real_t)CURVE_PIECES), tangent);
-            piece += weights[j] * real_length(tangent);
-        }
-        c->arc[k + 1] = c->arc[k] + (piece / (REAL(2.0) * (real_t)CURVE_PIECES));
+        c->arc[k + 1] = c->arc[k] + arc_from(c, (real_t)k / (real_t)CURVE_PIECES, half);
     }
+}
+
+/* Square of the tangent's length; shares of the speed that are level, rise and sink, and curvature, all squared. */
+static real_t asks_at(const curve_t *c, real_t u, real_t out[ASKS])
+{
+    real_t tangent[3];
+    real_t size;
+
+    tangent_of(c, u, tangent);
+    size = square(tangent);
+    for (int32_t j = 0; j < ASKS; j++) {
+        out[j] = REAL(0.0);
+    }
+    if (!(size <= REAL(1e-12))) {
+        real_t second[3];
+        real_t across[3];
+
+        for (int32_t i = 0; i < 3; i++) {
+            second[i] = bend_of(c->coefficients[i], u);
+        }
+        cross(tangent, second, across);
+        out[0] = ((tangent[0] * tangent[0]) + (tangent[1] * tangent[1])) / size;
+        out[2] = (tangent[2] * real_abs(tangent[2])) / size;
+        out[1] = -out[2];
+        out[3] = square(across) / ((size * size) * size);
+    }
+    return size;
+}
+
+/* Least size and greatest of what the points of a curve ask: each is sought in equal steps, and in halves of a step to
+ * either side of the best yet. */
+static real_t worst_of(const curve_t *c, real_t worst[ASKS])
+{
+    real_t where[ASKS] = {REAL(0.0), REAL(0.0), REAL(0.0), REAL(0.0)};
+    real_t least = REAL_INFINITY;
+    real_t asks[ASKS];
+
+    for (int32_t j = 0; j < ASKS; j++) {
+        worst[j] = REAL(0.0);
+    }
+    for (int32_t k = 0; k <= CURVE_PIECES; k++) {
+        const real_t u = (real_t)k / (real_t)CURVE_PIECES;
+
+        least = real_min(least, asks_at(c, u, asks));
+        for (int32_t j = 0; j < ASKS; j++) {
+            if (asks[j] > worst[j]) {
+                worst[j] = asks[j];
+                where[j] = u;
+            }
+        }
+    }
+    for (int32_t j = 0; j < ASKS; j++) {
+        real_t step = REAL(1.0) / (real_t)CURVE_PIECES;
+
+        for (int32_t h = 0; (h < HALVINGS) && (worst[j] > REAL(0.0)); h++) {
+            const real_t middle = where[j];
+
+            step *= REAL(0.5);
+            for (int32_t side = -1; side <= 1; side += 2) {
+                const real_t u = middle + ((real_t)side * step);
+                const real_t size = asks_at(c, u, asks);
+
+                if ((u >= REAL(0.0)) && (u <= REAL(1.0)) && (asks[j] > worst[j])) {
+                    least = real_min(least, size);
+                    worst[j] = asks[j];
+                    where[j] = u;
+                }
+            }
+        }
+    }
+    return least;
 }
 
 /* Give the curve its timing; false where it has a point without tangent or too tight a bend. */
@@ -221,31 +279,16 @@ static bool time_curve(curve_t *c, const limits_t *limits, real_t acceleration)
 {
     const real_t share = acceleration / ROOT_2;
     const real_t whole = c->arc[CURVE_PIECES];
-    real_t least = REAL_INFINITY;
-    real_t level = REAL(0.0);
-    real_t rise = -REAL_INFINITY;
-    real_t fall = -REAL_INFINITY;
-    real_t bend = REAL(0.0);
-    real_t peak;
+    real_t worst[ASKS];
+    const real_t least = real_sqrt(worst_of(c, worst));
     bool can = false;
 
-    for (int32_t k = 0; k <= DENSE; k++) {
-        const real_t u = (real_t)k / (real_t)DENSE;
-        real_t tangent[3];
-        real_t size;
-
-        tangent_of(c, u, tangent);
-        size = real_length(tangent);
-        least = real_min(least, size);
-        level = real_max(level, real_hypot(tangent[0], tangent[1]) / size);
-        rise = real_max(rise, -(tangent[2] / size));
-        fall = real_max(fall, tangent[2] / size);
-        bend = real_max(bend, curvature(c, u, tangent));
-    }
     if (!(least < (REAL(0.05) * real_max(whole, TINY)))) {
-        peak = real_min(limits->speed / real_max(level, TINY), limits->climb / real_max(rise, TINY));
-        peak = real_min(peak, limits->descent / real_max(fall, TINY));
-        peak = real_min(peak, real_sqrt(share / real_max(bend, TINY)));
+        real_t peak = limits->speed / real_max(real_sqrt(worst[0]), TINY);
+
+        peak = real_min(peak, limits->climb / real_max(real_sqrt(worst[1]), TINY));
+        peak = real_min(peak, limits->descent / real_max(real_sqrt(worst[2]), TINY));
+        peak = real_min(peak, real_sqrt(share / real_max(real_sqrt(worst[3]), TINY)));
         if (peak >= SLOWEST) {
             profile_make(whole, peak, share, &c->timing);
             can = true;
@@ -257,15 +300,8 @@ static bool time_curve(curve_t *c, const limits_t *limits, real_t acceleration)
 static real_t arc_at(const curve_t *c, int32_t k, real_t u)
 {
     const real_t start = (real_t)k / (real_t)CURVE_PIECES;
-    const real_t half = REAL(0.5) * (u - start);
-    real_t total = REAL(0.0);
-    real_t tangent[3];
 
-    for (int32_t j = 0; j < NODES; j++) {
-        tangent_of(c, start + (half * (REAL(1.0) + nodes[j])), tangent);
-        total += weights[j] * real_length(tangent);
-    }
-    return c->arc[k] + (half * total);
+    return c->arc[k] + arc_from(c, start, REAL(0.5) * (u - start));
 }
 
 /* The piece of the table that holds the way s. */
@@ -301,8 +337,7 @@ static void curve_at(const curve_t *c, real_t t, point_t *out)
     k = piece_at(c, s[0]);
     u = ((real_t)k + ((s[0] - c->arc[k]) / (c->arc[k + 1] - c->arc[k]))) / (real_t)CURVE_PIECES;
     /* The table inverts the way linearly; a Newton step makes it smooth. */
-    tangent_of(c, u, tangent);
-    u -= (arc_at(c, k, u) - s[0]) / real_length(tangent);
+    u -= (arc_at(c, k, u) - s[0]) / speed_at(c, u);
     tangent_of(c, u, tangent);
     for (int32_t i = 0; i < 3; i++) {
         second[i] = bend_of(c->coefficients[i], u);

@@ -6,7 +6,7 @@
 
 #include "real.h"
 
-#define CURVE_PIECES 64 /* of the table of arc lengths */
+#define CURVE_PIECES 32 /* of the table of arc lengths; also the steps in which its worst points are sought */
 
 /* What a trajectory may ask for. */
 typedef struct {
