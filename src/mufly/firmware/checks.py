@@ -424,9 +424,9 @@ def built(command: list[str], folder: Path) -> None:
 
 def _compile(folder: Path, how: Arithmetic, cpu: tuple[str, ...], *more: object) -> list[str]:
     """Return a compiler's command: for the emulated ``cpu``, for this machine where that is empty."""
-    there = ("arm-none-eabi-gcc", *cpu, "-mthumb", "-ffreestanding", "-nostdlib")
-    cc = there if cpu else (compiler(),)
-    return [*cc, *FLAGS, *how.flags, *(f"-I{folder / name}" for name in how.includes), *map(str, more)]
+    there = ("arm-none-eabi-gcc", *FLAGS, *cpu, "-mthumb", "-ffreestanding", "-nostdlib")
+    cc = there if cpu else (compiler(), *FLAGS)
+    return [*cc, *how.flags, *(f"-I{folder / name}" for name in how.includes), *map(str, more)]
 
 
 def _for_host(folder: Path, how: Arithmetic, test: str) -> Path:

@@ -173,7 +173,7 @@ def _memory(vehicle: Vehicle, out: Path) -> Section:
     return Section(
         "What it needs",
         _table(("", "measured", "aim"), rows)
-        + "\n\nSingle precision, Cortex-M4, gcc -O2. State is the caller's; stack: deepest path of calls with each "
+        + "\n\nSingle precision, Cortex-M4, gcc -Os. State is the caller's; stack: deepest path of calls with each "
         "function's own use, from -fstack-usage; no recursion.",
         {"flash_bytes": flash, "ram_bytes": ram, "stack_bytes": stack},
     )

@@ -274,9 +274,9 @@ def _print_pil(results: list[PilResult], fixed_point: bool) -> None:
         ],
         text=(0, 1, 2),
     )  # fmt: skip
-    how = "Whole numbers" if fixed_point else "Single precision"
+    how = "Whole numbers, gcc -O2" if fixed_point else "Single precision, gcc -Os"
     say(
-        f"{how}, gcc -O2. Flight: the law, the mission and what watches over it, on made-up estimates; estimator: on a "
+        f"{how}. Flight: the law, the mission and what watches over it, on made-up estimates; estimator: on a "
         "made-up hop in a room. Flash: code and numbers of the whole tree; stack: deepest call."
     )
 
