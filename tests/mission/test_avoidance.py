@@ -273,7 +273,8 @@ def test_what_a_point_means_for_a_way():
     assert look(memory_of((2.0, 0.3, -1.0)), (0, 0, -1), (5, 0, -1), 0.39, 1.0).way == pytest.approx(
         np.hypot(1, 0.3)
     )
-    assert look(memory_of((-1.0, 0.0, -1.0)), (0, 0, -1), (5, 0, -1), 0.39).way == pytest.approx(1.0)
+    assert look(memory_of((-0.5, 0.0, -1.0)), (0, 0, -1), (5, 0, -1), 0.39).way == pytest.approx(0.5)
+    assert look(memory_of((-1.0, 0.0, -1.0)), (0, 0, -1), (5, 0, -1), 0.39).way == np.inf  # too far to matter
     assert look(memory_of((2.0, 0.0, -2.0)), (0, 0, -1), (5, 0, -1), 0.39).way == np.inf
     # A way of no length is a point.
     assert look(memory_of((2.0, 0.0, -1.0)), (0, 0, -1), (0, 0, -1), 0.39).way == pytest.approx(2.0)
