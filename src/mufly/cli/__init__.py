@@ -70,9 +70,15 @@ def _options(
 _CommandLineError: type[Any] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
 
+_told: set[str] = set()
+
+
 def _tell_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-    """Show a warning of ours as one line, those of libraries to who asks for them (python -W, PYTHONWARNINGS)."""
+    """Show a warning of ours as one line, once, those of libraries to who asks for them (python -W, PYTHONWARNINGS)."""
     if category.__module__.startswith("mufly"):
+        if str(message) in _told:
+            return
+        _told.add(str(message))
         typer.secho(f"mufly: {message}", fg=typer.colors.YELLOW, err=True)
     elif sys.warnoptions:
         sys.stderr.write(warnings.formatwarning(message, category, *where[:2]))

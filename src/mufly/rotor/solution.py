@@ -190,19 +190,21 @@ def _each(name: str, value: Each, count: int) -> tuple[float | None, ...]:
 # Blade elements: rotors at a point
 
 
-def _carried(source: Placed, induced: tuple[Array, Array], target: Placed, k: float) -> tuple[Array, Array]:
-    """Axial and tangential velocity that a rotor's stream has at another's stations, where it moves k times as fast.
+def _ways(source: Placed, target: Placed, k: float) -> tuple[Array, Array]:
+    """Matrices that carry induced axial, tangential velocities to another's stations, where the stream is k as fast.
 
-    A station across the edge of the stream gets the part that lies inside.
+    Shape (stations, stations) each. A station across the edge of the stream gets the part that lies inside.
     """
     r_m, disc_radius = source.blading.r_m[source.which], source.blading.rotors[source.which].radius_m
     at_r, at_dr = target.blading.r_m[target.which], target.blading.dr_m[target.which]
     shrink = 1.0 / math.sqrt(k)
     inside = np.clip((disc_radius * shrink - at_r) / at_dr + 0.5, 0.0, 1.0)
-    r = at_r / shrink
-    axial = inside * k * np.interp(r, r_m, induced[0])
-    around = inside * 2.0 * np.interp(r, r_m, induced[1]) / shrink
-    return axial, -source.hand * target.hand * around
+    place = np.interp(at_r / shrink, r_m, np.arange(r_m.size, dtype=np.float64))
+    first = np.minimum(place.astype(np.int64), r_m.size - 2)
+    part, row = place - first, np.arange(at_r.size)
+    read = np.zeros((at_r.size, r_m.size))
+    read[row, first], read[row, first + 1] = inside * (1.0 - part), inside * part
+    return k * read, -source.hand * target.hand * 2.0 / shrink * read
 
 
 def _bemt(
@@ -227,6 +229,9 @@ def _bemt(
         [tube_speed(a.height_m - b.height_m, big) for b in rotors]
         for a, big in zip(rotors, radius, strict=True)
     ]
+    ways = {
+        (a, b): _ways(p, q, k[a][b]) for a, p in enumerate(rotors) for b, q in enumerate(rotors) if a != b
+    }
     stations = [p.blading.r_m.shape[1] for p in rotors]
     cuts = np.cumsum(stations[:-1])[:-1]
 
@@ -238,13 +243,13 @@ def _bemt(
             axial = np.split(x, cuts)[b] if b < len(stations) - 1 else np.zeros(stations[b])
             around = np.zeros(stations[b])
             for a in range(b):
-                sent = _carried(rotors[a], induced[a], p, k[a][b])
-                axial, around = axial + sent[0], around + sent[1]
+                down, swirl = ways[a, b]
+                axial, around = axial + down @ induced[a][0], around + swirl @ induced[a][1]
             met.append((axial, around))
             induced.append(induced_velocities(p.blading, **at[b], stream=(*met[b], met[b][0]))[:2])  # type: ignore[arg-type]
         pulled = [
-            sum(_carried(rotors[b], induced[b], p, k[b][a])[0] for b in range(a + 1, len(rotors)))
-            for a, p in enumerate(rotors[:-1])
+            sum(ways[b, a][0] @ induced[b][0] for b in range(a + 1, len(rotors)))
+            for a in range(len(rotors) - 1)
         ]
         return np.concatenate(pulled), met, sum(float(np.max(np.abs(v[0]))) for v in induced)
 
