@@ -1,0 +1,123 @@
+# %% [markdown]
+# # 3. Measure it, and believe it
+#
+# Fifteen minutes. A prediction is an opinion until a bench has been asked, and a bench tells the truth only to those who know
+# how it errs: cells drift as they warm up, blades never sit twice at the same pitch, motors heat up and change. Here the
+# bench is simulated, so that in the end you can look behind the curtain. With a real one the same plan runs on `--rig rig.toml`;
+# `mufly bench --help` has the commands.
+
+# %%
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from mufly.bench import analyse_series, make_plan, read_measurements, run_series, write_results
+from mufly.bench.rig.simulated import SimulatedRig
+from mufly.bench.series.record import Record
+from mufly.rotor import fit_rotor, interval, load_rotor
+
+folder = Path(tempfile.mkdtemp())
+
+# %% [markdown]
+# ## A plan
+#
+# Every pitch is mounted twice, in random order, so that a drift does not look like an effect of the pitch. Between them the same
+# reference blade comes back again and again: what changes of *its* thrust is the bench's doing.
+
+# %%
+plan = make_plan(
+    "lesson", ["naca0012-r60-c20"], [10, 12, 14, 16], [4000, 5000, 6000], reference="naca4412-r60-c20",
+    reference_pitch_deg=14, repetitions=2, seed=1,
+)  # fmt: skip
+print(
+    f"{plan.points} points in {plan.seconds() / 60:.0f} minutes; blades are mounted {len(plan.mounting)} times"
+)
+
+# %%
+bench = SimulatedRig(seed=5)
+
+
+def truth(step):
+    """What only a simulation knows: the loads at the speeds that ran, had the blades stood exactly at their pitch."""
+    speeds = {axis: bench.speed[axis] for axis in plan.mounting[step.mounting].axes}
+    return bench.truth(speeds, as_mounted=False)
+
+
+record = run_series(plan, bench, Record(folder), truth=truth)
+
+# %% [markdown]
+# ## What the series says
+#
+# The analysis takes the drift of the cells out, averages, and states for each setting how sure it is. It also says what it does
+# not trust.
+
+# %%
+series = analyse_series(record)
+for note in series.notes:
+    print("*", note)
+for doubt in series.doubts:
+    print("!", doubt)
+
+# %%
+figure, axes = plt.subplots(figsize=(9, 3.6))
+for pitch in (10, 12, 14, 16):
+    some = [s for s in series.settings if s.use == "measure" and s.pitch_deg == pitch]
+    speed = [s.speed_upper_rpm for s in some]
+    axes.errorbar(
+        speed, [1e3 * s.thrust.value for s in some], [1e3 * s.thrust.expanded for s in some], fmt="o-", capsize=3,
+        label=f"{pitch} deg",
+    )  # fmt: skip
+axes.set(xlabel="speed (rpm)", ylabel="thrust (mN), with 95 % intervals")
+axes.legend()
+figure.tight_layout()
+
+# %% [markdown]
+# ## Behind the curtain
+#
+# A simulated bench knows what was true. Of a hundred intervals of 95 % some ninety-five should hold it.
+
+# %%
+held = [abs(s.thrust.value - s.truth["thrust"]) <= s.thrust.expanded for s in series.settings if s.truth]
+print(f"{sum(held)} of {len(held)} intervals of thrust hold the truth")
+
+# %% [markdown]
+# ## What it is worth to a prediction
+#
+# The rotor file names the section; nobody knows whether the printed blade has it. Half of the points are fitted; the other half
+# says whether the fit has learnt anything.
+
+# %%
+files = write_results(series, folder / "results")
+print([f.name for f in files])
+measured = read_measurements(
+    next(f for f in files if f.name.startswith("naca0012") and "points" not in f.name)
+)
+rotor = load_rotor("naca0012-r60-c20")
+
+
+def every_second(first):
+    kept = slice(first, None, 2)
+    columns = {k: getattr(measured, k)[kept] for k in ("pitch_rad", "speed_rad_s", "thrust_N", "torque_Nm")}
+    return replace(measured, **columns)
+
+
+found, rest = fit_rotor(rotor, every_second(0)), every_second(1)
+for name, one in (("before", rotor), ("after", found.rotor)):
+    band = interval(one, pitch_rad=rest.pitch_rad, speed_rad_s=rest.speed_rad_s)
+    off = np.abs(band.thrust_N / rest.thrust_N - 1.0)
+    width = (band.thrust_high_N - band.thrust_low_N) / 2.0 / band.thrust_N
+    print(
+        f"{name}: thrust off by {100 * off.mean():.1f} % on average, interval of 90 % +-{100 * np.mean(width):.0f} %"
+    )
+
+# %% [markdown]
+# ## Try
+#
+# * Break the bench: `SimulatedRig(seed=5, faults=Faults(...))` from `mufly.bench.rig.simulated`, with a reference blade that was
+#   moved, or a cell that saturates. Does the series notice?
+# * `compare_theory(series)` sets it beside blade element theory.
+# * `compare_theory(series)` of `mufly.bench`: beside blade elements.
+# * What is corrected, and how intervals are made: [test benches](../bench.md).
