@@ -119,5 +119,4 @@ for name, one in (("before", rotor), ("after", found.rotor)):
 # * Break the bench: `SimulatedRig(seed=5, faults=Faults(...))` from `mufly.bench.rig.simulated`, with a reference blade that was
 #   moved, or a cell that saturates. Does the series notice?
 # * `compare_theory(series)` sets it beside blade element theory.
-# * `compare_theory(series)` of `mufly.bench`: beside blade elements.
 # * What is corrected, and how intervals are made: [test benches](../bench.md).
