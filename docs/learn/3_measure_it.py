@@ -1,10 +1,10 @@
 # %% [markdown]
 # # 3. Measure it, and believe it
 #
-# Fifteen minutes. A prediction is an opinion until a bench has been asked, and a bench tells the truth only to those who know
-# how it errs: cells drift as they warm up, blades never sit twice at the same pitch, motors heat up and change. Here the
-# bench is simulated, so that in the end you can look behind the curtain. With a real one the same plan runs on `--rig rig.toml`;
-# `mufly bench --help` has the commands.
+# Fifteen minutes. A prediction is an opinion until a bench has been asked, and a bench tells the truth only to those
+# who know how it errs: cells drift as they warm up, blades never sit twice at the same pitch, motors heat up and
+# change. Here the bench is simulated, so that in the end you can look behind the curtain. With a real one the same
+# plan runs on `--rig rig.toml`; `mufly bench --help` has the commands.
 
 # %%
 import tempfile
@@ -24,8 +24,8 @@ folder = Path(tempfile.mkdtemp())
 # %% [markdown]
 # ## A plan
 #
-# Every pitch is mounted twice, in random order, so that a drift does not look like an effect of the pitch. Between them the same
-# reference blade comes back again and again: what changes of *its* thrust is the bench's doing.
+# Every pitch is mounted twice, in random order, so that a drift does not look like an effect of the pitch. Between
+# them the same reference blade comes back again and again: what changes of *its* thrust is the bench's doing.
 
 # %%
 plan = make_plan(
@@ -51,8 +51,8 @@ record = run_series(plan, bench, Record(folder), truth=truth)
 # %% [markdown]
 # ## What the series says
 #
-# The analysis takes the drift of the cells out, averages, and states for each setting how sure it is. It also says what it does
-# not trust.
+# The analysis takes the drift of the cells out, averages, and states for each setting how sure it is. It also says
+# what it does not trust.
 
 # %%
 series = analyse_series(record)
@@ -86,8 +86,8 @@ print(f"{sum(held)} of {len(held)} intervals of thrust hold the truth")
 # %% [markdown]
 # ## What it is worth to a prediction
 #
-# The rotor file names the section; nobody knows whether the printed blade has it. Half of the points are fitted; the other half
-# says whether the fit has learnt anything.
+# The rotor file names the section; nobody knows whether the printed blade has it. Half of the points are fitted; the
+# other half says whether the fit has learnt anything.
 
 # %%
 files = write_results(series, folder / "results")
@@ -116,7 +116,7 @@ for name, one in (("before", rotor), ("after", found.rotor)):
 # %% [markdown]
 # ## Try
 #
-# * Break the bench: `SimulatedRig(seed=5, faults=Faults(...))` from `mufly.bench.rig.simulated`, with a reference blade that was
-#   moved, or a cell that saturates. Does the series notice?
+# * Break the bench: `SimulatedRig(seed=5, faults=Faults(...))` from `mufly.bench.rig.simulated`, with a reference
+#   blade that was moved, or a cell that saturates. Does the series notice?
 # * `compare_theory(series)` sets it beside blade element theory.
 # * What is corrected, and how intervals are made: [test benches](../bench.md).
