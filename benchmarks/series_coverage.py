@@ -1,6 +1,6 @@
 """How often the intervals of a series hold the truth, and how often faults are found, on simulated benches.
 
-    python benchmarks/series_coverage.py 200 [upper|pair]
+    python benchmarks/series_coverage.py 200 [upper|pair [FIRST_SEED]]
     python benchmarks/series_coverage.py faults 40
 
 A series: two pitches mounted twice, five speeds, three visits of the reference (35 points; 50 as a pair), about half an
@@ -40,13 +40,13 @@ def one(plan: Plan, seed: int, faults: Faults | None = None) -> Series:
     return analyse(run_series(plan, rig, Record(), truth=truth))
 
 
-def coverage(count: int, axis: str) -> None:
+def coverage(count: int, axis: str, first: int) -> None:
     plan, began = plan_for(axis), time.perf_counter()
     hit, off, width, refused = defaultdict(list), defaultdict(list), defaultdict(list), 0
-    for seed in range(count):
+    for seed in range(first, first + count):
         series = one(plan, seed)
         refused += bool(series.refused)
-        for d in series.refused:
+        for d in series.doubts:
             print(seed, d.text)
         for kind, many in (("point", series.points), ("setting", series.settings)):
             for x in many:
@@ -95,4 +95,5 @@ if __name__ == "__main__":
     if sys.argv[1] == "faults":
         faults(int(sys.argv[2]))
     else:
-        coverage(int(sys.argv[1]), sys.argv[2] if len(sys.argv) > 2 else "upper")
+        more = sys.argv[2:]
+        coverage(int(sys.argv[1]), more[0] if more else "upper", int(more[1]) if len(more) > 1 else 0)

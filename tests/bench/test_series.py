@@ -175,6 +175,19 @@ def test_zero_that_jumps_and_thrust_of_the_wrong_sign_are_seen(single):
         assert kind in {d.kind for d in analyse(record).refused}
 
 
+def test_a_point_that_does_not_lie_with_the_others_is_named(single):
+    record = Record()
+    for line in single.lines:
+        copy = json.loads(json.dumps(line))
+        if copy["kind"] == "reading" and (copy["mounting"], copy["speed_rpm"]) == (1, 5500):
+            copy["channels"]["thrust_raw"][0] += 0.025
+        record.write(copy)
+    found = [d for d in analyse(record).doubts if d.kind == "outlier"]
+    assert len(found) == 1
+    assert "at 5500 rpm is +" in found[0].text
+    assert not any(d.kind == "outlier" for d in analyse(single).doubts)
+
+
 @pytest.mark.parametrize("kept", [3, 9, 15])
 def test_a_kill_at_any_moment_loses_at_most_the_point_that_was_measured(tmp_path, single, kept):
     """The file ends in the middle of a line, wherever it does; the series goes on, and nothing is measured twice."""

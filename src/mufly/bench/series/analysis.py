@@ -190,6 +190,7 @@ def analyse(
     notes = [words, *_drift_words(loads, points)]
     for name, channel in loads.items():
         doubts += doubts_of_reference(name, channel, plan)
+        doubts += outliers(name, channel, points, plan, density, speed)
         if name == "thrust" and np.mean(channel.value < 0) > 0.5:
             doubts.append(
                 Doubt("polarity", "thrust is below zero: the force cell's sign is the wrong way round", True)
@@ -268,6 +269,46 @@ def doubts_of_reference(name: str, channel: Channel, plan: Plan) -> list[Doubt]:
     return out
 
 
+def outliers(
+    name: str, channel: Channel, points: Readings, plan: Plan, density: Array, speed: dict[str, Array]
+) -> list[Doubt]:
+    """Return points that do not lie with the others of their mounting.
+
+    The logarithm of a load over ``rho W^2`` changes slowly with that of the speed (Reynolds number): each point is set
+    beside the straight line through the others, and stands out if it is off by 2.5 % and five standard uncertainties.
+    """
+    out: list[Doubt] = []
+    for k in sorted(set(points.mounting.tolist())):
+        m = plan.mounting[k]
+        at = np.flatnonzero((points.mounting == k) & (channel.value != 0))
+        if at.size < 4 or (name == "torque" and m.axis == "pair"):
+            continue
+        w = speed[m.axes[0]][at]
+        y, x = np.log(np.abs(channel.value[at]) / (density[at] * w**2)), np.log(w)
+        u = np.sqrt(np.diag(channel.own)[at]) / np.abs(channel.value[at])
+        off, std = np.empty(at.size), np.empty(at.size)
+        for i in range(at.size):
+            rest = np.arange(at.size) != i
+            design = np.column_stack([np.ones(at.size), x - x.mean()])
+            fit = np.linalg.lstsq(design[rest] / u[rest, None], y[rest] / u[rest], rcond=None)[0]
+            cov = np.linalg.inv(design[rest].T @ (design[rest] / u[rest, None] ** 2))
+            off[i] = y[i] - design[i] @ fit
+            std[i] = math.sqrt(u[i] ** 2 + float(design[i] @ cov @ design[i]))
+        # One point that is off pulls the line from under the others: only the worst is told.
+        i = int(np.argmax(np.abs(off) / std))
+        if abs(off[i]) > OUTLIER_LIMIT and abs(off[i]) > 5.0 * std[i]:
+            out.append(
+                Doubt(
+                    "outlier",
+                    f"{name} of {m.in_words()} at {points.nominal_rpm[at[i]]:g} rpm is {100 * off[i]:+.1f} +- "
+                    f"{200 * std[i]:.1f} % off the line of its other speeds: measure it again",
+                    False,
+                )
+            )
+    return out
+
+
+OUTLIER_LIMIT = 0.025
 REFERENCE_LIMIT = 0.02
 """Change of the reference's loads from one visit to the next beyond which it is not the same reference."""
 

@@ -10,6 +10,7 @@ polarity        yes      thrust is negative
 speed           yes      more than a fifth of the points did not reach their speed, or did not settle
 nonsense        yes      more than a fifth of the points had to leave out more than 2 % of their samples
 split           yes      currents and torque cell do not agree about a pair (no: the currents were never calibrated)
+outlier         no       a point is off the line of its mounting's other speeds by 2.5 % and five standard uncertainties
 incomplete      no       steps of the plan are not in the record
 interrupted     no       the series was stopped, a limit was passed, or a device failed, and it went on
 broken          no       lines of the record are damaged
