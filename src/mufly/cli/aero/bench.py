@@ -258,7 +258,8 @@ def _rig(
             raise InputError("--fault", fault, "is for a simulated bench", "use it with --rig sim")
         return load_rig(name), None
     faults = {
-        None: Faults(), "reference": Faults(reference_moved_deg=0.5, reference_moved_after=1), "saturated": Faults(saturated=True),
+        None: Faults(), "reference": Faults(reference_moved_deg=0.5, reference_moved_after=1),
+        "saturated": Faults(saturated=True),
         "silent": Faults(silent_after_s=1500.0), "spikes": Faults(spikes=0.05), "speed": Faults(stuck_speed=0.04),
     }[fault]  # fmt: skip
     last = float(record.lines[-1]["time"]) + 60.0 if record.lines else 0.0
