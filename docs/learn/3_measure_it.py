@@ -65,6 +65,7 @@ for doubt in series.doubts:
 figure, axes = plt.subplots(figsize=(9, 3.6))
 for pitch in (10, 12, 14, 16):
     some = [s for s in series.settings if s.use == "measure" and s.pitch_deg == pitch]
+    some.sort(key=lambda s: s.speed_upper_rpm)
     speed = [s.speed_upper_rpm for s in some]
     axes.errorbar(
         speed, [1e3 * s.thrust.value for s in some], [1e3 * s.thrust.expanded for s in some], fmt="o-", capsize=3,
