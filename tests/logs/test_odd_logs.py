@@ -373,11 +373,25 @@ def test_the_vehicle_is_no_ground_station_however_much_that_says(write, mavlink)
     vehicle = mavlink.MAVLink(None, srcSystem=3, srcComponent=1)
     ground = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
     out = b""
+    out += entry(ground, ground.statustext_encode(6, b"Hello"), 0.05)
+    out += entry(ground, ground.param_value_encode(b"OWN", 1.0, 9, 1, 0), 0.05)
     for k in range(30):
         out += entry(ground, ground.heartbeat_encode(mavlink.MAV_TYPE_GCS, 0, 0, 0, 0), 0.1 * k)
         if k % 10 == 0:
             out += entry(vehicle, vehicle.heartbeat_encode(mavlink.MAV_TYPE_COAXIAL, 0, 0, 0, 0), 0.1 * k)
+    # A long text comes in chunks; the number 0 is no chunk's.
+    for at, text, number, chunk in (
+        (1, b"a" * 50, 7, 0),
+        (1.1, b"bc", 7, 1),
+        (2, b"x", 0, 0),
+        (2.1, b"y", 0, 0),
+    ):
+        out += entry(vehicle, vehicle.statustext_encode(4, text, number, chunk), at)
     raw = read_raw(write(out))
+    assert [m[1:] for m in raw.messages] == [
+        ("info", "255.190: Hello"), ("warning", "a" * 50 + "bc"), ("warning", "x"), ("warning", "y"),
+    ]  # fmt: skip
+    assert raw.info["parameters"] == {}
     assert raw.info["system"] == "coaxial, system 3.1"
     assert len(raw["HEARTBEAT"].time) == 3
     assert len(raw["HEARTBEAT@255.190"].time) == 30
@@ -388,7 +402,7 @@ def test_whoever_speaks_first_after_a_start_has_the_new_clock(write, mavlink):
     link = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
     out = b""
     for k in range(300):
-        boot_s = 0.5 + 0.1 * (k if k < 200 else k - 200)
+        boot_s = 0.1 * k if k < 200 else 0.5 + 0.1 * (k - 200)  # a simulation's clock may begin at 0
         out += entry(link, link.highres_imu_encode(int(1e6 * boot_s), *[0.0] * 13, 0), 0.1 * k)
         out += entry(link, link.attitude_encode(int(1e3 * boot_s + 30), 0, 0, 0, 0, 0, 0), 0.1 * k + 0.03)
     raw = read_raw(write(out))

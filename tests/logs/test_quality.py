@@ -65,6 +65,14 @@ def test_a_frozen_sensor_is_found_and_a_held_input_is_not():
     assert len(find_frozen(x[490:515])) == 0  # what stands still to the end of the record may be over
 
 
+def test_where_a_coarse_angle_turns_it_is_not_frozen():
+    time = np.arange(0, 60, 0.02)
+    yaw = np.radians(np.round(20 * np.sin(0.3 * time), 2))  # hundredths of a degree, as ArduPilot logs them
+    assert len(find_frozen(yaw)) == 0
+    yaw[500:530] = yaw[500]
+    assert find_frozen(yaw).tolist() == [[500, 530]]
+
+
 def test_few_samples_hold_no_outlier_and_enough_do():
     x = 0.1 * NOISE[:61]
     x[30] = 9.0

@@ -287,14 +287,18 @@ def find_frozen(x: _Array, *, at_least: int = 8) -> NDArray[np.int64]:
     (k, 2) int array
         First and past-the-last sample. Empty for a channel that repeats itself as a rule (held inputs, coarse
         resolution): more than a fifth of its samples are like the one before. What stands still at the beginning or the
-        end of the record has not begun yet, or is over.
+        end of the record has not begun yet, or is over; what goes to and from a repeated value by its least step has
+        only turned there.
     """
-    same = np.diff(x) == 0
+    steps = np.abs(np.diff(x))
+    same = steps == 0
     if len(x) < 4 * at_least or same.mean() > 0.2:
         return np.empty((0, 2), dtype=np.int64)
     runs = _runs(same) + np.array([0, 1])
-    inner = (runs[:, 0] > 0) & (runs[:, 1] < len(x))
-    return runs[inner & (runs[:, 1] - runs[:, 0] >= at_least)]
+    runs = runs[(runs[:, 0] > 0) & (runs[:, 1] < len(x)) & (runs[:, 1] - runs[:, 0] >= at_least)]
+    least = steps[steps > 0].min(initial=np.inf)
+    turned = np.maximum(steps[runs[:, 0] - 1], steps[runs[:, 1] - 1]) < 1.5 * least
+    return runs[~turned]
 
 
 def find_saturation(x: _Array, *, at_least: int = 5) -> tuple[float, float]:

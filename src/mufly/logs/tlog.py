@@ -138,15 +138,16 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
     own: dict[str, tuple[str, NDArray[np.float64]]] = {}
     for (system, component, name), (stamps, messages) in rows.items():
         arrival = (np.array(stamps, dtype=np.int64) - zero) / 1e6
+        who = "" if (system, component) == vehicle else f"@{system}.{component}"
         if name == "STATUSTEXT":
-            said += [
-                (float(t), _SEVERITY[m.severity & 7], m.text) for t, m in zip(arrival, messages, strict=True)
-            ]
+            texts = _texts(arrival, messages)
+            said += [(t, level, f"{who[1:]}: {text}" if who else text) for t, level, text in texts]
             continue
         if name == "PARAM_VALUE":
-            parameters |= {m.param_id: m.param_value for m in messages}
+            if system == vehicle[0]:
+                parameters |= {m.param_id: m.param_value for m in messages}
             continue
-        label = name if (system, component) == vehicle else f"{name}@{system}.{component}"
+        label = f"{name}{who}"
         fields, units = _columns(messages)
         clock = _own_clock(fields) if system == vehicle[0] else None
         if clock is not None:
@@ -221,12 +222,27 @@ def _columns(messages: list[Any]) -> tuple[dict[str, NDArray[Any]], dict[str, st
     return without_unknown(kind.msgname, out), units
 
 
+def _texts(arrival: NDArray[np.float64], messages: list[Any]) -> list[tuple[float, str, str]]:
+    """(s, level, text) of one sender's STATUSTEXT; what came in chunks of 50 characters is one text again."""
+    out: list[tuple[float, str, str]] = []
+    before = (0, -1)
+    for t, m in zip(arrival.tolist(), messages, strict=True):
+        here = (m.id, m.chunk_seq)
+        if m.id and here == (before[0], before[1] + 1) and m.chunk_seq:
+            out[-1] = (*out[-1][:2], out[-1][2] + m.text)
+        else:
+            out.append((t, _SEVERITY[m.severity & 7], m.text))
+        before = here
+    return out
+
+
 def _own_clock(fields: Mapping[str, NDArray[Any]]) -> tuple[str, NDArray[np.float64]] | None:
     """Name of the field that holds the vehicle's clock, and that clock (s since it started)."""
     for name, tick in (("time_boot_ms", 1e3), ("time_usec", 1e6)):
         if name in fields:
             time = fields[name].astype(np.float64) / tick
-            if time.min() > 0 and time.max() < _LONGEST_UPTIME_S:
+            # A simulation may begin at 0; later a 0 is a stamp that was never set.
+            if (time[1:] if len(time) > 1 else time).min() > 0 and time.max() < _LONGEST_UPTIME_S:
                 return name, time
     return None
 
