@@ -53,6 +53,7 @@ from mufly.errors import MuflyError
 from mufly.results import result
 
 TOLERANCES = ((0.1, 1.01), (0.2, 1.05), (0.5, 1.2))  # dB on the peaks, factor on the norm
+_SAME = 1e-6  # share by which two norms may differ and are the same
 
 
 @result
@@ -248,7 +249,7 @@ def reduce_controller(
         ]
         if good:
             sound = [e for e in good if np.linalg.eigvals(e[1].A - e[2] @ e[1].C).real.max() < -1e-4]
-            chosen, K, M = min(sound or good, key=lambda entry: (entry[0].order, entry[0].norm))
+            chosen, K, M = _best(sound or good)
             passed = {id(entry[0]) for entry in good}
             listed = tuple(
                 replace(c, passed=id(c) in passed) for c, _, _ in sorted(tried, key=lambda e: e[0].order)
@@ -264,6 +265,14 @@ def reduce_controller(
         f"peaks {best.sensitivity_peak_dB:.2f} and {best.complementary_peak_dB:.2f} dB, norm {best.norm:.3g}); "
         "allow a larger tolerance or order"
     )
+
+
+def _best(
+    entries: Sequence[tuple[Candidate, control.StateSpace, Array]],
+) -> tuple[Candidate, control.StateSpace, Array]:
+    """Least order, then least norm; of equal norms the first, or each processor's rounding would choose another one."""
+    least = min((c.order, c.norm) for c, _, _ in entries)
+    return next(e for e in entries if e[0].order == least[0] and e[0].norm <= least[1] * (1.0 + _SAME))
 
 
 class _Judge:
