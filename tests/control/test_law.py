@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from mufly.control import (
     FlightController,
+    heave_wait,
     heave_yaw_initial,
     heave_yaw_step,
     position_initial,
@@ -16,7 +17,7 @@ from mufly.control import (
     roll_pitch_initial,
     roll_pitch_step,
 )
-from mufly.control.law import ROLL_PITCH_GAINS, pack
+from mufly.control.law import ROLL_PITCH_GAINS, SHAPED_W, SHAPED_Z, pack
 from mufly.errors import MuflyError
 
 INPUT = st.floats(0.0, 1.0)
@@ -148,6 +149,51 @@ def test_reference_filter_follows_a_reference_that_brings_its_rate(controller: F
         _, state = heave_yaw_step(g, state, np.array([z, 0.0, w, 0.0]), np.zeros(3), 7.2)
         worst = max(worst, abs(state[10] - z))
     assert worst < 1.2 * peak / float(g["heave_bandwidth"]) ** 2 + peak * T
+
+
+@pytest.mark.parametrize(("climb", "asked", "least"), [(0.25, 0.5, 0.6), (0.1, 0.4, 0.6), (-0.25, -0.5, 0.4)])
+def test_a_reference_that_waits_does_not_cut_the_motors(
+    controller: FlightController, climb: float, asked: float, least: float
+) -> None:
+    """A heavy vehicle climbs as fast as it can, its reference faster: the motors stay where they hold it up.
+
+    They lost all thrust in one period where the reference stopped at once, and its rate with it.
+    """
+    g = controller.heave_yaw_gains
+    period = float(g["period"])
+    state = heave_yaw_initial(g, np.zeros(3), np.array([0.85, 0.93]), 6.5)
+    inputs, gaps = [], []
+    for k in range(800):
+        z = -climb * k * period
+        state = heave_wait(g, state, z)
+        gaps.append(abs(z - state[SHAPED_Z]))
+        reference = np.array([-asked * k * period, 0.0, -asked, 0.0])
+        motor, state = heave_yaw_step(g, state, reference, np.array([z, 0.0, 0.0]), 6.5)
+        inputs.append(motor)
+    assert max(gaps) < float(g["heave_slack"])
+    assert state[SHAPED_W] == pytest.approx(-climb, abs=0.02)  # it follows, as fast as the vehicle climbs
+    flown = np.array(inputs)[100:]
+    assert np.abs(np.diff(flown, axis=0)).max() < 0.1
+    assert flown.min() > least
+
+
+def test_a_vehicle_that_is_blown_away_finds_its_reference_at_the_slack(controller: FlightController) -> None:
+    g = controller.heave_yaw_gains
+    slack = float(g["heave_slack"])
+    state = heave_yaw_initial(g, np.zeros(3), np.array([0.67, 0.73]), 7.2)
+    for z in (0.5 * slack, -0.5 * slack):  # a reference at rest may stay where it is
+        assert np.array_equal(heave_wait(g, state, z), state)
+    for z in (2.0, -2.0):
+        blown = heave_wait(g, state, z)
+        assert abs(z - blown[SHAPED_Z]) == pytest.approx(slack)
+        assert blown[SHAPED_W] == 0.0
+        # The way to the vehicle is free, the way from it only as fast as it brakes.
+        towards = state.copy()
+        towards[SHAPED_W] = np.copysign(0.5, z)
+        assert heave_wait(g, towards, z)[SHAPED_W] == towards[SHAPED_W]
+        braked = heave_wait(g, np.where(np.arange(len(state)) == SHAPED_W, -towards, state), z)[SHAPED_W]
+        brake = 2.0 * float(g["heave_acceleration"]) * float(g["period"])
+        assert abs(braked) == pytest.approx(0.5 - brake)
 
 
 @given(st.floats(-np.pi, np.pi), st.integers(0, 500))

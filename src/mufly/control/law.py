@@ -10,10 +10,11 @@ command is a voltage, as a fraction of the design voltage: what the battery has 
 the motor input is command over that bound. Where both motors cannot have what they ask for, yaw goes first: the
 difference of the two is kept, their mean gives way. Otherwise a rail in heave would spin the fuselage.
 
-Where in flight the height trails the filtered reference by more than the slack (a blow, a fall, sticks beyond what the
-motors give), the reference stays that far away, at rest, until the height has come back to it (``heave_wait``). A
-greater error would ask the motors for more than they can take back in time. On the floor the error may grow, which is
-what gets the motors going.
+Where in flight the height trails the filtered reference (a blow, a fall, sticks beyond what the motors give), the
+reference goes on the more slowly, and no further away than the slack, until the height has come back (``heave_wait``).
+A greater error would ask the motors for more than they can take back in time; a reference that stopped at once would
+take the thrust of a heavy vehicle, which has none to spare. On the floor the error may grow, which is what gets the
+motors going.
 
 Roll-pitch. Tilt references are limited; servos saturate one by one.
 
@@ -112,6 +113,10 @@ def _shape(value, rate, target, target_rate, bandwidth, acceleration, speed, per
 def heave_wait(gains, state, z):  # type: ignore[no-untyped-def]
     """State of heave-yaw, in flight, with a filtered reference no further from the height z (m, down) than the slack.
 
+    The further it is away, the slower it may go on: not at all at the slack. It brakes by twice the acceleration that
+    the filter may add in the same period, so by as much as in any stop; the reference of a vehicle that climbs more
+    slowly comes to go as fast as that.
+
     Parameters
     ----------
     gains : record of type ``HEAVE_YAW_GAINS``
@@ -125,10 +130,16 @@ def heave_wait(gains, state, z):  # type: ignore[no-untyped-def]
     (17,) array
     """
     trails = z - state[SHAPED_Z]
-    if abs(trails) <= gains.heave_slack:
+    left = 1.0 - abs(trails) / gains.heave_slack
+    fastest = gains.heave_speed * left if left > 0.0 else 0.0
+    away = state[SHAPED_W] if trails < 0.0 else -state[SHAPED_W]
+    if left >= 0.0 and away <= fastest:
         return state
     new = state.copy()
-    new[SHAPED_Z], new[SHAPED_W] = z - math.copysign(gains.heave_slack, trails), 0.0
+    if left < 0.0:
+        new[SHAPED_Z] = z - math.copysign(gains.heave_slack, trails)
+    less = _clip(away - fastest, 0.0, 2.0 * gains.heave_acceleration * gains.period)
+    new[SHAPED_W] += -less if trails < 0.0 else less
     return new
 
 

@@ -369,10 +369,15 @@ class FixedControllers(Controllers):
         return Actuators(np.array(motors) / ONE, np.array(servos) / ONE)
 
     def _heave_wait(self, z: int) -> None:
-        slack = self._g["heave_yaw"]["slack"]
-        trails = z - _rounded(self._shaped["height"][0], 20)
-        if abs(trails) > slack:
-            self._shaped["height"] = [ONE * (z + slack if trails < 0 else z - slack), 0]
+        g, (value, rate) = self._g["heave_yaw"], self._shaped["height"]
+        slack, brake = g["slack"], 2 * _times(g["period"], g["height"]["acceleration"], 36)
+        trails = z - _rounded(value, 20)
+        left = slack - abs(trails)
+        fastest = 16 * (g["height"]["speed"] * max(left, 0) // slack)
+        less = _clip((rate if trails < 0 else -rate) - fastest, 0, brake)
+        if left < 0:
+            value = ONE * (z + slack if trails < 0 else z - slack)
+        self._shaped["height"] = [value, rate + (-less if trails < 0 else less)]
 
 
 def _shortened(v: list[int], limit: int) -> list[int]:

@@ -56,10 +56,18 @@ void heave_yaw_start(const heave_yaw_gains_t *g, heave_yaw_state_t *state, const
 void heave_wait(const heave_yaw_gains_t *g, heave_yaw_state_t *state, real_t z)
 {
     const real_t trails = z - state->shaped_z;
+    const real_t left = REAL(1.0) - (real_abs(trails) / g->heave_slack);
+    const real_t fastest = (left > REAL(0.0)) ? (g->heave_speed * left) : REAL(0.0);
+    const real_t away = (trails < REAL(0.0)) ? state->shaped_w : -state->shaped_w;
 
-    if (!(real_abs(trails) <= g->heave_slack)) {
+    if (left < REAL(0.0)) {
         state->shaped_z = z - real_with_sign(g->heave_slack, trails);
-        state->shaped_w = REAL(0.0);
+    }
+    if ((left < REAL(0.0)) || (away > fastest)) {
+        const real_t brake = (REAL(2.0) * g->heave_acceleration) * g->period;
+        const real_t less = real_clip(away - fastest, REAL(0.0), brake);
+
+        state->shaped_w += (trails < REAL(0.0)) ? -less : less;
     }
 }
 

@@ -125,11 +125,16 @@ void fixed_lift_off(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_
 static void wait_for_height(const fixed_heave_yaw_t *h, fixed_controllers_t *c, int32_t z)
 {
     const int64_t trails = z - fixed_rounded(c->height.value, 20U);
+    const int64_t left = h->slack - fixed_abs(trails);
+    const int64_t fastest = (left > 0) ? (((int64_t)h->height.speed * left) / h->slack) * 16 : 0;
+    const int64_t away = (trails < 0) ? c->height.rate : -(int64_t)c->height.rate;
+    const int64_t brake = 2 * fixed_times(h->period, h->height.acceleration, 36U);
+    const int64_t less = fixed_clip(away - fastest, 0, brake);
 
-    if (fixed_abs(trails) > h->slack) {
+    if (left < 0) {
         c->height.value = (int64_t)FIXED_ONE * ((trails < 0) ? ((int64_t)z + h->slack) : ((int64_t)z - h->slack));
-        c->height.rate = 0;
     }
+    c->height.rate += (int32_t)((trails < 0) ? -less : less);
 }
 
 static void drive_motors(const fixed_heave_yaw_t *h, fixed_controllers_t *c, const fixed_motion_t *now,
