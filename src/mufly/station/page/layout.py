@@ -240,7 +240,7 @@ def _dock(view: View, editor: MissionEditor) -> Callable[[], None]:
 
 
 def _right_tabs(view: View) -> None:
-    with ui.tabs().props("dense no-caps align=left").classes("mf-tabs") as tabs:
+    with ui.tabs().props("dense no-caps align=left").classes("mf-tabs mf-tabs-narrow") as tabs:
         checks, sensors, mission, messages = map(ui.tab, ("Checks", "Sensors", "Mission", "Messages"))
     recording = view.session.to_open is not None
     with ui.tab_panels(tabs, value=mission if recording else checks, animated=False).classes("mf-tab-panels"):

@@ -4,7 +4,7 @@ import { DEG, el, icon, number, put } from "./draw.js";
 
 export function mount(element) {
   element.classList.add("mf-column", "mf-mission");
-  let rows = [], current = undefined;
+  let rows = [], current = undefined, replay = false;
   const bar = el("div", { class: "mf-bar-fill" });
   const words = el("span", { class: "mf-dim" });
   const body = el("tbody");
@@ -30,6 +30,7 @@ export function mount(element) {
   }
   const panel = live.panel({ sections: ["mission"] }, (f) => {
     const at = f.s ? f.s.waypoint : current;
+    if (f.about) replay = Boolean(f.about.replay);
     if (f.new && !f.mission) rows = [];
     if (f.mission) rows = f.mission;
     if (f.mission || f.new || at !== current) {
