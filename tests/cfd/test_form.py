@@ -59,7 +59,7 @@ def test_every_form_is_a_closed_wall_in_a_positive_smooth_conformal_mesh(name: s
     found = quality(mesh)
     assert found.good
     assert found.open_cells < 1e-12
-    assert found.non_orthogonality_deg < (83.0 if "flap" in name else 80.0)  # where a flap ends above a hub
+    assert found.non_orthogonality_deg < 80.0
     assert found.skewness < 2.0
     # Each edge of the walls has a face on either side; a plate meets the blade with both of its sides; a hub goes on in
     # the next sector.

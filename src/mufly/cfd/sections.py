@@ -368,8 +368,9 @@ def _ring(loop: Array, edge: Array, shape: Shape, counts: Counts) -> Array:
     for _ in range(_SMOOTHED):
         normal = 0.25 * np.roll(normal, 1, axis=0) + 0.5 * normal + 0.25 * np.roll(normal, -1, axis=0)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    if shape.gurney[1]:
-        normal = (1 - shape.plain) * _about_flap(normal, loop, shape, counts) + shape.plain * normal
+    if shape.gurney[1] and not shape.plain:
+        # Not beside the blade, where sections change fast: above a hub it would slant the cells to 87 degrees.
+        normal = _about_flap(normal, loop, shape, counts)
     across = edge - loop
     far = np.linalg.norm(across, axis=1, keepdims=True)
     first = counts.wall * shape.chord_m / (OVER * shape.chord_m)
