@@ -1,27 +1,121 @@
 """Studies of the dissertation: which there are, what they claim, what is known to come out."""
 
+import importlib.util
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mufly.errors import InputError
-from mufly.thesis import CLAIMS, run_study, studies
-from mufly.thesis.claims import TABLE_3_3_VALUES
+from mufly.thesis import (
+    CLAIMS,
+    ITEMS,
+    Answer,
+    Claim,
+    Verdict,
+    answer,
+    item,
+    outcomes,
+    recall,
+    report,
+    run_study,
+    studies,
+    table_page,
+    totals,
+)
+from mufly.thesis.catalogue import _ROWS, FIGURES, TABLES
+from mufly.thesis.claims import TABLE_3_3_VALUES, Study
+from mufly.thesis.outcomes import STUDIES
 from mufly.thesis.single import SWEEPS
 
-SINGLE_ROTOR = [f"fig-3.{n}" for n in (7, 25, 26, 27, 28, 29, 30, 31, 32, 33, 34, 35, 36)] + ["table-3.3"]
+DOCS = Path(__file__).parents[2] / "docs"
 
 
-def test_every_study_of_the_sections_is_there() -> None:
-    assert {s.name for s in studies()} == {*SINGLE_ROTOR, "fig-3.43", "fig-3.44", "fig-3.45", "table-3.4"}
-    sections = [s.section for s in studies()]
-    assert sections == sorted(sections)
+def test_every_figure_and_table_is_in_the_catalogue_once() -> None:
+    figures = [f"fig-{c}.{k + 1}" for c, n in FIGURES.items() for k in range(n)]
+    tables = [f"table-{c}.{k + 1}" for c, n in TABLES.items() for k in range(n)]
+    assert len(figures) == 91
+    assert len(tables) == 7
+    assert set(ITEMS) == {*figures, *tables}
+    assert len(_ROWS) == len(ITEMS)
 
 
-def test_unknown_study_is_named() -> None:
-    with pytest.raises(InputError, match=r"fig-9\.9: is no study; use one of: fig-3\.7"):
+def test_each_result_has_a_study_and_all_else_a_line() -> None:
+    assert {i.name for i in studies()} == set(STUDIES)
+    for i in ITEMS.values():
+        assert bool(i.stands) == (i.kind != "result"), i.name
+        assert i.section[0] == i.name.partition("-")[2][0]
+    for i in ITEMS.values():
+        for page in re.findall(r"docs/([\w-]+\.md)", i.stands):
+            assert (DOCS / page).is_file(), f"{i.name} names {page}"
+
+
+@pytest.mark.parametrize("text", ["fig-3.26", "3.26", "Fig. 3.26", "figure 3.26"])
+def test_a_figure_is_found_as_people_write_it(text: str) -> None:
+    assert item(text).name == "fig-3.26"
+
+
+def test_unknown_study_is_named_and_a_photograph_is_no_study() -> None:
+    with pytest.raises(InputError, match=r"fig-9\.9: is no figure or table"):
         run_study("fig-9.9")
+    with pytest.raises(InputError, match=r"fig-2\.2: is a photograph.*mufly thesis show fig-2\.2"):
+        run_study("fig-2.2")
+    with pytest.raises(InputError, match="takes no case"):
+        run_study("fig-2.4", case=DOCS)
+
+
+def test_answers_are_kept_until_sources_change_and_taken_over(tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("MUFLY_CACHE", str(tmp_path / "cache"))
+    assert recall("fig-2.4").word == "not run"
+    assert recall("fig-2.2").word == "stands for it"
+    first = answer("fig-2.4")
+    assert first.word == "agrees"
+    assert first.picture is not None
+    monkeypatch.setitem(outcomes.STUDIES, "fig-2.4", Study(lambda _: pytest.fail("computed again"), 0.0))
+    assert answer("fig-2.4").verdicts == first.verdicts
+    other = answer("fig-2.4", tmp_path / "own")
+    assert other.picture == tmp_path / "own" / "fig-2.4.png"
+    note = tmp_path / "own" / "fig-2.4.json"
+    note.write_text(note.read_text()[:-20])  # cut off
+    assert not recall("fig-2.4", tmp_path / "own").known
+    monkeypatch.setattr(outcomes, "digest", lambda name: "other sources")
+    assert recall("fig-2.4").word == "not run"
+
+
+def test_words_follow_from_the_verdicts() -> None:
+    def word(*agree: bool, lacking: str = "") -> str:
+        verdicts = tuple(Verdict(Claim("Fig. 2.4", "x"), "m", "1", a, "r") for a in agree)
+        return Answer(ITEMS["fig-2.4"], verdicts, lacking=lacking, known=True).word
+
+    assert [word(True, True), word(True, False), word(False)] == ["agrees", "in part", "DIFFERS"]
+    assert [word(), word(True, lacking="CFD")] == ["drawn", "needs CFD"]
+
+
+def test_the_report_holds_its_pictures_and_all_items(tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("MUFLY_CACHE", str(tmp_path))
+    answers = [answer(n) if n in ("fig-2.4", "fig-6.18") else recall(n) for n in ITEMS]
+    page = report(answers)
+    assert page.count("data:image/png;base64,") == 2
+    assert all(f"id='{n}'" in page for n in ITEMS)
+    assert not re.search(r"(src|href)='(?!data:|#)", page)
+
+
+def test_the_page_of_the_documents_is_that_of_the_kept_answers() -> None:
+    spec = importlib.util.spec_from_file_location("make_thesis_page", DOCS / "make_thesis_page.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    kept = module.kept()
+    assert module.PAGE.read_text(encoding="utf-8") == table_page(kept), "run python docs/make_thesis_page.py"
+    assert [r["name"] for r in kept] == list(ITEMS)
+    assert "not run" not in totals(kept)
+    by_name = {r["name"]: r for r in kept}
+    # The quick ones are computed: what stands on the page is what comes out today.
+    for name in ("fig-2.4", "fig-3.17", "fig-4.4", "fig-6.16", "fig-6.18", "table-5.1"):
+        assert [v.line() for v in run_study(name).verdicts] == by_name[name]["verdicts"], (
+            f"{name}: run python docs/make_thesis_page.py"
+        )
 
 
 def test_gear_study_agrees_at_the_voltage_of_the_linear_model() -> None:

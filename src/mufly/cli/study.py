@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from mufly.study.parameters import Parameter, Value
-    from mufly.thesis import Outcome
+    from mufly.thesis import Answer
 
 _SHOWN = 40  # rows of a sweep in the terminal
 
@@ -439,58 +439,131 @@ thesis_commands = Commands(
 )
 
 
-@thesis_commands.command("list")
-def list_studies(as_json: JsonOption = False) -> None:
-    """List the studies that can be repeated."""
-    from mufly.thesis import studies
+_Name = Annotated[str, argument("NAME", "A name of `mufly thesis list`, as fig-3.26 or table-5.3.")]
+_Kept = Annotated[
+    Path | None,
+    option(
+        "--out DIR", "Keep picture, tables and verdicts there too; a run that was stopped goes on from them."
+    ),
+]
 
+
+@thesis_commands.command("list")
+def list_thesis(as_json: JsonOption = False) -> None:
+    """List the dissertation's 91 figures and 7 tables, each with the verdict on it as far as it has run."""
+    from mufly.thesis import ITEMS, recall, totals
+
+    answers = [recall(name) for name in ITEMS]
     if as_json:
-        print_json([vars(s) for s in studies()])
+        print_json([a.to_dict() for a in answers])
         return
     print_table(
-        ("name", "section", "title"), [(s.name, s.section, s.title) for s in studies()], text=(0, 1, 2)
+        ("name", "kind", "section", "verdict", "agree", "title"),
+        [(a.item.name, a.item.kind, a.item.section, a.word, a.share, a.item.title) for a in answers],
+        text=(0, 1, 2, 3, 4, 5),
     )
+    console().print(", ".join(f"{n} {word}" for word, n in totals(answers).items()) + ".", highlight=False)
 
 
 @thesis_commands.command("run")
 def run_thesis(
-    name: Annotated[str, argument("NAME|all", "A study that `mufly thesis list` names, or all.")],
-    out: Annotated[Path | None, option("--out DIR", "Write picture, tables and verdicts there.")] = None,
+    name: Annotated[str, argument("NAME|all", "A name of `mufly thesis list`, or all.")],
+    out: _Kept = None,
+    case: Annotated[
+        Path | None,
+        option(
+            "--case DIR", "A solved CFD case, or a folder of several, for fig-3.22, fig-3.23 and fig-3.24."
+        ),
+    ] = None,
+    again: Annotated[bool, option("--again", "Compute what is kept, too.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a study: a line for every claim of the dissertation, with our numbers and the rule of agreement.
+    """Repeat a figure or table: a line for every claim of the dissertation, with our numbers and the rule of agreement.
 
-    Each study is computed with our corrections and with the theory as the dissertation has it, so that a
-    difference can be traced to the one or the other.
+    What was computed is kept (MUFLY_CACHE, or the user's cache folder) until its sources change, so `run all` that was
+    stopped goes on; it takes the quick ones first. Rotor studies are computed with our corrections and with the theory
+    as the dissertation has it, so that a difference can be traced to the one or the other.
 
-    Examples: mufly thesis run fig-3.26; mufly thesis run all --out thesis
+    Examples: mufly thesis run fig-3.26; mufly thesis run all --out thesis; mufly thesis run fig-3.23 --case DIR
     """
-    from mufly.thesis import run_study, studies
+    from mufly.thesis import ITEMS, answer, cheap_first, item, recall, totals
 
-    names = [s.name for s in studies()] if name == "all" else [name]
+    if name == "all" and case is not None:
+        raise InputError("thesis", "--case", "goes with one figure", "mufly thesis run fig-3.23 --case DIR")
+    names = cheap_first() if name == "all" else [item(name).name]
     answers: list[dict[str, Any]] = []
-    for one in names:
-        with progress_bar(one, not as_json) as progress:
-            outcome = run_study(one, progress)
-        files = outcome.write(out) if out is not None else []
-        answers.append({**outcome.to_dict(), "files": [str(f) for f in files]})
+    for k, one in enumerate(names):
+        count = f"{k + 1} of {len(names)}: " if len(names) > 1 else ""
+        with progress_bar(f"{count}{one}", not as_json) as progress:
+            found = answer(one, out, progress, case=case, again=again)
+        answers.append(found.to_dict())
         if not as_json:
-            _print_outcome(outcome, files)
+            _print_answer(found)
     if as_json:
         print_json(answers if name == "all" else answers[0])
     elif name == "all":
-        every = [v["agrees"] for a in answers for v in a["verdicts"]]
-        console().print(f"[bold]{sum(every)} of {len(every)} verdicts agree.[/bold]")
+        agree, every = sum(a["agree"] for a in answers), sum(len(a["verdicts"]) for a in answers)
+        words = ", ".join(f"{n} {w}" for w, n in totals([recall(i, out) for i in ITEMS]).items())
+        console().print(f"[bold]{words}. {agree} of {every} verdicts agree.[/bold]")
 
 
-def _print_outcome(outcome: Outcome, files: list[Path]) -> None:
+@thesis_commands.command("show")
+def show_thesis(name: _Name, as_json: JsonOption = False) -> None:
+    """Show a figure or table: what is printed, ours, the verdict and where our picture is; it is computed if need be.
+
+    Example: mufly thesis show fig-6.11
+    """
+    from mufly.thesis import answer, recall
+
+    found = recall(name)
+    if not found.known:
+        with progress_bar(found.item.name, not as_json) as progress:
+            found = answer(name, None, progress)
+    if as_json:
+        print_json(found.to_dict())
+    else:
+        _print_answer(found)
+
+
+@thesis_commands.command("report")
+def report_thesis(
+    out: Annotated[Path, option("--out FILE", "The page, as thesis.html.")],
+    from_folder: Annotated[
+        Path | None,
+        option("--from DIR", "A folder that `mufly thesis run all --out` wrote, instead of the cache."),
+    ] = None,
+) -> None:
+    """Write one page of HTML with every figure and table, verdicts and our pictures; it needs no other file.
+
+    What has not run yet is said to be so: run `mufly thesis run all` before.
+
+    Example: mufly thesis report --out thesis.html
+    """
+    from mufly.thesis import ITEMS, recall, report, totals
+
+    answers = [recall(name, from_folder) for name in ITEMS]
+    try:
+        out.write_text(report(answers), encoding="utf-8")
+    except OSError as error:
+        raise InputError(
+            str(out), "", f"cannot be written ({error.strerror})", "give another file"
+        ) from error
+    tell_files([out])
+    console().print(", ".join(f"{n} {word}" for word, n in totals(answers).items()) + ".", highlight=False)
+
+
+def _print_answer(found: Answer) -> None:
     c = console()
-    c.print(f"[bold]{outcome.name}[/bold]  {outcome.title}", highlight=False)
-    for verdict in outcome.verdicts:
+    i = found.item
+    share = f" ({found.share})" if found.share else ""
+    c.print(f"[bold]{i.name}[/bold]  {i.title}  [bold]{found.word}{share}[/bold]", highlight=False)
+    if i.kind != "result":
+        c.print(f"  A {i.kind}. For it stands: {i.stands}.", highlight=False, markup=False)
+    for verdict in found.verdicts:
         c.print(
             f"  {verdict.line()}", style=None if verdict.agrees else "yellow", highlight=False, markup=False
         )
-    if not outcome.verdicts:
-        c.print("  contours only; --out draws them", style="dim")
-    for file in files:
-        c.print(f"  Written: {file}", style="dim", highlight=False)
+    if found.note:
+        c.print(f"  {found.note}", style="dim", highlight=False, markup=False)
+    if found.picture is not None:
+        c.print(f"  Picture: {found.picture}", style="dim", highlight=False, markup=False)

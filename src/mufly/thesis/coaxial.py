@@ -47,10 +47,17 @@ def _blade() -> Blading:
     return prepare(load_rotor("naca0012-r60-c20"))
 
 
+_SOLVED: dict[tuple[str, _Point], Result] = {}
+"""Pairs solved with the default settings: Figs 3.6 and 3.43 to 3.45 have some in common, and a wake takes long."""
+
+
 def _pair(
     model: str, blade: Blading, point: _Point, settings: WakeSettings | None, known: Result | None
 ) -> tuple[Result | None, str]:
     """Both rotors, or what went wrong."""
+    kept = _SOLVED.get((model, point)) if settings is None else None
+    if kept is not None:
+        return kept, ""
     pitch = (math.radians(PITCH_DEG), math.radians(point.lower_pitch_deg))
     speed = (point.upper_rpm * RPM, None if point.balance else point.lower_rpm * RPM)
     try:
@@ -58,7 +65,25 @@ def _pair(
         found = solve(pair, Condition(pitch, speed), _METHOD[model], settings=settings, start=known)
     except MuflyError as error:
         return None, str(error)
-    return (found, "") if found.converged else (None, found.message)
+    if not found.converged:
+        return None, found.message
+    if settings is None:
+        _SOLVED[model, point] = found
+    return found, ""
+
+
+def equal_pair() -> Result:
+    """Return the pair at 14 degrees, both rotors at 6 000 rpm, 20 mm apart, by the wake method.
+
+    Raises
+    ------
+    MuflyError
+        If it does not converge.
+    """
+    found, fault = _pair("wake", _blade(), _Point(), None, None)
+    if found is None:
+        raise MuflyError(fault)
+    return found
 
 
 def _solve(

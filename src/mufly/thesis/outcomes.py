@@ -1,44 +1,51 @@
-"""Named studies: tables and figures of the dissertation, repeated, with a verdict on each of their claims."""
+"""Named studies: tables and figures of the dissertation, repeated, with a verdict on each of their claims.
+
+What a study gives is kept in a folder, the user's cache or one of their own, under a digest of the sources that it
+rests on (:func:`mufly.compiled.sources_of`): it is computed anew when they change, and only then. So a run of all that
+was stopped goes on where it was.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
+import math
+import os
+import shutil
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
+import platformdirs
 import xarray as xr
 
+from mufly.compiled import sources_of
 from mufly.errors import InputError
 from mufly.study import TABLE_3_3, write_results
-from mufly.study.sweeps import Progress
-from mufly.thesis import coaxial, pictures
-from mufly.thesis import coaxial as coaxial_verdicts
-from mufly.thesis import pictures as coaxial_pictures
-from mufly.thesis.claims import Verdict
-from mufly.thesis.single import (
-    SECTIONS,
-    SWEEPS,
-    airfoil_ranking,
-    coefficients_over_speed,
-    muflys_gear,
-    run_sweep,
+from mufly.thesis import (
+    airframe,
+    coaxial,
+    flows,
+    identification,
+    loops,
+    missions,
+    pictures,
+    rotors,
+    single,
+    wakes,
 )
+from mufly.thesis.catalogue import ITEMS, Item, item
+from mufly.thesis.claims import Claim, Found, Progress, Study, Verdict
+from mufly.version import __version__
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MODELS_RUN = ("full", "thesis")
-
-
-@dataclass(frozen=True)
-class StudyName:
-    """One line of the list of studies."""
-
-    name: str
-    title: str
-    section: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +56,13 @@ class Outcome:
     ----------
     name, title : str
     data : mapping
-        Model to results; empty where only contours are drawn.
+        Model to results; empty where nothing but a picture is drawn.
     verdicts : sequence of Verdict
     figure : Figure
+    note, lacking : str
+        As in :class:`mufly.thesis.claims.Found`.
+    seconds : float
+        How long it took.
     """
 
     name: str
@@ -59,6 +70,9 @@ class Outcome:
     data: Mapping[str, xr.Dataset]
     verdicts: Sequence[Verdict]
     figure: Figure
+    note: str = ""
+    lacking: str = ""
+    seconds: float = math.nan
 
     def write(self, folder: str | Path) -> list[Path]:
         """Write picture, tables (NetCDF, CSV) and ``NAME.json`` with the verdicts; return the files.
@@ -69,159 +83,216 @@ class Outcome:
             If the folder cannot be written.
         """
         target = Path(folder)
+        picture, note = target / f"{self.name}.png", target / f"{self.name}.json"
         files: list[Path] = []
         try:
             target.mkdir(parents=True, exist_ok=True)
-            picture, note = target / f"{self.name}.png", target / f"{self.name}.json"
-            self.figure.savefig(picture, dpi=150)
-            note.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
+            self.figure.savefig(picture, dpi=110)
         except OSError as error:
             raise InputError(
                 str(folder), "", f"cannot be written ({error})", "give another folder"
             ) from error
         for model, data in self.data.items():
             files += write_results(data, target, f"{self.name}-{model}" if len(self.data) > 1 else self.name)
+        # Last, and whole or not at all: where it stands, so does the rest.
+        part = note.with_suffix(".part")
+        part.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
+        os.replace(part, note)
         return [picture, note, *files]
 
-    def to_dict(self) -> dict[str, object]:
-        """Return name, title and verdicts; a claim without a number has the value null."""
+    def to_dict(self) -> dict[str, Any]:
+        """Return all but data and picture; a claim without a number has the value null."""
         verdicts = []
         for v in self.verdicts:
             content = asdict(v)
             if content["claim"]["value"] != content["claim"]["value"]:
                 content["claim"]["value"] = None
             verdicts.append(content)
-        return {"name": self.name, "title": self.title, "verdicts": verdicts}
+        return {
+            "name": self.name,
+            "title": self.title,
+            "verdicts": verdicts,
+            "note": self.note,
+            "lacking": self.lacking,
+            "seconds": None if math.isnan(self.seconds) else round(self.seconds, 2),
+            "version": __version__,
+            "digest": digest(self.name),
+        }
 
 
-def _sweep(name: str, progress: Progress | None) -> Outcome:
-    study = SWEEPS[name]
-    data, verdicts = {}, []
-    for k, model in enumerate(MODELS_RUN):
-        data[model], found = run_sweep(study, model)
-        verdicts += found
+@dataclass(frozen=True)
+class Answer:
+    """What is known of a figure or table: its item, and what its study found if it has run.
+
+    Attributes
+    ----------
+    item : Item
+    verdicts : tuple of Verdict
+    note, lacking : str
+    seconds : float
+        How long the study took; nan if it has not run.
+    picture : Path or None
+        Ours.
+    known : bool
+        Whether there is an answer: a study that has run, or an item that needs none.
+    """
+
+    item: Item
+    verdicts: tuple[Verdict, ...] = ()
+    note: str = ""
+    lacking: str = ""
+    seconds: float = math.nan
+    picture: Path | None = None
+    known: bool = False
+
+    @property
+    def word(self) -> str:
+        """The verdict in a word or two."""
+        if self.item.kind != "result":
+            return "stands for it"
+        if not self.known:
+            return "not run"
+        if self.lacking:
+            return f"needs {self.lacking}"
+        agree = sum(v.agrees for v in self.verdicts)
+        if not self.verdicts:
+            return "drawn"
+        return "agrees" if agree == len(self.verdicts) else "in part" if agree else "DIFFERS"
+
+    @property
+    def share(self) -> str:
+        """How many verdicts agree, as ``3 of 4``; "" without any."""
+        return f"{sum(v.agrees for v in self.verdicts)} of {len(self.verdicts)}" if self.verdicts else ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and text."""
+        i = self.item
+        return {
+            "name": i.name, "kind": i.kind, "section": i.section, "title": i.title, "stands": i.stands,
+            "word": self.word, "agree": sum(v.agrees for v in self.verdicts),
+            "verdicts": [v.line() for v in self.verdicts],
+            "note": self.note, "seconds": None if math.isnan(self.seconds) else self.seconds, "command": i.command,
+            "picture": None if self.picture is None else str(self.picture),
+        }  # fmt: skip
+
+
+# ----------------------------------------------------------------------------
+# Studies of one rotor and of pairs, each with several models: their computation as a Study.
+
+
+def _steps(progress: Progress | None, k: int, n: int) -> Progress:
+    """Progress of the k-th of n parts."""
+
+    def step(done: int, total: int) -> None:
         if progress is not None:
-            progress(k + 1, len(MODELS_RUN))
-    return Outcome(
-        name, study.title, data, verdicts, pictures.pitch_figure(data, f"{_where(name)}: {study.title}")
-    )
+            progress(done + k * total, n * total)
+
+    return step
 
 
-def _gear(name: str, progress: Progress | None) -> Outcome:
-    data, verdicts = muflys_gear()
-    title = "Gear ratio of muFly's drive"
-    return Outcome(
-        name, title, {"constant": data}, verdicts, pictures.gear_figure(data, f"{_where(name)}: {title}")
-    )
-
-
-def _coefficients(name: str, progress: Progress | None) -> Outcome:
-    data, verdicts = {}, []
-    for model in MODELS_RUN:
-        data[model], found = coefficients_over_speed(model)
+def _models(
+    models: Sequence[str],
+    compute: Callable[[str, Progress], tuple[xr.Dataset, list[Verdict]]],
+    draw: Callable[[dict[str, xr.Dataset]], Figure],
+    progress: Progress | None,
+) -> Found:
+    data: dict[str, xr.Dataset] = {}
+    verdicts: list[Verdict] = []
+    for k, model in enumerate(models):
+        data[model], found = compute(model, _steps(progress, k, len(models)))
         verdicts += found
-    title = "Coefficients over the speed"
-    return Outcome(
-        name, title, data, verdicts, pictures.coefficients_figure(data, f"{_where(name)}: {title}")
+    return Found(verdicts, draw(data), data)
+
+
+def _heading(name: str) -> str:
+    return f"{ITEMS[name].where}: {ITEMS[name].title}"
+
+
+def _sweep(name: str, progress: Progress | None) -> Found:
+    def compute(model: str, step: Progress) -> tuple[xr.Dataset, list[Verdict]]:
+        found = single.run_sweep(single.SWEEPS[name], model)
+        step(1, 1)
+        return found
+
+    return _models(MODELS_RUN, compute, lambda d: pictures.pitch_figure(d, _heading(name)), progress)
+
+
+def _gear(name: str, progress: Progress | None) -> Found:
+    data, verdicts = single.muflys_gear()
+    return Found(verdicts, pictures.gear_figure(data, _heading(name)), {"constant": data})
+
+
+def _coefficients(name: str, progress: Progress | None) -> Found:
+    return _models(
+        MODELS_RUN,
+        lambda model, _: single.coefficients_over_speed(model),
+        lambda d: pictures.coefficients_figure(d, _heading(name)),
+        progress,
     )
 
 
-def _ranking(name: str, progress: Progress | None) -> Outcome:
-    data, verdicts = {}, []
-    for k, model in enumerate(MODELS_RUN):
-        offset = k
-
-        def step(done: int, total: int, offset: int = offset) -> None:
-            if progress is not None:
-                progress(done + offset * total, len(MODELS_RUN) * total)
-
-        data[model], found = airfoil_ranking(model, step)
-        verdicts += found
-    title = "247 airfoils on the standard blade"
-    return Outcome(
-        name, title, data, verdicts, pictures.ranking_figure(data, TABLE_3_3, f"{_where(name)}: {title}")
+def _ranking(name: str, progress: Progress | None) -> Found:
+    return _models(
+        MODELS_RUN,
+        single.airfoil_ranking,
+        lambda d: pictures.ranking_figure(d, TABLE_3_3, _heading(name)),
+        progress,
     )
 
 
-# Name -> title, computation, verdicts, picture.
-_PAIRS: dict[str, tuple[str, Callable[..., xr.Dataset], Callable[..., list[Verdict]], Callable[..., Figure]]] = {
-    "fig-3.43": (
-        "Coaxial pair at equal speeds", coaxial.equal_speeds, coaxial_verdicts.judge_equal_speeds,
-        coaxial_pictures.equal_speeds_figure,
-    ),
-    "fig-3.44": (
-        "Coaxial pair, one speed kept", coaxial.one_speed_kept, coaxial_verdicts.judge_kept_speed,
-        coaxial_pictures.kept_speed_figure,
-    ),
-    "table-3.4": (
-        "Coaxial pair with equal torques", coaxial.torque_balance, coaxial_verdicts.judge_balance,
-        coaxial_pictures.balance_figure,
-    ),
-    "fig-3.45": (
-        "Distance of the rotors of a pair", coaxial.distances, coaxial_verdicts.judge_distances,
-        coaxial_pictures.distances_figure,
-    ),
+def _sections(name: str, progress: Progress | None) -> Found:
+    return Found([], pictures.sections_figure(single.SECTIONS[name][1], _heading(name)))
+
+
+# Name -> computation, verdicts, picture, seconds.
+_PAIRS: dict[str, tuple[Callable[..., xr.Dataset], Callable[..., list[Verdict]], Callable[..., Figure], float]] = {
+    "fig-3.43": (coaxial.equal_speeds, coaxial.judge_equal_speeds, pictures.equal_speeds_figure, 120),
+    "fig-3.44": (coaxial.one_speed_kept, coaxial.judge_kept_speed, pictures.kept_speed_figure, 250),
+    "table-3.4": (coaxial.torque_balance, coaxial.judge_balance, pictures.balance_figure, 300),
+    "fig-3.45": (coaxial.distances, coaxial.judge_distances, pictures.distances_figure, 400),
 }  # fmt: skip
 
 
-def _pair(name: str, progress: Progress | None) -> Outcome:
-    title, compute, judge, draw = _PAIRS[name]
-    data, verdicts = {}, []
-    for k, model in enumerate(coaxial.COAXIAL_MODELS):
-        offset = k
+def _pair(name: str, progress: Progress | None) -> Found:
+    compute, judge, draw, _ = _PAIRS[name]
 
-        def step(done: int, total: int, offset: int = offset) -> None:
-            if progress is not None:
-                progress(done + offset * total, len(coaxial.COAXIAL_MODELS) * total)
+    def one(model: str, step: Progress) -> tuple[xr.Dataset, list[Verdict]]:
+        data = compute(model, progress=step)
+        return data, judge(model, data)
 
-        data[model] = compute(model, progress=step)
-        verdicts += judge(model, data[model])
-    return Outcome(name, title, data, verdicts, draw(data, f"{_where(name)}: {title}"))
+    return _models(coaxial.COAXIAL_MODELS, one, lambda d: draw(d, _heading(name)), progress)
 
 
-def _sections(name: str, progress: Progress | None) -> Outcome:
-    title, names = SECTIONS[name]
-    return Outcome(name, title, {}, [], pictures.sections_figure(names, f"{_where(name)}: {title}"))
+def _of(
+    function: Callable[[str, Progress | None], Found], names: Sequence[str], cost_s: float
+) -> dict[str, Study]:
+    return {name: Study(partial(function, name), cost_s) for name in names}
 
 
-def _where(name: str) -> str:
-    kind, _, number = name.partition("-")
-    return f"{'Fig.' if kind == 'fig' else 'Table'} {number}"
-
-
-_Runner = Callable[[str, Progress | None], Outcome]
-_STUDIES: dict[str, tuple[str, str, _Runner]] = {
-    "fig-3.7": ("Gear ratio of muFly's drive", "3.1.4", _gear),
-    "fig-3.25": ("Coefficients over the speed", "3.3.4", _coefficients),
-    **{
-        name: (study.title, section, _sweep)
-        for (name, study), section in zip(
-            SWEEPS.items(),
-            ("3.4.1", "3.4.2", "3.4.2", "3.4.3", "3.4.3", "3.4.3", "3.4.4", "3.4.4"),
-            strict=True,
-        )
-    },
-    **{name: (title, "3.4.3", _sections) for name, (title, _) in SECTIONS.items()},
-    "table-3.3": ("247 airfoils on the standard blade", "3.4.3", _ranking),
-    **{name: (entry[0], "3.4.7", _pair) for name, entry in _PAIRS.items()},
+_OLDER: dict[str, Study] = {
+    **_of(_sections, tuple(single.SECTIONS), 0.2),
+    **_of(_gear, ("fig-3.7",), 0.5),
+    **_of(_coefficients, ("fig-3.25",), 1),
+    **_of(_sweep, tuple(single.SWEEPS), 2),
+    **_of(_ranking, ("table-3.3",), 20),
+    **{name: Study(partial(_pair, name), entry[3]) for name, entry in _PAIRS.items()},
 }
+_MODULES: tuple[ModuleType, ...] = (airframe, rotors, wakes, flows, identification, loops, missions)
+STUDIES: dict[str, Study] = {**_OLDER, **{k: s for m in _MODULES for k, s in m.STUDIES.items()}}
+"""Name -> study, for every item that is a result."""
 
 
-def studies() -> list[StudyName]:
-    """Return the names of all studies, in the order of the dissertation."""
-    rows = [StudyName(name, title, section) for name, (title, section, _) in _STUDIES.items()]
-    return sorted(
-        rows,
-        key=lambda s: ([int(n) for n in s.section.split(".")], s.name.partition("-")[0], _number(s.name)),
-    )
+def studies() -> list[Item]:
+    """Return all figures and tables that have a study, in the order of the dissertation."""
+    return [i for i in ITEMS.values() if i.kind == "result"]
 
 
-def _number(name: str) -> tuple[int, int]:
-    chapter, _, figure = name.partition("-")[2].partition(".")
-    return int(chapter), int(figure)
+def cheap_first() -> list[str]:
+    """Return the names of all studies, the quick ones first."""
+    return sorted(STUDIES, key=lambda name: STUDIES[name].cost_s)
 
 
-def run_study(name: str, progress: Progress | None = None) -> Outcome:
+def run_study(name: str, progress: Progress | None = None, *, case: Path | None = None) -> Outcome:
     """Run a study by name.
 
     Parameters
@@ -230,12 +301,121 @@ def run_study(name: str, progress: Progress | None = None) -> Outcome:
         One that :func:`studies` lists, as ``"fig-3.26"``.
     progress : callable, optional
         ``progress(done, total)``.
+    case : Path, optional
+        Folder of a solved CFD case, or of several, for Figs 3.22 to 3.24.
 
     Raises
     ------
     InputError
-        If there is no such study.
+        If there is no such figure or table, or it is no result.
     """
-    if name not in _STUDIES:
-        raise InputError("thesis", name, "is no study", f"use one of: {', '.join(s.name for s in studies())}")
-    return _STUDIES[name][2](name, progress)
+    of = item(name)
+    if of.name not in STUDIES:
+        raise InputError("thesis", of.name, f"is a {of.kind}, not a result", f"mufly thesis show {of.name}")
+    began = time.perf_counter()
+    found = STUDIES[of.name].compute(progress) if case is None else flows.with_case(of.name, case)
+    return Outcome(
+        of.name, of.title, found.data, found.verdicts, found.figure, found.note, found.lacking,
+        time.perf_counter() - began,
+    )  # fmt: skip
+
+
+# ----------------------------------------------------------------------------
+# What was computed is kept.
+
+
+@cache
+def _digest_of(file: Path) -> str:
+    found = hashlib.sha256()
+    for path in sources_of(file):
+        found.update(path.read_bytes() + b"\0")
+    root = Path(__file__).resolve().parents[1]
+    for path in sorted(root.glob("*/builtin/*.toml")) + sorted(root.glob("vehicle/maps/*.toml")):
+        found.update(path.read_bytes() + b"\0")
+    return found.hexdigest()[:16]
+
+
+def digest(name: str) -> str:
+    """Return a hash of the sources that a study rests on, and of the built-in vehicles, rotors and missions."""
+    module = next((m for m in _MODULES if name in m.STUDIES), coaxial if name in _PAIRS else single)
+    own = _digest_of(Path(str(module.__file__)))
+    return own if name not in _OLDER else f"{own}-{_digest_of(Path(pictures.__file__))[:8]}"
+
+
+def kept_folder() -> Path | None:
+    """Return the user's folder of kept studies; None where ``MUFLY_CACHE`` is ``off``."""
+    chosen = os.environ.get("MUFLY_CACHE", "")
+    if chosen.lower() == "off":
+        return None
+    return (Path(chosen) if chosen else platformdirs.user_cache_path("mufly")) / "thesis"
+
+
+def recall(name: str, folder: Path | None = None) -> Answer:
+    """Return what a folder, by default the user's, keeps of a figure or table; not ``known`` if nothing, or old."""
+    of = item(name)
+    if of.kind != "result":
+        return Answer(of, known=True)
+    place = kept_folder() if folder is None else folder
+    if place is None:
+        return Answer(of)
+    try:
+        content = json.loads((place / f"{of.name}.json").read_text(encoding="utf-8"))
+        if content.get("digest") != digest(of.name):
+            return Answer(of)
+        verdicts = tuple(
+            Verdict(Claim(**{**v["claim"], "value": math.nan if v["claim"]["value"] is None else v["claim"]["value"]}),
+                    v["model"], v["ours"], bool(v["agrees"]), v["rule"])
+            for v in content["verdicts"]
+        )  # fmt: skip
+        seconds = math.nan if content.get("seconds") is None else float(content["seconds"])
+        note, lacking = str(content.get("note", "")), str(content.get("lacking", ""))
+    except (OSError, ValueError, KeyError, TypeError):
+        return Answer(of)
+    picture = place / f"{of.name}.png"
+    return Answer(of, verdicts, note, lacking, seconds, picture if picture.is_file() else None, True)
+
+
+def answer(
+    name: str,
+    folder: Path | None = None,
+    progress: Progress | None = None,
+    *,
+    case: Path | None = None,
+    again: bool = False,
+) -> Answer:
+    """Return the answer to a figure or table, computed unless it is kept.
+
+    Parameters
+    ----------
+    name : str
+    folder : Path, optional
+        Where answers are kept, instead of the user's cache. What the cache holds is taken over.
+    progress, case : optional
+        As for :func:`run_study`; with a case it is computed in any event.
+    again : bool
+        Compute it even if it is kept.
+
+    Raises
+    ------
+    InputError
+        If there is no such figure or table.
+    """
+    of, cached = item(name), kept_folder()
+    place = folder if folder is not None else cached
+    if not again and case is None:
+        found = recall(of.name, place)
+        if found.known:
+            return found
+        if folder is not None and cached is not None and recall(of.name, cached).known:
+            folder.mkdir(parents=True, exist_ok=True)
+            for file in sorted(cached.glob(f"{of.name}*")):
+                if file.stem == of.name or file.stem.startswith(f"{of.name}-"):
+                    shutil.copyfile(file, folder / file.name)
+            return recall(of.name, folder)
+    outcome = run_study(of.name, progress, case=case)
+    if place is not None:
+        outcome.write(place)
+        if folder is not None and cached is not None and case is None:
+            outcome.write(cached)
+        return recall(of.name, place)
+    return Answer(of, tuple(outcome.verdicts), outcome.note, outcome.lacking, outcome.seconds, None, True)

@@ -19,7 +19,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.drive import RotorLoad, coefficient_load, gear_curve, gear_optima, load_drive
-from mufly.rotor import load_rotor
+from mufly.rotor import Rotor, load_rotor
 from mufly.study import MODELS, TABLE_3_3, Setup, rank_airfoils, sweep, thesis_airfoils
 from mufly.study.sweeps import Progress
 from mufly.thesis.claims import CLAIMS, TABLE_3_3_VALUES, Verdict
@@ -57,10 +57,10 @@ class SweepStudy:
     judge: Judge
 
 
-def standard_setup(model: str, *, flags: bool = False) -> Setup:
-    """Return the standard blade on muFly's drive at 0.4 N with adapted gear."""
+def standard_setup(model: str, rotor: str | Rotor = "naca4412-r60-c20", *, flags: bool = False) -> Setup:
+    """Return the standard blade, or another rotor, on muFly's drive at 0.4 N with adapted gear."""
     return Setup(
-        load_rotor("naca4412-r60-c20"),
+        load_rotor(rotor) if isinstance(rotor, str) else rotor,
         load_drive("mufly"),
         {"thrust": THRUST_N, "gear": "adapted"},
         corrections=MODELS[model],

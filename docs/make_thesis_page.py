@@ -1,0 +1,44 @@
+"""Write docs/thesis.md, the page of all figures and tables of the dissertation, from the answers in docs/thesis.json.
+
+    python docs/make_thesis_page.py               # what has not run, or has changed, is computed first: minutes
+    python docs/make_thesis_page.py --as-kept     # only the page, from docs/thesis.json as it is
+
+docs/thesis.json holds what the studies found, so that a test can see whether the page is that of these answers, and
+whether there is an answer to every study, without computing the long ones.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from mufly.thesis import ITEMS, answer, cheap_first, recall, table_page, totals
+
+PAGE = Path(__file__).with_name("thesis.md")
+KEPT = Path(__file__).with_name("thesis.json")
+_LEFT_OUT = ("picture", "seconds")  # of this machine, not of the studies
+
+
+def kept() -> list[dict[str, Any]]:
+    """Return the answers that the page is made of."""
+    return json.loads(KEPT.read_text(encoding="utf-8"))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--as-kept", action="store_true")
+    if not parser.parse_args().as_kept:
+        for name in cheap_first():
+            sys.stderr.write(f"{answer(name).item.name}\n")
+        rows = [recall(name).to_dict() for name in ITEMS]
+        plain = [{k: v for k, v in row.items() if k not in _LEFT_OUT} for row in rows]
+        KEPT.write_text(json.dumps(plain, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    PAGE.write_text(table_page(kept()), encoding="utf-8")
+    sys.stdout.write(f"{PAGE.name}: {totals(kept())}\n")
+
+
+if __name__ == "__main__":
+    main()
