@@ -66,7 +66,9 @@ def test_unknown_study_is_named_and_a_photograph_is_no_study() -> None:
         run_study("fig-2.4", case=DOCS)
 
 
-def test_answers_are_kept_until_sources_change_and_taken_over(tmp_path, monkeypatch) -> None:
+def test_answers_are_kept_until_sources_change_and_taken_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("MUFLY_CACHE", str(tmp_path / "cache"))
     assert recall("fig-2.4").word == "not run"
     assert recall("fig-2.2").word == "stands for it"
@@ -93,7 +95,7 @@ def test_words_follow_from_the_verdicts() -> None:
     assert [word(), word(True, lacking="CFD")] == ["drawn", "needs CFD"]
 
 
-def test_the_report_holds_its_pictures_and_all_items(tmp_path, monkeypatch) -> None:
+def test_the_report_holds_its_pictures_and_all_items(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUFLY_CACHE", str(tmp_path))
     answers = [answer(n) if n in ("fig-2.4", "fig-6.18") else recall(n) for n in ITEMS]
     page = report(answers)
@@ -104,6 +106,8 @@ def test_the_report_holds_its_pictures_and_all_items(tmp_path, monkeypatch) -> N
 
 def test_the_page_of_the_documents_is_that_of_the_kept_answers() -> None:
     spec = importlib.util.spec_from_file_location("make_thesis_page", DOCS / "make_thesis_page.py")
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     kept = module.kept()

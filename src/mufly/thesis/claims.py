@@ -212,7 +212,10 @@ _REASONS = {
     "coax-torque": _WAKES,
     "coax-upper": "coaxial blade elements let the lower rotor's suction through to the upper one (docs/coax.md)",
     "coax-pitch-power": "the printed torque is above its own bench's (docs/thesis-errata.md, point 26)",
-    "coax-spacing": "the source puts its own differences down to its vortex method",
+    "coax-lower-speed": "a lower rotor that windmills in the upper one's wake has no wake that settles (docs/wake.md)",
+    "coax-pitch-speed": "both are computed, and no bench decides; ours wants more speed at more pitch (docs/wake.md)",
+    "coax-spacing": "our wakes change by 15 %, most of it from 10 to 20 mm; blade elements let the wake grow stronger with "
+    "the distance (docs/wake.md)",
 }
 CLAIMS: dict[str, Claim] = {
     key: replace(

@@ -282,7 +282,7 @@ def downwash(progress: Progress | None = None, case: Path | None = None) -> Foun
 
 
 def winglets(progress: Progress | None = None) -> Found:
-    """Fig. 3.40: what can be said of the standard blade; winglets are not meshed here.
+    """Fig. 3.40: what can be said of the standard blade; winglets need CFD.
 
     Thesis: Fig. 3.40.
     """
@@ -316,7 +316,7 @@ def winglets(progress: Progress | None = None) -> Found:
         verdicts,
         drawn,
         {"full": data},
-        "no sizes of the winglets are printed, and our meshes hold none",
+        "no sizes of the winglets are printed; our guesses can be run (`mufly cfd run naca0012-r60-c20 --tip winglet-1 --pitch 18 --rpm 5000 --mesh coarse --out DIR`, to winglet-3), none has been yet",
         "CFD",
     )
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -57,7 +58,7 @@ _FITTED_AFTER = {"rotors.lower.drive_inertia", "rotors.upper.drive_inertia"}
 
 
 def _table_picture(
-    title: str, heads: tuple[str, ...], rows: list[tuple[str, ...]], widths: tuple[float, ...]
+    title: str, heads: tuple[str, ...], rows: Sequence[tuple[str, ...]], widths: tuple[float, ...]
 ) -> Figure:
     drawn = figure(9.0, 0.9 + 0.24 * len(rows))
     axes = drawn.subplots()

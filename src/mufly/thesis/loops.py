@@ -312,7 +312,8 @@ def pitch_following(progress: Progress | None = None) -> Found:
                 0.8,
                 "1",
                 "axis",
-                "our reference has sharper steps than a pilot's stick; each rails it for some 30 ms",
+                "our steps are sharper than a stick's and rail it for some 30 ms each; "
+                "and as our pitch is never positive, speed and its drag grow",
             ),
             "nonlinear model",
             f"{servo.min():.2f} to {servo.max():.2f}, railed for {1e3 * railed:.0f} ms in all",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
@@ -31,6 +32,9 @@ from mufly.sensors import beam_angles
 from mufly.thesis.claims import Claim, Found, Progress, Study, Verdict, figure
 from mufly.vehicle import load_vehicle
 from mufly.world import Box, World, ranges
+
+if TYPE_CHECKING:
+    from matplotlib.patches import Rectangle
 
 Array = NDArray[np.float64]
 RING = ring(8, math.pi / 8, 1.5)
@@ -270,7 +274,7 @@ def cubic(progress: Progress | None = None) -> Found:
     for k in (0, 50, 100, 150, 200):
         axes.quiver(
             p[k, 1], p[k, 0], -p[k, 2], *(0.15 * tangent[k, [1, 0]]), -0.15 * tangent[k, 2], color="C1"
-        )  # type: ignore[attr-defined]
+        )
     axes.set(
         xlabel="east (m)",
         ylabel="north (m)",
@@ -458,7 +462,7 @@ def forces(progress: Progress | None = None) -> Found:
     return Found(verdicts, drawn)
 
 
-def _square_patch() -> object:
+def _square_patch() -> Rectangle:
     from matplotlib.patches import Rectangle
 
     return Rectangle((-0.3, -0.3), 0.6, 0.6, color="0.6")

@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache, partial
+from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -324,9 +325,12 @@ def run_study(name: str, progress: Progress | None = None, *, case: Path | None 
 # What was computed is kept.
 
 
+_LIBRARIES = ("numpy", "scipy", "neuralfoil")
+
+
 @cache
 def _digest_of(file: Path) -> str:
-    found = hashlib.sha256()
+    found = hashlib.sha256(" ".join(f"{name} {version(name)}" for name in _LIBRARIES).encode())
     for path in sources_of(file):
         found.update(path.read_bytes() + b"\0")
     root = Path(__file__).resolve().parents[1]
@@ -336,7 +340,7 @@ def _digest_of(file: Path) -> str:
 
 
 def digest(name: str) -> str:
-    """Return a hash of the sources that a study rests on, and of the built-in vehicles, rotors and missions."""
+    """Return a hash of what a study rests on: sources, built-in vehicles and the like, versions of libraries."""
     module = next((m for m in _MODULES if name in m.STUDIES), coaxial if name in _PAIRS else single)
     own = _digest_of(Path(str(module.__file__)))
     return own if name not in _OLDER else f"{own}-{_digest_of(Path(pictures.__file__))[:8]}"

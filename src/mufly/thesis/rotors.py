@@ -60,7 +60,7 @@ def reynolds_effect(progress: Progress | None = None) -> Found:
             ("smooth", {"n_crit": 9.0}),
             ("rough", {"n_crit": 9.0, "xtr": (0.05, 0.05)}),
         ):
-            cl, cd = lookup(polar(name, **options), alpha[:, None], REYNOLDS)  # type: ignore[arg-type]
+            cl, cd = lookup(polar(name, **options), alpha[:, None], REYNOLDS)
             best[name, surface] = (cl / cd).max(axis=0)
     data = xr.Dataset(
         {
@@ -353,7 +353,12 @@ def tips(progress: Progress | None = None) -> Found:
         axes.legend(fontsize="x-small")
     drawn.suptitle("Fig. 3.38: tip shapes by blade elements (NACA 0012, sizes ours)")
     data = xr.Dataset({VALUE: (("tip", "pitch_deg"), values)}, coords={"tip": list(TIPS), "pitch_deg": pitch})
-    return Found(verdicts, drawn, {"full": data}, "judged by blade elements; by CFD it has not been run")
+    return Found(
+        verdicts,
+        drawn,
+        {"full": data},
+        "judged by blade elements; by CFD (`mufly cfd run`, `--tip`, `--gurney`) it has not been run",
+    )
 
 
 FLAPS = (0.0, 1.0, 2.0)
@@ -411,7 +416,12 @@ def gurney(progress: Progress | None = None) -> Found:
     right.legend(fontsize="x-small")
     right.grid(alpha=0.3)
     drawn.suptitle("Fig. 3.42 (and 3.41): Gurney flaps on NACA 0012 by blade elements")
-    return Found(verdicts, drawn, {"full": found}, "judged by blade elements; by CFD it has not been run")
+    return Found(
+        verdicts,
+        drawn,
+        {"full": found},
+        "judged by blade elements; by CFD (`mufly cfd run`, `--tip`, `--gurney`) it has not been run",
+    )
 
 
 def inflow(progress: Progress | None = None) -> Found:

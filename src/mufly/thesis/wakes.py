@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Callable
 
 import numpy as np
 import xarray as xr
@@ -76,6 +77,12 @@ def pair_of_wakes(progress: Progress | None = None) -> Found:
     return Found(verdicts, drawn, {"wake": data}, found.message)
 
 
+def _velocity(point: Array, a: Array, b: Array) -> Array:
+    """Velocity at a point by a straight vortex of unit circulation from a to b, without a core."""
+    compute: Callable[..., tuple[float, float, float]] = contribution
+    return np.array(compute(*point, *a, *b, 0.0)) / (4 * math.pi)
+
+
 def straight_vortex(progress: Progress | None = None) -> Found:
     """Fig. 3.17: eq. 3.16 for a straight vortex, and ours, beside the integral of eq. 3.15.
 
@@ -87,7 +94,7 @@ def straight_vortex(progress: Progress | None = None) -> Found:
     along = 0.5 * (a + b) + 0.5 * s[:, None] * (b - a)
     ours, closed, integral = [], [], []
     for p in points:
-        ours.append(np.array(contribution(*p, *a, *b, 0.0)) / (4 * math.pi))
+        ours.append(_velocity(p, a, b))
         r1, r2, line = p - a, p - b, b - a
         cross = np.cross(line, r1)
         height = np.linalg.norm(cross) / np.linalg.norm(line)
@@ -116,7 +123,7 @@ def straight_vortex(progress: Progress | None = None) -> Found:
     drawn = figure(6.0, 4.0)
     axes = drawn.subplots()
     h = np.geomspace(0.01, 2.0, 80)
-    speed = [np.linalg.norm(contribution(x, 0.0, 0.0, *a, *b, 0.0)) / (4 * math.pi) for x in h]
+    speed = [np.linalg.norm(_velocity(np.array([x, 0.0, 0.0]), a, b)) for x in h]
     axes.loglog(h, speed, label="straight vortex of length 1 m, ours")
     axes.loglog(h, 1 / (2 * math.pi * h), "k:", label="endless vortex, 1 / (2 pi h)")
     axes.set(
