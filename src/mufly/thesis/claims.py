@@ -214,8 +214,7 @@ _REASONS = {
     "coax-pitch-power": "the printed torque is above its own bench's (docs/thesis-errata.md, point 26)",
     "coax-lower-speed": "a lower rotor that windmills in the upper one's wake has no wake that settles (docs/wake.md)",
     "coax-pitch-speed": "both are computed, and no bench decides; ours wants more speed at more pitch (docs/wake.md)",
-    "coax-spacing": "our wakes change by 15 %, most of it from 10 to 20 mm; blade elements let the wake grow stronger with "
-    "the distance (docs/wake.md)",
+    "coax-spacing": "our wakes change by 15 %; blade elements let the upper wake grow stronger with the distance",
 }
 CLAIMS: dict[str, Claim] = {
     key: replace(

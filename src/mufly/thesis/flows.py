@@ -316,7 +316,8 @@ def winglets(progress: Progress | None = None) -> Found:
         verdicts,
         drawn,
         {"full": data},
-        "no sizes of the winglets are printed; our guesses can be run (`mufly cfd run naca0012-r60-c20 --tip winglet-1 --pitch 18 --rpm 5000 --mesh coarse --out DIR`, to winglet-3), none has been yet",
+        "no sizes of the winglets are printed; our guesses can be run, none has been yet: `mufly cfd run "
+        "naca0012-r60-c20 --tip winglet-1 --pitch 18 --rpm 5000 --mesh coarse --out DIR` (to winglet-3)",
         "CFD",
     )
 
