@@ -69,7 +69,8 @@ def test_a_faster_upper_rotor_takes_lift_from_the_lower_one() -> None:
     assert c_T.sel(varied="upper", rpm=5200) > c_T.sel(varied="upper", rpm=6000)
     assert c_T.sel(varied="lower", rpm=5200) < c_T.sel(varied="lower", rpm=6000)
     # Both sweeps pass through the same case, from different wakes.
-    np.testing.assert_allclose(*(c_T.sel(varied=v, rpm=6000) for v in ("upper", "lower")), rtol=5e-3)
+    first, second = (c_T.sel(varied=v, rpm=6000) for v in ("upper", "lower"))
+    np.testing.assert_allclose(first, second, rtol=5e-3)
 
 
 def test_a_case_that_does_not_converge_says_so() -> None:

@@ -131,12 +131,14 @@ def test_gear_study_agrees_at_the_voltage_of_the_linear_model() -> None:
 
 
 @pytest.mark.parametrize("name", ["fig-3.28", "fig-3.31", "fig-3.36"])
-def test_sweeps_have_the_dissertations_axes(name: str, tmp_path) -> None:
+def test_sweeps_have_the_dissertations_axes(name: str, tmp_path: Path) -> None:
     outcome = run_study(name)
     left, right = outcome.figure.axes
     assert left.get_xlim() == (6, 20)
     assert left.get_ylabel() == "Thrust / electrical power (N/W)"
-    assert [t.get_text() for t in left.get_legend().get_texts()] == list(SWEEPS[name].labels)
+    legend = left.get_legend()
+    assert legend is not None
+    assert [t.get_text() for t in legend.get_texts()] == list(SWEEPS[name].labels)
     assert len(right.lines) == len(SWEEPS[name].values)
     for data in outcome.data.values():
         assert (data.fault == "").all()
