@@ -7,13 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from mufly.errors import InputError
+from mufly.study import read_results
 from mufly.thesis import (
     CLAIMS,
     ITEMS,
     Answer,
     Claim,
+    Outcome,
     Verdict,
     answer,
     item,
@@ -26,7 +29,7 @@ from mufly.thesis import (
     totals,
 )
 from mufly.thesis.catalogue import _ROWS, FIGURES, TABLES
-from mufly.thesis.claims import TABLE_3_3_VALUES, Study
+from mufly.thesis.claims import TABLE_3_3_VALUES, Study, figure
 from mufly.thesis.outcomes import STUDIES
 from mufly.thesis.single import SWEEPS
 
@@ -84,6 +87,13 @@ def test_answers_are_kept_until_sources_change_and_taken_over(
     assert not recall("fig-2.4", tmp_path / "own").known
     monkeypatch.setattr(outcomes, "digest", lambda name: "other sources")
     assert recall("fig-2.4").word == "not run"
+
+
+def test_results_that_are_no_one_table_are_written_too(tmp_path: Path) -> None:
+    data = xr.Dataset({"x": ("t", [1.0]), "y": (("t", "k"), [[1.0, 2.0]])}, attrs={"of": {"a": "flight"}})
+    files = Outcome("fig-6.10", "Step", {"run": data}, [], figure(2.0, 2.0)).write(tmp_path)
+    assert [f.name for f in files] == ["fig-6.10.png", "fig-6.10.json", "fig-6.10.nc"]
+    np.testing.assert_array_equal(read_results(tmp_path / "fig-6.10.nc").y, data.y)
 
 
 def test_words_follow_from_the_verdicts() -> None:

@@ -89,12 +89,17 @@ class Outcome:
         try:
             target.mkdir(parents=True, exist_ok=True)
             self.figure.savefig(picture, dpi=110)
+            for model, data in self.data.items():
+                name = f"{self.name}-{model}" if len(self.data) > 1 else self.name
+                if all(set(v.dims) == set(data.dims) for v in data.data_vars.values()):
+                    files += write_results(data, target, name)
+                else:  # no one table has all of it
+                    files.append(target / f"{name}.nc")
+                    data.drop_attrs(deep=False).to_netcdf(files[-1], engine="scipy")
         except OSError as error:
             raise InputError(
                 str(folder), "", f"cannot be written ({error})", "give another folder"
             ) from error
-        for model, data in self.data.items():
-            files += write_results(data, target, f"{self.name}-{model}" if len(self.data) > 1 else self.name)
         # Last, and whole or not at all: where it stands, so does the rest.
         part = note.with_suffix(".part")
         part.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
