@@ -110,7 +110,7 @@ class Outcome:
         """Return all but data and picture; a claim without a number has the value null."""
         verdicts = []
         for v in self.verdicts:
-            content = asdict(v)
+            content = asdict(v) | {"agrees": bool(v.agrees)}  # of numpy, it may be
             if content["claim"]["value"] != content["claim"]["value"]:
                 content["claim"]["value"] = None
             verdicts.append(content)
