@@ -95,7 +95,9 @@ class Outcome:
                     files += write_results(data, target, name)
                 else:  # no one table has all of it
                     files.append(target / f"{name}.nc")
-                    data.drop_attrs(deep=False).to_netcdf(files[-1], engine="scipy")
+                    whole = {k: v.astype(float) for k, v in data.variables.items() if v.dtype.kind in "iu"}
+                    plain = data.drop_attrs(deep=False).assign(whole)  # NetCDF 3 has no long integers
+                    plain.to_netcdf(files[-1], engine="scipy")
         except OSError as error:
             raise InputError(
                 str(folder), "", f"cannot be written ({error})", "give another folder"
