@@ -48,7 +48,13 @@ def half(question):
 
 
 def test_data_of_others_and_of_one_s_own(data):
-    cases, missing = load_cases(data)
+    (data / "volume-2" / "nr640_5_15deg_geom.txt").write_text(GEOMETRY)
+    (data / "volume-2" / "nr640_5_15deg_3b_static_0124rd.txt").write_text(STATIC)
+    three = load_cases(data, "nr640")[0]
+    assert [(c.name, c.rotor.blades, c.known, c.rotor.radius_m) for c in three] == [
+        ("nr640_5_15deg_3b", 3, True, 0.0635)
+    ]
+    cases, missing = load_cases(data, "gwsdd,kpf,own")
     assert [(c.name, c.family, c.group) for c in cases] == [
         ("gwsdd_5x3", "GWS", "UIUC micro"), ("kpf_96x70", "KP", "UIUC micro"),
         ("naca0012-r60-c20", "own naca0012-r60-c20", "own"),

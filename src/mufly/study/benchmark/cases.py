@@ -26,6 +26,7 @@ import math
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -229,23 +230,24 @@ def propellers(folder: Path) -> list[RotorCase]:
 
 
 _INCH = 0.0254
-_SIZE = re.compile(r"_(\d+(?:\.\d+)?)x\d")
+_SIZE = re.compile(r"_(\d+(?:\.\d+)?)(?:x\d|_\d+deg)")
 
 
 def uiuc_files(folder: Path) -> Iterator[RotorCase]:
     """UIUC's own files, pairs of ``NAME_geom.txt`` and ``NAME_static_RUN.txt``, anywhere below a folder.
 
-    Diameters are in a name's first number, in inches below 30 and in millimetres above; ``3b`` in it: three blades.
+    Diameters are in a name's first number, in inches below 30 and in millimetres above; ``_3b`` before ``_static``: of
+    three of the same blades.
     """
-    for geometry in sorted(folder.rglob("*_geom.txt")):
-        name = geometry.name.removesuffix("_geom.txt")
+    for geometry, more in product(sorted(folder.rglob("*_geom.txt")), ("", "_3b", "_4b")):
+        name = geometry.name.removesuffix("_geom.txt") + more
         runs = sorted(geometry.parent.glob(f"{name}_static*.txt"))
-        size = _SIZE.search(name)
+        size, several = _SIZE.search(name), re.search(r"_(\d)b(_|$)", name)
+        blades = int(several[1]) if several else 2
         if not runs or size is None:
             continue
         diameter = float(size[1]) * (_INCH if float(size[1]) < 30.0 else 1e-3)
         family, section, known = section_of(name)
-        blades = 3 if re.search(r"_3b?(_|$)", name) else 2
         rotor = read_blade(geometry, radius_m=0.5 * diameter, blades=blades, airfoil=section, name=name).rotor
         rotor = replace_rotor(rotor, {"hub_cutout.value": 0.15})
         points = [
