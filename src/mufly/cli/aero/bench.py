@@ -107,10 +107,11 @@ def plan(
     one_of("--axis", axis, AXES)
     for r in [*rotor, *([reference] if reference else [])]:
         load_rotor(r)
+    ratios = _numbers("--ratio", ratio)
     made = make_plan(
         name, rotor, _numbers("--pitch", pitch), _numbers("--rpm", rpm), reference=reference or rotor[0],
         reference_pitch_deg=reference_pitch, repetitions=repeat, axis=axis,  # type: ignore[arg-type]
-        speed_ratios=_numbers("--ratio", ratio), reference_every=reference_every, seed=seed,
+        speed_ratios=ratios, reference_every=reference_every, seed=seed,
         times=Times(warm_up_s=warm_up), spacing_m=spacing,
     )  # fmt: skip
     if out.exists():
@@ -127,6 +128,10 @@ def plan(
         )  # fmt: skip
         say(f"{made.points} points, {len(made.steps)} steps; about {made.seconds() / 60:.0f} min and "
             f"{len(made.mounting)} changes of blades")  # fmt: skip
+        if axis == "pair" and len(set(ratios)) < 2:
+            say(
+                "One ratio of speeds shows the thrust of both rotors together only, --ratio 0.9,1,1.1 that of each."
+            )
 
     answer(
         as_json,
