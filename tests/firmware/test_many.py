@@ -10,6 +10,7 @@ import pytest
 from mufly.control import design
 from mufly.firmware import FirmwareSoftware, QuickSoftware
 from mufly.firmware import host as built
+from mufly.firmware.onboard import different
 from mufly.flight import fly
 from mufly.flight.flight import Flight
 from mufly.flight.software import FlightSoftware
@@ -34,20 +35,23 @@ FAULTS = (
 
 
 def _flown(software, **how):
-    vehicle, events = load_vehicle("mufly-1.1"), []
+    vehicle, events, heard = load_vehicle("mufly-1.1"), [], []
     # Another one than its controllers know.
     true = replace(vehicle, {"body.mass": float(vehicle.body.mass) * 1.03})
     data = fly(
         true, mission_from(HOP), controller=design(vehicle), designed_for=vehicle, controllers=software,
-        on_event=events.append, on_tick=lambda flight: None, tick_every=7, **how,
+        on_event=events.append, on_tick=lambda truth, m: heard.append((truth, m)), tick_every=7, **how,
     )  # fmt: skip
-    return data, events
+    return data, events, heard
 
 
 def _same(a, b) -> None:
     assert a[1] == b[1]
     assert a[0].attrs["outcome"] == b[0].attrs["outcome"]
     assert a[0].attrs["reason"] == b[0].attrs["reason"]
+    for (truth, m), (same_truth, same_m) in zip(a[2], b[2], strict=True):
+        assert different(truth, same_truth) == []
+        assert different(m, same_m) == []
     for name in a[0].data_vars:
         x, y = a[0][name].values, b[0][name].values
         np.testing.assert_array_equal(x, y, err_msg=name)

@@ -73,6 +73,7 @@ class KalmanEstimator(Estimator):
         self._settings = filter_settings(vehicle, world, rate_Hz, kind)
         self._parameters = model_parameters(vehicle)
         self._fitted = [k for k in range(SENSORS) if self._settings["fitted"][k]]
+        self._place = {CHECKED[k]: k for k in self._fitted}
         ring = vehicle.range_ring
         self._nothing = np.full(ring.count, float(ring.max_range))
         self._beams = beams_used(ring.count)
@@ -151,8 +152,9 @@ class KalmanEstimator(Estimator):
     def hear(self, said: Mapping[str, Reading], time_s: float) -> None:
         """Lay what some of the sensors say into the row of this period."""
         for name, r in said.items():
-            if name in CHECKED and CHECKED.index(name) in self._fitted:
-                self._take(CHECKED.index(name), r, time_s)
+            k = self._place.get(name)
+            if k is not None:
+                self._take(k, r, time_s)
             elif name == "clipping":
                 self._z[CLIPPING:] = r.value
 

@@ -7,8 +7,9 @@ way to the last bit (``tests/firmware/test_many.py``).
 
 It comes back to Python where something is due that Python does: a sensor other than the inertial unit measures
 (:data:`SENSE`), the filter tells its covariance and what it thinks of its sensors (:data:`TELL`), the log has a new
-line or the motors change (:data:`SAID`), something is touched (:data:`TOUCHED`); and it goes on in the middle of the
-period. Commands, faults of the inertial unit, a crash: all else is done period by period (:meth:`Flight.tick`).
+line or the motors change (:data:`SAID`), something is touched (:data:`TOUCHED`), somebody listens (:data:`HEARD`); and
+it goes on in the middle of the period. Commands, faults of the inertial unit, a crash: all else is done period by
+period (:meth:`Flight.tick`).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from mufly.compiled import compiled
-from mufly.estimate import IdealEstimator
+from mufly.estimate import Estimate, IdealEstimator
 from mufly.estimate.fitted import KalmanEstimator
 from mufly.estimate.guards import ACTING, CLIPPING
 from mufly.estimate.kernel import TOLD_EVERY
@@ -44,14 +45,14 @@ MOST = 256
 """Periods of one call at most."""
 
 # Why the loop came back
-DONE, SENSE, TELL, SAID, TOUCHED, BROKEN, VALID = range(7)
+DONE, SENSE, TELL, SAID, TOUCHED, BROKEN, VALID, HEARD = range(8)
 # Where it goes on in a period
 _ADVANCE, _SENSED, _TOLD = range(3)
 # Whole numbers that it keeps
 (
     _PHASE, _TICK, _STOP, _BLOWN, _RING, _LOOK, _EVERY, _ARMED, _VALID, _UNTIL_VALID, _TELLS, _PERIODS, _ROWS, _DUE,
-    _DREW, _STEPS,
-) = range(16)  # fmt: skip
+    _DREW, _STEPS, _LISTEN, _HEARD,
+) = range(18)  # fmt: skip
 # Numbers that it keeps
 _RATE, _STEP_S, _RADIUS, _HOVER_A, _CURRENT_A, _BLEND, _WAKE_S, _DRAWN_S = range(8)
 # Where things lie in the records of C, in units of eight, four or one byte
@@ -124,9 +125,12 @@ def _go_on(  # type: ignore[no-untyped-def]
         if c[_PHASE] == _ADVANCE:
             if c[_TICK] >= c[_STOP] or c[_BLOWN] >= wind.shape[0] or c[_ROWS] >= log.shape[0]:
                 return DONE
+            if imu is not None and c[_DREW] >= imu[1].shape[0]:
+                return DONE
+            if c[_LISTEN] > 0 and c[_TICK] % c[_LISTEN] == 0 and c[_TICK] != c[_HEARD]:
+                c[_HEARD] = c[_TICK]
+                return HEARD
             if imu is not None:
-                if c[_DREW] >= imu[1].shape[0]:
-                    return DONE
                 imu[0][:] = x
             plant_period(x, acting[1], wind[c[_BLOWN]], parameters, f[_STEP_S], c[_STEPS], supply)
             c[_BLOWN] += 1
@@ -269,7 +273,7 @@ class Many:
         self._log = np.empty((MOST, _WIDE + self._beams.size))
         self._acting = np.zeros((3, 4))
         self._was, self._read = np.zeros(plant.state.size), np.zeros((2, 6))
-        self._c, self._f = np.zeros(16, np.int64), np.zeros(8)
+        self._c, self._f = np.zeros(18, np.int64), np.zeros(8)
         self._c[[_RING, _LOOK, _EVERY, _STEPS]] = (
             0 if self._ring is None else self._ring.every, flight.look, flight.every, plant.steps,
         )  # fmt: skip
@@ -278,6 +282,8 @@ class Many:
         )  # fmt: skip
         self._heard, self._start = 0, 0
         self._wakes = [math.inf] * len(self._faulty)
+        self._said: list[Any] = [None] * len(self._faulty)
+        self._seen: Any = None
 
     def _knows(self, flight: Flight, sensors: Sensors) -> bool:
         """Whether sensors and estimator are those that the loop can do, which are then kept."""
@@ -311,6 +317,7 @@ class Many:
         c[[_PHASE, _TICK, _STOP, _BLOWN, _ARMED, _UNTIL_VALID, _PERIODS, _ROWS, _DUE, _DREW]] = (
             _ADVANCE, plant.ticks, until, 0, auto.armed, until_valid, 0, 0, -1, 0,
         )  # fmt: skip
+        c[_LISTEN], c[_HEARD] = flight.listened_every, plant.ticks
         f[_CURRENT_A] = flight.current_A
         self._acting[1], self._acting[2] = flight.acting.array, flight.sent.array
         imu: Any = None
@@ -330,6 +337,7 @@ class Many:
             )  # fmt: skip
             f[_DRAWN_S] = plant.time_s
             self._wakes = [_wakes(s, plant.time_s) for s in self._faulty]
+            self._said, self._seen = [None] * len(self._faulty), None  # others may have asked since
             f[_WAKE_S] = min(self._wakes, default=math.inf)
         else:
             self._beams[:] = self._latest["ranges"].value
@@ -346,6 +354,9 @@ class Many:
                 self._hear(int(c[_PERIODS]))
                 told = int(c[_TELLS]) - self._filter.periods
                 board.believe(self._filter.told(int(c[_TICK]) / plant.rate_Hz, bool(c[_VALID]), told))
+            elif why == HEARD:
+                truth = replace(self._truth(), wind=wind[int(c[_BLOWN]) - 1].copy())
+                flight.listen(truth, self._read_at(truth)[1])
             else:
                 break
         self._end(why, wind, ran)
@@ -386,11 +397,15 @@ class Many:
         for k, sensor in enumerate(self._faulty):
             if self._wakes[k] <= t:
                 said = sensor.read(truth)
-                self._latest |= said
-                self._filter.hear(said, t)
                 self._wakes[k] = _wakes(sensor, t)
+                if said is not self._said[k]:  # else nothing has come
+                    self._said[k] = said
+                    self._latest |= said
+                    self._filter.hear(said, t)
         self._f[_WAKE_S] = min(self._wakes, default=math.inf)
-        self._board.see(self._filter.ranges)
+        if self._filter.ranges is not self._seen:
+            self._seen = self._filter.ranges
+            self._board.see(self._seen)
 
     def _hear(self, periods: int, last: str = "") -> None:
         """Let the autopilot hear what was thought of the sensors until then; ``last``: state of the last period."""
@@ -400,6 +415,15 @@ class Many:
                 state = last if last and k == periods - 1 else self._state
                 auto.hear(filtered.checks, (self._start + 1 + k) / self._flight.plant.rate_Hz, state)
         self._heard = periods
+
+    def _read_at(self, truth: Truth) -> tuple[Readings, Estimate]:
+        """What the sensors said last, and what is believed."""
+        flight, filtered, c = self._flight, self._filter, self._c
+        if filtered is None:
+            readings = flight.sensors.read(truth)
+            return readings, flight.estimator.update(readings)
+        estimate = filtered.told(truth.time_s, bool(c[_VALID]), int(c[_TELLS]) - filtered.periods)
+        return Readings(truth.time_s, self._latest), estimate
 
     def _end(self, why: int, wind: _Array, ran: bool) -> None:
         """Let the rest of the simulation know how it stands."""
@@ -422,12 +446,8 @@ class Many:
         whole = why not in (TOUCHED, BROKEN)
         last = int(whole and truth.tick % flight.every == 0)
         self._record(0, rows - last)
-        if filtered is not None:
-            estimate = filtered.told(truth.time_s, bool(c[_VALID]), int(c[_TELLS]) - filtered.periods)
-            readings = Readings(truth.time_s, self._latest)
-        elif whole:
-            readings = flight.sensors.read(truth)
-            estimate = flight.estimator.update(readings)
+        if filtered is not None or whole:
+            readings, estimate = self._read_at(truth)
         self._hear(periods, str(software.state))
         flight.acting = Actuators(self._acting[1, :2].copy(), self._acting[1, 2:].copy())
         flight.sent = Actuators(self._acting[2, :2].copy(), self._acting[2, 2:].copy())

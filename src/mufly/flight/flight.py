@@ -198,6 +198,8 @@ class Flight:
         self._write_sensed = sensed_row_writer(self.recorder) if full else None
         self.every = 1 if full else max(1, round(controller.rate_Hz / RECORD_HZ))
         self.acting = self.sent = Actuators.idle()
+        self.listen: Callable[[Truth, Estimate], None] = lambda truth, estimate: None
+        self.listened_every = 0  # periods; 0: nobody listens
         self._many: Callable[..., bool] | None = None
         self._asked_many = False
         self._first_look()
@@ -456,7 +458,7 @@ def fly(
     controllers: Computing | None = None,
     designed_for: Vehicle | None = None,
     brief: bool = False,
-    on_tick: Callable[[Flight], None] | None = None,
+    on_tick: Callable[[Truth, Estimate], None] | None = None,
     tick_every: int = 1,
 ) -> xr.Dataset:
     """Fly a mission on the full nonlinear model.
@@ -476,9 +478,8 @@ def fly(
     on_event : callable, optional
         Called with every :class:`Event`: changes of the mission's state, with the reason, and what went wrong.
     on_tick : callable, optional
-        Called with the flight after every period, or after every ``tick_every``-th.
+        Called with what is true and what is believed after every ``tick_every``-th period.
     tick_every : int
-        Where the flight software can fly many periods in one call, that is as many as it flies.
 
     Returns
     -------
@@ -520,8 +521,9 @@ def fly(
         if slower:
             flight.note(f"slower than asked, as the controllers can: {slower}", "warning")
         wall_s = _run(
-            flight, expected, _time_limit(mission, expected), realtime, on_progress, on_tick, tick_every
-        )
+            flight, expected, _time_limit(mission, expected), realtime, on_progress,
+            None if on_tick is None else (on_tick, tick_every),
+        )  # fmt: skip
         outcome, reason = _judge(flight)
         flight.close(outcome, reason, realtime_factor=flight.time_s / max(wall_s, 1e-9))
     return flight.recorder.dataset()
@@ -540,14 +542,12 @@ def _run(
     time_limit: float,
     realtime: bool,
     on_progress: Callable[[Progress], None] | None,
-    on_tick: Callable[[Flight], None] | None,
-    tick_every: int,
+    heard: tuple[Callable[[Truth, Estimate], None], int] | None,
 ) -> float:
     """Fly until the mission has ended, the vehicle has crashed or time is up; return the wall time (s)."""
     software, plant = flight.autopilot.software, flight.plant
     began = shown = time.perf_counter()
     ended_at = math.inf
-    singly = realtime or (on_tick is not None and tick_every == 1)
     if flight.sensed:
         refused = align(flight)
         if refused:
@@ -556,14 +556,13 @@ def _run(
         # The mission was checked as a whole (preflight); whether to arm is a question for a real one.
         flight.autopilot.arm(force=True, quiet=True)
         flight.autopilot.start_mission()
+    if heard is not None:
+        flight.listen, flight.listened_every = heard
     while flight.time_s < ended_at + RECORDED_AFTER_S:
         end = min(time_limit, ended_at + RECORDED_AFTER_S)
-        until = plant.ticks + 1 if singly else math.floor(end * plant.rate_Hz)
-        if on_tick is not None:
-            until = min(until, plant.ticks // tick_every * tick_every + tick_every)
-        flight.advance(until)
-        if on_tick is not None and plant.ticks % tick_every == 0:
-            on_tick(flight)
+        flight.advance(plant.ticks + 1 if realtime else math.floor(end * plant.rate_Hz))
+        if flight.listened_every and plant.ticks % flight.listened_every == 0:
+            flight.listen(flight.truth, flight.estimate)
         now = time.perf_counter()
         if on_progress is not None and now - shown > PROGRESS_S:
             shown = now

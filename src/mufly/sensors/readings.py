@@ -184,15 +184,19 @@ class Periodic(Sensor):
             behind = t - self._due_s
             self._due_s = (t if behind > self._period_s else self._due_s) + self._period_s
             said = self.measure(truth)
-            if said is not None:
+            if said is not None and said[0] == 0.0 and not self._coming:
+                self._latest = {**self._latest, **said[1]}
+            elif said is not None:
                 self._coming.append((t + said[0], said[1]))
-        if self._coming:
-            there = [one for one in self._coming if one[0] <= t + 1e-9]
-            if there:
-                self._coming = [one for one in self._coming if one[0] > t + 1e-9]
-                for _, readings in sorted(there, key=lambda one: one[0]):
-                    self._latest = {**self._latest, **readings}
         # Surely nothing happens before that, by more than a rounding.
+        if not self._coming:
+            self._quiet_s = self._due_s - 2e-9
+            return self._latest
+        there = [one for one in self._coming if one[0] <= t + 1e-9]
+        if there:
+            self._coming = [one for one in self._coming if one[0] > t + 1e-9]
+            for _, readings in sorted(there, key=lambda one: one[0]):
+                self._latest = {**self._latest, **readings}
         self._quiet_s = min(self._due_s, *(one[0] for one in self._coming), math.inf) - 2e-9
         return self._latest
 

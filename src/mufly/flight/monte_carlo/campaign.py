@@ -28,7 +28,7 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 from mufly.control import FlightController, design
 from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.estimate import Estimate, consistency
-from mufly.flight.flight import Flight, fly
+from mufly.flight.flight import fly
 from mufly.flight.monte_carlo.variation import Variation
 from mufly.flight.record.summary import Summary, summarise
 from mufly.flight.software import Computing
@@ -312,11 +312,11 @@ def fly_case(campaign: Campaign, case: Case, path: Path | None = None) -> Flown:
     """
     truths: list[Truth] = []
     told: list[Estimate] = []
+    sensed = campaign.sensors == "fitted" and campaign.vehicle.sensors is not None
 
-    def listen(flight: Flight) -> None:
-        if flight.sensed:
-            truths.append(flight.truth)
-            told.append(flight.estimate)
+    def listen(truth: Truth, estimate: Estimate) -> None:
+        truths.append(truth)
+        told.append(estimate)
 
     same: dict[str, Any] = {
         "index": case.index,
@@ -332,8 +332,8 @@ def fly_case(campaign: Campaign, case: Case, path: Path | None = None) -> Flown:
                 controller=campaign.controller, designed_for=None if campaign.redesign else campaign.vehicle,
                 wind=case.wind, gust=campaign.gust, seed=case.seed,
                 sensors=campaign.sensors, faults=[parse_fault(text) for text in campaign.faults],
-                controllers=campaign.controllers or campaign.quickly, path=path, brief=path is None, on_tick=listen,
-                tick_every=NEES_EVERY,
+                controllers=campaign.controllers or campaign.quickly, path=path, brief=path is None,
+                on_tick=listen if sensed else None, tick_every=NEES_EVERY,
             )  # fmt: skip
     except MuflyError as error:
         return Flown(**same, success=False, reason=f"did not fly: {error}", told="")
