@@ -109,7 +109,9 @@ class RotorCase:
 def rows_of(path: Path) -> Array:
     """Lines of numbers of a CSV file, whatever stands above them."""
     lines = [
-        line for line in path.read_text(encoding="utf-8").splitlines() if line and (line[0].isdigit() or line[0] in "-.")
+        line
+        for line in path.read_text(encoding="utf-8").splitlines()
+        if line and (line[0].isdigit() or line[0] in "-.")
     ]
     return np.array([[float(v) for v in line.split(",")] for line in lines])
 
@@ -213,7 +215,11 @@ def table_3_2(folder: Path) -> RotorCase:
 def propellers(folder: Path) -> list[RotorCase]:
     """The 17 propellers of the UIUC data set, volume 2; blades begin at 0.15 R."""
     home = folder / "uiuc_micro"
-    index = [line for line in (home / "index.csv").read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+    index = [
+        line
+        for line in (home / "index.csv").read_text(encoding="utf-8").splitlines()
+        if not line.startswith("#")
+    ]
     out = []
     for row in csv.DictReader(index):
         name, radius = row["name"], float(row["diameter_m"]) / 2
