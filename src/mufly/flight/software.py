@@ -8,7 +8,8 @@ what to follow:
 off         motors and servos at rest
 spin_up     motor inputs rise to 0.9 of hover, too little to lift off; servos at trim. A vehicle that lifts off all
             the same, being lighter than its controllers believe, goes on to ``fly`` at once
-fly         heave-yaw controller; from 2 cm above the floor also roll-pitch and, every n-th step, position
+fly         heave-yaw controller; from 2 cm above the floor, or once it turns on its legs, also roll-pitch and,
+            every n-th step, position
 ramp_down   after touchdown motor inputs fall to zero
 blind       the estimate is lost: servos at trim, which the stabiliser bar makes a level attitude, and motor
             voltages around those of the last second that keep to a rate of descent while the height is known all
@@ -60,6 +61,7 @@ from mufly.mission import (
     slowed,
     step,
     stop_at_once,
+    tips,
 )
 from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
@@ -386,7 +388,7 @@ class FlightSoftware:
         return Actuators(self._motor_input, np.zeros(2))
 
     def _fly(self, r: Reference, m: Estimate) -> Actuators:
-        if not self._lifted and lifted_off(self.mission_state, m):
+        if not self._lifted and (lifted_off(self.mission_state, m) or tips(m)):
             self._lifted = True
             self._controllers.lift_off(m)
         if not self._lifted:

@@ -21,6 +21,7 @@ from mufly.mission.phases import (
     come_down,
     down_blind,
     lifted_off,
+    tips,
 )
 from mufly.mission.schema import (
     GREATEST_GUST_M_S,
@@ -114,6 +115,7 @@ __all__ = [
     "step",
     "stop_at_once",
     "straight",
+    "tips",
     "wants_up",
     "waypoint_fault",
 ]

@@ -232,13 +232,19 @@ def measured_at(m: Estimate) -> Triple:
 # init and take-off
 
 
-LIFT_OFF_M = 0.02
-"""Height above where it stood from which it counts as off the floor (m)."""
+LIFT_OFF_M, TIPS_RAD_S = 0.02, 0.15
+"""Height above where it stood from which it counts as off the floor (m); rate in roll or pitch at which it leaves it on
+one side (rad/s): the wind's drag on the rotors tips it over its legs once these carry little."""
 
 
 def lifted_off(s: MissionState, m: Estimate) -> bool:
     """Whether it is off the floor."""
     return bool(m.position[2] < s.standing[2] - LIFT_OFF_M)
+
+
+def tips(m: Estimate) -> bool:
+    """Whether it turns on its legs, light as it is by now: what does not steer against that tips over."""
+    return bool(max(abs(m.rates[0]), abs(m.rates[1])) > TIPS_RAD_S)
 
 
 def spun_up(s: MissionState, m: Estimate) -> bool:

@@ -17,6 +17,7 @@
 #define SPIN_UP_S REAL(3.0)
 #define RAMP_DOWN_S REAL(1.0)
 #define LIFT_OFF_M REAL(0.02)
+#define TIPS_RAD_S REAL(0.15)
 
 enum { STATE_INIT, STATE_TAKE_OFF, STATE_HOVER, STATE_WAYPOINT, STATE_OBSTACLE, STATE_LANDING, STATE_RC, STATE_OFFBOARD,
        STATE_COUNT };
@@ -160,5 +161,7 @@ void mission_log(mission_t *s, const message_t *what, int32_t level);
 
 /* Off the floor. */
 bool mission_lifted_off(const mission_t *s, const belief_t *m);
+/* Whether it turns on its legs, light as it is by now. */
+bool mission_tips(const belief_t *m);
 
 #endif

@@ -370,6 +370,11 @@ bool mission_lifted_off(const mission_t *s, const belief_t *m)
     return m->motion.position[2] < (s->standing[2] - LIFT_OFF_M);
 }
 
+bool mission_tips(const belief_t *m)
+{
+    return real_max(real_abs(m->motion.rates[0]), real_abs(m->motion.rates[1])) > TIPS_RAD_S;
+}
+
 bool phases_spun_up(const mission_t *s, const belief_t *m)
 {
     return (s->clock_s >= SPIN_UP_S) || mission_lifted_off(s, m);

@@ -313,7 +313,7 @@ static void fly(const setup_t *setup, software_t *s, const belief_t *m, actuator
     const real_t wanted[4] = {r->path.position[2] + (s->late_s * r->path.velocity[2]),
                               r->heading + (s->late_s * r->heading_rate), r->path.velocity[2], r->heading_rate};
 
-    if (!s->lifted && mission_lifted_off(&s->mission, m)) {
+    if (!s->lifted && (mission_lifted_off(&s->mission, m) || mission_tips(m))) {
         s->lifted = true;
         controllers_lift_off(setup->gains, &s->controllers, &m->motion);
     }
