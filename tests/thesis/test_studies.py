@@ -26,6 +26,7 @@ from mufly.thesis import (
     run_study,
     studies,
     table_page,
+    totals,
 )
 from mufly.thesis.catalogue import _ROWS, FIGURES, TABLES
 from mufly.thesis.claims import TABLE_3_3_VALUES, Study, figure
@@ -91,7 +92,7 @@ def test_answers_are_kept_until_sources_change_and_taken_over(
 def test_results_that_are_no_one_table_are_written_too(tmp_path: Path) -> None:
     data = xr.Dataset(
         {"x": ("t", [1.0]), "y": (("t", "k"), [[1.0, 2.0]])},
-        coords={"ns": ("t", np.array([2**40]))},
+        coords={"ns": ("t", np.array([2**40])), "utc": ("t", np.array(["2026-01-01"], "M8[ns]"))},
         attrs={"of": {"a": "flight"}},
     )
     files = Outcome("fig-6.10", "Step", {"run": data}, [], figure(2.0, 2.0)).write(tmp_path)
@@ -126,6 +127,7 @@ def test_the_page_of_the_documents_is_that_of_the_kept_answers() -> None:
     kept = module.kept()
     assert module.PAGE.read_text(encoding="utf-8") == table_page(kept), "run python docs/make_thesis_page.py"
     assert [r["name"] for r in kept] == list(ITEMS)
+    assert "not run" not in totals(kept)
     by_name = {r["name"]: r for r in kept}
     # The quick ones are computed: what stands on the page is what comes out today.
     for name in ("fig-2.4", "fig-3.17", "fig-4.4", "fig-6.16", "fig-6.18", "table-5.1"):

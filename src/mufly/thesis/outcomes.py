@@ -21,6 +21,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import platformdirs
 import xarray as xr
 
@@ -91,12 +92,11 @@ class Outcome:
             self.figure.savefig(picture, dpi=110)
             for model, data in self.data.items():
                 name = f"{self.name}-{model}" if len(self.data) > 1 else self.name
+                plain = _storable(data)
                 if all(set(v.dims) == set(data.dims) for v in data.data_vars.values()):
-                    files += write_results(data, target, name)
+                    files += write_results(plain, target, name)
                 else:  # no one table has all of it
                     files.append(target / f"{name}.nc")
-                    whole = {k: v.astype(float) for k, v in data.variables.items() if v.dtype.kind in "iu"}
-                    plain = data.drop_attrs(deep=False).assign(whole)  # NetCDF 3 has no long integers
                     plain.to_netcdf(files[-1], engine="scipy")
         except OSError as error:
             raise InputError(
@@ -126,6 +126,17 @@ class Outcome:
             "version": __version__,
             "digest": digest(self.name),
         }
+
+
+def _storable(data: xr.Dataset) -> xr.Dataset:
+    """What NetCDF 3 can hold: it has no long integers or instants, and a recording's attributes are of all kinds."""
+    long = {
+        k: (v.dims, v.values.astype(np.int64).astype(float))
+        for k, v in data.variables.items()
+        if v.dtype.kind in "mM" or (v.dtype.kind in "iu" and v.dtype.itemsize == 8)
+    }
+    kept = {k: v for k, v in data.attrs.items() if isinstance(v, str | float)}
+    return data.drop_attrs(deep=False).assign(long).assign_attrs(kept)
 
 
 @dataclass(frozen=True)

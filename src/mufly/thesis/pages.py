@@ -26,6 +26,16 @@ _MEANING = {
     "stands for it": "photograph, sketch or block diagram: the line says where mufly has the same",
 }
 
+_COUNTED = {
+    "agrees": "agree",
+    "in part": "agree in part",
+    "DIFFERS": "differ",
+    "drawn": "are contours, drawn",
+    "needs CFD": "need CFD",
+    "not run": "have not run",
+    "stands for it": "are photographs, sketches or diagrams",
+}
+
 
 def totals(answers: Sequence[Answer] | Sequence[Mapping[str, Any]]) -> dict[str, int]:
     """Count the figures and tables by their verdict word, in the order of :data:`WORDS`."""
@@ -39,7 +49,7 @@ def _plain(answer: Answer | Mapping[str, Any]) -> Mapping[str, Any]:
 
 def _sum_of(rows: Sequence[Mapping[str, Any]]) -> str:
     agree, every = sum(int(r["agree"]) for r in rows), sum(len(r["verdicts"]) for r in rows)
-    words = "; ".join(f"{n} {w}" for w, n in totals(rows).items())
+    words = "; ".join(f"{n} {_COUNTED.get(w, w)}" for w, n in totals(rows).items())
     return f"{len(rows)} figures and tables: {words}. {agree} of {every} single verdicts agree."
 
 
@@ -105,7 +115,8 @@ def _linked(text: str) -> str:
 _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 0 auto; max-width: 62rem; padding: 1rem; color: #1c2430; }
 table { border-collapse: collapse; width: 100%; } td, th { border-bottom: 1px solid #d8dde5; padding: .25rem .5rem;
-text-align: left; vertical-align: top; } h2 { margin-top: 2.5rem; border-bottom: 2px solid #1c2430; }
+text-align: left; vertical-align: top; }
+td:first-child { white-space: nowrap; } h2 { margin-top: 2.5rem; border-bottom: 2px solid #1c2430; }
 section { margin: 1.5rem 0; padding-top: .5rem; border-top: 1px solid #d8dde5; } img { max-width: 100%; height: auto; }
 .w { font-weight: 600; padding: .05rem .4rem; border-radius: .3rem; background: #e7eaef; white-space: nowrap; }
 .agrees { background: #cfeed8; } .inpart { background: #fdf0c4; } .differs { background: #f9d3cc; }
