@@ -73,7 +73,8 @@ def test_denser_air_needs_less_speed(setup: Setup) -> None:
     data = sweep(setup, {"density": [0.9, 1.2], "pitch": PITCH[:1]})
     # Thrust at constant coefficients: rho Omega^2. The table knows no Reynolds number.
     ratio = float(data.speed_rad_s[0, 0] / data.speed_rad_s[1, 0])
-    assert ratio == pytest.approx(np.sqrt(1.2 / 0.9), rel=1e-6)
+    assert ratio == pytest.approx(np.sqrt(1.2 / 0.9), rel=1e-3)
+    assert ratio < np.sqrt(1.2 / 0.9)  # what turns faster, at Mach 0.12, lifts a little more: compressibility
 
 
 def test_bad_cases_are_marked_and_the_rest_goes_on(setup: Setup, thin_plate: str) -> None:
