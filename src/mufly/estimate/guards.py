@@ -3,7 +3,7 @@
 | what | how it shows | noticed after |
 |---|---|---|
 | no number, or beyond all bounds | at once | one reading |
-| frozen | the same to the last bit, of a sensor that has noise | three readings; used is the first |
+| frozen | the same to the last bit, of a sensor that has noise | three readings |
 | doubled | the same to the last bit, sooner than the sensor can measure | two readings; the second ones are left out |
 | late | older than latency and jitter allow | one reading; used as long as the horizon has not passed it |
 | of no time | no age, one of the future, or of more than ten seconds | one reading; never used |
@@ -37,8 +37,6 @@ from mufly.estimate.layout import (
     R_SONAR,
     SENSORS,
     STARTS,
-    TURN,
-    V,
 )
 
 ACTING = STARTS[-1]
@@ -60,12 +58,6 @@ _SPIKE, _ALIKE = 0.12, 0.06  # rad/s within a period, beyond what the model says
 _ROUGH = 3.0  # of the mean difference of some 50 ms
 _TURN_OFF = 0.02  # of a difference that is taken for an error of the model's moments
 _SHARE = 0.02  # of clipped samples that is told of
-GUSTS, HELD_S = 3.0, 2.0
-"""Deviations of the wind whose moments the gyroscopes may be off by; for how long a fix holds the velocity (s)."""
-ADRIFT, ADRIFT_S = 0.1, 3.0
-"""What the gyroscopes' bias may do once they have carried the filter astray (rad/s in a second), and for how long."""
-ASTRAY_BIAS, ASTRAY_TURN, ASTRAY_SPEED = 0.15, 0.06, 0.3
-"""By how much bias (rad/s), attitude (rad) and speed (m/s) may be off by then."""
 _ROTOR_OFF = 0.08  # of the hover speed
 _VOLTS_OFF = 0.6
 
@@ -151,8 +143,8 @@ def inspect(m, s, z, new, age):  # type: ignore[no-untyped-def]
                 m.same[k] += 1
                 m.came[k] = m.tick
                 m.twice[k] = 0
-                new[k] = 0
                 if m.same[k] >= 2:
+                    new[k] = 0
                     flag(m, s, k, FAULTY, FROZEN, m.same[k] * s.period[k])
         elif new[k] == 1:
             m.same[k] = 0
@@ -194,18 +186,6 @@ def inspect(m, s, z, new, age):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def go_astray(m, s):  # type: ignore[no-untyped-def]
-    """Something carries the filter astray that it does not know, most likely the gyroscopes."""
-    if m.adrift == 0:
-        for k in range(3):
-            loosen(m.ut, m.d, GYRO + k, ASTRAY_BIAS * ASTRAY_BIAS, m.f)
-            loosen(m.ut, m.d, TURN + k, ASTRAY_TURN * ASTRAY_TURN, m.f)
-        for k in range(2):
-            loosen(m.ut, m.d, V + k, ASTRAY_SPEED * ASTRAY_SPEED, m.f)
-    m.adrift = int(ADRIFT_S / s.dt)
-
-
-@compiled(error_model="numpy")
 def smooth_rates(m, s, flying):  # type: ignore[no-untyped-def]
     """Put what the model says in the place of a spike of the gyroscopes, and take off a jump; ``m.rates`` are the
     new, ``m.before`` the old."""
@@ -220,15 +200,9 @@ def smooth_rates(m, s, flying):  # type: ignore[no-untyped-def]
     # A model that is off again and again cannot tell a spike from a motion.
     most = _SPIKE + _ROUGH * m.rough
     m.rough += 0.1 * (min(worst, _SPIKE) - m.rough)
-    m.adrift = max(m.adrift - 1, 0)
     if not flying or s.model == 0:
         m.spikes = 0
         return
-    # Roll and pitch moments are off by more than air that is not known of makes; without fixes that is any.
-    gusts = GUSTS * s.dt
-    held = m.used[R_FIX] > 0 and (m.tick - m.used[R_FIX]) * s.dt < HELD_S
-    if held and (abs(m.turn_off[0]) > gusts * s.turn_gust[0] or abs(m.turn_off[1]) > gusts * s.turn_gust[1]):
-        go_astray(m, s)
     alike = m.spikes > 0
     for k in range(3):
         alike = alike and abs(m.rates[k] - m.spike[k]) < _ALIKE

@@ -39,7 +39,6 @@ from mufly.estimate.fusing import (
 )
 from mufly.estimate.guards import (
     ACTING,
-    ADRIFT,
     FAULTY,
     LATE,
     MISSING,
@@ -50,7 +49,7 @@ from mufly.estimate.guards import (
     voltage_fits,
 )
 from mufly.estimate.layout import (
-    EDGE_S,
+    EDGE,
     ERRORS,
     FLOOR,
     FLYING,
@@ -70,7 +69,6 @@ from mufly.estimate.layout import (
     R_ROTOR,
     R_SONAR,
     RUNNING,
-    SETTLED,
     STANDING,
     STARTS,
     STATES,
@@ -90,8 +88,8 @@ from mufly.estimate.motion import (
 from mufly.trigonometry import direction, sine_cosine, whole
 from mufly.units import GRAVITY
 
-LONGEST, SLOWLY = 8, 32
-"""Periods over which forces are compared, and over which their noise at low frequencies is looked at."""
+LONGEST = 8
+"""Periods over which forces are compared."""
 TOLD_EVERY = 20
 """Periods between two covariances that are told."""
 TELLING, STEPPING, FIXING, RESTING = 3, 2, 4, 3
@@ -111,9 +109,6 @@ KNOWN_THRUST, UNKNOWN_S = 0.03, 0.02
 """Deviation of the thrust's scale that the filter bears; what is beyond makes noise, together over so long (s)."""
 SCATTER = 5.0
 """Density of the accelerometers' noise before it is known, m^2/s^3: none would be believed more than the model."""
-ASUNDER, DOUBTED_S = 0.4, 2.0
-"""What accelerometers and model may be apart by over 160 ms (m/s^2), beside two deviations of the thrust's scale; for
-how long they then say nothing about legs (s)."""
 _Z = STARTS
 
 
@@ -133,7 +128,7 @@ def begin(m, s):  # type: ignore[no-untyped-def]
     m.rotor[2] = -1000.0  # far above the floor
     m.rotor[17] = -1.0
     for k in range(3):
-        m.scatter[k] = m.slow[k] = SCATTER
+        m.scatter[k] = SCATTER
 
 
 @compiled(error_model="numpy")
@@ -160,7 +155,6 @@ def _mode(m, s, z):  # type: ignore[no-untyped-def]
     off = z[ACTING] + z[ACTING + 1] < 0.02
     # Rotors that lift more than the model says fly sooner, others later.
     doubt = MOST_DOUBT * m.sigma[THRUST_] if s.model > 0 else 0.0
-    feels = s.fitted[R_ACCELERATION] > 0 and m.code[R_ACCELERATION] < MISSING and m.apart == 0
     if m.mode <= RUNNING:
         m.mode = STANDING if off and m.rotor[18] + m.rotor[19] < 0.2 * (s.hover[0] + s.hover[1]) else RUNNING
         if lift * (1.0 + doubt) > 0.9 and m.mode == RUNNING:
@@ -171,16 +165,10 @@ def _mode(m, s, z):  # type: ignore[no-untyped-def]
             m.mode = FLYING
         elif lift * (1.0 + doubt) < 0.85 and height < 0.02:
             m.mode = RUNNING
-    elif feels and height < 0.01 + min(2.0 * m.sigma[P + 2], 0.1) and lift < 1.05:
-        m.mode = LIGHT  # legs may touch, and accelerometers tell
     elif height < 0.015 and lift < 0.9:
         m.mode = LIGHT
     if off and m.mode >= LIGHT and height < 0.05 and m.rotor[18] < 0.3 * s.hover[0]:
         m.mode = RUNNING
-    if m.mode != FLYING:
-        m.since[R_ACCELERATION] = m.tick
-    if m.apart > 0 and (m.mode == FLYING or m.mode == STANDING):
-        m.apart -= 1
 
 
 @compiled(error_model="numpy")
@@ -223,9 +211,7 @@ def _force(m, s, p, z, new, r):  # type: ignore[no-untyped-def]
                 b, 3 * g + k
             ]
         clip = m.clipped[k] * 0.5 * s.felt_range
-        # Along the rotors' axis without what a shaking leaves; across it the drag that the model knows of says more.
-        noise = m.slow[k] if k == 2 else m.scatter[k]
-        felt = (max(s.felt_density, noise) if s.model > 0 else s.felt_density) + clip * clip
+        felt = (max(s.felt_density, m.scatter[k]) if s.model > 0 else s.felt_density) + clip * clip
         made = s.model_density[k]
         if m.mode <= RUNNING:
             row[6 + k], row[9 + k], row[12 + k] = 0.0, -GRAVITY * r[6 + k], 0.0
@@ -246,11 +232,10 @@ def _force(m, s, p, z, new, r):  # type: ignore[no-untyped-def]
             made = 10.0
         if m.code[R_ACCELERATION] >= MISSING or m.disowned == 1 or s.fitted[R_ACCELERATION] == 0:
             felt = 1e6
-        if m.mode == LIGHT and m.apart > 0:
-            felt = 1e6  # doubted when it came down, and nothing shows on the legs
         share = made / (felt + made)
         row[15 + k] = share
         row[18 + k] = felt * share
+        m.lever[k, 2] = felt + made
     row[21] = m.mode
     # Mean over the block so far
     into = m.inputs[(m.tick - 1) // s.block % KEPT]
@@ -258,19 +243,6 @@ def _force(m, s, p, z, new, r):  # type: ignore[no-untyped-def]
     for j in range(INPUTS - 1):
         into[j] = row[j] if share == 1.0 else into[j] + share * (row[j] - into[j])
     into[21] = m.mode
-
-
-@compiled(error_model="numpy")
-def _pass_edge(m, s, span):  # type: ignore[no-untyped-def]
-    """Over an edge that the sonar's cone has met what is nearest moves along an arc; it is passed as one flies on."""
-    away = max(-m.x[2] - m.x[16], 0.1)
-    speed = math.sqrt(m.x[3] * m.x[3] + m.x[4] * m.x[4])
-    arc = s.sonar_arc * away
-    passed = span * max(speed / max(s.sonar_reach * away, 0.05), 1.0 / EDGE_S)
-    loosen(m.ut, m.d, FLOOR, arc * arc * passed, m.f)
-    m.edge = max(m.edge - passed, 0.0)
-    if not m.edge > 0.0:
-        m.steps = 0
 
 
 @compiled(error_model="numpy")
@@ -301,8 +273,8 @@ def _advance(m, s, r, a):  # type: ignore[no-untyped-def]
         m.q[6 + k] = spread * span
     transition(e, span, r, a, m.transition)
     carry(m.ut, m.d, span, m.transition, m.q, m.w, m.f)
-    if m.edge > 0.0:
-        _pass_edge(m, s, span)
+    if m.edge > 0 or abs(m.x[16]) > LOW:
+        loosen(m.ut, m.d, FLOOR, EDGE * EDGE * span, m.f)
     m.felt_count += s.block
 
 
@@ -322,8 +294,6 @@ def _wander(m, s):  # type: ignore[no-untyped-def]
     k = GYRO + m.tick % biases
     m.x[k + 1] = s.start[k + 1] + (m.x[k + 1] - s.start[k + 1]) * s.keep[k]
     q = s.noise[k]
-    if k < GYRO + 3 and m.adrift > 0:
-        q += ADRIFT * ADRIFT * (biases * s.dt)
     if q > 0.0:
         wander(m.ut, m.d, k, s.keep[k], q, m.f)
 
@@ -380,7 +350,7 @@ def _means(m, s):  # type: ignore[no-untyped-def]
         m.lever[k, 1] /= n
         # Density of the whole difference at the horizon, from what was weighed there
         share = max(e[15 + k], 1e-9)
-        m.lever[k, 2] = e[18 + k] / share / max(1 - share, 1e-9) + (m.scatter[k] if k == 2 else 0.0)
+        m.lever[k, 2] = e[18 + k] / share / max(1 - share, 1e-9)
 
 
 @compiled(error_model="numpy")
@@ -393,9 +363,9 @@ def _task(m, s, r, a, left):  # type: ignore[no-untyped-def]
         m.stage = EDGES
     if m.stage == EDGES:
         m.stage = MEANS
-        if not m.edge > 0.0 and abs(m.x[16]) < LOW:
-            sure = variance(m.ut, m.d, FLOOR)
-            if sure > SETTLED * SETTLED and m.x[16] * m.x[16] < 9.0 * sure:
+        if m.edge > 0:
+            m.edge = max(m.edge - s.block, 0)
+            if m.edge == 0 and abs(m.x[16]) < LOW:
                 settle_floor(m)
                 return 1
     if m.stage == MEANS:
@@ -435,44 +405,14 @@ def _task(m, s, r, a, left):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _doubt_felt(m, k):  # type: ignore[no-untyped-def]
-    """Accelerometers and model are apart, whoever it is: the model goes on as if they were not known, also over what
-    the horizon has not come to yet."""
-    m.slow[k] = SCATTER
-    for i in range(KEPT):
-        e = m.inputs[i]
-        made = e[18 + k] / max(1.0 - e[15 + k], 1e-9)
-        e[15 + k] = made / (SCATTER + made)
-        e[18 + k] = SCATTER * e[15 + k]
-
-
-@compiled(error_model="numpy")
 def _scatter(m, s, z):  # type: ignore[no-untyped-def]
-    """How much the accelerometers scatter about the model: means over blocks, which a shaking leaves something in, and
-    means with weights that rise and fall, which it leaves nothing in: what stays of it in the velocity."""
+    """How much the accelerometers scatter about the model, mean over blocks: density of their noise at low
+    frequencies."""
     row = m.now
     m.blocks += 1
-    m.slow_blocks += 1
-    weight = m.slow_blocks if m.slow_blocks <= SLOWLY // 2 else SLOWLY + 1 - m.slow_blocks
     for k in range(3):
-        off = z[k] - (m.x[23] * row[6 + k] + row[9 + k] + row[12 + k] * m.row[k])
-        m.mean[k] += off
-        m.slow_mean[k] += weight * off
-    if m.slow_blocks >= SLOWLY:
-        half = float(SLOWLY // 2)
-        span = 0.75 * SLOWLY * s.dt
-        for k in range(3):
-            mean = m.slow_mean[k] / (half * (half + 1.0))
-            step = mean - m.slow_last[k]
-            m.slow_last[k] = mean
-            density = min(max(0.5 * step * step * span - s.model_density[k], 0.0), 100.0)
-            m.slow[k] += (0.6 if density > m.slow[k] else 0.2) * (density - m.slow[k])
-            m.slow_mean[k] = 0.0
-            most = ASUNDER + 2.0 * m.sigma[THRUST_] * abs(row[6 + k])
-            if m.tick - m.since[R_ACCELERATION] > 2 * SLOWLY and abs(mean - m.x[13 + k]) > most:
-                _doubt_felt(m, k)
-                m.apart = int(DOUBTED_S / s.dt)
-        m.slow_blocks = 0
+        made = m.x[23] * row[6 + k] + row[9 + k]
+        m.mean[k] += z[k] - made
     if m.blocks >= LONGEST:
         span = m.blocks * s.dt
         for k in range(3):
@@ -582,11 +522,6 @@ def _told_errors(m, s, r):  # type: ignore[no-untyped-def]
         m.out_cov[k, k] += m.come_sum[k] * span * span / 3.0
         m.out_cov[k, 3 + k] += m.come_sum[k] * span / 2.0
         m.out_cov[3 + k, 3 + k] += m.come_sum[k]
-        for i in range(3):
-            # A shaking is in the velocity for half a turn; what stays in means over blocks tells how much.
-            share = r[3 * k + i] * m.now[15 + i]
-            shaking = max(m.scatter[i] - m.slow[i], 0.0)
-            m.out_cov[3 + k, 3 + k] += share * share * (0.5 * (LONGEST * s.dt) * shaking)
         m.out_cov[6 + k, 6 + k] += s.gyro_density * span
 
 
@@ -646,7 +581,7 @@ def step(m, s, p, z, new, age):  # type: ignore[no-untyped-def]
     doubt = m.suspect[R_FIX, 3] - min(m.out[16], 0.0)
     smooth_rates(m, s, m.mode == FLYING and height_over(m.out, s) > CLEAR + doubt)
     _force(m, s, p, z, new, r)
-    if s.model > 0 and (m.mode == RUNNING or m.mode == FLYING) and m.code[R_ACCELERATION] < MISSING:
+    if s.model > 0 and m.mode >= RUNNING and m.code[R_ACCELERATION] < MISSING:
         _scatter(m, s, z)
     for kind in range(R_SONAR, R_FIX + 1):
         if kind == R_ROTOR or new[kind] != 1 or m.skip[kind] > 0:

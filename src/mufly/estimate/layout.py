@@ -28,8 +28,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.dynamics import GRAVITY, derivative, initial_state, model_parameters, standing_height
-from mufly.dynamics.state import STATE_SIZE, hover_speeds
+from mufly.dynamics import GRAVITY, model_parameters, standing_height
+from mufly.dynamics.state import hover_speeds
 from mufly.estimate.beliefs import ERROR_STATES
 from mufly.sensors import beam_directions, earth_field
 from mufly.vehicle import Vehicle
@@ -103,13 +103,10 @@ def memory_type(kind: Any = np.float64, kept: int = KEPT, waiting: int = WAITING
         ("due", i4, (waiting,)), ("what", i4, (waiting,)), ("value", kind, (waiting, BEAMS)), ("ahead", kind,
         (waiting,)),
         # Scatter of the accelerometers
-        ("mean", kind, (3,)), ("before", kind, (3,)), ("blocks", i4), ("scatter", kind, (3,)),
-        ("slow", kind, (3,)), ("slow_mean", kind, (3,)), ("slow_last", kind, (3,)), ("slow_blocks", i4),
-        ("clipped", kind, (3,)),
+        ("mean", kind, (3,)), ("before", kind, (3,)), ("blocks", i4), ("scatter", kind, (3,)), ("clipped", kind, (3,)),
         ("felt", kind, (3,)), ("modelled", kind, (3,)), ("lever", kind, (3, 4)), ("felt_count", i4),
         # Standing
-        ("turning", kind, (3,)), ("edge", kind), ("adrift", i4), ("apart", i4),
-        ("mode", i4), ("spikes", i4), ("shift", kind, (3,)),
+        ("turning", kind, (3,)), ("edge", i4), ("mode", i4), ("spikes", i4), ("shift", kind, (3,)),
         ("lean", kind), ("wild", i4), ("spike", kind, (3,)), ("steps", i4),
         ("strain", kind), ("disowned", i4), ("drift", kind, (3,)),
         ("drift_sigma", kind, (3,)), ("told", kind, (3,)), ("standing", i4), ("aligned", i4), ("sum", kind,
@@ -148,7 +145,6 @@ _NUMBERS: dict[str, Any] = {
     "noisy": "i9", "bound": (SENSORS,),
     "every": "i9",
     "sonar_place": (3,), "sonar_variance": (), "sonar_step": (), "sonar_cone": (), "sonar_min": (), "sonar_max": (),
-    "sonar_arc": (), "sonar_reach": (), "turn_gust": (2,),
     "fix_variance": (), "heading_variance": (),
     "beams": "i", "beam": (BEAMS, 3), "ring_max": (), "ring_slope": (), "ring_baseline": (), "walls": (6,),
     "pressure_variance": (), "pressure_slope": (), "pressure_thrust": (2,),
@@ -175,9 +171,9 @@ WIND_SPEED = (0.5, 10.0)
 """Of an axis (m/s), and for how long (s): a mean of 0.5 m/s from anywhere and gusts of 0.3 m/s make 0.46."""
 MOTOR_STEP = 1e-3  # what the motors' equations miss between two readings of the speed, of the hover speed
 MOTOR_CURRENT = 2.0  # of both motors in a hover (A)
-EDGE_S, LOW, SETTLED = 3.0, 0.05, 0.01
-"""An edge in the sonar's cone counts for this long (s) where it is not flown over sooner; what is lower is the floor
-(m), and known to be once its height is uncertain by more than the last (m)."""
+EDGE, EDGE_S, LOW = 0.1, 1.0, 0.08
+"""Over an object, and for a while after a step, the surface may change by this (m/sqrt(s)); (s); what is lower is
+the floor (m)."""
 FLOOR_WANDER = 5e-4  # m/sqrt(s): floors are not quite flat
 LEVEL = math.radians(0.12)  # how level it stands on the floor
 PLACE_M = 5.0  # where it stands before anything is heard
@@ -221,7 +217,6 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
     s["hover"] = hover_speeds(p)
     swash = float(p["swash_rate"]) * dt
     s["swash_settled"], s["swash_mean"] = math.exp(-swash), (1.0 - math.exp(-swash)) / swash
-    s["turn_gust"] = _turning_by_air(p, s["hover"])
     s["model"], s["model_density"] = 1, 2 * MODEL_TIME_S * np.square(MODEL_FORCE)
     fitted, period, latency, bound = (
         np.zeros(SENSORS),
@@ -269,8 +264,6 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
         s["sonar_variance"] = float(sonar.noise) ** 2 + float(sonar.resolution) ** 2 / 12 + 1e-6
         s["sonar_step"] = float(sonar.resolution)
         s["sonar_cone"] = math.cos(0.5 * float(sonar.cone))
-        # Of an edge that comes into the cone: how much farther than its top it is, and how far ahead
-        s["sonar_arc"], s["sonar_reach"] = 1.0 / s["sonar_cone"] - 1.0, math.tan(0.5 * float(sonar.cone))
         s["sonar_min"], s["sonar_max"] = float(sonar.min_range), float(sonar.max_range)
         bound[R_SONAR] = 1.01 * s["sonar_max"]
         latency[R_SONAR] = 2 * float(sonar.max_range) / 340.0
@@ -354,18 +347,6 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
     # A measurement counts at the nearest end of a block.
     s["delay"] = min(math.ceil(delay_s / dt) + block // 2 + 1, (KEPT - 2 * LAG) * block)
     return cast(np.void, s[()])
-
-
-def _turning_by_air(p: np.void, hover: NDArray[np.float64]) -> tuple[float, float]:
-    """Angular acceleration in roll and pitch (rad/s^2) that air makes that moves by :data:`WIND_SPEED`, in a hover."""
-    found = []
-    for turning, along in ((10, 4), (11, 3)):
-        x, rate = initial_state(position=(0.0, 0.0, -1e3), rotor_speed=hover), np.zeros((2, STATE_SIZE))
-        derivative(x, np.zeros(4), np.zeros(3), p, rate[0])
-        x[along] = WIND_SPEED[0]
-        derivative(x, np.zeros(4), np.zeros(3), p, rate[1])
-        found.append(abs(float(rate[1, turning] - rate[0, turning])))
-    return found[0], found[1]
 
 
 def beams_used(count: int) -> NDArray[np.intp]:

@@ -33,7 +33,6 @@ void estimator_begin(estimator_t *m, const estimator_settings_t *s)
     m->rotor[17] = REAL(-1.0);
     for (int32_t k = 0; k < 3; k++) {
         m->scatter[k] = SCATTER;
-        m->slow[k] = SCATTER;
     }
 }
 
@@ -67,8 +66,6 @@ static void judge_mode(estimator_t *m, const estimator_settings_t *s, const real
     const bool off = (sent[0] + sent[1]) < REAL(0.02);
     /* Rotors that lift more than the model says fly sooner, others later. */
     const real_t doubt = (s->model > 0) ? (MOST_DOUBT * m->sigma[THRUST_]) : REAL(0.0);
-    const bool feels =
-        (s->fitted[R_ACCELERATION] > 0) && (m->code[R_ACCELERATION] < MISSING) && (m->apart == 0);
 
     if (m->mode <= RUNNING) {
         m->mode = (off && ((m->rotor[18] + m->rotor[19]) < (REAL(0.2) * (s->hover[0] + s->hover[1])))) ? STANDING
@@ -85,9 +82,6 @@ static void judge_mode(estimator_t *m, const estimator_settings_t *s, const real
         } else {
             /* still light */
         }
-    } else if (feels && (height < (REAL(0.01) + real_min(REAL(2.0) * m->sigma[P_ + 2], REAL(0.1)))) &&
-               (lift < REAL(1.05))) {
-        m->mode = LIGHT; /* legs may touch, and accelerometers tell */
     } else if ((height < REAL(0.015)) && (lift < REAL(0.9))) {
         m->mode = LIGHT;
     } else {
@@ -95,12 +89,6 @@ static void judge_mode(estimator_t *m, const estimator_settings_t *s, const real
     }
     if (off && (m->mode >= LIGHT) && (height < REAL(0.05)) && (m->rotor[18] < (REAL(0.3) * s->hover[0]))) {
         m->mode = RUNNING;
-    }
-    if (m->mode != FLYING) {
-        m->since[R_ACCELERATION] = m->tick;
-    }
-    if ((m->apart > 0) && ((m->mode == FLYING) || (m->mode == STANDING))) {
-        m->apart -= 1;
     }
 }
 
@@ -191,9 +179,8 @@ static void gather(estimator_t *m, const estimator_settings_t *s, const flight_m
     judge_mode(m, s, &z[ACTING]);
     for (int32_t k = 0; k < 3; k++) {
         const real_t clip = (m->clipped[k] * REAL(0.5)) * s->felt_range;
-        /* Along the rotors' axis without what a shaking leaves; across it the drag that the model knows of says more. */
-        const real_t noise = (k == 2) ? m->slow[k] : m->scatter[k];
-        real_t felt = ((s->model > 0) ? real_max(s->felt_density, noise) : s->felt_density) + (clip * clip);
+        real_t felt =
+            ((s->model > 0) ? real_max(s->felt_density, m->scatter[k]) : s->felt_density) + (clip * clip);
         real_t made = s->model_density[k];
         real_t share;
 
@@ -234,12 +221,10 @@ static void gather(estimator_t *m, const estimator_settings_t *s, const flight_m
         if ((m->code[R_ACCELERATION] >= MISSING) || (m->disowned == 1) || (s->fitted[R_ACCELERATION] == 0)) {
             felt = REAL(1e6);
         }
-        if ((m->mode == LIGHT) && (m->apart > 0)) {
-            felt = REAL(1e6); /* doubted when it came down, and nothing shows on the legs */
-        }
         share = made / (felt + made);
         row[15 + k] = share;
         row[18 + k] = felt * share;
+        m->lever[k][2] = felt + made;
     }
     row[INPUTS - 1] = (real_t)m->mode;
     average(m, s);
@@ -254,22 +239,6 @@ static real_t spread_along(const real_t r[9], int32_t k, const real_t e[INPUTS])
         spread += (r[(3 * k) + i] * r[(3 * k) + i]) * e[18 + i];
     }
     return spread;
-}
-
-/* Over an edge that the sonar's cone has met what is nearest moves along an arc; it is passed as one flies on. */
-static void pass_edge(estimator_t *m, const estimator_settings_t *s, real_t span)
-{
-    const real_t away = real_max(-m->x[2] - m->x[16], REAL(0.1));
-    const real_t speed = real_sqrt((m->x[3] * m->x[3]) + (m->x[4] * m->x[4]));
-    const real_t arc = s->sonar_arc * away;
-    const real_t passed =
-        span * real_max(speed / real_max(s->sonar_reach * away, REAL(0.05)), REAL(1.0) / EDGE_S);
-
-    factors_loosen(m, FLOOR, (arc * arc) * passed);
-    m->edge = real_max(m->edge - passed, REAL(0.0));
-    if (!(m->edge > REAL(0.0))) {
-        m->steps = 0;
-    }
 }
 
 /* Bring the horizon a block on. */
@@ -312,8 +281,8 @@ static void advance(estimator_t *m, const estimator_settings_t *s)
     }
     transition_of(e, span, r, a, transition);
     factors_carry(m, span, transition, q);
-    if (m->edge > REAL(0.0)) {
-        pass_edge(m, s, span);
+    if ((m->edge > 0) || (real_abs(m->x[16]) > LOW)) {
+        factors_loosen(m, FLOOR, (EDGE * EDGE) * span);
     }
     m->felt_count += s->block;
 }
@@ -323,8 +292,7 @@ static void wander(estimator_t *m, const estimator_settings_t *s)
 {
     const int32_t biases = ERRORS - GYRO;
     const int32_t k = GYRO + cycle(m->tick, biases);
-    const bool adrift = (k < (GYRO + 3)) && (m->adrift > 0);
-    const real_t q = s->noise[k] + (adrift ? ((ADRIFT * ADRIFT) * ((real_t)biases * s->dt)) : REAL(0.0));
+    const real_t q = s->noise[k];
 
     m->x[k + 1] = s->start[k + 1] + ((m->x[k + 1] - s->start[k + 1]) * s->keep[k]);
     if (q > REAL(0.0)) {
@@ -433,8 +401,7 @@ static void average_forces(estimator_t *m, const estimator_settings_t *s)
         m->sum[k] /= n;
         m->lever[k][0] /= n;
         m->lever[k][1] /= n;
-        m->lever[k][2] = ((e[18 + k] / share) / real_max(REAL(1.0) - share, REAL(1e-9))) +
-                         ((k == 2) ? m->scatter[k] : REAL(0.0));
+        m->lever[k][2] = (e[18 + k] / share) / real_max(REAL(1.0) - share, REAL(1e-9));
     }
 }
 
@@ -451,15 +418,14 @@ static void forget_forces(estimator_t *m)
     m->felt_count = 0;
 }
 
-/* Back over the floor, if it is: what that cost. */
-static int32_t leave_edge(estimator_t *m)
+/* Back over the floor: what that cost. */
+static int32_t leave_edge(estimator_t *m, const estimator_settings_t *s)
 {
     int32_t cost = 0;
 
-    if (!(m->edge > REAL(0.0)) && (real_abs(m->x[16]) < LOW)) {
-        const real_t sure = factors_variance(m, FLOOR);
-
-        if ((sure > (SETTLED * SETTLED)) && ((m->x[16] * m->x[16]) < (REAL(9.0) * sure))) {
+    if (m->edge > 0) {
+        m->edge = (m->edge > s->block) ? (m->edge - s->block) : 0;
+        if ((m->edge == 0) && (real_abs(m->x[16]) < LOW)) {
             settle_floor(m);
             cost = 1;
         }
@@ -503,7 +469,7 @@ static int32_t task(estimator_t *m, const estimator_settings_t *s, int32_t left)
     }
     if ((!decided) && (m->stage == EDGES)) {
         m->stage = MEANS;
-        cost = leave_edge(m);
+        cost = leave_edge(m, s);
         decided = cost > 0;
     }
     if ((!decided) && (m->stage == MEANS)) {
@@ -537,56 +503,14 @@ static int32_t task(estimator_t *m, const estimator_settings_t *s, int32_t left)
     return cost;
 }
 
-/* Accelerometers and model are apart, whoever it is: the model goes on as if they were not known, also over what the
- * horizon has not come to yet. */
-static void doubt_felt(estimator_t *m, int32_t k)
-{
-    m->slow[k] = SCATTER;
-    for (int32_t i = 0; i < KEPT; i++) {
-        real_t *e = m->inputs[i];
-        const real_t made = e[18 + k] / real_max(REAL(1.0) - e[15 + k], REAL(1e-9));
-
-        e[15 + k] = made / (SCATTER + made);
-        e[18 + k] = SCATTER * e[15 + k];
-    }
-}
-
-/* How much the accelerometers scatter about the model: means over blocks, which a shaking leaves something in, and
- * means with weights that rise and fall, which it leaves nothing in: what stays of it in the velocity. */
+/* How much the accelerometers scatter about the model, mean over blocks. */
 static void watch_scatter(estimator_t *m, const estimator_settings_t *s, const real_t z[3])
 {
     const real_t *row = m->now;
-    real_t weight;
 
     m->blocks += 1;
-    m->slow_blocks += 1;
-    weight = (real_t)((m->slow_blocks <= (SLOWLY / 2)) ? m->slow_blocks : ((SLOWLY + 1) - m->slow_blocks));
     for (int32_t k = 0; k < 3; k++) {
-        const real_t off = z[k] - (((m->x[23] * row[6 + k]) + row[9 + k]) + (row[12 + k] * m->row[k]));
-
-        m->mean[k] += off;
-        m->slow_mean[k] += weight * off;
-    }
-    if (m->slow_blocks >= SLOWLY) {
-        const real_t half = (real_t)(SLOWLY / 2);
-        const real_t span = (REAL(0.75) * (real_t)SLOWLY) * s->dt;
-
-        for (int32_t k = 0; k < 3; k++) {
-            const real_t mean = m->slow_mean[k] / (half * (half + REAL(1.0)));
-            const real_t step = mean - m->slow_last[k];
-            const real_t density =
-                real_min(real_max((((REAL(0.5) * step) * step) * span) - s->model_density[k], REAL(0.0)), REAL(100.0));
-            const real_t most = ASUNDER + ((REAL(2.0) * m->sigma[THRUST_]) * real_abs(row[6 + k]));
-
-            m->slow_last[k] = mean;
-            m->slow[k] += ((density > m->slow[k]) ? REAL(0.6) : REAL(0.2)) * (density - m->slow[k]);
-            m->slow_mean[k] = REAL(0.0);
-            if (((m->tick - m->since[R_ACCELERATION]) > (2 * SLOWLY)) && (real_abs(mean - m->x[13 + k]) > most)) {
-                doubt_felt(m, k);
-                m->apart = (int32_t)(DOUBTED_S / s->dt);
-            }
-        }
-        m->slow_blocks = 0;
+        m->mean[k] += z[k] - ((m->x[23] * row[6 + k]) + row[9 + k]);
     }
     if (m->blocks >= LONGEST) {
         const real_t span = (real_t)m->blocks * s->dt;
@@ -681,13 +605,6 @@ static void told_errors(estimator_t *m, const estimator_settings_t *s, const rea
         m->out_cov[k][k] += ((m->come_sum[k] * span) * span) / REAL(3.0);
         m->out_cov[k][3 + k] += (m->come_sum[k] * span) / REAL(2.0);
         m->out_cov[3 + k][3 + k] += m->come_sum[k];
-        for (int32_t i = 0; i < 3; i++) {
-            /* A shaking is in the velocity for half a turn; what stays in means over blocks tells how much. */
-            const real_t share = r[(3 * k) + i] * m->now[15 + i];
-            const real_t shaking = real_max(m->scatter[i] - m->slow[i], REAL(0.0));
-
-            m->out_cov[3 + k][3 + k] += (share * share) * ((REAL(0.5) * ((real_t)LONGEST * s->dt)) * shaking);
-        }
         m->out_cov[6 + k][6 + k] += s->gyro_density * span;
     }
 }
@@ -834,7 +751,7 @@ bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_
     doubt = m->suspect[R_FIX][3] - real_min(m->out[16], REAL(0.0));
     smooth_rates(m, s, (m->mode == FLYING) && (height_over(m->out, s) > (CLEAR + doubt)));
     gather(m, s, p, z, fresh);
-    if ((s->model > 0) && ((m->mode == RUNNING) || (m->mode == FLYING)) && (m->code[R_ACCELERATION] < MISSING)) {
+    if ((s->model > 0) && (m->mode >= RUNNING) && (m->code[R_ACCELERATION] < MISSING)) {
         watch_scatter(m, s, z);
     }
     let_wait(m, s, z, fresh, age);

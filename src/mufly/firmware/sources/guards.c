@@ -67,8 +67,8 @@ static bool counts(estimator_t *m, const estimator_settings_t *s, const real_t *
             m->same[k] += 1;
             m->came[k] = m->tick;
             m->twice[k] = 0;
-            usable = false;
             if (m->same[k] >= 2) {
+                usable = false;
                 flag(m, s, k, FAULTY, FROZEN, (real_t)m->same[k] * s->period[k]);
             }
         }
@@ -191,29 +191,6 @@ void inspect(estimator_t *m, const estimator_settings_t *s, real_t z[VALUES], in
     inspect_clipping(m, s, &z[CLIPPING]);
 }
 
-void go_astray(estimator_t *m, const estimator_settings_t *s)
-{
-    if (m->adrift == 0) {
-        for (int32_t k = 0; k < 3; k++) {
-            factors_loosen(m, GYRO + k, ASTRAY_BIAS * ASTRAY_BIAS);
-            factors_loosen(m, TURN + k, ASTRAY_TURN * ASTRAY_TURN);
-        }
-        factors_loosen(m, V_, ASTRAY_SPEED * ASTRAY_SPEED);
-        factors_loosen(m, V_ + 1, ASTRAY_SPEED * ASTRAY_SPEED);
-    }
-    m->adrift = (int32_t)(ADRIFT_S / s->dt);
-}
-
-/* Whether roll and pitch moments are off by more than air that is not known of makes; without fixes that is any. */
-static bool turned_away(const estimator_t *m, const estimator_settings_t *s)
-{
-    const real_t gusts = GUSTS * s->dt;
-    const bool held = (m->used[R_FIX] > 0) && (((real_t)(m->tick - m->used[R_FIX]) * s->dt) < HELD_S);
-
-    return held && ((real_abs(m->turn_off[0]) > (gusts * s->turn_gust[0])) ||
-                    (real_abs(m->turn_off[1]) > (gusts * s->turn_gust[1])));
-}
-
 void smooth_rates(estimator_t *m, const estimator_settings_t *s, bool flying)
 {
     const int32_t now = cycle(m->tick - 1, MODELLED);
@@ -233,13 +210,9 @@ void smooth_rates(estimator_t *m, const estimator_settings_t *s, bool flying)
     /* A model that is off again and again cannot tell a spike from a motion. */
     most = SPIKE + (ROUGH * m->rough);
     m->rough += REAL(0.1) * (real_min(worst, SPIKE) - m->rough);
-    m->adrift = (m->adrift > 0) ? (m->adrift - 1) : 0;
     if ((!flying) || (s->model == 0)) {
         m->spikes = 0;
         return;
-    }
-    if (turned_away(m, s)) {
-        go_astray(m, s);
     }
     for (int32_t k = 0; k < 3; k++) {
         alike = alike && (real_abs(m->rates[k] - m->spike[k]) < ALIKE);
