@@ -81,9 +81,9 @@ def test_it_flies_until_it_is_told_to_end_and_leaves_whole_recordings(tmp_path):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_the_first_signal_asks_and_only_a_second_ctrl_c_no_longer_waits():
+    inherited = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup it is ignored, and stays so
     before = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:
-        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup it is ignored, and stays so
         for number in before:
             with Ending() as ending:
                 assert (ending.asked.is_set(), ending.status, ending.hurried) == (False, 0, False)
@@ -104,7 +104,7 @@ def test_the_first_signal_asks_and_only_a_second_ctrl_c_no_longer_waits():
             os.kill(os.getpid(), signal.SIGHUP)
             assert not ending.asked.is_set()
     finally:
-        signal.signal(signal.SIGHUP, before[signal.SIGHUP])
+        signal.signal(signal.SIGHUP, inherited)
         Ending.signalled = False
 
 
