@@ -17,15 +17,15 @@ import numpy as np
 
 from mufly.bench.rig.simulated import Faults, SimulatedRig
 from mufly.bench.series.analysis import QUANTITIES, Series, analyse
-from mufly.bench.series.plan import Plan, Step, make_plan
+from mufly.bench.series.plan import Axis, Plan, Step, make_plan
 from mufly.bench.series.record import Record
 from mufly.bench.series.run import run_series
 
 
-def plan_for(axis: str) -> Plan:
+def plan_for(axis: Axis) -> Plan:
     return make_plan(
         "coverage", ["naca0012-r60-c20"], [10, 14], [3000, 4000, 5000, 6000, 7000], reference="naca4412-r60-c20",
-        reference_pitch_deg=10, repetitions=2, reference_every=2, axis=axis,  # type: ignore[arg-type]
+        reference_pitch_deg=10, repetitions=2, reference_every=2, axis=axis,
     )  # fmt: skip
 
 

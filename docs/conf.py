@@ -12,12 +12,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import mufly
+
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
-
-import make_reference  # noqa: E402
-
-import mufly  # noqa: E402
 
 project = "mufly"
 author = "The mufly developers"
@@ -95,5 +93,7 @@ INCLUDED = {
 
 def setup(app: Any) -> None:
     """Write the reference before the pages are read."""
+    import make_reference  # from beside this file
+
     make_reference.write(HERE / "reference")
     app.connect("source-read", links_out_of_the_site)

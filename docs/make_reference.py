@@ -65,8 +65,8 @@ def index(pages: list[str]) -> str:
 
 def commands() -> Iterator[tuple[str, str]]:
     """Name and page of every command, with those below it."""
-    top = typer.main.get_command(app)
-    for name, command in sorted(top.commands.items()):  # type: ignore[attr-defined]
+    top: Any = typer.main.get_command(app)
+    for name, command in sorted(top.commands.items()):
         yield name, _command(command, f"mufly {name}", "#")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -32,8 +32,11 @@ from mufly.cli.present import console, print_json, print_table, progress_bar, sa
 from mufly.units import RPM
 
 if TYPE_CHECKING:
+    from typing import Literal
+
     from mufly.drive import OperatingPoint
     from mufly.rotor import Band, Rotor, RotorResult
+    from mufly.rotor.uncertainty import Known
 
 
 FamilyOption = Annotated[
@@ -297,7 +300,7 @@ def hover(
         around = interval(
             r, pitch_rad=result.pitch_rad, speed_rad_s=result.speed_rad_s, climb_m_s=climb, air=air, level=band,
             corrections=theory.corrections(), n_crit=theory.n_crit, engine=theory.polar_engine(),
-            section=section, family=family,  # type: ignore[arg-type]
+            section=cast("Known", section), family=family,
         )  # fmt: skip
     files = []
     if out is not None:
@@ -447,7 +450,8 @@ def fit(
     one_of("--section", section, _SECTIONS)
     with progress_bar("sections", not as_json) as progress:
         found = fit_rotor(
-            r, bench, section=section, family=family, air=air, n_crit=polars.n_crit, engine=polars.polar_engine(),  # type: ignore[arg-type]
+            r, bench, section=cast("Literal['guessed', 'known']", section), family=family, air=air,
+            n_crit=polars.n_crit, engine=polars.polar_engine(),
             corrections=polars.corrections(), progress=progress,
         )  # fmt: skip
     files = []

@@ -181,9 +181,11 @@ class Epos:
             raise DeviceError(f"{self.name}: an answer is too short")
         return int(struct.unpack("<i", data[:4])[0])
 
-    def set(self, item: tuple[int, int], value: int, **more: float) -> None:
+    def set(
+        self, item: tuple[int, int], value: int, tries: int = TRIES, patience_s: float = PATIENCE_s
+    ) -> None:
         """Set an object's value."""
-        self._ask(self._kind.write, self._where(item) + struct.pack("<i", value), **more)  # type: ignore[arg-type]
+        self._ask(self._kind.write, self._where(item) + struct.pack("<i", value), tries, patience_s)
 
     def open(self) -> None:
         self._line.open()

@@ -63,7 +63,10 @@ def rotor_map(rotor: str, pitch_deg: float) -> tuple[RectBivariateSpline, RectBi
         air=MAP_AIR,
     )
     x, y = _OFFSETS, np.log(_SPEEDS)
-    return tuple(RectBivariateSpline(x, y, v / _SPEEDS**2, kx=2, ky=3) for v in (at.thrust_N, at.torque_Nm))  # type: ignore[return-value]
+    thrust, torque = (
+        RectBivariateSpline(x, y, v / _SPEEDS**2, kx=2, ky=3) for v in (at.thrust_N, at.torque_Nm)
+    )
+    return thrust, torque
 
 
 @lru_cache(maxsize=64)

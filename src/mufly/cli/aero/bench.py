@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mufly.bench.rig.devices import Rig
     from mufly.bench.series.analysis import Load, Series, Setting
     from mufly.bench.series.files import Difference
-    from mufly.bench.series.plan import Mounting, Plan, Step
+    from mufly.bench.series.plan import Axis, Mounting, Plan, Step
     from mufly.bench.series.record import Record
 
 app = Commands(
@@ -110,7 +110,7 @@ def plan(
     ratios = _numbers("--ratio", ratio)
     made = make_plan(
         name, rotor, _numbers("--pitch", pitch), _numbers("--rpm", rpm), reference=reference or rotor[0],
-        reference_pitch_deg=reference_pitch, repetitions=repeat, axis=axis,  # type: ignore[arg-type]
+        reference_pitch_deg=reference_pitch, repetitions=repeat, axis=cast("Axis", axis),
         speed_ratios=ratios, reference_every=reference_every, seed=seed,
         times=Times(warm_up_s=warm_up), spacing_m=spacing,
     )  # fmt: skip
