@@ -17,6 +17,7 @@ from mufly.rotor import (
     Measurements,
     calibrate,
     compare,
+    fit_rotor,
     hover,
     hover_batch,
     interval,
@@ -75,6 +76,23 @@ def test_files_from_elsewhere(tmp_path, text):
     bench = read_measurements(path)
     assert_allclose(bench.pitch_rad, np.radians([12]))
     assert_allclose((bench.thrust_N[0], bench.torque_Nm[0]), (0.151, 0.0015))
+
+
+def test_axial_flight_is_read_and_compared(tmp_path, case):
+    path = tmp_path / "tunnel.csv"
+    path.write_text("pitch_deg,speed_rpm,thrust_N,J\n12,5000,0.15,0.2\n12,5000,0.05,0.4\n12,5000,0.0,0.6\n")
+    bench = read_measurements(path, diameter_m=0.12)
+    assert_allclose(bench.climb_m_s, 0.12 * 5000 / 60 * np.array([0.2, 0.4, 0.6]))
+    out = compare(case, bench)
+    wanted = hover(
+        case, pitch_rad=bench.pitch_rad[1], speed_rad_s=bench.speed_rad_s[1], climb_m_s=4.0
+    ).thrust_N
+    assert out.thrust_N[1] == wanted
+    assert "axial_m_s" in str(out)
+    with pytest.raises(InputError, match="airspeed: is not 0"):
+        fit_rotor(case.rotors[0], bench)
+    with pytest.raises(InputError, match="J: is a ratio"):
+        read_measurements(path)
 
 
 def test_a_rotor_will_do_where_a_blading_does(case):

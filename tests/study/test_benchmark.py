@@ -9,7 +9,18 @@ from numpy.testing import assert_allclose
 
 from mufly.errors import InputError
 from mufly.rotor import load_rotor, rotor_toml
-from mufly.study.benchmark import code_of, families, load_cases, picture, question_of, run, table
+from mufly.study.benchmark import (
+    advancing_table,
+    code_of,
+    families,
+    load_cases,
+    picture,
+    question_of,
+    run,
+    run_advancing,
+    table,
+)
+from mufly.study.benchmark.advancing import curve_of
 from mufly.study.benchmark.scores import widening
 
 STATIC = "RPM CT CP\n3000.0 0.10 0.05\n4000.0 0.11 0.05\n5000.0 0.12 0.05\n"
@@ -127,3 +138,32 @@ def test_intervals_are_widened_until_they_hold():
     assert widening(off) == 2.0
     assert widening(off, 0.25) == pytest.approx(0.5)
     assert widening([]) == 1.0
+
+
+def falling(question):
+    """An outside code: c_T = 0.1 (1 - J / 0.7), c_P = 0.05, of propellers, in air of 1.2 kg/m3."""
+    n, d = np.array(question["speed_rad_s"]) / (2 * np.pi), 2 * question["radius_m"]
+    j = np.array(question["climb_m_s"]) / (n * d)
+    return 0.12 * (1 - j / 0.7) * n**2 * d**4, 0.06 * n**2 * d**5 / (2 * np.pi)
+
+
+def test_runs_in_a_tunnel(data):
+    rows = "".join(f"{j:.3f} {0.1 * (1 - j / 0.6):.5f} 0.05 0.5\n" for j in np.linspace(0.1, 0.65, 12))
+    (data / "volume-2" / "kpf_96x70_0124rd_8043.txt").write_text("J CT CP eta\n" + rows)
+    (data / "volume-2" / "kpf_96x70_static_0124rd.txt").write_text(STATIC)
+    cases, _ = load_cases(data, "kpf,gwsdd")
+    assert [len(c.advancing) for c in cases] == [0, 1]
+    assert_allclose(cases[1].advancing[0].speed_rad_s, 8043 * np.pi / 30)
+    sys.modules["falling_code"] = type(sys)("falling_code")
+    sys.modules["falling_code"].falling = falling
+    (score,) = run_advancing(cases, [code_of("falling_code:falling")])
+    # Thrust ends at 0.6 and at 0.7; eta = 2 J (1 - J / J0) has its greatest value, J0 / 2, at J0 / 2.
+    assert_allclose([score.measured.zero_thrust, score.predicted.zero_thrust], [0.6, 0.7], rtol=1e-3)
+    assert_allclose([score.measured.efficiency, score.predicted.efficiency], [0.3, 0.35], rtol=1e-3)
+    assert_allclose([score.measured.best_advance, score.predicted.best_advance], [0.3, 0.35], rtol=2e-2)
+    (row,) = advancing_table([score])
+    assert_allclose(row.size, [1 / 6] * 3, rtol=2e-2)
+    # A run that ends before its greatest efficiency says nothing of it.
+    j = np.linspace(0.1, 0.2, 5)
+    short = curve_of(j, 1 - j / 0.6, np.ones(5), j)
+    assert np.isnan([short.efficiency, short.best_advance, short.zero_thrust]).all()

@@ -7,6 +7,7 @@ pitch      ``pitch_deg``; without it the blades stand as in the rotor file (0)
 speed      ``speed_rpm``, ``RPM``
 thrust     ``thrust_N``, ``T(gf)``, or ``CT`` = T / (rho n^2 D^4), n in revolutions a second
 torque     ``torque_mNm``, ``Q(Nm)``, ``power_W``, or ``CP`` = P / (rho n^3 D^5); it may be left out
+air        ``airspeed_m_s``, ``climb_m_s`` along the shaft, or ``J`` = V / (n D); without it the rotor hovers
 =========  ===========================================================================================
 
 are used. The coefficients are those of propellers (UIUC's data, for one) and need diameter and density.
@@ -32,6 +33,7 @@ def read_measurements(
     columns: str | None = None,
     diameter_m: float | None = None,
     density_kg_m3: float | None = None,
+    speed_rad_s: float | None = None,
 ) -> Measurements:
     """Read the measured points of a rotor.
 
@@ -42,17 +44,19 @@ def read_measurements(
         Map of headers, as for :func:`mufly.bench.read_bench`.
     diameter_m, density_kg_m3 : float, optional
         Of the rotor and of the air at the bench; needed where the file gives coefficients.
+    speed_rad_s : float, optional
+        Of all points, where the file has no column of it (UIUC's runs in a tunnel have it in their names).
 
     Raises
     ------
     InputError
         If the file cannot be read, a column is missing, or a value is not possible: speed, torque and power are above
-        zero, thrust is not zero, the pitch lies within 90 degrees.
+        zero and thrust is not zero but in axial flight, the pitch lies within 90 degrees.
     """
     table = read_bench(path, columns=columns)
     thrust_in = next((n for n in ("thrust", "thrust_coefficient") if n in table), "thrust")
     torque_in = next((n for n in ("torque", "power", "power_coefficient") if n in table), "")
-    table.require(("speed", thrust_in))
+    table.require((thrust_in,) if speed_rad_s and "speed" not in table else ("speed", thrust_in))
     if "pitch" in table:
         table.require(("pitch",))
         _check(
@@ -61,9 +65,14 @@ def read_measurements(
             np.abs(table["pitch"]) <= _PITCH_LIMIT_RAD,
             "lie within 90 degrees; is its unit right?",
         )
-    _check(table, "speed", table["speed"] > 0.0, "be above 0")
-    _check(table, thrust_in, table[thrust_in] != 0.0, "not be 0; leave the line out")
-    if torque_in:
+    if "speed" in table:
+        _check(table, "speed", table["speed"] > 0.0, "be above 0")
+    air = next((n for n in ("airspeed", "advance_ratio") if n in table), "")
+    if air:
+        table.require((air,))
+    if not air:  # in a tunnel thrust ends, and beyond that the air turns the rotor
+        _check(table, thrust_in, table[thrust_in] != 0.0, "not be 0; leave the line out")
+    if torque_in and not air:
         # An empty cell is a point without torque.
         known = ~(table[torque_in] <= 0.0)
         _check(
@@ -77,7 +86,10 @@ def read_measurements(
     ):
         key = thrust_in if thrust_in == "thrust_coefficient" else torque_in
         raise table.fault(key, "is a coefficient", "say to which rotor and air it belongs, or give thrust_N")
-    speed, scale = table["speed"], density_kg_m3 or math.nan
+    if air == "advance_ratio" and not diameter_m:
+        raise table.fault(air, "is a ratio", "say to which rotor it belongs, or give airspeed_m_s")
+    speed = table["speed"] if "speed" in table else np.full(len(table), speed_rad_s or math.nan)
+    scale = density_kg_m3 or math.nan
     turns, diameter = speed / (2.0 * math.pi), diameter_m or math.nan
     thrust = table[thrust_in]
     if thrust_in == "thrust_coefficient":
@@ -88,7 +100,10 @@ def read_measurements(
     elif torque_in == "power":
         torque = torque / speed
     pitch = table["pitch"] if "pitch" in table else np.zeros(len(table))
-    return Measurements(pitch, speed, thrust, torque, table.source)
+    climb = table[air] if air else np.zeros(len(table))
+    if air == "advance_ratio":
+        climb = climb * turns * diameter
+    return Measurements(pitch, speed, thrust, torque, table.source, climb)
 
 
 def _check(table: BenchTable, name: str, good: np.ndarray[tuple[int], np.dtype[np.bool_]], must: str) -> None:

@@ -218,6 +218,8 @@ _NAMES = {
     "pitch": ("rad", "pitch blade_pitch"),
     "thrust_coefficient": ("1", "ct"),
     "power_coefficient": ("1", "cp"),
+    "advance_ratio": ("1", "j advance_ratio"),
+    "airspeed": ("m/s", "airspeed climb tunnel_speed"),
     "time": ("s", "time t_s seconds"),
     "run": ("1", "run series test repeat"),
     "density": ("kg/m3", "density rho air_density"),
@@ -229,7 +231,7 @@ SI_UNITS = {quantity: unit for quantity, (unit, _) in _NAMES.items()}
 
 _SIDES = {"upper": "upper up top", "lower": "lower dw low down bottom"}
 _BRACKETS = re.compile(r"^(.*?)\s*[\(\[]\s*([^\)\]]*?)\s*[\)\]]$")
-_NEEDS_NO_UNIT = ("duty", "run", "thrust_coefficient", "power_coefficient", "humidity")
+_NEEDS_NO_UNIT = ("duty", "run", "thrust_coefficient", "power_coefficient", "advance_ratio", "humidity")
 _OWN_UNIT = {"rpm": "rpm", "omega": "rad/s"}
 
 

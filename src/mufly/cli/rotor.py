@@ -342,6 +342,11 @@ def hover(
         ("figure of merit", f"{result.figure_of_merit:.3f}"),
         ("c_T, c_Q", f"{result.c_T:.5f}, {result.c_Q:.6f}"),
     ]
+    if climb > 0.0:
+        advance = climb * math.pi / (result.speed_rad_s * r.radius_m)
+        useful = result.thrust_N > 0.0 and result.power_W > 0.0
+        share = f", {climb * result.thrust_N / result.power_W:.1%}" if useful else ""
+        rows.append(("advance ratio V/(n D), efficiency T V/P", f"{advance:.4f}{share}"))
     if point is not None and d is not None:
         rows += [
             ("electrical power", f"{float(point.input_power_W):.4g} W"),

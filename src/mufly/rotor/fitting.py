@@ -150,12 +150,19 @@ def fit_rotor(
     Raises
     ------
     InputError
-        If ``section`` is neither.
+        If ``section`` is neither, or points were not measured in hover.
     MuflyError
         If no section comes near to the measurements.
     """
     if section not in ("guessed", "known"):
         raise InputError("fit", "section", f"{section!r} is unknown", "use 'guessed' or 'known'")
+    if measurements.axial:
+        raise InputError(
+            measurements.source,
+            "airspeed",
+            "is not 0: sections are fitted to hover",
+            "leave these points out",
+        )
     plain, gas, fixes = rotor.model_copy(update={"fit": None}), air or Air(), corrections or Corrections()
     n = measurements.thrust_N.size
     chord = float(rotor.chord_m(0.75))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,8 @@ class Measurements:
         Setting and result; torque is nan where it was not measured.
     source : str
         File or paper.
+    climb_m_s : (n,) array
+        Axial speed of the rotor through the air (m/s), as a propeller's in a tunnel; 0, for all points, is hover.
     """
 
     pitch_rad: Array
@@ -42,6 +44,22 @@ class Measurements:
     thrust_N: Array
     torque_Nm: Array
     source: str
+    climb_m_s: Array = field(default_factory=lambda: np.zeros(1))
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "climb_m_s", np.broadcast_to(self.climb_m_s, self.thrust_N.shape).copy())
+
+    @property
+    def axial(self) -> bool:
+        """Whether some points are no hover."""
+        return bool(np.any(self.climb_m_s != 0.0))
+
+    def part(self, index: NDArray[np.intp]) -> Measurements:
+        """Return the points with these positions."""
+        return Measurements(
+            self.pitch_rad[index], self.speed_rad_s[index], self.thrust_N[index], self.torque_Nm[index], self.source,
+            self.climb_m_s[index],
+        )  # fmt: skip
 
 
 @result(eq=False)
@@ -84,11 +102,12 @@ class Comparison:
 
     def __str__(self) -> str:
         head = "calibrated on measurements" if self.calibrated else "not calibrated"
-        lines = [
-            f"{self.measured.source}: {head}",
-            "pitch_deg speed_rpm  thrust_N measured  error   torque_Nm measured  error",
-        ]
         m = self.measured
+        lines = [
+            f"{m.source}: {head}",
+            "pitch_deg speed_rpm  thrust_N measured  error   torque_Nm measured  error"
+            + ("  axial_m_s" if m.axial else ""),
+        ]
         for i in range(m.thrust_N.size):
             torque = f"{self.torque_Nm[i]:9.5f}"
             if np.isfinite(m.torque_Nm[i]):
@@ -96,6 +115,7 @@ class Comparison:
             lines.append(
                 f"{math.degrees(m.pitch_rad[i]):9.2f} {m.speed_rad_s[i] / RPM:9.0f} {self.thrust_N[i]:9.4f} "
                 f"{m.thrust_N[i]:8.4f} {100 * self.thrust_error[i]:+5.1f}% {torque}"
+                + (f" {m.climb_m_s[i]:8.2f}" if m.axial else "")
             )
         mean = f"mean absolute error: thrust {100 * self.mean_thrust_error:.1f} %"
         if math.isfinite(self.mean_torque_error):
@@ -135,7 +155,9 @@ def compare(
     bench = measurements
     faults = [""] * bench.thrust_N.size
     if method == "bemt":
-        out = hover_batch(case, pitch_rad=bench.pitch_rad, speed_rad_s=bench.speed_rad_s, air=gas)
+        out = hover_batch(
+            case, pitch_rad=bench.pitch_rad, speed_rad_s=bench.speed_rad_s, climb_m_s=bench.climb_m_s, air=gas
+        )
         thrust, torque = out.thrust_N, out.torque_Nm
     else:
         thrust, torque = _by_wake(case, bench, gas, settings, faults, progress)
@@ -143,11 +165,16 @@ def compare(
         bench,
         thrust,
         torque,
-        thrust / bench.thrust_N - 1.0,
-        torque / bench.torque_Nm - 1.0,
+        _off(thrust, bench.thrust_N),
+        _off(torque, bench.torque_Nm),
         case.calibrated,
         tuple(faults),
     )
+
+
+def _off(value: Array, measured: Array) -> Array:
+    """Relative error; nan where what was measured is nan or 0, as the thrust of a fast climb may be."""
+    return value / np.where(measured == 0.0, math.nan, measured) - 1.0
 
 
 def _by_wake(
@@ -159,10 +186,15 @@ def _by_wake(
     thrust, torque = np.full(n, np.nan), np.full(n, np.nan)
     known: Result | None = None
     # Neighbours in pitch and speed one after the other: each wake starts from the one before.
-    for done, k in enumerate(np.lexsort((bench.speed_rad_s, bench.pitch_rad)).tolist()):
+    for done, k in enumerate(np.lexsort((bench.climb_m_s, bench.speed_rad_s, bench.pitch_rad)).tolist()):
         if progress is not None:
             progress(done, n)
-        point = Condition(float(bench.pitch_rad[k]), float(bench.speed_rad_s[k]), air=air)
+        point = Condition(
+            float(bench.pitch_rad[k]),
+            float(bench.speed_rad_s[k]),
+            climb_m_s=float(bench.climb_m_s[k]),
+            air=air,
+        )
         now = solve(system, point, "wake", settings=settings, start=known)
         if not now.converged and known is not None:
             now = solve(system, point, "wake", settings=settings)
@@ -200,14 +232,17 @@ def calibrate(
         If no factors between 0.2 and 5 meet the point.
     """
     pitch, speed = measurements.pitch_rad[point], measurements.speed_rad_s[point]
-    wanted = measurements.thrust_N[point], measurements.torque_Nm[point]
+    wanted, climb = (
+        (measurements.thrust_N[point], measurements.torque_Nm[point]),
+        measurements.climb_m_s[point],
+    )
     lift, drag = 1.0, 1.0
 
     def scaled(lift: float, drag: float) -> Blading:
         return replace(blading, corrections=replace(blading.corrections, lift_factor=lift, drag_factor=drag))
 
     def error(lift: float, drag: float) -> tuple[float, float]:
-        out = hover_batch(scaled(lift, drag), pitch_rad=pitch, speed_rad_s=speed, air=air)
+        out = hover_batch(scaled(lift, drag), pitch_rad=pitch, speed_rad_s=speed, climb_m_s=climb, air=air)
         return float(out.thrust_N / wanted[0] - 1.0), float(out.torque_Nm / wanted[1] - 1.0)
 
     try:

@@ -20,7 +20,7 @@ from mufly.cli.present import (
 from mufly.cli.rotor import app as rotor_commands
 
 if TYPE_CHECKING:
-    from mufly.study.benchmark import Code, Prediction, RotorCase, Row, Score
+    from mufly.study.benchmark import AdvancingRow, AdvancingScore, Code, Prediction, RotorCase, Row, Score
 
 
 @rotor_commands.command()
@@ -71,23 +71,35 @@ def benchmark(
     for share in ("one", "half") if held_out else ():
         with progress_bar(f"fitted to {share}", not as_json) as progress:
             scores += room.held_out(cases, share, progress)
+    with progress_bar("tunnel", not as_json) as progress:
+        advancing = room.run_advancing(cases, codes, progress)
+    tunnel = room.advancing_table(advancing)
     rows, by_family = room.table(scores), room.families(scores)
     files = []
     if out is not None:
         files = [save_picture(room.picture(scores), out, "errors"), _points_csv(scores, out / "points.csv")]
         files.append(write_csv(out / "scores.csv", _HEADS, [_cells(r) for r in rows]))
         files.append(write_csv(out / "families.csv", _HEADS, [_cells(r) for r in by_family]))
+        if advancing:
+            files.append(
+                write_csv(out / "advancing.csv", _TUNNEL_HEADS, [_tunnel_cells(s) for s in advancing])
+            )
     if as_json:
         print_json(
             {"scores": rows, "families": by_family, "missing": missing, "rotors": [_rotor(s) for s in scores],
+             "advancing": tunnel,
+             "advancing_runs": [dict(zip(_TUNNEL_HEADS, _tunnel_cells(s), strict=True)) for s in advancing],
              "files": [str(f) for f in files]}
         )  # fmt: skip
         return
     _show(rows, "mean size of the error, of rotors in a group")
     if len(by_family) > len(rows):
         _show(by_family, "by family")
+    if tunnel:
+        _show_tunnel(tunnel + room.advancing_table(advancing, by_family=True))
     c = console()
-    for text in dict.fromkeys(f"{s.code}, {s.case.name}: {s.fault}" for s in scores if s.fault):
+    faults = [(s.code, s.case.name, s.fault) for s in (*scores, *advancing) if s.fault]
+    for text in dict.fromkeys(f"{code}, {name}: {fault}" for code, name, fault in faults):
         c.print(text, style="yellow", highlight=False)
     for text in missing:
         c.print(f"not in {data}: {text}", style="dim", highlight=False)
@@ -112,18 +124,44 @@ def _show(rows: list[Row], title: str) -> None:
     def share(value: float) -> str:
         return f"{100 * value:.0f}" if np.isfinite(value) else "-"
 
-    def pair(size: float, bias: float) -> str:
-        return f"{100 * size:.1f} % ({100 * bias:+.1f})" if np.isfinite(size) else "-"
-
     console().print(title, style="bold")
     print_table(
         ("code", "of", "rotors", "points", "thrust (bias)", "torque (bias)", "held by 90 %"),
         [
             (
                 r.code, r.group, f"{r.rotors}", f"{r.points}" + (f" ({r.without} without answer)" if r.without else ""),
-                pair(r.thrust, r.thrust_bias), pair(r.torque, r.torque_bias),
+                _pair(r.thrust, r.thrust_bias), _pair(r.torque, r.torque_bias),
                 f"{share(r.thrust_inside)}, {share(r.torque_inside)}",
             )
+            for r in rows
+        ],
+        text=(0, 1),
+    )  # fmt: skip
+
+
+def _pair(size: float, bias: float) -> str:
+    return f"{100 * size:.1f} % ({100 * bias:+.1f})" if np.isfinite(size) else "-"
+
+
+_TUNNEL_HEADS = (
+    "code", "rotor", "family", "speed_rad_s", "efficiency", "best_advance_ratio", "zero_thrust_advance_ratio",
+    "efficiency_error", "best_advance_ratio_error", "zero_thrust_advance_ratio_error",
+)  # fmt: skip
+
+
+def _tunnel_cells(s: AdvancingScore) -> list[float | str]:
+    m = s.measured
+    return [
+        s.code, s.case.name, s.case.family, s.speed_rad_s, m.efficiency, m.best_advance, m.zero_thrust, *s.errors
+    ]  # fmt: skip
+
+
+def _show_tunnel(rows: list[AdvancingRow]) -> None:
+    console().print("runs in a tunnel: mean size of the error, of rotors in a group", style="bold")
+    print_table(
+        ("code", "of", "rotors", "runs", "greatest efficiency (bias)", "its advance ratio", "that without thrust"),
+        [
+            (r.code, r.group, f"{r.rotors}", f"{r.runs}", *(_pair(s, b) for s, b in zip(r.size, r.bias, strict=True)))
             for r in rows
         ],
         text=(0, 1),

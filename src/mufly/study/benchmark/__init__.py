@@ -1,5 +1,6 @@
 """How near do predictions come? Measured rotors, codes of anybody, scores: `mufly rotor benchmark`."""
 
+from mufly.study.benchmark.advancing import AdvancingRow, AdvancingScore, advancing_table, run_advancing
 from mufly.study.benchmark.cases import SECTIONS, SOURCES, RotorCase, load_cases
 from mufly.study.benchmark.codes import Code, Prediction, Question, code_of, question_of
 from mufly.study.benchmark.scores import Row, Score, cross_validated, families, held_out, picture, run, table
@@ -7,12 +8,15 @@ from mufly.study.benchmark.scores import Row, Score, cross_validated, families, 
 __all__ = [
     "SECTIONS",
     "SOURCES",
+    "AdvancingRow",
+    "AdvancingScore",
     "Code",
     "Prediction",
     "Question",
     "RotorCase",
     "Row",
     "Score",
+    "advancing_table",
     "code_of",
     "cross_validated",
     "families",
@@ -21,5 +25,6 @@ __all__ = [
     "picture",
     "question_of",
     "run",
+    "run_advancing",
     "table",
 ]

@@ -6,6 +6,7 @@ all of them on, so each has the place where it is to be had.
 ==============================  ================================================================================
 ``uiuc_micro/``                 ``index.csv`` (name, diameter_m, blades, geometry), ``*_geom.csv``, ``*_static.csv``
 ``*_geom.txt``, ``*_static*``   UIUC's own files, anywhere below the folder: the propellers of all its volumes
+``NAME_RUN_RPM.txt``            UIUC's runs in the tunnel (J, CT, CP), anywhere below the folder
 ``thesis_table_3_2.csv``        pitch (deg), rpm, thrust (N), torque (N m)
 ``caradonna_tung_ct.csv``       pitch (deg), c_T
 ``dji9443_chord.csv, _twist``   chord and twist along the blade, over R and in degrees
@@ -25,7 +26,7 @@ import csv
 import math
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
@@ -95,6 +96,8 @@ class RotorCase:
         Whether its section is, or is a guess.
     measured : Measurements
     air : Air
+    advancing : tuple of Measurements
+        Runs in a tunnel at one speed each, rising in airspeed.
     """
 
     name: str
@@ -104,6 +107,7 @@ class RotorCase:
     known: bool
     measured: Measurements
     air: Air = AIR
+    advancing: tuple[Measurements, ...] = ()
 
 
 def rows_of(path: Path) -> Array:
@@ -161,6 +165,7 @@ def load_cases(folder: Path, only: str = "") -> tuple[list[RotorCase], list[str]
     cases += [case for case in (*uiuc_files(folder), *own_rotors(folder)) if case.name not in known]
     words = [w.strip().lower() for w in only.split(",") if w.strip()]
     chosen = [c for c in cases if not words or any(w in f"{c.name} {c.group}".lower() for w in words)]
+    chosen = [replace(c, advancing=tuple(runs_in_tunnel(folder, c))) for c in chosen]
     if not chosen:
         names = ", ".join(sorted({c.group for c in cases})) or "nothing"
         raise InputError(
@@ -265,6 +270,19 @@ def uiuc_files(folder: Path) -> Iterator[RotorCase]:
 
 
 _ARRAYS = ("pitch_rad", "speed_rad_s", "thrust_N", "torque_Nm")
+
+
+def runs_in_tunnel(folder: Path, case: RotorCase) -> Iterator[Measurements]:
+    """UIUC's runs of a propeller in its tunnel, ``NAME_RUN_RPM.txt`` with the columns J, CT, CP."""
+    named = re.compile(re.escape(case.name) + r"_[^_]+_(\d+)")
+    for file in sorted(folder.rglob(f"{case.name}_*.txt")):
+        found = named.fullmatch(file.stem)
+        if found is not None:
+            run = read_measurements(
+                file, diameter_m=2.0 * case.rotor.radius_m, density_kg_m3=case.air.density_kg_m3,
+                speed_rad_s=float(found[1]) * RPM,
+            )  # fmt: skip
+            yield run.part(np.argsort(run.climb_m_s, kind="stable"))
 
 
 def dji_9443(folder: Path) -> RotorCase:

@@ -39,7 +39,8 @@ Array = NDArray[np.float64]
 
 Question = dict[str, Any]
 """name, blades, radius_m, hub_radius_m; (stations,) lists r_m, chord_m, twist_rad, airfoils (names); contours (name to
-(n, 2) list, Selig order); (points,) lists pitch_rad, speed_rad_s; density_kg_m3, viscosity_Pa_s, sound_m_s."""
+(n, 2) list, Selig order); (points,) lists pitch_rad, speed_rad_s, climb_m_s (along the shaft);
+density_kg_m3, viscosity_Pa_s, sound_m_s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +115,7 @@ def question_of(case: RotorCase) -> Question:
         "contours": {Path(n).stem: load_airfoil(n).coordinates.tolist() for n in dict.fromkeys(names)},
         "pitch_rad": case.measured.pitch_rad.tolist(),
         "speed_rad_s": case.measured.speed_rad_s.tolist(),
+        "climb_m_s": case.measured.climb_m_s.tolist(),
         "density_kg_m3": case.air.density_kg_m3,
         "viscosity_Pa_s": case.air.viscosity_Pa_s,
         "sound_m_s": case.air.sound_m_s,
@@ -158,10 +160,11 @@ def _by_command(command: str, case: RotorCase, limit_s: float) -> Prediction:
         )
         rows = [(r, c, math.degrees(t), foil) for r, c, t, foil in blade]
         _write(folder / "blade.csv", ("r_m", "chord_m", "twist_deg", "airfoil"), rows)
-        points = zip(question["pitch_rad"], question["speed_rad_s"], strict=True)
+        points = zip(question["pitch_rad"], question["speed_rad_s"], question["climb_m_s"], strict=True)
         _write(
-            folder / "points.csv", ("pitch_deg", "speed_rpm"), [(math.degrees(p), s / RPM) for p, s in points]
-        )
+            folder / "points.csv", ("pitch_deg", "speed_rpm", "climb_m_s"),
+            [(math.degrees(p), s / RPM, v) for p, s, v in points],
+        )  # fmt: skip
         for foil, xy in question["contours"].items():
             lines = "\n".join(f"{x:.6f} {y:.6f}" for x, y in xy)
             (folder / f"{foil}.dat").write_text(f"{foil}\n{lines}\n", encoding="utf-8")

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import MuflyError
-from mufly.rotor import Measurements, fit_rotor, interval
+from mufly.rotor import fit_rotor, interval
 from mufly.study.benchmark.cases import RotorCase
 from mufly.study.benchmark.codes import Code, Prediction, question_of
 from mufly.version import __version__
@@ -71,11 +71,7 @@ def _mean(values: Array) -> float:
 
 def part_of(case: RotorCase, index: NDArray[np.intp]) -> RotorCase:
     """Return a case with some of its points."""
-    m = case.measured
-    part = Measurements(
-        m.pitch_rad[index], m.speed_rad_s[index], m.thrust_N[index], m.torque_Nm[index], m.source
-    )
-    return replace(case, measured=part)
+    return replace(case, measured=case.measured.part(index))
 
 
 def thinned(case: RotorCase, points: int) -> RotorCase:
