@@ -155,7 +155,7 @@ def test_runs_in_a_tunnel(data):
     assert [len(c.advancing) for c in cases] == [0, 1]
     assert_allclose(cases[1].advancing[0].speed_rad_s, 8043 * np.pi / 30)
     sys.modules["falling_code"] = type(sys)("falling_code")
-    sys.modules["falling_code"].falling = falling
+    vars(sys.modules["falling_code"])["falling"] = falling
     (score,) = run_advancing(cases, [code_of("falling_code:falling")])
     # Thrust ends at 0.6 and at 0.7; eta = 2 J (1 - J / J0) has its greatest value, J0 / 2, at J0 / 2.
     assert_allclose([score.measured.zero_thrust, score.predicted.zero_thrust], [0.6, 0.7], rtol=1e-3)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from typing import Literal
 
     from mufly.drive import OperatingPoint
-    from mufly.rotor import Band, Rotor, RotorResult
+    from mufly.rotor import Band, Measurements, Rotor, RotorResult
     from mufly.rotor.uncertainty import Known
 
 
@@ -361,12 +361,12 @@ def hover(
             (
                 f"{result.r_m[k] / r.radius_m:.3f}{' *' if result.outside[k] else ''}",
                 f"{np.degrees(result.alpha_rad[k]):.2f}°",
-                f"{result.inflow_m_s[k]:.2f} m/s",
+                f"{result.inflow_m_s[k]:.3g} m/s",
                 f"{result.cl[k]:.3f}",
                 f"{result.cd[k]:.4f}",
                 f"{result.reynolds[k]:.0f}",
                 f"{result.loss[k]:.3f}",
-                f"{result.dT_N[k] / result.dr_m[k]:.2f} N/m",
+                f"{result.dT_N[k] / result.dr_m[k]:.3g} N/m",
             )
             for k in range(0, result.r_m.size, max(1, result.r_m.size // 12))
         ],
@@ -378,6 +378,16 @@ def hover(
         )
     for file in files:
         c.print(f"Written: {file}")
+
+
+def _line(name: str, line: int, bench: Measurements) -> int:
+    """Position of a measured point that a user counted from 1."""
+    from mufly.errors import InputError
+
+    n = bench.thrust_N.size
+    if not 1 <= line <= n:
+        raise InputError(name, str(line), f"is no point: there are {n}", f"count from 1 to {n}")
+    return line - 1
 
 
 _SECTIONS = ("known", "guessed")
@@ -426,6 +436,9 @@ def fit(
         str, option("--section NAME", "'guessed': the file's airfoils are one guess among others; 'known'.")
     ] = "guessed",
     family: FamilyOption = "",
+    point: Annotated[
+        int | None, option("--point LINE", "Fit to this measured point alone, counted from 1.")
+    ] = None,
     density: Annotated[float, option("KG/M3", "Density of the air at the bench.")] = 1.2,
     columns: ColumnsOption = None,
     polars: Polars = POLARS,
@@ -453,6 +466,8 @@ def fit(
         measurements, columns=columns, diameter_m=2.0 * float(r.radius), density_kg_m3=density
     )
     one_of("--section", section, _SECTIONS)
+    if point is not None:
+        bench = bench.part(np.array([_line("--point", point, bench)]))
     with progress_bar("sections", not as_json) as progress:
         found = fit_rotor(
             r, bench, section=cast("Literal['guessed', 'known']", section), family=family, air=air,
@@ -535,7 +550,8 @@ def compare(
         option(
             "LINE",
             "Scale lift and drag to this measured point, counted from 1, as the "
-            "dissertation did. Printed as calibrated; `mufly rotor fit` writes a rotor that keeps what a bench said.",
+            "dissertation did. The factors are printed; `mufly rotor fit --point LINE --out FILE.toml` writes a rotor "
+            "that keeps what the point said.",
         ),
     ] = None,
     density: Annotated[float, option("KG/M3", "Density of the air at the bench.")] = 1.2,
@@ -563,9 +579,7 @@ def compare(
         raise InputError("--calibrate", "", "scales blade element theory", "leave it or --method wake out")
     blading = theory.blading(r, stations)
     if calibrate is not None:
-        if not 1 <= calibrate <= bench.thrust_N.size:
-            raise InputError("--calibrate", "", f"there are {bench.thrust_N.size} points", "count from 1")
-        blading = scale(blading, bench, calibrate - 1, air=air)
+        blading = scale(blading, bench, _line("--calibrate", calibrate, bench), air=air)
     with progress_bar("points", theory.method == "wake" and not as_json) as progress:
         c = beside(
             blading, bench, air=air, method=theory.method, settings=settings, progress=progress,  # type: ignore[arg-type]
@@ -583,12 +597,18 @@ def compare(
         print_json(
             {
                 "rotor": r.name, "measurements": bench.source, "calibrated": c.calibrated, "model": theory.model,
+                "lift_factor": blading.corrections.lift_factor, "drag_factor": blading.corrections.drag_factor,
                 "method": theory.method,
                 "mean_thrust_error": c.mean_thrust_error, "mean_torque_error": c.mean_torque_error, "points": points,
             }
         )  # fmt: skip
         return
     typer.echo(str(c))
+    if calibrate is not None:
+        lift, drag = blading.corrections.lift_factor, blading.corrections.drag_factor
+        typer.echo(
+            f"lift is scaled by {lift:.4f}, drag by {drag:.4f}; 'rotor fit --point {calibrate}' keeps the point"
+        )
     for k, fault in enumerate(c.faults):
         if fault:
             typer.secho(f"point {k + 1}: wake {fault}", fg=typer.colors.YELLOW)

@@ -98,8 +98,9 @@ def benchmark(
     if tunnel:
         _show_tunnel(tunnel + room.advancing_table(advancing, by_family=True))
     c = console()
-    faults = [(s.code, s.case.name, s.fault) for s in (*scores, *advancing) if s.fault]
-    for text in dict.fromkeys(f"{code}, {name}: {fault}" for code, name, fault in faults):
+    faults = [f"{s.code}, {s.case.name}: {s.fault}" for s in scores if s.fault]
+    faults += [f"{a.code}, {a.case.name}: {a.fault}" for a in advancing if a.fault]
+    for text in dict.fromkeys(faults):
         c.print(text, style="yellow", highlight=False)
     for text in missing:
         c.print(f"not in {data}: {text}", style="dim", highlight=False)
