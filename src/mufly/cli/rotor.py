@@ -453,6 +453,8 @@ def fit(
     that a fit did not see tell how good it is. docs/bemt.md has the equations and the priors.
     Example: mufly rotor fit my-rotor.toml bench.csv --out fitted.toml
     """
+    import numpy as np
+
     from mufly.bench import read_measurements
     from mufly.errors import InputError
     from mufly.rotor import Air, fit_rotor, load_rotor, rotor_toml
