@@ -117,3 +117,27 @@ def test_the_command_writes_the_path_and_says_the_biases(tmp_path):
     assert (out / "path.png").stat().st_size > 20_000
     result = CliRunner().invoke(app, ["identify", "compatibility", str(log), "--imu", "p,q,r,ax,ay,az=2*-az"])
     assert isinstance(result.exception, InputError)
+
+
+def test_a_shaking_rotor_does_not_enlarge_scale_factors_and_a_recordings_names_are_known():
+    """An exact path beside an accelerometer shaken at 17 and 21 Hz, ten times what manoeuvres pull; our own names."""
+    record, truth, states, true, *_ = made(6, n=900)
+    t, imu = record.time_s, (1.0 + truth[6:]) * true + truth[:6]
+    imu[:, 3:] += 5.0 * np.c_[np.sin(107.0 * t), np.cos(107.0 * t), np.sin(132.0 * t + 1.0)]
+    axes = (*("rates." + a for a in "pqr"), *("acceleration." + a for a in "xyz"))
+    columns = {f"measured_{a}": imu[:, k] for k, a in enumerate(axes)}
+    ends = [
+        f"{s}.{a}"
+        for s, b in (("attitude", ("roll", "pitch", "yaw")), ("velocity", "NED"), ("position", "NED"))
+        for a in b
+    ]
+    columns |= {f"truth_{e}": states[:, k] for k, e in enumerate(ends)}
+    columns |= {f"estimated_{e}": states[:, k] + 0.1 for k, e in enumerate(ends)}
+    unused = {"measured_pressure": 7}
+    c = compatibility(Columns("made", t, columns, bridged=unused), *NAMES)
+    assert c.converged
+    value = np.array([e.value for e in c.estimates])
+    assert value[:3] == pytest.approx(truth[:3], abs=2e-3)
+    assert value[9:] == pytest.approx(truth[9:], abs=0.1)
+    assert any("truth stands in" in n for n in c.notes)
+    assert not any("pressure" in n for n in c.notes)

@@ -20,7 +20,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -318,6 +318,16 @@ def units_of(outputs: Sequence[str]) -> tuple[str, ...]:
 
 
 _TIME = ("time", "t", "time_s", "timestamp", "timestamp_s")
+# The kinematics' symbols -> the end of a signal's name in `mufly log`; where nothing measured it, what a simulated
+# flight knows stands in, then what was believed on board.
+_SYMBOLS = {
+    "p": "rates.p", "q": "rates.q", "r": "rates.r",
+    "ax": "acceleration.x", "ay": "acceleration.y", "az": "acceleration.z",
+    "phi": "attitude.roll", "theta": "attitude.pitch", "psi": "attitude.yaw",
+    "v_north": "velocity.N", "v_east": "velocity.E", "v_down": "velocity.D",
+    "north": "position.N", "east": "position.E", "down": "position.D",
+}  # fmt: skip
+_SOURCES_OF_SYMBOLS = ("measured", "truth", "estimated")
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,6 +344,8 @@ class Columns:
         What was done to make it so, in words.
     empty : tuple of str
         Columns of the log that hold no numbers.
+    bridged : dict of str to int
+        Samples of a column that were missing and stand on straight lines now.
     """
 
     name: str
@@ -341,6 +353,7 @@ class Columns:
     columns: Mapping[str, Array]
     notes: tuple[str, ...] = ()
     empty: tuple[str, ...] = ()
+    bridged: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def dt(self) -> float:
@@ -348,19 +361,27 @@ class Columns:
         return float((self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1))
 
     def find(self, name: str, argument: str) -> Array:
-        """Return a column by its name, or by the end of its name where that is unique.
+        """Return a column by its name, the end of its name where that is unique, or its symbol (``ax``, ``phi``).
 
         Raises
         ------
         ArgumentError
             If there is none, or several; ``argument`` is named that asked for it.
         """
+        return self.columns[self.column_of(name, argument)]
+
+    def column_of(self, name: str, argument: str) -> str:
+        """Return the whole name of the column that :meth:`find` returns."""
         if name in self.columns:
-            return self.columns[name]
+            return name
         ends = [c for c in self.columns if c.endswith(f".{name}")]
         best = [c for c in ends if c.startswith("measured_")] or ends
         if len(best) == 1:
-            return self.columns[best[0]]
+            return best[0]
+        meant = [f"{source}_{_SYMBOLS[name]}" for source in _SOURCES_OF_SYMBOLS if name in _SYMBOLS]
+        known = [c for c in meant if c in self.columns]
+        if known:
+            return known[0]
         shown = ", ".join(list(self.columns)[:24]) + (" ..." if len(self.columns) > 24 else "")
         missing = "holds no numbers" if name in self.empty else "is no column of this log"
         problem = "is in several columns" if best else missing
@@ -387,23 +408,37 @@ class Columns:
         """
         if not wanted:
             raise ArgumentError(argument, "", "names nothing", "give names from the log, such as p,q")
-        return np.column_stack([self._sum(text or name, argument) for name, text in wanted.items()])
+        sums = [self._terms(text or name, argument) for name, text in wanted.items()]
+        zero = np.zeros(len(self.time_s))
+        return np.column_stack([sum((f * self.columns[c] for f, c in terms), zero) for terms in sums])
 
-    def _sum(self, text: str, argument: str) -> Array:
+    def notes_on(self, *wanted: Mapping[str, str]) -> list[str]:
+        """Return the record's notes, and those on the columns that :meth:`stack` takes for each of ``wanted``."""
+        used = [
+            c for names in wanted for n, text in names.items() for _, c in self._terms(text or n, "columns")
+        ]
+        holes = [c for c in dict.fromkeys(used) if c in self.bridged]
+        return [
+            *self.notes,
+            *(f"{self.bridged[c]} samples of {c} are missing and were bridged" for c in holes),
+        ]
+
+    def _terms(self, text: str, argument: str) -> list[tuple[float, str]]:
+        """Factor and column of each term of a sum."""
         known = (*self.columns, *self.empty)
         parts = (
             [text] if text in known else re.findall(r"[+-]?[^+-]+(?:(?<=\de)[+-]\d+[^+-]*)?", text) or [text]
         )
-        total = np.zeros(len(self.time_s))
+        terms = []
         for part in parts:
             size, times, name = part.lstrip("+-").partition("*")
             try:
                 factor = float(size) if times else 1.0
             except ValueError:
                 raise ArgumentError(argument, text, f"{size!r} is no number", "write 9.81*COLUMN") from None
-            column = self.find((name if times else size).strip(), argument)
-            total = total + (-factor if part.startswith("-") else factor) * column
-        return total
+            column = self.column_of((name if times else size).strip(), argument)
+            terms.append((-factor if part.startswith("-") else factor, column))
+        return terms
 
     def part(self, start: int, stop: int) -> Columns:
         """Return samples ``start`` to ``stop`` (not included)."""
@@ -531,10 +566,10 @@ def _even(name: str, found: dict[str, Array], rate_hz: float | None, notes: list
         if good.sum() < 2:
             empty.append(k)
             continue
-        if missing[k]:
-            notes.append(f"{missing[k]} samples of {k} are missing and were bridged")
         columns[k] = v if even and good.all() else np.interp(t, time[good], v[good])
-    return Columns(name, t, columns, tuple(notes), tuple(empty))
+    return Columns(
+        name, t, columns, tuple(notes), tuple(empty), {k: missing[k] for k in columns if missing[k]}
+    )
 
 
 def lowpassed(signal: Array, dt: float, cut_hz: float) -> Array:

@@ -39,7 +39,7 @@ from scipy.linalg import solve_triangular
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from mufly.errors import ArgumentError, InputError
-from mufly.identify.record import Columns, smoothed
+from mufly.identify.record import Columns, lowpassed, smoothed
 from mufly.identify.result import Estimate, coloured_covariance, relative, unseen_combinations
 from mufly.results import result
 from mufly.units import GRAVITY
@@ -62,6 +62,7 @@ _QUIET = {
 _QUIET_IMU = np.array([1e-3] * 3 + [1e-2] * 3)
 _ROUNDS, _SETTLED = 8, 0.02  # of the search; last step over the deviation
 _STEEP = np.radians(80.0)
+_SLOW_HZ = 5.0  # below which lie motions, above it a rotor's shaking
 
 
 @result(eq=False)
@@ -207,6 +208,15 @@ def _reconstructed(record: Columns, imu: Mapping[str, str], outputs: Mapping[str
             "convert it to radians, or cut the record",
         )  # fmt: skip
     problems, notes = check_axes(raw, z, outs, dt)
+    notes = record.notes_on(imu, outputs) + notes
+    standing = {o: record.column_of(o, "measured") for o, text in outputs.items() if text == o}
+    for source, word in (
+        ("truth", "the simulation's truth"),
+        ("estimated", "the estimate on board, made of this IMU"),
+    ):
+        used = [o for o, column in standing.items() if column.startswith(f"{source}_")]
+        if used:
+            notes.append(f"{', '.join(used)}: nothing measured them; {word} stands in")
     if problems:
         raise InputError(record.name, problems[0][0], problems[0][1], problems[0][2])
     at = [STATES.index(o) for o in outs]
@@ -219,7 +229,7 @@ def _reconstructed(record: Columns, imu: Mapping[str, str], outputs: Mapping[str
     covariance = bound = np.eye(12)
     size = np.ones(12)
     for turn in range(_ROUNDS):
-        true, by_theta = _corrected(raw, theta)
+        true, by_theta = _corrected(raw, theta, dt)
         f = _filtered(x, true, by_theta, z, at, noise, imu_noise, dt)
         whitened = f.innovations
         covariance, bound, _ = coloured_covariance([f.sensitivities], [whitened], _PRIOR)
@@ -258,7 +268,7 @@ def _reconstructed(record: Columns, imu: Mapping[str, str], outputs: Mapping[str
     unseen = unseen_combinations(PARAMETERS, relative(covariance, _PRIOR))
     return Compatibility(
         estimates, np.sqrt(np.diag(bound)), covariance, record.time_s, smooth_x, np.sqrt(smooth_p), outs, z, whitened,
-        imu_noise, noise, _corrected(raw, theta)[0], converged, unseen, (*record.notes, *notes),
+        imu_noise, noise, _corrected(raw, theta, dt)[0], converged, unseen, tuple(notes),
     )  # fmt: skip
 
 
@@ -267,13 +277,18 @@ def _third(y: Array) -> float:
     return 1.4826 * float(np.median(np.abs(np.diff(y, 3)))) / np.sqrt(20.0)
 
 
-def _corrected(raw: Array, theta: Array) -> tuple[Array, Array]:
-    """True rates and forces (n, 6), and their derivatives by the parameters (n, 6, 12)."""
+def _corrected(raw: Array, theta: Array, dt: float) -> tuple[Array, Array]:
+    """True rates and forces (n, 6), and their derivatives by the parameters (n, 6, 12).
+
+    A scale factor is told by the slow part of what was measured: noise that stood on both sides of the normal equations
+    would make every scale factor too large (the method of instrumental variables), beside a rotor that shakes its
+    accelerometer by 4 m/s^2 eight times too large.
+    """
     true = (raw - theta[:6]) / (1.0 + theta[6:])
     slope = np.zeros((len(raw), 6, 12))
     for k in range(6):
         slope[:, k, k] = -1.0 / (1.0 + theta[6 + k])
-        slope[:, k, 6 + k] = -true[:, k] / (1.0 + theta[6 + k])
+        slope[:, k, 6 + k] = -lowpassed(true[:, k], dt, min(_SLOW_HZ, 0.25 / dt)) / (1.0 + theta[6 + k])
     return true, slope
 
 

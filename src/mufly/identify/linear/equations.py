@@ -245,7 +245,7 @@ def identify_equations(
                 )
             y, u = r.stack(outputs, "outputs"), r.stack(inputs, "inputs")
             flown.append(Flown(f"{r.name}, {r.time_s[0]:.1f} to {r.time_s[-1]:.1f} s", role, r.time_s, y, u))
-            notes += [f"{r.name}: {n}" for n in r.notes]
+            notes += [f"{r.name}: {n}" for n in r.notes_on(inputs, outputs)]
     fitted = np.concatenate([f.u - f.u.mean(0) for f in flown if f.role == "fit"])
     moving = fitted.std(axis=0) > 1e-9 * np.maximum(1.0, np.abs(fitted).max(axis=0))
     for name, moves in zip(names, moving, strict=True):

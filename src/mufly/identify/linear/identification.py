@@ -177,7 +177,7 @@ def identify_linear(
     cut = round(split * len(y)) if split_at_s is None else int((record.time_s < split_at_s).sum())
     if not 100 <= cut <= len(y):
         raise ArgumentError("split", "", f"leaves {cut} samples for the fit", "leave at least 100")
-    notes = list(record.notes)
+    notes = record.notes_on(inputs, outputs)
     moving = np.std(us[:cut], axis=0) > 1e-9 * np.maximum(1.0, np.abs(us[:cut]).max(axis=0))
     for name, moves in zip(inputs, moving, strict=True):
         if not moves:
