@@ -1,12 +1,18 @@
 """Results say what their fields are, in every form."""
 
+import importlib
+import inspect
 import json
 import math
-from dataclasses import FrozenInstanceError
+import pkgutil
+import sys
+import typing
+from dataclasses import FrozenInstanceError, is_dataclass
 
 import numpy as np
 import pytest
 
+import mufly
 from mufly.results import csv_text, meaning_of, meanings, plain, result, rows
 
 
@@ -88,3 +94,103 @@ def test_a_result_of_the_package_prints_with_units() -> None:
     assert lines[0].startswith("HoverPerformance: ")
     assert any(line.split()[:1] == ["thrust"] and " N " in f"{line} " for line in lines)
     assert str(trim(vehicle)).startswith("steady at")  # its own words
+
+
+# Dataclasses that public functions return and that are no answers: what goes in, what runs, what is sent over a wire.
+_NO_RESULTS = {
+    "cfd": "Form Mesh Point PolyMesh",  # shapes and cases; mesh_picture draws them
+    "estimate": "Estimate Watch",  # of one instant, a thousand times a second
+    "identify": "Columns Free",
+    "firmware": "FixedLaw Section",
+    "flight": "Estimate Layout Readings Truth",
+    "flight.monte_carlo": "Case Variation",
+    "link": "Ack ClearAll Command Count Endpoint Item Origin Plan RequestItem RequestList",
+    "logs": "Layout McapContents RawLog",
+    "mission": "Answer Leg MissionPlan MissionState Reference Spline Trajectory",
+    "rotor": "Blading",
+    "bench": "Column",
+    "sensors": "Fault Readings Truth",
+    "station": "",
+    "study": "Condition Limit System",
+    "thesis": "Item",
+    "world": "Box",
+}
+
+
+def _rooms() -> list[str]:
+    found = [m.name for m in pkgutil.iter_modules(mufly.__path__) if m.ispkg and m.name != "cli"]
+    return [*found, "flight.monte_carlo", "rotor.wake"]
+
+
+def _classes(annotation: object) -> typing.Iterator[type]:
+    if inspect.isclass(annotation):
+        yield annotation
+    for part in typing.get_args(annotation):
+        yield from _classes(part)
+
+
+@pytest.mark.parametrize("room", _rooms())
+def test_every_answer_of_a_public_function_shows_and_draws_itself(room: str) -> None:
+    from matplotlib.figure import Figure
+
+    module = importlib.import_module(f"mufly.{room}")
+    bare: set[str] = set()
+    for name in module.__all__:
+        function = getattr(module, name)
+        if not inspect.isfunction(function):
+            continue
+        home = {
+            **vars(mufly.vehicle),
+            **vars(module),
+            **vars(sys.modules[function.__module__]),
+            "Figure": Figure,
+        }
+        for cls in _classes(eval(function.__annotations__["return"], home)):
+            shows = callable(getattr(cls, "plot", None)) and hasattr(cls, "_repr_html_")
+            if cls.__module__.startswith("mufly.") and is_dataclass(cls) and not shows:
+                bare.add(cls.__name__)
+    assert bare <= set(_NO_RESULTS.get(room, "").split()), "mark them with @result, or say here what they are"
+
+
+def test_results_draw_themselves() -> None:
+    from mufly.drive import blade_load, load_drive, operating_point
+    from mufly.dynamics import hover_performance
+    from mufly.rotor import Measurements, compare, hover, load_airfoil, load_rotor, polar, prepare
+
+    rotor = load_rotor("naca0012-r60-c20")
+    point = hover(rotor, pitch_rad=0.2, speed_rad_s=500.0)
+    one = np.array([0.2]), np.array([500.0]), np.array([0.2]), np.array([0.002])
+    met = operating_point(
+        load_drive("mufly"), blade_load(prepare(rotor), pitch_rad=0.2), duty=np.linspace(0.5, 1, 9)
+    )
+    vehicle = mufly.load_vehicle("mufly-1.1")
+    drawn = {
+        "a table": result(type("Words", (), {"__doc__": "Words.", "__annotations__": {"text": str}}))(
+            "only words"
+        ),
+        "bars": hover_performance(vehicle),
+        "lines": POINT,
+        "over the duty": met,
+        "of its own": point,
+        "compared": compare(rotor, Measurements(*one, source="a bench")),
+        "section": load_airfoil("naca4412"),
+        "polar": polar("naca0012"),
+    }
+    for what, thing in drawn.items():
+        figure = thing.plot()
+        assert figure.axes, what
+        figure.draw_without_rendering()
+        assert all(
+            a.get_xlabel() or not a.axison for a in figure.axes if a.get_subplotspec().is_last_row()
+        ), what
+    labels = {a.get_ylabel() for a in met.plot().axes}
+    assert any("N m" in s for s in labels), "units stand at the axes"
+
+
+def test_what_files_hold_is_shown_as_a_table() -> None:
+    vehicle = mufly.load_vehicle("mufly-1.1")
+    html = vehicle._repr_html_()
+    assert "<caption>Vehicle mufly-1.1</caption>" in html
+    assert '<td style="text-align:left">mass</td>' in html
+    assert "[rotors.upper]" in html
+    assert any(line.split()[:4] == ["mass", "m", "0.095", "kg"] for line in str(vehicle).splitlines())

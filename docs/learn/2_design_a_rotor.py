@@ -10,8 +10,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from mufly.drive import blade_load, load_drive, operating_point
-from mufly.rotor import hover, load_rotor, prepare
-from mufly.study import Setup, blade_picture, lines_picture, optimise, parse_limit, parse_settings, sweep
+from mufly.rotor import blade_picture, hover, load_rotor, prepare
+from mufly.study import Setup, lines_picture, optimise, parse_limit, parse_settings, sweep
 
 rotor = load_rotor("naca4412-r60-c20")
 drive = load_drive("mufly")

@@ -3,26 +3,32 @@
 A class marked with :func:`result` is a frozen dataclass that can say what its fields are: the unit stands in a field's
 name (``thrust_N``, ``speed_rad_s``) or in the docstring, the meaning in the docstring's Attributes section, which is
 read once, when somebody asks. So one place writes a result as text (``print(result)``), in a notebook, as JSON
-(:func:`plain`), as CSV or as a report's table (:func:`rows`), and a result's fields are named nowhere twice.
+(:func:`plain`), as CSV or as a report's table (:func:`rows`), and a result's fields are named nowhere twice. Its
+``plot()`` draws it: by the picture that the class names, or its numbers by :mod:`mufly.drawing`.
 """
 
 from __future__ import annotations
 
 import csv
 import html
+import importlib
 import inspect
 import io
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, dataclass_transform, overload
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, dataclass_transform, overload
 
 import numpy as np
 
+from mufly.drawing import Quantity, drawn, quantity, shown
 from mufly.units import known_unit, split_header
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _T = TypeVar("_T")
 
@@ -72,10 +78,10 @@ class Row(NamedTuple):
 @overload
 def result(cls: type[_T], /) -> type[_T]: ...
 @overload
-def result(*, eq: bool = True) -> Callable[[type[_T]], type[_T]]: ...
+def result(*, eq: bool = True, picture: str = "") -> Callable[[type[_T]], type[_T]]: ...
 @dataclass_transform(frozen_default=True)
-def result(cls: type[Any] | None = None, /, *, eq: bool = True) -> Any:
-    """Make a class a frozen dataclass that prints itself and knows units and meaning of its fields.
+def result(cls: type[Any] | None = None, /, *, eq: bool = True, picture: str = "") -> Any:
+    """Make a class a frozen dataclass that prints and draws itself and knows units and meaning of its fields.
 
     Parameters
     ----------
@@ -83,6 +89,8 @@ def result(cls: type[Any] | None = None, /, *, eq: bool = True) -> Any:
         Its docstring's Attributes section, NumPy style, says what a field means.
     eq : bool
         As for :func:`dataclasses.dataclass`; arrays want False.
+    picture : str
+        ``"module:function"`` that draws one and returns a matplotlib figure; without, its numbers are drawn.
     """
 
     def made(one: type[Any]) -> type[Any]:
@@ -91,6 +99,9 @@ def result(cls: type[Any] | None = None, /, *, eq: bool = True) -> Any:
             new.__str__ = text  # type: ignore[assignment]
         if "_repr_html_" not in one.__dict__:
             new._repr_html_ = html_table
+        if "plot" not in one.__dict__:
+            new.plot = plot
+        new._picture = picture
         return new
 
     return made if cls is None else made(cls)
@@ -228,6 +239,49 @@ def html_table(value: Any) -> str:
     """Return a result as a table for notebooks and reports."""
     cells = ("".join(f"<td>{html.escape(c)}</td>" for c in row) for row in rows(value))
     return f"<table>{''.join(f'<tr>{line}</tr>' for line in cells)}</table>"
+
+
+def plot(self: Any) -> Figure:
+    """Draw it; returns a matplotlib figure, ``.savefig("name.png")`` keeps it."""
+    room, _, name = type(self)._picture.partition(":")
+    return shown(getattr(importlib.import_module(room), name)(self) if name else numbers_picture(self))
+
+
+def numbers_picture(value: Any) -> Figure:
+    """Draw the numbers of a result, those of its parts if it has none of its own."""
+    known = meanings(type(value))
+    numbers = [q for f in fields(value) for q in _quantities(known[f.name], getattr(value, f.name))]
+    named = getattr(value, "name", "")
+    title = f"{type(value).__name__} {named}".strip() if isinstance(named, str) else type(value).__name__
+    return drawn(
+        title, numbers or _of_parts(value), [(r.label, f"{r.value} {r.unit}".strip()) for r in rows(value)]
+    )
+
+
+def _quantities(m: Meaning, value: Any) -> list[Quantity]:
+    """What can be drawn of a field: itself, the columns of a table, the entries of a dictionary."""
+    if isinstance(value, Mapping):
+        parts = [_meaning(str(k), "", "") for k in value]
+        named = [(p.label, p.unit or m.unit, v) for p, v in zip(parts, value.values(), strict=True)]
+    elif isinstance(value, np.ndarray) and value.ndim == 2 and value.shape[1] <= _LONG < value.shape[0]:
+        named = [(f"{m.label} {k + 1}", m.unit, column) for k, column in enumerate(value.T)]
+    else:
+        named = [(m.label, m.unit, value)]
+    return [q for label, unit, some in named if (q := quantity(label, unit, some)) is not None]
+
+
+def _of_parts(value: Any) -> list[Quantity]:
+    """Numbers of the parts of a result that is a list of them, one entry a part."""
+    for f in fields(value):
+        parts = getattr(value, f.name)
+        if isinstance(parts, tuple | list) and parts and is_dataclass(parts[0]):
+            known = meanings(type(parts[0]))
+            columns = (
+                (m, [getattr(p, m.name, None) for p in parts])
+                for m in (known[g.name] for g in fields(parts[0]))
+            )
+            return [q for m, some in columns if (q := quantity(m.label, m.unit, some)) is not None]
+    return []
 
 
 def csv_text(values: Sequence[Any], names: Iterable[str]) -> str:

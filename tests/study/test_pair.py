@@ -7,26 +7,35 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor import Condition, Measurements, System, compare, hover, load_rotor, prepare, solve
+from mufly.rotor import (
+    Condition,
+    Measurements,
+    System,
+    compare,
+    field_picture,
+    history_picture,
+    hover,
+    load_rotor,
+    plane_velocity,
+    prepare,
+    rotor_loads_picture,
+    solve,
+    wake_picture,
+)
 from mufly.rotor.wake import WakeSettings
 from mufly.study import (
     PAIR,
     Setup,
     alone,
-    field_picture,
-    history_picture,
     optimise_pair,
     pair_limit,
     parse_settings,
     read_results,
-    rotor_loads_picture,
     solve_case,
     sweep,
     system_of,
-    wake_picture,
     write_results,
 )
-from mufly.study.pictures import plane_velocity
 
 RPM = math.pi / 30.0
 PITCH = math.radians(14.0)

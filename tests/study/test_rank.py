@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError
-from mufly.rotor import database_airfoils, load_airfoil
+from mufly.rotor import blade_picture, database_airfoils, load_airfoil
 from mufly.study import (
     TABLE_3_3,
     Setup,
-    blade_picture,
     choose_airfoils,
     lines_picture,
     rank_airfoils,

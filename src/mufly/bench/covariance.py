@@ -19,7 +19,6 @@ variation that the fitted parameters took away; a pattern is kept only if it rai
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,6 +27,8 @@ from scipy import stats
 from scipy.linalg import block_diag
 from scipy.optimize import minimize_scalar
 
+from mufly.results import result
+
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
@@ -35,7 +36,7 @@ _LIKELIER = 2.71
 _ENOUGH = 8  # degrees of freedom below which a pattern cannot be told from chance
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False)
 class Spread:
     """Covariance of least-squares estimates and how it came about.
 

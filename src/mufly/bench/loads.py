@@ -13,7 +13,7 @@ followed when there are readings at rest.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -284,7 +284,7 @@ def fit_drift(time: Array, reading: Array, at_rest: NDArray[np.bool_]) -> ZeroDr
 _FORCES = ("thrust", "torque")
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False)
 class Loads:
     """Loads at the lines where something turned.
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import ArgumentError, InputError
+from mufly.results import result
 from mufly.tables import text_columns
 from mufly.units import conversion, known_unit
 
@@ -28,7 +29,7 @@ Array = NDArray[np.float64]
 _CONSTANT = 1e-3  # spread over size below which a channel counts as constant
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False)
 class BenchTable:
     """Readings of a bench.
 

@@ -5,16 +5,16 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from mufly.cfd.case import Point, read_point
 from mufly.cfd.run import Verdict, judge
 from mufly.errors import InputError
+from mufly.results import result
 from mufly.units import RPM
 
 
-@dataclass(frozen=True)
+@result
 class Compared:
     """One case beside its row of a table.
 

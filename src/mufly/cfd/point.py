@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from mufly.cfd.polymesh import Quality, poly_mesh, quality
 from mufly.cfd.results import Solution, read_solution, scaled_state
 from mufly.cfd.run import Progress, run_case, times
 from mufly.errors import InputError
+from mufly.results import result
 from mufly.rotor import Air, Rotor, RotorResult, hover, prepare
 from mufly.units import RPM
 
@@ -157,7 +158,7 @@ def sweep(
     return out
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False)
 class Beside:
     """Loads per span (N/m, N m/m) of another method at its own radii (m)."""
 

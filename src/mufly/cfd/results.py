@@ -27,7 +27,7 @@ from mufly.results import result
 Array = NDArray[np.float64]
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.cfd.pictures:loads_picture")
 class Solution:
     """A solved case.
 

@@ -201,13 +201,8 @@ def print_pair(setup: Setup, point: Result, alone: tuple[RotorResult, ...] | Non
 
 def write_pair(point: Result, alone: tuple[RotorResult, ...] | None, folder: Path) -> list[Path]:
     """Write stations and pictures of a point; of a wake, its geometry, the air around it and its history too."""
-    from mufly.study import (
-        field_picture,
-        history_picture,
-        rotor_loads_picture,
-        wake_picture,
-        write_stations,
-    )
+    from mufly.rotor import field_picture, history_picture, rotor_loads_picture, wake_picture
+    from mufly.study import write_stations
 
     files = [
         write_stations(point.upper, folder, "stations-upper"),
@@ -425,10 +420,9 @@ def coax_map(
     again. Blade elements take seconds, wakes minutes.
     Example: mufly coax map walkera-5g6 --spacing 40mm --pitch 14 --rpm 2500:6000 --climb -1:3 --out pair.toml
     """
-    from mufly.rotor import Air, climb_ratios, load_rotor
+    from mufly.rotor import Air, climb_ratios, load_rotor, map_picture
     from mufly.rotor.maps import coax_map as compute
     from mufly.rotor.wake import WakeSettings
-    from mufly.study import map_picture
     from mufly.vehicle import map_toml
 
     if method not in ("bemt", "wake"):

@@ -187,7 +187,8 @@ def optimise_pairs(
     Examples: mufly coax optimise --thrust 0.9 --out better; mufly coax optimise --vary upper_pitch,lower_pitch
     --limit 'upper_pitch<=20deg'
     """
-    from mufly.study import PAIR_FREE, check_by_wake, optimise_pair, pair_limit, rotor_loads_picture
+    from mufly.rotor import rotor_loads_picture
+    from mufly.study import PAIR_FREE, check_by_wake, optimise_pair, pair_limit
 
     if not 0.0 < thrust < math.inf:
         raise InputError("--thrust", "", f"{thrust:g} N is not possible", "give a number above 0")

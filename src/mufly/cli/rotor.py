@@ -100,8 +100,7 @@ def show(
     """
     import numpy as np
 
-    from mufly.rotor import Air, blade_thickness_m, load_rotor
-    from mufly.study import blade_picture
+    from mufly.rotor import Air, blade_picture, blade_thickness_m, load_rotor
 
     speed = turning("--rpm", rpm)
     r, air = load_rotor(rotor), Air()
@@ -254,8 +253,19 @@ def hover(
 
     from mufly.drive import blade_load, operating_point, scaled_load
     from mufly.errors import InputError, MuflyError
-    from mufly.rotor import Air, Condition, System, interval, load_rotor, solve
-    from mufly.study import field_picture, history_picture, stations_picture, wake_picture, write_stations
+    from mufly.rotor import (
+        Air,
+        Condition,
+        System,
+        field_picture,
+        history_picture,
+        interval,
+        load_rotor,
+        solve,
+        stations_picture,
+        wake_picture,
+    )
+    from mufly.study import write_stations
 
     if sum(v is not None for v in (pitch, rpm, thrust)) != 2:
         raise InputError(
@@ -457,9 +467,8 @@ def fit(
 
     from mufly.bench import read_measurements
     from mufly.errors import InputError
-    from mufly.rotor import Air, fit_rotor, load_rotor, rotor_toml
+    from mufly.rotor import Air, fit_picture, fit_rotor, load_rotor, rotor_toml
     from mufly.rotor.fitting import CHANGES
-    from mufly.study import fit_picture
 
     if out is not None and out.suffix != ".toml":
         raise InputError("--out", str(out), "is no rotor file", "give a name that ends with .toml")
@@ -480,7 +489,7 @@ def fit(
     if out is not None:
         with writing(out):
             out.write_text(rotor_toml(found.rotor), encoding="utf-8")
-        files = [out, save_picture(fit_picture(found, air), out.parent, out.stem)]
+        files = [out, save_picture(fit_picture(found), out.parent, out.stem)]
     if as_json:
         print_json(
             {

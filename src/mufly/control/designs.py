@@ -101,7 +101,7 @@ ROLL_PITCH = PublishedDesign(crossover=36.0, complementary_peak_dB=1.9, resonanc
 VELOCITY = PublishedDesign()
 
 
-@result
+@result(picture="mufly.control.plots:draw_loop")
 class Design:
     """One controller, from synthesis to difference equations.
 
@@ -205,7 +205,7 @@ class Design:
         return "\n".join(lines)
 
 
-@result
+@result(picture="mufly.control.plots:draw_sensitivities")
 class FlightController:
     """All designs of a vehicle and the gains of the law on board.
 

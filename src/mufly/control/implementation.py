@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import control
 import numpy as np
@@ -379,7 +379,7 @@ def _outer(M: Array) -> Array:
 # Kalman filter for the pair (Ad, Cd), which is.
 
 
-@dataclass(frozen=True)
+@result
 class DiscreteController:
     """``x+ = A x + B e + M (sat(u) - u)``, ``u = C x + D e``, in physical units.
 

@@ -27,7 +27,6 @@ from __future__ import annotations
 
 import copyreg
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -290,7 +289,7 @@ class LoopAnalysis:
     guaranteed_phase_margin_deg: float
 
 
-@dataclass(frozen=True)
+@result
 class LoopCurves:
     """Singular values over frequency (rad/s): arrays of shape (n, inputs), largest first."""
 

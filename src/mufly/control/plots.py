@@ -152,6 +152,33 @@ def draw_loop(design: Design) -> Figure:
     return figure
 
 
+def draw_sensitivities(controller: FlightController) -> Figure:
+    """Sensitivity and complementary sensitivity of every design as it flies, sampled with one sample of delay."""
+    figure = Figure(figsize=(10.5, 3.4), layout="constrained")
+    for axes, design in zip(figure.subplots(1, 3, sharey=True), controller.designs, strict=True):
+        curves, loop = _curves(design, design.discrete.system()), design.sampled_loop
+        _frame(axes, design.name, -60, 12)
+        _lines(
+            axes,
+            curves.frequency,
+            curves.sensitivity,
+            GREEN,
+            f"$S_u$, peak {loop.sensitivity_peak_dB:.1f} dB",
+        )
+        _lines(
+            axes,
+            curves.frequency,
+            curves.complementary,
+            ORANGE,
+            f"$T_u$, peak {loop.complementary_peak_dB:.1f} dB",
+        )
+        axes.set_xlim(1e-2, 1e3)
+        axes.set_xlabel("frequency (rad/s)")
+        axes.legend(fontsize=8, frameon=False, loc="lower center")
+        axes.label_outer()
+    return figure
+
+
 def draw_designs(
     controller: FlightController, folder: Path | str, *, formats: tuple[str, ...] = ("png",)
 ) -> list[Path]:

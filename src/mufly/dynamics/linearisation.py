@@ -18,12 +18,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import control
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import root
 
+from mufly.drawing import shown
 from mufly.dynamics.model import battery_state, climb_velocity, derivative, inside_map, rotor_loads
 from mufly.dynamics.simulation import fastest_part
 from mufly.dynamics.state import (
@@ -39,6 +41,9 @@ from mufly.errors import InputError, MuflyError
 from mufly.results import result
 from mufly.units import GRAVITY, RPM
 from mufly.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _HOVER_ROUNDS = 30
 
@@ -370,6 +375,23 @@ class Linearisation:
     full: control.StateSpace
     heave_yaw: control.StateSpace
     roll_pitch: control.StateSpace
+
+    def plot(self) -> Figure:
+        """Draw the poles of both parts in the complex plane; returns a matplotlib figure."""
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+        parts = (("heave and yaw", self.heave_yaw), ("roll and pitch", self.roll_pitch))
+        for axes, (name, part) in zip(figure.subplots(1, 2), parts, strict=True):
+            poles = part.poles()
+            axes.plot(poles.real, poles.imag, "x")
+            axes.set_xscale("symlog", linthresh=1.0)  # the swash plate's lie at -1000
+            axes.axvline(0.0, color="0.4", lw=0.8)
+            axes.set(
+                xlabel="real part (1/s)", ylabel="imaginary part (rad/s)", title=f"{name}, {poles.size} poles"
+            )
+            axes.grid(alpha=0.3)
+        return shown(figure)
 
 
 def linearise(vehicle: Vehicle, at: Trim | None = None, *, voltage: float | None = None) -> Linearisation:

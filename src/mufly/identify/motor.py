@@ -155,7 +155,7 @@ class GearKnowledge:
     efficiency_std: float = 0.0
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.identify.pictures:motor_picture")
 class MotorFit(Estimates):
     """Motor constants and what they rest on.
 

@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from mufly.identify.flight.demo import Demo
+    from mufly.identify.linear.identification import LinearResult
+
 BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"
 _MOST_POINTS = 4000
 _LAG_S = 2.0  # of correlations
@@ -113,10 +116,19 @@ def prediction_picture(record: RecordFit) -> Figure:
             u = record.inputs[part, j]
             panels[-1].plot(t, u - np.nanmean(u), color=colour, label=record.input_names[j])
         panels[-1].set_ylabel("inputs less mean")
+        low, high = panels[-1].get_ylim()
+        panels[-1].set_ylim(low, high + 0.45 * (high - low))  # for the legend
         panels[-1].legend(ncols=min(k, 6), loc="upper left")
     panels[0].legend(ncols=2, loc="upper right")
     panels[-1].set_xlabel("time (s)")
     return figure
+
+
+def fit_picture(found: Fit | Demo | LinearResult) -> Figure:
+    """Draw how well a fit predicts: a record that it has not seen, else one that it has, else what estimates share."""
+    fit = found if isinstance(found, Fit) else found.fit
+    shown = (*fit.records_of("held out"), *fit.records)
+    return prediction_picture(shown[0]) if shown else correlation_picture(fit)
 
 
 def residual_picture(record: RecordFit) -> Figure:
@@ -364,20 +376,25 @@ def motor_picture(fit: MotorFit, *, title: str = "") -> Figure:
 
 
 def rotor_picture(
-    fits: Sequence[RotorFit], *, predicted: dict[str, tuple[Array, Array]] | None = None, title: str = ""
+    fits: RotorFit | Sequence[RotorFit],
+    *,
+    predicted: dict[str, tuple[Array, Array]] | None = None,
+    title: str = "",
 ) -> Figure:
     """Draw loads, coefficients and residuals of every fit over speed.
 
     Parameters
     ----------
-    fits : sequence of RotorFit
+    fits : RotorFit or sequence of RotorFit
     predicted : dict, optional
         ``"<source> <channel>"`` -> speeds (rad/s) and predicted loads.
     title : str
     """
     figure = blank(10.0, 8.4)
     axes = figure.subplots(3, 2, sharex=True, height_ratios=(1.3, 1.0, 0.8))
-    every = [(result, fit) for result in fits for fit in result.fits]
+    every = [
+        (result, fit) for result in ([fits] if isinstance(fits, RotorFit) else fits) for fit in result.fits
+    ]
     for (result, fit), colour in zip(every, itertools.cycle(_COLOURS), strict=False):
         column = 0 if fit.channel.startswith("thrust") else 1
         extra = (predicted or {}).get(f"{result.source} {fit.channel}")

@@ -30,6 +30,7 @@ from scipy.signal import savgol_filter
 
 from mufly.errors import ArgumentError, InputError
 from mufly.quantities import QUANTITIES, labelled
+from mufly.results import result
 from mufly.units import conversion
 
 Array = NDArray[np.float64]
@@ -57,7 +58,7 @@ OUTPUTS = tuple(OUTPUT_UNITS)
 _QUIET = {"height": 1e-3, "north": 1e-3, "east": 1e-3, "voltage": 1e-3}  # least noise that is believed, SI
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False)
 class Record:
     """Inputs and measurements of one flight on an even clock.
 

@@ -51,6 +51,7 @@ from scipy.signal import correlate, welch
 from scipy.stats import chi2, norm
 
 from mufly.identify.result import RecordFit
+from mufly.results import result
 
 Array = NDArray[np.float64]
 
@@ -98,7 +99,7 @@ class Whiteness:
     p_value: float
 
 
-@dataclass(frozen=True)
+@result
 class Quality:
     """How near one output is predicted; the module's docstring has the formulas.
 

@@ -93,7 +93,7 @@ class Estimates:
         return {e.symbol: e for e in self.estimates}[symbol]
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.identify.pictures:prediction_picture")
 class RecordFit:
     """One record beside what the fitted model predicts for it from its inputs alone.
 
@@ -145,7 +145,7 @@ class RecordFit:
         return np.sqrt(np.nanmean(self.residual**2, axis=0)) / self.noise_std
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.identify.pictures:fit_picture")
 class Fit(Estimates):
     """Result of a fit.
 

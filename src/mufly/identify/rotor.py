@@ -228,7 +228,7 @@ class CoefficientFit:
         return self.load - self.unit_load @ self.value
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.identify.pictures:rotor_picture")
 class RotorFit(Estimates):
     """Coefficients of the rotors of one bench file at one setting of the blades.
 

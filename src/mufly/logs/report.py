@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -20,6 +20,7 @@ from mufly.logs.quality import ChannelReport, channels_of, check_channels
 from mufly.logs.read import channels_in, joined, open_log
 from mufly.logs.topics import GAP_FACTOR, Channel, ClockReport, RawLog, check_clock, resample
 from mufly.quantities import SOURCES, is_held
+from mufly.results import result
 from mufly.units import factor_of
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ _MANY_TOPICS = 5
 Progress = Callable[[int, int], None]
 
 
-@dataclass(frozen=True)
+@result
 class LogReport:
     """What :func:`examine` found.
 

@@ -23,6 +23,17 @@ from mufly.rotor.measurements import (
     calibrate,
     compare,
 )
+from mufly.rotor.pictures import (
+    blade_picture,
+    field_picture,
+    fit_picture,
+    history_picture,
+    map_picture,
+    plane_velocity,
+    rotor_loads_picture,
+    stations_picture,
+    wake_picture,
+)
 from mufly.rotor.sections.airfoil import Airfoil, database_airfoils, load_airfoil
 from mufly.rotor.sections.engines import polar, polars
 from mufly.rotor.sections.polar_table import PolarStack, PolarTable, lookup, outside, stack_polars
@@ -55,6 +66,7 @@ __all__ = [
     "RotorResult",
     "RotorWarning",
     "System",
+    "blade_picture",
     "blade_thickness_m",
     "builtin_rotors",
     "calibrate",
@@ -62,7 +74,10 @@ __all__ = [
     "coax_map",
     "compare",
     "database_airfoils",
+    "field_picture",
+    "fit_picture",
     "fit_rotor",
+    "history_picture",
     "hover",
     "hover_batch",
     "interval",
@@ -70,16 +85,21 @@ __all__ = [
     "load_rotor",
     "lookup",
     "make_rotor",
+    "map_picture",
     "outside",
+    "plane_velocity",
     "polar",
     "polars",
     "prepare",
     "read_blade",
     "replace_rotor",
     "rotor_from",
+    "rotor_loads_picture",
     "rotor_toml",
     "solve",
     "solve_thrust",
     "stack_polars",
+    "stations_picture",
     "tip_mach",
+    "wake_picture",
 ]

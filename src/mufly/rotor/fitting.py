@@ -53,7 +53,7 @@ _KEPT = 0.01  # candidates below this probability are left out of the file
 _SAYS_LITTLE, _TOGETHER = 0.8, 0.9
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.rotor.pictures:fit_picture")
 class RotorFit:
     """What a bench run says about a rotor.
 
@@ -73,6 +73,8 @@ class RotorFit:
         Mean size of that error at points that a fit did not see; nan where there are too few.
     held_out_note : str
         Which points these were.
+    air : Air
+        In which it was measured.
     """
 
     rotor: Rotor
@@ -86,6 +88,7 @@ class RotorFit:
     after: Array
     held_out: Array
     held_out_note: str
+    air: Air
 
     @property
     def fit(self) -> SectionFit:
@@ -226,7 +229,7 @@ def fit_rotor(
     fitted_rotor = replace_rotor(plain, {"blade.airfoils": best.airfoils}).model_copy(update={"fit": fit})
     return RotorFit(
         fitted_rotor, best.change, sigma, wide, correlation, _undecided(sigma / wide, correlation, weights, everything),
-        measurements, before, best.errors, held, note,
+        measurements, before, best.errors, held, note, air or Air(),
     )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from mufly.units import RPM
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False)
 class Measurements:
     """Points of a test bench; :func:`mufly.bench.read_measurements` reads them from a file.
 
@@ -62,7 +62,7 @@ class Measurements:
         )  # fmt: skip
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.rotor.pictures:comparison_picture")
 class Comparison:
     """A prediction beside a measurement.
 

@@ -162,7 +162,7 @@ class Condition:
     air: Air = field(default_factory=Air)
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.rotor.pictures:stations_picture")
 class RotorResult:
     """One operating point.
 
@@ -364,7 +364,7 @@ class Wake:
     free_points: int
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.rotor.pictures:result_picture")
 class Result:
     """A system at one operating point.
 

@@ -12,17 +12,9 @@ from mufly.study.optimisation import (
 )
 from mufly.study.parameters import PAIR, PARAMETERS, parse_limit, parse_quantity, parse_settings, parse_values
 from mufly.study.pictures import (
-    blade_picture,
-    field_picture,
-    fit_picture,
     gear_picture,
-    history_picture,
     lines_picture,
-    map_picture,
     rank_picture,
-    rotor_loads_picture,
-    stations_picture,
-    wake_picture,
 )
 from mufly.study.setup import METHODS, MODELS, Setup, reshape
 from mufly.study.sweeps import (
@@ -48,17 +40,12 @@ __all__ = [
     "Results",
     "Setup",
     "alone",
-    "blade_picture",
     "check_by_wake",
     "choose_airfoils",
     "condition_of",
     "evaluate",
-    "field_picture",
-    "fit_picture",
     "gear_picture",
-    "history_picture",
     "lines_picture",
-    "map_picture",
     "optimise",
     "optimise_pair",
     "pair_limit",
@@ -70,13 +57,10 @@ __all__ = [
     "rank_picture",
     "read_results",
     "reshape",
-    "rotor_loads_picture",
     "solve_case",
-    "stations_picture",
     "sweep",
     "system_of",
     "thesis_airfoils",
-    "wake_picture",
     "write_results",
     "write_stations",
 ]

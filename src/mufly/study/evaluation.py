@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from functools import partial
 from typing import Any
 
@@ -44,6 +44,7 @@ from mufly.drive import (
     steady,
 )
 from mufly.errors import InputError, MuflyError
+from mufly.results import result
 from mufly.rotor import (
     FASTEST_TIP_M_S,
     Air,
@@ -76,7 +77,7 @@ _CONSTANTS = {
 }
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False)
 class Results:
     """Answers in the order of the cases: ``values[name]`` (n,), nan where ``fault[k]`` is not empty."""
 

@@ -24,21 +24,36 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import differential_evolution, minimize
 
+from mufly.drawing import shown
 from mufly.drive import hover_endurance
 from mufly.errors import InputError, MuflyError
 from mufly.results import result
-from mufly.rotor import FASTEST_TIP_M_S, Condition, Result, Rotor, System, load_airfoil, replace_rotor, solve
+from mufly.rotor import (
+    FASTEST_TIP_M_S,
+    Condition,
+    Result,
+    Rotor,
+    System,
+    blade_picture,
+    load_airfoil,
+    replace_rotor,
+    rotor_loads_picture,
+    solve,
+)
 from mufly.rotor.wake import check_rotors
 from mufly.study.evaluation import condition_of, evaluate, solve_case, system_of
 from mufly.study.parameters import GEOMETRY, PAIR, RANGES, Limit, bounds_of, parse_quantity
 from mufly.study.setup import Setup, reshape
 from mufly.study.sweeps import rank_airfoils
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -96,6 +111,10 @@ class Optimum:
     after: float
     steps: tuple[Step, ...]
     results: dict[str, float]
+
+    def plot(self) -> Figure:
+        """Draw it; returns a matplotlib figure."""
+        return shown(blade_picture(self.rotor))
 
 
 def optimise(
@@ -434,6 +453,10 @@ class PairOptimum:
     changes: dict[str, float]
     at_limit: tuple[str, ...]
     evaluations: int
+
+    def plot(self) -> Figure:
+        """Draw it; returns a matplotlib figure."""
+        return shown(rotor_loads_picture(self.after.upper, self.after.lower))
 
 
 def pair_limit(text: str) -> Limit:

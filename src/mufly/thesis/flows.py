@@ -27,8 +27,8 @@ from mufly.cfd.polymesh import quality
 from mufly.cfd.results import read_field
 from mufly.cfd.run import times
 from mufly.errors import InputError
-from mufly.rotor import load_rotor
-from mufly.study import field_picture, sweep
+from mufly.rotor import field_picture, load_rotor
+from mufly.study import sweep
 from mufly.thesis.claims import Claim, Found, Progress, Study, Verdict, figure
 from mufly.thesis.single import VALUE, standard_setup
 from mufly.thesis.wakes import alone, tip_path

@@ -281,6 +281,7 @@ def cubic(progress: Progress | None = None) -> Found:
         zlabel="height (m)",
         title="Fig. 6.16: cubic spline, with its tangents",
     )
+    axes.locator_params(nbins=4)
     return Found(verdicts, drawn)
 
 
@@ -389,7 +390,8 @@ def beams(progress: Progress | None = None) -> Found:
         axes.annotate("", (math.sin(a), math.cos(a)), (0, 0), arrowprops={"arrowstyle": "-|>", "color": "C3"})
         axes.text(1.1 * math.sin(a), 1.1 * math.cos(a), str(k), ha="center", va="center")
     for x, y, name in ((0, 0.7, "x"), (0.7, 0, "y")):
-        axes.annotate(name, (0, 0), (x, y), arrowprops={"arrowstyle": "<|-", "color": "k"}, fontsize=12)
+        axes.annotate("", (x, y), (0, 0), arrowprops={"arrowstyle": "-|>", "color": "k"})
+        axes.text(1.12 * x, 1.12 * y, name, ha="center", va="center", fontsize=12)
     axes.set(xlim=(-1.3, 1.3), ylim=(-1.3, 1.3), title="Fig. 6.18: beams of mufly-2.0 from above")
     axes.set_aspect("equal")
     axes.axis("off")

@@ -14,7 +14,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
@@ -26,7 +26,9 @@ import platformdirs
 import xarray as xr
 
 from mufly.compiled import sources_of
+from mufly.drawing import shown
 from mufly.errors import InputError
+from mufly.results import result
 from mufly.study import TABLE_3_3, write_results
 from mufly.thesis import (
     airframe,
@@ -50,7 +52,7 @@ if TYPE_CHECKING:
 MODELS_RUN = ("full", "thesis")
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False)
 class Outcome:
     """What a study found.
 
@@ -75,6 +77,10 @@ class Outcome:
     note: str = ""
     lacking: str = ""
     seconds: float = math.nan
+
+    def plot(self) -> Figure:
+        """Draw it; returns a matplotlib figure."""
+        return shown(self.figure)
 
     def write(self, folder: str | Path) -> list[Path]:
         """Write picture, tables (NetCDF, CSV) and ``NAME.json`` with the verdicts; return the files.
@@ -139,7 +145,7 @@ def _storable(data: xr.Dataset) -> xr.Dataset:
     return data.drop_attrs(deep=False).assign(long).assign_attrs(kept)
 
 
-@dataclass(frozen=True)
+@result
 class Answer:
     """What is known of a figure or table: its item, and what its study found if it has run.
 

@@ -215,7 +215,7 @@ def balance_figure(data: Mapping[str, xr.Dataset], title: str) -> Figure:
         for model, one in data.items():
             axes.plot(one.lower_pitch_deg, one[f"lower_{field}"], STYLE[model], color="C1", marker=".",
                       label=LABEL[model])  # fmt: skip
-        axes.set_ylim(bottom=0)
+        axes.set_ylim(0, 1.08 * max(theirs[:, k].max(), axes.dataLim.y1))
         _finish(axes, "Pitch of the lower rotor (deg)", label)
     row[0].legend(fontsize="small")
     return figure

@@ -15,13 +15,25 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from mufly.rotor import Blading, Condition, Method, Result, System, compare, load_rotor, prepare, solve
+from mufly.rotor import (
+    Blading,
+    Condition,
+    Method,
+    Result,
+    System,
+    compare,
+    field_picture,
+    load_rotor,
+    plane_velocity,
+    prepare,
+    solve,
+    wake_picture,
+)
 from mufly.rotor.blading import as_blading
 from mufly.rotor.system import WakeSettings
 from mufly.rotor.wake.field import momentum_thrust
 from mufly.rotor.wake.kernel import contribution
-from mufly.study import MODELS, field_picture, wake_picture
-from mufly.study.pictures import plane_velocity
+from mufly.study import MODELS
 from mufly.thesis.claims import TABLE_3_2_VALUES, Claim, Found, Progress, Study, Verdict, figure
 from mufly.thesis.coaxial import equal_pair
 from mufly.thesis.rotors import bench

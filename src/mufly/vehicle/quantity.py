@@ -8,8 +8,10 @@ file may hold is declared once, as groups of :func:`parameter` s: unit, symbol, 
 
 from __future__ import annotations
 
+import html
+from collections.abc import Iterator
 from operator import ge, gt, le, lt
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,8 +119,79 @@ def _flat(value: Any) -> list[float]:
     return [x for v in value for x in _flat(v)] if isinstance(value, list) else [value]
 
 
+class Line(NamedTuple):
+    """A line of what a file holds: its table, its key, and what stands there in words."""
+
+    table: str
+    key: str
+    symbol: str
+    value: str
+    unit: str
+    source: str
+    meaning: str
+
+
+def lines_of(group: _Frozen, table: str = "") -> Iterator[Line]:
+    """Yield every parameter of a group and of the groups in it, those of a table together."""
+    inner: list[tuple[str, _Frozen]] = []
+    for name, declared in type(group).model_fields.items():
+        value = getattr(group, name)
+        extra = declared.json_schema_extra if isinstance(declared.json_schema_extra, dict) else {}
+        said, symbol = declared.description or "", str(extra.get("symbol", ""))
+        if isinstance(value, Quantity | Points | Curve):
+            meaning = f"{said} ({value.note})" if value.note else said
+            unit = "" if value.unit == "1" else value.unit
+            yield Line(table, name, symbol, _in_words(value.value), unit, value.source, meaning)
+        elif isinstance(value, _Frozen):
+            inner.append((name, value))
+        elif isinstance(value, tuple) and value and isinstance(value[0], _Frozen):
+            inner += [(f"{name}[{k}]", v) for k, v in enumerate(value, 1)]
+        elif value not in (None, "", ()):
+            yield Line(table, name, symbol, _in_words(value), str(extra.get("unit", "")), "", said)
+    for name, part in inner:
+        yield from lines_of(part, f"{table}.{name}".lstrip("."))
+
+
+def _in_words(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.5g}"
+    if isinstance(value, tuple | list):
+        shown = ", ".join(_in_words(v) for v in value[:6])
+        return f"({shown}, ... {len(value)} in all)" if len(value) > 6 else f"({shown})"
+    return str(value)
+
+
 class Group(_Frozen):
     """A named group of parameters. Converts what the file says to SI and checks it against the declaration."""
+
+    def __str__(self) -> str:
+        """Every parameter with unit, source and meaning, a line each."""
+        rows = list(lines_of(self))
+        widths = [max((len(r[k]) for r in rows), default=0) for k in range(6)]
+        out, table = [f"{type(self).__name__} {getattr(self, 'name', '')}".strip()], ""
+        for r in rows:
+            if r.table != table:
+                out.append(f"[{r.table}]")
+                table = r.table
+            value = r.value if len(r.value) <= 40 else f"{r.value[:37]}..."
+            out.append(
+                f"  {r.key:<{widths[1]}}  {r.symbol:<{widths[2]}}  {value:>{min(widths[3], 40)}} "
+                f"{r.unit:<{widths[4]}}  {r.source:<{widths[5]}}  {r.meaning}".rstrip()
+            )
+        return "\n".join(out)
+
+    def _repr_html_(self) -> str:
+        """Return the same as a table for notebooks."""
+        heads = "".join(f"<th>{h}</th>" for h in ("key", "symbol", "value", "unit", "source", "meaning"))
+        out, table = [f"<tr>{heads}</tr>"], ""
+        for r in lines_of(self):
+            if r.table != table:
+                out.append(f'<tr><th colspan="6" style="text-align:left">[{html.escape(r.table)}]</th></tr>')
+                table = r.table
+            cells = "".join(f'<td style="text-align:left">{html.escape(c)}</td>' for c in r[1:])
+            out.append(f"<tr>{cells}</tr>")
+        title = f"{type(self).__name__} {getattr(self, 'name', '')}".strip()
+        return f"<table><caption>{html.escape(title)}</caption>{''.join(out)}</table>"
 
     @field_validator("*", mode="before")
     @classmethod

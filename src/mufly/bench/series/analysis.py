@@ -115,7 +115,7 @@ class Setting:
         return self.torque_lower if self.axis == "lower" else self.torque_upper
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.bench.series.pictures:series_picture")
 class Series:
     """A series, analysed.
 

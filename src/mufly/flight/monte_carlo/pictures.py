@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator
 from scipy.stats import rankdata
 
 from mufly.flight.monte_carlo.campaign import Campaign, Flown
-from mufly.flight.monte_carlo.results import Measure, measures
+from mufly.flight.monte_carlo.results import Measure, Outcome, measures
 from mufly.flight.record.pictures import BLUE, GREY, STYLE, VERMILION
 
 _BINS = 40
@@ -54,6 +54,29 @@ def draw_distributions(flights: Sequence[Flown], tolerance_m: float, title: str 
         figure.suptitle(
             f"{title + ': ' if title else ''}{said}; dotted: 95th percentile, dashed: allowed", fontsize=10.0
         )
+    return figure
+
+
+def draw_outcome(outcome: Outcome) -> Figure:
+    """Draw the share of successes with its interval, and why the others failed."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(8.0, 1.9 + 0.3 * len(outcome.reasons)), layout="constrained")
+        heights = (1.0, max(0.6 * len(outcome.reasons), 0.01))
+        upper, lower = figure.subplots(2, 1, height_ratios=heights)
+        share = outcome.successes / outcome.flights
+        upper.errorbar(
+            100 * share, 0, xerr=[[100 * (share - outcome.low)], [100 * (outcome.high - share)]], fmt="o", color=BLUE,
+            capsize=4,
+        )  # fmt: skip
+        upper.set(xlim=(0, 101), yticks=[], xlabel="flights that succeed (%), with the 95 % interval")
+        upper.set_title(f"{outcome.successes} of {outcome.flights} flights succeeded")
+        if outcome.reasons:
+            names, counts = zip(*reversed(outcome.reasons), strict=True)
+            lower.barh([n if len(n) < 70 else n[:67] + "..." for n in names], counts, color=VERMILION)
+            lower.set_xlabel("flights that failed so")
+            lower.xaxis.set_major_locator(MaxNLocator(integer=True))
+        else:
+            lower.set_axis_off()
     return figure
 
 

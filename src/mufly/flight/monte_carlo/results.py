@@ -127,7 +127,7 @@ class Worst:
     beyond: int | None
 
 
-@result
+@result(picture="mufly.flight.monte_carlo.pictures:draw_outcome")
 class Outcome:
     """What a campaign says.
 

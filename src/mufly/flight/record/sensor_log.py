@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from mufly.control import design
+from mufly.drawing import shown
 from mufly.flight.flight import RING_HZ, Progress, fly
 from mufly.mission import Mission
 from mufly.results import result
@@ -27,7 +28,7 @@ _Array = NDArray[np.float64]
 _REMEMBERED = 2000  # periods: readings may come late by ten seconds at 200 Hz
 
 
-@dataclass
+@result
 class SensorLog:
     """Every reading of one name, in the order in which they came.
 
@@ -47,6 +48,10 @@ class SensorLog:
     value: list[_Array] = field(default_factory=list)
     true: list[_Array] = field(default_factory=list)
     valid: list[bool] = field(default_factory=list)
+
+    def plot(self) -> Figure:
+        """Draw it; returns a matplotlib figure."""
+        return shown(draw_sensors({self.name: self}))
 
     def labels(self) -> Sequence[str]:
         """Names of the components."""

@@ -34,6 +34,7 @@ from mufly.identify.flight.free import choose_free
 from mufly.identify.flight.search import Method, Progress
 from mufly.identify.record import Record
 from mufly.identify.result import Fit, RecordFit
+from mufly.results import result
 from mufly.vehicle import Vehicle, load_vehicle, parameters, replace
 
 _Array = NDArray[np.float64]
@@ -218,7 +219,7 @@ DEMO_FREE = (
 _OFF = 0.5
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False, picture="mufly.identify.pictures:fit_picture")
 class Demo:
     """A fit beside the truth.
 

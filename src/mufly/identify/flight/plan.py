@@ -63,6 +63,7 @@ from mufly.identify.flight.problem import PART_OUTPUTS, Part, make_problem
 from mufly.identify.flight.signals import KINDS, Excitation, Kind, excitation
 from mufly.identify.record import Record
 from mufly.identify.result import relative_covariance, unseen_combinations
+from mufly.results import result
 from mufly.vehicle import Vehicle
 
 Array = NDArray[np.floating[Any]]
@@ -325,7 +326,7 @@ class Candidate:
     figure: float
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False, picture="mufly.identify.pictures:plan_picture")
 class Plan:
     """Candidates for one channel, best first.
 

@@ -17,7 +17,6 @@ All are scaled to a largest absolute value of 1, begin and end with rest, and st
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from mufly.errors import ArgumentError
+from mufly.results import result
 
 Array = NDArray[np.floating[Any]]
 Kind = Literal["chirp", "multisine", "3211", "doublet"]
@@ -35,7 +35,7 @@ _FADE = 0.1  # share of the chirp
 _ATTEMPTS = 6  # from Schroeder's and from random phases; the first is often not the best
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False)
 class Excitation:
     """A signal.
 

@@ -22,7 +22,11 @@ Array = NDArray[np.float64]
 
 
 def response_picture(
-    data: FrequencyResponse, output: int, *, fits: Sequence[TransferFit] = (), read: Bandwidth | None = None
+    data: FrequencyResponse,
+    output: int = 0,
+    *,
+    fits: Sequence[TransferFit] = (),
+    read: Bandwidth | None = None,
 ) -> Figure:
     """Draw the responses of one output to all inputs: magnitude, phase and partial coherence, 95 % error bars.
 

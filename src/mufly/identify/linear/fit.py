@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,13 +24,14 @@ from mufly.errors import ArgumentError, InputError
 from mufly.identify.linear.structure import Coordinates, Structure, responses, scaled, simulate_linear
 from mufly.identify.residuals import autocorrelation
 from mufly.identify.result import coloured_covariance, parzen
+from mufly.results import result
 
 Array = NDArray[np.float64]
 
 _ROUNDS = 3
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False)
 class LinearFit:
     """A fitted linear model.
 

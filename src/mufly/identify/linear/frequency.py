@@ -48,6 +48,7 @@ from scipy.special import stdtrit
 
 from mufly.errors import InputError
 from mufly.identify.linear.structure import Coordinates, Structure, scaled
+from mufly.results import result
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -56,7 +57,7 @@ _LEAST, _POINTS = 0.5, 60  # of a fit: smallest partial coherence that counts, a
 _WORTH = 18.0 / 19.0  # of a segment among half-overlapping Hann windows
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False, picture="mufly.identify.linear.drawing:response_picture")
 class FrequencyResponse:
     """Responses of all outputs to all inputs, estimated from one or several records.
 

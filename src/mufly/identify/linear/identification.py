@@ -35,6 +35,7 @@ from mufly.identify.record import Columns, lowpassed
 from mufly.identify.residuals import Quality, quality, what_is_missing
 from mufly.identify.result import Estimate, Fit, RecordFit, correlation_of, relative, unseen_combinations
 from mufly.logs import guess_angle_units
+from mufly.results import result
 
 Array = NDArray[np.float64]
 
@@ -89,7 +90,7 @@ class OutputCheck:
     against_angle: float
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False, picture="mufly.identify.pictures:fit_picture")
 class LinearResult:
     """A linear identification.
 

@@ -37,7 +37,7 @@ import difflib
 import hashlib
 import math
 import re
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -46,11 +46,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
+from mufly.results import result
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False, picture="mufly.rotor.pictures:section_picture")
 class Airfoil:
     """A section.
 

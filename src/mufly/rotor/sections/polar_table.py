@@ -41,7 +41,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -50,6 +50,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from mufly.compiled import compiled
 from mufly.errors import InputError, MuflyError
+from mufly.results import result
 from mufly.rotor.sections.section import SectionData
 
 Array = NDArray[np.float64]
@@ -64,7 +65,7 @@ _TURN = 2.0 * math.pi
 _SLACK = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False, picture="mufly.rotor.pictures:polar_picture")
 class PolarTable:
     """Lift, drag and moment of a section.
 
