@@ -248,7 +248,7 @@ def sensor_drawer(view: View) -> None:
     Panel("sensors")
     units = {int(k): name.replace("_", " ") for k, name in FAILURES[0].items()}
     kinds = {int(k): name for k, name in FAILURES[1].items()}
-    with element("div", classes="mf-tools mf-foot mf-live-only"):
+    with element("div", classes="mf-tools mf-foot mf-faults mf-live-only"):
         unit = ui.select(units, value=next(iter(units))).props(
             "dense options-dense outlined aria-label=sensor"
         )
