@@ -14,8 +14,8 @@ import pytest
 from mufly.control import design
 from mufly.errors import InputError
 from mufly.firmware import Firmware
-from mufly.mission import avoidance as python
-from mufly.mission import load_mission, machine, mission_from, phases
+from mufly.firmware.onboard import _sight, different
+from mufly.mission import avoidance, detour, load_mission, machine, mission_from, phases
 from mufly.trigonometry import decay
 from mufly.vehicle import load_vehicle
 
@@ -36,25 +36,27 @@ class Twin:
     def __init__(self, monkeypatch=None) -> None:
         f = Firmware(design(load_vehicle("mufly-1.1")))
         self.ffi, self.lib = f.ffi, f.lib
-        self.asked = dict.fromkeys(("observe", "look", "blocked", "hold_off", "begin_detour", "go_round"), 0)
+        self.asked = dict.fromkeys(
+            ("begin_sight", "observe", "look_around", "blocked", "hold_off", "begin_detour", "go_round"), 0
+        )
         for name in self.asked:
             for module in (machine, phases):
                 if monkeypatch is not None and hasattr(module, name):
                     monkeypatch.setattr(module, name, getattr(self, name))
 
-    def ring(self, beams: python.Ring):
+    def ring(self, beams: avoidance.Ring):
         r = self.ffi.new("ring_t *")
         r.count, r.max_range = len(beams.cos), beams.max_range
         r.cos[0 : r.count], r.sin[0 : r.count] = beams.cos.tolist(), beams.sin.tolist()
         return r
 
-    def memory(self, m: python.Memory):
+    def memory(self, m: avoidance.Memory):
         c = self.ffi.new("memory_t *")
-        c.used = m.used
+        c.used, c.turn = m.used, m.turn
         self.ffi.memmove(c.points, m.points.tobytes(), m.points.nbytes)
         return c
 
-    def detour(self, d: python.Detour | None):
+    def detour(self, d: detour.Detour | None):
         if d is None:
             return self.ffi.NULL
         c = self.ffi.new("detour_t *")
@@ -65,7 +67,7 @@ class Twin:
         c.lap = d.lap or (0.0, 0.0)
         return c
 
-    def same_detour(self, d: python.Detour, c) -> None:
+    def same_detour(self, d: detour.Detour, c) -> None:
         told = {n: getattr(c, n) for n in d.__slots__}
         told = {n: v if isinstance(v, (float, int)) else tuple(v) for n, v in told.items()}
         told["lap"] = told["lap"] if c.has_lap else None
@@ -75,59 +77,92 @@ class Twin:
     def _floats(self, values):
         return self.ffi.new("real_t[]", [float(v) for v in values])
 
-    def observe(self, memory, beams, time_s, position, attitude, ranges):
+    def sight(self, s: avoidance.Sight):
+        c = self.ffi.new("sight_t *")
+        names = ("ahead", "row", "way", "onward", "across", "blockers", "block")
+        for name in names:
+            setattr(c, name, getattr(s, name))
+        c.place, c.goal, c.from_goal = s[:3], s[3:5], s.goal
+        c.block_at = (s.block_north, s.block_east)
+        self.ffi.memmove(c.near, s.near.tobytes(), s.near.nbytes)
+        return c
+
+    def same_sight(self, s: avoidance.Sight, c) -> None:
+        assert different(s, _sight(c)) == []
+
+    def observe(self, memory, beams, time_s, position, attitude, ranges, first=0, count=None):
         self.asked["observe"] += 1
-        c = self.memory(memory)
+        c, count = self.memory(memory), len(beams.cos) if count is None else count
         self.lib.avoid_observe(
-            c, self.ring(beams), time_s, position.tolist(), attitude.tolist(), self._floats(ranges)
+            c,
+            self.ring(beams),
+            time_s,
+            position.tolist(),
+            attitude.tolist(),
+            self._floats(ranges),
+            first,
+            count,
         )
-        right = python.observe(memory, beams, time_s, position, attitude, ranges)
-        assert c.used == right.used
+        right = avoidance.observe(memory, beams, time_s, position, attitude, ranges, first, count)
+        assert (c.used, c.turn) == (right.used, right.turn)
         assert bytes(self.ffi.buffer(c.points)) == right.points.tobytes()
         return right
 
-    def look(self, memory, position, goal, clearance, ahead=python.LOOK_M):
-        self.asked["look"] += 1
+    def begin_sight(self, position, goal, ahead=avoidance.LOOK_M):
+        self.asked["begin_sight"] += 1
         c = self.ffi.new("sight_t *")
-        self.lib.avoid_look(self.memory(memory), position, goal, clearance, ahead, c)
-        right = python.look(memory, position, goal, clearance, ahead)
-        assert bytes(self.ffi.buffer(c)) == np.array(right).tobytes()
-        assert bool(self.lib.avoid_blocked(c, clearance)) == python.blocked(right, clearance)
+        self.lib.avoid_begin_sight(position, goal[:2], ahead, c)
+        right = avoidance.begin_sight(position, goal, ahead)
+        self.same_sight(right, c)
         return right
+
+    def look_around(self, memory, sight, time_s, clearance, part=1, parts=1):
+        self.asked["look_around"] += 1
+        m, c = self.memory(memory), self.sight(sight)
+        self.lib.avoid_look_around(m, c, time_s, clearance, part, parts)
+        known, right = avoidance.look_around(memory, sight, time_s, clearance, part, parts)
+        assert m.used == known.used
+        assert bytes(self.ffi.buffer(m.points)) == known.points.tobytes()
+        self.same_sight(right, c)
+        assert bool(self.lib.avoid_blocked(c, clearance)) == avoidance.blocked(right, clearance)
+        for place in ((right.north, right.east), (right.goal_north + 0.1, 0.3)):
+            unit = self.ffi.new("real_t[2]")
+            far = self.lib.avoid_nearest(c, place, unit)
+            assert (far, *unit) == right.nearest(place)
+        return known, right
 
     def blocked(self, sight, clearance):
         self.asked["blocked"] += 1
-        return python.blocked(sight, clearance)  # look has compared it
+        return avoidance.blocked(sight, clearance)  # look_around has compared it
 
-    def hold_off(self, memory, position, velocity, keep):
+    def hold_off(self, sight, position, velocity, keep):
         self.asked["hold_off"] += 1
         c = self._floats(velocity)
-        self.lib.avoid_hold_off(self.memory(memory), position, keep, c)
-        right = python.hold_off(memory, position, velocity, keep)
+        self.lib.avoid_hold_off(self.sight(sight), position[:2], keep, c)
+        right = avoidance.hold_off(sight, position, velocity, keep)
         assert tuple(c) == right
         return right
 
     def begin_detour(self, position, velocity, acceleration, goal, sight, before):
         self.asked["begin_detour"] += 1
-        c, s, b = self.ffi.new("detour_t *"), self.ffi.new("sight_t *"), self.detour(before)
-        self.ffi.memmove(s, np.array(sight).tobytes(), 72)
+        c, s, b = self.ffi.new("detour_t *"), self.sight(sight), self.detour(before)
         self.lib.avoid_begin(c, position, velocity, acceleration, goal, s, b)
-        right = python.begin_detour(position, velocity, acceleration, goal, sight, before)
+        right = detour.begin_detour(position, velocity, acceleration, goal, sight, before)
         self.same_detour(right, c)
         if before is not None:  # in its own place
             self.lib.avoid_begin(b, position, velocity, acceleration, goal, s, b)
             self.same_detour(right, b)
         return right
 
-    def go_round(self, detour, memory, beams, position, heading, ranges, goal, *, clearance, speed, dt):
+    def go_round(self, before, sight, beams, position, heading, ranges, goal, *, clearance, speed, dt):
         self.asked["go_round"] += 1
-        c = self.detour(detour)
+        c = self.detour(before)
         self.lib.avoid_go_round(
-            c, self.memory(memory), self.ring(beams), position, heading, self._floats(ranges), goal,
+            c, self.sight(sight), self.ring(beams), position, heading, self._floats(ranges), goal,
             clearance, speed, dt,
         )  # fmt: skip
-        right = python.go_round(
-            detour, memory, beams, position, heading, ranges, goal, clearance=clearance, speed=speed, dt=dt
+        right = detour.go_round(
+            before, sight, beams, position, heading, ranges, goal, clearance=clearance, speed=speed, dt=dt
         )
         self.same_detour(right, c)
         return right
@@ -155,9 +190,7 @@ def test_flights_around_obstacles_are_the_same_in_both_languages(monkeypatch) ->
     )
     assert "blocked by an obstacle" in flight.state.reason
     assert flight.state.detour.laps >= 1
-    assert all(twin.asked[n] > 0 for n in ("observe", "look", "blocked", "begin_detour", "go_round")), (
-        twin.asked
-    )
+    assert all(twin.asked[n] > 0 for n in ("observe", "look_around", "blocked", "go_round")), twin.asked
 
 
 def test_scenes_drawn_at_random(monkeypatch) -> None:
@@ -175,11 +208,11 @@ def test_scenes_drawn_at_random(monkeypatch) -> None:
 
 
 def _points(rng, count):
-    table = python.Memory.empty().points
+    table = avoidance.Memory.empty().points
     table[:count, :2] = rng.uniform(-2.5, 2.5, (count, 2))
     table[:count, 2] = rng.uniform(-2.0, 0.0, count)
     table[:count, 3] = rng.uniform(0.0, 40.0, count)
-    return python.Memory(table, count)
+    return avoidance.Memory(table, count)
 
 
 def test_any_memory_any_ring_any_detour(twin) -> None:
@@ -187,31 +220,37 @@ def test_any_memory_any_ring_any_detour(twin) -> None:
     rng = np.random.default_rng(5)
     for k in range(400):
         size = 10.0 ** rng.uniform(-4, 3)
-        count = int(rng.choice([0, 1, 40, python.CAPACITY]))
-        memory, beams = _points(rng, count), python.ring(int(rng.integers(1, 65)), rng.uniform(-7, 7), 1.5)
+        count = int(rng.choice([0, 1, 40, avoidance.CAPACITY]))
+        memory, beams = _points(rng, count), avoidance.ring(int(rng.integers(1, 65)), rng.uniform(-7, 7), 1.5)
         ranges = rng.uniform(-0.1, 2.0, len(beams.cos))
         here, velocity, acceleration, goal = (tuple(v) for v in rng.normal(0.0, size, (4, 3)).tolist())
         if k % 7 == 0 and count:
             here = goal = tuple(memory.points[0, :3].tolist())
         attitude = rng.normal(0.0, 0.3, 3)
         memory = twin.observe(memory, beams, rng.uniform(0.0, 60.0), np.array(here), attitude, ranges)
-        sight = twin.look(memory, here, goal, 0.39, float(rng.choice([0.0, 1.2, math.inf])))
-        twin.hold_off(memory, here, velocity[:2], rng.uniform(0.0, 1.0))
-        detour = twin.begin_detour(here, velocity, acceleration, goal, sight, None)
-        detour = replace(
-            detour, laps=int(rng.integers(0, 2)), lap=here[:2] if k % 2 else None, lap_way=2.0 * (k % 3),
-            anchor_s=5.0 * (k % 2), hit_distance=detour.hit_distance + rng.uniform(-1, 3), count=k % 4,
+        memory = twin.observe(
+            memory, beams, 50.0, np.array(goal), attitude, ranges, len(ranges) // 2, len(ranges) // 3
+        )
+        sight = twin.begin_sight(here, goal, float(rng.choice([0.0, 1.2, math.inf])))
+        now = rng.uniform(0.0, 80.0)
+        for part in range(1, 1 + k % 4):
+            memory, sight = twin.look_around(memory, sight, now, 0.39, part, 3)
+        twin.hold_off(sight, here, velocity[:2], rng.uniform(0.0, 1.0))
+        way_round = twin.begin_detour(here, velocity, acceleration, goal, sight, None)
+        way_round = replace(
+            way_round, laps=int(rng.integers(0, 2)), lap=here[:2] if k % 2 else None, lap_way=2.0 * (k % 3),
+            anchor_s=5.0 * (k % 2), hit_distance=way_round.hit_distance + rng.uniform(-1, 3), count=k % 4,
         )  # fmt: skip
         for _ in range(3):
-            detour = twin.go_round(
-                detour, memory, beams, tuple(np.add(here, rng.normal(0, 0.1, 3)).tolist()), attitude[2],
+            way_round = twin.go_round(
+                way_round, sight, beams, tuple(np.add(here, rng.normal(0, 0.1, 3)).tolist()), attitude[2],
                 ranges.tolist(), goal, clearance=0.39, speed=0.3, dt=float(rng.choice([0.0, 0.02, 0.5])),
             )  # fmt: skip
-        twin.begin_detour(here, velocity, acceleration, goal, sight, detour)
+        twin.begin_detour(here, velocity, acceleration, goal, sight, way_round)
     empty = twin.ffi.new("memory_t *", {"used": 7})
     twin.lib.avoid_forget(empty)
     assert bytes(twin.ffi.buffer(empty)) == bytes(twin.ffi.sizeof("memory_t"))
-    assert astuple(python.Memory.empty())[1] == 0
+    assert astuple(avoidance.Memory.empty())[1] == 0
 
 
 def test_decay_is_the_exponential_and_the_same_in_both_languages(twin) -> None:

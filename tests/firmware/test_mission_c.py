@@ -24,8 +24,8 @@ from mufly.estimate.layout import CHECKED
 from mufly.firmware import Firmware, compiler, export
 from mufly.firmware.onboard import Onboard, _course, different
 from mufly.flight.software import FlightSoftware
-from mufly.mission import Ask, Command, SetPoint, Words, curved, may, mission_from, straight
-from mufly.mission.trajectory import Limits, stop
+from mufly.mission import Ask, Command, SetPoint, Words, may, mission_from, straight
+from mufly.mission.trajectory import Limits, begin_curved, stop
 from mufly.vehicle import load_vehicle
 
 needs_cc = pytest.mark.skipif(
@@ -130,8 +130,8 @@ def test_any_leg_is_the_same_in_both_languages(
         way = straight(a, b, heading, limits, final_heading=final, nose_offset=0.2)
         lib.trajectory_straight(a, b, heading, c, turned, 0.2, w)
     else:
-        way = curved(a, b, *ends, heading, limits, final_heading=final, nose_offset=0.2)
-        lib.trajectory_curved(a, b, *ends, heading, c, turned, 0.2, w)
+        way = begin_curved(a, b, *ends, heading, limits, final_heading=final, nose_offset=0.2)
+        lib.trajectory_begin_curved(a, b, *ends, heading, c, turned, 0.2, w)
     if brake is not None:
         first = stop(a, brake, heading, 1.0, heading_rate=0.3, yaw_acceleration=1.6)
         s = ffi.new("stop_t *")
@@ -140,6 +140,10 @@ def test_any_leg_is_the_same_in_both_languages(
         lib.trajectory_after(w, s)
         for t in (0.0, 0.4 * first.rest_s, math.inf):
             assert _point_of(ffi, lib.stop_at, s, t) == tuple(first.at(t))
+    assert different(way, _course(SimpleCourse(w))) == []
+    for _ in range(4):
+        lib.trajectory_go_on(w)
+    way = way.made()
     assert different(way, _course(SimpleCourse(w))) == []
     for share in (-0.1, 0.0, 0.03, 0.2, 0.37, 0.5, 0.81, 0.999, 1.0, 1.1):
         for t in (share * way.duration_s, share * way.gate_s):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mufly.estimate import Estimate
-from mufly.mission import Command, MissionPlan, begin, step
+from mufly.mission import Command, MissionPlan, begin, step, watch_out
 from mufly.mission.avoidance import ring
 from mufly.world import distance, ranges
 
@@ -92,6 +92,8 @@ def fly(
         m = measure(t)
         command = signals(t, s) if signals else Command(start=k == 5)
         s, r = step(plan, s, m, command or NO_SIGNAL)
+        for part in (1, 2, 3):
+            s = watch_out(plan, s, m, part, 3)
         flight.time.append(t)
         flight.position.append(x.copy())
         flight.velocity.append(v.copy())

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from mufly.errors import InputError
 from mufly.mission import load_mission, mission_from
-from mufly.mission.avoidance import Memory, begin_detour, go_round, hold_off, look, ring
+from mufly.mission.avoidance import Memory, hold_off, look, ring
+from mufly.mission.detour import begin_detour, go_round
 from mufly.world import Cylinder, World
 
 # Sweeps over 1100 scenes keep 0.38 m; what is asked for is 0.3 m.
@@ -206,9 +207,8 @@ def test_the_reference_waits_for_a_helicopter_that_is_held():
     detour = begin_detour(here, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), goal, look(memory, here, goal, 0.39), None)
     ahead = []
     for _ in range(400):
-        detour = go_round(
-            detour, memory, RING, here, 0.0, [1.5] * 8, goal, clearance=0.39, speed=0.3, dt=0.02
-        )
+        sight = look(memory, detour.position, goal, 0.39, np.inf)
+        detour = go_round(detour, sight, RING, here, 0.0, [1.5] * 8, goal, clearance=0.39, speed=0.3, dt=0.02)
         ahead.append(np.hypot(detour.position[0] - here[0], detour.position[1] - here[1]))
     assert 0.2 < ahead[-1] <= max(ahead) < 0.32
     assert np.hypot(*detour.velocity[:2]) < 0.01
@@ -238,7 +238,8 @@ def test_the_other_side_is_tried_3_m_off_the_straight_way(across, changes):
         hit=(1.0, 2.0),
         hit_distance=5.0,
     )
-    moved = go_round(detour, memory, RING, here, 0.0, [1.5] * 8, goal, clearance=0.39, speed=0.3, dt=0.02)
+    sight = look(memory, here, goal, 0.39, np.inf)
+    moved = go_round(detour, sight, RING, here, 0.0, [1.5] * 8, goal, clearance=0.39, speed=0.3, dt=0.02)
     assert (moved.side, moved.stray) == ((-1.0, 6.0) if changes else (1.0, 3.0))
 
 
@@ -248,8 +249,9 @@ def test_far_from_what_blocks_its_way_it_makes_straight_for_the_goal():
     memory = memory_of(*((6.8 + 0.04 * k, 4.6 + 0.03 * k, -1.0) for k in range(-8, 9)))
     detour = replace(begin_detour(here, still, still, goal, look(memory, here, goal, 0.39), None), count=3)
     for _ in range(150):
+        sight = look(memory, detour.position, goal, 0.39, np.inf)
         detour = go_round(
-            detour, memory, RING, detour.position, 0.0, [1.5] * 8, goal, clearance=0.39, speed=0.3, dt=0.02
+            detour, sight, RING, detour.position, 0.0, [1.5] * 8, goal, clearance=0.39, speed=0.3, dt=0.02
         )
     moved = np.subtract(detour.position, here)[:2]
     along, across = (float(moved @ u) for u in ((0.6, -0.8), (0.8, 0.6)))
@@ -260,24 +262,22 @@ def test_far_from_what_blocks_its_way_it_makes_straight_for_the_goal():
 
 
 def test_what_a_point_means_for_a_way():
-    sight = look(memory_of((2.0, 0.3, -1.0)), (0.0, 0.0, -1.0), (5.0, 0.0, -1.0), 0.39, 10.0)
-    assert sight.nearest == pytest.approx(np.hypot(2.0, 0.3))
-    assert (sight.north, sight.east) == (
-        pytest.approx(-2 / sight.nearest),
-        pytest.approx(-0.3 / sight.nearest),
-    )
-    assert sight.way == pytest.approx(0.3)
+    sight = look(memory_of((1.5, 0.3, -1.0)), (0.0, 0.0, -1.0), (4.5, 0.0, -1.0), 0.39, 10.0)
+    far = np.hypot(0.5, 0.3)
+    met = pytest.approx((far, -0.5 / far, -0.3 / far))
+    assert sight.blocking((1.0, 0.0)) == sight.nearest((1.0, 0.0)) == met
+    assert sight.way == pytest.approx(0.3**2)
     assert sight.offset == pytest.approx(0.3)
-    assert sight.goal == pytest.approx(np.hypot(3.0, 0.3))
+    assert sight.goal == pytest.approx(3.0**2 + 0.3**2)
     # Beyond the stretch that is looked at, behind, and at another height.
     assert look(memory_of((2.0, 0.3, -1.0)), (0, 0, -1), (5, 0, -1), 0.39, 1.0).way == pytest.approx(
-        np.hypot(1, 0.3)
+        1.0 + 0.3**2
     )
-    assert look(memory_of((-0.5, 0.0, -1.0)), (0, 0, -1), (5, 0, -1), 0.39).way == pytest.approx(0.5)
+    assert look(memory_of((-0.5, 0.0, -1.0)), (0, 0, -1), (5, 0, -1), 0.39).way == pytest.approx(0.25)
     assert look(memory_of((-1.0, 0.0, -1.0)), (0, 0, -1), (5, 0, -1), 0.39).way == np.inf  # too far to matter
     assert look(memory_of((2.0, 0.0, -2.0)), (0, 0, -1), (5, 0, -1), 0.39).way == np.inf
     # A way of no length is a point.
-    assert look(memory_of((2.0, 0.0, -1.0)), (0, 0, -1), (0, 0, -1), 0.39).way == pytest.approx(2.0)
+    assert look(memory_of((2.0, 0.0, -1.0)), (0, 0, -1), (0, 0, -1), 0.39).way == pytest.approx(4.0)
 
 
 speed = st.floats(-1.0, 1.0)
@@ -290,7 +290,7 @@ def test_holding_off_one_point(p, vn, ve):
     if d < 0.05:
         return
     n = -np.array(p[:2]) / d
-    un, ue = hold_off(memory_of(p), (0.0, 0.0, -1.0), (vn, ve), 0.4)
+    un, ue = hold_off(look(memory_of(p), (0.0, 0.0, -1.0), p, 0.4), (0.0, 0.0, -1.0), (vn, ve), 0.4)
     # It comes near no faster than 0.8 /s times the distance left, and nothing is changed across.
     assert -(un * n[0] + ue * n[1]) <= 0.8 * (d - 0.4) + 1e-5
     assert un * n[1] - ue * n[0] == pytest.approx(vn * n[1] - ve * n[0], abs=1e-9)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from mufly.estimate import Estimate
-from mufly.mission import Command, SetPoint, State, begin, mission_from, step
-from mufly.mission.avoidance import Memory
+from mufly.mission import Command, SetPoint, State, begin, mission_from, step, watch_out
+from mufly.mission.avoidance import Memory, look
 
 TWO = {"waypoint": [{"position_m": [1.0, 0.0, -1.0]}, {"position_m": [2.0, 0.0, -1.0]}]}
 HIGH = (0.0, 0.0, -1.0)
@@ -39,6 +39,14 @@ def hovering(rig, tables=TWO, **changes):
         "goal": HIGH,
     }
     return plan, replace(s, **(usual | changes))
+
+
+def point_at(north, down):
+    """What is remembered and seen of one point."""
+    points = Memory.empty().points
+    points[0, :3] = (north, 0.0, down)
+    memory, here = Memory(points, 1), (0.0, 0.0, down)
+    return {"memory": memory, "sight": look(memory, here, here, 0.39)}
 
 
 @pytest.mark.parametrize(("motors", "told"), [("fly", 1), ("off", 0)])
@@ -152,11 +160,9 @@ def test_a_take_off_that_hangs_half_way_lands_8_s_and_half_a_climb_late(rig, mor
 
 @pytest.mark.parametrize(("rise", "state"), [(0.15, "take-off"), (0.25, "obstacle")])
 def test_a_take_off_gives_way_once_it_is_off_its_legs(rig, rise, state):
-    points = Memory.empty().points
-    points[0, :3] = (0.3, 0.0, -0.3)
     plan = rig.plan_for(mission_from(TWO))
     s = in_state(plan, measured(x=(0.0, 0.0, -0.07)), Command(start=True))
-    s = replace(s, motors="fly", clock_s=0.5 * s.motion.duration_s, memory=Memory(points, 1))
+    s = replace(s, motors="fly", clock_s=0.5 * s.motion.duration_s, **point_at(0.3, -0.3))
     s, _ = step(plan, s, measured(0.04, (0.0, 0.0, -0.07 - rise)), Command())
     assert s.state == state
 
@@ -224,23 +230,19 @@ def test_the_nose_swings_on_the_level_way_and_not_while_it_turns_or_climbs_befor
     ],
 )
 def test_what_was_seen_near_is_avoided_unless_that_is_off_or_it_lands(rig, tables, outcome, state):
-    points = Memory.empty().points
-    points[0, :3] = (0.3, 0.0, -1.0)
-    plan, s = hovering(
-        rig, TWO | {"avoidance": tables}, manual=True, outcome=outcome, ready_s=9.0, memory=Memory(points, 1)
-    )
+    seen = point_at(0.3, -1.0)
+    plan, s = hovering(rig, TWO | {"avoidance": tables}, manual=True, outcome=outcome, ready_s=9.0, **seen)
     s, _ = step(plan, s, measured(), Command())
     assert s.state == state
 
 
 @pytest.mark.parametrize(("tables", "through"), [({}, False), ({"enabled": False}, True)])
 def test_set_points_lead_into_nothing_that_was_seen_unless_avoidance_is_off(rig, tables, through):
-    points = Memory.empty().points
-    points[0, :3] = (0.5, 0.0, -1.0)
-    plan, s = hovering(rig, TWO | {"avoidance": tables}, memory=Memory(points, 1))
+    plan, s = hovering(rig, TWO | {"avoidance": tables}, **point_at(0.5, -1.0))
     x = HIGH
     for k in range(1, 120):
         s, r = step(plan, s, measured(0.02 * k, x), Command(set_point=SetPoint(velocity_m_s=(0.5, 0.0, 0.0))))
+        s = watch_out(plan, s, measured(0.02 * k, x))
         x = tuple(r.position)
     assert s.state is State.OFFBOARD
     assert bool(x[0] > 0.12) is through

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mufly.mission.avoidance import CAPACITY, Memory, observe, repulsion, ring
+from mufly.mission.avoidance import CAPACITY, Memory, begin_sight, look_around, observe, repulsion, ring
 from mufly.world import Box, Cylinder, World, distances, ranges
 
 RING = ring(8, math.pi / 8, 1.5)
@@ -115,11 +115,12 @@ def test_what_has_gone_is_forgotten():
         memory = observe(memory, RING, 0.0, x, attitude, beams(x, attitude, someone))
     seen = memory.used
     assert seen > 3
-    assert observe(memory, RING, 25.0, x, LEVEL, np.full(8, 1.5)).used == seen
+    nowhere = begin_sight(x, x)
+    assert look_around(memory, nowhere, 25.0, 0.39)[0].used == seen
     # One face is hit again: what is near those hits is confirmed, the rest is not.
     memory = observe(memory, RING, 25.0, x, attitude, beams(x, attitude, someone))
-    assert 0 < observe(memory, RING, 35.0, x, LEVEL, np.full(8, 1.5)).used < seen
-    assert observe(memory, RING, 60.0, x, LEVEL, np.full(8, 1.5)).used == 0
+    assert 0 < look_around(memory, nowhere, 35.0, 0.39)[0].used < seen
+    assert look_around(memory, nowhere, 60.0, 0.39)[0].used == 0
 
 
 def test_a_beam_that_grazes_a_thin_post_does_not_make_it_forgotten():

@@ -6,11 +6,12 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from mufly.errors import InputError
+from mufly.mission import Mission, check_geometry
 from mufly.results import plain
 
 One = TypeVar("One")
@@ -38,6 +39,37 @@ def weather(seed: int) -> Weather:
     fault = _FAULTS[int(rng.integers(len(_FAULTS)))]
     at = float(rng.uniform(6.0, 40.0))
     return Weather(wind, gust, (f"{fault}@{at:.1f}s+3s",) if fault else ())
+
+
+def obstructed(mission: Mission, seed: int) -> Mission:
+    """Put a box or a post near a leg, drawn by the seed; every third flight, and where none fits, is as it was."""
+    rng = np.random.default_rng([20, seed])
+    places = [w.position_m for w in mission.waypoint]
+    for _ in range(20 if seed % 3 and len(places) > 1 else 0):
+        k = int(rng.integers(1, len(places)))
+        (n, e, _), (gn, ge, _) = places[k - 1], places[k]
+        share = float(rng.uniform(0.3, 0.7))
+        at = (
+            n + share * (gn - n) + float(rng.normal(0.0, 0.2)),
+            e + share * (ge - e) + float(rng.normal(0.0, 0.2)),
+        )
+        size = float(rng.uniform(0.1, 0.5))
+        if rng.integers(2):
+            more: dict[str, Any] = {"cylinder": ({"centre_m": at, "radius_m": 0.5 * size, "height_m": 3.0},)}
+        else:
+            box = {
+                "centre_m": (*at, -1.5),
+                "size_m": (size, 0.4, 3.0),
+                "yaw_deg": float(rng.uniform(-90.0, 90.0)),
+            }
+            more = {"box": (*mission.box, box)}
+        met = mission.with_parts(**more)
+        try:
+            check_geometry(met, mission.name)
+        except InputError:
+            continue
+        return met
+    return mission
 
 
 def kept_flights(

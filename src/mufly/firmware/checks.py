@@ -26,7 +26,7 @@ from mufly.control import FlightController, design
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate, Estimator, KalmanEstimator
 from mufly.estimate.records import PYTHON_ALONE
-from mufly.firmware.campaign import kept_flights, weather
+from mufly.firmware.campaign import kept_flights, obstructed, weather
 from mufly.firmware.host import Firmware, FirmwareControllers
 from mufly.firmware.integer_law import export_fixed
 from mufly.firmware.onboard import SoftwareBeside, software_beside
@@ -278,7 +278,7 @@ def sil(
     faults : sequence of Fault
         Of the sensors.
     drawn : bool
-        Draw wind, gusts and faults by the seed (:func:`mufly.firmware.campaign.weather`).
+        Draw wind, gusts, faults and an obstacle by the seed (:mod:`mufly.firmware.campaign`).
     keep : path, optional
         Where results are kept; what is there is not flown again.
     on_flight : callable, optional
@@ -296,7 +296,7 @@ def sil(
         mission = load_mission(name)
         w, g, wrong = wind, gust, tuple(faults)
         if drawn:
-            met = weather(seed)
+            met, mission = weather(seed), obstructed(mission, seed)
             w, g, wrong = met.wind, met.gust, tuple(parse_fault(f) for f in met.faults)
         twins: list[_Twins] = []
         flown: list[SoftwareBeside] = []

@@ -28,9 +28,10 @@ from mufly.flight.software import FlightSoftware
 from mufly.flight.trust import sensor_name, told
 from mufly.logs.mcap import Event
 from mufly.mission import NO_SIGNAL, Command, Mission, MissionPlan, MissionState, Reference, State, Words
-from mufly.mission.avoidance import CAPACITY, Detour, Memory
+from mufly.mission.avoidance import CAPACITY, Memory, Sight
+from mufly.mission.detour import Detour
 from mufly.mission.state import LOG_KEPT
-from mufly.mission.trajectory import Point, Profile, SplinePath, Stop, Trajectory
+from mufly.mission.trajectory import Point, Profile, SplinePath, Stop, Trajectory, Unmade
 from mufly.vehicle import Vehicle
 
 _STATES = tuple(State)
@@ -224,6 +225,7 @@ class Onboard:
             standing=tuple(s.standing), hold=tuple(s.hold), goal=tuple(s.goal), heading=s.heading,
             motion=_course(s.course), ready_s=s.ready_s, sink=s.sink, sink_rate=s.sink_rate, still_s=s.still_s,
             impact=s.impact, battery_V=s.voltage, low_s=s.low_s, memory=self._memory(s.memory),
+            beam=s.beam, sight=_sight(s.sight),
             detour=_detour(s.detour) if s.has_detour else None, back=_STATES[s.back], avoided_s=s.avoided_s,
             resumed=s.resumed, swing=s.swing, asked_heading=s.asked_heading if s.has_asked_heading else None,
             tracker=_point(s.tracker) if s.has_tracker else None, halt=s.halt,
@@ -231,7 +233,7 @@ class Onboard:
 
     def _memory(self, m: Any) -> Memory:
         raw = np.frombuffer(self.firmware.ffi.buffer(m.points), dtype=self.firmware.real)
-        return Memory(raw.reshape(CAPACITY, 4).astype(np.float64), m.used)
+        return Memory(raw.reshape(CAPACITY, 4).astype(np.float64), m.used, m.turn)
 
     @property
     def reference(self) -> Reference:
@@ -277,6 +279,17 @@ def _course(c: Any) -> Trajectory | Stop | None:
     return Trajectory(
         tuple(w.start), tuple(w.goal), w.heading, w.turn, _profile(w.rise), _profile(w.yaw), _profile(w.way),
         w.gate_s, w.duration_s, curve, _stop(w.lead) if w.has_lead else None,
+        Unmade(tuple(tuple(row) for row in w.curve.coefficients), *w.pace) if w.making else None,
+    )  # fmt: skip
+
+
+def _sight(s: Any) -> Sight:
+    n, e, d = s.place
+    goal_n, goal_e = s.goal
+    block_n, block_e = s.block_at
+    return Sight(
+        n, e, d, goal_n, goal_e, s.ahead, s.row, s.way, s.onward, s.from_goal, s.across, s.blockers, s.block, block_n,
+        block_e, np.array([list(row) for row in s.near]),
     )  # fmt: skip
 
 
@@ -295,6 +308,7 @@ def different(ours: Any, theirs: Any, where: str = "") -> list[str]:
         # Beyond the rows in use lies what each language left there.
         pairs = [
             ("used", ours.used, theirs.used),
+            ("turn", ours.turn, theirs.turn),
             ("points", ours.points[: ours.used], theirs.points[: theirs.used]),
         ]
     elif is_dataclass(ours) and type(ours) is type(theirs):

@@ -62,6 +62,7 @@ from mufly.mission import (
     step,
     stop_at_once,
     tips,
+    watch_out,
 )
 from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
@@ -257,6 +258,7 @@ class FlightSoftware:
         if self._late_s == 0.0:
             self.mission_state, self._reference = step(self.plan, self.mission_state, m, self._command)
             self._command = NO_SIGNAL
+        self._watch_out(m)
         r = self._reference
         if r.motors != self._motors:
             self._switch(r.motors, m)
@@ -264,6 +266,13 @@ class FlightSoftware:
             return self._steadied(m, self._fly(r, m))
         self._given = self._on_the_floor(r.motors, m)
         return self._given
+
+    def _watch_out(self, m: Estimate) -> None:
+        """What the beams see, in parts from one step of the mission logic to the next."""
+        parts = max(1, self._every - 1)
+        part = (self._ticks - 1) % self._every if self._every > 1 else 1
+        if part > 0:
+            self.mission_state = watch_out(self.plan, self.mission_state, m, part, parts)
 
     def _steadied(self, m: Estimate, wanted: Actuators) -> Actuators:
         """What is wanted, no faster than :data:`STEP_MOTOR` and :data:`STEP_SERVO` where it comes from an estimate."""

@@ -12,7 +12,7 @@ from mufly.mission.check import (
     preflight,
     slowed,
 )
-from mufly.mission.machine import go_on, pause, step, stop_at_once, waypoint_fault
+from mufly.mission.machine import go_on, pause, step, stop_at_once, watch_out, waypoint_fault
 from mufly.mission.offboard import HIGHEST_M, SetPoint, fault_of, wants_up
 from mufly.mission.phases import (
     HARD_TOUCHDOWN_M_S,
@@ -117,5 +117,6 @@ __all__ = [
     "straight",
     "tips",
     "wants_up",
+    "watch_out",
     "waypoint_fault",
 ]

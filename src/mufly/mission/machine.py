@@ -33,7 +33,8 @@ from typing import Any
 
 from mufly.estimate import Estimate
 from mufly.mission import phases
-from mufly.mission.avoidance import BRAKE_M_S2, hold_off, observe
+from mufly.mission.avoidance import LOOK_M, begin_sight, hold_off, look_around, observe
+from mufly.mission.detour import BRAKE_M_S2
 from mufly.mission.offboard import HIGHEST_M, SetPoint, fault_of, follow, wants_up
 from mufly.mission.phases import (
     anew,
@@ -110,27 +111,68 @@ def step(
     Thesis: Fig. 6.15; Sec. 6.2.1.
     """
     dt = min(max(estimate.time_s - state.time_s, 0.0), 0.5)
-    s = _sense(plan, state, estimate, dt)
+    s = _sense(plan, _made(state), estimate, dt)
     s = _signals(plan, s, estimate, command, dt)
     if s.state is State.OFFBOARD:
         s = track(plan, s, estimate, command, dt)
     phase = _PHASES.get(s.state)
     if phase is not None:
         s = phase(plan, s, estimate, dt)
-    return s, reference(plan, s, estimate, command)
+    wanted = reference(plan, s, estimate, command)
+    if plan.avoid and s.state in _FLYING:
+        here = wanted.position.tolist()
+        goal = s.goal if s.state in (State.WAYPOINT, State.OBSTACLE) else here
+        ahead = math.inf if s.state is State.OBSTACLE else LOOK_M
+        s = replace(s, sight=begin_sight(here, goal, ahead))
+    return s, wanted
+
+
+def watch_out(
+    plan: MissionPlan, state: MissionState, estimate: Estimate, part: int = 1, parts: int = 1
+) -> MissionState:
+    """Between two steps: take an eighth of the beams, and a part of the points that the next step goes by.
+
+    Where it has just set out along a curve, that is made instead; it stands or brakes.
+
+    Parameters
+    ----------
+    plan, state, estimate
+        As in `step`.
+    part, parts : int
+        Which part this is (from 1), and of how many.
+    """
+    s, m = state, estimate
+    if not plan.avoid or s.state not in _FLYING or _unmade(s):
+        return s
+    if not s.memory.used and not float(m.ranges.min()) < plan.ring.max_range:
+        return s
+    beams = len(plan.ring.cos)
+    count = (beams + 7) // 8
+    memory = observe(s.memory, plan.ring, m.time_s, m.position, m.attitude, m.ranges, s.beam, count)
+    after = s.beam + count
+    clearance = plan.mission.avoidance.clearance_m
+    memory, sight = look_around(memory, s.sight, m.time_s, clearance, part, parts)
+    return replace(s, memory=memory, sight=sight, beam=after if after < beams else after - beams)
+
+
+def _unmade(s: MissionState) -> bool:
+    return isinstance(s.motion, Trajectory) and s.motion.unmade is not None
+
+
+def _made(s: MissionState) -> MissionState:
+    """With a curve that has been made by now."""
+    return replace(s, motion=s.motion.made()) if _unmade(s) and isinstance(s.motion, Trajectory) else s
 
 
 def _sense(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
-    """Move the clocks, watch the battery, remember what the beams see."""
+    """Move the clocks, watch the battery."""
     clock = s.clock_s + dt
     if s.state is State.WAYPOINT and isinstance(s.motion, Trajectory):
         gate = s.motion.gate_s
         if s.clock_s <= gate < clock and not _gate_open(plan, s, m, s.motion):
             clock = gate
     volts = s.battery_V + (m.battery_voltage - s.battery_V) * min(1.0, dt / _VOLTAGE_LAG_S)
-    memory, swinging = s.memory, s.swing
-    if plan.avoid and s.state in _FLYING and (memory.used or float(m.ranges.min()) < plan.ring.max_range):
-        memory = observe(memory, plan.ring, m.time_s, m.position, m.attitude, m.ranges)
+    swinging = s.swing
     swinging = min(_LOOK_AROUND_S, swinging + dt) if scanning(plan, s) else max(0.0, min(1.0, swinging) - dt)
     return replace(
         s,
@@ -139,7 +181,6 @@ def _sense(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Missio
         step_s=dt,
         battery_V=volts,
         low_s=s.low_s + dt if volts < plan.low_V else 0.0,
-        memory=memory,
         swing=swinging,
     )
 
@@ -429,7 +470,7 @@ def track(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, dt: float
     here = measured_at(m)
 
     def clear(vn: float, ve: float) -> tuple[float, float]:
-        return hold_off(s.memory, here, (vn, ve), plan.mission.avoidance.clearance_m)
+        return hold_off(s.sight, here, (vn, ve), plan.mission.avoidance.clearance_m)
 
     guard = clear if plan.avoid and s.memory.used else None
     t = follow(s.tracker, c.set_point, plan.limits, here, dt, guard)

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from mufly.estimate import Estimate
-from mufly.mission.avoidance import BRAKE_M_S2, begin_detour, blocked, go_round, look
+from mufly.mission.avoidance import blocked
+from mufly.mission.detour import BRAKE_M_S2, begin_detour, go_round
 from mufly.mission.schema import LOWEST_M, SLOW_FROM_M, SPIN_UP_S, leg_trajectory
 from mufly.mission.state import (
     Command,
@@ -330,7 +331,8 @@ def hover(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Mission
         return _complete(plan, s)
 
     def leg(at: Triple, heading: float) -> Trajectory:
-        return leg_trajectory(plan.mission, s.index, np.array(at), heading, nose_offset=nose_offset(plan))
+        offset = nose_offset(plan)
+        return leg_trajectory(plan.mission, s.index, np.array(at), heading, nose_offset=offset, made=False)
 
     return set_out(plan, s, Words.TO_WAYPOINT(s.index + 1), leg)
 
@@ -460,13 +462,17 @@ def _watch(plan: MissionPlan, s: MissionState) -> MissionState:
     clear = plan.mission.avoidance.clearance_m
     # Only on its level way does it head for somewhere; elsewhere an obstacle has to come near.
     underway = s.state is State.WAYPOINT and at_gate(s)
-    here = at.position
-    sight = look(s.memory, here, s.goal if underway else here, clear)
-    if not (blocked(sight, clear) if underway else sight.nearest < clear):
+    here, sight = at.position, s.sight
+    if underway:  # it looks along the way since the step after it was sent elsewhere
+        there = sight.goal_north == s.goal[0] and sight.goal_east == s.goal[1] and blocked(sight, clear)
+    else:
+        there = sight.nearest(here)[0] < clear
+    if not there:
         return s
     velocity, acceleration = at.velocity, at.acceleration
     detour = begin_detour(here, velocity, acceleration, s.goal, sight, s.detour)
-    why = Words.OBSTACLE_AHEAD(sight.way) if underway else Words.OBSTACLE_NEAR(sight.nearest)
+    far = math.sqrt(sight.way) if underway else sight.nearest(here)[0]
+    why = (Words.OBSTACLE_AHEAD if underway else Words.OBSTACLE_NEAR)(far)
     return enter(s, State.OBSTACLE, why, back=s.state, detour=detour, heading=at.heading)
 
 
@@ -476,7 +482,7 @@ def avoid(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Mission
     q = plan.mission.avoidance
     detour = go_round(
         s.detour,
-        s.memory,
+        s.sight,
         plan.ring,
         measured_at(m),
         float(m.attitude[2]),

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, Strict
 
 from mufly.mission.trajectory import Limits as TrajectoryLimits
-from mufly.mission.trajectory import Trajectory, curved, straight
+from mufly.mission.trajectory import Trajectory, begin_curved, straight
 from mufly.world import Box, Cylinder, Room, World, wall
 
 FARTHEST_M = 10_000.0
@@ -275,6 +275,7 @@ def leg_trajectory(
     heading: float,
     *,
     nose_offset: float = 0.0,
+    made: bool = True,
 ) -> Trajectory:
     """The way to waypoint ``index`` (from 0) from wherever the helicopter is.
 
@@ -290,6 +291,8 @@ def leg_trajectory(
         Heading at the start (rad).
     nose_offset : float
         Angle of the nose from the direction of flight (rad) where the waypoint asks for no heading.
+    made : bool
+        A curve is made now; else it is to be (:meth:`mufly.mission.trajectory.Trajectory.made`).
     """
     waypoint = mission.waypoint[index]
     goal = np.array(waypoint.position_m)
@@ -302,9 +305,10 @@ def leg_trajectory(
     after = np.array(mission.waypoint[index + 1].position_m) if index + 1 < len(mission.waypoint) else goal
     further = np.array(mission.waypoint[index - 2].position_m) if index > 1 else above_start(mission)
     leaving = goal - further if index else goal - before
-    return curved(
+    way = begin_curved(
         start, goal, leaving, after - before, heading, limits, final_heading=final, nose_offset=nose_offset
     )
+    return way.made() if made else way
 
 
 def above_start(mission: Mission) -> NDArray[np.float64]:

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from mufly.errors import InputError
 from mufly.estimate import Estimate
 from mufly.logs.mcap import Event
-from mufly.mission.avoidance import Detour, Memory, Ring, ring
+from mufly.mission.avoidance import UNSEEN, Memory, Ring, Sight, ring
+from mufly.mission.detour import Detour
 from mufly.mission.offboard import SetPoint
 from mufly.mission.schema import Mission
 from mufly.mission.trajectory import Limits, Point, Stop, Trajectory, Triple
@@ -241,6 +242,10 @@ class MissionState:
         Filtered voltage; for how long it has been low (s).
     memory : Memory
         Points that the beams have hit.
+    beam : int
+        The beam that is taken next.
+    sight : Sight
+        What the points mean for where it goes, as far as they have been gone through since the last step.
     detour : Detour or None
         Way around an obstacle, or the last one on this leg.
     back : State
@@ -290,6 +295,8 @@ class MissionState:
     battery_V: float = math.inf
     low_s: float = 0.0
     memory: Memory = field(default_factory=Memory.empty)
+    beam: int = 0
+    sight: Sight = UNSEEN
     detour: Detour | None = None
     back: State = State.HOVER
     avoided_s: float = 0.0

@@ -294,8 +294,35 @@ def spline_path(
         None where the curve has a point without tangent (a cusp or no length) or so tight a bend that it would
         have to be flown below 5 cm/s; a straight line is the better way then.
     """
+    return Unmade(_cubics(curve), speed, climb, descent, acceleration).made()
+
+
+def _cubics(curve: Spline) -> tuple[_Cubic, ...]:
     n, e, d = curve.coefficients.T.tolist()
-    cubics = (tuple(n), tuple(e), tuple(d))
+    return tuple(n), tuple(e), tuple(d)
+
+
+class Unmade(NamedTuple):
+    """A curve whose length and bends have not been looked at yet.
+
+    On board that is too much for one period: it is done in those that follow (``trajectory.c``).
+    """
+
+    coefficients: tuple[_Cubic, ...]
+    """A, B, C, D for each axis."""
+    speed: float
+    climb: float
+    descent: float
+    acceleration: float
+
+    def made(self) -> SplinePath | None:
+        """As :func:`spline_path`."""
+        return _timed(*self)
+
+
+def _timed(
+    cubics: tuple[_Cubic, ...], speed: float, climb: float, descent: float, acceleration: float
+) -> SplinePath | None:
     arc = [0.0]
     for k in range(_PIECES):
         arc.append(arc[k] + _arc_from(cubics, k / _PIECES, 0.5 / _PIECES))
@@ -383,6 +410,8 @@ class Trajectory:
         Flown in place of the line.
     lead : Stop or None
         Braking that comes first; `gate_s` and `duration_s` include it.
+    unmade : Unmade or None
+        The curve that it is to be once :meth:`made`; until then a line.
 
     Thesis: Fig. 6.17; Sec. 6.2.2.
     """
@@ -398,6 +427,25 @@ class Trajectory:
     duration_s: float
     curve: SplinePath | None = None
     lead: Stop | None = None
+    unmade: Unmade | None = None
+
+    def made(self) -> Trajectory:
+        """The same with its curve, or the line where no curve can be flown."""
+        path = None if self.unmade is None else self.unmade.made()
+        if path is None:
+            return replace(self, unmade=None)
+        gate = self.yaw.duration_s
+        way = replace(
+            self,
+            rise=profile(0.0, 1.0, 1.0),
+            way=path.timing,
+            gate_s=gate,
+            duration_s=gate + path.timing.duration_s,
+            curve=path,
+            lead=None,
+            unmade=None,
+        )
+        return way if self.lead is None else way.after(self.lead)
 
     def after(self, brake: Stop) -> Trajectory:
         """The same trajectory with a braking before it, which has to end where it starts."""
@@ -504,6 +552,24 @@ def curved(
     Trajectory
         The straight one where no curve can be flown (no length, a cusp, a bend too tight).
     """
+    way = begin_curved(
+        start, goal, leaving, arriving, heading, limits, final_heading=final_heading, nose_offset=nose_offset
+    )
+    return way.made()
+
+
+def begin_curved(
+    start: ArrayLike,
+    goal: ArrayLike,
+    leaving: ArrayLike,
+    arriving: ArrayLike,
+    heading: float,
+    limits: Limits,
+    *,
+    final_heading: float | None = None,
+    nose_offset: float = 0.0,
+) -> Trajectory:
+    """As `curved`, but its curve is not made yet."""
     plain = straight(start, goal, heading, limits, final_heading=final_heading, nose_offset=nose_offset)
     a, b = np.array(plain.start), np.array(plain.goal)
     reach = length(*(b - a).tolist())
@@ -516,29 +582,9 @@ def curved(
         ends.append(u / size * reach if size > 1e-9 else b - a)
     # A curve that rises or sinks has its whole acceleration within the vertical limit.
     level = a[2] == b[2] and all(u[2] == 0.0 for u in ends)
-    path = spline_path(
-        spline(a, b, *ends),
-        speed=limits.speed,
-        climb=limits.climb,
-        descent=limits.descent,
-        acceleration=limits.acceleration if level else min(limits.acceleration, limits.climb_acceleration),
-    )
-    if path is None:
-        return plain
-    gate = plain.yaw.duration_s
-    still = profile(0.0, 1.0, 1.0)
-    return Trajectory(
-        plain.start,
-        plain.goal,
-        heading,
-        plain.turn,
-        still,
-        plain.yaw,
-        path.timing,
-        gate,
-        gate + path.timing.duration_s,
-        path,
-    )
+    acceleration = limits.acceleration if level else min(limits.acceleration, limits.climb_acceleration)
+    curve = _cubics(spline(a, b, *ends))
+    return replace(plain, unmade=Unmade(curve, limits.speed, limits.climb, limits.descent, acceleration))
 
 
 @dataclass(frozen=True, slots=True)

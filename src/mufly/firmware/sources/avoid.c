@@ -4,9 +4,12 @@
 
 #define MEMORY_S REAL(30.0) /* a point is believed in without being hit again */
 #define APART REAL(0.05)
+#define AMONG 8
 #define FLOOR REAL(0.12)
 #define SAME_HEIGHT REAL(0.15)
 #define LEVEL_M REAL(0.5) /* points further above or below do not matter */
+#define NEAR_M REAL(2.0)
+#define SLOPE REAL(0x1.a827999fcef34p-2) /* tan(pi / 8) */
 #define ENTER_M REAL(0.05)
 #define LEAVE_M REAL(0.08)
 #define FOLLOW_M REAL(0.15)
@@ -36,25 +39,10 @@ void avoid_forget(memory_t *memory)
         }
     }
     memory->used = 0;
+    memory->turn = 0;
 }
 
-static void drop_old(memory_t *memory, real_t time_s)
-{
-    int32_t k = 0;
-
-    while (k < memory->used) {
-        if ((time_s - memory->points[k][3]) > MEMORY_S) {
-            memory->used--;
-            for (int32_t i = 0; i < 4; i++) {
-                memory->points[k][i] = memory->points[memory->used][i];
-            }
-        } else {
-            k++;
-        }
-    }
-}
-
-/* Confirm the points that this is, or put it into a free row, or that of the oldest. */
+/* Confirm the points that this is, or put it into a free row, or that of the oldest of a few, by turns. */
 static void take(memory_t *memory, const real_t hit[3], real_t time_s)
 {
     bool known = false;
@@ -76,9 +64,11 @@ static void take(memory_t *memory, const real_t hit[3], real_t time_s)
             row = memory->used;
             memory->used++;
         } else {
-            for (int32_t k = 0; k < memory->used; k++) {
+            row = memory->turn;
+            for (int32_t k = memory->turn; k < (memory->turn + AMONG); k++) {
                 row = (memory->points[k][3] < memory->points[row][3]) ? k : row;
             }
+            memory->turn = ((memory->turn + AMONG) < AVOID_CAPACITY) ? (memory->turn + AMONG) : 0;
         }
         memory->points[row][0] = hit[0];
         memory->points[row][1] = hit[1];
@@ -88,7 +78,7 @@ static void take(memory_t *memory, const real_t hit[3], real_t time_s)
 }
 
 void avoid_observe(memory_t *memory, const ring_t *beams, real_t time_s, const real_t position[3],
-                   const real_t attitude[3], const real_t ranges[])
+                   const real_t attitude[3], const real_t ranges[], int32_t first, int32_t count)
 {
     real_t sr;
     real_t cr;
@@ -97,11 +87,11 @@ void avoid_observe(memory_t *memory, const ring_t *beams, real_t time_s, const r
     real_t sy;
     real_t cy;
 
-    drop_old(memory, time_s);
     sine_cosine(attitude[0], &sr, &cr);
     sine_cosine(attitude[1], &sp, &cp);
     sine_cosine(attitude[2], &sy, &cy);
-    for (int32_t i = 0; i < beams->count; i++) {
+    for (int32_t turn = first; turn < (first + count); turn++) {
+        const int32_t i = (turn < beams->count) ? turn : (turn - beams->count);
         const real_t reach = ranges[i];
         if (!(reach >= beams->max_range) && (reach > REAL(0.0))) {
             /* Body x and y in N-E-D are the first two columns of the rotation matrix (yaw, pitch, roll). */
@@ -127,106 +117,182 @@ static inline real_t beyond(real_t along, real_t stretch)
     return (along < REAL(0.0)) ? along : past;
 }
 
-void avoid_look(const memory_t *memory, const real_t position[3], const real_t goal[3], real_t clearance,
-                real_t ahead, sight_t *out)
+void avoid_begin_sight(const real_t position[3], const real_t goal[2], real_t ahead, sight_t *out)
 {
+    for (int32_t i = 0; i < 3; i++) {
+        out->place[i] = position[i];
+    }
+    for (int32_t i = 0; i < 2; i++) {
+        out->goal[i] = goal[i];
+        out->block_at[i] = REAL(0.0);
+    }
+    out->ahead = ahead;
+    out->row = 0;
+    out->way = REAL_INFINITY;
+    out->onward = REAL_INFINITY;
+    out->from_goal = REAL_INFINITY;
+    out->across = REAL(0.0);
+    out->blockers = 0;
+    out->block = REAL_INFINITY;
+    for (int32_t k = 0; k < AVOID_SECTORS; k++) {
+        out->near[k][0] = REAL_INFINITY;
+        out->near[k][1] = REAL_INFINITY;
+    }
+}
+
+/* Which of sixteen directions it is; their order does not matter. */
+static inline int32_t sector_of(real_t n, real_t e)
+{
+    const real_t an = real_abs(n);
+    const real_t ae = real_abs(e);
+    const bool steep = an < ae;
+    const bool slanted = (steep ? an : ae) > (SLOPE * (steep ? ae : an));
+
+    return (((n < REAL(0.0)) ? 1 : 0) + ((e < REAL(0.0)) ? 2 : 0)) + ((steep ? 4 : 0) + (slanted ? 8 : 0));
+}
+
+/* In its direction from where it looks a point may be the nearest. */
+static inline void keep_near(sight_t *s, const real_t p[4], real_t qn, real_t qe, real_t square)
+{
+    real_t *const near = s->near[sector_of(qn, qe)];
+    const real_t n = near[0] - s->place[0];
+    const real_t e = near[1] - s->place[1];
+
+    if (square < ((n * n) + (e * e))) {
+        near[0] = p[0];
+        near[1] = p[1];
+    }
+}
+
+void avoid_look_around(memory_t *memory, sight_t *sight, real_t time_s, real_t clearance, int32_t part, int32_t parts)
+{
+    const int32_t end = (memory->used * part) / parts;
     const real_t blocked_at = clearance + ENTER_M;
     const real_t wide = REAL(2.0) * blocked_at;
-    const real_t gap[2] = {goal[0] - position[0], goal[1] - position[1]};
-    const real_t far = real_hypot(gap[0], gap[1]);
-    const real_t stretch = (ahead < far) ? ahead : far;
+    const real_t place[3] = {sight->place[0], sight->place[1], sight->place[2]};
+    const real_t goal[2] = {sight->goal[0], sight->goal[1]};
+    const real_t far = real_hypot(goal[0] - place[0], goal[1] - place[1]);
+    const real_t stretch = (sight->ahead < far) ? sight->ahead : far;
     const real_t first = (stretch > ONWARD_M) ? ONWARD_M : stretch;
     real_t wn = REAL(1.0);
     real_t we = REAL(0.0);
-    real_t total = REAL(0.0);
-    int32_t count = 0;
-    /* Squares of distances, until all points have been seen; of the two nearest ones their rows. */
-    real_t nearest = REAL_INFINITY;
-    real_t way = REAL_INFINITY;
-    real_t onward = REAL_INFINITY;
-    real_t to_goal = REAL_INFINITY;
-    real_t block = REAL_INFINITY;
-    int32_t near = -1;
-    int32_t across_way = -1;
+    int32_t row = sight->row;
+    real_t least = sight->way;
+    real_t onward = sight->onward;
+    real_t from_goal = sight->from_goal;
 
     if (far > REAL(1e-9)) {
-        wn = gap[0] / far;
-        we = gap[1] / far;
+        wn = (goal[0] - place[0]) / far;
+        we = (goal[1] - place[1]) / far;
     }
-    for (int32_t k = 0; k < memory->used; k++) {
-        const real_t *const p = memory->points[k];
+    while ((row < end) && (row < memory->used)) {
+        real_t *const p = memory->points[row];
 
-        if (!(real_abs(p[2] - position[2]) > LEVEL_M)) {
-            const real_t qn = p[0] - position[0];
-            const real_t qe = p[1] - position[1];
-            const real_t hn = p[0] - goal[0];
-            const real_t he = p[1] - goal[1];
-            const real_t square = (qn * qn) + (qe * qe);
-            const real_t along = (qn * wn) + (qe * we);
-            const real_t across = (qe * wn) - (qn * we);
-
-            if (square < nearest) {
-                nearest = square;
-                near = k;
+        if ((time_s - p[3]) > MEMORY_S) {
+            memory->used--;
+            for (int32_t i = 0; i < 4; i++) {
+                p[i] = memory->points[memory->used][i];
             }
-            to_goal = real_min(to_goal, (hn * hn) + (he * he));
-            if ((real_abs(across) < wide) && (along > -wide)) { /* else it is neither in the way nor near it */
-                const real_t past = beyond(along, stretch);
-                const real_t past_first = beyond(along, first);
-                const real_t off = (past * past) + (across * across);
+        } else {
+            row++;
+            if (!(real_abs(p[2] - place[2]) > LEVEL_M)) {
+                const real_t qn = p[0] - place[0];
+                const real_t qe = p[1] - place[1];
+                const real_t hn = p[0] - goal[0];
+                const real_t he = p[1] - goal[1];
+                const real_t square = (qn * qn) + (qe * qe);
+                const real_t along = (qn * wn) + (qe * we);
+                const real_t across = (qe * wn) - (qn * we);
 
-                way = real_min(way, off);
-                onward = real_min(onward, (past_first * past_first) + (across * across));
-                if ((off < (blocked_at * blocked_at)) && (square < block) && (square > REAL(1e-18))) {
-                    block = square;
-                    across_way = k;
+                if (square < (NEAR_M * NEAR_M)) {
+                    keep_near(sight, p, qn, qe, square);
                 }
-                /* A blocker's whole visible width tells the side, not only the part inside the corridor. */
-                if ((along > -blocked_at) && (along < (stretch + blocked_at))) {
-                    total += across;
-                    count++;
+                from_goal = real_min(from_goal, (hn * hn) + (he * he));
+                if ((real_abs(across) < wide) && (along > -wide)) { /* else it is neither in the way nor near it */
+                    const real_t past = beyond(along, stretch);
+                    const real_t past_first = beyond(along, first);
+                    const real_t off = (past * past) + (across * across);
+
+                    least = real_min(least, off);
+                    onward = real_min(onward, (past_first * past_first) + (across * across));
+                    if ((off < (blocked_at * blocked_at)) && (square < sight->block)) {
+                        sight->block = square;
+                        sight->block_at[0] = p[0];
+                        sight->block_at[1] = p[1];
+                    }
+                    /* A blocker's whole visible width tells the side, not only the part inside the corridor. */
+                    if ((along > -blocked_at) && (along < (stretch + blocked_at))) {
+                        sight->across += across;
+                        sight->blockers++;
+                    }
                 }
             }
         }
     }
-    out->nearest = real_sqrt(nearest);
-    out->north = REAL(0.0);
-    out->east = REAL(0.0);
-    if ((near >= 0) && (out->nearest > REAL(1e-9))) {
-        out->north = (position[0] - memory->points[near][0]) / out->nearest;
-        out->east = (position[1] - memory->points[near][1]) / out->nearest;
-    }
-    out->way = real_sqrt(way);
-    out->onward = real_sqrt(onward);
-    out->offset = (count > 0) ? (total / (real_t)count) : REAL(0.0);
-    out->goal = real_sqrt(to_goal);
-    out->block = real_sqrt(block);
-    out->block_north = REAL(0.0);
-    out->block_east = REAL(0.0);
-    if (across_way >= 0) {
-        out->block_north = (position[0] - memory->points[across_way][0]) / out->block;
-        out->block_east = (position[1] - memory->points[across_way][1]) / out->block;
-    }
+    sight->row = row;
+    sight->way = least;
+    sight->onward = onward;
+    sight->from_goal = from_goal;
 }
 
 bool avoid_blocked(const sight_t *sight, real_t clearance)
 {
-    return sight->way < (clearance + ENTER_M);
+    const real_t at = clearance + ENTER_M;
+
+    return sight->way < (at * at);
 }
 
-void avoid_hold_off(const memory_t *memory, const real_t position[3], real_t keep, real_t velocity[2])
+/* Distance of a point from a place (m); the unit vector from that to the place. */
+static real_t away_from(const real_t point[], const real_t place[], real_t from[2])
+{
+    const real_t n = place[0] - point[0];
+    const real_t e = place[1] - point[1];
+    const real_t far = real_hypot(n, e);
+
+    from[0] = REAL(0.0);
+    from[1] = REAL(0.0);
+    if (far > REAL(1e-9)) {
+        from[0] = n / far;
+        from[1] = e / far;
+    }
+    return far;
+}
+
+real_t avoid_nearest(const sight_t *sight, const real_t place[], real_t from[2])
+{
+    real_t far = REAL_INFINITY;
+    int32_t row = -1;
+
+    for (int32_t k = 0; k < AVOID_SECTORS; k++) {
+        const real_t n = place[0] - sight->near[k][0];
+        const real_t e = place[1] - sight->near[k][1];
+        const real_t square = (n * n) + (e * e);
+
+        if (square < far) {
+            far = square;
+            row = k;
+        }
+    }
+    from[0] = REAL(0.0);
+    from[1] = REAL(0.0);
+    if (row >= 0) {
+        far = away_from(sight->near[row], place, from);
+    }
+    return far;
+}
+
+void avoid_hold_off(const sight_t *sight, const real_t position[], real_t keep, real_t velocity[2])
 {
     bool changed = true;
 
     for (int32_t sweep = 0; changed && (sweep < SWEEPS); sweep++) {
         changed = false;
-        for (int32_t k = 0; k < memory->used; k++) {
-            const real_t *const p = memory->points[k];
-            const real_t qn = position[0] - p[0];
-            const real_t qe = position[1] - p[1];
+        for (int32_t k = 0; k < AVOID_SECTORS; k++) {
+            const real_t qn = position[0] - sight->near[k][0];
+            const real_t qe = position[1] - sight->near[k][1];
             const real_t dist = real_hypot(qn, qe);
 
-            if (!(real_abs(p[2] - position[2]) > LEVEL_M) && !(dist > REAL(2.0)) && !(dist < REAL(1e-9))) {
+            if (!(dist > REAL(2.0)) && !(dist < REAL(1e-9))) {
                 const real_t shortage =
                     (-APPROACH * (dist - keep)) - (((velocity[0] * qn) + (velocity[1] * qe)) / dist);
                 if (shortage > REAL(1e-6)) {
@@ -243,7 +309,7 @@ void avoid_begin(detour_t *detour, const real_t position[3], const real_t veloci
                  const real_t acceleration[3], const real_t goal[3], const sight_t *sight, const detour_t *before)
 {
     const real_t far = apart(goal, position);
-    real_t side = (sight->offset > REAL(0.0)) ? REAL(-1.0) : REAL(1.0);
+    real_t side = (sight->across > REAL(0.0)) ? REAL(-1.0) : REAL(1.0);
     int32_t count = 1;
     real_t stray = STRAY_M;
 
@@ -368,24 +434,35 @@ static void follow(detour_t *d, const real_t wanted[3], real_t dt)
     }
 }
 
+/* What it goes along: the nearest point, from where it plans. */
+typedef struct {
+    const real_t *at; /* the reference, or the helicopter that the wind has moved off it */
+    real_t far;
+    real_t from[2]; /* unit vector from the point to there */
+    bool touching;
+} contour_t;
+
 /* Along the contour: with n from the point to the helicopter and t across it, V (t cos a - n sin a). */
-static void along_contour(const detour_t *d, const sight_t *near, bool nearer_goal, bool touching, real_t distance,
-                          real_t speed, real_t wanted[3])
+static void along_contour(const detour_t *d, const sight_t *sight, const contour_t *near, bool nearer_goal,
+                          real_t distance, real_t speed, real_t wanted[3])
 {
-    real_t far = near->nearest;
-    real_t n = near->north;
-    real_t e = near->east;
+    real_t far = near->far;
+    real_t n = near->from[0];
+    real_t e = near->from[1];
+    real_t block_from[2] = {REAL(0.0), REAL(0.0)};
+    const real_t block =
+        (sight->block < REAL_INFINITY) ? away_from(sight->block_at, near->at, block_from) : REAL_INFINITY;
     real_t error;
     real_t slant;
     real_t along;
     real_t inward;
     /* Off any contour, or where a lap around the wrong one came nearest to the goal: make for the one in the way. */
-    const bool lost = (d->laps > 0) && nearer_goal && (near->block > (distance + REAL(0.05)));
+    const bool lost = (d->laps > 0) && nearer_goal && (block > (distance + REAL(0.05)));
 
-    if ((lost || !touching) && (near->block < REAL_INFINITY)) {
-        far = near->block;
-        n = near->block_north;
-        e = near->block_east;
+    if ((lost || !near->touching) && (block < REAL_INFINITY)) {
+        far = block;
+        n = block_from[0];
+        e = block_from[1];
     }
     error = far - distance;
     slant = real_hypot(error, LEAN_M);
@@ -396,52 +473,49 @@ static void along_contour(const detour_t *d, const sight_t *near, bool nearer_go
     wanted[1] = speed * (((-along * d->side) * n) - (inward * e));
 }
 
-void avoid_go_round(detour_t *detour, const memory_t *memory, const ring_t *beams, const real_t position[3],
+void avoid_go_round(detour_t *detour, const sight_t *sight, const ring_t *beams, const real_t position[3],
                     real_t heading, const real_t ranges[], const real_t goal[3], real_t clearance, real_t speed,
                     real_t dt)
 {
     const real_t distance = clearance + FOLLOW_M;
+    const real_t wide = (clearance + LEAVE_M) * (clearance + LEAVE_M);
     const real_t to_goal = apart(goal, detour->position);
     real_t wanted[3] = {REAL(0.0), REAL(0.0), REAL(0.0)};
-    sight_t sight;
-    sight_t real;
-    const sight_t *near = &sight;
-    const real_t *at = detour->position;
+    contour_t near;
+    contour_t real;
     real_t force[2];
     real_t fast;
     real_t limit;
     bool clear;
     bool nearer_goal;
-    bool touching;
     bool goal_blocked;
 
-    avoid_look(memory, detour->position, goal, clearance, REAL_INFINITY, &sight);
-    avoid_look(memory, position, goal, clearance, REAL_INFINITY, &real);
-    /* Plan from whichever is nearer to an obstacle: the reference, or the helicopter that the wind has moved off it. */
-    if (real.nearest < sight.nearest) {
-        near = &real;
-        at = position;
-    }
+    near.at = detour->position;
+    near.far = avoid_nearest(sight, detour->position, near.from);
+    real.at = position;
+    real.far = avoid_nearest(sight, position, real.from);
     nearer_goal = to_goal < (detour->hit_distance - REAL(0.1));
-    clear = (real.nearest > clearance) &&
-            ((nearer_goal && (sight.onward > (clearance + LEAVE_M))) ||
-             ((detour->count < 3) && (sight.way > (clearance + LEAVE_M))));
+    clear = (real.far > clearance) &&
+            ((nearer_goal && (sight->onward > wide)) || ((detour->count < 3) && (sight->way > wide)));
+    if (real.far < near.far) {
+        near = real;
+    }
+    near.touching = near.far < (distance + CONTACT_M);
     detour->clear_s = clear ? (detour->clear_s + dt) : REAL(0.0);
     detour->leaving = detour->clear_s > REAL(0.3);
-    touching = near->nearest < (distance + CONTACT_M);
-    goal_blocked = (sight.goal < (clearance + ENTER_M)) && (to_goal < REAL(1.0));
+    goal_blocked = (sight->from_goal < ((clearance + ENTER_M) * (clearance + ENTER_M))) && (to_goal < REAL(1.0));
     if (!detour->leaving && !goal_blocked) {
-        keep_course(detour, goal, to_goal, touching, dt);
+        keep_course(detour, goal, to_goal, near.touching, dt);
     }
 
     if (detour->leaving) {
         /* straight on, once it has stopped */
     } else if (goal_blocked) {
-        const real_t push = real_min(speed, real_max(REAL(0.0), distance - near->nearest));
-        wanted[0] = push * near->north;
-        wanted[1] = push * near->east;
-    } else if (near->nearest < (AVOID_LOOK_M + REAL(0.5))) {
-        along_contour(detour, near, nearer_goal, touching, distance, speed, wanted);
+        const real_t push = real_min(speed, real_max(REAL(0.0), distance - near.far));
+        wanted[0] = push * near.from[0];
+        wanted[1] = push * near.from[1];
+    } else if (near.far < (AVOID_LOOK_M + REAL(0.5))) {
+        along_contour(detour, sight, &near, nearer_goal, distance, speed, wanted);
     } else if (to_goal > REAL(1e-6)) {
         const real_t pace = real_min(speed, REAL(0.5) * to_goal);
         wanted[0] = (pace * (goal[0] - detour->position[0])) / to_goal;
@@ -458,7 +532,7 @@ void avoid_go_round(detour_t *detour, const memory_t *memory, const ring_t *beam
         wanted[0] += FIELD_GAIN * ((c * force[0]) - (s * force[1]));
         wanted[1] += FIELD_GAIN * ((s * force[0]) + (c * force[1]));
     }
-    avoid_hold_off(memory, at, clearance + KEEP_M, wanted);
+    avoid_hold_off(sight, near.at, clearance + KEEP_M, wanted);
     fast = real_hypot(wanted[0], wanted[1]);
     limit = speed * real_max(REAL(0.0), REAL(1.0) - (real_max(REAL(0.0), apart(detour->position, position) - REAL(0.15)) /
                                                  REAL(0.15)));
@@ -466,9 +540,9 @@ void avoid_go_round(detour_t *detour, const memory_t *memory, const ring_t *beam
         wanted[0] = (wanted[0] * limit) / fast;
         wanted[1] = (wanted[1] * limit) / fast;
     }
-    if (near->nearest < REAL(2.0)) {
-        detour->obstacle[0] = at[0] - (near->nearest * near->north);
-        detour->obstacle[1] = at[1] - (near->nearest * near->east);
+    if (near.far < REAL(2.0)) {
+        detour->obstacle[0] = near.at[0] - (near.far * near.from[0]);
+        detour->obstacle[1] = near.at[1] - (near.far * near.from[1]);
     }
     follow(detour, wanted, dt);
 }

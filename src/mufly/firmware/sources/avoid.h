@@ -7,6 +7,7 @@
 
 #define AVOID_CAPACITY 160 /* points remembered */
 #define AVOID_BEAMS 64     /* that a ring has at most */
+#define AVOID_SECTORS 16   /* directions in which the nearest point counts */
 
 /* Range beams around the body, all in its x-y plane. */
 typedef struct {
@@ -22,17 +23,23 @@ typedef struct {
 typedef struct {
     real_t points[AVOID_CAPACITY][4];
     int32_t used;
+    int32_t turn; /* where one is to make room for the next, once all are in use */
 } memory_t;
 
-/* What the points mean for a way. */
+/* What the points mean for a way, of those that have been gone through since it was begun; lengths are squared (m2). */
 typedef struct {
-    real_t nearest;     /* distance to the nearest point (m), infinite where there is none */
-    real_t north, east; /* unit vector from that point to the position */
-    real_t way;         /* least distance of any point from the stretch looked at (m), if that is not much */
-    real_t onward;      /* likewise from its first 1.5 m */
-    real_t offset;      /* mean distance of those that block it from the way, positive to the right (m) */
-    real_t goal;        /* of the goal from the point nearest to it (m) */
-    real_t block, block_north, block_east; /* as the first three, of the points that block the way */
+    real_t place[3];  /* from where it looks, */
+    real_t goal[2];   /* and where to (m) */
+    real_t ahead;     /* how much of that way is looked at (m) */
+    int32_t row;      /* points gone through */
+    real_t way;       /* least distance of any point from the stretch looked at, if that is not much */
+    real_t onward;    /* likewise from its first 1.5 m */
+    real_t from_goal; /* of the goal from the point nearest to it */
+    real_t across;    /* sum of the distances of those that block it from the way, positive to the right (m) */
+    int32_t blockers; /* how many these are */
+    real_t block;     /* distance of the nearest that blocks it */
+    real_t block_at[2];                /* where that is (m) */
+    real_t near[AVOID_SECTORS][2]; /* in each direction the nearest point, infinite where there is none (m) */
 } sight_t;
 
 /* A way around an obstacle, in progress. */
@@ -56,27 +63,32 @@ typedef struct {
 /* Nothing seen yet. */
 void avoid_forget(memory_t *memory);
 
-/* Add what the beams hit now, drop what has not been hit for long; ranges as many as there are beams (m). */
+/* Add what beams hit now: count of them from the first on, after the last comes beam 0; ranges of all (m). */
 void avoid_observe(memory_t *memory, const ring_t *beams, real_t time_s, const real_t position[3],
-                   const real_t attitude[3], const real_t ranges[]);
+                   const real_t attitude[3], const real_t ranges[], int32_t first, int32_t count);
 
-/* Judge the straight level way from position to goal, ahead metres of it at most. */
-void avoid_look(const memory_t *memory, const real_t position[3], const real_t goal[3], real_t clearance,
-                real_t ahead, sight_t *out);
+/* Begin to look along the straight level way from position to goal (N, E), ahead metres of it at most. */
+void avoid_begin_sight(const real_t position[3], const real_t goal[2], real_t ahead, sight_t *out);
 #define AVOID_LOOK_M REAL(1.2) /* what ahead usually is */
+
+/* Go through a part of the points (from 1, of parts): drop what has not been hit for long, see what the others mean. */
+void avoid_look_around(memory_t *memory, sight_t *sight, real_t time_s, real_t clearance, int32_t part, int32_t parts);
 
 /* Whether something stands in the way. */
 bool avoid_blocked(const sight_t *sight, real_t clearance);
 
+/* Distance of the nearest point from a place (m); the unit vector N, E from that to the place. */
+real_t avoid_nearest(const sight_t *sight, const real_t place[], real_t from[2]);
+
 /* The velocity N, E nearest to the wanted one that comes near keep (m) of a point only exponentially. */
-void avoid_hold_off(const memory_t *memory, const real_t position[3], real_t keep, real_t velocity[2]);
+void avoid_hold_off(const sight_t *sight, const real_t position[], real_t keep, real_t velocity[2]);
 
 /* Start a detour from where the reference is; before: the last one on this leg, or NULL; it may be detour itself. */
 void avoid_begin(detour_t *detour, const real_t position[3], const real_t velocity[3],
                  const real_t acceleration[3], const real_t goal[3], const sight_t *sight, const detour_t *before);
 
 /* One step of it, dt (s) long. position, heading: measured; speed (m/s). */
-void avoid_go_round(detour_t *detour, const memory_t *memory, const ring_t *beams, const real_t position[3],
+void avoid_go_round(detour_t *detour, const sight_t *sight, const ring_t *beams, const real_t position[3],
                     real_t heading, const real_t ranges[], const real_t goal[3], real_t clearance, real_t speed,
                     real_t dt);
 

@@ -39,4 +39,7 @@ typedef struct {
     check_t checks[BELIEF_SENSORS];
 } belief_t;
 
+/* All of it, with as many ranges as there are beams. */
+void belief_copy(const belief_t *from, int32_t beams, belief_t *to);
+
 #endif

@@ -131,9 +131,6 @@ static void sense(const plan_t *plan, mission_t *s, const belief_t *m, real_t dt
         }
     }
     s->voltage = s->voltage + ((m->motion.voltage - s->voltage) * real_min(REAL(1.0), dt / VOLTAGE_LAG_S));
-    if (plan->avoid && in_flight(s) && ((s->memory.used > 0) || anything_near(plan, m))) {
-        avoid_observe(&s->memory, &plan->ring, m->time_s, m->motion.position, m->motion.attitude, m->ranges);
-    }
     if (scanning) {
         s->swing = real_min(LOOK_AROUND_S, s->swing + dt);
     } else {
@@ -496,7 +493,7 @@ static void track(const plan_t *plan, mission_t *s, const belief_t *m, const com
         const bool guard = plan->avoid && (s->memory.used > 0);
 
         offboard_follow(&s->tracker, &c->set_point, &plan->limits, m->motion.position, dt,
-                        guard ? &s->memory : NULL, plan->clearance);
+                        guard ? &s->sight : NULL, plan->clearance);
         phases_copy(s->tracker.position, s->hold);
         phases_copy(s->tracker.position, s->goal);
         s->heading = s->tracker.heading;
@@ -636,10 +633,19 @@ static void signals(const plan_t *plan, mission_t *s, const belief_t *m, const c
     }
 }
 
+/* Whether it has just set out along a curve, on which some work is left. */
+static bool unmade(const mission_t *s)
+{
+    return (s->course.kind == COURSE_TRAJECTORY) && (s->course.way.making > 0);
+}
+
 void mission_step(const plan_t *plan, mission_t *s, const belief_t *m, const command_t *command, reference_t *out)
 {
     const real_t dt = real_min(real_max(m->time_s - s->time_s, REAL(0.0)), LONGEST_STEP_S);
 
+    while (unmade(s)) { /* a period was left out */
+        trajectory_go_on(&s->course.way);
+    }
     sense(plan, s, m, dt);
     signals(plan, s, m, command, dt);
     if (s->state == STATE_OFFBOARD) {
@@ -647,4 +653,29 @@ void mission_step(const plan_t *plan, mission_t *s, const belief_t *m, const com
     }
     phases_step(plan, s, m, dt);
     phases_reference(plan, s, m, command, out);
+    if (plan->avoid && in_flight(s)) {
+        const bool sent = (s->state == STATE_WAYPOINT) || (s->state == STATE_OBSTACLE);
+
+        avoid_begin_sight(out->path.position, sent ? s->goal : out->path.position,
+                          (s->state == STATE_OBSTACLE) ? REAL_INFINITY : AVOID_LOOK_M, &s->sight);
+    }
+}
+
+void mission_watch_out(const plan_t *plan, mission_t *s, const belief_t *m, int32_t part, int32_t parts)
+{
+    if (unmade(s)) { /* it stands or brakes */
+        trajectory_go_on(&s->course.way);
+    } else if (plan->avoid && in_flight(s) && ((s->memory.used > 0) || anything_near(plan, m))) {
+        const int32_t count = (plan->ring.count + 7) / 8;
+
+        avoid_observe(&s->memory, &plan->ring, m->time_s, m->motion.position, m->motion.attitude, m->ranges, s->beam,
+                      count);
+        avoid_look_around(&s->memory, &s->sight, m->time_s, plan->clearance, part, parts);
+        s->beam += count;
+        if (s->beam >= plan->ring.count) {
+            s->beam -= plan->ring.count;
+        }
+    } else {
+        /* there is nothing to look at */
+    }
 }

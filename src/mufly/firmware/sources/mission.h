@@ -120,6 +120,8 @@ typedef struct {
     real_t sink, sink_rate, still_s, impact;
     real_t voltage, low_s;
     memory_t memory;
+    int32_t beam; /* that is taken next */
+    sight_t sight; /* what the points mean for where it goes */
     bool has_detour;
     detour_t detour;
     int32_t back;
@@ -141,6 +143,9 @@ void mission_loaded(const plan_t *plan, mission_t *s);
 
 /* One step of the logic, 50 times a second or so. */
 void mission_step(const plan_t *plan, mission_t *s, const belief_t *m, const command_t *command, reference_t *out);
+
+/* Between two steps, in a part (from 1) of parts: beams, and the points that the next step goes by. */
+void mission_watch_out(const plan_t *plan, mission_t *s, const belief_t *m, int32_t part, int32_t parts);
 
 /* Whether its state lets it do what is asked. height: above where it stood (m). */
 bool mission_may(int32_t ask, const mission_t *s, real_t height, bool armed, bool flying);

@@ -74,7 +74,7 @@ static real_t gain_of(real_t dx, real_t dy, real_t most, real_t dt)
 }
 
 static void part(point_t *t, const set_point_t *wanted, const limits_t *limits, const real_t measured[3], real_t dt,
-                 const memory_t *memory, real_t clearance)
+                 const sight_t *sight, real_t clearance)
 {
     const real_t off[3] = {t->position[0] - measured[0], t->position[1] - measured[1],
                            t->position[2] - measured[2]};
@@ -100,8 +100,8 @@ static void part(point_t *t, const set_point_t *wanted, const limits_t *limits, 
     }
     level[0] = or_zero(wanted->velocity[0]) + (pace * gn);
     level[1] = or_zero(wanted->velocity[1]) + (pace * ge);
-    if (memory != NULL) {
-        avoid_hold_off(memory, measured, clearance, level);
+    if (sight != NULL) {
+        avoid_hold_off(sight, measured, clearance, level);
     }
     fast = real_hypot(level[0], level[1]);
     if (fast > limits->speed) {
@@ -140,7 +140,7 @@ static void part(point_t *t, const set_point_t *wanted, const limits_t *limits, 
 }
 
 void offboard_follow(point_t *tracker, const set_point_t *wanted, const limits_t *limits, const real_t measured[3],
-                     real_t dt, const memory_t *memory, real_t clearance)
+                     real_t dt, const sight_t *sight, real_t clearance)
 {
     if ((dt > REAL(0.0)) && (dt <= REAL(1.0))) {
         const real_t steps = (dt / STEP_S) - REAL(1e-9);
@@ -151,7 +151,7 @@ void offboard_follow(point_t *tracker, const set_point_t *wanted, const limits_t
         }
         parts = (parts < 1) ? 1 : parts;
         for (int32_t i = 0; i < parts; i++) {
-            part(tracker, wanted, limits, measured, dt / (real_t)parts, memory, clearance);
+            part(tracker, wanted, limits, measured, dt / (real_t)parts, sight, clearance);
         }
     }
 }

@@ -22,8 +22,8 @@ bool offboard_right(const set_point_t *wanted);
 /* Whether a helicopter that stands there has to lift off for it. */
 bool offboard_wants_up(const set_point_t *wanted, const real_t standing[3]);
 
-/* Advance the reference by dt (s); measured: where the helicopter is. memory: what to keep clearance (m) from, or NULL. */
+/* Advance the reference by dt (s); measured: where the helicopter is. sight: what to keep clearance (m) from, or NULL. */
 void offboard_follow(point_t *tracker, const set_point_t *wanted, const limits_t *limits, const real_t measured[3],
-                     real_t dt, const memory_t *memory, real_t clearance);
+                     real_t dt, const sight_t *sight, real_t clearance);
 
 #endif

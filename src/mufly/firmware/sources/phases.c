@@ -418,6 +418,9 @@ static void blank(mission_t *s)
     s->impact = REAL(0.0);
     s->low_s = REAL(0.0);
     s->memory.used = 0;
+    s->memory.turn = 0;
+    s->beam = 0;
+    avoid_begin_sight(s->goal, s->goal, AVOID_LOOK_M, &s->sight);
     s->has_detour = false;
     s->back = STATE_HOVER;
     s->avoided_s = REAL(0.0);
@@ -556,8 +559,8 @@ static void leg(const plan_t *plan, int32_t index, const real_t from[3], real_t 
             leaving[i] = w->position[i] - ((index > 0) ? further[i] : before[i]);
             arriving[i] = after[i] - before[i];
         }
-        trajectory_curved(from, w->position, leaving, arriving, heading, &limits, final_heading, plan->nose_offset,
-                          out);
+        trajectory_begin_curved(from, w->position, leaving, arriving, heading, &limits, final_heading,
+                                plan->nose_offset, out);
     }
 }
 
@@ -708,22 +711,40 @@ static void fly_leg(const plan_t *plan, mission_t *s, const belief_t *m)
 
 /* Obstacles */
 
+static bool looks_at(const sight_t *sight, const real_t goal[3])
+{
+    bool same = true;
+
+    for (int32_t i = 0; i < 2; i++) {
+        same = same && (sight->goal[i] <= goal[i]) && (sight->goal[i] >= goal[i]);
+    }
+    return same;
+}
+
 static void watch(const plan_t *plan, mission_t *s)
 {
     if (plan->avoid && (s->memory.used > 0) && (s->outcome != OUTCOME_FAILED)) {
         /* Only on its level way does it head for somewhere; elsewhere an obstacle has to come near. */
         const bool underway = (s->state == STATE_WAYPOINT) && phases_at_gate(s);
+        const sight_t *sight = &s->sight;
         point_t at;
-        sight_t sight;
+        real_t from_it[2];
+        real_t far;
+        bool there;
 
         phases_point(s, &at);
-        avoid_look(&s->memory, at.position, underway ? s->goal : at.position, plan->clearance, AVOID_LOOK_M, &sight);
-        if (underway ? avoid_blocked(&sight, plan->clearance) : (sight.nearest < plan->clearance)) {
-            const message_t why =
-                underway ? say_1(SAY_OBSTACLE_AHEAD, sight.way) : say_1(SAY_OBSTACLE_NEAR, sight.nearest);
+        if (underway) { /* it looks along the way since the step after it was sent elsewhere */
+            far = real_sqrt(sight->way);
+            there = looks_at(sight, s->goal) && avoid_blocked(sight, plan->clearance);
+        } else {
+            far = avoid_nearest(sight, at.position, from_it);
+            there = far < plan->clearance;
+        }
+        if (there) {
+            const message_t why = say_1(underway ? SAY_OBSTACLE_AHEAD : SAY_OBSTACLE_NEAR, far);
             const int32_t from = s->state;
 
-            avoid_begin(&s->detour, at.position, at.velocity, at.acceleration, s->goal, &sight,
+            avoid_begin(&s->detour, at.position, at.velocity, at.acceleration, s->goal, sight,
                         s->has_detour ? &s->detour : NULL);
             phases_enter(s, STATE_OBSTACLE, &why, LEVEL_INFO);
             s->back = from;
@@ -737,7 +758,7 @@ static void go_round(const plan_t *plan, mission_t *s, const belief_t *m, real_t
 {
     message_t why;
 
-    avoid_go_round(&s->detour, &s->memory, &plan->ring, m->motion.position, m->motion.attitude[2], m->ranges, s->goal,
+    avoid_go_round(&s->detour, &s->sight, &plan->ring, m->motion.position, m->motion.attitude[2], m->ranges, s->goal,
                    plan->clearance, plan->avoid_speed, dt);
     s->avoided_s = s->avoided_s + dt;
     if (s->avoided_s > plan->give_up_s) {

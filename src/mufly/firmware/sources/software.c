@@ -355,6 +355,17 @@ static void steadied(software_t *s, const belief_t *m, actuators_t *out)
     s->given = *out;
 }
 
+/* What the beams see, in parts from one step of the mission to the next. */
+static void watch_out(const setup_t *setup, software_t *s, const belief_t *m)
+{
+    const bool apart = setup->every > 1; /* tick has gone on already */
+    const int32_t part = apart ? cycle(s->tick - 1, setup->every) : 1;
+
+    if (part > 0) {
+        mission_watch_out(setup->plan, &s->mission, m, part, apart ? (setup->every - 1) : 1);
+    }
+}
+
 void software_step(const setup_t *setup, software_t *s, const belief_t *belief, const command_t *command,
                    actuators_t *out)
 {
@@ -363,7 +374,7 @@ void software_step(const setup_t *setup, software_t *s, const belief_t *belief, 
     message_t why;
 
     watch_step(&s->watch, belief, setup->period_s, &setup->plan->ring);
-    m = s->watch.good;
+    belief_copy(&s->watch.good, setup->plan->ring.count, &m);
     if (m.judged) {
         smooth_step(&s->smooth, &m, s->motors == MOTORS_OFF);
     }
@@ -391,6 +402,7 @@ void software_step(const setup_t *setup, software_t *s, const belief_t *belief, 
             mission_step(setup->plan, &s->mission, &m, &s->command, &s->reference);
             no_command(&s->command);
         }
+        watch_out(setup, s, &m);
         if (s->reference.motors != s->motors) {
             change_over(setup, s, s->reference.motors, &m);
         }

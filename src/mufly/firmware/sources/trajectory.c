@@ -8,7 +8,6 @@
 #define SLOWEST REAL(0.05) /* of a curve (m/s) */
 #define NODES 3
 #define HALVINGS 5 /* of a step, around each worst point of a curve */
-#define ASKS 4
 #define ROOT_2 REAL(0x1.6a09e667f3bcdp+0)
 
 /* Gauss-Legendre of three points. */
@@ -204,14 +203,14 @@ static void measure(curve_t *c)
 }
 
 /* Square of the tangent's length; shares of the speed that are level, rise and sink, and curvature, all squared. */
-static real_t asks_at(const curve_t *c, real_t u, real_t out[ASKS])
+static real_t asks_at(const curve_t *c, real_t u, real_t out[CURVE_ASKS])
 {
     real_t tangent[3];
     real_t size;
 
     tangent_of(c, u, tangent);
     size = square(tangent);
-    for (int32_t j = 0; j < ASKS; j++) {
+    for (int32_t j = 0; j < CURVE_ASKS; j++) {
         out[j] = REAL(0.0);
     }
     if (!(size <= REAL(1e-12))) {
@@ -230,65 +229,68 @@ static real_t asks_at(const curve_t *c, real_t u, real_t out[ASKS])
     return size;
 }
 
-/* Least size and greatest of what the points of a curve ask: each is sought in equal steps, and in halves of a step to
- * either side of the best yet. */
-static real_t worst_of(const curve_t *c, real_t worst[ASKS])
+/* Least size and greatest of what the points of a curve ask: each is sought in equal steps, */
+static void look_along(const curve_t *c, worst_t *worst)
 {
-    real_t where[ASKS] = {REAL(0.0), REAL(0.0), REAL(0.0), REAL(0.0)};
-    real_t least = REAL_INFINITY;
-    real_t asks[ASKS];
+    real_t asks[CURVE_ASKS];
 
-    for (int32_t j = 0; j < ASKS; j++) {
-        worst[j] = REAL(0.0);
+    worst->least = REAL_INFINITY;
+    for (int32_t j = 0; j < CURVE_ASKS; j++) {
+        worst->asks[j] = REAL(0.0);
+        worst->where[j] = REAL(0.0);
     }
     for (int32_t k = 0; k <= CURVE_PIECES; k++) {
         const real_t u = (real_t)k / (real_t)CURVE_PIECES;
 
-        least = real_min(least, asks_at(c, u, asks));
-        for (int32_t j = 0; j < ASKS; j++) {
-            if (asks[j] > worst[j]) {
-                worst[j] = asks[j];
-                where[j] = u;
+        worst->least = real_min(worst->least, asks_at(c, u, asks));
+        for (int32_t j = 0; j < CURVE_ASKS; j++) {
+            if (asks[j] > worst->asks[j]) {
+                worst->asks[j] = asks[j];
+                worst->where[j] = u;
             }
         }
     }
-    for (int32_t j = 0; j < ASKS; j++) {
+}
+
+/* and in halves of a step to either side of the best yet. */
+static void look_closer(const curve_t *c, worst_t *worst)
+{
+    real_t asks[CURVE_ASKS];
+
+    for (int32_t j = 0; j < CURVE_ASKS; j++) {
         real_t step = REAL(1.0) / (real_t)CURVE_PIECES;
 
-        for (int32_t h = 0; (h < HALVINGS) && (worst[j] > REAL(0.0)); h++) {
-            const real_t middle = where[j];
+        for (int32_t h = 0; (h < HALVINGS) && (worst->asks[j] > REAL(0.0)); h++) {
+            const real_t middle = worst->where[j];
 
             step *= REAL(0.5);
             for (int32_t side = -1; side <= 1; side += 2) {
                 const real_t u = middle + ((real_t)side * step);
                 const real_t size = asks_at(c, u, asks);
 
-                if ((u >= REAL(0.0)) && (u <= REAL(1.0)) && (asks[j] > worst[j])) {
-                    least = real_min(least, size);
-                    worst[j] = asks[j];
-                    where[j] = u;
+                if ((u >= REAL(0.0)) && (u <= REAL(1.0)) && (asks[j] > worst->asks[j])) {
+                    worst->least = real_min(worst->least, size);
+                    worst->asks[j] = asks[j];
+                    worst->where[j] = u;
                 }
             }
         }
     }
-    return least;
 }
 
 /* Give the curve its timing; false where it has a point without tangent or too tight a bend. */
-static bool time_curve(curve_t *c, const limits_t *limits, real_t acceleration)
+static bool time_curve(curve_t *c, const worst_t *worst, const real_t pace[4])
 {
-    const real_t share = acceleration / ROOT_2;
+    const real_t share = pace[3] / ROOT_2;
     const real_t whole = c->arc[CURVE_PIECES];
-    real_t worst[ASKS];
-    const real_t least = real_sqrt(worst_of(c, worst));
     bool can = false;
 
-    if (!(least < (REAL(0.05) * real_max(whole, TINY)))) {
-        real_t peak = limits->speed / real_max(real_sqrt(worst[0]), TINY);
+    if (!(real_sqrt(worst->least) < (REAL(0.05) * real_max(whole, TINY)))) {
+        real_t peak = pace[0] / real_max(real_sqrt(worst->asks[0]), TINY);
 
-        peak = real_min(peak, limits->climb / real_max(real_sqrt(worst[1]), TINY));
-        peak = real_min(peak, limits->descent / real_max(real_sqrt(worst[2]), TINY));
-        peak = real_min(peak, real_sqrt(share / real_max(real_sqrt(worst[3]), TINY)));
+        peak = real_min(peak, pace[1] / real_max(real_sqrt(worst->asks[1]), TINY));
+        peak = real_min(peak, pace[2] / real_max(real_sqrt(worst->asks[2]), TINY));
+        peak = real_min(peak, real_sqrt(share / real_max(real_sqrt(worst->asks[3]), TINY)));
         if (peak >= SLOWEST) {
             profile_make(whole, peak, share, &c->timing);
             can = true;
@@ -388,6 +390,7 @@ void trajectory_straight(const real_t start[3], const real_t goal[3], real_t hea
     out->duration_s = out->gate_s + profile_duration(&out->way);
     out->has_curve = false;
     out->has_lead = false;
+    out->making = 0;
 }
 
 /* The derivative at an end: a direction times the distance of both ends. */
@@ -400,9 +403,9 @@ static void end_of(const real_t direction[3], real_t reach, const real_t chord[3
     }
 }
 
-void trajectory_curved(const real_t start[3], const real_t goal[3], const real_t leaving[3],
-                       const real_t arriving[3], real_t heading, const limits_t *limits,
-                       const real_t *final_heading, real_t nose_offset, trajectory_t *out)
+void trajectory_begin_curved(const real_t start[3], const real_t goal[3], const real_t leaving[3],
+                             const real_t arriving[3], real_t heading, const limits_t *limits,
+                             const real_t *final_heading, real_t nose_offset, trajectory_t *out)
 {
     real_t chord[3];
     real_t first[3];
@@ -433,15 +436,39 @@ void trajectory_curved(const real_t start[3], const real_t goal[3], const real_t
         if ((real_abs(chord[2]) > REAL(0.0)) || (real_abs(first[2]) > REAL(0.0)) || (real_abs(last[2]) > REAL(0.0))) {
             acceleration = real_min(limits->acceleration, limits->climb_acceleration);
         }
-        measure(c);
-        if (time_curve(c, limits, acceleration)) {
-            out->has_curve = true;
-            profile_make(REAL(0.0), REAL(1.0), REAL(1.0), &out->rise);
-            out->way = c->timing;
-            out->gate_s = profile_duration(&out->yaw);
-            out->duration_s = out->gate_s + profile_duration(&c->timing);
-        }
+        out->pace[0] = limits->speed;
+        out->pace[1] = limits->climb;
+        out->pace[2] = limits->descent;
+        out->pace[3] = acceleration;
+        out->making = CURVE_PARTS;
     }
+}
+
+void trajectory_go_on(trajectory_t *way)
+{
+    curve_t *c = &way->curve;
+
+    if (way->making == CURVE_PARTS) {
+        measure(c);
+    } else if (way->making == (CURVE_PARTS - 1)) {
+        look_along(c, &way->worst);
+    } else if (way->making == 1) {
+        look_closer(c, &way->worst);
+        if (time_curve(c, &way->worst, way->pace)) {
+            way->has_curve = true;
+            profile_make(REAL(0.0), REAL(1.0), REAL(1.0), &way->rise);
+            way->way = c->timing;
+            way->gate_s = profile_duration(&way->yaw);
+            way->duration_s = way->gate_s + profile_duration(&c->timing);
+            if (way->has_lead) {
+                way->gate_s = way->gate_s + stop_rest_s(&way->lead);
+                way->duration_s = way->duration_s + stop_rest_s(&way->lead);
+            }
+        }
+    } else {
+        /* all is done */
+    }
+    way->making = (way->making > 0) ? (way->making - 1) : 0;
 }
 
 void trajectory_after(trajectory_t *way, const stop_t *brake)

@@ -8,6 +8,9 @@
 
 #define CURVE_PIECES 32 /* of the table of arc lengths; also the steps in which its worst points are sought */
 
+#define CURVE_ASKS 4
+#define CURVE_PARTS 3 /* of the work on it, each in a period of its own */
+
 /* What a trajectory may ask for. */
 typedef struct {
     real_t speed, climb, descent;            /* horizontal, up, down (m/s) */
@@ -35,6 +38,13 @@ typedef struct {
     profile_t timing;
 } curve_t;
 
+/* What the points of a curve ask: share of the speed that is level, up, down; curvature; all squared. */
+typedef struct {
+    real_t least;                         /* square of the tangent's length */
+    real_t asks[CURVE_ASKS];              /* the greatest of each, */
+    real_t where[CURVE_ASKS];             /* and where that is */
+} worst_t;
+
 /* Coming to rest along the velocity's own direction; likewise turning. */
 typedef struct {
     real_t start[3], velocity[3];
@@ -52,6 +62,9 @@ typedef struct {
     real_t gate_s;     /* when the part on the spot ends, */
     real_t duration_s; /* when all is done; both with the braking */
     bool has_curve, has_lead;
+    int32_t making; /* parts of the work on its curve that are left; until then it is a line */
+    real_t pace[4]; /* of the curve: horizontal speed, up, down (m/s), acceleration (m/s2) */
+    worst_t worst;
     curve_t curve;
     stop_t lead;
 } trajectory_t;
@@ -66,10 +79,13 @@ void profile_at(const profile_t *p, real_t t, real_t out[3]);
 void trajectory_straight(const real_t start[3], const real_t goal[3], real_t heading, const limits_t *limits,
                          const real_t *final_heading, real_t nose_offset, trajectory_t *out);
 
-/* Heading first, then a spline that leaves and arrives in given directions; straight where none can be flown. */
-void trajectory_curved(const real_t start[3], const real_t goal[3], const real_t leaving[3],
+/* Heading first, then a spline that leaves and arrives in given directions; its curve is to be made. */
+void trajectory_begin_curved(const real_t start[3], const real_t goal[3], const real_t leaving[3],
                        const real_t arriving[3], real_t heading, const limits_t *limits,
                        const real_t *final_heading, real_t nose_offset, trajectory_t *out);
+
+/* A part of the work on a curve, if any is left; a line remains where no curve can be flown. */
+void trajectory_go_on(trajectory_t *way);
 
 /* A braking comes first, which has to end where it starts. */
 void trajectory_after(trajectory_t *way, const stop_t *brake);

@@ -29,15 +29,13 @@ static void values_of(const motion_t *m, real_t out[12])
 }
 
 /* Put the last good values in place of those that are not finite; which they were. */
-static int32_t mended(const watch_t *w, const belief_t *m, const real_t values[12], belief_t *out)
+static int32_t mended(bool begun, const real_t values[12], const real_t last[12], belief_t *out)
 {
     real_t *to[VITAL] = {out->motion.position, out->motion.velocity, out->motion.attitude, out->motion.rates};
-    real_t last[12];
     int32_t bad = 0;
 
-    values_of(&w->good.motion, last);
     for (int32_t k = 0; k < VITAL; k++) {
-        bool right = m->valid;
+        bool right = out->valid;
 
         for (int32_t i = 0; i < 3; i++) {
             right = right && real_finite(values[(3 * k) + i]);
@@ -45,35 +43,58 @@ static int32_t mended(const watch_t *w, const belief_t *m, const real_t values[1
         if (!right) {
             bad += (int32_t)(1U << (uint32_t)k);
             for (int32_t i = 0; i < 3; i++) {
-                to[k][i] = w->begun ? last[(3 * k) + i] : REAL(0.0);
+                to[k][i] = begun ? last[(3 * k) + i] : REAL(0.0);
             }
         }
     }
     return bad;
 }
 
+void belief_copy(const belief_t *from, int32_t beams, belief_t *to)
+{
+    to->time_s = from->time_s;
+    to->motion = from->motion;
+    to->valid = from->valid;
+    to->judged = from->judged;
+    for (int32_t i = 0; i < 3; i++) {
+        to->position_variance[i] = from->position_variance[i];
+        to->attitude_variance[i] = from->attitude_variance[i];
+    }
+    for (int32_t k = 0; k < BELIEF_SENSORS; k++) {
+        to->checks[k] = from->checks[k];
+    }
+    for (int32_t i = 0; i < beams; i++) {
+        to->ranges[i] = from->ranges[i];
+    }
+}
+
 void watch_step(watch_t *w, const belief_t *m, real_t period_s, const ring_t *ring)
 {
+    belief_t *const good = &w->good;
     real_t values[12];
-    belief_t good = *m;
+    real_t last[12];
+    const real_t last_s = w->begun ? good->time_s : REAL(0.0);
+    const real_t last_voltage = w->begun ? good->motion.voltage : REAL(1.0);
     bool frozen = w->begun;
     int32_t bad;
 
     values_of(&m->motion, values);
+    values_of(&good->motion, last);
+    belief_copy(m, ring->count, good);
     for (int32_t i = 0; i < 12; i++) {
         frozen = frozen && same_number(values[i], w->values[i]);
     }
-    bad = mended(w, m, values, &good);
-    if (!real_finite(m->time_s) || (w->begun && (m->time_s <= w->good.time_s))) {
-        good.time_s = (w->begun ? w->good.time_s : REAL(0.0)) + period_s;
+    bad = mended(w->begun, values, last, good);
+    if (!real_finite(m->time_s) || (w->begun && (m->time_s <= last_s))) {
+        good->time_s = last_s + period_s;
     }
     for (int32_t i = 0; i < ring->count; i++) {
-        if (!real_finite(good.ranges[i])) {
-            good.ranges[i] = ring->max_range;
+        if (!real_finite(good->ranges[i])) {
+            good->ranges[i] = ring->max_range;
         }
     }
     if (!((m->motion.voltage > REAL(0.0)) && real_finite(m->motion.voltage))) {
-        good.motion.voltage = w->begun ? w->good.motion.voltage : REAL(1.0);
+        good->motion.voltage = last_voltage;
     }
     if ((bad == 0) && !frozen) {
         w->lost_s = REAL(0.0);
@@ -81,7 +102,6 @@ void watch_step(watch_t *w, const belief_t *m, real_t period_s, const ring_t *ri
         w->lost_s = (w->begun ? w->lost_s : REAL(0.0)) + period_s;
     }
     w->what = bad;
-    w->good = good;
     w->begun = true;
     for (int32_t i = 0; i < 12; i++) {
         w->values[i] = values[i];

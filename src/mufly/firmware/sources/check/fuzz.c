@@ -193,15 +193,19 @@ static void fuzz_avoid(void)
         numbers(3, REAL(5.0), goal);
         numbers(3, REAL(1.0), attitude);
         numbers(3, REAL(1.0), velocity);
-        avoid_observe(&memory, &ring, number(REAL(100.0)), position, attitude, ranges);
+        avoid_observe(&memory, &ring, number(REAL(100.0)), position, attitude, ranges, 0, ring.count);
         check((memory.used >= 0) && (memory.used <= AVOID_CAPACITY));
-        avoid_look(&memory, position, goal, number(REAL(1.0)), number(REAL(2.0)), &sight);
+        if (!under_way || ((what & 2U) != 0U)) {
+            avoid_begin_sight(position, goal, number(REAL(2.0)), &sight);
+        }
+        avoid_look_around(&memory, &sight, number(REAL(100.0)), number(REAL(1.0)), 1 + (int32_t)(what >> 6U), 4);
+        check((memory.used >= 0) && (sight.row <= AVOID_CAPACITY));
         (void)avoid_blocked(&sight, number(REAL(1.0)));
         if (!under_way || ((what & 1U) != 0U)) {
             avoid_begin(&detour, position, velocity, attitude, goal, &sight, under_way ? &detour : NULL);
             under_way = true;
         }
-        avoid_go_round(&detour, &memory, &ring, position, attitude[2], ranges, goal, some(REAL(0.5)),
+        avoid_go_round(&detour, &sight, &ring, position, attitude[2], ranges, goal, some(REAL(0.5)),
                        some(REAL(0.5)), some(REAL(0.5)));
         (void)avoid_done(&detour);
         if (!wild) {

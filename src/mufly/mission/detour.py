@@ -1,0 +1,306 @@
+"""Around an obstacle and on to the goal, from what the range beams have seen.
+
+The repulsive field alone (`mufly.mission.avoidance`) stops in front of a box that stands across the way: attraction
+and repulsion balance there. So the helicopter goes along the obstacle's contour, as Bug algorithms do (Lumelsky and
+Stepanov 1987; Kamon, Rimon and Rivlin 1998):
+
+- Where a seen point lies nearer to the straight way than the clearance (c plus 5 cm), it picks a side: the one that
+  the blocking points leave more free. It keeps that side, unless it is stuck or has strayed too far, then it tries
+  the other, twice as far.
+- It flies along the contour: with n from the nearest seen point to the helicopter, t across n on the chosen side,
+  and e = d - d_f the error from the distance to follow at (c plus 15 cm), it wants
+  V (t cos a - n sin a), tan a = e / 0.4 m.
+- The repulsive field acts on the reference as in eqs 6.18 and 6.19, with the threshold at d_f, as a velocity k F.
+- Whatever is wanted, the approach to every seen point i is limited: -v.n_i <= lambda (d_i - c), which lets the
+  distance to it fall no faster than exponentially towards c (a control barrier).
+- It leaves the contour when it is nearer to the goal than where it met the obstacle and no seen point lies within c
+  plus 8 cm of the next 1.5 m of the straight way; that progress is what makes Bug algorithms arrive. The first two
+  times on a leg it also leaves, wherever it is, when the whole way to the goal is that clear. After a whole lap it
+  leaves at the place nearest to the goal that the lap came by.
+- Where the goal itself is too near to a seen point it keeps away and waits. After a stated time it gives up.
+
+The reference is a point whose velocity follows what is wanted with limited acceleration and jerk. All in the
+horizontal plane; the height is held. Own derivation.
+
+It runs on board as C too (``avoid.c`` of :mod:`mufly.firmware`), equal to the last bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from mufly.mission.avoidance import ENTER_M, LOOK_M, Ring, Sight, hold_off, repulsion
+from mufly.trigonometry import decay, sine_cosine
+
+BRAKE_M_S2 = 1.0
+"""Acceleration that avoiding an obstacle may ask for: a tilt of 6 degrees."""
+
+LEAVE_M, FOLLOW_M, KEEP_M = 0.08, 0.15, 0.06
+"""Added to the clearance: a way this far from all points is clear; distance to follow a contour at; distance that is
+approached only exponentially. They cover the 5 cm between remembered points and the lag of the position loop."""
+
+_FIELD_GAIN = 0.15
+"""k of eqs 6.18 and 6.19, as a velocity: m/s per 1/m."""
+
+_LEAN_M = 0.4
+_LAG_S = 0.2
+_SMOOTH_S = 0.08
+_STRAY_M = 3.0
+_STUCK_S = 5.0
+_CONTACT_M = 0.15
+
+
+@dataclass(frozen=True, slots=True)
+class Detour:
+    """A way around an obstacle, in progress.
+
+    Attributes
+    ----------
+    position, velocity, acceleration : (3,) tuples
+        The reference, N-E-D (m, m/s, m/s2).
+    side : float
+        +1 keeps the obstacle on the left (flies to the right around it), -1 the other way.
+    hit : (2,) tuple
+        N, E where the obstacle was met (m).
+    hit_distance : float
+        Distance from there to the goal (m).
+    count : int
+        How many times an obstacle was met on this leg.
+    stray : float
+        Distance from the straight way between ``hit`` and the goal at which the other side is tried (m).
+    clear_s, anchor_s : float
+        For how long the way has been clear; since when ``anchor`` (2,) has not been left by 0.25 m (s).
+    lap : (2,) tuple or None
+        N, E of where it came to the contour (m).
+    laps : int
+        Whole laps flown around it.
+    lap_way, best : float
+        Way flown since then, and the least distance to the goal on it (m).
+    leaving : bool
+        Whether it brakes, to fly straight on from where it stops.
+    obstacle : (2,) tuple
+        N, E of the point that was nearest last (m), for messages.
+    """
+
+    position: tuple[float, float, float]
+    velocity: tuple[float, float, float]
+    acceleration: tuple[float, float, float]
+    side: float
+    hit: tuple[float, float]
+    hit_distance: float
+    count: int = 1
+    stray: float = _STRAY_M
+    clear_s: float = 0.0
+    anchor: tuple[float, float] = (0.0, 0.0)
+    anchor_s: float = 0.0
+    lap: tuple[float, float] | None = None
+    laps: int = 0
+    lap_way: float = 0.0
+    best: float = math.inf
+    leaving: bool = False
+    obstacle: tuple[float, float] = (math.nan, math.nan)
+
+    @property
+    def done(self) -> bool:
+        """Whether the obstacle is avoided and the reference has come to rest."""
+        return self.leaving and _norm(*self.velocity) < 0.01 and _norm(*self.acceleration) < 0.05
+
+
+def _norm(x: float, y: float, z: float = 0.0) -> float:
+    return math.sqrt(x * x + y * y + z * z)
+
+
+def _apart(a: Sequence[float], b: Sequence[float]) -> float:
+    return _norm(a[0] - b[0], a[1] - b[1])
+
+
+def begin_detour(
+    position: tuple[float, float, float],
+    velocity: tuple[float, float, float],
+    acceleration: tuple[float, float, float],
+    goal: tuple[float, float, float],
+    sight: Sight,
+    before: Detour | None,
+) -> Detour:
+    """Start a detour from where the reference is; ``before`` is the last one on this leg, if there was one."""
+    here = (position[0], position[1])
+    far = _apart(goal, here)
+    side = -1.0 if sight.offset > 0.0 else 1.0
+    count, stray = 1, _STRAY_M
+    if before is not None:
+        count, stray = before.count + 1, before.stray
+        if _apart(here, before.position) < 1.5:
+            side = before.side
+    return Detour(position, velocity, acceleration, side, here, far, count=count, stray=stray, anchor=here)
+
+
+def go_round(
+    detour: Detour,
+    sight: Sight,
+    beams: Ring,
+    position: tuple[float, ...],
+    heading: float,
+    ranges: list[float],
+    goal: tuple[float, float, float],
+    *,
+    clearance: float,
+    speed: float,
+    dt: float,
+) -> Detour:
+    """One step of a detour.
+
+    Parameters
+    ----------
+    detour : Detour
+        As it was.
+    sight : Sight
+        What was seen since the last step, from the reference to the goal, all of that way.
+    beams : Ring
+        The range ring.
+    position : (3,) tuple
+        Measured N-E-D (m).
+    heading : float
+        Measured heading (rad).
+    ranges : list of n floats
+        Measured ranges (m).
+    goal : (3,) tuple
+        Where the helicopter wants to be, N-E-D (m).
+    clearance, speed : float
+        Distance to keep (m) and speed to fly at (m/s).
+    dt : float
+        Time step (s).
+
+    Thesis: eqs 6.18, 6.19; Sec. 6.2.3.
+    """
+    reference = detour.position
+    planned, real = sight.nearest(reference), sight.nearest(position)
+    # Plan from whichever is nearer to an obstacle: the reference, or the helicopter that the wind has moved off it.
+    at = position if real[0] < planned[0] else reference
+    distance, north, east = real if real[0] < planned[0] else planned
+    to_goal = _apart(goal, reference)
+
+    nearer_goal = to_goal < detour.hit_distance - 0.1
+    wide = (clearance + LEAVE_M) * (clearance + LEAVE_M)
+    onward = nearer_goal and sight.onward > wide
+    clear = real[0] > clearance and (onward or (detour.count < 3 and sight.way > wide))
+    clear_s = detour.clear_s + dt if clear else 0.0
+    leaving = clear_s > 0.3
+
+    follow = clearance + FOLLOW_M
+    touching = distance < follow + _CONTACT_M
+    goal_blocked = sight.goal < (clearance + ENTER_M) * (clearance + ENTER_M) and to_goal < 1.0
+    here = (reference[0], reference[1])
+    if not leaving and not goal_blocked:
+        detour = _keep_course(detour, here, goal, to_goal, touching, dt)
+    side = detour.side
+
+    vn = ve = 0.0
+    if leaving:
+        pass
+    elif goal_blocked:
+        push = min(speed, max(0.0, follow - distance))
+        vn, ve = push * north, push * east
+    elif distance < LOOK_M + 0.5:
+        far, n, e = distance, north, east
+        # Off any contour, or where a lap around the wrong one came nearest to the goal: make for the one in the way.
+        block = sight.blocking(at)
+        lost = detour.laps > 0 and nearer_goal and block[0] > follow + 0.05
+        if (lost or not touching) and block[0] < math.inf:
+            far, n, e = block
+        error = far - follow
+        slant = _norm(error, _LEAN_M)
+        along, inward = _LEAN_M / slant, error / slant  # cos a, sin a
+        # Facing the obstacle, along -n, the way to the right is (n_E, -n_N).
+        vn = speed * (along * side * e - inward * n)
+        ve = speed * (-along * side * n - inward * e)
+    elif to_goal > 1e-6:
+        pace = min(speed, 0.5 * to_goal)
+        vn, ve = pace * (goal[0] - reference[0]) / to_goal, pace * (goal[1] - reference[1]) / to_goal
+
+    fx, fy = repulsion(ranges, beams, follow)
+    if fx != 0.0 or fy != 0.0:
+        s, c = sine_cosine(heading)
+        vn += _FIELD_GAIN * (c * fx - s * fy)
+        ve += _FIELD_GAIN * (s * fx + c * fy)
+    vn, ve = hold_off(sight, at, (vn, ve), clearance + KEEP_M)
+    fast = _norm(vn, ve)
+    limit = speed * max(0.0, 1.0 - max(0.0, _apart(here, position) - 0.15) / 0.15)
+    if fast > limit:
+        vn, ve = vn * limit / fast, ve * limit / fast
+
+    obstacle = detour.obstacle
+    if distance < 2.0:
+        obstacle = (at[0] - distance * north, at[1] - distance * east)
+    moved = _follow(detour, (vn, ve, 0.0), dt)
+    return replace(moved, clear_s=clear_s, leaving=leaving, obstacle=obstacle)
+
+
+def _keep_course(
+    detour: Detour,
+    here: tuple[float, float],
+    goal: tuple[float, float, float],
+    to_goal: float,
+    touching: bool,
+    dt: float,
+) -> Detour:
+    """Change sides when stuck or far off; after a whole lap leave at the best place that it found."""
+    side, stray, hit_distance = detour.side, detour.stray, detour.hit_distance
+    anchor, anchor_s = detour.anchor, detour.anchor_s + dt
+    if _apart(here, anchor) > 0.25:
+        anchor, anchor_s = here, 0.0
+    elif anchor_s > _STUCK_S:
+        side, anchor_s = -side, 0.0
+    if _off_course(here, detour.hit, goal) > stray:
+        side, stray = -side, 2.0 * stray
+    lap, laps, lap_way, best = detour.lap, detour.laps, detour.lap_way, min(detour.best, to_goal)
+    lap_way += _norm(*detour.velocity) * dt
+    if lap is None or side != detour.side:
+        lap, lap_way, best = (here if touching else None), 0.0, to_goal
+    elif lap_way > 1.5 and _apart(here, lap) < 0.3:
+        hit_distance, laps, lap_way, best = best + 0.25, laps + 1, 0.0, to_goal
+    return replace(
+        detour,
+        side=side,
+        stray=stray,
+        hit_distance=hit_distance,
+        anchor=anchor,
+        anchor_s=anchor_s,
+        lap=lap,
+        laps=laps,
+        lap_way=lap_way,
+        best=best,
+    )
+
+
+def _off_course(
+    here: tuple[float, float], start: tuple[float, float], goal: tuple[float, float, float]
+) -> float:
+    """Distance of a point from the straight stretch between two others (m), in the horizontal plane."""
+    n, e = goal[0] - start[0], goal[1] - start[1]
+    square = n * n + e * e
+    share = ((here[0] - start[0]) * n + (here[1] - start[1]) * e) / square if square > 0.0 else 0.0
+    share = min(max(share, 0.0), 1.0)
+    return _norm(here[0] - start[0] - share * n, here[1] - start[1] - share * e)
+
+
+def _follow(detour: Detour, wanted: tuple[float, float, float], dt: float) -> Detour:
+    """Move the reference: velocity follows what is wanted, acceleration limited and low-pass filtered."""
+    ask = [(w - v) / _LAG_S for w, v in zip(wanted, detour.velocity, strict=True)]
+    size = _norm(*ask)
+    scale = min(1.0, BRAKE_M_S2 / size) if size > 0.0 else 0.0
+    blend = 1.0 - decay(dt / _SMOOTH_S)
+    (n, e, d), (vn, ve, vd), (an, ae, ad) = detour.position, detour.velocity, detour.acceleration
+    an, ae, ad = (
+        an + blend * (scale * ask[0] - an),
+        ae + blend * (scale * ask[1] - ae),
+        ad + blend * (scale * ask[2] - ad),
+    )
+    vn, ve, vd = vn + dt * an, ve + dt * ae, vd + dt * ad
+    return replace(
+        detour,
+        position=(n + dt * vn, e + dt * ve, d + dt * vd),
+        velocity=(vn, ve, vd),
+        acceleration=(an, ae, ad),
+    )
