@@ -282,8 +282,12 @@ def test_results_are_files_that_the_fits_read(tmp_path, single, pair):
     assert files == {f"{NACA}-upper.csv", f"{NACA}-upper-points.csv", "motor-upper.csv", "summary.json"}
     found = read_measurements(tmp_path / f"{NACA}-upper.csv")
     assert found.speed_rad_s / RPM == pytest.approx([3000, 4000, 5500, 7000], rel=1e-3)
-    largest = max(s.torque.value for s in analyse(single).settings)
-    assert found.torque_Nm[-1] == pytest.approx(largest, rel=1e-6)
+    settings = [s for s in analyse(single).settings if s.rotor == NACA]
+    assert found.density_kg_m3 == pytest.approx(np.mean([s.density_kg_m3 for s in settings]), rel=1e-6)
+    last = max(settings, key=lambda s: s.torque.value)
+    to_mean = found.density_kg_m3 / last.density_kg_m3
+    assert found.torque_Nm[-1] == pytest.approx(last.torque.value * to_mean, rel=1e-6)
+    assert found.air.density_kg_m3 == found.density_kg_m3  # which compare and fit_rotor take
     motor = read_bench(tmp_path / "motor-upper.csv")
     assert {"voltage", "current", "speed", "torque"} <= set(motor.columns)
     write_results(analyse(pair), tmp_path / "pair")

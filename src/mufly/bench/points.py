@@ -10,7 +10,9 @@ torque     ``torque_mNm``, ``Q(Nm)``, ``power_W``, or ``CP`` = P / (rho n^3 D^5)
 air        ``airspeed_m_s``, ``climb_m_s`` along the shaft, or ``J`` = V / (n D); without it the rotor hovers
 =========  ===========================================================================================
 
-are used. The coefficients are those of propellers (UIUC's data, for one) and need diameter and density.
+are used. The coefficients are those of propellers (UIUC's data, for one) and need diameter and density. Where the file
+says in which air it was measured (``density_kg_m3``, or ``temperature_degC`` and ``pressure_hPa``), its loads are taken
+to the mean of its densities, as they go with it.
 """
 
 from __future__ import annotations
@@ -19,10 +21,12 @@ import math
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mufly.bench.loads import air_density
 from mufly.bench.table import BenchTable, read_bench
 from mufly.errors import InputError
-from mufly.rotor import Measurements
+from mufly.rotor import Air, Measurements
 
 _PITCH_LIMIT_RAD = math.pi / 2
 
@@ -43,7 +47,8 @@ def read_measurements(
     columns : str, optional
         Map of headers, as for :func:`mufly.bench.read_bench`.
     diameter_m, density_kg_m3 : float, optional
-        Of the rotor and of the air at the bench; needed where the file gives coefficients.
+        Of the rotor and of the air at the bench; the diameter is needed where the file gives coefficients, the density
+        is 1.2 there unless given. A density that is given goes before the file's.
     speed_rad_s : float, optional
         Of all points, where the file has no column of it (UIUC's runs in a tunnel have it in their names).
 
@@ -81,29 +86,33 @@ def read_measurements(
             known,
             "be above 0: what the motor has to overcome, whichever way the rotor turns",
         )
-    if {thrust_in, torque_in} & {"thrust_coefficient", "power_coefficient"} and not (
-        diameter_m and density_kg_m3
-    ):
+    coefficients = {thrust_in, torque_in} & {"thrust_coefficient", "power_coefficient"}
+    if coefficients and not diameter_m:
         key = thrust_in if thrust_in == "thrust_coefficient" else torque_in
-        raise table.fault(key, "is a coefficient", "say to which rotor and air it belongs, or give thrust_N")
+        raise table.fault(key, "is a coefficient", "say to which rotor it belongs, or give thrust_N")
     if air == "advance_ratio" and not diameter_m:
         raise table.fault(air, "is a ratio", "say to which rotor it belongs, or give airspeed_m_s")
     speed = table["speed"] if "speed" in table else np.full(len(table), speed_rad_s or math.nan)
-    scale = density_kg_m3 or math.nan
+    density = density_kg_m3 or (Air().density_kg_m3 if coefficients else math.nan)
+    thinner: NDArray[np.float64] | float = 1.0  # what loads of the mean density are of those measured
+    if density_kg_m3 is None and ("density" in table or ("temperature" in table and "pressure" in table)):
+        each, _ = air_density(table, None)
+        density = float(each.mean())
+        thinner = density / each
     turns, diameter = speed / (2.0 * math.pi), diameter_m or math.nan
     thrust = table[thrust_in]
-    if thrust_in == "thrust_coefficient":
-        thrust = thrust * scale * turns**2 * diameter**4
+    by_coefficient = thrust_in == "thrust_coefficient"
+    thrust = thrust * (density * turns**2 * diameter**4 if by_coefficient else thinner)
     torque = table[torque_in] if torque_in else np.full(len(table), math.nan)
     if torque_in == "power_coefficient":
-        torque = torque * scale * turns**3 * diameter**5 / speed
-    elif torque_in == "power":
-        torque = torque / speed
+        torque = torque * density * turns**3 * diameter**5 / speed
+    else:
+        torque = (torque / speed if torque_in == "power" else torque) * thinner
     pitch = table["pitch"] if "pitch" in table else np.zeros(len(table))
     climb = table[air] if air else np.zeros(len(table))
     if air == "advance_ratio":
         climb = climb * turns * diameter
-    return Measurements(pitch, speed, thrust, torque, table.source, climb)
+    return Measurements(pitch, speed, thrust, torque, table.source, climb, density)
 
 
 def _check(table: BenchTable, name: str, good: np.ndarray[tuple[int], np.dtype[np.bool_]], must: str) -> None:

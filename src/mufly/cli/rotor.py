@@ -449,7 +449,9 @@ def fit(
     point: Annotated[
         int | None, option("--point LINE", "Fit to this measured point alone, counted from 1.")
     ] = None,
-    density: Annotated[float, option("KG/M3", "Density of the air at the bench.")] = 1.2,
+    density: Annotated[
+        float | None, option("KG/M3", "Density of the air at the bench; default the file's, else 1.2.")
+    ] = None,
     columns: ColumnsOption = None,
     polars: Polars = POLARS,
     out: Annotated[
@@ -472,10 +474,13 @@ def fit(
 
     if out is not None and out.suffix != ".toml":
         raise InputError("--out", str(out), "is no rotor file", "give a name that ends with .toml")
-    r, air = load_rotor(rotor), Air(density_kg_m3=density)
+    r = load_rotor(rotor)
     bench = read_measurements(
         measurements, columns=columns, diameter_m=2.0 * float(r.radius), density_kg_m3=density
     )
+    air = bench.air
+    if density is None and air != Air() and not as_json:
+        typer.echo(f"air of {air.density_kg_m3:.4g} kg/m3, as the file says")
     one_of("--section", section, _SECTIONS)
     if point is not None:
         bench = bench.part(np.array([_line("--point", point, bench)]))
@@ -565,7 +570,9 @@ def compare(
             "that keeps what the point said.",
         ),
     ] = None,
-    density: Annotated[float, option("KG/M3", "Density of the air at the bench.")] = 1.2,
+    density: Annotated[
+        float | None, option("KG/M3", "Density of the air at the bench; default the file's, else 1.2.")
+    ] = None,
     columns: ColumnsOption = None,
     theory: Theory = BEMT,
     as_json: JsonOption = False,
@@ -581,10 +588,13 @@ def compare(
     from mufly.rotor import calibrate as scale
     from mufly.rotor import compare as beside
 
-    r, air = load_rotor(rotor), Air(density_kg_m3=density)
+    r = load_rotor(rotor)
     bench = read_measurements(
         measurements, columns=columns, diameter_m=2.0 * float(r.radius), density_kg_m3=density
     )
+    air = bench.air
+    if density is None and air != Air() and not as_json:
+        typer.echo(f"air of {air.density_kg_m3:.4g} kg/m3, as the file says")
     settings, stations = theory.wakes()
     if calibrate is not None and theory.method == "wake":
         raise InputError("--calibrate", "", "scales blade element theory", "leave it or --method wake out")

@@ -166,7 +166,11 @@ def fit_rotor(
             "is not 0: sections are fitted to hover",
             "leave these points out",
         )
-    plain, gas, fixes = rotor.model_copy(update={"fit": None}), air or Air(), corrections or Corrections()
+    plain, gas, fixes = (
+        rotor.model_copy(update={"fit": None}),
+        air or measurements.air,
+        corrections or Corrections(),
+    )
     n = measurements.thrust_N.size
     chord = float(rotor.chord_m(0.75))
     re = 0.75 * rotor.radius_m * chord * measurements.speed_rad_s * gas.density_kg_m3 / gas.viscosity_Pa_s
@@ -229,7 +233,7 @@ def fit_rotor(
     fitted_rotor = replace_rotor(plain, {"blade.airfoils": best.airfoils}).model_copy(update={"fit": fit})
     return RotorFit(
         fitted_rotor, best.change, sigma, wide, correlation, _undecided(sigma / wide, correlation, weights, everything),
-        measurements, before, best.errors, held, note, air or Air(),
+        measurements, before, best.errors, held, note, gas,
     )  # fmt: skip
 
 

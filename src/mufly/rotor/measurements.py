@@ -37,6 +37,8 @@ class Measurements:
         File or paper.
     climb_m_s : (n,) array
         Axial speed of the rotor through the air (m/s), as a propeller's in a tunnel; 0, for all points, is hover.
+    density_kg_m3 : float
+        Of the air at the bench, in which the loads are as given; nan where nobody said.
     """
 
     pitch_rad: Array
@@ -45,6 +47,7 @@ class Measurements:
     torque_Nm: Array
     source: str
     climb_m_s: Array = field(default_factory=lambda: np.zeros(1))
+    density_kg_m3: float = math.nan
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "climb_m_s", np.broadcast_to(self.climb_m_s, self.thrust_N.shape).copy())
@@ -54,11 +57,16 @@ class Measurements:
         """Whether some points are no hover."""
         return bool(np.any(self.climb_m_s != 0.0))
 
+    @property
+    def air(self) -> Air:
+        """The air at the bench; 1.2 kg/m3 where nobody said."""
+        return Air(density_kg_m3=self.density_kg_m3) if math.isfinite(self.density_kg_m3) else Air()
+
     def part(self, index: NDArray[np.intp]) -> Measurements:
         """Return the points with these positions."""
         return Measurements(
             self.pitch_rad[index], self.speed_rad_s[index], self.thrust_N[index], self.torque_Nm[index], self.source,
-            self.climb_m_s[index],
+            self.climb_m_s[index], self.density_kg_m3,
         )  # fmt: skip
 
 
@@ -141,7 +149,7 @@ def compare(
     measurements : Measurements
         Points.
     air : Air, optional
-        Density and viscosity at the bench.
+        Density and viscosity at the bench; default the measurements'.
     method : 'bemt' or 'wake'
         Blade elements, or a wake a point (seconds each).
     settings : WakeSettings, optional
@@ -151,8 +159,8 @@ def compare(
 
     Thesis: Table 3.2; Fig. 3.15.
     """
-    case, gas = as_blading(blading), air or Air()
     bench = measurements
+    case, gas = as_blading(blading), air or bench.air
     faults = [""] * bench.thrust_N.size
     if method == "bemt":
         out = hover_batch(
@@ -231,6 +239,7 @@ def calibrate(
     MuflyError
         If no factors between 0.2 and 5 meet the point.
     """
+    air = air or measurements.air
     pitch, speed = measurements.pitch_rad[point], measurements.speed_rad_s[point]
     wanted, climb = (
         (measurements.thrust_N[point], measurements.torque_Nm[point]),

@@ -215,9 +215,14 @@ def analyse(
     made = _Maker(points, plan, density, speed, channels, repeat, start)
     return Series(
         plan.name, tuple(made.setting(g, mounted=True) for g in one),
-        tuple(made.setting(g, mounted=False) for g in groups.values() if made.is_measured(g)),
+        tuple(sorted((made.setting(g, mounted=False) for g in groups.values() if made.is_measured(g)), key=_order)),
         tuple(doubts), tuple(notes), {q: t for q, (t, _) in repeat.items()}, relative,
     )  # fmt: skip
+
+
+def _order(s: Setting) -> tuple[object, ...]:
+    """Settings stand by blades, pitch and speed, whatever the order of measurement was."""
+    return s.use, s.rotor, s.axis, s.pitch_deg, s.lower_pitch_deg, s.speed_upper_rpm + s.speed_lower_rpm
 
 
 def _plan_tables(record: Record) -> dict[str, object]:
@@ -321,7 +326,7 @@ def _known_torque(
     if known is None:
         return out
     order = np.argsort(known.speed_rad_s)
-    c = known.torque_Nm[order] / (1.2 * known.speed_rad_s[order] ** 2)
+    c = known.torque_Nm[order] / (known.air.density_kg_m3 * known.speed_rad_s[order] ** 2)
     for i, k in enumerate(points.mounting):
         m = plan.mounting[k]
         if m.use == "reference":

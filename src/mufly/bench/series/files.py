@@ -143,8 +143,10 @@ class Difference:
     normalised: float
 
 
-def _words(s: Setting) -> str:
-    return f"{s.rotor} {s.axis} {s.pitch_deg:g} deg {_speed(s):.0f} rpm"
+def _words(s: Setting, load: str) -> str:
+    side = "" if s.axis != "pair" or load == "thrust" else f" {load.removeprefix('torque_')}"
+    unit = "T (N)" if load == "thrust" else f"Q{side} (N m)"
+    return f"{s.rotor} {s.axis} {s.pitch_deg:g}°, {_speed(s):.0f} rpm: {unit}"
 
 
 def compare_series(first: Series, second: Series) -> list[Difference]:
@@ -183,7 +185,11 @@ def compare_series(first: Series, second: Series) -> list[Difference]:
                 doubt = math.hypot(a.expanded, b.expanded * scale, 2.0 * air * a.value)
                 out.append(
                     Difference(
-                        f"{_words(s)} {name}", a.value, value, value / a.value - 1, (value - a.value) / doubt
+                        _words(s, name),
+                        a.value,
+                        value,
+                        value / a.value - 1,
+                        (value - a.value) / doubt,
                     )
                 )
     if not out:
@@ -230,7 +236,7 @@ def compare_theory(
                 doubt = math.hypot(load.expanded, 2.0 * series.density_relative_std * load.value)
                 out.append(
                     Difference(
-                        f"{_words(s)} {name}",
+                        _words(s, name),
                         load.value,
                         value,
                         value / load.value - 1,

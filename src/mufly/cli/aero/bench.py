@@ -41,7 +41,8 @@ KnownOption = Annotated[
     Path | None,
     option(
         "--known FILE",
-        "Torque of the reference rotor over speed, at 1.2 kg/m3, for a bench without a torque cell.",
+        "Torque of the reference rotor over speed, for a bench without a torque cell; at the density in the file, "
+        "else 1.2 kg/m3.",
     ),
 ]
 
@@ -301,7 +302,7 @@ def analyse(
     answer(as_json, lambda: {"series": found, "refused": bool(found.refused)}, lambda: _show(found), files)
     single = next((s for s in found.settings if s.axis != "pair"), None)
     if files and single is not None and not as_json:
-        say(f"Next: mufly rotor compare {single.rotor} {files[0]} --density {single.density_kg_m3:.4g}")
+        say(f"Next: mufly rotor compare {single.rotor} {files[0]}")
     if found.refused:
         kinds = ", ".join(sorted({d.kind for d in found.refused}))
         raise InputError(
@@ -332,13 +333,10 @@ def _show(found: Series) -> None:
         )
         return (s.rotor, s.axis, f"{s.pitch_deg:g}", speeds, f"{s.mountings}", _cell(s.thrust), *torque)
 
-    order = sorted(
-        found.settings, key=lambda s: (s.rotor, s.axis, s.pitch_deg, s.speed_upper_rpm + s.speed_lower_rpm)
-    )
-    pair = any(s.axis == "pair" for s in order)
+    pair = any(s.axis == "pair" for s in found.settings)
     heads = ("rotor", "axis", "pitch (deg)", "speed (rpm)", "mounted", "thrust (N)",
              "torque upper (mN m)" if pair else "torque (mN m)", "torque lower (mN m)" if pair else "")  # fmt: skip
-    rows = [row(s) for s in order]
+    rows = [row(s) for s in found.settings]
     cut = len(heads) if pair else len(heads) - 1
     print_table(heads[:cut], [r[:cut] for r in rows], text=(0, 1, 3), title=f"{found.name}, 95 % intervals")
     say(*found.notes)
@@ -396,9 +394,9 @@ def compare(
 
     def show() -> None:
         print_table(
-            ("setting", "first", "second" if other else "theory", "difference", "E_n"),
+            ("setting", "first" if other else "bench", "second" if other else "theory", "off", "E_n"),
             [(d.what, f"{d.first:.4g}", f"{d.second:.4g}", f"{100 * d.relative:+.1f} %", f"{d.normalised:+.2f}")
-             for d in found],
+             for d in found], text=(0,),
         )  # fmt: skip
         beyond = sum(abs(d.normalised) > 1 for d in found)
         mean = sum(abs(d.relative) for d in found) / len(found)

@@ -264,9 +264,9 @@ def uiuc_files(folder: Path) -> Iterator[RotorCase]:
         points = [
             read_measurements(run, diameter_m=diameter, density_kg_m3=AIR.density_kg_m3) for run in runs
         ]
-        joined = {k: np.concatenate([getattr(p, k) for p in points]) for k in _ARRAYS}
+        pitch, speed, thrust, torque = (np.concatenate([getattr(p, k) for p in points]) for k in _ARRAYS)
         group = "UIUC micro" if diameter < 0.18 else "UIUC"
-        yield RotorCase(name, group, family, rotor, known, Measurements(source=name, **joined))
+        yield RotorCase(name, group, family, rotor, known, Measurements(pitch, speed, thrust, torque, name))
 
 
 _ARRAYS = ("pitch_rad", "speed_rad_s", "thrust_N", "torque_Nm")
