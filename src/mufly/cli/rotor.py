@@ -501,7 +501,7 @@ def fit(
                 "rotor": r.name, "measurements": bench.source, "names": CHANGES, "change": found.change,
                 "std": found.std, "prior_std": found.prior_std, "correlation": found.correlation,
                 "undecided": found.undecided,
-                "sections": [{"airfoils": c.airfoils, "probability": c.probability} for c in found.fit.candidates],
+                "sections": [{"airfoils": name, "probability": share} for name, share in found.fit.sections()],
                 "error_before": found.before, "error_after": found.after, "held_out_error": found.held_out,
                 "held_out": found.held_out_note, "files": [str(f) for f in files],
             }
@@ -513,7 +513,7 @@ def fit(
     )
     print_table(
         ("section", "probability"),
-        [("/".join(dict.fromkeys(k.airfoils)), f"{k.probability:.0%}") for k in found.fit.candidates],
+        [(name, f"{share:.0%}") for name, share in found.fit.sections()],
     )
     size = [math.degrees(1.0), 100.0, 100.0, 1.0, 1.0]
     unit = ["°", " %", " %", "", ""]

@@ -337,16 +337,25 @@ def prepare(
 
 
 def fitted(table: PolarTable, change: Sequence[float], reynolds: float) -> PolarTable:
-    """Return a polar with the change of a :class:`mufly.rotor.geometry.SectionFit` in its coefficients."""
+    """Return a polar with the change of a :class:`mufly.rotor.geometry.SectionFit` in its coefficients.
+
+    Equations: :mod:`mufly.rotor.fitting`.
+    """
     _, lift, drag, lift_exponent, drag_exponent = change
     ratio = np.log(np.clip(table.reynolds / reynolds, *_RATIOS))[:, None]
+    place = np.log(table.reynolds)
+    k = int(np.clip(np.searchsorted(place, math.log(reynolds)) - 1, 0, place.size - 2))
+    part = min(max((math.log(reynolds) - place[k]) / (place[k + 1] - place[k]), 0.0), 1.0)
+    middle = (1.0 - part) * table.cd[k] + part * table.cd[k + 1]
+    cd = table.cd * np.exp(drag_exponent * ratio) + math.expm1(drag) * middle
     return replace(
         table,
         cl=table.cl * np.exp(lift + lift_exponent * ratio),
-        cd=table.cd * np.exp(drag + drag_exponent * ratio),
+        cd=np.maximum(cd, _LEAST_DRAG * table.cd),
     )
 
 
+_LEAST_DRAG = 0.3  # of the polar's that a fit leaves
 _RATIOS = (0.2, 5.0)  # of Reynolds numbers, within which a bench run says something
 
 

@@ -3,17 +3,23 @@
 The sections of a blade are the least known part of it (docs/validation.md), so a run on a bench is asked for them. For
 each section that is possible the coefficients of its polar become
 
-    c_l = c_l0 (Re / Re_m)^a exp(l)        c_d = c_d0 (Re / Re_m)^b exp(d)        theta = theta_0 + p
+    c_l = c_l0 (Re / Re_m)^a exp(l)        c_d = c_d0 (Re / Re_m)^b + (exp(d) - 1) c_d0(Re_m)        theta = theta_0 + p
 
-Re_m is the geometric mean of the measured points' Reynolds numbers at 0.75 R, the ratio is kept within 0.2 and 5; ``p``
-stands for the zero-lift angle, the pitch setting and the twist, which no hover can tell apart; ``l`` and ``d`` also
-for what the method itself gets wrong. With prior deviations s the five are found by least squares,
+What the drag has more than its polar is thus the same at every Reynolds number: roughness, steps of printed layers,
+blunt edges and separation press on a section, they do not rub on it, and such drag hardly depends on it (Hoerner,
+Fluid-Dynamic Drag, 1965, ch. V). At least 0.3 c_d0 is left. Re_m is the geometric mean of the measured points' Reynolds
+numbers at 0.75 R, the ratio is kept within 0.2 and 5; ``p`` stands for the zero-lift angle, the pitch setting and the
+twist, which no hover can tell apart; ``l`` and ``d`` also for what the method itself gets wrong. With prior deviations
+s the five are found by least squares,
 
     chi^2 = sum ((T / T_m - 1) / 0.02)^2 + sum ((Q / Q_m - 1) / 0.03)^2 + sum (x / s)^2
 
-whose curvature H gives their covariance H^-1, times chi^2 of the points over their degrees of freedom where that is
-more than 1 (Birge, Phys. Rev. 40, 207, 1932). How probable a section is follows from Laplace's approximation (MacKay,
-Neural Computation 4, 415, 1992): its prior times exp(-chi^2 / 2) / sqrt(det H).
+each time with the deviations of p, l and d as below, and with two and four times these, equally likely (Jeffreys' prior
+of a scale): some blades differ from any list by more than the list's doubts, and a prior that holds a fit off from a
+measured point would make less of the point than it says. The curvature H gives the covariance H^-1, times chi^2 of the
+points over their degrees of freedom where that is more than 1 (Birge, Phys. Rev. 40, 207, 1932). How probable a
+section, and a width, is follows from Laplace's approximation (MacKay, Neural Computation 4, 415, 1992): its prior times
+exp(-chi^2 / 2) / sqrt(det H).
 
 Priors, none of them fitted to a measurement: the pitch setting 0.5 degrees, and a section's camber, which moves the
 zero-lift angle by 2 rad a chord (thin airfoil, parabola): 0.3 % of the chord for a section that is known, 0.6 %
@@ -27,6 +33,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -49,6 +56,7 @@ Array = NDArray[np.float64]
 
 CHANGES = ("pitch", "lift", "drag", "lift over Re", "drag over Re")
 _SIGMA_THRUST, _SIGMA_TORQUE = 0.02, 0.03  # what a method misses of one point and not of the next
+_WIDER = (1.0, 2.0, 4.0)  # factors on the deviations of pitch, lift and drag
 _KEPT = 0.01  # candidates below this probability are left out of the file
 _SAYS_LITTLE, _TOGETHER = 0.8, 0.9
 
@@ -119,6 +127,7 @@ class _Found:
     covariance: Array
     errors: Array  # (2, n)
     freedom: float
+    wide: Array
 
 
 def fit_rotor(
@@ -232,7 +241,8 @@ def fit_rotor(
     )  # fmt: skip
     fitted_rotor = replace_rotor(plain, {"blade.airfoils": best.airfoils}).model_copy(update={"fit": fit})
     return RotorFit(
-        fitted_rotor, best.change, sigma, wide, correlation, _undecided(sigma / wide, correlation, weights, everything),
+        fitted_rotor, best.change, sigma, best.wide, correlation,
+        _undecided(sigma / best.wide, correlation, weights, everything),
         measurements, before, best.errors, held, note, gas,
     )  # fmt: skip
 
@@ -286,9 +296,10 @@ def _all(
     size = np.repeat([_SIGMA_THRUST, _SIGMA_TORQUE], bench.thrust.size)
     known = np.isfinite(np.concatenate((bench.thrust, bench.torque)))
     found = []
-    for airfoils, share, blading in prepared:
+    widths = [wide * [f, f, f, 1.0, 1.0] for f in _WIDER]
+    for (airfoils, share, blading), wide in product(prepared, widths):
 
-        def miss(z: Array, blading: Blading = blading) -> Array:
+        def miss(z: Array, blading: Blading = blading, wide: Array = wide) -> Array:
             off = _errors(blading, tables, z * wide, bench).ravel() / size
             return np.concatenate((off[known], z))
 
@@ -301,11 +312,11 @@ def _all(
         freedom = float(known.sum() - np.trace(inverse @ data.T @ data))
         chi2 = float(np.sum(solved.fun[:-5] ** 2))
         birge = max(1.0, chi2 / freedom) if freedom > 0.5 else 1.0
-        evidence = math.log(share) - solved.cost - 0.5 * float(np.linalg.slogdet(curvature)[1])
+        evidence = math.log(share / len(widths)) - solved.cost - 0.5 * float(np.linalg.slogdet(curvature)[1])
         found.append(
             _Found(
                 evidence, airfoils, solved.x * wide, birge * inverse * np.outer(wide, wide),
-                _errors(blading, tables, solved.x * wide, bench), freedom,
+                _errors(blading, tables, solved.x * wide, bench), freedom, wide,
             )
         )  # fmt: skip
     found.sort(key=lambda f: -f.evidence)
@@ -346,7 +357,11 @@ def _undecided(shrunk: Array, correlation: Array, weights: Array, found: Sequenc
         for j in range(i + 1, 5)
         if abs(correlation[i, j]) > _TOGETHER
     ]
-    if weights[0] < 0.5:
-        several = ", ".join("/".join(dict.fromkeys(f.airfoils)) for f in found[:4])
+    shares: dict[str, float] = {}
+    for f, weight in zip(found, weights.tolist(), strict=True):
+        name = "/".join(dict.fromkeys(f.airfoils))
+        shares[name] = shares.get(name, 0.0) + weight
+    if max(shares.values()) < 0.5:
+        several = ", ".join(sorted(shares, key=lambda name: -shares[name])[:4])
         words.append(f"sections that would do as well: {several}")
     return tuple(words)

@@ -116,7 +116,7 @@ class Candidate(Group):
     airfoils: tuple[str, ...] = Field(min_length=1, description="as in [blade]")
     probability: float = Field(ge=0.0, le=1.0)
     change: tuple[float, float, float, float, float] = Field(
-        description="added to the twist (rad); logarithms of the factors on lift and drag; exponents of Re in them"
+        description="added to the twist (rad); logarithms of the factors on lift and drag at Re_m; exponents of Re"
     )
     covariance: tuple[tuple[float, ...], ...] = Field(description="of the change", min_length=5, max_length=5)
 
@@ -134,8 +134,8 @@ class Candidate(Group):
 class SectionFit(Group):
     """What a bench run said about a rotor's sections (:func:`mufly.rotor.fit_rotor`), the likeliest first.
 
-    Lift and drag coefficients of the polars are multiplied by a factor times (Re / ``reynolds``) to an exponent, the
-    ratio kept between 0.2 and 5, and the twist is turned.
+    The twist is turned and the coefficients of the polars are changed as :mod:`mufly.rotor.fitting` writes it, Re
+    over ``reynolds`` kept between 0.2 and 5. A section may be there with several widths of its priors.
     """
 
     bench: str = Field(description="where the measurements are from")
@@ -146,6 +146,14 @@ class SectionFit(Group):
     speed_rad_s: tuple[float, float] = Field(description="range of speed that was measured (rad/s)")
     scatter: tuple[float, float] = Field(description="what the fit misses of thrust and torque, relative")
     candidates: tuple[Candidate, ...] = Field(min_length=1)
+
+    def sections(self) -> list[tuple[str, float]]:
+        """Return the sections that are left, in words, with their probabilities, the likeliest first."""
+        shares: dict[str, float] = {}
+        for c in self.candidates:
+            name = "/".join(dict.fromkeys(c.airfoils))
+            shares[name] = shares.get(name, 0.0) + c.probability
+        return sorted(shares.items(), key=lambda item: -item[1])
 
 
 class Rotor(Group):
