@@ -2,11 +2,13 @@
 
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
 import time
 import types
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ pytest.importorskip("pty")
 
 from bench_emulators import Bench, FarCells, FarEpos, FarEsc, FarStand
 
+import mufly.bench.rig.esc
 from mufly.bench.rig.cells import SerialCells
 from mufly.bench.rig.daq import NiDaq
 from mufly.bench.rig.devices import Clock, DeviceError, DeviceRig, Facts, StopError
@@ -374,3 +377,67 @@ def test_a_bench_file_says_what_is_wrong_with_it(tmp_path, change, message):
     (tmp_path / "rig.toml").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=message):
         load_rig(tmp_path / "rig.toml")
+
+
+# --- sketches ---------------------------------------------------------------------------------------------------------
+
+SKETCHES = Path(mufly.bench.rig.esc.__file__).with_name("sketches")
+BOARD = Path(__file__).with_name("board")
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory):
+    """A function that builds a sketch for this machine (tests/bench/board) and returns the program."""
+    compiler = shutil.which("g++") or shutil.which("clang++")
+    if compiler is None:
+        pytest.skip("no C++ compiler")
+    folder = tmp_path_factory.mktemp("board")
+
+    def built(name):
+        out, sketch = folder / name, f'-DSKETCH="{SKETCHES / name}.ino"'
+        words = [compiler, "-std=c++17", "-Wall", "-Wextra", "-Werror", f"-I{BOARD}", sketch]
+        subprocess.run([*words, str(BOARD / "main.cpp"), "-o", str(out)], check=True)
+        return out
+
+    return built
+
+
+@pytest.mark.parametrize("name", ["esc_bridge", "hx711_cells"])
+def test_sketches_compile(board, name):
+    assert board(name).is_file()
+
+
+def test_dshot_sketch_holds_a_speed_by_the_controllers_answers(board):
+    """The sketch itself, its frames heard and answered edge by edge; our driver on the other side of a terminal."""
+    import pty
+    import tty
+
+    program = board("dshot_bridge")
+    for dumb in (False, True):
+        master, slave = pty.openpty()
+        tty.setraw(slave)
+        env = os.environ | ({"DSHOT_DUMB": "1"} if dumb else {})
+        child = subprocess.Popen([program], stdin=master, stdout=master, env=env)
+        try:
+            esc = EscBridge(os.ttyname(slave), ("upper", "lower"))
+            esc.open()
+            esc.turn("upper", 6000 * RPM)
+            if dumb:  # one without bidirectional DShot does not turn without anybody's knowing how fast
+                with pytest.raises(DeviceError, match="does not answer"):
+                    until(esc.read, lambda got: False)
+                continue
+            got = until(esc.read, near("speed_upper", 6000 * RPM, 0.005), seconds=8.0)
+            assert max(got["speed_lower"]) == 0.0
+            assert got["current_upper"][-1] == pytest.approx(1.0, abs=0.05)
+            assert 4.0 < got["voltage_upper"][-1] < 7.0  # half of 11 V
+            esc.stop()
+            until(esc.read, lambda got: got.get("speed_upper", [9.0])[-1] < 200 * RPM)
+            esc.turn("upper", 3000 * RPM)
+            time.sleep(0.6)  # the program hangs
+            with pytest.raises(DeviceError, match="watchdog"):
+                until(esc.read, lambda got: False)
+        finally:
+            child.kill()
+            child.wait()
+            os.close(master)
+            os.close(slave)

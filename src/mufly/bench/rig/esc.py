@@ -1,4 +1,7 @@
-"""Speed controllers of models (PWM or DShot) behind a microcontroller, with the sketch ``sketches/esc_bridge.ino``.
+"""Speed controllers of models behind a microcontroller, with the sketches in ``sketches/``.
+
+``esc_bridge.ino`` gives PWM and counts turns by Hall sensors; ``dshot_bridge.ino`` speaks bidirectional DShot300, in
+which the controllers answer with their speed. Both speak the same lines to the computer.
 
 Lines of :mod:`mufly.bench.rig.line`, at 115200 baud. To the bridge, axes counted from 0:
 

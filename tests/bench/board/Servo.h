@@ -1,0 +1,5 @@
+#pragma once
+struct Servo {
+  void attach(int, int, int) {}
+  void writeMicroseconds(int) {}
+};

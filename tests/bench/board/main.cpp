@@ -1,0 +1,9 @@
+#include "Arduino.h"
+#include SKETCH
+int main() {
+  setup();
+  for (;;) {
+    loop();
+    usleep(100);
+  }
+}
