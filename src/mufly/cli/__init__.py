@@ -16,7 +16,7 @@ from mufly.cli import station as link
 from mufly.cli.aero import bench, cfd
 from mufly.cli.aero import benchmark as _benchmark  # noqa: F401  adds to the commands of rotor
 from mufly.cli.identify import flight as identify
-from mufly.cli.onboard import estimate, firmware, sensors
+from mufly.cli.onboard import estimate, firmware, sensors, slam
 from mufly.cli.options import Commands
 from mufly.errors import MuflyError
 
@@ -47,6 +47,7 @@ app.add_typer(identify.app, name="identify")
 app.add_typer(log.app, name="log")
 app.add_typer(sensors.app, name="sensors")
 app.add_typer(estimate.app, name="estimate")
+app.add_typer(slam.app, name="slam")
 app.add_typer(firmware.app, name="firmware")
 app.add_typer(study.thesis_commands, name="thesis")
 

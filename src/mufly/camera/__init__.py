@@ -1,0 +1,36 @@
+"""What would a camera see? A camera as its file says it, floors, and pictures rendered from a motion."""
+
+from mufly.camera.floor import KINDS as FLOORS
+from mufly.camera.floor import Floor, floor_of_picture, make_floor
+from mufly.camera.model import (
+    Camera,
+    body_from_camera,
+    builtin_cameras,
+    check_size,
+    distortion,
+    load_camera,
+    matrix,
+    project,
+    rays,
+)
+from mufly.camera.render import Motion, Renderer, decode, encode
+
+__all__ = [
+    "FLOORS",
+    "Camera",
+    "Floor",
+    "Motion",
+    "Renderer",
+    "body_from_camera",
+    "builtin_cameras",
+    "check_size",
+    "decode",
+    "distortion",
+    "encode",
+    "floor_of_picture",
+    "load_camera",
+    "make_floor",
+    "matrix",
+    "project",
+    "rays",
+]

@@ -1,0 +1,264 @@
+"""``mufly slam``: data sets of pictures, visual SLAM over them, and how good it was."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from mufly.cli.options import Commands, JsonOption, argument, one_of, option
+from mufly.cli.present import (
+    answer,
+    check_folder,
+    print_table,
+    progress_bar,
+    save_picture,
+    say,
+    writing,
+)
+from mufly.errors import InputError
+
+if TYPE_CHECKING:
+    from mufly.slam import Evaluation
+
+app = Commands(
+    help="Visual SLAM with a camera that looks down: render data sets, run it over pictures, evaluate, calibrate. "
+    "Equations and what it assumes: docs/slam.md.",
+    no_args_is_help=True,
+)
+
+_CameraOption = Annotated[
+    str, option("--camera NAME|FILE", "A built-in camera (mufly-2.0, webcam, worst) or a camera file (TOML).")
+]
+_HeightOption = Annotated[
+    float | None, option("--height M", "Height above the floor, where the files do not tell it.")
+]
+
+
+@app.command()
+def render(
+    out: Annotated[Path, option("--out -o DIR", "Folder for the data set.")],
+    camera: _CameraOption = "mufly-2.0",
+    floor: Annotated[
+        str, option("--floor KIND|PICTURE", "rich, poor, tiles, plain, or a picture of a floor.")
+    ] = "rich",
+    width: Annotated[float, option("--width M", "Of a picture of a floor, from west to east.")] = 2.0,
+    recording: Annotated[
+        Path | None, option("--from FILE", "Fly the path of this recording (flight.mcap) instead of rounds.")
+    ] = None,
+    duration: Annotated[float, option("--duration S", "Length of the data set.")] = 20.0,
+    side: Annotated[float, option("--side M", "Of the square that is flown round; 0 hovers.")] = 3.0,
+    height: Annotated[float, option("--height M", "Of the path above the floor.")] = 1.0,
+    speed: Annotated[float, option("--speed M/S", "Along the path.")] = 0.4,
+    shadows: Annotated[float, option("--shadows SHARE", "Of the light that shadows take, 0 to 1.")] = 0.3,
+    boxes: Annotated[int, option("--boxes N", "Low boxes on the floor.")] = 0,
+    layout: Annotated[str, option("--layout NAME", "mufly, euroc or tum.")] = "mufly",
+    seed: Annotated[int, option("--seed K", "Same seed, same floor, path and noise.")] = 0,
+    as_json: JsonOption = False,
+) -> None:
+    """Render a data set: pictures of a floor along a path, with what the vehicle tells beside them, and the truth.
+
+    Examples: mufly slam render -o tiles --floor tiles; mufly slam render -o mine --floor parquet.jpg --width 1.2
+    --from flights/last/flight.mcap
+    """
+    from mufly.camera import FLOORS, floor_of_picture, load_camera, make_floor
+    from mufly.logs import read_recording
+    from mufly.slam import LAYOUTS, frames, path_of, rounds, write_dataset
+
+    one_of("--layout", layout, LAYOUTS)
+    for name, value, low, high in (
+        ("--duration", duration, 0.1, 3600), ("--side", side, 0, 50), ("--height", height, 0.15, 50),
+        ("--speed", speed, 0, 5), ("--shadows", shadows, 0, 1), ("--boxes", boxes, 0, 30), ("--seed", seed, 0, 2**31),
+    ):  # fmt: skip
+        if not low <= value <= high:
+            raise InputError(name, "", f"{value:g} is out of range", f"give {low:g} to {high:g}")
+    lens = load_camera(camera)
+    if floor in FLOORS:
+        ground = make_floor(floor, seed, shadows=shadows)
+    elif Path(floor).suffix:
+        ground = floor_of_picture(floor, width, seed=seed, shadows=shadows)
+    else:
+        raise InputError(
+            "--floor", "", f"{floor!r} is unknown", f"use one of: {', '.join(FLOORS)}, or a picture"
+        )
+    if recording is not None:
+        path = path_of(read_recording(recording), str(recording))
+        duration = min(duration, float(path.time[-1] - path.time[0]))
+    else:
+        path = rounds(duration_s=duration, side_m=side, height_m=height, speed_m_s=speed, seed=seed)
+    check_folder("--out", out)
+    made = frames(lens, ground, path, duration_s=duration, world=_boxes(boxes, side, seed), seed=seed)
+    total = int(duration / float(lens.sensor.period))
+    with writing(out), progress_bar("pictures", not as_json) as bar:
+        count = write_dataset(
+            out, lens, path, made, layout, (lambda k: None) if bar is None else (lambda k: bar(k + 1, total))
+        )
+    answer(
+        as_json, lambda: {"pictures": count, "floor": ground.name, "camera": lens.name},
+        lambda: say(f"{count} pictures of a {ground.name} floor by {lens.name}, layout {layout}"), [out],
+    )  # fmt: skip
+
+
+def _boxes(count: int, side: float, seed: int) -> Any:
+    import numpy as np
+
+    from mufly.world import Box, World
+
+    rng = np.random.default_rng([seed, 77])
+    out = []
+    for _ in range(count):
+        size = (*rng.uniform(0.1, 0.35, 2), rng.uniform(0.03, 0.12))
+        n, e = rng.uniform(-0.8, side + 0.8, 2)
+        out.append(Box((n, e, -0.5 * size[2]), size, rng.uniform(0, 3.1)))
+    return World(boxes=tuple(out))
+
+
+@app.command()
+def run(
+    place: Annotated[
+        Path, argument("VIDEO|FOLDER", "Pictures: a folder (ours, EuRoC's or TUM's layout) or a video.")
+    ],
+    camera: Annotated[
+        str | None, option("--camera NAME|FILE", "That made them; by default camera.toml in the folder.")
+    ] = None,
+    height: _HeightOption = None,
+    rate: Annotated[float | None, option("--rate HZ", "Of a video that does not say so itself.")] = None,
+    floor_map: Annotated[
+        Path | None, option("--map FILE", "Find yourself in this map, instead of beginning one.")
+    ] = None,
+    save_map: Annotated[Path | None, option("--save-map FILE", "Keep the map.")] = None,
+    out: Annotated[Path | None, option("--out -o DIR", "Trajectory (TUM's text, MCAP) and pictures.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Go through recorded pictures: where was the vehicle, and how well is that known?
+
+    With a truth in the folder errors are told, too. Examples: mufly slam run tiles -o result;
+    mufly slam run flight.avi --camera camera.toml --height 1.2
+    """
+    from mufly.camera import load_camera
+    from mufly.logs import write_log
+    from mufly.slam import Map, Slam, draw, evaluate, open_pictures, opencv, run
+
+    opencv()
+    if camera is None and not (place / "camera.toml").is_file():
+        raise InputError(str(place), "camera.toml", "is not there", "give --camera")
+    lens = load_camera(camera or place / "camera.toml")
+    source = open_pictures(place, lens, height_m=height, rate_Hz=rate)
+    check_folder("--out", out)
+    truth = source.truth
+    start = (0.0, 0.0, 0.0) if truth is None else (*truth[1][0, :2], truth[2][0])
+    slam = Slam(lens, None if floor_map is None else Map.load(floor_map), start=start)
+    with progress_bar("pictures", not as_json) as bar:
+        found = run(slam, source.frames(), lambda k, a: None if bar is None else bar(k + 1, source.count))
+    if len(found.time) < 3:
+        why = max(found.reasons, key=lambda k: found.reasons[k], default="there were none")
+        raise InputError(
+            str(place),
+            "",
+            f"{len(found.time)} of {found.pictures} pictures were answered: {why}",
+            "see docs/slam.md",
+        )
+    result = None
+    if truth is not None:
+        result = evaluate(found.time, found.position, found.heading, found.covariance, *truth, found.pictures)
+    files = []
+    if save_map is not None:
+        with writing(save_map, "give another file", "--save-map"):
+            slam.map.save(save_map)
+        files.append(save_map)
+    if out is not None:
+        with writing(out):
+            found.write(out / "trajectory.txt")
+        files += [out / "trajectory.txt", write_log(found.dataset(), out / "trajectory.mcap")]
+        files.append(save_picture(draw(found, slam, truth), out, "trajectory"))
+    content = {
+        "pictures": found.pictures, "answered": len(found.time), "not_answered": found.reasons,
+        "keyframes": len(slam.map.keyframes), "closures": sum(e.closes for e in slam.map.edges), "errors": result,
+    }  # fmt: skip
+
+    def show() -> None:
+        say(f"{len(found.time)} of {found.pictures} pictures answered")
+        say(f"{content['keyframes']} keyframes, {content['closures']} loops closed")
+        say(*(f"  {n} not: {why}" for why, n in sorted(found.reasons.items(), key=lambda r: -r[1])))
+        if result is not None:
+            _print(result)
+
+    answer(as_json, lambda: content, show, files)
+
+
+@app.command()
+def evaluate(
+    trajectory: Annotated[Path, argument("FILE", "Trajectory in TUM's text, as `mufly slam run` writes it.")],
+    truth: Annotated[Path, argument("FILE|FOLDER", "The truth: TUM's text, or a data set.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Compare a trajectory with the truth: errors, drift, and whether its covariance is true."""
+    import numpy as np
+
+    from mufly.slam import evaluate, read_trajectory, read_truth
+    from mufly.slam.readers import read_tum
+
+    true = read_truth(truth) if truth.is_dir() else read_tum(truth)
+    if true is None:
+        raise InputError(str(truth), "", "holds no truth", "give a folder with truth.txt, or a trajectory")
+    one = read_trajectory(trajectory)
+    covariance = one.covariance if np.isfinite(one.covariance).all() else None
+    result = evaluate(one.time, one.position, one.heading, covariance, *true)
+    answer(as_json, lambda: {"errors": result}, lambda: _print(result))
+
+
+def _print(e: Evaluation) -> None:
+    rows = [
+        ("answered", f"{1 - e.lost:.1%}"),
+        ("horizontal error, rms (cm)", f"{100 * e.rms_m:.1f}"),
+        ("... worst (cm)", f"{100 * e.worst_m:.1f}"),
+        ("... at the end (cm)", f"{100 * e.end_m:.1f}"),
+        ("height error, rms (cm)", f"{100 * e.height_rms_m:.1f}"),
+        ("heading error, rms (deg)", f"{math.degrees(e.heading_rms_rad):.2f}"),
+        ("ATE (cm)", f"{100 * e.ate_m:.1f}"),
+        ("RPE over 1 s (cm)", f"{100 * e.rpe_m:.1f}"),
+        ("way (m)", f"{e.way_m:.1f}"),
+        ("NEES/n", "-" if math.isnan(e.nees) else f"{e.nees:.2f}"),
+        ("inside the 95 % ellipsoid", "-" if math.isnan(e.inside) else f"{e.inside:.1%}"),
+    ]
+    print_table(("", ""), rows)
+
+
+@app.command()
+def calibrate(
+    pictures: Annotated[Path, argument("FOLDER", "Pictures of a chessboard, from many sides.")],
+    board: Annotated[str, option("--board CxR", "Inner corners along both sides.")] = "9x6",
+    square: Annotated[float, option("--square M", "Side of a square.")] = 0.025,
+    camera: _CameraOption = "mufly-2.0",
+    out: Annotated[
+        Path | None, option("--out FILE", "Camera file to write: the lens as found, the rest as given.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find a camera's lens from pictures of a chessboard."""
+    from mufly.camera import load_camera
+    from mufly.slam import board_pictures, calibrate, camera_toml
+
+    try:
+        columns, rows = (int(n) for n in board.lower().split("x"))
+    except ValueError:
+        raise InputError("--board", "", f"{board!r} is no board", "give inner corners: 9x6") from None
+    lens, files = load_camera(camera), board_pictures(pictures)
+    with progress_bar("pictures", not as_json) as bar:
+        found = calibrate(files, lens, columns=columns, rows=rows, square_m=square, on_picture=bar)
+    if out is not None:
+        with writing(out, "give another file"):
+            out.write_text(camera_toml(found.camera), encoding="utf-8")
+
+    def show() -> None:
+        say(f"{found.used} of {found.of} pictures show the board; residual {found.residual_px:.2f} pixels")
+        rows = [(n, f"{found.values[n]:.4g}", f"{found.deviations[n]:.2g}") for n in found.values]
+        print_table(("", "found", "sigma"), rows)
+
+    content = {
+        "values": found.values,
+        "deviations": found.deviations,
+        "residual_px": found.residual_px,
+        "used": found.used,
+    }
+    answer(as_json, lambda: content, show, [] if out is None else [out])

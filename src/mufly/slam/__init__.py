@@ -1,0 +1,43 @@
+"""Where does it see itself? Visual SLAM over a floor: tracking, keyframes, loops, and data sets to try it on."""
+
+from mufly.slam.calibration import Calibration, board_pictures, calibrate
+from mufly.slam.datasets import Path3, Teller, frames, path_of, rounds
+from mufly.slam.evaluation import Evaluation, evaluate
+from mufly.slam.frames import Frame, Telling
+from mufly.slam.mapping import Keyframe, Map
+from mufly.slam.readers import Source, open_pictures, read_truth
+from mufly.slam.system import Answer, Slam
+from mufly.slam.trajectory import Trajectory, draw, gathered, read_trajectory, run
+from mufly.slam.vision import opencv
+from mufly.slam.writers import LAYOUTS, camera_toml, write_dataset
+
+__all__ = [
+    "LAYOUTS",
+    "Answer",
+    "Calibration",
+    "Evaluation",
+    "Frame",
+    "Keyframe",
+    "Map",
+    "Path3",
+    "Slam",
+    "Source",
+    "Teller",
+    "Telling",
+    "Trajectory",
+    "board_pictures",
+    "calibrate",
+    "camera_toml",
+    "draw",
+    "evaluate",
+    "frames",
+    "gathered",
+    "open_pictures",
+    "opencv",
+    "path_of",
+    "read_trajectory",
+    "read_truth",
+    "rounds",
+    "run",
+    "write_dataset",
+]

@@ -1,0 +1,62 @@
+"""A picture with its time and what the vehicle told of itself at that time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+_Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Telling:
+    """What the vehicle's filter says of the middle of a picture.
+
+    Attributes
+    ----------
+    roll, pitch : float
+        rad.
+    height_m : float
+        Of the centre of gravity above the floor.
+    rates : (3,) array
+        p, q, r (rad/s).
+    rotor_speed : (2,) array
+        Upper, lower (rad/s); zero where it is not known: shaking is averaged, not modelled.
+    tilt_sigma, height_sigma : float
+        What these are off by, one sigma (rad, m).
+    velocity : (3,) array or None
+        N, E, D (m/s), where it is known.
+    standing : bool
+        On the floor, motors idle: it does not move.
+    """
+
+    roll: float
+    pitch: float
+    height_m: float
+    rates: _Array = field(default_factory=lambda: np.zeros(3))
+    rotor_speed: _Array = field(default_factory=lambda: np.zeros(2))
+    tilt_sigma: float = math.radians(0.5)
+    height_sigma: float = 0.01
+    velocity: _Array | None = None
+    standing: bool = False
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A picture.
+
+    Attributes
+    ----------
+    time_s : float
+        When its middle row was exposed.
+    picture : (rows, columns) uint8 array
+        Grey.
+    told : Telling
+    """
+
+    time_s: float
+    picture: NDArray[np.uint8]
+    told: Telling

@@ -1,0 +1,237 @@
+"""What it remembers of the floor: keyframes, what ties them together, and a file of both."""
+
+from __future__ import annotations
+
+import json
+import math
+import zipfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.errors import InputError
+from mufly.slam.graph import Edge, Solution, relation, slopes_of, solve_graph
+from mufly.slam.pose import bent
+
+_Array = NDArray[np.float64]
+FORMAT = 1
+_FLOOR = 0.04  # pixels: no point is known better
+
+
+@dataclass
+class Keyframe:
+    """A picture that is remembered.
+
+    Attributes
+    ----------
+    time_s : float
+    picture : (rows, columns) uint8 array
+        Straight.
+    turn : (3, 3) array
+        Turns camera's axes into N-E-D with heading 0.
+    pixels : (n, 2) array
+        Its points, in the straight picture.
+    slopes : (n,) complex array
+        Of their rays, heading 0.
+    variance : (n,) array
+        Of the slopes, along an axis.
+    missed : (n,) int array
+        How often more a point did not fit than it did.
+    tilt : (2, 2) array
+        Covariance of the error of the tilt by which its slopes were reckoned.
+    log_height, height_sigma : float
+        ln h of the camera by the sonar, and its deviation.
+    """
+
+    time_s: float
+    picture: NDArray[np.uint8]
+    turn: _Array
+    pixels: _Array
+    slopes: NDArray[np.complex128]
+    variance: _Array
+    missed: NDArray[np.int64]
+    tilt: _Array
+    log_height: float
+    height_sigma: float
+    described: Any = field(default=None, repr=False)
+
+    def unbend(self, tilt: _Array, covariance: _Array) -> None:
+        """Take in by what the tilt was wrong: its slopes are reckoned anew, but for the shift of all."""
+        move = bent(self.slopes) @ tilt
+        self.slopes += move[:, 0] + 1j * move[:, 1]
+        self.tilt = covariance
+
+    def refine(
+        self, which: NDArray[np.intp], seen: NDArray[np.complex128], variance: _Array, focal: float
+    ) -> None:
+        """Take in where some of its points were seen anew: slopes and their variances."""
+        gain = self.variance[which] / (self.variance[which] + variance)
+        self.slopes[which] += gain * (seen - self.slopes[which])
+        self.variance[which] = np.maximum((1.0 - gain) * self.variance[which], (_FLOOR / focal) ** 2)
+
+
+class Map:
+    """Keyframes and edges.
+
+    Parameters
+    ----------
+    start : (3,) array_like
+        N, E (m) and heading (rad) of the vehicle where the map begins.
+    start_sigma : (2,) tuple
+        What that is off by: place (m), heading (rad).
+    """
+
+    def __init__(self, start: Any = (0.0, 0.0, 0.0), start_sigma: tuple[float, float] = (0.0, 0.0)) -> None:
+        self.start, self.start_sigma = np.asarray(start, dtype=np.float64), start_sigma
+        self.keyframes: list[Keyframe] = []
+        self.nodes = np.zeros((0, 4))
+        self.edges: list[Edge] = []
+        self.solution: Solution | None = None
+        self._known: dict[int, _Array] = {}
+
+    def add(self, keyframe: Keyframe, node: _Array, ties: list[tuple[int, _Array]]) -> int:
+        """Add a keyframe at a node, tied to others by the information (4, 4) of each; return its number."""
+        k = len(self.keyframes)
+        self.keyframes.append(keyframe)
+        self.nodes = np.vstack([self.nodes, node])
+        for first, information in ties:
+            self.edges.append(Edge(first, k, relation(self.nodes[first], node), information))
+        self.solve()
+        return k
+
+    def close(self, edge: Edge, most: float) -> bool:
+        """Add an edge that closes a loop, unless the map does not bear it: then it is as before."""
+        before = self.nodes.copy()
+        self.edges.append(edge)
+        self.solve()
+        assert self.solution is not None
+        if self.solution.chi2[-1] > most:
+            self.edges.pop()
+            self.nodes = before
+            self.solve()
+            return False
+        return True
+
+    def solve(self) -> None:
+        """Move the keyframes to where the edges want them."""
+        heights = np.array([k.log_height for k in self.keyframes])
+        sigma = np.array([k.height_sigma for k in self.keyframes])
+        self.solution = solve_graph(self.nodes, self.edges, heights, sigma, self.start_sigma)
+        self.nodes = self.solution.nodes
+        self._known = {}
+
+    def covariance(self, k: int) -> _Array:
+        """Of a node (4, 4)."""
+        if k not in self._known:
+            assert self.solution is not None
+            self._known[k] = self.solution.covariance([k])
+        return self._known[k]
+
+    def covariance_between(self, a: int, b: int) -> _Array:
+        """Of what node ``b`` is from node ``a`` (4, 4)."""
+        assert self.solution is not None
+        by_a, by_b = slopes_of(self.nodes[a], self.nodes[b])
+        j = np.hstack([by_a, by_b])
+        return j @ self.solution.covariance([a, b]) @ j.T
+
+    def neighbours(self, k: int) -> set[int]:
+        """Keyframes that are tied to one."""
+        return {e.second if e.first == k else e.first for e in self.edges if k in (e.first, e.second)}
+
+    def points(self, k: int) -> _Array:
+        """Where the points of a keyframe lie (n, 3), N-E-D."""
+        c, z = complex(self.nodes[k, 0], self.nodes[k, 1]), np.exp(self.nodes[k, 3] + 1j * self.nodes[k, 2])
+        x = c + z * self.keyframes[k].slopes
+        return np.stack([x.real, x.imag, np.zeros(len(x))], axis=1)
+
+    def bend(self, k: int) -> _Array:
+        """How the points of a keyframe move (n, 2, 2) with the error of its tilt (m/rad)."""
+        c, s, h = math.cos(self.nodes[k, 2]), math.sin(self.nodes[k, 2]), math.exp(self.nodes[k, 3])
+        return h * np.array([[c, -s], [s, c]]) @ bent(self.keyframes[k].slopes)
+
+    def save(self, path: str | Path) -> None:
+        """Write it to a file (a zip of NumPy arrays)."""
+        arrays: dict[str, Any] = {
+            "format": np.array(FORMAT), "start": self.start, "start_sigma": np.array(self.start_sigma),
+            "nodes": self.nodes, "edges": np.array([(e.first, e.second, e.closes) for e in self.edges], dtype=np.int64),
+            "measured": np.array([e.measured for e in self.edges]).reshape(-1, 4),
+            "information": np.array([e.information for e in self.edges]).reshape(-1, 4, 4),
+        }  # fmt: skip
+        for k, f in enumerate(self.keyframes):
+            for name in (
+                "time_s",
+                "picture",
+                "turn",
+                "pixels",
+                "slopes",
+                "variance",
+                "missed",
+                "tilt",
+                "log_height",
+                "height_sigma",
+            ):
+                arrays[f"{name}_{k}"] = np.asarray(getattr(f, name))
+        with Path(path).open("wb") as file:
+            np.savez_compressed(file, **arrays)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Map:
+        """Read what :meth:`save` wrote.
+
+        Raises
+        ------
+        InputError
+            If it is none, or damaged.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as a:
+                if int(a["format"]) != FORMAT:
+                    raise InputError(
+                        str(path), "format", f"is {int(a['format'])}", f"give a map of format {FORMAT}"
+                    )
+                out = cls(a["start"], (float(a["start_sigma"][0]), float(a["start_sigma"][1])))
+                out.nodes = a["nodes"]
+                out.edges = [
+                    Edge(int(i), int(j), m, w, bool(closes))
+                    for (i, j, closes), m, w in zip(a["edges"], a["measured"], a["information"], strict=True)
+                ]
+                for k in range(len(out.nodes)):
+                    out.keyframes.append(
+                        Keyframe(
+                            float(a[f"time_s_{k}"]), a[f"picture_{k}"], a[f"turn_{k}"], a[f"pixels_{k}"],
+                            a[f"slopes_{k}"], a[f"variance_{k}"], a[f"missed_{k}"], a[f"tilt_{k}"],
+                            float(a[f"log_height_{k}"]), float(a[f"height_sigma_{k}"]),
+                        )
+                    )  # fmt: skip
+        except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile, zipfile.LargeZipFile) as error:
+            raise InputError(
+                str(path), "", f"is no map ({error})", "give a file that 'mufly slam run --map' wrote"
+            ) from error
+        if out.keyframes:
+            out.solve()
+        return out
+
+    def summary(self) -> str:
+        """Its size in one line of JSON."""
+        return json.dumps({"keyframes": len(self.keyframes), "closures": sum(e.closes for e in self.edges)})
+
+
+def composed(a: _Array, b: _Array) -> _Array:
+    """Return the node that is seen as ``b`` (four numbers of :func:`mufly.slam.graph.relation`) from node ``a``."""
+    c, s, h = math.cos(a[2]), math.sin(a[2]), math.exp(a[3])
+    return np.array(
+        [a[0] + h * (c * b[0] - s * b[1]), a[1] + h * (s * b[0] + c * b[1]), a[2] + b[2], a[3] + b[3]]
+    )
+
+
+def overlap(a: _Array, b: _Array, wide: float, high: float) -> float:
+    """Return about which share of the floor that node ``b`` sees node ``a`` sees too, both level; less where they are
+    turned or apart in height. ``wide`` and ``high`` are the picture's sides over the focal length."""
+    t = relation(a, b)
+    size = min(math.exp(t[3]), math.exp(-t[3]))
+    # The picture's rows run along the nose.
+    along, across = max(0.0, 1.0 - abs(t[0]) / high), max(0.0, 1.0 - abs(t[1]) / wide)
+    return along * across * size * max(0.0, math.cos(1.5 * t[2])) if abs(t[2]) < 1.0 else 0.0

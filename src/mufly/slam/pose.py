@@ -1,0 +1,352 @@
+r"""Where the camera is, from points of the floor that it sees: two points and the tilt first, then all of them.
+
+**Two points and the tilt** (structure of Steder et al. 2008). A ray d through a pixel, turned by roll and pitch
+alone, has the slope m = (d_x + i d_y) / d_z as a complex number. A camera at C (complex, N + i E), h above the
+floor, with heading psi sees the floor's point X there:
+
+    X = C + h e^(i psi) m,      so from two points    h e^(i psi) = (X_1 - X_2) / (m_1 - m_2),    C = X_1 - h e^(i
+    psi) m_1
+
+Pairs are drawn by chance; the one wins that the most points agree with. Pairs whose h is not the sonar's are left out.
+
+**All of them.** Unknown are C (N, E), h, psi, two small errors of the tilt about N and E, those of the keyframe,
+and for each rotor four amplitudes of its shaking. Seen in row time s from the picture's middle, with R(s) = R
+exp([w s]) and v for the velocity,
+
+    c = A^T exp([w s])^T R^T (X - C - v s),    pixel = f (c_x, c_y) / c_z + sum_k (a_k cos(W_k s) + b_k sin(W_k s))
+
+where A turns the camera's axes into the body's. Gauss-Newton on Cauchy's weights 1 / (1 + (r / 2 sigma)^2), with
+what is known beforehand: tilt by the filter, h by the sonar, amplitudes by the camera file. The inverse of its
+normal matrix is the covariance, times the mean square of the weighted residuals where that is above one.
+
+An error of the tilt moves this answer by h times it. It does not move the next keyframe against this one, since both
+camera and floor points are off by the same: what ties keyframes together is therefore told with the tilt held
+(:attr:`Pose.edge`). But a keyframe whose tilt was off by u has the floor bent: slopes are off by quadratic terms,
+dm = (-m_N m_E u_N + m_N^2 u_E, -m_E^2 u_N + m_N m_E u_E). Two numbers of u are unknown, too, and known better with
+every picture; else the image would tell with great certainty the tilt that the keyframe was wrong by. Own derivation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.compiled import compiled
+
+_Array = NDArray[np.float64]
+POSE = 8  # N, E, h, heading, tilt about N, about E; tilt of the keyframe about its x and y
+SHAKES = 8  # for each rotor cosine and sine along x, then along y
+_ROUNDS = 6
+_CAUCHY = 2.0  # residuals, in deviations, whose weight is half
+
+
+class View(NamedTuple):
+    """What is known of a picture before its points are looked at.
+
+    Attributes
+    ----------
+    focal : float
+        Pixels.
+    axes : (3, 3) array
+        Turns camera's into body axes.
+    roll, pitch : float
+        rad.
+    rates : (3,) array
+        p, q, r (rad/s).
+    velocity : (3,) array
+        Of the camera, N-E-D (m/s).
+    height, height_sigma : float
+        Of the camera above the floor (m).
+    tilt_sigma : float
+        rad.
+    shake_sigma : float
+        Of an amplitude of shaking, pixels; 0: none are sought.
+    rotor_speed : (2,) array
+        rad/s.
+    """
+
+    focal: float
+    axes: _Array
+    roll: float
+    pitch: float
+    rates: _Array
+    velocity: _Array
+    height: float
+    height_sigma: float
+    tilt_sigma: float
+    shake_sigma: float
+    rotor_speed: _Array
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the camera is.
+
+    Attributes
+    ----------
+    x : (8,) array
+        N, E, height, heading, errors of tilt about N and E, of the keyframe's about its x and y (m, rad).
+    shakes : (8,) array
+        Amplitudes, pixels.
+    covariance : (8, 8) array
+    edge : (4, 4) array
+        Information on N, E, height, heading with the tilt held and without the sonar.
+    scale : float
+        Root mean square of weighted residuals over what was expected.
+    residuals : (n,) array
+        Over their deviations.
+    off : (n, 2) array
+        Residuals, seen less expected, in pixels.
+    """
+
+    x: _Array
+    shakes: _Array
+    covariance: _Array
+    edge: _Array
+    scale: float
+    residuals: _Array
+    off: _Array
+
+    @property
+    def inliers(self) -> NDArray[np.bool_]:
+        """Which points lie within three deviations."""
+        return self.residuals < 3.0 * max(self.scale, 0.7)
+
+
+def level(view: View, tilt: _Array | None = None, heading: float = 0.0) -> _Array:
+    """Return the matrix that turns body vectors into N-E-D: heading, pitch, roll, and errors of the tilt on top."""
+    return _attitude(view.roll, view.pitch, heading, *(0.0, 0.0) if tilt is None else tilt)
+
+
+def slopes(
+    view: View, pixels: _Array, seconds: _Array, turn: _Array, shakes: _Array | None = None
+) -> NDArray[np.complex128]:
+    """Return complex slopes (n,) of rays through pixels (n, 2) from the principal point, seen ``seconds`` off the
+    middle.
+
+    ``turn`` is :func:`level` with the heading at which slopes are wanted.
+    """
+    p = pixels if shakes is None else pixels - shaken(view, seconds, shakes)
+    d = np.column_stack([p / view.focal, np.ones(len(p))]) @ view.axes.T
+    d = d + np.cross(seconds[:, None] * view.rates, d)  # exp([w s]) d, to first order
+    w = d @ turn.T
+    return np.asarray((w[:, 0] + 1j * w[:, 1]) / w[:, 2], dtype=np.complex128)
+
+
+def shaken(view: View, seconds: _Array, shakes: _Array) -> _Array:
+    """Return by how many pixels (n, 2) the rotors have moved what is seen at these times."""
+    out = np.zeros((len(seconds), 2))
+    for k in range(2):
+        c, s = np.cos(view.rotor_speed[k] * seconds), np.sin(view.rotor_speed[k] * seconds)
+        for axis in (0, 1):
+            out[:, axis] += shakes[4 * k + 2 * axis] * c + shakes[4 * k + 2 * axis + 1] * s
+    return out
+
+
+def bent(slopes: NDArray[np.complex128]) -> _Array:
+    """Return how slopes (n,) move along N and E with errors of the tilt about N and about E, (n, 2, 2), but for a
+    shift.
+
+    The shift, which is the same for all, is left to where the keyframe stands: so that is where its floor is.
+    """
+    n, e = slopes.real, slopes.imag
+    return np.stack([np.stack([-n * e, n * n], axis=-1), np.stack([-e * e, n * e], axis=-1)], axis=-2)
+
+
+def two_points(
+    places: NDArray[np.complex128],
+    slopes: NDArray[np.complex128],
+    sigma: _Array,
+    height: float,
+    height_sigma: float,
+    rng: np.random.Generator,
+    tries: int = 120,
+) -> tuple[complex, float, float, NDArray[np.bool_]]:
+    """Return C, h, heading and who agrees, of floor points and the slopes at which they are seen.
+
+    Parameters
+    ----------
+    places, slopes : (n,) complex arrays
+        Points N + i E (m), and slopes with heading 0.
+    sigma : (n,) array
+        Of the slopes.
+    height, height_sigma : float
+        By the sonar (m).
+    """
+    n = len(places)
+    first, second = rng.integers(0, n, (2, tries))
+    apart = slopes[first] - slopes[second]
+    with np.errstate(all="ignore"):
+        scale = np.where(np.abs(apart) > 0.05, (places[first] - places[second]) / apart, np.nan)
+    h = np.abs(scale)
+    off = 4.0 * math.hypot(height_sigma, 0.03 * height)
+    scale = scale[np.abs(h - height) < off]
+    i = first[np.abs(h - height) < off]
+    if not len(scale):
+        return 0j, height, 0.0, np.zeros(n, bool)
+    c = places[i] - scale * slopes[i]
+    away = np.abs(places[None, :] - c[:, None] - scale[:, None] * slopes[None, :]) / np.abs(scale)[:, None]
+    fits = away < 3.0 * np.maximum(sigma, 1e-4)[None, :]
+    best = int(np.argmax(fits.sum(axis=1) - 1e-3 * np.minimum(away, 0.05).mean(axis=1)))
+    return complex(c[best]), float(abs(scale[best])), float(np.angle(scale[best])), fits[best]
+
+
+def solve(
+    view: View, start: _Array, points: _Array, bend: _Array, bend_covariance: _Array, pixels: _Array, seconds: _Array,
+    sigma: _Array,
+) -> Pose:  # fmt: skip
+    """Find where the camera is.
+
+    Parameters
+    ----------
+    view : View
+    start : (4,) array
+        N, E, height, heading to begin at.
+    points : (n, 3) array
+        N, E, D of what is seen (m).
+    bend : (n, 2, 2) array
+        How these move north and east with an error of the keyframe's tilt (m/rad), :func:`bent`.
+    bend_covariance : (2, 2) array
+        Of that error.
+    pixels : (n, 2) array
+        Where, from the principal point, without distortion.
+    seconds : (n,) array
+        When, from the middle of the picture.
+    sigma : (n,) array
+        Of the pixels along an axis.
+    """
+    shakes = SHAKES if view.shake_sigma > 0.0 else 0
+    size = POSE + shakes
+    x = np.zeros(size)
+    x[:4] = start
+    prior = np.zeros((size, size))
+    prior[2, 2] = view.height_sigma**-2
+    prior[4, 4] = prior[5, 5] = view.tilt_sigma**-2
+    prior[6:8, 6:8] = np.linalg.inv(bend_covariance)
+    if shakes:
+        prior[POSE:, POSE:] = view.shake_sigma**-2 * np.eye(shakes)
+    normal, off, weight = np.empty((size, size)), np.empty((len(points), 2)), np.empty(len(points))
+    _solve(x, view.focal, view.axes, view.roll, view.pitch, view.rates, view.velocity, view.rotor_speed, view.height,
+           prior, points, bend, pixels, seconds, sigma, normal, off, weight, _ROUNDS)  # fmt: skip
+    ratio = np.sqrt((off**2).sum(axis=1) / 2.0) / sigma
+    free = max(1.0, 2.0 * weight.sum() - size)
+    # Of errors as they should be, weights leave 0.846 of the mean square (r^2 / 2 is exponential).
+    scale = math.sqrt(float((weight * 2.0 * ratio**2).sum()) / free / 0.846)
+    told = normal + prior
+    loose = max(1.0, scale) ** 2
+    covariance = np.linalg.inv(told)[:POSE, :POSE]
+    fixed = prior[:POSE, :POSE]
+    seen = covariance @ (np.linalg.inv(covariance) - fixed) @ covariance  # what pixels add of it
+    covariance = covariance + (loose - 1.0) * seen
+    # How the keyframe is bent is told by the difference of two tilts, whatever these are.
+    cross, rest = normal[:4, 6:], told[6:, 6:]
+    edge = normal[:4, :4] - cross @ np.linalg.solve(rest, cross.T)
+    amplitudes = x[POSE:] if shakes else np.zeros(SHAKES)
+    return Pose(x[:POSE], amplitudes, covariance, edge / loose, scale, ratio, off)
+
+
+@compiled(error_model="numpy")
+def _attitude(roll, pitch, heading, tilt_n, tilt_e):  # type: ignore[no-untyped-def]
+    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
+    c, s = math.cos(heading), math.sin(heading)
+    r = np.array(
+        [
+            [cp * c, sr * sp * c - cr * s, cr * sp * c + sr * s],
+            [cp * s, sr * sp * s + cr * c, cr * sp * s - sr * c],
+            [-sp, sr * cp, cr * cp],
+        ]
+    )
+    # A small turn (t_n, t_e, 0) on the left, to second order
+    out = np.empty((3, 3))
+    for j in range(3):
+        a, b, d = r[0, j], r[1, j], r[2, j]
+        x1, y1, z1 = tilt_e * d, -tilt_n * d, tilt_n * b - tilt_e * a
+        x2, y2, z2 = tilt_e * z1, -tilt_n * z1, tilt_n * y1 - tilt_e * x1
+        out[0, j], out[1, j], out[2, j] = a + x1 + 0.5 * x2, b + y1 + 0.5 * y2, d + z1 + 0.5 * z2
+    return out
+
+
+@compiled(error_model="numpy")
+def _solve(  # type: ignore[no-untyped-def]
+    x, focal, axes, roll, pitch, rates, velocity, rotor, height, prior, points, bend, pixels, seconds, sigma,
+    normal, off, weight, rounds,
+):  # fmt: skip
+    size, n = len(x), len(points)
+    shakes = size > 8
+    row = np.zeros((2, size))
+    right = np.empty(size)
+    for turn in range(rounds + 1):
+        r = _attitude(roll, pitch, x[3], x[4], x[5])
+        normal[:] = 0.0
+        right[:] = 0.0
+        for i in range(n):
+            s = seconds[i]
+            wn = points[i, 0] + bend[i, 0, 0] * x[6] + bend[i, 0, 1] * x[7] - x[0] - velocity[0] * s
+            we = points[i, 1] + bend[i, 1, 0] * x[6] + bend[i, 1, 1] * x[7] - x[1] - velocity[1] * s
+            wd = points[i, 2] + x[2] - velocity[2] * s
+            # g = A^T exp([w s])^T R^T, row by row
+            q = np.empty(3)
+            g = np.empty((3, 3))
+            for j in range(3):
+                # columns of R^T turned back by the rates
+                b0, b1, b2 = r[j, 0], r[j, 1], r[j, 2]
+                e0 = b0 - s * (rates[1] * b2 - rates[2] * b1)
+                e1 = b1 - s * (rates[2] * b0 - rates[0] * b2)
+                e2 = b2 - s * (rates[0] * b1 - rates[1] * b0)
+                for k in range(3):
+                    g[k, j] = axes[0, k] * e0 + axes[1, k] * e1 + axes[2, k] * e2
+            for k in range(3):
+                q[k] = g[k, 0] * wn + g[k, 1] * we + g[k, 2] * wd
+            z = max(q[2], 1e-3)
+            u, v = q[0] / z, q[1] / z
+            for k in range(2):
+                ratio = u if k == 0 else v
+                fz = focal / z
+                # d pixel / d w, with w the way from camera to point
+                a = fz * (g[k, 0] - ratio * g[2, 0])
+                b = fz * (g[k, 1] - ratio * g[2, 1])
+                c = fz * (g[k, 2] - ratio * g[2, 2])
+                row[k, 0], row[k, 1], row[k, 2] = -a, -b, c
+                # a turn t of the body: dw = w x t
+                row[k, 3] = a * we - b * wn
+                row[k, 4] = b * wd - c * we
+                row[k, 5] = c * wn - a * wd
+                row[k, 6] = a * bend[i, 0, 0] + b * bend[i, 1, 0]
+                row[k, 7] = a * bend[i, 0, 1] + b * bend[i, 1, 1]
+            px, py = focal * u, focal * v
+            if shakes:
+                for k in range(2):
+                    co, si = math.cos(rotor[k] * s), math.sin(rotor[k] * s)
+                    j = 8 + 4 * k
+                    px += x[j] * co + x[j + 1] * si
+                    py += x[j + 2] * co + x[j + 3] * si
+                    row[0, j], row[0, j + 1] = co, si
+                    row[1, j + 2], row[1, j + 3] = co, si
+            off[i, 0], off[i, 1] = pixels[i, 0] - px, pixels[i, 1] - py
+            loose = (off[i, 0] ** 2 + off[i, 1] ** 2) / (2.0 * sigma[i] ** 2)
+            weight[i] = 1.0 / (1.0 + loose / (_CAUCHY * _CAUCHY))
+            w = weight[i] / sigma[i] ** 2
+            for k in range(2):
+                for a_ in range(size):
+                    h = w * row[k, a_]
+                    if h == 0.0:
+                        continue
+                    right[a_] += h * off[i, k]
+                    for b_ in range(size):
+                        normal[a_, b_] += h * row[k, b_]
+        if turn == rounds:
+            break
+        m = normal + prior
+        for a_ in range(size):
+            m[a_, a_] += 1e-9
+            for b_ in range(size):
+                right[a_] += prior[a_, b_] * ((height if b_ == 2 else 0.0) - x[b_])
+        step = np.linalg.solve(m, right)
+        for a_ in range(size):
+            x[a_] += step[a_]
+        if abs(step[0]) + abs(step[1]) + abs(step[2]) < 1e-7:
+            rounds = turn + 1

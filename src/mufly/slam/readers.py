@@ -1,0 +1,375 @@
+"""Pictures with times from folders and videos: ours, EuRoC's and TUM's layout, and what was told beside them.
+
+| layout | pictures | motion | truth |
+|---|---|---|---|
+| mufly | `pictures.csv`, `pictures/` | `telemetry.csv` | `truth.txt` |
+| euroc | `cam0/data.csv`, `cam0/data/` | `imu0/data.csv` | `state_groundtruth_estimate0/data.csv` |
+| tum | `rgb.txt`, `rgb/` | `accelerometer.txt` | `groundtruth.txt` |
+| plain | pictures whose names are times (s or ns) | | |
+
+In EuRoC's and TUM's files axes are x forward, y left, z up, the world's z is up. Where only an inertial unit was
+there, tilt comes of it by a complementary filter (Mahony, Hamel and Pflimlin 2008, without the bias): gyroscopes,
+drawn to the direction of the specific force within 2 s; where only accelerometers were, of their mean over half a
+second. Height comes from `sonar.csv` (time, distance), if there, or is one number that the user gives.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.camera import Camera, check_size, decode
+from mufly.dynamics.state import euler_from_quaternion
+from mufly.errors import InputError
+from mufly.slam.frames import Frame, Telling
+from mufly.slam.vision import opencv
+
+_Array = NDArray[np.float64]
+Layout = Literal["mufly", "euroc", "tum", "plain"]
+PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm")
+VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mjpg", ".mjpeg")
+_DRAWN_S, _MEAN_S = 2.0, 0.5
+_UNTOLD = math.radians(3.0)  # a vehicle of which nothing is known is level to this
+_FLIP = np.array([1.0, -1.0, -1.0])  # x forward, y left, z up to body axes, and back
+
+
+@dataclass(frozen=True)
+class Source:
+    """Pictures, and what is known besides.
+
+    Attributes
+    ----------
+    name : str
+    count : int
+        Pictures.
+    truth : tuple of (n,), (n, 3), (n,) arrays, or None
+        Times (s), positions N-E-D (m), headings (rad).
+    """
+
+    name: str
+    count: int
+    truth: tuple[_Array, _Array, _Array] | None
+    _frames: Any
+
+    def frames(self) -> Iterator[Frame]:
+        """Yield the pictures in the order of time; read when asked for.
+
+        Raises
+        ------
+        InputError
+            At a picture that cannot be read or is of another size.
+        """
+        yield from self._frames()
+
+
+def open_pictures(
+    place: str | Path, camera: Camera, *, height_m: float | None = None, rate_Hz: float | None = None
+) -> Source:
+    """Open a folder or a video.
+
+    Parameters
+    ----------
+    place : str or Path
+        A folder in one of the layouts, or a video file.
+    camera : Camera
+        That made them.
+    height_m : float, optional
+        Of the vehicle above the floor, where the files do not tell it.
+    rate_Hz : float, optional
+        Of a video, where it does not say so itself.
+
+    Raises
+    ------
+    InputError
+        If there are no pictures, times do not rise, or the height is not known.
+    """
+    where = Path(place)
+    if where.is_file():
+        if where.suffix.lower() not in VIDEOS:
+            raise InputError(
+                str(where), "", "is no video", f"give a folder of pictures, or one of {', '.join(VIDEOS)}"
+            )
+        return _video(where, camera, height_m, rate_Hz)
+    if not where.is_dir():
+        raise InputError(str(where), "", "no such folder or video", "give one with pictures")
+    layout = layout_of(where)
+    names, times, files = _listed(where, layout)
+    told = _told(where, layout, times, height_m)
+
+    def frames() -> Iterator[Frame]:
+        for file, t, one in zip(files, times, told, strict=True):
+            yield Frame(float(t), read_picture(file, camera), one)
+
+    return Source(f"{where.name} ({layout})", len(names), read_truth(where), frames)
+
+
+def layout_of(folder: Path) -> Layout:
+    """Return which layout a folder has."""
+    if (folder / "pictures.csv").is_file():
+        return "mufly"
+    if (folder / "mav0").is_dir() or (folder / "cam0").is_dir():
+        return "euroc"
+    return "tum" if (folder / "rgb.txt").is_file() else "plain"
+
+
+def read_picture(file: Path, camera: Camera) -> NDArray[np.uint8]:
+    """Read a picture of the camera, in grey.
+
+    Raises
+    ------
+    InputError
+        If there is none, it is damaged, or of another size.
+    """
+    try:
+        picture = decode(file.read_bytes())
+    except OSError as error:
+        raise InputError(
+            str(file), "", f"cannot be read ({error.strerror})", "give the folder as it was written"
+        ) from error
+    except ValueError as error:
+        raise InputError(
+            str(file), "", f"is damaged: {error}", "take it out of the list, or give another copy"
+        ) from error
+    check_size(camera, picture.shape, str(file))
+    return picture
+
+
+def _euroc(folder: Path) -> Path:
+    return folder / "mav0" if (folder / "mav0").is_dir() else folder
+
+
+def _rows(file: Path, separator: str = ",") -> list[list[str]]:
+    try:
+        text = file.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(
+            str(file), "", f"cannot be read ({error})", "give the folder as it was written"
+        ) from error
+    lines = [s for s in text.splitlines() if s.strip() and not s.lstrip().startswith("#")]
+    return [s.split() for s in lines] if separator == " " else list(csv.reader(lines))
+
+
+def _numbers(file: Path, separator: str, columns: int) -> _Array:
+    rows = _rows(file, separator)
+    out = np.full((len(rows), columns), math.nan)
+    for k, row in enumerate(rows):
+        try:
+            out[k] = [float(c) for c in row[:columns]]
+        except ValueError:
+            raise InputError(
+                str(file),
+                f"row {k + 1}",
+                f"{separator.join(row)[:60]!r} is not {columns} numbers",
+                "correct that row",
+            ) from None
+    return out
+
+
+def _listed(folder: Path, layout: Layout) -> tuple[list[str], _Array, list[Path]]:
+    if layout == "plain":
+        found = sorted(p for p in folder.iterdir() if p.suffix.lower() in PICTURES)
+        try:
+            pairs = sorted((float(p.stem), p.name) for p in found)
+        except ValueError:
+            bad = next(p.name for p in found if not _is_number(p.stem))
+            raise InputError(
+                str(folder),
+                bad,
+                "is no time",
+                "name pictures by their times (s or ns), or add pictures.csv (time, file)",
+            ) from None
+        base, names, where = folder, [n for _, n in pairs], str(folder)
+        times = np.array([t for t, _ in pairs])
+    else:
+        file, base, separator = {
+            "mufly": (folder / "pictures.csv", folder / "pictures", ","),
+            "euroc": (_euroc(folder) / "cam0" / "data.csv", _euroc(folder) / "cam0" / "data", ","),
+            "tum": (folder / "rgb.txt", folder, " "),
+        }[layout]
+        rows = _rows(file, separator)
+        if rows and not _is_number(rows[0][0]):
+            rows = rows[1:]
+        where = str(file)
+        if any(len(r) < 2 or not _is_number(r[0]) for r in rows):
+            raise InputError(
+                where, "", "has rows without time and file", "write a time and a file name in each row"
+            )
+        times, names = np.array([float(r[0]) for r in rows]), [r[1].strip() for r in rows]
+    if not names:
+        raise InputError(where, "", "holds no pictures", f"give a folder with {', '.join(PICTURES)}")
+    if times[0] > 1e12:
+        times = times * 1e-9  # nanoseconds
+    back = np.nonzero(np.diff(times) <= 0.0)[0]
+    if len(back):
+        k = int(back[0]) + 1
+        raise InputError(
+            where, names[k], f"its time, {times[k]:.6f} s, is not after {times[k - 1]:.6f} s of the picture before",
+            "sort them, or give the right clock",
+        )  # fmt: skip
+    return names, times, [base / n for n in names]
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
+def _told(folder: Path, layout: Layout, times: _Array, height_m: float | None) -> list[Telling]:
+    """What was told at the times of the pictures."""
+    if (folder / "telemetry.csv").is_file():
+        return _telemetry(folder / "telemetry.csv", times)
+    heights = _heights(folder, times, height_m)
+    imu, accelerometer = _euroc(folder) / "imu0" / "data.csv", folder / "accelerometer.txt"
+    if layout == "euroc" and imu.is_file():
+        rows = _numbers(imu, ",", 7)
+        t = rows[:, 0] * (1e-9 if rows[0, 0] > 1e12 else 1.0)
+        rates = rows[:, 1:4] * _FLIP
+        roll, pitch = complementary(t, rates, rows[:, 4:7] * _FLIP)
+        sigma = math.radians(1.0)
+        turning = np.stack([np.interp(times, t, c) for c in rates.T], axis=1)
+    elif layout == "tum" and accelerometer.is_file():
+        rows = _numbers(accelerometer, " ", 4)
+        t, force = rows[:, 0], rows[:, 1:4] * _FLIP
+        n = max(1, round(_MEAN_S / max(float(np.median(np.diff(t))), 1e-4)))
+        pad, mean = (n // 2, n - 1 - n // 2), np.ones(n) / n
+        force = np.stack([np.convolve(np.pad(c, pad, mode="edge"), mean, "valid") for c in force.T], axis=1)
+        roll = np.arctan2(-force[:, 1], -force[:, 2])
+        pitch = np.arctan2(force[:, 0], np.hypot(force[:, 1], force[:, 2]))
+        sigma, turning = math.radians(2.0), np.zeros((len(times), 3))
+    else:
+        t, roll, pitch = times[:1], np.zeros(1), np.zeros(1)
+        sigma, turning = _UNTOLD, np.zeros((len(times), 3))
+    roll, pitch = np.interp(times, t, roll), np.interp(times, t, pitch)
+    return [
+        Telling(
+            float(roll[k]),
+            float(pitch[k]),
+            float(heights[k]),
+            turning[k],
+            tilt_sigma=sigma,
+            height_sigma=0.02,
+        )
+        for k in range(len(times))
+    ]
+
+
+def complementary(t: _Array, rates: _Array, force: _Array) -> tuple[_Array, _Array]:
+    """Return roll and pitch (n,) of rates and specific force (n, 3), body axes: gyroscopes, drawn to the force."""
+    down = -force[0] / np.linalg.norm(force[0])
+    out = np.empty_like(rates)
+    for k in range(len(t)):
+        dt = min(max(t[k] - t[k - 1], 0.0), 0.1) if k else 0.0
+        down = down - np.cross(rates[k], down) * dt
+        f = -force[k] / max(float(np.linalg.norm(force[k])), 1e-9)
+        down = down + (dt / _DRAWN_S) * (f - down)
+        down = down / np.linalg.norm(down)
+        out[k] = down
+    return np.arctan2(out[:, 1], out[:, 2]), -np.arcsin(np.clip(out[:, 0], -1.0, 1.0))
+
+
+def _heights(folder: Path, times: _Array, height_m: float | None) -> _Array:
+    file = folder / "sonar.csv"
+    if height_m is not None:
+        if not 0.02 <= height_m <= 1000.0:
+            raise InputError(
+                "--height", "", f"{height_m:g} m is no height", "give it in metres above the floor"
+            )
+        return np.full(len(times), height_m)
+    if not file.is_file():
+        raise InputError(
+            str(folder), "", "does not tell the height above the floor", "give --height, or add sonar.csv"
+        )
+    rows = [r for r in _rows(file) if _is_number(r[0])]
+    if not rows or any(len(r) < 2 or not _is_number(r[1]) for r in rows):
+        raise InputError(str(file), "", "has rows that are not two numbers", "write time and distance (s, m)")
+    a = np.array([[float(r[0]), float(r[1])] for r in rows])
+    return np.interp(times, a[:, 0], a[:, 1])
+
+
+TELEMETRY = (
+    "time_s", "roll_rad", "pitch_rad", "height_m", "p_rad_s", "q_rad_s", "r_rad_s", "rotor_upper_rad_s",
+    "rotor_lower_rad_s", "tilt_sigma_rad", "height_sigma_m",
+)  # fmt: skip
+
+
+def _telemetry(file: Path, times: _Array) -> list[Telling]:
+    rows = _rows(file)
+    if not rows or tuple(rows[0]) != TELEMETRY:
+        raise InputError(str(file), "", "has another first row", f"write {', '.join(TELEMETRY)}")
+    try:
+        a = np.array(rows[1:], dtype=np.float64).reshape(-1, len(TELEMETRY))
+    except ValueError:
+        raise InputError(
+            str(file), "", "has cells that are no numbers", "write numbers in every cell"
+        ) from None
+    if not len(a) or not np.isfinite(a).all() or (np.diff(a[:, 0]) <= 0).any():
+        raise InputError(str(file), "time_s", "does not rise, or is not finite", "sort it by time")
+    b = np.stack([np.interp(times, a[:, 0], c) for c in a.T], axis=1)
+    return [
+        Telling(
+            float(r[1]), float(r[2]), float(r[3]), r[4:7].copy(), r[7:9].copy(), float(r[9]), float(r[10])
+        )
+        for r in b
+    ]
+
+
+def read_truth(folder: Path) -> tuple[_Array, _Array, _Array] | None:
+    """Return times, positions N-E-D and headings of a folder's truth, in whatever layout; None if there is none."""
+    ours, tum = folder / "truth.txt", folder / "groundtruth.txt"
+    euroc = _euroc(folder) / "state_groundtruth_estimate0" / "data.csv"
+    if ours.is_file():
+        return read_tum(ours)
+    if tum.is_file():
+        t, x, psi = read_tum(tum)
+        return t, x * _FLIP, -psi
+    if euroc.is_file():
+        a = _numbers(euroc, ",", 8)
+        t = a[:, 0] * (1e-9 if a[0, 0] > 1e12 else 1.0)
+        return t, a[:, 1:4] * _FLIP, -euler_from_quaternion(a[:, 4:8])[:, 2]
+    return None
+
+
+def read_tum(file: str | Path) -> tuple[_Array, _Array, _Array]:
+    """Read times, positions (n, 3) and headings (n,) of a trajectory in TUM's text: t x y z qx qy qz qw."""
+    a = _numbers(Path(file), " ", 8)
+    if not len(a):
+        raise InputError(str(file), "", "holds no rows", "give a trajectory: t x y z qx qy qz qw")
+    return a[:, 0], a[:, 1:4], euler_from_quaternion(a[:, [7, 4, 5, 6]])[:, 2]
+
+
+def _video(file: Path, camera: Camera, height_m: float | None, rate_Hz: float | None) -> Source:
+    cv2 = opencv()
+    video = cv2.VideoCapture(str(file))
+    if not video.isOpened():
+        raise InputError(
+            str(file), "", "cannot be opened as a video", "give a file that OpenCV reads (MJPEG in AVI, MP4)"
+        )
+    count, rate = int(video.get(cv2.CAP_PROP_FRAME_COUNT)), rate_Hz or float(video.get(cv2.CAP_PROP_FPS))
+    if not 0.1 <= rate <= 1000.0:
+        raise InputError(str(file), "", f"says {rate:g} pictures a second", "give --rate")
+    if height_m is None:
+        raise InputError(str(file), "", "does not tell the height above the floor", "give --height")
+    heights = _heights(file.parent, np.zeros(1), height_m)
+
+    def frames() -> Iterator[Frame]:
+        again = cv2.VideoCapture(str(file))
+        k = 0
+        while True:
+            there, picture = again.read()
+            if not there:
+                return
+            grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) if picture.ndim == 3 else picture
+            check_size(camera, grey.shape, str(file))
+            yield Frame(k / rate, grey, Telling(0.0, 0.0, float(heights[0]), tilt_sigma=_UNTOLD))
+            k += 1
+
+    return Source(file.name, count, None, frames)

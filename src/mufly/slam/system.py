@@ -1,0 +1,633 @@
+"""Where is it? Pictures in, places with covariance out: tracking against keyframes, closing loops, finding itself
+again.
+
+A picture is straightened, and where it should be from is reckoned by the last answer, velocity and turning. The
+keyframe that shares most floor with it is warped to there, its points are followed into the picture
+(:mod:`vision`), and where the camera is comes from them (:mod:`pose`). What fits moves the keyframe's points by
+what they were off: shaking and noise are averaged out of the map while it is looked at. When little floor is shared
+a new keyframe is made of the picture.
+
+Now and then a keyframe that is not tied to the present one, but should be in sight, is tried in the same way. It
+closes a loop if enough points agree, if what it says lies within the covariance of the map, and if no other place
+within reach looks alike: on a floor of tiles the covariance alone decides, and where it cannot, nothing does.
+
+Answers that are not trusted are not given; :class:`Answer` says why. What it lost it seeks first around where it
+should be, later in all of the map by ORB (Rublee et al. 2011), and believes that when three pictures in a row agree.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.camera import Camera, body_from_camera, check_size
+from mufly.slam.frames import Frame
+from mufly.slam.graph import DIM, Edge, relation, slopes_of
+from mufly.slam.mapping import Keyframe, Map, composed, overlap
+from mufly.slam.pose import SHAKES, Pose, View, level, slopes, solve, two_points
+from mufly.slam.vision import Straightener, corners, opencv, tracked, warped
+
+_Array = NDArray[np.float64]
+ENOUGH = 14
+"""Points that have to agree, at least."""
+CORRELATION = 0.5
+FEW = 30  # points that agree, below which a new keyframe may see more
+NEW_BELOW = 0.55  # share of floor that a keyframe has to see of the picture
+CLOSE_ABOVE, CLOSE_EVERY = 0.4, 8
+CLOSURE_CHI2 = 20.0  # of four numbers: one true closure in 2000 is turned away
+ALIKE = 0.75
+"""Height of the second peak of the correlation over the first from which a place could be another one."""
+INFLATE = 2.0
+"""Of variances of edges: errors of neighbouring points hang together (chosen on seeds from 10 000)."""
+_SWERVE = 1.0  # m/s^2 that are not foreseen
+_LOST_S, _SEEK_EVERY = 0.7, 4
+_AGREE = 3
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What was made of a picture.
+
+    Attributes
+    ----------
+    time_s : float
+        Of the picture.
+    trusted : bool
+    reason : str
+        Why it is not.
+    position : (3,) array
+        N, E, D (m) of the vehicle's centre of gravity; NaN where nothing is known.
+    heading : float
+        rad.
+    covariance : (4, 4) array
+        Of N, E, D, heading.
+    keyframe : int
+        Against which it was seen.
+    tracked, agreed : int
+        Points that were found, that agree.
+    pixels : (n, 2) array
+        Where those are that agree, in the straight picture.
+    scatter : float
+        Of their residuals, over what was expected.
+    made, closed : bool
+        Whether it became a keyframe, whether a loop was closed.
+    """
+
+    time_s: float
+    trusted: bool
+    reason: str = ""
+    position: _Array = field(default_factory=lambda: np.full(3, math.nan))
+    heading: float = math.nan
+    covariance: _Array = field(default_factory=lambda: np.full((4, 4), math.nan))
+    keyframe: int = -1
+    tracked: int = 0
+    agreed: int = 0
+    pixels: _Array = field(default_factory=lambda: np.zeros((0, 2)), repr=False)
+    scatter: float = math.nan
+    made: bool = False
+    closed: bool = False
+
+
+@dataclass(frozen=True)
+class _Match:
+    """A picture seen against a keyframe."""
+
+    keyframe: int
+    pose: Pose
+    which: NDArray[np.intp]  # points that agree
+    pixels: _Array  # there, in the straight picture
+    seconds: _Array
+    sigma: _Array
+    tracked: int
+    shift: float  # pixels by which it was off before
+
+    @property
+    def node(self) -> _Array:
+        x = self.pose.x
+        return np.array([x[0], x[1], x[3], math.log(x[2])])
+
+
+class Slam:
+    """Visual SLAM over a floor.
+
+    Parameters
+    ----------
+    camera : Camera
+    floor_map : Map, optional
+        To find itself in; by default a new one that begins at the first picture.
+    start : (3,) array_like
+        N, E (m), heading (rad) of the vehicle at the first picture of a new map.
+    seed : int
+        Of the points drawn by chance.
+    """
+
+    def __init__(
+        self, camera: Camera, floor_map: Map | None = None, *, start: Any = (0.0, 0.0, 0.0), seed: int = 0
+    ) -> None:
+        self.camera = camera
+        self.map = Map(start) if floor_map is None else floor_map
+        self._straight = Straightener(camera)
+        self._axes, self._mount = body_from_camera(camera), camera.mount.place.array()[0]
+        self._rng = np.random.default_rng(seed)
+        size, focal = self._straight.size, self._straight.focal
+        self._wide, self._high = size[0] / focal, size[1] / focal
+        rolls = float(camera.shutter.readout) > 0.005
+        shaking = float(camera.quality.shaking)
+        self._shake_sigma = 0.5 * shaking if rolls else 0.0
+        self._shake_rms = shaking / math.sqrt(2.0)
+        self._shake_tilt = 0.0 if rolls else self._shake_rms / focal
+        self._reference = -1
+        self._node = np.zeros(DIM)  # where it was last
+        self._velocity = np.zeros(2)
+        self._last_s = self._frame_s = math.nan
+        self._spread = 0.0  # of the place that is reckoned (m)
+        self._count = self._tried = 0
+        self._found: list[tuple[float, _Array]] = []
+        self.picture: NDArray[np.uint8] | None = None
+        self.on_closure: Callable[[int, int], None] = lambda a, b: None
+
+    # ------------------------------------------------------------------ one picture
+
+    def step(self, frame: Frame) -> Answer:
+        """Take a picture in.
+
+        Raises
+        ------
+        InputError
+            If it is not of the camera's size.
+        """
+        check_size(self.camera, frame.picture.shape, f"picture at {frame.time_s:g} s")
+        if frame.time_s <= self._frame_s:
+            return Answer(frame.time_s, False, "older than the picture before")
+        self._frame_s = frame.time_s
+        self._count += 1
+        picture = self.picture = self._straight.straight(frame.picture)
+        view = self._view(frame)
+        if not self.map.keyframes:
+            return self._begin(frame, view, picture)
+        if math.isnan(self._last_s):
+            return self._seek(frame, view, picture, "not found in the map yet")
+        elapsed = frame.time_s - self._last_s
+        node = self._reckon(frame, view, elapsed)
+        self._spread = 0.02 * elapsed + 0.5 * _SWERVE * elapsed**2
+        pixels_off = self._spread / view.height * view.focal
+        match = None
+        for k in self._references(node):
+            match = self._match(k, view, picture, node, coarse=pixels_off > 12.0)
+            if match is not None:
+                break
+        why = self._distrust(match, view, node)
+        if match is None or why:
+            if elapsed > _LOST_S:
+                return self._seek(frame, view, picture, why)
+            return Answer(frame.time_s, False, why, keyframe=self._reference)
+        return self._accept(frame, view, picture, match)
+
+    def _view(self, frame: Frame) -> View:
+        told = frame.told
+        view = View(
+            self._straight.focal, self._axes, told.roll, told.pitch, told.rates, np.zeros(3), 1.0,
+            told.height_sigma, math.hypot(told.tilt_sigma, self._shake_tilt),
+            self._shake_sigma if told.rotor_speed.any() else 0.0, told.rotor_speed,
+        )  # fmt: skip
+        turn = level(view, None, self._node[2])
+        velocity = np.array([*self._velocity, 0.0]) if told.velocity is None else told.velocity
+        velocity = velocity + turn @ np.cross(told.rates, self._mount)
+        return view._replace(
+            velocity=velocity, height=max(0.05, told.height_m - float((turn @ self._mount)[2]))
+        )
+
+    def _reckon(self, frame: Frame, view: View, elapsed: float) -> _Array:
+        _, q, r = frame.told.rates
+        turning = (q * math.sin(view.roll) + r * math.cos(view.roll)) / math.cos(view.pitch)
+        speed = self._velocity if frame.told.velocity is None else frame.told.velocity[:2]
+        return np.array(
+            [*(self._node[:2] + speed * elapsed), self._node[2] + turning * elapsed, math.log(view.height)]
+        )
+
+    def _references(self, node: _Array) -> list[int]:
+        """Keyframes to look at it from: that of before, if another is not much better."""
+        near = {self._reference, *self.map.neighbours(self._reference)}
+        share = {k: overlap(self.map.nodes[k], node, self._wide, self._high) for k in near}
+        share[self._reference] += 0.1
+        ordered = sorted(share, key=lambda k: -share[k])
+        return [k for k in ordered[:2] if share[k] > 0.15] or [self._reference]
+
+    # ------------------------------------------------------------------ against a keyframe
+
+    def _match(self, k: int, view: View, picture: Any, node: _Array, coarse: bool = False) -> _Match | None:
+        """See a picture against keyframe ``k`` from about ``node``; None if it does not fit."""
+        straight, keyframe, at = self._straight, self.map.keyframes[k], self.map.nodes[k]
+        shift = 0.0
+        if coarse:
+            found = self._coarse(k, view, picture, node, 3.0 * self._spread + 0.03)
+            if found is None:
+                return None
+            shift = math.hypot(*(found[:2] - node[:2])) / view.height * view.focal
+            node = found
+        homography = self._homography(k, view, node)
+        template = warped(keyframe.picture, homography, straight.size)
+        h = np.column_stack([keyframe.pixels, np.ones(len(keyframe.pixels))]) @ homography.T
+        there = h[:, :2] / h[:, 2:]
+        use = np.nonzero(
+            (h[:, 2] > 0) & (there > 9).all(axis=1) & (there < np.array(straight.size) - 10).all(axis=1)
+            & (keyframe.missed < 8)
+        )[0]  # fmt: skip
+        if len(use) < ENOUGH:
+            return None
+        seen, correlation, sigma = tracked(template, picture, there[use], straight.smooth)
+        good = (correlation > CORRELATION) & (sigma < 1.5)
+        good &= straight.seen[np.clip(np.rint(seen[:, 1]).astype(int), 0, straight.size[1] - 1),
+                              np.clip(np.rint(seen[:, 0]).astype(int), 0, straight.size[0] - 1)] > 0  # fmt: skip
+        if good.sum() < ENOUGH:
+            return None
+        use, seen, sigma = use[good], seen[good], sigma[good]
+        seconds, pixels = straight.seconds(seen), seen - straight.middle
+        points = self.map.points(k)[use]
+        # In pixels of now
+        own = np.sqrt(keyframe.variance[use]) * math.exp(at[3]) / view.height * view.focal
+        sigma = np.hypot(np.hypot(sigma, 0.08), own)
+        rough = np.hypot(np.hypot(sigma, 0.5), self._shake_rms) / view.focal
+        _, _, _, fits = two_points(
+            points[:, 0] + 1j * points[:, 1], slopes(view, pixels, seconds, level(view)), rough, view.height,
+            view.height_sigma, self._rng,
+        )  # fmt: skip
+        if fits.sum() < ENOUGH:
+            return None
+        begin = np.array([node[0], node[1], view.height, node[2]])
+        bend = self.map.bend(k)[use]
+        pose = solve(
+            view, begin, points[fits], bend[fits], keyframe.tilt, pixels[fits], seconds[fits], sigma[fits]
+        )
+        inside = pose.inliers
+        if inside.sum() < ENOUGH:
+            return None
+        keep = np.nonzero(fits)[0][inside]
+        pose = solve(
+            view,
+            pose.x[:4],
+            points[keep],
+            bend[keep],
+            keyframe.tilt,
+            pixels[keep],
+            seconds[keep],
+            sigma[keep],
+        )
+        out = np.ones(len(use), bool)
+        out[keep] = False
+        keyframe.missed[use[out]] += 1
+        keyframe.missed[use[keep]] = np.maximum(keyframe.missed[use[keep]] - 2, -4)
+        return _Match(k, pose, use[keep], seen[keep], seconds[keep], sigma[keep], len(use), shift)
+
+    def _homography(self, k: int, view: View, node: _Array) -> _Array:
+        """From the straight picture of a keyframe to the one that is seen from a node, over the floor."""
+        keyframe, at = self.map.keyframes[k], self.map.nodes[k]
+        c, s = math.cos(at[2]), math.sin(at[2])
+        then = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ keyframe.turn
+        now = level(view, None, node[2]) @ self._axes
+        h = math.exp(at[3])
+        way = np.array([at[0] - node[0], at[1] - node[1], view.height - h])
+        plane = h * np.eye(3) + np.outer(way, [0.0, 0.0, 1.0])
+        m = self._straight.matrix
+        return m @ now.T @ plane @ then @ np.linalg.inv(m)
+
+    def _coarse(self, k: int, view: View, picture: Any, node: _Array, reach: float) -> _Array | None:
+        """Where it is by the correlation of small pictures, within a reach (m); None if that is not told apart."""
+        cv2 = opencv()
+        size = self._straight.size
+        seen = warped(self.map.keyframes[k].picture, self._homography(k, view, node), size)
+        small = (size[0] // 4, size[1] // 4)
+        a = cv2.resize(seen, small, interpolation=cv2.INTER_AREA).astype(np.float32)
+        b = cv2.resize(picture, small, interpolation=cv2.INTER_AREA).astype(np.float32)
+        b -= cv2.GaussianBlur(b, (0, 0), 8)
+        inside = (a > 0).astype(np.float32)
+        mean = cv2.GaussianBlur(a, (0, 0), 8) / np.maximum(cv2.GaussianBlur(inside, (0, 0), 8), 0.05)
+        a = (a - mean) * inside
+        most = (small[0] // 2, small[1] // 2)
+        padded = cv2.copyMakeBorder(
+            a, most[1] // 2, most[1] // 2, most[0] // 2, most[0] // 2, cv2.BORDER_CONSTANT
+        )
+        mask = cv2.copyMakeBorder(
+            inside, most[1] // 2, most[1] // 2, most[0] // 2, most[0] // 2, cv2.BORDER_CONSTANT
+        )
+        # Of the middle of the picture, shifted by up to half of it
+        top, left = small[1] // 4, small[0] // 4
+        template = b[top : top + most[1], left : left + most[0]]
+        score = cv2.matchTemplate(padded, template, cv2.TM_CCOEFF_NORMED)
+        share = cv2.matchTemplate(mask, np.ones_like(template), cv2.TM_CCORR) / template.size
+        score[(share < 0.5) | ~np.isfinite(score)] = -1.0
+        middle = np.array([top + most[1] // 2, left + most[0] // 2])
+        rows, columns = np.indices(score.shape)
+        off = np.hypot(rows - middle[0], columns - middle[1]) * 4.0
+        reach_pixels = max(10.0, reach / view.height * view.focal)
+        score[off > reach_pixels] = -1.0
+        best = np.unravel_index(int(np.argmax(score)), score.shape)
+        peak = float(score[best])
+        if peak < 0.35:
+            return None
+        away = np.hypot(rows - best[0], columns - best[1])
+        rest = score[away > 4.0]
+        if len(rest) and float(rest.max()) > ALIKE * peak:
+            return None
+        # What is seen at x now is where the warped keyframe has it shifted: the camera has moved by as much over
+        # the floor.
+        pixel = np.array([(best[1] - middle[1]) * 4.0, (best[0] - middle[0]) * 4.0])
+        d = (
+            level(view, None, node[2])
+            @ self._axes
+            @ np.array([pixel[0] / view.focal, pixel[1] / view.focal, 0.0])
+        )
+        return node + np.array([d[0] * view.height, d[1] * view.height, 0.0, 0.0])
+
+    def _distrust(self, match: _Match | None, view: View, node: _Array) -> str:
+        """Why an answer is not to be trusted; "" if it is."""
+        if match is None:
+            return "too little of the floor is recognised"
+        pose = match.pose
+        if len(match.which) < max(ENOUGH, 0.4 * match.tracked):
+            return f"only {len(match.which)} of {match.tracked} points agree"
+        if pose.scale > 4.0:
+            return "points scatter more than they may"
+        sigma = math.sqrt(max(pose.covariance[0, 0], pose.covariance[1, 1]))
+        if sigma > 0.1 + 0.03 * view.height:
+            return "the place is not known well enough"
+        off = math.hypot(pose.x[0] - node[0], pose.x[1] - node[1])
+        if off > 4.0 * (self._spread + sigma) + 0.08 * view.height:
+            return f"{off:.2f} m off from where it should be"
+        return ""
+
+    # ------------------------------------------------------------------ what is made of it
+
+    def _accept(self, frame: Frame, view: View, picture: Any, match: _Match) -> Answer:
+        elapsed = frame.time_s - self._last_s
+        node = match.node
+        if 0.0 < elapsed < 0.5:
+            gain = min(1.0, 3.0 * elapsed)
+            self._velocity = self._velocity + gain * ((node[:2] - self._node[:2]) / elapsed - self._velocity)
+        else:
+            self._velocity = np.zeros(2)
+        self._node, self._last_s, self._reference = node, frame.time_s, match.keyframe
+        self._found = []
+        self._refine(view, match)
+        made = closed = False
+        share = overlap(self.map.nodes[match.keyframe], node, self._wide, self._high)
+        few = share < 0.85 and len(match.which) < FEW
+        if (share < NEW_BELOW or few) and len(match.which) >= ENOUGH:
+            made = self._make(frame, view, picture, match)
+        self._tried += 1
+        if self._tried >= CLOSE_EVERY or made:
+            self._tried = 0
+            closed = self._close(view, picture, match)
+        return self._answer(frame, view, match, made, closed)
+
+    def _refine(self, view: View, match: _Match) -> None:
+        """Move the keyframe's points by what they were off."""
+        keyframe, at = self.map.keyframes[match.keyframe], self.map.nodes[match.keyframe]
+        seen = self._slopes(view, match.pose, match.pixels, match.seconds)
+        z = match.pose.x[2] * np.exp(1j * match.pose.x[3])
+        c = complex(match.pose.x[0], match.pose.x[1])
+        to_keyframe = (c - complex(at[0], at[1]) + z * seen) / np.exp(at[3] + 1j * at[2])
+        ratio = match.pose.x[2] / math.exp(at[3])
+        keyframe.unbend(match.pose.x[6:8], match.pose.covariance[6:8, 6:8])
+        keyframe.refine(match.which, to_keyframe, (match.sigma * ratio / view.focal) ** 2 + 1e-12, view.focal)
+
+    def _slopes(self, view: View, pose: Pose, pixels: _Array, seconds: _Array) -> NDArray[np.complex128]:
+        """Slopes with heading 0 of what is seen at pixels of the straight picture, as from its middle in time."""
+        turn = level(view, pose.x[4:6], pose.x[3])
+        m = slopes(view, pixels - self._straight.middle, seconds, turn, pose.shakes)
+        move = (view.velocity[0] + 1j * view.velocity[1]) * seconds
+        down = 1.0 - view.velocity[2] * seconds / pose.x[2]
+        return (m * down + move / pose.x[2]) * np.exp(-1j * pose.x[3])
+
+    def _keyframe(self, frame: Frame, view: View, picture: Any, pose: Pose, sigma: float) -> Keyframe | None:
+        pixels = corners(picture, self._straight.seen)
+        if len(pixels) < ENOUGH:
+            return None
+        seconds = self._straight.seconds(pixels)
+        turn = _unheaded(level(view, pose.x[4:6], pose.x[3]), pose.x[3])
+        c, s = math.cos(pose.x[3]), math.sin(pose.x[3])
+        back = np.array([[c, s], [-s, c]])
+        covariance = back @ pose.covariance[4:6, 4:6] @ back.T
+        return Keyframe(
+            frame.time_s, picture.copy(), turn @ self._axes, pixels, self._slopes(view, pose, pixels, seconds),
+            np.full(len(pixels), (sigma / view.focal) ** 2), np.zeros(len(pixels), np.int64), covariance,
+            math.log(view.height), view.height_sigma / view.height,
+        )  # fmt: skip
+
+    def _begin(self, frame: Frame, view: View, picture: Any) -> Answer:
+        """The first keyframe: here the map begins."""
+        n, e, heading = self.map.start
+        lever = level(view, None, heading) @ self._mount
+        x = np.array([n + lever[0], e + lever[1], view.height, heading, 0.0, 0.0, 0.0, 0.0])
+        tilt = view.tilt_sigma
+        covariance = np.diag([(tilt * view.height) ** 2] * 2 + [view.height_sigma**2, 1e-10] + [tilt**2] * 4)
+        pose = Pose(x, np.zeros(SHAKES), covariance, np.zeros((4, 4)), 1.0, np.zeros(0), np.zeros((0, 2)))
+        keyframe = self._keyframe(frame, view, picture, pose, math.hypot(0.5, self._shake_rms))
+        if keyframe is None:
+            return Answer(frame.time_s, False, "no corners on the floor to begin a map with")
+        s = self.map.start_sigma
+        self.map.start_sigma = (math.hypot(s[0], tilt * view.height), s[1])
+        self._node = np.array([x[0], x[1], x[3], math.log(x[2])])
+        self._reference = self.map.add(keyframe, self._node, [])
+        self._last_s = frame.time_s
+        nobody = np.zeros(0, np.intp)
+        match = _Match(0, pose, nobody, np.zeros((0, 2)), np.zeros(0), np.zeros(0), 0, 0.0)
+        return self._answer(frame, view, match, True, False)
+
+    def _make(self, frame: Frame, view: View, picture: Any, match: _Match) -> bool:
+        """Make a keyframe of the picture."""
+        keyframe = self._keyframe(frame, view, picture, match.pose, 0.4)
+        if keyframe is None:
+            return False
+        ties = [(match.keyframe, self._information(match))]
+        # Others that see it too hold it better
+        others = sorted(
+            self.map.neighbours(match.keyframe),
+            key=lambda k: -overlap(self.map.nodes[k], match.node, self._wide, self._high),
+        )
+        node = match.node
+        k = self.map.add(keyframe, node, ties)
+        for other in others[:1]:
+            if overlap(self.map.nodes[other], node, self._wide, self._high) > 0.25:
+                second = self._match(other, view, picture, node)
+                if second is not None and not self._distrust(second, view, node):
+                    self.map.edges.append(
+                        Edge(
+                            other, k, relation(self.map.nodes[other], second.node), self._information(second)
+                        )
+                    )
+                    self.map.solve()
+        self._reference, self._node = k, self.map.nodes[k].copy()
+        return True
+
+    def _information(self, match: _Match) -> _Array:
+        """On the four numbers of the picture's node seen from the keyframe's."""
+        _, by_b = slopes_of(self.map.nodes[match.keyframe], match.node)
+        # N, E, height, heading of the four numbers
+        change = np.linalg.inv(by_b)
+        change = change[[0, 1, 3, 2]]
+        change[2] *= match.pose.x[2]
+        return change.T @ match.pose.edge @ change / INFLATE
+
+    def _close(self, view: View, picture: Any, match: _Match) -> bool:
+        """Try to see it against a keyframe that is not tied to the present one."""
+        here = self._reference
+        near = {here, *self.map.neighbours(here)}
+        share = {
+            k: overlap(self.map.nodes[k], self._node, self._wide, self._high)
+            for k in range(len(self.map.keyframes))
+            if k not in near
+        }
+        for k in sorted(share, key=lambda k: -share[k])[:1]:
+            if share[k] < CLOSE_ABOVE:
+                return False
+            between = self.map.covariance_between(k, here)
+            sigma = math.sqrt(max(between[0, 0], between[1, 1])) * math.exp(self.map.nodes[k, 3])
+            return self._tie(k, view, picture, match, sigma)
+        return False
+
+    def _tie(self, k: int, view: View, picture: Any, match: _Match, sigma: float) -> bool:
+        """Close a loop to keyframe ``k`` if all gates let it pass; ``sigma`` (m) is what it may be off by."""
+        spread, self._spread = self._spread, 2.0 * sigma
+        # Always: whether another place within reach looks alike is asked there.
+        other = self._match(k, view, picture, self._node, coarse=True)
+        self._spread = spread
+        if (
+            other is None
+            or len(other.which) < max(1.5 * ENOUGH, 0.5 * other.tracked)
+            or other.pose.scale > 3.0
+        ):
+            return False
+        here = self._reference
+        if here == match.keyframe:
+            own = match.node
+            known = np.linalg.inv(self._information(match))
+        else:  # it has just become a keyframe
+            own, known = self.map.nodes[here], np.zeros((4, 4))
+        by_other = composed(other.node, relation(own, self.map.nodes[here]))
+        measured = relation(self.map.nodes[k], by_other)
+        covariance = np.linalg.inv(self._information(other)) + known
+        off = measured - relation(self.map.nodes[k], self.map.nodes[here])
+        off[2] = (off[2] + math.pi) % (2 * math.pi) - math.pi
+        expected = self.map.covariance_between(k, here) + covariance
+        if off @ np.linalg.solve(expected, off) > CLOSURE_CHI2:
+            return False
+        edge = Edge(k, here, measured, np.linalg.inv(covariance), closes=True)
+        before = self.map.nodes[here].copy()
+        if not self.map.close(edge, CLOSURE_CHI2):
+            return False
+        self._node = composed(self.map.nodes[here], relation(before, self._node))
+        self.on_closure(k, here)
+        return True
+
+    def _answer(self, frame: Frame, view: View, match: _Match, made: bool, closed: bool) -> Answer:
+        """What is told: the place by the map as it is now."""
+        pose, here = match.pose, self._reference
+        node = self._node
+        turn = level(view, pose.x[4:6], node[2])
+        lever = turn @ self._mount
+        height = math.exp(node[3])
+        position = np.array([node[0] - lever[0], node[1] - lever[1], -height - lever[2]])
+        # The keyframe's error carries the place along, that of the picture comes on top.
+        at = self.map.nodes[here]
+        n, e = node[0] - at[0], node[1] - at[1]
+        carry = np.array(
+            [[1.0, 0.0, -e, n], [0.0, 1.0, n, e], [0.0, 0.0, 0.0, -height], [0.0, 0.0, 1.0, 0.0]]
+        )
+        own = pose.covariance[:4, :4].copy()
+        own[2], own[:, 2] = -own[2], -own[:, 2]  # D is the other way
+        own[2, 2] = abs(own[2, 2])
+        covariance = carry @ self.map.covariance(here) @ carry.T + own
+        return Answer(
+            frame.time_s, True, "", position, (node[2] + math.pi) % (2 * math.pi) - math.pi, covariance, here,
+            match.tracked, len(match.which), match.pixels, pose.scale, made, closed,
+        )  # fmt: skip
+
+    # ------------------------------------------------------------------ lost
+
+    def _seek(self, frame: Frame, view: View, picture: Any, why: str) -> Answer:
+        """Look for it in all of the map, by ORB; believed when several in a row agree."""
+        lost = Answer(frame.time_s, False, why or "lost", keyframe=-1)
+        if self._count % _SEEK_EVERY and not self._found:
+            return lost
+        node = self._recognise(view, picture)
+        if node is None:
+            self._found = []
+            return lost
+        k, at = node
+        match = self._match(k, view, picture, at)
+        if match is None or len(match.which) < 1.5 * ENOUGH or match.pose.scale > 3.0:
+            self._found = []
+            return lost
+        here = match.node
+        if self._found and math.hypot(*(here[:2] - self._found[-1][1][:2])) > 0.1 + 1.0 * (
+            frame.time_s - self._found[-1][0]
+        ):
+            self._found = []
+        self._found.append((frame.time_s, here))
+        if len(self._found) < _AGREE:
+            return replace(lost, reason="found, to be confirmed")
+        self._last_s = frame.time_s
+        self._velocity = np.zeros(2)
+        self._node = here
+        return self._accept(frame, view, picture, match)
+
+    def _recognise(self, view: View, picture: Any) -> tuple[int, _Array] | None:
+        """The keyframe and node that ORB's matches speak for, if no other place does nearly as much."""
+        cv2 = opencv()
+        orb = cv2.ORB_create(nfeatures=400, scaleFactor=1.3, nlevels=4, fastThreshold=7)
+        points, words = orb.detectAndCompute(picture, None)
+        if words is None or len(points) < ENOUGH:
+            return None
+        pixels = np.array([p.pt for p in points])
+        seconds = self._straight.seconds(pixels)
+        m = slopes(view, pixels - self._straight.middle, seconds, level(view))
+        matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
+        results: list[tuple[int, int, _Array]] = []
+        for k, keyframe in enumerate(self.map.keyframes):
+            if keyframe.described is None:
+                theirs, described = orb.detectAndCompute(keyframe.picture, None)
+                where = np.array([p.pt for p in theirs]).reshape(-1, 2)
+                rays = (
+                    np.column_stack([(where - self._straight.middle) / view.focal, np.ones(len(where))])
+                    @ keyframe.turn.T
+                )
+                keyframe.described = (described, (rays[:, 0] + 1j * rays[:, 1]) / rays[:, 2])
+            described, theirs_m = keyframe.described
+            if described is None or len(described) < ENOUGH:
+                continue
+            pairs = matcher.knnMatch(words, described, k=2)
+            good = [
+                p[0]
+                for p in pairs
+                if len(p) == 2 and p[0].distance < 0.8 * p[1].distance and p[0].distance < 70
+            ]
+            if len(good) < ENOUGH:
+                continue
+            at = self.map.nodes[k]
+            places = complex(at[0], at[1]) + np.exp(at[3] + 1j * at[2]) * theirs_m[[g.trainIdx for g in good]]
+            rough = np.full(len(good), math.hypot(2.0, 1.5 * self._shake_rms) / view.focal)
+            c, h, heading, fits = two_points(
+                places, m[[g.queryIdx for g in good]], rough, view.height, view.height_sigma, self._rng, 200
+            )
+            if fits.sum() >= ENOUGH:
+                results.append((int(fits.sum()), k, np.array([c.real, c.imag, heading, math.log(h)])))
+        if not results:
+            return None
+        results.sort(key=lambda r: -r[0])
+        count, k, node = results[0]
+        for other, _, elsewhere in results[1:]:
+            apart = math.hypot(*(elsewhere[:2] - node[:2])) > 0.3 * view.height
+            if apart and other > 0.6 * count:
+                return None
+        return k, node
+
+
+def _unheaded(turn: _Array, heading: float) -> _Array:
+    c, s = math.cos(heading), math.sin(heading)
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ turn

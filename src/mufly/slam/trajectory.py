@@ -1,0 +1,152 @@
+"""Answers as a trajectory: gathered, written as TUM's text, as a table for recordings, and drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from mufly.slam.frames import Frame
+from mufly.slam.readers import read_tum
+from mufly.slam.system import Answer, Slam
+from mufly.slam.writers import write_tum
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What was answered.
+
+    Attributes
+    ----------
+    time, heading : (n,) arrays
+        s, rad.
+    position : (n, 3) array
+        N, E, D (m).
+    covariance : (n, 4, 4) array
+        Of N, E, D, heading.
+    pictures : int
+        How many there were.
+    reasons : dict
+        Why others were not answered, and how often.
+    """
+
+    time: _Array
+    position: _Array
+    heading: _Array
+    covariance: _Array
+    pictures: int
+    reasons: dict[str, int]
+
+    def dataset(self) -> xr.Dataset:
+        """As a table on its clock."""
+        sigma = np.sqrt(np.einsum("nii->ni", self.covariance)) if len(self.time) else np.zeros((0, 4))
+        return xr.Dataset(
+            {
+                "estimated_position": (("time", "axis"), self.position),
+                "estimated_position_sigma": (("time", "axis"), sigma[:, :3]),
+                "heading": ("time", self.heading, {"units": "rad"}),
+                "heading_sigma": ("time", sigma[:, 3], {"units": "rad"}),
+            },
+            {"time": self.time, "axis": ["N", "E", "D"]},
+        )
+
+    def write(self, file: Path) -> None:
+        """Write it as TUM's text, with covariance."""
+        attitude = np.column_stack([np.zeros((len(self.time), 2)), self.heading])
+        write_tum(file, self.time, self.position, attitude, "N-E-D, metres; heading alone", self.covariance)
+
+
+def gathered(answers: Iterable[Answer]) -> Trajectory:
+    """Gather answers; those that are not trusted are counted."""
+    good: list[Answer] = []
+    reasons: dict[str, int] = {}
+    count = 0
+    for a in answers:
+        count += 1
+        if a.trusted:
+            good.append(a)
+        else:
+            words = " ".join(w for w in a.reason.split() if not any(c.isdigit() for c in w))
+            reasons[words] = reasons.get(words, 0) + 1
+    return Trajectory(
+        np.array([a.time_s for a in good]), np.array([a.position for a in good]).reshape(-1, 3),
+        np.array([a.heading for a in good]), np.array([a.covariance for a in good]).reshape(-1, 4, 4), count, reasons,
+    )  # fmt: skip
+
+
+def run(
+    slam: Slam, frames: Iterable[Frame], on_answer: Callable[[int, Answer], None] = lambda k, a: None
+) -> Trajectory:
+    """Go through pictures."""
+
+    def answers() -> Iterable[Answer]:
+        for k, frame in enumerate(frames):
+            a = slam.step(frame)
+            on_answer(k, a)
+            yield a
+
+    return gathered(answers())
+
+
+def read_trajectory(file: Path) -> Trajectory:
+    """Read what :meth:`Trajectory.write` wrote, or any trajectory in TUM's text (without covariance: NaN)."""
+    time, position, heading = read_tum(file)
+    covariance = np.full((len(time), 4, 4), np.nan)
+    rows = [
+        s.split()
+        for s in file.read_text(encoding="utf-8").splitlines()
+        if s.strip() and not s.startswith("#")
+    ]
+    if rows and all(len(r) == 18 for r in rows):
+        upper = np.triu_indices(4)
+        for k, r in enumerate(rows):
+            covariance[k][upper] = [float(c) for c in r[8:]]
+            covariance[k] = covariance[k] + np.triu(covariance[k], 1).T - np.tril(covariance[k], -1)
+        low = np.tril_indices(4, -1)
+        covariance[:, low[0], low[1]] = covariance[:, low[1], low[0]]
+    return Trajectory(time, position, heading, covariance, len(time), {})
+
+
+def draw(trajectory: Trajectory, slam: Slam | None, truth: tuple[_Array, _Array, _Array] | None) -> Figure:
+    """Draw the way from above with the keyframes and their ties, and errors with their deviations."""
+    from matplotlib.figure import Figure
+
+    t, x = trajectory.time, trajectory.position
+    figure = Figure(figsize=(11, 5.5), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    if truth is not None:
+        left.plot(truth[1][:, 1], truth[1][:, 0], color="0.6", lw=3, label="true")
+    left.plot(x[:, 1], x[:, 0], color="tab:blue", lw=1, label="V-SLAM")
+    if slam is not None and len(slam.map.nodes):
+        nodes = slam.map.nodes
+        for e in slam.map.edges:
+            pair = nodes[[e.first, e.second]]
+            left.plot(
+                pair[:, 1], pair[:, 0], color="tab:red" if e.closes else "0.75", lw=1.2 if e.closes else 0.7
+            )
+        left.plot(nodes[:, 1], nodes[:, 0], "s", ms=4, color="k", label="keyframes")
+        left.plot([], [], color="tab:red", label="loops closed")
+    left.set(xlabel="east (m)", ylabel="north (m)", aspect="equal", title="from above")
+    left.legend(loc="best", fontsize=8)
+    names = ("north", "east", "height", "heading (0.1 rad)")
+    deviation = np.sqrt(np.einsum("nii->ni", trajectory.covariance)) if len(t) else np.zeros((0, 4))
+    for k, name in enumerate(names[:2]):
+        colour = f"C{k}"
+        if truth is not None:
+            off = x[:, k] - np.interp(t, truth[0], truth[1][:, k])
+            right.plot(t, 100 * off, color=colour, lw=1, label=f"error {name}")
+        right.fill_between(t, -200 * deviation[:, k], 200 * deviation[:, k], color=colour, alpha=0.15, lw=0)
+    right.set(xlabel="time (s)", ylabel="cm", title="errors, and twice the deviation told")
+    if truth is not None:
+        right.legend(loc="best", fontsize=8)
+    return figure

@@ -1,0 +1,205 @@
+"""What OpenCV does for us: pictures straightened and smoothed, corners, tracks, matches. It is an extra.
+
+Tracks (Lucas and Kanade 1981, pyramids by Bouguet 2000) go from a keyframe's picture, warped to what should be seen
+now, to the picture that is seen: templates do not grow old, and what is left to find is a shift. How well a point
+is found is told by two numbers. The correlation rho of the two patches (zero mean, normalised) says which share of
+what is seen is floor: noise alone has 0.1 to 0.3 however well it is "tracked". And the covariance of the shift is
+
+    C = s^2 G^-1,    G = rho sum (grad I)(grad I)^T,    s^2 the mean square of what the patches differ by,
+
+as usual for least squares (e.g. Foerstner and Guelch 1987), where rho takes the gradients of the noise off.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.camera import Camera, distortion, matrix
+from mufly.compiled import compiled
+from mufly.errors import MuflyError
+
+_Array = NDArray[np.float64]
+_Picture = NDArray[np.uint8]
+CELL = 20
+"""Of the uniform grid (pixels): one corner each."""
+MARGIN = 14  # pixels at the border in which nothing is sought
+WINDOW = 21
+_PATCH = 10  # half of a patch that is compared
+
+
+@functools.cache
+def opencv() -> Any:
+    """Return OpenCV.
+
+    Raises
+    ------
+    MuflyError
+        If it is not installed.
+    """
+    try:
+        import cv2
+    except ImportError:
+        raise MuflyError(
+            "OpenCV is not installed, without which no picture is looked at; pip install 'mufly[vision]'"
+        ) from None
+    cv2.setNumThreads(1)  # it shares its core with a flight
+    return cv2
+
+
+class Straightener:
+    """Takes the lens's distortion out of pictures, and smooths them.
+
+    What comes out is a pinhole's picture of the same focal length, principal point in its middle.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        cv2 = opencv()
+        size = (camera.sensor.width, camera.sensor.height)
+        self.size = size
+        self.focal = 0.5 * (float(camera.lens.focal_x) + float(camera.lens.focal_y))
+        # As much as noise asks for (pixels, one sigma), before anything is looked for
+        self.smooth = min(2.2, 0.8 + 0.1 * float(camera.quality.noise))
+        self.middle = np.array([(size[0] - 1) / 2, (size[1] - 1) / 2])
+        wanted = np.array([[self.focal, 0, self.middle[0]], [0, self.focal, self.middle[1]], [0, 0, 1.0]])
+        self.matrix = wanted
+        self._maps = cv2.initUndistortRectifyMap(
+            matrix(camera), distortion(camera), None, wanted, size, cv2.CV_16SC2
+        )
+        rows = cv2.initUndistortRectifyMap(
+            matrix(camera), distortion(camera), None, wanted, size, cv2.CV_32FC1
+        )[1]
+        self._seconds = (rows / (size[1] - 1) - 0.5) * float(camera.shutter.readout)
+        seen = np.full((size[1], size[0]), 255, np.uint8)
+        self.seen = cv2.erode(cv2.remap(seen, *self._maps, cv2.INTER_LINEAR), np.ones((5, 5), np.uint8))
+
+    def straight(self, picture: _Picture) -> _Picture:
+        """Return the picture straight and smooth."""
+        cv2 = opencv()
+        out = cv2.remap(picture, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return cv2.GaussianBlur(out, (0, 0), self.smooth)
+
+    def seconds(self, pixels: _Array) -> _Array:
+        """When pixels (n, 2) of a straight picture were exposed, from the middle row (s)."""
+        c = np.clip(np.rint(pixels).astype(int), 0, np.array(self.size) - 1)
+        return self._seconds[c[:, 1], c[:, 0]].astype(np.float64)
+
+
+def corners(picture: _Picture, seen: _Picture, most: int = 150) -> _Array:
+    """Return the best corner (n, 2) of each cell of a uniform grid, in pixels, as far as they are any."""
+    cv2 = opencv()
+    strength = cv2.cornerMinEigenVal(picture, 7, 3)
+    strength[seen == 0] = 0.0
+    strength[:MARGIN] = strength[-MARGIN:] = 0.0
+    strength[:, :MARGIN] = strength[:, -MARGIN:] = 0.0
+    high, wide = (n // CELL for n in picture.shape)
+    cells = strength[: high * CELL, : wide * CELL].reshape(high, CELL, wide, CELL).swapaxes(1, 2)
+    flat = cells.reshape(high * wide, CELL * CELL)
+    best = flat.argmax(axis=1)
+    value = flat[np.arange(len(flat)), best]
+    keep = np.argsort(value)[::-1][:most]
+    keep = keep[value[keep] > 1e-7]
+    rows, columns = np.divmod(keep, wide)
+    return np.column_stack([columns * CELL + best[keep] % CELL, rows * CELL + best[keep] // CELL]).astype(
+        float
+    )
+
+
+def warped(picture: _Picture, homography: _Array, size: tuple[int, int]) -> _Picture:
+    """Return a picture as it would be seen from elsewhere; black where it does not reach."""
+    cv2 = opencv()
+    return cv2.warpPerspective(picture, homography, size, flags=cv2.INTER_LINEAR)
+
+
+def tracked(
+    template: _Picture, picture: _Picture, points: _Array, smooth: float, levels: int = 3
+) -> tuple[_Array, _Array, _Array]:
+    """Follow points (n, 2) of a template into a picture, both smoothed by so much.
+
+    Returns
+    -------
+    there : (n, 2) array
+    correlation : (n,) array
+        0 where it was not found.
+    sigma : (n,) array
+        Of the place along an axis (pixels), root mean square of the two.
+    """
+    cv2 = opencv()
+    from_ = points.astype(np.float32).reshape(-1, 1, 2)
+    to = from_.copy()
+    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.02)
+    there, found, _ = cv2.calcOpticalFlowPyrLK(
+        template, picture, from_, to, winSize=(WINDOW, WINDOW), maxLevel=levels, criteria=stop,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )  # fmt: skip
+    there = there.reshape(-1, 2).astype(np.float64)
+    correlation, sigma = np.zeros(len(points)), np.full(len(points), 1e3)
+    compare(template, picture, points, there, found.reshape(-1), smooth, correlation, sigma)
+    return there, correlation, sigma
+
+
+@compiled(error_model="numpy")
+def _grey(a, x, y):  # type: ignore[no-untyped-def]
+    i, j = math.floor(y), math.floor(x)
+    u, v = y - i, x - j
+    return (1 - u) * ((1 - v) * a[i, j] + v * a[i, j + 1]) + u * ((1 - v) * a[i + 1, j] + v * a[i + 1, j + 1])
+
+
+@compiled(error_model="numpy")
+def compare(template, picture, points, there, found, smooth, correlation, sigma):  # type: ignore[no-untyped-def]
+    """Correlation of patches around points of a template and of a picture, and how well their shift is known."""
+    high, wide = picture.shape
+    n = 2 * _PATCH + 1
+    a, b = np.empty((n, n)), np.empty((n, n))
+    for i in range(len(points)):
+        edge = _PATCH + 1.0
+        x, y, u, v = points[i, 0], points[i, 1], there[i, 0], there[i, 1]
+        inside = (
+            edge <= x < wide - edge
+            and edge <= y < high - edge
+            and edge <= u < wide - edge
+            and edge <= v < high - edge
+        )
+        if found[i] == 0 or not inside:
+            continue
+        mean_a = mean_b = 0.0
+        dark = False
+        for r in range(n):
+            for c in range(n):
+                a[r, c] = _grey(template, x + c - _PATCH, y + r - _PATCH)
+                b[r, c] = _grey(picture, u + c - _PATCH, v + r - _PATCH)
+                mean_a += a[r, c]
+                mean_b += b[r, c]
+        for r in range(n):
+            dark = dark or a[r, 0] == 0.0 or a[r, n - 1] == 0.0  # the template ends here
+        mean_a /= n * n
+        mean_b /= n * n
+        aa = bb = ab = 0.0
+        for r in range(n):
+            for c in range(n):
+                p, q = a[r, c] - mean_a, b[r, c] - mean_b
+                aa += p * p
+                bb += q * q
+                ab += p * q
+        if aa <= 0.0 or bb <= 0.0 or dark:
+            continue
+        rho = ab / math.sqrt(aa * bb)
+        gain = math.sqrt(bb / aa)
+        gxx = gyy = gxy = 0.0
+        for r in range(1, n - 1):
+            for c in range(1, n - 1):
+                gx, gy = 0.5 * (a[r, c + 1] - a[r, c - 1]), 0.5 * (a[r + 1, c] - a[r - 1, c])
+                gxx += gx * gx
+                gyy += gy * gy
+                gxy += gx * gy
+        differ = (aa * gain * gain + bb - 2 * gain * ab) / (n * n)
+        share = max(rho, 0.05) * gain * gain
+        det = (gxx * gyy - gxy * gxy) * share
+        correlation[i] = rho
+        # Smoothing makes neighbouring pixels' noise alike: as many as lie in its spot count as one.
+        alike = max(1.0, 4.0 * math.pi * smooth * smooth)
+        sigma[i] = math.sqrt(0.5 * alike * differ * (gxx + gyy) / max(det, 1e-9))
