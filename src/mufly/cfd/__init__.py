@@ -6,7 +6,7 @@ from mufly.cfd.form import TIPS, Form, Hub, Tip, named_form
 from mufly.cfd.mesh import LEVELS, Domain, Mesh, blade_mesh
 from mufly.cfd.mesh_error import Convergence, convergence, mesh_study
 from mufly.cfd.pictures import history_picture, loads_picture, mesh_picture, pressure_picture
-from mufly.cfd.point import Beside, beside, save_case, solve_point, sweep
+from mufly.cfd.point import Beside, beside, save_case, solve_point, study, study_cases, sweep
 from mufly.cfd.polymesh import PolyMesh, Quality, poly_mesh, quality, read_poly_mesh, write_poly_mesh
 from mufly.cfd.results import Solution, read_solution
 from mufly.cfd.run import Progress, Verdict, find_solver, history, judge, judged, run_case
@@ -58,6 +58,8 @@ __all__ = [
     "save_case",
     "slipstream",
     "solve_point",
+    "study",
+    "study_cases",
     "sweep",
     "write_case",
     "write_glb",

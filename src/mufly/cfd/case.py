@@ -1,8 +1,8 @@
 """An OpenFOAM case of one operating point: boundary conditions, numbers for the solver, where it starts.
 
-``simpleFoam`` solves the steady, incompressible Navier-Stokes equations; the whole domain is one zone of a multiple
-reference frame, so that they hold in the blade's frame, written with the absolute velocity (SIMPLEC; *p* is pressure
-over density). Dictionaries are those of OpenFOAM v1912 and later (openfoam.com).
+``simpleFoam`` solves the steady, incompressible Navier-Stokes equations, written with the absolute velocity (SIMPLEC;
+*p* is pressure over density): in the blade's frame where the mesh says so (:mod:`mufly.cfd.mesh`; a zone of a multiple
+reference frame), around it in a frame at rest. Dictionaries are those of OpenFOAM v1912 and later (openfoam.com).
 
 =============  =================================================================================================
 blade          no slip, turning with the frame
@@ -26,12 +26,13 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.cfd.mesh import Domain
 from mufly.cfd.polymesh import PolyMesh, foam_header, write_poly_mesh
 from mufly.cfd.start import slipstream
 from mufly.errors import InputError
@@ -77,6 +78,8 @@ class Point:
         Name of the blades' tip (:data:`mufly.cfd.form.TIPS`).
     hub_m, gurney : float
         Radius of the hub, height over chord of the Gurney flap; 0 for none.
+    domain : Domain
+        Limits of the air, and of its turning part.
     """
 
     rotor: str
@@ -95,6 +98,7 @@ class Point:
     tip: str = "square"
     hub_m: float = 0.0
     gurney: float = 0.0
+    domain: Domain = field(default_factory=Domain)
 
     def __post_init__(self) -> None:
         if self.model not in MODELS:
@@ -164,7 +168,8 @@ def read_point(folder: Path) -> Point:
     """
     file = folder / "mufly.json"
     try:
-        return Point(**json.loads(file.read_text(encoding="utf-8")))
+        told = json.loads(file.read_text(encoding="utf-8"))
+        return Point(**{**told, "domain": Domain(**told.get("domain", {}))})
     except (OSError, ValueError, TypeError) as error:
         raise InputError(str(folder), "", "is no case of mufly cfd", "give the folder of --out") from error
 
@@ -254,8 +259,8 @@ SIMPLE { nNonOrthogonalCorrectors 0; consistent yes; }
 potentialFlow { nNonOrthogonalCorrectors 3; }
 relaxationFactors
 {
-    fields { p 0.5; }
-    equations { U 0.5; "(k|epsilon|omega)" 0.5; }
+    fields { p 0.6; }
+    equations { U 0.7; "(k|epsilon|omega)" 0.5; }
 }
 """
 
@@ -322,7 +327,7 @@ def _free(climb_m_s: float) -> tuple[dict[str, str], dict[str, str]]:
 
 
 def _flux(mesh: PolyMesh, u: Array, speed_rad_s: float) -> Array:
-    """The fluxes through the faces, relative to the turning frame.
+    """The fluxes through the faces; of the turning cells relative to their frame.
 
     Without them the solver would take those of the absolute velocity for its first step, in which Coriolis' force then
     has nothing to balance it: the outer air would be thrown about at tens of metres a second.
@@ -331,8 +336,10 @@ def _flux(mesh: PolyMesh, u: Array, speed_rad_s: float) -> Array:
     at = u[mesh.owner]
     at[:inside] = 0.5 * (at[:inside] + u[mesh.neighbour])
     centre = mesh.face_centres
-    at[:, 0] += speed_rad_s * centre[:, 1]
-    at[:, 1] -= speed_rad_s * centre[:, 0]
+    turning = mesh.turning[mesh.owner]
+    turning[:inside] |= mesh.turning[mesh.neighbour]
+    at[:, 0] += speed_rad_s * np.where(turning, centre[:, 1], 0.0)
+    at[:, 1] -= speed_rad_s * np.where(turning, centre[:, 0], 0.0)
     flux = np.einsum("fi,fi->f", at, mesh.face_areas)
     flux[mesh.patch("blade")] = 0.0
     left, right = mesh.patch("sector_left"), mesh.patch("sector_right")

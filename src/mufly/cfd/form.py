@@ -282,8 +282,7 @@ def placed(
     angle_rad: float,
     chord_m: float,
     half_m: float,
-    top_m: float,
-    bottom_m: float,
+    level_m: float,
 ) -> Array:
     """Lay sections along a blade's line.
 
@@ -292,7 +291,7 @@ def placed(
 
         y  = y_line - sin(cant) l h,    up = up_line - (1 - cos(cant)) l h
 
-    What is moved fades to nothing at the box's sides, top and bottom.
+    What is moved fades to nothing at the box's sides and where lines are level.
 
     Parameters
     ----------
@@ -304,8 +303,8 @@ def placed(
         Of the tip's chord to the disc, nose up.
     chord_m : float
         Of the rotor file's tip.
-    half_m, top_m, bottom_m : float
-        The box.
+    half_m, level_m : float
+        Half width of the sections' box; height, above and below the disc, from which its lines are level.
 
     Returns
     -------
@@ -316,8 +315,7 @@ def placed(
     q, n = c * x - s * z, s * x + c * z  # along the chord, and above it
     near = 1.5 * chord_m
     keep = _fading((np.abs(x) - near) / (half_m - near))
-    over = np.where(z > 0.0, top_m, -bottom_m)
-    keep = keep * _fading((np.abs(z) - 0.5 * chord_m) / (np.minimum(_FADED * chord_m, over) - 0.5 * chord_m))
+    keep = keep * _fading((np.abs(z) - 0.5 * chord_m) / (min(_FADED * chord_m, level_m) - 0.5 * chord_m))
     reach = _UPRIGHT * tip.bend * chord_m
     h = reach * np.tanh(n / reach)
     y = line.y_m[:, None] - np.sin(line.cant_rad)[:, None] * h * keep

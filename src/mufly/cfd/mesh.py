@@ -8,14 +8,22 @@ Section k is bent so that the first lies in those planes and the one at the tip 
 
     y = y_k + f_k (sqrt(y_k^2 + (|x| cot(pi/N))^2) - y_k)          two blades: y = y_k;  f_k from 1 at the root to 0
 
-In plan view the sections fill a box, from the shaft to beyond the tip; from its three free sides lines fan out to the
-outer cylinder (``wings`` to the left and right, the last sections themselves beyond the tip)::
+In plan view the sections fill a box, from the shaft to beyond the tip; from its three free sides lines fan out to a
+cylinder around it and on, radially, to the outer one (``wings`` to the left and right, the last sections themselves
+beyond the tip)::
 
               ______________
             /   \  tip   /   \        outer cylinder
            /     |______|     \
           | wing |  ||  | wing |
           |______|__||__|______|      the two periodic planes, or one plane of a two-bladed rotor
+
+Air within the inner cylinder, up to a level plane above the disc and down to the bottom, is computed in the blade's
+frame, all other air in a frame at rest (``turning``). The surfaces between them are surfaces of revolution, through
+which the turning frame carries nothing. In the blade's frame air at rest flows past at Omega r; any velocity across the
+shaft, such as the inflow u_r, has to be turned by convection as fast as Coriolis' force turns it back. What a mesh of
+second order lacks of that, 0.3 to 0.9 % here, is a force of that part of Omega u_r against the rotor's sense, and on
+air that takes a second to come to the rotor it made a swirl of a tenth of the induced velocity, and 4 % of thrust.
 
 Between shaft and root there is a gap of air; the section changes in it from the blade's to one that is its own image.
 With a hub the core of those sections is left out like the blade's, and its half width is the hub's, sqrt(r^2 - y^2),
@@ -56,7 +64,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 _MEDIUM = Counts(
-    along=34, across=8, ring=16, side=8, above=12, below=16, gap=6, blade=20, beyond=8, outer=6, wall=0.002, tip=0.0067
+    along=34, across=8, ring=16, side=8, above=11, below=14, gap=6, blade=20, beyond=6, inner=5, outer=4, wall=0.002,
+    tip=0.0067,
 )  # fmt: skip
 
 
@@ -65,7 +74,8 @@ def _refined(factor: float) -> Counts:
         return max(2, round(factor * getattr(_MEDIUM, name)))
 
     numbers = {
-        name: times(name) for name in ("ring", "side", "above", "below", "gap", "blade", "beyond", "outer")
+        name: times(name)
+        for name in ("ring", "side", "above", "below", "gap", "blade", "beyond", "inner", "outer")
     }
     even = {name: 2 * max(2, round(factor * getattr(_MEDIUM, name) / 2)) for name in ("along", "across")}
     return replace(_MEDIUM, **numbers, **even, wall=_MEDIUM.wall / factor, tip=_MEDIUM.tip / factor)
@@ -79,6 +89,10 @@ LEVELS: Mapping[str, Counts] = MappingProxyType(
 _NEAREST = 0.04  # root cut-out over R
 
 
+_HALF, _FAR, _LEVEL = 0.75, 1.2, 0.6  # of the sections' box, over R
+_AROUND = 1.06  # radius of the cylinder around the box over that of its corners
+
+
 @dataclass(frozen=True)
 class Domain:
     """Limits of the air that is meshed, over the rotor's radius.
@@ -87,16 +101,24 @@ class Domain:
     ----------
     radius, above, below : float
         Of the outer cylinder; from the disc to its top and its bottom. 300, 200 and 400 mm for R 60 mm.
+    turning_above, turning_below : float
+        From the disc to where the air is no longer computed in the blade's frame (the nearest plane of the mesh). Below
+        it is best the whole of the wake: what leaves that frame is taken to be steady at rest, blades or no blades.
     """
 
     radius: float = 5.0
     above: float = 200.0 / 60.0
     below: float = 400.0 / 60.0
+    turning_above: float = 0.7
+    turning_below: float = math.inf
 
     def __post_init__(self) -> None:
-        for name, least in (("radius", 2.5), ("above", 1.0), ("below", 1.5)):
+        for name, least in (("radius", 2.5), ("above", 1.5), ("below", 1.5)):
             if not least <= getattr(self, name) <= 50.0:
                 raise InputError("domain", name, f"is {getattr(self, name):g} R", f"give {least:g} to 50")
+        for name in ("turning_above", "turning_below"):
+            if not getattr(self, name) >= 0.5:
+                raise InputError("domain", name, f"is {getattr(self, name):g} R", "give 0.5 or more")
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +140,8 @@ class Mesh:
     blades : int
     plates : (faces, 4) array
         Faces between two cells that are walls.
+    turning : (cells,) bool array
+        Which cells are computed in the blade's frame.
     """
 
     points: Array
@@ -127,6 +151,7 @@ class Mesh:
     marks: Mapping[str, NDArray[np.bool_]]
     blades: int
     plates: Index
+    turning: NDArray[np.bool_]
 
 
 def blade_mesh(
@@ -161,10 +186,14 @@ def blade_mesh(
     k = _richer(LEVELS[level] if isinstance(level, str) else level, form)
     radius, root = rotor.radius_m, rotor.hub_radius_m
     _check(rotor, pitch_rad, form)
-    layout = Layout(k)
-    widest = float(np.max(rotor.chord_m(np.linspace(float(rotor.hub_cutout), 1.0, 101))))
+    x = np.linspace(float(rotor.hub_cutout), 1.0, 101)
+    widest = float(np.max(rotor.chord_m(x)))
+    steepest = math.sin(float(np.max(np.abs(rotor.twist_rad(x) + pitch_rad))))
     slope = 1.0 / math.tan(math.pi / rotor.blades) if rotor.blades > 2 else 0.0
-    half, far = max(1.2 * radius, 2.2 * widest), 1.5 * radius
+    # Room for the centre block to be turned back in, and for the sections of a winglet.
+    room = 0.6 * widest if form.tip.cant_rad else 0.0
+    half, far = max(_HALF * radius, (1.4 + 2.4 * steepest) * widest), _FAR * radius + room
+    level_m = max(_LEVEL * radius + room, (OVER + 4.0 * steepest) * widest)
     if slope:
         half = min(half, 0.6 * radius / slope)
         if half < 1.5 * widest:
@@ -172,14 +201,17 @@ def blade_mesh(
                 rotor.name, "blade.chord", f"{1e3 * widest:.3g} mm is too wide for a sector of {rotor.blades} blades",
                 f"give at most {1e3 * half / 1.5:.3g} mm, or fewer blades",
             )  # fmt: skip
-    box = Box(half, domain.above * radius, -domain.below * radius)
-    outer = domain.radius * radius
-    if outer < 1.3 * math.hypot(half, far):
+    box = Box(half, domain.above * radius, -domain.below * radius, level_m)
+    outer, inside = domain.radius * radius, _AROUND * math.hypot(half, far)
+    if outer < 1.2 * inside or box.top_m < 1.2 * box.level_m:
         raise InputError(
-            "domain", "radius", f"is {domain.radius:g} R, too close to the blade",
-            f"give at least {1.3 * math.hypot(half, far) / radius:.2g}",
+            "domain", "", f"is {domain.radius:g} R wide, {domain.above:g} R above the disc: too close to the blade",
+            f"give at least {1.2 * inside / radius:.2g} and {1.2 * box.level_m / radius:.2g}",
         )  # fmt: skip
 
+    size = (inside - 0.5 * (half + far)) / k.inner
+    k = _as_wide(k, domain, radius, widest, inside, size)
+    layout = Layout(k)
     tip_chord, tip_angle = float(rotor.chord_m(1.0)), float(rotor.twist_rad(1.0)) + pitch_rad
     span = blade_span(form.tip, root, radius, tip_chord)
     blade = (root, root + span)
@@ -212,26 +244,34 @@ def blade_mesh(
 
     n2, nz = layout.points, layout.nz
     flat = placed(
-        stack, line, form.tip, angle_rad=tip_angle, chord_m=tip_chord, half_m=half, top_m=box.top_m,
-        bottom_m=box.bottom_m,
-    )  # fmt: skip
+        stack, line, form.tip, angle_rad=tip_angle, chord_m=tip_chord, half_m=half, level_m=box.level_m
+    )
     flat[..., 1] += bent(stack[..., 0])
-    # Beyond the box the last section fans out to the outer cylinder.
+    # Beyond the box the last section fans out to the cylinder around it and on to the outer one.
     corner = math.atan2(half, far)
-    size = float(np.diff(y)[-1])
-    reach = outer - far
-    out = grown(k.outer, min(1.2 * size / reach, 1.0 / k.outer))
+    near = np.linspace(0.0, 1.0, k.inner + 1)[1:]
+    beyond = (
+        1.0 + (outer / inside - 1.0) * grown(k.outer, min(1.2 * size / (outer - inside), 1.0 / k.outer))[1:]
+    )
     phi = corner * flat[-1, :, 0] / half
-    arc = np.stack((outer * np.sin(phi), outer * np.cos(phi), flat[-1, :, 2]), axis=-1)
-    fan = flat[-1] + out[1:, None, None] * (arc - flat[-1])
+    arc = np.stack((inside * np.sin(phi), inside * np.cos(phi)), axis=-1)
+    fan = np.repeat(flat[-1:], k.inner + k.outer, axis=0)
+    fan[: k.inner, :, :2] += near[:, None, None] * (arc - flat[-1, :, :2])
+    fan[k.inner :, :, :2] = beyond[:, None, None] * arc
     # The wings, from the box's sides.
     side_y = y + bent(np.array([half]))[:, 0]
     share = (side_y - side_y[0]) / (side_y[-1] - side_y[0])
     angle = math.pi / rotor.blades + (corner - math.pi / rotor.blades) * share
-    ends = outer * np.stack((np.sin(angle), np.cos(angle)), axis=-1)[:-1]
+    ends = inside * np.stack((np.sin(angle), np.cos(angle)), axis=-1)[:-1]
     starts = np.stack((np.full(top, half), side_y[:-1]), axis=-1)
-    plan = starts[:, None] + out[None, 1:, None] * (ends - starts)[:, None]  # section, layer, xy
-    z_side = stack[:, layout.tensor[0], 1][:-1]  # lines of z at the box's side
+    wings = k.inner + k.outer
+    plan = np.empty((top, wings, 2))
+    plan[:, : k.inner] = starts[:, None] + near[None, :, None] * (ends - starts)[:, None]
+    plan[:, k.inner :] = beyond[None, :, None] * ends[:, None]
+    # Lines of z at the box's side; on the cylinder they are those of the last section.
+    z_side = stack[:, layout.tensor[0], 1]
+    levelled = np.minimum(np.arange(1, wings + 1) / k.inner, 1.0)[None, :, None]
+    z_wing = z_side[:-1, None] + levelled * (z_side[-1] - z_side[:-1, None])
 
     sections = np.concatenate((flat, fan)).reshape(-1, 3)
     ids = np.arange(len(sections)).reshape(-1, n2)
@@ -245,11 +285,11 @@ def blade_mesh(
         strips.append(np.full(len(q), i - first if on_blade else -1))
     on_outer = [ids[-1]]
     for edge, sign in ((layout.tensor[-1], 1.0), (layout.tensor[0], -1.0)):
-        more = np.empty((top, k.outer, nz + 1, 3))
+        more = np.empty((top, wings, nz + 1, 3))
         more[..., 0] = sign * plan[:, :, None, 0]
         more[..., 1] = plan[:, :, None, 1]
-        more[..., 2] = z_side[:, None, :]
-        wing = np.empty((top + 1, k.outer + 1, nz + 1), dtype=np.int64)
+        more[..., 2] = z_wing
+        wing = np.empty((top + 1, wings + 1, nz + 1), dtype=np.int64)
         wing[:-1, 1:] = count + np.arange(more[..., 0].size).reshape(more.shape[:3])
         wing[:, 0] = ids[: top + 1][:, edge]
         wing[-1] = ids[top:][:, edge]
@@ -269,7 +309,7 @@ def blade_mesh(
     for i in on_outer:
         marks["outer"][i] = True
     marks["sector"][ids[0]] = True
-    beside = len(sections) + np.arange(2 * top * k.outer * (nz + 1)).reshape(2, top, k.outer, nz + 1)
+    beside = len(sections) + np.arange(2 * top * wings * (nz + 1)).reshape(2, top, wings, nz + 1)
     marks["sector"][beside[:, 0].ravel()] = True
     for name, j in (("bottom", 0), ("top", nz)):
         marks[name][ids[:, layout.tensor[:, j]].ravel()] = True
@@ -281,7 +321,42 @@ def blade_mesh(
         all_points[used], number[hexahedra], np.concatenate(strips), y[first : last + 1],
         {name: mark[used] for name, mark in marks.items()}, rotor.blades,
         number[_plates(layout, ids, first, last, form, plate_layers)],
+        _turning(all_points[hexahedra].mean(axis=1), inside, z_side[-1], domain, radius, level_m),
     )  # fmt: skip
+
+
+def _turning(
+    centres: Array, around: float, lines: Array, domain: Domain, radius: float, level_m: float
+) -> NDArray[np.bool_]:
+    """Cells within a cylinder and between the mesh's level planes nearest to the domain's."""
+    level = lines[np.abs(lines) >= level_m]
+    low, high = (
+        level[int(np.argmin(np.abs(level - z * radius)))]
+        for z in (-min(domain.turning_below, domain.below), min(domain.turning_above, domain.above))
+    )
+    r, z = np.hypot(centres[:, 0], centres[:, 1]), centres[:, 2]
+    return (r < around) & (z > low) & (z < high)
+
+
+def _as_wide(k: Counts, domain: Domain, radius: float, chord: float, inside: float, size: float) -> Counts:
+    """Rows of cells for a domain other than the levels' own: as many more or fewer as keep the sizes near the blade."""
+    own, high, dz = Domain(), OVER * chord, 2.0 * OVER * chord / k.across
+
+    def rows(count: int, first: float, usual: float, length: float) -> int:
+        if length == usual:
+            return count
+        lines = grown(count, min(first / usual, 1.0 / count))
+        ratio = float((lines[-1] - lines[-2]) / (lines[-2] - lines[-3])) if count > 2 else 1.5
+        if ratio < 1.01:
+            return max(2, round(length / first))
+        return max(2, round(math.log1p(length * (ratio - 1.0) / first) / math.log(ratio)))
+
+    return replace(
+        k,
+        above=rows(k.above, dz, own.above * radius - high, domain.above * radius - high),
+        below=rows(k.below, dz, own.below * radius - high, domain.below * radius - high),
+        outer=rows(k.outer, 1.2 * size, own.radius * radius - inside, domain.radius * radius - inside),
+    )
 
 
 def _richer(k: Counts, form: Form) -> Counts:
@@ -367,7 +442,7 @@ def _sections(
     out = np.empty((len(s), layout.points, 2))
     for i in range(len(s)):
         inside = s[i] < root
-        half = 0.9 * float(chord[0 if inside else -1])
+        half = 0.9 * (float(chord[0]) if inside else typical)
         block, core = (half, 0.5 * half), ((0.5 if inside else 0.75) * half, 0.175 * half)
         if inside and hub:
             # The section's plane meets the hub's cylinder at this half width; three blades and more: it is bent.

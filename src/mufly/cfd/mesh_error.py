@@ -125,6 +125,7 @@ def mesh_study(cases: Sequence[Path]) -> tuple[Convergence, Convergence]:
             "tip",
             "hub_m",
             "gurney",
+            "domain",
         ):
             if getattr(point, key) != getattr(points[0], key):
                 raise InputError(

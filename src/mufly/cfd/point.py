@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.cfd.case import Point, momentum_start, read_point, write_case
+from mufly.cfd.case import MODELS, Point, momentum_start, read_point, write_case
 from mufly.cfd.form import named_form
 from mufly.cfd.mesh import Domain, blade_mesh
 from mufly.cfd.polymesh import Quality, poly_mesh, quality
@@ -61,7 +61,7 @@ def save_case(
     induced = momentum_start(guess.thrust_N, rotor.radius_m, air)
     point = Point(
         rotor.name, rotor.blades, rotor.radius_m, pitch_rad, speed_rad_s, climb_m_s, model, level, air.density_kg_m3,
-        air.viscosity_Pa_s, induced, tip=tip, hub_m=hub_m, gurney=gurney,
+        air.viscosity_Pa_s, induced, tip=tip, hub_m=hub_m, gurney=gurney, domain=domain or Domain(),
     )  # fmt: skip
     if neighbour is not None:
         point = replace(point, upwind=0, least=SCALED)
@@ -100,6 +100,7 @@ def save_case(
             "tip",
             "hub_m",
             "gurney",
+            "domain",
         )
         other = [name for name in same if getattr(before, name) != getattr(point, name)]
         if other:
@@ -156,6 +157,57 @@ def sweep(
         # What did not settle is nothing to start from.
         before = place if verdict.settled else before
     return out
+
+
+WIDER = 1.5
+"""By how much the study of the domain moves each of its limits out."""
+
+
+def study_cases(what: str) -> dict[str, dict[str, Any]]:
+    """Return names and arguments for :func:`save_case` of a study's cases: 'mesh', 'domain' or 'model'.
+
+    Raises
+    ------
+    InputError
+        If there is no such study.
+
+    Thesis: Fig. 3.22, Table 3.2.
+    """
+    if what == "mesh":
+        return {level: {"level": level} for level in ("coarse", "medium", "fine")}
+    if what == "model":
+        return {model: {"model": model} for model in MODELS}
+    if what == "domain":
+        own, names = Domain(), ("radius", "above", "below")
+        wider = {name: replace(own, **{name: WIDER * getattr(own, name)}) for name in names}
+        return {"usual": {}, **{name: {"domain": domain} for name, domain in wider.items()}}
+    raise InputError("study", what, "is unknown", "use one of: mesh, domain, model")
+
+
+def study(
+    folder: Path,
+    rotor: Rotor,
+    what: str,
+    *,
+    cores: int = 1,
+    progress: Callable[[Progress], None] | None = None,
+    **given: Any,
+) -> dict[str, Solution]:
+    """Solve one operating point on several meshes, domains or with several models, each in a folder of its name.
+
+    Parameters
+    ----------
+    folder : Path
+    rotor : Rotor
+    what : str
+        'mesh', 'domain' or 'model' (:func:`study_cases`).
+    cores, progress, given
+        As for :func:`solve_point`.
+    """
+    return {
+        name: solve_point(folder / name, rotor, cores=cores, progress=progress, **{**given, **own})
+        for name, own in study_cases(what).items()
+    }
 
 
 @result(eq=False)

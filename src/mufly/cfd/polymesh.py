@@ -55,6 +55,8 @@ class PolyMesh:
         Spanwise strip of the blade that a cell lies in, or -1.
     edges_m : (strips + 1,) array
     blades : int
+    turning : (cells,) bool array
+        Which cells are computed in the blade's frame.
     """
 
     points: Array
@@ -65,6 +67,7 @@ class PolyMesh:
     strip: Index
     edges_m: Array
     blades: int
+    turning: NDArray[np.bool_]
 
     @property
     def cells(self) -> int:
@@ -189,9 +192,11 @@ def poly_mesh(mesh: Mesh) -> PolyMesh:
         start += len(f)
     strip = np.empty(cells, dtype=np.int64)
     strip[new] = mesh.strip
+    turning = np.empty(cells, dtype=bool)
+    turning[new] = mesh.turning
     return PolyMesh(
         mesh.points, np.concatenate(all_faces), np.concatenate(all_owners), neighbour, patches, strip, mesh.edges_m,
-        mesh.blades,
+        mesh.blades, turning,
     )  # fmt: skip
 
 
@@ -310,7 +315,7 @@ def foam_header(kind: str, name: str, place: str, *, binary: bool = False, note:
 
 
 def write_poly_mesh(mesh: PolyMesh, case: Path) -> Path:
-    """Write ``constant/polyMesh`` of a case, one cell zone ``rotor`` of all cells; return the folder."""
+    """Write ``constant/polyMesh`` of a case, one cell zone ``rotor`` of the turning cells; return the folder."""
     folder = case / "constant" / "polyMesh"
     folder.mkdir(parents=True, exist_ok=True)
     note = f"nPoints:{len(mesh.points)}  nCells:{mesh.cells}  nFaces:{len(mesh.faces)}  "
@@ -354,9 +359,11 @@ def write_poly_mesh(mesh: PolyMesh, case: Path) -> Path:
     )
     zone = foam_header("regIOobject", "cellZones", place, binary=True).encode()
     zone += b"1\n(\nrotor\n{\n    type cellZone;\n    cellLabels List<label> "
-    zone += labels(np.arange(mesh.cells)) + b";\n}\n)\n"
+    zone += labels(np.flatnonzero(mesh.turning)) + b";\n}\n)\n"
     (folder / "cellZones").write_bytes(zone)
-    np.savez(folder / _STRIPS, strip=mesh.strip, edges_m=mesh.edges_m, blades=mesh.blades)
+    np.savez(
+        folder / _STRIPS, strip=mesh.strip, edges_m=mesh.edges_m, blades=mesh.blades, turning=mesh.turning
+    )
     return folder
 
 
@@ -379,6 +386,7 @@ def read_poly_mesh(case: Path) -> PolyMesh:
         }
         with np.load(folder / _STRIPS) as more:
             strip, edges, blades = more["strip"], more["edges_m"], int(more["blades"])
+            turning = more["turning"]
         points = _read(data["points"], "<f8", 3)[0].reshape(-1, 3)
         faces = _read(data["faces"], "<i4", 1, 2)[1].reshape(-1, 4)
         owner, neighbour = _read(data["owner"], "<i4", 1)[0], _read(data["neighbour"], "<i4", 1)[0]
@@ -398,6 +406,7 @@ def read_poly_mesh(case: Path) -> PolyMesh:
         strip,
         edges,
         blades,
+        turning,
     )
 
 

@@ -51,8 +51,8 @@ class Counts:
         From there to the left and right, the top and the bottom.
     gap, blade, beyond : int
         Spanwise: axis to root, root to tip, beyond the tip.
-    outer : int
-        From there, and from left and right, to the outer cylinder.
+    inner, outer : int
+        From there, and from left and right, to the cylinder around the blade, and from that to the outer one.
     wall : float
         First cell on the blade, over the chord.
     tip : float
@@ -68,6 +68,7 @@ class Counts:
     gap: int
     blade: int
     beyond: int
+    inner: int
     outer: int
     wall: float
     tip: float
@@ -234,11 +235,15 @@ def _turned(points: Array, angle: float) -> Array:
 
 @dataclass(frozen=True)
 class Box:
-    """Limits of the sections (m): half width, top, bottom (below 0)."""
+    """Limits of the sections (m): half width, top, bottom (below 0).
+
+    From ``level_m`` above the disc upwards, and as far below it downwards, lines are level: the same for all sections.
+    """
 
     half_m: float
     top_m: float
     bottom_m: float
+    level_m: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,17 +312,17 @@ def section(layout: Layout, shape: Shape, box: Box) -> Array:
     z_in = tall * np.linspace(-1.0, 1.0, m + 1)
     # Lines of the tensor.
     wide_l, wide_r = box.half_m + x_in[0], box.half_m - x_in[-1]
-    up, down = box.top_m - tall, -tall - box.bottom_m
     aside, above, below = _outwards(k, shape.typical_m, box)
     x = np.concatenate((x_in[0] - wide_l * aside[::-1], x_in[1:-1], x_in[-1] + wide_r * aside))
-    z = np.concatenate((-tall - down * below[::-1], z_in[1:-1], tall + up * above))
+    own = (tall - above[0]) * _fading((above - above[0]) / (box.level_m - above[0]))
+    own_below = (tall + below[0]) * _fading((below[0] - below) / (box.level_m + below[0]))
+    z = np.concatenate(((below - own_below)[::-1], z_in[1:-1], above + own))
     grid = np.stack(np.meshgrid(x, z, indexing="ij"), axis=-1)
     # The centre block is turned with the blade; what surrounds it follows, less with distance.
     near = np.stack((np.clip(grid[..., 0], x_in[0], x_in[-1]), np.clip(grid[..., 1], -tall, tall)), axis=-1)
     away = np.abs(grid - near)
     reach_x = np.where(grid[..., 0] < 0, wide_l, wide_r)
-    reach_z = np.where(grid[..., 1] < 0, min(4.0 * c + tall, down), min(4.0 * c + tall, up))
-    follow = _fading(away[..., 0] / reach_x) * _fading(away[..., 1] / reach_z)
+    follow = _fading(away[..., 0] / reach_x) * _fading(away[..., 1] / min(4.0 * c, box.level_m - tall))
     grid = grid + follow[..., None] * (_turned(near, (1 - g) * shape.angle_rad) - near)
 
     out = np.full((layout.points, 2), np.nan)
@@ -330,17 +335,18 @@ def section(layout: Layout, shape: Shape, box: Box) -> Array:
 
 
 def _outwards(k: Counts, chord_m: float, box: Box) -> tuple[Array, Array, Array]:
-    """Lines from the centre block to the sides, the top and the bottom, 0..1: the same for all sections.
+    """Lines from the centre block of a typical section: to the sides (0..1), above and below (z, m), outwards.
 
-    Where the chord changes, lines of its own would slant the cells far away from it.
+    They are one set for all sections: where the chord changes, lines of its own would slant the cells far away from it.
     """
     wide = box.half_m - (0.75 + BESIDE) * chord_m
     step = min(max((1 + 2 * BESIDE) * chord_m / k.along, 0.02 * wide), 0.9 * wide / k.side)
     dz, high = 2 * OVER * chord_m / k.across, OVER * chord_m
+    up, down = box.top_m - high, -box.bottom_m - high
     return (
         grown(k.side, step / wide),
-        grown(k.above, dz / (box.top_m - high)),
-        grown(k.below, dz / (-box.bottom_m - high)),
+        high + up * grown(k.above, dz / up),
+        -high - down * grown(k.below, dz / down),
     )
 
 

@@ -236,6 +236,76 @@ def sweep(
 
 
 @app.command()
+def study(
+    what: Annotated[str, argument("mesh|domain|model", "What is varied.")],
+    rotor: RotorArgument = "naca0012-r60-c20",
+    pitch: PitchOption = "12",
+    rpm: Annotated[float, option("RPM", "Rotor speed.")] = 5000.0,
+    density: Annotated[float, option("KG/M3", "Density of the air.")] = 1.2,
+    level: MeshOption = "coarse",
+    out: Annotated[
+        Path, option("--out DIR", "A folder for each case in it; what is solved there is kept.")
+    ] = Path("study"),
+    cores: Annotated[int, option("N", "Processes of the solver.", min=1, max=256)] = 1,
+    as_json: JsonOption = False,
+) -> None:
+    """Solve one point on three meshes, in a domain with each limit 1.5 times as far, or with every model.
+
+    Example: mufly cfd study domain naca0012-r60-c20 --pitch 12 --rpm 5000 --mesh coarse --out study
+    """
+    from mufly.cfd import LEVELS, find_solver, study_cases
+    from mufly.cfd import study as solve_all
+    from mufly.rotor import Air, load_rotor
+
+    study_cases(what)
+    one_of("--mesh", level, LEVELS)
+    find_solver()
+    with _telling(not as_json) as tell:
+        found = solve_all(
+            out, load_rotor(rotor), what, cores=cores, progress=tell, pitch_rad=angle("--pitch", pitch),
+            speed_rad_s=turning("--rpm", rpm), air=Air(density_kg_m3=density), level=level,
+        )  # fmt: skip
+    first = next(iter(found.values())).verdict
+    rows = [
+        (name, s.verdict.thrust_N, s.verdict.thrust_N / first.thrust_N - 1.0, s.verdict.torque_Nm,
+         s.verdict.torque_Nm / first.torque_Nm - 1.0, s.wake_torque, s.eddy_ratio, s.verdict.what)
+        for name, s in found.items()
+    ]  # fmt: skip
+    heads = (
+        "case",
+        "thrust_N",
+        "thrust_change",
+        "torque_Nm",
+        "torque_change",
+        "wake_torque",
+        "eddy_ratio",
+        "verdict",
+    )
+    files = [write_csv(out / f"{what}.csv", heads, rows)]
+
+    def show() -> None:
+        texts = [
+            (
+                n,
+                f"{t:.4f}",
+                f"{100 * dt:+.1f} %",
+                f"{1e3 * q:.4f}",
+                f"{100 * dq:+.1f} %",
+                f"{w:.2f}",
+                f"{e:.3g}",
+                v,
+            )
+            for n, t, dt, q, dq, w, e, v in rows
+        ]
+        print_table(
+            ("case", "thrust (N)", "", "torque (mN m)", "", "torque in the wake", "nut/nu", "verdict"), texts,
+            text=(0, 7),
+        )  # fmt: skip
+
+    answer(as_json, lambda: {"cases": [dict(zip(heads, row, strict=True)) for row in rows]}, show, files)
+
+
+@app.command()
 def show(
     case: Annotated[Path, argument("DIR", "A case that `mufly cfd run` wrote.")],
     rotor: Annotated[
@@ -361,7 +431,7 @@ def _tell(folder: Path, rotor: Rotor | None, as_json: bool) -> None:
                 "thrust_N_m", "torque_Nm_m")  # fmt: skip
         return {
             "point": vars(found.point), "verdict": found.verdict, **{k: getattr(found, k) for k in kept},
-            "eddy_ratio": found.eddy_ratio,
+            "eddy_ratio": found.eddy_ratio, "wake_torque": found.wake_torque, "wake_thrust": found.wake_thrust,
             "yplus_largest": float(found.yplus.max()), "yplus_median": float(np.median(found.yplus)),
             "beside": {o.method: {"thrust_N": o.thrust_N, "torque_Nm": o.torque_Nm} for o in others},
         }  # fmt: skip
@@ -412,7 +482,8 @@ def _show(found: Solution, others: list[Any]) -> None:
         f"Drift {100 * v.drift:.2g} % and swing {100 * v.swing:.2g} % in the last 400 iterations, outflow "
         f"{1e3 * v.outflow_m3_s:.3g} l/s at the bottom, continuity {v.leak:.1e}; friction is "
         f"{100 * found.friction_torque:.0f} % of the torque; y+ up to {found.yplus.max():.2g}, median "
-        f"{np.median(found.yplus):.2g}; figure of merit {found.figure_of_merit:.3f}"
+        f"{np.median(found.yplus):.2g}; figure of merit {found.figure_of_merit:.3f}; the air below carries "
+        f"{100 * found.wake_torque:.0f} % of the torque, {100 * found.wake_thrust:.0f} % of the thrust"
         + (f"; turbulent over molecular viscosity up to {found.eddy_ratio:.3g}" if found.eddy_ratio else ""),
         highlight=False,
     )
