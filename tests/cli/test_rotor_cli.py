@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import mufly.cli.aero.export  # noqa: F401  adds a command
 from mufly.cli.rotor import app
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import builtin_rotors
@@ -121,6 +122,20 @@ def test_compare_says_whether_it_is_calibrated(tmp_path) -> None:
     assert f"lift is scaled by {answer['lift_factor']:.4f}" in told
     assert "count from 1 to 1" in fault("compare", "naca0012-r60-c20", str(bench), "--calibrate", "2")
     assert "count from 1 to 1" in fault("fit", "naca0012-r60-c20", str(bench), "--point", "0")
+
+
+def test_a_blade_goes_out_as_a_body_and_comes_in_again(tmp_path) -> None:
+    body, table = tmp_path / "b.stl", tmp_path / "b.csv"
+    told = json.loads(output("export", "naca0012-r60-c20", str(body), "--whole", "--hub", "10", "--json"))
+    assert told["open_edges"] == 0
+    assert "closed" in output("export", "naca0012-r60-c20", str(body), "--tail", "0.2", "--clockwise")
+    again = json.loads(output("import", str(body), "--out", str(tmp_path / "again.toml"), "--json"))
+    assert len(again["airfoils"]) == 15
+    output("export", "naca0012-r60-c20", str(table), "--stations", "7")
+    assert json.loads(output("import", str(table), "--json"))["airfoils"] == ["naca0012"]
+    assert "no kind" in fault("export", "naca0012-r60-c20", str(tmp_path / "b.obj"))
+    assert "--hub: belongs to a whole" in fault("export", "naca0012-r60-c20", str(body), "--hub", "5")
+    assert "--out: is missing" in fault("import", str(body))
 
 
 def test_parameters_are_listed_with_units() -> None:

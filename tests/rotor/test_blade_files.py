@@ -60,7 +60,7 @@ def test_apcs_own_file_old_and_new(tmp_path, newer):
         )
     )
     r, notes = read_blade(written(tmp_path, "5x4-PERF.PE0", text))
-    assert (r.blades, r.airfoil_names()) == (3, ("e63", "naca4412"))
+    assert (r.blades, r.airfoil_names()) == (3, ("e63+thick20", "naca4412+thick12", "naca4412+thick10"))
     assert_allclose(r.radius_m, 2.5 * 0.0254)
     assert_allclose(r.blade.r_over_R.value, [0.2, 0.6, 0.96, 1.0])
     assert_allclose(r.chord_m(0.6), 0.6 * 0.0254)

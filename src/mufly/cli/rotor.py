@@ -174,7 +174,8 @@ def import_blade(
     """Make a rotor file of somebody else's table of a blade; what had to be guessed is said.
 
     Examples: mufly rotor import da4002_5x3.75_geom.txt --diameter 5in --airfoil sda1075.dat --out da.toml; mufly rotor
-    import 10x7E-PERF.PE0 --out apc.toml; mufly rotor import calipers.csv (r_mm, chord_mm, beta_deg) --blades 2
+    import 10x7E-PERF.PE0 --out apc.toml; mufly rotor import calipers.csv (r_mm, chord_mm, beta_deg) --blades 2; mufly
+    rotor import blade.stl --out cut.toml (mm; blade along x, shaft along z)
     """
     from mufly.errors import InputError
     from mufly.rotor import read_blade, rotor_toml
@@ -188,13 +189,21 @@ def import_blade(
             radius = 0.5 * float(parse_quantity("radius", diameter))
         except InputError as error:
             raise InputError("--diameter", "", error.problem, "write for example 5in or 127mm") from None
-    found = read_blade(blade, radius_m=radius, blades=blades, airfoil=airfoil, name=name)
-    r = found.rotor
+    if blade.suffix.lower() == ".stl":
+        from mufly.rotor.solid import rotor_of_stl
+
+        if out is None:
+            raise InputError(
+                "--out", "", "is missing", "a body's sections become files beside the rotor file"
+            )
+        r, notes = rotor_of_stl(blade, folder=out.parent, blades=blades, name=name or out.stem)
+    else:
+        r, notes = read_blade(blade, radius_m=radius, blades=blades, airfoil=airfoil, name=name)
     if out is not None:
         with writing(out):
             out.write_text(rotor_toml(r), encoding="utf-8")
     if as_json:
-        print_json({"name": r.name, **_geometry(r), "airfoils": r.airfoil_names(), "notes": found.notes})
+        print_json({"name": r.name, **_geometry(r), "airfoils": r.airfoil_names(), "notes": notes})
         return
     c = console()
     c.print(
@@ -202,7 +211,7 @@ def import_blade(
         f"solidity {r.solidity:.3f}, airfoils {', '.join(r.airfoil_names())}",
         highlight=False,
     )
-    for note in found.notes:
+    for note in notes:
         c.print(f"Note: {note}", style="yellow", highlight=False)
     c.print(f"Written: {out}" if out is not None else "Nothing written; add --out FILE.toml")
 

@@ -12,9 +12,11 @@ airfoil  ``airfoil``, ``section``: a name a station; it may be left out
 
 APC's ``...-PERF.PE0`` files name radius, number of blades, and for each station (inches, degrees) chord, ratio of
 thickness and twist; below the table stand the airfoil within a first radius and the one beyond a second, blended in
-between (here one becomes the other in the middle). An airfoil whose coordinates APC keeps to itself (``APC12`` and its
-like) is replaced by NACA 4412, which APC calls similar, and that is said. Stations with a chord below a thousandth of
-the radius, as at tips that end in a point, are left out, and the last one is held to the tip.
+between (here one becomes the other in the middle), each scaled to the station's thickness, to a whole per cent. Their
+radius is rounded to a hundredth of an inch; the last station is the tip where it lies within that. An airfoil whose
+coordinates APC keeps to itself (``APC12`` and its like) is replaced by NACA 4412, which APC calls similar, and that is
+said. Stations with a chord below a thousandth of the radius, as at tips that end in a point, are left out, and the last
+one is held to the tip.
 """
 
 from __future__ import annotations
@@ -226,15 +228,21 @@ def _apc(path: Path, notes: list[str]) -> _Stations:
         )
         middle = 0.5 * (from_m + to_m)
         foils = [inner if here <= middle else outer for here in r.tolist()]
+        if "THICKNESS" in names:
+            percent = np.clip(np.round(100.0 * data[:, names.index("THICKNESS")]), 1.0, 40.0)
+            foils = [f"{foil}+thick{p:g}" for foil, p in zip(foils, percent.tolist(), strict=True)]
         if inner != outer:
             notes.append(
                 f"{inner} becomes {outer} at {1e3 * middle:.1f} mm; APC blends them from {1e3 * from_m:.1f} to "
-                f"{1e3 * to_m:.1f} mm, and scales their thickness"
+                f"{1e3 * to_m:.1f} mm"
             )
     else:
         notes.append(f"airfoil {_STAND_IN}, since the file names none")
     chord, twist = _INCH * data[:, names.index("CHORD")], np.radians(data[:, names.index("TWIST")])
-    return r, chord, twist, foils, _INCH * float(radius[1]), int(count[1]) if count else None
+    whole = _INCH * float(radius[1])
+    if whole < float(r.max()) <= whole + 0.005 * _INCH:
+        whole = float(r.max())
+    return r, chord, twist, foils, whole, int(count[1]) if count else None
 
 
 def _known(name: str, notes: list[str]) -> str:

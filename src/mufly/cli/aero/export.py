@@ -1,0 +1,99 @@
+"""``mufly rotor export``: blades as bodies to print or to draw with, and stations as a table."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+from mufly.cli.options import JsonOption, RotorArgument, argument, option
+from mufly.cli.present import console, print_json, write_csv, writing
+from mufly.cli.rotor import app as rotor_commands
+
+_KINDS = (".stl", ".step", ".stp", ".csv")
+
+
+@rotor_commands.command()
+def export(
+    rotor: RotorArgument,
+    out: Annotated[Path, argument("FILE", "What to write: name.stl, name.step or name.csv.")],
+    pitch: Annotated[float, option("DEG", "Pitch setting, added to the twist.")] = 0.0,
+    whole: Annotated[bool, option("--whole", "All blades about the shaft, not one along x.")] = False,
+    clockwise: Annotated[
+        bool, option("--clockwise", "For a rotor that turns clockwise, seen from above.")
+    ] = False,
+    tail: Annotated[
+        float, option("MM", "Least thickness of the trailing edge, as a printer needs it.", min=0.0)
+    ] = 0.0,
+    hub: Annotated[float, option("MM", "Radius of a hub, with --whole; 0: none.", min=0.0)] = 0.0,
+    bore: Annotated[float, option("MM", "Radius of its bore.", min=0.0)] = 0.0,
+    stations: Annotated[int, option("N", "Stations along the blade.", min=4, max=1000)] = 60,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a blade as a closed body (STL in mm, STEP), or its stations as a table.
+
+    The blade lies along x, its nose towards y, the shaft along z. STL is checked: every edge belongs to two triangles.
+    STEP needs `pip install 'mufly[cad]'`. Examples: mufly rotor export naca0012-r60-c20 blade.stl --tail 0.4; mufly
+    rotor export naca0012-r60-c20 rotor.stl --whole --hub 6 --bore 1
+    """
+    import numpy as np
+
+    from mufly.errors import InputError, MuflyError
+    from mufly.rotor import load_rotor
+    from mufly.rotor import solid as bodies
+
+    r, kind = load_rotor(rotor), out.suffix.lower()
+    if kind not in _KINDS:
+        raise InputError("FILE", str(out), "is of no kind known here", f"let it end with {', '.join(_KINDS)}")
+    if hub > 0.0 and not bore < hub:
+        raise InputError("--bore", f"{bore:g} mm", f"does not fit in a hub of {hub:g} mm", "give less")
+    if hub > 0.0 and not whole:
+        raise InputError("--hub", "", "belongs to a whole rotor", "add --whole")
+    if kind == ".csv":
+        x = np.linspace(float(r.hub_cutout), 1.0, stations)
+        cut = r.sections(x)
+        rows = [
+            [1e3 * x[k] * r.radius_m, 1e3 * cut.chord_m[k], math.degrees(cut.twist_rad[k]) + pitch,
+             cut.names[cut.first[k] if cut.weight[k] < 0.5 else cut.second[k]]]
+            for k in range(x.size)
+        ]  # fmt: skip
+        write_csv(out, ("r_mm", "chord_mm", "beta_deg", "airfoil"), rows)
+        told = {"file": str(out), "stations": stations}
+    else:
+        sections = bodies.blade_sections(r, along=stations, tail_m=1e-3 * tail, pitch_rad=math.radians(pitch))
+        blade = bodies.solid_of(sections)
+        parts = [blade]
+        if whole:
+            parts = [bodies.turned_about_shaft(blade, 2.0 * math.pi * k / r.blades) for k in range(r.blades)]
+        if hub > 0.0:
+            low, high = (float(f(sections[0, :, 2])) for f in (np.min, np.max))
+            parts.append(bodies.hub_solid(1e-3 * hub, 1e-3 * bore, low, high))
+        parts = [bodies.mirrored(p) for p in parts] if clockwise else parts
+        body = bodies.joined(parts)
+        if kind == ".stl":
+            if body.open_edges():
+                raise MuflyError(
+                    f"{r.name}: {body.open_edges()} edges of the surface are open; give fewer stations"
+                )
+            with writing(out):
+                bodies.write_stl(out, body, r.name)
+        else:
+            if whole:
+                raise InputError("--whole", "", "is for STL", "STEP holds one blade; a CAD program copies it")
+            with writing(out):
+                bodies.write_step(out, sections * ([1.0, -1.0, 1.0] if clockwise else [1.0, 1.0, 1.0]))
+        told = {
+            "file": str(out), "triangles": len(body.triangles), "volume_mm3": 1e9 * body.volume_m3,
+            "area_mm2": 1e6 * body.area_m2, "open_edges": body.open_edges(),
+        }  # fmt: skip
+    if as_json:
+        print_json(told)
+        return
+    c = console()
+    if kind != ".csv":
+        c.print(
+            f"{r.name}: {told['volume_mm3']:.0f} mm3, {told['area_mm2']:.0f} mm2, closed"
+            + ("; bodies overlap where they meet, as slicers allow" if hub > 0.0 else ""),
+            highlight=False,
+        )
+    c.print(f"Written: {out}")

@@ -1,0 +1,94 @@
+"""Blades as bodies: closed, of the right volume, and found again by cutting."""
+
+import struct
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from mufly.errors import InputError
+from mufly.rotor import load_rotor, make_rotor
+from mufly.rotor.sections.airfoil import load_airfoil
+from mufly.rotor.solid import (
+    blade_sections,
+    hub_solid,
+    joined,
+    mirrored,
+    read_stl,
+    rotor_of_stl,
+    slice_blade,
+    solid_of,
+    turned_about_shaft,
+    write_stl,
+)
+
+
+def section_area(name):
+    x, y = load_airfoil(name).coordinates.T
+    return abs(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+@pytest.fixture(scope="module")
+def rotor():
+    return make_rotor(
+        name="p", radius_m=0.06, chord_m=[0.012, 0.018, 0.008], twist_rad=np.radians([30.0, 18.0, 9.0]),
+        r_over_R=[0.2, 0.5, 1.0], airfoils=["clarky", "clarky", "naca4409"], hub_cutout=0.2,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("tail_m", [0.0, 4e-4])
+def test_closed_and_of_the_volume_of_its_sections(tail_m):
+    r = load_rotor("naca0012-r60-c20")
+    blade = solid_of(blade_sections(r, tail_m=tail_m))
+    assert blade.open_edges() == 0
+    span = r.radius_m * (1.0 - float(r.hub_cutout))
+    missing = tail_m - 0.02 * np.ptp(load_airfoil("naca0012").coordinates[[0, -1], 1])
+    wedge = 0.5 * 0.02 * max(missing, 0.0)  # what opens the tail grows along the chord
+    assert_allclose(blade.volume_m3, span * (section_area("naca0012") * 0.02**2 + wedge), rtol=3e-3)
+    torn = type(blade)(blade.points_m, blade.triangles[1:])
+    assert torn.open_edges() == 3
+    other = mirrored(blade)
+    assert_allclose((other.open_edges(), other.volume_m3), (0, blade.volume_m3))
+
+
+def test_hub_and_all_blades(rotor, tmp_path):
+    ring, disc = hub_solid(0.006, 0.001, -0.003, 0.003), hub_solid(0.006, 0.0, -0.003, 0.003)
+    assert ring.open_edges() == disc.open_edges() == 0
+    assert_allclose([ring.volume_m3, disc.volume_m3], np.pi * np.array([35e-6, 36e-6]) * 0.006, rtol=2e-3)
+    blade = solid_of(blade_sections(rotor))
+    whole = joined([blade, turned_about_shaft(blade, np.pi), ring])
+    assert whole.open_edges() == 0
+    assert_allclose(whole.volume_m3, 2 * blade.volume_m3 + ring.volume_m3)
+    write_stl(tmp_path / "p.stl", whole)
+    data = (tmp_path / "p.stl").read_bytes()
+    assert struct.unpack_from("<I", data, 80)[0] == len(whole.triangles)
+    assert_allclose(read_stl(tmp_path / "p.stl"), whole.points_m[whole.triangles], atol=1e-8)
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("tail_m", [0.0, 3e-4])
+def test_a_body_is_cut_into_the_stations_that_it_was_made_of(rotor, tmp_path, tail_m, way):
+    blade = solid_of(blade_sections(rotor, tail_m=tail_m))
+    body = joined([turned_about_shaft(blade, 2.0 * np.pi * k / 3.0) for k in range(3)])
+    write_stl(tmp_path / "p.stl", body if way > 0 else mirrored(body))
+    x = np.array([0.25, 0.4, 0.6, 0.8, 0.95])
+    cut = slice_blade(read_stl(tmp_path / "p.stl"), 0.06 * x)
+    assert_allclose([s.chord_m for s in cut], rotor.chord_m(x), rtol=5e-3)
+    assert_allclose([s.twist_rad for s in cut], rotor.twist_rad(x), atol=np.radians(0.4))
+    again, notes = rotor_of_stl(tmp_path / "p.stl", folder=tmp_path, blades=3)
+    assert_allclose(again.chord_m(x), rotor.chord_m(x), rtol=2e-2)
+    assert_allclose(again.twist_rad(x), rotor.twist_rad(x), atol=np.radians(0.7))
+    assert (again.blades, len(notes)) == (3, 1)
+    camber = load_airfoil(again.blade.airfoils[5]).camber
+    assert_allclose(camber, load_airfoil("clarky").camber, atol=5e-3)
+
+
+def test_what_is_no_body_is_said(rotor, tmp_path):
+    (tmp_path / "a.stl").write_text("hello")
+    with pytest.raises(InputError, match="is no STL file"):
+        read_stl(tmp_path / "a.stl")
+    (tmp_path / "b.stl").write_text("solid\n" + "vertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n" * 3)
+    with pytest.raises(InputError, match="no closed sections"):
+        rotor_of_stl(tmp_path / "b.stl", folder=tmp_path)
+    with pytest.raises(InputError, match="tail"):
+        blade_sections(rotor, tail_m=0.01)
