@@ -208,7 +208,9 @@ def _report(problem: Problem, best: dict[str, float | str]) -> Optimum:
             own = False
         else:
             made = {**made, name: changes[name]}
-    rotor = replace_rotor(problem.rotor(best), {"name": f"{problem.setup.rotor.name}-optimised"})
+    start = problem.setup.rotor
+    told = {"name": f"{start.name}-optimised", "description": f"{start.name}, optimised for {problem.goal}"}
+    rotor = replace_rotor(problem.rotor(best), told)
     results = {k: float(v[0]) for k, v in values.items() if k != "outside_share"}
     results["least_thickness_m"] = least_thickness_m(rotor)
     if "gear" in problem.free:
