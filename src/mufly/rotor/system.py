@@ -259,6 +259,8 @@ class WakeSettings:
         No boundary layer: c_l = 2 pi sin(alpha), no drag.
     gpu : bool
         Sum the velocities of the wake on a CUDA device.
+    ground_m : float, optional
+        How far below height 0, a single rotor's disc, level ground lies. Vortices are mirrored in it.
     """
 
     model: Literal["free", "prescribed"] = "free"
@@ -275,8 +277,11 @@ class WakeSettings:
     iterations: int = 150
     inviscid: bool = False
     gpu: bool = False
+    ground_m: float | None = None
 
     def __post_init__(self) -> None:
+        if self.ground_m is not None and not self.ground_m > 0.0:
+            raise InputError("wake", "ground_m", f"is {self.ground_m:g} m", "give a height above 0")
         if self.model not in ("free", "prescribed"):
             raise InputError("wake", "model", f"{self.model!r} is unknown", "use 'free' or 'prescribed'")
         coarse = "too coarse a wake; "

@@ -52,6 +52,19 @@ def induced_velocity(solution: Result, points_m: ArrayLike, azimuth_rad: ArrayLi
     if flat.shape[0] and not np.all(np.isfinite(flat)):
         raise InputError("wake", "points_m", "hold NaN or infinity", "give finite points")
     azimuths = np.broadcast_to(np.asarray(azimuth_rad, dtype=np.float64), (len(solution.wakes),))
+    total = _of_wakes(solution, flat, azimuths)
+    ground = None if solution.settings is None else solution.settings.ground_m
+    if ground is not None:  # what it mirrors
+        total += _of_wakes(solution, flat * [1.0, 1.0, -1.0] - [0.0, 0.0, 2.0 * ground], azimuths) * [
+            1.0,
+            1.0,
+            -1.0,
+        ]
+    return total.reshape(points.shape)
+
+
+def _of_wakes(solution: Result, flat: Array, azimuths: Array) -> Array:
+    """What the vortices themselves induce at points (n, 3)."""
     total = np.zeros_like(flat)
     for wake, azimuth in zip(solution.wakes, azimuths, strict=True):
         segments, hand = _own_frame(wake), wake.placed.hand
@@ -64,7 +77,7 @@ def induced_velocity(solution: Result, points_m: ArrayLike, azimuth_rad: ArrayLi
             sum_ += turned(induce(turned(there, -angle), segments), angle)
         sum_[:, 1] *= hand
         total += sum_
-    return total.reshape(points.shape)
+    return total
 
 
 def momentum_thrust(solution: Result, height_m: float, *, reach: float = 6.0) -> float:

@@ -54,6 +54,8 @@ _PAIR_CORE_LIMITS = (0.2, 0.3, 0.4)
 _DAMPING_RAD = 4.0 * math.pi
 _THICK, _THINNING = 0.4, 15.0  # core limit (R) at first; iterations in which it fades
 _LAG = 3  # iterations between updates of what the other rotor does to the wake's points; it changes slowly
+_USUAL = 0.06  # c_T over solidity, before anything is known
+_ROLLS = 0.05  # R: height above the ground below which no vortex comes
 _LONGEST_STEP = 0.15  # R; a point never goes farther in one iteration
 _PRESCRIBED_FIRST = 6  # iterations with Landgrebe's wake before the free wake is let go
 
@@ -100,7 +102,7 @@ def first_shape(units: Sequence[Unit], start: Result | None, climb: float) -> No
             unit.free[:, 0] = s.edge_tail_m
         else:
             sigma = s.blades * float(np.sum(s.chord_m * s.width_m)) / (math.pi * s.radius_m**2)
-            unit.free = prescribed(s, unit.age, 0.06 * sigma, None, climb)
+            unit.free = unit.above_ground(prescribed(s, unit.age, _USUAL * sigma, None, climb))
 
 
 def solve_wake(
@@ -138,6 +140,10 @@ def solve_wake(
     gas, how = air or Air(), settings or WakeSettings()
     start = start if start is not None and start.wakes else None
     check_rotors(rotors, climb_m_s)
+    if how.ground_m is not None:
+        how = replace(
+            how, far_turns=min(how.far_turns, max(_turns_to(how.ground_m, rotors) - how.turns, 1.0))
+        )
     if how.core_limit is not None or how.model == "prescribed":
         how = replace(how, core_limit=how.core_limit if how.core_limit is not None else _CORE_LIMITS[0])
         return _attempt(rotors, gas, climb_m_s, how, start, progress)
@@ -150,6 +156,17 @@ def solve_wake(
             break
         start = None
     return solution
+
+
+def _turns_to(ground_m: float, rotors: Sequence[Placed]) -> float:
+    """Turns after which Landgrebe's tip vortex of the lowest rotor is on the ground, at a usual loading.
+
+    Below, helices would lie on the ground one on the other, and the wake does not settle.
+    """
+    lowest = min(rotors, key=lambda p: p.height_m)
+    rotor = lowest.blading.rotors[lowest.which]
+    per_turn = 2.0 * math.pi * 1.41 * math.sqrt(0.5 * _USUAL * rotor.solidity) * rotor.radius_m
+    return (ground_m + lowest.height_m) / per_turn
 
 
 def _attempt(
@@ -189,6 +206,7 @@ def _attempt(
                 if unit.from_others is not None:
                     v += unit.from_others
                 aim, far_off = _convected(unit, v.reshape(unit.free.shape), climb_m_s)
+                aim = unit.above_ground(aim)
                 part = how.relaxation / (1.0 + unit.age / (_DAMPING_RAD))
                 step = part[:, None] * (aim - unit.free)
                 length = np.linalg.norm(step, axis=2, keepdims=True)
@@ -198,6 +216,7 @@ def _attempt(
                 assert unit.state is not None
                 c_T = _c_T(unit, gas)
                 aim = prescribed(unit.surface, unit.age, c_T, unit.state.circulation, climb_m_s)
+                aim = unit.above_ground(aim)
                 unit.next = unit.free + 0.4 * (aim - unit.free)
                 far_off = math.sqrt(np.mean(np.sum((aim - unit.free) ** 2, axis=2))) / unit.surface.radius_m
                 far_off += 10.0 * free  # not yet the wake that was asked for
@@ -273,8 +292,10 @@ class Unit:
             self.induce = induce_gpu
         self.age = ages_of(settings.turns, math.radians(settings.step_deg))
         self.free = np.empty((n + 1, self.age.size, 3))
+        ground = math.inf if settings.ground_m is None else settings.ground_m
+        self.floor = -(ground + placed.height_m)
         self.sensors = np.concatenate([s.control_m, s.quarter_m, leg_points(s)])
-        self.bound = bound_influence(s, self.sensors)
+        self.bound = self.with_image(self.sensors, lambda p: bound_influence(s, p))
         # Circulation of the filament at edge j, towards the wake: what the inboard panel brings less the next one's.
         self.shed = np.zeros((n + 1, n))
         self.shed[np.arange(n), np.arange(n)] = -1.0
@@ -286,6 +307,21 @@ class Unit:
         self.thrust, self.torque = 0.0, 0.0
         self.dT, self.dQ = np.zeros(n), np.zeros(n)
 
+    def with_image(self, points: Array, velocity: Callable[[Array], Array]) -> Array:
+        """Velocity of vortices at points, and of what the ground mirrors of them: v(x) + M v(M x), M: z about it."""
+        v = velocity(points)
+        if math.isfinite(self.floor):
+            below = points.copy()
+            below[:, 2] = 2.0 * self.floor - below[:, 2]
+            v += velocity(below) * [1.0, 1.0, -1.0]
+        return v
+
+    def above_ground(self, points: Array) -> Array:
+        """Points, those in the ground lifted to where a vortex rolls on it."""
+        if math.isfinite(self.floor):
+            points[..., 2] = np.maximum(points[..., 2], self.floor + _ROLLS * self.surface.radius_m)
+        return points
+
     def strength(self) -> Array:
         return self.shed @ self.state.circulation if self.state is not None else np.zeros(self.shed.shape[0])
 
@@ -294,6 +330,7 @@ class Unit:
         self.paths, self.path_age = extended(
             self.surface, self.free, self.age, settings.far_turns, math.radians(settings.far_step_deg)
         )
+        self.paths = self.above_ground(self.paths)
         self.refresh(settings, viscosity)
 
     def refresh(self, settings: WakeSettings, viscosity: float) -> None:
@@ -305,7 +342,9 @@ class Unit:
 
     def velocity(self, points: Array) -> Array:
         """What this rotor induces at points of its own frame."""
-        return of_all_blades(points, self.surface.blades, lambda p: self.induce(p, self.segments))
+        return self.with_image(
+            points, lambda x: of_all_blades(x, self.surface.blades, lambda p: self.induce(p, self.segments))
+        )
 
 
 def vortices_of(
@@ -328,7 +367,10 @@ def vortices_of(
 
 def trailing(unit: Unit) -> Array:
     """Velocity at a rotor's own control and quarter chord points per circulation of its panels, blades and wake."""
-    legs = of_all_blades(unit.sensors, unit.surface.blades, lambda p: influence(p, unit.paths, unit.core))
+    legs = unit.with_image(
+        unit.sensors,
+        lambda x: of_all_blades(x, unit.surface.blades, lambda p: influence(p, unit.paths, unit.core)),
+    )
     return unit.bound + np.einsum("ijc,jk->ikc", legs, unit.shed)
 
 
