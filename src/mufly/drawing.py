@@ -6,6 +6,7 @@ the way is the horizontal axis, or one of a name that is always an axis (time, f
 
 from __future__ import annotations
 
+import io
 import math
 import sys
 from collections.abc import Sequence
@@ -180,7 +181,13 @@ def _words(title: str, table: Sequence[tuple[str, str]]) -> Figure:
 
 
 def shown(figure: Figure) -> Figure:
-    """Return a figure such that a notebook draws it, though nobody has imported pyplot there."""
-    if "ipykernel" in sys.modules:
-        import matplotlib.pyplot  # noqa: F401  its inline backend tells the notebook how figures are drawn
+    """Return a figure such that a notebook shows it, whichever backend it has and though nobody imported pyplot."""
+    if "IPython" in sys.modules:
+        figure.__dict__["_repr_png_"] = lambda: _png(figure)
     return figure
+
+
+def _png(figure: Figure) -> bytes:
+    out = io.BytesIO()
+    figure.savefig(out, format="png", dpi=100)
+    return out.getvalue()
