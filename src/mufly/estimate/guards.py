@@ -55,6 +55,9 @@ LASTS_S = 0.5
 _OLDEST_S = 10.0
 """Age beyond which a reading is none, as is one of the future or of no time."""
 _SPIKE, _ALIKE = 0.12, 0.06  # rad/s within a period, beyond what the model says
+_LARGEST_SHIFT = (
+    5.0  # rad/s: no gyroscope is off by more; what jumps on and on follows a model that runs away
+)
 _ROUGH = 3.0  # of the mean difference of some 50 ms
 _TURN_OFF = 0.02  # of a difference that is taken for an error of the model's moments
 _SHARE = 0.02  # of clipped samples that is told of
@@ -216,7 +219,10 @@ def smooth_rates(m, s, flying):  # type: ignore[no-untyped-def]
         m.doubt[R_RATES] = m.doubt[R_RATES] * FORGET + 1.0
         if m.doubt[R_RATES] > 3.0:
             flag(m, s, R_RATES, FUSED, SPIKES, worst)
-    if m.spikes >= 2:
+    small = True
+    for k in range(3):
+        small = small and abs(m.shift[k] + (m.rates[k] - m.row[k])) < _LARGEST_SHIFT
+    if m.spikes >= 2 and small:
         # Twice the same: an offset that came at once is no motion. It is taken off from now on.
         for k in range(3):
             off = m.rates[k] - m.row[k]

@@ -15,17 +15,29 @@ import numpy as np
 from mufly.control import FlightController, design
 from mufly.estimate import native
 from mufly.firmware import integer_law
+from mufly.firmware.campaign import obstructed, weather
 from mufly.firmware.checks import built
 from mufly.firmware.fixed import fixed_law
 from mufly.firmware.host import Firmware, declarations
 from mufly.firmware.onboard import FirmwareSoftware
 from mufly.flight import fly
 from mufly.mission import Mission, load_mission
+from mufly.sensors.faults import parse_fault
 from mufly.toolchain import FLAGS
 from mufly.vehicle import Vehicle, load_vehicle
 
 PARTS, INPUTS = 5, 3000
 """Of the harness of the fuzzer, and how many inputs are drawn for it."""
+
+
+FLIGHTS = 8
+FAULTS = (
+    "sonar.jump=0.3@14s+2s gyro.jump=0.3@16s position.dropout@14s+3s ring.insane@13s pressure.doubled@11s",
+    "sonar.stuck=1.0@14s accelerometer.clip=12@15s ring.doubled@13s battery.jump@14s magnetometer.insane@15s",
+    "position.late@14s pressure.drift@14s gyro.insane@16s+0.5s ring.outliers@13s gyro.outliers@17s sonar.outliers@15s",
+    "position.drift=0.3@14s magnetometer.jump@14s pressure.jump@15s rotor_speed.jump@15s sonar.drift@14s",
+)
+"""Of sensors, all together, beside those drawn."""
 
 
 def counted(folder: Path) -> Path:
@@ -56,7 +68,7 @@ def exercise(folder: Path, vehicle: Vehicle) -> None:
     library = str(counted(folder))
     controller = design(vehicle)
     firmware = Firmware.__new__(Firmware)
-    firmware.real = np.dtype(np.float64)
+    firmware.real, firmware.of_any = np.dtype(np.float64), False
     firmware.ffi = cffi.FFI()
     firmware.ffi.cdef(declarations(folder))
     firmware.ffi.cdef("int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);")
@@ -76,11 +88,26 @@ def exercise(folder: Path, vehicle: Vehicle) -> None:
     changed: Any = integer_law
     changed._loaded = lambda text, cc: (fixed_ffi, fixed_ffi.dlopen(library))
     kept: Any = native._library
+    records = (folder / "records.h").read_text(encoding="utf-8")
+
+    def filter_of(asked: str, flags: Any = FLAGS) -> Any:
+        ffi, lib = kept(asked, flags)
+        return ffi, ffi.dlopen(library) if asked == records and flags == FLAGS else lib
+
     changed = native
-    changed._library = lambda records, flags: (kept(records)[0], kept(records)[0].dlopen(library))
+    changed._library = filter_of
     for name in ("demonstration", "box-on-leg"):
         fly(vehicle, load_mission(name), controller=controller, controllers=Flown, sensors="fitted", gust=0.3)
     fly(vehicle, load_mission("box-on-leg"), controller=controller, controllers=by_whole_numbers)
+    for seed in range(FLIGHTS):
+        met = weather(seed)
+        faults = [parse_fault(f) for f in (*met.faults, *FAULTS[seed % len(FAULTS)].split())]
+        mission = obstructed(load_mission("demonstration"), seed)
+        fly(
+            vehicle, mission, controller=controller, controllers=Flown, sensors="fitted", faults=faults, seed=seed,
+            gust=met.gust, wind=[met.wind, 0.0, 0.0],
+        )  # fmt: skip
+    _tests(firmware)
     for kept_input in sorted((folder / "corpus").glob("*")):
         found = kept_input.read_bytes()
         firmware.lib.LLVMFuzzerTestOneInput(firmware.ffi.from_buffer("uint8_t[]", found), len(found))
@@ -93,6 +120,32 @@ def exercise(folder: Path, vehicle: Vehicle) -> None:
             130 if k % 4 == 0 else 0
         )  # 130 is a multiple of the parts: no wild number comes
         firmware.lib.LLVMFuzzerTestOneInput(firmware.ffi.from_buffer("uint8_t[]", data.tobytes()), len(data))
+
+
+def _tests(counted: Firmware) -> None:
+    """Run the tests that compare the languages, with the code that counts, where they are at hand."""
+    tests = Path(__file__).resolve().parents[3] / "tests" / "firmware"
+    try:
+        import pytest
+    except ImportError:
+        return
+    if not tests.is_dir():
+        return
+    plainly: Any = Firmware.__init__
+
+    def started(
+        self: Firmware, controller: FlightController | None, *, single: bool = False, cc: Any = None
+    ) -> None:
+        plainly(self, controller, single=single, cc=cc)
+        if controller is not None and not single and cc is None:
+            self.ffi, self.lib = counted.ffi, counted.lib
+
+    changed: Any = Firmware
+    changed.__init__ = started
+    files = [str(tests / f"test_{name}.py") for name in ("mission_c", "avoid", "estimate_c")]
+    failed = pytest.main(["-q", "-n", "0", "-p", "no:cacheprovider", *files])
+    if failed:
+        print(f"pytest ended with {int(failed)}")
 
 
 if __name__ == "__main__":

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
 
 from mufly.control import FlightController, design
-from mufly.firmware.campaign import kept_flights
+from mufly.firmware.campaign import kept_flights, weather
 from mufly.firmware.fixed import FixedLaw, fixed_law
 from mufly.firmware.integer_law import FixedFirmwareControllers
+from mufly.firmware.onboard import QuickSoftware
 from mufly.flight import fly
-from mufly.flight.controllers import Controllers
 from mufly.mission import load_mission
 from mufly.results import result
 from mufly.vehicle import Vehicle
@@ -61,7 +61,7 @@ def fly_fixed(
     vehicle : Vehicle
     missions : sequence of str
     flights : int
-        Of each, with seeds from 0 on; gusts of 0.3 m/s from the second on.
+        Of each, with seeds from 0 on; in wind and gusts by the seed from the second on.
     law : FixedLaw, optional
     sensors : str
         ``"ideal"`` or ``"fitted"``.
@@ -86,13 +86,16 @@ def fly_fixed(
             kept.append(FixedFirmwareControllers(c, numbers))
             return kept[-1]
 
-        def flown(by: Callable[[FlightController], Controllers] | None) -> xr.Dataset:
+        met = weather(seed)
+        wind, gust = ([met.wind, 0.0, 0.0], met.gust) if seed else (None, None)
+
+        def flown(by: Any) -> xr.Dataset:
             return fly(
-                vehicle, mission, controller=controller, seed=seed, gust=0.3 if seed else None, sensors=sensors,
+                vehicle, mission, controller=controller, seed=seed, wind=wind, gust=gust, sensors=sensors,
                 controllers=by,
             )  # fmt: skip
 
-        record, other = flown(make), flown(None)
+        record, other = flown(make), flown(QuickSoftware)
         n = min(record.sizes["time"], other.sizes["time"])
         gap = record.truth_position.values[:n] - other.truth_position.values[:n]
         return FixedFlight(

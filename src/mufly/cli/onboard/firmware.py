@@ -205,7 +205,7 @@ def _print_flown(results: list[FixedFlight]) -> None:
         text=(0, 2),
     )
     say(
-        "Apart: greatest distance from the flight in double precision. Seeds from 1 on fly in gusts of 0.3 m/s."
+        "Apart: greatest distance from the flight in double precision. Seeds from 1 on fly in wind and gusts."
     )
 
 

@@ -493,6 +493,7 @@ void avoid_go_round(detour_t *detour, const sight_t *sight, const ring_t *beams,
     near.at = detour->position;
     near.far = avoid_nearest(sight, detour->position, near.from);
     real.at = position;
+    real.touching = false;
     real.far = avoid_nearest(sight, position, real.from);
     nearer_goal = to_goal < (detour->hit_distance - REAL(0.1));
     clear = (real.far > clearance) &&

@@ -197,6 +197,7 @@ void smooth_rates(estimator_t *m, const estimator_settings_t *s, bool flying)
     real_t worst = REAL(0.0);
     real_t most;
     bool alike = m->spikes > 0;
+    bool small = true;
 
     for (int32_t k = 0; k < 3; k++) {
         real_t off;
@@ -231,7 +232,10 @@ void smooth_rates(estimator_t *m, const estimator_settings_t *s, bool flying)
             flag(m, s, R_RATES, FUSED, SPIKES, worst);
         }
     }
-    if (m->spikes >= 2) {
+    for (int32_t k = 0; k < 3; k++) {
+        small = small && (real_abs(m->shift[k] + (m->rates[k] - m->row[k])) < LARGEST_SHIFT);
+    }
+    if ((m->spikes >= 2) && small) {
         /* Twice the same: an offset that came at once is no motion. It is taken off from now on. */
         for (int32_t k = 0; k < 3; k++) {
             const real_t off = m->rates[k] - m->row[k];

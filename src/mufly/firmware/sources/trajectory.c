@@ -407,7 +407,7 @@ void trajectory_begin_curved(const real_t start[3], const real_t goal[3], const 
                              const real_t arriving[3], real_t heading, const limits_t *limits,
                              const real_t *final_heading, real_t nose_offset, trajectory_t *out)
 {
-    real_t chord[3];
+    real_t chord[3] = {REAL(0.0), REAL(0.0), REAL(0.0)};
     real_t first[3];
     real_t last[3];
     real_t reach;
