@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import random
 import re
 import shutil
@@ -283,7 +284,9 @@ def _happen(kind: str, v: StandIn, n: int) -> Command:
         "waypoint": Command(waypoint=place),
         "turned": Command(waypoint=place, heading=round(u(-4, 4), 2)),
         "heading": Command(heading=round(u(-4, 9), 2)),
-        "refused": Command(waypoint=(math.nan, 0.0, v.rng.choice((-1.0, 0.0)))),
+        "refused": Command(
+            waypoint=v.rng.choice(((math.nan, 0.0, 0.0), (0.0, 0.0, math.nan), (0.0, 0.0, -1e4)))
+        ),
         "far": Command(waypoint=(0.0, 2e4, -1.0), heading=v.rng.choice((None, 0.1, math.inf))),
         "home": Command(home=True),
         "land": Command(land=True),
@@ -364,7 +367,7 @@ def fly_both(
     return visited
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=int(os.environ.get("MUFLY_EXAMPLES", "30")), deadline=None, derandomize=True)
 @given(
     kinds=st.lists(st.sampled_from(KINDS), min_size=4, max_size=14), seed=st.integers(0, 2**20),
     mission=st.sampled_from((SQUARE, CURVES, SCANNED)), judged=st.booleans(),
@@ -381,7 +384,7 @@ def test_any_sequence_of_commands_and_faults_is_the_same(
 FLIES = ("start", *["wait"] * 4)  # of 100 periods of 0.03 s each
 STORIES = (
     (SQUARE, True, [*FLIES, *["wait"] * 16], "COMPLETE_RETURNS REACHED REACHED_HOME TOUCHDOWN LANDED"),
-    (CURVES, True, [*FLIES, *["wait"] * 16], "COMPLETE_HOLDS"),
+    (CURVES, True, [*FLIES, *["wait"] * 16, "start", "wait"], "COMPLETE_HOLDS BEGINS"),
     (SCANNED, False, [*FLIES, *["wait"] * 10], "COMPLETE"),
     (SQUARE, True, [*FLIES, "spread place 0.3", "clear", "wait", "wait"], "HOLDS KNOWN GOES_ON"),
     (SQUARE, True, [*FLIES, *["spread place 0.3"] * 5, "wait"], "PLACE_WAITED"),

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from mufly.firmware.fixed import fixed_law
 from mufly.firmware.host import Firmware, declarations
 from mufly.firmware.onboard import FirmwareSoftware
 from mufly.flight import fly
-from mufly.mission import Mission, load_mission
+from mufly.mission import Mission, load_mission, mission_from
 from mufly.sensors.faults import parse_fault
 from mufly.toolchain import FLAGS
 from mufly.vehicle import Vehicle, load_vehicle
@@ -30,14 +31,24 @@ PARTS, INPUTS = 5, 3000
 """Of the harness of the fuzzer, and how many inputs are drawn for it."""
 
 
-FLIGHTS = 8
+FLIGHTS, EXAMPLES = 8, 150
 FAULTS = (
     "sonar.jump=0.3@14s+2s gyro.jump=0.3@16s position.dropout@14s+3s ring.insane@13s pressure.doubled@11s",
     "sonar.stuck=1.0@14s accelerometer.clip=12@15s ring.doubled@13s battery.jump@14s magnetometer.insane@15s",
     "position.late@14s pressure.drift@14s gyro.insane@16s+0.5s ring.outliers@13s gyro.outliers@17s sonar.outliers@15s",
     "position.drift=0.3@14s magnetometer.jump@14s pressure.jump@15s rotor_speed.jump@15s sonar.drift@14s",
 )
-"""Of sensors, all together, beside those drawn."""
+"""Drawn flights, and sequences of commands; faults of sensors, all together, beside those drawn."""
+
+
+HOP = {
+    "waypoint": [
+        {"position_m": [0.6, 0.3, -1.0], "wait_s": 1.0},
+        {"position_m": [-0.4, -0.3, -1.0], "wait_s": 9.0},
+    ],
+    "room": {"north_m": [-1.5, 1.5], "east_m": [-1.5, 1.5], "height_m": 3.0},
+}
+"""In a room whose walls the ring sees."""
 
 
 def counted(folder: Path) -> Path:
@@ -102,7 +113,7 @@ def exercise(folder: Path, vehicle: Vehicle) -> None:
     for seed in range(FLIGHTS):
         met = weather(seed)
         faults = [parse_fault(f) for f in (*met.faults, *FAULTS[seed % len(FAULTS)].split())]
-        mission = obstructed(load_mission("demonstration"), seed)
+        mission = mission_from(HOP) if seed % 2 else obstructed(load_mission("demonstration"), seed)
         fly(
             vehicle, mission, controller=controller, controllers=Flown, sensors="fitted", faults=faults, seed=seed,
             gust=met.gust, wind=[met.wind, 0.0, 0.0],
@@ -142,6 +153,7 @@ def _tests(counted: Firmware) -> None:
 
     changed: Any = Firmware
     changed.__init__ = started
+    os.environ["MUFLY_EXAMPLES"] = str(EXAMPLES)
     files = [str(tests / f"test_{name}.py") for name in ("mission_c", "avoid", "estimate_c")]
     failed = pytest.main(["-q", "-n", "0", "-p", "no:cacheprovider", *files])
     if failed:
