@@ -169,9 +169,14 @@ def solve(
             raise InputError(
                 "coaxial", "", "needs one of upper speed and thrust", "give one; the other is found"
             )
-        if method == "bemt":
-            return _balance_by_roots(at, known_pitch, speed[0], thrust, start)
-        return _balance_by_steps(at, known_pitch, speed[0], thrust, enough, start)
+        try:
+            return _balance_by_steps(at, known_pitch, speed[0], thrust, enough, start)
+        except MuflyError:
+            if method != "bemt":
+                raise
+        return _balance_by_roots(
+            at, known_pitch, speed[0], thrust, start
+        )  # steps go astray where blades stall
     if pitch[0] is None or len(known_speed) != 2:
         raise InputError("coaxial", "", "leaves too much open", "give the upper pitch and both speeds")
     return _balance_pitch(at, pitch[0], known_speed, thrust, enough, start)
@@ -395,7 +400,7 @@ def _balance_by_roots(
     thrust_N: float | None,
     start: Result | None,
 ) -> Result:
-    """Find the lower speed, or with a thrust both, by bracketed roots: a point is quick."""
+    """Find the lower speed, or with a thrust both, by bracketed roots: slower and surer than steps."""
     known = [start]
 
     def pair(up: float, low: float) -> Result:
