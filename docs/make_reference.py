@@ -89,6 +89,16 @@ def plain_help(text: str) -> str:
         r"\[/?(bold|dim|italic|green|yellow|red|cyan)[^\]]*\]", "", inspect.cleandoc(text.replace("\b", ""))
     )
     text = re.sub(r"(?<!`)(--[a-z][a-z0-9-]*)(?!`)", r"`\1`", text)
+    # One to a paragraph, indented, as where there are many; or on one line with semicolons.
+    text = re.sub(
+        r"(^|\n)Examples?:\n((?:\n+ +[^\n]+)+)",
+        lambda m: (
+            f"{m[1]}```\n"
+            + "\n".join(x.strip().replace("`", "") for x in m[2].split("\n") if x.strip())
+            + "\n```"
+        ),
+        text,
+    )
     return re.sub(r"(^|\n)Examples?: (.+?)(?=\n\n|$)", _examples, text, flags=re.DOTALL)
 
 
