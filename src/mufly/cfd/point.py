@@ -170,8 +170,6 @@ def study_cases(what: str) -> dict[str, dict[str, Any]]:
     ------
     InputError
         If there is no such study.
-
-    Thesis: Fig. 3.22, Table 3.2.
     """
     if what == "mesh":
         return {level: {"level": level} for level in ("coarse", "medium", "fine")}
