@@ -29,6 +29,8 @@ class Telling:
         What these are off by, one sigma (rad, m).
     velocity : (3,) array or None
         N, E, D (m/s), where it is known.
+    place : (3,) array or None
+        N, E (m), heading (rad) as believed, where it is known: a new map begins there.
     standing : bool
         On the floor, motors idle: it does not move.
     """
@@ -41,6 +43,7 @@ class Telling:
     tilt_sigma: float = math.radians(0.5)
     height_sigma: float = 0.01
     velocity: _Array | None = None
+    place: _Array | None = None
     standing: bool = False
 
 

@@ -36,6 +36,7 @@ _Array = NDArray[np.float64]
 ENOUGH = 14
 """Points that have to agree, at least."""
 CORRELATION = 0.5
+LEAST_M = 0.1  # height of the camera from which a map begins
 FEW = 30  # points that agree, below which a new keyframe may see more
 NEW_BELOW = 0.55  # share of floor that a keyframe has to see of the picture
 CLOSE_ABOVE, CLOSE_EVERY = 0.4, 8
@@ -149,6 +150,7 @@ class Slam:
         self._count = self._tried = 0
         self._found: list[tuple[float, _Array]] = []
         self.picture: NDArray[np.uint8] | None = None
+        self.closes = True  # whether loops are closed
         self.on_closure: Callable[[int, int], None] = lambda a, b: None
 
     # ------------------------------------------------------------------ one picture
@@ -380,7 +382,7 @@ class Slam:
         if (share < NEW_BELOW or few) and len(match.which) >= ENOUGH:
             made = self._make(frame, view, picture, match)
         self._tried += 1
-        if self._tried >= CLOSE_EVERY or made:
+        if self.closes and (self._tried >= CLOSE_EVERY or made):
             self._tried = 0
             closed = self._close(view, picture, match)
         return self._answer(frame, view, match, made, closed)
@@ -421,6 +423,10 @@ class Slam:
 
     def _begin(self, frame: Frame, view: View, picture: Any) -> Answer:
         """The first keyframe: here the map begins."""
+        if view.height < LEAST_M:
+            return Answer(frame.time_s, False, "too near to the floor")
+        if frame.told.place is not None:
+            self.map.start = frame.told.place
         n, e, heading = self.map.start
         lever = level(view, None, heading) @ self._mount
         x = np.array([n + lever[0], e + lever[1], view.height, heading, 0.0, 0.0, 0.0, 0.0])
@@ -543,6 +549,11 @@ class Slam:
         own[2], own[:, 2] = -own[2], -own[:, 2]  # D is the other way
         own[2, 2] = abs(own[2, 2])
         covariance = carry @ self.map.covariance(here) @ carry.T + own
+        # The sonar tells the height as well as a map of few keyframes does, or better.
+        gain = covariance[:, 2] / (covariance[2, 2] + view.height_sigma**2)
+        off = (height - view.height) * gain  # D seen is -height, told -view.height
+        position = position + off[:3]
+        covariance = covariance - np.outer(gain, covariance[2])
         return Answer(
             frame.time_s, True, "", position, (node[2] + math.pi) % (2 * math.pi) - math.pi, covariance, here,
             match.tracked, len(match.which), match.pixels, pose.scale, made, closed,

@@ -1,0 +1,152 @@
+"""Visual SLAM over rendered floors, measured against the truth: quality, drift and loops, tiles, speed.
+
+python benchmarks/slam.py quality --camera mufly-2.0 --floor rich --seeds 20
+python benchmarks/slam.py loop --seeds 5
+python benchmarks/slam.py tiles --seeds 20
+python benchmarks/slam.py speed
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from typing import Any
+
+import numpy as np
+
+from mufly.camera import Motion, Renderer, load_camera, make_floor
+from mufly.slam import Slam, Trajectory, evaluate, frames, gathered, rounds
+
+
+def fly(
+    camera: str,
+    floor: str,
+    seed: int,
+    duration: float,
+    *,
+    side: float,
+    speed: float,
+    close: bool = True,
+    lose: bool = True,
+) -> tuple[Any, Slam, Trajectory, float, float]:
+    """One sequence: errors, the SLAM, its answers, processor's time a picture (s), worst closure off truth (m)."""
+    lens = load_camera(camera)
+    path = rounds(duration_s=duration, side_m=side, speed_m_s=speed, seed=seed)
+    slam, spent, true, answers = None, 0.0, [], []
+    places: dict[float, np.ndarray] = {}
+    worst = 0.0
+    for frame, motion in frames(
+        lens, make_floor(floor, seed, shadows=0.3), path, duration_s=duration, seed=seed, lose=lose
+    ):
+        heading = math.atan2(motion.attitude[1, 0], motion.attitude[0, 0])
+        if slam is None:
+            slam = Slam(lens, start=(*motion.position[:2], heading), seed=seed)
+            slam.closes = close
+        begin = time.process_time()
+        answers.append(slam.step(frame))
+        spent += time.process_time() - begin
+        true.append((motion.time_s, *motion.position, heading))
+        places[motion.time_s] = motion.position
+    assert slam is not None
+    t, found = np.array(true), gathered(answers)
+    for e in slam.map.edges:
+        if e.closes:  # what it says of the two keyframes, against where the vehicle was
+            a, b = (slam.map.keyframes[k] for k in (e.first, e.second))
+            way = complex(*e.measured[:2]) * np.exp(
+                slam.map.nodes[e.first, 3] + 1j * slam.map.nodes[e.first, 2]
+            )
+            true_way = places[b.time_s] - places[a.time_s]
+            worst = max(worst, abs(way - complex(true_way[0], true_way[1])))
+    result = evaluate(
+        found.time, found.position, found.heading, found.covariance, t[:, 0], t[:, 1:4], t[:, 4], len(answers)
+    )
+    return result, slam, found, spent / len(answers), worst
+
+
+def tell(name: str, results: list[Any], closures: list[int], worst: list[float], spent: list[float]) -> None:
+    """A line for all of a case."""
+    rms = [100 * r.rms_m for r in results]
+    drift = np.sqrt(np.mean([(r.end_m / r.way_m) ** 2 for r in results]))
+    heading = math.degrees(np.sqrt(np.mean([r.heading_rms_rad**2 for r in results])))
+    parts = [
+        f"rms {np.sqrt(np.mean(np.square(rms))):.1f} cm (median {np.median(rms):.1f}, worst {max(rms):.1f})",
+        f"greatest {100 * max(r.worst_m for r in results):.0f} cm",
+        f"lost {np.mean([r.lost for r in results]):.1%} (worst {max(r.lost for r in results):.1%})",
+        f"NEES/n {np.mean([r.nees for r in results]):.2f}, inside 95 % {np.mean([r.inside for r in results]):.1%}",
+        f"end {100 * np.mean([r.end_m for r in results]):.1f} cm after {np.mean([r.way_m for r in results]):.1f} m",
+        f"that is {drift:.2%} rms",
+        f"heading {heading:.2f} deg",
+        f"closures {sum(closures)}, off by {100 * max(worst, default=0):.1f} cm at most",
+        f"{1e3 * np.mean(spent):.1f} ms a picture",
+    ]
+    print(f"{name}: {'; '.join(parts)}", flush=True)
+
+
+def many(
+    name: str, camera: str, floor: str, seeds: range, duration: float, verbose: bool, **more: Any
+) -> None:
+    """One case over seeds; sequences of which nothing was answered are told and left out."""
+    results, closures, worst, spent = [], [], [], []
+    for seed in seeds:
+        try:
+            result, slam, _, each, off = fly(camera, floor, seed, duration, **more)
+        except Exception as error:
+            print(f"  seed {seed}: {error}", flush=True)
+            continue
+        results.append(result)
+        closures.append(sum(e.closes for e in slam.map.edges))
+        worst.append(off)
+        spent.append(each)
+        if verbose:
+            tell(f"  {seed}", [result], closures[-1:], [off], [each])
+    if results:
+        tell(name, results, closures, worst, spent)
+
+
+def speed() -> None:
+    """Processor's time of one picture, rendering and looking."""
+    for camera in ("webcam", "mufly-2.0", "worst"):
+        renderer = Renderer(load_camera(camera), make_floor("rich", 0, shadows=0.3))
+        motion = Motion(
+            0.0, np.array([0.0, 0.0, -1.0]), np.array([0.4, 0.1, 0.0]), np.eye(3), np.array([0.1, 0.2, 0.1])
+        )
+        renderer.render(motion)
+        begin = time.process_time()
+        for _ in range(100):
+            renderer.render(motion)
+        each = (time.process_time() - begin) / 100
+        *_, spent, _ = fly(camera, "rich", 1, 6.0, side=2.0, speed=0.4)
+        print(
+            f"{camera}: rendering {1e3 * each:.1f} ms ({1 / each:.0f}/s), SLAM {1e3 * spent:.1f} ms ({1 / spent:.0f}/s)"
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("case", choices=("quality", "loop", "tiles", "speed"))
+    parser.add_argument("--camera", default="mufly-2.0")
+    parser.add_argument("--floor", default="rich")
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--duration", type=float, default=15.0)
+    parser.add_argument("-v", action="store_true")
+    a = parser.parse_args()
+    seeds = range(a.first, a.first + a.seeds)
+    match a.case:
+        case "quality":
+            many(f"{a.camera}, {a.floor}", a.camera, a.floor, seeds, a.duration, a.v, side=2.0, speed=0.4)
+        case "loop":
+            for close in (False, True):
+                name = f"{a.camera}, 20 m round, {'closed' if close else 'not closed'}"
+                many(name, a.camera, a.floor, seeds, 45.0, a.v, side=5.6, speed=0.45, close=close)
+        case "tiles":
+            many(f"{a.camera}, tiles", a.camera, "tiles", seeds, a.duration, a.v, side=1.0, speed=0.4)
+        case "speed":
+            speed()
+
+
+if __name__ == "__main__":
+    main()
