@@ -44,7 +44,7 @@ CLOSURE_CHI2 = 20.0  # of four numbers: one true closure in 2000 is turned away
 ALIKE = 0.75
 """Height of the second peak of the correlation over the first from which a place could be another one."""
 INFLATE = 2.0
-"""Of variances of edges: errors of neighbouring points hang together (chosen on seeds from 10 000)."""
+"""Of variances of edges: errors of neighbouring points hang together. A guess: nothing was fitted to it."""
 _SWERVE = 1.0  # m/s^2 that are not foreseen
 _LOST_S, _SEEK_EVERY = 0.7, 4
 _AGREE = 3
