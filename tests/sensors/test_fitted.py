@@ -1,5 +1,6 @@
 """Sonar, laser ring, pressure, field, speeds, battery, fixes: each against what it is made of."""
 
+import ctypes
 import math
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from mufly.dynamics import rotation
 from mufly.errors import InputError
-from mufly.sensors import Wander, fitted_sensors
+from mufly.sensors import Wander, drawing, fitted_sensors
 from mufly.units import GRAVITY
 from mufly.vehicle import replace
 from mufly.world import Box, Room, World
@@ -256,3 +257,33 @@ def test_one_seed_repeats_all_and_one_sensor_less_leaves_the_others(vehicle, at)
 def test_a_vehicle_without_sensors_says_so(vehicle) -> None:
     with pytest.raises(InputError, match="sensors: there is no such table; add one"):
         fitted_sensors(vehicle.model_copy(update={"sensors": None}), World())
+
+
+# --- random numbers in compiled code
+
+
+@pytest.mark.parametrize("own", [True, False], ids=["NumPy's functions", "stand-ins"])
+def test_compiled_code_draws_what_the_generator_draws(own, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not own:
+        held = [drawing._stand_in(name) for name in drawing._NAMES]
+        monkeypatch.setattr(drawing, "_own", False)
+        monkeypatch.setattr(drawing, "_places", [ctypes.cast(f, ctypes.c_void_p).value for f in held])
+    rng, other = np.random.default_rng(3), np.random.default_rng(3)
+    source, table, row = drawing.source_of(rng), np.empty((4, 5, 6)), np.empty(3)
+    for _ in range(2):
+        drawing.normals(source, table)
+        drawing.uniforms(source, row)
+        np.testing.assert_array_equal(table, other.standard_normal((4, 5, 6)))
+        np.testing.assert_array_equal(row, other.uniform(size=3))
+    assert rng.bit_generator.state == other.bit_generator.state  # whoever draws next gets the next number
+
+
+def test_what_overtakes_on_its_way_is_said_in_the_order_of_its_coming(exact, at) -> None:
+    vehicle = replace(exact, {"sensors.position_fix.latency": 0.4, "sensors.position_fix.jitter": 0.2})
+    truths = [at(k / 200, position=(0.01 * k, 0, -1.0)) for k in range(3000)]
+    said = stream(one(vehicle, "position_fix"), "position_fix", truths)
+    came, taken = np.array([t for t, _ in said]), np.array([r.time_s for _, r in said])
+    assert (np.diff(taken) < 0).any()
+    assert (came - taken > 0.4 - 1e-9).all()
+    for t, reading in said:
+        assert reading.value[0] == pytest.approx(2.0 * reading.time_s, abs=1e-9), t

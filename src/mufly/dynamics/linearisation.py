@@ -282,6 +282,17 @@ class HoverPerformance:
     thrust_to_weight_half: float
 
 
+def hover_current_A(vehicle: Vehicle) -> float:
+    """Return the current that a hover takes from a half-full battery: that of :func:`hover_performance`, sooner.
+
+    Raises
+    ------
+    MuflyError
+        If the vehicle is too heavy for that.
+    """
+    return trim(vehicle, charge=0.5).current_A
+
+
 def hover_performance(vehicle: Vehicle) -> HoverPerformance:
     """Return hover point, endurance and greatest thrust of a vehicle with its own battery model.
 

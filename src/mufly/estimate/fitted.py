@@ -36,6 +36,8 @@ from mufly.world import World
 
 _Array = NDArray[np.float64]
 _BATTERY = STARTS[R_BATTERY]
+SHOWN = ("out_cov", "sigma", "code", "why", "number", "innovation", "spread", "used", "came", "tick")
+"""Of the memory, what is told every :data:`mufly.estimate.kernel.TOLD_EVERY` periods."""
 
 
 def fitted_estimator(vehicle: Vehicle, world: World, rate_Hz: float) -> Estimator:
@@ -113,19 +115,29 @@ class KalmanEstimator(Estimator):
         """What is believed after so many more periods; of those whose turn it is to tell much, none is left out."""
         self._periods += periods
         if (periods and self._periods % TOLD_EVERY == 0) or not self._told:
-            m = self.memory
-            self._checks = checks(m, self._settings, self._fitted)
-            sigma, covariance = m["sigma"].astype(np.float64), np.zeros((12, 12))
-            covariance[:9, :9] = m["out_cov"]
-            covariance[range(9, 12), range(9, 12)] = (
-                sigma[GYRO : GYRO + 3] ** 2 + self._settings["rest_gyro"] ** 2
-            )
-            self._told = (covariance, sigma)
-        x = self._out.astype(np.float64)
+            self.show(self.memory)
+        return self.said(
+            time_s, valid, self._out, self._rates, self._angles, float(self._z[_BATTERY]), self._ranges
+        )
+
+    def show(self, m: Mapping[str, Any] | np.void) -> None:
+        """Tell much from now on, of a memory or of as much of it as :data:`SHOWN` names."""
+        self._checks = checks(m, self._settings, self._fitted)
+        sigma, covariance = m["sigma"].astype(np.float64), np.zeros((12, 12))
+        covariance[:9, :9] = m["out_cov"]
+        covariance[range(9, 12), range(9, 12)] = (
+            sigma[GYRO : GYRO + 3] ** 2 + self._settings["rest_gyro"] ** 2
+        )
+        self._told = (covariance, sigma)
+
+    def said(
+        self, time_s: float, valid: bool, out: _Array, rates: _Array, angles: _Array, volts: float, ranges: _Array
+    ) -> Estimate:  # fmt: skip
+        """Return the estimate of these numbers, with what is told every so often as it stands."""
+        x = out.astype(np.float64)
         return Estimate(
-            time_s, x[0:3], x[3:6], self._angles.astype(np.float64), self._rates.astype(np.float64),
-            self._ranges,
-            float(self._z[_BATTERY]) or math.nan, self._told[0], valid,
+            time_s, x[0:3], x[3:6], angles.astype(np.float64), rates.astype(np.float64), ranges, volts or math.nan,
+            self._told[0], valid,
             Beliefs(x[10:13], x[13:16], float(x[16]), x[17:21], x[21:23], float(x[23]), self._told[1], self._checks),
         )  # fmt: skip
 
@@ -176,6 +188,32 @@ class KalmanEstimator(Estimator):
             z[start] = r.value - STANDARD_PRESSURE_PA
         else:
             z[start : start + WIDTHS[k]] = r.value
+
+    # What others do who lay readings into the row themselves
+
+    def lend(self, taken: _Array, pictures: _Array, ranges: _Array) -> None:
+        """Write when each sensor's latest reading was taken (s), the last three pictures (3, n), and what is told of
+        them (n,)."""
+        taken[:] = math.nan
+        for name, reading in self._last.items():
+            taken[self._place[name]] = reading.time_s
+        pictures[:], ranges[:] = self._pictures, self._ranges
+
+    def went_on(self, said: Mapping[str, Reading], pictures: _Array, ranges: _Array) -> None:
+        """Take notice of readings that others laid into the row."""
+        self._last |= {name: reading for name, reading in said.items() if name in self._place}
+        if "ranges" in said:
+            self._pictures, self._ranges = list(pictures.copy()), ranges.copy()
+
+    @property
+    def fitted(self) -> Mapping[str, int]:
+        """Readings that it takes, and their places in :data:`mufly.estimate.layout.CHECKED`."""
+        return self._place
+
+    @property
+    def beams(self) -> NDArray[np.intp]:
+        """Which of the ring's it looks at."""
+        return self._beams
 
     @property
     def periods(self) -> int:

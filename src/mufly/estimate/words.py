@@ -37,6 +37,8 @@ _WORDS: Mapping[int, Callable[[float, str], str]] = {
     g.JUMPED: lambda x, u: f"has jumped by {x:.2g} {u}, which no moment has made",
 }
 
+REASONS = len(_WORDS)
+
 
 def checks(m: Any, s: Any, fitted: Sequence[int]) -> tuple[Check, ...]:
     """Return what is thought of each sensor that is on board.
@@ -59,8 +61,13 @@ def _check(m: Any, k: int, dt: float, tick: int) -> Check:
         why = g.NOTHING_YET if not m["came"][k] else g.FINE
     return Check(
         CHECKED[k], _STATUS[code], nu, spread, nu / spread if spread > 0.0 else 0.0,
-        (tick - int(m["used"][k])) * dt, _WORDS[why](float(m["number"][k]), _unit(k)),
+        (tick - int(m["used"][k])) * dt, reason(why, float(m["number"][k]), k),
     )  # fmt: skip
+
+
+def reason(why: int, number: float, sensor: int) -> str:
+    """Return why a sensor, by its place in :data:`mufly.estimate.layout.CHECKED`, is thought of as it is."""
+    return _WORDS[why](number, _unit(sensor))
 
 
 def _unit(k: int) -> str:

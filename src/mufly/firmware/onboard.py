@@ -20,6 +20,7 @@ from mufly.control import FlightController
 from mufly.errors import MuflyError
 from mufly.estimate import Check, Estimate
 from mufly.estimate.layout import CHECKED
+from mufly.estimate.words import REASONS, reason
 from mufly.firmware.host import Firmware, FirmwareControllers
 from mufly.firmware.plan import plan_numbers, plan_of, setup_numbers
 from mufly.flight.controllers import Actuators
@@ -147,6 +148,17 @@ class Onboard:
             *ranges.tolist()[:count],
             *[ring.max_range] * (ring.count - count),
         ]
+
+    def told_of_sensors(self) -> NDArray[np.int64]:
+        """Numbers of the words for what is thought of a sensor, by its number in :mod:`mufly.estimate.guards`; -1 where
+        there are numbers in them."""
+        words = [(reason(why, 1.0, 0), reason(why, 1.0, 0) == reason(why, 2.0, 0)) for why in range(REASONS)]
+        return np.array([self.told.number(text) if plain else -1 for text, plain in words])
+
+    @property
+    def beams(self) -> int:
+        """How many the ring has."""
+        return int(self._plan.ring.count)
 
     def settle(self, law: FirmwareControllers) -> None:
         """Take the numbers of the law and no command, for periods that others step through."""
@@ -414,7 +426,7 @@ class FirmwareSoftware(FlightSoftware):
 
     def many(self, flight: Any) -> Callable[..., bool] | None:
         """Return what advances a flight by many periods in one call."""
-        from mufly.firmware.many import Many  # it imports the flight, which imports the software
+        from mufly.firmware.quick import Many  # it imports the flight, which imports the software
 
         loop = Many(flight)
         return loop.run if loop.can else None

@@ -20,7 +20,7 @@ from dataclasses import replace
 import numpy as np
 
 from mufly.control import FlightController
-from mufly.dynamics import hover_performance
+from mufly.dynamics import hover_current_A
 from mufly.errors import InputError
 from mufly.estimate import Check, Estimate
 from mufly.flight.arming import column_fault, mission_fault, not_ready, place_fault
@@ -89,7 +89,7 @@ class Autopilot:
     ) -> None:
         self.software = software(vehicle, controller, mission)
         self.listeners: list[Callable[[Event], None]] = []
-        self.hover_A = float(hover_performance(vehicle).current_A)
+        self.hover_A = hover_current_A(vehicle)
         self._capacity_Ah = float(vehicle.battery.capacity) / 3600.0
         self._radius_m = float(vehicle.rotors.radius)
         self._period_s = 1.0 / controller.rate_Hz

@@ -13,9 +13,11 @@ their turns. (Own definition; flights in 1.5 m/s of wind with gusts of 0.6 m/s s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from mufly.compiled import compiled
 from mufly.mission import State
 
 INPUTS = ("motor_input upper", "motor_input lower", "servo_input 1", "servo_input 2")
@@ -79,6 +81,22 @@ class Oscillation:
 
     def __str__(self) -> str:
         return f"{self.input} oscillates by {self.size:.2f} at {self.frequency_Hz:.2g} Hz"
+
+
+@compiled(error_model="numpy")
+def may_oscillate(inputs):  # type: ignore[no-untyped-def]
+    """Whether any of the inputs (n, 4) turns often enough to oscillate, however slowly and whoever asks for it."""
+    for k in range(4):
+        back, rising, extreme, turns = SHARE * RANGES[k], True, -math.inf, 0
+        for value in inputs[:, k]:
+            ahead = value - extreme if rising else extreme - value
+            if ahead > 0.0:
+                extreme = value
+            elif not -ahead < back:
+                rising, extreme, turns = not rising, value, turns + 1
+        if turns >= 2 * PERIODS:
+            return True
+    return False
 
 
 class OscillationWatch:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.dynamics import hover_performance
+from mufly.dynamics import hover_current_A
 from mufly.errors import InputError
 from mufly.mission.schema import (
     LOWEST_M,
@@ -368,7 +368,7 @@ def preflight(
         Naming file, key, value and remedy.
     """
     try:
-        hover = hover_performance(vehicle)
+        current = hover_current_A(vehicle)
     except InputError as error:
         raise error.at(vehicle_file or vehicle.name) from None
     where = mission_file or mission.name
@@ -377,7 +377,7 @@ def preflight(
     except InputError as error:
         raise error.at(where) from None
     capacity_Ah = float(vehicle.battery.capacity) / 3600.0
-    return check_mission(mission, hover_current_A=hover.current_A, capacity_Ah=capacity_Ah, where=where)
+    return check_mission(mission, hover_current_A=current, capacity_Ah=capacity_Ah, where=where)
 
 
 # ----------------------------------------------------------------------------

@@ -3,18 +3,17 @@
 from mufly.sensors.faults import KINDS, TARGETS, Fault, parse_fault
 from mufly.sensors.imu import Imu
 from mufly.sensors.magnetometer import MagnetometerSensor, earth_field
+from mufly.sensors.periodic import Periodic, Wander
 from mufly.sensors.readings import (
     READINGS,
     IdealBattery,
     IdealMotion,
     IdealRing,
-    Periodic,
     Reading,
     Readings,
     Sensor,
     Sensors,
     Truth,
-    Wander,
     beam_angles,
     beam_directions,
     ideal_ranges,

@@ -16,49 +16,65 @@ from typing import Any
 
 import numpy as np
 
-from mufly.sensors.readings import Periodic, Reading, Truth
+from mufly.compiled import compiled
+from mufly.sensors.drawing import normals
+from mufly.sensors.periodic import STANDS, VALUES, Periodic
+from mufly.sensors.readings import Truth
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensing import BatteryMonitor, RotorSpeed
+
+
+@compiled(error_model="numpy")
+def _speeds(t, x, attitude, supply, source, parts, row):  # type: ignore[no-untyped-def]
+    (numbers,) = parts  # scales of both, noise (rad/s)
+    n = np.empty(2)
+    normals(source, n)
+    row[STANDS] = 1.0
+    for k in range(2):
+        row[VALUES + k] = max(x[18 + k] * numbers[k] + numbers[2] * n[k], 0.0)
+    return 0.0
 
 
 class BackEmfSensor(Periodic):
     """Reads ``rotor_speed`` (2,), upper and lower (rad/s)."""
 
+    says = {"rotor_speed": slice(0, 2)}  # noqa: RUF012
+    compute = _speeds
+
     def __init__(self, table: RotorSpeed, vehicle: Vehicle, rng: np.random.Generator) -> None:
         s = table
-        self._rng = rng
-        self._noise = float(s.noise) / (float(vehicle.motor.back_emf_constant) * float(vehicle.gear.ratio))
-        self._scale = 1.0 + float(s.constant_error) * rng.standard_normal(2)
-        super().__init__(float(s.period))
+        noise = float(s.noise) / (float(vehicle.motor.back_emf_constant) * float(vehicle.gear.ratio))
+        scale = 1.0 + float(s.constant_error) * rng.standard_normal(2)
+        super().__init__(float(s.period), rng, (np.array([*scale, noise]),))
 
     def right(self, truth: Truth) -> dict[str, Any]:
         return {"rotor_speed": truth.rotor_speed}
 
-    def measure(self, truth: Truth) -> tuple[float, dict[str, Reading]]:
-        told = truth.rotor_speed * self._scale + self._noise * self._rng.standard_normal(2)
-        return 0.0, {"rotor_speed": Reading(np.maximum(told, 0.0), truth.time_s)}
+
+@compiled(error_model="numpy")
+def _battery(t, x, attitude, supply, source, parts, row):  # type: ignore[no-untyped-def]
+    (numbers,) = parts  # noise and step of the voltage, scale and noise of the current
+    n = np.empty(2)
+    normals(source, n)
+    volts, step = supply[0] + numbers[0] * n[0], numbers[1]
+    if step > 0.0:
+        volts = np.rint(volts / step) * step
+    row[STANDS], row[VALUES] = 1.0, max(volts, 0.0)
+    row[VALUES + 1] = supply[1] * numbers[2] + numbers[3] * n[1]
+    return 0.0
 
 
 class BatterySensor(Periodic):
     """Reads ``battery_voltage`` (V) and ``battery_current`` (A)."""
 
+    says = {"battery_voltage": 0, "battery_current": 1}  # noqa: RUF012
+    compute = _battery
+
     def __init__(self, table: BatteryMonitor, vehicle: Vehicle, rng: np.random.Generator) -> None:
         b = table
-        self._rng, self._step = rng, float(b.voltage_resolution)
-        self._noise, self._current_noise = float(b.voltage_noise), float(b.current_noise)
-        self._scale = 1.0 + float(b.current_scale) * float(rng.standard_normal())
-        super().__init__(float(b.period))
+        scale = 1.0 + float(b.current_scale) * float(rng.standard_normal())
+        numbers = [float(b.voltage_noise), float(b.voltage_resolution), scale, float(b.current_noise)]
+        super().__init__(float(b.period), rng, (np.array(numbers),))
 
     def right(self, truth: Truth) -> dict[str, Any]:
         return {"battery_voltage": truth.voltage, "battery_current": truth.current}
-
-    def measure(self, truth: Truth) -> tuple[float, dict[str, Reading]]:
-        n = self._rng.standard_normal(2)
-        volts = truth.voltage + self._noise * float(n[0])
-        if self._step > 0.0:
-            volts = round(volts / self._step) * self._step
-        amps = truth.current * self._scale + self._current_noise * float(n[1])
-        return 0.0, {
-            "battery_voltage": Reading(max(volts, 0.0), truth.time_s),
-            "battery_current": Reading(amps, truth.time_s),
-        }

@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.dynamics import STATE_SIZE, rotation, trim
+from mufly.sensors.drawing import normals, source_of
 from mufly.sensors.readings import Reading, Sensor, Truth
 from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
@@ -44,7 +45,6 @@ from mufly.vehicle.sensing import Vibration
 _Array = NDArray[np.float64]
 _ELEVATION = math.asin(math.sqrt(1 / 3))  # of the shaking above the horizon: all axes share alike
 ROOM_K = 293.15
-_AHEAD = 20  # periods whose random numbers are drawn at once
 _LINES = 5  # once and twice of both rotors, and the passing of blades
 
 
@@ -70,9 +70,8 @@ class Imu(Sensor):
         shake = imu.vibration
         self._numbers = np.array(
             [float(q) for q in (shake.once, shake.twice, shake.passing, shake.resonance, shake.damping)]
-            + [*hover, float(imu.drift_time)]
+            + [*hover, *(float(q) for q in (imu.drift_time, imu.warming, imu.warming_time))]
         )
-        self._warming, self._warming_time = float(imu.warming), float(imu.warming_time)
         self._place = imu.place.array()[0].copy()
         self._dt = float(imu.sample_period)
         density = np.repeat([float(imu.accelerometer_noise), float(imu.gyro_noise)], 3)
@@ -94,11 +93,10 @@ class Imu(Sensor):
         )
         self._directions = np.ascontiguousarray(e[[0, 0, 1, 1, 2]])
         self._phases = rng.uniform(0.0, 2 * math.pi, _LINES)
-        self._drawn, self._used, self._drawn_at = np.zeros(0), 0, rng.bit_generator.state
+        self.source = source_of(rng)
         self.reset()
 
     def reset(self) -> None:
-        self._put_back()
         drift = np.repeat([float(self._imu.accelerometer_drift), float(self._imu.gyro_drift)], 3)
         self._drift, self._wander = drift, drift * self._rng.standard_normal(6)
         self._azimuth = self._rng.uniform(0.0, 2 * math.pi, 2)
@@ -129,13 +127,10 @@ class Imu(Sensor):
             self._memory[:] = np.concatenate([self._force_now, truth.rates])[:, None]
             return self._say(truth.time_s, self._memory[:, 0] + self.bias, np.zeros(6))
         elapsed = truth.time_s - before.time_s
-        n = self.samples(elapsed)
-        normal = self.normals(n)[0]
-        self.used(n, 1)
+        normal = np.empty(6 + 6 * self.samples(elapsed))
+        normals(self.source, normal)
         out, clipped = np.empty(6), np.empty(6)
-        imu_period(
-            self._was, self._now, elapsed, n, self.warmth(truth.time_s), normal, *self.parts, out, clipped
-        )
+        imu_period(self._was, self._now, elapsed, truth.time_s, normal, *self.parts, out, clipped)
         return self._say(truth.time_s, out, clipped)
 
     @property
@@ -151,27 +146,6 @@ class Imu(Sensor):
         """How many there are in a period (s)."""
         return max(1, round(elapsed_s / self._dt))
 
-    def normals(self, samples: int) -> _Array:
-        """Normal numbers of the periods to come (n, 6 + 6 samples), at least one; they stay until they are used."""
-        size = 6 + 6 * samples
-        if self._used + size > self._drawn.size or self._used % size:
-            self._put_back()
-            self._drawn_at = self._rng.bit_generator.state
-            self._drawn = self._rng.standard_normal(_AHEAD * size)
-        rest = self._drawn[self._used :]
-        return rest[: rest.size // size * size].reshape(-1, size)
-
-    def used(self, samples: int, periods: int) -> None:
-        """The normal numbers of so many periods are no longer needed."""
-        self._used += periods * (6 + 6 * samples)
-
-    def _put_back(self) -> None:
-        """Draw no more ahead: the next random number is the one after those that were used."""
-        if self._used < self._drawn.size:
-            self._rng.bit_generator.state = self._drawn_at
-            self._rng.standard_normal(self._used)
-        self._drawn, self._used = np.zeros(0), 0
-
     def went_on(self, truth: Truth, values: _Array, clipped: _Array) -> Mapping[str, Reading]:
         """Take notice that others computed up to this instant, and what was read (6,), (6,); return its readings."""
         self._now[:] = truth.state
@@ -184,7 +158,7 @@ class Imu(Sensor):
 
     def warmth(self, time_s: float) -> float:
         """How much warmer than when it was switched on (K)."""
-        return self._warming * (1.0 - math.exp(-time_s / self._warming_time))
+        return float(_warmth(time_s, self._numbers))
 
     def _say(self, t: float, values: _Array, clipped: _Array) -> Mapping[str, Reading]:
         self._last = {
@@ -228,6 +202,11 @@ def _exaggerated(speed, natural, damping):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
+def _warmth(t, numbers):  # type: ignore[no-untyped-def]
+    return numbers[8] * (1.0 - math.exp(-t / numbers[9]))
+
+
+@compiled(error_model="numpy")
 def _felt_force(was, now, elapsed, place, force):  # type: ignore[no-untyped-def]
     """Specific force at the element (m/s^2), as the mean of a period, into ``force``."""
     turn = rotation(now[6:10])
@@ -243,14 +222,16 @@ def _felt_force(was, now, elapsed, place, force):  # type: ignore[no-untyped-def
 
 @compiled(error_model="numpy")
 def imu_period(  # type: ignore[no-untyped-def]
-    was, now, elapsed, n, warmth, normal, numbers, place, axes, feigned, directions, phases, heat, switched_on, drift,
+    was, now, elapsed, t, normal, numbers, place, axes, feigned, directions, phases, heat, switched_on, drift,
     white, limit, coefficients, azimuth, wander, memory, force, out, clipped,
 ):  # fmt: skip
-    """Shake, sense, clip and filter over a period; ``azimuth``, ``wander``, ``memory`` (6, 2) of the filter stay.
+    """Shake, sense, clip and filter over a period that ends at ``t`` (s).
 
+    ``azimuth``, ``wander``, and ``memory`` (6, 2) of the filter stay.
     ``normal`` (6 + 6 n) are unit normal numbers: of the wandering, then of the samples. ``force`` is what is felt
     at the element, ``out`` and ``clipped`` (6,) what is said and the share of samples that clipped.
     """
+    n, warmth = normal.size // 6 - 1, _warmth(t, numbers)
     once, twice, passing, natural, damping = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
     hover_up, hover_dw, drift_time = numbers[5], numbers[6], numbers[7]
     _felt_force(was, now, elapsed, place, force)

@@ -15,8 +15,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled import compiled
 from mufly.dynamics import rotation
-from mufly.sensors.readings import Periodic, Reading, Truth
+from mufly.sensors.drawing import normals
+from mufly.sensors.periodic import STANDS, VALUES, Periodic
+from mufly.sensors.readings import Truth
+from mufly.trigonometry import sine_cosine
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensing import Magnetometer
 
@@ -24,35 +28,58 @@ _Array = NDArray[np.float64]
 _FEATURES = 64
 
 
+@compiled(error_model="numpy")
+def _disturbed(x, waves, shifts, strength, field):  # type: ignore[no-untyped-def]
+    """Add to a field (3,) what the surroundings make of it at a place."""
+    for j in range(3):
+        total = 0.0
+        for k in range(waves.shape[0]):
+            phase = waves[k, 0] * x[0] + waves[k, 1] * x[1] + waves[k, 2] * x[2]
+            total += sine_cosine(phase + shifts[k, j])[1]
+        field[j] += strength * total
+
+
+@compiled(error_model="numpy")
+def _field(t, x, attitude, supply, source, parts, row):  # type: ignore[no-untyped-def]
+    numbers, waves, shifts = (
+        parts  # earth's field, hard iron, field of an ampere (3 each), strength, noise (T)
+    )
+    there, n, turn = np.empty(3), np.empty(3), rotation(x[6:10])
+    there[:] = numbers[0:3]
+    _disturbed(x, waves, shifts, numbers[9], there)
+    normals(source, n)
+    row[STANDS] = 1.0
+    for j in range(3):
+        felt = turn[0, j] * there[0] + turn[1, j] * there[1] + turn[2, j] * there[2]
+        row[VALUES + j] = felt + numbers[3 + j] + numbers[6 + j] * supply[1] + numbers[10] * n[j]
+    return 0.0
+
+
 class MagnetometerSensor(Periodic):
     """Reads ``magnetic_field`` (3,) in body axes (T)."""
 
+    says = {"magnetic_field": slice(0, 3)}  # noqa: RUF012
+    compute = _field
+
     def __init__(self, table: Magnetometer, vehicle: Vehicle, rng: np.random.Generator) -> None:
         m = table
-        self._rng, self._noise = rng, float(m.noise)
         self.earth = earth_field(float(m.field), float(m.inclination))
         self._waves = rng.standard_normal((_FEATURES, 3)) / float(m.distortion_length)
         self._shifts = rng.uniform(0.0, 2 * math.pi, (_FEATURES, 3))
         self._strength = float(m.distortion) * math.sqrt(2.0 / _FEATURES)
         self.hard_iron = float(m.hard_iron) * rng.standard_normal(3)
         self.per_ampere = float(m.motor_field) * rng.standard_normal(3)
-        super().__init__(float(m.period))
+        numbers = [*self.earth, *self.hard_iron, *self.per_ampere, self._strength, float(m.noise)]
+        super().__init__(float(m.period), rng, (np.array(numbers), self._waves, self._shifts))
 
     def distortion(self, position: _Array) -> _Array:
         """The field (T, N-E-D) that the surroundings add at a place."""
-        return self._strength * np.cos((self._waves @ position)[:, None] + self._shifts).sum(axis=0)
+        field = np.zeros(3)
+        _disturbed(np.asarray(position, dtype=np.float64), self._waves, self._shifts, self._strength, field)
+        return field
 
     def right(self, truth: Truth) -> dict[str, _Array]:
         return {"magnetic_field": rotation(truth.state[6:10]).T @ self.earth}
-
-    def measure(self, truth: Truth) -> tuple[float, dict[str, Reading]]:
-        there = rotation(truth.state[6:10]).T @ (self.earth + self.distortion(truth.position))
-        noise = self._noise * self._rng.standard_normal(3)
-        return 0.0, {
-            "magnetic_field": Reading(
-                there + self.hard_iron + self.per_ampere * truth.current + noise, truth.time_s
-            )
-        }
 
 
 def earth_field(strength_T: float, inclination: float) -> _Array:

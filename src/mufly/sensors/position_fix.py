@@ -16,34 +16,50 @@ from typing import Any
 
 import numpy as np
 
-from mufly.sensors.readings import Periodic, Reading, Truth, Wander
+from mufly.compiled import compiled
+from mufly.sensors.drawing import normals, uniforms
+from mufly.sensors.periodic import NOTHING, STANDS, VALUES, Periodic, start_wandering, wander
+from mufly.sensors.readings import Truth
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensing import PositionFix
+
+
+@compiled(error_model="numpy")
+def _fix(t, x, attitude, supply, source, parts, row):  # type: ignore[no-untyped-def]
+    numbers, sigma, memory = parts  # dropout, jitter, latency (s), time of wandering (s), white noise (4)
+    share, late, n = np.empty(1), np.empty(1), np.empty(4)
+    uniforms(source, share)
+    normals(source, late)
+    wander(t, sigma, numbers[3], memory, source)
+    normals(source, n)
+    if share[0] < numbers[0]:
+        return NOTHING
+    row[STANDS] = 1.0
+    for k in range(4):
+        true = x[k] if k < 3 else attitude[2]
+        row[VALUES + k] = true + (memory[1 + k] + numbers[4 + k] * n[k])
+    return numbers[2] + abs(numbers[1] * late[0])
 
 
 class PositionFixSensor(Periodic):
     """Reads ``position_fix`` (4,): N, E, D (m) and heading (rad)."""
 
+    says = {"position_fix": slice(0, 4)}  # noqa: RUF012
+    compute = _fix
+
     def __init__(self, table: PositionFix, vehicle: Vehicle, rng: np.random.Generator) -> None:
         f = table
-        self._rng, self._fix = rng, f
-        self._white = np.array([*[float(f.noise)] * 3, float(f.heading_noise)])
-        super().__init__(float(f.period))
+        jitter, latency = float(f.jitter), float(f.latency)
+        white = [*[float(f.noise)] * 3, float(f.heading_noise)]
+        numbers = np.array([float(f.dropout), jitter, latency, float(f.wander_time), *white])
+        self._sigma = np.array([*[float(f.wander)] * 3, float(f.heading_wander)])
+        self._memory = np.empty(5)
+        parts = (numbers, self._sigma, self._memory)
+        super().__init__(float(f.period), rng, parts, latency + 6.0 * jitter)
 
     def reset(self) -> None:
         super().reset()
-        f = self._fix
-        sigma = np.array([*[float(f.wander)] * 3, float(f.heading_wander)])
-        self._wander = Wander(self._rng, sigma, float(f.wander_time), 4)
+        start_wandering(self._rng, self._sigma, self._memory)
 
     def right(self, truth: Truth) -> dict[str, Any]:
         return {"position_fix": np.append(truth.position, truth.attitude[2])}
-
-    def measure(self, truth: Truth) -> tuple[float, dict[str, Reading]] | None:
-        rng, f = self._rng, self._fix
-        lost, late = rng.uniform() < float(f.dropout), abs(float(f.jitter) * rng.standard_normal())
-        error = self._wander.at(truth.time_s) + self._white * rng.standard_normal(4)
-        if lost:
-            return None
-        told = self.right(truth)["position_fix"] + error
-        return float(f.latency) + late, {"position_fix": Reading(told, truth.time_s)}

@@ -16,7 +16,10 @@ import math
 
 import numpy as np
 
-from mufly.sensors.readings import Periodic, Reading, Truth, Wander
+from mufly.compiled import compiled
+from mufly.sensors.drawing import normals
+from mufly.sensors.periodic import STANDS, VALUES, Periodic, start_wandering, wander
+from mufly.sensors.readings import Truth
 from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensing import Pressure
@@ -24,39 +27,53 @@ from mufly.vehicle.sensing import Pressure
 STANDARD_PRESSURE_PA = 101_325.0
 
 
+@compiled(error_model="numpy")
+def _pressure(t, x, attitude, supply, source, parts, row):  # type: ignore[no-untyped-def]
+    # noise, delay, time of wandering, weight of the air (N/m3), share of the loading, its slopes over speeds squared;
+    # what is felt, and when it was (s)
+    numbers, sigma, memory, felt = parts
+    delay, n = numbers[1], np.empty(1)
+    wander(t, sigma, numbers[2], memory, source)
+    normals(source, n)
+    loading = numbers[5] * (x[18] * x[18]) + numbers[6] * (x[19] * x[19])
+    true = STANDARD_PRESSURE_PA + numbers[3] * x[2] + numbers[4] * loading + memory[1]
+    if math.isnan(felt[0]) or delay == 0.0:
+        felt[0] = true
+    else:
+        felt[0] += (true - felt[0]) * (1.0 - math.exp(-(t - felt[1]) / delay))
+    felt[1] = t
+    row[STANDS], row[VALUES] = 1.0, felt[0] + numbers[0] * n[0]
+    return 0.0
+
+
 class PressureSensor(Periodic):
     """Reads ``pressure`` (Pa)."""
 
+    says = {"pressure": 0}  # noqa: RUF012
+    compute = _pressure
+
     def __init__(self, table: Pressure, vehicle: Vehicle, rng: np.random.Generator) -> None:
         p = table
-        self._rng, self._noise, self._delay = rng, float(p.noise), float(p.delay)
-        self._density, self._share = float(vehicle.air.density), float(p.downwash)
-        radius = float(vehicle.rotors.radius)
+        density, radius = float(vehicle.air.density), float(vehicle.rotors.radius)
         # T / A = rho c_T R^2 Omega^2 of each rotor, by the definition of c_T
         both = (vehicle.rotors.upper, vehicle.rotors.lower)
-        self._loading = self._density * radius**2 * np.array([float(r.thrust_coefficient) for r in both])
-        self._drift, self._drift_time = float(p.drift), float(p.drift_time)
-        super().__init__(float(p.period))
+        loading = density * radius**2 * np.array([float(r.thrust_coefficient) for r in both])
+        self._weight = density * GRAVITY
+        numbers = [
+            float(p.noise),
+            float(p.delay),
+            float(p.drift_time),
+            self._weight,
+            float(p.downwash),
+            *loading,
+        ]
+        self._sigma, self._memory, self._felt = np.array([float(p.drift)]), np.empty(2), np.empty(2)
+        super().__init__(float(p.period), rng, (np.array(numbers), self._sigma, self._memory, self._felt))
 
     def reset(self) -> None:
         super().reset()
-        self._wander = Wander(self._rng, self._drift, self._drift_time)
-        self._felt = math.nan
-        self._felt_s = 0.0
+        start_wandering(self._rng, self._sigma, self._memory)
+        self._felt[:] = math.nan, 0.0
 
     def right(self, truth: Truth) -> dict[str, float]:
-        return {"pressure": STANDARD_PRESSURE_PA + self._density * GRAVITY * float(truth.position[2])}
-
-    def measure(self, truth: Truth) -> tuple[float, dict[str, Reading]]:
-        t = truth.time_s
-        true = (
-            self.right(truth)["pressure"]
-            + self._share * float(self._loading @ truth.rotor_speed**2)
-            + float(self._wander.at(t)[0])
-        )
-        if math.isnan(self._felt) or self._delay == 0.0:
-            self._felt = true
-        else:
-            self._felt += (true - self._felt) * (1.0 - math.exp(-(t - self._felt_s) / self._delay))
-        self._felt_s = t
-        return 0.0, {"pressure": Reading(self._felt + self._noise * self._rng.standard_normal(), t)}
+        return {"pressure": STANDARD_PRESSURE_PA + self._weight * float(truth.position[2])}

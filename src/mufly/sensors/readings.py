@@ -19,9 +19,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled import compiled
 from mufly.dynamics import rotation
 from mufly.vehicle import Vehicle
-from mufly.world import World, ranges
+from mufly.world import World, first_hit
 
 _Array = NDArray[np.float64]
 
@@ -148,82 +149,6 @@ class Sensor:
         """The simulation is back at its start."""
 
 
-class Periodic(Sensor):
-    """A sensor that measures every so often and says it some time later.
-
-    Parameters
-    ----------
-    period_s : float
-        Between measurements (s).
-    """
-
-    def __init__(self, period_s: float) -> None:
-        self._period_s = period_s
-        self.reset()
-
-    def reset(self) -> None:
-        self._due_s = self._quiet_s = -math.inf
-        self._coming: list[tuple[float, dict[str, Reading]]] = []  # when, what
-        self._latest: dict[str, Reading] = {}
-
-    @property
-    def quiet_s(self) -> float:
-        """Until when it surely says nothing new (s)."""
-        return self._quiet_s
-
-    def measure(self, truth: Truth) -> tuple[float, dict[str, Reading]] | None:
-        """Measure now: how long it takes until that is known (s), and what it is; None if nothing will come."""
-        raise NotImplementedError
-
-    def read(self, truth: Truth) -> Mapping[str, Reading]:
-        t = truth.time_s
-        if t < self._quiet_s:
-            return self._latest
-        if t >= self._due_s - 1e-9:
-            # Measurements keep to their own clock, however coarse the periods of the flight software are.
-            behind = t - self._due_s
-            self._due_s = (t if behind > self._period_s else self._due_s) + self._period_s
-            said = self.measure(truth)
-            if said is not None and said[0] == 0.0 and not self._coming:
-                self._latest = {**self._latest, **said[1]}
-            elif said is not None:
-                self._coming.append((t + said[0], said[1]))
-        # Surely nothing happens before that, by more than a rounding.
-        if not self._coming:
-            self._quiet_s = self._due_s - 2e-9
-            return self._latest
-        there = [one for one in self._coming if one[0] <= t + 1e-9]
-        if there:
-            self._coming = [one for one in self._coming if one[0] > t + 1e-9]
-            for _, readings in sorted(there, key=lambda one: one[0]):
-                self._latest = {**self._latest, **readings}
-        self._quiet_s = min(self._due_s, *(one[0] for one in self._coming), math.inf) - 2e-9
-        return self._latest
-
-
-class Wander:
-    """Errors that wander, each for itself: d x = -x dt / tau + sigma sqrt(2 dt / tau) n (first-order Gauss-Markov).
-
-    Sampled exactly: x' = x phi + sigma sqrt(1 - phi^2) n with phi = exp(-dt / tau).
-    """
-
-    def __init__(self, rng: np.random.Generator, sigma: float | _Array, time_s: float, size: int = 1) -> None:
-        self._rng, self._sigma, self._time_s, self._size = rng, sigma, time_s, size
-        self.value: _Array = sigma * rng.standard_normal(size)
-        self._last_s = math.nan
-
-    def at(self, time_s: float) -> _Array:
-        """The errors at a time; times rise."""
-        elapsed = 0.0 if math.isnan(self._last_s) else max(0.0, time_s - self._last_s)
-        self._last_s = time_s
-        if elapsed > 0.0:
-            phi = math.exp(-elapsed / self._time_s)
-            self.value = self.value * phi + self._sigma * math.sqrt(
-                1 - phi * phi
-            ) * self._rng.standard_normal(self._size)
-        return self.value
-
-
 class Sensors:
     """All sensors of a vehicle."""
 
@@ -290,6 +215,15 @@ class IdealRing(Sensor):
     def reset(self) -> None:
         self._last = None
 
+    @property
+    def parts(self) -> tuple[Any, ...]:
+        """What :func:`see` takes after the state."""
+        return self._directions, *self._limits.values(), *self._world.packed
+
+    def went_on(self, seen: NDArray[np.float64], time_s: float) -> None:
+        """Take notice of what it saw last (n,) while others asked it, and when (s)."""
+        self._last = Reading(seen.copy(), time_s)
+
 
 def beam_angles(vehicle: Vehicle) -> NDArray[np.float64]:
     """Return the direction of each beam of the range ring, from x towards y (rad), shape (n,).
@@ -331,5 +265,18 @@ def ideal_ranges(
     min_range_m, max_range_m : float
         Readings are held within these.
     """
-    seen = ranges(world, state[0:3], directions @ rotation(state[6:10]).T, max_range_m)
-    return np.maximum(seen, min_range_m)
+    seen = np.empty(len(directions))
+    see(state, directions, min_range_m, max_range_m, *world.packed, seen)
+    return seen
+
+
+@compiled(error_model="numpy")
+def see(x, directions, least, most, boxes, cylinders, limits, out):  # type: ignore[no-untyped-def]
+    """Distances to the nearest surface along beams of the body (n, 3) into ``out`` (n,), held within least and most."""
+    turn = rotation(x[6:10])
+    for k in range(directions.shape[0]):
+        a, b, c = directions[k, 0], directions[k, 1], directions[k, 2]
+        n = turn[0, 0] * a + turn[0, 1] * b + turn[0, 2] * c
+        e = turn[1, 0] * a + turn[1, 1] * b + turn[1, 2] * c
+        d = turn[2, 0] * a + turn[2, 1] * b + turn[2, 2] * c
+        out[k] = max(first_hit(x, n, e, d, most, boxes, cylinders, limits), least)

@@ -26,85 +26,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled import compiled
-from mufly.dynamics import rotation
-from mufly.sensors.readings import Periodic, Reading, Truth, beam_angles, beam_directions
+from mufly.sensors.drawing import normals, uniforms
+from mufly.sensors.periodic import STANDS, VALUES, Periodic
+from mufly.sensors.readings import Truth, beam_angles, beam_directions, see
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensing import RingCamera as RingTable
-from mufly.world import World, ranges
+from mufly.world import World
 
 _Array = NDArray[np.float64]
 THRESHOLD = 5.0
 """A spot has to stand this many standard deviations above the noise: one false spot in some million windows."""
 _WIDE = 3.0  # columns on either side that the decoder looks at, in radii of a spot
 _MARGIN = 1.25  # rows reach this much above the elevation of the shortest distance
-
-
-class RingCamera(Periodic):
-    """Reads ``ranges`` (n,): distance along each beam of the ring (m), its greatest range where nothing was decoded."""
-
-    def __init__(self, table: RingTable, vehicle: Vehicle, world: World, rng: np.random.Generator) -> None:
-        c = table
-        self._camera, self._world, self._rng = c, world, rng
-        self._directions = beam_directions(vehicle)
-        self._baseline, self._blur = float(c.baseline), float(c.blur)
-        self._nearest, self._farthest = float(c.min_range), float(c.max_range)
-        self._nothing = float(vehicle.range_ring.max_range)
-        self._top = _MARGIN * math.atan(self._baseline / self._nearest)
-        self._row = self._top / c.radial_pixels  # elevation of a row
-        column = 2 * math.pi / c.angular_pixels
-        self._centres = np.mod(beam_angles(vehicle), 2 * math.pi) / column  # of the beams, in columns
-        half = max(1, math.ceil(_WIDE * self._blur))
-        self._columns = np.floor(self._centres)[:, None].astype(int) + np.arange(
-            -half, half + 1
-        )  # (n, w), not wrapped
-        self._rows = np.arange(c.radial_pixels) + 0.5
-        self._offset = float(c.calibration) * rng.standard_normal(len(self._centres))
-        self._ambient = float(c.ambient) * rng.uniform(0.5, 1.5, c.angular_pixels)
-        self._across = np.exp(-0.5 * ((self._columns + 0.5 - self._centres[:, None]) / self._blur) ** 2)
-        # Weights are such that the noise of the sum stays one.
-        self._weight = self._across / np.sqrt((self._across**2).sum(axis=1, keepdims=True))
-        self._light = self._ambient[self._columns % c.angular_pixels]
-        self._numbers = np.array(
-            [float(c.brightness), self._blur, self._row, self._baseline, self._nearest, self._farthest]
-        )
-        super().__init__(float(c.period))
-
-    def measure(self, truth: Truth) -> tuple[float, dict[str, Reading]]:
-        true = self.true_ranges_m(truth.state)
-        true[self._rng.uniform(size=true.size) < float(self._camera.missed)] = math.inf
-        picture = self._rng.standard_normal((true.size, self._rows.size, self._across.shape[1]))
-        told = np.full(true.size, self._nothing)
-        _decode(
-            picture, true, self._across, self._light, self._weight, self._offset, self._numbers, told
-        )  # fmt: skip
-        return 0.0, {"ranges": Reading(told, truth.time_s)}
-
-    def right(self, truth: Truth) -> dict[str, _Array]:
-        return {"ranges": np.minimum(self.true_ranges_m(truth.state), self._nothing)}
-
-    def true_ranges_m(self, state: _Array) -> _Array:
-        """Distance along each beam (m), however far."""
-        return ranges(self._world, state[0:3], self._directions @ rotation(state[6:10]).T)
-
-    def picture(self, state: _Array) -> _Array:
-        """The whole picture (rows, columns), in deviations of a pixel's noise: for people to look at."""
-        columns = np.arange(self._camera.angular_pixels)
-        true = self.true_ranges_m(state)
-        near = (
-            np.mod(columns + 0.5 - self._centres[:, None] + columns.size / 2, columns.size) - columns.size / 2
-        )
-        light = (self._brightness(true)[:, None, None] * self._profile(true)[:, :, None]
-                 * np.exp(-0.5 * (near / self._blur) ** 2)[:, None, :])  # fmt: skip
-        return light.sum(axis=0) + self._ambient + self._rng.standard_normal(light.shape[1:])
-
-    def _brightness(self, distance: _Array) -> _Array:
-        with np.errstate(divide="ignore"):
-            return float(self._camera.brightness) / np.maximum(distance, 0.05) ** 2
-
-    def _profile(self, distance: _Array) -> _Array:
-        """Share of a spot's brightness in each row (n, rows)."""
-        row = np.arctan2(self._baseline, distance) / self._row
-        return np.exp(-0.5 * ((self._rows - row[:, None]) / self._blur) ** 2)
 
 
 @compiled(error_model="numpy")
@@ -160,19 +93,25 @@ def _decode(picture, distance, across, light, weight, offset, numbers, told):  #
     )  # fmt: skip
     rows, wide = picture.shape[1], picture.shape[2]
     reach = max(1, math.ceil(1.5 * blur))
-    column, line = np.empty(rows), np.empty(rows)
+    column, line, profile = np.empty(rows), np.empty(rows), np.empty(rows)
     for k in range(picture.shape[0]):
         strength = brightness / max(distance[k], 0.05) ** 2
         spot = math.atan2(baseline, distance[k]) / row
+        first, last = rows, 0  # of the rows that a spot reaches: beyond, it is darker than rounding
         for r in range(rows):
             line[r] = 0.0
+            off = (r + 0.5 - spot) / blur
+            if abs(off) < 8.0:
+                first, last = min(first, r), r + 1
+                profile[r] = math.exp(-0.5 * off * off)
         for c in range(wide):
+            bright = strength * across[k, c]
             for r in range(rows):
-                x = picture[k, r, c] + light[k, c]
-                off = (r + 0.5 - spot) / blur
-                if abs(off) < 8.0:  # beyond, a spot is darker than rounding
-                    x += strength * across[k, c] * math.exp(-0.5 * off * off)
-                column[r] = picture[k, r, c] = x
+                column[r] = picture[k, r, c] + light[k, c]
+            for r in range(first, last):
+                column[r] += bright * profile[r]
+            for r in range(rows):
+                picture[k, r, c] = column[r]
             middle = _median(column)
             for r in range(rows):
                 line[r] += weight[k, c] * (picture[k, r, c] - middle)
@@ -192,3 +131,88 @@ def _decode(picture, distance, across, light, weight, offset, numbers, told):  #
             found = baseline / math.tan(place * row)
             if nearest <= found <= farthest:
                 told[k] = found
+
+
+@compiled(error_model="numpy")
+def _seen(t, x, attitude, supply, source, parts, row):  # type: ignore[no-untyped-def]
+    limits, numbers, directions, boxes, cylinders, walls, across, light, weight, offset, work, picture = parts
+    distance, share = work[0], work[1]
+    see(x, directions, 0.0, math.inf, boxes, cylinders, walls, distance)
+    uniforms(source, share)
+    row[STANDS] = 1.0
+    for k in range(share.size):
+        row[VALUES + k] = limits[0]
+        if share[k] < limits[1]:
+            distance[k] = math.inf
+    normals(source, picture)
+    _decode(picture, distance, across, light, weight, offset, numbers, row[VALUES:])
+    return 0.0
+
+
+class RingCamera(Periodic):
+    """Reads ``ranges`` (n,): distance along each beam of the ring (m), its greatest range where nothing was decoded."""
+
+    compute = _seen
+
+    def __init__(self, table: RingTable, vehicle: Vehicle, world: World, rng: np.random.Generator) -> None:
+        c = table
+        self._camera, self._world = c, world
+        self._directions = beam_directions(vehicle)
+        self._baseline, self._blur = float(c.baseline), float(c.blur)
+        self._nearest, self._farthest = float(c.min_range), float(c.max_range)
+        self._nothing = float(vehicle.range_ring.max_range)
+        self._top = _MARGIN * math.atan(self._baseline / self._nearest)
+        self._row = self._top / c.radial_pixels  # elevation of a row
+        column = 2 * math.pi / c.angular_pixels
+        self._centres = np.mod(beam_angles(vehicle), 2 * math.pi) / column  # of the beams, in columns
+        half = max(1, math.ceil(_WIDE * self._blur))
+        self._columns = np.floor(self._centres)[:, None].astype(int) + np.arange(
+            -half, half + 1
+        )  # (n, w), not wrapped
+        self._rows = np.arange(c.radial_pixels) + 0.5
+        self._offset = float(c.calibration) * rng.standard_normal(len(self._centres))
+        self._ambient = float(c.ambient) * rng.uniform(0.5, 1.5, c.angular_pixels)
+        self._across = np.exp(-0.5 * ((self._columns + 0.5 - self._centres[:, None]) / self._blur) ** 2)
+        # Weights are such that the noise of the sum stays one.
+        self._weight = self._across / np.sqrt((self._across**2).sum(axis=1, keepdims=True))
+        self._light = self._ambient[self._columns % c.angular_pixels]
+        self._numbers = np.array(
+            [float(c.brightness), self._blur, self._row, self._baseline, self._nearest, self._farthest]
+        )
+        count = len(self._centres)
+        parts = (
+            np.array([self._nothing, float(c.missed)]), self._numbers, self._directions, *world.packed, self._across,
+            self._light, self._weight, self._offset, np.empty((2, count)),
+            np.empty((count, self._rows.size, self._across.shape[1])),
+        )  # fmt: skip
+        self.says = {"ranges": slice(0, count)}
+        super().__init__(float(c.period), rng, parts)
+
+    def right(self, truth: Truth) -> dict[str, _Array]:
+        return {"ranges": np.minimum(self.true_ranges_m(truth.state), self._nothing)}
+
+    def true_ranges_m(self, state: _Array) -> _Array:
+        """Distance along each beam (m), however far."""
+        out = np.empty(len(self._directions))
+        see(state, self._directions, 0.0, math.inf, *self._world.packed, out)
+        return out
+
+    def picture(self, state: _Array) -> _Array:
+        """The whole picture (rows, columns), in deviations of a pixel's noise: for people to look at."""
+        columns = np.arange(self._camera.angular_pixels)
+        true = self.true_ranges_m(state)
+        near = (
+            np.mod(columns + 0.5 - self._centres[:, None] + columns.size / 2, columns.size) - columns.size / 2
+        )
+        light = (self._brightness(true)[:, None, None] * self._profile(true)[:, :, None]
+                 * np.exp(-0.5 * (near / self._blur) ** 2)[:, None, :])  # fmt: skip
+        return light.sum(axis=0) + self._ambient + self._rng.standard_normal(light.shape[1:])
+
+    def _brightness(self, distance: _Array) -> _Array:
+        with np.errstate(divide="ignore"):
+            return float(self._camera.brightness) / np.maximum(distance, 0.05) ** 2
+
+    def _profile(self, distance: _Array) -> _Array:
+        """Share of a spot's brightness in each row (n, rows)."""
+        row = np.arctan2(self._baseline, distance) / self._row
+        return np.exp(-0.5 * ((self._rows - row[:, None]) / self._blur) ** 2)

@@ -21,52 +21,81 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled import compiled
 from mufly.dynamics import rotation
-from mufly.sensors.readings import Periodic, Reading, Truth
+from mufly.sensors.drawing import normals, uniforms
+from mufly.sensors.periodic import STANDS, VALUES, Periodic
+from mufly.sensors.readings import Truth
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensing import Sonar
-from mufly.world import World, ranges
+from mufly.world import World, first_hit
 
 _Array = NDArray[np.float64]
 SPEED_OF_SOUND_M_S = 343.2  # dry air of 20 degC
 _RINGS = ((1 / 3, 6), (2 / 3, 12), (1.0, 18))  # share of the half angle, rays
 
 
+@compiled(error_model="numpy")
+def _way(x, place, rays, upright, boxes, cylinders, limits):  # type: ignore[no-untyped-def]
+    """Distance from the element to the nearest surface in the cone (m); ``upright`` is the cosine of its half angle."""
+    turn, here = rotation(x[6:10]), np.empty(3)
+    for j in range(3):
+        here[j] = x[j] + (turn[j, 0] * place[0] + turn[j, 1] * place[1] + turn[j, 2] * place[2])
+    best = math.inf
+    for k in range(rays.shape[0]):
+        a, b, c = rays[k, 0], rays[k, 1], rays[k, 2]
+        n = turn[0, 0] * a + turn[0, 1] * b + turn[0, 2] * c
+        e = turn[1, 0] * a + turn[1, 1] * b + turn[1, 2] * c
+        d = turn[2, 0] * a + turn[2, 1] * b + turn[2, 2] * c
+        best = first_hit(here, n, e, d, best, boxes, cylinders, limits)
+    if turn[2, 2] >= upright:  # the perpendicular lies in the cone
+        best = first_hit(here, 0.0, 0.0, 1.0, best, boxes, cylinders, limits)
+    return best
+
+
+@compiled(error_model="numpy")
+def _echo(t, x, attitude, supply, source, parts, row):  # type: ignore[no-untyped-def]
+    numbers, place, rays, boxes, cylinders, limits = parts
+    noise, dropout, multipath, longest, least, step = (
+        numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5],
+    )  # fmt: skip
+    share, n = np.empty(2), np.empty(1)
+    uniforms(source, share)
+    normals(source, n)
+    heard, doubled = share[0], share[1]
+    way = _way(x, place, rays, numbers[6], boxes, cylinders, limits)
+    if doubled < multipath:
+        uniforms(source, share[:1])
+        way *= 1.0 + share[0]
+    wait = 2.0 * min(way, longest) / SPEED_OF_SOUND_M_S
+    if heard < dropout or way > longest:
+        row[STANDS], row[VALUES] = 0.0, math.nan
+        return wait
+    told = max(way + noise * n[0], least)
+    if step > 0.0:
+        told = np.rint(told / step) * step
+    row[STANDS], row[VALUES] = 1.0, min(told, longest)
+    return wait
+
+
 class UltrasonicSensor(Periodic):
     """Reads ``ground_distance`` (m); not valid without an echo."""
 
-    def __init__(self, table: Sonar, vehicle: Vehicle, world: World, rng: np.random.Generator) -> None:
-        self._sonar, self._world, self._rng = table, world, rng
-        self._place = self._sonar.place.array()[0]
-        self._half = 0.5 * float(self._sonar.cone)
-        self._rays = cone_rays(self._half)
-        super().__init__(float(self._sonar.period))
+    says = {"ground_distance": 0}  # noqa: RUF012
+    compute = _echo
 
-    def measure(self, truth: Truth) -> tuple[float, dict[str, Reading]] | None:
-        s, rng = self._sonar, self._rng
-        heard, doubled = rng.uniform(size=2)
-        noise = float(s.noise) * rng.standard_normal()
-        way = self.right(truth)["ground_distance"]
-        if doubled < float(s.multipath):
-            way *= 1.0 + rng.uniform()
+    def __init__(self, table: Sonar, vehicle: Vehicle, world: World, rng: np.random.Generator) -> None:
+        s, half = table, 0.5 * float(table.cone)
         longest = float(s.max_range)
-        wait = 2.0 * min(way, longest) / SPEED_OF_SOUND_M_S
-        if heard < float(s.dropout) or way > longest:
-            return wait, {"ground_distance": Reading(math.nan, truth.time_s, False)}
-        told = max(way + noise, float(s.min_range))
-        step = float(s.resolution)
-        told = round(told / step) * step if step > 0.0 else told
-        return wait, {"ground_distance": Reading(min(told, longest), truth.time_s)}
+        numbers = [float(q) for q in (s.noise, s.dropout, s.multipath, longest, s.min_range, s.resolution)]
+        self._numbers = np.array([*numbers, math.cos(half)])
+        parts = (self._numbers, s.place.array()[0].copy(), cone_rays(half), *world.packed)
+        super().__init__(float(s.period), rng, parts, 2.0 * longest / SPEED_OF_SOUND_M_S)
 
     def right(self, truth: Truth) -> dict[str, float]:
         """Distance to the nearest surface in the cone (m); infinite if there is none."""
-        state = truth.state
-        turn = rotation(state[6:10])
-        here = state[0:3] + turn @ self._place
-        rays = self._rays @ turn.T
-        if turn[2, 2] >= math.cos(self._half):  # the perpendicular lies in the cone
-            rays = np.vstack([rays, [0.0, 0.0, 1.0]])
-        return {"ground_distance": float(ranges(self._world, here, rays).min())}
+        _, place, rays, *world = self.parts
+        return {"ground_distance": float(_way(truth.state, place, rays, self._numbers[6], *world))}
 
 
 def cone_rays(half_angle: float) -> _Array:

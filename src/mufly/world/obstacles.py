@@ -226,47 +226,54 @@ def _slab(x: float, u: float, half: float, near: float, far: float) -> tuple[flo
 
 
 @compiled
+def first_hit(
+    x: _Array, un: float, ue: float, ud: float, best: float, boxes: _Array, cylinders: _Array, limits: _Array
+) -> float:
+    """Distance from ``x`` (3,) along a unit vector to the first surface of a packed world, ``best`` at most (m)."""
+    for b in boxes:
+        dn, de = x[0] - b[0], x[1] - b[1]
+        near, far = _slab(b[6] * dn + b[7] * de, b[6] * un + b[7] * ue, b[3], 0.0, best)
+        near, far = _slab(-b[7] * dn + b[6] * de, -b[7] * un + b[6] * ue, b[4], near, far)
+        near, far = _slab(x[2] - b[2], ud, b[5], near, far)
+        if near <= far:
+            best = near
+    for c in cylinders:
+        mid, half = 0.5 * (c[3] + c[4]), 0.5 * (c[4] - c[3])
+        near, far = _slab(x[2] - mid, ud, half, 0.0, best)
+        dn, de = x[0] - c[0], x[1] - c[1]
+        uu, du, dd = un * un + ue * ue, dn * un + de * ue, dn * dn + de * de - c[2] * c[2]
+        if uu == 0.0:
+            if dd > 0.0:
+                continue
+        else:
+            under = du * du - uu * dd
+            if under < 0.0:
+                continue
+            root = math.sqrt(under)
+            near, far = max(near, (-du - root) / uu), min(far, (-du + root) / uu)
+        if near <= far:
+            best = near
+    for axis in range(2):
+        u = un if axis == 0 else ue
+        if u < 0.0:
+            best = min(best, max(0.0, (limits[2 * axis] - x[axis]) / u))
+        elif u > 0.0:
+            best = min(best, max(0.0, (limits[2 * axis + 1] - x[axis]) / u))
+    if ud < 0.0:
+        best = min(best, max(0.0, (limits[4] - x[2]) / ud))
+    elif ud > 0.0:
+        best = min(best, max(0.0, (limits[5] - x[2]) / ud))
+    return best
+
+
+@compiled
 def _cast(
     x: _Array, directions: _Array, max_range: float, boxes: _Array, cylinders: _Array, limits: _Array
 ) -> _Array:
     out = np.empty(directions.shape[0])
     for k in range(directions.shape[0]):
         un, ue, ud = directions[k, 0], directions[k, 1], directions[k, 2]
-        best = max_range
-        for b in boxes:
-            dn, de = x[0] - b[0], x[1] - b[1]
-            near, far = _slab(b[6] * dn + b[7] * de, b[6] * un + b[7] * ue, b[3], 0.0, best)
-            near, far = _slab(-b[7] * dn + b[6] * de, -b[7] * un + b[6] * ue, b[4], near, far)
-            near, far = _slab(x[2] - b[2], ud, b[5], near, far)
-            if near <= far:
-                best = near
-        for c in cylinders:
-            mid, half = 0.5 * (c[3] + c[4]), 0.5 * (c[4] - c[3])
-            near, far = _slab(x[2] - mid, ud, half, 0.0, best)
-            dn, de = x[0] - c[0], x[1] - c[1]
-            uu, du, dd = un * un + ue * ue, dn * un + de * ue, dn * dn + de * de - c[2] * c[2]
-            if uu == 0.0:
-                if dd > 0.0:
-                    continue
-            else:
-                under = du * du - uu * dd
-                if under < 0.0:
-                    continue
-                root = math.sqrt(under)
-                near, far = max(near, (-du - root) / uu), min(far, (-du + root) / uu)
-            if near <= far:
-                best = near
-        for axis in range(2):
-            u = directions[k, axis]
-            if u < 0.0:
-                best = min(best, max(0.0, (limits[2 * axis] - x[axis]) / u))
-            elif u > 0.0:
-                best = min(best, max(0.0, (limits[2 * axis + 1] - x[axis]) / u))
-        if ud < 0.0:
-            best = min(best, max(0.0, (limits[4] - x[2]) / ud))
-        elif ud > 0.0:
-            best = min(best, max(0.0, (limits[5] - x[2]) / ud))
-        out[k] = best
+        out[k] = first_hit(x, un, ue, ud, max_range, boxes, cylinders, limits)
     return out
 
 

@@ -38,7 +38,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from mufly.flight.oscillation import Oscillation, OscillationWatch, steered
+from mufly.flight.oscillation import Oscillation, OscillationWatch, may_oscillate, steered
 from mufly.mission import HARD_TOUCHDOWN_M_S
 from mufly.results import result
 from mufly.world import World, distances
@@ -351,6 +351,8 @@ def _longest_oscillation(dataset: xr.Dataset, airborne: NDArray[np.bool_]) -> Os
     rows = slice(int(flown[0]), int(flown[-1]) + 1)
     time, states = dataset.time.values[rows], dataset.mission_state.values[rows]
     inputs = np.hstack([dataset.motor_input.values[rows], dataset.servo_input.values[rows]])
+    if not may_oscillate(inputs):
+        return None
     velocity, angles = dataset.reference_velocity.values[rows], dataset.reference_attitude.values[rows]
     turning = np.gradient(angles[:, 2], time) if len(time) > 1 else np.zeros(1)
     look, longest = OscillationWatch(), None

@@ -1,0 +1,314 @@
+"""The compiled loop of many periods: plant, sensors, filter and flight software, one after the other in each."""
+
+from __future__ import annotations
+
+import math
+
+from mufly.calling import call_at
+from mufly.compiled import compiled
+from mufly.estimate import guards as g
+from mufly.estimate.guards import ACTING, CLIPPING
+from mufly.estimate.kernel import TOLD_EVERY
+from mufly.estimate.layout import (
+    ERRORS,
+    R_ACCELERATION,
+    R_BATTERY,
+    R_FIX,
+    R_MAGNET,
+    R_PRESSURE,
+    R_RATES,
+    R_RING,
+    R_ROTOR,
+    R_SONAR,
+    SENSORS,
+    STARTS,
+    STATES,
+    WIDTHS,
+)
+from mufly.flight.plant import plant_period, touched, true_attitude
+from mufly.sensors.drawing import normals
+from mufly.sensors.imu import imu_period
+from mufly.sensors.periodic import STANDS, TAKEN, VALUES
+from mufly.sensors.pressure import STANDARD_PRESSURE_PA
+from mufly.sensors.readings import see
+from mufly.sensors.together import ask
+
+MOST = 256
+"""Periods of one call at most."""
+
+# Why the loop came back
+DONE, SENSE, TELL, SAID, TOUCHED, BROKEN, VALID, HEARD = range(8)
+# Where it goes on in a period
+ADVANCE, SENSED, TOLD = range(3)
+# Whole numbers that it keeps
+(
+    C_PHASE, C_TICK, C_STOP, C_BLOWN, C_RING, C_LOOK, C_EVERY, C_ARMED, C_VALID, C_UNTIL_VALID, C_TELLS, C_PERIODS,
+    C_ROWS, C_DUE, C_DREW, C_STEPS, C_LISTEN, C_HEARD, C_LOOKED, C_BEAMS, C_TOLD_ROWS, C_HEARD_ROWS, C_CALM, COUNTS,
+) = range(24)  # fmt: skip
+# Numbers that it keeps
+F_RATE, F_STEP_S, F_RADIUS, F_HOVER_A, F_CURRENT_A, F_BLEND, F_WAKE_S, F_DRAWN_S, F_ASK_S, NUMBERS = range(10)
+# Where things lie in the records of C, in units of eight, four or one byte
+(
+    _B_TIME, _B_MOTION, _B_VALID, _S_MOTORS, _S_LATE, _S_LOGGED, _S_FINISHED, _S_STATE, _S_POSITION, _S_VELOCITY,
+    _S_HEADING, _S_TURN, _S_TILT, _B_RANGES, _B_PLACE_VARIANCE, _B_TURN_VARIANCE,
+    _B_CHECKS, _B_CHECK, _B_STATUS, _B_WHY,
+) = range(20)  # fmt: skip
+_MOTORS_OFF, _MOTORS_FLY = 0, 2
+# Columns of what is kept of a period: time, state (21), attitude, wind, battery, what acts, reference (9), mission;
+# beams follow
+ROW_WIDE = 44
+_ACC, _RATE_AT, _VOLT = STARTS[R_ACCELERATION], STARTS[R_RATES], STARTS[R_BATTERY]
+# Of what is told every so often (:data:`mufly.estimate.fitted.SHOWN`), a row: covariance (9, 9), deviations, then of
+# each sensor seven numbers, and the period
+DEVIATIONS, OF_SENSORS = 81, 81 + ERRORS
+SHOWN_WIDE = OF_SENSORS + 7 * SENSORS + 1
+# Of what somebody hears, a row: period, whether valid, battery (V), rows told before; wind, supply, state, attitude,
+# nominal state, rates, angles; ranges follow
+HEARD_WIDE = 4 + 3 + 2 + 21 + 3 + STATES + 3 + 3
+# Places of the sensors of ``ask`` in the filter's tables
+_PLACES = (R_SONAR, R_RING, R_PRESSURE, R_MAGNET, R_ROTOR, R_BATTERY, R_FIX)
+
+
+@compiled(error_model="numpy")
+def _lay(t, came, all_parts, z, new, age, fitted, taken, pictures, used, ranges):  # type: ignore[no-untyped-def]
+    """Lay what sensors said into the filter's row (:meth:`KalmanEstimator.hear`); whether it was a picture."""
+    sonar, ring, pressure, field, speeds, battery, fix = all_parts
+    rows = (sonar[2], ring[2], pressure[2], field[2], speeds[2], battery[2], fix[2])
+    seen = False
+    for k in range(7):
+        row, r = rows[k][0], _PLACES[k]
+        if came[k] == 0 or fitted[r] == 0 or row[TAKEN] == taken[r]:
+            continue
+        taken[r] = row[TAKEN]
+        age[r], new[r] = t - row[TAKEN], 1 if row[STANDS] != 0.0 else 2
+        start = STARTS[r]
+        if r == R_RING:
+            seen = True
+            for j in range(used.size):
+                z[start + j] = row[VALUES + used[j]]
+            for j in range(ranges.size):
+                pictures[0, j], pictures[1, j], pictures[2, j] = (
+                    pictures[1, j],
+                    pictures[2, j],
+                    row[VALUES + j],
+                )
+                a, b, c = pictures[0, j], pictures[1, j], pictures[2, j]
+                ranges[j] = max(min(a, b), min(max(a, b), c))
+        elif r == R_PRESSURE:
+            z[start] = row[VALUES] - STANDARD_PRESSURE_PA
+        else:
+            for j in range(WIDTHS[r]):
+                z[start + j] = row[VALUES + j]
+    return seen
+
+
+@compiled(error_model="numpy")
+def _show(memory, fitted, calm, texts, before, row, said, at):  # type: ignore[no-untyped-def]
+    """Write what is told every so often into a row and the record of C; whether that needs no words of Python.
+
+    ``texts`` are the numbers of the words for a reason, or -1 where there is a number in them; ``calm``: nothing is
+    said of a sensor that is waited for or believed.
+    """
+    covariance, sigma, code, why, number, innovation, spread, used, came, tick = memory
+    for j in range(9):
+        for k in range(9):
+            row[9 * j + k] = covariance[j, k]
+    for k in range(ERRORS):
+        row[DEVIATIONS + k] = sigma[k]
+    row[OF_SENSORS + 7 * SENSORS] = tick[0]
+    same = True
+    for k in range(SENSORS):
+        of = row[OF_SENSORS + 7 * k : OF_SENSORS + 7 * k + 7]
+        was = before[OF_SENSORS + 7 * k : OF_SENSORS + 7 * k + 7]
+        of[0], of[1], of[2], of[3] = code[k], why[k], number[k], innovation[k]
+        of[4], of[5], of[6] = spread[k], used[k], came[k]
+        if fitted[k] == 0:
+            continue
+        text = texts[why[k]]
+        if code[k] == g.NOTHING and why[k] == g.FINE and came[k] == 0:
+            text = texts[g.NOTHING_YET]
+        quiet = calm != 0 and (code[k] == g.NOTHING or code[k] == g.FUSED) and was[0] == was[0]
+        if quiet and text >= 0:
+            one = at[_B_CHECKS] + k * at[_B_CHECK]
+            said[one + at[_B_STATUS]], said[one + at[_B_WHY]] = code[k], text
+        else:
+            same = same and of[0] == was[0] and of[1] == was[1] and (text >= 0 or of[2] == was[2])
+    return same
+
+
+@compiled(error_model="numpy")
+def go_on(  # type: ignore[no-untyped-def]
+    c, f, x, parameters, wind, supply, attitude, packed, acting, software, belief, out, at, to, log, seen, ring,
+    filtered, imu, asked, shown, heard,
+):  # fmt: skip
+    """Advance until something is due that Python does; return what.
+
+    Parameters
+    ----------
+    c, f : int64 and float64 arrays
+        Counts and numbers, by the names above.
+    x, parameters, wind, supply, attitude
+        Of the plant; ``wind`` (n, 3) of the periods to come.
+    packed : tuple
+        Legs, whether there are obstacles, and the tables of the world.
+    acting : (3, 4) array
+        What acted in the last period, acts now, was sent last.
+    software, belief : tuples of float64, int32 and uint8 arrays
+        Views of the records of C.
+    out : (4,) array
+        What the software wants.
+    at : int64 array
+        Where things lie in those records.
+    to : int64 array
+        Addresses: software_step and its five arguments, estimator_step and its six.
+    log : (n, columns) array
+        A row for every recorded period.
+    seen : (n,) array
+        Beams of the ring, as told.
+    ring : None, or tuple
+        What :func:`mufly.sensors.readings.see` takes after the state, for a ring without errors.
+    filtered : None, or tuple of arrays
+        What the filter tells (state, rates, angles), and its readings, which are new, and their ages; which it takes,
+        when they were taken, pictures, which beams; and of its memory what is told every so often.
+    imu : None, or tuple
+        State before; what to draw from, room for normal numbers, what it reads and how often it clipped (6,), and the
+        rest of what ``imu_period`` takes.
+    asked : None, or tuple
+        What :func:`mufly.sensors.together.ask` takes after the supply.
+    shown, heard : (n, columns) arrays
+        Rows of what is told every so often, the first as it was before; and of what somebody hears.
+    """
+    sd, si, sb = software
+    bd, bi, bb = belief
+    now = at[_B_MOTION]
+    while True:
+        if c[C_PHASE] == ADVANCE:
+            if c[C_TICK] >= c[C_STOP] or c[C_BLOWN] >= wind.shape[0] or c[C_ROWS] >= log.shape[0]:
+                return DONE
+            if c[C_LISTEN] > 0 and c[C_TICK] % c[C_LISTEN] == 0 and c[C_TICK] != c[C_HEARD]:
+                c[C_HEARD] = c[C_TICK]
+                if filtered is None:
+                    return HEARD
+                else:  # Numba leaves out what is never reached
+                    row = heard[c[C_HEARD_ROWS]]
+                    c[C_HEARD_ROWS] += 1
+                    row[0], row[1], row[2], row[3] = c[C_TICK], c[C_VALID], filtered[3][_VOLT], c[C_TOLD_ROWS]
+                    row[4:7], row[7:9], row[9:30], row[30:33] = wind[c[C_BLOWN] - 1], supply, x, attitude
+                    row[33 : 33 + STATES] = filtered[0]
+                    row[33 + STATES : 36 + STATES], row[36 + STATES : 39 + STATES] = filtered[1], filtered[2]
+                    row[39 + STATES :] = seen
+            if imu is not None:
+                imu[0][:] = x
+            plant_period(x, acting[1], wind[c[C_BLOWN]], parameters, f[F_STEP_S], c[C_STEPS], supply)
+            c[C_BLOWN] += 1
+            c[C_TICK] += 1
+            acting[0, :] = acting[1]
+            acting[1, :] = acting[2]
+            if not math.isfinite(x[2]):
+                return BROKEN
+            t = c[C_TICK] / f[F_RATE]
+            if c[C_TICK] % c[C_LOOK] == 0:
+                if touched(x, parameters, packed[0], f[F_RADIUS], packed[1], packed[2], packed[3], packed[4]):
+                    return TOUCHED
+                drawn = supply[1] if si[at[_S_MOTORS]] == _MOTORS_FLY else f[F_HOVER_A]
+                f[F_CURRENT_A] += f[F_BLEND] * (drawn - f[F_CURRENT_A])
+            true_attitude(x, attitude)
+            c[C_PHASE] = SENSED
+            if filtered is not None:
+                z, new, age = filtered[3], filtered[4], filtered[5]
+                new[:] = 0
+                for k in range(4):
+                    z[ACTING + k] = acting[0, k]
+                if imu is not None:
+                    c[C_DREW] += 1
+                    normals(imu[1], imu[2])
+                    imu_period(imu[0], x, t - f[F_DRAWN_S], t, imu[2], *imu[5], imu[3], imu[4])
+                    f[F_DRAWN_S] = t
+                    for k in range(3):
+                        z[_ACC + k], z[_RATE_AT + k], z[CLIPPING + k] = imu[3][k], imu[3][3 + k], imu[4][k]
+                    new[R_ACCELERATION] = new[R_RATES] = 1
+                    age[R_ACCELERATION] = age[R_RATES] = 0.0
+                if asked is not None and t >= f[F_ASK_S]:
+                    f[F_ASK_S] = ask(t, x, attitude, supply, asked[0], asked[1], asked[2])
+                    if _lay(
+                        t,
+                        asked[1],
+                        asked[2],
+                        z,
+                        new,
+                        age,
+                        filtered[6],
+                        filtered[7],
+                        filtered[8],
+                        filtered[9],
+                        seen,
+                    ):
+                        for k in range(c[C_BEAMS]):
+                            bd[at[_B_RANGES] + k] = seen[k]
+            if ring is not None and c[C_TICK] % c[C_RING] == 0:
+                see(x, *ring, seen)
+                c[C_LOOKED] = c[C_TICK]
+                for k in range(c[C_BEAMS]):
+                    bd[at[_B_RANGES] + k] = seen[k]
+            if t >= f[F_WAKE_S]:
+                return SENSE
+        t = c[C_TICK] / f[F_RATE]
+        if c[C_PHASE] == SENSED:
+            bd[at[_B_TIME]] = t
+            if filtered is None:
+                for k in range(3):
+                    bd[now + k], bd[now + 3 + k] = x[k], x[3 + k]
+                    bd[now + 6 + k], bd[now + 9 + k] = attitude[k], x[10 + k]
+                bd[now + 12] = supply[0]
+            else:
+                valid = call_at(to[6], (to[7], to[8], to[9], to[10], to[11], to[12])) & 1
+                told, rates, angles = filtered[0], filtered[1], filtered[2]
+                for k in range(3):
+                    bd[now + k], bd[now + 3 + k] = told[k], told[3 + k]
+                    bd[now + 6 + k], bd[now + 9 + k] = angles[k], rates[k]
+                volts = filtered[3][_VOLT]
+                bd[now + 12] = volts if volts != 0.0 else math.nan
+                bb[at[_B_VALID]] = c[C_VALID] = valid
+                c[C_TELLS] += 1
+            c[C_PHASE] = TOLD
+            if filtered is not None and c[C_TELLS] % TOLD_EVERY == 0:
+                n = c[C_TOLD_ROWS]
+                c[C_TOLD_ROWS] += 1
+                if not _show(
+                    filtered[10], filtered[6], c[C_CALM], filtered[11], shown[n], shown[n + 1], bi, at
+                ):
+                    return TELL
+                for k in range(3):
+                    bd[at[_B_PLACE_VARIANCE] + k] = filtered[10][0][k, k]
+                    bd[at[_B_TURN_VARIANCE] + k] = filtered[10][0][6 + k, 6 + k]
+        logged, motors, finished = si[at[_S_LOGGED]], si[at[_S_MOTORS]], sb[at[_S_FINISHED]]
+        call_at(to[0], (to[1], to[2], to[3], to[4], to[5]))
+        runs = c[C_ARMED] > 0 or si[at[_S_MOTORS]] == _MOTORS_OFF
+        for k in range(4):
+            acting[2, k] = out[k] if runs else 0.0
+        late = sd[at[_S_LATE]]
+        if late == 0.0:
+            c[C_DUE] = c[C_TICK]
+        c[C_PERIODS] += 1
+        if c[C_TICK] % c[C_EVERY] == 0:
+            row = log[c[C_ROWS]]
+            c[C_ROWS] += 1
+            row[0] = t
+            row[1:22] = x
+            row[22:25] = attitude
+            row[25:28] = wind[c[C_BLOWN] - 1]
+            row[28:30] = supply
+            row[30:34] = acting[1]
+            for k in range(3):
+                way = sd[at[_S_VELOCITY] + k]
+                row[34 + k] = sd[at[_S_POSITION] + k] + late * way
+                row[37 + k] = way
+            row[40], row[41] = sd[at[_S_TILT]], sd[at[_S_TILT] + 1]
+            row[42] = sd[at[_S_HEADING]] + late * sd[at[_S_TURN]]
+            row[43] = si[at[_S_STATE]]
+            row[ROW_WIDE:] = seen
+        c[C_PHASE] = ADVANCE
+        if si[at[_S_LOGGED]] != logged or si[at[_S_MOTORS]] != motors or sb[at[_S_FINISHED]] != finished:
+            return SAID
+        if c[C_UNTIL_VALID] > 0 and c[C_VALID] > 0:
+            return VALID
