@@ -40,16 +40,17 @@ from mufly.estimate.guards import (
     felt_fits,
     fits,
     flag,
+    go_astray,
     misfits,
 )
 from mufly.estimate.layout import (
     ACCEL,
-    EDGE_S,
     ERRORS,
     FIX,
     FLOOR,
     GYRO,
     HEADING,
+    LOW,
     MAGNET_,
     PRESSURE_,
     R_ACCELERATION,
@@ -84,6 +85,8 @@ STUCK = 1e-11
 """Chance that a sonar that works repeats itself for so long."""
 CLEAR = 0.15
 """Height (m) above which no leg touches: what turns it then is in the flight model."""
+SUDDEN, MOST_STEPS = 3.0, 8
+"""Deviations of the sonar beyond which it is the surface that jumps, over an edge; how often it may."""
 _BEAM_GATE = 4.0
 _LEAST_FLOOR = -0.1  # m: a room has nothing below its floor
 
@@ -215,7 +218,7 @@ def _sonar_holds(m, s):  # type: ignore[no-untyped-def]
     """Whether the sonar tells the height, over a floor that is known."""
     k = R_SONAR
     fresh = m.used[k] > 0 and (m.tick - m.used[k]) * s.dt < 0.3
-    return fresh and m.code[k] == FUSED and m.why[k] == FINE and m.edge == 0
+    return fresh and m.code[k] == FUSED and m.why[k] == FINE and not m.edge > 0.0
 
 
 @compiled(error_model="numpy")
@@ -274,10 +277,7 @@ def fuse_fix(m, s, z, ahead):  # type: ignore[no-untyped-def]
     m.strain += 0.15 * (worst * worst - m.strain)
     out = max(_out_of_range(m, s, 0), _out_of_range(m, s, 1), _out_of_range(m, s, 3))
     if m.strain > STRAIN or out > 1.0:
-        for i in range(3):
-            loosen(m.ut, m.d, TURN + i, 1e-5, m.f)
-            loosen(m.ut, m.d, GYRO + i, 1e-4, m.f)
-            loosen(m.ut, m.d, V + i, 1e-3, m.f)
+        go_astray(m, s)
         flag(m, s, k, FUSED, STRAINED, at)
     for i in range(4):
         if i == 2 and not down:
@@ -285,7 +285,8 @@ def fuse_fix(m, s, z, ahead):  # type: ignore[no-untyped-def]
         _fix_row(m, i)
         _take(m, _fix_innovation(m, z, i, ahead), s.fix_variance if i < 3 else s.heading_variance)
     for i in range(3):
-        if abs(m.x[10 + i]) > GYRO_RANGE * s.sigma[GYRO + i] and m.code[R_RATES] == FUSED:
+        most = GYRO_RANGE * s.sigma[GYRO + i] + 2.0 * m.sigma[GYRO + i]
+        if abs(m.x[10 + i]) > most and m.code[R_RATES] == FUSED:
             flag(m, s, R_RATES, REJECTED, WANDERS, m.x[10 + i])
     fits(m, k)
     if not down:
@@ -334,10 +335,18 @@ def fuse_sonar(m, s, z, ahead, r):  # type: ignore[no-untyped-def]
     if r[8] < s.sonar_cone or z[0] >= s.sonar_max:
         return
     expect = -(m.x[2] + ahead * m.x[5]) - down - m.x[16]
-    if z[0] <= s.sonar_min + 0.005 and expect < s.sonar_min + 0.02:
-        return  # nearer than it can tell
-    nu = z[0] - expect
-    ratio = _ratio(m, nu, s.sonar_variance)
+    said, r_ = z[0], s.sonar_variance
+    nearest, standing = s.sonar_min + 0.005, s.stands - s.sonar_place[2]
+    if z[0] <= nearest and standing < nearest:
+        # Nearer than it can tell: anywhere between there and where it stands.
+        said = 0.5 * (nearest + standing)
+        r_ = (nearest - standing) * (nearest - standing) / 12.0
+        if expect < nearest:
+            _take(m, said - expect, 100.0 * r_)  # as so many that are off alike
+            fits(m, k)
+            return
+    nu = said - expect
+    ratio = _ratio(m, nu, r_)
     _note(m, k, nu, ratio)
     if _repeats(m, s, z[0], nu):
         flag(m, s, k, FAULTY, STUCK_, z[0])
@@ -346,15 +355,21 @@ def fuse_sonar(m, s, z, ahead, r):  # type: ignore[no-untyped-def]
     if abs(ratio) < GATE:
         m.lean += 0.2 * (ratio - m.lean)
     if abs(m.lean) > LEAN:
-        m.lean = 0.0 * m.lean
-        m.edge = int(EDGE_S / s.dt)
+        m.lean = 0.0
+        m.edge = 1.0
         flag(m, s, k, FUSED, SLOPE, nu)
-    if abs(ratio) > GATE:
+    floor = m.x[16] - nu
+    over = m.edge > 0.0 or abs(m.x[16]) > LOW
+    if over and abs(ratio) > SUDDEN and m.steps < MOST_STEPS and floor > _LEAST_FLOOR:
+        # Over an object it is the surface that jumps.
+        m.steps += 1
+        m.edge = 1.0
+        loosen(m.ut, m.d, FLOOR, nu * nu, m.f)
+        _sonar_row(m, s, r)
+    elif abs(ratio) > GATE:
         _reject(m, s, k, nu, z, 1, 0.02 + 1.5 * s.period[k])
-        floor = m.x[16] - nu
         step = m.agree[k] >= 2 and floor > _LEAST_FLOOR
-        m.steps = m.steps + 1 if step and m.edge > 0 else (0 if step else m.steps)
-        if step and m.steps > 2:
+        if step and m.steps >= MOST_STEPS:
             # Step after step: it is not the floor that goes, it is the height.
             loosen(m.ut, m.d, P + 2, nu * nu, m.f)
             loosen(m.ut, m.d, V + 2, 0.1, m.f)
@@ -364,7 +379,7 @@ def fuse_sonar(m, s, z, ahead, r):  # type: ignore[no-untyped-def]
             loosen(m.ut, m.d, FLOOR, nu * nu, m.f)
             m.doubt[k] = 0.0
             flag(m, s, k, FUSED, STEP, floor)
-            m.edge = int(EDGE_S / s.dt)
+            m.edge = 1.0
         elif _taken_over(m, s, k):
             if (m.tick - m.used[R_FIX]) * s.dt < _AGREE_S and m.used[R_FIX] > 0:
                 loosen(m.ut, m.d, FLOOR, nu * nu, m.f)  # the fix holds the height
@@ -375,7 +390,7 @@ def fuse_sonar(m, s, z, ahead, r):  # type: ignore[no-untyped-def]
         else:
             return
         _sonar_row(m, s, r)
-    _take(m, nu, s.sonar_variance)
+    _take(m, nu, r_)
     fits(m, k)
 
 
@@ -398,10 +413,10 @@ def fuse_floor(m, s):  # type: ignore[no-untyped-def]
     _of(m, P + 2, -1.0)
     if m.x[16] > 0.0:
         _and(m, FLOOR, -1.0)
-    _take(m, -height, 1e-4)
+    _take(m, -height, 2.5e-5)
     if m.x[5] > 0.0:
         _of(m, V + 2, 1.0)
-        _take(m, -m.x[5], 2.5e-3)
+        _take(m, -m.x[5], 1e-3)
     return True
 
 

@@ -37,6 +37,8 @@ from mufly.estimate.layout import (
     R_SONAR,
     SENSORS,
     STARTS,
+    TURN,
+    V,
 )
 
 ACTING = STARTS[-1]
@@ -61,6 +63,10 @@ _LARGEST_SHIFT = (
 _ROUGH = 3.0  # of the mean difference of some 50 ms
 _TURN_OFF = 0.02  # of a difference that is taken for an error of the model's moments
 _SHARE = 0.02  # of clipped samples that is told of
+ADRIFT, ADRIFT_S = 0.1, 3.0
+"""What the gyroscopes' bias may do once they have carried the filter astray (rad/s in a second), and for how long."""
+ASTRAY_BIAS, ASTRAY_TURN, ASTRAY_SPEED = 0.15, 0.06, 0.3
+"""By how much bias (rad/s), attitude (rad) and speed (m/s) may be off by then."""
 _ROTOR_OFF = 0.08  # of the hover speed
 _VOLTS_OFF = 0.6
 
@@ -189,6 +195,18 @@ def inspect(m, s, z, new, age):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
+def go_astray(m, s):  # type: ignore[no-untyped-def]
+    """Something carries the filter astray that it does not know, most likely the gyroscopes."""
+    if m.adrift == 0:
+        for k in range(3):
+            loosen(m.ut, m.d, GYRO + k, ASTRAY_BIAS * ASTRAY_BIAS, m.f)
+            loosen(m.ut, m.d, TURN + k, ASTRAY_TURN * ASTRAY_TURN, m.f)
+        for k in range(2):
+            loosen(m.ut, m.d, V + k, ASTRAY_SPEED * ASTRAY_SPEED, m.f)
+    m.adrift = int(ADRIFT_S / s.dt)
+
+
+@compiled(error_model="numpy")
 def smooth_rates(m, s, flying):  # type: ignore[no-untyped-def]
     """Put what the model says in the place of a spike of the gyroscopes, and take off a jump; ``m.rates`` are the
     new, ``m.before`` the old."""
@@ -203,6 +221,7 @@ def smooth_rates(m, s, flying):  # type: ignore[no-untyped-def]
     # A model that is off again and again cannot tell a spike from a motion.
     most = _SPIKE + _ROUGH * m.rough
     m.rough += 0.1 * (min(worst, _SPIKE) - m.rough)
+    m.adrift = max(m.adrift - 1, 0)
     if not flying or s.model == 0:
         m.spikes = 0
         return

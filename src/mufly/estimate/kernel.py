@@ -39,6 +39,7 @@ from mufly.estimate.fusing import (
 )
 from mufly.estimate.guards import (
     ACTING,
+    ADRIFT,
     FAULTY,
     LATE,
     MISSING,
@@ -49,7 +50,7 @@ from mufly.estimate.guards import (
     voltage_fits,
 )
 from mufly.estimate.layout import (
-    EDGE,
+    EDGE_S,
     ERRORS,
     FLOOR,
     FLYING,
@@ -69,6 +70,7 @@ from mufly.estimate.layout import (
     R_ROTOR,
     R_SONAR,
     RUNNING,
+    SETTLED,
     STANDING,
     STARTS,
     STATES,
@@ -88,8 +90,8 @@ from mufly.estimate.motion import (
 from mufly.trigonometry import direction, sine_cosine, whole
 from mufly.units import GRAVITY
 
-LONGEST = 8
-"""Periods over which forces are compared."""
+LONGEST, SLOWLY = 8, 32
+"""Periods over which forces are compared, and over which their noise at low frequencies is looked at."""
 TOLD_EVERY = 20
 """Periods between two covariances that are told."""
 TELLING, STEPPING, FIXING, RESTING = 3, 2, 4, 3
@@ -109,6 +111,9 @@ KNOWN_THRUST, UNKNOWN_S = 0.03, 0.02
 """Deviation of the thrust's scale that the filter bears; what is beyond makes noise, together over so long (s)."""
 SCATTER = 5.0
 """Density of the accelerometers' noise before it is known, m^2/s^3: none would be believed more than the model."""
+ASUNDER = 0.4
+"""What accelerometers and model may be apart by over 160 ms (m/s^2), beside two deviations of the thrust's scale; what
+is beyond is noise, together over a second."""
 _Z = STARTS
 
 
@@ -128,7 +133,7 @@ def begin(m, s):  # type: ignore[no-untyped-def]
     m.rotor[2] = -1000.0  # far above the floor
     m.rotor[17] = -1.0
     for k in range(3):
-        m.scatter[k] = SCATTER
+        m.scatter[k] = m.slow[k] = SCATTER
 
 
 @compiled(error_model="numpy")
@@ -169,6 +174,8 @@ def _mode(m, s, z):  # type: ignore[no-untyped-def]
         m.mode = LIGHT
     if off and m.mode >= LIGHT and height < 0.05 and m.rotor[18] < 0.3 * s.hover[0]:
         m.mode = RUNNING
+    if m.mode != FLYING:
+        m.since[R_ACCELERATION] = m.tick
 
 
 @compiled(error_model="numpy")
@@ -211,7 +218,9 @@ def _force(m, s, p, z, new, r):  # type: ignore[no-untyped-def]
                 b, 3 * g + k
             ]
         clip = m.clipped[k] * 0.5 * s.felt_range
-        felt = (max(s.felt_density, m.scatter[k]) if s.model > 0 else s.felt_density) + clip * clip
+        # Without what a shaking leaves; but whose attitude is not known knows the force of the air better.
+        noise = m.slow[k] if m.code[R_RATES] < MISSING else m.scatter[k]
+        felt = (max(s.felt_density, noise) if s.model > 0 else s.felt_density) + clip * clip
         made = s.model_density[k]
         if m.mode <= RUNNING:
             row[6 + k], row[9 + k], row[12 + k] = 0.0, -GRAVITY * r[6 + k], 0.0
@@ -235,7 +244,6 @@ def _force(m, s, p, z, new, r):  # type: ignore[no-untyped-def]
         share = made / (felt + made)
         row[15 + k] = share
         row[18 + k] = felt * share
-        m.lever[k, 2] = felt + made
     row[21] = m.mode
     # Mean over the block so far
     into = m.inputs[(m.tick - 1) // s.block % KEPT]
@@ -243,6 +251,19 @@ def _force(m, s, p, z, new, r):  # type: ignore[no-untyped-def]
     for j in range(INPUTS - 1):
         into[j] = row[j] if share == 1.0 else into[j] + share * (row[j] - into[j])
     into[21] = m.mode
+
+
+@compiled(error_model="numpy")
+def _pass_edge(m, s, span):  # type: ignore[no-untyped-def]
+    """Over an edge that the sonar's cone has met what is nearest moves along an arc; it is passed as one flies on."""
+    away = max(-m.x[2] - m.x[16], 0.1)
+    speed = math.sqrt(m.x[3] * m.x[3] + m.x[4] * m.x[4])
+    arc = s.sonar_arc * away
+    passed = span * max(speed / max(s.sonar_reach * away, 0.05), 1.0 / EDGE_S)
+    loosen(m.ut, m.d, FLOOR, arc * arc * passed, m.f)
+    m.edge = max(m.edge - passed, 0.0)
+    if not m.edge > 0.0:
+        m.steps = 0
 
 
 @compiled(error_model="numpy")
@@ -273,8 +294,8 @@ def _advance(m, s, r, a):  # type: ignore[no-untyped-def]
         m.q[6 + k] = spread * span
     transition(e, span, r, a, m.transition)
     carry(m.ut, m.d, span, m.transition, m.q, m.w, m.f)
-    if m.edge > 0 or abs(m.x[16]) > LOW:
-        loosen(m.ut, m.d, FLOOR, EDGE * EDGE * span, m.f)
+    if m.edge > 0.0:
+        _pass_edge(m, s, span)
     m.felt_count += s.block
 
 
@@ -294,6 +315,8 @@ def _wander(m, s):  # type: ignore[no-untyped-def]
     k = GYRO + m.tick % biases
     m.x[k + 1] = s.start[k + 1] + (m.x[k + 1] - s.start[k + 1]) * s.keep[k]
     q = s.noise[k]
+    if k < GYRO + 3 and m.adrift > 0:
+        q += ADRIFT * ADRIFT * (biases * s.dt)
     if q > 0.0:
         wander(m.ut, m.d, k, s.keep[k], q, m.f)
 
@@ -350,7 +373,7 @@ def _means(m, s):  # type: ignore[no-untyped-def]
         m.lever[k, 1] /= n
         # Density of the whole difference at the horizon, from what was weighed there
         share = max(e[15 + k], 1e-9)
-        m.lever[k, 2] = e[18 + k] / share / max(1 - share, 1e-9)
+        m.lever[k, 2] = e[18 + k] / share / max(1 - share, 1e-9) + m.scatter[k]
 
 
 @compiled(error_model="numpy")
@@ -363,9 +386,9 @@ def _task(m, s, r, a, left):  # type: ignore[no-untyped-def]
         m.stage = EDGES
     if m.stage == EDGES:
         m.stage = MEANS
-        if m.edge > 0:
-            m.edge = max(m.edge - s.block, 0)
-            if m.edge == 0 and abs(m.x[16]) < LOW:
+        if not m.edge > 0.0 and abs(m.x[16]) < LOW:
+            sure = variance(m.ut, m.d, FLOOR)
+            if sure > SETTLED * SETTLED and m.x[16] * m.x[16] < 9.0 * sure:
                 settle_floor(m)
                 return 1
     if m.stage == MEANS:
@@ -405,14 +428,50 @@ def _task(m, s, r, a, left):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
+def _doubt_felt(m, s, k):  # type: ignore[no-untyped-def]
+    """What is known of the accelerometers' noise now holds for what the horizon has not come to yet, too."""
+    for at in range(m.horizon, m.tick, s.block):
+        e = m.inputs[at // s.block % KEPT]
+        share = max(e[15 + k], 1e-9)
+        felt = max(e[18 + k] / share, m.slow[k])
+        made = e[18 + k] / max(1.0 - share, 1e-9)
+        e[15 + k] = made / (felt + made)
+        e[18 + k] = felt * e[15 + k]
+
+
+@compiled(error_model="numpy")
 def _scatter(m, s, z):  # type: ignore[no-untyped-def]
-    """How much the accelerometers scatter about the model, mean over blocks: density of their noise at low
-    frequencies."""
+    """How much the accelerometers scatter about the model: means over blocks, which a shaking leaves something in, and
+    means with weights that rise and fall, which it leaves nothing in: what stays of it in the velocity."""
     row = m.now
     m.blocks += 1
+    m.slow_blocks += 1
+    weight = m.slow_blocks if m.slow_blocks <= SLOWLY // 2 else SLOWLY + 1 - m.slow_blocks
     for k in range(3):
-        made = m.x[23] * row[6 + k] + row[9 + k]
-        m.mean[k] += z[k] - made
+        off = z[k] - (m.x[23] * row[6 + k] + row[9 + k])
+        m.mean[k] += off
+        m.slow_mean[k] += weight * (off - row[12 + k] * m.row[k])
+    if m.slow_blocks >= SLOWLY:
+        half = float(SLOWLY // 2)
+        span = 0.75 * SLOWLY * s.dt
+        for k in range(3):
+            mean = m.slow_mean[k] / (half * (half + 1.0))
+            step = mean - m.slow_last[k]
+            # What the model may be off by, at lift-off by much, is not the accelerometers'.
+            made = row[18 + k] / max(1.0 - row[15 + k], 1e-9)
+            density = max(0.5 * step * step * span - made, 0.0)
+            if m.tick - m.since[R_ACCELERATION] > 2 * SLOWLY:
+                apart = abs(mean - m.x[13 + k]) - (ASUNDER + 2.0 * m.sigma[THRUST_] * abs(row[6 + k]))
+                density += max(apart, 0.0) * max(apart, 0.0)
+            density = min(density, 100.0)
+            most = max(0.6 if density > m.slow[k] else 0.2, 1.0 / (m.slow_count + 1))
+            m.slow_last[k] = mean
+            m.slow[k] += most * (density - m.slow[k])
+            m.slow_mean[k] = 0.0
+            if density > made:
+                _doubt_felt(m, s, k)
+        m.slow_blocks = 0
+        m.slow_count += 1
     if m.blocks >= LONGEST:
         span = m.blocks * s.dt
         for k in range(3):
@@ -522,6 +581,11 @@ def _told_errors(m, s, r):  # type: ignore[no-untyped-def]
         m.out_cov[k, k] += m.come_sum[k] * span * span / 3.0
         m.out_cov[k, 3 + k] += m.come_sum[k] * span / 2.0
         m.out_cov[3 + k, 3 + k] += m.come_sum[k]
+        for i in range(3):
+            # A shaking is in the velocity for half a turn; what stays in means over blocks tells how much.
+            share = r[3 * k + i] * m.now[15 + i]
+            shaking = max(m.scatter[i] - m.slow[i], 0.0)
+            m.out_cov[3 + k, 3 + k] += share * share * (0.5 * (LONGEST * s.dt) * shaking)
         m.out_cov[6 + k, 6 + k] += s.gyro_density * span
 
 

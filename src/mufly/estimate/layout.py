@@ -103,10 +103,12 @@ def memory_type(kind: Any = np.float64, kept: int = KEPT, waiting: int = WAITING
         ("due", i4, (waiting,)), ("what", i4, (waiting,)), ("value", kind, (waiting, BEAMS)), ("ahead", kind,
         (waiting,)),
         # Scatter of the accelerometers
-        ("mean", kind, (3,)), ("before", kind, (3,)), ("blocks", i4), ("scatter", kind, (3,)), ("clipped", kind, (3,)),
+        ("mean", kind, (3,)), ("before", kind, (3,)), ("blocks", i4), ("scatter", kind, (3,)),
+        ("slow", kind, (3,)), ("slow_mean", kind, (3,)), ("slow_last", kind, (3,)), ("slow_blocks", i4),
+        ("slow_count", i4), ("clipped", kind, (3,)),
         ("felt", kind, (3,)), ("modelled", kind, (3,)), ("lever", kind, (3, 4)), ("felt_count", i4),
         # Standing
-        ("turning", kind, (3,)), ("edge", i4), ("mode", i4), ("spikes", i4), ("shift", kind, (3,)),
+        ("turning", kind, (3,)), ("edge", kind), ("adrift", i4), ("mode", i4), ("spikes", i4), ("shift", kind, (3,)),
         ("lean", kind), ("wild", i4), ("spike", kind, (3,)), ("steps", i4),
         ("strain", kind), ("disowned", i4), ("drift", kind, (3,)),
         ("drift_sigma", kind, (3,)), ("told", kind, (3,)), ("standing", i4), ("aligned", i4), ("sum", kind,
@@ -145,6 +147,7 @@ _NUMBERS: dict[str, Any] = {
     "noisy": "i9", "bound": (SENSORS,),
     "every": "i9",
     "sonar_place": (3,), "sonar_variance": (), "sonar_step": (), "sonar_cone": (), "sonar_min": (), "sonar_max": (),
+    "sonar_arc": (), "sonar_reach": (),
     "fix_variance": (), "heading_variance": (),
     "beams": "i", "beam": (BEAMS, 3), "ring_max": (), "ring_slope": (), "ring_baseline": (), "walls": (6,),
     "pressure_variance": (), "pressure_slope": (), "pressure_thrust": (2,),
@@ -171,9 +174,9 @@ WIND_SPEED = (0.5, 10.0)
 """Of an axis (m/s), and for how long (s): a mean of 0.5 m/s from anywhere and gusts of 0.3 m/s make 0.46."""
 MOTOR_STEP = 1e-3  # what the motors' equations miss between two readings of the speed, of the hover speed
 MOTOR_CURRENT = 2.0  # of both motors in a hover (A)
-EDGE, EDGE_S, LOW = 0.1, 1.0, 0.08
-"""Over an object, and for a while after a step, the surface may change by this (m/sqrt(s)); (s); what is lower is
-the floor (m)."""
+EDGE_S, LOW, SETTLED = 3.0, 0.05, 0.01
+"""An edge in the sonar's cone counts for this long (s) where it is not flown over sooner; what is lower is the floor
+(m), and known to be once its height is uncertain by more than the last (m)."""
 FLOOR_WANDER = 5e-4  # m/sqrt(s): floors are not quite flat
 LEVEL = math.radians(0.12)  # how level it stands on the floor
 PLACE_M = 5.0  # where it stands before anything is heard
@@ -264,6 +267,8 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
         s["sonar_variance"] = float(sonar.noise) ** 2 + float(sonar.resolution) ** 2 / 12 + 1e-6
         s["sonar_step"] = float(sonar.resolution)
         s["sonar_cone"] = math.cos(0.5 * float(sonar.cone))
+        # Of an edge that comes into the cone: how much farther than its top it is, and how far ahead
+        s["sonar_arc"], s["sonar_reach"] = 1.0 / s["sonar_cone"] - 1.0, math.tan(0.5 * float(sonar.cone))
         s["sonar_min"], s["sonar_max"] = float(sonar.min_range), float(sonar.max_range)
         bound[R_SONAR] = 1.01 * s["sonar_max"]
         latency[R_SONAR] = 2 * float(sonar.max_range) / 340.0

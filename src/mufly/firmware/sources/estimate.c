@@ -33,6 +33,7 @@ void estimator_begin(estimator_t *m, const estimator_settings_t *s)
     m->rotor[17] = REAL(-1.0);
     for (int32_t k = 0; k < 3; k++) {
         m->scatter[k] = SCATTER;
+        m->slow[k] = SCATTER;
     }
 }
 
@@ -89,6 +90,9 @@ static void judge_mode(estimator_t *m, const estimator_settings_t *s, const real
     }
     if (off && (m->mode >= LIGHT) && (height < REAL(0.05)) && (m->rotor[18] < (REAL(0.3) * s->hover[0]))) {
         m->mode = RUNNING;
+    }
+    if (m->mode != FLYING) {
+        m->since[R_ACCELERATION] = m->tick;
     }
 }
 
@@ -179,8 +183,9 @@ static void gather(estimator_t *m, const estimator_settings_t *s, const flight_m
     judge_mode(m, s, &z[ACTING]);
     for (int32_t k = 0; k < 3; k++) {
         const real_t clip = (m->clipped[k] * REAL(0.5)) * s->felt_range;
-        real_t felt =
-            ((s->model > 0) ? real_max(s->felt_density, m->scatter[k]) : s->felt_density) + (clip * clip);
+        /* Without what a shaking leaves; but whose attitude is not known knows the force of the air better. */
+        const real_t noise = (m->code[R_RATES] < MISSING) ? m->slow[k] : m->scatter[k];
+        real_t felt = ((s->model > 0) ? real_max(s->felt_density, noise) : s->felt_density) + (clip * clip);
         real_t made = s->model_density[k];
         real_t share;
 
@@ -224,7 +229,6 @@ static void gather(estimator_t *m, const estimator_settings_t *s, const flight_m
         share = made / (felt + made);
         row[15 + k] = share;
         row[18 + k] = felt * share;
-        m->lever[k][2] = felt + made;
     }
     row[INPUTS - 1] = (real_t)m->mode;
     average(m, s);
@@ -239,6 +243,22 @@ static real_t spread_along(const real_t r[9], int32_t k, const real_t e[INPUTS])
         spread += (r[(3 * k) + i] * r[(3 * k) + i]) * e[18 + i];
     }
     return spread;
+}
+
+/* Over an edge that the sonar's cone has met what is nearest moves along an arc; it is passed as one flies on. */
+static void pass_edge(estimator_t *m, const estimator_settings_t *s, real_t span)
+{
+    const real_t away = real_max(-m->x[2] - m->x[16], REAL(0.1));
+    const real_t speed = real_sqrt((m->x[3] * m->x[3]) + (m->x[4] * m->x[4]));
+    const real_t arc = s->sonar_arc * away;
+    const real_t passed =
+        span * real_max(speed / real_max(s->sonar_reach * away, REAL(0.05)), REAL(1.0) / EDGE_S);
+
+    factors_loosen(m, FLOOR, (arc * arc) * passed);
+    m->edge = real_max(m->edge - passed, REAL(0.0));
+    if (!(m->edge > REAL(0.0))) {
+        m->steps = 0;
+    }
 }
 
 /* Bring the horizon a block on. */
@@ -281,8 +301,8 @@ static void advance(estimator_t *m, const estimator_settings_t *s)
     }
     transition_of(e, span, r, a, transition);
     factors_carry(m, span, transition, q);
-    if ((m->edge > 0) || (real_abs(m->x[16]) > LOW)) {
-        factors_loosen(m, FLOOR, (EDGE * EDGE) * span);
+    if (m->edge > REAL(0.0)) {
+        pass_edge(m, s, span);
     }
     m->felt_count += s->block;
 }
@@ -292,7 +312,8 @@ static void wander(estimator_t *m, const estimator_settings_t *s)
 {
     const int32_t biases = ERRORS - GYRO;
     const int32_t k = GYRO + cycle(m->tick, biases);
-    const real_t q = s->noise[k];
+    const bool adrift = (k < (GYRO + 3)) && (m->adrift > 0);
+    const real_t q = s->noise[k] + (adrift ? ((ADRIFT * ADRIFT) * ((real_t)biases * s->dt)) : REAL(0.0));
 
     m->x[k + 1] = s->start[k + 1] + ((m->x[k + 1] - s->start[k + 1]) * s->keep[k]);
     if (q > REAL(0.0)) {
@@ -401,7 +422,8 @@ static void average_forces(estimator_t *m, const estimator_settings_t *s)
         m->sum[k] /= n;
         m->lever[k][0] /= n;
         m->lever[k][1] /= n;
-        m->lever[k][2] = (e[18 + k] / share) / real_max(REAL(1.0) - share, REAL(1e-9));
+        m->lever[k][2] =
+            ((e[18 + k] / share) / real_max(REAL(1.0) - share, REAL(1e-9))) + m->scatter[k];
     }
 }
 
@@ -418,14 +440,15 @@ static void forget_forces(estimator_t *m)
     m->felt_count = 0;
 }
 
-/* Back over the floor: what that cost. */
-static int32_t leave_edge(estimator_t *m, const estimator_settings_t *s)
+/* Back over the floor, if it is: what that cost. */
+static int32_t leave_edge(estimator_t *m)
 {
     int32_t cost = 0;
 
-    if (m->edge > 0) {
-        m->edge = (m->edge > s->block) ? (m->edge - s->block) : 0;
-        if ((m->edge == 0) && (real_abs(m->x[16]) < LOW)) {
+    if (!(m->edge > REAL(0.0)) && (real_abs(m->x[16]) < LOW)) {
+        const real_t sure = factors_variance(m, FLOOR);
+
+        if ((sure > (SETTLED * SETTLED)) && ((m->x[16] * m->x[16]) < (REAL(9.0) * sure))) {
             settle_floor(m);
             cost = 1;
         }
@@ -469,7 +492,7 @@ static int32_t task(estimator_t *m, const estimator_settings_t *s, int32_t left)
     }
     if ((!decided) && (m->stage == EDGES)) {
         m->stage = MEANS;
-        cost = leave_edge(m, s);
+        cost = leave_edge(m);
         decided = cost > 0;
     }
     if ((!decided) && (m->stage == MEANS)) {
@@ -503,14 +526,66 @@ static int32_t task(estimator_t *m, const estimator_settings_t *s, int32_t left)
     return cost;
 }
 
-/* How much the accelerometers scatter about the model, mean over blocks. */
+/* What is known of the accelerometers' noise now holds for what the horizon has not come to yet, too. */
+static void doubt_felt(estimator_t *m, const estimator_settings_t *s, int32_t k)
+{
+    for (int32_t at = m->horizon; at < m->tick; at += s->block) {
+        real_t *e = inputs_from(m, s, at);
+        const real_t share = real_max(e[15 + k], REAL(1e-9));
+        const real_t felt = real_max(e[18 + k] / share, m->slow[k]);
+        const real_t made = e[18 + k] / real_max(REAL(1.0) - share, REAL(1e-9));
+
+        e[15 + k] = made / (felt + made);
+        e[18 + k] = felt * e[15 + k];
+    }
+}
+
+/* How much the accelerometers scatter about the model: means over blocks, which a shaking leaves something in, and
+ * means with weights that rise and fall, which it leaves nothing in: what stays of it in the velocity. */
 static void watch_scatter(estimator_t *m, const estimator_settings_t *s, const real_t z[3])
 {
     const real_t *row = m->now;
+    real_t weight;
 
     m->blocks += 1;
+    m->slow_blocks += 1;
+    weight = (real_t)((m->slow_blocks <= (SLOWLY / 2)) ? m->slow_blocks : ((SLOWLY + 1) - m->slow_blocks));
     for (int32_t k = 0; k < 3; k++) {
-        m->mean[k] += z[k] - ((m->x[23] * row[6 + k]) + row[9 + k]);
+        const real_t off = z[k] - ((m->x[23] * row[6 + k]) + row[9 + k]);
+
+        m->mean[k] += off;
+        m->slow_mean[k] += weight * (off - (row[12 + k] * m->row[k]));
+    }
+    if (m->slow_blocks >= SLOWLY) {
+        const real_t half = (real_t)(SLOWLY / 2);
+        const real_t span = (REAL(0.75) * (real_t)SLOWLY) * s->dt;
+
+        for (int32_t k = 0; k < 3; k++) {
+            const real_t mean = m->slow_mean[k] / (half * (half + REAL(1.0)));
+            const real_t step = mean - m->slow_last[k];
+            /* What the model may be off by, at lift-off by much, is not the accelerometers'. */
+            const real_t made = row[18 + k] / real_max(REAL(1.0) - row[15 + k], REAL(1e-9));
+            real_t density = real_max((((REAL(0.5) * step) * step) * span) - made, REAL(0.0));
+            real_t most;
+
+            if ((m->tick - m->since[R_ACCELERATION]) > (2 * SLOWLY)) {
+                const real_t apart = real_abs(mean - m->x[13 + k]) -
+                                     (ASUNDER + ((REAL(2.0) * m->sigma[THRUST_]) * real_abs(row[6 + k])));
+
+                density += real_max(apart, REAL(0.0)) * real_max(apart, REAL(0.0));
+            }
+            density = real_min(density, REAL(100.0));
+            most = real_max((density > m->slow[k]) ? REAL(0.6) : REAL(0.2),
+                            REAL(1.0) / (real_t)(m->slow_count + 1));
+            m->slow_last[k] = mean;
+            m->slow[k] += most * (density - m->slow[k]);
+            m->slow_mean[k] = REAL(0.0);
+            if (density > made) {
+                doubt_felt(m, s, k);
+            }
+        }
+        m->slow_blocks = 0;
+        m->slow_count += 1;
     }
     if (m->blocks >= LONGEST) {
         const real_t span = (real_t)m->blocks * s->dt;
@@ -605,6 +680,13 @@ static void told_errors(estimator_t *m, const estimator_settings_t *s, const rea
         m->out_cov[k][k] += ((m->come_sum[k] * span) * span) / REAL(3.0);
         m->out_cov[k][3 + k] += (m->come_sum[k] * span) / REAL(2.0);
         m->out_cov[3 + k][3 + k] += m->come_sum[k];
+        for (int32_t i = 0; i < 3; i++) {
+            /* A shaking is in the velocity for half a turn; what stays in means over blocks tells how much. */
+            const real_t share = r[(3 * k) + i] * m->now[15 + i];
+            const real_t shaking = real_max(m->scatter[i] - m->slow[i], REAL(0.0));
+
+            m->out_cov[3 + k][3 + k] += (share * share) * ((REAL(0.5) * ((real_t)LONGEST * s->dt)) * shaking);
+        }
         m->out_cov[6 + k][6 + k] += s->gyro_density * span;
     }
 }

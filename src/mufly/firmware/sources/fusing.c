@@ -146,7 +146,7 @@ static bool sonar_holds(const estimator_t *m, const estimator_settings_t *s)
     const int32_t k = R_SONAR;
     const bool fresh = (m->used[k] > 0) && (((real_t)(m->tick - m->used[k]) * s->dt) < REAL(0.3));
 
-    return fresh && (m->code[k] == FUSED) && (m->why[k] == FINE) && (m->edge == 0);
+    return fresh && (m->code[k] == FUSED) && (m->why[k] == FINE) && !(m->edge > REAL(0.0));
 }
 
 /* Whether fix and sonar agree on the height; if not, what they are apart by is kept in m->suspect[R_FIX][3]. */
@@ -226,11 +226,7 @@ void fuse_fix(estimator_t *m, const estimator_settings_t *s, const real_t z[4], 
     m->strain += REAL(0.15) * ((worst * worst) - m->strain);
     out = real_max(real_max(out_of_range(m, s, 0), out_of_range(m, s, 1)), out_of_range(m, s, 3));
     if ((m->strain > STRAIN) || (out > REAL(1.0))) {
-        for (int32_t i = 0; i < 3; i++) {
-            factors_loosen(m, TURN + i, REAL(1e-5));
-            factors_loosen(m, GYRO + i, REAL(1e-4));
-            factors_loosen(m, V_ + i, REAL(1e-3));
-        }
+        go_astray(m, s);
         flag(m, s, k, FUSED, STRAINED, at);
     }
     for (int32_t i = 0; i < 4; i++) {
@@ -240,7 +236,9 @@ void fuse_fix(estimator_t *m, const estimator_settings_t *s, const real_t z[4], 
         }
     }
     for (int32_t i = 0; i < 3; i++) {
-        if ((real_abs(m->x[10 + i]) > (GYRO_RANGE * s->sigma[GYRO + i])) && (m->code[R_RATES] == FUSED)) {
+        const real_t most = (GYRO_RANGE * s->sigma[GYRO + i]) + (REAL(2.0) * m->sigma[GYRO + i]);
+
+        if ((real_abs(m->x[10 + i]) > most) && (m->code[R_RATES] == FUSED)) {
             flag(m, s, R_RATES, REJECTED, WANDERS, m->x[10 + i]);
         }
     }
@@ -279,10 +277,7 @@ static bool sonar_anew(estimator_t *m, const estimator_settings_t *s, const real
     turn_away(m, s, k, nu, z, 1, REAL(0.02) + (REAL(1.5) * s->period[k]));
     floor_height = m->x[16] - nu;
     step = (m->agree[k] >= 2) && (floor_height > LEAST_FLOOR);
-    if (step) {
-        m->steps = (m->edge > 0) ? (m->steps + 1) : 0;
-    }
-    if (step && (m->steps > 2)) {
+    if (step && (m->steps >= MOST_STEPS)) {
         /* Step after step: it is not the floor that goes, it is the height. */
         factors_loosen(m, P_ + 2, nu * nu);
         factors_loosen(m, V_ + 2, REAL(0.1));
@@ -292,7 +287,7 @@ static bool sonar_anew(estimator_t *m, const estimator_settings_t *s, const real
         factors_loosen(m, FLOOR, nu * nu);
         m->doubt[k] = REAL(0.0);
         flag(m, s, k, FUSED, STEP, floor_height);
-        m->edge = (int32_t)(EDGE_S / s->dt);
+        m->edge = REAL(1.0);
     } else if (taken_over(m, s, k)) {
         if ((((real_t)(m->tick - m->used[R_FIX]) * s->dt) < AGREE_S) && (m->used[R_FIX] > 0)) {
             factors_loosen(m, FLOOR, nu * nu); /* the fix holds the height */
@@ -332,6 +327,10 @@ void fuse_sonar(estimator_t *m, const estimator_settings_t *s, const real_t z[1]
     const int32_t k = R_SONAR;
     real_t r[9];
     const real_t down = sonar_row(m, s, r);
+    const real_t nearest = s->sonar_min + REAL(0.005);
+    const real_t standing = s->stands - s->sonar_place[2];
+    real_t said = z[0];
+    real_t variance = s->sonar_variance;
     real_t expect;
     real_t nu;
     real_t ratio;
@@ -340,11 +339,18 @@ void fuse_sonar(estimator_t *m, const estimator_settings_t *s, const real_t z[1]
         return;
     }
     expect = (-(m->x[2] + (ahead * m->x[5])) - down) - m->x[16];
-    if ((z[0] <= (s->sonar_min + REAL(0.005))) && (expect < (s->sonar_min + REAL(0.02)))) {
-        return; /* nearer than it can tell */
+    if ((z[0] <= nearest) && (standing < nearest)) {
+        /* Nearer than it can tell: anywhere between there and where it stands. */
+        said = REAL(0.5) * (nearest + standing);
+        variance = ((nearest - standing) * (nearest - standing)) / REAL(12.0);
+        if (expect < nearest) {
+            take(m, said - expect, REAL(100.0) * variance); /* as so many that are off alike */
+            fits(m, k);
+            return;
+        }
     }
-    nu = z[0] - expect;
-    ratio = ratio_of(m, nu, s->sonar_variance);
+    nu = said - expect;
+    ratio = ratio_of(m, nu, variance);
     note(m, k, nu, ratio);
     if (repeats(m, s, z[0], nu)) {
         flag(m, s, k, FAULTY, STUCK_, z[0]);
@@ -355,17 +361,26 @@ void fuse_sonar(estimator_t *m, const estimator_settings_t *s, const real_t z[1]
         m->lean += REAL(0.2) * (ratio - m->lean);
     }
     if (real_abs(m->lean) > LEAN) {
-        m->lean = REAL(0.0) * m->lean;
-        m->edge = (int32_t)(EDGE_S / s->dt);
+        m->lean = REAL(0.0);
+        m->edge = REAL(1.0);
         flag(m, s, k, FUSED, SLOPE, nu);
     }
-    if (real_abs(ratio) > GATE) {
+    if (((m->edge > REAL(0.0)) || (real_abs(m->x[16]) > LOW)) && (real_abs(ratio) > SUDDEN) &&
+        (m->steps < MOST_STEPS) && ((m->x[16] - nu) > LEAST_FLOOR)) {
+        /* Over an object it is the surface that jumps. */
+        m->steps += 1;
+        m->edge = REAL(1.0);
+        factors_loosen(m, FLOOR, nu * nu);
+        (void)sonar_row(m, s, r);
+    } else if (real_abs(ratio) > GATE) {
         if (!sonar_anew(m, s, z, nu)) {
             return;
         }
         (void)sonar_row(m, s, r);
+    } else {
+        /* as expected */
     }
-    take(m, nu, s->sonar_variance);
+    take(m, nu, variance);
     fits(m, k);
 }
 
@@ -385,10 +400,10 @@ bool fuse_floor(estimator_t *m, const estimator_settings_t *s)
         if (m->x[16] > REAL(0.0)) {
             and_state(m, FLOOR, REAL(-1.0));
         }
-        take(m, -height, REAL(1e-4));
+        take(m, -height, REAL(2.5e-5));
         if (m->x[5] > REAL(0.0)) {
             of_state(m, V_ + 2, REAL(1.0));
-            take(m, -m->x[5], REAL(2.5e-3));
+            take(m, -m->x[5], REAL(1e-3));
         }
     }
     return below;

@@ -191,6 +191,19 @@ void inspect(estimator_t *m, const estimator_settings_t *s, real_t z[VALUES], in
     inspect_clipping(m, s, &z[CLIPPING]);
 }
 
+void go_astray(estimator_t *m, const estimator_settings_t *s)
+{
+    if (m->adrift == 0) {
+        for (int32_t k = 0; k < 3; k++) {
+            factors_loosen(m, GYRO + k, ASTRAY_BIAS * ASTRAY_BIAS);
+            factors_loosen(m, TURN + k, ASTRAY_TURN * ASTRAY_TURN);
+        }
+        factors_loosen(m, V_, ASTRAY_SPEED * ASTRAY_SPEED);
+        factors_loosen(m, V_ + 1, ASTRAY_SPEED * ASTRAY_SPEED);
+    }
+    m->adrift = (int32_t)(ADRIFT_S / s->dt);
+}
+
 void smooth_rates(estimator_t *m, const estimator_settings_t *s, bool flying)
 {
     const int32_t now = cycle(m->tick - 1, MODELLED);
@@ -211,6 +224,7 @@ void smooth_rates(estimator_t *m, const estimator_settings_t *s, bool flying)
     /* A model that is off again and again cannot tell a spike from a motion. */
     most = SPIKE + (ROUGH * m->rough);
     m->rough += REAL(0.1) * (real_min(worst, SPIKE) - m->rough);
+    m->adrift = (m->adrift > 0) ? (m->adrift - 1) : 0;
     if ((!flying) || (s->model == 0)) {
         m->spikes = 0;
         return;

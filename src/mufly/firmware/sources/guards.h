@@ -15,6 +15,9 @@ void misfits(estimator_t *m, const estimator_settings_t *s, int32_t k, int32_t w
 void inspect(estimator_t *m, const estimator_settings_t *s, real_t z[VALUES], int32_t fresh[SENSORS],
              const real_t age[SENSORS]);
 
+/* Something carries the filter astray that it does not know, most likely the gyroscopes. */
+void go_astray(estimator_t *m, const estimator_settings_t *s);
+
 /* Put what the model says in the place of a spike of the gyroscopes, and take off a jump. */
 void smooth_rates(estimator_t *m, const estimator_settings_t *s, bool flying);
 
