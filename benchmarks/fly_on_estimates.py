@@ -4,6 +4,7 @@
     python benchmarks/fly_on_estimates.py outage --seeds 200        # no position fix for 2 s, for 5 s
     python benchmarks/fly_on_estimates.py faults --seeds 3          # every fault of the catalogue, alone
     python benchmarks/fly_on_estimates.py pairs --seeds 1           # and every two of different sensors
+    python benchmarks/fly_on_estimates.py pairs --seeds 1 --sample 100  # of these a hundred, drawn by --first
     python benchmarks/fly_on_estimates.py alarms --seeds 60         # false alarms: ten minutes of hover each
 
 Whole missions: ``mufly monte-carlo demonstration --flights 1000 --wind 0.5 --gust 0.3``, and ``box-on-leg``.
@@ -282,6 +283,7 @@ def main() -> None:
     p.add_argument("--seeds", type=int, default=20)
     p.add_argument("--first", type=int, default=0)
     p.add_argument("--only", default="", help="names that contain this")
+    p.add_argument("--sample", type=int, default=0, help="fly so many of them, drawn by --first; 0: all")
     p.add_argument("--jobs", type=int, default=2)
     p.add_argument("--out", type=Path, default=None, help="JSON lines; default fly_on_estimates-WHAT.jsonl")
     a = p.parse_args()
@@ -290,6 +292,10 @@ def main() -> None:
     if out.exists():
         found = dict(json.loads(line) for line in out.read_text().splitlines() if line.endswith("]"))
     jobs = [j for j in jobs_of(a.what, range(a.first, a.first + a.seeds)) if a.only in j[0]]
+    if 0 < a.sample < len(jobs):
+        print(f"{a.sample} of {len(jobs)} flights")
+        drawn = np.random.default_rng(a.first).choice(len(jobs), a.sample, replace=False)
+        jobs = [jobs[k] for k in sorted(drawn)]
     wanted = {j[0] for j in jobs}
     left = [j for j in jobs if j[0] not in found]
     if left:
