@@ -585,7 +585,7 @@ def _told_errors(m, s, r):  # type: ignore[no-untyped-def]
             # A shaking is in the velocity for half a turn; what stays in means over blocks tells how much.
             share = r[3 * k + i] * m.now[15 + i]
             shaking = max(m.scatter[i] - m.slow[i], 0.0)
-            m.out_cov[3 + k, 3 + k] += share * share * (0.5 * (LONGEST * s.dt) * shaking)
+            m.out_cov[3 + k, 3 + k] += share * share * ((LONGEST * s.dt) * shaking)
         m.out_cov[6 + k, 6 + k] += s.gyro_density * span
 
 

@@ -685,7 +685,7 @@ static void told_errors(estimator_t *m, const estimator_settings_t *s, const rea
             const real_t share = r[(3 * k) + i] * m->now[15 + i];
             const real_t shaking = real_max(m->scatter[i] - m->slow[i], REAL(0.0));
 
-            m->out_cov[3 + k][3 + k] += (share * share) * ((REAL(0.5) * ((real_t)LONGEST * s->dt)) * shaking);
+            m->out_cov[3 + k][3 + k] += (share * share) * (((real_t)LONGEST * s->dt) * shaking);
         }
         m->out_cov[6 + k][6 + k] += s->gyro_density * span;
     }
