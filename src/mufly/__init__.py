@@ -15,6 +15,7 @@ from mufly.version import __version__
 if TYPE_CHECKING:
     from mufly import (
         bench,
+        camera,
         cfd,
         cli,
         control,
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
         mission,
         rotor,
         sensors,
+        slam,
         station,
         study,
         thesis,
@@ -42,6 +44,7 @@ __all__ = [
     "MuflyError",
     "__version__",
     "bench",
+    "camera",
     "cfd",
     "cli",
     "control",
@@ -57,6 +60,7 @@ __all__ = [
     "mission",
     "rotor",
     "sensors",
+    "slam",
     "station",
     "study",
     "thesis",

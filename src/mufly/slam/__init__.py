@@ -3,7 +3,7 @@
 from mufly.slam.calibration import Calibration, board_pictures, calibrate
 from mufly.slam.datasets import Path3, Teller, frames, path_of, rounds
 from mufly.slam.evaluation import Evaluation, evaluate
-from mufly.slam.frames import Frame, Telling
+from mufly.slam.frame import Frame, Telling
 from mufly.slam.mapping import Keyframe, Map
 from mufly.slam.readers import Source, open_pictures, read_truth
 from mufly.slam.system import Answer, Slam

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
 import numpy as np
 
 from mufly.camera import Camera
 from mufly.errors import ArgumentError, InputError
+from mufly.results import result
 from mufly.slam.readers import PICTURES, read_picture
 from mufly.slam.vision import opencv
 from mufly.vehicle.quantity import Quantity
@@ -23,7 +24,7 @@ LEAST = 5
 _NAMES = ("focal_x", "focal_y", "centre_x", "centre_y", "k1", "k2", "p1", "p2", "k3")
 
 
-@dataclass(frozen=True)
+@result
 class Calibration:
     """A lens as found."""
 

@@ -27,7 +27,7 @@ from mufly.camera import Camera, Floor, Motion, Renderer
 from mufly.dynamics import GRAVITY, rotation
 from mufly.dynamics.state import quaternion_from_euler
 from mufly.errors import ArgumentError, InputError
-from mufly.slam.frames import Frame, Telling
+from mufly.slam.frame import Frame, Telling
 from mufly.world import World
 
 _Array = NDArray[np.float64]
@@ -117,7 +117,7 @@ def rounds(
     p[:, 2] -= height_m * (1.0 + 0.1 * np.sin(2 * math.pi * t / 17.0))
     p[:, :2] -= p[0, :2]
     yaw = (heading if turn else 0.0) + 0.06 * np.sin(2 * math.pi * t / 9.0 + rng.uniform(0, 6))
-    v = np.gradient(p, t, axis=0)
+    v = np.asarray(np.gradient(p, t, axis=0))
     a = _smooth(np.gradient(v, t, axis=0), 40)
     c, s = np.cos(yaw), np.sin(yaw)
     forward, right = c * a[:, 0] + s * a[:, 1], -s * a[:, 0] + c * a[:, 1]

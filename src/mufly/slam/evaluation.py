@@ -9,18 +9,19 @@ inside the 95 % ellipsoid are those below the chi-squared quantile 9.49.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
+from mufly.results import result
 
 _Array = NDArray[np.float64]
 CHI2_95 = 9.4877
 
 
-@dataclass(frozen=True)
+@result
 class Evaluation:
     """Of one trajectory. Lengths in m, angles in rad."""
 

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from mufly.camera import Camera, check_size, decode
 from mufly.dynamics.state import euler_from_quaternion
 from mufly.errors import InputError
-from mufly.slam.frames import Frame, Telling
+from mufly.slam.frame import Frame, Telling
 from mufly.slam.vision import opencv
 
 _Array = NDArray[np.float64]

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.camera import Camera, body_from_camera, check_size
-from mufly.slam.frames import Frame
+from mufly.slam.frame import Frame
 from mufly.slam.graph import DIM, Edge, relation, slopes_of
 from mufly.slam.mapping import Keyframe, Map, composed, overlap
 from mufly.slam.pose import SHAKES, Pose, View, level, slopes, solve, two_points

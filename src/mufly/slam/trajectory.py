@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from mufly.slam.frames import Frame
+from mufly.slam.frame import Frame
 from mufly.slam.readers import read_tum
 from mufly.slam.system import Answer, Slam
 from mufly.slam.writers import write_tum
@@ -19,10 +18,12 @@ from mufly.slam.writers import write_tum
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+from mufly.results import result
+
 _Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@result(eq=False, picture="mufly.slam.trajectory:draw")
 class Trajectory:
     """What was answered.
 
@@ -117,7 +118,9 @@ def read_trajectory(file: Path) -> Trajectory:
     return Trajectory(time, position, heading, covariance, len(time), {})
 
 
-def draw(trajectory: Trajectory, slam: Slam | None, truth: tuple[_Array, _Array, _Array] | None) -> Figure:
+def draw(
+    trajectory: Trajectory, slam: Slam | None = None, truth: tuple[_Array, _Array, _Array] | None = None
+) -> Figure:
     """Draw the way from above with the keyframes and their ties, and errors with their deviations."""
     from matplotlib.figure import Figure
 

@@ -16,7 +16,7 @@ from mufly.camera import Camera, Motion, encode
 from mufly.dynamics import GRAVITY
 from mufly.dynamics.state import quaternion_from_euler
 from mufly.slam.datasets import Path3
-from mufly.slam.frames import Frame
+from mufly.slam.frame import Frame
 from mufly.slam.readers import TELEMETRY
 
 _Array = NDArray[np.float64]
