@@ -671,4 +671,8 @@ def step(m, s, p, z, new, age):  # type: ignore[no-untyped-def]
     if m.lifted == 0 and found and (m.standing * s.dt >= _ALIGNED_S or m.tick * s.dt > 3.0):
         m.lifted = 1
     seen = m.code[R_RATES] < MISSING or (m.tick - m.used[R_RATES]) * s.dt < _BLIND_S
+    for k in range(3):
+        # Nonsense may have the model run away: what no gyroscope could say is no estimate.
+        if not abs(m.out_rates[k]) < 2.0 * s.bound[R_RATES]:
+            seen = False
     return m.lifted > 0 and seen

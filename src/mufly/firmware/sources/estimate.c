@@ -851,5 +851,11 @@ bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_
         m->lifted = 1;
     }
     seen = (m->code[R_RATES] < MISSING) || (((real_t)(m->tick - m->used[R_RATES]) * s->dt) < BLIND_S);
+    for (int32_t k = 0; k < 3; k++) {
+        /* Nonsense may have the model run away: what no gyroscope could say is no estimate. */
+        if (!(real_abs(m->out_rates[k]) < (REAL(2.0) * s->bound[R_RATES]))) {
+            seen = false;
+        }
+    }
     return (m->lifted > 0) && seen;
 }

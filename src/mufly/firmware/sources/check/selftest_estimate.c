@@ -25,7 +25,7 @@ static void move(hop_t *hop, const estimator_t *m, int32_t k)
     for (int32_t i = 0; i < 2; i++) {
         const real_t off = ((wanted * s->hover[i]) - m->rotor[18 + i]) / s->hover[i];
 
-        hop->motor[i] = (k < STANDS) ? REAL(0.0) : real_clip(REAL(0.55) + (REAL(4.0) * off), REAL(0.0), REAL(1.0));
+        hop->motor[i] = (k < STANDS) ? REAL(0.0) : real_clip(REAL(0.75) + (REAL(4.0) * off), REAL(0.0), REAL(1.0));
     }
     hop->force = m->force[cycle(m->tick, MODELLED)][2];
     gain = -hop->force - GRAVITY;
