@@ -315,7 +315,7 @@ def _expose(  # type: ignore[no-untyped-def]
     high, wide = out.shape
     start, rows, columns = table[level, 0], (1 << table[level, 1]) - 1, (1 << table[level, 2]) - 1
     scale_n, scale_e = 1.0 / (step[0] * (1 << level)), 1.0 / (step[1] * (1 << level))
-    body, m = np.empty((3, 3)), np.empty((3, 3))
+    body, m, at = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     shade_of = np.ones(wide)
     share = 1.0 / samples
     for r in range(high):
@@ -331,27 +331,11 @@ def _expose(  # type: ignore[no-untyped-def]
             for i in range(3):
                 for j in range(3):
                     m[i, j] = body[i, 0] * axes[0, j] + body[i, 1] * axes[1, j] + body[i, 2] * axes[2, j]
-            at_n = (
-                place[0]
-                + place[3] * s
-                + body[0, 0] * mount[0]
-                + body[0, 1] * mount[1]
-                + body[0, 2] * mount[2]
-            )
-            at_e = (
-                place[1]
-                + place[4] * s
-                + body[1, 0] * mount[0]
-                + body[1, 1] * mount[1]
-                + body[1, 2] * mount[2]
-            )
-            at_d = (
-                place[2]
-                + place[5] * s
-                + body[2, 0] * mount[0]
-                + body[2, 1] * mount[1]
-                + body[2, 2] * mount[2]
-            )
+            for i in range(3):
+                at[i] = place[i] + place[3 + i] * s
+                for j in range(3):
+                    at[i] += body[i, j] * mount[j]
+            at_n, at_e, at_d = at[0], at[1], at[2]
             shift_x = shift_y = 0.0
             for k in range(2):
                 phase = place[11 + k] + place[9 + k] * s

@@ -13,9 +13,8 @@ import mufly
 from mufly.cli import coax, control, drive, fly, log, mission, monte_carlo, rotor, station, study, vehicle
 from mufly.cli import optimise as _optimise  # noqa: F401  adds to the commands of rotor and coax, as study does
 from mufly.cli import station as link
-from mufly.cli.aero import bench, cfd
+from mufly.cli.aero import bench, cfd, export
 from mufly.cli.aero import benchmark as _benchmark  # noqa: F401  adds to the commands of rotor
-from mufly.cli.aero import export as _export  # noqa: F401  adds to the commands of rotor
 from mufly.cli.identify import flight as identify
 from mufly.cli.onboard import estimate, firmware, sensors, slam
 from mufly.cli.options import Commands
@@ -36,6 +35,7 @@ app.command("new", help=vehicle.NEW_HELP)(vehicle.new)
 app.command("monte-carlo", help=monte_carlo.HELP)(monte_carlo.monte_carlo)
 app.command("link", help=link.LINK_HELP)(link.link)
 app.command("station", help=station.HELP)(station.station)
+rotor.app.command()(export.export)
 app.add_typer(rotor.app, name="rotor")
 app.add_typer(coax.app, name="coax")
 app.add_typer(cfd.app, name="cfd")

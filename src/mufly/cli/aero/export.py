@@ -8,12 +8,10 @@ from typing import Annotated
 
 from mufly.cli.options import JsonOption, RotorArgument, argument, option
 from mufly.cli.present import console, print_json, write_csv, writing
-from mufly.cli.rotor import app as rotor_commands
 
 _KINDS = (".stl", ".step", ".stp", ".csv")
 
 
-@rotor_commands.command()
 def export(
     rotor: RotorArgument,
     out: Annotated[Path, argument("FILE", "What to write: name.stl, name.step or name.csv.")],
