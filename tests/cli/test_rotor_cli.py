@@ -124,6 +124,21 @@ def test_compare_says_whether_it_is_calibrated(tmp_path) -> None:
     assert "count from 1 to 1" in fault("fit", "naca0012-r60-c20", str(bench), "--point", "0")
 
 
+def test_a_bench_without_pitch_is_told_of_or_given_one(tmp_path) -> None:
+    with_pitch, without = tmp_path / "with.csv", tmp_path / "without.csv"
+    with_pitch.write_text("pitch_deg,speed_rpm,thrust_N,torque_Nm\n12,5000,0.151,0.0015\n", encoding="utf-8")
+    without.write_text("speed_rpm,thrust_N,torque_Nm\n5000,0.151,0.0015\n", encoding="utf-8")
+    points = [
+        json.loads(output("compare", "naca0012-r60-c20", str(file), *more, "--json"))["points"]
+        for file, more in ((with_pitch, ()), (without, ("--pitch", "12")))
+    ]
+    assert points[0] == points[1]
+    assert "pitch 0: the blades stand as in the rotor file" in output(
+        "compare", "naca0012-r60-c20", str(without)
+    )
+    assert "is a column of the file" in fault("compare", "naca0012-r60-c20", str(with_pitch), "--pitch", "12")
+
+
 def test_a_blade_goes_out_as_a_body_and_comes_in_again(tmp_path) -> None:
     body, table = tmp_path / "b.stl", tmp_path / "b.csv"
     told = json.loads(output("export", "naca0012-r60-c20", str(body), "--whole", "--hub", "10", "--json"))

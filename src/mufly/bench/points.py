@@ -3,7 +3,7 @@
 A file is a bench file as any other (:mod:`mufly.bench.table`: units in the headers, several separators). Of its columns
 
 =========  ===========================================================================================
-pitch      ``pitch_deg``; without it the blades stand as in the rotor file (0)
+pitch      ``pitch_deg``; without it as the caller says, else the blades stand as in the rotor file (0)
 speed      ``speed_rpm``, ``RPM``
 thrust     ``thrust_N``, ``T(gf)``, or ``CT`` = T / (rho n^2 D^4), n in revolutions a second
 torque     ``torque_mNm``, ``Q(Nm)``, ``power_W``, or ``CP`` = P / (rho n^3 D^5); it may be left out
@@ -38,6 +38,7 @@ def read_measurements(
     diameter_m: float | None = None,
     density_kg_m3: float | None = None,
     speed_rad_s: float | None = None,
+    pitch_rad: float | None = None,
 ) -> Measurements:
     """Read the measured points of a rotor.
 
@@ -51,6 +52,8 @@ def read_measurements(
         is 1.2 there unless given. A density that is given goes before the file's.
     speed_rad_s : float, optional
         Of all points, where the file has no column of it (UIUC's runs in a tunnel have it in their names).
+    pitch_rad : float, optional
+        Pitch setting of all points, where the file has no column of it; 0 unless given.
 
     Raises
     ------
@@ -64,6 +67,8 @@ def read_measurements(
     table.require((thrust_in,) if speed_rad_s and "speed" not in table else ("speed", thrust_in))
     if "pitch" in table:
         table.require(("pitch",))
+        if pitch_rad is not None:
+            raise table.fault("pitch", "is a column of the file", "leave out the pitch given beside it")
         _check(
             table,
             "pitch",
@@ -108,7 +113,7 @@ def read_measurements(
         torque = torque * density * turns**3 * diameter**5 / speed
     else:
         torque = (torque / speed if torque_in == "power" else torque) * thinner
-    pitch = table["pitch"] if "pitch" in table else np.zeros(len(table))
+    pitch = table["pitch"] if "pitch" in table else np.full(len(table), pitch_rad or 0.0)
     climb = table[air] if air else np.zeros(len(table))
     if air == "advance_ratio":
         climb = climb * turns * diameter

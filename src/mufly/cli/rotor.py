@@ -39,6 +39,13 @@ if TYPE_CHECKING:
     from mufly.rotor.uncertainty import Known
 
 
+BenchPitch = Annotated[
+    str | None,
+    option(
+        "--pitch ANGLE",
+        "Of the blades on the bench, where the file has no column of it: 12, 12deg or 0.2rad.",
+    ),
+]
 FamilyOption = Annotated[
     str,
     option(
@@ -442,6 +449,27 @@ def _hover_json(
     }
 
 
+def _measured(
+    path: Path, rotor: Rotor, columns: str | None, density: float | None, pitch: str | None, *, quiet: bool
+) -> Measurements:
+    """Read the points of a bench, and say what the file left to be taken for granted."""
+    from mufly.bench import read_measurements
+    from mufly.rotor import Air
+
+    bench = read_measurements(
+        path, columns=columns, diameter_m=2.0 * float(rotor.radius), density_kg_m3=density,
+        pitch_rad=None if pitch is None else angle("--pitch", pitch),
+    )  # fmt: skip
+    if density is None and bench.air != Air() and not quiet:
+        typer.echo(f"air of {bench.air.density_kg_m3:.4g} kg/m3, as the file says")
+    if pitch is None and not bench.pitch_rad.any() and not quiet:
+        stands = math.degrees(float(rotor.twist_rad(0.75)))
+        typer.echo(
+            f"pitch 0: the blades stand as in the rotor file, {stands:.1f}° at 0.75 R (--pitch if not)"
+        )
+    return bench
+
+
 @app.command()
 def fit(
     rotor: RotorArgument,
@@ -462,6 +490,7 @@ def fit(
         float | None, option("KG/M3", "Density of the air at the bench; default the file's, else 1.2.")
     ] = None,
     columns: ColumnsOption = None,
+    pitch: BenchPitch = None,
     polars: Polars = POLARS,
     out: Annotated[
         Path | None, option("--out FILE.toml", "Write the rotor with its fit, and a picture beside it.")
@@ -476,20 +505,15 @@ def fit(
     """
     import numpy as np
 
-    from mufly.bench import read_measurements
     from mufly.errors import InputError
-    from mufly.rotor import Air, fit_picture, fit_rotor, load_rotor, rotor_toml
+    from mufly.rotor import fit_picture, fit_rotor, load_rotor, rotor_toml
     from mufly.rotor.fitting import CHANGES
 
     if out is not None and out.suffix != ".toml":
         raise InputError("--out", str(out), "is no rotor file", "give a name that ends with .toml")
     r = load_rotor(rotor)
-    bench = read_measurements(
-        measurements, columns=columns, diameter_m=2.0 * float(r.radius), density_kg_m3=density
-    )
+    bench = _measured(measurements, r, columns, density, pitch, quiet=as_json)
     air = bench.air
-    if density is None and air != Air() and not as_json:
-        typer.echo(f"air of {air.density_kg_m3:.4g} kg/m3, as the file says")
     one_of("--section", section, _SECTIONS)
     if point is not None:
         bench = bench.part(np.array([_line("--point", point, bench)]))
@@ -583,6 +607,7 @@ def compare(
         float | None, option("KG/M3", "Density of the air at the bench; default the file's, else 1.2.")
     ] = None,
     columns: ColumnsOption = None,
+    pitch: BenchPitch = None,
     theory: Theory = BEMT,
     as_json: JsonOption = False,
 ) -> None:
@@ -591,19 +616,14 @@ def compare(
     With --method wake every point is a wake, seconds each; one that does not converge is left out of the mean and said.
     Examples: mufly rotor compare naca0012-r60-c20 bench.csv; mufly rotor compare walkera-5g6 b.csv --method wake
     """
-    from mufly.bench import read_measurements
     from mufly.errors import InputError
-    from mufly.rotor import Air, load_rotor
     from mufly.rotor import calibrate as scale
     from mufly.rotor import compare as beside
+    from mufly.rotor import load_rotor
 
     r = load_rotor(rotor)
-    bench = read_measurements(
-        measurements, columns=columns, diameter_m=2.0 * float(r.radius), density_kg_m3=density
-    )
+    bench = _measured(measurements, r, columns, density, pitch, quiet=as_json)
     air = bench.air
-    if density is None and air != Air() and not as_json:
-        typer.echo(f"air of {air.density_kg_m3:.4g} kg/m3, as the file says")
     settings, stations = theory.wakes()
     if calibrate is not None and theory.method == "wake":
         raise InputError("--calibrate", "", "scales blade element theory", "leave it or --method wake out")
