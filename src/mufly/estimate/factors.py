@@ -82,7 +82,9 @@ def carry(ut, d, span, transition, q, w, v):  # type: ignore[no-untyped-def]
     w, v : (3, 6), (n,) arrays
         Work space.
     """
-    for k in range(3, d.shape[0]):
+    for k in range(3, MOVING):
+        _carry_moving(ut[k], span, transition)
+    for k in range(MOVING, d.shape[0]):
         carry_column(ut[k], span, transition, ut[k])
     for k in range(3):
         for i in range(6):
@@ -141,6 +143,24 @@ def carry_column(u, span, a, out):  # type: ignore[no-untyped-def]
     out[6] = u[6] - r_x
     out[7] = u[7] - r_y
     out[8] = u[8] - r_z
+
+
+@compiled(error_model="numpy")
+def _carry_moving(u, span, a):  # type: ignore[no-untyped-def]
+    """As :func:`carry_column`, in place, of a column of what moves: no bias stands in it yet."""
+    n, e, o = u[3], u[4], u[5]
+    x = a[18] * n + a[19] * e + a[20] * o
+    y = a[21] * n + a[22] * e + a[23] * o
+    z = a[24] * n + a[25] * e + a[26] * o
+    x += a[32] * u[7] - a[31] * u[8]
+    y += a[30] * u[8] - a[32] * u[6]
+    z += a[31] * u[6] - a[30] * u[7]
+    u[0] += span * (n + 0.5 * x)
+    u[1] += span * (e + 0.5 * y)
+    u[2] += span * (o + 0.5 * z)
+    u[3] = n + x
+    u[4] = e + y
+    u[5] = o + z
 
 
 @compiled(error_model="numpy")

@@ -180,6 +180,8 @@ void avoid_look_around(memory_t *memory, sight_t *sight, real_t time_s, real_t c
     real_t least = sight->way;
     real_t onward = sight->onward;
     real_t from_goal = sight->from_goal;
+    real_t sideways = sight->across;
+    int32_t blockers = sight->blockers;
 
     if (far > REAL(1e-9)) {
         wn = (goal[0] - place[0]) / far;
@@ -222,8 +224,8 @@ void avoid_look_around(memory_t *memory, sight_t *sight, real_t time_s, real_t c
                     }
                     /* A blocker's whole visible width tells the side, not only the part inside the corridor. */
                     if ((along > -blocked_at) && (along < (stretch + blocked_at))) {
-                        sight->across += across;
-                        sight->blockers++;
+                        sideways += across;
+                        blockers++;
                     }
                 }
             }
@@ -233,6 +235,8 @@ void avoid_look_around(memory_t *memory, sight_t *sight, real_t time_s, real_t c
     sight->way = least;
     sight->onward = onward;
     sight->from_goal = from_goal;
+    sight->across = sideways;
+    sight->blockers = blockers;
 }
 
 bool avoid_blocked(const sight_t *sight, real_t clearance)
