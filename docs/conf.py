@@ -22,11 +22,13 @@ author = "The mufly developers"
 copyright = "the mufly developers, BSD-3-Clause"
 version = release = mufly.__version__
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton", "equations"]
 exclude_patterns = ["*.py", "examples"]
 root_doc = "index"
 
-myst_enable_extensions = ["colon_fence", "deflist"]
+myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
+myst_fence_as_directive = {"math"}  # as GitHub writes equations
+html_math_renderer = "mathml"
 myst_heading_anchors = 4
 myst_number_code_blocks: list[str] = []
 
@@ -49,7 +51,7 @@ suppress_warnings = ["ref.python"]
 
 html_theme = "furo"
 html_title = f"mufly {release}"
-html_static_path: list[str] = []
+html_static_path = ["_static"]
 html_theme_options = {"sidebar_hide_name": False}
 
 
