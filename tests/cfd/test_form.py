@@ -33,7 +33,10 @@ from mufly.rotor import Rotor, load_rotor, make_rotor
 R, CHORD, ROOT = 0.060, 0.020, 0.009
 TURNED = math.radians(12.0)
 FORMS = {
-    **{name: named_form(name) for name in ("round", "swept-tapered", "thesis-1", "winglet-2", "winglet-3")},
+    **{
+        name: named_form(name)
+        for name in ("round", "swept-tapered", "thesis-1", "winglet-2-curved", "winglet-3")
+    },
     **{name: named_form(name) for name in ("plate-up", "winglet-1")},
     "hub": named_form(hub_m=0.006),
     "hub, flap, tapered tip": named_form("thesis-2", 0.006, 0.03),

@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.cfd.mesh import Domain
-from mufly.cfd.polymesh import PolyMesh, foam_header, write_poly_mesh
+from mufly.cfd.polymesh import LOWER, PolyMesh, foam_header, write_poly_mesh
 from mufly.cfd.start import slipstream
 from mufly.errors import InputError
 from mufly.rotor import Air
@@ -48,6 +48,8 @@ LEAST = 1200
 """Iterations before a verdict."""
 SLOWEST = 0.5
 """Descent, over the velocity induced in hover, at which the steady equations are given up (vortex ring state)."""
+LOADS = {"blade": "loads", LOWER: "loads_lower"}
+"""Function objects that tell each rotor's loads, by patch."""
 EVERY = 40
 """Iterations from one written state to the next."""
 
@@ -80,6 +82,9 @@ class Point:
         Radius of the hub, height over chord of the Gurney flap; 0 for none.
     domain : Domain
         Limits of the air, and of its turning part.
+    gap_m, lower_pitch_rad, lower_rad_s : float
+        Of a second rotor that turns the other way: how far its disc lies below, its pitch setting and speed (positive);
+        0 for none.
     """
 
     rotor: str
@@ -99,6 +104,9 @@ class Point:
     hub_m: float = 0.0
     gurney: float = 0.0
     domain: Domain = field(default_factory=Domain)
+    gap_m: float = 0.0
+    lower_pitch_rad: float = 0.0
+    lower_rad_s: float = 0.0
 
     def __post_init__(self) -> None:
         if self.model not in MODELS:
@@ -109,8 +117,14 @@ class Point:
                 "cfd", "climb", f"is {self.climb_m_s:g} m/s",
                 f"give {slowest:.2g} or more: in faster descent the rotor's wake is a ring that is not steady",
             )  # fmt: skip
-        if not 0.0 < self.speed_rad_s < math.inf:
-            raise InputError("cfd", "speed", f"is {self.speed_rad_s:g} rad/s", "give a number above 0")
+        for speed in (self.speed_rad_s, self.lower_rad_s if self.gap_m else 1.0):
+            if not 0.0 < speed < math.inf:
+                raise InputError("cfd", "speed", f"is {speed:g} rad/s", "give a number above 0")
+
+    @property
+    def rotors(self) -> dict[str, float]:
+        """Speeds (rad/s) about +z by the name of the patch."""
+        return {"blade": self.speed_rad_s} | ({LOWER: -self.lower_rad_s} if self.gap_m else {})
 
     @property
     def air(self) -> Air:
@@ -194,9 +208,11 @@ def _texts(point: Point, cores: int) -> dict[str, str]:
             f"numberOfSubdomains {cores};\nmethod hierarchical;\n"
             f"coeffs {{ n ({_split(cores)[0]} {_split(cores)[1]} 1); delta 0.001; order xyz; }}\n"
         ),
-        "constant/MRFProperties": foam_header("dictionary", "MRFProperties", "constant") + (
-            "blades\n{\n    cellZone rotor;\n    active yes;\n    nonRotatingPatches (top side bottom);\n"
-            f"    origin (0 0 0);\n    axis (0 0 1);\n    omega constant {point.speed_rad_s:.10g};\n}}\n"
+        "constant/MRFProperties": foam_header("dictionary", "MRFProperties", "constant") + "".join(
+            f"{patch}\n{{\n    cellZone {'rotor' if patch == 'blade' else 'lower'};\n    active yes;\n"
+            "    nonRotatingPatches (top side bottom);\n"
+            f"    origin (0 0 0);\n    axis (0 0 1);\n    omega constant {speed:.10g};\n}}\n"
+            for patch, speed in point.rotors.items()
         ),
         "constant/transportProperties": foam_header("dictionary", "transportProperties", "constant")
         + f"transportModel Newtonian;\nnu {point.nu:.10g};\n",
@@ -222,10 +238,14 @@ def _control(point: Point, end: int) -> str:
         f"endTime {end};\ndeltaT 1;\nwriteControl timeStep;\nwriteInterval {EVERY};\npurgeWrite 2;\n"
         "writeFormat binary;\n"
         "writePrecision 10;\ntimeFormat general;\ntimePrecision 8;\nrunTimeModifiable no;\n"
-        "functions\n{\n    loads\n    {\n        type forces;\n        libs (forces);\n        patches (blade);\n"
-        f"        rho rhoInf;\n        rhoInf {point.density_kg_m3:.10g};\n        CofR (0 0 0);\n"
-        "        executeControl timeStep;\n        writeControl timeStep;\n        log no;\n    }\n"
-        "    flows\n    {\n        type surfaceFieldValue;\n        libs (fieldFunctionObjects);\n"
+        "functions\n{\n"
+        + "".join(
+            f"    {LOADS[patch]}\n    {{\n        type forces;\n        libs (forces);\n        patches ({patch});\n"
+            f"        rho rhoInf;\n        rhoInf {point.density_kg_m3:.10g};\n        CofR (0 0 0);\n"
+            "        executeControl timeStep;\n        writeControl timeStep;\n        log no;\n    }\n"
+            for patch in point.rotors
+        )
+        + "    flows\n    {\n        type surfaceFieldValue;\n        libs (fieldFunctionObjects);\n"
         "        regionType patch;\n        name bottom;\n        operation sum;\n        fields (phi);\n"
         "        writeFields no;\n        executeControl timeStep;\n        writeControl timeStep;\n"
         "        log no;\n    }\n}\n"
@@ -274,16 +294,17 @@ def _write_fields(folder: Path, mesh: PolyMesh, point: Point, state: Mapping[str
         )
     flow, onset = _free(point.climb_m_s)
     cyclic = {"sector_left": "type cyclic;", "sector_right": "type cyclic;"}
+    blades = '"blade.*"' if point.gap_m else "blade"
     write_field(
         folder / "U", "volVectorField", "[0 1 -1 0 0 0 0]", u,
-        {**cyclic, **flow, "blade": "type fixedValue; value uniform (0 0 0);"},
+        {**cyclic, **flow, blades: "type fixedValue; value uniform (0 0 0);"},
     )  # fmt: skip
     write_field(
         folder / "p", "volScalarField", "[0 2 -2 0 0 0 0]", state.get("p", "uniform 0"),
-        {**cyclic, **onset, "blade": "type zeroGradient;"},
+        {**cyclic, **onset, blades: "type zeroGradient;"},
     )  # fmt: skip
     flux = state.get("phi")
-    _write_flux(folder / "phi", mesh, _flux(mesh, u, point.speed_rad_s) if flux is None else flux)
+    _write_flux(folder / "phi", mesh, _flux(mesh, u, point) if flux is None else flux)
     if point.model == "laminar":
         return
     k = 1.5 * (0.01 * point.induced_m_s) ** 2
@@ -307,7 +328,7 @@ def _write_fields(folder: Path, mesh: PolyMesh, point: Point, state: Mapping[str
             free = "type calculated; value $internalField;"
         write_field(
             folder / name, "volScalarField", unit, state.get(name, f"uniform {value:.10g}"),
-            {**cyclic, "top": free, "side": free, "bottom": free, "blade": wall},
+            {**cyclic, "top": free, "side": free, "bottom": free, blades: wall},
         )  # fmt: skip
 
 
@@ -326,7 +347,7 @@ def _free(climb_m_s: float) -> tuple[dict[str, str], dict[str, str]]:
     )
 
 
-def _flux(mesh: PolyMesh, u: Array, speed_rad_s: float) -> Array:
+def _flux(mesh: PolyMesh, u: Array, point: Point) -> Array:
     """The fluxes through the faces; of the turning cells relative to their frame.
 
     Without them the solver would take those of the absolute velocity for its first step, in which Coriolis' force then
@@ -336,12 +357,14 @@ def _flux(mesh: PolyMesh, u: Array, speed_rad_s: float) -> Array:
     at = u[mesh.owner]
     at[:inside] = 0.5 * (at[:inside] + u[mesh.neighbour])
     centre = mesh.face_centres
-    turning = mesh.turning[mesh.owner]
-    turning[:inside] |= mesh.turning[mesh.neighbour]
-    at[:, 0] += speed_rad_s * np.where(turning, centre[:, 1], 0.0)
-    at[:, 1] -= speed_rad_s * np.where(turning, centre[:, 0], 0.0)
+    spin = np.where(mesh.sense < 0.0, -point.lower_rad_s, point.speed_rad_s * mesh.sense)
+    turning = spin[mesh.owner]
+    turning[:inside] = np.where(turning[:inside] == 0.0, spin[mesh.neighbour], turning[:inside])
+    at[:, 0] += turning * centre[:, 1]
+    at[:, 1] -= turning * centre[:, 0]
     flux = np.einsum("fi,fi->f", at, mesh.face_areas)
-    flux[mesh.patch("blade")] = 0.0
+    for patch in point.rotors:
+        flux[mesh.patch(patch)] = 0.0
     left, right = mesh.patch("sector_left"), mesh.patch("sector_right")
     flux[left] = 0.5 * (flux[left] - flux[right])
     flux[right] = -flux[left]

@@ -6,7 +6,8 @@ chords of the tip. Over a tip's length t runs from 0 to 1::
     chord    1 - (1 - taper) t                     or, round, sqrt(1 - t^2), ended where its edges slope 60 degrees
     aft      aft t                                 0.75 (1 - taper): straight trailing edge; 0.25 (1 - taper): straight
                                                    middle; -0.25 (1 - taper): straight nose
-    winglet  an arc of radius ``bend`` to the angle ``cant``, then straight to ``height``; the blade's radius stays
+    winglet  an arc of radius ``bend`` to the angle ``cant``, then straight to ``height``; the blade's radius stays;
+             ``curved``: its chords follow the circle about the shaft
 
 A round tip's flat end is bowed by what is left of the ellipse, so that the whole outline is half an ellipse.
 
@@ -54,6 +55,10 @@ class Tip:
         by them.
     plate_above, plate_below : float
         Heights of a plate across the blade's end.
+    curved : bool
+        Whether a winglet follows the circle about the shaft. A straight one lies along the tip's chord: a chord of a
+        third of the radius then meets the air, which comes around the shaft, at 5 degrees from outside at the nose and
+        at 14 from inside at the tail, and the winglet carries a load of its own.
     """
 
     length: float = 0.0
@@ -65,6 +70,7 @@ class Tip:
     bend: float = 0.5
     plate_above: float = 0.0
     plate_below: float = 0.0
+    curved: bool = False
 
     def __post_init__(self) -> None:
         def refuse(key: str, remedy: str) -> None:
@@ -111,6 +117,8 @@ TIPS: Mapping[str, Tip] = MappingProxyType(
         "winglet-1": Tip(plate_above=0.12, plate_below=0.12),
         "winglet-2": Tip(cant_rad=math.radians(70.0), height=0.5, bend=0.4, taper=0.8),
         "winglet-3": Tip(cant_rad=math.radians(-70.0), height=0.5, bend=0.4, taper=0.8),
+        "winglet-2-curved": Tip(cant_rad=math.radians(70.0), height=0.5, bend=0.4, taper=0.8, curved=True),
+        "winglet-3-curved": Tip(cant_rad=math.radians(-70.0), height=0.5, bend=0.4, taper=0.8, curved=True),
     }
 )
 """Tips by name."""
@@ -329,4 +337,11 @@ def placed(
         shape = b * (np.sqrt(1.0 - (inner / a) ** 2) - math.sin(STEEPEST))
         shape -= slope * run * (1.0 - np.exp(-(np.abs(middle) - inner) / run))
         y = y + line.bow[:, None] * shape * keep
-    return np.stack((x + c * aft + s * up, y, z - s * aft + c * up), axis=-1)
+    x_out = x + c * aft + s * up
+    if tip.curved:
+        # sqrt(r^2 - x^2) instead of r, in the part of sin(cant); ahead of and behind the blade no further.
+        along = chord_m * np.tanh(x_out / chord_m)
+        r = np.maximum(line.y_m[:, None], 1.5 * chord_m)
+        bend = np.sqrt(r**2 - along**2) - r
+        y = y + np.sin(np.abs(line.cant_rad))[:, None] * keep * bend
+    return np.stack((x_out, y, z - s * aft + c * up), axis=-1)

@@ -136,12 +136,14 @@ class Mesh:
     edges_m : (strips + 1,) array
         Radii between the strips.
     marks : dict of (points,) bool arrays
-        Which points lie on ``sector``, ``outer``, ``top``, ``bottom``.
+        Which points lie on ``sector``, ``outer``, ``top``, ``bottom``; of a pair, which are the ``lower`` rotor's.
     blades : int
     plates : (faces, 4) array
         Faces between two cells that are walls.
     turning : (cells,) bool array
         Which cells are computed in the blade's frame.
+    middle_m : float
+        Height of the plane under which a second rotor's cells lie; -inf: there is none.
     """
 
     points: Array
@@ -152,6 +154,7 @@ class Mesh:
     blades: int
     plates: Index
     turning: NDArray[np.bool_]
+    middle_m: float = -math.inf
 
 
 def blade_mesh(
@@ -161,6 +164,7 @@ def blade_mesh(
     level: str | Counts = "medium",
     domain: Domain | None = None,
     form: Form | None = None,
+    other_m: float = 0.0,
 ) -> Mesh:
     """Mesh one sector of a rotor.
 
@@ -174,6 +178,9 @@ def blade_mesh(
     domain : Domain, optional
     form : Form, optional
         Hub, tip, plates; default: none, a square tip.
+    other_m : float
+        Height of a second rotor's disc over this one's (below 0: under it); the mesh then ends half way to it in a
+        level plane that is its own mirror image in x. 0: there is none.
 
     Raises
     ------
@@ -203,7 +210,10 @@ def blade_mesh(
             )  # fmt: skip
     box = Box(half, domain.above * radius, -domain.below * radius, level_m)
     outer, inside = domain.radius * radius, _AROUND * math.hypot(half, far)
-    if outer < 1.2 * inside or box.top_m < 1.2 * box.level_m:
+    if other_m:
+        tall = _room(rotor, pitch_rad, 0.5 * abs(other_m))
+        box = replace(box, **{"top_m" if other_m > 0.0 else "bottom_m": 0.5 * other_m})
+    if outer < 1.2 * inside or domain.above * radius < 1.2 * box.level_m:
         raise InputError(
             "domain", "", f"is {domain.radius:g} R wide, {domain.above:g} R above the disc: too close to the blade",
             f"give at least {1.2 * inside / radius:.2g} and {1.2 * box.level_m / radius:.2g}",
@@ -211,6 +221,8 @@ def blade_mesh(
 
     size = (inside - 0.5 * (half + far)) / k.inner
     k = _as_wide(k, domain, radius, widest, inside, size)
+    if other_m:
+        k = replace(k, **{"above" if other_m > 0.0 else "below": max(2, k.across // 3)})
     layout = Layout(k)
     tip_chord, tip_angle = float(rotor.chord_m(1.0)), float(rotor.twist_rad(1.0)) + pitch_rad
     span = blade_span(form.tip, root, radius, tip_chord)
@@ -235,7 +247,8 @@ def blade_mesh(
     if abs(y[-1] - far) > 1e-9 * far:
         raise InputError("tip", "bend", f"is {form.tip.bend:g} chords, too much for this blade", "give less")
     y[-1] = far
-    stack, plate_layers = _sections(rotor, pitch_rad, layout, s, blade, far, box, form, line.chord)
+    block = (_LEVEL_HALF * widest, tall) if other_m else None
+    stack, plate_layers = _sections(rotor, pitch_rad, layout, s, blade, far, box, form, line.chord, block)
     t = np.clip((s - root) / span, 0.0, 1.0)
     fade = 1.0 - t * t * (3.0 - 2.0 * t)
 
@@ -321,8 +334,28 @@ def blade_mesh(
         all_points[used], number[hexahedra], np.concatenate(strips), y[first : last + 1],
         {name: mark[used] for name, mark in marks.items()}, rotor.blades,
         number[_plates(layout, ids, first, last, form, plate_layers)],
-        _turning(all_points[hexahedra].mean(axis=1), inside, z_side[-1], domain, radius, level_m),
+        _turning(
+            all_points[hexahedra].mean(axis=1), inside, z_side[-1], domain, radius, tall if other_m else level_m
+        ),
     )  # fmt: skip
+
+
+def _room(rotor: Rotor, pitch_rad: float, half_gap: float) -> float:
+    """Half height (m) of the centre block between two rotors; InputError if the blade has no room in it."""
+    x = np.linspace(float(rotor.hub_cutout), 1.0, 101)
+    angle = np.abs(rotor.twist_rad(x) + pitch_rad)
+    reach = float(np.max(rotor.chord_m(x) * (0.75 * np.sin(angle) + 0.1)))
+    tall = _LEVEL_PART * half_gap
+    if reach > 0.8 * tall:
+        raise InputError(
+            "pair", "gap", f"of {2e3 * half_gap:.3g} mm lets the blades come too near to the plane between the rotors",
+            f"give at least {2e3 * reach / (0.8 * _LEVEL_PART):.3g} mm",
+        )  # fmt: skip
+    return tall
+
+
+_LEVEL_PART, _LEVEL_HALF = 0.82, 1.05
+"""Beside another rotor: half height of the centre block over half the distance, its half width in chords."""
 
 
 def _turning(
@@ -412,9 +445,12 @@ def _plates(layout: Layout, ids: Index, first: int, last: int, form: Form, count
 
 def _sections(
     rotor: Rotor, pitch_rad: float, layout: Layout, s: Array, ends: tuple[float, float], far: float, box: Box,
-    form: Form, factor: Array,
+    form: Form, factor: Array, level_block: tuple[float, float] | None,
 ) -> tuple[Array, tuple[int, int]]:  # fmt: skip
-    """Every section's points, (sections, points, 2), and the layers that flap and tip plate take."""
+    """Every section's points, (sections, points, 2), and the layers that flap and tip plate take.
+
+    ``level_block``: half width and half height of the centre block where another rotor is near.
+    """
     k, (root, end), hub = layout.counts, ends, form.hub
     # The rotor file's stations are radii of the straight blade; a winglet's line is longer.
     x = (root + np.clip((s - root) / (end - root), 0.0, 1.0) * (rotor.radius_m - root)) / rotor.radius_m
@@ -450,8 +486,8 @@ def _sections(
             core = (wide, hub.half_height_m)
             block = (max(0.7 * half / 0.9, 1.5 * wide), max(OVER * half / 0.9, 2.0 * hub.half_height_m))
         shape = Shape(
-            loop[i], float(chord[i]), float(at.twist_rad[i]) + pitch_rad, float(plain[i]), block, core,
-            float(relaxed[i]), typical, gurney, plate,
+            loop[i], float(chord[i]), float(at.twist_rad[i]) + pitch_rad, float(plain[i]), level_block or block, core,
+            float(relaxed[i]), typical, gurney, plate, level_block is not None,
         )  # fmt: skip
         out[i] = section(layout, shape, box)
     # What turning left off zero on the plane of symmetry is rounding; the two periodic planes are to match to the bit.

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.cfd.case import MODELS, Point, momentum_start, read_point, write_case
-from mufly.cfd.form import named_form
+from mufly.cfd.form import Form, named_form
 from mufly.cfd.mesh import Domain, blade_mesh
+from mufly.cfd.pair import pair_mesh
 from mufly.cfd.polymesh import Quality, poly_mesh, quality
 from mufly.cfd.results import Solution, read_solution, scaled_state
 from mufly.cfd.run import Progress, run_case, times
@@ -40,12 +41,16 @@ def save_case(
     tip: str = "square",
     hub_m: float = 0.0,
     gurney: float = 0.0,
+    gap_m: float = 0.0,
+    lower_pitch_rad: float | None = None,
+    lower_speed_rad_s: float | None = None,
     cores: int = 1,
     neighbour: Path | None = None,
 ) -> Quality:
     """Mesh a rotor and write a case of one operating point; return the mesh's quality.
 
-    Tip, hub and Gurney flap are those of :func:`mufly.cfd.form.named_form`.
+    Tip, hub and Gurney flap are those of :func:`mufly.cfd.form.named_form`. With ``gap_m`` a second rotor of the same
+    file turns the other way so far below (:mod:`mufly.cfd.pair`), by default with the same pitch setting and speed.
 
     With ``neighbour``, a solved case of another speed on the same mesh, it starts from that solution, scaled.
 
@@ -58,15 +63,31 @@ def save_case(
     """
     air = air or Air()
     guess = hover(prepare(rotor), pitch_rad=pitch_rad, speed_rad_s=speed_rad_s, climb_m_s=climb_m_s, air=air)
-    induced = momentum_start(guess.thrust_N, rotor.radius_m, air)
+    # At one speed the lower rotor of a pair has about half of the upper one's thrust.
+    induced = momentum_start(guess.thrust_N * (1.5 if gap_m else 1.0), rotor.radius_m, air)
+    lower = pitch_rad if lower_pitch_rad is None else lower_pitch_rad
+    lower_speed = speed_rad_s if lower_speed_rad_s is None else lower_speed_rad_s
     point = Point(
         rotor.name, rotor.blades, rotor.radius_m, pitch_rad, speed_rad_s, climb_m_s, model, level, air.density_kg_m3,
         air.viscosity_Pa_s, induced, tip=tip, hub_m=hub_m, gurney=gurney, domain=domain or Domain(),
     )  # fmt: skip
+    if gap_m:
+        point = replace(point, gap_m=gap_m, lower_pitch_rad=lower, lower_rad_s=lower_speed)
     if neighbour is not None:
         point = replace(point, upwind=0, least=SCALED)
     form = named_form(tip, hub_m, gurney)
-    mesh = poly_mesh(blade_mesh(rotor, pitch_rad, level=level, domain=domain, form=form))
+    if gap_m:
+        if form != Form() or neighbour is not None:
+            raise InputError(
+                "pair",
+                "gap",
+                "goes with neither a hub, a tip or a flap nor a neighbour's solution",
+                "leave them out",
+            )
+        meshed = pair_mesh(rotor, pitch_rad, lower, gap_m, level=level, domain=domain)
+    else:
+        meshed = blade_mesh(rotor, pitch_rad, level=level, domain=domain, form=form)
+    mesh = poly_mesh(meshed)
     found = quality(mesh)
     if not found.good:
         raise InputError(

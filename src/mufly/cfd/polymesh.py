@@ -35,6 +35,8 @@ _FACES = np.array(
 )
 PATCHES = ("sector_left", "sector_right", "top", "side", "bottom", "blade")
 """The boundaries: the two periodic planes (x below and above 0), top, side and bottom of the cylinder, the blade."""
+LOWER = "blade_lower"
+"""One more where there is a second rotor under the first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +58,9 @@ class PolyMesh:
     edges_m : (strips + 1,) array
     blades : int
     turning : (cells,) bool array
-        Which cells are computed in the blade's frame.
+        Which cells are computed in a blade's frame.
+    middle_m : float
+        Height of the plane under which a second rotor's cells lie; -inf: there is none.
     """
 
     points: Array
@@ -68,6 +72,12 @@ class PolyMesh:
     edges_m: Array
     blades: int
     turning: NDArray[np.bool_]
+    middle_m: float = -math.inf
+
+    @cached_property
+    def sense(self) -> Array:
+        """How the frame of each cell turns: 1 with the rotor, -1 with a second one under it, 0 at rest; (cells,)."""
+        return np.where(self.turning, np.where(self.centres[:, 2] < self.middle_m, -1.0, 1.0), 0.0)
 
     @property
     def cells(self) -> int:
@@ -175,11 +185,16 @@ def poly_mesh(mesh: Mesh) -> PolyMesh:
         [PATCHES.index(n) for n in ("top", "bottom", "side", "sector_left", "sector_right")],
         PATCHES.index("blade"),
     )
+    names: tuple[str, ...] = PATCHES
+    if "lower" in mesh.marks:
+        names = (*PATCHES, LOWER)
+        own = mesh.marks["lower"][shell].all(axis=1)
+        which[(which == PATCHES.index("blade")) & own] = len(PATCHES)
     all_faces, all_owners, patches = [inner], [owner], {}
     start = len(inner)
     left_faces = shell[which == 0]
     left_order, right_order, right_faces = _paired(mesh, left_faces, shell[which == 1])
-    for i, name in enumerate(PATCHES):
+    for i, name in enumerate(names):
         at = np.flatnonzero(which == i)
         f = shell[at]
         if name == "sector_left":
@@ -196,7 +211,7 @@ def poly_mesh(mesh: Mesh) -> PolyMesh:
     turning[new] = mesh.turning
     return PolyMesh(
         mesh.points, np.concatenate(all_faces), np.concatenate(all_owners), neighbour, patches, strip, mesh.edges_m,
-        mesh.blades, turning,
+        mesh.blades, turning, mesh.middle_m,
     )  # fmt: skip
 
 
@@ -315,7 +330,7 @@ def foam_header(kind: str, name: str, place: str, *, binary: bool = False, note:
 
 
 def write_poly_mesh(mesh: PolyMesh, case: Path) -> Path:
-    """Write ``constant/polyMesh`` of a case, one cell zone ``rotor`` of the turning cells; return the folder."""
+    """Write ``constant/polyMesh`` of a case, zones ``rotor`` and ``lower`` of the turning cells; return the folder."""
     folder = case / "constant" / "polyMesh"
     folder.mkdir(parents=True, exist_ok=True)
     note = f"nPoints:{len(mesh.points)}  nCells:{mesh.cells}  nFaces:{len(mesh.faces)}  "
@@ -343,7 +358,7 @@ def write_poly_mesh(mesh: PolyMesh, case: Path) -> Path:
     entries = []
     for name, (start, count) in mesh.patches.items():
         kind, more = "patch", ""
-        if name == "blade":
+        if name in ("blade", LOWER):
             kind, more = "wall", "inGroups 1(wall);"
         elif name.startswith("sector"):
             other = "sector_right" if name == "sector_left" else "sector_left"
@@ -358,12 +373,17 @@ def write_poly_mesh(mesh: PolyMesh, case: Path) -> Path:
         text + f"{len(entries)}\n(\n" + "\n".join(entries) + "\n)\n", encoding="utf-8"
     )
     zone = foam_header("regIOobject", "cellZones", place, binary=True).encode()
-    zone += b"1\n(\nrotor\n{\n    type cellZone;\n    cellLabels List<label> "
-    zone += labels(np.flatnonzero(mesh.turning)) + b";\n}\n)\n"
+    zones = {"rotor": 1.0, **({"lower": -1.0} if LOWER in mesh.patches else {})}
+    zone += f"{len(zones)}\n(\n".encode()
+    for name, sense in zones.items():
+        zone += f"{name}\n{{\n    type cellZone;\n    cellLabels List<label> ".encode()
+        zone += labels(np.flatnonzero(mesh.sense == sense)) + b";\n}\n"
+    zone += b")\n"
     (folder / "cellZones").write_bytes(zone)
     np.savez(
-        folder / _STRIPS, strip=mesh.strip, edges_m=mesh.edges_m, blades=mesh.blades, turning=mesh.turning
-    )
+        folder / _STRIPS, strip=mesh.strip, edges_m=mesh.edges_m, blades=mesh.blades, turning=mesh.turning,
+        middle_m=mesh.middle_m,
+    )  # fmt: skip
     return folder
 
 
@@ -386,7 +406,7 @@ def read_poly_mesh(case: Path) -> PolyMesh:
         }
         with np.load(folder / _STRIPS) as more:
             strip, edges, blades = more["strip"], more["edges_m"], int(more["blades"])
-            turning = more["turning"]
+            turning, middle = more["turning"], float(more["middle_m"]) if "middle_m" in more else -math.inf
         points = _read(data["points"], "<f8", 3)[0].reshape(-1, 3)
         faces = _read(data["faces"], "<i4", 1, 2)[1].reshape(-1, 4)
         owner, neighbour = _read(data["owner"], "<i4", 1)[0], _read(data["neighbour"], "<i4", 1)[0]
@@ -407,6 +427,7 @@ def read_poly_mesh(case: Path) -> PolyMesh:
         edges,
         blades,
         turning,
+        middle,
     )
 
 

@@ -80,8 +80,8 @@ class Solution:
     wake_thrust: float = math.nan
 
 
-def read_solution(folder: Path, mesh: PolyMesh | None = None) -> Solution:
-    """Read the last state of a case.
+def read_solution(folder: Path, mesh: PolyMesh | None = None, *, patch: str = "blade") -> Solution:
+    """Read the last state of a case; of a pair one rotor's loads, the upper's or with ``blade_lower`` the lower's.
 
     Raises
     ------
@@ -95,20 +95,20 @@ def read_solution(folder: Path, mesh: PolyMesh | None = None) -> Solution:
     mesh = mesh or read_poly_mesh(folder)
     place = folder / str(at[-1])
     velocity, pressure = read_field(place / "U", mesh.cells), read_field(place / "p", mesh.cells)
-    faces = mesh.patch("blade")
+    faces, speed = mesh.patch(patch), point.rotors[patch]
     cell = mesh.owner[faces]
     area, centre = mesh.face_areas[faces], mesh.face_centres[faces]
     size = np.linalg.norm(area, axis=1)
     normal = area / size[:, None]  # out of the air, into the blade
     distance = np.einsum("fi,fi->f", centre - mesh.centres[cell], normal)
-    wall = point.speed_rad_s * np.stack((-centre[:, 1], centre[:, 0], np.zeros(len(centre))), axis=-1)
+    wall = speed * np.stack((-centre[:, 1], centre[:, 0], np.zeros(len(centre))), axis=-1)
     slip = velocity[cell] - wall
     slip -= np.einsum("fi,fi->f", slip, normal)[:, None] * normal
     mu, eddy = np.full(len(cell), point.viscosity_Pa_s), 0.0
     if (place / "nut").is_file():
         close = np.linalg.norm(mesh.centres, axis=1) < 1.5 * point.radius_m
         eddy = float(np.max(read_field(place / "nut", mesh.cells)[close])) / point.nu
-        mu += point.density_kg_m3 * read_patch(place / "nut", "blade", len(cell))
+        mu += point.density_kg_m3 * read_patch(place / "nut", patch, len(cell))
     friction = mu[:, None] * slip / distance[:, None]
     p = point.density_kg_m3 * pressure[cell]
     force = p[:, None] * area + friction * size[:, None]
@@ -117,21 +117,23 @@ def read_solution(folder: Path, mesh: PolyMesh | None = None) -> Solution:
     edges = mesh.edges_m
     # Caps belong to cells of no strip: the root's (and the hub) count to the first, the tip's to the last.
     strip = np.where(centre[:, 1] < 0.5 * (edges[0] + edges[-1]), 0, len(edges) - 2)
-    strip = np.where(mesh.strip[cell] >= 0, mesh.strip[cell], strip)
-    width = np.diff(edges)
+    width, sense = np.diff(edges), math.copysign(1.0, speed)
+    strip = np.where(mesh.strip[cell] >= 0, mesh.strip[cell] % len(width), strip)  # a lower rotor's count on
     thrust = point.blades * np.bincount(strip, force[:, 2], len(width))
-    torque = -point.blades * np.bincount(strip, moment, len(width))
+    torque = -sense * point.blades * np.bincount(strip, moment, len(width))
     u_tau = np.sqrt(np.linalg.norm(friction, axis=1) / point.density_kg_m3)
     t, q = float(thrust.sum()), float(torque.sum())
-    tip = point.speed_rad_s * point.radius_m
+    tip = abs(speed) * point.radius_m
     disc = math.pi * point.radius_m**2
     ideal = t * math.sqrt(t / (2.0 * point.density_kg_m3 * disc)) if t > 0 else math.nan
-    power = q * point.speed_rad_s
+    power = q * abs(speed)
+    # What a pair's wake carries is both rotors'.
+    below = (math.nan, math.nan) if point.gap_m else carried(mesh, point, velocity, pressure, t, q)
     return Solution(
-        point, judge(folder), t, q, power, t / (point.density_kg_m3 * disc * tip**2),
+        point, judge(folder, patch=patch), t, q, power, t / (point.density_kg_m3 * disc * tip**2),
         q / (point.density_kg_m3 * disc * tip**2 * point.radius_m), ideal / power if power > 0 else math.nan,
-        float(-point.blades * np.sum(of_friction * size) / q), 0.5 * (edges[1:] + edges[:-1]), width, thrust / width,
-        torque / width, u_tau * distance / point.nu, p, friction, eddy, *carried(mesh, point, velocity, pressure, t, q),
+        float(-sense * point.blades * np.sum(of_friction * size) / q), 0.5 * (edges[1:] + edges[:-1]), width,
+        thrust / width, torque / width, u_tau * distance / point.nu, p, friction, eddy, *below,
     )  # fmt: skip
 
 

@@ -33,7 +33,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.cfd.case import EVERY, Point, read_point, set_phase
+from mufly.cfd.case import EVERY, LOADS, Point, read_point, set_phase
 from mufly.errors import MuflyError
 from mufly.results import result
 
@@ -185,7 +185,7 @@ def run_case(
     point = read_point(folder)
     while True:
         done = (times(folder) or [0])[-1]
-        verdict = judge(folder)
+        verdict = min((judge(folder, patch=name) for name in point.rotors), key=lambda v: v.settled)
         if verdict.settled or done >= most or verdict.what == "diverged":
             return verdict
         end = point.upwind if done < point.upwind else min(most, max(point.least, done + WINDOW))
@@ -296,8 +296,8 @@ def _first_fault(log: Path) -> str:
     return next((line.strip() for line in reversed(lines) if line.strip()), "it said nothing")
 
 
-def history(folder: Path, last: int | None = None) -> Array:
-    """Thrust and torque of every iteration.
+def history(folder: Path, last: int | None = None, *, patch: str = "blade") -> Array:
+    """Thrust and torque of every iteration; of a pair the upper rotor's, or with ``patch`` ``blade_lower`` the other's.
 
     Returns
     -------
@@ -307,11 +307,12 @@ def history(folder: Path, last: int | None = None) -> Array:
     """
     point = read_point(folder)
     rows: dict[int, tuple[float, float]] = {}
-    forces = _per_time(folder, "loads", "force.dat", last)
-    moments = _per_time(folder, "loads", "moment.dat", last)
+    sense = math.copysign(1.0, point.rotors[patch])
+    forces = _per_time(folder, LOADS[patch], "force.dat", last)
+    moments = _per_time(folder, LOADS[patch], "moment.dat", last)
     for iteration, values in forces.items():
         if iteration in moments:
-            rows[iteration] = (point.blades * values[2], -point.blades * moments[iteration][2])
+            rows[iteration] = (point.blades * values[2], -sense * point.blades * moments[iteration][2])
     return np.array([(i, *rows[i]) for i in sorted(rows)]).reshape(-1, 3)
 
 
@@ -336,10 +337,10 @@ def _per_time(folder: Path, what: str, file: str, last: int | None = None) -> di
     return out
 
 
-def judge(folder: Path) -> Verdict:
-    """Judge a case by what its run has told so far."""
+def judge(folder: Path, *, patch: str = "blade") -> Verdict:
+    """Judge a case, of a pair one rotor, by what its run has told so far."""
     point = read_point(folder)
-    loads = history(folder)
+    loads = history(folder, patch=patch)
     flow = _per_time(folder, "flows", "surfaceFieldValue.dat")
     continuity = _last_continuity(folder / _LOG)
     outflow = flow[max(flow)][0] if flow else math.nan

@@ -267,6 +267,9 @@ class Shape:
     gurney, plate : (float, int)
         Height over chord and layer of the ring (from the wall) of the edge of a plate below the tail, and of one above
         and below the blade: the layer lies at that height. (0, 0) for none.
+    level_block : bool
+        Whether the centre block is ``block_m`` in every section, level and its own mirror image, so that a second
+        rotor's sections can join it close below or above.
     """
 
     loop: Array
@@ -279,11 +282,13 @@ class Shape:
     typical_m: float
     gurney: tuple[float, int] = (0.0, 0)
     plate: tuple[float, int] = (0.0, 0)
+    level_block: bool = False
 
 
 BESIDE, OVER = 0.40, 0.45
 _SMOOTHED = 6
 _LEAN = 0.5
+_AT_SIDES = 0.2
 """Margin of the centre block before nose and behind tail, and its half height, in chords."""
 
 
@@ -303,16 +308,22 @@ def section(layout: Layout, shape: Shape, box: Box) -> Array:
     plain = _rectangle(-wide, wide, -thick, thick, n, m)
     loop = (1 - g) * loop + g * plain
     low, right = -(0.25 + BESIDE) * c, (0.75 + BESIDE) * c
+    whole = 1.0 if shape.level_block else g  # how far the block is that of the axis
     even = np.linspace(0.0, 1.0, n + 1)
     crowd = np.concatenate((shape.loop[:n, 0], shape.loop[n : n + 1, 0]))
     crowd = (crowd - crowd[0]) / (crowd[-1] - crowd[0])
     spread = (1 - g) * (0.65 * even + 0.35 * crowd) + g * even
-    x_in = (1 - g) * (low + (right - low) * spread) + g * half * (2 * even - 1)
-    tall = (1 - g) * OVER * c + g * high
+    wider = 2 * even - 1
+    if shape.level_block:  # the blade lies behind its middle: wider cells to the sides slant the ring less
+        wider = (1.0 - _AT_SIDES) * wider + _AT_SIDES * wider**3
+    x_in = (1 - whole) * (low + (right - low) * spread) + whole * half * wider
+    tall = (1 - whole) * OVER * c + whole * high
     z_in = tall * np.linspace(-1.0, 1.0, m + 1)
     # Lines of the tensor.
     wide_l, wide_r = box.half_m + x_in[0], box.half_m - x_in[-1]
-    aside, above, below = _outwards(k, shape.typical_m, box)
+    aside, above, below = _outwards(
+        k, shape.typical_m, high if shape.level_block else OVER * shape.typical_m, box
+    )
     x = np.concatenate((x_in[0] - wide_l * aside[::-1], x_in[1:-1], x_in[-1] + wide_r * aside))
     own = (tall - above[0]) * _fading((above - above[0]) / (box.level_m - above[0]))
     own_below = (tall + below[0]) * _fading((below[0] - below) / (box.level_m + below[0]))
@@ -323,7 +334,7 @@ def section(layout: Layout, shape: Shape, box: Box) -> Array:
     away = np.abs(grid - near)
     reach_x = np.where(grid[..., 0] < 0, wide_l, wide_r)
     follow = _fading(away[..., 0] / reach_x) * _fading(away[..., 1] / min(4.0 * c, box.level_m - tall))
-    grid = grid + follow[..., None] * (_turned(near, (1 - g) * shape.angle_rad) - near)
+    grid = grid + follow[..., None] * (_turned(near, (1 - whole) * shape.angle_rad) - near)
 
     out = np.full((layout.points, 2), np.nan)
     on = layout.tensor >= 0
@@ -334,14 +345,15 @@ def section(layout: Layout, shape: Shape, box: Box) -> Array:
     return out
 
 
-def _outwards(k: Counts, chord_m: float, box: Box) -> tuple[Array, Array, Array]:
-    """Lines from the centre block of a typical section: to the sides (0..1), above and below (z, m), outwards.
+def _outwards(k: Counts, chord_m: float, high: float, box: Box) -> tuple[Array, Array, Array]:
+    """Lines from the centre block (half as high as ``high``) of a typical section, outwards: to the sides (0..1), above
+    and below (z, m).
 
     They are one set for all sections: where the chord changes, lines of its own would slant the cells far away from it.
     """
     wide = box.half_m - (0.75 + BESIDE) * chord_m
     step = min(max((1 + 2 * BESIDE) * chord_m / k.along, 0.02 * wide), 0.9 * wide / k.side)
-    dz, high = 2 * OVER * chord_m / k.across, OVER * chord_m
+    dz = 2 * high / k.across
     up, down = box.top_m - high, -box.bottom_m - high
     return (
         grown(k.side, step / wide),

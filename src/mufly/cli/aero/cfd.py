@@ -110,6 +110,9 @@ def run(
     tip: TipOption = "square",
     hub: HubOption = 0.0,
     gurney: GurneyOption = 0.0,
+    gap: Annotated[float, option("--gap MM", "Distance of a second rotor below; 0 for none.", min=0.0)] = 0.0,
+    lower_pitch: Annotated[str | None, option("ANGLE", "Its pitch setting; default: the same.")] = None,
+    lower_rpm: Annotated[float | None, option("RPM", "Its speed, the other way; default: the same.")] = None,
     out: CaseOption = Path("case"),
     save_only: Annotated[bool, option("--save-only", "Write the case and do not run it.")] = False,
     cores: Annotated[int, option("N", "Processes of the solver.", min=1, max=256)] = 1,
@@ -118,7 +121,7 @@ def run(
     """Solve one operating point: mesh, run, judge, loads along the blade, pictures.
 
     What was stopped or killed goes on when the same command is given again. The case is an ordinary one of OpenFOAM:
-    its Allrun runs it without mufly.
+    its Allrun runs it without mufly. With --gap a second rotor turns the other way below, frozen at the same azimuth.
     Example: mufly cfd run naca0012-r60-c20 --pitch 12 --rpm 5000 --mesh coarse --out case
     """
     from mufly.cfd import LEVELS, MODELS, TIPS, find_solver, run_case, save_case
@@ -143,6 +146,9 @@ def run(
         tip=tip,
         hub_m=1e-3 * hub,
         gurney=0.01 * gurney,
+        gap_m=1e-3 * gap,
+        lower_pitch_rad=None if lower_pitch is None else angle("--lower-pitch", lower_pitch),
+        lower_speed_rad_s=None if lower_rpm is None else turning("--lower-rpm", lower_rpm),
         cores=cores,
     )
     if save_only:
@@ -408,6 +414,8 @@ def _tell(folder: Path, rotor: Rotor | None, as_json: bool) -> None:
     poly = read_poly_mesh(folder)
     found = read_solution(folder, poly)
     others = [] if rotor is None else _others(rotor, found)
+    low = read_solution(folder, poly, patch="blade_lower") if found.point.gap_m else None
+    others_low = [] if rotor is None or low is None else _others(rotor, found, 1)
     place = folder / "results"
     past = history(folder)
     points, faces, data = blade_surface(poly, found)
@@ -434,20 +442,40 @@ def _tell(folder: Path, rotor: Rotor | None, as_json: bool) -> None:
             "eddy_ratio": found.eddy_ratio, "wake_torque": found.wake_torque, "wake_thrust": found.wake_thrust,
             "yplus_largest": float(found.yplus.max()), "yplus_median": float(np.median(found.yplus)),
             "beside": {o.method: {"thrust_N": o.thrust_N, "torque_Nm": o.torque_Nm} for o in others},
+            **({"lower": {"verdict": low.verdict, **{k: getattr(low, k) for k in kept}}} if low is not None else {}),
         }  # fmt: skip
 
-    answer(as_json, content, lambda: _show(found, others), files)
+    def show() -> None:
+        _show(found, others)
+        if low is not None:
+            _show(low, others_low, "lower rotor: ")
+            _show_ratios([("cfd", found.verdict, low.verdict), *((a.method, a, b) for a, b in pairs)])
+
+    pairs = list(zip(others, others_low, strict=False))
+    answer(as_json, content, show, files)
 
 
-def _others(rotor: Rotor, found: Solution) -> list[Any]:
-    """Blade elements and the wake at the same point."""
+def _show_ratios(pairs: list[tuple[str, Any, Any]]) -> None:
+    """The lower rotor of a pair beside the upper one, by every method."""
+    rows = [
+        (name, f"{low.thrust_N / up.thrust_N:.3f}", f"{low.torque_Nm / up.torque_Nm:.3f}")
+        for name, up, low in pairs
+    ]
+    print_table(("lower over upper rotor", "thrust", "torque"), rows)
+
+
+def _others(rotor: Rotor, found: Solution, which: int = 0) -> list[Any]:
+    """Blade elements and the wake at the same point; of a pair the upper rotor, or with ``which`` 1 the lower."""
     from mufly.cfd import beside
     from mufly.errors import MuflyError
     from mufly.rotor import Condition, System, prepare, solve
 
     p = found.point
-    system = System.single(prepare(rotor))
-    condition = Condition(p.pitch_rad, p.speed_rad_s, None, p.climb_m_s, p.air)
+    system, pitch, speed = System.single(prepare(rotor)), p.pitch_rad, p.speed_rad_s
+    condition = Condition(pitch, speed, None, p.climb_m_s, p.air)
+    if p.gap_m:
+        system = System.coaxial(prepare(rotor), prepare(rotor), spacing_m=p.gap_m)
+        condition = Condition((pitch, p.lower_pitch_rad), (speed, p.lower_rad_s), None, p.climb_m_s, p.air)
     out = []
     for method in ("bemt", "wake"):
         try:
@@ -455,11 +483,11 @@ def _others(rotor: Rotor, found: Solution) -> list[Any]:
         except MuflyError:
             continue
         if result.converged:
-            out.append(beside(result.rotors[0], method))
+            out.append(beside(result.rotors[which], method))
     return out
 
 
-def _show(found: Solution, others: list[Any]) -> None:
+def _show(found: Solution, others: list[Any], what: str = "") -> None:
     import numpy as np
 
     from mufly.units import RPM
@@ -467,7 +495,8 @@ def _show(found: Solution, others: list[Any]) -> None:
     p, v = found.point, found.verdict
     c = console()
     c.print(
-        f"[bold]{p.rotor}[/bold]  {math.degrees(p.pitch_rad):.4g}°, {p.speed_rad_s / RPM:.0f} rpm, {p.model}, "
+        f"{what}[bold]{p.rotor}[/bold]  {math.degrees(p.lower_pitch_rad if what else p.pitch_rad):.4g}°, "
+        f"{(p.lower_rad_s if what else p.speed_rad_s) / RPM:.0f} rpm, {p.model}, "
         f"{p.level} mesh, {v.iterations} iterations: {v.what}",
         highlight=False,
     )
@@ -482,8 +511,13 @@ def _show(found: Solution, others: list[Any]) -> None:
         f"Drift {100 * v.drift:.2g} % and swing {100 * v.swing:.2g} % in the last 400 iterations, outflow "
         f"{1e3 * v.outflow_m3_s:.3g} l/s at the bottom, continuity {v.leak:.1e}; friction is "
         f"{100 * found.friction_torque:.0f} % of the torque; y+ up to {found.yplus.max():.2g}, median "
-        f"{np.median(found.yplus):.2g}; figure of merit {found.figure_of_merit:.3f}; the air below carries "
-        f"{100 * found.wake_torque:.0f} % of the torque, {100 * found.wake_thrust:.0f} % of the thrust"
+        f"{np.median(found.yplus):.2g}; figure of merit {found.figure_of_merit:.3f}"
+        + (
+            f"; the air below carries {100 * found.wake_torque:.0f} % of the torque, "
+            f"{100 * found.wake_thrust:.0f} % of the thrust"
+            if np.isfinite(found.wake_torque)
+            else ""
+        )
         + (f"; turbulent over molecular viscosity up to {found.eddy_ratio:.3g}" if found.eddy_ratio else ""),
         highlight=False,
     )
