@@ -233,3 +233,15 @@ def test_every_command_has_help(monkeypatch, capsys) -> None:
         assert "Usage" in capsys.readouterr().out
     assert run(monkeypatch, "--version") == 0
     assert "mufly 0" in capsys.readouterr().out
+
+
+def test_what_a_camera_needs_is_said_before_the_flight(monkeypatch, capsys, tmp_path, hop) -> None:
+    for words, said in (
+        (("--camera", "webcam"), "without --position camera"),
+        (("--position", "camera", *IDEAL), "what is true needs no camera"),
+        (("--position", "camera", "--floor", "grass"), "rich"),
+        (("--position", "camera", "--camera-fault", "blind@3s"), "kinds: covered, dark, unplugged"),
+    ):
+        assert run(monkeypatch, "fly", hop, "--out", tmp_path / "out", "--headless", *words) == 1
+        assert said in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists()

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from mufly.cli.options import argument, option
+from mufly.cli.options import argument, one_of, option
 from mufly.cli.present import console, say
 from mufly.cli.station import (
     BrowserOption,
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from mufly.flight import Event, Progress, Summary
+    from mufly.flight.camera import Eye
     from mufly.flight.software import Computing
     from mufly.link import Endpoint, VehicleProcess
     from mufly.mission import Mission
@@ -84,6 +85,7 @@ class Order:
     faults: tuple[Fault, ...]
     controllers: Computing | None
     designed_for: Vehicle | None
+    eye: Eye | None
 
 
 def _free_port() -> int:
@@ -99,7 +101,8 @@ def _start(order: Order, endpoints: Sequence[Endpoint], autostart: bool) -> Vehi
         order.vehicle, order.mission, endpoints=endpoints, path=order.recording,
         tlog=order.recording.with_name("link.tlog") if order.links else None,
         wind=order.wind, gust=order.gust, seed=order.seed, sensors=order.sensors, faults=order.faults,
-        controllers=order.controllers, designed_for=order.designed_for, autostart=autostart, where="--link",
+        controllers=order.controllers, designed_for=order.designed_for, eye=order.eye, autostart=autostart,
+        where="--link",
     )  # fmt: skip
 
 
@@ -277,10 +280,37 @@ Examples:
 
   mufly fly --headless --fault position.dropout@20s+2s --fault accelerometer.clip@30s
 
+  mufly fly --headless --position camera --camera-fault covered@20s
+
   mufly fly my-mission.toml --vehicle my-helicopter.toml --out results
 
   mufly fly --link udp:127.0.0.1:14550      (QGroundControl or a script may fly it too)
 """
+
+
+def _eye(position: str, sensors: str, camera: str, floor: str, faults: Sequence[str] | None) -> Eye | None:
+    """What ``--position camera`` and its options say; None without it."""
+    one_of("--position", position, ("fix", "camera"))
+    if position == "fix":
+        for name, given in (("--camera", camera), ("--floor", floor), ("--camera-fault", faults)):
+            if given:
+                raise InputError(
+                    name, "", "there is no camera without --position camera", "add it, or leave this out"
+                )
+        return None
+    if sensors == "ideal":
+        raise InputError("--position", "", "what is true needs no camera", "leave out --sensors ideal")
+    from mufly.camera import FLOORS, load_camera
+    from mufly.flight.camera import Eye, parse_spoil
+    from mufly.slam import opencv
+
+    opencv()
+    one_of("--floor", floor or "rich", FLOORS)
+    return Eye(
+        load_camera(camera or "mufly-2.0"),
+        floor or "rich",
+        spoils=tuple(parse_spoil(f) for f in faults or ()),
+    )
 
 
 def fly(
@@ -308,6 +338,25 @@ def fly(
         option(
             "--designed-for NAME|FILE",
             "Fly it with the controllers and the filter of this vehicle, as if it were that one.",
+        ),
+    ] = None,
+    position: Annotated[
+        str,
+        option(
+            "--position WHICH",
+            "Where it gets its position from: fix (a statistical V-SLAM, as its file has it) or camera (pictures "
+            "rendered as it flies, and SLAM on them in a process of its own).",
+        ),
+    ] = "fix",
+    camera: Annotated[
+        str, option("--camera NAME|FILE", "Of --position camera: mufly-2.0, webcam, worst or a file.")
+    ] = "",
+    floor: Annotated[str, option("--floor KIND", "Of --position camera: rich, poor, tiles or plain.")] = "",
+    camera_fault: Annotated[
+        list[str] | None,
+        option(
+            "--camera-fault FAULT",
+            "covered, dark or unplugged, as covered@20s+5s; can be given several times.",
         ),
     ] = None,
     realtime: Annotated[bool, option("--realtime", "Keep pace with the clock.")] = False,
@@ -361,7 +410,12 @@ def fly(
         faults,
         on_board(firmware, fixed_point),
         None if designed_for is None else load_vehicle(designed_for),
+        _eye(position, sensors, camera, floor, camera_fault),
     )
+    if order.eye is not None:
+        from mufly.flight.camera import sighted
+
+        sighted(order.vehicle, order.eye.camera)
     # One that is taken for another is judged by that other, as its pilot would.
     preflight(
         order.designed_for or order.vehicle,
@@ -431,7 +485,8 @@ def _fly_in_terminal(terminal: Console, order: Order, ending: Ending) -> xr.Data
             return flight.fly(
                 order.vehicle, order.mission, wind=order.wind, gust=order.gust, seed=order.seed,
                 sensors=order.sensors, faults=order.faults, controllers=order.controllers, realtime=order.realtime,
-                path=order.recording, designed_for=order.designed_for, on_progress=show, on_event=display.event,
+                path=order.recording, designed_for=order.designed_for, eye=order.eye, on_progress=show,
+                on_event=display.event,
             )  # fmt: skip
     except KeyboardInterrupt:
         if order.recording.exists():

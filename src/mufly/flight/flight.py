@@ -39,6 +39,7 @@ from mufly.dynamics import (
 from mufly.errors import InputError
 from mufly.estimate import Estimate, Estimator, IdealEstimator, fitted_estimator
 from mufly.flight.autopilot import Autopilot
+from mufly.flight.camera import CameraSensor, Eye, sighted
 from mufly.flight.controllers import Actuators, Controllers
 from mufly.flight.plant import Plant, row_writer
 from mufly.flight.record.recorder import Recorder
@@ -102,6 +103,8 @@ class Flight:
         The vehicle that controllers, autopilot and estimator take it for; by default they know the true one.
     brief : bool
         Record what a flight is judged by, at 100 Hz, and not what its sensors said.
+    eye : Eye, optional
+        Fly on pictures (:mod:`mufly.flight.camera`) instead of the statistical position fix; on fitted sensors only.
 
     Raises
     ------
@@ -130,9 +133,15 @@ class Flight:
         controllers: Computing | None = None,
         designed_for: Vehicle | None = None,
         brief: bool = False,
+        eye: Eye | None = None,
     ) -> None:
         vehicle = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
         mission = mission if isinstance(mission, Mission) else load_mission(mission)
+        if eye is not None:
+            if sensors != "fitted":
+                raise InputError("eye", "", "pictures are nothing for ideal sensors", "fly on fitted sensors")
+            vehicle = sighted(vehicle, eye.camera)
+            designed_for = None if designed_for is None else sighted(designed_for, eye.camera)
         believed = vehicle if designed_for is None else designed_for
         controller = design(believed) if controller is None else controller
         steady = np.asarray(mission.wind.steady_m_s if wind is None else wind, dtype=np.float64)
@@ -155,7 +164,9 @@ class Flight:
         )
         self.plant = Plant(vehicle, mission.world, air, controller.rate_Hz, self._start)
         self.look = max(1, round(controller.rate_Hz / RING_HZ))
-        self.sensors = _sensors(sensors, vehicle, mission, self.look, seed, faults)
+        start = (*mission.start_m, math.radians(mission.start_heading_deg))
+        self.camera = None if eye is None else CameraSensor(eye, vehicle, mission.world, start, seed)
+        self.sensors = _sensors(sensors, vehicle, mission, self.look, seed, faults, self.camera)
         sensed = self.sensed = isinstance(self.sensors, FittedSensors)
         full = sensed and not brief
         if estimator is None:
@@ -163,6 +174,8 @@ class Flight:
                 fitted_estimator(believed, mission.world, controller.rate_Hz) if sensed else IdealEstimator()
             )
         self.estimator = estimator
+        if self.camera is not None:
+            self.camera.believe = self._believed
         self.lacking = (
             f"{vehicle.name} has no table [sensors]: it flies on what is true"
             if sensors == "fitted" and not sensed
@@ -182,6 +195,7 @@ class Flight:
                 "rate_Hz": controller.rate_Hz,
                 **({} if designed_for is None else {"designed_for": designed_for.name}),
                 **({"sensors": "fitted", "faults": [str(f) for f in faults]} if sensed else {}),
+                **({} if eye is None else {"camera": eye.camera.name, "camera_floor": eye.floor}),
                 "version": __version__,
             },
             layout=standard_layout(vehicle.range_ring.count, sensors=full),
@@ -222,6 +236,13 @@ class Flight:
         self._truth = self.plant.truth
         self.readings = self.sensors.read(self._truth)
         self._estimate = self.estimator.update(self.readings, acted.astype(np.float64, copy=False))
+
+    def _believed(self) -> tuple[Estimate | None, float]:
+        """What goes with a picture: the estimate of the period before, and what the sonar said last (m)."""
+        if not hasattr(self, "readings"):
+            return None, math.nan
+        sonar = self.readings.latest.get("ground_distance")
+        return self._estimate, math.nan if sonar is None else float(sonar.value)
 
     @property
     def truth(self) -> Truth:
@@ -280,6 +301,8 @@ class Flight:
             )
         if not (fresh and self.sensed):  # a filter hears of every instant once
             self._measure(acted)
+        if self.camera is not None and (news := self.camera.news()):
+            self.note(news, "info" if news.endswith("again") else "warning")
         self.sent = autopilot.step(self._estimate)
         if k % self.every == 0:
             software = autopilot.software
@@ -375,6 +398,8 @@ class Flight:
         if self._finished:
             return
         self._finished = True
+        if self.camera is not None:
+            self.camera.close()
         if outcome is None:
             outcome, reason = self.judge()
         self.recorder.finish(outcome, reason, mission_flown=self._mission_flown, **attributes)
@@ -399,19 +424,23 @@ class Flight:
             self.close()
         else:
             self._finished = True
+            if self.camera is not None:
+                self.camera.close()
             self.recorder.__exit__(kind, error, trace)
 
 
 def _sensors(
-    wanted: Sensors | str, vehicle: Vehicle, mission: Mission, look: int, seed: int, faults: Sequence[Fault]
-) -> Sensors:
+    wanted: Sensors | str, vehicle: Vehicle, mission: Mission, look: int, seed: int, faults: Sequence[Fault],
+    camera: CameraSensor | None,
+) -> Sensors:  # fmt: skip
     """The sensors asked for; ideal ones where a vehicle has none."""
     if isinstance(wanted, Sensors):
         return wanted
     if wanted not in ("ideal", "fitted"):
         raise InputError("sensors", wanted, "is neither ideal nor fitted", "use one of: ideal, fitted")
     if wanted == "fitted" and vehicle.sensors is not None:
-        return fitted_sensors(vehicle, mission.world, seed=seed, faults=faults)
+        instead = {} if camera is None else {"position_fix": camera}
+        return fitted_sensors(vehicle, mission.world, seed=seed, faults=faults, instead=instead)
     if faults:
         what = "has no table [sensors]" if wanted == "fitted" else "flies on what is true"
         raise InputError(
@@ -458,6 +487,7 @@ def fly(
     controllers: Computing | None = None,
     designed_for: Vehicle | None = None,
     brief: bool = False,
+    eye: Eye | None = None,
     on_tick: Callable[[Truth, Estimate], None] | None = None,
     tick_every: int = 1,
 ) -> xr.Dataset:
@@ -469,7 +499,7 @@ def fly(
         Or the name or file of one.
     mission : Mission, str or Path
         Or the name or file of one.
-    controller, wind, gust, seed, path, sensors, estimator, faults, controllers, designed_for, brief : optional
+    controller, wind, gust, seed, path, sensors, estimator, faults, controllers, designed_for, brief, eye : optional
         As for :class:`Flight`; without a path the recording is in memory only.
     realtime : bool
         Keep pace with the clock instead of flying as fast as the machine can.
@@ -512,6 +542,7 @@ def fly(
         controllers=controllers,
         designed_for=designed_for,
         brief=brief,
+        eye=eye,
     ) as flight:
         if on_event is not None:
             flight.autopilot.listeners.append(on_event)

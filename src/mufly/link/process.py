@@ -34,6 +34,7 @@ from typing import Any, Literal
 from mufly.control import FlightController, design
 from mufly.errors import MuflyError
 from mufly.flight import ALIGNED_WITHIN_S, Event, Flight, FlightState
+from mufly.flight.camera import Eye
 from mufly.flight.software import Computing
 from mufly.link.codec import Origin
 from mufly.link.ports import Endpoint, Peer, Port, open_port, wait
@@ -506,6 +507,7 @@ def start_vehicle(
     faults: Sequence[Fault] = (),
     controllers: Computing | None = None,
     designed_for: Vehicle | None = None,
+    eye: Eye | None = None,
     autostart: bool = False,
     system: int = 1,
     origin: Origin | None = None,
@@ -519,7 +521,7 @@ def start_vehicle(
     endpoints : sequence of Endpoint
     path, tlog : str or Path, optional
         Recording (MCAP) and telemetry log to write.
-    wind, gust, seed, sensors, faults, controllers, designed_for
+    wind, gust, seed, sensors, faults, controllers, designed_for, eye
         As for :class:`mufly.flight.Flight`.
     autostart : bool
         Arm and fly the mission by itself.
@@ -553,6 +555,7 @@ def start_vehicle(
             "faults": tuple(faults),
             "controllers": controllers,
             "designed_for": designed_for,
+            "eye": eye,
         },
     }
     return VehicleProcess(order)

@@ -87,6 +87,7 @@ def fitted_sensors(
     seed: int = 0,
     faults: Iterable[Fault] = (),
     only: Iterable[str] = FITTED,
+    instead: Mapping[str, Sensor] | None = None,
 ) -> FittedSensors:
     """Return the sensors that a vehicle's file names, with errors.
 
@@ -103,6 +104,8 @@ def fitted_sensors(
         What goes wrong, and when.
     only : iterable of str
         Names of :data:`FITTED`.
+    instead : mapping, optional
+        Name of :data:`FITTED` to a sensor in place of its own.
 
     Raises
     ------
@@ -123,7 +126,9 @@ def fitted_sensors(
         table = getattr(vehicle.sensors, name)
         if table is None or name not in wanted:
             continue
-        sensor = _make(name, table, vehicle, world, np.random.default_rng(streams[2 * k]))
+        other = (instead or {}).get(name)
+        own = np.random.default_rng(streams[2 * k])
+        sensor = _make(name, table, vehicle, world, own) if other is None else other
         made[name] = Faulty(sensor, (), np.random.default_rng(streams[2 * k + 1]))
     fitted = FittedSensors(vehicle.name, made)
     for fault in faults:

@@ -5,6 +5,7 @@ from mufly.slam.datasets import Path3, Teller, frames, path_of, rounds
 from mufly.slam.evaluation import Evaluation, evaluate
 from mufly.slam.frame import Frame, Telling
 from mufly.slam.mapping import Keyframe, Map
+from mufly.slam.process import SlamProcess
 from mufly.slam.readers import Source, open_pictures, read_truth
 from mufly.slam.system import Answer, Slam
 from mufly.slam.trajectory import Trajectory, draw, gathered, read_trajectory, run
@@ -21,6 +22,7 @@ __all__ = [
     "Map",
     "Path3",
     "Slam",
+    "SlamProcess",
     "Source",
     "Teller",
     "Telling",

@@ -31,6 +31,8 @@ class Telling:
         N, E, D (m/s), where it is known.
     place : (3,) array or None
         N, E (m), heading (rad) as believed, where it is known: a new map begins there.
+    place_sigma : (2,) tuple
+        What it is off by: place (m), heading (rad).
     standing : bool
         On the floor, motors idle: it does not move.
     """
@@ -44,6 +46,7 @@ class Telling:
     height_sigma: float = 0.01
     velocity: _Array | None = None
     place: _Array | None = None
+    place_sigma: tuple[float, float] = (0.0, 0.0)
     standing: bool = False
 
 

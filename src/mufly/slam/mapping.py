@@ -102,6 +102,14 @@ class Map:
         self.solve()
         return k
 
+    def drop_last(self) -> None:
+        """Forget the keyframe that was added last, and its ties."""
+        self.keyframes.pop()
+        k = len(self.keyframes)
+        self.nodes = self.nodes[:k]
+        self.edges = [e for e in self.edges if k not in (e.first, e.second)]
+        self.solve()
+
     def close(self, edge: Edge, most: float) -> bool:
         """Add an edge that closes a loop, unless the map does not bear it: then it is as before."""
         before = self.nodes.copy()

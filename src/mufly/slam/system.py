@@ -30,7 +30,7 @@ from mufly.slam.frame import Frame
 from mufly.slam.graph import DIM, Edge, relation, slopes_of
 from mufly.slam.mapping import Keyframe, Map, composed, overlap
 from mufly.slam.pose import SHAKES, Pose, View, level, slopes, solve, two_points
-from mufly.slam.vision import Straightener, corners, opencv, tracked, warped
+from mufly.slam.vision import Straightener, corners, on, opencv, overlaid, tracked, warped
 
 _Array = NDArray[np.float64]
 ENOUGH = 14
@@ -48,6 +48,9 @@ INFLATE = 2.0
 _SWERVE = 1.0  # m/s^2 that are not foreseen
 _LOST_S, _SEEK_EVERY = 0.7, 4
 _AGREE = 3
+_BRIDGE_S, _BRIDGE_YOUNG_S, _YOUNG = 1.5, 0.1, 5
+"""After how long it goes on from where it is believed to be (s); with a map of few keyframes, which nothing is found
+in, at once."""
 
 
 @dataclass(frozen=True)
@@ -133,6 +136,7 @@ class Slam:
         self.camera = camera
         self.map = Map(start) if floor_map is None else floor_map
         self._straight = Straightener(camera)
+        self._given = floor_map is not None
         self._axes, self._mount = body_from_camera(camera), camera.mount.place.array()[0]
         self._rng = np.random.default_rng(seed)
         size, focal = self._straight.size, self._straight.focal
@@ -149,6 +153,7 @@ class Slam:
         self._spread = 0.0  # of the place that is reckoned (m)
         self._count = self._tried = 0
         self._found: list[tuple[float, _Array]] = []
+        self._trial = 0  # pictures seen against a keyframe that was begun anew; 0: there is none
         self.picture: NDArray[np.uint8] | None = None
         self.closes = True  # whether loops are closed
         self.on_closure: Callable[[int, int], None] = lambda a, b: None
@@ -185,9 +190,22 @@ class Slam:
                 break
         why = self._distrust(match, view, node)
         if match is None or why:
+            if len(self.map.keyframes) == 1 and frame.told.place is not None and not self._given:
+                # Near the floor one picture shares little with the next: nothing hangs on a map of one.
+                self.map = Map(self.map.start)
+                return self._begin(frame, view, picture)
+            if self._bridges(frame, view, elapsed):
+                return self._bridge(frame, view, picture, why)
             if elapsed > _LOST_S:
                 return self._seek(frame, view, picture, why)
             return Answer(frame.time_s, False, why, keyframe=self._reference)
+        if self._trial > 0:
+            self._trial += 1
+            if self._trial <= _AGREE:
+                self._node, self._last_s = match.node, frame.time_s
+                self._refine(view, match)
+                return Answer(frame.time_s, False, "begun anew, to be confirmed")
+            self._trial = 0
         return self._accept(frame, view, picture, match)
 
     def _view(self, frame: Frame) -> View:
@@ -233,19 +251,15 @@ class Slam:
             shift = math.hypot(*(found[:2] - node[:2])) / view.height * view.focal
             node = found
         homography = self._homography(k, view, node)
-        template = warped(keyframe.picture, homography, straight.size)
+        template, covered = overlaid(keyframe.picture, homography, picture)
         h = np.column_stack([keyframe.pixels, np.ones(len(keyframe.pixels))]) @ homography.T
         there = h[:, :2] / h[:, 2:]
-        use = np.nonzero(
-            (h[:, 2] > 0) & (there > 9).all(axis=1) & (there < np.array(straight.size) - 10).all(axis=1)
-            & (keyframe.missed < 8)
-        )[0]  # fmt: skip
+        use = np.nonzero((h[:, 2] > 0) & (keyframe.missed < 8) & on(covered, there))[0]
         if len(use) < ENOUGH:
             return None
         seen, correlation, sigma = tracked(template, picture, there[use], straight.smooth)
         good = (correlation > CORRELATION) & (sigma < 1.5)
-        good &= straight.seen[np.clip(np.rint(seen[:, 1]).astype(int), 0, straight.size[1] - 1),
-                              np.clip(np.rint(seen[:, 0]).astype(int), 0, straight.size[0] - 1)] > 0  # fmt: skip
+        good &= on(straight.seen, seen)
         if good.sum() < ENOUGH:
             return None
         use, seen, sigma = use[good], seen[good], sigma[good]
@@ -426,13 +440,10 @@ class Slam:
         if view.height < LEAST_M:
             return Answer(frame.time_s, False, "too near to the floor")
         if frame.told.place is not None:
-            self.map.start = frame.told.place
+            self.map.start, self.map.start_sigma = frame.told.place, frame.told.place_sigma
         n, e, heading = self.map.start
-        lever = level(view, None, heading) @ self._mount
-        x = np.array([n + lever[0], e + lever[1], view.height, heading, 0.0, 0.0, 0.0, 0.0])
-        tilt = view.tilt_sigma
-        covariance = np.diag([(tilt * view.height) ** 2] * 2 + [view.height_sigma**2, 1e-10] + [tilt**2] * 4)
-        pose = Pose(x, np.zeros(SHAKES), covariance, np.zeros((4, 4)), 1.0, np.zeros(0), np.zeros((0, 2)))
+        pose = self._believed(view, n, e, heading)
+        x, tilt = pose.x, view.tilt_sigma
         keyframe = self._keyframe(frame, view, picture, pose, math.hypot(0.5, self._shake_rms))
         if keyframe is None:
             return Answer(frame.time_s, False, "no corners on the floor to begin a map with")
@@ -443,7 +454,48 @@ class Slam:
         self._last_s = frame.time_s
         nobody = np.zeros(0, np.intp)
         match = _Match(0, pose, nobody, np.zeros((0, 2)), np.zeros(0), np.zeros(0), 0, 0.0)
-        return self._answer(frame, view, match, True, False)
+        answer = self._answer(frame, view, match, True, False)
+        if frame.told.place is None:
+            return answer
+        # What it would say is what it was told.
+        return replace(answer, trusted=False, reason="the map begins")
+
+    def _bridges(self, frame: Frame, view: View, elapsed: float) -> bool:
+        """Whether to go on from where the vehicle believes to be, as nothing is recognised."""
+        if frame.told.place is None or view.height < LEAST_M:
+            return False
+        seek = bool(self._found) or self._count % _SEEK_EVERY == 0
+        wait = _BRIDGE_S if len(self.map.keyframes) > _YOUNG else _BRIDGE_YOUNG_S
+        return self._trial > 0 or (elapsed > wait and not seek)
+
+    def _bridge(self, frame: Frame, view: View, picture: Any, why: str) -> Answer:
+        """Begin a keyframe where the vehicle believes to be, tied to the last by what that is off by; on trial."""
+        if self._trial > 0:
+            self.map.drop_last()
+            self._reference = len(self.map.keyframes) - 1
+            self._trial = 0
+        assert frame.told.place is not None
+        n, e, heading = (float(q) for q in frame.told.place)
+        pose = self._believed(view, n, e, heading)
+        keyframe = self._keyframe(frame, view, picture, pose, math.hypot(0.5, self._shake_rms))
+        if keyframe is None:
+            return Answer(frame.time_s, False, "no corners on the floor")
+        node = np.array([pose.x[0], pose.x[1], heading, math.log(view.height)])
+        place, turn = frame.told.place_sigma
+        last = self._reference
+        h = math.exp(self.map.nodes[last, 3])
+        off = np.array([place / h, place / h, max(turn, 1e-3), 0.1])
+        self._reference = self.map.add(keyframe, node, [(last, np.diag(off**-2))])
+        self._node, self._last_s, self._trial = self.map.nodes[self._reference].copy(), frame.time_s, 1
+        return Answer(frame.time_s, False, why)
+
+    def _believed(self, view: View, n: float, e: float, heading: float) -> Pose:
+        """The pose of a vehicle that stands at N, E (m) with a heading (rad), as far as that is known."""
+        lever = level(view, None, heading) @ self._mount
+        x = np.array([n + lever[0], e + lever[1], view.height, heading, 0.0, 0.0, 0.0, 0.0])
+        tilt = view.tilt_sigma
+        covariance = np.diag([(tilt * view.height) ** 2] * 2 + [view.height_sigma**2, 1e-10] + [tilt**2] * 4)
+        return Pose(x, np.zeros(SHAKES), covariance, np.zeros((4, 4)), 1.0, np.zeros(0), np.zeros((0, 2)))
 
     def _make(self, frame: Frame, view: View, picture: Any, match: _Match) -> bool:
         """Make a keyframe of the picture."""

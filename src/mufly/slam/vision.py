@@ -115,6 +115,40 @@ def warped(picture: _Picture, homography: _Array, size: tuple[int, int]) -> _Pic
     return cv2.warpPerspective(picture, homography, size, flags=cv2.INTER_LINEAR)
 
 
+def overlaid(picture: _Picture, homography: _Array, over: _Picture) -> tuple[_Picture, _Picture]:
+    """Return a picture as it would be seen from elsewhere, and where it reaches by a patch and more (else 0).
+
+    Where it does not reach, it is the other picture: an edge to black, which moves with nothing, would pull all
+    windows of the pyramid that see it.
+    """
+    cv2 = opencv()
+    size = (over.shape[1], over.shape[0])
+    out = over.copy()
+    cv2.warpPerspective(
+        picture, homography, size, dst=out, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT
+    )
+    high, wide = picture.shape
+    corner = (
+        np.array([[0.0, 0, 1], [wide - 1, 0, 1], [wide - 1, high - 1, 1], [0, high - 1, 1]]) @ homography.T
+    )
+    reach = np.zeros_like(over)
+    if (corner[:, 2] > 0).all():
+        cv2.fillConvexPoly(reach, np.rint(corner[:, :2] / corner[:, 2:]).astype(np.int32), 255)
+    edge = np.zeros_like(reach)
+    edge[MARGIN:-MARGIN, MARGIN:-MARGIN] = 255
+    return out, cv2.erode(reach, np.ones((2 * MARGIN - 1, 2 * MARGIN - 1), np.uint8)) & edge
+
+
+def on(mask: _Picture, pixels: _Array) -> NDArray[np.bool_]:
+    """Return which pixels (n, 2) lie in a mask."""
+    high, wide = mask.shape
+    x, y = np.rint(pixels).astype(int).T
+    inside = (x >= 0) & (x < wide) & (y >= 0) & (y < high)
+    out: NDArray[np.bool_] = inside.copy()
+    out[inside] = mask[y[inside], x[inside]] > 0
+    return out
+
+
 def tracked(
     template: _Picture, picture: _Picture, points: _Array, smooth: float, levels: int = 3
 ) -> tuple[_Array, _Array, _Array]:

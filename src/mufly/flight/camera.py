@@ -1,0 +1,301 @@
+"""Position by camera: pictures of the flight as it is flown, SLAM in a process of its own, and a radio between.
+
+    truth --> picture --radio--> SLAM's process --radio--> position_fix, with the picture's own time
+
+The picture is rendered at the middle of its exposure; with it goes what the vehicle's filter believes then of tilt,
+height, velocity and rates (its state one period of the flight software before, turned on by the rates). What the
+radio loses does not come back. An answer is known at t + latency + |jitter|, whatever the wall's clock says: the
+flight waits for the other process, so the same seed flies the same flight. Answers that are not trusted are not sent;
+after half a second without one the reason is told. Of the others go as many as the statistical fix would have made:
+errors of pictures that follow each other hang together, and the filter has no time for all.
+
+It takes the place of the statistical ``position_fix`` and goes through the same door. For the filter its errors are
+described in the same words: white noise, and a bias that wanders (docs/slam.md has them measured).
+
+Until the sonar first says more than the least that it can, the vehicle stands where it was put, or has just left it:
+that is told, with 2 mm of noise. A filter that heard nothing while the legs carry a part of the weight would lose its
+height. The map begins with the first picture from 10 cm up, where the vehicle then believes to be.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.camera import Camera, Motion, Renderer, make_floor
+from mufly.dynamics import model_parameters, rotation, standing_height
+from mufly.dynamics.state import hover_speeds
+from mufly.errors import ArgumentError, MuflyError
+from mufly.estimate import Estimate
+from mufly.sensors import Reading, Sensor, Truth
+from mufly.slam import Answer, Frame, SlamProcess, Telling, opencv
+from mufly.vehicle import Vehicle
+from mufly.vehicle.quantity import Quantity
+from mufly.vehicle.sensing import PositionFix
+from mufly.world import World
+
+_Array = NDArray[np.float64]
+SPOILS: Mapping[str, str] = {
+    "covered": "the lens is covered: pictures are black",
+    "dark": "the light is off: a hundredth of it is left",
+    "unplugged": "no pictures come",
+}
+"""What can go wrong with the camera."""
+ANSWER_S, SILENT_S, BACK_S = 0.066, 0.5, 1.0
+"""Between two answers that are sent; without any, until that is told; with some again, until that is told (s)."""
+_STANDS_NOISE_M = 0.002
+
+
+@dataclass(frozen=True)
+class Spoil:
+    """What goes wrong with the camera, and when (s)."""
+
+    kind: str
+    start_s: float = 0.0
+    stop_s: float = math.inf
+
+
+def parse_spoil(text: str) -> Spoil:
+    """Return what ``"covered@20s+5s"`` says; start and duration may be left out.
+
+    Raises
+    ------
+    InputError
+        If it is none of :data:`SPOILS`.
+    """
+    kind, _, when = text.strip().partition("@")
+    start, _, span = when.partition("+")
+    try:
+        begin = float(start.removesuffix("s")) if start else 0.0
+        end = begin + float(span.removesuffix("s")) if span else math.inf
+        if kind not in SPOILS or not 0.0 <= begin < end:
+            raise ValueError
+    except ValueError:
+        raise ArgumentError(
+            "camera_fault", text, "is none", f"write KIND@STARTs+DURATIONs, kinds: {', '.join(SPOILS)}"
+        ) from None
+    return Spoil(kind, begin, end)
+
+
+@dataclass(frozen=True)
+class Eye:
+    """What a flight on pictures needs to know.
+
+    Attributes
+    ----------
+    camera : Camera
+    floor : str
+        Of :data:`mufly.camera.FLOORS`.
+    shadows : float
+        Share of the light that shadows take.
+    spoils : tuple of Spoil
+    """
+
+    camera: Camera
+    floor: str = "rich"
+    shadows: float = 0.3
+    spoils: tuple[Spoil, ...] = ()
+
+
+def told_errors(camera: Camera) -> PositionFix:
+    """Return how the filter describes fixes by this camera: the table ``sensors.position_fix`` of a vehicle."""
+
+    def q(value: float, unit: str) -> Quantity:
+        return Quantity(value=value, unit=unit, source="estimated", note=f"V-SLAM by {camera.name}")
+
+    return PositionFix(
+        period=q(max(ANSWER_S, float(camera.sensor.period)), "s"),
+        latency=q(float(camera.radio.latency), "s"),
+        jitter=q(float(camera.radio.jitter), "s"),
+        noise=q(0.01, "m"), wander=q(0.03, "m"), wander_time=q(3.0, "s"),
+        heading_noise=q(math.radians(0.3), "rad"), heading_wander=q(math.radians(1.2), "rad"),
+        dropout=q(float(camera.radio.loss), "1"),
+    )  # fmt: skip
+
+
+def sighted(vehicle: Vehicle, camera: Camera) -> Vehicle:
+    """Return the vehicle with the camera in place of its statistical position fix.
+
+    Raises
+    ------
+    MuflyError
+        If it has no sensors that a filter could fly on.
+    """
+    if vehicle.sensors is None or vehicle.sensors.imu is None or vehicle.sensors.sonar is None:
+        raise MuflyError(
+            f"{vehicle.name} has no inertial unit and sonar, without which pictures tell no place"
+        )
+    sensors = vehicle.sensors.model_copy(update={"position_fix": told_errors(camera)})
+    return vehicle.model_copy(update={"sensors": sensors})
+
+
+class CameraSensor(Sensor):
+    """Reads ``position_fix`` (4,): N, E, D (m) and heading (rad), from pictures.
+
+    Parameters
+    ----------
+    eye : Eye
+    vehicle : Vehicle
+    world : World
+        Its boxes are seen.
+    start : (3,) tuple
+        N, E (m) and heading (rad) where the vehicle stands.
+    seed : int
+
+    Attributes
+    ----------
+    believe : callable
+        Returns the latest estimate, or None, and what the sonar said last (m), or NaN.
+    answer : Answer or None
+        The latest that came, trusted or not.
+    picture : (rows, columns) uint8 array or None
+        The latest.
+    """
+
+    def __init__(
+        self, eye: Eye, vehicle: Vehicle, world: World, start: tuple[float, float, float], seed: int
+    ) -> None:
+        opencv()  # say at once what is missing
+        self._eye, self._start, self._seed, self._world = eye, start, seed, world
+        sonar = vehicle.sensors.sonar if vehicle.sensors is not None else None
+        self._least_m = 0.0 if sonar is None else float(sonar.min_range) + 0.5 * float(sonar.resolution)
+        self._stands_m = standing_height(vehicle)
+        self._hover = float(np.mean(hover_speeds(model_parameters(vehicle))))
+        self._floor = make_floor(eye.floor, seed, shadows=eye.shadows)
+        self.believe: Callable[[], tuple[Estimate | None, float]] = lambda: (None, math.nan)
+        self.asked = self.answered = self.trusted = 0
+        self._process: SlamProcess | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        self.close()
+        self._rng = np.random.default_rng([self._seed, 91])
+        self._renderer = Renderer(self._eye.camera, self._floor, self._world, seed=self._seed)
+        self._phase, self._last_s, self._due_s = np.zeros(2), math.nan, -math.inf
+        self._scale = 1.0 + 0.01 * float(self._rng.standard_normal())
+        self._queue: list[tuple[float, Answer | None]] = []  # when due; what, if that needs no looking
+        self._begun, self._stood = False, True
+        self.answer: Answer | None = None
+        self.picture: NDArray[np.uint8] | None = None
+        self._fix: dict[str, Reading] = {}
+        self._wrong, self._trusted_s, self._since_s = "", math.inf, math.nan
+
+    def close(self) -> None:
+        """End the other process."""
+        if self._process is not None:
+            self._process.close()
+            self._process = None
+
+    def right(self, truth: Truth) -> dict[str, Any]:
+        return {"position_fix": np.append(truth.position, truth.attitude[2])}
+
+    def read(self, truth: Truth) -> Mapping[str, Reading]:
+        t = truth.time_s
+        if not math.isnan(self._last_s):
+            self._phase = np.mod(self._phase + truth.rotor_speed * (t - self._last_s), 2 * math.pi)
+        self._last_s = t
+        if t >= self._due_s - 1e-9:
+            period = float(self._eye.camera.sensor.period)
+            self._due_s = (t if t - self._due_s > period else self._due_s) + period
+            self._take(truth)
+        while self._queue and self._queue[0][0] <= t + 1e-9:
+            self._receive(self._queue.pop(0)[1])
+        return self._fix
+
+    def news(self) -> str:
+        """What there is to be told: that it has given no position for a while, and why, or that it does again."""
+        t = self._last_s
+        if not self._wrong and t - self._trusted_s > SILENT_S and not self._stood:
+            late = self.answer is None or t - self.answer.time_s > SILENT_S + float(
+                self._eye.camera.radio.latency
+            )
+            why = "no pictures come" if late or self.answer is None else self.answer.reason
+            self._wrong, self._since_s = why, math.nan
+            return f"the camera gives no position: {why}"
+        if self._wrong and t - self._trusted_s < SILENT_S:
+            self._since_s = t if math.isnan(self._since_s) else self._since_s
+            if t - self._since_s >= BACK_S:
+                self._wrong = ""
+                return "the camera gives its position again"
+        return ""
+
+    def _take(self, truth: Truth) -> None:
+        """Take a picture and send it."""
+        t, camera = truth.time_s, self._eye.camera
+        active = {s.kind for s in self._eye.spoils if s.start_s <= t < s.stop_s}
+        lost, jitter = (
+            self._rng.uniform() < float(camera.radio.loss),
+            abs(float(self._rng.standard_normal())),
+        )
+        told = self._telling(truth)
+        if told is None:
+            return
+        self._stood = told.standing
+        if "unplugged" in active:
+            return
+        # They come back in the order in which they were sent.
+        due = t + float(camera.radio.latency)
+        due = max(due + float(camera.radio.jitter) * jitter, self._queue[-1][0] if self._queue else 0.0)
+        if told.standing and not self._begun:
+            if not lost:
+                self._queue.append((due, self._stands(t)))
+            return
+        self._begun = True
+        share = min(1.5, (float(np.mean(truth.rotor_speed)) / self._hover) ** 2)
+        motion = Motion(
+            t, truth.position.copy(), truth.velocity.copy(), rotation(truth.state[6:10]), truth.rates.copy(),
+            truth.rotor_speed.copy(), self._phase.copy(), share,
+        )  # fmt: skip
+        light = 0.0 if "covered" in active else (0.01 if "dark" in active else 1.0)
+        self.picture = self._renderer.render(motion, light)
+        if lost:
+            return
+        if self._process is None:
+            self._process = SlamProcess(camera, start=self._start, seed=self._seed)
+        self._process.send(Frame(t, self.picture, told))
+        self.asked += 1
+        self._queue.append((due, None))
+
+    def _stands(self, time_s: float) -> Answer:
+        """It has not moved since it was put there."""
+        noise = _STANDS_NOISE_M * self._rng.standard_normal(4)
+        place = np.array([self._start[0], self._start[1], -self._stands_m]) + noise[:3]
+        covariance = _STANDS_NOISE_M**2 * np.eye(4)
+        return Answer(time_s, True, "it stands", place, self._start[2] + noise[3], covariance)
+
+    def _telling(self, truth: Truth) -> Telling | None:
+        """What the vehicle believes at this instant: its estimate of a period ago, turned on."""
+        estimate, sonar = self.believe()
+        if estimate is None or not np.isfinite(estimate.attitude).all():
+            return None
+        dt = max(0.0, truth.time_s - estimate.time_s)
+        roll, pitch, yaw = (float(a) for a in estimate.attitude)
+        p, q, r = (float(w) for w in estimate.rates)
+        roll += dt * (p + math.tan(pitch) * (q * math.sin(roll) + r * math.cos(roll)))
+        pitch += dt * (q * math.cos(roll) - r * math.sin(roll))
+        sigma = np.sqrt(np.diag(estimate.covariance))
+        x = estimate.position + dt * estimate.velocity
+        return Telling(
+            roll, pitch, max(0.02, -float(x[2])), estimate.rates.copy(), self._scale * truth.rotor_speed,
+            tilt_sigma=max(math.radians(0.15), float(max(sigma[6:8]))), height_sigma=max(0.006, float(sigma[2])),
+            velocity=estimate.velocity.copy(), standing=not sonar > self._least_m, place=np.array([x[0], x[1], yaw]),
+            place_sigma=(float(max(sigma[:2])), float(sigma[8])),
+        )  # fmt: skip
+
+    def _receive(self, known: Answer | None) -> None:
+        if known is None:
+            assert self._process is not None
+            known = self._process.receive()
+            self.answered += 1
+            self.trusted += known.trusted
+        self.answer = known
+        if known.trusted:
+            self._trusted_s = self._last_s
+        last = self._fix.get("position_fix")
+        if known.trusted and (last is None or known.time_s - last.time_s > ANSWER_S - 1e-3):
+            self._fix = {"position_fix": Reading(np.append(known.position, known.heading), known.time_s)}

@@ -1,0 +1,110 @@
+"""SLAM in a process of its own: pictures go there, answers come back, each when it is asked for.
+
+Whoever sends pictures goes on while they are looked at, and waits where it asks for an answer that is not there yet. So
+a simulation says by its own clock when an answer is known, and is the same however fast the machine is.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+from typing import Any
+
+from mufly.camera import Camera
+from mufly.errors import MuflyError
+from mufly.slam.frame import Frame
+from mufly.slam.system import Answer, Slam
+from mufly.slam.vision import opencv
+
+
+class SlamProcess:
+    """Looks at pictures elsewhere.
+
+    Parameters
+    ----------
+    camera : Camera
+    start : (3,) tuple
+        N, E (m), heading (rad) of the vehicle at the first picture.
+    seed : int
+        Of the points drawn by chance.
+
+    Raises
+    ------
+    MuflyError
+        If there is no OpenCV.
+    """
+
+    def __init__(self, camera: Camera, *, start: Any = (0.0, 0.0, 0.0), seed: int = 0) -> None:
+        opencv()
+        # No child of multiprocessing: a vehicle may itself be one, and those have none.
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", "from mufly.slam.process import look; look()"],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        )  # fmt: skip
+        self._send((camera, tuple(start), seed))
+
+    def _send(self, message: Any) -> None:
+        assert self._process.stdin is not None
+        try:
+            pickle.dump(message, self._process.stdin, pickle.HIGHEST_PROTOCOL)
+            self._process.stdin.flush()
+        except (OSError, ValueError) as error:
+            raise MuflyError(f"the process that looks at pictures has ended ({error})") from error
+
+    def send(self, frame: Frame) -> None:
+        """Have a picture looked at.
+
+        Raises
+        ------
+        MuflyError
+            If the process has ended.
+        """
+        self._send(frame)
+
+    def receive(self) -> Answer:
+        """Wait for the answer to the oldest picture that none has come to.
+
+        Raises
+        ------
+        MuflyError
+            If the process has ended.
+        """
+        assert self._process.stdout is not None
+        try:
+            answer = pickle.load(self._process.stdout)
+        except (EOFError, OSError, ValueError, pickle.UnpicklingError) as error:
+            raise MuflyError(f"the process that looks at pictures has ended ({error})") from error
+        assert isinstance(answer, Answer)
+        return answer
+
+    def close(self) -> None:
+        """End it."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        with suppress(OSError):
+            self._process.stdin.close()  # nothing more to look at: it ends
+        try:
+            self._process.wait(2.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._process.stdout.close()
+
+
+def look() -> None:
+    """The other process: pictures come in on standard input, answers go out on standard output, both pickled."""
+    with suppress(ValueError):
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started it ends it
+    pictures, answers = sys.stdin.buffer, sys.stdout.buffer
+    sys.stdout = sys.stderr
+    with suppress(EOFError, OSError):
+        camera, start, seed = pickle.load(pictures)
+        slam = Slam(camera, start=start, seed=seed)
+        while True:
+            pickle.dump(slam.step(pickle.load(pictures)), answers, pickle.HIGHEST_PROTOCOL)
+            answers.flush()

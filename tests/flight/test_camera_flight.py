@@ -1,0 +1,132 @@
+"""Position by camera in flight: the other process, its answers' times, and what goes wrong with the camera."""
+
+from __future__ import annotations
+
+import math
+import sys
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from mufly.camera import Camera, load_camera
+from mufly.dynamics import initial_state
+from mufly.errors import MuflyError
+from mufly.estimate import Estimate
+from mufly.flight import Event, fly
+from mufly.flight.camera import CameraSensor, Eye, parse_spoil, sighted
+from mufly.sensors import Reading, Truth
+from mufly.slam import Answer, Frame, opencv
+from mufly.vehicle import load_vehicle
+from mufly.world import World
+
+
+def test_faults_of_the_camera_are_read_or_refused_in_a_line() -> None:
+    assert parse_spoil("covered@20s+5s").stop_s == 25.0
+    assert math.isinf(parse_spoil("unplugged").stop_s)
+    for text in ("blind@3s", "dark@x", "dark@3s+0s"):
+        with pytest.raises(MuflyError, match="kinds: covered, dark, unplugged"):
+            parse_spoil(text)
+
+
+def test_the_camera_takes_the_place_of_the_statistical_fix() -> None:
+    camera = load_camera("mufly-2.0")
+    fix = sighted(load_vehicle("mufly-2.0"), camera).sensors.position_fix  # type: ignore[union-attr]
+    assert fix is not None
+    assert float(fix.latency) == pytest.approx(0.2)
+    assert float(fix.period) == pytest.approx(0.066)
+
+
+MISSION = """
+[take_off]
+height_m = 0.6
+wait_s = 0.5
+
+[[waypoint]]
+position_m = [0.4, 0.0, -0.6]
+wait_s = 1.5
+"""
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[xr.Dataset, list[Event]]:
+    """A hop over a rich floor by a good camera, whose lens is covered on the way."""
+    pytest.importorskip("cv2")
+    path = tmp_path_factory.mktemp("camera") / "hop.toml"
+    path.write_text(MISSION)
+    events: list[Event] = []
+    eye = Eye(load_camera("webcam"), spoils=(parse_spoil("covered@8.5s+1s"),))
+    ds = fly("mufly-1.1", path, sensors="fitted", seed=3, eye=eye, on_event=events.append, brief=True)
+    return ds, events
+
+
+def test_a_hop_on_pictures_ends_where_it_was_to(flown: tuple[xr.Dataset, list[Event]]) -> None:
+    ds, events = flown
+    assert ds.attrs["outcome"] == "succeeded", [e.text for e in events]
+    assert ds.attrs["camera"] == "webcam"
+    assert np.hypot(*(ds["truth_position"].values[-1, :2] - [0.4, 0.0])) < 0.15
+
+
+def test_a_covered_lens_is_told_within_a_second_and_borne(flown: tuple[xr.Dataset, list[Event]]) -> None:
+    _, events = flown
+    said = [(e.time_s, e.text) for e in events if "camera" in e.text]
+    assert said[0][1].startswith("the camera gives no position: too little of the floor")
+    assert 8.5 < said[0][0] < 9.5
+    assert said[1][1] == "the camera gives its position again"
+    assert said[1][0] < 12.0
+
+
+def test_answers_come_late_with_the_time_of_their_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hovering still; what looks at the pictures is a stand-in."""
+    answers = []
+
+    class Stub:
+        def __init__(self, camera: Camera, **more: object) -> None: ...
+        def send(self, frame: Frame) -> None:
+            answers.append(Answer(frame.time_s, True, "", np.array([0.2, -0.1, -0.8]), 0.3))
+
+        def receive(self) -> Answer:
+            return answers.pop(0)
+
+        def close(self) -> None: ...
+
+    monkeypatch.setattr("mufly.flight.camera.SlamProcess", Stub)
+    sensor = CameraSensor(
+        Eye(load_camera("webcam"), spoils=(parse_spoil("unplugged@1s"),)), load_vehicle("mufly-1.1"), World(),
+        (0.2, -0.1, 0.3), 1,
+    )  # fmt: skip
+    state = initial_state(position=(0.2, -0.1, -0.8), attitude=(0.0, 0.0, 0.3), rotor_speed=(380.0, 420.0))
+    seen: list[tuple[float, Reading]] = []
+    news, now = [], 0.0
+    x, zero = np.array([0.2, -0.1, -0.8]), np.zeros(3)
+    sensor.believe = lambda: (
+        Estimate(now, x, zero, np.array([0.0, 0.0, 0.3]), zero, covariance=1e-5 * np.eye(12)),
+        0.75,
+    )
+    for k in range(400):
+        now = k * 0.005
+        truth = Truth(now, k, state, np.array([0.0, 0.0, 0.3]), np.zeros(3), 11.0, 5.0)
+        fix = sensor.read(truth).get("position_fix")
+        if fix is not None and (not seen or fix is not seen[-1][1]):
+            seen.append((now, fix))
+        if said := sensor.news():
+            news.append((now, said))
+    late = [t - f.time_s for t, f in seen]
+    assert min(late) >= 0.2 - 1e-9
+    assert np.mean(late) < 0.25
+    assert 8 < len(seen) <= 16
+    assert max(f.time_s for _, f in seen) < 1.0
+    assert [text for _, text in news] == ["the camera gives no position: no pictures come"]
+    assert news[0][0] < 2.0
+
+
+def test_who_wants_a_camera_gets_one_line_without_opencv(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    opencv.cache_clear()
+    try:
+        with pytest.raises(MuflyError, match=r"pip install 'mufly\[vision\]'"):
+            fly("mufly-1.1", sensors="fitted", eye=Eye(load_camera("webcam")))
+    finally:
+        opencv.cache_clear()
+    with pytest.raises(MuflyError, match="pictures are nothing for ideal sensors"):
+        fly("mufly-1.1", eye=Eye(load_camera("webcam")))
