@@ -129,6 +129,7 @@ def similar_vehicle(
         "body.drag_area_y": (la**2, "size squared"),
         "body.drag_area_z": (la**2, "size squared"),
         "rotors.inplane_drag": (1.0, "same shape of blade"),
+        "rotors.ground_effect": (1.0, "same physics"),
         "swash_plate.time_constant": (1.0, "follows at once"),
         "swash_plate.linkage": (1.0, "same linkage"),
         "swash_plate.max_tilt": (1.0, "same linkage"),

@@ -140,6 +140,7 @@ def _fastest(p: np.void) -> dict[str, float]:
     motors = [(damping + bounds[f"torque_{k}"][1] * speed / gear) / p[f"J_{k}"] for k in ("up", "dw")]
     up, dw = motors
     thrust = max(bounds["thrust_up"][0], bounds["thrust_dw"][0]) * speed**2
+    thrust *= 1.0 + p["ground_effect"] / 3.0  # the most that the floor adds
     heave = (bounds["thrust_up"][2] + bounds["thrust_dw"][2]) * speed / p["mass"]
     inplane = 2.0 * p["inplane"] * speed * (1.0 / p["mass"] + p["z_up"] ** 2 / min(p["Ixx"], p["Iyy"]))
     swing = math.sqrt(p["bar_gain"] * thrust * abs(p["z_up"]) / min(p["Ixx"], p["Iyy"]))

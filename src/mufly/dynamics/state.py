@@ -166,6 +166,9 @@ _FIELDS: dict[str, str | tuple[int, ...]] = {
     "torque_up": "",  # N m s2, Q = torque_up * Omega^2
     "torque_dw": "",
     "inplane": "",  # N s2/m, H = inplane * Omega * V
+    "ground_effect": "rotors.ground_effect",  # 0: none, 1: Cheeseman and Bennett's, see mufly.dynamics.model
+    "ground_radius": "rotors.radius",  # m
+    "ground_disc": "",  # kg/m, thrust over the square of the velocity that it induces in hover
     "z_up": "rotors.upper.hub_z",  # m, hub in body axes
     "z_dw": "rotors.lower.hub_z",
     "J_up": "rotors.upper.drive_inertia",  # kg m2, as the motor sees it
@@ -274,6 +277,7 @@ def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
         values[f"torque_{side}"] = float(rotor.torque_coefficient) * (np.pi * rho * radius**5)  # eq. 4.12
     values |= {
         "inplane": float(r.inplane_drag) * (np.pi * rho * radius**3),
+        "ground_disc": 2.0 * rho * np.pi * radius**2,
         "swash_rate": 1.0 / float(vehicle.swash_plate.time_constant),
         "swash_gain": float(vehicle.swash_plate.linkage) * float(vehicle.swash_plate.max_tilt),
         "bar_rate": 1.0 / float(vehicle.stabiliser_bar.time_constant),

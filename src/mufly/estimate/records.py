@@ -39,7 +39,13 @@ UNITS: dict[str, str] = {
     "electronics_current": "A", "battery_curve": "V",
 }  # fmt: skip
 """Of the numbers that have one, by the field's name; those of the error state are beside ``ERROR_STATES``."""
-_GROUND = ("leg_", "slip_", "friction_", "contact_")  # of the flight model's: it is asked far above the floor
+_GROUND = (
+    "leg_",
+    "slip_",
+    "friction_",
+    "contact_",
+    "ground_",
+)  # of the flight model's: it is asked far above the floor
 _MAPS = ("map_thrust_up", "map_torque_up", "map_thrust_dw", "map_torque_dw")
 _MODULES: tuple[types.ModuleType, ...] = (layout, guards, factors, motion, fusing, kernel)
 

@@ -95,6 +95,14 @@ class Rotors(Group):
         at_most=0.2,
         absent=0.0,
     )
+    ground_effect: Quantity = parameter(
+        "1",
+        "kGE",
+        "thrust gained near the floor over what Cheeseman and Bennett's image gives; 0 without ground effect",
+        at_least=0,
+        at_most=2,
+        absent=0.0,
+    )
     upper: Rotor
     lower: Rotor
     coefficient_map: CoefficientMap | None = Field(

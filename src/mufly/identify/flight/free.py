@@ -223,6 +223,7 @@ def batch_parameters(
                     math.log(new / old) / math.log(factor), 9
                 )
     base["contact_reach"] = -1e9
+    base["ground_effect"] = 0.0
     return base, powers
 
 
