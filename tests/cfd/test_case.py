@@ -8,6 +8,7 @@ import shutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -202,6 +203,11 @@ def test_still_air_turning_with_the_blade_puts_nothing_on_it_and_a_gradient_lift
     area, centre = m.face_areas[m.patch("blade")], m.face_centres[m.patch("blade")]
     volume = -np.einsum("fi,fi->", area, centre) / 3.0
     assert read_solution(tmp_path).thrust_N == pytest.approx(2 * 1.2 * 9.81 * volume, rel=0.06)
+    # Air at rest rubs the blade aft everywhere, air that overtakes it towards the nose.
+    for factor, share in ((0.0, 0.0), (2.0, 1.0)):
+        shutil.rmtree(tmp_path)
+        solved_by_hand(tmp_path, np.zeros(m.cells), factor * u)
+        assert read_solution(tmp_path).reversed_share == pytest.approx(share, abs=0.02)
 
 
 def test_the_wake_s_torque_and_thrust_are_its_flows_of_momentum() -> None:
@@ -318,7 +324,7 @@ needs_openfoam = pytest.mark.skipif(
 @needs_openfoam
 def test_a_run_goes_on_after_it_was_killed_and_our_loads_are_the_solvers(tmp_path: Path) -> None:
     rotor = load_rotor("naca0012-r60-c20")
-    given = {"pitch_rad": math.radians(12), "speed_rad_s": 5000 * RPM, "level": "tiny"}
+    given: dict[str, Any] = {"pitch_rad": math.radians(12), "speed_rad_s": 5000 * RPM, "level": "tiny"}
     save_case(tmp_path, rotor, **given)
 
     class Killed(Exception):

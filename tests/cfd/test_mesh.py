@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -243,7 +244,9 @@ def test_a_contour_keeps_to_its_airfoil_and_has_a_tail() -> None:
         ),
     ],
 )  # fmt: skip
-def test_impossible_rotors_are_refused_in_one_line(rotor, pitch: float, message: str) -> None:
+def test_impossible_rotors_are_refused_in_one_line(
+    rotor: Callable[[], Rotor], pitch: float, message: str
+) -> None:
     with pytest.raises(InputError, match=message):
         blade_mesh(rotor(), math.radians(pitch), level="tiny")
 

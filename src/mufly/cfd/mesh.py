@@ -174,7 +174,7 @@ def blade_mesh(
     pitch_rad : float
         Pitch setting, added to the twist; about the quarter chord line.
     level : {'tiny', 'coarse', 'medium', 'fine'} or Counts
-        16, 60, 135 and 364 thousand cells.
+        16, 61, 136 and 376 thousand cells.
     domain : Domain, optional
     form : Form, optional
         Hub, tip, plates; default: none, a square tip.

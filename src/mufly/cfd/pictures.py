@@ -87,17 +87,28 @@ def pressure_picture(mesh: PolyMesh, solution: Solution) -> Figure:
     return figure
 
 
+_METHODS = {"bemt": "blade elements", "wake": "vortex wake"}
+
+
 def loads_picture(solution: Solution, others: Sequence[Beside] = ()) -> Figure:
     """Thrust and torque along the blade, beside other methods'."""
     figure = _figure(9.0, 4.0)
     axes = figure.subplots(1, 2)
     rows = [(solution.r_m, solution.thrust_N_m, solution.torque_Nm_m, f"CFD, {solution.point.model}")]
-    rows += [(o.r_m, o.thrust_N_m, o.torque_Nm_m, o.method) for o in others]
+    rows += [(o.r_m, o.thrust_N_m, o.torque_Nm_m, _METHODS.get(o.method, o.method)) for o in others]
     for k, (r, thrust, torque, name) in enumerate(rows):
         axes[0].plot(1e3 * r, thrust, "o-" if k == 0 else "-", ms=3, label=name)
         axes[1].plot(1e3 * r, 1e3 * torque, "o-" if k == 0 else "-", ms=3, label=name)
-    axes[0].set(xlabel="radius (mm)", ylabel="thrust per span (N/m)")
-    axes[1].set(xlabel="radius (mm)", ylabel="torque per span (mN m/m)")
+    for ax, ours, label in zip(
+        axes,
+        (solution.thrust_N_m, 1e3 * solution.torque_Nm_m),
+        ("thrust per span (N/m)", "torque per span (mN m/m)"),
+        strict=True,
+    ):
+        # The vortex wake's end panels have spikes that would squeeze all else.
+        low, high = min(0.0, float(ours.min())), max(0.0, float(ours.max()))
+        room = max(high - low, 1e-12)
+        ax.set(xlabel="radius (mm)", ylabel=label, ylim=(low - 0.1 * room, high + 0.25 * room))
     axes[0].legend()
     p = solution.point
     figure.suptitle(f"{p.rotor}, {np.degrees(p.pitch_rad):.3g}°, {p.speed_rad_s / RPM:.0f} rpm")

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import field
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,8 @@ class Solution:
         Greatest turbulent viscosity over the air's within 1.5 R of the hub; 0 for laminar.
     wake_torque, wake_thrust : float
         What of torque and thrust the air under the rotor carries (:func:`carried`); 1 where nothing is lost.
+    reversed_share : (strips,) array
+        Part of the upper side over which the air rubs towards the nose: the flow has left the blade there.
     """
 
     point: Point
@@ -78,6 +81,7 @@ class Solution:
     eddy_ratio: float = 0.0
     wake_torque: float = math.nan
     wake_thrust: float = math.nan
+    reversed_share: Array = field(default_factory=lambda: np.empty(0))
 
 
 def read_solution(folder: Path, mesh: PolyMesh | None = None, *, patch: str = "blade") -> Solution:
@@ -121,6 +125,9 @@ def read_solution(folder: Path, mesh: PolyMesh | None = None, *, patch: str = "b
     strip = np.where(mesh.strip[cell] >= 0, mesh.strip[cell] % len(width), strip)  # a lower rotor's count on
     thrust = point.blades * np.bincount(strip, force[:, 2], len(width))
     torque = -sense * point.blades * np.bincount(strip, moment, len(width))
+    over, back = area[:, 2] < 0.0, sense * friction[:, 0] < 0.0
+    upper = np.bincount(strip[over], size[over], len(width))
+    left = np.bincount(strip[over & back], size[over & back], len(width)) / np.maximum(upper, 1e-300)
     u_tau = np.sqrt(np.linalg.norm(friction, axis=1) / point.density_kg_m3)
     t, q = float(thrust.sum()), float(torque.sum())
     tip = abs(speed) * point.radius_m
@@ -133,7 +140,7 @@ def read_solution(folder: Path, mesh: PolyMesh | None = None, *, patch: str = "b
         point, judge(folder, patch=patch), t, q, power, t / (point.density_kg_m3 * disc * tip**2),
         q / (point.density_kg_m3 * disc * tip**2 * point.radius_m), ideal / power if power > 0 else math.nan,
         float(-sense * point.blades * np.sum(of_friction * size) / q), 0.5 * (edges[1:] + edges[:-1]), width,
-        thrust / width, torque / width, u_tau * distance / point.nu, p, friction, eddy, *below,
+        thrust / width, torque / width, u_tau * distance / point.nu, p, friction, eddy, *below, left,
     )  # fmt: skip
 
 

@@ -34,11 +34,13 @@ PitchOption = Annotated[str, option("ANGLE", "Pitch setting: 12, 12deg or 0.2rad
 MeshOption = Annotated[
     str,
     option(
-        "--mesh LEVEL", "'coarse', 'medium' or 'fine': 60, 135, 364 thousand cells; 'tiny' to try things."
+        "--mesh LEVEL", "'coarse', 'medium' or 'fine': 61, 136, 376 thousand cells; 'tiny' to try things."
     ),
 ]
 TurbulenceOption = Annotated[str, option("--model NAME", "'laminar', 'k-epsilon', 'sst' or 'k-omega'.")]
-TipOption = Annotated[str, option("--tip NAME", "The blades' tip; names in docs/cfd.md.")]
+TipOption = Annotated[
+    str, option("--tip NAME", "The blades' tip: 'round', 'swept', 'winglet-up', ... (docs/cfd.md).")
+]
 HubOption = Annotated[float, option("--hub MM", "Radius of a hub with grips; 0 for none.", min=0.0)]
 GurneyOption = Annotated[
     float, option("--gurney PERCENT", "Height of a plate below the trailing edge, of the chord.", min=0.0)
@@ -422,8 +424,8 @@ def _tell(folder: Path, rotor: Rotor | None, as_json: bool) -> None:
     files = [
         write_csv(place / "history.csv", ("iteration", "thrust_N", "torque_Nm"), past),
         write_csv(
-            place / "loads.csv", ("r_m", "dr_m", "thrust_N_m", "torque_Nm_m"),
-            zip(found.r_m, found.dr_m, found.thrust_N_m, found.torque_Nm_m, strict=True),
+            place / "loads.csv", ("r_m", "dr_m", "thrust_N_m", "torque_Nm_m", "reversed_share"),
+            zip(found.r_m, found.dr_m, found.thrust_N_m, found.torque_Nm_m, found.reversed_share, strict=True),
         ),
         save_picture(loads_picture(found, others), place, "loads"),
         save_picture(pressure_picture(poly, found), place, "pressure"),
@@ -436,7 +438,7 @@ def _tell(folder: Path, rotor: Rotor | None, as_json: bool) -> None:
         import numpy as np
 
         kept = ("thrust_N", "torque_Nm", "power_W", "c_T", "c_Q", "figure_of_merit", "friction_torque", "r_m", "dr_m",
-                "thrust_N_m", "torque_Nm_m")  # fmt: skip
+                "thrust_N_m", "torque_Nm_m", "reversed_share")  # fmt: skip
         return {
             "point": vars(found.point), "verdict": found.verdict, **{k: getattr(found, k) for k in kept},
             "eddy_ratio": found.eddy_ratio, "wake_torque": found.wake_torque, "wake_thrust": found.wake_thrust,
@@ -500,6 +502,13 @@ def _show(found: Solution, others: list[Any], what: str = "") -> None:
         f"{p.level} mesh, {v.iterations} iterations: {v.what}",
         highlight=False,
     )
+    form = [p.tip] if p.tip != "square" else []
+    form += [f"hub {1e3 * p.hub_m:g} mm"] if p.hub_m else []
+    form += [f"Gurney flap {100 * p.gurney:g} %"] if p.gurney else []
+    if form:
+        c.print(
+            f"With {', '.join(form)}; blade elements and wake know the plain blade only.", highlight=False
+        )
     rows = [("cfd", f"{v.thrust_N:.4f}", f"{1e3 * v.torque_Nm:.4f}", "", "")]
     rows += [
         (o.method, f"{o.thrust_N:.4f}", f"{1e3 * o.torque_Nm:.4f}", f"{100 * (v.thrust_N / o.thrust_N - 1):+.1f} %",
@@ -521,5 +530,7 @@ def _show(found: Solution, others: list[Any], what: str = "") -> None:
         + (f"; turbulent over molecular viscosity up to {found.eddy_ratio:.3g}" if found.eddy_ratio else ""),
         highlight=False,
     )
+    left = 100 * float(np.average(found.reversed_share, weights=found.dr_m))
+    c.print(f"The flow has left {left:.0f} % of the upper side (friction towards the nose).", highlight=False)
     if not v.settled:
         c.print(f"Not settled ({v.what}): do not rely on these numbers.", style="yellow", highlight=False)
