@@ -22,6 +22,7 @@ from mufly.rotor import (
     Rotor,
     RotorWarning,
     System,
+    VortexRingWarning,
     hover,
     hover_batch,
     prepare,
@@ -158,6 +159,17 @@ def test_inflow_falls_in_climb_and_rises_in_slow_descent():
         hover(case, pitch_rad=0.2, speed_rad_s=100.0, climb_m_s=v).inflow_m_s.mean() for v in (-1.0, 0.0, 2.0)
     ]
     assert at[0] > at[1] > at[2]
+
+
+@pytest.mark.filterwarnings("error::mufly.rotor.VortexRingWarning")
+def test_a_rotor_that_sinks_into_its_own_wake_is_told() -> None:
+    case = blading(REAL, PLAIN)
+    free = hover(case, pitch_rad=0.2, speed_rad_s=100.0)
+    induced = np.sqrt(free.thrust_N / (2 * 1.2 * np.pi * case.radius_m[0] ** 2))
+    for sink in (-0.5, 0.0, 0.3, 3.0):  # climb, slow descent, windmill
+        solve(System.single(case), Condition(0.2, 100.0, climb_m_s=-sink * induced))
+    with pytest.warns(VortexRingWarning, match="own wake"):
+        solve(System.single(case), Condition(0.2, 100.0, climb_m_s=-1.0 * induced))
 
 
 def test_descent_closure_is_continuous_and_meets_momentum_theory():

@@ -42,6 +42,7 @@ from mufly.dynamics.model import battery_state, coefficient_bounds, derivative
 from mufly.dynamics.state import INPUT_SIZE, STATE_SIZE, euler_from_quaternion, model_parameters
 from mufly.errors import InputError
 from mufly.quantities import labelled
+from mufly.rotor.system import VORTEX_RING
 from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 
@@ -329,12 +330,8 @@ def model_air(vehicle: Vehicle) -> tuple[float, float, float]:
     weight = float(vehicle.body.mass) * GRAVITY + float(vehicle.body.downwash_drag)
     induced = math.sqrt(weight / (2.0 * float(vehicle.air.density) * area))
     more, less = 1.0 + INFLOW_CHANGE, (1.0 - INFLOW_CHANGE) ** 2
-    along = more - 1.0 / more if vehicle.rotors.coefficient_map is None else RING_FROM
+    along = more - 1.0 / more if vehicle.rotors.coefficient_map is None else VORTEX_RING[0]
     return induced, along * induced, math.sqrt((1.0 - less**2) / less) * induced
-
-
-RING_FROM, RING_TO = 0.5, 2.0
-"""Descent over the hover's induced velocity between which a rotor is in its own wake (Leishman 2006, Sec. 2.13.6)."""
 
 
 def outside_model(vehicle: Vehicle, wind: ArrayLike, gust: float) -> str:
@@ -354,8 +351,8 @@ def outside_model(vehicle: Vehicle, wind: ArrayLike, gust: float) -> str:
     if level <= across and rising <= along:
         return ""
     ring = ""
-    if -down + 2.0 * gust >= RING_FROM * induced:
-        state = "vortex ring" if -down <= RING_TO * induced else "windmill"
+    if -down + 2.0 * gust >= VORTEX_RING[0] * induced:
+        state = "vortex ring" if -down <= VORTEX_RING[1] * induced else "windmill"
         rises = f"in air that rises at {-down + 2.0 * gust:.1f} m/s"
         ring = f"; {rises} rotors are in {state} state, of which it knows nothing"
     return (

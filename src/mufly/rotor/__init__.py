@@ -38,7 +38,17 @@ from mufly.rotor.sections.airfoil import Airfoil, database_airfoils, load_airfoi
 from mufly.rotor.sections.engines import polar, polars
 from mufly.rotor.sections.polar_table import PolarStack, PolarTable, lookup, outside, stack_polars
 from mufly.rotor.solution import FASTEST_TIP_M_S, METHODS, solve, solve_thrust
-from mufly.rotor.system import Air, Condition, Method, Result, RotorResult, RotorWarning, System, tip_mach
+from mufly.rotor.system import (
+    Air,
+    Condition,
+    Method,
+    Result,
+    RotorResult,
+    RotorWarning,
+    System,
+    VortexRingWarning,
+    tip_mach,
+)
 from mufly.rotor.uncertainty import Band, Doubt, interval
 
 __all__ = [
@@ -66,6 +76,7 @@ __all__ = [
     "RotorResult",
     "RotorWarning",
     "System",
+    "VortexRingWarning",
     "blade_picture",
     "blade_thickness_m",
     "builtin_rotors",

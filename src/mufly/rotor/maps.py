@@ -26,6 +26,7 @@ import hashlib
 import json
 import math
 import os
+import warnings
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -38,7 +39,16 @@ from mufly.compiled import compiled
 from mufly.errors import InputError, MuflyError
 from mufly.rotor.blading import Blading
 from mufly.rotor.solution import solve
-from mufly.rotor.system import Air, Condition, Method, Result, System, WakeSettings
+from mufly.rotor.system import (
+    VORTEX_RING,
+    Air,
+    Condition,
+    Method,
+    Result,
+    System,
+    VortexRingWarning,
+    WakeSettings,
+)
 from mufly.vehicle import CoefficientMap, MapTables
 from mufly.vehicle.coefficient_map import MAP_NODES, table_text
 
@@ -157,7 +167,9 @@ def coax_map(
             up = 2.0 * mean / (1.0 + r)
             at = Condition((upper_pitch_rad, lower_pitch_rad), (up, r * up), None, m * mean * radius, gas)
             try:
-                answer, last = _values(system, at, method, how, last)
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", VortexRingWarning)  # told by the description
+                    answer, last = _values(system, at, method, how, last)
             except InputError:
                 raise
             except MuflyError as error:
@@ -181,12 +193,22 @@ def coax_map(
         name=name or f"{about['upper']}-{about['lower']}-{method}",
         description=f"{about['upper']} above {about['lower']}, {1e3 * spacing_m:g} mm apart, "
         f"{about['upper_pitch_deg']:g} and {about['lower_pitch_deg']:g} deg, by {method}; "
-        f"{np.count_nonzero(solved)} of {solved.size} points solved",
+        f"{np.count_nonzero(solved)} of {solved.size} points solved" + _ring(tables),
         table=table_text(tables),
         **about,
     )
     store.discard()
     return made
+
+
+def _ring(tables: MapTables) -> str:
+    """How many points sink into their own wake; the discs' two thrusts as one (Leishman 2006, Sec. 2.13.6)."""
+    ratio = tables.ratio[None, :, None]
+    up = 2.0 / (1.0 + ratio)  # upper speed over the mean
+    thrust = np.maximum(tables.cT_upper * up**2 + tables.cT_lower * (ratio * up) ** 2, 0.0)
+    sink = -tables.climb_ratio / np.sqrt(np.maximum(0.5 * thrust, 1e-12))
+    count = np.count_nonzero((sink > VORTEX_RING[0]) & (sink < VORTEX_RING[1]))
+    return f"; {count} sink into their own wake, means of swinging loads" if count else ""
 
 
 def _shown(how: WakeSettings) -> str:

@@ -48,6 +48,7 @@ from mufly.rotor.system import (
     WakeSettings,
     tip_mach,
     warn_of_mach,
+    warn_of_vortex_ring,
 )
 from mufly.rotor.tubes import solve_tubes, tube_speed
 from mufly.rotor.wake.solver import solve_wake
@@ -135,7 +136,6 @@ def solve(
     count = len(system.bladings)
     pitch = _each("pitch_rad", condition.pitch_rad, count)
     speed = _each("speed_rad_s", condition.speed_rad_s, count)
-    thrust = condition.thrust_N
     for blading, which, given in zip(system.bladings, system.which, speed, strict=True):
         if given is not None:
             mach = tip_mach(blading.rotors[which].radius_m, given, condition.air)
@@ -145,6 +145,18 @@ def solve(
                     "stay below 1, better below 0.7: no theory here knows of shocks",
                 )  # fmt: skip
             warn_of_mach(mach)
+    found = _answer(system, condition, method, pitch, speed, settings, start, progress)
+    area = system.bladings[0].rotors[system.which[0]].disc_area_m2
+    warn_of_vortex_ring(condition.climb_m_s, found.thrust_N, area, condition.air)
+    return found
+
+
+def _answer(
+    system: System, condition: Condition, method: Method, pitch: tuple[float | None, ...],
+    speed: tuple[float | None, ...], settings: WakeSettings | None, start: Result | None, progress: Progress | None,
+) -> Result:  # fmt: skip
+    """What is left open, found; parameters as for :func:`solve`, pitch and speed one a rotor."""
+    count, thrust = len(system.bladings), condition.thrust_N
 
     def at(pitches: Sequence[float], speeds: Sequence[float], start: Result | None) -> Result:
         return _METHODS[method](

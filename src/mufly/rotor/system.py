@@ -50,6 +50,9 @@ class RotorWarning(UserWarning):
     """A rotor is computed beyond what its theory was made for."""
 
 
+VORTEX_RING = (0.5, 2.0)
+"""Descent over the velocity induced in hover between which a rotor is in its own wake (Leishman 2006, Sec. 2.13.6)."""
+
 HIGHEST_MACH = 0.7
 """Of the tips, up to which the correction for compressible flow serves (:func:`mufly.rotor.bemt.compressible`)."""
 
@@ -57,6 +60,22 @@ HIGHEST_MACH = 0.7
 def tip_mach(radius_m: float, speed_rad_s: float, air: Air | None = None) -> float:
     """Return the Mach number of the blades' tips."""
     return radius_m * speed_rad_s / (air or Air()).sound_m_s
+
+
+class VortexRingWarning(RotorWarning):
+    """A rotor sinks into its own wake."""
+
+
+def warn_of_vortex_ring(climb_m_s: float, thrust_N: float, area_m2: float, air: Air) -> None:
+    """Give a :class:`VortexRingWarning` where a disc sinks within :data:`VORTEX_RING`."""
+    induced = math.sqrt(max(thrust_N, 0.0) / (2.0 * air.density_kg_m3 * area_m2))
+    if VORTEX_RING[0] * induced < -climb_m_s < VORTEX_RING[1] * induced:
+        warnings.warn(
+            f"sinking at {VORTEX_RING[0]:g} to {VORTEX_RING[1]:g} times the velocity induced in hover a rotor is in "
+            "its own wake (vortex ring, turbulent wake state): no steady wake is there; blade elements follow a curve "
+            "through measured means (Leishman 2006, eq. 2.99), about which real loads swing",
+            VortexRingWarning, stacklevel=3,
+        )  # fmt: skip
 
 
 def warn_of_mach(mach: float) -> None:
