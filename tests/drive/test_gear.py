@@ -12,8 +12,8 @@ UPPER = coefficient_load(0.0138, 0.0025, radius_m=0.0875)
 LOWER = coefficient_load(0.0117, 0.0018, radius_m=0.0875)
 
 
-def power(gear, speed, torque):
-    return steady(DRIVE.constants(gear_ratio=np.asarray(gear)), speed, 0.4, torque, 7.2)
+def power(gear, speed, torque, rub=0.0):
+    return steady(DRIVE.constants(gear_ratio=np.asarray(gear), friction_Nm=rub), speed, 0.4, torque, 7.2)
 
 
 @given(speed=st.floats(200, 900), torque=st.floats(5e-4, 4e-3))
@@ -24,12 +24,12 @@ def test_adapted_gear_needs_exactly_full_voltage(speed: float, torque: float) ->
     assert beyond.motor_voltage_V > 7.2  # the largest ratio that will do
 
 
-@given(speed=st.floats(200, 900), torque=st.floats(5e-4, 4e-3))
-def test_best_gear_is_the_least_power_of_a_search(speed: float, torque: float) -> None:
-    gear = best_gear(DRIVE.constants(), speed, torque, 7.2)
-    tried = power(np.geomspace(0.05, 100, 4001), speed, torque)
+@given(speed=st.floats(200, 900), torque=st.floats(5e-4, 3.5e-3), rub=st.sampled_from([0.0, 1e-5, 1e-3]))
+def test_best_gear_is_the_least_power_of_a_search(speed: float, torque: float, rub: float) -> None:
+    gear = best_gear(DRIVE.constants(friction_Nm=rub), speed, torque, 7.2)
+    tried = power(np.geomspace(0.05, 100, 4001), speed, torque, rub)
     allowed = tried.input_power_W[tried.motor_voltage_V <= 7.2]
-    found = power(gear, speed, torque)
+    found = power(gear, speed, torque, rub)
     assert found.motor_voltage_V <= 7.2 * (1 + 1e-9)
     assert found.input_power_W <= allowed.min() * (1 + 1e-9)
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from mufly.drive import armature_current, rotor_acceleration
 
-KE, KM, R, GEAR, ETA, DR, J = 0.0045, 0.0035, 1.3811, 1.5, 0.84, 5.2107e-7, 2.11e-5
+KE, KM, R, GEAR, ETA, DR, J, MF = 0.0045, 0.0035, 1.3811, 1.5, 0.84, 5.2107e-7, 2.11e-5, 2e-4
 
 
 def test_stall_and_no_load() -> None:
@@ -22,20 +22,24 @@ def test_steady_speed_solves_the_quadratic(duty, drag, gear) -> None:
     a, b, c = drag / (gear**2 * ETA), DR + KM * KE / R, -KM * duty * 7.2 / (gear * R)
     speed = (-b + np.sqrt(b * b - 4 * a * c)) / (2 * a)
     current = armature_current(duty, 7.2, speed, KE, R, gear)
-    found = rotor_acceleration(current, speed, drag * speed**2, KM, DR, gear, ETA, J)
+    found = rotor_acceleration(current, speed, drag * speed**2, KM, DR, 0.0, gear, ETA, J)
     assert found == pytest.approx(0.0, abs=1e-7 * KM * 5 / J)
 
 
 def test_acceleration_is_eq_4_29() -> None:
     speed, torque, current = 376.0, 0.0068, 1.6
     expected = (KM * current / GEAR - DR * speed - torque / (GEAR**2 * ETA)) / J
-    assert rotor_acceleration(current, speed, torque, KM, DR, GEAR, ETA, J) == pytest.approx(
+    assert rotor_acceleration(current, speed, torque, KM, DR, 0.0, GEAR, ETA, J) == pytest.approx(
         expected, rel=1e-14
     )
+    rubbing = [rotor_acceleration(0.0, w, 0.0, KM, 0.0, MF, GEAR, ETA, J) for w in (speed, 3.0, 0.0, -3.0)]
+    assert rubbing == pytest.approx(np.array([-1, -1, 0, 1]) * MF / (GEAR * J), rel=1e-12)
 
 
 def test_in_shaft_terms_the_gear_trades_speed_for_torque() -> None:
     # Times i^2 it is the rotor's own balance: i^2 J dW/dt = i kM I - i^2 dR W - Q / eta.
     speed, torque, current = 300.0, 0.005, 1.2
     rotor = (GEAR * KM * current - GEAR**2 * DR * speed - torque / ETA) / (GEAR**2 * J)
-    assert rotor_acceleration(current, speed, torque, KM, DR, GEAR, ETA, J) == pytest.approx(rotor, rel=1e-12)
+    assert rotor_acceleration(current, speed, torque, KM, DR, 0.0, GEAR, ETA, J) == pytest.approx(
+        rotor, rel=1e-12
+    )

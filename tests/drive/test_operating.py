@@ -34,6 +34,7 @@ constants = st.builds(
     gear_ratio=st.floats(0.5, 10),
     gear_efficiency=st.floats(0.5, 1),
     controller_efficiency=st.floats(0.7, 1),
+    friction_Nm=st.floats(0, 1e-3),
 )
 
 
@@ -66,8 +67,8 @@ def test_steady_means_that_the_flight_models_motor_rests(c: Constants, speed: fl
     current = armature_current(float(p.duty), 12.0, speed, c.back_emf_V_s, c.resistance_ohm, c.gear_ratio)
     drive = c.torque_Nm_A * abs(current) / c.gear_ratio
     rest = rotor_acceleration(
-        current, speed, torque, c.torque_Nm_A, c.friction_Nm_s, c.gear_ratio, c.gear_efficiency, 1.0
-    )
+        current, speed, torque, c.torque_Nm_A, c.friction_Nm_s, c.friction_Nm, c.gear_ratio, c.gear_efficiency, 1.0
+    )  # fmt: skip
     # The current is a small difference of voltages where the resistance is small.
     size = drive + c.torque_Nm_A * float(p.motor_voltage_V) / (c.resistance_ohm * c.gear_ratio)
     assert rest == pytest.approx(0.0, abs=1e-11 * size)

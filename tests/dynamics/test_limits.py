@@ -84,7 +84,8 @@ def test_power_from_the_battery_is_accounted_for(vehicle, random_state, seed) ->
     # U I = U I_el + sum[R I_A^2 + kE i Omega I_A]  and  kM i Omega I_A = stored + friction + shaft / efficiency.
     # kE > kM in Table 5.3: (kE - kM) i Omega I_A is a loss that the identification lumps there (iron, brushes, PWM).
     rng = np.random.default_rng(seed)
-    p, x, u = model_parameters(vehicle), random_state(rng), rng.uniform(0, 1, size=4)
+    rubs = replace(vehicle, {"motor.friction_torque": rng.choice([0.0, 3e-4])})
+    p, x, u = model_parameters(rubs), random_state(rng), rng.uniform(0, 1, size=4)
     dx = np.empty(21)
     derivative(x, u, CALM, p, dx)
     voltage, current = battery_state(x, u[0], u[1], p)
@@ -94,7 +95,8 @@ def test_power_from_the_battery_is_accounted_for(vehicle, random_state, seed) ->
         copper += p["R_ohm"] * armature**2
         lumped += (p["kE"] - p["kM"]) * i * speed * armature
         kinetic = i**2 * inertia * speed * dx[k]
-        mechanical += kinetic + i**2 * p["dR"] * speed**2 + torque * speed**3 / p["gear_efficiency"]
+        friction = i**2 * p["dR"] * speed**2 + i * p["Mf"] * speed
+        mechanical += kinetic + friction + torque * speed**3 / p["gear_efficiency"]
     electronics = voltage * p["electronics_current"]
     assert voltage * current == pytest.approx(electronics + copper + lumped + mechanical, rel=1e-9, abs=1e-9)
     assert dx[20] == pytest.approx(-current / p["battery_capacity"], rel=1e-12)

@@ -16,7 +16,7 @@ from mufly.estimate.records import PYTHON_ALONE
 from mufly.flight import Flight
 from mufly.mission import mission_from
 from mufly.sensors import Readings, fitted_sensors, parse_fault
-from mufly.vehicle import Vehicle, load_vehicle
+from mufly.vehicle import Vehicle, load_vehicle, replace
 from mufly.world import World
 
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
@@ -39,7 +39,7 @@ FAULTS = (
 
 @pytest.fixture(scope="module")
 def vehicle() -> Vehicle:
-    return load_vehicle("mufly-2.0")
+    return replace(load_vehicle("mufly-2.0"), {"motor.friction_torque": 1e-4})
 
 
 @pytest.fixture(scope="module")

@@ -48,7 +48,7 @@ def test_behind_a_gear():
     table = bench(gear=1.5, efficiency=0.84)
     assert_allclose(values(fit_motor(table, gear=GearKnowledge(1.5, 0.84))), TRUTH, rtol=1e-9)
     assert_allclose(fit_motor(table).effective, [TRUTH[2], 1.5 * TRUTH[0], 1.5 * 0.84 * TRUTH[1],
-                    1.5**2 * 0.84 * TRUTH[3]], rtol=1e-9)  # fmt: skip
+                    1.5**2 * 0.84 * TRUTH[3], 0], rtol=1e-9)  # fmt: skip
 
 
 @pytest.mark.parametrize("full_scale", [False, True])
@@ -155,9 +155,13 @@ def test_a_speed_without_unit_is_guessed_and_said():
 
 def test_repeats_and_missing_physics_are_noticed():
     table = bench(3, 0.003)
-    friction = changed(table, torque=table["torque"] - 4e-4)
-    assert any("constant friction" in n for n in fit_motor(friction).notes)
-    assert not any("constant friction" in n for n in fit_motor(table).notes)
+    rubbing = fit_motor(changed(table, torque=table["torque"] - 4e-4))
+    assert [e.symbol for e in rubbing.estimates] == ["kE", "kM", "Rohm", "dR", "Mf"]
+    assert rubbing.estimate("Mf").low < 4e-4 < rubbing.estimate("Mf").high
+    assert rubbing.estimate("kM").std < 0.02 * TRUTH[1]
+    assert [e.symbol for e in fit_motor(table).estimates] == ["kE", "kM", "Rohm", "dR"]
+    offset = fit_motor(changed(table, torque=table["torque"] + 4e-4))  # friction that drives is none
+    assert any("constant friction" in n for n in offset.notes)
     rng = np.random.default_rng(0)
     base = bench(5, 0.01)
     repeated = {k: np.repeat(v, 4) * (1 + 5e-4 * rng.standard_normal(144)) for k, v in base.columns.items()}

@@ -169,5 +169,5 @@ def test_every_number_twelve_decades_off_is_refused_by_its_key_or_flies() -> Non
     assert {key.rpartition(".")[2] for key, _ in accepted} <= {
         "downwash_drag", "drag_area_x", "drag_area_y", "drag_area_z", "reaction_inertia", "linkage", "friction",
         "internal_resistance", "electronics_current", "damping", "min_range", "first_angle", "low_voltage",
-        "inplane_drag", "ground_effect",
+        "inplane_drag", "ground_effect", "friction_torque",
     }  # fmt: skip

@@ -130,6 +130,7 @@ def show(
     say(
         f"kE {1e3 * float(c.back_emf_V_s):.4g} mV s, kM {1e3 * float(c.torque_Nm_A):.4g} mN m/A, "
         f"R {float(c.resistance_ohm):.4g} ohm, dR {1e6 * float(c.friction_Nm_s):.4g} uN m s, "
+        f"{f'Mf {1e3 * float(c.friction_Nm):.4g} mN m, ' if c.friction_Nm else ''}"
         f"gear {float(c.gear_ratio):g} with efficiency {float(c.gear_efficiency):.0%}; "
         f"{d.rotors} rotor{'s' if d.rotors > 1 else ''} on {float(d.battery.capacity) / 3.6:.0f} mA h"
     )

@@ -1,7 +1,7 @@
 """Which gear suits a rotor and a motor: gear ratio curves as in Fig. 3.7, and gear ratios in closed form.
 
 At a given rotor speed Omega and torque Q (so at a given thrust) the motor balance of eq. 3.18 is a quadratic in
-the gear ratio i. With A = kM U / R and B = kM kE / R + dR
+the gear ratio i. With A = kM U / R - Mf and B = kM kE / R + dR
 
     B Omega i^2 - A i + Q / eta = 0,     i = [A +- sqrt(A^2 - 4 B Omega Q / eta)] / (2 B Omega).
 
@@ -14,7 +14,9 @@ a = Q / (eta kM) and b = dR Omega / kM,
 
     I = a / i + b i,     P = R I^2 + kE Omega i I,     dP/di = 0  at  i^4 = R a^2 / (R b^2 + kE Omega b),
 
-convex in i: the *best* gear is that value, moved into the interval. Own derivation.
+convex in i: the *best* gear is that value, moved into the interval. With a constant friction I has Mf / kM
+more, P stays convex, and the root of dP/di i^3 = 0, a polynomial, is found by Newton's method from there. Own
+derivation.
 """
 
 from __future__ import annotations
@@ -29,6 +31,8 @@ from mufly.errors import InputError
 from mufly.results import result
 
 Array = NDArray[np.float64]
+
+_ROUNDS = 20  # the start is a bound from above, beyond which the polynomial is convex: no step goes too far
 
 CURVES = {
     "input_power_W": ("W", "electrical input power"),
@@ -45,9 +49,9 @@ CURVES = {
 
 def _roots(c: Constants, speed: ArrayLike, torque: ArrayLike, voltage: ArrayLike) -> tuple[Array, Array]:
     w, q = np.asarray(speed, dtype=np.float64), np.asarray(torque, dtype=np.float64)
-    a = np.asarray(c.torque_Nm_A) * np.asarray(voltage) / c.resistance_ohm
+    a = np.asarray(c.torque_Nm_A) * np.asarray(voltage) / c.resistance_ohm - c.friction_Nm
     b = (np.asarray(c.torque_Nm_A) * c.back_emf_V_s / c.resistance_ohm + c.friction_Nm_s) * w
-    inside = a**2 - 4.0 * b * q / c.gear_efficiency
+    inside = np.where(a > 0, a**2, 0.0) - 4.0 * b * q / c.gear_efficiency
     with np.errstate(invalid="ignore", divide="ignore"):
         large = 0.5 * (a + np.sqrt(np.where(inside >= 0, inside, np.nan))) / b
         return q / (c.gear_efficiency * b * large), large
@@ -81,6 +85,20 @@ def best_gear(c: Constants, speed: ArrayLike, torque: ArrayLike, voltage: ArrayL
     b = np.asarray(c.friction_Nm_s) * w / c.torque_Nm_A
     with np.errstate(divide="ignore", invalid="ignore"):
         free = (c.resistance_ohm * a**2 / (c.resistance_ohm * b**2 + c.back_emf_V_s * w * b)) ** 0.25
+    rub = np.asarray(c.friction_Nm) / c.torque_Nm_A
+    if np.any(rub > 0):
+        r, e, free = np.asarray(c.resistance_ohm), c.back_emf_V_s * w, np.minimum(free, large)
+        for _ in range(_ROUNDS):
+            slope = (
+                2 * r * (a + b * free**2 + rub * free) * (b * free**2 - a)
+                + e * (2 * b * free + rub) * free**3
+            )
+            steeper = (
+                2
+                * r
+                * ((2 * b * free + rub) * (b * free**2 - a) + (a + b * free**2 + rub * free) * 2 * b * free)
+            )
+            free = free - slope / (steeper + e * (8 * b * free + 3 * rub) * free**2)
     return np.clip(free, small, large)
 
 

@@ -2,7 +2,7 @@
 
 At rest eq. 4.29 says, with motor speed w = i Omega and the torque Q(Omega) of the rotor,
 
-    kM I = dR w + Q / (i eta)              current I
+    kM I = dR w + Mf + Q / (i eta)         current I
     U_m  = R I + kE w                      mean voltage at the motor (eq. 4.24 without inductance)
     P_in = U_m I / eta_c                   power from the supply; P_mech = Q Omega reaches the rotor
 
@@ -14,7 +14,7 @@ so the point follows in closed form from speed and torque. What is left to find 
 
 The supply is a fixed voltage, or the battery at a charge, sagging under all motors (:func:`battery_voltage`). The
 motor needs duty = U_m / U, at most 1. Where the power goes: R I^2 copper, (kE - kM) w I what the motor's two
-constants do not account for (iron), dR w^2 friction, (1 - eta) of what enters the gear, (1 - eta_c) P_in the
+constants do not account for (iron), dR w^2 + Mf w friction, (1 - eta) of what enters the gear, (1 - eta_c) P_in the
 controller.
 
 What a rotor asks of its drive is a load, a function ``load(speed_rad_s, case)``: speeds (m,) of the cases with the
@@ -132,7 +132,7 @@ def steady(
     i = np.asarray(c.gear_ratio, dtype=np.float64)
     w = i * w_rotor
     entering = q / (i * c.gear_efficiency)
-    current = (entering + c.friction_Nm_s * w) / c.torque_Nm_A
+    current = (entering + c.friction_Nm_s * w + c.friction_Nm) / c.torque_Nm_A
     motor_voltage = c.resistance_ohm * current + c.back_emf_V_s * w
     to_motor = motor_voltage * current
     power, mechanical = to_motor / c.controller_efficiency, q * w_rotor
@@ -144,7 +144,7 @@ def steady(
             efficiency=mechanical / power, thrust_per_power_N_W=t / power,
             copper_loss_W=c.resistance_ohm * current**2,
             conversion_loss_W=(c.back_emf_V_s - np.asarray(c.torque_Nm_A)) * w * current,
-            friction_loss_W=c.friction_Nm_s * w**2, gear_loss_W=entering * w - mechanical,
+            friction_loss_W=c.friction_Nm_s * w**2 + c.friction_Nm * w, gear_loss_W=entering * w - mechanical,
             controller_loss_W=power - to_motor,
         )  # fmt: skip
     shape = np.broadcast_shapes(*(np.shape(v) for v in vars(point).values()))
@@ -185,9 +185,8 @@ def speed_for_thrust(
 def free_speed(c: Constants, voltage: ArrayLike) -> Array:
     """Return the rotor speed (rad/s) at which the drive would turn without a rotor."""
     per_current = c.torque_Nm_A / np.asarray(c.resistance_ohm)
-    return (
-        per_current * np.asarray(voltage) / (c.gear_ratio * (per_current * c.back_emf_V_s + c.friction_Nm_s))
-    )
+    driving = np.maximum(per_current * np.asarray(voltage) - c.friction_Nm, 0.0)
+    return driving / (c.gear_ratio * (per_current * c.back_emf_V_s + c.friction_Nm_s))
 
 
 def operating_point(
@@ -370,7 +369,8 @@ def _settled(
         m = c.of(case)
         current = _current(1.0, voltage(speed, case), speed, m.back_emf_V_s, m.resistance_ohm, m.gear_ratio)
         return -_acceleration(
-            current, speed, load(speed, case)[1], m.torque_Nm_A, m.friction_Nm_s, m.gear_ratio, m.gear_efficiency, 1.0
+            current, speed, load(speed, case)[1], m.torque_Nm_A, m.friction_Nm_s, m.friction_Nm, m.gear_ratio,
+            m.gear_efficiency, 1.0,
         )  # fmt: skip
 
     top = np.broadcast_to(free_speed(c, at_most), at_most.shape)

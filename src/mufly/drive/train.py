@@ -3,10 +3,13 @@
 The controller applies the mean voltage ``duty * voltage``; the inductance is neglected (eq. 4.26)::
 
     I_A          = (duty * U - kE * i * Omega) / R                          armature current
-    J dOmega/dt  = kM * I_A / i - dR * Omega - Q / (i^2 * eta)              eq. 4.29
+    J dOmega/dt  = kM * I_A / i - dR * Omega - Mf / i - Q / (i^2 * eta)     eq. 4.29, and Mf
 
 with gear ratio ``i = motor speed / rotor speed`` and the drag torque ``Q`` of the rotor. ``J`` is the inertia
-that the motor sees. The supply gives ``duty * I_A`` (mean of the chopped current).
+that the motor sees. The supply gives ``duty * I_A`` (mean of the chopped current). The constant friction ``Mf`` (of
+bearings, brushes and the iron's hysteresis; it makes a free motor's current nearly the same at every speed) is not in
+the dissertation, whose motors have none; below ``RUBBING_FROM`` it falls in a straight line to zero, as the sign of a
+speed would make a motor at rest tremble.
 
 In a file the motor is given by the constants of eqs. 4.24 and 4.25, ``[motor]``, or by what a data sheet prints,
 ``[datasheet]``: speed constant Kv, resistance R, and the current I0 that it draws when it runs free at the
@@ -40,6 +43,9 @@ from mufly.vehicle import Vehicle, load_vehicle
 from mufly.vehicle.quantity import Group, Quantity, parameter
 from mufly.vehicle.schema import MOTOR_DOUBT, Battery, Gear, Motor
 
+RUBBING_FROM = 1.0
+"""Rotor speed (rad/s) from which on constant friction acts in full."""
+
 
 @compiled(error_model="numpy")
 def armature_current(duty, voltage, speed, back_emf_constant, resistance, gear_ratio):  # type: ignore[no-untyped-def]
@@ -52,13 +58,23 @@ def armature_current(duty, voltage, speed, back_emf_constant, resistance, gear_r
 
 @compiled(error_model="numpy")
 def rotor_acceleration(  # type: ignore[no-untyped-def]
-    current, speed, drag_torque, torque_constant, friction, gear_ratio, gear_efficiency, inertia
+    current,
+    speed,
+    drag_torque,
+    torque_constant,
+    friction,
+    friction_torque,
+    gear_ratio,
+    gear_efficiency,
+    inertia,
 ):
     """Return dOmega/dt (rad/s2) of a rotor at ``speed`` (rad/s) under ``drag_torque`` (N m); eq. 4.29.
 
     Thesis: eqs 4.25 to 4.29.
     """
+    turning = (abs(speed + RUBBING_FROM) - abs(speed - RUBBING_FROM)) / (2.0 * RUBBING_FROM)  # from -1 to 1
     drive = torque_constant * current / gear_ratio - friction * speed
+    drive = drive - friction_torque / gear_ratio * turning
     return (drive - drag_torque / (gear_ratio * gear_ratio * gear_efficiency)) / inertia
 
 
@@ -75,8 +91,8 @@ class Constants:
         Volt per rad/s of motor speed; N m per ampere.
     resistance_ohm : R
         Armature and controller together.
-    friction_Nm_s : dR
-        Viscous friction of the motor.
+    friction_Nm_s, friction_Nm : dR, Mf
+        Friction of the motor that grows with its speed, and that does not.
     gear_ratio, gear_efficiency : i, eta
         Motor speed over rotor speed; power out of the gear over power in.
     controller_efficiency : eta_c
@@ -90,6 +106,7 @@ class Constants:
     gear_ratio: Values
     gear_efficiency: Values
     controller_efficiency: Values = 1.0
+    friction_Nm: Values = 0.0
 
     def of(self, case: NDArray[np.int64]) -> Constants:
         """Return the constants of some cases: arrays are indexed, single numbers stay."""
@@ -198,8 +215,10 @@ class Drive(Group):
         **overrides : float or array
             New values for fields of :class:`Constants`; None keeps the drive's own.
         """
+        rubbing = 0.0
         if self.motor is not None:
             m = self.motor
+            rubbing = float(m.friction_torque)
             k_e, k_m, r, d = (
                 float(q) for q in (m.back_emf_constant, m.torque_constant, m.resistance, m.friction)
             )
@@ -216,6 +235,7 @@ class Drive(Group):
             "gear_ratio": float(self.gear.ratio),
             "gear_efficiency": float(self.gear.efficiency),
             "controller_efficiency": 1.0 if self.controller is None else float(self.controller.efficiency),
+            "friction_Nm": rubbing,
         }
         values.update({key: value for key, value in overrides.items() if value is not None})
         found = Constants(**values)

@@ -241,7 +241,7 @@ def _hover_estimate(
             thrust, drag = 0.5 * (thrust + loads[0]), 0.5 * (drag + loads[1])
     torque = drag * speed**2
     i = p["gear_ratio"]
-    current = (p["dR"] * speed + torque / (i * i * p["gear_efficiency"])) * i / p["kM"]
+    current = (p["dR"] * speed + p["Mf"] / i + torque / (i * i * p["gear_efficiency"])) * i / p["kM"]
     armature_voltage = current * p["R_ohm"] + p["kE"] * i * speed
     # Motors draw armature_voltage * current of power; solve U (U_oc - U) / R_bat = power + U I_el for U.
     open_circuit = float(np.interp(charge, np.linspace(0, 1, len(p["battery_curve"])), p["battery_curve"]))

@@ -158,10 +158,10 @@ def derivative_tilted(x, u, wind, p, sin_a, cos_a, sin_b, cos_b, floor, dx):  # 
     current_up = armature_current(motor_up, voltage, speed_up, p.kE, p.R_ohm, p.gear_ratio)
     current_dw = armature_current(motor_dw, voltage, speed_dw, p.kE, p.R_ohm, p.gear_ratio)
     accel_up = rotor_acceleration(
-        current_up, speed_up, drag_up, p.kM, p.dR, p.gear_ratio, p.gear_efficiency, p.J_up
+        current_up, speed_up, drag_up, p.kM, p.dR, p.Mf, p.gear_ratio, p.gear_efficiency, p.J_up
     )
     accel_dw = rotor_acceleration(
-        current_dw, speed_dw, drag_dw, p.kM, p.dR, p.gear_ratio, p.gear_efficiency, p.J_dw
+        current_dw, speed_dw, drag_dw, p.kM, p.dR, p.Mf, p.gear_ratio, p.gear_efficiency, p.J_dw
     )
 
     # Thrust directions. Lower rotor: tilted by the swash plate.

@@ -155,6 +155,7 @@ def similar_vehicle(
         "motor.torque_constant": (volts / speed, "wound for voltage and rotor speed"),
         "motor.resistance": (volts**2 / power, "wound for voltage and power"),
         "motor.friction": (power / speed**2, "share of the electrical damping"),
+        "motor.friction_torque": (power / speed, "share of the torque"),
         "air.density": (1.0, "same air"),
         **{f"rotors.{r}.{key}": rule for r in ("upper", "lower") for key, rule in {
             "thrust_coefficient": (1.0, "same shape of blade; `mufly coax map` knows better"),
@@ -268,7 +269,7 @@ def _geared(vehicle: Vehicle, tables: dict[str, Any]) -> Vehicle:
     constants = Constants(
         back_emf_V_s=float(m.back_emf_constant), torque_Nm_A=float(m.torque_constant),
         resistance_ohm=float(m.resistance), friction_Nm_s=float(m.friction), gear_ratio=1.0,
-        gear_efficiency=float(vehicle.gear.efficiency),
+        gear_efficiency=float(vehicle.gear.efficiency), friction_Nm=float(m.friction_torque),
     )  # fmt: skip
     ratio = float(best_gear(constants, max(upper, lower), torque, available))
     if not math.isfinite(ratio):

@@ -38,6 +38,7 @@ from scipy.signal import lfilter
 from scipy.special import gammainc
 
 from mufly.compiled import compiled
+from mufly.drive.train import RUBBING_FROM
 from mufly.dynamics.model import battery_state, coefficient_bounds, derivative
 from mufly.dynamics.state import INPUT_SIZE, STATE_SIZE, euler_from_quaternion, model_parameters
 from mufly.errors import InputError
@@ -132,7 +133,7 @@ def fastest_part(p: np.void) -> str:
 
 def _fastest(p: np.void) -> dict[str, float]:
     """Rates (rad/s) of the modes that :func:`longest_step` speaks of, by the key that each depends on most."""
-    damping = p["kE"] * p["kM"] / p["R_ohm"] + p["dR"]
+    damping = p["kE"] * p["kM"] / p["R_ohm"] + p["dR"] + p["Mf"] / (p["gear_ratio"] * RUBBING_FROM)
     gear = p["gear_efficiency"] * p["gear_ratio"] ** 2
     speed = float(np.max(p["battery_curve"])) / (p["kE"] * p["gear_ratio"])
     bounds = {

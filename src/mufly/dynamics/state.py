@@ -178,6 +178,7 @@ _FIELDS: dict[str, str | tuple[int, ...]] = {
     "kE": "motor.back_emf_constant",  # V s
     "kM": "motor.torque_constant",  # N m/A
     "dR": "motor.friction",  # N m s
+    "Mf": "motor.friction_torque",  # N m
     "R_ohm": "motor.resistance",  # ohm
     "gear_ratio": "gear.ratio",
     "gear_efficiency": "gear.efficiency",

@@ -33,7 +33,7 @@ from mufly.rotor import maps
 from mufly.toolchain import FLAGS, kept_library
 from mufly.vehicle import Vehicle
 
-PROVED = "9135b597baa672af"
+PROVED = "0ce78383c5f211ac"
 """Stamp of the Python sources (:func:`stamp`) to which C was last proved equal."""
 
 SOURCES = ("estimate", "fusing", "guards", "factors", "motion", "flight_model", "real")

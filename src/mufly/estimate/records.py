@@ -35,8 +35,8 @@ UNITS: dict[str, str] = {
     "gyro_density": "rad2/s", "felt_density": "m2/s3", "model_density": "m2/s3", "level": "rad", "mass": "kg",
     "sonar_variance": "m2", "fix_variance": "m2", "heading_variance": "rad2", "ring_slope": "1/m",
     "pressure_variance": "Pa2 s", "pressure_slope": "Pa/m", "magnet_variance": "rad2", "earth": "T",
-    "inplane": "N s2/m", "kE": "V s", "kM": "N m/A", "dR": "N m s", "swash_gain": "rad", "battery_capacity": "A s",
-    "electronics_current": "A", "battery_curve": "V",
+    "inplane": "N s2/m", "kE": "V s", "kM": "N m/A", "dR": "N m s", "Mf": "N m", "swash_gain": "rad",
+    "battery_capacity": "A s", "electronics_current": "A", "battery_curve": "V",
 }  # fmt: skip
 """Of the numbers that have one, by the field's name; those of the error state are beside ``ERROR_STATES``."""
 _GROUND = (

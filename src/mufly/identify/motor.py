@@ -5,7 +5,11 @@ its current I, the speed W and the torque Q where they were measured (behind a g
 i = 1 and eta = 1 at the motor's own shaft),
 
     e1 = U - R I - a W = 0        a = kE i
-    e2 = b I - d W - Q = 0        b = kM i eta,    d = dR i^2 eta.
+    e2 = b I - d W - c - Q = 0    b = kM i eta,    d = dR i^2 eta,    c = Mf i eta.
+
+The constant friction Mf (brushes, bearings, hysteresis of the iron: what makes a free motor's current nearly the same
+at every speed) is not in the dissertation's equations. It is held at zero unless the readings ask for it: unless it
+would differ from zero by more than three of its standard deviations.
 
 All four readings y = (U, I, W, Q) of a point err, with covariance N. To first order ``(e1, e2)`` then have the
 covariance ``S = E N E'`` with ``E = [[1, -R, -a, 0], [0, b, -d, -1]]``, and the most likely constants minimise
@@ -17,8 +21,8 @@ least squares on noisy I and W would be biased low). The expected errors are nee
 equation, which the residuals give. Covariance: :mod:`mufly.bench.covariance`, with the sensitivities at the adjusted
 readings.
 
-From a, b, R, d the constants follow once i and eta are known; their own doubt is passed on. If they are not, only the
-products are seen, and only they are returned. Intervals are at 95 %.
+From a, b, R, d, c the constants follow once i and eta are known; their own doubt is passed on. If they are not, only
+the products are seen, and only they are returned. Intervals are at 95 %.
 
 Mistaken units break the balance of energy: over all points ``sum Q W`` cannot exceed ``sum U I``. Where it does, the
 usual slips (rpm for rad/s, mN m for N m) are tried, and the one that mends it is named; where the file does not state
@@ -49,6 +53,7 @@ KEYS = {
     "kM": ("motor.torque_constant", "N m/A"),
     "Rohm": ("motor.resistance", "ohm"),
     "dR": ("motor.friction", "N m s"),
+    "Mf": ("motor.friction_torque", "N m"),
 }
 _LEAST_POINTS = 6
 _EXACT = 1e-6  # residuals this small against the expected errors are rounding, not measurement
@@ -162,11 +167,12 @@ class MotorFit(Estimates):
     Attributes
     ----------
     estimates : tuple of Estimate
-        kE, kM, Rohm, dR; or products such as ``kM*eta_gear`` where the gear is not known.
-    covariance : (4, 4) array
+        kE, kM, Rohm, dR, and Mf where the readings ask for it; or products such as ``kM*eta_gear`` where the gear is
+        not known.
+    covariance : (n, n) array
         Of the estimates.
-    effective : (4,) array
-        R (ohm), a (V s), b (N m/A), d (N m s) of the module docstring, where speed and torque were measured.
+    effective : (5,) array
+        R (ohm), a (V s), b (N m/A), d (N m s), c (N m) of the module docstring, where speed and torque were measured.
     data, adjusted : MotorData
         Readings, and the most likely true values.
     residual : (n, 2) array
@@ -225,26 +231,36 @@ def fit_motor(
     std, words = _expected_errors(data, noise)
     notes.append(words)
     same = _Equations(data, std)
-    effective, scales = same.solve(friction=True)
-    friction_free = bool(effective[3] < 0)
-    if friction_free:
-        effective, scales = same.solve(friction=False)
-        notes.append(
-            "the friction dR would be below zero and was held at 0: torque or current may have an offset"
+    # What the vehicle has, is asked for again.
+    free = np.array(
+        [True, True, True, True, vehicle is not None and float(vehicle.motor.friction_torque) > 0]
+    )
+    while True:
+        effective, scales = same.solve(free)
+        if free[3] and effective[3] < 0:
+            free[3] = False
+            notes.append(
+                "the friction dR would be below zero and was held at 0: torque or current may have an offset"
+            )
+            continue
+        jacobian, white = same.sensitivities(effective, scales), same.white(effective, scales)
+        found = spread(
+            jacobian[:, free], white.ravel(), channel=np.tile([0, 1], n), run=np.repeat(data.run, 2),
+            group=np.repeat(_settings(data, std), 2),
+        )  # fmt: skip
+        if np.max(scales) <= _EXACT:
+            break
+        asked, rubbing = _missing_terms(
+            jacobian[:, free], white, same.whitening(effective, scales), found, free
         )
-    jacobian, white = same.sensitivities(effective, scales), same.white(effective, scales)
-    columns = [0, 1, 2] if friction_free else [0, 1, 2, 3]
-    found = spread(
-        jacobian[:, columns], white.ravel(), channel=np.tile([0, 1], n), run=np.repeat(data.run, 2),
-        group=np.repeat(_settings(data, std), 2),
-    )  # fmt: skip
-    covariance = np.zeros((4, 4))
-    covariance[np.ix_(columns, columns)] = found.covariance
-    if np.max(scales) > _EXACT:
-        if found.pattern != "white":
-            notes.append(found.in_words())
-        notes += _missing_terms(jacobian[:, columns], white, same.whitening(effective, scales), found)
-    estimates, cov, unseen = _constants(effective, covariance, gear, found.quantile, friction_free, vehicle)
+        if not rubbing:
+            notes += [found.in_words()] if found.pattern != "white" else []
+            notes += asked
+            break
+        free[4] = True
+    covariance = np.zeros((5, 5))
+    covariance[np.ix_(free, free)] = found.covariance
+    estimates, cov, unseen = _constants(effective, covariance, gear, found.quantile, free, vehicle)
     notes += _energy(effective, gear)
     return MotorFit(
         estimates, cov, effective, data, same.adjusted(effective), same.residual(effective),
@@ -351,9 +367,9 @@ def _in_si(table: BenchTable, data: MotorData, notes: list[str]) -> MotorData:
 class _Equations:
     """The stationary motor equations with errors in every reading.
 
-    Constants are ``x = (R, a, b, d)`` of the module docstring; ``std`` (n, 4) are expected errors of voltage, current,
-    speed and torque; ``scales`` (2,) are the factors by which the residuals of the two equations exceed what those
-    errors lead to.
+    Constants are ``x = (R, a, b, d, c)`` of the module docstring; ``std`` (n, 4) are expected errors of voltage,
+    current, speed and torque; ``scales`` (2,) are the factors by which the residuals of the two equations exceed what
+    those errors lead to.
     """
 
     def __init__(self, data: MotorData, std: Array) -> None:
@@ -361,13 +377,13 @@ class _Equations:
 
     def residual(self, x: Array) -> Array:
         """Return e1 and e2, (n, 2)."""
-        r, a, b, d = x
+        r, a, b, d, c = x
         u, i, w, q = self.data.channels()
-        return np.column_stack([u - r * i - a * w, b * i - d * w - q])
+        return np.column_stack([u - r * i - a * w, b * i - d * w - c - q])
 
     def whitening(self, x: Array, scales: Array) -> Array:
         """Return for every point the inverse Cholesky factor of S, (n, 2, 2)."""
-        r, a, b, d = x
+        r, a, b, d, _ = x
         vu, vi, vw, vq = (self.std**2).T
         s11 = (vu + r**2 * vi + a**2 * vw) * scales[0] ** 2
         s22 = (vq + b**2 * vi + d**2 * vw) * scales[1] ** 2
@@ -387,16 +403,21 @@ class _Equations:
         """Return the standard deviations of e1 and e2, (n, 2)."""
         return np.linalg.norm(np.linalg.inv(self.whitening(x, scales)), axis=2)
 
-    def solve(self, *, friction: bool) -> tuple[Array, Array]:
-        """Return (R, a, b, d) and how much larger the errors of the two equations are than expected."""
+    def solve(self, free: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Return (R, a, b, d, c) and how much larger the errors of the two equations are than expected.
+
+        What is not ``free`` (5,) is held at zero: the frictions d and c.
+        """
         u, i, w, q = self.data.channels()
-        electrical = np.linalg.lstsq(np.column_stack([i, w]), u, rcond=None)[0]
-        side = np.column_stack([i, -w]) if friction else i[:, None]
-        mechanical = np.linalg.lstsq(side, q, rcond=None)[0]
-        start = np.r_[electrical, mechanical, [] if friction else 0.0]
+        start = np.zeros(5)
+        start[:2] = np.linalg.lstsq(np.column_stack([i, w]), u, rcond=None)[0]
+        start[2:][free[2:]] = np.linalg.lstsq(
+            np.column_stack([i, -w, -np.ones_like(w)])[:, free[2:]], q, rcond=None
+        )[0]
         size = np.abs(start) + 1e-12 * np.max(np.abs(start))
         size[3] = max(size[3], 1e-3 * float(np.max(np.abs(q)) / np.max(np.abs(w))))
-        free = np.array([True, True, True, friction])
+        size[4] = max(size[4], 1e-3 * float(np.max(np.abs(q))))
+        mechanical = int(np.sum(free[2:]))
 
         def whole(z: Array) -> Array:
             full = np.where(free, 0.0, start)
@@ -413,14 +434,14 @@ class _Equations:
                 white, x[free] / size[free], method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14
             )
             x = whole(found.x)
-            # Each equation's own scale, from its residuals over its own expected error; two constants went into each.
+            # Each equation's own scale, from its residuals over its own expected error, less the constants in it.
             e = self.residual(x) / self.expected(x, np.ones(2))
-            scales = np.maximum(np.sqrt(np.sum(e**2, axis=0) / (len(e) - np.array([2, 1 + friction]))), 1e-9)
+            scales = np.maximum(np.sqrt(np.sum(e**2, axis=0) / (len(e) - np.array([2, mechanical]))), 1e-9)
         return x, scales
 
     def adjusted(self, x: Array) -> MotorData:
         """Return the most likely true readings, at which both equations hold exactly."""
-        r, a, b, d = x
+        r, a, b, d, _ = x
         plain = self.whitening(x, np.ones(2))
         weighted = np.einsum("nji,njk,nk->ni", plain, plain, self.residual(x))  # S^-1 e
         shift = self.std**2 * (weighted @ np.array([[1.0, -r, -a, 0.0], [0.0, b, -d, -1.0]]))
@@ -428,11 +449,11 @@ class _Equations:
         return MotorData(u, i, w, q, self.data.run)
 
     def sensitivities(self, x: Array, scales: Array) -> Array:
-        """Return the whitened derivatives of e1 and e2 by (R, a, b, d) at the adjusted readings, (2 n, 4)."""
+        """Return the whitened derivatives of e1 and e2 by (R, a, b, d, c) at the adjusted readings, (2 n, 5)."""
         _, i, w, _ = self.adjusted(x).channels()
-        raw = np.zeros((i.size, 2, 4))
-        raw[:, 0, 0], raw[:, 0, 1], raw[:, 1, 2], raw[:, 1, 3] = -i, -w, i, -w
-        return np.einsum("nij,njk->nik", self.whitening(x, scales), raw).reshape(-1, 4)
+        raw = np.zeros((i.size, 2, 5))
+        raw[:, 0, 0], raw[:, 0, 1], raw[:, 1, 2], raw[:, 1, 3], raw[:, 1, 4] = -i, -w, i, -w, -1.0
+        return np.einsum("nij,njk->nik", self.whitening(x, scales), raw).reshape(-1, 5)
 
 
 def _expected_errors(data: MotorData, noise: dict[str, ChannelNoise] | None) -> tuple[Array, str]:
@@ -449,7 +470,7 @@ def _expected_errors(data: MotorData, noise: dict[str, ChannelNoise] | None) -> 
         channel = ChannelNoise(0.01 * reading, 0.01 * full_scale)
         std = np.column_stack([channel.std(v) for v in data.channels()])
         same = _Equations(data, std)
-        x, scales = same.solve(friction=True)
+        x, scales = same.solve(np.array([True, True, True, True, False]))
         w = same.whitening(x, scales)
         size = np.sum(same.white(x, scales) ** 2)
         return std, float(size - 2 * np.sum(np.log(w[:, 0, 0] * w[:, 1, 1])))
@@ -466,14 +487,16 @@ def _settings(data: MotorData, std: Array) -> NDArray[np.int64]:
     return np.cumsum(np.r_[0, ~same]).astype(np.int64)
 
 
-def _missing_terms(jacobian: Array, white: Array, whitening: Array, found: Spread) -> list[str]:
-    """Say whether a constant in either equation would fit better: brush voltage, Coulomb friction."""
-    words = []
+def _missing_terms(
+    jacobian: Array, white: Array, whitening: Array, found: Spread, free: NDArray[np.bool_]
+) -> tuple[list[str], bool]:
+    """Say whether a constant in either equation would fit better, and whether it is a friction, to be fitted."""
+    words: list[str] = []
     n = len(white)
-    for row, name, unit, factor in (
-        (0, "a constant voltage drop", "V", 1.0),
-        (1, "a constant friction", "mN m", 1e3),
-    ):
+    terms = [(0, "a constant voltage drop", "V", 1.0)]
+    if not free[4]:
+        terms.append((1, "a constant friction", "mN m", 1e3))
+    for row, name, unit, factor in terms:
         extra = whitening[:, :, row].reshape(2 * n, 1)
         both = np.hstack([jacobian, extra])
         size = np.linalg.norm(both, axis=0)
@@ -481,11 +504,13 @@ def _missing_terms(jacobian: Array, white: Array, whitening: Array, found: Sprea
         inverse = np.linalg.inv((both / size).T @ (both / size))
         std = found.scale * math.sqrt(inverse[-1, -1]) / size[-1]
         if abs(more[-1]) > 3.0 * std:
+            if row == 1 and more[-1] > 0:
+                return words, True
             words.append(
                 f"the readings ask for {name} of {abs(more[-1]) * factor:.3g} +- {2 * std * factor:.2g} {unit} that "
                 "the equations do not have; the intervals do not cover such a fault of the model"
             )
-    return words
+    return words, False
 
 
 def _energy(x: Array, gear: GearKnowledge) -> list[str]:
@@ -503,43 +528,51 @@ def _energy(x: Array, gear: GearKnowledge) -> list[str]:
 
 
 def _constants(
-    x: Array, covariance: Array, gear: GearKnowledge, quantile: float, at_bound: bool, vehicle: Vehicle | None
+    x: Array,
+    covariance: Array,
+    gear: GearKnowledge,
+    quantile: float,
+    free: NDArray[np.bool_],
+    vehicle: Vehicle | None,
 ) -> tuple[tuple[Estimate, ...], Array, tuple[str, ...]]:
-    """Turn (R, a, b, d) into constants, or into the products that are seen."""
+    """Turn (R, a, b, d, c) into constants, or into the products that are seen."""
     i, eta = gear.ratio, gear.efficiency
     unit_ratio, unit_eta = i if i is not None else 1.0, eta if eta is not None else 1.0
-    r, a, b, d = x
-    value = np.array([a / unit_ratio, b / (unit_ratio * unit_eta), r, d / (unit_ratio**2 * unit_eta)])
-    # Columns: R, a, b, d, ratio, efficiency.
-    jacobian = np.zeros((4, 6))
-    jacobian[0, 1], jacobian[1, 2], jacobian[2, 0] = 1 / unit_ratio, 1 / (unit_ratio * unit_eta), 1.0
-    jacobian[3, 3] = 1 / (unit_ratio**2 * unit_eta)
-    jacobian[:, 4] = [-value[0] / unit_ratio, -value[1] / unit_ratio, 0.0, -2 * value[3] / unit_ratio]
-    jacobian[:, 5] = [0.0, -value[1] / unit_eta, 0.0, -value[3] / unit_eta]
-    whole = np.zeros((6, 6))
-    whole[:4, :4] = covariance
-    whole[4, 4] = gear.ratio_std**2 if i is not None else 0.0
-    whole[5, 5] = gear.efficiency_std**2 if eta is not None else 0.0
+    r, a, b, d, c = x
+    both = unit_ratio * unit_eta
+    value = np.array([a / unit_ratio, b / both, r, d / (unit_ratio * both), c / both])
+    # Columns: R, a, b, d, c, ratio, efficiency.
+    jacobian = np.zeros((5, 7))
+    jacobian[0, 1], jacobian[1, 2], jacobian[2, 0] = 1 / unit_ratio, 1 / both, 1.0
+    jacobian[3, 3], jacobian[4, 4] = 1 / (unit_ratio * both), 1 / both
+    jacobian[:, 5] = np.array([-1.0, -1.0, 0.0, -2.0, -1.0]) * value / unit_ratio
+    jacobian[:, 6] = np.array([0.0, -1.0, 0.0, -1.0, -1.0]) * value / unit_eta
+    whole = np.zeros((7, 7))
+    whole[:5, :5] = covariance
+    whole[5, 5] = gear.ratio_std**2 if i is not None else 0.0
+    whole[6, 6] = gear.efficiency_std**2 if eta is not None else 0.0
     cov = jacobian @ whole @ jacobian.T
     tails = dict.fromkeys(KEYS, "")
     unseen: list[str] = []
     if i is None:
-        tails |= {"kE": "*igear", "kM": "*igear", "dR": "*igear^2"}
+        tails |= {"kE": "*igear", "kM": "*igear", "dR": "*igear^2", "Mf": "*igear"}
         unseen.append(
             "kE, kM and dR cannot be told from the gear ratio: only kE*igear, kM*igear and dR*igear^2 are seen"
         )
     if eta is None:
-        tails |= {k: tails[k] + "*eta_gear" for k in ("kM", "dR")}
+        tails |= {k: tails[k] + "*eta_gear" for k in ("kM", "dR", "Mf")}
         unseen.append(
             "kM and dR cannot be told from the gear's efficiency: only kM*eta_gear and dR*eta_gear are seen"
         )
     estimates = []
-    for k, (symbol, (key, unit)) in enumerate(KEYS.items()):
-        std, tail, bound = math.sqrt(cov[k, k]), tails[symbol], symbol == "dR" and at_bound
+    told = [*range(4), *([4] if free[4] else [])]
+    cov, value = cov[np.ix_(told, told)], value[told]
+    for k, (symbol, (key, unit)) in enumerate(list(KEYS.items())[: len(told)]):
+        std, tail, bound = math.sqrt(cov[k, k]), tails[symbol], symbol == "dR" and not free[3]
         names = symbol + tail, "" if tail else key, unit
         e = Estimate.of(*names, vehicle, float(value[k]), std, quantile=quantile, at_bound=bound)
         estimates.append(replace(e, std=math.nan) if bound else e)
-    seen = [k for k in range(4) if value[k] != 0]
+    seen = [k for k in range(len(told)) if value[k] != 0]
     of_seen = relative(cov, value)[np.ix_(seen, seen)]
     return (
         tuple(estimates),

@@ -330,7 +330,7 @@ def motor_picture(fit: MotorFit, *, title: str = "") -> Figure:
 
     Readings on levels of the voltage get a line each, at the mean voltage; otherwise the adjusted readings are drawn.
     """
-    r, a, b, d = fit.effective
+    r, a, b, d, c = fit.effective
     data = fit.data
     figure = blank(9.0, 6.6)
     axes = figure.subplots(2, 2)
@@ -348,7 +348,7 @@ def motor_picture(fit: MotorFit, *, title: str = "") -> Figure:
         axes[0, 1].plot(data.speed_rad_s[inside] / RPM, 1e3 * torque, label=f"{name}", **dot)
         if lines:
             q = np.linspace(min(0.0, float(torque.min())), float(torque.max()), 50)
-            w = (b * u / r - q) / (b * a / r + d)
+            w = (b * u / r - c - q) / (b * a / r + d)
             axes[0, 0].plot(1e3 * q, (u - a * w) / r, color=colour, linewidth=1.2, label=f"{name}, fitted")
             axes[0, 1].plot(w / RPM, 1e3 * q, color=colour, linewidth=1.2)
         else:

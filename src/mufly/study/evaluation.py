@@ -72,6 +72,7 @@ _CONSTANTS = {
     "torque_constant": "torque_Nm_A",
     "resistance": "resistance_ohm",
     "friction": "friction_Nm_s",
+    "friction_torque": "friction_Nm",
     "gear_efficiency": "gear_efficiency",
     "controller_efficiency": "controller_efficiency",
 }

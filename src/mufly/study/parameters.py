@@ -81,6 +81,7 @@ DRIVE: dict[str, Parameter] = {
     "torque_constant": Parameter("N m/A", ("mN m/A", "N m/A"), "torque constant of the motor", positive=True),
     "resistance": Parameter("ohm", ("ohm", "mohm"), "motor and controller resistance", positive=True),
     "friction": Parameter("N m s", ("uN m s", "N m s"), "viscous friction of the motor"),
+    "friction_torque": Parameter("N m", ("mN m", "N m"), "constant friction of the motor"),
     "gear_efficiency": Parameter("1", _RATIO, "efficiency of the gear", positive=True),
     "controller_efficiency": Parameter("1", _RATIO, "efficiency of the speed controller", positive=True),
 }

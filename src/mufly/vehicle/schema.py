@@ -151,6 +151,9 @@ class Motor(Group):
     )
     torque_constant: Quantity = parameter("N m/A", "kM", "torque per current", at_least=1e-6, at_most=10)
     friction: Quantity = parameter("N m s", "dR", "viscous friction", at_least=0, at_most=1)
+    friction_torque: Quantity = parameter(
+        "N m", "Mf", "constant friction: bearings, brushes, iron", at_least=0, at_most=10, absent=0.0
+    )
     resistance: Quantity = parameter("ohm", "Rohm", "armature resistance", at_least=1e-4, at_most=1e4)
 
     @model_validator(mode="after")

@@ -14,6 +14,7 @@ in between, and a microcontroller that was reset may have lost its scale.
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -232,6 +233,16 @@ def _check(plan: Plan, rig: Rig, record: Record) -> None:
         raise InputError(
             "plan", "", "is not the one of this record", "give another folder, or the plan of this one"
         )
+    if not record.lines:
+        return
+    then, now = (json.loads(json.dumps(f)) for f in (record.head["facts"], rig.facts.tables()))
+    for facts in (then, now):
+        facts.get("calibration", {}).pop("source", None)  # a file may move
+    if other := [name for name in now if now[name] != then.get(name)]:
+        raise InputError(
+            "rig", ", ".join(other), "is not as on the bench on which this series began",
+            "go on with that one (its file, calibration, seed), or give another folder",
+        )  # fmt: skip
 
 
 class _Runner:

@@ -170,8 +170,9 @@ def run(
     check_folder("--out", out)
     if fault is not None:
         one_of("--fault", fault, _FAULTS)
+    real = _real_rig(rig, fault) if rig != "sim" else None
     record = Record(out)
-    bench, truth = _rig(rig, made, record, seed, fault)
+    bench, truth = (real, None) if real is not None else _simulated_rig(made, record, seed, fault)
     page = out / NAME
     err, drawn = console(stderr=True), [0.0]
     say(
@@ -252,17 +253,19 @@ def _wait_for_blades(m: Mounting, asked: threading.Event) -> None:
             raise Stopped("stopped as asked; the series goes on from here when it is run again")
 
 
-def _rig(
-    name: str, plan: Plan, record: Record, seed: int, fault: str | None
-) -> tuple[Rig, Callable[[Step], Mapping[str, float]] | None]:
+def _real_rig(name: str, fault: str | None) -> Rig:
+    from mufly.bench.rig.file import load_rig
+
+    if fault is not None:
+        raise InputError("--fault", fault, "is for a simulated bench", "use it with --rig sim")
+    return load_rig(name)
+
+
+def _simulated_rig(
+    plan: Plan, record: Record, seed: int, fault: str | None
+) -> tuple[Rig, Callable[[Step], Mapping[str, float]]]:
     from mufly.bench.rig.simulated import Faults, SimulatedRig
 
-    if name != "sim":
-        from mufly.bench.rig.file import load_rig
-
-        if fault is not None:
-            raise InputError("--fault", fault, "is for a simulated bench", "use it with --rig sim")
-        return load_rig(name), None
     faults = {
         None: Faults(), "reference": Faults(reference_moved_deg=0.5, reference_moved_after=1),
         "saturated": Faults(saturated=True),

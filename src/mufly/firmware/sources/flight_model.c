@@ -1,5 +1,7 @@
 #include "flight_model.h"
 
+#define RUBBING_FROM REAL(1.0) /* rad/s from which on constant friction acts in full */
+
 /* Thrust and torque over the speed's square. */
 typedef struct {
     real_t thrust_up;
@@ -75,8 +77,8 @@ static void by_map(const real_t x[MODEL_STATES], const real_t wind[3], const fli
     const real_t up = real_abs(x[18]);
     const real_t dw = real_abs(x[19]);
     const real_t mean = REAL(0.5) * (up + dw);
-    const real_t ratio = dw / real_max(up, STANDSTILL);
-    const real_t climb_ratio = climb / (real_max(mean, STANDSTILL) * p->map_radius);
+    const real_t ratio = dw / real_max(up, RUBBING_FROM);
+    const real_t climb_ratio = climb / (real_max(mean, RUBBING_FROM) * p->map_radius);
     const int32_t speeds = p->map_size[0];
     const int32_t ratios = p->map_size[1];
     const int32_t climbs = p->map_size[2];
@@ -135,7 +137,9 @@ static real_t rotor_acceleration(const flight_model_t *p, real_t duty, real_t vo
                                  real_t inertia)
 {
     const real_t current = ((duty * voltage) - ((p->kE * p->gear_ratio) * speed)) / p->R_ohm;
-    const real_t drive = ((p->kM * current) / p->gear_ratio) - (p->dR * speed);
+    const real_t turning =
+        (real_abs(speed + RUBBING_FROM) - real_abs(speed - RUBBING_FROM)) / (REAL(2.0) * RUBBING_FROM);
+    const real_t drive = (((p->kM * current) / p->gear_ratio) - (p->dR * speed)) - ((p->Mf / p->gear_ratio) * turning);
 
     return (drive - (drag / ((p->gear_ratio * p->gear_ratio) * p->gear_efficiency))) / inertia;
 }

@@ -44,7 +44,7 @@ PROVENANCE: dict[str, tuple[float, float, float]] = {
 }
 # Parameters that act on heave and yaw only, and on roll and pitch only (thesis Sec. 5.3.3).
 HEAVE_YAW = ("cT_up", "cT_dw", "cQ_up", "cQ_dw", "Jdrive_up", "Jdrive_dw", "Jrot_up", "Jrot_dw", "Izz", "Whub",
-             "cDAz", "m", "kE", "kM", "dR", "Rohm", "igear", "eta_gear", "Ubat", "Rbat", "C", "Iel")  # fmt: skip
+             "cDAz", "m", "kE", "kM", "dR", "Mf", "Rohm", "igear", "eta_gear", "Ubat", "Rbat", "C", "Iel")  # fmt: skip
 ROLL_PITCH = ("Ixx", "Iyy", "z_up", "z_dw", "Tf_up", "Tf_dw", "l_up", "l_dw", "theta_SP_max", "cH", "cDAx",
               "cDAy")  # fmt: skip
 # Groups of the vehicle file that the equations of a flight off the floor may depend on.

@@ -306,7 +306,7 @@ def steady_speed(p: NDArray[np.void], duty: _Array, volts: float) -> _Array:
     for k, side in enumerate(("up", "dw")):
         square = p[f"torque_{side}"] / (gear**2 * p["gear_efficiency"])
         linear = p["kM"] * p["kE"] / p["R_ohm"] + p["dR"]
-        drive = p["kM"] * duty[k] * volts / (p["R_ohm"] * gear)
+        drive = np.maximum(p["kM"] * duty[k] * volts / (p["R_ohm"] * gear) - p["Mf"] / gear, 0.0)
         out[:, k] = 2 * drive / (linear + np.sqrt(linear**2 + 4 * square * drive))
     return out
 
@@ -316,7 +316,8 @@ def hover(p: NDArray[np.void]) -> tuple[_Array, _Array]:
     speed = hover_speeds(p)
     gear = p["gear_ratio"][:, None]
     torque = np.column_stack([p["torque_up"], p["torque_dw"]]) * speed**2
-    current = p["dR"][:, None] * speed + torque / (gear**2 * p["gear_efficiency"][:, None])
+    current = p["dR"][:, None] * speed + p["Mf"][:, None] / gear
+    current += torque / (gear**2 * p["gear_efficiency"][:, None])
     current *= gear / p["kM"][:, None]
     volts = current * p["R_ohm"][:, None] + p["kE"][:, None] * gear * speed
     return speed, volts / p["battery_curve"][:, -1:]
