@@ -30,7 +30,7 @@ from mufly.rotor import (
 from mufly.rotor.maps import at as map_at
 from mufly.study import sweep
 from mufly.thesis.claims import TABLE_3_2_VALUES, Claim, Found, Progress, Study, Verdict, figure
-from mufly.thesis.single import VALUE, standard_setup
+from mufly.thesis.single import VALUE, form_gain, form_verdict, standard_setup
 from mufly.units import RPM
 from mufly.vehicle import load_map, load_vehicle
 
@@ -338,7 +338,8 @@ def tips(progress: Progress | None = None) -> Found:
             f"{gain[1].max():+.1f} % of thrust per power from 12 to 20 degrees",
             bool(np.nanmax(gain) <= 0.5),
             "nowhere better by more than 0.5 %",
-        )
+        ),
+        form_verdict(("thesis-1", "thesis-2"), "neither tip is better than the standard blade", "Sec. 3.4.5"),
     ]
     drawn = figure(9.5, 4.0)
     left, right = drawn.subplots(1, 2, width_ratios=(1, 1.3))
@@ -357,7 +358,7 @@ def tips(progress: Progress | None = None) -> Found:
         verdicts,
         drawn,
         {"full": data},
-        "judged by blade elements; by CFD (`mufly cfd run`, `--tip`, `--gurney`) it has not been run",
+        "judged by blade elements, and by CFD at one point (docs/cfd.md, our guesses of the tips)",
     )
 
 
@@ -402,6 +403,19 @@ def gurney(progress: Progress | None = None) -> Found:
             bool(15 <= gain.max() <= 22),
             "15 to 22 %",
         ),
+        Verdict(
+            Claim(
+                "Sec. 3.4.6",
+                "it brings nearly 20 %",
+                20.0,
+                "%",
+                reason="ours is per shaft power, at 16 degrees; a flap adds torque as it adds thrust (docs/cfd.md)",
+            ),
+            "CFD, laminar, coarse (docs/cfd.md)",
+            f"{form_gain('gurney 1 %'):+.1f} % of T^1.5/P at 1 %, 16 degrees, 5 000 rpm",
+            bool(15 <= form_gain("gurney 1 %") <= 22),
+            "15 to 22 %",
+        ),
     ]
     drawn = figure(9.5, 4.0)
     left, right = drawn.subplots(1, 2, width_ratios=(1, 1.3))
@@ -420,7 +434,7 @@ def gurney(progress: Progress | None = None) -> Found:
         verdicts,
         drawn,
         {"full": found},
-        "judged by blade elements; by CFD (`mufly cfd run`, `--tip`, `--gurney`) it has not been run",
+        "judged by blade elements, and a flap of 1 % by CFD at one point (docs/cfd.md)",
     )
 
 

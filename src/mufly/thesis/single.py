@@ -22,7 +22,7 @@ from mufly.drive import RotorLoad, coefficient_load, gear_curve, gear_optima, lo
 from mufly.rotor import Rotor, load_rotor
 from mufly.study import MODELS, TABLE_3_3, Setup, rank_airfoils, sweep, thesis_airfoils
 from mufly.study.sweeps import Progress
-from mufly.thesis.claims import CLAIMS, TABLE_3_3_VALUES, Verdict
+from mufly.thesis.claims import CLAIMS, TABLE_3_3_VALUES, Claim, Verdict
 from mufly.vehicle import load_vehicle
 
 Array = NDArray[np.float64]
@@ -365,3 +365,42 @@ def airfoil_ranking(model: str, progress: Progress | None = None) -> tuple[xr.Da
             abs(worst_power - best_power - CLAIMS["airfoils-spread"].value) < 1.0, "within 1 W",
         ),
     ]  # fmt: skip
+
+
+OUR_FORMS: dict[str, tuple[float, float]] = {
+    "square": (0.2190, 2.663),
+    "thesis-1": (0.2078, 2.432),
+    "thesis-2": (0.1806, 2.109),
+    "winglet-1": (0.2263, 3.148),
+    "gurney 1 %": (0.2455, 3.075),
+}
+"""docs/cfd.md: 16 degrees, 5 000 rpm, laminar, coarse mesh, settled: thrust (N), torque (mN m)."""
+_TOLD_APART = 5.0
+"""What T^1.5/P of the square blade moves by from the coarse to the fine mesh, in per cent."""
+
+
+def form_gain(name: str) -> float:
+    """What a form changes of T^1.5/P, thrust per power at a given thrust, by CFD, in per cent."""
+    (t, q), (t0, q0) = OUR_FORMS[name], OUR_FORMS["square"]
+    return 100.0 * ((t / t0) ** 1.5 * q0 / q - 1.0)
+
+
+def form_verdict(names: tuple[str, ...], text: str, place: str) -> Verdict:
+    """Whether no form is better than the square blade by more than the mesh can tell.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Of :data:`OUR_FORMS`.
+    text, place : str
+        What the source says, and where.
+    """
+    gains = [form_gain(name) for name in names]
+    return Verdict(
+        Claim(place, text),
+        "CFD, laminar, coarse (docs/cfd.md)",
+        ", ".join(f"{name} {g:+.1f} %" for name, g in zip(names, gains, strict=True))
+        + " of T^1.5/P at 16 degrees and 5 000 rpm",
+        max(gains) <= _TOLD_APART,
+        f"no better by more than {_TOLD_APART:g} %, which is what the mesh can tell",
+    )
