@@ -13,7 +13,6 @@ from mufly.dynamics import model_parameters
 from mufly.estimate.beliefs import Beliefs, Check
 from mufly.estimate.estimate import Estimate, Estimator
 from mufly.estimate.guards import ACTING, CLIPPING, VALUES
-from mufly.estimate.kernel import TOLD_EVERY
 from mufly.estimate.layout import (
     CHECKED,
     GYRO,
@@ -28,6 +27,7 @@ from mufly.estimate.layout import (
     memory_type,
 )
 from mufly.estimate.native import Code, steps
+from mufly.estimate.telling import TOLD_EVERY
 from mufly.estimate.words import checks
 from mufly.sensors import Reading, Readings
 from mufly.sensors.pressure import STANDARD_PRESSURE_PA
@@ -37,7 +37,7 @@ from mufly.world import World
 _Array = NDArray[np.float64]
 _BATTERY = STARTS[R_BATTERY]
 SHOWN = ("out_cov", "sigma", "code", "why", "number", "innovation", "spread", "used", "came", "tick")
-"""Of the memory, what is told every :data:`mufly.estimate.kernel.TOLD_EVERY` periods."""
+"""Of the memory, what is told every :data:`mufly.estimate.telling.TOLD_EVERY` periods."""
 
 
 def fitted_estimator(vehicle: Vehicle, world: World, rate_Hz: float) -> Estimator:

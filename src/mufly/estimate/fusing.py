@@ -87,6 +87,8 @@ CLEAR = 0.15
 """Height (m) above which no leg touches: what turns it then is in the flight model."""
 SUDDEN, MOST_STEPS = 3.0, 8
 """Deviations of the sonar beyond which it is the surface that jumps, over an edge; how often it may."""
+LIFTS, LIFTS_OFF = 1.08, 0.08
+"""What rotors lift, of the weight, as the sonar says that it leaves the floor, and what share of it that is off by."""
 _BEAM_GATE = 4.0
 _LEAST_FLOOR = -0.1  # m: a room has nothing below its floor
 
@@ -399,6 +401,16 @@ def settle_floor(m):  # type: ignore[no-untyped-def]
     """Back at about the height of the floor it is most likely the floor, and that one is known."""
     _of(m, FLOOR, 1.0)
     _take(m, -m.x[16], 2.5e-5)
+
+
+@compiled(error_model="numpy")
+def fuse_lift(m, lift):  # type: ignore[no-untyped-def]
+    """Leaving the floor the rotors lift the weight and what it rises by: the thrust's scale, where the model lifts so
+    much (of the weight)."""
+    scale = LIFTS / lift
+    spread = LIFTS_OFF * scale
+    _of(m, THRUST_, 1.0)
+    _take(m, scale - m.x[23], spread * spread)
 
 
 @compiled(error_model="numpy")

@@ -23,12 +23,14 @@ from __future__ import annotations
 import math
 
 from mufly.compiled import compiled
-from mufly.estimate.factors import carry, carry_column, loosen, variance, wander
+from mufly.estimate.factors import carry, loosen, variance, wander
 from mufly.estimate.fusing import (
     CLEAR,
+    LIFTS_OFF,
     fuse_fix,
     fuse_floor,
     fuse_force,
+    fuse_lift,
     fuse_magnet,
     fuse_pressure,
     fuse_rest,
@@ -41,6 +43,7 @@ from mufly.estimate.guards import (
     ACTING,
     ADRIFT,
     FAULTY,
+    FUSED,
     LATE,
     MISSING,
     flag,
@@ -75,7 +78,6 @@ from mufly.estimate.layout import (
     STARTS,
     STATES,
     THRUST_,
-    TURN_RAD,
     WAITING,
     P,
 )
@@ -85,23 +87,19 @@ from mufly.estimate.motion import (
     terminal_voltage_believed,
     transition,
     turn_matrix,
-    turned,
 )
-from mufly.trigonometry import direction, sine_cosine, whole
+from mufly.estimate.telling import LONGEST, TOLD_EVERY, spread_along, tell
+from mufly.trigonometry import whole
 from mufly.units import GRAVITY
 
-LONGEST, SLOWLY = 8, 32
-"""Periods over which forces are compared, and over which their noise at low frequencies is looked at."""
-TOLD_EVERY = 20
-"""Periods between two covariances that are told."""
+SLOWLY = 32
+"""Periods over which the noise of forces at low frequencies is looked at."""
 TELLING, STEPPING, FIXING, RESTING = 3, 2, 4, 3
 """What a covariance that is told costs, a step of the horizon, a fix, and an axis on the floor, in scalar
 measurements."""
 EDGES, MEANS, AXES, LEGS, DONE = 1, 2, 3, 6, 7
 """Stages of the work at the horizon; measurements that wait come first, in the order of their kinds."""
 _ALIGNED_S = 0.8
-JUMP, SLIP_S = 0.05, 0.4
-"""A jump of the state of more than this (m) is told over some time (s)."""
 _BLIND_S = 0.1  # without gyroscopes
 BLIND_TURN = 0.01
 """Density of the turning (rad^2/s) that is not known without them: the stabiliser bar keeps the rotors level."""
@@ -109,6 +107,15 @@ MOST_DOUBT = 2.5
 """Deviations of the thrust's scale by which lift-off may come sooner or later."""
 KNOWN_THRUST, UNKNOWN_S = 0.03, 0.02
 """Deviation of the thrust's scale that the filter bears; what is beyond makes noise, together over so long (s)."""
+TOGETHER = 0.3
+"""Twice the time (s) for which an error counts as one, so that over the delay it moves the velocity by what it is."""
+CLIPPED = 0.25
+"""What means of accelerometers that clip are off by, of the range times the share of clipped samples (0.1 to 0.3), and
+for how long together."""
+LEAST_SPREAD = 1.0
+"""What rotors and legs together may be off by (m/s^2)."""
+BELIEVED_LOW, LIFTED = 0.3, 0.015
+"""Heights (m) up to which the sonar has a say in whether it flies, and beyond its least reading that say so."""
 SCATTER = 5.0
 """Density of the accelerometers' noise before it is known, m^2/s^3: none would be believed more than the model."""
 ASUNDER = 0.4
@@ -154,33 +161,56 @@ def _queue(m, kind, due, ahead, z, start, count):  # type: ignore[no-untyped-def
 
 @compiled(error_model="numpy")
 def _mode(m, s, z):  # type: ignore[no-untyped-def]
-    """Whether it stands, flies or is about to: by what the rotors lift and how high it is."""
+    """Whether it stands, flies or is about to: by what the rotors lift and how high it is.
+
+    Returns what the model lifts (of the weight) in the period in which the sonar says that it leaves the floor, else 0.
+    """
     lift = -m.force[m.tick % MODELLED, 2] * m.x[23] / GRAVITY if s.model > 0 else 1.0
     height = height_over(m.out, s)
     off = z[ACTING] + z[ACTING + 1] < 0.02
     # Rotors that lift more than the model says fly sooner, others later.
     doubt = MOST_DOUBT * m.sigma[THRUST_] if s.model > 0 else 0.0
+    # What the sonar says is fresher than the height that is believed.
+    says = m.code[R_SONAR] == FUSED and height < BELIEVED_LOW
+    near = says and m.last[_Z[R_SONAR]] <= s.sonar_min + 0.5 * s.sonar_step
+    clear = says and m.last[_Z[R_SONAR]] > s.sonar_min + LIFTED
+    rises = 0.0
+    m.low = 1 if near else 0
     if m.mode <= RUNNING:
         m.mode = STANDING if off and m.rotor[18] + m.rotor[19] < 0.2 * (s.hover[0] + s.hover[1]) else RUNNING
         if lift * (1.0 + doubt) > 0.9 and m.mode == RUNNING:
             m.mode = LIGHT
             m.lifted = m.tick
     elif m.mode == LIGHT:
-        if height > 0.03 + min(2.0 * m.sigma[P + 2], 0.1) or lift > 1.1 + doubt:
+        up = height > 0.03 + min(2.0 * m.sigma[P + 2], 0.1) and not near
+        if up or clear or lift > 1.1 + doubt:
             m.mode = FLYING
+            if says and not near and s.model > 0:
+                rises = lift / m.x[23]
         elif lift * (1.0 + doubt) < 0.85 and height < 0.02:
             m.mode = RUNNING
-    elif height < 0.015 and lift < 0.9:
+    elif (height < 0.015 and lift < 0.9 and not clear) or (near and lift < 1.1 + doubt):
         m.mode = LIGHT
     if off and m.mode >= LIGHT and height < 0.05 and m.rotor[18] < 0.3 * s.hover[0]:
         m.mode = RUNNING
     if m.mode != FLYING:
         m.since[R_ACCELERATION] = m.tick
+    return rises
+
+
+@compiled(error_model="numpy")
+def _lightness(m, force):  # type: ignore[no-untyped-def]
+    """On the legs, or just off them: density of what the force may be off by that rotors (``force`` of the model, m/s^2
+    down) and legs make, the less the farther the rotors are from lifting the weight."""
+    spread = LEAST_SPREAD if m.low == 1 else max(m.sigma[THRUST_] * -force, LEAST_SPREAD)
+    over = (-m.out[23] * force - GRAVITY) / spread
+    may = min(max(1.0 + over / MOST_DOUBT, 0.0), 1.0) * spread
+    return TOGETHER * may * may
 
 
 @compiled(error_model="numpy")
 def _force(m, s, p, z, new, r):  # type: ignore[no-untyped-def]
-    """What acted over the period that has just ended: a row of inputs."""
+    """What acted over the period that has just ended: a row of inputs. Returns what :func:`_mode` does."""
     now = m.tick % MODELLED
     for j in range(4):
         sent = z[ACTING + j]
@@ -206,7 +236,7 @@ def _force(m, s, p, z, new, r):  # type: ignore[no-untyped-def]
             if voltage_fits(m, s, off):
                 fast = 0.2 if m.tick * s.dt < 1.0 else 0.02
                 m.rotor[20] = min(max(m.rotor[20] + fast * off, 0.0), 1.0)
-    _mode(m, s, z)
+    rises = _mode(m, s, z)
     a, b = (now - s.lag_ticks) % MODELLED, (now - s.lag_ticks - 1) % MODELLED
     row = m.now
     model = s.model > 0
@@ -217,10 +247,10 @@ def _force(m, s, p, z, new, r):  # type: ignore[no-untyped-def]
             row[6 + 3 * g + k] = (1 - s.lag_share) * m.force[a, 3 * g + k] + s.lag_share * m.force[
                 b, 3 * g + k
             ]
-        clip = m.clipped[k] * 0.5 * s.felt_range
+        clip = m.clipped[k] * CLIPPED * s.felt_range
         # Without what a shaking leaves; but whose attitude is not known knows the force of the air better.
         noise = m.slow[k] if m.code[R_RATES] < MISSING else m.scatter[k]
-        felt = (max(s.felt_density, noise) if s.model > 0 else s.felt_density) + clip * clip
+        felt = (max(s.felt_density, noise) if s.model > 0 else s.felt_density) + TOGETHER * clip * clip
         made = s.model_density[k]
         if m.mode <= RUNNING:
             row[6 + k], row[9 + k], row[12 + k] = 0.0, -GRAVITY * r[6 + k], 0.0
@@ -229,9 +259,11 @@ def _force(m, s, p, z, new, r):  # type: ignore[no-untyped-def]
             # Legs may carry what the rotors do not: nothing is learnt of these.
             row[9 + k] += m.out[23] * row[6 + k]
             if k == 2:
-                row[11] = min(row[11], -GRAVITY * r[8])
+                row[11] = -GRAVITY * r[8] if m.low == 1 else min(row[11], -GRAVITY * r[8])
+            made = 0.05
+            if k == 2:
+                made += _lightness(m, row[8])
             row[6 + k] = 0.0
-            made = 0.05 if k < 2 else 10.0
         elif model:
             # Until the thrust is known, which takes the delay and more, it flies by the accelerometers.
             unknown = max(m.sigma[THRUST_] - KNOWN_THRUST, 0.0) * row[6 + k]
@@ -251,6 +283,7 @@ def _force(m, s, p, z, new, r):  # type: ignore[no-untyped-def]
     for j in range(INPUTS - 1):
         into[j] = row[j] if share == 1.0 else into[j] + share * (row[j] - into[j])
     into[21] = m.mode
+    return rises
 
 
 @compiled(error_model="numpy")
@@ -286,7 +319,7 @@ def _advance(m, s, r, a):  # type: ignore[no-untyped-def]
     for k in range(3):
         m.spin += r[6 + k] * (e[k] - m.x[10 + k])
         m.q[k] = s.noise[k]
-        m.q[3 + k] = _spread(r, k, e) * span
+        m.q[3 + k] = spread_along(r, k, e) * span
         spread = s.gyro_density + (BLIND_TURN if m.code[R_RATES] >= MISSING else 0.0)
         for i in range(3):
             own = m.turning[i] ** 2
@@ -297,15 +330,6 @@ def _advance(m, s, r, a):  # type: ignore[no-untyped-def]
     if m.edge > 0.0:
         _pass_edge(m, s, span)
     m.felt_count += s.block
-
-
-@compiled(error_model="numpy")
-def _spread(r, k, e):  # type: ignore[no-untyped-def]
-    """Density of the velocity's noise along an axis of N-E-D."""
-    spread = 0.0
-    for i in range(3):
-        spread += r[3 * k + i] * r[3 * k + i] * e[18 + i]
-    return spread
 
 
 @compiled(error_model="numpy")
@@ -454,22 +478,26 @@ def _scatter(m, s, z):  # type: ignore[no-untyped-def]
     if m.slow_blocks >= SLOWLY:
         half = float(SLOWLY // 2)
         span = 0.75 * SLOWLY * s.dt
+        # Off the floor the model has another force, and the thrust's scale is found.
+        settled = m.mode != FLYING or m.tick - m.since[R_ACCELERATION] > 2 * SLOWLY
         for k in range(3):
             mean = m.slow_mean[k] / (half * (half + 1.0))
-            step = mean - m.slow_last[k]
             # What the model may be off by, at lift-off by much, is not the accelerometers'.
+            unknown = 2.0 * m.sigma[THRUST_] * abs(row[6 + k])
+            step = max(abs(mean - m.slow_last[k]) - unknown, 0.0)
             made = row[18 + k] / max(1.0 - row[15 + k], 1e-9)
             density = max(0.5 * step * step * span - made, 0.0)
-            if m.tick - m.since[R_ACCELERATION] > 2 * SLOWLY:
-                apart = abs(mean - m.x[13 + k]) - (ASUNDER + 2.0 * m.sigma[THRUST_] * abs(row[6 + k]))
+            if m.mode == FLYING and settled:
+                apart = abs(mean - m.x[13 + k]) - (ASUNDER + unknown)
                 density += max(apart, 0.0) * max(apart, 0.0)
             density = min(density, 100.0)
             most = max(0.6 if density > m.slow[k] else 0.2, 1.0 / (m.slow_count + 1))
             m.slow_last[k] = mean
-            m.slow[k] += most * (density - m.slow[k])
             m.slow_mean[k] = 0.0
-            if density > made:
-                _doubt_felt(m, s, k)
+            if settled:
+                m.slow[k] += most * (density - m.slow[k])
+                if density > made:
+                    _doubt_felt(m, s, k)
         m.slow_blocks = 0
         m.slow_count += 1
     if m.blocks >= LONGEST:
@@ -483,140 +511,6 @@ def _scatter(m, s, z):  # type: ignore[no-untyped-def]
             m.scatter[k] += (0.2 if density > m.scatter[k] else 0.05) * (density - m.scatter[k])
             m.mean[k] = 0.0
         m.blocks = 0
-
-
-@compiled(error_model="numpy")
-def _carry_on(m, s, r, a):  # type: ignore[no-untyped-def]
-    """Carry the horizon's state on towards now, some blocks a period; ``m.come`` is at now."""
-    for _ in range(s.work):
-        e = m.inputs[m.way_tick // s.block % KEPT]
-        periods = min(s.block - m.way_tick % s.block, m.tick - m.way_tick)
-        span = periods * s.dt
-        advance_state(m.way, e, span, r, a)
-        for k in range(3):
-            m.way_sum[k] += _spread(r, k, e) * span
-            m.way_sum[3 + k] += a[k] * span
-        m.way_tick += periods
-        m.way_span += span
-        if m.way_tick == m.tick:
-            for k in range(6):
-                m.come_sum[k] = m.way_sum[k]
-                m.way_sum[k] = 0.0
-            m.span = m.way_span
-            m.way_span = 0.0
-            for i in range(STATES):
-                m.come[i] = m.way[i]
-                m.way[i] = m.x[i]
-            m.way_tick = m.horizon
-            return
-    advance_state(m.come, m.now, s.dt, r, a)
-
-
-@compiled(error_model="numpy")
-def _tell(m, s, r, a):  # type: ignore[no-untyped-def]
-    """Tell the state of now; now and then its covariance too."""
-    _carry_on(m, s, r, a)
-    x = m.out
-    for i in range(STATES):
-        x[i] = m.come[i]
-    much = m.tick % TOLD_EVERY == 0
-    if much:
-        _told_errors(m, s, r)
-    # States belong to `lag` before the tick: the last bit with the last rates and acceleration.
-    a[2] += GRAVITY
-    for k in range(3):
-        x[k] += s.lag * (x[3 + k] + 0.5 * s.lag * a[k])
-        x[3 + k] += s.lag * a[k]
-        m.out_rates[k] = m.rates[k] - x[10 + k]
-        if s.model > 0 and m.mode == FLYING:
-            m.out_rates[k] += s.lag * m.force[m.tick % MODELLED, 9 + k]
-    turned(x, s.lag * m.out_rates[0], s.lag * m.out_rates[1], s.lag * m.out_rates[2], True)
-    _smooth(m, s)
-    _angles(m)
-    if much:
-        _tell_covariance(m)
-
-
-@compiled(error_model="numpy")
-def _angles(m):  # type: ignore[no-untyped-def]
-    """Roll, pitch and yaw of the attitude that is told."""
-    w, x, y, z = m.out[6], m.out[7], m.out[8], m.out[9]
-    sine = min(max(2 * (w * y - z * x), -1.0), 1.0)
-    m.angles[0] = direction(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    m.angles[1] = direction(sine, math.sqrt((1 - sine) * (1 + sine)))
-    yaw = direction(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    m.angles[2] = yaw + TURN_RAD * whole((m.angles[2] - yaw) / TURN_RAD + 0.5)
-
-
-@compiled(error_model="numpy")
-def _smooth(m, s):  # type: ignore[no-untyped-def]
-    """Let what is told follow a jump of the state within a second, so that none goes to the actuators."""
-    x = m.out
-    for k in range(3):
-        jump = x[k] - (m.told[k] + s.dt * x[3 + k])
-        if m.lifted > 0 and abs(jump) > JUMP:
-            m.slip[k] -= jump
-        m.told[k] = x[k]
-        m.slip[k] -= s.dt / SLIP_S * m.slip[k]
-        x[k] += m.slip[k]
-
-
-@compiled(error_model="numpy")
-def _told_errors(m, s, r):  # type: ignore[no-untyped-def]
-    """Covariance of what moves over the delay, F P F^T + Q, in one step by the mean acceleration on the way."""
-    span = m.span
-    for k in range(3):
-        m.row[k] = m.come_sum[3 + k] / span
-    transition(m.now, span, r, m.row, m.transition)
-    for i in range(9):
-        for j in range(i, 9):
-            m.out_cov[i, j] = 0.0
-    for k in range(ERRORS):
-        carry_column(m.ut[k], span, m.transition, m.gain)
-        for i in range(9):
-            c = m.d[k] * m.gain[i]
-            for j in range(i, 9):
-                m.out_cov[i, j] += c * m.gain[j]
-    for k in range(3):
-        m.out_cov[k, k] += m.come_sum[k] * span * span / 3.0
-        m.out_cov[k, 3 + k] += m.come_sum[k] * span / 2.0
-        m.out_cov[3 + k, 3 + k] += m.come_sum[k]
-        for i in range(3):
-            # A shaking is in the velocity for half a turn; what stays in means over blocks tells how much.
-            share = r[3 * k + i] * m.now[15 + i]
-            shaking = max(m.scatter[i] - m.slow[i], 0.0)
-            m.out_cov[3 + k, 3 + k] += share * share * ((LONGEST * s.dt) * shaking)
-        m.out_cov[6 + k, 6 + k] += s.gyro_density * span
-
-
-@compiled(error_model="numpy")
-def _tell_covariance(m):  # type: ignore[no-untyped-def]
-    """What is told of the errors, of the attitude as roll, pitch and yaw."""
-    for i in range(9):
-        for j in range(i):
-            m.out_cov[i, j] = m.out_cov[j, i]
-    for i in range(9, ERRORS):
-        m.sigma[i] = math.sqrt(variance(m.ut, m.d, i))
-    for i in range(9):
-        if i < 3:
-            # Whoever is off in height, fix or sonar, the fix may be off by as much in any direction
-            m.out_cov[i, i] += m.slip[i] * m.slip[i] + m.suspect[R_FIX, 3] * m.suspect[R_FIX, 3]
-        m.sigma[i] = math.sqrt(m.out_cov[i, i])
-    # Turns about N, E, D to roll, pitch and yaw
-    x = m.out
-    sine = min(max(2 * (x[6] * x[8] - x[9] * x[7]), -1.0), 1.0)
-    cosine = max(math.sqrt(1 - sine * sine), 0.05)
-    t, c = sine_cosine(m.angles[2])
-    for j in range(9):
-        n_, e_ = m.out_cov[6, j], m.out_cov[7, j]
-        m.out_cov[6, j] = (c * n_ + t * e_) / cosine
-        m.out_cov[7, j] = -t * n_ + c * e_
-        m.out_cov[8, j] += sine / cosine * (c * n_ + t * e_)
-    for j in range(9):
-        n_, e_ = m.out_cov[j, 6], m.out_cov[j, 7]
-        m.out_cov[j, 6] = (c * n_ + t * e_) / cosine
-        m.out_cov[j, 7] = -t * n_ + c * e_
-        m.out_cov[j, 8] += sine / cosine * (c * n_ + t * e_)
 
 
 @compiled(error_model="numpy")
@@ -644,7 +538,7 @@ def step(m, s, p, z, new, age):  # type: ignore[no-untyped-def]
     # A floor below the room's, or a fix that is apart from the sonar: the height is off by as much
     doubt = m.suspect[R_FIX, 3] - min(m.out[16], 0.0)
     smooth_rates(m, s, m.mode == FLYING and height_over(m.out, s) > CLEAR + doubt)
-    _force(m, s, p, z, new, r)
+    rises = _force(m, s, p, z, new, r)
     if s.model > 0 and m.mode >= RUNNING and m.code[R_ACCELERATION] < MISSING:
         _scatter(m, s, z)
     for kind in range(R_SONAR, R_FIX + 1):
@@ -661,12 +555,15 @@ def step(m, s, p, z, new, age):  # type: ignore[no-untyped-def]
             flag(m, s, kind, FAULTY, LATE, age[kind])
     left = s.work - (TELLING if m.tick % TOLD_EVERY == 0 else 0)
     _wander(m, s)
+    if rises > 0.0 and m.sigma[THRUST_] > LIFTS_OFF:
+        fuse_lift(m, rises)
+        left -= 1
     while left > 0:
         cost = _task(m, s, r, a, left)
         if cost == 0:
             break
         left -= cost
-    _tell(m, s, r, a)
+    tell(m, s, r, a)
     found = s.fitted[R_FIX] == 0 or m.aligned > 0
     if m.lifted == 0 and found and (m.standing * s.dt >= _ALIGNED_S or m.tick * s.dt > 3.0):
         m.lifted = 1

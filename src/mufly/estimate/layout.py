@@ -108,8 +108,8 @@ def memory_type(kind: Any = np.float64, kept: int = KEPT, waiting: int = WAITING
         ("slow_count", i4), ("clipped", kind, (3,)),
         ("felt", kind, (3,)), ("modelled", kind, (3,)), ("lever", kind, (3, 4)), ("felt_count", i4),
         # Standing
-        ("turning", kind, (3,)), ("edge", kind), ("adrift", i4), ("mode", i4), ("spikes", i4), ("shift", kind, (3,)),
-        ("lean", kind), ("wild", i4), ("spike", kind, (3,)), ("steps", i4),
+        ("turning", kind, (3,)), ("edge", kind), ("adrift", i4), ("mode", i4), ("low", i4), ("spikes", i4),
+        ("shift", kind, (3,)), ("lean", kind), ("wild", i4), ("spike", kind, (3,)), ("steps", i4),
         ("strain", kind), ("disowned", i4), ("drift", kind, (3,)),
         ("drift_sigma", kind, (3,)), ("told", kind, (3,)), ("standing", i4), ("aligned", i4), ("sum", kind,
         (3,)), ("lifted", i4),

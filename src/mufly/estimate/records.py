@@ -14,7 +14,7 @@ import numpy as np
 
 from mufly.dynamics import model
 from mufly.dynamics.state import PARAMETERS, STATE_SIZE
-from mufly.estimate import factors, fusing, guards, kernel, layout, motion
+from mufly.estimate import factors, fusing, guards, kernel, layout, motion, telling
 from mufly.units import GRAVITY
 
 PYTHON_ALONE = ("attitude", "push", "transition", "q", "w", "slope", "still")
@@ -47,7 +47,7 @@ _GROUND = (
     "ground_",
 )  # of the flight model's: it is asked far above the floor
 _MAPS = ("map_thrust_up", "map_torque_up", "map_thrust_dw", "map_torque_dw")
-_MODULES: tuple[types.ModuleType, ...] = (layout, guards, factors, motion, fusing, kernel)
+_MODULES: tuple[types.ModuleType, ...] = (layout, guards, factors, motion, fusing, telling, kernel)
 
 
 def model_type(p: Any, kind: Any = np.float64) -> np.dtype:

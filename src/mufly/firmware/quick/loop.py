@@ -8,7 +8,6 @@ from mufly.calling import call_at
 from mufly.compiled import compiled
 from mufly.estimate import guards as g
 from mufly.estimate.guards import ACTING, CLIPPING
-from mufly.estimate.kernel import TOLD_EVERY
 from mufly.estimate.layout import (
     ERRORS,
     R_ACCELERATION,
@@ -25,6 +24,7 @@ from mufly.estimate.layout import (
     STATES,
     WIDTHS,
 )
+from mufly.estimate.telling import TOLD_EVERY
 from mufly.flight.plant import plant_period, touched, true_attitude
 from mufly.sensors.drawing import normals
 from mufly.sensors.imu import imu_period

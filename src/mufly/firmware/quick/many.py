@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from mufly.estimate import Estimate, IdealEstimator
 from mufly.estimate.fitted import SHOWN, KalmanEstimator
-from mufly.estimate.kernel import TOLD_EVERY
 from mufly.estimate.layout import SENSORS, STATES
+from mufly.estimate.telling import TOLD_EVERY
 from mufly.firmware.quick.loop import (
     ADVANCE,
     BROKEN,

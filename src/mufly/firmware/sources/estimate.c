@@ -58,16 +58,24 @@ static bool queue(estimator_t *m, int32_t kind, int32_t due, real_t ahead, const
     return waits;
 }
 
-/* Whether it stands, flies or is about to: by what the rotors lift and how high it is. */
-static void judge_mode(estimator_t *m, const estimator_settings_t *s, const real_t sent[4])
+/* Whether it stands, flies or is about to: by what the rotors lift and how high it is. What the model lifts (of the
+ * weight) in the period in which the sonar says that it leaves the floor, else 0. */
+static real_t judge_mode(estimator_t *m, const estimator_settings_t *s, const real_t z[VALUES])
 {
     const real_t lift =
         (s->model > 0) ? ((-m->force[cycle(m->tick, MODELLED)][2] * m->x[23]) / GRAVITY) : REAL(1.0);
     const real_t height = height_over(m->out, s);
-    const bool off = (sent[0] + sent[1]) < REAL(0.02);
+    const bool off = (z[ACTING] + z[ACTING + 1]) < REAL(0.02);
     /* Rotors that lift more than the model says fly sooner, others later. */
     const real_t doubt = (s->model > 0) ? (MOST_DOUBT * m->sigma[THRUST_]) : REAL(0.0);
+    /* What the sonar says is fresher than the height that is believed. */
+    const bool says = (m->code[R_SONAR] == FUSED) && (height < BELIEVED_LOW);
+    const bool near = says && (m->last[STARTS[R_SONAR]] <= (s->sonar_min + (REAL(0.5) * s->sonar_step)));
+    const bool clear = says && (m->last[STARTS[R_SONAR]] > (s->sonar_min + LIFTED));
 
+    real_t rises = REAL(0.0);
+
+    m->low = near ? 1 : 0;
     if (m->mode <= RUNNING) {
         m->mode = (off && ((m->rotor[18] + m->rotor[19]) < (REAL(0.2) * (s->hover[0] + s->hover[1])))) ? STANDING
                                                                                                        : RUNNING;
@@ -76,14 +84,16 @@ static void judge_mode(estimator_t *m, const estimator_settings_t *s, const real
             m->lifted = m->tick;
         }
     } else if (m->mode == LIGHT) {
-        if ((height > (REAL(0.03) + real_min(REAL(2.0) * m->sigma[P_ + 2], REAL(0.1)))) || (lift > (REAL(1.1) + doubt))) {
+        if (((height > (REAL(0.03) + real_min(REAL(2.0) * m->sigma[P_ + 2], REAL(0.1)))) && !near) || clear ||
+            (lift > (REAL(1.1) + doubt))) {
             m->mode = FLYING;
+            rises = (says && !near && (s->model > 0)) ? (lift / m->x[23]) : REAL(0.0);
         } else if (((lift * (REAL(1.0) + doubt)) < REAL(0.85)) && (height < REAL(0.02))) {
             m->mode = RUNNING;
         } else {
             /* still light */
         }
-    } else if ((height < REAL(0.015)) && (lift < REAL(0.9))) {
+    } else if (((height < REAL(0.015)) && (lift < REAL(0.9)) && !clear) || (near && (lift < (REAL(1.1) + doubt)))) {
         m->mode = LIGHT;
     } else {
         /* flies on */
@@ -94,6 +104,7 @@ static void judge_mode(estimator_t *m, const estimator_settings_t *s, const real
     if (m->mode != FLYING) {
         m->since[R_ACCELERATION] = m->tick;
     }
+    return rises;
 }
 
 /* The flight model's forces now, corrected by the rotor speeds and the voltage that are read. */
@@ -151,8 +162,20 @@ static void average(estimator_t *m, const estimator_settings_t *s)
     into[INPUTS - 1] = m->now[INPUTS - 1];
 }
 
-/* What acted over the period that has just ended: a row of inputs. */
-static void gather(estimator_t *m, const estimator_settings_t *s, const flight_model_t *p, const real_t *z,
+/* On the legs, or just off them: density of what the force may be off by that the rotors (m/s2, of the model, down)
+ * beside the legs make, the less the farther the rotors are from lifting the weight. */
+static real_t lightness(const estimator_t *m, real_t force)
+{
+    const real_t spread =
+        (m->low == 1) ? LEAST_SPREAD : real_max(m->sigma[THRUST_] * -force, LEAST_SPREAD);
+    const real_t over = (((-m->out[23]) * force) - GRAVITY) / spread;
+    const real_t may = real_min(real_max(REAL(1.0) + (over / MOST_DOUBT), REAL(0.0)), REAL(1.0)) * spread;
+
+    return (TOGETHER * may) * may;
+}
+
+/* What acted over the period that has just ended: a row of inputs. Returns what judge_mode does. */
+static real_t gather(estimator_t *m, const estimator_settings_t *s, const flight_model_t *p, const real_t *z,
                    const int32_t *fresh)
 {
     const int32_t now = cycle(m->tick, MODELLED);
@@ -163,6 +186,7 @@ static void gather(estimator_t *m, const estimator_settings_t *s, const flight_m
     real_t n;
     real_t e;
     real_t d;
+    real_t rises;
 
     for (int32_t j = 0; j < 4; j++) {
         const real_t sent = z[ACTING + j];
@@ -180,12 +204,12 @@ static void gather(estimator_t *m, const estimator_settings_t *s, const flight_m
     if (s->model > 0) {
         model_now(m, s, p, z, fresh);
     }
-    judge_mode(m, s, &z[ACTING]);
+    rises = judge_mode(m, s, z);
     for (int32_t k = 0; k < 3; k++) {
-        const real_t clip = (m->clipped[k] * REAL(0.5)) * s->felt_range;
+        const real_t clip = (m->clipped[k] * CLIPPED) * s->felt_range;
         /* Without what a shaking leaves; but whose attitude is not known knows the force of the air better. */
         const real_t noise = (m->code[R_RATES] < MISSING) ? m->slow[k] : m->scatter[k];
-        real_t felt = ((s->model > 0) ? real_max(s->felt_density, noise) : s->felt_density) + (clip * clip);
+        real_t felt = ((s->model > 0) ? real_max(s->felt_density, noise) : s->felt_density) + ((TOGETHER * clip) * clip);
         real_t made = s->model_density[k];
         real_t share;
 
@@ -205,10 +229,13 @@ static void gather(estimator_t *m, const estimator_settings_t *s, const flight_m
             /* Legs may carry what the rotors do not: nothing is learnt of these. */
             row[9 + k] += m->out[23] * row[6 + k];
             if (k == 2) {
-                row[11] = real_min(row[11], -GRAVITY * r[8]);
+                row[11] = (m->low == 1) ? (-GRAVITY * r[8]) : real_min(row[11], -GRAVITY * r[8]);
+            }
+            made = REAL(0.05);
+            if (k == 2) {
+                made += lightness(m, row[8]);
             }
             row[6 + k] = REAL(0.0);
-            made = (k < 2) ? REAL(0.05) : REAL(10.0);
         } else if (s->model > 0) {
             /* Until the thrust is known, which takes the delay and more, it flies by the accelerometers. */
             const real_t unknown = real_max(m->sigma[THRUST_] - KNOWN_THRUST, REAL(0.0)) * row[6 + k];
@@ -232,6 +259,7 @@ static void gather(estimator_t *m, const estimator_settings_t *s, const flight_m
     }
     row[INPUTS - 1] = (real_t)m->mode;
     average(m, s);
+    return rises;
 }
 
 /* Density of the velocity's noise along an axis of N-E-D. */
@@ -559,18 +587,20 @@ static void watch_scatter(estimator_t *m, const estimator_settings_t *s, const r
     if (m->slow_blocks >= SLOWLY) {
         const real_t half = (real_t)(SLOWLY / 2);
         const real_t span = (REAL(0.75) * (real_t)SLOWLY) * s->dt;
+        /* Off the floor the model has another force, and the thrust's scale is found. */
+        const bool settled = (m->mode != FLYING) || ((m->tick - m->since[R_ACCELERATION]) > (2 * SLOWLY));
 
         for (int32_t k = 0; k < 3; k++) {
             const real_t mean = m->slow_mean[k] / (half * (half + REAL(1.0)));
-            const real_t step = mean - m->slow_last[k];
             /* What the model may be off by, at lift-off by much, is not the accelerometers'. */
+            const real_t unknown = (REAL(2.0) * m->sigma[THRUST_]) * real_abs(row[6 + k]);
+            const real_t step = real_max(real_abs(mean - m->slow_last[k]) - unknown, REAL(0.0));
             const real_t made = row[18 + k] / real_max(REAL(1.0) - row[15 + k], REAL(1e-9));
             real_t density = real_max((((REAL(0.5) * step) * step) * span) - made, REAL(0.0));
             real_t most;
 
-            if ((m->tick - m->since[R_ACCELERATION]) > (2 * SLOWLY)) {
-                const real_t apart = real_abs(mean - m->x[13 + k]) -
-                                     (ASUNDER + ((REAL(2.0) * m->sigma[THRUST_]) * real_abs(row[6 + k])));
+            if ((m->mode == FLYING) && settled) {
+                const real_t apart = real_abs(mean - m->x[13 + k]) - (ASUNDER + unknown);
 
                 density += real_max(apart, REAL(0.0)) * real_max(apart, REAL(0.0));
             }
@@ -578,10 +608,12 @@ static void watch_scatter(estimator_t *m, const estimator_settings_t *s, const r
             most = real_max((density > m->slow[k]) ? REAL(0.6) : REAL(0.2),
                             REAL(1.0) / (real_t)(m->slow_count + 1));
             m->slow_last[k] = mean;
-            m->slow[k] += most * (density - m->slow[k]);
             m->slow_mean[k] = REAL(0.0);
-            if (density > made) {
-                doubt_felt(m, s, k);
+            if (settled) {
+                m->slow[k] += most * (density - m->slow[k]);
+                if (density > made) {
+                    doubt_felt(m, s, k);
+                }
             }
         }
         m->slow_blocks = 0;
@@ -788,6 +820,10 @@ static void tell(estimator_t *m, const estimator_settings_t *s)
         }
     }
     turned(x, s->lag * m->out_rates[0], s->lag * m->out_rates[1], s->lag * m->out_rates[2], true);
+    if ((s->model > 0) && (x[16] < LOW)) {
+        /* Legs do not go into the floor on the way either. */
+        x[2] = real_min(x[2], -(real_max(x[16], REAL(0.0)) + s->stands));
+    }
     smooth(m, s);
     tell_angles(m);
     if (much) {
@@ -819,6 +855,7 @@ bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_
                     int32_t fresh[SENSORS], const real_t age[SENSORS])
 {
     real_t doubt;
+    real_t rises;
     int32_t left;
     bool found;
     bool seen;
@@ -832,13 +869,17 @@ bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_
     /* A floor below the room's, or a fix that is apart from the sonar: the height is off by as much. */
     doubt = m->suspect[R_FIX][3] - real_min(m->out[16], REAL(0.0));
     smooth_rates(m, s, (m->mode == FLYING) && (height_over(m->out, s) > (CLEAR + doubt)));
-    gather(m, s, p, z, fresh);
+    rises = gather(m, s, p, z, fresh);
     if ((s->model > 0) && (m->mode >= RUNNING) && (m->code[R_ACCELERATION] < MISSING)) {
         watch_scatter(m, s, z);
     }
     let_wait(m, s, z, fresh, age);
     wander(m, s);
     left = s->work - (((m->tick % TOLD_EVERY) == 0) ? TELLING : 0);
+    if ((rises > REAL(0.0)) && (m->sigma[THRUST_] > LIFTS_OFF)) {
+        fuse_lift(m, rises);
+        left -= 1;
+    }
     while (left > 0) {
         const int32_t cost = task(m, s, left);
 

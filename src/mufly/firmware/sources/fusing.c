@@ -390,6 +390,15 @@ void settle_floor(estimator_t *m)
     take(m, -m->x[16], REAL(2.5e-5));
 }
 
+void fuse_lift(estimator_t *m, real_t lift)
+{
+    const real_t scale = LIFTS / lift;
+    const real_t spread = LIFTS_OFF * scale;
+
+    of_state(m, THRUST_, REAL(1.0));
+    take(m, scale - m->x[23], spread * spread);
+}
+
 bool fuse_floor(estimator_t *m, const estimator_settings_t *s)
 {
     const real_t height = height_over(m->x, s);

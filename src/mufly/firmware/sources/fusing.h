@@ -23,6 +23,8 @@ real_t height_over(const real_t x[STATES], const estimator_settings_t *s);
 
 /* Back at about the height of the floor it is most likely the floor, and that one is known. */
 void settle_floor(estimator_t *m);
+/* Leaving the floor the rotors lift the weight and what it rises by: the thrust's scale, where the model lifts so much. */
+void fuse_lift(estimator_t *m, real_t lift);
 /* Legs do not go into what lies below; whether they were believed to. */
 bool fuse_floor(estimator_t *m, const estimator_settings_t *s);
 
