@@ -14,7 +14,7 @@ from pathlib import Path
 import cffi
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mufly import trigonometry
@@ -23,10 +23,12 @@ from mufly.estimate import EXACT, Check, Estimate
 from mufly.estimate.beliefs import Beliefs
 from mufly.estimate.layout import CHECKED
 from mufly.firmware import Firmware, compiler, export
-from mufly.firmware.onboard import Onboard, _course, different
+from mufly.firmware.onboard import Onboard, _course, _point, different
+from mufly.flight.oscillation import INPUTS, OscillationWatch
 from mufly.flight.software import FlightSoftware
 from mufly.mission import Ask, Command, SetPoint, Words, may, mission_from, straight
-from mufly.mission.trajectory import Limits, begin_curved, stop
+from mufly.mission.offboard import follow
+from mufly.mission.trajectory import Limits, Point, begin_curved, stop
 from mufly.vehicle import load_vehicle
 
 needs_cc = pytest.mark.skipif(
@@ -59,6 +61,9 @@ SCANNED = {
     "waypoint": [{"position_m": [3.0, 0.0, -1.0]}],
 }
 
+NEAR = {"name": "near", "waypoint": [{"position_m": [0.3, 0.0, -1.0]}], "at_end": "hover"}
+PATIENT = {"name": "patient", "waypoint": [{"position_m": [0.3, 0.0, -1.0], "wait_s": 60.0}]}
+
 
 @pytest.fixture(scope="module")
 def vehicle():
@@ -90,7 +95,9 @@ def test_angles_and_lengths_are_the_same_in_both_languages(firmware) -> None:
         assert lib.real_wrapped(turn) == trigonometry.wrapped(turn)
         assert abs(turn) > 1e5 or trigonometry.wrapped(turn) == math.remainder(turn, math.tau)
     assert worst <= 2.0
-    for y, x in ((0.0, -1.0), (-0.0, -1.0), (0.0, 0.0), (math.nan, 1.0), (1.0, math.inf), (1.0, -0.0)):
+    for y, x in (
+        (0.0, -1.0), (-0.0, -1.0), (0.0, 0.0), (math.nan, 1.0), (1.0, math.nan), (1.0, math.inf), (1.0, -0.0),
+    ):  # fmt: skip
         ours = trigonometry.direction(y, x)
         assert math.copysign(1.0, ours) == math.copysign(1.0, lib.real_atan2(y, x))
         assert ours == lib.real_atan2(y, x)
@@ -101,6 +108,20 @@ def test_words_stand_in_the_same_order_in_both_languages() -> None:
     said = re.search(r"enum \{\n(    SAY_.*?)    SAY_COUNT", (SOURCES / "words.h").read_text(), re.S)
     assert said
     assert re.findall(r"SAY_(\w+),", said[1]) == [w.name for w in Words]
+
+
+def test_words_are_the_same_where_their_numbers_are(firmware) -> None:
+    ffi, lib = firmware.ffi, firmware.lib
+
+    def said(code: int, number: float):
+        m = ffi.new("message_t *")
+        m[0] = lib.say_1(code, number)
+        return m
+
+    nan = math.nan
+    for a, b in ((1.0, 1.0), (1.0, 2.0), (2.0, 1.0), (nan, nan), (nan, 1.0), (1.0, nan)):
+        assert lib.say_same(said(3, a), said(3, b)) == (f"{a}" == f"{b}")
+        assert not lib.say_same(said(3, a), said(4, a))
 
 
 # Trajectories
@@ -120,6 +141,10 @@ def _point_of(ffi, f, *args):
     a=_place, b=_place, ends=st.none() | st.tuples(_place, _place), heading=_heading, final=st.none() | _heading,
     speed=st.floats(0.01, 3), acceleration=st.floats(0.05, 2), brake=st.none() | _place,
 )  # fmt: skip
+@example(
+    (0, 0, -1), (1, 0, -1), ((1, 0, 0), (1, 0, 0.5)), 0.0, None, 0.5, 0.5, None
+)  # it rises at its end alone
+@example((0, 0, -1), (1, 0, -1), ((1, 0, 0), (1, 0, 0)), 0.0, None, 0.5, 0.5, None)  # level all the way
 def test_any_leg_is_the_same_in_both_languages(
     firmware, a, b, ends, heading, final, speed, acceleration, brake
 ):
@@ -167,6 +192,45 @@ def vars_of(q: Limits):
         "yaw_acceleration",
     )
     return [getattr(q, n) for n in names]
+
+
+@pytest.mark.parametrize("dt", [0.0, 1e-12, 0.005, 0.02, 0.020000000020000003, 0.5])
+def test_set_points_are_followed_alike_in_steps_of_any_length(firmware, dt) -> None:
+    ffi, lib = firmware.ffi, firmware.lib
+    limits = Limits(1.0, 0.5, 0.4, 1.0, 0.4, 1.0, 1.6)
+    wanted = SetPoint((1.0, -1.0, -1.2), heading_rad=1.0)
+    nan, at = math.nan, Point((0.0, 0.1, -1.0), (0.1, 0.0, 0.0), (0.0, 0.0, 0.0), 0.2, 0.1)
+    theirs = ffi.new("point_t *", [at.position, at.velocity, at.acceleration, at.heading, at.heading_rate])
+    ask = ffi.new("set_point_t *", [wanted.position_m, (nan, nan, nan), 1.0, nan])
+    lib.offboard_follow(
+        theirs, ask, ffi.new("limits_t *", vars_of(limits)), (0.0, 0.0, -1.0), dt, ffi.NULL, 0.5
+    )
+    assert different(follow(at, wanted, limits, (0.0, 0.0, -1.0), dt), _point(theirs)) == []
+
+
+# Oscillations
+
+
+def test_of_inputs_that_oscillate_at_once_both_name_the_one_that_lasts_longest(firmware) -> None:
+    ffi, lib, ours = firmware.ffi, firmware.lib, OscillationWatch()
+    theirs, found = ffi.new("oscillations_t *"), ffi.new("oscillation_t *")
+    lib.oscillations_start(theirs)
+    named = set()
+    for k in range(400):
+        t = 0.02 * k
+        # The third ends before it has lasted for 2 s; the second begins before the first, and ends before it.
+        swings = (t > 2.0, 1.0 < t < 6.0, t < 1.5, False)
+        inputs = [
+            size * (0.5 + 0.5 * on * math.sin(2 * math.pi * f * t))
+            for on, f, size in zip(swings, (1.5, 2.0, 8.0, 1.0), (1.0, 1.0, 2.0, 2.0), strict=True)
+        ]
+        one = ours.step(t, inputs)
+        lib.oscillations_step(theirs, t, inputs, ffi.NULL, found)
+        assert found.there == (one is not None)
+        if one is not None:
+            assert (INPUTS[found.input], found.lasting_s, found.size) == (one.input, one.lasting_s, one.size)
+            named.add(one.input)
+    assert named == set(INPUTS[:2])
 
 
 # What may be asked
@@ -300,6 +364,12 @@ def _happen(kind: str, v: StandIn, n: int) -> Command:
     }
     if kind in commands:
         return commands[kind]
+    if kind.startswith("asked "):
+        return Command(waypoint=tuple(float(w) for w in kind.split()[1:]))
+    if kind.startswith("turn "):
+        return Command(heading=float(kind.split()[1]))
+    if kind in ("roll", "pitch", "yaw_rate", "climb"):  # a stick moves while no pilot flies
+        return Command(**{kind: 0.1})
     if kind == "battery":
         v.volts = v.rng.choice((5.0, 7.4))
     elif kind == "beams":
@@ -324,6 +394,10 @@ def _happen(kind: str, v: StandIn, n: int) -> Command:
     elif kind.startswith("wrong"):
         _, name, status = kind.split()
         v.status[name] = status
+    elif kind.startswith("volts"):
+        v.volts = float(kind.split()[1])
+    elif kind == "late":
+        v.t += 0.2
     elif kind.startswith("ceiling"):
         v.ceiling = float(kind.split()[1])
     elif kind in ("held", "drops"):
@@ -351,14 +425,18 @@ def fly_both(
     v, visited = StandIn(rng, judged), set()
     logged = -1
     for kind in kinds:
-        command = _happen(kind, v, len(software.plan.mission.waypoint))
-        for k in range(periods):
+        # "this & that": both at once; "this * 20": for so many periods
+        what, _, count = kind.partition(" * ")
+        for one in what.split(" & "):
+            command = _happen(one, v, len(software.plan.mission.waypoint))
+        for k in range(int(count or periods)):
             v.follow(software, step_s or rng.choice((0.005, 0.02, 0.02)))
-            m, c = v.believed(), command if k == 0 or kind in HELD else Command()
+            m, c = v.believed(), command if k == 0 or one in HELD else Command()
             ours, theirs = software.step(m, c), board.step(m, c)
             where = f"{kind} at {m.time_s:.3f} s, period {k}"
             assert ours.array.tobytes() == theirs.array.tobytes(), where
             assert different(software._reference, board.reference) == [], where
+            assert board.firmware.lib.software_flying(board.c) == software.flying, where
             if software._late_s == 0.0 or software.mission_state.logged != logged:
                 logged = software.mission_state.logged
                 assert different(software.mission_state, board.state) == [], where
@@ -382,6 +460,8 @@ def test_any_sequence_of_commands_and_faults_is_the_same(
 
 
 FLIES = ("start", *["wait"] * 4)  # of 100 periods of 0.03 s each
+UP = ("take-off", *["wait"] * 3)
+REFUSED = ("nan 0 -1", "nan 0 -1", "0 inf -1", "0 0 nan", "0 0 -0.01", "0 0 -99", "0 2e4 -1")
 STORIES = (
     (SQUARE, True, [*FLIES, *["wait"] * 16], "COMPLETE_RETURNS REACHED REACHED_HOME TOUCHDOWN LANDED"),
     (CURVES, True, [*FLIES, *["wait"] * 16, "start", "wait"], "COMPLETE_HOLDS BEGINS"),
@@ -401,6 +481,20 @@ STORIES = (
     (SQUARE, False, [*FLIES, "land", "drops", "wait", "wait"], "LAND_EARLY HARD_TOUCHDOWN"),
     (SQUARE, False, [*FLIES, "battery", "sticks", "wait"], "RC_ON"),
     (SCANNED, False, [*FLIES, "shut in", *["wait"] * 8], "BLOCKED"),
+    (SCANNED, False, [*UP, "turn 0.5", "wait"], "TURNING"),
+    (SQUARE, False, [*UP, *(f"asked {w} * 4" for w in REFUSED)], "TOO_LOW TOO_FAR"),
+    (SQUARE, False, [*UP, *(f"{w} * 5" for w in ("roll", "pitch", "yaw_rate", "climb", "late"))], "ALTITUDE"),
+    (SQUARE, False, [*UP, "ceiling 0.05", "points", "wait"], "OFFBOARD_OFF_FLOOR LANDED"),
+    (NEAR, False, [*FLIES, "wait", "ceiling 0.05", "points", "wait"], "COMPLETE_HOLDS OFFBOARD_OFF_FLOOR"),
+    (NEAR, False, [*FLIES, "wait", "volts 5.0", "wait"], "COMPLETE_HOLDS BATTERY_LOW"),
+    (NEAR, True, [*FLIES, "wait", "land * 10", "pause", "start", "wait"], "LANDING_BROKEN_OFF BEGINS"),
+    (SQUARE, True, [*UP, "spread place 0.3", *["spread place 0.2"] * 4], "PLACE_WAITED"),
+    (SQUARE, True, ["take-off * 150", "spread place 0.3"], "PLACE_DOUBT"),
+    (SQUARE, True, [*FLIES, "spread place 0.3 * 30", "waypoint * 20", "clear"], "HOLDS USERS_WAYPOINT"),
+    (PATIENT, True, [*FLIES, "pause * 20", "spread place 0.3 * 30", "clear"], "PAUSED PLACE_DOUBT"),
+    (PATIENT, True, [*FLIES, "spread place 0.3 * 30", "start", "clear"], "HOLDS BEGINS"),
+    (SCANNED, True, [*FLIES, "shut in", "wait * 115", "spread place 0.3 * 40"], "BLOCKED PLACE_DOUBT"),
+    (SQUARE, True, [*UP, "sticks * 20", "spread place 0.3 & sticks", "clear & sticks"], "PLACE_DOUBT KNOWN"),
 )
 
 
@@ -416,17 +510,17 @@ def test_what_can_happen_is_said_in_the_same_words(firmware, vehicle, controller
         assert any(text.startswith(begins) for text in said), (name, said)
 
 
-def test_another_mission_loaded_in_flight_is_the_same(firmware, vehicle, controller) -> None:
+@pytest.mark.parametrize("before", [["wait * 2"], UP], ids=["on-the-floor", "in-flight"])
+def test_another_mission_that_is_loaded_is_the_same(firmware, vehicle, controller, before) -> None:
     software = FlightSoftware(vehicle, controller, mission_from(SQUARE))
     board = Onboard(firmware, controller, software.plan)
-    fly_both(software, board, ["take-off", *["wait"] * 3], 1, False, 100, 0.03)
-    software.load(mission_from(CURVES))
-    board.fly_by(software.plan)
-    board.loaded("curves")
-    assert (
-        board.state.events[-1].text == software.mission_state.events[-1].text == "curves: 3 waypoints loaded"
-    )
-    assert different(software.mission_state, board.state) == []
+    fly_both(software, board, before, 1, False, 100, 0.03)
+    for mission, said in ((CURVES, "curves: 3 waypoints loaded"), (NEAR, "near: 1 waypoint loaded")):
+        software.load(mission_from(mission))
+        board.fly_by(software.plan)
+        board.loaded(mission["name"])
+        assert board.state.events[-1].text == software.mission_state.events[-1].text == said
+        assert different(software.mission_state, board.state) == []
 
 
 # Boards: what of them can be had without one

@@ -336,7 +336,7 @@ def go_on(plan: MissionPlan, s: MissionState, first: int | None) -> MissionState
     """Start signal in flight: go on with the mission, or with another waypoint of it."""
     n = len(plan.mission.waypoint)
     over = s.outcome == "succeeded" or s.index >= n
-    index = first if first is not None else 0 if over and s.begun else s.index
+    index = first if first is not None else 0 if over else s.index
     if s.state is State.WAYPOINT and not s.manual and index == s.index:
         return s
     why = Words.GOES_ON() if s.begun and not over else Words.BEGINS()
@@ -370,7 +370,7 @@ def land_now(plan: MissionPlan, s: MissionState) -> MissionState:
 
 def _broken_off(plan: MissionPlan, s: MissionState, last: Words, early: Words) -> MissionState:
     left = len(plan.mission.waypoint) - s.index
-    if not s.begun or left <= 0 or s.outcome != "":
+    if not s.begun or left <= 0:
         return s
     return replace(s, quit=(early if left > 1 else last)(left))
 

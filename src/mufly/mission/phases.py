@@ -456,7 +456,7 @@ def _give_up(s: MissionState, why: str) -> MissionState:
 
 def _watch(plan: MissionPlan, s: MissionState) -> MissionState:
     """Obstacle detected?"""
-    if not plan.avoid or not s.memory.used or s.outcome == "failed":
+    if not plan.avoid or not s.memory.used:
         return s
     at = point(s)
     clear = plan.mission.avoidance.clearance_m

@@ -123,7 +123,7 @@ static void sense(const plan_t *plan, mission_t *s, const belief_t *m, real_t dt
     real_t clock = s->clock_s + dt;
     const bool scanning = phases_scanning(plan, s);
 
-    if ((s->state == STATE_WAYPOINT) && (s->course.kind == COURSE_TRAJECTORY)) {
+    if (s->state == STATE_WAYPOINT) {
         const real_t gate = s->course.way.gate_s;
 
         if ((s->clock_s <= gate) && (gate < clock) && !gate_open(plan, s, m)) {
@@ -271,7 +271,7 @@ void mission_pause(const plan_t *plan, mission_t *s, const message_t *why)
 void mission_go_on(const plan_t *plan, mission_t *s, const int32_t *first)
 {
     const bool over = (s->outcome == OUTCOME_SUCCEEDED) || (s->index >= plan->count);
-    int32_t index = (over && s->begun) ? 0 : s->index;
+    int32_t index = over ? 0 : s->index;
 
     if (first != NULL) {
         index = *first;
@@ -328,7 +328,7 @@ static void broken_off(const plan_t *plan, mission_t *s, int32_t last, int32_t e
 {
     const int32_t left = plan->count - s->index;
 
-    if (s->begun && (left > 0) && (s->outcome == OUTCOME_OPEN)) {
+    if (s->begun && (left > 0)) {
         s->quit = say_1((left > 1) ? early : last, (real_t)left);
     }
 }
@@ -488,8 +488,7 @@ static void track(const plan_t *plan, mission_t *s, const belief_t *m, const com
         }
     }
     /* It was begun for the end of the step in which it was entered. */
-    if (ready && c->has_set_point && s->has_tracker && !((s->entered_s <= s->time_s) && (s->entered_s >= s->time_s)) &&
-        offboard_right(&c->set_point)) {
+    if (ready && (s->entered_s < s->time_s) && offboard_right(&c->set_point)) {
         const bool guard = plan->avoid && (s->memory.used > 0);
 
         offboard_follow(&s->tracker, &c->set_point, &plan->limits, m->motion.position, dt,

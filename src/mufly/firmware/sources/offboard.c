@@ -142,7 +142,7 @@ static void part(point_t *t, const set_point_t *wanted, const limits_t *limits, 
 void offboard_follow(point_t *tracker, const set_point_t *wanted, const limits_t *limits, const real_t measured[3],
                      real_t dt, const sight_t *sight, real_t clearance)
 {
-    if ((dt > REAL(0.0)) && (dt <= REAL(1.0))) {
+    if (dt > REAL(0.0)) {
         const real_t steps = (dt / STEP_S) - REAL(1e-9);
         int32_t parts = (int32_t)steps;
 

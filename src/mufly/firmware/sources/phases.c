@@ -95,7 +95,7 @@ static void held(const real_t at[3], real_t heading, point_t *out)
 
 void phases_point(const mission_t *s, point_t *out)
 {
-    if ((s->state == STATE_OBSTACLE) && s->has_detour) {
+    if (s->state == STATE_OBSTACLE) {
         phases_copy(s->detour.position, out->position);
         phases_copy(s->detour.velocity, out->velocity);
         phases_copy(s->detour.acceleration, out->acceleration);
@@ -138,7 +138,7 @@ void phases_onward(const mission_t *s, point_t *out)
 
 bool phases_at_gate(const mission_t *s)
 {
-    return (s->course.kind == COURSE_TRAJECTORY) && (s->clock_s >= s->course.way.gate_s);
+    return s->clock_s >= s->course.way.gate_s;
 }
 
 bool phases_scanning(const plan_t *plan, const mission_t *s)
@@ -723,7 +723,7 @@ static bool looks_at(const sight_t *sight, const real_t goal[3])
 
 static void watch(const plan_t *plan, mission_t *s)
 {
-    if (plan->avoid && (s->memory.used > 0) && (s->outcome != OUTCOME_FAILED)) {
+    if (plan->avoid && (s->memory.used > 0)) {
         /* Only on its level way does it head for somewhere; elsewhere an obstacle has to come near. */
         const bool underway = (s->state == STATE_WAYPOINT) && phases_at_gate(s);
         const sight_t *sight = &s->sight;

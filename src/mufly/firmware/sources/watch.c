@@ -129,7 +129,7 @@ void smooth_step(smooth_t *s, belief_t *m, bool anew)
 {
     motion_t *now = &m->motion;
     const real_t dt = m->time_s - s->last_s;
-    const bool follows = s->begun && !anew && (dt > REAL(0.0)) && (dt < REAL(0.1));
+    const bool follows = s->begun && !anew && (dt < REAL(0.1));
     real_t sr;
     real_t cr;
     real_t sp;
@@ -243,35 +243,32 @@ static real_t strayed(const belief_t *m, real_t stood)
 
 static doubt_t judge(const belief_t *m, real_t stood)
 {
+    const real_t place = strayed(m, stood);
+    const real_t height = real_sqrt(m->position_variance[2]);
+    const real_t tilt = real_sqrt(real_max(m->attitude_variance[0], m->attitude_variance[1]));
+    const real_t heading = real_sqrt(m->attitude_variance[2]);
     doubt_t found;
 
     found.demand = DEMAND_NONE;
     found.why = say(SAY_NOTHING);
-    if (m->judged) {
-        const real_t place = strayed(m, stood);
-        const real_t height = real_sqrt(m->position_variance[2]);
-        const real_t tilt = real_sqrt(real_max(m->attitude_variance[0], m->attitude_variance[1]));
-        const real_t heading = real_sqrt(m->attitude_variance[2]);
-
-        if (tilt > TILT) {
-            found = doubt(DEMAND_SINK, SAY_TILT_DOUBT, tilt * PER_DEGREE, m,
-                          (uint32_t)(BIT(BELIEF_RATES) | BIT(BELIEF_ACCELERATION)));
-        } else if (heading > HEADING) {
-            found = doubt(DEMAND_LAND, SAY_HEADING_DOUBT, heading * PER_DEGREE, m,
-                          (uint32_t)(BIT(BELIEF_FIX) | BIT(BELIEF_MAGNETIC) | BIT(BELIEF_RATES)));
-        } else if (m->checks[BELIEF_RATES].status == BELIEF_REJECTED) { /* a bias that gyroscopes cannot have */
-            found.demand = DEMAND_LAND;
-            found.why = say(SAY_GIVEN);
-            name_sensor(&found.why, BELIEF_RATES, &m->checks[BELIEF_RATES]);
-        } else if (height > HEIGHT_M) {
-            found = doubt(DEMAND_LAND, SAY_HEIGHT_DOUBT, height, m,
-                          (uint32_t)(BIT(BELIEF_SONAR) | BIT(BELIEF_FIX) | BIT(BELIEF_PRESSURE)));
-        } else if (place > HOLD_M) {
-            found = doubt((place > LAND_M) ? DEMAND_LAND : DEMAND_HOLD, SAY_PLACE_DOUBT, place, m,
-                          (uint32_t)(BIT(BELIEF_FIX) | BIT(BELIEF_RANGES)));
-        } else {
-            /* good enough for all */
-        }
+    if (tilt > TILT) {
+        found = doubt(DEMAND_SINK, SAY_TILT_DOUBT, tilt * PER_DEGREE, m,
+                      (uint32_t)(BIT(BELIEF_RATES) | BIT(BELIEF_ACCELERATION)));
+    } else if (heading > HEADING) {
+        found = doubt(DEMAND_LAND, SAY_HEADING_DOUBT, heading * PER_DEGREE, m,
+                      (uint32_t)(BIT(BELIEF_FIX) | BIT(BELIEF_MAGNETIC) | BIT(BELIEF_RATES)));
+    } else if (m->checks[BELIEF_RATES].status == BELIEF_REJECTED) { /* a bias that gyroscopes cannot have */
+        found.demand = DEMAND_LAND;
+        found.why = say(SAY_GIVEN);
+        name_sensor(&found.why, BELIEF_RATES, &m->checks[BELIEF_RATES]);
+    } else if (height > HEIGHT_M) {
+        found = doubt(DEMAND_LAND, SAY_HEIGHT_DOUBT, height, m,
+                      (uint32_t)(BIT(BELIEF_SONAR) | BIT(BELIEF_FIX) | BIT(BELIEF_PRESSURE)));
+    } else if (place > HOLD_M) {
+        found = doubt((place > LAND_M) ? DEMAND_LAND : DEMAND_HOLD, SAY_PLACE_DOUBT, place, m,
+                      (uint32_t)(BIT(BELIEF_FIX) | BIT(BELIEF_RANGES)));
+    } else {
+        /* good enough for all */
     }
     return found;
 }
@@ -329,7 +326,7 @@ bool doubts_step(doubts_t *d, const belief_t *m)
         found.demand = DEMAND_SINK;
         found.why = upside;
     }
-    if ((d->now.demand == DEMAND_LAND) || (d->now.demand == DEMAND_SINK)) {
+    if (d->now.demand == DEMAND_LAND) {
         said = found.demand == DEMAND_SINK;
     } else if ((found.demand == DEMAND_LAND) || (found.demand == DEMAND_SINK)) {
         said = true;

@@ -1,5 +1,5 @@
 /* What the mission says in its log: a template and its numbers. The templates are in words.py of mufly.mission, in this
- * order; words.c of check/ has them for a board that prints them itself. */
+ * order: the ground makes the texts. */
 #ifndef MUFLY_WORDS_H
 #define MUFLY_WORDS_H
 
