@@ -19,7 +19,8 @@ typedef struct {
 /* Waits for the next period (1 / mufly_rate_Hz); returns how many were missed since the last call: 0 when in time. */
 int32_t hal_wait(void);
 
-/* Time since it was switched on (s); it never goes back. */
+/* Time since it was switched on (s); it never goes back. In single precision periods of 5 ms are told apart for some hours:
+ * the board is to be switched on again after that. */
 real_t hal_time_s(void);
 
 /* Everything that the sensors have said since the last call. It does not wait. */

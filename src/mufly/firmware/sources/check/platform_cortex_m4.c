@@ -68,9 +68,14 @@ void trap(void)
     }
 }
 
-__attribute__((section(".vectors"), used)) static const void *const vectors[16] = {
-    &stack_top, (const void *)reset, (const void *)trap, (const void *)trap, (const void *)trap,
-    (const void *)trap, (const void *)trap,
+typedef struct {
+    const uint32_t *stack;
+    void (*called[15])(void);
+} vectors_t;
+
+__attribute__((section(".vectors"), used)) static const vectors_t vectors = {
+    &stack_top,
+    {reset, trap, trap, trap, trap, trap},
 };
 
 void platform_start(void)
