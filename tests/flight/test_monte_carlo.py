@@ -1,8 +1,11 @@
 """Many flights: what varies, who flies them, how they are judged, and that nothing is lost."""
 
 import json
+import multiprocessing
+import time
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +34,7 @@ from mufly.flight.monte_carlo import (
     wilson,
     worst_first,
 )
-from mufly.flight.monte_carlo.crew import Stop
+from mufly.flight.monte_carlo.crew import Stop, _end_with_parent
 from mufly.mission import Mission, mission_from
 from mufly.results import plain
 from mufly.study import read_results, write_results
@@ -181,6 +184,34 @@ def test_a_cluster_gives_the_same_flights(campaign: Campaign, flights: list[Flow
         Crew(cluster=cluster.scheduler_address) as crew,
     ):
         assert plain(run(campaign, 2, crew=crew)) == plain(flights[:2])
+
+
+def _has_a_worker(says: Connection) -> None:
+    context = multiprocessing.get_context("fork")
+    context.Process(target=_works, args=(says,)).start()
+    time.sleep(60.0)
+
+
+def _works(says: Connection) -> None:
+    says.send("begun")
+    _end_with_parent()
+    time.sleep(60.0)
+
+
+@pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no fork on this system")
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_a_worker_ends_with_the_process_that_is_killed() -> None:
+    context = multiprocessing.get_context("fork")
+    hears, says = context.Pipe(duplex=False)
+    parent = context.Process(target=_has_a_worker, args=(says,))
+    parent.start()
+    says.close()
+    assert hears.recv() == "begun"
+    parent.kill()
+    parent.join()
+    assert hears.poll(20.0)  # nobody holds the other end any more
+    with pytest.raises(EOFError):
+        hears.recv()
 
 
 def test_a_campaign_that_was_killed_goes_on(tmp_path: Path, campaign: Campaign, flights: list[Flown]) -> None:
