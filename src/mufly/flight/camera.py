@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -49,6 +49,8 @@ SPOILS: Mapping[str, str] = {
 ANSWER_S, SILENT_S, BACK_S = 0.066, 0.5, 1.0
 """Between two answers that are sent; without any, until that is told; with some again, until that is told (s)."""
 _STANDS_NOISE_M = 0.002
+KNOWN_M = 0.2
+"""A place that is known less well is not sent: the filter would take it for as good as any (m)."""
 
 
 @dataclass(frozen=True)
@@ -167,6 +169,7 @@ class CameraSensor(Sensor):
         self._stands_m = standing_height(vehicle)
         self._hover = float(np.mean(hover_speeds(model_parameters(vehicle))))
         self._floor = make_floor(eye.floor, seed, shadows=eye.shadows)
+        self._fixes = told_errors(eye.camera)
         self.believe: Callable[[], tuple[Estimate | None, float]] = lambda: (None, math.nan)
         self.asked = self.answered = self.trusted = 0
         self._process: SlamProcess | None = None
@@ -280,17 +283,23 @@ class CameraSensor(Sensor):
         pitch += dt * (q * math.cos(roll) - r * math.sin(roll))
         sigma = np.sqrt(np.diag(estimate.covariance))
         x = estimate.position + dt * estimate.velocity
+        # Places of the map are those of fixes: with what these are believed to be off by, and without its uncertainty.
+        bias = np.zeros(4) if estimate.beliefs is None else estimate.beliefs.fix_bias
+        place = math.sqrt(max(float(max(sigma[:2])) ** 2 - float(self._fixes.wander) ** 2, 0.01**2))
+        heading = math.sqrt(max(float(sigma[8]) ** 2 - float(self._fixes.heading_wander) ** 2, 0.005**2))
         return Telling(
             roll, pitch, max(0.02, -float(x[2])), estimate.rates.copy(), self._scale * truth.rotor_speed,
             tilt_sigma=max(math.radians(0.15), float(max(sigma[6:8]))), height_sigma=max(0.006, float(sigma[2])),
-            velocity=estimate.velocity.copy(), standing=not sonar > self._least_m, place=np.array([x[0], x[1], yaw]),
-            place_sigma=(float(max(sigma[:2])), float(sigma[8])),
+            velocity=estimate.velocity.copy(), standing=not sonar > self._least_m,
+            place=np.array([x[0] + bias[0], x[1] + bias[1], yaw + bias[3]]),
+            place_sigma=(place, heading),
         )  # fmt: skip
 
     def _receive(self, known: Answer | None) -> None:
         if known is None:
             assert self._process is not None
             known = self._process.receive()
+            known = _sure(known)
             self.answered += 1
             self.trusted += known.trusted
         self.answer = known
@@ -299,3 +308,11 @@ class CameraSensor(Sensor):
         last = self._fix.get("position_fix")
         if known.trusted and (last is None or known.time_s - last.time_s > ANSWER_S - 1e-3):
             self._fix = {"position_fix": Reading(np.append(known.position, known.heading), known.time_s)}
+
+
+def _sure(answer: Answer) -> Answer:
+    """The answer, not trusted where it is not sure enough."""
+    sigma = math.sqrt(max(float(answer.covariance[0, 0]), float(answer.covariance[1, 1])))
+    if not answer.trusted or sigma <= KNOWN_M:
+        return answer
+    return replace(answer, trusted=False, reason=f"its place is known to {sigma:.2f} m only")

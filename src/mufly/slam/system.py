@@ -30,11 +30,10 @@ from mufly.slam.frame import Frame
 from mufly.slam.graph import DIM, Edge, relation, slopes_of
 from mufly.slam.mapping import Keyframe, Map, composed, overlap
 from mufly.slam.pose import SHAKES, Pose, View, level, slopes, solve, two_points
+from mufly.slam.recognition import ENOUGH, recognised
 from mufly.slam.vision import Straightener, corners, on, opencv, overlaid, tracked, warped
 
 _Array = NDArray[np.float64]
-ENOUGH = 14
-"""Points that have to agree, at least."""
 CORRELATION = 0.5
 LEAST_M = 0.1  # height of the camera from which a map begins
 FEW = 30  # points that agree, below which a new keyframe may see more
@@ -48,9 +47,9 @@ INFLATE = 2.0
 _SWERVE = 1.0  # m/s^2 that are not foreseen
 _LOST_S, _SEEK_EVERY = 0.7, 4
 _AGREE = 3
-_BRIDGE_S, _BRIDGE_YOUNG_S, _YOUNG = 1.5, 0.1, 5
-"""After how long it goes on from where it is believed to be (s); with a map of few keyframes, which nothing is found
-in, at once."""
+_BRIDGE_S, _BRIDGE_YOUNG_S, _YOUNG, _LONG = 1.5, 0.1, 5, 25
+"""After how long it goes on from where it is believed to be (s); with a map of so few keyframes that nothing is found
+in it at once, else once so many pictures were seen so."""
 
 
 @dataclass(frozen=True)
@@ -196,16 +195,11 @@ class Slam:
                 return self._begin(frame, view, picture)
             if self._bridges(frame, view, elapsed):
                 return self._bridge(frame, view, picture, why)
-            if elapsed > _LOST_S:
+            if elapsed > _LOST_S or self._trial > 0:
                 return self._seek(frame, view, picture, why)
             return Answer(frame.time_s, False, why, keyframe=self._reference)
-        if self._trial > 0:
-            self._trial += 1
-            if self._trial <= _AGREE:
-                self._node, self._last_s = match.node, frame.time_s
-                self._refine(view, match)
-                return Answer(frame.time_s, False, "begun anew, to be confirmed")
-            self._trial = 0
+        if self._trial > 0 and (answer := self._tried_on(frame, view, picture, match)) is not None:
+            return answer
         return self._accept(frame, view, picture, match)
 
     def _view(self, frame: Frame) -> View:
@@ -462,11 +456,34 @@ class Slam:
 
     def _bridges(self, frame: Frame, view: View, elapsed: float) -> bool:
         """Whether to go on from where the vehicle believes to be, as nothing is recognised."""
-        if frame.told.place is None or view.height < LEAST_M:
+        if frame.told.place is None or view.height < LEAST_M or self._seeks:
             return False
-        seek = bool(self._found) or self._count % _SEEK_EVERY == 0
-        wait = _BRIDGE_S if len(self.map.keyframes) > _YOUNG else _BRIDGE_YOUNG_S
-        return self._trial > 0 or (elapsed > wait and not seek)
+        return self._trial > 0 or elapsed > (_BRIDGE_YOUNG_S if self._young else _BRIDGE_S)
+
+    @property
+    def _seeks(self) -> bool:
+        """Whether it is the turn of seeking in all of the map."""
+        return not self._young and (bool(self._found) or self._count % _SEEK_EVERY == 0)
+
+    @property
+    def _young(self) -> bool:
+        """Whether the map is so small that it is not worth to be sought in."""
+        return len(self.map.keyframes) - (self._trial > 0) <= _YOUNG
+
+    def _tried_on(self, frame: Frame, view: View, picture: Any, match: _Match) -> Answer | None:
+        """One more picture seen against the keyframe on trial; None if it is one to be trusted now.
+
+        Until then the rest of the map is sought in, too: who finds itself there need not believe.
+        """
+        if self._seeks and (found := self._find(frame, view, picture)) is not None:
+            return self._accept(frame, view, picture, found)
+        self._trial += 1
+        if self._trial <= (_AGREE if self._young else _LONG):
+            self._node, self._last_s = match.node, frame.time_s
+            self._refine(view, match)
+            return Answer(frame.time_s, False, "begun anew, to be confirmed")
+        self._trial = 0
+        return None
 
     def _bridge(self, frame: Frame, view: View, picture: Any, why: str) -> Answer:
         """Begin a keyframe where the vehicle believes to be, tied to the last by what that is off by; on trial."""
@@ -618,77 +635,30 @@ class Slam:
         lost = Answer(frame.time_s, False, why or "lost", keyframe=-1)
         if self._count % _SEEK_EVERY and not self._found:
             return lost
-        node = self._recognise(view, picture)
-        if node is None:
-            self._found = []
-            return lost
-        k, at = node
-        match = self._match(k, view, picture, at)
-        if match is None or len(match.which) < 1.5 * ENOUGH or match.pose.scale > 3.0:
-            self._found = []
-            return lost
-        here = match.node
-        if self._found and math.hypot(*(here[:2] - self._found[-1][1][:2])) > 0.1 + 1.0 * (
-            frame.time_s - self._found[-1][0]
-        ):
-            self._found = []
-        self._found.append((frame.time_s, here))
-        if len(self._found) < _AGREE:
-            return replace(lost, reason="found, to be confirmed")
-        self._last_s = frame.time_s
-        self._velocity = np.zeros(2)
-        self._node = here
-        return self._accept(frame, view, picture, match)
+        match = self._find(frame, view, picture)
+        if match is not None:
+            return self._accept(frame, view, picture, match)
+        return replace(lost, reason="found, to be confirmed") if self._found else lost
 
-    def _recognise(self, view: View, picture: Any) -> tuple[int, _Array] | None:
-        """The keyframe and node that ORB's matches speak for, if no other place does nearly as much."""
-        cv2 = opencv()
-        orb = cv2.ORB_create(nfeatures=400, scaleFactor=1.3, nlevels=4, fastThreshold=7)
-        points, words = orb.detectAndCompute(picture, None)
-        if words is None or len(points) < ENOUGH:
+    def _find(self, frame: Frame, view: View, picture: Any) -> _Match | None:
+        """See it against any keyframe that is not on trial; None until several pictures in a row agree."""
+        found, self._found = self._found, []
+        known = len(self.map.keyframes) - (self._trial > 0)
+        node = recognised(self.map, known, view, picture, self._straight, self._shake_rms, self._rng)
+        match = None if node is None else self._match(node[0], view, picture, node[1])
+        if match is None or len(match.which) < 1.5 * ENOUGH or match.pose.scale > 3.0:
             return None
-        pixels = np.array([p.pt for p in points])
-        seconds = self._straight.seconds(pixels)
-        m = slopes(view, pixels - self._straight.middle, seconds, level(view))
-        matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
-        results: list[tuple[int, int, _Array]] = []
-        for k, keyframe in enumerate(self.map.keyframes):
-            if keyframe.described is None:
-                theirs, described = orb.detectAndCompute(keyframe.picture, None)
-                where = np.array([p.pt for p in theirs]).reshape(-1, 2)
-                rays = (
-                    np.column_stack([(where - self._straight.middle) / view.focal, np.ones(len(where))])
-                    @ keyframe.turn.T
-                )
-                keyframe.described = (described, (rays[:, 0] + 1j * rays[:, 1]) / rays[:, 2])
-            described, theirs_m = keyframe.described
-            if described is None or len(described) < ENOUGH:
-                continue
-            pairs = matcher.knnMatch(words, described, k=2)
-            good = [
-                p[0]
-                for p in pairs
-                if len(p) == 2 and p[0].distance < 0.8 * p[1].distance and p[0].distance < 70
-            ]
-            if len(good) < ENOUGH:
-                continue
-            at = self.map.nodes[k]
-            places = complex(at[0], at[1]) + np.exp(at[3] + 1j * at[2]) * theirs_m[[g.trainIdx for g in good]]
-            rough = np.full(len(good), math.hypot(2.0, 1.5 * self._shake_rms) / view.focal)
-            c, h, heading, fits = two_points(
-                places, m[[g.queryIdx for g in good]], rough, view.height, view.height_sigma, self._rng, 200
-            )
-            if fits.sum() >= ENOUGH:
-                results.append((int(fits.sum()), k, np.array([c.real, c.imag, heading, math.log(h)])))
-        if not results:
+        here = match.node
+        if found and math.hypot(*(here[:2] - found[-1][1][:2])) > 0.1 + 1.0 * (frame.time_s - found[-1][0]):
+            found = []
+        self._found = [*found, (frame.time_s, here)]
+        if len(self._found) < _AGREE:
             return None
-        results.sort(key=lambda r: -r[0])
-        count, k, node = results[0]
-        for other, _, elsewhere in results[1:]:
-            apart = math.hypot(*(elsewhere[:2] - node[:2])) > 0.3 * view.height
-            if apart and other > 0.6 * count:
-                return None
-        return k, node
+        if self._trial > 0:
+            self.map.drop_last()
+            self._trial = 0
+        self._last_s, self._velocity, self._node = frame.time_s, np.zeros(2), here
+        return match
 
 
 def _unheaded(turn: _Array, heading: float) -> _Array:
