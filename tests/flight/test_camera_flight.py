@@ -83,7 +83,7 @@ def test_answers_come_late_with_the_time_of_their_picture(monkeypatch: pytest.Mo
     class Stub:
         def __init__(self, camera: Camera, **more: object) -> None: ...
         def send(self, frame: Frame) -> None:
-            answers.append(Answer(frame.time_s, True, "", np.array([0.2, -0.1, -0.8]), 0.3))
+            answers.append(Answer(frame.time_s, True, "", np.array([0.2, -0.1, -0.8]), 0.3, 1e-4 * np.eye(4)))
 
         def receive(self) -> Answer:
             return answers.pop(0)

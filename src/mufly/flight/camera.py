@@ -33,7 +33,7 @@ from mufly.dynamics.state import hover_speeds
 from mufly.errors import ArgumentError, MuflyError
 from mufly.estimate import Estimate
 from mufly.sensors import Reading, Sensor, Truth
-from mufly.slam import Answer, Frame, SlamProcess, Telling, opencv
+from mufly.slam import PHASE_SIGMA, Answer, Frame, SlamProcess, Telling, opencv
 from mufly.vehicle import Vehicle
 from mufly.vehicle.quantity import Quantity
 from mufly.vehicle.sensing import PositionFix
@@ -181,6 +181,7 @@ class CameraSensor(Sensor):
         self._renderer = Renderer(self._eye.camera, self._floor, self._world, seed=self._seed)
         self._phase, self._last_s, self._due_s = np.zeros(2), math.nan, -math.inf
         self._scale = 1.0 + 0.01 * float(self._rng.standard_normal())
+        self._offset = self._rng.uniform(0.0, 2 * math.pi, 2)
         self._queue: list[tuple[float, Answer | None]] = []  # when due; what, if that needs no looking
         self._begun, self._stood = False, True
         self.answer: Answer | None = None
@@ -289,6 +290,7 @@ class CameraSensor(Sensor):
         heading = math.sqrt(max(float(sigma[8]) ** 2 - float(self._fixes.heading_wander) ** 2, 0.005**2))
         return Telling(
             roll, pitch, max(0.02, -float(x[2])), estimate.rates.copy(), self._scale * truth.rotor_speed,
+            self._phase + self._offset + PHASE_SIGMA * self._rng.standard_normal(2),
             tilt_sigma=max(math.radians(0.15), float(max(sigma[6:8]))), height_sigma=max(0.006, float(sigma[2])),
             velocity=estimate.velocity.copy(), standing=not sonar > self._least_m,
             place=np.array([x[0] + bias[0], x[1] + bias[1], yaw + bias[3]]),

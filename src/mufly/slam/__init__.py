@@ -1,7 +1,7 @@
 """Where does it see itself? Visual SLAM over a floor: tracking, keyframes, loops, and data sets to try it on."""
 
 from mufly.slam.calibration import Calibration, board_pictures, calibrate
-from mufly.slam.datasets import Path3, Teller, frames, path_of, rounds
+from mufly.slam.datasets import PHASE_SIGMA, Path3, Teller, frames, path_of, rounds
 from mufly.slam.evaluation import Evaluation, evaluate
 from mufly.slam.frame import Frame, Telling
 from mufly.slam.mapping import Keyframe, Map
@@ -14,6 +14,7 @@ from mufly.slam.writers import LAYOUTS, camera_toml, write_dataset
 
 __all__ = [
     "LAYOUTS",
+    "PHASE_SIGMA",
     "Answer",
     "Calibration",
     "Evaluation",

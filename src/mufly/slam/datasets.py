@@ -34,6 +34,8 @@ _Array = NDArray[np.float64]
 RATE_HZ = 200.0
 TILT_SIGMA, TILT_TIME_S = math.radians(0.5), 2.0
 HEIGHT_SIGMA_M, HEIGHT_TIME_S = 0.01, 1.0
+PHASE_SIGMA = 0.05
+"""Of the rotors' phases, as commutations tell them (rad)."""
 _GYRO_BIAS, _GYRO_NOISE = math.radians(0.3), 0.01
 _ROTOR = 2 * math.pi * np.array([60.0, 70.0])
 
@@ -207,6 +209,7 @@ class Teller:
         self._camera, self._rng, self._sigma = camera, np.random.default_rng(seed), tilt_sigma
         self._tilt: _Array = tilt_sigma * self._rng.standard_normal(2)
         self._height: float = HEIGHT_SIGMA_M * float(self._rng.standard_normal())
+        self._offset = self._rng.uniform(0.0, 2 * math.pi, 2)
         self._bias = _GYRO_BIAS * self._rng.standard_normal(3)
         self._last = math.nan
 
@@ -226,6 +229,7 @@ class Teller:
         return Telling(
             roll + self._tilt[0], pitch + self._tilt[1], -float(motion.position[2]) + self._height,
             motion.rates + self._bias + _GYRO_NOISE * rng.standard_normal(3), motion.rotor_speed.copy(),
+            motion.rotor_phase + self._offset + PHASE_SIGMA * rng.standard_normal(2),
             tilt_sigma=max(self._sigma, math.radians(0.05)), height_sigma=HEIGHT_SIGMA_M,
         )  # fmt: skip
 

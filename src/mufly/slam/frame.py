@@ -25,6 +25,8 @@ class Telling:
         p, q, r (rad/s).
     rotor_speed : (2,) array
         Upper, lower (rad/s); zero where it is not known: shaking is averaged, not modelled.
+    rotor_phase : (2,) array or None
+        Of these, as far as commutations tell it: but for a constant (rad). With it the shaking is learnt.
     tilt_sigma, height_sigma : float
         What these are off by, one sigma (rad, m).
     velocity : (3,) array or None
@@ -42,6 +44,7 @@ class Telling:
     height_m: float
     rates: _Array = field(default_factory=lambda: np.zeros(3))
     rotor_speed: _Array = field(default_factory=lambda: np.zeros(2))
+    rotor_phase: _Array | None = None
     tilt_sigma: float = math.radians(0.5)
     height_sigma: float = 0.01
     velocity: _Array | None = None

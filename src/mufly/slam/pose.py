@@ -10,8 +10,8 @@ floor, with heading psi sees the floor's point X there:
 Pairs are drawn by chance; the one wins that the most points agree with. Pairs whose h is not the sonar's are left out.
 
 **All of them.** Unknown are C (N, E), h, psi, two small errors of the tilt about N and E, those of the keyframe,
-and for each rotor four amplitudes of its shaking. Seen in row time s from the picture's middle, with R(s) = R
-exp([w s]) and v for the velocity,
+and for each rotor four amplitudes a, b of its shaking, in its phase W_k. Seen in row time s from the picture's
+middle, with R(s) = R exp([w s]) and v for the velocity,
 
     c = A^T exp([w s])^T R^T (X - C - v s),    pixel = f (c_x, c_y) / c_z + sum_k (a_k cos(W_k s) + b_k sin(W_k s))
 
@@ -67,6 +67,10 @@ class View(NamedTuple):
         Of an amplitude of shaking, pixels; 0: none are sought.
     rotor_speed : (2,) array
         rad/s.
+    rotor_phase : (2,) array
+        At the picture's middle (rad); zero where it is not known.
+    shakes : (8,) array
+        What amplitudes are expected to be, pixels.
     """
 
     focal: float
@@ -80,6 +84,8 @@ class View(NamedTuple):
     tilt_sigma: float
     shake_sigma: float
     rotor_speed: _Array
+    rotor_phase: _Array = np.zeros(2)
+    shakes: _Array = np.zeros(SHAKES)
 
 
 @dataclass(frozen=True)
@@ -141,7 +147,8 @@ def shaken(view: View, seconds: _Array, shakes: _Array) -> _Array:
     """Return by how many pixels (n, 2) the rotors have moved what is seen at these times."""
     out = np.zeros((len(seconds), 2))
     for k in range(2):
-        c, s = np.cos(view.rotor_speed[k] * seconds), np.sin(view.rotor_speed[k] * seconds)
+        turned = view.rotor_phase[k] + view.rotor_speed[k] * seconds
+        c, s = np.cos(turned), np.sin(turned)
         for axis in (0, 1):
             out[:, axis] += shakes[4 * k + 2 * axis] * c + shakes[4 * k + 2 * axis + 1] * s
     return out
@@ -228,9 +235,11 @@ def solve(
     prior[4, 4] = prior[5, 5] = view.tilt_sigma**-2
     prior[6:8, 6:8] = np.linalg.inv(bend_covariance)
     if shakes:
+        x[POSE:] = view.shakes
         prior[POSE:, POSE:] = view.shake_sigma**-2 * np.eye(shakes)
     normal, off, weight = np.empty((size, size)), np.empty((len(points), 2)), np.empty(len(points))
-    _solve(x, view.focal, view.axes, view.roll, view.pitch, view.rates, view.velocity, view.rotor_speed, view.height,
+    _solve(x, view.focal, view.axes, view.roll, view.pitch, view.rates, view.velocity, view.rotor_speed,
+           view.rotor_phase, view.shakes, view.height,
            prior, points, bend, pixels, seconds, sigma, normal, off, weight, _ROUNDS)  # fmt: skip
     ratio = np.sqrt((off**2).sum(axis=1) / 2.0) / sigma
     free = max(1.0, 2.0 * weight.sum() - size)
@@ -272,8 +281,8 @@ def _attitude(roll, pitch, heading, tilt_n, tilt_e):  # type: ignore[no-untyped-
 
 @compiled(error_model="numpy")
 def _solve(  # type: ignore[no-untyped-def]
-    x, focal, axes, roll, pitch, rates, velocity, rotor, height, prior, points, bend, pixels, seconds, sigma,
-    normal, off, weight, rounds,
+    x, focal, axes, roll, pitch, rates, velocity, rotor, phase, expected, height, prior, points, bend, pixels,
+    seconds, sigma, normal, off, weight, rounds,
 ):  # fmt: skip
     size, n = len(x), len(points)
     shakes = size > 8
@@ -320,7 +329,7 @@ def _solve(  # type: ignore[no-untyped-def]
             px, py = focal * u, focal * v
             if shakes:
                 for k in range(2):
-                    co, si = math.cos(rotor[k] * s), math.sin(rotor[k] * s)
+                    co, si = math.cos(phase[k] + rotor[k] * s), math.sin(phase[k] + rotor[k] * s)
                     j = 8 + 4 * k
                     px += x[j] * co + x[j + 1] * si
                     py += x[j + 2] * co + x[j + 3] * si
@@ -344,7 +353,8 @@ def _solve(  # type: ignore[no-untyped-def]
         for a_ in range(size):
             m[a_, a_] += 1e-9
             for b_ in range(size):
-                right[a_] += prior[a_, b_] * ((height if b_ == 2 else 0.0) - x[b_])
+                known = expected[b_ - 8] if b_ >= 8 else (height if b_ == 2 else 0.0)
+                right[a_] += prior[a_, b_] * (known - x[b_])
         step = np.linalg.solve(m, right)
         for a_ in range(size):
             x[a_] += step[a_]

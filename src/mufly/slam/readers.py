@@ -299,14 +299,17 @@ TELEMETRY = (
     "time_s", "roll_rad", "pitch_rad", "height_m", "p_rad_s", "q_rad_s", "r_rad_s", "rotor_upper_rad_s",
     "rotor_lower_rad_s", "tilt_sigma_rad", "height_sigma_m",
 )  # fmt: skip
+PHASES = ("rotor_upper_rad", "rotor_lower_rad")
+"""Columns of the telemetry that may be there; not wrapped."""
 
 
 def _telemetry(file: Path, times: _Array) -> list[Telling]:
     rows = _rows(file)
-    if not rows or tuple(rows[0]) != TELEMETRY:
+    phased = bool(rows) and tuple(rows[0]) == TELEMETRY + PHASES
+    if not rows or not (phased or tuple(rows[0]) == TELEMETRY):
         raise InputError(str(file), "", "has another first row", f"write {', '.join(TELEMETRY)}")
     try:
-        a = np.array(rows[1:], dtype=np.float64).reshape(-1, len(TELEMETRY))
+        a = np.array(rows[1:], dtype=np.float64).reshape(-1, len(rows[0]))
     except ValueError:
         raise InputError(
             str(file), "", "has cells that are no numbers", "write numbers in every cell"
@@ -316,7 +319,14 @@ def _telemetry(file: Path, times: _Array) -> list[Telling]:
     b = np.stack([np.interp(times, a[:, 0], c) for c in a.T], axis=1)
     return [
         Telling(
-            float(r[1]), float(r[2]), float(r[3]), r[4:7].copy(), r[7:9].copy(), float(r[9]), float(r[10])
+            float(r[1]),
+            float(r[2]),
+            float(r[3]),
+            r[4:7].copy(),
+            r[7:9].copy(),
+            r[11:13].copy() if phased else None,
+            float(r[9]),
+            float(r[10]),
         )
         for r in b
     ]

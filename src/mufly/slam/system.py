@@ -47,6 +47,8 @@ INFLATE = 2.0
 _SWERVE = 1.0  # m/s^2 that are not foreseen
 _LOST_S, _SEEK_EVERY = 0.7, 4
 _AGREE = 3
+_SHAKES_GAIN, _SHAKES_LEARNT, _SHAKES_LEFT = 0.02, 150, 0.3
+"""Of a picture in what is learnt of the shaking; after so many pictures so much is left of what is not known of it."""
 _BRIDGE_S, _BRIDGE_YOUNG_S, _YOUNG, _LONG = 1.5, 0.1, 5, 25
 """After how long it goes on from where it is believed to be (s); with a map of so few keyframes that nothing is found
 in it at once, else once so many pictures were seen so."""
@@ -144,6 +146,7 @@ class Slam:
         shaking = float(camera.quality.shaking)
         self._shake_sigma = 0.5 * shaking if rolls else 0.0
         self._shake_rms = shaking / math.sqrt(2.0)
+        self._shakes, self._shaken = np.zeros(SHAKES), 0  # amplitudes as learnt, from so many pictures
         self._shake_tilt = 0.0 if rolls else self._shake_rms / focal
         self._reference = -1
         self._node = np.zeros(DIM)  # where it was last
@@ -205,10 +208,22 @@ class Slam:
     def _view(self, frame: Frame) -> View:
         told = frame.told
         view = View(
-            self._straight.focal, self._axes, told.roll, told.pitch, told.rates, np.zeros(3), 1.0,
-            told.height_sigma, math.hypot(told.tilt_sigma, self._shake_tilt),
-            self._shake_sigma if told.rotor_speed.any() else 0.0, told.rotor_speed,
-        )  # fmt: skip
+            self._straight.focal,
+            self._axes,
+            told.roll,
+            told.pitch,
+            told.rates,
+            np.zeros(3),
+            1.0,
+            told.height_sigma,
+            math.hypot(told.tilt_sigma, self._shake_tilt),
+            self._shake_sigma if told.rotor_speed.any() else 0.0,
+            told.rotor_speed,
+        )
+        if told.rotor_phase is not None:
+            view = view._replace(rotor_phase=told.rotor_phase, shakes=self._shakes)
+            if self._shaken > _SHAKES_LEARNT:
+                view = view._replace(shake_sigma=_SHAKES_LEFT * view.shake_sigma)
         turn = level(view, None, self._node[2])
         velocity = np.array([*self._velocity, 0.0]) if told.velocity is None else told.velocity
         velocity = velocity + turn @ np.cross(told.rates, self._mount)
@@ -264,8 +279,8 @@ class Slam:
         sigma = np.hypot(np.hypot(sigma, 0.08), own)
         rough = np.hypot(np.hypot(sigma, 0.5), self._shake_rms) / view.focal
         _, _, _, fits = two_points(
-            points[:, 0] + 1j * points[:, 1], slopes(view, pixels, seconds, level(view)), rough, view.height,
-            view.height_sigma, self._rng,
+            points[:, 0] + 1j * points[:, 1], slopes(view, pixels, seconds, level(view), view.shakes), rough,
+            view.height, view.height_sigma, self._rng,
         )  # fmt: skip
         if fits.sum() < ENOUGH:
             return None
@@ -396,7 +411,15 @@ class Slam:
         return self._answer(frame, view, match, made, closed)
 
     def _refine(self, view: View, match: _Match) -> None:
-        """Move the keyframe's points by what they were off."""
+        """Move the keyframe's points by what they were off, and learn how it shakes.
+
+        Turning at two turns a picture, a rotor shakes neighbouring pictures alike: a picture against the one before
+        tells little of it, and the floor would be bent by it for good. What is learnt slowly, at all phases, is.
+        """
+        if view.rotor_phase.any():
+            self._shaken += 1
+            gain = max(_SHAKES_GAIN, 1.0 / self._shaken)
+            self._shakes = self._shakes + gain * (match.pose.shakes - self._shakes)
         keyframe, at = self.map.keyframes[match.keyframe], self.map.nodes[match.keyframe]
         seen = self._slopes(view, match.pose, match.pixels, match.seconds)
         z = match.pose.x[2] * np.exp(1j * match.pose.x[3])
@@ -512,7 +535,7 @@ class Slam:
         x = np.array([n + lever[0], e + lever[1], view.height, heading, 0.0, 0.0, 0.0, 0.0])
         tilt = view.tilt_sigma
         covariance = np.diag([(tilt * view.height) ** 2] * 2 + [view.height_sigma**2, 1e-10] + [tilt**2] * 4)
-        return Pose(x, np.zeros(SHAKES), covariance, np.zeros((4, 4)), 1.0, np.zeros(0), np.zeros((0, 2)))
+        return Pose(x, self._shakes, covariance, np.zeros((4, 4)), 1.0, np.zeros(0), np.zeros((0, 2)))
 
     def _make(self, frame: Frame, view: View, picture: Any, match: _Match) -> bool:
         """Make a keyframe of the picture."""

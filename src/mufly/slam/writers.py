@@ -17,7 +17,7 @@ from mufly.dynamics import GRAVITY
 from mufly.dynamics.state import quaternion_from_euler
 from mufly.slam.datasets import Path3
 from mufly.slam.frame import Frame
-from mufly.slam.readers import TELEMETRY
+from mufly.slam.readers import PHASES, TELEMETRY
 
 _Array = NDArray[np.float64]
 LAYOUTS = ("mufly", "euroc", "tum")
@@ -71,6 +71,7 @@ def write_dataset(
                     *t.rotor_speed,
                     t.tilt_sigma,
                     t.height_sigma,
+                    *(() if t.rotor_phase is None else t.rotor_phase),
                 )
             )
             if frame.time_s > last + 0.05:
@@ -81,7 +82,11 @@ def write_dataset(
     if layout == "mufly":
         lines = ["time_s,file", *(f"{t},{name}" for t, name, _ in listed)]
         (folder / "pictures.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-        _csv(folder / "telemetry.csv", TELEMETRY, told)
+        _csv(
+            folder / "telemetry.csv",
+            TELEMETRY + PHASES if told and len(told[0]) > len(TELEMETRY) else TELEMETRY,
+            told,
+        )
         _csv(
             folder / "imu.csv",
             ("time_s", "p_rad_s", "q_rad_s", "r_rad_s", "ax_m_s2", "ay_m_s2", "az_m_s2"),
