@@ -1,0 +1,142 @@
+"""Propellers in UIUC's tunnel: where the errors of efficiency and of the advance ratio without thrust come from.
+
+    python benchmarks/tunnel_study.py DIR    # DIR as for `mufly rotor benchmark --data`; two minutes
+
+First, for each run: the turn of the blade that puts the advance ratio without thrust right (there is next to no induced
+velocity there, so it is an error of geometry, zero-lift angle or of what hangs on the shaft); how steep the thrust then
+falls, and how much power is left without thrust, predicted over measured; and what the same turn does to hover, which
+it has not seen. Then the scores of `mufly rotor benchmark`, each choice by itself.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from mufly.rotor import Blading, Measurements, compare, fit_rotor, hover_batch, prepare
+from mufly.study.benchmark import Code, Prediction, RotorCase, load_cases
+from mufly.study.benchmark.advancing import advancing_table, run_advancing
+from mufly.study.benchmark.scores import part_of
+
+Array = NDArray[np.float64]
+
+_TURN = 0.15  # rad, most that is sought
+_HUB, _HUB_DRAG = 0.1, 0.9
+"""Hub over R, and drag coefficient of a blunt cylinder along the flow (Hoerner, Fluid-Dynamic Drag, 1965, ch. III)."""
+
+
+def _loads(blading: Blading, case: RotorCase, run: Measurements, turn: float) -> tuple[Array, Array]:
+    out = hover_batch(
+        blading, pitch_rad=turn, speed_rad_s=run.speed_rad_s, climb_m_s=run.climb_m_s, air=case.air
+    )
+    return out.thrust_N, out.power_W
+
+
+def _turn(blading: Blading, case: RotorCase, run: Measurements, airspeed: float) -> float:
+    """Turn of the blade (rad) that leaves no thrust at an airspeed (m/s)."""
+
+    def thrust(turn: float) -> float:
+        out = hover_batch(
+            blading, pitch_rad=turn, speed_rad_s=run.speed_rad_s[0], climb_m_s=airspeed, air=case.air
+        )
+        return float(out.thrust_N)
+
+    return float(brentq(thrust, -_TURN, _TURN))
+
+
+def report_runs(cases: list[RotorCase], n_crit: float) -> None:
+    """What each run says."""
+    print(
+        f"\n| n_crit {n_crit:g} | turn, degrees | slope of thrust | power without thrust | hover: c_T, c_P | turned |"
+    )
+    print("|---|---|---|---|---|---|")
+    for case in cases:
+        blading, rows = prepare(case.rotor, n_crit=n_crit), []
+        for run in case.advancing:
+            speed = float(run.speed_rad_s[0])
+            j = run.climb_m_s / (2.0 * case.rotor.radius_m * speed / (2.0 * np.pi))
+            fast = j > 0.6 * j[-1]
+            slope, level = np.polyfit(j[fast], run.thrust_N[fast], 1)
+            free = -level / slope
+            airspeed = free * run.climb_m_s[-1] / j[-1]
+            turn = _turn(blading, case, run, airspeed)
+            thrust, power = _loads(blading, case, run, turn)
+            mine = np.polyfit(j[fast], thrust[fast], 1)[0]
+            measured = np.interp(free, j, run.torque_Nm * speed)
+            rows.append((np.degrees(turn), mine / slope, np.interp(free, j, power) / measured))
+        turn, steep, left = np.mean(rows, axis=0)
+        turned = replace(case.measured, pitch_rad=case.measured.pitch_rad + np.radians(turn))
+        hover = []
+        for bench in (case.measured, turned):
+            found = compare(blading, bench, air=case.air)
+            hover.append(f"{100 * found.thrust_error.mean():+.0f}, {100 * found.torque_error.mean():+.0f} %")
+        print(f"| {case.name} | {turn:+.1f} | {steep:.2f} | {left:.2f} | {hover[0]} | {hover[1]} |")
+
+
+def _code(name: str, made: Callable[[RotorCase], Blading], *, hub: bool = False) -> Code:
+    """Blade elements on a rotor as ``made`` lays it out, with or without the drag of its hub."""
+
+    def predict(case: RotorCase) -> Prediction:
+        thrust, power = _loads(made(case), case, case.measured, 0.0)
+        if hub:
+            area = np.pi * (_HUB * case.rotor.radius_m) ** 2
+            thrust = thrust - 0.5 * case.air.density_kg_m3 * case.measured.climb_m_s**2 * _HUB_DRAG * area
+        return Prediction(thrust, power / case.measured.speed_rad_s)
+
+    return Code(name, predict)
+
+
+def _fitted(cases: list[RotorCase], whole: bool) -> dict[str, Blading]:
+    out = {}
+    for case in cases:
+        n = case.measured.thrust_N.size
+        seen = np.arange(n) if whole else np.array([n // 2])
+        section = "known" if case.known else "guessed"
+        fit = fit_rotor(case.rotor, part_of(case, seen).measured, section=section, air=case.air)
+        out[case.name] = prepare(fit.rotor)
+    return out
+
+
+def main() -> None:
+    if len(sys.argv) != 2:
+        sys.exit(__doc__)
+    cases = [case for case in load_cases(Path(sys.argv[1]))[0] if case.advancing]
+    for n_crit in (0.1, 8.15):
+        report_runs(cases, n_crit)
+    one, whole = _fitted(cases, whole=False), _fitted(cases, whole=True)
+    choices = [
+        _code("default", lambda c: prepare(c.rotor)),
+        _code("hub", lambda c: prepare(c.rotor), hub=True),
+        _code("n_crit 4", lambda c: prepare(c.rotor, n_crit=4.0)),
+        _code("n_crit 4, hub", lambda c: prepare(c.rotor, n_crit=4.0), hub=True),
+        _code("n_crit 8.15", lambda c: prepare(c.rotor, n_crit=8.15)),
+        _code("n_crit 8.15, hub", lambda c: prepare(c.rotor, n_crit=8.15), hub=True),
+        _code("one static point", lambda c: one[c.name]),
+        _code("one static point, hub", lambda c: one[c.name], hub=True),
+        _code("whole static run", lambda c: whole[c.name]),
+    ]
+    scores = run_advancing(cases, choices)
+    print("\n| | efficiency | its J | J without thrust |\n|---|---|---|---|")
+    for row in advancing_table(scores):
+        cells = (f"{100 * s:.1f} % ({100 * b:+.1f})" for s, b in zip(row.size, row.bias, strict=True))
+        print(f"| {row.code} | " + " | ".join(cells) + " |")
+    print(
+        "\n| J without thrust, bias | "
+        + " | ".join(c.name for c in choices)
+        + " |\n|"
+        + "---|" * (len(choices) + 1)
+    )
+    families = advancing_table(scores, by_family=True)
+    for family in dict.fromkeys(row.group for row in families):
+        cells = (f"{100 * row.bias[2]:+.1f} %" for row in families if row.group == family)
+        print(f"| {family} | " + " | ".join(cells) + " |")
+
+
+if __name__ == "__main__":
+    main()
