@@ -28,3 +28,30 @@ def _by_address(context: Any, address: Any, arguments: Any) -> Any:
 
 call_at: Any = intrinsic(_by_address)
 """``call_at(address, (argument, ...))``, arguments of type int64."""
+
+
+def _lent(context: Any, what: Any) -> Any:
+    def uncounted(ctx: Any, builder: Any, kind: Any, value: Any) -> Any:
+        if isinstance(kind, types.Array):
+            array = ctx.make_array(kind)(ctx, builder, value)
+            array.meminfo = ir.Constant(array.meminfo.type, None)
+            return array._getvalue()
+        if isinstance(kind, types.BaseTuple):
+            for k, part in enumerate(tuple(kind)):  # type: ignore[var-annotated, arg-type]
+                inside = uncounted(ctx, builder, part, builder.extract_value(value, k))
+                value = builder.insert_value(value, inside, k)
+        return value
+
+    def make(ctx: Any, builder: Any, signature: Any, given: Any) -> Any:
+        return uncounted(ctx, builder, what, given[0])
+
+    return what(what), make
+
+
+lent: Any = intrinsic(_lent)
+"""``lent(array)``: the same array, or tuple of arrays and tuples, as one of which nobody counts who holds it.
+
+Numba counts the holders of an array anew, atomically, wherever it is handed on, and a loop that hands on arrays of its
+caller spends more time on that than on sums. Only for what others hold as long as the result is used: arrays that the
+caller was given, or rows of an array that is itself used last.
+"""

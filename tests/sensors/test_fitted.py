@@ -1,14 +1,14 @@
 """Sonar, laser ring, pressure, field, speeds, battery, fixes: each against what it is made of."""
 
-import ctypes
 import math
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from mufly.dynamics import rotation
 from mufly.errors import InputError
-from mufly.sensors import Wander, drawing, fitted_sensors
+from mufly.sensors import Wander, drawing, fitted_sensors, ring_camera
 from mufly.units import GRAVITY
 from mufly.vehicle import replace
 from mufly.world import Box, Room, World
@@ -262,20 +262,68 @@ def test_a_vehicle_without_sensors_says_so(vehicle) -> None:
 # --- random numbers in compiled code
 
 
-@pytest.mark.parametrize("own", [True, False], ids=["NumPy's functions", "stand-ins"])
-def test_compiled_code_draws_what_the_generator_draws(own, monkeypatch: pytest.MonkeyPatch) -> None:
-    if not own:
-        held = [drawing._stand_in(name) for name in drawing._NAMES]
-        monkeypatch.setattr(drawing, "_own", False)
-        monkeypatch.setattr(drawing, "_places", [ctypes.cast(f, ctypes.c_void_p).value for f in held])
-    rng, other = np.random.default_rng(3), np.random.default_rng(3)
-    source, table, row = drawing.source_of(rng), np.empty((4, 5, 6)), np.empty(3)
-    for _ in range(2):
-        drawing.normals(source, table)
-        drawing.uniforms(source, row)
-        np.testing.assert_array_equal(table, other.standard_normal((4, 5, 6)))
-        np.testing.assert_array_equal(row, other.uniform(size=3))
-    assert rng.bit_generator.state == other.bit_generator.state  # whoever draws next gets the next number
+def drawn(key: int, count: int, fill=drawing.normals):
+    out = np.empty(count)
+    fill(np.array([key], dtype=np.uint64), out)
+    return out
+
+
+def test_normal_numbers_are_normal_to_their_tails_and_know_nothing_of_each_other() -> None:
+    # Each bound is what chance passes once in ten thousand times, and these keys are fixed.
+    for key in (0, 1, 2**63 + 11):
+        z = drawn(key, 400_001)
+        assert stats.kstest(z, "norm").pvalue > 1e-4
+        n = z.size
+        assert abs(z.mean()) < 4 / math.sqrt(n)
+        assert abs(z.var() - 1.0) < 4 * math.sqrt(2 / n)
+        assert abs(stats.skew(z)) < 4 * math.sqrt(6 / n)
+        assert abs(stats.kurtosis(z)) < 4 * math.sqrt(24 / n)
+        for far in (3.0, 4.0):
+            assert stats.binomtest(int((np.abs(z) > far).sum()), n, 2 * stats.norm.sf(far)).pvalue > 1e-4
+        # Neighbours, the halves of pairs, and another source: neither they nor their magnitudes go together.
+        half = n // 2
+        for a, b in ((z[:-1], z[1:]), (z[:half], z[half : 2 * half]), (z, drawn(key + 1, n))):
+            for f in (lambda v: v, np.abs):
+                assert abs(np.corrcoef(f(a), f(b))[0, 1]) < 4 / math.sqrt(a.size)
+        u = drawn(key, 200_000, drawing.uniforms)
+        assert stats.kstest(u, "uniform").pvalue > 1e-4
+        assert 0.0 <= u.min() < u.max() < 1.0
+
+
+def test_numbers_are_those_of_the_formulas() -> None:
+    grows = 0x9E3779B97F4A7C15
+    known = (6457827717110365317, 3203168211198807973, 9817491932198370423, 4593380528125082431)
+    u = drawn(1234567 + grows, 4, drawing.uniforms)  # splitmix64's own numbers of this seed
+    np.testing.assert_array_equal(u, [(k >> 12) / 2**52 for k in known])
+    # Pairs of neighbours are drawn in halves; of an odd last pair there is one.
+    z, u = drawn(5, 2001), drawn(5, 2002, drawing.uniforms)
+    far = np.sqrt(-2.0 * np.log(1.0 - u[::2]))
+    cosine, sine = (
+        far[:1000] * np.abs(np.cos(2 * math.pi * u[1:2000:2])),
+        far[:1000] * np.abs(np.sin(2 * math.pi * u[1:2000:2])),
+    )
+    np.testing.assert_allclose(np.sort(np.abs(z[:2000])), np.sort([*cosine, *sine]), rtol=1e-11, atol=1e-13)
+
+
+def test_who_draws_goes_on_where_it_was_and_sources_differ() -> None:
+    rng = np.random.default_rng(3)
+    source, again = drawing.source_of(rng), drawing.source_of(np.random.default_rng(3))
+    a, b = np.empty((2, 500)), np.empty(500)
+    for row in a:
+        drawing.normals(source, row)
+    drawing.normals(again, b)
+    np.testing.assert_array_equal(a[0], b)
+    assert np.intersect1d(a[0], a[1]).size == 0
+    drawing.normals(drawing.source_of(rng), b)
+    assert np.intersect1d(a[0], b).size == 0
+
+
+@pytest.mark.parametrize("rows", [1, 2, 3, 48, 64, 65])
+def test_columns_are_sorted_together(rows) -> None:
+    columns = np.random.default_rng(rows).standard_normal((rows, 7))
+    flat = columns.ravel().copy()
+    ring_camera._sort(flat, 7)
+    np.testing.assert_array_equal(flat.reshape(rows, 7), np.sort(columns, axis=0))
 
 
 def test_what_overtakes_on_its_way_is_said_in_the_order_of_its_coming(exact, at) -> None:

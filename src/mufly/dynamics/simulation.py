@@ -37,6 +37,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.signal import lfilter
 from scipy.special import gammainc
 
+from mufly.calling import lent
 from mufly.compiled import compiled
 from mufly.drive.train import RUBBING_FROM
 from mufly.dynamics.model import battery_state, coefficient_bounds, derivative
@@ -68,7 +69,8 @@ def advance(x, u, wind, p, dt, steps):  # type: ignore[no-untyped-def]
     steps : int
     """
     work = np.empty((5, x.shape[0]))
-    k1, k2, k3, k4, y = work[0], work[1], work[2], work[3], work[4]
+    x, u, wind = lent(x), lent(u), lent(wind)
+    k1, k2, k3, k4, y = lent(work[0]), lent(work[1]), lent(work[2]), lent(work[3]), lent(work[4])
     for _ in range(steps):
         derivative(x, u, wind, p, k1)
         for i in range(x.shape[0]):
@@ -80,8 +82,8 @@ def advance(x, u, wind, p, dt, steps):  # type: ignore[no-untyped-def]
         for i in range(x.shape[0]):
             y[i] = x[i] + dt * k3[i]
         derivative(y, u, wind, p, k4)
-        for i in range(x.shape[0]):
-            x[i] += dt / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
+        for i in range(x.shape[0]):  # by the table, which is held until here
+            x[i] += dt / 6.0 * (work[0, i] + 2.0 * work[1, i] + 2.0 * work[2, i] + work[3, i])
         q = 1.0 / math.sqrt(x[6] * x[6] + x[7] * x[7] + x[8] * x[8] + x[9] * x[9])
         for i in range(6, 10):
             x[i] *= q

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -77,7 +78,7 @@ class Beliefs:
         True thrust over that of the model (1).
     sigma : (n,) array
         Standard deviations of the whole error state, in the order of :data:`ERROR_STATES`.
-    checks : tuple of Check
+    checks : sequence of Check
         One for each sensor of the vehicle.
     """
 
@@ -88,4 +89,4 @@ class Beliefs:
     wind: _Array
     thrust_scale: float
     sigma: _Array
-    checks: tuple[Check, ...] = ()
+    checks: Sequence[Check] = ()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,7 @@ from mufly.estimate.layout import (
 )
 from mufly.estimate.native import Code, steps
 from mufly.estimate.telling import TOLD_EVERY
-from mufly.estimate.words import checks
+from mufly.estimate.words import Checks
 from mufly.sensors import Reading, Readings
 from mufly.sensors.pressure import STANDARD_PRESSURE_PA
 from mufly.vehicle import Vehicle
@@ -100,7 +100,7 @@ class KalmanEstimator(Estimator):
         self.steps.begin(self._box)
         self._periods = 0
         self._last: dict[str, Reading] = {}
-        self._checks: tuple[Check, ...] = ()
+        self._checks: Sequence[Check] = ()
         self._told: tuple[Any, ...] = ()
         self._first = math.nan
         self._pictures = [self._nothing] * 3
@@ -115,14 +115,15 @@ class KalmanEstimator(Estimator):
         """What is believed after so many more periods; of those whose turn it is to tell much, none is left out."""
         self._periods += periods
         if (periods and self._periods % TOLD_EVERY == 0) or not self._told:
-            self.show(self.memory)
+            self.show(self.memory.copy())
         return self.said(
             time_s, valid, self._out, self._rates, self._angles, float(self._z[_BATTERY]), self._ranges
         )
 
     def show(self, m: Mapping[str, Any] | np.void) -> None:
-        """Tell much from now on, of a memory or of as much of it as :data:`SHOWN` names."""
-        self._checks = checks(m, self._settings, self._fitted)
+        """Tell much from now on, of a memory, or of as much of it as :data:`SHOWN` names, that does not change any
+        more."""
+        self._checks = Checks(m, self._settings, self._fitted)
         sigma, covariance = m["sigma"].astype(np.float64), np.zeros((12, 12))
         covariance[:9, :9] = m["out_cov"]
         covariance[range(9, 12), range(9, 12)] = (
@@ -221,7 +222,13 @@ class KalmanEstimator(Estimator):
         return self._periods
 
     @property
-    def checks(self) -> tuple[Check, ...]:
+    def covariance(self) -> _Array:
+        """That was told last (12, 12)."""
+        covariance: _Array = self._told[0]
+        return covariance
+
+    @property
+    def checks(self) -> Sequence[Check]:
         """What is thought of the sensors."""
         return self._checks
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, overload
 
 from mufly.estimate import guards as g
 from mufly.estimate.beliefs import Check, Status
@@ -40,28 +40,62 @@ _WORDS: Mapping[int, Callable[[float, str], str]] = {
 REASONS = len(_WORDS)
 
 
-def checks(m: Any, s: Any, fitted: Sequence[int]) -> tuple[Check, ...]:
-    """Return what is thought of each sensor that is on board.
+class Checks(Sequence[Check]):
+    """What is thought of each sensor that is on board, put into words when somebody looks.
 
     Parameters
     ----------
     m, s : records
-        Memory and settings of the filter.
+        Memory and settings of the filter; what they hold is not to change any more.
     fitted : sequence of int
         Which of :data:`mufly.estimate.layout.CHECKED`.
     """
-    dt, tick = float(s["dt"]), int(m["tick"])
-    return tuple(_check(m, k, dt, tick) for k in fitted)
+
+    def __init__(self, m: Any, s: Any, fitted: Sequence[int]) -> None:
+        self._of = (m, s, fitted)
+        self._said: tuple[Check, ...] | None = None
+
+    @overload
+    def __getitem__(self, k: int) -> Check: ...
+    @overload
+    def __getitem__(self, k: slice) -> tuple[Check, ...]: ...
+    def __getitem__(self, k: int | slice) -> Check | tuple[Check, ...]:
+        return self._all()[k]
+
+    def __iter__(self) -> Iterator[Check]:
+        return iter(self._all())
+
+    def __len__(self) -> int:
+        return len(self._of[2])
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Checks | tuple) and tuple(self) == tuple(other)
+
+    def __hash__(self) -> int:
+        return hash(self._all())
+
+    def __repr__(self) -> str:
+        return repr(self._all())
+
+    def _all(self) -> tuple[Check, ...]:
+        if self._said is None:
+            m, s, fitted = self._of
+            dt, tick = float(s["dt"]), int(m["tick"])
+            rows = zip(*(m[name].tolist() for name in _NUMBERS), strict=True)
+            self._said = tuple(_check(k, row, dt, tick) for k, row in enumerate(rows) if k in fitted)
+        return self._said
 
 
-def _check(m: Any, k: int, dt: float, tick: int) -> Check:
-    code, why = int(m["code"][k]), int(m["why"][k])
-    spread, nu = float(m["spread"][k]), float(m["innovation"][k])
+_NUMBERS = ("code", "why", "number", "innovation", "spread", "used", "came")
+
+
+def _check(k: int, row: Sequence[float], dt: float, tick: int) -> Check:
+    code, why, number, nu, spread, used, came = row
     if code == g.NOTHING and why == g.FINE:
-        why = g.NOTHING_YET if not m["came"][k] else g.FINE
+        why = g.FINE if came else g.NOTHING_YET
     return Check(
-        CHECKED[k], _STATUS[code], nu, spread, nu / spread if spread > 0.0 else 0.0,
-        (tick - int(m["used"][k])) * dt, reason(why, float(m["number"][k]), k),
+        CHECKED[k], _STATUS[int(code)], nu, spread, nu / spread if spread > 0.0 else 0.0,
+        (tick - int(used)) * dt, reason(int(why), number, k),
     )  # fmt: skip
 
 

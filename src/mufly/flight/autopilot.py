@@ -173,11 +173,11 @@ class Autopilot:
         """Whether its motors may run."""
         return self._armed
 
-    def untroubled(self, checks: tuple[Check, ...]) -> bool:
+    def untroubled(self, checks: Sequence[Check]) -> bool:
         """Whether there is nothing to say of sensors of which this is thought, however long."""
         return self._sensors.calm(checks)
 
-    def hear(self, checks: tuple[Check, ...], time_s: float, state: str) -> None:
+    def hear(self, checks: Sequence[Check], time_s: float, state: str) -> None:
         """Say what is to be said of sensors in one period."""
         for text, level in self._sensors.step(checks, self._period_s):
             self._emit(Event(time_s, state, text, level))

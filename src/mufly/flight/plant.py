@@ -33,6 +33,7 @@ from mufly.vehicle import Vehicle
 from mufly.world import World, distance, nearest
 
 SHORTEST_STEP_S = 1e-5
+_BLOWN_S = 5.0  # of wind drawn at once; what it is does not depend on it
 
 
 @compiled(error_model="numpy")
@@ -97,7 +98,7 @@ class Plant:
         self.wind = np.zeros(3)
         self.voltage, self.current = battery_state(self.state, 0.0, 0.0, self.parameters)
         self.crashed = ""
-        self._air, self._block = air, max(1, round(rate_Hz))
+        self._air, self._block = air, max(1, round(_BLOWN_S * rate_Hz))
         self._coming, self._blown = air.block(self._block), 0
         longest = min(DEFAULT_STEP_S, longest_step(self.parameters))
         if longest < SHORTEST_STEP_S:

@@ -30,6 +30,7 @@ time that a sensor is not believed and sinks with a tenth of the time that it is
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
@@ -81,7 +82,7 @@ def sensor_name(reading: str) -> str:
     return _NAMES.get(reading, reading.replace("_", " "))
 
 
-def checks_of(m: Estimate) -> tuple[Check, ...]:
+def checks_of(m: Estimate) -> Sequence[Check]:
     """Return what the estimator thinks of its sensors; nothing where it is told the truth."""
     return () if m.beliefs is None else m.beliefs.checks
 
@@ -279,7 +280,7 @@ class SensorWatch:
     _good_s: dict[str, float] = field(default_factory=dict)
     _wrong: dict[str, Check] = field(default_factory=dict)
 
-    def calm(self, checks: tuple[Check, ...]) -> bool:
+    def calm(self, checks: Sequence[Check]) -> bool:
         """Whether a step with these changes nothing: all is believed, and nothing else was told."""
         return (
             not self.told
@@ -287,7 +288,7 @@ class SensorWatch:
             and all(c.status in ("fused", "waiting") for c in checks)
         )
 
-    def step(self, checks: tuple[Check, ...], period_s: float) -> list[tuple[str, str]]:
+    def step(self, checks: Sequence[Check], period_s: float) -> list[tuple[str, str]]:
         """Return (text, level) of what has changed, a period later."""
         said: list[tuple[str, str]] = []
         for check in checks:

@@ -1,66 +1,112 @@
-"""Random numbers drawn inside compiled code, the same that NumPy's generator gives, from the same generator.
+"""Random numbers of sensors, drawn inside compiled code and many at once.
 
-NumPy fills arrays by two functions of its own library, which take the address of a generator's state
-(``numpy.random.Generator`` calls them too, so that the stream of numbers is one, whoever asks for the next). Where a
-system does not export them, stand-ins ask the generator itself: slower, and the same numbers.
+A flight of a second takes 140 000 normal numbers, most of them noise of pixels and of the inertial unit. NumPy's
+generators make one after the other by a function call each; here a processor's vector registers make four or eight
+together, with nothing but sums, products, divisions, roots and shifts, so that every processor draws the same numbers
+to the last bit.
+
+The k-th number of 64 bits of a source is splitmix64's: a counter that starts anywhere and grows by an odd constant,
+mixed (Steele, Lea, Flood, Fast splittable pseudorandom number generators, OOPSLA 2014; constants of Stafford's
+mix 13). 52 bits become a number between 0 and 1, and two of those, u and v, two normal numbers
+
+    sqrt(-2 ln u) cos(2 pi v),     sqrt(-2 ln u) sin(2 pi v)
+
+(Box and Muller, Ann. Math. Stat. 29, 1958), the logarithm by atanh's series, sine and cosine of an eighth of a turn by
+Taylor's, both to 1e-13. The farthest is 8.5 standard deviations.
 """
 
 from __future__ import annotations
 
-import ctypes
+import math
 from typing import Any
 
 import numpy as np
-from numpy.random import _generator
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from mufly.calling import call_at
 from mufly.compiled import compiled
 
-_FILL = ctypes.CFUNCTYPE(None, ctypes.c_size_t, ctypes.c_ssize_t, ctypes.POINTER(ctypes.c_double))
-_NAMES = ("random_standard_normal_fill", "random_standard_uniform_fill")
-_known: dict[int, np.random.Generator] = {}
+
+def source_of(rng: np.random.Generator) -> NDArray[np.uint64]:
+    """Return what compiled functions draw from (1,), which ``rng`` draws: other for each that is asked for."""
+    return rng.integers(2**64, size=1, dtype=np.uint64)
 
 
-def _stand_in(name: str) -> Any:
-    """Fill by asking the generator that has its state there."""
+def _seen_as(make: Any, kind: Any) -> Any:
+    """Take the 64 bits of a number for those of another kind."""
 
-    def fill(state: int, count: int, out: Any) -> None:
-        rng = _known[state]
-        draw = rng.standard_normal if "normal" in name else rng.random
-        np.ctypeslib.as_array(out, (count,))[:] = draw(count)
+    def code(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        return builder.bitcast(given[0], make)
 
-    return _FILL(fill)
+    return lambda context, number: (kind(number), code)
 
 
-def _fillers() -> tuple[list[Any], bool]:
-    """The two functions, and whether they are NumPy's."""
-    try:
-        library = ctypes.CDLL(_generator.__file__)
-        return [getattr(library, name) for name in _NAMES], True
-    except (AttributeError, OSError):
-        return [_stand_in(name) for name in _NAMES], False
+_number: Any = intrinsic(_seen_as(ir.DoubleType(), types.float64))
+_bits: Any = intrinsic(_seen_as(ir.IntType(64), types.uint64))
+
+_GROWS, _FIRST, _SECOND = (np.uint64(c) for c in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB))
+_27, _30, _31, _12, _52, _2 = (np.uint64(n) for n in (27, 30, 31, 12, 52, 2))
+_ONE = np.uint64(0x3FF0000000000000)  # exponent of numbers from 1 to 2
+_FRACTION = np.uint64(0x000FFFFFFFFFFFFF)
+_WHOLE = np.uint64(0x4330000000000000)  # 2^52, whose last bits count ones
+_LN2, _ROOT2 = math.log(2.0), math.sqrt(2.0)
+_L3, _L5, _L7, _L9, _L11, _L13, _L15 = (1.0 / n for n in (3, 5, 7, 9, 11, 13, 15))
+_S3, _S5, _S7, _S9, _S11, _S13 = ((-1.0) ** (n // 2) / math.factorial(n) for n in (3, 5, 7, 9, 11, 13))
+_C2, _C4, _C6, _C8, _C10, _C12, _C14 = (
+    (-1.0) ** (n // 2) / math.factorial(n) for n in (2, 4, 6, 8, 10, 12, 14)
+)
 
 
-_held, _own = _fillers()
-_places = [ctypes.cast(f, ctypes.c_void_p).value or 0 for f in _held]
+@compiled(error_model="numpy")
+def _even(counter):  # type: ignore[no-untyped-def]
+    """A number from 1 to 2, of a counter."""
+    z = (counter ^ (counter >> _30)) * _FIRST
+    z = (z ^ (z >> _27)) * _SECOND
+    return _number(((z ^ (z >> _31)) >> _12) | _ONE)
 
 
-def source_of(rng: np.random.Generator) -> NDArray[np.int64]:
-    """Return what compiled functions draw from (3,); for as long as the generator lives."""
-    state = int(rng.bit_generator.ctypes.bit_generator.value)
-    if not _own:
-        _known[state] = rng
-    return np.array([*_places, state], dtype=np.int64)
+@compiled(error_model="numpy")
+def _pair(a, b):  # type: ignore[no-untyped-def]
+    """Two normal numbers of two even ones from 1 to 2."""
+    bits = _bits(2.0 - a)  # above 0, up to 1
+    power = _number(_WHOLE | (bits >> _52)) - 4503599627371519.0  # 2^52 + 1023
+    m = _number((bits & _FRACTION) | _ONE)
+    big = m > _ROOT2
+    m = 0.5 * m if big else m
+    power = power + 1.0 if big else power
+    s = (m - 1.0) / (m + 1.0)
+    q = s * s
+    series = 1.0 + q * (_L3 + q * (_L5 + q * (_L7 + q * (_L9 + q * (_L11 + q * (_L13 + q * _L15))))))
+    far = math.sqrt(-(power * _LN2 + 2.0 * s * series))  # the root of 2 is in what follows
+    x = b - 1.5  # turns
+    y = (x if x > 0.0 else -x) - 0.25
+    t = 2.0 * math.pi * ((y if y > 0.0 else -y) - 0.125)
+    p = t * t
+    sine = t * (1.0 + p * (_S3 + p * (_S5 + p * (_S7 + p * (_S9 + p * (_S11 + p * _S13))))))
+    cosine = 1.0 + p * (_C2 + p * (_C4 + p * (_C6 + p * (_C8 + p * (_C10 + p * (_C12 + p * _C14))))))
+    first, second = far * (cosine - sine), far * (cosine + sine)
+    return first if x > 0.0 else -first, second if y > 0.0 else -second
 
 
-@compiled
+@compiled(error_model="numpy")
 def normals(source, out):  # type: ignore[no-untyped-def]
-    """Fill an array (C order) with the next unit normal numbers of a source."""
-    call_at(source[0], (source[2], np.int64(out.size), np.int64(out.ctypes.data)))
+    """Fill an array (n,) with the next unit normal numbers of a source."""
+    start, half = source[0], out.size // 2
+    source[0] = start + np.uint64(out.size + out.size % 2) * _GROWS
+    for i in range(half):
+        at = start + np.uint64(2 * i) * _GROWS
+        out[i], out[half + i] = _pair(_even(at), _even(at + _GROWS))
+    if out.size % 2:
+        at = start + np.uint64(2 * half) * _GROWS
+        out[2 * half] = _pair(_even(at), _even(at + _GROWS))[0]
 
 
-@compiled
+@compiled(error_model="numpy")
 def uniforms(source, out):  # type: ignore[no-untyped-def]
-    """Fill an array (C order) with the next numbers of a source, even between 0 and 1."""
-    call_at(source[1], (source[2], np.int64(out.size), np.int64(out.ctypes.data)))
+    """Fill an array (n,) with the next numbers of a source, even from 0 to 1 (1 excluded)."""
+    start = source[0]
+    source[0] = start + np.uint64(out.size) * _GROWS
+    for i in range(out.size):
+        out[i] = _even(start + np.uint64(i) * _GROWS) - 1.0

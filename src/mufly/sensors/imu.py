@@ -33,6 +33,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.calling import lent
 from mufly.compiled import compiled
 from mufly.dynamics import STATE_SIZE, rotation, trim
 from mufly.sensors.drawing import normals, source_of
@@ -92,7 +93,7 @@ class Imu(Sensor):
             [level * np.cos(azimuth), level * np.sin(azimuth), np.full(3, math.sin(_ELEVATION))]
         )
         self._directions = np.ascontiguousarray(e[[0, 0, 1, 1, 2]])
-        self._phases = rng.uniform(0.0, 2 * math.pi, _LINES)
+        self._phases = np.array([(math.cos(p), math.sin(p)) for p in rng.uniform(0.0, 2 * math.pi, _LINES)])
         self.source = source_of(rng)
         self.reset()
 
@@ -192,7 +193,8 @@ def _axes(rng: np.random.Generator, scale: float, misalignment: float) -> _Array
 # A period of the flight software. All of it is compiled, as one: forty samples of six axes cost less than ten calls of
 # NumPy. The lines of the shaking are phasors that turn: within a period a rotor's speed changes evenly, so its phasor
 # turns by an angle that itself grows by the same angle from sample to sample, and sine and cosine are asked for three
-# times a rotor and period instead of ten times a sample. Twice the azimuth is the phasor's square.
+# times a rotor and period instead of ten times a sample. Twice the azimuth is the phasor's square. An axis' samples are
+# summed up together, in vector registers.
 
 
 @compiled(error_model="numpy")
@@ -228,8 +230,8 @@ def imu_period(  # type: ignore[no-untyped-def]
     """Shake, sense, clip and filter over a period that ends at ``t`` (s).
 
     ``azimuth``, ``wander``, and ``memory`` (6, 2) of the filter stay.
-    ``normal`` (6 + 6 n) are unit normal numbers: of the wandering, then of the samples. ``force`` is what is felt
-    at the element, ``out`` and ``clipped`` (6,) what is said and the share of samples that clipped.
+    ``normal`` (6 + 6 n) are unit normal numbers: of the wandering, then of each axis' samples. ``force`` is what is
+    felt at the element, ``out`` and ``clipped`` (6,) what is said and the share of samples that clipped.
     """
     n, warmth = normal.size // 6 - 1, _warmth(t, numbers)
     once, twice, passing, natural, damping = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
@@ -261,7 +263,7 @@ def imu_period(  # type: ignore[no-untyped-def]
         amplitude *= _exaggerated(times * speed, natural, damping) / _exaggerated(
             times * hover, natural, damping
         )
-        c, s = amplitude * math.cos(phases[line]), amplitude * math.sin(phases[line])
+        c, s = amplitude * phases[line, 0], amplitude * phases[line, 1]
         for j in range(3):
             a = w = 0.0
             for m in range(3):
@@ -282,36 +284,41 @@ def imu_period(  # type: ignore[no-untyped-def]
         phasor[k, 2], phasor[k, 3] = math.cos(turn), math.sin(turn)
         phasor[k, 4], phasor[k, 5] = math.cos(more), math.sin(more)
         azimuth[k] = (angle + 0.5 * elapsed * (was[18 + k] + now[18 + k])) % (2.0 * math.pi)
-    lines = np.empty(10)
-    b0, b1, b2, a1, a2 = coefficients[0], coefficients[1], coefficients[2], coefficients[3], coefficients[4]
-    gain = 1.0 + a1 + a2
-    clipped[:] = 0.0
+    lines, felt = np.empty((10, n)), np.empty((6, n))
     for i in range(n):
-        share = (i + 0.5) / n
         for k in range(2):
             c, s, tc, ts = phasor[k, 0], phasor[k, 1], phasor[k, 2], phasor[k, 3]
             c, s = c * tc - s * ts, c * ts + s * tc
             phasor[k, 0], phasor[k, 1] = c, s
             phasor[k, 2] = tc * phasor[k, 4] - ts * phasor[k, 5]
             phasor[k, 3] = tc * phasor[k, 5] + ts * phasor[k, 4]
-            lines[4 * k], lines[4 * k + 1] = c, s
-            lines[4 * k + 2], lines[4 * k + 3] = c * c - s * s, 2.0 * c * s
-        lines[8] = lines[2] * lines[6] - lines[3] * lines[7]
-        lines[9] = lines[2] * lines[7] + lines[3] * lines[6]
-        for j in range(6):
-            x = begin[j] + share * slope[j] + white[j] * normal[6 + 6 * i + j]
-            for m in range(10):
-                x += wave[j, m] * lines[m]
-            if x > limit[j]:
-                x = limit[j]
-                clipped[j] += 1.0
-            elif x < -limit[j]:
-                x = -limit[j]
-                clipped[j] += 1.0
-            # Direct form II with its memory in units of the signal: at rest both states are the value itself.
-            s = gain * x - a1 * memory[j, 0] - a2 * memory[j, 1]
-            out[j] = (b0 * s + b1 * memory[j, 0] + b2 * memory[j, 1]) / gain
-            memory[j, 1] = memory[j, 0]
-            memory[j, 0] = s
+            lines[4 * k, i], lines[4 * k + 1, i] = c, s
+            lines[4 * k + 2, i], lines[4 * k + 3, i] = c * c - s * s, 2.0 * c * s
+        lines[8, i] = lines[2, i] * lines[6, i] - lines[3, i] * lines[7, i]
+        lines[9, i] = lines[2, i] * lines[7, i] + lines[3, i] * lines[6, i]
+    # An axis after the other, all samples of it together.
     for j in range(6):
-        clipped[j] /= n
+        x, noise, w = lent(felt[j]), lent(normal[6 + n * j : 6 + n * (j + 1)]), lent(wave[j])
+        start, more, loud, most, beyond = begin[j], slope[j], white[j], limit[j], 0
+        for i in range(n):
+            x[i] = start + (i + 0.5) / n * more + loud * noise[i]
+        for m in range(10):
+            line, weight = lent(lines[m]), w[m]
+            for i in range(n):
+                x[i] += weight * line[i]
+        for i in range(n):
+            beyond += 1 if abs(x[i]) > most else 0
+            x[i] = max(min(x[i], most), -most)
+        clipped[j] = beyond / n
+    # Direct form II with its memory in units of the signal: at rest both states are the value itself.
+    b0, b1, b2, a1, a2 = coefficients[0], coefficients[1], coefficients[2], coefficients[3], coefficients[4]
+    gain = 1.0 + a1 + a2
+    for j in range(6):
+        x, first, second = lent(felt[j]), memory[j, 0], memory[j, 1]
+        for i in range(n - 1):
+            first, second = gain * x[i] - a1 * first - a2 * second, first
+        s = gain * x[n - 1] - a1 * first - a2 * second
+        out[j] = (b0 * s + b1 * first + b2 * second) / gain
+        memory[j, 0], memory[j, 1] = s, first
+    # The tables whose rows were lent are held until here.
+    lines[0, 0], felt[0, 0], wave[0, 0] = 0.0, 0.0, 0.0

@@ -30,13 +30,19 @@ _FEATURES = 64
 
 @compiled(error_model="numpy")
 def _disturbed(x, waves, shifts, strength, field):  # type: ignore[no-untyped-def]
-    """Add to a field (3,) what the surroundings make of it at a place."""
-    for j in range(3):
-        total = 0.0
-        for k in range(waves.shape[0]):
-            phase = waves[k, 0] * x[0] + waves[k, 1] * x[1] + waves[k, 2] * x[2]
-            total += sine_cosine(phase + shifts[k, j])[1]
-        field[j] += strength * total
+    """Add to a field (3,) what the surroundings make of it at a place.
+
+    ``shifts`` (n, 3, 2) are sines and cosines of the shifts, so that a wave's phase is looked up once, not thrice.
+    """
+    a = b = c = 0.0
+    for k in range(waves.shape[0]):
+        sine, cosine = sine_cosine(waves[k, 0] * x[0] + waves[k, 1] * x[1] + waves[k, 2] * x[2])
+        a += cosine * shifts[k, 0, 1] - sine * shifts[k, 0, 0]
+        b += cosine * shifts[k, 1, 1] - sine * shifts[k, 1, 0]
+        c += cosine * shifts[k, 2, 1] - sine * shifts[k, 2, 0]
+    field[0] += strength * a
+    field[1] += strength * b
+    field[2] += strength * c
 
 
 @compiled(error_model="numpy")
@@ -65,7 +71,8 @@ class MagnetometerSensor(Periodic):
         m = table
         self.earth = earth_field(float(m.field), float(m.inclination))
         self._waves = rng.standard_normal((_FEATURES, 3)) / float(m.distortion_length)
-        self._shifts = rng.uniform(0.0, 2 * math.pi, (_FEATURES, 3))
+        shifts = rng.uniform(0.0, 2 * math.pi, (_FEATURES, 3))
+        self._shifts = np.array([[sine_cosine(p) for p in row] for row in shifts])
         self._strength = float(m.distortion) * math.sqrt(2.0 / _FEATURES)
         self.hard_iron = float(m.hard_iron) * rng.standard_normal(3)
         self.per_ampere = float(m.motor_field) * rng.standard_normal(3)

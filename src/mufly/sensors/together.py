@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.sensors.electrical import BackEmfSensor, BatterySensor
@@ -21,6 +22,8 @@ from mufly.sensors.readings import Sensor
 from mufly.sensors.ring_camera import RingCamera
 from mufly.sensors.sonar import UltrasonicSensor
 
+_Array = NDArray[np.float64]
+
 ASKED: tuple[type[Periodic], ...] = (
     UltrasonicSensor, RingCamera, PressureSensor, MagnetometerSensor, BackEmfSensor, BatterySensor, PositionFixSensor,
 )  # fmt: skip
@@ -28,9 +31,9 @@ ASKED: tuple[type[Periodic], ...] = (
 # How many axes the arrays of each have that is not there: one compiled code for all vehicles.
 _AXES = (
     (1, 1, 2, 2, 2, 1),
-    (1, 1, 2, 2, 2, 1, 2, 2, 2, 1, 2, 3),
+    (1, 1, 2, 2, 2, 1, 1, 1, 1, 1, 2, 2),
     (1, 1, 1, 1),
-    (1, 2, 2),
+    (1, 2, 3),
     (1,),
     (1,),
     (1, 1, 1),
@@ -39,56 +42,94 @@ _AXES = (
 _sonar, _ring, _pressure, _field, _speeds, _battery, _fix = (kind.compute for kind in ASKED)
 
 
-def parts_of(sensors: Mapping[int, Sensor]) -> tuple[Any, ...]:
-    """Return what :func:`ask` takes of the sensors, by their places in :data:`ASKED`; of others stand-ins."""
-    none = (np.zeros(3), np.zeros(2, dtype=np.int64), np.zeros((2, 4)), np.zeros(3, dtype=np.int64))
-    return tuple(
+def asked_of(sensors: Mapping[int, Sensor]) -> tuple[_Array, NDArray[np.uint8], _Array, tuple[Any, ...]]:
+    """Return what :func:`ask` takes of the sensors, by their places in :data:`ASKED`; of others stand-ins.
+
+    Until somebody writes when, none is asked.
+    """
+    none = (np.zeros(3), np.zeros(2, dtype=np.int64), np.zeros((2, 4)), np.zeros(1, dtype=np.uint64))
+    parts = tuple(
         sensors[k].all_parts if k in sensors else (*none, tuple(np.zeros((1,) * n) for n in axes))  # type: ignore[attr-defined]
         for k, axes in enumerate(_AXES)
     )
+    wide, count = max(rows.shape[1] for _, _, rows, *_ in parts), len(ASKED)
+    return np.full(count, math.inf), np.zeros(count, np.uint8), np.zeros((count, wide)), parts
 
 
 @compiled(error_model="numpy")
-def ask(t, x, attitude, supply, asked, came, all_parts):  # type: ignore[no-untyped-def]
-    """Ask those sensors that are ``asked``, at a time (s); return until when none of them surely says anything new.
+def _said(t, wait, clock, counts, rows, told):  # type: ignore[no-untyped-def]
+    """Whether something is said, which then stands in ``told``, too."""
+    if not say(t, wait, clock, counts, rows):
+        return False
+    for j in range(rows.shape[1]):
+        told[j] = rows[0, j]
+    return True
+
+
+@compiled(error_model="numpy")
+def ask(t, x, attitude, supply, quiet, came, told, all_parts):  # type: ignore[no-untyped-def]
+    """Ask those sensors whose time has come (s); return until when none of them surely says anything new.
 
     Parameters
     ----------
     t, x, attitude, supply
         Time (s), state (21,), attitude (3,), voltage and current (2,).
-    asked, came : (7,) arrays of uint8
-        Which; and which said something, overwritten: it stands in the first of its rows.
+    quiet : (7,) array
+        Until when each surely says nothing new (s); infinite for those that are not to be asked.
+    came : (7,) array of uint8
+        Which said something, overwritten.
+    told : (7, n) array
+        What it was: the first of its rows.
     all_parts : tuple
-        Of :func:`parts_of`.
+        The last of :func:`asked_of`.
     """
-    sonar, ring, pressure, field, speeds, battery, fix = all_parts
-    clocks = (sonar[0], ring[0], pressure[0], field[0], speeds[0], battery[0], fix[0])
-    counts = (sonar[1], ring[1], pressure[1], field[1], speeds[1], battery[1], fix[1])
-    rows = (sonar[2], ring[2], pressure[2], field[2], speeds[2], battery[2], fix[2])
-    wakes = math.inf
-    for k in range(7):
+    # One after the other, though alike: a loop would take every array of every sensor into its hands in every period,
+    # and each is counted (counting costs more than asking).
+    for k in range(came.size):
         came[k] = 0
-        if asked[k] == 0:
-            continue
-        clock = clocks[k]
-        if t >= clock[QUIET]:
-            wait = NOTHING
-            if is_due(t, clock):
-                row = rows[k][1 + counts[k][COMING]]
-                if k == 0:
-                    wait = _sonar(t, x, attitude, supply, sonar[3], sonar[4], row)
-                elif k == 1:
-                    wait = _ring(t, x, attitude, supply, ring[3], ring[4], row)
-                elif k == 2:
-                    wait = _pressure(t, x, attitude, supply, pressure[3], pressure[4], row)
-                elif k == 3:
-                    wait = _field(t, x, attitude, supply, field[3], field[4], row)
-                elif k == 4:
-                    wait = _speeds(t, x, attitude, supply, speeds[3], speeds[4], row)
-                elif k == 5:
-                    wait = _battery(t, x, attitude, supply, battery[3], battery[4], row)
-                else:
-                    wait = _fix(t, x, attitude, supply, fix[3], fix[4], row)
-            came[k] = say(t, wait, clock, counts[k], rows[k])
-        wakes = min(wakes, clock[QUIET])
+    if t >= quiet[0]:
+        clock, counts, rows, source, parts = all_parts[0]
+        wait = NOTHING
+        if is_due(t, clock):
+            wait = _sonar(t, x, attitude, supply, source, parts, rows[1 + counts[COMING]])
+        came[0], quiet[0] = _said(t, wait, clock, counts, rows, told[0]), clock[QUIET]
+    if t >= quiet[1]:
+        clock, counts, rows, source, parts = all_parts[1]
+        wait = NOTHING
+        if is_due(t, clock):
+            wait = _ring(t, x, attitude, supply, source, parts, rows[1 + counts[COMING]])
+        came[1], quiet[1] = _said(t, wait, clock, counts, rows, told[1]), clock[QUIET]
+    if t >= quiet[2]:
+        clock, counts, rows, source, parts = all_parts[2]
+        wait = NOTHING
+        if is_due(t, clock):
+            wait = _pressure(t, x, attitude, supply, source, parts, rows[1 + counts[COMING]])
+        came[2], quiet[2] = _said(t, wait, clock, counts, rows, told[2]), clock[QUIET]
+    if t >= quiet[3]:
+        clock, counts, rows, source, parts = all_parts[3]
+        wait = NOTHING
+        if is_due(t, clock):
+            wait = _field(t, x, attitude, supply, source, parts, rows[1 + counts[COMING]])
+        came[3], quiet[3] = _said(t, wait, clock, counts, rows, told[3]), clock[QUIET]
+    if t >= quiet[4]:
+        clock, counts, rows, source, parts = all_parts[4]
+        wait = NOTHING
+        if is_due(t, clock):
+            wait = _speeds(t, x, attitude, supply, source, parts, rows[1 + counts[COMING]])
+        came[4], quiet[4] = _said(t, wait, clock, counts, rows, told[4]), clock[QUIET]
+    if t >= quiet[5]:
+        clock, counts, rows, source, parts = all_parts[5]
+        wait = NOTHING
+        if is_due(t, clock):
+            wait = _battery(t, x, attitude, supply, source, parts, rows[1 + counts[COMING]])
+        came[5], quiet[5] = _said(t, wait, clock, counts, rows, told[5]), clock[QUIET]
+    if t >= quiet[6]:
+        clock, counts, rows, source, parts = all_parts[6]
+        wait = NOTHING
+        if is_due(t, clock):
+            wait = _fix(t, x, attitude, supply, source, parts, rows[1 + counts[COMING]])
+        came[6], quiet[6] = _said(t, wait, clock, counts, rows, told[6]), clock[QUIET]
+    wakes = math.inf
+    for k in range(quiet.size):
+        wakes = min(wakes, quiet[k])
     return wakes

@@ -26,7 +26,6 @@ from mufly.mission import (
     mission_from,
     spline,
     step,
-    watch_out,
 )
 from mufly.mission.avoidance import repulsion, ring
 from mufly.sensors import beam_angles
@@ -39,7 +38,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 RING = ring(8, math.pi / 8, 1.5)
-_DT, _PARTS = 0.02, 3  # a step of the mission logic, and in how many parts it looks around before the next
+_DT = 0.02
 
 # Fig. 6.15's arrows: from, to -> the condition written at it.
 ARROWS: dict[tuple[str, str], str] = {
@@ -85,10 +84,7 @@ def _walk(
     entered = [(0.0, str(state.state))]
     for k in range(int(limit_s / _DT)):
         t = k * _DT
-        m = measure(t)
-        state, wanted = step(plan, state, m, signals(t, state) if signals else Command(start=k == 5))
-        for part in range(1, _PARTS + 1):
-            state = watch_out(plan, state, m, part, _PARTS)
+        state, wanted = step(plan, state, measure(t), signals(t, state) if signals else Command(start=k == 5))
         if str(state.state) != entered[-1][1]:
             entered.append((t, str(state.state)))
         if state.finished or (len(entered) > 1 and entered[-1][1] == "init" and t > 5.0):

@@ -56,11 +56,9 @@ def write_page(
     events = [x for x in lines if x["kind"] == "event" and x["what"] != "mounted"][-5:]
     told = "".join(f"<li>{html.escape(x['what'])}: {html.escape(str(x.get('why', '')))}</li>" for x in events)
     text = f"""<!doctype html><html lang="en"><head><meta charset="utf-8">
-<meta name="viewport" content="width=device-width">
 {"" if over else '<meta http-equiv="refresh" content="2">'}<title>{html.escape(plan.name)}</title>
-<style>body{{font:15px system-ui,sans-serif;margin:1.5em;color:#222}}
-svg{{margin:0 1em 1em 0;max-width:100%;height:auto}}
-progress{{width:30em;max-width:60%}}span{{margin-right:1em}}</style></head><body>
+<style>body{{font:15px system-ui,sans-serif;margin:1.5em;color:#222}}svg{{margin:0 1em 1em 0}}
+progress{{width:30em}}span{{margin-right:1em}}</style></head><body>
 <h1>{html.escape(plan.name)}</h1>
 <p><progress value="{share:.3f}"></progress> {100 * share:.0f} % &ndash; {html.escape(status)}</p>
 <div>{"".join(plots)}</div><p>{legend}</p><ul>{told}</ul></body></html>"""
@@ -99,8 +97,7 @@ def _plot(title: str, series: Sequence[tuple[str, list[tuple[float, float]], boo
             drawn.append(f'<polyline points="{path}" fill="none" stroke="{colour}"/>')
         drawn += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{colour}"/>' for x, y in map(at, some)]
     low, right, foot = _HEIGHT - _LOW, _WIDTH - 12, _HEIGHT - _LOW + 16
-    size = f'width="{_WIDTH}" height="{_HEIGHT}" viewBox="0 0 {_WIDTH} {_HEIGHT}"'
-    return f"""<svg {size} font-size="12" role="img" aria-label="{html.escape(title)}">
+    return f"""<svg width="{_WIDTH}" height="{_HEIGHT}" font-size="12" role="img" aria-label="{html.escape(title)}">
 <text x="{_LEFT}" y="16" font-weight="600">{html.escape(title)}</text>
 <path d="M{_LEFT} 24V{low}H{right}" fill="none" stroke="#888"/>
 <text x="{_LEFT - 4}" y="{low}" text-anchor="end">{y0:.4g}</text>

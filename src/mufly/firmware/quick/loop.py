@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from mufly.calling import call_at
+from mufly.calling import call_at, lent
 from mufly.compiled import compiled
 from mufly.estimate import guards as g
 from mufly.estimate.guards import ACTING, CLIPPING
@@ -33,7 +33,7 @@ from mufly.sensors.pressure import STANDARD_PRESSURE_PA
 from mufly.sensors.readings import see
 from mufly.sensors.together import ask
 
-MOST = 256
+MOST = 1024
 """Periods of one call at most."""
 
 # Why the loop came back
@@ -70,15 +70,14 @@ _PLACES = (R_SONAR, R_RING, R_PRESSURE, R_MAGNET, R_ROTOR, R_BATTERY, R_FIX)
 
 
 @compiled(error_model="numpy")
-def _lay(t, came, all_parts, z, new, age, fitted, taken, pictures, used, ranges):  # type: ignore[no-untyped-def]
+def _lay(t, came, told, z, new, age, fitted, taken, pictures, used, ranges):  # type: ignore[no-untyped-def]
     """Lay what sensors said into the filter's row (:meth:`KalmanEstimator.hear`); whether it was a picture."""
-    sonar, ring, pressure, field, speeds, battery, fix = all_parts
-    rows = (sonar[2], ring[2], pressure[2], field[2], speeds[2], battery[2], fix[2])
     seen = False
     for k in range(7):
-        row, r = rows[k][0], _PLACES[k]
-        if came[k] == 0 or fitted[r] == 0 or row[TAKEN] == taken[r]:
+        r = _PLACES[k]
+        if came[k] == 0 or fitted[r] == 0 or told[k, TAKEN] == taken[r]:
             continue
+        row = told[k]
         taken[r] = row[TAKEN]
         age[r], new[r] = t - row[TAKEN], 1 if row[STANDS] != 0.0 else 2
         start = STARTS[r]
@@ -137,6 +136,17 @@ def _show(memory, fitted, calm, texts, before, row, said, at):  # type: ignore[n
 
 
 @compiled(error_model="numpy")
+def _put(row, at, values):  # type: ignore[no-untyped-def]
+    """Put numbers into a row from a place on; return the place after them.
+
+    (An assignment to a slice compiles the message that two shapes differ, with all that strings need: 2 s.)
+    """
+    for k in range(values.size):
+        row[at + k] = values[k]
+    return at + values.size
+
+
+@compiled(error_model="numpy")
 def go_on(  # type: ignore[no-untyped-def]
     c, f, x, parameters, wind, supply, attitude, packed, acting, software, belief, out, at, to, log, seen, ring,
     filtered, imu, asked, shown, heard,
@@ -174,13 +184,24 @@ def go_on(  # type: ignore[no-untyped-def]
         State before; what to draw from, room for normal numbers, what it reads and how often it clipped (6,), and the
         rest of what ``imu_period`` takes.
     asked : None, or tuple
-        What :func:`mufly.sensors.together.ask` takes after the supply.
+        What :func:`mufly.sensors.together.ask` takes after the supply. With a filter there are unit and sensors.
     shown, heard : (n, columns) arrays
         Rows of what is told every so often, the first as it was before; and of what somebody hears.
     """
-    sd, si, sb = software
-    bd, bi, bb = belief
+    # All of it is the caller's, who waits.
+    c, f, x, parameters, wind, supply, attitude = lent((c, f, x, parameters, wind, supply, attitude))
+    packed, acting, at, to, out, log, seen = lent((packed, acting, at, to, out, log, seen))
+    shown, heard = lent((shown, heard))
+    sd, si, sb = lent(software)
+    bd, bi, bb = lent(belief)
     now = at[_B_MOTION]
+    if ring is not None:
+        eyes = lent(ring)
+    if filtered is not None:
+        told, rates, angles, z, new, age, fitted, taken, pictures, used, memory, texts = lent(filtered)
+        was, source, normal, read, clipped, unit = lent(imu)
+        quiet, came, said, all_parts = lent(asked)
+        covariance = memory[0]
     while True:
         if c[C_PHASE] == ADVANCE:
             if c[C_TICK] >= c[C_STOP] or c[C_BLOWN] >= wind.shape[0] or c[C_ROWS] >= log.shape[0]:
@@ -192,18 +213,18 @@ def go_on(  # type: ignore[no-untyped-def]
                 else:  # Numba leaves out what is never reached
                     row = heard[c[C_HEARD_ROWS]]
                     c[C_HEARD_ROWS] += 1
-                    row[0], row[1], row[2], row[3] = c[C_TICK], c[C_VALID], filtered[3][_VOLT], c[C_TOLD_ROWS]
-                    row[4:7], row[7:9], row[9:30], row[30:33] = wind[c[C_BLOWN] - 1], supply, x, attitude
-                    row[33 : 33 + STATES] = filtered[0]
-                    row[33 + STATES : 36 + STATES], row[36 + STATES : 39 + STATES] = filtered[1], filtered[2]
-                    row[39 + STATES :] = seen
-            if imu is not None:
-                imu[0][:] = x
+                    row[0], row[1], row[2], row[3] = c[C_TICK], c[C_VALID], z[_VOLT], c[C_TOLD_ROWS]
+                    n = _put(row, 4, wind[c[C_BLOWN] - 1])
+                    n = _put(row, _put(row, _put(row, n, supply), x), attitude)
+                    n = _put(row, _put(row, _put(row, n, told), rates), angles)
+                    _put(row, n, seen)
+            if filtered is not None:
+                _put(was, 0, x)
             plant_period(x, acting[1], wind[c[C_BLOWN]], parameters, f[F_STEP_S], c[C_STEPS], supply)
             c[C_BLOWN] += 1
             c[C_TICK] += 1
-            acting[0, :] = acting[1]
-            acting[1, :] = acting[2]
+            for k in range(4):
+                acting[0, k], acting[1, k] = acting[1, k], acting[2, k]
             if not math.isfinite(x[2]):
                 return BROKEN
             t = c[C_TICK] / f[F_RATE]
@@ -215,38 +236,25 @@ def go_on(  # type: ignore[no-untyped-def]
             true_attitude(x, attitude)
             c[C_PHASE] = SENSED
             if filtered is not None:
-                z, new, age = filtered[3], filtered[4], filtered[5]
-                new[:] = 0
+                for k in range(new.size):
+                    new[k] = 0
                 for k in range(4):
                     z[ACTING + k] = acting[0, k]
-                if imu is not None:
-                    c[C_DREW] += 1
-                    normals(imu[1], imu[2])
-                    imu_period(imu[0], x, t - f[F_DRAWN_S], t, imu[2], *imu[5], imu[3], imu[4])
-                    f[F_DRAWN_S] = t
-                    for k in range(3):
-                        z[_ACC + k], z[_RATE_AT + k], z[CLIPPING + k] = imu[3][k], imu[3][3 + k], imu[4][k]
-                    new[R_ACCELERATION] = new[R_RATES] = 1
-                    age[R_ACCELERATION] = age[R_RATES] = 0.0
-                if asked is not None and t >= f[F_ASK_S]:
-                    f[F_ASK_S] = ask(t, x, attitude, supply, asked[0], asked[1], asked[2])
-                    if _lay(
-                        t,
-                        asked[1],
-                        asked[2],
-                        z,
-                        new,
-                        age,
-                        filtered[6],
-                        filtered[7],
-                        filtered[8],
-                        filtered[9],
-                        seen,
-                    ):
+                c[C_DREW] += 1
+                normals(source, normal)
+                imu_period(was, x, t - f[F_DRAWN_S], t, normal, *unit, read, clipped)
+                f[F_DRAWN_S] = t
+                for k in range(3):
+                    z[_ACC + k], z[_RATE_AT + k], z[CLIPPING + k] = read[k], read[3 + k], clipped[k]
+                new[R_ACCELERATION] = new[R_RATES] = 1
+                age[R_ACCELERATION] = age[R_RATES] = 0.0
+                if t >= f[F_ASK_S]:
+                    f[F_ASK_S] = ask(t, x, attitude, supply, quiet, came, said, all_parts)
+                    if _lay(t, came, said, z, new, age, fitted, taken, pictures, used, seen):
                         for k in range(c[C_BEAMS]):
                             bd[at[_B_RANGES] + k] = seen[k]
             if ring is not None and c[C_TICK] % c[C_RING] == 0:
-                see(x, *ring, seen)
+                see(x, *eyes, seen)
                 c[C_LOOKED] = c[C_TICK]
                 for k in range(c[C_BEAMS]):
                     bd[at[_B_RANGES] + k] = seen[k]
@@ -262,11 +270,10 @@ def go_on(  # type: ignore[no-untyped-def]
                 bd[now + 12] = supply[0]
             else:
                 valid = call_at(to[6], (to[7], to[8], to[9], to[10], to[11], to[12])) & 1
-                told, rates, angles = filtered[0], filtered[1], filtered[2]
                 for k in range(3):
                     bd[now + k], bd[now + 3 + k] = told[k], told[3 + k]
                     bd[now + 6 + k], bd[now + 9 + k] = angles[k], rates[k]
-                volts = filtered[3][_VOLT]
+                volts = z[_VOLT]
                 bd[now + 12] = volts if volts != 0.0 else math.nan
                 bb[at[_B_VALID]] = c[C_VALID] = valid
                 c[C_TELLS] += 1
@@ -274,13 +281,11 @@ def go_on(  # type: ignore[no-untyped-def]
             if filtered is not None and c[C_TELLS] % TOLD_EVERY == 0:
                 n = c[C_TOLD_ROWS]
                 c[C_TOLD_ROWS] += 1
-                if not _show(
-                    filtered[10], filtered[6], c[C_CALM], filtered[11], shown[n], shown[n + 1], bi, at
-                ):
+                if not _show(memory, fitted, c[C_CALM], texts, shown[n], shown[n + 1], bi, at):
                     return TELL
                 for k in range(3):
-                    bd[at[_B_PLACE_VARIANCE] + k] = filtered[10][0][k, k]
-                    bd[at[_B_TURN_VARIANCE] + k] = filtered[10][0][6 + k, 6 + k]
+                    bd[at[_B_PLACE_VARIANCE] + k] = covariance[k, k]
+                    bd[at[_B_TURN_VARIANCE] + k] = covariance[6 + k, 6 + k]
         logged, motors, finished = si[at[_S_LOGGED]], si[at[_S_MOTORS]], sb[at[_S_FINISHED]]
         call_at(to[0], (to[1], to[2], to[3], to[4], to[5]))
         runs = c[C_ARMED] > 0 or si[at[_S_MOTORS]] == _MOTORS_OFF
@@ -294,11 +299,8 @@ def go_on(  # type: ignore[no-untyped-def]
             row = log[c[C_ROWS]]
             c[C_ROWS] += 1
             row[0] = t
-            row[1:22] = x
-            row[22:25] = attitude
-            row[25:28] = wind[c[C_BLOWN] - 1]
-            row[28:30] = supply
-            row[30:34] = acting[1]
+            n = _put(row, _put(row, _put(row, 1, x), attitude), wind[c[C_BLOWN] - 1])
+            _put(row, _put(row, n, supply), acting[1])
             for k in range(3):
                 way = sd[at[_S_VELOCITY] + k]
                 row[34 + k] = sd[at[_S_POSITION] + k] + late * way
@@ -306,7 +308,7 @@ def go_on(  # type: ignore[no-untyped-def]
             row[40], row[41] = sd[at[_S_TILT]], sd[at[_S_TILT] + 1]
             row[42] = sd[at[_S_HEADING]] + late * sd[at[_S_TURN]]
             row[43] = si[at[_S_STATE]]
-            row[ROW_WIDE:] = seen
+            _put(row, ROW_WIDE, seen)
         c[C_PHASE] = ADVANCE
         if si[at[_S_LOGGED]] != logged or si[at[_S_MOTORS]] != motors or sb[at[_S_FINISHED]] != finished:
             return SAID

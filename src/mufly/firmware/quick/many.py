@@ -84,7 +84,7 @@ from mufly.sensors.faults import Faulty
 from mufly.sensors.periodic import SAID as TIMES_SAID
 from mufly.sensors.periodic import Periodic
 from mufly.sensors.readings import IdealRing
-from mufly.sensors.together import ASKED, parts_of
+from mufly.sensors.together import ASKED, asked_of
 
 _Array = NDArray[np.float64]
 
@@ -115,7 +115,7 @@ class Many:
         self._faulty: tuple[Faulty, ...] = ()
         self._places: dict[int, Faulty] = {}
         self._taken = self._pictures = np.zeros(0)
-        self._ask = np.zeros(len(ASKED), np.uint8)
+        self._asked: Any = None
         self._imu_in: Any = None
         self._imu: Any = None
         self.can = flight.records_truth and self._knows(flight, sensors)
@@ -156,8 +156,7 @@ class Many:
                 self._filter.beams.astype(np.int64), (*of_memory, self._filter.box["tick"]),
                 board.told_of_sensors(),
             )  # fmt: skip
-            parts = parts_of({k: one.sensor for k, one in self._places.items()})
-            self._asked: Any = (self._ask, np.zeros(len(ASKED), np.uint8), parts)
+            self._asked = asked_of({k: one.sensor for k, one in self._places.items()})
             step, *held = self._filter.steps.place
             addresses += [step, self._filter.box.ctypes.data, *held, *(a.ctypes.data for a in row)]
         self._to = np.array(addresses, dtype=np.int64)
@@ -311,9 +310,11 @@ class Many:
         flight, filtered = self._flight, self._filter
         assert filtered is not None
         now = flight.plant.time_s
+        quiet, asked = self._asked[0], []
         for k, one in self._places.items():
-            self._ask[k] = not any(t.start_s <= now < t.stop_s for t in one.faults)
-        asked = [one for k, one in self._places.items() if self._ask[k]]
+            lent = not any(t.start_s <= now < t.stop_s for t in one.faults)
+            quiet[k] = one.sensor.quiet_s if lent else math.inf  # type: ignore[attr-defined]
+            asked += [one] if lent else []
         self._wakes = [math.inf if one in asked else _wakes(one, now) for one in self._faulty]
         self._said, self._seen = [None] * len(self._faulty), filtered.ranges  # others may have asked since
         self._f[F_WAKE_S] = min(self._wakes, default=math.inf)
@@ -341,11 +342,26 @@ class Many:
                 filtered.went_on(said, self._pictures, self._beams)
 
     def _listened(self) -> None:
-        """Let who listens hear what was so, period by period, and take what was told last."""
+        """Let who listens hear what was so, and take what was told last.
+
+        Who has a method ``many`` hears of all instants at once: true and estimated position, velocity, attitude (n, 9)
+        each, covariances (n, 9, 9), whether valid (n,).
+        """
         flight, filtered, c = self._flight, self._filter, self._c
         assert filtered is not None
-        rate = flight.plant.rate_Hz
-        for row in self._heard[: c[C_HEARD_ROWS]]:
+        rows, rate = self._heard[: c[C_HEARD_ROWS]], flight.plant.rate_Hz
+        c[C_HEARD_ROWS] = 0
+        together: Any = getattr(flight.listen, "many", None)
+        if together is not None and len(rows):
+            told = rows[:, 3].astype(int)
+            covariances = self._shown[told, :81].reshape(-1, 9, 9)
+            covariances[told == 0] = filtered.covariance[:9, :9]
+            out = rows[:, 33:]
+            true = np.hstack([rows[:, 9:15], rows[:, 30:33]])
+            estimated = np.hstack([out[:, :6], out[:, STATES + 3 : STATES + 6]])
+            together(true, estimated, covariances, rows[:, 1] != 0.0)
+            return
+        for row in rows:
             self._tell_up_to(int(row[3]))
             t, out = int(row[0]) / rate, row[33:]
             truth = Truth(
@@ -361,13 +377,12 @@ class Many:
                 t, bool(row[1]), out[:STATES].copy(), out[STATES : STATES + 3], out[STATES + 3 : STATES + 6],
                 float(row[2]), out[STATES + 6 :].copy(),
             ))  # fmt: skip
-        c[C_HEARD_ROWS] = 0
 
     def _tell_up_to(self, rows: int) -> None:
         """Let the filter tell what stands in the rows up to one, where it does not yet."""
         if rows > self._tells:
             assert self._filter is not None
-            self._filter.show(_shown(self._shown[rows]))
+            self._filter.show(_shown(self._shown[rows].copy()))
             self._tells = rows
 
     def _looked(self) -> None:

@@ -27,7 +27,8 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from mufly.control import FlightController, design
 from mufly.errors import ArgumentError, InputError, MuflyError
-from mufly.estimate import Estimate, consistency
+from mufly.estimate import Estimate
+from mufly.estimate.nees import normalised
 from mufly.flight.flight import fly
 from mufly.flight.monte_carlo.variation import Variation
 from mufly.flight.record.summary import Summary, summarise
@@ -310,13 +311,8 @@ def fly_case(campaign: Campaign, case: Case, path: Path | None = None) -> Flown:
 
     A flight that raises is one that failed.
     """
-    truths: list[Truth] = []
-    told: list[Estimate] = []
+    heard = _Heard()
     sensed = campaign.sensors == "fitted" and campaign.vehicle.sensors is not None
-
-    def listen(truth: Truth, estimate: Estimate) -> None:
-        truths.append(truth)
-        told.append(estimate)
 
     same: dict[str, Any] = {
         "index": case.index,
@@ -333,15 +329,39 @@ def fly_case(campaign: Campaign, case: Case, path: Path | None = None) -> Flown:
                 wind=case.wind, gust=campaign.gust, seed=case.seed,
                 sensors=campaign.sensors, faults=[parse_fault(text) for text in campaign.faults],
                 controllers=campaign.controllers or campaign.quickly, path=path, brief=path is None,
-                on_tick=listen if sensed else None, tick_every=NEES_EVERY,
+                on_tick=heard if sensed else None, tick_every=NEES_EVERY,
             )  # fmt: skip
     except MuflyError as error:
         return Flown(**same, success=False, reason=f"did not fly: {error}", told="")
     except Exception as error:  # a fault of the program; the others fly on
         return Flown(**same, success=False, reason=f"raised {type(error).__name__}: {error}", told="")
-    known = any(e.valid for e in told)
-    nees = consistency(truths, told, every=1).nees if known else None
-    return judged(data, campaign.mission, campaign.tolerance_m, nees=nees, **same)
+    return judged(data, campaign.mission, campaign.tolerance_m, nees=heard.nees, **same)
+
+
+class _Heard:
+    """How estimates compare with the truth while a flight goes on."""
+
+    def __init__(self) -> None:
+        self._parts: list[tuple[_Array, _Array, _Array]] = []
+
+    def __call__(self, truth: Truth, told: Estimate) -> None:
+        true = np.concatenate([truth.position, truth.velocity, truth.attitude])
+        estimated = np.concatenate([told.position, told.velocity, told.attitude])
+        self.many(true[None], estimated[None], told.covariance[None, :9, :9], np.array([told.valid]))
+
+    def many(self, true: _Array, told: _Array, covariances: _Array, valid: NDArray[np.bool_]) -> None:
+        """Take (n, 9), (n, 9), (n, 9, 9), (n,): position, velocity, attitude (m, m/s, rad)."""
+        self._parts.append((true[valid], told[valid], covariances[valid]))
+
+    @property
+    def nees(self) -> float | None:
+        """Mean of NEES / n; None if no estimate was valid."""
+        if not any(len(true) for true, _, _ in self._parts):
+            return None
+        true, told, covariances = (np.concatenate(p) for p in zip(*self._parts, strict=True))
+        error = told - true
+        error[:, 6:] = np.angle(np.exp(1j * error[:, 6:]))
+        return float(normalised(error, covariances).mean()) / error.shape[1]
 
 
 def judged(

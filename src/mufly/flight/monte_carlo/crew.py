@@ -7,6 +7,7 @@ one, and another is refused.
 
 from __future__ import annotations
 
+import gc
 import json
 import math
 import multiprocessing
@@ -142,6 +143,7 @@ def _context() -> Any:
 def _begin_worker() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent says when it is over
     threadpool_limits(1)
+    gc.freeze()  # what has been imported stays, and is not looked through again and again for garbage
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
