@@ -152,7 +152,7 @@ def carried(
     Nothing turns the air but the blades (and friction far out, which is small), so the torque is where the flow of
     angular momentum is; the momentum of what flows in from the side is small too::
 
-        Q = -rho int u_theta u_z r dA,    T = int (p + rho u_z^2) dA
+        Q = -rho int u_theta u_z r dA,    T = int (p + rho u_z (u_z + climb)) dA
 
     With a mesh that lets the turning frame push on the air a third to a half of the torque is missing.
     """
@@ -168,7 +168,7 @@ def carried(
     share = point.blades * point.density_kg_m3 * v[k] / thick
     return (
         float(-share @ (swirl * axial)) / torque_Nm,
-        float(share @ (pressure[k] + axial**2)) / thrust_N,
+        float(share @ (pressure[k] + axial * (axial + point.climb_m_s))) / thrust_N,
     )
 
 
