@@ -140,6 +140,8 @@ def run(
     from mufly.slam import Map, Slam, draw, evaluate, open_pictures, opencv, run
 
     opencv()
+    if not place.exists():
+        raise InputError(str(place), "", "no such folder or video", "give one with pictures")
     if camera is None and not (place / "camera.toml").is_file():
         raise InputError(str(place), "camera.toml", "is not there", "give --camera")
     lens = load_camera(camera or place / "camera.toml")
