@@ -134,6 +134,7 @@ def test_an_identified_covariance_is_drawn_from(tmp_path: Path, vehicle: Vehicle
         (["m=100:90g"], "holds nothing"),
         (["m=100%"], "reaches zero"),
         (["m=0%"], "above 0"),
+        (["motor.friction_torque=5%"], "a share of 0 is 0"),
         (["body.inertia_zz=std"], "no standard deviation is stated"),
         (["body.mass"], "does not say how"),
         (["m=5%", "body.mass=3%"], "drawn by 'm=5%' too"),

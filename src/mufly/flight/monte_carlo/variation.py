@@ -149,7 +149,7 @@ def _from_words(text: str, vehicle: Vehicle) -> Variation:
     if not equals or not how:
         raise ArgumentError("vary", text, "does not say how to vary what", f"write {_FORMS}")
     chosen = _named(name, text, vehicle)
-    keys, value = tuple(p.key for p in chosen), np.array([p.value for p in chosen])
+    keys = tuple(p.key for p in chosen)
     if how == "std":
         stated = [p for p in chosen if p.std is not None]
         if not stated:
@@ -178,7 +178,13 @@ def _from_words(text: str, vehicle: Vehicle) -> Variation:
     if unit == "%":
         if number >= 100.0 and match["normal"] is None:
             raise ArgumentError("vary", text, f"{number:g} % either way reaches zero", "give less than 100 %")
-        widths = number / 100.0 * np.abs(value)
+        # A share of what a vehicle has not (ground effect, friction) is nothing, and draws no number.
+        chosen = [p for p in chosen if p.value != 0.0]
+        if not chosen:
+            raise ArgumentError(
+                "vary", text, "a share of 0 is 0", "write +-AMOUNT, or LOW:HIGH, with its unit"
+            )
+        widths = number / 100.0 * np.abs([p.value for p in chosen])
     elif match["normal"] or match["sides"]:
         widths = np.full(len(keys), number * _factor(unit, chosen, text))
     else:
