@@ -102,6 +102,23 @@ def test_the_chunks_of_the_test_above_are_a_second_long(recorded, short_flight):
     assert len(times) == 5
 
 
+def test_a_chunk_whose_kind_is_damaged_ends_what_is_read_instead_of_leaving_a_gap(
+    tmp_path, recorded, short_flight
+):
+    data, chunk_ends = recorded
+    path = tmp_path / "bad.mcap"
+    for place in (k for k in range(chunk_ends[0][0] - 2000, len(data) - 9) if data[k] == 0x06):
+        length = int.from_bytes(data[place + 1 : place + 9], "little")
+        if data[place + 9 + length : place + 10 + length] == b"\x07":  # a chunk, which its index follows
+            path.write_bytes(data[:place] + b"\x07" + data[place + 1 :])
+            back = read_recording(path)
+            assert 20 <= back.sizes["time"] < len(short_flight.rows)
+            assert back.attrs["complete"] is False
+            np.testing.assert_array_equal(back.time, short_flight.rows[: back.sizes["time"], 0])
+            return
+    raise AssertionError("no chunk found")
+
+
 def test_a_wrong_byte_anywhere_never_gives_wrong_numbers(tmp_path, recorded, short_flight):
     data, _ = recorded
     path = tmp_path / "bad.mcap"

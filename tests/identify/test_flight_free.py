@@ -27,8 +27,11 @@ def vehicle():
 
 @pytest.mark.parametrize("symbol", [*HEAVE_YAW, *ROLL_PITCH, "R", "rho"])
 def test_scaled_numbers_are_those_of_a_vehicle_with_the_new_value(vehicle, symbol):
-    # A motor whose constants are far apart, because neither may pass the other.
-    vehicle = replace(vehicle, {"motor.torque_constant": 0.001, "motor.back_emf_constant": 0.02})
+    # A motor whose constants are far apart, because neither may pass the other, and with what may be left out.
+    vehicle = replace(
+        vehicle,
+        {"motor.torque_constant": 0.001, "motor.back_emf_constant": 0.02, "motor.friction_torque": 2e-5},
+    )
     (free,) = choose_free(vehicle, [symbol], OUTPUTS)
     base, powers = batch_parameters(vehicle, [free], None)
     theta = np.array([[0.6 * free.low], [0.5 * free.high]])
