@@ -16,7 +16,7 @@ import tty
 import numpy as np
 
 from mufly.bench.rig.epos import GENERATIONS, Frames, frame
-from mufly.bench.rig.line import checked, crc8
+from mufly.bench.rig.line import checked, crc16
 from mufly.units import RPM
 
 WATCHDOG_s = 0.5
@@ -150,7 +150,7 @@ class FarText(Far):
         *whole, self.rest = (self.rest + self.receive()).split(b"\n")
         for raw in whole:
             body, star, total = raw[raw.rfind(b"$") + 1 :].rpartition(b"*")
-            if star and total == b"%02X" % crc8(body):
+            if star and total == b"%04X" % crc16(body):
                 yield body.decode().split(",")
 
 

@@ -24,7 +24,7 @@ from mufly.bench.rig.devices import Clock, DeviceError, DeviceRig, Facts, StopEr
 from mufly.bench.rig.epos import Epos, Frames, frame
 from mufly.bench.rig.esc import EscBridge
 from mufly.bench.rig.file import load_rig
-from mufly.bench.rig.line import checked, crc8
+from mufly.bench.rig.line import checked, crc16
 from mufly.bench.rig.simulated import SimulatedRig
 from mufly.bench.rig.stand import Stand
 from mufly.bench.series.plan import Mounting, Times, make_plan
@@ -96,8 +96,8 @@ def test_frames_survive_being_cut_and_damage_gives_no_wrong_one():
 
 
 def test_check_sum_of_text_lines():
-    assert crc8(b"123456789") == 0xF4  # the check value of CRC-8/SMBUS
-    assert checked("X") == b"$X*8F\n"
+    assert crc16(b"123456789") == 0x29B1  # the check value of CRC-16/IBM-3740
+    assert checked("X") == b"$X*3A0D\n"
 
 
 # --- devices ----------------------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 // and 3 and speak bidirectional DShot300. The counter of cycles goes on with every look at it, so that whoever waits by
 // it waits, and the edges on a pin have times.
 #pragma once
+#include <stdint.h>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>

@@ -44,18 +44,18 @@ unsigned int number;
 char line[64];
 int length;
 
-byte crc8(const char *text, int n) {
-  byte crc = 0;
+uint16_t crc16(const char *text, int n) {
+  uint16_t crc = 0xFFFF;
   for (int i = 0; i < n; i++) {
-    crc ^= text[i];
-    for (int b = 0; b < 8; b++) crc = crc & 0x80 ? (crc << 1) ^ 0x07 : crc << 1;
+    crc ^= (uint16_t)(byte)text[i] << 8;
+    for (int b = 0; b < 8; b++) crc = crc & 0x8000 ? (crc << 1) ^ 0x1021 : crc << 1;
   }
   return crc;
 }
 
 void say(const char *body) {
-  char sum[5];
-  snprintf(sum, sizeof sum, "*%02X", crc8(body, strlen(body)));
+  char sum[6];
+  snprintf(sum, sizeof sum, "*%04X", crc16(body, strlen(body)));
   Serial.print('$'); Serial.print(body); Serial.print(sum); Serial.print('\n');
 }
 
@@ -166,7 +166,7 @@ void loop() {
       char *star = strrchr(line, '*');
       if (star) {
         *star = 0;
-        if (strtol(star + 1, 0, 16) == crc8(line, star - line)) hear(line);
+        if (strtol(star + 1, 0, 16) == crc16(line, star - line)) hear(line);
       }
       length = 0;
     } else if (length < (int)sizeof line - 1) line[length++] = c;

@@ -15,18 +15,18 @@ const int CELLS = 2, DATA[CELLS] = {4, 5}, CLOCK = 6;
 unsigned int number;
 unsigned long air_ms;
 
-byte crc8(const char *text, int n) {
-  byte crc = 0;
+uint16_t crc16(const char *text, int n) {
+  uint16_t crc = 0xFFFF;
   for (int i = 0; i < n; i++) {
-    crc ^= text[i];
-    for (int b = 0; b < 8; b++) crc = crc & 0x80 ? (crc << 1) ^ 0x07 : crc << 1;
+    crc ^= (uint16_t)(byte)text[i] << 8;
+    for (int b = 0; b < 8; b++) crc = crc & 0x8000 ? (crc << 1) ^ 0x1021 : crc << 1;
   }
   return crc;
 }
 
 void say(const char *body) {
-  char sum[5];
-  snprintf(sum, sizeof sum, "*%02X", crc8(body, strlen(body)));
+  char sum[6];
+  snprintf(sum, sizeof sum, "*%04X", crc16(body, strlen(body)));
   Serial.print('$'); Serial.print(body); Serial.print(sum); Serial.print('\n');
 }
 
