@@ -19,48 +19,30 @@ from fly_on_estimates import told
 from mufly.camera import load_camera
 from mufly.firmware import QuickSoftware
 from mufly.flight import fly
-from mufly.flight.camera import CameraSensor, Eye, parse_spoil
+from mufly.flight.camera import Eye, parse_spoil
 from mufly.mission import load_mission
+from mufly.slam import Answer
 
 MISSION = "demonstration"
 FROM_S = 30.0
 """When the camera is spoiled, between two waypoints (s)."""
 
 
-class Watched(CameraSensor):
-    """Keeps the answers."""
-
-    def __init__(self, *arguments: Any) -> None:
-        self.answers: list[Any] = []
-        watched.append(self)
-        super().__init__(*arguments)
-
-    def _receive(self, known: Any) -> None:
-        super()._receive(known)
-        self.answers.append(self.answer)
-
-
-watched: list[Watched] = []
-
-
 def one(seed: int, floor: str, camera: str, spoils: tuple[str, ...] = ()) -> dict[str, Any]:
     """Fly once and tell what came of it."""
-    from mufly.flight import flight
-
-    flight.CameraSensor = Watched  # type: ignore[misc]
-    watched.clear()
+    answers: list[Answer] = []
     mission = load_mission(MISSION)
     blows = np.random.default_rng(seed).uniform(0.0, 2 * math.pi)
     data = fly(
         "mufly-1.1", mission, wind=(0.5 * math.cos(blows), 0.5 * math.sin(blows), 0.0), gust=0.3, seed=seed,
         sensors="fitted", controllers=QuickSoftware,
-        eye=Eye(load_camera(camera), floor, spoils=tuple(parse_spoil(s) for s in spoils)),
+        eye=Eye(load_camera(camera), floor, spoils=tuple(map(parse_spoil, spoils)), on_answer=answers.append),
     )  # fmt: skip
     out = told(data, mission)
     time, true = data["time"].values, data["truth_position"].values
     believed = data["estimated_position"].values - true
     out["estimate_m"] = math.sqrt(float((believed[:, :2] ** 2).sum(axis=1).mean()))
-    answers = [a for a in watched[0].answers if a.reason != "it stands"]
+    answers = [a for a in answers if a.reason != "it stands"]
     flying = [a for a in answers if -true[min(int(np.searchsorted(time, a.time_s)), len(time) - 1), 2] > 0.15]
     trusted = [a for a in flying if a.trusted]
     out["lost"] = 1.0 - len(trusted) / max(1, len(flying))

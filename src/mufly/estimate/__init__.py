@@ -1,8 +1,9 @@
 """What does it believe? Readings in, an estimate with its covariance out."""
 
-from mufly.estimate.beliefs import ERROR_STATES, Beliefs, Check, Status
+from mufly.estimate.beliefs import Beliefs, Check, Status
 from mufly.estimate.estimate import EXACT, Estimate, Estimator, IdealEstimator, Watch, watch
 from mufly.estimate.fitted import KalmanEstimator, fitted_estimator
+from mufly.estimate.layout import ERROR_STATES
 from mufly.estimate.log import (
     Aids,
     Foretold,

@@ -1,30 +1,19 @@
-"""What a filter believes beyond position, velocity, attitude and rates, and what it thinks of each of its sensors."""
+"""What a filter believes beyond position, velocity, attitude and rates, and what it says of each of its sensors."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-_Array = NDArray[np.float64]
+from mufly.estimate import guards as g
+from mufly.estimate.layout import CHECKED, R_FIX, R_MAGNET, R_PRESSURE, R_SONAR
+from mufly.sensors import READINGS
 
-ERROR_STATES: tuple[str, ...] = (
-    "position_N", "position_E", "position_D",
-    "velocity_N", "velocity_E", "velocity_D",
-    "turn_N", "turn_E", "turn_D",
-    "gyro_bias_p", "gyro_bias_q", "gyro_bias_r",
-    "accelerometer_bias_x", "accelerometer_bias_y", "accelerometer_bias_z",
-    "floor_height",
-    "fix_bias_N", "fix_bias_E", "fix_bias_D", "fix_bias_heading",
-    "wind_N", "wind_E",
-    "thrust_scale",
-    "pressure_bias",
-    "magnetic_heading_bias",
-)  # fmt: skip
-"""The error state, in order: m, m/s, rad (turns about N, E, D), rad/s, m/s^2, m, m and rad, m/s, 1, Pa, rad."""
+_Array = NDArray[np.float64]
 
 Status = Literal["fused", "rejected", "missing", "faulty", "waiting"]
 
@@ -77,7 +66,7 @@ class Beliefs:
     thrust_scale : float
         True thrust over that of the model (1).
     sigma : (n,) array
-        Standard deviations of the whole error state, in the order of :data:`ERROR_STATES`.
+        Standard deviations of the whole error state, in the order of :data:`mufly.estimate.layout.ERROR_STATES`.
     checks : sequence of Check
         One for each sensor of the vehicle.
     """
@@ -90,3 +79,102 @@ class Beliefs:
     thrust_scale: float
     sigma: _Array
     checks: Sequence[Check] = ()
+
+
+_STATUS: tuple[Status, ...] = ("waiting", "fused", "rejected", "missing", "faulty")
+_WORDS: Mapping[int, Callable[[float, str], str]] = {
+    g.FINE: lambda x, u: "",
+    g.NOTHING_YET: lambda x, u: "nothing has come yet",
+    g.SILENT: lambda x, u: f"nothing has come for {x:.2f} s",
+    g.LATE: lambda x, u: f"comes {1e3 * x:.0f} ms after it was measured, later than it should",
+    g.INSANE: lambda x, u: "says what is no number, or beyond all bounds",
+    g.FROZEN: lambda x, u: f"has said the same to the last digit for {x:.2f} s",
+    g.DOUBLED: lambda x, u: "every reading comes twice: the second ones are left out",
+    g.OFF: lambda x, u: f"is off by {x:.3g} {u} from what all others say",
+    g.CLIPS: lambda x, u: f"clips {100 * x:.0f} % of its samples: the rotor model takes over",
+    g.STEP: lambda x, u: f"sees a step: what lies below is {x:.2f} m above the floor",
+    g.TAKEN_OVER: lambda x, u: (
+        f"was off by {x:.3g} {u} for a second and agreed with itself: it is believed anew"
+    ),
+    g.NO_ECHO: lambda x, u: f"has had no echo for {x:.2f} s",
+    g.TOO_FAR: lambda x, u: "sees no wall: all are too far",
+    g.NO_WALL: lambda x, u: "sees something, but no wall of the room",
+    g.SPIKES: lambda x, u: f"has spikes of {x:.2g} {u}: the flight model fills in",
+    g.SLOPE: lambda x, u: f"leads away by {x:.3g} {u} and more: the surface below slopes, or it drifts",
+    g.AWAY: lambda x, u: f"is {x:.2f} m apart from the sonar about the height: one of them is wrong",
+    g.STUCK_: lambda x, u: f"says {x:.2f} m again and again, more alike than a flight is",
+    g.WANDERS: lambda x, u: f"has a bias of {x:.2g} {u} by now, more than it can have",
+    g.STRAINED: lambda x, u: f"keeps being off, by {x:.3g} {u} now: it or the gyroscopes drift",
+    g.JUMPED: lambda x, u: f"has jumped by {x:.2g} {u}, which no moment has made",
+}
+
+REASONS = len(_WORDS)
+
+
+class Checks(Sequence[Check]):
+    """What is thought of each sensor that is on board, put into words when somebody looks.
+
+    Parameters
+    ----------
+    m, s : records
+        Memory and settings of the filter; what they hold is not to change any more.
+    fitted : sequence of int
+        Which of :data:`mufly.estimate.layout.CHECKED`.
+    """
+
+    def __init__(self, m: Any, s: Any, fitted: Sequence[int]) -> None:
+        self._of = (m, s, fitted)
+        self._said: tuple[Check, ...] | None = None
+
+    @overload
+    def __getitem__(self, k: int) -> Check: ...
+    @overload
+    def __getitem__(self, k: slice) -> tuple[Check, ...]: ...
+    def __getitem__(self, k: int | slice) -> Check | tuple[Check, ...]:
+        return self._all()[k]
+
+    def __iter__(self) -> Iterator[Check]:
+        return iter(self._all())
+
+    def __len__(self) -> int:
+        return len(self._of[2])
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Checks | tuple) and tuple(self) == tuple(other)
+
+    def __hash__(self) -> int:
+        return hash(self._all())
+
+    def __repr__(self) -> str:
+        return repr(self._all())
+
+    def _all(self) -> tuple[Check, ...]:
+        if self._said is None:
+            m, s, fitted = self._of
+            dt, tick = float(s["dt"]), int(m["tick"])
+            rows = zip(*(m[name].tolist() for name in _NUMBERS), strict=True)
+            self._said = tuple(_check(k, row, dt, tick) for k, row in enumerate(rows) if k in fitted)
+        return self._said
+
+
+_NUMBERS = ("code", "why", "number", "innovation", "spread", "used", "came")
+
+
+def _check(k: int, row: Sequence[float], dt: float, tick: int) -> Check:
+    code, why, number, nu, spread, used, came = row
+    if code == g.NOTHING and why == g.FINE:
+        why = g.FINE if came else g.NOTHING_YET
+    return Check(
+        CHECKED[k], _STATUS[int(code)], nu, spread, nu / spread if spread > 0.0 else 0.0,
+        (tick - int(used)) * dt, reason(int(why), number, k),
+    )  # fmt: skip
+
+
+def reason(why: int, number: float, sensor: int) -> str:
+    """Return why a sensor, by its place in :data:`mufly.estimate.layout.CHECKED`, is thought of as it is."""
+    return _WORDS[why](number, _unit(sensor))
+
+
+def _unit(k: int) -> str:
+    unit = READINGS[CHECKED[k]].unit
+    return {R_FIX: "m or rad", R_MAGNET: "rad", R_SONAR: "m", R_PRESSURE: "Pa"}.get(k, unit)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.dynamics import model_parameters
-from mufly.estimate.beliefs import Beliefs, Check
+from mufly.estimate.beliefs import Beliefs, Check, Checks
 from mufly.estimate.estimate import Estimate, Estimator
 from mufly.estimate.guards import ACTING, CLIPPING, VALUES
 from mufly.estimate.layout import (
@@ -28,7 +28,6 @@ from mufly.estimate.layout import (
 )
 from mufly.estimate.native import Code, steps
 from mufly.estimate.telling import TOLD_EVERY
-from mufly.estimate.words import Checks
 from mufly.sensors import Reading, Readings
 from mufly.sensors.pressure import STANDARD_PRESSURE_PA
 from mufly.vehicle import Vehicle

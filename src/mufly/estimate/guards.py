@@ -50,7 +50,7 @@ NOTHING, FUSED, REJECTED, MISSING, FAULTY = range(5)
     FINE, NOTHING_YET, SILENT, LATE, INSANE, FROZEN, DOUBLED, OFF, CLIPS, STEP, TAKEN_OVER, NO_ECHO, TOO_FAR, NO_WALL,
     SPIKES, JUMPED, SLOPE, STRAINED, AWAY, STUCK_, WANDERS,
 ) = range(21)  # fmt: skip
-"""Why, as a number; the words are in :mod:`mufly.estimate.words`."""
+"""Why, as a number; the words are in :mod:`mufly.estimate.beliefs`."""
 ALARM, SONAR_ALARM, FORGET = 1.5, 3.0, 0.93
 LASTS_S = 0.5
 """A fault that shows for one reading is told of for this long (s)."""

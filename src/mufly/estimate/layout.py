@@ -17,7 +17,7 @@ Nominal state ``x`` (:data:`STATES`), in SI units:
 ===== =========================================================================================================
 
 Error state: the same less one, as the attitude errs by a small turn about N, E and D (true = exp(turn) believed); order
-of :data:`mufly.estimate.beliefs.ERROR_STATES`.
+of :data:`ERROR_STATES`.
 """
 
 from __future__ import annotations
@@ -30,11 +30,25 @@ from numpy.typing import NDArray
 
 from mufly.dynamics import GRAVITY, model_parameters, standing_height
 from mufly.dynamics.state import hover_speeds
-from mufly.estimate.beliefs import ERROR_STATES
 from mufly.sensors import beam_directions, earth_field
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensing import Sensing
 from mufly.world import World
+
+ERROR_STATES: tuple[str, ...] = (
+    "position_N", "position_E", "position_D",
+    "velocity_N", "velocity_E", "velocity_D",
+    "turn_N", "turn_E", "turn_D",
+    "gyro_bias_p", "gyro_bias_q", "gyro_bias_r",
+    "accelerometer_bias_x", "accelerometer_bias_y", "accelerometer_bias_z",
+    "floor_height",
+    "fix_bias_N", "fix_bias_E", "fix_bias_D", "fix_bias_heading",
+    "wind_N", "wind_E",
+    "thrust_scale",
+    "pressure_bias",
+    "magnetic_heading_bias",
+)  # fmt: skip
+"""The error state, in order: m, m/s, rad (turns about N, E, D), rad/s, m/s^2, m, m and rad, m/s, 1, Pa, rad."""
 
 ERRORS = len(ERROR_STATES)
 STATES = ERRORS + 1

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from mufly.control import FlightController
 from mufly.errors import MuflyError
 from mufly.estimate import Check, Estimate
+from mufly.estimate.beliefs import REASONS, reason
 from mufly.estimate.layout import CHECKED
-from mufly.estimate.words import REASONS, reason
 from mufly.firmware.host import Firmware, FirmwareControllers
 from mufly.firmware.plan import plan_numbers, plan_of, setup_numbers
 from mufly.flight.controllers import Actuators

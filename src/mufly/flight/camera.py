@@ -96,12 +96,15 @@ class Eye:
     shadows : float
         Share of the light that shadows take.
     spoils : tuple of Spoil
+    on_answer : callable, optional
+        Called with each answer as it is known.
     """
 
     camera: Camera
     floor: str = "rich"
     shadows: float = 0.3
     spoils: tuple[Spoil, ...] = ()
+    on_answer: Callable[[Answer], None] | None = None
 
 
 def told_errors(camera: Camera) -> PositionFix:
@@ -305,6 +308,8 @@ class CameraSensor(Sensor):
             self.answered += 1
             self.trusted += known.trusted
         self.answer = known
+        if self._eye.on_answer is not None:
+            self._eye.on_answer(known)
         if known.trusted:
             self._trusted_s = self._last_s
         last = self._fix.get("position_fix")
