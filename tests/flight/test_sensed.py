@@ -162,6 +162,24 @@ def test_who_stands_he_knows_not_where_may_fly_until_that_grows_worse() -> None:
     )
 
 
+@pytest.mark.parametrize(("spells", "demand"), [((0.28, 0.28), ""), ((0.34,), "land")])
+def test_a_height_is_landed_for_once_its_doubt_has_lasted(spells: tuple[float, ...], demand: str) -> None:
+    doubts, t = Doubts(), 0.0
+    for spell in spells:  # with a moment between in which the sonar has told it
+        until = t + spell
+        while t < until:
+            doubts.step(believing(still(t), z=0.31))
+            t += 0.02
+        if demand:
+            break
+        doubts.step(believing(still(t), z=0.29))
+        t += 0.02
+    assert doubts.now.demand == demand
+    assert doubts.now.why == ("height uncertain by 0.31 m" if demand else "")
+    # what else is doubted meanwhile counts at once
+    assert Doubts().step(believing(still(), z=0.4, xy=0.3)).demand == "hold"
+
+
 def test_doubts_do_not_chatter() -> None:
     rng, doubts, said = np.random.default_rng(1), Doubts(), []
     for k in range(2000):

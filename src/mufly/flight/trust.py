@@ -6,7 +6,7 @@ sensor. Flying goes by the first two alone, whatever the reason; the third gives
 ================================================ ===================================================================
 horizontal position uncertain by more than 0.25 m the mission waits in a hover; below 0.15 m for a second, it goes on
 ... by more than 0.6 m, or waiting for 10 s       it lands where it is
-height uncertain by more than 0.3 m               it lands
+height uncertain by more than 0.3 m for 0.3 s     it lands
 roll or pitch uncertain by more than 8 degrees,   it sinks with its servos at trim, which the stabiliser bar makes a
 gyroscopes gone for 0.1 s, or two of fix, sonar   level attitude
 and compass not believed for 0.15 s at once
@@ -44,7 +44,9 @@ HOLD_M, CERTAIN_M, LAND_M = 0.25, 0.15, 0.6
 """Horizontal standard deviations from which it waits, below which it goes on, from which it lands (m)."""
 CERTAIN_S, WAIT_S = 1.0, 10.0
 """For how long it has to be certain to go on; how long it waits at most (s)."""
-HEIGHT_M = 0.3
+HEIGHT_M, HEIGHT_S = 0.3, 0.3
+"""Standard deviation of the height from which it lands (m), once it has lasted (s): a board that is shaken until it
+clips does not know its height for an instant as it leaves the floor, and the sonar tells it right after."""
 GONE_S, CONTRADICTED_S = 0.1, 0.15
 """For how long gyroscopes may be gone, two aids contradict (s)."""
 TILT, HEADING = math.radians(8.0), math.radians(30.0)
@@ -109,7 +111,7 @@ def strayed(m: Estimate, stood: float = 0.0) -> float:
     return math.sqrt(max(float(variance[0]), float(variance[1]), stood) - stood)
 
 
-def judge(m: Estimate, stood: float = 0.0) -> Doubt:
+def judge(m: Estimate, stood: float = 0.0, *, height_counts: bool = True) -> Doubt:
     """Return what an estimate is not good enough for, whatever it was before.
 
     Parameters
@@ -118,6 +120,8 @@ def judge(m: Estimate, stood: float = 0.0) -> Doubt:
     stood : float
         Greatest variance of the horizontal position on the floor (m2): one that nothing tells where it is takes off
         where it believes to stand, and can go on for as long as that does not become much worse.
+    height_counts : bool
+        Whether an uncertain height has lasted for long enough to land for.
     """
     if m.beliefs is None:
         return NO_DOUBT
@@ -131,7 +135,7 @@ def judge(m: Estimate, stood: float = 0.0) -> Doubt:
     rates = next((c for c in checks_of(m) if c.name == "rates"), None)
     if rates is not None and rates.status == "rejected":
         return Doubt("land", told(rates))
-    if height > HEIGHT_M:
+    if height > HEIGHT_M and height_counts:
         return Doubt("land", f"height uncertain by {height:.2f} m{_because(m, _HEIGHT)}")
     if place > HOLD_M:
         why = f"position uncertain by {place:.2f} m{_because(m, _PLACE)}"
@@ -155,10 +159,16 @@ class Doubts:
     _wrong_s: dict[str, float] = field(default_factory=dict)
     _since_s: float = math.nan
     _certain_s: float = math.nan
+    _height_s: float = math.nan
 
     def step(self, m: Estimate) -> Doubt:
         """Judge an estimate in the air; what was doubted stays so until it is certain again."""
-        t, found = m.time_s, judge(m, self.stood)
+        t = m.time_s
+        if not math.sqrt(m.covariance[2, 2]) > HEIGHT_M:
+            self._height_s = math.nan
+        elif math.isnan(self._height_s):
+            self._height_s = t
+        found = judge(m, self.stood, height_counts=t - self._height_s >= HEIGHT_S)
         upside = self._contradicted(m)
         if upside and found.demand != "sink":
             found = Doubt("sink", upside)

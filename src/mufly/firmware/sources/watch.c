@@ -172,6 +172,7 @@ void smooth_step(smooth_t *s, belief_t *m, bool anew)
 #define CERTAIN_M REAL(0.15)
 #define LAND_M REAL(0.6)
 #define CERTAIN_S REAL(1.0)
+#define HEIGHT_S REAL(0.3)
 #define WAIT_S REAL(10.0)
 #define GONE_S REAL(0.1)
 #define CONTRADICTED_S REAL(0.15)
@@ -190,6 +191,8 @@ void doubts_start(doubts_t *d, real_t stood)
     d->since_s = REAL(0.0);
     d->certain = false;
     d->certain_s = REAL(0.0);
+    d->high = false;
+    d->high_s = REAL(0.0);
     for (int32_t k = 0; k < BELIEF_SENSORS; k++) {
         d->wrong[k] = false;
         d->wrong_s[k] = REAL(0.0);
@@ -241,7 +244,8 @@ static real_t strayed(const belief_t *m, real_t stood)
     return real_sqrt(most - stood);
 }
 
-static doubt_t judge(const belief_t *m, real_t stood)
+/* height_counts: whether an uncertain height has lasted for long enough to land for. */
+static doubt_t judge(const belief_t *m, real_t stood, bool height_counts)
 {
     const real_t place = strayed(m, stood);
     const real_t height = real_sqrt(m->position_variance[2]);
@@ -261,7 +265,7 @@ static doubt_t judge(const belief_t *m, real_t stood)
         found.demand = DEMAND_LAND;
         found.why = say(SAY_GIVEN);
         name_sensor(&found.why, BELIEF_RATES, &m->checks[BELIEF_RATES]);
-    } else if (height > HEIGHT_M) {
+    } else if ((height > HEIGHT_M) && height_counts) {
         found = doubt(DEMAND_LAND, SAY_HEIGHT_DOUBT, height, m,
                       (uint32_t)(BIT(BELIEF_SONAR) | BIT(BELIEF_FIX) | BIT(BELIEF_PRESSURE)));
     } else if (place > HOLD_M) {
@@ -318,10 +322,14 @@ static message_t contradicted(doubts_t *d, const belief_t *m)
 bool doubts_step(doubts_t *d, const belief_t *m)
 {
     const real_t t = m->time_s;
-    doubt_t found = judge(m, d->stood);
+    const bool high = real_sqrt(m->position_variance[2]) > HEIGHT_M;
+    const real_t high_s = d->high ? d->high_s : t;
+    doubt_t found = judge(m, d->stood, high && ((t - high_s) >= HEIGHT_S));
     const message_t upside = contradicted(d, m);
     bool said = false;
 
+    d->high = high;
+    d->high_s = high_s;
     if ((upside.code != SAY_NOTHING) && (found.demand != DEMAND_SINK)) {
         found.demand = DEMAND_SINK;
         found.why = upside;

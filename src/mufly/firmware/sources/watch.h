@@ -52,6 +52,8 @@ typedef struct {
     real_t since_s;
     bool certain;
     real_t certain_s;
+    bool high; /* the height is uncertain */
+    real_t high_s;
 } doubts_t;
 
 void doubts_start(doubts_t *d, real_t stood);
