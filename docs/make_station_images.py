@@ -137,6 +137,12 @@ def main() -> None:
             tablet.close()
             wait(lambda: not state(page)["armed"])
             page.close()
+        with running("fly", "--position", "camera", "--out", str(folder / "camera")) as url:
+            page = window(browser, url, dark=True)
+            page.click("[data-testid=mission]")
+            wait(lambda: state(page)["position"][0] > 1.5, 400.0)
+            shoot(page, out / "station-camera.png")
+            page.close()
         with running(
             "station", "--open", str(folder / "flight" / "flight.mcap"), "--out", str(folder)
         ) as url:

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import math
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
 
-from mufly.camera import Camera, load_camera
+from mufly.camera import Camera, decode, load_camera, rays
 from mufly.dynamics import initial_state
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate
 from mufly.flight import Event, fly
 from mufly.flight.camera import CameraSensor, Eye, parse_spoil, sighted
 from mufly.sensors import Reading, Truth
-from mufly.slam import Answer, Frame, opencv
+from mufly.slam import Answer, Frame, Sight, Sketch, features_of, opencv
+from mufly.slam.vision import pinhole
 from mufly.vehicle import load_vehicle
 from mufly.world import World
 
@@ -48,6 +50,15 @@ wait_s = 4.0
 """
 
 
+SIGHTS: list[Sight] = []
+
+
+class Watched(CameraSensor):
+    def __init__(self, *given: Any) -> None:
+        super().__init__(*given)
+        self.on_sight = SIGHTS.append
+
+
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[xr.Dataset, list[Event]]:
     """A hop over a rich floor by a good camera, whose lens is covered on the way."""
@@ -56,7 +67,9 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[xr.Dataset, list[Ev
     path.write_text(MISSION)
     events: list[Event] = []
     eye = Eye(load_camera("webcam"), spoils=(parse_spoil("covered@8.5s+1s"),))
-    ds = fly("mufly-1.1", path, sensors="fitted", seed=3, eye=eye, on_event=events.append, brief=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("mufly.flight.flight.CameraSensor", Watched)
+        ds = fly("mufly-1.1", path, sensors="fitted", seed=3, eye=eye, on_event=events.append, brief=True)
     return ds, events
 
 
@@ -78,11 +91,50 @@ def test_a_covered_lens_is_told_within_a_second_and_borne(flown: tuple[xr.Datase
     assert height > 0.3, said
 
 
+def test_what_is_seen_is_shown(flown: tuple[xr.Dataset, list[Event]]) -> None:
+    ds, _ = flown
+    on_floor = [s for s in SIGHTS if s.answer is None]
+    looked = [s for s in SIGHTS if s.answer is not None]
+    assert len(on_floor) > 10
+    last = looked[-1].counts
+    assert last.taken >= last.answered + last.lost > 100
+    assert last.answered > last.trusted
+    assert 0 < last.lost < 0.12 * last.taken
+    good = next(s for s in reversed(looked) if s.answer is not None and s.answer.trusted)
+    answer = good.answer
+    assert answer is not None
+    assert decode(good.jpeg).shape == (240, 320)
+    assert good.features.shape == (answer.agreed, 2)
+    assert ((good.features > 0) & (good.features < [319, 239])).all()
+    assert 0.2 <= good.latency_s < 0.4
+    assert 0.0 < good.work_s < 5.0
+    # The map is drawn under the way, which is drawn where the answers were.
+    nodes, true = good.sketch.keyframes, ds.truth_position.values[:, :2]
+    assert len(nodes) >= 2
+    assert good.sketch.ties[:, :2].max() < len(nodes)
+    for drawn in (nodes[:, :2], good.path):
+        off = np.hypot(*(drawn[:, None] - true[None, ::20]).T).min(axis=0)
+        assert off.max() < 0.2
+    covered = [s for s in looked if s.answer is not None and 8.9 < s.answer.time_s < 9.5]
+    assert covered[-1].said.startswith("too little of the floor")
+    assert np.mean(decode(covered[-1].jpeg)) < 20
+
+
+def test_features_lie_where_the_lens_has_them() -> None:
+    camera = load_camera("mufly-2.0")
+    seen = rays(camera, np.array([[40.0, 30.0], [250.0, 180.0]]))
+    focal, middle = pinhole(camera)
+    answer = Answer(0.0, True, pixels=focal * seen + middle)
+    assert features_of(camera, answer) == pytest.approx(np.array([[40, 30], [250, 180]]), abs=1e-3)
+
+
 def test_answers_come_late_with_the_time_of_their_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     """Hovering still; what looks at the pictures is a stand-in."""
     answers = []
 
     class Stub:
+        sketch, work_s = Sketch(), 0.004
+
         def __init__(self, camera: Camera, **more: object) -> None: ...
         def send(self, frame: Frame) -> None:
             answers.append(Answer(frame.time_s, True, "", np.array([0.2, -0.1, -0.8]), 0.3, 1e-4 * np.eye(4)))

@@ -198,6 +198,7 @@ def fly_with_page(
         session = Session(
             lambda: ground.vehicles, folder, mission=order.mission, recorder=ground.recorder,
             rotor_radius_m=float(order.vehicle.rotors.radius), battery=battery, title=f"mufly: {order.mission.name}",
+            sight=None if order.eye is None else lambda: process.sight,
         )  # fmt: skip
         watch = _Watch(process, on_event)
 

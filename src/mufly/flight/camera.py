@@ -27,13 +27,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.camera import Camera, Motion, Renderer, make_floor
+from mufly.camera import Camera, Motion, Renderer, encode, make_floor
 from mufly.dynamics import model_parameters, rotation, standing_height
 from mufly.dynamics.state import hover_speeds
 from mufly.errors import ArgumentError, MuflyError
 from mufly.estimate import Estimate
 from mufly.sensors import Reading, Sensor, Truth
-from mufly.slam import PHASE_SIGMA, Answer, Frame, SlamProcess, Telling, opencv
+from mufly.slam import (
+    PHASE_SIGMA,
+    Answer,
+    Counts,
+    Frame,
+    Sight,
+    SlamProcess,
+    Telling,
+    features_of,
+    opencv,
+)
 from mufly.vehicle import Vehicle
 from mufly.vehicle.quantity import Quantity
 from mufly.vehicle.sensing import PositionFix
@@ -49,6 +59,9 @@ SPOILS: Mapping[str, str] = {
 ANSWER_S, SILENT_S, BACK_S = 0.066, 0.5, 1.0
 """Between two answers that are sent; without any, until that is told; with some again, until that is told (s)."""
 _STANDS_NOISE_M = 0.002
+SHOWN_QUALITY = 80
+"""Of the JPEG of pictures that are shown; they have been through the radio's before."""
+PATH_STEP_M, MOST_PATH = 0.03, 1500
 KNOWN_M = 0.2
 """A place that is known less well is not sent: the filter would take it for as good as any (m)."""
 
@@ -160,6 +173,9 @@ class CameraSensor(Sensor):
         The latest that came, trusted or not.
     picture : (rows, columns) uint8 array or None
         The latest.
+    on_sight : callable or None
+        Told of every picture that was looked at (:class:`mufly.slam.Sight`); with it pictures are made on the floor,
+        too, which nobody looks at.
     """
 
     def __init__(
@@ -174,7 +190,7 @@ class CameraSensor(Sensor):
         self._floor = make_floor(eye.floor, seed, shadows=eye.shadows)
         self._fixes = told_errors(eye.camera)
         self.believe: Callable[[], tuple[Estimate | None, float]] = lambda: (None, math.nan)
-        self.asked = self.answered = self.trusted = 0
+        self.on_sight: Callable[[Sight], None] | None = None
         self._process: SlamProcess | None = None
         self.reset()
 
@@ -185,7 +201,11 @@ class CameraSensor(Sensor):
         self._phase, self._last_s, self._due_s = np.zeros(2), math.nan, -math.inf
         self._scale = 1.0 + 0.01 * float(self._rng.standard_normal())
         self._offset = self._rng.uniform(0.0, 2 * math.pi, 2)
-        self._queue: list[tuple[float, Answer | None]] = []  # when due; what, if that needs no looking
+        # When due; what is known without looking, or the picture
+        self._queue: list[tuple[float, Answer | NDArray[np.uint8]]] = []
+        self.taken = self.lost = self.answered = self.trusted = 0
+        self._path: list[tuple[float, float]] = []
+        self._floor_view: Renderer | None = None
         self._begun, self._stood = False, True
         self.answer: Answer | None = None
         self.picture: NDArray[np.uint8] | None = None
@@ -245,28 +265,44 @@ class CameraSensor(Sensor):
         self._stood = told.standing
         if "unplugged" in active:
             return
+        light = 0.0 if "covered" in active else (0.01 if "dark" in active else 1.0)
         # They come back in the order in which they were sent.
         due = t + float(camera.radio.latency)
         due = max(due + float(camera.radio.jitter) * jitter, self._queue[-1][0] if self._queue else 0.0)
         if told.standing and not self._begun:
             if not lost:
                 self._queue.append((due, self._stands(t)))
+            if self.on_sight is not None:
+                self._show_floor(self._motion(truth), light)
             return
         self._begun = True
-        share = min(1.5, (float(np.mean(truth.rotor_speed)) / self._hover) ** 2)
-        motion = Motion(
-            t, truth.position.copy(), truth.velocity.copy(), rotation(truth.state[6:10]), truth.rates.copy(),
-            truth.rotor_speed.copy(), self._phase.copy(), share,
-        )  # fmt: skip
-        light = 0.0 if "covered" in active else (0.01 if "dark" in active else 1.0)
-        self.picture = self._renderer.render(motion, light)
+        self.picture = self._renderer.render(self._motion(truth), light)
+        self.taken += 1
+        self.lost += bool(lost)
         if lost:
             return
         if self._process is None:
             self._process = SlamProcess(camera, start=self._start, seed=self._seed)
         self._process.send(Frame(t, self.picture, told))
-        self.asked += 1
-        self._queue.append((due, None))
+        self._queue.append((due, self.picture))
+
+    def _motion(self, truth: Truth) -> Motion:
+        share = min(1.5, (float(np.mean(truth.rotor_speed)) / self._hover) ** 2)
+        return Motion(
+            truth.time_s, truth.position.copy(), truth.velocity.copy(), rotation(truth.state[6:10]),
+            truth.rates.copy(), truth.rotor_speed.copy(), self._phase.copy(), share,
+        )  # fmt: skip
+
+    def _show_floor(self, motion: Motion, light: float) -> None:
+        """A picture for those who watch: by chance of its own, so that a flight is the same with and without them."""
+        if self._floor_view is None:
+            self._floor_view = Renderer(self._eye.camera, self._floor, self._world, seed=self._seed)
+        self.picture = self._floor_view.render(motion, light)
+        if self.on_sight is not None:
+            self.on_sight(Sight(motion.time_s, encode(self.picture, SHOWN_QUALITY), counts=self._counts()))
+
+    def _counts(self) -> Counts:
+        return Counts(self.taken, self.lost, self.answered, self.trusted)
 
     def _stands(self, time_s: float) -> Answer:
         """It has not moved since it was put there."""
@@ -300,13 +336,14 @@ class CameraSensor(Sensor):
             place_sigma=(place, heading),
         )  # fmt: skip
 
-    def _receive(self, known: Answer | None) -> None:
-        if known is None:
+    def _receive(self, known: Answer | NDArray[np.uint8]) -> None:
+        if not isinstance(known, Answer):
             assert self._process is not None
-            known = self._process.receive()
-            known = _sure(known)
+            picture, known = known, _sure(self._process.receive())
             self.answered += 1
             self.trusted += known.trusted
+            if self.on_sight is not None:
+                self.on_sight(self._sight(picture, known))
         self.answer = known
         if self._eye.on_answer is not None:
             self._eye.on_answer(known)
@@ -315,6 +352,19 @@ class CameraSensor(Sensor):
         last = self._fix.get("position_fix")
         if known.trusted and (last is None or known.time_s - last.time_s > ANSWER_S - 1e-3):
             self._fix = {"position_fix": Reading(np.append(known.position, known.heading), known.time_s)}
+
+    def _sight(self, picture: NDArray[np.uint8], answer: Answer) -> Sight:
+        assert self._process is not None
+        path, place = self._path, (float(answer.position[0]), float(answer.position[1]))
+        if answer.trusted and (not path or math.dist(path[-1], place) > PATH_STEP_M):
+            path.append(place)
+            if len(path) > MOST_PATH:
+                del path[::2]
+        return Sight(
+            answer.time_s, encode(picture, SHOWN_QUALITY), answer, features_of(self._eye.camera, answer),
+            self._last_s - answer.time_s, self._process.work_s, self._wrong, self._counts(), self._process.sketch,
+            np.array(path, np.float32).reshape(-1, 2),
+        )  # fmt: skip
 
 
 def _sure(answer: Answer) -> Answer:

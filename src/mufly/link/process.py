@@ -43,6 +43,7 @@ from mufly.link.vehicle import VehicleLink
 from mufly.logs.tlog import TlogWriter
 from mufly.mission import Mission, load_mission
 from mufly.sensors import Fault
+from mufly.slam import Sight
 from mufly.vehicle import Vehicle, load_vehicle
 
 Sensing = Literal["ideal", "fitted"]
@@ -377,6 +378,8 @@ class VehicleProcess:
         What happened to the ports.
     report : Report or None
         How its loop is doing.
+    sight : Sight or None
+        The picture that was looked at last, of a flight on pictures.
     outcome, reason : str
         Of the flight; "" while it is open.
     error : str
@@ -389,6 +392,7 @@ class VehicleProcess:
         self.events: deque[Event] = deque(maxlen=_KEPT_EVENTS)
         self.notices: deque[str] = deque(maxlen=_KEPT_EVENTS)
         self.report: Report | None = None
+        self.sight: Sight | None = None
         self.outcome = self.reason = self.error = ""
         self._ready = threading.Event()
         self._began_s = time.monotonic()
@@ -480,6 +484,8 @@ class VehicleProcess:
             elif kind == "report":
                 self.report = content
                 self.outcome = content.state.outcome
+            elif kind == "sight":
+                self.sight = content
             elif kind == "ready":
                 self._ready.set()
             elif kind == "done":
@@ -652,6 +658,8 @@ def _fly(
     warm_up(vehicle, controller, order["flight"]["sensors"])
     flying.set()
     flight = Flight(vehicle, mission, controller=controller, keep=False, **order["flight"])
+    if flight.camera is not None:
+        flight.camera.on_sight = lambda sight: tell("sight", sight)
     with flight, contextlib.ExitStack() as stack:
         log = None if order["tlog"] is None else stack.enter_context(TlogWriter(order["tlog"]))
         pace = run(

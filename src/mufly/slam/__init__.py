@@ -7,6 +7,7 @@ from mufly.slam.frame import Frame, Telling
 from mufly.slam.mapping import Keyframe, Map
 from mufly.slam.process import SlamProcess
 from mufly.slam.readers import Source, open_pictures, read_truth
+from mufly.slam.sight import Counts, Sight, Sketch, features_of, sketched
 from mufly.slam.system import Answer, Slam
 from mufly.slam.trajectory import Trajectory, draw, gathered, read_trajectory, run
 from mufly.slam.vision import opencv
@@ -17,11 +18,14 @@ __all__ = [
     "PHASE_SIGMA",
     "Answer",
     "Calibration",
+    "Counts",
     "Evaluation",
     "Frame",
     "Keyframe",
     "Map",
     "Path3",
+    "Sight",
+    "Sketch",
     "Slam",
     "SlamProcess",
     "Source",
@@ -33,6 +37,7 @@ __all__ = [
     "camera_toml",
     "draw",
     "evaluate",
+    "features_of",
     "frames",
     "gathered",
     "open_pictures",
@@ -42,5 +47,6 @@ __all__ = [
     "read_truth",
     "rounds",
     "run",
+    "sketched",
     "write_dataset",
 ]

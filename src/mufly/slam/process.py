@@ -11,12 +11,14 @@ import pickle
 import signal
 import subprocess
 import sys
+import time
 from contextlib import suppress
 from typing import Any
 
 from mufly.camera import Camera
 from mufly.errors import MuflyError
 from mufly.slam.frame import Frame
+from mufly.slam.sight import Sketch, sketched
 from mufly.slam.system import Answer, Slam
 from mufly.slam.vision import opencv
 
@@ -32,6 +34,13 @@ class SlamProcess:
     seed : int
         Of the points drawn by chance.
 
+    Attributes
+    ----------
+    sketch : Sketch
+        The map as of the latest answer.
+    work_s : float
+        How long that one took.
+
     Raises
     ------
     MuflyError
@@ -46,6 +55,7 @@ class SlamProcess:
             stdin=subprocess.PIPE, stdout=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
         )  # fmt: skip
+        self.sketch, self.work_s = Sketch(), 0.0
         self._send((camera, tuple(start), seed))
 
     def _send(self, message: Any) -> None:
@@ -76,10 +86,11 @@ class SlamProcess:
         """
         assert self._process.stdout is not None
         try:
-            answer = pickle.load(self._process.stdout)
+            answer, sketch, self.work_s = pickle.load(self._process.stdout)
         except (EOFError, OSError, ValueError, pickle.UnpicklingError) as error:
             raise MuflyError(f"the process that looks at pictures has ended ({error})") from error
         assert isinstance(answer, Answer)
+        self.sketch = sketch or self.sketch
         return answer
 
     def close(self) -> None:
@@ -105,6 +116,13 @@ def look() -> None:
     with suppress(EOFError, OSError):
         camera, start, seed = pickle.load(pictures)
         slam = Slam(camera, start=start, seed=seed)
+        told = None
         while True:
-            pickle.dump(slam.step(pickle.load(pictures)), answers, pickle.HIGHEST_PROTOCOL)
+            frame = pickle.load(pictures)
+            began = time.perf_counter()
+            answer = slam.step(frame)
+            work_s = time.perf_counter() - began
+            sketch = None if slam.map.solution is told else sketched(slam.map)
+            told = slam.map.solution
+            pickle.dump((answer, sketch, work_s), answers, pickle.HIGHEST_PROTOCOL)
             answers.flush()

@@ -51,6 +51,12 @@ def opencv() -> Any:
     return cv2
 
 
+def pinhole(camera: Camera) -> tuple[float, _Array]:
+    """Return focal length and principal point (2,) of straight pictures (pixels)."""
+    focal = 0.5 * (float(camera.lens.focal_x) + float(camera.lens.focal_y))
+    return focal, np.array([(camera.sensor.width - 1) / 2, (camera.sensor.height - 1) / 2])
+
+
 class Straightener:
     """Takes the lens's distortion out of pictures, and smooths them.
 
@@ -61,10 +67,9 @@ class Straightener:
         cv2 = opencv()
         size = (camera.sensor.width, camera.sensor.height)
         self.size = size
-        self.focal = 0.5 * (float(camera.lens.focal_x) + float(camera.lens.focal_y))
+        self.focal, self.middle = pinhole(camera)
         # As much as noise asks for (pixels, one sigma), before anything is looked for
         self.smooth = min(2.2, 0.8 + 0.1 * float(camera.quality.noise))
-        self.middle = np.array([(size[0] - 1) / 2, (size[1] - 1) / 2])
         wanted = np.array([[self.focal, 0, self.middle[0]], [0, self.focal, self.middle[1]], [0, 0, 1.0]])
         self.matrix = wanted
         self._maps = cv2.initUndistortRectifyMap(

@@ -1,5 +1,6 @@
 """What one window is told: increments, tables, and nothing for a window that does not keep up."""
 
+import base64
 import json
 import math
 import tracemalloc
@@ -14,6 +15,7 @@ import pytest
 
 from mufly.estimate import Estimate
 from mufly.flight import FlightState, Parameter
+from mufly.slam import Answer, Counts, Sight, Sketch
 from mufly.station import Check, History, Message, MissionRow, Outcome, Request, Snapshot
 from mufly.station.page.feed import IN_FLIGHT, MOST_POINTS, Feed, Want, catalog, encode_snapshot, sensors_of
 from mufly.station.page.session import ANSWER_S, GRACE_S, Session
@@ -334,3 +336,37 @@ def test_sensors_and_bands_are_told_where_an_estimator_says_what_it_believes() -
     (position,) = (q for q in catalog(history.names, history.unit) if q["key"] == "position")
     assert position["bands"]["estimated/height"] == "estimated_position_sigma_D"
     assert "truth/height" not in position["bands"]
+
+
+def test_the_camera_is_shown_to_who_looks_at_it(vehicle: Vehicle, session: Session) -> None:
+    vehicle.go(5)
+    sketch = Sketch(np.zeros((3, 3), np.float32), np.array([[0, 1, 0], [1, 2, 0], [0, 2, 1]], np.int32))
+    answer = Answer(
+        0.03, True, "", np.array([1.0, 2.0, -1.0]), 0.5, np.diag([1e-4, 4e-4, 1e-4, 1e-4]), 2, 9, 7
+    )
+    now = Sight(0.01, b"floor")
+    session.sight = lambda: now
+    feed = Feed(session.open("window"))
+    want(feed, sections=["messages"])
+    assert "camera" not in frame(feed)
+    want(feed, sections=["camera"])
+    standing = frame(feed, 1.0)["camera"]
+    assert base64.b64decode(standing["jpeg"]) == b"floor"
+    assert "features" not in standing
+    assert "camera" not in frame(feed, 1.1)  # the same again
+    now = Sight(
+        0.03, b"jpeg", answer, np.ones((7, 2), np.float32), 0.21, 0.004, "", Counts(9, 1, 8, 7), sketch,
+        np.ones((4, 2), np.float32),
+    )  # fmt: skip
+    got = frame(feed, 2.0)
+    told = got["camera"]
+    assert (told["keyframes"], told["closures"], len(told["features"])) == (3, 1, 7)
+    assert told["trusted_now"]
+    assert told["covariance"][1][1] == 4e-4
+    assert got["floor_map"]["ties"][2] == [0, 2, 1]
+    assert len(got["floor_map"]["path"]) == 4
+    lost = replace(answer, trusted=False, position=np.full(3, math.nan))
+    now = replace(now, answer=lost, said="too little of the floor is recognised")
+    told = frame(feed, 3.0)["camera"]
+    assert told["position"] == [None, None, None]
+    assert told["said"].startswith("too little")

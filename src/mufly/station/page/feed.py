@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import time
+from base64 import b64encode
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -23,6 +24,7 @@ from scipy.signal import detrend, welch
 
 from mufly.flight.trust import sensor_name
 from mufly.quantities import CHECKED, STATUSES, our_name
+from mufly.slam import Sight
 from mufly.station.history import History, Message, Snapshot
 from mufly.station.page.session import Source, View
 from mufly.station.replay import ReplayHistory
@@ -39,7 +41,9 @@ ALIVE_S = 2.0
 MOST_TRAIL = 3000
 BLADES = 2
 LEAST_SAMPLES = 64
-_SECTIONS = frozenset({"scene", "messages", "mission", "checks", "sensors", "parameters", "catalog"})
+_SECTIONS = frozenset(
+    {"scene", "messages", "mission", "checks", "sensors", "parameters", "catalog", "camera"}
+)
 _OF_STATE = (
     *("time_s", "connected", "silent_s", "armed", "flying", "in_command", "commander", "state"),
     *(
@@ -101,6 +105,24 @@ def encode_snapshot(s: Snapshot) -> dict[str, Any]:
     return {name: v.astype(np.float32) if isinstance(v, np.ndarray) else v for name, v in told.items()}
 
 
+def encode_sight(sight: Sight) -> dict[str, Any]:
+    """Return a picture with its features, and what SLAM says of it and of itself."""
+    answer, counts = sight.answer, sight.counts
+    out: dict[str, Any] = {
+        "t": sight.time_s, "jpeg": b64encode(sight.jpeg).decode(), "said": sight.said,
+        "taken": counts.taken, "lost": counts.lost, "answered": counts.answered, "trusted": counts.trusted,
+        "keyframes": len(sight.sketch.keyframes), "closures": int(sight.sketch.ties[:, 2].sum()),
+    }  # fmt: skip
+    if answer is not None:
+        out |= {
+            "features": sight.features.round(1), "trusted_now": answer.trusted, "reason": answer.reason,
+            "position": answer.position, "heading": answer.heading, "covariance": answer.covariance,
+            "tracked": answer.tracked, "agreed": answer.agreed, "keyframe": answer.keyframe,
+            "latency_s": sight.latency_s, "work_s": sight.work_s,
+        }  # fmt: skip
+    return out
+
+
 class Feed:
     """The stream of frames to one window."""
 
@@ -118,6 +140,7 @@ class Feed:
         self._said: Message | None = None
         self._tables: dict[str, Any] = {}
         self._alive: set[str] = set()
+        self._sight: Sight | None = None
         self._slow_at = self._spectrum_at = -math.inf
 
     @property
@@ -169,6 +192,10 @@ class Feed:
             if self.want.spectrum and now_s - self._spectrum_at >= SPECTRUM_S:
                 self._spectrum_at = now_s
                 out["spectrum"] = self._spectrum(source, snapshot)
+        if "camera" in self.want.sections and (sight := self._view.sight()) is not self._sight:
+            self._sight = sight
+            if sight is not None:
+                out["camera"] = encode_sight(sight)
         if "scene" in self.want.sections:
             out["others"] = [_other(v.name, v.color, v.snapshot) for v in self._view.others()]
         return orjson.dumps(out, option=orjson.OPT_SERIALIZE_NUMPY)
@@ -236,6 +263,10 @@ class Feed:
             out["sensors"] = sensors
         if (names := changed("catalog", lambda: self._known_names(source))) is not None:
             out["catalog"] = catalog(names, source.history.unit)
+        if changed("camera", self._sketch) is not None and (sight := self._view.sight()) is not None:
+            out["floor_map"] = {
+                "keyframes": sight.sketch.keyframes, "ties": sight.sketch.ties, "path": sight.path,
+            }  # fmt: skip
         sent = self._tables.get("parameters")
         base = self._view.baseline() if "parameters" in sections else {}
         known = changed(
@@ -248,6 +279,11 @@ class Feed:
                 for n, (p, was) in known.items()
                 if sent is None or sent.get(n) != (p, was)
             ]
+
+    def _sketch(self) -> float | None:
+        """Changes when the map of the floor is to be drawn anew."""
+        sight = self._view.sight()
+        return None if sight is None else sight.time_s
 
     def _known_names(self, source: Source) -> list[str]:
         """Signals that have had a value since the source is shown; a real vehicle has no truth to offer."""

@@ -219,13 +219,17 @@ def _recorder(view: View) -> None:
 
 
 def _dock(view: View, editor: MissionEditor) -> Callable[[], None]:
-    with _labelled("section", "plots, spectrum, plan, parameters, recordings", "mf-dock"):
+    with _labelled("section", "plots, spectrum, plan, parameters, recordings, camera", "mf-dock"):
         with ui.tabs().props("dense no-caps align=left inline-label").classes("mf-tabs") as tabs:
             plots, spectrum, plan, parameters, recordings = map(
                 ui.tab, ("Plots", "Spectrum", "Plan", "Parameters", "Recordings")
             )
-        with ui.tab_panels(tabs, value=plots, animated=False, keep_alive=False) as panels:
+            camera = None if view.session.sight is None else ui.tab("Camera")
+        with ui.tab_panels(tabs, value=camera or plots, animated=False, keep_alive=False) as panels:
             panels.classes("mf-tab-panels")
+            if camera is not None:
+                with ui.tab_panel(camera):
+                    Panel("camera")
             with ui.tab_panel(plots):
                 Panel("plots")
             with ui.tab_panel(spectrum):

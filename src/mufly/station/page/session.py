@@ -21,6 +21,7 @@ from mufly.errors import InputError
 from mufly.flight import Parameter
 from mufly.link import SLOW
 from mufly.mission import Ask, Mission, may
+from mufly.slam import Sight
 from mufly.station.history import Outcome, Request, Snapshot
 from mufly.station.page.drafts import Sketch
 from mufly.station.recorder import StationRecorder
@@ -67,6 +68,8 @@ class Session:
         Of the vehicle, where it is known: a mission that is drawn is checked against it.
     sketch : Sketch
         The mission that is being drawn.
+    sight : callable or None
+        Returns the picture that was looked at last, of a vehicle that flies on pictures.
     """
 
     vehicles: Callable[[], Sequence[RemoteVehicle]]
@@ -81,6 +84,7 @@ class Session:
     to_open: Recording | None = None
     battery: tuple[float, float] | None = None
     sketch: Sketch = field(default_factory=Sketch)
+    sight: Callable[[], Sight | None] | None = None
     clock: Callable[[], float] = time.monotonic
 
     def open(self, client_id: str) -> View:
@@ -186,6 +190,10 @@ class View:
         """Changes when another source is shown or the slider jumps."""
         jumps = self.replay.jumps if self.replay is not None else 0
         return f"{self._shows}/{id(self.source())}/{jumps}"
+
+    def sight(self) -> Sight | None:
+        """The picture of the vehicle that is shown."""
+        return None if self.replay is not None or self.session.sight is None else self.session.sight()
 
     def others(self) -> list[RemoteVehicle]:
         """The vehicles in the scene that are not selected."""
