@@ -14,6 +14,7 @@ from mufly.camera.model import (
     rays,
 )
 from mufly.camera.render import Motion, Renderer, decode, encode
+from mufly.camera.stream import StreamServer, boundary_of, is_local, parse_address, parts
 
 __all__ = [
     "FLOORS",
@@ -21,16 +22,21 @@ __all__ = [
     "Floor",
     "Motion",
     "Renderer",
+    "StreamServer",
     "body_from_camera",
+    "boundary_of",
     "builtin_cameras",
     "check_size",
     "decode",
     "distortion",
     "encode",
     "floor_of_picture",
+    "is_local",
     "load_camera",
     "make_floor",
     "matrix",
+    "parse_address",
+    "parts",
     "project",
     "rays",
 ]

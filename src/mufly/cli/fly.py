@@ -283,17 +283,26 @@ Examples:
 
   mufly fly --headless --position camera --camera-fault covered@20s
 
+  mufly fly --position camera --stream 8090      (its pictures at http://127.0.0.1:8090/stream)
+
   mufly fly my-mission.toml --vehicle my-helicopter.toml --out results
 
   mufly fly --link udp:127.0.0.1:14550      (QGroundControl or a script may fly it too)
 """
 
 
-def _eye(position: str, sensors: str, camera: str, floor: str, faults: Sequence[str] | None) -> Eye | None:
+def _eye(
+    position: str, sensors: str, camera: str, floor: str, faults: Sequence[str] | None, stream: str
+) -> Eye | None:
     """What ``--position camera`` and its options say; None without it."""
     one_of("--position", position, ("fix", "camera"))
     if position == "fix":
-        for name, given in (("--camera", camera), ("--floor", floor), ("--camera-fault", faults)):
+        for name, given in (
+            ("--camera", camera),
+            ("--floor", floor),
+            ("--camera-fault", faults),
+            ("--stream", stream),
+        ):
             if given:
                 raise InputError(
                     name, "", "there is no camera without --position camera", "add it, or leave this out"
@@ -301,7 +310,7 @@ def _eye(position: str, sensors: str, camera: str, floor: str, faults: Sequence[
         return None
     if sensors == "ideal":
         raise InputError("--position", "", "what is true needs no camera", "leave out --sensors ideal")
-    from mufly.camera import FLOORS, load_camera
+    from mufly.camera import FLOORS, load_camera, parse_address
     from mufly.flight.camera import Eye, parse_spoil
     from mufly.slam import opencv
 
@@ -311,6 +320,7 @@ def _eye(position: str, sensors: str, camera: str, floor: str, faults: Sequence[
         load_camera(camera or "mufly-2.0"),
         floor or "rich",
         spoils=tuple(parse_spoil(f) for f in faults or ()),
+        stream=parse_address(stream) if stream else None,
     )
 
 
@@ -360,6 +370,13 @@ def fly(
             "covered, dark or unplugged, as covered@20s+5s; can be given several times.",
         ),
     ] = None,
+    stream: Annotated[
+        str,
+        option(
+            "--stream [HOST:]PORT",
+            "Of --position camera: send its pictures as MJPEG, for browsers and OpenCV, at http://HOST:PORT/stream.",
+        ),
+    ] = "",
     realtime: Annotated[bool, option("--realtime", "Keep pace with the clock.")] = False,
     as_json: Annotated[
         bool, option("--json", "Print the summary as JSON on standard output, and nothing else.")
@@ -411,7 +428,7 @@ def fly(
         faults,
         on_board(firmware, fixed_point),
         None if designed_for is None else load_vehicle(designed_for),
-        _eye(position, sensors, camera, floor, camera_fault),
+        _eye(position, sensors, camera, floor, camera_fault, stream),
     )
     if order.eye is not None:
         from mufly.flight.camera import sighted
@@ -433,6 +450,13 @@ def fly(
         f"[bold]{order.vehicle.name}[/bold] flies [bold]{order.mission.name}[/bold]; results go to {folder}"
     )
     terminal.print(flies_on(order.vehicle, order.sensors), highlight=False, markup=False)
+    if order.eye is not None and order.eye.stream is not None:
+        from mufly.camera import is_local
+
+        host, number = order.eye.stream
+        terminal.print(f"Its camera is at http://{host}:{number}/stream", highlight=False, markup=False)
+        if not is_local(host):
+            say(f"anyone who reaches {host}:{number} sees its pictures", mark="Warning", style="yellow")
     if by := computed_by(order.vehicle, order.sensors, firmware):
         terminal.print(by, highlight=False, markup=False)
 

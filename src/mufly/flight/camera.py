@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.camera import Camera, Motion, Renderer, encode, make_floor
+from mufly.camera import Camera, Motion, Renderer, StreamServer, encode, make_floor
 from mufly.dynamics import model_parameters, rotation, standing_height
 from mufly.dynamics.state import hover_speeds
 from mufly.errors import ArgumentError, MuflyError
@@ -59,7 +59,7 @@ SPOILS: Mapping[str, str] = {
 ANSWER_S, SILENT_S, BACK_S = 0.066, 0.5, 1.0
 """Between two answers that are sent; without any, until that is told; with some again, until that is told (s)."""
 _STANDS_NOISE_M = 0.002
-SHOWN_QUALITY = 80
+SHOWN_QUALITY = 85
 """Of the JPEG of pictures that are shown; they have been through the radio's before."""
 PATH_STEP_M, MOST_PATH = 0.03, 1500
 KNOWN_M = 0.2
@@ -111,6 +111,8 @@ class Eye:
     spoils : tuple of Spoil
     on_answer : callable, optional
         Called with each answer as it is known.
+    stream : (str, int), optional
+        Host and port where its pictures are sent as MJPEG, before the radio spoils them.
     """
 
     camera: Camera
@@ -118,6 +120,7 @@ class Eye:
     shadows: float = 0.3
     spoils: tuple[Spoil, ...] = ()
     on_answer: Callable[[Answer], None] | None = None
+    stream: tuple[str, int] | None = None
 
 
 def told_errors(camera: Camera) -> PositionFix:
@@ -192,17 +195,18 @@ class CameraSensor(Sensor):
         self.believe: Callable[[], tuple[Estimate | None, float]] = lambda: (None, math.nan)
         self.on_sight: Callable[[Sight], None] | None = None
         self._process: SlamProcess | None = None
+        self.stream = None if eye.stream is None else StreamServer(*eye.stream)
         self.reset()
 
     def reset(self) -> None:
-        self.close()
+        self._end()
         self._rng = np.random.default_rng([self._seed, 91])
         self._renderer = Renderer(self._eye.camera, self._floor, self._world, seed=self._seed)
         self._phase, self._last_s, self._due_s = np.zeros(2), math.nan, -math.inf
         self._scale = 1.0 + 0.01 * float(self._rng.standard_normal())
         self._offset = self._rng.uniform(0.0, 2 * math.pi, 2)
-        # When due; what is known without looking, or the picture
-        self._queue: list[tuple[float, Answer | NDArray[np.uint8]]] = []
+        # When due; what is known without looking, or the picture as it is shown
+        self._queue: list[tuple[float, Answer | bytes]] = []
         self.taken = self.lost = self.answered = self.trusted = 0
         self._path: list[tuple[float, float]] = []
         self._floor_view: Renderer | None = None
@@ -213,7 +217,13 @@ class CameraSensor(Sensor):
         self._wrong, self._trusted_s, self._since_s = "", math.inf, math.nan
 
     def close(self) -> None:
-        """End the other process."""
+        """End the other process, and the stream."""
+        self._end()
+        if self.stream is not None:
+            self.stream.close()
+            self.stream = None
+
+    def _end(self) -> None:
         if self._process is not None:
             self._process.close()
             self._process = None
@@ -272,19 +282,20 @@ class CameraSensor(Sensor):
         if told.standing and not self._begun:
             if not lost:
                 self._queue.append((due, self._stands(t)))
-            if self.on_sight is not None:
+            if self._watched:
                 self._show_floor(self._motion(truth), light)
             return
         self._begun = True
         self.picture = self._renderer.render(self._motion(truth), light)
         self.taken += 1
         self.lost += bool(lost)
+        shown = self._shown(t)
         if lost:
             return
         if self._process is None:
             self._process = SlamProcess(camera, start=self._start, seed=self._seed)
         self._process.send(Frame(t, self.picture, told))
-        self._queue.append((due, self.picture))
+        self._queue.append((due, shown))
 
     def _motion(self, truth: Truth) -> Motion:
         share = min(1.5, (float(np.mean(truth.rotor_speed)) / self._hover) ** 2)
@@ -298,8 +309,22 @@ class CameraSensor(Sensor):
         if self._floor_view is None:
             self._floor_view = Renderer(self._eye.camera, self._floor, self._world, seed=self._seed)
         self.picture = self._floor_view.render(motion, light)
+        shown = self._shown(motion.time_s)
         if self.on_sight is not None:
-            self.on_sight(Sight(motion.time_s, encode(self.picture, SHOWN_QUALITY), counts=self._counts()))
+            self.on_sight(Sight(motion.time_s, shown, counts=self._counts()))
+
+    @property
+    def _watched(self) -> bool:
+        return self.on_sight is not None or self.stream is not None
+
+    def _shown(self, time_s: float) -> bytes:
+        """The picture as a JPEG, sent to who watches; b"" where nobody does."""
+        if self.picture is None or not self._watched:
+            return b""
+        jpeg = encode(self.picture, SHOWN_QUALITY)
+        if self.stream is not None:
+            self.stream.publish(jpeg, time_s)
+        return jpeg
 
     def _counts(self) -> Counts:
         return Counts(self.taken, self.lost, self.answered, self.trusted)
@@ -336,14 +361,14 @@ class CameraSensor(Sensor):
             place_sigma=(place, heading),
         )  # fmt: skip
 
-    def _receive(self, known: Answer | NDArray[np.uint8]) -> None:
+    def _receive(self, known: Answer | bytes) -> None:
         if not isinstance(known, Answer):
             assert self._process is not None
-            picture, known = known, _sure(self._process.receive())
+            jpeg, known = known, _sure(self._process.receive())
             self.answered += 1
             self.trusted += known.trusted
             if self.on_sight is not None:
-                self.on_sight(self._sight(picture, known))
+                self.on_sight(self._sight(jpeg, known))
         self.answer = known
         if self._eye.on_answer is not None:
             self._eye.on_answer(known)
@@ -353,7 +378,7 @@ class CameraSensor(Sensor):
         if known.trusted and (last is None or known.time_s - last.time_s > ANSWER_S - 1e-3):
             self._fix = {"position_fix": Reading(np.append(known.position, known.heading), known.time_s)}
 
-    def _sight(self, picture: NDArray[np.uint8], answer: Answer) -> Sight:
+    def _sight(self, jpeg: bytes, answer: Answer) -> Sight:
         assert self._process is not None
         path, place = self._path, (float(answer.position[0]), float(answer.position[1]))
         if answer.trusted and (not path or math.dist(path[-1], place) > PATH_STEP_M):
@@ -361,7 +386,7 @@ class CameraSensor(Sensor):
             if len(path) > MOST_PATH:
                 del path[::2]
         return Sight(
-            answer.time_s, encode(picture, SHOWN_QUALITY), answer, features_of(self._eye.camera, answer),
+            answer.time_s, jpeg, answer, features_of(self._eye.camera, answer),
             self._last_s - answer.time_s, self._process.work_s, self._wrong, self._counts(), self._process.sketch,
             np.array(path, np.float32).reshape(-1, 2),
         )  # fmt: skip

@@ -19,6 +19,7 @@ from mufly.cli.present import (
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
+    from mufly.camera import Camera
     from mufly.slam import Evaluation
 
 app = Commands(
@@ -135,16 +136,11 @@ def run(
     With a truth in the folder errors are told, too. Examples: mufly slam run tiles -o result;
     mufly slam run flight.avi --camera camera.toml --height 1.2
     """
-    from mufly.camera import load_camera
     from mufly.logs import write_log
     from mufly.slam import Map, Slam, draw, evaluate, open_pictures, opencv, run
 
     opencv()
-    if not place.exists():
-        raise InputError(str(place), "", "no such folder or video", "give one with pictures")
-    if camera is None and not (place / "camera.toml").is_file():
-        raise InputError(str(place), "camera.toml", "is not there", "give --camera")
-    lens = load_camera(camera or place / "camera.toml")
+    lens = _camera_of(place, camera)
     source = open_pictures(place, lens, height_m=height, rate_Hz=rate)
     check_folder("--out", out)
     truth = source.truth
@@ -186,6 +182,58 @@ def run(
             _print(result)
 
     answer(as_json, lambda: content, show, files)
+
+
+@app.command()
+def serve(
+    place: Annotated[Path, argument("VIDEO|FOLDER", "Pictures, as of `mufly slam run`.")],
+    camera: Annotated[
+        str | None, option("--camera NAME|FILE", "That made them; by default camera.toml in the folder.")
+    ] = None,
+    at: Annotated[str, option("--stream [HOST:]PORT", "Where.")] = "8090",
+    speed: Annotated[float, option("--speed FACTOR", "Times as fast as they were taken.")] = 1.0,
+) -> None:
+    """Send recorded pictures as an MJPEG stream, each at its time, once somebody looks.
+
+    For trying programs that take a camera's stream: browsers, OpenCV (VideoCapture("http://127.0.0.1:8090/stream")),
+    `mufly slam live`. Example: mufly slam render -o rich; mufly slam serve rich
+    """
+    import time
+
+    from mufly.camera import StreamServer, encode, is_local, parse_address
+    from mufly.slam import open_pictures
+
+    if not 0.05 <= speed <= 20.0:
+        raise InputError("--speed", "", f"{speed:g} is out of range", "give 0.05 to 20")
+    source = open_pictures(place, _camera_of(place, camera), height_m=1.0)
+    host, port = parse_address(at)
+    with StreamServer(host, port) as server:
+        say(f"{source.count} pictures at {server.url}, as soon as somebody looks; Ctrl-C ends it")
+        if not is_local(host):
+            say(f"anyone who reaches {host}:{port} sees them", mark="Warning", style="yellow")
+        try:
+            while not server.watchers:
+                time.sleep(0.01)
+            began, first = time.monotonic(), math.nan
+            for frame in source.frames():
+                first = frame.time_s if math.isnan(first) else first
+                time.sleep(max(0.0, began + (frame.time_s - first) / speed - time.monotonic()))
+                server.publish(encode(frame.picture, 95), frame.time_s)
+            time.sleep(0.2)
+        except KeyboardInterrupt:
+            return
+    say("all were sent")
+
+
+def _camera_of(place: Path, given: str | None) -> Camera:
+    """The camera of pictures: the one that is given, or that of their folder."""
+    from mufly.camera import load_camera
+
+    if not place.exists():
+        raise InputError(str(place), "", "no such folder or video", "give one with pictures")
+    if given is None and not (place / "camera.toml").is_file():
+        raise InputError(str(place), "camera.toml", "is not there", "give --camera")
+    return load_camera(given or place / "camera.toml")
 
 
 @app.command()
