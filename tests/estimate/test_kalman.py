@@ -98,6 +98,13 @@ def test_it_knows_how_far_it_is_off(vehicle: Vehicle, flown, felt) -> None:
     assert math.degrees(all_.tilt_rms) < 0.6
 
 
+def test_lasers_that_see_no_wall_never_count_as_used(vehicle: Vehicle, flown, felt) -> None:
+    """They were, for the tenth of a second between a picture and the horizon, and held a position that jumped."""
+    _, told = run(vehicle, felt(10_000), flown[1])
+    made = {(c.status, c.reason) for e in told[100:] for c in e.beliefs.checks if c.name == "ranges"}
+    assert made == {("waiting", "sees no wall: all are too far")}
+
+
 @pytest.mark.parametrize("share", [0.92, 1.08])
 def test_it_knows_it_of_a_vehicle_that_is_not_its_model(vehicle: Vehicle, flown, felt, share: float) -> None:
     """Rotors that lift 30 % more or less than the filter believes, of other moments, on another battery."""

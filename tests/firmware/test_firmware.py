@@ -116,7 +116,7 @@ def test_code_with_another_vehicles_numbers_differs(controller) -> None:
 
 @needs_cc
 def test_a_mission_flown_beside_it_shows_no_difference() -> None:
-    (one,) = sil(load_vehicle("mufly-1.1"), ["box-on-leg"], wind=0.5, gust=0.3)
+    (one,) = sil(load_vehicle("mufly-1.1"), ["box-on-leg"], wind=[0.5, 0.0, 0.0], gust=0.3)
     assert one.outcome == "succeeded"
     assert 5000 < one.periods < one.beliefs
     assert one.different == one.beliefs_different == one.steps_different == 0

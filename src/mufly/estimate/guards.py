@@ -165,8 +165,10 @@ def inspect(m, s, z, new, age):  # type: ignore[no-untyped-def]
         if new[k] == 1:
             m.came[k] = m.tick
             m.silent[k] = 0
-            if m.code[k] == NOTHING or (m.code[k] >= MISSING and m.tick >= m.until[k]):
-                m.code[k], m.why[k] = FUSED, FINE
+            again = m.code[k] >= MISSING and m.tick >= m.until[k]
+            if again or (m.code[k] == NOTHING and k != R_RING):
+                # Whether a ring that sees is of use is said by what it sees: in a large room it sees no wall.
+                m.code[k], m.why[k] = NOTHING if k == R_RING else FUSED, FINE
             if age[k] > s.latency[k] + s.slack[k]:
                 flag(m, s, k, FAULTY, LATE, age[k])
                 if k <= R_RATES or k in (R_ROTOR, R_BATTERY):

@@ -254,7 +254,7 @@ def sil(
     missions: Sequence[str],
     *,
     flights: int = 1,
-    wind: float | None = None,
+    wind: Sequence[float] | None = None,
     gust: float | None = None,
     sensors: Literal["fitted", "ideal"] = "fitted",
     faults: Sequence[Fault] = (),
@@ -271,8 +271,10 @@ def sil(
         Names or files.
     flights : int
         Of each mission, with seeds from 0 on.
-    wind, gust : float, optional
-        Steady wind from the south and gusts (m/s), instead of the missions'.
+    wind : (3,) sequence, optional
+        Steady wind, where it blows to, N, E, D (m/s), instead of the missions'.
+    gust : float, optional
+        Gusts (m/s), instead of the missions'.
     sensors : "fitted" or "ideal"
         What it flies on; the estimator is compared on fitted ones.
     faults : sequence of Fault
@@ -297,7 +299,7 @@ def sil(
         w, g, wrong = wind, gust, tuple(faults)
         if drawn:
             met, mission = weather(seed), obstructed(mission, seed)
-            w, g, wrong = met.wind, met.gust, tuple(parse_fault(f) for f in met.faults)
+            w, g, wrong = [met.wind, 0.0, 0.0], met.gust, tuple(parse_fault(f) for f in met.faults)
         twins: list[_Twins] = []
         flown: list[SoftwareBeside] = []
 
@@ -310,7 +312,7 @@ def sil(
         record = fly(
             vehicle, mission, controller=controller, seed=seed, gust=g,
             controllers=software_beside(make, double, flown),
-            wind=None if w is None else [w, 0.0, 0.0], estimator=believing,
+            wind=w, estimator=believing,
             sensors="fitted" if felt else "ideal", faults=wrong,
         )  # fmt: skip
         return SilResult(

@@ -9,7 +9,7 @@ import typer
 
 from mufly.cli.options import Commands, JsonOption, argument, option
 from mufly.cli.present import answer, print_json, print_table, progress_bar, say, tell_files, writing
-from mufly.cli.station import FaultOption, SensorsOption, check_sensors
+from mufly.cli.station import FaultOption, GustOption, SensorsOption, WindOption, check_air, check_sensors
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
@@ -83,10 +83,8 @@ def sil(
     ] = None,
     vehicle: _VehicleOption = "mufly-1.1",
     flights: Annotated[int, option("N", "Of each mission, with seeds from 0 on.", min=1)] = 1,
-    wind: Annotated[
-        float | None, option("--wind M/S", "Steady wind from the south.", min=-5.0, max=5.0)
-    ] = None,
-    gust: Annotated[float | None, option("--gust M/S", "Gusts.", min=0.0, max=3.0)] = None,
+    wind: WindOption = None,
+    gust: GustOption = None,
     sensors: SensorsOption = "fitted",
     fault: FaultOption = None,
     drawn: Annotated[
@@ -124,6 +122,7 @@ def sil(
         raise InputError(
             "--drawn", "", "draws wind, gusts and faults itself", "leave out --wind, --gust and --fault"
         )
+    steady = check_air(wind, gust, 0)
     helicopter = load_vehicle(vehicle)
     faults = check_sensors(helicopter, sensors, fault)
     done = 0
@@ -136,7 +135,7 @@ def sil(
                 progress(done, len(names) * flights)
 
         results = compare(
-            helicopter, names, flights=flights, wind=wind, gust=gust, faults=faults, on_flight=flown,
+            helicopter, names, flights=flights, wind=steady, gust=gust, faults=faults, on_flight=flown,
             sensors="ideal" if sensors == "ideal" else "fitted", drawn=drawn, keep=keep,
         )  # fmt: skip
     answer(as_json, lambda: {"flights": results}, lambda: _print_sil(results))

@@ -16,9 +16,8 @@ from mufly.cli.present import (
     say,
     writing,
 )
-from mufly.cli.station import FaultOption
+from mufly.cli.station import FaultOption, GustOption, WindOption, check_air
 from mufly.cli.vehicle import print_group
-from mufly.errors import InputError
 from mufly.results import number
 
 if TYPE_CHECKING:
@@ -83,10 +82,8 @@ def simulate(
     ] = "mufly-1.1",
     seed: Annotated[int, option("K", "Same seed, same gusts and errors.")] = 0,
     fault: FaultOption = None,
-    wind: Annotated[
-        float | None, option("--wind M/S", "Steady wind from the south, in place of the mission's.")
-    ] = None,
-    gust: Annotated[float | None, option("--gust M/S", "Gusts, in place of the mission's.")] = None,
+    wind: WindOption = None,
+    gust: GustOption = None,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -106,14 +103,12 @@ def simulate(
     from mufly.vehicle import load_vehicle
 
     wrong = [parse_fault(text) for text in fault or []]
-    for option_, value in (("--wind", wind), ("--gust", gust)):
-        if value is not None and not np.isfinite(value):
-            raise InputError(option_, "", f"{value:g} is no speed", "give a number (m/s)")
+    steady = check_air(wind, gust, seed)
     check_folder("--out", out)
     with progress_bar("flight", not as_json) as progress:
         logs = listen(
             load_vehicle(vehicle), load_mission(mission), seed=seed, faults=wrong,
-            wind=None if wind is None else np.array([wind, 0.0, 0.0]), gust=gust,
+            wind=None if steady is None else np.array(steady), gust=gust,
             on_progress=None if progress is None else lambda p: progress(round(p.time_s), round(p.expected_s)),
         )  # fmt: skip
     errors = [reading_errors(log) for log in logs.values()]

@@ -92,8 +92,10 @@ static bool keep(estimator_t *m, const estimator_settings_t *s, const real_t *z,
 
     m->came[k] = m->tick;
     m->silent[k] = 0;
-    if ((m->code[k] == NOTHING) || ((m->code[k] >= MISSING) && (m->tick >= m->until[k]))) {
-        m->code[k] = FUSED;
+    bool again = (m->code[k] >= MISSING) && (m->tick >= m->until[k]);
+    if (again || ((m->code[k] == NOTHING) && (k != R_RING))) {
+        /* Whether a ring that sees is of use is said by what it sees: in a large room it sees no wall. */
+        m->code[k] = (k == R_RING) ? NOTHING : FUSED;
         m->why[k] = FINE;
     }
     if (age > (s->latency[k] + s->slack[k])) {

@@ -244,7 +244,8 @@ def draw_checks(dataset: xr.Dataset) -> Figure:
     figure.text(0.02, 1 - 0.12 / height, title(dataset), fontsize=10, va="top")
     figure.text(
         0.02, 1 - 0.36 / height,
-        "dots: innovation in standard deviations (6 and more at the edge); bar: what was made of the sensor",
+        "dots: innovation in standard deviations, of the axis that is furthest off (6 and more at the edge); "
+        "bar: what was made of the sensor",
         fontsize=8.5, va="top", color=GREY,
     )  # fmt: skip
     return figure
