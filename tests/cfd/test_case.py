@@ -30,7 +30,7 @@ from mufly.cfd import (
     study_cases,
     write_case,
 )
-from mufly.cfd.results import carried, read_field
+from mufly.cfd.results import carried, read_field, scaled_state
 from mufly.cfd.run import history, times
 from mufly.cfd.start import ring_velocity
 from mufly.cli.options import Theory
@@ -358,5 +358,17 @@ def test_a_run_goes_on_after_it_was_killed_and_our_loads_are_the_solvers(tmp_pat
     assert read_point(faster).upwind == 0
     run_case(faster, most=40)
     assert history(faster)[0, 1] == pytest.approx(found.thrust_N * 1.4**2, rel=0.05)
-    with pytest.raises(InputError, match="differs in speed only"):
-        save_case(tmp_path / "other", rotor, **{**given, "pitch_rad": 0.2}, neighbour=tmp_path)
+    # Another pitch setting has the same cells in other places: its fluxes balance in each as they did.
+    mesh_16 = poly_mesh(blade_mesh(rotor, math.radians(16), level="tiny"))
+    state, inside = scaled_state(tmp_path, mesh_16, 1.0), len(mesh_16.neighbour)
+    assert not np.allclose(mesh_16.points, mesh().points, atol=1e-4)
+    assert np.array_equal(state["U"], read_field(tmp_path / "120" / "U", mesh_16.cells))
+    flux = state["phi"]
+    left = np.bincount(mesh_16.owner, flux, mesh_16.cells) - np.bincount(
+        mesh_16.neighbour, flux[:inside], mesh_16.cells
+    )
+    assert np.abs(left).max() < 1e-3 * np.abs(flux).max()
+    with pytest.raises(InputError, match="mesh of other cells"):
+        save_case(tmp_path / "other", rotor, **given, tip="plate-up", neighbour=tmp_path)
+    with pytest.raises(InputError, match="differs in speed, pitch setting or tip only"):
+        save_case(tmp_path / "other", rotor, **given, model="sst", neighbour=tmp_path)

@@ -3,14 +3,29 @@
 from __future__ import annotations
 
 import math
+import re
+import shutil
+import subprocess
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from mufly.cfd import PolyMesh, blade_mesh, poly_mesh, quality, read_point, read_poly_mesh, save_case
-from mufly.cfd.pair import pair_mesh
+from mufly.cfd import (
+    PolyMesh,
+    blade_mesh,
+    judge,
+    poly_mesh,
+    quality,
+    read_point,
+    read_poly_mesh,
+    save_case,
+    solve_pair,
+)
+from mufly.cfd.case import set_phase
+from mufly.cfd.pair import Disc, disc_cells, pair_mesh, put_disc, read_disc
+from mufly.cfd.run import environment, find_solver
 from mufly.errors import InputError
 from mufly.rotor import load_rotor
 
@@ -76,3 +91,73 @@ def test_rotors_too_close_are_refused_in_one_line(gap: float, pitch: float, mess
     rotor, angle = load_rotor("naca0012-r60-c20"), math.radians(pitch)
     with pytest.raises(InputError, match=message):
         pair_mesh(rotor, angle, angle, gap, level="tiny")
+
+
+def disc(since: int = 0) -> Disc:
+    """A rotor whose thrust per span rises as r^2, its torque as r^3, between 10 and 60 mm."""
+    r = np.linspace(0.01, 0.06, 21)
+    t, q = 3e3 * r**2, 40.0 * r**3
+    thrust, torque = (float(np.trapezoid(v, r)) for v in (t, q))
+    return Disc(tuple(r), tuple(t), tuple(q), thrust, torque, TURNED, 500.0, since)
+
+
+def beside(folder: Path, height_m: float, since: int = 0) -> tuple[PolyMesh, Disc]:
+    save_case(
+        folder,
+        load_rotor("naca0012-r60-c20"),
+        pitch_rad=TURNED,
+        speed_rad_s=500.0,
+        level="tiny",
+        other_m=height_m,
+    )
+    mesh, other = read_poly_mesh(folder), disc(since)
+    put_disc(folder, mesh, read_point(folder), other)
+    return mesh, other
+
+
+@pytest.mark.parametrize("height", [-GAP, GAP])
+def test_the_disc_covers_the_rotor_once_and_has_its_loads(tmp_path: Path, height: float) -> None:
+    mesh, other = beside(tmp_path, height)
+    cells, area = disc_cells(mesh, height, 0.06)
+    assert area.sum() == pytest.approx(0.5 * math.pi * 0.06**2, rel=0.05)  # half of it: one of two blades
+    assert np.abs(mesh.centres[cells[area > 0.0], 2] - height).max() < 0.15 * 0.06
+    # What the solver is told, summed as its rotorDisk does, about 1 rad/s.
+    text = (tmp_path / "constant" / "fvOptions").read_text()
+    r = np.array([float(x) for x in re.findall(r"\(at\d+ \((\S+) 0 1\)\)", text)])
+    drag, lift = np.array(re.findall(r"\(180 (\S+) ([^\s)]+)\)", text), dtype=float).T
+    at = np.hypot(mesh.centres[cells, 0], mesh.centres[cells, 1])
+    force = 0.5 * at**2 * 2 * area / (2.0 * math.pi * at)  # per density
+    thrust = 2 * 1.2 * float(force @ np.interp(at, r, lift))
+    torque = 2 * 1.2 * float((force * at) @ np.interp(at, r, drag))
+    assert thrust == pytest.approx(other.thrust_N, rel=1e-6)
+    assert torque == pytest.approx(-other.torque_Nm, rel=1e-6)  # against this rotor's sense
+    assert read_disc(tmp_path) == other
+
+
+def test_no_verdict_before_the_air_knows_the_other_rotors_new_loads(tmp_path: Path) -> None:
+    beside(tmp_path, GAP, since=1600)
+    for name, row in (("force.dat", "0 0 0.05"), ("moment.dat", "0 0 -0.001")):
+        file = tmp_path / "postProcessing" / "loads" / "0" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text("".join(f"{i} {row}\n" for i in range(1, 1801)))
+    assert judge(tmp_path).what == "not done"  # they stand still, but for 200 iterations only
+    (tmp_path / "disc.json").write_text('{"r_m": [')
+    with pytest.raises(InputError, match="no whole disc"):
+        read_disc(tmp_path)
+
+
+@pytest.mark.parametrize("gap", [0.004, 0.2])
+def test_a_pair_by_turns_whose_rotors_would_meet_is_refused(tmp_path: Path, gap: float) -> None:
+    with pytest.raises(InputError, match="give 1"):
+        solve_pair(tmp_path, load_rotor("naca0012-r60-c20"), pitch_rad=TURNED, speed_rad_s=500.0, gap_m=gap)
+
+
+@pytest.mark.skipif(shutil.which("simpleFoam") is None, reason="OpenFOAM is not installed")
+def test_the_solver_takes_the_disc_for_the_rotor(tmp_path: Path) -> None:
+    _, other = beside(tmp_path, GAP)
+    set_phase(tmp_path, upwind=True, end=1)
+    told = subprocess.run(
+        [find_solver()], cwd=tmp_path, env=environment(), capture_output=True, text=True, check=True
+    )
+    lift = float(re.findall(r"Effective lift = (\S+)", told.stdout)[-1])
+    assert 2.0 * lift == pytest.approx(other.thrust_N, rel=1e-5)

@@ -5,8 +5,18 @@ from mufly.cfd.comparison import Compared, compare
 from mufly.cfd.form import TIPS, Form, Hub, Tip, named_form
 from mufly.cfd.mesh import LEVELS, Domain, Mesh, blade_mesh
 from mufly.cfd.mesh_error import Convergence, convergence, mesh_study
-from mufly.cfd.pictures import history_picture, loads_picture, mesh_picture, pressure_picture
-from mufly.cfd.point import Beside, beside, save_case, solve_point, study, study_cases, sweep
+from mufly.cfd.pictures import history_picture, loads_picture, mesh_picture, pair_picture, pressure_picture
+from mufly.cfd.point import (
+    Beside,
+    MeanPair,
+    beside,
+    save_case,
+    solve_pair,
+    solve_point,
+    study,
+    study_cases,
+    sweep,
+)
 from mufly.cfd.polymesh import PolyMesh, Quality, poly_mesh, quality, read_poly_mesh, write_poly_mesh
 from mufly.cfd.results import Solution, read_solution
 from mufly.cfd.run import Progress, Verdict, find_solver, history, judge, judged, run_case
@@ -25,6 +35,7 @@ __all__ = [
     "Domain",
     "Form",
     "Hub",
+    "MeanPair",
     "Mesh",
     "Point",
     "PolyMesh",
@@ -47,6 +58,7 @@ __all__ = [
     "mesh_picture",
     "mesh_study",
     "named_form",
+    "pair_picture",
     "poly_mesh",
     "pressure_colours",
     "pressure_picture",
@@ -57,6 +69,7 @@ __all__ = [
     "run_case",
     "save_case",
     "slipstream",
+    "solve_pair",
     "solve_point",
     "study",
     "study_cases",

@@ -85,6 +85,9 @@ class Point:
     gap_m, lower_pitch_rad, lower_rad_s : float
         Of a second rotor that turns the other way: how far its disc lies below, its pitch setting and speed (positive);
         0 for none.
+    other_m : float
+        Height over this disc (below 0: under it) of another rotor that turns the other way and stands there as a disc
+        of force, the mean of its loads around the shaft (:mod:`mufly.cfd.pair`); 0 for none.
     """
 
     rotor: str
@@ -107,6 +110,7 @@ class Point:
     gap_m: float = 0.0
     lower_pitch_rad: float = 0.0
     lower_rad_s: float = 0.0
+    other_m: float = 0.0
 
     def __post_init__(self) -> None:
         if self.model not in MODELS:

@@ -340,11 +340,16 @@ def blade_mesh(
     )  # fmt: skip
 
 
-def _room(rotor: Rotor, pitch_rad: float, half_gap: float) -> float:
-    """Half height (m) of the centre block between two rotors; InputError if the blade has no room in it."""
+def blade_height(rotor: Rotor, pitch_rad: float) -> float:
+    """How far (m) a blade reaches over or under its disc, its thickness included."""
     x = np.linspace(float(rotor.hub_cutout), 1.0, 101)
     angle = np.abs(rotor.twist_rad(x) + pitch_rad)
-    reach = float(np.max(rotor.chord_m(x) * (0.75 * np.sin(angle) + 0.1)))
+    return float(np.max(rotor.chord_m(x) * (0.75 * np.sin(angle) + 0.1)))
+
+
+def _room(rotor: Rotor, pitch_rad: float, half_gap: float) -> float:
+    """Half height (m) of the centre block between two rotors; InputError if the blade has no room in it."""
+    reach = blade_height(rotor, pitch_rad)
     tall = _LEVEL_PART * half_gap
     if reach > 0.8 * tall:
         raise InputError(

@@ -1,20 +1,38 @@
-"""Two rotors that turn against each other, as a frozen pair: one mesh, each rotor in a frame of its own.
+"""Two rotors that turn against each other: each beside the other's mean, or both frozen in one mesh.
 
-The upper disc lies at z = 0 and turns about +z, the lower at -gap and turns the other way; its mesh is that of a rotor
-turning about +z, its own image in x. Each is meshed as far as the level plane half way to the other, where both meshes
-have the same points. Both blades stand at the same azimuth for good: what leaves one frame is taken to be steady in the
-next. That leaves out all that a passage of blades does in time, and swirl is not mixed around the shaft.
+**The mean.** In the frame of one rotor the other's blades pass by; their mean around the shaft stands still there. So
+each rotor is computed by itself, with its own mesh, and the other one is a disc of force, of the loads that its own
+case has: per area, by radius, ::
+
+    down  (dT/dr) / (2 pi r),     around, in the other one's sense  (dQ/dr) / (2 pi r^2)
+
+The two cases take turns until neither changes the other (:func:`mufly.cfd.point.solve_pair`). Mean thrust and torque
+are right to first order in what the passing of blades does; their swings in time are left out. The disc is OpenFOAM's
+``rotorDisk`` with a profile for each radius whose coefficients are such that those forces come out; its cells are those
+that the plane of the other rotor cuts.
+
+**Frozen.** One mesh, each rotor in a frame of its own. The upper disc lies at z = 0 and turns about +z, the lower at
+-gap and turns the other way; its mesh is that of a rotor turning about +z, its own image in x. Each is meshed as far as
+the level plane half way to the other, where both meshes have the same points. Both blades stand at the same azimuth for
+good: what leaves one frame is taken to be steady in the next. That leaves out all that a passage of blades does in
+time, and swirl is not mixed around the shaft.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+import math
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from mufly.cfd.case import Point
 from mufly.cfd.mesh import Domain, Mesh, blade_mesh
+from mufly.cfd.polymesh import PolyMesh, foam_header
 from mufly.cfd.sections import Counts
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import Rotor
@@ -86,3 +104,146 @@ def pair_mesh(
         turning=np.concatenate((upper.turning, lower.turning)),
         middle_m=-0.5 * gap_m,
     )
+
+
+@dataclass(frozen=True)
+class Disc:
+    """A rotor's loads per span, to stand for it as a disc of force.
+
+    Attributes
+    ----------
+    r_m : tuple of float
+        Radii, rising.
+    thrust_N_m, torque_Nm_m : tuple of float
+        Of all blades, at those radii; nothing beyond the first and the last.
+    thrust_N, torque_Nm : float
+        Of the whole rotor; the disc has exactly these.
+    pitch_rad, speed_rad_s : float
+        Its pitch setting and speed.
+    since : int
+        Iteration of the case at which these loads were put there.
+    """
+
+    r_m: tuple[float, ...]
+    thrust_N_m: tuple[float, ...]
+    torque_Nm_m: tuple[float, ...]
+    thrust_N: float
+    torque_Nm: float
+    pitch_rad: float
+    speed_rad_s: float
+    since: int = 0
+
+    def off(self, other: Disc) -> float:
+        """By how much another disc's thrust or torque differs, of this one's: the greater of the two."""
+        return max(
+            abs(other.thrust_N - self.thrust_N) / abs(self.thrust_N),
+            abs(other.torque_Nm - self.torque_Nm) / abs(self.torque_Nm),
+        )
+
+
+def disc_cells(mesh: PolyMesh, height_m: float, radius_m: float) -> tuple[NDArray[np.int64], Array]:
+    """Cells that a level plane cuts within a radius, and the area (m2) that each shows from above.
+
+    The area is what ``rotorDisk`` takes: of the faces to cells outside that look up by more than 0.8.
+    """
+    inside = len(mesh.neighbour)
+    low, high = np.full(mesh.cells, np.inf), np.full(mesh.cells, -np.inf)
+    z = mesh.points[mesh.faces][..., 2]
+    for faces, cells in ((slice(None), mesh.owner), (slice(0, inside), mesh.neighbour)):
+        np.minimum.at(low, cells, z[faces].min(axis=1))
+        np.maximum.at(high, cells, z[faces].max(axis=1))
+    near = np.hypot(mesh.centres[:, 0], mesh.centres[:, 1]) < radius_m
+    cut = (low <= height_m) & (height_m < high) & near
+    a, b = mesh.owner[:inside], mesh.neighbour
+    up = mesh.face_areas[:inside, 2] / np.linalg.norm(mesh.face_areas[:inside], axis=1)
+    size = np.linalg.norm(mesh.face_areas[:inside], axis=1)
+    area = np.zeros(mesh.cells)
+    area += np.bincount(a, size * (cut[a] & ~cut[b] & (up > _LOOKS_UP)), mesh.cells)
+    area += np.bincount(b, size * (cut[b] & ~cut[a] & (up < -_LOOKS_UP)), mesh.cells)
+    cells = np.flatnonzero(cut)
+    return cells, area[cells]
+
+
+_LOOKS_UP = 0.8
+
+
+def put_disc(folder: Path, mesh: PolyMesh, point: Point, disc: Disc) -> None:
+    """Write another rotor's loads into a case, as a disc of force at its ``other_m``.
+
+    Parameters
+    ----------
+    folder : Path
+        Of a case that is written.
+    mesh : PolyMesh
+        Its mesh.
+    point : Point
+    disc : Disc
+
+    Raises
+    ------
+    MuflyError
+        If the plane cuts no cells.
+    """
+    cells, area = disc_cells(mesh, point.other_m, point.radius_m)
+    if not area.sum() > 0.0:
+        raise MuflyError(f"mesh: no cells lie at the other rotor's height, {1e3 * point.other_m:g} mm")
+    ends = (0.999 * disc.r_m[0], *disc.r_m, 1.001 * disc.r_m[-1])
+    r = np.array(ends)
+    thrust, torque = (np.array((0.0, *v, 0.0)) for v in (disc.thrust_N_m, disc.torque_Nm_m))
+    # Coefficients times a chord of 1 m, of a blade that turns at 1 rad/s in still air.
+    lift = thrust / (point.density_kg_m3 * point.blades * 0.5 * r**2)
+    drag = -torque / r / (point.density_kg_m3 * point.blades * 0.5 * r**2)
+    # Cells are no rings: their sum is brought to the rotor's.
+    at = np.hypot(mesh.centres[cells, 0], mesh.centres[cells, 1])
+    share = point.density_kg_m3 * point.blades**2 * 0.5 * at * area / (2.0 * math.pi)
+    lift *= disc.thrust_N / float(share @ np.interp(at, r, lift))
+    drag *= -disc.torque_Nm / float((share * at) @ np.interp(at, r, drag))
+    blade = "\n".join(f"        (at{i} ({x:.9g} 0 1))" for i, x in enumerate(r))
+    profiles = "\n".join(
+        f"        at{i} {{ type lookup; data ((-180 {d:.9g} {c:.9g}) (180 {d:.9g} {c:.9g})); }}"
+        for i, (c, d) in enumerate(zip(lift, drag, strict=True))
+    )
+    text = foam_header("dictionary", "fvOptions", "constant") + (
+        "other\n{\n    type rotorDisk;\n    active yes;\n    selectionMode cellSet;\n    cellSet disc;\n"
+        f"    fields (U);\n    nBlades {point.blades};\n    tipEffect 2;\n    rpm {30.0 / math.pi:.12g};\n"
+        f"    rhoRef {point.density_kg_m3:.9g};\n"
+        "    inletFlowType fixed;\n    inletVelocity (0 0 0);\n    geometryMode specified;\n    origin (0 0 0);\n"
+        "    axis (0 0 1);\n    refDirection (1 0 0);\n    trimModel fixedTrim;\n"
+        "    fixedTrimCoeffs { theta0 0; theta1c 0; theta1s 0; }\n"
+        "    flapCoeffs { beta0 0; beta1c 0; beta2s 0; }\n"
+        f"    blade\n    {{\n        data\n        (\n{blade}\n        );\n    }}\n"
+        f"    profiles\n    {{\n{profiles}\n    }}\n}}\n"
+    )
+    sets = folder / "constant" / "polyMesh" / "sets"
+    sets.mkdir(parents=True, exist_ok=True)
+    listed = "\n".join(str(i) for i in cells)
+    (sets / "disc").write_text(
+        foam_header("cellSet", "disc", "constant/polyMesh/sets") + f"{len(cells)}\n(\n{listed}\n)\n",
+        encoding="utf-8",
+    )
+    (folder / "constant" / "fvOptions").write_text(text, encoding="utf-8")
+    (folder / _DISC).write_text(json.dumps(asdict(disc), indent=1) + "\n", encoding="utf-8")
+
+
+_DISC = "disc.json"
+
+
+def read_disc(folder: Path) -> Disc | None:
+    """The other rotor that stands in a case; None if there is none.
+
+    Raises
+    ------
+    InputError
+        If its file is cut short.
+    """
+    file = folder / _DISC
+    if not file.is_file():
+        return None
+    try:
+        told = json.loads(file.read_text(encoding="utf-8"))
+        found: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in told.items()}
+        return Disc(**found)
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(
+            str(file), "", "is no whole disc of ours", "delete the case and run it again"
+        ) from error

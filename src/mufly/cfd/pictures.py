@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.cfd.point import Beside
+from mufly.cfd.point import Beside, MeanPair
 from mufly.cfd.polymesh import PolyMesh
 from mufly.cfd.results import Solution
 from mufly.units import RPM
@@ -112,6 +112,25 @@ def loads_picture(solution: Solution, others: Sequence[Beside] = ()) -> Figure:
     axes[0].legend()
     p = solution.point
     figure.suptitle(f"{p.rotor}, {np.degrees(p.pitch_rad):.3g}°, {p.speed_rad_s / RPM:.0f} rpm")
+    return figure
+
+
+def pair_picture(pair: MeanPair) -> Figure:
+    """Thrust and torque along the blades of both rotors of a pair."""
+    figure = _figure(9.0, 4.0)
+    axes = figure.subplots(1, 2)
+    for one, name in ((pair.upper, "upper rotor"), (pair.lower, "lower rotor")):
+        axes[0].plot(1e3 * one.r_m, one.thrust_N_m, "o-", ms=3, label=name)
+        axes[1].plot(1e3 * one.r_m, 1e3 * one.torque_Nm_m, "o-", ms=3, label=name)
+    for ax, label in zip(axes, ("thrust per span (N/m)", "torque per span (mN m/m)"), strict=True):
+        ax.set(xlabel="radius (mm)", ylabel=label)
+        ax.grid(alpha=0.3)
+    axes[0].legend()
+    p = pair.upper.point
+    figure.suptitle(
+        f"{p.rotor}, {-1e3 * p.other_m:.3g} mm apart, lower over upper: thrust {pair.thrust_ratio:.3f}, torque "
+        f"{pair.torque_ratio:.3f}" + ("" if pair.settled else " (not settled)")
+    )
     return figure
 
 

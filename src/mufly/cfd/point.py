@@ -10,21 +10,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.cfd.case import MODELS, Point, momentum_start, read_point, write_case
+from mufly.cfd.case import LEAST, MODELS, Point, momentum_start, read_point, write_case
 from mufly.cfd.form import Form, named_form
-from mufly.cfd.mesh import Domain, blade_mesh
-from mufly.cfd.pair import pair_mesh
-from mufly.cfd.polymesh import Quality, poly_mesh, quality
-from mufly.cfd.results import Solution, read_solution, scaled_state
-from mufly.cfd.run import Progress, run_case, times
-from mufly.errors import InputError
+from mufly.cfd.mesh import Domain, blade_height, blade_mesh
+from mufly.cfd.pair import Disc, disc_cells, pair_mesh, put_disc, read_disc
+from mufly.cfd.polymesh import PolyMesh, Quality, poly_mesh, quality, read_poly_mesh
+from mufly.cfd.results import Solution, read_field, read_solution, scaled_state
+from mufly.cfd.run import MOST, Progress, run_case, times
+from mufly.errors import InputError, MuflyError
 from mufly.results import result
-from mufly.rotor import Air, Rotor, RotorResult, hover, prepare
+from mufly.rotor import Air, Condition, Rotor, RotorResult, System, hover, prepare, solve
 from mufly.units import RPM
 
 Array = NDArray[np.float64]
 SCALED = 400
 """Iterations before a verdict where the start is a neighbour's solution, scaled."""
+RESHAPED = 800
+"""The same where the neighbour has another pitch setting or tip."""
 
 
 def save_case(
@@ -44,15 +46,18 @@ def save_case(
     gap_m: float = 0.0,
     lower_pitch_rad: float | None = None,
     lower_speed_rad_s: float | None = None,
+    other_m: float = 0.0,
     cores: int = 1,
     neighbour: Path | None = None,
 ) -> Quality:
     """Mesh a rotor and write a case of one operating point; return the mesh's quality.
 
     Tip, hub and Gurney flap are those of :func:`mufly.cfd.form.named_form`. With ``gap_m`` a second rotor of the same
-    file turns the other way so far below (:mod:`mufly.cfd.pair`), by default with the same pitch setting and speed.
+    file turns the other way so far below (:mod:`mufly.cfd.pair`), by default with the same pitch setting and speed,
+    frozen. ``other_m`` is for :func:`solve_pair`.
 
-    With ``neighbour``, a solved case of another speed on the same mesh, it starts from that solution, scaled.
+    With ``neighbour``, a solved case of another speed, pitch setting or tip whose mesh has the same cells, it starts
+    from that solution, scaled.
 
     A folder that holds a begun case of the same point is left as it is, so that it can go on.
 
@@ -64,17 +69,19 @@ def save_case(
     air = air or Air()
     guess = hover(prepare(rotor), pitch_rad=pitch_rad, speed_rad_s=speed_rad_s, climb_m_s=climb_m_s, air=air)
     # At one speed the lower rotor of a pair has about half of the upper one's thrust.
-    induced = momentum_start(guess.thrust_N * (1.5 if gap_m else 1.0), rotor.radius_m, air)
+    induced = momentum_start(guess.thrust_N * (1.5 if gap_m or other_m else 1.0), rotor.radius_m, air)
     lower = pitch_rad if lower_pitch_rad is None else lower_pitch_rad
     lower_speed = speed_rad_s if lower_speed_rad_s is None else lower_speed_rad_s
     point = Point(
         rotor.name, rotor.blades, rotor.radius_m, pitch_rad, speed_rad_s, climb_m_s, model, level, air.density_kg_m3,
-        air.viscosity_Pa_s, induced, tip=tip, hub_m=hub_m, gurney=gurney, domain=domain or Domain(),
+        air.viscosity_Pa_s, induced, tip=tip, hub_m=hub_m, gurney=gurney, domain=domain or Domain(), other_m=other_m,
     )  # fmt: skip
     if gap_m:
         point = replace(point, gap_m=gap_m, lower_pitch_rad=lower, lower_rad_s=lower_speed)
-    if neighbour is not None:
-        point = replace(point, upwind=0, least=SCALED)
+    near = None if neighbour is None else read_point(neighbour)
+    if near is not None:
+        alike = near.pitch_rad == pitch_rad and near.tip == tip
+        point = replace(point, upwind=0, least=SCALED if alike else RESHAPED)
     form = named_form(tip, hub_m, gurney)
     if gap_m:
         if form != Form() or neighbour is not None:
@@ -106,28 +113,28 @@ def save_case(
             )
         return found
     state = None
-    if neighbour is not None:
-        before = read_point(neighbour)
-        ratio = speed_rad_s / before.speed_rad_s
+    if neighbour is not None and near is not None:
+        ratio = speed_rad_s / near.speed_rad_s
         same = (
             "rotor",
             "blades",
             "radius_m",
-            "pitch_rad",
+            "climb_m_s",
             "model",
             "level",
             "density_kg_m3",
             "viscosity_Pa_s",
-            "tip",
             "hub_m",
             "gurney",
             "domain",
+            "gap_m",
+            "other_m",
         )
-        other = [name for name in same if getattr(before, name) != getattr(point, name)]
+        other = [name for name in same if getattr(near, name) != getattr(point, name)]
         if other:
             raise InputError(
-                str(neighbour), other[0], f"is {getattr(before, other[0])}, not {getattr(point, other[0])}",
-                "start from a case that differs in speed only",
+                str(neighbour), other[0], f"is {getattr(near, other[0])}, not {getattr(point, other[0])}",
+                "start from a case that differs in speed, pitch setting or tip only",
             )  # fmt: skip
         state = scaled_state(neighbour, mesh, ratio)
     write_case(folder, mesh, point, cores=cores, state=state)
@@ -178,6 +185,152 @@ def sweep(
         # What did not settle is nothing to start from.
         before = place if verdict.settled else before
     return out
+
+
+@result(eq=False, picture="mufly.cfd.pictures:pair_picture")
+class MeanPair:
+    """Two rotors that turn against each other, each beside the other's mean around the shaft.
+
+    Attributes
+    ----------
+    upper, lower : Solution
+        Each in the frame of its own, in which it turns about +z.
+    rounds : int
+        How often both were solved.
+    settled : bool
+        Whether both stand, and neither would change the other any more.
+    between_m_s : (2,) array
+        Mean velocity down within R half way between the discs, as the upper and the lower rotor's case have it: the
+        same air, once under blades and once under a disc.
+    """
+
+    upper: Solution
+    lower: Solution
+    rounds: int
+    settled: bool
+    between_m_s: Array
+
+    @property
+    def thrust_ratio(self) -> float:
+        """Lower over upper."""
+        return self.lower.verdict.thrust_N / self.upper.verdict.thrust_N
+
+    @property
+    def torque_ratio(self) -> float:
+        """Lower over upper."""
+        return self.lower.verdict.torque_Nm / self.upper.verdict.torque_Nm
+
+
+ROUNDS, SAME = 6, 0.01
+"""Of a pair: how often the rotors take turns at most, and the change of thrust or torque that is none."""
+
+
+def solve_pair(
+    folder: Path,
+    rotor: Rotor,
+    *,
+    pitch_rad: float,
+    speed_rad_s: float,
+    gap_m: float,
+    lower_pitch_rad: float | None = None,
+    lower_speed_rad_s: float | None = None,
+    cores: int = 1,
+    progress: Callable[[Progress], None] | None = None,
+    **given: Any,
+) -> MeanPair:
+    """Solve two rotors of one file that turn against each other, in folders ``upper`` and ``lower``.
+
+    Each stands beside the mean of the other (:mod:`mufly.cfd.pair`), first as blade elements have it, then as its own
+    case does, until that changes by less than :data:`SAME`. What is solved is kept; a pair that was stopped goes on.
+
+    Parameters
+    ----------
+    folder : Path
+    rotor : Rotor
+        Both.
+    pitch_rad, speed_rad_s : float
+        Of the upper one.
+    gap_m : float
+        Between the discs.
+    lower_pitch_rad, lower_speed_rad_s : float, optional
+        Of the lower one; default: as the upper.
+    cores, progress, given
+        As for :func:`solve_point`.
+
+    Raises
+    ------
+    InputError
+        If the rotors would meet, or blade elements find no first guess.
+
+    Thesis: Fig. 3.43.
+    """
+    pitches = (pitch_rad, pitch_rad if lower_pitch_rad is None else lower_pitch_rad)
+    speeds = (speed_rad_s, speed_rad_s if lower_speed_rad_s is None else lower_speed_rad_s)
+    least = blade_height(rotor, pitches[0]) + blade_height(rotor, pitches[1])
+    if not least < gap_m <= 2.0 * rotor.radius_m:
+        raise InputError(
+            "pair", "gap", f"is {1e3 * gap_m:g} mm", f"give {1e3 * least:.3g} to {2e3 * rotor.radius_m:g} mm"
+        )
+    air, climb = given.get("air") or Air(), given.get("climb_m_s", 0.0)
+    ready = prepare(rotor)
+    guess = solve(
+        System.coaxial(ready, ready, spacing_m=gap_m), Condition(pitches, speeds, None, climb, air), "bemt"
+    )
+    names = ("upper", "lower")
+    settings = list(zip(pitches, speeds, strict=True))
+    loads = [_disc(beside(one, "bemt"), *at) for one, at in zip(guess.rotors, settings, strict=True)]
+    for i, name in enumerate(names):
+        if read_disc(folder / name) is not None and max(times(folder / name), default=0) >= LEAST:
+            loads[i] = _disc(read_solution(folder / name), *settings[i])
+    found: list[Solution | None] = [None, None]
+    meshes: dict[str, PolyMesh] = {}
+    count, agreed = 0, False
+    while not agreed and count < ROUNDS:
+        count += 1
+        for i, name in enumerate(names):
+            place, theta, speed = folder / name, *settings[i]
+            if name not in meshes:
+                save_case(
+                    place,
+                    rotor,
+                    pitch_rad=theta,
+                    speed_rad_s=speed,
+                    other_m=(-gap_m, gap_m)[i],
+                    cores=cores,
+                    **given,
+                )
+                meshes[name] = read_poly_mesh(place)
+            stands = read_disc(place)
+            if stands is None or stands.off(loads[1 - i]) > SAME:
+                stands = replace(loads[1 - i], since=max(times(place), default=0))
+                put_disc(place, meshes[name], read_point(place), stands)
+            run_case(place, cores=cores, progress=progress, most=MOST + stands.since)
+            found[i] = one = read_solution(place, meshes[name])
+            loads[i] = _disc(one, theta, speed)
+            if one.verdict.what == "diverged":
+                raise MuflyError(f"{place}: the {name} rotor's solution diverged; see its log")
+        standing = [read_disc(folder / name) for name in names]
+        agreed = all(one is not None and one.off(loads[1 - i]) <= SAME for i, one in enumerate(standing))
+    upper, lower = found
+    assert upper is not None
+    assert lower is not None
+    between = np.array(
+        [_down(folder / n, meshes[n], h) for n, h in zip(names, (-0.5 * gap_m, 0.5 * gap_m), strict=True)]
+    )
+    return MeanPair(upper, lower, count, agreed and upper.verdict.settled and lower.verdict.settled, between)
+
+
+def _disc(loads: Beside | Solution, pitch_rad: float, speed_rad_s: float) -> Disc:
+    r, t, q = (tuple(float(x) for x in v) for v in (loads.r_m, loads.thrust_N_m, loads.torque_Nm_m))
+    return Disc(r, t, q, float(loads.thrust_N), float(loads.torque_Nm), pitch_rad, speed_rad_s)
+
+
+def _down(folder: Path, mesh: PolyMesh, height_m: float) -> float:
+    """Mean velocity (m/s) down through a level plane within R."""
+    point = read_point(folder)
+    speed = -read_field(folder / str(times(folder)[-1]) / "U", mesh.cells)[:, 2]
+    cells, area = disc_cells(mesh, height_m, point.radius_m)
+    return float(speed[cells] @ area / area.sum())
 
 
 WIDER = 1.5

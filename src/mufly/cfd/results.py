@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.cfd.case import Point, read_point
+from mufly.cfd.pair import read_disc
 from mufly.cfd.polymesh import PolyMesh, read_poly_mesh
 from mufly.cfd.run import Verdict, judge, times
 from mufly.errors import InputError
@@ -57,7 +58,8 @@ class Solution:
     eddy_ratio : float
         Greatest turbulent viscosity over the air's within 1.5 R of the hub; 0 for laminar.
     wake_torque, wake_thrust : float
-        What of torque and thrust the air under the rotor carries (:func:`carried`); 1 where nothing is lost.
+        What of torque and thrust the air under the rotor carries (:func:`carried`); 1 where nothing is lost. Beside
+        another rotor's mean, of both thrusts, and what is missing of both torques over its own.
     reversed_share : (strips,) array
         Part of the upper side over which the air rubs towards the nose: the flow has left the blade there.
     """
@@ -135,7 +137,11 @@ def read_solution(folder: Path, mesh: PolyMesh | None = None, *, patch: str = "b
     ideal = t * math.sqrt(t / (2.0 * point.density_kg_m3 * disc)) if t > 0 else math.nan
     power = q * abs(speed)
     # What a pair's wake carries is both rotors'.
-    below = (math.nan, math.nan) if point.gap_m else carried(mesh, point, velocity, pressure, t, q)
+    below, other = (math.nan, math.nan), read_disc(folder)
+    if not point.gap_m:
+        more = (0.0, 0.0) if other is None else (other.thrust_N, other.torque_Nm)
+        found = carried(mesh, point, velocity, pressure, t + more[0], q)
+        below = (found[0] + more[1] / q, found[1])
     return Solution(
         point, judge(folder, patch=patch), t, q, power, t / (point.density_kg_m3 * disc * tip**2),
         q / (point.density_kg_m3 * disc * tip**2 * point.radius_m), ideal / power if power > 0 else math.nan,
@@ -176,18 +182,31 @@ _POWERS = {"U": 1, "p": 2, "phi": 1, "k": 2, "epsilon": 3, "omega": 1, "nut": 1}
 
 
 def scaled_state(folder: Path, mesh: PolyMesh, ratio: float) -> dict[str, Array]:
-    """A case's last state at another speed: velocities and fluxes times the ratio of speeds, pressure times its square.
+    """A case's last state for another speed, pitch setting or tip.
 
-    Exact but for what the Reynolds number does. The meshes have to be the same.
+    Velocities and fluxes are multiplied by the ratio of speeds, pressure by its square.
+
+    At another speed that is exact but for what the Reynolds number does. For another shape the cells keep their values
+    and the faces their fluxes, which still balance in every cell: a start without sources. The meshes have to have the
+    same cells and faces, in other places.
 
     Raises
     ------
     InputError
-        If there is no state, or it is of another mesh.
+        If there is no state, or it is of a mesh of other cells.
     """
     at = [t for t in times(folder) if t > 0]
     if not at:
         raise InputError(str(folder), "", "holds no solution", "run it first: mufly cfd run")
+    before = read_poly_mesh(folder)
+    of = _same_faces(before, mesh)
+    if of is None:
+        raise InputError(
+            str(folder),
+            "",
+            "has a mesh of other cells",
+            "start from a case of the same level and kind of tip",
+        )
     place, out = folder / str(at[-1]), {}
     for name, power in _POWERS.items():
         file = place / name
@@ -196,9 +215,27 @@ def scaled_state(folder: Path, mesh: PolyMesh, ratio: float) -> dict[str, Array]
         inside = len(mesh.neighbour) if name == "phi" else mesh.cells
         values = read_field(file, inside)
         if name == "phi":
-            values = np.concatenate([values, *(read_patch(file, p, n) for p, (_, n) in mesh.patches.items())])
+            parts = [read_patch(file, p, n) for p, (_, n) in before.patches.items()]
+            values = np.concatenate([values, *parts])[of]
         out[name] = values * ratio**power
     return out
+
+
+def _same_faces(before: PolyMesh, mesh: PolyMesh) -> NDArray[np.int64] | None:
+    """Which face of another mesh is each one of this; None if they are not the same faces of the same cells."""
+    if before.faces.shape != mesh.faces.shape or before.patches != mesh.patches:
+        return None
+    orders = [np.lexsort(np.sort(m.faces, axis=1).T) for m in (before, mesh)]
+    of = np.empty(len(mesh.faces), dtype=np.int64)
+    of[orders[1]] = orders[0]
+    alike = np.array_equal(np.sort(before.faces[of], axis=1), np.sort(mesh.faces, axis=1))
+    inside = len(mesh.neighbour)
+    alike = (
+        alike
+        and np.array_equal(before.owner[of], mesh.owner)
+        and np.array_equal(before.turning, mesh.turning)
+    )
+    return of if alike and np.array_equal(before.neighbour[of[:inside]], mesh.neighbour) else None
 
 
 def read_field(file: Path, cells: int) -> Array:

@@ -27,13 +27,14 @@ import shutil
 import subprocess
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mufly.cfd.case import EVERY, LOADS, Point, read_point, set_phase
+from mufly.cfd.pair import read_disc
 from mufly.errors import MuflyError
 from mufly.results import result
 
@@ -182,7 +183,7 @@ def run_case(
     Thesis: Sec. 3.3.3.
     """
     find_solver()
-    point = read_point(folder)
+    point = _point(folder)
     while True:
         done = (times(folder) or [0])[-1]
         verdict = min((judge(folder, patch=name) for name in point.rotors), key=lambda v: v.settled)
@@ -339,12 +340,18 @@ def _per_time(folder: Path, what: str, file: str, last: int | None = None) -> di
 
 def judge(folder: Path, *, patch: str = "blade") -> Verdict:
     """Judge a case, of a pair one rotor, by what its run has told so far."""
-    point = read_point(folder)
+    point = _point(folder)
     loads = history(folder, patch=patch)
     flow = _per_time(folder, "flows", "surfaceFieldValue.dat")
     continuity = _last_continuity(folder / _LOG)
     outflow = flow[max(flow)][0] if flow else math.nan
     return judged(loads, outflow, continuity, point)
+
+
+def _point(folder: Path) -> Point:
+    """What a case computes; after another rotor's loads were put there, a window has to pass before a verdict."""
+    point, disc = read_point(folder), read_disc(folder)
+    return point if disc is None else replace(point, least=max(point.least, disc.since + WINDOW))
 
 
 def judged(loads: Array, outflow_m3_s: float, continuity: float, point: Point) -> Verdict:

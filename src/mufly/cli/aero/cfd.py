@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,7 +23,8 @@ from mufly.cli.options import (
 from mufly.cli.present import answer, console, print_table, save_picture, show_lines, write_csv
 
 if TYPE_CHECKING:
-    from mufly.cfd import Progress, Solution
+    from mufly.cfd import MeanPair, Point, Progress, Solution
+    from mufly.cfd.pair import Disc
     from mufly.rotor import Rotor
 
 app = Commands(
@@ -113,8 +115,15 @@ def run(
     hub: HubOption = 0.0,
     gurney: GurneyOption = 0.0,
     gap: Annotated[float, option("--gap MM", "Distance of a second rotor below; 0 for none.", min=0.0)] = 0.0,
+    frozen: Annotated[
+        bool, option("--frozen", "The pair's blades stand above each other for good, in one mesh.")
+    ] = False,
     lower_pitch: Annotated[str | None, option("ANGLE", "Its pitch setting; default: the same.")] = None,
     lower_rpm: Annotated[float | None, option("RPM", "Its speed, the other way; default: the same.")] = None,
+    start: Annotated[
+        Path | None,
+        option("--start DIR", "A case that differs in speed, pitch or tip: start from its solution."),
+    ] = None,
     out: CaseOption = Path("case"),
     save_only: Annotated[bool, option("--save-only", "Write the case and do not run it.")] = False,
     cores: Annotated[int, option("N", "Processes of the solver.", min=1, max=256)] = 1,
@@ -123,10 +132,12 @@ def run(
     """Solve one operating point: mesh, run, judge, loads along the blade, pictures.
 
     What was stopped or killed goes on when the same command is given again. The case is an ordinary one of OpenFOAM:
-    its Allrun runs it without mufly. With --gap a second rotor turns the other way below, frozen at the same azimuth.
+    its Allrun runs it without mufly. With --gap a second rotor turns the other way below; each is solved beside the
+    other's mean around the shaft, in turns.
     Example: mufly cfd run naca0012-r60-c20 --pitch 12 --rpm 5000 --mesh coarse --out case
     """
-    from mufly.cfd import LEVELS, MODELS, TIPS, find_solver, run_case, save_case
+    from mufly.cfd import LEVELS, MODELS, TIPS, find_solver, run_case, save_case, solve_pair
+    from mufly.errors import InputError
     from mufly.rotor import Air, load_rotor
 
     one_of("--model", model, MODELS)
@@ -136,23 +147,25 @@ def run(
     theta, speed = angle("--pitch", pitch), turning("--rpm", rpm)
     if not save_only:
         find_solver()
-    good = save_case(
-        out,
-        r,
-        pitch_rad=theta,
-        speed_rad_s=speed,
-        climb_m_s=climb,
-        air=air,
-        model=model,
-        level=level,
-        tip=tip,
-        hub_m=1e-3 * hub,
-        gurney=0.01 * gurney,
-        gap_m=1e-3 * gap,
-        lower_pitch_rad=None if lower_pitch is None else angle("--lower-pitch", lower_pitch),
-        lower_speed_rad_s=None if lower_rpm is None else turning("--lower-rpm", lower_rpm),
-        cores=cores,
-    )
+    given: dict[str, Any] = {
+        "pitch_rad": theta, "speed_rad_s": speed, "climb_m_s": climb, "air": air, "model": model, "level": level,
+        "tip": tip, "hub_m": 1e-3 * hub, "gurney": 0.01 * gurney, "cores": cores,
+    }  # fmt: skip
+    second: dict[str, Any] = {
+        "gap_m": 1e-3 * gap,
+        "lower_pitch_rad": None if lower_pitch is None else angle("--lower-pitch", lower_pitch),
+        "lower_speed_rad_s": None if lower_rpm is None else turning("--lower-rpm", lower_rpm),
+    }
+    if gap and not frozen:
+        if save_only or start is not None:
+            raise InputError(
+                "--gap", f"{gap:g}", "takes turns between two cases that are run", "add --frozen, or run it"
+            )
+        with _telling(not as_json) as tell:
+            pair = solve_pair(out, r, progress=tell, **second, **given)
+        _tell_pair(out, r, pair, as_json)
+        return
+    good = save_case(out, r, neighbour=start, **second, **given)
     if save_only:
         answer(as_json, lambda: {"quality": good}, lambda: None, [out])
         return
@@ -400,6 +413,50 @@ def convergence_of(
 
 def _tell(folder: Path, rotor: Rotor | None, as_json: bool) -> None:
     """Print a solution, and write its tables and pictures into the case."""
+    content, show, files, _ = _report(folder, rotor)
+    answer(as_json, content, show, files)
+
+
+def _tell_pair(folder: Path, rotor: Rotor, pair: MeanPair, as_json: bool) -> None:
+    """Print both rotors of a pair, each beside the other's mean, and what they are to each other."""
+    from mufly.cfd import pair_picture
+
+    reports = [_report(folder / name, rotor) for name in ("upper", "lower")]
+    files = [save_picture(pair_picture(pair), folder, "pair"), *reports[0][2], *reports[1][2]]
+    ratios = [("cfd", pair.upper.verdict, pair.lower.verdict), *_both(reports[0][3], reports[1][3])]
+
+    def show() -> None:
+        for report in reports:
+            report[1]()
+        _show_ratios(ratios)
+        up, low = pair.between_m_s
+        console().print(
+            f"After {pair.rounds} rounds; half way between the discs the air goes down at {up:.2f} m/s under the upper "
+            f"rotor's blades and at {low:.2f} m/s in the lower one's case.",
+            highlight=False,
+        )
+        if not pair.settled:
+            console().print("Not settled: do not rely on these numbers.", style="yellow", highlight=False)
+
+    answer(
+        as_json,
+        lambda: {
+            "settled": pair.settled, "rounds": pair.rounds, "thrust_ratio": pair.thrust_ratio,
+            "torque_ratio": pair.torque_ratio, "between_m_s": pair.between_m_s, "upper": reports[0][0](),
+            "lower": reports[1][0](),
+        },
+        show, files,
+    )  # fmt: skip
+
+
+def _both(upper: list[Any], lower: list[Any]) -> list[tuple[str, Any, Any]]:
+    return [(a.method, a, b) for a, b in zip(upper, lower, strict=False)]
+
+
+def _report(
+    folder: Path, rotor: Rotor | None
+) -> tuple[Callable[[], dict[str, Any]], Callable[[], None], list[Path], list[Any]]:
+    """Write a solution's tables and pictures; what to say of it, as data and as print, the files, others' results."""
     from mufly.cfd import (
         blade_surface,
         history,
@@ -412,12 +469,14 @@ def _tell(folder: Path, rotor: Rotor | None, as_json: bool) -> None:
         write_glb,
         write_vtp,
     )
+    from mufly.cfd.pair import read_disc
 
     poly = read_poly_mesh(folder)
     found = read_solution(folder, poly)
-    others = [] if rotor is None else _others(rotor, found)
+    below = found.point.other_m > 0.0
+    others = [] if rotor is None else _others(rotor, found, read_disc(folder), int(below))
     low = read_solution(folder, poly, patch="blade_lower") if found.point.gap_m else None
-    others_low = [] if rotor is None or low is None else _others(rotor, found, 1)
+    others_low = [] if rotor is None or low is None else _others(rotor, found, None, 1)
     place = folder / "results"
     past = history(folder)
     points, faces, data = blade_surface(poly, found)
@@ -448,13 +507,22 @@ def _tell(folder: Path, rotor: Rotor | None, as_json: bool) -> None:
         }  # fmt: skip
 
     def show() -> None:
-        _show(found, others)
+        _show(
+            found,
+            others,
+            found.point,
+            {-1: "upper rotor: ", 0: "", 1: "lower rotor: "}[_sign(found.point.other_m)],
+        )
         if low is not None:
-            _show(low, others_low, "lower rotor: ")
-            _show_ratios([("cfd", found.verdict, low.verdict), *((a.method, a, b) for a, b in pairs)])
+            under = replace(low.point, pitch_rad=low.point.lower_pitch_rad, speed_rad_s=low.point.lower_rad_s)
+            _show(low, others_low, under, "lower rotor: ")
+            _show_ratios([("cfd", found.verdict, low.verdict), *_both(others, others_low)])
 
-    pairs = list(zip(others, others_low, strict=False))
-    answer(as_json, content, show, files)
+    return content, show, files, others
+
+
+def _sign(x: float) -> int:
+    return (x > 0.0) - (x < 0.0)
 
 
 def _show_ratios(pairs: list[tuple[str, Any, Any]]) -> None:
@@ -466,8 +534,11 @@ def _show_ratios(pairs: list[tuple[str, Any, Any]]) -> None:
     print_table(("lower over upper rotor", "thrust", "torque"), rows)
 
 
-def _others(rotor: Rotor, found: Solution, which: int = 0) -> list[Any]:
-    """Blade elements and the wake at the same point; of a pair the upper rotor, or with ``which`` 1 the lower."""
+def _others(rotor: Rotor, found: Solution, other: Disc | None = None, which: int = 0) -> list[Any]:
+    """Blade elements and the wake at the same point; of a pair the upper rotor, or with ``which`` 1 the lower.
+
+    ``other``: the other rotor of a pair that is solved by turns.
+    """
     from mufly.cfd import beside
     from mufly.errors import MuflyError
     from mufly.rotor import Condition, System, prepare, solve
@@ -478,6 +549,11 @@ def _others(rotor: Rotor, found: Solution, which: int = 0) -> list[Any]:
     if p.gap_m:
         system = System.coaxial(prepare(rotor), prepare(rotor), spacing_m=p.gap_m)
         condition = Condition((pitch, p.lower_pitch_rad), (speed, p.lower_rad_s), None, p.climb_m_s, p.air)
+    elif other is not None:
+        system = System.coaxial(prepare(rotor), prepare(rotor), spacing_m=abs(p.other_m))
+        both = [(pitch, speed), (other.pitch_rad, other.speed_rad_s)]
+        pitches, speeds = zip(*(both[::-1] if which else both), strict=True)
+        condition = Condition(pitches, speeds, None, p.climb_m_s, p.air)
     out = []
     for method in ("bemt", "wake"):
         try:
@@ -489,16 +565,16 @@ def _others(rotor: Rotor, found: Solution, which: int = 0) -> list[Any]:
     return out
 
 
-def _show(found: Solution, others: list[Any], what: str = "") -> None:
+def _show(found: Solution, others: list[Any], p: Point, what: str) -> None:
     import numpy as np
 
     from mufly.units import RPM
 
-    p, v = found.point, found.verdict
+    v = found.verdict
     c = console()
     c.print(
-        f"{what}[bold]{p.rotor}[/bold]  {math.degrees(p.lower_pitch_rad if what else p.pitch_rad):.4g}°, "
-        f"{(p.lower_rad_s if what else p.speed_rad_s) / RPM:.0f} rpm, {p.model}, "
+        f"{what}[bold]{p.rotor}[/bold]  {math.degrees(p.pitch_rad):.4g}°, "
+        f"{p.speed_rad_s / RPM:.0f} rpm, {p.model}, "
         f"{p.level} mesh, {v.iterations} iterations: {v.what}",
         highlight=False,
     )
