@@ -86,6 +86,7 @@ class Order:
     controllers: Computing | None
     designed_for: Vehicle | None
     eye: Eye | None
+    outside: bool = False
 
 
 def _free_port() -> int:
@@ -101,7 +102,8 @@ def _start(order: Order, endpoints: Sequence[Endpoint], autostart: bool) -> Vehi
         order.vehicle, order.mission, endpoints=endpoints, path=order.recording,
         tlog=order.recording.with_name("link.tlog") if order.links else None,
         wind=order.wind, gust=order.gust, seed=order.seed, sensors=order.sensors, faults=order.faults,
-        controllers=order.controllers, designed_for=order.designed_for, eye=order.eye, autostart=autostart,
+        controllers=order.controllers, designed_for=order.designed_for, eye=order.eye, outside=order.outside,
+        autostart=autostart,
         where="--link",
     )  # fmt: skip
 
@@ -288,6 +290,8 @@ Examples:
   mufly fly my-mission.toml --vehicle my-helicopter.toml --out results
 
   mufly fly --link udp:127.0.0.1:14550      (QGroundControl or a script may fly it too)
+
+  mufly fly --position link --link udpin:127.0.0.1:14560      (another program's SLAM tells it where it is)
 """
 
 
@@ -295,8 +299,10 @@ def _eye(
     position: str, sensors: str, camera: str, floor: str, faults: Sequence[str] | None, stream: str
 ) -> Eye | None:
     """What ``--position camera`` and its options say; None without it."""
-    one_of("--position", position, ("fix", "camera"))
-    if position == "fix":
+    one_of("--position", position, ("fix", "camera", "link"))
+    if position == "link" and sensors == "ideal":
+        raise InputError("--position", "", "what is true needs no fixes", "leave out --sensors ideal")
+    if position != "camera":
         for name, given in (
             ("--camera", camera),
             ("--floor", floor),
@@ -356,7 +362,8 @@ def fly(
         option(
             "--position WHICH",
             "Where it gets its position from: fix (a statistical V-SLAM, as its file has it) or camera (pictures "
-            "rendered as it flies, and SLAM on them in a process of its own).",
+            "rendered as it flies, and SLAM on them in a process of its own) or link (VISION_POSITION_ESTIMATE from "
+            "another program at a --link; with the page open too).",
         ),
     ] = "fix",
     camera: Annotated[
@@ -429,7 +436,12 @@ def fly(
         on_board(firmware, fixed_point),
         None if designed_for is None else load_vehicle(designed_for),
         _eye(position, sensors, camera, floor, camera_fault, stream),
+        position == "link",
     )
+    if order.outside and not ends:
+        raise InputError(
+            "--position", "", "nobody could send a position", "add --link, as --link udpin:127.0.0.1:14560"
+        )
     if order.eye is not None:
         from mufly.flight.camera import sighted
 

@@ -17,6 +17,7 @@ from mufly.estimate.layout import (
     CHECKED,
     GYRO,
     R_BATTERY,
+    R_FIX,
     R_PRESSURE,
     R_RING,
     SENSORS,
@@ -65,6 +66,12 @@ class KalmanEstimator(Estimator):
         Of the filter's numbers; a processor on board has ``numpy.float32``.
     code : "", "c" or "numba"
         What computes it (:mod:`mufly.estimate.native`); what starts sooner by default. ``steps`` says which it is.
+
+    Attributes
+    ----------
+    by_covariance : bool
+        Whether position fixes that come with a covariance are taken for as good as that says, white noise each; the
+        wandering of all stays as the vehicle's file has it.
     """
 
     def __init__(
@@ -85,11 +92,13 @@ class KalmanEstimator(Estimator):
         self._z = np.zeros(VALUES, self._kind)
         self._new, self._age = np.zeros(SENSORS, np.int32), np.zeros(SENSORS, self._kind)
         self._code: Code = code
+        self.by_covariance = False
         self.use(self._settings)
 
     def use(self, settings: Any) -> None:
         """Take other settings (:func:`mufly.estimate.layout.filter_settings`), and start anew."""
         self._settings = settings
+        self._by_file = {name: float(settings[name]) for name in ("fix_variance", "heading_variance")}
         self.steps = steps(settings, self._parameters, self._z, self._new, self._age, self._code)
         self.reset()
 
@@ -187,7 +196,15 @@ class KalmanEstimator(Estimator):
         elif k == R_PRESSURE:
             z[start] = r.value - STANDARD_PRESSURE_PA
         else:
+            if k == R_FIX and self.by_covariance:
+                self._weigh(r.covariance)
             z[start : start + WIDTHS[k]] = r.value
+
+    def _weigh(self, covariance: _Array | None) -> None:
+        """Take a fix for as good as it says that it is, or else as the vehicle's file says."""
+        for name, which in (("fix_variance", slice(0, 3)), ("heading_variance", slice(3, 4))):
+            own = self._by_file[name] if covariance is None else np.diag(covariance)[which].max()
+            self.steps.settings[name] = own
 
     # What others do who lay readings into the row themselves
 

@@ -66,6 +66,8 @@ class Steps:
         that were given.
     place : tuple of int
         With C, addresses of its step and of the records of settings and flight model, for other compiled code.
+    settings : record
+        As it reads them in every step.
     """
 
     name: str
@@ -73,6 +75,7 @@ class Steps:
     begin: Callable[[np.ndarray], None]
     step: Callable[[np.ndarray], bool]
     place: tuple[int, ...] = ()
+    settings: Any = None
 
 
 def steps(
@@ -107,7 +110,7 @@ def steps(
     def step(memory: np.ndarray) -> bool:
         return bool(kernel.step(memory[0], settings, parameters, z, new, age))
 
-    return Steps("Numba", why, lambda memory: kernel.begin(memory[0], settings), step)
+    return Steps("Numba", why, lambda memory: kernel.begin(memory[0], settings), step, settings=settings)
 
 
 def chosen(vehicle: Vehicle) -> str:
@@ -150,7 +153,8 @@ def in_c(
     """
     ffi, lib = _library(records_h(parameters), flags)
     # The records' bytes are the structs'; ffi keeps hold of the arrays.
-    s = ffi.from_buffer(np.array([settings]))
+    own = np.array([settings])
+    s = ffi.from_buffer(own)
     p = ffi.from_buffer(model_record(parameters))
     values, fresh, ages = (
         ffi.from_buffer("double[]", z),
@@ -166,7 +170,7 @@ def in_c(
         return advance(held[1], s, p, values, fresh, ages)
 
     place = tuple(int(ffi.cast("uintptr_t", p)) for p in (ffi.addressof(lib, "estimator_step"), s, p))
-    return Steps("C", "", lambda memory: begin(view(memory), s), step, place)
+    return Steps("C", "", lambda memory: begin(view(memory), s), step, place, settings=own[0])
 
 
 @functools.lru_cache(maxsize=8)

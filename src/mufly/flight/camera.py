@@ -376,7 +376,8 @@ class CameraSensor(Sensor):
             self._trusted_s = self._last_s
         last = self._fix.get("position_fix")
         if known.trusted and (last is None or known.time_s - last.time_s > ANSWER_S - 1e-3):
-            self._fix = {"position_fix": Reading(np.append(known.position, known.heading), known.time_s)}
+            place = np.append(known.position, known.heading)
+            self._fix = {"position_fix": Reading(place, known.time_s, True, known.covariance)}
 
     def _sight(self, jpeg: bytes, answer: Answer) -> Sight:
         assert self._process is not None

@@ -37,10 +37,11 @@ from mufly.dynamics import (
     standing_height,
 )
 from mufly.errors import InputError
-from mufly.estimate import Estimate, Estimator, IdealEstimator, fitted_estimator
+from mufly.estimate import Estimate, Estimator, IdealEstimator, KalmanEstimator, fitted_estimator
 from mufly.flight.autopilot import Autopilot
 from mufly.flight.camera import CameraSensor, Eye, sighted
 from mufly.flight.controllers import Actuators, Controllers
+from mufly.flight.outside import OutsideFixes
 from mufly.flight.plant import Plant, row_writer
 from mufly.flight.record.recorder import Recorder
 from mufly.flight.sensed import sensed_row_writer
@@ -105,6 +106,8 @@ class Flight:
         Record what a flight is judged by, at 100 Hz, and not what its sensors said.
     eye : Eye, optional
         Fly on pictures (:mod:`mufly.flight.camera`) instead of the statistical position fix; on fitted sensors only.
+    outside : bool
+        Fly on fixes that somebody gives to :attr:`outside_fixes`, by a link for instance; on fitted sensors only.
 
     Raises
     ------
@@ -134,9 +137,13 @@ class Flight:
         designed_for: Vehicle | None = None,
         brief: bool = False,
         eye: Eye | None = None,
+        outside: bool = False,
     ) -> None:
         vehicle = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
         mission = mission if isinstance(mission, Mission) else load_mission(mission)
+        if outside and (sensors != "fitted" or eye is not None):
+            what = "pictures give the position already" if eye is not None else "it flies on what is true"
+            raise InputError("outside", "", what, "fly on fitted sensors, without a camera")
         if eye is not None:
             if sensors != "fitted":
                 raise InputError("eye", "", "pictures are nothing for ideal sensors", "fly on fitted sensors")
@@ -166,7 +173,9 @@ class Flight:
         self.look = max(1, round(controller.rate_Hz / RING_HZ))
         start = (*mission.start_m, math.radians(mission.start_heading_deg))
         self.camera = None if eye is None else CameraSensor(eye, vehicle, mission.world, start, seed)
-        self.sensors = _sensors(sensors, vehicle, mission, self.look, seed, faults, self.camera)
+        self.outside_fixes = OutsideFixes(vehicle) if outside else None
+        fixes = self.camera or self.outside_fixes
+        self.sensors = _sensors(sensors, vehicle, mission, self.look, seed, faults, fixes)
         sensed = self.sensed = isinstance(self.sensors, FittedSensors)
         full = sensed and not brief
         if estimator is None:
@@ -176,6 +185,8 @@ class Flight:
         self.estimator = estimator
         if self.camera is not None:
             self.camera.believe = self._believed
+        if outside and isinstance(estimator, KalmanEstimator):
+            estimator.by_covariance = True
         self.lacking = (
             f"{vehicle.name} has no table [sensors]: it flies on what is true"
             if sensors == "fitted" and not sensed
@@ -195,6 +206,7 @@ class Flight:
                 "rate_Hz": controller.rate_Hz,
                 **({} if designed_for is None else {"designed_for": designed_for.name}),
                 **({"sensors": "fitted", "faults": [str(f) for f in faults]} if sensed else {}),
+                **({"position": "link"} if outside else {}),
                 **({} if eye is None else {"camera": eye.camera.name, "camera_floor": eye.floor}),
                 "version": __version__,
             },
@@ -431,7 +443,7 @@ class Flight:
 
 def _sensors(
     wanted: Sensors | str, vehicle: Vehicle, mission: Mission, look: int, seed: int, faults: Sequence[Fault],
-    camera: CameraSensor | None,
+    fixes: CameraSensor | OutsideFixes | None,
 ) -> Sensors:  # fmt: skip
     """The sensors asked for; ideal ones where a vehicle has none."""
     if isinstance(wanted, Sensors):
@@ -439,7 +451,7 @@ def _sensors(
     if wanted not in ("ideal", "fitted"):
         raise InputError("sensors", wanted, "is neither ideal nor fitted", "use one of: ideal, fitted")
     if wanted == "fitted" and vehicle.sensors is not None:
-        instead = {} if camera is None else {"position_fix": camera}
+        instead = {} if fixes is None else {"position_fix": fixes}
         return fitted_sensors(vehicle, mission.world, seed=seed, faults=faults, instead=instead)
     if faults:
         what = "has no table [sensors]" if wanted == "fitted" else "flies on what is true"

@@ -36,6 +36,14 @@ LINK_PARAMETERS: dict[str, Parameter] = {
             "commander not heard for so long in flight: stop and hover",
         ),
         Parameter("COM_DL_LAND_T", 20.0, "s", 0.0, 3600.0, "and for so much longer: land"),
+        Parameter(
+            "EKF2_EV_DELAY",
+            0.0,
+            "ms",
+            0.0,
+            900.0,
+            "positions by link with another clock are so much older than the fastest of them came",
+        ),
     )
 }
 """The link's own, by name."""

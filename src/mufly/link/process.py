@@ -514,6 +514,7 @@ def start_vehicle(
     controllers: Computing | None = None,
     designed_for: Vehicle | None = None,
     eye: Eye | None = None,
+    outside: bool = False,
     autostart: bool = False,
     system: int = 1,
     origin: Origin | None = None,
@@ -527,7 +528,7 @@ def start_vehicle(
     endpoints : sequence of Endpoint
     path, tlog : str or Path, optional
         Recording (MCAP) and telemetry log to write.
-    wind, gust, seed, sensors, faults, controllers, designed_for, eye
+    wind, gust, seed, sensors, faults, controllers, designed_for, eye, outside
         As for :class:`mufly.flight.Flight`.
     autostart : bool
         Arm and fly the mission by itself.
@@ -562,6 +563,7 @@ def start_vehicle(
             "controllers": controllers,
             "designed_for": designed_for,
             "eye": eye,
+            "outside": outside,
         },
     }
     return VehicleProcess(order)

@@ -34,6 +34,7 @@ from mufly.link.codec import (
     within,
 )
 from mufly.link.estimates import UNKNOWN_TRIANGLE, estimator_status, odometry, sensor_checks
+from mufly.link.vision import triangle_of
 from mufly.mission import State
 from mufly.vehicle import Vehicle
 from mufly.version import __version__
@@ -185,16 +186,20 @@ def vision_position_estimate(p: Instant) -> MavMessage | None:
     r = p.state.readings
     if r is None:
         return None
+    usec, triangle = p.usec, list(UNKNOWN_TRIANGLE)
     if "position" in r and "attitude" in r:
         place, angles = r["position"].value, r["attitude"].value
     elif "position_fix" in r and r["position_fix"].valid:
-        fix = r["position_fix"].value
-        place, angles = fix[:3], [math.nan, math.nan, fix[3]]
+        said = r["position_fix"]
+        place, angles = said.value[:3], [math.nan, math.nan, said.value[3]]
+        usec = round(said.time_s * 1e6)
+        if said.covariance is not None:
+            triangle = triangle_of(said.covariance)
     else:
         return None
     roll, pitch, yaw = _floats(angles)
     return mavlink.MAVLink_vision_position_estimate_message(
-        p.usec, *_floats(place), roll, pitch, _wrapped(yaw), UNKNOWN_TRIANGLE
+        usec, *_floats(place), roll, pitch, _wrapped(yaw), triangle
     )
 
 

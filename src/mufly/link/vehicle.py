@@ -27,6 +27,7 @@ from mufly.link.telemetry import (
     mission_current,
     mission_state,
 )
+from mufly.link.vision import VisionInput
 
 _READY_S = 0.5
 _EVENTS = 200
@@ -82,6 +83,8 @@ class VehicleLink:
         self._commands = CommandProtocol(
             flight, self.clients, self.authority, self._manual, self._missions, self.origin
         )
+        outside = flight.outside_fixes
+        self._positions = VisionInput(None if outside is None else outside.give, flight.note)
         self._events: deque[Event] = deque(maxlen=_EVENTS)
         self._shown: tuple[object, ...] = ()
         self._ready, self._ready_s = False, -_READY_S
@@ -101,6 +104,7 @@ class VehicleLink:
             "CHANGE_OPERATOR_CONTROL": self.authority.operator_control,
             "REQUEST_DATA_STREAM": self._data_stream,
             "TIMESYNC": self._timesync,
+            "VISION_POSITION_ESTIMATE": self._vision,
             "PING": self._ping,
         }
 
@@ -151,6 +155,10 @@ class VehicleLink:
         # A joystick talks all the time: it takes no command, it only counts if its station has it.
         if self.authority.commander in (None, station):
             self.clients.tell(now_s, station, self._manual.manual(now_s, m).reason)
+
+    def _vision(self, now_s: float, station: Source, m: MavMessage) -> None:
+        self._positions.delay_s = 1e-3 * self._parameters["EKF2_EV_DELAY"]
+        self._positions.handle(now_s, self.flight.time_s, station, m)
 
     def _data_stream(self, now_s: float, station: Source, m: MavMessage) -> None:
         wishes = self.clients.hear(now_s, station.peer).wishes

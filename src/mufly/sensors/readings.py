@@ -81,11 +81,15 @@ class Truth:
 
 
 class Reading(NamedTuple):
-    """What one sensor said last, as it came: a value in SI units, when it was taken (s), whether it can be right."""
+    """What one sensor said last, as it came: a value in SI units, when it was taken (s), whether it can be right.
+
+    ``covariance`` is of the components of a value that came with one.
+    """
 
     value: Any
     time_s: float
     valid: bool = True
+    covariance: _Array | None = None
 
 
 class Kind(NamedTuple):
