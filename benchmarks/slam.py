@@ -3,6 +3,7 @@
 python benchmarks/slam.py quality --camera mufly-2.0 --floor rich --seeds 20
 python benchmarks/slam.py loop --seeds 5
 python benchmarks/slam.py tiles --seeds 20
+python benchmarks/slam.py edges --seeds 4     # what edges of the graph say, in their own deviations
 python benchmarks/slam.py speed
 """
 
@@ -16,6 +17,8 @@ from typing import Any
 import numpy as np
 
 from mufly.camera import Motion, Renderer, load_camera, make_floor
+from mufly.dynamics import rotation
+from mufly.dynamics.state import quaternion_from_euler
 from mufly.slam import Slam, Trajectory, evaluate, frames, gathered, rounds
 
 
@@ -35,11 +38,13 @@ def fly(
     path = rounds(duration_s=duration, side_m=side, speed_m_s=speed, seed=seed)
     slam, spent, true, answers = None, 0.0, [], []
     places: dict[float, np.ndarray] = {}
+    nodes: dict[float, np.ndarray] = {}
     worst = 0.0
     for frame, motion in frames(
         lens, make_floor(floor, seed, shadows=0.3), path, duration_s=duration, seed=seed, lose=lose
     ):
         heading = math.atan2(motion.attitude[1, 0], motion.attitude[0, 0])
+        nodes[motion.time_s] = node(lens, frame, motion)
         if slam is None:
             slam = Slam(lens, start=(*motion.position[:2], heading), seed=seed)
             slam.closes = close
@@ -61,7 +66,32 @@ def fly(
     result = evaluate(
         found.time, found.position, found.heading, found.covariance, t[:, 0], t[:, 1:4], t[:, 4], len(answers)
     )
+    keys = [k.time_s for k in slam.map.keyframes]
+    ratios.extend(rated(e, nodes[keys[e.first]], nodes[keys[e.second]]) for e in slam.map.edges)
     return result, slam, found, spent / len(answers), worst
+
+
+ratios: list[np.ndarray] = []
+
+
+def node(lens: Any, frame: Any, motion: Motion) -> np.ndarray:
+    """Where the camera is, and what the tilt that is told is off by: a true node of the graph."""
+    turn, told = motion.attitude, frame.told
+    c = motion.position + turn @ lens.mount.place.array()[0]
+    roll, pitch = math.atan2(turn[2, 1], turn[2, 2]), -math.asin(turn[2, 0])
+    off = (
+        rotation(quaternion_from_euler(roll, pitch, 0.0))
+        @ rotation(quaternion_from_euler(told.roll, told.pitch, 0.0)).T
+    )
+    return np.array([*c[:2], math.atan2(turn[1, 0], turn[0, 0]), math.log(-c[2]), off[2, 1], off[0, 2], 0.0])
+
+
+def rated(edge: Any, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """What an edge says of the relation of two true nodes, true tilts given, over its deviations; chi-squared over
+    four."""
+    off, m = edge.off(a, b), edge.information
+    z = off[:4] - np.linalg.solve(m[:4, :4], edge.pull[:4] - m[:4, 4:] @ off[4:])
+    return np.append(z / np.sqrt(np.diag(np.linalg.inv(m[:4, :4]))), z @ m[:4, :4] @ z / 4)
 
 
 def tell(name: str, results: list[Any], closures: list[int], worst: list[float], spent: list[float]) -> None:
@@ -126,7 +156,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("case", choices=("quality", "loop", "tiles", "speed"))
+    parser.add_argument("case", choices=("quality", "loop", "tiles", "edges", "speed"))
     parser.add_argument("--camera", default="mufly-2.0")
     parser.add_argument("--floor", default="rich")
     parser.add_argument("--seeds", type=int, default=5)
@@ -144,6 +174,13 @@ def main() -> None:
                 many(name, a.camera, a.floor, seeds, 45.0, a.v, side=5.6, speed=0.45, close=close)
         case "tiles":
             many(f"{a.camera}, tiles", a.camera, "tiles", seeds, a.duration, a.v, side=1.0, speed=0.4)
+        case "edges":
+            many(f"{a.camera}, {a.floor}", a.camera, a.floor, seeds, a.duration, a.v, side=2.0, speed=0.4)
+            along, across, heading, scale = np.sqrt(np.mean(np.square([r[:4] for r in ratios]), axis=0))
+            print(
+                f"{len(ratios)} edges over their deviations, true tilts given: place {along:.2f}, {across:.2f}, "
+                f"heading {heading:.2f}, ln h {scale:.2f}; chi^2/4 {np.mean([r[4] for r in ratios]):.2f}"
+            )
         case "speed":
             speed()
 

@@ -11,7 +11,7 @@ import pytest
 from mufly.camera import body_from_camera, load_camera, make_floor
 from mufly.errors import InputError
 from mufly.slam import Slam, evaluate, frames, rounds, run
-from mufly.slam.graph import Edge, relation, slopes_of, solve_graph
+from mufly.slam.graph import Edge, Known, relation, slopes_of, solve_graph
 from mufly.slam.pose import View, level, slopes, solve, two_points
 
 TILT = math.radians(0.5)
@@ -22,7 +22,7 @@ def _case(rng: np.random.Generator, noise: float) -> tuple:
     tilt, shakes = TILT * rng.standard_normal(2), 1.5 * rng.standard_normal(8)
     view = View(
         250.0, body_from_camera(load_camera("mufly-2.0")), 0.05, -0.03, np.array([0.2, -0.3, 0.1]),
-        np.array([0.3, -0.2, 0.05]), 1.0 + 0.01 * rng.standard_normal(), 0.01, TILT, 1.5, np.array([370.0, 430.0]),
+        np.array([0.3, -0.2, 0.05]), 1.0 + 0.01 * rng.standard_normal(), 0.01, 1.5, np.array([370.0, 430.0]),
     )  # fmt: skip
     n, height, heading = 90, 1.0, 0.4
     pixels = np.column_stack([rng.uniform(-150, 150, n), rng.uniform(-110, 110, n)])
@@ -38,13 +38,52 @@ def _case(rng: np.random.Generator, noise: float) -> tuple:
 
 def test_the_covariance_of_a_pose_is_true() -> None:
     rng, nees = np.random.default_rng(1), []
-    bend, tiny, sigma = np.zeros((90, 2, 2)), 1e-12 * np.eye(2), np.full(90, 0.3)
+    bend, tilts, sigma = np.zeros((90, 2, 2)), np.diag([TILT**2, TILT**2, 1e-12, 1e-12]), np.full(90, 0.3)
     for _ in range(200):
         view, points, pixels, seconds, truth = _case(rng, 0.3)
-        pose = solve(view, np.array([0.1, 0.0, 1.0, 0.3]), points, bend, tiny, pixels, seconds, sigma)
+        pose = solve(view, np.array([0.1, 0.0, 1.0, 0.3]), points, bend, tilts, pixels, seconds, sigma)
         off = (pose.x - truth)[:6]
         nees.append(off @ np.linalg.solve(pose.covariance[:6, :6], off) / 6)
+        # What pixels say alone, and what was known before, are together what was found.
+        prior = np.zeros((8, 8))
+        prior[2, 2], prior[4:, 4:] = view.height_sigma**-2, np.linalg.inv(tilts)
+        known = np.array([*pose.x[:2], view.height, pose.x[3], *np.zeros(4)])
+        assert np.linalg.inv(pose.seen + prior) == pytest.approx(pose.covariance)
+        assert pose.covariance @ (
+            pose.pull + prior @ (known - pose.x) / max(1.0, pose.scale) ** 2
+        ) == pytest.approx(np.zeros(8), abs=1e-9)
     assert 0.75 < np.mean(nees) < 1.2
+
+
+def test_a_tilt_that_all_keyframes_share_is_in_the_covariance_of_the_heading() -> None:
+    """A way of fifteen heights; edges do not tell tilts, as where shaking hides the shear."""
+    rng, n, sigma, nees, told = np.random.default_rng(4), 30, np.array([0.003, 0.003, 0.002, 0.003]), [], []
+    true = np.zeros((n, 7))
+    true[:, 0] = 0.5 * np.arange(n)
+    known = Known(
+        np.arange(n, dtype=float), np.zeros(n), *(np.full(n, q) for q in (0.01, 2.0, TILT, 1e3, 0.0))
+    )
+    information = np.zeros((8, 8))
+    # What pixels see: the step's heading less half a slope's way times the roll that both are off by
+    to = np.hstack([np.eye(4), np.zeros((4, 4))])
+    to[2, 4] = to[2, 6] = -0.25 * 0.5
+    information = to.T @ np.diag(sigma**-2) @ to
+    for _ in range(60):
+        true[:, 4:6] = TILT * rng.standard_normal(2)
+        true[:, 6] = -true[:, 3]
+        edges = []
+        for k in range(n - 1):
+            seen = relation(true[k], true[k + 1]) + sigma * rng.standard_normal(4)
+            seen[2] -= 0.25 * true[k, 4]
+            edges.append(Edge(k, k + 1, np.concatenate([seen, np.zeros(4)]), information))
+        solution = solve_graph(true, edges, known, (0.0, 0.0))
+        off = (solution.nodes - true)[-1, :3]
+        covariance = solution.covariance([n - 1])[:3, :3]
+        nees.append(off @ np.linalg.solve(covariance, off) / 3)
+        told.append(math.sqrt(covariance[2, 2]))
+    assert 0.7 < np.mean(nees) < 1.35
+    alone = 0.002 * math.sqrt(n - 1)
+    assert np.mean(told) == pytest.approx(math.hypot(alone, 0.25 * (n - 1) * TILT), rel=0.02)
 
 
 def test_two_points_and_the_tilt_among_wrong_matches() -> None:
@@ -60,25 +99,29 @@ def test_two_points_and_the_tilt_among_wrong_matches() -> None:
 
 def test_a_graph_closes_its_loop_and_shrugs_off_a_wrong_closure() -> None:
     rng = np.random.default_rng(3)
-    true = np.array([[math.cos(a), math.sin(a), a, 0.05 * math.sin(3 * a)] for a in np.linspace(0, 6.0, 25)])
+    angles = np.linspace(0, 6.0, 25)
+    true = np.zeros((25, 7))
+    true[:, :4] = np.array([[math.cos(a), math.sin(a), a, 0.05 * math.sin(3 * a)] for a in angles])
     sigma = np.array([0.01, 0.01, 0.01, 0.003])
-    edges = [
-        Edge(k, k + 1, relation(true[k], true[k + 1]) + sigma * rng.standard_normal(4), np.diag(sigma**-2))
-        for k in range(24)
-    ]
-    begin = np.zeros((25, 4))
-    begin[0] = true[0]
-    heights, spread = true[:, 3] + 0.01 * rng.standard_normal(25), np.full(25, 0.01)
-    open_ = solve_graph(true, edges, heights, spread, (0.0, 0.0))
-    closure = Edge(0, 24, relation(true[0], true[24]), np.diag(sigma**-2), closes=True)
-    closed = solve_graph(true, [*edges, closure], heights, spread, (0.0, 0.0))
+    information = np.diag([*sigma**-2, *np.zeros(4)])
+
+    def edge(first: int, second: int, noise: np.ndarray, closes: bool = False) -> Edge:
+        seen = relation(true[first], true[second]) + noise
+        return Edge(first, second, np.concatenate([seen, np.zeros(4)]), information, closes=closes)
+
+    edges = [edge(k, k + 1, sigma * rng.standard_normal(4)) for k in range(24)]
+    heights = true[:, 3] + 0.01 * rng.standard_normal(25)
+    known = Known(angles, heights, *(np.full(25, q) for q in (0.01, 0.1, TILT, 2.0, 0.0)))
+    open_ = solve_graph(true, edges, known, (0.0, 0.0))
+    closure = edge(0, 24, np.zeros(4), True)
+    closed = solve_graph(true, [*edges, closure], known, (0.0, 0.0))
     away = [np.hypot(*(s.nodes - true)[-1, :2]) for s in (open_, closed)]
     assert away[1] < 0.4 * away[0]
-    wrong = Edge(0, 12, relation(true[0], true[12]) + 0.5 * np.eye(4)[0], np.diag(sigma**-2), closes=True)
-    borne = solve_graph(true, [*edges, closure, wrong], heights, spread, (0.0, 0.0))
+    wrong = edge(0, 12, 0.5 * np.eye(4)[0], True)
+    borne = solve_graph(true, [*edges, closure, wrong], known, (0.0, 0.0))
     assert np.abs(borne.nodes - closed.nodes)[:, :2].max() < 0.05
-    off = (open_.nodes - true)[-1]
-    assert off @ np.linalg.solve(open_.covariance([24]), off) < 20
+    off = (open_.nodes - true)[-1, :4]
+    assert off @ np.linalg.solve(open_.covariance([24])[:4, :4], off) < 20
 
 
 def test_the_slopes_of_a_relation() -> None:
@@ -101,7 +144,8 @@ def _flown(camera: str, floor: str, pictures: int, **more: float) -> tuple:
 def test_at_the_dissertations_quality_it_knows_where_it_is_and_finds_itself_again(tmp_path: Path) -> None:
     pytest.importorskip("cv2")
     lens, path, made = _flown("mufly-2.0", "rich", 90)
-    slam = Slam(lens, start=(*path.position[0, :2], made[0][1].attitude[1, 0]))
+    motion = made[0][1]
+    slam = Slam(lens, start=(*motion.position[:2], math.atan2(motion.attitude[1, 0], motion.attitude[0, 0])))
     found = run(slam, (f for f, _ in made))
     result = evaluate(
         found.time, found.position, found.heading, found.covariance, path.time, path.position, path.attitude[:, 2],
@@ -109,7 +153,7 @@ def test_at_the_dissertations_quality_it_knows_where_it_is_and_finds_itself_agai
     )  # fmt: skip
     assert result.lost < 0.05
     assert result.rms_m < 0.05
-    assert result.nees < 4.0
+    assert 0.2 < result.nees < 3.0
     # The map is kept, and who starts anywhere in it finds where that is.
     slam.map.save(tmp_path / "map")
     from mufly.slam import Map

@@ -7,8 +7,8 @@ c + d (-c_D / d_D), boxes by the slab method, and takes the grey of that place t
 
     I = jpeg(quantised(gain light vignette (blur * (shade grey)) + n))
 
-The shaking of rotor i turns the camera a little, so that the picture moves by a_i cos(phi_i(t) + beta_ij) pixels
-along its axis j; a_i goes with the square of the speed, the phases are those of the rotors. Both rotors share
+The shaking of rotor i turns the camera a little, so that the picture's middle moves by a_i cos(phi_i(t) + beta_ij)
+pixels along its axis j; a_i goes with the square of the speed, the phases are those of the rotors. Both rotors share
 evenly, so the amplitude of their sum is that of the file on average (rms). The directions beta are drawn by the
 seed: nobody measured them.
 
@@ -341,9 +341,12 @@ def _expose(  # type: ignore[no-untyped-def]
                 phase = place[11 + k] + place[9 + k] * s
                 shift_x += shake[k, 0] * math.cos(phase + shake[k, 1])
                 shift_y += shake[k, 2] * math.cos(phase + shake[k, 3])
+            for i in range(3):  # turned: (x, y, 1) looks where (x - s_x, y - s_y, 1 + s_x x + s_y y) did
+                a, b, g = m[i, 0], m[i, 1], m[i, 2]
+                m[i, 0], m[i, 1], m[i, 2] = a + g * shift_x, b + g * shift_y, g - a * shift_x - b * shift_y
             height = max(-at_d, 1e-4)
             for c in range(wide):
-                x, y = rays[r, c, 0] - shift_x, rays[r, c, 1] - shift_y
+                x, y = rays[r, c, 0], rays[r, c, 1]
                 n = m[0, 0] * x + m[0, 1] * y + m[0, 2]
                 e = m[1, 0] * x + m[1, 1] * y + m[1, 2]
                 d = m[2, 0] * x + m[2, 1] * y + m[2, 2]

@@ -231,6 +231,7 @@ class Teller:
             motion.rates + self._bias + _GYRO_NOISE * rng.standard_normal(3), motion.rotor_speed.copy(),
             motion.rotor_phase + self._offset + PHASE_SIGMA * rng.standard_normal(2),
             tilt_sigma=max(self._sigma, math.radians(0.05)), height_sigma=HEIGHT_SIGMA_M,
+            tilt_time_s=TILT_TIME_S, height_time_s=HEIGHT_TIME_S,
         )  # fmt: skip
 
 

@@ -29,6 +29,8 @@ class Telling:
         Of these, as far as commutations tell it: but for a constant (rad). With it the shaking is learnt.
     tilt_sigma, height_sigma : float
         What these are off by, one sigma (rad, m).
+    tilt_time_s, height_time_s : float
+        Over which these errors hang together.
     velocity : (3,) array or None
         N, E, D (m/s), where it is known.
     place : (3,) array or None
@@ -47,6 +49,8 @@ class Telling:
     rotor_phase: _Array | None = None
     tilt_sigma: float = math.radians(0.5)
     height_sigma: float = 0.01
+    tilt_time_s: float = 2.0
+    height_time_s: float = 1.0
     velocity: _Array | None = None
     place: _Array | None = None
     place_sigma: tuple[float, float] = (0.0, 0.0)

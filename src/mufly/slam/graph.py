@@ -1,23 +1,38 @@
-r"""Keyframes tied together: a graph of similarities of the floor's plane, solved sparsely.
+r"""Keyframes tied together: a graph of similarities of the floor's plane and of what tilts are off by, solved sparsely.
 
-A keyframe k stands at C_k (complex, N + i E), h_k above the floor, with heading psi_k; what it saw at slope m lies at
-C_k + h_k e^(i psi_k) m. So two keyframes are related by a similarity of the plane, four numbers:
+A keyframe k stands at C_k (complex, N + i E), h_k above the floor, with heading psi_k; its tilt was told wrong by u_k
+(two numbers, about the axes of its heading). Two keyframes are related by a similarity of the plane, four numbers:
 
     t = e^(-i psi_i) (C_j - C_i) / h_i,    psi_j - psi_i,    ln (h_j / h_i)
 
-An edge is what was measured of these, with its information. Of each keyframe the sonar tells ln h. Sought are all
-C, psi and ln h but the first's place and heading. Gauss-Newton; each edge is weighted by Cauchy's 1 / (1 + chi^2 /
-16) where it closes a loop (one wrong closure must not bend the map), by 1 where it ties a keyframe to the one it
-was made from.
+An edge is what pixels say of these four and of both tilts: an information matrix L of eight by eight about what was
+found, and the gradient g there, as it was found with what was known of tilts beforehand, and that counts but once.
+With e for the eight numbers less those found, an edge costs e^T L e / 2 - g^T e. Of each keyframe the sonar tells
+ln h + b_k, with an error b.
 
-Covariances come from the same normal matrix, solved for the columns that are asked for. Scheme as in Grisetti et
-al. 2010 (A tutorial on graph-based SLAM); the similarity's terms are own derivation.
+**Errors hang together.** What a filter's roll and pitch are off by changes slowly: a first-order Gauss-Markov process
+of deviation s and time T, and what shakes a whole picture, w, which has no memory. Between neighbours in time
+
+    u_(k+1) = r u_k + noise of variance s^2 (1 - r^2) + (1 + r^2) w^2,    r = e^(-dt / T)
+
+and likewise b, with a deviation and time of its own.
+
+An error that all tilts have in common turns the map by the way over the height times it, up to once (what of it is
+seen as shear is found, :mod:`pose`): n edges of independent errors of s d / h would grow with the square root of n,
+these grow with n. Heights that are off alike scale the map. The graph carries both from edge to edge, because
+neighbours hang together as above: so covariances of headings and places have it, and the shear of any edge, or a loop
+that closes, tells it for all.
+
+Sought are all C, psi, ln h, u and b but the first's place and heading. Gauss-Newton; each edge is weighted by Cauchy's
+1 / (1 + chi^2 / 16) where it closes a loop (one wrong closure must not bend the map), by 1 where it ties a keyframe
+to the one it was made from. Covariances come from the same normal matrix, solved for the columns that are asked for.
+Scheme as in Grisetti et al. 2010 (A tutorial on graph-based SLAM); the similarity's terms and tilts are own derivation.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,21 +40,25 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import SuperLU, splu
 
 _Array = NDArray[np.float64]
-DIM = 4  # N, E, heading, ln h
-_LOOSE = 16.0  # chi^2 of four numbers at which a closure counts half
+DIM = 7  # N, E, heading, ln h, error of the tilt about x and y of the heading, of the sonar's ln h
+_EXACT = 1e-6  # variance of ln h given the error of the sonar's
+_LOOSE = 16.0  # chi^2 at which a closure counts half
 _ROUNDS = 10
 
 
 @dataclass(frozen=True)
 class Edge:
-    """What was measured of keyframe ``second`` from keyframe ``first``.
+    """What was seen of keyframe ``second`` from keyframe ``first``.
 
     Attributes
     ----------
     first, second : int
-    measured : (4,) array
-        Re t, Im t, heading, ln h, as above.
-    information : (4, 4) array
+    measured : (8,) array
+        Re t, Im t, heading, ln h, as above; errors of the tilts of ``first`` and ``second``.
+    information : (8, 8) array
+        On these.
+    pull : (8,) array
+        The gradient that pixels have there.
     closes : bool
         Whether it closes a loop.
     """
@@ -48,7 +67,55 @@ class Edge:
     second: int
     measured: _Array
     information: _Array
+    pull: _Array = field(default_factory=lambda: np.zeros(8))
     closes: bool = False
+
+    def off(self, a: _Array, b: _Array) -> _Array:
+        """Eight numbers: nodes ``a``, ``b`` less what was found."""
+        out = np.concatenate([relation(a, b), a[4:6], b[4:6]]) - self.measured
+        out[2] = _wrapped(out[2])
+        return out
+
+    def chi2(self, off: _Array, covariance: _Array | None = None) -> float:
+        """How far that is from what pixels alone want, squared, in deviations; of numbers that are themselves
+        uncertain by a covariance (8, 8), by both."""
+        m, g = self.information, self.pull
+        force = m @ off - g
+        ridge = 1e-9 * float(np.trace(m)) * np.eye(8)  # what pixels do not tell costs nothing
+        out = float(off @ m @ off - 2.0 * g @ off + g @ np.linalg.solve(m + ridge, g))
+        if covariance is not None:
+            # (S + L^-1)^-1 = L - L (L + S^-1)^-1 L, and there need not be an inverse of L
+            both = covariance @ np.linalg.solve(np.eye(8) + m @ covariance, force)
+            out -= float(force @ both)
+        return max(0.0, out)
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of keyframes beside what they see of each other, (n,) arrays.
+
+    Attributes
+    ----------
+    time_s
+    log_height, height_sigma, height_time_s
+        What the sonar said of ln h, deviation of its error, and the time over which that hangs together.
+    tilt_sigma, tilt_time_s, tilt_white
+        Deviation of the error of the tilt (rad), the time over which it hangs together, and what has no memory.
+    """
+
+    time_s: _Array
+    log_height: _Array
+    height_sigma: _Array
+    height_time_s: _Array
+    tilt_sigma: _Array
+    tilt_time_s: _Array
+    tilt_white: _Array
+
+
+def hangs(elapsed_s: float, sigma: float, time_s: float, white: float = 0.0) -> tuple[float, float]:
+    """Return r and the variance of the noise by which two errors hang together, as above."""
+    keep = math.exp(-elapsed_s / time_s) if elapsed_s >= 0.0 else 0.0
+    return keep, max(sigma**2 * (1.0 - keep**2) + (1.0 + keep**2) * white**2, 1e-12)
 
 
 def relation(a: _Array, b: _Array) -> _Array:
@@ -62,12 +129,20 @@ def slopes_of(a: _Array, b: _Array) -> tuple[_Array, _Array]:
     """Return how :func:`relation` changes with ``a`` and with ``b``, (4, 4) each."""
     c, s, h = math.cos(a[2]), math.sin(a[2]), math.exp(a[3])
     t = relation(a, b)
-    by_b = np.eye(DIM)
+    by_b = np.eye(4)
     by_b[:2, :2] = np.array([[c, s], [-s, c]]) / h
     by_a = -by_b.copy()
     by_a[0, 2], by_a[1, 2] = t[1], -t[0]
     by_a[0, 3], by_a[1, 3] = -t[0], -t[1]
     return by_a, by_b
+
+
+def slopes_of_edge(a: _Array, b: _Array) -> _Array:
+    """Return how an edge's eight numbers change with both nodes, (8, 12)."""
+    out = np.zeros((8, 2 * DIM))
+    out[:4, :4], out[:4, DIM : DIM + 4] = slopes_of(a, b)
+    out[4:6, 4:6] = out[6:8, DIM + 4 : DIM + 6] = np.eye(2)
+    return out
 
 
 def _wrapped(angle: float) -> float:
@@ -80,7 +155,7 @@ class Solution:
 
     Attributes
     ----------
-    nodes : (n, 4) array
+    nodes : (n, 7) array
     chi2 : (e,) array
         Of each edge.
     """
@@ -90,7 +165,7 @@ class Solution:
     _factor: SuperLU
 
     def covariance(self, which: list[int]) -> _Array:
-        """Return the joint covariance (4 k, 4 k) of some nodes, in their order."""
+        """Return the joint covariance (7 k, 7 k) of some nodes, in their order."""
         n = DIM * len(self.nodes)
         rows = np.concatenate([np.arange(DIM * k, DIM * k + DIM) for k in which])
         unit = np.zeros((n, len(rows)))
@@ -98,54 +173,67 @@ class Solution:
         return self._factor.solve(unit)[rows]
 
 
-def solve_graph(
-    nodes: _Array,
-    edges: list[Edge],
-    log_height: _Array,
-    height_sigma: _Array,
-    start_sigma: tuple[float, float],
-) -> Solution:
+def solve_graph(nodes: _Array, edges: list[Edge], known: Known, start_sigma: tuple[float, float]) -> Solution:
     """Solve a graph.
 
     Parameters
     ----------
-    nodes : (n, 4) array
+    nodes : (n, 7) array
         To begin at; the first one's place and heading are held.
     edges : list of Edge
-    log_height, height_sigma : (n,) arrays
-        What the sonar said of ln h, and its deviation.
+    known : Known
     start_sigma : (2,) tuple
         Of the first keyframe's place (m) and heading (rad): they are where the map begins, and may be exact.
     """
     x = np.array(nodes, dtype=np.float64)
-    start = x[0].copy()
-    n = len(x)
+    start, n = x[0].copy(), len(x)
     hold = np.array([*[max(start_sigma[0], 1e-5)] * 2, max(start_sigma[1], 1e-5)]) ** -2
+    pairs = np.array([(e.first, e.second) for e in edges], dtype=np.int64).reshape(-1, 2)
+    # How errors of tilt and of height hang together with those of the keyframe before
+    chain = np.zeros((n, 2, 3))
+    for k in range(n):
+        since = known.time_s[k] - known.time_s[k - 1] if k else math.inf
+        tilt = hangs(since, known.tilt_sigma[k], known.tilt_time_s[k], known.tilt_white[k])
+        height = hangs(since, known.height_sigma[k], known.height_time_s[k])
+        chain[k] = np.array([tilt, tilt, height]).T
+    chi2 = np.zeros(len(edges))
     for turn in range(_ROUNDS):
         blocks: list[tuple[int, int, _Array]] = []
-        right = np.zeros(DIM * n)
-        chi2 = np.zeros(len(edges))
+        right = np.zeros((n, DIM))
         for k, edge in enumerate(edges):
-            i, j = edge.first, edge.second
-            off = edge.measured - relation(x[i], x[j])
-            off[2] = _wrapped(off[2])
-            chi2[k] = off @ edge.information @ off
+            i, j = pairs[k]
+            off = edge.off(x[i], x[j])
+            chi2[k] = edge.chi2(off)
             weight = 1.0 / (1.0 + chi2[k] / _LOOSE) if edge.closes else 1.0
-            a, b = slopes_of(x[i], x[j])
-            m = weight * edge.information
-            blocks += [(i, i, a.T @ m @ a), (i, j, a.T @ m @ b), (j, i, b.T @ m @ a), (j, j, b.T @ m @ b)]
-            right[DIM * i : DIM * i + DIM] += a.T @ m @ off
-            right[DIM * j : DIM * j + DIM] += b.T @ m @ off
+            slope = slopes_of_edge(x[i], x[j])
+            m = weight * slope.T @ edge.information @ slope
+            force = weight * slope.T @ (edge.pull - edge.information @ off)
+            blocks += [
+                (i, i, m[:DIM, :DIM]),
+                (i, j, m[:DIM, DIM:]),
+                (j, i, m[DIM:, :DIM]),
+                (j, j, m[DIM:, DIM:]),
+            ]
+            right[i] += force[:DIM]
+            right[j] += force[DIM:]
         for k in range(n):
-            w = height_sigma[k] ** -2
-            block = np.diag([1e-9, 1e-9, 1e-9, w])
-            if k == 0:
+            keep, noise = chain[k]
+            block = np.diag([1e-9, 1e-9, 1e-9, 0.0, *(1.0 / noise)])
+            before = x[k - 1, 4:] if k else np.zeros(3)
+            off = (x[k, 4:] - keep * before) / noise
+            right[k, 4:] -= off
+            if k:
+                right[k - 1, 4:] += keep * off
+                a, b = np.zeros((DIM, DIM)), np.zeros((DIM, DIM))
+                a[4:, 4:], b[4:, 4:] = np.diag(-keep / noise), np.diag(keep**2 / noise)
+                blocks += [(k - 1, k, a), (k, k - 1, a), (k - 1, k - 1, b)]
+            else:
                 block[:3, :3] += np.diag(hold)
-                away = start[:3] - x[0, :3]
-                right[:3] += hold * away
+                right[0, :3] += hold * (start[:3] - x[0, :3])
+            block[np.ix_([3, 6], [3, 6])] += 1.0 / _EXACT
+            right[k, [3, 6]] += (known.log_height[k] - x[k, 3] - x[k, 6]) / _EXACT
             blocks.append((k, k, block))
-            right[DIM * k + 3] += w * (log_height[k] - x[k, 3])
-        at = np.array([(first, second) for first, second, _ in blocks])
+        at = np.array([(a, b) for a, b, _ in blocks])
         rows = DIM * at[:, 0, None, None] + np.arange(DIM)[None, :, None] + np.zeros((1, 1, DIM), int)
         columns = DIM * at[:, 1, None, None] + np.arange(DIM)[None, None, :] + np.zeros((1, DIM, 1), int)
         values = np.array([block for _, _, block in blocks])
@@ -153,9 +241,52 @@ def solve_graph(
             (values.ravel(), (rows.ravel(), columns.ravel())), shape=(DIM * n, DIM * n)
         ).tocsc()
         factor = splu(normal)
-        step = factor.solve(right).reshape(n, DIM)
+        step = factor.solve(right.ravel()).reshape(n, DIM)
         if turn < _ROUNDS - 1:
             x = x + step
         if np.abs(step).max() < 1e-7 or turn == _ROUNDS - 1:
             break
     return Solution(x, chi2, factor)
+
+
+def placed(
+    a: _Array, known: _Array, b: _Array, tilts: _Array, seen: _Array, pull: _Array, log_height: float
+) -> tuple[_Array, _Array]:  # fmt: skip
+    """Return where a picture is by all that is known, and its covariance: N, E, heading, ln h.
+
+    Unknown are what the keyframe's node and its tilt are off by, the picture's tilt and sonar, and its place: thirteen
+    numbers.
+
+    Parameters
+    ----------
+    a : (4,) array
+        Node of the keyframe.
+    known : (9, 9) array
+        Covariance of that, of the error of its tilt, of the picture's, and of the picture's ln h by the sonar.
+    b : (4,) array
+        Node of the picture as it was found.
+    tilts : (4,) array
+        Errors of the picture's tilt and of the keyframe's as they were found, from what was expected.
+    seen, pull : (8, 8), (8,) arrays
+        What pixels say of N, E, height, heading, and of these tilts: :class:`mufly.slam.pose.Pose`.
+    log_height : float
+        What the sonar says of ln h, less the error that is expected of it.
+    """
+    by_a, by_b = slopes_of(a, b)
+    to = np.zeros((8, 13))
+    # The picture's own place as pixels know it: moved back by what the keyframe is off by.
+    move = np.hstack([np.linalg.solve(by_b, by_a), np.eye(4)])[[0, 1, 3, 2]]
+    move[2] *= math.exp(b[3])
+    to[:4, :4], to[:4, 9:] = move[:, :4], move[:, 4:]
+    to[4:6, 6:8] = to[6:8, 4:6] = np.eye(2)
+    prior = np.zeros((13, 13))
+    prior[:9, :9] = np.linalg.inv(known)
+    begin = np.zeros(13)
+    begin[4:8] = tilts[[2, 3, 0, 1]]  # how far what was found is from what was expected
+    m = prior + to.T @ seen @ to
+    right = to.T @ pull - prior @ begin
+    sonar = [8, 12]
+    m[np.ix_(sonar, sonar)] += 1.0 / _EXACT
+    right[sonar] += (log_height - b[3]) / _EXACT
+    covariance = np.asarray(np.linalg.inv(m), np.float64)
+    return b + (covariance @ right)[9:], covariance[9:, 9:]

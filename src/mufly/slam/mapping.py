@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import zipfile
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.slam.graph import Edge, Solution, relation, slopes_of, solve_graph
+from mufly.slam.graph import DIM, Edge, Known, Solution, hangs, relation, slopes_of_edge, solve_graph
 from mufly.slam.pose import bent
 
 _Array = NDArray[np.float64]
-FORMAT = 1
+FORMAT = 2
 _FLOOR = 0.04  # pixels: no point is known better
+_KEPT = ("time_s", "picture", "turn", "pixels", "slopes", "variance", "missed", "tilt", "log_height", "height_sigma",
+         "height_time_s", "tilt_sigma", "tilt_time_s", "tilt_white")  # fmt: skip
 
 
 @dataclass
@@ -40,10 +42,13 @@ class Keyframe:
         Of the slopes, along an axis.
     missed : (n,) int array
         How often more a point did not fit than it did.
-    tilt : (2, 2) array
-        Covariance of the error of the tilt by which its slopes were reckoned.
-    log_height, height_sigma : float
-        ln h of the camera by the sonar, and its deviation.
+    tilt : (2,) array
+        What the tilt that was told was taken to be off by, about the axes of the heading, when its slopes were
+        reckoned (rad).
+    log_height : float
+        ln h of the camera by the sonar.
+    height_sigma, height_time_s, tilt_sigma, tilt_time_s, tilt_white : float
+        What that and the told tilt may be off by: :class:`mufly.slam.graph.Known`.
     """
 
     time_s: float
@@ -56,13 +61,11 @@ class Keyframe:
     tilt: _Array
     log_height: float
     height_sigma: float
+    height_time_s: float
+    tilt_sigma: float
+    tilt_time_s: float
+    tilt_white: float
     described: Any = field(default=None, repr=False)
-
-    def unbend(self, tilt: _Array, covariance: _Array) -> None:
-        """Take in by what the tilt was wrong: its slopes are reckoned anew, but for the shift of all."""
-        move = bent(self.slopes) @ tilt
-        self.slopes += move[:, 0] + 1j * move[:, 1]
-        self.tilt = covariance
 
     def refine(
         self, which: NDArray[np.intp], seen: NDArray[np.complex128], variance: _Array, focal: float
@@ -87,20 +90,18 @@ class Map:
     def __init__(self, start: Any = (0.0, 0.0, 0.0), start_sigma: tuple[float, float] = (0.0, 0.0)) -> None:
         self.start, self.start_sigma = np.asarray(start, dtype=np.float64), start_sigma
         self.keyframes: list[Keyframe] = []
-        self.nodes = np.zeros((0, 4))
+        self.nodes = np.zeros((0, DIM))
         self.edges: list[Edge] = []
         self.solution: Solution | None = None
-        self._known: dict[int, _Array] = {}
+        self._between: dict[tuple[int, ...], _Array] = {}
 
-    def add(self, keyframe: Keyframe, node: _Array, ties: list[tuple[int, _Array]]) -> int:
-        """Add a keyframe at a node, tied to others by the information (4, 4) of each; return its number."""
-        k = len(self.keyframes)
+    def add(self, keyframe: Keyframe, node: _Array, ties: list[Edge]) -> int:
+        """Add a keyframe at a node (7,), tied to others by edges; return its number."""
         self.keyframes.append(keyframe)
         self.nodes = np.vstack([self.nodes, node])
-        for first, information in ties:
-            self.edges.append(Edge(first, k, relation(self.nodes[first], node), information))
+        self.edges += ties
         self.solve()
-        return k
+        return len(self.keyframes) - 1
 
     def drop_last(self) -> None:
         """Forget the keyframe that was added last, and its ties."""
@@ -110,8 +111,8 @@ class Map:
         self.edges = [e for e in self.edges if k not in (e.first, e.second)]
         self.solve()
 
-    def close(self, edge: Edge, most: float) -> bool:
-        """Add an edge that closes a loop, unless the map does not bear it: then it is as before."""
+    def tie(self, edge: Edge, most: float = math.inf) -> bool:
+        """Add an edge, unless the map does not bear it (chi-squared over ``most``): then it is as before."""
         before = self.nodes.copy()
         self.edges.append(edge)
         self.solve()
@@ -125,34 +126,53 @@ class Map:
 
     def solve(self) -> None:
         """Move the keyframes to where the edges want them."""
-        heights = np.array([k.log_height for k in self.keyframes])
-        sigma = np.array([k.height_sigma for k in self.keyframes])
-        self.solution = solve_graph(self.nodes, self.edges, heights, sigma, self.start_sigma)
+        known = Known(*(np.array([getattr(k, f.name) for k in self.keyframes]) for f in fields(Known)))
+        self.solution = solve_graph(self.nodes, self.edges, known, self.start_sigma)
         self.nodes = self.solution.nodes
-        self._known = {}
+        self._between = {}
 
-    def covariance(self, k: int) -> _Array:
-        """Of a node (4, 4)."""
-        if k not in self._known:
+    def covariance(self, *which: int) -> _Array:
+        """Of some nodes, jointly (7 n, 7 n)."""
+        if which not in self._between:
             assert self.solution is not None
-            self._known[k] = self.solution.covariance([k])
-        return self._known[k]
+            self._between[which] = self.solution.covariance(list(which))
+        return self._between[which]
 
     def covariance_between(self, a: int, b: int) -> _Array:
-        """Of what node ``b`` is from node ``a`` (4, 4)."""
-        assert self.solution is not None
-        by_a, by_b = slopes_of(self.nodes[a], self.nodes[b])
-        j = np.hstack([by_a, by_b])
-        return j @ self.solution.covariance([a, b]) @ j.T
+        """Of what node ``b`` is from node ``a``, and of both tilts: the numbers of an edge (8, 8)."""
+        j = slopes_of_edge(self.nodes[a], self.nodes[b])
+        return j @ self.covariance(a, b) @ j.T
+
+    def hangs(
+        self, time_s: float, tilt: tuple[float, float, float], height: tuple[float, float]
+    ) -> tuple[_Array, _Array, _Array]:
+        """Return what a picture's tilt (rad) and sonar (ln h) are off by as far as the newest keyframe knows, and how
+        these three hang together with that: :func:`mufly.slam.graph.hangs`, which takes ``tilt`` and ``height``."""
+        since = time_s - self.keyframes[-1].time_s if self.keyframes else math.inf
+        of_tilt = hangs(since, *tilt)
+        keep, noise = np.array([of_tilt, of_tilt, hangs(since, *height)]).T
+        return keep * (self.nodes[-1, 4:] if self.keyframes else 0.0), keep, noise
+
+    def belief(self, k: int, keep: _Array, noise: _Array) -> _Array:
+        """Return the covariance of node ``k``, of the error of its tilt and of a picture's tilt and sonar (9, 9)."""
+        last = len(self.keyframes) - 1
+        to = np.zeros((9, DIM if k == last else 2 * DIM))
+        to[:6, :6] = np.eye(6)
+        to[6:, -3:] = np.diag(keep)
+        out = to @ (self.covariance(k) if k == last else self.covariance(k, last)) @ to.T
+        out[6:, 6:] += np.diag(noise)
+        return out
 
     def neighbours(self, k: int) -> set[int]:
         """Keyframes that are tied to one."""
         return {e.second if e.first == k else e.first for e in self.edges if k in (e.first, e.second)}
 
     def points(self, k: int) -> _Array:
-        """Where the points of a keyframe lie (n, 3), N-E-D."""
+        """Where the points of a keyframe lie (n, 3), N-E-D, by what its tilt is believed to be off by now."""
+        f = self.keyframes[k]
+        moved = bent(f.slopes) @ (self.nodes[k, 4:6] - f.tilt)
         c, z = complex(self.nodes[k, 0], self.nodes[k, 1]), np.exp(self.nodes[k, 3] + 1j * self.nodes[k, 2])
-        x = c + z * self.keyframes[k].slopes
+        x = c + z * (f.slopes + moved[:, 0] + 1j * moved[:, 1])
         return np.stack([x.real, x.imag, np.zeros(len(x))], axis=1)
 
     def bend(self, k: int) -> _Array:
@@ -165,22 +185,12 @@ class Map:
         arrays: dict[str, Any] = {
             "format": np.array(FORMAT), "start": self.start, "start_sigma": np.array(self.start_sigma),
             "nodes": self.nodes, "edges": np.array([(e.first, e.second, e.closes) for e in self.edges], dtype=np.int64),
-            "measured": np.array([e.measured for e in self.edges]).reshape(-1, 4),
-            "information": np.array([e.information for e in self.edges]).reshape(-1, 4, 4),
+            "measured": np.array([e.measured for e in self.edges]).reshape(-1, 8),
+            "information": np.array([e.information for e in self.edges]).reshape(-1, 8, 8),
+            "pull": np.array([e.pull for e in self.edges]).reshape(-1, 8),
         }  # fmt: skip
         for k, f in enumerate(self.keyframes):
-            for name in (
-                "time_s",
-                "picture",
-                "turn",
-                "pixels",
-                "slopes",
-                "variance",
-                "missed",
-                "tilt",
-                "log_height",
-                "height_sigma",
-            ):
+            for name in _KEPT:
                 arrays[f"{name}_{k}"] = np.asarray(getattr(f, name))
         with Path(path).open("wb") as file:
             np.savez_compressed(file, **arrays)
@@ -203,17 +213,15 @@ class Map:
                 out = cls(a["start"], (float(a["start_sigma"][0]), float(a["start_sigma"][1])))
                 out.nodes = a["nodes"]
                 out.edges = [
-                    Edge(int(i), int(j), m, w, bool(closes))
-                    for (i, j, closes), m, w in zip(a["edges"], a["measured"], a["information"], strict=True)
+                    Edge(int(i), int(j), m, w, g, bool(closes))
+                    for (i, j, closes), m, w, g in zip(
+                        a["edges"], a["measured"], a["information"], a["pull"], strict=True
+                    )
                 ]
                 for k in range(len(out.nodes)):
-                    out.keyframes.append(
-                        Keyframe(
-                            float(a[f"time_s_{k}"]), a[f"picture_{k}"], a[f"turn_{k}"], a[f"pixels_{k}"],
-                            a[f"slopes_{k}"], a[f"variance_{k}"], a[f"missed_{k}"], a[f"tilt_{k}"],
-                            float(a[f"log_height_{k}"]), float(a[f"height_sigma_{k}"]),
-                        )
-                    )  # fmt: skip
+                    kept: Any = (a[f"{name}_{k}"] for name in _KEPT)
+                    kept = (float(q) if q.ndim == 0 else q for q in kept)
+                    out.keyframes.append(Keyframe(*kept))
         except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile, zipfile.LargeZipFile) as error:
             raise InputError(
                 str(path), "", f"is no map ({error})", "give a file that 'mufly slam run --map' wrote"

@@ -9,21 +9,28 @@ floor, with heading psi sees the floor's point X there:
 
 Pairs are drawn by chance; the one wins that the most points agree with. Pairs whose h is not the sonar's are left out.
 
-**All of them.** Unknown are C (N, E), h, psi, two small errors of the tilt about N and E, those of the keyframe,
-and for each rotor four amplitudes a, b of its shaking, in its phase W_k. Seen in row time s from the picture's
-middle, with R(s) = R exp([w s]) and v for the velocity,
+**All of them.** Unknown are C (N, E), h, psi, two small errors u of the tilt, about the axes of the heading (x
+along the nose, y to the right), those of the keyframe, and for each rotor four amplitudes a, b of its shaking, in
+its phase W_k. Seen in row time s from the picture's middle, with R(s) = exp([u]) R exp([w s]) and v for the velocity,
 
-    c = A^T exp([w s])^T R^T (X - C - v s),    pixel = f (c_x, c_y) / c_z + sum_k (a_k cos(W_k s) + b_k sin(W_k s))
+    c = A^T exp([w s])^T R^T (X - C - v s),    (x, y) = (c_x, c_y) / c_z
+    pixel = f (x, y) + (z_x (1 + x^2) + z_y x y, z_x x y + z_y (1 + y^2)),    z = sum_k a_k cos(W_k s) + b_k sin(W_k s)
 
 where A turns the camera's axes into the body's. Gauss-Newton on Cauchy's weights 1 / (1 + (r / 2 sigma)^2), with
-what is known beforehand: tilt by the filter, h by the sonar, amplitudes by the camera file. The inverse of its
-normal matrix is the covariance, times the mean square of the weighted residuals where that is above one.
+what is known beforehand: both tilts by filter and map, h by the sonar, amplitudes by the camera file.
 
-An error of the tilt moves this answer by h times it. It does not move the next keyframe against this one, since both
-camera and floor points are off by the same: what ties keyframes together is therefore told with the tilt held
-(:attr:`Pose.edge`). But a keyframe whose tilt was off by u has the floor bent: slopes are off by quadratic terms,
-dm = (-m_N m_E u_N + m_N^2 u_E, -m_E^2 u_N + m_N m_E u_E). Two numbers of u are unknown, too, and known better with
-every picture; else the image would tell with great certainty the tilt that the keyframe was wrong by. Own derivation.
+**What the tilt does.** A turn u of a ray of slope m = n + i e moves it, to first order, by
+
+    dn = u_y - n e u_x + n^2 u_y,    de = -u_x - e^2 u_x + n e u_y
+
+The shift u_y, -u_x is what moving by h times it looks like; the rest bends the floor. A keyframe and a picture whose
+tilts are off by the same u see one floor bent alike. But when the camera has moved by d (over h, in slopes) between
+them, the two differ by dm(n + d) - dm(n): for d along n by n' = -d (e u_x - 2 n u_y), e' = d e u_y, that is, a roll
+that is off turns what is seen by u_x d / 2, which looks like a heading, and shears it by as much, which looks like
+nothing else. So where the shear drowns in noise or in what shaking does to the rows, a tilt that is off for good
+makes the heading go wrong with the way over the height, and only the prior of the tilt knows how far it may. Nothing
+is therefore decided here: :class:`Pose` keeps what the pixels alone say of place, heading, height and of both tilts
+(an information matrix, eight by eight), and the map joins that to what tilts may be (:mod:`graph`). Own derivation.
 """
 
 from __future__ import annotations
@@ -38,7 +45,7 @@ from numpy.typing import NDArray
 from mufly.compiled import compiled
 
 _Array = NDArray[np.float64]
-POSE = 8  # N, E, h, heading, tilt about N, about E; tilt of the keyframe about its x and y
+POSE = 8  # N, E, h, heading; errors of the tilt about x and y of the heading; of the keyframe's about its own
 SHAKES = 8  # for each rotor cosine and sine along x, then along y
 _ROUNDS = 6
 _CAUCHY = 2.0  # residuals, in deviations, whose weight is half
@@ -61,8 +68,6 @@ class View(NamedTuple):
         Of the camera, N-E-D (m/s).
     height, height_sigma : float
         Of the camera above the floor (m).
-    tilt_sigma : float
-        rad.
     shake_sigma : float
         Of an amplitude of shaking, pixels; 0: none are sought.
     rotor_speed : (2,) array
@@ -71,6 +76,8 @@ class View(NamedTuple):
         At the picture's middle (rad); zero where it is not known.
     shakes : (8,) array
         What amplitudes are expected to be, pixels.
+    tilt : (2,) array
+        By what roll and pitch are expected to be off (rad).
     """
 
     focal: float
@@ -81,11 +88,11 @@ class View(NamedTuple):
     velocity: _Array
     height: float
     height_sigma: float
-    tilt_sigma: float
     shake_sigma: float
     rotor_speed: _Array
     rotor_phase: _Array = np.zeros(2)
     shakes: _Array = np.zeros(SHAKES)
+    tilt: _Array = np.zeros(2)
 
 
 @dataclass(frozen=True)
@@ -95,12 +102,16 @@ class Pose:
     Attributes
     ----------
     x : (8,) array
-        N, E, height, heading, errors of tilt about N and E, of the keyframe's about its x and y (m, rad).
+        N, E, height, heading, errors of tilt about x and y of the heading, of the keyframe's about its own, from what
+        is expected of that (m, rad).
     shakes : (8,) array
         Amplitudes, pixels.
     covariance : (8, 8) array
-    edge : (4, 4) array
-        Information on N, E, height, heading with the tilt held and without the sonar.
+        With all that was known before.
+    seen : (8, 8) array
+        Information on ``x`` of the pixels alone, whatever the amplitudes are.
+    pull : (8,) array
+        Where to these would have it moved: the gradient that goes with it.
     scale : float
         Root mean square of weighted residuals over what was expected.
     residuals : (n,) array
@@ -112,7 +123,8 @@ class Pose:
     x: _Array
     shakes: _Array
     covariance: _Array
-    edge: _Array
+    seen: _Array
+    pull: _Array
     scale: float
     residuals: _Array
     off: _Array
@@ -124,8 +136,9 @@ class Pose:
 
 
 def level(view: View, tilt: _Array | None = None, heading: float = 0.0) -> _Array:
-    """Return the matrix that turns body vectors into N-E-D: heading, pitch, roll, and errors of the tilt on top."""
-    return _attitude(view.roll, view.pitch, heading, *(0.0, 0.0) if tilt is None else tilt)
+    """Return the matrix that turns body vectors into N-E-D: heading, pitch, roll, and errors of the tilt on top; by
+    default those that are expected."""
+    return _attitude(view.roll, view.pitch, heading, *(view.tilt if tilt is None else tilt))
 
 
 def slopes(
@@ -136,32 +149,32 @@ def slopes(
 
     ``turn`` is :func:`level` with the heading at which slopes are wanted.
     """
-    p = pixels if shakes is None else pixels - shaken(view, seconds, shakes)
+    p = pixels if shakes is None else pixels - shaken(view, pixels, seconds, shakes)
     d = np.column_stack([p / view.focal, np.ones(len(p))]) @ view.axes.T
     d = d + np.cross(seconds[:, None] * view.rates, d)  # exp([w s]) d, to first order
     w = d @ turn.T
     return np.asarray((w[:, 0] + 1j * w[:, 1]) / w[:, 2], dtype=np.complex128)
 
 
-def shaken(view: View, seconds: _Array, shakes: _Array) -> _Array:
-    """Return by how many pixels (n, 2) the rotors have moved what is seen at these times."""
+def shaken(view: View, pixels: _Array, seconds: _Array, shakes: _Array) -> _Array:
+    """Return by how many pixels (n, 2) the rotors, which turn the camera, have moved what is seen there at these
+    times."""
     out = np.zeros((len(seconds), 2))
     for k in range(2):
         turned = view.rotor_phase[k] + view.rotor_speed[k] * seconds
         c, s = np.cos(turned), np.sin(turned)
         for axis in (0, 1):
             out[:, axis] += shakes[4 * k + 2 * axis] * c + shakes[4 * k + 2 * axis + 1] * s
-    return out
+    p = pixels / view.focal
+    return out + p * (p * out).sum(axis=1)[:, None]
 
 
 def bent(slopes: NDArray[np.complex128]) -> _Array:
-    """Return how slopes (n,) move along N and E with errors of the tilt about N and about E, (n, 2, 2), but for a
-    shift.
-
-    The shift, which is the same for all, is left to where the keyframe stands: so that is where its floor is.
-    """
+    """Return how slopes (n,) move along N and E with errors of the tilt about N and about E, (n, 2, 2)."""
     n, e = slopes.real, slopes.imag
-    return np.stack([np.stack([-n * e, n * n], axis=-1), np.stack([-e * e, n * e], axis=-1)], axis=-2)
+    return np.stack(
+        [np.stack([-n * e, 1.0 + n * n], axis=-1), np.stack([-1.0 - e * e, n * e], axis=-1)], axis=-2
+    )
 
 
 def two_points(
@@ -203,7 +216,7 @@ def two_points(
 
 
 def solve(
-    view: View, start: _Array, points: _Array, bend: _Array, bend_covariance: _Array, pixels: _Array, seconds: _Array,
+    view: View, start: _Array, points: _Array, bend: _Array, tilts: _Array, pixels: _Array, seconds: _Array,
     sigma: _Array,
 ) -> Pose:  # fmt: skip
     """Find where the camera is.
@@ -217,8 +230,8 @@ def solve(
         N, E, D of what is seen (m).
     bend : (n, 2, 2) array
         How these move north and east with an error of the keyframe's tilt (m/rad), :func:`bent`.
-    bend_covariance : (2, 2) array
-        Of that error.
+    tilts : (4, 4) array
+        Covariance of the errors of this picture's tilt (from what is expected) and of the keyframe's.
     pixels : (n, 2) array
         Where, from the principal point, without distortion.
     seconds : (n,) array
@@ -230,38 +243,40 @@ def solve(
     size = POSE + shakes
     x = np.zeros(size)
     x[:4] = start
+    known = np.zeros(size)
+    known[2], known[4:6] = view.height, view.tilt
     prior = np.zeros((size, size))
     prior[2, 2] = view.height_sigma**-2
-    prior[4, 4] = prior[5, 5] = view.tilt_sigma**-2
-    prior[6:8, 6:8] = np.linalg.inv(bend_covariance)
+    prior[4:8, 4:8] = np.linalg.inv(tilts)
     if shakes:
-        x[POSE:] = view.shakes
+        known[POSE:] = view.shakes
         prior[POSE:, POSE:] = view.shake_sigma**-2 * np.eye(shakes)
+    x[4:] = known[4:]
     normal, off, weight = np.empty((size, size)), np.empty((len(points), 2)), np.empty(len(points))
     _solve(x, view.focal, view.axes, view.roll, view.pitch, view.rates, view.velocity, view.rotor_speed,
-           view.rotor_phase, view.shakes, view.height,
-           prior, points, bend, pixels, seconds, sigma, normal, off, weight, _ROUNDS)  # fmt: skip
+           view.rotor_phase, known, prior, points, bend, pixels, seconds, sigma, normal, off, weight,
+           _ROUNDS)  # fmt: skip
     ratio = np.sqrt((off**2).sum(axis=1) / 2.0) / sigma
     free = max(1.0, 2.0 * weight.sum() - size)
     # Of errors as they should be, weights leave 0.846 of the mean square (r^2 / 2 is exponential).
     scale = math.sqrt(float((weight * 2.0 * ratio**2).sum()) / free / 0.846)
-    told = normal + prior
     loose = max(1.0, scale) ** 2
-    covariance = np.linalg.inv(told)[:POSE, :POSE]
-    fixed = prior[:POSE, :POSE]
-    seen = covariance @ (np.linalg.inv(covariance) - fixed) @ covariance  # what pixels add of it
-    covariance = covariance + (loose - 1.0) * seen
-    # How the keyframe is bent is told by the difference of two tilts, whatever these are.
-    cross, rest = normal[:4, 6:], told[6:, 6:]
-    edge = normal[:4, :4] - cross @ np.linalg.solve(rest, cross.T)
+    # Where it ended, pixels pull by as much as what was known before does the other way.
+    pull = -prior[:POSE, :POSE] @ (known - x)[:POSE]
+    seen = normal[:POSE, :POSE]
+    if shakes:
+        cross = normal[:POSE, POSE:]
+        seen = seen - cross @ np.linalg.solve(normal[POSE:, POSE:] + prior[POSE:, POSE:], cross.T)
     amplitudes = x[POSE:] if shakes else np.zeros(SHAKES)
-    return Pose(x[:POSE], amplitudes, covariance, edge / loose, scale, ratio, off)
+    covariance = np.asarray(np.linalg.inv(seen / loose + prior[:POSE, :POSE]), np.float64)
+    return Pose(x[:POSE], amplitudes, covariance, seen / loose, pull / loose, scale, ratio, off)
 
 
 @compiled(error_model="numpy")
-def _attitude(roll, pitch, heading, tilt_n, tilt_e):  # type: ignore[no-untyped-def]
+def _attitude(roll, pitch, heading, tilt_x, tilt_y):  # type: ignore[no-untyped-def]
     cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
     c, s = math.cos(heading), math.sin(heading)
+    tilt_n, tilt_e = c * tilt_x - s * tilt_y, s * tilt_x + c * tilt_y
     r = np.array(
         [
             [cp * c, sr * sp * c - cr * s, cr * sp * c + sr * s],
@@ -281,8 +296,8 @@ def _attitude(roll, pitch, heading, tilt_n, tilt_e):  # type: ignore[no-untyped-
 
 @compiled(error_model="numpy")
 def _solve(  # type: ignore[no-untyped-def]
-    x, focal, axes, roll, pitch, rates, velocity, rotor, phase, expected, height, prior, points, bend, pixels,
-    seconds, sigma, normal, off, weight, rounds,
+    x, focal, axes, roll, pitch, rates, velocity, rotor, phase, known, prior, points, bend, pixels, seconds, sigma,
+    normal, off, weight, rounds,
 ):  # fmt: skip
     size, n = len(x), len(points)
     shakes = size > 8
@@ -290,6 +305,7 @@ def _solve(  # type: ignore[no-untyped-def]
     right = np.empty(size)
     for turn in range(rounds + 1):
         r = _attitude(roll, pitch, x[3], x[4], x[5])
+        ch, sh = math.cos(x[3]), math.sin(x[3])
         normal[:] = 0.0
         right[:] = 0.0
         for i in range(n):
@@ -322,8 +338,9 @@ def _solve(  # type: ignore[no-untyped-def]
                 row[k, 0], row[k, 1], row[k, 2] = -a, -b, c
                 # a turn t of the body: dw = w x t
                 row[k, 3] = a * we - b * wn
-                row[k, 4] = b * wd - c * we
-                row[k, 5] = c * wn - a * wd
+                about_n, about_e = b * wd - c * we, c * wn - a * wd
+                row[k, 4] = ch * about_n + sh * about_e
+                row[k, 5] = ch * about_e - sh * about_n
                 row[k, 6] = a * bend[i, 0, 0] + b * bend[i, 1, 0]
                 row[k, 7] = a * bend[i, 0, 1] + b * bend[i, 1, 1]
             px, py = focal * u, focal * v
@@ -331,10 +348,22 @@ def _solve(  # type: ignore[no-untyped-def]
                 for k in range(2):
                     co, si = math.cos(phase[k] + rotor[k] * s), math.sin(phase[k] + rotor[k] * s)
                     j = 8 + 4 * k
-                    px += x[j] * co + x[j + 1] * si
-                    py += x[j + 2] * co + x[j + 3] * si
-                    row[0, j], row[0, j + 1] = co, si
-                    row[1, j + 2], row[1, j + 3] = co, si
+                    uu, vv, uv = 1.0 + u * u, 1.0 + v * v, u * v
+                    zx, zy = x[j] * co + x[j + 1] * si, x[j + 2] * co + x[j + 3] * si
+                    px += zx * uu + zy * uv
+                    py += zx * uv + zy * vv
+                    row[0, j], row[0, j + 1], row[0, j + 2], row[0, j + 3] = (
+                        co * uu,
+                        si * uu,
+                        co * uv,
+                        si * uv,
+                    )
+                    row[1, j], row[1, j + 1], row[1, j + 2], row[1, j + 3] = (
+                        co * uv,
+                        si * uv,
+                        co * vv,
+                        si * vv,
+                    )
             off[i, 0], off[i, 1] = pixels[i, 0] - px, pixels[i, 1] - py
             loose = (off[i, 0] ** 2 + off[i, 1] ** 2) / (2.0 * sigma[i] ** 2)
             weight[i] = 1.0 / (1.0 + loose / (_CAUCHY * _CAUCHY))
@@ -353,8 +382,7 @@ def _solve(  # type: ignore[no-untyped-def]
         for a_ in range(size):
             m[a_, a_] += 1e-9
             for b_ in range(size):
-                known = expected[b_ - 8] if b_ >= 8 else (height if b_ == 2 else 0.0)
-                right[a_] += prior[a_, b_] * (known - x[b_])
+                right[a_] += prior[a_, b_] * (known[b_] - x[b_])
         step = np.linalg.solve(m, right)
         for a_ in range(size):
             x[a_] += step[a_]

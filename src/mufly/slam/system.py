@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 
 from mufly.camera import Camera, body_from_camera, check_size
 from mufly.slam.frame import Frame
-from mufly.slam.graph import DIM, Edge, relation, slopes_of
+from mufly.slam.graph import Edge, placed, relation, slopes_of
 from mufly.slam.mapping import Keyframe, Map, composed, overlap
-from mufly.slam.pose import SHAKES, Pose, View, level, slopes, solve, two_points
+from mufly.slam.pose import POSE, SHAKES, Pose, View, bent, level, slopes, solve, two_points
 from mufly.slam.recognition import ENOUGH, recognised
 from mufly.slam.vision import Straightener, corners, on, opencv, overlaid, tracked, warped
 
@@ -39,11 +39,13 @@ LEAST_M = 0.1  # height of the camera from which a map begins
 FEW = 30  # points that agree, below which a new keyframe may see more
 NEW_BELOW = 0.55  # share of floor that a keyframe has to see of the picture
 CLOSE_ABOVE, CLOSE_EVERY = 0.4, 8
-CLOSURE_CHI2 = 20.0  # of four numbers: one true closure in 2000 is turned away
+CLOSURE_CHI2 = 28.0  # of eight numbers: one true closure in 2000 is turned away
+_MAY_BE = 2.5  # deviations within which a keyframe is looked for
 ALIKE = 0.75
 """Height of the second peak of the correlation over the first from which a place could be another one."""
-INFLATE = 2.0
-"""Of variances of edges: errors of neighbouring points hang together. A guess: nothing was fitted to it."""
+INFLATE = 3.0
+"""Of variances of all points together over those of each, as errors of neighbouring points hang together. Chosen on
+twelve floors (docs/slam.md): edges against the truth, with true tilts given, ask for 3.9, answers for less."""
 _SWERVE = 1.0  # m/s^2 that are not foreseen
 _LOST_S, _SEEK_EVERY = 0.7, 4
 _AGREE = 3
@@ -149,12 +151,15 @@ class Slam:
         self._shakes, self._shaken = np.zeros(SHAKES), 0  # amplitudes as learnt, from so many pictures
         self._shake_tilt = 0.0 if rolls else self._shake_rms / focal
         self._reference = -1
-        self._node = np.zeros(DIM)  # where it was last
+        self._node = np.zeros(4)  # where it was last
         self._velocity = np.zeros(2)
+        # What tilt and sonar are off by, and how that hangs together with the newest keyframe's
+        self._off, self._hangs = np.zeros(3), [np.zeros(3), np.ones(3)]
         self._last_s = self._frame_s = math.nan
         self._spread = 0.0  # of the place that is reckoned (m)
         self._count = self._tried = 0
         self._found: list[tuple[float, _Array]] = []
+        self._vain: dict[int, int] = {}  # how often a loop to a keyframe was tried in vain
         self._trial = 0  # pictures seen against a keyframe that was begun anew; 0: there is none
         self.picture: NDArray[np.uint8] | None = None
         self.closes = True  # whether loops are closed
@@ -216,7 +221,6 @@ class Slam:
             np.zeros(3),
             1.0,
             told.height_sigma,
-            math.hypot(told.tilt_sigma, self._shake_tilt),
             self._shake_sigma if told.rotor_speed.any() else 0.0,
             told.rotor_speed,
         )
@@ -224,6 +228,12 @@ class Slam:
             view = view._replace(rotor_phase=told.rotor_phase, shakes=self._shakes)
             if self._shaken > _SHAKES_LEARNT:
                 view = view._replace(shake_sigma=_SHAKES_LEFT * view.shake_sigma)
+        height = max(LEAST_M, told.height_m)
+        self._off, *self._hangs = self.map.hangs(
+            frame.time_s, (told.tilt_sigma, told.tilt_time_s, self._shake_tilt),
+            (told.height_sigma / height, told.height_time_s),
+        )  # fmt: skip
+        view = view._replace(tilt=self._off[:2])
         turn = level(view, None, self._node[2])
         velocity = np.array([*self._velocity, 0.0]) if told.velocity is None else told.velocity
         velocity = velocity + turn @ np.cross(told.rates, self._mount)
@@ -286,22 +296,13 @@ class Slam:
             return None
         begin = np.array([node[0], node[1], view.height, node[2]])
         bend = self.map.bend(k)[use]
-        pose = solve(
-            view, begin, points[fits], bend[fits], keyframe.tilt, pixels[fits], seconds[fits], sigma[fits]
-        )
-        inside = pose.inliers
-        if inside.sum() < ENOUGH:
+        tilts = self.map.belief(k, *self._hangs)[4:8, 4:8][np.ix_([2, 3, 0, 1], [2, 3, 0, 1])]
+        pose = solve(view, begin, points[fits], bend[fits], tilts, pixels[fits], seconds[fits], sigma[fits])
+        if pose.inliers.sum() < ENOUGH:
             return None
-        keep = np.nonzero(fits)[0][inside]
+        keep = np.nonzero(fits)[0][pose.inliers]
         pose = solve(
-            view,
-            pose.x[:4],
-            points[keep],
-            bend[keep],
-            keyframe.tilt,
-            pixels[keep],
-            seconds[keep],
-            sigma[keep],
+            view, pose.x[:4], points[keep], bend[keep], tilts, pixels[keep], seconds[keep], sigma[keep]
         )
         out = np.ones(len(use), bool)
         out[keep] = False
@@ -313,7 +314,9 @@ class Slam:
         """From the straight picture of a keyframe to the one that is seen from a node, over the floor."""
         keyframe, at = self.map.keyframes[k], self.map.nodes[k]
         c, s = math.cos(at[2]), math.sin(at[2])
-        then = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ keyframe.turn
+        x, y = at[4:6] - keyframe.tilt
+        tilt = np.array([[1.0, 0.0, y], [0.0, 1.0, -x], [-y, x, 1.0]])
+        then = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ tilt @ keyframe.turn
         now = level(view, None, node[2]) @ self._axes
         h = math.exp(at[3])
         way = np.array([at[0] - node[0], at[1] - node[1], view.height - h])
@@ -407,7 +410,7 @@ class Slam:
         self._tried += 1
         if self.closes and (self._tried >= CLOSE_EVERY or made):
             self._tried = 0
-            closed = self._close(view, picture, match)
+            made, closed = self._close(frame, view, picture, match, made)
         return self._answer(frame, view, match, made, closed)
 
     def _refine(self, view: View, match: _Match) -> None:
@@ -426,7 +429,10 @@ class Slam:
         c = complex(match.pose.x[0], match.pose.x[1])
         to_keyframe = (c - complex(at[0], at[1]) + z * seen) / np.exp(at[3] + 1j * at[2])
         ratio = match.pose.x[2] / math.exp(at[3])
-        keyframe.unbend(match.pose.x[6:8], match.pose.covariance[6:8, 6:8])
+        # Back to the tilt by which its slopes were reckoned
+        tilt = self.map.nodes[match.keyframe, 4:6] + match.pose.x[6:8] - keyframe.tilt
+        move = bent(keyframe.slopes[match.which]) @ tilt
+        to_keyframe = to_keyframe - (move[:, 0] + 1j * move[:, 1])
         keyframe.refine(match.which, to_keyframe, (match.sigma * ratio / view.focal) ** 2 + 1e-12, view.focal)
 
     def _slopes(self, view: View, pose: Pose, pixels: _Array, seconds: _Array) -> NDArray[np.complex128]:
@@ -443,13 +449,11 @@ class Slam:
             return None
         seconds = self._straight.seconds(pixels)
         turn = _unheaded(level(view, pose.x[4:6], pose.x[3]), pose.x[3])
-        c, s = math.cos(pose.x[3]), math.sin(pose.x[3])
-        back = np.array([[c, s], [-s, c]])
-        covariance = back @ pose.covariance[4:6, 4:6] @ back.T
         return Keyframe(
             frame.time_s, picture.copy(), turn @ self._axes, pixels, self._slopes(view, pose, pixels, seconds),
-            np.full(len(pixels), (sigma / view.focal) ** 2), np.zeros(len(pixels), np.int64), covariance,
-            math.log(view.height), view.height_sigma / view.height,
+            np.full(len(pixels), (sigma / view.focal) ** 2), np.zeros(len(pixels), np.int64),
+            pose.x[4:6].copy(), math.log(view.height), view.height_sigma / view.height, frame.told.height_time_s,
+            frame.told.tilt_sigma, frame.told.tilt_time_s, self._shake_tilt,
         )  # fmt: skip
 
     def _begin(self, frame: Frame, view: View, picture: Any) -> Answer:
@@ -460,14 +464,11 @@ class Slam:
             self.map.start, self.map.start_sigma = frame.told.place, frame.told.place_sigma
         n, e, heading = self.map.start
         pose = self._believed(view, n, e, heading)
-        x, tilt = pose.x, view.tilt_sigma
         keyframe = self._keyframe(frame, view, picture, pose, math.hypot(0.5, self._shake_rms))
         if keyframe is None:
             return Answer(frame.time_s, False, "no corners on the floor to begin a map with")
-        s = self.map.start_sigma
-        self.map.start_sigma = (math.hypot(s[0], tilt * view.height), s[1])
-        self._node = np.array([x[0], x[1], x[3], math.log(x[2])])
-        self._reference = self.map.add(keyframe, self._node, [])
+        self._reference = self.map.add(keyframe, self._seven(pose), [])
+        self._node = self.map.nodes[self._reference, :4].copy()
         self._last_s = frame.time_s
         nobody = np.zeros(0, np.intp)
         match = _Match(0, pose, nobody, np.zeros((0, 2)), np.zeros(0), np.zeros(0), 0, 0.0)
@@ -520,134 +521,143 @@ class Slam:
         keyframe = self._keyframe(frame, view, picture, pose, math.hypot(0.5, self._shake_rms))
         if keyframe is None:
             return Answer(frame.time_s, False, "no corners on the floor")
-        node = np.array([pose.x[0], pose.x[1], heading, math.log(view.height)])
         place, turn = frame.told.place_sigma
-        last = self._reference
-        h = math.exp(self.map.nodes[last, 3])
+        last, second = self._reference, len(self.map.keyframes)
+        node, before = self._seven(pose), self.map.nodes[last]
+        h = math.exp(before[3])
         off = np.array([place / h, place / h, max(turn, 1e-3), 0.1])
-        self._reference = self.map.add(keyframe, node, [(last, np.diag(off**-2))])
-        self._node, self._last_s, self._trial = self.map.nodes[self._reference].copy(), frame.time_s, 1
+        edge = Edge(
+            last, second, np.concatenate([relation(before, node), before[4:6], node[4:6]]),
+            np.diag(np.concatenate([off**-2, np.zeros(4)])),
+        )  # fmt: skip
+        self._reference = self.map.add(keyframe, node, [edge])
+        self._node, self._last_s, self._trial = (
+            self.map.nodes[self._reference, :4].copy(), frame.time_s, 1,
+        )  # fmt: skip
         return Answer(frame.time_s, False, why)
 
     def _believed(self, view: View, n: float, e: float, heading: float) -> Pose:
         """The pose of a vehicle that stands at N, E (m) with a heading (rad), as far as that is known."""
         lever = level(view, None, heading) @ self._mount
-        x = np.array([n + lever[0], e + lever[1], view.height, heading, 0.0, 0.0, 0.0, 0.0])
-        tilt = view.tilt_sigma
-        covariance = np.diag([(tilt * view.height) ** 2] * 2 + [view.height_sigma**2, 1e-10] + [tilt**2] * 4)
-        return Pose(x, self._shakes, covariance, np.zeros((4, 4)), 1.0, np.zeros(0), np.zeros((0, 2)))
+        x = np.array([n + lever[0], e + lever[1], view.height, heading, *view.tilt, 0.0, 0.0])
+        nothing = np.zeros((POSE, POSE))
+        return Pose(x, self._shakes, nothing, nothing, np.zeros(POSE), 1.0, np.zeros(0), np.zeros((0, 2)))
 
     def _make(self, frame: Frame, view: View, picture: Any, match: _Match) -> bool:
         """Make a keyframe of the picture."""
         keyframe = self._keyframe(frame, view, picture, match.pose, 0.4)
         if keyframe is None:
             return False
-        ties = [(match.keyframe, self._information(match))]
         # Others that see it too hold it better
         others = sorted(
             self.map.neighbours(match.keyframe),
             key=lambda k: -overlap(self.map.nodes[k], match.node, self._wide, self._high),
         )
         node = match.node
-        k = self.map.add(keyframe, node, ties)
+        k = self.map.add(keyframe, self._seven(match.pose), [self._edge(match, len(self.map.keyframes))])
+        # It is the newest now
+        self._hangs, view = [np.ones(3), np.full(3, 1e-10)], view._replace(tilt=self.map.nodes[k, 4:6].copy())
         for other in others[:1]:
             if overlap(self.map.nodes[other], node, self._wide, self._high) > 0.25:
                 second = self._match(other, view, picture, node)
                 if second is not None and not self._distrust(second, view, node):
-                    self.map.edges.append(
-                        Edge(
-                            other, k, relation(self.map.nodes[other], second.node), self._information(second)
-                        )
-                    )
-                    self.map.solve()
-        self._reference, self._node = k, self.map.nodes[k].copy()
+                    self.map.tie(self._edge(second, k))
+        self._reference, self._node = k, self.map.nodes[k, :4].copy()
         return True
 
-    def _information(self, match: _Match) -> _Array:
-        """On the four numbers of the picture's node seen from the keyframe's."""
-        _, by_b = slopes_of(self.map.nodes[match.keyframe], match.node)
-        # N, E, height, heading of the four numbers
-        change = np.linalg.inv(by_b)
-        change = change[[0, 1, 3, 2]]
-        change[2] *= match.pose.x[2]
-        return change.T @ match.pose.edge @ change / INFLATE
+    def _seven(self, pose: Pose) -> _Array:
+        """The node of a pose: N, E, heading, ln h, errors of the tilt and of the sonar."""
+        x = pose.x
+        return np.array([x[0], x[1], x[3], math.log(x[2]), x[4], x[5], self._off[2]])
 
-    def _close(self, view: View, picture: Any, match: _Match) -> bool:
-        """Try to see it against a keyframe that is not tied to the present one."""
+    def _edge(self, match: _Match, second: int, closes: bool = False) -> Edge:
+        """What a picture that is node ``second`` says of the keyframe that it was seen against."""
+        at, x = self.map.nodes[match.keyframe], match.pose.x
+        _, by_b = slopes_of(at, match.node)
+        # N, E, height, heading, tilt of the picture, of the keyframe of the edge's eight numbers
+        change = np.zeros((POSE, 8))
+        change[:4, :4] = np.linalg.inv(by_b)[[0, 1, 3, 2]]
+        change[2] *= x[2]
+        change[4:6, 6:8] = change[6:8, 4:6] = np.eye(2)
+        return Edge(
+            match.keyframe, second, np.concatenate([relation(at, match.node), at[4:6] + x[6:8], x[4:6]]),
+            change.T @ match.pose.seen @ change / INFLATE, change.T @ match.pose.pull / INFLATE, closes,
+        )  # fmt: skip
+
+    def _close(self, frame: Frame, view: View, picture: Any, match: _Match, made: bool) -> tuple[bool, bool]:
+        """Try to see it against a keyframe that is not tied to the present one; return whether it is a keyframe now,
+        and whether a loop was closed.
+
+        Those are tried that may be in sight: as near as the map's covariance lets them be.
+        """
         here = self._reference
-        near = {here, *self.map.neighbours(here)}
-        share = {
-            k: overlap(self.map.nodes[k], self._node, self._wide, self._high)
-            for k in range(len(self.map.keyframes))
-            if k not in near
-        }
-        for k in sorted(share, key=lambda k: -share[k])[:1]:
-            if share[k] < CLOSE_ABOVE:
-                return False
-            between = self.map.covariance_between(k, here)
-            sigma = math.sqrt(max(between[0, 0], between[1, 1])) * math.exp(self.map.nodes[k, 3])
-            return self._tie(k, view, picture, match, sigma)
-        return False
+        most = _MAY_BE * math.sqrt(np.linalg.eigvalsh(self.map.covariance(here)[:2, :2])[-1])
+        near, may = {here, *self.map.neighbours(here)}, []
+        for k in range(len(self.map.keyframes)):
+            t = relation(self.map.nodes[k], self._node)
+            way, h = math.hypot(t[0], t[1]), math.exp(self.map.nodes[k, 3])
+            if k in near or h * way > most + h * math.hypot(self._wide, self._high):
+                continue
+            sigma = math.sqrt(np.linalg.eigvalsh(self.map.covariance_between(k, here)[:2, :2])[-1])
+            t[:2] *= max(0.0, 1.0 - _MAY_BE * sigma / max(way, 1e-9))
+            node = composed(self.map.nodes[k], t)
+            share = overlap(self.map.nodes[k], node, self._wide, self._high)
+            if share > CLOSE_ABOVE:
+                may.append((self._vain.get(k, 0), -share, k, node, h * sigma))
+        if not may:
+            return made, False
+        _, _, k, node, sigma = min(may, key=lambda m: m[:2])
+        self._vain[k] = self._vain.get(k, 0) + 1
+        return self._tie(k, frame, view, picture, match, made, node, sigma)
 
-    def _tie(self, k: int, view: View, picture: Any, match: _Match, sigma: float) -> bool:
-        """Close a loop to keyframe ``k`` if all gates let it pass; ``sigma`` (m) is what it may be off by."""
+    def _tie(
+        self, k: int, frame: Frame, view: View, picture: Any, match: _Match, made: bool, node: _Array, sigma: float
+    ) -> tuple[bool, bool]:  # fmt: skip
+        """Close a loop to keyframe ``k`` if all gates let it pass; from ``node`` it would see it, ``sigma`` (m) is
+        what its place may be off by."""
         spread, self._spread = self._spread, 2.0 * sigma
         # Always: whether another place within reach looks alike is asked there.
-        other = self._match(k, view, picture, self._node, coarse=True)
+        other = self._match(k, view, picture, node, coarse=True)
         self._spread = spread
         if (
             other is None
             or len(other.which) < max(1.5 * ENOUGH, 0.5 * other.tracked)
             or other.pose.scale > 3.0
         ):
-            return False
+            return made, False
+        if not made and not self._make(frame, view, picture, match):
+            return False, False
         here = self._reference
-        if here == match.keyframe:
-            own = match.node
-            known = np.linalg.inv(self._information(match))
-        else:  # it has just become a keyframe
-            own, known = self.map.nodes[here], np.zeros((4, 4))
-        by_other = composed(other.node, relation(own, self.map.nodes[here]))
-        measured = relation(self.map.nodes[k], by_other)
-        covariance = np.linalg.inv(self._information(other)) + known
-        off = measured - relation(self.map.nodes[k], self.map.nodes[here])
-        off[2] = (off[2] + math.pi) % (2 * math.pi) - math.pi
-        expected = self.map.covariance_between(k, here) + covariance
-        if off @ np.linalg.solve(expected, off) > CLOSURE_CHI2:
-            return False
-        edge = Edge(k, here, measured, np.linalg.inv(covariance), closes=True)
-        before = self.map.nodes[here].copy()
-        if not self.map.close(edge, CLOSURE_CHI2):
-            return False
-        self._node = composed(self.map.nodes[here], relation(before, self._node))
+        edge = self._edge(other, here, closes=True)
+        off = edge.off(self.map.nodes[k], self.map.nodes[here])
+        if edge.chi2(off, self.map.covariance_between(k, here)) > CLOSURE_CHI2 or not self.map.tie(
+            edge, CLOSURE_CHI2
+        ):
+            return True, False
+        self._node = self.map.nodes[here, :4].copy()
+        self._vain = {}
         self.on_closure(k, here)
-        return True
+        return True, True
 
     def _answer(self, frame: Frame, view: View, match: _Match, made: bool, closed: bool) -> Answer:
-        """What is told: the place by the map as it is now."""
+        """What is told: the place by all that the map, tilts, sonar and pixels say together."""
         pose, here = match.pose, self._reference
-        node = self._node
-        turn = level(view, pose.x[4:6], node[2])
-        lever = turn @ self._mount
-        height = math.exp(node[3])
-        position = np.array([node[0] - lever[0], node[1] - lever[1], -height - lever[2]])
-        # The keyframe's error carries the place along, that of the picture comes on top.
-        at = self.map.nodes[here]
-        n, e = node[0] - at[0], node[1] - at[1]
-        carry = np.array(
-            [[1.0, 0.0, -e, n], [0.0, 1.0, n, e], [0.0, 0.0, 0.0, -height], [0.0, 0.0, 1.0, 0.0]]
-        )
-        own = pose.covariance[:4, :4].copy()
-        own[2], own[:, 2] = -own[2], -own[:, 2]  # D is the other way
-        own[2, 2] = abs(own[2, 2])
-        covariance = carry @ self.map.covariance(here) @ carry.T + own
-        # The sonar tells the height as well as a map of few keyframes does, or better.
-        gain = covariance[:, 2] / (covariance[2, 2] + view.height_sigma**2)
-        off = (height - view.height) * gain  # D seen is -height, told -view.height
-        position = position + off[:3]
-        covariance = covariance - np.outer(gain, covariance[2])
+        if made:  # it is in the map
+            node, known = self.map.nodes[here, :4], self.map.covariance(here)[:4, :4]
+        else:
+            at = self.map.nodes[here]
+            tilts = np.concatenate([pose.x[4:6] - view.tilt, pose.x[6:8]])
+            seen, pull = pose.seen / INFLATE, pose.pull / INFLATE
+            belief, height = self.map.belief(here, *self._hangs), math.log(view.height) - self._off[2]
+            node, known = placed(at[:4], belief, match.node, tilts, seen, pull, height)
+        lever = level(view, pose.x[4:6], node[2]) @ self._mount
+        h = math.exp(node[3])
+        position = np.array([node[0] - lever[0], node[1] - lever[1], -h - lever[2]])
+        to = np.zeros((4, 4))  # N, E, D, heading of N, E, heading, ln h
+        to[0, 0] = to[1, 1] = to[3, 2] = 1.0
+        to[2, 3] = -h
         return Answer(
-            frame.time_s, True, "", position, (node[2] + math.pi) % (2 * math.pi) - math.pi, covariance, here,
+            frame.time_s, True, "", position, (node[2] + math.pi) % (2 * math.pi) - math.pi, to @ known @ to.T, here,
             match.tracked, len(match.which), match.pixels, pose.scale, made, closed,
         )  # fmt: skip
 
