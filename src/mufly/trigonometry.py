@@ -46,7 +46,7 @@ _P1, _P2, _P3 = PIECES
 
 
 @compiled(error_model="numpy")
-def sine_cosine(x):  # type: ignore[no-untyped-def]
+def sine_cosine(x: float) -> tuple[float, float]:
     """Return sine and cosine of an angle (rad)."""
     if not abs(x) < GREATEST:
         return 0.0, 1.0
@@ -89,7 +89,7 @@ _PER_LN2 = float.fromhex("0x1.71547652b82fep+0")
 
 
 @compiled(error_model="numpy")
-def decay(x):  # type: ignore[no-untyped-def]
+def decay(x: float) -> float:
     """Return exp(-x) for x from 0 on; 1 below, 0 beyond 40 (where it is below 1e-17)."""
     if not x > 0.0:
         return 1.0

@@ -266,7 +266,7 @@ _fast: Any = {
 
 
 @compiled(**_fast)
-def _texel(texture, start, rows, columns, u, v):  # type: ignore[no-untyped-def]
+def _texel(texture: NDArray[np.uint8], start: int, rows: int, columns: int, u: float, v: float) -> float:
     """Grey of a level at u, v (its pixels, from the middle of the first), by straight lines."""
     i, j = math.floor(u), math.floor(v)
     a, b = u - i, v - j
@@ -279,7 +279,7 @@ def _texel(texture, start, rows, columns, u, v):  # type: ignore[no-untyped-def]
 
 
 @compiled(**_fast)
-def _map(a, n, u, v):  # type: ignore[no-untyped-def]
+def _map(a: _Array, n: int, u: float, v: float) -> float:
     """Value of a square map (n, n) that repeats itself, by straight lines; n a power of two."""
     i, j = math.floor(u), math.floor(v)
     x, y = u - i, v - j
@@ -290,7 +290,7 @@ def _map(a, n, u, v):  # type: ignore[no-untyped-def]
 
 
 @compiled(**_fast)
-def _turned(turn, w, s, out):  # type: ignore[no-untyped-def]
+def _turned(turn: _Array, w: _Array, s: float, out: _Array) -> None:
     """out = turn exp([w s]) (Rodrigues)."""
     x, y, z = w[0] * s, w[1] * s, w[2] * s
     angle = math.sqrt(x * x + y * y + z * z)
@@ -307,10 +307,28 @@ def _turned(turn, w, s, out):  # type: ignore[no-untyped-def]
 
 
 @compiled(**_fast)
-def _expose(  # type: ignore[no-untyped-def]
-    out, rays, axes, mount, attitude, place, shake, readout, exposure, samples, texture, table, level, step, detail,
-    near, shade, own_shadow, boxes, seen,
-):  # fmt: skip
+def _expose(
+    out: _Array,
+    rays: _Array,
+    axes: _Array,
+    mount: _Array,
+    attitude: _Array,
+    place: _Array,
+    shake: _Array,
+    readout: float,
+    exposure: float,
+    samples: int,
+    texture: NDArray[np.uint8],
+    table: NDArray[np.int64],
+    level: int,
+    step: _Array,
+    detail: _Array,
+    near: float,
+    shade: _Array,
+    own_shadow: float,
+    boxes: _Array,
+    seen: NDArray[np.int64],
+) -> None:
     """Grey as it would be without what lens and sensor do to it."""
     high, wide = out.shape
     start, rows, columns = table[level, 0], (1 << table[level, 1]) - 1, (1 << table[level, 2]) - 1
@@ -381,7 +399,9 @@ def _expose(  # type: ignore[no-untyped-def]
 
 
 @compiled(**_fast)
-def _box(boxes, k, at_n, at_e, at_d, n, e, d):  # type: ignore[no-untyped-def]
+def _box(
+    boxes: _Array, k: int, at_n: float, at_e: float, at_d: float, n: float, e: float, d: float
+) -> tuple[float, bool]:
     """How far along the ray box k begins (negative: it is missed), and whether that is its top."""
     c, s = boxes[k, 6], boxes[k, 7]
     on, oe, od = at_n - boxes[k, 0], at_e - boxes[k, 1], at_d - boxes[k, 2]
@@ -406,7 +426,7 @@ def _box(boxes, k, at_n, at_e, at_d, n, e, d):  # type: ignore[no-untyped-def]
 
 
 @compiled(**_fast)
-def _smooth(a, work, kernel):  # type: ignore[no-untyped-def]
+def _smooth(a: _Array, work: _Array, kernel: _Array) -> None:
     """Blur in place, rows then columns; the edges go on as they end."""
     high, wide = a.shape
     reach = len(kernel) // 2
@@ -434,7 +454,15 @@ def _smooth(a, work, kernel):  # type: ignore[no-untyped-def]
 
 
 @compiled(**_fast)
-def _develop(picture, a, vignette, gain, noise, normals, starts):  # type: ignore[no-untyped-def]
+def _develop(
+    picture: NDArray[np.uint8],
+    a: _Array,
+    vignette: _Array,
+    gain: float,
+    noise: float,
+    normals: _Array,
+    starts: NDArray[np.int64],
+) -> None:
     """Light into grey levels, with noise."""
     high, wide = a.shape
     for r in range(high):

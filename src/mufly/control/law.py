@@ -40,7 +40,7 @@ What stands here runs on board as C too (:mod:`mufly.firmware`), equal to the la
 from __future__ import annotations
 
 import math
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -52,7 +52,7 @@ from mufly.trigonometry import sine_cosine
 
 
 @compiled
-def _clip(value, low, high):  # type: ignore[no-untyped-def]
+def _clip(value: float, low: float, high: float) -> float:
     # Written out because min and max of equal or missing numbers are each language's own (docs/firmware.md).
     if value < low:
         return low
@@ -62,7 +62,7 @@ def _clip(value, low, high):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _share(rate, whole):  # type: ignore[no-untyped-def]
+def _share(rate: float, whole: float) -> float:
     """What of a rate goes the way of ``whole``, and no further."""
     if whole > 0.0:
         return _clip(rate, 0.0, whole)
@@ -70,7 +70,7 @@ def _share(rate, whole):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _output(g, x, e, u):  # type: ignore[no-untyped-def]
+def _output(g: Any, x: Array, e: Array, u: Array) -> None:
     for i in range(u.shape[0]):
         s = 0.0
         for j in range(g.A.shape[0]):
@@ -81,7 +81,7 @@ def _output(g, x, e, u):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _advance(g, x, e, excess, new):  # type: ignore[no-untyped-def]
+def _advance(g: Any, x: Array, e: Array, excess: Array, new: Array) -> None:
     n = g.A.shape[0]
     for i in range(n):
         s = 0.0
@@ -95,7 +95,16 @@ def _advance(g, x, e, excess, new):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _shape(value, rate, target, target_rate, bandwidth, acceleration, speed, period):  # type: ignore[no-untyped-def]
+def _shape(
+    value: float,
+    rate: float,
+    target: float,
+    target_rate: float,
+    bandwidth: float,
+    acceleration: float,
+    speed: float,
+    period: float,
+) -> tuple[float, float]:
     """One step of the reference filter: critically damped near the target, on a braking parabola far from it."""
     gap = target - value
     # Speed at which half the acceleration still brakes in time; linear near the target.
@@ -110,7 +119,7 @@ def _shape(value, rate, target, target_rate, bandwidth, acceleration, speed, per
 
 
 @compiled
-def heave_wait(gains, state, z):  # type: ignore[no-untyped-def]
+def heave_wait(gains: Any, state: Array, z: float) -> Array:
     """State of heave-yaw, in flight, with a filtered reference no further from the height z (m, down) than the slack.
 
     The further it is away, the slower it may go on: not at all at the slack. It brakes by twice the acceleration that
@@ -144,7 +153,9 @@ def heave_wait(gains, state, z):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def heave_yaw_step(gains, state, reference, measurement, voltage):  # type: ignore[no-untyped-def]
+def heave_yaw_step(
+    gains: Any, state: Array, reference: Array, measurement: Array, voltage: float
+) -> tuple[Array, Array]:
     """One period of the heave-yaw controller.
 
     Parameters
@@ -215,7 +226,7 @@ def heave_yaw_step(gains, state, reference, measurement, voltage):  # type: igno
 
 
 @compiled
-def roll_pitch_step(gains, state, reference, measurement):  # type: ignore[no-untyped-def]
+def roll_pitch_step(gains: Any, state: Array, reference: Array, measurement: Array) -> tuple[Array, Array]:
     """One period of the roll-pitch controller.
 
     Parameters
@@ -249,16 +260,16 @@ def roll_pitch_step(gains, state, reference, measurement):  # type: ignore[no-un
 
 
 @compiled
-def position_step(  # type: ignore[no-untyped-def]
-    gains,
-    state,
-    position_reference,
-    velocity_reference,
-    acceleration_reference,
-    position,
-    velocity,
-    heading,
-):
+def position_step(
+    gains: Any,
+    state: Array,
+    position_reference: Array,
+    velocity_reference: Array,
+    acceleration_reference: Array,
+    position: Array,
+    velocity: Array,
+    heading: float,
+) -> tuple[Array, Array]:
     """One period of the position cascade: position P, velocity H-infinity, tilt references.
 
     Parameters
@@ -401,7 +412,7 @@ def _start(controller: DiscreteController) -> tuple[Array, Array]:
 
 
 @compiled
-def _at_rest(g, e, output, x):  # type: ignore[no-untyped-def]
+def _at_rest(g: Any, e: Array, output: Array, x: Array) -> None:
     for i in range(g.A.shape[0]):
         s = 0.0
         for j in range(e.shape[0]):
@@ -412,7 +423,7 @@ def _at_rest(g, e, output, x):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def heave_yaw_initial(gains, measurement, motor_input, voltage):  # type: ignore[no-untyped-def]
+def heave_yaw_initial(gains: Any, measurement: Array, motor_input: Array, voltage: float) -> Array:
     """State that engages heave-yaw without a bump.
 
     Parameters
@@ -447,7 +458,7 @@ def heave_yaw_initial(gains, measurement, motor_input, voltage):  # type: ignore
 
 
 @compiled
-def roll_pitch_initial(gains, measurement):  # type: ignore[no-untyped-def]
+def roll_pitch_initial(gains: Any, measurement: Array) -> Array:
     """State that engages roll-pitch without a bump: servos at trim, the reference level.
 
     Parameters

@@ -48,7 +48,9 @@ RUBBING_FROM = 1.0
 
 
 @compiled(error_model="numpy")
-def armature_current(duty, voltage, speed, back_emf_constant, resistance, gear_ratio):  # type: ignore[no-untyped-def]
+def armature_current(
+    duty: float, voltage: float, speed: float, back_emf_constant: float, resistance: float, gear_ratio: float
+) -> float:
     """Return the armature current (A) of a motor whose rotor turns at ``speed`` (rad/s); eq. 4.24 without L.
 
     Thesis: eq. 4.24.
@@ -57,17 +59,17 @@ def armature_current(duty, voltage, speed, back_emf_constant, resistance, gear_r
 
 
 @compiled(error_model="numpy")
-def rotor_acceleration(  # type: ignore[no-untyped-def]
-    current,
-    speed,
-    drag_torque,
-    torque_constant,
-    friction,
-    friction_torque,
-    gear_ratio,
-    gear_efficiency,
-    inertia,
-):
+def rotor_acceleration(
+    current: float,
+    speed: float,
+    drag_torque: float,
+    torque_constant: float,
+    friction: float,
+    friction_torque: float,
+    gear_ratio: float,
+    gear_efficiency: float,
+    inertia: float,
+) -> float:
     """Return dOmega/dt (rad/s2) of a rotor at ``speed`` (rad/s) under ``drag_torque`` (N m); eq. 4.29.
 
     Thesis: eqs 4.25 to 4.29.
@@ -331,7 +333,7 @@ def drive_toml(drive: Drive) -> str:
 
 
 @compiled(error_model="numpy")
-def interpolate(table, fraction):  # type: ignore[no-untyped-def]
+def interpolate(table: Array, fraction: float) -> float:
     """Interpolate ``table`` (n values at equal steps from 0 to 1) linearly; the ends hold outside."""
     last = table.shape[0] - 1
     position = min(max(fraction, 0.0), 1.0) * last
@@ -340,7 +342,13 @@ def interpolate(table, fraction):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def terminal_voltage(open_circuit, resistance, conductance, source_current, electronics_current):  # type: ignore[no-untyped-def]
+def terminal_voltage(
+    open_circuit: float,
+    resistance: float,
+    conductance: float,
+    source_current: float,
+    electronics_current: float,
+) -> float:
     """Return the terminal voltage (V) under load; never below zero (equation above)."""
     voltage = (open_circuit + resistance * (source_current - electronics_current)) / (
         1.0 + resistance * conductance

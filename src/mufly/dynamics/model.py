@@ -64,6 +64,7 @@ is too near to stand for a disc, the value there holds. Measured and computed cu
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,14 +77,16 @@ from mufly.rotor.maps import interpolate as maps_interpolate
 from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 
+_Array = NDArray[np.float64]
+
 
 @compiled(error_model="numpy")
-def _clip(value, low, high):  # type: ignore[no-untyped-def]
+def _clip(value: float, low: float, high: float) -> float:
     return min(max(value, low), high)
 
 
 @compiled(error_model="numpy")
-def battery_state(x, motor_up, motor_dw, p):  # type: ignore[no-untyped-def]
+def battery_state(x: _Array, motor_up: float, motor_dw: float, p: Any) -> tuple[float, float]:
     """Return terminal voltage (V) and supply current (A) for motor inputs 0..1 at state ``x``."""
     emf = p.kE * p.gear_ratio
     conductance = (motor_up * motor_up + motor_dw * motor_dw) / p.R_ohm
@@ -95,7 +98,18 @@ def battery_state(x, motor_up, motor_dw, p):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _inplane_drag(nx, ny, nz, air_x, air_y, air_z, p, q, z, slope):  # type: ignore[no-untyped-def]
+def _inplane_drag(
+    nx: float,
+    ny: float,
+    nz: float,
+    air_x: float,
+    air_y: float,
+    air_z: float,
+    p: float,
+    q: float,
+    z: float,
+    slope: float,
+) -> tuple[float, float, float]:
     """Return the drag of a rotor in its disc plane (N, body axes): unit normal, air velocity, rates, hub, N s/m."""
     slope = abs(slope)
     x, y = air_x + q * z, air_y - p * z
@@ -104,7 +118,7 @@ def _inplane_drag(nx, ny, nz, air_x, air_y, air_z, p, q, z, slope):  # type: ign
 
 
 @compiled(error_model="numpy", forceinline=True)
-def derivative(x, u, wind, p, dx):  # type: ignore[no-untyped-def]
+def derivative(x: _Array, u: _Array, wind: _Array, p: Any, dx: _Array) -> None:
     """Write the time derivative of the state into ``dx``.
 
     Parameters
@@ -130,7 +144,18 @@ def derivative(x, u, wind, p, dx):  # type: ignore[no-untyped-def]
 
 # Inlined by force: with a map in it LLVM finds it too long, and single flights would slow down by a tenth.
 @compiled(error_model="numpy", forceinline=True)
-def derivative_tilted(x, u, wind, p, sin_a, cos_a, sin_b, cos_b, floor, dx):  # type: ignore[no-untyped-def]
+def derivative_tilted(
+    x: _Array,
+    u: _Array,
+    wind: _Array,
+    p: Any,
+    sin_a: float,
+    cos_a: float,
+    sin_b: float,
+    cos_b: float,
+    floor: bool,
+    dx: _Array,
+) -> None:
     """:func:`derivative` with sine and cosine of the swash plate's tilt about x and y from whoever asks.
 
     What runs on board has its own (:mod:`mufly.trigonometry`). Without ``floor`` none is touched.
@@ -235,7 +260,7 @@ _LEAST_HEIGHT = 0.5  # over R, of a rotor whose ground effect is known
 
 
 @compiled(error_model="numpy")
-def ground_gain(thrust, height, across_squared, p):  # type: ignore[no-untyped-def]
+def ground_gain(thrust: float, height: float, across_squared: float, p: Any) -> float:
     """Return what the floor adds to a rotor's thrust (N), at the hub's height (m) and (air velocity along it)^2."""
     if thrust <= 0.0:
         return 0.0
@@ -246,7 +271,7 @@ def ground_gain(thrust, height, across_squared, p):  # type: ignore[no-untyped-d
 
 
 @compiled(error_model="numpy")
-def _add_ground_effect(x, wind, p, dx):  # type: ignore[no-untyped-def]
+def _add_ground_effect(x: _Array, wind: _Array, p: Any, dx: _Array) -> None:
     """Add to the time derivative what the floor does to the rotors' thrust; see the module docstring."""
     kT_up, kT_dw = p.thrust_up, p.thrust_dw
     if p.map_nodes > 0:
@@ -272,7 +297,7 @@ _STANDSTILL = 1e-3  # rad/s; below this a rotor makes no force that could be mea
 
 
 @compiled(error_model="numpy")
-def climb_velocity(x, wind):  # type: ignore[no-untyped-def]
+def climb_velocity(x: _Array, wind: _Array) -> float:
     """Return the velocity through the air along the mast, positive upwards (m/s), at state ``x``."""
     qw, qx, qy, qz = x[6], x[7], x[8], x[9]
     up_n, up_e, up_d = -2 * (qx * qz + qw * qy), -2 * (qy * qz - qw * qx), 2 * (qx * qx + qy * qy) - 1
@@ -280,7 +305,9 @@ def climb_velocity(x, wind):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def map_coefficients(speed_up, speed_dw, climb, p):  # type: ignore[no-untyped-def]
+def map_coefficients(
+    speed_up: float, speed_dw: float, climb: float, p: Any
+) -> tuple[float, float, float, float]:
     """Return thrust over the speed's square (N s2) of upper and lower rotor, then torque (N m s2), by the map."""
     up, dw = abs(speed_up), abs(speed_dw)
     mean = 0.5 * (up + dw)
@@ -362,7 +389,7 @@ def coefficient_bounds(p: np.void, name: str) -> tuple[float, float, float]:
 
 
 @compiled(error_model="numpy")
-def contact_wrench(x, p):  # type: ignore[no-untyped-def]
+def contact_wrench(x: _Array, p: Any) -> tuple[float, float, float, float, float, float]:
     """Return the force of the floor (N-E-D, N) and its moment (body axes, N m) as six numbers."""
     a = rotation(x[6:10])
     f_n = f_e = f_d = m_x = m_y = m_z = 0.0
@@ -395,7 +422,7 @@ def contact_wrench(x, p):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def lowest_point(x, p):  # type: ignore[no-untyped-def]
+def lowest_point(x: _Array, p: Any) -> tuple[float, int]:
     """Return depth below the floor (m; negative: above) and index of the lowest contact point."""
     a = rotation(x[6:10])
     depth, index = -math.inf, 0

@@ -29,6 +29,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -48,11 +49,13 @@ from mufly.rotor.system import VORTEX_RING
 from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 
+_Array = NDArray[np.float64]
+
 DEFAULT_STEP_S = 1e-3
 
 
 @compiled(error_model="numpy")
-def advance(x, u, wind, p, dt, steps):  # type: ignore[no-untyped-def]
+def advance(x: _Array, u: _Array, wind: _Array, p: Any, dt: float, steps: int) -> None:
     """Integrate the state ``x`` in place over ``steps`` steps of ``dt`` with input and wind held.
 
     Parameters
@@ -94,7 +97,7 @@ def advance(x, u, wind, p, dt, steps):  # type: ignore[no-untyped-def]
 
 
 @compiled(parallel=True, error_model="numpy")
-def advance_batch(x, u, wind, p, dt, steps):  # type: ignore[no-untyped-def]
+def advance_batch(x: _Array, u: _Array, wind: _Array, p: Any, dt: float, steps: int) -> None:
     """Integrate ``n`` vehicles in place, on all cores; see :func:`advance`.
 
     Parameters

@@ -35,12 +35,14 @@ from mufly.vehicle import Vehicle
 from mufly.vehicle.coefficient_map import MAP_NODES
 from mufly.vehicle.schema import MAX_LEGS
 
+_Array = NDArray[np.float64]
+
 STATE_SIZE = 21
 INPUT_SIZE = 4
 
 
 @compiled(error_model="numpy")
-def rotation(quaternion):  # type: ignore[no-untyped-def]
+def rotation(quaternion: _Array) -> _Array:
     """Return the 3x3 matrix that turns body vectors into N-E-D, for a unit quaternion (w, x, y, z).
 
     Thesis: eqs 4.1, 4.2.

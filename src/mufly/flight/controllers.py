@@ -213,19 +213,19 @@ _LEVEL = np.zeros(2)
 
 
 @compiled
-def _law(  # type: ignore[no-untyped-def]
-    heave_yaw_gains,
-    roll_pitch_gains,
-    heave_yaw,
-    roll_pitch,
-    reference,
-    tilt,
-    tilts,
-    position,
-    attitude,
-    rates,
-    voltage,
-):
+def _law(
+    heave_yaw_gains: Any,
+    roll_pitch_gains: Any,
+    heave_yaw: _Array,
+    roll_pitch: _Array,
+    reference: _Array,
+    tilt: _Array,
+    tilts: bool,
+    position: _Array,
+    attitude: _Array,
+    rates: _Array,
+    voltage: float,
+) -> tuple[_Array, _Array, _Array, _Array]:
     """One period of both controllers in one call: motor and servo inputs, and their states."""
     servo = np.zeros(2)
     if tilts:

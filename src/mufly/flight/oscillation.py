@@ -17,8 +17,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mufly.compiled import compiled
 from mufly.mission import State
+
+_Array = NDArray[np.float64]
 
 INPUTS = ("motor_input upper", "motor_input lower", "servo_input 1", "servo_input 2")
 RANGES = (1.0, 1.0, 2.0, 2.0)
@@ -84,7 +89,7 @@ class Oscillation:
 
 
 @compiled(error_model="numpy")
-def may_oscillate(inputs):  # type: ignore[no-untyped-def]
+def may_oscillate(inputs: _Array) -> bool:
     """Whether any of the inputs (n, 4) turns often enough to oscillate, however slowly and whoever asks for it."""
     for k in range(4):
         back, rising, extreme, turns = SHARE * RANGES[k], True, -math.inf, 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -37,7 +38,9 @@ _BLOWN_S = 5.0  # of wind drawn at once; what it is does not depend on it
 
 
 @compiled(error_model="numpy")
-def plant_period(x, u, wind, parameters, dt, steps, supply):  # type: ignore[no-untyped-def]
+def plant_period(
+    x: _Array, u: _Array, wind: _Array, parameters: Any, dt: float, steps: int, supply: _Array
+) -> None:
     """Advance the state by one period; write voltage and current of the battery at its end into ``supply`` (2,)."""
     p = parameters[0]
     advance(x, u, wind, p, dt, steps)
@@ -45,7 +48,7 @@ def plant_period(x, u, wind, parameters, dt, steps, supply):  # type: ignore[no-
 
 
 @compiled(error_model="numpy")
-def true_attitude(x, attitude):  # type: ignore[no-untyped-def]
+def true_attitude(x: _Array, attitude: _Array) -> None:
     """Roll, pitch, yaw (rad) of a state into ``attitude`` (3,); yaw is the one nearest to what stands there.
 
     By :mod:`mufly.trigonometry`, so that it is the same on every processor.
@@ -59,7 +62,16 @@ def true_attitude(x, attitude):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def touched(x, parameters, legs, radius, obstacles, boxes, cylinders, limits):  # type: ignore[no-untyped-def]
+def touched(
+    x: _Array,
+    parameters: Any,
+    legs: int,
+    radius: float,
+    obstacles: bool,
+    boxes: _Array,
+    cylinders: _Array,
+    limits: _Array,
+) -> int:
     """What a helicopter has hit: 0 nothing, 1 an obstacle, 2 the floor with a rotor."""
     p = parameters[0]
     if obstacles and nearest(x[0:3].reshape(1, 3), boxes, cylinders, limits)[0][0] < radius:

@@ -427,7 +427,9 @@ class FlightSoftware:
 
 
 @compiled
-def _towards(motor, servo, wanted_motor, wanted_servo):  # type: ignore[no-untyped-def]
+def _towards(
+    motor: _Array, servo: _Array, wanted_motor: _Array, wanted_servo: _Array
+) -> tuple[_Array, _Array]:
     """Both inputs, from what they are towards what is wanted, by no more than a step."""
     return (
         motor + np.minimum(np.maximum(wanted_motor - motor, -STEP_MOTOR), STEP_MOTOR),

@@ -35,10 +35,13 @@ from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.estimate import Check, Estimate
 from mufly.trigonometry import sine_cosine
+
+_Array = NDArray[np.float64]
 
 HOLD_M, CERTAIN_M, LAND_M = 0.25, 0.15, 0.6
 """Horizontal standard deviations from which it waits, below which it goes on, from which it lands (m)."""
@@ -259,7 +262,16 @@ class Smooth:
 
 
 @compiled
-def _moved_on(place, heading, before, position, velocity, attitude, rates, dt):  # type: ignore[no-untyped-def]
+def _moved_on(
+    place: _Array,
+    heading: float,
+    before: _Array,
+    position: _Array,
+    velocity: _Array,
+    attitude: _Array,
+    rates: _Array,
+    dt: float,
+) -> tuple[_Array, _Array]:
     """Position and attitude a period later; ``before`` is the velocity then."""
     moved, turned = np.empty(3), np.empty(3)
     for k in range(3):

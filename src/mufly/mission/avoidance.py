@@ -132,7 +132,7 @@ class Memory:
 
 
 @compiled
-def _length(x, y):  # type: ignore[no-untyped-def]
+def _length(x: float, y: float) -> float:
     return math.sqrt(x * x + y * y)
 
 

@@ -332,7 +332,7 @@ class _Kept:
 
 
 @compiled(error_model="numpy")
-def _cubic(x, n):  # type: ignore[no-untyped-def]
+def _cubic(x: float, n: int) -> tuple[int, float, float, float, float]:
     """First of four neighbouring points, and their weights, at ``x`` in steps from the first point of ``n``."""
     x = min(max(x, 0.0), n - 1.0)
     i = min(int(x), n - 2)
@@ -349,7 +349,18 @@ def _cubic(x, n):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def interpolate(upper_t, upper_q, lower_t, lower_q, size, start, per_step, mean, ratio, climb_ratio):  # type: ignore[no-untyped-def]
+def interpolate(
+    upper_t: Array,
+    upper_q: Array,
+    lower_t: Array,
+    lower_q: Array,
+    size: NDArray[np.int64],
+    start: Array,
+    per_step: Array,
+    mean: float,
+    ratio: float,
+    climb_ratio: float,
+) -> tuple[float, float, float, float]:
     """Interpolate four tables at one point.
 
     Parameters

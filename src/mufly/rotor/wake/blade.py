@@ -51,6 +51,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,7 +152,17 @@ def bound_influence(surface: Surface, points: Array) -> Array:
 
 
 @compiled(error_model="numpy")
-def _sections(alpha, log_re, mach, blades, which, rotation, lift, drag, out):  # type: ignore[no-untyped-def]
+def _sections(
+    alpha: Array,
+    log_re: Array,
+    mach: Array,
+    blades: Any,
+    which: int,
+    rotation: Array,
+    lift: float,
+    drag: float,
+    out: Array,
+) -> None:
     for i in range(alpha.size):
         first, second, weight = blades.first[which, i], blades.second[which, i], blades.weight[which, i]
         zero = blades.zero_lift_rad[first]

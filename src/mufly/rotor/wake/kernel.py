@@ -51,7 +51,7 @@ _contribution = njit(inline="always", fastmath=True, error_model="numpy")(contri
 
 
 @compiled(parallel=True, fastmath=True, error_model="numpy")
-def _induce(points, start, end, strength, core, out):  # type: ignore[no-untyped-def]
+def _induce(points: Array, start: Array, end: Array, strength: Array, core: Array, out: Array) -> None:
     for i in prange(points.shape[0]):
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         sx, sy, sz = 0.0, 0.0, 0.0
@@ -66,7 +66,7 @@ def _induce(points, start, end, strength, core, out):  # type: ignore[no-untyped
 
 
 @compiled(parallel=True, fastmath=True, error_model="numpy")
-def _influence(points, paths, core, out):  # type: ignore[no-untyped-def]
+def _influence(points: Array, paths: Array, core: Array, out: Array) -> None:
     for i in prange(points.shape[0]):
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         for j in range(paths.shape[0]):
